@@ -1,0 +1,94 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+#include <optional>
+
+namespace imu_pose_calib {
+
+/// How the calibration is solved.
+enum class Method {
+  kGp,  ///< Gaussian-process trajectory held fixed, calibration fitted to it (doc/math.md, S3)
+};
+
+/// Everything that can be set. The defaults work on a normal recording; the same names, with the
+/// same defaults, are the keys of config/default.yaml.
+struct CalibrationOptions {
+  Method method = Method::kGp;
+
+  // --- Data (S0) ---
+
+  /// Poses further apart than this are not interpolated between [s]. 0: five pose periods, at least
+  /// 0.1 s.
+  double max_gap_s = 0.0;
+  /// Shortest run of poses without a gap that is used [s].
+  double min_segment_s = 0.5;
+  /// Shortest time that both clocks must have in common [s].
+  double min_overlap_s = 5.0;
+  /// Largest share of samples that may be unusable (not finite, stamped backwards) [0..1].
+  double max_bad_fraction = 0.1;
+
+  // --- IMU noise: starting values; the solve re-estimates both white noises from the residuals ---
+
+  /// Gyroscope white noise [rad/s/sqrt(Hz)].
+  double gyro_noise_density = 3e-4;
+  /// Accelerometer white noise [m/s^2/sqrt(Hz)].
+  double accel_noise_density = 2e-3;
+  /// Gyroscope bias random walk [rad/s^2/sqrt(Hz)].
+  double gyro_bias_walk = 2e-5;
+  /// Accelerometer bias random walk [m/s^3/sqrt(Hz)].
+  double accel_bias_walk = 2e-4;
+  /// Time between the knots of the piecewise linear biases [s]. 0: a knot at every sample.
+  double bias_knot_interval_s = 5.0;
+
+  // --- Gaussian-process trajectory (S1); 0: from the marginal likelihood ---
+
+  double position_lengthscale_s = 0.0;  ///< [s]
+  double position_signal_std = 0.0;     ///< [m]
+  double position_noise_std = 0.0;      ///< [m] per pose and axis
+  double rotation_lengthscale_s = 0.0;  ///< [s]
+  double rotation_signal_std = 0.0;     ///< [rad]
+  double rotation_noise_std = 0.0;      ///< [rad] per pose and axis
+  /// A pose is an outlier when its leave-one-out residual exceeds this many sigma.
+  double outlier_threshold = 6.0;
+
+  // --- Start (S2): not needed; used when given ---
+
+  /// Guess of t_pose - t_imu [s]; the search is then limited to 1 s around it.
+  std::optional<double> initial_time_shift;
+  /// Guess of the rotation q_MI.
+  std::optional<Eigen::Quaterniond> initial_rotation;
+  /// Guess of the translation p_MI [m].
+  std::optional<Eigen::Vector3d> initial_translation;
+
+  // --- Solve (S3) ---
+
+  /// Estimate how much later than the gyroscope's the accelerometer's data are delivered; false
+  /// keeps `accel_delay`.
+  bool estimate_accel_delay = true;
+  /// Start or fixed value [s]: t_pose = t_accel + time_shift - accel_delay.
+  double accel_delay = 0.0;
+  /// Magnitude of gravity [m/s^2]; its direction is estimated.
+  double gravity_magnitude = 9.80665;
+  /// Cauchy scale of the robust loss, in sigma of a 3-vector residual.
+  double robust_loss_scale = 5.0;
+  /// Ceres iterations of each solve.
+  int max_iterations = 50;
+  /// Threads. 0: one per processor.
+  int num_threads = 0;
+
+  // --- Uncertainty and verdict (S5) ---
+
+  /// Length of the time blocks of the cluster-robust covariance [s].
+  double covariance_block_s = 2.0;
+  /// The verdict is `weak` when the largest sigma exceeds one of these, and `degenerate` beyond ten
+  /// times one of these.
+  double weak_rotation_std = 0.01;     ///< [rad]
+  double weak_translation_std = 0.01;  ///< [m]
+  double weak_time_shift_std = 0.002;  ///< [s]
+
+  /// Throws InputError naming field, value and bound when a value is out of range.
+  void Validate() const;
+};
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,77 @@
+#pragma once
+
+#include <cstdint>
+
+#include "imu_pose_calib/core/types.h"
+
+namespace imu_pose_calib {
+
+/// Shape of a simulated motion.
+enum class Motion {
+  kHandheld,  ///< swings of about 0.6 rad and 0.2 m on all six axes
+  kTumble,    ///< many full turns about a wandering axis
+  kPlanar,    ///< turns about W's z and moves in its xy plane only: p_MI along z is undetermined
+  kHinge,     ///< turns about one fixed tilted axis, without moving
+  kStatic,    ///< rests
+};
+
+/// A recording to simulate: truth, sensors and clocks.
+struct SimulatorOptions {
+  Motion motion = Motion::kHandheld;
+  double duration_s = 40.0;
+  uint32_t seed = 1;  ///< motion, noise and biases follow from it
+
+  double pose_rate_hz = 100.0;
+  double gyro_rate_hz = 200.0;
+  double accel_rate_hz = 200.0;
+
+  double position_std = 1e-3;  ///< [m] per axis
+  double rotation_std = 1e-3;  ///< [rad] per axis
+  double gyro_std = 5e-3;      ///< [rad/s] per sample
+  double accel_std = 2e-2;     ///< [m/s^2] per sample
+  double gyro_bias_walk = 1e-5;   ///< [rad/s^2/sqrt(Hz)]
+  double accel_bias_walk = 1e-4;  ///< [m/s^3/sqrt(Hz)]
+
+  Rigid3 T_MI{Eigen::Quaterniond(0.5, -0.5, 0.5, 0.5), Eigen::Vector3d(0.05, -0.03, 0.08)};
+  double time_shift_s = 0.02;   ///< t_pose = t_imu + time_shift_s
+  double accel_delay_s = 0.0;   ///< t_pose = t_accel + time_shift_s - accel_delay_s
+  Eigen::Vector3d g_W{0.0, 0.0, -9.80665};                ///< [m/s^2]
+  Eigen::Vector3d gyro_bias{0.004, -0.003, 0.005};   ///< [rad/s] at the start
+  Eigen::Vector3d accel_bias{0.03, 0.05, -0.04};     ///< [m/s^2] at the start
+
+  int64_t start_ns = 1'600'000'000'000'000'000;  ///< first pose stamp
+};
+
+/// Exact kinematics of the marker at one instant.
+struct TrueState {
+  Eigen::Matrix3d R_WM;
+  Eigen::Vector3d p_WM;     ///< [m]
+  Eigen::Vector3d v_W;      ///< [m/s]
+  Eigen::Vector3d a_W;      ///< [m/s^2]
+  Eigen::Vector3d omega_M;  ///< [rad/s]
+  Eigen::Vector3d alpha_M;  ///< [rad/s^2]
+};
+
+/// Closed-form trajectory: sums of sines in position and rotation.
+class TrueTrajectory {
+ public:
+  explicit TrueTrajectory(const SimulatorOptions& options);
+  /// State `t` [s] after the first pose.
+  TrueState At(double t) const;
+
+ private:
+  /// x(t) = sum_k amplitude_k sin(frequency_k t + phase_k), per axis.
+  struct Sines {
+    Eigen::Matrix3Xd amplitude, frequency, phase;
+    /// Value (0), first (1) or second (2) derivative at t.
+    Eigen::Vector3d Evaluate(double t, int derivative) const;
+  };
+  Sines position_, rotation_;
+  Eigen::Quaterniond q_WB_ = Eigen::Quaterniond::Identity();  ///< mean attitude
+  Eigen::Vector3d spin_ = Eigen::Vector3d::Zero();            ///< [rad/s] steady turn, kTumble
+};
+
+/// Poses and IMU samples of `options`; the same options give the same data.
+CalibrationData Simulate(const SimulatorOptions& options);
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,73 @@
+#pragma once
+
+/// Frames, clocks and units of the whole package, stated once.
+///
+///   W  fixed frame of the pose source        M  marker: the body whose pose is recorded
+///   I  IMU
+///
+/// `R_XY` turns Y coordinates into X coordinates, `p_XY` is the origin of Y in X coordinates:
+///   x_X = R_XY x_Y + p_XY.
+/// A single suffix names the frame of the coordinates (`omega_M`, `g_W`).
+/// The result is T_MI (x_M = R_MI x_I + p_MI) and `time_shift` [s]: t_pose = t_imu + time_shift.
+/// Everything is SI: m, s, rad, rad/s, m/s^2.
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+#include <cstdint>
+#include <stdexcept>
+#include <vector>
+
+namespace imu_pose_calib {
+
+using Vector6d = Eigen::Matrix<double, 6, 1>;
+using Matrix6d = Eigen::Matrix<double, 6, 6>;
+
+/// Rigid transform T_XY: x_X = q x_Y + p.
+struct Rigid3 {
+  Eigen::Quaterniond q = Eigen::Quaterniond::Identity();
+  Eigen::Vector3d p = Eigen::Vector3d::Zero();
+
+  Rigid3 Inverse() const { return {q.conjugate(), -(q.conjugate() * p)}; }
+  Eigen::Matrix4d Matrix() const {
+    Eigen::Matrix4d T = Eigen::Matrix4d::Identity();
+    T.topLeftCorner<3, 3>() = q.toRotationMatrix();
+    T.topRightCorner<3, 1>() = p;
+    return T;
+  }
+};
+
+/// One pose of the marker, stamped by the pose clock.
+struct PoseSample {
+  int64_t t_ns = 0;  ///< pose clock
+  Eigen::Quaterniond q_WM = Eigen::Quaterniond::Identity();
+  Eigen::Vector3d p_WM = Eigen::Vector3d::Zero();  ///< [m]
+};
+
+/// One gyroscope [rad/s] or accelerometer [m/s^2] sample in I, stamped by the IMU clock.
+struct ImuSample {
+  int64_t t_ns = 0;  ///< IMU clock
+  Eigen::Vector3d value = Eigen::Vector3d::Zero();
+};
+
+/// A recording in the order in which it arrived. Integer stamps keep clocks that are days apart at
+/// full precision.
+struct CalibrationData {
+  std::vector<PoseSample> poses;
+  std::vector<ImuSample> gyro;
+  std::vector<ImuSample> accel;
+};
+
+/// The input or an option is unusable as given: the text names field, value and bound.
+class InputError : public std::runtime_error {
+ public:
+  using std::runtime_error::runtime_error;
+};
+
+/// The input was read, but no calibration can come from it: the text names the number, the bound
+/// and what to do.
+class DataError : public std::runtime_error {
+ public:
+  using std::runtime_error::runtime_error;
+};
+
+}  // namespace imu_pose_calib
