@@ -1,0 +1,61 @@
+#include "imu_pose_calib/core/options.h"
+
+#include <limits>
+#include <sstream>
+
+#include "imu_pose_calib/core/types.h"
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+
+/// Throws unless low <= value <= high. NaN fails.
+void CheckRange(const char* field, double value, double low, double high) {
+  if (value >= low && value <= high) return;
+  std::ostringstream text;
+  text << "option " << field << " = " << value << " is out of range: ";
+  if (high == kInfinity) {
+    text << "must be at least " << low;
+  } else {
+    text << "must be within [" << low << ", " << high << "]";
+  }
+  throw InputError(text.str());
+}
+
+}  // namespace
+
+void CalibrationOptions::Validate() const {
+  CheckRange("max_gap_s", max_gap_s, 0.0, 1e3);
+  CheckRange("min_segment_s", min_segment_s, 0.0, 1e3);
+  CheckRange("min_overlap_s", min_overlap_s, 1.0, 1e6);
+  CheckRange("max_bad_fraction", max_bad_fraction, 0.0, 1.0);
+  CheckRange("gyro_noise_density", gyro_noise_density, 1e-9, 1e3);
+  CheckRange("accel_noise_density", accel_noise_density, 1e-9, 1e3);
+  CheckRange("gyro_bias_walk", gyro_bias_walk, 1e-12, 1e3);
+  CheckRange("accel_bias_walk", accel_bias_walk, 1e-12, 1e3);
+  CheckRange("bias_knot_interval_s", bias_knot_interval_s, 0.0, 1e9);
+  CheckRange("position_lengthscale_s", position_lengthscale_s, 0.0, 1e3);
+  CheckRange("position_signal_std", position_signal_std, 0.0, 1e9);
+  CheckRange("position_noise_std", position_noise_std, 0.0, 1e3);
+  CheckRange("rotation_lengthscale_s", rotation_lengthscale_s, 0.0, 1e3);
+  CheckRange("rotation_signal_std", rotation_signal_std, 0.0, 1e3);
+  CheckRange("rotation_noise_std", rotation_noise_std, 0.0, 1e3);
+  CheckRange("outlier_threshold", outlier_threshold, 3.0, kInfinity);
+  if (initial_time_shift) CheckRange("initial_time_shift", *initial_time_shift, -1e10, 1e10);
+  if (initial_rotation)
+    CheckRange("norm of initial_rotation", initial_rotation->norm(), 0.99, 1.01);
+  if (initial_translation)
+    CheckRange("norm of initial_translation", initial_translation->norm(), 0.0, 1e3);
+  CheckRange("accel_delay", accel_delay, -0.5, 0.5);
+  CheckRange("gravity_magnitude", gravity_magnitude, 0.1, 100.0);
+  CheckRange("robust_loss_scale", robust_loss_scale, 1.0, kInfinity);
+  CheckRange("max_iterations", max_iterations, 1, 10000);
+  CheckRange("num_threads", num_threads, 0, 1024);
+  CheckRange("covariance_block_s", covariance_block_s, 0.01, 1e6);
+  CheckRange("weak_rotation_std", weak_rotation_std, 1e-9, 1.0);
+  CheckRange("weak_translation_std", weak_translation_std, 1e-9, 10.0);
+  CheckRange("weak_time_shift_std", weak_time_shift_std, 1e-9, 1.0);
+}
+
+}  // namespace imu_pose_calib
