@@ -1,0 +1,49 @@
+#pragma once
+
+#include <vector>
+
+#include "imu_pose_calib/core/calibrator.h"
+#include "imu_pose_calib/core/options.h"
+#include "imu_pose_calib/core/types.h"
+
+namespace imu_pose_calib {
+
+/// A pose at `t` [s] after ConditionedData::pose_epoch_ns.
+struct TimedPose {
+  double t;
+  Eigen::Quaterniond q_WM;
+  Eigen::Vector3d p_WM;
+};
+
+/// A gyroscope or accelerometer sample at `t` [s] after ConditionedData::imu_epoch_ns.
+struct TimedSample {
+  double t;
+  Eigen::Vector3d value;
+};
+
+/// Half-open range of indices.
+struct IndexRange {
+  size_t begin = 0, end = 0;
+  size_t size() const { return end - begin; }
+};
+
+/// A recording that the next stages can rely on: finite, in strictly increasing time, without
+/// repeated samples, unit quaternions of continuous sign, in SI units.
+struct ConditionedData {
+  int64_t pose_epoch_ns = 0;  ///< pose clock
+  int64_t imu_epoch_ns = 0;   ///< IMU clock
+  std::vector<TimedPose> poses;
+  std::vector<IndexRange> segments;  ///< of `poses`: runs without a gap
+  std::vector<TimedSample> gyro;
+  std::vector<TimedSample> accel;
+
+  StreamReport pose_report, gyro_report, accel_report;
+  size_t gaps = 0;
+};
+
+/// Stage S0. Every dropped sample is counted in a report.
+/// Throws DataError naming the number and the bound when a stream is empty, too short, mostly
+/// unusable, or not in SI units.
+ConditionedData Condition(const CalibrationOptions& options, const CalibrationData& data);
+
+}  // namespace imu_pose_calib

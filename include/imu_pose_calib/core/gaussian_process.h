@@ -1,0 +1,71 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <vector>
+
+namespace imu_pose_calib {
+
+/// Square-exponential kernel k(t, t') = signal_std^2 exp(-(t - t')^2 / (2 lengthscale_s^2)) and the
+/// white noise of the measurements.
+struct GpHyperparameters {
+  double lengthscale_s = 0.0;
+  double signal_std = 0.0;  ///< unit of the values
+  double noise_std = 0.0;   ///< unit of the values
+};
+
+/// Measurements of up to four outputs: row i of `y` is taken at t[i]. t increases.
+struct GpData {
+  Eigen::VectorXd t;  ///< [s]
+  Eigen::MatrixXd y;  ///< N x D, D <= 4
+};
+
+/// Gaussian process regression with one 1-D input and D independent outputs that share their
+/// hyperparameters, at a cost linear in duration (doc/math.md, "Windowed GP").
+///
+/// The kernel is written as an integral over Gaussian bumps and the integral as a sum on a grid of
+/// 0.4 length scales, which is exact to 1e-13. That turns regression into least squares on bump
+/// weights. The timeline is cut into windows; each is fitted with margins so wide that its core
+/// agrees with the GP of the whole log.
+class WindowedGp {
+ public:
+  /// Column k holds the k-th time derivative, k = 0..3; one row per output.
+  using Derivatives = Eigen::Matrix<double, Eigen::Dynamic, 4, Eigen::ColMajor, 4, 4>;
+
+  WindowedGp(const GpData& data, const GpHyperparameters& hyperparameters);
+
+  double begin() const { return begin_; }  ///< first measurement [s]
+  double end() const { return end_; }      ///< last measurement [s]
+
+  /// Posterior mean at t and its first three derivatives (paper Eqs. 3 and 6). Outside of
+  /// [begin, end] it tends to the prior mean, zero.
+  Derivatives Evaluate(double t) const;
+
+  /// Posterior variance of the value and of the first and second derivative, the same for each
+  /// output (paper Eqs. 4 and 7).
+  Eigen::Vector3d Variance(double t) const;
+
+ private:
+  struct Window {
+    double first_center;         ///< [s] centre of the bump of row 0
+    Eigen::MatrixXd weights;     ///< bumps x D
+    Eigen::MatrixXd covariance;  ///< bumps x bumps, of the weights of one output
+  };
+  const Window& At(double t) const;
+
+  GpHyperparameters hyperparameters_;
+  double begin_, end_, core_;
+  std::vector<Window> windows_;
+};
+
+/// log p(y | t, hyperparameters), summed over the outputs; `gradient` (if not null) receives its
+/// derivatives by (log lengthscale, log signal_std, log noise_std).
+double LogMarginalLikelihood(const GpData& data,
+                             const GpHyperparameters& hyperparameters,
+                             Eigen::Vector3d* gradient);
+
+/// Hyperparameters that maximise the marginal likelihood of all of `data`. Values of `fixed` that
+/// are not zero are kept.
+GpHyperparameters FitHyperparameters(const std::vector<GpData>& data,
+                                     const GpHyperparameters& fixed);
+
+}  // namespace imu_pose_calib

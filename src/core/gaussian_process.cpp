@@ -1,0 +1,324 @@
+#include "imu_pose_calib/core/gaussian_process.h"
+
+#include <ceres/gradient_problem.h>
+#include <ceres/gradient_problem_solver.h>
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr double kSpacing = 0.4;       // [length scales] between bumps: kernel error 2 exp(-31)
+constexpr int kSupport = 30;           // bumps that reach one instant: the others are below 3e-14
+constexpr double kCore = 16.0;         // [length scales]
+constexpr double kMargin = 20.0;       // [length scales]
+constexpr double kMaxSignalToNoise = 1e5;  // keeps the normal equations well conditioned
+
+/// Uniform grid of Gaussian bumps exp(-(t - u_j)^2 / l^2), u_j = first + j spacing.
+struct BumpGrid {
+  double lengthscale, spacing, first;
+  int size;
+
+  /// Grid that serves every t in [begin, end].
+  BumpGrid(double begin, double end, double lengthscale_s)
+      : lengthscale(lengthscale_s),
+        spacing(kSpacing * lengthscale_s),
+        first(begin - (kSupport / 2) * spacing),
+        size(static_cast<int>(std::floor((end - begin) / spacing)) + kSupport + 1) {}
+  BumpGrid(double first_center, int count, double lengthscale_s)
+      : lengthscale(lengthscale_s),
+        spacing(kSpacing * lengthscale_s),
+        first(first_center),
+        size(count) {}
+
+  /// First of the kSupport bumps around t.
+  int FirstBump(double t) const {
+    const int j = static_cast<int>(std::floor((t - first) / spacing)) - kSupport / 2 + 1;
+    return std::clamp(j, 0, size - kSupport);
+  }
+};
+
+using BumpArray = Eigen::Array<double, kSupport, 1>;
+using BumpDerivatives = Eigen::Matrix<double, kSupport, 4>;
+
+/// (t - u_j) / l of the bumps around t.
+BumpArray ScaledDistance(const BumpGrid& grid, int first_bump, double t) {
+  const double start = (t - grid.first) / grid.lengthscale - kSpacing * first_bump;
+  return start - kSpacing * BumpArray::LinSpaced(0.0, kSupport - 1.0);
+}
+
+/// Values of the bumps around t and their first three time derivatives.
+BumpDerivatives Bumps(const BumpGrid& grid, int first_bump, double t) {
+  const BumpArray z = ScaledDistance(grid, first_bump, t);
+  const BumpArray bump = (-z.square()).exp();
+  const double l = grid.lengthscale;
+  BumpDerivatives B;
+  B.col(0) = bump;
+  B.col(1) = -2.0 / l * z * bump;
+  B.col(2) = (4.0 * z.square() - 2.0) / (l * l) * bump;
+  B.col(3) = (12.0 - 8.0 * z.square()) * z / (l * l * l) * bump;
+  return B;
+}
+
+/// Prior standard deviation of a bump weight: k = sum_j weight_std^2 bump_j bump_j.
+double WeightStd(const GpHyperparameters& h) {
+  return h.signal_std * std::sqrt(kSpacing * std::sqrt(2.0 / M_PI));
+}
+
+/// Posterior of unit-variance bump weights given rows [begin, end) of the data:
+///   A = I + F^T F / noise^2, mean = A^-1 F^T y / noise^2, with F = weight_std * bumps.
+struct WeightPosterior {
+  Eigen::LLT<Eigen::MatrixXd> A;
+  Eigen::MatrixXd mean;
+};
+
+WeightPosterior FitWeights(
+    const GpData& data, Eigen::Index begin, Eigen::Index end, const BumpGrid& grid,
+    const GpHyperparameters& h) {
+  Eigen::MatrixXd A = Eigen::MatrixXd::Zero(grid.size, grid.size);
+  Eigen::MatrixXd b = Eigen::MatrixXd::Zero(grid.size, data.y.cols());
+  for (Eigen::Index i = begin; i < end; ++i) {
+    const int j = grid.FirstBump(data.t[i]);
+    const Eigen::Matrix<double, kSupport, 1> f =
+        (-ScaledDistance(grid, j, data.t[i]).square()).exp();
+    A.block<kSupport, kSupport>(j, j).noalias() += f * f.transpose();
+    b.middleRows<kSupport>(j).noalias() += f * data.y.row(i);
+  }
+  const double weight_std = WeightStd(h);
+  A *= std::pow(weight_std / h.noise_std, 2);
+  A.diagonal().array() += 1.0;
+  b *= weight_std / (h.noise_std * h.noise_std);
+  WeightPosterior posterior{Eigen::LLT<Eigen::MatrixXd>(A), {}};
+  posterior.mean = posterior.A.solve(b);
+  return posterior;
+}
+
+}  // namespace
+
+WindowedGp::WindowedGp(const GpData& data, const GpHyperparameters& hyperparameters)
+    : hyperparameters_(hyperparameters), begin_(data.t[0]), end_(data.t[data.t.size() - 1]) {
+  const GpHyperparameters& h = hyperparameters_;
+  const double l = h.lengthscale_s;
+  const int count = std::max(1, static_cast<int>(std::round((end_ - begin_) / (kCore * l))));
+  core_ = std::max((end_ - begin_) / count, 1e-9);
+  const double* const t_begin = data.t.data();
+  const double* const t_end = t_begin + data.t.size();
+  for (int k = 0; k < count; ++k) {
+    const double core_begin = begin_ + k * core_;
+    const double low = std::max(begin_, core_begin - kMargin * l);
+    const double high = std::min(end_, core_begin + core_ + kMargin * l);
+    const BumpGrid grid(low, high, l);
+    const WeightPosterior posterior = FitWeights(data,
+                                                 std::lower_bound(t_begin, t_end, low) - t_begin,
+                                                 std::upper_bound(t_begin, t_end, high) - t_begin,
+                                                 grid,
+                                                 h);
+    // Queries come from the core only: the margins' weights have done their work.
+    const int first = grid.FirstBump(core_begin);
+    const int size = grid.FirstBump(core_begin + core_) + kSupport - first;
+    Eigen::MatrixXd columns = Eigen::MatrixXd::Zero(grid.size, size);
+    columns.middleRows(first, size).setIdentity();
+    posterior.A.solveInPlace(columns);
+    const double weight_std = WeightStd(h);
+    windows_.push_back({grid.first + first * grid.spacing,
+                        weight_std * posterior.mean.middleRows(first, size),
+                        weight_std * weight_std * columns.middleRows(first, size)});
+  }
+}
+
+const WindowedGp::Window& WindowedGp::At(double t) const {
+  const double k = std::floor((t - begin_) / core_);
+  return windows_[static_cast<size_t>(std::clamp(k, 0.0, static_cast<double>(windows_.size()) - 1))];
+}
+
+WindowedGp::Derivatives WindowedGp::Evaluate(double t) const {
+  const Window& window = At(t);
+  const BumpGrid grid(
+      window.first_center, static_cast<int>(window.weights.rows()), hyperparameters_.lengthscale_s);
+  const int j = grid.FirstBump(t);
+  return window.weights.middleRows<kSupport>(j).transpose() * Bumps(grid, j, t);
+}
+
+Eigen::Vector3d WindowedGp::Variance(double t) const {
+  const Window& window = At(t);
+  const BumpGrid grid(
+      window.first_center, static_cast<int>(window.weights.rows()), hyperparameters_.lengthscale_s);
+  const int j = grid.FirstBump(t);
+  const auto B = Bumps(grid, j, t).leftCols<3>().eval();
+  return (B.transpose() * window.covariance.block<kSupport, kSupport>(j, j) * B).diagonal();
+}
+
+double LogMarginalLikelihood(const GpData& data,
+                             const GpHyperparameters& h,
+                             Eigen::Vector3d* gradient) {
+  // With K = F F^T + noise^2 I:  log|K| = log|A| + N log noise^2, K^-1 y = (y - F mean) / noise^2,
+  // F^T K^-1 y = mean, and for a change dF of F: tr(K^-1 dK) = 2 tr(A^-1 F^T dF) / noise^2.
+  const auto n = data.t.size();
+  const auto outputs = static_cast<double>(data.y.cols());
+  const BumpGrid grid(data.t[0], data.t[n - 1], h.lengthscale_s);
+  const WeightPosterior posterior = FitWeights(data, 0, n, grid, h);
+  const double noise2 = h.noise_std * h.noise_std;
+  const double weight_std = WeightStd(h);
+
+  double fit = posterior.mean.squaredNorm();
+  double length_fit = 0.0;
+  Eigen::MatrixXd FtdF = Eigen::MatrixXd::Zero(grid.size, grid.size);
+  double residual_norm2 = 0.0;
+  for (Eigen::Index i = 0; i < n; ++i) {
+    const int j = grid.FirstBump(data.t[i]);
+    const BumpArray z2 = ScaledDistance(grid, j, data.t[i]).square();
+    const Eigen::Matrix<double, kSupport, 1> f = weight_std * (-z2).exp();
+    const auto mean = posterior.mean.middleRows<kSupport>(j);
+    const Eigen::RowVectorXd residual = data.y.row(i) - f.transpose() * mean;
+    residual_norm2 += residual.squaredNorm();
+    if (gradient == nullptr) continue;
+    // d F / d log l; the 1/2 is the change of weight_std per length of a fixed grid.
+    const Eigen::Matrix<double, kSupport, 1> df = f.array() * (2.0 * z2 - 0.5);
+    length_fit += (residual / noise2).dot(df.transpose() * mean);
+    FtdF.block<kSupport, kSupport>(j, j).noalias() += f * df.transpose();
+  }
+  fit += residual_norm2 / noise2;
+  const double log_det_A = 2.0 * posterior.A.matrixLLT().diagonal().array().log().sum();
+  const double log_likelihood =
+      -0.5 * fit -
+      0.5 * outputs * (log_det_A + static_cast<double>(n) * std::log(2.0 * M_PI * noise2));
+
+  if (gradient != nullptr) {
+    const Eigen::MatrixXd A_inv =
+        posterior.A.solve(Eigen::MatrixXd::Identity(grid.size, grid.size));
+    const double trace_A_inv = A_inv.trace();
+    const double m = grid.size;
+    const double tr_length = FtdF.cwiseProduct(A_inv).sum() / noise2;
+    (*gradient)[0] = length_fit - outputs * tr_length;
+    (*gradient)[1] = posterior.mean.squaredNorm() - outputs * (m - trace_A_inv);
+    (*gradient)[2] =
+        residual_norm2 / noise2 - outputs * (static_cast<double>(n) - m + trace_A_inv);
+  }
+  return log_likelihood;
+}
+
+namespace {
+
+/// Negative log marginal likelihood in the logarithms of the three hyperparameters, with soft walls
+/// that keep them where the data can tell them.
+class MarginalLikelihoodCost : public ceres::FirstOrderFunction {
+ public:
+  MarginalLikelihoodCost(const std::vector<GpData>& data,
+                         const GpHyperparameters& fixed,
+                         const Eigen::Vector3d& low,
+                         const Eigen::Vector3d& high)
+      : data_(data),
+        is_free_(fixed.lengthscale_s == 0.0, fixed.signal_std == 0.0, fixed.noise_std == 0.0),
+        low_(low),
+        high_(high) {
+    for (const GpData& d : data) count_ += static_cast<double>(d.y.size());
+  }
+
+  bool Evaluate(const double* x, double* cost, double* gradient) const override {
+    const Eigen::Map<const Eigen::Vector3d> logs(x);
+    const Eigen::Vector3d clamped = logs.cwiseMax(low_ - kSlack).cwiseMin(high_ + kSlack);
+    if (clamped != logs) return false;
+    const GpHyperparameters h{std::exp(x[0]), std::exp(x[1]), std::exp(x[2])};
+    *cost = 0.0;
+    Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+    for (const GpData& d : data_) {
+      Eigen::Vector3d g;
+      *cost -= LogMarginalLikelihood(d, h, gradient != nullptr ? &g : nullptr);
+      if (gradient != nullptr) sum -= g;
+    }
+    const Eigen::Vector3d below = (low_ - logs).cwiseMax(0.0);
+    const Eigen::Vector3d above = (logs - high_).cwiseMax(0.0);
+    const double ratio = std::max(0.0, x[1] - x[2] - std::log(kMaxSignalToNoise));
+    const double wall = 10.0 * count_;
+    *cost += wall * (below.squaredNorm() + above.squaredNorm() + ratio * ratio);
+    sum += 2.0 * wall * (above - below + Eigen::Vector3d(0.0, ratio, -ratio));
+    *cost /= count_;
+    for (int k = 0; gradient != nullptr && k < 3; ++k)
+      gradient[k] = is_free_[k] ? sum[k] / count_ : 0.0;
+    return std::isfinite(*cost);
+  }
+  int NumParameters() const override { return 3; }
+
+ private:
+  const Eigen::Vector3d kSlack = Eigen::Vector3d::Constant(2.0);
+  const std::vector<GpData>& data_;
+  const Eigen::Array<bool, 3, 1> is_free_;
+  const Eigen::Vector3d low_, high_;
+  double count_ = 0.0;
+};
+
+double Median(std::vector<double> values) {
+  const auto middle = values.begin() + static_cast<ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+/// Moments of the data from which the search starts.
+struct Moments {
+  double period, duration, signal, rate, noise;
+
+  explicit Moments(const std::vector<GpData>& data) {
+    double sum2 = 0.0, count = 0.0;
+    std::vector<double> periods, rates, second_differences;
+    duration = 0.0;
+    for (const GpData& d : data) {
+      const auto n = d.t.size();
+      sum2 += d.y.squaredNorm();
+      count += static_cast<double>(d.y.size());
+      duration = std::max(duration, d.t[n - 1] - d.t[0]);
+      Eigen::Index lag = 0;  // a rate over 50 ms is not all noise
+      for (Eigen::Index i = 1; i < n; ++i) {
+        periods.push_back(d.t[i] - d.t[i - 1]);
+        while (d.t[i] - d.t[lag] > 0.05 && lag + 1 < i) ++lag;
+        rates.push_back((d.y.row(i) - d.y.row(lag)).squaredNorm() /
+                        std::pow(d.t[i] - d.t[lag], 2) / static_cast<double>(d.y.cols()));
+        if (i < 2) continue;
+        for (Eigen::Index k = 0; k < d.y.cols(); ++k)
+          second_differences.push_back(
+              std::abs(d.y(i, k) - 2.0 * d.y(i - 1, k) + d.y(i - 2, k)));
+      }
+    }
+    period = Median(periods);
+    signal = std::sqrt(sum2 / count);
+    rate = std::sqrt(Median(rates));
+    noise = Median(second_differences) / 0.6745 / std::sqrt(6.0);
+  }
+};
+
+}  // namespace
+
+GpHyperparameters FitHyperparameters(const std::vector<GpData>& data,
+                                     const GpHyperparameters& fixed) {
+  if (fixed.lengthscale_s > 0.0 && fixed.signal_std > 0.0 && fixed.noise_std > 0.0) return fixed;
+  const Moments moments(data);
+  const double signal = std::max(moments.signal, 1e-6);
+  const double noise = std::clamp(moments.noise, 1e-5 * signal, signal);
+  const Eigen::Vector3d low =
+      Eigen::Vector3d(1.5 * moments.period, 1e-2 * signal, 2e-6 * signal).array().log();
+  const Eigen::Vector3d high =
+      Eigen::Vector3d(std::max(moments.duration, 3.0 * moments.period), 1e3 * signal, 3.0 * signal)
+          .array()
+          .log();
+  Eigen::Vector3d x(std::log(signal / std::max(moments.rate, 1e-6)), std::log(signal),
+                    std::log(noise));
+  x = x.cwiseMax(low).cwiseMin(high);
+  if (fixed.lengthscale_s > 0.0) x[0] = std::log(fixed.lengthscale_s);
+  if (fixed.signal_std > 0.0) x[1] = std::log(fixed.signal_std);
+  if (fixed.noise_std > 0.0) x[2] = std::log(fixed.noise_std);
+
+  ceres::GradientProblem problem(
+      new MarginalLikelihoodCost(data, fixed, low.cwiseMin(x), high.cwiseMax(x)));
+  ceres::GradientProblemSolver::Options options;
+  options.logging_type = ceres::SILENT;
+  options.line_search_direction_type = ceres::BFGS;
+  options.max_num_iterations = 60;
+  options.function_tolerance = 1e-7;
+  options.gradient_tolerance = 1e-5;
+  ceres::GradientProblemSolver::Summary summary;
+  ceres::Solve(options, problem, x.data(), &summary);
+  return {std::exp(x[0]), std::exp(x[1]), std::exp(x[2])};
+}
+
+}  // namespace imu_pose_calib
