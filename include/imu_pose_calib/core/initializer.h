@@ -1,0 +1,58 @@
+#pragma once
+
+#include "imu_pose_calib/core/conditioning.h"
+#include "imu_pose_calib/core/options.h"
+#include "imu_pose_calib/core/pose_trajectory.h"
+
+namespace imu_pose_calib {
+
+/// What the solve starts from. Times are relative to the epochs of ConditionedData:
+/// t_pose = t_imu + time_shift with t_pose after pose_epoch_ns and t_imu after imu_epoch_ns.
+struct Start {
+  double time_shift = 0.0;   ///< [s]
+  double accel_delay = 0.0;  ///< [s]
+  Eigen::Quaterniond q_MI = Eigen::Quaterniond::Identity();
+  Eigen::Vector3d p_MI = Eigen::Vector3d::Zero();        ///< [m]
+  Eigen::Vector3d g_W = Eigen::Vector3d::Zero();         ///< [m/s^2]
+  Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();   ///< [rad/s] in I
+  Eigen::Vector3d accel_bias = Eigen::Vector3d::Zero();  ///< [m/s^2] in I
+};
+
+/// Time shifts at which |omega_M| and |gyro| correlate best, the best first, at most `count`.
+/// Every overlap of at least `min_overlap_s` is searched, or those within 1 s of `guess`.
+std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
+                                   const std::vector<TimedPose>& poses,
+                                   const std::vector<TimedSample>& gyro,
+                                   double min_overlap_s,
+                                   const std::optional<double>& guess,
+                                   int count);
+
+/// Rotation, gyro bias and fit of the rates at a given time shift.
+struct RateAlignment {
+  Eigen::Quaterniond q_MI = Eigen::Quaterniond::Identity();
+  Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();  ///< [rad/s] in I
+  double scale = 0.0;      ///< rms of the gyro's rates over the marker's: 1 when both are rad/s
+  double explained = 0.0;  ///< share of the gyro's variance that the marker's rates explain
+  size_t count = 0;        ///< gyro samples that fall on the trajectory
+};
+
+/// SVD solution of Wahba's problem on mean-free rates, omega_M = R_MI (gyro - bias).
+RateAlignment AlignRates(const PoseTrajectory& trajectory,
+                         const std::vector<TimedSample>& gyro,
+                         double time_shift);
+
+/// p_MI, g_W and accel_bias by linear least squares on the accelerometer, given start->q_MI and
+/// start->time_shift; start->accel_delay is searched on +-0.1 s when `estimate_delay`.
+void FitLeverArm(const PoseTrajectory& trajectory,
+                 const std::vector<TimedSample>& accel,
+                 double gravity_magnitude,
+                 bool estimate_delay,
+                 Start* start);
+
+/// Stage S2: closed-form start; initial values of the options take precedence.
+/// Throws DataError when the rates of poses and gyroscope do not match at any time shift.
+Start Initialise(const CalibrationOptions& options,
+                 const PoseTrajectory& trajectory,
+                 const ConditionedData& data);
+
+}  // namespace imu_pose_calib

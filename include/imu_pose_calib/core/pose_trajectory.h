@@ -1,0 +1,104 @@
+#pragma once
+
+#include <ceres/jet.h>
+
+#include <vector>
+
+#include "imu_pose_calib/core/conditioning.h"
+#include "imu_pose_calib/core/gaussian_process.h"
+#include "imu_pose_calib/core/options.h"
+
+namespace imu_pose_calib {
+
+/// Motion of the marker at one instant.
+template <typename T>
+struct MarkerState {
+  using Vector3 = Eigen::Matrix<T, 3, 1>;
+  Eigen::Quaternion<T> q_WM;
+  Vector3 omega_M;  ///< [rad/s]
+  Vector3 alpha_M;  ///< [rad/s^2]
+  Vector3 a_W;      ///< [m/s^2]
+};
+
+/// Posterior variance per axis of the marker's motion at one instant.
+struct MarkerVariance {
+  double rotation;  ///< [rad^2]
+  double omega;     ///< [(rad/s)^2]
+  double alpha;     ///< [(rad/s^2)^2]
+  double accel;     ///< [(m/s^2)^2]
+};
+
+/// Continuous trajectory of the marker: one GP over the position, one over the quaternion's four
+/// components, whose posterior mean is projected on the unit sphere (doc/math.md, "Trajectory").
+/// The quaternion needs no chart, so any number of turns is fine.
+class PoseTrajectory {
+ public:
+  /// Hyperparameters in [m] and, for rotation, in [rad].
+  PoseTrajectory(const std::vector<TimedPose>& poses,
+                 const std::vector<IndexRange>& segments,
+                 const GpHyperparameters& position,
+                 const GpHyperparameters& rotation);
+
+  const GpHyperparameters& position_hyperparameters() const { return position_; }
+  const GpHyperparameters& rotation_hyperparameters() const { return rotation_; }
+
+  /// True when t [s] lies between two poses without a gap.
+  bool Contains(double t) const { return Find(t) != nullptr; }
+
+  /// Posterior mean of the motion at t [s]. False when t is not contained.
+  bool Evaluate(double t, MarkerState<double>* state) const { return Evaluate(t, state, nullptr); }
+
+  /// The same with the exact derivative by t: Jets in, Jets out.
+  template <typename Scalar, int N>
+  bool Evaluate(const ceres::Jet<Scalar, N>& t, MarkerState<ceres::Jet<Scalar, N>>* state) const;
+
+  /// Posterior variance of the motion at t [s]; t must be contained.
+  MarkerVariance Variance(double t) const;
+
+  /// Smoothed pose at t [s]; t must be contained. `position_variance` [m^2] per axis.
+  struct Pose {
+    Eigen::Quaterniond q_WM;
+    Eigen::Vector3d p_WM;
+    double position_variance, rotation_variance;
+  };
+  Pose PoseAt(double t) const;
+
+ private:
+  struct Segment {
+    WindowedGp position, quaternion;
+  };
+  const Segment* Find(double t) const;
+  /// `rates`: time derivative of each member of `state` (q_WM: of its coefficients).
+  bool Evaluate(double t, MarkerState<double>* state, MarkerState<double>* rates) const;
+
+  GpHyperparameters position_, rotation_;
+  Eigen::Vector3d origin_W_ = Eigen::Vector3d::Zero();  ///< mean position, prior mean of the GP
+  std::vector<Segment> segments_;
+};
+
+/// Stage S1: hyperparameters from the marginal likelihood where the options leave them open,
+/// trajectory, and removal of gross outliers by their leave-one-out residuals: outliers leave
+/// data->poses and are counted.
+PoseTrajectory FitTrajectory(const CalibrationOptions& options, ConditionedData* data);
+
+// --- Implementation ---
+
+template <typename Scalar, int N>
+bool PoseTrajectory::Evaluate(const ceres::Jet<Scalar, N>& t,
+                              MarkerState<ceres::Jet<Scalar, N>>* state) const {
+  MarkerState<double> value, rate;
+  if (!Evaluate(t.a, &value, &rate)) return false;
+  const auto chain = [&t](const auto& x, const auto& dx_dt, auto* out) {
+    for (int i = 0; i < static_cast<int>(x.size()); ++i) {
+      (*out)[i].a = x[i];
+      (*out)[i].v = dx_dt[i] * t.v;
+    }
+  };
+  chain(value.q_WM.coeffs(), rate.q_WM.coeffs(), &state->q_WM.coeffs());
+  chain(value.omega_M, rate.omega_M, &state->omega_M);
+  chain(value.alpha_M, rate.alpha_M, &state->alpha_M);
+  chain(value.a_W, rate.a_W, &state->a_W);
+  return true;
+}
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,254 @@
+#include "imu_pose_calib/core/pose_trajectory.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "imu_pose_calib/core/so3.h"
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr double kMedianOfChi3 = 1.5382;  // median norm of a standard normal 3-vector
+constexpr int kLikelihoodChunks = 12;
+constexpr size_t kChunkPoses = 400;
+constexpr int kMaxRounds = 20;
+
+GpHyperparameters Scaled(const GpHyperparameters& h, double factor) {
+  return {h.lengthscale_s, factor * h.signal_std, factor * h.noise_std};
+}
+
+GpData PositionData(const std::vector<TimedPose>& poses, IndexRange range,
+                    const Eigen::Vector3d& origin_W) {
+  const auto n = static_cast<Eigen::Index>(range.size());
+  GpData data{Eigen::VectorXd(n), Eigen::MatrixXd(n, 3)};
+  for (Eigen::Index i = 0; i < n; ++i) {
+    const TimedPose& pose = poses[range.begin + static_cast<size_t>(i)];
+    data.t[i] = pose.t;
+    data.y.row(i) = pose.p_WM - origin_W;
+  }
+  return data;
+}
+
+GpData QuaternionData(const std::vector<TimedPose>& poses, IndexRange range) {
+  const auto n = static_cast<Eigen::Index>(range.size());
+  GpData data{Eigen::VectorXd(n), Eigen::MatrixXd(n, 4)};
+  for (Eigen::Index i = 0; i < n; ++i) {
+    const TimedPose& pose = poses[range.begin + static_cast<size_t>(i)];
+    data.t[i] = pose.t;
+    data.y.row(i) = pose.q_WM.coeffs();
+  }
+  return data;
+}
+
+Eigen::Vector3d MeanPosition(const std::vector<TimedPose>& poses) {
+  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+  for (const TimedPose& pose : poses) sum += pose.p_WM;
+  return sum / static_cast<double>(poses.size());
+}
+
+/// Up to kLikelihoodChunks pieces of up to kChunkPoses poses, spread over the log.
+std::vector<IndexRange> Chunks(const std::vector<IndexRange>& segments) {
+  std::vector<IndexRange> chunks;
+  for (const IndexRange& s : segments) {
+    const size_t count = (s.size() + kChunkPoses - 1) / kChunkPoses;
+    for (size_t k = 0; k < count; ++k)
+      chunks.push_back({s.begin + k * s.size() / count, s.begin + (k + 1) * s.size() / count});
+  }
+  std::vector<IndexRange> spread;
+  const size_t wanted = std::min<size_t>(chunks.size(), kLikelihoodChunks);
+  for (size_t k = 0; k < wanted; ++k) spread.push_back(chunks[k * chunks.size() / wanted]);
+  return spread;
+}
+
+GpHyperparameters FitPosition(const CalibrationOptions& o, const ConditionedData& data) {
+  const Eigen::Vector3d origin_W = MeanPosition(data.poses);
+  std::vector<GpData> chunks;
+  for (const IndexRange& range : Chunks(data.segments))
+    chunks.push_back(PositionData(data.poses, range, origin_W));
+  return FitHyperparameters(
+      chunks, {o.position_lengthscale_s, o.position_signal_std, o.position_noise_std});
+}
+
+/// In [rad]. Rotation noise moves a unit quaternion by half the angle and in three of its four
+/// dimensions only, so the noise per component that the likelihood sees is sigma/2 sqrt(3/4).
+GpHyperparameters FitRotation(const CalibrationOptions& o, const ConditionedData& data) {
+  std::vector<GpData> chunks;
+  for (const IndexRange& range : Chunks(data.segments))
+    chunks.push_back(QuaternionData(data.poses, range));
+  const double noise_ratio = 0.5 * std::sqrt(0.75);
+  GpHyperparameters h = FitHyperparameters(chunks,
+                                           {o.rotation_lengthscale_s,
+                                            0.5 * o.rotation_signal_std,
+                                            noise_ratio * o.rotation_noise_std});
+  return {h.lengthscale_s, 2.0 * h.signal_std, h.noise_std / noise_ratio};
+}
+
+/// Norm of the leave-one-out residual in sigma, per pose: (position, rotation).
+std::vector<Eigen::Vector2d> LeaveOneOut(const PoseTrajectory& trajectory,
+                                         const std::vector<TimedPose>& poses) {
+  const double position_noise2 = std::pow(trajectory.position_hyperparameters().noise_std, 2);
+  const double rotation_noise2 = std::pow(trajectory.rotation_hyperparameters().noise_std, 2);
+  std::vector<Eigen::Vector2d> normalised;
+  normalised.reserve(poses.size());
+  for (const TimedPose& pose : poses) {
+    const PoseTrajectory::Pose smooth = trajectory.PoseAt(pose.t);
+    // r_loo = r / (1 - h) with variance noise^2 / (1 - h), h = posterior variance / noise^2
+    const auto normalise = [](double residual, double variance, double noise2) {
+      return residual / std::sqrt(std::max(noise2 - variance, 1e-3 * noise2));
+    };
+    normalised.emplace_back(
+        normalise((pose.p_WM - smooth.p_WM).norm(), smooth.position_variance, position_noise2),
+        normalise(Log(Eigen::Quaterniond(smooth.q_WM.conjugate() * pose.q_WM)).norm(),
+                  smooth.rotation_variance,
+                  rotation_noise2));
+  }
+  return normalised;
+}
+
+/// Indices of the poses whose residual exceeds `threshold` robust sigma and is the largest within
+/// `radius_s`: an outlier drags its neighbours along, so those are judged again without it.
+std::vector<size_t> FindOutliers(const std::vector<Eigen::Vector2d>& residuals,
+                                 const std::vector<TimedPose>& poses,
+                                 double threshold,
+                                 double radius_s) {
+  Eigen::Vector2d scale;
+  for (int k = 0; k < 2; ++k) {
+    std::vector<double> values;
+    for (const Eigen::Vector2d& r : residuals) values.push_back(r[k]);
+    const auto middle = values.begin() + static_cast<ptrdiff_t>(values.size() / 2);
+    std::nth_element(values.begin(), middle, values.end());
+    scale[k] = std::max(*middle / kMedianOfChi3, 1e-9);
+  }
+  std::vector<double> excess;
+  for (const Eigen::Vector2d& r : residuals)
+    excess.push_back(r.cwiseQuotient(scale).maxCoeff() / threshold);
+  std::vector<size_t> outliers;
+  for (size_t i = 0; i < poses.size(); ++i) {
+    if (excess[i] <= 1.0) continue;
+    bool largest = true;
+    for (size_t j = i; j-- > 0 && poses[i].t - poses[j].t < radius_s;)
+      largest = largest && excess[j] <= excess[i];
+    for (size_t j = i + 1; j < poses.size() && poses[j].t - poses[i].t < radius_s; ++j)
+      largest = largest && excess[j] < excess[i];
+    if (largest) outliers.push_back(i);
+  }
+  return outliers;
+}
+
+/// Removes the poses at `indices` (increasing).
+void RemovePoses(const std::vector<size_t>& indices, ConditionedData* data) {
+  std::vector<size_t> removed_before(data->poses.size() + 1, 0);
+  std::vector<TimedPose> kept;
+  size_t next = 0;
+  for (size_t i = 0; i < data->poses.size(); ++i) {
+    removed_before[i] = next;
+    if (next < indices.size() && indices[next] == i) {
+      ++next;
+    } else {
+      kept.push_back(data->poses[i]);
+    }
+  }
+  removed_before.back() = next;
+  for (IndexRange& s : data->segments) {
+    s.begin -= removed_before[s.begin];
+    s.end -= removed_before[s.end];
+  }
+  const auto is_short = [](const IndexRange& s) { return s.size() < 2; };
+  data->segments.erase(std::remove_if(data->segments.begin(), data->segments.end(), is_short),
+                       data->segments.end());
+  data->poses = std::move(kept);
+  data->pose_report.outlier += indices.size();
+  data->pose_report.used = data->poses.size();
+}
+
+}  // namespace
+
+PoseTrajectory::PoseTrajectory(const std::vector<TimedPose>& poses,
+                               const std::vector<IndexRange>& segments,
+                               const GpHyperparameters& position,
+                               const GpHyperparameters& rotation)
+    : position_(position), rotation_(rotation), origin_W_(MeanPosition(poses)) {
+  for (const IndexRange& range : segments) {
+    segments_.push_back({WindowedGp(PositionData(poses, range, origin_W_), position_),
+                         WindowedGp(QuaternionData(poses, range), Scaled(rotation_, 0.5))});
+  }
+}
+
+const PoseTrajectory::Segment* PoseTrajectory::Find(double t) const {
+  const auto after = std::upper_bound(
+      segments_.begin(), segments_.end(), t, [](double value, const Segment& segment) {
+        return value < segment.position.begin();
+      });
+  if (after == segments_.begin()) return nullptr;
+  const Segment& segment = *std::prev(after);
+  return t <= segment.position.end() ? &segment : nullptr;
+}
+
+bool PoseTrajectory::Evaluate(double t,
+                              MarkerState<double>* state,
+                              MarkerState<double>* rates) const {
+  const Segment* segment = Find(t);
+  if (segment == nullptr) return false;
+  const WindowedGp::Derivatives p = segment->position.Evaluate(t);
+  const WindowedGp::Derivatives q = segment->quaternion.Evaluate(t);
+  const auto quaternion = [&q](int derivative) {
+    return Eigen::Quaterniond(Eigen::Vector4d(q.col(derivative)));
+  };
+  // With A = q^-1 q', B = q^-1 q'', C = q^-1 q''' of the quaternion before projection:
+  // omega = 2 Im A, A' = B - A^2, B' = C - A B, whatever the norm of q does.
+  const Eigen::Quaterniond q_inv = quaternion(0).inverse();
+  const Eigen::Quaterniond A = q_inv * quaternion(1);
+  const Eigen::Quaterniond B = q_inv * quaternion(2);
+  state->q_WM = quaternion(0).normalized();
+  state->omega_M = 2.0 * A.vec();
+  state->alpha_M = 2.0 * (B.vec() - (A * A).vec());
+  state->a_W = p.col(2);
+  if (rates == nullptr) return true;
+  const Eigen::Quaterniond C = q_inv * quaternion(3);
+  const Eigen::Quaterniond half_omega(0.0, A.x(), A.y(), A.z());
+  rates->q_WM = state->q_WM * half_omega;
+  rates->omega_M = state->alpha_M;
+  rates->alpha_M =
+      2.0 * (C.vec() - 2.0 * (A * B).vec() - (B * A).vec() + 2.0 * (A * A * A).vec());
+  rates->a_W = p.col(3);
+  return true;
+}
+
+MarkerVariance PoseTrajectory::Variance(double t) const {
+  const Segment* segment = Find(t);
+  const Eigen::Vector3d p = segment->position.Variance(t);
+  const Eigen::Vector3d q = 4.0 * segment->quaternion.Variance(t);  // an angle is twice its half
+  return {q[0], q[1], q[2], p[2]};
+}
+
+PoseTrajectory::Pose PoseTrajectory::PoseAt(double t) const {
+  const Segment* segment = Find(t);
+  const Eigen::Vector4d q = segment->quaternion.Evaluate(t).col(0);
+  return {Eigen::Quaterniond(q).normalized(),
+          origin_W_ + Eigen::Vector3d(segment->position.Evaluate(t).col(0)),
+          segment->position.Variance(t)[0],
+          4.0 * segment->quaternion.Variance(t)[0]};
+}
+
+PoseTrajectory FitTrajectory(const CalibrationOptions& options, ConditionedData* data) {
+  bool refit = true;
+  GpHyperparameters position, rotation;
+  for (int round = 0;; ++round) {
+    if (refit) {
+      position = FitPosition(options, *data);
+      rotation = FitRotation(options, *data);
+    }
+    PoseTrajectory trajectory(data->poses, data->segments, position, rotation);
+    const std::vector<size_t> outliers =
+        FindOutliers(LeaveOneOut(trajectory, data->poses),
+                     data->poses,
+                     options.outlier_threshold,
+                     std::min(position.lengthscale_s, rotation.lengthscale_s));
+    if (outliers.empty() || round == kMaxRounds) return trajectory;
+    // Gross outliers inflate the likelihood's noise: it is worth asking again while they are many.
+    refit = outliers.size() > data->poses.size() / 1000;
+    RemovePoses(outliers, data);
+  }
+}
+
+}  // namespace imu_pose_calib
