@@ -1,0 +1,30 @@
+#pragma once
+
+#include <string>
+
+#include "imu_pose_calib/core/simulator.h"
+#include "imu_pose_calib/core/types.h"
+
+namespace imu_pose_calib {
+
+/// Shape of a written bag.
+struct BagFormat {
+  /// Gyroscope and accelerometer on /imu/gyro and /imu/accel instead of both on /imu.
+  bool split_imu = false;
+  /// "PoseStamped" or "TransformStamped" (geometry_msgs).
+  std::string pose_type = "PoseStamped";
+};
+
+/// Writes poses on /mocap/pose (frame world, child marker) and IMU samples (frame imu). Record
+/// times are header times; when the clocks start more than a day apart, the IMU's record times are
+/// moved to the pose clock as if both had started together.
+///
+/// Throws InputError when the file cannot be written, when the pose type is unknown, or when one
+/// topic is to hold gyroscope and accelerometer samples of different stamps.
+void WriteBag(const std::string& path, const CalibrationData& data, const BagFormat& format);
+
+/// Truth of a simulated bag as YAML: rotation [x, y, z, w] and translation of T_marker_imu,
+/// time_shift, accel_delay, gravity, gyro_bias, accel_bias.
+std::string TruthYaml(const SimulatorOptions& options);
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,39 @@
+#pragma once
+
+#include <geometry_msgs/Pose.h>
+#include <geometry_msgs/Transform.h>
+#include <geometry_msgs/TransformStamped.h>
+#include <ros/time.h>
+#include <sensor_msgs/Imu.h>
+
+#include <string>
+
+#include "imu_pose_calib/core/calibrator.h"
+#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/ros/recording.h"
+#include "imu_pose_calib/ros/result_msg.h"
+
+namespace imu_pose_calib {
+
+/// Nanoseconds since the epoch of the stamp's clock, exact.
+int64_t ToNanoseconds(const ros::Time& stamp);
+/// Throws InputError when `t_ns` is outside of what a ROS stamp can hold (0 to year 2106).
+ros::Time FromNanoseconds(int64_t t_ns);
+
+PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::Pose& pose);
+PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::Transform& transform);
+ImuSample ToGyroSample(const sensor_msgs::Imu& msg);   ///< [rad/s]
+ImuSample ToAccelSample(const sensor_msgs::Imu& msg);  ///< [m/s^2]
+
+/// `frame` without leading slash, or `fallback` when it is empty.
+std::string FrameName(const std::string& frame, const std::string& fallback);
+
+/// T_marker_imu as a tf: parent marker, child imu.
+geometry_msgs::TransformStamped ToTransformStamped(const CalibrationResult& result,
+                                                   const RecordingInfo& info,
+                                                   const ros::Time& stamp);
+CalibrationResultMsg ToMsg(const CalibrationResult& result,
+                           const RecordingInfo& info,
+                           const ros::Time& stamp);
+
+}  // namespace imu_pose_calib

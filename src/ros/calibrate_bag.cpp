@@ -1,0 +1,95 @@
+// Calibrates from one bag, without a ROS master.
+
+#include <boost/program_options.hpp>
+#include <iostream>
+
+#include "imu_pose_calib/ros/offline.h"
+#include "imu_pose_calib/ros/result_yaml.h"
+#include "imu_pose_calib/ros/summary.h"
+
+namespace imu_pose_calib {
+namespace {
+
+namespace po = boost::program_options;
+
+struct CommandLine {
+  OfflineRequest request;
+  bool quiet = false, help = false, version = false;
+};
+
+po::options_description Describe(CommandLine* line) {
+  OfflineRequest& request = line->request;
+  const auto text = [](std::string* field) { return po::value(field)->value_name("TEXT"); };
+  po::options_description options("Options");
+  auto add = options.add_options();
+  add("imu-topic", text(&request.bag.imu_topic), "sensor_msgs/Imu; default: the one in the bag");
+  add("pose-topic",
+      text(&request.bag.pose_topic),
+      "poses of the marker; default: the one in the bag");
+  add("gyro-topic", text(&request.bag.gyro_topic), "gyroscope of a split IMU (sensor_msgs/Imu)");
+  add("accel-topic", text(&request.bag.accel_topic), "accelerometer of a split IMU");
+  add("config", text(&request.config), "YAML of options, see config/default.yaml");
+  add("method", text(&request.method), "gp");
+  add("output", text(&request.output), "result; default: BAG with .calibration.yaml for .bag");
+  add("start", po::value(&request.bag.start_s)->value_name("S"), "seconds of the bag to skip");
+  add("duration", po::value(&request.bag.duration_s)->value_name("S"), "seconds to use; 0: all");
+  add("marker-frame", text(&request.marker_frame), "name of the marker frame in the result");
+  add("imu-frame", text(&request.imu_frame), "name of the imu frame in the result");
+  add("quiet", po::bool_switch(&line->quiet), "print errors only");
+  add("help", po::bool_switch(&line->help), "print this text");
+  add("version", po::bool_switch(&line->version), "print the version");
+  return options;
+}
+
+void Parse(int argc, char** argv, CommandLine* line) {
+  po::options_description all = Describe(line);
+  all.add_options()("bag", po::value(&line->request.bag.path));
+  po::positional_options_description positional;
+  positional.add("bag", 1);
+  const int style = po::command_line_style::unix_style & ~po::command_line_style::allow_guessing;
+  po::variables_map values;
+  po::store(
+      po::command_line_parser(argc, argv).options(all).positional(positional).style(style).run(),
+      values);
+  po::notify(values);
+}
+
+void PrintHelp() {
+  CommandLine line;
+  std::cout
+      << "Usage: calibrate_bag BAG [options]\n\n"
+      << "Estimates T_marker_imu (x_marker = R x_imu + p) and time_shift (t_pose = t_imu +\n"
+      << "time_shift) from the poses of a marker and the samples of an IMU attached to it.\n\n"
+      << Describe(&line)
+      << "\nExit status: 0 calibrated, 1 bad usage or unreadable input, 2 data that cannot be\n"
+      << "calibrated.\n";
+}
+
+void Run(int argc, char** argv) {
+  CommandLine line;
+  Parse(argc, argv, &line);
+  if (line.help) return PrintHelp();
+  if (line.version) {
+    std::cout << "imu_pose_calib " << kVersion << "\n";
+    return;
+  }
+  if (line.request.bag.path.empty()) throw InputError("no bag is given; see calibrate_bag --help");
+
+  const OfflineResult offline = CalibrateOffline(line.request);
+  if (!line.quiet) std::cout << Summary(offline.result, offline.info) << std::flush;
+  WriteFile(offline.output, offline.yaml);
+  if (!line.quiet) std::cout << "\nWritten to " << offline.output << "\n";
+}
+
+}  // namespace
+}  // namespace imu_pose_calib
+
+int main(int argc, char** argv) {
+  try {
+    imu_pose_calib::Run(argc, argv);
+    return 0;
+  } catch (const std::exception& error) {
+    std::cerr << "calibrate_bag: error: " << imu_pose_calib::OneLine(error) << "\n";
+    return imu_pose_calib::ExitStatus(error);
+  }
+}

@@ -1,0 +1,133 @@
+// Writes a simulated bag and its truth.
+
+#include <boost/program_options.hpp>
+#include <iostream>
+#include <map>
+
+#include "imu_pose_calib/core/simulator.h"
+#include "imu_pose_calib/ros/bag_writer.h"
+#include "imu_pose_calib/ros/offline.h"
+#include "imu_pose_calib/ros/result_yaml.h"
+
+namespace imu_pose_calib {
+namespace {
+
+namespace po = boost::program_options;
+
+struct CommandLine {
+  std::string output, motion = "handheld";
+  SimulatorOptions simulator;
+  double imu_rate_hz = 200.0;
+  BagFormat format;
+  bool help = false;
+};
+
+po::options_description Describe(CommandLine* line) {
+  SimulatorOptions& simulator = line->simulator;
+  const auto value = [](auto* field, const char* unit) {
+    return po::value(field)->value_name(unit)->default_value(*field);
+  };
+  po::options_description options("Options");
+  auto add = options.add_options();
+  add("motion", value(&line->motion, "TEXT"), "handheld, tumble, planar, hinge or static");
+  add("duration", value(&simulator.duration_s, "S"), "length");
+  add("seed", value(&simulator.seed, "N"), "motion, noise and biases follow from it");
+  add("pose-rate", value(&simulator.pose_rate_hz, "HZ"), "poses");
+  add("imu-rate", value(&line->imu_rate_hz, "HZ"), "gyroscope and accelerometer");
+  add("position-std", value(&simulator.position_std, "M"), "noise per axis");
+  add("rotation-std", value(&simulator.rotation_std, "RAD"), "noise per axis");
+  add("gyro-std", value(&simulator.gyro_std, "RAD/S"), "noise per sample");
+  add("accel-std", value(&simulator.accel_std, "M/S^2"), "noise per sample");
+  add("time-shift", value(&simulator.time_shift_s, "S"), "t_pose = t_imu + time_shift");
+  add("accel-delay",
+      value(&simulator.accel_delay_s, "S"),
+      "t_pose = t_accel + time_shift - accel_delay");
+  add("split", po::bool_switch(&line->format.split_imu), "/imu/gyro and /imu/accel, not /imu");
+  add("pose-type", value(&line->format.pose_type, "TEXT"), "PoseStamped or TransformStamped");
+  add("help", po::bool_switch(&line->help), "print this text");
+  return options;
+}
+
+Motion ParseMotion(const std::string& name) {
+  static const std::map<std::string, Motion> kMotions = {{"handheld", Motion::kHandheld},
+                                                         {"tumble", Motion::kTumble},
+                                                         {"planar", Motion::kPlanar},
+                                                         {"hinge", Motion::kHinge},
+                                                         {"static", Motion::kStatic}};
+  const auto it = kMotions.find(name);
+  if (it == kMotions.end())
+    throw InputError("motion '" + name +
+                     "' is unknown; must be handheld, tumble, planar, hinge or static");
+  return it->second;
+}
+
+void CheckPositive(const char* option, double value) {
+  if (!(value > 0.0))
+    throw InputError(std::string(option) + " = " + YamlNumber(value) + " must be positive");
+}
+
+void CheckNotNegative(const char* option, double value) {
+  if (!(value >= 0.0))
+    throw InputError(std::string(option) + " = " + YamlNumber(value) + " must not be negative");
+}
+
+void Parse(int argc, char** argv, CommandLine* line) {
+  po::options_description all = Describe(line);
+  all.add_options()("output", po::value(&line->output));
+  po::positional_options_description positional;
+  positional.add("output", 1);
+  const int style = po::command_line_style::unix_style & ~po::command_line_style::allow_guessing;
+  po::variables_map values;
+  po::store(
+      po::command_line_parser(argc, argv).options(all).positional(positional).style(style).run(),
+      values);
+  po::notify(values);
+}
+
+/// Completes and checks what the command line has filled in.
+SimulatorOptions Simulator(const CommandLine& line) {
+  SimulatorOptions simulator = line.simulator;
+  simulator.motion = ParseMotion(line.motion);
+  simulator.gyro_rate_hz = simulator.accel_rate_hz = line.imu_rate_hz;
+  CheckPositive("--duration", simulator.duration_s);
+  CheckPositive("--pose-rate", simulator.pose_rate_hz);
+  CheckPositive("--imu-rate", line.imu_rate_hz);
+  CheckNotNegative("--position-std", simulator.position_std);
+  CheckNotNegative("--rotation-std", simulator.rotation_std);
+  CheckNotNegative("--gyro-std", simulator.gyro_std);
+  CheckNotNegative("--accel-std", simulator.accel_std);
+  return simulator;
+}
+
+void PrintHelp() {
+  CommandLine line;
+  std::cout << "Usage: simulate_bag OUTPUT.bag [options]\n\n"
+            << "Writes a simulated recording and, beside it, its truth: OUTPUT.truth.yaml.\n\n"
+            << Describe(&line);
+}
+
+void Run(int argc, char** argv) {
+  CommandLine line;
+  Parse(argc, argv, &line);
+  if (line.help) return PrintHelp();
+  const std::string& bag = line.output;
+  if (bag.size() <= 4 || bag.substr(bag.size() - 4) != ".bag")
+    throw InputError("give the path of the bag to write, ending in .bag; see simulate_bag --help");
+
+  const SimulatorOptions simulator = Simulator(line);
+  WriteBag(bag, Simulate(simulator), line.format);
+  WriteFile(bag.substr(0, bag.size() - 4) + ".truth.yaml", TruthYaml(simulator));
+}
+
+}  // namespace
+}  // namespace imu_pose_calib
+
+int main(int argc, char** argv) {
+  try {
+    imu_pose_calib::Run(argc, argv);
+    return 0;
+  } catch (const std::exception& error) {
+    std::cerr << "simulate_bag: error: " << imu_pose_calib::OneLine(error) << "\n";
+    return imu_pose_calib::ExitStatus(error);
+  }
+}
