@@ -242,7 +242,7 @@ class MarginalLikelihoodCost : public ceres::FirstOrderFunction {
   int NumParameters() const override { return 3; }
 
  private:
-  const Eigen::Vector3d kSlack = Eigen::Vector3d::Constant(2.0);
+  const Eigen::Vector3d kSlack = Eigen::Vector3d::Constant(0.3);
   const std::vector<GpData>& data_;
   const Eigen::Array<bool, 3, 1> is_free_;
   const Eigen::Vector3d low_, high_;
@@ -296,9 +296,9 @@ GpHyperparameters FitHyperparameters(const std::vector<GpData>& data,
   const double signal = std::max(moments.signal, 1e-6);
   const double noise = std::clamp(moments.noise, 1e-5 * signal, signal);
   const Eigen::Vector3d low =
-      Eigen::Vector3d(1.5 * moments.period, 1e-2 * signal, 2e-6 * signal).array().log();
+      Eigen::Vector3d(2.0 * moments.period, 1e-2 * signal, 2e-6 * signal).array().log();
   const Eigen::Vector3d high =
-      Eigen::Vector3d(std::max(moments.duration, 3.0 * moments.period), 1e3 * signal, 3.0 * signal)
+      Eigen::Vector3d(std::max(moments.duration, 4.0 * moments.period), 1e3 * signal, 3.0 * signal)
           .array()
           .log();
   Eigen::Vector3d x(std::log(signal / std::max(moments.rate, 1e-6)), std::log(signal),

@@ -9,8 +9,8 @@ namespace imu_pose_calib {
 namespace {
 
 constexpr double kMedianOfChi3 = 1.5382;  // median norm of a standard normal 3-vector
-constexpr int kLikelihoodChunks = 12;
-constexpr size_t kChunkPoses = 400;
+constexpr int kLikelihoodChunks = 16;
+constexpr size_t kChunkPoses = 250;
 constexpr int kMaxRounds = 20;
 
 GpHyperparameters Scaled(const GpHyperparameters& h, double factor) {

@@ -1,0 +1,147 @@
+#include "imu_pose_calib/core/calibrator.h"
+
+#include <cmath>
+
+#include "imu_pose_calib/core/conditioning.h"
+#include "imu_pose_calib/core/gp_problem.h"
+#include "imu_pose_calib/core/initializer.h"
+#include "imu_pose_calib/core/observability.h"
+#include "imu_pose_calib/core/pose_trajectory.h"
+#include "imu_pose_calib/core/so3.h"
+
+namespace imu_pose_calib {
+namespace {
+
+/// White noise per sample from densities: sigma = density sqrt(rate).
+ImuNoise SampleNoise(const CalibrationOptions& options, const ConditionedData& data) {
+  return {options.gyro_noise_density * std::sqrt(data.gyro_report.rate_hz),
+          options.accel_noise_density * std::sqrt(data.accel_report.rate_hz)};
+}
+
+/// Rotation, gyro bias and time shift on the gyroscope; returns the noise its residuals show.
+ImuNoise RefineRotation(const CalibrationOptions& options,
+                        const PoseTrajectory& trajectory,
+                        const ConditionedData& data,
+                        const ImuNoise& noise,
+                        Estimate* estimate) {
+  GpProblem problem(
+      options, trajectory, data, GpProblem::Sensors::kGyro, noise, estimate);
+  problem.Solve();
+  return problem.Statistics().noise;
+}
+
+/// Everything on both sensors, twice: the second time with the noise that the first one's
+/// residuals show.
+CalibrationCovariance RefineAll(const CalibrationOptions& options,
+                                const PoseTrajectory& trajectory,
+                                const ConditionedData& data,
+                                ImuNoise noise,
+                                Estimate* estimate,
+                                ResidualStatistics* statistics) {
+  const auto sensors = GpProblem::Sensors::kGyroAndAccel;
+  {
+    GpProblem first(options, trajectory, data, sensors, noise, estimate);
+    first.Solve();
+    noise = first.Statistics().noise;
+  }
+  GpProblem second(options, trajectory, data, sensors, noise, estimate);
+  second.Solve();
+  *statistics = second.Statistics();
+  return second.Covariance();
+}
+
+void ReportData(const ConditionedData& data, CalibrationResult* result) {
+  result->poses = data.pose_report;
+  result->gyro = data.gyro_report;
+  result->accel = data.accel_report;
+  result->segments = data.segments.size();
+  result->gaps = data.gaps;
+}
+
+void ReportTrajectory(const PoseTrajectory& trajectory,
+                      const ConditionedData& data,
+                      CalibrationResult* result) {
+  result->noise.position = trajectory.position_hyperparameters().noise_std;
+  result->noise.rotation = trajectory.rotation_hyperparameters().noise_std;
+  result->position_lengthscale_s = trajectory.position_hyperparameters().lengthscale_s;
+  result->rotation_lengthscale_s = trajectory.rotation_hyperparameters().lengthscale_s;
+  double position2 = 0.0, rotation2 = 0.0, count = 0.0;
+  for (const TimedPose& pose : data.poses) {
+    if (!trajectory.Contains(pose.t)) continue;
+    const PoseTrajectory::Pose smooth = trajectory.PoseAt(pose.t);
+    position2 += (pose.p_WM - smooth.p_WM).squaredNorm();
+    rotation2 += Log(Eigen::Quaterniond(smooth.q_WM.conjugate() * pose.q_WM)).squaredNorm();
+    count += 3.0;
+  }
+  result->rms.position = std::sqrt(position2 / count);
+  result->rms.rotation = std::sqrt(rotation2 / count);
+}
+
+void ReportEstimate(const Estimate& estimate,
+                    const ResidualStatistics& statistics,
+                    const ConditionedData& data,
+                    CalibrationResult* result) {
+  result->T_MI = {estimate.q_MI.normalized(), estimate.p_MI};
+  if (result->T_MI.q.w() < 0.0) result->T_MI.q.coeffs() *= -1.0;
+  result->time_shift =
+      1e-9 * static_cast<double>(data.pose_epoch_ns - data.imu_epoch_ns) + estimate.time_shift;
+  result->accel_delay = estimate.accel_delay;
+  result->g_W = estimate.g_W;
+  result->gyro_bias = estimate.gyro_bias.Mean();
+  result->accel_bias = estimate.accel_bias.Mean();
+  result->noise.gyro = statistics.noise.gyro;
+  result->noise.accel = statistics.noise.accel;
+  result->rms.gyro = statistics.rms.gyro;
+  result->rms.accel = statistics.rms.accel;
+}
+
+}  // namespace
+
+CalibrationResult Calibrate(const CalibrationOptions& options, const CalibrationData& data) {
+  options.Validate();
+  CalibrationResult result;
+  result.method = options.method;
+
+  ConditionedData conditioned = Condition(options, data);
+  const PoseTrajectory trajectory = FitTrajectory(options, &conditioned);
+  ReportData(conditioned, &result);
+  ReportTrajectory(trajectory, conditioned, &result);
+  if (IsMotionDegenerate(MeasureTurns(trajectory, conditioned), &result)) return result;
+
+  const Start start = Initialise(options, trajectory, conditioned);
+  Estimate estimate(start, conditioned, options.bias_knot_interval_s);
+
+  ImuNoise noise = SampleNoise(options, conditioned);
+  noise = RefineRotation(options, trajectory, conditioned, noise, &estimate);
+  ResidualStatistics statistics;
+  const CalibrationCovariance covariance =
+      RefineAll(options, trajectory, conditioned, noise, &estimate, &statistics);
+
+  ReportEstimate(estimate, statistics, conditioned, &result);
+  GradeResult(options, covariance, &result);
+  return result;
+}
+
+const char* ToString(Status status) {
+  switch (status) {
+    case Status::kOk:
+      return "ok";
+    case Status::kWeak:
+      return "weak";
+    case Status::kDegenerate:
+      return "degenerate";
+    case Status::kNotRun:
+      break;
+  }
+  return "not run";
+}
+
+const char* ToString(Method method) {
+  switch (method) {
+    case Method::kGp:
+      break;
+  }
+  return "gp";
+}
+
+}  // namespace imu_pose_calib
