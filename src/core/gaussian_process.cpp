@@ -6,6 +6,7 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 namespace imu_pose_calib {
 namespace {
@@ -43,16 +44,33 @@ struct BumpGrid {
 using BumpArray = Eigen::Array<double, kSupport, 1>;
 using BumpDerivatives = Eigen::Matrix<double, kSupport, 4>;
 
-/// (t - u_j) / l of the bumps around t.
-BumpArray ScaledDistance(const BumpGrid& grid, int first_bump, double t) {
-  const double start = (t - grid.first) / grid.lengthscale - kSpacing * first_bump;
-  return start - kSpacing * BumpArray::LinSpaced(0.0, kSupport - 1.0);
-}
+/// Distances z_j = (t - u_j) / l of the bumps around t and their values exp(-z_j^2).
+struct BumpValues {
+  BumpArray distance, value;
+
+  BumpValues(const BumpGrid& grid, int first_bump, double t) {
+    // exp(-(z - j d)^2) = exp(-z^2) exp(2 z d)^j exp(-(j d)^2), j counted from the middle: three
+    // calls of exp instead of thirty, in the innermost loop of every solve.
+    static const BumpArray kSteps = BumpArray::LinSpaced(-kMiddle, kSupport - 1.0 - kMiddle);
+    static const BumpArray kGaussian = (-(kSpacing * kSteps).square()).exp();
+    const double z = (t - grid.first) / grid.lengthscale - kSpacing * (first_bump + kMiddle);
+    const double ratio = std::exp(2.0 * z * kSpacing);
+    double up = std::exp(-z * z);
+    double down = up;
+    for (int j = kMiddle; j < kSupport; ++j, up *= ratio) value[j] = up * kGaussian[j];
+    for (int j = kMiddle - 1; j >= 0; --j) value[j] = (down /= ratio) * kGaussian[j];
+    distance = z - kSpacing * kSteps;
+  }
+
+ private:
+  static constexpr int kMiddle = kSupport / 2;
+};
 
 /// Values of the bumps around t and their first three time derivatives.
 BumpDerivatives Bumps(const BumpGrid& grid, int first_bump, double t) {
-  const BumpArray z = ScaledDistance(grid, first_bump, t);
-  const BumpArray bump = (-z.square()).exp();
+  const BumpValues bumps(grid, first_bump, t);
+  const BumpArray& z = bumps.distance;
+  const BumpArray& bump = bumps.value;
   const double l = grid.lengthscale;
   BumpDerivatives B;
   B.col(0) = bump;
@@ -81,8 +99,7 @@ WeightPosterior FitWeights(
   Eigen::MatrixXd b = Eigen::MatrixXd::Zero(grid.size, data.y.cols());
   for (Eigen::Index i = begin; i < end; ++i) {
     const int j = grid.FirstBump(data.t[i]);
-    const Eigen::Matrix<double, kSupport, 1> f =
-        (-ScaledDistance(grid, j, data.t[i]).square()).exp();
+    const Eigen::Matrix<double, kSupport, 1> f = BumpValues(grid, j, data.t[i]).value;
     A.block<kSupport, kSupport>(j, j).noalias() += f * f.transpose();
     b.middleRows<kSupport>(j).noalias() += f * data.y.row(i);
   }
@@ -138,7 +155,7 @@ WindowedGp::Derivatives WindowedGp::Evaluate(double t) const {
   const BumpGrid grid(
       window.first_center, static_cast<int>(window.weights.rows()), hyperparameters_.lengthscale_s);
   const int j = grid.FirstBump(t);
-  return window.weights.middleRows<kSupport>(j).transpose() * Bumps(grid, j, t);
+  return window.weights.middleRows<kSupport>(j).transpose().lazyProduct(Bumps(grid, j, t));
 }
 
 Eigen::Vector3d WindowedGp::Variance(double t) const {
@@ -146,8 +163,11 @@ Eigen::Vector3d WindowedGp::Variance(double t) const {
   const BumpGrid grid(
       window.first_center, static_cast<int>(window.weights.rows()), hyperparameters_.lengthscale_s);
   const int j = grid.FirstBump(t);
-  const auto B = Bumps(grid, j, t).leftCols<3>().eval();
-  return (B.transpose() * window.covariance.block<kSupport, kSupport>(j, j) * B).diagonal();
+  const BumpDerivatives B = Bumps(grid, j, t);
+  const auto C = window.covariance.block<kSupport, kSupport>(j, j);
+  Eigen::Vector3d variance;
+  for (int k = 0; k < 3; ++k) variance[k] = B.col(k).dot(C.lazyProduct(B.col(k)));
+  return variance;
 }
 
 double LogMarginalLikelihood(const GpData& data,
@@ -168,14 +188,14 @@ double LogMarginalLikelihood(const GpData& data,
   double residual_norm2 = 0.0;
   for (Eigen::Index i = 0; i < n; ++i) {
     const int j = grid.FirstBump(data.t[i]);
-    const BumpArray z2 = ScaledDistance(grid, j, data.t[i]).square();
-    const Eigen::Matrix<double, kSupport, 1> f = weight_std * (-z2).exp();
+    const BumpValues bumps(grid, j, data.t[i]);
+    const Eigen::Matrix<double, kSupport, 1> f = weight_std * bumps.value;
     const auto mean = posterior.mean.middleRows<kSupport>(j);
     const Eigen::RowVectorXd residual = data.y.row(i) - f.transpose() * mean;
     residual_norm2 += residual.squaredNorm();
     if (gradient == nullptr) continue;
     // d F / d log l; the 1/2 is the change of weight_std per length of a fixed grid.
-    const Eigen::Matrix<double, kSupport, 1> df = f.array() * (2.0 * z2 - 0.5);
+    const Eigen::Matrix<double, kSupport, 1> df = f.array() * (2.0 * bumps.distance.square() - 0.5);
     length_fit += (residual / noise2).dot(df.transpose() * mean);
     FtdF.block<kSupport, kSupport>(j, j).noalias() += f * df.transpose();
   }
@@ -287,6 +307,28 @@ struct Moments {
   }
 };
 
+/// The likelihood has a second maximum where the noise is followed as a signal: start the search in
+/// the right valley. Logarithm of the best of a few length scales around exp(x[0]).
+double ScanLengthscale(const std::vector<GpData>& data,
+                       const Eigen::Vector3d& x,
+                       double low,
+                       double high) {
+  double best = x[0];
+  double most = -std::numeric_limits<double>::infinity();
+  for (double step = -3.5; step <= 1.0; step += 0.5) {
+    const double candidate = x[0] + step;
+    if (candidate < low || candidate > high) continue;
+    double likelihood = 0.0;
+    for (size_t k = 0; k < data.size(); k += 1 + data.size() / 4)
+      likelihood += LogMarginalLikelihood(
+          data[k], {std::exp(candidate), std::exp(x[1]), std::exp(x[2])}, nullptr);
+    if (likelihood <= most) continue;
+    most = likelihood;
+    best = candidate;
+  }
+  return best;
+}
+
 }  // namespace
 
 GpHyperparameters FitHyperparameters(const std::vector<GpData>& data,
@@ -307,6 +349,7 @@ GpHyperparameters FitHyperparameters(const std::vector<GpData>& data,
   if (fixed.lengthscale_s > 0.0) x[0] = std::log(fixed.lengthscale_s);
   if (fixed.signal_std > 0.0) x[1] = std::log(fixed.signal_std);
   if (fixed.noise_std > 0.0) x[2] = std::log(fixed.noise_std);
+  if (fixed.lengthscale_s == 0.0) x[0] = ScanLengthscale(data, x, low[0], high[0]);
 
   ceres::GradientProblem problem(
       new MarginalLikelihoodCost(data, fixed, low.cwiseMin(x), high.cwiseMax(x)));
