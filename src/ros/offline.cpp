@@ -1,6 +1,8 @@
 #include "imu_pose_calib/ros/offline.h"
 
 #include <algorithm>
+#include <filesystem>
+#include <system_error>
 
 #include "imu_pose_calib/ros/conversions.h"
 #include "imu_pose_calib/ros/result_yaml.h"
@@ -29,6 +31,9 @@ OfflineResult CalibrateOffline(const OfflineRequest& request) {
   if (request.bag.path.empty()) throw InputError("no bag is given");
   OfflineResult offline;
   offline.output = OutputPath(request);
+  std::error_code ignored;
+  if (std::filesystem::equivalent(offline.output, request.bag.path, ignored))
+    throw InputError("output '" + offline.output + "' is the bag itself");
   RemoveOldResult(offline.output);
 
   const CalibrationOptions options = Options(request);

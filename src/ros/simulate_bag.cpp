@@ -3,6 +3,7 @@
 #include <boost/program_options.hpp>
 #include <iostream>
 #include <map>
+#include <sstream>
 
 #include "imu_pose_calib/core/simulator.h"
 #include "imu_pose_calib/ros/bag_writer.h"
@@ -25,7 +26,9 @@ struct CommandLine {
 po::options_description Describe(CommandLine* line) {
   SimulatorOptions& simulator = line->simulator;
   const auto value = [](auto* field, const char* unit) {
-    return po::value(field)->value_name(unit)->default_value(*field);
+    std::ostringstream text;
+    text << *field;
+    return po::value(field)->value_name(unit)->default_value(*field, text.str());
   };
   po::options_description options("Options");
   auto add = options.add_options();

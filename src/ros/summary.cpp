@@ -1,6 +1,5 @@
 #include "imu_pose_calib/ros/summary.h"
 
-#include <cmath>
 #include <cstdarg>
 #include <cstdio>
 #include <sstream>
@@ -113,13 +112,14 @@ std::string Transform(const CalibrationResult& result) {
 }
 
 std::string Clocks(const CalibrationResult& result) {
-  std::string text = "\nClocks: t_pose = t_imu + time_shift\n";
+  std::string text =
+      "\nClocks: t_pose = t_imu + time_shift      (inverse: t_imu = t_pose - time_shift)\n";
+  text += "        t_pose = t_accel + time_shift - accel_delay\n";
   text +=
       Format("  time_shift  = %.7f s +- %.4f ms\n", result.time_shift, 1e3 * result.time_shift_std);
   text += Format("  accel_delay = %.7f s ", result.accel_delay);
-  text +=
-      result.accel_delay_std > 0.0 ? Format("+- %.4f ms", 1e3 * result.accel_delay_std) : "fixed";
-  return text + ", t_pose = t_accel + time_shift - accel_delay\n";
+  return text + (result.accel_delay_std > 0.0 ? Format("+- %.4f ms\n", 1e3 * result.accel_delay_std)
+                                              : "(fixed)\n");
 }
 
 std::string Imu(const CalibrationResult& result) {
