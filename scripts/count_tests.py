@@ -26,14 +26,21 @@ class Totals:
         failed = 0
         for case in ElementTree.parse(path).getroot().iter("testcase"):
             name = f"{path.stem}: {case.get('classname', '')}.{case.get('name', '')}"
-            if case.find("failure") is not None or case.find("error") is not None:
-                self.failures.append(name)
+            problem = next((child for child in case if child.tag in ("failure", "error")), None)
+            if problem is not None:
+                self.failures.append(name + excerpt(problem))
                 failed += 1
             elif is_skipped(case):
                 self.skipped += 1
             elif not is_wrapper(path):
                 self.passed += 1
         return failed
+
+
+def excerpt(problem, max_lines=8):
+    """The first lines of what a failure says, indented."""
+    lines = (problem.get("message") or problem.text or "").splitlines()[:max_lines]
+    return "".join(f"\n    {line}" for line in lines)
 
 
 def is_skipped(case):

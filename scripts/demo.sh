@@ -44,22 +44,22 @@ free_port() {
   /usr/bin/python3 -c 'import socket; s = socket.socket(); s.bind(("", 0)); print(s.getsockname()[1])'
 }
 
-# Passes on what the nodes say and leaves out what roslaunch says of itself.
+# Passes on what the nodes say and leaves out colours and what roslaunch says of itself.
 node_output() {
   sed -u -n -E '
+    s/\x1b\[[0-9;]*m//g
     s/\x1b\]2;[^\a]*\a//g
     /^started core service/,$ {
       /^started core service/d
       /^process\[.*\]: started with pid/d
       /^\[[^]]*\] (process has finished cleanly|killing on exit)/d
-      /^log file: /d
-      /^(=====*)?REQUIRED process .* has died/d
+      /^=*REQUIRED process .* has died!/d
       /^process has finished cleanly/d
+      /^log file: /d
       /^Initiating shutdown!/d
-      /^=====*$/d
+      /^=+$/d
       /^all processes on machine have died/d
-      /^shutting down processing monitor/d
-      /^\.\.\. shutting down processing monitor complete/d
+      /^(\.\.\. )?shutting down processing monitor/d
       /^done$/d
       p
     }'
@@ -69,6 +69,7 @@ main() {
   local arguments result started log=$LOG_DIR/demo.log
   mapfile -t arguments < <(absolute_paths "$@")
   result=$(result_file "${arguments[@]}")
+  arguments+=("output:=$result")
   setup
   load_workspace
 
