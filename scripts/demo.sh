@@ -78,7 +78,9 @@ main() {
   ROS_MASTER_URI=http://localhost:$(free_port)
   export ROS_MASTER_URI
   echo "calibrate (log: $log)"
-  roslaunch imu_pose_calib calibrate.launch exit:=true "${arguments[@]}" </dev/null 2>&1 | tee "$log" | node_output || true
+  # Unbuffered, so that its lines and those of the nodes come in order.
+  PYTHONUNBUFFERED=1 roslaunch imu_pose_calib calibrate.launch exit:=true "${arguments[@]}" </dev/null 2>&1 |
+    tee "$log" | node_output || true
   local is_new=false
   [[ ! $result -nt $started ]] || is_new=true
   rm -f "$started"
