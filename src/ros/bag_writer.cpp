@@ -6,7 +6,9 @@
 #include <sensor_msgs/Imu.h>
 
 #include <algorithm>
+#include <cstdlib>
 #include <functional>
+#include <limits>
 #include <sstream>
 #include <vector>
 
@@ -73,47 +75,30 @@ struct Record {
   std::function<void(rosbag::Bag*, const ros::Time&)> write;
 };
 
-void AddPoses(const std::vector<PoseSample>& poses,
-              const std::string& type,
-              std::vector<Record>* out) {
-  if (type != "PoseStamped" && type != "TransformStamped")
-    throw InputError("pose type '" + type +
-                     "' is unknown; must be PoseStamped or TransformStamped");
-  for (const PoseSample& pose : poses) {
-    out->push_back({pose.t_ns, [&pose, type](rosbag::Bag* bag, const ros::Time& time) {
-                      if (type == "PoseStamped") {
-                        bag->write(kPoseTopic, time, ToPoseStamped(pose));
-                      } else {
-                        bag->write(kPoseTopic, time, ToTransformStamped(pose));
-                      }
-                    }});
+/// Appends the messages `to_msg(k)` of the samples, recorded at their stamps plus `offset` [ns],
+/// but never before the sample ahead of them.
+template <typename Sample, typename ToMsg>
+void Add(const std::string& topic,
+         const std::vector<Sample>& samples,
+         int64_t offset,
+         ToMsg to_msg,
+         std::vector<Record>* records) {
+  int64_t arrival = std::numeric_limits<int64_t>::min();
+  for (size_t k = 0; k < samples.size(); ++k) {
+    arrival = std::max(arrival, samples[k].t_ns + offset);
+    records->push_back({arrival, [topic, to_msg, k](rosbag::Bag* bag, const ros::Time& time) {
+                          bag->write(topic, time, to_msg(k));
+                        }});
   }
 }
 
-void AddImu(const CalibrationData& data, int64_t record_offset, std::vector<Record>* out) {
-  if (data.gyro.size() != data.accel.size())
+void CheckSameStamps(const std::vector<ImuSample>& gyro, const std::vector<ImuSample>& accel) {
+  if (gyro.size() != accel.size())
     throw InputError("one IMU topic needs as many gyroscope as accelerometer samples, not " +
-                     std::to_string(data.gyro.size()) + " and " +
-                     std::to_string(data.accel.size()));
-  for (size_t k = 0; k < data.gyro.size(); ++k) {
-    const ImuSample &gyro = data.gyro[k], &accel = data.accel[k];
-    if (gyro.t_ns != accel.t_ns)
+                     std::to_string(gyro.size()) + " and " + std::to_string(accel.size()));
+  for (size_t k = 0; k < gyro.size(); ++k)
+    if (gyro[k].t_ns != accel[k].t_ns)
       throw InputError("one IMU topic needs the same stamps for gyroscope and accelerometer");
-    out->push_back({gyro.t_ns + record_offset, [&](rosbag::Bag* bag, const ros::Time& time) {
-                      bag->write("/imu", time, ToImu(&gyro, &accel));
-                    }});
-  }
-}
-
-void AddSplitImu(const CalibrationData& data, int64_t record_offset, std::vector<Record>* out) {
-  for (const ImuSample& gyro : data.gyro)
-    out->push_back({gyro.t_ns + record_offset, [&gyro](rosbag::Bag* bag, const ros::Time& time) {
-                      bag->write("/imu/gyro", time, ToImu(&gyro, nullptr));
-                    }});
-  for (const ImuSample& accel : data.accel)
-    out->push_back({accel.t_ns + record_offset, [&accel](rosbag::Bag* bag, const ros::Time& time) {
-                      bag->write("/imu/accel", time, ToImu(nullptr, &accel));
-                    }});
 }
 
 /// What to add to IMU stamps to get record times.
@@ -123,25 +108,45 @@ int64_t RecordOffset(const CalibrationData& data) {
   return std::abs(offset) > kDay ? offset : 0;
 }
 
-}  // namespace
-
-void WriteBag(const std::string& path, const CalibrationData& data, const BagFormat& format) {
-  std::vector<Record> records;
-  AddPoses(data.poses, format.pose_type, &records);
-  if (format.split_imu) {
-    AddSplitImu(data, RecordOffset(data), &records);
-  } else {
-    AddImu(data, RecordOffset(data), &records);
-  }
-  std::stable_sort(records.begin(), records.end(), [](const Record& a, const Record& b) {
-    return a.t_ns < b.t_ns;
-  });
+void Write(const std::string& path, const std::vector<Record>& records) {
   try {
     rosbag::Bag bag(path, rosbag::bagmode::Write);
     for (const Record& record : records) record.write(&bag, FromNanoseconds(record.t_ns));
   } catch (const rosbag::BagException& error) {
     throw InputError("cannot write bag '" + path + "': " + error.what());
   }
+}
+
+}  // namespace
+
+void WriteBag(const std::string& path, const CalibrationData& data, const BagFormat& format) {
+  const auto pose = [&](size_t k) { return ToPoseStamped(data.poses[k]); };
+  const auto transform = [&](size_t k) { return ToTransformStamped(data.poses[k]); };
+  const auto imu = [&](size_t k) { return ToImu(&data.gyro[k], &data.accel[k]); };
+  const auto gyro = [&](size_t k) { return ToImu(&data.gyro[k], nullptr); };
+  const auto accel = [&](size_t k) { return ToImu(nullptr, &data.accel[k]); };
+
+  std::vector<Record> records;
+  if (format.pose_type == "PoseStamped") {
+    Add(kPoseTopic, data.poses, 0, pose, &records);
+  } else if (format.pose_type == "TransformStamped") {
+    Add(kPoseTopic, data.poses, 0, transform, &records);
+  } else {
+    throw InputError("pose type '" + format.pose_type +
+                     "' is unknown; must be PoseStamped or TransformStamped");
+  }
+  const int64_t offset = RecordOffset(data);
+  if (format.split_imu) {
+    Add("/imu/gyro", data.gyro, offset, gyro, &records);
+    Add("/imu/accel", data.accel, offset, accel, &records);
+  } else {
+    CheckSameStamps(data.gyro, data.accel);
+    Add("/imu", data.gyro, offset, imu, &records);
+  }
+  std::stable_sort(records.begin(), records.end(), [](const Record& a, const Record& b) {
+    return a.t_ns < b.t_ns;
+  });
+  Write(path, records);
 }
 
 std::string TruthYaml(const SimulatorOptions& options) {

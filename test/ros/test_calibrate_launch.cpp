@@ -1,0 +1,118 @@
+// Runs beside calibrate.launch: what it publishes and writes is the truth of the simulated bag.
+
+#include <gtest/gtest.h>
+#include <ros/ros.h>
+#include <sys/wait.h>
+#include <tf2_msgs/TFMessage.h>
+#include <yaml-cpp/yaml.h>
+
+#include <Eigen/Geometry>
+#include <filesystem>
+
+#include "imu_pose_calib/ros/result_msg.h"
+
+namespace imu_pose_calib {
+namespace {
+
+// About five times the scatter between seeds at the noise of the bag.
+constexpr double kTranslation = 2e-3;  // [m]
+constexpr double kRotation = 1e-3;     // [rad]
+constexpr double kTimeShift = 2e-4;    // [s]
+constexpr double kTimeout = 90.0;      // [s]
+
+std::string Param(const std::string& name) {
+  std::string value;
+  EXPECT_TRUE(ros::param::get("~" + name, value)) << name;
+  return value;
+}
+
+/// Next message of a latched topic.
+template <typename Msg>
+boost::shared_ptr<const Msg> Receive(const std::string& topic) {
+  ros::NodeHandle node;
+  return ros::topic::waitForMessage<Msg>(topic, node, ros::Duration(kTimeout));
+}
+
+void ExpectTruth(const geometry_msgs::Transform& transform) {
+  const YAML::Node truth = YAML::LoadFile(Param("truth"));
+  const auto p = truth["translation"].as<std::vector<double>>();
+  const auto q = truth["rotation"].as<std::vector<double>>();
+  EXPECT_NEAR(transform.translation.x, p[0], kTranslation);
+  EXPECT_NEAR(transform.translation.y, p[1], kTranslation);
+  EXPECT_NEAR(transform.translation.z, p[2], kTranslation);
+  const auto& r = transform.rotation;
+  EXPECT_LT(Eigen::Quaterniond(r.w, r.x, r.y, r.z)
+                .angularDistance(Eigen::Quaterniond(q[3], q[0], q[1], q[2])),
+            kRotation);
+}
+
+TEST(CalibrateLaunch, PublishesTheResult) {
+  const auto result = Receive<CalibrationResultMsg>("/imu_pose_calib/result");
+  ASSERT_TRUE(result);
+  EXPECT_EQ(result->status, CalibrationResultMsg::STATUS_OK) << result->message;
+  EXPECT_EQ(result->header.frame_id, "rig");
+  EXPECT_EQ(result->child_frame_id, "imu");
+  ExpectTruth(result->transform);
+  const YAML::Node truth = YAML::LoadFile(Param("truth"));
+  EXPECT_NEAR(result->time_shift, truth["time_shift"].as<double>(), kTimeShift);
+  EXPECT_NEAR(result->accel_delay, truth["accel_delay"].as<double>(), 5 * kTimeShift);
+  EXPECT_GT(result->covariance[0], 0.0);
+  EXPECT_NEAR(result->gravity.z, -9.80665, 0.05);
+}
+
+TEST(CalibrateLaunch, PublishesTheStaticTransform) {
+  const auto tf = Receive<tf2_msgs::TFMessage>("/tf_static");
+  ASSERT_TRUE(tf);
+  ASSERT_EQ(tf->transforms.size(), 1u);
+  EXPECT_EQ(tf->transforms[0].header.frame_id, "rig");
+  EXPECT_EQ(tf->transforms[0].child_frame_id, "imu");
+  ExpectTruth(tf->transforms[0].transform);
+}
+
+/// The file is there before the result is published.
+TEST(CalibrateLaunch, WritesTheResultFile) {
+  const auto result = Receive<CalibrationResultMsg>("/imu_pose_calib/result");
+  ASSERT_TRUE(result);
+  const YAML::Node yaml = YAML::LoadFile(Param("output"));
+  EXPECT_EQ(yaml["imu_pose_calib"]["status"].as<std::string>(), result->status_text);
+  EXPECT_EQ(yaml["frames"]["marker"].as<std::string>(), "rig");
+  EXPECT_EQ(yaml["time_shift"].as<double>(), result->time_shift);
+  EXPECT_EQ(yaml["transform"]["translation"][0].as<double>(), result->transform.translation.x);
+  EXPECT_EQ(yaml["transform"]["rotation"][3].as<double>(), result->transform.rotation.w);
+}
+
+/// Runs another node beside the launched one and gives its exit status.
+int RunNode(const std::string& name, const std::string& parameters) {
+  const int status = std::system(
+      ("'" IMU_POSE_CALIB_BIN_DIR "/calibrate_node' __name:=" + name + " " + parameters).c_str());
+  return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+}
+
+TEST(CalibrateNode, FailsWithTheStatusOfCalibrateBag) {
+  EXPECT_EQ(RunNode("missing_bag", "_bag:=/no/such.bag"), 1);
+  EXPECT_EQ(RunNode("wrong_type", "_bag:=/no/such.bag _start:=soon"), 1);
+  const std::filesystem::path truth = Param("truth");
+  EXPECT_EQ(RunNode("degenerate", "_bag:='" + (truth.parent_path() / "static.bag").string() + "'"),
+            2);
+}
+
+TEST(CalibrateNode, LeavesWhenWrittenWithExit) {
+  const std::filesystem::path truth = Param("truth");
+  const std::string output = (truth.parent_path() / "exit.result.yaml").string();
+  std::filesystem::remove(output);
+  EXPECT_EQ(RunNode("leaving",
+                    "_exit:=true _output:='" + output + "' _bag:='" +
+                        (truth.parent_path() / "launch.bag").string() + "'"),
+            0);
+  EXPECT_TRUE(std::filesystem::exists(output));
+}
+
+}  // namespace
+}  // namespace imu_pose_calib
+
+int main(int argc, char** argv) {
+  testing::InitGoogleTest(&argc, argv);
+  ros::init(argc, argv, "test_calibrate_launch");
+  ros::NodeHandle keep_alive;
+  return RUN_ALL_TESTS();
+}

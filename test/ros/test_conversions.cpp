@@ -1,0 +1,129 @@
+#include <gtest/gtest.h>
+
+#include "imu_pose_calib/ros/conversions.h"
+#include "test_util.h"
+
+namespace imu_pose_calib {
+namespace {
+
+TEST(Stamps, KeepEveryNanosecond) {
+  EXPECT_EQ(ToNanoseconds(ros::Time(1600000000, 123456789)), 1600000000123456789);
+  EXPECT_EQ(ToNanoseconds(ros::Time(4294967295, 999999999)), 4294967295999999999);
+  for (const int64_t t_ns : {int64_t{0}, int64_t{1}, int64_t{1600000000123456789}})
+    EXPECT_EQ(ToNanoseconds(FromNanoseconds(t_ns)), t_ns);
+}
+
+TEST(Stamps, RefuseWhatRosTimeCannotHold) {
+  ExpectError<InputError>([] { FromNanoseconds(-1); }, {"-1 ns"});
+  ExpectError<InputError>([] { FromNanoseconds(4294967296000000000); }, {"4294967296000000000 ns"});
+}
+
+TEST(Samples, KeepValuesAndOrder) {
+  geometry_msgs::Pose pose;
+  pose.position.x = 1.0;
+  pose.position.y = 2.0;
+  pose.position.z = 3.0;
+  pose.orientation.x = 0.1;
+  pose.orientation.y = 0.2;
+  pose.orientation.z = 0.3;
+  pose.orientation.w = 0.9;
+  geometry_msgs::Transform transform;
+  transform.translation.x = 1.0;
+  transform.translation.y = 2.0;
+  transform.translation.z = 3.0;
+  transform.rotation = pose.orientation;
+  const ros::Time stamp(7, 8);
+  for (const PoseSample& sample : {ToPoseSample(stamp, pose), ToPoseSample(stamp, transform)}) {
+    EXPECT_EQ(sample.t_ns, 7000000008);
+    EXPECT_EQ(sample.p_WM, Eigen::Vector3d(1.0, 2.0, 3.0));
+    EXPECT_EQ(sample.q_WM.coeffs(), Eigen::Vector4d(0.1, 0.2, 0.3, 0.9));
+  }
+}
+
+TEST(Samples, TellGyroscopeFromAccelerometer) {
+  sensor_msgs::Imu msg;
+  msg.header.stamp = ros::Time(7, 8);
+  msg.angular_velocity.x = 1.0;
+  msg.angular_velocity.z = 3.0;
+  msg.linear_acceleration.y = 5.0;
+  EXPECT_EQ(ToGyroSample(msg).t_ns, 7000000008);
+  EXPECT_EQ(ToGyroSample(msg).value, Eigen::Vector3d(1.0, 0.0, 3.0));
+  EXPECT_EQ(ToAccelSample(msg).value, Eigen::Vector3d(0.0, 5.0, 0.0));
+}
+
+TEST(Frames, LoseTheLeadingSlash) {
+  EXPECT_EQ(FrameName("/map", "world"), "map");
+  EXPECT_EQ(FrameName("rig/map", "world"), "rig/map");
+  EXPECT_EQ(FrameName("", "world"), "world");
+  EXPECT_EQ(FrameName("/", "world"), "world");
+}
+
+class ResultMessages : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    info_.marker_frame = "rig";
+    info_.imu_frame = "imu_link";
+    result_.status = Status::kWeak;
+    result_.message = "why";
+    result_.T_MI = {Eigen::Quaterniond(0.5, -0.5, 0.5, 0.5), {0.1, 0.2, 0.3}};
+    result_.time_shift = 1.5;
+    result_.time_shift_std = 0.1;
+    result_.accel_delay = 0.25;
+    result_.accel_delay_std = 0.2;
+    result_.g_W = {0.0, 0.0, -9.8};
+    result_.gyro_bias = {1.0, 2.0, 3.0};
+    result_.accel_bias = {4.0, 5.0, 6.0};
+    result_.covariance(0, 5) = result_.covariance(5, 0) = 0.7;
+    result_.unobservable = {"p_MI along z"};
+    result_.warnings = {"slow"};
+  }
+
+  CalibrationResult result_;
+  RecordingInfo info_;
+};
+
+TEST_F(ResultMessages, TransformGoesFromImuToMarker) {
+  const auto msg = ToTransformStamped(result_, info_, ros::Time(7, 8));
+  EXPECT_EQ(msg.header.stamp, ros::Time(7, 8));
+  EXPECT_EQ(msg.header.frame_id, "rig");
+  EXPECT_EQ(msg.child_frame_id, "imu_link");
+  EXPECT_EQ(msg.transform.translation.y, 0.2);
+  EXPECT_EQ(msg.transform.rotation.x, -0.5);
+  EXPECT_EQ(msg.transform.rotation.w, 0.5);
+}
+
+TEST_F(ResultMessages, ResultKeepsEveryField) {
+  const auto msg = ToMsg(result_, info_, ros::Time(7, 8));
+  EXPECT_EQ(msg.header.stamp, ros::Time(7, 8));
+  EXPECT_EQ(msg.header.frame_id, "rig");
+  EXPECT_EQ(msg.child_frame_id, "imu_link");
+  EXPECT_EQ(msg.status, CalibrationResultMsg::STATUS_WEAK);
+  EXPECT_EQ(msg.status_text, "weak");
+  EXPECT_EQ(msg.method, "gp");
+  EXPECT_EQ(msg.message, "why");
+  EXPECT_EQ(msg.transform.translation.z, 0.3);
+  EXPECT_EQ(msg.covariance[5], 0.7);
+  EXPECT_EQ(msg.covariance[30], 0.7);
+  EXPECT_EQ(msg.time_shift, 1.5);
+  EXPECT_EQ(msg.time_shift_std, 0.1);
+  EXPECT_EQ(msg.accel_delay, 0.25);
+  EXPECT_EQ(msg.accel_delay_std, 0.2);
+  EXPECT_EQ(msg.gravity.z, -9.8);
+  EXPECT_EQ(msg.gyro_bias.y, 2.0);
+  EXPECT_EQ(msg.accel_bias.x, 4.0);
+  EXPECT_EQ(msg.unobservable, result_.unobservable);
+  EXPECT_EQ(msg.warnings, result_.warnings);
+}
+
+TEST_F(ResultMessages, EveryStatusHasACode) {
+  const auto code = [&](Status status) {
+    result_.status = status;
+    return ToMsg(result_, info_, ros::Time()).status;
+  };
+  EXPECT_EQ(code(Status::kNotRun), CalibrationResultMsg::STATUS_NOT_RUN);
+  EXPECT_EQ(code(Status::kOk), CalibrationResultMsg::STATUS_OK);
+  EXPECT_EQ(code(Status::kDegenerate), CalibrationResultMsg::STATUS_DEGENERATE);
+}
+
+}  // namespace
+}  // namespace imu_pose_calib

@@ -1,0 +1,193 @@
+#include <yaml-cpp/yaml.h>
+
+#include "imu_pose_calib/ros/result_yaml.h"
+#include "imu_pose_calib/ros/ros_options.h"
+#include "test_util.h"
+
+namespace imu_pose_calib {
+namespace {
+
+CalibrationResult MakeResult() {
+  CalibrationResult result;
+  result.status = Status::kOk;
+  result.message = "fine: \"really\"";
+  result.T_MI = {Eigen::Quaterniond(0.5, -0.5, 0.5, 0.5), {1.0 / 3.0, -0.2, 3e-8}};
+  result.covariance = Vector6d(1e-6, 4e-6, 9e-6, 1e-8, 4e-8, 9e-8).asDiagonal();
+  result.covariance(1, 4) = result.covariance(4, 1) = 1e-9;
+  result.time_shift = -1034771.50664123456;
+  result.time_shift_std = 1e-5;
+  result.accel_delay = 0.0037;
+  result.accel_delay_std = 2e-5;
+  result.g_W = {0.0, 3.0, -4.0};
+  result.gyro_bias = {0.1, 0.2, 0.3};
+  result.accel_bias = {0.4, 0.5, 0.6};
+  result.noise = {0.001, 0.002, 0.003, 0.004};
+  result.rms = {0.011, 0.012, 0.013, 0.014};
+  result.warnings = {"w1"};
+  result.unobservable = {"p_MI along marker z: turn about a second axis"};
+  result.poses.used = 4000;
+  result.poses.outlier = 3;
+  result.poses.rate_hz = 100.0;
+  result.poses.duration_s = 39.5;
+  result.gyro.used = 7920;
+  result.gyro.duplicate_stamp = 2;
+  result.accel.used = 7919;
+  result.gaps = 2;
+  return result;
+}
+
+RecordingInfo MakeInfo() {
+  RecordingInfo info;
+  info.bag = "dir/x.bag";
+  info.imu_topic = "/imu";
+  info.pose_topic = "/mocap/pose";
+  info.world_frame = "world";
+  info.marker_frame = "marker";
+  info.imu_frame = "imu";
+  return info;
+}
+
+YAML::Node Parsed() { return YAML::Load(ToYaml(MakeResult(), MakeInfo(), CalibrationOptions())); }
+
+Eigen::MatrixXd Matrix(const YAML::Node& node) {
+  Eigen::MatrixXd matrix(node.size(), node[0].size());
+  for (Eigen::Index i = 0; i < matrix.rows(); ++i)
+    for (Eigen::Index j = 0; j < matrix.cols(); ++j) matrix(i, j) = node[i][j].as<double>();
+  return matrix;
+}
+
+using Doubles = std::vector<double>;
+using Strings = std::vector<std::string>;
+
+TEST(ResultYaml, HoldsHeadAndFrames) {
+  const YAML::Node yaml = Parsed();
+  const YAML::Node head = yaml["imu_pose_calib"];
+  EXPECT_EQ(head["version"].as<std::string>(), kVersion);
+  EXPECT_EQ(head["method"].as<std::string>(), "gp");
+  EXPECT_EQ(head["status"].as<std::string>(), "ok");
+  EXPECT_EQ(head["message"].as<std::string>(), "fine: \"really\"");
+  EXPECT_EQ(head["date"].as<std::string>().size(), std::string("2020-01-01T00:00:00Z").size());
+  EXPECT_EQ(yaml["frames"]["world"].as<std::string>(), "world");
+  EXPECT_EQ(yaml["frames"]["marker"].as<std::string>(), "marker");
+  EXPECT_EQ(yaml["frames"]["imu"].as<std::string>(), "imu");
+}
+
+TEST(ResultYaml, HoldsTransformExactly) {
+  const CalibrationResult result = MakeResult();
+  const YAML::Node transform = Parsed()["transform"];
+  EXPECT_EQ(transform["translation"].as<Doubles>(), Doubles({1.0 / 3.0, -0.2, 3e-8}));
+  EXPECT_EQ(transform["rotation"].as<Doubles>(), Doubles({-0.5, 0.5, 0.5, 0.5}));
+  EXPECT_EQ(Matrix(transform["matrix"]), result.T_MI.Matrix());
+  EXPECT_EQ(Matrix(transform["covariance"]), result.covariance);
+  for (size_t i = 0; i < 3; ++i) {
+    EXPECT_EQ(transform["translation_std"][i].as<double>(), result.Std()[i]);
+    EXPECT_EQ(transform["rotation_std"][i].as<double>(), result.Std()[3 + i]);
+  }
+}
+
+TEST(ResultYaml, InverseUndoesTransform) {
+  const YAML::Node yaml = Parsed();
+  const Eigen::MatrixXd product =
+      Matrix(yaml["transform"]["matrix"]) * Matrix(yaml["inverse_transform"]["matrix"]);
+  EXPECT_TRUE(product.isIdentity(1e-12)) << product;
+  const auto p = yaml["inverse_transform"]["translation"].as<Doubles>();
+  const auto q = yaml["inverse_transform"]["rotation"].as<Doubles>();
+  EXPECT_EQ(q, Doubles({0.5, -0.5, -0.5, 0.5}));
+  EXPECT_EQ(p[2], Matrix(yaml["inverse_transform"]["matrix"])(2, 3));
+}
+
+TEST(ResultYaml, HoldsClocksGravityAndBiases) {
+  const CalibrationResult result = MakeResult();
+  const YAML::Node yaml = Parsed();
+  EXPECT_EQ(yaml["time_shift"].as<double>(), result.time_shift);
+  EXPECT_EQ(yaml["time_shift_std"].as<double>(), 1e-5);
+  EXPECT_EQ(yaml["accel_delay"].as<double>(), 0.0037);
+  EXPECT_EQ(yaml["accel_delay_std"].as<double>(), 2e-5);
+  EXPECT_EQ(yaml["gravity"]["vector"].as<Doubles>(), Doubles({0.0, 3.0, -4.0}));
+  EXPECT_EQ(yaml["gravity"]["magnitude"].as<double>(), 5.0);
+  EXPECT_EQ(yaml["biases"]["gyro"].as<Doubles>(), Doubles({0.1, 0.2, 0.3}));
+  EXPECT_EQ(yaml["biases"]["accel"].as<Doubles>(), Doubles({0.4, 0.5, 0.6}));
+}
+
+TEST(ResultYaml, HoldsNoiseAndQuality) {
+  const YAML::Node noise = Parsed()["noise"], quality = Parsed()["quality"];
+  EXPECT_EQ(noise["position_std"].as<double>(), 0.001);
+  EXPECT_EQ(noise["rotation_std"].as<double>(), 0.002);
+  EXPECT_EQ(noise["gyro_std"].as<double>(), 0.003);
+  EXPECT_EQ(noise["accel_std"].as<double>(), 0.004);
+  EXPECT_EQ(quality["position_rms"].as<double>(), 0.011);
+  EXPECT_EQ(quality["rotation_rms"].as<double>(), 0.012);
+  EXPECT_EQ(quality["gyro_rms"].as<double>(), 0.013);
+  EXPECT_EQ(quality["accel_rms"].as<double>(), 0.014);
+  EXPECT_EQ(quality["observability"].as<Strings>(), MakeResult().unobservable);
+  EXPECT_EQ(quality["warnings"].as<Strings>(), Strings({"w1"}));
+}
+
+TEST(ResultYaml, HoldsDataAndOptions) {
+  const YAML::Node yaml = Parsed(), data = yaml["data"];
+  EXPECT_EQ(data["bag"].as<std::string>(), "dir/x.bag");
+  EXPECT_EQ(data["imu_topic"].as<std::string>(), "/imu");
+  EXPECT_EQ(data["pose_topic"].as<std::string>(), "/mocap/pose");
+  EXPECT_EQ(data["duration"].as<double>(), 39.5);
+  EXPECT_EQ(data["counts"]["poses"].as<int>(), 4000);
+  EXPECT_EQ(data["counts"]["gyro"].as<int>(), 7920);
+  EXPECT_EQ(data["counts"]["accel"].as<int>(), 7919);
+  EXPECT_EQ(data["rates"]["poses"].as<double>(), 100.0);
+  EXPECT_EQ(data["rejected"]["poses"]["outlier"].as<int>(), 3);
+  EXPECT_EQ(data["rejected"]["gyro"]["duplicate_stamp"].as<int>(), 2);
+  EXPECT_EQ(data["rejected"]["accel"]["not_finite"].as<int>(), 0);
+  EXPECT_EQ(data["gaps"].as<int>(), 2);
+  EXPECT_EQ(yaml["options"]["gravity_magnitude"].as<double>(), 9.80665);
+}
+
+TEST(ResultYaml, StatesTheEquations) {
+  const std::string text = ToYaml(MakeResult(), MakeInfo(), CalibrationOptions());
+  EXPECT_EQ(text.compare(0, std::string(kResultHeader).size(), kResultHeader), 0);
+  for (const char* equation : {"x_marker = R x_imu + p",
+                               "t_pose = t_imu + time_shift",
+                               "t_imu = t_pose - time_shift",
+                               "t_pose = t_accel + time_shift - accel_delay"})
+    EXPECT_TRUE(Contains(text, equation)) << equation;
+}
+
+TEST(YamlNumber, IsAFloatInEveryYaml) {
+  EXPECT_EQ(YamlNumber(1.0), "1.0");
+  EXPECT_EQ(YamlNumber(1e-5), "1.0e-05");
+  EXPECT_EQ(YamlNumber(1e20), "1.0e+20");
+  EXPECT_EQ(YamlNumber(0.1), "0.1");
+  EXPECT_EQ(YamlNumber(-2.5), "-2.5");
+  EXPECT_EQ(YamlNumber(std::nan("")), ".nan");
+  EXPECT_EQ(YamlNumber(-1.0 / 0.0), "-.inf");
+  for (const double value : {1.0 / 3.0, -1034771.50664123456, 5e-324, 1.7976931348623157e308})
+    EXPECT_EQ(std::strtod(YamlNumber(value).c_str(), nullptr), value);
+}
+
+using ResultFile = TempDirTest;
+
+TEST_F(ResultFile, IsReplacedInOneStep) {
+  const std::string path = Write("result.yaml", "old");
+  WriteFile(path, "new\n");
+  EXPECT_EQ(ReadText(path), "new\n");
+  EXPECT_EQ(std::distance(std::filesystem::directory_iterator(dir_), {}), 1);
+}
+
+TEST_F(ResultFile, FailureNamesPathAndReason) {
+  ExpectError<InputError>([&] { WriteFile(Path("no/such/dir.yaml"), "x"); },
+                          {"no/such/dir.yaml", "No such file or directory"});
+  std::filesystem::create_directory(Path("dir"));
+  ExpectError<InputError>([&] { WriteFile(Path("dir"), "x"); }, {"dir", "directory"});
+  EXPECT_EQ(std::distance(std::filesystem::directory_iterator(dir_), {}), 1);
+}
+
+TEST_F(ResultFile, OnlyOwnOldResultsAreRemoved) {
+  const std::string ours = Write("ours.yaml", std::string(kResultHeader) + "\nrest\n");
+  const std::string other = Write("other.yaml", "key: value\n");
+  RemoveOldResult(ours);
+  RemoveOldResult(other);
+  RemoveOldResult(Path("missing.yaml"));
+  EXPECT_FALSE(std::filesystem::exists(ours));
+  EXPECT_TRUE(std::filesystem::exists(other));
+}
+
+}  // namespace
+}  // namespace imu_pose_calib

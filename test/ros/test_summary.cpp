@@ -1,0 +1,101 @@
+#include "imu_pose_calib/ros/summary.h"
+#include "test_util.h"
+
+namespace imu_pose_calib {
+namespace {
+
+CalibrationResult MakeResult() {
+  CalibrationResult result;
+  result.status = Status::kWeak;
+  result.message =
+      "the sigma of p_MI along z exceeds its bound of 10 mm, so use the result with care";
+  result.T_MI = {Eigen::Quaterniond(0.5, -0.5, 0.5, -0.5), {-1.0501, -0.2034, -0.3}};
+  result.covariance = Vector6d(1e-6, 4e-6, 9e-6, 1e-4, 4e-4, 9e-4).asDiagonal();
+  result.time_shift = -1034771.50664123456;
+  result.time_shift_std = 1.25e-3;
+  result.accel_delay = -0.0037;
+  result.accel_delay_std = 2e-5;
+  result.g_W = {-0.1, -0.2, -9.8};
+  result.gyro_bias = {-0.01, -0.02, -0.03};
+  result.accel_bias = {-0.4, -0.5, -0.6};
+  result.poses.used = 22562;
+  result.poses.rate_hz = 300.0;
+  result.poses.duration_s = 75.2;
+  result.poses.outlier = 1234;
+  result.poses.in_short_segment = 4321;
+  result.poses.duplicate_stamp = 17;
+  result.poses.not_finite = 18;
+  result.warnings = {
+      "the position residuals are 3.2 times larger than the noise: a warning text long enough to "
+      "wrap"};
+  return result;
+}
+
+RecordingInfo MakeInfo() {
+  RecordingInfo info;
+  info.gyro_topic = "/imu/gyro";
+  info.accel_topic = "/imu/accel";
+  info.pose_topic = "/mocap/pose";
+  info.marker_frame = "rig";
+  info.imu_frame = "imu_link";
+  return info;
+}
+
+TEST(Summary, SaysWhatAPersonNeeds) {
+  const std::string text = Summary(MakeResult(), MakeInfo());
+  EXPECT_EQ(text.compare(0, 6, "WEAK: "), 0) << text;
+  for (const char* part : {"/imu/gyro",
+                           "/imu/accel",
+                           "/mocap/pose: 22562 at 300.0 Hz over 75.2 s",
+                           "1234 outlier",
+                           "x_marker = R x_imu + p",
+                           "[-1050.100, -203.400, -300.000] mm",
+                           "[1.000, 2.000, 3.000] mm",
+                           "[-0.500000, 0.500000, -0.500000, 0.500000] (x, y, z, w)",
+                           "[0.5730, 1.1459, 1.7189] deg",
+                           "x_imu = R x_marker + p",
+                           "t_pose = t_imu + time_shift",
+                           "t_imu = t_pose - time_shift",
+                           "-1034771.5066412 s +- 1.2500 ms",
+                           "t_pose = t_accel + time_shift - accel_delay",
+                           "-0.0037000 s +- 0.0200 ms",
+                           "[-0.10000, -0.20000, -9.80000] m/s^2",
+                           "warning: the position residuals"})
+    EXPECT_TRUE(Contains(text, part)) << "'" << part << "' is missing in\n" << text;
+}
+
+TEST(Summary, FitsEightyColumns) {
+  std::istringstream lines(Summary(MakeResult(), MakeInfo()));
+  for (std::string line; std::getline(lines, line);) EXPECT_LE(line.size(), 80u) << line;
+}
+
+TEST(Summary, OffersACommandForTf) {
+  const std::string text = Summary(MakeResult(), MakeInfo());
+  const std::string command =
+      "rosrun tf2_ros static_transform_publisher \\\n"
+      "  -1.050100 -0.203400 -0.300000 -0.50000000 0.50000000 -0.50000000 0.50000000 \\\n"
+      "  rig imu_link\n";
+  EXPECT_TRUE(Contains(text, command)) << text;
+}
+
+TEST(Summary, OffersNoTfBetweenEqualNames) {
+  RecordingInfo info = MakeInfo();
+  info.imu_frame = info.marker_frame;
+  const std::string text = Summary(MakeResult(), info);
+  EXPECT_FALSE(Contains(text, "static_transform_publisher"));
+  EXPECT_TRUE(Contains(text, "imu_frame"));
+}
+
+TEST(Summary, ShowsNoNumbersThatAreNoResult) {
+  CalibrationResult result = MakeResult();
+  result.status = Status::kDegenerate;
+  result.unobservable = {"p_MI along marker z"};
+  const std::string text = Summary(result, MakeInfo());
+  EXPECT_EQ(text.compare(0, 12, "DEGENERATE: "), 0);
+  EXPECT_TRUE(Contains(text, "p_MI along marker z"));
+  EXPECT_FALSE(Contains(text, "x_marker"));
+  EXPECT_FALSE(Contains(text, "static_transform_publisher"));
+}
+
+}  // namespace
+}  // namespace imu_pose_calib
