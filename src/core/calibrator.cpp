@@ -1,10 +1,12 @@
 #include "imu_pose_calib/core/calibrator.h"
 
 #include <cmath>
+#include <memory>
 
 #include "imu_pose_calib/core/conditioning.h"
 #include "imu_pose_calib/core/gp_problem.h"
 #include "imu_pose_calib/core/initializer.h"
+#include "imu_pose_calib/core/joint_problem.h"
 #include "imu_pose_calib/core/observability.h"
 #include "imu_pose_calib/core/pose_trajectory.h"
 #include "imu_pose_calib/core/so3.h"
@@ -12,42 +14,63 @@
 namespace imu_pose_calib {
 namespace {
 
-/// White noise per sample from densities: sigma = density sqrt(rate).
-ImuNoise SampleNoise(const CalibrationOptions& options, const ConditionedData& data) {
-  return {options.gyro_noise_density * std::sqrt(data.gyro_report.rate_hz),
-          options.accel_noise_density * std::sqrt(data.accel_report.rate_hz)};
+/// Poses: as the GP's likelihood says. IMU: from densities, sigma = density sqrt(rate).
+NoiseStd InitialNoise(const CalibrationOptions& options,
+                      const PoseTrajectory& trajectory,
+                      const ConditionedData& data) {
+  NoiseStd noise;
+  noise.position = trajectory.position_hyperparameters().noise_std;
+  noise.rotation = trajectory.rotation_hyperparameters().noise_std;
+  noise.gyro = options.gyro_noise_density * std::sqrt(data.gyro_report.rate_hz);
+  noise.accel = options.accel_noise_density * std::sqrt(data.accel_report.rate_hz);
+  return noise;
 }
 
-/// Rotation, gyro bias and time shift on the gyroscope; returns the noise its residuals show.
-ImuNoise RefineRotation(const CalibrationOptions& options,
-                        const PoseTrajectory& trajectory,
-                        const ConditionedData& data,
-                        const ImuNoise& noise,
-                        Estimate* estimate) {
-  GpProblem problem(
-      options, trajectory, data, GpProblem::Sensors::kGyro, noise, estimate);
-  problem.Solve();
-  return problem.Statistics().noise;
-}
+struct Solution {
+  ResidualStatistics statistics;
+  CalibrationCovariance covariance;
+};
 
-/// Everything on both sensors, twice: the second time with the noise that the first one's
-/// residuals show.
-CalibrationCovariance RefineAll(const CalibrationOptions& options,
+/// S3: rotation, gyro bias and time shift on the gyroscope; then everything on both sensors, twice:
+/// each time with the noise that the residuals before show.
+Solution SolveAgainstTrajectory(const CalibrationOptions& options,
                                 const PoseTrajectory& trajectory,
                                 const ConditionedData& data,
-                                ImuNoise noise,
-                                Estimate* estimate,
-                                ResidualStatistics* statistics) {
-  const auto sensors = GpProblem::Sensors::kGyroAndAccel;
-  {
-    GpProblem first(options, trajectory, data, sensors, noise, estimate);
-    first.Solve();
-    noise = first.Statistics().noise;
-  }
-  GpProblem second(options, trajectory, data, sensors, noise, estimate);
-  second.Solve();
-  *statistics = second.Statistics();
-  return second.Covariance();
+                                Estimate* estimate) {
+  using Sensors = GpProblem::Sensors;
+  NoiseStd noise = InitialNoise(options, trajectory, data);
+  const auto solve = [&](Sensors sensors) {
+    auto problem = std::make_unique<GpProblem>(
+        options, trajectory, data, sensors, noise, estimate);
+    problem->Solve();
+    noise = problem->Statistics().noise;
+    return problem;
+  };
+  solve(Sensors::kGyro);
+  solve(Sensors::kGyroAndAccel);
+  const auto problem = solve(Sensors::kGyroAndAccel);
+  return {problem->Statistics(), problem->Covariance()};
+}
+
+/// S4: everything and the trajectory, twice: the second time with the noise that the first one's
+/// residuals show.
+Solution SolveJointly(const CalibrationOptions& options,
+                      const PoseTrajectory& trajectory,
+                      const ConditionedData& data,
+                      double knot_spacing_s,
+                      Estimate* estimate) {
+  NoiseStd noise = InitialNoise(options, trajectory, data);
+  CorrectionSplines splines(data, *estimate, knot_spacing_s);
+  const auto solve = [&] {
+    auto problem = std::make_unique<JointProblem>(
+        options, trajectory, data, noise, estimate, &splines);
+    problem->Solve();
+    noise = problem->Statistics().noise;
+    return problem;
+  };
+  solve();
+  const auto problem = solve();
+  return {problem->Statistics(), problem->Covariance()};
 }
 
 void ReportData(const ConditionedData& data, CalibrationResult* result) {
@@ -61,8 +84,6 @@ void ReportData(const ConditionedData& data, CalibrationResult* result) {
 void ReportTrajectory(const PoseTrajectory& trajectory,
                       const ConditionedData& data,
                       CalibrationResult* result) {
-  result->noise.position = trajectory.position_hyperparameters().noise_std;
-  result->noise.rotation = trajectory.rotation_hyperparameters().noise_std;
   result->position_lengthscale_s = trajectory.position_hyperparameters().lengthscale_s;
   result->rotation_lengthscale_s = trajectory.rotation_hyperparameters().lengthscale_s;
   double position2 = 0.0, rotation2 = 0.0, count = 0.0;
@@ -89,10 +110,12 @@ void ReportEstimate(const Estimate& estimate,
   result->g_W = estimate.g_W;
   result->gyro_bias = estimate.gyro_bias.Mean();
   result->accel_bias = estimate.accel_bias.Mean();
-  result->noise.gyro = statistics.noise.gyro;
-  result->noise.accel = statistics.noise.accel;
+  result->noise = statistics.noise;
   result->rms.gyro = statistics.rms.gyro;
   result->rms.accel = statistics.rms.accel;
+  if (statistics.rms.position == 0.0) return;  // the trajectory was not estimated
+  result->rms.position = statistics.rms.position;
+  result->rms.rotation = statistics.rms.rotation;
 }
 
 }  // namespace
@@ -111,14 +134,15 @@ CalibrationResult Calibrate(const CalibrationOptions& options, const Calibration
   const Start start = Initialise(options, trajectory, conditioned);
   Estimate estimate(start, conditioned, options.bias_knot_interval_s);
 
-  ImuNoise noise = SampleNoise(options, conditioned);
-  noise = RefineRotation(options, trajectory, conditioned, noise, &estimate);
-  ResidualStatistics statistics;
-  const CalibrationCovariance covariance =
-      RefineAll(options, trajectory, conditioned, noise, &estimate, &statistics);
-
-  ReportEstimate(estimate, statistics, conditioned, &result);
-  GradeResult(options, covariance, &result);
+  Solution solution;
+  if (options.method == Method::kJoint) {
+    result.knot_spacing_s = options.knot_spacing_s > 0 ? options.knot_spacing_s : 0.03;
+    solution = SolveJointly(options, trajectory, conditioned, result.knot_spacing_s, &estimate);
+  } else {
+    solution = SolveAgainstTrajectory(options, trajectory, conditioned, &estimate);
+  }
+  ReportEstimate(estimate, solution.statistics, conditioned, &result);
+  GradeResult(options, solution.covariance, &result);
   return result;
 }
 
@@ -138,6 +162,8 @@ const char* ToString(Status status) {
 
 const char* ToString(Method method) {
   switch (method) {
+    case Method::kJoint:
+      return "joint";
     case Method::kGp:
       break;
   }

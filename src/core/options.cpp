@@ -47,6 +47,7 @@ void CalibrationOptions::Validate() const {
     CheckRange("norm of initial_rotation", initial_rotation->norm(), 0.99, 1.01);
   if (initial_translation)
     CheckRange("norm of initial_translation", initial_translation->norm(), 0.0, 1e3);
+  CheckRange("knot_spacing_s", knot_spacing_s, 0.0, 10.0);
   CheckRange("accel_delay", accel_delay, -0.5, 0.5);
   CheckRange("gravity_magnitude", gravity_magnitude, 0.1, 100.0);
   CheckRange("robust_loss_scale", robust_loss_scale, 1.0, kInfinity);

@@ -44,7 +44,7 @@ struct CalibrationResult {
   Status status = Status::kNotRun;
   /// One sentence for people: the verdict and its reason.
   std::string message = "Calibrate() was not called";
-  Method method = Method::kGp;
+  Method method = Method::kJoint;
 
   Rigid3 T_MI;               ///< x_M = T_MI x_I
   double time_shift = 0.0;   ///< [s] t_pose = t_imu + time_shift
@@ -64,6 +64,8 @@ struct CalibrationResult {
   /// GP length scales used [s].
   double position_lengthscale_s = 0.0;
   double rotation_lengthscale_s = 0.0;
+  /// Knot spacing of the joint solve's splines [s]; 0 when not used.
+  double knot_spacing_s = 0.0;
 
   /// Directions of the calibration that the motion does not determine, in words; empty when all
   /// are determined.
@@ -89,7 +91,7 @@ CalibrationResult Calibrate(const CalibrationOptions& options, const Calibration
 
 /// "ok", "weak", "degenerate", "not run".
 const char* ToString(Status status);
-/// "gp".
+/// "joint", "gp".
 const char* ToString(Method method);
 
 }  // namespace imu_pose_calib

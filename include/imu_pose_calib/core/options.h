@@ -8,13 +8,14 @@ namespace imu_pose_calib {
 
 /// How the calibration is solved.
 enum class Method {
-  kGp,  ///< Gaussian-process trajectory held fixed, calibration fitted to it (doc/math.md, S3)
+  kJoint,  ///< trajectory and calibration estimated together (doc/math.md, S4)
+  kGp,     ///< Gaussian-process trajectory held fixed, calibration fitted to it (doc/math.md, S3)
 };
 
 /// Everything that can be set. The defaults work on a normal recording; the same names, with the
 /// same defaults, are the keys of config/default.yaml.
 struct CalibrationOptions {
-  Method method = Method::kGp;
+  Method method = Method::kJoint;
 
   // --- Data (S0) ---
 
@@ -61,7 +62,11 @@ struct CalibrationOptions {
   /// Guess of the translation p_MI [m].
   std::optional<Eigen::Vector3d> initial_translation;
 
-  // --- Solve (S3) ---
+  // --- Solve (S3, S4) ---
+
+  /// Joint solve: time between the knots of the trajectory's correction [s]. 0: refined until the
+  /// residuals stop shrinking.
+  double knot_spacing_s = 0.0;
 
   /// Estimate how much later than the gyroscope's the accelerometer's data are delivered; false
   /// keeps `accel_delay`.

@@ -1,0 +1,36 @@
+#pragma once
+
+#include <utility>
+#include <vector>
+
+#include "imu_pose_calib/core/conditioning.h"
+#include "imu_pose_calib/core/initializer.h"
+
+namespace imu_pose_calib {
+
+/// A bias that changes linearly between knots.
+struct BiasKnots {
+  std::vector<double> t;                ///< [s] IMU clock, increasing, at least two
+  std::vector<Eigen::Vector3d> values;  ///< in I
+
+  /// Knots every `interval_s` over the samples, or one at every sample when 0.
+  BiasKnots(const std::vector<TimedSample>& samples,
+            double interval_s,
+            const Eigen::Vector3d& initial);
+
+  /// Index of the knot before t (not the last one) and the fraction of the way to the next.
+  std::pair<size_t, double> Locate(double t) const;
+  Eigen::Vector3d Mean() const;
+};
+
+/// State of the solve; times as in Start.
+struct Estimate {
+  double time_shift, accel_delay;
+  Eigen::Quaterniond q_MI;
+  Eigen::Vector3d p_MI, g_W;
+  BiasKnots gyro_bias, accel_bias;
+
+  Estimate(const Start& start, const ConditionedData& data, double bias_knot_interval_s);
+};
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,30 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+
+namespace imu_pose_calib {
+
+/// Order of the correction splines: cubic pieces, so that acceleration is continuous.
+constexpr int kSplineOrder = 4;
+
+/// Weights of the kSplineOrder control points that act on one instant of a uniform B-spline:
+/// row k holds the weights of the k-th time derivative, k = 0..3.
+using SplineWeights = Eigen::Matrix<double, 4, kSplineOrder>;
+
+/// Weights at the fraction u of a span of length `spacing` [s]. u in [0, 1] inside of the span;
+/// beyond, the span's polynomials go on.
+inline SplineWeights CubicWeights(double u, double spacing) {
+  const double v = 1.0 - u;
+  SplineWeights w;
+  w.row(0) << v * v * v / 6.0, (3.0 * u * u * u - 6.0 * u * u + 4.0) / 6.0,
+      (3.0 * v * v * v - 6.0 * v * v + 4.0) / 6.0, u * u * u / 6.0;
+  w.row(1) << -0.5 * v * v, 1.5 * u * u - 2.0 * u, 2.0 * v - 1.5 * v * v, 0.5 * u * u;
+  w.row(2) << v, 3.0 * u - 2.0, 3.0 * v - 2.0, u;
+  w.row(3) << -1.0, 3.0, -3.0, 1.0;
+  double scale = 1.0;
+  for (int k = 1; k < 4; ++k) w.row(k) *= (scale /= spacing);
+  return w;
+}
+
+}  // namespace imu_pose_calib
