@@ -29,7 +29,7 @@ po::options_description Describe(CommandLine* line) {
   add("gyro-topic", text(&request.bag.gyro_topic), "gyroscope of a split IMU (sensor_msgs/Imu)");
   add("accel-topic", text(&request.bag.accel_topic), "accelerometer of a split IMU");
   add("config", text(&request.config), "YAML of options, see config/default.yaml");
-  add("method", text(&request.method), "gp");
+  add("method", text(&request.method), "joint (default) or gp");
   add("output", text(&request.output), "result; default: BAG with .calibration.yaml for .bag");
   add("start", po::value(&request.bag.start_s)->value_name("S"), "seconds of the bag to skip");
   add("duration", po::value(&request.bag.duration_s)->value_name("S"), "seconds to use; 0: all");

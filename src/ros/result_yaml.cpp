@@ -168,6 +168,7 @@ void EmitQuality(const CalibrationResult& result, YAML::Emitter* out) {
       [&] {
         Emit("position_lengthscale_s", result.position_lengthscale_s, out);
         Emit("rotation_lengthscale_s", result.rotation_lengthscale_s, out);
+        Emit("knot_spacing_s", result.knot_spacing_s, out);
         Emit("segments", result.segments, out);
       },
       out);

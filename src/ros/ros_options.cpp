@@ -15,7 +15,7 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr Method kMethods[] = {Method::kGp};
+constexpr Method kMethods[] = {Method::kJoint, Method::kGp};
 
 /// The value of a key is not of the type of its field.
 struct TypeError {

@@ -64,6 +64,7 @@ class ResultMessages : public ::testing::Test {
     info_.marker_frame = "rig";
     info_.imu_frame = "imu_link";
     result_.status = Status::kWeak;
+    result_.method = Method::kGp;
     result_.message = "why";
     result_.T_MI = {Eigen::Quaterniond(0.5, -0.5, 0.5, 0.5), {0.1, 0.2, 0.3}};
     result_.time_shift = 1.5;

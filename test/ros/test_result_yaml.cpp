@@ -10,6 +10,7 @@ namespace {
 CalibrationResult MakeResult() {
   CalibrationResult result;
   result.status = Status::kOk;
+  result.method = Method::kGp;
   result.message = "fine: \"really\"";
   result.T_MI = {Eigen::Quaterniond(0.5, -0.5, 0.5, 0.5), {1.0 / 3.0, -0.2, 3e-8}};
   result.covariance = Vector6d(1e-6, 4e-6, 9e-6, 1e-8, 4e-8, 9e-8).asDiagonal();

@@ -99,7 +99,7 @@ TEST_F(OptionsFile, RefusesWrongTypes) {
   ExpectRefusal("estimate_accel_delay: 2\n", {"estimate_accel_delay", "true or false", "2"});
   ExpectRefusal("initial_rotation: [0, 0, 1]\n", {"initial_rotation", "[x, y, z, w]"});
   ExpectRefusal("initial_translation: [0, 0, up]\n", {"initial_translation", "[x, y, z]", "up"});
-  ExpectRefusal("method: joint2\n", {"joint2", "available: ", "gp"});
+  ExpectRefusal("method: joint2\n", {"joint2", "available: joint, gp"});
   ExpectRefusal("method: [gp]\n", {"method", "a string"});
 }
 

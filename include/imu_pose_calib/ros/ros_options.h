@@ -32,6 +32,7 @@ void VisitFields(Options&& options, Visitor&& visit) {
   IMU_POSE_CALIB_VISIT(initial_time_shift);
   IMU_POSE_CALIB_VISIT(initial_rotation);
   IMU_POSE_CALIB_VISIT(initial_translation);
+  IMU_POSE_CALIB_VISIT(knot_spacing_s);
   IMU_POSE_CALIB_VISIT(estimate_accel_delay);
   IMU_POSE_CALIB_VISIT(accel_delay);
   IMU_POSE_CALIB_VISIT(gravity_magnitude);
