@@ -60,14 +60,13 @@ void Offer(const OfflineResult& offline, ros::NodeHandle* node) {
   ros::spin();
 }
 
-void Run() {
-  ros::NodeHandle node("~");
-  const bool exit = Param<bool>(node, "exit", false, "true or false");
-  const OfflineResult offline = CalibrateOffline(ReadRequest(node));
+void Run(ros::NodeHandle* node) {
+  const bool exit = Param<bool>(*node, "exit", false, "true or false");
+  const OfflineResult offline = CalibrateOffline(ReadRequest(*node));
   std::cout << Summary(offline.result, offline.info) << std::flush;
   WriteFile(offline.output, offline.yaml);
   ROS_INFO("Written to %s", offline.output.c_str());
-  if (!exit) Offer(offline, &node);
+  if (!exit) Offer(offline, node);
 }
 
 }  // namespace
@@ -75,8 +74,10 @@ void Run() {
 
 int main(int argc, char** argv) {
   ros::init(argc, argv, "imu_pose_calib");
+  // Outlives the error message: without any handle the console is shut down.
+  ros::NodeHandle node("~");
   try {
-    imu_pose_calib::Run();
+    imu_pose_calib::Run(&node);
     return 0;
   } catch (const std::exception& error) {
     ROS_FATAL("%s", imu_pose_calib::OneLine(error).c_str());

@@ -2,14 +2,13 @@
 
 #include <gtest/gtest.h>
 #include <ros/ros.h>
-#include <sys/wait.h>
 #include <tf2_msgs/TFMessage.h>
 #include <yaml-cpp/yaml.h>
 
 #include <Eigen/Geometry>
-#include <filesystem>
 
 #include "imu_pose_calib/ros/result_msg.h"
+#include "test_util.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -81,29 +80,40 @@ TEST(CalibrateLaunch, WritesTheResultFile) {
   EXPECT_EQ(yaml["transform"]["rotation"][3].as<double>(), result->transform.rotation.w);
 }
 
-/// Runs another node beside the launched one and gives its exit status.
-int RunNode(const std::string& name, const std::string& parameters) {
-  const int status = std::system(
-      ("'" IMU_POSE_CALIB_BIN_DIR "/calibrate_node' __name:=" + name + " " + parameters).c_str());
-  return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+std::string Directory() { return std::filesystem::path(Param("truth")).parent_path().string(); }
+
+struct Outcome {
+  int status = -1;
+  std::string err;
+};
+
+/// Runs another node beside the launched one.
+Outcome RunNode(const std::string& name, const std::string& parameters) {
+  const std::string err = Directory() + "/" + name + ".err.txt";
+  const int status = std::system(("'" IMU_POSE_CALIB_BIN_DIR "/calibrate_node' __name:=" + name +
+                                  " " + parameters + " 2> '" + err + "'")
+                                     .c_str());
+  return {WIFEXITED(status) ? WEXITSTATUS(status) : -1, ReadText(err)};
+}
+
+void ExpectFailure(const Outcome& outcome, int status, const std::string& part) {
+  EXPECT_EQ(outcome.status, status);
+  EXPECT_TRUE(Contains(outcome.err, "[FATAL]")) << outcome.err;
+  EXPECT_TRUE(Contains(outcome.err, part)) << outcome.err;
 }
 
 TEST(CalibrateNode, FailsWithTheStatusOfCalibrateBag) {
-  EXPECT_EQ(RunNode("missing_bag", "_bag:=/no/such.bag"), 1);
-  EXPECT_EQ(RunNode("wrong_type", "_bag:=/no/such.bag _start:=soon"), 1);
-  const std::filesystem::path truth = Param("truth");
-  EXPECT_EQ(RunNode("degenerate", "_bag:='" + (truth.parent_path() / "static.bag").string() + "'"),
-            2);
+  ExpectFailure(RunNode("missing_bag", "_bag:=/no/such.bag"), 1, "/no/such.bag");
+  ExpectFailure(RunNode("wrong_type", "_bag:=x.bag _start:=soon"), 1, "/wrong_type/start");
+  ExpectFailure(RunNode("degenerate", "_bag:='" + Directory() + "/static.bag'"), 2, "turn");
 }
 
 TEST(CalibrateNode, LeavesWhenWrittenWithExit) {
-  const std::filesystem::path truth = Param("truth");
-  const std::string output = (truth.parent_path() / "exit.result.yaml").string();
+  const std::string output = Directory() + "/exit.result.yaml";
   std::filesystem::remove(output);
-  EXPECT_EQ(RunNode("leaving",
-                    "_exit:=true _output:='" + output + "' _bag:='" +
-                        (truth.parent_path() / "launch.bag").string() + "'"),
-            0);
+  const Outcome outcome = RunNode(
+      "leaving", "_exit:=true _output:='" + output + "' _bag:='" + Directory() + "/launch.bag'");
+  EXPECT_EQ(outcome.status, 0) << outcome.err;
   EXPECT_TRUE(std::filesystem::exists(output));
 }
 
