@@ -1,6 +1,7 @@
 // Writes a simulated bag and its truth.
 
 #include <boost/program_options.hpp>
+#include <cmath>
 #include <iostream>
 #include <map>
 #include <sstream>
@@ -95,6 +96,9 @@ SimulatorOptions Simulator(const CommandLine& line) {
   CheckPositive("--duration", simulator.duration_s);
   CheckPositive("--pose-rate", simulator.pose_rate_hz);
   CheckPositive("--imu-rate", line.imu_rate_hz);
+  if (!(std::abs(simulator.time_shift_s) <= 1e9))
+    throw InputError("--time-shift = " + YamlNumber(simulator.time_shift_s) +
+                     " does not fit the stamps; must be within 1e9 s");
   CheckNotNegative("--position-std", simulator.position_std);
   CheckNotNegative("--rotation-std", simulator.rotation_std);
   CheckNotNegative("--gyro-std", simulator.gyro_std);
