@@ -231,9 +231,7 @@ ImuTopics FindImu(const BagFile& bag) {
     if (content.gyro) gyros.push_back(topic);
     if (content.accel) accels.push_back(topic);
   }
-  const bool is_split = candidates.size() == 2 && gyros.size() == 1 && accels.size() == 1 &&
-                        gyros[0].name != accels[0].name;
-  if (!is_split)
+  if (gyros.size() != 1 || accels.size() != 1)
     throw InputError("several IMU topics: " + Describe(candidates) +
                      "; choose with imu_topic, or with gyro_topic and accel_topic");
   return {gyros[0], accels[0]};

@@ -128,6 +128,11 @@ TEST_F(BagReaderTest, TellsASplitImuByItsCovarianceAlone) {
   EXPECT_EQ(ReadBag(Request()).info.gyro_topic, "/b");
 }
 
+TEST_F(BagReaderTest, PassesOverAnImuThatCarriesNothing) {
+  Record().Add("/idle", Imu(0, 0)).Add("/imu", Imu(0.1, 9.8)).Add("/pose", Pose());
+  EXPECT_EQ(ReadBag(Request()).info.imu_topic, "/imu");
+}
+
 TEST_F(BagReaderTest, KeepsNanosecondsAndFrames) {
   Record().Add("/imu", Imu(0.1, 9.8)).Add("/pose", Transform("/rig"));
   const Recording recording = ReadBag(Request());
