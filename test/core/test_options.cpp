@@ -1,0 +1,137 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <sstream>
+#include <string>
+#include <vector>
+
+#include "imu_pose_calib/core/options.h"
+#include "imu_pose_calib/core/types.h"
+#include "test_util.h"
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+constexpr double kNoBound = kInfinity;
+
+/// A number as the messages print it.
+std::string Print(double value) {
+  std::ostringstream text;
+  text << value;
+  return text.str();
+}
+
+std::string Refusal(const CalibrationOptions& options) {
+  return ErrorText<InputError>([&] { options.Validate(); });
+}
+
+struct Field {
+  const char* name;
+  double CalibrationOptions::*value;
+  double low, high;  ///< bounds
+};
+
+const Field kFields[] = {
+    {"max_gap_s", &CalibrationOptions::max_gap_s, 0.0, 1e3},
+    {"min_segment_s", &CalibrationOptions::min_segment_s, 0.0, 1e3},
+    {"min_overlap_s", &CalibrationOptions::min_overlap_s, 1.0, 1e6},
+    {"max_bad_fraction", &CalibrationOptions::max_bad_fraction, 0.0, 1.0},
+    {"gyro_noise_density", &CalibrationOptions::gyro_noise_density, 1e-9, 1e3},
+    {"accel_noise_density", &CalibrationOptions::accel_noise_density, 1e-9, 1e3},
+    {"gyro_bias_walk", &CalibrationOptions::gyro_bias_walk, 1e-12, 1e3},
+    {"accel_bias_walk", &CalibrationOptions::accel_bias_walk, 1e-12, 1e3},
+    {"bias_knot_interval_s", &CalibrationOptions::bias_knot_interval_s, 0.0, 1e9},
+    {"position_lengthscale_s", &CalibrationOptions::position_lengthscale_s, 0.0, 1e3},
+    {"position_signal_std", &CalibrationOptions::position_signal_std, 0.0, 1e9},
+    {"position_noise_std", &CalibrationOptions::position_noise_std, 0.0, 1e3},
+    {"rotation_lengthscale_s", &CalibrationOptions::rotation_lengthscale_s, 0.0, 1e3},
+    {"rotation_signal_std", &CalibrationOptions::rotation_signal_std, 0.0, 1e3},
+    {"rotation_noise_std", &CalibrationOptions::rotation_noise_std, 0.0, 1e3},
+    {"outlier_threshold", &CalibrationOptions::outlier_threshold, 3.0, kNoBound},
+    {"knot_spacing_s", &CalibrationOptions::knot_spacing_s, 0.0, 10.0},
+    {"accel_delay", &CalibrationOptions::accel_delay, -0.5, 0.5},
+    {"gravity_magnitude", &CalibrationOptions::gravity_magnitude, 0.1, 100.0},
+    {"robust_loss_scale", &CalibrationOptions::robust_loss_scale, 1.0, kNoBound},
+    {"covariance_block_s", &CalibrationOptions::covariance_block_s, 0.01, 1e6},
+    {"weak_rotation_std", &CalibrationOptions::weak_rotation_std, 1e-9, 1.0},
+    {"weak_translation_std", &CalibrationOptions::weak_translation_std, 1e-9, 10.0},
+    {"weak_time_shift_std", &CalibrationOptions::weak_time_shift_std, 1e-9, 1.0},
+};
+
+TEST(Options, DefaultsAreValid) { EXPECT_NO_THROW(CalibrationOptions().Validate()); }
+
+TEST(Options, EveryFieldOutOfRangeIsRefusedWithItsNameValueAndBound) {
+  for (const Field& field : kFields) {
+    SCOPED_TRACE(field.name);
+    const std::string bounds = field.high == kNoBound
+                                   ? "at least " + Print(field.low)
+                                   : "[" + Print(field.low) + ", " + Print(field.high) + "]";
+    std::vector<double> bad = {field.low - 0.123, -kInfinity, kNaN};
+    if (field.high != kNoBound) bad.insert(bad.end(), {1.25 * field.high, kInfinity});
+    for (const double value : bad) {
+      CalibrationOptions options;
+      options.*field.value = value;
+      const std::string text = Refusal(options);
+      EXPECT_TRUE(Contains(text, std::string(field.name) + " = " + Print(value)));
+      EXPECT_TRUE(Contains(text, bounds));
+    }
+  }
+}
+
+TEST(Options, TheBoundsThemselvesAreAllowed) {
+  for (const Field& field : kFields) {
+    SCOPED_TRACE(field.name);
+    CalibrationOptions options;
+    options.*field.value = field.low;
+    EXPECT_NO_THROW(options.Validate());
+    if (field.high == kNoBound) continue;
+    options.*field.value = field.high;
+    EXPECT_NO_THROW(options.Validate());
+  }
+}
+
+TEST(Options, CountsOutOfRangeAreRefused) {
+  CalibrationOptions options;
+  options.max_iterations = 0;
+  EXPECT_TRUE(Contains(Refusal(options), "max_iterations = 0"));
+  EXPECT_TRUE(Contains(Refusal(options), "[1, 10000]"));
+  options.max_iterations = 10001;
+  EXPECT_TRUE(Contains(Refusal(options), "max_iterations = 10001"));
+  options = CalibrationOptions();
+  options.num_threads = -1;
+  EXPECT_TRUE(Contains(Refusal(options), "num_threads = -1"));
+  EXPECT_TRUE(Contains(Refusal(options), "[0, 1024]"));
+}
+
+TEST(Options, InitialValuesAreCheckedWhenGiven) {
+  CalibrationOptions options;
+  options.initial_time_shift = -1e9;
+  options.initial_rotation = Eigen::Quaterniond(0.5, 0.5, -0.5, 0.5);
+  options.initial_translation = Eigen::Vector3d(0.1, 0.2, 0.3);
+  EXPECT_NO_THROW(options.Validate());
+
+  for (const double bad : {2e10, -2e10, kNaN}) {
+    CalibrationOptions o;
+    o.initial_time_shift = bad;
+    EXPECT_TRUE(Contains(Refusal(o), "initial_time_shift = " + Print(bad)));
+    EXPECT_TRUE(Contains(Refusal(o), "1e+10"));
+  }
+  for (const double bad : {0.0, 0.9, 2.0, kNaN}) {
+    CalibrationOptions o;
+    o.initial_rotation = Eigen::Quaterniond(bad, 0.0, 0.0, 0.0);
+    EXPECT_TRUE(Contains(Refusal(o), "initial_rotation = " + Print(bad)));
+    EXPECT_TRUE(Contains(Refusal(o), "[0.99, 1.01]"));
+  }
+  for (const double bad : {2000.0, kNaN}) {
+    CalibrationOptions o;
+    o.initial_translation = Eigen::Vector3d(0.0, bad, 0.0);
+    EXPECT_TRUE(Contains(Refusal(o), "initial_translation = " + Print(bad)));
+    EXPECT_TRUE(Contains(Refusal(o), "1000"));
+  }
+}
+
+}  // namespace
+}  // namespace imu_pose_calib
