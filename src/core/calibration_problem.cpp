@@ -1,6 +1,5 @@
 #include "imu_pose_calib/core/calibration_problem.h"
 
-#include <ceres/loss_function.h>
 #include <ceres/solver.h>
 
 #include <algorithm>
@@ -61,28 +60,28 @@ void CalibrationProblem::AddBiasWalk(double walk, BiasKnots* knots) {
                                                      nullptr,
                                                      knots->values[k].data(),
                                                      knots->values[k + 1].data()),
+                           k,
                            knots->t[k],
                            sigma});
   }
-}
-
-ceres::LossFunction* CalibrationProblem::Loss() const {
-  return new ceres::CauchyLoss(options_.robust_loss_scale);
 }
 
 bool CalibrationProblem::IsOnTrajectory(double t_M) const {
   return trajectory_.Contains(t_M - kEdge) && trajectory_.Contains(t_M + kEdge);
 }
 
-void CalibrationProblem::Solve() {
+void CalibrationProblem::Solve(double function_tolerance) {
   ceres::Solver::Options options;
   options.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
   options.max_num_iterations = options_.max_iterations;
   options.num_threads = Threads(options_.num_threads);
   options.logging_type = ceres::SILENT;
-  options.function_tolerance = 1e-8;
+  options.function_tolerance = function_tolerance;
+  // Nearly linear: full Gauss-Newton steps first.
+  options.initial_trust_region_radius = 1e8;
   ceres::Solver::Summary summary;
   ceres::Solve(options, &problem_, &summary);
+  if(getenv("DBG")) fprintf(stderr,"%s\n prep %.3f total %.3f res %.3f jac %.3f lin %.3f\n",summary.BriefReport().c_str(),summary.preprocessor_time_in_seconds,summary.total_time_in_seconds,summary.residual_evaluation_time_in_seconds,summary.jacobian_evaluation_time_in_seconds,summary.linear_solver_time_in_seconds);
   if (summary.termination_type == ceres::CONVERGENCE) return;
   throw DataError("the solve did not converge within max_iterations = " +
                   std::to_string(options_.max_iterations) + ": " + summary.message);

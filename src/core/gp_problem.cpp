@@ -1,5 +1,7 @@
 #include "imu_pose_calib/core/gp_problem.h"
 
+#include <ceres/loss_function.h>
+
 #include <cmath>
 
 #include "imu_pose_calib/core/residuals.h"
@@ -24,7 +26,8 @@ GpProblem::GpProblem(const CalibrationOptions& options,
 
 void GpProblem::AddGyro() {
   BiasKnots& knots = estimate_->gyro_bias;
-  for (const TimedSample& s : data_.gyro) {
+  for (size_t i = 0; i < data_.gyro.size(); ++i) {
+    const TimedSample& s = data_.gyro[i];
     const double t_M = s.t + estimate_->time_shift;
     if (!IsOnTrajectory(t_M)) continue;
     const double variance = trajectory_.Variance(t_M).omega;
@@ -32,11 +35,12 @@ void GpProblem::AddGyro() {
     const auto [k, u] = knots.Locate(s.t);
     const GyroResidual residual{&trajectory_, s.t, s.value, u, sigma};
     gyro_terms_.push_back({problem_.AddResidualBlock(residual.Create(),
-                                                     Loss(),
+                                                     new ceres::CauchyLoss(options_.robust_loss_scale),
                                                      estimate_->q_MI.coeffs().data(),
                                                      knots.values[k].data(),
                                                      knots.values[k + 1].data(),
                                                      &estimate_->time_shift),
+                           i,
                            s.t,
                            sigma,
                            variance});
@@ -47,7 +51,8 @@ void GpProblem::AddGyro() {
 void GpProblem::AddAccel() {
   BiasKnots& knots = estimate_->accel_bias;
   const double arm2 = estimate_->p_MI.squaredNorm();
-  for (const TimedSample& s : data_.accel) {
+  for (size_t i = 0; i < data_.accel.size(); ++i) {
+    const TimedSample& s = data_.accel[i];
     const double t_M = s.t + estimate_->time_shift - estimate_->accel_delay;
     if (!IsOnTrajectory(t_M)) continue;
     MarkerState<double> state;
@@ -63,7 +68,7 @@ void GpProblem::AddAccel() {
     const auto [k, u] = knots.Locate(s.t);
     const AccelResidual residual{&trajectory_, s.t, s.value, u, sigma};
     accel_terms_.push_back({problem_.AddResidualBlock(residual.Create(),
-                                                      Loss(),
+                                                      new ceres::CauchyLoss(options_.robust_loss_scale),
                                                       estimate_->q_MI.coeffs().data(),
                                                       estimate_->p_MI.data(),
                                                       estimate_->g_W.data(),
@@ -71,6 +76,7 @@ void GpProblem::AddAccel() {
                                                       knots.values[k + 1].data(),
                                                       &estimate_->time_shift,
                                                       &estimate_->accel_delay),
+                            i,
                             s.t,
                             sigma,
                             variance});

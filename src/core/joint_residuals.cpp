@@ -40,72 +40,95 @@ Eigen::Matrix<double, 3, 4> InverseRotationJacobian(const Eigen::Quaterniond& q,
   return 2.0 * Hat(R_transposed_v) * q.conjugate().toRotationMatrix() * G;
 }
 
+Eigen::Matrix<double, 3, 4> NoCorrection() { return Eigen::Matrix<double, 3, 4>::Zero(); }
+
+/// u = J_r(phi) phi' and its time derivative, as cross products: with m = phi x phi',
+///   u     = phi' - b m + c phi x m
+///   du/dt = J_r(phi) phi'' - b' m + c' phi x m + c phi' x m.
+template <typename T>
+void CorrectionRate(const Eigen::Matrix<T, 3, 1>& phi,
+                    const Eigen::Matrix<T, 3, 1>& phi1,
+                    const Eigen::Matrix<T, 3, 1>& phi2,
+                    Eigen::Matrix<T, 3, 1>* u,
+                    Eigen::Matrix<T, 3, 1>* u_dot) {
+  using Vector3 = Eigen::Matrix<T, 3, 1>;
+  const internal::JacobianTerms<T> j(phi.squaredNorm());
+  const T s_dot = T(2) * phi.dot(phi1);
+  const Vector3 m = phi.cross(phi1);
+  const Vector3 n = phi.cross(phi2);
+  const Vector3 phi_m = phi.cross(m);
+  *u = phi1 - j.b * m + j.c * phi_m;
+  *u_dot = phi2 - j.b * n + j.c * phi.cross(n) - s_dot * j.db * m + s_dot * j.dc * phi_m +
+           j.c * phi1.cross(m);
+}
+
 /// The corrected motion of the marker at one instant and how it moves with phi, phi', phi'' and t.
 struct JointState {
   Eigen::Quaterniond q_WM;
   Vector3d omega, alpha, a_W;
+  // Only with Jacobians:
   Matrix3d J;                                   // right Jacobian of phi
   Matrix3d omega_phi, omega_phi1;               // d omega / d phi, phi'
   Matrix3d alpha_phi, alpha_phi1, alpha_phi2;   // d alpha / d phi, phi', phi''
-  Vector3d alpha_t, a_t;                        // time derivatives; that of omega is alpha
+  Vector3d turn, omega_t, alpha_t, a_t;         // body rate of q_WM, time derivatives
 
-  /// phi, d: columns 0..3 are the value and its time derivatives.
-  bool Evaluate(const PoseTrajectory& trajectory,
-                double t,
-                const Eigen::Matrix<double, 3, 4>& phi,
-                const Eigen::Matrix<double, 3, 4>& d) {
-    using Jet1 = ceres::Jet<double, 1>;
-    MarkerState<Jet1> gp;
-    if (!trajectory.Evaluate(Jet1(t, 0), &gp)) return false;
-    const auto value = [](const Eigen::Matrix<Jet1, 3, 1>& x) {
-      return Vector3d(x[0].a, x[1].a, x[2].a);
-    };
-    const auto rate = [](const Eigen::Matrix<Jet1, 3, 1>& x) {
-      return Vector3d(x[0].v[0], x[1].v[0], x[2].v[0]);
-    };
-    const Eigen::Quaterniond q_gp(gp.q_WM.w().a, gp.q_WM.x().a, gp.q_WM.y().a, gp.q_WM.z().a);
+  /// phi, d: columns 0..3 are the value and its time derivatives. `time` [s, IMU clock] shifted to
+  /// the pose clock.
+  JointState(const JointImuSample& sample,
+             double time,
+             const Eigen::Matrix<double, 3, 4>& phi,
+             const Eigen::Matrix<double, 3, 4>& d,
+             bool with_jacobians) {
+    const double dt = time - sample.t_M;
+    const MarkerState<double>& gp = sample.gp;
+    const MarkerState<double>& rate = sample.gp_rate;
+    const Eigen::Quaterniond q_gp = gp.q_WM * Exp<double>(dt * gp.omega_M);
+    const Vector3d omega_gp = gp.omega_M + dt * rate.omega_M;
+    const Vector3d alpha_gp = gp.alpha_M + dt * rate.alpha_M;
     const Eigen::Quaterniond E = Exp<double>(phi.col(0));
     q_WM = q_gp * E;
 
-    // u = J_r(phi) phi' and du/dt with their derivatives by (phi, phi', phi'')
-    using Jet = ceres::Jet<double, 9>;
-    Eigen::Matrix<Jet, 3, 1> x[3];
-    for (int k = 0; k < 3; ++k)
-      for (int i = 0; i < 3; ++i) x[k][i] = Jet(phi(i, k), 3 * k + i);
-    const Eigen::Matrix<Jet, 3, 3> Jr = RightJacobian(x[0]);
-    const Eigen::Matrix<Jet, 3, 1> u = Jr * x[1];
-    const Eigen::Matrix<Jet, 3, 1> u_dot = Jr * x[2] + RightJacobianRate(x[0], x[1]) * x[1];
-    const auto split = [](const Eigen::Matrix<Jet, 3, 1>& v, Vector3d* a, auto*... blocks) {
-      int k = 0;
-      const auto copy = [&](Matrix3d* block) {
-        for (int i = 0; i < 3; ++i) block->row(i) = v[i].v.template segment<3>(3 * k);
-        ++k;
-      };
-      for (int i = 0; i < 3; ++i) (*a)[i] = v[i].a;
-      (copy(blocks), ...);
-    };
-    Vector3d u0, u0_dot;
+    Vector3d u, u_dot;
     Matrix3d u_phi, udot_phi, udot_phi1, udot_phi2;
-    split(u, &u0, &u_phi, &J);
-    split(u_dot, &u0_dot, &udot_phi, &udot_phi1, &udot_phi2);
+    if (with_jacobians) {
+      using Jet = ceres::Jet<double, 9>;  // by (phi, phi', phi'')
+      Eigen::Matrix<Jet, 3, 1> x[3], u_jet, udot_jet;
+      for (int k = 0; k < 3; ++k)
+        for (int i = 0; i < 3; ++i) x[k][i] = Jet(phi(i, k), 3 * k + i);
+      CorrectionRate(x[0], x[1], x[2], &u_jet, &udot_jet);
+      for (int i = 0; i < 3; ++i) {
+        u[i] = u_jet[i].a;
+        u_phi.row(i) = u_jet[i].v.head<3>();
+        J.row(i) = u_jet[i].v.segment<3>(3);
+        u_dot[i] = udot_jet[i].a;
+        udot_phi.row(i) = udot_jet[i].v.head<3>();
+        udot_phi1.row(i) = udot_jet[i].v.segment<3>(3);
+        udot_phi2.row(i) = udot_jet[i].v.tail<3>();
+      }
+    } else {
+      CorrectionRate<double>(phi.col(0), phi.col(1), phi.col(2), &u, &u_dot);
+    }
 
-    const Vector3d omega_E = E.conjugate() * value(gp.omega_M);  // E^T omega_gp
-    const Vector3d alpha_E = E.conjugate() * value(gp.alpha_M);
-    omega = omega_E + u0;
-    alpha = alpha_E - u0.cross(omega_E) + u0_dot;
-    a_W = value(gp.a_W) + d.col(2);
+    const Vector3d omega_E = E.conjugate() * omega_gp;  // E^T omega_gp
+    const Vector3d alpha_E = E.conjugate() * alpha_gp;
+    omega = omega_E + u;
+    alpha = alpha_E - u.cross(omega_E) + u_dot;
+    a_W = gp.a_W + dt * rate.a_W + d.col(2);
+    if (!with_jacobians) return;
 
     // d(E^T v)/d phi = Hat(E^T v) J
     const Matrix3d omega_E_phi = Hat(omega_E) * J;
     omega_phi = omega_E_phi + u_phi;
     omega_phi1 = J;
-    alpha_phi = Hat(alpha_E) * J + Hat(omega_E) * u_phi - Hat(u0) * omega_E_phi + udot_phi;
+    alpha_phi = Hat(alpha_E) * J + Hat(omega_E) * u_phi - Hat(u) * omega_E_phi + udot_phi;
     alpha_phi1 = Hat(omega_E) * J + udot_phi1;
     alpha_phi2 = udot_phi2;
+    const Vector3d omega_E_t = E.conjugate() * rate.omega_M;
+    turn = E.conjugate() * gp.omega_M + u;
+    omega_t = omega_phi * phi.col(1) + omega_phi1 * phi.col(2) + omega_E_t;
     alpha_t = alpha_phi * phi.col(1) + alpha_phi1 * phi.col(2) + alpha_phi2 * phi.col(3) +
-              E.conjugate() * rate(gp.alpha_M) - u0.cross(alpha_E);
-    a_t = rate(gp.a_W) + d.col(3);
-    return true;
+              E.conjugate() * rate.alpha_M - u.cross(omega_E_t);
+    a_t = rate.a_W + d.col(3);
   }
 };
 
@@ -179,15 +202,11 @@ class JointGyroResidual : public ceres::CostFunction {
     const Eigen::Map<const Eigen::Quaterniond> q_MI(blocks[n]);
     const Eigen::Map<const Vector3d> knot_0(blocks[n + 1]), knot_1(blocks[n + 2]);
     const double t = s_.t + *blocks[n + 3];
-    const double u = (t - s_.span_begin) / s_.spacing;
+    const double u = s_.place.u + (t - s_.t_M) / s_.place.spacing;
     if (!IsNearSpan(u)) return false;
-    const SplineWeights weights = CubicWeights(u, s_.spacing);
-    JointState state;
-    if (!state.Evaluate(*s_.trajectory,
-                        t,
-                        EvaluateSpline(blocks, weights),
-                        Eigen::Matrix<double, 3, 4>::Zero()))
-      return false;
+    const SplineWeights weights = CubicWeights(u, s_.place.spacing);
+    const JointState state(
+        s_, t, EvaluateSpline(blocks, weights), NoCorrection(), jacobians != nullptr);
     const Vector3d omega_I = q_MI.conjugate() * state.omega;
     AsVector(residual) =
         (s_.value - (1.0 - s_.bias_u) * knot_0 - s_.bias_u * knot_1 - omega_I) / s_.sigma;
@@ -205,7 +224,7 @@ class JointGyroResidual : public ceres::CostFunction {
       AsBlock<3>(jacobians[n + 1]) = -(1.0 - s_.bias_u) / s_.sigma * Matrix3d::Identity();
     if (jacobians[n + 2] != nullptr)
       AsBlock<3>(jacobians[n + 2]) = -s_.bias_u / s_.sigma * Matrix3d::Identity();
-    if (jacobians[n + 3] != nullptr) AsVector(jacobians[n + 3]) = A * state.alpha;
+    if (jacobians[n + 3] != nullptr) AsVector(jacobians[n + 3]) = A * state.omega_t;
     return true;
   }
 
@@ -228,15 +247,14 @@ class JointAccelResidual : public ceres::CostFunction {
     const Eigen::Map<const Vector3d> p(blocks[n + 1]), g(blocks[n + 2]);
     const Eigen::Map<const Vector3d> knot_0(blocks[n + 3]), knot_1(blocks[n + 4]);
     const double t = s_.t + *blocks[n + 5] - *blocks[n + 6];
-    const double u = (t - s_.span_begin) / s_.spacing;
+    const double u = s_.place.u + (t - s_.t_M) / s_.place.spacing;
     if (!IsNearSpan(u)) return false;
-    const SplineWeights weights = CubicWeights(u, s_.spacing);
-    JointState x;
-    if (!x.Evaluate(*s_.trajectory,
-                    t,
-                    EvaluateSpline(blocks + kSplineOrder, weights),
-                    EvaluateSpline(blocks, weights)))
-      return false;
+    const SplineWeights weights = CubicWeights(u, s_.place.spacing);
+    const JointState x(s_,
+                       t,
+                       EvaluateSpline(blocks + kSplineOrder, weights),
+                       EvaluateSpline(blocks, weights),
+                       jacobians != nullptr);
     const Vector3d f_body = x.q_WM.conjugate() * (x.a_W - g);  // R_WM^T (a_W - g_W)
     const Vector3d f_M = f_body + x.alpha.cross(p) + x.omega.cross(x.omega.cross(p));
     const Vector3d f_I = q_MI.conjugate() * f_M;
@@ -271,7 +289,7 @@ class JointAccelResidual : public ceres::CostFunction {
     if (jacobians[n + 4] != nullptr)
       AsBlock<3>(jacobians[n + 4]) = -s_.bias_u / s_.sigma * Matrix3d::Identity();
     const Vector3d r_t =
-        A * (R_MW * x.a_t - x.omega.cross(f_body) + f_omega * x.alpha + f_alpha * x.alpha_t);
+        A * (R_MW * x.a_t - x.turn.cross(f_body) + f_omega * x.omega_t + f_alpha * x.alpha_t);
     if (jacobians[n + 5] != nullptr) AsVector(jacobians[n + 5]) = r_t;
     if (jacobians[n + 6] != nullptr) AsVector(jacobians[n + 6]) = -r_t;
     return true;

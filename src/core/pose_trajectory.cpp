@@ -186,7 +186,7 @@ const PoseTrajectory::Segment* PoseTrajectory::Find(double t) const {
 
 bool PoseTrajectory::Evaluate(double t,
                               MarkerState<double>* state,
-                              MarkerState<double>* rates) const {
+                              MarkerState<double>* rate) const {
   const Segment* segment = Find(t);
   if (segment == nullptr) return false;
   const WindowedGp::Derivatives p = segment->position.Evaluate(t);
@@ -203,14 +203,14 @@ bool PoseTrajectory::Evaluate(double t,
   state->omega_M = 2.0 * A.vec();
   state->alpha_M = 2.0 * (B.vec() - (A * A).vec());
   state->a_W = p.col(2);
-  if (rates == nullptr) return true;
+  if (rate == nullptr) return true;
   const Eigen::Quaterniond C = q_inv * quaternion(3);
   const Eigen::Quaterniond half_omega(0.0, A.x(), A.y(), A.z());
-  rates->q_WM = state->q_WM * half_omega;
-  rates->omega_M = state->alpha_M;
-  rates->alpha_M =
+  rate->q_WM = state->q_WM * half_omega;
+  rate->omega_M = state->alpha_M;
+  rate->alpha_M =
       2.0 * (C.vec() - 2.0 * (A * B).vec() - (B * A).vec() + 2.0 * (A * A * A).vec());
-  rates->a_W = p.col(3);
+  rate->a_W = p.col(3);
   return true;
 }
 

@@ -41,8 +41,9 @@ inline double LeverArmCoefficientVariance(double alpha_variance,
 /// residual blocks are 3-vectors in sigma.
 class CalibrationProblem {
  public:
-  /// Throws DataError when Ceres does not converge.
-  void Solve();
+  /// Throws DataError when Ceres does not converge to a relative change of the cost below
+  /// `function_tolerance`.
+  void Solve(double function_tolerance);
   ResidualStatistics Statistics();
   CalibrationCovariance Covariance();
 
@@ -50,6 +51,7 @@ class CalibrationProblem {
   /// One residual block of a sensor.
   struct Term {
     ceres::ResidualBlockId id;
+    size_t sample;                     ///< index in the data
     double t;                          ///< [s] IMU clock
     double sigma;                      ///< residual * sigma has the sensor's unit
     double trajectory_variance = 0.0;  ///< share of sigma^2
@@ -66,7 +68,6 @@ class CalibrationProblem {
   void AddRotation();
   void AddGravityAndDelay();
   void AddBiasWalk(double walk, BiasKnots* knots);
-  ceres::LossFunction* Loss() const;
   /// The sample can be compared: t_M [s, pose clock] is inside of a segment and not at its very end.
   bool IsOnTrajectory(double t_M) const;
 

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "imu_pose_calib/core/calibration_problem.h"
+#include "imu_pose_calib/core/joint_residuals.h"
 #include "imu_pose_calib/core/spline.h"
 
 namespace imu_pose_calib {
@@ -12,20 +13,12 @@ namespace imu_pose_calib {
 ///   R_WM(t) = R_gp(t) Exp(phi(t)),   p_WM(t) = p_gp(t) + d(t).
 class CorrectionSplines {
  public:
-  /// Where an instant lies: fraction `u` of a span and the index of the first of the kSplineOrder
-  /// control points that act on it.
-  struct Place {
-    size_t first;
-    double u;
-    double spacing;  ///< [s] of the span
-  };
-
   /// Zero corrections with knots about `spacing_s` apart on the parts of the trajectory that the
   /// IMU samples cover at the time shift of `estimate`.
   CorrectionSplines(const ConditionedData& data, const Estimate& estimate, double spacing_s);
 
   /// Place of t [s, pose clock]; nothing when no spline covers t.
-  std::optional<Place> Locate(double t) const;
+  std::optional<SplinePlace> Locate(double t) const;
 
   std::vector<Eigen::Vector3d> d;    ///< control points [m] in W
   std::vector<Eigen::Vector3d> phi;  ///< control points [rad] in M
@@ -41,6 +34,17 @@ class CorrectionSplines {
   std::vector<Range> ranges_;
 };
 
+/// Robust weights (0..1] of the samples of each sensor, as many as ConditionedData holds.
+struct SampleWeights {
+  std::vector<double> position, rotation, gyro, accel;
+
+  explicit SampleWeights(const ConditionedData& data)
+      : position(data.poses.size(), 1.0),
+        rotation(data.poses.size(), 1.0),
+        gyro(data.gyro.size(), 1.0),
+        accel(data.accel.size(), 1.0) {}
+};
+
 /// Stage S4: trajectory and calibration together, doc/math.md. Every pose and every IMU sample is a
 /// residual weighted by its own noise only.
 class JointProblem : public CalibrationProblem {
@@ -49,17 +53,23 @@ class JointProblem : public CalibrationProblem {
                const PoseTrajectory& trajectory,
                const ConditionedData& data,
                const NoiseStd& noise,
+               const SampleWeights& weights,
                Estimate* estimate,
                CorrectionSplines* splines);
 
+  /// Cauchy weights 1 / (1 + |r|^2 / scale^2) of the residuals r in units of `noise`.
+  void UpdateWeights(const NoiseStd& noise, SampleWeights* weights);
+
  private:
-  void AddPoses();
-  void AddGyro();
-  void AddAccel();
-  /// Variance of the lever arm's coefficients at t_M that the joint trajectory's errors cause.
-  double LeverArmErrors(double t_M, double spacing) const;
+  void AddPoses(const SampleWeights& weights);
+  void AddGyro(const SampleWeights& weights);
+  void AddAccel(const SampleWeights& weights);
+  /// The sample with the GP's motion, nothing when it is not on a spline. `bias_u` is left open.
+  std::optional<JointImuSample> Sample(const TimedSample& sample, double delay, double sigma) const;
+  /// Variance of the lever arm's coefficients at a sample that the joint trajectory's errors cause.
+  double LeverArmErrors(const JointImuSample& sample) const;
   std::vector<double*> ControlPoints(const std::vector<std::vector<Eigen::Vector3d>*>& splines,
-                                     const CorrectionSplines::Place& place) const;
+                                     const SplinePlace& place) const;
 
   CorrectionSplines* const splines_;
 };

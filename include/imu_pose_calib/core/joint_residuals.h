@@ -21,15 +21,18 @@ ceres::CostFunction* CreateRotationResidual(const Eigen::Quaterniond& q_gp_meas,
                                             const SplineWeights& weights,
                                             double sigma);
 
-/// An IMU sample in a span of the correction splines.
+/// An IMU sample in a span of the correction splines. The GP's motion at t + time_shift is taken to
+/// first order around `t_M`, where the time shift stood when the problem was made: exact at the
+/// solution, because the last pass starts there.
 struct JointImuSample {
-  const PoseTrajectory* trajectory;
-  double t;               ///< [s] IMU clock
-  Eigen::Vector3d value;  ///< gyroscope [rad/s] or accelerometer [m/s^2] in I
+  MarkerState<double> gp;       ///< at t_M
+  MarkerState<double> gp_rate;  ///< its time derivative (q_WM: of its coefficients)
+  double t_M;                   ///< [s] pose clock
+  double t;                     ///< [s] IMU clock
+  Eigen::Vector3d value;        ///< gyroscope [rad/s] or accelerometer [m/s^2] in I
   double bias_u;          ///< 0..1 between the bias knots
   double sigma;           ///< unit of value
-  double span_begin;      ///< [s] pose clock
-  double spacing;         ///< [s] between the spline's knots
+  SplinePlace place;      ///< of t_M
 };
 
 /// r = (w - b_g - R_MI^T omega_M(t + time_shift)) / sigma, in I.

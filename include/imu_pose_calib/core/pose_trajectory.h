@@ -45,8 +45,9 @@ class PoseTrajectory {
   /// True when t [s] lies between two poses without a gap.
   bool Contains(double t) const { return Find(t) != nullptr; }
 
-  /// Posterior mean of the motion at t [s]. False when t is not contained.
-  bool Evaluate(double t, MarkerState<double>* state) const { return Evaluate(t, state, nullptr); }
+  /// Posterior mean of the motion at t [s] and, unless null, its time derivative (of q_WM: of its
+  /// coefficients). False when t is not contained.
+  bool Evaluate(double t, MarkerState<double>* state, MarkerState<double>* rate = nullptr) const;
 
   /// The same with the exact derivative by t: Jets in, Jets out.
   template <typename Scalar, int N>
@@ -68,8 +69,6 @@ class PoseTrajectory {
     WindowedGp position, quaternion;
   };
   const Segment* Find(double t) const;
-  /// `rates`: time derivative of each member of `state` (q_WM: of its coefficients).
-  bool Evaluate(double t, MarkerState<double>* state, MarkerState<double>* rates) const;
 
   GpHyperparameters position_, rotation_;
   Eigen::Vector3d origin_W_ = Eigen::Vector3d::Zero();  ///< mean position, prior mean of the GP

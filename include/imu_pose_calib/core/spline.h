@@ -8,6 +8,14 @@ namespace imu_pose_calib {
 /// Order of the correction splines: cubic pieces, so that acceleration is continuous.
 constexpr int kSplineOrder = 4;
 
+/// Where an instant lies on a uniform spline: the first of the kSplineOrder control points that act
+/// on it and the fraction `u` of its span.
+struct SplinePlace {
+  size_t first = 0;
+  double u = 0.0;
+  double spacing = 0.0;  ///< [s] length of the span
+};
+
 /// Weights of the kSplineOrder control points that act on one instant of a uniform B-spline:
 /// row k holds the weights of the k-th time derivative, k = 0..3.
 using SplineWeights = Eigen::Matrix<double, 4, kSplineOrder>;
