@@ -18,9 +18,12 @@ constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
 /// 10 s: 1000 poses, 2000 gyroscope and 2000 accelerometer samples.
 CalibrationData Recording() {
-  SimulatorOptions options;
-  options.duration_s = 10.0;
-  return Simulate(options);
+  static const CalibrationData data = [] {
+    SimulatorOptions options;
+    options.duration_s = 10.0;
+    return Simulate(options);
+  }();
+  return data;
 }
 
 ConditionedData Condition(const CalibrationData& data) {
