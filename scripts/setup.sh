@@ -160,7 +160,7 @@ create_workspace() {
 catkin_build() {
   local arguments
   read -ra arguments <<<"${IMU_POSE_CALIB_CMAKE_ARGS:-}"
-  catkin_make --no-color -C "$WORKSPACE" -j"$(parallel_jobs)" "$@" \
+  PYTHONUNBUFFERED=1 catkin_make --no-color -C "$WORKSPACE" -j"$(parallel_jobs)" "$@" \
     -DCMAKE_BUILD_TYPE=Release -DCMAKE_EXPORT_COMPILE_COMMANDS=ON -DIMU_POSE_CALIB_WERROR=OFF \
     -DPYTHON_EXECUTABLE=/usr/bin/python3 -DPython3_EXECUTABLE=/usr/bin/python3 "${arguments[@]}"
 }
