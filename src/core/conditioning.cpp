@@ -12,6 +12,8 @@ namespace {
 /// is not believed.
 constexpr int64_t kMaxReorderNs = 1'000'000'000;
 constexpr size_t kMinSegmentPoses = 8;
+/// Median specific force of a moving body, in units of gravity.
+constexpr double kMinForce = 0.4, kMaxForce = 10.0;
 
 bool IsFinite(const PoseSample& s) { return s.p_WM.allFinite() && s.q_WM.coeffs().allFinite(); }
 bool IsFinite(const ImuSample& s) { return s.value.allFinite(); }
@@ -76,6 +78,8 @@ std::vector<Sample> Clean(const std::string& stream,
              n,
              max_bad_fraction);
 
+  if (kept.empty()) Refuse("none of the ", n, " ", stream, " samples is usable");
+
   std::stable_sort(
       kept.begin(), kept.end(), [](const Sample& a, const Sample& b) { return a.t_ns < b.t_ns; });
   size_t last = 0;
@@ -88,7 +92,7 @@ std::vector<Sample> Clean(const std::string& stream,
       kept[++last] = kept[i];
     }
   }
-  kept.resize(std::min(kept.size(), last + 1));
+  kept.resize(last + 1);
   return kept;
 }
 
@@ -168,11 +172,12 @@ void CheckAccelerometerUnit(const std::vector<TimedSample>& accel, double gravit
   const auto middle = norms.begin() + static_cast<ptrdiff_t>(norms.size() / 2);
   std::nth_element(norms.begin(), middle, norms.end());
   const double median = *middle;
-  if (median > 0.4 * gravity && median < 2.5 * gravity) return;
+  if (median > kMinForce * gravity && median < kMaxForce * gravity) return;
   std::string hint = "expected m/s^2 with gravity included";
-  if (median > 0.7 && median < 1.5) hint = "it looks like g: convert to m/s^2";
-  if (median < 0.3) hint = "gravity seems to be removed already: record the raw accelerometer";
-  Refuse("accelerometer: median norm ", median, " (bound: ", 0.4 * gravity, " to ", 2.5 * gravity,
+  if (median < kMinForce * gravity) hint = "gravity seems to be removed: record the raw accelerometer";
+  if (median > 0.7 && median < 1.5)
+    hint = "it looks like g: convert to m/s^2 (or gravity is removed: record the raw accelerometer)";
+  Refuse("accelerometer: median norm ", median, " (bound: ", kMinForce * gravity, " to ", kMaxForce * gravity,
          " m/s^2); ", hint);
 }
 

@@ -224,6 +224,17 @@ RateAlignment AlignRates(const PoseTrajectory& trajectory,
 
 namespace {
 
+/// Gravity is estimated without knowing its magnitude: another one means another unit or none.
+void CheckGravity(double estimated, double expected) {
+  if (estimated > 0.5 * expected && estimated < 2.0 * expected) return;
+  std::ostringstream text;
+  text << "accelerometer: it shows a gravity of " << estimated << " m/s^2 (bound: " << 0.5 * expected
+       << " to " << 2.0 * expected << " m/s^2); ";
+  if (estimated < 0.5 * expected) text << "is gravity removed? Record the raw accelerometer";
+  if (estimated > 2.0 * expected) text << "is its unit m/s^2?";
+  throw DataError(text.str());
+}
+
 /// Linear least squares for x = (p_MI, g_W, R_MI b_a) at a given delay:
 ///   R_MI f - R_WM^T a_W = ([alpha]x + [omega]x [omega]x) p_MI - R_WM^T g_W + R_MI b_a.
 /// Returns the mean squared residual.
@@ -277,6 +288,7 @@ void FitLeverArm(const PoseTrajectory& trajectory,
   }
   start->accel_delay = best_delay;
   start->p_MI = best.head<3>();
+  CheckGravity(best.segment<3>(3).norm(), gravity_magnitude);
   start->g_W = gravity_magnitude * best.segment<3>(3).normalized();
   start->accel_bias = start->q_MI.conjugate() * best.tail<3>();
 }

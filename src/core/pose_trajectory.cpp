@@ -11,7 +11,9 @@ namespace {
 constexpr double kMedianOfChi3 = 1.5382;  // median norm of a standard normal 3-vector
 constexpr int kLikelihoodChunks = 16;
 constexpr size_t kChunkPoses = 250;
+constexpr double kDerivativeBand = 0.8;  // length scale used over the likelihood's
 constexpr int kMaxRounds = 20;
+constexpr int kRefitRounds = 3;
 
 GpHyperparameters Scaled(const GpHyperparameters& h, double factor) {
   return {h.lengthscale_s, factor * h.signal_std, factor * h.noise_std};
@@ -60,13 +62,22 @@ std::vector<IndexRange> Chunks(const std::vector<IndexRange>& segments) {
   return spread;
 }
 
+/// The likelihood weighs errors of the value; the solve needs two derivatives, to which what lies
+/// beyond a too narrow band matters more than the noise in a slightly wider one.
+GpHyperparameters ForDerivatives(GpHyperparameters h, double fixed_lengthscale_s) {
+  if (fixed_lengthscale_s == 0.0) h.lengthscale_s *= getenv("LF")?atof(getenv("LF")):kDerivativeBand;
+  return h;
+}
+
 GpHyperparameters FitPosition(const CalibrationOptions& o, const ConditionedData& data) {
   const Eigen::Vector3d origin_W = MeanPosition(data.poses);
   std::vector<GpData> chunks;
   for (const IndexRange& range : Chunks(data.segments))
     chunks.push_back(PositionData(data.poses, range, origin_W));
-  return FitHyperparameters(
-      chunks, {o.position_lengthscale_s, o.position_signal_std, o.position_noise_std});
+  return ForDerivatives(
+      FitHyperparameters(chunks,
+                         {o.position_lengthscale_s, o.position_signal_std, o.position_noise_std}),
+      o.position_lengthscale_s);
 }
 
 /// In [rad]. Rotation noise moves a unit quaternion by half the angle and in three of its four
@@ -80,7 +91,8 @@ GpHyperparameters FitRotation(const CalibrationOptions& o, const ConditionedData
                                            {o.rotation_lengthscale_s,
                                             0.5 * o.rotation_signal_std,
                                             noise_ratio * o.rotation_noise_std});
-  return {h.lengthscale_s, 2.0 * h.signal_std, h.noise_std / noise_ratio};
+  h = {h.lengthscale_s, 2.0 * h.signal_std, h.noise_std / noise_ratio};
+  return ForDerivatives(h, o.rotation_lengthscale_s);
 }
 
 /// Norm of the leave-one-out residual in sigma, per pose: (position, rotation).
@@ -231,12 +243,14 @@ PoseTrajectory::Pose PoseTrajectory::PoseAt(double t) const {
 }
 
 PoseTrajectory FitTrajectory(const CalibrationOptions& options, ConditionedData* data) {
-  bool refit = true;
   GpHyperparameters position, rotation;
+  bool refit = true;
+  bool stale = false;  // poses left since the hyperparameters were fitted
   for (int round = 0;; ++round) {
     if (refit) {
       position = FitPosition(options, *data);
       rotation = FitRotation(options, *data);
+      stale = false;
     }
     PoseTrajectory trajectory(data->poses, data->segments, position, rotation);
     const std::vector<size_t> outliers =
@@ -244,9 +258,11 @@ PoseTrajectory FitTrajectory(const CalibrationOptions& options, ConditionedData*
                      data->poses,
                      options.outlier_threshold,
                      std::min(position.lengthscale_s, rotation.lengthscale_s));
-    if (outliers.empty() || round == kMaxRounds) return trajectory;
-    // Gross outliers inflate the likelihood's noise: it is worth asking again while they are many.
-    refit = outliers.size() > data->poses.size() / 1000;
+    if (round == kMaxRounds || (outliers.empty() && !stale)) return trajectory;
+    // Gross outliers inflate the likelihood's noise: ask again when none is left, or while they are
+    // so many that they hide each other.
+    refit = outliers.empty() || (round < kRefitRounds && outliers.size() > data->poses.size() / 1000);
+    stale = stale || !outliers.empty();
     RemovePoses(outliers, data);
   }
 }

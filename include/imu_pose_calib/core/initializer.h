@@ -43,6 +43,7 @@ RateAlignment AlignRates(const PoseTrajectory& trajectory,
 
 /// p_MI, g_W and accel_bias by linear least squares on the accelerometer, given start->q_MI and
 /// start->time_shift; start->accel_delay is searched on +-0.1 s when `estimate_delay`.
+/// Throws DataError when the gravity found is not between half and twice `gravity_magnitude`.
 void FitLeverArm(const PoseTrajectory& trajectory,
                  const std::vector<TimedSample>& accel,
                  double gravity_magnitude,
