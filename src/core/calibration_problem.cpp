@@ -35,11 +35,7 @@ CalibrationProblem::CalibrationProblem(const CalibrationOptions& options,
                                        const ConditionedData& data,
                                        const NoiseStd& noise,
                                        Estimate* estimate)
-    : options_(options),
-      trajectory_(trajectory),
-      data_(data),
-      noise_(noise),
-      estimate_(estimate) {}
+    : options_(options), trajectory_(trajectory), data_(data), noise_(noise), estimate_(estimate) {}
 
 void CalibrationProblem::AddRotation() {
   problem_.AddParameterBlock(estimate_->q_MI.coeffs().data(), 4);
@@ -81,7 +77,6 @@ void CalibrationProblem::Solve(double function_tolerance) {
   options.initial_trust_region_radius = 1e8;
   ceres::Solver::Summary summary;
   ceres::Solve(options, &problem_, &summary);
-  if(getenv("DBG")) fprintf(stderr,"%s\n prep %.3f total %.3f res %.3f jac %.3f lin %.3f\n",summary.BriefReport().c_str(),summary.preprocessor_time_in_seconds,summary.total_time_in_seconds,summary.residual_evaluation_time_in_seconds,summary.jacobian_evaluation_time_in_seconds,summary.linear_solver_time_in_seconds);
   if (summary.termination_type == ceres::CONVERGENCE) return;
   throw DataError("the solve did not converge within max_iterations = " +
                   std::to_string(options_.max_iterations) + ": " + summary.message);

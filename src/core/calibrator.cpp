@@ -22,10 +22,10 @@ constexpr double kRoughTolerance = 1e-3;  // while noise and weights still chang
 constexpr double kJointTolerance = 1e-6;
 constexpr double kGpTolerance = 1e-9;
 
-constexpr double kExcerpt = 8.0;             // [s] on which the knot spacing is chosen
-constexpr double kCoarsestKnots = 0.12;      // [s]
-constexpr double kMinSamplesPerKnot = 3.0;   // IMU samples
-constexpr double kShrinkage = 0.96;          // of gyro times accel residual that is worth more knots
+constexpr double kExcerpt = 8.0;            // [s] on which the knot spacing is chosen
+constexpr double kCoarsestKnots = 0.12;     // [s]
+constexpr double kMinSamplesPerKnot = 5.0;  // IMU samples
+constexpr double kShrinkage = 0.96;         // of gyro times accel residual that is worth more knots
 
 /// Poses: as the GP's likelihood says. IMU: from densities, sigma = density sqrt(rate).
 NoiseStd InitialNoise(const CalibrationOptions& options,
@@ -44,8 +44,7 @@ ConditionedData LiveliestExcerpt(const ConditionedData& data,
                                  const PoseTrajectory& trajectory,
                                  const Estimate& estimate,
                                  double duration_s) {
-  const double first =
-      std::max(data.poses.front().t, data.gyro.front().t + estimate.time_shift);
+  const double first = std::max(data.poses.front().t, data.gyro.front().t + estimate.time_shift);
   const double last = std::min(data.poses.back().t, data.gyro.back().t + estimate.time_shift);
   double begin = first, liveliest = -1.0;
   for (double t = first; t + 0.5 * duration_s < last; t += 0.5 * duration_s) {
@@ -91,8 +90,7 @@ Solution SolveAgainstTrajectory(const CalibrationOptions& options,
   using Sensors = GpProblem::Sensors;
   NoiseStd noise = InitialNoise(options, trajectory, data);
   const auto solve = [&](Sensors sensors) {
-    auto problem = std::make_unique<GpProblem>(
-        options, trajectory, data, sensors, noise, estimate);
+    auto problem = std::make_unique<GpProblem>(options, trajectory, data, sensors, noise, estimate);
     problem->Solve(kGpTolerance);
     noise = problem->Statistics().noise;
     return problem;
@@ -172,8 +170,8 @@ double ChooseKnotSpacing(const CalibrationOptions& options,
                          const Estimate& estimate) {
   if (options.knot_spacing_s > 0.0) return options.knot_spacing_s;
   const ConditionedData excerpt = LiveliestExcerpt(data, trajectory, estimate, kExcerpt);
-  const double finest = kMinSamplesPerKnot / std::min(data.gyro_report.rate_hz,
-                                                      data.accel_report.rate_hz);
+  const double finest =
+      kMinSamplesPerKnot / std::min(data.gyro_report.rate_hz, data.accel_report.rate_hz);
   const NoiseStd noise = InitialNoise(options, trajectory, data);
   double spacing = kCoarsestKnots;
   double residual_before = 0.0;

@@ -40,7 +40,15 @@ void CheckShare(const std::string& stream,
                 size_t total,
                 double max_fraction) {
   if (static_cast<double>(bad) <= max_fraction * static_cast<double>(total)) return;
-  Refuse(stream, ": ", bad, " of ", total, " samples ", defect, " (bound: ", 100.0 * max_fraction,
+  Refuse(stream,
+         ": ",
+         bad,
+         " of ",
+         total,
+         " samples ",
+         defect,
+         " (bound: ",
+         100.0 * max_fraction,
          " %)");
 }
 
@@ -111,10 +119,24 @@ void Summarise(const std::vector<Timed>& samples, StreamReport* report) {
 
 void CheckDuration(const std::string& stream, const StreamReport& report, double min_s) {
   if (report.duration_s >= min_s) return;
-  Refuse(stream, ": ", report.used, " of ", report.received, " samples are usable and span ",
-         report.duration_s, " s (bound: at least ", min_s, " s; not finite ", report.not_finite,
-         ", repeated ", report.repeated_value, ", stamped backwards ", report.reversed_stamp,
-         ", duplicate stamp ", report.duplicate_stamp, ")");
+  Refuse(stream,
+         ": ",
+         report.used,
+         " of ",
+         report.received,
+         " samples are usable and span ",
+         report.duration_s,
+         " s (bound: at least ",
+         min_s,
+         " s; not finite ",
+         report.not_finite,
+         ", repeated ",
+         report.repeated_value,
+         ", stamped backwards ",
+         report.reversed_stamp,
+         ", duplicate stamp ",
+         report.duplicate_stamp,
+         ")");
 }
 
 double Seconds(int64_t t_ns, int64_t epoch_ns) {
@@ -142,9 +164,8 @@ std::vector<TimedPose> ToSeconds(const std::vector<PoseSample>& samples, int64_t
 
 /// Cuts the poses at gaps; runs that are too short are dropped and counted.
 void SplitAtGaps(const CalibrationOptions& options, ConditionedData* data) {
-  const double max_gap = options.max_gap_s > 0.0
-                             ? options.max_gap_s
-                             : std::max(0.1, 5.0 / data->pose_report.rate_hz);
+  const double max_gap =
+      options.max_gap_s > 0.0 ? options.max_gap_s : std::max(0.1, 5.0 / data->pose_report.rate_hz);
   std::vector<TimedPose> kept;
   size_t begin = 0;
   for (size_t i = 1; i <= data->poses.size(); ++i) {
@@ -174,11 +195,19 @@ void CheckAccelerometerUnit(const std::vector<TimedSample>& accel, double gravit
   const double median = *middle;
   if (median > kMinForce * gravity && median < kMaxForce * gravity) return;
   std::string hint = "expected m/s^2 with gravity included";
-  if (median < kMinForce * gravity) hint = "gravity seems to be removed: record the raw accelerometer";
+  if (median < kMinForce * gravity)
+    hint = "gravity seems to be removed: record the raw accelerometer";
   if (median > 0.7 && median < 1.5)
-    hint = "it looks like g: convert to m/s^2 (or gravity is removed: record the raw accelerometer)";
-  Refuse("accelerometer: median norm ", median, " (bound: ", kMinForce * gravity, " to ", kMaxForce * gravity,
-         " m/s^2); ", hint);
+    hint =
+        "it looks like g: convert to m/s^2 (or gravity is removed: record the raw accelerometer)";
+  Refuse("accelerometer: median norm ",
+         median,
+         " (bound: ",
+         kMinForce * gravity,
+         " to ",
+         kMaxForce * gravity,
+         " m/s^2); ",
+         hint);
 }
 
 }  // namespace
@@ -206,8 +235,13 @@ ConditionedData Condition(const CalibrationOptions& options, const CalibrationDa
   SplitAtGaps(options, &out);
   Summarise(out.poses, &out.pose_report);
   if (out.segments.empty())
-    Refuse("pose: no run without a gap is as long as min_segment_s = ", options.min_segment_s,
-           " s (", out.gaps, " gaps in ", out.pose_report.received, " poses)");
+    Refuse("pose: no run without a gap is as long as min_segment_s = ",
+           options.min_segment_s,
+           " s (",
+           out.gaps,
+           " gaps in ",
+           out.pose_report.received,
+           " poses)");
   CheckAccelerometerUnit(out.accel, options.gravity_magnitude);
   return out;
 }

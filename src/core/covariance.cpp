@@ -22,8 +22,8 @@ MarginalCovariance ComputeMarginalCovariance(const ceres::CRSMatrix& J,
   const Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>> solver(H);
   MarginalCovariance covariance;
   if (solver.info() != Eigen::Success || (solver.vectorD().array() <= 0.0).any()) {
-    covariance.model = std::numeric_limits<double>::infinity() *
-                       Eigen::MatrixXd::Ones(leading, leading);
+    covariance.model =
+        std::numeric_limits<double>::infinity() * Eigen::MatrixXd::Ones(leading, leading);
     covariance.robust = covariance.model;
     return covariance;
   }

@@ -11,10 +11,10 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr double kSpacing = 0.4;       // [length scales] between bumps: kernel error 2 exp(-31)
-constexpr int kSupport = 30;           // bumps that reach one instant: the others are below 3e-14
-constexpr double kCore = 16.0;         // [length scales]
-constexpr double kMargin = 20.0;       // [length scales]
+constexpr double kSpacing = 0.4;  // [length scales] between bumps: kernel error 2 exp(-31)
+constexpr int kSupport = 30;      // bumps that reach one instant: the others are below 3e-14
+constexpr double kCore = 16.0;    // [length scales]
+constexpr double kMargin = 20.0;  // [length scales]
 constexpr double kMaxSignalToNoise = 1e5;  // keeps the normal equations well conditioned
 
 /// Uniform grid of Gaussian bumps exp(-(t - u_j)^2 / l^2), u_j = first + j spacing.
@@ -92,9 +92,11 @@ struct WeightPosterior {
   Eigen::MatrixXd mean;
 };
 
-WeightPosterior FitWeights(
-    const GpData& data, Eigen::Index begin, Eigen::Index end, const BumpGrid& grid,
-    const GpHyperparameters& h) {
+WeightPosterior FitWeights(const GpData& data,
+                           Eigen::Index begin,
+                           Eigen::Index end,
+                           const BumpGrid& grid,
+                           const GpHyperparameters& h) {
   Eigen::MatrixXd A = Eigen::MatrixXd::Zero(grid.size, grid.size);
   Eigen::MatrixXd b = Eigen::MatrixXd::Zero(grid.size, data.y.cols());
   for (Eigen::Index i = begin; i < end; ++i) {
@@ -147,7 +149,8 @@ WindowedGp::WindowedGp(const GpData& data, const GpHyperparameters& hyperparamet
 
 const WindowedGp::Window& WindowedGp::At(double t) const {
   const double k = std::floor((t - begin_) / core_);
-  return windows_[static_cast<size_t>(std::clamp(k, 0.0, static_cast<double>(windows_.size()) - 1))];
+  return windows_[static_cast<size_t>(
+      std::clamp(k, 0.0, static_cast<double>(windows_.size()) - 1))];
 }
 
 WindowedGp::Derivatives WindowedGp::Evaluate(double t) const {
@@ -213,8 +216,7 @@ double LogMarginalLikelihood(const GpData& data,
     const double tr_length = FtdF.cwiseProduct(A_inv).sum() / noise2;
     (*gradient)[0] = length_fit - outputs * tr_length;
     (*gradient)[1] = posterior.mean.squaredNorm() - outputs * (m - trace_A_inv);
-    (*gradient)[2] =
-        residual_norm2 / noise2 - outputs * (static_cast<double>(n) - m + trace_A_inv);
+    (*gradient)[2] = residual_norm2 / noise2 - outputs * (static_cast<double>(n) - m + trace_A_inv);
   }
   return log_likelihood;
 }
@@ -292,12 +294,11 @@ struct Moments {
       for (Eigen::Index i = 1; i < n; ++i) {
         periods.push_back(d.t[i] - d.t[i - 1]);
         while (d.t[i] - d.t[lag] > 0.05 && lag + 1 < i) ++lag;
-        rates.push_back((d.y.row(i) - d.y.row(lag)).squaredNorm() /
-                        std::pow(d.t[i] - d.t[lag], 2) / static_cast<double>(d.y.cols()));
+        rates.push_back((d.y.row(i) - d.y.row(lag)).squaredNorm() / std::pow(d.t[i] - d.t[lag], 2) /
+                        static_cast<double>(d.y.cols()));
         if (i < 2) continue;
         for (Eigen::Index k = 0; k < d.y.cols(); ++k)
-          second_differences.push_back(
-              std::abs(d.y(i, k) - 2.0 * d.y(i - 1, k) + d.y(i - 2, k)));
+          second_differences.push_back(std::abs(d.y(i, k) - 2.0 * d.y(i - 1, k) + d.y(i - 2, k)));
       }
     }
     period = Median(periods);
@@ -343,8 +344,8 @@ GpHyperparameters FitHyperparameters(const std::vector<GpData>& data,
       Eigen::Vector3d(std::max(moments.duration, 4.0 * moments.period), 1e3 * signal, 3.0 * signal)
           .array()
           .log();
-  Eigen::Vector3d x(std::log(signal / std::max(moments.rate, 1e-6)), std::log(signal),
-                    std::log(noise));
+  Eigen::Vector3d x(
+      std::log(signal / std::max(moments.rate, 1e-6)), std::log(signal), std::log(noise));
   x = x.cwiseMax(low).cwiseMin(high);
   if (fixed.lengthscale_s > 0.0) x[0] = std::log(fixed.lengthscale_s);
   if (fixed.signal_std > 0.0) x[1] = std::log(fixed.signal_std);

@@ -7,6 +7,12 @@
 #include "imu_pose_calib/core/residuals.h"
 
 namespace imu_pose_calib {
+namespace {
+
+/// The trajectory's errors stay about the same for this many length scales.
+constexpr double kCorrelation = 0.5;
+
+}  // namespace
 
 GpProblem::GpProblem(const CalibrationOptions& options,
                      const PoseTrajectory& trajectory,
@@ -24,6 +30,10 @@ GpProblem::GpProblem(const CalibrationOptions& options,
   AddBiasWalk(options_.accel_bias_walk, &estimate_->accel_bias);
 }
 
+double GpProblem::SharedSamples(double rate_hz) const {
+  return 1.0 + kCorrelation * trajectory_.rotation_hyperparameters().lengthscale_s * rate_hz;
+}
+
 void GpProblem::AddGyro() {
   BiasKnots& knots = estimate_->gyro_bias;
   for (size_t i = 0; i < data_.gyro.size(); ++i) {
@@ -31,19 +41,21 @@ void GpProblem::AddGyro() {
     const double t_M = s.t + estimate_->time_shift;
     if (!IsOnTrajectory(t_M)) continue;
     const double variance = trajectory_.Variance(t_M).omega;
-    const double sigma = std::sqrt(noise_.gyro * noise_.gyro + variance);
+    const double sigma =
+        std::sqrt(noise_.gyro * noise_.gyro + SharedSamples(data_.gyro_report.rate_hz) * variance);
     const auto [k, u] = knots.Locate(s.t);
     const GyroResidual residual{&trajectory_, s.t, s.value, u, sigma};
-    gyro_terms_.push_back({problem_.AddResidualBlock(residual.Create(),
-                                                     new ceres::CauchyLoss(options_.robust_loss_scale),
-                                                     estimate_->q_MI.coeffs().data(),
-                                                     knots.values[k].data(),
-                                                     knots.values[k + 1].data(),
-                                                     &estimate_->time_shift),
-                           i,
-                           s.t,
-                           sigma,
-                           variance});
+    gyro_terms_.push_back(
+        {problem_.AddResidualBlock(residual.Create(),
+                                   new ceres::CauchyLoss(options_.robust_loss_scale),
+                                   estimate_->q_MI.coeffs().data(),
+                                   knots.values[k].data(),
+                                   knots.values[k + 1].data(),
+                                   &estimate_->time_shift),
+         i,
+         s.t,
+         sigma,
+         variance});
   }
   if (gyro_terms_.empty()) throw DataError("no gyroscope sample falls on the trajectory");
 }
@@ -63,23 +75,25 @@ void GpProblem::AddAccel() {
     const double lever = LeverArmCoefficientVariance(v.alpha, v.omega, state.omega_M.squaredNorm());
     const double variance =
         v.accel + (arm2 * lever + 2.0 * v.rotation * s.value.squaredNorm()) / 3.0;
-    const double sigma = std::sqrt(noise_.accel * noise_.accel + variance);
+    const double sigma = std::sqrt(noise_.accel * noise_.accel +
+                                   SharedSamples(data_.accel_report.rate_hz) * variance);
     feigned_information_ += lever / (sigma * sigma);
     const auto [k, u] = knots.Locate(s.t);
     const AccelResidual residual{&trajectory_, s.t, s.value, u, sigma};
-    accel_terms_.push_back({problem_.AddResidualBlock(residual.Create(),
-                                                      new ceres::CauchyLoss(options_.robust_loss_scale),
-                                                      estimate_->q_MI.coeffs().data(),
-                                                      estimate_->p_MI.data(),
-                                                      estimate_->g_W.data(),
-                                                      knots.values[k].data(),
-                                                      knots.values[k + 1].data(),
-                                                      &estimate_->time_shift,
-                                                      &estimate_->accel_delay),
-                            i,
-                            s.t,
-                            sigma,
-                            variance});
+    accel_terms_.push_back(
+        {problem_.AddResidualBlock(residual.Create(),
+                                   new ceres::CauchyLoss(options_.robust_loss_scale),
+                                   estimate_->q_MI.coeffs().data(),
+                                   estimate_->p_MI.data(),
+                                   estimate_->g_W.data(),
+                                   knots.values[k].data(),
+                                   knots.values[k + 1].data(),
+                                   &estimate_->time_shift,
+                                   &estimate_->accel_delay),
+         i,
+         s.t,
+         sigma,
+         variance});
   }
   if (accel_terms_.empty()) throw DataError("no accelerometer sample falls on the trajectory");
 }

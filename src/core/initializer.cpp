@@ -14,15 +14,15 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr double kBin = 0.01;               // [s] of the correlated signals
-constexpr double kGuessWindow = 1.0;        // [s] searched around a given time shift
-constexpr int kCandidates = 6;              // correlation peaks tried on all three axes
-constexpr double kMinPeakDistance = 0.15;   // [s] between them
-constexpr double kMinExplained = 0.5;       // of the gyro's variance
-constexpr size_t kMaxSamples = 4000;        // per closed-form fit: more does not change a start
-constexpr double kDelaySearch = 0.1;        // [s]
-constexpr double kDelayStep = 0.01;         // [s]
-constexpr double kAccelBiasPrior = 1.0;     // [m/s^2] keeps bias and gravity apart at small turns
+constexpr double kBin = 0.01;              // [s] of the correlated signals
+constexpr double kGuessWindow = 1.0;       // [s] searched around a given time shift
+constexpr int kCandidates = 6;             // correlation peaks tried on all three axes
+constexpr double kMinPeakDistance = 0.15;  // [s] between them
+constexpr double kMinExplained = 0.5;      // of the gyro's variance
+constexpr size_t kMaxSamples = 4000;       // per closed-form fit: more does not change a start
+constexpr double kDelaySearch = 0.1;       // [s]
+constexpr double kDelayStep = 0.01;        // [s]
+constexpr double kAccelBiasPrior = 1.0;    // [m/s^2] keeps bias and gravity apart at small turns
 
 /// A signal in bins of kBin; bins without a sample have weight 0.
 struct Signal {
@@ -114,8 +114,8 @@ double Evidence(double correlation, double n) {
 std::string RateMismatch(const RateAlignment& best) {
   std::ostringstream text;
   text << "the turn rates of poses and gyroscope agree at no time shift (best explains "
-       << 100.0 * std::max(0.0, best.explained) << " % of the gyroscope's variance, bound: "
-       << 100.0 * kMinExplained
+       << 100.0 * std::max(0.0, best.explained)
+       << " % of the gyroscope's variance, bound: " << 100.0 * kMinExplained
        << " %): do both recordings overlap, and are both of the same rigid body?";
   return text.str();
 }
@@ -123,8 +123,7 @@ std::string RateMismatch(const RateAlignment& best) {
 void CheckGyroUnit(const RateAlignment& alignment) {
   if (alignment.scale > 0.5 && alignment.scale < 2.0) return;
   std::ostringstream text;
-  text << "gyroscope: its rates are " << alignment.scale
-       << " times the marker's (bound: 0.5 to 2)";
+  text << "gyroscope: its rates are " << alignment.scale << " times the marker's (bound: 0.5 to 2)";
   if (alignment.scale > 40.0 && alignment.scale < 80.0)
     text << "; it looks like deg/s: convert to rad/s";
   throw DataError(text.str());
@@ -174,8 +173,10 @@ std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
     if (static_cast<int>(shifts.size()) == count) break;
     double offset = 0.0;  // vertex of the parabola through the peak and its neighbours
     if (lag > first && lag < last) {
-      const double a = correlation.At(lag - 1), b = correlation.At(lag), c = correlation.At(lag + 1);
-      if (2.0 * b - a - c > 1e-12) offset = std::clamp(0.5 * (c - a) / (2.0 * b - a - c), -0.5, 0.5);
+      const double a = correlation.At(lag - 1), b = correlation.At(lag),
+                   c = correlation.At(lag + 1);
+      if (2.0 * b - a - c > 1e-12)
+        offset = std::clamp(0.5 * (c - a) / (2.0 * b - a - c), -0.5, 0.5);
     }
     const double candidate = shift(static_cast<double>(lag) + offset);
     const auto is_near = [&](double s) { return std::abs(s - candidate) < kMinPeakDistance; };
@@ -228,8 +229,8 @@ namespace {
 void CheckGravity(double estimated, double expected) {
   if (estimated > 0.5 * expected && estimated < 2.0 * expected) return;
   std::ostringstream text;
-  text << "accelerometer: it shows a gravity of " << estimated << " m/s^2 (bound: " << 0.5 * expected
-       << " to " << 2.0 * expected << " m/s^2); ";
+  text << "accelerometer: it shows a gravity of " << estimated
+       << " m/s^2 (bound: " << 0.5 * expected << " to " << 2.0 * expected << " m/s^2); ";
   if (estimated < 0.5 * expected) text << "is gravity removed? Record the raw accelerometer";
   if (estimated > 2.0 * expected) text << "is its unit m/s^2?";
   throw DataError(text.str());
@@ -307,8 +308,8 @@ Start Initialise(const CalibrationOptions& options,
   for (const double shift : FindTimeShifts(
            trajectory, data.poses, data.gyro, options.min_overlap_s, guess, kCandidates)) {
     const RateAlignment alignment = AlignRates(trajectory, data.gyro, shift);
-    const double evidence =
-        Evidence(std::sqrt(std::max(0.0, alignment.explained)), static_cast<double>(alignment.count));
+    const double evidence = Evidence(std::sqrt(std::max(0.0, alignment.explained)),
+                                     static_cast<double>(alignment.count));
     if (evidence <= most) continue;
     most = evidence;
     best = alignment;

@@ -142,8 +142,8 @@ void JointProblem::AddGyro(const SampleWeights& weights) {
 void JointProblem::AddAccel(const SampleWeights& weights) {
   BiasKnots& knots = estimate_->accel_bias;
   for (size_t i = 0; i < data_.accel.size(); ++i) {
-    auto sample = Sample(
-        data_.accel[i], estimate_->accel_delay, noise_.accel / std::sqrt(weights.accel[i]));
+    auto sample =
+        Sample(data_.accel[i], estimate_->accel_delay, noise_.accel / std::sqrt(weights.accel[i]));
     if (!sample) continue;
     const auto [k, u] = knots.Locate(sample->t);
     sample->bias_u = u;
@@ -166,19 +166,19 @@ void JointProblem::AddAccel(const SampleWeights& weights) {
 }
 
 void JointProblem::UpdateWeights(const NoiseStd& noise, SampleWeights* weights) {
-  const auto update = [this](const std::vector<Term>& terms,
-                             double sigma,
-                             std::vector<double>* sample_weights) {
-    ceres::Problem::EvaluateOptions evaluate;
-    for (const Term& term : terms) evaluate.residual_blocks.push_back(term.id);
-    std::vector<double> residuals;
-    problem_.Evaluate(evaluate, nullptr, &residuals, nullptr, nullptr);
-    for (size_t i = 0; i < terms.size(); ++i) {
-      const double r =
-          Eigen::Map<const Eigen::Vector3d>(&residuals[3 * i]).norm() * terms[i].sigma / sigma;
-      (*sample_weights)[terms[i].sample] = 1.0 / (1.0 + std::pow(r / options_.robust_loss_scale, 2));
-    }
-  };
+  const auto update =
+      [this](const std::vector<Term>& terms, double sigma, std::vector<double>* sample_weights) {
+        ceres::Problem::EvaluateOptions evaluate;
+        for (const Term& term : terms) evaluate.residual_blocks.push_back(term.id);
+        std::vector<double> residuals;
+        problem_.Evaluate(evaluate, nullptr, &residuals, nullptr, nullptr);
+        for (size_t i = 0; i < terms.size(); ++i) {
+          const double r =
+              Eigen::Map<const Eigen::Vector3d>(&residuals[3 * i]).norm() * terms[i].sigma / sigma;
+          (*sample_weights)[terms[i].sample] =
+              1.0 / (1.0 + std::pow(r / options_.robust_loss_scale, 2));
+        }
+      };
   update(position_terms_, noise.position, &weights->position);
   update(rotation_terms_, noise.rotation, &weights->rotation);
   update(gyro_terms_, noise.gyro, &weights->gyro);

@@ -31,8 +31,9 @@ Eigen::Matrix<double, 3, 4> EvaluateSpline(double const* const* points,
 
 /// d(q^* v)/d(xyzw) for q turned on the left by twice the step, as Ceres' quaternion manifold does:
 /// the tangent Jacobian 2 R^T Hat(v) times the pseudo-inverse of the manifold's Plus Jacobian.
-Eigen::Matrix<double, 3, 4> InverseRotationJacobian(const Eigen::Quaterniond& q, const Vector3d& R_transposed_v) {
-  Eigen::Matrix<double, 3, 4> G;  // rows: steps; columns: xyzw
+Eigen::Matrix<double, 3, 4> InverseRotationJacobian(const Eigen::Quaterniond& q,
+                                                    const Vector3d& R_transposed_v) {
+  Eigen::Matrix<double, 3, 4> G;      // rows: steps; columns: xyzw
   G << q.w(), -q.z(), q.y(), -q.x(),  //
       q.z(), q.w(), -q.x(), -q.y(),   //
       -q.y(), q.x(), q.w(), -q.z();
@@ -67,10 +68,10 @@ struct JointState {
   Eigen::Quaterniond q_WM;
   Vector3d omega, alpha, a_W;
   // Only with Jacobians:
-  Matrix3d J;                                   // right Jacobian of phi
-  Matrix3d omega_phi, omega_phi1;               // d omega / d phi, phi'
-  Matrix3d alpha_phi, alpha_phi1, alpha_phi2;   // d alpha / d phi, phi', phi''
-  Vector3d turn, omega_t, alpha_t, a_t;         // body rate of q_WM, time derivatives
+  Matrix3d J;                                  // right Jacobian of phi
+  Matrix3d omega_phi, omega_phi1;              // d omega / d phi, phi'
+  Matrix3d alpha_phi, alpha_phi1, alpha_phi2;  // d alpha / d phi, phi', phi''
+  Vector3d turn, omega_t, alpha_t, a_t;        // body rate of q_WM, time derivatives
 
   /// phi, d: columns 0..3 are the value and its time derivatives. `time` [s, IMU clock] shifted to
   /// the pose clock.
@@ -171,8 +172,7 @@ class RotationResidual : public ceres::CostFunction {
     AsVector(residual) = error / sigma_;
     if (jacobians == nullptr) return true;
     // Log(Exp(-J_r(phi) delta) Exp(error)) = error - J_l(error)^-1 J_r(phi) delta, J_l(x) = J_r(-x)
-    const Matrix3d d_error =
-        -RightJacobian<double>(-error).inverse() * RightJacobian(phi) / sigma_;
+    const Matrix3d d_error = -RightJacobian<double>(-error).inverse() * RightJacobian(phi) / sigma_;
     for (int j = 0; j < kSplineOrder; ++j)
       if (jacobians[j] != nullptr) AsBlock<3>(jacobians[j]) = weights_(0, j) * d_error;
     return true;
@@ -193,8 +193,7 @@ class JointGyroResidual : public ceres::CostFunction {
   explicit JointGyroResidual(const JointImuSample& sample) : s_(sample) {
     set_num_residuals(3);
     mutable_parameter_block_sizes()->assign(kSplineOrder, 3);
-    mutable_parameter_block_sizes()->insert(
-        mutable_parameter_block_sizes()->end(), {4, 3, 3, 1});
+    mutable_parameter_block_sizes()->insert(mutable_parameter_block_sizes()->end(), {4, 3, 3, 1});
   }
 
   bool Evaluate(double const* const* blocks, double* residual, double** jacobians) const override {
@@ -237,8 +236,8 @@ class JointAccelResidual : public ceres::CostFunction {
   explicit JointAccelResidual(const JointImuSample& sample) : s_(sample) {
     set_num_residuals(3);
     mutable_parameter_block_sizes()->assign(2 * kSplineOrder, 3);
-    mutable_parameter_block_sizes()->insert(
-        mutable_parameter_block_sizes()->end(), {4, 3, 3, 3, 3, 1, 1});
+    mutable_parameter_block_sizes()->insert(mutable_parameter_block_sizes()->end(),
+                                            {4, 3, 3, 3, 3, 1, 1});
   }
 
   bool Evaluate(double const* const* blocks, double* residual, double** jacobians) const override {
@@ -268,8 +267,7 @@ class JointAccelResidual : public ceres::CostFunction {
     // d (omega x (omega x p)) / d omega
     const Matrix3d f_omega = -Hat<double>(x.omega.cross(p)) - W * Hat<double>(p);
     const Matrix3d f_alpha = -Hat<double>(p);
-    const Matrix3d r_phi =
-        A * (Hat(f_body) * x.J + f_omega * x.omega_phi + f_alpha * x.alpha_phi);
+    const Matrix3d r_phi = A * (Hat(f_body) * x.J + f_omega * x.omega_phi + f_alpha * x.alpha_phi);
     const Matrix3d r_phi1 = A * (f_omega * x.omega_phi1 + f_alpha * x.alpha_phi1);
     const Matrix3d r_phi2 = A * f_alpha * x.alpha_phi2;
     const Matrix3d r_d2 = A * R_MW;
@@ -281,8 +279,7 @@ class JointAccelResidual : public ceres::CostFunction {
     }
     if (jacobians[n] != nullptr)
       AsBlock<4>(jacobians[n]) = -InverseRotationJacobian(q_MI, f_I) / s_.sigma;
-    if (jacobians[n + 1] != nullptr)
-      AsBlock<3>(jacobians[n + 1]) = A * (Hat(x.alpha) + W * W);
+    if (jacobians[n + 1] != nullptr) AsBlock<3>(jacobians[n + 1]) = A * (Hat(x.alpha) + W * W);
     if (jacobians[n + 2] != nullptr) AsBlock<3>(jacobians[n + 2]) = -A * R_MW;
     if (jacobians[n + 3] != nullptr)
       AsBlock<3>(jacobians[n + 3]) = -(1.0 - s_.bias_u) / s_.sigma * Matrix3d::Identity();

@@ -10,8 +10,8 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr double kMinTurnRate = 0.01;   // [rad/s] about the second axis
-constexpr double kSampleStep = 0.02;    // [s] between the instants at which the motion is judged
+constexpr double kMinTurnRate = 0.01;  // [rad/s] about the second axis
+constexpr double kSampleStep = 0.02;   // [s] between the instants at which the motion is judged
 constexpr double kDegenerateFactor = 10.0;  // times the weak threshold
 
 const char* const kTurnAdvice = "turn the marker about at least two axes";
@@ -80,8 +80,12 @@ std::string DescribeAxis(const Eigen::Vector3d& axis_M) {
     return std::string("marker ") + "xyz"[largest];
   const double sign = axis[largest] < 0.0 ? -1.0 : 1.0;
   char text[80];
-  std::snprintf(text, sizeof(text), "(%.2f, %.2f, %.2f) in the marker frame", sign * axis.x(),
-                sign * axis.y(), sign * axis.z());
+  std::snprintf(text,
+                sizeof(text),
+                "(%.2f, %.2f, %.2f) in the marker frame",
+                sign * axis.x(),
+                sign * axis.y(),
+                sign * axis.z());
   return text;
 }
 
@@ -92,14 +96,15 @@ bool IsMotionDegenerate(const TurnExcitation& turns, CalibrationResult* result) 
   text.precision(2);
   if (turns.rate_std[0] < kMinTurnRate) {
     result->unobservable = {"R_MI, p_MI and time_shift: " + std::string(kTurnAdvice)};
-    text << "the marker does not turn (" << turns.rate_std[0] << " rad/s rms, bound: "
-         << kMinTurnRate << " rad/s): R_MI, p_MI and time_shift are undetermined; " << kTurnAdvice;
+    text << "the marker does not turn (" << turns.rate_std[0]
+         << " rad/s rms, bound: " << kMinTurnRate
+         << " rad/s): R_MI, p_MI and time_shift are undetermined; " << kTurnAdvice;
   } else {
     const std::string axis = DescribeAxis(turns.axes_M.col(0));
     result->unobservable = {"p_MI along " + axis + ": turn about a second axis"};
     text << "the marker turns about one axis only, " << axis << " (" << turns.rate_std[0]
-         << " rad/s rms; about any other " << turns.rate_std[1] << " rad/s, bound: "
-         << kMinTurnRate << " rad/s): p_MI along it is undetermined; " << kTurnAdvice;
+         << " rad/s rms; about any other " << turns.rate_std[1] << " rad/s, bound: " << kMinTurnRate
+         << " rad/s): p_MI along it is undetermined; " << kTurnAdvice;
   }
   result->message = text.str();
   return true;
@@ -123,12 +128,10 @@ void GradeResult(const CalibrationOptions& options,
   const double degenerate_p = kDegenerateFactor * options.weak_translation_std;
   for (int k = 0; k < 3; ++k) {
     if (lever_arm.eigenvalues()[k] * degenerate_p * degenerate_p >= 1.0) continue;
-    result->unobservable.push_back("p_MI along " +
-                                   DescribeAxis(lever_arm.eigenvectors().col(k)) +
+    result->unobservable.push_back("p_MI along " + DescribeAxis(lever_arm.eigenvectors().col(k)) +
                                    ": turn faster, and about a second axis");
   }
-  const Eigen::Vector3d honest =
-      lever_arm.eigenvalues().cwiseMax(1e-12).cwiseInverse().cwiseSqrt();
+  const Eigen::Vector3d honest = lever_arm.eigenvalues().cwiseMax(1e-12).cwiseInverse().cwiseSqrt();
   const double p_std = std::max(result->Std().head<3>().maxCoeff(), honest.maxCoeff());
   const Check checks[] = {
       {"p_MI", p_std, options.weak_translation_std, 1e-3, "mm"},

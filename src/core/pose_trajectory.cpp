@@ -11,7 +11,6 @@ namespace {
 constexpr double kMedianOfChi3 = 1.5382;  // median norm of a standard normal 3-vector
 constexpr int kLikelihoodChunks = 16;
 constexpr size_t kChunkPoses = 250;
-constexpr double kDerivativeBand = 0.8;  // length scale used over the likelihood's
 constexpr int kMaxRounds = 20;
 constexpr int kRefitRounds = 3;
 
@@ -19,7 +18,8 @@ GpHyperparameters Scaled(const GpHyperparameters& h, double factor) {
   return {h.lengthscale_s, factor * h.signal_std, factor * h.noise_std};
 }
 
-GpData PositionData(const std::vector<TimedPose>& poses, IndexRange range,
+GpData PositionData(const std::vector<TimedPose>& poses,
+                    IndexRange range,
                     const Eigen::Vector3d& origin_W) {
   const auto n = static_cast<Eigen::Index>(range.size());
   GpData data{Eigen::VectorXd(n), Eigen::MatrixXd(n, 3)};
@@ -62,22 +62,13 @@ std::vector<IndexRange> Chunks(const std::vector<IndexRange>& segments) {
   return spread;
 }
 
-/// The likelihood weighs errors of the value; the solve needs two derivatives, to which what lies
-/// beyond a too narrow band matters more than the noise in a slightly wider one.
-GpHyperparameters ForDerivatives(GpHyperparameters h, double fixed_lengthscale_s) {
-  if (fixed_lengthscale_s == 0.0) h.lengthscale_s *= getenv("LF")?atof(getenv("LF")):kDerivativeBand;
-  return h;
-}
-
 GpHyperparameters FitPosition(const CalibrationOptions& o, const ConditionedData& data) {
   const Eigen::Vector3d origin_W = MeanPosition(data.poses);
   std::vector<GpData> chunks;
   for (const IndexRange& range : Chunks(data.segments))
     chunks.push_back(PositionData(data.poses, range, origin_W));
-  return ForDerivatives(
-      FitHyperparameters(chunks,
-                         {o.position_lengthscale_s, o.position_signal_std, o.position_noise_std}),
-      o.position_lengthscale_s);
+  return FitHyperparameters(
+      chunks, {o.position_lengthscale_s, o.position_signal_std, o.position_noise_std});
 }
 
 /// In [rad]. Rotation noise moves a unit quaternion by half the angle and in three of its four
@@ -87,12 +78,10 @@ GpHyperparameters FitRotation(const CalibrationOptions& o, const ConditionedData
   for (const IndexRange& range : Chunks(data.segments))
     chunks.push_back(QuaternionData(data.poses, range));
   const double noise_ratio = 0.5 * std::sqrt(0.75);
-  GpHyperparameters h = FitHyperparameters(chunks,
-                                           {o.rotation_lengthscale_s,
-                                            0.5 * o.rotation_signal_std,
-                                            noise_ratio * o.rotation_noise_std});
-  h = {h.lengthscale_s, 2.0 * h.signal_std, h.noise_std / noise_ratio};
-  return ForDerivatives(h, o.rotation_lengthscale_s);
+  const GpHyperparameters h = FitHyperparameters(
+      chunks,
+      {o.rotation_lengthscale_s, 0.5 * o.rotation_signal_std, noise_ratio * o.rotation_noise_std});
+  return {h.lengthscale_s, 2.0 * h.signal_std, h.noise_std / noise_ratio};
 }
 
 /// Norm of the leave-one-out residual in sigma, per pose: (position, rotation).
@@ -220,8 +209,7 @@ bool PoseTrajectory::Evaluate(double t,
   const Eigen::Quaterniond half_omega(0.0, A.x(), A.y(), A.z());
   rate->q_WM = state->q_WM * half_omega;
   rate->omega_M = state->alpha_M;
-  rate->alpha_M =
-      2.0 * (C.vec() - 2.0 * (A * B).vec() - (B * A).vec() + 2.0 * (A * A * A).vec());
+  rate->alpha_M = 2.0 * (C.vec() - 2.0 * (A * B).vec() - (B * A).vec() + 2.0 * (A * A * A).vec());
   rate->a_W = p.col(3);
   return true;
 }
@@ -261,7 +249,8 @@ PoseTrajectory FitTrajectory(const CalibrationOptions& options, ConditionedData*
     if (round == kMaxRounds || (outliers.empty() && !stale)) return trajectory;
     // Gross outliers inflate the likelihood's noise: ask again when none is left, or while they are
     // so many that they hide each other.
-    refit = outliers.empty() || (round < kRefitRounds && outliers.size() > data->poses.size() / 1000);
+    refit =
+        outliers.empty() || (round < kRefitRounds && outliers.size() > data->poses.size() / 1000);
     stale = stale || !outliers.empty();
     RemovePoses(outliers, data);
   }

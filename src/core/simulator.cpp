@@ -72,7 +72,8 @@ TrueTrajectory::TrueTrajectory(const SimulatorOptions& options) {
     case Motion::kHandheld:
       break;
     case Motion::kTumble:
-      spin_ = 4.0 * Eigen::Vector3d(Uniform(&random, -1, 1), Uniform(&random, -1, 1), 1).normalized();
+      spin_ =
+          4.0 * Eigen::Vector3d(Uniform(&random, -1, 1), Uniform(&random, -1, 1), 1).normalized();
       break;
     case Motion::kPlanar:
       position_.amplitude.row(2).setZero();

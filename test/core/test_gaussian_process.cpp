@@ -1,10 +1,10 @@
-#include "imu_pose_calib/core/gaussian_process.h"
-
 #include <gtest/gtest.h>
 
 #include <Eigen/Cholesky>
 #include <cmath>
 #include <random>
+
+#include "imu_pose_calib/core/gaussian_process.h"
 
 namespace imu_pose_calib {
 namespace {

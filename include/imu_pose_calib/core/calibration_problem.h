@@ -68,7 +68,8 @@ class CalibrationProblem {
   void AddRotation();
   void AddGravityAndDelay();
   void AddBiasWalk(double walk, BiasKnots* knots);
-  /// The sample can be compared: t_M [s, pose clock] is inside of a segment and not at its very end.
+  /// The sample can be compared: t_M [s, pose clock] is inside of a segment and not at its very
+  /// end.
   bool IsOnTrajectory(double t_M) const;
 
   const CalibrationOptions& options_;

@@ -20,6 +20,9 @@ class GpProblem : public CalibrationProblem {
  private:
   void AddGyro();
   void AddAccel();
+  /// Number of consecutive samples that share one error of the trajectory: together they tell no
+  /// more about it than one, so its variance counts that many times in each sample's weight.
+  double SharedSamples(double rate_hz) const;
 };
 
 }  // namespace imu_pose_calib

@@ -30,9 +30,9 @@ struct JointImuSample {
   double t_M;                   ///< [s] pose clock
   double t;                     ///< [s] IMU clock
   Eigen::Vector3d value;        ///< gyroscope [rad/s] or accelerometer [m/s^2] in I
-  double bias_u;          ///< 0..1 between the bias knots
-  double sigma;           ///< unit of value
-  SplinePlace place;      ///< of t_M
+  double bias_u;                ///< 0..1 between the bias knots
+  double sigma;                 ///< unit of value
+  SplinePlace place;            ///< of t_M
 };
 
 /// r = (w - b_g - R_MI^T omega_M(t + time_shift)) / sigma, in I.

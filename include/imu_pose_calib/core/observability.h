@@ -2,9 +2,9 @@
 
 #include <string>
 
+#include "imu_pose_calib/core/calibration_problem.h"
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/conditioning.h"
-#include "imu_pose_calib/core/calibration_problem.h"
 #include "imu_pose_calib/core/options.h"
 #include "imu_pose_calib/core/pose_trajectory.h"
 

@@ -20,14 +20,14 @@ struct GyroResidual {
   double sigma;       ///< [rad/s] of sample and trajectory together
 
   template <typename T>
-  bool operator()(
-      const T* q_MI, const T* knot_0, const T* knot_1, const T* time_shift, T* residual) const {
+  bool operator()(const T* q_MI, const T* knot_0, const T* knot_1, const T* time_shift, T* residual)
+      const {
     using Vector3 = Eigen::Matrix<T, 3, 1>;
     MarkerState<T> state;
     if (!trajectory->Evaluate(T(t) + *time_shift, &state)) return false;
     const Eigen::Map<const Eigen::Quaternion<T>> R_MI(q_MI);
-    const Vector3 b = T(1.0 - u) * Eigen::Map<const Vector3>(knot_0) +
-                      T(u) * Eigen::Map<const Vector3>(knot_1);
+    const Vector3 b =
+        T(1.0 - u) * Eigen::Map<const Vector3>(knot_0) + T(u) * Eigen::Map<const Vector3>(knot_1);
     Eigen::Map<Vector3> r(residual);
     r = (w.cast<T>() - b - R_MI.conjugate() * state.omega_M) / T(sigma);
     return true;
@@ -40,7 +40,8 @@ struct GyroResidual {
 
 /// One accelerometer sample against the trajectory, doc/math.md Eq. (2), at
 /// t_M = t + time_shift - accel_delay:
-///   r = (f - b_a - R_MI^T (R_WM^T (a_W - g_W) + alpha_M x p_MI + omega_M x (omega_M x p_MI))) / sigma
+///   r = (f - b_a - R_MI^T (R_WM^T (a_W - g_W) + alpha_M x p_MI + omega_M x (omega_M x p_MI))) /
+///   sigma
 /// with b_a = (1 - u) knot_0 + u knot_1.
 /// Blocks: q_MI (4, xyzw) | p_MI (3, m) | g_W (3, m/s^2) | knot_0 (3, m/s^2) | knot_1 (3) |
 /// time_shift (1, s) | accel_delay (1, s).
@@ -67,8 +68,8 @@ struct AccelResidual {
     const Eigen::Map<const Eigen::Quaternion<T>> R_MI(q_MI);
     const Vector3 p = Eigen::Map<const Vector3>(p_MI);
     const Vector3 g = Eigen::Map<const Vector3>(g_W);
-    const Vector3 b = T(1.0 - u) * Eigen::Map<const Vector3>(knot_0) +
-                      T(u) * Eigen::Map<const Vector3>(knot_1);
+    const Vector3 b =
+        T(1.0 - u) * Eigen::Map<const Vector3>(knot_0) + T(u) * Eigen::Map<const Vector3>(knot_1);
     const Vector3 f_M = state.q_WM.conjugate() * (state.a_W - g) + state.alpha_M.cross(p) +
                         state.omega_M.cross(state.omega_M.cross(p));
     Eigen::Map<Vector3> r(residual);

@@ -25,19 +25,19 @@ struct SimulatorOptions {
   double gyro_rate_hz = 200.0;
   double accel_rate_hz = 200.0;
 
-  double position_std = 1e-3;  ///< [m] per axis
-  double rotation_std = 1e-3;  ///< [rad] per axis
-  double gyro_std = 5e-3;      ///< [rad/s] per sample
-  double accel_std = 2e-2;     ///< [m/s^2] per sample
+  double position_std = 1e-3;     ///< [m] per axis
+  double rotation_std = 1e-3;     ///< [rad] per axis
+  double gyro_std = 5e-3;         ///< [rad/s] per sample
+  double accel_std = 2e-2;        ///< [m/s^2] per sample
   double gyro_bias_walk = 1e-5;   ///< [rad/s^2/sqrt(Hz)]
   double accel_bias_walk = 1e-4;  ///< [m/s^3/sqrt(Hz)]
 
   Rigid3 T_MI{Eigen::Quaterniond(0.5, -0.5, 0.5, 0.5), Eigen::Vector3d(0.05, -0.03, 0.08)};
-  double time_shift_s = 0.02;   ///< t_pose = t_imu + time_shift_s
-  double accel_delay_s = 0.0;   ///< t_pose = t_accel + time_shift_s - accel_delay_s
-  Eigen::Vector3d g_W{0.0, 0.0, -9.80665};                ///< [m/s^2]
-  Eigen::Vector3d gyro_bias{0.004, -0.003, 0.005};   ///< [rad/s] at the start
-  Eigen::Vector3d accel_bias{0.03, 0.05, -0.04};     ///< [m/s^2] at the start
+  double time_shift_s = 0.02;               ///< t_pose = t_imu + time_shift_s
+  double accel_delay_s = 0.0;               ///< t_pose = t_accel + time_shift_s - accel_delay_s
+  Eigen::Vector3d g_W{0.0, 0.0, -9.80665};  ///< [m/s^2]
+  Eigen::Vector3d gyro_bias{0.004, -0.003, 0.005};  ///< [rad/s] at the start
+  Eigen::Vector3d accel_bias{0.03, 0.05, -0.04};    ///< [m/s^2] at the start
 
   int64_t start_ns = 1'600'000'000'000'000'000;  ///< first pose stamp
 };
