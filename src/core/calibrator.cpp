@@ -24,7 +24,7 @@ constexpr double kGpTolerance = 1e-9;
 
 constexpr double kExcerpt = 8.0;            // [s] on which the knot spacing is chosen
 constexpr double kCoarsestKnots = 0.12;     // [s]
-constexpr double kMinSamplesPerKnot = 5.0;  // IMU samples
+constexpr double kMinSamplesPerKnot = 4.0;  // IMU samples
 constexpr double kShrinkage = 0.96;         // of gyro times accel residual that is worth more knots
 
 /// Poses: as the GP's likelihood says. IMU: from densities, sigma = density sqrt(rate).
@@ -187,7 +187,7 @@ double ChooseKnotSpacing(const CalibrationOptions& options,
   }
 }
 
-void ReportData(const ConditionedData& data, CalibrationResult* result) {
+void ReportData(const ConditionedData& data, Calibration* result) {
   result->poses = data.pose_report;
   result->gyro = data.gyro_report;
   result->accel = data.accel_report;
@@ -197,7 +197,7 @@ void ReportData(const ConditionedData& data, CalibrationResult* result) {
 
 void ReportTrajectory(const PoseTrajectory& trajectory,
                       const ConditionedData& data,
-                      CalibrationResult* result) {
+                      Calibration* result) {
   result->position_lengthscale_s = trajectory.position_hyperparameters().lengthscale_s;
   result->rotation_lengthscale_s = trajectory.rotation_hyperparameters().lengthscale_s;
   double position2 = 0.0, rotation2 = 0.0, count = 0.0;
@@ -215,7 +215,7 @@ void ReportTrajectory(const PoseTrajectory& trajectory,
 void ReportEstimate(const Estimate& estimate,
                     const ResidualStatistics& statistics,
                     const ConditionedData& data,
-                    CalibrationResult* result) {
+                    Calibration* result) {
   result->T_MI = {estimate.q_MI.normalized(), estimate.p_MI};
   if (result->T_MI.q.w() < 0.0) result->T_MI.q.coeffs() *= -1.0;
   result->time_shift =
@@ -234,9 +234,9 @@ void ReportEstimate(const Estimate& estimate,
 
 }  // namespace
 
-CalibrationResult Calibrate(const CalibrationOptions& options, const CalibrationData& data) {
+Calibration Calibrate(const CalibrationOptions& options, const CalibrationData& data) {
   options.Validate();
-  CalibrationResult result;
+  Calibration result;
   result.method = options.method;
 
   ConditionedData conditioned = Condition(options, data);

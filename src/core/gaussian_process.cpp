@@ -12,7 +12,9 @@ namespace imu_pose_calib {
 namespace {
 
 constexpr double kSpacing = 0.4;  // [length scales] between bumps: kernel error 2 exp(-31)
-constexpr int kSupport = 30;      // bumps that reach one instant: the others are below 3e-14
+constexpr int kHalfSupport = 15;
+constexpr int kSupport =
+    2 * kHalfSupport;             // bumps that reach one instant: the others are below 3e-14
 constexpr double kCore = 16.0;    // [length scales]
 constexpr double kMargin = 20.0;  // [length scales]
 constexpr double kMaxSignalToNoise = 1e5;  // keeps the normal equations well conditioned
@@ -26,7 +28,7 @@ struct BumpGrid {
   BumpGrid(double begin, double end, double lengthscale_s)
       : lengthscale(lengthscale_s),
         spacing(kSpacing * lengthscale_s),
-        first(begin - (kSupport / 2) * spacing),
+        first(begin - kHalfSupport * spacing),
         size(static_cast<int>(std::floor((end - begin) / spacing)) + kSupport + 1) {}
   BumpGrid(double first_center, int count, double lengthscale_s)
       : lengthscale(lengthscale_s),
@@ -36,7 +38,7 @@ struct BumpGrid {
 
   /// First of the kSupport bumps around t.
   int FirstBump(double t) const {
-    const int j = static_cast<int>(std::floor((t - first) / spacing)) - kSupport / 2 + 1;
+    const int j = static_cast<int>(std::floor((t - first) / spacing)) - kHalfSupport + 1;
     return std::clamp(j, 0, size - kSupport);
   }
 };
@@ -63,7 +65,7 @@ struct BumpValues {
   }
 
  private:
-  static constexpr int kMiddle = kSupport / 2;
+  static constexpr int kMiddle = kHalfSupport;
 };
 
 /// Values of the bumps around t and their first three time derivatives.
@@ -187,7 +189,7 @@ double LogMarginalLikelihood(const GpData& data,
 
   double fit = posterior.mean.squaredNorm();
   double length_fit = 0.0;
-  Eigen::MatrixXd FtdF = Eigen::MatrixXd::Zero(grid.size, grid.size);
+  Eigen::MatrixXd bump_product = Eigen::MatrixXd::Zero(grid.size, grid.size);
   double residual_norm2 = 0.0;
   for (Eigen::Index i = 0; i < n; ++i) {
     const int j = grid.FirstBump(data.t[i]);
@@ -200,7 +202,7 @@ double LogMarginalLikelihood(const GpData& data,
     // d F / d log l; the 1/2 is the change of weight_std per length of a fixed grid.
     const Eigen::Matrix<double, kSupport, 1> df = f.array() * (2.0 * bumps.distance.square() - 0.5);
     length_fit += (residual / noise2).dot(df.transpose() * mean);
-    FtdF.block<kSupport, kSupport>(j, j).noalias() += f * df.transpose();
+    bump_product.block<kSupport, kSupport>(j, j).noalias() += f * df.transpose();
   }
   fit += residual_norm2 / noise2;
   const double log_det_A = 2.0 * posterior.A.matrixLLT().diagonal().array().log().sum();
@@ -213,7 +215,7 @@ double LogMarginalLikelihood(const GpData& data,
         posterior.A.solve(Eigen::MatrixXd::Identity(grid.size, grid.size));
     const double trace_A_inv = A_inv.trace();
     const double m = grid.size;
-    const double tr_length = FtdF.cwiseProduct(A_inv).sum() / noise2;
+    const double tr_length = bump_product.cwiseProduct(A_inv).sum() / noise2;
     (*gradient)[0] = length_fit - outputs * tr_length;
     (*gradient)[1] = posterior.mean.squaredNorm() - outputs * (m - trace_A_inv);
     (*gradient)[2] = residual_norm2 / noise2 - outputs * (static_cast<double>(n) - m + trace_A_inv);

@@ -32,13 +32,13 @@ Eigen::Matrix<double, 3, 4> EvaluateSpline(double const* const* points,
 /// d(q^* v)/d(xyzw) for q turned on the left by twice the step, as Ceres' quaternion manifold does:
 /// the tangent Jacobian 2 R^T Hat(v) times the pseudo-inverse of the manifold's Plus Jacobian.
 Eigen::Matrix<double, 3, 4> InverseRotationJacobian(const Eigen::Quaterniond& q,
-                                                    const Vector3d& R_transposed_v) {
+                                                    const Vector3d& turned_v) {
   Eigen::Matrix<double, 3, 4> G;      // rows: steps; columns: xyzw
   G << q.w(), -q.z(), q.y(), -q.x(),  //
       q.z(), q.w(), -q.x(), -q.y(),   //
       -q.y(), q.x(), q.w(), -q.z();
   // R^T Hat(v) = Hat(R^T v) R^T
-  return 2.0 * Hat(R_transposed_v) * q.conjugate().toRotationMatrix() * G;
+  return 2.0 * Hat(turned_v) * q.conjugate().toRotationMatrix() * G;
 }
 
 Eigen::Matrix<double, 3, 4> NoCorrection() { return Eigen::Matrix<double, 3, 4>::Zero(); }

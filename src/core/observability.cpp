@@ -89,7 +89,7 @@ std::string DescribeAxis(const Eigen::Vector3d& axis_M) {
   return text;
 }
 
-bool IsMotionDegenerate(const TurnExcitation& turns, CalibrationResult* result) {
+bool IsMotionDegenerate(const TurnExcitation& turns, Calibration* result) {
   if (turns.rate_std[1] >= kMinTurnRate) return false;
   result->status = Status::kDegenerate;
   std::ostringstream text;
@@ -112,7 +112,7 @@ bool IsMotionDegenerate(const TurnExcitation& turns, CalibrationResult* result) 
 
 void GradeResult(const CalibrationOptions& options,
                  const CalibrationCovariance& covariance,
-                 CalibrationResult* result) {
+                 Calibration* result) {
   if (!covariance.model.allFinite() || !covariance.robust.allFinite()) {
     result->status = Status::kDegenerate;
     result->message = std::string("the data do not determine all parameters; ") + kTurnAdvice;

@@ -106,33 +106,48 @@ std::vector<Eigen::Vector2d> LeaveOneOut(const PoseTrajectory& trajectory,
   return normalised;
 }
 
-/// Indices of the poses whose residual exceeds `threshold` robust sigma and is the largest within
-/// `radius_s`: an outlier drags its neighbours along, so those are judged again without it.
+double Median(std::vector<double> values) {
+  const auto middle = values.begin() + static_cast<ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+/// Indices of the poses whose residual exceeds `threshold` robust sigma, of the log and of the
+/// poses within `radius_s`, and is the largest there. An outlier drags its neighbours along, so
+/// those are judged again without it; where the motion is livelier than the GP, all residuals are
+/// large and none is an outlier.
 std::vector<size_t> FindOutliers(const std::vector<Eigen::Vector2d>& residuals,
                                  const std::vector<TimedPose>& poses,
                                  double threshold,
                                  double radius_s) {
-  Eigen::Vector2d scale;
-  for (int k = 0; k < 2; ++k) {
+  const auto range = [&](size_t i) {
+    IndexRange near{i, i + 1};
+    while (near.begin > 0 && poses[i].t - poses[near.begin - 1].t < radius_s) --near.begin;
+    while (near.end < poses.size() && poses[near.end].t - poses[i].t < radius_s) ++near.end;
+    return near;
+  };
+  const auto median = [&](IndexRange part, int kind) {
     std::vector<double> values;
-    for (const Eigen::Vector2d& r : residuals) values.push_back(r[k]);
-    const auto middle = values.begin() + static_cast<ptrdiff_t>(values.size() / 2);
-    std::nth_element(values.begin(), middle, values.end());
-    scale[k] = std::max(*middle / kMedianOfChi3, 1e-9);
-  }
-  std::vector<double> excess;
-  for (const Eigen::Vector2d& r : residuals)
-    excess.push_back(r.cwiseQuotient(scale).maxCoeff() / threshold);
+    for (size_t i = part.begin; i < part.end; ++i) values.push_back(residuals[i][kind]);
+    return std::max(Median(std::move(values)) / kMedianOfChi3, 1e-9);
+  };
   std::vector<size_t> outliers;
-  for (size_t i = 0; i < poses.size(); ++i) {
-    if (excess[i] <= 1.0) continue;
-    bool largest = true;
-    for (size_t j = i; j-- > 0 && poses[i].t - poses[j].t < radius_s;)
-      largest = largest && excess[j] <= excess[i];
-    for (size_t j = i + 1; j < poses.size() && poses[j].t - poses[i].t < radius_s; ++j)
-      largest = largest && excess[j] < excess[i];
-    if (largest) outliers.push_back(i);
+  for (int kind = 0; kind < 2; ++kind) {
+    const double scale = median({0, poses.size()}, kind);
+    for (size_t i = 0; i < poses.size(); ++i) {
+      const double residual = residuals[i][kind];
+      if (residual <= threshold * scale) continue;
+      const IndexRange near = range(i);
+      if (residual <= threshold * median(near, kind)) continue;
+      bool largest = true;
+      for (size_t j = near.begin; j < near.end; ++j)
+        largest = largest && (j < i ? residuals[j][kind] <= residual
+                                    : j == i || residuals[j][kind] < residual);
+      if (largest) outliers.push_back(i);
+    }
   }
+  std::sort(outliers.begin(), outliers.end());
+  outliers.erase(std::unique(outliers.begin(), outliers.end()), outliers.end());
   return outliers;
 }
 

@@ -45,7 +45,7 @@ OfflineRequest ReadRequest(const ros::NodeHandle& node) {
 
 /// Publishes the result and the static transform until the node is shut down.
 void Offer(const OfflineResult& offline, ros::NodeHandle* node) {
-  auto publisher = node->advertise<CalibrationResultMsg>("result", 1, true);
+  auto publisher = node->advertise<CalibrationResult>("result", 1, true);
   publisher.publish(ToMsg(offline.result, offline.info, ros::Time::now()));
 
   tf2_ros::StaticTransformBroadcaster broadcaster;

@@ -69,7 +69,7 @@ std::string FrameName(const std::string& frame, const std::string& fallback) {
   return first == std::string::npos ? fallback : frame.substr(first);
 }
 
-geometry_msgs::TransformStamped ToTransformStamped(const CalibrationResult& result,
+geometry_msgs::TransformStamped ToTransformStamped(const Calibration& result,
                                                    const RecordingInfo& info,
                                                    const ros::Time& stamp) {
   geometry_msgs::TransformStamped msg;
@@ -80,24 +80,24 @@ geometry_msgs::TransformStamped ToTransformStamped(const CalibrationResult& resu
   return msg;
 }
 
-CalibrationResultMsg ToMsg(const CalibrationResult& result,
-                           const RecordingInfo& info,
-                           const ros::Time& stamp) {
+CalibrationResult ToMsg(const Calibration& result,
+                        const RecordingInfo& info,
+                        const ros::Time& stamp) {
   const auto status_code = [](Status status) -> uint8_t {
     switch (status) {
       case Status::kNotRun:
-        return CalibrationResultMsg::STATUS_NOT_RUN;
+        return CalibrationResult::STATUS_NOT_RUN;
       case Status::kOk:
-        return CalibrationResultMsg::STATUS_OK;
+        return CalibrationResult::STATUS_OK;
       case Status::kWeak:
-        return CalibrationResultMsg::STATUS_WEAK;
+        return CalibrationResult::STATUS_WEAK;
       case Status::kDegenerate:
-        return CalibrationResultMsg::STATUS_DEGENERATE;
+        return CalibrationResult::STATUS_DEGENERATE;
     }
-    return CalibrationResultMsg::STATUS_NOT_RUN;
+    return CalibrationResult::STATUS_NOT_RUN;
   };
 
-  CalibrationResultMsg msg;
+  CalibrationResult msg;
   msg.header.stamp = stamp;
   msg.header.frame_id = info.marker_frame;
   msg.child_frame_id = info.imu_frame;

@@ -100,7 +100,7 @@ void EmitRejected(const char* key, const StreamReport& report, YAML::Emitter* ou
 /// `key: {poses, gyro, accel}` of one member of the reports.
 template <typename T>
 void EmitPerStream(const char* key,
-                   const CalibrationResult& result,
+                   const Calibration& result,
                    T StreamReport::*member,
                    YAML::Emitter* out) {
   *out << YAML::Key << key << YAML::Value << YAML::Flow << YAML::BeginMap;
@@ -110,7 +110,7 @@ void EmitPerStream(const char* key,
   *out << YAML::EndMap;
 }
 
-void EmitEstimate(const CalibrationResult& result, YAML::Emitter* out) {
+void EmitEstimate(const Calibration& result, YAML::Emitter* out) {
   EmitMap(
       "transform",
       [&] {
@@ -142,7 +142,7 @@ void EmitEstimate(const CalibrationResult& result, YAML::Emitter* out) {
       out);
 }
 
-void EmitQuality(const CalibrationResult& result, YAML::Emitter* out) {
+void EmitQuality(const Calibration& result, YAML::Emitter* out) {
   EmitMap(
       "noise",
       [&] {
@@ -174,7 +174,7 @@ void EmitQuality(const CalibrationResult& result, YAML::Emitter* out) {
       out);
 }
 
-void EmitData(const CalibrationResult& result, const RecordingInfo& info, YAML::Emitter* out) {
+void EmitData(const Calibration& result, const RecordingInfo& info, YAML::Emitter* out) {
   EmitMap(
       "data",
       [&] {
@@ -219,7 +219,7 @@ std::string YamlNumber(double value) {
   return text;
 }
 
-std::string ToYaml(const CalibrationResult& result,
+std::string ToYaml(const Calibration& result,
                    const RecordingInfo& info,
                    const CalibrationOptions& options) {
   YAML::Emitter out;

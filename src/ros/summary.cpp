@@ -37,7 +37,7 @@ std::string Wrap(const std::string& label, const std::string& text) {
   return wrapped + line + "\n";
 }
 
-std::string Verdict(const CalibrationResult& result) {
+std::string Verdict(const Calibration& result) {
   switch (result.status) {
     case Status::kOk:
       return Wrap("OK: ", result.message);
@@ -74,7 +74,7 @@ std::string Stream(const char* label, const std::string& topic, const StreamRepo
           Dropped(report));
 }
 
-std::string Data(const CalibrationResult& result, const RecordingInfo& info) {
+std::string Data(const Calibration& result, const RecordingInfo& info) {
   const bool is_split = info.imu_topic.empty();
   std::string text = "\nData\n";
   text += Stream("  poses  ", info.pose_topic, result.poses);
@@ -96,7 +96,7 @@ std::string Quaternion(const Eigen::Quaterniond& q) {
   return Format("[%.6f, %.6f, %.6f, %.6f]", q.x(), q.y(), q.z(), q.w());
 }
 
-std::string Transform(const CalibrationResult& result) {
+std::string Transform(const Calibration& result) {
   const Rigid3& T = result.T_MI;
   const Rigid3 inverse = T.Inverse();
   const Vector6d std_dev = result.Std();
@@ -111,7 +111,7 @@ std::string Transform(const CalibrationResult& result) {
   return text;
 }
 
-std::string Clocks(const CalibrationResult& result) {
+std::string Clocks(const Calibration& result) {
   std::string text =
       "\nClocks: t_pose = t_imu + time_shift      (inverse: t_imu = t_pose - time_shift)\n";
   text += "        t_pose = t_accel + time_shift - accel_delay\n";
@@ -122,7 +122,7 @@ std::string Clocks(const CalibrationResult& result) {
                                               : "(fixed)\n");
 }
 
-std::string Imu(const CalibrationResult& result) {
+std::string Imu(const Calibration& result) {
   std::string text = "\nGravity and mean biases\n";
   text += "  gravity    = " + Vector(result.g_W, "%.5f") + " m/s^2 in the world frame\n";
   text += "  gyro bias  = " + Vector(result.gyro_bias, "%.6f") + " rad/s in the imu frame\n";
@@ -130,7 +130,7 @@ std::string Imu(const CalibrationResult& result) {
   return text;
 }
 
-std::string Residuals(const CalibrationResult& result) {
+std::string Residuals(const Calibration& result) {
   const auto row = [](const char* name, double rms, double noise, const char* unit) {
     return Format("  %-9s rms %.3g %s, noise %.3g %s\n", name, rms, unit, noise, unit);
   };
@@ -141,7 +141,7 @@ std::string Residuals(const CalibrationResult& result) {
          row("rotation", kDegrees * result.rms.rotation, kDegrees * result.noise.rotation, "deg");
 }
 
-std::string Warnings(const CalibrationResult& result) {
+std::string Warnings(const Calibration& result) {
   std::string text;
   for (const std::string& direction : result.unobservable)
     text += Wrap("  undetermined: ", direction);
@@ -149,7 +149,7 @@ std::string Warnings(const CalibrationResult& result) {
   return text.empty() ? "" : "\n" + text;
 }
 
-std::string StaticTransform(const CalibrationResult& result, const RecordingInfo& info) {
+std::string StaticTransform(const Calibration& result, const RecordingInfo& info) {
   if (info.marker_frame == info.imu_frame)
     return "\n" + Wrap("",
                        "No tf: the marker and the imu frame are both called '" + info.imu_frame +
@@ -169,7 +169,7 @@ std::string StaticTransform(const CalibrationResult& result, const RecordingInfo
 
 }  // namespace
 
-std::string Summary(const CalibrationResult& result, const RecordingInfo& info) {
+std::string Summary(const Calibration& result, const RecordingInfo& info) {
   if (!result.IsUsable()) return Verdict(result) + Data(result, info) + Warnings(result);
   return Verdict(result) + Data(result, info) + Transform(result) + Clocks(result) + Imu(result) +
          Residuals(result) + Warnings(result) + StaticTransform(result, info);

@@ -34,14 +34,14 @@ SimulatorOptions Recording(Motion motion, double duration_s, uint32_t seed) {
 }
 
 /// (p_MI in M, rotation about the imu axes, time_shift, accel_delay).
-Vector8d Error(const CalibrationResult& result, const SimulatorOptions& truth) {
+Vector8d Error(const Calibration& result, const SimulatorOptions& truth) {
   Vector8d e;
   e << result.T_MI.p - truth.T_MI.p, Log(Quaterniond(truth.T_MI.q.conjugate() * result.T_MI.q)),
       result.time_shift - truth.time_shift_s, result.accel_delay - truth.accel_delay_s;
   return e;
 }
 
-Vector8d Sigma(const CalibrationResult& result) {
+Vector8d Sigma(const Calibration& result) {
   Vector8d sigma;
   sigma << result.Std(), result.time_shift_std, result.accel_delay_std;
   return sigma;
@@ -59,7 +59,7 @@ const char* const kParameters[] = {"p_MI x",
 /// The sigmas reported with the fixed trajectory take its errors as independent from sample to
 /// sample. The lever arm, seen through the twice differentiated poses, is therefore held to a share
 /// of the pose noise and the other parameters to their sigmas.
-void ExpectRecovered(const CalibrationResult& result,
+void ExpectRecovered(const Calibration& result,
                      const SimulatorOptions& truth,
                      double largest_translation_error_m) {
   EXPECT_EQ(result.status, Status::kOk) << result.message;
@@ -81,24 +81,24 @@ void ExpectRecovered(const CalibrationResult& result,
             1e-9 * result.covariance.norm());
 }
 
-CalibrationResult ExpectCalibrates(const CalibrationOptions& options,
-                                   const CalibrationData& data,
-                                   const SimulatorOptions& truth,
-                                   double largest_translation_error_m = 2e-3) {
-  const CalibrationResult result = Calibrate(options, data);
+Calibration ExpectCalibrates(const CalibrationOptions& options,
+                             const CalibrationData& data,
+                             const SimulatorOptions& truth,
+                             double largest_translation_error_m = 2e-3) {
+  const Calibration result = Calibrate(options, data);
   ExpectRecovered(result, truth, largest_translation_error_m);
   return result;
 }
 
-TEST(CalibrationResult, IsNotRunAndNotUsableByDefault) {
-  const CalibrationResult result;
+TEST(Calibration, IsNotRunAndNotUsableByDefault) {
+  const Calibration result;
   EXPECT_EQ(result.status, Status::kNotRun);
   EXPECT_FALSE(result.IsUsable());
   EXPECT_EQ(result.message, "Calibrate() was not called");
 }
 
-TEST(CalibrationResult, OnlyOkAndWeakAreUsable) {
-  CalibrationResult result;
+TEST(Calibration, OnlyOkAndWeakAreUsable) {
+  Calibration result;
   for (const Status status : {Status::kNotRun, Status::kOk, Status::kWeak, Status::kDegenerate}) {
     result.status = status;
     EXPECT_EQ(result.IsUsable(), status == Status::kOk || status == Status::kWeak);
@@ -115,7 +115,7 @@ TEST(Calibrate, RecoversTheTruthFromSwingsAndFromFullTurns) {
     for (uint32_t seed = 1; seed <= 3; ++seed) {
       SCOPED_TRACE(std::string(Name(motion)) + ", seed " + std::to_string(seed));
       const SimulatorOptions truth = Recording(motion, 12.0, seed);
-      const CalibrationResult result = ExpectCalibrates(GpOptions(), Simulate(truth), truth);
+      const Calibration result = ExpectCalibrates(GpOptions(), Simulate(truth), truth);
       EXPECT_NEAR(result.noise.position, truth.position_std, 0.1 * truth.position_std);
       EXPECT_NEAR(result.noise.rotation, truth.rotation_std, 0.1 * truth.rotation_std);
       EXPECT_NEAR(result.noise.gyro, truth.gyro_std, 0.4 * truth.gyro_std);
@@ -133,7 +133,7 @@ TEST(Calibrate, RecoversTheTruthAtEveryPoseNoise) {
       SCOPED_TRACE(std::to_string(noises[i]) + ", seed " + std::to_string(seed));
       SimulatorOptions truth = Recording(Motion::kHandheld, 12.0, seed);
       truth.position_std = truth.rotation_std = noises[i];
-      const CalibrationResult result = Calibrate(GpOptions(), Simulate(truth));
+      const Calibration result = Calibrate(GpOptions(), Simulate(truth));
       EXPECT_TRUE(result.IsUsable()) << result.message;
       const Vector8d e = Error(result, truth), sigma = Sigma(result);
       EXPECT_LT(e.head<3>().norm(), largest_errors[i]);
@@ -152,7 +152,7 @@ TEST(Calibrate, ReportsSigmasThatMatchTheErrorsWhenPosesAreGood) {
   for (uint32_t seed = 1; seed <= recordings; ++seed) {
     SimulatorOptions truth = Recording(Motion::kHandheld, 12.0, seed);
     truth.position_std = truth.rotation_std = 1e-4;
-    const CalibrationResult result = Calibrate(GpOptions(), Simulate(truth));
+    const Calibration result = Calibrate(GpOptions(), Simulate(truth));
     const Vector8d z = Error(result, truth).cwiseQuotient(Sigma(result));
     EXPECT_LT(z.cwiseAbs().maxCoeff(), 4.5) << "seed " << seed;
     mean_square += z.squaredNorm() / (8.0 * recordings);
@@ -166,7 +166,7 @@ TEST(Calibrate, TakesStreamsOfDifferentRates) {
   truth.pose_rate_hz = 300.0;
   truth.gyro_rate_hz = 400.0;
   truth.accel_rate_hz = 250.0;
-  const CalibrationResult result = ExpectCalibrates(GpOptions(), Simulate(truth), truth);
+  const Calibration result = ExpectCalibrates(GpOptions(), Simulate(truth), truth);
   EXPECT_NEAR(result.poses.rate_hz, 300.0, 0.1);
   EXPECT_NEAR(result.gyro.rate_hz, 400.0, 0.1);
   EXPECT_NEAR(result.accel.rate_hz, 250.0, 0.1);
@@ -183,7 +183,7 @@ TEST(Calibrate, TakesClocksThatAreTwelveDaysApart) {
   for (const double sign : {-1.0, 1.0}) {
     SimulatorOptions truth = Recording(Motion::kHandheld, 10.0, 8);
     truth.time_shift_s = sign * (12.0 * 86400.0 + 0.0123456);
-    const CalibrationResult result = ExpectCalibrates(GpOptions(), Simulate(truth), truth);
+    const Calibration result = ExpectCalibrates(GpOptions(), Simulate(truth), truth);
     EXPECT_LT(result.time_shift_std, 1e-3);
   }
 }
@@ -194,7 +194,7 @@ TEST(Calibrate, KeepsAFixedAccelDelay) {
   CalibrationOptions options = GpOptions();
   options.estimate_accel_delay = false;
   options.accel_delay = -0.0123;
-  const CalibrationResult result = ExpectCalibrates(options, Simulate(truth), truth);
+  const Calibration result = ExpectCalibrates(options, Simulate(truth), truth);
   EXPECT_EQ(result.accel_delay, -0.0123);
   EXPECT_EQ(result.accel_delay_std, 0.0);
 }
@@ -202,12 +202,12 @@ TEST(Calibrate, KeepsAFixedAccelDelay) {
 TEST(Calibrate, EndsAtTheSameResultFromInitialValues) {
   const SimulatorOptions truth = Recording(Motion::kHandheld, 10.0, 10);
   const CalibrationData data = Simulate(truth);
-  const CalibrationResult plain = ExpectCalibrates(GpOptions(), data, truth);
+  const Calibration plain = ExpectCalibrates(GpOptions(), data, truth);
   CalibrationOptions options = GpOptions();
   options.initial_time_shift = truth.time_shift_s + 0.3;
   options.initial_rotation = truth.T_MI.q * Exp(Vector3d(0.1, -0.1, 0.05));
   options.initial_translation = truth.T_MI.p + Vector3d(0.02, 0.01, -0.03);
-  const CalibrationResult result = ExpectCalibrates(options, data, truth);
+  const Calibration result = ExpectCalibrates(options, data, truth);
   // The start enters the weights through the lever arm: same result, not same digits.
   const Vector8d difference = Error(result, truth) - Error(plain, truth);
   EXPECT_LT(difference.cwiseQuotient(Sigma(plain)).cwiseAbs().maxCoeff(), 0.2);
@@ -215,7 +215,7 @@ TEST(Calibrate, EndsAtTheSameResultFromInitialValues) {
 
 TEST(Calibrate, IsAFunctionOfItsInput) {
   const CalibrationData data = Simulate(Recording(Motion::kHandheld, 8.0, 11));
-  const CalibrationResult a = Calibrate(GpOptions(), data), b = Calibrate(GpOptions(), data);
+  const Calibration a = Calibrate(GpOptions(), data), b = Calibrate(GpOptions(), data);
   EXPECT_EQ(a.T_MI.Matrix(), b.T_MI.Matrix());
   EXPECT_EQ(a.time_shift, b.time_shift);
   EXPECT_EQ(a.covariance, b.covariance);
@@ -225,21 +225,20 @@ TEST(Calibrate, DoesNotDependOnTheChoiceOfTheWorldFrame) {
   // A world that is turned and moved turns g_W and changes nothing else.
   const SimulatorOptions truth = Recording(Motion::kHandheld, 8.0, 12);
   CalibrationData data = Simulate(truth);
-  const CalibrationResult plain = Calibrate(GpOptions(), data);
+  const Calibration plain = Calibrate(GpOptions(), data);
   const Quaterniond q_VW = Exp(Vector3d(0.7, -1.1, 0.4));
   for (PoseSample& pose : data.poses) {
     pose.q_WM = q_VW * pose.q_WM;
     pose.p_WM = q_VW * pose.p_WM + Vector3d(100.0, -50.0, 3.0);
   }
-  const CalibrationResult turned = Calibrate(GpOptions(), data);
+  const Calibration turned = Calibrate(GpOptions(), data);
   const Vector8d difference = Error(turned, truth) - Error(plain, truth);
   EXPECT_LT(difference.cwiseQuotient(Sigma(plain)).cwiseAbs().maxCoeff(), 0.05);
   EXPECT_LT((turned.g_W - q_VW * plain.g_W).norm(), 1e-3);
 }
 
 TEST(Calibrate, NamesTheTurnThatAPlanarMotionLacks) {
-  const CalibrationResult result =
-      Calibrate(GpOptions(), Simulate(Recording(Motion::kPlanar, 12.0, 13)));
+  const Calibration result = Calibrate(GpOptions(), Simulate(Recording(Motion::kPlanar, 12.0, 13)));
   EXPECT_EQ(result.status, Status::kDegenerate);
   EXPECT_FALSE(result.IsUsable());
   ASSERT_FALSE(result.unobservable.empty());
@@ -249,8 +248,7 @@ TEST(Calibrate, NamesTheTurnThatAPlanarMotionLacks) {
 }
 
 TEST(Calibrate, NamesTheTurnThatAHingeLacks) {
-  const CalibrationResult result =
-      Calibrate(GpOptions(), Simulate(Recording(Motion::kHinge, 12.0, 14)));
+  const Calibration result = Calibrate(GpOptions(), Simulate(Recording(Motion::kHinge, 12.0, 14)));
   EXPECT_EQ(result.status, Status::kDegenerate);
   ASSERT_FALSE(result.unobservable.empty());
   EXPECT_TRUE(Contains(result.unobservable[0], "p_MI along marker x"));
@@ -258,8 +256,7 @@ TEST(Calibrate, NamesTheTurnThatAHingeLacks) {
 }
 
 TEST(Calibrate, AsksForTurnsWhenTheMarkerRests) {
-  const CalibrationResult result =
-      Calibrate(GpOptions(), Simulate(Recording(Motion::kStatic, 12.0, 15)));
+  const Calibration result = Calibrate(GpOptions(), Simulate(Recording(Motion::kStatic, 12.0, 15)));
   EXPECT_EQ(result.status, Status::kDegenerate);
   EXPECT_FALSE(result.IsUsable());
   ASSERT_FALSE(result.unobservable.empty());
@@ -281,7 +278,7 @@ TEST(Calibrate, TakesGapsFrozenPosesAndOutliers) {
     data.poses[i].q_WM = data.poses[300].q_WM;
   }
   data.poses.erase(data.poses.begin() + 600, data.poses.begin() + 650);
-  const CalibrationResult result = ExpectCalibrates(GpOptions(), data, truth, 3e-3);
+  const Calibration result = ExpectCalibrates(GpOptions(), data, truth, 3e-3);
   EXPECT_EQ(result.gaps, 1u);
   EXPECT_EQ(result.segments, 2u);
   EXPECT_EQ(result.poses.repeated_value, 3u);

@@ -7,7 +7,7 @@
 
 #include <Eigen/Geometry>
 
-#include "imu_pose_calib/ros/result_msg.h"
+#include "imu_pose_calib/CalibrationResult.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -46,9 +46,9 @@ void ExpectTruth(const geometry_msgs::Transform& transform) {
 }
 
 TEST(CalibrateLaunch, PublishesTheResult) {
-  const auto result = Receive<CalibrationResultMsg>("/imu_pose_calib/result");
+  const auto result = Receive<CalibrationResult>("/imu_pose_calib/result");
   ASSERT_TRUE(result);
-  EXPECT_EQ(result->status, CalibrationResultMsg::STATUS_OK) << result->message;
+  EXPECT_EQ(result->status, CalibrationResult::STATUS_OK) << result->message;
   EXPECT_EQ(result->header.frame_id, "rig");
   EXPECT_EQ(result->child_frame_id, "imu");
   ExpectTruth(result->transform);
@@ -70,7 +70,7 @@ TEST(CalibrateLaunch, PublishesTheStaticTransform) {
 
 /// The file is there before the result is published.
 TEST(CalibrateLaunch, WritesTheResultFile) {
-  const auto result = Receive<CalibrationResultMsg>("/imu_pose_calib/result");
+  const auto result = Receive<CalibrationResult>("/imu_pose_calib/result");
   ASSERT_TRUE(result);
   const YAML::Node yaml = YAML::LoadFile(Param("output"));
   EXPECT_EQ(yaml["imu_pose_calib"]["status"].as<std::string>(), result->status_text);

@@ -79,7 +79,7 @@ class ResultMessages : public ::testing::Test {
     result_.warnings = {"slow"};
   }
 
-  CalibrationResult result_;
+  Calibration result_;
   RecordingInfo info_;
 };
 
@@ -98,7 +98,7 @@ TEST_F(ResultMessages, ResultKeepsEveryField) {
   EXPECT_EQ(msg.header.stamp, ros::Time(7, 8));
   EXPECT_EQ(msg.header.frame_id, "rig");
   EXPECT_EQ(msg.child_frame_id, "imu_link");
-  EXPECT_EQ(msg.status, CalibrationResultMsg::STATUS_WEAK);
+  EXPECT_EQ(msg.status, CalibrationResult::STATUS_WEAK);
   EXPECT_EQ(msg.status_text, "weak");
   EXPECT_EQ(msg.method, "gp");
   EXPECT_EQ(msg.message, "why");
@@ -121,9 +121,9 @@ TEST_F(ResultMessages, EveryStatusHasACode) {
     result_.status = status;
     return ToMsg(result_, info_, ros::Time()).status;
   };
-  EXPECT_EQ(code(Status::kNotRun), CalibrationResultMsg::STATUS_NOT_RUN);
-  EXPECT_EQ(code(Status::kOk), CalibrationResultMsg::STATUS_OK);
-  EXPECT_EQ(code(Status::kDegenerate), CalibrationResultMsg::STATUS_DEGENERATE);
+  EXPECT_EQ(code(Status::kNotRun), CalibrationResult::STATUS_NOT_RUN);
+  EXPECT_EQ(code(Status::kOk), CalibrationResult::STATUS_OK);
+  EXPECT_EQ(code(Status::kDegenerate), CalibrationResult::STATUS_DEGENERATE);
 }
 
 }  // namespace

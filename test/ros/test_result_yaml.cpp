@@ -7,8 +7,8 @@
 namespace imu_pose_calib {
 namespace {
 
-CalibrationResult MakeResult() {
-  CalibrationResult result;
+Calibration MakeResult() {
+  Calibration result;
   result.status = Status::kOk;
   result.method = Method::kGp;
   result.message = "fine: \"really\"";
@@ -74,7 +74,7 @@ TEST(ResultYaml, HoldsHeadAndFrames) {
 }
 
 TEST(ResultYaml, HoldsTransformExactly) {
-  const CalibrationResult result = MakeResult();
+  const Calibration result = MakeResult();
   const YAML::Node transform = Parsed()["transform"];
   EXPECT_EQ(transform["translation"].as<Doubles>(), Doubles({1.0 / 3.0, -0.2, 3e-8}));
   EXPECT_EQ(transform["rotation"].as<Doubles>(), Doubles({-0.5, 0.5, 0.5, 0.5}));
@@ -98,7 +98,7 @@ TEST(ResultYaml, InverseUndoesTransform) {
 }
 
 TEST(ResultYaml, HoldsClocksGravityAndBiases) {
-  const CalibrationResult result = MakeResult();
+  const Calibration result = MakeResult();
   const YAML::Node yaml = Parsed();
   EXPECT_EQ(yaml["time_shift"].as<double>(), result.time_shift);
   EXPECT_EQ(yaml["time_shift_std"].as<double>(), 1e-5);

@@ -4,8 +4,8 @@
 namespace imu_pose_calib {
 namespace {
 
-CalibrationResult MakeResult() {
-  CalibrationResult result;
+Calibration MakeResult() {
+  Calibration result;
   result.status = Status::kWeak;
   result.message =
       "the sigma of p_MI along z exceeds its bound of 10 mm, so use the result with care";
@@ -87,7 +87,7 @@ TEST(Summary, OffersNoTfBetweenEqualNames) {
 }
 
 TEST(Summary, ShowsNoNumbersThatAreNoResult) {
-  CalibrationResult result = MakeResult();
+  Calibration result = MakeResult();
   result.status = Status::kDegenerate;
   result.unobservable = {"p_MI along marker z"};
   const std::string text = Summary(result, MakeInfo());

@@ -40,7 +40,7 @@ enum class Status {
 };
 
 /// Result of Calibrate(). Only kOk and kWeak are results.
-struct CalibrationResult {
+struct Calibration {
   Status status = Status::kNotRun;
   /// One sentence for people: the verdict and its reason.
   std::string message = "Calibrate() was not called";
@@ -87,7 +87,7 @@ struct CalibrationResult {
 /// Throws InputError for options out of range and DataError for data that cannot be used (too few
 /// samples, wrong units, no overlap, no motion). A motion that leaves part of the calibration
 /// undetermined gives status kDegenerate.
-CalibrationResult Calibrate(const CalibrationOptions& options, const CalibrationData& data);
+Calibration Calibrate(const CalibrationOptions& options, const CalibrationData& data);
 
 /// "ok", "weak", "degenerate", "not run".
 const char* ToString(Status status);

@@ -23,11 +23,11 @@ std::string DescribeAxis(const Eigen::Vector3d& axis_M);
 
 /// Without turns about two axes no solve can tell the lever arm or the rotation: sets status
 /// kDegenerate, message and the directions in words. False when the motion suffices.
-bool IsMotionDegenerate(const TurnExcitation& turns, CalibrationResult* result);
+bool IsMotionDegenerate(const TurnExcitation& turns, Calibration* result);
 
 /// Stage S5: fills covariance, sigmas, unobservable directions, status and message.
 void GradeResult(const CalibrationOptions& options,
                  const CalibrationCovariance& covariance,
-                 CalibrationResult* result);
+                 Calibration* result);
 
 }  // namespace imu_pose_calib

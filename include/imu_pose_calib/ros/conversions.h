@@ -8,10 +8,10 @@
 
 #include <string>
 
+#include "imu_pose_calib/CalibrationResult.h"
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/types.h"
 #include "imu_pose_calib/ros/recording.h"
-#include "imu_pose_calib/ros/result_msg.h"
 
 namespace imu_pose_calib {
 
@@ -29,11 +29,11 @@ ImuSample ToAccelSample(const sensor_msgs::Imu& msg);  ///< [m/s^2]
 std::string FrameName(const std::string& frame, const std::string& fallback);
 
 /// T_marker_imu as a tf: parent marker, child imu.
-geometry_msgs::TransformStamped ToTransformStamped(const CalibrationResult& result,
+geometry_msgs::TransformStamped ToTransformStamped(const Calibration& result,
                                                    const RecordingInfo& info,
                                                    const ros::Time& stamp);
-CalibrationResultMsg ToMsg(const CalibrationResult& result,
-                           const RecordingInfo& info,
-                           const ros::Time& stamp);
+CalibrationResult ToMsg(const Calibration& result,
+                        const RecordingInfo& info,
+                        const ros::Time& stamp);
 
 }  // namespace imu_pose_calib

@@ -20,7 +20,7 @@ struct OfflineRequest {
 
 /// A usable calibration and what to do with it.
 struct OfflineResult {
-  CalibrationResult result;
+  Calibration result;
   RecordingInfo info;
   std::string output;  ///< path of the result file, not written yet
   std::string yaml;    ///< its text

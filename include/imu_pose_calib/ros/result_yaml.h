@@ -16,7 +16,7 @@ extern const char kResultHeader[];
 
 /// Result file: T_marker_imu and its inverse, clocks, biases, noise, quality and the data used. A
 /// comment at the top states the equations of transform and clocks.
-std::string ToYaml(const CalibrationResult& result,
+std::string ToYaml(const Calibration& result,
                    const RecordingInfo& info,
                    const CalibrationOptions& options);
 

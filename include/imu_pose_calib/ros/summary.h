@@ -10,6 +10,6 @@ namespace imu_pose_calib {
 /// The result as a person reads it in a terminal, at most 80 columns wide (names excepted):
 /// verdict, data, T_marker_imu and its inverse, clocks, biases, residuals and warnings, each number
 /// with its unit, each equation with its direction; last a command that publishes the transform.
-std::string Summary(const CalibrationResult& result, const RecordingInfo& info);
+std::string Summary(const Calibration& result, const RecordingInfo& info);
 
 }  // namespace imu_pose_calib
