@@ -20,7 +20,7 @@ constexpr int kMinPasses = 3;            // of the joint solve: plain, robust, s
 constexpr int kMaxPasses = 6;
 constexpr double kRoughTolerance = 1e-3;  // while noise and weights still change
 constexpr double kJointTolerance = 1e-6;
-constexpr double kGpTolerance = 1e-9;
+constexpr double kGpTolerance = 1e-8;
 
 constexpr double kExcerpt = 8.0;            // [s] on which the knot spacing is chosen
 constexpr double kCoarsestKnots = 0.12;     // [s]
@@ -89,15 +89,15 @@ Solution SolveAgainstTrajectory(const CalibrationOptions& options,
                                 Estimate* estimate) {
   using Sensors = GpProblem::Sensors;
   NoiseStd noise = InitialNoise(options, trajectory, data);
-  const auto solve = [&](Sensors sensors) {
+  const auto solve = [&](Sensors sensors, double tolerance) {
     auto problem = std::make_unique<GpProblem>(options, trajectory, data, sensors, noise, estimate);
-    problem->Solve(kGpTolerance);
+    problem->Solve(tolerance);
     noise = problem->Statistics().noise;
     return problem;
   };
-  solve(Sensors::kGyro);
-  solve(Sensors::kGyroAndAccel);
-  const auto problem = solve(Sensors::kGyroAndAccel);
+  solve(Sensors::kGyro, kRoughTolerance);
+  solve(Sensors::kGyroAndAccel, kRoughTolerance);
+  const auto problem = solve(Sensors::kGyroAndAccel, kGpTolerance);
   return {problem->Statistics(), problem->Covariance()};
 }
 

@@ -14,9 +14,10 @@ namespace {
 constexpr double kSpacing = 0.4;  // [length scales] between bumps: kernel error 2 exp(-31)
 constexpr int kHalfSupport = 15;
 constexpr int kSupport =
-    2 * kHalfSupport;             // bumps that reach one instant: the others are below 3e-14
-constexpr double kCore = 16.0;    // [length scales]
-constexpr double kMargin = 20.0;  // [length scales]
+    2 * kHalfSupport;  // bumps that reach one instant: the others are below 3e-14
+constexpr int kGroup = 32;
+constexpr double kCore = 32.0;             // [length scales]
+constexpr double kMargin = 20.0;           // [length scales]
 constexpr double kMaxSignalToNoise = 1e5;  // keeps the normal equations well conditioned
 
 /// Uniform grid of Gaussian bumps exp(-(t - u_j)^2 / l^2), u_j = first + j spacing.
@@ -30,11 +31,13 @@ struct BumpGrid {
         spacing(kSpacing * lengthscale_s),
         first(begin - kHalfSupport * spacing),
         size(static_cast<int>(std::floor((end - begin) / spacing)) + kSupport + 1) {}
-  BumpGrid(double first_center, int count, double lengthscale_s)
+  /// The part of such a grid that starts at `first_center` and has a row of `weights` for each
+  /// bump.
+  BumpGrid(double first_center, const Eigen::MatrixXd& weights, double lengthscale_s)
       : lengthscale(lengthscale_s),
         spacing(kSpacing * lengthscale_s),
         first(first_center),
-        size(count) {}
+        size(static_cast<int>(weights.rows())) {}
 
   /// First of the kSupport bumps around t.
   int FirstBump(double t) const {
@@ -101,11 +104,17 @@ WeightPosterior FitWeights(const GpData& data,
                            const GpHyperparameters& h) {
   Eigen::MatrixXd A = Eigen::MatrixXd::Zero(grid.size, grid.size);
   Eigen::MatrixXd b = Eigen::MatrixXd::Zero(grid.size, data.y.cols());
-  for (Eigen::Index i = begin; i < end; ++i) {
+  // Neighbours share their bumps: one product for each group of them.
+  Eigen::Matrix<double, kSupport, kGroup> F;
+  for (Eigen::Index i = begin; i < end;) {
     const int j = grid.FirstBump(data.t[i]);
-    const Eigen::Matrix<double, kSupport, 1> f = BumpValues(grid, j, data.t[i]).value;
-    A.block<kSupport, kSupport>(j, j).noalias() += f * f.transpose();
-    b.middleRows<kSupport>(j).noalias() += f * data.y.row(i);
+    Eigen::Index count = 0;
+    for (; i + count < end && count < kGroup && grid.FirstBump(data.t[i + count]) == j; ++count)
+      F.col(count) = BumpValues(grid, j, data.t[i + count]).value;
+    const auto group = F.leftCols(count);
+    A.block<kSupport, kSupport>(j, j).noalias() += group * group.transpose();
+    b.middleRows<kSupport>(j).noalias() += group * data.y.middleRows(i, count);
+    i += count;
   }
   const double weight_std = WeightStd(h);
   A *= std::pow(weight_std / h.noise_std, 2);
@@ -157,22 +166,28 @@ const WindowedGp::Window& WindowedGp::At(double t) const {
 
 WindowedGp::Derivatives WindowedGp::Evaluate(double t) const {
   const Window& window = At(t);
-  const BumpGrid grid(
-      window.first_center, static_cast<int>(window.weights.rows()), hyperparameters_.lengthscale_s);
+  const BumpGrid grid(window.first_center, window.weights, hyperparameters_.lengthscale_s);
   const int j = grid.FirstBump(t);
   return window.weights.middleRows<kSupport>(j).transpose().lazyProduct(Bumps(grid, j, t));
 }
 
 Eigen::Vector3d WindowedGp::Variance(double t) const {
   const Window& window = At(t);
-  const BumpGrid grid(
-      window.first_center, static_cast<int>(window.weights.rows()), hyperparameters_.lengthscale_s);
+  const BumpGrid grid(window.first_center, window.weights, hyperparameters_.lengthscale_s);
   const int j = grid.FirstBump(t);
   const BumpDerivatives B = Bumps(grid, j, t);
   const auto C = window.covariance.block<kSupport, kSupport>(j, j);
   Eigen::Vector3d variance;
   for (int k = 0; k < 3; ++k) variance[k] = B.col(k).dot(C.lazyProduct(B.col(k)));
   return variance;
+}
+
+double WindowedGp::ValueVariance(double t) const {
+  const Window& window = At(t);
+  const BumpGrid grid(window.first_center, window.weights, hyperparameters_.lengthscale_s);
+  const int j = grid.FirstBump(t);
+  const Eigen::Matrix<double, kSupport, 1> b = BumpValues(grid, j, t).value;
+  return b.dot(window.covariance.block<kSupport, kSupport>(j, j).lazyProduct(b));
 }
 
 double LogMarginalLikelihood(const GpData& data,

@@ -11,8 +11,11 @@ namespace {
 constexpr double kMedianOfChi3 = 1.5382;  // median norm of a standard normal 3-vector
 constexpr int kLikelihoodChunks = 16;
 constexpr size_t kChunkPoses = 250;
-constexpr int kMaxRounds = 20;
-constexpr int kRefitRounds = 3;
+constexpr int kMaxRounds = 12;
+constexpr int kMaxRefits = 3;
+constexpr int kSpikeRounds = 3;
+constexpr double kSpikeThreshold = 2.0;  // times the outlier threshold
+constexpr double kSpikeRadius = 10.5;    // poses on either side
 
 GpHyperparameters Scaled(const GpHyperparameters& h, double factor) {
   return {h.lengthscale_s, factor * h.signal_std, factor * h.noise_std};
@@ -177,6 +180,35 @@ void RemovePoses(const std::vector<size_t>& indices, ConditionedData* data) {
   data->pose_report.used = data->poses.size();
 }
 
+/// Distance of each pose from the middle of its neighbours: (position [m], rotation [rad]).
+std::vector<Eigen::Vector2d> DistanceFromNeighbours(const std::vector<TimedPose>& poses,
+                                                    const std::vector<IndexRange>& segments) {
+  std::vector<Eigen::Vector2d> distances(poses.size(), Eigen::Vector2d::Zero());
+  for (const IndexRange& segment : segments) {
+    for (size_t i = segment.begin + 1; i + 1 < segment.end; ++i) {
+      const double u = (poses[i].t - poses[i - 1].t) / (poses[i + 1].t - poses[i - 1].t);
+      const Eigen::Vector3d p = (1.0 - u) * poses[i - 1].p_WM + u * poses[i + 1].p_WM;
+      const Eigen::Quaterniond q = poses[i - 1].q_WM.slerp(u, poses[i + 1].q_WM);
+      distances[i] << (poses[i].p_WM - p).norm(), poses[i].q_WM.angularDistance(q);
+    }
+  }
+  return distances;
+}
+
+/// Removes single poses far off their neighbours before a likelihood sees them: they would make it
+/// believe in noise, or in motion at the rate of the samples, and cost it a long search.
+void RemoveSpikes(double threshold, ConditionedData* data) {
+  for (int round = 0; round < kSpikeRounds; ++round) {
+    const std::vector<size_t> spikes =
+        FindOutliers(DistanceFromNeighbours(data->poses, data->segments),
+                     data->poses,
+                     kSpikeThreshold * threshold,
+                     kSpikeRadius / data->pose_report.rate_hz);
+    if (spikes.empty()) return;
+    RemovePoses(spikes, data);
+  }
+}
+
 }  // namespace
 
 PoseTrajectory::PoseTrajectory(const std::vector<TimedPose>& poses,
@@ -241,18 +273,21 @@ PoseTrajectory::Pose PoseTrajectory::PoseAt(double t) const {
   const Eigen::Vector4d q = segment->quaternion.Evaluate(t).col(0);
   return {Eigen::Quaterniond(q).normalized(),
           origin_W_ + Eigen::Vector3d(segment->position.Evaluate(t).col(0)),
-          segment->position.Variance(t)[0],
-          4.0 * segment->quaternion.Variance(t)[0]};
+          segment->position.ValueVariance(t),
+          4.0 * segment->quaternion.ValueVariance(t)};
 }
 
 PoseTrajectory FitTrajectory(const CalibrationOptions& options, ConditionedData* data) {
+  RemoveSpikes(options.outlier_threshold, data);
   GpHyperparameters position, rotation;
   bool refit = true;
+  int refits = 0;
   bool stale = false;  // poses left since the hyperparameters were fitted
-  for (int round = 0;; ++round) {
+  for (int round = 1;; ++round) {
     if (refit) {
       position = FitPosition(options, *data);
       rotation = FitRotation(options, *data);
+      ++refits;
       stale = false;
     }
     PoseTrajectory trajectory(data->poses, data->segments, position, rotation);
@@ -261,11 +296,11 @@ PoseTrajectory FitTrajectory(const CalibrationOptions& options, ConditionedData*
                      data->poses,
                      options.outlier_threshold,
                      std::min(position.lengthscale_s, rotation.lengthscale_s));
-    if (round == kMaxRounds || (outliers.empty() && !stale)) return trajectory;
+    const bool may_refit = refits < kMaxRefits;
+    if (round == kMaxRounds || (outliers.empty() && !(stale && may_refit))) return trajectory;
     // Gross outliers inflate the likelihood's noise: ask again when none is left, or while they are
     // so many that they hide each other.
-    refit =
-        outliers.empty() || (round < kRefitRounds && outliers.size() > data->poses.size() / 1000);
+    refit = may_refit && (outliers.empty() || outliers.size() > data->poses.size() / 1000);
     stale = stale || !outliers.empty();
     RemovePoses(outliers, data);
   }

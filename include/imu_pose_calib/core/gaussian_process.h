@@ -35,6 +35,7 @@ class WindowedGp {
 
   double begin() const { return begin_; }  ///< first measurement [s]
   double end() const { return end_; }      ///< last measurement [s]
+  double core() const { return core_; }    ///< length of a window's core [s]
 
   /// Posterior mean at t and its first three derivatives (paper Eqs. 3 and 6). Outside of
   /// [begin, end] it tends to the prior mean, zero.
@@ -43,6 +44,8 @@ class WindowedGp {
   /// Posterior variance of the value and of the first and second derivative, the same for each
   /// output (paper Eqs. 4 and 7).
   Eigen::Vector3d Variance(double t) const;
+  /// Variance(t)[0] alone, at a third of the cost.
+  double ValueVariance(double t) const;
 
  private:
   struct Window {
