@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <future>
 
 #include "imu_pose_calib/core/so3.h"
 
@@ -217,8 +218,11 @@ PoseTrajectory::PoseTrajectory(const std::vector<TimedPose>& poses,
                                const GpHyperparameters& rotation)
     : position_(position), rotation_(rotation), origin_W_(MeanPosition(poses)) {
   for (const IndexRange& range : segments) {
-    segments_.push_back({WindowedGp(PositionData(poses, range, origin_W_), position_),
-                         WindowedGp(QuaternionData(poses, range), Scaled(rotation_, 0.5))});
+    auto position_gp = std::async(std::launch::async, [&] {
+      return WindowedGp(PositionData(poses, range, origin_W_), position_);
+    });
+    WindowedGp quaternion_gp(QuaternionData(poses, range), Scaled(rotation_, 0.5));
+    segments_.push_back({position_gp.get(), std::move(quaternion_gp)});
   }
 }
 
@@ -285,8 +289,10 @@ PoseTrajectory FitTrajectory(const CalibrationOptions& options, ConditionedData*
   bool stale = false;  // poses left since the hyperparameters were fitted
   for (int round = 1;; ++round) {
     if (refit) {
-      position = FitPosition(options, *data);
+      auto fit_position =
+          std::async(std::launch::async, [&] { return FitPosition(options, *data); });
       rotation = FitRotation(options, *data);
+      position = fit_position.get();
       ++refits;
       stale = false;
     }
