@@ -354,7 +354,7 @@ TEST(Condition, RefusesAStreamWithNothingUsableWhateverTheBound) {
   for (PoseSample& pose : data.poses) pose.p_WM.x() = kNaN;
   CalibrationOptions options;
   options.max_bad_fraction = 1.0;
-  EXPECT_TRUE(Contains(Refusal(data, options), "pose: 0 of 1000 samples are usable"));
+  EXPECT_TRUE(Contains(Refusal(data, options), "none of the 1000 pose samples is usable"));
 }
 
 }  // namespace
