@@ -9,6 +9,7 @@
 
 #include "imu_pose_calib/core/covariance.h"
 #include "imu_pose_calib/core/manifolds.h"
+#include "imu_pose_calib/core/median.h"
 #include "imu_pose_calib/core/residuals.h"
 
 namespace imu_pose_calib {
@@ -18,17 +19,22 @@ constexpr double kMadToSigma = 1.4826;
 /// Samples closer than this to the end of a segment are left out, so that the time shift can move.
 constexpr double kEdge = 0.02;  // [s]
 
-double Median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
-
 int Threads(int wanted) {
   return wanted > 0 ? wanted : std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
 }
 
 }  // namespace
+
+NoiseStd InitialNoise(const CalibrationOptions& options,
+                      const PoseTrajectory& trajectory,
+                      const ConditionedData& data) {
+  NoiseStd noise;
+  noise.position = trajectory.position_hyperparameters().noise_std;
+  noise.rotation = trajectory.rotation_hyperparameters().noise_std;
+  noise.gyro = options.gyro_noise_density * std::sqrt(data.gyro_report.rate_hz);
+  noise.accel = options.accel_noise_density * std::sqrt(data.accel_report.rate_hz);
+  return noise;
+}
 
 CalibrationProblem::CalibrationProblem(const CalibrationOptions& options,
                                        const PoseTrajectory& trajectory,

@@ -4,6 +4,9 @@
 #include <cmath>
 #include <sstream>
 #include <string>
+#include <utility>
+
+#include "imu_pose_calib/core/median.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -111,9 +114,7 @@ void Summarise(const std::vector<Timed>& samples, StreamReport* report) {
   if (samples.size() < 2) return;
   std::vector<double> periods;
   for (size_t i = 1; i < samples.size(); ++i) periods.push_back(samples[i].t - samples[i - 1].t);
-  const auto middle = periods.begin() + static_cast<ptrdiff_t>(periods.size() / 2);
-  std::nth_element(periods.begin(), middle, periods.end());
-  report->rate_hz = 1.0 / *middle;
+  report->rate_hz = 1.0 / Median(std::move(periods));
   report->duration_s = samples.back().t - samples.front().t;
 }
 
@@ -190,9 +191,7 @@ void SplitAtGaps(const CalibrationOptions& options, ConditionedData* data) {
 void CheckAccelerometerUnit(const std::vector<TimedSample>& accel, double gravity) {
   std::vector<double> norms;
   for (const TimedSample& s : accel) norms.push_back(s.value.norm());
-  const auto middle = norms.begin() + static_cast<ptrdiff_t>(norms.size() / 2);
-  std::nth_element(norms.begin(), middle, norms.end());
-  const double median = *middle;
+  const double median = Median(std::move(norms));
   if (median > kMinForce * gravity && median < kMaxForce * gravity) return;
   std::string hint = "expected m/s^2 with gravity included";
   if (median < kMinForce * gravity)

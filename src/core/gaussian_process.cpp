@@ -8,6 +8,8 @@
 #include <cmath>
 #include <limits>
 
+#include "imu_pose_calib/core/median.h"
+
 namespace imu_pose_calib {
 namespace {
 
@@ -287,12 +289,6 @@ class MarginalLikelihoodCost : public ceres::FirstOrderFunction {
   const Eigen::Vector3d low_, high_;
   double count_ = 0.0;
 };
-
-double Median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 /// Moments of the data from which the search starts.
 struct Moments {

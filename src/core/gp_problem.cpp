@@ -3,6 +3,7 @@
 #include <ceres/loss_function.h>
 
 #include <cmath>
+#include <memory>
 
 #include "imu_pose_calib/core/residuals.h"
 
@@ -11,6 +12,7 @@ namespace {
 
 /// The trajectory's errors stay about the same for this many length scales.
 constexpr double kCorrelation = 0.5;
+constexpr double kGpTolerance = 1e-8;
 
 }  // namespace
 
@@ -96,6 +98,24 @@ void GpProblem::AddAccel() {
          variance});
   }
   if (accel_terms_.empty()) throw DataError("no accelerometer sample falls on the trajectory");
+}
+
+Solution SolveAgainstTrajectory(const CalibrationOptions& options,
+                                const PoseTrajectory& trajectory,
+                                const ConditionedData& data,
+                                Estimate* estimate) {
+  using Sensors = GpProblem::Sensors;
+  NoiseStd noise = InitialNoise(options, trajectory, data);
+  const auto solve = [&](Sensors sensors, double tolerance) {
+    auto problem = std::make_unique<GpProblem>(options, trajectory, data, sensors, noise, estimate);
+    problem->Solve(tolerance);
+    noise = problem->Statistics().noise;
+    return problem;
+  };
+  solve(Sensors::kGyro, kRoughTolerance);
+  solve(Sensors::kGyroAndAccel, kRoughTolerance);
+  const auto problem = solve(Sensors::kGyroAndAccel, kGpTolerance);
+  return {problem->Statistics(), problem->Covariance()};
 }
 
 }  // namespace imu_pose_calib

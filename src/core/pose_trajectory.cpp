@@ -4,6 +4,7 @@
 #include <cmath>
 #include <future>
 
+#include "imu_pose_calib/core/median.h"
 #include "imu_pose_calib/core/so3.h"
 
 namespace imu_pose_calib {
@@ -108,12 +109,6 @@ std::vector<Eigen::Vector2d> LeaveOneOut(const PoseTrajectory& trajectory,
                   rotation_noise2));
   }
   return normalised;
-}
-
-double Median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 /// Indices of the poses whose residual exceeds `threshold` robust sigma, of the log and of the

@@ -29,6 +29,21 @@ struct CalibrationCovariance {
   double feigned_lever_arm_information;
 };
 
+/// What comes out of a solve beside the estimate.
+struct Solution {
+  ResidualStatistics statistics;
+  CalibrationCovariance covariance;
+};
+
+/// Noise per sample to start from. Poses: as the GP's likelihood says. IMU: from the options'
+/// densities, sigma = density sqrt(rate).
+NoiseStd InitialNoise(const CalibrationOptions& options,
+                      const PoseTrajectory& trajectory,
+                      const ConditionedData& data);
+
+/// Tolerance of the passes of a solve after which noise or weights still change.
+constexpr double kRoughTolerance = 1e-3;
+
 /// Expected squared norm of the error of ([alpha]x + [omega]x [omega]x) e for a unit vector e, when
 /// alpha and omega have the given variances per axis: what a lever arm makes of their errors.
 inline double LeverArmCoefficientVariance(double alpha_variance,

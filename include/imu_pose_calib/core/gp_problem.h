@@ -25,4 +25,11 @@ class GpProblem : public CalibrationProblem {
   double SharedSamples(double rate_hz) const;
 };
 
+/// Stage S3 as a whole: rotation, gyro bias and time shift on the gyroscope; then everything on
+/// both sensors, twice: each time with the noise that the residuals before show. Moves `estimate`.
+Solution SolveAgainstTrajectory(const CalibrationOptions& options,
+                                const PoseTrajectory& trajectory,
+                                const ConditionedData& data,
+                                Estimate* estimate);
+
 }  // namespace imu_pose_calib
