@@ -1,5 +1,6 @@
 #include "imu_pose_calib/core/calibration_problem.h"
 
+#include <ceres/normal_prior.h>
 #include <ceres/solver.h>
 
 #include <algorithm>
@@ -18,6 +19,8 @@ namespace {
 constexpr double kMadToSigma = 1.4826;
 /// Samples closer than this to the end of a segment are left out, so that the time shift can move.
 constexpr double kEdge = 0.02;  // [s]
+/// Rows of the Jacobian that Covariance() holds at a time.
+constexpr size_t kPortionRows = 100000;
 
 int Threads(int wanted) {
   return wanted > 0 ? wanted : std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
@@ -43,29 +46,52 @@ CalibrationProblem::CalibrationProblem(const CalibrationOptions& options,
                                        Estimate* estimate)
     : options_(options), trajectory_(trajectory), data_(data), noise_(noise), estimate_(estimate) {}
 
-void CalibrationProblem::AddRotation() {
-  problem_.AddParameterBlock(estimate_->q_MI.coeffs().data(), 4);
-  SetUnitQuaternion(estimate_->q_MI.coeffs().data(), &problem_);
+void CalibrationProblem::Sensor::Add(ceres::ResidualBlockId block,
+                                     const std::vector<Sample>& block_samples) {
+  blocks.push_back(block);
+  block_t.push_back(block_samples.front().t);
+  samples.insert(samples.end(), block_samples.begin(), block_samples.end());
 }
 
-void CalibrationProblem::AddGravityAndDelay() {
+void CalibrationProblem::SetConstantUnless(bool estimated, double* parameters) {
+  if (!estimated) problem_.SetParameterBlockConstant(parameters);
+}
+
+void CalibrationProblem::AddGyroParameters() {
+  double* q_MI = estimate_->q_MI.coeffs().data();
+  problem_.AddParameterBlock(q_MI, 4);
+  SetUnitQuaternion(q_MI, &problem_);
+  SetConstantUnless(options_.estimate_rotation, q_MI);
+  problem_.AddParameterBlock(&estimate_->time_shift, 1);
+  SetConstantUnless(options_.estimate_time_shift, &estimate_->time_shift);
+}
+
+void CalibrationProblem::AddAccelParameters() {
+  problem_.AddParameterBlock(estimate_->p_MI.data(), 3);
+  SetConstantUnless(options_.estimate_translation, estimate_->p_MI.data());
   problem_.AddParameterBlock(estimate_->g_W.data(), 3);
   SetSphere(estimate_->g_W.data(), &problem_);
+  SetConstantUnless(options_.estimate_gravity, estimate_->g_W.data());
   problem_.AddParameterBlock(&estimate_->accel_delay, 1);
-  if (!options_.estimate_accel_delay) problem_.SetParameterBlockConstant(&estimate_->accel_delay);
+  SetConstantUnless(options_.estimate_accel_delay, &estimate_->accel_delay);
 }
 
 void CalibrationProblem::AddBiasWalk(double walk, BiasKnots* knots) {
   for (size_t k = 0; k + 1 < knots->t.size(); ++k) {
     const double sigma = walk * std::sqrt(knots->t[k + 1] - knots->t[k]);
-    walk_terms_.push_back({problem_.AddResidualBlock(BiasWalkResidual{sigma}.Create(),
-                                                     nullptr,
-                                                     knots->values[k].data(),
-                                                     knots->values[k + 1].data()),
-                           k,
-                           knots->t[k],
-                           sigma});
+    priors_.push_back(problem_.AddResidualBlock(BiasWalkResidual{sigma}.Create(),
+                                                nullptr,
+                                                knots->values[k].data(),
+                                                knots->values[k + 1].data()));
   }
+}
+
+void CalibrationProblem::AddPrior(double* parameters, int size, double sigma) {
+  priors_.push_back(problem_.AddResidualBlock(
+      new ceres::NormalPrior(Eigen::MatrixXd::Identity(size, size) / sigma,
+                             Eigen::VectorXd::Zero(size)),
+      nullptr,
+      parameters));
 }
 
 bool CalibrationProblem::IsOnTrajectory(double t_M) const {
@@ -90,26 +116,30 @@ void CalibrationProblem::Solve(double function_tolerance) {
 
 ResidualStatistics CalibrationProblem::Statistics() {
   // An estimated trajectory follows its data: residuals have fewer degrees of freedom than samples.
-  double samples = 0.0;
-  for (const auto* terms : {&position_terms_, &rotation_terms_, &gyro_terms_, &accel_terms_})
-    samples += 3.0 * static_cast<double>(terms->size());
+  double rows = 0.0;
+  for (const Sensor* sensor : {&position_, &rotation_, &gyro_, &accel_})
+    rows += 3.0 * static_cast<double>(sensor->samples.size());
   const double fitted = 3.0 * static_cast<double>(trajectory_blocks_.size());
-  const double inflation = 1.0 / std::sqrt(std::max(0.1, 1.0 - fitted / samples));
+  const double inflation = 1.0 / std::sqrt(std::max(0.1, 1.0 - fitted / rows));
 
-  const auto statistics = [&](const std::vector<Term>& terms, double* noise, double* rms) {
-    if (terms.empty()) return;
+  const auto statistics = [&](Sensor* sensor, double* noise, double* rms) {
+    if (sensor->samples.empty()) return;
     ceres::Problem::EvaluateOptions evaluate;
     evaluate.apply_loss_function = false;
-    for (const Term& term : terms) evaluate.residual_blocks.push_back(term.id);
+    evaluate.num_threads = Threads(options_.num_threads);
+    evaluate.residual_blocks = sensor->blocks;
     std::vector<double> residuals;
     problem_.Evaluate(evaluate, nullptr, &residuals, nullptr, nullptr);
     std::vector<double> magnitudes, variances;
     double sum2 = 0.0;
-    for (size_t i = 0; i < residuals.size(); ++i) {
-      const Term& term = terms[i / 3];
-      magnitudes.push_back(std::abs(residuals[i] * term.sigma));
-      variances.push_back(term.trajectory_variance);
-      sum2 += magnitudes.back() * magnitudes.back();
+    sensor->residual_norms.clear();
+    for (size_t i = 0; i < sensor->samples.size(); ++i) {
+      const Sample& sample = sensor->samples[i];
+      const Eigen::Vector3d r = sample.sigma * Eigen::Map<const Eigen::Vector3d>(&residuals[3 * i]);
+      for (const double x : r) magnitudes.push_back(std::abs(x));
+      variances.push_back(sample.trajectory_variance);
+      sensor->residual_norms.push_back(r.norm());
+      sum2 += r.squaredNorm();
     }
     const double spread2 = std::pow(inflation * kMadToSigma * Median(magnitudes), 2);
     // The trajectory's share is known only roughly: it never explains the residuals alone.
@@ -117,51 +147,87 @@ ResidualStatistics CalibrationProblem::Statistics() {
     *rms = std::sqrt(sum2 / static_cast<double>(residuals.size()));
   };
   ResidualStatistics s{noise_, {}};
-  statistics(position_terms_, &s.noise.position, &s.rms.position);
-  statistics(rotation_terms_, &s.noise.rotation, &s.rms.rotation);
-  statistics(gyro_terms_, &s.noise.gyro, &s.rms.gyro);
-  statistics(accel_terms_, &s.noise.accel, &s.rms.accel);
+  statistics(&position_, &s.noise.position, &s.rms.position);
+  statistics(&rotation_, &s.noise.rotation, &s.rms.rotation);
+  statistics(&gyro_, &s.noise.gyro, &s.rms.gyro);
+  statistics(&accel_, &s.noise.accel, &s.rms.accel);
   return s;
 }
 
 CalibrationCovariance CalibrationProblem::Covariance() {
+  struct Part {
+    double* parameters;
+    int place, size;
+  };
+  const Part parts[] = {{estimate_->p_MI.data(), kTranslation, 3},
+                        {estimate_->q_MI.coeffs().data(), kRotation, 3},
+                        {&estimate_->time_shift, kTimeShift, 1},
+                        {&estimate_->accel_delay, kAccelDelay, 1},
+                        {&estimate_->clock_drift, kClockDrift, 1},
+                        {estimate_->gyro_intrinsics.data(), kGyroIntrinsics, 6},
+                        {estimate_->accel_intrinsics.data(), kAccelIntrinsics, 9}};
+  const auto is_estimated = [this](double* parameters) {
+    return problem_.HasParameterBlock(parameters) && !problem_.IsParameterBlockConstant(parameters);
+  };
   ceres::Problem::EvaluateOptions evaluate;
-  const bool has_delay = options_.estimate_accel_delay;
-  evaluate.parameter_blocks = {
-      estimate_->p_MI.data(), estimate_->q_MI.coeffs().data(), &estimate_->time_shift};
-  if (has_delay) evaluate.parameter_blocks.push_back(&estimate_->accel_delay);
-  evaluate.parameter_blocks.push_back(estimate_->g_W.data());
+  evaluate.num_threads = Threads(options_.num_threads);
+  std::vector<int> places;  // of the leading columns
+  for (const Part& part : parts) {
+    if (!is_estimated(part.parameters)) continue;
+    evaluate.parameter_blocks.push_back(part.parameters);
+    for (int k = 0; k < part.size; ++k) places.push_back(part.place + k);
+  }
+  if (is_estimated(estimate_->g_W.data()))
+    evaluate.parameter_blocks.push_back(estimate_->g_W.data());
   for (BiasKnots* knots : {&estimate_->gyro_bias, &estimate_->accel_bias})
     for (Eigen::Vector3d& value : knots->values) evaluate.parameter_blocks.push_back(value.data());
   evaluate.parameter_blocks.insert(
       evaluate.parameter_blocks.end(), trajectory_blocks_.begin(), trajectory_blocks_.end());
 
-  std::vector<int> cluster;
+  // Leading parameters first, then all others; in portions, so that the Jacobian is never there as
+  // a whole.
+  int columns = 0;
+  for (const double* parameters : evaluate.parameter_blocks)
+    columns += TangentSize(problem_, parameters);
+  MarginalCovarianceEstimator estimator(columns, static_cast<int>(places.size()));
+  std::vector<int> cluster;  // of each row
+  const auto add_portion = [&] {
+    if (evaluate.residual_blocks.empty()) return;
+    std::vector<double> residuals;
+    ceres::CRSMatrix jacobian;
+    problem_.Evaluate(evaluate, nullptr, &residuals, nullptr, &jacobian);
+    estimator.Add(jacobian, residuals, cluster);
+    evaluate.residual_blocks.clear();
+    cluster.clear();
+  };
+  const auto add_block = [&](ceres::ResidualBlockId block, int block_cluster) {
+    const int rows = problem_.GetCostFunctionForResidualBlock(block)->num_residuals();
+    evaluate.residual_blocks.push_back(block);
+    cluster.insert(cluster.end(), static_cast<size_t>(rows), block_cluster);
+    if (cluster.size() > kPortionRows) add_portion();
+  };
   const double start = std::min(data_.gyro.front().t, data_.accel.front().t);
-  for (const auto* terms :
-       {&position_terms_, &rotation_terms_, &gyro_terms_, &accel_terms_, &walk_terms_}) {
-    for (const Term& term : *terms) {
-      evaluate.residual_blocks.push_back(term.id);
-      const double block = std::max(0.0, (term.t - start) / options_.covariance_block_s);
-      cluster.insert(cluster.end(), 3, static_cast<int>(block));
+  for (const Sensor* sensor : {&position_, &rotation_, &gyro_, &accel_}) {
+    for (size_t i = 0; i < sensor->blocks.size(); ++i) {
+      const double time = std::max(0.0, sensor->block_t[i] - start);
+      add_block(sensor->blocks[i], static_cast<int>(time / options_.covariance_block_s));
     }
   }
-  std::vector<double> residuals;
-  ceres::CRSMatrix jacobian;
-  problem_.Evaluate(evaluate, nullptr, &residuals, nullptr, &jacobian);
-  const int leading = has_delay ? 8 : 7;
-  const MarginalCovariance marginal =
-      ComputeMarginalCovariance(jacobian, residuals, cluster, leading);
+  for (ceres::ResidualBlockId prior : priors_) add_block(prior, -1);
+  add_portion();
+  const MarginalCovariance marginal = estimator.Compute();
 
   // Ceres turns q_MI on the left by twice the step: to a rotation about the imu axes.
-  Matrix8d T = Matrix8d::Identity();
-  T.block<3, 3>(3, 3) = 2.0 * estimate_->q_MI.toRotationMatrix().transpose();
-  const auto convert = [&](const Eigen::MatrixXd& C) {
-    Matrix8d full = Matrix8d::Zero();
-    full.topLeftCorner(leading, leading) = C;
-    return Matrix8d(T * full * T.transpose());
+  CalibrationMatrix T = CalibrationMatrix::Identity();
+  T.block<3, 3>(kRotation, kRotation) = 2.0 * estimate_->q_MI.toRotationMatrix().transpose();
+  const auto spread = [&](const Eigen::MatrixXd& C) {
+    CalibrationMatrix full = CalibrationMatrix::Zero();
+    for (size_t i = 0; i < places.size(); ++i)
+      for (size_t j = 0; j < places.size(); ++j)
+        full(places[i], places[j]) = C(static_cast<int>(i), static_cast<int>(j));
+    return CalibrationMatrix(T * full * T.transpose());
   };
-  return {convert(marginal.model), convert(marginal.robust), feigned_information_};
+  return {spread(marginal.model), spread(marginal.robust), FeignedLeverArmInformation()};
 }
 
 }  // namespace imu_pose_calib

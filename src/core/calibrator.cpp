@@ -110,4 +110,14 @@ const char* ToString(Method method) {
   return "gp";
 }
 
+const char* ToString(ImuModel model) {
+  switch (model) {
+    case ImuModel::kScaleMisalignment:
+      return "scale_misalignment";
+    case ImuModel::kCalibrated:
+      break;
+  }
+  return "calibrated";
+}
+
 }  // namespace imu_pose_calib

@@ -33,6 +33,7 @@ Eigen::Vector3d BiasKnots::Mean() const {
 Estimate::Estimate(const Start& start, const ConditionedData& data, double bias_knot_interval_s)
     : time_shift(start.time_shift),
       accel_delay(start.accel_delay),
+      clock_reference(0.5 * (data.gyro.front().t + data.gyro.back().t)),
       q_MI(start.q_MI),
       p_MI(start.p_MI),
       g_W(start.g_W),

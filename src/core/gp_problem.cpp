@@ -23,11 +23,11 @@ GpProblem::GpProblem(const CalibrationOptions& options,
                      const NoiseStd& noise,
                      Estimate* estimate)
     : CalibrationProblem(options, trajectory, data, noise, estimate) {
-  AddRotation();
+  AddGyroParameters();
   AddGyro();
   AddBiasWalk(options_.gyro_bias_walk, &estimate_->gyro_bias);
   if (sensors == Sensors::kGyro) return;
-  AddGravityAndDelay();
+  AddAccelParameters();
   AddAccel();
   AddBiasWalk(options_.accel_bias_walk, &estimate_->accel_bias);
 }
@@ -47,19 +47,15 @@ void GpProblem::AddGyro() {
         std::sqrt(noise_.gyro * noise_.gyro + SharedSamples(data_.gyro_report.rate_hz) * variance);
     const auto [k, u] = knots.Locate(s.t);
     const GyroResidual residual{&trajectory_, s.t, s.value, u, sigma};
-    gyro_terms_.push_back(
-        {problem_.AddResidualBlock(residual.Create(),
-                                   new ceres::CauchyLoss(options_.robust_loss_scale),
-                                   estimate_->q_MI.coeffs().data(),
-                                   knots.values[k].data(),
-                                   knots.values[k + 1].data(),
-                                   &estimate_->time_shift),
-         i,
-         s.t,
-         sigma,
-         variance});
+    gyro_.Add(problem_.AddResidualBlock(residual.Create(),
+                                        new ceres::CauchyLoss(options_.robust_loss_scale),
+                                        estimate_->q_MI.coeffs().data(),
+                                        knots.values[k].data(),
+                                        knots.values[k + 1].data(),
+                                        &estimate_->time_shift),
+              {{i, s.t, sigma, variance}});
   }
-  if (gyro_terms_.empty()) throw DataError("no gyroscope sample falls on the trajectory");
+  if (gyro_.blocks.empty()) throw DataError("no gyroscope sample falls on the trajectory");
 }
 
 void GpProblem::AddAccel() {
@@ -82,22 +78,18 @@ void GpProblem::AddAccel() {
     feigned_information_ += lever / (sigma * sigma);
     const auto [k, u] = knots.Locate(s.t);
     const AccelResidual residual{&trajectory_, s.t, s.value, u, sigma};
-    accel_terms_.push_back(
-        {problem_.AddResidualBlock(residual.Create(),
-                                   new ceres::CauchyLoss(options_.robust_loss_scale),
-                                   estimate_->q_MI.coeffs().data(),
-                                   estimate_->p_MI.data(),
-                                   estimate_->g_W.data(),
-                                   knots.values[k].data(),
-                                   knots.values[k + 1].data(),
-                                   &estimate_->time_shift,
-                                   &estimate_->accel_delay),
-         i,
-         s.t,
-         sigma,
-         variance});
+    accel_.Add(problem_.AddResidualBlock(residual.Create(),
+                                         new ceres::CauchyLoss(options_.robust_loss_scale),
+                                         estimate_->q_MI.coeffs().data(),
+                                         estimate_->p_MI.data(),
+                                         estimate_->g_W.data(),
+                                         knots.values[k].data(),
+                                         knots.values[k + 1].data(),
+                                         &estimate_->time_shift,
+                                         &estimate_->accel_delay),
+               {{i, s.t, sigma, variance}});
   }
-  if (accel_terms_.empty()) throw DataError("no accelerometer sample falls on the trajectory");
+  if (accel_.blocks.empty()) throw DataError("no accelerometer sample falls on the trajectory");
 }
 
 Solution SolveAgainstTrajectory(const CalibrationOptions& options,

@@ -305,8 +305,12 @@ Start Initialise(const CalibrationOptions& options,
   Start start;
   RateAlignment best;
   double most = -1.0;
-  for (const double shift : FindTimeShifts(
-           trajectory, data.poses, data.gyro, options.min_overlap_s, guess, kCandidates)) {
+  const std::vector<double> shifts =
+      options.estimate_time_shift
+          ? FindTimeShifts(
+                trajectory, data.poses, data.gyro, options.min_overlap_s, guess, kCandidates)
+          : std::vector<double>{*guess};
+  for (const double shift : shifts) {
     const RateAlignment alignment = AlignRates(trajectory, data.gyro, shift);
     const double evidence = Evidence(std::sqrt(std::max(0.0, alignment.explained)),
                                      static_cast<double>(alignment.count));
@@ -323,6 +327,7 @@ Start Initialise(const CalibrationOptions& options,
   FitLeverArm(
       trajectory, data.accel, options.gravity_magnitude, options.estimate_accel_delay, &start);
   if (options.initial_translation) start.p_MI = *options.initial_translation;
+  if (options.initial_gravity) start.g_W = *options.initial_gravity;
   return start;
 }
 

@@ -2,22 +2,23 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "imu_pose_calib/core/joint_residuals.h"
 
 namespace imu_pose_calib {
 namespace {
 
-constexpr size_t kMinSpans = 4;  // shorter runs say little and are left out
+constexpr size_t kMinSpans = 4;            // shorter runs say little and are left out
+constexpr double kIntrinsicsPrior = 0.05;  // [1] sigma of each element of M_g and M_a
 
 }  // namespace
 
 CorrectionSplines::CorrectionSplines(const ConditionedData& data,
                                      const Estimate& estimate,
                                      double spacing_s) {
-  const double imu_begin =
-      std::max(data.gyro.front().t, data.accel.front().t) + estimate.time_shift;
-  const double imu_end = std::min(data.gyro.back().t, data.accel.back().t) + estimate.time_shift;
+  const double imu_begin = estimate.PoseTime(std::max(data.gyro.front().t, data.accel.front().t));
+  const double imu_end = estimate.PoseTime(std::min(data.gyro.back().t, data.accel.back().t));
   size_t points = 0;
   for (const IndexRange& segment : data.segments) {
     const double begin = std::max(imu_begin, data.poses[segment.begin].t);
@@ -64,8 +65,19 @@ JointProblem::JointProblem(const CalibrationOptions& options,
       trajectory_blocks_.push_back(point.data());
     }
   }
-  AddRotation();
-  AddGravityAndDelay();
+  AddGyroParameters();
+  AddAccelParameters();
+  problem_.AddParameterBlock(&estimate_->clock_drift, 1);
+  SetConstantUnless(options_.estimate_clock_drift, &estimate_->clock_drift);
+  const bool intrinsics = options_.imu_model == ImuModel::kScaleMisalignment;
+  problem_.AddParameterBlock(estimate_->gyro_intrinsics.data(), 6);
+  problem_.AddParameterBlock(estimate_->accel_intrinsics.data(), 9);
+  SetConstantUnless(intrinsics, estimate_->gyro_intrinsics.data());
+  SetConstantUnless(intrinsics, estimate_->accel_intrinsics.data());
+  if (intrinsics) {
+    AddPrior(estimate_->gyro_intrinsics.data(), 6, kIntrinsicsPrior);
+    AddPrior(estimate_->accel_intrinsics.data(), 9, kIntrinsicsPrior);
+  }
   AddPoses(weights);
   AddGyro(weights);
   AddAccel(weights);
@@ -74,137 +86,179 @@ JointProblem::JointProblem(const CalibrationOptions& options,
 }
 
 void JointProblem::AddPoses(const SampleWeights& weights) {
+  std::vector<JointPositionSample> positions;
+  std::vector<JointRotationSample> rotations;
+  std::vector<Sample> position_samples, rotation_samples;
+  size_t first = 0;
+  const auto add_blocks = [&] {
+    if (positions.empty()) return;
+    position_.Add(problem_.AddResidualBlock(CreatePositionResidual(std::move(positions)),
+                                            nullptr,
+                                            ControlPoints(&splines_->d, first)),
+                  position_samples);
+    rotation_.Add(problem_.AddResidualBlock(CreateRotationResidual(std::move(rotations)),
+                                            nullptr,
+                                            ControlPoints(&splines_->phi, first)),
+                  rotation_samples);
+    positions.clear();
+    rotations.clear();
+    position_samples.clear();
+    rotation_samples.clear();
+  };
   for (size_t i = 0; i < data_.poses.size(); ++i) {
     const TimedPose& pose = data_.poses[i];
     const auto place = splines_->Locate(pose.t);
     if (!place) continue;
+    if (place->first != first) add_blocks();
+    first = place->first;
     const PoseTrajectory::Pose gp = trajectory_.PoseAt(pose.t);
-    const SplineWeights spline = CubicWeights(place->u, place->spacing);
+    const Eigen::Matrix<double, 1, kSplineOrder> spline =
+        CubicWeights(place->u, place->spacing).row(0);
     const double t_imu = pose.t - estimate_->time_shift;
     const double position_sigma = noise_.position / std::sqrt(weights.position[i]);
     const double rotation_sigma = noise_.rotation / std::sqrt(weights.rotation[i]);
-    position_terms_.push_back(
-        {problem_.AddResidualBlock(
-             CreatePositionResidual(pose.p_WM - gp.p_WM, spline, position_sigma),
-             nullptr,
-             ControlPoints({&splines_->d}, *place)),
-         i,
-         t_imu,
-         position_sigma});
-    rotation_terms_.push_back(
-        {problem_.AddResidualBlock(
-             CreateRotationResidual(gp.q_WM.conjugate() * pose.q_WM, spline, rotation_sigma),
-             nullptr,
-             ControlPoints({&splines_->phi}, *place)),
-         i,
-         t_imu,
-         rotation_sigma});
+    positions.push_back({pose.p_WM - gp.p_WM, spline, position_sigma});
+    rotations.push_back({gp.q_WM.conjugate() * pose.q_WM, spline, rotation_sigma});
+    position_samples.push_back({i, t_imu, position_sigma});
+    rotation_samples.push_back({i, t_imu, rotation_sigma});
   }
+  add_blocks();
 }
 
-std::optional<JointImuSample> JointProblem::Sample(const TimedSample& sample,
-                                                   double delay,
-                                                   double sigma) const {
-  const double t_M = sample.t + estimate_->time_shift - delay;
+std::optional<JointImuSample> JointProblem::Locate(const TimedSample& sample,
+                                                   double t_M,
+                                                   double sigma,
+                                                   double bias_u) const {
   const auto place = splines_->Locate(t_M);
   JointImuSample s;
   if (!place || !IsOnTrajectory(t_M) || !trajectory_.Evaluate(t_M, &s.gp, &s.gp_rate))
     return std::nullopt;
-  s.place = *place;
   s.t_M = t_M;
   s.t = sample.t;
+  s.t_drift = sample.t - estimate_->clock_reference;
   s.value = sample.value;
+  s.bias_u = bias_u;
   s.sigma = sigma;
+  s.place = *place;
   return s;
 }
 
 void JointProblem::AddGyro(const SampleWeights& weights) {
   BiasKnots& knots = estimate_->gyro_bias;
-  for (size_t i = 0; i < data_.gyro.size(); ++i) {
-    auto sample = Sample(data_.gyro[i], 0.0, noise_.gyro / std::sqrt(weights.gyro[i]));
-    if (!sample) continue;
-    const auto [k, u] = knots.Locate(sample->t);
-    sample->bias_u = u;
-    std::vector<double*> blocks = ControlPoints({&splines_->phi}, sample->place);
+  std::vector<JointImuSample> batch;
+  std::vector<Sample> batch_samples;
+  size_t knot = 0;
+  const auto add_block = [&] {
+    if (batch.empty()) return;
+    std::vector<double*> blocks = ControlPoints(&splines_->phi, batch.front().place.first);
     blocks.insert(blocks.end(),
                   {estimate_->q_MI.coeffs().data(),
-                   knots.values[k].data(),
-                   knots.values[k + 1].data(),
-                   &estimate_->time_shift});
-    gyro_terms_.push_back(
-        {problem_.AddResidualBlock(CreateJointGyroResidual(*sample), nullptr, blocks),
-         i,
-         sample->t,
-         sample->sigma});
+                   estimate_->gyro_intrinsics.data(),
+                   knots.values[knot].data(),
+                   knots.values[knot + 1].data(),
+                   &estimate_->time_shift,
+                   &estimate_->clock_drift});
+    gyro_.Add(problem_.AddResidualBlock(CreateJointGyroResidual(std::move(batch)), nullptr, blocks),
+              batch_samples);
+    batch.clear();
+    batch_samples.clear();
+  };
+  for (size_t i = 0; i < data_.gyro.size(); ++i) {
+    const TimedSample& s = data_.gyro[i];
+    const double sigma = noise_.gyro / std::sqrt(weights.gyro[i]);
+    const auto [k, u] = knots.Locate(s.t);
+    const auto sample = Locate(s, estimate_->PoseTime(s.t), sigma, u);
+    if (!sample) continue;
+    if (!batch.empty() && (batch.front().place.first != sample->place.first || knot != k))
+      add_block();
+    knot = k;
+    batch.push_back(*sample);
+    batch_samples.push_back({i, s.t, sigma});
   }
+  add_block();
 }
 
 void JointProblem::AddAccel(const SampleWeights& weights) {
   BiasKnots& knots = estimate_->accel_bias;
-  for (size_t i = 0; i < data_.accel.size(); ++i) {
-    auto sample =
-        Sample(data_.accel[i], estimate_->accel_delay, noise_.accel / std::sqrt(weights.accel[i]));
-    if (!sample) continue;
-    const auto [k, u] = knots.Locate(sample->t);
-    sample->bias_u = u;
-    feigned_information_ += LeverArmErrors(*sample) / (sample->sigma * sample->sigma);
-    std::vector<double*> blocks = ControlPoints({&splines_->d, &splines_->phi}, sample->place);
+  std::vector<JointImuSample> batch;
+  std::vector<Sample> batch_samples;
+  size_t knot = 0;
+  const auto add_block = [&] {
+    if (batch.empty()) return;
+    std::vector<double*> blocks = ControlPoints(&splines_->d, batch.front().place.first);
+    const auto phi = ControlPoints(&splines_->phi, batch.front().place.first);
+    blocks.insert(blocks.end(), phi.begin(), phi.end());
     blocks.insert(blocks.end(),
                   {estimate_->q_MI.coeffs().data(),
                    estimate_->p_MI.data(),
                    estimate_->g_W.data(),
-                   knots.values[k].data(),
-                   knots.values[k + 1].data(),
+                   estimate_->accel_intrinsics.data(),
+                   knots.values[knot].data(),
+                   knots.values[knot + 1].data(),
                    &estimate_->time_shift,
+                   &estimate_->clock_drift,
                    &estimate_->accel_delay});
-    accel_terms_.push_back(
-        {problem_.AddResidualBlock(CreateJointAccelResidual(*sample), nullptr, blocks),
-         i,
-         sample->t,
-         sample->sigma});
+    accel_.Add(
+        problem_.AddResidualBlock(CreateJointAccelResidual(std::move(batch)), nullptr, blocks),
+        batch_samples);
+    batch.clear();
+    batch_samples.clear();
+  };
+  for (size_t i = 0; i < data_.accel.size(); ++i) {
+    const TimedSample& s = data_.accel[i];
+    const double sigma = noise_.accel / std::sqrt(weights.accel[i]);
+    const auto [k, u] = knots.Locate(s.t);
+    const auto sample = Locate(s, estimate_->PoseTime(s.t) - estimate_->accel_delay, sigma, u);
+    if (!sample) continue;
+    if (!batch.empty() && (batch.front().place.first != sample->place.first || knot != k))
+      add_block();
+    knot = k;
+    batch.push_back(*sample);
+    batch_samples.push_back({i, s.t, sigma});
   }
+  add_block();
 }
 
-void JointProblem::UpdateWeights(const NoiseStd& noise, SampleWeights* weights) {
-  const auto update =
-      [this](const std::vector<Term>& terms, double sigma, std::vector<double>* sample_weights) {
-        ceres::Problem::EvaluateOptions evaluate;
-        for (const Term& term : terms) evaluate.residual_blocks.push_back(term.id);
-        std::vector<double> residuals;
-        problem_.Evaluate(evaluate, nullptr, &residuals, nullptr, nullptr);
-        for (size_t i = 0; i < terms.size(); ++i) {
-          const double r =
-              Eigen::Map<const Eigen::Vector3d>(&residuals[3 * i]).norm() * terms[i].sigma / sigma;
-          (*sample_weights)[terms[i].sample] =
-              1.0 / (1.0 + std::pow(r / options_.robust_loss_scale, 2));
-        }
-      };
-  update(position_terms_, noise.position, &weights->position);
-  update(rotation_terms_, noise.rotation, &weights->rotation);
-  update(gyro_terms_, noise.gyro, &weights->gyro);
-  update(accel_terms_, noise.accel, &weights->accel);
+void JointProblem::UpdateWeights(const NoiseStd& noise, SampleWeights* weights) const {
+  const auto update = [this](const Sensor& sensor, double sigma, std::vector<double>* weight) {
+    for (size_t i = 0; i < sensor.samples.size(); ++i)
+      (*weight)[sensor.samples[i].index] =
+          1.0 /
+          (1.0 + std::pow(sensor.residual_norms[i] / (sigma * options_.robust_loss_scale), 2));
+  };
+  update(position_, noise.position, &weights->position);
+  update(rotation_, noise.rotation, &weights->rotation);
+  update(gyro_, noise.gyro, &weights->gyro);
+  update(accel_, noise.accel, &weights->accel);
 }
 
-double JointProblem::LeverArmErrors(const JointImuSample& sample) const {
+double JointProblem::LeverArmErrors(double t_M) const {
+  const auto place = splines_->Locate(t_M);
+  MarkerState<double> state;
+  if (!place || !trajectory_.Evaluate(t_M, &state)) return 0.0;
   // What the gyroscope leaves of white noise in the splines' band B = 1 / (2 spacing): the share
   // 2 B / rate in omega, and (2 pi B)^2 / 3 times that in alpha. Poses and gyroscope add up.
-  const double spacing = sample.place.spacing;
   const double gyro_omega =
-      noise_.gyro * noise_.gyro / std::max(1.0, spacing * data_.gyro_report.rate_hz);
-  const double gyro_alpha = std::pow(M_PI / spacing, 2) / 3.0 * gyro_omega;
-  const MarkerVariance gp = trajectory_.Variance(sample.t_M);
+      noise_.gyro * noise_.gyro / std::max(1.0, place->spacing * data_.gyro_report.rate_hz);
+  const double gyro_alpha = std::pow(M_PI / place->spacing, 2) / 3.0 * gyro_omega;
+  const MarkerVariance gp = trajectory_.Variance(t_M);
   const double omega = 1.0 / (1.0 / gyro_omega + 1.0 / gp.omega);
   const double alpha = 1.0 / (1.0 / gyro_alpha + 1.0 / gp.alpha);
-  return LeverArmCoefficientVariance(alpha, omega, sample.gp.omega_M.squaredNorm());
+  return LeverArmCoefficientVariance(alpha, omega, state.omega_M.squaredNorm());
 }
 
-std::vector<double*> JointProblem::ControlPoints(
-    const std::vector<std::vector<Eigen::Vector3d>*>& splines,
-    const SplinePlace& place) const {
+double JointProblem::FeignedLeverArmInformation() const {
+  double information = 0.0;
+  for (const Sample& s : accel_.samples)
+    information +=
+        LeverArmErrors(estimate_->PoseTime(s.t) - estimate_->accel_delay) / (s.sigma * s.sigma);
+  return information;
+}
+
+std::vector<double*> JointProblem::ControlPoints(std::vector<Eigen::Vector3d>* spline,
+                                                 size_t first) const {
   std::vector<double*> blocks;
-  for (auto* points : splines)
-    for (int j = 0; j < kSplineOrder; ++j)
-      blocks.push_back((*points)[place.first + static_cast<size_t>(j)].data());
+  for (size_t j = first; j < first + kSplineOrder; ++j) blocks.push_back((*spline)[j].data());
   return blocks;
 }
 

@@ -3,7 +3,10 @@
 #include <ceres/jet.h>
 
 #include <Eigen/LU>
+#include <initializer_list>
+#include <utility>
 
+#include "imu_pose_calib/core/intrinsics.h"
 #include "imu_pose_calib/core/so3.h"
 
 namespace imu_pose_calib {
@@ -13,12 +16,6 @@ using Eigen::Matrix3d;
 using Eigen::Vector3d;
 
 Eigen::Map<Vector3d> AsVector(double* x) { return Eigen::Map<Vector3d>(x); }
-
-/// Ceres' row-major Jacobian of a 3-vector by a block of `Columns` parameters.
-template <int Columns>
-Eigen::Map<Eigen::Matrix<double, 3, Columns, Eigen::RowMajor>> AsBlock(double* x) {
-  return Eigen::Map<Eigen::Matrix<double, 3, Columns, Eigen::RowMajor>>(x);
-}
 
 /// Value and derivatives 1..3 (columns) of a spline from its control points.
 Eigen::Matrix<double, 3, 4> EvaluateSpline(double const* const* points,
@@ -133,123 +130,164 @@ struct JointState {
   }
 };
 
-class PositionResidual : public ceres::CostFunction {
+/// Sets rows 3 i .. 3 i + 2 of Ceres' row-major Jacobian of a block of `Columns` parameters, if it
+/// is wanted.
+template <int Columns, typename Matrix>
+void SetRows(double** jacobians, int block, size_t i, const Matrix& J) {
+  constexpr int kOrder = Columns == 1 ? Eigen::ColMajor : Eigen::RowMajor;
+  using Rows = Eigen::Matrix<double, 3, Columns, kOrder>;
+  if (jacobians[block] != nullptr) Eigen::Map<Rows>(jacobians[block] + 3 * Columns * i) = J;
+}
+
+/// Residuals of samples that share all parameter blocks: `Sample` is evaluated one by one.
+template <typename Sample>
+class BatchResidual : public ceres::CostFunction {
  public:
-  PositionResidual(const Vector3d& measured, const SplineWeights& weights, double sigma)
-      : measured_(measured), weights_(weights.row(0)), sigma_(sigma) {
-    set_num_residuals(3);
-    mutable_parameter_block_sizes()->assign(kSplineOrder, 3);
-  }
-
-  bool Evaluate(double const* const* points, double* residual, double** jacobians) const override {
-    Eigen::Map<Vector3d> r(residual);
-    r = measured_;
-    for (int j = 0; j < kSplineOrder; ++j) r -= weights_[j] * Eigen::Map<const Vector3d>(points[j]);
-    r /= sigma_;
-    for (int j = 0; jacobians != nullptr && j < kSplineOrder; ++j)
-      if (jacobians[j] != nullptr)
-        AsBlock<3>(jacobians[j]) = -weights_[j] / sigma_ * Matrix3d::Identity();
-    return true;
-  }
-
- private:
-  const Vector3d measured_;
-  const Eigen::Matrix<double, 1, kSplineOrder> weights_;
-  const double sigma_;
-};
-
-class RotationResidual : public ceres::CostFunction {
- public:
-  RotationResidual(const Eigen::Quaterniond& measured, const SplineWeights& weights, double sigma)
-      : measured_(measured), weights_(weights), sigma_(sigma) {
-    set_num_residuals(3);
-    mutable_parameter_block_sizes()->assign(kSplineOrder, 3);
-  }
-
-  bool Evaluate(double const* const* points, double* residual, double** jacobians) const override {
-    const Vector3d phi = EvaluateSpline(points, weights_).col(0);
-    const Vector3d error = Log(Eigen::Quaterniond(Exp<double>(-phi) * measured_));
-    AsVector(residual) = error / sigma_;
-    if (jacobians == nullptr) return true;
-    // Log(Exp(-J_r(phi) delta) Exp(error)) = error - J_l(error)^-1 J_r(phi) delta, J_l(x) = J_r(-x)
-    const Matrix3d d_error = -RightJacobian<double>(-error).inverse() * RightJacobian(phi) / sigma_;
-    for (int j = 0; j < kSplineOrder; ++j)
-      if (jacobians[j] != nullptr) AsBlock<3>(jacobians[j]) = weights_(0, j) * d_error;
-    return true;
-  }
-
- private:
-  const Eigen::Quaterniond measured_;
-  const SplineWeights weights_;
-  const double sigma_;
-};
-
-/// How far beyond its span an instant may move while the time shift is estimated: the cubic goes
-/// on, and the next solve finds the right span.
-bool IsNearSpan(double u) { return u > -2.0 && u < 3.0; }
-
-class JointGyroResidual : public ceres::CostFunction {
- public:
-  explicit JointGyroResidual(const JointImuSample& sample) : s_(sample) {
-    set_num_residuals(3);
-    mutable_parameter_block_sizes()->assign(kSplineOrder, 3);
-    mutable_parameter_block_sizes()->insert(mutable_parameter_block_sizes()->end(), {4, 3, 3, 1});
+  BatchResidual(std::vector<Sample> samples, std::initializer_list<int> other_blocks, int splines)
+      : samples_(std::move(samples)) {
+    set_num_residuals(3 * static_cast<int>(samples_.size()));
+    mutable_parameter_block_sizes()->assign(static_cast<size_t>(splines * kSplineOrder), 3);
+    mutable_parameter_block_sizes()->insert(mutable_parameter_block_sizes()->end(), other_blocks);
   }
 
   bool Evaluate(double const* const* blocks, double* residual, double** jacobians) const override {
+    for (size_t i = 0; i < samples_.size(); ++i)
+      if (!EvaluateSample(samples_[i], i, blocks, residual + 3 * i, jacobians)) return false;
+    return true;
+  }
+
+ protected:
+  /// Sample `i`: three residuals and, unless `jacobians` is null, rows from 3 i on.
+  virtual bool EvaluateSample(const Sample& sample,
+                              size_t i,
+                              double const* const* blocks,
+                              double* residual,
+                              double** jacobians) const = 0;
+
+ private:
+  const std::vector<Sample> samples_;
+};
+
+class PositionResidual : public BatchResidual<JointPositionSample> {
+ public:
+  explicit PositionResidual(std::vector<JointPositionSample> samples)
+      : BatchResidual(std::move(samples), {}, 1) {}
+
+ protected:
+  bool EvaluateSample(const JointPositionSample& s,
+                      size_t i,
+                      double const* const* points,
+                      double* residual,
+                      double** jacobians) const override {
+    Vector3d r = s.p_gp_meas;
+    for (int j = 0; j < kSplineOrder; ++j)
+      r -= s.weights[j] * Eigen::Map<const Vector3d>(points[j]);
+    AsVector(residual) = r / s.sigma;
+    for (int j = 0; jacobians != nullptr && j < kSplineOrder; ++j)
+      SetRows<3>(jacobians, j, i, -s.weights[j] / s.sigma * Matrix3d::Identity());
+    return true;
+  }
+};
+
+class RotationResidual : public BatchResidual<JointRotationSample> {
+ public:
+  explicit RotationResidual(std::vector<JointRotationSample> samples)
+      : BatchResidual(std::move(samples), {}, 1) {}
+
+ protected:
+  bool EvaluateSample(const JointRotationSample& s,
+                      size_t i,
+                      double const* const* points,
+                      double* residual,
+                      double** jacobians) const override {
+    Vector3d phi = Vector3d::Zero();
+    for (int j = 0; j < kSplineOrder; ++j)
+      phi += s.weights[j] * Eigen::Map<const Vector3d>(points[j]);
+    const Vector3d error = Log(Eigen::Quaterniond(Exp<double>(-phi) * s.q_gp_meas));
+    AsVector(residual) = error / s.sigma;
+    if (jacobians == nullptr) return true;
+    // Log(Exp(-J_r(phi) delta) Exp(error)) = error - J_l(error)^-1 J_r(phi) delta, J_l(x) = J_r(-x)
+    const Matrix3d d_error =
+        -RightJacobian<double>(-error).inverse() * RightJacobian(phi) / s.sigma;
+    for (int j = 0; j < kSplineOrder; ++j) SetRows<3>(jacobians, j, i, s.weights[j] * d_error);
+    return true;
+  }
+};
+
+/// How far beyond its span an instant may move while the clocks are estimated: the cubic goes on,
+/// and the next solve finds the right span.
+bool IsNearSpan(double u) { return u > -2.0 && u < 3.0; }
+
+class JointGyroResidual : public BatchResidual<JointImuSample> {
+ public:
+  explicit JointGyroResidual(std::vector<JointImuSample> samples)
+      : BatchResidual(std::move(samples), {4, 6, 3, 3, 1, 1}, 1) {}
+
+ protected:
+  bool EvaluateSample(const JointImuSample& s,
+                      size_t i,
+                      double const* const* blocks,
+                      double* residual,
+                      double** jacobians) const override {
     const int n = kSplineOrder;
     const Eigen::Map<const Eigen::Quaterniond> q_MI(blocks[n]);
-    const Eigen::Map<const Vector3d> knot_0(blocks[n + 1]), knot_1(blocks[n + 2]);
-    const double t = s_.t + *blocks[n + 3];
-    const double u = s_.place.u + (t - s_.t_M) / s_.place.spacing;
+    const Matrix3d M_g = GyroMatrix(Eigen::Map<const Vector6d>(blocks[n + 1]));
+    const Eigen::Map<const Vector3d> knot_0(blocks[n + 2]), knot_1(blocks[n + 3]);
+    const double t = s.t + *blocks[n + 4] + *blocks[n + 5] * s.t_drift;
+    const double u = s.place.u + (t - s.t_M) / s.place.spacing;
     if (!IsNearSpan(u)) return false;
-    const SplineWeights weights = CubicWeights(u, s_.place.spacing);
+    const SplineWeights weights = CubicWeights(u, s.place.spacing);
     const JointState state(
-        s_, t, EvaluateSpline(blocks, weights), NoCorrection(), jacobians != nullptr);
+        s, t, EvaluateSpline(blocks, weights), NoCorrection(), jacobians != nullptr);
     const Vector3d omega_I = q_MI.conjugate() * state.omega;
     AsVector(residual) =
-        (s_.value - (1.0 - s_.bias_u) * knot_0 - s_.bias_u * knot_1 - omega_I) / s_.sigma;
+        (s.value - (1.0 - s.bias_u) * knot_0 - s.bias_u * knot_1 - M_g * omega_I) / s.sigma;
     if (jacobians == nullptr) return true;
 
-    const Matrix3d A = -q_MI.conjugate().toRotationMatrix() / s_.sigma;  // d r / d omega_M
+    // d r / d omega_M
+    const Matrix3d A = -M_g * q_MI.conjugate().toRotationMatrix() / s.sigma;
     const Matrix3d r_phi = A * state.omega_phi;
     const Matrix3d r_phi1 = A * state.omega_phi1;
     for (int j = 0; j < n; ++j)
-      if (jacobians[j] != nullptr)
-        AsBlock<3>(jacobians[j]) = weights(0, j) * r_phi + weights(1, j) * r_phi1;
-    if (jacobians[n] != nullptr)
-      AsBlock<4>(jacobians[n]) = -InverseRotationJacobian(q_MI, omega_I) / s_.sigma;
-    if (jacobians[n + 1] != nullptr)
-      AsBlock<3>(jacobians[n + 1]) = -(1.0 - s_.bias_u) / s_.sigma * Matrix3d::Identity();
-    if (jacobians[n + 2] != nullptr)
-      AsBlock<3>(jacobians[n + 2]) = -s_.bias_u / s_.sigma * Matrix3d::Identity();
-    if (jacobians[n + 3] != nullptr) AsVector(jacobians[n + 3]) = A * state.omega_t;
+      SetRows<3>(jacobians, j, i, weights(0, j) * r_phi + weights(1, j) * r_phi1);
+    SetRows<4>(jacobians, n, i, -M_g * InverseRotationJacobian(q_MI, omega_I) / s.sigma);
+    if (jacobians[n + 1] != nullptr) {
+      Eigen::Matrix<double, 3, 6> r_M = Eigen::Matrix<double, 3, 6>::Zero();
+      r_M.block<1, 1>(0, 0) = omega_I.head<1>();
+      r_M.block<1, 2>(1, 1) = omega_I.head<2>().transpose();
+      r_M.block<1, 3>(2, 3) = omega_I.transpose();
+      SetRows<6>(jacobians, n + 1, i, -r_M / s.sigma);
+    }
+    SetRows<3>(jacobians, n + 2, i, -(1.0 - s.bias_u) / s.sigma * Matrix3d::Identity());
+    SetRows<3>(jacobians, n + 3, i, -s.bias_u / s.sigma * Matrix3d::Identity());
+    const Vector3d r_t = A * state.omega_t;
+    SetRows<1>(jacobians, n + 4, i, r_t);
+    SetRows<1>(jacobians, n + 5, i, r_t * s.t_drift);
     return true;
   }
-
- private:
-  const JointImuSample s_;
 };
 
-class JointAccelResidual : public ceres::CostFunction {
+class JointAccelResidual : public BatchResidual<JointImuSample> {
  public:
-  explicit JointAccelResidual(const JointImuSample& sample) : s_(sample) {
-    set_num_residuals(3);
-    mutable_parameter_block_sizes()->assign(2 * kSplineOrder, 3);
-    mutable_parameter_block_sizes()->insert(mutable_parameter_block_sizes()->end(),
-                                            {4, 3, 3, 3, 3, 1, 1});
-  }
+  explicit JointAccelResidual(std::vector<JointImuSample> samples)
+      : BatchResidual(std::move(samples), {4, 3, 3, 9, 3, 3, 1, 1, 1}, 2) {}
 
-  bool Evaluate(double const* const* blocks, double* residual, double** jacobians) const override {
+ protected:
+  bool EvaluateSample(const JointImuSample& s,
+                      size_t i,
+                      double const* const* blocks,
+                      double* residual,
+                      double** jacobians) const override {
     const int n = 2 * kSplineOrder;
     const Eigen::Map<const Eigen::Quaterniond> q_MI(blocks[n]);
     const Eigen::Map<const Vector3d> p(blocks[n + 1]), g(blocks[n + 2]);
-    const Eigen::Map<const Vector3d> knot_0(blocks[n + 3]), knot_1(blocks[n + 4]);
-    const double t = s_.t + *blocks[n + 5] - *blocks[n + 6];
-    const double u = s_.place.u + (t - s_.t_M) / s_.place.spacing;
+    const Matrix3d M_a = AccelMatrix(Eigen::Map<const Vector9d>(blocks[n + 3]));
+    const Eigen::Map<const Vector3d> knot_0(blocks[n + 4]), knot_1(blocks[n + 5]);
+    const double t = s.t + *blocks[n + 6] + *blocks[n + 7] * s.t_drift - *blocks[n + 8];
+    const double u = s.place.u + (t - s.t_M) / s.place.spacing;
     if (!IsNearSpan(u)) return false;
-    const SplineWeights weights = CubicWeights(u, s_.place.spacing);
-    const JointState x(s_,
+    const SplineWeights weights = CubicWeights(u, s.place.spacing);
+    const JointState x(s,
                        t,
                        EvaluateSpline(blocks + kSplineOrder, weights),
                        EvaluateSpline(blocks, weights),
@@ -258,10 +296,11 @@ class JointAccelResidual : public ceres::CostFunction {
     const Vector3d f_M = f_body + x.alpha.cross(p) + x.omega.cross(x.omega.cross(p));
     const Vector3d f_I = q_MI.conjugate() * f_M;
     AsVector(residual) =
-        (s_.value - (1.0 - s_.bias_u) * knot_0 - s_.bias_u * knot_1 - f_I) / s_.sigma;
+        (s.value - (1.0 - s.bias_u) * knot_0 - s.bias_u * knot_1 - M_a * f_I) / s.sigma;
     if (jacobians == nullptr) return true;
 
-    const Matrix3d A = -q_MI.conjugate().toRotationMatrix() / s_.sigma;  // d r / d f_M
+    // d r / d f_M
+    const Matrix3d A = -M_a * q_MI.conjugate().toRotationMatrix() / s.sigma;
     const Matrix3d R_MW = x.q_WM.conjugate().toRotationMatrix();
     const Matrix3d W = Hat(x.omega);
     // d (omega x (omega x p)) / d omega
@@ -272,50 +311,47 @@ class JointAccelResidual : public ceres::CostFunction {
     const Matrix3d r_phi2 = A * f_alpha * x.alpha_phi2;
     const Matrix3d r_d2 = A * R_MW;
     for (int j = 0; j < kSplineOrder; ++j) {
-      if (jacobians[j] != nullptr) AsBlock<3>(jacobians[j]) = weights(2, j) * r_d2;
-      if (jacobians[kSplineOrder + j] != nullptr)
-        AsBlock<3>(jacobians[kSplineOrder + j]) =
-            weights(0, j) * r_phi + weights(1, j) * r_phi1 + weights(2, j) * r_phi2;
+      SetRows<3>(jacobians, j, i, weights(2, j) * r_d2);
+      SetRows<3>(jacobians,
+                 kSplineOrder + j,
+                 i,
+                 weights(0, j) * r_phi + weights(1, j) * r_phi1 + weights(2, j) * r_phi2);
     }
-    if (jacobians[n] != nullptr)
-      AsBlock<4>(jacobians[n]) = -InverseRotationJacobian(q_MI, f_I) / s_.sigma;
-    if (jacobians[n + 1] != nullptr) AsBlock<3>(jacobians[n + 1]) = A * (Hat(x.alpha) + W * W);
-    if (jacobians[n + 2] != nullptr) AsBlock<3>(jacobians[n + 2]) = -A * R_MW;
-    if (jacobians[n + 3] != nullptr)
-      AsBlock<3>(jacobians[n + 3]) = -(1.0 - s_.bias_u) / s_.sigma * Matrix3d::Identity();
-    if (jacobians[n + 4] != nullptr)
-      AsBlock<3>(jacobians[n + 4]) = -s_.bias_u / s_.sigma * Matrix3d::Identity();
+    SetRows<4>(jacobians, n, i, -M_a * InverseRotationJacobian(q_MI, f_I) / s.sigma);
+    SetRows<3>(jacobians, n + 1, i, A * (Hat(x.alpha) + W * W));
+    SetRows<3>(jacobians, n + 2, i, -A * R_MW);
+    if (jacobians[n + 3] != nullptr) {
+      Eigen::Matrix<double, 3, 9> r_M = Eigen::Matrix<double, 3, 9>::Zero();
+      for (int row = 0; row < 3; ++row) r_M.block<1, 3>(row, 3 * row) = f_I.transpose();
+      SetRows<9>(jacobians, n + 3, i, -r_M / s.sigma);
+    }
+    SetRows<3>(jacobians, n + 4, i, -(1.0 - s.bias_u) / s.sigma * Matrix3d::Identity());
+    SetRows<3>(jacobians, n + 5, i, -s.bias_u / s.sigma * Matrix3d::Identity());
     const Vector3d r_t =
         A * (R_MW * x.a_t - x.turn.cross(f_body) + f_omega * x.omega_t + f_alpha * x.alpha_t);
-    if (jacobians[n + 5] != nullptr) AsVector(jacobians[n + 5]) = r_t;
-    if (jacobians[n + 6] != nullptr) AsVector(jacobians[n + 6]) = -r_t;
+    SetRows<1>(jacobians, n + 6, i, r_t);
+    SetRows<1>(jacobians, n + 7, i, r_t * s.t_drift);
+    SetRows<1>(jacobians, n + 8, i, -r_t);
     return true;
   }
-
- private:
-  const JointImuSample s_;
 };
 
 }  // namespace
 
-ceres::CostFunction* CreatePositionResidual(const Eigen::Vector3d& p_meas_minus_gp_W,
-                                            const SplineWeights& weights,
-                                            double sigma) {
-  return new PositionResidual(p_meas_minus_gp_W, weights, sigma);
+ceres::CostFunction* CreatePositionResidual(std::vector<JointPositionSample> samples) {
+  return new PositionResidual(std::move(samples));
 }
 
-ceres::CostFunction* CreateRotationResidual(const Eigen::Quaterniond& q_gp_meas,
-                                            const SplineWeights& weights,
-                                            double sigma) {
-  return new RotationResidual(q_gp_meas, weights, sigma);
+ceres::CostFunction* CreateRotationResidual(std::vector<JointRotationSample> samples) {
+  return new RotationResidual(std::move(samples));
 }
 
-ceres::CostFunction* CreateJointGyroResidual(const JointImuSample& sample) {
-  return new JointGyroResidual(sample);
+ceres::CostFunction* CreateJointGyroResidual(std::vector<JointImuSample> samples) {
+  return new JointGyroResidual(std::move(samples));
 }
 
-ceres::CostFunction* CreateJointAccelResidual(const JointImuSample& sample) {
-  return new JointAccelResidual(sample);
+ceres::CostFunction* CreateJointAccelResidual(std::vector<JointImuSample> samples) {
+  return new JointAccelResidual(std::move(samples));
 }
 
 }  // namespace imu_pose_calib

@@ -19,13 +19,41 @@ constexpr double kCoarsestKnots = 0.12;     // [s]
 constexpr double kMinSamplesPerKnot = 4.0;  // IMU samples
 constexpr double kShrinkage = 0.96;         // of gyro times accel residual that is worth more knots
 
+/// Samples of the log from `begin` to `end` [s, pose clock].
+ConditionedData Excerpt(const ConditionedData& data,
+                        const Estimate& estimate,
+                        double begin,
+                        double end) {
+  const auto crop = [&](std::vector<TimedSample>* samples) {
+    const auto is_outside = [&](const TimedSample& s) {
+      const double t = estimate.PoseTime(s.t);
+      return t < begin || t > end;
+    };
+    samples->erase(std::remove_if(samples->begin(), samples->end(), is_outside), samples->end());
+  };
+  ConditionedData excerpt = data;
+  crop(&excerpt.gyro);
+  crop(&excerpt.accel);
+  excerpt.poses.clear();
+  excerpt.segments.clear();
+  for (const IndexRange& segment : data.segments) {
+    const size_t first = excerpt.poses.size();
+    for (size_t i = segment.begin; i < segment.end; ++i)
+      if (data.poses[i].t >= begin && data.poses[i].t <= end)
+        excerpt.poses.push_back(data.poses[i]);
+    if (excerpt.poses.size() >= first + 2)
+      excerpt.segments.push_back({first, excerpt.poses.size()});
+  }
+  return excerpt;
+}
+
 /// The `duration_s` of the log in which the marker turns most, as far as the IMU covers it.
 ConditionedData LiveliestExcerpt(const ConditionedData& data,
                                  const PoseTrajectory& trajectory,
                                  const Estimate& estimate,
                                  double duration_s) {
-  const double first = std::max(data.poses.front().t, data.gyro.front().t + estimate.time_shift);
-  const double last = std::min(data.poses.back().t, data.gyro.back().t + estimate.time_shift);
+  const double first = std::max(data.poses.front().t, estimate.PoseTime(data.gyro.front().t));
+  const double last = std::min(data.poses.back().t, estimate.PoseTime(data.gyro.back().t));
   double begin = first, liveliest = -1.0;
   for (double t = first; t + 0.5 * duration_s < last; t += 0.5 * duration_s) {
     double sum = 0.0;
@@ -37,23 +65,7 @@ ConditionedData LiveliestExcerpt(const ConditionedData& data,
     liveliest = sum;
     begin = t;
   }
-  ConditionedData excerpt = data;
-  excerpt.segments.clear();
-  for (const IndexRange& segment : data.segments) {
-    const auto index = [&](double t) {
-      const auto segment_begin = data.poses.begin() + static_cast<ptrdiff_t>(segment.begin);
-      const auto segment_end = data.poses.begin() + static_cast<ptrdiff_t>(segment.end);
-      return static_cast<size_t>(
-          std::lower_bound(segment_begin,
-                           segment_end,
-                           t,
-                           [](const TimedPose& pose, double value) { return pose.t < value; }) -
-          data.poses.begin());
-    };
-    const IndexRange part{index(begin), index(begin + duration_s)};
-    if (part.size() >= 2) excerpt.segments.push_back(part);
-  }
-  return excerpt;
+  return Excerpt(data, estimate, begin, begin + duration_s);
 }
 
 /// Largest factor between two noise estimates of one sensor.
@@ -84,28 +96,27 @@ class JointSolver {
         weights_(data),
         splines_(data, *estimate, knot_spacing_s) {}
 
-  /// One pass; `statistics` describes its residuals.
-  std::unique_ptr<JointProblem> Pass(double tolerance, ResidualStatistics* statistics) {
-    auto problem = std::make_unique<JointProblem>(
+  /// One pass; `statistics` describes its residuals. True when the noise they show agrees with the
+  /// noise assumed.
+  bool Pass(double tolerance, ResidualStatistics* statistics) {
+    problem_ = std::make_unique<JointProblem>(
         options_, trajectory_, data_, noise_, weights_, estimate_, &splines_);
-    problem->Solve(tolerance);
-    *statistics = problem->Statistics();
-    assumed_ = noise_;
+    problem_->Solve(tolerance);
+    *statistics = problem_->Statistics();
+    const bool agrees = Change(noise_, statistics->noise) < kNoiseAgreement;
     noise_ = statistics->noise;
-    problem->UpdateWeights(noise_, &weights_);
-    return problem;
+    problem_->UpdateWeights(noise_, &weights_);
+    return agrees;
   }
 
   Solution Solve() {
     Solution solution;
-    for (int pass = 1;; ++pass) {
+    for (int pass = 1; pass <= kMaxPasses; ++pass) {
       const double tolerance = pass < kMinPasses ? kRoughTolerance : kJointTolerance;
-      const auto problem = Pass(tolerance, &solution.statistics);
-      const bool consistent = Change(noise_, assumed_) < kNoiseAgreement;
-      if (pass < kMinPasses || (!consistent && pass < kMaxPasses)) continue;
-      solution.covariance = problem->Covariance();
-      return solution;
+      if (Pass(tolerance, &solution.statistics) && pass >= kMinPasses) break;
     }
+    solution.covariance = problem_->Covariance();
+    return solution;
   }
 
  private:
@@ -113,9 +124,10 @@ class JointSolver {
   const PoseTrajectory& trajectory_;
   const ConditionedData& data_;
   Estimate* const estimate_;
-  NoiseStd noise_, assumed_;
+  NoiseStd noise_;
   SampleWeights weights_;
   CorrectionSplines splines_;
+  std::unique_ptr<JointProblem> problem_;
 };
 
 }  // namespace

@@ -25,9 +25,9 @@ Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> HonestLeverArm(const CalibrationC
 }
 
 /// Scales the model's covariance so that every sigma is at least the robust one.
-Matrix8d Larger(const CalibrationCovariance& c) {
-  Eigen::Matrix<double, 8, 1> scale;
-  for (int i = 0; i < 8; ++i)
+CalibrationMatrix Larger(const CalibrationCovariance& c) {
+  Eigen::Matrix<double, kCalibrationSize, 1> scale;
+  for (int i = 0; i < kCalibrationSize; ++i)
     scale[i] = c.model(i, i) > 0.0 ? std::sqrt(std::max(1.0, c.robust(i, i) / c.model(i, i))) : 1.0;
   return scale.asDiagonal() * c.model * scale.asDiagonal();
 }
@@ -119,10 +119,10 @@ void GradeResult(const CalibrationOptions& options,
     result->unobservable = {result->message};
     return;
   }
-  const Matrix8d C = Larger(covariance);
+  const CalibrationMatrix C = Larger(covariance);
   result->covariance = C.topLeftCorner<6, 6>();
-  result->time_shift_std = std::sqrt(C(6, 6));
-  result->accel_delay_std = std::sqrt(C(7, 7));
+  result->time_shift_std = std::sqrt(C(kTimeShift, kTimeShift));
+  result->accel_delay_std = std::sqrt(C(kAccelDelay, kAccelDelay));
 
   const auto lever_arm = HonestLeverArm(covariance);
   const double degenerate_p = kDegenerateFactor * options.weak_translation_std;

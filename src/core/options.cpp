@@ -23,6 +23,19 @@ void CheckRange(const char* field, double value, double low, double high) {
   throw InputError(text.str());
 }
 
+/// A value that is not to be estimated must be given.
+void CheckGiven(const char* estimate, bool estimated, const char* initial, bool given) {
+  if (estimated || given) return;
+  throw InputError(std::string("option ") + estimate + " = false needs a value to keep: give " +
+                   initial);
+}
+
+/// The fixed trajectory of method gp has no room for these.
+void CheckJoint(const char* option, bool wanted, Method method) {
+  if (!wanted || method == Method::kJoint) return;
+  throw InputError(std::string("option ") + option + " needs method = joint, not gp");
+}
+
 }  // namespace
 
 void CalibrationOptions::Validate() const {
@@ -47,6 +60,20 @@ void CalibrationOptions::Validate() const {
     CheckRange("norm of initial_rotation", initial_rotation->norm(), 0.99, 1.01);
   if (initial_translation)
     CheckRange("norm of initial_translation", initial_translation->norm(), 0.0, 1e3);
+  if (initial_gravity) CheckRange("norm of initial_gravity", initial_gravity->norm(), 0.1, 100.0);
+  CheckGiven("estimate_time_shift",
+             estimate_time_shift,
+             "initial_time_shift",
+             initial_time_shift.has_value());
+  CheckGiven(
+      "estimate_rotation", estimate_rotation, "initial_rotation", initial_rotation.has_value());
+  CheckGiven("estimate_translation",
+             estimate_translation,
+             "initial_translation",
+             initial_translation.has_value());
+  CheckGiven("estimate_gravity", estimate_gravity, "initial_gravity", initial_gravity.has_value());
+  CheckJoint("estimate_clock_drift = true", estimate_clock_drift, method);
+  CheckJoint("imu_model = scale_misalignment", imu_model != ImuModel::kCalibrated, method);
   CheckRange("knot_spacing_s", knot_spacing_s, 0.0, 10.0);
   CheckRange("accel_delay", accel_delay, -0.5, 0.5);
   CheckRange("gravity_magnitude", gravity_magnitude, 0.1, 100.0);

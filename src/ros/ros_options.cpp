@@ -43,6 +43,15 @@ void Read(const YAML::Node& node, bool* field) { *field = ReadScalar<bool>(node,
 void Read(const YAML::Node& node, Method* field) {
   *field = ParseMethod(ReadScalar<std::string>(node, "a string"));
 }
+void Read(const YAML::Node& node, ImuModel* field) {
+  const auto name = ReadScalar<std::string>(node, "a string");
+  for (const ImuModel model : {ImuModel::kCalibrated, ImuModel::kScaleMisalignment}) {
+    if (name != ToString(model)) continue;
+    *field = model;
+    return;
+  }
+  throw TypeError{"calibrated or scale_misalignment"};
+}
 void Read(const YAML::Node& node, Eigen::Vector3d* field) {
   *field = ReadNumbers(node, 3, "[x, y, z]");
 }
@@ -67,6 +76,7 @@ std::string Text(double value) { return YamlNumber(value); }
 std::string Text(int value) { return std::to_string(value); }
 std::string Text(bool value) { return value ? "true" : "false"; }
 std::string Text(Method value) { return ToString(value); }
+std::string Text(ImuModel value) { return ToString(value); }
 std::string Text(const Eigen::Vector3d& value) { return NumbersText(value); }
 std::string Text(const Eigen::Quaterniond& value) { return NumbersText(value.coeffs()); }
 template <typename T>

@@ -38,6 +38,7 @@ class JointResiduals : public ::testing::Test {
     sample_.gp_rate.a_W = Random(30.0);
     sample_.t = 3.0;
     sample_.t_M = 3.021;
+    sample_.t_drift = -0.5;
     sample_.value = Random(3.0);
     sample_.bias_u = 0.3;
     sample_.sigma = 0.05;
@@ -54,6 +55,28 @@ class JointResiduals : public ::testing::Test {
     for (auto* points : splines)
       for (Vector3d& point : *points) blocks.push_back(point.data());
     return blocks;
+  }
+
+  std::vector<double*> GyroBlocks() {
+    return {q_MI_.coeffs().data(),
+            gyro_intrinsics_.data(),
+            knot_0_.data(),
+            knot_1_.data(),
+            &time_shift_,
+            &clock_drift_};
+  }
+
+  /// `sample_` and another one of the same span.
+  std::vector<JointImuSample> Batch() {
+    JointImuSample next = sample_;
+    next.t += 0.005;
+    next.t_M += 0.005;
+    next.place.u += 0.005 / next.place.spacing;
+    next.gp.omega_M += Random(0.1);
+    next.value = Random(3.0);
+    next.bias_u = 0.4;
+    next.sigma = 0.03;
+    return {sample_, next};
   }
 
   /// Analytic Jacobians against numeric ones, in the tangent space.
@@ -87,19 +110,27 @@ class JointResiduals : public ::testing::Test {
   Eigen::Quaterniond q_MI_ = Exp<double>(Vector3d(0.3, -1.2, 0.8));
   Vector3d p_MI_{0.1, -0.05, 0.2}, g_W_{0.3, -0.2, -9.8};
   Vector3d knot_0_{0.01, 0.02, -0.01}, knot_1_{-0.02, 0.01, 0.03};
-  double time_shift_ = 0.0213, accel_delay_ = 0.0008;
+  Vector6d gyro_intrinsics_ = (Vector6d() << 0.02, -0.01, 0.03, 0.01, 0.02, -0.02).finished();
+  Vector9d accel_intrinsics_ =
+      (Vector9d() << 0.01, 0.02, -0.03, 0.01, -0.02, 0.02, 0.03, -0.01, 0.02).finished();
+  double time_shift_ = 0.0213, accel_delay_ = 0.0008, clock_drift_ = 1e-6;
 };
 
 TEST_F(JointResiduals, PositionJacobian) {
-  const SplineWeights weights = CubicWeights(0.3, 0.03);
   ExpectJacobiansMatch(
-      CreatePositionResidual(Vector3d(0.01, 0.02, 0.03), weights, 1e-3), Points({&d_}), -1);
+      CreatePositionResidual({{Vector3d(0.01, 0.02, 0.03), CubicWeights(0.3, 0.03).row(0), 1e-3},
+                              {Vector3d(0.01, -0.01, 0.0), CubicWeights(0.6, 0.03).row(0), 2e-3}}),
+      Points({&d_}),
+      -1);
 }
 
 TEST_F(JointResiduals, RotationJacobian) {
-  const SplineWeights weights = CubicWeights(0.7, 0.03);
-  const Eigen::Quaterniond measured = Exp<double>(Vector3d(0.3, -0.4, 0.2));
-  ExpectJacobiansMatch(CreateRotationResidual(measured, weights, 1e-3), Points({&phi_}), -1);
+  ExpectJacobiansMatch(
+      CreateRotationResidual(
+          {{Exp<double>(Vector3d(0.3, -0.4, 0.2)), CubicWeights(0.2, 0.03).row(0), 1e-3},
+           {Exp<double>(Vector3d(0.1, 0.2, 0.0)), CubicWeights(0.7, 0.03).row(0), 2e-3}}),
+      Points({&phi_}),
+      -1);
 }
 
 TEST_F(JointResiduals, GyroJacobian) {
@@ -107,9 +138,8 @@ TEST_F(JointResiduals, GyroJacobian) {
     time_shift_ = shift;
     std::vector<double*> blocks = Points({&phi_});
     const int quaternion = static_cast<int>(blocks.size());
-    for (double* block : {q_MI_.coeffs().data(), knot_0_.data(), knot_1_.data(), &time_shift_})
-      blocks.push_back(block);
-    ExpectJacobiansMatch(CreateJointGyroResidual(sample_), blocks, quaternion);
+    for (double* block : GyroBlocks()) blocks.push_back(block);
+    ExpectJacobiansMatch(CreateJointGyroResidual(Batch()), blocks, quaternion);
   }
 }
 
@@ -121,12 +151,14 @@ TEST_F(JointResiduals, AccelJacobian) {
     for (double* block : {q_MI_.coeffs().data(),
                           p_MI_.data(),
                           g_W_.data(),
+                          accel_intrinsics_.data(),
                           knot_0_.data(),
                           knot_1_.data(),
                           &time_shift_,
+                          &clock_drift_,
                           &accel_delay_})
       blocks.push_back(block);
-    ExpectJacobiansMatch(CreateJointAccelResidual(sample_), blocks, quaternion);
+    ExpectJacobiansMatch(CreateJointAccelResidual(Batch()), blocks, quaternion);
   }
 }
 
@@ -149,11 +181,17 @@ TEST_F(JointResiduals, FollowTheDifferentiatedCorrectedRotation) {
   };
   std::vector<const double*> blocks;
   for (const Vector3d& point : phi_) blocks.push_back(point.data());
-  for (const double* block : {identity.coeffs().data(), zero.data(), zero.data()})
+  const Vector6d calibrated = Vector6d::Zero();
+  const double no_drift = 0.0;
+  for (const double* block : {identity.coeffs().data(),
+                              calibrated.data(),
+                              zero.data(),
+                              zero.data(),
+                              static_cast<const double*>(&time_shift_),
+                              &no_drift})
     blocks.push_back(block);
-  blocks.push_back(&time_shift_);
   Vector3d residual;
-  const std::unique_ptr<ceres::CostFunction> cost(CreateJointGyroResidual(sample_));
+  const std::unique_ptr<ceres::CostFunction> cost(CreateJointGyroResidual({sample_}));
   ASSERT_TRUE(cost->Evaluate(blocks.data(), residual.data(), nullptr));
   const double h = 1e-6;
   const Vector3d rate =
@@ -166,11 +204,9 @@ TEST_F(JointResiduals, FailFarBeyondTheSpan) {
   time_shift_ = 0.5;
   std::vector<const double*> blocks;
   for (const Vector3d& point : phi_) blocks.push_back(point.data());
-  for (const double* block : {q_MI_.coeffs().data(), knot_0_.data(), knot_1_.data()})
-    blocks.push_back(block);
-  blocks.push_back(&time_shift_);
+  for (const double* block : GyroBlocks()) blocks.push_back(block);
   Vector3d residual;
-  const std::unique_ptr<ceres::CostFunction> cost(CreateJointGyroResidual(sample_));
+  const std::unique_ptr<ceres::CostFunction> cost(CreateJointGyroResidual({sample_}));
   EXPECT_FALSE(cost->Evaluate(blocks.data(), residual.data(), nullptr));
 }
 

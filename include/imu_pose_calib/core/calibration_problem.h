@@ -18,12 +18,24 @@ struct ResidualStatistics {
   NoiseStd rms;    ///< per axis, of all samples used
 };
 
-/// Marginal uncertainty of (p_MI [m] in M, rotation [rad] about the imu axes, time_shift [s],
-/// accel_delay [s]); a fixed accel_delay has variance 0.
-using Matrix8d = Eigen::Matrix<double, 8, 8>;
+/// Place of the calibration parameters in CalibrationCovariance.
+enum CalibrationIndex {
+  kTranslation = 0,      ///< p_MI [m] in M
+  kRotation = 3,         ///< [rad] about the imu axes, R_MI Exp(dtheta)
+  kTimeShift = 6,        ///< [s]
+  kAccelDelay = 7,       ///< [s]
+  kClockDrift = 8,       ///< [s/s]
+  kGyroIntrinsics = 9,   ///< 6, of GyroMatrix()
+  kAccelIntrinsics = 15  ///< 9, of AccelMatrix()
+};
+constexpr int kCalibrationSize = 24;
+using CalibrationMatrix = Eigen::Matrix<double, kCalibrationSize, kCalibrationSize>;
+
+/// Marginal uncertainty of the calibration; parameters that are not estimated have variance 0.
 struct CalibrationCovariance {
-  Matrix8d model;   ///< H^-1: right when residuals are independent
-  Matrix8d robust;  ///< H^-1 (sum_w g_w g_w^T) H^-1 over time blocks: right when they are not
+  CalibrationMatrix model;  ///< H^-1: right when residuals are independent
+  CalibrationMatrix
+      robust;  ///< H^-1 (sum_w g_w g_w^T) H^-1 over time blocks: right when they are not
   /// Information on p_MI [1/m^2] that the trajectory's own errors feign: they move the lever arm's
   /// coefficients as a motion would.
   double feigned_lever_arm_information;
@@ -52,10 +64,12 @@ inline double LeverArmCoefficientVariance(double alpha_variance,
   return 2.0 * alpha_variance + 4.0 * omega_variance * omega2;
 }
 
-/// What the two solves, against a fixed trajectory and jointly with it, have in common. All
-/// residual blocks are 3-vectors in sigma.
+/// What the two solves, against a fixed trajectory and jointly with it, have in common. Residual
+/// blocks of sensors have three rows in sigma for each of their samples.
 class CalibrationProblem {
  public:
+  virtual ~CalibrationProblem() = default;
+
   /// Throws DataError when Ceres does not converge to a relative change of the cost below
   /// `function_tolerance`.
   void Solve(double function_tolerance);
@@ -63,13 +77,21 @@ class CalibrationProblem {
   CalibrationCovariance Covariance();
 
  protected:
-  /// One residual block of a sensor.
-  struct Term {
-    ceres::ResidualBlockId id;
-    size_t sample;                     ///< index in the data
+  struct Sample {
+    size_t index;                      ///< in the data
     double t;                          ///< [s] IMU clock
     double sigma;                      ///< residual * sigma has the sensor's unit
     double trajectory_variance = 0.0;  ///< share of sigma^2
+  };
+  /// Residual blocks of a sensor. Their rows, one after the other, are those of `samples`.
+  struct Sensor {
+    std::vector<ceres::ResidualBlockId> blocks;
+    std::vector<double> block_t;  ///< [s] IMU clock, of each block's first sample
+    std::vector<Sample> samples;
+    /// Norm of each sample's residual in the sensor's unit, as of the last Statistics().
+    std::vector<double> residual_norms;
+
+    void Add(ceres::ResidualBlockId block, const std::vector<Sample>& block_samples);
   };
 
   /// Refers to everything it is given; Solve() moves `estimate`.
@@ -79,13 +101,18 @@ class CalibrationProblem {
                      const NoiseStd& noise,
                      Estimate* estimate);
 
-  /// Parameter blocks of both sensors with their manifolds.
-  void AddRotation();
-  void AddGravityAndDelay();
+  /// Parameter blocks of a sensor with their manifolds, constant where the options fix them.
+  void AddGyroParameters();
+  void AddAccelParameters();
   void AddBiasWalk(double walk, BiasKnots* knots);
+  /// `size` independent parameters around 0.
+  void AddPrior(double* parameters, int size, double sigma);
+  void SetConstantUnless(bool estimated, double* parameters);
   /// The sample can be compared: t_M [s, pose clock] is inside of a segment and not at its very
   /// end.
   bool IsOnTrajectory(double t_M) const;
+  /// See CalibrationCovariance.
+  virtual double FeignedLeverArmInformation() const = 0;
 
   const CalibrationOptions& options_;
   const PoseTrajectory& trajectory_;
@@ -94,9 +121,9 @@ class CalibrationProblem {
   Estimate* const estimate_;
 
   ceres::Problem problem_;
-  std::vector<Term> position_terms_, rotation_terms_, gyro_terms_, accel_terms_, walk_terms_;
+  Sensor position_, rotation_, gyro_, accel_;
+  std::vector<ceres::ResidualBlockId> priors_;  ///< bias walks and priors of parameters
   std::vector<double*> trajectory_blocks_;  ///< parameters of the trajectory, if it is estimated
-  double feigned_information_ = 0.0;
 };
 
 }  // namespace imu_pose_calib

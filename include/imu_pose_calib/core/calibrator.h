@@ -93,5 +93,7 @@ Calibration Calibrate(const CalibrationOptions& options, const CalibrationData& 
 const char* ToString(Status status);
 /// "joint", "gp".
 const char* ToString(Method method);
+/// "calibrated", "scale_misalignment".
+const char* ToString(ImuModel model);
 
 }  // namespace imu_pose_calib

@@ -3,6 +3,7 @@
 #include <ceres/crs_matrix.h>
 
 #include <Eigen/Core>
+#include <Eigen/SparseCore>
 #include <vector>
 
 namespace imu_pose_calib {
@@ -13,11 +14,26 @@ struct MarginalCovariance {
   Eigen::MatrixXd robust;  ///< leading block of H^-1 (sum_w g_w g_w^T) H^-1, g_w = sum_w J^T r
 };
 
-/// `J` and `residuals` at the minimum, weighted and robustified; `cluster[i]` is the time block of
-/// row i. Parameters without information get a variance of infinity.
-MarginalCovariance ComputeMarginalCovariance(const ceres::CRSMatrix& J,
-                                             const std::vector<double>& residuals,
-                                             const std::vector<int>& cluster,
-                                             int leading);
+/// Gathers H and the scores g_w of the clusters w from portions of the Jacobian, so that it need
+/// not be held as a whole.
+class MarginalCovarianceEstimator {
+ public:
+  MarginalCovarianceEstimator(int parameters, int leading);
+
+  /// Rows of the weighted and robustified Jacobian and residuals at the minimum; `cluster[i]` is
+  /// the time block of row i, -1 when it belongs to none.
+  void Add(const ceres::CRSMatrix& J,
+           const std::vector<double>& residuals,
+           const std::vector<int>& cluster);
+
+  /// Parameters without information get a variance of infinity.
+  MarginalCovariance Compute() const;
+
+ private:
+  const int leading_;
+  Eigen::SparseMatrix<double> H_;               ///< lower triangle
+  std::vector<Eigen::Triplet<double>> scores_;  ///< (parameter, cluster, g)
+  int clusters_ = 0;
+};
 
 }  // namespace imu_pose_calib

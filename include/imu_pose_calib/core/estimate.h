@@ -26,11 +26,18 @@ struct BiasKnots {
 /// State of the solve; times as in Start.
 struct Estimate {
   double time_shift, accel_delay;
+  double clock_drift = 0.0;      ///< [s/s] growth of the time shift
+  double clock_reference = 0.0;  ///< [s] IMU clock: instant at which time_shift holds
   Eigen::Quaterniond q_MI;
   Eigen::Vector3d p_MI, g_W;
+  Vector6d gyro_intrinsics = Vector6d::Zero();   ///< of GyroMatrix()
+  Vector9d accel_intrinsics = Vector9d::Zero();  ///< of AccelMatrix()
   BiasKnots gyro_bias, accel_bias;
 
   Estimate(const Start& start, const ConditionedData& data, double bias_knot_interval_s);
+
+  /// Pose clock of a gyroscope sample at t [s, IMU clock].
+  double PoseTime(double t) const { return t + time_shift + clock_drift * (t - clock_reference); }
 };
 
 }  // namespace imu_pose_calib

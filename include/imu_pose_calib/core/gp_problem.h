@@ -18,11 +18,14 @@ class GpProblem : public CalibrationProblem {
             Estimate* estimate);
 
  private:
+  double FeignedLeverArmInformation() const override { return feigned_information_; }
   void AddGyro();
   void AddAccel();
   /// Number of consecutive samples that share one error of the trajectory: together they tell no
   /// more about it than one, so its variance counts that many times in each sample's weight.
   double SharedSamples(double rate_hz) const;
+
+  double feigned_information_ = 0.0;
 };
 
 /// Stage S3 as a whole: rotation, gyro bias and time shift on the gyroscope; then everything on

@@ -57,19 +57,24 @@ class JointProblem : public CalibrationProblem {
                Estimate* estimate,
                CorrectionSplines* splines);
 
-  /// Cauchy weights 1 / (1 + |r|^2 / scale^2) of the residuals r in units of `noise`.
-  void UpdateWeights(const NoiseStd& noise, SampleWeights* weights);
+  /// Cauchy weights 1 / (1 + |r|^2 / scale^2) of the residuals r of the last Statistics() in units
+  /// of `noise`.
+  void UpdateWeights(const NoiseStd& noise, SampleWeights* weights) const;
 
  private:
   void AddPoses(const SampleWeights& weights);
   void AddGyro(const SampleWeights& weights);
   void AddAccel(const SampleWeights& weights);
-  /// The sample with the GP's motion, nothing when it is not on a spline. `bias_u` is left open.
-  std::optional<JointImuSample> Sample(const TimedSample& sample, double delay, double sigma) const;
-  /// Variance of the lever arm's coefficients at a sample that the joint trajectory's errors cause.
-  double LeverArmErrors(const JointImuSample& sample) const;
-  std::vector<double*> ControlPoints(const std::vector<std::vector<Eigen::Vector3d>*>& splines,
-                                     const SplinePlace& place) const;
+  /// The sample at t_M [s, pose clock] with the GP's motion; nothing when it is not on a spline.
+  std::optional<JointImuSample> Locate(const TimedSample& sample,
+                                       double t_M,
+                                       double sigma,
+                                       double bias_u) const;
+  /// Variance of the lever arm's coefficients at t_M that the joint trajectory's errors cause.
+  double LeverArmErrors(double t_M) const;
+  double FeignedLeverArmInformation() const override;
+  /// Control points that act on the span.
+  std::vector<double*> ControlPoints(std::vector<Eigen::Vector3d>* spline, size_t first) const;
 
   CorrectionSplines* const splines_;
 };

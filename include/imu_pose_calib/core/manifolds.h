@@ -34,4 +34,13 @@ inline void SetSphere(double* vector3, ceres::Problem* problem) {
 #endif
 }
 
+/// Degrees of freedom of a parameter block.
+inline int TangentSize(const ceres::Problem& problem, const double* parameters) {
+#if IMU_POSE_CALIB_CERES_HAS_MANIFOLDS
+  return problem.ParameterBlockTangentSize(parameters);
+#else
+  return problem.ParameterBlockLocalSize(parameters);
+#endif
+}
+
 }  // namespace imu_pose_calib

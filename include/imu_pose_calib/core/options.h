@@ -12,6 +12,12 @@ enum class Method {
   kGp,     ///< Gaussian-process trajectory held fixed, calibration fitted to it (doc/math.md, S3)
 };
 
+/// What is estimated of the IMU beside its biases.
+enum class ImuModel {
+  kCalibrated,         ///< nothing: measured = true + bias + noise
+  kScaleMisalignment,  ///< measured = M true + bias + noise, one matrix M per sensor
+};
+
 /// Everything that can be set. The defaults work on a normal recording; the same names, with the
 /// same defaults, are the keys of config/default.yaml.
 struct CalibrationOptions {
@@ -53,7 +59,7 @@ struct CalibrationOptions {
   /// A pose is an outlier when its leave-one-out residual exceeds this many sigma.
   double outlier_threshold = 6.0;
 
-  // --- Start (S2): not needed; used when given ---
+  // --- Start (S2): not needed; used when given, and kept when it is not to be estimated ---
 
   /// Guess of t_pose - t_imu [s]; the search is then limited to 1 s around it.
   std::optional<double> initial_time_shift;
@@ -61,6 +67,25 @@ struct CalibrationOptions {
   std::optional<Eigen::Quaterniond> initial_rotation;
   /// Guess of the translation p_MI [m].
   std::optional<Eigen::Vector3d> initial_translation;
+  /// Guess of gravity in W [m/s^2]; its norm is kept.
+  std::optional<Eigen::Vector3d> initial_gravity;
+
+  // --- What is estimated; false keeps the initial value, which must then be given ---
+
+  bool estimate_time_shift = true;
+  bool estimate_rotation = true;
+  bool estimate_translation = true;
+  bool estimate_gravity = true;  ///< the direction
+  /// How much later than the gyroscope's the accelerometer's data are delivered.
+  bool estimate_accel_delay = true;
+  /// Start or fixed value [s]: t_pose = t_accel + time_shift - accel_delay.
+  double accel_delay = 0.0;
+  /// Linear growth of the time shift. Joint solve only.
+  bool estimate_clock_drift = false;
+  /// Scale and misalignment of the sensors. Joint solve only.
+  ImuModel imu_model = ImuModel::kCalibrated;
+  /// Magnitude of gravity [m/s^2] unless initial_gravity is given.
+  double gravity_magnitude = 9.80665;
 
   // --- Solve (S3, S4) ---
 
@@ -68,13 +93,6 @@ struct CalibrationOptions {
   /// residuals stop shrinking.
   double knot_spacing_s = 0.0;
 
-  /// Estimate how much later than the gyroscope's the accelerometer's data are delivered; false
-  /// keeps `accel_delay`.
-  bool estimate_accel_delay = true;
-  /// Start or fixed value [s]: t_pose = t_accel + time_shift - accel_delay.
-  double accel_delay = 0.0;
-  /// Magnitude of gravity [m/s^2]; its direction is estimated.
-  double gravity_magnitude = 9.80665;
   /// Cauchy scale of the robust loss, in sigma of a 3-vector residual.
   double robust_loss_scale = 5.0;
   /// Ceres iterations of each solve.

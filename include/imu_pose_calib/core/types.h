@@ -20,6 +20,7 @@
 namespace imu_pose_calib {
 
 using Vector6d = Eigen::Matrix<double, 6, 1>;
+using Vector9d = Eigen::Matrix<double, 9, 1>;
 using Matrix6d = Eigen::Matrix<double, 6, 6>;
 
 /// Rigid transform T_XY: x_X = q x_Y + p.

@@ -32,10 +32,17 @@ void VisitFields(Options&& options, Visitor&& visit) {
   IMU_POSE_CALIB_VISIT(initial_time_shift);
   IMU_POSE_CALIB_VISIT(initial_rotation);
   IMU_POSE_CALIB_VISIT(initial_translation);
-  IMU_POSE_CALIB_VISIT(knot_spacing_s);
+  IMU_POSE_CALIB_VISIT(initial_gravity);
+  IMU_POSE_CALIB_VISIT(estimate_time_shift);
+  IMU_POSE_CALIB_VISIT(estimate_rotation);
+  IMU_POSE_CALIB_VISIT(estimate_translation);
+  IMU_POSE_CALIB_VISIT(estimate_gravity);
   IMU_POSE_CALIB_VISIT(estimate_accel_delay);
   IMU_POSE_CALIB_VISIT(accel_delay);
+  IMU_POSE_CALIB_VISIT(estimate_clock_drift);
+  IMU_POSE_CALIB_VISIT(imu_model);
   IMU_POSE_CALIB_VISIT(gravity_magnitude);
+  IMU_POSE_CALIB_VISIT(knot_spacing_s);
   IMU_POSE_CALIB_VISIT(robust_loss_scale);
   IMU_POSE_CALIB_VISIT(max_iterations);
   IMU_POSE_CALIB_VISIT(num_threads);

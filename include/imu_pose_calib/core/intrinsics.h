@@ -1,0 +1,25 @@
+#pragma once
+
+#include "imu_pose_calib/core/types.h"
+
+namespace imu_pose_calib {
+
+/// Scale and misalignment of the IMU's sensors, doc/math.md Eq. (19): measured = M true + bias,
+/// both in I. All zeros is a calibrated sensor.
+
+/// M_g from its lower triangle less the identity, (xx, yx, yy, zx, zy, zz): the gyroscope's x axis
+/// is that of I and its y axis lies in the xy plane, so a rotation is left to R_MI alone.
+inline Eigen::Matrix3d GyroMatrix(const Vector6d& m) {
+  Eigen::Matrix3d M;
+  M << 1.0 + m[0], 0.0, 0.0,  //
+      m[1], 1.0 + m[2], 0.0,  //
+      m[3], m[4], 1.0 + m[5];
+  return M;
+}
+
+/// M_a from its elements less the identity, row by row.
+inline Eigen::Matrix3d AccelMatrix(const Vector9d& m) {
+  return Eigen::Matrix3d::Identity() + Eigen::Map<const Eigen::Matrix3d>(m.data()).transpose();
+}
+
+}  // namespace imu_pose_calib
