@@ -17,12 +17,16 @@ constexpr double kIntrinsicsPrior = 0.05;  // [1] sigma of each element of M_g a
 CorrectionSplines::CorrectionSplines(const ConditionedData& data,
                                      const Estimate& estimate,
                                      double spacing_s) {
-  const double imu_begin = estimate.PoseTime(std::max(data.gyro.front().t, data.accel.front().t));
-  const double imu_end = estimate.PoseTime(std::min(data.gyro.back().t, data.accel.back().t));
+  const double imu_begin =
+      std::max(data.gyro.front().t + estimate.accel_delay, data.accel.front().t);
+  const double imu_end = std::min(data.gyro.back().t + estimate.accel_delay, data.accel.back().t);
   size_t points = 0;
   for (const IndexRange& segment : data.segments) {
-    const double begin = std::max(imu_begin, data.poses[segment.begin].t);
-    const double end = std::min(imu_end, data.poses[segment.end - 1].t);
+    const auto tau = [&](size_t pose) {
+      return estimate.ImuTime(data.poses[pose].t) + estimate.accel_delay;
+    };
+    const double begin = std::max(imu_begin, tau(segment.begin));
+    const double end = std::min(imu_end, tau(segment.end - 1));
     if (end - begin < static_cast<double>(kMinSpans) * spacing_s) continue;
     const auto spans = static_cast<size_t>(std::round((end - begin) / spacing_s));
     ranges_.push_back({begin, end, (end - begin) / static_cast<double>(spans), points, spans});
@@ -33,20 +37,20 @@ CorrectionSplines::CorrectionSplines(const ConditionedData& data,
   phi.assign(points, Eigen::Vector3d::Zero());
 }
 
-const CorrectionSplines::Range* CorrectionSplines::Find(double t) const {
+const CorrectionSplines::Range* CorrectionSplines::Find(double tau) const {
   const auto after =
-      std::upper_bound(ranges_.begin(), ranges_.end(), t, [](double value, const Range& range) {
+      std::upper_bound(ranges_.begin(), ranges_.end(), tau, [](double value, const Range& range) {
         return value < range.begin;
       });
   if (after == ranges_.begin()) return nullptr;
   const Range& range = *std::prev(after);
-  return t <= range.end ? &range : nullptr;
+  return tau <= range.end ? &range : nullptr;
 }
 
-std::optional<SplinePlace> CorrectionSplines::Locate(double t) const {
-  const Range* range = Find(t);
+std::optional<SplinePlace> CorrectionSplines::Locate(double tau) const {
+  const Range* range = Find(tau);
   if (range == nullptr) return std::nullopt;
-  const double x = (t - range->begin) / range->spacing;
+  const double x = (tau - range->begin) / range->spacing;
   const size_t span = std::min(range->spans - 1, static_cast<size_t>(x));
   return SplinePlace{range->first + span, x - static_cast<double>(span), range->spacing};
 }
@@ -85,108 +89,115 @@ JointProblem::JointProblem(const CalibrationOptions& options,
   AddBiasWalk(options_.accel_bias_walk, &estimate_->accel_bias);
 }
 
+std::optional<TrajectoryPoint> JointProblem::PointAt(double tau, double t_M) const {
+  TrajectoryPoint point;
+  const auto place = splines_->Locate(tau);
+  if (!place || !trajectory_.Evaluate(t_M, &point.gp, &point.gp_rate)) return std::nullopt;
+  point.place = *place;
+  return point;
+}
+
 void JointProblem::AddPoses(const SampleWeights& weights) {
-  std::vector<JointPositionSample> positions;
-  std::vector<JointRotationSample> rotations;
+  std::vector<JointPoseSample> positions, rotations;
   std::vector<Sample> position_samples, rotation_samples;
-  size_t first = 0;
   const auto add_blocks = [&] {
     if (positions.empty()) return;
-    position_.Add(problem_.AddResidualBlock(CreatePositionResidual(std::move(positions)),
-                                            nullptr,
-                                            ControlPoints(&splines_->d, first)),
-                  position_samples);
-    rotation_.Add(problem_.AddResidualBlock(CreateRotationResidual(std::move(rotations)),
-                                            nullptr,
-                                            ControlPoints(&splines_->phi, first)),
-                  rotation_samples);
-    positions.clear();
-    rotations.clear();
-    position_samples.clear();
-    rotation_samples.clear();
+    const size_t first = positions.front().at.place.first;
+    const auto add = [&](std::vector<Eigen::Vector3d>* spline,
+                         ceres::CostFunction* residual,
+                         std::vector<Sample>* samples,
+                         Sensor* sensor) {
+      std::vector<double*> blocks = ControlPoints(spline, first);
+      blocks.insert(blocks.end(),
+                    {&estimate_->time_shift, &estimate_->clock_drift, &estimate_->accel_delay});
+      sensor->Add(problem_.AddResidualBlock(residual, nullptr, blocks), *samples);
+      samples->clear();
+    };
+    add(&splines_->d,
+        CreateJointPositionResidual(std::exchange(positions, {})),
+        &position_samples,
+        &position_);
+    add(&splines_->phi,
+        CreateJointRotationResidual(std::exchange(rotations, {})),
+        &rotation_samples,
+        &rotation_);
   };
   for (size_t i = 0; i < data_.poses.size(); ++i) {
     const TimedPose& pose = data_.poses[i];
-    const auto place = splines_->Locate(pose.t);
-    if (!place) continue;
-    if (place->first != first) add_blocks();
-    first = place->first;
-    const PoseTrajectory::Pose gp = trajectory_.PoseAt(pose.t);
-    const Eigen::Matrix<double, 1, kSplineOrder> spline =
-        CubicWeights(place->u, place->spacing).row(0);
-    const double t_imu = pose.t - estimate_->time_shift;
-    const double position_sigma = noise_.position / std::sqrt(weights.position[i]);
-    const double rotation_sigma = noise_.rotation / std::sqrt(weights.rotation[i]);
-    positions.push_back({pose.p_WM - gp.p_WM, spline, position_sigma});
-    rotations.push_back({gp.q_WM.conjugate() * pose.q_WM, spline, rotation_sigma});
-    position_samples.push_back({i, t_imu, position_sigma});
-    rotation_samples.push_back({i, t_imu, rotation_sigma});
+    const double t = estimate_->ImuTime(pose.t);
+    const auto point = PointAt(t + estimate_->accel_delay, pose.t);
+    if (!point) continue;
+    if (!positions.empty() && positions.front().at.place.first != point->place.first) add_blocks();
+    JointPoseSample sample{*point,
+                           pose.q_WM,
+                           pose.p_WM,
+                           estimate_->time_shift,
+                           estimate_->clock_drift,
+                           estimate_->accel_delay,
+                           t - estimate_->clock_reference,
+                           noise_.position / std::sqrt(weights.position[i])};
+    positions.push_back(sample);
+    position_samples.push_back({i, t, sample.sigma});
+    sample.sigma = noise_.rotation / std::sqrt(weights.rotation[i]);
+    rotations.push_back(sample);
+    rotation_samples.push_back({i, t, sample.sigma});
   }
   add_blocks();
 }
 
-std::optional<JointImuSample> JointProblem::Locate(const TimedSample& sample,
-                                                   double t_M,
-                                                   double sigma,
-                                                   double bias_u) const {
-  const auto place = splines_->Locate(t_M);
-  JointImuSample s;
-  if (!place || !IsOnTrajectory(t_M) || !trajectory_.Evaluate(t_M, &s.gp, &s.gp_rate))
-    return std::nullopt;
-  s.t_M = t_M;
-  s.t = sample.t;
-  s.t_drift = sample.t - estimate_->clock_reference;
-  s.value = sample.value;
-  s.bias_u = bias_u;
-  s.sigma = sigma;
-  s.place = *place;
-  return s;
-}
-
-void JointProblem::AddGyro(const SampleWeights& weights) {
-  BiasKnots& knots = estimate_->gyro_bias;
+template <typename Create>
+void JointProblem::AddImu(const std::vector<TimedSample>& samples,
+                          const std::vector<double>& weights,
+                          double lead,
+                          double noise,
+                          const BiasKnots& knots,
+                          const Create& create,
+                          Sensor* sensor) {
   std::vector<JointImuSample> batch;
   std::vector<Sample> batch_samples;
   size_t knot = 0;
   const auto add_block = [&] {
     if (batch.empty()) return;
-    std::vector<double*> blocks = ControlPoints(&splines_->phi, batch.front().place.first);
+    const size_t first = batch.front().at.place.first;
+    sensor->Add(create(std::exchange(batch, {}), first, knot), batch_samples);
+    batch_samples.clear();
+  };
+  for (size_t i = 0; i < samples.size(); ++i) {
+    const double tau = samples[i].t + lead;
+    const double t_M = estimate_->PoseTime(tau - estimate_->accel_delay);
+    const auto point = PointAt(tau, t_M);
+    if (!point || !IsOnTrajectory(t_M)) continue;
+    const auto [k, u] = knots.Locate(samples[i].t);
+    if (!batch.empty() && (batch.front().at.place.first != point->place.first || knot != k))
+      add_block();
+    knot = k;
+    const double sigma = noise / std::sqrt(weights[i]);
+    batch.push_back({*point, samples[i].value, u, estimate_->accel_delay, sigma});
+    batch_samples.push_back({i, samples[i].t, sigma});
+  }
+  add_block();
+}
+
+void JointProblem::AddGyro(const SampleWeights& weights) {
+  BiasKnots& knots = estimate_->gyro_bias;
+  const auto create = [&](std::vector<JointImuSample> batch, size_t first, size_t knot) {
+    std::vector<double*> blocks = ControlPoints(&splines_->phi, first);
     blocks.insert(blocks.end(),
                   {estimate_->q_MI.coeffs().data(),
                    estimate_->gyro_intrinsics.data(),
                    knots.values[knot].data(),
                    knots.values[knot + 1].data(),
-                   &estimate_->time_shift,
-                   &estimate_->clock_drift});
-    gyro_.Add(problem_.AddResidualBlock(CreateJointGyroResidual(std::move(batch)), nullptr, blocks),
-              batch_samples);
-    batch.clear();
-    batch_samples.clear();
+                   &estimate_->accel_delay});
+    return problem_.AddResidualBlock(CreateJointGyroResidual(std::move(batch)), nullptr, blocks);
   };
-  for (size_t i = 0; i < data_.gyro.size(); ++i) {
-    const TimedSample& s = data_.gyro[i];
-    const double sigma = noise_.gyro / std::sqrt(weights.gyro[i]);
-    const auto [k, u] = knots.Locate(s.t);
-    const auto sample = Locate(s, estimate_->PoseTime(s.t), sigma, u);
-    if (!sample) continue;
-    if (!batch.empty() && (batch.front().place.first != sample->place.first || knot != k))
-      add_block();
-    knot = k;
-    batch.push_back(*sample);
-    batch_samples.push_back({i, s.t, sigma});
-  }
-  add_block();
+  AddImu(data_.gyro, weights.gyro, estimate_->accel_delay, noise_.gyro, knots, create, &gyro_);
 }
 
 void JointProblem::AddAccel(const SampleWeights& weights) {
   BiasKnots& knots = estimate_->accel_bias;
-  std::vector<JointImuSample> batch;
-  std::vector<Sample> batch_samples;
-  size_t knot = 0;
-  const auto add_block = [&] {
-    if (batch.empty()) return;
-    std::vector<double*> blocks = ControlPoints(&splines_->d, batch.front().place.first);
-    const auto phi = ControlPoints(&splines_->phi, batch.front().place.first);
+  const auto create = [&](std::vector<JointImuSample> batch, size_t first, size_t knot) {
+    std::vector<double*> blocks = ControlPoints(&splines_->d, first);
+    const std::vector<double*> phi = ControlPoints(&splines_->phi, first);
     blocks.insert(blocks.end(), phi.begin(), phi.end());
     blocks.insert(blocks.end(),
                   {estimate_->q_MI.coeffs().data(),
@@ -194,29 +205,10 @@ void JointProblem::AddAccel(const SampleWeights& weights) {
                    estimate_->g_W.data(),
                    estimate_->accel_intrinsics.data(),
                    knots.values[knot].data(),
-                   knots.values[knot + 1].data(),
-                   &estimate_->time_shift,
-                   &estimate_->clock_drift,
-                   &estimate_->accel_delay});
-    accel_.Add(
-        problem_.AddResidualBlock(CreateJointAccelResidual(std::move(batch)), nullptr, blocks),
-        batch_samples);
-    batch.clear();
-    batch_samples.clear();
+                   knots.values[knot + 1].data()});
+    return problem_.AddResidualBlock(CreateJointAccelResidual(std::move(batch)), nullptr, blocks);
   };
-  for (size_t i = 0; i < data_.accel.size(); ++i) {
-    const TimedSample& s = data_.accel[i];
-    const double sigma = noise_.accel / std::sqrt(weights.accel[i]);
-    const auto [k, u] = knots.Locate(s.t);
-    const auto sample = Locate(s, estimate_->PoseTime(s.t) - estimate_->accel_delay, sigma, u);
-    if (!sample) continue;
-    if (!batch.empty() && (batch.front().place.first != sample->place.first || knot != k))
-      add_block();
-    knot = k;
-    batch.push_back(*sample);
-    batch_samples.push_back({i, s.t, sigma});
-  }
-  add_block();
+  AddImu(data_.accel, weights.accel, 0.0, noise_.accel, knots, create, &accel_);
 }
 
 void JointProblem::UpdateWeights(const NoiseStd& noise, SampleWeights* weights) const {
@@ -232,26 +224,25 @@ void JointProblem::UpdateWeights(const NoiseStd& noise, SampleWeights* weights) 
   update(accel_, noise.accel, &weights->accel);
 }
 
-double JointProblem::LeverArmErrors(double t_M) const {
-  const auto place = splines_->Locate(t_M);
-  MarkerState<double> state;
-  if (!place || !trajectory_.Evaluate(t_M, &state)) return 0.0;
+double JointProblem::LeverArmErrors(double tau) const {
+  const double t_M = estimate_->PoseTime(tau - estimate_->accel_delay);
+  const auto point = PointAt(tau, t_M);
+  if (!point) return 0.0;
   // What the gyroscope leaves of white noise in the splines' band B = 1 / (2 spacing): the share
   // 2 B / rate in omega, and (2 pi B)^2 / 3 times that in alpha. Poses and gyroscope add up.
+  const double spacing = point->place.spacing;
   const double gyro_omega =
-      noise_.gyro * noise_.gyro / std::max(1.0, place->spacing * data_.gyro_report.rate_hz);
-  const double gyro_alpha = std::pow(M_PI / place->spacing, 2) / 3.0 * gyro_omega;
+      noise_.gyro * noise_.gyro / std::max(1.0, spacing * data_.gyro_report.rate_hz);
+  const double gyro_alpha = std::pow(M_PI / spacing, 2) / 3.0 * gyro_omega;
   const MarkerVariance gp = trajectory_.Variance(t_M);
   const double omega = 1.0 / (1.0 / gyro_omega + 1.0 / gp.omega);
   const double alpha = 1.0 / (1.0 / gyro_alpha + 1.0 / gp.alpha);
-  return LeverArmCoefficientVariance(alpha, omega, state.omega_M.squaredNorm());
+  return LeverArmCoefficientVariance(alpha, omega, point->gp.omega_M.squaredNorm());
 }
 
 double JointProblem::FeignedLeverArmInformation() const {
   double information = 0.0;
-  for (const Sample& s : accel_.samples)
-    information +=
-        LeverArmErrors(estimate_->PoseTime(s.t) - estimate_->accel_delay) / (s.sigma * s.sigma);
+  for (const Sample& s : accel_.samples) information += LeverArmErrors(s.t) / (s.sigma * s.sigma);
   return information;
 }
 

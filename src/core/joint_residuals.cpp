@@ -38,8 +38,6 @@ Eigen::Matrix<double, 3, 4> InverseRotationJacobian(const Eigen::Quaterniond& q,
   return 2.0 * Hat(turned_v) * q.conjugate().toRotationMatrix() * G;
 }
 
-Eigen::Matrix<double, 3, 4> NoCorrection() { return Eigen::Matrix<double, 3, 4>::Zero(); }
-
 /// u = J_r(phi) phi' and its time derivative, as cross products: with m = phi x phi',
 ///   u     = phi' - b m + c phi x m
 ///   du/dt = J_r(phi) phi'' - b' m + c' phi x m + c phi' x m.
@@ -60,31 +58,25 @@ void CorrectionRate(const Eigen::Matrix<T, 3, 1>& phi,
            j.c * phi1.cross(m);
 }
 
-/// The corrected motion of the marker at one instant and how it moves with phi, phi', phi'' and t.
-struct JointState {
+/// The corrected rotation of the marker at one instant and how it moves with phi, phi' and phi''.
+struct CorrectedRotation {
   Eigen::Quaterniond q_WM;
-  Vector3d omega, alpha, a_W;
+  Vector3d omega, alpha;
   // Only with Jacobians:
   Matrix3d J;                                  // right Jacobian of phi
   Matrix3d omega_phi, omega_phi1;              // d omega / d phi, phi'
   Matrix3d alpha_phi, alpha_phi1, alpha_phi2;  // d alpha / d phi, phi', phi''
-  Vector3d turn, omega_t, alpha_t, a_t;        // body rate of q_WM, time derivatives
+  Vector3d omega_t;                            // time derivative
 
-  /// phi, d: columns 0..3 are the value and its time derivatives. `time` [s, IMU clock] shifted to
-  /// the pose clock.
-  JointState(const JointImuSample& sample,
-             double time,
-             const Eigen::Matrix<double, 3, 4>& phi,
-             const Eigen::Matrix<double, 3, 4>& d,
-             bool with_jacobians) {
-    const double dt = time - sample.t_M;
-    const MarkerState<double>& gp = sample.gp;
-    const MarkerState<double>& rate = sample.gp_rate;
-    const Eigen::Quaterniond q_gp = gp.q_WM * Exp<double>(dt * gp.omega_M);
-    const Vector3d omega_gp = gp.omega_M + dt * rate.omega_M;
-    const Vector3d alpha_gp = gp.alpha_M + dt * rate.alpha_M;
+  /// phi: columns 0..3 are the value and its time derivatives. `dt` [s] beyond the point.
+  CorrectedRotation(const TrajectoryPoint& at,
+                    double dt,
+                    const Eigen::Matrix<double, 3, 4>& phi,
+                    bool with_jacobians) {
+    const Vector3d omega_gp = at.gp.omega_M + dt * at.gp_rate.omega_M;
+    const Vector3d alpha_gp = at.gp.alpha_M + dt * at.gp_rate.alpha_M;
     const Eigen::Quaterniond E = Exp<double>(phi.col(0));
-    q_WM = q_gp * E;
+    q_WM = at.gp.q_WM * Exp<double>(dt * at.gp.omega_M) * E;
 
     Vector3d u, u_dot;
     Matrix3d u_phi, udot_phi, udot_phi1, udot_phi2;
@@ -111,7 +103,6 @@ struct JointState {
     const Vector3d alpha_E = E.conjugate() * alpha_gp;
     omega = omega_E + u;
     alpha = alpha_E - u.cross(omega_E) + u_dot;
-    a_W = gp.a_W + dt * rate.a_W + d.col(2);
     if (!with_jacobians) return;
 
     // d(E^T v)/d phi = Hat(E^T v) J
@@ -121,14 +112,13 @@ struct JointState {
     alpha_phi = Hat(alpha_E) * J + Hat(omega_E) * u_phi - Hat(u) * omega_E_phi + udot_phi;
     alpha_phi1 = Hat(omega_E) * J + udot_phi1;
     alpha_phi2 = udot_phi2;
-    const Vector3d omega_E_t = E.conjugate() * rate.omega_M;
-    turn = E.conjugate() * gp.omega_M + u;
-    omega_t = omega_phi * phi.col(1) + omega_phi1 * phi.col(2) + omega_E_t;
-    alpha_t = alpha_phi * phi.col(1) + alpha_phi1 * phi.col(2) + alpha_phi2 * phi.col(3) +
-              E.conjugate() * rate.alpha_M - u.cross(omega_E_t);
-    a_t = rate.a_W + d.col(3);
+    omega_t = omega_phi * phi.col(1) + omega_phi1 * phi.col(2) + E.conjugate() * at.gp_rate.omega_M;
   }
 };
+
+/// How far beyond its span a sample may move while the clocks are estimated: the cubic goes on, and
+/// the next solve finds the right span.
+bool IsNearSpan(double u) { return u > -2.0 && u < 3.0; }
 
 /// Sets rows 3 i .. 3 i + 2 of Ceres' row-major Jacobian of a block of `Columns` parameters, if it
 /// is wanted.
@@ -168,60 +158,94 @@ class BatchResidual : public ceres::CostFunction {
   const std::vector<Sample> samples_;
 };
 
-class PositionResidual : public BatchResidual<JointPositionSample> {
+/// What position and rotation have in common: the pose moves along the trajectory with the clocks.
+class JointPoseResidual : public BatchResidual<JointPoseSample> {
  public:
-  explicit PositionResidual(std::vector<JointPositionSample> samples)
-      : BatchResidual(std::move(samples), {}, 1) {}
+  explicit JointPoseResidual(std::vector<JointPoseSample> samples)
+      : BatchResidual(std::move(samples), {1, 1, 1}, 1) {}
 
  protected:
-  bool EvaluateSample(const JointPositionSample& s,
+  /// tau less its value when the problem was made [s].
+  static double Move(const JointPoseSample& s, double const* const* blocks) {
+    const double* const* clocks = blocks + kSplineOrder;
+    return s.time_shift - *clocks[0] + (s.clock_drift - *clocks[1]) * s.t_drift + *clocks[2] -
+           s.accel_delay;
+  }
+
+  /// Columns of the clocks; `r_tau` is the derivative of the residual by tau.
+  static void SetClockRows(const JointPoseSample& s,
+                           size_t i,
+                           const Vector3d& r_tau,
+                           double** jacobians) {
+    SetRows<1>(jacobians, kSplineOrder, i, -r_tau);
+    SetRows<1>(jacobians, kSplineOrder + 1, i, -s.t_drift * r_tau);
+    SetRows<1>(jacobians, kSplineOrder + 2, i, r_tau);
+  }
+};
+
+class JointPositionResidual : public JointPoseResidual {
+ public:
+  using JointPoseResidual::JointPoseResidual;
+
+ protected:
+  bool EvaluateSample(const JointPoseSample& s,
                       size_t i,
-                      double const* const* points,
+                      double const* const* blocks,
                       double* residual,
                       double** jacobians) const override {
-    Vector3d r = s.p_gp_meas;
+    const double dt = Move(s, blocks);
+    const double u = s.at.place.u + dt / s.at.place.spacing;
+    if (!IsNearSpan(u)) return false;
+    const SplineWeights weights = CubicWeights(u, s.at.place.spacing);
+    const Eigen::Matrix<double, 3, 4> d = EvaluateSpline(blocks, weights);
+    const MarkerState<double>& gp = s.at.gp;
+    AsVector(residual) =
+        (s.p_WM - gp.p_WM - dt * (gp.v_W + 0.5 * dt * gp.a_W) - d.col(0)) / s.sigma;
+    if (jacobians == nullptr) return true;
     for (int j = 0; j < kSplineOrder; ++j)
-      r -= s.weights[j] * Eigen::Map<const Vector3d>(points[j]);
-    AsVector(residual) = r / s.sigma;
-    for (int j = 0; jacobians != nullptr && j < kSplineOrder; ++j)
-      SetRows<3>(jacobians, j, i, -s.weights[j] / s.sigma * Matrix3d::Identity());
+      SetRows<3>(jacobians, j, i, -weights(0, j) / s.sigma * Matrix3d::Identity());
+    SetClockRows(s, i, -(gp.v_W + dt * gp.a_W + d.col(1)) / s.sigma, jacobians);
     return true;
   }
 };
 
-class RotationResidual : public BatchResidual<JointRotationSample> {
+class JointRotationResidual : public JointPoseResidual {
  public:
-  explicit RotationResidual(std::vector<JointRotationSample> samples)
-      : BatchResidual(std::move(samples), {}, 1) {}
+  using JointPoseResidual::JointPoseResidual;
 
  protected:
-  bool EvaluateSample(const JointRotationSample& s,
+  bool EvaluateSample(const JointPoseSample& s,
                       size_t i,
-                      double const* const* points,
+                      double const* const* blocks,
                       double* residual,
                       double** jacobians) const override {
-    Vector3d phi = Vector3d::Zero();
-    for (int j = 0; j < kSplineOrder; ++j)
-      phi += s.weights[j] * Eigen::Map<const Vector3d>(points[j]);
-    const Vector3d error = Log(Eigen::Quaterniond(Exp<double>(-phi) * s.q_gp_meas));
+    const double dt = Move(s, blocks);
+    const double u = s.at.place.u + dt / s.at.place.spacing;
+    if (!IsNearSpan(u)) return false;
+    const SplineWeights weights = CubicWeights(u, s.at.place.spacing);
+    const Eigen::Matrix<double, 3, 4> phi = EvaluateSpline(blocks, weights);
+    const Vector3d turn = dt * (s.at.gp.omega_M + 0.5 * dt * s.at.gp.alpha_M);
+    const Eigen::Quaterniond q_gp = s.at.gp.q_WM * Exp<double>(turn);
+    const Eigen::Quaterniond E_inv = Exp<double>(-phi.col(0));
+    const Vector3d error = Log(Eigen::Quaterniond(E_inv * q_gp.conjugate() * s.q_WM));
     AsVector(residual) = error / s.sigma;
     if (jacobians == nullptr) return true;
-    // Log(Exp(-J_r(phi) delta) Exp(error)) = error - J_l(error)^-1 J_r(phi) delta, J_l(x) = J_r(-x)
-    const Matrix3d d_error =
-        -RightJacobian<double>(-error).inverse() * RightJacobian(phi) / s.sigma;
-    for (int j = 0; j < kSplineOrder; ++j) SetRows<3>(jacobians, j, i, s.weights[j] * d_error);
+    // Log(Exp(-delta) Exp(error)) = error - J_l(error)^-1 delta with J_l(x) = J_r(-x); delta is
+    // J_r(phi) dphi, and omega_M dtau.
+    const Matrix3d A = -RightJacobian<double>(-error).inverse() / s.sigma;
+    const Matrix3d J = RightJacobian<double>(phi.col(0));
+    for (int j = 0; j < kSplineOrder; ++j) SetRows<3>(jacobians, j, i, weights(0, j) * A * J);
+    const Vector3d omega_gp =
+        RightJacobian<double>(turn) * (s.at.gp.omega_M + dt * s.at.gp.alpha_M);
+    SetClockRows(s, i, A * (E_inv * omega_gp + J * phi.col(1)), jacobians);
     return true;
   }
 };
-
-/// How far beyond its span an instant may move while the clocks are estimated: the cubic goes on,
-/// and the next solve finds the right span.
-bool IsNearSpan(double u) { return u > -2.0 && u < 3.0; }
 
 class JointGyroResidual : public BatchResidual<JointImuSample> {
  public:
   explicit JointGyroResidual(std::vector<JointImuSample> samples)
-      : BatchResidual(std::move(samples), {4, 6, 3, 3, 1, 1}, 1) {}
+      : BatchResidual(std::move(samples), {4, 6, 3, 3, 1}, 1) {}
 
  protected:
   bool EvaluateSample(const JointImuSample& s,
@@ -233,21 +257,20 @@ class JointGyroResidual : public BatchResidual<JointImuSample> {
     const Eigen::Map<const Eigen::Quaterniond> q_MI(blocks[n]);
     const Matrix3d M_g = GyroMatrix(Eigen::Map<const Vector6d>(blocks[n + 1]));
     const Eigen::Map<const Vector3d> knot_0(blocks[n + 2]), knot_1(blocks[n + 3]);
-    const double t = s.t + *blocks[n + 4] + *blocks[n + 5] * s.t_drift;
-    const double u = s.place.u + (t - s.t_M) / s.place.spacing;
+    const double dt = *blocks[n + 4] - s.accel_delay;
+    const double u = s.at.place.u + dt / s.at.place.spacing;
     if (!IsNearSpan(u)) return false;
-    const SplineWeights weights = CubicWeights(u, s.place.spacing);
-    const JointState state(
-        s, t, EvaluateSpline(blocks, weights), NoCorrection(), jacobians != nullptr);
-    const Vector3d omega_I = q_MI.conjugate() * state.omega;
+    const SplineWeights weights = CubicWeights(u, s.at.place.spacing);
+    const CorrectedRotation x(s.at, dt, EvaluateSpline(blocks, weights), jacobians != nullptr);
+    const Vector3d omega_I = q_MI.conjugate() * x.omega;
     AsVector(residual) =
         (s.value - (1.0 - s.bias_u) * knot_0 - s.bias_u * knot_1 - M_g * omega_I) / s.sigma;
     if (jacobians == nullptr) return true;
 
     // d r / d omega_M
     const Matrix3d A = -M_g * q_MI.conjugate().toRotationMatrix() / s.sigma;
-    const Matrix3d r_phi = A * state.omega_phi;
-    const Matrix3d r_phi1 = A * state.omega_phi1;
+    const Matrix3d r_phi = A * x.omega_phi;
+    const Matrix3d r_phi1 = A * x.omega_phi1;
     for (int j = 0; j < n; ++j)
       SetRows<3>(jacobians, j, i, weights(0, j) * r_phi + weights(1, j) * r_phi1);
     SetRows<4>(jacobians, n, i, -M_g * InverseRotationJacobian(q_MI, omega_I) / s.sigma);
@@ -260,9 +283,7 @@ class JointGyroResidual : public BatchResidual<JointImuSample> {
     }
     SetRows<3>(jacobians, n + 2, i, -(1.0 - s.bias_u) / s.sigma * Matrix3d::Identity());
     SetRows<3>(jacobians, n + 3, i, -s.bias_u / s.sigma * Matrix3d::Identity());
-    const Vector3d r_t = A * state.omega_t;
-    SetRows<1>(jacobians, n + 4, i, r_t);
-    SetRows<1>(jacobians, n + 5, i, r_t * s.t_drift);
+    SetRows<1>(jacobians, n + 4, i, A * x.omega_t);
     return true;
   }
 };
@@ -270,7 +291,7 @@ class JointGyroResidual : public BatchResidual<JointImuSample> {
 class JointAccelResidual : public BatchResidual<JointImuSample> {
  public:
   explicit JointAccelResidual(std::vector<JointImuSample> samples)
-      : BatchResidual(std::move(samples), {4, 3, 3, 9, 3, 3, 1, 1, 1}, 2) {}
+      : BatchResidual(std::move(samples), {4, 3, 3, 9, 3, 3}, 2) {}
 
  protected:
   bool EvaluateSample(const JointImuSample& s,
@@ -283,16 +304,11 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
     const Eigen::Map<const Vector3d> p(blocks[n + 1]), g(blocks[n + 2]);
     const Matrix3d M_a = AccelMatrix(Eigen::Map<const Vector9d>(blocks[n + 3]));
     const Eigen::Map<const Vector3d> knot_0(blocks[n + 4]), knot_1(blocks[n + 5]);
-    const double t = s.t + *blocks[n + 6] + *blocks[n + 7] * s.t_drift - *blocks[n + 8];
-    const double u = s.place.u + (t - s.t_M) / s.place.spacing;
-    if (!IsNearSpan(u)) return false;
-    const SplineWeights weights = CubicWeights(u, s.place.spacing);
-    const JointState x(s,
-                       t,
-                       EvaluateSpline(blocks + kSplineOrder, weights),
-                       EvaluateSpline(blocks, weights),
-                       jacobians != nullptr);
-    const Vector3d f_body = x.q_WM.conjugate() * (x.a_W - g);  // R_WM^T (a_W - g_W)
+    const SplineWeights weights = CubicWeights(s.at.place.u, s.at.place.spacing);
+    const CorrectedRotation x(
+        s.at, 0.0, EvaluateSpline(blocks + kSplineOrder, weights), jacobians != nullptr);
+    const Vector3d a_W = s.at.gp.a_W + EvaluateSpline(blocks, weights).col(2);
+    const Vector3d f_body = x.q_WM.conjugate() * (a_W - g);  // R_WM^T (a_W - g_W)
     const Vector3d f_M = f_body + x.alpha.cross(p) + x.omega.cross(x.omega.cross(p));
     const Vector3d f_I = q_MI.conjugate() * f_M;
     AsVector(residual) =
@@ -319,7 +335,7 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
     }
     SetRows<4>(jacobians, n, i, -M_a * InverseRotationJacobian(q_MI, f_I) / s.sigma);
     SetRows<3>(jacobians, n + 1, i, A * (Hat(x.alpha) + W * W));
-    SetRows<3>(jacobians, n + 2, i, -A * R_MW);
+    SetRows<3>(jacobians, n + 2, i, -r_d2);
     if (jacobians[n + 3] != nullptr) {
       Eigen::Matrix<double, 3, 9> r_M = Eigen::Matrix<double, 3, 9>::Zero();
       for (int row = 0; row < 3; ++row) r_M.block<1, 3>(row, 3 * row) = f_I.transpose();
@@ -327,23 +343,18 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
     }
     SetRows<3>(jacobians, n + 4, i, -(1.0 - s.bias_u) / s.sigma * Matrix3d::Identity());
     SetRows<3>(jacobians, n + 5, i, -s.bias_u / s.sigma * Matrix3d::Identity());
-    const Vector3d r_t =
-        A * (R_MW * x.a_t - x.turn.cross(f_body) + f_omega * x.omega_t + f_alpha * x.alpha_t);
-    SetRows<1>(jacobians, n + 6, i, r_t);
-    SetRows<1>(jacobians, n + 7, i, r_t * s.t_drift);
-    SetRows<1>(jacobians, n + 8, i, -r_t);
     return true;
   }
 };
 
 }  // namespace
 
-ceres::CostFunction* CreatePositionResidual(std::vector<JointPositionSample> samples) {
-  return new PositionResidual(std::move(samples));
+ceres::CostFunction* CreateJointPositionResidual(std::vector<JointPoseSample> samples) {
+  return new JointPositionResidual(std::move(samples));
 }
 
-ceres::CostFunction* CreateRotationResidual(std::vector<JointRotationSample> samples) {
-  return new RotationResidual(std::move(samples));
+ceres::CostFunction* CreateJointRotationResidual(std::vector<JointPoseSample> samples) {
+  return new JointRotationResidual(std::move(samples));
 }
 
 ceres::CostFunction* CreateJointGyroResidual(std::vector<JointImuSample> samples) {

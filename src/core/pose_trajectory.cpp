@@ -249,6 +249,8 @@ bool PoseTrajectory::Evaluate(double t,
   state->q_WM = quaternion(0).normalized();
   state->omega_M = 2.0 * A.vec();
   state->alpha_M = 2.0 * (B.vec() - (A * A).vec());
+  state->p_WM = origin_W_ + Eigen::Vector3d(p.col(0));
+  state->v_W = p.col(1);
   state->a_W = p.col(2);
   if (rate == nullptr) return true;
   const Eigen::Quaterniond C = q_inv * quaternion(3);
@@ -256,6 +258,8 @@ bool PoseTrajectory::Evaluate(double t,
   rate->q_WM = state->q_WM * half_omega;
   rate->omega_M = state->alpha_M;
   rate->alpha_M = 2.0 * (C.vec() - 2.0 * (A * B).vec() - (B * A).vec() + 2.0 * (A * A * A).vec());
+  rate->p_WM = state->v_W;
+  rate->v_W = state->a_W;
   rate->a_W = p.col(3);
   return true;
 }

@@ -29,20 +29,15 @@ class JointResiduals : public ::testing::Test {
   JointResiduals() {
     for (auto& point : d_) point = Random(0.01);
     for (auto& point : phi_) point = Random(0.3);
-    sample_.gp.q_WM = Exp<double>(Random(1.0));
-    sample_.gp.omega_M = Random(2.0);
-    sample_.gp.alpha_M = Random(8.0);
-    sample_.gp.a_W = Random(5.0);
-    sample_.gp_rate.omega_M = Random(8.0);
-    sample_.gp_rate.alpha_M = Random(30.0);
-    sample_.gp_rate.a_W = Random(30.0);
-    sample_.t = 3.0;
-    sample_.t_M = 3.021;
-    sample_.t_drift = -0.5;
-    sample_.value = Random(3.0);
-    sample_.bias_u = 0.3;
-    sample_.sigma = 0.05;
-    sample_.place = {0, 0.4, 0.03};
+    at_.gp.q_WM = Exp<double>(Random(1.0));
+    at_.gp.omega_M = Random(2.0);
+    at_.gp.alpha_M = Random(8.0);
+    at_.gp.p_WM = Random(1.0);
+    at_.gp.v_W = Random(1.0);
+    at_.gp.a_W = Random(5.0);
+    at_.gp_rate.omega_M = Random(8.0);
+    at_.gp_rate.alpha_M = Random(30.0);
+    at_.place = {0, 0.4, 0.03};
   }
 
   Vector3d Random(double scale) {
@@ -57,26 +52,42 @@ class JointResiduals : public ::testing::Test {
     return blocks;
   }
 
-  std::vector<double*> GyroBlocks() {
-    return {q_MI_.coeffs().data(),
-            gyro_intrinsics_.data(),
-            knot_0_.data(),
-            knot_1_.data(),
-            &time_shift_,
-            &clock_drift_};
+  /// Two poses of one span, close to the trajectory.
+  std::vector<JointPoseSample> Poses() {
+    std::vector<JointPoseSample> poses;
+    for (const double u : {0.4, 0.7}) {
+      at_.place.u = u;
+      const Eigen::Quaterniond q_WM = at_.gp.q_WM * Exp<double>(Random(0.5));
+      const Vector3d p_WM = at_.gp.p_WM + Random(0.01);
+      poses.push_back({at_, q_WM, p_WM, 0.0213, 1e-6, 0.0008, -0.5, 0.01});
+    }
+    return poses;
   }
 
-  /// `sample_` and another one of the same span.
-  std::vector<JointImuSample> Batch() {
-    JointImuSample next = sample_;
-    next.t += 0.005;
-    next.t_M += 0.005;
-    next.place.u += 0.005 / next.place.spacing;
-    next.gp.omega_M += Random(0.1);
-    next.value = Random(3.0);
-    next.bias_u = 0.4;
-    next.sigma = 0.03;
-    return {sample_, next};
+  /// Two IMU samples of one span.
+  std::vector<JointImuSample> Imu() {
+    JointImuSample sample{at_, Random(3.0), 0.3, 0.0008, 0.05};
+    JointImuSample next{at_, Random(3.0), 0.4, 0.0008, 0.03};
+    next.at.place.u += 0.2;
+    next.at.gp.omega_M += Random(0.1);
+    return {sample, next};
+  }
+
+  std::vector<double*> PoseBlocks(std::vector<Vector3d>* spline) {
+    std::vector<double*> blocks = Points({spline});
+    for (double* block : {&time_shift_, &clock_drift_, &accel_delay_}) blocks.push_back(block);
+    return blocks;
+  }
+
+  std::vector<double*> GyroBlocks() {
+    std::vector<double*> blocks = Points({&phi_});
+    for (double* block : {q_MI_.coeffs().data(),
+                          gyro_intrinsics_.data(),
+                          knot_0_.data(),
+                          knot_1_.data(),
+                          &accel_delay_})
+      blocks.push_back(block);
+    return blocks;
   }
 
   /// Analytic Jacobians against numeric ones, in the tangent space.
@@ -106,7 +117,7 @@ class JointResiduals : public ::testing::Test {
   std::mt19937 random_{17};
   std::vector<Vector3d> d_ = std::vector<Vector3d>(kSplineOrder);
   std::vector<Vector3d> phi_ = std::vector<Vector3d>(kSplineOrder);
-  JointImuSample sample_;
+  TrajectoryPoint at_;
   Eigen::Quaterniond q_MI_ = Exp<double>(Vector3d(0.3, -1.2, 0.8));
   Vector3d p_MI_{0.1, -0.05, 0.2}, g_W_{0.3, -0.2, -9.8};
   Vector3d knot_0_{0.01, 0.02, -0.01}, knot_1_{-0.02, 0.01, 0.03};
@@ -117,97 +128,82 @@ class JointResiduals : public ::testing::Test {
 };
 
 TEST_F(JointResiduals, PositionJacobian) {
-  ExpectJacobiansMatch(
-      CreatePositionResidual({{Vector3d(0.01, 0.02, 0.03), CubicWeights(0.3, 0.03).row(0), 1e-3},
-                              {Vector3d(0.01, -0.01, 0.0), CubicWeights(0.6, 0.03).row(0), 2e-3}}),
-      Points({&d_}),
-      -1);
+  for (const double shift : {0.0213, 0.021, 0.005}) {  // at, near and beyond the span of the sample
+    time_shift_ = shift;
+    ExpectJacobiansMatch(CreateJointPositionResidual(Poses()), PoseBlocks(&d_), -1);
+  }
 }
 
 TEST_F(JointResiduals, RotationJacobian) {
-  ExpectJacobiansMatch(
-      CreateRotationResidual(
-          {{Exp<double>(Vector3d(0.3, -0.4, 0.2)), CubicWeights(0.2, 0.03).row(0), 1e-3},
-           {Exp<double>(Vector3d(0.1, 0.2, 0.0)), CubicWeights(0.7, 0.03).row(0), 2e-3}}),
-      Points({&phi_}),
-      -1);
+  for (const double shift : {0.0213, 0.021, 0.005}) {
+    time_shift_ = shift;
+    ExpectJacobiansMatch(CreateJointRotationResidual(Poses()), PoseBlocks(&phi_), -1);
+  }
 }
 
 TEST_F(JointResiduals, GyroJacobian) {
-  for (const double shift : {0.021, 0.0213, 0.015}) {  // at, near and beyond the span of t_M
-    time_shift_ = shift;
-    std::vector<double*> blocks = Points({&phi_});
-    const int quaternion = static_cast<int>(blocks.size());
-    for (double* block : GyroBlocks()) blocks.push_back(block);
-    ExpectJacobiansMatch(CreateJointGyroResidual(Batch()), blocks, quaternion);
+  for (const double delay : {0.0008, 0.0011, 0.017}) {
+    accel_delay_ = delay;
+    ExpectJacobiansMatch(CreateJointGyroResidual(Imu()), GyroBlocks(), kSplineOrder);
   }
 }
 
 TEST_F(JointResiduals, AccelJacobian) {
-  for (const double shift : {0.0218, 0.0213, 0.005}) {
-    time_shift_ = shift;
-    std::vector<double*> blocks = Points({&d_, &phi_});
-    const int quaternion = static_cast<int>(blocks.size());
-    for (double* block : {q_MI_.coeffs().data(),
-                          p_MI_.data(),
-                          g_W_.data(),
-                          accel_intrinsics_.data(),
-                          knot_0_.data(),
-                          knot_1_.data(),
-                          &time_shift_,
-                          &clock_drift_,
-                          &accel_delay_})
-      blocks.push_back(block);
-    ExpectJacobiansMatch(CreateJointAccelResidual(Batch()), blocks, quaternion);
-  }
+  std::vector<double*> blocks = Points({&d_, &phi_});
+  for (double* block : {q_MI_.coeffs().data(),
+                        p_MI_.data(),
+                        g_W_.data(),
+                        accel_intrinsics_.data(),
+                        knot_0_.data(),
+                        knot_1_.data()})
+    blocks.push_back(block);
+  ExpectJacobiansMatch(CreateJointAccelResidual(Imu()), blocks, 2 * kSplineOrder);
 }
 
 TEST_F(JointResiduals, FollowTheDifferentiatedCorrectedRotation) {
-  // The gyro residual's model rate against Log(R(t)^T R(t + h)) / h of R_gp(t) Exp(phi(t)).
-  sample_.bias_u = 0.0;
-  sample_.sigma = 1.0;
-  sample_.value.setZero();
-  sample_.gp_rate.omega_M = sample_.gp_rate.alpha_M = sample_.gp.alpha_M = Vector3d::Zero();
-  const Eigen::Quaterniond identity = Eigen::Quaterniond::Identity();
-  const Vector3d zero = Vector3d::Zero();
-  const auto rotation = [&](double shift) {
-    const double dt = sample_.t + shift - sample_.t_M;
-    const SplineWeights w =
-        CubicWeights(sample_.place.u + dt / sample_.place.spacing, sample_.place.spacing);
-    Vector3d phi = zero;
+  // The gyro residual's model rate against Log(R(tau - h)^T R(tau + h)) / 2h of R_gp Exp(phi).
+  at_.gp_rate.omega_M = at_.gp_rate.alpha_M = at_.gp.alpha_M = Vector3d::Zero();
+  const auto rotation = [&](double dt) {
+    const SplineWeights w = CubicWeights(at_.place.u + dt / at_.place.spacing, at_.place.spacing);
+    Vector3d phi = Vector3d::Zero();
     for (int j = 0; j < kSplineOrder; ++j) phi += w(0, j) * phi_[static_cast<size_t>(j)];
-    return Eigen::Quaterniond(sample_.gp.q_WM * Exp<double>(dt * sample_.gp.omega_M) *
-                              Exp<double>(phi));
+    return Eigen::Quaterniond(at_.gp.q_WM * Exp<double>(dt * at_.gp.omega_M) * Exp<double>(phi));
   };
-  std::vector<const double*> blocks;
-  for (const Vector3d& point : phi_) blocks.push_back(point.data());
-  const Vector6d calibrated = Vector6d::Zero();
-  const double no_drift = 0.0;
-  for (const double* block : {identity.coeffs().data(),
-                              calibrated.data(),
-                              zero.data(),
-                              zero.data(),
-                              static_cast<const double*>(&time_shift_),
-                              &no_drift})
-    blocks.push_back(block);
+  q_MI_.setIdentity();
+  knot_0_ = knot_1_ = Vector3d::Zero();
+  gyro_intrinsics_.setZero();
   Vector3d residual;
-  const std::unique_ptr<ceres::CostFunction> cost(CreateJointGyroResidual({sample_}));
-  ASSERT_TRUE(cost->Evaluate(blocks.data(), residual.data(), nullptr));
+  const std::unique_ptr<ceres::CostFunction> cost(
+      CreateJointGyroResidual({{at_, Vector3d::Zero(), 0.0, 0.0, 1.0}}));
+  ASSERT_TRUE(cost->Evaluate(GyroBlocks().data(), residual.data(), nullptr));
   const double h = 1e-6;
   const Vector3d rate =
-      Log(Eigen::Quaterniond(rotation(time_shift_ - h).conjugate() * rotation(time_shift_ + h))) /
+      Log(Eigen::Quaterniond(rotation(accel_delay_ - h).conjugate() * rotation(accel_delay_ + h))) /
       (2.0 * h);
   EXPECT_LT((-residual - rate).norm(), 1e-6 * rate.norm());
 }
 
+TEST_F(JointResiduals, PosesMoveWithTheClocks) {
+  // A pose that is stamped later by what the time shift grows is the same pose.
+  const std::unique_ptr<ceres::CostFunction> cost(CreateJointPositionResidual(Poses()));
+  std::vector<double> before(6), after(6);
+  ASSERT_TRUE(cost->Evaluate(PoseBlocks(&d_).data(), before.data(), nullptr));
+  time_shift_ += 0.002;
+  accel_delay_ += 0.002;
+  ASSERT_TRUE(cost->Evaluate(PoseBlocks(&d_).data(), after.data(), nullptr));
+  for (size_t i = 0; i < before.size(); ++i) EXPECT_NEAR(after[i], before[i], 1e-9);
+}
+
 TEST_F(JointResiduals, FailFarBeyondTheSpan) {
-  time_shift_ = 0.5;
-  std::vector<const double*> blocks;
-  for (const Vector3d& point : phi_) blocks.push_back(point.data());
-  for (const double* block : GyroBlocks()) blocks.push_back(block);
-  Vector3d residual;
-  const std::unique_ptr<ceres::CostFunction> cost(CreateJointGyroResidual({sample_}));
-  EXPECT_FALSE(cost->Evaluate(blocks.data(), residual.data(), nullptr));
+  time_shift_ = accel_delay_ = 0.5;
+  Vector3d residual[2];
+  const std::unique_ptr<ceres::CostFunction> gyro(CreateJointGyroResidual(Imu()));
+  EXPECT_FALSE(gyro->Evaluate(GyroBlocks().data(), residual[0].data(), nullptr));
+  accel_delay_ = 0.0;
+  const std::unique_ptr<ceres::CostFunction> position(CreateJointPositionResidual(Poses()));
+  EXPECT_FALSE(position->Evaluate(PoseBlocks(&d_).data(), residual[0].data(), nullptr));
+  const std::unique_ptr<ceres::CostFunction> rotation(CreateJointRotationResidual(Poses()));
+  EXPECT_FALSE(rotation->Evaluate(PoseBlocks(&phi_).data(), residual[0].data(), nullptr));
 }
 
 TEST(CubicWeights, SumToOneAndEachRowIsTheSlopeOfTheOneBefore) {

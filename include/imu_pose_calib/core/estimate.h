@@ -36,8 +36,12 @@ struct Estimate {
 
   Estimate(const Start& start, const ConditionedData& data, double bias_knot_interval_s);
 
-  /// Pose clock of a gyroscope sample at t [s, IMU clock].
+  /// Pose clock at t [s, IMU clock]. The accelerometer's samples describe t = stamp - accel_delay.
   double PoseTime(double t) const { return t + time_shift + clock_drift * (t - clock_reference); }
+  /// The other way.
+  double ImuTime(double t_M) const {
+    return (t_M - time_shift + clock_drift * clock_reference) / (1.0 + clock_drift);
+  }
 };
 
 }  // namespace imu_pose_calib

@@ -9,28 +9,29 @@
 
 namespace imu_pose_calib {
 
-/// Corrections of the trajectory of S1 by uniform cubic B-splines, one per run without a gap:
-///   R_WM(t) = R_gp(t) Exp(phi(t)),   p_WM(t) = p_gp(t) + d(t).
+/// Corrections of the trajectory of S1 by uniform cubic B-splines over the accelerometer's clock
+/// tau [s], one per run without a gap:
+///   R_WM(tau) = R_gp(tau) Exp(phi(tau)),   p_WM(tau) = p_gp(tau) + d(tau).
 class CorrectionSplines {
  public:
   /// Zero corrections with knots about `spacing_s` apart on the parts of the trajectory that the
-  /// IMU samples cover at the time shift of `estimate`.
+  /// IMU samples cover where the clocks of `estimate` stand.
   CorrectionSplines(const ConditionedData& data, const Estimate& estimate, double spacing_s);
 
-  /// Place of t [s, pose clock]; nothing when no spline covers t.
-  std::optional<SplinePlace> Locate(double t) const;
+  /// Place of tau; nothing when no spline covers it.
+  std::optional<SplinePlace> Locate(double tau) const;
 
   std::vector<Eigen::Vector3d> d;    ///< control points [m] in W
   std::vector<Eigen::Vector3d> phi;  ///< control points [rad] in M
 
  private:
   struct Range {
-    double begin, end;  ///< [s] pose clock
+    double begin, end;  ///< tau [s]
     double spacing;     ///< [s]
     size_t first;       ///< control point
     size_t spans;
   };
-  const Range* Find(double t) const;
+  const Range* Find(double tau) const;
   std::vector<Range> ranges_;
 };
 
@@ -65,13 +66,21 @@ class JointProblem : public CalibrationProblem {
   void AddPoses(const SampleWeights& weights);
   void AddGyro(const SampleWeights& weights);
   void AddAccel(const SampleWeights& weights);
-  /// The sample at t_M [s, pose clock] with the GP's motion; nothing when it is not on a spline.
-  std::optional<JointImuSample> Locate(const TimedSample& sample,
-                                       double t_M,
-                                       double sigma,
-                                       double bias_u) const;
-  /// Variance of the lever arm's coefficients at t_M that the joint trajectory's errors cause.
-  double LeverArmErrors(double t_M) const;
+  /// IMU samples of stamp t at tau = t + lead: consecutive ones that share a span and a pair of
+  /// bias knots are handed to `create(batch, control points' index, knot)`, which returns their
+  /// block.
+  template <typename Create>
+  void AddImu(const std::vector<TimedSample>& samples,
+              const std::vector<double>& weights,
+              double lead,
+              double noise,
+              const BiasKnots& knots,
+              const Create& create,
+              Sensor* sensor);
+  /// The trajectory at an instant given on both clocks [s]; nothing when it is not on a spline.
+  std::optional<TrajectoryPoint> PointAt(double tau, double t_M) const;
+  /// Variance of the lever arm's coefficients at tau that the joint trajectory's errors cause.
+  double LeverArmErrors(double tau) const;
   double FeignedLeverArmInformation() const override;
   /// Control points that act on the span.
   std::vector<double*> ControlPoints(std::vector<Eigen::Vector3d>* spline, size_t first) const;

@@ -13,50 +13,56 @@ namespace imu_pose_calib {
 /// block holds consecutive samples that share all parameters, three rows in sigma for each: that
 /// keeps the normal equations to a few dense products. `phi` and `d` stand for kSplineOrder control
 /// points each, blocks of 3.
+///
+/// The trajectory is a function of the accelerometer's clock, tau [s]: the sensor that sees the
+/// highest derivatives stays put, and poses and gyroscope move along the trajectory when the clocks
+/// are estimated (doc/math.md, S4, "Clock of the trajectory").
 
-/// A pose's position against p_gp(t) + d(t): r = (p_meas - p_gp - d) / sigma, in W.
-struct JointPositionSample {
-  Eigen::Vector3d p_gp_meas;                       ///< p_meas - p_gp [m] in W
-  Eigen::Matrix<double, 1, kSplineOrder> weights;  ///< of the control points
-  double sigma;                                    ///< [m]
-};
-/// Blocks: d.
-ceres::CostFunction* CreatePositionResidual(std::vector<JointPositionSample> samples);
-
-/// A pose's rotation against R_gp(t) Exp(phi(t)): r = Log(Exp(phi)^T R_gp^T R_meas) / sigma, in M.
-struct JointRotationSample {
-  Eigen::Quaterniond q_gp_meas;                    ///< R_gp^T R_meas
-  Eigen::Matrix<double, 1, kSplineOrder> weights;  ///< of the control points
-  double sigma;                                    ///< [rad]
-};
-/// Blocks: phi.
-ceres::CostFunction* CreateRotationResidual(std::vector<JointRotationSample> samples);
-
-/// An IMU sample in a span of the correction splines. The GP's motion at the sample's time on the
-/// pose clock is taken to first order around `t_M`, where the clocks stood when the problem was
-/// made: exact at the solution, because the last pass starts there.
-struct JointImuSample {
-  MarkerState<double> gp;       ///< at t_M
+/// Where a sample lies on the trajectory while the clocks are where they stood when the problem was
+/// made. It moves along the GP to first order (poses: second): exact at the solution, because the
+/// last pass starts there.
+struct TrajectoryPoint {
+  MarkerState<double> gp;       ///< the GP's motion
   MarkerState<double> gp_rate;  ///< its time derivative (q_WM: of its coefficients)
-  double t_M;                   ///< [s] pose clock
-  double t;                     ///< [s] IMU clock
-  double t_drift;               ///< [s] t after the instant at which time_shift holds
-  Eigen::Vector3d value;        ///< gyroscope [rad/s] or accelerometer [m/s^2] in I
-  double bias_u;                ///< 0..1 between the bias knots
-  double sigma;                 ///< unit of value
-  SplinePlace place;            ///< of t_M
+  SplinePlace place;
 };
 
-/// r = (w - b_g - M_g R_MI^T omega_M(t_M)) / sigma, in I, with
-/// t_M = t + time_shift + clock_drift t_drift.
+/// A pose of the marker.
+struct JointPoseSample {
+  TrajectoryPoint at;
+  Eigen::Quaterniond q_WM;
+  Eigen::Vector3d p_WM;                         ///< [m]
+  double time_shift, clock_drift, accel_delay;  ///< for which it is `at` its place
+  double t_drift;  ///< [s] its time, IMU clock, after the instant at which time_shift holds
+  double sigma;    ///< [m] of the position or [rad] of the rotation
+};
+
+/// r = (p_meas - p_gp(tau) - d(tau)) / sigma, in W.
+/// Blocks: d | time_shift (1) | clock_drift (1) | accel_delay (1).
+ceres::CostFunction* CreateJointPositionResidual(std::vector<JointPoseSample> samples);
+
+/// r = Log(Exp(phi(tau))^T R_gp(tau)^T R_meas) / sigma, in M.
+/// Blocks: phi | time_shift (1) | clock_drift (1) | accel_delay (1).
+ceres::CostFunction* CreateJointRotationResidual(std::vector<JointPoseSample> samples);
+
+/// A sample of the gyroscope or the accelerometer.
+struct JointImuSample {
+  TrajectoryPoint at;
+  Eigen::Vector3d value;  ///< gyroscope [rad/s] or accelerometer [m/s^2] in I
+  double bias_u;          ///< 0..1 between the bias knots
+  double accel_delay;     ///< [s] for which it is `at` its place; gyroscope only
+  double sigma;           ///< unit of value
+};
+
+/// r = (w - b_g - M_g R_MI^T omega_M(tau)) / sigma, in I.
 /// Blocks: phi | q_MI (4, xyzw) | M_g (6, see GyroMatrix()) | bias knot_0 (3) | knot_1 (3) |
-/// time_shift (1) | clock_drift (1).
+/// accel_delay (1).
 ceres::CostFunction* CreateJointGyroResidual(std::vector<JointImuSample> samples);
 
-/// r = (f - b_a - M_a R_MI^T f_M(t_M - accel_delay)) / sigma, in I, with
+/// r = (f - b_a - M_a R_MI^T f_M(tau)) / sigma, in I, with
 /// f_M = R_WM^T (a_W - g_W) + alpha_M x p_MI + omega_M x (omega_M x p_MI).
 /// Blocks: d | phi | q_MI (4) | p_MI (3) | g_W (3) | M_a (9, see AccelMatrix()) | knot_0 (3) |
-/// knot_1 (3) | time_shift (1) | clock_drift (1) | accel_delay (1).
+/// knot_1 (3).
 ceres::CostFunction* CreateJointAccelResidual(std::vector<JointImuSample> samples);
 
 }  // namespace imu_pose_calib

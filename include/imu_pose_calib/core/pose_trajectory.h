@@ -17,6 +17,8 @@ struct MarkerState {
   Eigen::Quaternion<T> q_WM;
   Vector3 omega_M;  ///< [rad/s]
   Vector3 alpha_M;  ///< [rad/s^2]
+  Vector3 p_WM;     ///< [m]
+  Vector3 v_W;      ///< [m/s]
   Vector3 a_W;      ///< [m/s^2]
 };
 
@@ -96,6 +98,8 @@ bool PoseTrajectory::Evaluate(const ceres::Jet<Scalar, N>& t,
   chain(value.q_WM.coeffs(), rate.q_WM.coeffs(), &state->q_WM.coeffs());
   chain(value.omega_M, rate.omega_M, &state->omega_M);
   chain(value.alpha_M, rate.alpha_M, &state->alpha_M);
+  chain(value.p_WM, rate.p_WM, &state->p_WM);
+  chain(value.v_W, rate.v_W, &state->v_W);
   chain(value.a_W, rate.a_W, &state->a_W);
   return true;
 }
