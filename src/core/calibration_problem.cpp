@@ -105,6 +105,7 @@ void CalibrationProblem::Solve(double function_tolerance) {
   options.num_threads = Threads(options_.num_threads);
   options.logging_type = ceres::SILENT;
   options.function_tolerance = function_tolerance;
+  options.jacobi_scaling = false;  // Cholesky does not need it
   // Nearly linear: full Gauss-Newton steps first.
   options.initial_trust_region_radius = 1e8;
   ceres::Solver::Summary summary;

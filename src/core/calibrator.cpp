@@ -76,8 +76,9 @@ Calibration Calibrate(const CalibrationOptions& options, const CalibrationData& 
 
   Solution solution;
   if (options.method == Method::kJoint) {
-    result.knot_spacing_s = ChooseKnotSpacing(options, trajectory, conditioned, estimate);
-    solution = SolveJointly(options, trajectory, conditioned, result.knot_spacing_s, &estimate);
+    const JointStart joint = ChooseKnotSpacing(options, trajectory, conditioned, &estimate);
+    result.knot_spacing_s = joint.knot_spacing_s;
+    solution = SolveJointly(options, trajectory, conditioned, joint, &estimate);
   } else {
     solution = SolveAgainstTrajectory(options, trajectory, conditioned, &estimate);
   }

@@ -12,7 +12,7 @@ namespace {
 constexpr double kNoiseAgreement = 1.1;  // factor between noise assumed and noise found
 constexpr int kMinPasses = 3;            // of the joint solve: plain, robust, settled
 constexpr int kMaxPasses = 6;
-constexpr double kJointTolerance = 1e-6;
+constexpr double kJointTolerance = 1e-7;
 
 constexpr double kExcerpt = 8.0;            // [s] on which the knot spacing is chosen
 constexpr double kCoarsestKnots = 0.12;     // [s]
@@ -85,16 +85,15 @@ class JointSolver {
   JointSolver(const CalibrationOptions& options,
               const PoseTrajectory& trajectory,
               const ConditionedData& data,
-              double knot_spacing_s,
-              const NoiseStd& noise,
+              const JointStart& start,
               Estimate* estimate)
       : options_(options),
         trajectory_(trajectory),
         data_(data),
         estimate_(estimate),
-        noise_(noise),
+        noise_(start.noise),
         weights_(data),
-        splines_(data, *estimate, knot_spacing_s) {}
+        splines_(data, *estimate, start.knot_spacing_s) {}
 
   /// One pass; `statistics` describes its residuals. True when the noise they show agrees with the
   /// noise assumed.
@@ -132,25 +131,27 @@ class JointSolver {
 
 }  // namespace
 
-double ChooseKnotSpacing(const CalibrationOptions& options,
-                         const PoseTrajectory& trajectory,
-                         const ConditionedData& data,
-                         const Estimate& estimate) {
-  if (options.knot_spacing_s > 0.0) return options.knot_spacing_s;
-  const ConditionedData excerpt = LiveliestExcerpt(data, trajectory, estimate, kExcerpt);
+JointStart ChooseKnotSpacing(const CalibrationOptions& options,
+                             const PoseTrajectory& trajectory,
+                             const ConditionedData& data,
+                             Estimate* estimate) {
+  const NoiseStd noise = InitialNoise(options, trajectory, data);
+  if (options.knot_spacing_s > 0.0) return {options.knot_spacing_s, noise};
+  const ConditionedData excerpt = LiveliestExcerpt(data, trajectory, *estimate, kExcerpt);
   const double finest =
       kMinSamplesPerKnot / std::min(data.gyro_report.rate_hz, data.accel_report.rate_hz);
-  const NoiseStd noise = InitialNoise(options, trajectory, data);
-  double spacing = kCoarsestKnots;
   double residual_before = 0.0;
-  for (;; spacing *= 0.5) {
-    Estimate trial = estimate;
-    JointSolver solver(options, trajectory, excerpt, spacing, noise, &trial);
+  for (double spacing = kCoarsestKnots;; spacing *= 0.5) {
+    Estimate trial = *estimate;
+    JointSolver solver(options, trajectory, excerpt, {spacing, noise}, &trial);
     ResidualStatistics statistics;
     for (int pass = 1; pass < kMinPasses; ++pass) solver.Pass(kRoughTolerance, &statistics);
     const double residual = statistics.noise.gyro * statistics.noise.accel;
     const bool shrinks = residual_before == 0.0 || residual < kShrinkage * residual_before;
-    if (!shrinks || 0.5 * spacing < finest) return spacing;
+    if (!shrinks || 0.5 * spacing < finest) {
+      *estimate = trial;
+      return {spacing, statistics.noise};
+    }
     residual_before = residual;
   }
 }
@@ -158,10 +159,9 @@ double ChooseKnotSpacing(const CalibrationOptions& options,
 Solution SolveJointly(const CalibrationOptions& options,
                       const PoseTrajectory& trajectory,
                       const ConditionedData& data,
-                      double knot_spacing_s,
+                      const JointStart& start,
                       Estimate* estimate) {
-  const NoiseStd noise = InitialNoise(options, trajectory, data);
-  return JointSolver(options, trajectory, data, knot_spacing_s, noise, estimate).Solve();
+  return JointSolver(options, trajectory, data, start, estimate).Solve();
 }
 
 }  // namespace imu_pose_calib

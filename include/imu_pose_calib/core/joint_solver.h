@@ -4,12 +4,19 @@
 
 namespace imu_pose_calib {
 
-/// Knot spacing [s] of the joint solve: options.knot_spacing_s, or refined on the liveliest seconds
-/// of the log until the IMU residuals stop shrinking (doc/math.md, S4, "Knot spacing").
-double ChooseKnotSpacing(const CalibrationOptions& options,
-                         const PoseTrajectory& trajectory,
-                         const ConditionedData& data,
-                         const Estimate& estimate);
+/// Where the joint solve starts from beside the estimate.
+struct JointStart {
+  double knot_spacing_s;
+  NoiseStd noise;
+};
+
+/// Knot spacing: options.knot_spacing_s, or refined on the liveliest seconds of the log until the
+/// IMU residuals stop shrinking (doc/math.md, S4, "Knot spacing"). The noise is what these
+/// residuals show, and `estimate` moves to the calibration of these seconds.
+JointStart ChooseKnotSpacing(const CalibrationOptions& options,
+                             const PoseTrajectory& trajectory,
+                             const ConditionedData& data,
+                             Estimate* estimate);
 
 /// Stage S4 as a whole at one knot spacing: passes of JointProblem with the noise and the robust
 /// weights that the residuals before show, until the noise found agrees with the noise assumed
@@ -17,7 +24,7 @@ double ChooseKnotSpacing(const CalibrationOptions& options,
 Solution SolveJointly(const CalibrationOptions& options,
                       const PoseTrajectory& trajectory,
                       const ConditionedData& data,
-                      double knot_spacing_s,
+                      const JointStart& start,
                       Estimate* estimate);
 
 }  // namespace imu_pose_calib
