@@ -79,19 +79,22 @@ void CalibrationProblem::AddAccelParameters() {
 void CalibrationProblem::AddBiasWalk(double walk, BiasKnots* knots) {
   for (size_t k = 0; k + 1 < knots->t.size(); ++k) {
     const double sigma = walk * std::sqrt(knots->t[k + 1] - knots->t[k]);
-    priors_.push_back(problem_.AddResidualBlock(BiasWalkResidual{sigma}.Create(),
-                                                nullptr,
-                                                knots->values[k].data(),
-                                                knots->values[k + 1].data()));
+    priors_.blocks.push_back(problem_.AddResidualBlock(BiasWalkResidual{sigma}.Create(),
+                                                       nullptr,
+                                                       knots->values[k].data(),
+                                                       knots->values[k + 1].data()));
+    priors_.block_t.push_back(knots->t[k]);
   }
 }
 
-void CalibrationProblem::AddPrior(double* parameters, int size, double sigma) {
-  priors_.push_back(problem_.AddResidualBlock(
-      new ceres::NormalPrior(Eigen::MatrixXd::Identity(size, size) / sigma,
-                             Eigen::VectorXd::Zero(size)),
-      nullptr,
-      parameters));
+void CalibrationProblem::AddOptional(bool estimated, double sigma, int size, double* parameters) {
+  problem_.AddParameterBlock(parameters, size);
+  SetConstantUnless(estimated, parameters);
+  if (!estimated) return;
+  auto* prior = new ceres::NormalPrior(Eigen::MatrixXd::Identity(size, size) / sigma,
+                                       Eigen::VectorXd::Zero(size));
+  priors_.blocks.push_back(problem_.AddResidualBlock(prior, nullptr, parameters));
+  priors_.block_t.push_back(estimate_->clock_reference);
 }
 
 bool CalibrationProblem::IsOnTrajectory(double t_M) const {
@@ -156,6 +159,7 @@ ResidualStatistics CalibrationProblem::Statistics() {
 }
 
 CalibrationCovariance CalibrationProblem::Covariance() {
+  // Leading parameters first: those estimated, then those that could have been.
   struct Part {
     double* parameters;
     int place, size;
@@ -167,33 +171,50 @@ CalibrationCovariance CalibrationProblem::Covariance() {
                         {&estimate_->clock_drift, kClockDrift, 1},
                         {estimate_->gyro_intrinsics.data(), kGyroIntrinsics, 6},
                         {estimate_->accel_intrinsics.data(), kAccelIntrinsics, 9}};
-  const auto is_estimated = [this](double* parameters) {
-    return problem_.HasParameterBlock(parameters) && !problem_.IsParameterBlockConstant(parameters);
-  };
+  std::vector<int> places, possible_places;
+  std::vector<double*> possible;
   ceres::Problem::EvaluateOptions evaluate;
   evaluate.num_threads = Threads(options_.num_threads);
-  std::vector<int> places;  // of the leading columns
   for (const Part& part : parts) {
-    if (!is_estimated(part.parameters)) continue;
-    evaluate.parameter_blocks.push_back(part.parameters);
-    for (int k = 0; k < part.size; ++k) places.push_back(part.place + k);
+    if (!problem_.HasParameterBlock(part.parameters)) continue;
+    const bool is_estimated = !problem_.IsParameterBlockConstant(part.parameters);
+    if (!is_estimated && part.place < kClockDrift) continue;  // known to the user
+    (is_estimated ? evaluate.parameter_blocks : possible).push_back(part.parameters);
+    for (int k = 0; k < part.size; ++k)
+      (is_estimated ? places : possible_places).push_back(part.place + k);
   }
-  if (is_estimated(estimate_->g_W.data()))
-    evaluate.parameter_blocks.push_back(estimate_->g_W.data());
+  const auto estimated = static_cast<int>(places.size());
+  for (double* parameters : possible) {
+    problem_.SetParameterBlockVariable(parameters);
+    evaluate.parameter_blocks.push_back(parameters);
+  }
+  places.insert(places.end(), possible_places.begin(), possible_places.end());
+
+  // All others.
+  const size_t leading_blocks = evaluate.parameter_blocks.size();
+  if (options_.estimate_gravity) evaluate.parameter_blocks.push_back(estimate_->g_W.data());
   for (BiasKnots* knots : {&estimate_->gyro_bias, &estimate_->accel_bias})
     for (Eigen::Vector3d& value : knots->values) evaluate.parameter_blocks.push_back(value.data());
+  const size_t trajectory_begin = evaluate.parameter_blocks.size();
   evaluate.parameter_blocks.insert(
       evaluate.parameter_blocks.end(), trajectory_blocks_.begin(), trajectory_blocks_.end());
+  int columns = 0, shared = 0;  // shared: beside the trajectory
+  for (size_t i = 0; i < evaluate.parameter_blocks.size(); ++i) {
+    const int size = TangentSize(problem_, evaluate.parameter_blocks[i]);
+    columns += size;
+    if (i >= leading_blocks && i < trajectory_begin) shared += size;
+  }
 
-  // Leading parameters first, then all others; in portions, so that the Jacobian is never there as
-  // a whole.
-  int columns = 0;
-  for (const double* parameters : evaluate.parameter_blocks)
-    columns += TangentSize(problem_, parameters);
-  MarginalCovarianceEstimator estimator(columns, static_cast<int>(places.size()));
+  // In portions, so that the Jacobian is never there as a whole.
+  const double start = std::min(data_.gyro.front().t, data_.accel.front().t);
+  const double end = std::max(data_.gyro.back().t, data_.accel.back().t);
+  const auto cluster_of = [&](double t) {
+    return static_cast<int>(std::max(0.0, t - start) / options_.covariance_block_s);
+  };
+  MarginalEstimator estimator(
+      columns, static_cast<int>(places.size()), cluster_of(0.5 * (start + end)));
   std::vector<int> cluster;  // of each row
   const auto add_portion = [&] {
-    if (evaluate.residual_blocks.empty()) return;
     std::vector<double> residuals;
     ceres::CRSMatrix jacobian;
     problem_.Evaluate(evaluate, nullptr, &residuals, nullptr, &jacobian);
@@ -201,34 +222,58 @@ CalibrationCovariance CalibrationProblem::Covariance() {
     evaluate.residual_blocks.clear();
     cluster.clear();
   };
-  const auto add_block = [&](ceres::ResidualBlockId block, int block_cluster) {
-    const int rows = problem_.GetCostFunctionForResidualBlock(block)->num_residuals();
-    evaluate.residual_blocks.push_back(block);
-    cluster.insert(cluster.end(), static_cast<size_t>(rows), block_cluster);
-    if (cluster.size() > kPortionRows) add_portion();
-  };
-  const double start = std::min(data_.gyro.front().t, data_.accel.front().t);
-  for (const Sensor* sensor : {&position_, &rotation_, &gyro_, &accel_}) {
+  for (const Sensor* sensor : {&position_, &rotation_, &gyro_, &accel_, &priors_}) {
     for (size_t i = 0; i < sensor->blocks.size(); ++i) {
-      const double time = std::max(0.0, sensor->block_t[i] - start);
-      add_block(sensor->blocks[i], static_cast<int>(time / options_.covariance_block_s));
+      const ceres::ResidualBlockId block = sensor->blocks[i];
+      const int rows = problem_.GetCostFunctionForResidualBlock(block)->num_residuals();
+      evaluate.residual_blocks.push_back(block);
+      cluster.insert(cluster.end(), static_cast<size_t>(rows), cluster_of(sensor->block_t[i]));
+      if (cluster.size() > kPortionRows) add_portion();
     }
   }
-  for (ceres::ResidualBlockId prior : priors_) add_block(prior, -1);
   add_portion();
-  const MarginalCovariance marginal = estimator.Compute();
+  for (double* parameters : possible) problem_.SetParameterBlockConstant(parameters);
 
   // Ceres turns q_MI on the left by twice the step: to a rotation about the imu axes.
   CalibrationMatrix T = CalibrationMatrix::Identity();
   T.block<3, 3>(kRotation, kRotation) = 2.0 * estimate_->q_MI.toRotationMatrix().transpose();
   const auto spread = [&](const Eigen::MatrixXd& C) {
     CalibrationMatrix full = CalibrationMatrix::Zero();
-    for (size_t i = 0; i < places.size(); ++i)
-      for (size_t j = 0; j < places.size(); ++j)
-        full(places[i], places[j]) = C(static_cast<int>(i), static_cast<int>(j));
+    for (Eigen::Index i = 0; i < C.rows(); ++i)
+      for (Eigen::Index j = 0; j < C.cols(); ++j)
+        full(places[static_cast<size_t>(i)], places[static_cast<size_t>(j)]) = C(i, j);
     return CalibrationMatrix(T * full * T.transpose());
   };
-  return {spread(marginal.model), spread(marginal.robust), FeignedLeverArmInformation()};
+  const auto spread_vector = [&](const Eigen::VectorXd& x) {
+    CalibrationVector full = CalibrationVector::Zero();
+    for (Eigen::Index i = 0; i < x.size(); ++i) full[places[static_cast<size_t>(i)]] = x[i];
+    return CalibrationVector(T * full);
+  };
+
+  CalibrationCovariance result;
+  const MarginalEstimate all = estimator.Estimate();
+  const MarginalEstimate marginal = Condition(all, estimated);
+  // Scores have as many dimensions per cluster as there are parameters that act in it; the fit sets
+  // as many of them to 0 as it has parameters.
+  const double local = estimated + (options_.estimate_gravity ? 2 : 0) + 6;
+  const double fitted =
+      std::min(0.5, (estimated + shared) / (local * static_cast<double>(all.influence.cols())));
+  result.model = spread(marginal.covariance);
+  result.robust = spread(ClusterRobustCovariance(marginal, fitted));
+  result.feigned_lever_arm_information = FeignedLeverArmInformation();
+
+  const MarginalEstimate first = Condition(estimator.EstimateHalf(0), estimated);
+  const MarginalEstimate second = Condition(estimator.EstimateHalf(1), estimated);
+  result.halves_difference = spread_vector(second.Step() - first.Step());
+  result.halves_covariance = spread(first.covariance + second.covariance);
+
+  const Eigen::MatrixXd robust = ClusterRobustCovariance(all, fitted);
+  for (Eigen::Index i = estimated; i < all.covariance.rows(); ++i) {
+    const int place = places[static_cast<size_t>(i)];
+    result.hint[place] = all.Step()[i];
+    result.hint_std[place] = std::sqrt(std::max(all.covariance(i, i), robust(i, i)));
+  }
+  return result;
 }
 
 }  // namespace imu_pose_calib

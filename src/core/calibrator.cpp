@@ -5,6 +5,7 @@
 #include "imu_pose_calib/core/conditioning.h"
 #include "imu_pose_calib/core/gp_problem.h"
 #include "imu_pose_calib/core/initializer.h"
+#include "imu_pose_calib/core/intrinsics.h"
 #include "imu_pose_calib/core/joint_solver.h"
 #include "imu_pose_calib/core/observability.h"
 #include "imu_pose_calib/core/pose_trajectory.h"
@@ -47,6 +48,11 @@ void ReportEstimate(const Estimate& estimate,
   result->time_shift =
       1e-9 * static_cast<double>(data.pose_epoch_ns - data.imu_epoch_ns) + estimate.time_shift;
   result->accel_delay = estimate.accel_delay;
+  result->clock_drift = estimate.clock_drift;
+  result->clock_reference =
+      1e-9 * static_cast<double>(data.imu_epoch_ns) + estimate.clock_reference;
+  result->gyro_matrix = GyroMatrix(estimate.gyro_intrinsics);
+  result->accel_matrix = AccelMatrix(estimate.accel_intrinsics);
   result->g_W = estimate.g_W;
   result->gyro_bias = estimate.gyro_bias.Mean();
   result->accel_bias = estimate.accel_bias.Mean();
@@ -64,12 +70,16 @@ Calibration Calibrate(const CalibrationOptions& options, const CalibrationData& 
   options.Validate();
   Calibration result;
   result.method = options.method;
+  result.imu_model = options.imu_model;
 
   ConditionedData conditioned = Condition(options, data);
   const PoseTrajectory trajectory = FitTrajectory(options, &conditioned);
   ReportData(conditioned, &result);
   ReportTrajectory(trajectory, conditioned, &result);
-  if (IsMotionDegenerate(MeasureTurns(trajectory, conditioned), &result)) return result;
+  // With a known lever arm or rotation a turn about one axis may do: the covariance will tell.
+  const bool needs_turns = options.estimate_translation && options.estimate_rotation;
+  if (needs_turns && IsMotionDegenerate(MeasureTurns(trajectory, conditioned), &result))
+    return result;
 
   const Start start = Initialise(options, trajectory, conditioned);
   Estimate estimate(start, conditioned, options.bias_knot_interval_s);
@@ -84,6 +94,7 @@ Calibration Calibrate(const CalibrationOptions& options, const CalibrationData& 
   }
   ReportEstimate(estimate, solution.statistics, conditioned, &result);
   GradeResult(options, solution.covariance, &result);
+  WarnOfMisfit(solution.covariance, &result);
   return result;
 }
 

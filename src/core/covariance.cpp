@@ -1,20 +1,54 @@
 #include "imu_pose_calib/core/covariance.h"
 
+#include <Eigen/Cholesky>
 #include <Eigen/SparseCholesky>
 #include <algorithm>
+#include <cmath>
 #include <limits>
 
 namespace imu_pose_calib {
+namespace {
 
-MarginalCovarianceEstimator::MarginalCovarianceEstimator(int parameters, int leading)
-    : leading_(leading), H_(parameters, parameters) {}
+using SparseMatrix = Eigen::SparseMatrix<double>;
 
-void MarginalCovarianceEstimator::Add(const ceres::CRSMatrix& J,
-                                      const std::vector<double>& residuals,
-                                      const std::vector<int>& cluster) {
+/// Weight of the other half of the log in HalfEstimate(): keeps what only that half knows (its
+/// trajectory) determined, and tells nothing.
+constexpr double kOtherHalf = 1e-6;
+
+MarginalEstimate Solve(const SparseMatrix& H, const SparseMatrix& scores, int leading) {
+  const Eigen::SimplicialLDLT<SparseMatrix> solver(H);
+  if (solver.info() != Eigen::Success || (solver.vectorD().array() <= 0.0).any())
+    return {Eigen::MatrixXd::Constant(leading, leading, std::numeric_limits<double>::infinity()),
+            Eigen::MatrixXd::Zero(leading, scores.cols())};
+  const Eigen::MatrixXd X = solver.solve(Eigen::MatrixXd::Identity(H.cols(), leading));
+  return {X.topRows(leading), -X.transpose() * scores};
+}
+
+}  // namespace
+
+MarginalEstimate Condition(const MarginalEstimate& estimate, int count) {
+  const auto others = estimate.covariance.rows() - count;
+  if (others == 0) return estimate;
+  const Eigen::MatrixXd& C = estimate.covariance;
+  const Eigen::MatrixXd gain = C.bottomRightCorner(others, others)
+                                   .ldlt()
+                                   .solve(C.bottomLeftCorner(others, count))
+                                   .transpose();
+  return {C.topLeftCorner(count, count) - gain * C.bottomLeftCorner(others, count),
+          estimate.influence.topRows(count) - gain * estimate.influence.bottomRows(others)};
+}
+
+MarginalEstimator::MarginalEstimator(int parameters, int leading, int second_half)
+    : leading_(leading), second_half_(second_half) {
+  for (SparseMatrix& H : H_) H.resize(parameters, parameters);
+}
+
+void MarginalEstimator::Add(const ceres::CRSMatrix& J,
+                            const std::vector<double>& residuals,
+                            const std::vector<int>& cluster) {
   using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
   const auto columns = [&J](int row) { return J.cols.begin() + J.rows[static_cast<size_t>(row)]; };
-  std::vector<Eigen::Triplet<double>> triplets;
+  std::vector<Eigen::Triplet<double>> triplets[2];
   for (int begin = 0, end = 0; begin < J.num_rows; begin = end) {
     // Rows of one residual block have the same columns: a dense block.
     const auto size = static_cast<int>(columns(begin + 1) - columns(begin));
@@ -29,38 +63,58 @@ void MarginalCovarianceEstimator::Add(const ceres::CRSMatrix& J,
     const Eigen::VectorXd score =
         block.transpose() *
         Eigen::Map<const Eigen::VectorXd>(&residuals[static_cast<size_t>(begin)], end - begin);
+    auto& half = triplets[block_cluster < second_half_ ? 0 : 1];
     for (int i = 0; i < size; ++i) {
       const int column_i = columns(begin)[i];
       for (int j = 0; j < size; ++j)
         if (columns(begin)[j] <= column_i)
-          triplets.emplace_back(column_i, columns(begin)[j], product(i, j));
-      if (block_cluster >= 0) scores_.emplace_back(column_i, block_cluster, score[i]);
+          half.emplace_back(column_i, columns(begin)[j], product(i, j));
+      scores_.emplace_back(column_i, block_cluster, score[i]);
     }
     clusters_ = std::max(clusters_, block_cluster + 1);
   }
-  Eigen::SparseMatrix<double> part(H_.rows(), H_.cols());
-  part.setFromTriplets(triplets.begin(), triplets.end());
-  H_ += part;
+  for (int half = 0; half < 2; ++half) {
+    SparseMatrix part(H_[half].rows(), H_[half].cols());
+    part.setFromTriplets(triplets[half].begin(), triplets[half].end());
+    H_[half] += part;
+  }
 }
 
-MarginalCovariance MarginalCovarianceEstimator::Compute() const {
-  const Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>> solver(H_);
-  MarginalCovariance covariance;
-  if (solver.info() != Eigen::Success || (solver.vectorD().array() <= 0.0).any()) {
-    covariance.model =
-        std::numeric_limits<double>::infinity() * Eigen::MatrixXd::Ones(leading_, leading_);
-    covariance.robust = covariance.model;
-    return covariance;
-  }
-  const Eigen::MatrixXd X = solver.solve(Eigen::MatrixXd::Identity(H_.cols(), leading_));
-  covariance.model = X.topRows(leading_);
+MarginalEstimate MarginalEstimator::Estimate() const {
+  SparseMatrix scores(H_[0].rows(), clusters_);
+  scores.setFromTriplets(scores_.begin(), scores_.end());
+  return Solve(H_[0] + H_[1], scores, leading_);
+}
 
-  Eigen::SparseMatrix<double> G(H_.rows(), clusters_);
-  G.setFromTriplets(scores_.begin(), scores_.end());
-  const Eigen::MatrixXd influence = X.transpose() * G;  // of each cluster
-  const double correction = clusters_ > 1 ? clusters_ / (clusters_ - 1.0) : 1.0;
-  covariance.robust = correction * influence * influence.transpose();
-  return covariance;
+MarginalEstimate MarginalEstimator::EstimateHalf(int half) const {
+  const auto weight = [&](int of) { return of == half ? 1.0 : kOtherHalf; };
+  std::vector<Eigen::Triplet<double>> sum;
+  for (const auto& score : scores_)
+    sum.emplace_back(score.row(), 0, weight(score.col() < second_half_ ? 0 : 1) * score.value());
+  SparseMatrix scores(H_[0].rows(), 1);
+  scores.setFromTriplets(sum.begin(), sum.end());
+  return Solve(weight(0) * H_[0] + weight(1) * H_[1], scores, leading_);
+}
+
+Eigen::MatrixXd ClusterRobustCovariance(const MarginalEstimate& estimate, double fitted) {
+  const Eigen::MatrixXd& model = estimate.covariance;
+  if (!model.allFinite()) return model;
+  const Eigen::MatrixXd L = model.llt().matrixL();
+  // In units of the model's covariance: S = sum_w z_w z_w^T, the model is the identity.
+  const Eigen::MatrixXd z =
+      L.triangularView<Eigen::Lower>().solve(estimate.influence) / std::sqrt(1.0 - fitted);
+  const Eigen::MatrixXd S = z * z.transpose();
+  const Eigen::MatrixXd target =
+      S.trace() / static_cast<double>(S.rows()) * Eigen::MatrixXd::Identity(S.rows(), S.cols());
+  // Ledoit and Wolf: how much of the distance to the target is the scatter of the clusters?
+  const auto clusters = static_cast<double>(z.cols());
+  double scatter = 0.0;
+  for (Eigen::Index w = 0; w < z.cols(); ++w)
+    scatter += (clusters * z.col(w) * z.col(w).transpose() - S).squaredNorm();
+  scatter /= clusters * clusters;
+  const double distance = (S - target).squaredNorm();
+  const double shrinkage = distance > scatter ? scatter / distance : 1.0;
+  return L * (shrinkage * target + (1.0 - shrinkage) * S) * L.transpose();
 }
 
 }  // namespace imu_pose_calib

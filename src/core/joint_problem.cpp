@@ -10,6 +10,7 @@ namespace imu_pose_calib {
 namespace {
 
 constexpr size_t kMinSpans = 4;            // shorter runs say little and are left out
+constexpr double kDriftPrior = 1e-2;       // [s/s]
 constexpr double kIntrinsicsPrior = 0.05;  // [1] sigma of each element of M_g and M_a
 
 }  // namespace
@@ -71,17 +72,10 @@ JointProblem::JointProblem(const CalibrationOptions& options,
   }
   AddGyroParameters();
   AddAccelParameters();
-  problem_.AddParameterBlock(&estimate_->clock_drift, 1);
-  SetConstantUnless(options_.estimate_clock_drift, &estimate_->clock_drift);
   const bool intrinsics = options_.imu_model == ImuModel::kScaleMisalignment;
-  problem_.AddParameterBlock(estimate_->gyro_intrinsics.data(), 6);
-  problem_.AddParameterBlock(estimate_->accel_intrinsics.data(), 9);
-  SetConstantUnless(intrinsics, estimate_->gyro_intrinsics.data());
-  SetConstantUnless(intrinsics, estimate_->accel_intrinsics.data());
-  if (intrinsics) {
-    AddPrior(estimate_->gyro_intrinsics.data(), 6, kIntrinsicsPrior);
-    AddPrior(estimate_->accel_intrinsics.data(), 9, kIntrinsicsPrior);
-  }
+  AddOptional(options_.estimate_clock_drift, kDriftPrior, 1, &estimate_->clock_drift);
+  AddOptional(intrinsics, kIntrinsicsPrior, 6, estimate_->gyro_intrinsics.data());
+  AddOptional(intrinsics, kIntrinsicsPrior, 9, estimate_->accel_intrinsics.data());
   AddPoses(weights);
   AddGyro(weights);
   AddAccel(weights);

@@ -52,11 +52,12 @@ std::vector<int> Blocks(int rows, int size) {
 }
 
 /// In two portions.
-MarginalCovariance ComputeMarginalCovariance(const MatrixXd& J,
-                                             const std::vector<double>& residuals,
-                                             const std::vector<int>& cluster,
-                                             int leading) {
-  MarginalCovarianceEstimator estimator(static_cast<int>(J.cols()), leading);
+MarginalEstimator Estimator(const MatrixXd& J,
+                            const std::vector<double>& residuals,
+                            const std::vector<int>& cluster,
+                            int leading,
+                            int second_half = 3) {
+  MarginalEstimator estimator(static_cast<int>(J.cols()), leading, second_half);
   const auto rows = static_cast<ptrdiff_t>(J.rows()), half = rows / 2;
   const auto part = [](const auto& all, ptrdiff_t begin, ptrdiff_t end) {
     return std::decay_t<decltype(all)>(all.begin() + begin, all.begin() + end);
@@ -64,7 +65,14 @@ MarginalCovariance ComputeMarginalCovariance(const MatrixXd& J,
   estimator.Add(ToCrs(J.topRows(half)), part(residuals, 0, half), part(cluster, 0, half));
   estimator.Add(
       ToCrs(J.bottomRows(rows - half)), part(residuals, half, rows), part(cluster, half, rows));
-  return estimator.Compute();
+  return estimator;
+}
+
+MarginalEstimate Marginal(const MatrixXd& J,
+                          const std::vector<double>& residuals,
+                          const std::vector<int>& cluster,
+                          int leading) {
+  return Estimator(J, residuals, cluster, leading).Estimate();
 }
 
 TEST(MarginalCovariance, EqualsTheDenseFormulas) {
@@ -82,15 +90,50 @@ TEST(MarginalCovariance, EqualsTheDenseFormulas) {
     for (int i = 0; i < rows; ++i)
       scores.col(cluster[static_cast<size_t>(i)]) +=
           residuals[static_cast<size_t>(i)] * J.row(i).transpose();
-    const double correction = clusters / (clusters - 1.0);
-    const MatrixXd sandwich = correction * H_inv * (scores * scores.transpose()) * H_inv;
+    const MarginalEstimate marginal = Marginal(J, residuals, cluster, leading);
+    const MatrixXd influence = -H_inv.topRows(leading) * scores;
+    ASSERT_EQ(marginal.covariance.rows(), leading);
+    ASSERT_EQ(marginal.influence.cols(), clusters);
+    EXPECT_LT((marginal.covariance - H_inv.topLeftCorner(leading, leading)).norm(),
+              1e-10 * H_inv.norm());
+    EXPECT_LT((marginal.influence - influence).norm(), 1e-10 * influence.norm());
+  }
+}
 
-    const MarginalCovariance c = ComputeMarginalCovariance(J, residuals, cluster, leading);
-    ASSERT_EQ(c.model.rows(), leading);
-    ASSERT_EQ(c.robust.cols(), leading);
-    EXPECT_LT((c.model - H_inv.topLeftCorner(leading, leading)).norm(), 1e-10 * H_inv.norm());
-    EXPECT_LT((c.robust - sandwich.topLeftCorner(leading, leading)).norm(),
-              1e-10 * sandwich.norm());
+TEST(MarginalCovariance, ConditionEqualsAProblemWithoutTheOtherColumns) {
+  std::mt19937 random(11);
+  const int rows = 60, cols = 12;
+  const MatrixXd J = RandomJacobian(rows, cols, &random);
+  const std::vector<double> residuals = RandomResiduals(rows, &random);
+  const MarginalEstimate conditioned =
+      Condition(Marginal(J, residuals, Blocks(rows, 6), 5), 3);  // columns 3 and 4 known
+  MatrixXd without(rows, cols - 2);
+  without << J.leftCols(3), J.rightCols(cols - 5);
+  const MarginalEstimate expected = Marginal(without, residuals, Blocks(rows, 6), 3);
+  EXPECT_LT((conditioned.covariance - expected.covariance).norm(),
+            1e-10 * expected.covariance.norm());
+  EXPECT_LT((conditioned.influence - expected.influence).norm(), 1e-10 * expected.influence.norm());
+}
+
+TEST(MarginalCovariance, HalvesAreTheProblemsOfTheirRows) {
+  // The last columns are known to one half only, like a trajectory.
+  std::mt19937 random(12);
+  const int rows = 60, cols = 12;
+  MatrixXd J = RandomJacobian(rows, cols, &random);
+  J.block(0, 9, 30, 3).setZero();
+  J.block(30, 6, 30, 3).setZero();
+  const std::vector<double> residuals = RandomResiduals(rows, &random);
+  const MarginalEstimator estimator = Estimator(J, residuals, Blocks(rows, 6), 4, 5);
+  for (const int half : {0, 1}) {
+    MatrixXd part(30, 9);
+    part << J.block(30 * half, 0, 30, 6), J.block(30 * half, half == 0 ? 6 : 9, 30, 3);
+    const auto begin = residuals.begin() + 30 * half;
+    const MarginalEstimate expected =
+        Marginal(part, std::vector<double>(begin, begin + 30), Blocks(30, 6), 4);
+    const MarginalEstimate estimate = estimator.EstimateHalf(half);
+    EXPECT_LT((estimate.covariance - expected.covariance).norm(),
+              1e-4 * expected.covariance.norm());
+    EXPECT_LT((estimate.Step() - expected.Step()).norm(), 1e-4 * expected.Step().norm());
   }
 }
 
@@ -98,10 +141,10 @@ TEST(MarginalCovariance, IsInfiniteForAParameterWithoutInformation) {
   std::mt19937 random(2);
   MatrixXd J = RandomJacobian(40, 6, &random);
   J.col(4).setZero();
-  const MarginalCovariance c =
-      ComputeMarginalCovariance(J, RandomResiduals(40, &random), Blocks(40, 4), 3);
-  EXPECT_TRUE((c.model.diagonal().array() == std::numeric_limits<double>::infinity()).all());
-  EXPECT_TRUE((c.robust.diagonal().array() == std::numeric_limits<double>::infinity()).all());
+  const MarginalEstimate c = Marginal(J, RandomResiduals(40, &random), Blocks(40, 4), 3);
+  const double infinity = std::numeric_limits<double>::infinity();
+  EXPECT_TRUE((c.covariance.diagonal().array() == infinity).all());
+  EXPECT_TRUE((ClusterRobustCovariance(c, 0.0).diagonal().array() == infinity).all());
 }
 
 TEST(MarginalCovariance, IsNeverConfidentInParametersThatActAlike) {
@@ -111,9 +154,8 @@ TEST(MarginalCovariance, IsNeverConfidentInParametersThatActAlike) {
     std::mt19937 random(seed);
     MatrixXd J = RandomJacobian(40, 6, &random);
     J.col(1) = 0.7 * J.col(3) - 1.3 * J.col(5);
-    const MarginalCovariance c =
-        ComputeMarginalCovariance(J, RandomResiduals(40, &random), Blocks(40, 4), 2);
-    EXPECT_GT(c.model(1, 1), 1e8);
+    const MarginalEstimate c = Marginal(J, RandomResiduals(40, &random), Blocks(40, 4), 2);
+    EXPECT_GT(c.covariance(1, 1), 1e8);
   }
 }
 
@@ -128,10 +170,9 @@ TEST(MarginalCovariance, RobustEqualsModelInTheMeanForIndependentUnitResiduals) 
     const std::vector<double> noise = RandomResiduals(rows, &random);
     const Eigen::Map<const VectorXd> e(noise.data(), rows);
     const VectorXd r = e - J * H.solve(J.transpose() * e);  // at the minimum
-    const MarginalCovariance c =
-        ComputeMarginalCovariance(J, {r.data(), r.data() + rows}, Blocks(rows, 4), 3);
-    sum += c.robust / draws;
-    model = c.model;
+    const MarginalEstimate c = Marginal(J, {r.data(), r.data() + rows}, Blocks(rows, 4), 3);
+    sum += ClusterRobustCovariance(c, 1.0 / 100.0) / draws;
+    model = c.covariance;
   }
   // 100 clusters: one draw scatters by 14 %, the mean of 400 by 0.7 %; 5 of 400 degrees of freedom
   // are lost to the fit and 1 of 100 is given back.
@@ -150,9 +191,11 @@ TEST(MarginalCovariance, RobustGrowsWithTheCorrelationInsideOfClusters) {
   const std::vector<double> noise = RandomResiduals(rows / 5, &random);
   std::vector<double> residuals;
   for (int i = 0; i < rows; ++i) residuals.push_back(noise[static_cast<size_t>(i / 5)]);
-  const MarginalCovariance c = ComputeMarginalCovariance(J, residuals, Blocks(rows, 5), 1);
-  EXPECT_NEAR(c.model(0, 0), 1e-3, 1e-12);
-  EXPECT_NEAR(c.robust(0, 0) / c.model(0, 0), 5.0, 1.5);  // 200 clusters: sigma 0.5
+  const MarginalEstimate c = Marginal(J, residuals, Blocks(rows, 5), 1);
+  EXPECT_NEAR(c.covariance(0, 0), 1e-3, 1e-12);
+  EXPECT_NEAR(ClusterRobustCovariance(c, 0.0)(0, 0) / c.covariance(0, 0),
+              5.0,
+              1.5);  // 200 clusters: sigma 0.5
 }
 
 }  // namespace

@@ -29,16 +29,26 @@ enum CalibrationIndex {
   kAccelIntrinsics = 15  ///< 9, of AccelMatrix()
 };
 constexpr int kCalibrationSize = 24;
+using CalibrationVector = Eigen::Matrix<double, kCalibrationSize, 1>;
 using CalibrationMatrix = Eigen::Matrix<double, kCalibrationSize, kCalibrationSize>;
 
 /// Marginal uncertainty of the calibration; parameters that are not estimated have variance 0.
 struct CalibrationCovariance {
-  CalibrationMatrix model;  ///< H^-1: right when residuals are independent
-  CalibrationMatrix
-      robust;  ///< H^-1 (sum_w g_w g_w^T) H^-1 over time blocks: right when they are not
+  CalibrationMatrix model;   ///< H^-1: right when residuals are independent
+  CalibrationMatrix robust;  ///< sandwich over time blocks: right when they are not
   /// Information on p_MI [1/m^2] that the trajectory's own errors feign: they move the lever arm's
   /// coefficients as a motion would.
-  double feigned_lever_arm_information;
+  double feigned_lever_arm_information = 0.0;
+
+  /// What the second half of the log says less what the first half says, and its covariance by the
+  /// model.
+  CalibrationVector halves_difference = CalibrationVector::Zero();
+  CalibrationMatrix halves_covariance = CalibrationMatrix::Zero();
+
+  /// Clock drift and intrinsics, when they are not estimated: where they would move if they were,
+  /// and the sigma of that; else 0.
+  CalibrationVector hint = CalibrationVector::Zero();
+  CalibrationVector hint_std = CalibrationVector::Zero();
 };
 
 /// What comes out of a solve beside the estimate.
@@ -105,8 +115,8 @@ class CalibrationProblem {
   void AddGyroParameters();
   void AddAccelParameters();
   void AddBiasWalk(double walk, BiasKnots* knots);
-  /// `size` independent parameters around 0.
-  void AddPrior(double* parameters, int size, double sigma);
+  /// Parameters that are estimated only with `estimated`, then with independent priors around 0.
+  void AddOptional(bool estimated, double sigma, int size, double* parameters);
   void SetConstantUnless(bool estimated, double* parameters);
   /// The sample can be compared: t_M [s, pose clock] is inside of a segment and not at its very
   /// end.
@@ -122,7 +132,7 @@ class CalibrationProblem {
 
   ceres::Problem problem_;
   Sensor position_, rotation_, gyro_, accel_;
-  std::vector<ceres::ResidualBlockId> priors_;  ///< bias walks and priors of parameters
+  Sensor priors_;                           ///< bias walks and priors; no samples
   std::vector<double*> trajectory_blocks_;  ///< parameters of the trajectory, if it is estimated
 };
 

@@ -39,6 +39,22 @@ enum class Status {
   kDegenerate,  ///< the data do not determine the calibration; `message` names what is missing
 };
 
+/// How well one direction of the calibration is determined.
+struct Observability {
+  std::string direction;  ///< in words: "p_MI along marker z", "time_shift"
+  double std = 0.0;       ///< sigma [m, rad or s]
+  std::string unit;       ///< "m", "rad", "s"
+  Status status = Status::kNotRun;
+};
+
+/// Second half of the log less the first, each taken alone.
+struct SplitHalf {
+  Eigen::Vector3d translation = Eigen::Vector3d::Zero();  ///< [m] in M
+  Eigen::Vector3d rotation = Eigen::Vector3d::Zero();     ///< [rad] about the imu axes
+  double time_shift = 0.0;                                ///< [s]
+  double sigmas = 0.0;  ///< rms of the differences in their sigmas: about 1 when they fit
+};
+
 /// Result of Calibrate(). Only kOk and kWeak are results.
 struct Calibration {
   Status status = Status::kNotRun;
@@ -53,6 +69,16 @@ struct Calibration {
   Matrix6d covariance = Matrix6d::Zero();
   double time_shift_std = 0.0;   ///< [s]
   double accel_delay_std = 0.0;  ///< [s], 0 when not estimated
+  /// t_pose = t_imu + time_shift + clock_drift (t_imu - clock_reference); 0 when not estimated.
+  double clock_drift = 0.0, clock_drift_std = 0.0;  ///< [s/s]
+  double clock_reference = 0.0;                     ///< [s] IMU clock
+
+  /// Scale and misalignment: measured = M true + bias, in I. Identity when not estimated.
+  ImuModel imu_model = ImuModel::kCalibrated;
+  Eigen::Matrix3d gyro_matrix = Eigen::Matrix3d::Identity();
+  Eigen::Matrix3d accel_matrix = Eigen::Matrix3d::Identity();
+  Eigen::Matrix3d gyro_matrix_std = Eigen::Matrix3d::Zero();
+  Eigen::Matrix3d accel_matrix_std = Eigen::Matrix3d::Zero();
 
   Eigen::Vector3d g_W = Eigen::Vector3d::Zero();         ///< [m/s^2], points down
   Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();   ///< [rad/s] in I, mean over the log
@@ -67,6 +93,9 @@ struct Calibration {
   /// Knot spacing of the joint solve's splines [s]; 0 when not used.
   double knot_spacing_s = 0.0;
 
+  /// Spectrum of the calibration, the least certain direction first.
+  std::vector<Observability> observability;
+  SplitHalf split_half;
   /// Directions of the calibration that the motion does not determine, in words; empty when all
   /// are determined.
   std::vector<std::string> unobservable;

@@ -8,32 +8,48 @@
 
 namespace imu_pose_calib {
 
-/// Covariance of the leading parameters of a least squares problem, the others marginalised.
-struct MarginalCovariance {
-  Eigen::MatrixXd model;   ///< leading block of H^-1, H = J^T J
-  Eigen::MatrixXd robust;  ///< leading block of H^-1 (sum_w g_w g_w^T) H^-1, g_w = sum_w J^T r
+/// The leading parameters of a least squares problem, all others marginalised.
+struct MarginalEstimate {
+  Eigen::MatrixXd covariance;  ///< leading block of H^-1, H = J^T J
+  /// Column w: -H^-1 g_w of the leading parameters, what the scores g_w = sum_w J^T r of cluster w
+  /// add to the Gauss-Newton step. At the minimum the columns add up to 0.
+  Eigen::MatrixXd influence;
+
+  Eigen::VectorXd Step() const { return influence.rowwise().sum(); }
 };
 
-/// Gathers H and the scores g_w of the clusters w from portions of the Jacobian, so that it need
-/// not be held as a whole.
-class MarginalCovarianceEstimator {
+/// The first `count` parameters, as if the others were known to be right.
+MarginalEstimate Condition(const MarginalEstimate& estimate, int count);
+
+/// Gathers H and the scores of the clusters from portions of the Jacobian, so that it need not be
+/// held as a whole.
+class MarginalEstimator {
  public:
-  MarginalCovarianceEstimator(int parameters, int leading);
+  /// Clusters from `second_half` on belong to the second half of the log.
+  MarginalEstimator(int parameters, int leading, int second_half);
 
   /// Rows of the weighted and robustified Jacobian and residuals at the minimum; `cluster[i]` is
-  /// the time block of row i, -1 when it belongs to none.
+  /// the time block of row i.
   void Add(const ceres::CRSMatrix& J,
            const std::vector<double>& residuals,
            const std::vector<int>& cluster);
 
   /// Parameters without information get a variance of infinity.
-  MarginalCovariance Compute() const;
+  MarginalEstimate Estimate() const;
+  /// What one half of the log (0 or 1) says alone.
+  MarginalEstimate EstimateHalf(int half) const;
 
  private:
-  const int leading_;
-  Eigen::SparseMatrix<double> H_;               ///< lower triangle
+  const int leading_, second_half_;
+  Eigen::SparseMatrix<double> H_[2];            ///< lower triangles, of each half
   std::vector<Eigen::Triplet<double>> scores_;  ///< (parameter, cluster, g)
   int clusters_ = 0;
 };
+
+/// Cluster-robust (sandwich) covariance H^-1 (sum_w g_w g_w^T) H^-1 from the influences of the
+/// clusters, doc/math.md Eq. (16): for the degrees of freedom that the fit took from the scores
+/// (share `fitted`, 0..1), and drawn towards a multiple of H^-1 as far as the clusters are too few
+/// to tell it from that.
+Eigen::MatrixXd ClusterRobustCovariance(const MarginalEstimate& estimate, double fitted);
 
 }  // namespace imu_pose_calib

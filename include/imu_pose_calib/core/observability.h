@@ -19,15 +19,19 @@ struct TurnExcitation {
 TurnExcitation MeasureTurns(const PoseTrajectory& trajectory, const ConditionedData& data);
 
 /// "marker z", or "(0.71, 0.00, 0.71) in the marker frame" when no axis is within 20 degrees.
-std::string DescribeAxis(const Eigen::Vector3d& axis_M);
+std::string DescribeAxis(const Eigen::Vector3d& axis, const std::string& frame = "marker");
 
 /// Without turns about two axes no solve can tell the lever arm or the rotation: sets status
 /// kDegenerate, message and the directions in words. False when the motion suffices.
 bool IsMotionDegenerate(const TurnExcitation& turns, Calibration* result);
 
-/// Stage S5: fills covariance, sigmas, unobservable directions, status and message.
+/// Stage S5: fills covariance, sigmas, observability, split halves, status and message.
 void GradeResult(const CalibrationOptions& options,
                  const CalibrationCovariance& covariance,
                  Calibration* result);
+
+/// Adds a warning in words for each sign that the model does not fit the data: correlated
+/// residuals, halves that disagree, drifting clocks, wrong scales, a long accel_delay.
+void WarnOfMisfit(const CalibrationCovariance& covariance, Calibration* result);
 
 }  // namespace imu_pose_calib
