@@ -112,6 +112,9 @@ CalibrationResult ToMsg(const Calibration& result,
   msg.time_shift_std = result.time_shift_std;
   msg.accel_delay = result.accel_delay;
   msg.accel_delay_std = result.accel_delay_std;
+  msg.clock_drift = result.clock_drift;
+  msg.clock_drift_std = result.clock_drift_std;
+  msg.clock_reference = result.clock_reference;
   msg.gravity = ToVector3Msg(result.g_W);
   msg.gyro_bias = ToVector3Msg(result.gyro_bias);
   msg.accel_bias = ToVector3Msg(result.accel_bias);

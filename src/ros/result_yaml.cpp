@@ -26,6 +26,8 @@ const char kEquations[] = R"(
 # transform: x_marker = R x_imu + p          inverse_transform: x_imu = R' x_marker + p'
 # clocks:    t_pose = t_imu + time_shift     inverse: t_imu = t_pose - time_shift
 #            t_pose = t_accel + time_shift - accel_delay
+#            time_shift holds at clock_reference [s, imu clock] and grows by clock_drift
+# imu:       measured = matrix * true + bias
 # Units: m, s, rad, m/s^2. Quaternions: x, y, z, w.
 
 )";
@@ -126,6 +128,9 @@ void EmitEstimate(const Calibration& result, YAML::Emitter* out) {
   Emit("time_shift_std", result.time_shift_std, out);
   Emit("accel_delay", result.accel_delay, out);
   Emit("accel_delay_std", result.accel_delay_std, out);
+  Emit("clock_drift", result.clock_drift, out);
+  Emit("clock_drift_std", result.clock_drift_std, out);
+  Emit("clock_reference", result.clock_reference, out);
   EmitMap(
       "gravity",
       [&] {
@@ -140,6 +145,32 @@ void EmitEstimate(const Calibration& result, YAML::Emitter* out) {
         EmitList("accel", result.accel_bias, out);
       },
       out);
+}
+
+void EmitImu(const Calibration& result, YAML::Emitter* out) {
+  EmitMap(
+      "imu",
+      [&] {
+        Emit("model", ToString(result.imu_model), out);
+        EmitMatrix("gyro_matrix", result.gyro_matrix, out);
+        EmitMatrix("gyro_matrix_std", result.gyro_matrix_std, out);
+        EmitMatrix("accel_matrix", result.accel_matrix, out);
+        EmitMatrix("accel_matrix_std", result.accel_matrix_std, out);
+      },
+      out);
+}
+
+void EmitObservability(const std::vector<Observability>& observability, YAML::Emitter* out) {
+  *out << YAML::Key << "observability" << YAML::Value << YAML::BeginSeq;
+  for (const Observability& o : observability) {
+    *out << YAML::Flow << YAML::BeginMap;
+    Emit("direction", o.direction, out);
+    Emit("std", o.std, out);
+    Emit("unit", o.unit, out);
+    Emit("status", ToString(o.status), out);
+    *out << YAML::EndMap;
+  }
+  *out << YAML::EndSeq;
 }
 
 void EmitQuality(const Calibration& result, YAML::Emitter* out) {
@@ -159,7 +190,16 @@ void EmitQuality(const Calibration& result, YAML::Emitter* out) {
         Emit("accel_rms", result.rms.accel, out);
         Emit("position_rms", result.rms.position, out);
         Emit("rotation_rms", result.rms.rotation, out);
-        Emit("observability", result.unobservable, out);
+        EmitObservability(result.observability, out);
+        EmitMap(
+            "split_half",
+            [&] {
+              EmitList("translation", result.split_half.translation, out);
+              EmitList("rotation", result.split_half.rotation, out);
+              Emit("time_shift", result.split_half.time_shift, out);
+              Emit("sigmas", result.split_half.sigmas, out);
+            },
+            out);
         Emit("warnings", result.warnings, out);
       },
       out);
@@ -243,6 +283,7 @@ std::string ToYaml(const Calibration& result,
       },
       &out);
   EmitEstimate(result, &out);
+  EmitImu(result, &out);
   EmitQuality(result, &out);
   EmitData(result, info, &out);
   out << YAML::Key << "options" << YAML::Value << YAML::Load(ToYaml(options));

@@ -1,5 +1,7 @@
 #include "imu_pose_calib/ros/summary.h"
 
+#include <algorithm>
+#include <cmath>
 #include <cstdarg>
 #include <cstdio>
 #include <sstream>
@@ -96,16 +98,68 @@ std::string Quaternion(const Eigen::Quaterniond& q) {
   return Format("[%.6f, %.6f, %.6f, %.6f]", q.x(), q.y(), q.z(), q.w());
 }
 
+/// Roll, pitch, yaw about the fixed axes, as tf prints them [deg].
+Eigen::Vector3d RollPitchYaw(const Eigen::Quaterniond& q) {
+  const Eigen::Matrix3d R = q.toRotationMatrix();
+  return kDegrees * Eigen::Vector3d(std::atan2(R(2, 1), R(2, 2)),
+                                    std::asin(std::clamp(-R(2, 0), -1.0, 1.0)),
+                                    std::atan2(R(1, 0), R(0, 0)));
+}
+
+/// Worst verdict of the directions whose name begins with `name`; "fixed" when there are none.
+std::string RowVerdict(const Calibration& result, const std::string& name) {
+  for (const Observability& o : result.observability)  // the worst first
+    if (o.direction.compare(0, name.size(), name) == 0) return ToString(o.status);
+  return "fixed";
+}
+
+std::string Row(const std::string& name,
+                const std::string& value,
+                const std::string& sigma,
+                const std::string& verdict) {
+  return Format("  %-18s %-30s %-22s %s\n",
+                name.c_str(),
+                value.c_str(),
+                verdict == "fixed" ? "" : sigma.c_str(),
+                verdict.c_str());
+}
+
+/// What a person wants to know first.
+std::string Table(const Calibration& result) {
+  const Vector6d sigma = result.Std();
+  std::string text = "\n" + Row("imu in marker", "value", "sigma", "verdict");
+  text += Row("translation [mm]",
+              Vector(1e3 * result.T_MI.p, "%.3f"),
+              Vector(1e3 * sigma.head<3>(), "%.3f"),
+              RowVerdict(result, "p_MI"));
+  text += Row("roll, pitch, yaw",
+              Vector(RollPitchYaw(result.T_MI.q), "%.3f") + " deg",
+              Vector(kDegrees * sigma.tail<3>(), "%.4f"),
+              RowVerdict(result, "R_MI"));
+  text += Row("time shift",
+              Format("%.7f s", result.time_shift),
+              Format("%.4f ms", 1e3 * result.time_shift_std),
+              RowVerdict(result, "time_shift"));
+  text += Row("accel delay",
+              Format("%.4f ms", 1e3 * result.accel_delay),
+              Format("%.4f ms", 1e3 * result.accel_delay_std),
+              RowVerdict(result, "accel_delay"));
+  if (result.clock_drift_std > 0.0)
+    text += Row("clock drift",
+                Format("%.2f ppm", 1e6 * result.clock_drift),
+                Format("%.2f ppm", 1e6 * result.clock_drift_std),
+                "ok");
+  return text;
+}
+
 std::string Transform(const Calibration& result) {
   const Rigid3& T = result.T_MI;
   const Rigid3 inverse = T.Inverse();
-  const Vector6d std_dev = result.Std();
   std::string text = "\nT_marker_imu, the imu seen from the marker: x_marker = R x_imu + p\n";
   text += "  p = " + Vector(1e3 * T.p, "%.3f") + " mm\n";
-  text += "   +- " + Vector(1e3 * std_dev.head<3>(), "%.3f") + " mm along the marker axes\n";
   text += "  R = " + Quaternion(T.q) + " (x, y, z, w)\n";
-  text += "   +- " + Vector(kDegrees * std_dev.tail<3>(), "%.4f") + " deg about the imu axes\n";
-  text += "\nT_imu_marker, its inverse: x_imu = R x_marker + p\n";
+  text += "  sigma of p along the marker axes, of R about the imu axes\n";
+  text += "T_imu_marker, its inverse: x_imu = R x_marker + p\n";
   text += "  p = " + Vector(1e3 * inverse.p, "%.3f") + " mm\n";
   text += "  R = " + Quaternion(inverse.q) + " (x, y, z, w)\n";
   return text;
@@ -113,13 +167,20 @@ std::string Transform(const Calibration& result) {
 
 std::string Clocks(const Calibration& result) {
   std::string text =
-      "\nClocks: t_pose = t_imu + time_shift      (inverse: t_imu = t_pose - time_shift)\n";
+      "Clocks: t_pose = t_imu + time_shift      (inverse: t_imu = t_pose - time_shift)\n";
   text += "        t_pose = t_accel + time_shift - accel_delay\n";
-  text +=
-      Format("  time_shift  = %.7f s +- %.4f ms\n", result.time_shift, 1e3 * result.time_shift_std);
-  text += Format("  accel_delay = %.7f s ", result.accel_delay);
-  return text + (result.accel_delay_std > 0.0 ? Format("+- %.4f ms\n", 1e3 * result.accel_delay_std)
-                                              : "(fixed)\n");
+  if (result.clock_drift_std > 0.0)
+    text += Format("        time_shift holds at t_imu = %.3f s and grows by clock drift\n",
+                   result.clock_reference);
+  return text;
+}
+
+std::string Matrix(const char* name, const Eigen::Matrix3d& M, const Eigen::Matrix3d& sigma) {
+  std::string text;
+  for (int row = 0; row < 3; ++row)
+    text += Format("  %-12s", row == 0 ? name : "") + Vector(M.row(row), "%9.5f") + " +- " +
+            Vector(sigma.row(row), "%.5f") + "\n";
+  return text;
 }
 
 std::string Imu(const Calibration& result) {
@@ -127,6 +188,10 @@ std::string Imu(const Calibration& result) {
   text += "  gravity    = " + Vector(result.g_W, "%.5f") + " m/s^2 in the world frame\n";
   text += "  gyro bias  = " + Vector(result.gyro_bias, "%.6f") + " rad/s in the imu frame\n";
   text += "  accel bias = " + Vector(result.accel_bias, "%.5f") + " m/s^2 in the imu frame\n";
+  if (result.imu_model == ImuModel::kCalibrated) return text;
+  text += "\nScale and misalignment: measured = M true + bias\n";
+  text += Matrix("gyro M =", result.gyro_matrix, result.gyro_matrix_std);
+  text += Matrix("accel M =", result.accel_matrix, result.accel_matrix_std);
   return text;
 }
 
@@ -138,7 +203,8 @@ std::string Residuals(const Calibration& result) {
          row("gyro", result.rms.gyro, result.noise.gyro, "rad/s") +
          row("accel", result.rms.accel, result.noise.accel, "m/s^2") +
          row("position", 1e3 * result.rms.position, 1e3 * result.noise.position, "mm") +
-         row("rotation", kDegrees * result.rms.rotation, kDegrees * result.noise.rotation, "deg");
+         row("rotation", kDegrees * result.rms.rotation, kDegrees * result.noise.rotation, "deg") +
+         Format("  the halves of the recording differ by %.1f sigma\n", result.split_half.sigmas);
 }
 
 std::string Warnings(const Calibration& result) {
@@ -171,8 +237,9 @@ std::string StaticTransform(const Calibration& result, const RecordingInfo& info
 
 std::string Summary(const Calibration& result, const RecordingInfo& info) {
   if (!result.IsUsable()) return Verdict(result) + Data(result, info) + Warnings(result);
-  return Verdict(result) + Data(result, info) + Transform(result) + Clocks(result) + Imu(result) +
-         Residuals(result) + Warnings(result) + StaticTransform(result, info);
+  return Verdict(result) + Table(result) + Warnings(result) + Data(result, info) +
+         Transform(result) + Clocks(result) + Imu(result) + Residuals(result) +
+         StaticTransform(result, info);
 }
 
 }  // namespace imu_pose_calib
