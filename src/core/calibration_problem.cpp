@@ -262,16 +262,26 @@ CalibrationCovariance CalibrationProblem::Covariance() {
   result.robust = spread(ClusterRobustCovariance(marginal, fitted));
   result.feigned_lever_arm_information = FeignedLeverArmInformation();
 
+  // Where a step does not end at 0, all clusters of it move alike: that is no scatter.
+  const auto larger_std = [fitted](MarginalEstimate estimate) {
+    estimate.influence.colwise() -= estimate.influence.rowwise().mean().eval();
+    return Eigen::VectorXd(estimate.covariance.diagonal()
+                               .cwiseMax(ClusterRobustCovariance(estimate, fitted).diagonal())
+                               .cwiseSqrt());
+  };
   const MarginalEstimate first = Condition(estimator.EstimateHalf(0), estimated);
   const MarginalEstimate second = Condition(estimator.EstimateHalf(1), estimated);
-  result.halves_difference = spread_vector(second.Step() - first.Step());
-  result.halves_covariance = spread(first.covariance + second.covariance);
-
-  const Eigen::MatrixXd robust = ClusterRobustCovariance(all, fitted);
+  const Eigen::VectorXd difference = second.Step() - first.Step();
+  const Eigen::VectorXd hint_std = larger_std(all);
+  result.halves_difference = spread_vector(difference);
+  const Eigen::VectorXd difference_std =
+      (larger_std(first).cwiseAbs2() + larger_std(second).cwiseAbs2()).cwiseSqrt();
+  const double largest = difference.cwiseQuotient(difference_std).cwiseAbs().maxCoeff();
+  result.halves_sigmas = std::isfinite(largest) ? largest : 0.0;
   for (Eigen::Index i = estimated; i < all.covariance.rows(); ++i) {
     const int place = places[static_cast<size_t>(i)];
     result.hint[place] = all.Step()[i];
-    result.hint_std[place] = std::sqrt(std::max(all.covariance(i, i), robust(i, i)));
+    result.hint_std[place] = hint_std[i];
   }
   return result;
 }

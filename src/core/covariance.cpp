@@ -87,13 +87,15 @@ MarginalEstimate MarginalEstimator::Estimate() const {
 }
 
 MarginalEstimate MarginalEstimator::EstimateHalf(int half) const {
-  const auto weight = [&](int of) { return of == half ? 1.0 : kOtherHalf; };
-  std::vector<Eigen::Triplet<double>> sum;
+  const int begin = half == 0 ? 0 : second_half_;
+  const int end = half == 0 ? std::min(second_half_, clusters_) : clusters_;
+  std::vector<Eigen::Triplet<double>> own;
   for (const auto& score : scores_)
-    sum.emplace_back(score.row(), 0, weight(score.col() < second_half_ ? 0 : 1) * score.value());
-  SparseMatrix scores(H_[0].rows(), 1);
-  scores.setFromTriplets(sum.begin(), sum.end());
-  return Solve(weight(0) * H_[0] + weight(1) * H_[1], scores, leading_);
+    if (score.col() >= begin && score.col() < end)
+      own.emplace_back(score.row(), score.col() - begin, score.value());
+  SparseMatrix scores(H_[0].rows(), std::max(0, end - begin));
+  scores.setFromTriplets(own.begin(), own.end());
+  return Solve(H_[half] + kOtherHalf * H_[1 - half], scores, leading_);
 }
 
 Eigen::MatrixXd ClusterRobustCovariance(const MarginalEstimate& estimate, double fitted) {

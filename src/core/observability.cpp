@@ -19,9 +19,9 @@ constexpr double kSampleStep = 0.02;   // [s] between the instants at which the 
 constexpr double kDegenerateFactor = 10.0;  // times the weak threshold
 
 // What is worth a warning:
-constexpr double kCertain = 5.0;         // sigma of a hint
+constexpr double kCertain = 3.0;         // sigma of a hint
 constexpr double kCorrelated = 3.0;      // clusters' sigma over the model's
-constexpr double kDisagreement = 3.0;    // sigma between the halves
+constexpr double kDisagreement = 5.0;    // sigma between the halves
 constexpr double kNotableDrift = 1e-4;   // [s] over the recording
 constexpr double kNotableScale = 5e-3;   // [1]
 constexpr double kNotableDelay = 10e-3;  // [s]
@@ -204,18 +204,10 @@ void GradeResult(const CalibrationOptions& options,
   result->accel_matrix_std =
       AccelMatrix(std_dev.segment<9>(kAccelIntrinsics)) - Eigen::Matrix3d::Identity();
 
-  // The halves in the same sigmas: the model's, enlarged as above.
   result->split_half.translation = covariance.halves_difference.segment<3>(kTranslation);
   result->split_half.rotation = covariance.halves_difference.segment<3>(kRotation);
   result->split_half.time_shift = covariance.halves_difference[kTimeShift];
-  double sum2 = 0.0, count = 0.0;
-  for (int i = 0; i <= kAccelDelay; ++i) {
-    const double variance = covariance.halves_covariance(i, i) * C(i, i) / covariance.model(i, i);
-    if (!(variance > 0.0)) continue;
-    sum2 += std::pow(covariance.halves_difference[i], 2) / variance;
-    count += 1.0;
-  }
-  result->split_half.sigmas = count > 0.0 ? std::sqrt(sum2 / count) : 0.0;
+  result->split_half.sigmas = covariance.halves_sigmas;
 
   CalibrationMatrix honest = C;
   if (options.estimate_translation)
@@ -251,7 +243,7 @@ void WarnOfMisfit(const CalibrationCovariance& covariance, Calibration* result) 
     warn("residuals are correlated in time: sigmas are up to " + number(correlation, "%.1f") +
          " times those of independent noise");
   if (result->split_half.sigmas > kDisagreement)
-    warn("the two halves of the recording disagree by " +
+    warn("the two halves of the recording disagree by up to " +
          number(result->split_half.sigmas, "%.1f") + " sigma (translation " +
          InWords(result->split_half.translation.norm(), "m") + ", rotation " +
          InWords(result->split_half.rotation.norm(), "rad") + "): did the marker or the imu move?");

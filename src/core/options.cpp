@@ -72,6 +72,8 @@ void CalibrationOptions::Validate() const {
              "initial_translation",
              initial_translation.has_value());
   CheckGiven("estimate_gravity", estimate_gravity, "initial_gravity", initial_gravity.has_value());
+  if (!estimate_time_shift && !estimate_rotation && !estimate_translation && !estimate_accel_delay)
+    throw InputError("options estimate_* leave nothing to estimate: set at least one to true");
   CheckJoint("estimate_clock_drift = true", estimate_clock_drift, method);
   CheckJoint("imu_model = scale_misalignment", imu_model != ImuModel::kCalibrated, method);
   CheckRange("knot_spacing_s", knot_spacing_s, 0.0, 10.0);

@@ -130,15 +130,20 @@ CalibrationData Simulate(const SimulatorOptions& options) {
   }
 
   const Eigen::Matrix3d R_IM = options.T_MI.q.toRotationMatrix().transpose();
+  // Pose clock at s seconds after the first IMU stamp.
+  const auto at = [&](double s) {
+    return trajectory.At(s + options.clock_drift * (s - 0.5 * options.duration_s));
+  };
   std::vector<Eigen::Vector3d> gyro, accel;
   for (size_t k = 0; k < count(options.gyro_rate_hz); ++k)
-    gyro.push_back(R_IM * trajectory.At(static_cast<double>(k) / options.gyro_rate_hz).omega_M);
+    gyro.push_back(options.gyro_matrix * R_IM *
+                   at(static_cast<double>(k) / options.gyro_rate_hz).omega_M);
   for (size_t k = 0; k < count(options.accel_rate_hz); ++k) {
-    const TrueState s =
-        trajectory.At(static_cast<double>(k) / options.accel_rate_hz - options.accel_delay_s);
+    const TrueState s = at(static_cast<double>(k) / options.accel_rate_hz - options.accel_delay_s);
     const Eigen::Vector3d& p = options.T_MI.p;
-    accel.push_back(R_IM * (s.R_WM.transpose() * (s.a_W - options.g_W) + s.alpha_M.cross(p) +
-                            s.omega_M.cross(s.omega_M.cross(p))));
+    accel.push_back(options.accel_matrix * R_IM *
+                    (s.R_WM.transpose() * (s.a_W - options.g_W) + s.alpha_M.cross(p) +
+                     s.omega_M.cross(s.omega_M.cross(p))));
   }
   const int64_t first_ns = options.start_ns - std::llround(1e9 * options.time_shift_s);
   data.gyro = SampleSensor(gyro,

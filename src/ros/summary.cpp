@@ -204,7 +204,7 @@ std::string Residuals(const Calibration& result) {
          row("accel", result.rms.accel, result.noise.accel, "m/s^2") +
          row("position", 1e3 * result.rms.position, 1e3 * result.noise.position, "mm") +
          row("rotation", kDegrees * result.rms.rotation, kDegrees * result.noise.rotation, "deg") +
-         Format("  the halves of the recording differ by %.1f sigma\n", result.split_half.sigmas);
+         Format("  the halves of the recording differ by up to %.1f sigma\n", result.split_half.sigmas);
 }
 
 std::string Warnings(const Calibration& result) {

@@ -1,5 +1,7 @@
 #include <gtest/gtest.h>
 
+#include <algorithm>
+
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/simulator.h"
 #include "imu_pose_calib/core/so3.h"
@@ -95,6 +97,130 @@ TEST(JointCalibration, RefusesATurnAboutOneAxis) {
     EXPECT_EQ(result.status, Status::kDegenerate);
     EXPECT_NE(result.message.find("about one axis only"), std::string::npos) << result.message;
   }
+}
+
+TEST(JointCalibration, EstimatesScaleAndMisalignmentWhenAsked) {
+  SimulatorOptions truth = Recording(1e-3, 21);
+  truth.duration_s = 30.0;
+  truth.gyro_matrix << 1.012, 0.0, 0.0, 0.004, 0.991, 0.0, -0.003, 0.006, 1.005;
+  truth.accel_matrix << 0.992, 0.003, -0.004, 0.002, 1.006, 0.005, -0.003, 0.004, 1.011;
+  const CalibrationData data = Simulate(truth);
+  CalibrationOptions options;
+  options.knot_spacing_s = 0.06;
+
+  const Calibration without = Calibrate(options, data);
+  EXPECT_EQ(without.gyro_matrix, Eigen::Matrix3d::Identity());
+  const auto is_hint = [](const std::string& warning) {
+    return warning.find("scale_misalignment") != std::string::npos;
+  };
+  EXPECT_TRUE(std::any_of(without.warnings.begin(), without.warnings.end(), is_hint));
+
+  options.imu_model = ImuModel::kScaleMisalignment;
+  const Calibration result = Calibrate(options, data);
+  EXPECT_FALSE(std::any_of(result.warnings.begin(), result.warnings.end(), is_hint));
+  EXPECT_LT(Normalised(result, truth).cwiseAbs().maxCoeff(), 4.5);
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) {
+      EXPECT_NEAR(result.gyro_matrix(i, j),
+                  truth.gyro_matrix(i, j),
+                  4.5 * result.gyro_matrix_std(i, j) + 1e-12);
+      EXPECT_NEAR(
+          result.accel_matrix(i, j), truth.accel_matrix(i, j), 4.5 * result.accel_matrix_std(i, j));
+    }
+  }
+  EXPECT_LT(result.gyro_matrix_std.maxCoeff(), 2e-3);
+  EXPECT_LT(result.accel_matrix_std.maxCoeff(), 2e-3);
+}
+
+TEST(JointCalibration, EstimatesClockDriftWhenAsked) {
+  SimulatorOptions truth = Recording(1e-3, 22);
+  truth.duration_s = 30.0;
+  truth.clock_drift = 40e-6;  // 1.2 ms over the recording
+  const CalibrationData data = Simulate(truth);
+  CalibrationOptions options;
+  options.knot_spacing_s = 0.06;
+
+  const Calibration without = Calibrate(options, data);
+  EXPECT_EQ(without.clock_drift, 0.0);
+  EXPECT_TRUE(std::any_of(without.warnings.begin(), without.warnings.end(), [](const auto& text) {
+    return text.find("estimate_clock_drift") != std::string::npos;
+  }));
+
+  options.estimate_clock_drift = true;
+  const Calibration result = Calibrate(options, data);
+  EXPECT_LT(Normalised(result, truth).cwiseAbs().maxCoeff(), 4.5);
+  EXPECT_NEAR(result.clock_drift, truth.clock_drift, 4.5 * result.clock_drift_std);
+  EXPECT_LT(result.clock_drift_std, 5e-6);
+}
+
+TEST(JointCalibration, KeepsWhatIsFixed) {
+  const SimulatorOptions truth = Recording(1e-3, 23);
+  const CalibrationData data = Simulate(truth);
+  for (const Method method : {Method::kJoint, Method::kGp}) {
+    CalibrationOptions options;
+    options.method = method;
+    options.knot_spacing_s = 0.06;
+    options.initial_rotation = truth.T_MI.q;
+    options.initial_translation = truth.T_MI.p;
+    options.initial_time_shift = truth.time_shift_s;
+    options.initial_gravity = truth.g_W;
+    options.accel_delay = truth.accel_delay_s;
+
+    CalibrationOptions fixed = options;
+    fixed.estimate_rotation = fixed.estimate_translation = false;
+    Calibration result = Calibrate(fixed, data);
+    EXPECT_TRUE(result.IsUsable()) << result.message;
+    EXPECT_LT(result.T_MI.q.angularDistance(truth.T_MI.q), 1e-12);
+    EXPECT_EQ(result.T_MI.p, truth.T_MI.p);
+    EXPECT_TRUE(result.covariance.isZero(0.0));
+    EXPECT_NE(result.time_shift, truth.time_shift_s);
+    EXPECT_NEAR(result.time_shift, truth.time_shift_s, 5.0 * result.time_shift_std);
+
+    fixed = options;
+    fixed.estimate_time_shift = fixed.estimate_accel_delay = fixed.estimate_gravity = false;
+    result = Calibrate(fixed, data);
+    EXPECT_TRUE(result.IsUsable()) << result.message;
+    EXPECT_NEAR(result.time_shift, truth.time_shift_s, 1e-9);
+    EXPECT_EQ(result.accel_delay, truth.accel_delay_s);
+    EXPECT_EQ(result.g_W, truth.g_W);
+    EXPECT_EQ(result.time_shift_std, 0.0);
+    EXPECT_GT(result.Std().minCoeff(), 0.0);
+    EXPECT_LT((result.T_MI.p - truth.T_MI.p).cwiseQuotient(result.Std().head<3>()).norm(), 6.0);
+  }
+}
+
+TEST(JointCalibration, AKnownLeverArmMakesATurnAboutOneAxisEnough) {
+  SimulatorOptions truth = Recording(1e-3, 24);
+  truth.motion = Motion::kHinge;
+  CalibrationOptions options;
+  options.knot_spacing_s = 0.06;
+  options.initial_rotation = truth.T_MI.q;
+  options.initial_translation = truth.T_MI.p;
+  options.estimate_rotation = options.estimate_translation = false;
+  const Calibration result = Calibrate(options, Simulate(truth));
+  EXPECT_TRUE(result.IsUsable()) << result.message;
+  EXPECT_NEAR(result.time_shift, truth.time_shift_s, 5.0 * result.time_shift_std);
+}
+
+TEST(JointCalibration, HalvesAgreeUnlessTheImuIsMoved) {
+  SimulatorOptions truth = Recording(1e-3, 25);
+  truth.duration_s = 24.0;
+  CalibrationData data = Simulate(truth);
+  CalibrationOptions options;
+  options.knot_spacing_s = 0.06;
+  const Calibration steady = Calibrate(options, data);
+  EXPECT_GT(steady.split_half.sigmas, 0.2);
+  EXPECT_LT(steady.split_half.sigmas, 4.0);
+
+  truth.T_MI.p.x() += 0.006;
+  const CalibrationData moved = Simulate(truth);
+  for (size_t i = data.accel.size() / 2; i < data.accel.size(); ++i) data.accel[i] = moved.accel[i];
+  const Calibration result = Calibrate(options, data);
+  EXPECT_GT(result.split_half.sigmas, 5.0);
+  EXPECT_NEAR(result.split_half.translation.x(), 0.006, 0.002);
+  EXPECT_TRUE(std::any_of(result.warnings.begin(), result.warnings.end(), [](const auto& text) {
+    return text.find("halves") != std::string::npos;
+  }));
 }
 
 }  // namespace

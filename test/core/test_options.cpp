@@ -4,6 +4,7 @@
 #include <limits>
 #include <sstream>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "imu_pose_calib/core/options.h"
@@ -131,6 +132,45 @@ TEST(Options, InitialValuesAreCheckedWhenGiven) {
     EXPECT_TRUE(Contains(Refusal(o), "initial_translation = " + Print(bad)));
     EXPECT_TRUE(Contains(Refusal(o), "1000"));
   }
+}
+
+TEST(Options, WhatIsNotEstimatedMustBeGiven) {
+  using Flag = bool CalibrationOptions::*;
+  const std::pair<Flag, const char*> flags[] = {
+      {&CalibrationOptions::estimate_time_shift, "initial_time_shift"},
+      {&CalibrationOptions::estimate_rotation, "initial_rotation"},
+      {&CalibrationOptions::estimate_translation, "initial_translation"},
+      {&CalibrationOptions::estimate_gravity, "initial_gravity"}};
+  for (const auto& [flag, initial] : flags) {
+    CalibrationOptions options;
+    options.*flag = false;
+    EXPECT_TRUE(Contains(Refusal(options), initial));
+    options.initial_time_shift = 0.0;
+    options.initial_rotation = Eigen::Quaterniond::Identity();
+    options.initial_translation = Eigen::Vector3d::Zero();
+    options.initial_gravity = Eigen::Vector3d(0.0, 0.0, -9.8);
+    EXPECT_NO_THROW(options.Validate());
+  }
+}
+
+TEST(Options, SomethingMustBeEstimated) {
+  CalibrationOptions options;
+  options.initial_time_shift = 0.0;
+  options.initial_rotation = Eigen::Quaterniond::Identity();
+  options.initial_translation = Eigen::Vector3d::Zero();
+  options.estimate_time_shift = options.estimate_rotation = options.estimate_translation =
+      options.estimate_accel_delay = false;
+  EXPECT_TRUE(Contains(Refusal(options), "nothing to estimate"));
+}
+
+TEST(Options, DriftAndIntrinsicsNeedTheJointSolve) {
+  CalibrationOptions options;
+  options.method = Method::kGp;
+  options.estimate_clock_drift = true;
+  EXPECT_TRUE(Contains(Refusal(options), "estimate_clock_drift"));
+  options.estimate_clock_drift = false;
+  options.imu_model = ImuModel::kScaleMisalignment;
+  EXPECT_TRUE(Contains(Refusal(options), "imu_model"));
 }
 
 }  // namespace

@@ -40,10 +40,10 @@ struct CalibrationCovariance {
   /// coefficients as a motion would.
   double feigned_lever_arm_information = 0.0;
 
-  /// What the second half of the log says less what the first half says, and its covariance by the
-  /// model.
+  /// What the second half of the log says less what the first half says, and the largest of these
+  /// differences in sigma.
   CalibrationVector halves_difference = CalibrationVector::Zero();
-  CalibrationMatrix halves_covariance = CalibrationMatrix::Zero();
+  double halves_sigmas = 0.0;
 
   /// Clock drift and intrinsics, when they are not estimated: where they would move if they were,
   /// and the sigma of that; else 0.

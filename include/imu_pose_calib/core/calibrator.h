@@ -52,7 +52,7 @@ struct SplitHalf {
   Eigen::Vector3d translation = Eigen::Vector3d::Zero();  ///< [m] in M
   Eigen::Vector3d rotation = Eigen::Vector3d::Zero();     ///< [rad] about the imu axes
   double time_shift = 0.0;                                ///< [s]
-  double sigmas = 0.0;  ///< rms of the differences in their sigmas: about 1 when they fit
+  double sigmas = 0.0;  ///< largest difference of a component in its sigma
 };
 
 /// Result of Calibrate(). Only kOk and kWeak are results.

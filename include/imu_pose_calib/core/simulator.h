@@ -33,9 +33,12 @@ struct SimulatorOptions {
   double accel_bias_walk = 1e-4;  ///< [m/s^3/sqrt(Hz)]
 
   Rigid3 T_MI{Eigen::Quaterniond(0.5, -0.5, 0.5, 0.5), Eigen::Vector3d(0.05, -0.03, 0.08)};
-  double time_shift_s = 0.02;               ///< t_pose = t_imu + time_shift_s
-  double accel_delay_s = 0.0;               ///< t_pose = t_accel + time_shift_s - accel_delay_s
-  Eigen::Vector3d g_W{0.0, 0.0, -9.80665};  ///< [m/s^2]
+  double time_shift_s = 0.02;  ///< t_pose = t_imu + time_shift_s
+  double accel_delay_s = 0.0;  ///< t_pose = t_accel + time_shift_s - accel_delay_s
+  double clock_drift = 0.0;    ///< [s/s] growth of the time shift, which holds at mid-recording
+  Eigen::Matrix3d gyro_matrix = Eigen::Matrix3d::Identity();  ///< measured = matrix true + bias
+  Eigen::Matrix3d accel_matrix = Eigen::Matrix3d::Identity();
+  Eigen::Vector3d g_W{0.0, 0.0, -9.80665};          ///< [m/s^2]
   Eigen::Vector3d gyro_bias{0.004, -0.003, 0.005};  ///< [rad/s] at the start
   Eigen::Vector3d accel_bias{0.03, 0.05, -0.04};    ///< [m/s^2] at the start
 
