@@ -1,10 +1,8 @@
 #include "imu_pose_calib/ros/bag_reader.h"
 
-#include <geometry_msgs/PoseStamped.h>
-#include <geometry_msgs/TransformStamped.h>
+#include <console_bridge/console.h>
 #include <rosbag/bag.h>
 #include <rosbag/view.h>
-#include <sensor_msgs/Imu.h>
 
 #include <algorithm>
 #include <cerrno>
@@ -12,24 +10,21 @@
 #include <filesystem>
 #include <fstream>
 #include <map>
+#include <memory>
+#include <set>
 #include <sstream>
 #include <vector>
 
+#include "imu_pose_calib/core/median.h"
+#include "imu_pose_calib/ros/child_process.h"
 #include "imu_pose_calib/ros/conversions.h"
+#include "imu_pose_calib/ros/tf_chain.h"
 
 namespace imu_pose_calib {
 namespace {
 
-const char kImuType[] = "sensor_msgs/Imu";
-
-/// A pose as it comes out of any of the pose messages.
-struct FramedPose {
-  PoseSample pose;
-  std::string world_frame, marker_frame;  ///< as in the message
-};
-
 template <typename Msg>
-typename Msg::ConstPtr Instantiate(const rosbag::MessageInstance& instance) {
+boost::shared_ptr<Msg> Instantiate(const rosbag::MessageInstance& instance) {
   const auto msg = instance.instantiate<Msg>();
   if (!msg)
     throw InputError("topic '" + instance.getTopic() + "' has another definition of " +
@@ -37,15 +32,11 @@ typename Msg::ConstPtr Instantiate(const rosbag::MessageInstance& instance) {
   return msg;
 }
 
-FramedPose ReadPoseStamped(const rosbag::MessageInstance& instance) {
-  const auto msg = Instantiate<geometry_msgs::PoseStamped>(instance);
-  return {ToPoseSample(msg->header.stamp, msg->pose), msg->header.frame_id, ""};
-}
+// --- Message types ---
 
-FramedPose ReadTransformStamped(const rosbag::MessageInstance& instance) {
-  const auto msg = Instantiate<geometry_msgs::TransformStamped>(instance);
-  return {
-      ToPoseSample(msg->header.stamp, msg->transform), msg->header.frame_id, msg->child_frame_id};
+template <typename Msg>
+FramedPose ReadPose(const rosbag::MessageInstance& instance) {
+  return ToFramedPose(*Instantiate<Msg>(instance));
 }
 
 /// The message types that hold poses, and how to read them.
@@ -54,8 +45,10 @@ struct PoseType {
   FramedPose (*read)(const rosbag::MessageInstance&);
 };
 constexpr PoseType kPoseTypes[] = {
-    {"geometry_msgs/PoseStamped", ReadPoseStamped},
-    {"geometry_msgs/TransformStamped", ReadTransformStamped},
+    {"geometry_msgs/PoseStamped", ReadPose<geometry_msgs::PoseStamped>},
+    {"geometry_msgs/TransformStamped", ReadPose<geometry_msgs::TransformStamped>},
+    {"geometry_msgs/PoseWithCovarianceStamped", ReadPose<geometry_msgs::PoseWithCovarianceStamped>},
+    {"nav_msgs/Odometry", ReadPose<nav_msgs::Odometry>},
 };
 
 const PoseType* FindPoseType(const std::string& name) {
@@ -71,11 +64,46 @@ std::string PoseTypeNames() {
   return names;
 }
 
+const char kImuType[] = "sensor_msgs/Imu";
+const char kVectorType[] = "geometry_msgs/Vector3Stamped";
+
+/// What a message of an IMU topic carries.
+struct ImuContent {
+  std::optional<ImuSample> gyro, accel;
+  std::string frame;
+};
+
+/// A sensor is there when its covariance does not start with -1 (sensor_msgs/Imu). A vector may be
+/// either.
+ImuContent ReadImuMessage(const rosbag::MessageInstance& instance) {
+  ImuContent content;
+  if (instance.getDataType() == kVectorType) {
+    const auto msg = Instantiate<geometry_msgs::Vector3Stamped>(instance);
+    content.gyro = content.accel = ToImuSample(*msg);
+    content.frame = msg->header.frame_id;
+  } else {
+    const auto msg = Instantiate<sensor_msgs::Imu>(instance);
+    if (msg->angular_velocity_covariance[0] != -1.0) content.gyro = ToGyroSample(*msg);
+    if (msg->linear_acceleration_covariance[0] != -1.0) content.accel = ToAccelSample(*msg);
+    content.frame = msg->header.frame_id;
+  }
+  return content;
+}
+
+// --- Bags ---
+
 struct Topic {
   std::string name, type;
   uint32_t count = 0;
   bool IsImu() const { return type == kImuType; }
+  bool IsVector() const { return type == kVectorType; }
   bool IsPose() const { return FindPoseType(type) != nullptr; }
+  bool IsTf() const { return type == "tf2_msgs/TFMessage" || type == "tf/tfMessage"; }
+  bool IsFixedTf() const {
+    const std::string ending = "tf_static";
+    return IsTf() && name.size() >= ending.size() &&
+           name.compare(name.size() - ending.size(), ending.size(), ending) == 0;
+  }
 };
 
 std::string Describe(const std::vector<Topic>& topics) {
@@ -107,109 +135,160 @@ void Open(const std::string& path, rosbag::Bag* bag) {
   }
 }
 
-/// One open bag, limited to the requested span of record time.
-class BagFile {
+std::string FileNames(const std::vector<std::string>& paths) {
+  std::string names;
+  for (const std::string& path : paths)
+    names += (names.empty() ? "" : ", ") + std::filesystem::path(path).filename().string();
+  return names;
+}
+
+std::string Seconds(double value) {
+  std::ostringstream text;
+  text << value << " s";
+  return text.str();
+}
+
+/// Open bags as one recording, limited to the requested span of record time.
+class Bags {
  public:
-  explicit BagFile(const BagRequest& request) : path_(request.path) {
-    Open(path_, &bag_);
+  explicit Bags(const BagRequest& request) : paths_(request.paths) {
+    std::set<std::filesystem::path> known;
+    for (const std::string& path : paths_) {
+      bags_.push_back(std::make_unique<rosbag::Bag>());
+      Open(path, bags_.back().get());
+      if (!known.insert(std::filesystem::canonical(path)).second)
+        throw InputError("bag '" + path + "' is given twice");
+    }
     SetSpan(request.start_s, request.duration_s);
     ListTopics();
   }
 
   const std::vector<Topic>& topics() const { return topics_; }
+  double duration_s() const { return (end_ - begin_).toSec(); }
 
   /// Calls `use(message)` for the messages of a topic in the order of recording while it is true.
   template <typename Use>
   void ForEach(const Topic& topic, Use use) const {
-    rosbag::View view(bag_, rosbag::TopicQuery(topic.name), start_, end_);
-    for (const rosbag::MessageInstance& message : view)
+    const auto view = View({topic}, start_, end_);
+    for (const rosbag::MessageInstance& message : *view)
       if (!use(message)) return;
   }
 
-  /// The topic that `field` of the request names; InputError when the bag does not have it.
+  /// Calls `use(message)` for the tf messages: first all fixed ones of the whole bags, which are
+  /// sent once, then the others in the order of recording.
+  template <typename Use>
+  void ForEachTf(Use use) const {
+    const auto fixed = [](const Topic& topic) { return topic.IsFixedTf(); };
+    const auto moving = [](const Topic& topic) { return topic.IsTf() && !topic.IsFixedTf(); };
+    const auto all_fixed = View(Select(fixed), begin_, bag_end_);
+    for (const rosbag::MessageInstance& message : *all_fixed) use(message, true);
+    const auto all_moving = View(Select(moving), start_, end_);
+    for (const rosbag::MessageInstance& message : *all_moving) use(message, false);
+  }
+
+  /// The topic that `field` of the request names; InputError when the bags do not have it.
   const Topic& Find(const std::string& field, const std::string& name) const {
-    for (const Topic& topic : topics_)
-      if (topic.name == name) return topic;
+    for (const Topic& topic : topics_) {
+      if (topic.name != name) continue;
+      if (topic.count == 0)
+        throw InputError(field + " '" + name + "' has no messages within the span used (" +
+                         Seconds((start_ - begin_).toSec()) + " to " + Seconds(duration_s()) +
+                         " after the start)");
+      return topic;
+    }
     throw InputError(field + " '" + name + "' is not in " + Contents());
   }
 
-  /// "NAME; it has: TOPICS" for error messages.
-  std::string Contents() const {
-    return std::filesystem::path(path_).filename().string() + "; it has: " + Describe(topics_);
+  template <typename Wanted>
+  std::vector<Topic> Select(Wanted wanted) const {
+    std::vector<Topic> selected;
+    for (const Topic& topic : topics_)
+      if (wanted(topic)) selected.push_back(topic);
+    return selected;
   }
 
+  /// "NAMES; it has: TOPICS" for error messages.
+  std::string Contents() const { return FileNames(paths_) + "; it has: " + Describe(topics_); }
+
  private:
+  std::unique_ptr<rosbag::View> View(const std::vector<Topic>& topics,
+                                     const ros::Time& start,
+                                     const ros::Time& end) const {
+    std::vector<std::string> names;
+    for (const Topic& topic : topics) names.push_back(topic.name);
+    auto view = std::make_unique<rosbag::View>();
+    if (names.empty()) return view;
+    for (const auto& bag : bags_) view->addQuery(*bag, rosbag::TopicQuery(names), start, end);
+    return view;
+  }
+
   void SetSpan(double start_s, double duration_s) {
     if (!(start_s >= 0.0))
       throw InputError("start = " + Seconds(start_s) + " must not be negative");
     if (!(duration_s >= 0.0))
       throw InputError("duration = " + Seconds(duration_s) + " must not be negative (0: all)");
-    rosbag::View all(bag_);
-    if (all.size() == 0) throw InputError("bag '" + path_ + "' holds no messages");
-    const double length_s = (all.getEndTime() - all.getBeginTime()).toSec();
+    rosbag::View all;
+    for (const auto& bag : bags_) all.addQuery(*bag);
+    if (all.size() == 0) throw InputError("bag '" + FileNames(paths_) + "' holds no messages");
+    begin_ = all.getBeginTime();
+    bag_end_ = all.getEndTime();
+    const double length_s = (bag_end_ - begin_).toSec();
     if (start_s > length_s)
       throw InputError("start = " + Seconds(start_s) +
                        " is beyond the end of the bag, which lasts " + Seconds(length_s));
-    start_ = all.getBeginTime() + ros::Duration(start_s);
-    end_ = all.getEndTime();
+    start_ = begin_ + ros::Duration(start_s);
+    end_ = bag_end_;
     if (duration_s > 0.0 && start_s + duration_s < length_s)
       end_ = start_ + ros::Duration(duration_s);
   }
 
   void ListTopics() {
-    std::map<std::string, std::string> types;
-    for (const rosbag::ConnectionInfo* connection : rosbag::View(bag_).getConnections())
-      types.emplace(connection->topic, connection->datatype);
-    for (const auto& [name, type] : types)
-      topics_.push_back(
-          {name, type, rosbag::View(bag_, rosbag::TopicQuery(name), start_, end_).size()});
+    std::map<std::string, std::set<std::string>> types;
+    for (const auto& bag : bags_) {
+      rosbag::View view(*bag);
+      for (const rosbag::ConnectionInfo* connection : view.getConnections())
+        types[connection->topic].insert(connection->datatype);
+    }
+    for (const auto& [name, names] : types) {
+      Topic topic{name, *names.begin()};
+      if (names.size() > 1) topic.type += " and " + *names.rbegin();  // fits no role
+      topic.count = View({topic}, start_, end_)->size();
+      topics_.push_back(topic);
+    }
   }
 
-  static std::string Seconds(double value) {
-    std::ostringstream text;
-    text << value << " s";
-    return text.str();
-  }
-
-  std::string path_;
-  rosbag::Bag bag_;
-  ros::Time start_, end_;  ///< record time
+  std::vector<std::string> paths_;
+  std::vector<std::unique_ptr<rosbag::Bag>> bags_;
+  ros::Time begin_, bag_end_;  ///< record time of the first and last message
+  ros::Time start_, end_;      ///< record time, the span to use
   std::vector<Topic> topics_;
 };
 
-std::vector<Topic> Select(const std::vector<Topic>& topics, bool (*wanted)(const Topic&)) {
-  std::vector<Topic> selected;
-  for (const Topic& topic : topics)
-    if (topic.count > 0 && wanted(topic)) selected.push_back(topic);
-  return selected;
-}
-
 // --- Which topics ---
 
-/// What the Imu messages of a topic carry.
-struct ImuContent {
+/// Whether the messages of a topic carry gyroscope and accelerometer samples that are not always
+/// exactly zero.
+struct ImuSensors {
   bool gyro = false, accel = false;
 };
 
-/// A sensor is there when its covariance does not start with -1 (sensor_msgs/Imu) and its values
-/// are not always exactly zero.
-ImuContent FindContent(const BagFile& bag, const Topic& topic) {
-  ImuContent content;
-  bag.ForEach(topic, [&](const rosbag::MessageInstance& instance) {
-    const auto msg = Instantiate<sensor_msgs::Imu>(instance);
-    if (msg->angular_velocity_covariance[0] != -1.0 && !ToGyroSample(*msg).value.isZero(0.0))
-      content.gyro = true;
-    if (msg->linear_acceleration_covariance[0] != -1.0 && !ToAccelSample(*msg).value.isZero(0.0))
-      content.accel = true;
-    return !(content.gyro && content.accel);
+ImuSensors FindSensors(const Bags& bags, const Topic& topic) {
+  ImuSensors sensors;
+  bags.ForEach(topic, [&](const rosbag::MessageInstance& instance) {
+    const ImuContent content = ReadImuMessage(instance);
+    if (content.gyro && !content.gyro->value.isZero(0.0)) sensors.gyro = true;
+    if (content.accel && !content.accel->value.isZero(0.0)) sensors.accel = true;
+    return !(sensors.gyro && sensors.accel);
   });
-  return content;
+  return sensors;
 }
 
-Topic NamedImu(const BagFile& bag, const std::string& field, const std::string& name) {
-  const Topic& topic = bag.Find(field, name);
-  if (!topic.IsImu())
-    throw InputError(field + " '" + name + "' is " + topic.type + ", must be " + kImuType);
+Topic NamedImu(const Bags& bags, const std::string& field, const std::string& name) {
+  const Topic& topic = bags.Find(field, name);
+  const bool may_be_vector = field != "imu_topic";
+  if (!topic.IsImu() && !(may_be_vector && topic.IsVector()))
+    throw InputError(field + " '" + name + "' is " + topic.type + ", must be " + kImuType +
+                     (may_be_vector ? std::string(" or ") + kVectorType : ""));
   return topic;
 }
 
@@ -218,18 +297,24 @@ struct ImuTopics {
   Topic gyro, accel;
 };
 
-ImuTopics FindImu(const BagFile& bag) {
+ImuTopics FindImu(const Bags& bags) {
   const std::vector<Topic> candidates =
-      Select(bag.topics(), [](const Topic& t) { return t.IsImu(); });
-  if (candidates.empty())
-    throw InputError(std::string("no topic of type ") + kImuType + " in " + bag.Contents());
+      bags.Select([](const Topic& t) { return t.count > 0 && t.IsImu(); });
+  if (candidates.empty()) {
+    const bool has_vectors =
+        !bags.Select([](const Topic& t) { return t.count > 0 && t.IsVector(); }).empty();
+    throw InputError(std::string("no topic of type ") + kImuType + " in " + bags.Contents() +
+                     (has_vectors ? std::string("; say which ") + kVectorType +
+                                        " is which with gyro_topic and accel_topic"
+                                  : ""));
+  }
   if (candidates.size() == 1) return {candidates[0], candidates[0]};
 
   std::vector<Topic> gyros, accels;
   for (const Topic& topic : candidates) {
-    const ImuContent content = FindContent(bag, topic);
-    if (content.gyro) gyros.push_back(topic);
-    if (content.accel) accels.push_back(topic);
+    const ImuSensors sensors = FindSensors(bags, topic);
+    if (sensors.gyro) gyros.push_back(topic);
+    if (sensors.accel) accels.push_back(topic);
   }
   if (gyros.size() != 1 || accels.size() != 1)
     throw InputError("several IMU topics: " + Describe(candidates) +
@@ -237,11 +322,16 @@ ImuTopics FindImu(const BagFile& bag) {
   return {gyros[0], accels[0]};
 }
 
-ImuTopics ChooseImu(const BagFile& bag, const BagRequest& request) {
+ImuTopics ChooseImu(const Bags& bags, const BagRequest& request) {
   const bool split = !request.gyro_topic.empty() || !request.accel_topic.empty();
-  if (!split && request.imu_topic.empty()) return FindImu(bag);
+  if (!split && request.imu_topic.empty()) {
+    for (const Topic& topic : bags.topics())
+      if (topic.IsImu() && topic.count > 0 && topic.name == request.usual_imu_topic)
+        return {topic, topic};
+    return FindImu(bags);
+  }
   if (!split) {
-    const Topic topic = NamedImu(bag, "imu_topic", request.imu_topic);
+    const Topic topic = NamedImu(bags, "imu_topic", request.imu_topic);
     return {topic, topic};
   }
   if (!request.imu_topic.empty())
@@ -250,38 +340,64 @@ ImuTopics ChooseImu(const BagFile& bag, const BagRequest& request) {
     throw InputError("gyro_topic and accel_topic belong together: " +
                      std::string(request.gyro_topic.empty() ? "gyro_topic" : "accel_topic") +
                      " is missing");
-  return {NamedImu(bag, "gyro_topic", request.gyro_topic),
-          NamedImu(bag, "accel_topic", request.accel_topic)};
+  return {NamedImu(bags, "gyro_topic", request.gyro_topic),
+          NamedImu(bags, "accel_topic", request.accel_topic)};
 }
 
 /// A topic without the data that are to come from it is a mistake in the topics, not bad data.
-void CheckContent(const BagFile& bag, const ImuTopics& imu) {
+void CheckContent(const Bags& bags, const ImuTopics& imu) {
   const auto fail = [](const Topic& topic, const char* what) {
     throw InputError(
         "'" + topic.name + "' carries no " + what +
         " (all zero, or covariance -1); choose with imu_topic, or with gyro_topic and " +
         "accel_topic");
   };
-  if (imu.gyro.count > 0 && !FindContent(bag, imu.gyro).gyro) fail(imu.gyro, "angular velocity");
-  if (imu.accel.count > 0 && !FindContent(bag, imu.accel).accel)
+  if (imu.gyro.count > 0 && !FindSensors(bags, imu.gyro).gyro) fail(imu.gyro, "angular velocity");
+  if (imu.accel.count > 0 && !FindSensors(bags, imu.accel).accel)
     fail(imu.accel, "linear acceleration");
 }
 
-Topic ChoosePose(const BagFile& bag, const std::string& name) {
+/// What poses could come from when there is no pose topic.
+std::string TfHint(const Bags& bags) {
+  if (bags.Select([](const Topic& t) { return t.IsTf(); }).empty()) return "";
+  TfChain links("", "", 0.0);
+  bags.ForEachTf([&](const rosbag::MessageInstance& instance, bool fixed) {
+    links.Add(*Instantiate<tf2_msgs::TFMessage>(instance), fixed);
+  });
+  return "; for poses from tf give tf_parent and tf_child, its frames are: " + links.Links();
+}
+
+Topic ChoosePose(const Bags& bags, const std::string& name) {
   if (!name.empty()) {
-    const Topic& topic = bag.Find("pose_topic", name);
+    const Topic& topic = bags.Find("pose_topic", name);
+    if (topic.IsTf())
+      throw InputError("pose_topic '" + name + "' is " + topic.type +
+                       "; leave it empty and give tf_parent and tf_child" + TfHint(bags));
     if (!topic.IsPose())
       throw InputError("pose_topic '" + name + "' is " + topic.type + ", must be " +
                        PoseTypeNames());
     return topic;
   }
   const std::vector<Topic> candidates =
-      Select(bag.topics(), [](const Topic& t) { return t.IsPose(); });
+      bags.Select([](const Topic& t) { return t.count > 0 && t.IsPose(); });
   if (candidates.empty())
-    throw InputError("no topic of type " + PoseTypeNames() + " in " + bag.Contents());
+    throw InputError("no topic of type " + PoseTypeNames() + " in " + bags.Contents() +
+                     TfHint(bags));
   if (candidates.size() > 1)
     throw InputError("several pose topics: " + Describe(candidates) + "; choose with pose_topic");
   return candidates[0];
+}
+
+/// Whether poses are to come from tf.
+bool WantsTf(const BagRequest& request) {
+  if (request.tf_parent.empty() && request.tf_child.empty()) return false;
+  if (request.tf_parent.empty() || request.tf_child.empty())
+    throw InputError("tf_parent and tf_child belong together: " +
+                     std::string(request.tf_parent.empty() ? "tf_parent" : "tf_child") +
+                     " is missing");
+  if (!request.pose_topic.empty())
+    throw InputError("give either pose_topic, or tf_parent and tf_child, not all");
+  return true;
 }
 
 // --- Samples ---
@@ -291,19 +407,26 @@ void CheckStamps(const std::string& topic, const std::vector<Sample>& samples) {
   const bool has_stamps =
       std::any_of(samples.begin(), samples.end(), [](const Sample& s) { return s.t_ns != 0; });
   if (!samples.empty() && !has_stamps)
-    throw InputError("'" + topic + "' has no header stamps (all are 0); they are needed");
+    throw InputError("'" + topic +
+                     "' has no header stamps (all are 0); record_time takes the times of "
+                     "recording instead, which are less exact");
 }
 
-void ReadImu(const BagFile& bag, const ImuTopics& imu, Recording* recording) {
+void ReadImu(const Bags& bags, const ImuTopics& imu, bool record_time, Recording* recording) {
+  const auto stamped = [&](ImuSample sample, const rosbag::MessageInstance& instance) {
+    if (record_time) sample.t_ns = ToNanoseconds(instance.getTime());
+    return sample;
+  };
   std::string frame;
-  bag.ForEach(imu.gyro, [&](const rosbag::MessageInstance& instance) {
-    const auto msg = Instantiate<sensor_msgs::Imu>(instance);
-    recording->data.gyro.push_back(ToGyroSample(*msg));
-    frame = msg->header.frame_id;
+  bags.ForEach(imu.gyro, [&](const rosbag::MessageInstance& instance) {
+    const ImuContent content = ReadImuMessage(instance);
+    if (content.gyro) recording->data.gyro.push_back(stamped(*content.gyro, instance));
+    frame = content.frame;
     return true;
   });
-  bag.ForEach(imu.accel, [&](const rosbag::MessageInstance& instance) {
-    recording->data.accel.push_back(ToAccelSample(*Instantiate<sensor_msgs::Imu>(instance)));
+  bags.ForEach(imu.accel, [&](const rosbag::MessageInstance& instance) {
+    const ImuContent content = ReadImuMessage(instance);
+    if (content.accel) recording->data.accel.push_back(stamped(*content.accel, instance));
     return true;
   });
   CheckStamps(imu.gyro.name, recording->data.gyro);
@@ -311,53 +434,127 @@ void ReadImu(const BagFile& bag, const ImuTopics& imu, Recording* recording) {
   recording->info.imu_frame = FrameName(frame, "imu");
 }
 
-void ReadPoses(const BagFile& bag, const Topic& topic, Recording* recording) {
+/// Median of each sigma; no value when no pose states one.
+std::optional<PoseStd> MedianStd(const std::vector<PoseStd>& stated) {
+  if (stated.empty()) return std::nullopt;
+  std::vector<double> position, rotation;
+  for (const PoseStd& std_dev : stated) {
+    position.push_back(std_dev.position);
+    rotation.push_back(std_dev.rotation);
+  }
+  return PoseStd{Median(position), Median(rotation)};
+}
+
+void ReadPoses(const Bags& bags, const Topic& topic, bool record_time, Recording* recording) {
   const PoseType& type = *FindPoseType(topic.type);
   FramedPose first;
-  bag.ForEach(topic, [&](const rosbag::MessageInstance& instance) {
-    const FramedPose framed = type.read(instance);
+  std::vector<PoseStd> stated;
+  bags.ForEach(topic, [&](const rosbag::MessageInstance& instance) {
+    FramedPose framed = type.read(instance);
+    if (record_time) framed.pose.t_ns = ToNanoseconds(instance.getTime());
     if (recording->data.poses.empty()) first = framed;
     if (framed.world_frame != first.world_frame || framed.marker_frame != first.marker_frame)
       throw InputError("pose_topic '" + topic.name + "' mixes poses of several frames: '" +
                        first.world_frame + "' -> '" + first.marker_frame + "' and '" +
                        framed.world_frame + "' -> '" + framed.marker_frame + "'");
     recording->data.poses.push_back(framed.pose);
+    if (framed.stated_std) stated.push_back(*framed.stated_std);
     return true;
   });
   CheckStamps(topic.name, recording->data.poses);
+  recording->info.pose_topic = topic.name;
   recording->info.world_frame = FrameName(first.world_frame, "world");
   recording->info.marker_frame = FrameName(first.marker_frame, "marker");
+  recording->info.stated_pose_std = MedianStd(stated);
+}
+
+void ReadTf(const Bags& bags, const BagRequest& request, Recording* recording) {
+  std::vector<PoseSample>& poses = recording->data.poses;
+  TfChain chain(request.tf_parent, request.tf_child, bags.duration_s());
+  bags.ForEachTf([&](const rosbag::MessageInstance& instance, bool fixed) {
+    const auto msg = Instantiate<tf2_msgs::TFMessage>(instance);
+    if (request.record_time)
+      for (auto& transform : msg->transforms) transform.header.stamp = instance.getTime();
+    chain.Add(*msg, fixed);
+    const std::vector<PoseSample> known = chain.TakePoses();
+    poses.insert(poses.end(), known.begin(), known.end());
+  });
+  if (poses.empty()) {
+    chain.Check();
+    throw InputError("at no stamp are all links between tf_parent '" + request.tf_parent +
+                     "' and tf_child '" + request.tf_child + "' known");
+  }
+  recording->info.pose_topic = "/tf";
+  recording->info.world_frame = FrameName(request.tf_parent, "");
+  recording->info.marker_frame = FrameName(request.tf_child, "");
 }
 
 Recording Read(const BagRequest& request) {
-  const BagFile bag(request);
-  const ImuTopics imu = ChooseImu(bag, request);
-  const Topic pose = ChoosePose(bag, request.pose_topic);
-  CheckContent(bag, imu);
+  const Bags bags(request);
+  const bool tf = WantsTf(request);
+  const ImuTopics imu = ChooseImu(bags, request);
+  const Topic pose = tf ? Topic() : ChoosePose(bags, request.pose_topic);
+  CheckContent(bags, imu);
 
   Recording recording;
-  recording.info.bag = request.path;
-  recording.info.pose_topic = pose.name;
+  for (const std::string& path : request.paths)
+    recording.info.bag += (recording.info.bag.empty() ? "" : " ") + path;
   if (imu.gyro.name == imu.accel.name) {
     recording.info.imu_topic = imu.gyro.name;
   } else {
     recording.info.gyro_topic = imu.gyro.name;
     recording.info.accel_topic = imu.accel.name;
   }
-  ReadImu(bag, imu, &recording);
-  ReadPoses(bag, pose, &recording);
+  ReadImu(bags, imu, request.record_time, &recording);
+  if (tf)
+    ReadTf(bags, request, &recording);
+  else
+    ReadPoses(bags, pose, request.record_time, &recording);
   return recording;
 }
+
+/// "'A.bag', 'B.bag' ..." and what to run, for damage that rosbag does not pin down.
+[[noreturn]] void FailDamaged(const BagRequest& request, const std::string& reason) {
+  std::string reindex;
+  for (const std::string& path : request.paths) reindex += " " + path;
+  throw InputError("bag '" + FileNames(request.paths) + "' is damaged (" + reason +
+                   "); run: rosbag reindex" + reindex);
+}
+
+Recording ReadOrFail(const BagRequest& request) {
+  try {
+    return Read(request);
+  } catch (const InputError&) {
+    throw;
+  } catch (const std::runtime_error& error) {  // rosbag, deserialisation, times out of range
+    FailDamaged(request, error.what());
+  }
+}
+
+/// Keeps rosbag and tf2 from printing: what they find is reported by exceptions.
+class Silence {
+ public:
+  Silence() { console_bridge::noOutputHandler(); }
+  ~Silence() { console_bridge::restorePreviousOutputHandler(); }
+};
+
+/// Far above what any bag of this size needs.
+uint64_t MaxCpuSeconds(uint64_t bytes) { return 10 + bytes / 1'000'000; }
+uint64_t MaxMemory(uint64_t bytes) { return 4'000'000'000 + 8 * bytes; }
 
 }  // namespace
 
 Recording ReadBag(const BagRequest& request) {
-  try {
-    return Read(request);
-  } catch (const ros::Exception& error) {  // rosbag and deserialisation
-    throw InputError("bag '" + request.path + "' is damaged (" + error.what() +
-                     "); run: rosbag reindex " + request.path);
+  const Silence silence;
+  uint64_t bytes = 0;
+  for (const std::string& path : request.paths) {
+    std::error_code ignored;
+    const auto size = std::filesystem::file_size(path, ignored);
+    if (!ignored) bytes += size;
   }
+  if (!ComesBack([&] { ReadOrFail(request); }, MaxCpuSeconds(bytes), MaxMemory(bytes)))
+    FailDamaged(request, "rosbag cannot cope with it");
+  return ReadOrFail(request);
 }
 
 }  // namespace imu_pose_calib

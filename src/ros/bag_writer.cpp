@@ -1,11 +1,16 @@
 #include "imu_pose_calib/ros/bag_writer.h"
 
 #include <geometry_msgs/PoseStamped.h>
+#include <geometry_msgs/PoseWithCovarianceStamped.h>
 #include <geometry_msgs/TransformStamped.h>
+#include <geometry_msgs/Vector3Stamped.h>
+#include <nav_msgs/Odometry.h>
 #include <rosbag/bag.h>
 #include <sensor_msgs/Imu.h>
+#include <tf2_msgs/TFMessage.h>
 
 #include <algorithm>
+#include <cmath>
 #include <cstdlib>
 #include <functional>
 #include <limits>
@@ -54,6 +59,100 @@ geometry_msgs::TransformStamped ToTransformStamped(const PoseSample& pose) {
   msg.child_frame_id = "marker";
   SetVector(pose.p_WM, &msg.transform.translation);
   SetQuaternion(pose.q_WM, &msg.transform.rotation);
+  return msg;
+}
+
+geometry_msgs::PoseWithCovarianceStamped ToPoseWithCovariance(const PoseSample& pose) {
+  geometry_msgs::PoseWithCovarianceStamped msg;
+  msg.header = MakeHeader(pose.t_ns, "world");
+  msg.pose.pose = ToPoseStamped(pose).pose;
+  return msg;
+}
+
+nav_msgs::Odometry ToOdometry(const PoseSample& pose) {
+  nav_msgs::Odometry msg;
+  msg.header = MakeHeader(pose.t_ns, "world");
+  msg.child_frame_id = "marker";
+  msg.pose = ToPoseWithCovariance(pose).pose;
+  return msg;
+}
+
+// --- Poses as an arm of six joints ---
+
+constexpr size_t kJoints = 6;  ///< links base -> joint1 -> ... -> joint5 -> marker
+
+geometry_msgs::TransformStamped ToLink(int64_t t_ns,
+                                       const std::string& parent,
+                                       const std::string& child,
+                                       const Rigid3& T) {
+  geometry_msgs::TransformStamped msg;
+  msg.header = MakeHeader(t_ns, parent.c_str());
+  msg.child_frame_id = child;
+  SetVector(T.p, &msg.transform.translation);
+  SetQuaternion(T.q, &msg.transform.rotation);
+  return msg;
+}
+
+Rigid3 operator*(const Rigid3& A, const Rigid3& B) { return {A.q * B.q, A.q * B.p + A.p}; }
+
+Rigid3 BaseInWorld() { return {Eigen::Quaterniond(0.8, 0.0, 0.0, 0.6), {1.0, -0.5, 0.2}}; }
+
+std::string JointName(size_t joint) {
+  if (joint == 0) return "base";
+  return joint == kJoints ? "marker" : "joint" + std::to_string(joint);
+}
+
+/// Whether joint 1..6 is in the message of pose k of n.
+bool IsSent(size_t joint, size_t k, size_t n) {
+  return joint == kJoints || k % (kJoints - 1) == joint - 1 || k == 0 || k == n - 1;
+}
+
+/// Transform of joint 1..5 at pose k. Its angle changes evenly between the messages that hold it,
+/// so that interpolation gives the poses exactly.
+Rigid3 JointAt(size_t joint, size_t k, const std::vector<PoseSample>& poses) {
+  const auto angle = [&](size_t i) {
+    return 0.4 * std::sin(0.01 * static_cast<double>(i) + static_cast<double>(joint));
+  };
+  size_t before = k, after = k;
+  while (!IsSent(joint, before, poses.size())) --before;
+  while (!IsSent(joint, after, poses.size())) ++after;
+  double value = angle(before);
+  if (after > before) {
+    const auto seconds = [&](size_t i) {
+      return 1e-9 * static_cast<double>(poses[i].t_ns - poses[before].t_ns);
+    };
+    value += (angle(after) - value) * seconds(k) / seconds(after);
+  }
+  const Eigen::Vector3d axis = Eigen::Vector3d::Unit(static_cast<Eigen::Index>(joint % 3));
+  return {Eigen::Quaterniond(Eigen::AngleAxisd(value, axis)), {0.1, 0.0, 0.2}};
+}
+
+tf2_msgs::TFMessage ToTf(size_t k, const std::vector<PoseSample>& poses) {
+  const PoseSample& pose = poses[k];
+  tf2_msgs::TFMessage msg;
+  Rigid3 arm = BaseInWorld();
+  for (size_t joint = 1; joint < kJoints; ++joint) {
+    const Rigid3 T = JointAt(joint, k, poses);
+    arm = arm * T;
+    if (IsSent(joint, k, poses.size()))
+      msg.transforms.push_back(ToLink(pose.t_ns, JointName(joint - 1), JointName(joint), T));
+  }
+  // the last joint is free
+  const Rigid3 T = arm.Inverse() * Rigid3{pose.q_WM, pose.p_WM};
+  msg.transforms.push_back(ToLink(pose.t_ns, JointName(kJoints - 1), JointName(kJoints), T));
+  return msg;
+}
+
+tf2_msgs::TFMessage ToFixedTf(int64_t t_ns) {
+  tf2_msgs::TFMessage msg;
+  msg.transforms = {ToLink(t_ns, "world", JointName(0), BaseInWorld())};
+  return msg;
+}
+
+geometry_msgs::Vector3Stamped ToVector(const ImuSample& sample) {
+  geometry_msgs::Vector3Stamped msg;
+  msg.header = MakeHeader(sample.t_ns, "imu");
+  SetVector(sample.value, &msg.vector);
   return msg;
 }
 
@@ -122,7 +221,13 @@ void Write(const std::string& path, const std::vector<Record>& records) {
 void WriteBag(const std::string& path, const CalibrationData& data, const BagFormat& format) {
   const auto pose = [&](size_t k) { return ToPoseStamped(data.poses[k]); };
   const auto transform = [&](size_t k) { return ToTransformStamped(data.poses[k]); };
+  const auto covariance = [&](size_t k) { return ToPoseWithCovariance(data.poses[k]); };
+  const auto odometry = [&](size_t k) { return ToOdometry(data.poses[k]); };
+  const auto tf = [&](size_t k) { return ToTf(k, data.poses); };
+  const auto fixed_tf = [&](size_t k) { return ToFixedTf(data.poses[k].t_ns); };
   const auto imu = [&](size_t k) { return ToImu(&data.gyro[k], &data.accel[k]); };
+  const auto gyro_vector = [&](size_t k) { return ToVector(data.gyro[k]); };
+  const auto accel_vector = [&](size_t k) { return ToVector(data.accel[k]); };
   const auto gyro = [&](size_t k) { return ToImu(&data.gyro[k], nullptr); };
   const auto accel = [&](size_t k) { return ToImu(nullptr, &data.accel[k]); };
 
@@ -131,12 +236,27 @@ void WriteBag(const std::string& path, const CalibrationData& data, const BagFor
     Add(kPoseTopic, data.poses, 0, pose, &records);
   } else if (format.pose_type == "TransformStamped") {
     Add(kPoseTopic, data.poses, 0, transform, &records);
+  } else if (format.pose_type == "PoseWithCovarianceStamped") {
+    Add(kPoseTopic, data.poses, 0, covariance, &records);
+  } else if (format.pose_type == "Odometry") {
+    Add(kPoseTopic, data.poses, 0, odometry, &records);
+  } else if (format.pose_type == "tf") {
+    if (!data.poses.empty())
+      Add("/tf_static", std::vector<PoseSample>{data.poses.front()}, 0, fixed_tf, &records);
+    Add("/tf", data.poses, 0, tf, &records);
   } else {
     throw InputError("pose type '" + format.pose_type +
-                     "' is unknown; must be PoseStamped or TransformStamped");
+                     "' is unknown; must be PoseStamped, TransformStamped, "
+                     "PoseWithCovarianceStamped, Odometry or tf");
   }
   const int64_t offset = RecordOffset(data);
-  if (format.split_imu) {
+  if (format.imu_type == "Vector3Stamped") {
+    Add("/imu/gyro", data.gyro, offset, gyro_vector, &records);
+    Add("/imu/accel", data.accel, offset, accel_vector, &records);
+  } else if (format.imu_type != "Imu") {
+    throw InputError("imu type '" + format.imu_type + "' is unknown; must be Imu or " +
+                     "Vector3Stamped");
+  } else if (format.split_imu) {
     Add("/imu/gyro", data.gyro, offset, gyro, &records);
     Add("/imu/accel", data.accel, offset, accel, &records);
   } else {

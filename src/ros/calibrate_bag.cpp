@@ -1,4 +1,4 @@
-// Calibrates from one bag, without a ROS master.
+// Calibrates from bags, without a ROS master.
 
 #include <boost/program_options.hpp>
 #include <iostream>
@@ -26,13 +26,23 @@ po::options_description Describe(CommandLine* line) {
   add("pose-topic",
       text(&request.bag.pose_topic),
       "poses of the marker; default: the one in the bag");
-  add("gyro-topic", text(&request.bag.gyro_topic), "gyroscope of a split IMU (sensor_msgs/Imu)");
+  add("gyro-topic",
+      text(&request.bag.gyro_topic),
+      "gyroscope of a split IMU: sensor_msgs/Imu or geometry_msgs/Vector3Stamped");
   add("accel-topic", text(&request.bag.accel_topic), "accelerometer of a split IMU");
+  add("tf-parent", text(&request.bag.tf_parent), "poses from tf: the fixed frame");
+  add("tf-child", text(&request.bag.tf_child), "poses from tf: the marker");
+  add("imu-yaml", text(&request.imu_yaml), "Kalibr's imu.yaml: noise and topic of the IMU");
   add("config", text(&request.config), "YAML of options, see config/default.yaml");
   add("method", text(&request.method), "joint (default) or gp");
-  add("output", text(&request.output), "result; default: BAG with .calibration.yaml for .bag");
+  add("output",
+      text(&request.output),
+      "result; default: first BAG with .calibration.yaml for .bag");
   add("start", po::value(&request.bag.start_s)->value_name("S"), "seconds of the bag to skip");
   add("duration", po::value(&request.bag.duration_s)->value_name("S"), "seconds to use; 0: all");
+  add("record-time",
+      po::bool_switch(&request.bag.record_time),
+      "times of recording instead of the header stamps");
   add("marker-frame", text(&request.marker_frame), "name of the marker frame in the result");
   add("imu-frame", text(&request.imu_frame), "name of the imu frame in the result");
   add("quiet", po::bool_switch(&line->quiet), "print errors only");
@@ -43,9 +53,9 @@ po::options_description Describe(CommandLine* line) {
 
 void Parse(int argc, char** argv, CommandLine* line) {
   po::options_description all = Describe(line);
-  all.add_options()("bag", po::value(&line->request.bag.path));
+  all.add_options()("bag", po::value(&line->request.bag.paths));
   po::positional_options_description positional;
-  positional.add("bag", 1);
+  positional.add("bag", -1);
   const int style = po::command_line_style::unix_style & ~po::command_line_style::allow_guessing;
   po::variables_map values;
   po::store(
@@ -57,7 +67,7 @@ void Parse(int argc, char** argv, CommandLine* line) {
 void PrintHelp() {
   CommandLine line;
   std::cout
-      << "Usage: calibrate_bag BAG [options]\n\n"
+      << "Usage: calibrate_bag BAG [BAG ...] [options]\n\n"
       << "Estimates T_marker_imu (x_marker = R x_imu + p) and time_shift (t_pose = t_imu +\n"
       << "time_shift) from the poses of a marker and the samples of an IMU attached to it.\n\n"
       << Describe(&line)
@@ -73,11 +83,11 @@ void Run(int argc, char** argv) {
     std::cout << "imu_pose_calib " << kVersion << "\n";
     return;
   }
-  if (line.request.bag.path.empty()) throw InputError("no bag is given; see calibrate_bag --help");
+  if (line.request.bag.paths.empty()) throw InputError("no bag is given; see calibrate_bag --help");
 
   const OfflineResult offline = CalibrateOffline(line.request);
   if (!line.quiet) std::cout << Summary(offline.result, offline.info) << std::flush;
-  WriteFile(offline.output, offline.yaml);
+  WriteResult(offline);
   if (!line.quiet) std::cout << "\nWritten to " << offline.output << "\n";
 }
 

@@ -1,4 +1,4 @@
-// Node imu_pose_calib: calibrates from one bag and offers the result in the ROS graph.
+// Node imu_pose_calib: calibrates from bags and offers the result in the ROS graph.
 
 #include <ros/ros.h>
 #include <tf2_ros/static_transform_broadcaster.h>
@@ -28,13 +28,17 @@ OfflineRequest ReadRequest(const ros::NodeHandle& node) {
   };
   const auto number = [&](const char* name) { return Param<double>(node, name, 0.0, "a number"); };
   OfflineRequest request;
-  request.bag = {text("bag"),
-                 text("imu_topic"),
-                 text("pose_topic"),
-                 text("gyro_topic"),
-                 text("accel_topic"),
-                 number("start"),
-                 number("duration")};
+  request.bag.paths = SplitBags(text("bag"));
+  request.bag.imu_topic = text("imu_topic");
+  request.bag.pose_topic = text("pose_topic");
+  request.bag.gyro_topic = text("gyro_topic");
+  request.bag.accel_topic = text("accel_topic");
+  request.bag.tf_parent = text("tf_parent");
+  request.bag.tf_child = text("tf_child");
+  request.bag.start_s = number("start");
+  request.bag.duration_s = number("duration");
+  request.bag.record_time = Param<bool>(node, "record_time", false, "true or false");
+  request.imu_yaml = text("imu_yaml");
   request.config = text("config");
   request.method = text("method");
   request.output = text("output");
@@ -49,14 +53,7 @@ void Offer(const OfflineResult& offline, ros::NodeHandle* node) {
   publisher.publish(ToMsg(offline.result, offline.info, ros::Time::now()));
 
   tf2_ros::StaticTransformBroadcaster broadcaster;
-  if (offline.info.marker_frame == offline.info.imu_frame) {
-    ROS_ERROR(
-        "No transform is published: the marker and the imu frame are both called '%s'; set "
-        "marker_frame or imu_frame",
-        offline.info.imu_frame.c_str());
-  } else {
-    broadcaster.sendTransform(ToTransformStamped(offline.result, offline.info, ros::Time::now()));
-  }
+  broadcaster.sendTransform(ToTransformStamped(offline.result, offline.info, ros::Time::now()));
   ros::spin();
 }
 
@@ -64,7 +61,7 @@ void Run(ros::NodeHandle* node) {
   const bool exit = Param<bool>(*node, "exit", false, "true or false");
   const OfflineResult offline = CalibrateOffline(ReadRequest(*node));
   std::cout << Summary(offline.result, offline.info) << std::flush;
-  WriteFile(offline.output, offline.yaml);
+  WriteResult(offline);
   ROS_INFO("Written to %s", offline.output.c_str());
   if (!exit) Offer(offline, node);
 }

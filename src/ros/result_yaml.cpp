@@ -214,6 +214,13 @@ void EmitQuality(const Calibration& result, YAML::Emitter* out) {
       out);
 }
 
+void EmitStated(const PoseStd& stated, YAML::Emitter* out) {
+  *out << YAML::Key << "stated_pose_std" << YAML::Value << YAML::Flow << YAML::BeginMap;
+  Emit("position", stated.position, out);
+  Emit("rotation", stated.rotation, out);
+  *out << YAML::EndMap;
+}
+
 void EmitData(const Calibration& result, const RecordingInfo& info, YAML::Emitter* out) {
   EmitMap(
       "data",
@@ -223,6 +230,7 @@ void EmitData(const Calibration& result, const RecordingInfo& info, YAML::Emitte
         Emit("gyro_topic", info.gyro_topic, out);
         Emit("accel_topic", info.accel_topic, out);
         Emit("pose_topic", info.pose_topic, out);
+        if (info.stated_pose_std) EmitStated(*info.stated_pose_std, out);
         Emit("duration", result.poses.duration_s, out);
         EmitPerStream("counts", result, &StreamReport::used, out);
         EmitPerStream("rates", result, &StreamReport::rate_hz, out);

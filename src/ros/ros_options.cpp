@@ -1,9 +1,5 @@
 #include "imu_pose_calib/ros/ros_options.h"
 
-#include <yaml-cpp/yaml.h>
-
-#include <algorithm>
-#include <numeric>
 #include <set>
 #include <sstream>
 #include <vector>
@@ -11,6 +7,7 @@
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/types.h"
 #include "imu_pose_calib/ros/result_yaml.h"
+#include "imu_pose_calib/ros/yaml_file.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -84,27 +81,11 @@ std::string Text(const std::optional<T>& value) {
   return value ? Text(*value) : "~";
 }
 
-/// Levenshtein distance.
-size_t EditDistance(const std::string& a, const std::string& b) {
-  std::vector<size_t> row(b.size() + 1);
-  std::iota(row.begin(), row.end(), size_t{0});
-  for (const char letter : a) {
-    size_t diagonal = row[0]++;
-    for (size_t j = 0; j < b.size(); ++j) {
-      const size_t replaced = diagonal + (letter == b[j] ? 0 : 1);
-      diagonal = row[j + 1];
-      row[j + 1] = std::min({replaced, row[j] + 1, row[j + 1] + 1});
-    }
-  }
-  return row.back();
-}
-
 std::string NearestKey(const std::string& key) {
-  std::string nearest;
-  VisitFields(CalibrationOptions(), [&](const std::string& name, const auto&) {
-    if (nearest.empty() || EditDistance(key, name) < EditDistance(key, nearest)) nearest = name;
-  });
-  return nearest;
+  std::vector<std::string> names;
+  VisitFields(CalibrationOptions(),
+              [&](const char* name, const auto&) { names.emplace_back(name); });
+  return Nearest(key, names);
 }
 
 /// Sets the field called `key`.
@@ -132,16 +113,6 @@ void ReadMap(const YAML::Node& map, CalibrationOptions* options) {
       const std::string value = entry.second.IsNull() ? "nothing" : YAML::Dump(entry.second);
       throw InputError("option " + key + " must be " + error.expected + ", not " + value);
     }
-  }
-}
-
-YAML::Node LoadYaml(const std::string& path) {
-  try {
-    return YAML::LoadFile(path);
-  } catch (const YAML::BadFile&) {
-    throw InputError("cannot be read");
-  } catch (const YAML::ParserException& error) {
-    throw InputError("line " + std::to_string(error.mark.line + 1) + ": " + error.msg);
   }
 }
 

@@ -47,7 +47,13 @@ po::options_description Describe(CommandLine* line) {
       value(&simulator.accel_delay_s, "S"),
       "t_pose = t_accel + time_shift - accel_delay");
   add("split", po::bool_switch(&line->format.split_imu), "/imu/gyro and /imu/accel, not /imu");
-  add("pose-type", value(&line->format.pose_type, "TEXT"), "PoseStamped or TransformStamped");
+  add("pose-type",
+      value(&line->format.pose_type, "TEXT"),
+      "PoseStamped, TransformStamped, PoseWithCovarianceStamped, Odometry or tf (world to marker "
+      "through six joints)");
+  add("imu-type",
+      value(&line->format.imu_type, "TEXT"),
+      "Imu or Vector3Stamped (/imu/gyro and /imu/accel)");
   add("help", po::bool_switch(&line->help), "print this text");
   return options;
 }

@@ -80,6 +80,10 @@ std::string Data(const Calibration& result, const RecordingInfo& info) {
   const bool is_split = info.imu_topic.empty();
   std::string text = "\nData\n";
   text += Stream("  poses  ", info.pose_topic, result.poses);
+  if (info.stated_pose_std)
+    text += Format("         their covariances say %.3g mm and %.3g deg per axis (not used)\n",
+                   1e3 * info.stated_pose_std->position,
+                   kDegrees * info.stated_pose_std->rotation);
   text += Stream("  gyro   ", is_split ? info.gyro_topic : info.imu_topic, result.gyro);
   text += Stream("  accel  ", is_split ? info.accel_topic : info.imu_topic, result.accel);
   if (result.gaps > 0)
@@ -216,10 +220,6 @@ std::string Warnings(const Calibration& result) {
 }
 
 std::string StaticTransform(const Calibration& result, const RecordingInfo& info) {
-  if (info.marker_frame == info.imu_frame)
-    return "\n" + Wrap("",
-                       "No tf: the marker and the imu frame are both called '" + info.imu_frame +
-                           "'; set marker_frame or imu_frame.");
   const Rigid3& T = result.T_MI;
   return "\nrosrun tf2_ros static_transform_publisher \\\n" +
          Format("  %.6f %.6f %.6f %.8f %.8f %.8f %.8f \\\n",

@@ -58,7 +58,7 @@ class BagReaderTest : public TempDirTest {
  protected:
   BagRequest Request() const {
     BagRequest request;
-    request.path = Path("recording.bag");
+    request.paths = {Path("recording.bag")};
     return request;
   }
   Recorder Record() const { return Recorder(Path("recording.bag")); }
@@ -357,9 +357,9 @@ TEST_F(BagReaderTest, WriterRefusesWhatItCannotWrite) {
   ExpectError<InputError>([&] { WriteBag(Path("no/dir.bag"), data, {}); }, {"no/dir.bag"});
   ExpectError<InputError>(
       [&] {
-        WriteBag(Path("x.bag"), data, {false, "Odometry"});
+        WriteBag(Path("x.bag"), data, {false, "Path"});
       },
-      {"'Odometry'", "PoseStamped or TransformStamped"});
+      {"'Path'", "PoseStamped, TransformStamped"});
   CalibrationData uneven = data;
   uneven.accel.pop_back();
   ExpectError<InputError>([&] { WriteBag(Path("x.bag"), uneven, {}); }, {"600 and 599"});

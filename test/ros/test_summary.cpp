@@ -78,12 +78,11 @@ TEST(Summary, OffersACommandForTf) {
   EXPECT_TRUE(Contains(text, command)) << text;
 }
 
-TEST(Summary, OffersNoTfBetweenEqualNames) {
+TEST(Summary, ShowsWhatTheCovariancesOfThePosesSay) {
   RecordingInfo info = MakeInfo();
-  info.imu_frame = info.marker_frame;
-  const std::string text = Summary(MakeResult(), info);
-  EXPECT_FALSE(Contains(text, "static_transform_publisher"));
-  EXPECT_TRUE(Contains(text, "imu_frame"));
+  EXPECT_FALSE(Contains(Summary(MakeResult(), info), "covariances"));
+  info.stated_pose_std = PoseStd{0.02, M_PI / 180};
+  EXPECT_TRUE(Contains(Summary(MakeResult(), info), "covariances say 20 mm and 1 deg per axis"));
 }
 
 TEST(Summary, ShowsNoNumbersThatAreNoResult) {

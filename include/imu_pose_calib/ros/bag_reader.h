@@ -1,30 +1,40 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include "imu_pose_calib/ros/recording.h"
 
 namespace imu_pose_calib {
 
-/// What to read from a bag. Topics left empty are found by their type.
+/// What to read from bags. Topics left empty are found by their type.
 struct BagRequest {
-  std::string path;
+  /// Bags of one recording, each with all topics or only some; at least one.
+  std::vector<std::string> paths;
   std::string imu_topic;
   std::string pose_topic;
   /// Split IMU, both or none; not together with `imu_topic`.
   std::string gyro_topic, accel_topic;
-  double start_s = 0.0;     ///< [s] after the first record time of the bag
-  double duration_s = 0.0;  ///< [s] 0: to the end
+  /// Poses of `tf_child` in `tf_parent` from tf, both or none; not together with `pose_topic`.
+  std::string tf_parent, tf_child;
+  double start_s = 0.0;      ///< [s] after the first record time of the bags
+  double duration_s = 0.0;   ///< [s] 0: to the end
+  bool record_time = false;  ///< Stamp with the record times instead of the header stamps.
+  /// Taken when no IMU topic is given and the bags have it.
+  std::string usual_imu_topic;
 };
 
-/// Reads poses (geometry_msgs/PoseStamped, geometry_msgs/TransformStamped) and IMU samples
-/// (sensor_msgs/Imu on one topic, or gyroscope and accelerometer on two).
+/// Reads IMU samples (sensor_msgs/Imu on one topic; gyroscope and accelerometer on two as
+/// sensor_msgs/Imu or geometry_msgs/Vector3Stamped) and poses (geometry_msgs/PoseStamped,
+/// TransformStamped or PoseWithCovarianceStamped, nav_msgs/Odometry, or tf).
 ///
 /// Time is the header stamp, at full precision. World frame: header.frame_id of the poses; marker
 /// frame: child_frame_id, else "marker"; imu frame: header.frame_id of the IMU, else "imu".
 ///
-/// Throws InputError when the bag cannot be read or when it does not hold exactly one choice of
-/// topics: the text names what the bag has and which field to give.
+/// Bags are read in a child process first: damage that crashes rosbag or lets it hang ends there.
+///
+/// Throws InputError when a bag cannot be read or when the bags do not hold exactly one choice of
+/// topics: the text names what they have and which field to give.
 Recording ReadBag(const BagRequest& request);
 
 }  // namespace imu_pose_calib

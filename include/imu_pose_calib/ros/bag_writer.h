@@ -11,15 +11,19 @@ namespace imu_pose_calib {
 struct BagFormat {
   /// Gyroscope and accelerometer on /imu/gyro and /imu/accel instead of both on /imu.
   bool split_imu = false;
-  /// "PoseStamped" or "TransformStamped" (geometry_msgs).
+  /// "PoseStamped", "TransformStamped", "PoseWithCovarianceStamped" (geometry_msgs), "Odometry"
+  /// (nav_msgs) or "tf": an arm of six joints from base, fixed in the world, to the marker. Each
+  /// message on /tf moves the last joint and one of the others.
   std::string pose_type = "PoseStamped";
+  /// "Imu" (sensor_msgs) or "Vector3Stamped" (geometry_msgs), which is always split.
+  std::string imu_type = "Imu";
 };
 
-/// Writes poses on /mocap/pose (frame world, child marker) and IMU samples (frame imu). Record
-/// times are header times; when the clocks start more than a day apart, the IMU's record times are
-/// moved to the pose clock as if both had started together.
+/// Writes poses on /mocap/pose or /tf (frame world, child marker) and IMU samples (frame imu).
+/// Record times are header times; when the clocks start more than a day apart, the IMU's record
+/// times are moved to the pose clock as if both had started together.
 ///
-/// Throws InputError when the file cannot be written, when the pose type is unknown, or when one
+/// Throws InputError when the file cannot be written, when a type is unknown, or when one
 /// topic is to hold gyroscope and accelerometer samples of different stamps.
 void WriteBag(const std::string& path, const CalibrationData& data, const BagFormat& format);
 

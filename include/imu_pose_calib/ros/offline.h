@@ -2,6 +2,7 @@
 
 #include <exception>
 #include <string>
+#include <vector>
 
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/ros/bag_reader.h"
@@ -9,12 +10,14 @@
 
 namespace imu_pose_calib {
 
-/// Calibration of one bag as calibrate_bag and calibrate_node offer it. Empty: the default.
+/// Calibration of a recording as calibrate_bag and calibrate_node offer it. Empty: the default.
 struct OfflineRequest {
   BagRequest bag;
-  std::string config;  ///< YAML of CalibrationOptions
-  std::string method;  ///< name of a Method; wins over `config`
-  std::string output;  ///< result YAML; default: bag path with .calibration.yaml for .bag
+  std::string config;    ///< YAML of CalibrationOptions
+  std::string imu_yaml;  ///< Kalibr's imu.yaml; its noise wins over `config`
+  std::string method;    ///< name of a Method; wins over `config`
+  std::string
+      output;  ///< result YAML; default: path of the first bag with .calibration.yaml for .bag
   std::string marker_frame, imu_frame;  ///< replace the names found in the bag
 };
 
@@ -26,12 +29,18 @@ struct OfflineResult {
   std::string yaml;    ///< its text
 };
 
-/// Reads the bag and calibrates. A result of an earlier run at the output path is removed first, so
-/// that a failure leaves none behind.
+/// Reads the bags and calibrates. A result of an earlier run at the output path is removed first,
+/// so that a failure leaves none behind.
 ///
 /// Throws InputError when something cannot be used as given, DataError when no calibration can come
 /// from the data: so the result is always usable.
 OfflineResult CalibrateOffline(const OfflineRequest& request);
+
+/// The bags that one text names: a file of that name, or else names with white space between them.
+std::vector<std::string> SplitBags(const std::string& text);
+
+/// Writes the result. When that fails, prints its text on stdout before it throws.
+void WriteResult(const OfflineResult& offline);
 
 /// Exit status of an executable that failed: 2 for data that cannot be calibrated, else 1.
 int ExitStatus(const std::exception& error);
