@@ -50,8 +50,9 @@ double ReadNumber(const YAML::Node& imu, const char* key, double low, double hig
     throw InputError(std::string(key) + " must be a number, not " +
                      (node.IsNull() ? "nothing" : YAML::Dump(node)));
   if (!(value >= low && value <= high))
-    throw InputError(std::string(key) + " = " + YamlNumber(value) + " is out of range: must be within [" +
-                     YamlNumber(low) + " to " + YamlNumber(high));
+    throw InputError(std::string(key) + " = " + YamlNumber(value) +
+                     " is out of range: must be within [" + YamlNumber(low) + ", " +
+                     YamlNumber(high) + "]");
   return value;
 }
 

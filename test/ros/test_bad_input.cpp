@@ -342,7 +342,7 @@ const std::vector<BadInput> kConfig = {
      File("i", kNoise + "update_rate: -1\n"),
      "x.bag --imu-yaml i",
      1,
-     {"imu_yaml 'i': update_rate = -1.0 must be from 0.001 to"}},
+     {"imu_yaml 'i': update_rate = -1.0 is out of range: must be within [0.001, 1000000.0]"}},
 };
 
 const std::vector<BadInput> kData = {

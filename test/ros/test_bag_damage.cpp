@@ -1,27 +1,14 @@
 // Bags with random damage are read or refused with one line; nothing crashes or hangs.
 
-#include <rosbag/bag.h>
-#include <rosbag/view.h>
-
 #include <random>
 
 #include "imu_pose_calib/ros/bag_reader.h"
 #include "imu_pose_calib/ros/bag_writer.h"
+#include "recompress.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
 namespace {
-
-/// Writes the messages of a bag anew with a compression and small chunks.
-void Recompress(const std::string& from,
-                const std::string& to,
-                rosbag::CompressionType compression) {
-  rosbag::Bag in(from), out(to, rosbag::bagmode::Write);
-  out.setCompression(compression);
-  out.setChunkThreshold(16 * 1024);
-  for (const rosbag::MessageInstance& message : rosbag::View(in))
-    out.write(message.getTopic(), message.getTime(), message);
-}
 
 /// Damages a few bits, bytes, or a run of bytes; or cuts the text off or a part out.
 std::string Damage(std::string text, std::mt19937* random) {

@@ -1,12 +1,16 @@
 #include <geometry_msgs/PoseStamped.h>
 #include <geometry_msgs/TransformStamped.h>
+#include <nav_msgs/Odometry.h>
 #include <rosbag/bag.h>
 #include <sensor_msgs/Imu.h>
 #include <std_msgs/String.h>
+#include <tf2_msgs/TFMessage.h>
 
 #include "imu_pose_calib/ros/bag_reader.h"
 #include "imu_pose_calib/ros/bag_writer.h"
 #include "imu_pose_calib/ros/conversions.h"
+#include "imu_pose_calib/ros/offline.h"
+#include "recompress.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -111,6 +115,134 @@ TEST_F(BagReaderTest, TellsTheTopicsOfASplitImuApart) {
   EXPECT_EQ(recording.info.imu_topic, "");
   EXPECT_EQ(recording.info.gyro_topic, "/imu/gyro");
   EXPECT_EQ(recording.info.accel_topic, "/imu/accel");
+}
+
+TEST_F(BagReaderTest, ReadsEveryTypeOfPose) {
+  const CalibrationData data = Simulate(ShortSimulation());
+  for (const char* type : {"TransformStamped", "PoseWithCovarianceStamped", "Odometry"}) {
+    WriteBag(Path("recording.bag"), data, {false, type});
+    const Recording recording = ReadBag(Request());
+    ExpectSameSamples(recording.data, data);
+    EXPECT_EQ(recording.info.pose_topic, "/mocap/pose");
+    EXPECT_EQ(recording.info.world_frame, "world");
+    EXPECT_EQ(recording.info.marker_frame, "marker");
+    EXPECT_FALSE(recording.info.stated_pose_std);  // all zero
+  }
+}
+
+TEST_F(BagReaderTest, ReadsVectors) {
+  const CalibrationData data = Simulate(ShortSimulation());
+  WriteBag(Path("recording.bag"), data, {false, "PoseStamped", "Vector3Stamped"});
+  BagRequest request = Request();
+  request.gyro_topic = "/imu/gyro";
+  request.accel_topic = "/imu/accel";
+  const Recording recording = ReadBag(request);
+  ExpectSameSamples(recording.data, data);
+  EXPECT_EQ(recording.info.imu_frame, "imu");
+}
+
+TEST_F(BagReaderTest, ReadsTf) {
+  const CalibrationData data = Simulate(ShortSimulation());
+  WriteBag(Path("recording.bag"), data, {false, "tf"});
+  BagRequest request = Request();
+  request.tf_parent = "world";
+  request.tf_child = "/marker";
+  const Recording recording = ReadBag(request);
+  EXPECT_EQ(recording.info.pose_topic, "/tf");
+  EXPECT_EQ(recording.info.world_frame, "world");
+  EXPECT_EQ(recording.info.marker_frame, "marker");
+  ASSERT_EQ(recording.data.poses.size(), data.poses.size());
+  for (size_t k = 0; k < data.poses.size(); ++k) {
+    const PoseSample &pose = recording.data.poses[k], &truth = data.poses[k];
+    EXPECT_EQ(pose.t_ns, truth.t_ns);
+    EXPECT_LT((pose.p_WM - truth.p_WM).norm(), 1e-6);
+    EXPECT_LT(pose.q_WM.angularDistance(truth.q_WM), 1e-6);
+  }
+  // the fixed transforms are sent once, before the span
+  request.start_s = 1.0;
+  EXPECT_GT(ReadBag(request).data.poses.size(), 150u);
+}
+
+TEST_F(BagReaderTest, ReadsCompressedBags) {
+  const CalibrationData data = Simulate(ShortSimulation());
+  WriteBag(Path("plain.bag"), data, {});
+  for (const auto compression : {rosbag::compression::BZ2, rosbag::compression::LZ4}) {
+    Recompress(Path("plain.bag"), Path("recording.bag"), compression);
+    EXPECT_LT(std::filesystem::file_size(Path("recording.bag")),
+              std::filesystem::file_size(Path("plain.bag")));
+    ExpectSameSamples(ReadBag(Request()).data, data);
+  }
+}
+
+TEST_F(BagReaderTest, ReadsImuAndPosesFromABagEach) {
+  CalibrationData data = Simulate(ShortSimulation()), poses, imu = data;
+  poses.poses = data.poses;
+  imu.poses.clear();
+  WriteBag(Path("poses.bag"), poses, {});
+  WriteBag(Path("imu.bag"), imu, {});
+  BagRequest request;
+  request.paths = {Path("poses.bag"), Path("imu.bag")};
+  ExpectSameSamples(ReadBag(request).data, data);
+}
+
+TEST_F(BagReaderTest, ReportsWhatTheCovariancesSay) {
+  nav_msgs::Odometry odometry;
+  odometry.header = Pose().header;
+  odometry.pose.pose = Pose().pose;
+  for (size_t i = 0; i < 36; i += 7) odometry.pose.covariance[i] = i < 21 ? 4e-4 : 1e-6;
+  Record().Add("/imu", Imu(0.1, 9.8)).Add("/odom", odometry);
+  const auto stated = ReadBag(Request()).info.stated_pose_std;
+  ASSERT_TRUE(stated);
+  EXPECT_NEAR(stated->position, 0.02, 1e-12);
+  EXPECT_NEAR(stated->rotation, 1e-3, 1e-12);
+  odometry.pose.covariance[35] = -1.0;
+  Record().Add("/imu", Imu(0.1, 9.8)).Add("/odom", odometry);
+  EXPECT_FALSE(ReadBag(Request()).info.stated_pose_std);
+}
+
+TEST_F(BagReaderTest, StampsWithRecordTimes) {
+  Record().Add("/imu", Imu(0.1, 9.8)).Add("/pose", Pose());
+  BagRequest request = Request();
+  request.record_time = true;
+  const CalibrationData data = ReadBag(request).data;
+  EXPECT_EQ(data.gyro.at(0).t_ns, 100000000000);
+  EXPECT_EQ(data.accel.at(0).t_ns, 100000000000);
+  EXPECT_EQ(data.poses.at(0).t_ns, 100010000000);
+}
+
+TEST_F(BagReaderTest, StampsTfWithRecordTimes) {
+  tf2_msgs::TFMessage first, second;
+  first.transforms = {Transform("rig")};
+  second.transforms = {Transform("rig")};
+  second.transforms[0].transform.translation.x = 1.0;
+  Record().Add("/imu", Imu(0.1, 9.8)).Add("/tf", first).Add("/tf", second);
+  BagRequest request = Request();
+  request.tf_parent = "map";
+  request.tf_child = "rig";
+  request.record_time = true;
+  const CalibrationData data = ReadBag(request).data;
+  ASSERT_EQ(data.poses.size(), 2u);
+  EXPECT_EQ(data.poses[0].t_ns, 100010000000);
+  EXPECT_EQ(data.poses[1].t_ns, 100020000000);
+}
+
+TEST_F(BagReaderTest, TheUsualImuIsTakenWhenItIsThere) {
+  Record().Add("/imu1", Imu(1, 9.8)).Add("/imu2", Imu(2, 9.8)).Add("/pose", Pose());
+  BagRequest request = Request();
+  request.usual_imu_topic = "/imu2";
+  EXPECT_EQ(ReadBag(request).info.imu_topic, "/imu2");
+  request.imu_topic = "/imu1";
+  EXPECT_EQ(ReadBag(request).info.imu_topic, "/imu1");
+  request.imu_topic = "";
+  request.usual_imu_topic = "/imu3";
+  ExpectRefusal(request, {"several IMU topics"});
+}
+
+TEST_F(BagReaderTest, OneTextNamesSeveralBags) {
+  EXPECT_EQ(SplitBags("a.bag  b.bag"), (std::vector<std::string>{"a.bag", "b.bag"}));
+  EXPECT_EQ(SplitBags(""), std::vector<std::string>());
+  Write("my own.bag", "");
+  EXPECT_EQ(SplitBags(Path("my own.bag")), std::vector<std::string>{Path("my own.bag")});
 }
 
 TEST_F(BagReaderTest, TellsASplitImuByItsZerosAlone) {

@@ -8,6 +8,7 @@
 #include <Eigen/Geometry>
 
 #include "imu_pose_calib/CalibrationResult.h"
+#include "imu_pose_calib/ros/bag_writer.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -115,6 +116,24 @@ TEST(CalibrateNode, LeavesWhenWrittenWithExit) {
       "leaving", "_exit:=true _output:='" + output + "' _bag:='" + Directory() + "/launch.bag'");
   EXPECT_EQ(outcome.status, 0) << outcome.err;
   EXPECT_TRUE(std::filesystem::exists(output));
+}
+
+TEST(CalibrateNode, ReadsTfFromSeveralBags) {
+  SimulatorOptions simulator;
+  simulator.duration_s = 15.0;
+  CalibrationData imu = Simulate(simulator), poses;
+  std::swap(imu.poses, poses.poses);
+  const std::string bags = Directory() + "/imu.bag " + Directory() + "/tf.bag";
+  WriteBag(Directory() + "/imu.bag", imu, {});
+  WriteBag(Directory() + "/tf.bag", poses, {false, "tf"});
+  const std::string output = Directory() + "/tf.result.yaml";
+  std::filesystem::remove(output);
+  const Outcome outcome =
+      RunNode("several",
+              "_exit:=true _tf_parent:=world _tf_child:=marker _record_time:=false _output:='" +
+                  output + "' _bag:='" + bags + "'");
+  EXPECT_EQ(outcome.status, 0) << outcome.err;
+  EXPECT_EQ(YAML::LoadFile(output)["data"]["bag"].as<std::string>(), bags);
 }
 
 }  // namespace

@@ -51,6 +51,28 @@ TEST(Samples, TellGyroscopeFromAccelerometer) {
   EXPECT_EQ(ToAccelSample(msg).value, Eigen::Vector3d(0.0, 5.0, 0.0));
 }
 
+TEST(Samples, OfVectors) {
+  geometry_msgs::Vector3Stamped msg;
+  msg.header.stamp = ros::Time(7, 8);
+  msg.vector.y = 2.0;
+  EXPECT_EQ(ToImuSample(msg).t_ns, 7000000008);
+  EXPECT_EQ(ToImuSample(msg).value, Eigen::Vector3d(0.0, 2.0, 0.0));
+}
+
+TEST(Samples, StatedStdNeedsACovarianceThatMakesSense) {
+  geometry_msgs::PoseWithCovariance pose;
+  EXPECT_FALSE(ToPoseStd(pose));  // all zero
+  for (size_t i = 0; i < 36; i += 7) pose.covariance[i] = i < 21 ? 0.04 : 0.01;
+  pose.covariance[0] = 0.10;
+  ASSERT_TRUE(ToPoseStd(pose));
+  EXPECT_NEAR(ToPoseStd(pose)->position, std::sqrt(0.06), 1e-12);
+  EXPECT_NEAR(ToPoseStd(pose)->rotation, 0.1, 1e-12);
+  for (const double bad : {-1.0, 0.0, std::nan(""), HUGE_VAL}) {
+    pose.covariance[14] = bad;
+    EXPECT_FALSE(ToPoseStd(pose)) << bad;
+  }
+}
+
 TEST(Frames, LoseTheLeadingSlash) {
   EXPECT_EQ(FrameName("/map", "world"), "map");
   EXPECT_EQ(FrameName("rig/map", "world"), "rig/map");

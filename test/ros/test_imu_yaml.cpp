@@ -84,9 +84,11 @@ TEST_F(ImuYamlTest, RefusesWrongTypesAndValues) {
   ExpectRefusal(with_walk("low"), {"gyroscope_random_walk must be a number, not low"});
   ExpectRefusal(with_walk("[1, 2]"), {"gyroscope_random_walk must be a number, not [1, 2]"});
   ExpectRefusal(with_walk(""), {"gyroscope_random_walk must be a number, not nothing"});
-  ExpectRefusal(with_walk("-1.0e-5"), {"gyroscope_random_walk = -1.0e-05 must be from 1.0e-12"});
-  ExpectRefusal(with_walk(".nan"), {"gyroscope_random_walk = .nan must be from"});
-  ExpectRefusal(kNoise + "update_rate: 0\n", {"update_rate = 0.0 must be from 0.001"});
+  ExpectRefusal(with_walk("-1.0e-5"),
+                {"gyroscope_random_walk = -1.0e-05 is out of range: must be within [1.0e-12"});
+  ExpectRefusal(with_walk(".nan"), {"gyroscope_random_walk = .nan is out of range"});
+  ExpectRefusal(kNoise + "update_rate: 0\n",
+                {"update_rate = 0.0 is out of range: must be within [0.001"});
   ExpectRefusal(kNoise + "rostopic: [/a]\n", {"rostopic must be a string"});
   ExpectRefusal("a: {b\n", {"line "});
 }

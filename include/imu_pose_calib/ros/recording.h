@@ -15,7 +15,7 @@ struct PoseStd {
 
 /// Where a recording comes from and how its frames are called.
 struct RecordingInfo {
-  std::string bag;  ///< path
+  std::string bag;  ///< path, or paths with spaces between them
   /// Either `imu_topic`, or `gyro_topic` and `accel_topic` for a split IMU; the others are empty.
   std::string imu_topic, gyro_topic, accel_topic;
   std::string pose_topic;
