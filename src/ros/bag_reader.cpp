@@ -25,7 +25,7 @@ namespace {
 
 template <typename Msg>
 boost::shared_ptr<Msg> Instantiate(const rosbag::MessageInstance& instance) {
-  const auto msg = instance.instantiate<Msg>();
+  auto msg = instance.instantiate<Msg>();
   if (!msg)
     throw InputError("topic '" + instance.getTopic() + "' has another definition of " +
                      instance.getDataType() + " than this computer");
