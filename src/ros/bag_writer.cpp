@@ -191,15 +191,6 @@ void Add(const std::string& topic,
   }
 }
 
-void CheckSameStamps(const std::vector<ImuSample>& gyro, const std::vector<ImuSample>& accel) {
-  if (gyro.size() != accel.size())
-    throw InputError("one IMU topic needs as many gyroscope as accelerometer samples, not " +
-                     std::to_string(gyro.size()) + " and " + std::to_string(accel.size()));
-  for (size_t k = 0; k < gyro.size(); ++k)
-    if (gyro[k].t_ns != accel[k].t_ns)
-      throw InputError("one IMU topic needs the same stamps for gyroscope and accelerometer");
-}
-
 /// What to add to IMU stamps to get record times.
 int64_t RecordOffset(const CalibrationData& data) {
   if (data.poses.empty() || data.gyro.empty()) return 0;
@@ -217,6 +208,20 @@ void Write(const std::string& path, const std::vector<Record>& records) {
 }
 
 }  // namespace
+
+void CheckSameStamps(const CalibrationData& data) {
+  const std::vector<ImuSample>&gyro = data.gyro, &accel = data.accel;
+  if (gyro.size() != accel.size())
+    throw InputError(
+        "an IMU on one topic or in one file needs as many gyroscope as accelerometer samples, "
+        "not " +
+        std::to_string(gyro.size()) + " and " + std::to_string(accel.size()));
+  for (size_t k = 0; k < gyro.size(); ++k)
+    if (gyro[k].t_ns != accel[k].t_ns)
+      throw InputError(
+          "an IMU on one topic or in one file needs the same stamps for gyroscope and "
+          "accelerometer");
+}
 
 void WriteBag(const std::string& path, const CalibrationData& data, const BagFormat& format) {
   const auto pose = [&](size_t k) { return ToPoseStamped(data.poses[k]); };
@@ -260,7 +265,7 @@ void WriteBag(const std::string& path, const CalibrationData& data, const BagFor
     Add("/imu/gyro", data.gyro, offset, gyro, &records);
     Add("/imu/accel", data.accel, offset, accel, &records);
   } else {
-    CheckSameStamps(data.gyro, data.accel);
+    CheckSameStamps(data);
     Add("/imu", data.gyro, offset, imu, &records);
   }
   std::stable_sort(records.begin(), records.end(), [](const Record& a, const Record& b) {

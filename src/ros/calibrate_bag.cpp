@@ -1,4 +1,4 @@
-// Calibrates from bags, without a ROS master.
+// Calibrates from a recording, without a ROS master.
 
 #include <boost/program_options.hpp>
 #include <iostream>
@@ -32,13 +32,17 @@ po::options_description Describe(CommandLine* line) {
   add("accel-topic", text(&request.bag.accel_topic), "accelerometer of a split IMU");
   add("tf-parent", text(&request.bag.tf_parent), "poses from tf: the fixed frame");
   add("tf-child", text(&request.bag.tf_child), "poses from tf: the marker");
+  add("poses", text(&request.text.poses), "text file of the poses, instead of a bag");
+  add("imu", text(&request.text.imu), "text file of the IMU");
+  add("gyro", text(&request.text.gyro), "text file of the gyroscope of a split IMU");
+  add("accel", text(&request.text.accel), "text file of the accelerometer of a split IMU");
   add("imu-yaml", text(&request.imu_yaml), "Kalibr's imu.yaml: noise and topic of the IMU");
   add("config", text(&request.config), "YAML of options, see config/default.yaml");
   add("method", text(&request.method), "joint (default) or gp");
-  add("output",
-      text(&request.output),
-      "result; default: first BAG with .calibration.yaml for .bag");
-  add("start", po::value(&request.bag.start_s)->value_name("S"), "seconds of the bag to skip");
+  add("output", text(&request.output), "result; default: next to the recording");
+  add("start",
+      po::value(&request.bag.start_s)->value_name("S"),
+      "seconds of the recording to skip");
   add("duration", po::value(&request.bag.duration_s)->value_name("S"), "seconds to use; 0: all");
   add("record-time",
       po::bool_switch(&request.bag.record_time),
@@ -67,7 +71,9 @@ void Parse(int argc, char** argv, CommandLine* line) {
 void PrintHelp() {
   CommandLine line;
   std::cout
-      << "Usage: calibrate_bag BAG [BAG ...] [options]\n\n"
+      << "Usage: calibrate_bag BAG [BAG ...] [options]\n"
+      << "       calibrate_bag FOLDER [options]                     ASL dataset (EuRoC)\n"
+      << "       calibrate_bag --poses FILE --imu FILE [options]    CSV, TUM\n\n"
       << "Estimates T_marker_imu (x_marker = R x_imu + p) and time_shift (t_pose = t_imu +\n"
       << "time_shift) from the poses of a marker and the samples of an IMU attached to it.\n\n"
       << Describe(&line)
@@ -83,7 +89,6 @@ void Run(int argc, char** argv) {
     std::cout << "imu_pose_calib " << kVersion << "\n";
     return;
   }
-  if (line.request.bag.paths.empty()) throw InputError("no bag is given; see calibrate_bag --help");
 
   const OfflineResult offline = CalibrateOffline(line.request);
   if (!line.quiet) std::cout << Summary(offline.result, offline.info) << std::flush;

@@ -1,4 +1,4 @@
-// Node imu_pose_calib: calibrates from bags and offers the result in the ROS graph.
+// Node imu_pose_calib: calibrates from a recording and offers the result in the ROS graph.
 
 #include <ros/ros.h>
 #include <tf2_ros/static_transform_broadcaster.h>
@@ -38,6 +38,10 @@ OfflineRequest ReadRequest(const ros::NodeHandle& node) {
   request.bag.start_s = number("start");
   request.bag.duration_s = number("duration");
   request.bag.record_time = Param<bool>(node, "record_time", false, "true or false");
+  request.text.poses = text("poses");
+  request.text.imu = text("imu");
+  request.text.gyro = text("gyro");
+  request.text.accel = text("accel");
   request.imu_yaml = text("imu_yaml");
   request.config = text("config");
   request.method = text("method");

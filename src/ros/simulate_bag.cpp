@@ -1,4 +1,4 @@
-// Writes a simulated bag and its truth.
+// Writes a simulated recording and its truth.
 
 #include <boost/program_options.hpp>
 #include <cmath>
@@ -10,6 +10,7 @@
 #include "imu_pose_calib/ros/bag_writer.h"
 #include "imu_pose_calib/ros/offline.h"
 #include "imu_pose_calib/ros/result_yaml.h"
+#include "imu_pose_calib/ros/text_writer.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -17,7 +18,7 @@ namespace {
 namespace po = boost::program_options;
 
 struct CommandLine {
-  std::string output, motion = "handheld";
+  std::string output, motion = "handheld", format_name = "bag";
   SimulatorOptions simulator;
   double imu_rate_hz = 200.0;
   BagFormat format;
@@ -46,7 +47,12 @@ po::options_description Describe(CommandLine* line) {
   add("accel-delay",
       value(&simulator.accel_delay_s, "S"),
       "t_pose = t_accel + time_shift - accel_delay");
-  add("split", po::bool_switch(&line->format.split_imu), "/imu/gyro and /imu/accel, not /imu");
+  add("format",
+      value(&line->format_name, "TEXT"),
+      "bag; asl: folder OUTPUT/ like EuRoC; text: OUTPUT.poses.txt and OUTPUT.imu.csv");
+  add("split",
+      po::bool_switch(&line->format.split_imu),
+      "gyroscope and accelerometer on two topics, or in two files");
   add("pose-type",
       value(&line->format.pose_type, "TEXT"),
       "PoseStamped, TransformStamped, PoseWithCovarianceStamped, Odometry or tf (world to marker "
@@ -112,9 +118,27 @@ SimulatorOptions Simulator(const CommandLine& line) {
   return simulator;
 }
 
+/// The output path without .bag, to which other endings are added.
+std::string Prefix(const CommandLine& line) {
+  std::string path = line.output;
+  if (line.format_name == "asl" || line.format_name == "text") {
+    if (line.format_name == "asl" && line.format.split_imu)
+      throw InputError("--split does not go with the format asl, which has both in one file");
+    while (!path.empty() && path.back() == '/') path.pop_back();
+    if (path.empty()) throw InputError("give the path to write; see simulate_bag --help");
+    return path;
+  }
+  if (line.format_name != "bag")
+    throw InputError("format '" + line.format_name + "' is unknown; must be bag, asl or text");
+  if (path.size() <= 4 || path.substr(path.size() - 4) != ".bag")
+    throw InputError("give the path of the bag to write, ending in .bag; see simulate_bag --help");
+  return path.substr(0, path.size() - 4);
+}
+
 void PrintHelp() {
   CommandLine line;
-  std::cout << "Usage: simulate_bag OUTPUT.bag [options]\n\n"
+  std::cout << "Usage: simulate_bag OUTPUT.bag [options]\n"
+            << "       simulate_bag OUTPUT --format asl|text [options]\n\n"
             << "Writes a simulated recording and, beside it, its truth: OUTPUT.truth.yaml.\n\n"
             << Describe(&line);
 }
@@ -123,13 +147,13 @@ void Run(int argc, char** argv) {
   CommandLine line;
   Parse(argc, argv, &line);
   if (line.help) return PrintHelp();
-  const std::string& bag = line.output;
-  if (bag.size() <= 4 || bag.substr(bag.size() - 4) != ".bag")
-    throw InputError("give the path of the bag to write, ending in .bag; see simulate_bag --help");
-
+  const std::string prefix = Prefix(line);
   const SimulatorOptions simulator = Simulator(line);
-  WriteBag(bag, Simulate(simulator), line.format);
-  WriteFile(bag.substr(0, bag.size() - 4) + ".truth.yaml", TruthYaml(simulator));
+  const CalibrationData data = Simulate(simulator);
+  if (line.format_name == "bag") WriteBag(line.output, data, line.format);
+  if (line.format_name == "asl") WriteAslFolder(prefix, data);
+  if (line.format_name == "text") WriteTables(prefix, data, line.format.split_imu);
+  WriteFile(prefix + ".truth.yaml", TruthYaml(simulator));
 }
 
 }  // namespace

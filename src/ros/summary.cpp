@@ -86,6 +86,7 @@ std::string Data(const Calibration& result, const RecordingInfo& info) {
                    kDegrees * info.stated_pose_std->rotation);
   text += Stream("  gyro   ", is_split ? info.gyro_topic : info.imu_topic, result.gyro);
   text += Stream("  accel  ", is_split ? info.accel_topic : info.imu_topic, result.accel);
+  if (!info.imu_yaml.empty()) text += Wrap("  noise  ", info.imu_yaml);
   if (result.gaps > 0)
     text += Format("  %zu gaps in the poses leave %zu segments\n", result.gaps, result.segments);
   return text;

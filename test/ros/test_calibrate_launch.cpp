@@ -109,6 +109,30 @@ TEST(CalibrateNode, FailsWithTheStatusOfCalibrateBag) {
   ExpectFailure(RunNode("degenerate", "_bag:='" + Directory() + "/static.bag'"), 2, "turn");
 }
 
+TEST(CalibrateNode, CalibratesFromTextFiles) {
+  const std::string text = Directory() + "/text", output = text + ".result.yaml";
+  std::filesystem::remove(output);
+  const Outcome outcome = RunNode("text",
+                                  "_exit:=true _output:='" + output + "' _poses:='" + text +
+                                      ".poses.txt' _imu:='" + text + ".imu.csv'");
+  EXPECT_EQ(outcome.status, 0) << outcome.err;
+  EXPECT_EQ(YAML::LoadFile(output)["data"]["pose_file"].as<std::string>(), text + ".poses.txt");
+}
+
+TEST(CalibrateLaunch, TakesTextFilesInPlaceOfTheSample) {
+  const std::string path = Directory() + "/params.yaml";
+  const auto param = [&](const std::string& arguments, const std::string& name) {
+    const std::string command = "roslaunch --dump-params imu_pose_calib calibrate.launch " +
+                                arguments + " > '" + path + "'";
+    EXPECT_EQ(std::system(command.c_str()), 0);
+    return YAML::LoadFile(path)["/imu_pose_calib/" + name].as<std::string>();
+  };
+  EXPECT_TRUE(Contains(param("", "bag"), "/data/estimator_own_clocks.bag"));
+  EXPECT_EQ(param("poses:=/p.txt imu:=/i.csv", "bag"), "");
+  EXPECT_EQ(param("poses:=/p.txt imu:=/i.csv", "imu"), "/i.csv");
+  EXPECT_EQ(param("bag:=/folder poses:=/p.txt", "bag"), "/folder");
+}
+
 TEST(CalibrateNode, LeavesWhenWrittenWithExit) {
   const std::string output = Directory() + "/exit.result.yaml";
   std::filesystem::remove(output);

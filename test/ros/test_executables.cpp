@@ -98,6 +98,72 @@ TEST_F(CalibrateBagTest, PrintsTheResultThatCannotBeWritten) {
             "directory\n");
 }
 
+/// A result file without the lines that tell where and when it comes from.
+std::string Numbers(const std::string& yaml) {
+  std::istringstream in(yaml);
+  std::string text, line;
+  while (std::getline(in, line))
+    if (!Contains(line, "date:") && !Contains(line, "_topic:") && !Contains(line, "_file:") &&
+        !Contains(line, "bag:"))
+      text += line + "\n";
+  return text;
+}
+
+TEST_F(CalibrateBagTest, BagFolderAndTablesGiveTheSameResult) {
+  const std::string options = " --duration 10 --seed 2 --time-shift 0.1";
+  ASSERT_EQ(Run("simulate_bag", "x.bag" + options).status, 0);
+  ASSERT_EQ(Run("simulate_bag", "asl/" + options + " --format asl").status, 0);
+  ASSERT_EQ(Run("simulate_bag", "x" + options + " --format text").status, 0);
+  ASSERT_EQ(Run("simulate_bag", "y" + options + " --format text --split").status, 0);
+  EXPECT_EQ(ReadText(Path("asl.truth.yaml")), ReadText(Path("x.truth.yaml")));
+
+  const std::string span = " --start 1 --duration 8";
+  ASSERT_EQ(Calibrate("x.bag" + span).status, 0);
+  ASSERT_EQ(Calibrate("asl" + span).status, 0);
+  ASSERT_EQ(Calibrate("--poses x.poses.txt --imu x.imu.csv" + span).status, 0);
+  ASSERT_EQ(Calibrate("--poses y.poses.txt --gyro y.gyro.csv --accel y.accel.csv" + span).status,
+            0);
+  const std::string expected = Numbers(ReadText(Path("x.calibration.yaml")));
+  EXPECT_GT(expected.size(), 2000u);
+  EXPECT_EQ(Numbers(ReadText(Path("asl/calibration.yaml"))), expected);
+  EXPECT_EQ(Numbers(ReadText(Path("x.poses.calibration.yaml"))), expected);
+  EXPECT_EQ(Numbers(ReadText(Path("y.poses.calibration.yaml"))), expected);
+
+  const YAML::Node data = YAML::LoadFile(Path("asl/calibration.yaml"))["data"];
+  EXPECT_EQ(data["bag"].as<std::string>(), "");
+  EXPECT_EQ(data["pose_file"].as<std::string>(), "asl/mocap0/data.csv");
+  EXPECT_EQ(data["imu_file"].as<std::string>(), "asl/imu0/data.csv");
+}
+
+TEST_F(CalibrateBagTest, TakesNoiseFromTheSensorYamlOfAFolder) {
+  ASSERT_EQ(Run("simulate_bag", "asl --duration 10 --format asl").status, 0);
+  const std::string sensor =
+      "sensor_type: imu\ncomment: of a data sheet\n"
+      "T_BS:\n  cols: 4\n  rows: 4\n"
+      "  data: [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]\n"
+      "rate_hz: 200\n"
+      "gyroscope_noise_density: 1.6968e-04     # [ rad / s / sqrt(Hz) ]\n"
+      "gyroscope_random_walk: 1.9393e-05\n"
+      "accelerometer_noise_density: 2.5e-3\n"
+      "accelerometer_random_walk: 3.0e-3\n";
+  Write("asl/imu0/sensor.yaml", sensor);
+  const Outcome outcome = Calibrate("asl");
+  ASSERT_EQ(outcome.status, 0) << outcome.err;
+  EXPECT_TRUE(Contains(outcome.out, "noise  asl/imu0/sensor.yaml")) << outcome.out;
+  const YAML::Node result = YAML::LoadFile(Path("asl/calibration.yaml"));
+  EXPECT_EQ(result["data"]["imu_yaml"].as<std::string>(), "asl/imu0/sensor.yaml");
+  EXPECT_EQ(result["options"]["gyro_noise_density"].as<double>(), 1.6968e-4);
+  EXPECT_EQ(result["options"]["accel_bias_walk"].as<double>(), 3e-3);
+
+  // What the user gives comes first.
+  Write("c.yaml", "accel_bias_walk: 1e-4\n");
+  ASSERT_EQ(Calibrate("asl --config c.yaml --output c.result.yaml").status, 0);
+  EXPECT_EQ(YAML::LoadFile(Path("c.result.yaml"))["options"]["accel_bias_walk"].as<double>(), 1e-4);
+
+  Write("asl/imu0/sensor.yaml", "gyroscope_noise_density: -1\n");
+  ExpectFailure("asl", 1, {"asl/imu0/sensor.yaml': gyroscope_noise_density = -1"});
+}
+
 TEST_F(CalibrateBagTest, HelpAndVersionSucceed) {
   EXPECT_EQ(Calibrate("--help").status, 0);
   EXPECT_TRUE(Contains(Calibrate("--help").out, "--pose-topic"));
@@ -279,6 +345,11 @@ TEST_F(CalibrateBagTest, SimulationRefusesBadOptions) {
   expect_refusal("a.bag --imu-rate 0", "--imu-rate");
   expect_refusal("a.bag --gyro-std=-1", "--gyro-std");
   expect_refusal("a.bag --pose-type Path", "'Path'");
+  expect_refusal("a --format csv", "'csv' is unknown; must be bag, asl or text");
+  expect_refusal("a --format asl --split", "--split");
+  expect_refusal("--format text", "path");
+  expect_refusal("no/dir --format text --duration 2", "no/dir.poses.txt");
+  expect_refusal("/proc/dir --format asl --duration 2", "/proc/dir");
   expect_refusal("a.bag --duration 2 --time-shift 1e10", "--time-shift");
   expect_refusal("no/dir.bag --duration 2", "no/dir.bag");
 }

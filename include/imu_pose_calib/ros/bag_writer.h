@@ -19,6 +19,10 @@ struct BagFormat {
   std::string imu_type = "Imu";
 };
 
+/// Throws InputError unless gyroscope and accelerometer samples have the same stamps, as one topic
+/// or file for both needs.
+void CheckSameStamps(const CalibrationData& data);
+
 /// Writes poses on /mocap/pose or /tf (frame world, child marker) and IMU samples (frame imu).
 /// Record times are header times; when the clocks start more than a day apart, the IMU's record
 /// times are moved to the pose clock as if both had started together.

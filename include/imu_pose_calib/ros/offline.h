@@ -7,17 +7,23 @@
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/ros/bag_reader.h"
 #include "imu_pose_calib/ros/recording.h"
+#include "imu_pose_calib/ros/text_reader.h"
 
 namespace imu_pose_calib {
 
 /// Calibration of a recording as calibrate_bag and calibrate_node offer it. Empty: the default.
 struct OfflineRequest {
+  /// The path may also be the folder of an ASL dataset.
   BagRequest bag;
-  std::string config;    ///< YAML of CalibrationOptions
-  std::string imu_yaml;  ///< Kalibr's imu.yaml; its noise wins over `config`
-  std::string method;    ///< name of a Method; wins over `config`
-  std::string
-      output;  ///< result YAML; default: path of the first bag with .calibration.yaml for .bag
+  /// Text files without any bag, or those to choose of the folder; only the names of files are
+  /// used.
+  TextRequest text;
+  std::string config;  ///< YAML of CalibrationOptions
+  /// Kalibr's imu.yaml; its noise wins over `config`. Empty: without a `config`, the sensor.yaml
+  /// beside a text file of the IMU, if there is one.
+  std::string imu_yaml;
+  std::string method;                   ///< name of a Method; wins over `config`
+  std::string output;                   ///< result YAML; default: see OutputPath()
   std::string marker_frame, imu_frame;  ///< replace the names found in the bag
 };
 
@@ -29,8 +35,12 @@ struct OfflineResult {
   std::string yaml;    ///< its text
 };
 
-/// Reads the bags and calibrates. A result of an earlier run at the output path is removed first,
-/// so that a failure leaves none behind.
+/// Where the result goes: x.calibration.yaml for x.bag, the first of the bags, or for a file x.csv
+/// of poses; calibration.yaml in a folder.
+std::string OutputPath(const OfflineRequest& request);
+
+/// Reads the recording and calibrates. A result of an earlier run at the output path is removed
+/// first, so that a failure leaves none behind.
 ///
 /// Throws InputError when something cannot be used as given, DataError when no calibration can come
 /// from the data: so the result is always usable.

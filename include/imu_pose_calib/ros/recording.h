@@ -15,17 +15,21 @@ struct PoseStd {
 
 /// Where a recording comes from and how its frames are called.
 struct RecordingInfo {
-  std::string bag;  ///< path, or paths with spaces between them
+  /// Path of the bag, or paths with spaces between them. Empty: text files, whose paths stand for
+  /// the topics.
+  std::string bag;
   /// Either `imu_topic`, or `gyro_topic` and `accel_topic` for a split IMU; the others are empty.
   std::string imu_topic, gyro_topic, accel_topic;
   std::string pose_topic;
   /// Frame names without leading slash: fixed frame of the poses, marker, imu.
   std::string world_frame, marker_frame, imu_frame;
+  /// File that the noise of the IMU is from. Empty: the options.
+  std::string imu_yaml;
   /// What the covariances of the poses say, median; not used, reported only.
   std::optional<PoseStd> stated_pose_std;
 };
 
-/// The samples of one bag in the order in which they were recorded.
+/// The samples of one recording in the order in which they were recorded.
 struct Recording {
   RecordingInfo info;
   CalibrationData data;

@@ -1,0 +1,33 @@
+#pragma once
+
+#include <istream>
+#include <string>
+#include <vector>
+
+#include "imu_pose_calib/core/types.h"
+
+namespace imu_pose_calib {
+
+/// One table of samples, a line each. Columns are separated by semicolons, else commas, else
+/// blanks; empty lines and lines that start with # are skipped.
+///
+/// A header, with or without #, names the columns in any order; others than those needed are
+/// ignored. Without: timestamp tx ty tz qx qy qz qw (TUM) for poses, timestamp gx gy gz ax ay az
+/// for an IMU, timestamp and three values for one of its sensors. Values are in SI units; nan is a
+/// lost sample.
+///
+/// The header may give the unit of the stamps, as in "timestamp [ns]": s, ms, us or ns. Without a
+/// unit they are seconds; but whole numbers above 1e15 are nanoseconds. They are read as decimal
+/// numbers, exact to the nanosecond.
+///
+/// Throws InputError starting with `name` when the text is anything else.
+std::vector<PoseSample> ReadPoseTable(std::istream& in, const std::string& name);
+void ReadImuTable(std::istream& in, const std::string& name, CalibrationData* data);
+std::vector<ImuSample> ReadGyroTable(std::istream& in, const std::string& name);
+std::vector<ImuSample> ReadAccelTable(std::istream& in, const std::string& name);
+
+/// Whether the first line is a header with all columns of poses, or of an IMU.
+bool HasPoseHeader(std::istream& in, const std::string& name);
+bool HasImuHeader(std::istream& in, const std::string& name);
+
+}  // namespace imu_pose_calib
