@@ -10,7 +10,7 @@
 namespace imu_pose_calib {
 namespace {
 
-// Keys of Kalibr's imu.yaml and of its result.
+// Keys of Kalibr's imu.yaml and of its result, and of EuRoC's sensor.yaml.
 const std::vector<std::string> kKeys = {"gyroscope_noise_density",
                                         "gyroscope_random_walk",
                                         "accelerometer_noise_density",
@@ -21,7 +21,11 @@ const std::vector<std::string> kKeys = {"gyroscope_noise_density",
                                         "time_offset",
                                         "T_i_b",
                                         "accelerometers",
-                                        "gyroscopes"};
+                                        "gyroscopes",
+                                        "sensor_type",
+                                        "comment",
+                                        "T_BS",
+                                        "rate_hz"};
 
 /// The map that holds the keys.
 YAML::Node FindImu(const YAML::Node& root) {
@@ -81,9 +85,11 @@ void ImuYaml::CopyNoise(CalibrationOptions* options) const {
   options->accel_bias_walk = accelerometer_random_walk;
 }
 
+ImuYaml ParseImuYaml(const std::string& yaml) { return Read(FindImu(ParseYaml(yaml))); }
+
 ImuYaml LoadImuYaml(const std::string& path) {
   try {
-    return Read(FindImu(LoadYaml(path)));
+    return ParseImuYaml(ReadYamlFile(path));
   } catch (const InputError& error) {
     throw InputError("imu_yaml '" + path + "': " + error.what());
   }

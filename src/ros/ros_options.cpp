@@ -127,17 +127,23 @@ Method ParseMethod(const std::string& name) {
   throw InputError("method '" + name + "' does not exist; available: " + known);
 }
 
-CalibrationOptions LoadOptions(const std::string& yaml_path) {
+CalibrationOptions ParseOptions(const std::string& yaml) {
   CalibrationOptions options;
   try {
-    ReadMap(LoadYaml(yaml_path), &options);
-    options.Validate();
+    ReadMap(ParseYaml(yaml), &options);
+  } catch (const TypeError&) {
+    throw InputError("keys must be strings");
+  }
+  options.Validate();
+  return options;
+}
+
+CalibrationOptions LoadOptions(const std::string& yaml_path) {
+  try {
+    return ParseOptions(ReadYamlFile(yaml_path));
   } catch (const InputError& error) {
     throw InputError("config '" + yaml_path + "': " + error.what());
-  } catch (const TypeError&) {
-    throw InputError("config '" + yaml_path + "': keys must be strings");
   }
-  return options;
 }
 
 std::string ToYaml(const CalibrationOptions& options) {

@@ -114,6 +114,16 @@ TEST_F(OptionsFile, RefusesFilesThatAreNoMapOfOptions) {
   ExpectRefusal("max_gap_s: 1\nmax_gap_s: 2\n", {"max_gap_s", "twice"});
   ExpectRefusal("max_gap_s: 1\n  method: [\n", {"options.yaml", "line 2"});
   ExpectError<InputError>([&] { LoadOptions(Path("missing.yaml")); }, {"missing.yaml", "read"});
+  ExpectError<InputError>([&] { LoadOptions(dir_.string()); }, {dir_.string(), "is a directory"});
+}
+
+TEST_F(OptionsFile, RefusesFilesThatAParserCouldChokeOn) {
+  ExpectRefusal("max_gap_s: 1\nmethod: " + std::string(5000, '['), {"line 2: nested deeper"});
+  std::string nested = "- ";
+  for (int k = 0; k < 100; ++k) nested += "- ";
+  ExpectRefusal(nested + "1\n", {"line 1: nested deeper than 20 levels"});
+  ExpectRefusal("#" + std::string(100'000, ' '), {"larger than 100 kB"});
+  ExpectRefusal(std::string("\0\1\2 : \xFF", 7), {"options.yaml"});
 }
 
 }  // namespace

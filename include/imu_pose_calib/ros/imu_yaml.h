@@ -18,11 +18,15 @@ struct ImuYaml {
   void CopyNoise(CalibrationOptions* options) const;
 };
 
-/// Reads an imu.yaml, with its keys at the top or, as in Kalibr's results, below `imu0`. The noise
-/// keys are required. Keys of Kalibr that say nothing about noise are passed over.
+/// Reads the text of an imu.yaml, with its keys at the top or, as in Kalibr's results, below
+/// `imu0`, or of a sensor.yaml of EuRoC. The noise keys are required. Keys of these files that say
+/// nothing about noise are passed over.
 ///
-/// Throws InputError naming file, key and bound for a key that is missing, unknown, of the wrong
-/// type or out of range.
+/// Throws InputError naming key and bound for a key that is missing, unknown, of the wrong type or
+/// out of range.
+ImuYaml ParseImuYaml(const std::string& yaml);
+
+/// The same of a file, which the error names too.
 ImuYaml LoadImuYaml(const std::string& path);
 
 }  // namespace imu_pose_calib

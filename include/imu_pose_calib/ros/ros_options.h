@@ -56,14 +56,17 @@ void VisitFields(Options&& options, Visitor&& visit) {
 /// Method of that name; InputError listing the names when there is none.
 Method ParseMethod(const std::string& name);
 
-/// Options of a YAML file: a map whose keys are field names of CalibrationOptions. Fields without a
+/// Options of a YAML text: a map whose keys are field names of CalibrationOptions. Fields without a
 /// key keep their default; `~` means "not given" for the optional ones. Rotations are [x, y, z, w],
 /// translations [x, y, z].
-/// Throws InputError naming the file and the key for a key that does not exist (with the nearest
-/// one that does), a value of the wrong type, or a value out of range.
+/// Throws InputError naming the key for a key that does not exist (with the nearest one that does),
+/// a value of the wrong type, or a value out of range.
+CalibrationOptions ParseOptions(const std::string& yaml);
+
+/// The same of a file, which the error names too.
 CalibrationOptions LoadOptions(const std::string& yaml_path);
 
-/// The same map for every field, one `key: value` a line; LoadOptions() reads it back exactly.
+/// The same map for every field, one `key: value` a line; ParseOptions() reads it back exactly.
 std::string ToYaml(const CalibrationOptions& options);
 
 }  // namespace imu_pose_calib

@@ -7,8 +7,13 @@
 
 namespace imu_pose_calib {
 
-/// The content of a YAML file. InputError, without the path, when it is none.
-YAML::Node LoadYaml(const std::string& path);
+/// The text of the file at `path`, at most 100 kB. Throws InputError with the reason, without the
+/// path.
+std::string ReadYamlFile(const std::string& path);
+
+/// The first document of a YAML text. Throws InputError naming the line when the text is not YAML
+/// or nests deeper than 20 levels, on which a parser could exhaust the stack.
+YAML::Node ParseYaml(const std::string& text);
 
 /// The one of `names` with the smallest edit distance to `name`.
 std::string Nearest(const std::string& name, const std::vector<std::string>& names);

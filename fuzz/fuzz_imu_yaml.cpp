@@ -1,0 +1,20 @@
+// Any text is the noise of an IMU, within the bounds of the options, or an InputError.
+
+#include <cstdint>
+
+#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/ros/imu_yaml.h"
+
+extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
+  using namespace imu_pose_calib;
+  ImuYaml imu;
+  try {
+    imu = ParseImuYaml(std::string(reinterpret_cast<const char*>(data), size));
+  } catch (const InputError&) {
+    return 0;
+  }
+  CalibrationOptions options;
+  imu.CopyNoise(&options);
+  options.Validate();
+  return 0;
+}

@@ -1,0 +1,24 @@
+// Any text is a table of samples or an InputError.
+
+#include <sstream>
+
+#include "imu_pose_calib/ros/text_table.h"
+
+extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
+  using namespace imu_pose_calib;
+  const std::string text(reinterpret_cast<const char*>(data), size);
+  const auto read = [&](auto read_table) {
+    std::istringstream in(text);
+    try {
+      read_table(in);
+    } catch (const InputError&) {
+    }
+  };
+  CalibrationData imu;
+  read([&](std::istream& in) { ReadPoseTable(in, "poses"); });
+  read([&](std::istream& in) { ReadImuTable(in, "imu", &imu); });
+  read([&](std::istream& in) { ReadGyroTable(in, "gyro"); });
+  read([&](std::istream& in) { ReadAccelTable(in, "accel"); });
+  read([&](std::istream& in) { HasPoseHeader(in, "poses"); });
+  return 0;
+}
