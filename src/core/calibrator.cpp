@@ -20,6 +20,7 @@ void ReportData(const ConditionedData& data, Calibration* result) {
   result->accel = data.accel_report;
   result->segments = data.segments.size();
   result->gaps = data.gaps;
+  result->jumps = data.jumps;
 }
 
 void ReportTrajectory(const PoseTrajectory& trajectory,
@@ -73,7 +74,8 @@ Calibration Calibrate(const CalibrationOptions& options, const CalibrationData& 
   result.imu_model = options.imu_model;
 
   ConditionedData conditioned = Condition(options, data);
-  const PoseTrajectory trajectory = FitTrajectory(options, &conditioned);
+  PoseTrajectory trajectory = FitTrajectory(options, &conditioned);
+  RemoveFlippedSegments(options, &trajectory, &conditioned);
   ReportData(conditioned, &result);
   ReportTrajectory(trajectory, conditioned, &result);
   // With a known lever arm or rotation a turn about one axis may do: the covariance will tell.

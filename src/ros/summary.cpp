@@ -63,7 +63,9 @@ std::string Dropped(const StreamReport& report) {
   add(report.reversed_stamp, "reversed stamp");
   add(report.duplicate_stamp, "duplicate stamp");
   add(report.repeated_value, "repeated value");
+  add(report.saturated, "saturated");
   add(report.outlier, "outlier");
+  add(report.flipped, "flipped");
   add(report.in_short_segment, "between gaps");
   return reasons.empty() ? "" : "; dropped " + reasons;
 }
@@ -82,8 +84,11 @@ std::string Data(const Calibration& result, const RecordingInfo& info) {
   text += Stream("  poses  ", info.pose_topic, result.poses);
   text += Stream("  gyro   ", is_split ? info.gyro_topic : info.imu_topic, result.gyro);
   text += Stream("  accel  ", is_split ? info.accel_topic : info.imu_topic, result.accel);
-  if (result.gaps > 0)
-    text += Format("  %zu gaps in the poses leave %zu segments\n", result.gaps, result.segments);
+  if (result.gaps + result.jumps > 0)
+    text += Format("  %zu gaps and %zu jumps in the poses leave %zu segments\n",
+                   result.gaps,
+                   result.jumps,
+                   result.segments);
   return text;
 }
 
