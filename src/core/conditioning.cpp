@@ -141,9 +141,9 @@ void CheckAlive(const std::string& stream, const std::vector<ImuSample>& samples
     Refuse(stream,
            ": all ",
            received,
-           " samples are (",
-           first.transpose(),
-           "): the sensor is not read; look at its driver and record again");
+           " samples are ",
+           first.isZero(0.0) ? "zero" : "the same",
+           ": the sensor is not read; look at its driver and record again");
   for (int axis = 0; axis < 3 && samples.size() > 1; ++axis) {
     const auto is_same = [&](const ImuSample& s) { return s.value[axis] == first[axis]; };
     if (!std::all_of(samples.begin(), samples.end(), is_same)) continue;
@@ -164,9 +164,7 @@ void CheckAlive(const std::vector<PoseSample>& poses) {
     return s.q_WM.coeffs() == poses.front().q_WM.coeffs();
   };
   if (std::all_of(poses.begin(), poses.end(), is_there))
-    Refuse("pose: the position is always (",
-           poses.front().p_WM.transpose(),
-           ") m; use a source that gives positions too");
+    Refuse("pose: the position never changes; use a source that gives positions too");
   if (std::all_of(poses.begin(), poses.end(), is_so))
     Refuse("pose: the orientation never changes; use a source that gives orientations too");
 }

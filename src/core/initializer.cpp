@@ -124,17 +124,22 @@ double Evidence(double correlation, double n) {
 /// How the recorded poses are read.
 enum class PoseReading { kAsGiven, kInverted, kScalarFirst };
 
-/// Rate of the marker [rad/s] when its poses are read in this way. All readings turn equally fast.
-Eigen::Vector3d Rate(const MarkerState<double>& state, PoseReading reading) {
-  if (reading == PoseReading::kAsGiven) return state.omega_M;
-  if (reading == PoseReading::kInverted) return -(state.q_WM * state.omega_M);
-  // (x, y, z, w) as recorded are w, x, y, z
-  const auto reorder = [](const Eigen::Quaterniond& q) {
-    return Eigen::Quaterniond(q.x(), q.y(), q.z(), q.w());
-  };
-  const Eigen::Vector3d half = 0.5 * state.omega_M;
-  const Eigen::Quaterniond q_dot = state.q_WM * Eigen::Quaterniond(0, half.x(), half.y(), half.z());
-  return 2.0 * (reorder(state.q_WM).conjugate() * reorder(q_dot)).vec();
+/// Orientation of the marker and its rate [rad/s] when its poses are read in this way. All readings
+/// turn equally fast.
+void Read(PoseReading reading, MarkerState<double>* state) {
+  const Eigen::Vector3d half = 0.5 * state->omega_M;
+  if (reading == PoseReading::kInverted) {
+    state->omega_M = -(state->q_WM * state->omega_M);
+    state->q_WM = state->q_WM.conjugate();
+  } else if (reading == PoseReading::kScalarFirst) {  // the fields x, y, z, w hold w, x, y, z
+    const auto reorder = [](const Eigen::Quaterniond& q) {
+      return Eigen::Quaterniond(q.x(), q.y(), q.z(), q.w());
+    };
+    const Eigen::Quaterniond q_dot =
+        reorder(state->q_WM * Eigen::Quaterniond(0.0, half.x(), half.y(), half.z()));
+    state->q_WM = reorder(state->q_WM);
+    state->omega_M = 2.0 * (state->q_WM.conjugate() * q_dot).vec();
+  }
 }
 
 /// The rates of marker and gyroscope at one instant.
@@ -151,7 +156,9 @@ std::vector<RatePair> PairRates(const PoseTrajectory& trajectory,
   for (size_t i = 0; i < gyro.size(); i += Stride(gyro.size())) {
     const double t = gyro[i].t + time_shift;
     MarkerState<double> state;
-    if (trajectory.Evaluate(t, &state)) pairs.push_back({t, Rate(state, reading), gyro[i].value});
+    if (!trajectory.Evaluate(t, &state)) continue;
+    Read(reading, &state);
+    pairs.push_back({t, state.omega_M, gyro[i].value});
   }
   return pairs;
 }
@@ -191,37 +198,62 @@ Eigen::Vector3d Residual(const RateAlignment& alignment, const RatePair& pair) {
   return pair.gyro_I - alignment.gyro_bias - alignment.q_MI.conjugate() * pair.omega_M;
 }
 
-/// Throws when another reading of the poses explains the gyroscope far better.
+/// Norm of the mean specific force in the world [m/s^2]: gravity when orientations and R_MI are
+/// right, less when they smear it.
+double MeanForce(const PoseTrajectory& trajectory,
+                 const std::vector<TimedSample>& accel,
+                 double time_shift,
+                 const Eigen::Quaterniond& q_MI,
+                 PoseReading reading) {
+  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+  double count = 1e-9;
+  for (size_t i = 0; i < accel.size(); i += Stride(accel.size())) {
+    MarkerState<double> state;
+    if (!trajectory.Evaluate(accel[i].t + time_shift, &state)) continue;
+    Read(reading, &state);
+    sum += state.q_WM * (q_MI * accel[i].value);
+    count += 1.0;
+  }
+  return sum.norm() / count;
+}
+
+/// Throws when another reading of the poses explains the gyroscope far better. Inverted poses and
+/// misplaced quaternion components turn alike; gravity tells them apart.
 void CheckPoseReading(const CalibrationOptions& options,
                       const PoseTrajectory& trajectory,
-                      const std::vector<TimedSample>& gyro,
+                      const ConditionedData& data,
                       const std::vector<double>& time_shifts,
                       const RateAlignment& as_given) {
   if (as_given.explained > kSurelyExplained) return;
+  const double needed =
+      std::max(1.0 - kMaxUnexplainedOther, 1.0 - kMaxUnexplainedRatio * (1.0 - as_given.explained));
+  double strongest = 0.0, explained = 0.0;
+  PoseReading best = PoseReading::kAsGiven;
   for (const PoseReading reading : {PoseReading::kInverted, PoseReading::kScalarFirst}) {
-    RateAlignment other;
     for (const double shift : time_shifts) {
-      const RateAlignment alignment = Align(PairRates(trajectory, gyro, shift, reading));
-      if (alignment.explained > other.explained) other = alignment;
+      const RateAlignment other = Align(PairRates(trajectory, data.gyro, shift, reading));
+      if (other.explained < needed) continue;
+      const double force = MeanForce(trajectory, data.accel, shift, other.q_MI, reading);
+      if (force < strongest) continue;
+      strongest = force;
+      explained = other.explained;
+      best = reading;
     }
-    const double unexplained = 1.0 - other.explained;
-    if (unexplained > kMaxUnexplainedOther ||
-        unexplained > kMaxUnexplainedRatio * (1.0 - as_given.explained))
-      continue;
-    std::ostringstream text;
-    text.precision(3);
-    text << "the turn rates of poses and gyroscope agree only when the "
-         << (reading == PoseReading::kInverted ? "poses are inverted"
-                                               : "quaternions are read as w, x, y, z")
-         << " (explains " << 100.0 * other.explained << " % of the gyroscope's variance, as given "
-         << 100.0 * std::max(0.0, as_given.explained) << " %); ";
-    if (reading == PoseReading::kInverted)
-      text << "poses must be those of the marker in the world: set invert_poses: "
-           << (options.invert_poses ? "false" : "true");
-    else
-      text << "the source fills their fields in the wrong order: write x, y, z, w";
-    throw DataError(text.str());
   }
+  if (best == PoseReading::kAsGiven) return;
+  const bool inverted = best == PoseReading::kInverted;
+  std::ostringstream text;
+  text.precision(3);
+  text << "the turn rates of poses and gyroscope agree only when the "
+       << (inverted ? "poses are inverted" : "quaternions are read as w, x, y, z") << " (explains "
+       << 100.0 * explained << " % of the gyroscope's variance, as given "
+       << 100.0 * std::max(0.0, as_given.explained) << " %); ";
+  if (inverted)
+    text << "poses must be those of the marker in the world: set invert_poses: "
+         << (options.invert_poses ? "false" : "true");
+  else
+    text << "the source fills their fields in the wrong order: write x, y, z, w";
+  throw DataError(text.str());
 }
 
 std::string RateMismatch(const RateAlignment& best) {
@@ -575,7 +607,7 @@ Start Initialise(const CalibrationOptions& options,
     best = alignment;
     start.time_shift = shift;
   }
-  CheckPoseReading(options, trajectory, data.gyro, shifts, best);
+  CheckPoseReading(options, trajectory, data, shifts, best);
   if (best.explained < kMinExplained) throw DataError(RateMismatch(best));
   CheckGyroUnit(best);
   start.q_MI = options.initial_rotation ? options.initial_rotation->normalized() : best.q_MI;

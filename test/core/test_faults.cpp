@@ -170,8 +170,8 @@ const Fault kFaults[] = {
      [](SimulatorOptions* t) {
        t->pose_rate_hz = 10.0;
        t->duration_s = 40.0;
-       t->position_std = 1e-2;
-       t->rotation_std = 5e-3;
+       t->position_std = 2e-3;
+       t->rotation_std = 1e-3;
      },
      {},
      {}},
@@ -199,6 +199,153 @@ INSTANTIATE_TEST_SUITE_P(Calibrate,
                          RepairedFault,
                          ::testing::ValuesIn(kFaults),
                          [](const auto& test) { return std::string(test.param.name); });
+
+/// A recording that cannot be used as it is, and parts of the one line that says so.
+struct Refused {
+  const char* name;
+  std::function<void(CalibrationData*)> spoil;
+  std::vector<std::string> parts;
+};
+std::ostream& operator<<(std::ostream& out, const Refused& refused) { return out << refused.name; }
+
+class RefusedRecording : public ::testing::TestWithParam<Refused> {};
+
+TEST_P(RefusedRecording, SaysWhatAndWhatToDo) {
+  CalibrationData data = Simulate(Truth(41));
+  GetParam().spoil(&data);
+  const std::string text = ErrorText<DataError>([&] { Calibrate(CalibrationOptions(), data); });
+  for (const std::string& part : GetParam().parts) EXPECT_TRUE(Contains(text, part));
+  EXPECT_EQ(std::count(text.begin(), text.end(), '\n'), 0) << text;
+}
+
+template <typename Sample>
+void Scale(double factor, std::vector<Sample>* samples) {
+  for (Sample& s : *samples) s.value *= factor;
+}
+
+const Refused kRefused[] = {
+    {"TooShort",
+     [](CalibrationData* d) { d->poses.resize(300); },
+     {"pose: 300 of 300 samples are usable and span 2.99 s", "at least 5 s"}},
+    {"NoOverlap",
+     [](CalibrationData* d) {
+       RemoveBetween(0.0, 10.0, &d->poses);
+       RemoveBetween(8.0, 30.0, &d->gyro);
+       RemoveBetween(8.0, 30.0, &d->accel);
+     },
+     {"agree at no time shift", "overlap"}},
+    {"OneSample", [](CalibrationData* d) { d->accel.resize(1); }, {"accelerometer: 1 of 1"}},
+    {"GyroscopeInDegrees",
+     [](CalibrationData* d) { Scale(180.0 / M_PI, &d->gyro); },
+     {"gyroscope", "deg/s", "set gyro_unit: 0.0174532925"}},
+    {"GyroscopeInRevolutions",
+     [](CalibrationData* d) { Scale(0.5 / M_PI, &d->gyro); },
+     {"gyroscope", "times the marker's (bound: 0.5 to 2)", "set gyro_unit"}},
+    {"AccelerometerInG",
+     [](CalibrationData* d) { Scale(1.0 / 9.80665, &d->accel); },
+     {"accelerometer: median norm", "bound: 3.92", "set accel_unit: 9.80665"}},
+    {"AccelerometerInMilliG",
+     [](CalibrationData* d) { Scale(1e3 / 9.80665, &d->accel); },
+     {"accelerometer: median norm", "set accel_unit: 0.00980665"}},
+    {"GyroscopeAllZero",
+     [](CalibrationData* d) { Scale(0.0, &d->gyro); },
+     {"gyroscope: all 4000 samples are zero", "driver"}},
+    {"AccelerometerAllZero",
+     [](CalibrationData* d) { Scale(0.0, &d->accel); },
+     {"accelerometer: all 4000 samples are zero", "driver"}},
+    {"ImuAllZero",
+     [](CalibrationData* d) {
+       Scale(0.0, &d->gyro);
+       Scale(0.0, &d->accel);
+     },
+     {"gyroscope: all 4000 samples are zero"}},
+    {"ADeadGyroscopeAxis",
+     [](CalibrationData* d) {
+       for (ImuSample& s : d->gyro) s.value.z() = 0.0;
+     },
+     {"gyroscope: its z axis is always 0"}},
+    {"PositionsInMillimetres",
+     [](CalibrationData* d) {
+       for (PoseSample& s : d->poses) s.p_WM *= 1e3;
+     },
+     {"pose", "look like millimetres", "set position_unit: 1.0e-3"}},
+    {"PositionsInCentimetres",
+     [](CalibrationData* d) {
+       for (PoseSample& s : d->poses) s.p_WM *= 1e2;
+     },
+     {"look like centimetres", "set position_unit: 1.0e-2"}},
+    {"NoPositions",
+     [](CalibrationData* d) {
+       for (PoseSample& s : d->poses) s.p_WM.setZero();
+     },
+     {"pose: the position never changes"}},
+    {"NoOrientations",
+     [](CalibrationData* d) {
+       for (PoseSample& s : d->poses) s.q_WM.setIdentity();
+     },
+     {"pose: the orientation never changes"}},
+    {"InvertedPoses",
+     [](CalibrationData* d) {
+       for (PoseSample& s : d->poses) {
+         s.q_WM = s.q_WM.conjugate();
+         s.p_WM = -(s.q_WM * s.p_WM);
+       }
+     },
+     {"only when the poses are inverted", "set invert_poses: true"}},
+    {"QuaternionsWithWFirst",
+     [](CalibrationData* d) {
+       for (PoseSample& s : d->poses) {
+         const Quaterniond q = s.q_WM;
+         s.q_WM.coeffs() << q.w(), q.x(), q.y(), q.z();
+       }
+     },
+     {"quaternions are read as w, x, y, z", "write x, y, z, w"}},
+    {"AFlippingMarker",
+     [](CalibrationData* d) {
+       for (const double t : {3.0, 8.0, 14.0}) SwapLabels(t, t + 3.0, Turn(90.0, {0, 0, 1}), d);
+     },
+     {"the marker's frame flips", "bound: 60 %", "less symmetrically"}},
+    {"ASaturatedGyroscope",
+     [](CalibrationData* d) { Clip(1.0, &d->gyro); },
+     {"samples are at the end of the sensor's range (1)", "bound: 10 %"}},
+};
+
+INSTANTIATE_TEST_SUITE_P(Calibrate,
+                         RefusedRecording,
+                         ::testing::ValuesIn(kRefused),
+                         [](const auto& test) { return std::string(test.param.name); });
+
+TEST(Calibrate, SaysThatGravityIsMissing) {
+  SimulatorOptions truth = Truth(42);
+  truth.g_W.setZero();
+  const std::string text =
+      ErrorText<DataError>([&] { Calibrate(CalibrationOptions(), Simulate(truth)); });
+  EXPECT_TRUE(Contains(text, "accelerometer"));
+  EXPECT_TRUE(Contains(text, "removed"));
+  EXPECT_TRUE(Contains(text, "raw accelerometer"));
+}
+
+TEST(Calibrate, ReadsTheUnitsAndThePosesAsTheOptionsSay) {
+  const CalibrationData plain = Simulate(Truth(43));
+  CalibrationData data = plain;
+  Scale(180.0 / M_PI, &data.gyro);
+  Scale(1.0 / 9.80665, &data.accel);
+  for (PoseSample& s : data.poses) {
+    s.q_WM = s.q_WM.conjugate();
+    s.p_WM = -1e3 * (s.q_WM * s.p_WM);
+  }
+  CalibrationOptions options;
+  options.num_threads = 1;
+  const Calibration expected = Calibrate(options, plain);
+  options.gyro_unit = M_PI / 180.0;
+  options.accel_unit = 9.80665;
+  options.position_unit = 1e-3;
+  options.invert_poses = true;
+  const Calibration result = Calibrate(options, data);
+  EXPECT_LT((result.T_MI.p - expected.T_MI.p).norm(), 1e-6);
+  EXPECT_LT(result.T_MI.q.angularDistance(expected.T_MI.q), 1e-6);
+  EXPECT_NEAR(result.time_shift, expected.time_shift, 1e-7);
+}
 
 }  // namespace
 }  // namespace imu_pose_calib
