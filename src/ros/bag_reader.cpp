@@ -8,6 +8,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <cmath>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
@@ -15,6 +16,7 @@
 #include <sstream>
 #include <vector>
 
+#include "imu_pose_calib/core/median.h"
 #include "imu_pose_calib/ros/conversions.h"
 
 namespace imu_pose_calib {
@@ -294,26 +296,46 @@ void CheckStamps(const std::string& topic, const std::vector<Sample>& samples) {
     throw InputError("'" + topic + "' has no header stamps (all are 0); they are needed");
 }
 
+/// Record time minus stamp [s].
+double Delay(const rosbag::MessageInstance& instance, int64_t stamp_ns) {
+  return 1e-9 * static_cast<double>(ToNanoseconds(instance.getTime()) - stamp_ns);
+}
+
+Latency Summarise(std::vector<double> delays) {
+  Latency latency;
+  if (delays.empty()) return latency;
+  latency.median_s = Median(delays);
+  for (double& delay : delays) delay = std::abs(delay - latency.median_s);
+  latency.spread_s = 1.4826 * Median(std::move(delays));
+  return latency;
+}
+
 void ReadImu(const BagFile& bag, const ImuTopics& imu, Recording* recording) {
   std::string frame;
+  std::vector<double> gyro_delays, accel_delays;
   bag.ForEach(imu.gyro, [&](const rosbag::MessageInstance& instance) {
     const auto msg = Instantiate<sensor_msgs::Imu>(instance);
     recording->data.gyro.push_back(ToGyroSample(*msg));
+    gyro_delays.push_back(Delay(instance, recording->data.gyro.back().t_ns));
     frame = msg->header.frame_id;
     return true;
   });
   bag.ForEach(imu.accel, [&](const rosbag::MessageInstance& instance) {
     recording->data.accel.push_back(ToAccelSample(*Instantiate<sensor_msgs::Imu>(instance)));
+    accel_delays.push_back(Delay(instance, recording->data.accel.back().t_ns));
     return true;
   });
   CheckStamps(imu.gyro.name, recording->data.gyro);
   CheckStamps(imu.accel.name, recording->data.accel);
   recording->info.imu_frame = FrameName(frame, "imu");
+  recording->info.gyro_latency = Summarise(std::move(gyro_delays));
+  recording->info.accel_latency = Summarise(std::move(accel_delays));
 }
 
 void ReadPoses(const BagFile& bag, const Topic& topic, Recording* recording) {
   const PoseType& type = *FindPoseType(topic.type);
   FramedPose first;
+  std::vector<double> delays;
   bag.ForEach(topic, [&](const rosbag::MessageInstance& instance) {
     const FramedPose framed = type.read(instance);
     if (recording->data.poses.empty()) first = framed;
@@ -322,9 +344,11 @@ void ReadPoses(const BagFile& bag, const Topic& topic, Recording* recording) {
                        first.world_frame + "' -> '" + first.marker_frame + "' and '" +
                        framed.world_frame + "' -> '" + framed.marker_frame + "'");
     recording->data.poses.push_back(framed.pose);
+    delays.push_back(Delay(instance, framed.pose.t_ns));
     return true;
   });
   CheckStamps(topic.name, recording->data.poses);
+  recording->info.pose_latency = Summarise(std::move(delays));
   recording->info.world_frame = FrameName(first.world_frame, "world");
   recording->info.marker_frame = FrameName(first.marker_frame, "marker");
 }

@@ -48,6 +48,12 @@ OfflineResult CalibrateOffline(const OfflineRequest& request) {
   return offline;
 }
 
+OfflineCheck CheckOffline(const OfflineRequest& request) {
+  const CalibrationOptions options = Options(request);
+  const Recording recording = ReadBag(request.bag);
+  return {CheckData(options, recording.data), recording.info};
+}
+
 int ExitStatus(const std::exception& error) {
   return dynamic_cast<const DataError*>(&error) != nullptr ? 2 : 1;
 }

@@ -4,6 +4,7 @@
 #include <string>
 
 #include "imu_pose_calib/core/calibrator.h"
+#include "imu_pose_calib/core/data_check.h"
 #include "imu_pose_calib/ros/bag_reader.h"
 #include "imu_pose_calib/ros/recording.h"
 
@@ -32,6 +33,16 @@ struct OfflineResult {
 /// Throws InputError when something cannot be used as given, DataError when no calibration can come
 /// from the data: so the result is always usable.
 OfflineResult CalibrateOffline(const OfflineRequest& request);
+
+/// Checks of one bag without a calibration.
+struct OfflineCheck {
+  DataCheck check;
+  RecordingInfo info;
+};
+
+/// Reads the bag and judges it; writes and removes nothing.
+/// Throws InputError when something cannot be used as given.
+OfflineCheck CheckOffline(const OfflineRequest& request);
 
 /// Exit status of an executable that failed: 2 for data that cannot be calibrated, else 1.
 int ExitStatus(const std::exception& error);
