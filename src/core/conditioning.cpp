@@ -399,7 +399,7 @@ void CutSegments(const std::vector<size_t>& jumps,
       const bool joins = last_end > segment.begin && last_end < run.begin &&
                          poses[run.begin].t - poses[last_end - 1].t <= max_gap;
       if (!joins) data->segments.push_back({data->poses.size(), data->poses.size()});
-      if (last_end > segment.begin && !joins) ++data->jumps;
+      if (last_end > segment.begin && !joins) ++(last_end == run.begin ? data->jumps : data->gaps);
       data->poses.insert(data->poses.end(),
                          poses.begin() + static_cast<ptrdiff_t>(run.begin),
                          poses.begin() + static_cast<ptrdiff_t>(run.end));
