@@ -129,7 +129,7 @@ TEST(CheckData, WarnsOfSwappedLabelsSaturationAndOutliers) {
   ExpectWarning(Check(flipped), {"300 poses that turn against the gyroscope", "symmetrically"});
   double peak = 0.0;
   for (const ImuSample& s : clipped.gyro) peak = std::max(peak, s.value.cwiseAbs().maxCoeff());
-  Clip(0.75 * peak, &clipped.gyro);
+  Clip(0.85 * peak, &clipped.gyro);
   ExpectWarning(Check(clipped), {"gyroscope", "end of the sensor's range"});
   AddOutliers(0.05, 1, &spoiled);
   ExpectWarning(Check(spoiled), {"pose", "outliers"});
