@@ -74,7 +74,7 @@ Calibration Calibrate(const CalibrationOptions& options, const CalibrationData& 
   result.method = options.method;
   result.imu_model = options.imu_model;
 
-  DataCheck check = CheckStreams(options, data);
+  DataCheck check = CheckStreams(data);
   ConditionedData conditioned = Condition(options, data);
   PoseTrajectory trajectory = FitTrajectory(options, &conditioned);
   RemoveFlippedSegments(options, &trajectory, &conditioned);

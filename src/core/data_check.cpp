@@ -266,7 +266,7 @@ double Overlap(const ConditionedData& data, double time_shift) {
 
 }  // namespace
 
-DataCheck CheckStreams(const CalibrationOptions&, const CalibrationData& data) {
+DataCheck CheckStreams(const CalibrationData& data) {
   DataCheck check;
   check.poses = CheckStream(data.poses);
   check.gyro = CheckStream(data.gyro);
@@ -366,7 +366,7 @@ void CheckMatch(const CalibrationOptions& options,
 
 DataCheck CheckData(const CalibrationOptions& options, const CalibrationData& data) {
   options.Validate();
-  DataCheck check = CheckStreams(options, data);
+  DataCheck check = CheckStreams(data);
   try {
     ConditionedData conditioned = Condition(options, data);
     PoseTrajectory trajectory = FitTrajectory(options, &conditioned);

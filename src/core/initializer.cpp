@@ -567,7 +567,7 @@ void FitLeverArm(const PoseTrajectory& trajectory,
   const auto equations_at = [&](double delay) {
     return LeverArmEquations(trajectory, accel, *start, delay);
   };
-  double lowest;
+  double lowest = 0.0;
   double best_delay = start->accel_delay;
   LeverArmEquations equations = equations_at(best_delay);
   Eigen::Matrix<double, 9, 1> best = equations.Solve(&lowest);
@@ -575,7 +575,7 @@ void FitLeverArm(const PoseTrajectory& trajectory,
   for (int k = -steps; k <= steps; ++k) {
     const double delay = start->accel_delay + k * kDelayStep;
     const LeverArmEquations candidate = equations_at(delay);
-    double residual;
+    double residual = 0.0;
     const Eigen::Matrix<double, 9, 1> x = candidate.Solve(&residual);
     if (residual >= lowest) continue;
     lowest = residual;

@@ -52,7 +52,7 @@ struct DataCheck {
 };
 
 /// Checks of the samples as recorded: rates, stamps, repetitions.
-DataCheck CheckStreams(const CalibrationOptions& options, const CalibrationData& data);
+DataCheck CheckStreams(const CalibrationData& data);
 
 /// Checks of what S0 and S1 made of them: what was dropped, rest, excitation.
 void CheckMotion(const CalibrationOptions& options,
