@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdlib>
+#include <limits>
 #include <sstream>
 #include <string>
 #include <utility>
@@ -80,12 +82,20 @@ std::vector<Sample> Clean(const std::string& stream,
 
   std::vector<Sample> kept;
   kept.reserve(samples.size());
-  int64_t latest = samples.front().t_ns;
+  std::vector<int64_t> stamps;
+  for (const Sample& s : samples) stamps.push_back(s.t_ns);
+  std::nth_element(
+      stamps.begin(), stamps.begin() + static_cast<ptrdiff_t>(stamps.size() / 2), stamps.end());
+  const int64_t median = stamps[stamps.size() / 2];
+  size_t astray = 0;
+  int64_t latest = std::numeric_limits<int64_t>::min() + kMaxReorderNs;
   for (const Sample& s : samples) {
     if (!IsFinite(s)) {
       ++report->not_finite;
     } else if (!HasRotation(s)) {
       ++report->zero_quaternion;
+    } else if (std::abs(s.t_ns - median) > kMaxAstrayNs) {
+      ++astray;
     } else if (s.t_ns < latest - kMaxReorderNs) {
       ++report->reversed_stamp;
     } else {
@@ -97,11 +107,18 @@ std::vector<Sample> Clean(const std::string& stream,
   CheckShare(stream, "are not finite", report->not_finite, n, max_bad_fraction);
   CheckShare(stream, "have a zero quaternion", report->zero_quaternion, n, max_bad_fraction);
   CheckShare(stream,
+             "are stamped hours from most others: its clock jumped; cut the recording at the jump",
+             astray,
+             n,
+             max_bad_fraction);
+  CheckShare(stream,
              "are stamped more than 1 s before a sample that arrived earlier: its clock jumped "
              "back; cut the recording at the jump",
              report->reversed_stamp,
              n,
              max_bad_fraction);
+
+  report->reversed_stamp += astray;
 
   if (kept.empty()) Refuse("none of the ", n, " ", stream, " samples is usable");
 

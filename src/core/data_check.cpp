@@ -3,6 +3,7 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <cstdlib>
 #include <sstream>
 #include <utility>
 
@@ -65,6 +66,10 @@ StreamCheck CheckStream(const std::vector<Sample>& samples) {
   check.repeated = static_cast<double>(repeated) / n;
 
   std::sort(stamps.begin(), stamps.end());
+  const int64_t median = stamps[stamps.size() / 2];
+  const auto is_astray = [&](int64_t t_ns) { return std::abs(t_ns - median) > kMaxAstrayNs; };
+  stamps.erase(std::remove_if(stamps.begin(), stamps.end(), is_astray), stamps.end());
+  if (stamps.size() < 2) return check;
   check.duration_s = 1e-9 * static_cast<double>(stamps.back() - stamps.front());
   std::vector<double> periods;
   for (size_t i = 1; i < stamps.size(); ++i)

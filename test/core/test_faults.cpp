@@ -159,6 +159,17 @@ const Fault kFaults[] = {
        EXPECT_EQ(r.poses.not_finite, 40u);
        EXPECT_EQ(r.poses.zero_quaternion, 40u);
      }},
+    {"StampsAstray",
+     {},
+     [](CalibrationData* d) {
+       d->poses.front().t_ns = 0;
+       d->poses[1000].t_ns += 86400 * int64_t{1'000'000'000};
+       d->gyro.back().t_ns *= 2;
+     },
+     [](const Calibration& r) {
+       EXPECT_EQ(r.poses.reversed_stamp, 2u);
+       EXPECT_EQ(r.gyro.reversed_stamp, 1u);
+     }},
     {"QuaternionSignsAndNorms",
      {},
      [](CalibrationData* d) {

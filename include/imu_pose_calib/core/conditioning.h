@@ -8,6 +8,9 @@
 
 namespace imu_pose_calib {
 
+/// A sample stamped further from the median of its stream is astray (stamp 0, clock set meanwhile).
+constexpr int64_t kMaxAstrayNs = 6 * 3600 * int64_t{1'000'000'000};
+
 /// A pose at `t` [s] after ConditionedData::pose_epoch_ns.
 struct TimedPose {
   double t;
