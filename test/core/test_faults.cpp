@@ -174,7 +174,8 @@ const Fault kFaults[] = {
      {},
      [](CalibrationData* d) {
        for (size_t i = 0; i < d->poses.size(); ++i)
-         d->poses[i].q_WM.coeffs() *= (i % 3 == 0 ? -1.0 : 1.0) * (1.0 + 0.02 * (i % 7));
+         d->poses[i].q_WM.coeffs() *=
+             (i % 3 == 0 ? -1.0 : 1.0) * (1.0 + 0.02 * static_cast<double>(i % 7));
      },
      [](const Calibration& r) { EXPECT_EQ(r.poses.used, r.poses.received); }},
     {"PosesAt10Hz",
