@@ -121,43 +121,23 @@ double Evidence(double correlation, double n) {
   return -0.5 * n * std::log(1.0 - r * r);
 }
 
-/// How the recorded poses are read.
-enum class PoseReading { kAsGiven, kInverted, kScalarFirst };
-
-/// Orientation of the marker and its rate [rad/s] when its poses are read in this way. All readings
-/// turn equally fast.
-void Read(PoseReading reading, MarkerState<double>* state) {
-  const Eigen::Vector3d half = 0.5 * state->omega_M;
-  if (reading == PoseReading::kInverted) {
-    state->omega_M = -(state->q_WM * state->omega_M);
-    state->q_WM = state->q_WM.conjugate();
-  } else if (reading == PoseReading::kScalarFirst) {  // the fields x, y, z, w hold w, x, y, z
-    const auto reorder = [](const Eigen::Quaterniond& q) {
-      return Eigen::Quaterniond(q.x(), q.y(), q.z(), q.w());
-    };
-    const Eigen::Quaterniond q_dot =
-        reorder(state->q_WM * Eigen::Quaterniond(0.0, half.x(), half.y(), half.z()));
-    state->q_WM = reorder(state->q_WM);
-    state->omega_M = 2.0 * (state->q_WM.conjugate() * q_dot).vec();
-  }
-}
-
 /// The rates of marker and gyroscope at one instant.
 struct RatePair {
   double t;  ///< [s] pose clock
   Eigen::Vector3d omega_M, gyro_I;
 };
 
+/// `inverted`: the rates of the world seen from the marker.
 std::vector<RatePair> PairRates(const PoseTrajectory& trajectory,
                                 const std::vector<TimedSample>& gyro,
                                 double time_shift,
-                                PoseReading reading) {
+                                bool inverted = false) {
   std::vector<RatePair> pairs;
   for (size_t i = 0; i < gyro.size(); i += Stride(gyro.size())) {
     const double t = gyro[i].t + time_shift;
     MarkerState<double> state;
     if (!trajectory.Evaluate(t, &state)) continue;
-    Read(reading, &state);
+    if (inverted) state.omega_M = -(state.q_WM * state.omega_M);
     pairs.push_back({t, state.omega_M, gyro[i].value});
   }
   return pairs;
@@ -198,61 +178,29 @@ Eigen::Vector3d Residual(const RateAlignment& alignment, const RatePair& pair) {
   return pair.gyro_I - alignment.gyro_bias - alignment.q_MI.conjugate() * pair.omega_M;
 }
 
-/// Norm of the mean specific force in the world [m/s^2]: gravity when orientations and R_MI are
-/// right, less when they smear it.
-double MeanForce(const PoseTrajectory& trajectory,
-                 const std::vector<TimedSample>& accel,
-                 double time_shift,
-                 const Eigen::Quaterniond& q_MI,
-                 PoseReading reading) {
-  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-  double count = 1e-9;
-  for (size_t i = 0; i < accel.size(); i += Stride(accel.size())) {
-    MarkerState<double> state;
-    if (!trajectory.Evaluate(accel[i].t + time_shift, &state)) continue;
-    Read(reading, &state);
-    sum += state.q_WM * (q_MI * accel[i].value);
-    count += 1.0;
-  }
-  return sum.norm() / count;
-}
-
-/// Throws when another reading of the poses explains the gyroscope far better. Inverted poses and
-/// misplaced quaternion components turn alike; gravity tells them apart.
+/// Throws when inverted poses explain the gyroscope far better. Quaternions whose w comes first,
+/// read as if it came last, turn like inverted ones: up to fixed rotations of W and M the two are
+/// the same.
 void CheckPoseReading(const CalibrationOptions& options,
                       const PoseTrajectory& trajectory,
-                      const ConditionedData& data,
+                      const std::vector<TimedSample>& gyro,
                       const std::vector<double>& time_shifts,
                       const RateAlignment& as_given) {
   if (as_given.explained > kSurelyExplained) return;
-  const double needed =
-      std::max(1.0 - kMaxUnexplainedOther, 1.0 - kMaxUnexplainedRatio * (1.0 - as_given.explained));
-  double strongest = 0.0, explained = 0.0;
-  PoseReading best = PoseReading::kAsGiven;
-  for (const PoseReading reading : {PoseReading::kInverted, PoseReading::kScalarFirst}) {
-    for (const double shift : time_shifts) {
-      const RateAlignment other = Align(PairRates(trajectory, data.gyro, shift, reading));
-      if (other.explained < needed) continue;
-      const double force = MeanForce(trajectory, data.accel, shift, other.q_MI, reading);
-      if (force < strongest) continue;
-      strongest = force;
-      explained = other.explained;
-      best = reading;
-    }
-  }
-  if (best == PoseReading::kAsGiven) return;
-  const bool inverted = best == PoseReading::kInverted;
+  double explained = 0.0;
+  for (const double shift : time_shifts)
+    explained = std::max(explained, Align(PairRates(trajectory, gyro, shift, true)).explained);
+  if (1.0 - explained > kMaxUnexplainedOther ||
+      1.0 - explained > kMaxUnexplainedRatio * (1.0 - as_given.explained))
+    return;
   std::ostringstream text;
   text.precision(3);
-  text << "the turn rates of poses and gyroscope agree only when the "
-       << (inverted ? "poses are inverted" : "quaternions are read as w, x, y, z") << " (explains "
+  text << "the turn rates of poses and gyroscope agree only when the poses are inverted (explains "
        << 100.0 * explained << " % of the gyroscope's variance, as given "
-       << 100.0 * std::max(0.0, as_given.explained) << " %); ";
-  if (inverted)
-    text << "poses must be those of the marker in the world: set invert_poses: "
-         << (options.invert_poses ? "false" : "true");
-  else
-    text << "the source fills their fields in the wrong order: write x, y, z, w";
+       << 100.0 * std::max(0.0, as_given.explained)
+       << " %): if they are the world seen from the marker, set invert_poses: "
+       << (options.invert_poses ? "false" : "true")
+       << "; if the source writes quaternions as w, x, y, z, let it write x, y, z, w";
   throw DataError(text.str());
 }
 
@@ -335,7 +283,7 @@ std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
 RateAlignment AlignRates(const PoseTrajectory& trajectory,
                          const std::vector<TimedSample>& gyro,
                          double time_shift) {
-  return Align(PairRates(trajectory, gyro, time_shift, PoseReading::kAsGiven));
+  return Align(PairRates(trajectory, gyro, time_shift));
 }
 
 namespace {
@@ -419,7 +367,7 @@ std::vector<SegmentRates> PairRatesBySegment(const PoseTrajectory& trajectory,
                                              const ConditionedData& data,
                                              double time_shift) {
   std::vector<SegmentRates> segments(data.segments.size());
-  for (const RatePair& pair : PairRates(trajectory, data.gyro, time_shift, PoseReading::kAsGiven)) {
+  for (const RatePair& pair : PairRates(trajectory, data.gyro, time_shift)) {
     size_t k = 0;
     while (data.poses[data.segments[k].end - 1].t < pair.t) ++k;
     segments[k].push_back(pair);
@@ -507,9 +455,9 @@ void CheckPositionUnit(const LeverArmEquations& equations, double mean_variance)
   text << "pose: the marker's acceleration has to be multiplied by " << scale
        << " to match the accelerometer (bound: " << 1.0 / kUnitBound << " to " << kUnitBound
        << "); ";
-  if (scale > 0.0008 && scale < 0.00125)
+  if (scale > 2e-4 && scale < 4e-3)
     text << "positions look like millimetres: set position_unit: 1.0e-3";
-  else if (scale > 0.008 && scale < 0.0125)
+  else if (scale > 6e-3 && scale < 2e-2)
     text << "positions look like centimetres: set position_unit: 1.0e-2";
   else
     text << "are positions in metres and of the body that carries the IMU? Else set position_unit";
@@ -607,7 +555,7 @@ Start Initialise(const CalibrationOptions& options,
     best = alignment;
     start.time_shift = shift;
   }
-  CheckPoseReading(options, trajectory, data, shifts, best);
+  CheckPoseReading(options, trajectory, data.gyro, shifts, best);
   if (best.explained < kMinExplained) throw DataError(RateMismatch(best));
   CheckGyroUnit(best);
   start.q_MI = options.initial_rotation ? options.initial_rotation->normalized() : best.q_MI;

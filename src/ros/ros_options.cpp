@@ -101,8 +101,11 @@ size_t EditDistance(const std::string& a, const std::string& b) {
 
 std::string NearestKey(const std::string& key) {
   std::string nearest;
+  const auto distance = [&key](const std::string& name) {
+    return name.compare(0, key.size(), key) == 0 ? 0 : EditDistance(key, name);
+  };
   VisitFields(CalibrationOptions(), [&](const std::string& name, const auto&) {
-    if (nearest.empty() || EditDistance(key, name) < EditDistance(key, nearest)) nearest = name;
+    if (nearest.empty() || distance(name) < distance(nearest)) nearest = name;
   });
   return nearest;
 }

@@ -262,7 +262,7 @@ std::string Verdict(const DataCheck& check) {
 }
 
 std::string Row(const char* label, const StreamCheck& stream, const Latency& latency) {
-  return Format("  %-6s%9zu%8.1f%10s%10s%9.1f%9.1f%12s%9s\n",
+  return Format("  %-6s%8zu%8.1f%9s%10s%8.1f%9.1f%12s%8s\n",
                 label,
                 stream.count,
                 stream.rate_hz,
@@ -280,8 +280,19 @@ std::string Streams(const DataCheck& check, const RecordingInfo& info) {
     const std::string text = Dropped(report);
     return text.empty() ? "" : Wrap(label, text.substr(2));
   };
-  return "\n         samples      Hz    jitter   max gap  missing repeated     latency   spread\n"
-         "                                               %        %      (record - header)\n" +
+  const char* const kHeader = "  %-6s%8s%8s%9s%10s%8s%9s%12s%8s\n";
+  return "\n" +
+         Format(kHeader,
+                "",
+                "samples",
+                "Hz",
+                "jitter",
+                "max gap",
+                "missing",
+                "repeated",
+                "latency",
+                "spread") +
+         Format(kHeader, "", "", "", "", "", "%", "%", "(record - ", "header)") +
          Row("poses", check.poses, info.pose_latency) + Row("gyro", check.gyro, info.gyro_latency) +
          Row("accel", check.accel, info.accel_latency) +
          Wrap("  topics: ",

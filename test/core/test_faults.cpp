@@ -303,7 +303,7 @@ const Refused kRefused[] = {
          s.p_WM = -(s.q_WM * s.p_WM);
        }
      },
-     {"only when the poses are inverted", "set invert_poses: true"}},
+     {"agree only when the poses are inverted", "set invert_poses: true"}},
     {"QuaternionsWithWFirst",
      [](CalibrationData* d) {
        for (PoseSample& s : d->poses) {
@@ -311,7 +311,7 @@ const Refused kRefused[] = {
          s.q_WM.coeffs() << q.w(), q.x(), q.y(), q.z();
        }
      },
-     {"quaternions are read as w, x, y, z", "write x, y, z, w"}},
+     {"agree only when the poses are inverted", "w, x, y, z, let it write x, y, z, w"}},
     {"AFlippingMarker",
      [](CalibrationData* d) {
        for (const double t : {3.0, 8.0, 14.0}) SwapLabels(t, t + 3.0, Turn(90.0, {0, 0, 1}), d);

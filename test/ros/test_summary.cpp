@@ -120,9 +120,9 @@ TEST(Summary, ShowsADataCheckAtAGlance) {
   info.gyro_latency = {-1034771.5, 2.5e-3};
   const std::string text = Summary(check, info);
   EXPECT_EQ(text.compare(0, 8, "USABLE: "), 0) << text;
-  for (const char* part : {"22562   300.0   0.00 ms 250.00 ms",
+  for (const char* part : {"22562   300.0  0.00 ms 250.00 ms",
                            "12.5",
-                           "-12.0 days  2.50 ms",
+                           "-12.0 days 2.50 ms",
                            "/mocap/pose, /imu/gyro, /imu/accel",
                            "dropped 321 flipped",
                            "about -1034771.5066 s (-12.0 days); 65.1 s in common",

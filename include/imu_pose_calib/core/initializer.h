@@ -61,7 +61,7 @@ void FitLeverArm(const PoseTrajectory& trajectory,
 
 /// Stage S2: closed-form start; initial values of the options take precedence.
 /// Throws DataError when the rates of poses and gyroscope do not match at any time shift, or match
-/// better when the poses are read in another way (inverted, quaternion w first).
+/// better when the poses are inverted.
 Start Initialise(const CalibrationOptions& options,
                  const PoseTrajectory& trajectory,
                  const ConditionedData& data);
