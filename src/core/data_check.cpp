@@ -378,7 +378,8 @@ DataCheck CheckData(const CalibrationOptions& options, const CalibrationData& da
     RemoveFlippedSegments(options, &trajectory, &conditioned);
     CheckMotion(options, conditioned, trajectory, &check);
     Calibration motion;
-    if (IsMotionDegenerate(MeasureTurns(trajectory, conditioned), &motion))
+    const bool needs_turns = options.estimate_translation && options.estimate_rotation;
+    if (needs_turns && IsMotionDegenerate(MeasureTurns(trajectory, conditioned), &motion))
       throw DataError(motion.message);
     CheckMatch(
         options, conditioned, trajectory, Initialise(options, trajectory, conditioned), &check);
