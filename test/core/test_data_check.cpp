@@ -184,7 +184,7 @@ TEST(CheckData, HandsItsWarningsToTheCalibration) {
   EXPECT_TRUE(Calibrate(options, data).warnings.empty());
   Drift(300.0, &data);
   const Calibration result = Calibrate(options, data);
-  ASSERT_EQ(result.warnings.size(), 1u);
+  ASSERT_FALSE(result.warnings.empty());
   EXPECT_TRUE(Contains(result.warnings[0], "estimate_clock_drift"));
 }
 
