@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "imu_pose_calib/core/conditioning.h"
+#include "imu_pose_calib/core/data_check.h"
 #include "imu_pose_calib/core/gp_problem.h"
 #include "imu_pose_calib/core/initializer.h"
 #include "imu_pose_calib/core/intrinsics.h"
@@ -20,6 +21,7 @@ void ReportData(const ConditionedData& data, Calibration* result) {
   result->accel = data.accel_report;
   result->segments = data.segments.size();
   result->gaps = data.gaps;
+  result->jumps = data.jumps;
 }
 
 void ReportTrajectory(const PoseTrajectory& trajectory,
@@ -72,16 +74,22 @@ Calibration Calibrate(const CalibrationOptions& options, const CalibrationData& 
   result.method = options.method;
   result.imu_model = options.imu_model;
 
+  DataCheck check = CheckStreams(data);
   ConditionedData conditioned = Condition(options, data);
-  const PoseTrajectory trajectory = FitTrajectory(options, &conditioned);
+  PoseTrajectory trajectory = FitTrajectory(options, &conditioned);
+  RemoveFlippedSegments(options, &trajectory, &conditioned);
   ReportData(conditioned, &result);
   ReportTrajectory(trajectory, conditioned, &result);
+  CheckMotion(options, conditioned, trajectory, &check);
+  result.warnings = check.warnings;
   // With a known lever arm or rotation a turn about one axis may do: the covariance will tell.
   const bool needs_turns = options.estimate_translation && options.estimate_rotation;
   if (needs_turns && IsMotionDegenerate(MeasureTurns(trajectory, conditioned), &result))
     return result;
 
   const Start start = Initialise(options, trajectory, conditioned);
+  CheckMatch(options, conditioned, trajectory, start, &check);
+  result.warnings = check.warnings;
   Estimate estimate(start, conditioned, options.bias_knot_interval_s);
 
   Solution solution;

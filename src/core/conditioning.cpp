@@ -2,11 +2,14 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdlib>
+#include <limits>
 #include <sstream>
 #include <string>
 #include <utility>
 
 #include "imu_pose_calib/core/median.h"
+#include "imu_pose_calib/core/so3.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -15,8 +18,21 @@ namespace {
 /// is not believed.
 constexpr int64_t kMaxReorderNs = 1'000'000'000;
 constexpr size_t kMinSegmentPoses = 8;
+/// A jump between two poses: times the median of the log and of so many poses on either side, and
+/// times what the IMU's largest samples make possible.
+constexpr double kJumpThreshold = 20.0;
+constexpr size_t kJumpRadius = 10;
+constexpr double kForceFactor = 3.0, kRateFactor = 2.0;
+constexpr int kJumpRounds = 5;
 /// Median specific force of a moving body, in units of gravity.
 constexpr double kMinForce = 0.4, kMaxForce = 10.0;
+
+/// A clipped axis: at least so many samples at the limit, so many of them in a row, and more than
+/// within so much below it.
+constexpr size_t kMinClipped = 5, kMinClippedRun = 3;
+constexpr double kBelowClip = 0.02;
+/// Both limits of a sensor and those of its axes agree within this.
+constexpr double kSameLimit = 0.05;
 
 bool IsFinite(const PoseSample& s) { return s.p_WM.allFinite() && s.q_WM.coeffs().allFinite(); }
 bool IsFinite(const ImuSample& s) { return s.value.allFinite(); }
@@ -66,12 +82,20 @@ std::vector<Sample> Clean(const std::string& stream,
 
   std::vector<Sample> kept;
   kept.reserve(samples.size());
-  int64_t latest = samples.front().t_ns;
+  std::vector<int64_t> stamps;
+  for (const Sample& s : samples) stamps.push_back(s.t_ns);
+  std::nth_element(
+      stamps.begin(), stamps.begin() + static_cast<ptrdiff_t>(stamps.size() / 2), stamps.end());
+  const int64_t median = stamps[stamps.size() / 2];
+  size_t astray = 0;
+  int64_t latest = std::numeric_limits<int64_t>::min() + kMaxReorderNs;
   for (const Sample& s : samples) {
     if (!IsFinite(s)) {
       ++report->not_finite;
     } else if (!HasRotation(s)) {
       ++report->zero_quaternion;
+    } else if (std::abs(s.t_ns - median) > kMaxAstrayNs) {
+      ++astray;
     } else if (s.t_ns < latest - kMaxReorderNs) {
       ++report->reversed_stamp;
     } else {
@@ -83,11 +107,18 @@ std::vector<Sample> Clean(const std::string& stream,
   CheckShare(stream, "are not finite", report->not_finite, n, max_bad_fraction);
   CheckShare(stream, "have a zero quaternion", report->zero_quaternion, n, max_bad_fraction);
   CheckShare(stream,
+             "are stamped hours from most others: its clock jumped; cut the recording at the jump",
+             astray,
+             n,
+             max_bad_fraction);
+  CheckShare(stream,
              "are stamped more than 1 s before a sample that arrived earlier: its clock jumped "
              "back; cut the recording at the jump",
              report->reversed_stamp,
              n,
              max_bad_fraction);
+
+  report->reversed_stamp += astray;
 
   if (kept.empty()) Refuse("none of the ", n, " ", stream, " samples is usable");
 
@@ -105,6 +136,101 @@ std::vector<Sample> Clean(const std::string& stream,
   }
   kept.resize(last + 1);
   return kept;
+}
+
+/// The recording in SI units, with the poses of the marker in the world.
+CalibrationData Convert(const CalibrationOptions& options, CalibrationData data) {
+  for (PoseSample& s : data.poses) {
+    s.p_WM *= options.position_unit;
+    if (!options.invert_poses) continue;
+    s.q_WM = s.q_WM.conjugate();
+    s.p_WM = -(s.q_WM.normalized() * s.p_WM);
+  }
+  for (ImuSample& s : data.gyro) s.value *= options.gyro_unit;
+  for (ImuSample& s : data.accel) s.value *= options.accel_unit;
+  return data;
+}
+
+/// Throws when a sensor or one of its axes never changes: it is not read.
+void CheckAlive(const std::string& stream, const std::vector<ImuSample>& samples, size_t received) {
+  const Eigen::Vector3d& first = samples.front().value;
+  if (samples.size() == 1 && received > 1)
+    Refuse(stream,
+           ": all ",
+           received,
+           " samples are ",
+           first.isZero(0.0) ? "zero" : "the same",
+           ": the sensor is not read; look at its driver and record again");
+  for (int axis = 0; axis < 3 && samples.size() > 1; ++axis) {
+    const auto is_same = [&](const ImuSample& s) { return s.value[axis] == first[axis]; };
+    if (!std::all_of(samples.begin(), samples.end(), is_same)) continue;
+    Refuse(stream,
+           ": its ",
+           "xyz"[axis],
+           " axis is always ",
+           first[axis],
+           "; look at its driver and record again with all three axes");
+  }
+}
+
+/// Throws when the source gives only half of the pose.
+void CheckAlive(const std::vector<PoseSample>& poses) {
+  if (poses.size() < 2) return;
+  const auto is_there = [&](const PoseSample& s) { return s.p_WM == poses.front().p_WM; };
+  const auto is_so = [&](const PoseSample& s) {
+    return s.q_WM.coeffs() == poses.front().q_WM.coeffs();
+  };
+  if (std::all_of(poses.begin(), poses.end(), is_there))
+    Refuse("pose: the position never changes; use a source that gives positions too");
+  if (std::all_of(poses.begin(), poses.end(), is_so))
+    Refuse("pose: the orientation never changes; use a source that gives orientations too");
+}
+
+/// Marks the samples at the end of the sensor's range on one side (+1, -1) of one axis. The end
+/// shows as a pile of samples at the largest magnitude `peak` of the sensor; a motion that is
+/// within the range passes its largest value quickly.
+void MarkClipped(const std::vector<ImuSample>& samples,
+                 int axis,
+                 double side,
+                 double peak,
+                 std::vector<bool>* clipped) {
+  double limit = 0.0;
+  for (const ImuSample& s : samples) limit = std::max(limit, side * s.value[axis]);
+  if (limit < (1.0 - kSameLimit) * peak) return;
+  const auto is_at = [&](size_t i) { return side * samples[i].value[axis] > limit * (1.0 - 1e-6); };
+  size_t at = 0, below = 0, run = 0, longest_run = 0;
+  for (size_t i = 0; i < samples.size(); ++i) {
+    run = is_at(i) ? run + 1 : 0;
+    longest_run = std::max(longest_run, run);
+    if (is_at(i))
+      ++at;
+    else if (side * samples[i].value[axis] > limit * (1.0 - kBelowClip))
+      ++below;
+  }
+  if (at < kMinClipped || longest_run < kMinClippedRun || at <= below) return;
+  for (size_t i = 0; i < samples.size(); ++i)
+    if (is_at(i)) (*clipped)[i] = true;
+}
+
+/// Samples that are at the end of the sensor's range on any axis leave and are counted.
+void RemoveSaturated(const std::string& stream,
+                     double max_bad_fraction,
+                     std::vector<ImuSample>* samples,
+                     StreamReport* report) {
+  double peak = 0.0;
+  for (const ImuSample& s : *samples) peak = std::max(peak, s.value.cwiseAbs().maxCoeff());
+  std::vector<bool> clipped(samples->size(), false);
+  for (int axis = 0; axis < 3; ++axis)
+    for (const double side : {-1.0, 1.0}) MarkClipped(*samples, axis, side, peak, &clipped);
+  std::vector<ImuSample> kept;
+  for (size_t i = 0; i < samples->size(); ++i)
+    if (!clipped[i]) kept.push_back((*samples)[i]);
+  report->saturated = samples->size() - kept.size();
+  std::ostringstream defect;
+  defect << "are at the end of the sensor's range (" << peak
+         << "): choose a larger range or move more gently";
+  CheckShare(stream, defect.str(), report->saturated, samples->size(), max_bad_fraction);
+  *samples = std::move(kept);
 }
 
 /// Fills `used`, rate and duration from the stamps [s] of the samples used.
@@ -163,18 +289,27 @@ std::vector<TimedPose> ToSeconds(const std::vector<PoseSample>& samples, int64_t
   return timed;
 }
 
+/// Longest time between two poses of a segment [s].
+double MaxGap(const CalibrationOptions& options, const ConditionedData& data) {
+  return options.max_gap_s > 0.0 ? options.max_gap_s
+                                 : std::max(0.1, 5.0 / data.pose_report.rate_hz);
+}
+
+bool IsLongEnough(const std::vector<TimedPose>& poses, IndexRange run, double min_segment_s) {
+  return run.size() >= kMinSegmentPoses &&
+         poses[run.end - 1].t - poses[run.begin].t >= min_segment_s;
+}
+
 /// Cuts the poses at gaps; runs that are too short are dropped and counted.
 void SplitAtGaps(const CalibrationOptions& options, ConditionedData* data) {
-  const double max_gap =
-      options.max_gap_s > 0.0 ? options.max_gap_s : std::max(0.1, 5.0 / data->pose_report.rate_hz);
+  const double max_gap = MaxGap(options, *data);
   std::vector<TimedPose> kept;
   size_t begin = 0;
   for (size_t i = 1; i <= data->poses.size(); ++i) {
     const bool end = i == data->poses.size();
     if (!end && data->poses[i].t - data->poses[i - 1].t <= max_gap) continue;
     if (!end) ++data->gaps;
-    if (i - begin >= kMinSegmentPoses &&
-        data->poses[i - 1].t - data->poses[begin].t >= options.min_segment_s) {
+    if (IsLongEnough(data->poses, {begin, i}, options.min_segment_s)) {
       data->segments.push_back({kept.size(), kept.size() + i - begin});
       kept.insert(kept.end(),
                   data->poses.begin() + static_cast<ptrdiff_t>(begin),
@@ -187,6 +322,110 @@ void SplitAtGaps(const CalibrationOptions& options, ConditionedData* data) {
   data->poses = std::move(kept);
 }
 
+/// How far pose i is from where pose i - 1 leads with the mean velocity of the steps before and
+/// after: (position [m], rotation [rad]).
+Eigen::Vector2d Jump(const std::vector<TimedPose>& poses, size_t i) {
+  const TimedPose &a = poses[i - 2], &b = poses[i - 1], &c = poses[i], &d = poses[i + 1];
+  const double dt = c.t - b.t, dt_before = b.t - a.t, dt_after = d.t - c.t;
+  const Eigen::Vector3d step =
+      0.5 * dt * ((b.p_WM - a.p_WM) / dt_before + (d.p_WM - c.p_WM) / dt_after);
+  const auto turn = [](const TimedPose& from, const TimedPose& to) {
+    return Log(Eigen::Quaterniond(from.q_WM.conjugate() * to.q_WM));
+  };
+  const Eigen::Quaterniond half_before = Exp<double>(0.5 * dt / dt_before * turn(a, b));
+  const Eigen::Quaterniond half_after = Exp<double>(0.5 * dt / dt_after * turn(c, d));
+  return {(c.p_WM - b.p_WM - step).norm(),
+          (b.q_WM * half_before * half_after).angularDistance(c.q_WM)};
+}
+
+/// What the IMU says the body can do at most.
+struct MotionBound {
+  double rate = 0.0;   ///< [rad/s]
+  double force = 0.0;  ///< [m/s^2]
+
+  explicit MotionBound(const ConditionedData& data) {
+    for (const TimedSample& s : data.gyro) rate = std::max(rate, s.value.norm());
+    for (const TimedSample& s : data.accel) force = std::max(force, s.value.norm());
+  }
+};
+
+/// Poses that cannot follow from the one before: off by many times what is usual in the log and
+/// nearby, and by more than the IMU allows.
+std::vector<size_t> FindJumps(const ConditionedData& data, const MotionBound& bound) {
+  const std::vector<TimedPose>& poses = data.poses;
+  std::vector<Eigen::Vector2d> jumps(poses.size(), Eigen::Vector2d::Zero());
+  for (const IndexRange& s : data.segments)
+    for (size_t i = s.begin + 2; i + 1 < s.end; ++i) jumps[i] = Jump(poses, i);
+  const auto usual = [&](size_t begin, size_t end) {
+    Eigen::Vector2d median;
+    for (int kind = 0; kind < 2; ++kind) {
+      std::vector<double> values;
+      for (size_t i = begin; i < end; ++i) values.push_back(jumps[i][kind]);
+      median[kind] = Median(std::move(values));
+    }
+    return median;
+  };
+  const Eigen::Vector2d usual_in_log = usual(0, poses.size());
+  std::vector<size_t> found;
+  for (const IndexRange& s : data.segments) {
+    for (size_t i = s.begin + 2; i + 1 < s.end; ++i) {
+      const double dt = poses[i].t - poses[i - 1].t;
+      const Eigen::Vector2d possible(kForceFactor * bound.force * dt * dt,
+                                     kRateFactor * bound.rate * dt);
+      const double periods = std::max(1.0, dt * data.pose_report.rate_hz);
+      const Eigen::Vector2d least = possible.cwiseMax(kJumpThreshold * periods * usual_in_log);
+      if ((jumps[i].array() <= least.array()).all()) continue;
+      const Eigen::Vector2d usual_nearby =
+          usual(std::max(s.begin, i - std::min(i, kJumpRadius)), std::min(s.end, i + kJumpRadius));
+      const Eigen::Vector2d limit = least.cwiseMax(kJumpThreshold * periods * usual_nearby);
+      for (int kind = 0; kind < 2; ++kind) {
+        // A jump shows in the steps on either side too, by half.
+        const bool is_largest =
+            jumps[i][kind] > 0.75 * std::max(jumps[i - 1][kind], jumps[i + 1][kind]);
+        if (jumps[i][kind] <= limit[kind] || !is_largest) continue;
+        found.push_back(i);
+        break;
+      }
+    }
+  }
+  return found;
+}
+
+/// Cuts the segments at `jumps`. What remains on both sides of a run that was too short is joined
+/// again where it is close enough.
+void CutSegments(const std::vector<size_t>& jumps,
+                 double max_gap,
+                 double min_segment_s,
+                 ConditionedData* data) {
+  const std::vector<TimedPose> poses = std::move(data->poses);
+  const std::vector<IndexRange> segments = std::move(data->segments);
+  data->poses.clear();
+  data->segments.clear();
+  auto jump = jumps.begin();
+  for (const IndexRange& segment : segments) {
+    size_t last_end = segment.begin;  // of the run kept last
+    for (size_t begin = segment.begin; begin < segment.end;) {
+      while (jump != jumps.end() && *jump <= begin) ++jump;
+      const size_t end = jump != jumps.end() && *jump < segment.end ? *jump : segment.end;
+      const IndexRange run{begin, end};
+      begin = end;
+      if (!IsLongEnough(poses, run, min_segment_s)) {
+        data->pose_report.outlier += run.size();
+        continue;
+      }
+      const bool joins = last_end > segment.begin && last_end < run.begin &&
+                         poses[run.begin].t - poses[last_end - 1].t <= max_gap;
+      if (!joins) data->segments.push_back({data->poses.size(), data->poses.size()});
+      if (last_end > segment.begin && !joins) ++(last_end == run.begin ? data->jumps : data->gaps);
+      data->poses.insert(data->poses.end(),
+                         poses.begin() + static_cast<ptrdiff_t>(run.begin),
+                         poses.begin() + static_cast<ptrdiff_t>(run.end));
+      data->segments.back().end = data->poses.size();
+      last_end = run.end;
+    }
+  }
+}
+
 /// The median specific force of a moving body is near gravity.
 void CheckAccelerometerUnit(const std::vector<TimedSample>& accel, double gravity) {
   std::vector<double> norms;
@@ -197,8 +436,8 @@ void CheckAccelerometerUnit(const std::vector<TimedSample>& accel, double gravit
   if (median < kMinForce * gravity)
     hint = "gravity seems to be removed: record the raw accelerometer";
   if (median > 0.7 && median < 1.5)
-    hint =
-        "it looks like g: convert to m/s^2 (or gravity is removed: record the raw accelerometer)";
+    hint = "it looks like g: set accel_unit: 9.80665 (or gravity is removed: record the raw one)";
+  if (median > 700.0 && median < 1500.0) hint = "it looks like mg: set accel_unit: 0.00980665";
   Refuse("accelerometer: median norm ",
          median,
          " (bound: ",
@@ -211,12 +450,18 @@ void CheckAccelerometerUnit(const std::vector<TimedSample>& accel, double gravit
 
 }  // namespace
 
-ConditionedData Condition(const CalibrationOptions& options, const CalibrationData& data) {
+ConditionedData Condition(const CalibrationOptions& options, const CalibrationData& recorded) {
   ConditionedData out;
   const double max_bad = options.max_bad_fraction;
+  const CalibrationData data = Convert(options, recorded);
   const auto poses = Clean("pose", max_bad, data.poses, &out.pose_report);
-  const auto gyro = Clean("gyroscope", max_bad, data.gyro, &out.gyro_report);
-  const auto accel = Clean("accelerometer", max_bad, data.accel, &out.accel_report);
+  auto gyro = Clean("gyroscope", max_bad, data.gyro, &out.gyro_report);
+  auto accel = Clean("accelerometer", max_bad, data.accel, &out.accel_report);
+  CheckAlive(poses);
+  CheckAlive("gyroscope", gyro, out.gyro_report.received);
+  CheckAlive("accelerometer", accel, out.accel_report.received);
+  RemoveSaturated("gyroscope", max_bad, &gyro, &out.gyro_report);
+  RemoveSaturated("accelerometer", max_bad, &accel, &out.accel_report);
 
   out.pose_epoch_ns = poses.front().t_ns;
   out.imu_epoch_ns = std::min(gyro.front().t_ns, accel.front().t_ns);
@@ -243,6 +488,21 @@ ConditionedData Condition(const CalibrationOptions& options, const CalibrationDa
            " poses)");
   CheckAccelerometerUnit(out.accel, options.gravity_magnitude);
   return out;
+}
+
+void SplitAtJumps(const CalibrationOptions& options, ConditionedData* data) {
+  const MotionBound bound(*data);
+  const double max_gap = MaxGap(options, *data);
+  for (int round = 0; round < kJumpRounds; ++round) {
+    const std::vector<size_t> jumps = FindJumps(*data, bound);
+    if (jumps.empty()) break;
+    CutSegments(jumps, max_gap, options.min_segment_s, data);
+    if (data->segments.empty())
+      Refuse("pose: it jumps so often that no run is as long as min_segment_s = ",
+             options.min_segment_s,
+             " s; look at the tracker's rigid body and record again");
+  }
+  Summarise(data->poses, &data->pose_report);
 }
 
 }  // namespace imu_pose_calib

@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 #include "imu_pose_calib/core/median.h"
 
@@ -92,10 +93,74 @@ double WeightStd(const GpHyperparameters& h) {
   return h.signal_std * std::sqrt(kSpacing * std::sqrt(2.0 / M_PI));
 }
 
+/// Cholesky factor of a matrix whose entries further than kSupport from the diagonal are zero, in
+/// tiles of kTile >= kSupport: only those on the diagonal and next to it are not zero.
+class BandedCholesky {
+ public:
+  explicit BandedCholesky(Eigen::MatrixXd A) : L_(std::move(A)) {
+    for (Eigen::Index i = 0; i < L_.rows(); i += kTile) {
+      const Eigen::Index n = Size(i), next = Size(i + n);
+      auto diagonal = L_.block(i, i, n, n);
+      Eigen::LLT<Eigen::Ref<Eigen::MatrixXd>> in_place(diagonal);
+      if (next == 0) break;
+      auto below = L_.block(i + n, i, next, n);
+      diagonal.triangularView<Eigen::Lower>().transpose().solveInPlace<Eigen::OnTheRight>(below);
+      L_.block(i + n, i + n, next, next).noalias() -= below * below.transpose();
+    }
+  }
+
+  double LogDeterminant() const { return 2.0 * L_.diagonal().array().log().sum(); }
+
+  Eigen::MatrixXd Solve(Eigen::MatrixXd b) const {
+    for (Eigen::Index i = 0; i < L_.rows(); i += kTile) {
+      const Eigen::Index n = Size(i), next = Size(i + n);
+      auto x = b.middleRows(i, n);
+      L_.block(i, i, n, n).triangularView<Eigen::Lower>().solveInPlace(x);
+      b.middleRows(i + n, next).noalias() -= L_.block(i + n, i, next, n) * x;
+    }
+    for (Eigen::Index i = LastTile(); i >= 0; i -= kTile) {
+      const Eigen::Index n = Size(i), next = Size(i + n);
+      auto x = b.middleRows(i, n);
+      x.noalias() -= L_.block(i + n, i, next, n).transpose() * b.middleRows(i + n, next);
+      L_.block(i, i, n, n).triangularView<Eigen::Lower>().transpose().solveInPlace(x);
+    }
+    return b;
+  }
+
+  /// The tiles of the inverse on the diagonal and next to it; zero elsewhere. From the last tile
+  /// up, with G = L_below L_ii^-1:
+  ///   S_below,i = -S_below G,  S_ii = (L_ii L_ii^T)^-1 + G^T S_below G.
+  Eigen::MatrixXd InverseInBand() const {
+    Eigen::MatrixXd S = Eigen::MatrixXd::Zero(L_.rows(), L_.cols());
+    for (Eigen::Index i = LastTile(); i >= 0; i -= kTile) {
+      const Eigen::Index n = Size(i), next = Size(i + n);
+      Eigen::MatrixXd L_inv = Eigen::MatrixXd::Identity(n, n);
+      L_.block(i, i, n, n).triangularView<Eigen::Lower>().solveInPlace(L_inv);
+      S.block(i, i, n, n).noalias() = L_inv.transpose() * L_inv;
+      if (next == 0) continue;
+      const Eigen::MatrixXd G = L_.block(i + n, i, next, n) * L_inv;
+      const Eigen::MatrixXd below = -S.block(i + n, i + n, next, next) * G;
+      S.block(i, i, n, n).noalias() -= G.transpose() * below;
+      S.block(i + n, i, next, n) = below;
+      S.block(i, i + n, n, next) = below.transpose();
+    }
+    return S;
+  }
+
+ private:
+  static constexpr Eigen::Index kTile = 32;
+  static_assert(kTile >= kSupport, "a bump must not reach beyond the next tile");
+  /// Rows of the tile that begins at row i.
+  Eigen::Index Size(Eigen::Index i) const { return std::min(kTile, L_.rows() - i); }
+  Eigen::Index LastTile() const { return (L_.rows() - 1) / kTile * kTile; }
+
+  Eigen::MatrixXd L_;
+};
+
 /// Posterior of unit-variance bump weights given rows [begin, end) of the data:
 ///   A = I + F^T F / noise^2, mean = A^-1 F^T y / noise^2, with F = weight_std * bumps.
 struct WeightPosterior {
-  Eigen::LLT<Eigen::MatrixXd> A;
+  BandedCholesky A;
   Eigen::MatrixXd mean;
 };
 
@@ -122,8 +187,8 @@ WeightPosterior FitWeights(const GpData& data,
   A *= std::pow(weight_std / h.noise_std, 2);
   A.diagonal().array() += 1.0;
   b *= weight_std / (h.noise_std * h.noise_std);
-  WeightPosterior posterior{Eigen::LLT<Eigen::MatrixXd>(A), {}};
-  posterior.mean = posterior.A.solve(b);
+  WeightPosterior posterior{BandedCholesky(std::move(A)), {}};
+  posterior.mean = posterior.A.Solve(std::move(b));
   return posterior;
 }
 
@@ -150,13 +215,11 @@ WindowedGp::WindowedGp(const GpData& data, const GpHyperparameters& hyperparamet
     // Queries come from the core only: the margins' weights have done their work.
     const int first = grid.FirstBump(core_begin);
     const int size = grid.FirstBump(core_begin + core_) + kSupport - first;
-    Eigen::MatrixXd columns = Eigen::MatrixXd::Zero(grid.size, size);
-    columns.middleRows(first, size).setIdentity();
-    posterior.A.solveInPlace(columns);
     const double weight_std = WeightStd(h);
-    windows_.push_back({grid.first + first * grid.spacing,
-                        weight_std * posterior.mean.middleRows(first, size),
-                        weight_std * weight_std * columns.middleRows(first, size)});
+    windows_.push_back(
+        {grid.first + first * grid.spacing,
+         weight_std * posterior.mean.middleRows(first, size),
+         weight_std * weight_std * posterior.A.InverseInBand().block(first, first, size, size)});
   }
 }
 
@@ -222,14 +285,13 @@ double LogMarginalLikelihood(const GpData& data,
     bump_product.block<kSupport, kSupport>(j, j).noalias() += f * df.transpose();
   }
   fit += residual_norm2 / noise2;
-  const double log_det_A = 2.0 * posterior.A.matrixLLT().diagonal().array().log().sum();
   const double log_likelihood =
       -0.5 * fit -
-      0.5 * outputs * (log_det_A + static_cast<double>(n) * std::log(2.0 * M_PI * noise2));
+      0.5 * outputs *
+          (posterior.A.LogDeterminant() + static_cast<double>(n) * std::log(2.0 * M_PI * noise2));
 
   if (gradient != nullptr) {
-    const Eigen::MatrixXd A_inv =
-        posterior.A.solve(Eigen::MatrixXd::Identity(grid.size, grid.size));
+    const Eigen::MatrixXd A_inv = posterior.A.InverseInBand();
     const double trace_A_inv = A_inv.trace();
     const double m = grid.size;
     const double tr_length = bump_product.cwiseProduct(A_inv).sum() / noise2;

@@ -14,11 +14,21 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr double kBin = 0.01;              // [s] of the correlated signals
-constexpr double kGuessWindow = 1.0;       // [s] searched around a given time shift
-constexpr int kCandidates = 6;             // correlation peaks tried on all three axes
-constexpr double kMinPeakDistance = 0.15;  // [s] between them
-constexpr double kMinExplained = 0.5;      // of the gyro's variance
+constexpr double kBin = 0.01;                  // [s] of the correlated signals
+constexpr double kGuessWindow = 1.0;           // [s] searched around a given time shift
+constexpr int kCandidates = 6;                 // correlation peaks tried on all three axes
+constexpr double kMinPeakDistance = 0.15;      // [s] between them
+constexpr double kMinExplained = 0.5;          // of the gyro's variance
+constexpr double kSurelyExplained = 0.95;      // nobody asks for another reading of the poses
+constexpr double kMaxUnexplainedOther = 0.2;   // of the gyro's variance, by another reading
+constexpr double kMaxUnexplainedRatio = 0.25;  // of another reading over the one as given
+constexpr double kFlipped = 0.2;           // unexplained share of the motion of a flipped segment
+constexpr double kFlipFactor = 25.0;       // its mean square residual over that of the others
+constexpr size_t kMinPairs = 50;           // gyro samples of a segment that proposes a rotation
+constexpr double kMinAgreement = 0.6;      // of the log, on one rotation
+constexpr double kMinProposal = 0.3;       // of the log, for a rotation to be taken seriously
+constexpr double kMinSignalToNoise = 3.0;  // power of the marker's acceleration
+constexpr double kUnitBound = 5.0;         // scale of the positions, either way
 constexpr size_t kMaxSamples = 4000;       // per closed-form fit: more does not change a start
 constexpr double kDelaySearch = 0.1;       // [s]
 constexpr double kDelayStep = 0.01;        // [s]
@@ -111,6 +121,89 @@ double Evidence(double correlation, double n) {
   return -0.5 * n * std::log(1.0 - r * r);
 }
 
+/// The rates of marker and gyroscope at one instant.
+struct RatePair {
+  double t;  ///< [s] pose clock
+  Eigen::Vector3d omega_M, gyro_I;
+};
+
+/// `inverted`: the rates of the world seen from the marker.
+std::vector<RatePair> PairRates(const PoseTrajectory& trajectory,
+                                const std::vector<TimedSample>& gyro,
+                                double time_shift,
+                                bool inverted = false) {
+  std::vector<RatePair> pairs;
+  for (size_t i = 0; i < gyro.size(); i += Stride(gyro.size())) {
+    const double t = gyro[i].t + time_shift;
+    MarkerState<double> state;
+    if (!trajectory.Evaluate(t, &state)) continue;
+    if (inverted) state.omega_M = -(state.q_WM * state.omega_M);
+    pairs.push_back({t, state.omega_M, gyro[i].value});
+  }
+  return pairs;
+}
+
+/// Wahba's problem on mean-free rates.
+RateAlignment Align(const std::vector<RatePair>& pairs) {
+  RateAlignment alignment;
+  alignment.count = pairs.size();
+  if (pairs.size() < 10) return alignment;
+  Eigen::Vector3d mean_M = Eigen::Vector3d::Zero(), mean_I = Eigen::Vector3d::Zero();
+  for (const RatePair& pair : pairs) {
+    mean_M += pair.omega_M / static_cast<double>(pairs.size());
+    mean_I += pair.gyro_I / static_cast<double>(pairs.size());
+  }
+  Eigen::Matrix3d H = Eigen::Matrix3d::Zero();
+  double sum_M = 0.0, sum_I = 0.0;
+  for (const RatePair& pair : pairs) {
+    H += (pair.omega_M - mean_M) * (pair.gyro_I - mean_I).transpose();
+    sum_M += (pair.omega_M - mean_M).squaredNorm();
+    sum_I += (pair.gyro_I - mean_I).squaredNorm();
+  }
+  const Eigen::JacobiSVD<Eigen::Matrix3d> svd(H, Eigen::ComputeFullU | Eigen::ComputeFullV);
+  const Eigen::Vector3d signs(1.0, 1.0, (svd.matrixU() * svd.matrixV()).determinant());
+  const Eigen::Matrix3d R_MI = svd.matrixU() * signs.asDiagonal() * svd.matrixV().transpose();
+  alignment.q_MI = Eigen::Quaterniond(R_MI);
+  alignment.gyro_bias = mean_I - R_MI.transpose() * mean_M;
+  alignment.scale = std::sqrt(sum_I / std::max(sum_M, 1e-12));
+  // |gyro - R^T omega|^2 with the gyro scaled to the marker's size: 1 - correlation^2.
+  const double correlation =
+      (R_MI.transpose() * H).trace() / std::sqrt(std::max(sum_M * sum_I, 1e-24));
+  alignment.explained = correlation * std::abs(correlation);
+  return alignment;
+}
+
+/// Residual of the gyroscope [rad/s].
+Eigen::Vector3d Residual(const RateAlignment& alignment, const RatePair& pair) {
+  return pair.gyro_I - alignment.gyro_bias - alignment.q_MI.conjugate() * pair.omega_M;
+}
+
+/// Throws when inverted poses explain the gyroscope far better. Quaternions whose w comes first,
+/// read as if it came last, turn like inverted ones: up to fixed rotations of W and M the two are
+/// the same.
+void CheckPoseReading(const CalibrationOptions& options,
+                      const PoseTrajectory& trajectory,
+                      const std::vector<TimedSample>& gyro,
+                      const std::vector<double>& time_shifts,
+                      const RateAlignment& as_given) {
+  if (as_given.explained > kSurelyExplained) return;
+  double explained = 0.0;
+  for (const double shift : time_shifts)
+    explained = std::max(explained, Align(PairRates(trajectory, gyro, shift, true)).explained);
+  if (1.0 - explained > kMaxUnexplainedOther ||
+      1.0 - explained > kMaxUnexplainedRatio * (1.0 - as_given.explained))
+    return;
+  std::ostringstream text;
+  text.precision(3);
+  text << "the turn rates of poses and gyroscope agree only when the poses are inverted (explains "
+       << 100.0 * explained << " % of the gyroscope's variance, as given "
+       << 100.0 * std::max(0.0, as_given.explained)
+       << " %): if they are the world seen from the marker, set invert_poses: "
+       << (options.invert_poses ? "false" : "true")
+       << "; if the source writes quaternions as w, x, y, z, let it write x, y, z, w";
+  throw DataError(text.str());
+}
+
 std::string RateMismatch(const RateAlignment& best) {
   std::ostringstream text;
   text << "the turn rates of poses and gyroscope agree at no time shift (best explains "
@@ -125,7 +218,9 @@ void CheckGyroUnit(const RateAlignment& alignment) {
   std::ostringstream text;
   text << "gyroscope: its rates are " << alignment.scale << " times the marker's (bound: 0.5 to 2)";
   if (alignment.scale > 40.0 && alignment.scale < 80.0)
-    text << "; it looks like deg/s: convert to rad/s";
+    text << "; it looks like deg/s: set gyro_unit: 0.0174532925";
+  else
+    text << "; set gyro_unit, the unit of the gyroscope in rad/s";
   throw DataError(text.str());
 }
 
@@ -188,42 +283,97 @@ std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
 RateAlignment AlignRates(const PoseTrajectory& trajectory,
                          const std::vector<TimedSample>& gyro,
                          double time_shift) {
-  std::vector<std::pair<Eigen::Vector3d, Eigen::Vector3d>> rates;  // marker in M, gyro in I
-  Eigen::Vector3d mean_M = Eigen::Vector3d::Zero(), mean_I = Eigen::Vector3d::Zero();
-  for (size_t i = 0; i < gyro.size(); i += Stride(gyro.size())) {
-    MarkerState<double> state;
-    if (!trajectory.Evaluate(gyro[i].t + time_shift, &state)) continue;
-    rates.emplace_back(state.omega_M, gyro[i].value);
-    mean_M += state.omega_M;
-    mean_I += gyro[i].value;
-  }
-  RateAlignment alignment;
-  alignment.count = rates.size();
-  if (rates.size() < 10) return alignment;
-  mean_M /= static_cast<double>(rates.size());
-  mean_I /= static_cast<double>(rates.size());
-
-  Eigen::Matrix3d H = Eigen::Matrix3d::Zero();
-  double sum_M = 0.0, sum_I = 0.0;
-  for (const auto& [omega_M, gyro_I] : rates) {
-    H += (omega_M - mean_M) * (gyro_I - mean_I).transpose();
-    sum_M += (omega_M - mean_M).squaredNorm();
-    sum_I += (gyro_I - mean_I).squaredNorm();
-  }
-  const Eigen::JacobiSVD<Eigen::Matrix3d> svd(H, Eigen::ComputeFullU | Eigen::ComputeFullV);
-  const Eigen::Vector3d signs(1.0, 1.0, (svd.matrixU() * svd.matrixV()).determinant());
-  const Eigen::Matrix3d R_MI = svd.matrixU() * signs.asDiagonal() * svd.matrixV().transpose();
-  alignment.q_MI = Eigen::Quaterniond(R_MI);
-  alignment.gyro_bias = mean_I - R_MI.transpose() * mean_M;
-  alignment.scale = std::sqrt(sum_I / std::max(sum_M, 1e-12));
-  // |gyro - R^T omega|^2 with the gyro scaled to the marker's size: 1 - correlation^2.
-  const double correlation =
-      (R_MI.transpose() * H).trace() / std::sqrt(std::max(sum_M * sum_I, 1e-24));
-  alignment.explained = correlation * std::abs(correlation);
-  return alignment;
+  return Align(PairRates(trajectory, gyro, time_shift));
 }
 
 namespace {
+
+/// Time shifts that the correlation of the turn rates proposes.
+std::vector<double> CandidateShifts(const CalibrationOptions& options,
+                                    const PoseTrajectory& trajectory,
+                                    const ConditionedData& data) {
+  std::optional<double> guess;
+  if (options.initial_time_shift)  // t_pose - t_imu of absolute stamps, here of relative ones
+    guess = *options.initial_time_shift -
+            1e-9 * static_cast<double>(data.pose_epoch_ns - data.imu_epoch_ns);
+  if (!options.estimate_time_shift) return {*guess};
+  return FindTimeShifts(
+      trajectory, data.poses, data.gyro, options.min_overlap_s, guess, kCandidates);
+}
+
+/// Gyro samples on one segment of the trajectory.
+using SegmentRates = std::vector<RatePair>;
+
+/// Which segments turn as the gyroscope does under one alignment.
+struct Agreement {
+  std::vector<bool> flipped;  ///< per segment
+  double agreeing = 0.0;      ///< share of the gyro samples on the others
+  double explained = 0.0;     ///< share of the gyro's variance on them
+  double cost = std::numeric_limits<double>::infinity();
+};
+
+Agreement Judge(const std::vector<SegmentRates>& segments, const RateAlignment& alignment) {
+  Agreement result;
+  result.cost = 0.0;
+  double unexplained = 0.0, total = 1e-12, agreeing = 0.0, count = 1e-12;
+  for (const SegmentRates& pairs : segments) {
+    double residual = 0.0, motion = 0.0;
+    for (const RatePair& pair : pairs) {
+      residual += Residual(alignment, pair).squaredNorm();
+      motion += (pair.gyro_I - alignment.gyro_bias).squaredNorm();
+    }
+    const auto n = static_cast<double>(pairs.size());
+    count += n;
+    result.cost += std::min(residual, kFlipped * motion);
+    result.flipped.push_back(residual > kFlipped * motion);
+    if (result.flipped.back()) continue;
+    agreeing += n;
+    unexplained += residual;
+    total += motion;
+  }
+  result.agreeing = agreeing / count;
+  result.explained = 1.0 - unexplained / total;
+  // Where the marker hardly turns, noise is all there is: nothing can be said.
+  const double usual = unexplained / std::max(agreeing, 1.0);
+  for (size_t k = 0; k < segments.size(); ++k) {
+    double residual = 0.0;
+    for (const RatePair& pair : segments[k]) residual += Residual(alignment, pair).squaredNorm();
+    if (residual < kFlipFactor * usual * static_cast<double>(segments[k].size()))
+      result.flipped[k] = false;
+  }
+  return result;
+}
+
+/// The alignment that most of the motion agrees on, of those of all segments and of each one.
+Agreement FindAgreement(const std::vector<SegmentRates>& segments) {
+  SegmentRates all;
+  for (const SegmentRates& pairs : segments) all.insert(all.end(), pairs.begin(), pairs.end());
+  Agreement best = Judge(segments, Align(all));
+  const auto improve = [&](const SegmentRates& pairs) {
+    if (pairs.size() < kMinPairs) return;
+    const Agreement candidate = Judge(segments, Align(pairs));
+    if (candidate.cost < best.cost) best = candidate;
+  };
+  for (const SegmentRates& pairs : segments) improve(pairs);
+  SegmentRates agreeing;
+  for (size_t k = 0; k < segments.size(); ++k)
+    if (!best.flipped[k]) agreeing.insert(agreeing.end(), segments[k].begin(), segments[k].end());
+  improve(agreeing);
+  return best;
+}
+
+/// Gyro samples by the segment of the trajectory that they fall on.
+std::vector<SegmentRates> PairRatesBySegment(const PoseTrajectory& trajectory,
+                                             const ConditionedData& data,
+                                             double time_shift) {
+  std::vector<SegmentRates> segments(data.segments.size());
+  for (const RatePair& pair : PairRates(trajectory, data.gyro, time_shift)) {
+    size_t k = 0;
+    while (data.poses[data.segments[k].end - 1].t < pair.t) ++k;
+    segments[k].push_back(pair);
+  }
+  return segments;
+}
 
 /// Gravity is estimated without knowing its magnitude: another one means another unit or none.
 void CheckGravity(double estimated, double expected) {
@@ -236,57 +386,152 @@ void CheckGravity(double estimated, double expected) {
   throw DataError(text.str());
 }
 
-/// Linear least squares for x = (p_MI, g_W, R_MI b_a) at a given delay:
-///   R_MI f - R_WM^T a_W = ([alpha]x + [omega]x [omega]x) p_MI - R_WM^T g_W + R_MI b_a.
-/// Returns the mean squared residual.
-double SolveLeverArm(const PoseTrajectory& trajectory,
-                     const std::vector<TimedSample>& accel,
-                     const Start& start,
-                     double delay,
-                     Eigen::Matrix<double, 9, 1>* x) {
-  using Matrix9d = Eigen::Matrix<double, 9, 9>;
-  const Eigen::Matrix3d R_MI = start.q_MI.toRotationMatrix();
-  Matrix9d A = Matrix9d::Zero();
-  A.bottomRightCorner<3, 3>().diagonal().setConstant(1.0 / (kAccelBiasPrior * kAccelBiasPrior));
-  Eigen::Matrix<double, 9, 1> b = Eigen::Matrix<double, 9, 1>::Zero();
+/// Normal equations of the accelerometer for x = (p_MI, g_W, R_MI b_a, s) at a given delay:
+///   R_MI f = ([alpha]x + [omega]x [omega]x) p_MI - R_WM^T g_W + R_MI b_a + s R_WM^T a_W,
+/// where s is 1 when positions and accelerometer are in the same unit of length.
+struct LeverArmEquations {
+  using Matrix10d = Eigen::Matrix<double, 10, 10>;
+  using Vector10d = Eigen::Matrix<double, 10, 1>;
+  Matrix10d A = Matrix10d::Zero();
+  Vector10d b = Vector10d::Zero();
   double sum = 0.0, count = 0.0;
-  for (size_t i = 0; i < accel.size(); i += Stride(accel.size())) {
-    MarkerState<double> state;
-    if (!trajectory.Evaluate(accel[i].t + start.time_shift - delay, &state)) continue;
-    const Eigen::Matrix3d R_MW = state.q_WM.conjugate().toRotationMatrix();
-    const Eigen::Matrix3d W = Hat(state.omega_M);
-    Eigen::Matrix<double, 3, 9> J;
-    J << Hat(state.alpha_M) + W * W, -R_MW, Eigen::Matrix3d::Identity();
-    const Eigen::Vector3d y = R_MI * accel[i].value - R_MW * state.a_W;
-    A += J.transpose() * J;
-    b += J.transpose() * y;
-    sum += y.squaredNorm();
+
+  LeverArmEquations(const PoseTrajectory& trajectory,
+                    const std::vector<TimedSample>& accel,
+                    const Start& start,
+                    double delay) {
+    const Eigen::Matrix3d R_MI = start.q_MI.toRotationMatrix();
+    A.diagonal().segment<3>(6).setConstant(1.0 / (kAccelBiasPrior * kAccelBiasPrior));
+    for (size_t i = 0; i < accel.size(); i += Stride(accel.size())) {
+      MarkerState<double> state;
+      if (!trajectory.Evaluate(accel[i].t + start.time_shift - delay, &state)) continue;
+      const Eigen::Matrix3d R_MW = state.q_WM.conjugate().toRotationMatrix();
+      const Eigen::Matrix3d W = Hat(state.omega_M);
+      Eigen::Matrix<double, 3, 10> J;
+      J << Hat(state.alpha_M) + W * W, -R_MW, Eigen::Matrix3d::Identity(), R_MW * state.a_W;
+      const Eigen::Vector3d y = R_MI * accel[i].value;
+      A.noalias() += J.transpose() * J;
+      b.noalias() += J.transpose() * y;
+      sum += y.squaredNorm();
+      count += 1.0;
+    }
+  }
+
+  /// (p_MI, g_W, R_MI b_a) with s = 1, and the mean squared residual.
+  Eigen::Matrix<double, 9, 1> Solve(double* residual) const {
+    const Eigen::Matrix<double, 9, 1> b9 = b.head<9>() - A.col(9).head<9>();
+    const Eigen::Matrix<double, 9, 1> x = A.topLeftCorner<9, 9>().ldlt().solve(b9);
+    *residual = count > 0.0 ? (sum - 2.0 * b[9] + A(9, 9) - b9.dot(x)) / count
+                            : std::numeric_limits<double>::infinity();
+    return x;
+  }
+
+  double PositionScale() const { return A.ldlt().solve(b)[9]; }
+};
+
+/// Variance per axis of the marker's acceleration [(m/s^2)^2].
+double MeanAccelVariance(const PoseTrajectory& trajectory,
+                         const std::vector<TimedSample>& accel,
+                         double time_shift) {
+  double sum = 0.0, count = 1e-9;
+  for (size_t i = 0; i < accel.size(); i += 10 * Stride(accel.size())) {
+    const double t = accel[i].t + time_shift;
+    if (!trajectory.Contains(t)) continue;
+    sum += trajectory.Variance(t).accel;
     count += 1.0;
   }
-  *x = A.ldlt().solve(b);
-  return count > 0.0 ? (sum - b.dot(*x)) / count : std::numeric_limits<double>::infinity();
+  return sum / count;
+}
+
+/// Positions in another unit than metres do not fit the accelerometer. Nothing is said when they
+/// hardly move: `mean_variance` [(m/s^2)^2] of the marker's acceleration per axis.
+void CheckPositionUnit(const LeverArmEquations& equations, double mean_variance) {
+  const double mean_square = equations.A(9, 9) / std::max(1.0, equations.count);
+  if (mean_square < 3.0 * kMinSignalToNoise * mean_variance) return;
+  const double scale = equations.PositionScale();
+  if (scale > 1.0 / kUnitBound && scale < kUnitBound) return;
+  std::ostringstream text;
+  text.precision(3);
+  text << "pose: the marker's acceleration has to be multiplied by " << scale
+       << " to match the accelerometer (bound: " << 1.0 / kUnitBound << " to " << kUnitBound
+       << "); ";
+  if (scale > 2e-4 && scale < 4e-3)
+    text << "positions look like millimetres: set position_unit: 1.0e-3";
+  else if (scale > 6e-3 && scale < 2e-2)
+    text << "positions look like centimetres: set position_unit: 1.0e-2";
+  else
+    text << "are positions in metres and of the body that carries the IMU? Else set position_unit";
+  throw DataError(text.str());
 }
 
 }  // namespace
+
+void RemoveFlippedSegments(const CalibrationOptions& options,
+                           PoseTrajectory* trajectory,
+                           ConditionedData* data) {
+  if (data->segments.size() < 2) return;
+  Agreement best;
+  for (const double shift : CandidateShifts(options, *trajectory, *data)) {
+    const Agreement agreement = FindAgreement(PairRatesBySegment(*trajectory, *data, shift));
+    if (agreement.explained * agreement.agreeing > best.explained * best.agreeing) best = agreement;
+  }
+  if (best.agreeing < kMinProposal || best.explained < kMinExplained) return;  // S2 says why
+  if (best.agreeing < kMinAgreement) {
+    std::ostringstream text;
+    text.precision(2);
+    text << "pose: the marker's frame flips: only " << 100.0 * best.agreeing
+         << " % of the recording turn as the gyroscope does with one rotation R_MI (bound: "
+         << 100.0 * kMinAgreement << " %); place the markers less symmetrically and record again";
+    throw DataError(text.str());
+  }
+  if (std::find(best.flipped.begin(), best.flipped.end(), true) == best.flipped.end()) return;
+  std::vector<TimedPose> poses;
+  std::vector<IndexRange> segments;
+  for (size_t k = 0; k < best.flipped.size(); ++k) {
+    const IndexRange s = data->segments[k];
+    if (best.flipped[k]) {
+      data->pose_report.flipped += s.size();
+      continue;
+    }
+    segments.push_back({poses.size(), poses.size() + s.size()});
+    poses.insert(poses.end(),
+                 data->poses.begin() + static_cast<ptrdiff_t>(s.begin),
+                 data->poses.begin() + static_cast<ptrdiff_t>(s.end));
+  }
+  data->poses = std::move(poses);
+  data->segments = std::move(segments);
+  data->pose_report.used = data->poses.size();
+  *trajectory = PoseTrajectory(data->poses,
+                               data->segments,
+                               trajectory->position_hyperparameters(),
+                               trajectory->rotation_hyperparameters());
+}
 
 void FitLeverArm(const PoseTrajectory& trajectory,
                  const std::vector<TimedSample>& accel,
                  double gravity_magnitude,
                  bool estimate_delay,
                  Start* start) {
-  Eigen::Matrix<double, 9, 1> best;
+  const auto equations_at = [&](double delay) {
+    return LeverArmEquations(trajectory, accel, *start, delay);
+  };
+  double lowest = 0.0;
   double best_delay = start->accel_delay;
-  double lowest = SolveLeverArm(trajectory, accel, *start, best_delay, &best);
+  LeverArmEquations equations = equations_at(best_delay);
+  Eigen::Matrix<double, 9, 1> best = equations.Solve(&lowest);
   const int steps = estimate_delay ? static_cast<int>(std::round(kDelaySearch / kDelayStep)) : -1;
   for (int k = -steps; k <= steps; ++k) {
-    Eigen::Matrix<double, 9, 1> x;
     const double delay = start->accel_delay + k * kDelayStep;
-    const double residual = SolveLeverArm(trajectory, accel, *start, delay, &x);
+    const LeverArmEquations candidate = equations_at(delay);
+    double residual = 0.0;
+    const Eigen::Matrix<double, 9, 1> x = candidate.Solve(&residual);
     if (residual >= lowest) continue;
     lowest = residual;
     best = x;
     best_delay = delay;
+    equations = candidate;
   }
+  CheckPositionUnit(equations, MeanAccelVariance(trajectory, accel, start->time_shift));
   start->accel_delay = best_delay;
   start->p_MI = best.head<3>();
   CheckGravity(best.segment<3>(3).norm(), gravity_magnitude);
@@ -297,19 +542,10 @@ void FitLeverArm(const PoseTrajectory& trajectory,
 Start Initialise(const CalibrationOptions& options,
                  const PoseTrajectory& trajectory,
                  const ConditionedData& data) {
-  std::optional<double> guess;
-  if (options.initial_time_shift)  // t_pose - t_imu of absolute stamps, here of relative ones
-    guess = *options.initial_time_shift -
-            1e-9 * static_cast<double>(data.pose_epoch_ns - data.imu_epoch_ns);
-
+  const std::vector<double> shifts = CandidateShifts(options, trajectory, data);
   Start start;
   RateAlignment best;
   double most = -1.0;
-  const std::vector<double> shifts =
-      options.estimate_time_shift
-          ? FindTimeShifts(
-                trajectory, data.poses, data.gyro, options.min_overlap_s, guess, kCandidates)
-          : std::vector<double>{*guess};
   for (const double shift : shifts) {
     const RateAlignment alignment = AlignRates(trajectory, data.gyro, shift);
     const double evidence = Evidence(std::sqrt(std::max(0.0, alignment.explained)),
@@ -319,6 +555,7 @@ Start Initialise(const CalibrationOptions& options,
     best = alignment;
     start.time_shift = shift;
   }
+  CheckPoseReading(options, trajectory, data.gyro, shifts, best);
   if (best.explained < kMinExplained) throw DataError(RateMismatch(best));
   CheckGyroUnit(best);
   start.q_MI = options.initial_rotation ? options.initial_rotation->normalized() : best.q_MI;

@@ -39,6 +39,9 @@ void CheckJoint(const char* option, bool wanted, Method method) {
 }  // namespace
 
 void CalibrationOptions::Validate() const {
+  CheckRange("position_unit", position_unit, 1e-9, 1e9);
+  CheckRange("gyro_unit", gyro_unit, 1e-9, 1e9);
+  CheckRange("accel_unit", accel_unit, 1e-9, 1e9);
   CheckRange("max_gap_s", max_gap_s, 0.0, 1e3);
   CheckRange("min_segment_s", min_segment_s, 0.0, 1e3);
   CheckRange("min_overlap_s", min_overlap_s, 1.0, 1e6);

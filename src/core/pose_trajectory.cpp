@@ -195,11 +195,18 @@ std::vector<Eigen::Vector2d> DistanceFromNeighbours(const std::vector<TimedPose>
 /// believe in noise, or in motion at the rate of the samples, and cost it a long search.
 void RemoveSpikes(double threshold, ConditionedData* data) {
   for (int round = 0; round < kSpikeRounds; ++round) {
-    const std::vector<size_t> spikes =
-        FindOutliers(DistanceFromNeighbours(data->poses, data->segments),
-                     data->poses,
-                     kSpikeThreshold * threshold,
-                     kSpikeRadius / data->pose_report.rate_hz);
+    const std::vector<Eigen::Vector2d> distances =
+        DistanceFromNeighbours(data->poses, data->segments);
+    std::vector<size_t> spikes = FindOutliers(distances,
+                                              data->poses,
+                                              kSpikeThreshold * threshold,
+                                              kSpikeRadius / data->pose_report.rate_hz);
+    // On either side of a jump the distances are alike; next to a spike they are half of its own.
+    const auto is_at_jump = [&](size_t i) {
+      const Eigen::Vector2d next = distances[i - 1].cwiseMax(distances[i + 1]);
+      return (distances[i].array() < 1.5 * next.array()).all();
+    };
+    spikes.erase(std::remove_if(spikes.begin(), spikes.end(), is_at_jump), spikes.end());
     if (spikes.empty()) return;
     RemovePoses(spikes, data);
   }
@@ -282,6 +289,7 @@ PoseTrajectory::Pose PoseTrajectory::PoseAt(double t) const {
 
 PoseTrajectory FitTrajectory(const CalibrationOptions& options, ConditionedData* data) {
   RemoveSpikes(options.outlier_threshold, data);
+  SplitAtJumps(options, data);
   GpHyperparameters position, rotation;
   bool refit = true;
   int refits = 0;

@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <cmath>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
@@ -412,26 +413,54 @@ void CheckStamps(const std::string& topic, const std::vector<Sample>& samples) {
                      "recording instead, which are less exact");
 }
 
+/// Record time minus header stamp [s] of the messages of one stream.
+class Delays {
+ public:
+  void Add(const rosbag::MessageInstance& instance, int64_t stamp_ns) {
+    delays_s_.push_back(1e-9 *
+                        static_cast<double>(ToNanoseconds(instance.getTime()) - stamp_ns));
+  }
+
+  Latency Summarise() && {
+    Latency latency;
+    if (delays_s_.empty()) return latency;
+    latency.median_s = Median(delays_s_);
+    for (double& delay : delays_s_) delay = std::abs(delay - latency.median_s);
+    latency.spread_s = 1.4826 * Median(std::move(delays_s_));
+    return latency;
+  }
+
+ private:
+  std::vector<double> delays_s_;
+};
+
 void ReadImu(const Bags& bags, const ImuTopics& imu, bool record_time, Recording* recording) {
-  const auto stamped = [&](ImuSample sample, const rosbag::MessageInstance& instance) {
+  const auto add = [record_time](ImuSample sample,
+                                 const rosbag::MessageInstance& instance,
+                                 std::vector<ImuSample>* samples,
+                                 Delays* delays) {
+    delays->Add(instance, sample.t_ns);
     if (record_time) sample.t_ns = ToNanoseconds(instance.getTime());
-    return sample;
+    samples->push_back(sample);
   };
   std::string frame;
+  Delays gyro_delays, accel_delays;
   bags.ForEach(imu.gyro, [&](const rosbag::MessageInstance& instance) {
     const ImuContent content = ReadImuMessage(instance);
-    if (content.gyro) recording->data.gyro.push_back(stamped(*content.gyro, instance));
+    if (content.gyro) add(*content.gyro, instance, &recording->data.gyro, &gyro_delays);
     frame = content.frame;
     return true;
   });
   bags.ForEach(imu.accel, [&](const rosbag::MessageInstance& instance) {
     const ImuContent content = ReadImuMessage(instance);
-    if (content.accel) recording->data.accel.push_back(stamped(*content.accel, instance));
+    if (content.accel) add(*content.accel, instance, &recording->data.accel, &accel_delays);
     return true;
   });
   CheckStamps(imu.gyro.name, recording->data.gyro);
   CheckStamps(imu.accel.name, recording->data.accel);
   recording->info.imu_frame = FrameName(frame, "imu");
+  recording->info.gyro_latency = std::move(gyro_delays).Summarise();
+  recording->info.accel_latency = std::move(accel_delays).Summarise();
 }
 
 /// Median of each sigma; no value when no pose states one.
@@ -449,8 +478,10 @@ void ReadPoses(const Bags& bags, const Topic& topic, bool record_time, Recording
   const PoseType& type = *FindPoseType(topic.type);
   FramedPose first;
   std::vector<PoseStd> stated;
+  Delays delays;
   bags.ForEach(topic, [&](const rosbag::MessageInstance& instance) {
     FramedPose framed = type.read(instance);
+    delays.Add(instance, framed.pose.t_ns);
     if (record_time) framed.pose.t_ns = ToNanoseconds(instance.getTime());
     if (recording->data.poses.empty()) first = framed;
     if (framed.world_frame != first.world_frame || framed.marker_frame != first.marker_frame)
@@ -463,6 +494,7 @@ void ReadPoses(const Bags& bags, const Topic& topic, bool record_time, Recording
   });
   CheckStamps(topic.name, recording->data.poses);
   recording->info.pose_topic = topic.name;
+  recording->info.pose_latency = std::move(delays).Summarise();
   recording->info.world_frame = FrameName(first.world_frame, "world");
   recording->info.marker_frame = FrameName(first.marker_frame, "marker");
   recording->info.stated_pose_std = MedianStd(stated);

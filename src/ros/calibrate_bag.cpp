@@ -14,7 +14,7 @@ namespace po = boost::program_options;
 
 struct CommandLine {
   OfflineRequest request;
-  bool quiet = false, help = false, version = false;
+  bool check = false, quiet = false, help = false, version = false;
 };
 
 po::options_description Describe(CommandLine* line) {
@@ -49,6 +49,7 @@ po::options_description Describe(CommandLine* line) {
       "times of recording instead of the header stamps");
   add("marker-frame", text(&request.marker_frame), "name of the marker frame in the result");
   add("imu-frame", text(&request.imu_frame), "name of the imu frame in the result");
+  add("check", po::bool_switch(&line->check), "judge the recording without calibrating");
   add("quiet", po::bool_switch(&line->quiet), "print errors only");
   add("help", po::bool_switch(&line->help), "print this text");
   add("version", po::bool_switch(&line->version), "print the version");
@@ -81,6 +82,12 @@ void PrintHelp() {
       << "calibrated.\n";
 }
 
+void Check(const CommandLine& line) {
+  const OfflineCheck offline = CheckOffline(line.request);
+  if (!line.quiet) std::cout << Summary(offline.check, offline.info) << std::flush;
+  if (offline.check.verdict == DataVerdict::kRecordAgain) throw DataError(offline.check.message);
+}
+
 void Run(int argc, char** argv) {
   CommandLine line;
   Parse(argc, argv, &line);
@@ -90,6 +97,7 @@ void Run(int argc, char** argv) {
     return;
   }
 
+  if (line.check) return Check(line);
   const OfflineResult offline = CalibrateOffline(line.request);
   if (!line.quiet) std::cout << Summary(offline.result, offline.info) << std::flush;
   WriteResult(offline);

@@ -89,6 +89,11 @@ Recording ReadRecording(const OfflineRequest& request) {
   return recording;
 }
 
+void CheckGiven(const OfflineRequest& request) {
+  if (request.bag.paths.empty() && !NamesFiles(request.text))
+    throw InputError("no recording is given: a bag, a folder, or the files poses and imu");
+}
+
 }  // namespace
 
 std::string OutputPath(const OfflineRequest& request) {
@@ -102,8 +107,7 @@ std::string OutputPath(const OfflineRequest& request) {
 }
 
 OfflineResult CalibrateOffline(const OfflineRequest& given) {
-  if (given.bag.paths.empty() && !NamesFiles(given.text))
-    throw InputError("no recording is given: a bag, a folder, or the files poses and imu");
+  CheckGiven(given);
   OfflineResult offline;
   offline.output = OutputPath(given);
   RemoveOldResult(offline.output);
@@ -133,6 +137,14 @@ void WriteResult(const OfflineResult& offline) {
     std::cout << offline.yaml << std::flush;
     throw;
   }
+}
+
+OfflineCheck CheckOffline(const OfflineRequest& given) {
+  CheckGiven(given);
+  const OfflineRequest request = IsText(given) ? FindText(given) : given;
+  const CalibrationOptions options = Options(request);
+  const Recording recording = ReadRecording(request);
+  return {CheckData(options, recording.data), recording.info};
 }
 
 int ExitStatus(const std::exception& error) {

@@ -94,7 +94,9 @@ void EmitRejected(const char* key, const StreamReport& report, YAML::Emitter* ou
   Emit("reversed_stamp", report.reversed_stamp, out);
   Emit("duplicate_stamp", report.duplicate_stamp, out);
   Emit("repeated_value", report.repeated_value, out);
+  Emit("saturated", report.saturated, out);
   Emit("outlier", report.outlier, out);
+  Emit("flipped", report.flipped, out);
   Emit("in_short_segment", report.in_short_segment, out);
   *out << YAML::EndMap;
 }
@@ -245,6 +247,7 @@ void EmitData(const Calibration& result, const RecordingInfo& info, YAML::Emitte
             },
             out);
         Emit("gaps", result.gaps, out);
+        Emit("jumps", result.jumps, out);
       },
       out);
 }

@@ -63,7 +63,9 @@ std::string Dropped(const StreamReport& report) {
   add(report.reversed_stamp, "reversed stamp");
   add(report.duplicate_stamp, "duplicate stamp");
   add(report.repeated_value, "repeated value");
+  add(report.saturated, "saturated");
   add(report.outlier, "outlier");
+  add(report.flipped, "flipped");
   add(report.in_short_segment, "between gaps");
   return reasons.empty() ? "" : "; dropped " + reasons;
 }
@@ -87,8 +89,11 @@ std::string Data(const Calibration& result, const RecordingInfo& info) {
   text += Stream("  gyro   ", is_split ? info.gyro_topic : info.imu_topic, result.gyro);
   text += Stream("  accel  ", is_split ? info.accel_topic : info.imu_topic, result.accel);
   if (!info.imu_yaml.empty()) text += Wrap("  noise  ", info.imu_yaml);
-  if (result.gaps > 0)
-    text += Format("  %zu gaps in the poses leave %zu segments\n", result.gaps, result.segments);
+  if (result.gaps + result.jumps > 0)
+    text += Format("  %zu gaps and %zu jumps in the poses leave %zu segments\n",
+                   result.gaps,
+                   result.jumps,
+                   result.segments);
   return text;
 }
 
@@ -234,7 +239,98 @@ std::string StaticTransform(const Calibration& result, const RecordingInfo& info
          "  " + info.marker_frame + " " + info.imu_frame + "\n";
 }
 
+// --- Data check ---
+
+/// A time as people say it: "3.1 ms", "2.5 s", "-7200.0 s (-2.0 h)", "12.0 days".
+std::string Time(double seconds) {
+  const double size = std::abs(seconds);
+  if (size < 1.0) return Format("%.2f ms", 1e3 * seconds);
+  if (size < 600.0) return Format("%.1f s", seconds);
+  if (size < 36.0 * 3600.0) return Format("%.2f h", seconds / 3600.0);
+  return Format("%.1f days", seconds / 86400.0);
+}
+
+std::string Verdict(const DataCheck& check) {
+  switch (check.verdict) {
+    case DataVerdict::kGood:
+      return Wrap("GOOD: ", check.message);
+    case DataVerdict::kUsable:
+      return Wrap("USABLE: ", check.message);
+    case DataVerdict::kRecordAgain:
+      break;
+  }
+  return Wrap("RECORD AGAIN: ", check.message);
+}
+
+std::string Row(const char* label, const StreamCheck& stream, const Latency& latency) {
+  return Format("  %-6s%8zu%8.1f%9s%10s%8.1f%9.1f%12s%8s\n",
+                label,
+                stream.count,
+                stream.rate_hz,
+                Time(stream.jitter_s).c_str(),
+                Time(stream.longest_gap_s).c_str(),
+                100.0 * stream.missing,
+                100.0 * stream.repeated,
+                Time(latency.median_s).c_str(),
+                Time(latency.spread_s).c_str());
+}
+
+std::string Streams(const DataCheck& check, const RecordingInfo& info) {
+  const bool is_split = info.imu_topic.empty();
+  const auto dropped = [](const char* label, const StreamReport& report) {
+    const std::string text = Dropped(report);
+    return text.empty() ? "" : Wrap(label, text.substr(2));
+  };
+  const char* const kHeader = "  %-6s%8s%8s%9s%10s%8s%9s%12s%8s\n";
+  return "\n" +
+         Format(kHeader,
+                "",
+                "samples",
+                "Hz",
+                "jitter",
+                "max gap",
+                "missing",
+                "repeated",
+                "latency",
+                "spread") +
+         Format(kHeader, "", "", "", "", "", "%", "%", "(record - ", "header)") +
+         Row("poses", check.poses, info.pose_latency) + Row("gyro", check.gyro, info.gyro_latency) +
+         Row("accel", check.accel, info.accel_latency) +
+         Wrap("  topics: ",
+              info.pose_topic + ", " +
+                  (is_split ? info.gyro_topic + ", " + info.accel_topic : info.imu_topic)) +
+         dropped("  poses: ", check.poses_report) + dropped("  gyro: ", check.gyro_report) +
+         dropped("  accel: ", check.accel_report);
+}
+
+std::string Match(const DataCheck& check) {
+  if (!check.is_matched) return "";
+  return Format("  time_shift  about %.4f s", check.time_shift) +
+         (std::abs(check.time_shift) < 600.0 ? "" : " (" + Time(check.time_shift) + ")") +
+         Format("; %.1f s in common\n", check.overlap_s) +
+         Format("  clock drift %.1f +- %.1f ppm\n", check.drift_ppm, check.drift_ppm_std) +
+         Format("  turn rates  of poses and gyroscope agree to %.1f %%\n", 100.0 * check.explained);
+}
+
+std::string Excitation(const DataCheck& check) {
+  std::string text = "  turns       " + Vector(check.turns_M, "%.2f") + " rad/s rms about marker " +
+                     "x, y, z\n  moves       " + Vector(check.moves_W, "%.2f") +
+                     " m/s^2 rms along world x, y, z\n";
+  if (check.rest_s > 0.0)
+    text += Format("  at rest     %.1f s; the accelerometer shows %.2f m/s^2\n",
+                   check.rest_s,
+                   check.rest_norm);
+  return text;
+}
+
 }  // namespace
+
+std::string Summary(const DataCheck& check, const RecordingInfo& info) {
+  std::string text = Verdict(check) + Streams(check, info) + "\n" + Match(check);
+  if (!check.turns_M.isZero(0.0)) text += Excitation(check);
+  for (const std::string& warning : check.warnings) text += Wrap("  warning: ", warning);
+  return text;
+}
 
 std::string Summary(const Calibration& result, const RecordingInfo& info) {
   if (!result.IsUsable()) return Verdict(result) + Data(result, info) + Warnings(result);

@@ -99,9 +99,12 @@ YAML::Node ParseYaml(const std::string& text) {
 }
 
 std::string Nearest(const std::string& name, const std::vector<std::string>& names) {
+  const auto distance = [&name](const std::string& other) {
+    return other.compare(0, name.size(), name) == 0 ? 0 : EditDistance(name, other);
+  };
   return *std::min_element(
       names.begin(), names.end(), [&](const std::string& a, const std::string& b) {
-        return EditDistance(name, a) < EditDistance(name, b);
+        return distance(a) < distance(b);
       });
 }
 

@@ -307,6 +307,70 @@ TEST_F(CalibrateBagTest, FailureLeavesNoOldResultBehind) {
   EXPECT_EQ(ReadText(Path("mine.yaml")), "not: a result\n");
 }
 
+TEST_F(ExecutableTest, RefusesWhatCannotBeAsItIsInOneLine) {
+  struct Case {
+    void (*spoil)(CalibrationData*);
+    std::vector<std::string> parts;
+  };
+  const Case cases[] = {
+      {[](CalibrationData* d) {
+         for (ImuSample& s : d->gyro) s.value *= 57.29578;
+       },
+       {"gyroscope", "set gyro_unit: 0.0174532925"}},
+      {[](CalibrationData* d) {
+         for (ImuSample& s : d->accel) s.value /= 9.80665;
+       },
+       {"accelerometer", "set accel_unit: 9.80665"}},
+      {[](CalibrationData* d) {
+         for (PoseSample& s : d->poses) s.p_WM *= 1e3;
+       },
+       {"millimetres", "set position_unit: 1.0e-3"}},
+      {[](CalibrationData* d) {
+         for (PoseSample& s : d->poses) s.q_WM = s.q_WM.conjugate();
+       },
+       {"inverted", "set invert_poses: true"}},
+      {[](CalibrationData* d) {
+         for (PoseSample& s : d->poses) s.p_WM.setZero();
+       },
+       {"the position never changes"}},
+      {[](CalibrationData* d) {
+         for (ImuSample& s : d->gyro) s.value.z() = 0.0;
+       },
+       {"gyroscope: its z axis is always 0"}},
+  };
+  for (const Case& c : cases) {
+    SCOPED_TRACE(c.parts.back());
+    CalibrationData data = Simulate(Handheld());
+    c.spoil(&data);
+    WriteSimulation(data);
+    ExpectFailure("x.bag", 2, c.parts);
+  }
+}
+
+// --- calibrate_bag --check ---
+
+TEST_F(ExecutableTest, ChecksABagWithoutCalibrating) {
+  CalibrationData data = Simulate(Handheld());
+  WriteSimulation(data);
+  Write("x.calibration.yaml", std::string(kResultHeader) + "\n");
+  Outcome outcome = Calibrate("x.bag --check");
+  EXPECT_EQ(outcome.status, 0) << outcome.err;
+  EXPECT_EQ(outcome.err, "");
+  EXPECT_EQ(outcome.out.compare(0, 6, "GOOD: "), 0) << outcome.out;
+  EXPECT_TRUE(Contains(outcome.out, "rad/s rms about marker x, y, z")) << outcome.out;
+  EXPECT_TRUE(std::filesystem::exists(Path("x.calibration.yaml")));  // not touched
+
+  for (ImuSample& s : data.gyro) s.value *= 57.29578;
+  WriteSimulation(data);
+  outcome = Calibrate("x.bag --check");
+  EXPECT_EQ(outcome.status, 2);
+  EXPECT_EQ(outcome.out.compare(0, 14, "RECORD AGAIN: "), 0) << outcome.out;
+  EXPECT_TRUE(Contains(outcome.err, "calibrate_bag: error: gyroscope")) << outcome.err;
+  EXPECT_EQ(std::count(outcome.err.begin(), outcome.err.end(), '\n'), 1) << outcome.err;
+  EXPECT_EQ(Calibrate("x.bag --check --quiet").out, "");
+  EXPECT_EQ(Calibrate("missing.bag --check").status, 1);
+}
+
 // --- simulate_bag ---
 
 TEST_F(CalibrateBagTest, SimulationRepeatsWithItsSeed) {

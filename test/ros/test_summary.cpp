@@ -1,3 +1,5 @@
+#include <sstream>
+
 #include "imu_pose_calib/ros/summary.h"
 #include "test_util.h"
 
@@ -94,6 +96,45 @@ TEST(Summary, ShowsNoNumbersThatAreNoResult) {
   EXPECT_TRUE(Contains(text, "p_MI along marker z"));
   EXPECT_FALSE(Contains(text, "x_marker"));
   EXPECT_FALSE(Contains(text, "static_transform_publisher"));
+}
+
+TEST(Summary, ShowsADataCheckAtAGlance) {
+  DataCheck check;
+  check.verdict = DataVerdict::kUsable;
+  check.message = "see the warnings";
+  check.poses.count = 22562;
+  check.poses.rate_hz = 300.0;
+  check.poses.longest_gap_s = 0.25;
+  check.poses.repeated = 0.125;
+  check.poses_report.flipped = 321;
+  check.is_matched = true;
+  check.time_shift = -1034771.5066;
+  check.overlap_s = 65.1;
+  check.drift_ppm = -48.2;
+  check.drift_ppm_std = 1.3;
+  check.explained = 0.994;
+  check.turns_M = {0.82, 0.57, 0.88};
+  check.warnings = {"a warning that is long enough to be wrapped, for it goes on and on and on so"};
+  RecordingInfo info = MakeInfo();
+  info.gyro_latency = {-1034771.5, 2.5e-3};
+  const std::string text = Summary(check, info);
+  EXPECT_EQ(text.compare(0, 8, "USABLE: "), 0) << text;
+  for (const char* part : {"22562   300.0  0.00 ms 250.00 ms",
+                           "12.5",
+                           "-12.0 days 2.50 ms",
+                           "/mocap/pose, /imu/gyro, /imu/accel",
+                           "dropped 321 flipped",
+                           "about -1034771.5066 s (-12.0 days); 65.1 s in common",
+                           "-48.2 +- 1.3 ppm",
+                           "agree to 99.4 %",
+                           "[0.82, 0.57, 0.88] rad/s",
+                           "warning: a warning"})
+    EXPECT_TRUE(Contains(text, part)) << "'" << part << "' is missing in\n" << text;
+  std::istringstream lines(text);
+  for (std::string line; std::getline(lines, line);) EXPECT_LE(line.size(), 80u) << line;
+
+  check.verdict = DataVerdict::kRecordAgain;
+  EXPECT_EQ(Summary(check, info).compare(0, 14, "RECORD AGAIN: "), 0);
 }
 
 }  // namespace

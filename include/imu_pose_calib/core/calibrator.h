@@ -15,10 +15,12 @@ struct StreamReport {
   size_t used = 0;
   size_t not_finite = 0;        ///< NaN or infinite value
   size_t zero_quaternion = 0;   ///< poses only
-  size_t reversed_stamp = 0;    ///< stamped more than 1 s before a sample that arrived earlier
+  size_t reversed_stamp = 0;    ///< 1 s before a sample that arrived earlier, or hours astray
   size_t duplicate_stamp = 0;   ///< same stamp as another sample
   size_t repeated_value = 0;    ///< exactly the previous value under a new stamp (frozen)
-  size_t outlier = 0;           ///< poses only: leave-one-out residual too large
+  size_t saturated = 0;         ///< IMU only: at the end of the sensor's range
+  size_t outlier = 0;           ///< poses only: off its neighbours
+  size_t flipped = 0;           ///< poses only: in a run that turns against the gyroscope
   size_t in_short_segment = 0;  ///< poses only: between gaps less than min_segment_s apart
   double rate_hz = 0.0;         ///< 1 / median period of the samples used
   double duration_s = 0.0;      ///< first to last sample used
@@ -104,6 +106,7 @@ struct Calibration {
   StreamReport poses, gyro, accel;
   size_t segments = 0;  ///< runs of poses without a gap
   size_t gaps = 0;      ///< pose gaps longer than max_gap_s
+  size_t jumps = 0;     ///< cuts where a pose cannot follow from the one before it
 
   Vector6d Std() const { return covariance.diagonal().cwiseSqrt(); }
   /// The numbers may be used: status kOk or kWeak.

@@ -8,6 +8,9 @@
 
 namespace imu_pose_calib {
 
+/// A sample stamped further from the median of its stream is astray (stamp 0, clock set meanwhile).
+constexpr int64_t kMaxAstrayNs = 6 * 3600 * int64_t{1'000'000'000};
+
 /// A pose at `t` [s] after ConditionedData::pose_epoch_ns.
 struct TimedPose {
   double t;
@@ -39,11 +42,18 @@ struct ConditionedData {
 
   StreamReport pose_report, gyro_report, accel_report;
   size_t gaps = 0;
+  size_t jumps = 0;
 };
 
 /// Stage S0. Every dropped sample is counted in a report.
 /// Throws DataError naming the number and the bound when a stream is empty, too short, mostly
 /// unusable, or not in SI units.
 ConditionedData Condition(const CalibrationOptions& options, const CalibrationData& data);
+
+/// Cuts the segments where a pose cannot follow from the one before it (swapped marker labels, a
+/// tracker that finds itself anew) and counts the jumps. Runs between jumps that are too short for
+/// a segment are dropped and count as outliers. Single spikes must be gone already.
+/// Throws DataError when no run is left.
+void SplitAtJumps(const CalibrationOptions& options, ConditionedData* data);
 
 }  // namespace imu_pose_calib

@@ -51,7 +51,7 @@ class WindowedGp {
   struct Window {
     double first_center;         ///< [s] centre of the bump of row 0
     Eigen::MatrixXd weights;     ///< bumps x D
-    Eigen::MatrixXd covariance;  ///< bumps x bumps, of the weights of one output
+    Eigen::MatrixXd covariance;  ///< bumps x bumps, of the weights of one output; near bumps only
   };
   const Window& At(double t) const;
 

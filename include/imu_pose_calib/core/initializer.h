@@ -41,9 +41,18 @@ RateAlignment AlignRates(const PoseTrajectory& trajectory,
                          const std::vector<TimedSample>& gyro,
                          double time_shift);
 
+/// Drops the segments on which the marker turns against the gyroscope, as with swapped labels that
+/// turn the marker's frame on its body; they leave `trajectory` and data->poses and are counted.
+/// The rotation R_MI on which the longest part of the log agrees decides.
+/// Throws DataError when no such part prevails.
+void RemoveFlippedSegments(const CalibrationOptions& options,
+                           PoseTrajectory* trajectory,
+                           ConditionedData* data);
+
 /// p_MI, g_W and accel_bias by linear least squares on the accelerometer, given start->q_MI and
 /// start->time_shift; start->accel_delay is searched on +-0.1 s when `estimate_delay`.
-/// Throws DataError when the gravity found is not between half and twice `gravity_magnitude`.
+/// Throws DataError when the gravity found is not between half and twice `gravity_magnitude`, or
+/// when the positions are in another unit than the accelerometer.
 void FitLeverArm(const PoseTrajectory& trajectory,
                  const std::vector<TimedSample>& accel,
                  double gravity_magnitude,
@@ -51,7 +60,8 @@ void FitLeverArm(const PoseTrajectory& trajectory,
                  Start* start);
 
 /// Stage S2: closed-form start; initial values of the options take precedence.
-/// Throws DataError when the rates of poses and gyroscope do not match at any time shift.
+/// Throws DataError when the rates of poses and gyroscope do not match at any time shift, or match
+/// better when the poses are inverted.
 Start Initialise(const CalibrationOptions& options,
                  const PoseTrajectory& trajectory,
                  const ConditionedData& data);

@@ -25,6 +25,14 @@ struct CalibrationOptions {
 
   // --- Data (S0) ---
 
+  /// Unit of the recorded positions [m]: 1e-3 for millimetres.
+  double position_unit = 1.0;
+  /// Unit of the recorded gyroscope [rad/s]: 0.0174532925 for deg/s.
+  double gyro_unit = 1.0;
+  /// Unit of the recorded accelerometer [m/s^2]: 9.80665 for g.
+  double accel_unit = 1.0;
+  /// The recorded poses are T_MW (world seen from the marker) and have to be inverted.
+  bool invert_poses = false;
   /// Poses further apart than this are not interpolated between [s]. 0: five pose periods, at least
   /// 0.1 s.
   double max_gap_s = 0.0;
@@ -32,7 +40,8 @@ struct CalibrationOptions {
   double min_segment_s = 0.5;
   /// Shortest time that both clocks must have in common [s].
   double min_overlap_s = 5.0;
-  /// Largest share of samples that may be unusable (not finite, stamped backwards) [0..1].
+  /// Largest share of samples that may be unusable (not finite, stamped backwards,
+  /// saturated) [0..1].
   double max_bad_fraction = 0.1;
 
   // --- IMU noise: starting values; the solve re-estimates both white noises from the residuals ---

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "imu_pose_calib/core/calibrator.h"
+#include "imu_pose_calib/core/data_check.h"
 #include "imu_pose_calib/ros/bag_reader.h"
 #include "imu_pose_calib/ros/recording.h"
 #include "imu_pose_calib/ros/text_reader.h"
@@ -51,6 +52,16 @@ std::vector<std::string> SplitBags(const std::string& text);
 
 /// Writes the result. When that fails, prints its text on stdout before it throws.
 void WriteResult(const OfflineResult& offline);
+
+/// Checks of one bag without a calibration.
+struct OfflineCheck {
+  DataCheck check;
+  RecordingInfo info;
+};
+
+/// Reads the bag and judges it; writes and removes nothing.
+/// Throws InputError when something cannot be used as given.
+OfflineCheck CheckOffline(const OfflineRequest& request);
 
 /// Exit status of an executable that failed: 2 for data that cannot be calibrated, else 1.
 int ExitStatus(const std::exception& error);

@@ -13,6 +13,12 @@ struct PoseStd {
   double rotation = 0.0;  ///< [rad]
 };
 
+/// Record time minus header stamp of one stream [s]; the clocks may differ.
+struct Latency {
+  double median_s = 0.0;
+  double spread_s = 0.0;  ///< robust sigma
+};
+
 /// Where a recording comes from and how its frames are called.
 struct RecordingInfo {
   /// Path of the bag, or paths with spaces between them. Empty: text files, whose paths stand for
@@ -27,6 +33,7 @@ struct RecordingInfo {
   std::string imu_yaml;
   /// What the covariances of the poses say, median; not used, reported only.
   std::optional<PoseStd> stated_pose_std;
+  Latency pose_latency, gyro_latency, accel_latency;
 };
 
 /// The samples of one recording in the order in which they were recorded.

@@ -13,6 +13,10 @@ template <typename Options, typename Visitor>
 void VisitFields(Options&& options, Visitor&& visit) {
 #define IMU_POSE_CALIB_VISIT(field) visit(#field, options.field)
   IMU_POSE_CALIB_VISIT(method);
+  IMU_POSE_CALIB_VISIT(position_unit);
+  IMU_POSE_CALIB_VISIT(gyro_unit);
+  IMU_POSE_CALIB_VISIT(accel_unit);
+  IMU_POSE_CALIB_VISIT(invert_poses);
   IMU_POSE_CALIB_VISIT(max_gap_s);
   IMU_POSE_CALIB_VISIT(min_segment_s);
   IMU_POSE_CALIB_VISIT(min_overlap_s);

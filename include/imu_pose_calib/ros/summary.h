@@ -3,6 +3,7 @@
 #include <string>
 
 #include "imu_pose_calib/core/calibrator.h"
+#include "imu_pose_calib/core/data_check.h"
 #include "imu_pose_calib/ros/recording.h"
 
 namespace imu_pose_calib {
@@ -11,5 +12,9 @@ namespace imu_pose_calib {
 /// verdict, data, T_marker_imu and its inverse, clocks, biases, residuals and warnings, each number
 /// with its unit, each equation with its direction; last a command that publishes the transform.
 std::string Summary(const Calibration& result, const RecordingInfo& info);
+
+/// What a check of the data found, readable at a glance: verdict, a table of the streams, clocks,
+/// excitation and warnings.
+std::string Summary(const DataCheck& check, const RecordingInfo& info);
 
 }  // namespace imu_pose_calib

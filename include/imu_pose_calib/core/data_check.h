@@ -1,0 +1,77 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "imu_pose_calib/core/calibrator.h"
+#include "imu_pose_calib/core/conditioning.h"
+#include "imu_pose_calib/core/initializer.h"
+#include "imu_pose_calib/core/options.h"
+#include "imu_pose_calib/core/pose_trajectory.h"
+
+namespace imu_pose_calib {
+
+/// The stamps and values of one sensor as recorded. Shares are 0..1.
+struct StreamCheck {
+  size_t count = 0;
+  double duration_s = 0.0;     ///< first to last stamp
+  double rate_hz = 0.0;        ///< 1 / median period
+  double jitter_s = 0.0;       ///< robust sigma of the periods
+  double longest_gap_s = 0.0;  ///< longest period
+  double bunched = 0.0;        ///< within a quarter of a period after the sample before
+  double missing = 0.0;        ///< of the samples that rate and duration promise
+  double repeated = 0.0;       ///< same value as the sample before
+};
+
+enum class DataVerdict { kGood, kUsable, kRecordAgain };
+
+/// What a recording is worth, found without calibrating.
+struct DataCheck {
+  DataVerdict verdict = DataVerdict::kRecordAgain;
+  /// The reason in one line.
+  std::string message;
+  std::vector<std::string> warnings;
+
+  StreamCheck poses, gyro, accel;
+  /// What S0 and S1 would drop.
+  StreamReport poses_report, gyro_report, accel_report;
+  size_t gaps = 0, jumps = 0;
+
+  /// Rms per axis about the mean: rate about the marker axes, acceleration along the world axes.
+  Eigen::Vector3d turns_M = Eigen::Vector3d::Zero();  ///< [rad/s]
+  Eigen::Vector3d moves_W = Eigen::Vector3d::Zero();  ///< [m/s^2]
+  double rest_s = 0.0;                                ///< how long the IMU rested
+  double rest_norm = 0.0;                             ///< [m/s^2] of the accelerometer meanwhile
+
+  bool is_matched = false;  ///< both streams show the same motion; what follows is set
+  double explained = 0.0;   ///< share of the gyroscope's variance that the poses explain
+  double time_shift = 0.0;  ///< [s] about, t_pose = t_imu + time_shift
+  double overlap_s = 0.0;   ///< that both clocks have in common
+  double drift_ppm = 0.0;   ///< growth of the time shift
+  double drift_ppm_std = 0.0;
+};
+
+/// Checks of the samples as recorded: rates, stamps, repetitions.
+DataCheck CheckStreams(const CalibrationData& data);
+
+/// Checks of what S0 and S1 made of them: what was dropped, rest, excitation.
+void CheckMotion(const CalibrationOptions& options,
+                 const ConditionedData& data,
+                 const PoseTrajectory& trajectory,
+                 DataCheck* check);
+
+/// Checks that poses and IMU fit each other at the start found in S2: overlap, clock drift.
+void CheckMatch(const CalibrationOptions& options,
+                const ConditionedData& data,
+                const PoseTrajectory& trajectory,
+                const Start& start,
+                DataCheck* check);
+
+/// All checks, with the verdict. Data that Calibrate() would refuse are `kRecordAgain`.
+/// Throws InputError for options out of range.
+DataCheck CheckData(const CalibrationOptions& options, const CalibrationData& data);
+
+/// "good", "usable", "record again".
+const char* ToString(DataVerdict verdict);
+
+}  // namespace imu_pose_calib

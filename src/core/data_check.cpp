@@ -1,0 +1,408 @@
+#include "imu_pose_calib/core/data_check.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+#include <sstream>
+#include <utility>
+
+#include "imu_pose_calib/core/median.h"
+#include "imu_pose_calib/core/observability.h"
+#include "imu_pose_calib/core/so3.h"
+
+namespace imu_pose_calib {
+namespace {
+
+// Bounds of the warnings, as shares of a stream unless a unit is given.
+constexpr double kMaxJitter = 0.3;  // of a period
+constexpr double kMaxBunched = 0.1;
+constexpr double kMaxMissingImu = 0.05, kMaxMissingPoses = 0.3;
+constexpr double kMaxRepeatedImu = 0.3, kMaxRepeatedPoses = 0.1;
+constexpr double kMaxDropped = 0.01;  // not finite, zero, reversed
+constexpr double kMaxOutliers = 0.03;
+constexpr double kMinOverlap = 10.0;   // [s]
+constexpr double kMinExplained = 0.8;  // of the gyroscope's variance
+constexpr double kMaxGravityError = 0.05;
+constexpr double kMaxDriftEffect = 5e-4;  // [s] over the recording
+constexpr double kDriftSigmas = 5.0;
+
+constexpr double kBunch = 0.25;       // of a period
+constexpr double kRestWindow = 0.25;  // [s]
+constexpr double kRestRate = 0.05;    // [rad/s] rms
+constexpr double kRestForce = 0.15;   // [m/s^2] rms about the mean
+constexpr double kMinRest = 0.9;      // [s]
+constexpr double kMotionStep = 0.02;  // [s]
+constexpr double kDriftBlock = 2.0;   // [s] of samples whose errors may be correlated
+constexpr size_t kDriftSamples = 8000;
+
+template <typename... Args>
+void Warn(std::vector<std::string>* warnings, const Args&... args) {
+  std::ostringstream text;
+  text.precision(4);
+  (text << ... << args);
+  warnings->push_back(text.str());
+}
+
+double Percent(double share) { return 100.0 * share; }
+
+bool IsSame(const PoseSample& a, const PoseSample& b) {
+  return a.p_WM == b.p_WM && a.q_WM.coeffs() == b.q_WM.coeffs();
+}
+bool IsSame(const ImuSample& a, const ImuSample& b) { return a.value == b.value; }
+
+template <typename Sample>
+StreamCheck CheckStream(const std::vector<Sample>& samples) {
+  StreamCheck check;
+  check.count = samples.size();
+  if (samples.size() < 2) return check;
+  size_t repeated = 0;
+  std::vector<int64_t> stamps{samples[0].t_ns};
+  for (size_t i = 1; i < samples.size(); ++i) {
+    repeated += IsSame(samples[i], samples[i - 1]) ? 1 : 0;
+    stamps.push_back(samples[i].t_ns);
+  }
+  const auto n = static_cast<double>(samples.size());
+  check.repeated = static_cast<double>(repeated) / n;
+
+  std::sort(stamps.begin(), stamps.end());
+  const int64_t median = stamps[stamps.size() / 2];
+  const auto is_astray = [&](int64_t t_ns) { return std::abs(t_ns - median) > kMaxAstrayNs; };
+  stamps.erase(std::remove_if(stamps.begin(), stamps.end(), is_astray), stamps.end());
+  if (stamps.size() < 2) return check;
+  check.duration_s = 1e-9 * static_cast<double>(stamps.back() - stamps.front());
+  std::vector<double> periods;
+  for (size_t i = 1; i < stamps.size(); ++i)
+    periods.push_back(1e-9 * static_cast<double>(stamps[i] - stamps[i - 1]));
+  check.longest_gap_s = *std::max_element(periods.begin(), periods.end());
+  double period = Median(periods);
+  // Of samples that come in bunches, the median period is that inside of a bunch.
+  const double mean = check.duration_s / static_cast<double>(periods.size());
+  if (period < kBunch * mean) period = mean;
+  if (period <= 0.0) return check;
+  check.rate_hz = 1.0 / period;
+  std::vector<double> deviations;
+  double bunched = 0.0, duplicates = 0.0;
+  for (const double p : periods) {
+    deviations.push_back(std::abs(p - period));
+    if (p == 0.0)
+      duplicates += 1.0;
+    else if (p < kBunch * period)
+      bunched += 1.0;
+  }
+  check.jitter_s = 1.4826 * Median(std::move(deviations));
+  check.bunched = bunched / n;
+  check.missing = std::max(0.0, 1.0 - (n - duplicates) / (check.duration_s / period + 1.0));
+  return check;
+}
+
+void WarnOfStamps(const char* stream,
+                  const StreamCheck& check,
+                  double max_missing,
+                  double max_repeated,
+                  std::vector<std::string>* warnings) {
+  if (check.bunched > kMaxBunched)
+    Warn(warnings,
+         stream,
+         ": ",
+         Percent(check.bunched),
+         " % of the samples are stamped in bunches (bound: ",
+         Percent(kMaxBunched),
+         " %), as by time of arrival; use stamps of the sensor's own clock");
+  else if (check.jitter_s * check.rate_hz > kMaxJitter)
+    Warn(warnings,
+         stream,
+         ": the stamps jitter by ",
+         1e3 * check.jitter_s,
+         " ms (bound: ",
+         kMaxJitter,
+         " of the period of ",
+         1e3 / check.rate_hz,
+         " ms); use stamps of the sensor's own clock");
+  if (check.missing > max_missing)
+    Warn(warnings,
+         stream,
+         ": ",
+         Percent(check.missing),
+         " % of the samples are missing (bound: ",
+         Percent(max_missing),
+         " %), the longest gap is ",
+         check.longest_gap_s,
+         " s; look for lost packets or a hidden marker");
+  if (check.repeated > max_repeated)
+    Warn(warnings,
+         stream,
+         ": ",
+         Percent(check.repeated),
+         " % of the samples repeat the value before (bound: ",
+         Percent(max_repeated),
+         " %); they are not used");
+}
+
+void WarnOfDrops(const char* stream, const StreamReport& r, std::vector<std::string>* warnings) {
+  const double n = std::max(1.0, static_cast<double>(r.received));
+  const size_t bad = r.not_finite + r.zero_quaternion + r.reversed_stamp;
+  if (static_cast<double>(bad) > kMaxDropped * n)
+    Warn(warnings,
+         stream,
+         ": ",
+         bad,
+         " of ",
+         r.received,
+         " samples are not finite, zero or stamped backwards; they are not used");
+  if (r.saturated > 0)
+    Warn(warnings,
+         stream,
+         ": ",
+         r.saturated,
+         " samples at the end of the sensor's range are not used; choose a larger range or move "
+         "more gently");
+  if (static_cast<double>(r.outlier) > kMaxOutliers * n)
+    Warn(warnings,
+         stream,
+         ": ",
+         Percent(static_cast<double>(r.outlier) / n),
+         " % are outliers (bound: ",
+         Percent(kMaxOutliers),
+         " %); they are not used");
+  if (r.flipped > 0)
+    Warn(warnings,
+         stream,
+         ": ",
+         r.flipped,
+         " poses that turn against the gyroscope are not used: swapped labels? Place the markers "
+         "less symmetrically");
+}
+
+/// Mean norm of the accelerometer while neither sensor shows motion, and how long that was.
+void FindRest(const ConditionedData& data, const Eigen::Vector3d& gyro_bias, DataCheck* check) {
+  double sum = 0.0, count = 0.0;
+  size_t a = 0, g = 0;
+  const double end = std::min(data.gyro.back().t, data.accel.back().t);
+  for (double t = 0.0; t + kRestWindow < end; t += kRestWindow) {
+    double rate2 = 0.0, gyros = 0.0, norm = 0.0, norm2 = 0.0, accels = 0.0;
+    for (; g < data.gyro.size() && data.gyro[g].t < t + kRestWindow; ++g, gyros += 1.0)
+      rate2 += (data.gyro[g].value - gyro_bias).squaredNorm();
+    for (; a < data.accel.size() && data.accel[a].t < t + kRestWindow; ++a, accels += 1.0) {
+      norm += data.accel[a].value.norm();
+      norm2 += data.accel[a].value.squaredNorm();
+    }
+    if (gyros < 3.0 || accels < 3.0 || rate2 / gyros > kRestRate * kRestRate) continue;
+    const double mean = norm / accels;
+    if (norm2 / accels - mean * mean > kRestForce * kRestForce) continue;
+    check->rest_s += kRestWindow;
+    sum += norm;
+    count += accels;
+  }
+  check->rest_norm = count > 0.0 ? sum / count : 0.0;
+}
+
+/// Median per axis.
+Eigen::Vector3d MedianRate(const std::vector<TimedSample>& gyro) {
+  Eigen::Vector3d median;
+  for (int axis = 0; axis < 3; ++axis) {
+    std::vector<double> values;
+    for (const TimedSample& s : gyro) values.push_back(s.value[axis]);
+    median[axis] = Median(std::move(values));
+  }
+  return median;
+}
+
+/// Share of the gyroscope's variance that the poses explain, and growth of the time shift: linear
+/// least squares for small changes of R_MI, bias, shift and drift on the gyroscope, with a
+/// covariance from blocks of time.
+void MeasureDrift(const ConditionedData& data,
+                  const PoseTrajectory& trajectory,
+                  const Start& start,
+                  DataCheck* check) {
+  using Matrix8d = Eigen::Matrix<double, 8, 8>;
+  using Vector8d = Eigen::Matrix<double, 8, 1>;
+  struct Row {
+    double t;
+    Eigen::Matrix<double, 3, 8> J;
+    Eigen::Vector3d r;
+  };
+  std::vector<Row> rows;
+  const Eigen::Matrix3d R_IM = start.q_MI.conjugate().toRotationMatrix();
+  const double middle = 0.5 * data.gyro.back().t;
+  Matrix8d H = Matrix8d::Zero();
+  Vector8d b = Vector8d::Zero();
+  double motion = 0.0;
+  const size_t stride = std::max<size_t>(1, data.gyro.size() / kDriftSamples);
+  for (size_t i = 0; i < data.gyro.size(); i += stride) {
+    const TimedSample& s = data.gyro[i];
+    MarkerState<double> state;
+    if (!trajectory.Evaluate(s.t + start.time_shift, &state)) continue;
+    const Eigen::Vector3d omega_I = R_IM * state.omega_M, alpha_I = R_IM * state.alpha_M;
+    Row row{s.t, {}, s.value - start.gyro_bias - omega_I};
+    row.J << Hat(omega_I), Eigen::Matrix3d::Identity(), alpha_I, (s.t - middle) * alpha_I;
+    H.noalias() += row.J.transpose() * row.J;
+    b.noalias() += row.J.transpose() * row.r;
+    motion += (s.value - start.gyro_bias).squaredNorm();
+    rows.push_back(row);
+  }
+  if (rows.size() < 100) return;
+  const Eigen::LDLT<Matrix8d> ldlt(H);
+  const Vector8d x = ldlt.solve(b);
+  Matrix8d scatter = Matrix8d::Zero();
+  double residual = 0.0;
+  for (size_t i = 0; i < rows.size();) {
+    Vector8d score = Vector8d::Zero();
+    const double end = rows[i].t + kDriftBlock;
+    for (; i < rows.size() && rows[i].t < end; ++i) {
+      const Eigen::Vector3d r = rows[i].r - rows[i].J * x;
+      residual += r.squaredNorm();
+      score += rows[i].J.transpose() * r;
+    }
+    scatter += score * score.transpose();
+  }
+  check->explained = 1.0 - residual / motion;
+  check->time_shift += x[6];
+  check->drift_ppm = 1e6 * x[7];
+  const Matrix8d covariance = ldlt.solve(ldlt.solve(scatter).transpose());
+  check->drift_ppm_std = 1e6 * std::sqrt(std::max(0.0, covariance(7, 7)));
+}
+
+double Overlap(const ConditionedData& data, double time_shift) {
+  const double begin = std::max(0.0, data.gyro.front().t + time_shift);
+  const double end = std::min(data.poses.back().t, data.gyro.back().t + time_shift);
+  return std::max(0.0, end - begin);
+}
+
+}  // namespace
+
+DataCheck CheckStreams(const CalibrationData& data) {
+  DataCheck check;
+  check.poses = CheckStream(data.poses);
+  check.gyro = CheckStream(data.gyro);
+  check.accel = CheckStream(data.accel);
+  WarnOfStamps("pose", check.poses, kMaxMissingPoses, kMaxRepeatedPoses, &check.warnings);
+  WarnOfStamps("gyroscope", check.gyro, kMaxMissingImu, kMaxRepeatedImu, &check.warnings);
+  WarnOfStamps("accelerometer", check.accel, kMaxMissingImu, kMaxRepeatedImu, &check.warnings);
+  return check;
+}
+
+void CheckMotion(const CalibrationOptions& options,
+                 const ConditionedData& data,
+                 const PoseTrajectory& trajectory,
+                 DataCheck* check) {
+  check->poses_report = data.pose_report;
+  check->gyro_report = data.gyro_report;
+  check->accel_report = data.accel_report;
+  check->gaps = data.gaps;
+  check->jumps = data.jumps;
+  WarnOfDrops("pose", data.pose_report, &check->warnings);
+  WarnOfDrops("gyroscope", data.gyro_report, &check->warnings);
+  WarnOfDrops("accelerometer", data.accel_report, &check->warnings);
+  if (data.jumps > 0 && data.pose_report.flipped == 0)
+    Warn(&check->warnings,
+         "pose: ",
+         data.jumps,
+         " jumps; the poses are cut there, but they must all be in one frame W up to a turn about "
+         "gravity and a move");
+
+  Eigen::Matrix<double, 6, 1> sum = Eigen::Matrix<double, 6, 1>::Zero(), sum2 = sum;
+  double count = 1e-9;
+  for (double t = 0.0; t <= data.poses.back().t; t += kMotionStep) {
+    MarkerState<double> state;
+    if (!trajectory.Evaluate(t, &state)) continue;
+    Eigen::Matrix<double, 6, 1> x;
+    x << state.omega_M, state.a_W;
+    sum += x;
+    sum2 += x.cwiseAbs2();
+    count += 1.0;
+  }
+  const Eigen::Matrix<double, 6, 1> rms =
+      (sum2 / count - (sum / count).cwiseAbs2()).cwiseMax(0.0).cwiseSqrt();
+  check->turns_M = rms.head<3>();
+  check->moves_W = rms.tail<3>();
+
+  FindRest(data, MedianRate(data.gyro), check);
+  const double g = options.gravity_magnitude;
+  if (check->rest_s >= kMinRest && std::abs(check->rest_norm - g) > kMaxGravityError * g)
+    Warn(&check->warnings,
+         "accelerometer: its norm at rest is ",
+         check->rest_norm,
+         " m/s^2 (bound: within ",
+         Percent(kMaxGravityError),
+         " % of gravity_magnitude = ",
+         g,
+         "); check its scale and biases");
+}
+
+void CheckMatch(const CalibrationOptions& options,
+                const ConditionedData& data,
+                const PoseTrajectory& trajectory,
+                const Start& start,
+                DataCheck* check) {
+  check->is_matched = true;
+  check->time_shift =
+      start.time_shift + 1e-9 * static_cast<double>(data.pose_epoch_ns - data.imu_epoch_ns);
+  check->overlap_s = Overlap(data, start.time_shift);
+  MeasureDrift(data, trajectory, start, check);
+  if (check->overlap_s < kMinOverlap)
+    Warn(&check->warnings,
+         "poses and IMU have only ",
+         check->overlap_s,
+         " s in common (bound: ",
+         kMinOverlap,
+         " s); record 30 s or more");
+  if (check->explained < kMinExplained)
+    Warn(&check->warnings,
+         "the poses explain only ",
+         Percent(check->explained),
+         " % of the gyroscope's variance (bound: ",
+         Percent(kMinExplained),
+         " %): a loose mount, or poses that are slow, filtered or rare");
+  const double effect = 1e-6 * std::abs(check->drift_ppm) * check->overlap_s;
+  if (!options.estimate_clock_drift && effect > kMaxDriftEffect &&
+      std::abs(check->drift_ppm) > kDriftSigmas * check->drift_ppm_std)
+    Warn(&check->warnings,
+         "the clocks drift against each other by ",
+         check->drift_ppm,
+         " +- ",
+         check->drift_ppm_std,
+         " ppm, ",
+         1e3 * effect,
+         " ms over the recording (bound: ",
+         1e3 * kMaxDriftEffect,
+         " ms): set estimate_clock_drift: true");
+}
+
+DataCheck CheckData(const CalibrationOptions& options, const CalibrationData& data) {
+  options.Validate();
+  DataCheck check = CheckStreams(data);
+  try {
+    ConditionedData conditioned = Condition(options, data);
+    PoseTrajectory trajectory = FitTrajectory(options, &conditioned);
+    RemoveFlippedSegments(options, &trajectory, &conditioned);
+    CheckMotion(options, conditioned, trajectory, &check);
+    Calibration motion;
+    const bool needs_turns = options.estimate_translation && options.estimate_rotation;
+    if (needs_turns && IsMotionDegenerate(MeasureTurns(trajectory, conditioned), &motion))
+      throw DataError(motion.message);
+    CheckMatch(
+        options, conditioned, trajectory, Initialise(options, trajectory, conditioned), &check);
+  } catch (const DataError& error) {
+    check.verdict = DataVerdict::kRecordAgain;
+    check.message = error.what();
+    return check;
+  }
+  check.verdict = check.warnings.empty() ? DataVerdict::kGood : DataVerdict::kUsable;
+  check.message = check.warnings.empty() ? "nothing to remark" : "see the warnings";
+  return check;
+}
+
+const char* ToString(DataVerdict verdict) {
+  switch (verdict) {
+    case DataVerdict::kGood:
+      return "good";
+    case DataVerdict::kUsable:
+      return "usable";
+    case DataVerdict::kRecordAgain:
+      break;
+  }
+  return "record again";
+}
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,192 @@
+#include <gtest/gtest.h>
+
+#include "faults.h"
+#include "imu_pose_calib/core/data_check.h"
+#include "imu_pose_calib/core/simulator.h"
+#include "test_util.h"
+
+namespace imu_pose_calib {
+namespace {
+
+SimulatorOptions Truth(Motion motion = Motion::kHandheld, uint32_t seed = 51) {
+  SimulatorOptions options;
+  options.motion = motion;
+  options.duration_s = 20.0;
+  options.seed = seed;
+  return options;
+}
+
+DataCheck Check(const CalibrationData& data) { return CheckData(CalibrationOptions(), data); }
+
+/// Expects a usable recording with one warning that holds every part.
+void ExpectWarning(const DataCheck& check, const std::vector<std::string>& parts) {
+  EXPECT_EQ(check.verdict, DataVerdict::kUsable) << check.message;
+  ASSERT_EQ(check.warnings.size(), 1u) << ::testing::PrintToString(check.warnings);
+  for (const std::string& part : parts) EXPECT_TRUE(Contains(check.warnings[0], part));
+}
+
+TEST(CheckData, HasNothingToRemarkOnGoodRecordings) {
+  for (const Motion motion : {Motion::kHandheld, Motion::kTumble}) {
+    for (const double noise : {1e-4, 5e-3}) {
+      for (const double rate_hz : {10.0, 100.0, 250.0}) {
+        SCOPED_TRACE(std::string(Name(motion)) + " " + std::to_string(noise) + " " +
+                     std::to_string(rate_hz));
+        SimulatorOptions truth = Truth(motion);
+        truth.position_std = truth.rotation_std = noise;
+        truth.pose_rate_hz = rate_hz;
+        truth.time_shift_s = 7200.25;
+        const DataCheck check = Check(Simulate(truth));
+        EXPECT_EQ(check.verdict, DataVerdict::kGood) << ::testing::PrintToString(check.warnings);
+        EXPECT_TRUE(check.warnings.empty());
+        EXPECT_TRUE(check.is_matched);
+        EXPECT_NEAR(check.time_shift, 7200.25, 1e-3);
+        EXPECT_NEAR(check.overlap_s, 19.8, 0.21);
+        EXPECT_GT(check.explained, 0.99);
+        EXPECT_LT(std::abs(check.drift_ppm), 5.0 * check.drift_ppm_std);
+        EXPECT_NEAR(check.poses.rate_hz, rate_hz, 1e-3);
+        EXPECT_NEAR(check.gyro.rate_hz, 200.0, 1e-3);
+        EXPECT_LT(check.gyro.jitter_s, 1e-6);
+        EXPECT_LT(check.poses.missing, 1e-9);
+      }
+    }
+  }
+}
+
+TEST(CheckData, MeasuresTheExcitationOfEachAxis) {
+  const SimulatorOptions truth = Truth();
+  const TrueTrajectory trajectory(truth);
+  Eigen::Vector3d turns = Eigen::Vector3d::Zero(), moves = turns, mean_turn = turns, mean = turns;
+  const int n = 2000;
+  for (int i = 0; i < n; ++i) {
+    const TrueState s = trajectory.At(truth.duration_s * i / n);
+    turns += s.omega_M.cwiseAbs2() / n;
+    moves += s.a_W.cwiseAbs2() / n;
+    mean_turn += s.omega_M / n;
+    mean += s.a_W / n;
+  }
+  turns = (turns - mean_turn.cwiseAbs2()).cwiseSqrt();
+  moves = (moves - mean.cwiseAbs2()).cwiseSqrt();
+  const DataCheck check = Check(Simulate(truth));
+  EXPECT_LT((check.turns_M - turns).norm(), 0.02 * turns.norm());
+  EXPECT_LT((check.moves_W - moves).norm(), 0.02 * moves.norm());
+}
+
+TEST(CheckData, MeasuresTheDriftOfTheClocks) {
+  for (const double ppm : {-300.0, 80.0}) {
+    CalibrationData data = Simulate(Truth());
+    Drift(ppm, &data);
+    const DataCheck check = Check(data);
+    EXPECT_NEAR(check.drift_ppm, ppm, 5.0 * check.drift_ppm_std);
+    EXPECT_LT(check.drift_ppm_std, 10.0);
+    ExpectWarning(check, {"drift", "ppm", "set estimate_clock_drift: true"});
+  }
+  CalibrationOptions options;
+  options.estimate_clock_drift = true;
+  CalibrationData data = Simulate(Truth());
+  Drift(100.0, &data);
+  EXPECT_EQ(CheckData(options, data).verdict, DataVerdict::kGood);
+}
+
+TEST(CheckData, WarnsOfStampsByTimeOfArrival) {
+  CalibrationData data = Simulate(Truth());
+  for (size_t i = 0; i < data.gyro.size(); ++i)  // four at a time, 0.1 ms apart
+    data.gyro[i].t_ns = data.gyro[i - i % 4].t_ns + 100'000 * static_cast<int64_t>(i % 4);
+  const DataCheck check = Check(data);
+  EXPECT_NEAR(check.gyro.bunched, 0.75, 0.01);
+  EXPECT_NEAR(check.gyro.rate_hz, 200.0, 1.0);
+  ExpectWarning(check, {"gyroscope", "bunches", "sensor's own clock"});
+}
+
+TEST(CheckData, WarnsOfStampsThatJitter) {
+  CalibrationData data = Simulate(Truth());
+  std::mt19937 random(1);
+  for (ImuSample& s : data.accel)
+    s.t_ns += std::uniform_int_distribution<int64_t>(-2'400'000, 2'400'000)(random);
+  ExpectWarning(Check(data), {"accelerometer", "jitter", "of the period of"});
+}
+
+TEST(CheckData, WarnsOfLostSamples) {
+  CalibrationData data = Simulate(Truth());
+  LosePackets(0.15, 1, &data.gyro);
+  const DataCheck check = Check(data);
+  EXPECT_NEAR(check.gyro.missing, 0.15, 0.05);
+  EXPECT_GE(check.gyro.longest_gap_s, 0.05);
+  ExpectWarning(check, {"gyroscope", "missing", "longest gap"});
+}
+
+TEST(CheckData, WarnsOfAFrozenTracker) {
+  CalibrationData data = Simulate(Truth());
+  Freeze(5.0, 8.0, &data);
+  const DataCheck check = Check(data);
+  EXPECT_NEAR(check.poses.repeated, 0.15, 0.01);
+  EXPECT_EQ(check.gaps, 1u);
+  ExpectWarning(check, {"pose", "repeat the value before"});
+}
+
+TEST(CheckData, WarnsOfSwappedLabelsSaturationAndOutliers) {
+  CalibrationData flipped = Simulate(Truth()), clipped = flipped, spoiled = flipped;
+  SwapLabels(5.0, 8.0, Eigen::Quaterniond(0.0, 1.0, 0.0, 0.0), &flipped);
+  ExpectWarning(Check(flipped), {"300 poses that turn against the gyroscope", "symmetrically"});
+  double peak = 0.0;
+  for (const ImuSample& s : clipped.gyro) peak = std::max(peak, s.value.cwiseAbs().maxCoeff());
+  Clip(0.85 * peak, &clipped.gyro);
+  ExpectWarning(Check(clipped), {"gyroscope", "end of the sensor's range"});
+  AddOutliers(0.05, 1, &spoiled);
+  ExpectWarning(Check(spoiled), {"pose", "outliers"});
+}
+
+TEST(CheckData, WarnsOfAWrongScaleSeenAtRest) {
+  SimulatorOptions truth = Truth();
+  CalibrationData data = Simulate(truth);
+  truth.motion = Motion::kStatic;
+  const CalibrationData rest = Simulate(truth);  // 20 s before the motion, on the same clocks
+  const int64_t shift_ns = 20'000'000'000;
+  const auto prepend = [&](const std::vector<ImuSample>& before, std::vector<ImuSample>* samples) {
+    std::vector<ImuSample> all = before;
+    for (ImuSample& s : all) s.t_ns -= shift_ns;
+    all.insert(all.end(), samples->begin(), samples->end());
+    *samples = all;
+  };
+  prepend(rest.gyro, &data.gyro);
+  prepend(rest.accel, &data.accel);
+  DataCheck check = Check(data);
+  EXPECT_NEAR(check.rest_s, 20.0, 0.5);
+  EXPECT_NEAR(check.rest_norm, 9.80665, 0.1);
+  EXPECT_EQ(check.verdict, DataVerdict::kGood) << ::testing::PrintToString(check.warnings);
+  for (ImuSample& s : data.accel) s.value *= 1.08;
+  ExpectWarning(Check(data), {"norm at rest", "bound: within 5 % of gravity_magnitude"});
+}
+
+TEST(CheckData, AsksToRecordAgainWithTheReasonAndKeepsTheTable) {
+  CalibrationData data = Simulate(Truth());
+  for (ImuSample& s : data.gyro) s.value *= 180.0 / M_PI;
+  DataCheck check = Check(data);
+  EXPECT_EQ(check.verdict, DataVerdict::kRecordAgain);
+  EXPECT_TRUE(Contains(check.message, "set gyro_unit: 0.0174532925"));
+  EXPECT_EQ(check.gyro.count, 4000u);
+  EXPECT_FALSE(check.is_matched);
+
+  check = Check(Simulate(Truth(Motion::kPlanar)));
+  EXPECT_EQ(check.verdict, DataVerdict::kRecordAgain);
+  EXPECT_TRUE(Contains(check.message, "one axis only"));
+  EXPECT_GT(check.turns_M.z(), 0.1);
+
+  check = Check(CalibrationData());
+  EXPECT_EQ(check.verdict, DataVerdict::kRecordAgain);
+  EXPECT_TRUE(Contains(check.message, "no pose samples"));
+}
+
+TEST(CheckData, HandsItsWarningsToTheCalibration) {
+  CalibrationOptions options;
+  options.method = Method::kGp;
+  options.num_threads = 1;
+  CalibrationData data = Simulate(Truth());
+  EXPECT_TRUE(Calibrate(options, data).warnings.empty());
+  Drift(300.0, &data);
+  const Calibration result = Calibrate(options, data);
+  ASSERT_FALSE(result.warnings.empty());
+  EXPECT_TRUE(Contains(result.warnings[0], "estimate_clock_drift"));
+}
+
+}  // namespace
+}  // namespace imu_pose_calib
