@@ -1,6 +1,7 @@
 #include "imu_pose_calib/ros/conversions.h"
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 
 namespace imu_pose_calib {
@@ -52,6 +53,38 @@ PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::Pose& pose)
 PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::Transform& transform) {
   const auto& p = transform.translation;
   return {ToNanoseconds(stamp), FromMsg(transform.rotation), {p.x, p.y, p.z}};
+}
+
+FramedPose ToFramedPose(const geometry_msgs::PoseStamped& msg) {
+  return {ToPoseSample(msg.header.stamp, msg.pose), msg.header.frame_id, "", {}};
+}
+
+FramedPose ToFramedPose(const geometry_msgs::TransformStamped& msg) {
+  return {
+      ToPoseSample(msg.header.stamp, msg.transform), msg.header.frame_id, msg.child_frame_id, {}};
+}
+
+FramedPose ToFramedPose(const geometry_msgs::PoseWithCovarianceStamped& msg) {
+  return {
+      ToPoseSample(msg.header.stamp, msg.pose.pose), msg.header.frame_id, "", ToPoseStd(msg.pose)};
+}
+
+FramedPose ToFramedPose(const nav_msgs::Odometry& msg) {
+  return {ToPoseSample(msg.header.stamp, msg.pose.pose),
+          msg.header.frame_id,
+          msg.child_frame_id,
+          ToPoseStd(msg.pose)};
+}
+
+std::optional<PoseStd> ToPoseStd(const geometry_msgs::PoseWithCovariance& pose) {
+  Vector6d variance;  // x, y, z, about x, about y, about z
+  for (Eigen::Index i = 0; i < 6; ++i) variance[i] = pose.covariance[static_cast<size_t>(7 * i)];
+  if (!variance.allFinite() || variance.minCoeff() <= 0.0) return std::nullopt;
+  return PoseStd{std::sqrt(variance.head<3>().mean()), std::sqrt(variance.tail<3>().mean())};
+}
+
+ImuSample ToImuSample(const geometry_msgs::Vector3Stamped& msg) {
+  return {ToNanoseconds(msg.header.stamp), {msg.vector.x, msg.vector.y, msg.vector.z}};
 }
 
 ImuSample ToGyroSample(const sensor_msgs::Imu& msg) {

@@ -1,11 +1,17 @@
 #pragma once
 
 #include <geometry_msgs/Pose.h>
+#include <geometry_msgs/PoseStamped.h>
+#include <geometry_msgs/PoseWithCovariance.h>
+#include <geometry_msgs/PoseWithCovarianceStamped.h>
 #include <geometry_msgs/Transform.h>
 #include <geometry_msgs/TransformStamped.h>
+#include <geometry_msgs/Vector3Stamped.h>
+#include <nav_msgs/Odometry.h>
 #include <ros/time.h>
 #include <sensor_msgs/Imu.h>
 
+#include <optional>
 #include <string>
 
 #include "imu_pose_calib/CalibrationResult.h"
@@ -22,8 +28,26 @@ ros::Time FromNanoseconds(int64_t t_ns);
 
 PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::Pose& pose);
 PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::Transform& transform);
-ImuSample ToGyroSample(const sensor_msgs::Imu& msg);   ///< [rad/s]
-ImuSample ToAccelSample(const sensor_msgs::Imu& msg);  ///< [m/s^2]
+
+/// What one pose message says.
+struct FramedPose {
+  PoseSample pose;
+  std::string world_frame, marker_frame;  ///< as in the message; marker empty: not given
+  std::optional<PoseStd> stated_std;      ///< from a covariance that makes sense
+};
+FramedPose ToFramedPose(const geometry_msgs::PoseStamped& msg);
+FramedPose ToFramedPose(const geometry_msgs::TransformStamped& msg);
+FramedPose ToFramedPose(const geometry_msgs::PoseWithCovarianceStamped& msg);
+FramedPose ToFramedPose(const nav_msgs::Odometry& msg);
+
+/// Root mean square of the sigmas along (position) and about (rotation) the three axes. No value
+/// when the diagonal holds a number that is not finite or not positive, which is how "unknown" is
+/// written.
+std::optional<PoseStd> ToPoseStd(const geometry_msgs::PoseWithCovariance& pose);
+
+ImuSample ToImuSample(const geometry_msgs::Vector3Stamped& msg);  ///< [rad/s] or [m/s^2]
+ImuSample ToGyroSample(const sensor_msgs::Imu& msg);              ///< [rad/s]
+ImuSample ToAccelSample(const sensor_msgs::Imu& msg);             ///< [m/s^2]
 
 /// `frame` without leading slash, or `fallback` when it is empty.
 std::string FrameName(const std::string& frame, const std::string& fallback);

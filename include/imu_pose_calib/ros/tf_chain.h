@@ -1,0 +1,70 @@
+#pragma once
+
+#include <tf2/buffer_core.h>
+#include <tf2_msgs/TFMessage.h>
+
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "imu_pose_calib/core/types.h"
+
+namespace imu_pose_calib {
+
+/// Poses of one tf frame in another, from the messages of /tf and /tf_static. The frames may be any
+/// number of links apart, fixed or moving; tf2 composes and interpolates them.
+///
+/// There is one pose per update of a link that moves, as soon as every link is known at that stamp.
+/// Links that are repeated but never change bring no poses of their own.
+class TfChain {
+ public:
+  /// Poses of `child` in `parent` (W and M); leading slashes are ignored here and in messages.
+  /// `cache_s`: how far apart in time links of the same stamp may arrive [s].
+  TfChain(const std::string& parent, const std::string& child, double cache_s);
+
+  /// A message of /tf, or of /tf_static when `fixed`.
+  void Add(const tf2_msgs::TFMessage& message, bool fixed);
+
+  /// The poses that have become known since the last call. A pose is NaN when an update that
+  /// belongs to it is unusable: not finite, or its quaternion is not of unit length.
+  std::vector<PoseSample> TakePoses();
+
+  /// Throws InputError naming the frames when the links seen so far cannot give poses: a frame is
+  /// missing, the two are not connected, or nothing between them moves.
+  void Check() const;
+
+  /// All links seen so far, "world -> base, base -> tool (fixed)".
+  std::string Links() const;
+
+ private:
+  struct Update {
+    ros::Time stamp;
+    bool usable;
+  };
+  /// The link from a frame, which is the key of `links_`, to its parent.
+  struct Link {
+    std::string parent;
+    bool fixed = false;
+    bool moves = false;     ///< has changed
+    ros::Time first, last;  ///< stamps of usable updates; 0: none
+    geometry_msgs::Transform first_transform;
+    std::vector<Update> updates;  ///< that call for a pose and have not been taken
+  };
+
+  void AddFixed(const geometry_msgs::TransformStamped& transform);
+  void AddMoving(const geometry_msgs::TransformStamped& transform);
+  PoseSample PoseAt(const ros::Time& stamp, bool usable) const;
+  /// The frame and those above it, up to the root.
+  std::vector<std::string> Ancestry(std::string frame) const;
+  /// Keys of the links between the two frames that are not fixed; no value when the frames are not
+  /// connected.
+  std::optional<std::vector<std::string>> Chain() const;
+
+  std::string parent_, child_;
+  tf2::BufferCore buffer_;
+  std::map<std::string, Link> links_;
+  ros::Time last_taken_;
+};
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,192 @@
+#include <gtest/gtest.h>
+
+#include <Eigen/Geometry>
+
+#include "imu_pose_calib/ros/conversions.h"
+#include "imu_pose_calib/ros/tf_chain.h"
+#include "test_util.h"
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr double kCache = 100.0;  // [s]
+
+geometry_msgs::TransformStamped Link(const std::string& parent,
+                                     const std::string& child,
+                                     double t,
+                                     double x,
+                                     double angle = 0.0) {
+  geometry_msgs::TransformStamped link;
+  link.header.stamp = ros::Time(t);
+  link.header.frame_id = parent;
+  link.child_frame_id = child;
+  link.transform.translation.x = x;
+  link.transform.rotation.z = std::sin(0.5 * angle);
+  link.transform.rotation.w = std::cos(0.5 * angle);
+  return link;
+}
+
+tf2_msgs::TFMessage Message(const std::vector<geometry_msgs::TransformStamped>& links) {
+  tf2_msgs::TFMessage message;
+  message.transforms = links;
+  return message;
+}
+
+/// Stamps [s] and x [m] of the poses.
+std::vector<std::pair<double, double>> Summary(const std::vector<PoseSample>& poses) {
+  std::vector<std::pair<double, double>> summary;
+  for (const PoseSample& pose : poses)
+    summary.emplace_back(1e-9 * static_cast<double>(pose.t_ns), pose.p_WM.x());
+  return summary;
+}
+
+using Poses = std::vector<std::pair<double, double>>;
+
+TEST(TfChain, GivesThePosesOfOneLink) {
+  TfChain chain("/world", "marker", kCache);
+  chain.Add(Message({Link("world", "/marker", 1.0, 1.0)}), false);
+  chain.Add(Message({Link("world", "/marker", 2.0, 4.0)}), false);
+  EXPECT_EQ(Summary(chain.TakePoses()), (Poses{{1.0, 1.0}, {2.0, 4.0}}));
+  chain.Add(Message({Link("world", "/marker", 3.0, 5.0)}), false);
+  EXPECT_EQ(Summary(chain.TakePoses()), (Poses{{3.0, 5.0}}));
+  EXPECT_TRUE(chain.TakePoses().empty());
+  chain.Check();
+}
+
+TEST(TfChain, ComposesLinksUpAndDownTheTree) {
+  // hand <- arm <- base -> world: the hand in the world
+  TfChain chain("world", "hand", kCache);
+  chain.Add(Message({Link("base", "world", 0.0, 0.0, M_PI / 2)}), true);
+  chain.Add(Message({Link("base", "arm", 1.0, 2.0, M_PI / 2), Link("arm", "hand", 1.0, 1.0)}),
+            false);
+  chain.Add(Message({Link("base", "arm", 2.0, 3.0, M_PI / 2), Link("arm", "hand", 2.0, 1.5)}),
+            false);
+  const std::vector<PoseSample> poses = chain.TakePoses();
+  ASSERT_EQ(poses.size(), 2u);
+  // hand in base: (3, 1.5), turned by 90 deg; base in world: turned by -90 deg
+  EXPECT_LT((poses[1].p_WM - Eigen::Vector3d(1.5, -3.0, 0.0)).norm(), 1e-12);
+  EXPECT_LT(poses[1].q_WM.angularDistance(Eigen::Quaterniond::Identity()), 1e-12);
+}
+
+TEST(TfChain, InterpolatesTheLinksThatDidNotMove) {
+  TfChain chain("a", "c", kCache);
+  chain.Add(Message({Link("a", "b", 1.0, 0.0), Link("b", "c", 1.0, 0.0)}), false);
+  chain.Add(Message({Link("b", "c", 2.0, 1.0)}), false);
+  chain.Add(Message({Link("b", "c", 3.0, 2.0)}), false);
+  EXPECT_EQ(Summary(chain.TakePoses()), (Poses{{1.0, 0.0}}));  // a -> b is not known yet
+  chain.Add(Message({Link("a", "b", 4.0, 30.0)}), false);
+  EXPECT_EQ(Summary(chain.TakePoses()), (Poses{{2.0, 11.0}, {3.0, 22.0}}));
+  chain.Add(Message({Link("b", "c", 4.0, 3.0)}), false);
+  EXPECT_EQ(Summary(chain.TakePoses()), (Poses{{4.0, 33.0}}));
+}
+
+TEST(TfChain, TakesOnlyStampsAtWhichEveryLinkIsKnown) {
+  TfChain chain("a", "c", kCache);
+  for (int k = 0; k < 10; ++k) chain.Add(Message({Link("b", "c", 1.0 + k, k)}), false);
+  chain.Add(Message({Link("a", "b", 3.5, 0.0)}), false);
+  chain.Add(Message({Link("a", "b", 5.5, 0.0)}), false);
+  EXPECT_EQ(Summary(chain.TakePoses()), (Poses{{4.0, 3.0}, {5.0, 4.0}}));
+}
+
+TEST(TfChain, RepeatedLinksBringNoPoses) {
+  TfChain chain("a", "c", kCache);
+  for (int k = 0; k < 4; ++k) {
+    chain.Add(Message({Link("a", "b", 1.5 + k, 7.0)}), false);
+    chain.Add(Message({Link("b", "c", 2.0 + k, k)}), false);
+  }
+  EXPECT_EQ(Summary(chain.TakePoses()), (Poses{{2.0, 7.0}, {3.0, 8.0}, {4.0, 9.0}}));
+}
+
+TEST(TfChain, KeepsPosesOfAFrozenTracker) {
+  TfChain chain("world", "marker", kCache);
+  for (const double x : {1.0, 2.0}) chain.Add(Message({Link("world", "marker", x, x)}), false);
+  for (int k = 0; k < 3; ++k) chain.Add(Message({Link("world", "marker", 3.0 + k, 2.0)}), false);
+  EXPECT_EQ(chain.TakePoses().size(), 5u);
+}
+
+TEST(TfChain, SaysWhichPosesAreUnusable) {
+  TfChain chain("a", "c", kCache);
+  for (int k = 0; k < 3; ++k) {
+    auto first = Link("a", "b", 1.0 + k, k), second = Link("b", "c", 1.0 + k, k);
+    if (k == 1) first.transform.translation.y = std::nan("");
+    chain.Add(Message({first, second}), false);
+  }
+  const std::vector<PoseSample> poses = chain.TakePoses();
+  ASSERT_EQ(poses.size(), 3u);
+  EXPECT_TRUE(poses[0].p_WM.allFinite());
+  EXPECT_EQ(poses[1].t_ns, 2000000000);
+  EXPECT_FALSE(poses[1].p_WM.allFinite());
+  EXPECT_TRUE(poses[2].p_WM.allFinite());
+}
+
+TEST(TfChain, KeepsTheOrderOfReversedStamps) {
+  TfChain chain("world", "marker", kCache);
+  std::vector<double> stamps;
+  for (const double t : {5.0, 6.0, 3.0, 7.0}) {
+    chain.Add(Message({Link("world", "marker", t, t)}), false);
+    for (const auto& [stamp, x] : Summary(chain.TakePoses())) stamps.push_back(stamp);
+  }
+  EXPECT_EQ(stamps, (std::vector<double>{5.0, 6.0, 3.0, 7.0}));
+}
+
+TEST(TfChain, KeepsNanosecondsOverLongRecordings) {
+  TfChain chain("world", "marker", 3600.0);
+  size_t count = 0;
+  for (uint32_t k = 0; k < 20000; ++k) {
+    auto link = Link("world", "marker", 0.0, k);
+    link.header.stamp = ros::Time(1600000000 + k / 10, 123456789);
+    if (k % 10 == 0) chain.Add(Message({link}), false);
+    for (const PoseSample& pose : chain.TakePoses()) {
+      EXPECT_EQ(pose.t_ns % 1000000000, 123456789);
+      ++count;
+    }
+  }
+  EXPECT_EQ(count, 2000u);
+}
+
+void ExpectProblem(const TfChain& chain, const std::vector<std::string>& parts) {
+  ExpectError<InputError>([&] { chain.Check(); }, parts);
+}
+
+TEST(TfChain, NamesWhatIsMissing) {
+  const auto fill = [](TfChain* chain) {
+    chain->Add(Message({Link("base", "camera", 0.0, 1.0)}), true);
+    for (int k = 0; k < 3; ++k)
+      chain->Add(Message({Link("world", "base", 1.0 + k, k), Link("map", "odom", 1.0 + k, 0.0)}),
+                 false);
+  };
+  TfChain missing("earth", "base", kCache);
+  ExpectProblem(missing, {"tf_parent 'earth' is not in tf, which has: nothing"});
+  fill(&missing);
+  ExpectProblem(missing, {"'earth'", "world -> base, base -> camera (fixed), map -> odom"});
+  TfChain unconnected("map", "camera", kCache);
+  fill(&unconnected);
+  EXPECT_TRUE(unconnected.TakePoses().empty());
+  ExpectProblem(unconnected, {"tf_parent 'map' and tf_child 'camera' are not connected"});
+  TfChain fixed("base", "camera", kCache);
+  fill(&fixed);
+  EXPECT_TRUE(fixed.TakePoses().empty());
+  ExpectProblem(fixed, {"fixed to each other"});
+  TfChain same("base", "base", kCache);
+  fill(&same);
+  ExpectProblem(same, {"fixed to each other"});
+  TfChain resting("map", "odom", kCache);
+  fill(&resting);
+  EXPECT_TRUE(resting.TakePoses().empty());
+  ExpectProblem(resting, {"do not move against each other"});
+}
+
+TEST(TfChain, SurvivesLoops) {
+  TfChain chain("a", "d", kCache);
+  chain.Add(Message({Link("a", "b", 1.0, 1.0), Link("b", "a", 1.0, 1.0), Link("c", "d", 1.0, 1.0)}),
+            false);
+  EXPECT_TRUE(chain.TakePoses().empty());
+  ExpectProblem(chain, {"not connected"});
+  TfChain inside("a", "b", kCache);
+  for (int k = 0; k < 3; ++k)
+    inside.Add(Message({Link("a", "b", 1.0 + k, k), Link("b", "a", 1.0 + k, k)}), false);
+  inside.TakePoses();
+}
+
+}  // namespace
+}  // namespace imu_pose_calib
