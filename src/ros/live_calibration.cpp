@@ -25,6 +25,8 @@ constexpr double kEnoughTranslation = 3.0 * 0.3 * 0.3;  // [m^2/s]
 constexpr double kMinMotionStep = 0.1, kMaxMotionStep = 0.3;
 
 constexpr size_t kStableSolves = 3;
+/// Of two results about as precise the newer one counts.
+constexpr double kMuchWorse = 1.2;
 constexpr double kRateSpan = 2.0;    // [s]
 constexpr double kNoticeSpan = 5.0;  // [s]
 
@@ -262,7 +264,9 @@ bool LiveCalibration::EndSolve(const Calibration& result) {
   failure_.clear();
   last_.push_back(result);
   if (last_.size() > kStableSolves) last_.pop_front();
-  if (result_ && Score(options_, result) >= Score(options_, *result_)) return false;
+  const double score = Score(options_, result);
+  if (result_ && score > kMuchWorse * best_score_) return false;
+  best_score_ = result_ ? std::min(best_score_, score) : score;
   result_ = result;
   return true;
 }
@@ -290,6 +294,7 @@ void LiveCalibration::Reset(const std::string& reason, double now) {
   last_.clear();
   result_.reset();
   frozen_.clear();
+  ++resets_;
   notice_ = reason.empty() ? "" : reason + "; started anew";
   notice_time_ = now;
 }

@@ -19,6 +19,7 @@
 #include <list>
 #include <memory>
 #include <mutex>
+#include <optional>
 
 #include "imu_pose_calib/CalibrationStatus.h"
 #include "imu_pose_calib/ros/conversions.h"
@@ -30,6 +31,7 @@
 #include "imu_pose_calib/ros/result_yaml.h"
 #include "imu_pose_calib/ros/ros_options.h"
 #include "imu_pose_calib/ros/summary.h"
+#include "imu_pose_calib/ros/tf_chain.h"
 #include "imu_pose_calib/ros/topic_source.h"
 
 namespace imu_pose_calib {
@@ -38,6 +40,11 @@ namespace {
 using Trigger = std_srvs::Trigger;
 using diagnostic_msgs::DiagnosticStatus;
 
+const char kImuType[] = "sensor_msgs/Imu";
+const char kVectorType[] = "geometry_msgs/Vector3Stamped";
+/// How far apart links of tf with the same stamp may arrive [s].
+constexpr double kTfCache = 10.0;
+
 constexpr double kTickPeriod = 0.1;  // [s]
 constexpr int kTicksPerStatus = 5;
 constexpr int kTicksPerDiagnostics = 10;
@@ -45,7 +52,7 @@ constexpr double kPathStep = 0.05;  // [s]
 
 /// Parameters of the node.
 struct Settings {
-  std::string imu_topic, gyro_topic, accel_topic, pose_topic;
+  std::string imu_topic, gyro_topic, accel_topic, pose_topic, tf_parent, tf_child;
   std::string marker_frame, imu_frame;  ///< empty: of the messages
   std::string output;
   bool auto_save = false;
@@ -69,6 +76,12 @@ Settings ReadSettings(const ros::NodeHandle& node) {
     throw InputError("gyro_topic and accel_topic belong together: one of them is missing");
   if (!settings.imu_topic.empty() && !settings.gyro_topic.empty())
     throw InputError("give either imu_topic, or gyro_topic and accel_topic, not all");
+  settings.tf_parent = text("tf_parent");
+  settings.tf_child = text("tf_child");
+  if (settings.tf_parent.empty() != settings.tf_child.empty())
+    throw InputError("tf_parent and tf_child belong together: one of them is missing");
+  if (!settings.pose_topic.empty() && !settings.tf_parent.empty())
+    throw InputError("give either pose_topic, or tf_parent and tf_child, not all");
   settings.marker_frame = text("marker_frame");
   settings.imu_frame = text("imu_frame");
 
@@ -139,6 +152,36 @@ std::vector<std::string> Bars(const Excitation& excitation) {
   return bars;
 }
 
+void Append(const std::string& sentence, std::string* text) {
+  *text += (text->empty() ? "" : "; ") + sentence;
+}
+
+/// Why no poses come from tf.
+std::string LookAt(const TfChain& chain) {
+  try {
+    chain.Check();
+    return "/tf: the frames are connected, but no pose has come in yet";
+  } catch (const InputError& error) {
+    return error.what();
+  }
+}
+
+/// A sample of one sensor of a split IMU.
+struct FramedSample {
+  ImuSample sample;
+  std::string frame;
+};
+
+FramedSample ToSample(const topic_tools::ShapeShifter& message,
+                      ImuSample (*to_sample)(const sensor_msgs::Imu&)) {
+  if (message.getDataType() == kVectorType) {
+    const auto vector = message.instantiate<geometry_msgs::Vector3Stamped>();
+    return {ToImuSample(*vector), vector->header.frame_id};
+  }
+  const auto imu = message.instantiate<sensor_msgs::Imu>();
+  return {to_sample(*imu), imu->header.frame_id};
+}
+
 /// Subscribers, publishers, services and the thread of a solve around a LiveCalibration.
 class LiveNode {
  public:
@@ -154,7 +197,8 @@ class LiveNode {
   void OnGyro(const TopicSource::Message& message);
   void OnAccel(const TopicSource::Message& message);
   void OnPose(const TopicSource::Message& message);
-  void OnTransforms(const tf2_msgs::TFMessage& message);
+  void OnTransforms(const tf2_msgs::TFMessage& message, bool fixed);
+  void AddPose(const PoseSample& pose, const ros::Time& now);
 
   void Tick();
   void StartSolve();
@@ -178,6 +222,9 @@ class LiveNode {
   std::mutex mutex_;
   LiveCalibration live_;
   std::list<TopicSource> sources_;
+  std::optional<TfChain> chain_;                        ///< when poses come from tf
+  std::vector<tf2_msgs::TFMessage> fixed_links_;        ///< for a new chain after a reset
+  size_t chain_resets_ = 0;                             ///< of live_, when the chain was made
   std::string world_frame_, marker_frame_, imu_frame_;  ///< of the messages
   size_t foreign_poses_ = 0;                            ///< of other frames, dropped
   std::string other_parent_;                            ///< of the imu frame in tf
@@ -214,16 +261,28 @@ LiveNode::LiveNode(const ros::NodeHandle& node)
   path_publisher_ = node_.advertise<nav_msgs::Path>("imu_path", 1);
   marker_publisher_ = node_.advertise<visualization_msgs::MarkerArray>("markers", 1);
 
-  const std::vector<std::string> imu = {"sensor_msgs/Imu"};
+  const std::vector<std::string> split = {kImuType, kVectorType};
   if (settings_.gyro_topic.empty()) {
-    AddSource("imu_topic", settings_.imu_topic, imu, &LiveNode::OnImu);
+    AddSource("imu_topic", settings_.imu_topic, {kImuType}, &LiveNode::OnImu);
   } else {
-    AddSource("gyro_topic", settings_.gyro_topic, imu, &LiveNode::OnGyro);
-    AddSource("accel_topic", settings_.accel_topic, imu, &LiveNode::OnAccel);
+    AddSource("gyro_topic", settings_.gyro_topic, split, &LiveNode::OnGyro);
+    AddSource("accel_topic", settings_.accel_topic, split, &LiveNode::OnAccel);
   }
-  AddSource("pose_topic", settings_.pose_topic, PoseTypes(), &LiveNode::OnPose);
-  for (const char* topic : {"/tf", "/tf_static"})
-    tf_.push_back(node_.subscribe(topic, 0, &LiveNode::OnTransforms, this));
+  if (settings_.tf_parent.empty()) {
+    AddSource("pose_topic", settings_.pose_topic, PoseTypes(), &LiveNode::OnPose);
+  } else {
+    chain_.emplace(settings_.tf_parent, settings_.tf_child, kTfCache);
+    world_frame_ = FrameName(settings_.tf_parent, "");
+    marker_frame_ = FrameName(settings_.tf_child, "");
+  }
+  for (const bool fixed : {false, true})
+    tf_.push_back(node_.subscribe<tf2_msgs::TFMessage>(
+        fixed ? "/tf_static" : "/tf",
+        0,
+        boost::function<void(const tf2_msgs::TFMessage::ConstPtr&)>(
+            [this, fixed](const tf2_msgs::TFMessage::ConstPtr& message) {
+              OnTransforms(*message, fixed);
+            })));
 
   diagnostics_.setHardwareID("none");
   diagnostics_.add("calibration", this, &LiveNode::Diagnose);
@@ -257,14 +316,14 @@ void LiveNode::OnImu(const TopicSource::Message& message) {
 }
 
 void LiveNode::OnGyro(const TopicSource::Message& message) {
-  const auto imu = message.getMessage()->instantiate<sensor_msgs::Imu>();
-  imu_frame_ = imu->header.frame_id;
-  live_.AddGyro(ToGyroSample(*imu), message.getReceiptTime().toSec());
+  const FramedSample gyro = ToSample(*message.getMessage(), ToGyroSample);
+  imu_frame_ = gyro.frame;
+  live_.AddGyro(gyro.sample, message.getReceiptTime().toSec());
 }
 
 void LiveNode::OnAccel(const TopicSource::Message& message) {
-  const auto imu = message.getMessage()->instantiate<sensor_msgs::Imu>();
-  live_.AddAccel(ToAccelSample(*imu), message.getReceiptTime().toSec());
+  const FramedSample accel = ToSample(*message.getMessage(), ToAccelSample);
+  live_.AddAccel(accel.sample, message.getReceiptTime().toSec());
 }
 
 void LiveNode::OnPose(const TopicSource::Message& message) {
@@ -273,26 +332,15 @@ void LiveNode::OnPose(const TopicSource::Message& message) {
     world_frame_ = FrameName(framed.world_frame, "world");
     marker_frame_ = FrameName(framed.marker_frame, "marker");
   }
-  if (FrameName(framed.world_frame, "world") != world_frame_ ||
-      FrameName(framed.marker_frame, "marker") != marker_frame_) {
+  if (FrameName(framed.world_frame, "world") == world_frame_ &&
+      FrameName(framed.marker_frame, "marker") == marker_frame_) {
+    AddPose(framed.pose, message.getReceiptTime());
+  } else {
     ++foreign_poses_;
-    return;
   }
-  live_.AddPose(framed.pose, message.getReceiptTime().toSec());
-  if (!live_.pose()) return;
-
-  const PoseSample& pose = *live_.pose();
-  const auto seconds = [&](const PoseSample& old) {
-    return 1e-9 * static_cast<double>(pose.t_ns - old.t_ns);
-  };
-  if (path_.empty() || std::abs(seconds(path_.back())) > kPathStep) path_.push_back(pose);
-  while (seconds(path_.front()) > settings_.live.window || seconds(path_.front()) < 0.0)
-    path_.pop_front();
-  if (live_.result() && pose_publisher_.getNumSubscribers() > 0)
-    pose_publisher_.publish(ToImuPose(pose, live_.result()->T_MI, world_frame_));
 }
 
-void LiveNode::OnTransforms(const tf2_msgs::TFMessage& message) {
+void LiveNode::OnTransforms(const tf2_msgs::TFMessage& message, bool fixed) {
   const std::lock_guard<std::mutex> lock(mutex_);
   const RecordingInfo info = Info();
   for (const geometry_msgs::TransformStamped& transform : message.transforms) {
@@ -300,6 +348,28 @@ void LiveNode::OnTransforms(const tf2_msgs::TFMessage& message) {
     if (FrameName(transform.child_frame_id, "") == info.imu_frame && parent != info.marker_frame)
       other_parent_ = parent;
   }
+  if (!chain_) return;
+  if (fixed) fixed_links_.push_back(message);
+  chain_->Add(message, fixed);
+  for (const PoseSample& pose : chain_->TakePoses()) AddPose(pose, ros::Time::now());
+  if (chain_resets_ == live_.resets()) return;
+  // The links known so far belong to another time.
+  chain_resets_ = live_.resets();
+  chain_.emplace(settings_.tf_parent, settings_.tf_child, kTfCache);
+  for (const tf2_msgs::TFMessage& links : fixed_links_) chain_->Add(links, true);
+}
+
+void LiveNode::AddPose(const PoseSample& pose, const ros::Time& now) {
+  live_.AddPose(pose, now.toSec());
+  if (!live_.pose() || live_.pose()->t_ns != pose.t_ns) return;  // not valid
+  const auto seconds_since = [&](const PoseSample& old) {
+    return 1e-9 * static_cast<double>(pose.t_ns - old.t_ns);
+  };
+  if (path_.empty() || std::abs(seconds_since(path_.back())) > kPathStep) path_.push_back(pose);
+  while (seconds_since(path_.front()) > settings_.live.window || seconds_since(path_.front()) < 0.0)
+    path_.pop_front();
+  if (live_.result() && pose_publisher_.getNumSubscribers() > 0)
+    pose_publisher_.publish(ToImuPose(pose, live_.result()->T_MI, world_frame_));
 }
 
 /// Topics, and frames as they are published.
@@ -308,7 +378,7 @@ RecordingInfo LiveNode::Info() const {
   info.world_frame = FrameName(world_frame_, "world");
   info.marker_frame = FrameName(settings_.marker_frame, FrameName(marker_frame_, "marker"));
   info.imu_frame = FrameName(settings_.imu_frame, FrameName(imu_frame_, "imu"));
-  info.pose_topic = sources_.back().topic();
+  info.pose_topic = chain_ ? "/tf" : sources_.back().topic();
   if (settings_.gyro_topic.empty()) {
     info.imu_topic = sources_.front().topic();
   } else {
@@ -452,7 +522,8 @@ void LiveNode::UpdateStatus() {
     if (ticks_ % kTicksPerStatus == 0) {
       waiting_for_.clear();
       for (TopicSource& source : sources_)
-        if (!source.HasData()) waiting_for_ += (waiting_for_.empty() ? "" : "; ") + source.Look();
+        if (!source.HasData()) Append(source.Look(), &waiting_for_);
+      if (chain_ && status_.poses.received == 0) Append(LookAt(*chain_), &waiting_for_);
     }
     if (!waiting_for_.empty()) status_.message = waiting_for_;
   }

@@ -1,34 +1,11 @@
 #include "imu_pose_calib/ros/pose_messages.h"
 
-#include <geometry_msgs/PoseStamped.h>
-#include <geometry_msgs/PoseWithCovarianceStamped.h>
-#include <geometry_msgs/TransformStamped.h>
-#include <nav_msgs/Odometry.h>
-
-#include "imu_pose_calib/ros/conversions.h"
-
 namespace imu_pose_calib {
 namespace {
 
-FramedPose Read(const geometry_msgs::PoseStamped& msg) {
-  return {ToPoseSample(msg.header.stamp, msg.pose), msg.header.frame_id, ""};
-}
-
-FramedPose Read(const geometry_msgs::PoseWithCovarianceStamped& msg) {
-  return {ToPoseSample(msg.header.stamp, msg.pose.pose), msg.header.frame_id, ""};
-}
-
-FramedPose Read(const nav_msgs::Odometry& msg) {
-  return {ToPoseSample(msg.header.stamp, msg.pose.pose), msg.header.frame_id, msg.child_frame_id};
-}
-
-FramedPose Read(const geometry_msgs::TransformStamped& msg) {
-  return {ToPoseSample(msg.header.stamp, msg.transform), msg.header.frame_id, msg.child_frame_id};
-}
-
 template <typename Msg>
 FramedPose ReadAs(const topic_tools::ShapeShifter& msg) {
-  return Read(*msg.instantiate<Msg>());
+  return ToFramedPose(*msg.instantiate<Msg>());
 }
 
 struct PoseType {

@@ -81,7 +81,8 @@ class LiveCalibration {
   bool WantsSolve() const;
   /// What is in the buffers, for Calibrate().
   CalibrationData BeginSolve();
-  /// True when `result` is the best so far. A result of data from before a reset is ignored.
+  /// True when `result` is the one to use from now on: no result so far was clearly more precise.
+  /// A result of data from before a reset is ignored.
   bool EndSolve(const Calibration& result);
   void FailSolve(const std::string& reason);
 
@@ -91,9 +92,11 @@ class LiveCalibration {
   void Freeze(const std::string& message);
 
   bool IsFrozen() const { return !frozen_.empty(); }
+  /// Counts the resets, asked for or not.
+  size_t resets() const { return resets_; }
 
   LiveStatus Status(double now) const;
-  /// The best usable result since the last reset.
+  /// The result to use, of those since the last reset.
   const std::optional<Calibration>& result() const { return result_; }
   /// Newest valid pose.
   const std::optional<PoseSample>& pose() const { return pose_; }
@@ -146,8 +149,10 @@ class LiveCalibration {
   size_t solves_ = 0;
   std::string failure_;                ///< of the last solve
   std::deque<Calibration> last_;       ///< results of the last solves, at most three
-  std::optional<Calibration> result_;  ///< the best
+  std::optional<Calibration> result_;
+  double best_score_ = 0.0;  ///< of the results so far; 1: all targets just reached
 
+  size_t resets_ = 0;
   std::string notice_;  ///< reason of the last reset
   double notice_time_ = 0.0;
   std::string frozen_;

@@ -5,15 +5,9 @@
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/ros/conversions.h"
 
 namespace imu_pose_calib {
-
-/// A pose as it comes out of any of the pose messages.
-struct FramedPose {
-  PoseSample pose;
-  std::string world_frame, marker_frame;  ///< as in the message; empty: it has none
-};
 
 /// Names of the message types that hold one pose.
 std::vector<std::string> PoseTypes();
