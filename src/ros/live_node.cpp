@@ -210,6 +210,7 @@ class LiveNode {
   bool OnReset(Trigger::Request&, Trigger::Response& response);
 
   RecordingInfo Info() const;
+  std::string Progress() const;
   void UpdateStatus();
   void PublishStatus();
   void PublishMotion();
@@ -232,6 +233,7 @@ class LiveNode {
 
   std::shared_future<Calibration> solve_;  ///< valid while one runs
   ros::SteadyTime solve_start_;
+  double last_solve_time_ = 0.0;  ///< [s] 0: none has ended yet
   LiveStatus status_;
   std::string waiting_for_;  ///< which topics, and why
   int ticks_ = 0;
@@ -402,6 +404,7 @@ void LiveNode::StartSolve() {
 void LiveNode::TakeResult() {
   if (!solve_.valid() || solve_.wait_for(std::chrono::seconds(0)) != std::future_status::ready)
     return;
+  last_solve_time_ = (ros::SteadyTime::now() - solve_start_).toSec();
   const std::shared_future<Calibration> ended = std::move(solve_);
   solve_ = {};
   try {
@@ -424,7 +427,7 @@ void LiveNode::PublishResult() {
         info.imu_frame.c_str());
   }
   if (!other_parent_.empty())
-    ROS_WARN("tf has two parents of '%s': '%s' from elsewhere, '%s' from here; set imu_frame",
+    ROS_WARN("tf has two parents of '%s': '%s' from elsewhere and '%s' from here; set imu_frame",
              info.imu_frame.c_str(),
              other_parent_.c_str(),
              info.marker_frame.c_str());
@@ -510,11 +513,26 @@ void LiveNode::Tick() {
   ++ticks_;
 }
 
+/// "3 s of about 4 s: "
+std::string LiveNode::Progress() const {
+  const double seconds = (ros::SteadyTime::now() - solve_start_).toSec();
+  char text[64];
+  if (last_solve_time_ > 0.0)
+    std::snprintf(text, sizeof(text), "%.0f s of about %.0f s: ", seconds, last_solve_time_);
+  else
+    std::snprintf(text, sizeof(text), "%.0f s so far: ", seconds);
+  return text;
+}
+
 void LiveNode::UpdateStatus() {
   const ros::Time now = ros::Time::now();
   if (now != now_) clock_moved_ = ros::SteadyTime::now();
   now_ = now;
   status_ = live_.Status(now.toSec());
+  if (status_.phase == Phase::kSolving) status_.message = Progress() + status_.message;
+  if (live_.result() && !other_parent_.empty())
+    status_.message +=
+        "; tf has another parent of " + Info().imu_frame + ", " + other_parent_ + ": set imu_frame";
   if (foreign_poses_ > 0)
     status_.message += "; " + std::to_string(foreign_poses_) + " poses of other frames than " +
                        world_frame_ + " -> " + marker_frame_ + " were dropped";

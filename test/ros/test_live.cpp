@@ -286,6 +286,15 @@ TEST_F(Live, CalibratesFromEveryBridge) {
             warnings += status.level == diagnostic_msgs::DiagnosticStatus::WARN;
       });
 
+  // The second of the imu frames has a parent already.
+  ros::Publisher static_publisher = node_.advertise<tf2_msgs::TFMessage>("/tf_static", 1, true);
+  tf2_msgs::TFMessage elsewhere;
+  elsewhere.transforms.resize(1);
+  elsewhere.transforms[0].header.frame_id = "base_link";
+  elsewhere.transforms[0].child_frame_id = "imu_2";
+  elsewhere.transforms[0].transform.rotation.w = 1.0;
+  static_publisher.publish(elsewhere);
+
   Player player(bag, {"--clock", "--rate=5", "--delay=2"});
   EXPECT_TRUE(vicon.WaitForResult()) << vicon.status;
   EXPECT_TRUE(vrpn.WaitForResult()) << vrpn.status;
@@ -298,6 +307,10 @@ TEST_F(Live, CalibratesFromEveryBridge) {
   EXPECT_TRUE(transforms_.count("vicon/rig/rig -> imu_1"));
   EXPECT_TRUE(transforms_.count("rig -> imu_2"));
   EXPECT_TRUE(transforms_.count("rig/base_link -> imu_3"));
+
+  const std::string warning = "tf has another parent of imu_2, base_link";
+  EXPECT_TRUE(WaitFor([&] { return Contains(vrpn.status.message, warning); })) << vrpn.status;
+  EXPECT_FALSE(Contains(vicon.status.message, "another parent")) << vicon.status;
 
   EXPECT_TRUE(AnyContains(vicon.degraded, "no poses for"));
   EXPECT_TRUE(AnyContains(vrpn.degraded, "the marker is lost"));
