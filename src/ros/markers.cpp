@@ -20,7 +20,7 @@ constexpr Color kMarker = {0.6f, 0.6f, 0.65f}, kImu = {1.0f, 0.6f, 0.1f};
 constexpr Color kGood = {0.3f, 0.85f, 0.35f}, kBad = {1.0f, 0.35f, 0.3f};
 
 /// The ellipsoid of one sigma is too small to be seen.
-constexpr double kSigmaScale = 50.0;
+constexpr double kSigmaScale = 200.0;
 /// The panel stands beside the motion, upright, and is read against the world's y axis.
 constexpr double kBarLength = 0.5, kBarHeight = 0.05, kLine = 0.08;  // [m]
 
@@ -171,7 +171,7 @@ void DrawBar(const std::string& label,
   };
   box(0.0, filled, 0.02, color, 1.0f);
   box(filled, kBarLength - filled + 0.001, 0.01, kGray, 0.6f);
-  drawing->Label("bars", left - Eigen::Vector3d(0.12, 0.0, 0.0), 0.05, label);
+  drawing->Label("bars", left - Eigen::Vector3d(0.13, 0.0, 0.0), 0.06, label);
 }
 
 /// `text` in lines of at most 48 characters.
@@ -218,8 +218,8 @@ void DrawPanel(const Scene& scene, const Eigen::Vector3d& middle, Drawing* drawi
   const bool is_good = phase == Phase::kConverged || phase == Phase::kSaved;
   const bool is_bad = phase == Phase::kDegraded || phase == Phase::kWaiting;
   drawing->Label("verdict",
-                 middle + Eigen::Vector3d(0.0, 0.0, 3.5 * kLine),
-                 0.1,
+                 middle + Eigen::Vector3d(0.0, 0.0, 4.0 * kLine),
+                 0.12,
                  ToString(phase),
                  is_good  ? kGood
                  : is_bad ? kBad
@@ -231,14 +231,14 @@ void DrawPanel(const Scene& scene, const Eigen::Vector3d& middle, Drawing* drawi
   char text[160];
   std::snprintf(text,
                 sizeof(text),
-                "p = [%.1f, %.1f, %.1f] mm\ntime shift = %.4f s\nellipsoid: %.0f sigma",
+                "p = [%.1f, %.1f, %.1f] mm\ntime shift = %.4f s\nellipsoid: sigma x %.0f",
                 1e3 * result.T_MI.p.x(),
                 1e3 * result.T_MI.p.y(),
                 1e3 * result.T_MI.p.z(),
                 result.time_shift,
                 kSigmaScale);
   drawing->Label(
-      "verdict", middle + Eigen::Vector3d(kBarLength, 0.0, -2.5 * kLine), 0.05, text, kImu);
+      "verdict", middle + Eigen::Vector3d(1.4 * kBarLength, 0.0, -2.5 * kLine), 0.06, text, kImu);
 }
 
 }  // namespace

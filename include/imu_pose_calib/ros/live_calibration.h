@@ -147,8 +147,8 @@ class LiveCalibration {
   bool is_solving_ = false, is_stale_ = false;
   int64_t solved_until_ns_ = 0;  ///< newest pose of the last solve; 0: none
   size_t solves_ = 0;
-  std::string failure_;                ///< of the last solve
-  std::deque<Calibration> last_;       ///< results of the last solves, at most three
+  std::string failure_;           ///< of the last solve
+  std::deque<Calibration> last_;  ///< results of the last solves, at most three
   std::optional<Calibration> result_;
   double best_score_ = 0.0;  ///< of the results so far; 1: all targets just reached
 
