@@ -17,6 +17,7 @@
 #include <future>
 #include <iostream>
 #include <list>
+#include <map>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -186,7 +187,7 @@ FramedSample ToSample(const topic_tools::ShapeShifter& message,
 class LiveNode {
  public:
   explicit LiveNode(const ros::NodeHandle& node);
-  bool IsSolving() const { return solve_.valid(); }
+  bool IsSolving();
 
  private:
   void AddSource(const std::string& parameter,
@@ -205,6 +206,7 @@ class LiveNode {
   void TakeResult();
   void PublishResult();
   std::string Save();
+  void AutoSave();
   bool OnCalibrate(Trigger::Request&, Trigger::Response& response);
   bool OnSave(Trigger::Request&, Trigger::Response& response);
   bool OnReset(Trigger::Request&, Trigger::Response& response);
@@ -223,8 +225,9 @@ class LiveNode {
   std::mutex mutex_;
   LiveCalibration live_;
   std::list<TopicSource> sources_;
-  std::optional<TfChain> chain_;                        ///< when poses come from tf
-  std::vector<tf2_msgs::TFMessage> fixed_links_;        ///< for a new chain after a reset
+  std::optional<TfChain> chain_;  ///< when poses come from tf
+  /// Of /tf_static by child, for a new chain after a reset.
+  std::map<std::string, geometry_msgs::TransformStamped> fixed_links_;
   size_t chain_resets_ = 0;                             ///< of live_, when the chain was made
   std::string world_frame_, marker_frame_, imu_frame_;  ///< of the messages
   size_t foreign_poses_ = 0;                            ///< of other frames, dropped
@@ -234,6 +237,7 @@ class LiveNode {
   std::shared_future<Calibration> solve_;  ///< valid while one runs
   ros::SteadyTime solve_start_;
   double last_solve_time_ = 0.0;  ///< [s] 0: none has ended yet
+  std::string save_error_;        ///< of an automatic save
   LiveStatus status_;
   std::string waiting_for_;  ///< which topics, and why
   int ticks_ = 0;
@@ -351,14 +355,18 @@ void LiveNode::OnTransforms(const tf2_msgs::TFMessage& message, bool fixed) {
       other_parent_ = parent;
   }
   if (!chain_) return;
-  if (fixed) fixed_links_.push_back(message);
+  if (fixed)
+    for (const auto& transform : message.transforms)
+      fixed_links_[transform.child_frame_id] = transform;
   chain_->Add(message, fixed);
   for (const PoseSample& pose : chain_->TakePoses()) AddPose(pose, ros::Time::now());
   if (chain_resets_ == live_.resets()) return;
   // The links known so far belong to another time.
   chain_resets_ = live_.resets();
   chain_.emplace(settings_.tf_parent, settings_.tf_child, kTfCache);
-  for (const tf2_msgs::TFMessage& links : fixed_links_) chain_->Add(links, true);
+  tf2_msgs::TFMessage links;
+  for (const auto& [child, transform] : fixed_links_) links.transforms.push_back(transform);
+  chain_->Add(links, true);
 }
 
 void LiveNode::AddPose(const PoseSample& pose, const ros::Time& now) {
@@ -391,6 +399,11 @@ RecordingInfo LiveNode::Info() const {
 }
 
 // --- Solves ---
+
+bool LiveNode::IsSolving() {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return solve_.valid();
+}
 
 void LiveNode::StartSolve() {
   solve_start_ = ros::SteadyTime::now();
@@ -440,6 +453,16 @@ std::string LiveNode::Save() {
   live_.Freeze(message);
   std::cout << Summary(*live_.result(), Info()) << std::flush;
   return message;
+}
+
+void LiveNode::AutoSave() {
+  try {
+    Save();
+  } catch (const InputError& error) {
+    save_error_ = OneLine(error);
+    ROS_ERROR("%s", save_error_.c_str());
+  }
+  UpdateStatus();
 }
 
 // --- Services ---
@@ -501,10 +524,7 @@ void LiveNode::Tick() {
   if (!solve_.valid() && live_.WantsSolve()) StartSolve();
   const Phase last_phase = status_.phase;
   UpdateStatus();
-  if (status_.phase == Phase::kConverged && settings_.auto_save) {
-    Save();
-    UpdateStatus();
-  }
+  if (status_.phase == Phase::kConverged && settings_.auto_save && save_error_.empty()) AutoSave();
   if (status_.phase != last_phase || ticks_ == 0)
     ROS_INFO("%s: %s", ToString(status_.phase), status_.message.c_str());
   if (ticks_ % kTicksPerStatus == 0) PublishStatus();
@@ -533,6 +553,7 @@ void LiveNode::UpdateStatus() {
   if (live_.result() && !other_parent_.empty())
     status_.message +=
         "; tf has another parent of " + Info().imu_frame + ", " + other_parent_ + ": set imu_frame";
+  if (!save_error_.empty()) status_.message += "; " + save_error_;
   if (foreign_poses_ > 0)
     status_.message += "; " + std::to_string(foreign_poses_) + " poses of other frames than " +
                        world_frame_ + " -> " + marker_frame_ + " were dropped";
@@ -615,7 +636,7 @@ void LiveNode::Diagnose(diagnostic_updater::DiagnosticStatusWrapper& wrapper) {
 }  // namespace
 
 void RunLive(const ros::NodeHandle& node) {
-  const LiveNode live(node);
+  LiveNode live(node);
   ros::spin();
   if (!live.IsSolving()) return;
   // A solve cannot be interrupted, and nobody waits for this one any more.

@@ -329,6 +329,10 @@ TEST_F(Live, WaitsForTopicsAndStartsAnewWhenAsked) {
   EXPECT_EQ(node.status.phase, CalibrationStatus::WAITING);
   EXPECT_TRUE(Contains(node.status.message, "/imu")) << node.status;
   EXPECT_TRUE(Contains(node.status.message, "/mocap/pose")) << node.status;
+  Node wrong("wrong", {"_imu_topic:=/rosout", "_pose_topic:=/mocap/pose"});
+  const std::string mismatch = "/rosout is rosgraph_msgs/Log, must be sensor_msgs/Imu";
+  EXPECT_TRUE(WaitFor([&] { return Contains(wrong.status.message, mismatch); })) << wrong.status;
+  wrong.Kill();
   EXPECT_FALSE(node.Call("save").success);
   EXPECT_FALSE(node.Call("calibrate").success);
   EXPECT_TRUE(transforms_.empty());
