@@ -285,7 +285,7 @@ void LiveCalibration::Reset(const std::string& reason, double now) {
   accel_.samples.clear();
   pose_.reset();
   motion_.clear();
-  total_ = Motion{0, Eigen::Vector3d::Zero(), Eigen::Vector3d::Zero()};
+  total_ = Motion();
   motion_from_.reset();
   is_stale_ = is_solving_;
   solved_until_ns_ = 0;

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cstdio>
 #include <utility>
+#include <vector>
 
 namespace imu_pose_calib {
 namespace {
@@ -21,6 +22,8 @@ constexpr Color kGood = {0.3f, 0.85f, 0.35f}, kBad = {1.0f, 0.35f, 0.3f};
 
 /// The ellipsoid of one sigma is too small to be seen.
 constexpr double kSigmaScale = 200.0;
+/// Older parts of the paths would hide the newer ones [s].
+constexpr double kPathSpan = 8.0;
 /// The panel stands beside the motion, upright, and is read against the world's y axis.
 constexpr double kBarLength = 0.5, kBarHeight = 0.05, kLine = 0.08;  // [m]
 
@@ -124,11 +127,14 @@ void DrawPath(const std::string& name,
               const Rigid3& T_MX,
               const Color& color,
               Drawing* drawing) {
-  if (scene.path.size() < 2) return;
+  std::vector<geometry_msgs::Point> points;
+  for (const PoseSample& pose : scene.path)
+    if (1e-9 * static_cast<double>(scene.path.back().t_ns - pose.t_ns) < kPathSpan)
+      points.push_back(ToPoint((ToRigid3(pose) * T_MX).p));
+  if (points.size() < 2) return;  // rviz takes no shorter line
   Marker* line = drawing->Add(name, Marker::LINE_STRIP, color, 0.8f);
   line->scale.x = 0.004;
-  for (const PoseSample& pose : scene.path)
-    line->points.push_back(ToPoint((ToRigid3(pose) * T_MX).p));
+  line->points = points;
 }
 
 /// The lever arm and the ellipsoid of its sigma, which lies along the marker axes.

@@ -63,10 +63,9 @@ LargestStd MaxStd(const Calibration& result);
 /// results. Knows no ROS, no threads and no clock: the caller says when something happens (`now`
 /// [s]) and solves.
 ///
-///   live.AddPose(...), live.AddGyro(...), live.AddAccel(...)     as samples arrive
-///   if (live.WantsSolve()) data = live.BeginSolve();              Calibrate(options, data)
-///   elsewhere live.EndSolve(result);                                        or
-///   live.FailSolve(reason)
+///   live.AddPose(pose, now);  // and AddGyro(), AddAccel(), as samples arrive
+///   if (live.WantsSolve()) result = Calibrate(options, live.BeginSolve());  // on another thread
+///   live.EndSolve(result);  // or live.FailSolve(error.what())
 class LiveCalibration {
  public:
   explicit LiveCalibration(const LiveOptions& options);
@@ -114,9 +113,9 @@ class LiveCalibration {
   };
   /// Squared rates in the marker frame, times the time between two poses.
   struct Motion {
-    int64_t t_ns;
-    Eigen::Vector3d rotation;     ///< [rad^2/s]
-    Eigen::Vector3d translation;  ///< [m^2/s]
+    int64_t t_ns = 0;
+    Eigen::Vector3d rotation = Eigen::Vector3d::Zero();     ///< [rad^2/s]
+    Eigen::Vector3d translation = Eigen::Vector3d::Zero();  ///< [m^2/s]
   };
 
   template <typename Sample>
@@ -141,7 +140,7 @@ class LiveCalibration {
   double pose_changed_ = 0.0;  ///< `now` of the last pose that was valid and new [s]
 
   std::deque<Motion> motion_;
-  Motion total_{};  ///< sum of motion_
+  Motion total_;  ///< sum of motion_
   std::optional<PoseSample> motion_from_;
 
   bool is_solving_ = false, is_stale_ = false;
