@@ -12,6 +12,13 @@ std::string Join(const std::vector<std::string>& items, const char* separator) {
   return text;
 }
 
+/// What nodes of this package publish is no input.
+bool IsOurs(const std::string& topic) {
+  const std::string ours = "/imu_pose";
+  return topic.size() >= ours.size() &&
+         topic.compare(topic.size() - ours.size(), ours.size(), ours) == 0;
+}
+
 }  // namespace
 
 TopicSource::TopicSource(const ros::NodeHandle& node,
@@ -19,8 +26,12 @@ TopicSource::TopicSource(const ros::NodeHandle& node,
                          const std::string& topic,
                          const std::vector<std::string>& types,
                          const Callback& callback)
-    : node_(node), parameter_(parameter), types_(types), callback_(callback) {
-  if (!topic.empty()) Subscribe(ros::names::resolve(topic));
+    : node_(node),
+      parameter_(parameter),
+      is_named_(!topic.empty()),
+      types_(types),
+      callback_(callback) {
+  if (is_named_) Subscribe(ros::names::resolve(topic));
 }
 
 void TopicSource::Subscribe(const std::string& topic) {
@@ -54,18 +65,15 @@ bool TopicSource::Accepts(const std::string& type) const {
 std::string TopicSource::Look() {
   ros::master::V_TopicInfo published;
   if (!ros::master::getTopics(published)) return "the ROS master does not answer";
-  if (topic_.empty()) {
-    // Our own are no input.
-    const std::string own = node_.getNamespace() + "/";
+  if (!is_named_ && count_ == 0) {
     std::vector<std::string> found;
     for (const ros::master::TopicInfo& info : published)
-      if (Accepts(info.datatype) && info.name.compare(0, own.size(), own) != 0)
-        found.push_back(info.name);
+      if (Accepts(info.datatype) && !IsOurs(info.name)) found.push_back(info.name);
     if (found.empty()) return "no topic of type " + Join(types_, " or ") + " is published";
     if (found.size() > 1)
       return "several topics of type " + Join(types_, " or ") + ": " + Join(found, ", ") +
              "; choose with " + parameter_;
-    Subscribe(found.front());
+    if (found.front() != topic_) Subscribe(found.front());
   }
   if (!problem_.empty()) return topic_ + " " + problem_;
   const auto info = std::find_if(published.begin(), published.end(), [&](const auto& candidate) {

@@ -37,6 +37,7 @@ class TopicSource {
 
   ros::NodeHandle node_;
   const std::string parameter_;
+  const bool is_named_;
   std::string topic_;
   const std::vector<std::string> types_;
   const Callback callback_;
