@@ -23,7 +23,7 @@ COMMON_PACKAGES=(
 DEBIAN_PACKAGES=(
   catkin ros-core rosbash ros-environment ros-message-generation ros-message-runtime
   libroscpp-dev libroslib-dev librosbag-dev librosbag-storage-dev libtf2-ros-dev libtf2-msgs-dev libdiagnostic-updater-dev
-  librostest-dev python3-rostest
+  libtopic-tools-dev librostest-dev python3-rostest
   libstd-msgs-dev libstd-srvs-dev libgeometry-msgs-dev libsensor-msgs-dev libnav-msgs-dev libvisualization-msgs-dev
   libdiagnostic-msgs-dev
   ros-std-msgs ros-std-srvs ros-geometry-msgs ros-sensor-msgs ros-nav-msgs ros-visualization-msgs ros-diagnostic-msgs
@@ -35,7 +35,7 @@ NOETIC_PACKAGES=(
   ros-noetic-roscpp ros-noetic-roslib ros-noetic-rosbag ros-noetic-rosbag-storage ros-noetic-rostest
   ros-noetic-tf2-ros ros-noetic-tf2-msgs ros-noetic-diagnostic-updater ros-noetic-diagnostic-msgs
   ros-noetic-std-msgs ros-noetic-std-srvs ros-noetic-geometry-msgs ros-noetic-sensor-msgs ros-noetic-nav-msgs
-  ros-noetic-visualization-msgs
+  ros-noetic-topic-tools ros-noetic-visualization-msgs
 )
 
 # fail TEXT...: one line on stderr, then leave.

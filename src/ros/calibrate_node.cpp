@@ -1,4 +1,5 @@
-// Node imu_pose_calib: calibrates from a recording and offers the result in the ROS graph.
+// Node imu_pose_calib: calibrates from a recording, or from topics as they arrive when none is
+// given, and offers the result in the ROS graph.
 
 #include <ros/ros.h>
 #include <tf2_ros/static_transform_broadcaster.h>
@@ -6,21 +7,14 @@
 #include <iostream>
 
 #include "imu_pose_calib/ros/conversions.h"
+#include "imu_pose_calib/ros/live_node.h"
 #include "imu_pose_calib/ros/offline.h"
+#include "imu_pose_calib/ros/parameters.h"
 #include "imu_pose_calib/ros/result_yaml.h"
 #include "imu_pose_calib/ros/summary.h"
 
 namespace imu_pose_calib {
 namespace {
-
-/// Private parameter `name`, or `fallback` when it is not set. InputError when its type is wrong.
-template <typename T>
-T Param(const ros::NodeHandle& node, const std::string& name, const T& fallback, const char* type) {
-  T value = fallback;
-  if (node.hasParam(name) && !node.getParam(name, value))
-    throw InputError("parameter " + node.resolveName(name) + " must be " + type);
-  return value;
-}
 
 OfflineRequest ReadRequest(const ros::NodeHandle& node) {
   const auto text = [&](const char* name) {
@@ -61,13 +55,21 @@ void Offer(const OfflineResult& offline, ros::NodeHandle* node) {
   ros::spin();
 }
 
-void Run(ros::NodeHandle* node) {
+void RunOffline(ros::NodeHandle* node) {
   const bool exit = Param<bool>(*node, "exit", false, "true or false");
   const OfflineResult offline = CalibrateOffline(ReadRequest(*node));
   std::cout << Summary(offline.result, offline.info) << std::flush;
   WriteResult(offline);
   ROS_INFO("Written to %s", offline.output.c_str());
   if (!exit) Offer(offline, node);
+}
+
+void Run(ros::NodeHandle* node) {
+  if (node->hasParam("bag") || node->hasParam("poses")) {
+    RunOffline(node);
+  } else {
+    RunLive(*node);
+  }
 }
 
 }  // namespace

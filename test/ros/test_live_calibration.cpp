@@ -1,0 +1,324 @@
+// LiveCalibration with simulated samples: what it keeps, asks for and concludes.
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <limits>
+
+#include "imu_pose_calib/core/simulator.h"
+#include "imu_pose_calib/ros/live_calibration.h"
+#include "test_util.h"
+
+namespace imu_pose_calib {
+namespace {
+
+SimulatorOptions Handheld(double duration_s) {
+  SimulatorOptions options;
+  options.duration_s = duration_s;
+  return options;
+}
+
+double Arrival(int64_t t_ns) { return 1e-9 * static_cast<double>(t_ns) + 0.01; }
+
+/// Adds the samples in the order in which they would arrive, `rate` times faster.
+void Feed(const CalibrationData& data, LiveCalibration* live, double rate = 1.0) {
+  const double start = Arrival(data.poses.front().t_ns);
+  size_t gyro = 0, accel = 0;
+  for (size_t k = 0; k < data.poses.size(); ++k) {
+    const double now = start + (Arrival(data.poses[k].t_ns) - start) / rate;
+    const auto due = [&](size_t count) { return count * (k + 1) / data.poses.size(); };
+    live->AddPose(data.poses[k], now);
+    while (gyro < due(data.gyro.size())) live->AddGyro(data.gyro[gyro++], now);
+    while (accel < due(data.accel.size())) live->AddAccel(data.accel[accel++], now);
+  }
+}
+
+/// The samples from `from` to `to` [s] after the first pose.
+CalibrationData Cut(const CalibrationData& data, double from, double to) {
+  const int64_t start = data.poses.front().t_ns;
+  const auto cut = [&](const auto& samples) {
+    std::decay_t<decltype(samples)> kept;
+    for (const auto& sample : samples) {
+      const double t = 1e-9 * static_cast<double>(sample.t_ns - start);
+      if (t >= from && t < to) kept.push_back(sample);
+    }
+    return kept;
+  };
+  return {cut(data.poses), cut(data.gyro), cut(data.accel)};
+}
+
+CalibrationData Shift(CalibrationData data, double seconds) {
+  const auto shift = [&](auto* samples) {
+    for (auto& sample : *samples) sample.t_ns += static_cast<int64_t>(1e9 * seconds);
+  };
+  shift(&data.poses);
+  shift(&data.gyro);
+  shift(&data.accel);
+  return data;
+}
+
+double End(const CalibrationData& data) { return Arrival(data.poses.back().t_ns); }
+
+/// A usable result with one sigma for all [m], and 1 rad and 1 s as precise as 1 m.
+Calibration Result(double sigma, double x = 0.0) {
+  Calibration result;
+  result.status = Status::kOk;
+  result.T_MI.p.x() = x;
+  result.covariance = Matrix6d::Identity() * sigma * sigma;
+  result.time_shift_std = sigma;
+  return result;
+}
+
+bool EndSolve(const Calibration& result, LiveCalibration* live) {
+  live->BeginSolve();
+  return live->EndSolve(result);
+}
+
+TEST(LiveOptions, NamesTheParameterOutOfRange) {
+  LiveOptions options;
+  options.window = -1.0;
+  ExpectError<InputError>([&] { options.Validate(); }, {"window", "-1", "positive"});
+  options = LiveOptions();
+  options.min_duration = 60.0;
+  ExpectError<InputError>([&] { options.Validate(); }, {"min_duration", "60", "window"});
+}
+
+TEST(LiveCalibration, SaysWhichStreamIsMissing) {
+  LiveCalibration live((LiveOptions()));
+  EXPECT_EQ(live.Status(0.0).phase, Phase::kWaiting);
+  CalibrationData data = Simulate(Handheld(2.0));
+  data.gyro.clear();
+  for (ImuSample& sample : data.accel) sample.t_ns = 0;
+  Feed(data, &live);
+  const LiveStatus status = live.Status(End(data));
+  EXPECT_EQ(status.phase, Phase::kWaiting);
+  EXPECT_EQ(status.message, "waiting for gyroscope, accelerometer with header stamps (all are 0)");
+}
+
+TEST(LiveCalibration, KeepsEverySampleOfTheWindow) {
+  LiveOptions options;
+  options.window = 20.0;
+  LiveCalibration live(options);
+  const CalibrationData all = Simulate(Handheld(50.0));
+  Feed(all, &live);
+  const CalibrationData kept = live.BeginSolve();
+  const auto expect_tail = [](const auto& samples, const auto& tail, size_t count) {
+    ASSERT_EQ(tail.size(), count);
+    for (size_t k = 0; k < count; ++k)
+      ASSERT_EQ(tail[k].t_ns, samples[samples.size() - count + k].t_ns);
+  };
+  expect_tail(all.poses, kept.poses, 2001);
+  expect_tail(all.gyro, kept.gyro, 4001);
+  expect_tail(all.accel, kept.accel, 4001);
+  const LiveStatus status = live.Status(End(all));
+  EXPECT_EQ(status.poses.received, all.poses.size());
+  EXPECT_NEAR(status.poses.rate_hz, 100.0, 0.1);
+  EXPECT_NEAR(status.gyro.rate_hz, 200.0, 0.1);
+  EXPECT_NEAR(status.accel.buffered_s, 20.0, 0.01);
+  EXPECT_NEAR(status.poses.delay_s, 0.01, 1e-6);
+}
+
+TEST(LiveCalibration, SolvesTheSameDataAsOffline) {
+  LiveCalibration live((LiveOptions()));
+  const CalibrationData data = Simulate(Handheld(15.0));
+  Feed(data, &live);
+  ASSERT_TRUE(live.WantsSolve());
+  CalibrationOptions options;
+  options.method = Method::kGp;
+  const CalibrationData snapshot = live.BeginSolve();
+  ASSERT_TRUE(live.EndSolve(Calibrate(options, snapshot)));
+  EXPECT_LT((live.result()->T_MI.p - SimulatorOptions().T_MI.p).norm(), 0.01);
+}
+
+TEST(LiveCalibration, AsksForTheMotionThatIsMissing) {
+  LiveCalibration live((LiveOptions()));
+  SimulatorOptions simulator = Handheld(40.0);
+  simulator.motion = Motion::kPlanar;
+  const CalibrationData planar = Simulate(simulator);
+  Feed(planar, &live);
+  LiveStatus status = live.Status(End(planar));
+  EXPECT_EQ(status.phase, Phase::kCollecting);
+  EXPECT_EQ(status.excitation.rotation.z(), 1.0);
+  EXPECT_LT(status.excitation.rotation.x(), 0.05);
+  EXPECT_LT(status.excitation.rotation.y(), 0.05);
+  EXPECT_LT(status.excitation.translation.z(), 0.05);
+  EXPECT_TRUE(Contains(status.message, "rotate about the marker's")) << status.message;
+  EXPECT_FALSE(Contains(status.message, "z axis")) << status.message;
+  EXPECT_FALSE(live.WantsSolve());
+
+  // Handheld motion fills all bars.
+  simulator.motion = Motion::kHandheld;
+  simulator.start_ns += 40'000'000'000;
+  const CalibrationData handheld = Simulate(simulator);
+  Feed(handheld, &live);
+  status = live.Status(End(handheld));
+  EXPECT_TRUE(status.excitation.rotation.isOnes()) << status.excitation.rotation.transpose();
+  EXPECT_TRUE(status.excitation.translation.isOnes()) << status.excitation.translation.transpose();
+  EXPECT_TRUE(live.WantsSolve());
+}
+
+TEST(LiveCalibration, WantsASolveOnlyWithNewData) {
+  LiveCalibration live((LiveOptions()));
+  const CalibrationData data = Simulate(Handheld(40.0));
+  Feed(Cut(data, 0.0, 9.0), &live);
+  EXPECT_FALSE(live.WantsSolve()) << "before min_duration";
+  Feed(Cut(data, 9.0, 20.0), &live);
+  EXPECT_TRUE(live.WantsSolve());
+  live.BeginSolve();
+  Feed(Cut(data, 20.0, 30.0), &live);
+  EXPECT_FALSE(live.WantsSolve()) << "while one is running";
+  EXPECT_EQ(live.Status(Arrival(data.poses[2999].t_ns)).phase, Phase::kSolving);
+  live.EndSolve(Result(1.0));
+  EXPECT_TRUE(live.WantsSolve());
+  live.BeginSolve();
+  live.EndSolve(Result(1.0));
+  Feed(Cut(data, 30.0, 34.0), &live);
+  EXPECT_FALSE(live.WantsSolve()) << "before solve_interval";
+  Feed(Cut(data, 34.0, 36.0), &live);
+  EXPECT_TRUE(live.WantsSolve());
+}
+
+TEST(LiveCalibration, ConvergesWhenThreeSolvesAgree) {
+  LiveCalibration live((LiveOptions()));
+  const CalibrationData data = Simulate(Handheld(20.0));
+  Feed(data, &live);
+  const auto phase = [&] { return live.Status(End(data)).phase; };
+  const double good = 0.5 * LiveOptions().target_time_shift_std;
+  EXPECT_TRUE(EndSolve(Result(good, 0.0), &live));
+  EXPECT_TRUE(EndSolve(Result(good, 0.01), &live));
+  EXPECT_TRUE(EndSolve(Result(good, 0.0), &live));
+  EXPECT_EQ(phase(), Phase::kCollecting) << "10 mm apart";
+  EndSolve(Result(good, 0.0), &live);
+  EndSolve(Result(good, 0.0), &live);
+  EXPECT_EQ(phase(), Phase::kConverged);
+  EXPECT_EQ(live.Status(End(data)).solves, 5u);
+
+  live.BeginSolve();
+  live.FailSolve("no overlap");
+  EXPECT_EQ(phase(), Phase::kCollecting);
+  EXPECT_TRUE(Contains(live.Status(End(data)).message, "no overlap"));
+}
+
+TEST(LiveCalibration, DoesNotConvergeAboveATarget) {
+  LiveCalibration live((LiveOptions()));
+  const CalibrationData data = Simulate(Handheld(20.0));
+  Feed(data, &live);
+  for (int k = 0; k < 3; ++k) EndSolve(Result(2.0 * LiveOptions().target_time_shift_std), &live);
+  EXPECT_EQ(live.Status(End(data)).phase, Phase::kCollecting);
+  EXPECT_TRUE(Contains(live.Status(End(data)).message, "target 0.5 mm"));
+}
+
+TEST(LiveCalibration, OffersTheNewestOfThePreciseResults) {
+  LiveCalibration live((LiveOptions()));
+  Calibration degenerate = Result(1e-6, 5.0);
+  degenerate.status = Status::kDegenerate;
+  EXPECT_FALSE(EndSolve(degenerate, &live));
+  EXPECT_FALSE(live.result());
+  EXPECT_TRUE(EndSolve(Result(1e-3, 1.0), &live));
+  EXPECT_TRUE(EndSolve(Result(1e-4, 2.0), &live));
+  EXPECT_FALSE(EndSolve(Result(1e-3, 3.0), &live));
+  EXPECT_FALSE(EndSolve(degenerate, &live));
+  EXPECT_EQ(live.result()->T_MI.p.x(), 2.0);
+  EXPECT_TRUE(EndSolve(Result(1.1e-4, 4.0), &live));
+  EXPECT_FALSE(EndSolve(Result(1.3e-4, 5.0), &live)) << "not worse and worse step by step";
+}
+
+TEST(LiveCalibration, NoticesLostStreamsAndMarkers) {
+  LiveCalibration live((LiveOptions()));
+  const CalibrationData data = Simulate(Handheld(30.0));
+  Feed(Cut(data, 0.0, 10.0), &live);
+  CalibrationData lost = Cut(data, 10.0, 15.0);
+  const double lost_end = End(lost);
+  const PoseSample last = lost.poses.front();
+  lost.poses.resize(1);
+  for (const ImuSample& sample : lost.gyro) live.AddGyro(sample, Arrival(sample.t_ns));
+  for (const ImuSample& sample : lost.accel) live.AddAccel(sample, Arrival(sample.t_ns));
+  LiveStatus status = live.Status(lost_end);
+  EXPECT_EQ(status.phase, Phase::kDegraded);
+  EXPECT_TRUE(Contains(status.message, "no poses for 5")) << status.message;
+
+  Feed(Cut(data, 15.0, 20.0), &live);
+  status = live.Status(Arrival(data.poses[1999].t_ns));
+  EXPECT_EQ(status.phase, Phase::kCollecting) << "a gap is not a jump: " << status.message;
+  EXPECT_NEAR(status.poses.buffered_s, 20.0, 0.1);
+
+  // A bridge that repeats what it saw last.
+  CalibrationData frozen = Cut(data, 20.0, 23.0);
+  for (PoseSample& pose : frozen.poses) pose = {pose.t_ns, last.q_WM, last.p_WM};
+  Feed(frozen, &live);
+  status = live.Status(End(frozen));
+  EXPECT_EQ(status.phase, Phase::kDegraded);
+  EXPECT_TRUE(Contains(status.message, "the marker is lost")) << status.message;
+}
+
+TEST(LiveCalibration, StartsAnewWhenAClockJumps) {
+  const CalibrationData data = Simulate(Handheld(20.0));
+  const auto expect_reset = [&](const CalibrationData& more, const std::string& text) {
+    LiveCalibration live((LiveOptions()));
+    Feed(data, &live);
+    EndSolve(Result(1e-3), &live);
+    ASSERT_TRUE(live.result());
+    Feed(more, &live);
+    const LiveStatus status = live.Status(End(more));
+    EXPECT_EQ(status.phase, Phase::kDegraded);
+    EXPECT_TRUE(Contains(status.message, text)) << status.message;
+    EXPECT_FALSE(live.result());
+    EXPECT_NEAR(status.poses.buffered_s, 3.0, 0.1);
+  };
+  const CalibrationData again = Cut(data, 0.0, 3.0);
+  expect_reset(again, "time went back by 20 s");
+  CalibrationData back = Shift(again, 20.0), ahead = back;
+  for (ImuSample& sample : back.gyro) sample.t_ns -= 10'000'000'000;
+  expect_reset(back, "the stamps of the gyroscope went back by 9.98 s");
+  for (ImuSample& sample : ahead.accel) sample.t_ns += 10'000'000'000;
+  expect_reset(ahead, "the stamps of the accelerometer jumped ahead by 10 s");
+}
+
+TEST(LiveCalibration, TakesFastPlaybackForNoJump) {
+  LiveCalibration live((LiveOptions()));
+  const CalibrationData data = Simulate(Handheld(30.0));
+  CalibrationData gap = data;
+  gap.poses.erase(gap.poses.begin() + 1000, gap.poses.begin() + 1500);
+  Feed(gap, &live, 10.0);
+  EXPECT_NEAR(live.Status(0.0).poses.buffered_s, 30.0, 0.1);
+}
+
+TEST(LiveCalibration, IgnoresTheResultOfForgottenData) {
+  LiveCalibration live((LiveOptions()));
+  const CalibrationData data = Simulate(Handheld(20.0));
+  Feed(data, &live);
+  live.BeginSolve();
+  live.Reset("", End(data));
+  EXPECT_FALSE(live.EndSolve(Result(1e-5)));
+  EXPECT_FALSE(live.result());
+  EXPECT_EQ(live.Status(End(data)).phase, Phase::kWaiting);
+}
+
+TEST(LiveCalibration, StaysAsItWasSaved) {
+  LiveCalibration live((LiveOptions()));
+  const CalibrationData data = Simulate(Handheld(20.0));
+  Feed(data, &live);
+  EndSolve(Result(1e-3), &live);
+  live.Freeze("saved to here");
+  EXPECT_FALSE(EndSolve(Result(1e-5), &live));
+  Feed(data, &live);  // time goes back
+  EXPECT_FALSE(live.WantsSolve());
+  EXPECT_EQ(live.Status(End(data)).phase, Phase::kSaved);
+  EXPECT_EQ(live.Status(End(data)).message, "saved to here");
+  EXPECT_TRUE(live.result());
+  live.Reset("", End(data));
+  EXPECT_FALSE(live.IsFrozen());
+}
+
+TEST(LiveCalibration, CountsBrokenPosesAsALostMarker) {
+  LiveCalibration live((LiveOptions()));
+  CalibrationData data = Simulate(Handheld(5.0));
+  for (PoseSample& pose : data.poses)
+    if (pose.t_ns > data.poses[200].t_ns) pose.p_WM.x() = std::numeric_limits<double>::quiet_NaN();
+  Feed(data, &live);
+  EXPECT_EQ(live.Status(End(data)).phase, Phase::kDegraded);
+  EXPECT_EQ(live.pose()->t_ns, data.poses[200].t_ns);
+}
+
+}  // namespace
+}  // namespace imu_pose_calib
