@@ -218,26 +218,30 @@ void JointProblem::UpdateWeights(const NoiseStd& noise, SampleWeights* weights) 
   update(accel_, noise.accel, &weights->accel);
 }
 
-double JointProblem::LeverArmErrors(double tau) const {
-  const double t_M = estimate_->PoseTime(tau - estimate_->accel_delay);
-  const auto point = PointAt(tau, t_M);
-  if (!point) return 0.0;
-  // What the gyroscope leaves of white noise in the splines' band B = 1 / (2 spacing): the share
-  // 2 B / rate in omega, and (2 pi B)^2 / 3 times that in alpha. Poses and gyroscope add up.
-  const double spacing = point->place.spacing;
-  const double gyro_omega =
-      noise_.gyro * noise_.gyro / std::max(1.0, spacing * data_.gyro_report.rate_hz);
-  const double gyro_alpha = std::pow(M_PI / spacing, 2) / 3.0 * gyro_omega;
-  const MarkerVariance gp = trajectory_.Variance(t_M);
-  const double omega = 1.0 / (1.0 / gyro_omega + 1.0 / gp.omega);
-  const double alpha = 1.0 / (1.0 / gyro_alpha + 1.0 / gp.alpha);
-  return LeverArmCoefficientVariance(alpha, omega, point->gp.omega_M.squaredNorm());
-}
-
 double JointProblem::FeignedLeverArmInformation() const {
-  double information = 0.0;
-  for (const Sample& s : accel_.samples) information += LeverArmErrors(s.t) / (s.sigma * s.sigma);
-  return information;
+  double turn2 = 0.0, count = 0.0, spacing = 0.0;
+  for (const Sample& s : accel_.samples) {
+    const auto point = PointAt(s.t, estimate_->PoseTime(s.t - estimate_->accel_delay));
+    if (!point) continue;
+    turn2 += point->gp.omega_M.squaredNorm();
+    spacing = point->place.spacing;
+    count += 1.0;
+  }
+  // Power spectral densities of the white noises, per hertz and two-sided.
+  const double gyro = noise_.gyro * noise_.gyro / data_.gyro_report.rate_hz;
+  const double accel = noise_.accel * noise_.accel / data_.accel_report.rate_hz;
+  const double position = noise_.position * noise_.position / data_.pose_report.rate_hz;
+  const double rotation = noise_.rotation * noise_.rotation / data_.pose_report.rate_hz;
+  constexpr int kSteps = 200;
+  const double band = 0.5 / spacing, step = band / kSteps;  // [Hz]
+  double density = 0.0;                                     // information per second
+  for (int k = 0; k < kSteps; ++k) {
+    const double w2 = std::pow(2.0 * M_PI * (k + 0.5) * step, 2);
+    const double omega = 1.0 / (1.0 / gyro + 1.0 / (w2 * rotation));  // poses and gyroscope add up
+    const double lever = LeverArmCoefficientVariance(w2 * omega, omega, turn2 / count);
+    density += 2.0 * step * lever / (accel + w2 * w2 * position);
+  }
+  return count / data_.accel_report.rate_hz * density;
 }
 
 std::vector<double*> JointProblem::ControlPoints(std::vector<Eigen::Vector3d>* spline,

@@ -136,7 +136,7 @@ class BatchResidual : public ceres::CostFunction {
   BatchResidual(std::vector<Sample> samples, std::initializer_list<int> other_blocks, int splines)
       : samples_(std::move(samples)) {
     set_num_residuals(3 * static_cast<int>(samples_.size()));
-    mutable_parameter_block_sizes()->assign(static_cast<size_t>(splines * kSplineOrder), 3);
+    mutable_parameter_block_sizes()->assign(static_cast<size_t>(splines) * kSplineOrder, 3);
     mutable_parameter_block_sizes()->insert(mutable_parameter_block_sizes()->end(), other_blocks);
   }
 

@@ -33,16 +33,16 @@ const char* const kTurnAdvice = "turn the marker about at least two axes";
 Eigen::Matrix3d HonestLeverArm(const Eigen::Matrix3d& covariance, double feigned_information) {
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(
       Eigen::Matrix3d(covariance.inverse() - feigned_information * Eigen::Matrix3d::Identity()));
-  const Eigen::Matrix3d V = eigen.eigenvectors();
+  const Eigen::Matrix3d& V = eigen.eigenvectors();
   return V * eigen.eigenvalues().cwiseMax(1e-12).cwiseInverse().asDiagonal() * V.transpose();
 }
 
 /// Scales the model's covariance so that every sigma is at least the robust one.
-CalibrationMatrix Larger(const CalibrationCovariance& c) {
+CalibrationMatrix Enlarge(const CalibrationMatrix& model, const CalibrationCovariance& c) {
   Eigen::Matrix<double, kCalibrationSize, 1> scale;
   for (int i = 0; i < kCalibrationSize; ++i)
     scale[i] = c.model(i, i) > 0.0 ? std::sqrt(std::max(1.0, c.robust(i, i) / c.model(i, i))) : 1.0;
-  return scale.asDiagonal() * c.model * scale.asDiagonal();
+  return scale.asDiagonal() * model * scale.asDiagonal();
 }
 
 /// 123.4 mm, 0.1234 deg or 0.1234 ms.
@@ -193,7 +193,7 @@ void GradeResult(const CalibrationOptions& options,
     result->unobservable = {result->message};
     return;
   }
-  const CalibrationMatrix C = Larger(covariance);
+  const CalibrationMatrix C = Enlarge(covariance.model, covariance);
   result->covariance = C.topLeftCorner<6, 6>();
   result->time_shift_std = std::sqrt(C(kTimeShift, kTimeShift));
   result->accel_delay_std = std::sqrt(C(kAccelDelay, kAccelDelay));
@@ -209,11 +209,11 @@ void GradeResult(const CalibrationOptions& options,
   result->split_half.time_shift = covariance.halves_difference[kTimeShift];
   result->split_half.sigmas = covariance.halves_sigmas;
 
-  CalibrationMatrix honest = C;
+  CalibrationMatrix honest = covariance.model;
   if (options.estimate_translation)
-    honest.topLeftCorner<3, 3>() =
-        HonestLeverArm(C.topLeftCorner<3, 3>(), covariance.feigned_lever_arm_information);
-  result->observability = Spectrum(options, honest);
+    honest.topLeftCorner<3, 3>() = HonestLeverArm(covariance.model.topLeftCorner<3, 3>(),
+                                                  covariance.feigned_lever_arm_information);
+  result->observability = Spectrum(options, Enlarge(honest, covariance));
   result->status = Status::kOk;
   result->message = "every sigma is within its bound";
   if (result->observability.empty() || result->observability.front().status == Status::kOk) return;

@@ -417,8 +417,7 @@ void CheckStamps(const std::string& topic, const std::vector<Sample>& samples) {
 class Delays {
  public:
   void Add(const rosbag::MessageInstance& instance, int64_t stamp_ns) {
-    delays_s_.push_back(1e-9 *
-                        static_cast<double>(ToNanoseconds(instance.getTime()) - stamp_ns));
+    delays_s_.push_back(1e-9 * static_cast<double>(ToNanoseconds(instance.getTime()) - stamp_ns));
   }
 
   Latency Summarise() && {

@@ -104,6 +104,11 @@ std::string Vector(const Eigen::Vector3d& v, const char* number) {
   return buffer;
 }
 
+std::string List(const Eigen::Vector3d& v, const char* number) {
+  const std::string text = Vector(v, number);
+  return text.substr(1, text.size() - 2);
+}
+
 std::string Quaternion(const Eigen::Quaterniond& q) {
   return Format("[%.6f, %.6f, %.6f, %.6f]", q.x(), q.y(), q.z(), q.w());
 }
@@ -127,7 +132,7 @@ std::string Row(const std::string& name,
                 const std::string& value,
                 const std::string& sigma,
                 const std::string& verdict) {
-  return Format("  %-18s %-30s %-22s %s\n",
+  return Format("  %-16s  %-29s  %-22s  %s\n",
                 name.c_str(),
                 value.c_str(),
                 verdict == "fixed" ? "" : sigma.c_str(),
@@ -139,12 +144,12 @@ std::string Table(const Calibration& result) {
   const Vector6d sigma = result.Std();
   std::string text = "\n" + Row("imu in marker", "value", "sigma", "verdict");
   text += Row("translation [mm]",
-              Vector(1e3 * result.T_MI.p, "%.3f"),
-              Vector(1e3 * sigma.head<3>(), "%.3f"),
+              List(1e3 * result.T_MI.p, "%.3f"),
+              List(1e3 * sigma.head<3>(), "%.3f"),
               RowVerdict(result, "p_MI"));
-  text += Row("roll, pitch, yaw",
-              Vector(RollPitchYaw(result.T_MI.q), "%.3f") + " deg",
-              Vector(kDegrees * sigma.tail<3>(), "%.4f"),
+  text += Row("rpy [deg]",
+              List(RollPitchYaw(result.T_MI.q), "%.3f"),
+              List(kDegrees * sigma.tail<3>(), "%.4f"),
               RowVerdict(result, "R_MI"));
   text += Row("time shift",
               Format("%.7f s", result.time_shift),
@@ -214,7 +219,8 @@ std::string Residuals(const Calibration& result) {
          row("accel", result.rms.accel, result.noise.accel, "m/s^2") +
          row("position", 1e3 * result.rms.position, 1e3 * result.noise.position, "mm") +
          row("rotation", kDegrees * result.rms.rotation, kDegrees * result.noise.rotation, "deg") +
-         Format("  the halves of the recording differ by up to %.1f sigma\n", result.split_half.sigmas);
+         Format("  the halves of the recording differ by up to %.1f sigma\n",
+                result.split_half.sigmas);
 }
 
 std::string Warnings(const Calibration& result) {

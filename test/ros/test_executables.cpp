@@ -307,7 +307,7 @@ TEST_F(CalibrateBagTest, FailureLeavesNoOldResultBehind) {
   EXPECT_EQ(ReadText(Path("mine.yaml")), "not: a result\n");
 }
 
-TEST_F(ExecutableTest, RefusesWhatCannotBeAsItIsInOneLine) {
+TEST_F(CalibrateBagTest, RefusesWhatCannotBeAsItIsInOneLine) {
   struct Case {
     void (*spoil)(CalibrationData*);
     std::vector<std::string> parts;
@@ -349,7 +349,7 @@ TEST_F(ExecutableTest, RefusesWhatCannotBeAsItIsInOneLine) {
 
 // --- calibrate_bag --check ---
 
-TEST_F(ExecutableTest, ChecksABagWithoutCalibrating) {
+TEST_F(CalibrateBagTest, ChecksABagWithoutCalibrating) {
   CalibrationData data = Simulate(Handheld());
   WriteSimulation(data);
   Write("x.calibration.yaml", std::string(kResultHeader) + "\n");

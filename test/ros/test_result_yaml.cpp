@@ -25,6 +25,7 @@ Calibration MakeResult() {
   result.noise = {0.001, 0.002, 0.003, 0.004};
   result.rms = {0.011, 0.012, 0.013, 0.014};
   result.warnings = {"w1"};
+  result.observability = {{"p_MI along marker z", 0.25, "m", Status::kWeak}};
   result.unobservable = {"p_MI along marker z: turn about a second axis"};
   result.poses.used = 4000;
   result.poses.outlier = 3;
@@ -120,7 +121,12 @@ TEST(ResultYaml, HoldsNoiseAndQuality) {
   EXPECT_EQ(quality["rotation_rms"].as<double>(), 0.012);
   EXPECT_EQ(quality["gyro_rms"].as<double>(), 0.013);
   EXPECT_EQ(quality["accel_rms"].as<double>(), 0.014);
-  EXPECT_EQ(quality["observability"].as<Strings>(), MakeResult().unobservable);
+  ASSERT_EQ(quality["observability"].size(), 1u);
+  const YAML::Node direction = quality["observability"][0];
+  EXPECT_EQ(direction["direction"].as<std::string>(), "p_MI along marker z");
+  EXPECT_EQ(direction["std"].as<double>(), 0.25);
+  EXPECT_EQ(direction["unit"].as<std::string>(), "m");
+  EXPECT_EQ(direction["status"].as<std::string>(), "weak");
   EXPECT_EQ(quality["warnings"].as<Strings>(), Strings({"w1"}));
 }
 

@@ -27,6 +27,10 @@ Calibration MakeResult() {
   result.poses.in_short_segment = 4321;
   result.poses.duplicate_stamp = 17;
   result.poses.not_finite = 18;
+  result.observability = {{"p_MI along marker z", 3e-3, "m", Status::kWeak},
+                          {"R_MI about imu z", 3e-2, "rad", Status::kOk},
+                          {"time_shift", 1.25e-3, "s", Status::kOk},
+                          {"accel_delay", 2e-5, "s", Status::kOk}};
   result.warnings = {
       "the position residuals are 3.2 times larger than the noise: a warning text long enough to "
       "wrap"};
@@ -52,15 +56,15 @@ TEST(Summary, SaysWhatAPersonNeeds) {
                            "1234 outlier",
                            "x_marker = R x_imu + p",
                            "[-1050.100, -203.400, -300.000] mm",
-                           "[1.000, 2.000, 3.000] mm",
+                           "-1050.100, -203.400, -300.000  1.000, 2.000, 3.000     weak",
                            "[-0.500000, 0.500000, -0.500000, 0.500000] (x, y, z, w)",
-                           "[0.5730, 1.1459, 1.7189] deg",
+                           "-90.000, 0.000, -90.000        0.5730, 1.1459, 1.7189  ok",
                            "x_imu = R x_marker + p",
                            "t_pose = t_imu + time_shift",
                            "t_imu = t_pose - time_shift",
-                           "-1034771.5066412 s +- 1.2500 ms",
+                           "-1034771.5066412 s             1.2500 ms               ok",
                            "t_pose = t_accel + time_shift - accel_delay",
-                           "-0.0037000 s +- 0.0200 ms",
+                           "-3.7000 ms                     0.0200 ms               ok",
                            "[-0.10000, -0.20000, -9.80000] m/s^2",
                            "warning: the position residuals"})
     EXPECT_TRUE(Contains(text, part)) << "'" << part << "' is missing in\n" << text;

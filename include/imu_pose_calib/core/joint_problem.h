@@ -79,8 +79,6 @@ class JointProblem : public CalibrationProblem {
               Sensor* sensor);
   /// The trajectory at an instant given on both clocks [s]; nothing when it is not on a spline.
   std::optional<TrajectoryPoint> PointAt(double tau, double t_M) const;
-  /// Variance of the lever arm's coefficients at tau that the joint trajectory's errors cause.
-  double LeverArmErrors(double tau) const;
   double FeignedLeverArmInformation() const override;
   /// Control points that act on the span.
   std::vector<double*> ControlPoints(std::vector<Eigen::Vector3d>* spline, size_t first) const;
