@@ -132,7 +132,7 @@ std::string Row(const std::string& name,
                 const std::string& value,
                 const std::string& sigma,
                 const std::string& verdict) {
-  return Format("  %-16s  %-29s  %-22s  %s\n",
+  return Format("  %-16s %-29s %-22s %s\n",
                 name.c_str(),
                 value.c_str(),
                 verdict == "fixed" ? "" : sigma.c_str(),

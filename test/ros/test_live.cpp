@@ -227,7 +227,7 @@ class Live : public TempDirTest {
 TEST_F(Live, AgreesWithOfflineOnTheSample) {
   const std::string sample = IMU_POSE_CALIB_SOURCE_DIR "/data/estimator_own_clocks.bag";
   OfflineRequest request;
-  request.bag.path = sample;
+  request.bag.paths = {sample};
   request.output = Path("offline.yaml");
   const Calibration offline = CalibrateOffline(request).result;
 
