@@ -228,11 +228,10 @@ void EmitData(const Calibration& result, const RecordingInfo& info, YAML::Emitte
       "data",
       [&] {
         Emit("bag", info.bag, out);
-        const bool is_text = info.bag.empty();
-        Emit(is_text ? "imu_file" : "imu_topic", info.imu_topic, out);
-        Emit(is_text ? "gyro_file" : "gyro_topic", info.gyro_topic, out);
-        Emit(is_text ? "accel_file" : "accel_topic", info.accel_topic, out);
-        Emit(is_text ? "pose_file" : "pose_topic", info.pose_topic, out);
+        Emit("imu_topic", info.imu_topic, out);
+        Emit("gyro_topic", info.gyro_topic, out);
+        Emit("accel_topic", info.accel_topic, out);
+        Emit("pose_topic", info.pose_topic, out);
         Emit("imu_yaml", info.imu_yaml, out);
         if (info.stated_pose_std) EmitStated(*info.stated_pose_std, out);
         Emit("duration", result.poses.duration_s, out);

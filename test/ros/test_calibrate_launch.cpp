@@ -116,7 +116,7 @@ TEST(CalibrateNode, CalibratesFromTextFiles) {
                                   "_exit:=true _output:='" + output + "' _poses:='" + text +
                                       ".poses.txt' _imu:='" + text + ".imu.csv'");
   EXPECT_EQ(outcome.status, 0) << outcome.err;
-  EXPECT_EQ(YAML::LoadFile(output)["data"]["pose_file"].as<std::string>(), text + ".poses.txt");
+  EXPECT_EQ(YAML::LoadFile(output)["data"]["pose_topic"].as<std::string>(), text + ".poses.txt");
 }
 
 TEST(CalibrateLaunch, TakesTextFilesInPlaceOfTheSample) {

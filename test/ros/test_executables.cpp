@@ -131,8 +131,8 @@ TEST_F(CalibrateBagTest, BagFolderAndTablesGiveTheSameResult) {
 
   const YAML::Node data = YAML::LoadFile(Path("asl/calibration.yaml"))["data"];
   EXPECT_EQ(data["bag"].as<std::string>(), "");
-  EXPECT_EQ(data["pose_file"].as<std::string>(), "asl/mocap0/data.csv");
-  EXPECT_EQ(data["imu_file"].as<std::string>(), "asl/imu0/data.csv");
+  EXPECT_EQ(data["pose_topic"].as<std::string>(), "asl/mocap0/data.csv");
+  EXPECT_EQ(data["imu_topic"].as<std::string>(), "asl/imu0/data.csv");
 }
 
 TEST_F(CalibrateBagTest, TakesNoiseFromTheSensorYamlOfAFolder) {

@@ -21,8 +21,8 @@ struct Latency {
 
 /// Where a recording comes from and how its frames are called.
 struct RecordingInfo {
-  /// Path of the bag, or paths with spaces between them. Empty: text files, whose paths stand for
-  /// the topics.
+  /// Path of the bag, or paths with spaces between them. Empty: live topics, or text files, whose
+  /// paths stand for the topics.
   std::string bag;
   /// Either `imu_topic`, or `gyro_topic` and `accel_topic` for a split IMU; the others are empty.
   std::string imu_topic, gyro_topic, accel_topic;
