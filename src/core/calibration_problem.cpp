@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <future>
 #include <string>
 #include <thread>
 
@@ -104,6 +105,7 @@ bool CalibrationProblem::IsOnTrajectory(double t_M) const {
 void CalibrationProblem::Solve(double function_tolerance) {
   ceres::Solver::Options options;
   options.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
+  options.sparse_linear_algebra_library_type = ceres::EIGEN_SPARSE;  // small blocks: no BLAS
   options.max_num_iterations = options_.max_iterations;
   options.num_threads = Threads(options_.num_threads);
   options.logging_type = ceres::SILENT;
@@ -251,6 +253,8 @@ CalibrationCovariance CalibrationProblem::Covariance() {
   };
 
   CalibrationCovariance result;
+  auto first_half = std::async(std::launch::async, [&] { return estimator.EstimateHalf(0); });
+  auto second_half = std::async(std::launch::async, [&] { return estimator.EstimateHalf(1); });
   const MarginalEstimate all = estimator.Estimate();
   const MarginalEstimate marginal = Condition(all, estimated);
   // Scores have as many dimensions per cluster as there are parameters that act in it; the fit sets
@@ -269,8 +273,8 @@ CalibrationCovariance CalibrationProblem::Covariance() {
                                .cwiseMax(ClusterRobustCovariance(estimate, fitted).diagonal())
                                .cwiseSqrt());
   };
-  const MarginalEstimate first = Condition(estimator.EstimateHalf(0), estimated);
-  const MarginalEstimate second = Condition(estimator.EstimateHalf(1), estimated);
+  const MarginalEstimate first = Condition(first_half.get(), estimated);
+  const MarginalEstimate second = Condition(second_half.get(), estimated);
   const Eigen::VectorXd difference = second.Step() - first.Step();
   const Eigen::VectorXd hint_std = larger_std(all);
   result.halves_difference = spread_vector(difference);

@@ -10,7 +10,7 @@ namespace imu_pose_calib {
 namespace {
 
 constexpr double kNoiseAgreement = 1.1;  // factor between noise assumed and noise found
-constexpr int kMinPasses = 3;            // of the joint solve: plain, robust, settled
+constexpr int kMinPasses = 2;            // plain, robust
 constexpr int kMaxPasses = 6;
 constexpr double kJointTolerance = 1e-7;
 
@@ -111,7 +111,7 @@ class JointSolver {
   Solution Solve() {
     Solution solution;
     for (int pass = 1; pass <= kMaxPasses; ++pass) {
-      const double tolerance = pass < kMinPasses ? kRoughTolerance : kJointTolerance;
+      const double tolerance = pass == 1 ? kRoughTolerance : kJointTolerance;
       if (Pass(tolerance, &solution.statistics) && pass >= kMinPasses) break;
     }
     solution.covariance = problem_->Covariance();
@@ -145,7 +145,7 @@ JointStart ChooseKnotSpacing(const CalibrationOptions& options,
     Estimate trial = *estimate;
     JointSolver solver(options, trajectory, excerpt, {spacing, noise}, &trial);
     ResidualStatistics statistics;
-    for (int pass = 1; pass < kMinPasses; ++pass) solver.Pass(kRoughTolerance, &statistics);
+    for (int pass = 1; pass <= kMinPasses; ++pass) solver.Pass(kRoughTolerance, &statistics);
     const double residual = statistics.noise.gyro * statistics.noise.accel;
     const bool shrinks = residual_before == 0.0 || residual < kShrinkage * residual_before;
     if (!shrinks || 0.5 * spacing < finest) {
