@@ -20,6 +20,8 @@ namespace {
 constexpr double kMadToSigma = 1.4826;
 /// Samples closer than this to the end of a segment are left out, so that the time shift can move.
 constexpr double kEdge = 0.02;  // [s]
+/// On each coordinate of the trajectory's corrections [1/m^2, 1/rad^2]: nothing beside any sample.
+constexpr double kWeakInformation = 1.0;
 /// Rows of the Jacobian that Covariance() holds at a time.
 constexpr size_t kPortionRows = 100000;
 
@@ -234,6 +236,7 @@ CalibrationCovariance CalibrationProblem::Covariance() {
     }
   }
   add_portion();
+  estimator.AddPrior(static_cast<int>(places.size()) + shared, kWeakInformation);
   for (double* parameters : possible) problem_.SetParameterBlockConstant(parameters);
 
   // Ceres turns q_MI on the left by twice the step: to a rotation about the imu axes.

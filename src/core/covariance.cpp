@@ -80,6 +80,15 @@ void MarginalEstimator::Add(const ceres::CRSMatrix& J,
   }
 }
 
+void MarginalEstimator::AddPrior(int first, double information) {
+  const int size = static_cast<int>(H_[0].rows());
+  std::vector<Eigen::Triplet<double>> diagonal;
+  for (int i = first; i < size; ++i) diagonal.emplace_back(i, i, 0.5 * information);
+  SparseMatrix prior(size, size);
+  prior.setFromTriplets(diagonal.begin(), diagonal.end());
+  for (SparseMatrix& H : H_) H += prior;
+}
+
 MarginalEstimate MarginalEstimator::Estimate() const {
   SparseMatrix scores(H_[0].rows(), clusters_);
   scores.setFromTriplets(scores_.begin(), scores_.end());

@@ -147,6 +147,19 @@ TEST(MarginalCovariance, IsInfiniteForAParameterWithoutInformation) {
   EXPECT_TRUE((ClusterRobustCovariance(c, 0.0).diagonal().array() == infinity).all());
 }
 
+TEST(MarginalCovariance, IsNotSpoiltByAnUnseenParameterWithAPrior) {
+  std::mt19937 random(13);
+  MatrixXd J = RandomJacobian(40, 6, &random);
+  J.col(4).setZero();
+  const std::vector<double> residuals = RandomResiduals(40, &random);
+  MarginalEstimator estimator = Estimator(J, residuals, Blocks(40, 4), 3);
+  estimator.AddPrior(4, 1e-9);
+  MatrixXd seen(40, 5);
+  seen << J.leftCols(4), J.col(5);
+  const MatrixXd expected = Marginal(seen, residuals, Blocks(40, 4), 3).covariance;
+  EXPECT_LT((estimator.Estimate().covariance - expected).norm(), 1e-6 * expected.norm());
+}
+
 TEST(MarginalCovariance, IsNeverConfidentInParametersThatActAlike) {
   // Rounding may leave a little false information: no variance below 1e8 all the same.
   for (uint32_t seed = 3; seed < 23; ++seed) {

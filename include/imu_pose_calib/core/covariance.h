@@ -34,7 +34,11 @@ class MarginalEstimator {
            const std::vector<double>& residuals,
            const std::vector<int>& cluster);
 
-  /// Parameters without information get a variance of infinity.
+  /// `information` on each parameter from `first` on, beside what the rows say: keeps those that no
+  /// sample sees determined.
+  void AddPrior(int first, double information);
+
+  /// Infinite when some parameter has no information.
   MarginalEstimate Estimate() const;
   /// What one half of the log (0 or 1) says alone.
   MarginalEstimate EstimateHalf(int half) const;
