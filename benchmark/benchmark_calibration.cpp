@@ -1,7 +1,14 @@
 #include <benchmark/benchmark.h>
+#include <ceres/cost_function.h>
+
+#include <memory>
+#include <vector>
 
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/conditioning.h"
+#include "imu_pose_calib/core/initializer.h"
+#include "imu_pose_calib/core/joint_residuals.h"
+#include "imu_pose_calib/core/joint_solver.h"
 #include "imu_pose_calib/core/pose_trajectory.h"
 #include "imu_pose_calib/core/simulator.h"
 
@@ -50,6 +57,49 @@ void BenchmarkTrajectoryVariance(benchmark::State& state) {
   }
 }
 BENCHMARK(BenchmarkTrajectoryVariance);
+
+/// Residuals and Jacobians of `range` accelerometer samples in one block, the joint solve's
+/// largest.
+void BenchmarkJointAccelResidual(benchmark::State& state) {
+  const MarkerState<double> motion{Eigen::Quaterniond::Identity(),
+                                   {1.0, -2.0, 0.5},
+                                   {10.0, 5.0, -3.0},
+                                   {0.0, 0.0, 0.0},
+                                   {0.1, 0.2, 0.3},
+                                   {1.0, 2.0, 3.0}};
+  const JointImuSample sample{{motion, motion, {0, 0.3, 0.01}}, {0.0, 0.0, 9.8}, 0.5, 0.0, 0.02};
+  const auto samples = static_cast<size_t>(state.range(0));
+  const std::unique_ptr<ceres::CostFunction> block(
+      CreateJointAccelResidual(std::vector<JointImuSample>(samples, sample)));
+  std::vector<std::vector<double>> parameters, jacobians;
+  std::vector<double*> parameter_blocks, jacobian_blocks;
+  for (const int size : block->parameter_block_sizes()) {
+    parameters.emplace_back(static_cast<size_t>(size), 0.01);
+    jacobians.emplace_back(static_cast<size_t>(size * block->num_residuals()));
+    parameter_blocks.push_back(parameters.back().data());
+    jacobian_blocks.push_back(jacobians.back().data());
+  }
+  std::vector<double> residuals(static_cast<size_t>(block->num_residuals()));
+  for (auto _ : state) {
+    block->Evaluate(parameter_blocks.data(), residuals.data(), jacobian_blocks.data());
+    benchmark::DoNotOptimize(residuals.data());
+  }
+}
+BENCHMARK(BenchmarkJointAccelResidual)->Arg(1)->Arg(4);
+
+/// S4 alone on `range` seconds: poses 100 Hz, IMU 200 Hz.
+void BenchmarkSolveJointly(benchmark::State& state) {
+  const CalibrationOptions options;
+  ConditionedData data = Condition(options, Recording(static_cast<double>(state.range(0))));
+  const PoseTrajectory trajectory = FitTrajectory(options, &data);
+  Estimate first(Initialise(options, trajectory, data), data, options.bias_knot_interval_s);
+  const JointStart start = ChooseKnotSpacing(options, trajectory, data, &first);
+  for (auto _ : state) {
+    Estimate estimate = first;
+    benchmark::DoNotOptimize(SolveJointly(options, trajectory, data, start, &estimate));
+  }
+}
+BENCHMARK(BenchmarkSolveJointly)->Arg(40)->Arg(80)->Unit(benchmark::kMillisecond);
 
 /// The whole calibration of `range` seconds: poses 100 Hz, IMU 200 Hz.
 void BenchmarkCalibrate(benchmark::State& state, Method method) {

@@ -22,6 +22,9 @@ constexpr double kMadToSigma = 1.4826;
 constexpr double kEdge = 0.02;  // [s]
 /// On each coordinate of the trajectory's corrections [1/m^2, 1/rad^2]: nothing beside any sample.
 constexpr double kWeakInformation = 1.0;
+/// Blocks of the cluster-robust covariance by default, and their least length [s].
+constexpr double kCovarianceBlocks = 24.0;
+constexpr double kShortestBlock = 2.0;
 /// Rows of the Jacobian that Covariance() holds at a time.
 constexpr size_t kPortionRows = 100000;
 
@@ -212,8 +215,11 @@ CalibrationCovariance CalibrationProblem::Covariance() {
   // In portions, so that the Jacobian is never there as a whole.
   const double start = std::min(data_.gyro.front().t, data_.accel.front().t);
   const double end = std::max(data_.gyro.back().t, data_.accel.back().t);
+  const double block_s = options_.covariance_block_s > 0.0
+                             ? options_.covariance_block_s
+                             : std::max(kShortestBlock, (end - start) / kCovarianceBlocks);
   const auto cluster_of = [&](double t) {
-    return static_cast<int>(std::max(0.0, t - start) / options_.covariance_block_s);
+    return static_cast<int>(std::max(0.0, t - start) / block_s);
   };
   MarginalEstimator estimator(
       columns, static_cast<int>(places.size()), cluster_of(0.5 * (start + end)));

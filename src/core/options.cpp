@@ -85,7 +85,7 @@ void CalibrationOptions::Validate() const {
   CheckRange("robust_loss_scale", robust_loss_scale, 1.0, kInfinity);
   CheckRange("max_iterations", max_iterations, 1, 10000);
   CheckRange("num_threads", num_threads, 0, 1024);
-  CheckRange("covariance_block_s", covariance_block_s, 0.01, 1e6);
+  CheckRange("covariance_block_s", covariance_block_s, 0.0, 1e6);
   CheckRange("weak_rotation_std", weak_rotation_std, 1e-9, 1.0);
   CheckRange("weak_translation_std", weak_translation_std, 1e-9, 10.0);
   CheckRange("weak_time_shift_std", weak_time_shift_std, 1e-9, 1.0);

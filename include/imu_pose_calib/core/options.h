@@ -111,8 +111,9 @@ struct CalibrationOptions {
 
   // --- Uncertainty and verdict (S5) ---
 
-  /// Length of the time blocks of the cluster-robust covariance [s].
-  double covariance_block_s = 2.0;
+  /// Length of the time blocks of the cluster-robust covariance [s]. 0: a 24th of the recording, at
+  /// least 2 s.
+  double covariance_block_s = 0.0;
   /// The verdict is `weak` when the largest sigma exceeds one of these, and `degenerate` beyond ten
   /// times one of these.
   double weak_rotation_std = 0.01;     ///< [rad]
