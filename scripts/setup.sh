@@ -19,7 +19,8 @@ COMMON_PACKAGES=(
   libgtest-dev libbenchmark-dev
 )
 
-# Debian splits a message package in two: lib*-dev holds the headers, ros-* the definitions that other messages need.
+# Debian splits a message package in three: lib*-dev holds the headers, ros-* the definitions that other messages need,
+# python3-* what rostopic and rosservice need.
 DEBIAN_PACKAGES=(
   catkin ros-core rosbash ros-environment ros-message-generation ros-message-runtime
   libroscpp-dev libroslib-dev librosbag-dev librosbag-storage-dev libtf2-ros-dev libtf2-msgs-dev libdiagnostic-updater-dev
@@ -28,6 +29,7 @@ DEBIAN_PACKAGES=(
   libdiagnostic-msgs-dev
   ros-std-msgs ros-std-srvs ros-geometry-msgs ros-sensor-msgs ros-nav-msgs ros-visualization-msgs ros-diagnostic-msgs
   ros-tf2-msgs
+  python3-std-srvs python3-diagnostic-msgs python3-nav-msgs python3-visualization-msgs
 )
 
 NOETIC_PACKAGES=(

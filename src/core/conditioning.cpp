@@ -140,12 +140,7 @@ std::vector<Sample> Clean(const std::string& stream,
 
 /// The recording in SI units, with the poses of the marker in the world.
 CalibrationData Convert(const CalibrationOptions& options, CalibrationData data) {
-  for (PoseSample& s : data.poses) {
-    s.p_WM *= options.position_unit;
-    if (!options.invert_poses) continue;
-    s.q_WM = s.q_WM.conjugate();
-    s.p_WM = -(s.q_WM.normalized() * s.p_WM);
-  }
+  for (PoseSample& s : data.poses) s = ToMarkerPose(options, s);
   for (ImuSample& s : data.gyro) s.value *= options.gyro_unit;
   for (ImuSample& s : data.accel) s.value *= options.accel_unit;
   return data;
@@ -449,6 +444,14 @@ void CheckAccelerometerUnit(const std::vector<TimedSample>& accel, double gravit
 }
 
 }  // namespace
+
+PoseSample ToMarkerPose(const CalibrationOptions& options, PoseSample recorded) {
+  recorded.p_WM *= options.position_unit;
+  if (!options.invert_poses) return recorded;
+  recorded.q_WM = recorded.q_WM.conjugate();
+  recorded.p_WM = -(recorded.q_WM.normalized() * recorded.p_WM);
+  return recorded;
+}
 
 ConditionedData Condition(const CalibrationOptions& options, const CalibrationData& recorded) {
   ConditionedData out;

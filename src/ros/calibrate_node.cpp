@@ -4,6 +4,7 @@
 #include <ros/ros.h>
 #include <tf2_ros/static_transform_broadcaster.h>
 
+#include <csignal>
 #include <iostream>
 
 #include "imu_pose_calib/ros/conversions.h"
@@ -57,7 +58,10 @@ void Offer(const OfflineResult& offline, ros::NodeHandle* node) {
 
 void RunOffline(ros::NodeHandle* node) {
   const bool exit = Param<bool>(*node, "exit", false, "true or false");
+  // Nobody listens to ROS during the solve: until its end, an interrupt ends the process at once.
+  const auto handler = std::signal(SIGINT, SIG_DFL);
   const OfflineResult offline = CalibrateOffline(ReadRequest(*node));
+  std::signal(SIGINT, handler);
   std::cout << Summary(offline.result, offline.info) << std::flush;
   WriteResult(offline);
   ROS_INFO("Written to %s", offline.output.c_str());

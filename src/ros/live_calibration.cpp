@@ -4,6 +4,7 @@
 #include <cmath>
 #include <sstream>
 
+#include "imu_pose_calib/core/conditioning.h"
 #include "imu_pose_calib/core/so3.h"
 
 namespace imu_pose_calib {
@@ -152,7 +153,8 @@ StreamStatus LiveCalibration::Stream<Sample>::Status() const {
   return status;
 }
 
-LiveCalibration::LiveCalibration(const LiveOptions& options) : options_(options) {
+LiveCalibration::LiveCalibration(const LiveOptions& options, const CalibrationOptions& calibration)
+    : options_(options), calibration_(calibration) {
   options_.Validate();
 }
 
@@ -193,8 +195,9 @@ bool LiveCalibration::Add(const Sample& sample, double now, Stream<Sample>* stre
   return true;
 }
 
-void LiveCalibration::AddPose(const PoseSample& pose, double now) {
-  if (!Add(pose, now, &poses_)) return;
+void LiveCalibration::AddPose(const PoseSample& recorded, double now) {
+  if (!Add(recorded, now, &poses_)) return;
+  const PoseSample pose = ToMarkerPose(calibration_, recorded);
   if (!IsValid(pose) || (pose_ && SamePose(pose, *pose_))) return;
   pose_ = pose;
   pose_changed_ = now;

@@ -24,6 +24,7 @@
 
 #include "imu_pose_calib/CalibrationStatus.h"
 #include "imu_pose_calib/ros/conversions.h"
+#include "imu_pose_calib/ros/imu_yaml.h"
 #include "imu_pose_calib/ros/live_calibration.h"
 #include "imu_pose_calib/ros/markers.h"
 #include "imu_pose_calib/ros/offline.h"
@@ -55,7 +56,7 @@ constexpr double kPathStep = 0.05;  // [s]
 struct Settings {
   std::string imu_topic, gyro_topic, accel_topic, pose_topic, tf_parent, tf_child;
   std::string marker_frame, imu_frame;  ///< empty: of the messages
-  std::string output;
+  std::string output, imu_yaml;
   bool auto_save = false;
   CalibrationOptions calibration;
   LiveOptions live;
@@ -93,6 +94,13 @@ Settings ReadSettings(const ros::NodeHandle& node) {
 
   if (const std::string config = text("config"); !config.empty())
     settings.calibration = LoadOptions(config);
+  settings.imu_yaml = text("imu_yaml");
+  if (!settings.imu_yaml.empty()) {
+    const ImuYaml imu = LoadImuYaml(settings.imu_yaml);
+    imu.CopyNoise(&settings.calibration);
+    if (settings.imu_topic.empty() && settings.gyro_topic.empty())
+      settings.imu_topic = imu.rostopic;
+  }
   if (const std::string method = text("method"); !method.empty())
     settings.calibration.method = ParseMethod(method);
   number("window", &settings.live.window);
@@ -199,7 +207,7 @@ class LiveNode {
   void OnAccel(const TopicSource::Message& message);
   void OnPose(const TopicSource::Message& message);
   void OnTransforms(const tf2_msgs::TFMessage& message, bool fixed);
-  void AddPose(const PoseSample& pose, const ros::Time& now);
+  void AddPose(const PoseSample& recorded, const ros::Time& now);
 
   void Tick();
   void StartSolve();
@@ -253,13 +261,14 @@ class LiveNode {
 
   ros::CallbackQueue service_queue_;
   std::vector<ros::ServiceServer> services_;
-  ros::AsyncSpinner service_spinner_{1, &service_queue_};
+  /// One thread each: ~reset and ~save need not wait for ~calibrate.
+  ros::AsyncSpinner service_spinner_{3, &service_queue_};
 };
 
 LiveNode::LiveNode(const ros::NodeHandle& node)
     : node_(node),
       settings_(ReadSettings(node)),
-      live_(settings_.live),
+      live_(settings_.live, settings_.calibration),
       diagnostics_(ros::NodeHandle(), node) {
   status_publisher_ = node_.advertise<CalibrationStatus>("status", 10);
   result_publisher_ = node_.advertise<CalibrationResult>("result", 1, true);
@@ -369,9 +378,10 @@ void LiveNode::OnTransforms(const tf2_msgs::TFMessage& message, bool fixed) {
   chain_->Add(links, true);
 }
 
-void LiveNode::AddPose(const PoseSample& pose, const ros::Time& now) {
-  live_.AddPose(pose, now.toSec());
-  if (!live_.pose() || live_.pose()->t_ns != pose.t_ns) return;  // not valid
+void LiveNode::AddPose(const PoseSample& recorded, const ros::Time& now) {
+  live_.AddPose(recorded, now.toSec());
+  if (!live_.pose() || live_.pose()->t_ns != recorded.t_ns) return;  // not valid
+  const PoseSample pose = *live_.pose();
   const auto seconds_since = [&](const PoseSample& old) {
     return 1e-9 * static_cast<double>(pose.t_ns - old.t_ns);
   };
@@ -395,6 +405,7 @@ RecordingInfo LiveNode::Info() const {
     info.gyro_topic = settings_.gyro_topic;
     info.accel_topic = settings_.accel_topic;
   }
+  info.imu_yaml = settings_.imu_yaml;
   return info;
 }
 
@@ -451,6 +462,7 @@ std::string LiveNode::Save() {
   WriteFile(settings_.output, ToYaml(*live_.result(), Info(), settings_.calibration));
   const std::string message = "saved to " + settings_.output + "; call reset to start anew";
   live_.Freeze(message);
+  save_error_.clear();
   std::cout << Summary(*live_.result(), Info()) << std::flush;
   return message;
 }
@@ -472,8 +484,8 @@ bool LiveNode::OnCalibrate(Trigger::Request&, Trigger::Response& response) {
   std::shared_future<Calibration> solve;
   {
     const std::lock_guard<std::mutex> lock(mutex_);
-    if (live_.IsFrozen()) {
-      response.message = live_.Status(ros::Time::now().toSec()).message;
+    if (live_.IsFrozen() || status_.phase == Phase::kWaiting) {
+      response.message = status_.message;
       return true;
     }
     if (!solve_.valid()) StartSolve();
@@ -513,6 +525,7 @@ bool LiveNode::OnReset(Trigger::Request&, Trigger::Response& response) {
                          ? "started anew; tf keeps the last result until there is another"
                          : "started anew";
   live_.Reset("", ros::Time::now().toSec());
+  save_error_.clear();
   return true;
 }
 
@@ -595,6 +608,7 @@ void LiveNode::PublishStatus() {
     msg.rotation_std = std_dev.rotation;
     msg.translation_std = std_dev.translation;
     msg.time_shift_std = std_dev.time_shift;
+    msg.warnings = live_.result()->warnings;
   }
   status_publisher_.publish(msg);
 }
@@ -631,6 +645,8 @@ void LiveNode::Diagnose(diagnostic_updater::DiagnosticStatusWrapper& wrapper) {
   stream("gyro", status_.gyro);
   stream("accel", status_.accel);
   wrapper.add("verdict", live_.result() ? live_.result()->message : "none yet");
+  if (!live_.result()) return;
+  for (const std::string& warning : live_.result()->warnings) wrapper.add("warning", warning);
 }
 
 }  // namespace

@@ -12,6 +12,12 @@ std::string Join(const std::vector<std::string>& items, const char* separator) {
   return text;
 }
 
+/// Types without their packages.
+std::string ShortNames(std::vector<std::string> types) {
+  for (std::string& type : types) type.erase(0, type.find('/') + 1);
+  return Join(types, ", ");
+}
+
 /// What nodes of this package publish is no input.
 bool IsOurs(const std::string& topic) {
   const std::string ours = "/imu_pose";
@@ -81,11 +87,13 @@ std::string TopicSource::Look() {
   });
   const int seconds = static_cast<int>((ros::SteadyTime::now() - start_).toSec());
   const std::string waited = " for " + std::to_string(seconds) + " s";
-  if (info == published.end()) return topic_ + ": nobody has published it" + waited;
+  if (info == published.end())
+    return topic_ + " (" + ShortNames(types_) + "): nobody has published it" + waited;
   if (!Accepts(info->datatype))
     return topic_ + " is " + info->datatype + ", must be " + Join(types_, " or ");
-  return topic_ + " (" + info->datatype + ", " + std::to_string(subscriber_.getNumPublishers()) +
-         " publishers connected): no message" + waited;
+  return topic_ + " (" + info->datatype +
+         ", publishers connected: " + std::to_string(subscriber_.getNumPublishers()) +
+         "): no message" + waited;
 }
 
 }  // namespace imu_pose_calib

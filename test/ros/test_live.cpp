@@ -14,6 +14,7 @@
 #include <visualization_msgs/MarkerArray.h>
 #include <yaml-cpp/yaml.h>
 
+#include <fstream>
 #include <functional>
 #include <map>
 #include <memory>
@@ -385,7 +386,13 @@ TEST_F(Live, StartsAnewWhenTheBagDoes) {
 
 TEST_F(Live, SurvivesBeingKilled) {
   const std::string bag = Simulated(120.0);
-  Node node("phoenix", {"_output:=" + Path("phoenix.yaml")});  // finds the topics
+  // Noise and topic of the IMU come from its file; the topic of the poses is found.
+  std::ofstream(Path("imu.yaml")) << "rostopic: /imu\n"
+                                     "gyroscope_noise_density: 1.0e-4\n"
+                                     "gyroscope_random_walk: 2.0e-5\n"
+                                     "accelerometer_noise_density: 1.0e-3\n"
+                                     "accelerometer_random_walk: 2.0e-4\n";
+  Node node("phoenix", {"_output:=" + Path("phoenix.yaml"), "_imu_yaml:=" + Path("imu.yaml")});
   Player player(bag, {"--clock", "--rate=5", "--delay=2"});
   ASSERT_TRUE(WaitFor([&] { return node.status.buffered > 5.0; })) << node.status;
   node.Kill();
@@ -399,6 +406,8 @@ TEST_F(Live, SurvivesBeingKilled) {
   ASSERT_TRUE(node.WaitForPhase(CalibrationStatus::SAVED));
   const YAML::Node yaml = YAML::LoadFile(Path("phoenix.yaml"));
   EXPECT_EQ(yaml["data"]["imu_topic"].as<std::string>(), "/imu");
+  EXPECT_EQ(yaml["data"]["imu_yaml"].as<std::string>(), Path("imu.yaml"));
+  EXPECT_EQ(yaml["options"]["gyro_noise_density"].as<double>(), 1e-4);
 }
 
 }  // namespace

@@ -130,6 +130,27 @@ TEST(LiveCalibration, SolvesTheSameDataAsOffline) {
   EXPECT_LT((live.result()->T_MI.p - SimulatorOptions().T_MI.p).norm(), 0.01);
 }
 
+TEST(LiveCalibration, UnderstandsThePosesAsTheSolverDoes) {
+  CalibrationOptions options;
+  options.position_unit = 1e-3;
+  options.invert_poses = true;
+  const CalibrationData data = Simulate(Handheld(3.0));
+  CalibrationData recorded = data;
+  for (PoseSample& pose : recorded.poses) {
+    pose.q_WM = pose.q_WM.conjugate();
+    pose.p_WM = -1e3 * (pose.q_WM * pose.p_WM);
+  }
+  LiveCalibration expected((LiveOptions())), live(LiveOptions(), options);
+  Feed(data, &expected);
+  Feed(recorded, &live);
+  EXPECT_LT((live.pose()->p_WM - data.poses.back().p_WM).norm(), 1e-9);
+  EXPECT_LT(live.pose()->q_WM.angularDistance(data.poses.back().q_WM), 1e-6);
+  const Excitation a = live.Status(End(data)).excitation, b = expected.Status(End(data)).excitation;
+  EXPECT_LT((a.rotation - b.rotation).norm(), 1e-6);
+  EXPECT_LT((a.translation - b.translation).norm(), 1e-6);
+  EXPECT_EQ(live.BeginSolve().poses.back().p_WM, recorded.poses.back().p_WM);
+}
+
 TEST(LiveCalibration, AsksForTheMotionThatIsMissing) {
   LiveCalibration live((LiveOptions()));
   SimulatorOptions simulator = Handheld(40.0);

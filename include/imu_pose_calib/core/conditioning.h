@@ -45,6 +45,9 @@ struct ConditionedData {
   size_t jumps = 0;
 };
 
+/// The pose T_WM [m] of what was recorded as the options say.
+PoseSample ToMarkerPose(const CalibrationOptions& options, PoseSample recorded);
+
 /// Stage S0. Every dropped sample is counted in a report.
 /// Throws DataError naming the number and the bound when a stream is empty, too short, mostly
 /// unusable, or not in SI units.

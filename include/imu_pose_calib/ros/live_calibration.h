@@ -68,11 +68,13 @@ LargestStd MaxStd(const Calibration& result);
 ///   live.EndSolve(result);  // or live.FailSolve(error.what())
 class LiveCalibration {
  public:
-  explicit LiveCalibration(const LiveOptions& options);
+  /// `calibration` tells how the poses are to be understood: unit and direction.
+  explicit LiveCalibration(const LiveOptions& options,
+                           const CalibrationOptions& calibration = CalibrationOptions());
 
   /// Samples in the order of arrival. A stamp that jumps, or `now` that goes back, starts anew:
   /// the old data and result belong to another clock.
-  void AddPose(const PoseSample& pose, double now);
+  void AddPose(const PoseSample& recorded, double now);
   void AddGyro(const ImuSample& sample, double now);
   void AddAccel(const ImuSample& sample, double now);
 
@@ -97,7 +99,7 @@ class LiveCalibration {
   LiveStatus Status(double now) const;
   /// The result to use, of those since the last reset.
   const std::optional<Calibration>& result() const { return result_; }
-  /// Newest valid pose.
+  /// Newest valid pose T_WM [m].
   const std::optional<PoseSample>& pose() const { return pose_; }
 
  private:
@@ -132,6 +134,7 @@ class LiveCalibration {
   std::string Advice() const;
 
   const LiveOptions options_;
+  const CalibrationOptions calibration_;
   Stream<PoseSample> poses_{"poses", {}};
   Stream<ImuSample> gyro_{"gyroscope", {}};
   Stream<ImuSample> accel_{"accelerometer", {}};
