@@ -578,6 +578,8 @@ void LiveNode::UpdateStatus() {
       if (chain_ && status_.poses.received == 0) Append(LookAt(*chain_), &waiting_for_);
     }
     if (!waiting_for_.empty()) status_.message = waiting_for_;
+  } else {
+    waiting_for_.clear();
   }
   if ((ros::SteadyTime::now() - clock_moved_).toSec() > 1.0)
     status_.message +=
