@@ -224,14 +224,14 @@ void DrawPanel(const Scene& scene, const Eigen::Vector3d& middle, Drawing* drawi
   const bool is_good = phase == Phase::kConverged || phase == Phase::kSaved;
   const bool is_bad = phase == Phase::kDegraded || phase == Phase::kWaiting;
   drawing->Label("verdict",
-                 middle + Eigen::Vector3d(0.0, 0.0, 4.0 * kLine),
+                 middle + Eigen::Vector3d(0.0, 0.0, 4.6 * kLine),
                  0.12,
                  ToString(phase),
                  is_good  ? kGood
                  : is_bad ? kBad
                           : kWhite);
   drawing->Label(
-      "verdict", middle + Eigen::Vector3d(0.0, 0.0, 1.9 * kLine), 0.05, Wrap(scene.status.message));
+      "verdict", middle + Eigen::Vector3d(0.0, 0.0, 2.2 * kLine), 0.05, Wrap(scene.status.message));
   if (!scene.result) return;
   const Calibration& result = *scene.result;
   char text[160];
