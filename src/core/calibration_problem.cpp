@@ -27,6 +27,8 @@ constexpr double kCovarianceBlocks = 24.0;
 constexpr double kShortestBlock = 2.0;
 /// Rows of the Jacobian that Covariance() holds at a time.
 constexpr size_t kPortionRows = 100000;
+/// From which Covariance() factorises one matrix at a time.
+constexpr int kManyColumns = 100000;
 
 int Threads(int wanted) {
   return wanted > 0 ? wanted : std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
@@ -262,8 +264,10 @@ CalibrationCovariance CalibrationProblem::Covariance() {
   };
 
   CalibrationCovariance result;
-  auto first_half = std::async(std::launch::async, [&] { return estimator.EstimateHalf(0); });
-  auto second_half = std::async(std::launch::async, [&] { return estimator.EstimateHalf(1); });
+  // Side by side, unless that takes too much memory.
+  const auto launch = columns < kManyColumns ? std::launch::async : std::launch::deferred;
+  auto first_half = std::async(launch, [&] { return estimator.EstimateHalf(0); });
+  auto second_half = std::async(launch, [&] { return estimator.EstimateHalf(1); });
   const MarginalEstimate all = estimator.Estimate();
   const MarginalEstimate marginal = Condition(all, estimated);
   // Scores have as many dimensions per cluster as there are parameters that act in it; the fit sets

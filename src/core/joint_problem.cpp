@@ -86,7 +86,7 @@ JointProblem::JointProblem(const CalibrationOptions& options,
 std::optional<TrajectoryPoint> JointProblem::PointAt(double tau, double t_M) const {
   TrajectoryPoint point;
   const auto place = splines_->Locate(tau);
-  if (!place || !trajectory_.Evaluate(t_M, &point.gp, &point.gp_rate)) return std::nullopt;
+  if (!place || !trajectory_.Evaluate(t_M, &point.gp)) return std::nullopt;
   point.place = *place;
   return point;
 }

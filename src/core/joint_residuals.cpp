@@ -60,7 +60,7 @@ void CorrectionRate(const Eigen::Matrix<T, 3, 1>& phi,
 
 /// The corrected rotation of the marker at one instant and how it moves with phi, phi' and phi''.
 struct CorrectedRotation {
-  Eigen::Quaterniond q_WM;
+  Eigen::Quaterniond q_WM;  // at the point, as alpha: used with dt = 0 only
   Vector3d omega, alpha;
   // Only with Jacobians:
   Matrix3d J;                                  // right Jacobian of phi
@@ -69,14 +69,13 @@ struct CorrectedRotation {
   Vector3d omega_t;                            // time derivative
 
   /// phi: columns 0..3 are the value and its time derivatives. `dt` [s] beyond the point.
-  CorrectedRotation(const TrajectoryPoint& at,
+  CorrectedRotation(const MarkerState<double>& gp,
                     double dt,
                     const Eigen::Matrix<double, 3, 4>& phi,
                     bool with_jacobians) {
-    const Vector3d omega_gp = at.gp.omega_M + dt * at.gp_rate.omega_M;
-    const Vector3d alpha_gp = at.gp.alpha_M + dt * at.gp_rate.alpha_M;
+    const Vector3d omega_gp = gp.omega_M + dt * gp.alpha_M;
     const Eigen::Quaterniond E = Exp<double>(phi.col(0));
-    q_WM = at.gp.q_WM * Exp<double>(dt * at.gp.omega_M) * E;
+    q_WM = gp.q_WM * E;
 
     Vector3d u, u_dot;
     Matrix3d u_phi, udot_phi, udot_phi1, udot_phi2;
@@ -100,7 +99,7 @@ struct CorrectedRotation {
     }
 
     const Vector3d omega_E = E.conjugate() * omega_gp;  // E^T omega_gp
-    const Vector3d alpha_E = E.conjugate() * alpha_gp;
+    const Vector3d alpha_E = E.conjugate() * gp.alpha_M;
     omega = omega_E + u;
     alpha = alpha_E - u.cross(omega_E) + u_dot;
     if (!with_jacobians) return;
@@ -112,7 +111,7 @@ struct CorrectedRotation {
     alpha_phi = Hat(alpha_E) * J + Hat(omega_E) * u_phi - Hat(u) * omega_E_phi + udot_phi;
     alpha_phi1 = Hat(omega_E) * J + udot_phi1;
     alpha_phi2 = udot_phi2;
-    omega_t = omega_phi * phi.col(1) + omega_phi1 * phi.col(2) + E.conjugate() * at.gp_rate.omega_M;
+    omega_t = omega_phi * phi.col(1) + omega_phi1 * phi.col(2) + alpha_E;
   }
 };
 
@@ -261,7 +260,7 @@ class JointGyroResidual : public BatchResidual<JointImuSample> {
     const double u = s.at.place.u + dt / s.at.place.spacing;
     if (!IsNearSpan(u)) return false;
     const SplineWeights weights = CubicWeights(u, s.at.place.spacing);
-    const CorrectedRotation x(s.at, dt, EvaluateSpline(blocks, weights), jacobians != nullptr);
+    const CorrectedRotation x(s.at.gp, dt, EvaluateSpline(blocks, weights), jacobians != nullptr);
     const Vector3d omega_I = q_MI.conjugate() * x.omega;
     AsVector(residual) =
         (s.value - (1.0 - s.bias_u) * knot_0 - s.bias_u * knot_1 - M_g * omega_I) / s.sigma;
@@ -306,7 +305,7 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
     const Eigen::Map<const Vector3d> knot_0(blocks[n + 4]), knot_1(blocks[n + 5]);
     const SplineWeights weights = CubicWeights(s.at.place.u, s.at.place.spacing);
     const CorrectedRotation x(
-        s.at, 0.0, EvaluateSpline(blocks + kSplineOrder, weights), jacobians != nullptr);
+        s.at.gp, 0.0, EvaluateSpline(blocks + kSplineOrder, weights), jacobians != nullptr);
     const Vector3d a_W = s.at.gp.a_W + EvaluateSpline(blocks, weights).col(2);
     const Vector3d f_body = x.q_WM.conjugate() * (a_W - g);  // R_WM^T (a_W - g_W)
     const Vector3d f_M = f_body + x.alpha.cross(p) + x.omega.cross(x.omega.cross(p));

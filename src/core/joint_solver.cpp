@@ -98,6 +98,7 @@ class JointSolver {
   /// One pass; `statistics` describes its residuals. True when the noise they show agrees with the
   /// noise assumed.
   bool Pass(double tolerance, ResidualStatistics* statistics) {
+    problem_.reset();  // never two of them at a time
     problem_ = std::make_unique<JointProblem>(
         options_, trajectory_, data_, noise_, weights_, estimate_, &splines_);
     problem_->Solve(tolerance);

@@ -19,11 +19,10 @@ namespace imu_pose_calib {
 /// are estimated (doc/math.md, S4, "Clock of the trajectory").
 
 /// Where a sample lies on the trajectory while the clocks are where they stood when the problem was
-/// made. It moves along the GP to first order (poses: second): exact at the solution, because the
-/// last pass starts there.
+/// made. It moves along the GP to first order (poses: second), and by little: the last pass starts
+/// close to the solution.
 struct TrajectoryPoint {
-  MarkerState<double> gp;       ///< the GP's motion
-  MarkerState<double> gp_rate;  ///< its time derivative (q_WM: of its coefficients)
+  MarkerState<double> gp;  ///< the GP's motion
   SplinePlace place;
 };
 
