@@ -420,9 +420,9 @@ class Delays {
     delays_s_.push_back(1e-9 * static_cast<double>(ToNanoseconds(instance.getTime()) - stamp_ns));
   }
 
-  Latency Summarise() && {
+  std::optional<Latency> Summarise() && {
+    if (delays_s_.empty()) return std::nullopt;
     Latency latency;
-    if (delays_s_.empty()) return latency;
     latency.median_s = Median(delays_s_);
     for (double& delay : delays_s_) delay = std::abs(delay - latency.median_s);
     latency.spread_s = 1.4826 * Median(std::move(delays_s_));
@@ -501,14 +501,17 @@ void ReadPoses(const Bags& bags, const Topic& topic, bool record_time, Recording
 
 void ReadTf(const Bags& bags, const BagRequest& request, Recording* recording) {
   std::vector<PoseSample>& poses = recording->data.poses;
+  Delays delays;
   TfChain chain(request.tf_parent, request.tf_child, bags.duration_s());
   bags.ForEachTf([&](const rosbag::MessageInstance& instance, bool fixed) {
     const auto msg = Instantiate<tf2_msgs::TFMessage>(instance);
     if (request.record_time)
       for (auto& transform : msg->transforms) transform.header.stamp = instance.getTime();
     chain.Add(*msg, fixed);
-    const std::vector<PoseSample> known = chain.TakePoses();
-    poses.insert(poses.end(), known.begin(), known.end());
+    for (const PoseSample& pose : chain.TakePoses()) {
+      if (!request.record_time) delays.Add(instance, pose.t_ns);
+      poses.push_back(pose);
+    }
   });
   if (poses.empty()) {
     chain.Check();
@@ -516,6 +519,7 @@ void ReadTf(const Bags& bags, const BagRequest& request, Recording* recording) {
                      "' and tf_child '" + request.tf_child + "' known");
   }
   recording->info.pose_topic = "/tf";
+  recording->info.pose_latency = std::move(delays).Summarise();
   recording->info.world_frame = FrameName(request.tf_parent, "");
   recording->info.marker_frame = FrameName(request.tf_child, "");
 }
@@ -583,9 +587,10 @@ Recording ReadBag(const BagRequest& request) {
     const auto size = std::filesystem::file_size(path, ignored);
     if (!ignored) bytes += size;
   }
-  if (!ComesBack([&] { ReadOrFail(request); }, MaxCpuSeconds(bytes), MaxMemory(bytes)))
-    FailDamaged(request, "rosbag cannot cope with it");
-  return ReadOrFail(request);
+  auto recording = RunApart(
+      [&] { return ToBytes(ReadOrFail(request)); }, MaxCpuSeconds(bytes), MaxMemory(bytes));
+  if (!recording) FailDamaged(request, "rosbag cannot cope with it");
+  return FromBytes(*std::move(recording));
 }
 
 }  // namespace imu_pose_calib

@@ -268,7 +268,9 @@ std::string Verdict(const DataCheck& check) {
   return Wrap("RECORD AGAIN: ", check.message);
 }
 
-std::string Row(const char* label, const StreamCheck& stream, const Latency& latency) {
+std::string Row(const char* label,
+                const StreamCheck& stream,
+                const std::optional<Latency>& latency) {
   return Format("  %-6s%8zu%8.1f%9s%10s%8.1f%9.1f%12s%8s\n",
                 label,
                 stream.count,
@@ -277,8 +279,8 @@ std::string Row(const char* label, const StreamCheck& stream, const Latency& lat
                 Time(stream.longest_gap_s).c_str(),
                 100.0 * stream.missing,
                 100.0 * stream.repeated,
-                Time(latency.median_s).c_str(),
-                Time(latency.spread_s).c_str());
+                latency ? Time(latency->median_s).c_str() : "-",
+                latency ? Time(latency->spread_s).c_str() : "-");
 }
 
 std::string Streams(const DataCheck& check, const RecordingInfo& info) {

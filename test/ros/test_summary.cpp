@@ -120,7 +120,7 @@ TEST(Summary, ShowsADataCheckAtAGlance) {
   check.turns_M = {0.82, 0.57, 0.88};
   check.warnings = {"a warning that is long enough to be wrapped, for it goes on and on and on so"};
   RecordingInfo info = MakeInfo();
-  info.gyro_latency = {-1034771.5, 2.5e-3};
+  info.gyro_latency = Latency{-1034771.5, 2.5e-3};
   const std::string text = Summary(check, info);
   EXPECT_EQ(text.compare(0, 8, "USABLE: "), 0) << text;
   for (const char* part : {"22562   300.0  0.00 ms 250.00 ms",

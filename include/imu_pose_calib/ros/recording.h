@@ -33,7 +33,8 @@ struct RecordingInfo {
   std::string imu_yaml;
   /// What the covariances of the poses say, median; not used, reported only.
   std::optional<PoseStd> stated_pose_std;
-  Latency pose_latency, gyro_latency, accel_latency;
+  /// No value: there are no record times, as in text files.
+  std::optional<Latency> pose_latency, gyro_latency, accel_latency;
 };
 
 /// The samples of one recording in the order in which they were recorded.
@@ -41,5 +42,9 @@ struct Recording {
   RecordingInfo info;
   CalibrationData data;
 };
+
+/// For handing a recording from one process to another of the same program.
+std::string ToBytes(const Recording& recording);
+Recording FromBytes(std::string bytes);
 
 }  // namespace imu_pose_calib
