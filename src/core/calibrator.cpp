@@ -88,7 +88,7 @@ Calibration Calibrate(const CalibrationOptions& options, const CalibrationData& 
     return result;
 
   const Start start = Initialise(options, trajectory, conditioned);
-  CheckMatch(options, conditioned, trajectory, start, &check);
+  CheckMatch(conditioned, trajectory, start, &check);
   result.warnings = check.warnings;
   Estimate estimate(start, conditioned, options.bias_knot_interval_s);
 

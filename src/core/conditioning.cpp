@@ -40,11 +40,6 @@ bool IsFinite(const ImuSample& s) { return s.value.allFinite(); }
 bool HasRotation(const PoseSample& s) { return s.q_WM.norm() > 1e-3; }
 bool HasRotation(const ImuSample&) { return true; }
 
-bool SameValue(const PoseSample& a, const PoseSample& b) {
-  return a.p_WM == b.p_WM && a.q_WM.coeffs() == b.q_WM.coeffs();
-}
-bool SameValue(const ImuSample& a, const ImuSample& b) { return a.value == b.value; }
-
 template <typename... Args>
 [[noreturn]] void Refuse(const Args&... args) {
   std::ostringstream text;
@@ -452,6 +447,11 @@ PoseSample ToMarkerPose(const CalibrationOptions& options, PoseSample recorded) 
   recorded.p_WM = -(recorded.q_WM.normalized() * recorded.p_WM);
   return recorded;
 }
+
+bool SameValue(const PoseSample& a, const PoseSample& b) {
+  return a.p_WM == b.p_WM && a.q_WM.coeffs() == b.q_WM.coeffs();
+}
+bool SameValue(const ImuSample& a, const ImuSample& b) { return a.value == b.value; }
 
 ConditionedData Condition(const CalibrationOptions& options, const CalibrationData& recorded) {
   ConditionedData out;

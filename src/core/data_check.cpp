@@ -46,20 +46,17 @@ void Warn(std::vector<std::string>* warnings, const Args&... args) {
 
 double Percent(double share) { return 100.0 * share; }
 
-bool IsSame(const PoseSample& a, const PoseSample& b) {
-  return a.p_WM == b.p_WM && a.q_WM.coeffs() == b.q_WM.coeffs();
-}
-bool IsSame(const ImuSample& a, const ImuSample& b) { return a.value == b.value; }
-
 template <typename Sample>
 StreamCheck CheckStream(const std::vector<Sample>& samples) {
   StreamCheck check;
   check.count = samples.size();
   if (samples.size() < 2) return check;
-  size_t repeated = 0;
+  size_t repeated = 0, run = 0, longest_run = 0;
   std::vector<int64_t> stamps{samples[0].t_ns};
   for (size_t i = 1; i < samples.size(); ++i) {
-    repeated += IsSame(samples[i], samples[i - 1]) ? 1 : 0;
+    run = SameValue(samples[i], samples[i - 1]) ? run + 1 : 0;
+    repeated += run > 0 ? 1 : 0;
+    longest_run = std::max(longest_run, run);
     stamps.push_back(samples[i].t_ns);
   }
   const auto n = static_cast<double>(samples.size());
@@ -81,6 +78,7 @@ StreamCheck CheckStream(const std::vector<Sample>& samples) {
   if (period < kBunch * mean) period = mean;
   if (period <= 0.0) return check;
   check.rate_hz = 1.0 / period;
+  check.longest_freeze_s = period * static_cast<double>(longest_run);
   std::vector<double> deviations;
   double bunched = 0.0, duplicates = 0.0;
   for (const double p : periods) {
@@ -136,7 +134,9 @@ void WarnOfStamps(const char* stream,
          Percent(check.repeated),
          " % of the samples repeat the value before (bound: ",
          Percent(max_repeated),
-         " %); they are not used");
+         " %), for up to ",
+         check.longest_freeze_s,
+         " s; they are not used");
 }
 
 void WarnOfDrops(const char* stream, const StreamReport& r, std::vector<std::string>* warnings) {
@@ -269,6 +269,23 @@ double Overlap(const ConditionedData& data, double time_shift) {
   return std::max(0.0, end - begin);
 }
 
+/// A calibration warns by its own, more exact estimate.
+void WarnOfDrift(const CalibrationOptions& options, DataCheck* check) {
+  const double effect = 1e-6 * std::abs(check->drift_ppm) * check->overlap_s;
+  if (!options.estimate_clock_drift && effect > kMaxDriftEffect &&
+      std::abs(check->drift_ppm) > kDriftSigmas * check->drift_ppm_std)
+    Warn(&check->warnings,
+         "the clocks drift against each other by ",
+         check->drift_ppm,
+         " +- ",
+         check->drift_ppm_std,
+         " ppm, ",
+         1e3 * effect,
+         " ms over the recording (bound: ",
+         1e3 * kMaxDriftEffect,
+         " ms): set estimate_clock_drift: true");
+}
+
 }  // namespace
 
 DataCheck CheckStreams(const CalibrationData& data) {
@@ -330,8 +347,7 @@ void CheckMotion(const CalibrationOptions& options,
          "); check its scale and biases");
 }
 
-void CheckMatch(const CalibrationOptions& options,
-                const ConditionedData& data,
+void CheckMatch(const ConditionedData& data,
                 const PoseTrajectory& trajectory,
                 const Start& start,
                 DataCheck* check) {
@@ -354,19 +370,6 @@ void CheckMatch(const CalibrationOptions& options,
          " % of the gyroscope's variance (bound: ",
          Percent(kMinExplained),
          " %): a loose mount, or poses that are slow, filtered or rare");
-  const double effect = 1e-6 * std::abs(check->drift_ppm) * check->overlap_s;
-  if (!options.estimate_clock_drift && effect > kMaxDriftEffect &&
-      std::abs(check->drift_ppm) > kDriftSigmas * check->drift_ppm_std)
-    Warn(&check->warnings,
-         "the clocks drift against each other by ",
-         check->drift_ppm,
-         " +- ",
-         check->drift_ppm_std,
-         " ppm, ",
-         1e3 * effect,
-         " ms over the recording (bound: ",
-         1e3 * kMaxDriftEffect,
-         " ms): set estimate_clock_drift: true");
 }
 
 DataCheck CheckData(const CalibrationOptions& options, const CalibrationData& data) {
@@ -381,15 +384,15 @@ DataCheck CheckData(const CalibrationOptions& options, const CalibrationData& da
     const bool needs_turns = options.estimate_translation && options.estimate_rotation;
     if (needs_turns && IsMotionDegenerate(MeasureTurns(trajectory, conditioned), &motion))
       throw DataError(motion.message);
-    CheckMatch(
-        options, conditioned, trajectory, Initialise(options, trajectory, conditioned), &check);
+    CheckMatch(conditioned, trajectory, Initialise(options, trajectory, conditioned), &check);
+    WarnOfDrift(options, &check);
   } catch (const DataError& error) {
     check.verdict = DataVerdict::kRecordAgain;
     check.message = error.what();
     return check;
   }
   check.verdict = check.warnings.empty() ? DataVerdict::kGood : DataVerdict::kUsable;
-  check.message = check.warnings.empty() ? "nothing to remark" : "see the warnings";
+  check.message = check.warnings.empty() ? "nothing to remark" : "see the warnings below";
   return check;
 }
 

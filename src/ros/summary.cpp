@@ -78,14 +78,18 @@ std::string Stream(const char* label, const std::string& topic, const StreamRepo
           Dropped(report));
 }
 
+std::string Stated(const char* indent, const PoseStd& stated) {
+  return Format("%stheir covariances say %.3g mm and %.3g deg per axis (not used)\n",
+                indent,
+                1e3 * stated.position,
+                kDegrees * stated.rotation);
+}
+
 std::string Data(const Calibration& result, const RecordingInfo& info) {
   const bool is_split = info.imu_topic.empty();
   std::string text = "\nData\n";
   text += Stream("  poses  ", info.pose_topic, result.poses);
-  if (info.stated_pose_std)
-    text += Format("         their covariances say %.3g mm and %.3g deg per axis (not used)\n",
-                   1e3 * info.stated_pose_std->position,
-                   kDegrees * info.stated_pose_std->rotation);
+  if (info.stated_pose_std) text += Stated("         ", *info.stated_pose_std);
   text += Stream("  gyro   ", is_split ? info.gyro_topic : info.imu_topic, result.gyro);
   text += Stream("  accel  ", is_split ? info.accel_topic : info.imu_topic, result.accel);
   if (!info.imu_yaml.empty()) text += Wrap("  noise  ", info.imu_yaml);
@@ -247,7 +251,7 @@ std::string StaticTransform(const Calibration& result, const RecordingInfo& info
 
 // --- Data check ---
 
-/// A time as people say it: "3.1 ms", "2.5 s", "-7200.0 s (-2.0 h)", "12.0 days".
+/// A time as people say it: "3.10 ms", "2.5 s", "-2.00 h", "12.0 days".
 std::string Time(double seconds) {
   const double size = std::abs(seconds);
   if (size < 1.0) return Format("%.2f ms", 1e3 * seconds);
@@ -271,64 +275,68 @@ std::string Verdict(const DataCheck& check) {
 std::string Row(const char* label,
                 const StreamCheck& stream,
                 const std::optional<Latency>& latency) {
-  return Format("  %-6s%8zu%8.1f%9s%10s%8.1f%9.1f%12s%8s\n",
+  return Format("  %-6s%8zu%8.1f%9s%10s%8.1f%9.1f",
                 label,
                 stream.count,
                 stream.rate_hz,
                 Time(stream.jitter_s).c_str(),
                 Time(stream.longest_gap_s).c_str(),
                 100.0 * stream.missing,
-                100.0 * stream.repeated,
-                latency ? Time(latency->median_s).c_str() : "-",
-                latency ? Time(latency->spread_s).c_str() : "-");
+                100.0 * stream.repeated) +
+         (latency
+              ? Format("%12s%8s", Time(latency->median_s).c_str(), Time(latency->spread_s).c_str())
+              : "") +
+         "\n";
+}
+
+/// What the table does not show of a stream.
+std::string Remarks(const char* label, const StreamCheck& stream, const StreamReport& report) {
+  std::string text = Dropped(report);
+  if (stream.longest_freeze_s > 0.0)
+    text += "; no new value for up to " + Time(stream.longest_freeze_s);
+  if (stream.bunched > 0.0) text += Format("; %.1f %% stamped in bunches", 100.0 * stream.bunched);
+  return text.empty() ? "" : Wrap(label, text.substr(2));
 }
 
 std::string Streams(const DataCheck& check, const RecordingInfo& info) {
   const bool is_split = info.imu_topic.empty();
-  const auto dropped = [](const char* label, const StreamReport& report) {
-    const std::string text = Dropped(report);
-    return text.empty() ? "" : Wrap(label, text.substr(2));
-  };
-  const char* const kHeader = "  %-6s%8s%8s%9s%10s%8s%9s%12s%8s\n";
-  return "\n" +
-         Format(kHeader,
-                "",
-                "samples",
-                "Hz",
-                "jitter",
-                "max gap",
-                "missing",
-                "repeated",
-                "latency",
-                "spread") +
-         Format(kHeader, "", "", "", "", "", "%", "%", "(record - ", "header)") +
-         Row("poses", check.poses, info.pose_latency) + Row("gyro", check.gyro, info.gyro_latency) +
-         Row("accel", check.accel, info.accel_latency) +
-         Wrap("  topics: ",
-              info.pose_topic + ", " +
-                  (is_split ? info.gyro_topic + ", " + info.accel_topic : info.imu_topic)) +
-         dropped("  poses: ", check.poses_report) + dropped("  gyro: ", check.gyro_report) +
-         dropped("  accel: ", check.accel_report);
+  const bool has_latency = info.pose_latency || info.gyro_latency || info.accel_latency;
+  std::string text = "\n         samples      Hz   jitter   max gap missing repeated";
+  text += has_latency ? "     latency  spread\n" : "\n";
+  text += "                                                %        %";
+  text += has_latency ? "   (record - header)\n" : "\n";
+  text += Row("poses", check.poses, info.pose_latency) +
+          Row("gyro", check.gyro, info.gyro_latency) +
+          Row("accel", check.accel, info.accel_latency);
+  text += Wrap(info.bag.empty() ? "  files: " : "  topics: ",
+               info.pose_topic + ", " +
+                   (is_split ? info.gyro_topic + ", " + info.accel_topic : info.imu_topic));
+  if (info.stated_pose_std) text += Stated("  poses: ", *info.stated_pose_std);
+  text += Remarks("  poses: ", check.poses, check.poses_report) +
+          Remarks("  gyro: ", check.gyro, check.gyro_report) +
+          Remarks("  accel: ", check.accel, check.accel_report);
+  if (check.gaps + check.jumps > 0)
+    text += Format("  %zu gaps and %zu jumps in the poses\n", check.gaps, check.jumps);
+  return text;
 }
 
 std::string Match(const DataCheck& check) {
   if (!check.is_matched) return "";
-  return Format("  time_shift  about %.4f s", check.time_shift) +
+  return Format("  time shift   about %.4f s", check.time_shift) +
          (std::abs(check.time_shift) < 600.0 ? "" : " (" + Time(check.time_shift) + ")") +
          Format("; %.1f s in common\n", check.overlap_s) +
-         Format("  clock drift %.1f +- %.1f ppm\n", check.drift_ppm, check.drift_ppm_std) +
-         Format("  turn rates  of poses and gyroscope agree to %.1f %%\n", 100.0 * check.explained);
+         Format("  clock drift  %.1f +- %.1f ppm\n", check.drift_ppm, check.drift_ppm_std) +
+         Format("  same motion  the poses explain %.1f %% of the gyroscope's variance\n",
+                100.0 * check.explained);
 }
 
 std::string Excitation(const DataCheck& check) {
-  std::string text = "  turns       " + Vector(check.turns_M, "%.2f") + " rad/s rms about marker " +
-                     "x, y, z\n  moves       " + Vector(check.moves_W, "%.2f") +
-                     " m/s^2 rms along world x, y, z\n";
-  if (check.rest_s > 0.0)
-    text += Format("  at rest     %.1f s; the accelerometer shows %.2f m/s^2\n",
-                   check.rest_s,
-                   check.rest_norm);
-  return text;
+  return "  turns        " + Vector(check.turns_M, "%.2f") + " rad/s rms about marker x, y, z\n" +
+         "  moves        " + Vector(check.moves_W, "%.2f") + " m/s^2 rms along world x, y, z\n" +
+         (check.rest_s > 0.0 ? Format("  at rest      %.1f s; the accelerometer shows %.2f m/s^2\n",
+                                      check.rest_s,
+                                      check.rest_norm)
+                             : "  at rest      never, so the accelerometer's norm is unchecked\n");
 }
 
 }  // namespace

@@ -130,7 +130,7 @@ TEST(Summary, ShowsADataCheckAtAGlance) {
                            "dropped 321 flipped",
                            "about -1034771.5066 s (-12.0 days); 65.1 s in common",
                            "-48.2 +- 1.3 ppm",
-                           "agree to 99.4 %",
+                           "explain 99.4 %",
                            "[0.82, 0.57, 0.88] rad/s",
                            "warning: a warning"})
     EXPECT_TRUE(Contains(text, part)) << "'" << part << "' is missing in\n" << text;

@@ -48,6 +48,10 @@ struct ConditionedData {
 /// The pose T_WM [m] of what was recorded as the options say.
 PoseSample ToMarkerPose(const CalibrationOptions& options, PoseSample recorded);
 
+/// Whether two samples are the same but for their stamps.
+bool SameValue(const PoseSample& a, const PoseSample& b);
+bool SameValue(const ImuSample& a, const ImuSample& b);
+
 /// Stage S0. Every dropped sample is counted in a report.
 /// Throws DataError naming the number and the bound when a stream is empty, too short, mostly
 /// unusable, or not in SI units.

@@ -14,13 +14,14 @@ namespace imu_pose_calib {
 /// The stamps and values of one sensor as recorded. Shares are 0..1.
 struct StreamCheck {
   size_t count = 0;
-  double duration_s = 0.0;     ///< first to last stamp
-  double rate_hz = 0.0;        ///< 1 / median period
-  double jitter_s = 0.0;       ///< robust sigma of the periods
-  double longest_gap_s = 0.0;  ///< longest period
-  double bunched = 0.0;        ///< within a quarter of a period after the sample before
-  double missing = 0.0;        ///< of the samples that rate and duration promise
-  double repeated = 0.0;       ///< same value as the sample before
+  double duration_s = 0.0;        ///< first to last stamp
+  double rate_hz = 0.0;           ///< 1 / median period
+  double jitter_s = 0.0;          ///< robust sigma of the periods
+  double longest_gap_s = 0.0;     ///< longest period
+  double bunched = 0.0;           ///< within a quarter of a period after the sample before
+  double missing = 0.0;           ///< of the samples that rate and duration promise
+  double repeated = 0.0;          ///< same value as the sample before
+  double longest_freeze_s = 0.0;  ///< longest time without a new value
 };
 
 enum class DataVerdict { kGood, kUsable, kRecordAgain };
@@ -61,8 +62,7 @@ void CheckMotion(const CalibrationOptions& options,
                  DataCheck* check);
 
 /// Checks that poses and IMU fit each other at the start found in S2: overlap, clock drift.
-void CheckMatch(const CalibrationOptions& options,
-                const ConditionedData& data,
+void CheckMatch(const ConditionedData& data,
                 const PoseTrajectory& trajectory,
                 const Start& start,
                 DataCheck* check);
