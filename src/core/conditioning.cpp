@@ -99,8 +99,12 @@ std::vector<Sample> Clean(const std::string& stream,
     }
   }
   const size_t n = samples.size();
-  CheckShare(stream, "are not finite", report->not_finite, n, max_bad_fraction);
-  CheckShare(stream, "have a zero quaternion", report->zero_quaternion, n, max_bad_fraction);
+  CheckShare(stream, "are not finite: look at the driver", report->not_finite, n, max_bad_fraction);
+  CheckShare(stream,
+             "have a zero quaternion: look at the driver",
+             report->zero_quaternion,
+             n,
+             max_bad_fraction);
   CheckShare(stream,
              "are stamped hours from most others: its clock jumped; cut the recording at the jump",
              astray,
@@ -236,6 +240,14 @@ void Summarise(const std::vector<Timed>& samples, StreamReport* report) {
 
 void CheckDuration(const std::string& stream, const StreamReport& report, double min_s) {
   if (report.duration_s >= min_s) return;
+  std::ostringstream dropped;
+  const auto add = [&](size_t count, const char* reason) {
+    if (count > 0) dropped << ", " << count << " " << reason;
+  };
+  add(report.not_finite, "not finite");
+  add(report.repeated_value, "repeated");
+  add(report.reversed_stamp, "stamped backwards");
+  add(report.duplicate_stamp, "of a duplicate stamp");
   Refuse(stream,
          ": ",
          report.used,
@@ -245,15 +257,11 @@ void CheckDuration(const std::string& stream, const StreamReport& report, double
          report.duration_s,
          " s (bound: at least ",
          min_s,
-         " s; not finite ",
-         report.not_finite,
-         ", repeated ",
-         report.repeated_value,
-         ", stamped backwards ",
-         report.reversed_stamp,
-         ", duplicate stamp ",
-         report.duplicate_stamp,
-         ")");
+         " s",
+         dropped.str(),
+         "); ",
+         2 * report.used < report.received ? "look at the driver and record again"
+                                           : "record 30 s or more");
 }
 
 double Seconds(int64_t t_ns, int64_t epoch_ns) {
@@ -422,20 +430,18 @@ void CheckAccelerometerUnit(const std::vector<TimedSample>& accel, double gravit
   for (const TimedSample& s : accel) norms.push_back(s.value.norm());
   const double median = Median(std::move(norms));
   if (median > kMinForce * gravity && median < kMaxForce * gravity) return;
-  std::string hint = "expected m/s^2 with gravity included";
-  if (median < kMinForce * gravity)
-    hint = "gravity seems to be removed: record the raw accelerometer";
+  std::ostringstream text;
+  text << "accelerometer: median norm " << median << " (bound: " << kMinForce * gravity << " to "
+       << kMaxForce * gravity << " m/s^2); ";
   if (median > 0.7 && median < 1.5)
-    hint = "it looks like g: set accel_unit: 9.80665 (or gravity is removed: record the raw one)";
-  if (median > 700.0 && median < 1500.0) hint = "it looks like mg: set accel_unit: 0.00980665";
-  Refuse("accelerometer: median norm ",
-         median,
-         " (bound: ",
-         kMinForce * gravity,
-         " to ",
-         kMaxForce * gravity,
-         " m/s^2); ",
-         hint);
+    throw OptionNeeded(text.str() +
+                       "it looks like g: set accel_unit: 9.80665 (or gravity is "
+                       "removed: record the raw accelerometer)");
+  if (median > 700.0 && median < 1500.0)
+    throw OptionNeeded(text.str() + "it looks like mg: set accel_unit: 0.00980665");
+  if (median < kMinForce * gravity)
+    throw DataError(text.str() + "gravity seems to be removed: record the raw accelerometer");
+  throw OptionNeeded(text.str() + "set accel_unit, the unit of the accelerometer in m/s^2");
 }
 
 }  // namespace

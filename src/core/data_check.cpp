@@ -386,6 +386,10 @@ DataCheck CheckData(const CalibrationOptions& options, const CalibrationData& da
       throw DataError(motion.message);
     CheckMatch(conditioned, trajectory, Initialise(options, trajectory, conditioned), &check);
     WarnOfDrift(options, &check);
+  } catch (const OptionNeeded& error) {
+    check.verdict = DataVerdict::kUsable;
+    check.message = error.what();
+    return check;
   } catch (const DataError& error) {
     check.verdict = DataVerdict::kRecordAgain;
     check.message = error.what();

@@ -201,7 +201,7 @@ void CheckPoseReading(const CalibrationOptions& options,
        << " %): if they are the world seen from the marker, set invert_poses: "
        << (options.invert_poses ? "false" : "true")
        << "; if the source writes quaternions as w, x, y, z, let it write x, y, z, w";
-  throw DataError(text.str());
+  throw OptionNeeded(text.str());
 }
 
 std::string RateMismatch(const RateAlignment& best) {
@@ -221,7 +221,7 @@ void CheckGyroUnit(const RateAlignment& alignment) {
     text << "; it looks like deg/s: set gyro_unit: 0.0174532925";
   else
     text << "; set gyro_unit, the unit of the gyroscope in rad/s";
-  throw DataError(text.str());
+  throw OptionNeeded(text.str());
 }
 
 }  // namespace
@@ -461,7 +461,7 @@ void CheckPositionUnit(const LeverArmEquations& equations, double mean_variance)
     text << "positions look like centimetres: set position_unit: 1.0e-2";
   else
     text << "are positions in metres and of the body that carries the IMU? Else set position_unit";
-  throw DataError(text.str());
+  throw OptionNeeded(text.str());
 }
 
 }  // namespace

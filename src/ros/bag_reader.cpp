@@ -122,9 +122,14 @@ void Open(const std::string& path, rosbag::Bag* bag) {
   std::ifstream file(path, std::ios::binary);
   if (!file) throw InputError("bag '" + path + "' cannot be read: " + std::strerror(errno));
 
-  std::string magic(7, '\0');
-  file.read(magic.data(), 7);
-  if (magic != "#ROSBAG") throw InputError("'" + path + "' is not a ROS 1 bag");
+  const std::string magic = "#ROSBAG V";
+  std::string header(magic.size() + 3, '\0');
+  file.read(header.data(), static_cast<std::streamsize>(header.size()));
+  if (header.compare(0, magic.size(), magic) != 0)
+    throw InputError("'" + path + "' is not a ROS 1 bag");
+  const std::string version = header.substr(magic.size());
+  if (version != "1.2" && version != "2.0")
+    throw InputError("bag '" + path + "' is of version " + version + ", must be 1.2 or 2.0");
   try {
     bag->open(path);
   } catch (const rosbag::BagUnindexedException&) {
@@ -224,10 +229,7 @@ class Bags {
   }
 
   void SetSpan(double start_s, double duration_s) {
-    if (!(start_s >= 0.0))
-      throw InputError("start = " + Seconds(start_s) + " must not be negative");
-    if (!(duration_s >= 0.0))
-      throw InputError("duration = " + Seconds(duration_s) + " must not be negative (0: all)");
+    CheckSpan(start_s, duration_s);
     rosbag::View all;
     for (const auto& bag : bags_) all.addQuery(*bag);
     if (all.size() == 0) throw InputError("bag '" + FileNames(paths_) + "' holds no messages");
@@ -372,8 +374,8 @@ Topic ChoosePose(const Bags& bags, const std::string& name) {
   if (!name.empty()) {
     const Topic& topic = bags.Find("pose_topic", name);
     if (topic.IsTf())
-      throw InputError("pose_topic '" + name + "' is " + topic.type +
-                       "; leave it empty and give tf_parent and tf_child" + TfHint(bags));
+      throw InputError("pose_topic '" + name + "' is " + topic.type + "; leave it empty" +
+                       TfHint(bags));
     if (!topic.IsPose())
       throw InputError("pose_topic '" + name + "' is " + topic.type + ", must be " +
                        PoseTypeNames());

@@ -40,7 +40,8 @@ OfflineRequest FindText(OfflineRequest request) {
   if (!(bag.imu_topic.empty() && bag.pose_topic.empty() && bag.gyro_topic.empty() &&
         bag.accel_topic.empty() && bag.tf_parent.empty() && bag.tf_child.empty()))
     throw InputError("text files have no topics and no tf; choose with poses, imu, gyro and accel");
-  if (bag.record_time) throw InputError("text files have no times of recording: no record_time");
+  if (bag.record_time)
+    throw InputError("text files have no times of recording; leave out record_time");
   if (!bag.paths.empty()) text.folder = bag.paths[0];
   text.start_s = bag.start_s;
   text.duration_s = bag.duration_s;
@@ -68,7 +69,7 @@ void CheckOutput(const std::string& output, const OfflineRequest& request) {
   std::error_code ignored;
   for (const std::string& input : inputs)
     if (std::filesystem::equivalent(output, input, ignored))
-      throw InputError("output '" + output + "' is the recording itself");
+      throw InputError("output '" + output + "' is the recording itself; choose another");
 }
 
 Recording ReadBags(const OfflineRequest& request) {

@@ -2,6 +2,8 @@
 
 #include <ros/serialization.h>
 
+#include <sstream>
+
 namespace ros::serialization {
 
 using imu_pose_calib::ImuSample;
@@ -117,6 +119,17 @@ struct Serializer<Recording> {
 namespace imu_pose_calib {
 
 namespace rs = ros::serialization;
+
+void CheckSpan(double start_s, double duration_s) {
+  const auto check = [](const char* field, double value, const char* hint) {
+    if (value >= 0.0) return;
+    std::ostringstream text;
+    text << field << " = " << value << " s must be at least 0 s" << hint;
+    throw InputError(text.str());
+  };
+  check("start", start_s, "");
+  check("duration", duration_s, " (0: all)");
+}
 
 std::string ToBytes(const Recording& recording) {
   std::string bytes(rs::serializationLength(recording), '\0');

@@ -10,6 +10,7 @@ namespace imu_pose_calib {
 namespace {
 
 constexpr size_t kColumns = 80;
+constexpr double kNotableFreeze = 0.1;  // [s]
 constexpr double kDegrees = 180.0 / 3.14159265358979323846;
 
 [[gnu::format(printf, 1, 2)]] std::string Format(const char* format, ...) {
@@ -292,7 +293,7 @@ std::string Row(const char* label,
 /// What the table does not show of a stream.
 std::string Remarks(const char* label, const StreamCheck& stream, const StreamReport& report) {
   std::string text = Dropped(report);
-  if (stream.longest_freeze_s > 0.0)
+  if (stream.longest_freeze_s > kNotableFreeze)
     text += "; no new value for up to " + Time(stream.longest_freeze_s);
   if (stream.bunched > 0.0) text += Format("; %.1f %% stamped in bunches", 100.0 * stream.bunched);
   return text.empty() ? "" : Wrap(label, text.substr(2));
@@ -316,7 +317,7 @@ std::string Streams(const DataCheck& check, const RecordingInfo& info) {
           Remarks("  gyro: ", check.gyro, check.gyro_report) +
           Remarks("  accel: ", check.accel, check.accel_report);
   if (check.gaps + check.jumps > 0)
-    text += Format("  %zu gaps and %zu jumps in the poses\n", check.gaps, check.jumps);
+    text += Format("  gaps in the poses: %zu, jumps: %zu\n", check.gaps, check.jumps);
   return text;
 }
 

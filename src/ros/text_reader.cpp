@@ -110,11 +110,6 @@ void Cut(const TextRequest& request, CalibrationData* data) {
   Cut(request, imu, &data->accel);
 }
 
-void CheckNotNegative(const std::string& field, double value) {
-  if (!(value >= 0.0))
-    throw InputError(field + " = " + YamlNumber(value) + " s must not be negative");
-}
-
 }  // namespace
 
 TextRequest FindFiles(TextRequest request) {
@@ -137,8 +132,7 @@ TextRequest FindFiles(TextRequest request) {
 }
 
 Recording ReadText(const TextRequest& request) {
-  CheckNotNegative("start", request.start_s);
-  CheckNotNegative("duration", request.duration_s);
+  CheckSpan(request.start_s, request.duration_s);
   const TextRequest files = FindFiles(request);
 
   Recording recording;

@@ -289,7 +289,7 @@ TEST(Condition, RefusesATrackerThatIsFrozenThroughout) {
     pose.p_WM = data.poses[0].p_WM;
     pose.q_WM = data.poses[0].q_WM;
   }
-  EXPECT_TRUE(Contains(Refusal(data), "repeated 999"));
+  EXPECT_TRUE(Contains(Refusal(data), "999 repeated); look at the driver"));
 }
 
 TEST(Condition, RefusesTooManyBadSamplesWithCountAndBound) {

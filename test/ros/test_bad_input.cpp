@@ -123,8 +123,8 @@ const std::vector<BadInput> kUsage = {
     {"OptionWithoutValue", Nothing, "x.bag --output", 1, {"--output", "missing"}},
     {"OptionTwice", Nothing, "x.bag --start 1 --start 2", 1, {"--start", "more than once"}},
     {"StartIsNoNumber", Nothing, "x.bag --start abc", 1, {"'abc'", "--start"}},
-    {"StartIsNan", Nothing, "x.bag --start nan", 1, {"start = nan s must not be negative"}},
-    {"StartIsNegative", Nothing, "x.bag --start=-1", 1, {"start = -1 s must not be negative"}},
+    {"StartIsNan", Nothing, "x.bag --start nan", 1, {"start = nan s must be at least 0 s"}},
+    {"StartIsNegative", Nothing, "x.bag --start=-1", 1, {"start = -1 s must be at least 0 s"}},
     {"StartBeyondTheEnd",
      Nothing,
      "x.bag --start 1000",
@@ -135,7 +135,7 @@ const std::vector<BadInput> kUsage = {
      Nothing,
      "x.bag --duration=-2",
      1,
-     {"duration = -2 s must not be negative (0: all)"}},
+     {"duration = -2 s must be at least 0 s (0: all)"}},
     {"UnknownMethod", Nothing, "x.bag --method gpp", 1, {"method 'gpp'", "available: joint, gp"}},
     {"OutputIsTheBag",
      Nothing,
@@ -195,7 +195,7 @@ const std::vector<BadInput> kFiles = {
      Edit([](std::string* text) { text->replace(0, 13, "#ROSBAG V9.9\n"); }),
      "x.bag",
      1,
-     {"x.bag", "9.9"}},
+     {"bag 'x.bag' is of version 9.9, must be 1.2 or 2.0"}},
     {"BagWithoutMessages", Bag([](rosbag::Bag*) {}), "x.bag", 1, {"bag 'x.bag' holds no messages"}},
 };
 
@@ -297,7 +297,11 @@ const std::vector<BadInput> kTf = {
      "x.bag --tf-parent world --tf-child marker --pose-topic /mocap/pose",
      1,
      {"either pose_topic, or tf_parent and tf_child"}},
-    {"TfAsPoseTopic", Nothing, "tf.bag --pose-topic /tf", 1, {"give tf_parent and tf_child"}},
+    {"TfAsPoseTopic",
+     Nothing,
+     "tf.bag --pose-topic /tf",
+     1,
+     {"is tf2_msgs/TFMessage; leave it empty; for poses from tf give tf_parent and tf_child, its"}},
     {"NoTf",
      Nothing,
      "x.bag --tf-parent world --tf-child marker",
@@ -379,7 +383,11 @@ const std::vector<BadInput> kConfig = {
 };
 
 const std::vector<BadInput> kData = {
-    {"TooShort", Nothing, "x.bag", 2, {"pose", "span 2.99 s", "at least 5 s"}},
+    {"TooShort",
+     Nothing,
+     "x.bag",
+     2,
+     {"pose", "span 2.99 s", "at least 5 s); record 30 s or more"}},
     {"FewPoses", Message("/body", kStart, Body("rig")), "x.bag --pose-topic /body", 2, {"pose"}},
 };
 

@@ -377,10 +377,10 @@ TEST_F(BagReaderTest, RefusesASpanOutsideOfTheBag) {
   request.start_s = 5.0;
   ExpectRefusal(request, {"start = 5 s", "lasts 0.01 s"});
   request.start_s = -1.0;
-  ExpectRefusal(request, {"start = -1 s", "negative"});
+  ExpectRefusal(request, {"start = -1 s", "at least 0 s"});
   request.start_s = 0.0;
   request.duration_s = -2.0;
-  ExpectRefusal(request, {"duration = -2 s", "negative"});
+  ExpectRefusal(request, {"duration = -2 s", "at least 0 s"});
 }
 
 // --- Refusals: topics ---

@@ -263,7 +263,7 @@ TEST_F(CalibrateBagTest, RefusesMotionThatDeterminesTooLittle) {
   }
 }
 
-TEST_F(CalibrateBagTest, RefusesDataWithoutOverlap) {
+TEST_F(CalibrateBagTest, RefusesTooFewPoses) {
   CalibrationData data = Simulate(Handheld());
   data.poses.resize(300);  // 3 s
   WriteSimulation(data);

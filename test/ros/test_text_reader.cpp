@@ -133,10 +133,10 @@ TEST_F(TextFiles, RefusesASpanThatIsNone) {
   request.start_s = 1e30;
   ExpectRefusal(request, {"start = ", "beyond the end"});
   request.start_s = -1.0;
-  ExpectRefusal(request, {"start = -1.0 s must not be negative"});
+  ExpectRefusal(request, {"start = -1 s must be at least 0 s"});
   request.start_s = 0.0;
   request.duration_s = std::nan("");
-  ExpectRefusal(request, {"duration", "must not be negative"});
+  ExpectRefusal(request, {"duration", "must be at least 0 s"});
 }
 
 TEST_F(TextFiles, RefusesFilesThatCannotBeRead) {

@@ -67,8 +67,8 @@ void CheckMatch(const ConditionedData& data,
                 const Start& start,
                 DataCheck* check);
 
-/// All checks, with the verdict. Data that Calibrate() would refuse are `kRecordAgain`.
-/// Throws InputError for options out of range.
+/// All checks, with the verdict. Data that Calibrate() would refuse are `kRecordAgain`, or
+/// `kUsable` when they only need another option. Throws InputError for options out of range.
 DataCheck CheckData(const CalibrationOptions& options, const CalibrationData& data);
 
 /// "good", "usable", "record again".

@@ -71,4 +71,10 @@ class DataError : public std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
+/// The data can be calibrated, but only with another option, which the text names.
+class OptionNeeded : public DataError {
+ public:
+  using DataError::DataError;
+};
+
 }  // namespace imu_pose_calib

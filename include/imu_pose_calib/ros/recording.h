@@ -43,6 +43,9 @@ struct Recording {
   CalibrationData data;
 };
 
+/// Throws InputError when the part of a recording to use is not one.
+void CheckSpan(double start_s, double duration_s);
+
 /// For handing a recording from one process to another of the same program.
 std::string ToBytes(const Recording& recording);
 Recording FromBytes(std::string bytes);
