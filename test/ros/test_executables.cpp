@@ -363,9 +363,16 @@ TEST_F(CalibrateBagTest, ChecksABagWithoutCalibrating) {
   for (ImuSample& s : data.gyro) s.value *= 57.29578;
   WriteSimulation(data);
   outcome = Calibrate("x.bag --check");
+  EXPECT_EQ(outcome.status, 0) << outcome.err;
+  EXPECT_EQ(outcome.out.compare(0, 18, "USABLE: gyroscope:"), 0) << outcome.out;
+
+  data.gyro = Simulate(Handheld()).gyro;
+  data.poses.resize(300);
+  WriteSimulation(data);
+  outcome = Calibrate("x.bag --check");
   EXPECT_EQ(outcome.status, 2);
   EXPECT_EQ(outcome.out.compare(0, 14, "RECORD AGAIN: "), 0) << outcome.out;
-  EXPECT_TRUE(Contains(outcome.err, "calibrate_bag: error: gyroscope")) << outcome.err;
+  EXPECT_TRUE(Contains(outcome.err, "calibrate_bag: error: pose: 300 of 300")) << outcome.err;
   EXPECT_EQ(std::count(outcome.err.begin(), outcome.err.end(), '\n'), 1) << outcome.err;
   EXPECT_EQ(Calibrate("x.bag --check --quiet").out, "");
   EXPECT_EQ(Calibrate("missing.bag --check").status, 1);
