@@ -446,17 +446,19 @@ void ReadImu(const Bags& bags, const ImuTopics& imu, bool record_time, Recording
   };
   std::string frame;
   Delays gyro_delays, accel_delays;
-  bags.ForEach(imu.gyro, [&](const rosbag::MessageInstance& instance) {
-    const ImuContent content = ReadImuMessage(instance);
-    if (content.gyro) add(*content.gyro, instance, &recording->data.gyro, &gyro_delays);
-    frame = content.frame;
-    return true;
-  });
-  bags.ForEach(imu.accel, [&](const rosbag::MessageInstance& instance) {
-    const ImuContent content = ReadImuMessage(instance);
-    if (content.accel) add(*content.accel, instance, &recording->data.accel, &accel_delays);
-    return true;
-  });
+  const auto read = [&](const Topic& topic, bool gyro, bool accel) {
+    bags.ForEach(topic, [&](const rosbag::MessageInstance& instance) {
+      const ImuContent content = ReadImuMessage(instance);
+      if (gyro && content.gyro) add(*content.gyro, instance, &recording->data.gyro, &gyro_delays);
+      if (accel && content.accel)
+        add(*content.accel, instance, &recording->data.accel, &accel_delays);
+      if (gyro) frame = content.frame;
+      return true;
+    });
+  };
+  const bool is_split = imu.gyro.name != imu.accel.name;
+  read(imu.gyro, true, !is_split);
+  if (is_split) read(imu.accel, false, true);
   CheckStamps(imu.gyro.name, recording->data.gyro);
   CheckStamps(imu.accel.name, recording->data.accel);
   recording->info.imu_frame = FrameName(frame, "imu");
