@@ -24,11 +24,10 @@ void ReportData(const ConditionedData& data, Calibration* result) {
   result->jumps = data.jumps;
 }
 
-void ReportTrajectory(const PoseTrajectory& trajectory,
-                      const ConditionedData& data,
-                      Calibration* result) {
-  result->position_lengthscale_s = trajectory.position_hyperparameters().lengthscale_s;
-  result->rotation_lengthscale_s = trajectory.rotation_hyperparameters().lengthscale_s;
+/// Residuals of the poses when the trajectory is not estimated.
+void ReportPoseResiduals(const PoseTrajectory& trajectory,
+                         const ConditionedData& data,
+                         Calibration* result) {
   double position2 = 0.0, rotation2 = 0.0, count = 0.0;
   for (const TimedPose& pose : data.poses) {
     if (!trajectory.Contains(pose.t)) continue;
@@ -59,11 +58,7 @@ void ReportEstimate(const Estimate& estimate,
   result->gyro_bias = estimate.gyro_bias.Mean();
   result->accel_bias = estimate.accel_bias.Mean();
   result->noise = statistics.noise;
-  result->rms.gyro = statistics.rms.gyro;
-  result->rms.accel = statistics.rms.accel;
-  if (statistics.rms.position == 0.0) return;  // the trajectory was not estimated
-  result->rms.position = statistics.rms.position;
-  result->rms.rotation = statistics.rms.rotation;
+  result->rms = statistics.rms;
 }
 
 }  // namespace
@@ -79,7 +74,8 @@ Calibration Calibrate(const CalibrationOptions& options, const CalibrationData& 
   PoseTrajectory trajectory = FitTrajectory(options, &conditioned);
   RemoveFlippedSegments(options, &trajectory, &conditioned);
   ReportData(conditioned, &result);
-  ReportTrajectory(trajectory, conditioned, &result);
+  result.position_lengthscale_s = trajectory.position_hyperparameters().lengthscale_s;
+  result.rotation_lengthscale_s = trajectory.rotation_hyperparameters().lengthscale_s;
   CheckMotion(options, conditioned, trajectory, &check);
   result.warnings = check.warnings;
   // With a known lever arm or rotation a turn about one axis may do: the covariance will tell.
@@ -102,6 +98,7 @@ Calibration Calibrate(const CalibrationOptions& options, const CalibrationData& 
   }
   ReportEstimate(estimate, solution.statistics, conditioned, &result);
   GradeResult(options, solution.covariance, &result);
+  if (options.method == Method::kGp) ReportPoseResiduals(trajectory, conditioned, &result);
   WarnOfMisfit(solution.covariance, &result);
   return result;
 }

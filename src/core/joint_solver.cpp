@@ -12,7 +12,9 @@ namespace {
 constexpr double kNoiseAgreement = 1.1;  // factor between noise assumed and noise found
 constexpr int kMinPasses = 2;            // plain, robust
 constexpr int kMaxPasses = 6;
-constexpr double kJointTolerance = 1e-7;
+/// Change of the cost, half the sum of squares in sigma, after which the last pass stops: no
+/// parameter is notably off in its sigma.
+constexpr double kSettled = 0.3;
 
 constexpr double kExcerpt = 8.0;            // [s] on which the knot spacing is chosen
 constexpr double kCoarsestKnots = 0.12;     // [s]
@@ -110,9 +112,12 @@ class JointSolver {
   }
 
   Solution Solve() {
+    // Half the number of rows: that is the cost when noise and residuals agree.
+    const auto cost =
+        1.5 * static_cast<double>(2 * data_.poses.size() + data_.gyro.size() + data_.accel.size());
     Solution solution;
     for (int pass = 1; pass <= kMaxPasses; ++pass) {
-      const double tolerance = pass == 1 ? kRoughTolerance : kJointTolerance;
+      const double tolerance = pass == 1 ? kRoughTolerance : kSettled / cost;
       if (Pass(tolerance, &solution.statistics) && pass >= kMinPasses) break;
     }
     solution.covariance = problem_->Covariance();
