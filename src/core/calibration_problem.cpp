@@ -148,11 +148,12 @@ ResidualStatistics CalibrationProblem::Statistics() {
     sensor->residual_norms.clear();
     for (size_t i = 0; i < sensor->samples.size(); ++i) {
       const Sample& sample = sensor->samples[i];
-      const Eigen::Vector3d r = sample.sigma * Eigen::Map<const Eigen::Vector3d>(&residuals[3 * i]);
+      const Eigen::Vector3d r =
+          sample.sigma / sample.scale * Eigen::Map<const Eigen::Vector3d>(&residuals[3 * i]);
       for (const double x : r) magnitudes.push_back(std::abs(x));
       variances.push_back(sample.trajectory_variance);
       sensor->residual_norms.push_back(r.norm());
-      sum2 += r.squaredNorm();
+      sum2 += sample.scale * sample.scale * r.squaredNorm();
     }
     const double spread2 = std::pow(inflation * kMadToSigma * Median(magnitudes), 2);
     // The trajectory's share is known only roughly: it never explains the residuals alone.

@@ -24,6 +24,8 @@ constexpr double kJumpThreshold = 20.0;
 constexpr size_t kJumpRadius = 10;
 constexpr double kForceFactor = 3.0, kRateFactor = 2.0;
 constexpr int kJumpRounds = 5;
+/// Stated noises are believed to differ by this factor from the median at most.
+constexpr double kMaxNoiseScale = 10.0;
 /// Median specific force of a moving body, in units of gravity.
 constexpr double kMinForce = 0.4, kMaxForce = 10.0;
 
@@ -282,9 +284,23 @@ std::vector<TimedPose> ToSeconds(const std::vector<PoseSample>& samples, int64_t
   for (const PoseSample& s : samples) {
     Eigen::Quaterniond q = s.q_WM.normalized();
     if (!timed.empty() && q.dot(timed.back().q_WM) < 0.0) q.coeffs() *= -1.0;
-    timed.push_back({Seconds(s.t_ns, epoch_ns), q, s.p_WM});
+    timed.push_back({Seconds(s.t_ns, epoch_ns), q, s.p_WM, 1.0, 1.0});
   }
   return timed;
+}
+
+/// Noise of each pose relative to the median, when all poses state theirs.
+void ScaleNoise(const std::vector<PoseSample>& samples, std::vector<TimedPose>* poses) {
+  const auto scale = [&](double PoseStd::*stated, double TimedPose::*result) {
+    std::vector<double> sigmas;
+    for (const PoseSample& s : samples) sigmas.push_back(s.stated_std.*stated);
+    if (*std::min_element(sigmas.begin(), sigmas.end()) <= 0.0) return;
+    const double median = Median(sigmas);
+    for (size_t i = 0; i < sigmas.size(); ++i)
+      (*poses)[i].*result = std::clamp(sigmas[i] / median, 1.0 / kMaxNoiseScale, kMaxNoiseScale);
+  };
+  scale(&PoseStd::position, &TimedPose::position_scale);
+  scale(&PoseStd::rotation, &TimedPose::rotation_scale);
 }
 
 /// Longest time between two poses of a segment [s].
@@ -475,6 +491,7 @@ ConditionedData Condition(const CalibrationOptions& options, const CalibrationDa
   out.pose_epoch_ns = poses.front().t_ns;
   out.imu_epoch_ns = std::min(gyro.front().t_ns, accel.front().t_ns);
   out.poses = ToSeconds(poses, out.pose_epoch_ns);
+  ScaleNoise(poses, &out.poses);
   out.gyro = ToSeconds(gyro, out.imu_epoch_ns);
   out.accel = ToSeconds(accel, out.imu_epoch_ns);
 

@@ -129,12 +129,12 @@ void JointProblem::AddPoses(const SampleWeights& weights) {
                            estimate_->clock_drift,
                            estimate_->accel_delay,
                            t - estimate_->clock_reference,
-                           noise_.position / std::sqrt(weights.position[i])};
+                           noise_.position * pose.position_scale / std::sqrt(weights.position[i])};
     positions.push_back(sample);
-    position_samples.push_back({i, t, sample.sigma});
-    sample.sigma = noise_.rotation / std::sqrt(weights.rotation[i]);
+    position_samples.push_back({i, t, sample.sigma, 0.0, pose.position_scale});
+    sample.sigma = noise_.rotation * pose.rotation_scale / std::sqrt(weights.rotation[i]);
     rotations.push_back(sample);
-    rotation_samples.push_back({i, t, sample.sigma});
+    rotation_samples.push_back({i, t, sample.sigma, 0.0, pose.rotation_scale});
   }
   add_blocks();
 }

@@ -111,6 +111,26 @@ std::vector<Eigen::Vector2d> LeaveOneOut(const PoseTrajectory& trajectory,
   return normalised;
 }
 
+/// Believes in noise that differs between poses only as far as the residuals bear it out: on
+/// logarithmic scales they must grow with it, at least at half the rate.
+void CheckNoiseScales(const std::vector<Eigen::Vector2d>& residuals,
+                      std::vector<TimedPose>* poses) {
+  const auto check = [&](int kind, double TimedPose::*scale) {
+    const auto count = static_cast<double>(poses->size());
+    double mean = 0.0, covariance = 0.0, variance = 0.0;
+    for (const TimedPose& pose : *poses) mean += std::log(pose.*scale) / count;
+    for (size_t i = 0; i < poses->size(); ++i) {
+      const double x = std::log((*poses)[i].*scale) - mean;
+      covariance += x * std::log(std::max(residuals[i][kind], 1e-9));
+      variance += x * x;
+    }
+    if (covariance > 0.5 * variance) return;
+    for (TimedPose& pose : *poses) pose.*scale = 1.0;
+  };
+  check(0, &TimedPose::position_scale);
+  check(1, &TimedPose::rotation_scale);
+}
+
 /// Indices of the poses whose residual exceeds `threshold` robust sigma, of the log and of the
 /// poses within `radius_s`, and is the largest there. An outlier drags its neighbours along, so
 /// those are judged again without it; where the motion is livelier than the GP, all residuals are
@@ -304,13 +324,17 @@ PoseTrajectory FitTrajectory(const CalibrationOptions& options, ConditionedData*
       stale = false;
     }
     PoseTrajectory trajectory(data->poses, data->segments, position, rotation);
+    const std::vector<Eigen::Vector2d> residuals = LeaveOneOut(trajectory, data->poses);
     const std::vector<size_t> outliers =
-        FindOutliers(LeaveOneOut(trajectory, data->poses),
+        FindOutliers(residuals,
                      data->poses,
                      options.outlier_threshold,
                      std::min(position.lengthscale_s, rotation.lengthscale_s));
     const bool may_refit = refits < kMaxRefits;
-    if (round == kMaxRounds || (outliers.empty() && !(stale && may_refit))) return trajectory;
+    if (round == kMaxRounds || (outliers.empty() && !(stale && may_refit))) {
+      CheckNoiseScales(residuals, &data->poses);
+      return trajectory;
+    }
     // Gross outliers inflate the likelihood's noise: ask again when none is left, or while they are
     // so many that they hide each other.
     refit = may_refit && (outliers.empty() || outliers.size() > data->poses.size() / 1000);

@@ -466,21 +466,21 @@ void ReadImu(const Bags& bags, const ImuTopics& imu, bool record_time, Recording
   recording->info.accel_latency = std::move(accel_delays).Summarise();
 }
 
-/// Median of each sigma; no value when no pose states one.
-std::optional<PoseStd> MedianStd(const std::vector<PoseStd>& stated) {
-  if (stated.empty()) return std::nullopt;
+/// Median of each sigma that is stated; no value when none is.
+std::optional<PoseStd> MedianStd(const std::vector<PoseSample>& poses) {
   std::vector<double> position, rotation;
-  for (const PoseStd& std_dev : stated) {
-    position.push_back(std_dev.position);
-    rotation.push_back(std_dev.rotation);
+  for (const PoseSample& pose : poses) {
+    if (pose.stated_std.position == 0.0) continue;
+    position.push_back(pose.stated_std.position);
+    rotation.push_back(pose.stated_std.rotation);
   }
+  if (position.empty()) return std::nullopt;
   return PoseStd{Median(position), Median(rotation)};
 }
 
 void ReadPoses(const Bags& bags, const Topic& topic, bool record_time, Recording* recording) {
   const PoseType& type = *FindPoseType(topic.type);
   FramedPose first;
-  std::vector<PoseStd> stated;
   Delays delays;
   bags.ForEach(topic, [&](const rosbag::MessageInstance& instance) {
     FramedPose framed = type.read(instance);
@@ -492,7 +492,6 @@ void ReadPoses(const Bags& bags, const Topic& topic, bool record_time, Recording
                        first.world_frame + "' -> '" + first.marker_frame + "' and '" +
                        framed.world_frame + "' -> '" + framed.marker_frame + "'");
     recording->data.poses.push_back(framed.pose);
-    if (framed.stated_std) stated.push_back(*framed.stated_std);
     return true;
   });
   CheckStamps(topic.name, recording->data.poses);
@@ -500,7 +499,7 @@ void ReadPoses(const Bags& bags, const Topic& topic, bool record_time, Recording
   recording->info.pose_latency = std::move(delays).Summarise();
   recording->info.world_frame = FrameName(first.world_frame, "world");
   recording->info.marker_frame = FrameName(first.marker_frame, "marker");
-  recording->info.stated_pose_std = MedianStd(stated);
+  recording->info.stated_pose_std = MedianStd(recording->data.poses);
 }
 
 void ReadTf(const Bags& bags, const BagRequest& request, Recording* recording) {

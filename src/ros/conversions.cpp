@@ -47,40 +47,41 @@ ros::Time FromNanoseconds(int64_t t_ns) {
 
 PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::Pose& pose) {
   const auto& p = pose.position;
-  return {ToNanoseconds(stamp), FromMsg(pose.orientation), {p.x, p.y, p.z}};
+  return {ToNanoseconds(stamp), FromMsg(pose.orientation), {p.x, p.y, p.z}, {}};
+}
+
+PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::PoseWithCovariance& pose) {
+  PoseSample sample = ToPoseSample(stamp, pose.pose);
+  sample.stated_std = ToPoseStd(pose);
+  return sample;
 }
 
 PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::Transform& transform) {
   const auto& p = transform.translation;
-  return {ToNanoseconds(stamp), FromMsg(transform.rotation), {p.x, p.y, p.z}};
+  return {ToNanoseconds(stamp), FromMsg(transform.rotation), {p.x, p.y, p.z}, {}};
 }
 
 FramedPose ToFramedPose(const geometry_msgs::PoseStamped& msg) {
-  return {ToPoseSample(msg.header.stamp, msg.pose), msg.header.frame_id, "", {}};
+  return {ToPoseSample(msg.header.stamp, msg.pose), msg.header.frame_id, ""};
 }
 
 FramedPose ToFramedPose(const geometry_msgs::TransformStamped& msg) {
-  return {
-      ToPoseSample(msg.header.stamp, msg.transform), msg.header.frame_id, msg.child_frame_id, {}};
+  return {ToPoseSample(msg.header.stamp, msg.transform), msg.header.frame_id, msg.child_frame_id};
 }
 
 FramedPose ToFramedPose(const geometry_msgs::PoseWithCovarianceStamped& msg) {
-  return {
-      ToPoseSample(msg.header.stamp, msg.pose.pose), msg.header.frame_id, "", ToPoseStd(msg.pose)};
+  return {ToPoseSample(msg.header.stamp, msg.pose), msg.header.frame_id, ""};
 }
 
 FramedPose ToFramedPose(const nav_msgs::Odometry& msg) {
-  return {ToPoseSample(msg.header.stamp, msg.pose.pose),
-          msg.header.frame_id,
-          msg.child_frame_id,
-          ToPoseStd(msg.pose)};
+  return {ToPoseSample(msg.header.stamp, msg.pose), msg.header.frame_id, msg.child_frame_id};
 }
 
-std::optional<PoseStd> ToPoseStd(const geometry_msgs::PoseWithCovariance& pose) {
+PoseStd ToPoseStd(const geometry_msgs::PoseWithCovariance& pose) {
   Vector6d variance;  // x, y, z, about x, about y, about z
   for (Eigen::Index i = 0; i < 6; ++i) variance[i] = pose.covariance[static_cast<size_t>(7 * i)];
-  if (!variance.allFinite() || variance.minCoeff() <= 0.0) return std::nullopt;
-  return PoseStd{std::sqrt(variance.head<3>().mean()), std::sqrt(variance.tail<3>().mean())};
+  if (!variance.allFinite() || variance.minCoeff() <= 0.0) return {};
+  return {std::sqrt(variance.head<3>().mean()), std::sqrt(variance.tail<3>().mean())};
 }
 
 ImuSample ToImuSample(const geometry_msgs::Vector3Stamped& msg) {

@@ -41,12 +41,23 @@ struct Serializer<std::optional<T>> {
 };
 
 template <>
+struct Serializer<PoseStd> {
+  template <typename Stream, typename Value>
+  static void allInOne(Stream& stream, Value value) {
+    stream.next(value.position);
+    stream.next(value.rotation);
+  }
+  ROS_DECLARE_ALLINONE_SERIALIZER
+};
+
+template <>
 struct Serializer<PoseSample> {
   template <typename Stream, typename Value>
   static void allInOne(Stream& stream, Value value) {
     stream.next(value.t_ns);
     stream.next(value.q_WM.coeffs());
     stream.next(value.p_WM);
+    stream.next(value.stated_std);
   }
   ROS_DECLARE_ALLINONE_SERIALIZER
 };
@@ -57,16 +68,6 @@ struct Serializer<ImuSample> {
   static void allInOne(Stream& stream, Value value) {
     stream.next(value.t_ns);
     stream.next(value.value);
-  }
-  ROS_DECLARE_ALLINONE_SERIALIZER
-};
-
-template <>
-struct Serializer<PoseStd> {
-  template <typename Stream, typename Value>
-  static void allInOne(Stream& stream, Value value) {
-    stream.next(value.position);
-    stream.next(value.rotation);
   }
   ROS_DECLARE_ALLINONE_SERIALIZER
 };

@@ -80,7 +80,7 @@ std::string Stream(const char* label, const std::string& topic, const StreamRepo
 }
 
 std::string Stated(const char* indent, const PoseStd& stated) {
-  return Format("%stheir covariances say %.3g mm and %.3g deg per axis (not used)\n",
+  return Format("%stheir covariances say %.3g mm and %.3g deg per axis\n",
                 indent,
                 1e3 * stated.position,
                 kDegrees * stated.rotation);

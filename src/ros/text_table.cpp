@@ -406,7 +406,7 @@ bool HasImuHeader(std::istream& in, const std::string& name) {
 std::vector<PoseSample> ReadPoseTable(std::istream& in, const std::string& name) {
   std::vector<PoseSample> poses;
   TableReader(PoseColumns(), in, name).ForEach([&](int64_t t_ns, const std::vector<double>& v) {
-    poses.push_back({t_ns, {v[6], v[3], v[4], v[5]}, Vector(v, 0)});
+    poses.push_back({t_ns, {v[6], v[3], v[4], v[5]}, Vector(v, 0), {}});
   });
   return poses;
 }

@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <random>
 
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/simulator.h"
@@ -221,6 +222,44 @@ TEST(JointCalibration, HalvesAgreeUnlessTheImuIsMoved) {
   EXPECT_TRUE(std::any_of(result.warnings.begin(), result.warnings.end(), [](const auto& text) {
     return text.find("halves") != std::string::npos;
   }));
+}
+
+/// Every second pose has ten times the noise of the others; `claim` states what it pleases.
+template <typename Claim>
+CalibrationData SimulateUneven(const SimulatorOptions& truth, Claim claim) {
+  CalibrationData data = Simulate(truth);
+  std::mt19937 random(truth.seed);
+  std::normal_distribution<double> normal;
+  for (size_t i = 0; i < data.poses.size(); ++i) {
+    PoseSample& pose = data.poses[i];
+    const bool is_noisy = i % 2 == 1;
+    for (double& x : pose.p_WM) x += (is_noisy ? 10.0 * truth.position_std : 0.0) * normal(random);
+    pose.stated_std = claim(is_noisy);
+  }
+  return data;
+}
+
+TEST(JointCalibration, WeighsPosesByTheNoiseTheyStateUpToAFactor) {
+  const SimulatorOptions truth = Recording(1e-3, 21);
+  const Calibration silent =
+      Calibrate(CalibrationOptions(), SimulateUneven(truth, [](bool) { return PoseStd{}; }));
+  const Calibration stated =
+      Calibrate(CalibrationOptions(), SimulateUneven(truth, [](bool is_noisy) {
+                  return PoseStd{is_noisy ? 0.5 : 0.05, 0.3};  // fifty times too large, all of them
+                }));
+  EXPECT_LT(stated.Std().head<3>().norm(), 0.9 * silent.Std().head<3>().norm());
+  EXPECT_LT(Normalised(stated, truth).cwiseAbs().maxCoeff(), 4.5);
+}
+
+TEST(JointCalibration, DoesNotBelieveStatedNoiseThatTheResidualsContradict) {
+  const SimulatorOptions truth = Recording(1e-3, 22);
+  const Calibration silent =
+      Calibrate(CalibrationOptions(), SimulateUneven(truth, [](bool) { return PoseStd{}; }));
+  const Calibration lied = Calibrate(CalibrationOptions(), SimulateUneven(truth, [](bool is_noisy) {
+                                       return PoseStd{is_noisy ? 0.05 : 0.5, is_noisy ? 0.01 : 0.2};
+                                     }));
+  EXPECT_EQ(lied.T_MI.p, silent.T_MI.p);
+  EXPECT_EQ(lied.Std(), silent.Std());
 }
 
 }  // namespace

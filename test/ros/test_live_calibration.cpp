@@ -265,7 +265,7 @@ TEST(LiveCalibration, NoticesLostStreamsAndMarkers) {
 
   // A bridge that repeats what it saw last.
   CalibrationData frozen = Cut(data, 20.0, 23.0);
-  for (PoseSample& pose : frozen.poses) pose = {pose.t_ns, last.q_WM, last.p_WM};
+  for (PoseSample& pose : frozen.poses) pose = {pose.t_ns, last.q_WM, last.p_WM, {}};
   Feed(frozen, &live);
   status = live.Status(End(frozen));
   EXPECT_EQ(status.phase, Phase::kDegraded);

@@ -92,13 +92,15 @@ class CalibrationProblem {
     double t;                          ///< [s] IMU clock
     double sigma;                      ///< residual * sigma has the sensor's unit
     double trajectory_variance = 0.0;  ///< share of sigma^2
+    double scale = 1.0;                ///< noise relative to the usual sample's
   };
   /// Residual blocks of a sensor. Their rows, one after the other, are those of `samples`.
   struct Sensor {
     std::vector<ceres::ResidualBlockId> blocks;
     std::vector<double> block_t;  ///< [s] IMU clock, of each block's first sample
     std::vector<Sample> samples;
-    /// Norm of each sample's residual in the sensor's unit, as of the last Statistics().
+    /// Norm of each sample's residual in the sensor's unit and over its scale, as of the last
+    /// Statistics().
     std::vector<double> residual_norms;
 
     void Add(ceres::ResidualBlockId block, const std::vector<Sample>& block_samples);

@@ -16,6 +16,8 @@ struct TimedPose {
   double t;
   Eigen::Quaterniond q_WM;
   Eigen::Vector3d p_WM;
+  /// Noise of position and rotation relative to the usual pose's, as far as the source states it.
+  double position_scale = 1.0, rotation_scale = 1.0;
 };
 
 /// A gyroscope or accelerometer sample at `t` [s] after ConditionedData::imu_epoch_ns.

@@ -37,11 +37,18 @@ struct Rigid3 {
   }
 };
 
+/// Sigma of a pose, per axis.
+struct PoseStd {
+  double position = 0.0;  ///< [m]
+  double rotation = 0.0;  ///< [rad]
+};
+
 /// One pose of the marker, stamped by the pose clock.
 struct PoseSample {
   int64_t t_ns = 0;  ///< pose clock
   Eigen::Quaterniond q_WM = Eigen::Quaterniond::Identity();
   Eigen::Vector3d p_WM = Eigen::Vector3d::Zero();  ///< [m]
+  PoseStd stated_std;                              ///< as its source says; 0: it does not
 };
 
 /// One gyroscope [rad/s] or accelerometer [m/s^2] sample in I, stamped by the IMU clock.

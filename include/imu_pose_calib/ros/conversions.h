@@ -27,23 +27,23 @@ int64_t ToNanoseconds(const ros::Time& stamp);
 ros::Time FromNanoseconds(int64_t t_ns);
 
 PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::Pose& pose);
+PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::PoseWithCovariance& pose);
 PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::Transform& transform);
 
 /// What one pose message says.
 struct FramedPose {
   PoseSample pose;
   std::string world_frame, marker_frame;  ///< as in the message; marker empty: not given
-  std::optional<PoseStd> stated_std;      ///< from a covariance that makes sense
 };
 FramedPose ToFramedPose(const geometry_msgs::PoseStamped& msg);
 FramedPose ToFramedPose(const geometry_msgs::TransformStamped& msg);
 FramedPose ToFramedPose(const geometry_msgs::PoseWithCovarianceStamped& msg);
 FramedPose ToFramedPose(const nav_msgs::Odometry& msg);
 
-/// Root mean square of the sigmas along (position) and about (rotation) the three axes. No value
-/// when the diagonal holds a number that is not finite or not positive, which is how "unknown" is
+/// Root mean square of the sigmas along (position) and about (rotation) the three axes. 0 when the
+/// diagonal holds a number that is not finite or not positive, which is how "unknown" is
 /// written.
-std::optional<PoseStd> ToPoseStd(const geometry_msgs::PoseWithCovariance& pose);
+PoseStd ToPoseStd(const geometry_msgs::PoseWithCovariance& pose);
 
 ImuSample ToImuSample(const geometry_msgs::Vector3Stamped& msg);  ///< [rad/s] or [m/s^2]
 ImuSample ToGyroSample(const sensor_msgs::Imu& msg);              ///< [rad/s]

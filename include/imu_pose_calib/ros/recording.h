@@ -7,12 +7,6 @@
 
 namespace imu_pose_calib {
 
-/// Sigma of a pose, per axis.
-struct PoseStd {
-  double position = 0.0;  ///< [m]
-  double rotation = 0.0;  ///< [rad]
-};
-
 /// Record time minus header stamp of one stream [s]; the clocks may differ.
 struct Latency {
   double median_s = 0.0;
@@ -31,7 +25,7 @@ struct RecordingInfo {
   std::string world_frame, marker_frame, imu_frame;
   /// File that the noise of the IMU is from. Empty: the options.
   std::string imu_yaml;
-  /// What the covariances of the poses say, median; not used, reported only.
+  /// What the covariances of the poses say, median.
   std::optional<PoseStd> stated_pose_std;
   /// No value: there are no record times, as in text files.
   std::optional<Latency> pose_latency, gyro_latency, accel_latency;
