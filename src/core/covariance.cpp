@@ -11,7 +11,7 @@ namespace {
 
 using SparseMatrix = Eigen::SparseMatrix<double>;
 
-/// Weight of the other half of the log in HalfEstimate(): keeps what only that half knows (its
+/// Weight of the other half of the log in EstimateHalf(): keeps what only that half knows (its
 /// trajectory) determined, and tells nothing.
 constexpr double kOtherHalf = 1e-6;
 

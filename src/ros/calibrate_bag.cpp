@@ -1,8 +1,8 @@
 // Calibrates from a recording, without a ROS master.
 
-#include <boost/program_options.hpp>
 #include <iostream>
 
+#include "imu_pose_calib/ros/command_line.h"
 #include "imu_pose_calib/ros/offline.h"
 #include "imu_pose_calib/ros/result_yaml.h"
 #include "imu_pose_calib/ros/summary.h"
@@ -59,14 +59,7 @@ po::options_description Describe(CommandLine* line) {
 void Parse(int argc, char** argv, CommandLine* line) {
   po::options_description all = Describe(line);
   all.add_options()("bag", po::value(&line->request.bag.paths));
-  po::positional_options_description positional;
-  positional.add("bag", -1);
-  const int style = po::command_line_style::unix_style & ~po::command_line_style::allow_guessing;
-  po::variables_map values;
-  po::store(
-      po::command_line_parser(argc, argv).options(all).positional(positional).style(style).run(),
-      values);
-  po::notify(values);
+  ParseCommandLine(argc, argv, all, "bag", -1);
 }
 
 void PrintHelp() {
@@ -108,11 +101,5 @@ void Run(int argc, char** argv) {
 }  // namespace imu_pose_calib
 
 int main(int argc, char** argv) {
-  try {
-    imu_pose_calib::Run(argc, argv);
-    return 0;
-  } catch (const std::exception& error) {
-    std::cerr << "calibrate_bag: error: " << imu_pose_calib::OneLine(error) << "\n";
-    return imu_pose_calib::ExitStatus(error);
-  }
+  return imu_pose_calib::RunCommand("calibrate_bag", [&] { imu_pose_calib::Run(argc, argv); });
 }

@@ -7,6 +7,7 @@
 #include <csignal>
 #include <iostream>
 
+#include "imu_pose_calib/ros/command_line.h"
 #include "imu_pose_calib/ros/conversions.h"
 #include "imu_pose_calib/ros/live_node.h"
 #include "imu_pose_calib/ros/offline.h"
@@ -83,11 +84,7 @@ int main(int argc, char** argv) {
   ros::init(argc, argv, "imu_pose_calib");
   // Outlives the error message: without any handle the console is shut down.
   ros::NodeHandle node("~");
-  try {
-    imu_pose_calib::Run(&node);
-    return 0;
-  } catch (const std::exception& error) {
-    ROS_FATAL("%s", imu_pose_calib::OneLine(error).c_str());
-    return imu_pose_calib::ExitStatus(error);
-  }
+  return imu_pose_calib::RunToExitStatus(
+      [&] { imu_pose_calib::Run(&node); },
+      [](const std::string& error) { ROS_FATAL("%s", error.c_str()); });
 }

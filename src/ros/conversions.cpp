@@ -9,21 +9,12 @@ namespace {
 
 constexpr int64_t kNanosecondsPerSecond = 1'000'000'000;
 
-geometry_msgs::Vector3 ToVector3Msg(const Eigen::Vector3d& v) {
-  geometry_msgs::Vector3 msg;
+template <typename Msg>
+Msg ToXyz(const Eigen::Vector3d& v) {
+  Msg msg;
   msg.x = v.x();
   msg.y = v.y();
   msg.z = v.z();
-  return msg;
-}
-
-geometry_msgs::Transform ToTransformMsg(const Rigid3& T) {
-  geometry_msgs::Transform msg;
-  msg.translation = ToVector3Msg(T.p);
-  msg.rotation.x = T.q.x();
-  msg.rotation.y = T.q.y();
-  msg.rotation.z = T.q.z();
-  msg.rotation.w = T.q.w();
   return msg;
 }
 
@@ -43,6 +34,28 @@ ros::Time FromNanoseconds(int64_t t_ns) {
                      std::to_string(kMaxSeconds) + " s");
   return {static_cast<uint32_t>(t_ns / kNanosecondsPerSecond),
           static_cast<uint32_t>(t_ns % kNanosecondsPerSecond)};
+}
+
+geometry_msgs::Point ToPointMsg(const Eigen::Vector3d& p) { return ToXyz<geometry_msgs::Point>(p); }
+
+geometry_msgs::Vector3 ToVector3Msg(const Eigen::Vector3d& v) {
+  return ToXyz<geometry_msgs::Vector3>(v);
+}
+
+geometry_msgs::Quaternion ToQuaternionMsg(const Eigen::Quaterniond& q) {
+  geometry_msgs::Quaternion msg;
+  msg.x = q.x();
+  msg.y = q.y();
+  msg.z = q.z();
+  msg.w = q.w();
+  return msg;
+}
+
+geometry_msgs::Transform ToTransformMsg(const Rigid3& T) {
+  geometry_msgs::Transform msg;
+  msg.translation = ToVector3Msg(T.p);
+  msg.rotation = ToQuaternionMsg(T.q);
+  return msg;
 }
 
 PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::Pose& pose) {

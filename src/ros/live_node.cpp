@@ -113,31 +113,16 @@ Settings ReadSettings(const ros::NodeHandle& node) {
   return settings;
 }
 
-geometry_msgs::Vector3 ToVector3(const Eigen::Vector3d& v) {
-  geometry_msgs::Vector3 msg;
-  msg.x = v.x();
-  msg.y = v.y();
-  msg.z = v.z();
-  return msg;
-}
-
 /// T_WI at the pose T_WM.
 geometry_msgs::PoseStamped ToImuPose(const PoseSample& pose,
                                      const Rigid3& T_MI,
                                      const std::string& world_frame) {
   const Eigen::Quaterniond q_WM = pose.q_WM.normalized();
-  const Eigen::Quaterniond q = q_WM * T_MI.q;
-  const Eigen::Vector3d p = pose.p_WM + q_WM * T_MI.p;
   geometry_msgs::PoseStamped msg;
   msg.header.stamp = FromNanoseconds(pose.t_ns);
   msg.header.frame_id = world_frame;
-  msg.pose.position.x = p.x();
-  msg.pose.position.y = p.y();
-  msg.pose.position.z = p.z();
-  msg.pose.orientation.x = q.x();
-  msg.pose.orientation.y = q.y();
-  msg.pose.orientation.z = q.z();
-  msg.pose.orientation.w = q.w();
+  msg.pose.position = ToPointMsg(pose.p_WM + q_WM * T_MI.p);
+  msg.pose.orientation = ToQuaternionMsg(q_WM * T_MI.q);
   return msg;
 }
 
@@ -600,8 +585,8 @@ void LiveNode::PublishStatus() {
   msg.pose_count = status_.poses.received;
   msg.gyro_count = status_.gyro.received;
   msg.accel_count = status_.accel.received;
-  msg.rotation_excitation = ToVector3(status_.excitation.rotation);
-  msg.translation_excitation = ToVector3(status_.excitation.translation);
+  msg.rotation_excitation = ToVector3Msg(status_.excitation.rotation);
+  msg.translation_excitation = ToVector3Msg(status_.excitation.translation);
   msg.bars = Bars(status_.excitation);
   msg.solves = static_cast<uint32_t>(status_.solves);
   if (solve_.valid()) msg.solve_time = (ros::SteadyTime::now() - solve_start_).toSec();

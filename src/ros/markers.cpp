@@ -6,6 +6,8 @@
 #include <utility>
 #include <vector>
 
+#include "imu_pose_calib/ros/conversions.h"
+
 namespace imu_pose_calib {
 namespace {
 
@@ -26,18 +28,6 @@ constexpr double kSigmaScale = 200.0;
 constexpr double kPathSpan = 8.0;
 /// The panel stands beside the motion, upright, and is read against the world's y axis.
 constexpr double kBarLength = 0.5, kBarHeight = 0.05, kLine = 0.08;  // [m]
-
-void SetPoint(const Eigen::Vector3d& p, geometry_msgs::Point* point) {
-  point->x = p.x();
-  point->y = p.y();
-  point->z = p.z();
-}
-
-geometry_msgs::Point ToPoint(const Eigen::Vector3d& p) {
-  geometry_msgs::Point point;
-  SetPoint(p, &point);
-  return point;
-}
 
 /// Collects markers; those of one name have consecutive ids.
 class Drawing {
@@ -72,7 +62,7 @@ class Drawing {
              double width,
              const Color& color) {
     Marker* marker = Add(name, Marker::ARROW, color);
-    marker->points = {ToPoint(from), ToPoint(to)};
+    marker->points = {ToPointMsg(from), ToPointMsg(to)};
     marker->scale.x = width;
     marker->scale.y = 2.0 * width;
     marker->scale.z = 0.0;
@@ -84,7 +74,7 @@ class Drawing {
              const std::string& text,
              const Color& color = kWhite) {
     Marker* marker = Add(name, Marker::TEXT_VIEW_FACING, color);
-    SetPoint(at, &marker->pose.position);
+    marker->pose.position = ToPointMsg(at);
     marker->scale.z = height;
     marker->text = text;
   }
@@ -95,7 +85,7 @@ class Drawing {
            const Color& color,
            float alpha) {
     Marker* marker = Add(name, Marker::CUBE, color, alpha);
-    SetPoint(center, &marker->pose.position);
+    marker->pose.position = ToPointMsg(center);
     marker->scale.x = size.x();
     marker->scale.y = size.y();
     marker->scale.z = size.z();
@@ -130,7 +120,7 @@ void DrawPath(const std::string& name,
   std::vector<geometry_msgs::Point> points;
   for (const PoseSample& pose : scene.path)
     if (1e-9 * static_cast<double>(scene.path.back().t_ns - pose.t_ns) < kPathSpan)
-      points.push_back(ToPoint((ToRigid3(pose) * T_MX).p));
+      points.push_back(ToPointMsg((ToRigid3(pose) * T_MX).p));
   if (points.size() < 2) return;  // rviz takes no shorter line
   Marker* line = drawing->Add(name, Marker::LINE_STRIP, color, 0.8f);
   line->scale.x = 0.004;
@@ -143,7 +133,7 @@ void DrawLeverArm(const Scene& scene, const Rigid3& T_WM, Drawing* drawing) {
   const Rigid3 T_WI = T_WM * result.T_MI;
   Marker* arm = drawing->Add("lever arm", Marker::LINE_LIST, kImu);
   arm->scale.x = 0.006;
-  arm->points = {ToPoint(T_WM.p), ToPoint(T_WI.p)};
+  arm->points = {ToPointMsg(T_WM.p), ToPointMsg(T_WI.p)};
 
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(
       result.covariance.topLeftCorner<3, 3>());
@@ -152,11 +142,8 @@ void DrawLeverArm(const Scene& scene, const Rigid3& T_WM, Drawing* drawing) {
   const Eigen::Vector3d size = 2.0 * kSigmaScale * eigen.eigenvalues().cwiseMax(0.0).cwiseSqrt();
   const Eigen::Quaterniond q = T_WM.q * Eigen::Quaterniond(axes);
   Marker* ellipsoid = drawing->Add("sigma", Marker::SPHERE, kImu, 0.35f);
-  SetPoint(T_WI.p, &ellipsoid->pose.position);
-  ellipsoid->pose.orientation.x = q.x();
-  ellipsoid->pose.orientation.y = q.y();
-  ellipsoid->pose.orientation.z = q.z();
-  ellipsoid->pose.orientation.w = q.w();
+  ellipsoid->pose.position = ToPointMsg(T_WI.p);
+  ellipsoid->pose.orientation = ToQuaternionMsg(q);
   ellipsoid->scale.x = size.x();
   ellipsoid->scale.y = size.y();
   ellipsoid->scale.z = size.z();

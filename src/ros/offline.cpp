@@ -148,10 +148,6 @@ OfflineCheck CheckOffline(const OfflineRequest& given) {
   return {CheckData(options, recording.data), recording.info};
 }
 
-int ExitStatus(const std::exception& error) {
-  return dynamic_cast<const DataError*>(&error) != nullptr ? 2 : 1;
-}
-
 std::string OneLine(const std::exception& error) {
   std::string text = error.what();
   std::replace(text.begin(), text.end(), '\n', ' ');

@@ -9,8 +9,8 @@
 #include <optional>
 #include <random>
 
+#include "imu_pose_calib/ros/command_line.h"
 #include "imu_pose_calib/ros/conversions.h"
-#include "imu_pose_calib/ros/offline.h"
 #include "imu_pose_calib/ros/parameters.h"
 #include "imu_pose_calib/ros/pose_messages.h"
 #include "imu_pose_calib/ros/topic_source.h"
@@ -93,21 +93,13 @@ class ReplayBridge {
     transform.header.stamp = stamp;
     transform.header.frame_id = "world";
     transform.child_frame_id = frame_;
-    transform.transform.translation.x = pose.p_WM.x();
-    transform.transform.translation.y = pose.p_WM.y();
-    transform.transform.translation.z = pose.p_WM.z();
-    transform.transform.rotation.x = pose.q_WM.x();
-    transform.transform.rotation.y = pose.q_WM.y();
-    transform.transform.rotation.z = pose.q_WM.z();
-    transform.transform.rotation.w = pose.q_WM.w();
+    transform.transform = ToTransformMsg({pose.q_WM, pose.p_WM});
     broadcaster_.sendTransform(transform);
     if (style_.transform) return publisher_.publish(transform);
 
     geometry_msgs::PoseStamped msg;
     msg.header = transform.header;
-    msg.pose.position.x = pose.p_WM.x();
-    msg.pose.position.y = pose.p_WM.y();
-    msg.pose.position.z = pose.p_WM.z();
+    msg.pose.position = ToPointMsg(pose.p_WM);
     msg.pose.orientation = transform.transform.rotation;
     publisher_.publish(msg);
   }
@@ -132,12 +124,10 @@ class ReplayBridge {
 int main(int argc, char** argv) {
   ros::init(argc, argv, "replay_bridge");
   ros::NodeHandle node("~");
-  try {
-    const imu_pose_calib::ReplayBridge bridge(node);
-    ros::spin();
-    return 0;
-  } catch (const std::exception& error) {
-    ROS_FATAL("%s", imu_pose_calib::OneLine(error).c_str());
-    return 1;
-  }
+  return imu_pose_calib::RunToExitStatus(
+      [&] {
+        const imu_pose_calib::ReplayBridge bridge(node);
+        ros::spin();
+      },
+      [](const std::string& error) { ROS_FATAL("%s", error.c_str()); });
 }

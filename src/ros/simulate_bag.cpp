@@ -1,6 +1,5 @@
 // Writes a simulated recording and its truth.
 
-#include <boost/program_options.hpp>
 #include <cmath>
 #include <iostream>
 #include <map>
@@ -8,7 +7,7 @@
 
 #include "imu_pose_calib/core/simulator.h"
 #include "imu_pose_calib/ros/bag_writer.h"
-#include "imu_pose_calib/ros/offline.h"
+#include "imu_pose_calib/ros/command_line.h"
 #include "imu_pose_calib/ros/result_yaml.h"
 #include "imu_pose_calib/ros/text_writer.h"
 
@@ -90,14 +89,7 @@ void CheckNotNegative(const char* option, double value) {
 void Parse(int argc, char** argv, CommandLine* line) {
   po::options_description all = Describe(line);
   all.add_options()("output", po::value(&line->output));
-  po::positional_options_description positional;
-  positional.add("output", 1);
-  const int style = po::command_line_style::unix_style & ~po::command_line_style::allow_guessing;
-  po::variables_map values;
-  po::store(
-      po::command_line_parser(argc, argv).options(all).positional(positional).style(style).run(),
-      values);
-  po::notify(values);
+  ParseCommandLine(argc, argv, all, "output", 1);
 }
 
 /// Completes and checks what the command line has filled in.
@@ -160,11 +152,5 @@ void Run(int argc, char** argv) {
 }  // namespace imu_pose_calib
 
 int main(int argc, char** argv) {
-  try {
-    imu_pose_calib::Run(argc, argv);
-    return 0;
-  } catch (const std::exception& error) {
-    std::cerr << "simulate_bag: error: " << imu_pose_calib::OneLine(error) << "\n";
-    return imu_pose_calib::ExitStatus(error);
-  }
+  return imu_pose_calib::RunCommand("simulate_bag", [&] { imu_pose_calib::Run(argc, argv); });
 }

@@ -26,6 +26,11 @@ int64_t ToNanoseconds(const ros::Time& stamp);
 /// Throws InputError when `t_ns` is outside of what a ROS stamp can hold (0 to year 2106).
 ros::Time FromNanoseconds(int64_t t_ns);
 
+geometry_msgs::Point ToPointMsg(const Eigen::Vector3d& p);
+geometry_msgs::Vector3 ToVector3Msg(const Eigen::Vector3d& v);
+geometry_msgs::Quaternion ToQuaternionMsg(const Eigen::Quaterniond& q);
+geometry_msgs::Transform ToTransformMsg(const Rigid3& T);
+
 PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::Pose& pose);
 PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::PoseWithCovariance& pose);
 PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::Transform& transform);

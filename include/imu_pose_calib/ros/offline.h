@@ -63,9 +63,6 @@ struct OfflineCheck {
 /// Throws InputError when something cannot be used as given.
 OfflineCheck CheckOffline(const OfflineRequest& request);
 
-/// Exit status of an executable that failed: 2 for data that cannot be calibrated, else 1.
-int ExitStatus(const std::exception& error);
-
 /// The text of an error on one line.
 std::string OneLine(const std::exception& error);
 
