@@ -13,7 +13,7 @@ absolute_paths() {
   local argument
   for argument in "$@"; do
     case $argument in
-      bag:=?* | output:=?* | config:=?* | imu_yaml:=?*)
+      bag:=?* | poses:=?* | imu:=?* | gyro:=?* | accel:=?* | output:=?* | config:=?* | imu_yaml:=?*)
         printf '%s:=%s\n' "${argument%%:=*}" "$(realpath -m -- "${argument#*:=}")"
         ;;
       *) printf '%s\n' "$argument" ;;
@@ -33,11 +33,13 @@ value_of() {
 
 # The result file that calibrate.launch writes when given these arguments.
 result_file() {
-  local output bag
+  local output recording name
   output=$(value_of output "$@")
-  bag=$(value_of bag "$@")
-  [[ -n $bag ]] || bag=$(find "$REPO/data" -name '*.bag' | sort | head -n 1)
-  printf '%s\n' "${output:-${bag%.bag}.calibration.yaml}"
+  recording=$(value_of bag "$@")
+  [[ -n $recording ]] || recording=$(value_of poses "$@")
+  [[ -n $recording ]] || recording=$(find "$REPO/data" -name '*.bag' | sort | head -n 1)
+  name=${recording##*/}
+  printf '%s\n' "${output:-${recording%"$name"}${name%.*}.calibration.yaml}"
 }
 
 free_port() {
