@@ -134,11 +134,11 @@ class BandedCholesky {
     Eigen::MatrixXd S = Eigen::MatrixXd::Zero(L_.rows(), L_.cols());
     for (Eigen::Index i = LastTile(); i >= 0; i -= kTile) {
       const Eigen::Index n = Size(i), next = Size(i + n);
-      Eigen::MatrixXd L_inv = Eigen::MatrixXd::Identity(n, n);
-      L_.block(i, i, n, n).triangularView<Eigen::Lower>().solveInPlace(L_inv);
-      S.block(i, i, n, n).noalias() = L_inv.transpose() * L_inv;
+      Eigen::MatrixXd inverse = Eigen::MatrixXd::Identity(n, n);
+      L_.block(i, i, n, n).triangularView<Eigen::Lower>().solveInPlace(inverse);
+      S.block(i, i, n, n).noalias() = inverse.transpose() * inverse;
       if (next == 0) continue;
-      const Eigen::MatrixXd G = L_.block(i + n, i, next, n) * L_inv;
+      const Eigen::MatrixXd G = L_.block(i + n, i, next, n) * inverse;
       const Eigen::MatrixXd below = -S.block(i + n, i + n, next, next) * G;
       S.block(i, i, n, n).noalias() -= G.transpose() * below;
       S.block(i + n, i, next, n) = below;

@@ -195,7 +195,7 @@ Eigen::Vector3d Above(const std::deque<PoseSample>& path) {
 
 /// Bars, verdict and result, `middle` being that of the first bar.
 void DrawPanel(const Scene& scene, const Eigen::Vector3d& middle, Drawing* drawing) {
-  const char* kAxes[] = {"x", "y", "z"};
+  constexpr const char* kAxes[] = {"x", "y", "z"};
   Eigen::Vector3d left = middle - Eigen::Vector3d(0.5 * kBarLength, 0.0, 0.0);
   const auto bars = [&](const std::string& motion, const Eigen::Vector3d& shares) {
     for (int axis = 0; axis < 3; ++axis) {
