@@ -149,8 +149,11 @@ parallel_jobs() {
 }
 
 create_workspace() {
-  mkdir -p "$WORKSPACE/src"
-  ln -sfn ../.. "$WORKSPACE/src/imu_pose_calib"
+  # One link for each entry: a link to the repository, which holds the workspace, would be a loop for rosrun.
+  local package=$WORKSPACE/src/imu_pose_calib
+  rm -rf "$package"
+  mkdir -p "$package"
+  ln -s "$REPO"/* "$package"
   # A build configured at another path cannot be used again.
   local cache=$WORKSPACE/build/CMakeCache.txt
   if [[ -f $cache ]] && ! grep -qxF "CMAKE_HOME_DIRECTORY:INTERNAL=$WORKSPACE/src" "$cache"; then
