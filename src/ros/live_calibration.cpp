@@ -347,7 +347,7 @@ std::string LiveCalibration::LostStreams(double now) const {
 
 std::string LiveCalibration::Advice() const {
   const Excitation excitation = Excited();
-  const char* kAxes[] = {"x", "y", "z"};
+  constexpr const char* kAxes[] = {"x", "y", "z"};
   Eigen::Index axis = 0;
   if (excitation.rotation.minCoeff(&axis) < 1.0)
     return Text("rotate about the marker's ", kAxes[axis], " axis");

@@ -445,7 +445,7 @@ void LiveNode::PublishResult() {
 /// Writes the best result and freezes it. Returns what was done.
 std::string LiveNode::Save() {
   WriteFile(settings_.output, ToYaml(*live_.result(), Info(), settings_.calibration));
-  const std::string message = "saved to " + settings_.output + "; call reset to start anew";
+  std::string message = "saved to " + settings_.output + "; call reset to start anew";
   live_.Freeze(message);
   save_error_.clear();
   std::cout << Summary(*live_.result(), Info()) << std::flush;
@@ -477,7 +477,7 @@ bool LiveNode::OnCalibrate(Trigger::Request&, Trigger::Response& response) {
     solve = solve_;
   }
   try {
-    const Calibration result = solve.get();
+    const Calibration& result = solve.get();
     response.success = result.IsUsable();
     response.message = std::string(ToString(result.status)) + ": " + result.message;
   } catch (const std::exception& error) {
