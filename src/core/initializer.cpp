@@ -420,7 +420,7 @@ struct LeverArmEquations {
   /// (p_MI, g_W, R_MI b_a) with s = 1, and the mean squared residual.
   Eigen::Matrix<double, 9, 1> Solve(double* residual) const {
     const Eigen::Matrix<double, 9, 1> b9 = b.head<9>() - A.col(9).head<9>();
-    const Eigen::Matrix<double, 9, 1> x = A.topLeftCorner<9, 9>().ldlt().solve(b9);
+    Eigen::Matrix<double, 9, 1> x = A.topLeftCorner<9, 9>().ldlt().solve(b9);
     *residual = count > 0.0 ? (sum - 2.0 * b[9] + A(9, 9) - b9.dot(x)) / count
                             : std::numeric_limits<double>::infinity();
     return x;
