@@ -19,6 +19,7 @@
 #include "imu_pose_calib/core/median.h"
 #include "imu_pose_calib/ros/child_process.h"
 #include "imu_pose_calib/ros/conversions.h"
+#include "imu_pose_calib/ros/pose_messages.h"
 #include "imu_pose_calib/ros/tf_chain.h"
 
 namespace imu_pose_calib {
@@ -35,38 +36,20 @@ boost::shared_ptr<Msg> Instantiate(const rosbag::MessageInstance& instance) {
 
 // --- Message types ---
 
-template <typename Msg>
-FramedPose ReadPose(const rosbag::MessageInstance& instance) {
-  return ToFramedPose(*Instantiate<Msg>(instance));
-}
-
-/// The message types that hold poses, and how to read them.
-struct PoseType {
-  const char* name;
-  FramedPose (*read)(const rosbag::MessageInstance&);
-};
-constexpr PoseType kPoseTypes[] = {
-    {"geometry_msgs/PoseStamped", ReadPose<geometry_msgs::PoseStamped>},
-    {"geometry_msgs/TransformStamped", ReadPose<geometry_msgs::TransformStamped>},
-    {"geometry_msgs/PoseWithCovarianceStamped", ReadPose<geometry_msgs::PoseWithCovarianceStamped>},
-    {"nav_msgs/Odometry", ReadPose<nav_msgs::Odometry>},
+/// A message of a bag, as PoseType reads it.
+struct BagMessage {
+  const rosbag::MessageInstance& instance;
+  template <typename Msg>
+  boost::shared_ptr<Msg> instantiate() const {
+    return Instantiate<Msg>(instance);
+  }
 };
 
-const PoseType* FindPoseType(const std::string& name) {
-  for (const PoseType& type : kPoseTypes)
-    if (name == type.name) return &type;
-  return nullptr;
+std::string PoseTypeList() {
+  std::string list;
+  for (const std::string& name : PoseTypeNames()) list += (list.empty() ? "" : " or ") + name;
+  return list;
 }
-
-std::string PoseTypeNames() {
-  std::string names;
-  for (const PoseType& type : kPoseTypes)
-    names += (names.empty() ? "" : " or ") + std::string(type.name);
-  return names;
-}
-
-const char kImuType[] = "sensor_msgs/Imu";
-const char kVectorType[] = "geometry_msgs/Vector3Stamped";
 
 /// What a message of an IMU topic carries.
 struct ImuContent {
@@ -98,7 +81,7 @@ struct Topic {
   uint32_t count = 0;
   bool IsImu() const { return type == kImuType; }
   bool IsVector() const { return type == kVectorType; }
-  bool IsPose() const { return FindPoseType(type) != nullptr; }
+  bool IsPose() const { return FindPoseType<BagMessage>(type) != nullptr; }
   bool IsTf() const { return type == "tf2_msgs/TFMessage" || type == "tf/tfMessage"; }
   bool IsFixedTf() const {
     const std::string ending = "tf_static";
@@ -326,25 +309,19 @@ ImuTopics FindImu(const Bags& bags) {
 }
 
 ImuTopics ChooseImu(const Bags& bags, const BagRequest& request) {
-  const bool split = !request.gyro_topic.empty() || !request.accel_topic.empty();
-  if (!split && request.imu_topic.empty()) {
-    for (const Topic& topic : bags.topics())
-      if (topic.IsImu() && topic.count > 0 && topic.name == request.usual_imu_topic)
-        return {topic, topic};
-    return FindImu(bags);
-  }
-  if (!split) {
+  if (IsPair({"imu_topic", request.imu_topic},
+             {"gyro_topic", request.gyro_topic},
+             {"accel_topic", request.accel_topic}))
+    return {NamedImu(bags, "gyro_topic", request.gyro_topic),
+            NamedImu(bags, "accel_topic", request.accel_topic)};
+  if (!request.imu_topic.empty()) {
     const Topic topic = NamedImu(bags, "imu_topic", request.imu_topic);
     return {topic, topic};
   }
-  if (!request.imu_topic.empty())
-    throw InputError("give either imu_topic, or gyro_topic and accel_topic, not all");
-  if (request.gyro_topic.empty() || request.accel_topic.empty())
-    throw InputError("gyro_topic and accel_topic belong together: " +
-                     std::string(request.gyro_topic.empty() ? "gyro_topic" : "accel_topic") +
-                     " is missing");
-  return {NamedImu(bags, "gyro_topic", request.gyro_topic),
-          NamedImu(bags, "accel_topic", request.accel_topic)};
+  for (const Topic& topic : bags.topics())
+    if (topic.IsImu() && topic.count > 0 && topic.name == request.usual_imu_topic)
+      return {topic, topic};
+  return FindImu(bags);
 }
 
 /// A topic without the data that are to come from it is a mistake in the topics, not bad data.
@@ -378,13 +355,13 @@ Topic ChoosePose(const Bags& bags, const std::string& name) {
                        TfHint(bags));
     if (!topic.IsPose())
       throw InputError("pose_topic '" + name + "' is " + topic.type + ", must be " +
-                       PoseTypeNames());
+                       PoseTypeList());
     return topic;
   }
   const std::vector<Topic> candidates =
       bags.Select([](const Topic& t) { return t.count > 0 && t.IsPose(); });
   if (candidates.empty())
-    throw InputError("no topic of type " + PoseTypeNames() + " in " + bags.Contents() +
+    throw InputError("no topic of type " + PoseTypeList() + " in " + bags.Contents() +
                      TfHint(bags));
   if (candidates.size() > 1)
     throw InputError("several pose topics: " + Describe(candidates) + "; choose with pose_topic");
@@ -393,14 +370,9 @@ Topic ChoosePose(const Bags& bags, const std::string& name) {
 
 /// Whether poses are to come from tf.
 bool WantsTf(const BagRequest& request) {
-  if (request.tf_parent.empty() && request.tf_child.empty()) return false;
-  if (request.tf_parent.empty() || request.tf_child.empty())
-    throw InputError("tf_parent and tf_child belong together: " +
-                     std::string(request.tf_parent.empty() ? "tf_parent" : "tf_child") +
-                     " is missing");
-  if (!request.pose_topic.empty())
-    throw InputError("give either pose_topic, or tf_parent and tf_child, not all");
-  return true;
+  return IsPair({"pose_topic", request.pose_topic},
+                {"tf_parent", request.tf_parent},
+                {"tf_child", request.tf_child});
 }
 
 // --- Samples ---
@@ -479,11 +451,11 @@ std::optional<PoseStd> MedianStd(const std::vector<PoseSample>& poses) {
 }
 
 void ReadPoses(const Bags& bags, const Topic& topic, bool record_time, Recording* recording) {
-  const PoseType& type = *FindPoseType(topic.type);
+  const PoseType<BagMessage>& type = *FindPoseType<BagMessage>(topic.type);
   FramedPose first;
   Delays delays;
   bags.ForEach(topic, [&](const rosbag::MessageInstance& instance) {
-    FramedPose framed = type.read(instance);
+    FramedPose framed = type.read({instance});
     delays.Add(instance, framed.pose.t_ns);
     if (record_time) framed.pose.t_ns = ToNanoseconds(instance.getTime());
     if (recording->data.poses.empty()) first = framed;

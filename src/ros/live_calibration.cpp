@@ -45,10 +45,6 @@ bool IsValid(const PoseSample& pose) {
   return pose.p_WM.allFinite() && pose.q_WM.coeffs().allFinite() && pose.q_WM.norm() > 1e-3;
 }
 
-bool SamePose(const PoseSample& a, const PoseSample& b) {
-  return a.p_WM == b.p_WM && a.q_WM.coeffs() == b.q_WM.coeffs();
-}
-
 void CheckPositive(const char* name, double value) {
   if (value > 0.0 && std::isfinite(value)) return;
   throw InputError(Text(name, " = ", value, " must be positive"));
@@ -198,7 +194,7 @@ bool LiveCalibration::Add(const Sample& sample, double now, Stream<Sample>* stre
 void LiveCalibration::AddPose(const PoseSample& recorded, double now) {
   if (!Add(recorded, now, &poses_)) return;
   const PoseSample pose = ToMarkerPose(calibration_, recorded);
-  if (!IsValid(pose) || (pose_ && SamePose(pose, *pose_))) return;
+  if (!IsValid(pose) || (pose_ && SameValue(pose, *pose_))) return;
   pose_ = pose;
   pose_changed_ = now;
   MeasureMotion(pose);

@@ -42,8 +42,6 @@ namespace {
 using Trigger = std_srvs::Trigger;
 using diagnostic_msgs::DiagnosticStatus;
 
-const char kImuType[] = "sensor_msgs/Imu";
-const char kVectorType[] = "geometry_msgs/Vector3Stamped";
 /// How far apart links of tf with the same stamp may arrive [s].
 constexpr double kTfCache = 10.0;
 
@@ -74,16 +72,14 @@ Settings ReadSettings(const ros::NodeHandle& node) {
   settings.gyro_topic = text("gyro_topic");
   settings.accel_topic = text("accel_topic");
   settings.pose_topic = text("pose_topic");
-  if (settings.gyro_topic.empty() != settings.accel_topic.empty())
-    throw InputError("gyro_topic and accel_topic belong together: one of them is missing");
-  if (!settings.imu_topic.empty() && !settings.gyro_topic.empty())
-    throw InputError("give either imu_topic, or gyro_topic and accel_topic, not all");
+  const bool is_split = IsPair({"imu_topic", settings.imu_topic},
+                               {"gyro_topic", settings.gyro_topic},
+                               {"accel_topic", settings.accel_topic});
   settings.tf_parent = text("tf_parent");
   settings.tf_child = text("tf_child");
-  if (settings.tf_parent.empty() != settings.tf_child.empty())
-    throw InputError("tf_parent and tf_child belong together: one of them is missing");
-  if (!settings.pose_topic.empty() && !settings.tf_parent.empty())
-    throw InputError("give either pose_topic, or tf_parent and tf_child, not all");
+  IsPair({"pose_topic", settings.pose_topic},
+         {"tf_parent", settings.tf_parent},
+         {"tf_child", settings.tf_child});
   settings.marker_frame = text("marker_frame");
   settings.imu_frame = text("imu_frame");
 
@@ -98,8 +94,7 @@ Settings ReadSettings(const ros::NodeHandle& node) {
   if (!settings.imu_yaml.empty()) {
     const ImuYaml imu = LoadImuYaml(settings.imu_yaml);
     imu.CopyNoise(&settings.calibration);
-    if (settings.imu_topic.empty() && settings.gyro_topic.empty())
-      settings.imu_topic = imu.rostopic;
+    if (settings.imu_topic.empty() && !is_split) settings.imu_topic = imu.rostopic;
   }
   if (const std::string method = text("method"); !method.empty())
     settings.calibration.method = ParseMethod(method);
@@ -269,7 +264,7 @@ LiveNode::LiveNode(const ros::NodeHandle& node)
     AddSource("accel_topic", settings_.accel_topic, split, &LiveNode::OnAccel);
   }
   if (settings_.tf_parent.empty()) {
-    AddSource("pose_topic", settings_.pose_topic, PoseTypes(), &LiveNode::OnPose);
+    AddSource("pose_topic", settings_.pose_topic, PoseTypeNames(), &LiveNode::OnPose);
   } else {
     chain_.emplace(settings_.tf_parent, settings_.tf_child, kTfCache);
     world_frame_ = FrameName(settings_.tf_parent, "");

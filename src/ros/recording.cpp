@@ -121,6 +121,17 @@ namespace imu_pose_calib {
 
 namespace rs = ros::serialization;
 
+bool IsPair(const Given& one, const Given& first, const Given& second) {
+  if (first.value.empty() && second.value.empty()) return false;
+  const std::string pair = std::string(first.name) + " and " + second.name;
+  if (first.value.empty() || second.value.empty())
+    throw InputError(pair + " belong together: " +
+                     (first.value.empty() ? first.name : second.name) + " is missing");
+  if (!one.value.empty())
+    throw InputError(std::string("give either ") + one.name + ", or " + pair + ", not all");
+  return true;
+}
+
 void CheckSpan(double start_s, double duration_s) {
   const auto check = [](const char* field, double value, const char* hint) {
     if (value >= 0.0) return;

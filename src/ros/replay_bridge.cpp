@@ -58,7 +58,7 @@ class ReplayBridge {
         input_(node,
                "input",
                Param<std::string>(node, "input", "/mocap/pose", "a string"),
-               PoseTypes(),
+               PoseTypeNames(),
                [this](const TopicSource::Message& message) {
                  Republish(ToFramedPose(*message.getMessage()).pose);
                }) {

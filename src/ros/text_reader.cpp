@@ -113,12 +113,9 @@ void Cut(const TextRequest& request, CalibrationData* data) {
 }  // namespace
 
 TextRequest FindFiles(TextRequest request) {
-  if (request.gyro.empty() != request.accel.empty())
-    throw InputError("gyro and accel belong together: " +
-                     std::string(request.gyro.empty() ? "gyro" : "accel") + " is missing");
+  const bool is_split =
+      IsPair({"imu", request.imu}, {"gyro", request.gyro}, {"accel", request.accel});
   const bool has_imu = !request.imu.empty();
-  const bool is_split = !request.gyro.empty();
-  if (has_imu && is_split) throw InputError("give either imu, or gyro and accel, not all");
   if (!request.folder.empty()) {
     if (request.poses.empty())
       request.poses = FindTable(request.folder, HasPoseHeader, "poses", "poses");

@@ -35,6 +35,10 @@ PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::Pose& pose)
 PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::PoseWithCovariance& pose);
 PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::Transform& transform);
 
+/// Types of the messages of an IMU; a vector is one sensor of a split one.
+constexpr char kImuType[] = "sensor_msgs/Imu";
+constexpr char kVectorType[] = "geometry_msgs/Vector3Stamped";
+
 /// What one pose message says.
 struct FramedPose {
   PoseSample pose;

@@ -2,6 +2,7 @@
 
 #include <topic_tools/shape_shifter.h>
 
+#include <array>
 #include <string>
 #include <vector>
 
@@ -9,8 +10,38 @@
 
 namespace imu_pose_calib {
 
-/// Names of the message types that hold one pose.
-std::vector<std::string> PoseTypes();
+/// A message type that holds one pose, and how to read it from a `Source` with instantiate<Msg>().
+template <typename Source>
+struct PoseType {
+  const char* name;
+  FramedPose (*read)(const Source&);
+};
+
+template <typename Msg, typename Source>
+PoseType<Source> MakePoseType() {
+  return {ros::message_traits::DataType<Msg>::value(),
+          [](const Source& source) { return ToFramedPose(*source.template instantiate<Msg>()); }};
+}
+
+template <typename Source>
+const std::array<PoseType<Source>, 4>& PoseTypes() {
+  static const std::array<PoseType<Source>, 4> types = {
+      MakePoseType<geometry_msgs::PoseStamped, Source>(),
+      MakePoseType<geometry_msgs::TransformStamped, Source>(),
+      MakePoseType<geometry_msgs::PoseWithCovarianceStamped, Source>(),
+      MakePoseType<nav_msgs::Odometry, Source>()};
+  return types;
+}
+
+/// The type of that name; null when it holds no pose.
+template <typename Source>
+const PoseType<Source>* FindPoseType(const std::string& name) {
+  for (const PoseType<Source>& type : PoseTypes<Source>())
+    if (name == type.name) return &type;
+  return nullptr;
+}
+
+std::vector<std::string> PoseTypeNames();
 
 /// The pose of a message of one of these types. Throws ros::Exception when its definition differs.
 FramedPose ToFramedPose(const topic_tools::ShapeShifter& msg);

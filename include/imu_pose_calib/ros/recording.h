@@ -37,6 +37,16 @@ struct Recording {
   CalibrationData data;
 };
 
+/// A field of a request: its name and what was given for it, empty for nothing.
+struct Given {
+  const char* name;
+  const std::string& value;
+};
+
+/// Whether a source is named by a pair of fields instead of by one. Throws InputError when one of
+/// the pair is missing, or when both ways are used.
+bool IsPair(const Given& one, const Given& first, const Given& second);
+
 /// Throws InputError when the part of a recording to use is not one.
 void CheckSpan(double start_s, double duration_s);
 
