@@ -25,12 +25,12 @@ PoseType<Source> MakePoseType() {
 
 template <typename Source>
 const std::array<PoseType<Source>, 4>& PoseTypes() {
-  static const std::array<PoseType<Source>, 4> types = {
+  static const std::array<PoseType<Source>, 4> kTypes = {
       MakePoseType<geometry_msgs::PoseStamped, Source>(),
       MakePoseType<geometry_msgs::TransformStamped, Source>(),
       MakePoseType<geometry_msgs::PoseWithCovarianceStamped, Source>(),
       MakePoseType<nav_msgs::Odometry, Source>()};
-  return types;
+  return kTypes;
 }
 
 /// The type of that name; null when it holds no pose.
