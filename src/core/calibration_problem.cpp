@@ -179,6 +179,7 @@ CalibrationCovariance CalibrationProblem::Covariance() {
                         {&estimate_->time_shift, kTimeShift, 1},
                         {&estimate_->accel_delay, kAccelDelay, 1},
                         {&estimate_->clock_drift, kClockDrift, 1},
+                        {&estimate_->pose_smoothing, kPoseSmoothing, 1},
                         {estimate_->gyro_intrinsics.data(), kGyroIntrinsics, 6},
                         {estimate_->accel_intrinsics.data(), kAccelIntrinsics, 9}};
   std::vector<int> places, possible_places;

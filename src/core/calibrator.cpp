@@ -50,6 +50,7 @@ void ReportEstimate(const Estimate& estimate,
       1e-9 * static_cast<double>(data.pose_epoch_ns - data.imu_epoch_ns) + estimate.time_shift;
   result->accel_delay = estimate.accel_delay;
   result->clock_drift = estimate.clock_drift;
+  result->pose_smoothing = estimate.pose_smoothing;
   result->clock_reference =
       1e-9 * static_cast<double>(data.imu_epoch_ns) + estimate.clock_reference;
   result->gyro_matrix = GyroMatrix(estimate.gyro_intrinsics);

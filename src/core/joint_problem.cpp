@@ -11,6 +11,7 @@ namespace {
 
 constexpr size_t kMinSpans = 4;            // shorter runs say little and are left out
 constexpr double kDriftPrior = 1e-2;       // [s/s]
+constexpr double kSmoothingPrior = 1e-3;   // [s^2]
 constexpr double kIntrinsicsPrior = 0.05;  // [1] sigma of each element of M_g and M_a
 
 }  // namespace
@@ -74,6 +75,8 @@ JointProblem::JointProblem(const CalibrationOptions& options,
   AddAccelParameters();
   const bool intrinsics = options_.imu_model == ImuModel::kScaleMisalignment;
   AddOptional(options_.estimate_clock_drift, kDriftPrior, 1, &estimate_->clock_drift);
+  AddOptional(
+      options_.estimate_pose_smoothing, kSmoothingPrior, 1, &estimate_->pose_smoothing);
   AddOptional(intrinsics, kIntrinsicsPrior, 6, estimate_->gyro_intrinsics.data());
   AddOptional(intrinsics, kIntrinsicsPrior, 9, estimate_->accel_intrinsics.data());
   AddPoses(weights);
@@ -103,7 +106,10 @@ void JointProblem::AddPoses(const SampleWeights& weights) {
                          Sensor* sensor) {
       std::vector<double*> blocks = ControlPoints(spline, first);
       blocks.insert(blocks.end(),
-                    {&estimate_->time_shift, &estimate_->clock_drift, &estimate_->accel_delay});
+                    {&estimate_->time_shift,
+                     &estimate_->clock_drift,
+                     &estimate_->accel_delay,
+                     &estimate_->pose_smoothing});
       sensor->Add(problem_.AddResidualBlock(residual, nullptr, blocks), *samples);
       samples->clear();
     };

@@ -198,6 +198,7 @@ void GradeResult(const CalibrationOptions& options,
   result->time_shift_std = std::sqrt(C(kTimeShift, kTimeShift));
   result->accel_delay_std = std::sqrt(C(kAccelDelay, kAccelDelay));
   result->clock_drift_std = std::sqrt(C(kClockDrift, kClockDrift));
+  result->pose_smoothing_std = std::sqrt(C(kPoseSmoothing, kPoseSmoothing));
   const CalibrationVector std_dev = C.diagonal().cwiseSqrt();
   result->gyro_matrix_std =
       GyroMatrix(std_dev.segment<6>(kGyroIntrinsics)) - Eigen::Matrix3d::Identity();

@@ -132,6 +132,8 @@ void EmitEstimate(const Calibration& result, YAML::Emitter* out) {
   Emit("accel_delay_std", result.accel_delay_std, out);
   Emit("clock_drift", result.clock_drift, out);
   Emit("clock_drift_std", result.clock_drift_std, out);
+  Emit("pose_smoothing", result.pose_smoothing, out);
+  Emit("pose_smoothing_std", result.pose_smoothing_std, out);
   Emit("clock_reference", result.clock_reference, out);
   EmitMap(
       "gravity",

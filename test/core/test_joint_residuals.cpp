@@ -73,7 +73,8 @@ class JointResiduals : public ::testing::Test {
 
   std::vector<double*> PoseBlocks(std::vector<Vector3d>* spline) {
     std::vector<double*> blocks = Points({spline});
-    for (double* block : {&time_shift_, &clock_drift_, &accel_delay_}) blocks.push_back(block);
+    for (double* block : {&time_shift_, &clock_drift_, &accel_delay_, &pose_smoothing_})
+      blocks.push_back(block);
     return blocks;
   }
 
@@ -123,6 +124,7 @@ class JointResiduals : public ::testing::Test {
   Vector9d accel_intrinsics_ =
       (Vector9d() << 0.01, 0.02, -0.03, 0.01, -0.02, 0.02, 0.03, -0.01, 0.02).finished();
   double time_shift_ = 0.0213, accel_delay_ = 0.0008, clock_drift_ = 1e-6;
+  double pose_smoothing_ = 3e-4;
 };
 
 TEST_F(JointResiduals, PositionJacobian) {

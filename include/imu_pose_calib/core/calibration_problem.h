@@ -25,10 +25,11 @@ enum CalibrationIndex {
   kTimeShift = 6,        ///< [s]
   kAccelDelay = 7,       ///< [s]
   kClockDrift = 8,       ///< [s/s]
-  kGyroIntrinsics = 9,   ///< 6, of GyroMatrix()
-  kAccelIntrinsics = 15  ///< 9, of AccelMatrix()
+  kPoseSmoothing = 9,    ///< [s^2]
+  kGyroIntrinsics = 10,  ///< 6, of GyroMatrix()
+  kAccelIntrinsics = 16  ///< 9, of AccelMatrix()
 };
-constexpr int kCalibrationSize = 24;
+constexpr int kCalibrationSize = 25;
 using CalibrationVector = Eigen::Matrix<double, kCalibrationSize, 1>;
 using CalibrationMatrix = Eigen::Matrix<double, kCalibrationSize, kCalibrationSize>;
 

@@ -28,6 +28,7 @@ struct Estimate {
   double time_shift, accel_delay;
   double clock_drift = 0.0;      ///< [s/s] growth of the time shift
   double clock_reference = 0.0;  ///< [s] IMU clock: instant at which time_shift holds
+  double pose_smoothing = 0.0;   ///< [s^2] see Calibration
   Eigen::Quaterniond q_MI;
   Eigen::Vector3d p_MI, g_W;
   Vector6d gyro_intrinsics = Vector6d::Zero();   ///< of GyroMatrix()
