@@ -276,7 +276,8 @@ CalibrationCovariance CalibrationProblem::Covariance() {
   // as many of them to 0 as it has parameters.
   const double local = estimated + (options_.estimate_gravity ? 2 : 0) + 6;
   const double fitted =
-      std::min(0.5, (estimated + shared) / (local * static_cast<double>(all.influence.cols())));
+      std::min(kLargestFittedShare,
+               (estimated + shared) / (local * static_cast<double>(all.influence.cols())));
   result.model = spread(marginal.covariance);
   result.robust = spread(ClusterRobustCovariance(marginal, fitted));
   result.feigned_lever_arm_information = FeignedLeverArmInformation();

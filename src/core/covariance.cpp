@@ -14,6 +14,7 @@ using SparseMatrix = Eigen::SparseMatrix<double>;
 /// Weight of the other half of the log in EstimateHalf(): keeps what only that half knows (its
 /// trajectory) determined, and tells nothing.
 constexpr double kOtherHalf = 1e-6;
+constexpr Eigen::Index kFewestClusters = 6;  // that tell a variance
 
 MarginalEstimate Solve(const SparseMatrix& H, const SparseMatrix& scores, int leading) {
   const Eigen::SimplicialLDLT<SparseMatrix> solver(H);
@@ -22,6 +23,28 @@ MarginalEstimate Solve(const SparseMatrix& H, const SparseMatrix& scores, int le
             Eigen::MatrixXd::Zero(leading, scores.cols())};
   const Eigen::MatrixXd X = solver.solve(Eigen::MatrixXd::Identity(H.cols(), leading));
   return {X.topRows(leading), -X.transpose() * scores};
+}
+
+/// By how much the variance grows when clusters, columns of z in units of the model, are merged two
+/// by two, and again while enough of them remain: errors slower than a cluster do that. Less one
+/// sigma of what independent clusters scatter, and at least 1.
+double SlowErrors(Eigen::MatrixXd z, double fitted) {
+  const double parameters = static_cast<double>(z.rows()), clusters = static_cast<double>(z.cols());
+  const double variance = z.squaredNorm();
+  double growth = 1.0;
+  for (double share = fitted; z.cols() >= 2 * kFewestClusters;) {
+    const Eigen::Index count = (z.cols() + 1) / 2;
+    Eigen::MatrixXd merged = Eigen::MatrixXd::Zero(z.rows(), count);
+    for (Eigen::Index w = 0; w < z.cols(); ++w) merged.col(w / 2) += z.col(w);
+    z = merged;
+    share =
+        std::min(kLargestFittedShare, 2.0 * share);  // the fit sets as many of fewer scores to 0
+    const double scatter =
+        std::sqrt(2.0 / parameters * (1.0 / static_cast<double>(count) - 1.0 / clusters));
+    growth =
+        std::max(growth, z.squaredNorm() / variance * (1.0 - fitted) / (1.0 - share) - scatter);
+  }
+  return growth;
 }
 
 }  // namespace
@@ -125,7 +148,7 @@ Eigen::MatrixXd ClusterRobustCovariance(const MarginalEstimate& estimate, double
   scatter /= clusters * clusters;
   const double distance = (S - target).squaredNorm();
   const double shrinkage = distance > scatter ? scatter / distance : 1.0;
-  return L * (shrinkage * target + (1.0 - shrinkage) * S) * L.transpose();
+  return SlowErrors(z, fitted) * L * (shrinkage * target + (1.0 - shrinkage) * S) * L.transpose();
 }
 
 }  // namespace imu_pose_calib

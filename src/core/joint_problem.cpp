@@ -75,8 +75,7 @@ JointProblem::JointProblem(const CalibrationOptions& options,
   AddAccelParameters();
   const bool intrinsics = options_.imu_model == ImuModel::kScaleMisalignment;
   AddOptional(options_.estimate_clock_drift, kDriftPrior, 1, &estimate_->clock_drift);
-  AddOptional(
-      options_.estimate_pose_smoothing, kSmoothingPrior, 1, &estimate_->pose_smoothing);
+  AddOptional(options_.estimate_pose_smoothing, kSmoothingPrior, 1, &estimate_->pose_smoothing);
   AddOptional(intrinsics, kIntrinsicsPrior, 6, estimate_->gyro_intrinsics.data());
   AddOptional(intrinsics, kIntrinsicsPrior, 9, estimate_->accel_intrinsics.data());
   AddPoses(weights);

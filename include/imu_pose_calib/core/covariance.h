@@ -50,10 +50,14 @@ class MarginalEstimator {
   int clusters_ = 0;
 };
 
+/// Largest share of the scores' degrees of freedom that a fit is taken to have used up.
+constexpr double kLargestFittedShare = 0.5;
+
 /// Cluster-robust (sandwich) covariance H^-1 (sum_w g_w g_w^T) H^-1 from the influences of the
 /// clusters, doc/math.md Eq. (16): for the degrees of freedom that the fit took from the scores
-/// (share `fitted`, 0..1), and drawn towards a multiple of H^-1 as far as the clusters are too few
-/// to tell it from that.
+/// (share `fitted`, 0..kLargestFittedShare), drawn towards a multiple of H^-1 as far as the
+/// clusters are too few to tell it from that, and larger as a whole when errors last longer than a
+/// cluster.
 Eigen::MatrixXd ClusterRobustCovariance(const MarginalEstimate& estimate, double fitted);
 
 }  // namespace imu_pose_calib
