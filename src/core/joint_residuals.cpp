@@ -4,7 +4,6 @@
 
 #include <Eigen/LU>
 #include <initializer_list>
-#include <optional>
 #include <utility>
 
 #include "imu_pose_calib/core/intrinsics.h"
@@ -67,7 +66,7 @@ struct CorrectedRotation {
   Matrix3d J;                                  // right Jacobian of phi
   Matrix3d omega_phi, omega_phi1;              // d omega / d phi, phi'
   Matrix3d alpha_phi, alpha_phi1, alpha_phi2;  // d alpha / d phi, phi', phi''
-  Vector3d omega_t, alpha_t;                   // time derivatives, the GP's jerk left out
+  Vector3d omega_t;                            // time derivative
 
   /// phi: columns 0..3 are the value and its time derivatives. `dt` [s] beyond the point.
   CorrectedRotation(const MarkerState<double>& gp,
@@ -113,8 +112,6 @@ struct CorrectedRotation {
     alpha_phi1 = Hat(omega_E) * J + udot_phi1;
     alpha_phi2 = udot_phi2;
     omega_t = omega_phi * phi.col(1) + omega_phi1 * phi.col(2) + alpha_E;
-    alpha_t = alpha_phi * phi.col(1) + alpha_phi1 * phi.col(2) + alpha_phi2 * phi.col(3) -
-              u.cross(alpha_E);
   }
 };
 
@@ -236,37 +233,23 @@ class JointRotationResidual : public JointPoseResidual {
     const Eigen::Quaterniond q_gp = s.at.gp.q_WM * Exp<double>(turn);
     const Eigen::Quaterniond E_inv = Exp<double>(-phi.col(0));
     const double c = 0.5 * *blocks[kSmoothing];
-    const bool is_smoothed = c != 0.0 || (jacobians != nullptr && jacobians[kSmoothing] != nullptr);
-    std::optional<CorrectedRotation> x;
-    if (is_smoothed) x.emplace(s.at.gp, dt, phi, jacobians != nullptr);
-    const Vector3d lag = x ? Vector3d(c * x->alpha) : Vector3d::Zero();
-    const Eigen::Quaterniond lag_inv = Exp<double>(-lag);
+    const Vector3d alpha = s.at.gp.alpha_M + phi.col(2);
+    const Eigen::Quaterniond lag_inv = Exp<double>(-c * alpha);
     const Vector3d error = Log(Eigen::Quaterniond(lag_inv * E_inv * q_gp.conjugate() * s.q_WM));
     AsVector(residual) = error / s.sigma;
     if (jacobians == nullptr) return true;
     // Log(Exp(-delta) Exp(error)) = error - J_l(error)^-1 delta with J_l(x) = J_r(-x); delta is
-    // J_r(phi) dphi, and omega_M dtau.
+    // J_r(c alpha) d(c alpha), and before that J_r(phi) dphi and omega_M dtau.
     const Matrix3d A = -RightJacobian<double>(-error).inverse() / s.sigma;
-    const Matrix3d B = A * lag_inv.toRotationMatrix();
+    const Matrix3d A_lag = A * RightJacobian<double>(c * alpha);
+    const Matrix3d A_phi = A * lag_inv.toRotationMatrix();
     const Matrix3d J = RightJacobian<double>(phi.col(0));
+    for (int j = 0; j < kSplineOrder; ++j)
+      SetRows<3>(jacobians, j, i, weights(0, j) * A_phi * J + weights(2, j) * c * A_lag);
     const Vector3d omega_gp =
         RightJacobian<double>(turn) * (s.at.gp.omega_M + dt * s.at.gp.alpha_M);
-    Vector3d r_tau = B * (E_inv * omega_gp + J * phi.col(1));
-    if (!x) {
-      for (int j = 0; j < kSplineOrder; ++j) SetRows<3>(jacobians, j, i, weights(0, j) * B * J);
-    } else {
-      const Matrix3d D = A * RightJacobian<double>(lag);
-      const Matrix3d r_phi = B * J + c * D * x->alpha_phi;
-      const Matrix3d r_phi1 = c * D * x->alpha_phi1;
-      const Matrix3d r_phi2 = c * D * x->alpha_phi2;
-      for (int j = 0; j < kSplineOrder; ++j)
-        SetRows<3>(jacobians,
-                   j,
-                   i,
-                   weights(0, j) * r_phi + weights(1, j) * r_phi1 + weights(2, j) * r_phi2);
-      r_tau += c * D * x->alpha_t;
-      SetRows<1>(jacobians, kSmoothing, i, 0.5 * D * x->alpha);
-    }
+    const Vector3d r_tau = A_phi * (E_inv * omega_gp + J * phi.col(1)) + c * A_lag * phi.col(3);
+    SetRows<1>(jacobians, kSmoothing, i, 0.5 * A_lag * alpha);
     SetClockRows(s, i, r_tau, jacobians);
     return true;
   }

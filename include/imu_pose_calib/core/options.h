@@ -92,7 +92,7 @@ struct CalibrationOptions {
   /// Linear growth of the time shift. Joint solve only.
   bool estimate_clock_drift = false;
   /// How much the pose source averages over time beyond what the IMU does (method joint)
-  bool estimate_pose_smoothing = false;
+  bool estimate_pose_smoothing = true;
   /// Scale and misalignment of the sensors. Joint solve only.
   ImuModel imu_model = ImuModel::kCalibrated;
   /// Magnitude of gravity [m/s^2] unless initial_gravity is given.
