@@ -145,14 +145,14 @@ ResidualStatistics CalibrationProblem::Statistics() {
     problem_.Evaluate(evaluate, nullptr, &residuals, nullptr, nullptr);
     std::vector<double> magnitudes, variances;
     double sum2 = 0.0;
-    sensor->residual_norms.clear();
+    sensor->residuals.clear();
     for (size_t i = 0; i < sensor->samples.size(); ++i) {
       const Sample& sample = sensor->samples[i];
       const Eigen::Vector3d r =
           sample.sigma / sample.scale * Eigen::Map<const Eigen::Vector3d>(&residuals[3 * i]);
       for (const double x : r) magnitudes.push_back(std::abs(x));
       variances.push_back(sample.trajectory_variance);
-      sensor->residual_norms.push_back(r.norm());
+      sensor->residuals.push_back(r);
       sum2 += sample.scale * sample.scale * r.squaredNorm();
     }
     const double spread2 = std::pow(inflation * kMadToSigma * Median(magnitudes), 2);

@@ -3,13 +3,14 @@
 #include <algorithm>
 #include <cmath>
 #include <memory>
+#include <optional>
 
 #include "imu_pose_calib/core/joint_problem.h"
 
 namespace imu_pose_calib {
 namespace {
 
-constexpr double kNoiseAgreement = 1.1;  // factor between noise assumed and noise found
+constexpr double kNoiseAgreement = 1.25;  // factor between noise assumed and noise found
 constexpr int kMinPasses = 2;            // plain, robust
 constexpr int kMaxPasses = 6;
 /// Change of the cost, half the sum of squares in sigma, after which the last pass stops: no
@@ -99,14 +100,26 @@ class JointSolver {
 
   /// One pass; `statistics` describes its residuals. True when the noise they show agrees with the
   /// noise assumed.
-  bool Pass(double tolerance, ResidualStatistics* statistics) {
+  bool Pass(double tolerance, bool colored, ResidualStatistics* statistics) {
     problem_.reset();  // never two of them at a time
     problem_ = std::make_unique<JointProblem>(
         options_, trajectory_, data_, noise_, weights_, estimate_, &splines_);
     problem_->Solve(tolerance);
     *statistics = problem_->Statistics();
-    const bool agrees = Change(noise_, statistics->noise) < kNoiseAgreement;
-    noise_ = statistics->noise;
+    NoiseStd found = statistics->noise;
+    if (colored && !color_) {
+      const NoiseStd e = problem_->EffectiveNoise(found);
+      color_ = NoiseStd{e.position / found.position, e.rotation / found.rotation, e.gyro / found.gyro, e.accel / found.accel};
+    }
+    if (color_) {
+      found.position *= color_->position;
+      found.rotation *= color_->rotation;
+      found.gyro *= color_->gyro;
+      found.accel *= color_->accel;
+    }
+    const bool agrees = Change(noise_, found) < kNoiseAgreement;
+    if (getenv("VERB")) fprintf(stderr, "pass agrees %d\n", agrees);
+    noise_ = found;
     problem_->UpdateWeights(noise_, &weights_);
     return agrees;
   }
@@ -118,7 +131,7 @@ class JointSolver {
     Solution solution;
     for (int pass = 1; pass <= kMaxPasses; ++pass) {
       const double tolerance = pass == 1 ? kRoughTolerance : kSettled / cost;
-      if (Pass(tolerance, &solution.statistics) && pass >= kMinPasses) break;
+      if (Pass(tolerance, !getenv("NOCOL"), &solution.statistics) && pass >= kMinPasses) break;
     }
     solution.covariance = problem_->Covariance();
     return solution;
@@ -131,6 +144,7 @@ class JointSolver {
   Estimate* const estimate_;
   NoiseStd noise_;
   SampleWeights weights_;
+  std::optional<NoiseStd> color_;
   CorrectionSplines splines_;
   std::unique_ptr<JointProblem> problem_;
 };
@@ -151,7 +165,7 @@ JointStart ChooseKnotSpacing(const CalibrationOptions& options,
     Estimate trial = *estimate;
     JointSolver solver(options, trajectory, excerpt, {spacing, noise}, &trial);
     ResidualStatistics statistics;
-    for (int pass = 1; pass <= kMinPasses; ++pass) solver.Pass(kRoughTolerance, &statistics);
+    for (int pass = 1; pass <= kMinPasses; ++pass) solver.Pass(kRoughTolerance, false, &statistics);
     const double residual = statistics.noise.gyro * statistics.noise.accel;
     const bool shrinks = residual_before == 0.0 || residual < kShrinkage * residual_before;
     if (!shrinks || 0.5 * spacing < finest) {

@@ -100,9 +100,8 @@ class CalibrationProblem {
     std::vector<ceres::ResidualBlockId> blocks;
     std::vector<double> block_t;  ///< [s] IMU clock, of each block's first sample
     std::vector<Sample> samples;
-    /// Norm of each sample's residual in the sensor's unit and over its scale, as of the last
-    /// Statistics().
-    std::vector<double> residual_norms;
+    /// Of each sample, in the sensor's unit and over its scale, as of the last Statistics().
+    std::vector<Eigen::Vector3d> residuals;
 
     void Add(ceres::ResidualBlockId block, const std::vector<Sample>& block_samples);
   };

@@ -62,6 +62,8 @@ class JointProblem : public CalibrationProblem {
   /// of `noise`.
   void UpdateWeights(const NoiseStd& noise, SampleWeights* weights) const;
 
+  NoiseStd EffectiveNoise(const NoiseStd& white) const;
+
  private:
   void AddPoses(const SampleWeights& weights);
   void AddGyro(const SampleWeights& weights);
@@ -80,6 +82,7 @@ class JointProblem : public CalibrationProblem {
   /// The trajectory at an instant given on both clocks [s]; nothing when it is not on a spline.
   std::optional<TrajectoryPoint> PointAt(double tau, double t_M) const;
   double FeignedLeverArmInformation() const override;
+  double NoiseAtScale(const Sensor& sensor, double half_s) const;
   /// Control points that act on the span.
   std::vector<double*> ControlPoints(std::vector<Eigen::Vector3d>* spline, size_t first) const;
 
