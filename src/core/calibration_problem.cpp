@@ -17,7 +17,6 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr double kMadToSigma = 1.4826;
 /// Samples closer than this to the end of a segment are left out, so that the time shift can move.
 constexpr double kEdge = 0.02;  // [s]
 /// On each coordinate of the trajectory's corrections [1/m^2, 1/rad^2]: nothing beside any sample.

@@ -2,12 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
-#include <iterator>
-#include <map>
 #include <utility>
 
+#include "imu_pose_calib/core/allan.h"
 #include "imu_pose_calib/core/joint_residuals.h"
-#include "imu_pose_calib/core/median.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -15,6 +13,7 @@ namespace {
 constexpr size_t kMinSpans = 4;            // shorter runs say little and are left out
 constexpr double kDriftPrior = 1e-2;       // [s/s]
 constexpr double kSmoothingPrior = 1e-3;   // [s^2]
+constexpr double kLongestAveraging = 1.0;  // [s] beyond it biases and few means blur the noise
 constexpr double kIntrinsicsPrior = 0.05;  // [1] sigma of each element of M_g and M_a
 
 }  // namespace
@@ -217,8 +216,8 @@ void JointProblem::UpdateWeights(const NoiseStd& noise, SampleWeights* weights) 
   const auto update = [this](const Sensor& sensor, double sigma, std::vector<double>* weight) {
     for (size_t i = 0; i < sensor.samples.size(); ++i)
       (*weight)[sensor.samples[i].index] =
-          1.0 /
-          (1.0 + sensor.residuals[i].squaredNorm() / std::pow(sigma * options_.robust_loss_scale, 2));
+          1.0 / (1.0 + sensor.residuals[i].squaredNorm() /
+                           std::pow(sigma * options_.robust_loss_scale, 2));
   };
   update(position_, noise.position, &weights->position);
   update(rotation_, noise.rotation, &weights->rotation);
@@ -226,54 +225,26 @@ void JointProblem::UpdateWeights(const NoiseStd& noise, SampleWeights* weights) 
   update(accel_, noise.accel, &weights->accel);
 }
 
-double JointProblem::NoiseAtScale(const Sensor& sensor, double half_s) const {
-  struct Half {
-    Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-    double count = 0.0;
-  };
-  std::map<long, Half> halves;
-  for (size_t i = 0; i < sensor.samples.size(); ++i) {
-    Half& half = halves[std::lround(std::floor(sensor.samples[i].t / half_s))];
-    half.sum += sensor.residuals[i];
-    half.count += 1.0;
-  }
-  double fullest = 0.0;
-  for (const auto& [k, half] : halves) fullest = std::max(fullest, half.count);
-  std::vector<double> magnitudes;
-  for (auto first = halves.begin(); first != halves.end(); ++first) {
-    const auto second = std::next(first);
-    if (second == halves.end()) break;
-    if (first->first % 2 != 0 || second->first != first->first + 1) continue;
-    const double n = first->second.count, m = second->second.count;
-    if (std::min(n, m) < 0.5 * fullest) continue;
-    const Eigen::Vector3d c =
-        (first->second.sum / n - second->second.sum / m) * std::sqrt(n * m / (n + m));
-    for (const double x : c) magnitudes.push_back(std::abs(x));
-  }
-  return magnitudes.size() < 30 ? 0.0 : 1.4826 * Median(magnitudes);
-}
-
-NoiseStd JointProblem::EffectiveNoise(const NoiseStd& white) const {
-  const auto density = [](double std, double rate) { return std * std / rate; };
+NoiseStd JointProblem::NoiseColor(const NoiseStd& spread) const {
+  const auto density = [](double std, double rate_hz) { return std * std / rate_hz; };
   const double pose_rate = data_.pose_report.rate_hz;
-  const double f_position = std::pow(density(noise_.accel, data_.accel_report.rate_hz) /
-                                         density(noise_.position, pose_rate),
-                                     0.25) /
-                            (2.0 * M_PI);
-  const double f_rotation = std::sqrt(density(noise_.gyro, data_.gyro_report.rate_hz) /
-                                      density(noise_.rotation, pose_rate)) /
-                            (2.0 * M_PI);
-  const auto larger = [&](const Sensor& sensor, double sigma, double half_s) {
-    const double r = NoiseAtScale(sensor, std::min(half_s, 1.0));
-    if (getenv("VERB")) fprintf(stderr, "%s f0 %.2f %.2f half %.3f white %.3g band %.3g ratio %.2f assumed %.3g\n", &sensor == &position_ ? "pos" : &sensor == &rotation_ ? "rot" : &sensor == &gyro_ ? "gyro" : "accel", f_position, f_rotation, half_s, sigma, r, r / sigma, &sensor == &position_ ? noise_.position : &sensor == &rotation_ ? noise_.rotation : &sensor == &gyro_ ? noise_.gyro : noise_.accel);
-    return std::max(sigma, r);
+  const double accel_over_position =
+      density(noise_.accel, data_.accel_report.rate_hz) / density(noise_.position, pose_rate);
+  const double gyro_over_rotation =
+      density(noise_.gyro, data_.gyro_report.rate_hz) / density(noise_.rotation, pose_rate);
+  // [Hz] at which S_a = w^4 S_p and S_g = w^2 S_r
+  const double f_accel = std::pow(accel_over_position, 0.25) / (2.0 * M_PI);
+  const double f_gyro = std::sqrt(gyro_over_rotation) / (2.0 * M_PI);
+  const auto color = [](const Sensor& sensor, double std, double frequency) {
+    std::vector<double> t;
+    for (const Sample& sample : sensor.samples) t.push_back(sample.t);
+    const double tau = std::min(kLongestAveraging, kAllanBand / frequency);
+    return std::max(1.0, AllanNoise(t, sensor.residuals, tau) / std);
   };
-  NoiseStd noise = white;
-  noise.position = larger(position_, white.position, 0.37 / (2.0 * f_position));
-  noise.rotation = larger(rotation_, white.rotation, 0.37 / (2.0 * f_rotation));
-  noise.gyro = larger(gyro_, white.gyro, 0.37 / (0.5 * f_rotation));
-  noise.accel = larger(accel_, white.accel, 0.37 / (0.5 * f_position));
-  return noise;
+  return {color(position_, spread.position, 2.0 * f_accel),
+          color(rotation_, spread.rotation, 2.0 * f_gyro),
+          color(gyro_, spread.gyro, 0.5 * f_gyro),
+          color(accel_, spread.accel, 0.5 * f_accel)};
 }
 
 double JointProblem::FeignedLeverArmInformation() const {

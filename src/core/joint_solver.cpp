@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <memory>
-#include <optional>
 
 #include "imu_pose_calib/core/joint_problem.h"
 
@@ -11,7 +10,7 @@ namespace imu_pose_calib {
 namespace {
 
 constexpr double kNoiseAgreement = 1.25;  // factor between noise assumed and noise found
-constexpr int kMinPasses = 2;            // plain, robust
+constexpr int kMinPasses = 2;             // plain, robust
 constexpr int kMaxPasses = 6;
 /// Change of the cost, half the sum of squares in sigma, after which the last pass stops: no
 /// parameter is notably off in its sigma.
@@ -80,6 +79,13 @@ double Change(const NoiseStd& a, const NoiseStd& b) {
                    factor(a.accel, b.accel)});
 }
 
+NoiseStd Scale(const NoiseStd& noise, const NoiseStd& factor) {
+  return {noise.position * factor.position,
+          noise.rotation * factor.rotation,
+          noise.gyro * factor.gyro,
+          noise.accel * factor.accel};
+}
+
 /// S4 at one knot spacing: everything and the trajectory, again with the noise that the residuals
 /// show and with robust weights until the noise found agrees with the noise assumed. The first pass
 /// weights all samples alike: it does not know what is an outlier.
@@ -100,51 +106,51 @@ class JointSolver {
 
   /// One pass; `statistics` describes its residuals. True when the noise they show agrees with the
   /// noise assumed.
-  bool Pass(double tolerance, bool colored, ResidualStatistics* statistics) {
+  bool Pass(double tolerance, ResidualStatistics* statistics) {
     problem_.reset();  // never two of them at a time
     problem_ = std::make_unique<JointProblem>(
         options_, trajectory_, data_, noise_, weights_, estimate_, &splines_);
     problem_->Solve(tolerance);
     *statistics = problem_->Statistics();
-    NoiseStd found = statistics->noise;
-    if (colored && !color_) {
-      const NoiseStd e = problem_->EffectiveNoise(found);
-      color_ = NoiseStd{e.position / found.position, e.rotation / found.rotation, e.gyro / found.gyro, e.accel / found.accel};
-    }
-    if (color_) {
-      found.position *= color_->position;
-      found.rotation *= color_->rotation;
-      found.gyro *= color_->gyro;
-      found.accel *= color_->accel;
-    }
+    const NoiseStd found = Scale(statistics->noise, color_);
     const bool agrees = Change(noise_, found) < kNoiseAgreement;
-    if (getenv("VERB")) fprintf(stderr, "pass agrees %d\n", agrees);
-    noise_ = found;
-    problem_->UpdateWeights(noise_, &weights_);
+    SetNoise(found);
     return agrees;
   }
 
   Solution Solve() {
-    // Half the number of rows: that is the cost when noise and residuals agree.
-    const auto cost =
-        1.5 * static_cast<double>(2 * data_.poses.size() + data_.gyro.size() + data_.accel.size());
     Solution solution;
-    for (int pass = 1; pass <= kMaxPasses; ++pass) {
-      const double tolerance = pass == 1 ? kRoughTolerance : kSettled / cost;
-      if (Pass(tolerance, !getenv("NOCOL"), &solution.statistics) && pass >= kMinPasses) break;
-    }
+    Pass(kRoughTolerance, &solution.statistics);
+    color_ = problem_->NoiseColor(solution.statistics.noise);
+    SetNoise(Scale(solution.statistics.noise, color_));
+    for (int pass = kMinPasses; pass <= kMaxPasses; ++pass)
+      if (Pass(kSettled / ExpectedCost(), &solution.statistics)) break;
     solution.covariance = problem_->Covariance();
     return solution;
   }
 
  private:
+  void SetNoise(const NoiseStd& noise) {
+    noise_ = noise;
+    problem_->UpdateWeights(noise, &weights_);
+  }
+
+  /// The cost when every residual is as large as its spread.
+  double ExpectedCost() const {
+    const auto cost = [](size_t samples, double color) {
+      return 1.5 * static_cast<double>(samples) / (color * color);
+    };
+    return cost(data_.poses.size(), color_.position) + cost(data_.poses.size(), color_.rotation) +
+           cost(data_.gyro.size(), color_.gyro) + cost(data_.accel.size(), color_.accel);
+  }
+
   const CalibrationOptions& options_;
   const PoseTrajectory& trajectory_;
   const ConditionedData& data_;
   Estimate* const estimate_;
   NoiseStd noise_;
   SampleWeights weights_;
-  std::optional<NoiseStd> color_;
+  NoiseStd color_{1.0, 1.0, 1.0, 1.0};  ///< see JointProblem::NoiseColor()
   CorrectionSplines splines_;
   std::unique_ptr<JointProblem> problem_;
 };
@@ -165,7 +171,7 @@ JointStart ChooseKnotSpacing(const CalibrationOptions& options,
     Estimate trial = *estimate;
     JointSolver solver(options, trajectory, excerpt, {spacing, noise}, &trial);
     ResidualStatistics statistics;
-    for (int pass = 1; pass <= kMinPasses; ++pass) solver.Pass(kRoughTolerance, false, &statistics);
+    for (int pass = 1; pass <= kMinPasses; ++pass) solver.Pass(kRoughTolerance, &statistics);
     const double residual = statistics.noise.gyro * statistics.noise.accel;
     const bool shrinks = residual_before == 0.0 || residual < kShrinkage * residual_before;
     if (!shrinks || 0.5 * spacing < finest) {

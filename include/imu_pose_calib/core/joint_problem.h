@@ -62,7 +62,9 @@ class JointProblem : public CalibrationProblem {
   /// of `noise`.
   void UpdateWeights(const NoiseStd& noise, SampleWeights* weights) const;
 
-  NoiseStd EffectiveNoise(const NoiseStd& white) const;
+  /// Noise of each sensor at the frequencies where poses and IMU meet over its `spread` per sample,
+  /// at least 1: 1 when it is white. From the last Statistics(); doc/math.md, S4, "Colour".
+  NoiseStd NoiseColor(const NoiseStd& spread) const;
 
  private:
   void AddPoses(const SampleWeights& weights);
@@ -82,7 +84,6 @@ class JointProblem : public CalibrationProblem {
   /// The trajectory at an instant given on both clocks [s]; nothing when it is not on a spline.
   std::optional<TrajectoryPoint> PointAt(double tau, double t_M) const;
   double FeignedLeverArmInformation() const override;
-  double NoiseAtScale(const Sensor& sensor, double half_s) const;
   /// Control points that act on the span.
   std::vector<double*> ControlPoints(std::vector<Eigen::Vector3d>* spline, size_t first) const;
 

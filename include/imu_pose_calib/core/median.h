@@ -13,4 +13,7 @@ inline double Median(std::vector<double> values) {
   return *middle;
 }
 
+/// Sigma of a Gaussian over the median of its magnitudes.
+constexpr double kMadToSigma = 1.4826;
+
 }  // namespace imu_pose_calib
