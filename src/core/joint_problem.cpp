@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <utility>
 
 #include "imu_pose_calib/core/allan.h"
 #include "imu_pose_calib/core/joint_residuals.h"
@@ -114,14 +113,10 @@ void JointProblem::AddPoses(const SampleWeights& weights) {
       sensor->Add(problem_.AddResidualBlock(residual, nullptr, blocks), *samples);
       samples->clear();
     };
-    add(&splines_->d,
-        CreateJointPositionResidual(std::exchange(positions, {})),
-        &position_samples,
-        &position_);
-    add(&splines_->phi,
-        CreateJointRotationResidual(std::exchange(rotations, {})),
-        &rotation_samples,
-        &rotation_);
+    add(&splines_->d, CreateJointPositionResidual(positions), &position_samples, &position_);
+    add(&splines_->phi, CreateJointRotationResidual(rotations), &rotation_samples, &rotation_);
+    positions.clear();
+    rotations.clear();
   };
   for (size_t i = 0; i < data_.poses.size(); ++i) {
     const TimedPose& pose = data_.poses[i];
@@ -160,7 +155,8 @@ void JointProblem::AddImu(const std::vector<TimedSample>& samples,
   const auto add_block = [&] {
     if (batch.empty()) return;
     const size_t first = batch.front().at.place.first;
-    sensor->Add(create(std::exchange(batch, {}), first, knot), batch_samples);
+    sensor->Add(create(batch, first, knot), batch_samples);
+    batch.clear();
     batch_samples.clear();
   };
   for (size_t i = 0; i < samples.size(); ++i) {
@@ -181,7 +177,7 @@ void JointProblem::AddImu(const std::vector<TimedSample>& samples,
 
 void JointProblem::AddGyro(const SampleWeights& weights) {
   BiasKnots& knots = estimate_->gyro_bias;
-  const auto create = [&](std::vector<JointImuSample> batch, size_t first, size_t knot) {
+  const auto create = [&](const std::vector<JointImuSample>& batch, size_t first, size_t knot) {
     std::vector<double*> blocks = ControlPoints(&splines_->phi, first);
     blocks.insert(blocks.end(),
                   {estimate_->q_MI.coeffs().data(),
@@ -189,14 +185,14 @@ void JointProblem::AddGyro(const SampleWeights& weights) {
                    knots.values[knot].data(),
                    knots.values[knot + 1].data(),
                    &estimate_->accel_delay});
-    return problem_.AddResidualBlock(CreateJointGyroResidual(std::move(batch)), nullptr, blocks);
+    return problem_.AddResidualBlock(CreateJointGyroResidual(batch), nullptr, blocks);
   };
   AddImu(data_.gyro, weights.gyro, estimate_->accel_delay, noise_.gyro, knots, create, &gyro_);
 }
 
 void JointProblem::AddAccel(const SampleWeights& weights) {
   BiasKnots& knots = estimate_->accel_bias;
-  const auto create = [&](std::vector<JointImuSample> batch, size_t first, size_t knot) {
+  const auto create = [&](const std::vector<JointImuSample>& batch, size_t first, size_t knot) {
     std::vector<double*> blocks = ControlPoints(&splines_->d, first);
     const std::vector<double*> phi = ControlPoints(&splines_->phi, first);
     blocks.insert(blocks.end(), phi.begin(), phi.end());
@@ -207,7 +203,7 @@ void JointProblem::AddAccel(const SampleWeights& weights) {
                    estimate_->accel_intrinsics.data(),
                    knots.values[knot].data(),
                    knots.values[knot + 1].data()});
-    return problem_.AddResidualBlock(CreateJointAccelResidual(std::move(batch)), nullptr, blocks);
+    return problem_.AddResidualBlock(CreateJointAccelResidual(batch), nullptr, blocks);
   };
   AddImu(data_.accel, weights.accel, 0.0, noise_.accel, knots, create, &accel_);
 }

@@ -4,7 +4,6 @@
 
 #include <Eigen/LU>
 #include <initializer_list>
-#include <utility>
 
 #include "imu_pose_calib/core/intrinsics.h"
 #include "imu_pose_calib/core/so3.h"
@@ -132,8 +131,10 @@ void SetRows(double** jacobians, int block, size_t i, const Matrix& J) {
 template <typename Sample>
 class BatchResidual : public ceres::CostFunction {
  public:
-  BatchResidual(std::vector<Sample> samples, std::initializer_list<int> other_blocks, int splines)
-      : samples_(std::move(samples)) {
+  BatchResidual(const std::vector<Sample>& samples,
+                std::initializer_list<int> other_blocks,
+                int splines)
+      : samples_(samples) {
     set_num_residuals(3 * static_cast<int>(samples_.size()));
     mutable_parameter_block_sizes()->assign(static_cast<size_t>(splines) * kSplineOrder, 3);
     mutable_parameter_block_sizes()->insert(mutable_parameter_block_sizes()->end(), other_blocks);
@@ -160,8 +161,8 @@ class BatchResidual : public ceres::CostFunction {
 /// What position and rotation have in common: the pose moves along the trajectory with the clocks.
 class JointPoseResidual : public BatchResidual<JointPoseSample> {
  public:
-  explicit JointPoseResidual(std::vector<JointPoseSample> samples)
-      : BatchResidual(std::move(samples), {1, 1, 1, 1}, 1) {}
+  explicit JointPoseResidual(const std::vector<JointPoseSample>& samples)
+      : BatchResidual(samples, {1, 1, 1, 1}, 1) {}
 
  protected:
   static constexpr int kSmoothing = kSplineOrder + 3;
@@ -257,8 +258,8 @@ class JointRotationResidual : public JointPoseResidual {
 
 class JointGyroResidual : public BatchResidual<JointImuSample> {
  public:
-  explicit JointGyroResidual(std::vector<JointImuSample> samples)
-      : BatchResidual(std::move(samples), {4, 6, 3, 3, 1}, 1) {}
+  explicit JointGyroResidual(const std::vector<JointImuSample>& samples)
+      : BatchResidual(samples, {4, 6, 3, 3, 1}, 1) {}
 
  protected:
   bool EvaluateSample(const JointImuSample& s,
@@ -303,8 +304,8 @@ class JointGyroResidual : public BatchResidual<JointImuSample> {
 
 class JointAccelResidual : public BatchResidual<JointImuSample> {
  public:
-  explicit JointAccelResidual(std::vector<JointImuSample> samples)
-      : BatchResidual(std::move(samples), {4, 3, 3, 9, 3, 3}, 2) {}
+  explicit JointAccelResidual(const std::vector<JointImuSample>& samples)
+      : BatchResidual(samples, {4, 3, 3, 9, 3, 3}, 2) {}
 
  protected:
   bool EvaluateSample(const JointImuSample& s,
@@ -362,20 +363,20 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
 
 }  // namespace
 
-ceres::CostFunction* CreateJointPositionResidual(std::vector<JointPoseSample> samples) {
-  return new JointPositionResidual(std::move(samples));
+ceres::CostFunction* CreateJointPositionResidual(const std::vector<JointPoseSample>& samples) {
+  return new JointPositionResidual(samples);
 }
 
-ceres::CostFunction* CreateJointRotationResidual(std::vector<JointPoseSample> samples) {
-  return new JointRotationResidual(std::move(samples));
+ceres::CostFunction* CreateJointRotationResidual(const std::vector<JointPoseSample>& samples) {
+  return new JointRotationResidual(samples);
 }
 
-ceres::CostFunction* CreateJointGyroResidual(std::vector<JointImuSample> samples) {
-  return new JointGyroResidual(std::move(samples));
+ceres::CostFunction* CreateJointGyroResidual(const std::vector<JointImuSample>& samples) {
+  return new JointGyroResidual(samples);
 }
 
-ceres::CostFunction* CreateJointAccelResidual(std::vector<JointImuSample> samples) {
-  return new JointAccelResidual(std::move(samples));
+ceres::CostFunction* CreateJointAccelResidual(const std::vector<JointImuSample>& samples) {
+  return new JointAccelResidual(samples);
 }
 
 }  // namespace imu_pose_calib

@@ -38,11 +38,11 @@ struct JointPoseSample {
 
 /// r = (p_meas - p_gp(tau) - d(tau)) / sigma, in W.
 /// Blocks: d | time_shift (1) | clock_drift (1) | accel_delay (1).
-ceres::CostFunction* CreateJointPositionResidual(std::vector<JointPoseSample> samples);
+ceres::CostFunction* CreateJointPositionResidual(const std::vector<JointPoseSample>& samples);
 
 /// r = Log(Exp(phi(tau))^T R_gp(tau)^T R_meas) / sigma, in M.
 /// Blocks: phi | time_shift (1) | clock_drift (1) | accel_delay (1).
-ceres::CostFunction* CreateJointRotationResidual(std::vector<JointPoseSample> samples);
+ceres::CostFunction* CreateJointRotationResidual(const std::vector<JointPoseSample>& samples);
 
 /// A sample of the gyroscope or the accelerometer.
 struct JointImuSample {
@@ -56,12 +56,12 @@ struct JointImuSample {
 /// r = (w - b_g - M_g R_MI^T omega_M(tau)) / sigma, in I.
 /// Blocks: phi | q_MI (4, xyzw) | M_g (6, see GyroMatrix()) | bias knot_0 (3) | knot_1 (3) |
 /// accel_delay (1).
-ceres::CostFunction* CreateJointGyroResidual(std::vector<JointImuSample> samples);
+ceres::CostFunction* CreateJointGyroResidual(const std::vector<JointImuSample>& samples);
 
 /// r = (f - b_a - M_a R_MI^T f_M(tau)) / sigma, in I, with
 /// f_M = R_WM^T (a_W - g_W) + alpha_M x p_MI + omega_M x (omega_M x p_MI).
 /// Blocks: d | phi | q_MI (4) | p_MI (3) | g_W (3) | M_a (9, see AccelMatrix()) | knot_0 (3) |
 /// knot_1 (3).
-ceres::CostFunction* CreateJointAccelResidual(std::vector<JointImuSample> samples);
+ceres::CostFunction* CreateJointAccelResidual(const std::vector<JointImuSample>& samples);
 
 }  // namespace imu_pose_calib
