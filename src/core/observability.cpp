@@ -19,12 +19,13 @@ constexpr double kSampleStep = 0.02;   // [s] between the instants at which the 
 constexpr double kDegenerateFactor = 10.0;  // times the weak threshold
 
 // What is worth a warning:
-constexpr double kCertain = 3.0;         // sigma of a hint
-constexpr double kCorrelated = 3.0;      // clusters' sigma over the model's
-constexpr double kDisagreement = 5.0;    // sigma between the halves
-constexpr double kNotableDrift = 1e-4;   // [s] over the recording
-constexpr double kNotableScale = 5e-3;   // [1]
-constexpr double kNotableDelay = 10e-3;  // [s]
+constexpr double kCertain = 3.0;            // sigma of a hint
+constexpr double kCorrelated = 3.0;         // clusters' sigma over the model's
+constexpr double kDisagreement = 5.0;       // sigma between the halves
+constexpr double kNotableDrift = 1e-4;      // [s] over the recording
+constexpr double kNotableSmoothing = 1e-5;  // [s^2]
+constexpr double kNotableScale = 5e-3;      // [1]
+constexpr double kNotableDelay = 10e-3;     // [s]
 
 const char* const kTurnAdvice = "turn the marker about at least two axes";
 
@@ -253,6 +254,12 @@ void WarnOfMisfit(const CalibrationCovariance& covariance, Calibration* result) 
   if (drifted > kNotableDrift)
     warn("the clocks drift by " + number(1e6 * drift, "%+.1f") + " ppm (" + InWords(drifted, "s") +
          " over the recording): set estimate_clock_drift: true");
+  const double smoothing = CertainHint(covariance, kPoseSmoothing, 1);
+  if (std::abs(smoothing) > kNotableSmoothing)
+    warn(std::string(smoothing > 0.0 ? "the poses are smoothed more than the imu's data"
+                                     : "the imu's data are smoothed more than the poses") +
+         ", over " + InWords(std::sqrt(std::abs(smoothing)), "s") +
+         ": set estimate_pose_smoothing: true");
   const std::pair<const char*, double> scales[] = {
       {"gyroscope", CertainHint(covariance, kGyroIntrinsics, 6)},
       {"accelerometer", CertainHint(covariance, kAccelIntrinsics, 9)}};

@@ -39,6 +39,19 @@ std::vector<ImuSample> SampleSensor(const std::vector<Eigen::Vector3d>& exact,
   return samples;
 }
 
+/// Mean of the pose from t - exposure_s / 2 to t + exposure_s / 2: Gauss-Legendre, three points.
+Rigid3 MeanPose(const TrueTrajectory& trajectory, double t, double exposure_s) {
+  const TrueState middle = trajectory.At(t);
+  if (exposure_s == 0.0) return {Eigen::Quaterniond(middle.R_WM), middle.p_WM};
+  Eigen::Vector3d p = 8.0 / 18.0 * middle.p_WM, turn = Eigen::Vector3d::Zero();
+  for (const double side : {-0.5, 0.5}) {
+    const TrueState state = trajectory.At(t + side * std::sqrt(0.6) * exposure_s);
+    p += 5.0 / 18.0 * state.p_WM;
+    turn += 5.0 / 18.0 * Log(Eigen::Quaterniond(middle.R_WM.transpose() * state.R_WM));
+  }
+  return {Eigen::Quaterniond(middle.R_WM) * Exp(turn), p};
+}
+
 }  // namespace
 
 Eigen::Vector3d TrueTrajectory::Sines::Evaluate(double t, int derivative) const {
@@ -121,11 +134,11 @@ CalibrationData Simulate(const SimulatorOptions& options) {
   CalibrationData data;
   for (size_t k = 0; k < count(options.pose_rate_hz); ++k) {
     const double t = static_cast<double>(k) / options.pose_rate_hz;
-    const TrueState state = trajectory.At(t);
+    const Rigid3 mean = MeanPose(trajectory, t, options.pose_exposure_s);
     PoseSample pose;
     pose.t_ns = options.start_ns + std::llround(1e9 * t);
-    pose.q_WM = Eigen::Quaterniond(state.R_WM) * Exp(Gaussian(&random, options.rotation_std));
-    pose.p_WM = state.p_WM + Gaussian(&random, options.position_std);
+    pose.q_WM = mean.q * Exp(Gaussian(&random, options.rotation_std));
+    pose.p_WM = mean.p + Gaussian(&random, options.position_std);
     data.poses.push_back(pose);
   }
 

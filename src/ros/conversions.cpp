@@ -162,6 +162,8 @@ CalibrationResult ToMsg(const Calibration& result,
   msg.clock_drift = result.clock_drift;
   msg.clock_drift_std = result.clock_drift_std;
   msg.clock_reference = result.clock_reference;
+  msg.pose_smoothing = result.pose_smoothing;
+  msg.pose_smoothing_std = result.pose_smoothing_std;
   msg.gravity = ToVector3Msg(result.g_W);
   msg.gyro_bias = ToVector3Msg(result.gyro_bias);
   msg.accel_bias = ToVector3Msg(result.accel_bias);

@@ -27,6 +27,8 @@ const char kEquations[] = R"(
 # clocks:    t_pose = t_imu + time_shift     inverse: t_imu = t_pose - time_shift
 #            t_pose = t_accel + time_shift - accel_delay
 #            time_shift holds at clock_reference [s, imu clock] and grows by clock_drift
+# smoothing: poses are means over time; pose_smoothing [s^2] is the variance of that time, less
+#            the imu's
 # imu:       measured = matrix * true + bias
 # Units: m, s, rad, m/s^2. Quaternions: x, y, z, w.
 
@@ -132,9 +134,9 @@ void EmitEstimate(const Calibration& result, YAML::Emitter* out) {
   Emit("accel_delay_std", result.accel_delay_std, out);
   Emit("clock_drift", result.clock_drift, out);
   Emit("clock_drift_std", result.clock_drift_std, out);
+  Emit("clock_reference", result.clock_reference, out);
   Emit("pose_smoothing", result.pose_smoothing, out);
   Emit("pose_smoothing_std", result.pose_smoothing_std, out);
-  Emit("clock_reference", result.clock_reference, out);
   EmitMap(
       "gravity",
       [&] {

@@ -11,6 +11,7 @@ namespace {
 
 constexpr size_t kColumns = 80;
 constexpr double kNotableFreeze = 0.1;  // [s]
+constexpr double kCertain = 3.0;        // sigma
 constexpr double kDegrees = 180.0 / 3.14159265358979323846;
 
 [[gnu::format(printf, 1, 2)]] std::string Format(const char* format, ...) {
@@ -192,6 +193,15 @@ std::string Clocks(const Calibration& result) {
   if (result.clock_drift_std > 0.0)
     text += Format("        time_shift holds at t_imu = %.3f s and grows by clock drift\n",
                    result.clock_reference);
+  const double smoothing = result.pose_smoothing;
+  if (std::abs(smoothing) > kCertain * result.pose_smoothing_std && smoothing != 0.0) {
+    const double root = std::sqrt(std::abs(smoothing));
+    text += Format("%s over a time of %.1f ms (sigma %.1f ms): accounted for\n",
+                   smoothing > 0.0 ? "Poses are smoothed more than the imu's data,"
+                                   : "The imu's data are smoothed more than the poses,",
+                   1e3 * root,
+                   0.5e3 * result.pose_smoothing_std / root);
+  }
   return text;
 }
 

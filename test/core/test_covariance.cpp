@@ -211,5 +211,27 @@ TEST(MarginalCovariance, RobustGrowsWithTheCorrelationInsideOfClusters) {
               1.5);  // 200 clusters: sigma 0.5
 }
 
+TEST(ClusterRobustCovariance, GrowsWithErrorsThatLastLongerThanACluster) {
+  const int parameters = 8, clusters = 24, repeats = 20;
+  std::mt19937 random(9);
+  std::normal_distribution<double> normal;
+  double independent = 0.0, slow = 0.0;
+  for (int k = 0; k < repeats; ++k) {
+    MarginalEstimate estimate;
+    estimate.covariance = MatrixXd::Identity(parameters, parameters);
+    estimate.influence = MatrixXd::NullaryExpr(
+        parameters, clusters, [&] { return normal(random) / std::sqrt(clusters); });
+    independent += ClusterRobustCovariance(estimate, 0.0).trace() / (parameters * repeats);
+    // Four clusters in a row alike: four times the variance.
+    for (int w = 0; w < clusters; ++w)
+      estimate.influence.col(w) = estimate.influence.col(w - w % 4).eval();
+    slow += ClusterRobustCovariance(estimate, 0.0).trace() / (parameters * repeats);
+  }
+  EXPECT_GT(independent, 0.9);
+  EXPECT_LT(independent, 1.25);
+  EXPECT_GT(slow, 3.4);
+  EXPECT_LT(slow, 4.6);
+}
+
 }  // namespace
 }  // namespace imu_pose_calib

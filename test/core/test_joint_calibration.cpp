@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <cmath>
 #include <random>
 
 #include "imu_pose_calib/core/calibrator.h"
@@ -152,6 +153,72 @@ TEST(JointCalibration, EstimatesClockDriftWhenAsked) {
   EXPECT_LT(Normalised(result, truth).cwiseAbs().maxCoeff(), 4.5);
   EXPECT_NEAR(result.clock_drift, truth.clock_drift, 4.5 * result.clock_drift_std);
   EXPECT_LT(result.clock_drift_std, 5e-6);
+}
+
+TEST(JointCalibration, TellsHowMuchPosesAreSmoothed) {
+  SimulatorOptions truth = Recording(1e-4, 26);
+  truth.duration_s = 24.0;
+  truth.pose_exposure_s = 0.06;
+  const double variance = truth.pose_exposure_s * truth.pose_exposure_s / 12.0;  // of a uniform
+  const CalibrationData data = Simulate(truth);
+  CalibrationOptions options;
+  const Calibration result = Calibrate(options, data);
+  EXPECT_NEAR(result.pose_smoothing, variance, 4.5 * result.pose_smoothing_std);
+  EXPECT_LT(result.pose_smoothing_std, 0.1 * variance);
+  EXPECT_LT(Normalised(result, truth).cwiseAbs().maxCoeff(), 4.5);
+
+  options.estimate_pose_smoothing = false;
+  const Calibration without = Calibrate(options, data);
+  EXPECT_EQ(without.pose_smoothing, 0.0);
+  EXPECT_EQ(without.pose_smoothing_std, 0.0);
+  EXPECT_GT((without.T_MI.p - truth.T_MI.p).norm(), 3.0 * (result.T_MI.p - truth.T_MI.p).norm());
+  EXPECT_TRUE(std::any_of(without.warnings.begin(), without.warnings.end(), [](const auto& text) {
+    return text.find("estimate_pose_smoothing") != std::string::npos;
+  }));
+}
+
+TEST(JointCalibration, FindsNoSmoothingWhereThereIsNone) {
+  double mean_square = 0.0;
+  for (uint32_t seed = 27; seed < 31; ++seed) {
+    const Calibration result = Calibrate(CalibrationOptions(), Simulate(Recording(1e-3, seed)));
+    mean_square += std::pow(result.pose_smoothing / result.pose_smoothing_std, 2) / 4.0;
+  }
+  EXPECT_GT(mean_square, 0.05);
+  EXPECT_LT(mean_square, 4.0);
+}
+
+/// Adds errors to the poses that last for about `correlation_s`.
+void AddSlowErrors(double position_std,
+                   double rotation_std,
+                   double correlation_s,
+                   double rate_hz,
+                   uint32_t seed,
+                   CalibrationData* data) {
+  std::mt19937 random(seed);
+  std::normal_distribution<double> normal;
+  const double keep = std::exp(-1.0 / (correlation_s * rate_hz));
+  Vector6d error = Vector6d::Zero();
+  for (PoseSample& pose : data->poses) {
+    for (double& x : error) x = keep * x + std::sqrt(1.0 - keep * keep) * normal(random);
+    pose.p_WM += position_std * error.head<3>();
+    pose.q_WM = pose.q_WM * Exp<double>(rotation_std * error.tail<3>());
+  }
+}
+
+TEST(JointCalibration, SlowPoseErrorsWeighAsMuchAsTheyDo) {
+  // Per sample the errors look small beside their effect: they do not average out.
+  double mean_square = 0.0;
+  const int seeds = 4;
+  for (uint32_t seed = 31; seed < 31 + seeds; ++seed) {
+    SimulatorOptions truth = Recording(1e-4, seed);
+    truth.duration_s = 24.0;
+    truth.gyro_std = 1e-3;
+    CalibrationData data = Simulate(truth);
+    AddSlowErrors(1e-3, 2e-3, 0.1, truth.pose_rate_hz, seed, &data);
+    const Calibration result = Calibrate(CalibrationOptions(), data);
+    mean_square += Normalised(result, truth).squaredNorm() / (8.0 * seeds);
+  }
+  EXPECT_LT(mean_square, 2.5);
 }
 
 TEST(JointCalibration, KeepsWhatIsFixed) {

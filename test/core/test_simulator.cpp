@@ -263,5 +263,29 @@ TEST(Simulate, StampsKeepNanosecondsWhenTheClocksAreTwelveDaysApart) {
   for (size_t i = 0; i < a.poses.size(); ++i) EXPECT_EQ(a.poses[i].t_ns, b.poses[i].t_ns);
 }
 
+TEST(Simulator, PosesAreMeansOverTheExposure) {
+  SimulatorOptions options;
+  options.duration_s = 2.0;
+  options.position_std = options.rotation_std = 0.0;
+  options.pose_exposure_s = 0.06;
+  const TrueTrajectory trajectory(options);
+  const CalibrationData data = Simulate(options);
+  constexpr int kSteps = 2000;  // midpoint rule
+  for (const size_t k : {0u, 70u, 199u}) {
+    const double t = static_cast<double>(k) / options.pose_rate_hz;
+    const Eigen::Matrix3d R = trajectory.At(t).R_WM;
+    Eigen::Vector3d p = Eigen::Vector3d::Zero(), turn = Eigen::Vector3d::Zero();
+    for (int i = 0; i < kSteps; ++i) {
+      const TrueState state =
+          trajectory.At(t + options.pose_exposure_s * ((i + 0.5) / kSteps - 0.5));
+      p += state.p_WM / kSteps;
+      turn += Log(Eigen::Quaterniond(R.transpose() * state.R_WM)) / kSteps;
+    }
+    EXPECT_LT((data.poses[k].p_WM - p).norm(), 1e-8);
+    EXPECT_LT(data.poses[k].q_WM.angularDistance(Eigen::Quaterniond(R) * Exp(turn)), 1e-7);
+    EXPECT_GT((trajectory.At(t).p_WM - p).norm(), 1e-5);
+  }
+}
+
 }  // namespace
 }  // namespace imu_pose_calib

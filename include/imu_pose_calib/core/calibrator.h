@@ -72,9 +72,11 @@ struct Calibration {
   double time_shift_std = 0.0;   ///< [s]
   double accel_delay_std = 0.0;  ///< [s], 0 when not estimated
   /// t_pose = t_imu + time_shift + clock_drift (t_imu - clock_reference); 0 when not estimated.
-  double clock_drift = 0.0, clock_drift_std = 0.0;        ///< [s/s]
-  double pose_smoothing = 0.0, pose_smoothing_std = 0.0;  ///< [s^2]
-  double clock_reference = 0.0;                           ///< [s] IMU clock
+  double clock_drift = 0.0, clock_drift_std = 0.0;  ///< [s/s]
+  double clock_reference = 0.0;                     ///< [s] IMU clock
+  /// [s^2] by how much the variance of the time over which a pose is averaged exceeds that of an
+  /// IMU sample; 0 when not estimated.
+  double pose_smoothing = 0.0, pose_smoothing_std = 0.0;
 
   /// Scale and misalignment: measured = M true + bias, in I. Identity when not estimated.
   ImuModel imu_model = ImuModel::kCalibrated;

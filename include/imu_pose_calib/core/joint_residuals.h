@@ -36,12 +36,12 @@ struct JointPoseSample {
   double sigma;    ///< [m] of the position or [rad] of the rotation
 };
 
-/// r = (p_meas - p_gp(tau) - d(tau)) / sigma, in W.
-/// Blocks: d | time_shift (1) | clock_drift (1) | accel_delay (1).
+/// r = (p_meas - p_gp(tau) - d(tau) - s/2 (a_gp + d''(tau))) / sigma, in W, s: pose_smoothing.
+/// Blocks: d | time_shift (1) | clock_drift (1) | accel_delay (1) | pose_smoothing (1).
 ceres::CostFunction* CreateJointPositionResidual(const std::vector<JointPoseSample>& samples);
 
-/// r = Log(Exp(phi(tau))^T R_gp(tau)^T R_meas) / sigma, in M.
-/// Blocks: phi | time_shift (1) | clock_drift (1) | accel_delay (1).
+/// r = Log(Exp(s/2 (alpha_gp + phi''(tau)))^T Exp(phi(tau))^T R_gp(tau)^T R_meas) / sigma, in M.
+/// Blocks: phi | time_shift (1) | clock_drift (1) | accel_delay (1) | pose_smoothing (1).
 ceres::CostFunction* CreateJointRotationResidual(const std::vector<JointPoseSample>& samples);
 
 /// A sample of the gyroscope or the accelerometer.

@@ -89,10 +89,10 @@ struct CalibrationOptions {
   bool estimate_accel_delay = true;
   /// Start or fixed value [s]: t_pose = t_accel + time_shift - accel_delay.
   double accel_delay = 0.0;
+  /// How much more than the IMU the source of the poses averages over time. Joint solve only.
+  bool estimate_pose_smoothing = true;
   /// Linear growth of the time shift. Joint solve only.
   bool estimate_clock_drift = false;
-  /// How much the pose source averages over time beyond what the IMU does (method joint)
-  bool estimate_pose_smoothing = true;
   /// Scale and misalignment of the sensors. Joint solve only.
   ImuModel imu_model = ImuModel::kCalibrated;
   /// Magnitude of gravity [m/s^2] unless initial_gravity is given.

@@ -25,6 +25,7 @@ struct SimulatorOptions {
   double gyro_rate_hz = 200.0;
   double accel_rate_hz = 200.0;
 
+  double pose_exposure_s = 0.0;   ///< [s] time around its stamp over which a pose is the mean
   double position_std = 1e-3;     ///< [m] per axis
   double rotation_std = 1e-3;     ///< [rad] per axis
   double gyro_std = 5e-3;         ///< [rad/s] per sample
