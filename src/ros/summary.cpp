@@ -196,11 +196,11 @@ std::string Clocks(const Calibration& result) {
   const double smoothing = result.pose_smoothing;
   if (std::abs(smoothing) > kCertain * result.pose_smoothing_std && smoothing != 0.0) {
     const double root = std::sqrt(std::abs(smoothing));
-    text += Format("%s over a time of %.1f ms (sigma %.1f ms): accounted for\n",
-                   smoothing > 0.0 ? "Poses are smoothed more than the imu's data,"
-                                   : "The imu's data are smoothed more than the poses,",
+    text += Format("%s smoothed over %.1f ms (sigma %.1f ms) more than the %s: accounted for\n",
+                   smoothing > 0.0 ? "Poses" : "Imu",
                    1e3 * root,
-                   0.5e3 * result.pose_smoothing_std / root);
+                   0.5e3 * result.pose_smoothing_std / root,
+                   smoothing > 0.0 ? "imu" : "poses");
   }
   return text;
 }

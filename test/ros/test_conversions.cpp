@@ -92,6 +92,8 @@ class ResultMessages : public ::testing::Test {
     result_.time_shift_std = 0.1;
     result_.accel_delay = 0.25;
     result_.accel_delay_std = 0.2;
+    result_.pose_smoothing = 0.03;
+    result_.pose_smoothing_std = 0.04;
     result_.g_W = {0.0, 0.0, -9.8};
     result_.gyro_bias = {1.0, 2.0, 3.0};
     result_.accel_bias = {4.0, 5.0, 6.0};
@@ -130,6 +132,8 @@ TEST_F(ResultMessages, ResultKeepsEveryField) {
   EXPECT_EQ(msg.time_shift_std, 0.1);
   EXPECT_EQ(msg.accel_delay, 0.25);
   EXPECT_EQ(msg.accel_delay_std, 0.2);
+  EXPECT_EQ(msg.pose_smoothing, 0.03);
+  EXPECT_EQ(msg.pose_smoothing_std, 0.04);
   EXPECT_EQ(msg.gravity.z, -9.8);
   EXPECT_EQ(msg.gyro_bias.y, 2.0);
   EXPECT_EQ(msg.accel_bias.x, 4.0);

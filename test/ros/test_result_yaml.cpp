@@ -19,6 +19,8 @@ Calibration MakeResult() {
   result.time_shift_std = 1e-5;
   result.accel_delay = 0.0037;
   result.accel_delay_std = 2e-5;
+  result.pose_smoothing = -1.5e-5;
+  result.pose_smoothing_std = 2.5e-6;
   result.g_W = {0.0, 3.0, -4.0};
   result.gyro_bias = {0.1, 0.2, 0.3};
   result.accel_bias = {0.4, 0.5, 0.6};
@@ -105,6 +107,8 @@ TEST(ResultYaml, HoldsClocksGravityAndBiases) {
   EXPECT_EQ(yaml["time_shift_std"].as<double>(), 1e-5);
   EXPECT_EQ(yaml["accel_delay"].as<double>(), 0.0037);
   EXPECT_EQ(yaml["accel_delay_std"].as<double>(), 2e-5);
+  EXPECT_EQ(yaml["pose_smoothing"].as<double>(), -1.5e-5);
+  EXPECT_EQ(yaml["pose_smoothing_std"].as<double>(), 2.5e-6);
   EXPECT_EQ(yaml["gravity"]["vector"].as<Doubles>(), Doubles({0.0, 3.0, -4.0}));
   EXPECT_EQ(yaml["gravity"]["magnitude"].as<double>(), 5.0);
   EXPECT_EQ(yaml["biases"]["gyro"].as<Doubles>(), Doubles({0.1, 0.2, 0.3}));

@@ -17,6 +17,8 @@ Calibration MakeResult() {
   result.time_shift_std = 1.25e-3;
   result.accel_delay = -0.0037;
   result.accel_delay_std = 2e-5;
+  result.pose_smoothing = 1.6e-5;
+  result.pose_smoothing_std = 2e-6;
   result.g_W = {-0.1, -0.2, -9.8};
   result.gyro_bias = {-0.01, -0.02, -0.03};
   result.accel_bias = {-0.4, -0.5, -0.6};
@@ -68,6 +70,19 @@ TEST(Summary, SaysWhatAPersonNeeds) {
                            "[-0.10000, -0.20000, -9.80000] m/s^2",
                            "warning: the position residuals"})
     EXPECT_TRUE(Contains(text, part)) << "'" << part << "' is missing in\n" << text;
+}
+
+TEST(Summary, SaysWhichSideIsSmoothed) {
+  Calibration result = MakeResult();
+  EXPECT_TRUE(Contains(Summary(result, MakeInfo()),
+                       "Poses smoothed over 4.0 ms (sigma 0.2 ms) more than the imu"));
+  result.pose_smoothing = -2.5e-5;
+  EXPECT_TRUE(Contains(Summary(result, MakeInfo()),
+                       "Imu smoothed over 5.0 ms (sigma 0.2 ms) more than the poses"));
+  result.pose_smoothing_std = 1e-5;
+  EXPECT_FALSE(Contains(Summary(result, MakeInfo()), "smoothed"));
+  result.pose_smoothing = result.pose_smoothing_std = 0.0;  // not estimated
+  EXPECT_FALSE(Contains(Summary(result, MakeInfo()), "smoothed"));
 }
 
 TEST(Summary, FitsEightyColumns) {
