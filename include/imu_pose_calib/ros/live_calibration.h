@@ -19,7 +19,7 @@ struct LiveOptions {
   /// Converged when the largest sigma over the axes is below these.
   double target_rotation_std = 1e-3;     ///< [rad]
   double target_translation_std = 5e-4;  ///< [m]
-  double target_time_shift_std = 2e-4;   ///< [s]
+  double target_time_shift_std = 5e-4;   ///< [s]
 
   /// Throws InputError naming parameter, value and bound when a value is out of range.
   void Validate() const;
