@@ -88,7 +88,7 @@ StreamCheck CheckStream(const std::vector<Sample>& samples) {
     else if (p < kBunch * period)
       bunched += 1.0;
   }
-  check.jitter_s = 1.4826 * Median(std::move(deviations));
+  check.jitter_s = kMadToSigma * Median(std::move(deviations));
   check.bunched = bunched / n;
   check.missing = std::max(0.0, 1.0 - (n - duplicates) / (check.duration_s / period + 1.0));
   return check;

@@ -399,7 +399,7 @@ class Delays {
     Latency latency;
     latency.median_s = Median(delays_s_);
     for (double& delay : delays_s_) delay = std::abs(delay - latency.median_s);
-    latency.spread_s = 1.4826 * Median(std::move(delays_s_));
+    latency.spread_s = kMadToSigma * Median(std::move(delays_s_));
     return latency;
   }
 

@@ -194,7 +194,7 @@ std::string Clocks(const Calibration& result) {
     text += Format("        time_shift holds at t_imu = %.3f s and grows by clock drift\n",
                    result.clock_reference);
   const double smoothing = result.pose_smoothing;
-  if (std::abs(smoothing) > kCertain * result.pose_smoothing_std && smoothing != 0.0) {
+  if (std::abs(smoothing) > kCertain * result.pose_smoothing_std) {
     const double root = std::sqrt(std::abs(smoothing));
     text += Format("%s smoothed over %.1f ms (sigma %.1f ms) more than the %s: accounted for\n",
                    smoothing > 0.0 ? "Poses" : "Imu",
