@@ -277,16 +277,19 @@ CalibrationCovariance CalibrationProblem::Covariance() {
   const double fitted =
       std::min(kLargestFittedShare,
                (estimated + shared) / (local * static_cast<double>(all.influence.cols())));
+  // A step that remains moves all clusters alike: that is no scatter.
+  const auto robust = [fitted](MarginalEstimate estimate) {
+    estimate.influence.colwise() -= estimate.influence.rowwise().mean().eval();
+    return ClusterRobustCovariance(estimate, fitted);
+  };
   result.model = spread(marginal.covariance);
-  result.robust = spread(ClusterRobustCovariance(marginal, fitted));
+  result.robust = spread(robust(marginal));
+  if (marginal.covariance.allFinite()) result.step = spread_vector(marginal.Step());
   result.feigned_lever_arm_information = FeignedLeverArmInformation();
 
-  // Where a step does not end at 0, all clusters of it move alike: that is no scatter.
-  const auto larger_std = [fitted](MarginalEstimate estimate) {
-    estimate.influence.colwise() -= estimate.influence.rowwise().mean().eval();
-    return Eigen::VectorXd(estimate.covariance.diagonal()
-                               .cwiseMax(ClusterRobustCovariance(estimate, fitted).diagonal())
-                               .cwiseSqrt());
+  const auto larger_std = [&robust](const MarginalEstimate& estimate) {
+    return Eigen::VectorXd(
+        estimate.covariance.diagonal().cwiseMax(robust(estimate).diagonal()).cwiseSqrt());
   };
   const MarginalEstimate first = Condition(first_half.get(), estimated);
   const MarginalEstimate second = Condition(second_half.get(), estimated);

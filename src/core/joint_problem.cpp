@@ -14,12 +14,32 @@ constexpr double kDriftPrior = 1e-2;       // [s/s]
 constexpr double kSmoothingPrior = 1e-3;   // [s^2]
 constexpr double kLongestAveraging = 1.0;  // [s] beyond it biases and few means blur the noise
 constexpr double kIntrinsicsPrior = 0.05;  // [1] sigma of each element of M_g and M_a
+/// Knots on either side that act on the trajectory at a sample.
+constexpr double kReach = 0.5 * kSplineOrder;
+
+/// Mean squared residual of the samples within `reach` [s] of each, which are in order of time.
+template <typename Samples>
+std::vector<double> MeanSquareAround(const Samples& samples,
+                                     const std::vector<Eigen::Vector3d>& residuals,
+                                     double reach) {
+  std::vector<double> means;
+  size_t begin = 0, end = 0;
+  double sum = 0.0;
+  for (const auto& sample : samples) {
+    for (; end < samples.size() && samples[end].t <= sample.t + reach; ++end)
+      sum += residuals[end].squaredNorm();
+    for (; samples[begin].t < sample.t - reach; ++begin) sum -= residuals[begin].squaredNorm();
+    means.push_back(sum / static_cast<double>(end - begin));
+  }
+  return means;
+}
 
 }  // namespace
 
 CorrectionSplines::CorrectionSplines(const ConditionedData& data,
                                      const Estimate& estimate,
-                                     double spacing_s) {
+                                     double spacing_s)
+    : spacing_(spacing_s) {
   const double imu_begin =
       std::max(data.gyro.front().t + estimate.accel_delay, data.accel.front().t);
   const double imu_end = std::min(data.gyro.back().t + estimate.accel_delay, data.accel.back().t);
@@ -208,17 +228,37 @@ void JointProblem::AddAccel(const SampleWeights& weights) {
   AddImu(data_.accel, weights.accel, 0.0, noise_.accel, knots, create, &accel_);
 }
 
+void JointProblem::HoldCalibration() {
+  for (double* parameters : {estimate_->p_MI.data(),
+                             estimate_->q_MI.coeffs().data(),
+                             &estimate_->time_shift,
+                             &estimate_->accel_delay,
+                             &estimate_->clock_drift,
+                             &estimate_->pose_smoothing,
+                             estimate_->gyro_intrinsics.data(),
+                             estimate_->accel_intrinsics.data()})
+    problem_.SetParameterBlockConstant(parameters);
+}
+
 void JointProblem::UpdateWeights(const NoiseStd& noise, SampleWeights* weights) const {
   const auto update = [this](const Sensor& sensor, double sigma, std::vector<double>* weight) {
+    const double scale2 = std::pow(sigma * options_.robust_loss_scale, 2);
     for (size_t i = 0; i < sensor.samples.size(); ++i)
-      (*weight)[sensor.samples[i].index] =
-          1.0 / (1.0 + sensor.residuals[i].squaredNorm() /
-                           std::pow(sigma * options_.robust_loss_scale, 2));
+      (*weight)[sensor.samples[i].index] = 1.0 / (1.0 + sensor.residuals[i].squaredNorm() / scale2);
+  };
+  // Where knots do not follow the motion, residuals swing through zero and none of them is right.
+  const auto update_imu = [&](const Sensor& sensor, double sigma, std::vector<double>* weight) {
+    update(sensor, sigma, weight);
+    const std::vector<double> around =
+        MeanSquareAround(sensor.samples, sensor.residuals, kReach * splines_->spacing());
+    const double scale2 = std::pow(sigma * options_.robust_loss_scale, 2);
+    for (size_t i = 0; i < sensor.samples.size(); ++i)
+      (*weight)[sensor.samples[i].index] /= 1.0 + std::pow(around[i] / scale2, 2);
   };
   update(position_, noise.position, &weights->position);
   update(rotation_, noise.rotation, &weights->rotation);
-  update(gyro_, noise.gyro, &weights->gyro);
-  update(accel_, noise.accel, &weights->accel);
+  update_imu(gyro_, noise.gyro, &weights->gyro);
+  update_imu(accel_, noise.accel, &weights->accel);
 }
 
 NoiseStd JointProblem::NoiseColor(const NoiseStd& spread) const {

@@ -2,19 +2,17 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <memory>
 
 #include "imu_pose_calib/core/joint_problem.h"
+#include "imu_pose_calib/core/so3.h"
 
 namespace imu_pose_calib {
 namespace {
 
-constexpr double kNoiseAgreement = 1.25;  // factor between noise assumed and noise found
-constexpr int kMinPasses = 2;             // plain, robust
+constexpr double kNoiseAgreement = 1.5;  // factor between noise assumed and noise found
 constexpr int kMaxPasses = 6;
-/// Change of the cost, half the sum of squares in sigma, after which the last pass stops: no
-/// parameter is notably off in its sigma.
-constexpr double kSettled = 0.3;
 
 constexpr double kExcerpt = 8.0;            // [s] on which the knot spacing is chosen
 constexpr double kCoarsestKnots = 0.12;     // [s]
@@ -86,9 +84,19 @@ NoiseStd Scale(const NoiseStd& noise, const NoiseStd& factor) {
           noise.accel * factor.accel};
 }
 
-/// S4 at one knot spacing: everything and the trajectory, again with the noise that the residuals
-/// show and with robust weights until the noise found agrees with the noise assumed. The first pass
-/// weights all samples alike: it does not know what is an outlier.
+void Move(const CalibrationVector& step, Estimate* estimate) {
+  estimate->p_MI += step.segment<3>(kTranslation);
+  estimate->q_MI = (estimate->q_MI * Exp<double>(step.segment<3>(kRotation))).normalized();
+  estimate->time_shift += step[kTimeShift];
+  estimate->accel_delay += step[kAccelDelay];
+  estimate->clock_drift += step[kClockDrift];
+  estimate->pose_smoothing += step[kPoseSmoothing];
+  estimate->gyro_intrinsics += step.segment<6>(kGyroIntrinsics);
+  estimate->accel_intrinsics += step.segment<9>(kAccelIntrinsics);
+}
+
+/// S4 at one knot spacing: trajectory and calibration in passes of least squares, each with the
+/// noise and the robust weights that the residuals of the one before show.
 class JointSolver {
  public:
   JointSolver(const CalibrationOptions& options,
@@ -104,44 +112,52 @@ class JointSolver {
         weights_(data),
         splines_(data, *estimate, start.knot_spacing_s) {}
 
-  /// One pass; `statistics` describes its residuals. True when the noise they show agrees with the
-  /// noise assumed.
-  bool Pass(double tolerance, ResidualStatistics* statistics) {
-    problem_.reset();  // never two of them at a time
-    problem_ = std::make_unique<JointProblem>(
-        options_, trajectory_, data_, noise_, weights_, estimate_, &splines_);
-    problem_->Solve(tolerance);
-    *statistics = problem_->Statistics();
-    const NoiseStd found = Scale(statistics->noise, color_);
-    const bool agrees = Change(noise_, found) < kNoiseAgreement;
-    SetNoise(found);
-    return agrees;
+  /// The noise of a plain and a robust pass.
+  NoiseStd FindNoise() {
+    Pass();
+    SetNoise(statistics_.noise);
+    Pass();
+    return statistics_.noise;
   }
 
+  /// Starts close to the solution: residuals about the calibration of the start tell what is an
+  /// outlier before it can move the calibration. Linear growth of the time shift cannot be known by
+  /// then.
   Solution Solve() {
-    Solution solution;
-    Pass(kRoughTolerance, &solution.statistics);
-    color_ = problem_->NoiseColor(solution.statistics.noise);
-    SetNoise(Scale(solution.statistics.noise, color_));
-    for (int pass = kMinPasses; pass <= kMaxPasses; ++pass)
-      if (Pass(kSettled / ExpectedCost(), &solution.statistics)) break;
-    solution.covariance = problem_->Covariance();
-    return solution;
+    Pass(!options_.estimate_clock_drift);
+    NoiseStd before;
+    int pass = 1;
+    do {
+      before = statistics_.noise;
+      SetNoise(Scale(before, problem_->NoiseColor(before)));
+      Pass();
+    } while (Change(before, statistics_.noise) > kNoiseAgreement && ++pass < kMaxPasses);
+    // The last step, with weights by the last residuals, comes with the covariance.
+    SetNoise(Scale(statistics_.noise, problem_->NoiseColor(statistics_.noise)));
+    Build();
+    const CalibrationCovariance covariance = problem_->Covariance();
+    Move(covariance.step, estimate_);
+    return {statistics_, covariance};
   }
 
  private:
+  /// A problem with the noise and the weights that are set; at first, all weights are 1.
+  void Build() {
+    problem_.reset();  // never two of them at a time
+    problem_ = std::make_unique<JointProblem>(
+        options_, trajectory_, data_, noise_, weights_, estimate_, &splines_);
+  }
+
+  void Pass(bool hold_calibration = false) {
+    Build();
+    if (hold_calibration) problem_->HoldCalibration();
+    problem_->Solve(kRoughTolerance);
+    statistics_ = problem_->Statistics();
+  }
+
   void SetNoise(const NoiseStd& noise) {
     noise_ = noise;
     problem_->UpdateWeights(noise, &weights_);
-  }
-
-  /// The cost when every residual is as large as its spread.
-  double ExpectedCost() const {
-    const auto cost = [](size_t samples, double color) {
-      return 1.5 * static_cast<double>(samples) / (color * color);
-    };
-    return cost(data_.poses.size(), color_.position) + cost(data_.poses.size(), color_.rotation) +
-           cost(data_.gyro.size(), color_.gyro) + cost(data_.accel.size(), color_.accel);
   }
 
   const CalibrationOptions& options_;
@@ -150,9 +166,9 @@ class JointSolver {
   Estimate* const estimate_;
   NoiseStd noise_;
   SampleWeights weights_;
-  NoiseStd color_{1.0, 1.0, 1.0, 1.0};  ///< see JointProblem::NoiseColor()
   CorrectionSplines splines_;
   std::unique_ptr<JointProblem> problem_;
+  ResidualStatistics statistics_;  ///< of the last pass
 };
 
 }  // namespace
@@ -161,22 +177,21 @@ JointStart ChooseKnotSpacing(const CalibrationOptions& options,
                              const PoseTrajectory& trajectory,
                              const ConditionedData& data,
                              Estimate* estimate) {
-  const NoiseStd noise = InitialNoise(options, trajectory, data);
-  if (options.knot_spacing_s > 0.0) return {options.knot_spacing_s, noise};
+  const NoiseStd initial = InitialNoise(options, trajectory, data);
   const ConditionedData excerpt = LiveliestExcerpt(data, trajectory, *estimate, kExcerpt);
+  const bool is_given = options.knot_spacing_s > 0.0;
   const double finest =
       kMinSamplesPerKnot / std::min(data.gyro_report.rate_hz, data.accel_report.rate_hz);
-  double residual_before = 0.0;
-  for (double spacing = kCoarsestKnots;; spacing *= 0.5) {
+  double residual_before = std::numeric_limits<double>::infinity();
+  for (double spacing = is_given ? options.knot_spacing_s : kCoarsestKnots;; spacing *= 0.5) {
     Estimate trial = *estimate;
-    JointSolver solver(options, trajectory, excerpt, {spacing, noise}, &trial);
-    ResidualStatistics statistics;
-    for (int pass = 1; pass <= kMinPasses; ++pass) solver.Pass(kRoughTolerance, &statistics);
-    const double residual = statistics.noise.gyro * statistics.noise.accel;
-    const bool shrinks = residual_before == 0.0 || residual < kShrinkage * residual_before;
-    if (!shrinks || 0.5 * spacing < finest) {
+    JointSolver solver(options, trajectory, excerpt, {spacing, initial}, &trial);
+    const NoiseStd noise = solver.FindNoise();
+    const double residual = noise.gyro * noise.accel;
+    const bool shrinks = residual < kShrinkage * residual_before;
+    if (is_given || !shrinks || 0.5 * spacing < finest) {
       *estimate = trial;
-      return {spacing, statistics.noise};
+      return {spacing, noise};
     }
     residual_before = residual;
   }

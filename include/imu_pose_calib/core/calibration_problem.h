@@ -37,6 +37,8 @@ using CalibrationMatrix = Eigen::Matrix<double, kCalibrationSize, kCalibrationSi
 struct CalibrationCovariance {
   CalibrationMatrix model;   ///< H^-1: right when residuals are independent
   CalibrationMatrix robust;  ///< sandwich over time blocks: right when they are not
+  /// The Gauss-Newton step that remains.
+  CalibrationVector step = CalibrationVector::Zero();
   /// Information on p_MI [1/m^2] that the trajectory's own errors feign: they move the lever arm's
   /// coefficients as a motion would.
   double feigned_lever_arm_information = 0.0;

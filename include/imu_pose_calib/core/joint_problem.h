@@ -21,6 +21,9 @@ class CorrectionSplines {
   /// Place of tau; nothing when no spline covers it.
   std::optional<SplinePlace> Locate(double tau) const;
 
+  /// About the time between knots [s].
+  double spacing() const { return spacing_; }
+
   std::vector<Eigen::Vector3d> d;    ///< control points [m] in W
   std::vector<Eigen::Vector3d> phi;  ///< control points [rad] in M
 
@@ -32,6 +35,7 @@ class CorrectionSplines {
     size_t spans;
   };
   const Range* Find(double tau) const;
+  double spacing_;
   std::vector<Range> ranges_;
 };
 
@@ -58,8 +62,11 @@ class JointProblem : public CalibrationProblem {
                Estimate* estimate,
                CorrectionSplines* splines);
 
-  /// Cauchy weights 1 / (1 + |r|^2 / scale^2) of the residuals r of the last Statistics() in units
-  /// of `noise`.
+  /// Keeps the calibration where it is; trajectory, biases and gravity are estimated.
+  void HoldCalibration();
+
+  /// Robust weights by the residuals of the last Statistics() in units of `noise`, doc/math.md, S4,
+  /// "Passes".
   void UpdateWeights(const NoiseStd& noise, SampleWeights* weights) const;
 
   /// Noise of each sensor at the frequencies where poses and IMU meet over its `spread` per sample,
