@@ -294,7 +294,8 @@ CalibrationCovariance CalibrationProblem::Covariance() {
   const MarginalEstimate first = Condition(first_half.get(), estimated);
   const MarginalEstimate second = Condition(second_half.get(), estimated);
   const Eigen::VectorXd difference = second.Step() - first.Step();
-  // A parameter that is missing makes blocks differ slowly, as drift does: that is no scatter either.
+  // A parameter that is missing makes blocks differ slowly, as drift does: that is no scatter
+  // either.
   MarginalEstimate neighbours = all;
   neighbours.influence = (all.influence.rightCols(all.influence.cols() - 1) -
                           all.influence.leftCols(all.influence.cols() - 1)) /

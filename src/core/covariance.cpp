@@ -11,9 +11,6 @@ namespace {
 
 using SparseMatrix = Eigen::SparseMatrix<double>;
 
-/// Weight of the other half of the log in EstimateHalf(): keeps what only that half knows (its
-/// trajectory) determined, and tells nothing.
-constexpr double kOtherHalf = 1e-6;
 constexpr Eigen::Index kFewestClusters = 6;  // that tell a variance
 
 MarginalEstimate Solve(const SparseMatrix& H, const SparseMatrix& scores, int leading) {
@@ -119,15 +116,40 @@ MarginalEstimate MarginalEstimator::Estimate() const {
 }
 
 MarginalEstimate MarginalEstimator::EstimateHalf(int half) const {
+  // Parameters that act only in the other half, as most of the trajectory does, are left out.
+  const SparseMatrix& H = H_[half];
+  std::vector<bool> acts(static_cast<size_t>(H.cols()), false);
+  std::fill_n(acts.begin(), leading_, true);
+  for (int column = 0; column < H.cols(); ++column) {
+    for (SparseMatrix::InnerIterator it(H, column); it; ++it) {
+      if (it.row() == column || it.value() == 0.0) continue;
+      acts[static_cast<size_t>(it.row())] = acts[static_cast<size_t>(column)] = true;
+    }
+  }
+  std::vector<int> place(acts.size(), -1);
+  int size = 0;
+  for (size_t i = 0; i < acts.size(); ++i)
+    if (acts[i]) place[i] = size++;
+  const auto place_of = [&place](Eigen::Index i) { return place[static_cast<size_t>(i)]; };
+
+  std::vector<Eigen::Triplet<double>> kept;
+  kept.reserve(static_cast<size_t>(H.nonZeros()));
+  for (int column = 0; column < H.cols(); ++column)
+    for (SparseMatrix::InnerIterator it(H, column); it; ++it)
+      if (place_of(column) >= 0 && place_of(it.row()) >= 0)
+        kept.emplace_back(place_of(it.row()), place_of(column), it.value());
+  SparseMatrix own(size, size);
+  own.setFromTriplets(kept.begin(), kept.end());
+
   const int begin = half == 0 ? 0 : second_half_;
   const int end = half == 0 ? std::min(second_half_, clusters_) : clusters_;
-  std::vector<Eigen::Triplet<double>> own;
+  kept.clear();
   for (const auto& score : scores_)
-    if (score.col() >= begin && score.col() < end)
-      own.emplace_back(score.row(), score.col() - begin, score.value());
-  SparseMatrix scores(H_[0].rows(), std::max(0, end - begin));
-  scores.setFromTriplets(own.begin(), own.end());
-  return Solve(H_[half] + kOtherHalf * H_[1 - half], scores, leading_);
+    if (score.col() >= begin && score.col() < end && place_of(score.row()) >= 0)
+      kept.emplace_back(place_of(score.row()), score.col() - begin, score.value());
+  SparseMatrix scores(size, std::max(0, end - begin));
+  scores.setFromTriplets(kept.begin(), kept.end());
+  return Solve(own, scores, leading_);
 }
 
 Eigen::MatrixXd ClusterRobustCovariance(const MarginalEstimate& estimate, double fitted) {

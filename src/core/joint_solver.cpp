@@ -182,18 +182,20 @@ JointStart ChooseKnotSpacing(const CalibrationOptions& options,
   const bool is_given = options.knot_spacing_s > 0.0;
   const double finest =
       kMinSamplesPerKnot / std::min(data.gyro_report.rate_hz, data.accel_report.rate_hz);
+  double spacing = is_given ? options.knot_spacing_s : kCoarsestKnots;
   double residual_before = std::numeric_limits<double>::infinity();
-  for (double spacing = is_given ? options.knot_spacing_s : kCoarsestKnots;; spacing *= 0.5) {
+  for (;;) {
     Estimate trial = *estimate;
     JointSolver solver(options, trajectory, excerpt, {spacing, initial}, &trial);
     const NoiseStd noise = solver.FindNoise();
     const double residual = noise.gyro * noise.accel;
-    const bool shrinks = residual < kShrinkage * residual_before;
-    if (is_given || !shrinks || 0.5 * spacing < finest) {
+    const double next = 0.5 * spacing >= finest ? 0.5 * spacing : M_SQRT1_2 * spacing;
+    if (is_given || residual > kShrinkage * residual_before || next < finest) {
       *estimate = trial;
       return {spacing, noise};
     }
     residual_before = residual;
+    spacing = next;
   }
 }
 

@@ -94,20 +94,24 @@ std::vector<Eigen::Vector2d> LeaveOneOut(const PoseTrajectory& trajectory,
                                          const std::vector<TimedPose>& poses) {
   const double position_noise2 = std::pow(trajectory.position_hyperparameters().noise_std, 2);
   const double rotation_noise2 = std::pow(trajectory.rotation_hyperparameters().noise_std, 2);
-  std::vector<Eigen::Vector2d> normalised;
-  normalised.reserve(poses.size());
-  for (const TimedPose& pose : poses) {
-    const PoseTrajectory::Pose smooth = trajectory.PoseAt(pose.t);
-    // r_loo = r / (1 - h) with variance noise^2 / (1 - h), h = posterior variance / noise^2
-    const auto normalise = [](double residual, double variance, double noise2) {
-      return residual / std::sqrt(std::max(noise2 - variance, 1e-3 * noise2));
-    };
-    normalised.emplace_back(
-        normalise((pose.p_WM - smooth.p_WM).norm(), smooth.position_variance, position_noise2),
-        normalise(Log(Eigen::Quaterniond(smooth.q_WM.conjugate() * pose.q_WM)).norm(),
-                  smooth.rotation_variance,
-                  rotation_noise2));
-  }
+  // r_loo = r / (1 - h) with variance noise^2 / (1 - h), h = posterior variance / noise^2
+  const auto normalise = [](double residual, double variance, double noise2) {
+    return residual / std::sqrt(std::max(noise2 - variance, 1e-3 * noise2));
+  };
+  std::vector<Eigen::Vector2d> normalised(poses.size());
+  const auto fill = [&](size_t begin, size_t end) {
+    for (size_t i = begin; i < end; ++i) {
+      const TimedPose& pose = poses[i];
+      const PoseTrajectory::Pose smooth = trajectory.PoseAt(pose.t);
+      const double rotation = Log(Eigen::Quaterniond(smooth.q_WM.conjugate() * pose.q_WM)).norm();
+      normalised[i] << normalise(
+          (pose.p_WM - smooth.p_WM).norm(), smooth.position_variance, position_noise2),
+          normalise(rotation, smooth.rotation_variance, rotation_noise2);
+    }
+  };
+  auto first_half = std::async(std::launch::async, fill, 0, poses.size() / 2);
+  fill(poses.size() / 2, poses.size());
+  first_half.get();
   return normalised;
 }
 

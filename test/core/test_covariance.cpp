@@ -132,8 +132,8 @@ TEST(MarginalCovariance, HalvesAreTheProblemsOfTheirRows) {
         Marginal(part, std::vector<double>(begin, begin + 30), Blocks(30, 6), 4);
     const MarginalEstimate estimate = estimator.EstimateHalf(half);
     EXPECT_LT((estimate.covariance - expected.covariance).norm(),
-              1e-4 * expected.covariance.norm());
-    EXPECT_LT((estimate.Step() - expected.Step()).norm(), 1e-4 * expected.Step().norm());
+              1e-10 * expected.covariance.norm());
+    EXPECT_LT((estimate.Step() - expected.Step()).norm(), 1e-10 * expected.Step().norm());
   }
 }
 
