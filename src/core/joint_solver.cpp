@@ -17,7 +17,9 @@ constexpr int kMaxPasses = 6;
 constexpr double kExcerpt = 8.0;            // [s] on which the knot spacing is chosen
 constexpr double kCoarsestKnots = 0.12;     // [s]
 constexpr double kMinSamplesPerKnot = 4.0;  // IMU samples
-constexpr double kShrinkage = 0.96;         // of gyro times accel residual that is worth more knots
+/// Of gyro times accel residual, by the last step, that is worth knots twice and 1.4 times as
+/// dense.
+constexpr double kShrinkage = 0.96, kSteepShrinkage = 0.5;
 
 /// Samples of the log from `begin` to `end` [s, pose clock].
 ConditionedData Excerpt(const ConditionedData& data,
@@ -189,8 +191,11 @@ JointStart ChooseKnotSpacing(const CalibrationOptions& options,
     JointSolver solver(options, trajectory, excerpt, {spacing, initial}, &trial);
     const NoiseStd noise = solver.FindNoise();
     const double residual = noise.gyro * noise.accel;
-    const double next = 0.5 * spacing >= finest ? 0.5 * spacing : M_SQRT1_2 * spacing;
-    if (is_given || residual > kShrinkage * residual_before || next < finest) {
+    const double shrinkage = residual / residual_before;
+    const bool may_halve = 0.5 * spacing >= finest;
+    const double next = (may_halve ? 0.5 : M_SQRT1_2) * spacing;
+    const bool is_worth = shrinkage < (may_halve ? kShrinkage : kSteepShrinkage);
+    if (is_given || !is_worth || next < finest) {
       *estimate = trial;
       return {spacing, noise};
     }
