@@ -410,6 +410,11 @@ double ScanLengthscale(const std::vector<GpData>& data,
 GpHyperparameters FitHyperparameters(const std::vector<GpData>& data,
                                      const GpHyperparameters& fixed) {
   if (fixed.lengthscale_s > 0.0 && fixed.signal_std > 0.0 && fixed.noise_std > 0.0) return fixed;
+  if (fixed.lengthscale_s == 0.0 && fixed.noise_std > 0.0) {
+    const GpHyperparameters fitted =
+        FitHyperparameters(data, {fixed.lengthscale_s, fixed.signal_std, 0.0});
+    if (fitted.noise_std > fixed.noise_std) return fitted;
+  }
   const Moments moments(data);
   const double signal = std::max(moments.signal, 1e-6);
   const double noise = std::clamp(moments.noise, 1e-5 * signal, signal);

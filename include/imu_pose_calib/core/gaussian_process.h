@@ -67,7 +67,8 @@ double LogMarginalLikelihood(const GpData& data,
                              Eigen::Vector3d* gradient);
 
 /// Hyperparameters that maximise the marginal likelihood of all of `data`. Values of `fixed` that
-/// are not zero are kept.
+/// are not zero are kept; a noise without a length scale is the least: with less than the data
+/// show, the length scale would follow the noise.
 GpHyperparameters FitHyperparameters(const std::vector<GpData>& data,
                                      const GpHyperparameters& fixed);
 

@@ -57,7 +57,8 @@ struct CalibrationOptions {
   /// Time between the knots of the piecewise linear biases [s]. 0: a knot at every sample.
   double bias_knot_interval_s = 5.0;
 
-  // --- Gaussian-process trajectory (S1); 0: from the marginal likelihood ---
+  // --- Gaussian-process trajectory (S1); 0: from the marginal likelihood. A noise without a length
+  // scale is the least ---
 
   double position_lengthscale_s = 0.0;  ///< [s]
   double position_signal_std = 0.0;     ///< [m]
