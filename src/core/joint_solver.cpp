@@ -11,8 +11,9 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr double kNoiseAgreement = 1.5;  // factor between noise assumed and noise found
-constexpr int kMaxPasses = 6;
+/// Factor between noise assumed and noise found, over the log and where the search for it is cheap.
+constexpr double kNoiseAgreement = 1.5, kNoiseSettled = 1.15;
+constexpr int kMaxPasses = 6, kMaxNoisePasses = 10;
 
 constexpr double kExcerpt = 8.0;            // [s] on which the knot spacing is chosen
 constexpr double kCoarsestKnots = 0.12;     // [s]
@@ -122,6 +123,18 @@ class JointSolver {
     return statistics_.noise;
   }
 
+  /// After FindNoise(): until the noise hardly depends on the one that the search started from.
+  NoiseStd SettleNoise() {
+    NoiseStd before;
+    int pass = 2;
+    do {
+      before = statistics_.noise;
+      SetNoise(before);
+      Pass();
+    } while (Change(before, statistics_.noise) > kNoiseSettled && ++pass < kMaxNoisePasses);
+    return statistics_.noise;
+  }
+
   /// Starts close to the solution: residuals about the calibration of the start tell what is an
   /// outlier before it can move the calibration. Linear growth of the time shift cannot be known by
   /// then.
@@ -196,8 +209,9 @@ JointStart ChooseKnotSpacing(const CalibrationOptions& options,
     const double next = (may_halve ? 0.5 : M_SQRT1_2) * spacing;
     const bool is_worth = shrinkage < (may_halve ? kShrinkage : kSteepShrinkage);
     if (is_given || !is_worth || next < finest) {
+      const NoiseStd settled = solver.SettleNoise();
       *estimate = trial;
-      return {spacing, noise};
+      return {spacing, settled};
     }
     residual_before = residual;
     spacing = next;
