@@ -118,20 +118,15 @@ class JointSolver {
   /// The noise of a plain and a robust pass.
   NoiseStd FindNoise() {
     Pass();
-    SetNoise(statistics_.noise);
-    Pass();
+    NextPass(statistics_.noise);
     return statistics_.noise;
   }
 
   /// After FindNoise(): until the noise hardly depends on the one that the search started from.
   NoiseStd SettleNoise() {
-    NoiseStd before;
     int pass = 2;
-    do {
-      before = statistics_.noise;
-      SetNoise(before);
-      Pass();
-    } while (Change(before, statistics_.noise) > kNoiseSettled && ++pass < kMaxNoisePasses);
+    do ++pass;
+    while (NextPass(statistics_.noise) > kNoiseSettled && pass < kMaxNoisePasses);
     return statistics_.noise;
   }
 
@@ -140,15 +135,11 @@ class JointSolver {
   /// then.
   Solution Solve() {
     Pass(!options_.estimate_clock_drift);
-    NoiseStd before;
     int pass = 1;
-    do {
-      before = statistics_.noise;
-      SetNoise(Scale(before, problem_->NoiseColor(before)));
-      Pass();
-    } while (Change(before, statistics_.noise) > kNoiseAgreement && ++pass < kMaxPasses);
+    do ++pass;
+    while (NextPass(ColoredNoise()) > kNoiseAgreement && pass < kMaxPasses);
     // The last step, with weights by the last residuals, comes with the covariance.
-    SetNoise(Scale(statistics_.noise, problem_->NoiseColor(statistics_.noise)));
+    SetNoise(ColoredNoise());
     Build();
     const CalibrationCovariance covariance = problem_->Covariance();
     Move(covariance.step, estimate_);
@@ -168,6 +159,19 @@ class JointSolver {
     if (hold_calibration) problem_->HoldCalibration();
     problem_->Solve(kRoughTolerance);
     statistics_ = problem_->Statistics();
+  }
+
+  /// A pass with `noise` and the weights that follow from it and the last residuals; the largest
+  /// factor by which the noise found changes.
+  double NextPass(const NoiseStd& noise) {
+    const NoiseStd before = statistics_.noise;
+    SetNoise(noise);
+    Pass();
+    return Change(before, statistics_.noise);
+  }
+
+  NoiseStd ColoredNoise() const {
+    return Scale(statistics_.noise, problem_->NoiseColor(statistics_.noise));
   }
 
   void SetNoise(const NoiseStd& noise) {
