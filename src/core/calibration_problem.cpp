@@ -21,11 +21,15 @@ namespace {
 constexpr double kEdge = 0.02;  // [s]
 /// On each coordinate of the trajectory's corrections [1/m^2, 1/rad^2]: nothing beside any sample.
 constexpr double kWeakInformation = 1.0;
+/// Residuals of a sensor that the trajectory follows more closely say little about its noise.
+constexpr double kLeastRedundancy = 0.1;
 /// Blocks of the cluster-robust covariance by default, and their least length [s].
 constexpr double kCovarianceBlocks = 24.0;
 constexpr double kShortestBlock = 2.0;
 /// Rows of the Jacobian that Covariance() holds at a time.
 constexpr size_t kPortionRows = 100000;
+/// Beyond which Covariance() looks for the change of the gradient [s].
+constexpr double kClockStep = 1e-6;
 /// From which Covariance() factorises one matrix at a time.
 constexpr int kManyColumns = 100000;
 
@@ -127,14 +131,7 @@ void CalibrationProblem::Solve(double function_tolerance) {
 }
 
 ResidualStatistics CalibrationProblem::Statistics() {
-  // An estimated trajectory follows its data: residuals have fewer degrees of freedom than samples.
-  double rows = 0.0;
-  for (const Sensor* sensor : {&position_, &rotation_, &gyro_, &accel_})
-    rows += 3.0 * static_cast<double>(sensor->samples.size());
-  const double fitted = 3.0 * static_cast<double>(trajectory_blocks_.size());
-  const double inflation = 1.0 / std::sqrt(std::max(0.1, 1.0 - fitted / rows));
-
-  const auto statistics = [&](Sensor* sensor, double* noise, double* rms) {
+  const auto statistics = [&](Sensor* sensor, double fitted, double* noise, double* rms) {
     if (sensor->samples.empty()) return;
     ceres::Problem::EvaluateOptions evaluate;
     evaluate.apply_loss_function = false;
@@ -154,16 +151,18 @@ ResidualStatistics CalibrationProblem::Statistics() {
       sensor->residuals.push_back(r);
       sum2 += sample.scale * sample.scale * r.squaredNorm();
     }
-    const double spread2 = std::pow(inflation * kMadToSigma * Median(magnitudes), 2);
+    const double redundancy = std::max(kLeastRedundancy, 1.0 - fitted);
+    const double spread2 = std::pow(kMadToSigma * Median(magnitudes), 2) / redundancy;
     // The trajectory's share is known only roughly: it never explains the residuals alone.
     *noise = std::sqrt(std::max({spread2 - Median(variances), 0.01 * spread2, 1e-18}));
     *rms = std::sqrt(sum2 / static_cast<double>(residuals.size()));
   };
   ResidualStatistics s{noise_, {}};
-  statistics(&position_, &s.noise.position, &s.rms.position);
-  statistics(&rotation_, &s.noise.rotation, &s.rms.rotation);
-  statistics(&gyro_, &s.noise.gyro, &s.rms.gyro);
-  statistics(&accel_, &s.noise.accel, &s.rms.accel);
+  const NoiseStd fitted = FittedShare();
+  statistics(&position_, fitted.position, &s.noise.position, &s.rms.position);
+  statistics(&rotation_, fitted.rotation, &s.noise.rotation, &s.rms.rotation);
+  statistics(&gyro_, fitted.gyro, &s.noise.gyro, &s.rms.gyro);
+  statistics(&accel_, fitted.accel, &s.noise.accel, &s.rms.accel);
   return s;
 }
 
@@ -215,6 +214,13 @@ CalibrationCovariance CalibrationProblem::Covariance() {
     if (i >= leading_blocks && i < trajectory_begin) shared += size;
   }
 
+  std::vector<std::pair<double*, int>> clocks;  // and their columns
+  for (int column = 0; column < estimated; ++column) {
+    const int place = places[static_cast<size_t>(column)];
+    if (place == kTimeShift) clocks.emplace_back(&estimate_->time_shift, column);
+    if (place == kAccelDelay) clocks.emplace_back(&estimate_->accel_delay, column);
+  }
+
   // In portions, so that the Jacobian is never there as a whole.
   const double start = std::min(data_.gyro.front().t, data_.accel.front().t);
   const double end = std::max(data_.gyro.back().t, data_.accel.back().t);
@@ -232,6 +238,9 @@ CalibrationCovariance CalibrationProblem::Covariance() {
     ceres::CRSMatrix jacobian;
     problem_.Evaluate(evaluate, nullptr, &residuals, nullptr, &jacobian);
     estimator.Add(jacobian, residuals, cluster);
+    for (const auto& [clock, column] : clocks)
+      estimator.AddCurvature(
+          column, Curvature(&problem_, evaluate, jacobian, residuals, clock, column, kClockStep));
     evaluate.residual_blocks.clear();
     cluster.clear();
   };
@@ -269,7 +278,8 @@ CalibrationCovariance CalibrationProblem::Covariance() {
   const auto launch = columns < kManyColumns ? std::launch::async : std::launch::deferred;
   auto first_half = std::async(launch, [&] { return estimator.EstimateHalf(0); });
   auto second_half = std::async(launch, [&] { return estimator.EstimateHalf(1); });
-  const MarginalEstimate all = estimator.Estimate();
+  const MarginalEstimates estimates = estimator.Estimate();
+  const MarginalEstimate& all = estimates.gauss_newton;
   const MarginalEstimate marginal = Condition(all, estimated);
   // Scores have as many dimensions per cluster as there are parameters that act in it; the fit sets
   // as many of them to 0 as it has parameters.
@@ -283,7 +293,7 @@ CalibrationCovariance CalibrationProblem::Covariance() {
     return ClusterRobustCovariance(estimate, fitted);
   };
   result.model = spread(marginal.covariance);
-  result.robust = spread(robust(marginal));
+  result.robust = spread(robust(Condition(estimates.exact, estimated)));
   if (marginal.covariance.allFinite()) result.step = spread_vector(marginal.Step());
   result.feigned_lever_arm_information = FeignedLeverArmInformation();
 

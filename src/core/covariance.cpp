@@ -1,6 +1,7 @@
 #include "imu_pose_calib/core/covariance.h"
 
 #include <Eigen/Cholesky>
+#include <Eigen/LU>
 #include <Eigen/SparseCholesky>
 #include <algorithm>
 #include <cmath>
@@ -13,13 +14,41 @@ using SparseMatrix = Eigen::SparseMatrix<double>;
 
 constexpr Eigen::Index kFewestClusters = 6;  // that tell a variance
 
-MarginalEstimate Solve(const SparseMatrix& H, const SparseMatrix& scores, int leading) {
+MarginalEstimates Solve(const SparseMatrix& H,
+                        const std::map<int, Eigen::VectorXd>& curvature,
+                        const SparseMatrix& scores,
+                        int leading) {
   const Eigen::SimplicialLDLT<SparseMatrix> solver(H);
-  if (solver.info() != Eigen::Success || (solver.vectorD().array() <= 0.0).any())
-    return {Eigen::MatrixXd::Constant(leading, leading, std::numeric_limits<double>::infinity()),
-            Eigen::MatrixXd::Zero(leading, scores.cols())};
+  if (solver.info() != Eigen::Success || (solver.vectorD().array() <= 0.0).any()) {
+    const MarginalEstimate unknown = {
+        Eigen::MatrixXd::Constant(leading, leading, std::numeric_limits<double>::infinity()),
+        Eigen::MatrixXd::Zero(leading, scores.cols())};
+    return {unknown, unknown};
+  }
+  const auto estimate = [&](const Eigen::MatrixXd& inverse) {
+    return MarginalEstimate{inverse.topRows(leading), -inverse.transpose() * scores};
+  };
   const Eigen::MatrixXd X = solver.solve(Eigen::MatrixXd::Identity(H.cols(), leading));
-  return {X.topRows(leading), -X.transpose() * scores};
+  MarginalEstimates estimates = {estimate(X), estimate(X)};
+  if (curvature.empty()) return estimates;
+
+  // Exact columns add sum_k e_k c_k^T + c_k e_k^T = U W U^T: Woodbury.
+  const auto count = static_cast<Eigen::Index>(curvature.size());
+  Eigen::MatrixXd U = Eigen::MatrixXd::Zero(H.cols(), 2 * count);
+  Eigen::MatrixXd W = Eigen::MatrixXd::Zero(2 * count, 2 * count);  // its own inverse
+  Eigen::Index k = 0;
+  for (const auto& [column, c] : curvature) {
+    U(column, 2 * k) = 1.0;
+    U.col(2 * k + 1) = c;
+    for (const auto& [other, unused] : curvature) U(other, 2 * k + 1) *= 0.5;  // comes twice
+    W(2 * k, 2 * k + 1) = W(2 * k + 1, 2 * k) = 1.0;
+    ++k;
+  }
+  const Eigen::MatrixXd Y = solver.solve(U);
+  const Eigen::MatrixXd inner = W + U.transpose() * Y;
+  const Eigen::MatrixXd exact = X - Y * inner.partialPivLu().solve(U.transpose() * X);
+  if (exact.topRows(leading).llt().info() == Eigen::Success) estimates.exact = estimate(exact);
+  return estimates;
 }
 
 /// By how much the variance grows when clusters, columns of z in units of the model, are merged two
@@ -56,6 +85,34 @@ MarginalEstimate Condition(const MarginalEstimate& estimate, int count) {
                                    .transpose();
   return {C.topLeftCorner(count, count) - gain * C.bottomLeftCorner(others, count),
           estimate.influence.topRows(count) - gain * estimate.influence.bottomRows(others)};
+}
+
+Eigen::VectorXd Curvature(ceres::Problem* problem,
+                          const ceres::Problem::EvaluateOptions& options,
+                          const ceres::CRSMatrix& J,
+                          const std::vector<double>& residuals,
+                          double* p,
+                          int column,
+                          double step) {
+  const Eigen::Map<const Eigen::SparseMatrix<double, Eigen::RowMajor>> jacobian(
+      J.num_rows,
+      J.num_cols,
+      static_cast<Eigen::Index>(J.values.size()),
+      J.rows.data(),
+      J.cols.data(),
+      J.values.data());
+  const Eigen::VectorXd own = jacobian * Eigen::VectorXd::Unit(J.num_cols, column);
+  if (own.isZero(0.0)) return Eigen::VectorXd::Zero(J.num_cols);
+  const double value = *p;
+  std::vector<double> gradient;
+  *p = value + step;
+  problem->Evaluate(options, nullptr, nullptr, &gradient, nullptr);
+  *p = value;
+  const Eigen::Map<const Eigen::VectorXd> r(residuals.data(), J.num_rows);
+  return (Eigen::Map<const Eigen::VectorXd>(gradient.data(), J.num_cols) -
+          jacobian.transpose() * r) /
+             step -
+         jacobian.transpose() * own;
 }
 
 MarginalEstimator::MarginalEstimator(int parameters, int leading, int second_half)
@@ -100,6 +157,11 @@ void MarginalEstimator::Add(const ceres::CRSMatrix& J,
   }
 }
 
+void MarginalEstimator::AddCurvature(int column, const Eigen::VectorXd& curvature) {
+  const auto place = curvature_.emplace(column, Eigen::VectorXd::Zero(curvature.size())).first;
+  place->second += curvature;
+}
+
 void MarginalEstimator::AddPrior(int first, double information) {
   const int size = static_cast<int>(H_[0].rows());
   std::vector<Eigen::Triplet<double>> diagonal;
@@ -109,10 +171,10 @@ void MarginalEstimator::AddPrior(int first, double information) {
   for (SparseMatrix& H : H_) H += prior;
 }
 
-MarginalEstimate MarginalEstimator::Estimate() const {
+MarginalEstimates MarginalEstimator::Estimate() const {
   SparseMatrix scores(H_[0].rows(), clusters_);
   scores.setFromTriplets(scores_.begin(), scores_.end());
-  return Solve(H_[0] + H_[1], scores, leading_);
+  return Solve(H_[0] + H_[1], curvature_, scores, leading_);
 }
 
 MarginalEstimate MarginalEstimator::EstimateHalf(int half) const {
@@ -149,7 +211,7 @@ MarginalEstimate MarginalEstimator::EstimateHalf(int half) const {
       kept.emplace_back(place_of(score.row()), score.col() - begin, score.value());
   SparseMatrix scores(size, std::max(0, end - begin));
   scores.setFromTriplets(kept.begin(), kept.end());
-  return Solve(own, scores, leading_);
+  return Solve(own, {}, scores, leading_).gauss_newton;
 }
 
 Eigen::MatrixXd ClusterRobustCovariance(const MarginalEstimate& estimate, double fitted) {

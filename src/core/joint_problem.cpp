@@ -261,26 +261,54 @@ void JointProblem::UpdateWeights(const NoiseStd& noise, SampleWeights* weights) 
   update_imu(accel_, noise.accel, &weights->accel);
 }
 
-NoiseStd JointProblem::NoiseColor(const NoiseStd& spread) const {
+JointProblem::Crossover JointProblem::FindCrossover() const {
   const auto density = [](double std, double rate_hz) { return std * std / rate_hz; };
   const double pose_rate = data_.pose_report.rate_hz;
   const double accel_over_position =
       density(noise_.accel, data_.accel_report.rate_hz) / density(noise_.position, pose_rate);
   const double gyro_over_rotation =
       density(noise_.gyro, data_.gyro_report.rate_hz) / density(noise_.rotation, pose_rate);
-  // [Hz] at which S_a = w^4 S_p and S_g = w^2 S_r
-  const double f_accel = std::pow(accel_over_position, 0.25) / (2.0 * M_PI);
-  const double f_gyro = std::sqrt(gyro_over_rotation) / (2.0 * M_PI);
+  return {std::pow(accel_over_position, 0.25) / (2.0 * M_PI),
+          std::sqrt(gyro_over_rotation) / (2.0 * M_PI)};
+}
+
+NoiseStd JointProblem::FittedShare() const {
+  // Of the information on a spline, white up to its band, what an IMU sensor has: that of its
+  // density over w^order against that of the poses.
+  const double band = 0.5 / splines_->spacing();  // [Hz]
+  const auto imu_share = [band](double crossover, int order) {
+    constexpr int kSteps = 100;
+    double sum = 0.0;
+    for (int k = 0; k < kSteps; ++k) {
+      const double x = std::pow((k + 0.5) / kSteps * band / crossover, order);
+      sum += x / (1.0 + x);
+    }
+    return sum / kSteps;
+  };
+  const auto points = static_cast<double>(splines_->d.size());
+  const auto fitted = [points](double share, const Sensor& sensor) {
+    return share * points / std::max(1.0, static_cast<double>(sensor.samples.size()));
+  };
+  const Crossover crossover = FindCrossover();
+  const double accel = imu_share(crossover.accel, 4), gyro = imu_share(crossover.gyro, 2);
+  return {fitted(1.0 - accel, position_),
+          fitted(1.0 - gyro, rotation_),
+          fitted(gyro, gyro_),
+          fitted(accel, accel_)};
+}
+
+NoiseStd JointProblem::NoiseColor(const NoiseStd& spread) const {
+  const Crossover crossover = FindCrossover();
   const auto color = [](const Sensor& sensor, double std, double frequency) {
     std::vector<double> t;
     for (const Sample& sample : sensor.samples) t.push_back(sample.t);
     const double tau = std::min(kLongestAveraging, kAllanBand / frequency);
     return std::max(1.0, AllanNoise(t, sensor.residuals, tau) / std);
   };
-  return {color(position_, spread.position, 2.0 * f_accel),
-          color(rotation_, spread.rotation, 2.0 * f_gyro),
-          color(gyro_, spread.gyro, 0.5 * f_gyro),
-          color(accel_, spread.accel, 0.5 * f_accel)};
+  return {color(position_, spread.position, 2.0 * crossover.accel),
+          color(rotation_, spread.rotation, 2.0 * crossover.gyro),
+          color(gyro_, spread.gyro, 0.5 * crossover.gyro),
+          color(accel_, spread.accel, 0.5 * crossover.accel)};
 }
 
 double JointProblem::FeignedLeverArmInformation() const {

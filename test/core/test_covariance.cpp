@@ -1,3 +1,4 @@
+#include <ceres/autodiff_cost_function.h>
 #include <gtest/gtest.h>
 
 #include <Eigen/Cholesky>
@@ -72,7 +73,7 @@ MarginalEstimate Marginal(const MatrixXd& J,
                           const std::vector<double>& residuals,
                           const std::vector<int>& cluster,
                           int leading) {
-  return Estimator(J, residuals, cluster, leading).Estimate();
+  return Estimator(J, residuals, cluster, leading).Estimate().gauss_newton;
 }
 
 TEST(MarginalCovariance, EqualsTheDenseFormulas) {
@@ -137,6 +138,82 @@ TEST(MarginalCovariance, HalvesAreTheProblemsOfTheirRows) {
   }
 }
 
+TEST(MarginalCovariance, ExactColumnsEqualTheDenseFormulas) {
+  std::mt19937 random(23);
+  const int rows = 60, cols = 12, leading = 5;
+  const MatrixXd J = RandomJacobian(rows, cols, &random);
+  const std::vector<double> residuals = RandomResiduals(rows, &random);
+  const std::vector<int> cluster = Blocks(rows, 6);
+  MatrixXd S = 0.3 * MatrixXd::Random(cols, cols);  // second derivatives by columns 1 and 4
+  S = (S + S.transpose()).eval();
+  MatrixXd H = J.transpose() * J;
+  MarginalEstimator estimator = Estimator(J, residuals, cluster, leading);
+  for (const int column : {1, 4}) {
+    estimator.AddCurvature(column, 0.25 * S.col(column));  // in two portions
+    estimator.AddCurvature(column, 0.75 * S.col(column));
+    for (int i = 0; i < cols; ++i) {
+      if (i == 1 && column == 4) continue;  // is there
+      H(i, column) += S(i, column);
+      if (i != column) H(column, i) += S(i, column);
+    }
+  }
+  const MarginalEstimates estimates = estimator.Estimate();
+  const MatrixXd expected = H.inverse().topLeftCorner(leading, leading);
+  ASSERT_TRUE(expected.llt().info() == Eigen::Success);
+  EXPECT_LT((estimates.exact.covariance - expected).norm(), 1e-10 * expected.norm());
+  const MarginalEstimate plain = Marginal(J, residuals, cluster, leading);
+  EXPECT_EQ((estimates.gauss_newton.covariance - plain.covariance).norm(), 0.0);
+  EXPECT_GT((estimates.exact.covariance - plain.covariance).norm(), 1e-3 * expected.norm());
+  VectorXd g = VectorXd::Zero(cols);
+  for (int i = 0; i < rows; ++i) g += residuals[static_cast<size_t>(i)] * J.row(i).transpose();
+  const VectorXd step = -(H.inverse() * g).head(leading);
+  EXPECT_LT((estimates.exact.Step() - step).norm(), 1e-10 * step.norm());
+}
+
+TEST(MarginalCovariance, ExactColumnsAreLeftOutWhereTheyWouldTakeAllInformation) {
+  const MatrixXd J = MatrixXd::Identity(6, 6);
+  MarginalEstimator estimator = Estimator(J, std::vector<double>(6, 1.0), Blocks(6, 1), 2);
+  estimator.AddCurvature(0, -2.0 * VectorXd::Unit(6, 0));
+  const MarginalEstimates estimates = estimator.Estimate();
+  EXPECT_TRUE(estimates.exact.covariance.isApprox(estimates.gauss_newton.covariance));
+}
+
+/// r_i = y_i - a sin(w t_i).
+struct Wave {
+  double t, y;
+  template <typename T>
+  bool operator()(const T* a, const T* w, T* residual) const {
+    *residual = y - *a * sin(*w * t);
+    return true;
+  }
+};
+
+TEST(Curvature, IsTheSecondDerivativeThatGaussNewtonLeavesOut) {
+  std::mt19937 random(5);
+  std::normal_distribution<double> normal;
+  double a = 1.3, w = 2.1;
+  ceres::Problem problem;
+  double aw = 0.0, ww = 0.0;  // sum of r d^2 r / da dw and r d^2 r / dw^2
+  for (int i = 0; i < 20; ++i) {
+    const double t = 0.1 * i, y = normal(random);
+    problem.AddResidualBlock(
+        new ceres::AutoDiffCostFunction<Wave, 1, 1, 1>(new Wave{t, y}), nullptr, &a, &w);
+    const double r = y - a * std::sin(w * t);
+    aw -= r * t * std::cos(w * t);
+    ww += r * a * t * t * std::sin(w * t);
+  }
+  ceres::Problem::EvaluateOptions options;
+  options.parameter_blocks = {&a, &w};
+  std::vector<double> residuals;
+  ceres::CRSMatrix J;
+  problem.Evaluate(options, nullptr, &residuals, nullptr, &J);
+  const VectorXd curvature = Curvature(&problem, options, J, residuals, &w, 1, 1e-6);
+  ASSERT_EQ(curvature.size(), 2);
+  EXPECT_NEAR(curvature[0], aw, 1e-4);
+  EXPECT_NEAR(curvature[1], ww, 1e-4);
+  EXPECT_EQ(w, 2.1);
+}
+
 TEST(MarginalCovariance, IsInfiniteForAParameterWithoutInformation) {
   std::mt19937 random(2);
   MatrixXd J = RandomJacobian(40, 6, &random);
@@ -157,7 +234,8 @@ TEST(MarginalCovariance, IsNotSpoiltByAnUnseenParameterWithAPrior) {
   MatrixXd seen(40, 5);
   seen << J.leftCols(4), J.col(5);
   const MatrixXd expected = Marginal(seen, residuals, Blocks(40, 4), 3).covariance;
-  EXPECT_LT((estimator.Estimate().covariance - expected).norm(), 1e-6 * expected.norm());
+  EXPECT_LT((estimator.Estimate().gauss_newton.covariance - expected).norm(),
+            1e-6 * expected.norm());
 }
 
 TEST(MarginalCovariance, IsNeverConfidentInParametersThatActAlike) {

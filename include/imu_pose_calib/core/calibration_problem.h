@@ -125,6 +125,8 @@ class CalibrationProblem {
   /// The sample can be compared: t_M [s, pose clock] is inside of a segment and not at its very
   /// end.
   bool IsOnTrajectory(double t_M) const;
+  /// Share of each sensor's degrees of freedom that the trajectory uses up by following it [0..1].
+  virtual NoiseStd FittedShare() const { return {}; }
   /// See CalibrationCovariance.
   virtual double FeignedLeverArmInformation() const = 0;
 

@@ -1,9 +1,11 @@
 #pragma once
 
 #include <ceres/crs_matrix.h>
+#include <ceres/problem.h>
 
 #include <Eigen/Core>
 #include <Eigen/SparseCore>
+#include <map>
 #include <vector>
 
 namespace imu_pose_calib {
@@ -16,6 +18,12 @@ struct MarginalEstimate {
   Eigen::MatrixXd influence;
 
   Eigen::VectorXd Step() const { return influence.rowwise().sum(); }
+};
+
+/// By the Gauss-Newton Hessian J^T J and by one whose columns of some parameters are exact.
+struct MarginalEstimates {
+  MarginalEstimate gauss_newton;
+  MarginalEstimate exact;  ///< the same as gauss_newton when it would not be positive definite
 };
 
 /// The first `count` parameters, as if the others were known to be right.
@@ -34,21 +42,37 @@ class MarginalEstimator {
            const std::vector<double>& residuals,
            const std::vector<int>& cluster);
 
+  /// sum_i r_i d^2 r_i / (dx_column dx) of rows that were added, see Curvature(): what column
+  /// `column`, a leading one, of the Hessian has beyond J^T J. Once per portion and column.
+  void AddCurvature(int column, const Eigen::VectorXd& curvature);
+
   /// `information` on each parameter from `first` on, beside what the rows say: keeps those that no
   /// sample sees determined.
   void AddPrior(int first, double information);
 
   /// Infinite when some parameter has no information.
-  MarginalEstimate Estimate() const;
-  /// What one half of the log (0 or 1) says alone.
+  MarginalEstimates Estimate() const;
+  /// What one half of the log (0 or 1) says alone, by J^T J.
   MarginalEstimate EstimateHalf(int half) const;
 
  private:
   const int leading_, second_half_;
   Eigen::SparseMatrix<double> H_[2];            ///< lower triangles, of each half
+  std::map<int, Eigen::VectorXd> curvature_;    ///< by column
   std::vector<Eigen::Triplet<double>> scores_;  ///< (parameter, cluster, g)
   int clusters_ = 0;
 };
+
+/// sum_i r_i d^2 r_i / (dp dx) for every column x of J, from the gradient `step` further in the
+/// scalar p, whose column in J is `column`. J and `residuals` are what `problem` evaluates to with
+/// `options`.
+Eigen::VectorXd Curvature(ceres::Problem* problem,
+                          const ceres::Problem::EvaluateOptions& options,
+                          const ceres::CRSMatrix& J,
+                          const std::vector<double>& residuals,
+                          double* p,
+                          int column,
+                          double step);
 
 /// Largest share of the scores' degrees of freedom that a fit is taken to have used up.
 constexpr double kLargestFittedShare = 0.5;

@@ -90,6 +90,13 @@ class JointProblem : public CalibrationProblem {
               Sensor* sensor);
   /// The trajectory at an instant given on both clocks [s]; nothing when it is not on a spline.
   std::optional<TrajectoryPoint> PointAt(double tau, double t_M) const;
+  /// [Hz] above which an IMU sensor says more of the trajectory than the poses do:
+  /// S_a = w^4 S_p and S_g = w^2 S_r.
+  struct Crossover {
+    double accel, gyro;
+  };
+  Crossover FindCrossover() const;
+  NoiseStd FittedShare() const override;
   double FeignedLeverArmInformation() const override;
   /// Control points that act on the span.
   std::vector<double*> ControlPoints(std::vector<Eigen::Vector3d>* spline, size_t first) const;
