@@ -242,8 +242,8 @@ void WarnOfMisfit(const CalibrationCovariance& covariance, Calibration* result) 
   };
   const double correlation = Correlation(covariance);
   if (correlation > kCorrelated)
-    warn("residuals are correlated in time: sigmas are up to " + number(correlation, "%.1f") +
-         " times those of independent noise");
+    warn("the residuals are not independent noise: sigmas are up to " +
+         number(correlation, "%.1f") + " times as large as with it");
   if (result->split_half.sigmas > kDisagreement)
     warn("the two halves of the recording disagree by up to " +
          number(result->split_half.sigmas, "%.1f") + " sigma (translation " +
