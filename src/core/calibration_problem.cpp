@@ -182,12 +182,15 @@ CalibrationCovariance CalibrationProblem::Covariance() {
                         {estimate_->accel_intrinsics.data(), kAccelIntrinsics, 9}};
   std::vector<int> places, possible_places;
   std::vector<double*> possible;
+  std::vector<std::pair<double*, int>> clocks;  // and their columns
   ceres::Problem::EvaluateOptions evaluate;
   evaluate.num_threads = Threads(options_.num_threads);
   for (const Part& part : parts) {
     if (!problem_.HasParameterBlock(part.parameters)) continue;
     const bool is_estimated = !problem_.IsParameterBlockConstant(part.parameters);
     if (!is_estimated && part.place < kClockDrift) continue;  // known to the user
+    if (is_estimated && (part.place == kTimeShift || part.place == kAccelDelay))
+      clocks.emplace_back(part.parameters, static_cast<int>(places.size()));
     (is_estimated ? evaluate.parameter_blocks : possible).push_back(part.parameters);
     for (int k = 0; k < part.size; ++k)
       (is_estimated ? places : possible_places).push_back(part.place + k);
@@ -212,13 +215,6 @@ CalibrationCovariance CalibrationProblem::Covariance() {
     const int size = TangentSize(problem_, evaluate.parameter_blocks[i]);
     columns += size;
     if (i >= leading_blocks && i < trajectory_begin) shared += size;
-  }
-
-  std::vector<std::pair<double*, int>> clocks;  // and their columns
-  for (int column = 0; column < estimated; ++column) {
-    const int place = places[static_cast<size_t>(column)];
-    if (place == kTimeShift) clocks.emplace_back(&estimate_->time_shift, column);
-    if (place == kAccelDelay) clocks.emplace_back(&estimate_->accel_delay, column);
   }
 
   // In portions, so that the Jacobian is never there as a whole.

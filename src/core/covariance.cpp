@@ -29,8 +29,8 @@ MarginalEstimates Solve(const SparseMatrix& H,
     return MarginalEstimate{inverse.topRows(leading), -inverse.transpose() * scores};
   };
   const Eigen::MatrixXd X = solver.solve(Eigen::MatrixXd::Identity(H.cols(), leading));
-  MarginalEstimates estimates = {estimate(X), estimate(X)};
-  if (curvature.empty()) return estimates;
+  const MarginalEstimate gauss_newton = estimate(X);
+  if (curvature.empty()) return {gauss_newton, gauss_newton};
 
   // Exact columns add sum_k e_k c_k^T + c_k e_k^T = U W U^T: Woodbury.
   const auto count = static_cast<Eigen::Index>(curvature.size());
@@ -47,8 +47,8 @@ MarginalEstimates Solve(const SparseMatrix& H,
   const Eigen::MatrixXd Y = solver.solve(U);
   const Eigen::MatrixXd inner = W + U.transpose() * Y;
   const Eigen::MatrixXd exact = X - Y * inner.partialPivLu().solve(U.transpose() * X);
-  if (exact.topRows(leading).llt().info() == Eigen::Success) estimates.exact = estimate(exact);
-  return estimates;
+  const bool is_definite = exact.topRows(leading).llt().info() == Eigen::Success;
+  return {gauss_newton, is_definite ? estimate(exact) : gauss_newton};
 }
 
 /// By how much the variance grows when clusters, columns of z in units of the model, are merged two
@@ -109,10 +109,8 @@ Eigen::VectorXd Curvature(ceres::Problem* problem,
   problem->Evaluate(options, nullptr, nullptr, &gradient, nullptr);
   *p = value;
   const Eigen::Map<const Eigen::VectorXd> r(residuals.data(), J.num_rows);
-  return (Eigen::Map<const Eigen::VectorXd>(gradient.data(), J.num_cols) -
-          jacobian.transpose() * r) /
-             step -
-         jacobian.transpose() * own;
+  const Eigen::VectorXd by_first_order = jacobian.transpose() * (r + step * own);
+  return (Eigen::Map<const Eigen::VectorXd>(gradient.data(), J.num_cols) - by_first_order) / step;
 }
 
 MarginalEstimator::MarginalEstimator(int parameters, int leading, int second_half)

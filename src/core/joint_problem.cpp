@@ -261,20 +261,22 @@ void JointProblem::UpdateWeights(const NoiseStd& noise, SampleWeights* weights) 
   update_imu(accel_, noise.accel, &weights->accel);
 }
 
-JointProblem::Crossover JointProblem::FindCrossover() const {
+NoiseStd JointProblem::Densities() const {
   const auto density = [](double std, double rate_hz) { return std * std / rate_hz; };
-  const double pose_rate = data_.pose_report.rate_hz;
-  const double accel_over_position =
-      density(noise_.accel, data_.accel_report.rate_hz) / density(noise_.position, pose_rate);
-  const double gyro_over_rotation =
-      density(noise_.gyro, data_.gyro_report.rate_hz) / density(noise_.rotation, pose_rate);
-  return {std::pow(accel_over_position, 0.25) / (2.0 * M_PI),
-          std::sqrt(gyro_over_rotation) / (2.0 * M_PI)};
+  return {density(noise_.position, data_.pose_report.rate_hz),
+          density(noise_.rotation, data_.pose_report.rate_hz),
+          density(noise_.gyro, data_.gyro_report.rate_hz),
+          density(noise_.accel, data_.accel_report.rate_hz)};
+}
+
+JointProblem::Crossover JointProblem::FindCrossover() const {
+  const NoiseStd S = Densities();
+  return {std::pow(S.accel / S.position, 0.25) / (2.0 * M_PI),
+          std::sqrt(S.gyro / S.rotation) / (2.0 * M_PI)};
 }
 
 NoiseStd JointProblem::FittedShare() const {
-  // Of the information on a spline, white up to its band, what an IMU sensor has: that of its
-  // density over w^order against that of the poses.
+  // An IMU sensor's share of the information on a spline, in the mean over the spline's band.
   const double band = 0.5 / splines_->spacing();  // [Hz]
   const auto imu_share = [band](double crossover, int order) {
     constexpr int kSteps = 100;
@@ -320,19 +322,16 @@ double JointProblem::FeignedLeverArmInformation() const {
     spacing = point->place.spacing;
     count += 1.0;
   }
-  // Power spectral densities of the white noises, per hertz and two-sided.
-  const double gyro = noise_.gyro * noise_.gyro / data_.gyro_report.rate_hz;
-  const double accel = noise_.accel * noise_.accel / data_.accel_report.rate_hz;
-  const double position = noise_.position * noise_.position / data_.pose_report.rate_hz;
-  const double rotation = noise_.rotation * noise_.rotation / data_.pose_report.rate_hz;
+  const NoiseStd S = Densities();
   constexpr int kSteps = 200;
   const double band = 0.5 / spacing, step = band / kSteps;  // [Hz]
   double density = 0.0;                                     // information per second
   for (int k = 0; k < kSteps; ++k) {
     const double w2 = std::pow(2.0 * M_PI * (k + 0.5) * step, 2);
-    const double omega = 1.0 / (1.0 / gyro + 1.0 / (w2 * rotation));  // poses and gyroscope add up
+    const double omega =
+        1.0 / (1.0 / S.gyro + 1.0 / (w2 * S.rotation));  // poses and gyroscope add up
     const double lever = LeverArmCoefficientVariance(w2 * omega, omega, turn2 / count);
-    density += 2.0 * step * lever / (accel + w2 * w2 * position);
+    density += 2.0 * step * lever / (S.accel + w2 * w2 * S.position);
   }
   return count / data_.accel_report.rate_hz * density;
 }

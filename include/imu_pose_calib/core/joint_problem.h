@@ -90,6 +90,8 @@ class JointProblem : public CalibrationProblem {
               Sensor* sensor);
   /// The trajectory at an instant given on both clocks [s]; nothing when it is not on a spline.
   std::optional<TrajectoryPoint> PointAt(double tau, double t_M) const;
+  /// Two-sided power spectral densities of the white noises [unit^2/Hz].
+  NoiseStd Densities() const;
   /// [Hz] above which an IMU sensor says more of the trajectory than the poses do:
   /// S_a = w^4 S_p and S_g = w^2 S_r.
   struct Crossover {
