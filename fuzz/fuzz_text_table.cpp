@@ -2,7 +2,7 @@
 
 #include <sstream>
 
-#include "imu_pose_calib/ros/text_table.h"
+#include "imu_pose_calib/ros/io/text_table.h"
 
 extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   using namespace imu_pose_calib;

@@ -9,7 +9,7 @@
 
 #include <functional>
 
-#include "imu_pose_calib/ros/bag_writer.h"
+#include "imu_pose_calib/ros/io/bag_writer.h"
 #include "run_executable.h"
 
 namespace imu_pose_calib {

@@ -2,8 +2,8 @@
 
 #include <random>
 
-#include "imu_pose_calib/ros/bag_reader.h"
-#include "imu_pose_calib/ros/bag_writer.h"
+#include "imu_pose_calib/ros/io/bag_reader.h"
+#include "imu_pose_calib/ros/io/bag_writer.h"
 #include "recompress.h"
 #include "test_util.h"
 

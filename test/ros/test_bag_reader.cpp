@@ -6,10 +6,10 @@
 #include <std_msgs/String.h>
 #include <tf2_msgs/TFMessage.h>
 
-#include "imu_pose_calib/ros/bag_reader.h"
-#include "imu_pose_calib/ros/bag_writer.h"
-#include "imu_pose_calib/ros/conversions.h"
-#include "imu_pose_calib/ros/offline.h"
+#include "imu_pose_calib/ros/io/bag_reader.h"
+#include "imu_pose_calib/ros/io/bag_writer.h"
+#include "imu_pose_calib/ros/io/conversions.h"
+#include "imu_pose_calib/ros/offline/offline.h"
 #include "recompress.h"
 #include "test_util.h"
 

@@ -8,7 +8,7 @@
 #include <Eigen/Geometry>
 
 #include "imu_pose_calib/CalibrationResult.h"
-#include "imu_pose_calib/ros/bag_writer.h"
+#include "imu_pose_calib/ros/io/bag_writer.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {

@@ -2,7 +2,7 @@
 #include <new>
 
 #include "imu_pose_calib/core/types.h"
-#include "imu_pose_calib/ros/child_process.h"
+#include "imu_pose_calib/ros/io/child_process.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {

@@ -1,6 +1,6 @@
 #include <gtest/gtest.h>
 
-#include "imu_pose_calib/ros/conversions.h"
+#include "imu_pose_calib/ros/io/conversions.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {

@@ -35,7 +35,7 @@ TEST(Core, HasNoRos) {
 
 TEST(Core, WouldBeCaughtUsingRos) {
   EXPECT_EQ(Violations("int a;\n#include <ros/ros.h>\n"), " 2:ros/");
-  EXPECT_EQ(Violations("#include \"imu_pose_calib/ros/bag_reader.h\"\n"), " 1:ros/");
+  EXPECT_EQ(Violations("#include \"imu_pose_calib/ros/io/bag_reader.h\"\n"), " 1:ros/");
   EXPECT_EQ(Violations("#include <sensor_msgs/Imu.h>"), " 1:_msgs/");
   EXPECT_EQ(Violations("#include <Eigen/Core>\n"), "");
 }

@@ -7,8 +7,8 @@
 #include <limits>
 
 #include "imu_pose_calib/core/types.h"
-#include "imu_pose_calib/ros/bag_writer.h"
-#include "imu_pose_calib/ros/result_yaml.h"
+#include "imu_pose_calib/ros/io/bag_writer.h"
+#include "imu_pose_calib/ros/io/result_yaml.h"
 #include "run_executable.h"
 
 namespace imu_pose_calib {

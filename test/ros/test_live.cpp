@@ -23,8 +23,8 @@
 
 #include "imu_pose_calib/CalibrationResult.h"
 #include "imu_pose_calib/CalibrationStatus.h"
-#include "imu_pose_calib/ros/bag_writer.h"
-#include "imu_pose_calib/ros/offline.h"
+#include "imu_pose_calib/ros/io/bag_writer.h"
+#include "imu_pose_calib/ros/offline/offline.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {

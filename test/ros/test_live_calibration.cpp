@@ -6,7 +6,7 @@
 #include <limits>
 
 #include "imu_pose_calib/core/simulator.h"
-#include "imu_pose_calib/ros/live_calibration.h"
+#include "imu_pose_calib/ros/live/live_calibration.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {

@@ -1,7 +1,7 @@
 #include <yaml-cpp/yaml.h>
 
-#include "imu_pose_calib/ros/result_yaml.h"
-#include "imu_pose_calib/ros/ros_options.h"
+#include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/io/ros_options.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {

@@ -1,6 +1,6 @@
 #include <yaml-cpp/yaml.h>
 
-#include "imu_pose_calib/ros/ros_options.h"
+#include "imu_pose_calib/ros/io/ros_options.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {

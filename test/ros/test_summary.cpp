@@ -1,6 +1,6 @@
 #include <sstream>
 
-#include "imu_pose_calib/ros/summary.h"
+#include "imu_pose_calib/ros/offline/summary.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {

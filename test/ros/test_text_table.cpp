@@ -1,7 +1,7 @@
 #include <cmath>
 #include <limits>
 
-#include "imu_pose_calib/ros/text_table.h"
+#include "imu_pose_calib/ros/io/text_table.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {

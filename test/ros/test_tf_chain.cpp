@@ -2,8 +2,8 @@
 
 #include <Eigen/Geometry>
 
-#include "imu_pose_calib/ros/conversions.h"
-#include "imu_pose_calib/ros/tf_chain.h"
+#include "imu_pose_calib/ros/io/conversions.h"
+#include "imu_pose_calib/ros/io/tf_chain.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {

@@ -1,0 +1,40 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "imu_pose_calib/ros/io/recording.h"
+
+namespace imu_pose_calib {
+
+/// What to read from bags. Topics left empty are found by their type.
+struct BagRequest {
+  /// Bags of one recording, each with all topics or only some; at least one.
+  std::vector<std::string> paths;
+  std::string imu_topic;
+  std::string pose_topic;
+  /// Split IMU, both or none; not together with `imu_topic`.
+  std::string gyro_topic, accel_topic;
+  /// Poses of `tf_child` in `tf_parent` from tf, both or none; not together with `pose_topic`.
+  std::string tf_parent, tf_child;
+  double start_s = 0.0;      ///< [s] after the first record time of the bags
+  double duration_s = 0.0;   ///< [s] 0: to the end
+  bool record_time = false;  ///< Stamp with the record times instead of the header stamps.
+  /// Taken when no IMU topic is given and the bags have it.
+  std::string usual_imu_topic;
+};
+
+/// Reads IMU samples (sensor_msgs/Imu on one topic; gyroscope and accelerometer on two as
+/// sensor_msgs/Imu or geometry_msgs/Vector3Stamped) and poses (geometry_msgs/PoseStamped,
+/// TransformStamped or PoseWithCovarianceStamped, nav_msgs/Odometry, or tf).
+///
+/// Time is the header stamp, at full precision. World frame: header.frame_id of the poses; marker
+/// frame: child_frame_id, else "marker"; imu frame: header.frame_id of the IMU, else "imu".
+///
+/// Bags are read in a child process: damage that crashes rosbag or lets it hang ends there.
+///
+/// Throws InputError when a bag cannot be read or when the bags do not hold exactly one choice of
+/// topics: the text names what they have and which field to give.
+Recording ReadBag(const BagRequest& request);
+
+}  // namespace imu_pose_calib

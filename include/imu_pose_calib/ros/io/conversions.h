@@ -1,0 +1,72 @@
+#pragma once
+
+#include <geometry_msgs/Pose.h>
+#include <geometry_msgs/PoseStamped.h>
+#include <geometry_msgs/PoseWithCovariance.h>
+#include <geometry_msgs/PoseWithCovarianceStamped.h>
+#include <geometry_msgs/Transform.h>
+#include <geometry_msgs/TransformStamped.h>
+#include <geometry_msgs/Vector3Stamped.h>
+#include <nav_msgs/Odometry.h>
+#include <ros/time.h>
+#include <sensor_msgs/Imu.h>
+
+#include <optional>
+#include <string>
+
+#include "imu_pose_calib/CalibrationResult.h"
+#include "imu_pose_calib/core/calibrator.h"
+#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/ros/io/recording.h"
+
+namespace imu_pose_calib {
+
+/// Nanoseconds since the epoch of the stamp's clock, exact.
+int64_t ToNanoseconds(const ros::Time& stamp);
+/// Throws InputError when `t_ns` is outside of what a ROS stamp can hold (0 to year 2106).
+ros::Time FromNanoseconds(int64_t t_ns);
+
+geometry_msgs::Point ToPointMsg(const Eigen::Vector3d& p);
+geometry_msgs::Vector3 ToVector3Msg(const Eigen::Vector3d& v);
+geometry_msgs::Quaternion ToQuaternionMsg(const Eigen::Quaterniond& q);
+geometry_msgs::Transform ToTransformMsg(const Rigid3& T);
+
+PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::Pose& pose);
+PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::PoseWithCovariance& pose);
+PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::Transform& transform);
+
+/// Types of the messages of an IMU; a vector is one sensor of a split one.
+constexpr char kImuType[] = "sensor_msgs/Imu";
+constexpr char kVectorType[] = "geometry_msgs/Vector3Stamped";
+
+/// What one pose message says.
+struct FramedPose {
+  PoseSample pose;
+  std::string world_frame, marker_frame;  ///< as in the message; marker empty: not given
+};
+FramedPose ToFramedPose(const geometry_msgs::PoseStamped& msg);
+FramedPose ToFramedPose(const geometry_msgs::TransformStamped& msg);
+FramedPose ToFramedPose(const geometry_msgs::PoseWithCovarianceStamped& msg);
+FramedPose ToFramedPose(const nav_msgs::Odometry& msg);
+
+/// Root mean square of the sigmas along (position) and about (rotation) the three axes. 0 when the
+/// diagonal holds a number that is not finite or not positive, which is how "unknown" is
+/// written.
+PoseStd ToPoseStd(const geometry_msgs::PoseWithCovariance& pose);
+
+ImuSample ToImuSample(const geometry_msgs::Vector3Stamped& msg);  ///< [rad/s] or [m/s^2]
+ImuSample ToGyroSample(const sensor_msgs::Imu& msg);              ///< [rad/s]
+ImuSample ToAccelSample(const sensor_msgs::Imu& msg);             ///< [m/s^2]
+
+/// `frame` without leading slash, or `fallback` when it is empty.
+std::string FrameName(const std::string& frame, const std::string& fallback);
+
+/// T_marker_imu as a tf: parent marker, child imu.
+geometry_msgs::TransformStamped ToTransformStamped(const Calibration& result,
+                                                   const RecordingInfo& info,
+                                                   const ros::Time& stamp);
+CalibrationResult ToMsg(const Calibration& result,
+                        const RecordingInfo& info,
+                        const ros::Time& stamp);
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,36 @@
+#pragma once
+
+#include <string>
+
+#include "imu_pose_calib/ros/io/recording.h"
+
+namespace imu_pose_calib {
+
+/// Text files to read: poses, and an IMU in one file or in two.
+struct TextRequest {
+  /// ASL dataset (EuRoC), with its sensors in it or in its mav0. Files left empty below are found
+  /// in it by their columns: SENSOR/data.csv.
+  std::string folder;
+  std::string poses;
+  std::string imu;
+  /// Split IMU, both or none; not together with `imu`.
+  std::string gyro, accel;
+  double start_s = 0.0;     ///< [s] after the first stamp; see ReadText()
+  double duration_s = 0.0;  ///< [s] 0: to the end
+};
+
+/// The request with every file named. Throws InputError when it is incomplete or ambiguous, naming
+/// the field to give.
+TextRequest FindFiles(TextRequest request);
+
+/// Reads a recording from text files. The frames are called world, marker and imu; the topics of
+/// the info are the paths of the files.
+///
+/// `start_s` counts from the first stamp of all files when poses and IMU share a time span, else
+/// (clocks of different epochs) from the first stamp of each.
+///
+/// Throws InputError as FindFiles() does, and when a file cannot be read, naming file, line, column
+/// and value.
+Recording ReadText(const TextRequest& request);
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,69 @@
+#pragma once
+
+#include <exception>
+#include <string>
+#include <vector>
+
+#include "imu_pose_calib/core/calibrator.h"
+#include "imu_pose_calib/core/data_check.h"
+#include "imu_pose_calib/ros/io/bag_reader.h"
+#include "imu_pose_calib/ros/io/recording.h"
+#include "imu_pose_calib/ros/io/text_reader.h"
+
+namespace imu_pose_calib {
+
+/// Calibration of a recording as calibrate_bag and calibrate_node offer it. Empty: the default.
+struct OfflineRequest {
+  /// The path may also be the folder of an ASL dataset.
+  BagRequest bag;
+  /// Text files without any bag, or those to choose of the folder; only the names of files are
+  /// used.
+  TextRequest text;
+  std::string config;  ///< YAML of CalibrationOptions
+  /// Kalibr's imu.yaml; its noise wins over `config`. Empty: without a `config`, the sensor.yaml
+  /// beside a text file of the IMU, if there is one.
+  std::string imu_yaml;
+  std::string method;                   ///< name of a Method; wins over `config`
+  std::string output;                   ///< result YAML; default: see OutputPath()
+  std::string marker_frame, imu_frame;  ///< replace the names found in the bag
+};
+
+/// A usable calibration and what to do with it.
+struct OfflineResult {
+  Calibration result;
+  RecordingInfo info;
+  std::string output;  ///< path of the result file, not written yet
+  std::string yaml;    ///< its text
+};
+
+/// Where the result goes: x.calibration.yaml for x.bag, the first of the bags, or for a file x.csv
+/// of poses; calibration.yaml in a folder.
+std::string OutputPath(const OfflineRequest& request);
+
+/// Reads the recording and calibrates. A result of an earlier run at the output path is removed
+/// first, so that a failure leaves none behind.
+///
+/// Throws InputError when something cannot be used as given, DataError when no calibration can come
+/// from the data: so the result is always usable.
+OfflineResult CalibrateOffline(const OfflineRequest& request);
+
+/// The bags that one text names: a file of that name, or else names with white space between them.
+std::vector<std::string> SplitBags(const std::string& text);
+
+/// Writes the result. When that fails, prints its text on stdout before it throws.
+void WriteResult(const OfflineResult& offline);
+
+/// Checks of one bag without a calibration.
+struct OfflineCheck {
+  DataCheck check;
+  RecordingInfo info;
+};
+
+/// Reads the bag and judges it; writes and removes nothing.
+/// Throws InputError when something cannot be used as given.
+OfflineCheck CheckOffline(const OfflineRequest& request);
+
+/// The text of an error on one line.
+std::string OneLine(const std::exception& error);
+
+}  // namespace imu_pose_calib

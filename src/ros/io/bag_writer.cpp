@@ -1,0 +1,298 @@
+#include "imu_pose_calib/ros/io/bag_writer.h"
+
+#include <geometry_msgs/PoseStamped.h>
+#include <geometry_msgs/PoseWithCovarianceStamped.h>
+#include <geometry_msgs/TransformStamped.h>
+#include <geometry_msgs/Vector3Stamped.h>
+#include <nav_msgs/Odometry.h>
+#include <rosbag/bag.h>
+#include <sensor_msgs/Imu.h>
+#include <tf2_msgs/TFMessage.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+#include <functional>
+#include <limits>
+#include <sstream>
+#include <vector>
+
+#include "imu_pose_calib/ros/io/conversions.h"
+#include "imu_pose_calib/ros/io/result_yaml.h"
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr int64_t kDay = 86'400'000'000'000;  // [ns]
+const char kPoseTopic[] = "/mocap/pose";
+
+std_msgs::Header MakeHeader(int64_t t_ns, const char* frame) {
+  std_msgs::Header header;
+  header.stamp = FromNanoseconds(t_ns);
+  header.frame_id = frame;
+  return header;
+}
+
+template <typename Vector>
+void SetVector(const Eigen::Vector3d& v, Vector* msg) {
+  msg->x = v.x();
+  msg->y = v.y();
+  msg->z = v.z();
+}
+
+void SetQuaternion(const Eigen::Quaterniond& q, geometry_msgs::Quaternion* msg) {
+  SetVector(q.vec(), msg);
+  msg->w = q.w();
+}
+
+geometry_msgs::PoseStamped ToPoseStamped(const PoseSample& pose) {
+  geometry_msgs::PoseStamped msg;
+  msg.header = MakeHeader(pose.t_ns, "world");
+  SetVector(pose.p_WM, &msg.pose.position);
+  SetQuaternion(pose.q_WM, &msg.pose.orientation);
+  return msg;
+}
+
+geometry_msgs::TransformStamped ToTransformStamped(const PoseSample& pose) {
+  geometry_msgs::TransformStamped msg;
+  msg.header = MakeHeader(pose.t_ns, "world");
+  msg.child_frame_id = "marker";
+  SetVector(pose.p_WM, &msg.transform.translation);
+  SetQuaternion(pose.q_WM, &msg.transform.rotation);
+  return msg;
+}
+
+geometry_msgs::PoseWithCovarianceStamped ToPoseWithCovariance(const PoseSample& pose) {
+  geometry_msgs::PoseWithCovarianceStamped msg;
+  msg.header = MakeHeader(pose.t_ns, "world");
+  msg.pose.pose = ToPoseStamped(pose).pose;
+  return msg;
+}
+
+nav_msgs::Odometry ToOdometry(const PoseSample& pose) {
+  nav_msgs::Odometry msg;
+  msg.header = MakeHeader(pose.t_ns, "world");
+  msg.child_frame_id = "marker";
+  msg.pose = ToPoseWithCovariance(pose).pose;
+  return msg;
+}
+
+// --- Poses as an arm of six joints ---
+
+constexpr size_t kJoints = 6;  ///< links base -> joint1 -> ... -> joint5 -> marker
+
+geometry_msgs::TransformStamped ToLink(int64_t t_ns,
+                                       const std::string& parent,
+                                       const std::string& child,
+                                       const Rigid3& T) {
+  geometry_msgs::TransformStamped msg;
+  msg.header = MakeHeader(t_ns, parent.c_str());
+  msg.child_frame_id = child;
+  SetVector(T.p, &msg.transform.translation);
+  SetQuaternion(T.q, &msg.transform.rotation);
+  return msg;
+}
+
+Rigid3 operator*(const Rigid3& A, const Rigid3& B) { return {A.q * B.q, A.q * B.p + A.p}; }
+
+Rigid3 BaseInWorld() { return {Eigen::Quaterniond(0.8, 0.0, 0.0, 0.6), {1.0, -0.5, 0.2}}; }
+
+std::string JointName(size_t joint) {
+  if (joint == 0) return "base";
+  return joint == kJoints ? "marker" : "joint" + std::to_string(joint);
+}
+
+/// Whether joint 1..6 is in the message of pose k of n.
+bool IsSent(size_t joint, size_t k, size_t n) {
+  return joint == kJoints || k % (kJoints - 1) == joint - 1 || k == 0 || k == n - 1;
+}
+
+/// Transform of joint 1..5 at pose k. Its angle changes evenly between the messages that hold it,
+/// so that interpolation gives the poses exactly.
+Rigid3 JointAt(size_t joint, size_t k, const std::vector<PoseSample>& poses) {
+  const auto angle = [&](size_t i) {
+    return 0.4 * std::sin(0.01 * static_cast<double>(i) + static_cast<double>(joint));
+  };
+  size_t before = k, after = k;
+  while (!IsSent(joint, before, poses.size())) --before;
+  while (!IsSent(joint, after, poses.size())) ++after;
+  double value = angle(before);
+  if (after > before) {
+    const auto seconds = [&](size_t i) {
+      return 1e-9 * static_cast<double>(poses[i].t_ns - poses[before].t_ns);
+    };
+    value += (angle(after) - value) * seconds(k) / seconds(after);
+  }
+  const Eigen::Vector3d axis = Eigen::Vector3d::Unit(static_cast<Eigen::Index>(joint % 3));
+  return {Eigen::Quaterniond(Eigen::AngleAxisd(value, axis)), {0.1, 0.0, 0.2}};
+}
+
+tf2_msgs::TFMessage ToTf(size_t k, const std::vector<PoseSample>& poses) {
+  const PoseSample& pose = poses[k];
+  tf2_msgs::TFMessage msg;
+  Rigid3 arm = BaseInWorld();
+  for (size_t joint = 1; joint < kJoints; ++joint) {
+    const Rigid3 T = JointAt(joint, k, poses);
+    arm = arm * T;
+    if (IsSent(joint, k, poses.size()))
+      msg.transforms.push_back(ToLink(pose.t_ns, JointName(joint - 1), JointName(joint), T));
+  }
+  // the last joint is free
+  const Rigid3 T = arm.Inverse() * Rigid3{pose.q_WM, pose.p_WM};
+  msg.transforms.push_back(ToLink(pose.t_ns, JointName(kJoints - 1), JointName(kJoints), T));
+  return msg;
+}
+
+tf2_msgs::TFMessage ToFixedTf(int64_t t_ns) {
+  tf2_msgs::TFMessage msg;
+  msg.transforms = {ToLink(t_ns, "world", JointName(0), BaseInWorld())};
+  return msg;
+}
+
+geometry_msgs::Vector3Stamped ToVector(const ImuSample& sample) {
+  geometry_msgs::Vector3Stamped msg;
+  msg.header = MakeHeader(sample.t_ns, "imu");
+  SetVector(sample.value, &msg.vector);
+  return msg;
+}
+
+/// An Imu message of one or both samples; what is missing is marked as the message defines it.
+sensor_msgs::Imu ToImu(const ImuSample* gyro, const ImuSample* accel) {
+  sensor_msgs::Imu msg;
+  msg.header = MakeHeader((gyro ? gyro : accel)->t_ns, "imu");
+  msg.orientation_covariance[0] = -1.0;
+  msg.angular_velocity_covariance[0] = gyro ? 0.0 : -1.0;
+  msg.linear_acceleration_covariance[0] = accel ? 0.0 : -1.0;
+  if (gyro) SetVector(gyro->value, &msg.angular_velocity);
+  if (accel) SetVector(accel->value, &msg.linear_acceleration);
+  return msg;
+}
+
+/// A message to write and its record time [ns].
+struct Record {
+  int64_t t_ns;
+  std::function<void(rosbag::Bag*, const ros::Time&)> write;
+};
+
+/// Appends the messages `to_msg(k)` of the samples, recorded at their stamps plus `offset` [ns],
+/// but never before the sample ahead of them.
+template <typename Sample, typename ToMsg>
+void Add(const std::string& topic,
+         const std::vector<Sample>& samples,
+         int64_t offset,
+         ToMsg to_msg,
+         std::vector<Record>* records) {
+  int64_t arrival = std::numeric_limits<int64_t>::min();
+  for (size_t k = 0; k < samples.size(); ++k) {
+    arrival = std::max(arrival, samples[k].t_ns + offset);
+    records->push_back({arrival, [topic, to_msg, k](rosbag::Bag* bag, const ros::Time& time) {
+                          bag->write(topic, time, to_msg(k));
+                        }});
+  }
+}
+
+/// What to add to IMU stamps to get record times.
+int64_t RecordOffset(const CalibrationData& data) {
+  if (data.poses.empty() || data.gyro.empty()) return 0;
+  const int64_t offset = data.poses.front().t_ns - data.gyro.front().t_ns;
+  return std::abs(offset) > kDay ? offset : 0;
+}
+
+void Write(const std::string& path, const std::vector<Record>& records) {
+  try {
+    rosbag::Bag bag(path, rosbag::bagmode::Write);
+    for (const Record& record : records) record.write(&bag, FromNanoseconds(record.t_ns));
+  } catch (const rosbag::BagException& error) {
+    throw InputError("cannot write bag '" + path + "': " + error.what());
+  }
+}
+
+}  // namespace
+
+void CheckSameStamps(const CalibrationData& data) {
+  const std::vector<ImuSample>&gyro = data.gyro, &accel = data.accel;
+  if (gyro.size() != accel.size())
+    throw InputError(
+        "an IMU on one topic or in one file needs as many gyroscope as accelerometer samples, "
+        "not " +
+        std::to_string(gyro.size()) + " and " + std::to_string(accel.size()));
+  for (size_t k = 0; k < gyro.size(); ++k)
+    if (gyro[k].t_ns != accel[k].t_ns)
+      throw InputError(
+          "an IMU on one topic or in one file needs the same stamps for gyroscope and "
+          "accelerometer");
+}
+
+void WriteBag(const std::string& path, const CalibrationData& data, const BagFormat& format) {
+  const auto pose = [&](size_t k) { return ToPoseStamped(data.poses[k]); };
+  const auto transform = [&](size_t k) { return ToTransformStamped(data.poses[k]); };
+  const auto covariance = [&](size_t k) { return ToPoseWithCovariance(data.poses[k]); };
+  const auto odometry = [&](size_t k) { return ToOdometry(data.poses[k]); };
+  const auto tf = [&](size_t k) { return ToTf(k, data.poses); };
+  const auto fixed_tf = [&](size_t k) { return ToFixedTf(data.poses[k].t_ns); };
+  const auto imu = [&](size_t k) { return ToImu(&data.gyro[k], &data.accel[k]); };
+  const auto gyro_vector = [&](size_t k) { return ToVector(data.gyro[k]); };
+  const auto accel_vector = [&](size_t k) { return ToVector(data.accel[k]); };
+  const auto gyro = [&](size_t k) { return ToImu(&data.gyro[k], nullptr); };
+  const auto accel = [&](size_t k) { return ToImu(nullptr, &data.accel[k]); };
+
+  std::vector<Record> records;
+  if (format.pose_type == "PoseStamped") {
+    Add(kPoseTopic, data.poses, 0, pose, &records);
+  } else if (format.pose_type == "TransformStamped") {
+    Add(kPoseTopic, data.poses, 0, transform, &records);
+  } else if (format.pose_type == "PoseWithCovarianceStamped") {
+    Add(kPoseTopic, data.poses, 0, covariance, &records);
+  } else if (format.pose_type == "Odometry") {
+    Add(kPoseTopic, data.poses, 0, odometry, &records);
+  } else if (format.pose_type == "tf") {
+    if (!data.poses.empty())
+      Add("/tf_static", std::vector<PoseSample>{data.poses.front()}, 0, fixed_tf, &records);
+    Add("/tf", data.poses, 0, tf, &records);
+  } else {
+    throw InputError("pose type '" + format.pose_type +
+                     "' is unknown; must be PoseStamped, TransformStamped, "
+                     "PoseWithCovarianceStamped, Odometry or tf");
+  }
+  const int64_t offset = RecordOffset(data);
+  if (format.imu_type == "Vector3Stamped") {
+    Add("/imu/gyro", data.gyro, offset, gyro_vector, &records);
+    Add("/imu/accel", data.accel, offset, accel_vector, &records);
+  } else if (format.imu_type != "Imu") {
+    throw InputError("imu type '" + format.imu_type + "' is unknown; must be Imu or " +
+                     "Vector3Stamped");
+  } else if (format.split_imu) {
+    Add("/imu/gyro", data.gyro, offset, gyro, &records);
+    Add("/imu/accel", data.accel, offset, accel, &records);
+  } else {
+    CheckSameStamps(data);
+    Add("/imu", data.gyro, offset, imu, &records);
+  }
+  std::stable_sort(records.begin(), records.end(), [](const Record& a, const Record& b) {
+    return a.t_ns < b.t_ns;
+  });
+  Write(path, records);
+}
+
+std::string TruthYaml(const SimulatorOptions& options) {
+  std::ostringstream text;
+  const auto list = [&](const char* key, const auto& values) {
+    text << key << ": [";
+    for (Eigen::Index i = 0; i < values.size(); ++i)
+      text << (i == 0 ? "" : ", ") << YamlNumber(values[i]);
+    text << "]\n";
+  };
+  text << "# T_marker_imu: x_marker = R x_imu + p\n";
+  list("rotation", options.T_MI.q.coeffs());
+  list("translation", options.T_MI.p);
+  text << "# t_pose = t_imu + time_shift, t_pose = t_accel + time_shift - accel_delay\n"
+       << "time_shift: " << YamlNumber(options.time_shift_s) << "\n"
+       << "accel_delay: " << YamlNumber(options.accel_delay_s) << "\n";
+  list("gravity", options.g_W);
+  text << "# at the start\n";
+  list("gyro_bias", options.gyro_bias);
+  list("accel_bias", options.accel_bias);
+  return text.str();
+}
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,335 @@
+#include "imu_pose_calib/ros/io/result_yaml.h"
+
+#include <unistd.h>
+#include <yaml-cpp/yaml.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <ctime>
+#include <fstream>
+
+#include "imu_pose_calib/ros/io/ros_options.h"
+
+namespace imu_pose_calib {
+
+const char kVersion[] = IMU_POSE_CALIB_VERSION;
+const char kResultHeader[] = "# imu_pose_calib: calibration of an IMU on a tracked body";
+
+namespace {
+
+const char kEquations[] = R"(
+#
+# transform: x_marker = R x_imu + p          inverse_transform: x_imu = R' x_marker + p'
+# clocks:    t_pose = t_imu + time_shift     inverse: t_imu = t_pose - time_shift
+#            t_pose = t_accel + time_shift - accel_delay
+#            time_shift holds at clock_reference [s, imu clock] and grows by clock_drift
+# smoothing: poses are means over time; pose_smoothing [s^2] is the variance of that time, less
+#            the imu's
+# imu:       measured = matrix * true + bias
+# Units: m, s, rad, m/s^2. Quaternions: x, y, z, w.
+
+)";
+
+template <typename Vector>
+void EmitList(const char* key, const Vector& values, YAML::Emitter* out) {
+  *out << YAML::Key << key << YAML::Value << YAML::Flow << YAML::BeginSeq;
+  for (Eigen::Index i = 0; i < values.size(); ++i) *out << YamlNumber(values[i]);
+  *out << YAML::EndSeq;
+}
+
+void EmitMatrix(const char* key, const Eigen::MatrixXd& matrix, YAML::Emitter* out) {
+  *out << YAML::Key << key << YAML::Value << YAML::BeginSeq;
+  for (Eigen::Index row = 0; row < matrix.rows(); ++row) {
+    *out << YAML::Flow << YAML::BeginSeq;
+    for (Eigen::Index col = 0; col < matrix.cols(); ++col) *out << YamlNumber(matrix(row, col));
+    *out << YAML::EndSeq;
+  }
+  *out << YAML::EndSeq;
+}
+
+void Emit(const char* key, double value, YAML::Emitter* out) {
+  *out << YAML::Key << key << YAML::Value << YamlNumber(value);
+}
+void Emit(const char* key, size_t value, YAML::Emitter* out) {
+  *out << YAML::Key << key << YAML::Value << value;
+}
+void Emit(const char* key, const std::string& value, YAML::Emitter* out) {
+  *out << YAML::Key << key << YAML::Value << YAML::DoubleQuoted << value;
+}
+void Emit(const char* key, const std::vector<std::string>& values, YAML::Emitter* out) {
+  *out << YAML::Key << key << YAML::Value;
+  if (values.empty()) *out << YAML::Flow;
+  *out << YAML::BeginSeq;
+  for (const std::string& value : values) *out << YAML::DoubleQuoted << value;
+  *out << YAML::EndSeq;
+}
+
+/// `key: {...}` over several lines; `emit` fills it.
+template <typename EmitContent>
+void EmitMap(const char* key, EmitContent emit, YAML::Emitter* out) {
+  *out << YAML::Key << key << YAML::Value << YAML::BeginMap;
+  emit();
+  *out << YAML::EndMap;
+}
+
+void EmitTransform(const Rigid3& T, YAML::Emitter* out) {
+  EmitList("translation", T.p, out);
+  EmitList("rotation", T.q.coeffs(), out);
+  EmitMatrix("matrix", T.Matrix(), out);
+}
+
+std::string UtcNow() {
+  const std::time_t now = std::time(nullptr);
+  char text[32];
+  std::strftime(text, sizeof(text), "%Y-%m-%dT%H:%M:%SZ", std::gmtime(&now));
+  return text;
+}
+
+void EmitRejected(const char* key, const StreamReport& report, YAML::Emitter* out) {
+  *out << YAML::Key << key << YAML::Value << YAML::Flow << YAML::BeginMap;
+  Emit("not_finite", report.not_finite, out);
+  Emit("zero_quaternion", report.zero_quaternion, out);
+  Emit("reversed_stamp", report.reversed_stamp, out);
+  Emit("duplicate_stamp", report.duplicate_stamp, out);
+  Emit("repeated_value", report.repeated_value, out);
+  Emit("saturated", report.saturated, out);
+  Emit("outlier", report.outlier, out);
+  Emit("flipped", report.flipped, out);
+  Emit("in_short_segment", report.in_short_segment, out);
+  *out << YAML::EndMap;
+}
+
+/// `key: {poses, gyro, accel}` of one member of the reports.
+template <typename T>
+void EmitPerStream(const char* key,
+                   const Calibration& result,
+                   T StreamReport::*member,
+                   YAML::Emitter* out) {
+  *out << YAML::Key << key << YAML::Value << YAML::Flow << YAML::BeginMap;
+  Emit("poses", result.poses.*member, out);
+  Emit("gyro", result.gyro.*member, out);
+  Emit("accel", result.accel.*member, out);
+  *out << YAML::EndMap;
+}
+
+void EmitEstimate(const Calibration& result, YAML::Emitter* out) {
+  EmitMap(
+      "transform",
+      [&] {
+        EmitTransform(result.T_MI, out);
+        EmitList("translation_std", result.Std().head<3>(), out);
+        EmitList("rotation_std", result.Std().tail<3>(), out);
+        EmitMatrix("covariance", result.covariance, out);
+      },
+      out);
+  EmitMap(
+      "inverse_transform", [&] { EmitTransform(result.T_MI.Inverse(), out); }, out);
+  Emit("time_shift", result.time_shift, out);
+  Emit("time_shift_std", result.time_shift_std, out);
+  Emit("accel_delay", result.accel_delay, out);
+  Emit("accel_delay_std", result.accel_delay_std, out);
+  Emit("clock_drift", result.clock_drift, out);
+  Emit("clock_drift_std", result.clock_drift_std, out);
+  Emit("clock_reference", result.clock_reference, out);
+  Emit("pose_smoothing", result.pose_smoothing, out);
+  Emit("pose_smoothing_std", result.pose_smoothing_std, out);
+  EmitMap(
+      "gravity",
+      [&] {
+        EmitList("vector", result.g_W, out);
+        Emit("magnitude", result.g_W.norm(), out);
+      },
+      out);
+  EmitMap(
+      "biases",
+      [&] {
+        EmitList("gyro", result.gyro_bias, out);
+        EmitList("accel", result.accel_bias, out);
+      },
+      out);
+}
+
+void EmitImu(const Calibration& result, YAML::Emitter* out) {
+  EmitMap(
+      "imu",
+      [&] {
+        Emit("model", ToString(result.imu_model), out);
+        EmitMatrix("gyro_matrix", result.gyro_matrix, out);
+        EmitMatrix("gyro_matrix_std", result.gyro_matrix_std, out);
+        EmitMatrix("accel_matrix", result.accel_matrix, out);
+        EmitMatrix("accel_matrix_std", result.accel_matrix_std, out);
+      },
+      out);
+}
+
+void EmitObservability(const std::vector<Observability>& observability, YAML::Emitter* out) {
+  *out << YAML::Key << "observability" << YAML::Value << YAML::BeginSeq;
+  for (const Observability& o : observability) {
+    *out << YAML::Flow << YAML::BeginMap;
+    Emit("direction", o.direction, out);
+    Emit("std", o.std, out);
+    Emit("unit", o.unit, out);
+    Emit("status", ToString(o.status), out);
+    *out << YAML::EndMap;
+  }
+  *out << YAML::EndSeq;
+}
+
+void EmitQuality(const Calibration& result, YAML::Emitter* out) {
+  EmitMap(
+      "noise",
+      [&] {
+        Emit("position_std", result.noise.position, out);
+        Emit("rotation_std", result.noise.rotation, out);
+        Emit("gyro_std", result.noise.gyro, out);
+        Emit("accel_std", result.noise.accel, out);
+      },
+      out);
+  EmitMap(
+      "quality",
+      [&] {
+        Emit("gyro_rms", result.rms.gyro, out);
+        Emit("accel_rms", result.rms.accel, out);
+        Emit("position_rms", result.rms.position, out);
+        Emit("rotation_rms", result.rms.rotation, out);
+        EmitObservability(result.observability, out);
+        EmitMap(
+            "split_half",
+            [&] {
+              EmitList("translation", result.split_half.translation, out);
+              EmitList("rotation", result.split_half.rotation, out);
+              Emit("time_shift", result.split_half.time_shift, out);
+              Emit("sigmas", result.split_half.sigmas, out);
+            },
+            out);
+        Emit("warnings", result.warnings, out);
+      },
+      out);
+  EmitMap(
+      "trajectory",
+      [&] {
+        Emit("position_lengthscale_s", result.position_lengthscale_s, out);
+        Emit("rotation_lengthscale_s", result.rotation_lengthscale_s, out);
+        Emit("knot_spacing_s", result.knot_spacing_s, out);
+        Emit("segments", result.segments, out);
+      },
+      out);
+}
+
+void EmitStated(const PoseStd& stated, YAML::Emitter* out) {
+  *out << YAML::Key << "stated_pose_std" << YAML::Value << YAML::Flow << YAML::BeginMap;
+  Emit("position", stated.position, out);
+  Emit("rotation", stated.rotation, out);
+  *out << YAML::EndMap;
+}
+
+void EmitData(const Calibration& result, const RecordingInfo& info, YAML::Emitter* out) {
+  EmitMap(
+      "data",
+      [&] {
+        Emit("bag", info.bag, out);
+        Emit("imu_topic", info.imu_topic, out);
+        Emit("gyro_topic", info.gyro_topic, out);
+        Emit("accel_topic", info.accel_topic, out);
+        Emit("pose_topic", info.pose_topic, out);
+        Emit("imu_yaml", info.imu_yaml, out);
+        if (info.stated_pose_std) EmitStated(*info.stated_pose_std, out);
+        Emit("duration", result.poses.duration_s, out);
+        EmitPerStream("counts", result, &StreamReport::used, out);
+        EmitPerStream("rates", result, &StreamReport::rate_hz, out);
+        EmitMap(
+            "rejected",
+            [&] {
+              EmitRejected("poses", result.poses, out);
+              EmitRejected("gyro", result.gyro, out);
+              EmitRejected("accel", result.accel, out);
+            },
+            out);
+        Emit("gaps", result.gaps, out);
+        Emit("jumps", result.jumps, out);
+      },
+      out);
+}
+
+[[noreturn]] void FailToWrite(const std::string& path) {
+  throw InputError("output '" + path + "' cannot be written: " + std::strerror(errno));
+}
+
+}  // namespace
+
+std::string YamlNumber(double value) {
+  if (std::isnan(value)) return ".nan";
+  if (std::isinf(value)) return value > 0 ? ".inf" : "-.inf";
+  char buffer[32];
+  for (int digits = 15; digits <= 17; ++digits) {
+    std::snprintf(buffer, sizeof(buffer), "%.*g", digits, value);
+    if (std::strtod(buffer, nullptr) == value) break;
+  }
+  // YAML 1.1 takes "1" for an integer and "1e-05" for a string.
+  std::string text = buffer;
+  if (text.find('.') == std::string::npos) text.insert(std::min(text.find('e'), text.size()), ".0");
+  return text;
+}
+
+std::string ToYaml(const Calibration& result,
+                   const RecordingInfo& info,
+                   const CalibrationOptions& options) {
+  YAML::Emitter out;
+  out << YAML::BeginMap;
+  EmitMap(
+      "imu_pose_calib",
+      [&] {
+        Emit("version", kVersion, &out);
+        Emit("method", ToString(result.method), &out);
+        Emit("status", ToString(result.status), &out);
+        Emit("message", result.message, &out);
+        Emit("date", UtcNow(), &out);
+      },
+      &out);
+  EmitMap(
+      "frames",
+      [&] {
+        Emit("world", info.world_frame, &out);
+        Emit("marker", info.marker_frame, &out);
+        Emit("imu", info.imu_frame, &out);
+      },
+      &out);
+  EmitEstimate(result, &out);
+  EmitImu(result, &out);
+  EmitQuality(result, &out);
+  EmitData(result, info, &out);
+  out << YAML::Key << "options" << YAML::Value << YAML::Load(ToYaml(options));
+  out << YAML::EndMap;
+  return kResultHeader + std::string(kEquations) + out.c_str() + "\n";
+}
+
+void WriteFile(const std::string& path, const std::string& text) {
+  const std::string draft = path + ".tmp" + std::to_string(getpid());
+  std::ofstream file(draft);
+  file << text;
+  file.close();
+  if (!file) {
+    const int reason = errno;
+    std::remove(draft.c_str());
+    errno = reason;
+    FailToWrite(path);
+  }
+  if (std::rename(draft.c_str(), path.c_str()) != 0) {
+    const int reason = errno;
+    std::remove(draft.c_str());
+    errno = reason;
+    FailToWrite(path);
+  }
+}
+
+void RemoveOldResult(const std::string& path) {
+  std::string first_line;
+  std::getline(std::ifstream(path), first_line);
+  if (first_line == kResultHeader) std::remove(path.c_str());
+}
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,160 @@
+#include "imu_pose_calib/ros/io/text_reader.h"
+
+#include <algorithm>
+#include <boost/algorithm/string/join.hpp>
+#include <cerrno>
+#include <cmath>
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <vector>
+
+#include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/io/text_table.h"
+
+namespace imu_pose_calib {
+namespace {
+
+std::ifstream Open(const std::string& path) {
+  std::error_code ignored;
+  if (std::filesystem::is_directory(path, ignored))
+    throw InputError("'" + path + "' is a directory, must be a file");
+  std::ifstream file(path);
+  if (!file) throw InputError("'" + path + "' cannot be read: " + std::strerror(errno));
+  return file;
+}
+
+using HasHeader = bool (*)(std::istream&, const std::string& name);
+
+/// SENSOR/data.csv of the folder that have the header.
+std::vector<std::string> FindTables(const std::string& folder, HasHeader has_header) {
+  namespace fs = std::filesystem;
+  std::vector<std::string> tables;
+  try {
+    const fs::path base =
+        fs::is_directory(fs::path(folder) / "mav0") ? fs::path(folder) / "mav0" : fs::path(folder);
+    for (const fs::directory_entry& sensor : fs::directory_iterator(base)) {
+      const std::string path = (sensor.path() / "data.csv").string();
+      if (!fs::is_regular_file(path)) continue;
+      std::ifstream file = Open(path);
+      if (has_header(file, path)) tables.push_back(path);
+    }
+  } catch (const fs::filesystem_error& error) {
+    throw InputError("folder '" + folder + "' cannot be read: " + error.code().message());
+  }
+  std::sort(tables.begin(), tables.end());
+  return tables;
+}
+
+std::string FindTable(const std::string& folder,
+                      HasHeader has_header,
+                      const std::string& what,
+                      const std::string& fields) {
+  const std::vector<std::string> tables = FindTables(folder, has_header);
+  if (tables.empty())
+    throw InputError("folder '" + folder +
+                     "' has no SENSOR/data.csv whose header names the columns of " + what +
+                     "; name the file with " + fields);
+  if (tables.size() > 1)
+    throw InputError("folder '" + folder + "' has several files of " + what + ": " +
+                     boost::join(tables, ", ") + "; choose with " + fields);
+  return tables[0];
+}
+
+// --- Span ---
+
+/// Closed interval of stamps [ns].
+struct Span {
+  int64_t begin, end;
+};
+
+template <typename Sample>
+Span FindSpan(const std::vector<Sample>& samples) {
+  const auto [first, last] =
+      std::minmax_element(samples.begin(), samples.end(), [](const Sample& a, const Sample& b) {
+        return a.t_ns < b.t_ns;
+      });
+  return {first->t_ns, last->t_ns};
+}
+
+Span Union(const Span& a, const Span& b) {
+  return {std::min(a.begin, b.begin), std::max(a.end, b.end)};
+}
+
+bool Overlap(const Span& a, const Span& b) { return a.begin <= b.end && b.begin <= a.end; }
+
+/// Keeps the samples from `start_s` after the begin of `whole` on, for `duration_s`.
+template <typename Sample>
+void Cut(const TextRequest& request, const Span& whole, std::vector<Sample>* samples) {
+  const double length_s = 1e-9 * static_cast<double>(whole.end - whole.begin);
+  if (request.start_s > length_s)
+    throw InputError("start = " + YamlNumber(request.start_s) +
+                     " s is beyond the end of the recording, which lasts " + YamlNumber(length_s) +
+                     " s");
+  const int64_t begin = whole.begin + std::llround(1e9 * request.start_s);
+  int64_t end = whole.end;
+  if (request.duration_s > 0.0 && request.start_s + request.duration_s < length_s)
+    end = begin + std::llround(1e9 * request.duration_s);
+  samples->erase(std::remove_if(samples->begin(),
+                                samples->end(),
+                                [&](const Sample& s) { return s.t_ns < begin || s.t_ns > end; }),
+                 samples->end());
+}
+
+void Cut(const TextRequest& request, CalibrationData* data) {
+  Span poses = FindSpan(data->poses);
+  Span imu = Union(FindSpan(data->gyro), FindSpan(data->accel));
+  if (Overlap(poses, imu)) poses = imu = Union(poses, imu);
+  Cut(request, poses, &data->poses);
+  Cut(request, imu, &data->gyro);
+  Cut(request, imu, &data->accel);
+}
+
+}  // namespace
+
+TextRequest FindFiles(TextRequest request) {
+  const bool is_split =
+      IsPair({"imu", request.imu}, {"gyro", request.gyro}, {"accel", request.accel});
+  const bool has_imu = !request.imu.empty();
+  if (!request.folder.empty()) {
+    if (request.poses.empty())
+      request.poses = FindTable(request.folder, HasPoseHeader, "poses", "poses");
+    if (!has_imu && !is_split)
+      request.imu = FindTable(request.folder, HasImuHeader, "an IMU", "imu, or gyro and accel");
+  }
+  if (request.poses.empty()) throw InputError("poses is missing: the file of the poses");
+  if (request.imu.empty() && !is_split)
+    throw InputError("imu is missing: the file of the IMU (or gyro and accel)");
+  return request;
+}
+
+Recording ReadText(const TextRequest& request) {
+  CheckSpan(request.start_s, request.duration_s);
+  const TextRequest files = FindFiles(request);
+
+  Recording recording;
+  recording.info.pose_topic = files.poses;
+  recording.info.imu_topic = files.imu;
+  recording.info.gyro_topic = files.gyro;
+  recording.info.accel_topic = files.accel;
+  recording.info.world_frame = "world";
+  recording.info.marker_frame = "marker";
+  recording.info.imu_frame = "imu";
+
+  CalibrationData& data = recording.data;
+  std::ifstream poses = Open(files.poses);
+  data.poses = ReadPoseTable(poses, files.poses);
+  if (!files.imu.empty()) {
+    std::ifstream imu = Open(files.imu);
+    ReadImuTable(imu, files.imu, &data);
+  } else {
+    std::ifstream gyro = Open(files.gyro);
+    data.gyro = ReadGyroTable(gyro, files.gyro);
+    std::ifstream accel = Open(files.accel);
+    data.accel = ReadAccelTable(accel, files.accel);
+  }
+  Cut(request, &data);
+  return recording;
+}
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,175 @@
+#include "imu_pose_calib/ros/io/tf_chain.h"
+
+#include <tf2/exceptions.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "imu_pose_calib/ros/io/conversions.h"
+
+namespace imu_pose_calib {
+namespace {
+
+/// tf2 takes no other transforms.
+bool IsUsable(const geometry_msgs::Transform& transform) {
+  const PoseSample pose = ToPoseSample(ros::Time(), transform);
+  return pose.p_WM.allFinite() && std::abs(pose.q_WM.squaredNorm() - 1.0) < 1e-2;
+}
+
+}  // namespace
+
+TfChain::TfChain(const std::string& parent, const std::string& child, double cache_s)
+    : parent_(FrameName(parent, "")),
+      child_(FrameName(child, "")),
+      buffer_(ros::Duration(cache_s)) {}
+
+void TfChain::Add(const tf2_msgs::TFMessage& message, bool fixed) {
+  for (geometry_msgs::TransformStamped transform : message.transforms) {
+    transform.header.frame_id = FrameName(transform.header.frame_id, "");
+    transform.child_frame_id = FrameName(transform.child_frame_id, "");
+    if (transform.header.frame_id.empty() || transform.child_frame_id.empty() ||
+        transform.header.frame_id == transform.child_frame_id)
+      continue;  // no link
+    if (fixed)
+      AddFixed(transform);
+    else
+      AddMoving(transform);
+  }
+}
+
+void TfChain::AddFixed(const geometry_msgs::TransformStamped& transform) {
+  if (!IsUsable(transform.transform)) return;
+  Link& link = links_[transform.child_frame_id];
+  link.parent = transform.header.frame_id;
+  link.fixed = true;
+  buffer_.setTransform(transform, "", true);
+}
+
+void TfChain::AddMoving(const geometry_msgs::TransformStamped& transform) {
+  Link& link = links_[transform.child_frame_id];
+  if (link.fixed) return;  // as in tf2, where the static transform stays
+  link.parent = transform.header.frame_id;
+
+  const ros::Time stamp = transform.header.stamp;
+  if (stamp.isZero()) return;  // tf2 would take it for the latest
+  const bool usable = IsUsable(transform.transform);
+  if (usable && link.last.isZero()) {
+    link.first = stamp;
+    link.first_transform = transform.transform;
+  }
+  if (usable && !link.moves && transform.transform != link.first_transform) {
+    link.moves = true;
+    if (link.first > last_taken_) link.updates.push_back({link.first, true});
+  }
+  if (link.moves || !usable) link.updates.push_back({stamp, usable});
+  if (usable) {
+    link.first = std::min(link.first, stamp);
+    link.last = std::max(link.last, stamp);
+    buffer_.setTransform(transform, "");
+  }
+}
+
+std::vector<PoseSample> TfChain::TakePoses() {
+  const auto chain = Chain();
+  if (!chain || chain->empty()) return {};
+  ros::Time begin, end = ros::TIME_MAX;  // of what all links have in common
+  for (const std::string& frame : *chain) {
+    begin = std::max(begin, links_[frame].first);
+    end = std::min(end, links_[frame].last);
+  }
+
+  std::map<ros::Time, bool> due;  // stamp; whether all of its updates are usable
+  for (const std::string& frame : *chain) {
+    std::vector<Update>& updates = links_[frame].updates;
+    const auto waiting = std::stable_partition(
+        updates.begin(), updates.end(), [&](const Update& update) { return update.stamp <= end; });
+    for (auto update = updates.begin(); update != waiting; ++update)
+      due.emplace(update->stamp, true).first->second &= update->usable;
+    updates.erase(updates.begin(), waiting);
+  }
+
+  std::vector<PoseSample> poses;
+  for (const auto& [stamp, usable] : due) {
+    if (stamp < begin) continue;
+    poses.push_back(PoseAt(stamp, usable));
+    last_taken_ = std::max(last_taken_, stamp);
+  }
+  return poses;
+}
+
+PoseSample TfChain::PoseAt(const ros::Time& stamp, bool usable) const {
+  PoseSample pose;
+  try {
+    if (usable)
+      return ToPoseSample(stamp, buffer_.lookupTransform(parent_, child_, stamp).transform);
+  } catch (const tf2::TransformException&) {
+    // a frame has changed its parent meanwhile
+  }
+  pose.t_ns = ToNanoseconds(stamp);
+  pose.p_WM.setConstant(std::numeric_limits<double>::quiet_NaN());
+  return pose;
+}
+
+std::vector<std::string> TfChain::Ancestry(std::string frame) const {
+  std::vector<std::string> frames = {frame};
+  for (auto link = links_.find(frame); link != links_.end(); link = links_.find(frame)) {
+    frame = link->second.parent;
+    if (std::find(frames.begin(), frames.end(), frame) != frames.end()) break;  // a loop
+    frames.push_back(frame);
+  }
+  return frames;
+}
+
+std::optional<std::vector<std::string>> TfChain::Chain() const {
+  std::vector<std::string> up = Ancestry(parent_), down = Ancestry(child_);
+  if (up.back() != down.back()) return std::nullopt;
+  // what both have in common does not count
+  while (!up.empty() && !down.empty() && up.back() == down.back()) {
+    up.pop_back();
+    down.pop_back();
+  }
+  up.insert(up.end(), down.begin(), down.end());
+  up.erase(
+      std::remove_if(
+          up.begin(), up.end(), [&](const std::string& frame) { return links_.at(frame).fixed; }),
+      up.end());
+  return up;
+}
+
+void TfChain::Check() const {
+  const auto is_known = [&](const std::string& frame) {
+    return std::any_of(links_.begin(), links_.end(), [&](const auto& link) {
+      return link.first == frame || link.second.parent == frame;
+    });
+  };
+  for (const auto& [field, frame] :
+       {std::pair<std::string, std::string>("tf_parent", parent_), {"tf_child", child_}})
+    if (!is_known(frame))
+      throw InputError(field + " '" + frame + "' is not in tf, which has: " + Links());
+  const std::string pair = "tf_parent '" + parent_ + "' and tf_child '" + child_ + "'";
+  const auto chain = Chain();
+  if (!chain) throw InputError(pair + " are not connected in tf, which has: " + Links());
+  if (chain->empty())
+    throw InputError(pair + " are fixed to each other: every link between them is static; choose " +
+                     "frames that move, tf has: " + Links());
+  for (const std::string& frame : *chain)
+    if (links_.at(frame).last.isZero())
+      throw InputError("'" + frame + "', which is between " + pair +
+                       ", has no usable transform: stamp 0, not finite, or a quaternion that is "
+                       "not of unit length");
+  if (std::none_of(chain->begin(), chain->end(), [&](const std::string& frame) {
+        return links_.at(frame).moves;
+      }))
+    throw InputError(pair + " do not move against each other");
+}
+
+std::string TfChain::Links() const {
+  std::string text;
+  for (const auto& [child, link] : links_)
+    text +=
+        (text.empty() ? "" : ", ") + link.parent + " -> " + child + (link.fixed ? " (fixed)" : "");
+  return text.empty() ? "nothing" : text;
+}
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,111 @@
+#include "imu_pose_calib/ros/io/yaml_file.h"
+
+#include <yaml-cpp/eventhandler.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <numeric>
+#include <sstream>
+
+#include "imu_pose_calib/core/types.h"
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr size_t kMaxSize = 100'000;
+constexpr int kMaxDepth = 20;
+
+[[noreturn]] void FailAt(const YAML::Mark& mark, const std::string& text) {
+  throw InputError(mark.is_null() ? text : "line " + std::to_string(mark.line + 1) + ": " + text);
+}
+
+/// Follows the parser and stops it when collections nest too deep.
+class DepthLimit : public YAML::EventHandler {
+ public:
+  void OnDocumentStart(const YAML::Mark&) override {}
+  void OnDocumentEnd() override {}
+  void OnNull(const YAML::Mark&, YAML::anchor_t) override {}
+  void OnAlias(const YAML::Mark&, YAML::anchor_t) override {}
+  void OnScalar(const YAML::Mark&,
+                const std::string&,
+                YAML::anchor_t,
+                const std::string&) override {}
+  void OnSequenceStart(const YAML::Mark& mark,
+                       const std::string&,
+                       YAML::anchor_t,
+                       YAML::EmitterStyle::value) override {
+    Enter(mark);
+  }
+  void OnSequenceEnd() override { --depth_; }
+  void OnMapStart(const YAML::Mark& mark,
+                  const std::string&,
+                  YAML::anchor_t,
+                  YAML::EmitterStyle::value) override {
+    Enter(mark);
+  }
+  void OnMapEnd() override { --depth_; }
+
+ private:
+  void Enter(const YAML::Mark& mark) {
+    if (++depth_ > kMaxDepth)
+      FailAt(mark, "nested deeper than " + std::to_string(kMaxDepth) + " levels");
+  }
+
+  int depth_ = 0;
+};
+
+/// Levenshtein distance.
+size_t EditDistance(const std::string& a, const std::string& b) {
+  std::vector<size_t> row(b.size() + 1);
+  std::iota(row.begin(), row.end(), size_t{0});
+  for (const char letter : a) {
+    size_t diagonal = row[0]++;
+    for (size_t j = 0; j < b.size(); ++j) {
+      const size_t replaced = diagonal + (letter == b[j] ? 0 : 1);
+      diagonal = row[j + 1];
+      row[j + 1] = std::min({replaced, row[j] + 1, row[j + 1] + 1});
+    }
+  }
+  return row.back();
+}
+
+}  // namespace
+
+std::string ReadYamlFile(const std::string& path) {
+  std::error_code ignored;
+  if (std::filesystem::is_directory(path, ignored))
+    throw InputError("is a directory, must be a file");
+  std::ifstream file(path, std::ios::binary);
+  if (!file) throw InputError(std::string("cannot be read: ") + std::strerror(errno));
+  std::string text(kMaxSize + 1, '\0');
+  file.read(text.data(), static_cast<std::streamsize>(text.size()));
+  text.resize(static_cast<size_t>(file.gcount()));
+  if (text.size() > kMaxSize) throw InputError("is larger than 100 kB");
+  return text;
+}
+
+YAML::Node ParseYaml(const std::string& text) {
+  try {
+    std::istringstream in(text);
+    DepthLimit limit;
+    YAML::Parser(in).HandleNextDocument(limit);
+    return YAML::Load(text);
+  } catch (const YAML::Exception& error) {
+    FailAt(error.mark, error.msg);
+  }
+}
+
+std::string Nearest(const std::string& name, const std::vector<std::string>& names) {
+  const auto distance = [&name](const std::string& other) {
+    return other.compare(0, name.size(), name) == 0 ? 0 : EditDistance(name, other);
+  };
+  return *std::min_element(
+      names.begin(), names.end(), [&](const std::string& a, const std::string& b) {
+        return distance(a) < distance(b);
+      });
+}
+
+}  // namespace imu_pose_calib

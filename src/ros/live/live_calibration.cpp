@@ -1,0 +1,387 @@
+#include "imu_pose_calib/ros/live/live_calibration.h"
+
+#include <algorithm>
+#include <cmath>
+#include <sstream>
+
+#include "imu_pose_calib/core/conditioning.h"
+#include "imu_pose_calib/core/so3.h"
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr double kDegrees = 180.0 / 3.14159265358979323846;
+
+/// Bound on the memory of a stream, whatever its rate.
+constexpr size_t kMaxSamples = 500'000;
+/// Stamps may go back by this much within a stream [s], as when a recording is conditioned.
+constexpr double kMaxReorder = 1.0;
+/// Recordings may be played this much faster than real time.
+constexpr double kMaxPlayRate = 20.0;
+
+/// What a good calibration needs on every axis.
+constexpr double kEnoughRotation = 3.0 * 1.0 * 1.0;     // [rad^2/s]
+constexpr double kEnoughTranslation = 3.0 * 0.3 * 0.3;  // [m^2/s]
+/// Rates are differences over this time, long enough for the noise of poses [s].
+constexpr double kMinMotionStep = 0.1, kMaxMotionStep = 0.3;
+
+constexpr size_t kStableSolves = 3;
+/// Of two results about as precise the newer one counts.
+constexpr double kMuchWorse = 1.2;
+constexpr double kRateSpan = 2.0;    // [s]
+constexpr double kNoticeSpan = 5.0;  // [s]
+
+double Seconds(int64_t ns) { return 1e-9 * static_cast<double>(ns); }
+
+template <typename... Args>
+std::string Text(const Args&... args) {
+  std::ostringstream text;
+  text.precision(3);
+  (text << ... << args);
+  return text.str();
+}
+
+bool IsValid(const PoseSample& pose) {
+  return pose.p_WM.allFinite() && pose.q_WM.coeffs().allFinite() && pose.q_WM.norm() > 1e-3;
+}
+
+void CheckPositive(const char* name, double value) {
+  if (value > 0.0 && std::isfinite(value)) return;
+  throw InputError(Text(name, " = ", value, " must be positive"));
+}
+
+/// Largest ratio of sigma and target.
+double Score(const LiveOptions& options, const Calibration& result) {
+  const LargestStd std_dev = MaxStd(result);
+  return std::max({std_dev.rotation / options.target_rotation_std,
+                   std_dev.translation / options.target_translation_std,
+                   std_dev.time_shift / options.target_time_shift_std});
+}
+
+/// Within two targets of each other.
+bool Agree(const LiveOptions& options, const Calibration& a, const Calibration& b) {
+  return a.T_MI.q.angularDistance(b.T_MI.q) <= 2.0 * options.target_rotation_std &&
+         (a.T_MI.p - b.T_MI.p).norm() <= 2.0 * options.target_translation_std &&
+         std::abs(a.time_shift - b.time_shift) <= 2.0 * options.target_time_shift_std;
+}
+
+std::string Sigmas(const Calibration& result) {
+  const LargestStd std_dev = MaxStd(result);
+  return Text("sigma ",
+              1e3 * std_dev.translation,
+              " mm, ",
+              kDegrees * std_dev.rotation,
+              " deg, ",
+              1e3 * std_dev.time_shift,
+              " ms");
+}
+
+std::string Targets(const LiveOptions& options) {
+  return Text("target ",
+              1e3 * options.target_translation_std,
+              " mm, ",
+              kDegrees * options.target_rotation_std,
+              " deg, ",
+              1e3 * options.target_time_shift_std,
+              " ms");
+}
+
+void Append(const std::string& item, std::string* list) {
+  *list += (list->empty() ? "" : ", ") + item;
+}
+
+}  // namespace
+
+void LiveOptions::Validate() const {
+  CheckPositive("window", window);
+  CheckPositive("min_duration", min_duration);
+  CheckPositive("solve_interval", solve_interval);
+  CheckPositive("lost_timeout", lost_timeout);
+  CheckPositive("target_rotation_std", target_rotation_std);
+  CheckPositive("target_translation_std", target_translation_std);
+  CheckPositive("target_time_shift_std", target_time_shift_std);
+  if (min_duration >= window)
+    throw InputError(Text("min_duration = ", min_duration, " must be below window = ", window));
+}
+
+const char* ToString(Phase phase) {
+  switch (phase) {
+    case Phase::kWaiting:
+      return "waiting";
+    case Phase::kCollecting:
+      return "collecting";
+    case Phase::kSolving:
+      return "solving";
+    case Phase::kConverged:
+      return "converged";
+    case Phase::kDegraded:
+      return "degraded";
+    case Phase::kSaved:
+      break;
+  }
+  return "saved";
+}
+
+LargestStd MaxStd(const Calibration& result) {
+  const Vector6d std_dev = result.Std();
+  return {std_dev.tail<3>().maxCoeff(), std_dev.head<3>().maxCoeff(), result.time_shift_std};
+}
+
+template <typename Sample>
+double LiveCalibration::Stream<Sample>::Duration() const {
+  return samples.empty() ? 0.0 : Seconds(samples.back().t_ns - samples.front().t_ns);
+}
+
+template <typename Sample>
+StreamStatus LiveCalibration::Stream<Sample>::Status() const {
+  StreamStatus status;
+  status.received = received;
+  status.buffered_s = Duration();
+  if (samples.empty()) return status;
+  status.delay_s = arrival - Seconds(samples.back().t_ns);
+  const int64_t newest = samples.back().t_ns;
+  const auto recent = std::find_if(samples.rbegin(), samples.rend(), [&](const Sample& sample) {
+    return Seconds(newest - sample.t_ns) > kRateSpan;
+  });
+  const auto count = std::distance(samples.rbegin(), recent);
+  const double span = Seconds(newest - std::prev(recent)->t_ns);
+  if (span > 0.0) status.rate_hz = static_cast<double>(count - 1) / span;
+  return status;
+}
+
+LiveCalibration::LiveCalibration(const LiveOptions& options, const CalibrationOptions& calibration)
+    : options_(options), calibration_(calibration) {
+  options_.Validate();
+}
+
+// --- Samples ---
+
+/// Empty, or how the clock of the stream has jumped.
+template <typename Sample>
+std::string LiveCalibration::FindJump(const Sample& sample,
+                                      double now,
+                                      const Stream<Sample>& stream) const {
+  if (stream.samples.empty()) return "";
+  const double waited = now - stream.arrival;
+  if (waited < -kMaxReorder)
+    return Text("time went back by ", -waited, " s (a recording that starts again?)");
+  const double step = Seconds(sample.t_ns - stream.samples.back().t_ns);
+  if (step < -kMaxReorder)
+    return Text("the stamps of the ", stream.name, " went back by ", -step, " s");
+  if (step > kMaxReorder + kMaxPlayRate * std::max(waited, 0.0))
+    return Text("the stamps of the ", stream.name, " jumped ahead by ", step, " s");
+  return "";
+}
+
+/// False when the sample has no stamp and was dropped.
+template <typename Sample>
+bool LiveCalibration::Add(const Sample& sample, double now, Stream<Sample>* stream) {
+  if (sample.t_ns == 0) {
+    ++stream->unstamped;
+    return false;
+  }
+  const std::string jump = FindJump(sample, now, *stream);
+  if (!jump.empty() && !IsFrozen()) Reset(jump, now);
+  if (!jump.empty()) stream->samples.clear();
+  ++stream->received;
+  stream->arrival = now;
+  auto& samples = stream->samples;
+  samples.push_back(sample);
+  while (samples.size() > kMaxSamples || stream->Duration() > options_.window) samples.pop_front();
+  return true;
+}
+
+void LiveCalibration::AddPose(const PoseSample& recorded, double now) {
+  if (!Add(recorded, now, &poses_)) return;
+  const PoseSample pose = ToMarkerPose(calibration_, recorded);
+  if (!IsValid(pose) || (pose_ && SameValue(pose, *pose_))) return;
+  pose_ = pose;
+  pose_changed_ = now;
+  MeasureMotion(pose);
+}
+
+void LiveCalibration::AddGyro(const ImuSample& sample, double now) { Add(sample, now, &gyro_); }
+
+void LiveCalibration::AddAccel(const ImuSample& sample, double now) { Add(sample, now, &accel_); }
+
+void LiveCalibration::MeasureMotion(const PoseSample& pose) {
+  const double dt = motion_from_ ? Seconds(pose.t_ns - motion_from_->t_ns) : kMaxMotionStep;
+  if (dt >= 0.0 && dt < kMinMotionStep) return;
+  if (dt >= kMinMotionStep && dt < kMaxMotionStep) {
+    const Eigen::Quaterniond q_MW = motion_from_->q_WM.normalized().conjugate();
+    const Eigen::Vector3d turned = Log(Eigen::Quaterniond(q_MW * pose.q_WM.normalized()));
+    const Eigen::Vector3d moved = q_MW * (pose.p_WM - motion_from_->p_WM);
+    motion_.push_back({pose.t_ns, turned.cwiseAbs2() / dt, moved.cwiseAbs2() / dt});
+    total_.rotation += motion_.back().rotation;
+    total_.translation += motion_.back().translation;
+  }
+  motion_from_ = pose;
+  while (!motion_.empty() && Seconds(pose.t_ns - motion_.front().t_ns) > options_.window) {
+    total_.rotation -= motion_.front().rotation;
+    total_.translation -= motion_.front().translation;
+    motion_.pop_front();
+  }
+}
+
+Excitation LiveCalibration::Excited() const {
+  const auto share = [](const Eigen::Vector3d& motion, double enough) -> Eigen::Vector3d {
+    return (motion / enough).cwiseMax(0.0).cwiseMin(1.0);
+  };
+  return {share(total_.rotation, kEnoughRotation), share(total_.translation, kEnoughTranslation)};
+}
+
+// --- Solves ---
+
+bool LiveCalibration::WantsSolve() const {
+  if (is_solving_ || IsFrozen()) return false;
+  const double shortest = std::min({poses_.Duration(), gyro_.Duration(), accel_.Duration()});
+  if (shortest < options_.min_duration) return false;
+  // Two axes determine everything; the solve itself tells how well.
+  Eigen::Vector3d rotation = Excited().rotation;
+  std::sort(rotation.data(), rotation.data() + 3);
+  if (rotation[1] < 1.0) return false;
+  const double fresh = Seconds(poses_.samples.back().t_ns - solved_until_ns_);
+  return fresh >= (IsConverged() ? 0.5 * options_.window : options_.solve_interval);
+}
+
+CalibrationData LiveCalibration::BeginSolve() {
+  is_solving_ = true;
+  is_stale_ = false;
+  solved_until_ns_ = poses_.samples.empty() ? 0 : poses_.samples.back().t_ns;
+  const auto copy = [](const auto& samples) { return std::vector(samples.begin(), samples.end()); };
+  return {copy(poses_.samples), copy(gyro_.samples), copy(accel_.samples)};
+}
+
+bool LiveCalibration::EndSolve(const Calibration& result) {
+  is_solving_ = false;
+  if (is_stale_ || IsFrozen()) return false;
+  if (!result.IsUsable()) {
+    FailSolve(result.message);
+    return false;
+  }
+  ++solves_;
+  failure_.clear();
+  last_.push_back(result);
+  if (last_.size() > kStableSolves) last_.pop_front();
+  const double score = Score(options_, result);
+  if (result_ && score > kMuchWorse * best_score_) return false;
+  best_score_ = result_ ? std::min(best_score_, score) : score;
+  result_ = result;
+  return true;
+}
+
+void LiveCalibration::FailSolve(const std::string& reason) {
+  is_solving_ = false;
+  if (is_stale_) return;
+  ++solves_;
+  failure_ = reason;
+  last_.clear();
+}
+
+void LiveCalibration::Reset(const std::string& reason, double now) {
+  poses_.samples.clear();
+  gyro_.samples.clear();
+  accel_.samples.clear();
+  pose_.reset();
+  motion_.clear();
+  total_ = Motion();
+  motion_from_.reset();
+  is_stale_ = is_solving_;
+  solved_until_ns_ = 0;
+  solves_ = 0;
+  failure_.clear();
+  last_.clear();
+  result_.reset();
+  frozen_.clear();
+  ++resets_;
+  notice_ = reason.empty() ? "" : reason + "; started anew";
+  notice_time_ = now;
+}
+
+void LiveCalibration::Freeze(const std::string& message) { frozen_ = message; }
+
+// --- Status ---
+
+bool LiveCalibration::IsStable() const {
+  return last_.size() == kStableSolves && Agree(options_, last_[0], last_[1]) &&
+         Agree(options_, last_[1], last_[2]) && Agree(options_, last_[0], last_[2]);
+}
+
+bool LiveCalibration::IsConverged() const {
+  return result_ && Score(options_, *result_) <= 1.0 && IsStable();
+}
+
+std::string LiveCalibration::MissingStreams() const {
+  std::string missing;
+  const auto check = [&](const auto& stream) {
+    if (!stream.samples.empty()) return;
+    Append(stream.name, &missing);
+    if (stream.unstamped > 0) missing += " with header stamps (all are 0)";
+  };
+  check(poses_);
+  check(gyro_);
+  check(accel_);
+  return missing;
+}
+
+std::string LiveCalibration::LostStreams(double now) const {
+  std::string lost;
+  const auto check = [&](const auto& stream) {
+    const double silent = now - stream.arrival;
+    if (silent > options_.lost_timeout)
+      Append(Text("no ", stream.name, " for ", std::round(10.0 * silent) / 10.0, " s"), &lost);
+  };
+  check(poses_);
+  if (lost.empty() && now - pose_changed_ > options_.lost_timeout)
+    lost = Text("the marker is lost: the poses repeat or are invalid for ",
+                std::round(10.0 * (now - pose_changed_)) / 10.0,
+                " s");
+  check(gyro_);
+  check(accel_);
+  return lost;
+}
+
+std::string LiveCalibration::Advice() const {
+  const Excitation excitation = Excited();
+  constexpr const char* kAxes[] = {"x", "y", "z"};
+  Eigen::Index axis = 0;
+  if (excitation.rotation.minCoeff(&axis) < 1.0)
+    return Text("rotate about the marker's ", kAxes[axis], " axis");
+  if (!failure_.empty()) return "no result yet: " + failure_;
+  if (excitation.translation.minCoeff(&axis) < 1.0)
+    return Text("move along the marker's ", kAxes[axis], " axis");
+  if (!result_) return "keep moving";
+  if (Score(options_, *result_) > 1.0)
+    return Text("keep moving: ", Sigmas(*result_), "; ", Targets(options_));
+  if (last_.size() < kStableSolves)
+    return Text(
+        "keep moving: ", last_.size(), " of ", kStableSolves, " solves done; ", Sigmas(*result_));
+  return "keep moving until three solves agree; " + Sigmas(*result_);
+}
+
+LiveStatus LiveCalibration::Status(double now) const {
+  LiveStatus status;
+  status.poses = poses_.Status();
+  status.gyro = gyro_.Status();
+  status.accel = accel_.Status();
+  status.excitation = Excited();
+  status.solves = solves_;
+
+  const auto say = [&](Phase phase, const std::string& message) {
+    status.phase = phase;
+    status.message = message;
+    return status;
+  };
+  if (IsFrozen()) return say(Phase::kSaved, frozen_);
+  const double noticed = now - notice_time_;
+  if (!notice_.empty() && noticed >= 0.0 && noticed < kNoticeSpan)
+    return say(Phase::kDegraded, notice_);
+  if (const std::string missing = MissingStreams(); !missing.empty())
+    return say(Phase::kWaiting, "waiting for " + missing);
+  if (const std::string lost = LostStreams(now); !lost.empty()) return say(Phase::kDegraded, lost);
+  if (IsConverged()) return say(Phase::kConverged, Sigmas(*result_) + "; call save to keep it");
+  if (is_solving_) return say(Phase::kSolving, Advice());
+  return say(Phase::kCollecting, Advice());
+}
+
+}  // namespace imu_pose_calib

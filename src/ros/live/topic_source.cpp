@@ -1,0 +1,99 @@
+#include "imu_pose_calib/ros/live/topic_source.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace imu_pose_calib {
+namespace {
+
+std::string Join(const std::vector<std::string>& items, const char* separator) {
+  std::string text;
+  for (const std::string& item : items) text += (text.empty() ? "" : separator) + item;
+  return text;
+}
+
+/// Types without their packages.
+std::string ShortNames(std::vector<std::string> types) {
+  for (std::string& type : types) type.erase(0, type.find('/') + 1);
+  return Join(types, ", ");
+}
+
+/// What nodes of this package publish is no input.
+bool IsOurs(const std::string& topic) {
+  const std::string ours = "/imu_pose";
+  return topic.size() >= ours.size() &&
+         topic.compare(topic.size() - ours.size(), ours.size(), ours) == 0;
+}
+
+}  // namespace
+
+TopicSource::TopicSource(const ros::NodeHandle& node,
+                         const std::string& parameter,
+                         const std::string& topic,
+                         const std::vector<std::string>& types,
+                         const Callback& callback)
+    : node_(node),
+      parameter_(parameter),
+      is_named_(!topic.empty()),
+      types_(types),
+      callback_(callback) {
+  if (is_named_) Subscribe(ros::names::resolve(topic));
+}
+
+void TopicSource::Subscribe(const std::string& topic) {
+  topic_ = topic;
+  subscriber_ = node_.subscribe<topic_tools::ShapeShifter>(
+      topic_,
+      0,  // a queue without bound
+      Callback([this](const Message& message) { OnMessage(message); }),
+      ros::VoidConstPtr(),
+      ros::TransportHints().tcpNoDelay());
+}
+
+void TopicSource::OnMessage(const Message& message) {
+  const std::string& type = message.getMessage()->getDataType();
+  if (!Accepts(type)) {
+    problem_ = "is " + type + ", must be " + Join(types_, " or ");
+    return;
+  }
+  try {
+    callback_(message);
+    ++count_;
+  } catch (const ros::Exception& error) {
+    problem_ = "has another definition of " + type + " than this computer (" + error.what() + ")";
+  }
+}
+
+bool TopicSource::Accepts(const std::string& type) const {
+  return std::find(types_.begin(), types_.end(), type) != types_.end();
+}
+
+std::string TopicSource::Look() {
+  ros::master::V_TopicInfo published;
+  if (!ros::master::getTopics(published)) return "the ROS master does not answer";
+  if (!is_named_ && count_ == 0) {
+    std::vector<std::string> found;
+    for (const ros::master::TopicInfo& info : published)
+      if (Accepts(info.datatype) && !IsOurs(info.name)) found.push_back(info.name);
+    if (found.empty()) return "no topic of type " + Join(types_, " or ") + " is published";
+    if (found.size() > 1)
+      return "several topics of type " + Join(types_, " or ") + ": " + Join(found, ", ") +
+             "; choose with " + parameter_;
+    if (found.front() != topic_) Subscribe(found.front());
+  }
+  if (!problem_.empty()) return topic_ + " " + problem_;
+  const auto info = std::find_if(published.begin(), published.end(), [&](const auto& candidate) {
+    return candidate.name == topic_;
+  });
+  const int seconds = static_cast<int>((ros::SteadyTime::now() - start_).toSec());
+  const std::string waited = " for " + std::to_string(seconds) + " s";
+  if (info == published.end())
+    return topic_ + " (" + ShortNames(types_) + "): nobody has published it" + waited;
+  if (!Accepts(info->datatype))
+    return topic_ + " is " + info->datatype + ", must be " + Join(types_, " or ");
+  return topic_ + " (" + info->datatype +
+         ", publishers connected: " + std::to_string(subscriber_.getNumPublishers()) +
+         "): no message" + waited;
+}
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,157 @@
+#include "imu_pose_calib/ros/offline/offline.h"
+
+#include <algorithm>
+#include <filesystem>
+#include <iostream>
+#include <iterator>
+#include <sstream>
+#include <system_error>
+
+#include "imu_pose_calib/ros/io/conversions.h"
+#include "imu_pose_calib/ros/io/imu_yaml.h"
+#include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/io/ros_options.h"
+
+namespace imu_pose_calib {
+namespace {
+
+bool IsFolder(const std::string& path) {
+  std::error_code ignored;
+  return std::filesystem::is_directory(path, ignored);
+}
+
+bool NamesFiles(const TextRequest& text) {
+  return !(text.poses.empty() && text.imu.empty() && text.gyro.empty() && text.accel.empty());
+}
+
+/// Whether the recording is in text files.
+bool IsText(const OfflineRequest& request) {
+  const std::vector<std::string>& paths = request.bag.paths;
+  return NamesFiles(request.text) || (paths.size() == 1 && IsFolder(paths[0]));
+}
+
+/// A request for text files with every file named.
+OfflineRequest FindText(OfflineRequest request) {
+  const BagRequest& bag = request.bag;
+  TextRequest& text = request.text;
+  if (bag.paths.size() > 1 || (bag.paths.size() == 1 && !IsFolder(bag.paths[0])))
+    throw InputError("poses, imu, gyro and accel name text files; they do not go with the bag '" +
+                     bag.paths[0] + "'");
+  if (!(bag.imu_topic.empty() && bag.pose_topic.empty() && bag.gyro_topic.empty() &&
+        bag.accel_topic.empty() && bag.tf_parent.empty() && bag.tf_child.empty()))
+    throw InputError("text files have no topics and no tf; choose with poses, imu, gyro and accel");
+  if (bag.record_time)
+    throw InputError("text files have no times of recording; leave out record_time");
+  if (!bag.paths.empty()) text.folder = bag.paths[0];
+  text.start_s = bag.start_s;
+  text.duration_s = bag.duration_s;
+  text = FindFiles(text);
+  const std::filesystem::path imu = text.imu.empty() ? text.gyro : text.imu;
+  const std::string noise = imu.parent_path() / "sensor.yaml";
+  if (request.imu_yaml.empty() && request.config.empty() && std::filesystem::exists(noise))
+    request.imu_yaml = noise;
+  return request;
+}
+
+CalibrationOptions Options(const OfflineRequest& request) {
+  CalibrationOptions options;
+  if (!request.config.empty()) options = LoadOptions(request.config);
+  if (!request.imu_yaml.empty()) LoadImuYaml(request.imu_yaml).CopyNoise(&options);
+  if (!request.method.empty()) options.method = ParseMethod(request.method);
+  return options;
+}
+
+/// Throws InputError when the output would replace what is read.
+void CheckOutput(const std::string& output, const OfflineRequest& request) {
+  const TextRequest& text = request.text;
+  std::vector<std::string> inputs = request.bag.paths;
+  inputs.insert(inputs.end(), {text.poses, text.imu, text.gyro, text.accel});
+  std::error_code ignored;
+  for (const std::string& input : inputs)
+    if (std::filesystem::equivalent(output, input, ignored))
+      throw InputError("output '" + output + "' is the recording itself; choose another");
+}
+
+Recording ReadBags(const OfflineRequest& request) {
+  BagRequest bag = request.bag;
+  if (!request.imu_yaml.empty()) bag.usual_imu_topic = LoadImuYaml(request.imu_yaml).rostopic;
+  return ReadBag(bag);
+}
+
+Recording ReadRecording(const OfflineRequest& request) {
+  Recording recording = IsText(request) ? ReadText(request.text) : ReadBags(request);
+  RecordingInfo& info = recording.info;
+  info.marker_frame = FrameName(request.marker_frame, info.marker_frame);
+  info.imu_frame = FrameName(request.imu_frame, info.imu_frame);
+  info.imu_yaml = request.imu_yaml;
+  if (info.marker_frame == info.imu_frame)
+    throw InputError("marker_frame and imu_frame are both '" + info.imu_frame +
+                     "', which leaves no transform between them; give one of them another name");
+  return recording;
+}
+
+void CheckGiven(const OfflineRequest& request) {
+  if (request.bag.paths.empty() && !NamesFiles(request.text))
+    throw InputError("no recording is given: a bag, a folder, or the files poses and imu");
+}
+
+}  // namespace
+
+std::string OutputPath(const OfflineRequest& request) {
+  if (!request.output.empty()) return request.output;
+  if (request.bag.paths.empty())
+    return std::filesystem::path(request.text.poses).replace_extension(".calibration.yaml");
+  const std::string& path = request.bag.paths.front();
+  if (IsFolder(path)) return std::filesystem::path(path) / "calibration.yaml";
+  const bool has_extension = path.size() > 4 && path.substr(path.size() - 4) == ".bag";
+  return (has_extension ? path.substr(0, path.size() - 4) : path) + ".calibration.yaml";
+}
+
+OfflineResult CalibrateOffline(const OfflineRequest& given) {
+  CheckGiven(given);
+  OfflineResult offline;
+  offline.output = OutputPath(given);
+  RemoveOldResult(offline.output);
+  const OfflineRequest request = IsText(given) ? FindText(given) : given;
+  CheckOutput(offline.output, request);
+
+  const CalibrationOptions options = Options(request);
+  const Recording recording = ReadRecording(request);
+  offline.info = recording.info;
+
+  offline.result = Calibrate(options, recording.data);
+  if (!offline.result.IsUsable()) throw DataError(offline.result.message);
+  offline.yaml = ToYaml(offline.result, offline.info, options);
+  return offline;
+}
+
+std::vector<std::string> SplitBags(const std::string& text) {
+  if (std::filesystem::exists(text)) return {text};
+  std::istringstream words(text);
+  return {std::istream_iterator<std::string>(words), {}};
+}
+
+void WriteResult(const OfflineResult& offline) {
+  try {
+    WriteFile(offline.output, offline.yaml);
+  } catch (const InputError&) {
+    std::cout << offline.yaml << std::flush;
+    throw;
+  }
+}
+
+OfflineCheck CheckOffline(const OfflineRequest& given) {
+  CheckGiven(given);
+  const OfflineRequest request = IsText(given) ? FindText(given) : given;
+  const CalibrationOptions options = Options(request);
+  const Recording recording = ReadRecording(request);
+  return {CheckData(options, recording.data), recording.info};
+}
+
+std::string OneLine(const std::exception& error) {
+  std::string text = error.what();
+  std::replace(text.begin(), text.end(), '\n', ' ');
+  return text;
+}
+
+}  // namespace imu_pose_calib

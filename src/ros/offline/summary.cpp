@@ -1,0 +1,369 @@
+#include "imu_pose_calib/ros/offline/summary.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdarg>
+#include <cstdio>
+#include <sstream>
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr size_t kColumns = 80;
+constexpr double kNotableFreeze = 0.1;  // [s]
+constexpr double kCertain = 3.0;        // sigma
+constexpr double kDegrees = 180.0 / 3.14159265358979323846;
+
+[[gnu::format(printf, 1, 2)]] std::string Format(const char* format, ...) {
+  char buffer[512];
+  va_list arguments;
+  va_start(arguments, format);
+  std::vsnprintf(buffer, sizeof(buffer), format, arguments);
+  va_end(arguments);
+  return buffer;
+}
+
+/// `text` in lines of at most kColumns, the first behind `label`, the others indented like it.
+std::string Wrap(const std::string& label, const std::string& text) {
+  std::istringstream words(text);
+  std::string wrapped, line = label, word;
+  const std::string indent(label.size(), ' ');
+  bool is_empty = true;
+  while (words >> word) {
+    if (!is_empty && line.size() + 1 + word.size() > kColumns) {
+      wrapped += line + "\n";
+      line = indent;
+      is_empty = true;
+    }
+    line += (is_empty ? "" : " ") + word;
+    is_empty = false;
+  }
+  return wrapped + line + "\n";
+}
+
+std::string Verdict(const Calibration& result) {
+  switch (result.status) {
+    case Status::kOk:
+      return Wrap("OK: ", result.message);
+    case Status::kWeak:
+      return Wrap("WEAK: ", result.message);
+    case Status::kDegenerate:
+      return Wrap("DEGENERATE: ", result.message);
+    case Status::kNotRun:
+      break;
+  }
+  return Wrap("NOT RUN: ", result.message);
+}
+
+std::string Dropped(const StreamReport& report) {
+  std::string reasons;
+  const auto add = [&](size_t count, const char* reason) {
+    if (count > 0) reasons += (reasons.empty() ? "" : ", ") + std::to_string(count) + " " + reason;
+  };
+  add(report.not_finite, "not finite");
+  add(report.zero_quaternion, "zero quaternion");
+  add(report.reversed_stamp, "reversed stamp");
+  add(report.duplicate_stamp, "duplicate stamp");
+  add(report.repeated_value, "repeated value");
+  add(report.saturated, "saturated");
+  add(report.outlier, "outlier");
+  add(report.flipped, "flipped");
+  add(report.in_short_segment, "between gaps");
+  return reasons.empty() ? "" : "; dropped " + reasons;
+}
+
+std::string Stream(const char* label, const std::string& topic, const StreamReport& report) {
+  return Wrap(
+      label,
+      topic +
+          Format(": %zu at %.1f Hz over %.1f s", report.used, report.rate_hz, report.duration_s) +
+          Dropped(report));
+}
+
+std::string Stated(const char* indent, const PoseStd& stated) {
+  return Format("%stheir covariances say %.3g mm and %.3g deg per axis\n",
+                indent,
+                1e3 * stated.position,
+                kDegrees * stated.rotation);
+}
+
+std::string Data(const Calibration& result, const RecordingInfo& info) {
+  const bool is_split = info.imu_topic.empty();
+  std::string text = "\nData\n";
+  text += Stream("  poses  ", info.pose_topic, result.poses);
+  if (info.stated_pose_std) text += Stated("         ", *info.stated_pose_std);
+  text += Stream("  gyro   ", is_split ? info.gyro_topic : info.imu_topic, result.gyro);
+  text += Stream("  accel  ", is_split ? info.accel_topic : info.imu_topic, result.accel);
+  if (!info.imu_yaml.empty()) text += Wrap("  noise  ", info.imu_yaml);
+  if (result.gaps + result.jumps > 0)
+    text += Format("  %zu gaps and %zu jumps in the poses leave %zu segments\n",
+                   result.gaps,
+                   result.jumps,
+                   result.segments);
+  return text;
+}
+
+std::string Vector(const Eigen::Vector3d& v, const char* number) {
+  const std::string format = std::string("[") + number + ", " + number + ", " + number + "]";
+  char buffer[128];
+  std::snprintf(buffer, sizeof(buffer), format.c_str(), v.x(), v.y(), v.z());
+  return buffer;
+}
+
+std::string List(const Eigen::Vector3d& v, const char* number) {
+  const std::string text = Vector(v, number);
+  return text.substr(1, text.size() - 2);
+}
+
+std::string Quaternion(const Eigen::Quaterniond& q) {
+  return Format("[%.6f, %.6f, %.6f, %.6f]", q.x(), q.y(), q.z(), q.w());
+}
+
+/// Roll, pitch, yaw about the fixed axes, as tf prints them [deg].
+Eigen::Vector3d RollPitchYaw(const Eigen::Quaterniond& q) {
+  const Eigen::Matrix3d R = q.toRotationMatrix();
+  return kDegrees * Eigen::Vector3d(std::atan2(R(2, 1), R(2, 2)),
+                                    std::asin(std::clamp(-R(2, 0), -1.0, 1.0)),
+                                    std::atan2(R(1, 0), R(0, 0)));
+}
+
+/// Worst verdict of the directions whose name begins with `name`; "fixed" when there are none.
+std::string RowVerdict(const Calibration& result, const std::string& name) {
+  for (const Observability& o : result.observability)  // the worst first
+    if (o.direction.compare(0, name.size(), name) == 0) return ToString(o.status);
+  return "fixed";
+}
+
+std::string Row(const std::string& name,
+                const std::string& value,
+                const std::string& sigma,
+                const std::string& verdict) {
+  return Format("  %-16s %-29s %-22s %s\n",
+                name.c_str(),
+                value.c_str(),
+                verdict == "fixed" ? "" : sigma.c_str(),
+                verdict.c_str());
+}
+
+/// What a person wants to know first.
+std::string Table(const Calibration& result) {
+  const Vector6d sigma = result.Std();
+  std::string text = "\n" + Row("imu in marker", "value", "sigma", "verdict");
+  text += Row("translation [mm]",
+              List(1e3 * result.T_MI.p, "%.3f"),
+              List(1e3 * sigma.head<3>(), "%.3f"),
+              RowVerdict(result, "p_MI"));
+  text += Row("rpy [deg]",
+              List(RollPitchYaw(result.T_MI.q), "%.3f"),
+              List(kDegrees * sigma.tail<3>(), "%.4f"),
+              RowVerdict(result, "R_MI"));
+  text += Row("time shift",
+              Format("%.7f s", result.time_shift),
+              Format("%.4f ms", 1e3 * result.time_shift_std),
+              RowVerdict(result, "time_shift"));
+  text += Row("accel delay",
+              Format("%.4f ms", 1e3 * result.accel_delay),
+              Format("%.4f ms", 1e3 * result.accel_delay_std),
+              RowVerdict(result, "accel_delay"));
+  if (result.clock_drift_std > 0.0)
+    text += Row("clock drift",
+                Format("%.2f ppm", 1e6 * result.clock_drift),
+                Format("%.2f ppm", 1e6 * result.clock_drift_std),
+                "ok");
+  return text;
+}
+
+std::string Transform(const Calibration& result) {
+  const Rigid3& T = result.T_MI;
+  const Rigid3 inverse = T.Inverse();
+  std::string text = "\nT_marker_imu, the imu seen from the marker: x_marker = R x_imu + p\n";
+  text += "  p = " + Vector(1e3 * T.p, "%.3f") + " mm\n";
+  text += "  R = " + Quaternion(T.q) + " (x, y, z, w)\n";
+  text += "  sigma of p along the marker axes, of R about the imu axes\n";
+  text += "T_imu_marker, its inverse: x_imu = R x_marker + p\n";
+  text += "  p = " + Vector(1e3 * inverse.p, "%.3f") + " mm\n";
+  text += "  R = " + Quaternion(inverse.q) + " (x, y, z, w)\n";
+  return text;
+}
+
+std::string Clocks(const Calibration& result) {
+  std::string text =
+      "Clocks: t_pose = t_imu + time_shift      (inverse: t_imu = t_pose - time_shift)\n";
+  text += "        t_pose = t_accel + time_shift - accel_delay\n";
+  if (result.clock_drift_std > 0.0)
+    text += Format("        time_shift holds at t_imu = %.3f s and grows by clock drift\n",
+                   result.clock_reference);
+  const double smoothing = result.pose_smoothing;
+  if (std::abs(smoothing) > kCertain * result.pose_smoothing_std) {
+    const double root = std::sqrt(std::abs(smoothing));
+    text += Format("%s smoothed over %.1f ms (sigma %.1f ms) more than the %s: accounted for\n",
+                   smoothing > 0.0 ? "Poses" : "Imu",
+                   1e3 * root,
+                   0.5e3 * result.pose_smoothing_std / root,
+                   smoothing > 0.0 ? "imu" : "poses");
+  }
+  return text;
+}
+
+std::string Matrix(const char* name, const Eigen::Matrix3d& M, const Eigen::Matrix3d& sigma) {
+  std::string text;
+  for (int row = 0; row < 3; ++row)
+    text += Format("  %-12s", row == 0 ? name : "") + Vector(M.row(row), "%9.5f") + " +- " +
+            Vector(sigma.row(row), "%.5f") + "\n";
+  return text;
+}
+
+std::string Imu(const Calibration& result) {
+  std::string text = "\nGravity and mean biases\n";
+  text += "  gravity    = " + Vector(result.g_W, "%.5f") + " m/s^2 in the world frame\n";
+  text += "  gyro bias  = " + Vector(result.gyro_bias, "%.6f") + " rad/s in the imu frame\n";
+  text += "  accel bias = " + Vector(result.accel_bias, "%.5f") + " m/s^2 in the imu frame\n";
+  if (result.imu_model == ImuModel::kCalibrated) return text;
+  text += "\nScale and misalignment: measured = M true + bias\n";
+  text += Matrix("gyro M =", result.gyro_matrix, result.gyro_matrix_std);
+  text += Matrix("accel M =", result.accel_matrix, result.accel_matrix_std);
+  return text;
+}
+
+std::string Residuals(const Calibration& result) {
+  const auto row = [](const char* name, double rms, double noise, const char* unit) {
+    return Format("  %-9s rms %.3g %s, noise %.3g %s\n", name, rms, unit, noise, unit);
+  };
+  return "\nResiduals per axis, and the noise estimated from them\n" +
+         row("gyro", result.rms.gyro, result.noise.gyro, "rad/s") +
+         row("accel", result.rms.accel, result.noise.accel, "m/s^2") +
+         row("position", 1e3 * result.rms.position, 1e3 * result.noise.position, "mm") +
+         row("rotation", kDegrees * result.rms.rotation, kDegrees * result.noise.rotation, "deg") +
+         Format("  the halves of the recording differ by up to %.1f sigma\n",
+                result.split_half.sigmas);
+}
+
+std::string Warnings(const Calibration& result) {
+  std::string text;
+  for (const std::string& direction : result.unobservable)
+    text += Wrap("  undetermined: ", direction);
+  for (const std::string& warning : result.warnings) text += Wrap("  warning: ", warning);
+  return text.empty() ? "" : "\n" + text;
+}
+
+std::string StaticTransform(const Calibration& result, const RecordingInfo& info) {
+  const Rigid3& T = result.T_MI;
+  return "\nrosrun tf2_ros static_transform_publisher \\\n" +
+         Format("  %.6f %.6f %.6f %.8f %.8f %.8f %.8f \\\n",
+                T.p.x(),
+                T.p.y(),
+                T.p.z(),
+                T.q.x(),
+                T.q.y(),
+                T.q.z(),
+                T.q.w()) +
+         "  " + info.marker_frame + " " + info.imu_frame + "\n";
+}
+
+// --- Data check ---
+
+/// A time as people say it: "3.10 ms", "2.5 s", "-2.00 h", "12.0 days".
+std::string Time(double seconds) {
+  const double size = std::abs(seconds);
+  if (size < 1.0) return Format("%.2f ms", 1e3 * seconds);
+  if (size < 600.0) return Format("%.1f s", seconds);
+  if (size < 36.0 * 3600.0) return Format("%.2f h", seconds / 3600.0);
+  return Format("%.1f days", seconds / 86400.0);
+}
+
+std::string Verdict(const DataCheck& check) {
+  switch (check.verdict) {
+    case DataVerdict::kGood:
+      return Wrap("GOOD: ", check.message);
+    case DataVerdict::kUsable:
+      return Wrap("USABLE: ", check.message);
+    case DataVerdict::kRecordAgain:
+      break;
+  }
+  return Wrap("RECORD AGAIN: ", check.message);
+}
+
+std::string Row(const char* label,
+                const StreamCheck& stream,
+                const std::optional<Latency>& latency) {
+  return Format("  %-6s%8zu%8.1f%9s%10s%8.1f%9.1f",
+                label,
+                stream.count,
+                stream.rate_hz,
+                Time(stream.jitter_s).c_str(),
+                Time(stream.longest_gap_s).c_str(),
+                100.0 * stream.missing,
+                100.0 * stream.repeated) +
+         (latency
+              ? Format("%12s%8s", Time(latency->median_s).c_str(), Time(latency->spread_s).c_str())
+              : "") +
+         "\n";
+}
+
+/// What the table does not show of a stream.
+std::string Remarks(const char* label, const StreamCheck& stream, const StreamReport& report) {
+  std::string text = Dropped(report);
+  if (stream.longest_freeze_s > kNotableFreeze)
+    text += "; no new value for up to " + Time(stream.longest_freeze_s);
+  if (stream.bunched > 0.0) text += Format("; %.1f %% stamped in bunches", 100.0 * stream.bunched);
+  return text.empty() ? "" : Wrap(label, text.substr(2));
+}
+
+std::string Streams(const DataCheck& check, const RecordingInfo& info) {
+  const bool is_split = info.imu_topic.empty();
+  const bool has_latency = info.pose_latency || info.gyro_latency || info.accel_latency;
+  std::string text = "\n         samples      Hz   jitter   max gap missing repeated";
+  text += has_latency ? "     latency  spread\n" : "\n";
+  text += "                                                %        %";
+  text += has_latency ? "   (record - header)\n" : "\n";
+  text += Row("poses", check.poses, info.pose_latency) +
+          Row("gyro", check.gyro, info.gyro_latency) +
+          Row("accel", check.accel, info.accel_latency);
+  text += Wrap(info.bag.empty() ? "  files: " : "  topics: ",
+               info.pose_topic + ", " +
+                   (is_split ? info.gyro_topic + ", " + info.accel_topic : info.imu_topic));
+  if (info.stated_pose_std) text += Stated("  poses: ", *info.stated_pose_std);
+  text += Remarks("  poses: ", check.poses, check.poses_report) +
+          Remarks("  gyro: ", check.gyro, check.gyro_report) +
+          Remarks("  accel: ", check.accel, check.accel_report);
+  if (check.gaps + check.jumps > 0)
+    text += Format("  gaps in the poses: %zu, jumps: %zu\n", check.gaps, check.jumps);
+  return text;
+}
+
+std::string Match(const DataCheck& check) {
+  if (!check.is_matched) return "";
+  return Format("  time shift   about %.4f s", check.time_shift) +
+         (std::abs(check.time_shift) < 600.0 ? "" : " (" + Time(check.time_shift) + ")") +
+         Format("; %.1f s in common\n", check.overlap_s) +
+         Format("  clock drift  %.1f +- %.1f ppm\n", check.drift_ppm, check.drift_ppm_std) +
+         Format("  same motion  the poses explain %.1f %% of the gyroscope's variance\n",
+                100.0 * check.explained);
+}
+
+std::string Excitation(const DataCheck& check) {
+  return "  turns        " + Vector(check.turns_M, "%.2f") + " rad/s rms about marker x, y, z\n" +
+         "  moves        " + Vector(check.moves_W, "%.2f") + " m/s^2 rms along world x, y, z\n" +
+         (check.rest_s > 0.0 ? Format("  at rest      %.1f s; the accelerometer shows %.2f m/s^2\n",
+                                      check.rest_s,
+                                      check.rest_norm)
+                             : "  at rest      never, so the accelerometer's norm is unchecked\n");
+}
+
+}  // namespace
+
+std::string Summary(const DataCheck& check, const RecordingInfo& info) {
+  std::string text = Verdict(check) + Streams(check, info) + "\n" + Match(check);
+  if (!check.turns_M.isZero(0.0)) text += Excitation(check);
+  for (const std::string& warning : check.warnings) text += Wrap("  warning: ", warning);
+  return text;
+}
+
+std::string Summary(const Calibration& result, const RecordingInfo& info) {
+  if (!result.IsUsable()) return Verdict(result) + Data(result, info) + Warnings(result);
+  return Verdict(result) + Table(result) + Warnings(result) + Data(result, info) +
+         Transform(result) + Clocks(result) + Imu(result) + Residuals(result) +
+         StaticTransform(result, info);
+}
+
+}  // namespace imu_pose_calib

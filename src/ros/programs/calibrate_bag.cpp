@@ -1,0 +1,105 @@
+// Calibrates from a recording, without a ROS master.
+
+#include <iostream>
+
+#include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/offline/command_line.h"
+#include "imu_pose_calib/ros/offline/offline.h"
+#include "imu_pose_calib/ros/offline/summary.h"
+
+namespace imu_pose_calib {
+namespace {
+
+namespace po = boost::program_options;
+
+struct CommandLine {
+  OfflineRequest request;
+  bool check = false, quiet = false, help = false, version = false;
+};
+
+po::options_description Describe(CommandLine* line) {
+  OfflineRequest& request = line->request;
+  const auto text = [](std::string* field) { return po::value(field)->value_name("TEXT"); };
+  po::options_description options("Options");
+  auto add = options.add_options();
+  add("imu-topic", text(&request.bag.imu_topic), "sensor_msgs/Imu; default: the one in the bag");
+  add("pose-topic",
+      text(&request.bag.pose_topic),
+      "poses of the marker; default: the one in the bag");
+  add("gyro-topic",
+      text(&request.bag.gyro_topic),
+      "gyroscope of a split IMU: sensor_msgs/Imu or geometry_msgs/Vector3Stamped");
+  add("accel-topic", text(&request.bag.accel_topic), "accelerometer of a split IMU");
+  add("tf-parent", text(&request.bag.tf_parent), "poses from tf: the fixed frame");
+  add("tf-child", text(&request.bag.tf_child), "poses from tf: the marker");
+  add("poses", text(&request.text.poses), "text file of the poses, instead of a bag");
+  add("imu", text(&request.text.imu), "text file of the IMU");
+  add("gyro", text(&request.text.gyro), "text file of the gyroscope of a split IMU");
+  add("accel", text(&request.text.accel), "text file of the accelerometer of a split IMU");
+  add("imu-yaml", text(&request.imu_yaml), "Kalibr's imu.yaml: noise and topic of the IMU");
+  add("config", text(&request.config), "YAML of options, see config/default.yaml");
+  add("method", text(&request.method), "joint (default) or gp");
+  add("output", text(&request.output), "result; default: next to the recording");
+  add("start",
+      po::value(&request.bag.start_s)->value_name("S"),
+      "seconds of the recording to skip");
+  add("duration", po::value(&request.bag.duration_s)->value_name("S"), "seconds to use; 0: all");
+  add("record-time",
+      po::bool_switch(&request.bag.record_time),
+      "times of recording instead of the header stamps");
+  add("marker-frame", text(&request.marker_frame), "name of the marker frame in the result");
+  add("imu-frame", text(&request.imu_frame), "name of the imu frame in the result");
+  add("check", po::bool_switch(&line->check), "judge the recording without calibrating");
+  add("quiet", po::bool_switch(&line->quiet), "print errors only");
+  add("help", po::bool_switch(&line->help), "print this text");
+  add("version", po::bool_switch(&line->version), "print the version");
+  return options;
+}
+
+void Parse(int argc, char** argv, CommandLine* line) {
+  po::options_description all = Describe(line);
+  all.add_options()("bag", po::value(&line->request.bag.paths));
+  ParseCommandLine(argc, argv, all, "bag", -1);
+}
+
+void PrintHelp() {
+  CommandLine line;
+  std::cout
+      << "Usage: calibrate_bag BAG [BAG ...] [options]\n"
+      << "       calibrate_bag FOLDER [options]                     ASL dataset (EuRoC)\n"
+      << "       calibrate_bag --poses FILE --imu FILE [options]    CSV, TUM\n\n"
+      << "Estimates T_marker_imu (x_marker = R x_imu + p) and time_shift (t_pose = t_imu +\n"
+      << "time_shift) from the poses of a marker and the samples of an IMU attached to it.\n\n"
+      << Describe(&line)
+      << "\nExit status: 0 calibrated, 1 bad usage or unreadable input, 2 data that cannot be\n"
+      << "calibrated.\n";
+}
+
+void Check(const CommandLine& line) {
+  const OfflineCheck offline = CheckOffline(line.request);
+  if (!line.quiet) std::cout << Summary(offline.check, offline.info) << std::flush;
+  if (offline.check.verdict == DataVerdict::kRecordAgain) throw DataError(offline.check.message);
+}
+
+void Run(int argc, char** argv) {
+  CommandLine line;
+  Parse(argc, argv, &line);
+  if (line.help) return PrintHelp();
+  if (line.version) {
+    std::cout << "imu_pose_calib " << kVersion << "\n";
+    return;
+  }
+
+  if (line.check) return Check(line);
+  const OfflineResult offline = CalibrateOffline(line.request);
+  if (!line.quiet) std::cout << Summary(offline.result, offline.info) << std::flush;
+  WriteResult(offline);
+  if (!line.quiet) std::cout << "\nWritten to " << offline.output << "\n";
+}
+
+}  // namespace
+}  // namespace imu_pose_calib
+
+int main(int argc, char** argv) {
+  return imu_pose_calib::RunCommand("calibrate_bag", [&] { imu_pose_calib::Run(argc, argv); });
+}

@@ -1,0 +1,133 @@
+// Stands in for a motion-capture bridge: republishes the poses of a played bag as the bridge would.
+
+#include <geometry_msgs/PoseStamped.h>
+#include <geometry_msgs/TransformStamped.h>
+#include <ros/ros.h>
+#include <tf2_ros/transform_broadcaster.h>
+
+#include <algorithm>
+#include <optional>
+#include <random>
+
+#include "imu_pose_calib/ros/io/conversions.h"
+#include "imu_pose_calib/ros/io/pose_messages.h"
+#include "imu_pose_calib/ros/live/parameters.h"
+#include "imu_pose_calib/ros/live/topic_source.h"
+#include "imu_pose_calib/ros/offline/command_line.h"
+
+namespace imu_pose_calib {
+namespace {
+
+/// How a bridge publishes the body BODY.
+struct Style {
+  const char* name;
+  const char* topic;  ///< BODY stands for the name
+  const char* frame;  ///< of the body in tf
+  bool transform;     ///< geometry_msgs/TransformStamped, else geometry_msgs/PoseStamped
+  bool repeats;       ///< goes on with the last pose while the body is not seen
+};
+constexpr Style kStyles[] = {
+    {"vicon_bridge", "/vicon/BODY/BODY", "vicon/BODY/BODY", true, false},
+    {"vrpn_client_ros", "/vrpn_client_node/BODY/pose", "BODY", false, true},
+    {"mocap_optitrack", "/mocap_node/BODY/pose", "BODY/base_link", false, false},
+};
+
+const Style& FindStyle(const std::string& name) {
+  std::string names;
+  for (const Style& style : kStyles) {
+    if (name == style.name) return style;
+    names += std::string(names.empty() ? "" : ", ") + style.name;
+  }
+  throw InputError("style '" + name + "' does not exist; available: " + names);
+}
+
+std::string ForBody(std::string text, const std::string& body) {
+  for (size_t at = 0; (at = text.find("BODY", at)) != std::string::npos; at += body.size())
+    text.replace(at, 4, body);
+  return text;
+}
+
+class ReplayBridge {
+ public:
+  explicit ReplayBridge(const ros::NodeHandle& node)
+      : style_(FindStyle(Param<std::string>(node, "style", "vicon_bridge", "a string"))),
+        latency_(Param<double>(node, "latency", 0.004, "a number")),
+        jitter_(Param<double>(node, "jitter", 0.0001, "a number")),
+        loss_start_(Param<double>(node, "loss_start", 0.0, "a number")),
+        loss_duration_(Param<double>(node, "loss_duration", 0.0, "a number")),
+        input_(node,
+               "input",
+               Param<std::string>(node, "input", "/mocap/pose", "a string"),
+               PoseTypeNames(),
+               [this](const TopicSource::Message& message) {
+                 Republish(ToFramedPose(*message.getMessage()).pose);
+               }) {
+    const auto body = Param<std::string>(node, "body", "rig", "a string");
+    const std::string topic = ForBody(style_.topic, body);
+    frame_ = ForBody(style_.frame, body);
+    ros::NodeHandle root;
+    publisher_ = style_.transform ? root.advertise<geometry_msgs::TransformStamped>(topic, 1000)
+                                  : root.advertise<geometry_msgs::PoseStamped>(topic, 1000);
+  }
+
+ private:
+  void Republish(PoseSample pose) {
+    const int64_t captured = pose.t_ns;
+    if (!first_ || captured < *first_) first_ = captured;  // the bag starts again
+    const double elapsed = 1e-9 * static_cast<double>(captured - *first_);
+    const bool is_lost = elapsed >= loss_start_ && elapsed < loss_start_ + loss_duration_;
+    if (is_lost && !(style_.repeats && seen_)) return;
+    if (is_lost) pose = *seen_;
+    seen_ = pose;
+    Publish(pose, ArrivalTime(captured));
+  }
+
+  /// Bridges stamp what they get when they get it.
+  ros::Time ArrivalTime(int64_t captured_ns) {
+    const double jitter = jitter_ > 0.0 ? jitter_ * exponential_(random_) : 0.0;
+    return FromNanoseconds(captured_ns + static_cast<int64_t>(1e9 * (latency_ + jitter)));
+  }
+
+  void Publish(const PoseSample& pose, const ros::Time& stamp) {
+    geometry_msgs::TransformStamped transform;
+    transform.header.stamp = stamp;
+    transform.header.frame_id = "world";
+    transform.child_frame_id = frame_;
+    transform.transform = ToTransformMsg({pose.q_WM, pose.p_WM});
+    broadcaster_.sendTransform(transform);
+    if (style_.transform) return publisher_.publish(transform);
+
+    geometry_msgs::PoseStamped msg;
+    msg.header = transform.header;
+    msg.pose.position = ToPointMsg(pose.p_WM);
+    msg.pose.orientation = transform.transform.rotation;
+    publisher_.publish(msg);
+  }
+
+  const Style& style_;
+  const double latency_;                     ///< [s]
+  const double jitter_;                      ///< [s] mean of what comes on top
+  const double loss_start_, loss_duration_;  ///< [s] of the body, after the first pose
+  std::string frame_;
+  std::optional<int64_t> first_;  ///< stamp of the first pose
+  std::optional<PoseSample> seen_;
+  std::mt19937 random_{1};
+  std::exponential_distribution<double> exponential_;
+  ros::Publisher publisher_;
+  tf2_ros::TransformBroadcaster broadcaster_;
+  TopicSource input_;
+};
+
+}  // namespace
+}  // namespace imu_pose_calib
+
+int main(int argc, char** argv) {
+  ros::init(argc, argv, "replay_bridge");
+  ros::NodeHandle node("~");
+  return imu_pose_calib::RunToExitStatus(
+      [&] {
+        const imu_pose_calib::ReplayBridge bridge(node);
+        ros::spin();
+      },
+      [](const std::string& error) { ROS_FATAL("%s", error.c_str()); });
+}

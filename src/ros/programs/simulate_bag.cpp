@@ -1,0 +1,156 @@
+// Writes a simulated recording and its truth.
+
+#include <cmath>
+#include <iostream>
+#include <map>
+#include <sstream>
+
+#include "imu_pose_calib/core/simulator.h"
+#include "imu_pose_calib/ros/io/bag_writer.h"
+#include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/io/text_writer.h"
+#include "imu_pose_calib/ros/offline/command_line.h"
+
+namespace imu_pose_calib {
+namespace {
+
+namespace po = boost::program_options;
+
+struct CommandLine {
+  std::string output, motion = "handheld", format_name = "bag";
+  SimulatorOptions simulator;
+  double imu_rate_hz = 200.0;
+  BagFormat format;
+  bool help = false;
+};
+
+po::options_description Describe(CommandLine* line) {
+  SimulatorOptions& simulator = line->simulator;
+  const auto value = [](auto* field, const char* unit) {
+    std::ostringstream text;
+    text << *field;
+    return po::value(field)->value_name(unit)->default_value(*field, text.str());
+  };
+  po::options_description options("Options");
+  auto add = options.add_options();
+  add("motion", value(&line->motion, "TEXT"), "handheld, tumble, planar, hinge or static");
+  add("duration", value(&simulator.duration_s, "S"), "length");
+  add("seed", value(&simulator.seed, "N"), "motion, noise and biases follow from it");
+  add("pose-rate", value(&simulator.pose_rate_hz, "HZ"), "poses");
+  add("imu-rate", value(&line->imu_rate_hz, "HZ"), "gyroscope and accelerometer");
+  add("position-std", value(&simulator.position_std, "M"), "noise per axis");
+  add("rotation-std", value(&simulator.rotation_std, "RAD"), "noise per axis");
+  add("gyro-std", value(&simulator.gyro_std, "RAD/S"), "noise per sample");
+  add("accel-std", value(&simulator.accel_std, "M/S^2"), "noise per sample");
+  add("time-shift", value(&simulator.time_shift_s, "S"), "t_pose = t_imu + time_shift");
+  add("accel-delay",
+      value(&simulator.accel_delay_s, "S"),
+      "t_pose = t_accel + time_shift - accel_delay");
+  add("format",
+      value(&line->format_name, "TEXT"),
+      "bag; asl: folder OUTPUT/ like EuRoC; text: OUTPUT.poses.txt and OUTPUT.imu.csv");
+  add("split",
+      po::bool_switch(&line->format.split_imu),
+      "gyroscope and accelerometer on two topics, or in two files");
+  add("pose-type",
+      value(&line->format.pose_type, "TEXT"),
+      "PoseStamped, TransformStamped, PoseWithCovarianceStamped, Odometry or tf (world to marker "
+      "through six joints)");
+  add("imu-type",
+      value(&line->format.imu_type, "TEXT"),
+      "Imu or Vector3Stamped (/imu/gyro and /imu/accel)");
+  add("help", po::bool_switch(&line->help), "print this text");
+  return options;
+}
+
+Motion ParseMotion(const std::string& name) {
+  static const std::map<std::string, Motion> kMotions = {{"handheld", Motion::kHandheld},
+                                                         {"tumble", Motion::kTumble},
+                                                         {"planar", Motion::kPlanar},
+                                                         {"hinge", Motion::kHinge},
+                                                         {"static", Motion::kStatic}};
+  const auto it = kMotions.find(name);
+  if (it == kMotions.end())
+    throw InputError("motion '" + name +
+                     "' is unknown; must be handheld, tumble, planar, hinge or static");
+  return it->second;
+}
+
+void CheckPositive(const char* option, double value) {
+  if (!(value > 0.0))
+    throw InputError(std::string(option) + " = " + YamlNumber(value) + " must be positive");
+}
+
+void CheckNotNegative(const char* option, double value) {
+  if (!(value >= 0.0))
+    throw InputError(std::string(option) + " = " + YamlNumber(value) + " must not be negative");
+}
+
+void Parse(int argc, char** argv, CommandLine* line) {
+  po::options_description all = Describe(line);
+  all.add_options()("output", po::value(&line->output));
+  ParseCommandLine(argc, argv, all, "output", 1);
+}
+
+/// Completes and checks what the command line has filled in.
+SimulatorOptions Simulator(const CommandLine& line) {
+  SimulatorOptions simulator = line.simulator;
+  simulator.motion = ParseMotion(line.motion);
+  simulator.gyro_rate_hz = simulator.accel_rate_hz = line.imu_rate_hz;
+  CheckPositive("--duration", simulator.duration_s);
+  CheckPositive("--pose-rate", simulator.pose_rate_hz);
+  CheckPositive("--imu-rate", line.imu_rate_hz);
+  if (!(std::abs(simulator.time_shift_s) <= 1e9))
+    throw InputError("--time-shift = " + YamlNumber(simulator.time_shift_s) +
+                     " does not fit the stamps; must be within 1e9 s");
+  CheckNotNegative("--position-std", simulator.position_std);
+  CheckNotNegative("--rotation-std", simulator.rotation_std);
+  CheckNotNegative("--gyro-std", simulator.gyro_std);
+  CheckNotNegative("--accel-std", simulator.accel_std);
+  return simulator;
+}
+
+/// The output path without .bag, to which other endings are added.
+std::string Prefix(const CommandLine& line) {
+  std::string path = line.output;
+  if (line.format_name == "asl" || line.format_name == "text") {
+    if (line.format_name == "asl" && line.format.split_imu)
+      throw InputError("--split does not go with the format asl, which has both in one file");
+    while (!path.empty() && path.back() == '/') path.pop_back();
+    if (path.empty()) throw InputError("give the path to write; see simulate_bag --help");
+    return path;
+  }
+  if (line.format_name != "bag")
+    throw InputError("format '" + line.format_name + "' is unknown; must be bag, asl or text");
+  if (path.size() <= 4 || path.substr(path.size() - 4) != ".bag")
+    throw InputError("give the path of the bag to write, ending in .bag; see simulate_bag --help");
+  return path.substr(0, path.size() - 4);
+}
+
+void PrintHelp() {
+  CommandLine line;
+  std::cout << "Usage: simulate_bag OUTPUT.bag [options]\n"
+            << "       simulate_bag OUTPUT --format asl|text [options]\n\n"
+            << "Writes a simulated recording and, beside it, its truth: OUTPUT.truth.yaml.\n\n"
+            << Describe(&line);
+}
+
+void Run(int argc, char** argv) {
+  CommandLine line;
+  Parse(argc, argv, &line);
+  if (line.help) return PrintHelp();
+  const std::string prefix = Prefix(line);
+  const SimulatorOptions simulator = Simulator(line);
+  const CalibrationData data = Simulate(simulator);
+  if (line.format_name == "bag") WriteBag(line.output, data, line.format);
+  if (line.format_name == "asl") WriteAslFolder(prefix, data);
+  if (line.format_name == "text") WriteTables(prefix, data, line.format.split_imu);
+  WriteFile(prefix + ".truth.yaml", TruthYaml(simulator));
+}
+
+}  // namespace
+}  // namespace imu_pose_calib
+
+int main(int argc, char** argv) {
+  return imu_pose_calib::RunCommand("simulate_bag", [&] { imu_pose_calib::Run(argc, argv); });
+}
