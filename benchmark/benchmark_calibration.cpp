@@ -15,7 +15,7 @@
 namespace imu_pose_calib {
 namespace {
 
-CalibrationData Recording(double duration_s) {
+SessionData Recording(double duration_s) {
   SimulatorOptions options;
   options.duration_s = duration_s;
   return Simulate(options);
@@ -103,7 +103,7 @@ BENCHMARK(BenchmarkSolveJointly)->Arg(40)->Arg(80)->Unit(benchmark::kMillisecond
 
 /// The whole calibration of `range` seconds: poses 100 Hz, IMU 200 Hz.
 void BenchmarkCalibrate(benchmark::State& state, Method method) {
-  const CalibrationData data = Recording(static_cast<double>(state.range(0)));
+  const SessionData data = Recording(static_cast<double>(state.range(0)));
   CalibrationOptions options;
   options.method = method;
   for (auto _ : state) benchmark::DoNotOptimize(Calibrate(options, data));

@@ -140,11 +140,13 @@ std::vector<Sample> Clean(const std::string& stream,
 }
 
 /// The recording in SI units, with the poses of the marker in the world.
-CalibrationData Convert(const CalibrationOptions& options, CalibrationData data) {
-  for (PoseSample& s : data.poses) s = ToMarkerPose(options, s);
-  for (ImuSample& s : data.gyro) s.value *= options.gyro_unit;
-  for (ImuSample& s : data.accel) s.value *= options.accel_unit;
-  return data;
+SessionData Convert(const CalibrationOptions& options, SessionData session) {
+  for (PoseSample& s : session.poses) s = ToMarkerPose(options, s);
+  for (ImuData& imu : session.imus) {
+    for (ImuSample& s : imu.gyro) s.value *= options.gyro_unit;
+    for (ImuSample& s : imu.accel) s.value *= options.accel_unit;
+  }
+  return session;
 }
 
 /// Throws when a sensor or one of its axes never changes: it is not read.
@@ -358,8 +360,10 @@ struct MotionBound {
   double force = 0.0;  ///< [m/s^2]
 
   explicit MotionBound(const ConditionedData& data) {
-    for (const TimedSample& s : data.gyro) rate = std::max(rate, s.value.norm());
-    for (const TimedSample& s : data.accel) force = std::max(force, s.value.norm());
+    for (const ConditionedImu& imu : data.imus) {
+      for (const TimedSample& s : imu.gyro) rate = std::max(rate, s.value.norm());
+      for (const TimedSample& s : imu.accel) force = std::max(force, s.value.norm());
+    }
   }
 };
 
@@ -441,13 +445,15 @@ void CutSegments(const std::vector<size_t>& jumps,
 }
 
 /// The median specific force of a moving body is near gravity.
-void CheckAccelerometerUnit(const std::vector<TimedSample>& accel, double gravity) {
+void CheckAccelerometerUnit(const std::string& stream,
+                            const std::vector<TimedSample>& accel,
+                            double gravity) {
   std::vector<double> norms;
   for (const TimedSample& s : accel) norms.push_back(s.value.norm());
   const double median = Median(std::move(norms));
   if (median > kMinForce * gravity && median < kMaxForce * gravity) return;
   std::ostringstream text;
-  text << "accelerometer: median norm " << median << " (bound: " << kMinForce * gravity << " to "
+  text << stream << ": median norm " << median << " (bound: " << kMinForce * gravity << " to "
        << kMaxForce * gravity << " m/s^2); ";
   if (median > 0.7 && median < 1.5)
     throw OptionNeeded(text.str() +
@@ -458,6 +464,31 @@ void CheckAccelerometerUnit(const std::vector<TimedSample>& accel, double gravit
   if (median < kMinForce * gravity)
     throw DataError(text.str() + "gravity seems to be removed: record the raw accelerometer");
   throw OptionNeeded(text.str() + "set accel_unit, the unit of the accelerometer in m/s^2");
+}
+
+/// `of`: see OfImu().
+ConditionedImu ConditionImu(const CalibrationOptions& options,
+                            const std::string& of,
+                            const ImuData& data) {
+  ConditionedImu imu;
+  const auto clean =
+      [&](const std::string& stream, const std::vector<ImuSample>& samples, StreamReport* report) {
+        auto kept = Clean(stream, options.max_bad_fraction, samples, report);
+        CheckAlive(stream, kept, report->received);
+        RemoveSaturated(stream, options.max_bad_fraction, &kept, report);
+        return kept;
+      };
+  const auto gyro = clean("gyroscope" + of, data.gyro, &imu.gyro_report);
+  const auto accel = clean("accelerometer" + of, data.accel, &imu.accel_report);
+  imu.epoch_ns = std::min(gyro.front().t_ns, accel.front().t_ns);
+  imu.gyro = ToSeconds(gyro, imu.epoch_ns);
+  imu.accel = ToSeconds(accel, imu.epoch_ns);
+  Summarise(imu.gyro, &imu.gyro_report);
+  Summarise(imu.accel, &imu.accel_report);
+  CheckDuration("gyroscope" + of, imu.gyro_report, options.min_overlap_s);
+  CheckDuration("accelerometer" + of, imu.accel_report, options.min_overlap_s);
+  CheckAccelerometerUnit("accelerometer" + of, imu.accel, options.gravity_magnitude);
+  return imu;
 }
 
 }  // namespace
@@ -475,32 +506,35 @@ bool SameValue(const PoseSample& a, const PoseSample& b) {
 }
 bool SameValue(const ImuSample& a, const ImuSample& b) { return a.value == b.value; }
 
-ConditionedData Condition(const CalibrationOptions& options, const CalibrationData& recorded) {
+size_t ConditionedData::FirstImu() const {
+  const auto is_present = [](const ConditionedImu& imu) { return imu.IsPresent(); };
+  return static_cast<size_t>(std::find_if(imus.begin(), imus.end(), is_present) - imus.begin());
+}
+
+std::string OfImu(size_t imu, size_t count) {
+  return count == 1 ? "" : " of imu" + std::to_string(imu);
+}
+
+ConditionedData ConditionData(const CalibrationOptions& options, const SessionData& recorded) {
+  const SessionData session = Convert(options, recorded);
   ConditionedData out;
   const double max_bad = options.max_bad_fraction;
-  const CalibrationData data = Convert(options, recorded);
-  const auto poses = Clean("pose", max_bad, data.poses, &out.pose_report);
-  auto gyro = Clean("gyroscope", max_bad, data.gyro, &out.gyro_report);
-  auto accel = Clean("accelerometer", max_bad, data.accel, &out.accel_report);
+  const auto poses = Clean("pose", max_bad, session.poses, &out.pose_report);
   CheckAlive(poses);
-  CheckAlive("gyroscope", gyro, out.gyro_report.received);
-  CheckAlive("accelerometer", accel, out.accel_report.received);
-  RemoveSaturated("gyroscope", max_bad, &gyro, &out.gyro_report);
-  RemoveSaturated("accelerometer", max_bad, &accel, &out.accel_report);
-
   out.pose_epoch_ns = poses.front().t_ns;
-  out.imu_epoch_ns = std::min(gyro.front().t_ns, accel.front().t_ns);
   out.poses = ToSeconds(poses, out.pose_epoch_ns);
   ScaleNoise(poses, &out.poses);
-  out.gyro = ToSeconds(gyro, out.imu_epoch_ns);
-  out.accel = ToSeconds(accel, out.imu_epoch_ns);
-
   Summarise(out.poses, &out.pose_report);
-  Summarise(out.gyro, &out.gyro_report);
-  Summarise(out.accel, &out.accel_report);
   CheckDuration("pose", out.pose_report, options.min_overlap_s);
-  CheckDuration("gyroscope", out.gyro_report, options.min_overlap_s);
-  CheckDuration("accelerometer", out.accel_report, options.min_overlap_s);
+  const bool has_imu = std::any_of(
+      session.imus.begin(), session.imus.end(), [](const ImuData& imu) { return !imu.IsEmpty(); });
+  for (size_t i = 0; i < session.imus.size(); ++i) {
+    const bool is_missing = has_imu && session.imus[i].IsEmpty();
+    out.imus.push_back(is_missing
+                           ? ConditionedImu()
+                           : ConditionImu(options, OfImu(i, session.imus.size()), session.imus[i]));
+  }
+  if (out.imus.empty()) Refuse("the session has no imu");
 
   SplitAtGaps(options, &out);
   Summarise(out.poses, &out.pose_report);
@@ -512,7 +546,6 @@ ConditionedData Condition(const CalibrationOptions& options, const CalibrationDa
            " gaps in ",
            out.pose_report.received,
            " poses)");
-  CheckAccelerometerUnit(out.accel, options.gravity_magnitude);
   return out;
 }
 

@@ -291,29 +291,30 @@ namespace {
 /// Time shifts that the correlation of the turn rates proposes.
 std::vector<double> CandidateShifts(const CalibrationOptions& options,
                                     const PoseTrajectory& trajectory,
-                                    const ConditionedData& data) {
+                                    const ConditionedData& data,
+                                    const ConditionedImu& imu) {
   std::optional<double> guess;
   if (options.initial_time_shift)  // t_pose - t_imu of absolute stamps, here of relative ones
-    guess = *options.initial_time_shift -
-            1e-9 * static_cast<double>(data.pose_epoch_ns - data.imu_epoch_ns);
+    guess =
+        *options.initial_time_shift - 1e-9 * static_cast<double>(data.pose_epoch_ns - imu.epoch_ns);
   if (!options.estimate_time_shift) return {*guess};
   return FindTimeShifts(
-      trajectory, data.poses, data.gyro, options.min_overlap_s, guess, kCandidates);
+      trajectory, data.poses, imu.gyro, options.min_overlap_s, guess, kCandidates);
 }
 
 /// Gyro samples on one segment of the trajectory.
 using SegmentRates = std::vector<RatePair>;
 
 /// Which segments turn as the gyroscope does under one alignment.
-struct Agreement {
+struct RotationAgreement {
   std::vector<bool> flipped;  ///< per segment
   double agreeing = 0.0;      ///< share of the gyro samples on the others
   double explained = 0.0;     ///< share of the gyro's variance on them
   double cost = std::numeric_limits<double>::infinity();
 };
 
-Agreement Judge(const std::vector<SegmentRates>& segments, const RateAlignment& alignment) {
-  Agreement result;
+RotationAgreement Judge(const std::vector<SegmentRates>& segments, const RateAlignment& alignment) {
+  RotationAgreement result;
   result.cost = 0.0;
   double unexplained = 0.0, total = 1e-12, agreeing = 0.0, count = 1e-12;
   for (const SegmentRates& pairs : segments) {
@@ -345,13 +346,13 @@ Agreement Judge(const std::vector<SegmentRates>& segments, const RateAlignment& 
 }
 
 /// The alignment that most of the motion agrees on, of those of all segments and of each one.
-Agreement FindAgreement(const std::vector<SegmentRates>& segments) {
+RotationAgreement FindAgreement(const std::vector<SegmentRates>& segments) {
   SegmentRates all;
   for (const SegmentRates& pairs : segments) all.insert(all.end(), pairs.begin(), pairs.end());
-  Agreement best = Judge(segments, Align(all));
+  RotationAgreement best = Judge(segments, Align(all));
   const auto improve = [&](const SegmentRates& pairs) {
     if (pairs.size() < kMinPairs) return;
-    const Agreement candidate = Judge(segments, Align(pairs));
+    const RotationAgreement candidate = Judge(segments, Align(pairs));
     if (candidate.cost < best.cost) best = candidate;
   };
   for (const SegmentRates& pairs : segments) improve(pairs);
@@ -365,9 +366,10 @@ Agreement FindAgreement(const std::vector<SegmentRates>& segments) {
 /// Gyro samples by the segment of the trajectory that they fall on.
 std::vector<SegmentRates> PairRatesBySegment(const PoseTrajectory& trajectory,
                                              const ConditionedData& data,
+                                             const ConditionedImu& imu,
                                              double time_shift) {
   std::vector<SegmentRates> segments(data.segments.size());
-  for (const RatePair& pair : PairRates(trajectory, data.gyro, time_shift)) {
+  for (const RatePair& pair : PairRates(trajectory, imu.gyro, time_shift)) {
     size_t k = 0;
     while (data.poses[data.segments[k].end - 1].t < pair.t) ++k;
     segments[k].push_back(pair);
@@ -470,9 +472,11 @@ void RemoveFlippedSegments(const CalibrationOptions& options,
                            PoseTrajectory* trajectory,
                            ConditionedData* data) {
   if (data->segments.size() < 2) return;
-  Agreement best;
-  for (const double shift : CandidateShifts(options, *trajectory, *data)) {
-    const Agreement agreement = FindAgreement(PairRatesBySegment(*trajectory, *data, shift));
+  const ConditionedImu& imu = data->imus[data->FirstImu()];
+  RotationAgreement best;
+  for (const double shift : CandidateShifts(options, *trajectory, *data, imu)) {
+    const RotationAgreement agreement =
+        FindAgreement(PairRatesBySegment(*trajectory, *data, imu, shift));
     if (agreement.explained * agreement.agreeing > best.explained * best.agreeing) best = agreement;
   }
   if (best.agreeing < kMinProposal || best.explained < kMinExplained) return;  // S2 says why
@@ -541,13 +545,15 @@ void FitLeverArm(const PoseTrajectory& trajectory,
 
 Start Initialise(const CalibrationOptions& options,
                  const PoseTrajectory& trajectory,
-                 const ConditionedData& data) {
-  const std::vector<double> shifts = CandidateShifts(options, trajectory, data);
+                 const ConditionedData& data,
+                 size_t imu) {
+  const ConditionedImu& samples = data.imus[imu];
+  const std::vector<double> shifts = CandidateShifts(options, trajectory, data, samples);
   Start start;
   RateAlignment best;
   double most = -1.0;
   for (const double shift : shifts) {
-    const RateAlignment alignment = AlignRates(trajectory, data.gyro, shift);
+    const RateAlignment alignment = AlignRates(trajectory, samples.gyro, shift);
     const double evidence = Evidence(std::sqrt(std::max(0.0, alignment.explained)),
                                      static_cast<double>(alignment.count));
     if (evidence <= most) continue;
@@ -555,14 +561,14 @@ Start Initialise(const CalibrationOptions& options,
     best = alignment;
     start.time_shift = shift;
   }
-  CheckPoseReading(options, trajectory, data.gyro, shifts, best);
+  CheckPoseReading(options, trajectory, samples.gyro, shifts, best);
   if (best.explained < kMinExplained) throw DataError(RateMismatch(best));
   CheckGyroUnit(best);
   start.q_MI = options.initial_rotation ? options.initial_rotation->normalized() : best.q_MI;
   start.gyro_bias = best.gyro_bias;
   start.accel_delay = options.accel_delay;
   FitLeverArm(
-      trajectory, data.accel, options.gravity_magnitude, options.estimate_accel_delay, &start);
+      trajectory, samples.accel, options.gravity_magnitude, options.estimate_accel_delay, &start);
   if (options.initial_translation) start.p_MI = *options.initial_translation;
   if (options.initial_gravity) start.g_W = *options.initial_gravity;
   return start;

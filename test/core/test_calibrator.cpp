@@ -82,7 +82,7 @@ void ExpectRecovered(const Calibration& result,
 }
 
 Calibration ExpectCalibrates(const CalibrationOptions& options,
-                             const CalibrationData& data,
+                             const SessionData& data,
                              const SimulatorOptions& truth,
                              double largest_translation_error_m = 2e-3) {
   const Calibration result = Calibrate(options, data);
@@ -201,7 +201,7 @@ TEST(Calibrate, KeepsAFixedAccelDelay) {
 
 TEST(Calibrate, EndsAtTheSameResultFromInitialValues) {
   const SimulatorOptions truth = Recording(Motion::kHandheld, 10.0, 10);
-  const CalibrationData data = Simulate(truth);
+  const SessionData data = Simulate(truth);
   const Calibration plain = ExpectCalibrates(GpOptions(), data, truth);
   CalibrationOptions options = GpOptions();
   options.initial_time_shift = truth.time_shift_s + 0.3;
@@ -214,7 +214,7 @@ TEST(Calibrate, EndsAtTheSameResultFromInitialValues) {
 }
 
 TEST(Calibrate, IsAFunctionOfItsInput) {
-  const CalibrationData data = Simulate(Recording(Motion::kHandheld, 8.0, 11));
+  const SessionData data = Simulate(Recording(Motion::kHandheld, 8.0, 11));
   const Calibration a = Calibrate(GpOptions(), data), b = Calibrate(GpOptions(), data);
   EXPECT_EQ(a.T_MI.Matrix(), b.T_MI.Matrix());
   EXPECT_EQ(a.time_shift, b.time_shift);
@@ -224,7 +224,7 @@ TEST(Calibrate, IsAFunctionOfItsInput) {
 TEST(Calibrate, DoesNotDependOnTheChoiceOfTheWorldFrame) {
   // A world that is turned and moved turns g_W and changes nothing else.
   const SimulatorOptions truth = Recording(Motion::kHandheld, 8.0, 12);
-  CalibrationData data = Simulate(truth);
+  SessionData data = Simulate(truth);
   const Calibration plain = Calibrate(GpOptions(), data);
   const Quaterniond q_VW = Exp(Vector3d(0.7, -1.1, 0.4));
   for (PoseSample& pose : data.poses) {
@@ -267,7 +267,7 @@ TEST(Calibrate, AsksForTurnsWhenTheMarkerRests) {
 
 TEST(Calibrate, TakesGapsFrozenPosesAndOutliers) {
   const SimulatorOptions truth = Recording(Motion::kHandheld, 10.0, 16);
-  CalibrationData data = Simulate(truth);
+  SessionData data = Simulate(truth);
   std::mt19937 random(16);
   for (const size_t i : {37u, 104u, 180u, 251u, 377u, 445u, 446u, 583u, 719u, 888u}) {  // 1 %
     data.poses[i].p_WM += 0.1 * RandomAxis(&random);
@@ -290,7 +290,7 @@ TEST(Calibrate, TakesGapsFrozenPosesAndOutliers) {
 
 TEST(Calibrate, WithstandsGrossImuOutliers) {
   const SimulatorOptions truth = Recording(Motion::kHandheld, 10.0, 17);
-  CalibrationData data = Simulate(truth);
+  SessionData data = Simulate(truth);
   std::mt19937 random(17);
   for (size_t i = 0; i < data.gyro.size(); i += 100) data.gyro[i].value += RandomAxis(&random);
   for (size_t i = 50; i < data.accel.size(); i += 100)
@@ -301,13 +301,13 @@ TEST(Calibrate, WithstandsGrossImuOutliers) {
 TEST(Calibrate, RefusesBadOptionsBeforeItLooksAtTheData) {
   CalibrationOptions options = GpOptions();
   options.gravity_magnitude = -9.8;
-  EXPECT_TRUE(Contains(ErrorText<InputError>([&] { Calibrate(options, CalibrationData()); }),
+  EXPECT_TRUE(Contains(ErrorText<InputError>([&] { Calibrate(options, SessionData()); }),
                        "gravity_magnitude"));
 }
 
 TEST(Calibrate, RefusesDataWithoutOverlap) {
-  CalibrationData data = Simulate(Recording(Motion::kHandheld, 12.0, 18));
-  const CalibrationData other = Simulate(Recording(Motion::kHandheld, 12.0, 19));
+  SessionData data = Simulate(Recording(Motion::kHandheld, 12.0, 18));
+  const SessionData other = Simulate(Recording(Motion::kHandheld, 12.0, 19));
   data.gyro = other.gyro;
   data.accel = other.accel;
   EXPECT_TRUE(Contains(ErrorText<DataError>([&] { Calibrate(GpOptions(), data); }),
@@ -317,7 +317,7 @@ TEST(Calibrate, RefusesDataWithoutOverlap) {
 TEST(Calibrate, SaysWhenTheSolveDidNotConverge) {
   CalibrationOptions options = GpOptions();
   options.max_iterations = 1;
-  const CalibrationData data = Simulate(Recording(Motion::kHandheld, 8.0, 20));
+  const SessionData data = Simulate(Recording(Motion::kHandheld, 8.0, 20));
   EXPECT_TRUE(
       Contains(ErrorText<DataError>([&] { Calibrate(options, data); }), "max_iterations = 1"));
 }

@@ -17,8 +17,8 @@ constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
 /// 10 s: 1000 poses, 2000 gyroscope and 2000 accelerometer samples.
-CalibrationData Recording() {
-  static const CalibrationData data = [] {
+SessionData Recording() {
+  static const SessionData data = [] {
     SimulatorOptions options;
     options.duration_s = 10.0;
     return Simulate(options);
@@ -26,11 +26,11 @@ CalibrationData Recording() {
   return data;
 }
 
-ConditionedData Condition(const CalibrationData& data) {
+ConditionedData Condition(const SessionData& data) {
   return Condition(CalibrationOptions(), data);
 }
 
-std::string Refusal(const CalibrationData& data,
+std::string Refusal(const SessionData& data,
                     const CalibrationOptions& options = CalibrationOptions()) {
   return ErrorText<DataError>([&] { Condition(options, data); });
 }
@@ -41,7 +41,7 @@ size_t Dropped(const StreamReport& r) {
 }
 
 /// What Condition() promises whatever it was given.
-void ExpectPromisesKept(const ConditionedData& out, const CalibrationData& in) {
+void ExpectPromisesKept(const ConditionedData& out, const SessionData& in) {
   EXPECT_EQ(out.pose_report.received, in.poses.size());
   EXPECT_EQ(out.gyro_report.received, in.gyro.size());
   EXPECT_EQ(out.accel_report.received, in.accel.size());
@@ -74,7 +74,7 @@ void ExpectPromisesKept(const ConditionedData& out, const CalibrationData& in) {
 }
 
 TEST(Condition, KeepsAGoodRecordingWhole) {
-  const CalibrationData data = Recording();
+  const SessionData data = Recording();
   const ConditionedData out = Condition(data);
   ExpectPromisesKept(out, data);
   EXPECT_EQ(out.pose_report.used, 1000u);
@@ -110,7 +110,7 @@ TEST(Condition, ReportsRateAndDurationOfEachStream) {
 }
 
 TEST(Condition, MeasuresTimeFromTheEarlierImuStream) {
-  CalibrationData data = Recording();
+  SessionData data = Recording();
   data.gyro.erase(data.gyro.begin(), data.gyro.begin() + 100);
   const ConditionedData out = Condition(data);
   EXPECT_EQ(out.imu_epoch_ns, data.accel.front().t_ns);
@@ -119,7 +119,7 @@ TEST(Condition, MeasuresTimeFromTheEarlierImuStream) {
 }
 
 TEST(Condition, CountsSamplesThatAreNotFinite) {
-  CalibrationData data = Recording();
+  SessionData data = Recording();
   data.poses[10].p_WM.x() = kNaN;
   data.poses[20].q_WM.w() = kNaN;
   data.poses[30].p_WM.y() = kInfinity;
@@ -136,7 +136,7 @@ TEST(Condition, CountsSamplesThatAreNotFinite) {
 }
 
 TEST(Condition, CountsZeroQuaternions) {
-  CalibrationData data = Recording();
+  SessionData data = Recording();
   for (const size_t i : {0u, 100u, 999u}) data.poses[i].q_WM.coeffs().setZero();
   const ConditionedData out = Condition(data);
   ExpectPromisesKept(out, data);
@@ -144,7 +144,7 @@ TEST(Condition, CountsZeroQuaternions) {
 }
 
 TEST(Condition, CountsStampsMoreThanOneSecondBack) {
-  CalibrationData data = Recording();
+  SessionData data = Recording();
   data.poses[500].t_ns -= 2'000'000'000;
   data.gyro[900].t_ns -= 1'100'000'000;
   data.accel[900].t_ns = 0;  // a driver that forgot the stamp
@@ -156,8 +156,8 @@ TEST(Condition, CountsStampsMoreThanOneSecondBack) {
 }
 
 TEST(Condition, SortsInWhatArrivesUpToOneSecondLate) {
-  const CalibrationData ordered = Recording();
-  CalibrationData data = ordered;
+  const SessionData ordered = Recording();
+  SessionData data = ordered;
   std::rotate(data.gyro.begin() + 100, data.gyro.begin() + 101, data.gyro.begin() + 290);  // 0.95 s
   std::swap(data.poses[300], data.poses[301]);
   std::swap(data.accel[5], data.accel[9]);
@@ -175,7 +175,7 @@ TEST(Condition, SortsInWhatArrivesUpToOneSecondLate) {
 }
 
 TEST(Condition, CountsDuplicateStampsAndKeepsTheFirst) {
-  CalibrationData data = Recording();
+  SessionData data = Recording();
   data.poses[201].t_ns = data.poses[200].t_ns;
   data.gyro[11].t_ns = data.gyro[10].t_ns;
   data.gyro[12].t_ns = data.gyro[10].t_ns;
@@ -189,7 +189,7 @@ TEST(Condition, CountsDuplicateStampsAndKeepsTheFirst) {
 }
 
 TEST(Condition, CountsRepeatedValuesAsFrozen) {
-  CalibrationData data = Recording();
+  SessionData data = Recording();
   for (size_t i = 401; i < 405; ++i) {
     data.poses[i].p_WM = data.poses[400].p_WM;
     data.poses[i].q_WM = data.poses[400].q_WM;
@@ -206,7 +206,7 @@ TEST(Condition, CountsRepeatedValuesAsFrozen) {
 }
 
 TEST(Condition, ALongFreezeIsAGap) {
-  CalibrationData data = Recording();
+  SessionData data = Recording();
   for (size_t i = 401; i < 450; ++i) {
     data.poses[i].p_WM = data.poses[400].p_WM;
     data.poses[i].q_WM = data.poses[400].q_WM;
@@ -220,8 +220,8 @@ TEST(Condition, ALongFreezeIsAGap) {
 }
 
 TEST(Condition, UndoesSignFlipsAndScaleOfQuaternions) {
-  const CalibrationData plain = Recording();
-  CalibrationData data = plain;
+  const SessionData plain = Recording();
+  SessionData data = plain;
   std::mt19937 random(1);
   for (PoseSample& pose : data.poses) {
     pose.q_WM.coeffs() *= random() % 2 == 0 ? -1.0 : 1.0;
@@ -236,7 +236,7 @@ TEST(Condition, UndoesSignFlipsAndScaleOfQuaternions) {
 }
 
 TEST(Condition, SplitsAtGapsAndDropsShortSegments) {
-  CalibrationData data = Recording();
+  SessionData data = Recording();
   // Gaps of 0.2 s after 3 s and after 3.5 s: the run between them is as long as 0.3 s.
   data.poses.erase(data.poses.begin() + 350, data.poses.begin() + 370);
   data.poses.erase(data.poses.begin() + 300, data.poses.begin() + 320);
@@ -258,7 +258,7 @@ TEST(Condition, SplitsAtGapsAndDropsShortSegments) {
 }
 
 TEST(Condition, RefusesAnEmptyStreamByName) {
-  CalibrationData no_poses = Recording(), no_gyro = no_poses, no_accel = no_poses;
+  SessionData no_poses = Recording(), no_gyro = no_poses, no_accel = no_poses;
   no_poses.poses.clear();
   no_gyro.gyro.clear();
   no_accel.accel.clear();
@@ -268,7 +268,7 @@ TEST(Condition, RefusesAnEmptyStreamByName) {
 }
 
 TEST(Condition, RefusesAShortStreamWithItsDurationAndTheBound) {
-  CalibrationData data = Recording();
+  SessionData data = Recording();
   data.gyro.resize(601);
   const std::string text = Refusal(data);
   EXPECT_TRUE(Contains(text, "gyroscope: 601 of 601 samples"));
@@ -284,7 +284,7 @@ TEST(Condition, RefusesAShortStreamWithItsDurationAndTheBound) {
 }
 
 TEST(Condition, RefusesATrackerThatIsFrozenThroughout) {
-  CalibrationData data = Recording();
+  SessionData data = Recording();
   for (PoseSample& pose : data.poses) {
     pose.p_WM = data.poses[0].p_WM;
     pose.q_WM = data.poses[0].q_WM;
@@ -293,7 +293,7 @@ TEST(Condition, RefusesATrackerThatIsFrozenThroughout) {
 }
 
 TEST(Condition, RefusesTooManyBadSamplesWithCountAndBound) {
-  CalibrationData data = Recording();
+  SessionData data = Recording();
   for (size_t i = 0; i < 101; ++i) data.poses[5 * i].p_WM.x() = kNaN;
   std::string text = Refusal(data);
   EXPECT_TRUE(Contains(text, "pose: 101 of 1000 samples are not finite"));
@@ -309,7 +309,7 @@ TEST(Condition, RefusesTooManyBadSamplesWithCountAndBound) {
 }
 
 TEST(Condition, RefusesAClockThatJumpsBack) {
-  CalibrationData data = Recording();
+  SessionData data = Recording();
   for (size_t i = 1000; i < 2000; ++i) data.accel[i].t_ns -= 3600'000'000'000;
   const std::string text = Refusal(data);
   EXPECT_TRUE(Contains(text, "accelerometer: 1000 of 2000 samples"));
@@ -317,7 +317,7 @@ TEST(Condition, RefusesAClockThatJumpsBack) {
 }
 
 TEST(Condition, RefusesAnAccelerometerInG) {
-  CalibrationData data = Recording();
+  SessionData data = Recording();
   for (ImuSample& s : data.accel) s.value /= 9.80665;
   const std::string text = Refusal(data);
   EXPECT_TRUE(Contains(text, "accelerometer: median norm"));
@@ -335,13 +335,13 @@ TEST(Condition, RefusesAnAccelerometerWithoutGravity) {
 }
 
 TEST(Condition, RefusesAnAccelerometerInMilliG) {
-  CalibrationData data = Recording();
+  SessionData data = Recording();
   for (ImuSample& s : data.accel) s.value *= 1e3 / 9.80665;
   EXPECT_TRUE(Contains(Refusal(data), "set accel_unit: 0.00980665"));
 }
 
 TEST(Condition, RefusesPosesWithoutALongRun) {
-  CalibrationData data = Recording();
+  SessionData data = Recording();
   for (size_t i = 0; i < data.poses.size(); ++i)
     data.poses[i].t_ns += 200'000'000 * static_cast<int64_t>(i / 20);
   const std::string text = Refusal(data);
@@ -350,7 +350,7 @@ TEST(Condition, RefusesPosesWithoutALongRun) {
 }
 
 TEST(Condition, RefusesAStreamWithNothingUsableWhateverTheBound) {
-  CalibrationData data = Recording();
+  SessionData data = Recording();
   for (PoseSample& pose : data.poses) pose.p_WM.x() = kNaN;
   CalibrationOptions options;
   options.max_bad_fraction = 1.0;

@@ -16,7 +16,7 @@ SimulatorOptions Truth(Motion motion = Motion::kHandheld, uint32_t seed = 51) {
   return options;
 }
 
-DataCheck Check(const CalibrationData& data) { return CheckData(CalibrationOptions(), data); }
+DataCheck Check(const SessionData& data) { return CheckData(CalibrationOptions(), data); }
 
 /// Expects a usable recording with one warning that holds every part.
 void ExpectWarning(const DataCheck& check, const std::vector<std::string>& parts) {
@@ -73,7 +73,7 @@ TEST(CheckData, MeasuresTheExcitationOfEachAxis) {
 
 TEST(CheckData, MeasuresTheDriftOfTheClocks) {
   for (const double ppm : {-300.0, 80.0}) {
-    CalibrationData data = Simulate(Truth());
+    SessionData data = Simulate(Truth());
     Drift(ppm, &data);
     const DataCheck check = Check(data);
     EXPECT_NEAR(check.drift_ppm, ppm, 5.0 * check.drift_ppm_std);
@@ -82,13 +82,13 @@ TEST(CheckData, MeasuresTheDriftOfTheClocks) {
   }
   CalibrationOptions options;
   options.estimate_clock_drift = true;
-  CalibrationData data = Simulate(Truth());
+  SessionData data = Simulate(Truth());
   Drift(100.0, &data);
   EXPECT_EQ(CheckData(options, data).verdict, DataVerdict::kGood);
 }
 
 TEST(CheckData, WarnsOfStampsByTimeOfArrival) {
-  CalibrationData data = Simulate(Truth());
+  SessionData data = Simulate(Truth());
   for (size_t i = 0; i < data.gyro.size(); ++i)  // four at a time, 0.1 ms apart
     data.gyro[i].t_ns = data.gyro[i - i % 4].t_ns + 100'000 * static_cast<int64_t>(i % 4);
   const DataCheck check = Check(data);
@@ -98,7 +98,7 @@ TEST(CheckData, WarnsOfStampsByTimeOfArrival) {
 }
 
 TEST(CheckData, WarnsOfStampsThatJitter) {
-  CalibrationData data = Simulate(Truth());
+  SessionData data = Simulate(Truth());
   std::mt19937 random(1);
   for (ImuSample& s : data.accel)
     s.t_ns += std::uniform_int_distribution<int64_t>(-2'400'000, 2'400'000)(random);
@@ -106,7 +106,7 @@ TEST(CheckData, WarnsOfStampsThatJitter) {
 }
 
 TEST(CheckData, WarnsOfLostSamples) {
-  CalibrationData data = Simulate(Truth());
+  SessionData data = Simulate(Truth());
   LosePackets(0.15, 1, &data.gyro);
   const DataCheck check = Check(data);
   EXPECT_NEAR(check.gyro.missing, 0.15, 0.05);
@@ -115,7 +115,7 @@ TEST(CheckData, WarnsOfLostSamples) {
 }
 
 TEST(CheckData, WarnsOfAFrozenTracker) {
-  CalibrationData data = Simulate(Truth());
+  SessionData data = Simulate(Truth());
   Freeze(5.0, 8.0, &data);
   const DataCheck check = Check(data);
   EXPECT_NEAR(check.poses.repeated, 0.15, 0.01);
@@ -125,7 +125,7 @@ TEST(CheckData, WarnsOfAFrozenTracker) {
 }
 
 TEST(CheckData, WarnsOfSwappedLabelsSaturationAndOutliers) {
-  CalibrationData flipped = Simulate(Truth()), clipped = flipped, spoiled = flipped;
+  SessionData flipped = Simulate(Truth()), clipped = flipped, spoiled = flipped;
   SwapLabels(5.0, 8.0, Eigen::Quaterniond(0.0, 1.0, 0.0, 0.0), &flipped);
   ExpectWarning(Check(flipped), {"300 poses that turn against the gyroscope", "symmetrically"});
   double peak = 0.0;
@@ -138,9 +138,9 @@ TEST(CheckData, WarnsOfSwappedLabelsSaturationAndOutliers) {
 
 TEST(CheckData, WarnsOfAWrongScaleSeenAtRest) {
   SimulatorOptions truth = Truth();
-  CalibrationData data = Simulate(truth);
+  SessionData data = Simulate(truth);
   truth.motion = Motion::kStatic;
-  const CalibrationData rest = Simulate(truth);  // 20 s before the motion, on the same clocks
+  const SessionData rest = Simulate(truth);  // 20 s before the motion, on the same clocks
   const int64_t shift_ns = 20'000'000'000;
   const auto prepend = [&](const std::vector<ImuSample>& before, std::vector<ImuSample>* samples) {
     std::vector<ImuSample> all = before;
@@ -159,7 +159,7 @@ TEST(CheckData, WarnsOfAWrongScaleSeenAtRest) {
 }
 
 TEST(CheckData, AsksToRecordAgainWithTheReasonAndKeepsTheTable) {
-  CalibrationData data = Simulate(Truth());
+  SessionData data = Simulate(Truth());
   for (ImuSample& s : data.gyro) s.value *= 180.0 / M_PI;
   DataCheck check = Check(data);
   EXPECT_EQ(check.verdict, DataVerdict::kUsable);
@@ -172,7 +172,7 @@ TEST(CheckData, AsksToRecordAgainWithTheReasonAndKeepsTheTable) {
   EXPECT_TRUE(Contains(check.message, "one axis only"));
   EXPECT_GT(check.turns_M.z(), 0.1);
 
-  check = Check(CalibrationData());
+  check = Check(SessionData());
   EXPECT_EQ(check.verdict, DataVerdict::kRecordAgain);
   EXPECT_TRUE(Contains(check.message, "no pose samples"));
 }
@@ -181,7 +181,7 @@ TEST(CheckData, HandsItsWarningsToTheCalibration) {
   CalibrationOptions options;
   options.method = Method::kGp;
   options.num_threads = 1;
-  CalibrationData data = Simulate(Truth());
+  SessionData data = Simulate(Truth());
   EXPECT_TRUE(Calibrate(options, data).warnings.empty());
   Freeze(5.0, 8.0, &data);
   const std::vector<std::string> warnings = Calibrate(options, data).warnings;
@@ -192,7 +192,7 @@ TEST(CheckData, HandsItsWarningsToTheCalibration) {
 TEST(CheckData, LeavesTheDriftToTheCalibration) {
   CalibrationOptions options;
   options.num_threads = 1;
-  CalibrationData data = Simulate(Truth());
+  SessionData data = Simulate(Truth());
   Drift(300.0, &data);
   const std::vector<std::string> warnings = Calibrate(options, data).warnings;
   EXPECT_EQ(std::count_if(warnings.begin(),

@@ -37,7 +37,7 @@ Quaterniond Turn(double degrees, const Vector3d& axis) {
 struct Fault {
   const char* name;
   std::function<void(SimulatorOptions*)> simulate;
-  std::function<void(CalibrationData*)> spoil;
+  std::function<void(SessionData*)> spoil;
   std::function<void(const Calibration&)> check;
 };
 std::ostream& operator<<(std::ostream& out, const Fault& fault) { return out << fault.name; }
@@ -48,7 +48,7 @@ TEST_P(RepairedFault, LeavesTheCalibrationWithinItsSigmas) {
   const Fault& fault = GetParam();
   SimulatorOptions truth = Truth(31);
   if (fault.simulate) fault.simulate(&truth);
-  CalibrationData data = Simulate(truth);
+  SessionData data = Simulate(truth);
   if (fault.spoil) fault.spoil(&data);
   CalibrationOptions options;
   options.num_threads = 1;
@@ -81,7 +81,7 @@ const Fault kFaults[] = {
      }},
     {"Gaps",
      {},
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        for (const double t : {3.0, 8.0, 14.0}) RemoveBetween(t, t + 1.0, &d->poses);
      },
      [](const Calibration& r) {
@@ -90,7 +90,7 @@ const Fault kFaults[] = {
      }},
     {"FrozenPoses",
      {},
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        for (const double t : {3.0, 8.0, 14.0}) Freeze(t, t + 1.0, d);
      },
      [](const Calibration& r) {
@@ -99,14 +99,14 @@ const Fault kFaults[] = {
      }},
     {"Outliers",
      {},
-     [](CalibrationData* d) { AddOutliers(0.02, 1, d); },
+     [](SessionData* d) { AddOutliers(0.02, 1, d); },
      [](const Calibration& r) {
        EXPECT_GE(r.poses.outlier, 25u);
        EXPECT_LE(r.poses.outlier, 60u);
      }},
     {"HalfATurnForASecond",
      {},
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        SwapLabels(9.0, 10.0, Turn(180.0, {0, 0, 1}), d);
      },
      [](const Calibration& r) {
@@ -115,7 +115,7 @@ const Fault kFaults[] = {
      }},
     {"AQuarterTurnAtTheEnd",
      {},
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        SwapLabels(14.0, 30.0, Turn(90.0, {1, 0, 0}), d);
      },
      [](const Calibration& r) {
@@ -124,7 +124,7 @@ const Fault kFaults[] = {
      }},
     {"LabelsSwappedTwoWaysAfterGaps",
      {},
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        SwapLabels(2.0, 5.0, Turn(90.0, {0, 1, 0}), d);
        SwapLabels(12.0, 14.5, Turn(120.0, {1, 1, 1}), d);
        for (const double t : {2.0, 5.0, 12.0, 14.5}) RemoveBetween(t - 0.2, t + 0.2, &d->poses);
@@ -132,7 +132,7 @@ const Fault kFaults[] = {
      [](const Calibration& r) { EXPECT_EQ(r.poses.flipped, 260u + 210u); }},
     {"AShortFlip",
      {},
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        SwapLabels(9.0, 9.05, Turn(90.0, {0, 0, 1}), d);
      },
      [](const Calibration& r) {
@@ -141,7 +141,7 @@ const Fault kFaults[] = {
      }},
     {"ATrackerThatFindsItselfElsewhere",
      {},
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        ChangeBetween(
            12.0, 30.0, &d->poses, [](PoseSample* s) { s->p_WM += Vector3d(0.3, 0.2, 0); });
      },
@@ -151,7 +151,7 @@ const Fault kFaults[] = {
      }},
     {"NanAndZeroPoses",
      {},
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        for (size_t i = 0; i < d->poses.size(); i += 50) d->poses[i].p_WM.y() = kNaN;
        for (size_t i = 25; i < d->poses.size(); i += 50) d->poses[i].q_WM.coeffs().setZero();
      },
@@ -161,7 +161,7 @@ const Fault kFaults[] = {
      }},
     {"StampsAstray",
      {},
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        d->poses.front().t_ns = 0;
        d->poses[1000].t_ns += 86400 * int64_t{1'000'000'000};
        d->gyro.back().t_ns *= 2;
@@ -172,7 +172,7 @@ const Fault kFaults[] = {
      }},
     {"QuaternionSignsAndNorms",
      {},
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        for (size_t i = 0; i < d->poses.size(); ++i)
          d->poses[i].q_WM.coeffs() *=
              (i % 3 == 0 ? -1.0 : 1.0) * (1.0 + 0.02 * static_cast<double>(i % 7));
@@ -191,7 +191,7 @@ const Fault kFaults[] = {
     {"ClockOffByDays", [](SimulatorOptions* t) { t->time_shift_s = 12 * 86400.0 + 7.7; }, {}, {}},
     {"LostImuPackets",
      {},
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        LosePackets(0.15, 1, &d->gyro);
        LosePackets(0.15, 2, &d->accel);
        RemoveBetween(6.0, 6.8, &d->gyro);
@@ -199,11 +199,11 @@ const Fault kFaults[] = {
      {}},
     {"SaturatedGyroscope",
      {},
-     [](CalibrationData* d) { Clip(3.0, &d->gyro); },
+     [](SessionData* d) { Clip(3.0, &d->gyro); },
      [](const Calibration& r) { EXPECT_GT(r.gyro.saturated, 20u); }},
     {"SaturatedAccelerometer",
      {},
-     [](CalibrationData* d) { Clip(13.0, &d->accel); },
+     [](SessionData* d) { Clip(13.0, &d->accel); },
      [](const Calibration& r) { EXPECT_GT(r.accel.saturated, 20u); }},
 };
 
@@ -215,7 +215,7 @@ INSTANTIATE_TEST_SUITE_P(Calibrate,
 /// A recording that cannot be used as it is, and parts of the one line that says so.
 struct Refused {
   const char* name;
-  std::function<void(CalibrationData*)> spoil;
+  std::function<void(SessionData*)> spoil;
   std::vector<std::string> parts;
 };
 std::ostream& operator<<(std::ostream& out, const Refused& refused) { return out << refused.name; }
@@ -223,7 +223,7 @@ std::ostream& operator<<(std::ostream& out, const Refused& refused) { return out
 class RefusedRecording : public ::testing::TestWithParam<Refused> {};
 
 TEST_P(RefusedRecording, SaysWhatAndWhatToDo) {
-  CalibrationData data = Simulate(Truth(41));
+  SessionData data = Simulate(Truth(41));
   GetParam().spoil(&data);
   const std::string text = ErrorText<DataError>([&] { Calibrate(CalibrationOptions(), data); });
   for (const std::string& part : GetParam().parts) EXPECT_TRUE(Contains(text, part));
@@ -237,67 +237,67 @@ void Scale(double factor, std::vector<Sample>* samples) {
 
 const Refused kRefused[] = {
     {"TooShort",
-     [](CalibrationData* d) { d->poses.resize(300); },
+     [](SessionData* d) { d->poses.resize(300); },
      {"pose: 300 of 300 samples are usable and span 2.99 s", "at least 5 s"}},
     {"NoOverlap",
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        RemoveBetween(0.0, 10.0, &d->poses);
        RemoveBetween(8.0, 30.0, &d->gyro);
        RemoveBetween(8.0, 30.0, &d->accel);
      },
      {"agree at no time shift", "overlap"}},
-    {"OneSample", [](CalibrationData* d) { d->accel.resize(1); }, {"accelerometer: 1 of 1"}},
+    {"OneSample", [](SessionData* d) { d->accel.resize(1); }, {"accelerometer: 1 of 1"}},
     {"GyroscopeInDegrees",
-     [](CalibrationData* d) { Scale(180.0 / M_PI, &d->gyro); },
+     [](SessionData* d) { Scale(180.0 / M_PI, &d->gyro); },
      {"gyroscope", "deg/s", "set gyro_unit: 0.0174532925"}},
     {"GyroscopeInRevolutions",
-     [](CalibrationData* d) { Scale(0.5 / M_PI, &d->gyro); },
+     [](SessionData* d) { Scale(0.5 / M_PI, &d->gyro); },
      {"gyroscope", "times the marker's (bound: 0.5 to 2)", "set gyro_unit"}},
     {"AccelerometerInG",
-     [](CalibrationData* d) { Scale(1.0 / 9.80665, &d->accel); },
+     [](SessionData* d) { Scale(1.0 / 9.80665, &d->accel); },
      {"accelerometer: median norm", "bound: 3.92", "set accel_unit: 9.80665"}},
     {"AccelerometerInMilliG",
-     [](CalibrationData* d) { Scale(1e3 / 9.80665, &d->accel); },
+     [](SessionData* d) { Scale(1e3 / 9.80665, &d->accel); },
      {"accelerometer: median norm", "set accel_unit: 0.00980665"}},
     {"GyroscopeAllZero",
-     [](CalibrationData* d) { Scale(0.0, &d->gyro); },
+     [](SessionData* d) { Scale(0.0, &d->gyro); },
      {"gyroscope: all 4000 samples are zero", "driver"}},
     {"AccelerometerAllZero",
-     [](CalibrationData* d) { Scale(0.0, &d->accel); },
+     [](SessionData* d) { Scale(0.0, &d->accel); },
      {"accelerometer: all 4000 samples are zero", "driver"}},
     {"ImuAllZero",
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        Scale(0.0, &d->gyro);
        Scale(0.0, &d->accel);
      },
      {"gyroscope: all 4000 samples are zero"}},
     {"ADeadGyroscopeAxis",
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        for (ImuSample& s : d->gyro) s.value.z() = 0.0;
      },
      {"gyroscope: its z axis is always 0"}},
     {"PositionsInMillimetres",
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        for (PoseSample& s : d->poses) s.p_WM *= 1e3;
      },
      {"pose", "look like millimetres", "set position_unit: 1.0e-3"}},
     {"PositionsInCentimetres",
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        for (PoseSample& s : d->poses) s.p_WM *= 1e2;
      },
      {"look like centimetres", "set position_unit: 1.0e-2"}},
     {"NoPositions",
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        for (PoseSample& s : d->poses) s.p_WM.setZero();
      },
      {"pose: the position never changes"}},
     {"NoOrientations",
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        for (PoseSample& s : d->poses) s.q_WM.setIdentity();
      },
      {"pose: the orientation never changes"}},
     {"InvertedPoses",
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        for (PoseSample& s : d->poses) {
          s.q_WM = s.q_WM.conjugate();
          s.p_WM = -(s.q_WM * s.p_WM);
@@ -305,7 +305,7 @@ const Refused kRefused[] = {
      },
      {"agree only when the poses are inverted", "set invert_poses: true"}},
     {"QuaternionsWithWFirst",
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        for (PoseSample& s : d->poses) {
          const Quaterniond q = s.q_WM;
          s.q_WM.coeffs() << q.w(), q.x(), q.y(), q.z();
@@ -313,12 +313,12 @@ const Refused kRefused[] = {
      },
      {"agree only when the poses are inverted", "w, x, y, z, let it write x, y, z, w"}},
     {"AFlippingMarker",
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        for (const double t : {3.0, 8.0, 14.0}) SwapLabels(t, t + 3.0, Turn(90.0, {0, 0, 1}), d);
      },
      {"the marker's frame flips", "bound: 60 %", "less symmetrically"}},
     {"ASaturatedGyroscope",
-     [](CalibrationData* d) { Clip(1.0, &d->gyro); },
+     [](SessionData* d) { Clip(1.0, &d->gyro); },
      {"samples are at the end of the sensor's range (1)", "bound: 10 %"}},
 };
 
@@ -338,8 +338,8 @@ TEST(Calibrate, SaysThatGravityIsMissing) {
 }
 
 TEST(Calibrate, ReadsTheUnitsAndThePosesAsTheOptionsSay) {
-  const CalibrationData plain = Simulate(Truth(43));
-  CalibrationData data = plain;
+  const SessionData plain = Simulate(Truth(43));
+  SessionData data = plain;
   Scale(180.0 / M_PI, &data.gyro);
   Scale(1.0 / 9.80665, &data.accel);
   for (PoseSample& s : data.poses) {

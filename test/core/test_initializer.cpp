@@ -27,7 +27,7 @@ struct Fitted {
   ConditionedData data;
   PoseTrajectory trajectory;
 
-  Fitted(const CalibrationData& recording, const CalibrationOptions& options)
+  Fitted(const SessionData& recording, const CalibrationOptions& options)
       : data(Condition(options, recording)), trajectory(FitTrajectory(options, &data)) {}
 };
 
@@ -50,7 +50,7 @@ void ExpectCloseToTruth(const Start& start,
   EXPECT_LT((start.accel_bias - options.accel_bias).norm(), 0.2);
 }
 
-Start InitialiseOn(const CalibrationData& recording,
+Start InitialiseOn(const SessionData& recording,
                    const SimulatorOptions& truth,
                    const CalibrationOptions& options = CalibrationOptions()) {
   const Fitted fitted(recording, options);
@@ -59,7 +59,7 @@ Start InitialiseOn(const CalibrationData& recording,
   return start;
 }
 
-std::string Refusal(const CalibrationData& recording,
+std::string Refusal(const SessionData& recording,
                     const CalibrationOptions& options = CalibrationOptions()) {
   const Fitted fitted(recording, options);
   return ErrorText<DataError>([&] { Initialise(options, fitted.trajectory, fitted.data); });
@@ -104,7 +104,7 @@ TEST(Initialise, KeepsAFixedAccelDelay) {
 
 TEST(Initialise, FindsTheImuLogInsideOfALongerPoseLog) {
   const SimulatorOptions options = Recording(40.0, 7);
-  CalibrationData data = Simulate(options);
+  SessionData data = Simulate(options);
   const auto cut = [](std::vector<ImuSample>* s) {
     *s = std::vector<ImuSample>(s->begin() + 200 * 23, s->begin() + 200 * 33);
   };
@@ -115,14 +115,14 @@ TEST(Initialise, FindsTheImuLogInsideOfALongerPoseLog) {
 
 TEST(Initialise, FindsThePoseLogInsideOfALongerImuLog) {
   const SimulatorOptions options = Recording(40.0, 8);
-  CalibrationData data = Simulate(options);
+  SessionData data = Simulate(options);
   data.poses = std::vector<PoseSample>(data.poses.begin() + 700, data.poses.begin() + 1700);
   InitialiseOn(data, options);
 }
 
 TEST(Initialise, FindsLogsThatOverlapAtTheirEndsOnly) {
   const SimulatorOptions options = Recording(40.0, 9);
-  CalibrationData data = Simulate(options);
+  SessionData data = Simulate(options);
   data.poses.resize(2400);  // first 24 s
   data.gyro.erase(data.gyro.begin(), data.gyro.begin() + 200 * 14);
   data.accel.erase(data.accel.begin(), data.accel.begin() + 200 * 14);
@@ -162,8 +162,8 @@ TEST(Initialise, SearchesOneSecondAroundAGuess) {
 TEST(Initialise, RefusesRecordingsOfDifferentMotions) {
   for (uint32_t seed = 12; seed <= 14; ++seed) {
     SCOPED_TRACE(seed);
-    CalibrationData data = Simulate(Recording(15.0, seed));
-    const CalibrationData other = Simulate(Recording(15.0, seed + 100));
+    SessionData data = Simulate(Recording(15.0, seed));
+    const SessionData other = Simulate(Recording(15.0, seed + 100));
     data.gyro = other.gyro;
     data.accel = other.accel;
     const std::string text = Refusal(data);
@@ -174,7 +174,7 @@ TEST(Initialise, RefusesRecordingsOfDifferentMotions) {
 }
 
 TEST(Initialise, RefusesAGyroscopeInDegrees) {
-  CalibrationData data = Simulate(Recording(12.0, 15));
+  SessionData data = Simulate(Recording(12.0, 15));
   for (ImuSample& s : data.gyro) s.value /= kDegree;
   const std::string text = Refusal(data);
   EXPECT_TRUE(Contains(text, "gyroscope: its rates are 57."));

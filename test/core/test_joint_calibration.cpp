@@ -66,7 +66,7 @@ TEST(JointCalibration, FindsTheNoiseOfEverySensor) {
 }
 
 TEST(JointCalibration, DoesNotDependOnTheNoiseThatIsSet) {
-  const CalibrationData data = Simulate(Recording(1e-3, 8));
+  const SessionData data = Simulate(Recording(1e-3, 8));
   CalibrationOptions options;
   options.knot_spacing_s = 0.06;
   const Calibration right = Calibrate(options, data);
@@ -100,7 +100,7 @@ TEST(JointCalibration, IsCloserThanTheFixedTrajectoryWhenPosesAreNoisy) {
   double joint = 0.0, gp = 0.0;
   for (uint32_t seed = 11; seed <= 13; ++seed) {
     const SimulatorOptions truth = Recording(5e-3, seed);
-    const CalibrationData data = Simulate(truth);
+    const SessionData data = Simulate(truth);
     CalibrationOptions options;
     options.knot_spacing_s = 0.06;
     joint += (Calibrate(options, data).T_MI.p - truth.T_MI.p).squaredNorm();
@@ -125,7 +125,7 @@ TEST(JointCalibration, EstimatesScaleAndMisalignmentWhenAsked) {
   truth.duration_s = 30.0;
   truth.gyro_matrix << 1.012, 0.0, 0.0, 0.004, 0.991, 0.0, -0.003, 0.006, 1.005;
   truth.accel_matrix << 0.992, 0.003, -0.004, 0.002, 1.006, 0.005, -0.003, 0.004, 1.011;
-  const CalibrationData data = Simulate(truth);
+  const SessionData data = Simulate(truth);
   CalibrationOptions options;
   options.knot_spacing_s = 0.06;
 
@@ -157,7 +157,7 @@ TEST(JointCalibration, EstimatesClockDriftWhenAsked) {
   SimulatorOptions truth = Recording(1e-3, 22);
   truth.duration_s = 60.0;
   truth.clock_drift = 20e-6;  // 1.2 ms over the recording
-  const CalibrationData data = Simulate(truth);
+  const SessionData data = Simulate(truth);
   CalibrationOptions options;
   options.knot_spacing_s = 0.06;
 
@@ -179,7 +179,7 @@ TEST(JointCalibration, TellsHowMuchPosesAreSmoothed) {
   truth.duration_s = 24.0;
   truth.pose_exposure_s = 0.06;
   const double variance = truth.pose_exposure_s * truth.pose_exposure_s / 12.0;  // of a uniform
-  const CalibrationData data = Simulate(truth);
+  const SessionData data = Simulate(truth);
   CalibrationOptions options;
   const Calibration result = Calibrate(options, data);
   EXPECT_NEAR(result.pose_smoothing, variance, 4.5 * result.pose_smoothing_std);
@@ -211,7 +211,7 @@ void AddSlowErrors(double rotation_std,
                    double correlation_s,
                    double rate_hz,
                    uint32_t seed,
-                   CalibrationData* data) {
+                   SessionData* data) {
   std::mt19937 random(seed);
   std::normal_distribution<double> normal(0.0, rotation_std);
   const double keep = std::exp(-1.0 / (correlation_s * rate_hz));
@@ -232,7 +232,7 @@ TEST(JointCalibration, SlowPoseErrorsWeighAsMuchAsTheyDo) {
     truth.duration_s = 24.0;
     truth.gyro_std = 1e-3;
     truth.accel_delay_s = 0.0;
-    CalibrationData data = Simulate(truth);
+    SessionData data = Simulate(truth);
     AddSlowErrors(3e-3, 0.3, truth.pose_rate_hz, seed, &data);
     const Calibration result = Calibrate(CalibrationOptions(), data);
     shift2 += std::pow(result.time_shift - truth.time_shift_s, 2) / seeds;
@@ -246,7 +246,7 @@ TEST(JointCalibration, AShockDoesNotMoveTheResult) {
   for (uint32_t seed = 41; seed < 44; ++seed) {
     SimulatorOptions truth = Recording(1e-4, seed);
     truth.duration_s = 24.0;
-    const CalibrationData quiet = Simulate(truth);
+    const SessionData quiet = Simulate(truth);
     const auto ring = [](double amplitude, std::vector<ImuSample>* samples) {
       const int64_t hit = (*samples)[samples->size() / 3].t_ns;
       for (ImuSample& sample : *samples) {
@@ -256,7 +256,7 @@ TEST(JointCalibration, AShockDoesNotMoveTheResult) {
                           Eigen::Vector3d(1.0, -0.6, 0.8);
       }
     };
-    CalibrationData shaken = quiet;
+    SessionData shaken = quiet;
     ring(2.0, &shaken.gyro);
     ring(15.0, &shaken.accel);
     const Calibration a = Calibrate(CalibrationOptions(), quiet);
@@ -268,7 +268,7 @@ TEST(JointCalibration, AShockDoesNotMoveTheResult) {
 
 TEST(JointCalibration, KeepsWhatIsFixed) {
   const SimulatorOptions truth = Recording(1e-3, 23);
-  const CalibrationData data = Simulate(truth);
+  const SessionData data = Simulate(truth);
   for (const Method method : {Method::kJoint, Method::kGp}) {
     CalibrationOptions options;
     options.method = method;
@@ -318,7 +318,7 @@ TEST(JointCalibration, AKnownLeverArmMakesATurnAboutOneAxisEnough) {
 TEST(JointCalibration, HalvesAgreeUnlessTheImuIsMoved) {
   SimulatorOptions truth = Recording(1e-3, 25);
   truth.duration_s = 24.0;
-  CalibrationData data = Simulate(truth);
+  SessionData data = Simulate(truth);
   CalibrationOptions options;
   options.knot_spacing_s = 0.06;
   const Calibration steady = Calibrate(options, data);
@@ -326,7 +326,7 @@ TEST(JointCalibration, HalvesAgreeUnlessTheImuIsMoved) {
   EXPECT_LT(steady.split_half.sigmas, 4.0);
 
   truth.T_MI.p.x() += 0.006;
-  const CalibrationData moved = Simulate(truth);
+  const SessionData moved = Simulate(truth);
   for (size_t i = data.accel.size() / 2; i < data.accel.size(); ++i) data.accel[i] = moved.accel[i];
   const Calibration result = Calibrate(options, data);
   EXPECT_GT(result.split_half.sigmas, 5.0);
@@ -338,8 +338,8 @@ TEST(JointCalibration, HalvesAgreeUnlessTheImuIsMoved) {
 
 /// Every second pose has ten times the noise of the others; `claim` states what it pleases.
 template <typename Claim>
-CalibrationData SimulateUneven(const SimulatorOptions& truth, Claim claim) {
-  CalibrationData data = Simulate(truth);
+SessionData SimulateUneven(const SimulatorOptions& truth, Claim claim) {
+  SessionData data = Simulate(truth);
   std::mt19937 random(truth.seed);
   std::normal_distribution<double> normal;
   for (size_t i = 0; i < data.poses.size(); ++i) {

@@ -30,7 +30,7 @@ struct Fitted {
   ConditionedData data;
   PoseTrajectory trajectory;
 
-  explicit Fitted(const CalibrationData& recording)
+  explicit Fitted(const SessionData& recording)
       : data(Condition(CalibrationOptions(), recording)),
         trajectory(FitTrajectory(CalibrationOptions(), &data)) {}
 };
@@ -214,7 +214,7 @@ TEST(PoseTrajectory, AngularVelocityIsTheSlopeOfTheAttitude) {
 }
 
 TEST(PoseTrajectory, ContainsWhatLiesBetweenPosesWithoutAGap) {
-  CalibrationData recording = Simulate(Recording(Motion::kHandheld, 10.0, 9));
+  SessionData recording = Simulate(Recording(Motion::kHandheld, 10.0, 9));
   recording.poses.erase(recording.poses.begin() + 401, recording.poses.begin() + 500);
   const Fitted fitted(recording);
   const PoseTrajectory& trajectory = fitted.trajectory;
@@ -234,7 +234,7 @@ TEST(PoseTrajectory, ContainsWhatLiesBetweenPosesWithoutAGap) {
 }
 
 TEST(PoseTrajectory, IsTheSameForFlippedQuaternions) {
-  CalibrationData recording = Simulate(Recording(Motion::kTumble, 8.0, 10));
+  SessionData recording = Simulate(Recording(Motion::kTumble, 8.0, 10));
   const Fitted plain(recording);
   std::mt19937 random(10);
   for (PoseSample& pose : recording.poses)
@@ -275,7 +275,7 @@ TEST(FitTrajectory, FindsTheNoiseOfThePoses) {
 }
 
 TEST(FitTrajectory, RemovesAllGrossOutliersAndHardlyAnythingElse) {
-  CalibrationData recording = Simulate(Recording(Motion::kTumble, 8.0, 13));
+  SessionData recording = Simulate(Recording(Motion::kTumble, 8.0, 13));
   std::mt19937 random(13);
   std::set<size_t> moved;
   while (moved.size() < recording.poses.size() / 100)

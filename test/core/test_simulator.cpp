@@ -153,8 +153,8 @@ TEST(TrueTrajectory, StaticRests) {
 
 TEST(Simulate, IsAFunctionOfItsOptions) {
   const SimulatorOptions options = Recording(Motion::kHandheld, 2.0, 7);
-  const CalibrationData a = Simulate(options), b = Simulate(options);
-  const CalibrationData other = Simulate(Recording(Motion::kHandheld, 2.0, 8));
+  const SessionData a = Simulate(options), b = Simulate(options);
+  const SessionData other = Simulate(Recording(Motion::kHandheld, 2.0, 8));
   ASSERT_EQ(a.poses.size(), 200u);
   ASSERT_EQ(a.gyro.size(), 400u);
   ASSERT_EQ(a.accel.size(), 400u);
@@ -180,7 +180,7 @@ TEST(Simulate, NoiseIsWhiteWithTheAskedStandardDeviation) {
   noisy.gyro_bias_walk = noisy.accel_bias_walk = 0.0;
   noisy.pose_rate_hz = 200.0;
   noisy.position_std = 2e-3;
-  const CalibrationData data = Simulate(noisy), exact = Simulate(clean);
+  const SessionData data = Simulate(noisy), exact = Simulate(clean);
   const auto expect_white = [](const std::vector<Vector3d>& noise, double sigma) {
     const Moments moments(noise);
     EXPECT_NEAR(moments.std, sigma, 0.03 * sigma);
@@ -203,14 +203,14 @@ TEST(Simulate, NoiseIsWhiteWithTheAskedStandardDeviation) {
 
 TEST(Simulate, BiasesStartWhereAskedAndWalk) {
   SimulatorOptions options = WithoutNoise(Recording(Motion::kHandheld, 20.0, 5));
-  const CalibrationData exact = Simulate(options);
+  const SessionData exact = Simulate(options);
   options.gyro_bias << 0.1, -0.2, 0.3;
   options.accel_bias << -1.0, 2.0, 0.5;
   options.gyro_bias_walk = 1e-3;
   options.accel_bias_walk = 5e-3;
   options.gyro_rate_hz = 200.0;
   options.accel_rate_hz = 200.0;
-  const CalibrationData data = Simulate(options);
+  const SessionData data = Simulate(options);
   const auto gyro = Difference(data.gyro, exact.gyro);
   const auto accel = Difference(data.accel, exact.accel);
   EXPECT_LT((gyro.front() - options.gyro_bias).norm(), 1e-12);
@@ -226,7 +226,7 @@ TEST(Simulate, SamplesEqualTheModelAtTheShiftedAndDelayedTime) {
       SimulatorOptions o = WithoutNoise(Recording(Motion::kTumble, 3.0, 6));
       o.time_shift_s = shift;
       o.accel_delay_s = delay;
-      const CalibrationData data = Simulate(o);
+      const SessionData data = Simulate(o);
       const TrueTrajectory truth(o);
       const Matrix3d R_IM = o.T_MI.q.toRotationMatrix().transpose();
       const auto t_pose = [&](const ImuSample& s) {
@@ -253,7 +253,7 @@ TEST(Simulate, StampsKeepNanosecondsWhenTheClocksAreTwelveDaysApart) {
   SimulatorOptions near = Recording(Motion::kHandheld, 2.0, 9), far = near;
   near.time_shift_s = 0.0;
   far.time_shift_s = 12.0 * 86400.0 + 0.123456789;
-  const CalibrationData a = Simulate(near), b = Simulate(far);
+  const SessionData a = Simulate(near), b = Simulate(far);
   ASSERT_EQ(a.gyro.size(), b.gyro.size());
   for (size_t i = 0; i < a.gyro.size(); ++i) {
     EXPECT_EQ(a.gyro[i].t_ns - b.gyro[i].t_ns, int64_t{1036800123456789});
@@ -269,7 +269,7 @@ TEST(Simulator, PosesAreMeansOverTheExposure) {
   options.position_std = options.rotation_std = 0.0;
   options.pose_exposure_s = 0.06;
   const TrueTrajectory trajectory(options);
-  const CalibrationData data = Simulate(options);
+  const SessionData data = Simulate(options);
   constexpr int kSteps = 2000;  // midpoint rule
   for (const size_t k : {0u, 70u, 199u}) {
     const double t = static_cast<double>(k) / options.pose_rate_hz;

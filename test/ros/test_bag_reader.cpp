@@ -73,7 +73,7 @@ class BagReaderTest : public TempDirTest {
 
 // --- Reading ---
 
-void ExpectSameSamples(const CalibrationData& a, const CalibrationData& b) {
+void ExpectSameSamples(const SessionData& a, const SessionData& b) {
   ASSERT_EQ(a.poses.size(), b.poses.size());
   for (size_t k = 0; k < a.poses.size(); ++k) {
     EXPECT_EQ(a.poses[k].t_ns, b.poses[k].t_ns);
@@ -92,7 +92,7 @@ void ExpectSameSamples(const CalibrationData& a, const CalibrationData& b) {
 }
 
 TEST_F(BagReaderTest, ReadsBackWhatTheWriterWrote) {
-  const CalibrationData data = Simulate(ShortSimulation());
+  const SessionData data = Simulate(ShortSimulation());
   WriteBag(Path("recording.bag"), data, {});
   const Recording recording = ReadBag(Request());
   ExpectSameSamples(recording.data, data);
@@ -108,7 +108,7 @@ TEST_F(BagReaderTest, ReadsBackWhatTheWriterWrote) {
 TEST_F(BagReaderTest, TellsTheTopicsOfASplitImuApart) {
   SimulatorOptions simulator = ShortSimulation();
   simulator.accel_rate_hz = 150.0;
-  const CalibrationData data = Simulate(simulator);
+  const SessionData data = Simulate(simulator);
   WriteBag(Path("recording.bag"), data, {true, "TransformStamped"});
   const Recording recording = ReadBag(Request());
   ExpectSameSamples(recording.data, data);
@@ -118,7 +118,7 @@ TEST_F(BagReaderTest, TellsTheTopicsOfASplitImuApart) {
 }
 
 TEST_F(BagReaderTest, ReadsEveryTypeOfPose) {
-  const CalibrationData data = Simulate(ShortSimulation());
+  const SessionData data = Simulate(ShortSimulation());
   for (const char* type : {"TransformStamped", "PoseWithCovarianceStamped", "Odometry"}) {
     WriteBag(Path("recording.bag"), data, {false, type});
     const Recording recording = ReadBag(Request());
@@ -131,7 +131,7 @@ TEST_F(BagReaderTest, ReadsEveryTypeOfPose) {
 }
 
 TEST_F(BagReaderTest, ReadsVectors) {
-  const CalibrationData data = Simulate(ShortSimulation());
+  const SessionData data = Simulate(ShortSimulation());
   WriteBag(Path("recording.bag"), data, {false, "PoseStamped", "Vector3Stamped"});
   BagRequest request = Request();
   request.gyro_topic = "/imu/gyro";
@@ -142,7 +142,7 @@ TEST_F(BagReaderTest, ReadsVectors) {
 }
 
 TEST_F(BagReaderTest, ReadsTf) {
-  const CalibrationData data = Simulate(ShortSimulation());
+  const SessionData data = Simulate(ShortSimulation());
   WriteBag(Path("recording.bag"), data, {false, "tf"});
   BagRequest request = Request();
   request.tf_parent = "world";
@@ -164,7 +164,7 @@ TEST_F(BagReaderTest, ReadsTf) {
 }
 
 TEST_F(BagReaderTest, ReadsCompressedBags) {
-  const CalibrationData data = Simulate(ShortSimulation());
+  const SessionData data = Simulate(ShortSimulation());
   WriteBag(Path("plain.bag"), data, {});
   for (const auto compression : {rosbag::compression::BZ2, rosbag::compression::LZ4}) {
     Recompress(Path("plain.bag"), Path("recording.bag"), compression);
@@ -175,7 +175,7 @@ TEST_F(BagReaderTest, ReadsCompressedBags) {
 }
 
 TEST_F(BagReaderTest, ReadsImuAndPosesFromABagEach) {
-  CalibrationData data = Simulate(ShortSimulation()), poses, imu = data;
+  SessionData data = Simulate(ShortSimulation()), poses, imu = data;
   poses.poses = data.poses;
   imu.poses.clear();
   WriteBag(Path("poses.bag"), poses, {});
@@ -204,7 +204,7 @@ TEST_F(BagReaderTest, StampsWithRecordTimes) {
   Record().Add("/imu", Imu(0.1, 9.8)).Add("/pose", Pose());
   BagRequest request = Request();
   request.record_time = true;
-  const CalibrationData data = ReadBag(request).data;
+  const SessionData data = ReadBag(request).data;
   EXPECT_EQ(data.gyro.at(0).t_ns, 100000000000);
   EXPECT_EQ(data.accel.at(0).t_ns, 100000000000);
   EXPECT_EQ(data.poses.at(0).t_ns, 100010000000);
@@ -220,7 +220,7 @@ TEST_F(BagReaderTest, StampsTfWithRecordTimes) {
   request.tf_parent = "map";
   request.tf_child = "rig";
   request.record_time = true;
-  const CalibrationData data = ReadBag(request).data;
+  const SessionData data = ReadBag(request).data;
   ASSERT_EQ(data.poses.size(), 2u);
   EXPECT_EQ(data.poses[0].t_ns, 100010000000);
   EXPECT_EQ(data.poses[1].t_ns, 100020000000);
@@ -478,21 +478,21 @@ TEST_F(BagReaderTest, RefusesPosesOfSeveralBodies) {
 // --- Writer ---
 
 TEST_F(BagReaderTest, WriterKeepsTheOrderOfReversedStamps) {
-  CalibrationData data = Simulate(ShortSimulation());
+  SessionData data = Simulate(ShortSimulation());
   std::reverse(data.poses.begin(), data.poses.end());
   WriteBag(Path("recording.bag"), data, {});
   ExpectSameSamples(ReadBag(Request()).data, data);
 }
 
 TEST_F(BagReaderTest, WriterRefusesWhatItCannotWrite) {
-  const CalibrationData data = Simulate(ShortSimulation());
+  const SessionData data = Simulate(ShortSimulation());
   ExpectError<InputError>([&] { WriteBag(Path("no/dir.bag"), data, {}); }, {"no/dir.bag"});
   ExpectError<InputError>(
       [&] {
         WriteBag(Path("x.bag"), data, {false, "Path"});
       },
       {"'Path'", "PoseStamped, TransformStamped"});
-  CalibrationData uneven = data;
+  SessionData uneven = data;
   uneven.accel.pop_back();
   ExpectError<InputError>([&] { WriteBag(Path("x.bag"), uneven, {}); }, {"600 and 599"});
   uneven = data;

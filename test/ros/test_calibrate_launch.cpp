@@ -145,7 +145,7 @@ TEST(CalibrateNode, LeavesWhenWrittenWithExit) {
 TEST(CalibrateNode, ReadsTfFromSeveralBags) {
   SimulatorOptions simulator;
   simulator.duration_s = 15.0;
-  CalibrationData imu = Simulate(simulator), poses;
+  SessionData imu = Simulate(simulator), poses;
   std::swap(imu.poses, poses.poses);
   const std::string bags = Directory() + "/imu.bag " + Directory() + "/tf.bag";
   WriteBag(Directory() + "/imu.bag", imu, {});

@@ -1,9 +1,10 @@
 #pragma once
 
+#include <string>
 #include <vector>
 
-#include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/options.h"
+#include "imu_pose_calib/core/result.h"
 #include "imu_pose_calib/core/types.h"
 
 namespace imu_pose_calib {
@@ -20,7 +21,7 @@ struct TimedPose {
   double position_scale = 1.0, rotation_scale = 1.0;
 };
 
-/// A gyroscope or accelerometer sample at `t` [s] after ConditionedData::imu_epoch_ns.
+/// A gyroscope or accelerometer sample at `t` [s] after ConditionedImu::epoch_ns.
 struct TimedSample {
   double t;
   Eigen::Vector3d value;
@@ -32,20 +33,34 @@ struct IndexRange {
   size_t size() const { return end - begin; }
 };
 
+/// The samples of one IMU; without any when the session lacks it.
+struct ConditionedImu {
+  int64_t epoch_ns = 0;  ///< IMU clock
+  std::vector<TimedSample> gyro;
+  std::vector<TimedSample> accel;
+  StreamReport gyro_report, accel_report;
+
+  bool IsPresent() const { return !gyro.empty(); }
+};
+
 /// A recording that the next stages can rely on: finite, in strictly increasing time, without
 /// repeated samples, unit quaternions of continuous sign, in SI units.
 struct ConditionedData {
   int64_t pose_epoch_ns = 0;  ///< pose clock
-  int64_t imu_epoch_ns = 0;   ///< IMU clock
   std::vector<TimedPose> poses;
   std::vector<IndexRange> segments;  ///< of `poses`: runs without a gap
-  std::vector<TimedSample> gyro;
-  std::vector<TimedSample> accel;
+  std::vector<ConditionedImu> imus;  ///< in the order of the rig
 
-  StreamReport pose_report, gyro_report, accel_report;
+  StreamReport pose_report;
   size_t gaps = 0;
   size_t jumps = 0;
+
+  /// Place of the first IMU that the session has.
+  size_t FirstImu() const;
 };
+
+/// " of imu1", or nothing for the only one of the rig: what messages add to the name of a sensor.
+std::string OfImu(size_t imu, size_t count);
 
 /// The pose T_WM [m] of what was recorded as the options say.
 PoseSample ToMarkerPose(const CalibrationOptions& options, PoseSample recorded);
@@ -57,7 +72,7 @@ bool SameValue(const ImuSample& a, const ImuSample& b);
 /// Stage S0. Every dropped sample is counted in a report.
 /// Throws DataError naming the number and the bound when a stream is empty, too short, mostly
 /// unusable, or not in SI units.
-ConditionedData Condition(const CalibrationOptions& options, const CalibrationData& data);
+ConditionedData ConditionData(const CalibrationOptions& options, const SessionData& session);
 
 /// Cuts the segments where a pose cannot follow from the one before it (swapped marker labels, a
 /// tracker that finds itself anew) and counts the jumps. Runs between jumps that are too short for

@@ -6,8 +6,9 @@
 
 namespace imu_pose_calib {
 
-/// What the solve starts from. Times are relative to the epochs of ConditionedData:
-/// t_pose = t_imu + time_shift with t_pose after pose_epoch_ns and t_imu after imu_epoch_ns.
+/// What the solve starts from for one IMU. Times are relative to the epochs of the
+/// session and the IMU: t_pose = t_imu + time_shift with t_pose after
+/// ConditionedData::pose_epoch_ns and t_imu after ConditionedImu::epoch_ns.
 struct Start {
   double time_shift = 0.0;   ///< [s]
   double accel_delay = 0.0;  ///< [s]
@@ -43,7 +44,7 @@ RateAlignment AlignRates(const PoseTrajectory& trajectory,
 
 /// Drops the segments on which the marker turns against the gyroscope, as with swapped labels that
 /// turn the marker's frame on its body; they leave `trajectory` and data->poses and are counted.
-/// The rotation R_MI on which the longest part of the log agrees decides.
+/// The rotation R_MI of the first IMU on which the longest part of the log agrees decides.
 /// Throws DataError when no such part prevails.
 void RemoveFlippedSegments(const CalibrationOptions& options,
                            PoseTrajectory* trajectory,
@@ -59,11 +60,12 @@ void FitLeverArm(const PoseTrajectory& trajectory,
                  bool estimate_delay,
                  Start* start);
 
-/// Stage S2: closed-form start; initial values of the options take precedence.
+/// Stage S2: closed-form start of one IMU; initial values of the options take precedence.
 /// Throws DataError when the rates of poses and gyroscope do not match at any time shift, or match
 /// better when the poses are inverted.
 Start Initialise(const CalibrationOptions& options,
                  const PoseTrajectory& trajectory,
-                 const ConditionedData& data);
+                 const ConditionedData& data,
+                 size_t imu);
 
 }  // namespace imu_pose_calib

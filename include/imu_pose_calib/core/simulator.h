@@ -76,6 +76,6 @@ class TrueTrajectory {
 };
 
 /// Poses and IMU samples of `options`; the same options give the same data.
-CalibrationData Simulate(const SimulatorOptions& options);
+SessionData Simulate(const SimulatorOptions& options);
 
 }  // namespace imu_pose_calib

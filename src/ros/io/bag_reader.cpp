@@ -421,9 +421,9 @@ void ReadImu(const Bags& bags, const ImuTopics& imu, bool record_time, Recording
   const auto read = [&](const Topic& topic, bool gyro, bool accel) {
     bags.ForEach(topic, [&](const rosbag::MessageInstance& instance) {
       const ImuContent content = ReadImuMessage(instance);
-      if (gyro && content.gyro) add(*content.gyro, instance, &recording->data.gyro, &gyro_delays);
+      if (gyro && content.gyro) add(*content.gyro, instance, &recording->data.imus[0].gyro, &gyro_delays);
       if (accel && content.accel)
-        add(*content.accel, instance, &recording->data.accel, &accel_delays);
+        add(*content.accel, instance, &recording->data.imus[0].accel, &accel_delays);
       if (gyro) frame = content.frame;
       return true;
     });
@@ -431,8 +431,8 @@ void ReadImu(const Bags& bags, const ImuTopics& imu, bool record_time, Recording
   const bool is_split = imu.gyro.name != imu.accel.name;
   read(imu.gyro, true, !is_split);
   if (is_split) read(imu.accel, false, true);
-  CheckStamps(imu.gyro.name, recording->data.gyro);
-  CheckStamps(imu.accel.name, recording->data.accel);
+  CheckStamps(imu.gyro.name, recording->data.imus[0].gyro);
+  CheckStamps(imu.accel.name, recording->data.imus[0].accel);
   recording->info.imu_frame = FrameName(frame, "imu");
   recording->info.gyro_latency = std::move(gyro_delays).Summarise();
   recording->info.accel_latency = std::move(accel_delays).Summarise();

@@ -23,6 +23,7 @@
 #include <optional>
 
 #include "imu_pose_calib/CalibrationStatus.h"
+#include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/imu_yaml.h"
 #include "imu_pose_calib/ros/io/pose_messages.h"
@@ -369,7 +370,7 @@ void LiveNode::AddPose(const PoseSample& recorded, const ros::Time& now) {
   while (seconds_since(path_.front()) > settings_.live.window || seconds_since(path_.front()) < 0.0)
     path_.pop_front();
   if (live_.result() && pose_publisher_.getNumSubscribers() > 0)
-    pose_publisher_.publish(ToImuPose(pose, live_.result()->T_MI, world_frame_));
+    pose_publisher_.publish(ToImuPose(pose, live_.result()->imus[0].T_MI, world_frame_));
 }
 
 /// Topics, and frames as they are published.
@@ -609,7 +610,7 @@ void LiveNode::PublishMotion() {
     path.header.stamp = now_;
     path.header.frame_id = world_frame_;
     for (const PoseSample& pose : path_)
-      path.poses.push_back(ToImuPose(pose, live_.result()->T_MI, world_frame_));
+      path.poses.push_back(ToImuPose(pose, live_.result()->imus[0].T_MI, world_frame_));
     path_publisher_.publish(path);
   }
 }

@@ -7,6 +7,8 @@
 #include <sstream>
 #include <system_error>
 
+#include "imu_pose_calib/core/calibrator.h"
+#include "imu_pose_calib/core/preparation.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/imu_yaml.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
