@@ -40,40 +40,49 @@ std::vector<Component> Components(const Marginals& marginals, size_t imus) {
 }
 
 /// What a session says of one component: its own estimate less the common one, and the variances of
-/// its own estimate and of the difference.
+/// its own estimate, by the model too, and of the difference.
 struct Difference {
-  double value, own_variance, variance;
+  double value, own_variance, own_model_variance, variance;
 };
 
-/// Nothing when the session does not tell of it.
+/// Nothing when the session does not tell of it. `common`: variance of the common estimate by the
+/// model.
 std::optional<Difference> Compare(const SessionMarginals& session, int place, double common) {
   const auto found = std::find(session.places.begin(), session.places.end(), place);
   if (found == session.places.end()) return std::nullopt;
   const auto k = found - session.places.begin();
-  const double own = session.covariance(k, k);
+  const double own = session.covariance(k, k), model = session.model_variance[k];
   if (!std::isfinite(own) || !std::isfinite(session.difference[k])) return std::nullopt;
-  return Difference{session.difference[k], own, std::max(own - common, kLeastDifference * own)};
+  // The common estimate holds a share common / model of this one.
+  const double apart = std::max(kLeastDifference, 1.0 - common / model);
+  return Difference{session.difference[k], own, model, apart * own};
 }
 
-/// By how much the variance of a component grows: chi-square per degree of freedom of what the
-/// sessions say, less one sigma of its scatter.
-double Scatter(const std::vector<SessionMarginals>& sessions, int place, double common) {
-  double chi2 = 0.0, dof = 0.0;
+/// Variance of a component of the common estimate as the scatter of the sessions shows it: its own
+/// by the model, enlarged as those of the sessions are and by chi-square per degree of freedom less
+/// one sigma of its scatter. 0 when they do not scatter more than they should.
+double ScatterVariance(const std::vector<SessionMarginals>& sessions, int place, double common) {
+  double chi2 = 0.0, dof = 0.0, enlargement = 0.0, count = 0.0;
   for (const SessionMarginals& session : sessions) {
     const auto difference = Compare(session, place, common);
     if (!difference) continue;
     chi2 += difference->value * difference->value / difference->own_variance;
     dof += difference->variance / difference->own_variance;
+    enlargement += difference->own_variance / difference->own_model_variance;
+    count += 1.0;
   }
-  return dof > 0.0 ? std::max(1.0, chi2 / dof - std::sqrt(2.0 / dof)) : 1.0;
+  if (dof == 0.0) return 0.0;
+  const double growth = chi2 / dof - std::sqrt(2.0 / dof);
+  return growth > 1.0 ? growth * enlargement / count * common : 0.0;
 }
 
 Agreement Judge(const SessionMarginals& session,
                 const std::vector<Component>& components,
-                const Eigen::VectorXd& common) {
+                const Eigen::MatrixXd& model) {
   Agreement agreement;
   for (const Component& component : components) {
-    const auto difference = Compare(session, component.place, common[component.place]);
+    const int k = component.place;
+    const auto difference = Compare(session, k, model(k, k));
     if (!difference) continue;
     const double sigmas = std::abs(difference->value) / std::sqrt(difference->variance);
     agreement.chi2 += sigmas * sigmas;
@@ -81,7 +90,7 @@ Agreement Judge(const SessionMarginals& session,
     if (sigmas <= agreement.sigmas) continue;
     agreement.sigmas = sigmas;
     agreement.worst = component.name;
-    // The common estimate has a share of this session's own: from all others it is further.
+    // From all others it is further than from the common estimate.
     agreement.difference = difference->value * difference->own_variance / difference->variance;
     agreement.unit = component.unit;
   }
@@ -136,15 +145,15 @@ Marginals CompareSessions(Marginals marginals, Calibration* result) {
   const std::vector<SessionMarginals>& sessions = marginals.sessions;
   if (sessions.empty() || !marginals.model.allFinite() || !marginals.robust.allFinite())
     return marginals;
-  const Eigen::VectorXd common = marginals.model.diagonal().cwiseMax(marginals.robust.diagonal());
   const std::vector<Component> components = Components(marginals, result->imus.size());
   for (size_t s = 0; s < sessions.size(); ++s) {
     result->sessions[s].own = Own(marginals, sessions[s], *result, s);
-    result->sessions[s].agreement = Judge(sessions[s], components, common);
+    result->sessions[s].agreement = Judge(sessions[s], components, marginals.model);
   }
   for (const Component& component : components) {
     const int k = component.place;
-    marginals.robust(k, k) = common[k] * Scatter(sessions, k, common[k]);
+    const double scatter = ScatterVariance(sessions, k, marginals.model(k, k));
+    marginals.robust(k, k) = std::max(marginals.robust(k, k), scatter);
   }
   return marginals;
 }

@@ -407,6 +407,7 @@ void FindSessions(const MarginalEstimator& estimator,
         own.covariance.allFinite() ? Sandwich(own, fitted) : own.covariance;
     const Eigen::MatrixXd model = kept * own.covariance * kept.transpose();
     const Eigen::VectorXd larger = Enlargement(model, kept * robust * kept.transpose());
+    session.model_variance = model.diagonal();
     session.covariance = larger.asDiagonal() * model * larger.asDiagonal();
     result->sessions.push_back(session);
   }

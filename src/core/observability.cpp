@@ -212,11 +212,13 @@ Eigen::MatrixXd PoseRows(const Marginals& marginals, size_t imus) {
 void ReportTransforms(const Eigen::MatrixXd& C, const Marginals& marginals, Calibration* result) {
   const Eigen::MatrixXd S = PoseRows(marginals, result->imus.size());
   const Eigen::MatrixXd poses = S * C * S.transpose();
+  const Eigen::MatrixXd model = S * marginals.model * S.transpose();
   const Rigid3& first = result->imus[0].T_MI;
   result->between_imus.clear();
   for (size_t i = 0; i < result->imus.size(); ++i) {
     const auto row = 6 * static_cast<Eigen::Index>(i);
     result->imus[i].covariance = poses.block<6, 6>(row, row);
+    result->imus[i].model_covariance = model.block<6, 6>(row, row);
     if (i == 0) continue;
     BetweenImus between{0, i, first.Inverse() * result->imus[i].T_MI, {}};
     // p = R_0^T (p_i - p_0), R = R_0^T R_i, with R_0 Exp(theta_0) and R_i Exp(theta_i).

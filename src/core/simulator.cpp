@@ -126,7 +126,7 @@ TrueState TrueTrajectory::At(double t) const {
 
 SessionData Simulate(const SimulatorOptions& options) {
   const TrueTrajectory trajectory(options);
-  std::mt19937 random(options.seed + 1000003u);
+  std::mt19937 random((options.noise_seed == 0 ? options.seed : options.noise_seed) + 1000003u);
   const auto count = [&](double rate_hz) {
     return static_cast<size_t>(std::floor(options.duration_s * rate_hz));
   };

@@ -19,7 +19,8 @@ struct PlacedParameter {
 struct SessionMarginals {
   std::vector<int> places;     ///< in Marginals
   Eigen::VectorXd difference;  ///< its own estimate less the common one
-  Eigen::MatrixXd covariance;  ///< of its own estimate, enlarged by Enlargement()
+  Eigen::VectorXd model_variance;  ///< of its own estimate
+  Eigen::MatrixXd covariance;      ///< the same, enlarged by Enlargement()
 };
 
 /// Marginal uncertainty of calibration, gravity and biases after a solve.

@@ -53,6 +53,8 @@ struct ImuCalibration {
   Rigid3 T_MI;  ///< x_M = T_MI x_I
   /// Covariance of (p_MI [m] in M, small rotation [rad] about the imu axes: R_MI Exp(dtheta)).
   Matrix6d covariance = Matrix6d::Zero();
+  /// The same as if residuals were independent and sessions agreed.
+  Matrix6d model_covariance = Matrix6d::Zero();
   double accel_delay = 0.0;      ///< [s] t_pose = t_accel + time_shift - accel_delay
   double accel_delay_std = 0.0;  ///< [s], 0 when not estimated
 
