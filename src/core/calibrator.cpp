@@ -205,9 +205,9 @@ Calibration Calibrate(const CalibrationOptions& options, const std::vector<Sessi
         sessions[s].trajectory->rotation_hyperparameters().lengthscale_s;
   }
 
-  const Solution solution = options.method == Method::kJoint
-                                ? SolveTogether(options, sessions, &estimate, &result)
-                                : SolveAgainstTrajectory(options, sessions, &estimate);
+  Solution solution = options.method == Method::kJoint
+                          ? SolveTogether(options, sessions, &estimate, &result)
+                          : SolveAgainstTrajectory(options, sessions, &estimate);
   ReportEstimate(estimate, sessions, &result);
   ReportSensors(solution, &result);
   if (options.method == Method::kGp)
@@ -217,6 +217,12 @@ Calibration Calibrate(const CalibrationOptions& options, const std::vector<Sessi
   GradeResult(options, marginals, &result);
   WarnOfMisfit(marginals, &result);
   JudgeAgreement(&result);
+  solution.estimate = std::move(estimate);
+  for (const PreparedSession& session : sessions) {
+    solution.trajectories.push_back(session.trajectory);
+    solution.pose_epochs_ns.push_back(session.data.pose_epoch_ns);
+  }
+  result.solution = std::make_shared<const Solution>(std::move(solution));
   return result;
 }
 

@@ -127,7 +127,9 @@ Solution SolveAgainstTrajectory(const CalibrationOptions& options,
   solve(GpSensors::kGyroAndAccel, kRoughTolerance);
   update_noise();
   solve(GpSensors::kGyroAndAccel, kGpTolerance);
-  Solution solution{{}, statistics, {}, {}, FindMarginals(gp.get())};
+  Solution solution;
+  solution.statistics = std::move(statistics);
+  solution.marginals = FindMarginals(gp.get());
   solution.residuals = gp->TakeResiduals();
   gp.reset();
   solution.models = std::move(models);

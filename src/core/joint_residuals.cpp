@@ -5,6 +5,7 @@
 #include <Eigen/LU>
 #include <initializer_list>
 
+#include "imu_pose_calib/core/correction.h"
 #include "imu_pose_calib/core/intrinsics.h"
 #include "imu_pose_calib/core/so3.h"
 
@@ -16,15 +17,6 @@ using Eigen::Vector3d;
 
 Eigen::Map<Vector3d> AsVector(double* x) { return Eigen::Map<Vector3d>(x); }
 
-/// Value and derivatives 1..3 (columns) of a spline from its control points.
-Eigen::Matrix<double, 3, 4> EvaluateSpline(double const* const* points,
-                                           const SplineWeights& weights) {
-  Eigen::Matrix<double, 3, 4> x = Eigen::Matrix<double, 3, 4>::Zero();
-  for (int j = 0; j < kSplineOrder; ++j)
-    x += Eigen::Map<const Vector3d>(points[j]) * weights.col(j).transpose();
-  return x;
-}
-
 /// d(q^* v)/d(xyzw) for q turned on the left by twice the step, as Ceres' quaternion manifold does:
 /// the tangent Jacobian 2 R^T Hat(v) times the pseudo-inverse of the manifold's Plus Jacobian.
 Eigen::Matrix<double, 3, 4> InverseRotationJacobian(const Eigen::Quaterniond& q,
@@ -35,26 +27,6 @@ Eigen::Matrix<double, 3, 4> InverseRotationJacobian(const Eigen::Quaterniond& q,
       -q.y(), q.x(), q.w(), -q.z();
   // R^T Hat(v) = Hat(R^T v) R^T
   return 2.0 * Hat(turned_v) * q.conjugate().toRotationMatrix() * G;
-}
-
-/// u = J_r(phi) phi' and its time derivative, as cross products: with m = phi x phi',
-///   u     = phi' - b m + c phi x m
-///   du/dt = J_r(phi) phi'' - b' m + c' phi x m + c phi' x m.
-template <typename T>
-void CorrectionRate(const Eigen::Matrix<T, 3, 1>& phi,
-                    const Eigen::Matrix<T, 3, 1>& phi1,
-                    const Eigen::Matrix<T, 3, 1>& phi2,
-                    Eigen::Matrix<T, 3, 1>* u,
-                    Eigen::Matrix<T, 3, 1>* u_dot) {
-  using Vector3 = Eigen::Matrix<T, 3, 1>;
-  const internal::JacobianTerms<T> j(phi.squaredNorm());
-  const T s_dot = T(2) * phi.dot(phi1);
-  const Vector3 m = phi.cross(phi1);
-  const Vector3 n = phi.cross(phi2);
-  const Vector3 phi_m = phi.cross(m);
-  *u = phi1 - j.b * m + j.c * phi_m;
-  *u_dot = phi2 - j.b * n + j.c * phi.cross(n) - s_dot * j.db * m + s_dot * j.dc * phi_m +
-           j.c * phi1.cross(m);
 }
 
 /// The corrected rotation of the marker at one instant and how it moves with phi, phi' and phi''.

@@ -158,7 +158,9 @@ class JointSolver {
     SetNoise(ColoredNoise());
     Build();
     FeignInformation(splines_, problem_.get());
-    Solution solution{{}, statistics_, {}, {}, FindMarginals(problem_.get())};
+    Solution solution;
+    solution.statistics = statistics_;
+    solution.marginals = FindMarginals(problem_.get());
     FollowClocks([&] { TakeStep(solution.marginals, problem_.get()); });
     solution.residuals = problem_->TakeResiduals();
     problem_.reset();

@@ -427,6 +427,16 @@ int Marginals::Find(ParameterKind kind, size_t imu, size_t session) const {
   return -1;
 }
 
+int Marginals::FindColumn(ParameterKind kind, size_t imu) const {
+  int column = 0;
+  for (const PlacedParameter& p : parameters) {
+    if (!p.is_estimated) continue;
+    if (p.parameter.kind == kind && p.parameter.imu == imu) return column;
+    column += p.parameter.size;
+  }
+  return -1;
+}
+
 Eigen::VectorXd Enlargement(const Eigen::MatrixXd& model, const Eigen::MatrixXd& robust) {
   Eigen::VectorXd factor = Eigen::VectorXd::Ones(model.rows());
   for (Eigen::Index i = 0; i < model.rows(); ++i)
@@ -475,6 +485,9 @@ Marginals FindMarginals(LeastSquares* solved) {
     result.step -= estimates.gain.rightCols(held) *
                    all.covariance.bottomRightCorner(held, held).ldlt().solve(all.Step().tail(held));
   result.blocks = ordering.blocks;
+  result.held_begin = ordering.estimated;
+  result.held_end = ordering.leading;
+  result.trajectory_begin = ordering.trajectory;
   result.H = std::move(estimates.H);
   FindSessions(estimator, ordering, report, fitted, report.SpreadVector(marginal.Step()), &result);
   return result;

@@ -152,9 +152,7 @@ double CertainHint(const Marginals& m, ParameterKind kind, Parameter* whose) {
 }
 
 /// Sigmas, and what else is of one parameter.
-void ReportParameter(const PlacedParameter& p,
-                     const Eigen::MatrixXd& C,
-                     Calibration* result) {
+void ReportParameter(const PlacedParameter& p, const Eigen::MatrixXd& C, Calibration* result) {
   const Eigen::VectorXd std_dev =
       C.diagonal().segment(p.place, p.parameter.size).cwiseMax(0.0).cwiseSqrt();
   ImuCalibration& imu = result->imus[p.parameter.imu];

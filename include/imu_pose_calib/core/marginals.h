@@ -17,8 +17,8 @@ struct PlacedParameter {
 
 /// What a session says alone of the parameters that act in it.
 struct SessionMarginals {
-  std::vector<int> places;     ///< in Marginals
-  Eigen::VectorXd difference;  ///< its own estimate less the common one
+  std::vector<int> places;         ///< in Marginals
+  Eigen::VectorXd difference;      ///< its own estimate less the common one
   Eigen::VectorXd model_variance;  ///< of its own estimate
   Eigen::MatrixXd covariance;      ///< the same, enlarged by Enlargement()
 };
@@ -47,6 +47,11 @@ struct Marginals {
   Eigen::VectorXd step;
   Eigen::SparseMatrix<double> H;  ///< lower triangle, by the steps of the blocks
 
+  int held_begin = 0, held_end = 0;  ///< columns of H of parameters that are not estimated
+  int trajectory_begin = 0;          ///< first column of H of the control points
+
+  /// First column of H of what is calibrated; -1 when it is not.
+  int FindColumn(ParameterKind kind, size_t imu) const;
   /// Place of a parameter; -1 when there is none.
   int Find(ParameterKind kind, size_t imu = 0, size_t session = 0) const;
 };

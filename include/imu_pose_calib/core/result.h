@@ -1,5 +1,6 @@
 #pragma once
 
+#include <memory>
 #include <string>
 #include <vector>
 
@@ -7,6 +8,8 @@
 #include "imu_pose_calib/core/types.h"
 
 namespace imu_pose_calib {
+
+struct Solution;
 
 /// What became of the samples of one sensor (S0). received = used + the dropped ones.
 struct StreamReport {
@@ -164,6 +167,10 @@ struct Calibration {
   /// are determined.
   std::vector<std::string> unobservable;
   std::vector<std::string> warnings;
+
+  /// What the solve knows beyond this: trajectories, residuals, covariances (core/solution.h). Null
+  /// when it was not reached.
+  std::shared_ptr<const Solution> solution;
 
   /// The numbers may be used: status kOk or kWeak.
   bool IsUsable() const { return status == Status::kOk || status == Status::kWeak; }
