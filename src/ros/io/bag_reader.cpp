@@ -547,9 +547,10 @@ class Silence {
   ~Silence() { console_bridge::restorePreviousOutputHandler(); }
 };
 
-/// Far above what any bag of this size needs.
-uint64_t MaxCpuSeconds(uint64_t bytes) { return 10 + bytes / 1'000'000; }
-uint64_t MaxMemory(uint64_t bytes) { return 4'000'000'000 + 8 * bytes; }
+/// Far above what any bag of this size needs, the time also when it comes over a slow network.
+ChildLimits Limits(uint64_t bytes) {
+  return {10 + bytes / 1'000'000, 120 + bytes / 100'000, 4'000'000'000 + 8 * bytes};
+}
 
 }  // namespace
 
@@ -561,8 +562,7 @@ Recording ReadBag(const BagRequest& request) {
     const auto size = std::filesystem::file_size(path, ignored);
     if (!ignored) bytes += size;
   }
-  auto recording = RunApart(
-      [&] { return ToBytes(ReadOrFail(request)); }, MaxCpuSeconds(bytes), MaxMemory(bytes));
+  auto recording = RunApart([&] { return ToBytes(ReadOrFail(request)); }, Limits(bytes));
   if (!recording) FailDamaged(request, "rosbag cannot cope with it");
   return FromBytes(*std::move(recording));
 }
