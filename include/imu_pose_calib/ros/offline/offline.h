@@ -40,8 +40,8 @@ struct OfflineResult {
 /// of poses; calibration.yaml in a folder.
 std::string OutputPath(const OfflineRequest& request);
 
-/// Reads the recording and calibrates. A result of an earlier run at the output path is removed
-/// first, so that a failure leaves none behind.
+/// Reads the recording (before ros::start(), see ReadBag()) and calibrates. A result of an earlier
+/// run at the output path is removed first, so that a failure leaves none behind.
 ///
 /// Throws InputError when something cannot be used as given, DataError when no calibration can come
 /// from the data: so the result is always usable.
