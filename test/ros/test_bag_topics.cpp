@@ -1,6 +1,7 @@
 // Which topics of a bag are read, and when it says that it cannot choose.
 
 #include <std_msgs/String.h>
+#include <topic_tools/shape_shifter.h>
 
 #include "record_bag.h"
 
@@ -121,6 +122,22 @@ TEST_F(BagTopicsTest, RefusesToChooseBetweenAWholeAndASplitImu) {
       .Add("/accel", Imu(0, 9.8))
       .Add("/pose", Pose());
   ExpectRefusal(Request(), {"/imu (", "/gyro (", "/accel (", "choose"});
+}
+
+TEST_F(BagTopicsTest, ShowsNamesWithoutControlCharacters) {
+  topic_tools::ShapeShifter odd;
+  odd.morph("*", "odd/\x07Type", "", "");
+  Record().Add("/\x1b[2J\xff", Imu(0.1, 9.8)).Add("/imu", Imu(0.1, 9.8)).Add("/odd", odd);
+  ExpectRefusal(Request(), {"several IMU topics: /\\x1b[2J\\xff (sensor_msgs/Imu, 1), /imu"});
+  BagRequest request = Request();
+  request.imu_topic = "/imu";
+  ExpectRefusal(request, {"/\\x1b[2J\\xff (sensor_msgs/Imu, 1)", "/odd (odd/\\x07Type, 1)"});
+
+  Record().Add("/imu", Imu(0.1, 9.8)).Add("/p", Transform("\x1b[2J")).Add("/p", Transform("b"));
+  ExpectRefusal(Request(), {"'map' -> '\\x1b[2J' and 'map' -> 'b'"});
+  // the data keep the names as they are
+  Record().Add("/imu", Imu(0.1, 9.8)).Add("/p", Transform("\x1b[2J"));
+  EXPECT_EQ(ReadBag(Request()).info.marker_frame, "\x1b[2J");
 }
 
 TEST_F(BagTopicsTest, RefusesHalfAnImu) {

@@ -13,6 +13,7 @@
 #include "imu_pose_calib/ros/io/child_process.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/pose_messages.h"
+#include "imu_pose_calib/ros/io/printable.h"
 #include "imu_pose_calib/ros/io/tf_chain.h"
 
 namespace imu_pose_calib {
@@ -323,15 +324,15 @@ Recording Read(const BagRequest& request) {
 [[noreturn]] void FailDamaged(const BagRequest& request, const std::string& reason) {
   std::string reindex;
   for (const std::string& path : request.paths) reindex += " " + path;
-  throw InputError("bag '" + FileNames(request.paths) + "' is damaged (" + reason +
-                   "); run: rosbag reindex" + reindex);
+  throw InputError(Printable("bag '" + FileNames(request.paths) + "' is damaged (" + reason +
+                             "); run: rosbag reindex" + reindex));
 }
 
 Recording ReadOrFail(const BagRequest& request) {
   try {
     return Read(request);
-  } catch (const InputError&) {
-    throw;
+  } catch (const InputError& error) {  // with names of topics, types and frames as in the bag
+    throw InputError(Printable(error.what()));
   } catch (const std::runtime_error& error) {  // rosbag, deserialisation, times out of range
     FailDamaged(request, error.what());
   }

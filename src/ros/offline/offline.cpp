@@ -9,6 +9,7 @@
 
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/imu_yaml.h"
+#include "imu_pose_calib/ros/io/printable.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
 
@@ -151,7 +152,7 @@ OfflineCheck CheckOffline(const OfflineRequest& given) {
 std::string OneLine(const std::exception& error) {
   std::string text = error.what();
   std::replace(text.begin(), text.end(), '\n', ' ');
-  return text;
+  return Printable(text);
 }
 
 }  // namespace imu_pose_calib

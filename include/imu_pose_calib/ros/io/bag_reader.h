@@ -35,7 +35,7 @@ struct BagRequest {
 /// fork, so call this before ros::start() (that is, before the first NodeHandle): see RunApart().
 ///
 /// Throws InputError when a bag cannot be read or when the bags do not hold exactly one choice of
-/// topics: the text names what they have and which field to give.
+/// topics: the text, printable, names what they have and which field to give.
 Recording ReadBag(const BagRequest& request);
 
 }  // namespace imu_pose_calib

@@ -63,7 +63,7 @@ struct OfflineCheck {
 /// Throws InputError when something cannot be used as given.
 OfflineCheck CheckOffline(const OfflineRequest& request);
 
-/// The text of an error on one line.
+/// The text of an error on one line, printable whatever files and arguments it quotes.
 std::string OneLine(const std::exception& error);
 
 }  // namespace imu_pose_calib
