@@ -33,23 +33,11 @@ std_msgs::Header MakeHeader(int64_t t_ns, const char* frame) {
   return header;
 }
 
-template <typename Vector>
-void SetVector(const Eigen::Vector3d& v, Vector* msg) {
-  msg->x = v.x();
-  msg->y = v.y();
-  msg->z = v.z();
-}
-
-void SetQuaternion(const Eigen::Quaterniond& q, geometry_msgs::Quaternion* msg) {
-  SetVector(q.vec(), msg);
-  msg->w = q.w();
-}
-
 geometry_msgs::PoseStamped ToPoseStamped(const PoseSample& pose) {
   geometry_msgs::PoseStamped msg;
   msg.header = MakeHeader(pose.t_ns, "world");
-  SetVector(pose.p_WM, &msg.pose.position);
-  SetQuaternion(pose.q_WM, &msg.pose.orientation);
+  msg.pose.position = ToPointMsg(pose.p_WM);
+  msg.pose.orientation = ToQuaternionMsg(pose.q_WM);
   return msg;
 }
 
@@ -57,8 +45,7 @@ geometry_msgs::TransformStamped ToTransformStamped(const PoseSample& pose) {
   geometry_msgs::TransformStamped msg;
   msg.header = MakeHeader(pose.t_ns, "world");
   msg.child_frame_id = "marker";
-  SetVector(pose.p_WM, &msg.transform.translation);
-  SetQuaternion(pose.q_WM, &msg.transform.rotation);
+  msg.transform = ToTransformMsg({pose.q_WM, pose.p_WM});
   return msg;
 }
 
@@ -88,8 +75,7 @@ geometry_msgs::TransformStamped ToLink(int64_t t_ns,
   geometry_msgs::TransformStamped msg;
   msg.header = MakeHeader(t_ns, parent.c_str());
   msg.child_frame_id = child;
-  SetVector(T.p, &msg.transform.translation);
-  SetQuaternion(T.q, &msg.transform.rotation);
+  msg.transform = ToTransformMsg(T);
   return msg;
 }
 
@@ -150,7 +136,7 @@ tf2_msgs::TFMessage ToFixedTf(int64_t t_ns) {
 geometry_msgs::Vector3Stamped ToVector(const ImuSample& sample) {
   geometry_msgs::Vector3Stamped msg;
   msg.header = MakeHeader(sample.t_ns, "imu");
-  SetVector(sample.value, &msg.vector);
+  msg.vector = ToVector3Msg(sample.value);
   return msg;
 }
 
@@ -161,8 +147,8 @@ sensor_msgs::Imu ToImu(const ImuSample* gyro, const ImuSample* accel) {
   msg.orientation_covariance[0] = -1.0;
   msg.angular_velocity_covariance[0] = gyro ? 0.0 : -1.0;
   msg.linear_acceleration_covariance[0] = accel ? 0.0 : -1.0;
-  if (gyro) SetVector(gyro->value, &msg.angular_velocity);
-  if (accel) SetVector(accel->value, &msg.linear_acceleration);
+  if (gyro) msg.angular_velocity = ToVector3Msg(gyro->value);
+  if (accel) msg.linear_acceleration = ToVector3Msg(accel->value);
   return msg;
 }
 

@@ -1,6 +1,5 @@
 #include "imu_pose_calib/ros/io/result_yaml.h"
 
-#include <unistd.h>
 #include <yaml-cpp/yaml.h>
 
 #include <algorithm>
@@ -11,6 +10,7 @@
 #include <cstring>
 #include <ctime>
 #include <fstream>
+#include <random>
 
 #include "imu_pose_calib/ros/io/ros_options.h"
 
@@ -308,17 +308,19 @@ std::string ToYaml(const Calibration& result,
 }
 
 void WriteFile(const std::string& path, const std::string& text) {
-  const std::string draft = path + ".tmp" + std::to_string(getpid());
-  std::ofstream file(draft);
-  file << text;
-  file.close();
-  if (!file) {
-    const int reason = errno;
-    std::remove(draft.c_str());
-    errno = reason;
-    FailToWrite(path);
-  }
-  if (std::rename(draft.c_str(), path.c_str()) != 0) {
+  // A name that nobody can foresee, and "x": only a new file will do, not a link that somebody has
+  // laid to another. Unlike one of mkstemp(), it has the permissions that the umask leaves it.
+  std::random_device random;
+  std::string draft;
+  std::FILE* file = nullptr;
+  do {
+    draft = path + ".tmp" + std::to_string(random());
+    file = std::fopen(draft.c_str(), "wx");
+  } while (!file && errno == EEXIST);
+  if (!file) FailToWrite(path);
+  const bool is_whole = std::fwrite(text.data(), 1, text.size(), file) == text.size();
+  const bool is_closed = std::fclose(file) == 0;
+  if (!is_whole || !is_closed || std::rename(draft.c_str(), path.c_str()) != 0) {
     const int reason = errno;
     std::remove(draft.c_str());
     errno = reason;

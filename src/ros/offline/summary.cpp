@@ -6,6 +6,8 @@
 #include <cstdio>
 #include <sstream>
 
+#include "imu_pose_calib/ros/io/printable.h"
+
 namespace imu_pose_calib {
 namespace {
 
@@ -350,16 +352,31 @@ std::string Excitation(const DataCheck& check) {
                              : "  at rest      never, so the accelerometer's norm is unchecked\n");
 }
 
+/// The names as they can be shown.
+RecordingInfo WithPrintableNames(RecordingInfo info) {
+  for (std::string* name : {&info.imu_topic,
+                            &info.gyro_topic,
+                            &info.accel_topic,
+                            &info.pose_topic,
+                            &info.marker_frame,
+                            &info.imu_frame,
+                            &info.imu_yaml})
+    *name = Printable(*name);
+  return info;
+}
+
 }  // namespace
 
-std::string Summary(const DataCheck& check, const RecordingInfo& info) {
+std::string Summary(const DataCheck& check, const RecordingInfo& recording) {
+  const RecordingInfo info = WithPrintableNames(recording);
   std::string text = Verdict(check) + Streams(check, info) + "\n" + Match(check);
   if (!check.turns_M.isZero(0.0)) text += Excitation(check);
   for (const std::string& warning : check.warnings) text += Wrap("  warning: ", warning);
   return text;
 }
 
-std::string Summary(const Calibration& result, const RecordingInfo& info) {
+std::string Summary(const Calibration& result, const RecordingInfo& recording) {
+  const RecordingInfo info = WithPrintableNames(recording);
   if (!result.IsUsable()) return Verdict(result) + Data(result, info) + Warnings(result);
   return Verdict(result) + Table(result) + Warnings(result) + Data(result, info) +
          Transform(result) + Clocks(result) + Imu(result) + Residuals(result) +
