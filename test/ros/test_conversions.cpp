@@ -51,6 +51,16 @@ TEST(Samples, TellGyroscopeFromAccelerometer) {
   EXPECT_EQ(ToAccelSample(msg).value, Eigen::Vector3d(0.0, 5.0, 0.0));
 }
 
+TEST(Samples, AreMissingWhenTheirCovarianceStartsWithMinusOne) {
+  sensor_msgs::Imu msg;
+  EXPECT_TRUE(IsGiven(msg.angular_velocity_covariance));  // all zero: unknown
+  msg.angular_velocity_covariance[0] = -1.0;
+  EXPECT_FALSE(IsGiven(msg.angular_velocity_covariance));
+  EXPECT_TRUE(IsGiven(msg.linear_acceleration_covariance));
+  msg.linear_acceleration_covariance[4] = -1.0;
+  EXPECT_TRUE(IsGiven(msg.linear_acceleration_covariance));
+}
+
 TEST(Samples, OfVectors) {
   geometry_msgs::Vector3Stamped msg;
   msg.header.stamp = ros::Time(7, 8);

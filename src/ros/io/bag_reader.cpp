@@ -57,8 +57,7 @@ struct ImuContent {
   std::string frame;
 };
 
-/// A sensor is there when its covariance does not start with -1 (sensor_msgs/Imu). A vector may be
-/// either.
+/// A vector may be either sensor.
 ImuContent ReadImuMessage(const rosbag::MessageInstance& instance) {
   ImuContent content;
   if (instance.getDataType() == kVectorType) {
@@ -67,8 +66,8 @@ ImuContent ReadImuMessage(const rosbag::MessageInstance& instance) {
     content.frame = msg->header.frame_id;
   } else {
     const auto msg = Instantiate<sensor_msgs::Imu>(instance);
-    if (msg->angular_velocity_covariance[0] != -1.0) content.gyro = ToGyroSample(*msg);
-    if (msg->linear_acceleration_covariance[0] != -1.0) content.accel = ToAccelSample(*msg);
+    if (IsGiven(msg->angular_velocity_covariance)) content.gyro = ToGyroSample(*msg);
+    if (IsGiven(msg->linear_acceleration_covariance)) content.accel = ToAccelSample(*msg);
     content.frame = msg->header.frame_id;
   }
   return content;

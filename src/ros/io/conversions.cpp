@@ -97,6 +97,10 @@ PoseStd ToPoseStd(const geometry_msgs::PoseWithCovariance& pose) {
   return {std::sqrt(variance.head<3>().mean()), std::sqrt(variance.tail<3>().mean())};
 }
 
+bool IsGiven(const sensor_msgs::Imu::_angular_velocity_covariance_type& covariance) {
+  return covariance[0] != -1.0;
+}
+
 ImuSample ToImuSample(const geometry_msgs::Vector3Stamped& msg) {
   return {ToNanoseconds(msg.header.stamp), {msg.vector.x, msg.vector.y, msg.vector.z}};
 }

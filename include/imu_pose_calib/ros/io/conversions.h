@@ -54,6 +54,10 @@ FramedPose ToFramedPose(const nav_msgs::Odometry& msg);
 /// written.
 PoseStd ToPoseStd(const geometry_msgs::PoseWithCovariance& pose);
 
+/// Whether a message gives the vector that this covariance belongs to (angular_velocity or
+/// linear_acceleration): sensor_msgs/Imu lets the covariance of what is missing start with -1.
+bool IsGiven(const sensor_msgs::Imu::_angular_velocity_covariance_type& covariance);
+
 ImuSample ToImuSample(const geometry_msgs::Vector3Stamped& msg);  ///< [rad/s] or [m/s^2]
 ImuSample ToGyroSample(const sensor_msgs::Imu& msg);              ///< [rad/s]
 ImuSample ToAccelSample(const sensor_msgs::Imu& msg);             ///< [m/s^2]
