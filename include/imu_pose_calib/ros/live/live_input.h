@@ -1,0 +1,76 @@
+#pragma once
+
+#include <geometry_msgs/TransformStamped.h>
+#include <ros/node_handle.h>
+#include <tf2_msgs/TFMessage.h>
+
+#include <functional>
+#include <list>
+#include <map>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "imu_pose_calib/ros/io/recording.h"
+#include "imu_pose_calib/ros/io/tf_chain.h"
+#include "imu_pose_calib/ros/live/live_calibration.h"
+#include "imu_pose_calib/ros/live/live_settings.h"
+#include "imu_pose_calib/ros/live/topic_source.h"
+
+namespace imu_pose_calib {
+
+/// Listens to the topics of the live node: hands samples to a LiveCalibration and keeps what the
+/// messages say about frames.
+///
+/// `mutex` guards the LiveCalibration and this. The callbacks of the topics lock it; everything
+/// public is called with it held.
+class LiveInput {
+ public:
+  /// `on_pose` is called, with the mutex held, for each valid pose.
+  LiveInput(const ros::NodeHandle& node,
+            const LiveSettings& settings,
+            std::mutex* mutex,
+            LiveCalibration* live,
+            const std::function<void(const PoseSample&)>& on_pose);
+
+  /// Topics, and frames as they are published.
+  RecordingInfo Info() const;
+  /// Another parent of the imu frame in tf, from elsewhere; empty: none.
+  const std::string& OtherParent() const { return other_parent_; }
+  /// What was dropped, as a sentence; empty: nothing.
+  std::string Dropped() const;
+  /// Looks for the topics that have brought nothing yet and says what is the matter with them.
+  std::string Look();
+
+ private:
+  void AddSource(const std::string& parameter,
+                 const std::string& topic,
+                 const std::vector<std::string>& types,
+                 void (LiveInput::*add)(const TopicSource::Message&));
+  void OnImu(const TopicSource::Message& message);
+  void OnGyro(const TopicSource::Message& message);
+  void OnAccel(const TopicSource::Message& message);
+  void OnPose(const TopicSource::Message& message);
+  void OnTransforms(const tf2_msgs::TFMessage& message, bool fixed);
+  void AddPose(const PoseSample& recorded, const ros::Time& now);
+
+  ros::NodeHandle node_;
+  const LiveSettings settings_;
+  std::mutex* const mutex_;
+  LiveCalibration* const live_;
+  const std::function<void(const PoseSample&)> on_pose_;
+
+  std::optional<TfChain> chain_;  ///< when poses come from tf
+  size_t chain_resets_ = 0;       ///< of live_, when the chain was made
+  /// Of /tf_static by child, for a new chain after a reset.
+  std::map<std::string, geometry_msgs::TransformStamped> fixed_links_;
+  std::string world_frame_, marker_frame_, imu_frame_;  ///< of the messages
+  size_t foreign_poses_ = 0;                            ///< of other frames, dropped
+  std::string other_parent_;                            ///< of the imu frame in tf
+
+  std::list<TopicSource> sources_;
+  std::vector<ros::Subscriber> tf_;
+};
+
+}  // namespace imu_pose_calib

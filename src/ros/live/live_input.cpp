@@ -1,0 +1,174 @@
+#include "imu_pose_calib/ros/live/live_input.h"
+
+#include <boost/function.hpp>
+
+#include "imu_pose_calib/ros/io/conversions.h"
+#include "imu_pose_calib/ros/io/pose_messages.h"
+
+namespace imu_pose_calib {
+namespace {
+
+/// How far apart links of tf with the same stamp may arrive [s].
+constexpr double kTfCache = 10.0;
+
+void Append(const std::string& sentence, std::string* text) {
+  *text += (text->empty() ? "" : "; ") + sentence;
+}
+
+/// Why no poses come from tf.
+std::string LookAt(const TfChain& chain) {
+  try {
+    chain.Check();
+    return "/tf: the frames are connected, but no pose has come in yet";
+  } catch (const InputError& error) {
+    return error.what();
+  }
+}
+
+/// A sample of one sensor of a split IMU.
+struct FramedSample {
+  ImuSample sample;
+  std::string frame;
+};
+
+FramedSample ToSample(const topic_tools::ShapeShifter& message,
+                      ImuSample (*to_sample)(const sensor_msgs::Imu&)) {
+  if (message.getDataType() == kVectorType) {
+    const auto vector = message.instantiate<geometry_msgs::Vector3Stamped>();
+    return {ToImuSample(*vector), vector->header.frame_id};
+  }
+  const auto imu = message.instantiate<sensor_msgs::Imu>();
+  return {to_sample(*imu), imu->header.frame_id};
+}
+
+}  // namespace
+
+LiveInput::LiveInput(const ros::NodeHandle& node,
+                     const LiveSettings& settings,
+                     std::mutex* mutex,
+                     LiveCalibration* live,
+                     const std::function<void(const PoseSample&)>& on_pose)
+    : node_(node), settings_(settings), mutex_(mutex), live_(live), on_pose_(on_pose) {
+  const std::vector<std::string> split = {kImuType, kVectorType};
+  if (settings_.gyro_topic.empty()) {
+    AddSource("imu_topic", settings_.imu_topic, {kImuType}, &LiveInput::OnImu);
+  } else {
+    AddSource("gyro_topic", settings_.gyro_topic, split, &LiveInput::OnGyro);
+    AddSource("accel_topic", settings_.accel_topic, split, &LiveInput::OnAccel);
+  }
+  if (settings_.tf_parent.empty()) {
+    AddSource("pose_topic", settings_.pose_topic, PoseTypeNames(), &LiveInput::OnPose);
+  } else {
+    chain_.emplace(settings_.tf_parent, settings_.tf_child, kTfCache);
+    world_frame_ = FrameName(settings_.tf_parent, "");
+    marker_frame_ = FrameName(settings_.tf_child, "");
+  }
+  for (const bool fixed : {false, true})
+    tf_.push_back(node_.subscribe<tf2_msgs::TFMessage>(
+        fixed ? "/tf_static" : "/tf",
+        0,
+        boost::function<void(const tf2_msgs::TFMessage::ConstPtr&)>(
+            [this, fixed](const tf2_msgs::TFMessage::ConstPtr& message) {
+              OnTransforms(*message, fixed);
+            })));
+}
+
+void LiveInput::AddSource(const std::string& parameter,
+                          const std::string& topic,
+                          const std::vector<std::string>& types,
+                          void (LiveInput::*add)(const TopicSource::Message&)) {
+  sources_.emplace_back(
+      node_, parameter, topic, types, [this, add](const TopicSource::Message& message) {
+        const std::lock_guard<std::mutex> lock(*mutex_);
+        (this->*add)(message);
+      });
+}
+
+void LiveInput::OnImu(const TopicSource::Message& message) {
+  OnGyro(message);
+  OnAccel(message);
+}
+
+void LiveInput::OnGyro(const TopicSource::Message& message) {
+  const FramedSample gyro = ToSample(*message.getMessage(), ToGyroSample);
+  imu_frame_ = gyro.frame;
+  live_->AddGyro(gyro.sample, message.getReceiptTime().toSec());
+}
+
+void LiveInput::OnAccel(const TopicSource::Message& message) {
+  const FramedSample accel = ToSample(*message.getMessage(), ToAccelSample);
+  live_->AddAccel(accel.sample, message.getReceiptTime().toSec());
+}
+
+void LiveInput::OnPose(const TopicSource::Message& message) {
+  const FramedPose framed = ToFramedPose(*message.getMessage());
+  if (world_frame_.empty()) {
+    world_frame_ = FrameName(framed.world_frame, "world");
+    marker_frame_ = FrameName(framed.marker_frame, "marker");
+  }
+  if (FrameName(framed.world_frame, "world") == world_frame_ &&
+      FrameName(framed.marker_frame, "marker") == marker_frame_) {
+    AddPose(framed.pose, message.getReceiptTime());
+  } else {
+    ++foreign_poses_;
+  }
+}
+
+void LiveInput::OnTransforms(const tf2_msgs::TFMessage& message, bool fixed) {
+  const std::lock_guard<std::mutex> lock(*mutex_);
+  const RecordingInfo info = Info();
+  for (const geometry_msgs::TransformStamped& transform : message.transforms) {
+    const std::string parent = FrameName(transform.header.frame_id, "");
+    if (FrameName(transform.child_frame_id, "") == info.imu_frame && parent != info.marker_frame)
+      other_parent_ = parent;
+  }
+  if (!chain_) return;
+  if (fixed)
+    for (const auto& transform : message.transforms)
+      fixed_links_[transform.child_frame_id] = transform;
+  chain_->Add(message, fixed);
+  for (const PoseSample& pose : chain_->TakePoses()) AddPose(pose, ros::Time::now());
+  if (chain_resets_ == live_->resets()) return;
+  // The links known so far belong to another time.
+  chain_resets_ = live_->resets();
+  chain_.emplace(settings_.tf_parent, settings_.tf_child, kTfCache);
+  tf2_msgs::TFMessage links;
+  for (const auto& [child, transform] : fixed_links_) links.transforms.push_back(transform);
+  chain_->Add(links, true);
+}
+
+void LiveInput::AddPose(const PoseSample& recorded, const ros::Time& now) {
+  if (live_->AddPose(recorded, now.toSec())) on_pose_(*live_->pose());
+}
+
+RecordingInfo LiveInput::Info() const {
+  RecordingInfo info;
+  info.world_frame = FrameName(world_frame_, "world");
+  info.marker_frame = FrameName(settings_.marker_frame, FrameName(marker_frame_, "marker"));
+  info.imu_frame = FrameName(settings_.imu_frame, FrameName(imu_frame_, "imu"));
+  info.pose_topic = chain_ ? "/tf" : sources_.back().topic();
+  if (settings_.gyro_topic.empty()) {
+    info.imu_topic = sources_.front().topic();
+  } else {
+    info.gyro_topic = settings_.gyro_topic;
+    info.accel_topic = settings_.accel_topic;
+  }
+  info.imu_yaml = settings_.imu_yaml;
+  return info;
+}
+
+std::string LiveInput::Dropped() const {
+  if (foreign_poses_ == 0) return "";
+  return std::to_string(foreign_poses_) + " poses of other frames than " + world_frame_ + " -> " +
+         marker_frame_ + " were dropped";
+}
+
+std::string LiveInput::Look() {
+  std::string problems;
+  for (TopicSource& source : sources_)
+    if (!source.HasData()) Append(source.Look(), &problems);
+  if (chain_ && !live_->pose()) Append(LookAt(*chain_), &problems);
+  return problems;
+}
+
+}  // namespace imu_pose_calib
