@@ -229,9 +229,11 @@ void LiveCalibration::MeasureMotion(const PoseSample& pose) {
 
 void LiveCalibration::ExtendPath(const PoseSample& pose) {
   const auto seconds_since = [&](const PoseSample& old) { return Seconds(pose.t_ns - old.t_ns); };
+  const auto is_outside = [&](const PoseSample& old) {
+    return seconds_since(old) > options_.window || seconds_since(old) < 0.0;
+  };
+  while (!path_.empty() && is_outside(path_.front())) path_.pop_front();
   if (path_.empty() || std::abs(seconds_since(path_.back())) > kPathStep) path_.push_back(pose);
-  while (seconds_since(path_.front()) > options_.window || seconds_since(path_.front()) < 0.0)
-    path_.pop_front();
 }
 
 Excitation LiveCalibration::Excited() const {
@@ -294,6 +296,7 @@ void LiveCalibration::Reset(const std::string& reason, double now) {
   gyro_.samples.clear();
   accel_.samples.clear();
   pose_.reset();
+  path_.clear();
   motion_.clear();
   total_ = Motion();
   motion_from_.reset();
