@@ -129,8 +129,10 @@ void LiveNode::AutoSave() {
 bool LiveNode::OnCalibrate(Trigger::Request&, Trigger::Response& response) {
   {
     const std::lock_guard<std::mutex> lock(mutex_);
-    if (live_.IsFrozen() || status_.phase == Phase::kWaiting) {
-      response.message = status_.message;
+    // Not the one of the last tick, which may be from before a reset.
+    const LiveStatus status = live_.Status(ros::Time::now().toSec());
+    if (status.phase == Phase::kSaved || status.phase == Phase::kWaiting) {
+      response.message = status.message;
       return true;
     }
   }

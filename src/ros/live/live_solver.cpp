@@ -29,6 +29,7 @@ void LiveSolver::Start() {
   is_solving_ = true;
   ++started_;
   start_ = Clock::now();
+  resets_ = live_->resets();
   data_ = live_->BeginSolve();
   changed_.notify_all();
 }
@@ -41,6 +42,8 @@ double LiveSolver::SolveTime() const { return is_solving_ ? SecondsSinceStart() 
 
 LiveSolver::Verdict LiveSolver::Calibrate() {
   std::unique_lock<std::mutex> lock(*mutex_);
+  // A solve cannot be interrupted, and one of forgotten data is no answer.
+  changed_.wait(lock, [&] { return !is_solving_ || !IsStale(); });
   Start();
   const size_t awaited = started_;
   changed_.wait(lock, [&] { return ended_ >= awaited; });
@@ -66,7 +69,10 @@ void LiveSolver::Run() {
     is_solving_ = false;
     ++ended_;
     last_solve_time_ = SecondsSinceStart();
-    if (result) {
+    if (IsStale()) {
+      verdict_ = {false, "the data were forgotten during the solve: call again"};
+      live_->FailSolve("");
+    } else if (result) {
       verdict_ = {result->IsUsable(),
                   std::string(ToString(result->status)) + ": " + result->message};
       if (live_->EndSolve(*result)) on_result_();

@@ -39,13 +39,16 @@ class LiveSolver {
   double SolveTime() const;                                    ///< of the one running; 0: none [s]
   double last_solve_time() const { return last_solve_time_; }  ///< 0: none has ended yet [s]
 
-  /// Solves what is there now, or waits for the solve that is running. Locks the mutex itself.
+  /// Solves what is there now, or waits for the solve that is running if that is of data since the
+  /// last reset. No success when a reset comes meanwhile. Locks the mutex itself.
   Verdict Calibrate();
 
  private:
   using Clock = std::chrono::steady_clock;
   void Run();
   double SecondsSinceStart() const;
+  /// The data of the last solve have been forgotten.
+  bool IsStale() const { return resets_ != live_->resets(); }
 
   std::mutex* const mutex_;
   LiveCalibration* const live_;
@@ -57,6 +60,7 @@ class LiveSolver {
   bool is_solving_ = false;
   size_t started_ = 0, ended_ = 0;  ///< counts of solves
   CalibrationData data_;            ///< of the next solve
+  size_t resets_ = 0;               ///< of live_, when the last solve began
   Clock::time_point start_;         ///< of the last solve
   double last_solve_time_ = 0.0;    ///< [s]
   Verdict verdict_;                 ///< of the last solve
