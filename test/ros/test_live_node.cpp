@@ -103,6 +103,20 @@ TEST(LiveNode, DoesNotAnswerWithASolveFromBeforeTheReset) {
   EXPECT_FALSE(node.result);
 }
 
+/// As sensor_msgs/Imu has it, and as bags are read.
+TEST(LiveNode, TakesACovarianceOfMinusOneForASensorThatIsNotThere) {
+  Rig rig("absent");
+  Node node("absent", rig.parameters);
+  rig.imu.linear_acceleration_covariance[0] = -1.0;
+  const CalibrationData data = Simulate(Handheld(2.0));
+  rig.Publish(data);
+  ASSERT_TRUE(WaitFor([&] { return node.status.gyro_count == data.gyro.size(); }, kShort))
+      << node.status;
+  EXPECT_EQ(node.status.accel_count, 0u);
+  EXPECT_EQ(node.status.phase, CalibrationStatus::WAITING);
+  EXPECT_TRUE(Contains(node.status.message, "/absent/imu gives no accelerometer")) << node.status;
+}
+
 }  // namespace
 }  // namespace imu_pose_calib
 

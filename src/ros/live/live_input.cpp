@@ -25,20 +25,25 @@ std::string LookAt(const TfChain& chain) {
   }
 }
 
-/// A sample of one sensor of a split IMU.
-struct FramedSample {
-  ImuSample sample;
+/// What one message of an IMU gives; a vector may be of either sensor.
+struct ImuContent {
+  std::optional<ImuSample> gyro, accel;
   std::string frame;
 };
 
-FramedSample ToSample(const topic_tools::ShapeShifter& message,
-                      ImuSample (*to_sample)(const sensor_msgs::Imu&)) {
+ImuContent ReadImu(const topic_tools::ShapeShifter& message) {
+  ImuContent content;
   if (message.getDataType() == kVectorType) {
     const auto vector = message.instantiate<geometry_msgs::Vector3Stamped>();
-    return {ToImuSample(*vector), vector->header.frame_id};
+    content.gyro = content.accel = ToImuSample(*vector);
+    content.frame = vector->header.frame_id;
+  } else {
+    const auto imu = message.instantiate<sensor_msgs::Imu>();
+    if (IsGiven(imu->angular_velocity_covariance)) content.gyro = ToGyroSample(*imu);
+    if (IsGiven(imu->linear_acceleration_covariance)) content.accel = ToAccelSample(*imu);
+    content.frame = imu->header.frame_id;
   }
-  const auto imu = message.instantiate<sensor_msgs::Imu>();
-  return {to_sample(*imu), imu->header.frame_id};
+  return content;
 }
 
 }  // namespace
@@ -90,14 +95,16 @@ void LiveInput::OnImu(const TopicSource::Message& message) {
 }
 
 void LiveInput::OnGyro(const TopicSource::Message& message) {
-  const FramedSample gyro = ToSample(*message.getMessage(), ToGyroSample);
-  imu_frame_ = gyro.frame;
-  live_->AddGyro(gyro.sample, message.getReceiptTime().toSec());
+  const ImuContent content = ReadImu(*message.getMessage());
+  imu_frame_ = content.frame;
+  lacks_gyro_ = !content.gyro;
+  if (content.gyro) live_->AddGyro(*content.gyro, message.getReceiptTime().toSec());
 }
 
 void LiveInput::OnAccel(const TopicSource::Message& message) {
-  const FramedSample accel = ToSample(*message.getMessage(), ToAccelSample);
-  live_->AddAccel(accel.sample, message.getReceiptTime().toSec());
+  const ImuContent content = ReadImu(*message.getMessage());
+  lacks_accel_ = !content.accel;
+  if (content.accel) live_->AddAccel(*content.accel, message.getReceiptTime().toSec());
 }
 
 void LiveInput::OnPose(const TopicSource::Message& message) {
@@ -167,6 +174,14 @@ std::string LiveInput::Look() {
   std::string problems;
   for (TopicSource& source : sources_)
     if (!source.HasData()) Append(source.Look(), &problems);
+  const RecordingInfo info = Info();
+  const auto lacks = [&](const std::string& topic, const std::string& sensor) {
+    Append((info.imu_topic.empty() ? topic : info.imu_topic) + " gives no " + sensor +
+               ": its covariance starts with -1",
+           &problems);
+  };
+  if (lacks_gyro_) lacks(info.gyro_topic, "gyroscope");
+  if (lacks_accel_) lacks(info.accel_topic, "accelerometer");
   if (chain_ && !live_->pose()) Append(LookAt(*chain_), &problems);
   return problems;
 }

@@ -66,6 +66,7 @@ class LiveInput {
   /// Of /tf_static by child, for a new chain after a reset.
   std::map<std::string, geometry_msgs::TransformStamped> fixed_links_;
   std::string world_frame_, marker_frame_, imu_frame_;  ///< of the messages
+  bool lacks_gyro_ = false, lacks_accel_ = false;       ///< as the last message says
   size_t foreign_poses_ = 0;                            ///< of other frames, dropped
   std::string other_parent_;                            ///< of the imu frame in tf
 
