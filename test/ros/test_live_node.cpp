@@ -117,6 +117,59 @@ TEST(LiveNode, TakesACovarianceOfMinusOneForASensorThatIsNotThere) {
   EXPECT_TRUE(Contains(node.status.message, "/absent/imu gives no accelerometer")) << node.status;
 }
 
+/// Latched, it comes only once: before the frame of the IMU is known.
+TEST(LiveNode, NoticesAnotherParentThatCameBeforeTheImu) {
+  Rig rig("early");
+  Node node("early", Concatenate(rig.parameters, {"_method:=gp"}));
+  ros::NodeHandle handle;
+  ros::Publisher tf = handle.advertise<tf2_msgs::TFMessage>("/tf_static", 1, true);
+  tf.publish(Link("base_link", "early_imu"));
+  WaitUntilAllSaw(tf, 1);
+  rig.imu.header.frame_id = "early_imu";
+  const CalibrationData data = Simulate(Handheld(15.0));
+  rig.Publish(data);
+  ASSERT_TRUE(node.WaitForResult());
+  const auto warns = [&] {
+    return Contains(node.status.message, "tf has another parent of early_imu, base_link");
+  };
+  EXPECT_TRUE(WaitFor(warns, kShort)) << node.status;
+
+  // Nor does it come again after a reset.
+  EXPECT_TRUE(node.Call("reset").success);
+  ASSERT_TRUE(WaitFor([&] { return !warns(); }, kShort)) << node.status;
+  rig.Publish(data);
+  EXPECT_TRUE(WaitFor(warns, kShort)) << node.status;
+}
+
+TEST(LiveNode, ForgetsFramesWithTheReset) {
+  Rig rig("frames");
+  Node node("frames", Concatenate(rig.parameters, {"_method:=gp"}));
+  rig.imu.header.frame_id = "frames_imu";
+  const CalibrationData data = Simulate(Handheld(15.0));
+  rig.Publish(data);
+  ASSERT_TRUE(node.WaitForResult());
+  ros::NodeHandle handle;
+  ros::Publisher tf = handle.advertise<tf2_msgs::TFMessage>("/tf", 1);
+  WaitUntilAllSaw(tf, 1);
+  tf.publish(Link("gimbal", "frames_imu"));
+  rig.world_frame = "map";
+  rig.PublishPose(data.poses.back());
+  const auto says = [&](const std::string& text) { return Contains(node.status.message, text); };
+  EXPECT_TRUE(WaitFor([&] { return says("another parent") && says("were dropped"); }, kShort))
+      << node.status;
+
+  EXPECT_TRUE(node.Call("reset").success);
+  node.result.reset();
+  const uint64_t poses = node.status.pose_count;
+  rig.Publish(data);
+  ASSERT_TRUE(WaitFor([&] { return node.status.pose_count == poses + data.poses.size(); }, kShort))
+      << node.status;
+  ASSERT_TRUE(node.WaitForResult());
+  EXPECT_TRUE(WaitFor([&] { return node.status.solve_time == 0.0; }, kShort));
+  EXPECT_FALSE(says("another parent")) << node.status;
+  EXPECT_FALSE(says("were dropped")) << node.status;
+}
+
 }  // namespace
 }  // namespace imu_pose_calib
 

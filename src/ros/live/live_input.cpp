@@ -68,14 +68,13 @@ LiveInput::LiveInput(const ros::NodeHandle& node,
     world_frame_ = FrameName(settings_.tf_parent, "");
     marker_frame_ = FrameName(settings_.tf_child, "");
   }
+  using TfEvent = ros::MessageEvent<const tf2_msgs::TFMessage>;
   for (const bool fixed : {false, true})
     tf_.push_back(node_.subscribe<tf2_msgs::TFMessage>(
         fixed ? "/tf_static" : "/tf",
         0,
-        boost::function<void(const tf2_msgs::TFMessage::ConstPtr&)>(
-            [this, fixed](const tf2_msgs::TFMessage::ConstPtr& message) {
-              OnTransforms(*message, fixed);
-            })));
+        boost::function<void(const TfEvent&)>(
+            [this, fixed](const TfEvent& event) { OnTransforms(event, fixed); })));
 }
 
 void LiveInput::AddSource(const std::string& parameter,
@@ -85,6 +84,7 @@ void LiveInput::AddSource(const std::string& parameter,
   sources_.emplace_back(
       node_, parameter, topic, types, [this, add](const TopicSource::Message& message) {
         const std::lock_guard<std::mutex> lock(*mutex_);
+        ForgetAfterReset();
         (this->*add)(message);
       });
 }
@@ -121,23 +121,35 @@ void LiveInput::OnPose(const TopicSource::Message& message) {
   }
 }
 
-void LiveInput::OnTransforms(const tf2_msgs::TFMessage& message, bool fixed) {
+void LiveInput::OnTransforms(const ros::MessageEvent<const tf2_msgs::TFMessage>& event,
+                             bool fixed) {
   const std::lock_guard<std::mutex> lock(*mutex_);
-  const RecordingInfo info = Info();
-  for (const geometry_msgs::TransformStamped& transform : message.transforms) {
-    const std::string parent = FrameName(transform.header.frame_id, "");
-    if (FrameName(transform.child_frame_id, "") == info.imu_frame && parent != info.marker_frame)
-      other_parent_ = parent;
-  }
+  ForgetAfterReset();
+  const tf2_msgs::TFMessage& message = *event.getMessage();
+  if (event.getPublisherName() != ros::this_node::getName())
+    for (const geometry_msgs::TransformStamped& transform : message.transforms)
+      (fixed ? fixed_parents_ : parents_)[FrameName(transform.child_frame_id, "")] =
+          FrameName(transform.header.frame_id, "");
   if (!chain_) return;
   if (fixed)
     for (const auto& transform : message.transforms)
       fixed_links_[transform.child_frame_id] = transform;
   chain_->Add(message, fixed);
   for (const PoseSample& pose : chain_->TakePoses()) AddPose(pose, ros::Time::now());
-  if (chain_resets_ == live_->resets()) return;
-  // The links known so far belong to another time.
-  chain_resets_ = live_->resets();
+}
+
+void LiveInput::ForgetAfterReset() {
+  if (resets_ == live_->resets()) return;
+  resets_ = live_->resets();
+  // Only the static transforms stay: they are not sent again.
+  imu_frame_.clear();
+  foreign_poses_ = 0;
+  parents_.clear();
+  if (!chain_) {
+    world_frame_.clear();
+    marker_frame_.clear();
+    return;
+  }
   chain_.emplace(settings_.tf_parent, settings_.tf_child, kTfCache);
   tf2_msgs::TFMessage links;
   for (const auto& [child, transform] : fixed_links_) links.transforms.push_back(transform);
@@ -162,6 +174,15 @@ RecordingInfo LiveInput::Info() const {
   }
   info.imu_yaml = settings_.imu_yaml;
   return info;
+}
+
+std::string LiveInput::OtherParent() const {
+  const RecordingInfo info = Info();
+  for (const auto* parents : {&fixed_parents_, &parents_}) {
+    const auto link = parents->find(info.imu_frame);
+    if (link != parents->end() && link->second != info.marker_frame) return link->second;
+  }
+  return "";
 }
 
 std::string LiveInput::Dropped() const {

@@ -164,6 +164,7 @@ bool LiveNode::OnReset(Trigger::Request&, Trigger::Response& response) {
                          ? "started anew; tf keeps the last result until there is another"
                          : "started anew";
   live_.Reset("", ros::Time::now().toSec());
+  input_.ForgetAfterReset();
   save_error_.clear();
   return true;
 }
@@ -203,7 +204,7 @@ void LiveNode::UpdateStatus() {
   now_ = now;
   status_ = live_.Status(now.toSec());
   if (status_.phase == Phase::kSolving) status_.message = Progress() + status_.message;
-  if (const std::string& other = input_.OtherParent(); live_.result() && !other.empty())
+  if (const std::string other = input_.OtherParent(); live_.result() && !other.empty())
     status_.message +=
         "; tf has another parent of " + input_.Info().imu_frame + ", " + other + ": set imu_frame";
   if (!save_error_.empty()) status_.message += "; " + save_error_;

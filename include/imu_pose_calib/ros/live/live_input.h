@@ -1,6 +1,7 @@
 #pragma once
 
 #include <geometry_msgs/TransformStamped.h>
+#include <ros/message_event.h>
 #include <ros/node_handle.h>
 #include <tf2_msgs/TFMessage.h>
 
@@ -34,10 +35,13 @@ class LiveInput {
             LiveCalibration* live,
             const std::function<void(const PoseSample&)>& on_pose);
 
+  /// Forgets frames and what was dropped when the LiveCalibration has forgotten its data. Each
+  /// message does so, too.
+  void ForgetAfterReset();
   /// Topics, and frames as they are published.
   RecordingInfo Info() const;
   /// Another parent of the imu frame in tf, from elsewhere; empty: none.
-  const std::string& OtherParent() const { return other_parent_; }
+  std::string OtherParent() const;
   /// What was dropped, as a sentence; empty: nothing.
   std::string Dropped() const;
   /// Looks for the topics that have brought nothing yet and says what is the matter with them.
@@ -52,7 +56,7 @@ class LiveInput {
   void OnGyro(const TopicSource::Message& message);
   void OnAccel(const TopicSource::Message& message);
   void OnPose(const TopicSource::Message& message);
-  void OnTransforms(const tf2_msgs::TFMessage& message, bool fixed);
+  void OnTransforms(const ros::MessageEvent<const tf2_msgs::TFMessage>& event, bool fixed);
   void AddPose(const PoseSample& recorded, const ros::Time& now);
 
   ros::NodeHandle node_;
@@ -62,13 +66,14 @@ class LiveInput {
   const std::function<void(const PoseSample&)> on_pose_;
 
   std::optional<TfChain> chain_;  ///< when poses come from tf
-  size_t chain_resets_ = 0;       ///< of live_, when the chain was made
   /// Of /tf_static by child, for a new chain after a reset.
   std::map<std::string, geometry_msgs::TransformStamped> fixed_links_;
   std::string world_frame_, marker_frame_, imu_frame_;  ///< of the messages
   bool lacks_gyro_ = false, lacks_accel_ = false;       ///< as the last message says
   size_t foreign_poses_ = 0;                            ///< of other frames, dropped
-  std::string other_parent_;                            ///< of the imu frame in tf
+  /// In tf by child, as others than this node say; of /tf_static and of /tf.
+  std::map<std::string, std::string> fixed_parents_, parents_;
+  size_t resets_ = 0;  ///< of live_, to which all of this belongs
 
   std::list<TopicSource> sources_;
   std::vector<ros::Subscriber> tf_;
