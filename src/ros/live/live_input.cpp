@@ -10,8 +10,11 @@ namespace {
 
 /// How far apart links of tf with the same stamp may arrive [s].
 constexpr double kTfCache = 10.0;
+/// After this the master counts as away [s].
+constexpr double kMasterTimeout = 2.0;
 
 void Append(const std::string& sentence, std::string* text) {
+  if (sentence.empty()) return;
   *text += (text->empty() ? "" : "; ") + sentence;
 }
 
@@ -75,6 +78,16 @@ LiveInput::LiveInput(const ros::NodeHandle& node,
         0,
         boost::function<void(const TfEvent&)>(
             [this, fixed](const TfEvent& event) { OnTransforms(event, fixed); })));
+  thread_ = std::thread([this] { AskMaster(); });
+}
+
+LiveInput::~LiveInput() {
+  {
+    const std::lock_guard<std::mutex> lock(*mutex_);
+    is_ending_ = true;
+  }
+  changed_.notify_all();
+  thread_.join();
 }
 
 void LiveInput::AddSource(const std::string& parameter,
@@ -191,10 +204,39 @@ std::string LiveInput::Dropped() const {
          marker_frame_ + " were dropped";
 }
 
+/// Looks whenever it is asked for.
+void LiveInput::AskMaster() {
+  std::unique_lock<std::mutex> lock(*mutex_);
+  while (true) {
+    changed_.wait(lock, [&] { return is_looking_ || is_ending_; });
+    if (is_ending_) return;
+    lock.unlock();
+    ros::master::V_TopicInfo published;
+    const bool answers = ros::master::getTopics(published);
+    if (answers)
+      for (TopicSource& source : sources_)
+        if (!source.HasData()) source.Look(published);
+    lock.lock();
+    is_looking_ = false;
+    master_answers_ = answers;
+  }
+}
+
 std::string LiveInput::Look() {
+  const ros::SteadyTime now = ros::SteadyTime::now();
+  const bool hangs = is_looking_ && (now - look_start_).toSec() > kMasterTimeout;
+  if (!is_looking_) {
+    is_looking_ = true;
+    look_start_ = now;
+    changed_.notify_all();
+  }
   std::string problems;
-  for (TopicSource& source : sources_)
-    if (!source.HasData()) Append(source.Look(), &problems);
+  if (hangs || !master_answers_) {
+    problems = "the ROS master does not answer";
+  } else {
+    for (const TopicSource& source : sources_)
+      if (!source.HasData()) Append(source.State(), &problems);
+  }
   const RecordingInfo info = Info();
   const auto lacks = [&](const std::string& topic, const std::string& sensor) {
     Append((info.imu_topic.empty() ? topic : info.imu_topic) + " gives no " + sensor +

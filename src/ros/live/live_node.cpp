@@ -30,12 +30,13 @@ constexpr int kTicksPerDiagnostics = 10;
 /// A LiveCalibration with what listens, solves and publishes around it; its services and status.
 ///
 /// One mutex guards all of it. Messages and the timer come on the thread of ros::spin(), services
-/// have threads of their own, and so have solves; each locks first. Nobody holds the mutex while
-/// waiting for a solve.
+/// have threads of their own, and so have solves and questions to the master; each locks first.
+/// Nobody holds the mutex while waiting for a solve or for the master.
 class LiveNode {
  public:
   explicit LiveNode(const ros::NodeHandle& node);
-  bool IsSolving();
+  /// A solve is running, or the master is being asked.
+  bool IsBusy();
 
  private:
   void Tick();
@@ -98,9 +99,9 @@ LiveNode::LiveNode(const ros::NodeHandle& node)
   service_spinner_.start();
 }
 
-bool LiveNode::IsSolving() {
+bool LiveNode::IsBusy() {
   const std::lock_guard<std::mutex> lock(mutex_);
-  return solver_.IsSolving();
+  return solver_.IsSolving() || input_.IsLooking();
 }
 
 /// Writes the best result and freezes it. Returns what was done.
@@ -177,7 +178,8 @@ void LiveNode::Tick() {
   const Phase last_phase = status_.phase;
   UpdateStatus();
   if (status_.phase == Phase::kConverged && settings_.auto_save && save_error_.empty()) AutoSave();
-  if (status_.phase != last_phase || ticks_ == 0)
+  // The first time when there has been a look at the topics.
+  if (status_.phase != last_phase || ticks_ == kTicksPerStatus)
     ROS_INFO("%s: %s", ToString(status_.phase), status_.message.c_str());
   const LiveView view{status_, input_.Info(), solver_.SolveTime(), now_};
   if (ticks_ % kTicksPerStatus == 0) output_.PublishStatus(view);
@@ -226,8 +228,8 @@ void LiveNode::UpdateStatus() {
 void RunLive(const ros::NodeHandle& node) {
   LiveNode live(node);
   ros::spin();
-  if (!live.IsSolving()) return;
-  // A solve cannot be interrupted, and nobody waits for this one any more.
+  if (!live.IsBusy()) return;
+  // Neither can be interrupted, and nobody waits for them any more.
   ros::shutdown();
   std::fflush(nullptr);
   std::_Exit(0);

@@ -5,12 +5,14 @@
 #include <ros/node_handle.h>
 #include <tf2_msgs/TFMessage.h>
 
+#include <condition_variable>
 #include <functional>
 #include <list>
 #include <map>
 #include <mutex>
 #include <optional>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "imu_pose_calib/ros/io/recording.h"
@@ -25,7 +27,8 @@ namespace imu_pose_calib {
 /// messages say about frames.
 ///
 /// `mutex` guards the LiveCalibration and this. The callbacks of the topics lock it; everything
-/// public is called with it held.
+/// public is called with it held. The master is asked on a thread of its own and without the mutex,
+/// since it may be away.
 class LiveInput {
  public:
   /// `on_pose` is called, with the mutex held, for each valid pose.
@@ -34,6 +37,10 @@ class LiveInput {
             std::mutex* mutex,
             LiveCalibration* live,
             const std::function<void(const PoseSample&)>& on_pose);
+  /// Waits for the master, should it just be asked. The mutex is not held.
+  ~LiveInput();
+  LiveInput(const LiveInput&) = delete;
+  LiveInput& operator=(const LiveInput&) = delete;
 
   /// Forgets frames and what was dropped when the LiveCalibration has forgotten its data. Each
   /// message does so, too.
@@ -44,8 +51,10 @@ class LiveInput {
   std::string OtherParent() const;
   /// What was dropped, as a sentence; empty: nothing.
   std::string Dropped() const;
-  /// Looks for the topics that have brought nothing yet and says what is the matter with them.
+  /// Has the topics looked for that have brought nothing yet, and says what was the matter with
+  /// them last time.
   std::string Look();
+  bool IsLooking() const { return is_looking_; }
 
  private:
   void AddSource(const std::string& parameter,
@@ -58,6 +67,7 @@ class LiveInput {
   void OnPose(const TopicSource::Message& message);
   void OnTransforms(const ros::MessageEvent<const tf2_msgs::TFMessage>& event, bool fixed);
   void AddPose(const PoseSample& recorded, const ros::Time& now);
+  void AskMaster();
 
   ros::NodeHandle node_;
   const LiveSettings settings_;
@@ -77,6 +87,13 @@ class LiveInput {
 
   std::list<TopicSource> sources_;
   std::vector<ros::Subscriber> tf_;
+
+  std::condition_variable changed_;  ///< one of the following
+  bool is_ending_ = false;
+  bool is_looking_ = false;
+  ros::SteadyTime look_start_;
+  bool master_answers_ = true;
+  std::thread thread_;  ///< the last member: it uses others
 };
 
 }  // namespace imu_pose_calib
