@@ -1,86 +1,25 @@
 // The live node beside played bags and stand-ins for bridges, each test with processes of its own.
 
 #include <diagnostic_msgs/DiagnosticArray.h>
-#include <fcntl.h>
 #include <geometry_msgs/PoseStamped.h>
 #include <gtest/gtest.h>
 #include <nav_msgs/Path.h>
-#include <ros/callback_queue.h>
-#include <ros/ros.h>
-#include <signal.h>
 #include <std_srvs/SetBool.h>
-#include <std_srvs/Trigger.h>
 #include <tf2_msgs/TFMessage.h>
 #include <visualization_msgs/MarkerArray.h>
 #include <yaml-cpp/yaml.h>
 
 #include <fstream>
-#include <functional>
 #include <map>
-#include <memory>
 #include <optional>
 #include <set>
 
-#include "imu_pose_calib/CalibrationResult.h"
-#include "imu_pose_calib/CalibrationStatus.h"
 #include "imu_pose_calib/ros/io/bag_writer.h"
 #include "imu_pose_calib/ros/offline/offline.h"
-#include "test_util.h"
+#include "live_util.h"
 
 namespace imu_pose_calib {
 namespace {
-
-using Arguments = std::vector<std::string>;
-
-constexpr double kTimeout = 150.0;  // [s] far more than a machine that is not overloaded needs
-
-/// Handles messages until `done` or until the time is over.
-bool WaitFor(const std::function<bool()>& done) {
-  const ros::SteadyTime end = ros::SteadyTime::now() + ros::WallDuration(kTimeout);
-  while (!done()) {
-    if (ros::SteadyTime::now() > end) return false;
-    ros::getGlobalCallbackQueue()->callAvailable(ros::WallDuration(0.1));
-  }
-  return true;
-}
-
-/// A child with a process group of its own, ended with the object.
-class Process {
- public:
-  explicit Process(const Arguments& arguments) : pid_(fork()) {
-    if (pid_ != 0) return;
-    setpgid(0, 0);
-    std::vector<char*> argv;
-    for (const std::string& argument : arguments)
-      argv.push_back(const_cast<char*>(argument.data()));
-    argv.push_back(nullptr);
-    execvp(argv[0], argv.data());
-    _exit(127);
-  }
-  Process(const Process&) = delete;
-  Process& operator=(const Process&) = delete;
-  ~Process() { End(SIGINT); }
-
-  bool IsRunning() {
-    if (pid_ > 0 && waitpid(pid_, nullptr, WNOHANG) == pid_) pid_ = 0;
-    return pid_ > 0;
-  }
-  void End(int signal) {
-    if (!IsRunning()) return;
-    setpgid(pid_, pid_);  // should the child not have come that far
-    kill(-pid_, signal);
-    waitpid(pid_, nullptr, 0);
-    pid_ = 0;
-  }
-
- private:
-  pid_t pid_;
-};
-
-Arguments Concatenate(Arguments a, const Arguments& b) {
-  a.insert(a.end(), b.begin(), b.end());
-  return a;
-}
 
 /// rosbag play.
 class Player {
@@ -109,60 +48,6 @@ Process Bridge(const std::string& style, const Arguments& options = {}) {
                               "_style:=" + style},
                              options));
 }
-
-/// A live node in the namespace `name`, and what it publishes.
-class Node {
- public:
-  Node(const std::string& name, const Arguments& parameters)
-      : prefix_("/" + name + "/imu_pose_calib/"),
-        command_(
-            Concatenate({IMU_POSE_CALIB_BIN_DIR "/calibrate_node", "__ns:=/" + name}, parameters)) {
-    Listen("status", &Node::OnStatus);
-    Listen("result", &Node::OnResult);
-    Start();
-  }
-
-  void Start() { process_ = std::make_unique<Process>(command_); }
-  void Kill() { process_->End(SIGKILL); }
-
-  bool WaitForPhase(uint8_t phase) {
-    return WaitFor([&] { return status.phase == phase; });
-  }
-  bool WaitForResult() {
-    return WaitFor([&] { return result.has_value(); });
-  }
-  std_srvs::Trigger::Response Call(const std::string& service) {
-    std_srvs::Trigger trigger;
-    EXPECT_TRUE(ros::service::waitForService(prefix_ + service, 1000 * static_cast<int>(kTimeout)));
-    EXPECT_TRUE(ros::service::call(prefix_ + service, trigger));
-    return trigger.response;
-  }
-  template <typename Msg>
-  void Listen(const std::string& topic,
-              void (Node::*callback)(const boost::shared_ptr<const Msg>&)) {
-    subscribers_.push_back(node_.subscribe<Msg>(prefix_ + topic, 100, callback, this));
-  }
-  const std::string& prefix() const { return prefix_; }
-
-  CalibrationStatus status;
-  std::optional<CalibrationResult> result;
-  std::set<uint8_t> phases;        ///< seen so far
-  std::set<std::string> degraded;  ///< messages of this phase
-
- private:
-  void OnStatus(const CalibrationStatus::ConstPtr& msg) {
-    status = *msg;
-    phases.insert(msg->phase);
-    if (msg->phase == CalibrationStatus::DEGRADED) degraded.insert(msg->message);
-  }
-  void OnResult(const CalibrationResult::ConstPtr& msg) { result = *msg; }
-
-  ros::NodeHandle node_;
-  const std::string prefix_;
-  const Arguments command_;
-  std::vector<ros::Subscriber> subscribers_;
-  std::unique_ptr<Process> process_;
-};
 
 bool AnyContains(const std::set<std::string>& texts, const std::string& part) {
   return std::any_of(

@@ -331,6 +331,29 @@ TEST(LiveCalibration, StaysAsItWasSaved) {
   EXPECT_FALSE(live.IsFrozen());
 }
 
+TEST(LiveCalibration, KeepsThePathOfTheWindow) {
+  LiveOptions options;
+  options.window = 20.0;
+  LiveCalibration live(options);
+  const CalibrationData data = Simulate(Handheld(30.0));
+  Feed(data, &live);
+  const auto length = live.path().back().t_ns - live.path().front().t_ns;
+  EXPECT_NEAR(1e-9 * static_cast<double>(length), 20.0, 0.1);
+  EXPECT_NEAR(static_cast<double>(live.path().size()), 20.0 / 0.06, 2.0) << "every sixth pose";
+}
+
+/// The second pose of all is stamped before the first, by less than what would extend the path.
+TEST(LiveCalibration, KeepsAPathWhoseStampsGoBackALittle) {
+  LiveCalibration live((LiveOptions()));
+  const CalibrationData data = Simulate(Handheld(1.0));
+  EXPECT_TRUE(live.AddPose(data.poses[3], 1.0));
+  EXPECT_TRUE(live.AddPose(data.poses[0], 1.01));
+  ASSERT_EQ(live.path().size(), 1u);
+  EXPECT_EQ(live.path().front().t_ns, data.poses[0].t_ns);
+  live.Reset("", 1.02);
+  EXPECT_TRUE(live.path().empty());
+}
+
 TEST(LiveCalibration, CountsBrokenPosesAsALostMarker) {
   LiveCalibration live((LiveOptions()));
   SessionData data = Simulate(Handheld(5.0));

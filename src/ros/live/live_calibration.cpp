@@ -25,6 +25,8 @@ constexpr double kEnoughTranslation = 3.0 * 0.3 * 0.3;  // [m^2/s]
 /// Rates are differences over this time, long enough for the noise of poses [s].
 constexpr double kMinMotionStep = 0.1, kMaxMotionStep = 0.3;
 
+constexpr double kPathStep = 0.05;  // [s]
+
 constexpr size_t kStableSolves = 3;
 /// Of two results about as precise the newer one counts.
 constexpr double kMuchWorse = 1.2;
@@ -191,13 +193,15 @@ bool LiveCalibration::Add(const Sample& sample, double now, Stream<Sample>* stre
   return true;
 }
 
-void LiveCalibration::AddPose(const PoseSample& recorded, double now) {
-  if (!Add(recorded, now, &poses_)) return;
+bool LiveCalibration::AddPose(const PoseSample& recorded, double now) {
+  if (!Add(recorded, now, &poses_)) return false;
   const PoseSample pose = ToMarkerPose(calibration_, recorded);
-  if (!IsValid(pose) || (pose_ && SameValue(pose, *pose_))) return;
+  if (!IsValid(pose) || (pose_ && SameValue(pose, *pose_))) return false;
   pose_ = pose;
   pose_changed_ = now;
   MeasureMotion(pose);
+  ExtendPath(pose);
+  return true;
 }
 
 void LiveCalibration::AddGyro(const ImuSample& sample, double now) { Add(sample, now, &gyro_); }
@@ -221,6 +225,15 @@ void LiveCalibration::MeasureMotion(const PoseSample& pose) {
     total_.translation -= motion_.front().translation;
     motion_.pop_front();
   }
+}
+
+void LiveCalibration::ExtendPath(const PoseSample& pose) {
+  const auto seconds_since = [&](const PoseSample& old) { return Seconds(pose.t_ns - old.t_ns); };
+  const auto is_outside = [&](const PoseSample& old) {
+    return seconds_since(old) > options_.window || seconds_since(old) < 0.0;
+  };
+  while (!path_.empty() && is_outside(path_.front())) path_.pop_front();
+  if (path_.empty() || std::abs(seconds_since(path_.back())) > kPathStep) path_.push_back(pose);
 }
 
 Excitation LiveCalibration::Excited() const {
@@ -283,6 +296,7 @@ void LiveCalibration::Reset(const std::string& reason, double now) {
   gyro_.samples.clear();
   accel_.samples.clear();
   pose_.reset();
+  path_.clear();
   motion_.clear();
   total_ = Motion();
   motion_from_.reset();

@@ -28,6 +28,8 @@ constexpr double kSigmaScale = 200.0;
 constexpr double kPathSpan = 8.0;
 /// The panel stands beside the motion, upright, and is read against the world's y axis.
 constexpr double kBarLength = 0.5, kBarHeight = 0.05, kLine = 0.08;  // [m]
+/// From the motion to the first bar, and heights of that at which the whole panel is in the view.
+constexpr double kPanelDistance = 0.6, kCeiling = 1.9, kFloor = 0.5;  // [m]
 
 /// Collects markers; those of one name have consecutive ids.
 class Drawing {
@@ -183,12 +185,16 @@ std::string Wrap(const std::string& text) {
   return wrapped;
 }
 
-/// Middle of the top of the box around the poses.
-Eigen::Vector3d Above(const std::deque<PoseSample>& path) {
+/// Where the first bar goes: above the poses or, where the view of rviz/calibration.rviz would not
+/// show it any more, below them.
+Eigen::Vector3d PanelPosition(const std::deque<PoseSample>& path) {
   Eigen::AlignedBox3d box(Eigen::Vector3d::Zero());
   if (!path.empty()) box.setEmpty();
   for (const PoseSample& pose : path) box.extend(pose.p_WM);
-  return {box.center().x(), box.center().y(), box.max().z()};
+  Eigen::Vector3d position = box.center();
+  position.z() = box.max().z() + kPanelDistance;
+  if (position.z() > kCeiling) position.z() = std::max(box.min().z() - kPanelDistance, kFloor);
+  return position;
 }
 
 /// Bars, verdict and result, `middle` being that of the first bar.
@@ -237,7 +243,7 @@ void DrawPanel(const Scene& scene, const Eigen::Vector3d& middle, Drawing* drawi
 MarkerArray Draw(const Scene& scene, const ros::Time& stamp) {
   Drawing drawing(scene.world_frame, stamp);
   drawing.Frame("world", Rigid3(), 0.3);
-  DrawPanel(scene, Above(scene.path) + Eigen::Vector3d(0.0, 0.0, 0.6), &drawing);
+  DrawPanel(scene, PanelPosition(scene.path), &drawing);
   if (!scene.pose) return drawing.Take();
 
   const Rigid3 T_WM = ToRigid3(*scene.pose);

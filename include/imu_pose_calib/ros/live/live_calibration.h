@@ -74,7 +74,8 @@ class LiveCalibration {
 
   /// Samples in the order of arrival. A stamp that jumps, or `now` that goes back, starts anew:
   /// the old data and result belong to another clock.
-  void AddPose(const PoseSample& recorded, double now);
+  /// True when the pose is valid and differs from the one before.
+  bool AddPose(const PoseSample& recorded, double now);
   void AddGyro(const ImuSample& sample, double now);
   void AddAccel(const ImuSample& sample, double now);
 
@@ -101,6 +102,8 @@ class LiveCalibration {
   const std::optional<Calibration>& result() const { return result_; }
   /// Newest valid pose T_WM [m].
   const std::optional<PoseSample>& pose() const { return pose_; }
+  /// Valid poses of the window, thinned out.
+  const std::deque<PoseSample>& path() const { return path_; }
 
  private:
   template <typename Sample>
@@ -125,6 +128,7 @@ class LiveCalibration {
   template <typename Sample>
   std::string FindJump(const Sample& sample, double now, const Stream<Sample>& stream) const;
   void MeasureMotion(const PoseSample& pose);
+  void ExtendPath(const PoseSample& pose);
   Excitation Excited() const;
 
   bool IsStable() const;
@@ -140,6 +144,7 @@ class LiveCalibration {
   Stream<ImuSample> accel_{"accelerometer", {}};
 
   std::optional<PoseSample> pose_;
+  std::deque<PoseSample> path_;
   double pose_changed_ = 0.0;  ///< `now` of the last pose that was valid and new [s]
 
   std::deque<Motion> motion_;
