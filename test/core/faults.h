@@ -85,8 +85,8 @@ inline void Clip(double limit, std::vector<ImuSample>* samples) {
 }
 
 /// The IMU's clock runs slow by `ppm`: t_pose = (1 + 1e-6 ppm) t_imu + const.
-inline void Drift(double ppm, SessionData* data) {
-  for (std::vector<ImuSample>* samples : {&data->gyro, &data->accel}) {
+inline void Drift(double ppm, ImuData* imu) {
+  for (std::vector<ImuSample>* samples : {&imu->gyro, &imu->accel}) {
     const int64_t first_ns = samples->front().t_ns;
     for (ImuSample& s : *samples)
       s.t_ns -= std::llround(1e-6 * ppm * static_cast<double>(s.t_ns - first_ns));
