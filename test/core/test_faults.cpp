@@ -55,13 +55,16 @@ TEST_P(RepairedFault, LeavesTheCalibrationWithinItsSigmas) {
   const Calibration result = Calibrate(options, data);
   EXPECT_TRUE(result.IsUsable()) << result.message;
   Eigen::Matrix<double, 8, 1> e, sigma;
-  e << result.T_MI.p - truth.T_MI.p, Log(Quaterniond(truth.T_MI.q.conjugate() * result.T_MI.q)),
-      result.time_shift - truth.time_shift_s, result.accel_delay - truth.accel_delay_s;
-  sigma << result.Std(), result.time_shift_std, result.accel_delay_std;
+  e << result.imus[0].T_MI.p - truth.T_MI.p,
+      Log(Quaterniond(truth.T_MI.q.conjugate() * result.imus[0].T_MI.q)),
+      result.sessions[0].imus[0].time_shift - truth.time_shift_s,
+      result.imus[0].accel_delay - truth.accel_delay_s;
+  sigma << result.imus[0].Std(), result.sessions[0].imus[0].time_shift_std,
+      result.imus[0].accel_delay_std;
   EXPECT_LT(e.cwiseQuotient(sigma).cwiseAbs().maxCoeff(), 3.5) << e.transpose() << "\n"
                                                                << sigma.transpose();
   EXPECT_LT(sigma.head<3>().maxCoeff(), truth.pose_rate_hz < 50.0 ? 5e-3 : 1e-3);
-  const StreamReport& poses = result.poses;
+  const StreamReport& poses = result.sessions[0].poses;
   EXPECT_EQ(poses.received,
             poses.used + poses.not_finite + poses.zero_quaternion + poses.reversed_stamp +
                 poses.duplicate_stamp + poses.repeated_value + poses.outlier + poses.flipped +
@@ -74,10 +77,10 @@ const Fault kFaults[] = {
      {},
      {},
      [](const Calibration& r) {
-       EXPECT_EQ(r.poses.used, r.poses.received);
-       EXPECT_EQ(r.gyro.used, r.gyro.received);
-       EXPECT_EQ(r.accel.used, r.accel.received);
-       EXPECT_EQ(r.segments, 1u);
+       EXPECT_EQ(r.sessions[0].poses.used, r.sessions[0].poses.received);
+       EXPECT_EQ(r.sessions[0].imus[0].gyro.used, r.sessions[0].imus[0].gyro.received);
+       EXPECT_EQ(r.sessions[0].imus[0].accel.used, r.sessions[0].imus[0].accel.received);
+       EXPECT_EQ(r.sessions[0].segments, 1u);
      }},
     {"Gaps",
      {},
@@ -85,8 +88,8 @@ const Fault kFaults[] = {
        for (const double t : {3.0, 8.0, 14.0}) RemoveBetween(t, t + 1.0, &d->poses);
      },
      [](const Calibration& r) {
-       EXPECT_EQ(r.gaps, 3u);
-       EXPECT_EQ(r.jumps, 0u);
+       EXPECT_EQ(r.sessions[0].gaps, 3u);
+       EXPECT_EQ(r.sessions[0].jumps, 0u);
      }},
     {"FrozenPoses",
      {},
@@ -94,15 +97,15 @@ const Fault kFaults[] = {
        for (const double t : {3.0, 8.0, 14.0}) Freeze(t, t + 1.0, d);
      },
      [](const Calibration& r) {
-       EXPECT_NEAR(static_cast<double>(r.poses.repeated_value), 300.0, 3.0);
-       EXPECT_EQ(r.gaps, 3u);
+       EXPECT_NEAR(static_cast<double>(r.sessions[0].poses.repeated_value), 300.0, 3.0);
+       EXPECT_EQ(r.sessions[0].gaps, 3u);
      }},
     {"Outliers",
      {},
      [](SessionData* d) { AddOutliers(0.02, 1, d); },
      [](const Calibration& r) {
-       EXPECT_GE(r.poses.outlier, 25u);
-       EXPECT_LE(r.poses.outlier, 60u);
+       EXPECT_GE(r.sessions[0].poses.outlier, 25u);
+       EXPECT_LE(r.sessions[0].poses.outlier, 60u);
      }},
     {"HalfATurnForASecond",
      {},
@@ -110,8 +113,8 @@ const Fault kFaults[] = {
        SwapLabels(9.0, 10.0, Turn(180.0, {0, 0, 1}), d);
      },
      [](const Calibration& r) {
-       EXPECT_EQ(r.poses.flipped, 100u);
-       EXPECT_EQ(r.jumps, 2u);
+       EXPECT_EQ(r.sessions[0].poses.flipped, 100u);
+       EXPECT_EQ(r.sessions[0].jumps, 2u);
      }},
     {"AQuarterTurnAtTheEnd",
      {},
@@ -119,8 +122,8 @@ const Fault kFaults[] = {
        SwapLabels(14.0, 30.0, Turn(90.0, {1, 0, 0}), d);
      },
      [](const Calibration& r) {
-       EXPECT_EQ(r.poses.flipped, 600u);
-       EXPECT_EQ(r.jumps, 1u);
+       EXPECT_EQ(r.sessions[0].poses.flipped, 600u);
+       EXPECT_EQ(r.sessions[0].jumps, 1u);
      }},
     {"LabelsSwappedTwoWaysAfterGaps",
      {},
@@ -129,15 +132,15 @@ const Fault kFaults[] = {
        SwapLabels(12.0, 14.5, Turn(120.0, {1, 1, 1}), d);
        for (const double t : {2.0, 5.0, 12.0, 14.5}) RemoveBetween(t - 0.2, t + 0.2, &d->poses);
      },
-     [](const Calibration& r) { EXPECT_EQ(r.poses.flipped, 260u + 210u); }},
+     [](const Calibration& r) { EXPECT_EQ(r.sessions[0].poses.flipped, 260u + 210u); }},
     {"AShortFlip",
      {},
      [](SessionData* d) {
        SwapLabels(9.0, 9.05, Turn(90.0, {0, 0, 1}), d);
      },
      [](const Calibration& r) {
-       EXPECT_EQ(r.poses.outlier, 5u);
-       EXPECT_EQ(r.segments, 1u);  // joined again
+       EXPECT_EQ(r.sessions[0].poses.outlier, 5u);
+       EXPECT_EQ(r.sessions[0].segments, 1u);  // joined again
      }},
     {"ATrackerThatFindsItselfElsewhere",
      {},
@@ -146,8 +149,8 @@ const Fault kFaults[] = {
            12.0, 30.0, &d->poses, [](PoseSample* s) { s->p_WM += Vector3d(0.3, 0.2, 0); });
      },
      [](const Calibration& r) {
-       EXPECT_EQ(r.jumps, 1u);
-       EXPECT_EQ(r.poses.used, r.poses.received);
+       EXPECT_EQ(r.sessions[0].jumps, 1u);
+       EXPECT_EQ(r.sessions[0].poses.used, r.sessions[0].poses.received);
      }},
     {"NanAndZeroPoses",
      {},
@@ -156,19 +159,19 @@ const Fault kFaults[] = {
        for (size_t i = 25; i < d->poses.size(); i += 50) d->poses[i].q_WM.coeffs().setZero();
      },
      [](const Calibration& r) {
-       EXPECT_EQ(r.poses.not_finite, 40u);
-       EXPECT_EQ(r.poses.zero_quaternion, 40u);
+       EXPECT_EQ(r.sessions[0].poses.not_finite, 40u);
+       EXPECT_EQ(r.sessions[0].poses.zero_quaternion, 40u);
      }},
     {"StampsAstray",
      {},
      [](SessionData* d) {
        d->poses.front().t_ns = 0;
        d->poses[1000].t_ns += 86400 * int64_t{1'000'000'000};
-       d->gyro.back().t_ns *= 2;
+       d->imus[0].gyro.back().t_ns *= 2;
      },
      [](const Calibration& r) {
-       EXPECT_EQ(r.poses.reversed_stamp, 2u);
-       EXPECT_EQ(r.gyro.reversed_stamp, 1u);
+       EXPECT_EQ(r.sessions[0].poses.reversed_stamp, 2u);
+       EXPECT_EQ(r.sessions[0].imus[0].gyro.reversed_stamp, 1u);
      }},
     {"QuaternionSignsAndNorms",
      {},
@@ -177,7 +180,9 @@ const Fault kFaults[] = {
          d->poses[i].q_WM.coeffs() *=
              (i % 3 == 0 ? -1.0 : 1.0) * (1.0 + 0.02 * static_cast<double>(i % 7));
      },
-     [](const Calibration& r) { EXPECT_EQ(r.poses.used, r.poses.received); }},
+     [](const Calibration& r) {
+       EXPECT_EQ(r.sessions[0].poses.used, r.sessions[0].poses.received);
+     }},
     {"PosesAt10Hz",
      [](SimulatorOptions* t) {
        t->pose_rate_hz = 10.0;
@@ -192,19 +197,19 @@ const Fault kFaults[] = {
     {"LostImuPackets",
      {},
      [](SessionData* d) {
-       LosePackets(0.15, 1, &d->gyro);
-       LosePackets(0.15, 2, &d->accel);
-       RemoveBetween(6.0, 6.8, &d->gyro);
+       LosePackets(0.15, 1, &d->imus[0].gyro);
+       LosePackets(0.15, 2, &d->imus[0].accel);
+       RemoveBetween(6.0, 6.8, &d->imus[0].gyro);
      },
      {}},
     {"SaturatedGyroscope",
      {},
-     [](SessionData* d) { Clip(3.0, &d->gyro); },
-     [](const Calibration& r) { EXPECT_GT(r.gyro.saturated, 20u); }},
+     [](SessionData* d) { Clip(3.0, &d->imus[0].gyro); },
+     [](const Calibration& r) { EXPECT_GT(r.sessions[0].imus[0].gyro.saturated, 20u); }},
     {"SaturatedAccelerometer",
      {},
-     [](SessionData* d) { Clip(13.0, &d->accel); },
-     [](const Calibration& r) { EXPECT_GT(r.accel.saturated, 20u); }},
+     [](SessionData* d) { Clip(13.0, &d->imus[0].accel); },
+     [](const Calibration& r) { EXPECT_GT(r.sessions[0].imus[0].accel.saturated, 20u); }},
 };
 
 INSTANTIATE_TEST_SUITE_P(Calibrate,
@@ -242,38 +247,38 @@ const Refused kRefused[] = {
     {"NoOverlap",
      [](SessionData* d) {
        RemoveBetween(0.0, 10.0, &d->poses);
-       RemoveBetween(8.0, 30.0, &d->gyro);
-       RemoveBetween(8.0, 30.0, &d->accel);
+       RemoveBetween(8.0, 30.0, &d->imus[0].gyro);
+       RemoveBetween(8.0, 30.0, &d->imus[0].accel);
      },
      {"agree at no time shift", "overlap"}},
-    {"OneSample", [](SessionData* d) { d->accel.resize(1); }, {"accelerometer: 1 of 1"}},
+    {"OneSample", [](SessionData* d) { d->imus[0].accel.resize(1); }, {"accelerometer: 1 of 1"}},
     {"GyroscopeInDegrees",
-     [](SessionData* d) { Scale(180.0 / M_PI, &d->gyro); },
+     [](SessionData* d) { Scale(180.0 / M_PI, &d->imus[0].gyro); },
      {"gyroscope", "deg/s", "set gyro_unit: 0.0174532925"}},
     {"GyroscopeInRevolutions",
-     [](SessionData* d) { Scale(0.5 / M_PI, &d->gyro); },
+     [](SessionData* d) { Scale(0.5 / M_PI, &d->imus[0].gyro); },
      {"gyroscope", "times the marker's (bound: 0.5 to 2)", "set gyro_unit"}},
     {"AccelerometerInG",
-     [](SessionData* d) { Scale(1.0 / 9.80665, &d->accel); },
+     [](SessionData* d) { Scale(1.0 / 9.80665, &d->imus[0].accel); },
      {"accelerometer: median norm", "bound: 3.92", "set accel_unit: 9.80665"}},
     {"AccelerometerInMilliG",
-     [](SessionData* d) { Scale(1e3 / 9.80665, &d->accel); },
+     [](SessionData* d) { Scale(1e3 / 9.80665, &d->imus[0].accel); },
      {"accelerometer: median norm", "set accel_unit: 0.00980665"}},
     {"GyroscopeAllZero",
-     [](SessionData* d) { Scale(0.0, &d->gyro); },
+     [](SessionData* d) { Scale(0.0, &d->imus[0].gyro); },
      {"gyroscope: all 4000 samples are zero", "driver"}},
     {"AccelerometerAllZero",
-     [](SessionData* d) { Scale(0.0, &d->accel); },
+     [](SessionData* d) { Scale(0.0, &d->imus[0].accel); },
      {"accelerometer: all 4000 samples are zero", "driver"}},
     {"ImuAllZero",
      [](SessionData* d) {
-       Scale(0.0, &d->gyro);
-       Scale(0.0, &d->accel);
+       Scale(0.0, &d->imus[0].gyro);
+       Scale(0.0, &d->imus[0].accel);
      },
      {"gyroscope: all 4000 samples are zero"}},
     {"ADeadGyroscopeAxis",
      [](SessionData* d) {
-       for (ImuSample& s : d->gyro) s.value.z() = 0.0;
+       for (ImuSample& s : d->imus[0].gyro) s.value.z() = 0.0;
      },
      {"gyroscope: its z axis is always 0"}},
     {"PositionsInMillimetres",
@@ -318,7 +323,7 @@ const Refused kRefused[] = {
      },
      {"the marker's frame flips", "bound: 60 %", "less symmetrically"}},
     {"ASaturatedGyroscope",
-     [](SessionData* d) { Clip(1.0, &d->gyro); },
+     [](SessionData* d) { Clip(1.0, &d->imus[0].gyro); },
      {"samples are at the end of the sensor's range (1)", "bound: 10 %"}},
 };
 
@@ -340,8 +345,8 @@ TEST(Calibrate, SaysThatGravityIsMissing) {
 TEST(Calibrate, ReadsTheUnitsAndThePosesAsTheOptionsSay) {
   const SessionData plain = Simulate(Truth(43));
   SessionData data = plain;
-  Scale(180.0 / M_PI, &data.gyro);
-  Scale(1.0 / 9.80665, &data.accel);
+  Scale(180.0 / M_PI, &data.imus[0].gyro);
+  Scale(1.0 / 9.80665, &data.imus[0].accel);
   for (PoseSample& s : data.poses) {
     s.q_WM = s.q_WM.conjugate();
     s.p_WM = -1e3 * (s.q_WM * s.p_WM);
@@ -354,9 +359,9 @@ TEST(Calibrate, ReadsTheUnitsAndThePosesAsTheOptionsSay) {
   options.position_unit = 1e-3;
   options.invert_poses = true;
   const Calibration result = Calibrate(options, data);
-  EXPECT_LT((result.T_MI.p - expected.T_MI.p).norm(), 1e-6);
-  EXPECT_LT(result.T_MI.q.angularDistance(expected.T_MI.q), 1e-6);
-  EXPECT_NEAR(result.time_shift, expected.time_shift, 1e-7);
+  EXPECT_LT((result.imus[0].T_MI.p - expected.imus[0].T_MI.p).norm(), 1e-6);
+  EXPECT_LT(result.imus[0].T_MI.q.angularDistance(expected.imus[0].T_MI.q), 1e-6);
+  EXPECT_NEAR(result.sessions[0].imus[0].time_shift, expected.sessions[0].imus[0].time_shift, 1e-7);
 }
 
 }  // namespace

@@ -31,7 +31,7 @@ struct Fitted {
   PoseTrajectory trajectory;
 
   explicit Fitted(const SessionData& recording)
-      : data(Condition(CalibrationOptions(), recording)),
+      : data(ConditionData(CalibrationOptions(), recording)),
         trajectory(FitTrajectory(CalibrationOptions(), &data)) {}
 };
 
@@ -55,7 +55,7 @@ struct NormalisedErrors {
   double rotation = 0.0, omega = 0.0, alpha = 0.0, accel = 0.0, largest = 0.0;
 
   NormalisedErrors(const CalibrationOptions& calibration, const SimulatorOptions& options) {
-    ConditionedData data = Condition(calibration, Simulate(options));
+    ConditionedData data = ConditionData(calibration, Simulate(options));
     const PoseTrajectory trajectory = FitTrajectory(calibration, &data);
     EXPECT_EQ(data.pose_report.outlier, 0u);
     const TrueTrajectory truth(options);
@@ -256,7 +256,7 @@ TEST(FitTrajectory, TakesGivenHyperparameters) {
   options.position_noise_std = 2e-3;
   options.rotation_lengthscale_s = 0.17;
   options.rotation_signal_std = 1.1;
-  ConditionedData data = Condition(options, Simulate(Recording(Motion::kHandheld, 8.0, 11)));
+  ConditionedData data = ConditionData(options, Simulate(Recording(Motion::kHandheld, 8.0, 11)));
   const PoseTrajectory trajectory = FitTrajectory(options, &data);
   EXPECT_DOUBLE_EQ(trajectory.position_hyperparameters().lengthscale_s, 0.21);
   EXPECT_DOUBLE_EQ(trajectory.position_hyperparameters().noise_std, 2e-3);
