@@ -1,8 +1,10 @@
 #pragma once
 
 #include <string>
+#include <utility>
 #include <vector>
 
+#include "imu_pose_calib/core/median.h"
 #include "imu_pose_calib/core/options.h"
 #include "imu_pose_calib/core/result.h"
 #include "imu_pose_calib/core/types.h"
@@ -74,10 +76,15 @@ bool SameValue(const ImuSample& a, const ImuSample& b);
 /// unusable, or not in SI units.
 ConditionedData ConditionData(const CalibrationOptions& options, const SessionData& session);
 
-/// Cuts the segments where a pose cannot follow from the one before it (swapped marker labels, a
-/// tracker that finds itself anew) and counts the jumps. Runs between jumps that are too short for
-/// a segment are dropped and count as outliers. Single spikes must be gone already.
-/// Throws DataError when no run is left.
-void SplitAtJumps(const CalibrationOptions& options, ConditionedData* data);
+/// Fills `used`, rate and duration of the samples used, by their stamps.
+template <typename Timed>
+void Summarise(const std::vector<Timed>& samples, StreamReport* report) {
+  report->used = samples.size();
+  if (samples.size() < 2) return;
+  std::vector<double> periods;
+  for (size_t i = 1; i < samples.size(); ++i) periods.push_back(samples[i].t - samples[i - 1].t);
+  report->rate_hz = 1.0 / Median(std::move(periods));
+  report->duration_s = samples.back().t - samples.front().t;
+}
 
 }  // namespace imu_pose_calib
