@@ -335,7 +335,7 @@ TEST(LiveCalibration, KeepsThePathOfTheWindow) {
   LiveOptions options;
   options.window = 20.0;
   LiveCalibration live(options);
-  const CalibrationData data = Simulate(Handheld(30.0));
+  const SessionData data = Simulate(Handheld(30.0));
   Feed(data, &live);
   const auto length = live.path().back().t_ns - live.path().front().t_ns;
   EXPECT_NEAR(1e-9 * static_cast<double>(length), 20.0, 0.1);
@@ -345,7 +345,7 @@ TEST(LiveCalibration, KeepsThePathOfTheWindow) {
 /// The second pose of all is stamped before the first, by less than what would extend the path.
 TEST(LiveCalibration, KeepsAPathWhoseStampsGoBackALittle) {
   LiveCalibration live((LiveOptions()));
-  const CalibrationData data = Simulate(Handheld(1.0));
+  const SessionData data = Simulate(Handheld(1.0));
   EXPECT_TRUE(live.AddPose(data.poses[3], 1.0));
   EXPECT_TRUE(live.AddPose(data.poses[0], 1.01));
   ASSERT_EQ(live.path().size(), 1u);
