@@ -143,8 +143,8 @@ TEST_F(BagReaderTest, StampsWithRecordTimes) {
   BagRequest request = Request();
   request.record_time = true;
   const SessionData data = ReadBag(request).data;
-  EXPECT_EQ(data.gyro.at(0).t_ns, 100000000000);
-  EXPECT_EQ(data.accel.at(0).t_ns, 100000000000);
+  EXPECT_EQ(data.imus[0].gyro.at(0).t_ns, 100000000000);
+  EXPECT_EQ(data.imus[0].accel.at(0).t_ns, 100000000000);
   EXPECT_EQ(data.poses.at(0).t_ns, 100010000000);
 }
 
@@ -175,7 +175,7 @@ TEST_F(BagReaderTest, KeepsNanosecondsAndFrames) {
   Record().Add("/imu", Imu(0.1, 9.8)).Add("/pose", Transform("/rig"));
   const Recording recording = ReadBag(Request());
   EXPECT_EQ(recording.data.poses.at(0).t_ns, 60123456789);
-  EXPECT_EQ(recording.data.gyro.at(0).t_ns, 50000000001);
+  EXPECT_EQ(recording.data.imus[0].gyro.at(0).t_ns, 50000000001);
   EXPECT_EQ(recording.info.world_frame, "map");
   EXPECT_EQ(recording.info.marker_frame, "rig");
   EXPECT_EQ(recording.info.imu_frame, "imu_link");
@@ -197,9 +197,9 @@ TEST_F(BagReaderTest, StartAndDurationAreRecordTimeAfterTheFirstMessage) {
   request.start_s = 0.035;     // messages 4..19, the IMU's are the even ones
   request.duration_s = 0.100;  // to message 13
   const Recording recording = ReadBag(request);
-  ASSERT_EQ(recording.data.gyro.size(), 5u);
-  EXPECT_EQ(recording.data.gyro.front().value.x(), 3.0);
-  EXPECT_EQ(recording.data.gyro.back().value.x(), 7.0);
+  ASSERT_EQ(recording.data.imus[0].gyro.size(), 5u);
+  EXPECT_EQ(recording.data.imus[0].gyro.front().value.x(), 3.0);
+  EXPECT_EQ(recording.data.imus[0].gyro.back().value.x(), 7.0);
   EXPECT_EQ(recording.data.poses.size(), 5u);
 }
 
@@ -211,8 +211,8 @@ TEST_F(BagReaderTest, RecordTimesOfForeignClocksAreThePoses) {
   request.duration_s = 1.0;
   const Recording recording = ReadBag(request);
   EXPECT_EQ(recording.data.poses.size(), 101u);
-  EXPECT_EQ(recording.data.gyro.size(), 201u);
-  EXPECT_EQ(recording.data.gyro[0].t_ns, simulator.start_ns - 1034771500000000);
+  EXPECT_EQ(recording.data.imus[0].gyro.size(), 201u);
+  EXPECT_EQ(recording.data.imus[0].gyro[0].t_ns, simulator.start_ns - 1034771500000000);
 }
 
 // --- Refusals ---

@@ -294,16 +294,16 @@ TEST_F(CalibrateBagTest, RefusesImuOfAnotherMotion) {
   SimulatorOptions other = Handheld();
   other.seed = 99;
   SessionData data = Simulate(Handheld());
-  data.gyro = Simulate(other).gyro;
-  data.accel = Simulate(other).accel;
+  data.imus[0].gyro = Simulate(other).gyro;
+  data.imus[0].accel = Simulate(other).accel;
   WriteSimulation(data);
   ExpectFailure("x.bag", 2, {"time shift"});
 }
 
 TEST_F(CalibrateBagTest, RefusesMostlyNan) {
   SessionData data = Simulate(Handheld());
-  for (size_t k = 0; k < data.gyro.size(); k += 2)
-    data.gyro[k].value.y() = std::numeric_limits<double>::quiet_NaN();
+  for (size_t k = 0; k < data.imus[0].gyro.size(); k += 2)
+    data.imus[0].gyro[k].value.y() = std::numeric_limits<double>::quiet_NaN();
   WriteSimulation(data);
   ExpectFailure("x.bag", 2, {"gyroscope", "1500 of 3000", "not finite"});
 }
@@ -380,13 +380,13 @@ TEST_F(CalibrateBagTest, ChecksABagWithoutCalibrating) {
   EXPECT_TRUE(Contains(outcome.out, "rad/s rms about marker x, y, z")) << outcome.out;
   EXPECT_TRUE(std::filesystem::exists(Path("x.calibration.yaml")));  // not touched
 
-  for (ImuSample& s : data.gyro) s.value *= 57.29578;
+  for (ImuSample& s : data.imus[0].gyro) s.value *= 57.29578;
   WriteSimulation(data);
   outcome = Calibrate("x.bag --check");
   EXPECT_EQ(outcome.status, 0) << outcome.err;
   EXPECT_EQ(outcome.out.compare(0, 18, "USABLE: gyroscope:"), 0) << outcome.out;
 
-  data.gyro = Simulate(Handheld()).gyro;
+  data.imus[0].gyro = Simulate(Handheld()).gyro;
   data.poses.resize(300);
   WriteSimulation(data);
   outcome = Calibrate("x.bag --check");

@@ -62,12 +62,12 @@ Rigid3 ToRigid3(const geometry_msgs::Transform& transform) {
 
 /// Largest difference of two results, in sigma of the difference.
 double Distance(const Calibration& a, const CalibrationResult& b) {
-  Vector6d variance = a.covariance.diagonal();
-  for (Eigen::Index i = 0; i < 6; ++i) variance[i] += b.covariance[static_cast<size_t>(7 * i)];
+  Vector6d variance = a.imus[0].covariance.diagonal();
+  for (Eigen::Index i = 0; i < 6; ++i) variance[i] += b.imus[0].covariance[static_cast<size_t>(7 * i)];
   const Rigid3 T_MI = ToRigid3(b.transform);
   Vector6d difference;
-  difference.head<3>() = T_MI.p - a.T_MI.p;
-  const Eigen::AngleAxisd turn(a.T_MI.q.conjugate() * T_MI.q);
+  difference.head<3>() = T_MI.p - a.imus[0].T_MI.p;
+  const Eigen::AngleAxisd turn(a.imus[0].T_MI.q.conjugate() * T_MI.q);
   difference.tail<3>() = turn.angle() * turn.axis();
   const double time_shift =
       std::abs(b.time_shift - a.time_shift) / std::hypot(a.time_shift_std, b.time_shift_std);
@@ -99,7 +99,7 @@ class Live : public TempDirTest {
     const Rigid3 T_MI = ToRigid3(node.result->transform);
     EXPECT_LT((T_MI.p - truth_.T_MI.p).norm(), 3e-3);
     EXPECT_LT(T_MI.q.angularDistance(truth_.T_MI.q), 3e-3);
-    EXPECT_NEAR(node.result->time_shift, time_shift, 5e-4);
+    EXPECT_NEAR(node.result->sessions[0].imus[0].time_shift, time_shift, 5e-4);
   }
 
   const SimulatorOptions truth_;
@@ -143,7 +143,7 @@ TEST_F(Live, AgreesWithOfflineOnTheSample) {
   EXPECT_TRUE(node.Call("save").success);
   const YAML::Node yaml = YAML::LoadFile(Path("live.yaml"));
   EXPECT_EQ(yaml["frames"]["marker"].as<std::string>(), "vicon/rig/rig");
-  EXPECT_EQ(yaml["time_shift"].as<double>(), node.result->time_shift);
+  EXPECT_EQ(yaml["time_shift"].as<double>(), node.result->sessions[0].imus[0].time_shift);
 }
 
 /// Three bridges of one body and three nodes at once; two of the bridges lose the body for 5 s.

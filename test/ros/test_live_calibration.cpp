@@ -28,8 +28,8 @@ void Feed(const SessionData& data, LiveCalibration* live, double rate = 1.0) {
     const double now = start + (Arrival(data.poses[k].t_ns) - start) / rate;
     const auto due = [&](size_t count) { return count * (k + 1) / data.poses.size(); };
     live->AddPose(data.poses[k], now);
-    while (gyro < due(data.gyro.size())) live->AddGyro(data.gyro[gyro++], now);
-    while (accel < due(data.accel.size())) live->AddAccel(data.accel[accel++], now);
+    while (gyro < due(data.imus[0].gyro.size())) live->AddGyro(data.imus[0].gyro[gyro++], now);
+    while (accel < due(data.imus[0].accel.size())) live->AddAccel(data.imus[0].accel[accel++], now);
   }
 }
 
@@ -44,7 +44,7 @@ SessionData Cut(const SessionData& data, double from, double to) {
     }
     return kept;
   };
-  return {cut(data.poses), cut(data.gyro), cut(data.accel)};
+  return {cut(data.poses), cut(data.imus[0].gyro), cut(data.imus[0].accel)};
 }
 
 SessionData Shift(SessionData data, double seconds) {
@@ -52,8 +52,8 @@ SessionData Shift(SessionData data, double seconds) {
     for (auto& sample : *samples) sample.t_ns += static_cast<int64_t>(1e9 * seconds);
   };
   shift(&data.poses);
-  shift(&data.gyro);
-  shift(&data.accel);
+  shift(&data.imus[0].gyro);
+  shift(&data.imus[0].accel);
   return data;
 }
 
@@ -63,9 +63,9 @@ double End(const SessionData& data) { return Arrival(data.poses.back().t_ns); }
 Calibration Result(double sigma, double x = 0.0) {
   Calibration result;
   result.status = Status::kOk;
-  result.T_MI.p.x() = x;
-  result.covariance = Matrix6d::Identity() * sigma * sigma;
-  result.time_shift_std = sigma;
+  result.imus[0].T_MI.p.x() = x;
+  result.imus[0].covariance = Matrix6d::Identity() * sigma * sigma;
+  result.sessions[0].imus[0].time_shift_std = sigma;
   return result;
 }
 
@@ -87,8 +87,8 @@ TEST(LiveCalibration, SaysWhichStreamIsMissing) {
   LiveCalibration live((LiveOptions()));
   EXPECT_EQ(live.Status(0.0).phase, Phase::kWaiting);
   SessionData data = Simulate(Handheld(2.0));
-  data.gyro.clear();
-  for (ImuSample& sample : data.accel) sample.t_ns = 0;
+  data.imus[0].gyro.clear();
+  for (ImuSample& sample : data.imus[0].accel) sample.t_ns = 0;
   Feed(data, &live);
   const LiveStatus status = live.Status(End(data));
   EXPECT_EQ(status.phase, Phase::kWaiting);

@@ -38,8 +38,8 @@ class Rig {
     size_t gyro = 0;
     for (size_t k = 0; k < data.poses.size(); ++k) {
       PublishPose(data.poses[k]);
-      for (; gyro < data.gyro.size() * (k + 1) / data.poses.size(); ++gyro)
-        PublishImu(data.gyro[gyro], data.accel[gyro]);
+      for (; gyro < data.imus[0].gyro.size() * (k + 1) / data.poses.size(); ++gyro)
+        PublishImu(data.imus[0].gyro[gyro], data.imus[0].accel[gyro]);
     }
   }
   void PublishImu(const ImuSample& gyro, const ImuSample& accel) {
@@ -110,7 +110,7 @@ TEST(LiveNode, TakesACovarianceOfMinusOneForASensorThatIsNotThere) {
   rig.imu.linear_acceleration_covariance[0] = -1.0;
   const SessionData data = Simulate(Handheld(2.0));
   rig.Publish(data);
-  ASSERT_TRUE(WaitFor([&] { return node.status.gyro_count == data.gyro.size(); }, kShort))
+  ASSERT_TRUE(WaitFor([&] { return node.status.gyro_count == data.imus[0].gyro.size(); }, kShort))
       << node.status;
   EXPECT_EQ(node.status.accel_count, 0u);
   EXPECT_EQ(node.status.phase, CalibrationStatus::WAITING);

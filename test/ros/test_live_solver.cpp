@@ -36,8 +36,8 @@ Calibration Tagged(const SessionData& data) {
   Calibration result;
   result.status = Status::kOk;
   result.message = std::to_string(static_cast<int>(data.poses.front().p_WM.x()));
-  result.covariance.setIdentity();
-  result.time_shift_std = 1.0;
+  result.imus[0].covariance.setIdentity();
+  result.sessions[0].imus[0].time_shift_std = 1.0;
   return result;
 }
 

@@ -120,15 +120,19 @@ std::string FrameName(const std::string& frame, const std::string& fallback) {
   return first == std::string::npos ? fallback : frame.substr(first);
 }
 
-geometry_msgs::TransformStamped ToTransformStamped(const Calibration& result,
-                                                   const RecordingInfo& info,
-                                                   const ros::Time& stamp) {
-  geometry_msgs::TransformStamped msg;
-  msg.header.stamp = stamp;
-  msg.header.frame_id = info.marker_frame;
-  msg.child_frame_id = info.imu_frame;
-  msg.transform = ToTransformMsg(result.imus[0].T_MI);
-  return msg;
+std::vector<geometry_msgs::TransformStamped> ToTransforms(const Calibration& result,
+                                                          const RecordingInfo& info,
+                                                          const ros::Time& stamp) {
+  std::vector<geometry_msgs::TransformStamped> transforms;
+  for (size_t i = 0; i < result.imus.size(); ++i) {
+    geometry_msgs::TransformStamped msg;
+    msg.header.stamp = stamp;
+    msg.header.frame_id = info.marker_frame;
+    msg.child_frame_id = info.imus[i].imu_frame;
+    msg.transform = ToTransformMsg(result.imus[i].T_MI);
+    transforms.push_back(msg);
+  }
+  return transforms;
 }
 
 CalibrationResult ToMsg(const Calibration& result,
@@ -151,7 +155,7 @@ CalibrationResult ToMsg(const Calibration& result,
   CalibrationResult msg;
   msg.header.stamp = stamp;
   msg.header.frame_id = info.marker_frame;
-  msg.child_frame_id = info.imu_frame;
+  msg.child_frame_id = info.imus[0].imu_frame;
   msg.status = status_code(result.status);
   msg.status_text = ToString(result.status);
   msg.method = ToString(result.method);
@@ -171,6 +175,7 @@ CalibrationResult ToMsg(const Calibration& result,
   msg.gravity = ToVector3Msg(result.sessions[0].g_W);
   msg.gyro_bias = ToVector3Msg(result.sessions[0].imus[0].gyro_bias);
   msg.accel_bias = ToVector3Msg(result.sessions[0].imus[0].accel_bias);
+  msg.imus = ToTransforms(result, info, stamp);
   msg.unobservable = result.unobservable;
   msg.warnings = result.warnings;
   return msg;

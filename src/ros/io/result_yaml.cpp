@@ -116,18 +116,151 @@ void EmitPerStream(const char* key,
   *out << YAML::EndMap;
 }
 
-void EmitEstimate(const Calibration& result, YAML::Emitter* out) {
+void EmitTransforms(const ImuCalibration& imu, YAML::Emitter* out) {
   EmitMap(
       "transform",
       [&] {
-        EmitTransform(result.imus[0].T_MI, out);
-        EmitList("translation_std", result.imus[0].Std().head<3>(), out);
-        EmitList("rotation_std", result.imus[0].Std().tail<3>(), out);
-        EmitMatrix("covariance", result.imus[0].covariance, out);
+        EmitTransform(imu.T_MI, out);
+        EmitList("translation_std", imu.Std().head<3>(), out);
+        EmitList("rotation_std", imu.Std().tail<3>(), out);
+        EmitMatrix("covariance", imu.covariance, out);
       },
       out);
   EmitMap(
-      "inverse_transform", [&] { EmitTransform(result.imus[0].T_MI.Inverse(), out); }, out);
+      "inverse_transform", [&] { EmitTransform(imu.T_MI.Inverse(), out); }, out);
+}
+
+void EmitIntrinsics(const ImuModel model, const ImuCalibration& imu, YAML::Emitter* out) {
+  Emit("model", ToString(model), out);
+  EmitMatrix("gyro_matrix", imu.gyro_matrix, out);
+  EmitMatrix("gyro_matrix_std", imu.gyro_matrix_std, out);
+  EmitMatrix("accel_matrix", imu.accel_matrix, out);
+  EmitMatrix("accel_matrix_std", imu.accel_matrix_std, out);
+}
+
+void EmitBiases(const ImuSession& imu, YAML::Emitter* out) {
+  EmitMap(
+      "biases",
+      [&] {
+        EmitList("gyro", imu.gyro_bias, out);
+        EmitList("accel", imu.accel_bias, out);
+        EmitList("gyro_std", imu.gyro_bias_std, out);
+        EmitList("accel_std", imu.accel_bias_std, out);
+      },
+      out);
+}
+
+void EmitGravity(const SessionCalibration& session, YAML::Emitter* out) {
+  EmitMap(
+      "gravity",
+      [&] {
+        EmitList("vector", session.g_W, out);
+        EmitList("std", session.g_W_std, out);
+        Emit("magnitude", session.g_W.norm(), out);
+      },
+      out);
+}
+
+std::string ImuName(size_t imu) { return "imu" + std::to_string(imu); }
+
+void EmitImus(const Calibration& result, const RecordingInfo& info, YAML::Emitter* out) {
+  *out << YAML::Key << "imus" << YAML::Value << YAML::BeginSeq;
+  for (size_t i = 0; i < result.imus.size(); ++i) {
+    *out << YAML::BeginMap;
+    Emit("name", ImuName(i), out);
+    Emit("topic", info.imus[i].GyroSource(), out);
+    if (info.imus[i].imu_topic.empty()) Emit("accel_topic", info.imus[i].accel_topic, out);
+    Emit("frame", info.imus[i].imu_frame, out);
+    EmitTransforms(result.imus[i], out);
+    Emit("accel_delay", result.imus[i].accel_delay, out);
+    Emit("accel_delay_std", result.imus[i].accel_delay_std, out);
+    EmitMap(
+        "intrinsics", [&] { EmitIntrinsics(result.imu_model, result.imus[i], out); }, out);
+    *out << YAML::EndMap;
+  }
+  *out << YAML::EndSeq;
+  *out << YAML::Key << "between_imus" << YAML::Value;
+  if (result.between_imus.empty()) *out << YAML::Flow;
+  *out << YAML::BeginSeq;
+  for (const BetweenImus& between : result.between_imus) {
+    *out << YAML::BeginMap;
+    Emit("first", ImuName(between.first), out);
+    Emit("second", ImuName(between.second), out);
+    EmitMap(
+        "transform",
+        [&] {
+          EmitTransform(between.T, out);
+          EmitList("translation_std", between.Std().head<3>(), out);
+          EmitList("rotation_std", between.Std().tail<3>(), out);
+          EmitMatrix("covariance", between.covariance, out);
+        },
+        out);
+    *out << YAML::EndMap;
+  }
+  *out << YAML::EndSeq;
+}
+
+void EmitOwn(const SessionCalibration& session, YAML::Emitter* out) {
+  const OwnEstimate& own = session.own;
+  EmitMap(
+      "own",
+      [&] {
+        Emit("imu", ImuName(own.imu), out);
+        EmitList("translation", own.T_MI.p, out);
+        EmitList("translation_std", own.std.head<3>(), out);
+        EmitList("rotation", own.T_MI.q.coeffs(), out);
+        EmitList("rotation_std", own.std.tail<3>(), out);
+        Emit("time_shift", own.time_shift, out);
+        Emit("time_shift_std", own.time_shift_std, out);
+        Emit("accel_delay", own.accel_delay, out);
+        Emit("accel_delay_std", own.accel_delay_std, out);
+      },
+      out);
+  char sigmas[32];
+  std::snprintf(sigmas, sizeof(sigmas), ", %.1f sigma", session.agreement.sigmas);
+  EmitMap(
+      "agreement",
+      [&] {
+        Emit("chi2", session.agreement.chi2, out);
+        Emit("dof", static_cast<size_t>(session.agreement.dof), out);
+        Emit("worst", session.agreement.worst + sigmas, out);
+      },
+      out);
+}
+
+void EmitSessions(const Calibration& result,
+                  const std::vector<RecordingInfo>& infos,
+                  YAML::Emitter* out) {
+  *out << YAML::Key << "sessions" << YAML::Value << YAML::BeginSeq;
+  for (size_t s = 0; s < result.sessions.size(); ++s) {
+    const SessionCalibration& session = result.sessions[s];
+    *out << YAML::BeginMap;
+    Emit("source", infos[s].bag.empty() ? infos[s].pose_topic : infos[s].bag, out);
+    Emit("world", infos[s].world_frame, out);
+    *out << YAML::Key << "imus" << YAML::Value << YAML::BeginSeq;
+    for (size_t i = 0; i < session.imus.size(); ++i) {
+      const ImuSession& imu = session.imus[i];
+      if (!imu.is_present) continue;
+      *out << YAML::BeginMap;
+      Emit("name", ImuName(i), out);
+      Emit("time_shift", imu.time_shift, out);
+      Emit("time_shift_std", imu.time_shift_std, out);
+      Emit("clock_drift", imu.clock_drift, out);
+      Emit("clock_drift_std", imu.clock_drift_std, out);
+      Emit("clock_reference", imu.clock_reference, out);
+      EmitBiases(imu, out);
+      *out << YAML::EndMap;
+    }
+    *out << YAML::EndSeq;
+    EmitGravity(session, out);
+    if (result.sessions.size() > 1) EmitOwn(session, out);
+    *out << YAML::EndMap;
+  }
+  *out << YAML::EndSeq;
+}
+
+void EmitEstimate(const Calibration& result, YAML::Emitter* out) {
+  EmitTransforms(result.imus[0], out);
   Emit("time_shift", result.sessions[0].imus[0].time_shift, out);
   Emit("time_shift_std", result.sessions[0].imus[0].time_shift_std, out);
   Emit("accel_delay", result.imus[0].accel_delay, out);
@@ -137,33 +270,10 @@ void EmitEstimate(const Calibration& result, YAML::Emitter* out) {
   Emit("clock_reference", result.sessions[0].imus[0].clock_reference, out);
   Emit("pose_smoothing", result.pose_smoothing, out);
   Emit("pose_smoothing_std", result.pose_smoothing_std, out);
+  EmitGravity(result.sessions[0], out);
+  EmitBiases(result.sessions[0].imus[0], out);
   EmitMap(
-      "gravity",
-      [&] {
-        EmitList("vector", result.sessions[0].g_W, out);
-        Emit("magnitude", result.sessions[0].g_W.norm(), out);
-      },
-      out);
-  EmitMap(
-      "biases",
-      [&] {
-        EmitList("gyro", result.sessions[0].imus[0].gyro_bias, out);
-        EmitList("accel", result.sessions[0].imus[0].accel_bias, out);
-      },
-      out);
-}
-
-void EmitImu(const Calibration& result, YAML::Emitter* out) {
-  EmitMap(
-      "imu",
-      [&] {
-        Emit("model", ToString(result.imu_model), out);
-        EmitMatrix("gyro_matrix", result.imus[0].gyro_matrix, out);
-        EmitMatrix("gyro_matrix_std", result.imus[0].gyro_matrix_std, out);
-        EmitMatrix("accel_matrix", result.imus[0].accel_matrix, out);
-        EmitMatrix("accel_matrix_std", result.imus[0].accel_matrix_std, out);
-      },
-      out);
+      "imu", [&] { EmitIntrinsics(result.imu_model, result.imus[0], out); }, out);
 }
 
 void EmitObservability(const std::vector<Observability>& observability, YAML::Emitter* out) {
@@ -232,9 +342,9 @@ void EmitData(const Calibration& result, const RecordingInfo& info, YAML::Emitte
       "data",
       [&] {
         Emit("bag", info.bag, out);
-        Emit("imu_topic", info.imu_topic, out);
-        Emit("gyro_topic", info.gyro_topic, out);
-        Emit("accel_topic", info.accel_topic, out);
+        Emit("imu_topic", info.imus[0].imu_topic, out);
+        Emit("gyro_topic", info.imus[0].gyro_topic, out);
+        Emit("accel_topic", info.imus[0].accel_topic, out);
         Emit("pose_topic", info.pose_topic, out);
         Emit("imu_yaml", info.imu_yaml, out);
         if (info.stated_pose_std) EmitStated(*info.stated_pose_std, out);
@@ -276,8 +386,9 @@ std::string YamlNumber(double value) {
 }
 
 std::string ToYaml(const Calibration& result,
-                   const RecordingInfo& info,
+                   const std::vector<RecordingInfo>& infos,
                    const CalibrationOptions& options) {
+  const RecordingInfo& info = infos.front();
   YAML::Emitter out;
   out << YAML::BeginMap;
   EmitMap(
@@ -295,11 +406,14 @@ std::string ToYaml(const Calibration& result,
       [&] {
         Emit("world", info.world_frame, &out);
         Emit("marker", info.marker_frame, &out);
-        Emit("imu", info.imu_frame, &out);
+        Emit("imu", info.imus[0].imu_frame, &out);
       },
       &out);
   EmitEstimate(result, &out);
-  EmitImu(result, &out);
+  if (result.imus.size() > 1 || result.sessions.size() > 1) {
+    EmitImus(result, info, &out);
+    EmitSessions(result, infos, &out);
+  }
   EmitQuality(result, &out);
   EmitData(result, info, &out);
   out << YAML::Key << "options" << YAML::Value << YAML::Load(ToYaml(options));

@@ -177,13 +177,13 @@ RecordingInfo LiveInput::Info() const {
   RecordingInfo info;
   info.world_frame = FrameName(world_frame_, "world");
   info.marker_frame = FrameName(settings_.marker_frame, FrameName(marker_frame_, "marker"));
-  info.imu_frame = FrameName(settings_.imu_frame, FrameName(imu_frame_, "imu"));
+  info.imus[0].imu_frame = FrameName(settings_.imu_frame, FrameName(imu_frame_, "imu"));
   info.pose_topic = chain_ ? "/tf" : sources_.back().topic();
   if (settings_.gyro_topic.empty()) {
-    info.imu_topic = sources_.front().topic();
+    info.imus[0].imu_topic = sources_.front().topic();
   } else {
-    info.gyro_topic = settings_.gyro_topic;
-    info.accel_topic = settings_.accel_topic;
+    info.imus[0].gyro_topic = settings_.gyro_topic;
+    info.imus[0].accel_topic = settings_.accel_topic;
   }
   info.imu_yaml = settings_.imu_yaml;
   return info;
@@ -192,7 +192,7 @@ RecordingInfo LiveInput::Info() const {
 std::string LiveInput::OtherParent() const {
   const RecordingInfo info = Info();
   for (const auto* parents : {&fixed_parents_, &parents_}) {
-    const auto link = parents->find(info.imu_frame);
+    const auto link = parents->find(info.imus[0].imu_frame);
     if (link != parents->end() && link->second != info.marker_frame) return link->second;
   }
   return "";
@@ -239,12 +239,12 @@ std::string LiveInput::Look() {
   }
   const RecordingInfo info = Info();
   const auto lacks = [&](const std::string& topic, const std::string& sensor) {
-    Append((info.imu_topic.empty() ? topic : info.imu_topic) + " gives no " + sensor +
-               ": its covariance starts with -1",
+    Append((info.imus[0].imu_topic.empty() ? topic : info.imus[0].imu_topic) + " gives no " +
+               sensor + ": its covariance starts with -1",
            &problems);
   };
-  if (lacks_gyro_) lacks(info.gyro_topic, "gyroscope");
-  if (lacks_accel_) lacks(info.accel_topic, "accelerometer");
+  if (lacks_gyro_) lacks(info.imus[0].gyro_topic, "gyroscope");
+  if (lacks_accel_) lacks(info.imus[0].accel_topic, "accelerometer");
   if (chain_ && !live_->pose()) Append(LookAt(*chain_), &problems);
   return problems;
 }

@@ -107,11 +107,11 @@ bool LiveNode::IsBusy() {
 
 /// Writes the best result and freezes it. Returns what was done.
 std::string LiveNode::Save() {
-  WriteFile(settings_.output, ToYaml(*live_.result(), input_.Info(), settings_.calibration));
+  WriteFile(settings_.output, ToYaml(*live_.result(), {input_.Info()}, settings_.calibration));
   std::string message = "saved to " + settings_.output + "; call reset to start anew";
   live_.Freeze(message);
   save_error_.clear();
-  std::cout << Summary(*live_.result(), input_.Info()) << std::flush;
+  std::cout << Summary(*live_.result(), {input_.Info()}) << std::flush;
   return message;
 }
 
@@ -209,7 +209,7 @@ void LiveNode::UpdateStatus() {
   if (status_.phase == Phase::kSolving) status_.message = Progress() + status_.message;
   if (const std::string other = input_.OtherParent(); live_.result() && !other.empty())
     status_.message +=
-        "; tf has another parent of " + input_.Info().imu_frame + ", " + other + ": set imu_frame";
+        "; tf has another parent of " + input_.Info().imus[0].imu_frame + ", " + other + ": set imu_frame";
   if (!save_error_.empty()) status_.message += "; " + save_error_;
   if (const std::string dropped = input_.Dropped(); !dropped.empty())
     status_.message += "; " + dropped;

@@ -145,17 +145,17 @@ void LiveOutput::PublishPose(const PoseSample& pose, const RecordingInfo& info) 
 void LiveOutput::PublishResult(const RecordingInfo& info, const std::string& other_parent) {
   const ros::Time now = ros::Time::now();
   result_publisher_.publish(ToMsg(*live_->result(), info, now));
-  if (info.marker_frame != info.imu_frame) {
-    broadcaster_.sendTransform(ToTransformStamped(*live_->result(), info, now));
+  if (info.marker_frame != info.imus[0].imu_frame) {
+    broadcaster_.sendTransform(ToTransforms(*live_->result(), info, now));
   } else {
     ROS_ERROR(
         "No transform is published: the marker and the imu frame are both called '%s'; set "
         "marker_frame or imu_frame",
-        info.imu_frame.c_str());
+        info.imus[0].imu_frame.c_str());
   }
   if (!other_parent.empty())
     ROS_WARN("tf has two parents of '%s': '%s' from elsewhere and '%s' from here; set imu_frame",
-             info.imu_frame.c_str(),
+             info.imus[0].imu_frame.c_str(),
              other_parent.c_str(),
              info.marker_frame.c_str());
 }
