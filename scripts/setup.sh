@@ -23,8 +23,8 @@ COMMON_PACKAGES=(
 # python3-* what rostopic and rosservice need.
 DEBIAN_PACKAGES=(
   catkin ros-core rosbash ros-environment ros-message-generation ros-message-runtime
-  libroscpp-dev libroslib-dev librosbag-dev librosbag-storage-dev libtf2-ros-dev libtf2-msgs-dev libdiagnostic-updater-dev
-  libtopic-tools-dev librostest-dev python3-rostest
+  libroscpp-dev libroslib-dev librosbag-dev librosbag-storage-dev libtf2-ros-dev libtf2-msgs-dev libtf2-eigen-dev
+  libdiagnostic-updater-dev libtopic-tools-dev librostest-dev python3-rostest
   libstd-msgs-dev libstd-srvs-dev libgeometry-msgs-dev libsensor-msgs-dev libnav-msgs-dev libvisualization-msgs-dev
   libdiagnostic-msgs-dev
   ros-std-msgs ros-std-srvs ros-geometry-msgs ros-sensor-msgs ros-nav-msgs ros-visualization-msgs ros-diagnostic-msgs
@@ -35,7 +35,7 @@ DEBIAN_PACKAGES=(
 NOETIC_PACKAGES=(
   ros-noetic-catkin ros-noetic-ros-base ros-noetic-message-generation ros-noetic-message-runtime
   ros-noetic-roscpp ros-noetic-roslib ros-noetic-rosbag ros-noetic-rosbag-storage ros-noetic-rostest
-  ros-noetic-tf2-ros ros-noetic-tf2-msgs ros-noetic-diagnostic-updater ros-noetic-diagnostic-msgs
+  ros-noetic-tf2-ros ros-noetic-tf2-msgs ros-noetic-tf2-eigen ros-noetic-diagnostic-updater ros-noetic-diagnostic-msgs
   ros-noetic-std-msgs ros-noetic-std-srvs ros-noetic-geometry-msgs ros-noetic-sensor-msgs ros-noetic-nav-msgs
   ros-noetic-topic-tools ros-noetic-visualization-msgs
 )

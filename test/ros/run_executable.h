@@ -31,6 +31,7 @@ class ExecutableTest : public TempDirTest {
     EXPECT_EQ(outcome.status, status) << outcome.err;
     EXPECT_EQ(outcome.err.compare(0, 22, "calibrate_bag: error: "), 0) << outcome.err;
     EXPECT_EQ(std::count(outcome.err.begin(), outcome.err.end(), '\n'), 1) << outcome.err;
+    EXPECT_FALSE(Contains(outcome.err, "\x1b")) << outcome.err;
     for (const std::string& part : parts)
       EXPECT_TRUE(Contains(outcome.err, part)) << "'" << part << "' is missing in " << outcome.err;
     EXPECT_EQ(outcome.out, "");

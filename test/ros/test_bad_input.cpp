@@ -8,8 +8,11 @@
 #include <tf2_msgs/TFMessage.h>
 
 #include <functional>
+#include <map>
 
 #include "imu_pose_calib/ros/io/bag_writer.h"
+#include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/io/text_writer.h"
 #include "run_executable.h"
 
 namespace imu_pose_calib {
@@ -139,9 +142,47 @@ const std::vector<BadInput> kUsage = {
     {"UnknownMethod", Nothing, "x.bag --method gpp", 1, {"method 'gpp'", "available: joint, gp"}},
     {"OutputIsTheBag",
      Nothing,
-     "x.bag --output x.bag",
+     "x.bag --output ./x.bag",
      1,
-     {"output 'x.bag' is the recording itself"}},
+     {"output './x.bag' would replace the bag 'x.bag'; choose another"}},
+    {"OutputIsTheConfig",
+     File("c", "max_gap_s: 1.0\n"),
+     "x.bag --config c --output ./c",
+     1,
+     {"output './c' would replace the config 'c'; choose another"}},
+    {"OutputIsTheImuYaml",
+     File("i", kNoise),
+     "x.bag --imu-yaml i --output ./i",
+     1,
+     {"output './i' would replace the imu_yaml 'i'; choose another"}},
+    {"OutputIsAnOldResultAsConfig",
+     File("c", std::string(kResultHeader) + "\n"),
+     "x.bag --config c --output c",
+     1,
+     {"output 'c' would replace the config 'c'"}},
+    {"OutputIsALinkToTheConfig",
+     [](const Directory& dir) {
+       std::ofstream(dir / "c") << "max_gap_s: 1.0\n";
+       std::filesystem::create_symlink("c", dir / "link");
+     },
+     "x.bag --config c --output link",
+     1,
+     {"output 'link' would replace the config 'c'"}},
+    {"OutputIsTheNoiseOfAFolder",
+     [](const Directory& dir) {
+       WriteAslFolder((dir / "asl").string(), Simulate(ShortSimulation()));
+       std::ofstream(dir / "asl/imu0/sensor.yaml") << kNoise;
+     },
+     "asl --output asl/imu0/sensor.yaml",
+     1,
+     {"output 'asl/imu0/sensor.yaml' would replace the imu_yaml 'asl/imu0/sensor.yaml'"}},
+    {"OutputIsPartOfAFolder",
+     [](const Directory& dir) {
+       WriteAslFolder((dir / "asl").string(), Simulate(ShortSimulation()));
+     },
+     "asl --output asl/imu0/data.csv",
+     1,
+     {"output 'asl/imu0/data.csv' would replace the imu 'asl/imu0/data.csv'"}},
     {"MarkerIsImu",
      Nothing,
      "x.bag --marker-frame /imu",
@@ -182,7 +223,7 @@ const std::vector<BadInput> kFiles = {
      File("p.txt", "1 1 2 3 0 0 0 1\n"),
      "--poses p.txt --imu i.csv --output p.txt",
      1,
-     {"output 'p.txt' is the recording itself"}},
+     {"output 'p.txt' would replace the poses 'p.txt'"}},
     {"BagIsEmptyFile", File("e.bag", ""), "e.bag", 1, {"'e.bag' is not a ROS 1 bag"}},
     {"BagIsText", File("t.bag", "t,x,y,z\n"), "t.bag", 1, {"'t.bag' is not a ROS 1 bag"}},
     {"BagIsCutOff", Edit(CutOff), "x.bag", 1, {"'x.bag' is damaged", "run: rosbag reindex x.bag"}},
@@ -254,6 +295,11 @@ const std::vector<BadInput> kTopics = {
      "x.bag",
      1,
      {"several IMU topics: /imu (", "/imu2 (", "choose with imu_topic, or with gyro_topic"}},
+    {"NameThatTheTerminalWouldObey",
+     Message("/imu\x1b[2J", kStart, Imu(0.1, 9.8)),
+     "x.bag",
+     1,
+     {"several IMU topics: /imu (", "/imu\\x1b[2J ("}},
     {"HalfAnImu",
      Message("/gyro", kStart, Imu(0.1, 0.0)),
      "x.bag --imu-topic /gyro",
@@ -335,6 +381,11 @@ const std::vector<BadInput> kConfig = {
     {"ConfigIsADirectory", Folder("c"), "x.bag --config c", 1, {"config 'c': is a directory"}},
     {"ConfigIsNoMap", File("c", "- 1\n"), "x.bag --config c", 1, {"must be a map"}},
     {"ConfigIsNoYaml", File("c", "a: [1\n"), "x.bag --config c", 1, {"config 'c': line "}},
+    {"KeyThatTheTerminalWouldObey",
+     File("c", "\"\\e[2J\": 1.0\n"),
+     "x.bag --config c",
+     1,
+     {"there is no option '\\x1b[2J'"}},
     {"UnknownKey",
      File("c", "max_gaps: 1.0\n"),
      "x.bag --config c",
@@ -395,18 +446,27 @@ class BadInputTest : public ExecutableTest, public ::testing::WithParamInterface
  protected:
   void SetUp() override {
     ExecutableTest::SetUp();
-    const CalibrationData data = Simulate(ShortSimulation());
+    const SessionData data = Simulate(ShortSimulation());
     WriteBag(Path("x.bag"), data, {});
     WriteBag(Path("tf.bag"), data, {false, "tf"});
   }
+
+  /// The texts of the files by their paths, without those that hold what was printed.
+  std::map<std::string, std::string> Files() const {
+    std::map<std::string, std::string> files;
+    for (const auto& entry : std::filesystem::recursive_directory_iterator(dir_))
+      files[entry.path()] = entry.is_regular_file() ? ReadText(entry.path()) : "";
+    files.erase(Path("out.txt"));
+    files.erase(Path("err.txt"));
+    return files;
+  }
 };
 
-TEST_P(BadInputTest, IsRefusedInOneLine) {
+TEST_P(BadInputTest, IsRefusedInOneLineAndChangesNoFile) {
   GetParam().prepare(dir_);
+  const auto before = Files();
   ExpectFailure(GetParam().arguments, GetParam().status, GetParam().parts);
-  EXPECT_TRUE(std::filesystem::exists(Path("x.bag")));
-  for (const auto& entry : std::filesystem::directory_iterator(dir_))
-    EXPECT_FALSE(Contains(entry.path().string(), "calibration.yaml")) << entry;
+  EXPECT_TRUE(Files() == before);
 }
 
 std::string Name(const ::testing::TestParamInfo<BadInput>& info) { return info.param.name; }

@@ -1,11 +1,14 @@
 // Runs beside calibrate.launch: what it publishes and writes is the truth of the simulated bag.
 
+#include <fcntl.h>
 #include <gtest/gtest.h>
 #include <ros/ros.h>
+#include <sys/stat.h>
 #include <tf2_msgs/TFMessage.h>
 #include <yaml-cpp/yaml.h>
 
 #include <Eigen/Geometry>
+#include <future>
 
 #include "imu_pose_calib/CalibrationResult.h"
 #include "imu_pose_calib/ros/io/bag_writer.h"
@@ -109,6 +112,52 @@ TEST(CalibrateNode, FailsWithTheStatusOfCalibrateBag) {
   ExpectFailure(RunNode("degenerate", "_bag:='" + Directory() + "/static.bag'"), 2, "turn");
 }
 
+/// Bags are read in a fork, which the threads of ROS must not be in the way of.
+TEST(CalibrateNode, ReadsBeforeItJoinsTheGraph) {
+  const std::string pipe = Directory() + "/poses.pipe";
+  std::filesystem::remove(pipe);
+  ASSERT_EQ(mkfifo(pipe.c_str(), 0600), 0);
+  auto outcome = std::async(std::launch::async, [&] {
+    return RunNode("early", "_poses:='" + pipe + "' _imu:='" + Directory() + "/text.imu.csv'");
+  });
+  int poses = -1;  // opens as soon as the node reads from the other end
+  for (int k = 0; k < 1000 && poses < 0; ++k) {
+    ros::WallDuration(0.01).sleep();
+    poses = open(pipe.c_str(), O_WRONLY | O_NONBLOCK);
+  }
+  ASSERT_GE(poses, 0);
+  ros::V_string nodes;
+  EXPECT_TRUE(ros::master::getNodes(nodes));
+  EXPECT_EQ(std::count(nodes.begin(), nodes.end(), "/imu_pose_calib"), 1);
+  EXPECT_EQ(std::count(nodes.begin(), nodes.end(), "/early"), 0);
+  close(poses);
+  ExpectFailure(outcome.get(), 1, "poses.pipe");
+}
+
+TEST(CalibrateNode, ForgetsTheParametersOfItsCommandLine) {
+  ExpectFailure(RunNode("forgetful", "_bag:=/no/such.bag _start:=1.0"), 1, "/no/such.bag");
+  EXPECT_FALSE(ros::param::has("/forgetful/bag"));
+  EXPECT_FALSE(ros::param::has("/forgetful/start"));
+  ExpectFailure(RunNode("forgetful", "_bag:=x.bag _start:=soon"), 1, "/forgetful/start");
+  EXPECT_FALSE(ros::param::has("/forgetful/bag"));
+  // what somebody else has set is not the node's to delete
+  ros::param::set("/forgetful/bag", "/no/other.bag");
+  ExpectFailure(RunNode("forgetful", "_start:=1.0"), 1, "/no/other.bag");
+  EXPECT_TRUE(ros::param::has("/forgetful/bag"));
+  EXPECT_FALSE(ros::param::has("/forgetful/start"));
+}
+
+TEST(LiveLaunch, ForgetsTheParametersOfAnEarlierLaunch) {
+  ros::param::set("/second/imu_pose_calib/bag", "/no/such.bag");
+  const int status = std::system(
+      "ROS_NAMESPACE=second timeout -s INT 5 roslaunch imu_pose_calib live.launch > /dev/null "
+      "2>&1");
+  ASSERT_TRUE(WIFEXITED(status));
+  EXPECT_EQ(WEXITSTATUS(status), 124) << "it ended before it was told to";
+  EXPECT_FALSE(ros::param::has("/second/imu_pose_calib/bag"));
+  EXPECT_TRUE(ros::param::has("/second/imu_pose_calib/window"));
+}
+
 TEST(CalibrateNode, CalibratesFromTextFiles) {
   const std::string text = Directory() + "/text", output = text + ".result.yaml";
   std::filesystem::remove(output);
@@ -145,7 +194,7 @@ TEST(CalibrateNode, LeavesWhenWrittenWithExit) {
 TEST(CalibrateNode, ReadsTfFromSeveralBags) {
   SimulatorOptions simulator;
   simulator.duration_s = 15.0;
-  CalibrationData imu = Simulate(simulator), poses;
+  SessionData imu = Simulate(simulator), poses;
   std::swap(imu.poses, poses.poses);
   const std::string bags = Directory() + "/imu.bag " + Directory() + "/tf.bag";
   WriteBag(Directory() + "/imu.bag", imu, {});

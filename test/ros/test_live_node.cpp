@@ -32,7 +32,7 @@ class Rig {
         poses_(node_.advertise<geometry_msgs::PoseStamped>("/" + name + "/pose", 0)),
         parameters({"_imu_topic:=/" + name + "/imu", "_pose_topic:=/" + name + "/pose"}) {}
 
-  void Publish(const CalibrationData& data) {
+  void Publish(const SessionData& data) {
     ASSERT_TRUE(WaitFor(
         [&] { return imu_.getNumSubscribers() > 0 && poses_.getNumSubscribers() > 0; }, kShort));
     size_t gyro = 0;
@@ -108,7 +108,7 @@ TEST(LiveNode, TakesACovarianceOfMinusOneForASensorThatIsNotThere) {
   Rig rig("absent");
   Node node("absent", rig.parameters);
   rig.imu.linear_acceleration_covariance[0] = -1.0;
-  const CalibrationData data = Simulate(Handheld(2.0));
+  const SessionData data = Simulate(Handheld(2.0));
   rig.Publish(data);
   ASSERT_TRUE(WaitFor([&] { return node.status.gyro_count == data.gyro.size(); }, kShort))
       << node.status;
@@ -126,7 +126,7 @@ TEST(LiveNode, NoticesAnotherParentThatCameBeforeTheImu) {
   tf.publish(Link("base_link", "early_imu"));
   WaitUntilAllSaw(tf, 1);
   rig.imu.header.frame_id = "early_imu";
-  const CalibrationData data = Simulate(Handheld(15.0));
+  const SessionData data = Simulate(Handheld(15.0));
   rig.Publish(data);
   ASSERT_TRUE(node.WaitForResult());
   const auto warns = [&] {
@@ -145,7 +145,7 @@ TEST(LiveNode, ForgetsFramesWithTheReset) {
   Rig rig("frames");
   Node node("frames", Concatenate(rig.parameters, {"_method:=gp"}));
   rig.imu.header.frame_id = "frames_imu";
-  const CalibrationData data = Simulate(Handheld(15.0));
+  const SessionData data = Simulate(Handheld(15.0));
   rig.Publish(data);
   ASSERT_TRUE(node.WaitForResult());
   ros::NodeHandle handle;

@@ -31,7 +31,7 @@ PoseSample Pose(int64_t k, double tag) {
 }
 
 /// A usable result that tells which data it comes from.
-Calibration Tagged(const CalibrationData& data) {
+Calibration Tagged(const SessionData& data) {
   if (data.poses.empty()) throw std::runtime_error("no poses");
   Calibration result;
   result.status = Status::kOk;
@@ -67,7 +67,7 @@ class LiveSolverTest : public ::testing::Test {
   std::atomic<int> begun_{0}, allowed_{0}, results_{0};
   LiveSolver solver_{&mutex_,
                      &live_,
-                     [this](const CalibrationData& data) {
+                     [this](const SessionData& data) {
                        const int number = ++begun_;
                        while (allowed_ < number) std::this_thread::sleep_for(milliseconds(1));
                        return Tagged(data);
@@ -133,7 +133,7 @@ TEST(LiveSolver, WorksForManyThreads) {
   LiveSolver solver(
       &mutex,
       &live,
-      [](const CalibrationData& data) {
+      [](const SessionData& data) {
         std::this_thread::sleep_for(milliseconds(2));
         return Tagged(data);
       },

@@ -182,6 +182,23 @@ TEST_F(ResultFile, IsReplacedInOneStep) {
   EXPECT_EQ(std::distance(std::filesystem::directory_iterator(dir_), {}), 1);
 }
 
+TEST_F(ResultFile, DoesNotFollowALinkLaidInItsWay) {
+  const std::string other = Write("other.txt", "not ours");
+  std::filesystem::create_symlink(other, Path("result.yaml.tmp" + std::to_string(getpid())));
+  WriteFile(Path("result.yaml"), "new\n");
+  EXPECT_EQ(ReadText(other), "not ours");
+  EXPECT_EQ(ReadText(Path("result.yaml")), "new\n");
+  EXPECT_FALSE(std::filesystem::is_symlink(Path("result.yaml")));
+}
+
+TEST_F(ResultFile, HasThePermissionsOfAnyNewFile) {
+  const mode_t before = umask(027);
+  WriteFile(Path("result.yaml"), "new\n");
+  umask(before);
+  EXPECT_EQ(std::filesystem::status(Path("result.yaml")).permissions(),
+            std::filesystem::perms{0640});
+}
+
 TEST_F(ResultFile, FailureNamesPathAndReason) {
   ExpectError<InputError>([&] { WriteFile(Path("no/such/dir.yaml"), "x"); },
                           {"no/such/dir.yaml", "No such file or directory"});

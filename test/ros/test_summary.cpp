@@ -72,6 +72,17 @@ TEST(Summary, SaysWhatAPersonNeeds) {
     EXPECT_TRUE(Contains(text, part)) << "'" << part << "' is missing in\n" << text;
 }
 
+TEST(Summary, ShowsNamesWithoutControlCharacters) {
+  RecordingInfo info = MakeInfo();
+  info.gyro_topic = info.accel_topic = info.pose_topic = "/\x1b[2J";
+  info.marker_frame = info.imu_frame = info.imu_yaml = "\xff";
+  for (const std::string& text : {Summary(MakeResult(), info), Summary(DataCheck(), info)}) {
+    EXPECT_TRUE(Contains(text, "/\\x1b[2J")) << text;
+    EXPECT_FALSE(Contains(text, "\x1b"));
+    EXPECT_FALSE(Contains(text, "\xff"));
+  }
+}
+
 TEST(Summary, SaysWhichSideIsSmoothed) {
   Calibration result = MakeResult();
   EXPECT_TRUE(Contains(Summary(result, MakeInfo()),

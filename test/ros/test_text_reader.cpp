@@ -30,7 +30,7 @@ class TextFiles : public TempDirTest {
   static void ExpectRefusal(const TextRequest& request, const std::vector<std::string>& parts) {
     ExpectError<InputError>([&] { ReadText(request); }, parts);
   }
-  void ExpectData(const CalibrationData& data) const {
+  void ExpectData(const SessionData& data) const {
     ASSERT_EQ(data.poses.size(), data_.poses.size());
     ASSERT_EQ(data.gyro.size(), data_.gyro.size());
     ASSERT_EQ(data.accel.size(), data_.accel.size());
@@ -43,7 +43,7 @@ class TextFiles : public TempDirTest {
     ExpectSamples(data.accel, data_.accel);
   }
 
-  CalibrationData data_;
+  SessionData data_;
 
  private:
   static void ExpectSamples(const std::vector<ImuSample>& a, const std::vector<ImuSample>& b) {
@@ -120,7 +120,7 @@ TEST_F(TextFiles, SpanOfForeignClocksCountsFromEachStart) {
   TextRequest request = Tables();
   request.start_s = 1.0;
   request.duration_s = 1.0;
-  const CalibrationData data = ReadText(request).data;
+  const SessionData data = ReadText(request).data;
   EXPECT_EQ(data.poses.front().t_ns, data_.poses.front().t_ns + 1'000'000'000);
   EXPECT_EQ(data.poses.size(), 101u);
   EXPECT_EQ(data.gyro.front().t_ns, data_.gyro.front().t_ns + 1'000'000'000);

@@ -233,6 +233,12 @@ TEST(TfChain, NamesWhatIsMissing) {
   ExpectProblem(resting, {"do not move against each other"});
 }
 
+TEST(TfChain, ShowsNamesWithoutControlCharacters) {
+  TfChain chain("world", "marker", kCache);
+  chain.Add(Message({Link("\x1b[2J", "\xff", 1.0, 1.0)}), false);
+  ExpectProblem(chain, {"which has: \\x1b[2J -> \\xff"});
+}
+
 TEST(TfChain, SurvivesLoops) {
   TfChain chain("a", "d", kCache);
   chain.Add(Message({Link("a", "b", 1.0, 1.0), Link("b", "a", 1.0, 1.0), Link("c", "d", 1.0, 1.0)}),

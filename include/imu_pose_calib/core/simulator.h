@@ -19,7 +19,8 @@ enum class Motion {
 struct SimulatorOptions {
   Motion motion = Motion::kHandheld;
   double duration_s = 40.0;
-  uint32_t seed = 1;  ///< motion, noise and biases follow from it
+  uint32_t seed = 1;        ///< motion, noise and biases follow from it
+  uint32_t noise_seed = 0;  ///< noise and biases follow from this one unless it is 0
 
   double pose_rate_hz = 100.0;
   double gyro_rate_hz = 200.0;
@@ -76,6 +77,6 @@ class TrueTrajectory {
 };
 
 /// Poses and IMU samples of `options`; the same options give the same data.
-CalibrationData Simulate(const SimulatorOptions& options);
+SessionData Simulate(const SimulatorOptions& options);
 
 }  // namespace imu_pose_calib

@@ -1,49 +1,23 @@
 #include "imu_pose_calib/ros/io/bag_reader.h"
 
 #include <console_bridge/console.h>
-#include <rosbag/bag.h>
-#include <rosbag/view.h>
 
 #include <algorithm>
-#include <cerrno>
 #include <cmath>
-#include <cstring>
 #include <filesystem>
-#include <fstream>
-#include <map>
-#include <memory>
-#include <set>
-#include <sstream>
+#include <optional>
 #include <vector>
 
 #include "imu_pose_calib/core/median.h"
+#include "imu_pose_calib/ros/io/bags.h"
 #include "imu_pose_calib/ros/io/child_process.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/pose_messages.h"
+#include "imu_pose_calib/ros/io/printable.h"
 #include "imu_pose_calib/ros/io/tf_chain.h"
 
 namespace imu_pose_calib {
 namespace {
-
-template <typename Msg>
-boost::shared_ptr<Msg> Instantiate(const rosbag::MessageInstance& instance) {
-  auto msg = instance.instantiate<Msg>();
-  if (!msg)
-    throw InputError("topic '" + instance.getTopic() + "' has another definition of " +
-                     instance.getDataType() + " than this computer");
-  return msg;
-}
-
-// --- Message types ---
-
-/// A message of a bag, as PoseType reads it.
-struct BagMessage {
-  const rosbag::MessageInstance& instance;
-  template <typename Msg>
-  boost::shared_ptr<Msg> instantiate() const {
-    return Instantiate<Msg>(instance);
-  }
-};
 
 std::string PoseTypeList() {
   std::string list;
@@ -73,182 +47,6 @@ ImuContent ReadImuMessage(const rosbag::MessageInstance& instance) {
   return content;
 }
 
-// --- Bags ---
-
-struct Topic {
-  std::string name, type;
-  uint32_t count = 0;
-  bool IsImu() const { return type == kImuType; }
-  bool IsVector() const { return type == kVectorType; }
-  bool IsPose() const { return FindPoseType<BagMessage>(type) != nullptr; }
-  bool IsTf() const { return type == "tf2_msgs/TFMessage" || type == "tf/tfMessage"; }
-  bool IsFixedTf() const {
-    const std::string ending = "tf_static";
-    return IsTf() && name.size() >= ending.size() &&
-           name.compare(name.size() - ending.size(), ending.size(), ending) == 0;
-  }
-};
-
-std::string Describe(const std::vector<Topic>& topics) {
-  std::string text;
-  for (const Topic& topic : topics)
-    text += (text.empty() ? "" : ", ") + topic.name + " (" + topic.type + ", " +
-            std::to_string(topic.count) + ")";
-  return text;
-}
-
-/// Opens a bag or throws InputError with the reason and the remedy.
-void Open(const std::string& path, rosbag::Bag* bag) {
-  if (!std::filesystem::exists(path)) throw InputError("bag '" + path + "' does not exist");
-  if (!std::filesystem::is_regular_file(path)) throw InputError("bag '" + path + "' is not a file");
-  std::ifstream file(path, std::ios::binary);
-  if (!file) throw InputError("bag '" + path + "' cannot be read: " + std::strerror(errno));
-
-  const std::string magic = "#ROSBAG V";
-  std::string header(magic.size() + 3, '\0');
-  file.read(header.data(), static_cast<std::streamsize>(header.size()));
-  if (header.compare(0, magic.size(), magic) != 0)
-    throw InputError("'" + path + "' is not a ROS 1 bag");
-  const std::string version = header.substr(magic.size());
-  if (version != "1.2" && version != "2.0")
-    throw InputError("bag '" + path + "' is of version " + version + ", must be 1.2 or 2.0");
-  try {
-    bag->open(path);
-  } catch (const rosbag::BagUnindexedException&) {
-    throw InputError("bag '" + path + "' has no index, its recording was cut off; run: rosbag " +
-                     "reindex " + path);
-  } catch (const rosbag::BagException& error) {
-    throw InputError("bag '" + path + "' is damaged or cut off (" + error.what() +
-                     "); run: rosbag reindex " + path);
-  }
-}
-
-std::string FileNames(const std::vector<std::string>& paths) {
-  std::string names;
-  for (const std::string& path : paths)
-    names += (names.empty() ? "" : ", ") + std::filesystem::path(path).filename().string();
-  return names;
-}
-
-std::string Seconds(double value) {
-  std::ostringstream text;
-  text << value << " s";
-  return text.str();
-}
-
-/// Open bags as one recording, limited to the requested span of record time.
-class Bags {
- public:
-  explicit Bags(const BagRequest& request) : paths_(request.paths) {
-    std::set<std::filesystem::path> known;
-    for (const std::string& path : paths_) {
-      bags_.push_back(std::make_unique<rosbag::Bag>());
-      Open(path, bags_.back().get());
-      if (!known.insert(std::filesystem::canonical(path)).second)
-        throw InputError("bag '" + path + "' is given twice");
-    }
-    SetSpan(request.start_s, request.duration_s);
-    ListTopics();
-  }
-
-  const std::vector<Topic>& topics() const { return topics_; }
-  double duration_s() const { return (end_ - begin_).toSec(); }
-
-  /// Calls `use(message)` for the messages of a topic in the order of recording while it is true.
-  template <typename Use>
-  void ForEach(const Topic& topic, Use use) const {
-    const auto view = View({topic}, start_, end_);
-    for (const rosbag::MessageInstance& message : *view)
-      if (!use(message)) return;
-  }
-
-  /// Calls `use(message)` for the tf messages: first all fixed ones of the whole bags, which are
-  /// sent once, then the others in the order of recording.
-  template <typename Use>
-  void ForEachTf(Use use) const {
-    const auto fixed = [](const Topic& topic) { return topic.IsFixedTf(); };
-    const auto moving = [](const Topic& topic) { return topic.IsTf() && !topic.IsFixedTf(); };
-    const auto all_fixed = View(Select(fixed), begin_, bag_end_);
-    for (const rosbag::MessageInstance& message : *all_fixed) use(message, true);
-    const auto all_moving = View(Select(moving), start_, end_);
-    for (const rosbag::MessageInstance& message : *all_moving) use(message, false);
-  }
-
-  /// The topic that `field` of the request names; InputError when the bags do not have it.
-  const Topic& Find(const std::string& field, const std::string& name) const {
-    for (const Topic& topic : topics_) {
-      if (topic.name != name) continue;
-      if (topic.count == 0)
-        throw InputError(field + " '" + name + "' has no messages within the span used (" +
-                         Seconds((start_ - begin_).toSec()) + " to " + Seconds(duration_s()) +
-                         " after the start)");
-      return topic;
-    }
-    throw InputError(field + " '" + name + "' is not in " + Contents());
-  }
-
-  template <typename Wanted>
-  std::vector<Topic> Select(Wanted wanted) const {
-    std::vector<Topic> selected;
-    for (const Topic& topic : topics_)
-      if (wanted(topic)) selected.push_back(topic);
-    return selected;
-  }
-
-  /// "NAMES; it has: TOPICS" for error messages.
-  std::string Contents() const { return FileNames(paths_) + "; it has: " + Describe(topics_); }
-
- private:
-  std::unique_ptr<rosbag::View> View(const std::vector<Topic>& topics,
-                                     const ros::Time& start,
-                                     const ros::Time& end) const {
-    std::vector<std::string> names;
-    for (const Topic& topic : topics) names.push_back(topic.name);
-    auto view = std::make_unique<rosbag::View>();
-    if (names.empty()) return view;
-    for (const auto& bag : bags_) view->addQuery(*bag, rosbag::TopicQuery(names), start, end);
-    return view;
-  }
-
-  void SetSpan(double start_s, double duration_s) {
-    CheckSpan(start_s, duration_s);
-    rosbag::View all;
-    for (const auto& bag : bags_) all.addQuery(*bag);
-    if (all.size() == 0) throw InputError("bag '" + FileNames(paths_) + "' holds no messages");
-    begin_ = all.getBeginTime();
-    bag_end_ = all.getEndTime();
-    const double length_s = (bag_end_ - begin_).toSec();
-    if (start_s > length_s)
-      throw InputError("start = " + Seconds(start_s) +
-                       " is beyond the end of the bag, which lasts " + Seconds(length_s));
-    start_ = begin_ + ros::Duration(start_s);
-    end_ = bag_end_;
-    if (duration_s > 0.0 && start_s + duration_s < length_s)
-      end_ = start_ + ros::Duration(duration_s);
-  }
-
-  void ListTopics() {
-    std::map<std::string, std::set<std::string>> types;
-    for (const auto& bag : bags_) {
-      rosbag::View view(*bag);
-      for (const rosbag::ConnectionInfo* connection : view.getConnections())
-        types[connection->topic].insert(connection->datatype);
-    }
-    for (const auto& [name, names] : types) {
-      Topic topic{name, *names.begin()};
-      if (names.size() > 1) topic.type += " and " + *names.rbegin();  // fits no role
-      topic.count = View({topic}, start_, end_)->size();
-      topics_.push_back(topic);
-    }
-  }
-
-  std::vector<std::string> paths_;
-  std::vector<std::unique_ptr<rosbag::Bag>> bags_;
-  ros::Time begin_, bag_end_;  ///< record time of the first and last message
-  ros::Time start_, end_;      ///< record time, the span to use
-  std::vector<Topic> topics_;
-};
-
 // --- Which topics ---
 
 /// Whether the messages of a topic carry gyroscope and accelerometer samples that are not always
@@ -257,7 +55,7 @@ struct ImuSensors {
   bool gyro = false, accel = false;
 };
 
-ImuSensors FindSensors(const Bags& bags, const Topic& topic) {
+ImuSensors FindSensors(const Bags& bags, const BagTopic& topic) {
   ImuSensors sensors;
   bags.ForEach(topic, [&](const rosbag::MessageInstance& instance) {
     const ImuContent content = ReadImuMessage(instance);
@@ -268,8 +66,8 @@ ImuSensors FindSensors(const Bags& bags, const Topic& topic) {
   return sensors;
 }
 
-Topic NamedImu(const Bags& bags, const std::string& field, const std::string& name) {
-  const Topic& topic = bags.Find(field, name);
+BagTopic NamedImu(const Bags& bags, const std::string& field, const std::string& name) {
+  const BagTopic& topic = bags.Find(field, name);
   const bool may_be_vector = field != "imu_topic";
   if (!topic.IsImu() && !(may_be_vector && topic.IsVector()))
     throw InputError(field + " '" + name + "' is " + topic.type + ", must be " + kImuType +
@@ -279,15 +77,15 @@ Topic NamedImu(const Bags& bags, const std::string& field, const std::string& na
 
 /// The topics of gyroscope and accelerometer; the same for an IMU on one topic.
 struct ImuTopics {
-  Topic gyro, accel;
+  BagTopic gyro, accel;
 };
 
 ImuTopics FindImu(const Bags& bags) {
-  const std::vector<Topic> candidates =
-      bags.Select([](const Topic& t) { return t.count > 0 && t.IsImu(); });
+  const std::vector<BagTopic> candidates =
+      bags.Select([](const BagTopic& t) { return t.count > 0 && t.IsImu(); });
   if (candidates.empty()) {
     const bool has_vectors =
-        !bags.Select([](const Topic& t) { return t.count > 0 && t.IsVector(); }).empty();
+        !bags.Select([](const BagTopic& t) { return t.count > 0 && t.IsVector(); }).empty();
     throw InputError(std::string("no topic of type ") + kImuType + " in " + bags.Contents() +
                      (has_vectors ? std::string("; say which ") + kVectorType +
                                         " is which with gyro_topic and accel_topic"
@@ -295,8 +93,8 @@ ImuTopics FindImu(const Bags& bags) {
   }
   if (candidates.size() == 1) return {candidates[0], candidates[0]};
 
-  std::vector<Topic> gyros, accels;
-  for (const Topic& topic : candidates) {
+  std::vector<BagTopic> gyros, accels;
+  for (const BagTopic& topic : candidates) {
     const ImuSensors sensors = FindSensors(bags, topic);
     if (sensors.gyro) gyros.push_back(topic);
     if (sensors.accel) accels.push_back(topic);
@@ -314,10 +112,10 @@ ImuTopics ChooseImu(const Bags& bags, const BagRequest& request) {
     return {NamedImu(bags, "gyro_topic", request.gyro_topic),
             NamedImu(bags, "accel_topic", request.accel_topic)};
   if (!request.imu_topic.empty()) {
-    const Topic topic = NamedImu(bags, "imu_topic", request.imu_topic);
+    const BagTopic topic = NamedImu(bags, "imu_topic", request.imu_topic);
     return {topic, topic};
   }
-  for (const Topic& topic : bags.topics())
+  for (const BagTopic& topic : bags.topics())
     if (topic.IsImu() && topic.count > 0 && topic.name == request.usual_imu_topic)
       return {topic, topic};
   return FindImu(bags);
@@ -325,7 +123,7 @@ ImuTopics ChooseImu(const Bags& bags, const BagRequest& request) {
 
 /// A topic without the data that are to come from it is a mistake in the topics, not bad data.
 void CheckContent(const Bags& bags, const ImuTopics& imu) {
-  const auto fail = [](const Topic& topic, const char* what) {
+  const auto fail = [](const BagTopic& topic, const char* what) {
     throw InputError(
         "'" + topic.name + "' carries no " + what +
         " (all zero, or covariance -1); choose with imu_topic, or with gyro_topic and " +
@@ -338,7 +136,7 @@ void CheckContent(const Bags& bags, const ImuTopics& imu) {
 
 /// What poses could come from when there is no pose topic.
 std::string TfHint(const Bags& bags) {
-  if (bags.Select([](const Topic& t) { return t.IsTf(); }).empty()) return "";
+  if (bags.Select([](const BagTopic& t) { return t.IsTf(); }).empty()) return "";
   TfChain links("", "", 0.0);
   bags.ForEachTf([&](const rosbag::MessageInstance& instance, bool fixed) {
     links.Add(*Instantiate<tf2_msgs::TFMessage>(instance), fixed);
@@ -346,9 +144,9 @@ std::string TfHint(const Bags& bags) {
   return "; for poses from tf give tf_parent and tf_child, its frames are: " + links.Links();
 }
 
-Topic ChoosePose(const Bags& bags, const std::string& name) {
+BagTopic ChoosePose(const Bags& bags, const std::string& name) {
   if (!name.empty()) {
-    const Topic& topic = bags.Find("pose_topic", name);
+    const BagTopic& topic = bags.Find("pose_topic", name);
     if (topic.IsTf())
       throw InputError("pose_topic '" + name + "' is " + topic.type + "; leave it empty" +
                        TfHint(bags));
@@ -357,8 +155,8 @@ Topic ChoosePose(const Bags& bags, const std::string& name) {
                        PoseTypeList());
     return topic;
   }
-  const std::vector<Topic> candidates =
-      bags.Select([](const Topic& t) { return t.count > 0 && t.IsPose(); });
+  const std::vector<BagTopic> candidates =
+      bags.Select([](const BagTopic& t) { return t.count > 0 && t.IsPose(); });
   if (candidates.empty())
     throw InputError("no topic of type " + PoseTypeList() + " in " + bags.Contents() +
                      TfHint(bags));
@@ -417,12 +215,12 @@ void ReadImu(const Bags& bags, const ImuTopics& imu, bool record_time, Recording
   };
   std::string frame;
   Delays gyro_delays, accel_delays;
-  const auto read = [&](const Topic& topic, bool gyro, bool accel) {
+  const auto read = [&](const BagTopic& topic, bool gyro, bool accel) {
     bags.ForEach(topic, [&](const rosbag::MessageInstance& instance) {
       const ImuContent content = ReadImuMessage(instance);
-      if (gyro && content.gyro) add(*content.gyro, instance, &recording->data.gyro, &gyro_delays);
+      if (gyro && content.gyro) add(*content.gyro, instance, &recording->data.imus[0].gyro, &gyro_delays);
       if (accel && content.accel)
-        add(*content.accel, instance, &recording->data.accel, &accel_delays);
+        add(*content.accel, instance, &recording->data.imus[0].accel, &accel_delays);
       if (gyro) frame = content.frame;
       return true;
     });
@@ -430,8 +228,8 @@ void ReadImu(const Bags& bags, const ImuTopics& imu, bool record_time, Recording
   const bool is_split = imu.gyro.name != imu.accel.name;
   read(imu.gyro, true, !is_split);
   if (is_split) read(imu.accel, false, true);
-  CheckStamps(imu.gyro.name, recording->data.gyro);
-  CheckStamps(imu.accel.name, recording->data.accel);
+  CheckStamps(imu.gyro.name, recording->data.imus[0].gyro);
+  CheckStamps(imu.accel.name, recording->data.imus[0].accel);
   recording->info.imu_frame = FrameName(frame, "imu");
   recording->info.gyro_latency = std::move(gyro_delays).Summarise();
   recording->info.accel_latency = std::move(accel_delays).Summarise();
@@ -449,7 +247,7 @@ std::optional<PoseStd> MedianStd(const std::vector<PoseSample>& poses) {
   return PoseStd{Median(position), Median(rotation)};
 }
 
-void ReadPoses(const Bags& bags, const Topic& topic, bool record_time, Recording* recording) {
+void ReadPoses(const Bags& bags, const BagTopic& topic, bool record_time, Recording* recording) {
   const PoseType<BagMessage>& type = *FindPoseType<BagMessage>(topic.type);
   FramedPose first;
   Delays delays;
@@ -499,10 +297,10 @@ void ReadTf(const Bags& bags, const BagRequest& request, Recording* recording) {
 }
 
 Recording Read(const BagRequest& request) {
-  const Bags bags(request);
+  const Bags bags(request.paths, request.start_s, request.duration_s);
   const bool tf = WantsTf(request);
   const ImuTopics imu = ChooseImu(bags, request);
-  const Topic pose = tf ? Topic() : ChoosePose(bags, request.pose_topic);
+  const BagTopic pose = tf ? BagTopic() : ChoosePose(bags, request.pose_topic);
   CheckContent(bags, imu);
 
   Recording recording;
@@ -526,15 +324,15 @@ Recording Read(const BagRequest& request) {
 [[noreturn]] void FailDamaged(const BagRequest& request, const std::string& reason) {
   std::string reindex;
   for (const std::string& path : request.paths) reindex += " " + path;
-  throw InputError("bag '" + FileNames(request.paths) + "' is damaged (" + reason +
-                   "); run: rosbag reindex" + reindex);
+  throw InputError(Printable("bag '" + FileNames(request.paths) + "' is damaged (" + reason +
+                             "); run: rosbag reindex" + reindex));
 }
 
 Recording ReadOrFail(const BagRequest& request) {
   try {
     return Read(request);
-  } catch (const InputError&) {
-    throw;
+  } catch (const InputError& error) {  // with names of topics, types and frames as in the bag
+    throw InputError(Printable(error.what()));
   } catch (const std::runtime_error& error) {  // rosbag, deserialisation, times out of range
     FailDamaged(request, error.what());
   }
@@ -547,9 +345,10 @@ class Silence {
   ~Silence() { console_bridge::restorePreviousOutputHandler(); }
 };
 
-/// Far above what any bag of this size needs.
-uint64_t MaxCpuSeconds(uint64_t bytes) { return 10 + bytes / 1'000'000; }
-uint64_t MaxMemory(uint64_t bytes) { return 4'000'000'000 + 8 * bytes; }
+/// Far above what any bag of this size needs, the time also when it comes over a slow network.
+ChildLimits Limits(uint64_t bytes) {
+  return {10 + bytes / 1'000'000, 120 + bytes / 100'000, 4'000'000'000 + 8 * bytes};
+}
 
 }  // namespace
 
@@ -561,8 +360,7 @@ Recording ReadBag(const BagRequest& request) {
     const auto size = std::filesystem::file_size(path, ignored);
     if (!ignored) bytes += size;
   }
-  auto recording = RunApart(
-      [&] { return ToBytes(ReadOrFail(request)); }, MaxCpuSeconds(bytes), MaxMemory(bytes));
+  auto recording = RunApart([&] { return ToBytes(ReadOrFail(request)); }, Limits(bytes));
   if (!recording) FailDamaged(request, "rosbag cannot cope with it");
   return FromBytes(*std::move(recording));
 }

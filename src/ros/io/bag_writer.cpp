@@ -33,23 +33,11 @@ std_msgs::Header MakeHeader(int64_t t_ns, const char* frame) {
   return header;
 }
 
-template <typename Vector>
-void SetVector(const Eigen::Vector3d& v, Vector* msg) {
-  msg->x = v.x();
-  msg->y = v.y();
-  msg->z = v.z();
-}
-
-void SetQuaternion(const Eigen::Quaterniond& q, geometry_msgs::Quaternion* msg) {
-  SetVector(q.vec(), msg);
-  msg->w = q.w();
-}
-
 geometry_msgs::PoseStamped ToPoseStamped(const PoseSample& pose) {
   geometry_msgs::PoseStamped msg;
   msg.header = MakeHeader(pose.t_ns, "world");
-  SetVector(pose.p_WM, &msg.pose.position);
-  SetQuaternion(pose.q_WM, &msg.pose.orientation);
+  msg.pose.position = ToPointMsg(pose.p_WM);
+  msg.pose.orientation = ToQuaternionMsg(pose.q_WM);
   return msg;
 }
 
@@ -57,8 +45,7 @@ geometry_msgs::TransformStamped ToTransformStamped(const PoseSample& pose) {
   geometry_msgs::TransformStamped msg;
   msg.header = MakeHeader(pose.t_ns, "world");
   msg.child_frame_id = "marker";
-  SetVector(pose.p_WM, &msg.transform.translation);
-  SetQuaternion(pose.q_WM, &msg.transform.rotation);
+  msg.transform = ToTransformMsg({pose.q_WM, pose.p_WM});
   return msg;
 }
 
@@ -88,12 +75,9 @@ geometry_msgs::TransformStamped ToLink(int64_t t_ns,
   geometry_msgs::TransformStamped msg;
   msg.header = MakeHeader(t_ns, parent.c_str());
   msg.child_frame_id = child;
-  SetVector(T.p, &msg.transform.translation);
-  SetQuaternion(T.q, &msg.transform.rotation);
+  msg.transform = ToTransformMsg(T);
   return msg;
 }
-
-Rigid3 operator*(const Rigid3& A, const Rigid3& B) { return {A.q * B.q, A.q * B.p + A.p}; }
 
 Rigid3 BaseInWorld() { return {Eigen::Quaterniond(0.8, 0.0, 0.0, 0.6), {1.0, -0.5, 0.2}}; }
 
@@ -152,7 +136,7 @@ tf2_msgs::TFMessage ToFixedTf(int64_t t_ns) {
 geometry_msgs::Vector3Stamped ToVector(const ImuSample& sample) {
   geometry_msgs::Vector3Stamped msg;
   msg.header = MakeHeader(sample.t_ns, "imu");
-  SetVector(sample.value, &msg.vector);
+  msg.vector = ToVector3Msg(sample.value);
   return msg;
 }
 
@@ -163,8 +147,8 @@ sensor_msgs::Imu ToImu(const ImuSample* gyro, const ImuSample* accel) {
   msg.orientation_covariance[0] = -1.0;
   msg.angular_velocity_covariance[0] = gyro ? 0.0 : -1.0;
   msg.linear_acceleration_covariance[0] = accel ? 0.0 : -1.0;
-  if (gyro) SetVector(gyro->value, &msg.angular_velocity);
-  if (accel) SetVector(accel->value, &msg.linear_acceleration);
+  if (gyro) msg.angular_velocity = ToVector3Msg(gyro->value);
+  if (accel) msg.linear_acceleration = ToVector3Msg(accel->value);
   return msg;
 }
 
@@ -192,9 +176,9 @@ void Add(const std::string& topic,
 }
 
 /// What to add to IMU stamps to get record times.
-int64_t RecordOffset(const CalibrationData& data) {
-  if (data.poses.empty() || data.gyro.empty()) return 0;
-  const int64_t offset = data.poses.front().t_ns - data.gyro.front().t_ns;
+int64_t RecordOffset(const SessionData& data) {
+  if (data.poses.empty() || data.imus[0].gyro.empty()) return 0;
+  const int64_t offset = data.poses.front().t_ns - data.imus[0].gyro.front().t_ns;
   return std::abs(offset) > kDay ? offset : 0;
 }
 
@@ -209,8 +193,8 @@ void Write(const std::string& path, const std::vector<Record>& records) {
 
 }  // namespace
 
-void CheckSameStamps(const CalibrationData& data) {
-  const std::vector<ImuSample>&gyro = data.gyro, &accel = data.accel;
+void CheckSameStamps(const SessionData& data) {
+  const std::vector<ImuSample>&gyro = data.imus[0].gyro, &accel = data.imus[0].accel;
   if (gyro.size() != accel.size())
     throw InputError(
         "an IMU on one topic or in one file needs as many gyroscope as accelerometer samples, "
@@ -223,18 +207,18 @@ void CheckSameStamps(const CalibrationData& data) {
           "accelerometer");
 }
 
-void WriteBag(const std::string& path, const CalibrationData& data, const BagFormat& format) {
+void WriteBag(const std::string& path, const SessionData& data, const BagFormat& format) {
   const auto pose = [&](size_t k) { return ToPoseStamped(data.poses[k]); };
   const auto transform = [&](size_t k) { return ToTransformStamped(data.poses[k]); };
   const auto covariance = [&](size_t k) { return ToPoseWithCovariance(data.poses[k]); };
   const auto odometry = [&](size_t k) { return ToOdometry(data.poses[k]); };
   const auto tf = [&](size_t k) { return ToTf(k, data.poses); };
   const auto fixed_tf = [&](size_t k) { return ToFixedTf(data.poses[k].t_ns); };
-  const auto imu = [&](size_t k) { return ToImu(&data.gyro[k], &data.accel[k]); };
-  const auto gyro_vector = [&](size_t k) { return ToVector(data.gyro[k]); };
-  const auto accel_vector = [&](size_t k) { return ToVector(data.accel[k]); };
-  const auto gyro = [&](size_t k) { return ToImu(&data.gyro[k], nullptr); };
-  const auto accel = [&](size_t k) { return ToImu(nullptr, &data.accel[k]); };
+  const auto imu = [&](size_t k) { return ToImu(&data.imus[0].gyro[k], &data.imus[0].accel[k]); };
+  const auto gyro_vector = [&](size_t k) { return ToVector(data.imus[0].gyro[k]); };
+  const auto accel_vector = [&](size_t k) { return ToVector(data.imus[0].accel[k]); };
+  const auto gyro = [&](size_t k) { return ToImu(&data.imus[0].gyro[k], nullptr); };
+  const auto accel = [&](size_t k) { return ToImu(nullptr, &data.imus[0].accel[k]); };
 
   std::vector<Record> records;
   if (format.pose_type == "PoseStamped") {
@@ -256,17 +240,17 @@ void WriteBag(const std::string& path, const CalibrationData& data, const BagFor
   }
   const int64_t offset = RecordOffset(data);
   if (format.imu_type == "Vector3Stamped") {
-    Add("/imu/gyro", data.gyro, offset, gyro_vector, &records);
-    Add("/imu/accel", data.accel, offset, accel_vector, &records);
+    Add("/imu/gyro", data.imus[0].gyro, offset, gyro_vector, &records);
+    Add("/imu/accel", data.imus[0].accel, offset, accel_vector, &records);
   } else if (format.imu_type != "Imu") {
     throw InputError("imu type '" + format.imu_type + "' is unknown; must be Imu or " +
                      "Vector3Stamped");
   } else if (format.split_imu) {
-    Add("/imu/gyro", data.gyro, offset, gyro, &records);
-    Add("/imu/accel", data.accel, offset, accel, &records);
+    Add("/imu/gyro", data.imus[0].gyro, offset, gyro, &records);
+    Add("/imu/accel", data.imus[0].accel, offset, accel, &records);
   } else {
     CheckSameStamps(data);
-    Add("/imu", data.gyro, offset, imu, &records);
+    Add("/imu", data.imus[0].gyro, offset, imu, &records);
   }
   std::stable_sort(records.begin(), records.end(), [](const Record& a, const Record& b) {
     return a.t_ns < b.t_ns;

@@ -1,12 +1,16 @@
 #include "imu_pose_calib/ros/io/child_process.h"
 
 #include <fcntl.h>
+#include <poll.h>
+#include <sys/prctl.h>
 #include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <cerrno>
+#include <chrono>
+#include <csignal>
 #include <cstdlib>
 #include <system_error>
 #include <vector>
@@ -37,32 +41,83 @@ void WriteAll(int file, const std::string& text) {
   }
 }
 
-std::string ReadAll(int file) {
+[[noreturn]] void Fail(const char* what) {
+  throw std::system_error(errno, std::generic_category(), what);
+}
+
+using Clock = std::chrono::steady_clock;
+
+/// Waits until there is something to read, or the end of it. False when it is too late.
+bool WaitFor(int file, Clock::time_point deadline) {
+  for (;;) {
+    const auto left = std::chrono::ceil<std::chrono::milliseconds>(deadline - Clock::now());
+    if (left.count() <= 0) return false;
+    constexpr int64_t kMaxWait = 3'600'000;  // [ms] poll() takes an int
+    pollfd wanted{file, POLLIN, 0};
+    const int ready = poll(&wanted, 1, static_cast<int>(std::min<int64_t>(left.count(), kMaxWait)));
+    if (ready > 0) return true;
+    if (ready < 0 && errno != EINTR) Fail("cannot wait for a process");
+  }
+}
+
+/// All that comes before the deadline.
+std::string ReadAll(int file, Clock::time_point deadline) {
   std::string text;
   std::vector<char> buffer(1 << 16);
-  for (;;) {
+  while (WaitFor(file, deadline)) {
     const ssize_t count = read(file, buffer.data(), buffer.size());
     if (count == 0) return text;
     if (count > 0) text.append(buffer.data(), static_cast<size_t>(count));
-    if (count < 0 && errno != EINTR)
-      throw std::system_error(errno, std::generic_category(), "cannot read from a process");
+    if (count < 0 && errno != EINTR) Fail("cannot read from a process");
   }
+  return {};
 }
+
+/// A running child and the end of the pipe that its answer comes from. None is left behind: what
+/// still runs in the end is killed.
+class Child {
+ public:
+  Child(pid_t pid, int output) : pid_(pid), output_(output) {}
+  Child(const Child&) = delete;
+  Child& operator=(const Child&) = delete;
+  ~Child() {
+    close(output_);
+    if (pid_ <= 0) return;
+    kill(pid_, SIGKILL);
+    Wait();
+  }
+
+  int output() const { return output_; }
+
+  /// Whether it ended well.
+  bool Wait() {
+    int status = 0;
+    while (waitpid(pid_, &status, 0) < 0)
+      if (errno != EINTR) return false;
+    pid_ = 0;
+    return WIFEXITED(status) && WEXITSTATUS(status) == EXIT_SUCCESS;
+  }
+
+ private:
+  pid_t pid_;  ///< 0: has ended
+  int output_;
+};
 
 // What the first byte of the child's answer says of the others.
 constexpr char kResult = 'r', kInputError = 'e';
 
 [[noreturn]] void RunChild(const std::function<std::string()>& run,
-                           uint64_t max_cpu_s,
-                           uint64_t max_bytes,
+                           const ChildLimits& limits,
+                           pid_t parent,
                            int output) {
+  // A parent that is killed takes the child along; it may have been killed before this call.
+  prctl(PR_SET_PDEATHSIG, SIGKILL);
+  if (getppid() != parent) _exit(EXIT_FAILURE);
   Silence();
   Limit(RLIMIT_CORE, 0);
-  Limit(RLIMIT_CPU, max_cpu_s);
+  Limit(RLIMIT_CPU, limits.cpu_s);
 #ifndef __SANITIZE_ADDRESS__  // its shadow memory is larger than any limit
-  Limit(RLIMIT_AS, max_bytes);
-#else
-  (void)max_bytes;
+  Limit(RLIMIT_AS, limits.memory);
 #endif
   try {
     WriteAll(output, kResult + run());
@@ -77,23 +132,26 @@ constexpr char kResult = 'r', kInputError = 'e';
 }  // namespace
 
 std::optional<std::string> RunApart(const std::function<std::string()>& run,
-                                    uint64_t max_cpu_s,
-                                    uint64_t max_bytes) {
-  const auto fail = [](const char* what) {
-    throw std::system_error(errno, std::generic_category(), what);
-  };
+                                    const ChildLimits& limits) {
   int ends[2];
-  if (pipe2(ends, O_CLOEXEC) < 0) fail("cannot make a pipe");
-  const pid_t child = fork();
-  if (child < 0) fail("cannot start a process");
-  if (child == 0) RunChild(run, max_cpu_s, max_bytes, ends[1]);
+  if (pipe2(ends, O_CLOEXEC) < 0) Fail("cannot make a pipe");
+  const pid_t parent = getpid();
+  const pid_t pid = fork();
+  if (pid == 0) {
+    // With this end open here too, a write to a parent that is gone would wait for ever.
+    close(ends[0]);
+    RunChild(run, limits, parent, ends[1]);
+  }
   close(ends[1]);
-  const std::string answer = ReadAll(ends[0]);
-  close(ends[0]);
-  int status = 0;
-  while (waitpid(child, &status, 0) < 0)
-    if (errno != EINTR) fail("waitpid");
-  if (!WIFEXITED(status) || WEXITSTATUS(status) != EXIT_SUCCESS) return std::nullopt;
+  if (pid < 0) {
+    close(ends[0]);
+    Fail("cannot start a process");
+  }
+  Child child(pid, ends[0]);
+  const auto deadline = Clock::now() + std::chrono::seconds(limits.wall_s);
+  const std::string answer = ReadAll(child.output(), deadline);
+  // No answer: it is late, or ended before it had one.
+  if (answer.empty() || !child.Wait()) return std::nullopt;
   if (answer.front() == kInputError) throw InputError(answer.substr(1));
   return answer.substr(1);
 }

@@ -1,5 +1,7 @@
 #include "imu_pose_calib/ros/io/conversions.h"
 
+#include <tf2_eigen/tf2_eigen.h>
+
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -9,16 +11,24 @@ namespace {
 
 constexpr int64_t kNanosecondsPerSecond = 1'000'000'000;
 
-template <typename Msg>
-Msg ToXyz(const Eigen::Vector3d& v) {
-  Msg msg;
-  msg.x = v.x();
-  msg.y = v.y();
-  msg.z = v.z();
-  return msg;
+template <typename Value, typename Msg>
+Value FromMsg(const Msg& msg) {
+  Value value;
+  tf2::fromMsg(msg, value);
+  return value;
 }
 
-Eigen::Quaterniond FromMsg(const geometry_msgs::Quaternion& q) { return {q.w, q.x, q.y, q.z}; }
+/// A pose or a transform, by its two parts.
+template <typename Vector>
+PoseSample ToPoseSample(const ros::Time& stamp,
+                        const geometry_msgs::Quaternion& q,
+                        const Vector& p) {
+  return {ToNanoseconds(stamp), FromMsg<Eigen::Quaterniond>(q), FromMsg<Eigen::Vector3d>(p), {}};
+}
+
+ImuSample ToSample(const ros::Time& stamp, const geometry_msgs::Vector3& v) {
+  return {ToNanoseconds(stamp), FromMsg<Eigen::Vector3d>(v)};
+}
 
 }  // namespace
 
@@ -36,20 +46,14 @@ ros::Time FromNanoseconds(int64_t t_ns) {
           static_cast<uint32_t>(t_ns % kNanosecondsPerSecond)};
 }
 
-geometry_msgs::Point ToPointMsg(const Eigen::Vector3d& p) { return ToXyz<geometry_msgs::Point>(p); }
+geometry_msgs::Point ToPointMsg(const Eigen::Vector3d& p) { return tf2::toMsg(p); }
 
 geometry_msgs::Vector3 ToVector3Msg(const Eigen::Vector3d& v) {
-  return ToXyz<geometry_msgs::Vector3>(v);
+  geometry_msgs::Vector3 msg;
+  return tf2::toMsg(v, msg);
 }
 
-geometry_msgs::Quaternion ToQuaternionMsg(const Eigen::Quaterniond& q) {
-  geometry_msgs::Quaternion msg;
-  msg.x = q.x();
-  msg.y = q.y();
-  msg.z = q.z();
-  msg.w = q.w();
-  return msg;
-}
+geometry_msgs::Quaternion ToQuaternionMsg(const Eigen::Quaterniond& q) { return tf2::toMsg(q); }
 
 geometry_msgs::Transform ToTransformMsg(const Rigid3& T) {
   geometry_msgs::Transform msg;
@@ -59,8 +63,7 @@ geometry_msgs::Transform ToTransformMsg(const Rigid3& T) {
 }
 
 PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::Pose& pose) {
-  const auto& p = pose.position;
-  return {ToNanoseconds(stamp), FromMsg(pose.orientation), {p.x, p.y, p.z}, {}};
+  return ToPoseSample(stamp, pose.orientation, pose.position);
 }
 
 PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::PoseWithCovariance& pose) {
@@ -70,8 +73,7 @@ PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::PoseWithCov
 }
 
 PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::Transform& transform) {
-  const auto& p = transform.translation;
-  return {ToNanoseconds(stamp), FromMsg(transform.rotation), {p.x, p.y, p.z}, {}};
+  return ToPoseSample(stamp, transform.rotation, transform.translation);
 }
 
 FramedPose ToFramedPose(const geometry_msgs::PoseStamped& msg) {
@@ -102,17 +104,15 @@ bool IsGiven(const sensor_msgs::Imu::_angular_velocity_covariance_type& covarian
 }
 
 ImuSample ToImuSample(const geometry_msgs::Vector3Stamped& msg) {
-  return {ToNanoseconds(msg.header.stamp), {msg.vector.x, msg.vector.y, msg.vector.z}};
+  return ToSample(msg.header.stamp, msg.vector);
 }
 
 ImuSample ToGyroSample(const sensor_msgs::Imu& msg) {
-  const auto& w = msg.angular_velocity;
-  return {ToNanoseconds(msg.header.stamp), {w.x, w.y, w.z}};
+  return ToSample(msg.header.stamp, msg.angular_velocity);
 }
 
 ImuSample ToAccelSample(const sensor_msgs::Imu& msg) {
-  const auto& f = msg.linear_acceleration;
-  return {ToNanoseconds(msg.header.stamp), {f.x, f.y, f.z}};
+  return ToSample(msg.header.stamp, msg.linear_acceleration);
 }
 
 std::string FrameName(const std::string& frame, const std::string& fallback) {
@@ -127,7 +127,7 @@ geometry_msgs::TransformStamped ToTransformStamped(const Calibration& result,
   msg.header.stamp = stamp;
   msg.header.frame_id = info.marker_frame;
   msg.child_frame_id = info.imu_frame;
-  msg.transform = ToTransformMsg(result.T_MI);
+  msg.transform = ToTransformMsg(result.imus[0].T_MI);
   return msg;
 }
 
@@ -156,21 +156,21 @@ CalibrationResult ToMsg(const Calibration& result,
   msg.status_text = ToString(result.status);
   msg.method = ToString(result.method);
   msg.message = result.message;
-  msg.transform = ToTransformMsg(result.T_MI);
+  msg.transform = ToTransformMsg(result.imus[0].T_MI);
   // Symmetric: row-major and column-major are the same.
-  std::copy_n(result.covariance.data(), msg.covariance.size(), msg.covariance.begin());
-  msg.time_shift = result.time_shift;
-  msg.time_shift_std = result.time_shift_std;
-  msg.accel_delay = result.accel_delay;
-  msg.accel_delay_std = result.accel_delay_std;
-  msg.clock_drift = result.clock_drift;
-  msg.clock_drift_std = result.clock_drift_std;
-  msg.clock_reference = result.clock_reference;
+  std::copy_n(result.imus[0].covariance.data(), msg.covariance.size(), msg.covariance.begin());
+  msg.time_shift = result.sessions[0].imus[0].time_shift;
+  msg.time_shift_std = result.sessions[0].imus[0].time_shift_std;
+  msg.accel_delay = result.imus[0].accel_delay;
+  msg.accel_delay_std = result.imus[0].accel_delay_std;
+  msg.clock_drift = result.sessions[0].imus[0].clock_drift;
+  msg.clock_drift_std = result.sessions[0].imus[0].clock_drift_std;
+  msg.clock_reference = result.sessions[0].imus[0].clock_reference;
   msg.pose_smoothing = result.pose_smoothing;
   msg.pose_smoothing_std = result.pose_smoothing_std;
-  msg.gravity = ToVector3Msg(result.g_W);
-  msg.gyro_bias = ToVector3Msg(result.gyro_bias);
-  msg.accel_bias = ToVector3Msg(result.accel_bias);
+  msg.gravity = ToVector3Msg(result.sessions[0].g_W);
+  msg.gyro_bias = ToVector3Msg(result.sessions[0].imus[0].gyro_bias);
+  msg.accel_bias = ToVector3Msg(result.sessions[0].imus[0].accel_bias);
   msg.unobservable = result.unobservable;
   msg.warnings = result.warnings;
   return msg;

@@ -109,8 +109,8 @@ struct Serializer<Recording> {
   static void allInOne(Stream& stream, Value value) {
     stream.next(value.info);
     stream.next(value.data.poses);
-    stream.next(value.data.gyro);
-    stream.next(value.data.accel);
+    stream.next(value.data.imus[0].gyro);
+    stream.next(value.data.imus[0].accel);
   }
   ROS_DECLARE_ALLINONE_SERIALIZER
 };

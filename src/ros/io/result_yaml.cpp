@@ -1,6 +1,5 @@
 #include "imu_pose_calib/ros/io/result_yaml.h"
 
-#include <unistd.h>
 #include <yaml-cpp/yaml.h>
 
 #include <algorithm>
@@ -11,6 +10,7 @@
 #include <cstring>
 #include <ctime>
 #include <fstream>
+#include <random>
 
 #include "imu_pose_calib/ros/io/ros_options.h"
 
@@ -110,9 +110,9 @@ void EmitPerStream(const char* key,
                    T StreamReport::*member,
                    YAML::Emitter* out) {
   *out << YAML::Key << key << YAML::Value << YAML::Flow << YAML::BeginMap;
-  Emit("poses", result.poses.*member, out);
-  Emit("gyro", result.gyro.*member, out);
-  Emit("accel", result.accel.*member, out);
+  Emit("poses", result.sessions[0].poses.*member, out);
+  Emit("gyro", result.sessions[0].imus[0].gyro.*member, out);
+  Emit("accel", result.sessions[0].imus[0].accel.*member, out);
   *out << YAML::EndMap;
 }
 
@@ -120,35 +120,35 @@ void EmitEstimate(const Calibration& result, YAML::Emitter* out) {
   EmitMap(
       "transform",
       [&] {
-        EmitTransform(result.T_MI, out);
-        EmitList("translation_std", result.Std().head<3>(), out);
-        EmitList("rotation_std", result.Std().tail<3>(), out);
-        EmitMatrix("covariance", result.covariance, out);
+        EmitTransform(result.imus[0].T_MI, out);
+        EmitList("translation_std", result.imus[0].Std().head<3>(), out);
+        EmitList("rotation_std", result.imus[0].Std().tail<3>(), out);
+        EmitMatrix("covariance", result.imus[0].covariance, out);
       },
       out);
   EmitMap(
-      "inverse_transform", [&] { EmitTransform(result.T_MI.Inverse(), out); }, out);
-  Emit("time_shift", result.time_shift, out);
-  Emit("time_shift_std", result.time_shift_std, out);
-  Emit("accel_delay", result.accel_delay, out);
-  Emit("accel_delay_std", result.accel_delay_std, out);
-  Emit("clock_drift", result.clock_drift, out);
-  Emit("clock_drift_std", result.clock_drift_std, out);
-  Emit("clock_reference", result.clock_reference, out);
+      "inverse_transform", [&] { EmitTransform(result.imus[0].T_MI.Inverse(), out); }, out);
+  Emit("time_shift", result.sessions[0].imus[0].time_shift, out);
+  Emit("time_shift_std", result.sessions[0].imus[0].time_shift_std, out);
+  Emit("accel_delay", result.imus[0].accel_delay, out);
+  Emit("accel_delay_std", result.imus[0].accel_delay_std, out);
+  Emit("clock_drift", result.sessions[0].imus[0].clock_drift, out);
+  Emit("clock_drift_std", result.sessions[0].imus[0].clock_drift_std, out);
+  Emit("clock_reference", result.sessions[0].imus[0].clock_reference, out);
   Emit("pose_smoothing", result.pose_smoothing, out);
   Emit("pose_smoothing_std", result.pose_smoothing_std, out);
   EmitMap(
       "gravity",
       [&] {
-        EmitList("vector", result.g_W, out);
-        Emit("magnitude", result.g_W.norm(), out);
+        EmitList("vector", result.sessions[0].g_W, out);
+        Emit("magnitude", result.sessions[0].g_W.norm(), out);
       },
       out);
   EmitMap(
       "biases",
       [&] {
-        EmitList("gyro", result.gyro_bias, out);
-        EmitList("accel", result.accel_bias, out);
+        EmitList("gyro", result.sessions[0].imus[0].gyro_bias, out);
+        EmitList("accel", result.sessions[0].imus[0].accel_bias, out);
       },
       out);
 }
@@ -158,10 +158,10 @@ void EmitImu(const Calibration& result, YAML::Emitter* out) {
       "imu",
       [&] {
         Emit("model", ToString(result.imu_model), out);
-        EmitMatrix("gyro_matrix", result.gyro_matrix, out);
-        EmitMatrix("gyro_matrix_std", result.gyro_matrix_std, out);
-        EmitMatrix("accel_matrix", result.accel_matrix, out);
-        EmitMatrix("accel_matrix_std", result.accel_matrix_std, out);
+        EmitMatrix("gyro_matrix", result.imus[0].gyro_matrix, out);
+        EmitMatrix("gyro_matrix_std", result.imus[0].gyro_matrix_std, out);
+        EmitMatrix("accel_matrix", result.imus[0].accel_matrix, out);
+        EmitMatrix("accel_matrix_std", result.imus[0].accel_matrix_std, out);
       },
       out);
 }
@@ -183,19 +183,19 @@ void EmitQuality(const Calibration& result, YAML::Emitter* out) {
   EmitMap(
       "noise",
       [&] {
-        Emit("position_std", result.noise.position, out);
-        Emit("rotation_std", result.noise.rotation, out);
-        Emit("gyro_std", result.noise.gyro, out);
-        Emit("accel_std", result.noise.accel, out);
+        Emit("position_std", result.sessions[0].noise.position, out);
+        Emit("rotation_std", result.sessions[0].noise.rotation, out);
+        Emit("gyro_std", result.sessions[0].imus[0].noise.gyro, out);
+        Emit("accel_std", result.sessions[0].imus[0].noise.accel, out);
       },
       out);
   EmitMap(
       "quality",
       [&] {
-        Emit("gyro_rms", result.rms.gyro, out);
-        Emit("accel_rms", result.rms.accel, out);
-        Emit("position_rms", result.rms.position, out);
-        Emit("rotation_rms", result.rms.rotation, out);
+        Emit("gyro_rms", result.sessions[0].imus[0].rms.gyro, out);
+        Emit("accel_rms", result.sessions[0].imus[0].rms.accel, out);
+        Emit("position_rms", result.sessions[0].rms.position, out);
+        Emit("rotation_rms", result.sessions[0].rms.rotation, out);
         EmitObservability(result.observability, out);
         EmitMap(
             "split_half",
@@ -212,10 +212,10 @@ void EmitQuality(const Calibration& result, YAML::Emitter* out) {
   EmitMap(
       "trajectory",
       [&] {
-        Emit("position_lengthscale_s", result.position_lengthscale_s, out);
-        Emit("rotation_lengthscale_s", result.rotation_lengthscale_s, out);
-        Emit("knot_spacing_s", result.knot_spacing_s, out);
-        Emit("segments", result.segments, out);
+        Emit("position_lengthscale_s", result.sessions[0].position_lengthscale_s, out);
+        Emit("rotation_lengthscale_s", result.sessions[0].rotation_lengthscale_s, out);
+        Emit("knot_spacing_s", result.sessions[0].knot_spacing_s, out);
+        Emit("segments", result.sessions[0].segments, out);
       },
       out);
 }
@@ -238,19 +238,19 @@ void EmitData(const Calibration& result, const RecordingInfo& info, YAML::Emitte
         Emit("pose_topic", info.pose_topic, out);
         Emit("imu_yaml", info.imu_yaml, out);
         if (info.stated_pose_std) EmitStated(*info.stated_pose_std, out);
-        Emit("duration", result.poses.duration_s, out);
+        Emit("duration", result.sessions[0].poses.duration_s, out);
         EmitPerStream("counts", result, &StreamReport::used, out);
         EmitPerStream("rates", result, &StreamReport::rate_hz, out);
         EmitMap(
             "rejected",
             [&] {
-              EmitRejected("poses", result.poses, out);
-              EmitRejected("gyro", result.gyro, out);
-              EmitRejected("accel", result.accel, out);
+              EmitRejected("poses", result.sessions[0].poses, out);
+              EmitRejected("gyro", result.sessions[0].imus[0].gyro, out);
+              EmitRejected("accel", result.sessions[0].imus[0].accel, out);
             },
             out);
-        Emit("gaps", result.gaps, out);
-        Emit("jumps", result.jumps, out);
+        Emit("gaps", result.sessions[0].gaps, out);
+        Emit("jumps", result.sessions[0].jumps, out);
       },
       out);
 }
@@ -308,17 +308,19 @@ std::string ToYaml(const Calibration& result,
 }
 
 void WriteFile(const std::string& path, const std::string& text) {
-  const std::string draft = path + ".tmp" + std::to_string(getpid());
-  std::ofstream file(draft);
-  file << text;
-  file.close();
-  if (!file) {
-    const int reason = errno;
-    std::remove(draft.c_str());
-    errno = reason;
-    FailToWrite(path);
-  }
-  if (std::rename(draft.c_str(), path.c_str()) != 0) {
+  // A name that nobody can foresee, and "x": only a new file will do, not a link that somebody has
+  // laid to another. Unlike one of mkstemp(), it has the permissions that the umask leaves it.
+  std::random_device random;
+  std::string draft;
+  std::FILE* file = nullptr;
+  do {
+    draft = path + ".tmp" + std::to_string(random());
+    file = std::fopen(draft.c_str(), "wx");
+  } while (!file && errno == EEXIST);
+  if (!file) FailToWrite(path);
+  const bool is_whole = std::fwrite(text.data(), 1, text.size(), file) == text.size();
+  const bool is_closed = std::fclose(file) == 0;
+  if (!is_whole || !is_closed || std::rename(draft.c_str(), path.c_str()) != 0) {
     const int reason = errno;
     std::remove(draft.c_str());
     errno = reason;

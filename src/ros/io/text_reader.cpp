@@ -101,13 +101,13 @@ void Cut(const TextRequest& request, const Span& whole, std::vector<Sample>* sam
                  samples->end());
 }
 
-void Cut(const TextRequest& request, CalibrationData* data) {
+void Cut(const TextRequest& request, SessionData* data) {
   Span poses = FindSpan(data->poses);
-  Span imu = Union(FindSpan(data->gyro), FindSpan(data->accel));
+  Span imu = Union(FindSpan(data->imus[0].gyro), FindSpan(data->imus[0].accel));
   if (Overlap(poses, imu)) poses = imu = Union(poses, imu);
   Cut(request, poses, &data->poses);
-  Cut(request, imu, &data->gyro);
-  Cut(request, imu, &data->accel);
+  Cut(request, imu, &data->imus[0].gyro);
+  Cut(request, imu, &data->imus[0].accel);
 }
 
 }  // namespace
@@ -141,17 +141,17 @@ Recording ReadText(const TextRequest& request) {
   recording.info.marker_frame = "marker";
   recording.info.imu_frame = "imu";
 
-  CalibrationData& data = recording.data;
+  SessionData& data = recording.data;
   std::ifstream poses = Open(files.poses);
   data.poses = ReadPoseTable(poses, files.poses);
   if (!files.imu.empty()) {
     std::ifstream imu = Open(files.imu);
-    ReadImuTable(imu, files.imu, &data);
+    ReadImuTable(imu, files.imu, &data.imus[0]);
   } else {
     std::ifstream gyro = Open(files.gyro);
-    data.gyro = ReadGyroTable(gyro, files.gyro);
+    data.imus[0].gyro = ReadGyroTable(gyro, files.gyro);
     std::ifstream accel = Open(files.accel);
-    data.accel = ReadAccelTable(accel, files.accel);
+    data.imus[0].accel = ReadAccelTable(accel, files.accel);
   }
   Cut(request, &data);
   return recording;

@@ -8,6 +8,7 @@
 #include <limits>
 
 #include "imu_pose_calib/ros/io/conversions.h"
+#include "imu_pose_calib/ros/io/printable.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -175,7 +176,7 @@ void TfChain::Check() const {
                      "frames that move, tf has: " + Links());
   for (const std::string& frame : *chain)
     if (links_.at(frame).last.isZero())
-      throw InputError("'" + frame + "', which is between " + pair +
+      throw InputError("'" + Printable(frame) + "', which is between " + pair +
                        ", has no usable transform: stamp 0, not finite, or a quaternion that is "
                        "not of unit length");
   if (std::none_of(chain->begin(), chain->end(), [&](const std::string& frame) {
@@ -187,8 +188,8 @@ void TfChain::Check() const {
 std::string TfChain::Links() const {
   std::string text;
   for (const auto& [child, link] : links_)
-    text +=
-        (text.empty() ? "" : ", ") + link.parent + " -> " + child + (link.fixed ? " (fixed)" : "");
+    text += (text.empty() ? "" : ", ") + Printable(link.parent) + " -> " + Printable(child) +
+            (link.fixed ? " (fixed)" : "");
   return text.empty() ? "nothing" : text;
 }
 

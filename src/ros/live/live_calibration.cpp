@@ -62,9 +62,9 @@ double Score(const LiveOptions& options, const Calibration& result) {
 
 /// Within two targets of each other.
 bool Agree(const LiveOptions& options, const Calibration& a, const Calibration& b) {
-  return a.T_MI.q.angularDistance(b.T_MI.q) <= 2.0 * options.target_rotation_std &&
-         (a.T_MI.p - b.T_MI.p).norm() <= 2.0 * options.target_translation_std &&
-         std::abs(a.time_shift - b.time_shift) <= 2.0 * options.target_time_shift_std;
+  return a.imus[0].T_MI.q.angularDistance(b.imus[0].T_MI.q) <= 2.0 * options.target_rotation_std &&
+         (a.imus[0].T_MI.p - b.imus[0].T_MI.p).norm() <= 2.0 * options.target_translation_std &&
+         std::abs(a.sessions[0].imus[0].time_shift - b.sessions[0].imus[0].time_shift) <= 2.0 * options.target_time_shift_std;
 }
 
 std::string Sigmas(const Calibration& result) {
@@ -125,8 +125,8 @@ const char* ToString(Phase phase) {
 }
 
 LargestStd MaxStd(const Calibration& result) {
-  const Vector6d std_dev = result.Std();
-  return {std_dev.tail<3>().maxCoeff(), std_dev.head<3>().maxCoeff(), result.time_shift_std};
+  const Vector6d std_dev = result.imus[0].Std();
+  return {std_dev.tail<3>().maxCoeff(), std_dev.head<3>().maxCoeff(), result.sessions[0].imus[0].time_shift_std};
 }
 
 template <typename Sample>
@@ -257,12 +257,12 @@ bool LiveCalibration::WantsSolve() const {
   return fresh >= (IsConverged() ? 0.5 * options_.window : options_.solve_interval);
 }
 
-CalibrationData LiveCalibration::BeginSolve() {
+SessionData LiveCalibration::BeginSolve() {
   is_solving_ = true;
   is_stale_ = false;
   solved_until_ns_ = poses_.samples.empty() ? 0 : poses_.samples.back().t_ns;
   const auto copy = [](const auto& samples) { return std::vector(samples.begin(), samples.end()); };
-  return {copy(poses_.samples), copy(gyro_.samples), copy(accel_.samples)};
+  return {copy(poses_.samples), {{copy(gyro_.samples), copy(accel_.samples)}}};
 }
 
 bool LiveCalibration::EndSolve(const Calibration& result) {

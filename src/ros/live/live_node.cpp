@@ -1,3 +1,4 @@
+#include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/ros/live/live_node.h"
 
 #include <ros/callback_queue.h>
@@ -86,7 +87,7 @@ LiveNode::LiveNode(const ros::NodeHandle& node)
       solver_(
           &mutex_,
           &live_,
-          [this](const CalibrationData& data) { return Calibrate(settings_.calibration, data); },
+          [this](const SessionData& data) { return Calibrate(settings_.calibration, data); },
           [this] { output_.PublishResult(input_.Info(), input_.OtherParent()); }) {
   timer_ = node_.createWallTimer(ros::WallDuration(kTickPeriod),
                                  [this](const ros::WallTimerEvent&) { Tick(); });

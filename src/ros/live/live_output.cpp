@@ -133,13 +133,13 @@ void LiveOutput::PublishPath(const LiveView& view) {
   path.header.stamp = view.stamp;
   path.header.frame_id = view.info.world_frame;
   for (const PoseSample& pose : live_->path())
-    path.poses.push_back(ToImuPose(pose, live_->result()->T_MI, view.info.world_frame));
+    path.poses.push_back(ToImuPose(pose, live_->result()->imus[0].T_MI, view.info.world_frame));
   path_publisher_.publish(path);
 }
 
 void LiveOutput::PublishPose(const PoseSample& pose, const RecordingInfo& info) {
   if (!live_->result() || pose_publisher_.getNumSubscribers() == 0) return;
-  pose_publisher_.publish(ToImuPose(pose, live_->result()->T_MI, info.world_frame));
+  pose_publisher_.publish(ToImuPose(pose, live_->result()->imus[0].T_MI, info.world_frame));
 }
 
 void LiveOutput::PublishResult(const RecordingInfo& info, const std::string& other_parent) {

@@ -55,7 +55,7 @@ void LiveSolver::Run() {
   while (true) {
     changed_.wait(lock, [&] { return is_solving_ || is_ending_; });
     if (is_ending_) return;
-    const CalibrationData data = std::exchange(data_, {});
+    const SessionData data = std::exchange(data_, {});
     std::optional<Calibration> result;
     std::string error;
     lock.unlock();

@@ -110,8 +110,6 @@ class Drawing {
   MarkerArray array_;
 };
 
-Rigid3 operator*(const Rigid3& a, const Rigid3& b) { return {a.q * b.q, a.p + a.q * b.p}; }
-
 Rigid3 ToRigid3(const PoseSample& pose) { return {pose.q_WM.normalized(), pose.p_WM}; }
 
 void DrawPath(const std::string& name,
@@ -132,13 +130,13 @@ void DrawPath(const std::string& name,
 /// The lever arm and the ellipsoid of its sigma, which lies along the marker axes.
 void DrawLeverArm(const Scene& scene, const Rigid3& T_WM, Drawing* drawing) {
   const Calibration& result = *scene.result;
-  const Rigid3 T_WI = T_WM * result.T_MI;
+  const Rigid3 T_WI = T_WM * result.imus[0].T_MI;
   Marker* arm = drawing->Add("lever arm", Marker::LINE_LIST, kImu);
   arm->scale.x = 0.006;
   arm->points = {ToPointMsg(T_WM.p), ToPointMsg(T_WI.p)};
 
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(
-      result.covariance.topLeftCorner<3, 3>());
+      result.imus[0].covariance.topLeftCorner<3, 3>());
   Eigen::Matrix3d axes = eigen.eigenvectors();
   if (axes.determinant() < 0.0) axes.col(0) *= -1.0;
   const Eigen::Vector3d size = 2.0 * kSigmaScale * eigen.eigenvalues().cwiseMax(0.0).cwiseSqrt();
@@ -231,10 +229,10 @@ void DrawPanel(const Scene& scene, const Eigen::Vector3d& middle, Drawing* drawi
   std::snprintf(text,
                 sizeof(text),
                 "p = [%.1f, %.1f, %.1f] mm\ntime shift = %.4f s\nellipsoid: sigma x %.0f",
-                1e3 * result.T_MI.p.x(),
-                1e3 * result.T_MI.p.y(),
-                1e3 * result.T_MI.p.z(),
-                result.time_shift,
+                1e3 * result.imus[0].T_MI.p.x(),
+                1e3 * result.imus[0].T_MI.p.y(),
+                1e3 * result.imus[0].T_MI.p.z(),
+                result.sessions[0].imus[0].time_shift,
                 kSigmaScale);
   drawing->Label(
       "verdict", middle + Eigen::Vector3d(1.4 * kBarLength, 0.0, -2.5 * kLine), 0.06, text, kImu);
@@ -252,11 +250,11 @@ MarkerArray Draw(const Scene& scene, const ros::Time& stamp) {
   drawing.Frame("marker", T_WM, 0.2);
   DrawPath("marker path", scene, Rigid3(), kMarker, &drawing);
   if (!scene.result) return drawing.Take();
-  drawing.Frame("imu", T_WM * scene.result->T_MI, 0.12);
-  DrawPath("imu path", scene, scene.result->T_MI, kImu, &drawing);
+  drawing.Frame("imu", T_WM * scene.result->imus[0].T_MI, 0.12);
+  DrawPath("imu path", scene, scene.result->imus[0].T_MI, kImu, &drawing);
   DrawLeverArm(scene, T_WM, &drawing);
   const Eigen::Vector3d top = T_WM.p + Eigen::Vector3d(-0.3, 0.0, 0.0);
-  drawing.Arrow("gravity", top, top + 0.03 * scene.result->g_W, 0.012, kWhite);
+  drawing.Arrow("gravity", top, top + 0.03 * scene.result->sessions[0].g_W, 0.012, kWhite);
   drawing.Label("gravity", top, 0.04, "gravity");
   return drawing.Take();
 }

@@ -7,8 +7,11 @@
 #include <sstream>
 #include <system_error>
 
+#include "imu_pose_calib/core/calibrator.h"
+#include "imu_pose_calib/core/preparation.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/imu_yaml.h"
+#include "imu_pose_calib/ros/io/printable.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
 
@@ -64,12 +67,18 @@ CalibrationOptions Options(const OfflineRequest& request) {
 /// Throws InputError when the output would replace what is read.
 void CheckOutput(const std::string& output, const OfflineRequest& request) {
   const TextRequest& text = request.text;
-  std::vector<std::string> inputs = request.bag.paths;
-  inputs.insert(inputs.end(), {text.poses, text.imu, text.gyro, text.accel});
+  std::vector<Given> inputs = {{"poses", text.poses},
+                               {"imu", text.imu},
+                               {"gyro", text.gyro},
+                               {"accel", text.accel},
+                               {"config", request.config},
+                               {"imu_yaml", request.imu_yaml}};
+  for (const std::string& path : request.bag.paths) inputs.push_back({"bag", path});
   std::error_code ignored;
-  for (const std::string& input : inputs)
-    if (std::filesystem::equivalent(output, input, ignored))
-      throw InputError("output '" + output + "' is the recording itself; choose another");
+  for (const Given& input : inputs)
+    if (std::filesystem::equivalent(output, input.value, ignored))
+      throw InputError("output '" + output + "' would replace the " + input.name + " '" +
+                       input.value + "'; choose another");
 }
 
 Recording ReadBags(const OfflineRequest& request) {
@@ -111,9 +120,10 @@ OfflineResult CalibrateOffline(const OfflineRequest& given) {
   CheckGiven(given);
   OfflineResult offline;
   offline.output = OutputPath(given);
+  CheckOutput(offline.output, given);  // an old result may be given as the config
   RemoveOldResult(offline.output);
   const OfflineRequest request = IsText(given) ? FindText(given) : given;
-  CheckOutput(offline.output, request);
+  CheckOutput(offline.output, request);  // now with the files that were found
 
   const CalibrationOptions options = Options(request);
   const Recording recording = ReadRecording(request);
@@ -151,7 +161,7 @@ OfflineCheck CheckOffline(const OfflineRequest& given) {
 std::string OneLine(const std::exception& error) {
   std::string text = error.what();
   std::replace(text.begin(), text.end(), '\n', ' ');
-  return text;
+  return Printable(text);
 }
 
 }  // namespace imu_pose_calib

@@ -6,6 +6,8 @@
 #include <cstdio>
 #include <sstream>
 
+#include "imu_pose_calib/ros/io/printable.h"
+
 namespace imu_pose_calib {
 namespace {
 
@@ -90,16 +92,16 @@ std::string Stated(const char* indent, const PoseStd& stated) {
 std::string Data(const Calibration& result, const RecordingInfo& info) {
   const bool is_split = info.imu_topic.empty();
   std::string text = "\nData\n";
-  text += Stream("  poses  ", info.pose_topic, result.poses);
+  text += Stream("  poses  ", info.pose_topic, result.sessions[0].poses);
   if (info.stated_pose_std) text += Stated("         ", *info.stated_pose_std);
-  text += Stream("  gyro   ", is_split ? info.gyro_topic : info.imu_topic, result.gyro);
-  text += Stream("  accel  ", is_split ? info.accel_topic : info.imu_topic, result.accel);
+  text += Stream("  gyro   ", is_split ? info.gyro_topic : info.imu_topic, result.sessions[0].imus[0].gyro);
+  text += Stream("  accel  ", is_split ? info.accel_topic : info.imu_topic, result.sessions[0].imus[0].accel);
   if (!info.imu_yaml.empty()) text += Wrap("  noise  ", info.imu_yaml);
-  if (result.gaps + result.jumps > 0)
+  if (result.sessions[0].gaps + result.sessions[0].jumps > 0)
     text += Format("  %zu gaps and %zu jumps in the poses leave %zu segments\n",
-                   result.gaps,
-                   result.jumps,
-                   result.segments);
+                   result.sessions[0].gaps,
+                   result.sessions[0].jumps,
+                   result.sessions[0].segments);
   return text;
 }
 
@@ -147,34 +149,34 @@ std::string Row(const std::string& name,
 
 /// What a person wants to know first.
 std::string Table(const Calibration& result) {
-  const Vector6d sigma = result.Std();
+  const Vector6d sigma = result.imus[0].Std();
   std::string text = "\n" + Row("imu in marker", "value", "sigma", "verdict");
   text += Row("translation [mm]",
-              List(1e3 * result.T_MI.p, "%.3f"),
+              List(1e3 * result.imus[0].T_MI.p, "%.3f"),
               List(1e3 * sigma.head<3>(), "%.3f"),
               RowVerdict(result, "p_MI"));
   text += Row("rpy [deg]",
-              List(RollPitchYaw(result.T_MI.q), "%.3f"),
+              List(RollPitchYaw(result.imus[0].T_MI.q), "%.3f"),
               List(kDegrees * sigma.tail<3>(), "%.4f"),
               RowVerdict(result, "R_MI"));
   text += Row("time shift",
-              Format("%.7f s", result.time_shift),
-              Format("%.4f ms", 1e3 * result.time_shift_std),
+              Format("%.7f s", result.sessions[0].imus[0].time_shift),
+              Format("%.4f ms", 1e3 * result.sessions[0].imus[0].time_shift_std),
               RowVerdict(result, "time_shift"));
   text += Row("accel delay",
-              Format("%.4f ms", 1e3 * result.accel_delay),
-              Format("%.4f ms", 1e3 * result.accel_delay_std),
+              Format("%.4f ms", 1e3 * result.imus[0].accel_delay),
+              Format("%.4f ms", 1e3 * result.imus[0].accel_delay_std),
               RowVerdict(result, "accel_delay"));
-  if (result.clock_drift_std > 0.0)
+  if (result.sessions[0].imus[0].clock_drift_std > 0.0)
     text += Row("clock drift",
-                Format("%.2f ppm", 1e6 * result.clock_drift),
-                Format("%.2f ppm", 1e6 * result.clock_drift_std),
+                Format("%.2f ppm", 1e6 * result.sessions[0].imus[0].clock_drift),
+                Format("%.2f ppm", 1e6 * result.sessions[0].imus[0].clock_drift_std),
                 "ok");
   return text;
 }
 
 std::string Transform(const Calibration& result) {
-  const Rigid3& T = result.T_MI;
+  const Rigid3& T = result.imus[0].T_MI;
   const Rigid3 inverse = T.Inverse();
   std::string text = "\nT_marker_imu, the imu seen from the marker: x_marker = R x_imu + p\n";
   text += "  p = " + Vector(1e3 * T.p, "%.3f") + " mm\n";
@@ -190,9 +192,9 @@ std::string Clocks(const Calibration& result) {
   std::string text =
       "Clocks: t_pose = t_imu + time_shift      (inverse: t_imu = t_pose - time_shift)\n";
   text += "        t_pose = t_accel + time_shift - accel_delay\n";
-  if (result.clock_drift_std > 0.0)
+  if (result.sessions[0].imus[0].clock_drift_std > 0.0)
     text += Format("        time_shift holds at t_imu = %.3f s and grows by clock drift\n",
-                   result.clock_reference);
+                   result.sessions[0].imus[0].clock_reference);
   const double smoothing = result.pose_smoothing;
   if (std::abs(smoothing) > kCertain * result.pose_smoothing_std) {
     const double root = std::sqrt(std::abs(smoothing));
@@ -215,13 +217,13 @@ std::string Matrix(const char* name, const Eigen::Matrix3d& M, const Eigen::Matr
 
 std::string Imu(const Calibration& result) {
   std::string text = "\nGravity and mean biases\n";
-  text += "  gravity    = " + Vector(result.g_W, "%.5f") + " m/s^2 in the world frame\n";
-  text += "  gyro bias  = " + Vector(result.gyro_bias, "%.6f") + " rad/s in the imu frame\n";
-  text += "  accel bias = " + Vector(result.accel_bias, "%.5f") + " m/s^2 in the imu frame\n";
+  text += "  gravity    = " + Vector(result.sessions[0].g_W, "%.5f") + " m/s^2 in the world frame\n";
+  text += "  gyro bias  = " + Vector(result.sessions[0].imus[0].gyro_bias, "%.6f") + " rad/s in the imu frame\n";
+  text += "  accel bias = " + Vector(result.sessions[0].imus[0].accel_bias, "%.5f") + " m/s^2 in the imu frame\n";
   if (result.imu_model == ImuModel::kCalibrated) return text;
   text += "\nScale and misalignment: measured = M true + bias\n";
-  text += Matrix("gyro M =", result.gyro_matrix, result.gyro_matrix_std);
-  text += Matrix("accel M =", result.accel_matrix, result.accel_matrix_std);
+  text += Matrix("gyro M =", result.imus[0].gyro_matrix, result.imus[0].gyro_matrix_std);
+  text += Matrix("accel M =", result.imus[0].accel_matrix, result.imus[0].accel_matrix_std);
   return text;
 }
 
@@ -230,10 +232,10 @@ std::string Residuals(const Calibration& result) {
     return Format("  %-9s rms %.3g %s, noise %.3g %s\n", name, rms, unit, noise, unit);
   };
   return "\nResiduals per axis, and the noise estimated from them\n" +
-         row("gyro", result.rms.gyro, result.noise.gyro, "rad/s") +
-         row("accel", result.rms.accel, result.noise.accel, "m/s^2") +
-         row("position", 1e3 * result.rms.position, 1e3 * result.noise.position, "mm") +
-         row("rotation", kDegrees * result.rms.rotation, kDegrees * result.noise.rotation, "deg") +
+         row("gyro", result.sessions[0].imus[0].rms.gyro, result.sessions[0].imus[0].noise.gyro, "rad/s") +
+         row("accel", result.sessions[0].imus[0].rms.accel, result.sessions[0].imus[0].noise.accel, "m/s^2") +
+         row("position", 1e3 * result.sessions[0].rms.position, 1e3 * result.sessions[0].noise.position, "mm") +
+         row("rotation", kDegrees * result.sessions[0].rms.rotation, kDegrees * result.sessions[0].noise.rotation, "deg") +
          Format("  the halves of the recording differ by up to %.1f sigma\n",
                 result.split_half.sigmas);
 }
@@ -247,7 +249,7 @@ std::string Warnings(const Calibration& result) {
 }
 
 std::string StaticTransform(const Calibration& result, const RecordingInfo& info) {
-  const Rigid3& T = result.T_MI;
+  const Rigid3& T = result.imus[0].T_MI;
   return "\nrosrun tf2_ros static_transform_publisher \\\n" +
          Format("  %.6f %.6f %.6f %.8f %.8f %.8f %.8f \\\n",
                 T.p.x(),
@@ -317,49 +319,64 @@ std::string Streams(const DataCheck& check, const RecordingInfo& info) {
   text += "                                                %        %";
   text += has_latency ? "   (record - header)\n" : "\n";
   text += Row("poses", check.poses, info.pose_latency) +
-          Row("gyro", check.gyro, info.gyro_latency) +
-          Row("accel", check.accel, info.accel_latency);
+          Row("gyro", check.imus[0].gyro, info.gyro_latency) +
+          Row("accel", check.imus[0].accel, info.accel_latency);
   text += Wrap(info.bag.empty() ? "  files: " : "  topics: ",
                info.pose_topic + ", " +
                    (is_split ? info.gyro_topic + ", " + info.accel_topic : info.imu_topic));
   if (info.stated_pose_std) text += Stated("  poses: ", *info.stated_pose_std);
   text += Remarks("  poses: ", check.poses, check.poses_report) +
-          Remarks("  gyro: ", check.gyro, check.gyro_report) +
-          Remarks("  accel: ", check.accel, check.accel_report);
+          Remarks("  gyro: ", check.imus[0].gyro, check.imus[0].gyro_report) +
+          Remarks("  accel: ", check.imus[0].accel, check.imus[0].accel_report);
   if (check.gaps + check.jumps > 0)
     text += Format("  gaps in the poses: %zu, jumps: %zu\n", check.gaps, check.jumps);
   return text;
 }
 
 std::string Match(const DataCheck& check) {
-  if (!check.is_matched) return "";
-  return Format("  time shift   about %.4f s", check.time_shift) +
-         (std::abs(check.time_shift) < 600.0 ? "" : " (" + Time(check.time_shift) + ")") +
-         Format("; %.1f s in common\n", check.overlap_s) +
-         Format("  clock drift  %.1f +- %.1f ppm\n", check.drift_ppm, check.drift_ppm_std) +
+  if (!check.imus[0].is_matched) return "";
+  return Format("  time shift   about %.4f s", check.imus[0].time_shift) +
+         (std::abs(check.imus[0].time_shift) < 600.0 ? "" : " (" + Time(check.imus[0].time_shift) + ")") +
+         Format("; %.1f s in common\n", check.imus[0].overlap_s) +
+         Format("  clock drift  %.1f +- %.1f ppm\n", check.imus[0].drift_ppm, check.imus[0].drift_ppm_std) +
          Format("  same motion  the poses explain %.1f %% of the gyroscope's variance\n",
-                100.0 * check.explained);
+                100.0 * check.imus[0].explained);
 }
 
 std::string Excitation(const DataCheck& check) {
   return "  turns        " + Vector(check.turns_M, "%.2f") + " rad/s rms about marker x, y, z\n" +
          "  moves        " + Vector(check.moves_W, "%.2f") + " m/s^2 rms along world x, y, z\n" +
-         (check.rest_s > 0.0 ? Format("  at rest      %.1f s; the accelerometer shows %.2f m/s^2\n",
-                                      check.rest_s,
-                                      check.rest_norm)
+         (check.imus[0].rest_s > 0.0 ? Format("  at rest      %.1f s; the accelerometer shows %.2f m/s^2\n",
+                                      check.imus[0].rest_s,
+                                      check.imus[0].rest_norm)
                              : "  at rest      never, so the accelerometer's norm is unchecked\n");
+}
+
+/// The names as they can be shown.
+RecordingInfo WithPrintableNames(RecordingInfo info) {
+  for (std::string* name : {&info.imu_topic,
+                            &info.gyro_topic,
+                            &info.accel_topic,
+                            &info.pose_topic,
+                            &info.marker_frame,
+                            &info.imu_frame,
+                            &info.imu_yaml})
+    *name = Printable(*name);
+  return info;
 }
 
 }  // namespace
 
-std::string Summary(const DataCheck& check, const RecordingInfo& info) {
+std::string Summary(const DataCheck& check, const RecordingInfo& recording) {
+  const RecordingInfo info = WithPrintableNames(recording);
   std::string text = Verdict(check) + Streams(check, info) + "\n" + Match(check);
   if (!check.turns_M.isZero(0.0)) text += Excitation(check);
   for (const std::string& warning : check.warnings) text += Wrap("  warning: ", warning);
   return text;
 }
 
-std::string Summary(const Calibration& result, const RecordingInfo& info) {
+std::string Summary(const Calibration& result, const RecordingInfo& recording) {
+  const RecordingInfo info = WithPrintableNames(recording);
   if (!result.IsUsable()) return Verdict(result) + Data(result, info) + Warnings(result);
   return Verdict(result) + Table(result) + Warnings(result) + Data(result, info) +
          Transform(result) + Clocks(result) + Imu(result) + Residuals(result) +

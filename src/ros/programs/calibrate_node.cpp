@@ -6,11 +6,13 @@
 
 #include <csignal>
 #include <iostream>
+#include <optional>
+#include <string>
+#include <vector>
 
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/live/live_node.h"
-#include "imu_pose_calib/ros/live/parameters.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
 #include "imu_pose_calib/ros/offline/offline.h"
 #include "imu_pose_calib/ros/offline/summary.h"
@@ -18,12 +20,44 @@
 namespace imu_pose_calib {
 namespace {
 
-OfflineRequest ReadRequest(const ros::NodeHandle& node) {
-  const auto text = [&](const char* name) {
-    return Param<std::string>(node, name, "", "a string");
-  };
-  const auto number = [&](const char* name) { return Param<double>(node, name, 0.0, "a number"); };
+/// Parameter `name`, or `fallback` when it is not set. InputError when its type is wrong. Needs no
+/// NodeHandle, which would start the threads of ROS.
+template <typename T>
+T Param(const std::string& name, const T& fallback, const char* type) {
+  T value = fallback;
+  if (ros::param::has(name) && !ros::param::get(name, value))
+    throw InputError("parameter " + ros::names::resolve(name) + " must be " + type);
+  return value;
+}
+
+/// The private parameters that a command line sets, "~bag" for "_bag:=FILE". ros::init() takes them
+/// out.
+std::vector<std::string> ParametersOf(int argc, char** argv) {
+  std::vector<std::string> names;
+  for (int k = 1; k < argc; ++k) {
+    const std::string argument = argv[k];
+    const size_t end = argument.find(":=");
+    if (end != std::string::npos && argument[0] == '_' && argument[1] != '_')
+      names.push_back("~" + argument.substr(1, end - 1));
+  }
+  return names;
+}
+
+struct OfflineJob {
   OfflineRequest request;
+  bool exit;
+};
+
+OfflineJob ReadJob() {
+  const auto text = [](const char* name) {
+    return Param<std::string>(std::string("~") + name, "", "a string");
+  };
+  const auto number = [](const char* name) {
+    return Param<double>(std::string("~") + name, 0.0, "a number");
+  };
+  OfflineJob job;
+  job.exit = Param<bool>("~exit", false, "true or false");
+  OfflineRequest& request = job.request;
   request.bag.paths = SplitBags(text("bag"));
   request.bag.imu_topic = text("imu_topic");
   request.bag.pose_topic = text("pose_topic");
@@ -33,7 +67,7 @@ OfflineRequest ReadRequest(const ros::NodeHandle& node) {
   request.bag.tf_child = text("tf_child");
   request.bag.start_s = number("start");
   request.bag.duration_s = number("duration");
-  request.bag.record_time = Param<bool>(node, "record_time", false, "true or false");
+  request.bag.record_time = Param<bool>("~record_time", false, "true or false");
   request.text.poses = text("poses");
   request.text.imu = text("imu");
   request.text.gyro = text("gyro");
@@ -44,7 +78,25 @@ OfflineRequest ReadRequest(const ros::NodeHandle& node) {
   request.output = text("output");
   request.marker_frame = text("marker_frame");
   request.imu_frame = text("imu_frame");
-  return request;
+  return job;
+}
+
+/// Reads the job and deletes those of its parameters that are from the command line: ros::init()
+/// has put them on the parameter server, which keeps them, and the next run would calibrate the
+/// same bag again. Parameters that somebody else has set stay: roslaunch sets them once, also for
+/// the runs after a respawn, and clears those of an earlier launch (clear_params).
+OfflineJob TakeJob(const std::vector<std::string>& given) {
+  const auto forget = [&given] {
+    for (const std::string& name : given) ros::param::del(name);
+  };
+  try {
+    const OfflineJob job = ReadJob();
+    forget();
+    return job;
+  } catch (const InputError&) {
+    forget();
+    throw;
+  }
 }
 
 /// Publishes the result and the static transform until the node is shut down.
@@ -57,23 +109,23 @@ void Offer(const OfflineResult& offline, ros::NodeHandle* node) {
   ros::spin();
 }
 
-void RunOffline(ros::NodeHandle* node) {
-  const bool exit = Param<bool>(*node, "exit", false, "true or false");
-  // Nobody listens to ROS during the solve: until its end, an interrupt ends the process at once.
-  const auto handler = std::signal(SIGINT, SIG_DFL);
-  const OfflineResult offline = CalibrateOffline(ReadRequest(*node));
-  std::signal(SIGINT, handler);
+/// The node joins the graph, with its first handle, when there is something to offer. Until then
+/// the process has no threads of ROS, which could hold a lock while ReadBag() forks, and an
+/// interrupt ends it at once.
+void RunOffline(const OfflineJob& job, std::optional<ros::NodeHandle>* node) {
+  std::signal(SIGINT, SIG_DFL);  // as later in the graph, also when a shell has it ignored
+  const OfflineResult offline = CalibrateOffline(job.request);
   std::cout << Summary(offline.result, offline.info) << std::flush;
   WriteResult(offline);
   ROS_INFO("Written to %s", offline.output.c_str());
-  if (!exit) Offer(offline, node);
+  if (!job.exit) Offer(offline, &node->emplace("~"));
 }
 
-void Run(ros::NodeHandle* node) {
-  if (node->hasParam("bag") || node->hasParam("poses")) {
-    RunOffline(node);
+void Run(const std::vector<std::string>& given, std::optional<ros::NodeHandle>* node) {
+  if (ros::param::has("~bag") || ros::param::has("~poses")) {
+    RunOffline(TakeJob(given), node);
   } else {
-    RunLive(*node);
+    RunLive(node->emplace("~"));
   }
 }
 
@@ -81,10 +133,11 @@ void Run(ros::NodeHandle* node) {
 }  // namespace imu_pose_calib
 
 int main(int argc, char** argv) {
+  const std::vector<std::string> given = imu_pose_calib::ParametersOf(argc, argv);
   ros::init(argc, argv, "imu_pose_calib");
-  // Outlives the error message: without any handle the console is shut down.
-  ros::NodeHandle node("~");
+  // Outlives the error message: when the last handle goes, the console is shut down.
+  std::optional<ros::NodeHandle> node;
   return imu_pose_calib::RunToExitStatus(
-      [&] { imu_pose_calib::Run(&node); },
+      [&] { imu_pose_calib::Run(given, &node); },
       [](const std::string& error) { ROS_FATAL("%s", error.c_str()); });
 }

@@ -141,7 +141,7 @@ void Run(int argc, char** argv) {
   if (line.help) return PrintHelp();
   const std::string prefix = Prefix(line);
   const SimulatorOptions simulator = Simulator(line);
-  const CalibrationData data = Simulate(simulator);
+  const SessionData data = Simulate(simulator);
   if (line.format_name == "bag") WriteBag(line.output, data, line.format);
   if (line.format_name == "asl") WriteAslFolder(prefix, data);
   if (line.format_name == "text") WriteTables(prefix, data, line.format.split_imu);

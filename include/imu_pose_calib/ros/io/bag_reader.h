@@ -31,10 +31,11 @@ struct BagRequest {
 /// Time is the header stamp, at full precision. World frame: header.frame_id of the poses; marker
 /// frame: child_frame_id, else "marker"; imu frame: header.frame_id of the IMU, else "imu".
 ///
-/// Bags are read in a child process: damage that crashes rosbag or lets it hang ends there.
+/// Bags are read in a child process: damage that crashes rosbag or lets it hang ends there. It is a
+/// fork, so call this before ros::start() (that is, before the first NodeHandle): see RunApart().
 ///
 /// Throws InputError when a bag cannot be read or when the bags do not hold exactly one choice of
-/// topics: the text names what they have and which field to give.
+/// topics: the text, printable, names what they have and which field to give.
 Recording ReadBag(const BagRequest& request);
 
 }  // namespace imu_pose_calib

@@ -7,13 +7,21 @@
 
 namespace imu_pose_calib {
 
+/// What a child process may use up.
+struct ChildLimits {
+  uint64_t cpu_s;   ///< processor time [s]
+  uint64_t wall_s;  ///< time from start to end [s]
+  uint64_t memory;  ///< address space [bytes]
+};
+
 /// Runs `run` in a child process and hands over the bytes that it returns, or the InputError that
-/// it throws. No value when it crashed, threw anything else, or needed more than the given
-/// processor time [s] or memory [bytes].
+/// it throws. No value when it crashed, threw anything else, or went beyond a limit. The child does
+/// not outlive the calling thread.
 ///
-/// For libraries that trust the files they read.
+/// For libraries that trust the files they read. The child is a fork: call this while the process
+/// has no other threads that could hold a lock which `run` needs, since in the child nobody would
+/// open it again. When that happens all the same, the limits end it.
 std::optional<std::string> RunApart(const std::function<std::string()>& run,
-                                    uint64_t max_cpu_s,
-                                    uint64_t max_bytes);
+                                    const ChildLimits& limits);
 
 }  // namespace imu_pose_calib

@@ -15,7 +15,7 @@
 #include <string>
 
 #include "imu_pose_calib/CalibrationResult.h"
-#include "imu_pose_calib/core/calibrator.h"
+#include "imu_pose_calib/core/result.h"
 #include "imu_pose_calib/core/types.h"
 #include "imu_pose_calib/ros/io/recording.h"
 

@@ -34,7 +34,7 @@ struct RecordingInfo {
 /// The samples of one recording in the order in which they were recorded.
 struct Recording {
   RecordingInfo info;
-  CalibrationData data;
+  SessionData data;
 };
 
 /// A field of a request: its name and what was given for it, empty for nothing.

@@ -37,7 +37,7 @@ class TfChain {
   /// missing, the two are not connected, or nothing between them moves.
   void Check() const;
 
-  /// All links seen so far, "world -> base, base -> tool (fixed)".
+  /// All links seen so far, printable: "world -> base, base -> tool (fixed)".
   std::string Links() const;
 
  private:

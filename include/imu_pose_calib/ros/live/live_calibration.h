@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/core/calibrator.h"
+#include "imu_pose_calib/core/result.h"
 #include "imu_pose_calib/core/types.h"
 
 namespace imu_pose_calib {
@@ -82,7 +82,7 @@ class LiveCalibration {
   /// There is enough motion, enough of it is new, and no solve is running.
   bool WantsSolve() const;
   /// What is in the buffers, for Calibrate().
-  CalibrationData BeginSolve();
+  SessionData BeginSolve();
   /// True when `result` is the one to use from now on: no result so far was clearly more precise.
   /// A result of data from before a reset is ignored.
   bool EndSolve(const Calibration& result);

@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/core/calibrator.h"
+#include "imu_pose_calib/core/result.h"
 #include "imu_pose_calib/core/data_check.h"
 #include "imu_pose_calib/ros/io/bag_reader.h"
 #include "imu_pose_calib/ros/io/recording.h"
@@ -40,8 +40,8 @@ struct OfflineResult {
 /// of poses; calibration.yaml in a folder.
 std::string OutputPath(const OfflineRequest& request);
 
-/// Reads the recording and calibrates. A result of an earlier run at the output path is removed
-/// first, so that a failure leaves none behind.
+/// Reads the recording (before ros::start(), see ReadBag()) and calibrates. A result of an earlier
+/// run at the output path is removed first, so that a failure leaves none behind.
 ///
 /// Throws InputError when something cannot be used as given, DataError when no calibration can come
 /// from the data: so the result is always usable.
@@ -63,7 +63,7 @@ struct OfflineCheck {
 /// Throws InputError when something cannot be used as given.
 OfflineCheck CheckOffline(const OfflineRequest& request);
 
-/// The text of an error on one line.
+/// The text of an error on one line, printable whatever files and arguments it quotes.
 std::string OneLine(const std::exception& error);
 
 }  // namespace imu_pose_calib

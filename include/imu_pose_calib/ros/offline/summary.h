@@ -2,7 +2,7 @@
 
 #include <string>
 
-#include "imu_pose_calib/core/calibrator.h"
+#include "imu_pose_calib/core/result.h"
 #include "imu_pose_calib/core/data_check.h"
 #include "imu_pose_calib/ros/io/recording.h"
 

@@ -1,0 +1,109 @@
+#pragma once
+
+#include <rosbag/bag.h>
+#include <rosbag/view.h>
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "imu_pose_calib/core/types.h"
+
+namespace imu_pose_calib {
+
+/// A topic of a recording and the messages of it within the span used.
+struct BagTopic {
+  std::string name, type;
+  uint32_t count = 0;
+
+  bool IsImu() const;
+  bool IsVector() const;
+  bool IsPose() const;
+  bool IsTf() const;
+  bool IsFixedTf() const;
+};
+
+/// "NAME (TYPE, COUNT), ..." for error messages.
+std::string Describe(const std::vector<BagTopic>& topics);
+
+/// "A.bag, B.bag" for error messages.
+std::string FileNames(const std::vector<std::string>& paths);
+
+/// The message. Throws InputError when its type is defined differently here.
+template <typename Msg>
+boost::shared_ptr<Msg> Instantiate(const rosbag::MessageInstance& instance) {
+  auto msg = instance.instantiate<Msg>();
+  if (!msg)
+    throw InputError("topic '" + instance.getTopic() + "' has another definition of " +
+                     instance.getDataType() + " than this computer");
+  return msg;
+}
+
+/// A message of a bag, as PoseType reads it.
+struct BagMessage {
+  const rosbag::MessageInstance& instance;
+  template <typename Msg>
+  boost::shared_ptr<Msg> instantiate() const {
+    return Instantiate<Msg>(instance);
+  }
+};
+
+/// Open bags as one recording, limited to a span of record time.
+class Bags {
+ public:
+  /// The span starts `start_s` after the first record time; `duration_s` 0: to the end. Throws
+  /// InputError with the reason and the remedy when a bag cannot be opened or the span is none.
+  Bags(const std::vector<std::string>& paths, double start_s, double duration_s);
+
+  const std::vector<BagTopic>& topics() const { return topics_; }
+  double duration_s() const { return (end_ - begin_).toSec(); }
+
+  /// Calls `use(message)` for the messages of a topic in the order of recording while it is true.
+  template <typename Use>
+  void ForEach(const BagTopic& topic, Use use) const {
+    const auto view = View({topic}, start_, end_);
+    for (const rosbag::MessageInstance& message : *view)
+      if (!use(message)) return;
+  }
+
+  /// Calls `use(message, fixed)` for the tf messages: first all fixed ones of the whole bags, which
+  /// are sent once, then the others in the order of recording.
+  template <typename Use>
+  void ForEachTf(Use use) const {
+    const auto fixed = [](const BagTopic& topic) { return topic.IsFixedTf(); };
+    const auto moving = [](const BagTopic& topic) { return topic.IsTf() && !topic.IsFixedTf(); };
+    const auto all_fixed = View(Select(fixed), begin_, bag_end_);
+    for (const rosbag::MessageInstance& message : *all_fixed) use(message, true);
+    const auto all_moving = View(Select(moving), start_, end_);
+    for (const rosbag::MessageInstance& message : *all_moving) use(message, false);
+  }
+
+  /// The topic that `field` of a request names; InputError when the bags do not have it.
+  const BagTopic& Find(const std::string& field, const std::string& name) const;
+
+  template <typename Wanted>
+  std::vector<BagTopic> Select(Wanted wanted) const {
+    std::vector<BagTopic> selected;
+    for (const BagTopic& topic : topics_)
+      if (wanted(topic)) selected.push_back(topic);
+    return selected;
+  }
+
+  /// "NAMES; it has: TOPICS" for error messages.
+  std::string Contents() const;
+
+ private:
+  std::unique_ptr<rosbag::View> View(const std::vector<BagTopic>& topics,
+                                     const ros::Time& start,
+                                     const ros::Time& end) const;
+  void SetSpan(double start_s, double duration_s);
+  void ListTopics();
+
+  std::vector<std::string> paths_;
+  std::vector<std::unique_ptr<rosbag::Bag>> bags_;
+  ros::Time begin_, bag_end_;  ///< record time of the first and last message
+  ros::Time start_, end_;      ///< record time, the span to use
+  std::vector<BagTopic> topics_;
+};
+
+}  // namespace imu_pose_calib
