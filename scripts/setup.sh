@@ -133,9 +133,10 @@ load_ros() {
   command -v catkin_make >/dev/null || fail "catkin_make not found: is ROS installed?"
 }
 
-# The environment to run what was built: a ROS graph of this machine alone, whose logs stay in the workspace.
+# load_workspace [DEVEL]: the environment to run what was built: a ROS graph of this machine alone, whose logs stay in
+# the workspace.
 load_workspace() {
-  source_setup "$WORKSPACE/devel/setup.bash"
+  source_setup "${1:-$WORKSPACE/devel}/setup.bash"
   export PATH=/usr/bin:$PATH ROS_HOSTNAME=localhost ROS_HOME=$WORKSPACE/ros ROS_LOG_DIR=$LOG_DIR/ros
   unset ROS_IP
 }

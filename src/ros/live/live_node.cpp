@@ -134,7 +134,7 @@ bool LiveNode::OnCalibrate(Trigger::Request&, Trigger::Response& response) {
     // Not the one of the last tick, which may be from before a reset.
     const LiveStatus status = live_.Status(ros::Time::now().toSec());
     if (status.phase == Phase::kSaved || status.phase == Phase::kWaiting) {
-      response.message = status.message;
+      response.message = status.phase == status_.phase ? status_.message : status.message;
       return true;
     }
   }
