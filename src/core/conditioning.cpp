@@ -14,9 +14,6 @@
 namespace imu_pose_calib {
 namespace {
 
-/// A sample that arrives up to this much after a later-stamped one is sorted in; beyond, its stamp
-/// is not believed.
-constexpr int64_t kMaxReorderNs = 1'000'000'000;
 /// Stated noises are believed to differ by this factor from the median at most.
 constexpr double kMaxNoiseScale = 10.0;
 /// Median specific force of a moving body, in units of gravity.
@@ -77,15 +74,18 @@ std::vector<Sample> Clean(const std::string& stream,
   std::nth_element(
       stamps.begin(), stamps.begin() + static_cast<ptrdiff_t>(stamps.size() / 2), stamps.end());
   const int64_t median = stamps[stamps.size() / 2];
-  size_t astray = 0;
+  size_t astray = 0, ahead = 0;
   int64_t latest = std::numeric_limits<int64_t>::min() + kMaxReorderNs;
-  for (const Sample& s : samples) {
+  for (size_t i = 0; i < samples.size(); ++i) {
+    const Sample& s = samples[i];
     if (!IsFinite(s)) {
       ++report->not_finite;
     } else if (!HasRotation(s)) {
       ++report->zero_quaternion;
     } else if (std::abs(s.t_ns - median) > kMaxAstrayNs) {
       ++astray;
+    } else if (IsStampedAhead(samples, i)) {
+      ++ahead;
     } else if (s.t_ns < latest - kMaxReorderNs) {
       ++report->reversed_stamp;
     } else {
@@ -106,13 +106,18 @@ std::vector<Sample> Clean(const std::string& stream,
              n,
              max_bad_fraction);
   CheckShare(stream,
+             "are stamped more than 1 s ahead of those around them: look at the driver",
+             ahead,
+             n,
+             max_bad_fraction);
+  CheckShare(stream,
              "are stamped more than 1 s before a sample that arrived earlier: its clock jumped "
              "back; cut the recording at the jump",
              report->reversed_stamp,
              n,
              max_bad_fraction);
 
-  report->reversed_stamp += astray;
+  report->reversed_stamp += astray + ahead;
 
   if (kept.empty()) Refuse("none of the ", n, " ", stream, " samples is usable");
 

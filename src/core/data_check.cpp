@@ -51,12 +51,13 @@ StreamCheck CheckStream(const std::vector<Sample>& samples) {
   check.count = samples.size();
   if (samples.size() < 2) return check;
   size_t repeated = 0, run = 0, longest_run = 0;
-  std::vector<int64_t> stamps{samples[0].t_ns};
-  for (size_t i = 1; i < samples.size(); ++i) {
+  std::vector<int64_t> stamps;
+  for (size_t i = 0; i < samples.size(); ++i) {
+    if (!IsStampedAhead(samples, i)) stamps.push_back(samples[i].t_ns);
+    if (i == 0) continue;
     run = SameValue(samples[i], samples[i - 1]) ? run + 1 : 0;
     repeated += run > 0 ? 1 : 0;
     longest_run = std::max(longest_run, run);
-    stamps.push_back(samples[i].t_ns);
   }
   const auto n = static_cast<double>(samples.size());
   check.repeated = static_cast<double>(repeated) / n;

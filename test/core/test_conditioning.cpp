@@ -156,6 +156,43 @@ TEST(ConditionData, CountsStampsMoreThanOneSecondBack) {
   EXPECT_EQ(out.imus[0].accel_report.reversed_stamp, 1u);
 }
 
+TEST(ConditionData, AStampAheadCostsNoOtherSample) {
+  SessionData data = Recording();
+  data.poses[500].t_ns += 5'000'000'000;  // of 10 s
+  data.poses[0].t_ns += 2'000'000'000;
+  for (const size_t i : {300u, 900u, 901u, 902u, 1500u}) data.imus[0].gyro[i].t_ns += 2'500'000'000;
+  data.imus[0].accel[1000].t_ns += 1'100'000'000;
+  data.imus[0].accel[1002].t_ns += 3600'000'000'000;
+  data.imus[0].accel[1100].t_ns -= 4'000'000'000;
+  data.imus[0].accel[1998].t_ns += 3'000'000'000;
+  const ConditionedData out = ConditionData(data);
+  ExpectPromisesKept(out, data);
+  EXPECT_EQ(out.pose_report.reversed_stamp, 2u);
+  EXPECT_EQ(out.imus[0].gyro_report.reversed_stamp, 5u);
+  EXPECT_EQ(out.imus[0].accel_report.reversed_stamp, 4u);
+  EXPECT_EQ(out.pose_report.used, 998u);
+  EXPECT_EQ(out.gaps, 0u);
+  EXPECT_NEAR(out.imus[0].accel_report.duration_s, 10.0, 0.02);
+}
+
+TEST(ConditionData, RefusesTooManyStampsAhead) {
+  SessionData data = Recording();
+  for (size_t i = 0; i < 150; ++i) data.poses[6 * i].t_ns += 5'000'000'000;
+  const std::string text = Refusal(data);
+  EXPECT_TRUE(Contains(text, "pose: 150 of 1000 samples are stamped more than 1 s ahead"));
+  EXPECT_TRUE(Contains(text, "bound: 10 %"));
+}
+
+TEST(ConditionData, KeepsWhatComesAfterAPause) {
+  SessionData data = Recording();
+  for (size_t i = 0; i < 1000; ++i) data.poses[i].t_ns += i < 500 ? 0 : 4'000'000'000;
+  for (const size_t i : {998u, 999u}) data.poses[i].t_ns += 4'000'000'000;
+  const ConditionedData out = ConditionData(data);
+  ExpectPromisesKept(out, data);
+  EXPECT_EQ(out.pose_report.reversed_stamp, 0u);
+  EXPECT_EQ(out.gaps, 2u);
+}
+
 TEST(ConditionData, SortsInWhatArrivesUpToOneSecondLate) {
   const SessionData ordered = Recording();
   SessionData data = ordered;
@@ -317,6 +354,11 @@ TEST(ConditionData, RefusesAClockThatJumpsBack) {
   const std::string text = Refusal(data);
   EXPECT_TRUE(Contains(text, "accelerometer: 1000 of 2000 samples"));
   EXPECT_TRUE(Contains(text, "clock jumped back"));
+
+  data = Recording();
+  for (size_t i = 700; i < 1000; ++i) data.poses[i].t_ns -= 5'000'000'000;
+  EXPECT_TRUE(
+      Contains(Refusal(data), "pose: 300 of 1000 samples are stamped more than 1 s before"));
 }
 
 TEST(ConditionData, RefusesAnAccelerometerInG) {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <string>
 #include <utility>
 #include <vector>
@@ -13,6 +14,26 @@ namespace imu_pose_calib {
 
 /// A sample stamped further from the median of its stream is astray (stamp 0, clock set meanwhile).
 constexpr int64_t kMaxAstrayNs = 6 * 3600 * int64_t{1'000'000'000};
+
+/// A sample that arrives up to this much after a later-stamped one is sorted in; beyond, one of the
+/// stamps is not believed.
+constexpr int64_t kMaxReorderNs = 1'000'000'000;
+
+/// Whether sample i, in order of arrival, is stamped by more than that after most of those that
+/// come next, and after most of those before it as well. The last before a clock jumps back agree
+/// with those before them, the first after a pause with those that come next.
+template <typename Sample>
+bool IsStampedAhead(const std::vector<Sample>& samples, size_t i) {
+  constexpr size_t kNear = 9;
+  const auto earlier = [&](size_t begin, size_t end) {
+    size_t count = 0;
+    for (size_t k = begin; k < end; ++k)
+      if (samples[k].t_ns < samples[i].t_ns - kMaxReorderNs) ++count;
+    return count;
+  };
+  const size_t before = std::min(i, kNear), after = std::min(samples.size() - 1 - i, kNear);
+  return 2 * earlier(i + 1, i + 1 + after) > after && 2 * earlier(i - before, i) >= before;
+}
 
 /// A pose at `t` [s] after ConditionedData::pose_epoch_ns.
 struct TimedPose {

@@ -17,7 +17,7 @@ struct StreamReport {
   size_t used = 0;
   size_t not_finite = 0;        ///< NaN or infinite value
   size_t zero_quaternion = 0;   ///< poses only
-  size_t reversed_stamp = 0;    ///< 1 s before a sample that arrived earlier, or hours astray
+  size_t reversed_stamp = 0;    ///< 1 s from what arrived around it, or hours astray
   size_t duplicate_stamp = 0;   ///< same stamp as another sample
   size_t repeated_value = 0;    ///< exactly the previous value under a new stamp (frozen)
   size_t saturated = 0;         ///< IMU only: at the end of the sensor's range
