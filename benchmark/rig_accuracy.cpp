@@ -101,16 +101,9 @@ void CompareSessions(int seeds, double duration_s) {
 void CompareImus(int seeds, double duration_s) {
   Errors alone[2], together[2], between, between_alone;
   for (int seed = 1; seed <= seeds; ++seed) {
-    SimulatorOptions truth[2] = {Truth(seed, duration_s), Truth(seed, duration_s)};
-    truth[1].noise_seed = 9000 + static_cast<unsigned>(seed);
-    truth[1].T_MI.p.x() += 0.2;
-    truth[1].T_MI.q = truth[1].T_MI.q * Eigen::Quaterniond(0.8, 0.0, 0.6, 0.0);
-    truth[1].time_shift_s = -3.7;
-    truth[1].accel_delay_s = -1e-3;
-    SessionData both = Simulate(truth[0]);
-    SessionData second = Simulate(truth[1]);
-    second.poses = both.poses;
-    both.imus.push_back(second.imus[0]);
+    const SimulatorOptions truth[2] = {Truth(seed, duration_s), FurtherImu(Truth(seed, duration_s), 1)};
+    SessionData both = Simulate(truth[0], 2);
+    const SessionData second = {both.poses, {both.imus[1]}};
     const Calibration rig = Calibrate({}, both);
     both.imus.pop_back();
     const Calibration single[2] = {Calibrate({}, both), Calibrate({}, second)};

@@ -176,4 +176,22 @@ SessionData Simulate(const SimulatorOptions& options) {
   return data;
 }
 
+SimulatorOptions FurtherImu(SimulatorOptions first, size_t imu) {
+  if (imu == 0) return first;
+  const auto k = static_cast<double>(imu);
+  first.noise_seed = first.seed + 5000u * static_cast<uint32_t>(imu);
+  first.T_MI.p.x() += 0.2 * k;
+  first.T_MI.q = first.T_MI.q * Exp<double>(Eigen::Vector3d(0.4, 1.1, -0.7) * k);
+  first.time_shift_s -= 3.7 * k;
+  first.accel_delay_s -= 3e-3 * k;
+  return first;
+}
+
+SessionData Simulate(const SimulatorOptions& options, size_t imus) {
+  SessionData data = Simulate(options);
+  for (size_t i = 1; i < imus; ++i)
+    data.imus.push_back(Simulate(FurtherImu(options, i)).imus[0]);
+  return data;
+}
+
 }  // namespace imu_pose_calib

@@ -79,4 +79,11 @@ class TrueTrajectory {
 /// Poses and IMU samples of `options`; the same options give the same data.
 SessionData Simulate(const SimulatorOptions& options);
 
+/// IMU number `imu` on the body of `first`, which is number 0: 0.2 m further along x each, turned,
+/// and with a clock, a delay and noise of its own.
+SimulatorOptions FurtherImu(SimulatorOptions first, size_t imu);
+
+/// Poses and the samples of several IMUs.
+SessionData Simulate(const SimulatorOptions& options, size_t imus);
+
 }  // namespace imu_pose_calib

@@ -141,9 +141,11 @@ geometry_msgs::Vector3Stamped ToVector(const ImuSample& sample) {
 }
 
 /// An Imu message of one or both samples; what is missing is marked as the message defines it.
-sensor_msgs::Imu ToImu(const ImuSample* gyro, const ImuSample* accel) {
+sensor_msgs::Imu ToImu(const ImuSample* gyro,
+                       const ImuSample* accel,
+                       const std::string& frame = "imu") {
   sensor_msgs::Imu msg;
-  msg.header = MakeHeader((gyro ? gyro : accel)->t_ns, "imu");
+  msg.header = MakeHeader((gyro ? gyro : accel)->t_ns, frame);
   msg.orientation_covariance[0] = -1.0;
   msg.angular_velocity_covariance[0] = gyro ? 0.0 : -1.0;
   msg.linear_acceleration_covariance[0] = accel ? 0.0 : -1.0;
@@ -251,6 +253,15 @@ void WriteBag(const std::string& path, const SessionData& data, const BagFormat&
   } else {
     CheckSameStamps(data);
     Add("/imu", data.imus[0].gyro, offset, imu, &records);
+  }
+  for (size_t i = 1; i < data.imus.size(); ++i) {
+    const std::string name = "imu" + std::to_string(i);
+    const auto further = [&data, i, name](size_t k) {
+      return ToImu(&data.imus[i].gyro[k], &data.imus[i].accel[k], name);
+    };
+    const int64_t own_offset =
+        offset + data.imus[0].gyro.front().t_ns - data.imus[i].gyro.front().t_ns;
+    Add("/" + name, data.imus[i].gyro, own_offset, further, &records);
   }
   std::stable_sort(records.begin(), records.end(), [](const Record& a, const Record& b) {
     return a.t_ns < b.t_ns;

@@ -5,7 +5,10 @@
 #include <cereal/types/string.hpp>
 #include <cereal/types/vector.hpp>
 #include <iterator>
+#include <map>
 #include <sstream>
+
+#include "imu_pose_calib/ros/io/conversions.h"
 
 namespace cereal {
 
@@ -87,6 +90,20 @@ std::vector<std::string> SplitNames(const std::string& text) {
   std::vector<std::string> names{std::istream_iterator<std::string>(words), {}};
   if (names.empty()) names.emplace_back();
   return names;
+}
+
+void NameFrames(const std::string& marker_frame,
+                const std::string& imu_frame,
+                RecordingInfo* info) {
+  info->marker_frame = FrameName(marker_frame, info->marker_frame);
+  const std::vector<std::string> names = SplitNames(imu_frame);
+  std::map<std::string, int> uses;
+  for (const ImuInfo& imu : info->imus) ++uses[imu.imu_frame];
+  for (size_t i = 0; i < info->imus.size(); ++i) {
+    std::string& frame = info->imus[i].imu_frame;
+    if (uses[frame] > 1) frame = FrameName(frame, "imu") + std::to_string(i);
+    if (i < names.size()) frame = FrameName(names[i], frame);
+  }
 }
 
 std::string ToBytes(const Recording& recording) {

@@ -62,9 +62,15 @@ double Score(const LiveOptions& options, const Calibration& result) {
 
 /// Within two targets of each other.
 bool Agree(const LiveOptions& options, const Calibration& a, const Calibration& b) {
-  return a.imus[0].T_MI.q.angularDistance(b.imus[0].T_MI.q) <= 2.0 * options.target_rotation_std &&
-         (a.imus[0].T_MI.p - b.imus[0].T_MI.p).norm() <= 2.0 * options.target_translation_std &&
-         std::abs(a.sessions[0].imus[0].time_shift - b.sessions[0].imus[0].time_shift) <= 2.0 * options.target_time_shift_std;
+  for (size_t i = 0; i < a.imus.size(); ++i) {
+    const Rigid3 &T_a = a.imus[i].T_MI, &T_b = b.imus[i].T_MI;
+    const double shift = a.sessions[0].imus[i].time_shift - b.sessions[0].imus[i].time_shift;
+    if (T_a.q.angularDistance(T_b.q) > 2.0 * options.target_rotation_std ||
+        (T_a.p - T_b.p).norm() > 2.0 * options.target_translation_std ||
+        std::abs(shift) > 2.0 * options.target_time_shift_std)
+      return false;
+  }
+  return true;
 }
 
 std::string Sigmas(const Calibration& result) {
@@ -125,8 +131,14 @@ const char* ToString(Phase phase) {
 }
 
 LargestStd MaxStd(const Calibration& result) {
-  const Vector6d std_dev = result.imus[0].Std();
-  return {std_dev.tail<3>().maxCoeff(), std_dev.head<3>().maxCoeff(), result.sessions[0].imus[0].time_shift_std};
+  LargestStd largest{0.0, 0.0, 0.0};
+  for (size_t i = 0; i < result.imus.size(); ++i) {
+    const Vector6d std_dev = result.imus[i].Std();
+    largest.rotation = std::max(largest.rotation, std_dev.tail<3>().maxCoeff());
+    largest.translation = std::max(largest.translation, std_dev.head<3>().maxCoeff());
+    largest.time_shift = std::max(largest.time_shift, result.sessions[0].imus[i].time_shift_std);
+  }
+  return largest;
 }
 
 template <typename Sample>
@@ -151,9 +163,13 @@ StreamStatus LiveCalibration::Stream<Sample>::Status() const {
   return status;
 }
 
-LiveCalibration::LiveCalibration(const LiveOptions& options, const CalibrationOptions& calibration)
+LiveCalibration::LiveCalibration(const LiveOptions& options,
+                                 const CalibrationOptions& calibration,
+                                 size_t imus)
     : options_(options), calibration_(calibration) {
   options_.Validate();
+  for (size_t i = 0; i < imus; ++i)
+    imus_.push_back({{"gyroscope" + OfImu(i, imus), {}}, {"accelerometer" + OfImu(i, imus), {}}});
 }
 
 // --- Samples ---
@@ -204,9 +220,13 @@ bool LiveCalibration::AddPose(const PoseSample& recorded, double now) {
   return true;
 }
 
-void LiveCalibration::AddGyro(const ImuSample& sample, double now) { Add(sample, now, &gyro_); }
+void LiveCalibration::AddGyro(const ImuSample& sample, double now, size_t imu) {
+  Add(sample, now, &imus_[imu].gyro);
+}
 
-void LiveCalibration::AddAccel(const ImuSample& sample, double now) { Add(sample, now, &accel_); }
+void LiveCalibration::AddAccel(const ImuSample& sample, double now, size_t imu) {
+  Add(sample, now, &imus_[imu].accel);
+}
 
 void LiveCalibration::MeasureMotion(const PoseSample& pose) {
   const double dt = motion_from_ ? Seconds(pose.t_ns - motion_from_->t_ns) : kMaxMotionStep;
@@ -247,7 +267,9 @@ Excitation LiveCalibration::Excited() const {
 
 bool LiveCalibration::WantsSolve() const {
   if (is_solving_ || IsFrozen()) return false;
-  const double shortest = std::min({poses_.Duration(), gyro_.Duration(), accel_.Duration()});
+  double shortest = poses_.Duration();
+  for (const Imu& imu : imus_)
+    shortest = std::min({shortest, imu.gyro.Duration(), imu.accel.Duration()});
   if (shortest < options_.min_duration) return false;
   // Two axes determine everything; the solve itself tells how well.
   Eigen::Vector3d rotation = Excited().rotation;
@@ -262,7 +284,10 @@ SessionData LiveCalibration::BeginSolve() {
   is_stale_ = false;
   solved_until_ns_ = poses_.samples.empty() ? 0 : poses_.samples.back().t_ns;
   const auto copy = [](const auto& samples) { return std::vector(samples.begin(), samples.end()); };
-  return {copy(poses_.samples), {{copy(gyro_.samples), copy(accel_.samples)}}};
+  SessionData data{copy(poses_.samples), {}};
+  for (const Imu& imu : imus_)
+    data.imus.push_back({copy(imu.gyro.samples), copy(imu.accel.samples)});
+  return data;
 }
 
 bool LiveCalibration::EndSolve(const Calibration& result) {
@@ -293,8 +318,10 @@ void LiveCalibration::FailSolve(const std::string& reason) {
 
 void LiveCalibration::Reset(const std::string& reason, double now) {
   poses_.samples.clear();
-  gyro_.samples.clear();
-  accel_.samples.clear();
+  for (Imu& imu : imus_) {
+    imu.gyro.samples.clear();
+    imu.accel.samples.clear();
+  }
   pose_.reset();
   path_.clear();
   motion_.clear();
@@ -333,8 +360,10 @@ std::string LiveCalibration::MissingStreams() const {
     if (stream.unstamped > 0) missing += " with header stamps (all are 0)";
   };
   check(poses_);
-  check(gyro_);
-  check(accel_);
+  for (const Imu& imu : imus_) {
+    check(imu.gyro);
+    check(imu.accel);
+  }
   return missing;
 }
 
@@ -350,8 +379,10 @@ std::string LiveCalibration::LostStreams(double now) const {
     lost = Text("the marker is lost: the poses repeat or are invalid for ",
                 std::round(10.0 * (now - pose_changed_)) / 10.0,
                 " s");
-  check(gyro_);
-  check(accel_);
+  for (const Imu& imu : imus_) {
+    check(imu.gyro);
+    check(imu.accel);
+  }
   return lost;
 }
 
@@ -376,8 +407,14 @@ std::string LiveCalibration::Advice() const {
 LiveStatus LiveCalibration::Status(double now) const {
   LiveStatus status;
   status.poses = poses_.Status();
-  status.gyro = gyro_.Status();
-  status.accel = accel_.Status();
+  const auto slower = [](const StreamStatus& a, const StreamStatus& b) {
+    return a.rate_hz < b.rate_hz || a.buffered_s < b.buffered_s;
+  };
+  for (size_t i = 0; i < imus_.size(); ++i) {
+    const StreamStatus gyro = imus_[i].gyro.Status(), accel = imus_[i].accel.Status();
+    if (i == 0 || slower(gyro, status.gyro)) status.gyro = gyro;
+    if (i == 0 || slower(accel, status.accel)) status.accel = accel;
+  }
   status.excitation = Excited();
   status.solves = solves_;
 

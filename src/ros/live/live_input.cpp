@@ -58,14 +58,32 @@ LiveInput::LiveInput(const ros::NodeHandle& node,
                      const std::function<void(const PoseSample&)>& on_pose)
     : node_(node), settings_(settings), mutex_(mutex), live_(live), on_pose_(on_pose) {
   const std::vector<std::string> split = {kImuType, kVectorType};
-  if (settings_.gyro_topic.empty()) {
-    AddSource("imu_topic", settings_.imu_topic, {kImuType}, &LiveInput::OnImu);
-  } else {
-    AddSource("gyro_topic", settings_.gyro_topic, split, &LiveInput::OnGyro);
-    AddSource("accel_topic", settings_.accel_topic, split, &LiveInput::OnAccel);
+  const bool is_split = !settings_.gyro_topic.empty();
+  const std::vector<std::string> gyros =
+      SplitNames(is_split ? settings_.gyro_topic : settings_.imu_topic);
+  const std::vector<std::string> accels = SplitNames(settings_.accel_topic);
+  for (size_t i = 0; i < gyros.size(); ++i) {
+    const auto on_gyro = [this, i](const TopicSource::Message& m) { OnGyro(m, i); };
+    const auto on_accel = [this, i](const TopicSource::Message& m) { OnAccel(m, i); };
+    const auto on_both = [on_gyro, on_accel](const TopicSource::Message& m) {
+      on_gyro(m);
+      on_accel(m);
+    };
+    if (is_split) {
+      AddSource("gyro_topic", gyros[i], split, on_gyro);
+      const TopicSource* gyro = &sources_.back();
+      AddSource("accel_topic", accels[i], split, on_accel);
+      imus_.push_back({gyro, &sources_.back(), ""});
+    } else {
+      AddSource("imu_topic", gyros[i], {kImuType}, on_both);
+      imus_.push_back({&sources_.back(), &sources_.back(), ""});
+    }
   }
   if (settings_.tf_parent.empty()) {
-    AddSource("pose_topic", settings_.pose_topic, PoseTypeNames(), &LiveInput::OnPose);
+    AddSource("pose_topic",
+              settings_.pose_topic,
+              PoseTypeNames(),
+              [this](const TopicSource::Message& message) { OnPose(message); });
   } else {
     chain_.emplace(settings_.tf_parent, settings_.tf_child, kTfCache);
     world_frame_ = FrameName(settings_.tf_parent, "");
@@ -93,31 +111,26 @@ LiveInput::~LiveInput() {
 void LiveInput::AddSource(const std::string& parameter,
                           const std::string& topic,
                           const std::vector<std::string>& types,
-                          void (LiveInput::*add)(const TopicSource::Message&)) {
+                          const TopicSource::Callback& add) {
   sources_.emplace_back(
       node_, parameter, topic, types, [this, add](const TopicSource::Message& message) {
         const std::lock_guard<std::mutex> lock(*mutex_);
         ForgetAfterReset();
-        (this->*add)(message);
+        add(message);
       });
 }
 
-void LiveInput::OnImu(const TopicSource::Message& message) {
-  OnGyro(message);
-  OnAccel(message);
+void LiveInput::OnGyro(const TopicSource::Message& message, size_t imu) {
+  const ImuContent content = ReadImu(*message.getMessage());
+  imus_[imu].frame = content.frame;
+  imus_[imu].lacks_gyro = !content.gyro;
+  if (content.gyro) live_->AddGyro(*content.gyro, message.getReceiptTime().toSec(), imu);
 }
 
-void LiveInput::OnGyro(const TopicSource::Message& message) {
+void LiveInput::OnAccel(const TopicSource::Message& message, size_t imu) {
   const ImuContent content = ReadImu(*message.getMessage());
-  imu_frame_ = content.frame;
-  lacks_gyro_ = !content.gyro;
-  if (content.gyro) live_->AddGyro(*content.gyro, message.getReceiptTime().toSec());
-}
-
-void LiveInput::OnAccel(const TopicSource::Message& message) {
-  const ImuContent content = ReadImu(*message.getMessage());
-  lacks_accel_ = !content.accel;
-  if (content.accel) live_->AddAccel(*content.accel, message.getReceiptTime().toSec());
+  imus_[imu].lacks_accel = !content.accel;
+  if (content.accel) live_->AddAccel(*content.accel, message.getReceiptTime().toSec(), imu);
 }
 
 void LiveInput::OnPose(const TopicSource::Message& message) {
@@ -155,7 +168,7 @@ void LiveInput::ForgetAfterReset() {
   if (resets_ == live_->resets()) return;
   resets_ = live_->resets();
   // Only the static transforms stay: they are not sent again.
-  imu_frame_.clear();
+  for (Imu& imu : imus_) imu.frame.clear();
   foreign_poses_ = 0;
   parents_.clear();
   if (!chain_) {
@@ -176,26 +189,33 @@ void LiveInput::AddPose(const PoseSample& recorded, const ros::Time& now) {
 RecordingInfo LiveInput::Info() const {
   RecordingInfo info;
   info.world_frame = FrameName(world_frame_, "world");
-  info.marker_frame = FrameName(settings_.marker_frame, FrameName(marker_frame_, "marker"));
-  info.imus[0].imu_frame = FrameName(settings_.imu_frame, FrameName(imu_frame_, "imu"));
+  info.marker_frame = FrameName(marker_frame_, "marker");
   info.pose_topic = chain_ ? "/tf" : sources_.back().topic();
-  if (settings_.gyro_topic.empty()) {
-    info.imus[0].imu_topic = sources_.front().topic();
-  } else {
-    info.imus[0].gyro_topic = settings_.gyro_topic;
-    info.imus[0].accel_topic = settings_.accel_topic;
+  info.imus.resize(imus_.size());
+  for (size_t i = 0; i < imus_.size(); ++i) {
+    info.imus[i].imu_frame = FrameName(imus_[i].frame, "imu");
+    if (imus_[i].gyro == imus_[i].accel) {
+      info.imus[i].imu_topic = imus_[i].gyro->topic();
+    } else {
+      info.imus[i].gyro_topic = imus_[i].gyro->topic();
+      info.imus[i].accel_topic = imus_[i].accel->topic();
+    }
   }
   info.imu_yaml = settings_.imu_yaml;
+  NameFrames(settings_.marker_frame, settings_.imu_frame, &info);
   return info;
 }
 
-std::string LiveInput::OtherParent() const {
+LiveInput::ForeignLink LiveInput::OtherParent() const {
   const RecordingInfo info = Info();
   for (const auto* parents : {&fixed_parents_, &parents_}) {
-    const auto link = parents->find(info.imus[0].imu_frame);
-    if (link != parents->end() && link->second != info.marker_frame) return link->second;
+    for (const ImuInfo& imu : info.imus) {
+      const auto link = parents->find(imu.imu_frame);
+      if (link != parents->end() && link->second != info.marker_frame)
+        return {imu.imu_frame, link->second};
+    }
   }
-  return "";
+  return {};
 }
 
 std::string LiveInput::Dropped() const {
@@ -237,14 +257,13 @@ std::string LiveInput::Look() {
     for (const TopicSource& source : sources_)
       if (!source.HasData()) Append(source.State(), &problems);
   }
-  const RecordingInfo info = Info();
-  const auto lacks = [&](const std::string& topic, const std::string& sensor) {
-    Append((info.imus[0].imu_topic.empty() ? topic : info.imus[0].imu_topic) + " gives no " +
-               sensor + ": its covariance starts with -1",
-           &problems);
+  const auto lacks = [&](const TopicSource& source, const char* sensor) {
+    Append(source.topic() + " gives no " + sensor + ": its covariance starts with -1", &problems);
   };
-  if (lacks_gyro_) lacks(info.imus[0].gyro_topic, "gyroscope");
-  if (lacks_accel_) lacks(info.imus[0].accel_topic, "accelerometer");
+  for (const Imu& imu : imus_) {
+    if (imu.lacks_gyro) lacks(*imu.gyro, "gyroscope");
+    if (imu.lacks_accel) lacks(*imu.accel, "accelerometer");
+  }
   if (chain_ && !live_->pose()) Append(LookAt(*chain_), &problems);
   return problems;
 }

@@ -1,4 +1,3 @@
-#include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/ros/live/live_node.h"
 
 #include <ros/callback_queue.h>
@@ -10,6 +9,7 @@
 #include <iostream>
 #include <mutex>
 
+#include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/live/live_calibration.h"
 #include "imu_pose_calib/ros/live/live_input.h"
@@ -77,7 +77,10 @@ class LiveNode {
 LiveNode::LiveNode(const ros::NodeHandle& node)
     : node_(node),
       settings_(ReadLiveSettings(node)),
-      live_(settings_.live, settings_.calibration),
+      live_(settings_.live,
+            settings_.calibration,
+            SplitNames(settings_.gyro_topic.empty() ? settings_.imu_topic : settings_.gyro_topic)
+                .size()),
       output_(node, &live_),
       input_(node,
              settings_,
@@ -88,7 +91,10 @@ LiveNode::LiveNode(const ros::NodeHandle& node)
           &mutex_,
           &live_,
           [this](const SessionData& data) { return Calibrate(settings_.calibration, data); },
-          [this] { output_.PublishResult(input_.Info(), input_.OtherParent()); }) {
+          [this] {
+            const auto [frame, parent] = input_.OtherParent();
+            output_.PublishResult(input_.Info(), frame, parent);
+          }) {
   timer_ = node_.createWallTimer(ros::WallDuration(kTickPeriod),
                                  [this](const ros::WallTimerEvent&) { Tick(); });
 
@@ -207,9 +213,9 @@ void LiveNode::UpdateStatus() {
   now_ = now;
   status_ = live_.Status(now.toSec());
   if (status_.phase == Phase::kSolving) status_.message = Progress() + status_.message;
-  if (const std::string other = input_.OtherParent(); live_.result() && !other.empty())
+  if (const auto other = input_.OtherParent(); live_.result() && !other.parent.empty())
     status_.message +=
-        "; tf has another parent of " + input_.Info().imus[0].imu_frame + ", " + other + ": set imu_frame";
+        "; tf has another parent of " + other.imu_frame + ", " + other.parent + ": set imu_frame";
   if (!save_error_.empty()) status_.message += "; " + save_error_;
   if (const std::string dropped = input_.Dropped(); !dropped.empty())
     status_.message += "; " + dropped;

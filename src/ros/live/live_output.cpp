@@ -142,20 +142,26 @@ void LiveOutput::PublishPose(const PoseSample& pose, const RecordingInfo& info) 
   pose_publisher_.publish(ToImuPose(pose, live_->result()->imus[0].T_MI, info.world_frame));
 }
 
-void LiveOutput::PublishResult(const RecordingInfo& info, const std::string& other_parent) {
+void LiveOutput::PublishResult(const RecordingInfo& info,
+                               const std::string& foreign_frame,
+                               const std::string& other_parent) {
   const ros::Time now = ros::Time::now();
   result_publisher_.publish(ToMsg(*live_->result(), info, now));
-  if (info.marker_frame != info.imus[0].imu_frame) {
-    broadcaster_.sendTransform(ToTransforms(*live_->result(), info, now));
-  } else {
+  std::vector<geometry_msgs::TransformStamped> transforms;
+  for (const auto& transform : ToTransforms(*live_->result(), info, now)) {
+    if (transform.child_frame_id != info.marker_frame) {
+      transforms.push_back(transform);
+      continue;
+    }
     ROS_ERROR(
         "No transform is published: the marker and the imu frame are both called '%s'; set "
         "marker_frame or imu_frame",
-        info.imus[0].imu_frame.c_str());
+        info.marker_frame.c_str());
   }
+  broadcaster_.sendTransform(transforms);
   if (!other_parent.empty())
     ROS_WARN("tf has two parents of '%s': '%s' from elsewhere and '%s' from here; set imu_frame",
-             info.imus[0].imu_frame.c_str(),
+             foreign_frame.c_str(),
              other_parent.c_str(),
              info.marker_frame.c_str());
 }

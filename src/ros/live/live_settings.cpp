@@ -32,6 +32,16 @@ LiveSettings ReadLiveSettings(const ros::NodeHandle& node) {
   settings.marker_frame = text("marker_frame");
   settings.imu_frame = text("imu_frame");
 
+  const size_t imus = SplitNames(is_split ? settings.gyro_topic : settings.imu_topic).size();
+  const auto check_count = [imus](const char* name, const std::string& value) {
+    const size_t count = SplitNames(value).size();
+    if (!value.empty() && count != imus)
+      throw InputError(std::string(name) + " has " + std::to_string(count) + " names for " +
+                       std::to_string(imus) + " imus");
+  };
+  check_count("imu_frame", settings.imu_frame);
+  check_count("accel_topic", settings.accel_topic);
+
   const std::string output = text("output");
   settings.output =
       std::filesystem::absolute(output.empty() ? "imu_pose_calib.calibration.yaml" : output);

@@ -127,16 +127,15 @@ void DrawPath(const std::string& name,
   line->points = points;
 }
 
-/// The lever arm and the ellipsoid of its sigma, which lies along the marker axes.
-void DrawLeverArm(const Scene& scene, const Rigid3& T_WM, Drawing* drawing) {
-  const Calibration& result = *scene.result;
-  const Rigid3 T_WI = T_WM * result.imus[0].T_MI;
+/// The lever arm of an IMU and the ellipsoid of its sigma, which lies along the marker axes.
+void DrawLeverArm(const ImuCalibration& imu, const Rigid3& T_WM, Drawing* drawing) {
+  const Rigid3 T_WI = T_WM * imu.T_MI;
   Marker* arm = drawing->Add("lever arm", Marker::LINE_LIST, kImu);
   arm->scale.x = 0.006;
   arm->points = {ToPointMsg(T_WM.p), ToPointMsg(T_WI.p)};
 
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(
-      result.imus[0].covariance.topLeftCorner<3, 3>());
+      Eigen::Matrix3d(imu.covariance.topLeftCorner<3, 3>()));
   Eigen::Matrix3d axes = eigen.eigenvectors();
   if (axes.determinant() < 0.0) axes.col(0) *= -1.0;
   const Eigen::Vector3d size = 2.0 * kSigmaScale * eigen.eigenvalues().cwiseMax(0.0).cwiseSqrt();
@@ -250,9 +249,11 @@ MarkerArray Draw(const Scene& scene, const ros::Time& stamp) {
   drawing.Frame("marker", T_WM, 0.2);
   DrawPath("marker path", scene, Rigid3(), kMarker, &drawing);
   if (!scene.result) return drawing.Take();
-  drawing.Frame("imu", T_WM * scene.result->imus[0].T_MI, 0.12);
-  DrawPath("imu path", scene, scene.result->imus[0].T_MI, kImu, &drawing);
-  DrawLeverArm(scene, T_WM, &drawing);
+  for (const ImuCalibration& imu : scene.result->imus) {
+    drawing.Frame("imu", T_WM * imu.T_MI, 0.12);
+    DrawPath("imu path", scene, imu.T_MI, kImu, &drawing);
+    DrawLeverArm(imu, T_WM, &drawing);
+  }
   const Eigen::Vector3d top = T_WM.p + Eigen::Vector3d(-0.3, 0.0, 0.0);
   drawing.Arrow("gravity", top, top + 0.03 * scene.result->sessions[0].g_W, 0.012, kWhite);
   drawing.Label("gravity", top, 0.04, "gravity");

@@ -4,7 +4,6 @@
 #include <filesystem>
 #include <iostream>
 #include <iterator>
-#include <map>
 #include <sstream>
 #include <system_error>
 
@@ -89,23 +88,17 @@ Recording ReadBags(const OfflineRequest& request) {
   return ReadBag(bag);
 }
 
-/// Frames as the request names them; those of IMUs that the recording calls alike get numbers.
+/// Names the frames as the request says.
 void NameFrames(const OfflineRequest& request, RecordingInfo* info) {
-  info->marker_frame = FrameName(request.marker_frame, info->marker_frame);
-  const std::vector<std::string> names = SplitNames(request.imu_frame);
-  if (!request.imu_frame.empty() && names.size() != info->imus.size())
-    throw InputError("imu_frame names " + std::to_string(names.size()) + " frames for " +
+  const size_t names = SplitNames(request.imu_frame).size();
+  if (!request.imu_frame.empty() && names != info->imus.size())
+    throw InputError("imu_frame names " + std::to_string(names) + " frames for " +
                      std::to_string(info->imus.size()) + " imus");
-  std::map<std::string, int> uses;
-  for (const ImuInfo& imu : info->imus) ++uses[imu.imu_frame];
-  for (size_t i = 0; i < info->imus.size(); ++i) {
-    std::string& frame = info->imus[i].imu_frame;
-    if (uses[frame] > 1) frame = FrameName(frame, "imu") + std::to_string(i);
-    if (!request.imu_frame.empty()) frame = FrameName(names[i], frame);
-    if (info->marker_frame == frame)
-      throw InputError("marker_frame and imu_frame are both '" + frame +
+  NameFrames(request.marker_frame, request.imu_frame, info);
+  for (const ImuInfo& imu : info->imus)
+    if (info->marker_frame == imu.imu_frame)
+      throw InputError("marker_frame and imu_frame are both '" + imu.imu_frame +
                        "', which leaves no transform between them; give one of them another name");
-  }
 }
 
 /// One request for each session.

@@ -100,24 +100,21 @@ std::string Data(const SessionCalibration& session, const RecordingInfo& info) {
   }
   if (!info.imu_yaml.empty()) text += Wrap("  noise  ", info.imu_yaml);
   if (session.gaps + session.jumps > 0)
-    text += Format(
-        "  %zu gaps and %zu jumps in the poses leave %zu segments
-        ",
-        session.gaps,
-        session.jumps,
-        session.segments);
+    text += Format("  %zu gaps and %zu jumps in the poses leave %zu segments\n",
+                   session.gaps,
+                   session.jumps,
+                   session.segments);
   return text;
 }
 
 std::string Data(const Calibration& result, const std::vector<RecordingInfo>& infos) {
   std::string text;
   for (size_t s = 0; s < result.sessions.size(); ++s) {
-    text += result.sessions.size() == 1 ? "
-                Data "
-                                        : "
-                                          " + Wrap(" Data of session " + std::to_string(s + 1) + "
-        : ", infos[s].bag);
-          text += Data(result.sessions[s], infos[s]);
+    const bool is_single = result.sessions.size() == 1;
+    text += is_single
+                ? "\nData\n"
+                : "\n" + Wrap("Data of session " + std::to_string(s + 1) + ": ", infos[s].bag);
+    text += Data(result.sessions[s], infos[s]);
   }
   return text;
 }

@@ -23,7 +23,9 @@ struct BagFormat {
 /// or file for both needs.
 void CheckSameStamps(const SessionData& data);
 
-/// Writes poses on /mocap/pose or /tf (frame world, child marker) and IMU samples (frame imu).
+/// Writes poses on /mocap/pose or /tf (frame world, child marker) and IMU samples (frame imu);
+/// further IMUs on /imu1 (frame imu1) and so on, as Imu, recorded as if they had all started
+/// together.
 /// Record times are header times; when the clocks start more than a day apart, the IMU's record
 /// times are moved to the pose clock as if both had started together.
 ///

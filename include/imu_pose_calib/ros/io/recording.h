@@ -64,6 +64,10 @@ void CheckSpan(double start_s, double duration_s);
 /// The names that one text holds with white space between them; at least one, which may be empty.
 std::vector<std::string> SplitNames(const std::string& text);
 
+/// Sets frames that are named by the user, `imu_frame` with white space between those of several
+/// IMUs; empty names keep those of the recording. IMUs that it calls alike get numbers.
+void NameFrames(const std::string& marker_frame, const std::string& imu_frame, RecordingInfo* info);
+
 /// For handing a recording from one process to another of the same program.
 std::string ToBytes(const Recording& recording);
 Recording FromBytes(std::string bytes);

@@ -47,8 +47,8 @@ struct StreamStatus {
 
 struct LiveStatus {
   Phase phase = Phase::kWaiting;
-  std::string message;  ///< one sentence for people
-  StreamStatus poses, gyro, accel;
+  std::string message;              ///< one sentence for people
+  StreamStatus poses, gyro, accel;  ///< of several IMUs, the slowest
   Excitation excitation;
   size_t solves = 0;  ///< since the last reset
 };
@@ -68,16 +68,18 @@ LargestStd MaxStd(const Calibration& result);
 ///   live.EndSolve(result);  // or live.FailSolve(error.what())
 class LiveCalibration {
  public:
-  /// `calibration` tells how the poses are to be understood: unit and direction.
+  /// `calibration` tells how the poses are to be understood: unit and direction. `imus`: how many
+  /// there are on the body.
   explicit LiveCalibration(const LiveOptions& options,
-                           const CalibrationOptions& calibration = CalibrationOptions());
+                           const CalibrationOptions& calibration = CalibrationOptions(),
+                           size_t imus = 1);
 
   /// Samples in the order of arrival. A stamp that jumps, or `now` that goes back, starts anew:
   /// the old data and result belong to another clock.
   /// True when the pose is valid and differs from the one before.
   bool AddPose(const PoseSample& recorded, double now);
-  void AddGyro(const ImuSample& sample, double now);
-  void AddAccel(const ImuSample& sample, double now);
+  void AddGyro(const ImuSample& sample, double now, size_t imu = 0);
+  void AddAccel(const ImuSample& sample, double now, size_t imu = 0);
 
   /// There is enough motion, enough of it is new, and no solve is running.
   bool WantsSolve() const;
@@ -108,13 +110,16 @@ class LiveCalibration {
  private:
   template <typename Sample>
   struct Stream {
-    const char* name;  ///< for people
+    std::string name;  ///< for people
     std::deque<Sample> samples;
     size_t received = 0, unstamped = 0;
     double arrival = 0.0;  ///< `now` of the last sample [s]
 
     StreamStatus Status() const;
     double Duration() const;  ///< [s]
+  };
+  struct Imu {
+    Stream<ImuSample> gyro, accel;
   };
   /// Squared rates in the marker frame, times the time between two poses.
   struct Motion {
@@ -140,8 +145,7 @@ class LiveCalibration {
   const LiveOptions options_;
   const CalibrationOptions calibration_;
   Stream<PoseSample> poses_{"poses", {}};
-  Stream<ImuSample> gyro_{"gyroscope", {}};
-  Stream<ImuSample> accel_{"accelerometer", {}};
+  std::vector<Imu> imus_;
 
   std::optional<PoseSample> pose_;
   std::deque<PoseSample> path_;

@@ -47,8 +47,11 @@ class LiveInput {
   void ForgetAfterReset();
   /// Topics, and frames as they are published.
   RecordingInfo Info() const;
-  /// Another parent of the imu frame in tf, from elsewhere; empty: none.
-  std::string OtherParent() const;
+  /// An imu frame that has another parent in tf, from elsewhere, and that parent; empty: none.
+  struct ForeignLink {
+    std::string imu_frame, parent;
+  };
+  ForeignLink OtherParent() const;
   /// What was dropped, as a sentence; empty: nothing.
   std::string Dropped() const;
   /// Has the topics looked for that have brought nothing yet, and says what was the matter with
@@ -60,10 +63,9 @@ class LiveInput {
   void AddSource(const std::string& parameter,
                  const std::string& topic,
                  const std::vector<std::string>& types,
-                 void (LiveInput::*add)(const TopicSource::Message&));
-  void OnImu(const TopicSource::Message& message);
-  void OnGyro(const TopicSource::Message& message);
-  void OnAccel(const TopicSource::Message& message);
+                 const TopicSource::Callback& add);
+  void OnGyro(const TopicSource::Message& message, size_t imu);
+  void OnAccel(const TopicSource::Message& message, size_t imu);
   void OnPose(const TopicSource::Message& message);
   void OnTransforms(const ros::MessageEvent<const tf2_msgs::TFMessage>& event, bool fixed);
   void AddPose(const PoseSample& recorded, const ros::Time& now);
@@ -78,9 +80,14 @@ class LiveInput {
   std::optional<TfChain> chain_;  ///< when poses come from tf
   /// Of /tf_static by child, for a new chain after a reset.
   std::map<std::string, geometry_msgs::TransformStamped> fixed_links_;
-  std::string world_frame_, marker_frame_, imu_frame_;  ///< of the messages
-  bool lacks_gyro_ = false, lacks_accel_ = false;       ///< as the last message says
-  size_t foreign_poses_ = 0;                            ///< of other frames, dropped
+  std::string world_frame_, marker_frame_;  ///< of the messages
+  struct Imu {
+    const TopicSource *gyro, *accel;               ///< the same of an IMU on one topic
+    std::string frame;                             ///< of the messages
+    bool lacks_gyro = false, lacks_accel = false;  ///< as the last message says
+  };
+  std::vector<Imu> imus_;
+  size_t foreign_poses_ = 0;  ///< of other frames, dropped
   /// In tf by child, as others than this node say; of /tf_static and of /tf.
   std::map<std::string, std::string> fixed_parents_, parents_;
   size_t resets_ = 0;  ///< of live_, to which all of this belongs

@@ -30,7 +30,9 @@ class LiveOutput {
   /// The IMU where the marker is in `pose`, once there is a result.
   void PublishPose(const PoseSample& pose, const RecordingInfo& info);
   /// The result, and as a static transform. `other_parent`: of the imu frame in tf; empty: none.
-  void PublishResult(const RecordingInfo& info, const std::string& other_parent);
+  void PublishResult(const RecordingInfo& info,
+                     const std::string& foreign_frame,
+                     const std::string& other_parent);
 
  private:
   void Diagnose(diagnostic_updater::DiagnosticStatusWrapper& wrapper);

@@ -11,6 +11,7 @@ namespace imu_pose_calib {
 
 /// Parameters of the live node; README.md lists them.
 struct LiveSettings {
+  /// Topics and frame of several IMUs have white space between them.
   std::string imu_topic, gyro_topic, accel_topic, pose_topic, tf_parent, tf_child;
   std::string marker_frame, imu_frame;  ///< empty: of the messages
   std::string output, imu_yaml;
