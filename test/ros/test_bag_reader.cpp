@@ -25,8 +25,8 @@ void ExpectSameSamples(const SessionData& a, const SessionData& b) {
       EXPECT_EQ(x[k].value, y[k].value);
     }
   };
-  expect_same(a.gyro, b.gyro);
-  expect_same(a.accel, b.accel);
+  expect_same(a.imus[0].gyro, b.imus[0].gyro);
+  expect_same(a.imus[0].accel, b.imus[0].accel);
 }
 
 TEST_F(BagReaderTest, ReadsBackWhatTheWriterWrote) {
@@ -35,12 +35,12 @@ TEST_F(BagReaderTest, ReadsBackWhatTheWriterWrote) {
   const Recording recording = ReadBag(Request());
   ExpectSameSamples(recording.data, data);
   EXPECT_EQ(recording.info.bag, Path("recording.bag"));
-  EXPECT_EQ(recording.info.imu_topic, "/imu");
-  EXPECT_EQ(recording.info.gyro_topic, "");
+  EXPECT_EQ(recording.info.imus[0].imu_topic, "/imu");
+  EXPECT_EQ(recording.info.imus[0].gyro_topic, "");
   EXPECT_EQ(recording.info.pose_topic, "/mocap/pose");
   EXPECT_EQ(recording.info.world_frame, "world");
   EXPECT_EQ(recording.info.marker_frame, "marker");
-  EXPECT_EQ(recording.info.imu_frame, "imu");
+  EXPECT_EQ(recording.info.imus[0].imu_frame, "imu");
 }
 
 TEST_F(BagReaderTest, TellsTheTopicsOfASplitImuApart) {
@@ -50,9 +50,9 @@ TEST_F(BagReaderTest, TellsTheTopicsOfASplitImuApart) {
   WriteBag(Path("recording.bag"), data, {true, "TransformStamped"});
   const Recording recording = ReadBag(Request());
   ExpectSameSamples(recording.data, data);
-  EXPECT_EQ(recording.info.imu_topic, "");
-  EXPECT_EQ(recording.info.gyro_topic, "/imu/gyro");
-  EXPECT_EQ(recording.info.accel_topic, "/imu/accel");
+  EXPECT_EQ(recording.info.imus[0].imu_topic, "");
+  EXPECT_EQ(recording.info.imus[0].gyro_topic, "/imu/gyro");
+  EXPECT_EQ(recording.info.imus[0].accel_topic, "/imu/accel");
 }
 
 TEST_F(BagReaderTest, ReadsEveryTypeOfPose) {
@@ -76,7 +76,7 @@ TEST_F(BagReaderTest, ReadsVectors) {
   request.accel_topic = "/imu/accel";
   const Recording recording = ReadBag(request);
   ExpectSameSamples(recording.data, data);
-  EXPECT_EQ(recording.info.imu_frame, "imu");
+  EXPECT_EQ(recording.info.imus[0].imu_frame, "imu");
 }
 
 TEST_F(BagReaderTest, ReadsTf) {
@@ -178,7 +178,7 @@ TEST_F(BagReaderTest, KeepsNanosecondsAndFrames) {
   EXPECT_EQ(recording.data.imus[0].gyro.at(0).t_ns, 50000000001);
   EXPECT_EQ(recording.info.world_frame, "map");
   EXPECT_EQ(recording.info.marker_frame, "rig");
-  EXPECT_EQ(recording.info.imu_frame, "imu_link");
+  EXPECT_EQ(recording.info.imus[0].imu_frame, "imu_link");
 }
 
 TEST_F(BagReaderTest, KeepsTheOrderOfRecording) {
@@ -287,10 +287,10 @@ TEST_F(BagReaderTest, WriterRefusesWhatItCannotWrite) {
       },
       {"'Path'", "PoseStamped, TransformStamped"});
   SessionData uneven = data;
-  uneven.accel.pop_back();
+  uneven.imus[0].accel.pop_back();
   ExpectError<InputError>([&] { WriteBag(Path("x.bag"), uneven, {}); }, {"600 and 599"});
   uneven = data;
-  ++uneven.accel[0].t_ns;
+  ++uneven.imus[0].accel[0].t_ns;
   ExpectError<InputError>([&] { WriteBag(Path("x.bag"), uneven, {}); }, {"same stamps"});
 }
 

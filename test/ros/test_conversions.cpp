@@ -93,7 +93,7 @@ class ResultMessages : public ::testing::Test {
  protected:
   void SetUp() override {
     info_.marker_frame = "rig";
-    info_.imu_frame = "imu_link";
+    info_.imus[0].imu_frame = "imu_link";
     result_.status = Status::kWeak;
     result_.method = Method::kGp;
     result_.message = "why";

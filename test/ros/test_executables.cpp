@@ -234,11 +234,11 @@ TEST_F(CalibrateBagTest, ReadsSeveralBagsAsOneRecording) {
   const YAML::Node expected = YAML::LoadFile(Path("x.calibration.yaml"));
 
   first.poses.resize(700);
-  first.gyro.resize(1400);
-  first.accel.resize(1400);
+  first.imus[0].gyro.resize(1400);
+  first.imus[0].accel.resize(1400);
   second.poses.erase(second.poses.begin(), second.poses.begin() + 700);
-  second.gyro.erase(second.gyro.begin(), second.gyro.begin() + 1400);
-  second.accel.erase(second.accel.begin(), second.accel.begin() + 1400);
+  second.imus[0].gyro.erase(second.imus[0].gyro.begin(), second.imus[0].gyro.begin() + 1400);
+  second.imus[0].accel.erase(second.imus[0].accel.begin(), second.imus[0].accel.begin() + 1400);
   WriteBag(Path("a.bag"), first, {});
   WriteBag(Path("b.bag"), second, {});
   const Outcome outcome = Calibrate("a.bag b.bag --quiet --start 2 --duration 10");
@@ -294,8 +294,8 @@ TEST_F(CalibrateBagTest, RefusesImuOfAnotherMotion) {
   SimulatorOptions other = Handheld();
   other.seed = 99;
   SessionData data = Simulate(Handheld());
-  data.imus[0].gyro = Simulate(other).gyro;
-  data.imus[0].accel = Simulate(other).accel;
+  data.imus[0].gyro = Simulate(other).imus[0].gyro;
+  data.imus[0].accel = Simulate(other).imus[0].accel;
   WriteSimulation(data);
   ExpectFailure("x.bag", 2, {"time shift"});
 }
@@ -334,11 +334,11 @@ TEST_F(CalibrateBagTest, RefusesWhatCannotBeAsItIsInOneLine) {
   };
   const Case cases[] = {
       {[](SessionData* d) {
-         for (ImuSample& s : d->gyro) s.value *= 57.29578;
+         for (ImuSample& s : d->imus[0].gyro) s.value *= 57.29578;
        },
        {"gyroscope", "set gyro_unit: 0.0174532925"}},
       {[](SessionData* d) {
-         for (ImuSample& s : d->accel) s.value /= 9.80665;
+         for (ImuSample& s : d->imus[0].accel) s.value /= 9.80665;
        },
        {"accelerometer", "set accel_unit: 9.80665"}},
       {[](SessionData* d) {
@@ -354,7 +354,7 @@ TEST_F(CalibrateBagTest, RefusesWhatCannotBeAsItIsInOneLine) {
        },
        {"the position never changes"}},
       {[](SessionData* d) {
-         for (ImuSample& s : d->gyro) s.value.z() = 0.0;
+         for (ImuSample& s : d->imus[0].gyro) s.value.z() = 0.0;
        },
        {"gyroscope: its z axis is always 0"}},
   };
@@ -386,7 +386,7 @@ TEST_F(CalibrateBagTest, ChecksABagWithoutCalibrating) {
   EXPECT_EQ(outcome.status, 0) << outcome.err;
   EXPECT_EQ(outcome.out.compare(0, 18, "USABLE: gyroscope:"), 0) << outcome.out;
 
-  data.imus[0].gyro = Simulate(Handheld()).gyro;
+  data.imus[0].gyro = Simulate(Handheld()).imus[0].gyro;
   data.poses.resize(300);
   WriteSimulation(data);
   outcome = Calibrate("x.bag --check");

@@ -69,8 +69,8 @@ double Distance(const Calibration& a, const CalibrationResult& b) {
   difference.head<3>() = T_MI.p - a.imus[0].T_MI.p;
   const Eigen::AngleAxisd turn(a.imus[0].T_MI.q.conjugate() * T_MI.q);
   difference.tail<3>() = turn.angle() * turn.axis();
-  const double time_shift =
-      std::abs(b.time_shift - a.sessions[0].imus[0].time_shift) / std::hypot(a.sessions[0].imus[0].time_shift_std, b.time_shift_std);
+  const double time_shift = std::abs(b.time_shift - a.sessions[0].imus[0].time_shift) /
+                            std::hypot(a.sessions[0].imus[0].time_shift_std, b.time_shift_std);
   return std::max(time_shift, difference.cwiseAbs().cwiseQuotient(variance.cwiseSqrt()).maxCoeff());
 }
 
@@ -157,14 +157,15 @@ TEST_F(Live, AgreesWithOfflineOnTheSample) {
 
   player.Pause(false);
   ASSERT_TRUE(WaitFor([&] {
-    return node.status.pose_count == offline.poses.received &&
-           node.status.gyro_count == offline.gyro.received &&
-           node.status.accel_count == offline.accel.received && node.status.solve_time == 0.0;
+    return node.status.pose_count == offline.sessions[0].poses.received &&
+           node.status.gyro_count == offline.sessions[0].imus[0].gyro.received &&
+           node.status.accel_count == offline.sessions[0].imus[0].accel.received &&
+           node.status.solve_time == 0.0;
   })) << node.status;
   node.result.reset();
   EXPECT_TRUE(node.Call("calibrate").success);
   ASSERT_TRUE(node.WaitForResult()) << node.status;
-  EXPECT_LT(Distance(offline, *node.result), 2.0) << *node.result << "\n" << offline.T_MI.p;
+  EXPECT_LT(Distance(offline, *node.result), 2.0) << *node.result << "\n" << offline.imus[0].T_MI.p;
   EXPECT_TRUE(node.Call("save").success);
   const YAML::Node yaml = YAML::LoadFile(Path("live.yaml"));
   EXPECT_EQ(yaml["frames"]["marker"].as<std::string>(), "vicon/rig/rig");

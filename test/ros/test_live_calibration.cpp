@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <limits>
 
+#include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/simulator.h"
 #include "imu_pose_calib/ros/live/live_calibration.h"
 #include "test_util.h"
@@ -108,8 +109,8 @@ TEST(LiveCalibration, KeepsEverySampleOfTheWindow) {
       ASSERT_EQ(tail[k].t_ns, samples[samples.size() - count + k].t_ns);
   };
   expect_tail(all.poses, kept.poses, 2001);
-  expect_tail(all.gyro, kept.gyro, 4001);
-  expect_tail(all.accel, kept.accel, 4001);
+  expect_tail(all.imus[0].gyro, kept.imus[0].gyro, 4001);
+  expect_tail(all.imus[0].accel, kept.imus[0].accel, 4001);
   const LiveStatus status = live.Status(End(all));
   EXPECT_EQ(status.poses.received, all.poses.size());
   EXPECT_NEAR(status.poses.rate_hz, 100.0, 0.1);
@@ -127,7 +128,7 @@ TEST(LiveCalibration, SolvesTheSameDataAsOffline) {
   options.method = Method::kGp;
   const SessionData snapshot = live.BeginSolve();
   ASSERT_TRUE(live.EndSolve(Calibrate(options, snapshot)));
-  EXPECT_LT((live.result()->T_MI.p - SimulatorOptions().T_MI.p).norm(), 0.01);
+  EXPECT_LT((live.result()->imus[0].T_MI.p - SimulatorOptions().T_MI.p).norm(), 0.01);
 }
 
 TEST(LiveCalibration, UnderstandsThePosesAsTheSolverDoes) {
@@ -239,7 +240,7 @@ TEST(LiveCalibration, OffersTheNewestOfThePreciseResults) {
   EXPECT_TRUE(EndSolve(Result(1e-4, 2.0), &live));
   EXPECT_FALSE(EndSolve(Result(1e-3, 3.0), &live));
   EXPECT_FALSE(EndSolve(degenerate, &live));
-  EXPECT_EQ(live.result()->T_MI.p.x(), 2.0);
+  EXPECT_EQ(live.result()->imus[0].T_MI.p.x(), 2.0);
   EXPECT_TRUE(EndSolve(Result(1.1e-4, 4.0), &live));
   EXPECT_FALSE(EndSolve(Result(1.3e-4, 5.0), &live)) << "not worse and worse step by step";
 }
@@ -252,8 +253,8 @@ TEST(LiveCalibration, NoticesLostStreamsAndMarkers) {
   const double lost_end = End(lost);
   const PoseSample last = lost.poses.front();
   lost.poses.resize(1);
-  for (const ImuSample& sample : lost.gyro) live.AddGyro(sample, Arrival(sample.t_ns));
-  for (const ImuSample& sample : lost.accel) live.AddAccel(sample, Arrival(sample.t_ns));
+  for (const ImuSample& sample : lost.imus[0].gyro) live.AddGyro(sample, Arrival(sample.t_ns));
+  for (const ImuSample& sample : lost.imus[0].accel) live.AddAccel(sample, Arrival(sample.t_ns));
   LiveStatus status = live.Status(lost_end);
   EXPECT_EQ(status.phase, Phase::kDegraded);
   EXPECT_TRUE(Contains(status.message, "no poses for 5")) << status.message;
@@ -289,9 +290,9 @@ TEST(LiveCalibration, StartsAnewWhenAClockJumps) {
   const SessionData again = Cut(data, 0.0, 3.0);
   expect_reset(again, "time went back by 20 s");
   SessionData back = Shift(again, 20.0), ahead = back;
-  for (ImuSample& sample : back.gyro) sample.t_ns -= 10'000'000'000;
+  for (ImuSample& sample : back.imus[0].gyro) sample.t_ns -= 10'000'000'000;
   expect_reset(back, "the stamps of the gyroscope went back by 9.98 s");
-  for (ImuSample& sample : ahead.accel) sample.t_ns += 10'000'000'000;
+  for (ImuSample& sample : ahead.imus[0].accel) sample.t_ns += 10'000'000'000;
   expect_reset(ahead, "the stamps of the accelerometer jumped ahead by 10 s");
 }
 

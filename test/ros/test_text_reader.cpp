@@ -32,15 +32,15 @@ class TextFiles : public TempDirTest {
   }
   void ExpectData(const SessionData& data) const {
     ASSERT_EQ(data.poses.size(), data_.poses.size());
-    ASSERT_EQ(data.imus[0].gyro.size(), data_.gyro.size());
-    ASSERT_EQ(data.imus[0].accel.size(), data_.accel.size());
+    ASSERT_EQ(data.imus[0].gyro.size(), data_.imus[0].gyro.size());
+    ASSERT_EQ(data.imus[0].accel.size(), data_.imus[0].accel.size());
     for (size_t k = 0; k < data.poses.size(); ++k) {
       ASSERT_EQ(data.poses[k].t_ns, data_.poses[k].t_ns);
       ASSERT_EQ(data.poses[k].p_WM, data_.poses[k].p_WM);
       ASSERT_EQ(data.poses[k].q_WM.coeffs(), data_.poses[k].q_WM.coeffs());
     }
-    ExpectSamples(data.imus[0].gyro, data_.gyro);
-    ExpectSamples(data.imus[0].accel, data_.accel);
+    ExpectSamples(data.imus[0].gyro, data_.imus[0].gyro);
+    ExpectSamples(data.imus[0].accel, data_.imus[0].accel);
   }
 
   SessionData data_;
@@ -80,7 +80,7 @@ TEST_F(TextFiles, TablesGiveBackTheData) {
 }
 
 TEST_F(TextFiles, SplitTablesGiveBackTheData) {
-  data_.accel.pop_back();
+  data_.imus[0].accel.pop_back();
   WriteTables(Path("x"), data_, true);
   TextRequest request = Tables();
   request.imu.clear();
@@ -94,14 +94,14 @@ TEST_F(TextFiles, SplitTablesGiveBackTheData) {
 }
 
 TEST_F(TextFiles, OneFileForBothNeedsTheSameStamps) {
-  data_.accel.pop_back();
+  data_.imus[0].accel.pop_back();
   ExpectError<InputError>([&] { WriteTables(Path("x"), data_, false); }, {"accelerometer"});
   ExpectError<InputError>([&] { WriteAslFolder(Path("a"), data_); }, {"accelerometer"});
 }
 
 TEST_F(TextFiles, SpanIsThatOfABag) {
-  for (ImuSample& s : data_.gyro) s.t_ns += 500'000'000;
-  for (ImuSample& s : data_.accel) s.t_ns += 500'000'000;
+  for (ImuSample& s : data_.imus[0].gyro) s.t_ns += 500'000'000;
+  for (ImuSample& s : data_.imus[0].accel) s.t_ns += 500'000'000;
   WriteBag(Path("x.bag"), data_, {});
   WriteTables(Path("x"), data_, false);
   BagRequest bag;
@@ -123,7 +123,7 @@ TEST_F(TextFiles, SpanOfForeignClocksCountsFromEachStart) {
   const SessionData data = ReadText(request).data;
   EXPECT_EQ(data.poses.front().t_ns, data_.poses.front().t_ns + 1'000'000'000);
   EXPECT_EQ(data.poses.size(), 101u);
-  EXPECT_EQ(data.imus[0].gyro.front().t_ns, data_.gyro.front().t_ns + 1'000'000'000);
+  EXPECT_EQ(data.imus[0].gyro.front().t_ns, data_.imus[0].gyro.front().t_ns + 1'000'000'000);
   EXPECT_EQ(data.imus[0].gyro.size(), 201u);
 }
 

@@ -26,7 +26,7 @@ namespace {
 constexpr int64_t kDay = 86'400'000'000'000;  // [ns]
 const char kPoseTopic[] = "/mocap/pose";
 
-std_msgs::Header MakeHeader(int64_t t_ns, const char* frame) {
+std_msgs::Header MakeHeader(int64_t t_ns, const std::string& frame) {
   std_msgs::Header header;
   header.stamp = FromNanoseconds(t_ns);
   header.frame_id = frame;
