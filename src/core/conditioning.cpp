@@ -14,6 +14,10 @@
 namespace imu_pose_calib {
 namespace {
 
+/// A spike: off the median of the samples this near by so many times the median step between the
+/// samples of the log and of those not so near, and by so many times the spread of those near.
+constexpr size_t kSpikeReach = 3, kStepReach = 10;
+constexpr double kSpikeSteps = 10.0, kSpikeSpreads = 5.0;
 /// Stated noises are believed to differ by this factor from the median at most.
 constexpr double kMaxNoiseScale = 10.0;
 /// Median specific force of a moving body, in units of gravity.
@@ -229,6 +233,50 @@ void RemoveSaturated(const std::string& stream,
   *samples = std::move(kept);
 }
 
+/// Distances of the samples of a range from their median by component.
+std::vector<double> FromMiddle(const std::vector<ImuSample>& samples, IndexRange range) {
+  Eigen::Vector3d middle;
+  for (int axis = 0; axis < 3; ++axis) {
+    std::vector<double> values;
+    for (size_t k = range.begin; k < range.end; ++k) values.push_back(samples[k].value[axis]);
+    middle[axis] = Median(std::move(values));
+  }
+  std::vector<double> distances;
+  for (size_t k = range.begin; k < range.end; ++k)
+    distances.push_back((samples[k].value - middle).norm());
+  return distances;
+}
+
+/// Spikes leave and are counted: up to three samples in a row, off their neighbours by many times
+/// the usual step from sample to sample and the spread of these neighbours: that of a hard knock is
+/// wide. A closed form cannot bear them, and a solve with robust weights would not believe the
+/// motion around them either.
+void RemoveSpikes(std::vector<ImuSample>* spiky, StreamReport* report) {
+  if (spiky->size() < 2) return;
+  const std::vector<ImuSample> samples = std::move(*spiky);
+  spiky->clear();
+  const auto around = [&](size_t i, size_t reach) {
+    return IndexRange{i - std::min(i, reach), std::min(i + reach + 1, samples.size())};
+  };
+  const auto usual_step = [&](IndexRange range) {
+    std::vector<double> steps;
+    for (size_t i = range.begin + 1; i < range.end; ++i)
+      steps.push_back((samples[i].value - samples[i - 1].value).norm());
+    return Median(std::move(steps));
+  };
+  const double usual_in_log = usual_step({0, samples.size()});
+  for (size_t i = 0; i < samples.size(); ++i) {
+    const IndexRange near = around(i, kSpikeReach);
+    const std::vector<double> distances = FromMiddle(samples, near);
+    const double off = distances[i - near.begin];
+    const bool is_spike = off > kSpikeSteps * usual_in_log &&
+                          off > kSpikeSteps * usual_step(around(i, kStepReach)) &&
+                          off > kSpikeSpreads * Median(distances);
+    if (!is_spike) spiky->push_back(samples[i]);
+  }
+  report->outlier = samples.size() - spiky->size();
+}
+
 void CheckDuration(const std::string& stream, const StreamReport& report, double min_s) {
   if (report.duration_s >= min_s) return;
   std::ostringstream dropped;
@@ -324,6 +372,7 @@ ConditionedImu ConditionImu(const CalibrationOptions& options,
         auto kept = Clean(stream, options.max_bad_fraction, samples, report);
         CheckAlive(stream, kept, report->received);
         RemoveSaturated(stream, options.max_bad_fraction, &kept, report);
+        RemoveSpikes(&kept, report);
         return kept;
       };
   const auto gyro = clean("gyroscope" + of, data.gyro, &imu.gyro_report);

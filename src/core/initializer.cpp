@@ -293,7 +293,8 @@ void RemoveFlippedSegments(const CalibrationOptions& options,
   *trajectory = PoseTrajectory(data->poses,
                                data->segments,
                                trajectory->position_hyperparameters(),
-                               trajectory->rotation_hyperparameters());
+                               trajectory->rotation_hyperparameters(),
+                               options.LaunchPolicy());
 }
 
 void FitLeverArm(const PoseTrajectory& trajectory,

@@ -19,8 +19,9 @@ constexpr double kStep = 0.02;              // [s] between the instants looked a
 constexpr double kExcerpt = 8.0;            // [s] on which the knot spacing is chosen
 constexpr double kCoarsestKnots = 0.12;     // [s]
 constexpr double kMinSamplesPerKnot = 4.0;  // IMU samples
-/// Share of an IMU's samples that those seconds must hold.
-constexpr double kLeastCovered = 0.1;
+/// Share of those seconds that knots must cover, more than the ends of two runs can be too short
+/// for; and share of the samples of each sensor that they must hold.
+constexpr double kLeastFollowed = 0.15, kLeastCovered = 0.1;
 /// Of gyro times accel residual, by the last step, that is worth knots twice and 1.4 times as
 /// dense.
 constexpr double kShrinkage = 0.96, kSteepShrinkage = 0.5;
@@ -86,9 +87,10 @@ struct LivelySpan {
   double liveliness = -1.0;       ///< see JointStart; negative: there is none
 };
 
-/// The `duration_s` of the log in which the marker turns most, as far as the IMUs cover it.
+/// The `duration_s` of the log in which the marker turns most, as far as `knots` cover it.
 LivelySpan FindLiveliest(const PreparedSession& session,
                          const SessionEstimate& estimate,
+                         const CorrectionSplines& knots,
                          double duration_s) {
   double first = session.data.poses.front().t, last = session.data.poses.back().t;
   for (size_t i = 0; i < session.data.imus.size(); ++i) {
@@ -99,13 +101,15 @@ LivelySpan FindLiveliest(const PreparedSession& session,
   }
   LivelySpan best{first, first + duration_s};
   for (double t = first; t + 0.5 * duration_s < last; t += 0.5 * duration_s) {
-    double sum = 0.0;
+    double sum = 0.0, followed = 0.0;
     for (double s = t; s < std::min(last, t + duration_s); s += kStep) {
       MarkerState<double> state;
-      if (session.trajectory->Evaluate(s, &state)) sum += state.alpha_M.squaredNorm();
+      if (!knots.Locate(s) || !session.trajectory->Evaluate(s, &state)) continue;
+      sum += state.alpha_M.squaredNorm();
+      followed += kStep / duration_s;
     }
     const double liveliness = kStep / duration_s * sum;
-    if (liveliness <= best.liveliness ||
+    if (liveliness <= best.liveliness || followed < kLeastFollowed ||
         !IsCovered(session, estimate, t, std::min(last, t + duration_s)))
       continue;
     best = {t, t + duration_s, liveliness};
@@ -253,19 +257,22 @@ double ImuResidual(const std::vector<SensorModel>& models, const std::vector<dou
 JointStart ChooseKnotSpacing(const CalibrationOptions& options,
                              const PreparedSession& session,
                              Estimate* estimate) {
-  const LivelySpan lively = FindLiveliest(session, estimate->sessions[0], kExcerpt);
+  const bool is_given = options.knot_spacing_s > 0.0;
+  double spacing = is_given ? options.knot_spacing_s : kCoarsestKnots;
+  const LivelySpan lively = FindLiveliest(session,
+                                          estimate->sessions[0],
+                                          CorrectionSplines(session.data, *estimate, 0, spacing),
+                                          kExcerpt);
   if (lively.liveliness < 0.0)
     throw DataError("there are no seconds in which poses and the samples of every imu are there");
   const std::vector<PreparedSession> excerpt = {
       Excerpt(session, estimate->sessions[0], lively.begin, lively.end)};
-  const bool is_given = options.knot_spacing_s > 0.0;
   const std::vector<SensorModel> models = InitialModels(options, excerpt);
   double slowest = std::numeric_limits<double>::infinity();
   for (const SensorModel& model : models)
     if (model.quantity == Quantity::kGyro || model.quantity == Quantity::kAccel)
       slowest = std::min(slowest, model.rate_hz);
   const double finest = kMinSamplesPerKnot / slowest;
-  double spacing = is_given ? options.knot_spacing_s : kCoarsestKnots;
   double residual_before = std::numeric_limits<double>::infinity();
   for (;;) {
     Estimate trial = *estimate;

@@ -92,7 +92,8 @@ GpHyperparameters FitRotation(const CalibrationOptions& o, const ConditionedData
 
 /// Norm of the leave-one-out residual in sigma, per pose: (position, rotation).
 std::vector<Eigen::Vector2d> LeaveOneOut(const PoseTrajectory& trajectory,
-                                         const std::vector<TimedPose>& poses) {
+                                         const std::vector<TimedPose>& poses,
+                                         std::launch policy) {
   const double position_noise2 = std::pow(trajectory.position_hyperparameters().noise_std, 2);
   const double rotation_noise2 = std::pow(trajectory.rotation_hyperparameters().noise_std, 2);
   // r_loo = r / (1 - h) with variance noise^2 / (1 - h), h = posterior variance / noise^2
@@ -110,7 +111,7 @@ std::vector<Eigen::Vector2d> LeaveOneOut(const PoseTrajectory& trajectory,
           normalise(rotation, smooth.rotation_variance, rotation_noise2);
     }
   };
-  auto first_half = std::async(std::launch::async, fill, 0, poses.size() / 2);
+  auto first_half = std::async(policy, fill, 0, poses.size() / 2);
   fill(poses.size() / 2, poses.size());
   first_half.get();
   return normalised;
@@ -242,12 +243,12 @@ void RemoveSpikes(double threshold, ConditionedData* data) {
 PoseTrajectory::PoseTrajectory(const std::vector<TimedPose>& poses,
                                const std::vector<IndexRange>& segments,
                                const GpHyperparameters& position,
-                               const GpHyperparameters& rotation)
+                               const GpHyperparameters& rotation,
+                               std::launch policy)
     : position_(position), rotation_(rotation), origin_W_(MeanPosition(poses)) {
   for (const IndexRange& range : segments) {
-    auto position_gp = std::async(std::launch::async, [&] {
-      return WindowedGp(PositionData(poses, range, origin_W_), position_);
-    });
+    auto position_gp = std::async(
+        policy, [&] { return WindowedGp(PositionData(poses, range, origin_W_), position_); });
     WindowedGp quaternion_gp(QuaternionData(poses, range), Scaled(rotation_, 0.5));
     segments_.push_back({position_gp.get(), std::move(quaternion_gp)});
   }
@@ -315,21 +316,21 @@ PoseTrajectory::Pose PoseTrajectory::PoseAt(double t) const {
 PoseTrajectory FitTrajectory(const CalibrationOptions& options, ConditionedData* data) {
   RemoveSpikes(options.outlier_threshold, data);
   SplitAtJumps(options, data);
+  const std::launch policy = options.LaunchPolicy();
   GpHyperparameters position, rotation;
   bool refit = true;
   int refits = 0;
   bool stale = false;  // poses left since the hyperparameters were fitted
   for (int round = 1;; ++round) {
     if (refit) {
-      auto fit_position =
-          std::async(std::launch::async, [&] { return FitPosition(options, *data); });
+      auto fit_position = std::async(policy, [&] { return FitPosition(options, *data); });
       rotation = FitRotation(options, *data);
       position = fit_position.get();
       ++refits;
       stale = false;
     }
-    PoseTrajectory trajectory(data->poses, data->segments, position, rotation);
-    const std::vector<Eigen::Vector2d> residuals = LeaveOneOut(trajectory, data->poses);
+    PoseTrajectory trajectory(data->poses, data->segments, position, rotation, policy);
+    const std::vector<Eigen::Vector2d> residuals = LeaveOneOut(trajectory, data->poses, policy);
     const std::vector<size_t> outliers =
         FindOutliers(residuals,
                      data->poses,

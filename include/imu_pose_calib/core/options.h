@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
+#include <future>
 #include <optional>
 
 namespace imu_pose_calib {
@@ -122,6 +123,11 @@ struct CalibrationOptions {
   double weak_rotation_std = 0.01;     ///< [rad]
   double weak_translation_std = 0.01;  ///< [m]
   double weak_time_shift_std = 0.002;  ///< [s]
+
+  /// Of work that may be done aside.
+  std::launch LaunchPolicy() const {
+    return num_threads == 1 ? std::launch::deferred : std::launch::async;
+  }
 
   /// Throws InputError naming field, value and bound when a value is out of range.
   void Validate() const;

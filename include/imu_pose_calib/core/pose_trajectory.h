@@ -2,6 +2,7 @@
 
 #include <ceres/jet.h>
 
+#include <future>
 #include <vector>
 
 #include "imu_pose_calib/core/conditioning.h"
@@ -35,11 +36,13 @@ struct MarkerVariance {
 /// The quaternion needs no chart, so any number of turns is fine.
 class PoseTrajectory {
  public:
-  /// Hyperparameters in [m] and, for rotation, in [rad].
+  /// Hyperparameters in [m] and, for rotation, in [rad]. `policy`: see
+  /// CalibrationOptions::LaunchPolicy().
   PoseTrajectory(const std::vector<TimedPose>& poses,
                  const std::vector<IndexRange>& segments,
                  const GpHyperparameters& position,
-                 const GpHyperparameters& rotation);
+                 const GpHyperparameters& rotation,
+                 std::launch policy = std::launch::async);
 
   const GpHyperparameters& position_hyperparameters() const { return position_; }
   const GpHyperparameters& rotation_hyperparameters() const { return rotation_; }

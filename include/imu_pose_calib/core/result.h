@@ -21,7 +21,7 @@ struct StreamReport {
   size_t duplicate_stamp = 0;   ///< same stamp as another sample
   size_t repeated_value = 0;    ///< exactly the previous value under a new stamp (frozen)
   size_t saturated = 0;         ///< IMU only: at the end of the sensor's range
-  size_t outlier = 0;           ///< poses only: off its neighbours
+  size_t outlier = 0;           ///< off its neighbours
   size_t flipped = 0;           ///< poses only: in a run that turns against the gyroscope
   size_t in_short_segment = 0;  ///< poses only: between gaps less than min_segment_s apart
   double rate_hz = 0.0;         ///< 1 / median period of the samples used

@@ -1,0 +1,46 @@
+#include <gtest/gtest.h>
+
+#include <ctime>
+
+#include "imu_pose_calib/core/calibrator.h"
+#include "imu_pose_calib/core/simulator.h"
+
+namespace imu_pose_calib {
+namespace {
+
+/// [s] of processor time.
+double Elapsed(clockid_t clock) {
+  timespec now{};
+  clock_gettime(clock, &now);
+  return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
+}
+
+/// Share of the processor time of `work` that other threads spend.
+template <typename Work>
+double ShareOfOthers(const Work& work) {
+  const double all = Elapsed(CLOCK_PROCESS_CPUTIME_ID), own = Elapsed(CLOCK_THREAD_CPUTIME_ID);
+  work();
+  return 1.0 - (Elapsed(CLOCK_THREAD_CPUTIME_ID) - own) / (Elapsed(CLOCK_PROCESS_CPUTIME_ID) - all);
+}
+
+TEST(NumThreads, OneIsTheCallersAlone) {
+  SimulatorOptions truth;
+  truth.duration_s = 12.0;
+  SessionData data = Simulate(truth);
+  // Two segments, the second turned: the trajectory is built again without it.
+  for (size_t i = 1000; i < data.poses.size(); ++i) {
+    data.poses[i].t_ns += 500'000'000;
+    data.poses[i].q_WM = data.poses[i].q_WM * Eigen::Quaterniond(0.0, 1.0, 0.0, 0.0);
+  }
+  for (const Method method : {Method::kJoint, Method::kGp}) {
+    CalibrationOptions options;
+    options.method = method;
+    options.num_threads = 1;
+    EXPECT_LT(ShareOfOthers([&] { Calibrate(options, data); }), 1e-3);
+    options.num_threads = 2;
+    EXPECT_GT(ShareOfOthers([&] { Calibrate(options, data); }), 0.02);
+  }
+}
+
+}  // namespace
+}  // namespace imu_pose_calib
