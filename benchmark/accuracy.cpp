@@ -8,41 +8,59 @@
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
+#include <vector>
 
-#include "imu_pose_calib/core/conditioning.h"
-#include "imu_pose_calib/core/initializer.h"
 #include "imu_pose_calib/core/joint_solver.h"
-#include "imu_pose_calib/core/pose_trajectory.h"
+#include "imu_pose_calib/core/preparation.h"
 #include "imu_pose_calib/core/simulator.h"
 #include "imu_pose_calib/core/so3.h"
 
 namespace imu_pose_calib {
 namespace {
 
-constexpr int kSize = kAccelDelay + 1;  // translation, rotation, time shift, accel delay
+/// Places of translation, rotation, time shift and accel delay in the errors.
+constexpr int kTranslation = 0, kRotation = 3, kTimeShift = 6, kAccelDelay = 7, kSize = 8;
 using Errors = Eigen::Matrix<double, kSize, 1>;
 using Covariance = Eigen::Matrix<double, kSize, kSize>;
 
 struct Trial {
-  Errors errors;  ///< estimate less truth, in the order of CalibrationIndex
+  Errors errors;  ///< estimate less truth
   Covariance model, robust;
 };
 
 /// Calibrates a recording of the truth.
 Trial Run(const SimulatorOptions& truth) {
   const CalibrationOptions options;
-  ConditionedData data = Condition(options, Simulate(truth));
-  const PoseTrajectory trajectory = FitTrajectory(options, &data);
-  Estimate estimate(Initialise(options, trajectory, data), data, options.bias_knot_interval_s);
-  const JointStart start = ChooseKnotSpacing(options, trajectory, data, &estimate);
-  const Solution solution = SolveJointly(options, trajectory, data, start, &estimate);
-  const double epochs = 1e-9 * static_cast<double>(data.pose_epoch_ns - data.imu_epoch_ns);
+  DataCheck check;
+  const std::vector<PreparedSession> sessions = {Prepare(options, Simulate(truth), &check)};
+  Estimate estimate(sessions[0], options.bias_knot_interval_s);
+  const JointStart start = ChooseKnotSpacing(options, sessions[0], &estimate);
+  const Solution solution = SolveJointly(options, sessions, {start}, &estimate);
+  const ConditionedData& data = sessions[0].data;
+  const double epochs = 1e-9 * static_cast<double>(data.pose_epoch_ns - data.imus[0].epoch_ns);
+  const ImuEstimate& imu = estimate.imus[0];
   Trial trial;
-  trial.errors << estimate.p_MI - truth.T_MI.p,
-      Log(Eigen::Quaterniond(truth.T_MI.q.conjugate() * estimate.q_MI)),
-      estimate.time_shift + epochs - truth.time_shift_s, estimate.accel_delay - truth.accel_delay_s;
-  trial.model = solution.covariance.model.topLeftCorner<kSize, kSize>();
-  trial.robust = solution.covariance.robust.topLeftCorner<kSize, kSize>();
+  trial.errors << imu.p_MI - truth.T_MI.p,
+      Log(Eigen::Quaterniond(truth.T_MI.q.conjugate() * imu.q_MI)),
+      estimate.sessions[0].imus[0].time_shift + epochs - truth.time_shift_s,
+      imu.accel_delay - truth.accel_delay_s;
+
+  const Marginals& marginals = solution.marginals;
+  std::vector<int> places;
+  const auto add = [&](ParameterKind kind, int size) {
+    for (int i = 0; i < size; ++i) places.push_back(marginals.Find(kind) + i);
+  };
+  add(ParameterKind::kTranslation, 3);
+  add(ParameterKind::kRotation, 3);
+  add(ParameterKind::kTimeShift, 1);
+  add(ParameterKind::kAccelDelay, 1);
+  for (int i = 0; i < kSize; ++i) {
+    for (int j = 0; j < kSize; ++j) {
+      const int row = places[static_cast<size_t>(i)], column = places[static_cast<size_t>(j)];
+      trial.model(i, j) = marginals.model(row, column);
+      trial.robust(i, j) = marginals.robust(row, column);
+    }
+  }
   return trial;
 }
 

@@ -6,16 +6,16 @@
 
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/conditioning.h"
-#include "imu_pose_calib/core/initializer.h"
 #include "imu_pose_calib/core/joint_residuals.h"
 #include "imu_pose_calib/core/joint_solver.h"
 #include "imu_pose_calib/core/pose_trajectory.h"
+#include "imu_pose_calib/core/preparation.h"
 #include "imu_pose_calib/core/simulator.h"
 
 namespace imu_pose_calib {
 namespace {
 
-CalibrationData Recording(double duration_s) {
+SessionData Recording(double duration_s) {
   SimulatorOptions options;
   options.duration_s = duration_s;
   return Simulate(options);
@@ -24,7 +24,8 @@ CalibrationData Recording(double duration_s) {
 /// S1 on `range` seconds of poses at 100 Hz.
 void BenchmarkFitTrajectory(benchmark::State& state) {
   const CalibrationOptions options;
-  const ConditionedData data = Condition(options, Recording(static_cast<double>(state.range(0))));
+  const ConditionedData data =
+      ConditionData(options, Recording(static_cast<double>(state.range(0))));
   for (auto _ : state) {
     ConditionedData copy = data;
     benchmark::DoNotOptimize(FitTrajectory(options, &copy));
@@ -35,7 +36,7 @@ BENCHMARK(BenchmarkFitTrajectory)->Arg(20)->Arg(40)->Arg(80)->Unit(benchmark::kM
 /// One query of value and derivatives, and one of the variances.
 void BenchmarkTrajectoryQuery(benchmark::State& state) {
   const CalibrationOptions options;
-  ConditionedData data = Condition(options, Recording(20.0));
+  ConditionedData data = ConditionData(options, Recording(20.0));
   const PoseTrajectory trajectory = FitTrajectory(options, &data);
   MarkerState<double> motion, rate;
   double t = 1.0;
@@ -48,7 +49,7 @@ BENCHMARK(BenchmarkTrajectoryQuery);
 
 void BenchmarkTrajectoryVariance(benchmark::State& state) {
   const CalibrationOptions options;
-  ConditionedData data = Condition(options, Recording(20.0));
+  ConditionedData data = ConditionData(options, Recording(20.0));
   const PoseTrajectory trajectory = FitTrajectory(options, &data);
   double t = 1.0;
   for (auto _ : state) {
@@ -67,10 +68,12 @@ void BenchmarkJointAccelResidual(benchmark::State& state) {
                                    {0.0, 0.0, 0.0},
                                    {0.1, 0.2, 0.3},
                                    {1.0, 2.0, 3.0}};
-  const JointImuSample sample{{motion, {0, 0.3, 0.01}}, {0.0, 0.0, 9.8}, 0.5, 0.0, 0.02};
+  const JointImuSample sample{{motion, {0, 0.3, 0.01}}, {0.0, 0.0, 9.8}, 0.5, 0.0, 0.0, 0.02};
   const auto samples = static_cast<size_t>(state.range(0));
   const std::unique_ptr<ceres::CostFunction> block(
-      CreateJointAccelResidual(std::vector<JointImuSample>(samples, sample)));
+      CreateJointAccelResidual(std::vector<JointImuSample>(samples, sample),
+                               {},
+                               std::make_shared<const std::vector<ClockMotion>>()));
   std::vector<std::vector<double>> parameters, jacobians;
   std::vector<double*> parameter_blocks, jacobian_blocks;
   for (const int size : block->parameter_block_sizes()) {
@@ -90,20 +93,21 @@ BENCHMARK(BenchmarkJointAccelResidual)->Arg(1)->Arg(4);
 /// S4 alone on `range` seconds: poses 100 Hz, IMU 200 Hz.
 void BenchmarkSolveJointly(benchmark::State& state) {
   const CalibrationOptions options;
-  ConditionedData data = Condition(options, Recording(static_cast<double>(state.range(0))));
-  const PoseTrajectory trajectory = FitTrajectory(options, &data);
-  Estimate first(Initialise(options, trajectory, data), data, options.bias_knot_interval_s);
-  const JointStart start = ChooseKnotSpacing(options, trajectory, data, &first);
+  DataCheck check;
+  const std::vector<PreparedSession> sessions = {
+      Prepare(options, Recording(static_cast<double>(state.range(0))), &check)};
+  Estimate first(sessions[0], options.bias_knot_interval_s);
+  const JointStart start = ChooseKnotSpacing(options, sessions[0], &first);
   for (auto _ : state) {
     Estimate estimate = first;
-    benchmark::DoNotOptimize(SolveJointly(options, trajectory, data, start, &estimate));
+    benchmark::DoNotOptimize(SolveJointly(options, sessions, {start}, &estimate));
   }
 }
 BENCHMARK(BenchmarkSolveJointly)->Arg(40)->Arg(80)->Unit(benchmark::kMillisecond);
 
 /// The whole calibration of `range` seconds: poses 100 Hz, IMU 200 Hz.
 void BenchmarkCalibrate(benchmark::State& state, Method method) {
-  const CalibrationData data = Recording(static_cast<double>(state.range(0)));
+  const SessionData data = Recording(static_cast<double>(state.range(0)));
   CalibrationOptions options;
   options.method = method;
   for (auto _ : state) benchmark::DoNotOptimize(Calibrate(options, data));

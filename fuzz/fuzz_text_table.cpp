@@ -14,7 +14,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
     } catch (const InputError&) {
     }
   };
-  CalibrationData imu;
+  SessionData imu;
   read([&](std::istream& in) { ReadPoseTable(in, "poses"); });
   read([&](std::istream& in) { ReadImuTable(in, "imu", &imu); });
   read([&](std::istream& in) { ReadGyroTable(in, "gyro"); });

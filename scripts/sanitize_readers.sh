@@ -32,7 +32,7 @@ run_readers_sanitized() {
   local test failed=0
   rm -rf "$REPORTS"
   mkdir -p "$REPORTS"
-  export ASAN_OPTIONS="log_path='$REPORTS/report':suppressions='$REPO/test/ros/asan_suppressions.txt'"
+  export ASAN_OPTIONS="log_path='$REPORTS/report':suppressions='$REPO/test/asan.supp'"
   ASAN_OPTIONS+=:handle_segv=0:handle_sigbus=0:handle_sigfpe=0:handle_abort=0
   export UBSAN_OPTIONS="log_path='$REPORTS/report':halt_on_error=1:print_stacktrace=1"
   for test in "$@"; do

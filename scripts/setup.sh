@@ -15,7 +15,7 @@ LOG_DIR=$WORKSPACE/log
 # On every system.
 COMMON_PACKAGES=(
   build-essential cmake make pkg-config python3
-  libboost-dev libboost-program-options-dev libceres-dev libconsole-bridge-dev libeigen3-dev libyaml-cpp-dev
+  libboost-dev libboost-program-options-dev libceres-dev libconsole-bridge-dev libeigen3-dev libyaml-cpp-dev libcereal-dev
   libgtest-dev libbenchmark-dev
 )
 
@@ -133,9 +133,10 @@ load_ros() {
   command -v catkin_make >/dev/null || fail "catkin_make not found: is ROS installed?"
 }
 
-# The environment to run what was built: a ROS graph of this machine alone, whose logs stay in the workspace.
+# load_workspace [DEVEL]: the environment to run what was built: a ROS graph of this machine alone, whose logs stay in
+# the workspace.
 load_workspace() {
-  source_setup "$WORKSPACE/devel/setup.bash"
+  source_setup "${1:-$WORKSPACE/devel}/setup.bash"
   export PATH=/usr/bin:$PATH ROS_HOSTNAME=localhost ROS_HOME=$WORKSPACE/ros ROS_LOG_DIR=$LOG_DIR/ros
   unset ROS_IP
 }

@@ -1,107 +1,233 @@
 #include "imu_pose_calib/core/calibrator.h"
 
+#include <algorithm>
 #include <cmath>
+#include <string>
 
-#include "imu_pose_calib/core/conditioning.h"
-#include "imu_pose_calib/core/data_check.h"
+#include "imu_pose_calib/core/agreement.h"
 #include "imu_pose_calib/core/gp_problem.h"
-#include "imu_pose_calib/core/initializer.h"
 #include "imu_pose_calib/core/intrinsics.h"
 #include "imu_pose_calib/core/joint_solver.h"
 #include "imu_pose_calib/core/observability.h"
-#include "imu_pose_calib/core/pose_trajectory.h"
+#include "imu_pose_calib/core/preparation.h"
 #include "imu_pose_calib/core/so3.h"
 
 namespace imu_pose_calib {
 namespace {
 
-void ReportData(const ConditionedData& data, Calibration* result) {
-  result->poses = data.pose_report;
-  result->gyro = data.gyro_report;
-  result->accel = data.accel_report;
-  result->segments = data.segments.size();
-  result->gaps = data.gaps;
-  result->jumps = data.jumps;
+/// "session 2: ", or nothing for the only one.
+std::string InSession(size_t session, size_t count) {
+  return count == 1 ? "" : "session " + std::to_string(session + 1) + ": ";
+}
+
+/// Initial values are those of the first IMU, an initial time shift and gravity of the first
+/// session.
+CalibrationOptions WithoutStart(CalibrationOptions options, bool is_first_session) {
+  if (is_first_session) return options;
+  options.initial_time_shift.reset();
+  options.initial_gravity.reset();
+  return options;
+}
+
+/// Throws InputError for what cannot be known of several IMUs or sessions.
+void CheckRig(const CalibrationOptions& options, const std::vector<SessionData>& sessions) {
+  if (sessions.empty()) throw InputError("there is no session to calibrate from");
+  const size_t imus = sessions[0].imus.size();
+  for (const SessionData& session : sessions)
+    if (session.imus.size() != imus || imus == 0)
+      throw InputError("the sessions are not of one rig: their numbers of imus differ");
+  for (size_t i = 0; i < imus && imus > 1; ++i)
+    if (std::all_of(sessions.begin(), sessions.end(), [i](const SessionData& session) {
+          return session.imus[i].IsEmpty();
+        }))
+      throw DataError("there are no samples" + OfImu(i, imus));
+  const auto refuse = [](const char* option, const char* what) {
+    throw InputError(std::string(option) + " = false needs a single " + what +
+                     ": one value is given, but there are several");
+  };
+  if (imus > 1 && !options.estimate_rotation) refuse("estimate_rotation", "imu");
+  if (imus > 1 && !options.estimate_translation) refuse("estimate_translation", "imu");
+  if (imus > 1 && !options.estimate_accel_delay) refuse("estimate_accel_delay", "imu");
+  if (imus * sessions.size() > 1 && !options.estimate_time_shift)
+    refuse("estimate_time_shift", "imu and recording");
+  if (sessions.size() > 1 && !options.estimate_gravity) refuse("estimate_gravity", "recording");
+}
+
+void ReportData(const DataCheck& check, SessionCalibration* session) {
+  session->poses = check.poses_report;
+  session->segments = check.segments;
+  session->gaps = check.gaps;
+  session->jumps = check.jumps;
+  session->imus.resize(check.imus.size());
+  for (size_t i = 0; i < check.imus.size(); ++i) {
+    session->imus[i].is_present = check.imus[i].gyro.count > 0;
+    session->imus[i].gyro = check.imus[i].gyro_report;
+    session->imus[i].accel = check.imus[i].accel_report;
+  }
 }
 
 /// Residuals of the poses when the trajectory is not estimated.
-void ReportPoseResiduals(const PoseTrajectory& trajectory,
-                         const ConditionedData& data,
-                         Calibration* result) {
+PoseStd PoseResiduals(const PreparedSession& session) {
   double position2 = 0.0, rotation2 = 0.0, count = 0.0;
-  for (const TimedPose& pose : data.poses) {
-    if (!trajectory.Contains(pose.t)) continue;
-    const PoseTrajectory::Pose smooth = trajectory.PoseAt(pose.t);
+  for (const TimedPose& pose : session.data.poses) {
+    if (!session.trajectory->Contains(pose.t)) continue;
+    const PoseTrajectory::Pose smooth = session.trajectory->PoseAt(pose.t);
     position2 += (pose.p_WM - smooth.p_WM).squaredNorm();
     rotation2 += Log(Eigen::Quaterniond(smooth.q_WM.conjugate() * pose.q_WM)).squaredNorm();
     count += 3.0;
   }
-  result->rms.position = std::sqrt(position2 / count);
-  result->rms.rotation = std::sqrt(rotation2 / count);
+  return {std::sqrt(position2 / count), std::sqrt(rotation2 / count)};
 }
 
 void ReportEstimate(const Estimate& estimate,
-                    const ResidualStatistics& statistics,
-                    const ConditionedData& data,
+                    const std::vector<PreparedSession>& sessions,
                     Calibration* result) {
-  result->T_MI = {estimate.q_MI.normalized(), estimate.p_MI};
-  if (result->T_MI.q.w() < 0.0) result->T_MI.q.coeffs() *= -1.0;
-  result->time_shift =
-      1e-9 * static_cast<double>(data.pose_epoch_ns - data.imu_epoch_ns) + estimate.time_shift;
-  result->accel_delay = estimate.accel_delay;
-  result->clock_drift = estimate.clock_drift;
   result->pose_smoothing = estimate.pose_smoothing;
-  result->clock_reference =
-      1e-9 * static_cast<double>(data.imu_epoch_ns) + estimate.clock_reference;
-  result->gyro_matrix = GyroMatrix(estimate.gyro_intrinsics);
-  result->accel_matrix = AccelMatrix(estimate.accel_intrinsics);
-  result->g_W = estimate.g_W;
-  result->gyro_bias = estimate.gyro_bias.Mean();
-  result->accel_bias = estimate.accel_bias.Mean();
-  result->noise = statistics.noise;
-  result->rms = statistics.rms;
+  result->imus.resize(estimate.imus.size());
+  for (size_t i = 0; i < estimate.imus.size(); ++i) {
+    const ImuEstimate& imu = estimate.imus[i];
+    result->imus[i].T_MI = {imu.q_MI.normalized(), imu.p_MI};
+    if (imu.q_MI.w() < 0.0) result->imus[i].T_MI.q.coeffs() *= -1.0;
+    result->imus[i].accel_delay = imu.accel_delay;
+    result->imus[i].gyro_matrix = GyroMatrix(imu.gyro_intrinsics);
+    result->imus[i].accel_matrix = AccelMatrix(imu.accel_intrinsics);
+  }
+  for (size_t s = 0; s < sessions.size(); ++s) {
+    result->sessions[s].g_W = estimate.sessions[s].g_W;
+    for (size_t i = 0; i < estimate.imus.size(); ++i) {
+      const ImuSessionEstimate& clock = estimate.sessions[s].imus[i];
+      if (!clock.is_present) continue;
+      ImuSession& own = result->sessions[s].imus[i];
+      const int64_t imu_epoch_ns = sessions[s].data.imus[i].epoch_ns;
+      own.time_shift = 1e-9 * static_cast<double>(sessions[s].data.pose_epoch_ns - imu_epoch_ns) +
+                       clock.time_shift;
+      own.clock_drift = clock.clock_drift;
+      own.clock_reference = 1e-9 * static_cast<double>(imu_epoch_ns) + clock.clock_reference;
+      own.gyro_bias = clock.gyro_bias.Mean();
+      own.accel_bias = clock.accel_bias.Mean();
+    }
+  }
+}
+
+void ReportSensors(const Solution& solution, Calibration* result) {
+  for (size_t k = 0; k < solution.models.size(); ++k) {
+    const SensorModel& model = solution.models[k];
+    const SensorStatistics& found = solution.statistics[k];
+    SessionCalibration& session = result->sessions[model.session];
+    ImuSession& imu = session.imus[model.imu];
+    const auto report = [&](auto member, auto* noise, auto* rms) {
+      noise->*member = found.noise;
+      rms->*member = found.rms;
+    };
+    switch (model.quantity) {
+      case Quantity::kPosition:
+        report(&PoseStd::position, &session.noise, &session.rms);
+        break;
+      case Quantity::kRotation:
+        report(&PoseStd::rotation, &session.noise, &session.rms);
+        break;
+      case Quantity::kGyro:
+        report(&ImuStd::gyro, &imu.noise, &imu.rms);
+        break;
+      case Quantity::kAccel:
+        report(&ImuStd::accel, &imu.noise, &imu.rms);
+        break;
+    }
+  }
+}
+
+/// S4: each session finds its knot spacing, noise and clocks alone; the rig starts from the
+/// liveliest session that has the IMU.
+Solution SolveTogether(const CalibrationOptions& options,
+                       const std::vector<PreparedSession>& sessions,
+                       Estimate* estimate,
+                       Calibration* result) {
+  std::vector<JointStart> starts;
+  std::vector<double> liveliest(estimate->imus.size(), -1.0);
+  for (size_t s = 0; s < sessions.size(); ++s) {
+    Estimate own(sessions[s], options.bias_knot_interval_s);
+    starts.push_back(ChooseKnotSpacing(options, sessions[s], &own));
+    result->sessions[s].knot_spacing_s = starts[s].knot_spacing_s;
+    estimate->sessions[s] = own.sessions[0];
+    for (size_t i = 0; i < own.imus.size(); ++i) {
+      if (!own.sessions[0].imus[i].is_present || starts[s].liveliness <= liveliest[i]) continue;
+      liveliest[i] = starts[s].liveliness;
+      estimate->imus[i] = own.imus[i];
+      if (i == 0) estimate->pose_smoothing = own.pose_smoothing;
+    }
+  }
+  return SolveJointly(options, sessions, starts, estimate);
 }
 
 }  // namespace
 
-Calibration Calibrate(const CalibrationOptions& options, const CalibrationData& data) {
+Calibration Calibrate(const CalibrationOptions& options, const std::vector<SessionData>& data) {
   options.Validate();
+  CheckRig(options, data);
   Calibration result;
   result.method = options.method;
   result.imu_model = options.imu_model;
+  result.imus.resize(data[0].imus.size());
+  result.sessions.resize(data.size());
 
-  DataCheck check = CheckStreams(data);
-  ConditionedData conditioned = Condition(options, data);
-  PoseTrajectory trajectory = FitTrajectory(options, &conditioned);
-  RemoveFlippedSegments(options, &trajectory, &conditioned);
-  ReportData(conditioned, &result);
-  result.position_lengthscale_s = trajectory.position_hyperparameters().lengthscale_s;
-  result.rotation_lengthscale_s = trajectory.rotation_hyperparameters().lengthscale_s;
-  CheckMotion(options, conditioned, trajectory, &check);
-  result.warnings = check.warnings;
-  // With a known lever arm or rotation a turn about one axis may do: the covariance will tell.
-  const bool needs_turns = options.estimate_translation && options.estimate_rotation;
-  if (needs_turns && IsMotionDegenerate(MeasureTurns(trajectory, conditioned), &result))
-    return result;
-
-  const Start start = Initialise(options, trajectory, conditioned);
-  CheckMatch(conditioned, trajectory, start, &check);
-  result.warnings = check.warnings;
-  Estimate estimate(start, conditioned, options.bias_knot_interval_s);
-
-  Solution solution;
-  if (options.method == Method::kJoint) {
-    const JointStart joint = ChooseKnotSpacing(options, trajectory, conditioned, &estimate);
-    result.knot_spacing_s = joint.knot_spacing_s;
-    solution = SolveJointly(options, trajectory, conditioned, joint, &estimate);
-  } else {
-    solution = SolveAgainstTrajectory(options, trajectory, conditioned, &estimate);
+  std::vector<PreparedSession> sessions;
+  Estimate estimate;
+  for (size_t s = 0; s < data.size(); ++s) {
+    DataCheck check;
+    const std::string in_session = InSession(s, data.size());
+    const auto report = [&] {
+      ReportData(check, &result.sessions[s]);
+      for (const std::string& warning : check.warnings)
+        result.warnings.push_back(in_session + warning);
+    };
+    try {
+      sessions.push_back(Prepare(WithoutStart(options, s == 0), data[s], &check));
+      report();
+    } catch (const DegenerateMotion& error) {
+      report();
+      result.status = Status::kDegenerate;
+      result.message = in_session + error.what();
+      result.unobservable = {in_session + error.unobservable};
+      return result;
+    } catch (const OptionNeeded& error) {
+      throw OptionNeeded(in_session + error.what());
+    } catch (const DataError& error) {
+      throw DataError(in_session + error.what());
+    }
+    const Estimate own(sessions[s], options.bias_knot_interval_s);
+    estimate.sessions.push_back(own.sessions[0]);
+    estimate.imus.resize(own.imus.size());
+    for (size_t i = 0; i < own.imus.size(); ++i)
+      if (own.sessions[0].imus[i].is_present) estimate.imus[i] = own.imus[i];
+    result.sessions[s].position_lengthscale_s =
+        sessions[s].trajectory->position_hyperparameters().lengthscale_s;
+    result.sessions[s].rotation_lengthscale_s =
+        sessions[s].trajectory->rotation_hyperparameters().lengthscale_s;
   }
-  ReportEstimate(estimate, solution.statistics, conditioned, &result);
-  GradeResult(options, solution.covariance, &result);
-  if (options.method == Method::kGp) ReportPoseResiduals(trajectory, conditioned, &result);
-  WarnOfMisfit(solution.covariance, &result);
+
+  Solution solution = options.method == Method::kJoint
+                          ? SolveTogether(options, sessions, &estimate, &result)
+                          : SolveAgainstTrajectory(options, sessions, &estimate);
+  ReportEstimate(estimate, sessions, &result);
+  ReportSensors(solution, &result);
+  if (options.method == Method::kGp)
+    for (size_t s = 0; s < sessions.size(); ++s)
+      result.sessions[s].rms = PoseResiduals(sessions[s]);
+  const Marginals marginals = CompareSessions(solution.marginals, &result);
+  GradeResult(options, marginals, &result);
+  WarnOfMisfit(marginals, &result);
+  JudgeAgreement(&result);
+  solution.estimate = std::move(estimate);
+  for (const PreparedSession& session : sessions) {
+    solution.trajectories.push_back(session.trajectory);
+    solution.pose_epochs_ns.push_back(session.data.pose_epoch_ns);
+  }
+  result.solution = std::make_shared<const Solution>(std::move(solution));
   return result;
+}
+
+Calibration Calibrate(const CalibrationOptions& options, const SessionData& session) {
+  return Calibrate(options, std::vector<SessionData>{session});
 }
 
 const char* ToString(Status status) {

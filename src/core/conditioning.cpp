@@ -9,21 +9,11 @@
 #include <utility>
 
 #include "imu_pose_calib/core/median.h"
-#include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/core/segments.h"
 
 namespace imu_pose_calib {
 namespace {
 
-/// A sample that arrives up to this much after a later-stamped one is sorted in; beyond, its stamp
-/// is not believed.
-constexpr int64_t kMaxReorderNs = 1'000'000'000;
-constexpr size_t kMinSegmentPoses = 8;
-/// A jump between two poses: times the median of the log and of so many poses on either side, and
-/// times what the IMU's largest samples make possible.
-constexpr double kJumpThreshold = 20.0;
-constexpr size_t kJumpRadius = 10;
-constexpr double kForceFactor = 3.0, kRateFactor = 2.0;
-constexpr int kJumpRounds = 5;
 /// Stated noises are believed to differ by this factor from the median at most.
 constexpr double kMaxNoiseScale = 10.0;
 /// Median specific force of a moving body, in units of gravity.
@@ -84,15 +74,18 @@ std::vector<Sample> Clean(const std::string& stream,
   std::nth_element(
       stamps.begin(), stamps.begin() + static_cast<ptrdiff_t>(stamps.size() / 2), stamps.end());
   const int64_t median = stamps[stamps.size() / 2];
-  size_t astray = 0;
+  size_t astray = 0, ahead = 0;
   int64_t latest = std::numeric_limits<int64_t>::min() + kMaxReorderNs;
-  for (const Sample& s : samples) {
+  for (size_t i = 0; i < samples.size(); ++i) {
+    const Sample& s = samples[i];
     if (!IsFinite(s)) {
       ++report->not_finite;
     } else if (!HasRotation(s)) {
       ++report->zero_quaternion;
     } else if (std::abs(s.t_ns - median) > kMaxAstrayNs) {
       ++astray;
+    } else if (IsStampedAhead(samples, i)) {
+      ++ahead;
     } else if (s.t_ns < latest - kMaxReorderNs) {
       ++report->reversed_stamp;
     } else {
@@ -113,13 +106,18 @@ std::vector<Sample> Clean(const std::string& stream,
              n,
              max_bad_fraction);
   CheckShare(stream,
+             "are stamped more than 1 s ahead of those around them: look at the driver",
+             ahead,
+             n,
+             max_bad_fraction);
+  CheckShare(stream,
              "are stamped more than 1 s before a sample that arrived earlier: its clock jumped "
              "back; cut the recording at the jump",
              report->reversed_stamp,
              n,
              max_bad_fraction);
 
-  report->reversed_stamp += astray;
+  report->reversed_stamp += astray + ahead;
 
   if (kept.empty()) Refuse("none of the ", n, " ", stream, " samples is usable");
 
@@ -140,11 +138,13 @@ std::vector<Sample> Clean(const std::string& stream,
 }
 
 /// The recording in SI units, with the poses of the marker in the world.
-CalibrationData Convert(const CalibrationOptions& options, CalibrationData data) {
-  for (PoseSample& s : data.poses) s = ToMarkerPose(options, s);
-  for (ImuSample& s : data.gyro) s.value *= options.gyro_unit;
-  for (ImuSample& s : data.accel) s.value *= options.accel_unit;
-  return data;
+SessionData Convert(const CalibrationOptions& options, SessionData session) {
+  for (PoseSample& s : session.poses) s = ToMarkerPose(options, s);
+  for (ImuData& imu : session.imus) {
+    for (ImuSample& s : imu.gyro) s.value *= options.gyro_unit;
+    for (ImuSample& s : imu.accel) s.value *= options.accel_unit;
+  }
+  return session;
 }
 
 /// Throws when a sensor or one of its axes never changes: it is not read.
@@ -229,17 +229,6 @@ void RemoveSaturated(const std::string& stream,
   *samples = std::move(kept);
 }
 
-/// Fills `used`, rate and duration from the stamps [s] of the samples used.
-template <typename Timed>
-void Summarise(const std::vector<Timed>& samples, StreamReport* report) {
-  report->used = samples.size();
-  if (samples.size() < 2) return;
-  std::vector<double> periods;
-  for (size_t i = 1; i < samples.size(); ++i) periods.push_back(samples[i].t - samples[i - 1].t);
-  report->rate_hz = 1.0 / Median(std::move(periods));
-  report->duration_s = samples.back().t - samples.front().t;
-}
-
 void CheckDuration(const std::string& stream, const StreamReport& report, double min_s) {
   if (report.duration_s >= min_s) return;
   std::ostringstream dropped;
@@ -303,151 +292,16 @@ void ScaleNoise(const std::vector<PoseSample>& samples, std::vector<TimedPose>* 
   scale(&PoseStd::rotation, &TimedPose::rotation_scale);
 }
 
-/// Longest time between two poses of a segment [s].
-double MaxGap(const CalibrationOptions& options, const ConditionedData& data) {
-  return options.max_gap_s > 0.0 ? options.max_gap_s
-                                 : std::max(0.1, 5.0 / data.pose_report.rate_hz);
-}
-
-bool IsLongEnough(const std::vector<TimedPose>& poses, IndexRange run, double min_segment_s) {
-  return run.size() >= kMinSegmentPoses &&
-         poses[run.end - 1].t - poses[run.begin].t >= min_segment_s;
-}
-
-/// Cuts the poses at gaps; runs that are too short are dropped and counted.
-void SplitAtGaps(const CalibrationOptions& options, ConditionedData* data) {
-  const double max_gap = MaxGap(options, *data);
-  std::vector<TimedPose> kept;
-  size_t begin = 0;
-  for (size_t i = 1; i <= data->poses.size(); ++i) {
-    const bool end = i == data->poses.size();
-    if (!end && data->poses[i].t - data->poses[i - 1].t <= max_gap) continue;
-    if (!end) ++data->gaps;
-    if (IsLongEnough(data->poses, {begin, i}, options.min_segment_s)) {
-      data->segments.push_back({kept.size(), kept.size() + i - begin});
-      kept.insert(kept.end(),
-                  data->poses.begin() + static_cast<ptrdiff_t>(begin),
-                  data->poses.begin() + static_cast<ptrdiff_t>(i));
-    } else {
-      data->pose_report.in_short_segment += i - begin;
-    }
-    begin = i;
-  }
-  data->poses = std::move(kept);
-}
-
-/// How far pose i is from where pose i - 1 leads with the mean velocity of the steps before and
-/// after: (position [m], rotation [rad]).
-Eigen::Vector2d Jump(const std::vector<TimedPose>& poses, size_t i) {
-  const TimedPose &a = poses[i - 2], &b = poses[i - 1], &c = poses[i], &d = poses[i + 1];
-  const double dt = c.t - b.t, dt_before = b.t - a.t, dt_after = d.t - c.t;
-  const Eigen::Vector3d step =
-      0.5 * dt * ((b.p_WM - a.p_WM) / dt_before + (d.p_WM - c.p_WM) / dt_after);
-  const auto turn = [](const TimedPose& from, const TimedPose& to) {
-    return Log(Eigen::Quaterniond(from.q_WM.conjugate() * to.q_WM));
-  };
-  const Eigen::Quaterniond half_before = Exp<double>(0.5 * dt / dt_before * turn(a, b));
-  const Eigen::Quaterniond half_after = Exp<double>(0.5 * dt / dt_after * turn(c, d));
-  return {(c.p_WM - b.p_WM - step).norm(),
-          (b.q_WM * half_before * half_after).angularDistance(c.q_WM)};
-}
-
-/// What the IMU says the body can do at most.
-struct MotionBound {
-  double rate = 0.0;   ///< [rad/s]
-  double force = 0.0;  ///< [m/s^2]
-
-  explicit MotionBound(const ConditionedData& data) {
-    for (const TimedSample& s : data.gyro) rate = std::max(rate, s.value.norm());
-    for (const TimedSample& s : data.accel) force = std::max(force, s.value.norm());
-  }
-};
-
-/// Poses that cannot follow from the one before: off by many times what is usual in the log and
-/// nearby, and by more than the IMU allows.
-std::vector<size_t> FindJumps(const ConditionedData& data, const MotionBound& bound) {
-  const std::vector<TimedPose>& poses = data.poses;
-  std::vector<Eigen::Vector2d> jumps(poses.size(), Eigen::Vector2d::Zero());
-  for (const IndexRange& s : data.segments)
-    for (size_t i = s.begin + 2; i + 1 < s.end; ++i) jumps[i] = Jump(poses, i);
-  const auto usual = [&](size_t begin, size_t end) {
-    Eigen::Vector2d median;
-    for (int kind = 0; kind < 2; ++kind) {
-      std::vector<double> values;
-      for (size_t i = begin; i < end; ++i) values.push_back(jumps[i][kind]);
-      median[kind] = Median(std::move(values));
-    }
-    return median;
-  };
-  const Eigen::Vector2d usual_in_log = usual(0, poses.size());
-  std::vector<size_t> found;
-  for (const IndexRange& s : data.segments) {
-    for (size_t i = s.begin + 2; i + 1 < s.end; ++i) {
-      const double dt = poses[i].t - poses[i - 1].t;
-      const Eigen::Vector2d possible(kForceFactor * bound.force * dt * dt,
-                                     kRateFactor * bound.rate * dt);
-      const double periods = std::max(1.0, dt * data.pose_report.rate_hz);
-      const Eigen::Vector2d least = possible.cwiseMax(kJumpThreshold * periods * usual_in_log);
-      if ((jumps[i].array() <= least.array()).all()) continue;
-      const Eigen::Vector2d usual_nearby =
-          usual(std::max(s.begin, i - std::min(i, kJumpRadius)), std::min(s.end, i + kJumpRadius));
-      const Eigen::Vector2d limit = least.cwiseMax(kJumpThreshold * periods * usual_nearby);
-      for (int kind = 0; kind < 2; ++kind) {
-        // A jump shows in the steps on either side too, by half.
-        const bool is_largest =
-            jumps[i][kind] > 0.75 * std::max(jumps[i - 1][kind], jumps[i + 1][kind]);
-        if (jumps[i][kind] <= limit[kind] || !is_largest) continue;
-        found.push_back(i);
-        break;
-      }
-    }
-  }
-  return found;
-}
-
-/// Cuts the segments at `jumps`. What remains on both sides of a run that was too short is joined
-/// again where it is close enough.
-void CutSegments(const std::vector<size_t>& jumps,
-                 double max_gap,
-                 double min_segment_s,
-                 ConditionedData* data) {
-  const std::vector<TimedPose> poses = std::move(data->poses);
-  const std::vector<IndexRange> segments = std::move(data->segments);
-  data->poses.clear();
-  data->segments.clear();
-  auto jump = jumps.begin();
-  for (const IndexRange& segment : segments) {
-    size_t last_end = segment.begin;  // of the run kept last
-    for (size_t begin = segment.begin; begin < segment.end;) {
-      while (jump != jumps.end() && *jump <= begin) ++jump;
-      const size_t end = jump != jumps.end() && *jump < segment.end ? *jump : segment.end;
-      const IndexRange run{begin, end};
-      begin = end;
-      if (!IsLongEnough(poses, run, min_segment_s)) {
-        data->pose_report.outlier += run.size();
-        continue;
-      }
-      const bool joins = last_end > segment.begin && last_end < run.begin &&
-                         poses[run.begin].t - poses[last_end - 1].t <= max_gap;
-      if (!joins) data->segments.push_back({data->poses.size(), data->poses.size()});
-      if (last_end > segment.begin && !joins) ++(last_end == run.begin ? data->jumps : data->gaps);
-      data->poses.insert(data->poses.end(),
-                         poses.begin() + static_cast<ptrdiff_t>(run.begin),
-                         poses.begin() + static_cast<ptrdiff_t>(run.end));
-      data->segments.back().end = data->poses.size();
-      last_end = run.end;
-    }
-  }
-}
-
 /// The median specific force of a moving body is near gravity.
-void CheckAccelerometerUnit(const std::vector<TimedSample>& accel, double gravity) {
+void CheckAccelerometerUnit(const std::string& stream,
+                            const std::vector<TimedSample>& accel,
+                            double gravity) {
   std::vector<double> norms;
   for (const TimedSample& s : accel) norms.push_back(s.value.norm());
   const double median = Median(std::move(norms));
   if (median > kMinForce * gravity && median < kMaxForce * gravity) return;
   std::ostringstream text;
-  text << "accelerometer: median norm " << median << " (bound: " << kMinForce * gravity << " to "
+  text << stream << ": median norm " << median << " (bound: " << kMinForce * gravity << " to "
        << kMaxForce * gravity << " m/s^2); ";
   if (median > 0.7 && median < 1.5)
     throw OptionNeeded(text.str() +
@@ -458,6 +312,31 @@ void CheckAccelerometerUnit(const std::vector<TimedSample>& accel, double gravit
   if (median < kMinForce * gravity)
     throw DataError(text.str() + "gravity seems to be removed: record the raw accelerometer");
   throw OptionNeeded(text.str() + "set accel_unit, the unit of the accelerometer in m/s^2");
+}
+
+/// `of`: see OfImu().
+ConditionedImu ConditionImu(const CalibrationOptions& options,
+                            const std::string& of,
+                            const ImuData& data) {
+  ConditionedImu imu;
+  const auto clean =
+      [&](const std::string& stream, const std::vector<ImuSample>& samples, StreamReport* report) {
+        auto kept = Clean(stream, options.max_bad_fraction, samples, report);
+        CheckAlive(stream, kept, report->received);
+        RemoveSaturated(stream, options.max_bad_fraction, &kept, report);
+        return kept;
+      };
+  const auto gyro = clean("gyroscope" + of, data.gyro, &imu.gyro_report);
+  const auto accel = clean("accelerometer" + of, data.accel, &imu.accel_report);
+  imu.epoch_ns = std::min(gyro.front().t_ns, accel.front().t_ns);
+  imu.gyro = ToSeconds(gyro, imu.epoch_ns);
+  imu.accel = ToSeconds(accel, imu.epoch_ns);
+  Summarise(imu.gyro, &imu.gyro_report);
+  Summarise(imu.accel, &imu.accel_report);
+  CheckDuration("gyroscope" + of, imu.gyro_report, options.min_overlap_s);
+  CheckDuration("accelerometer" + of, imu.accel_report, options.min_overlap_s);
+  CheckAccelerometerUnit("accelerometer" + of, imu.accel, options.gravity_magnitude);
+  return imu;
 }
 
 }  // namespace
@@ -475,32 +354,35 @@ bool SameValue(const PoseSample& a, const PoseSample& b) {
 }
 bool SameValue(const ImuSample& a, const ImuSample& b) { return a.value == b.value; }
 
-ConditionedData Condition(const CalibrationOptions& options, const CalibrationData& recorded) {
+size_t ConditionedData::FirstImu() const {
+  const auto is_present = [](const ConditionedImu& imu) { return imu.IsPresent(); };
+  return static_cast<size_t>(std::find_if(imus.begin(), imus.end(), is_present) - imus.begin());
+}
+
+std::string OfImu(size_t imu, size_t count) {
+  return count == 1 ? "" : " of imu" + std::to_string(imu);
+}
+
+ConditionedData ConditionData(const CalibrationOptions& options, const SessionData& recorded) {
+  const SessionData session = Convert(options, recorded);
   ConditionedData out;
   const double max_bad = options.max_bad_fraction;
-  const CalibrationData data = Convert(options, recorded);
-  const auto poses = Clean("pose", max_bad, data.poses, &out.pose_report);
-  auto gyro = Clean("gyroscope", max_bad, data.gyro, &out.gyro_report);
-  auto accel = Clean("accelerometer", max_bad, data.accel, &out.accel_report);
+  const auto poses = Clean("pose", max_bad, session.poses, &out.pose_report);
   CheckAlive(poses);
-  CheckAlive("gyroscope", gyro, out.gyro_report.received);
-  CheckAlive("accelerometer", accel, out.accel_report.received);
-  RemoveSaturated("gyroscope", max_bad, &gyro, &out.gyro_report);
-  RemoveSaturated("accelerometer", max_bad, &accel, &out.accel_report);
-
   out.pose_epoch_ns = poses.front().t_ns;
-  out.imu_epoch_ns = std::min(gyro.front().t_ns, accel.front().t_ns);
   out.poses = ToSeconds(poses, out.pose_epoch_ns);
   ScaleNoise(poses, &out.poses);
-  out.gyro = ToSeconds(gyro, out.imu_epoch_ns);
-  out.accel = ToSeconds(accel, out.imu_epoch_ns);
-
   Summarise(out.poses, &out.pose_report);
-  Summarise(out.gyro, &out.gyro_report);
-  Summarise(out.accel, &out.accel_report);
   CheckDuration("pose", out.pose_report, options.min_overlap_s);
-  CheckDuration("gyroscope", out.gyro_report, options.min_overlap_s);
-  CheckDuration("accelerometer", out.accel_report, options.min_overlap_s);
+  const bool has_imu = std::any_of(
+      session.imus.begin(), session.imus.end(), [](const ImuData& imu) { return !imu.IsEmpty(); });
+  for (size_t i = 0; i < session.imus.size(); ++i) {
+    const bool is_missing = has_imu && session.imus[i].IsEmpty();
+    out.imus.push_back(is_missing
+                           ? ConditionedImu()
+                           : ConditionImu(options, OfImu(i, session.imus.size()), session.imus[i]));
+  }
+  if (out.imus.empty()) Refuse("the session has no imu");
 
   SplitAtGaps(options, &out);
   Summarise(out.poses, &out.pose_report);
@@ -512,23 +394,7 @@ ConditionedData Condition(const CalibrationOptions& options, const CalibrationDa
            " gaps in ",
            out.pose_report.received,
            " poses)");
-  CheckAccelerometerUnit(out.accel, options.gravity_magnitude);
   return out;
-}
-
-void SplitAtJumps(const CalibrationOptions& options, ConditionedData* data) {
-  const MotionBound bound(*data);
-  const double max_gap = MaxGap(options, *data);
-  for (int round = 0; round < kJumpRounds; ++round) {
-    const std::vector<size_t> jumps = FindJumps(*data, bound);
-    if (jumps.empty()) break;
-    CutSegments(jumps, max_gap, options.min_segment_s, data);
-    if (data->segments.empty())
-      Refuse("pose: it jumps so often that no run is as long as min_segment_s = ",
-             options.min_segment_s,
-             " s; look at the tracker's rigid body and record again");
-  }
-  Summarise(data->poses, &data->pose_report);
 }
 
 }  // namespace imu_pose_calib

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <numeric>
 
 namespace imu_pose_calib {
 namespace {
@@ -14,23 +15,25 @@ using SparseMatrix = Eigen::SparseMatrix<double>;
 
 constexpr Eigen::Index kFewestClusters = 6;  // that tell a variance
 
-MarginalEstimates Solve(const SparseMatrix& H,
-                        const std::map<int, Eigen::VectorXd>& curvature,
-                        const SparseMatrix& scores,
-                        int leading) {
+MarginalEstimates SolveFor(const SparseMatrix& H,
+                           const std::map<int, Eigen::VectorXd>& curvature,
+                           const SparseMatrix& scores,
+                           const SparseMatrix& L) {
   const Eigen::SimplicialLDLT<SparseMatrix> solver(H);
   if (solver.info() != Eigen::Success || (solver.vectorD().array() <= 0.0).any()) {
     const MarginalEstimate unknown = {
-        Eigen::MatrixXd::Constant(leading, leading, std::numeric_limits<double>::infinity()),
-        Eigen::MatrixXd::Zero(leading, scores.cols())};
-    return {unknown, unknown};
+        Eigen::MatrixXd::Constant(L.cols(), L.cols(), std::numeric_limits<double>::infinity()),
+        Eigen::MatrixXd::Zero(L.cols(), scores.cols())};
+    return {unknown, unknown, Eigen::VectorXd::Zero(H.cols()), {}, {}};
   }
-  const auto estimate = [&](const Eigen::MatrixXd& inverse) {
-    return MarginalEstimate{inverse.topRows(leading), -inverse.transpose() * scores};
+  const auto estimate = [&](const Eigen::MatrixXd& gain) {
+    return MarginalEstimate{L.transpose() * gain, -gain.transpose() * scores};
   };
-  const Eigen::MatrixXd X = solver.solve(Eigen::MatrixXd::Identity(H.cols(), leading));
+  const Eigen::MatrixXd X = solver.solve(Eigen::MatrixXd(L));
   const MarginalEstimate gauss_newton = estimate(X);
-  if (curvature.empty()) return {gauss_newton, gauss_newton};
+  const Eigen::VectorXd gradient = scores * Eigen::VectorXd::Ones(scores.cols());
+  MarginalEstimates result{gauss_newton, gauss_newton, -solver.solve(gradient), X, {}};
+  if (curvature.empty()) return result;
 
   // Exact columns add sum_k e_k c_k^T + c_k e_k^T = U W U^T: Woodbury.
   const auto count = static_cast<Eigen::Index>(curvature.size());
@@ -46,9 +49,9 @@ MarginalEstimates Solve(const SparseMatrix& H,
   }
   const Eigen::MatrixXd Y = solver.solve(U);
   const Eigen::MatrixXd inner = W + U.transpose() * Y;
-  const Eigen::MatrixXd exact = X - Y * inner.partialPivLu().solve(U.transpose() * X);
-  const bool is_definite = exact.topRows(leading).llt().info() == Eigen::Success;
-  return {gauss_newton, is_definite ? estimate(exact) : gauss_newton};
+  const MarginalEstimate exact = estimate(X - Y * inner.partialPivLu().solve(U.transpose() * X));
+  if (exact.covariance.llt().info() == Eigen::Success) result.exact = exact;
+  return result;
 }
 
 /// By how much the variance grows when clusters, columns of z in units of the model, are merged two
@@ -75,7 +78,7 @@ double SlowErrors(Eigen::MatrixXd z, double fitted) {
 
 }  // namespace
 
-MarginalEstimate Condition(const MarginalEstimate& estimate, int count) {
+MarginalEstimate GivenOthers(const MarginalEstimate& estimate, int count) {
   const auto others = estimate.covariance.rows() - count;
   if (others == 0) return estimate;
   const Eigen::MatrixXd& C = estimate.covariance;
@@ -85,6 +88,19 @@ MarginalEstimate Condition(const MarginalEstimate& estimate, int count) {
                                    .transpose();
   return {C.topLeftCorner(count, count) - gain * C.bottomLeftCorner(others, count),
           estimate.influence.topRows(count) - gain * estimate.influence.bottomRows(others)};
+}
+
+MarginalEstimate Select(const MarginalEstimate& estimate, const std::vector<int>& places) {
+  const auto count = static_cast<Eigen::Index>(places.size());
+  MarginalEstimate selected{Eigen::MatrixXd(count, count),
+                            Eigen::MatrixXd(count, estimate.influence.cols())};
+  for (Eigen::Index i = 0; i < count; ++i) {
+    const int place = places[static_cast<size_t>(i)];
+    selected.influence.row(i) = estimate.influence.row(place);
+    for (Eigen::Index j = 0; j < count; ++j)
+      selected.covariance(i, j) = estimate.covariance(place, places[static_cast<size_t>(j)]);
+  }
+  return selected;
 }
 
 Eigen::VectorXd Curvature(ceres::Problem* problem,
@@ -106,24 +122,28 @@ Eigen::VectorXd Curvature(ceres::Problem* problem,
   const double value = *p;
   std::vector<double> gradient;
   *p = value + step;
-  problem->Evaluate(options, nullptr, nullptr, &gradient, nullptr);
+  const bool is_defined = problem->Evaluate(options, nullptr, nullptr, &gradient, nullptr);
   *p = value;
+  if (!is_defined) return Eigen::VectorXd::Zero(J.num_cols);
   const Eigen::Map<const Eigen::VectorXd> r(residuals.data(), J.num_rows);
   const Eigen::VectorXd by_first_order = jacobian.transpose() * (r + step * own);
   return (Eigen::Map<const Eigen::VectorXd>(gradient.data(), J.num_cols) - by_first_order) / step;
 }
 
-MarginalEstimator::MarginalEstimator(int parameters, int leading, int second_half)
-    : leading_(leading), second_half_(second_half) {
-  for (SparseMatrix& H : H_) H.resize(parameters, parameters);
-}
+MarginalEstimator::MarginalEstimator(int parameters,
+                                     int leading,
+                                     const std::vector<int>& part_of_cluster)
+    : leading_(leading),
+      part_of_cluster_(part_of_cluster),
+      H_(static_cast<size_t>(*std::max_element(part_of_cluster.begin(), part_of_cluster.end()) + 1),
+         SparseMatrix(parameters, parameters)) {}
 
 void MarginalEstimator::Add(const ceres::CRSMatrix& J,
                             const std::vector<double>& residuals,
                             const std::vector<int>& cluster) {
   using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
   const auto columns = [&J](int row) { return J.cols.begin() + J.rows[static_cast<size_t>(row)]; };
-  std::vector<Eigen::Triplet<double>> triplets[2];
+  std::vector<std::vector<Eigen::Triplet<double>>> triplets(H_.size());
   for (int begin = 0, end = 0; begin < J.num_rows; begin = end) {
     // Rows of one residual block have the same columns: a dense block.
     const auto size = static_cast<int>(columns(begin + 1) - columns(begin));
@@ -138,20 +158,21 @@ void MarginalEstimator::Add(const ceres::CRSMatrix& J,
     const Eigen::VectorXd score =
         block.transpose() *
         Eigen::Map<const Eigen::VectorXd>(&residuals[static_cast<size_t>(begin)], end - begin);
-    auto& half = triplets[block_cluster < second_half_ ? 0 : 1];
+    auto& part =
+        triplets[static_cast<size_t>(part_of_cluster_[static_cast<size_t>(block_cluster)])];
     for (int i = 0; i < size; ++i) {
       const int column_i = columns(begin)[i];
       for (int j = 0; j < size; ++j)
         if (columns(begin)[j] <= column_i)
-          half.emplace_back(column_i, columns(begin)[j], product(i, j));
+          part.emplace_back(column_i, columns(begin)[j], product(i, j));
       scores_.emplace_back(column_i, block_cluster, score[i]);
     }
-    clusters_ = std::max(clusters_, block_cluster + 1);
   }
-  for (int half = 0; half < 2; ++half) {
-    SparseMatrix part(H_[half].rows(), H_[half].cols());
-    part.setFromTriplets(triplets[half].begin(), triplets[half].end());
-    H_[half] += part;
+  for (size_t k = 0; k < H_.size(); ++k) {
+    if (triplets[k].empty()) continue;
+    SparseMatrix part(H_[k].rows(), H_[k].cols());
+    part.setFromTriplets(triplets[k].begin(), triplets[k].end());
+    H_[k] += part;
   }
 }
 
@@ -162,30 +183,59 @@ void MarginalEstimator::AddCurvature(int column, const Eigen::VectorXd& curvatur
 
 void MarginalEstimator::AddPrior(int first, double information) {
   const int size = static_cast<int>(H_[0].rows());
+  const double share = information / static_cast<double>(H_.size());
   std::vector<Eigen::Triplet<double>> diagonal;
-  for (int i = first; i < size; ++i) diagonal.emplace_back(i, i, 0.5 * information);
+  for (int i = first; i < size; ++i) diagonal.emplace_back(i, i, share);
   SparseMatrix prior(size, size);
   prior.setFromTriplets(diagonal.begin(), diagonal.end());
   for (SparseMatrix& H : H_) H += prior;
 }
 
-MarginalEstimates MarginalEstimator::Estimate() const {
-  SparseMatrix scores(H_[0].rows(), clusters_);
-  scores.setFromTriplets(scores_.begin(), scores_.end());
-  return Solve(H_[0] + H_[1], curvature_, scores, leading_);
+SparseMatrix MarginalEstimator::Sum(const std::vector<int>& parts) const {
+  SparseMatrix sum = H_[static_cast<size_t>(parts.front())];
+  for (size_t k = 1; k < parts.size(); ++k) sum += H_[static_cast<size_t>(parts[k])];
+  return sum;
 }
 
-MarginalEstimate MarginalEstimator::EstimateHalf(int half) const {
-  // Parameters that act only in the other half, as most of the trajectory does, are left out.
-  const SparseMatrix& H = H_[half];
+MarginalEstimates MarginalEstimator::Solve(const SparseMatrix& L) const {
+  SparseMatrix scores(H_[0].rows(), static_cast<Eigen::Index>(part_of_cluster_.size()));
+  scores.setFromTriplets(scores_.begin(), scores_.end());
+  std::vector<int> all(H_.size());
+  std::iota(all.begin(), all.end(), 0);
+  SparseMatrix H = Sum(all);
+  MarginalEstimates result = SolveFor(H, curvature_, scores, L);
+  result.H = std::move(H);
+  return result;
+}
+
+std::vector<int> MarginalEstimator::ActingIn(const std::vector<int>& parts) const {
+  const SparseMatrix H = Sum(parts);
+  std::vector<int> acting;
+  for (int column = 0; column < leading_; ++column) {
+    // In the lower triangle a leading column holds its products with the trajectory.
+    for (SparseMatrix::InnerIterator it(H, column); it; ++it) {
+      if (it.row() < leading_ || it.value() == 0.0) continue;
+      acting.push_back(column);
+      break;
+    }
+  }
+  return acting;
+}
+
+MarginalEstimate MarginalEstimator::SolveParts(const std::vector<int>& parts,
+                                               const std::vector<int>& wanted) const {
+  // Parameters that act only elsewhere, as most of the trajectory does, are left out.
+  const SparseMatrix sum = parts.size() > 1 ? Sum(parts) : SparseMatrix();
+  const SparseMatrix& H = parts.size() > 1 ? sum : H_[static_cast<size_t>(parts.front())];
   std::vector<bool> acts(static_cast<size_t>(H.cols()), false);
-  std::fill_n(acts.begin(), leading_, true);
   for (int column = 0; column < H.cols(); ++column) {
     for (SparseMatrix::InnerIterator it(H, column); it; ++it) {
       if (it.row() == column || it.value() == 0.0) continue;
       acts[static_cast<size_t>(it.row())] = acts[static_cast<size_t>(column)] = true;
     }
   }
+  std::fill_n(acts.begin(), leading_, false);
+  for (const int i : wanted) acts[static_cast<size_t>(i)] = true;
   std::vector<int> place(acts.size(), -1);
   int size = 0;
   for (size_t i = 0; i < acts.size(); ++i)
@@ -201,15 +251,23 @@ MarginalEstimate MarginalEstimator::EstimateHalf(int half) const {
   SparseMatrix own(size, size);
   own.setFromTriplets(kept.begin(), kept.end());
 
-  const int begin = half == 0 ? 0 : second_half_;
-  const int end = half == 0 ? std::min(second_half_, clusters_) : clusters_;
+  std::vector<int> cluster(part_of_cluster_.size(), -1);
+  int clusters = 0;
+  for (size_t w = 0; w < cluster.size(); ++w)
+    if (std::find(parts.begin(), parts.end(), part_of_cluster_[w]) != parts.end())
+      cluster[w] = clusters++;
   kept.clear();
-  for (const auto& score : scores_)
-    if (score.col() >= begin && score.col() < end && place_of(score.row()) >= 0)
-      kept.emplace_back(place_of(score.row()), score.col() - begin, score.value());
-  SparseMatrix scores(size, std::max(0, end - begin));
+  for (const auto& score : scores_) {
+    const int own_cluster = cluster[static_cast<size_t>(score.col())];
+    if (own_cluster >= 0 && place_of(score.row()) >= 0)
+      kept.emplace_back(place_of(score.row()), own_cluster, score.value());
+  }
+  SparseMatrix scores(size, clusters);
   scores.setFromTriplets(kept.begin(), kept.end());
-  return Solve(own, {}, scores, leading_).gauss_newton;
+  SparseMatrix L(size, static_cast<Eigen::Index>(wanted.size()));
+  for (size_t k = 0; k < wanted.size(); ++k)
+    L.insert(place_of(wanted[k]), static_cast<Eigen::Index>(k)) = 1.0;
+  return SolveFor(own, {}, scores, L).gauss_newton;
 }
 
 Eigen::MatrixXd ClusterRobustCovariance(const MarginalEstimate& estimate, double fitted) {

@@ -8,7 +8,6 @@
 #include <utility>
 
 #include "imu_pose_calib/core/median.h"
-#include "imu_pose_calib/core/observability.h"
 #include "imu_pose_calib/core/so3.h"
 
 namespace imu_pose_calib {
@@ -52,12 +51,13 @@ StreamCheck CheckStream(const std::vector<Sample>& samples) {
   check.count = samples.size();
   if (samples.size() < 2) return check;
   size_t repeated = 0, run = 0, longest_run = 0;
-  std::vector<int64_t> stamps{samples[0].t_ns};
-  for (size_t i = 1; i < samples.size(); ++i) {
+  std::vector<int64_t> stamps;
+  for (size_t i = 0; i < samples.size(); ++i) {
+    if (!IsStampedAhead(samples, i)) stamps.push_back(samples[i].t_ns);
+    if (i == 0) continue;
     run = SameValue(samples[i], samples[i - 1]) ? run + 1 : 0;
     repeated += run > 0 ? 1 : 0;
     longest_run = std::max(longest_run, run);
-    stamps.push_back(samples[i].t_ns);
   }
   const auto n = static_cast<double>(samples.size());
   check.repeated = static_cast<double>(repeated) / n;
@@ -94,7 +94,7 @@ StreamCheck CheckStream(const std::vector<Sample>& samples) {
   return check;
 }
 
-void WarnOfStamps(const char* stream,
+void WarnOfStamps(const std::string& stream,
                   const StreamCheck& check,
                   double max_missing,
                   double max_repeated,
@@ -139,7 +139,9 @@ void WarnOfStamps(const char* stream,
          " s; they are not used");
 }
 
-void WarnOfDrops(const char* stream, const StreamReport& r, std::vector<std::string>* warnings) {
+void WarnOfDrops(const std::string& stream,
+                 const StreamReport& r,
+                 std::vector<std::string>* warnings) {
   const double n = std::max(1.0, static_cast<double>(r.received));
   const size_t bad = r.not_finite + r.zero_quaternion + r.reversed_stamp;
   if (static_cast<double>(bad) > kMaxDropped * n)
@@ -175,7 +177,7 @@ void WarnOfDrops(const char* stream, const StreamReport& r, std::vector<std::str
 }
 
 /// Mean norm of the accelerometer while neither sensor shows motion, and how long that was.
-void FindRest(const ConditionedData& data, const Eigen::Vector3d& gyro_bias, DataCheck* check) {
+void FindRest(const ConditionedImu& data, const Eigen::Vector3d& gyro_bias, ImuCheck* check) {
   double sum = 0.0, count = 0.0;
   size_t a = 0, g = 0;
   const double end = std::min(data.gyro.back().t, data.accel.back().t);
@@ -211,10 +213,10 @@ Eigen::Vector3d MedianRate(const std::vector<TimedSample>& gyro) {
 /// Share of the gyroscope's variance that the poses explain, and growth of the time shift: linear
 /// least squares for small changes of R_MI, bias, shift and drift on the gyroscope, with a
 /// covariance from blocks of time.
-void MeasureDrift(const ConditionedData& data,
+void MeasureDrift(const ConditionedImu& data,
                   const PoseTrajectory& trajectory,
                   const Start& start,
-                  DataCheck* check) {
+                  ImuCheck* check) {
   using Matrix8d = Eigen::Matrix<double, 8, 8>;
   using Vector8d = Eigen::Matrix<double, 8, 1>;
   struct Row {
@@ -263,39 +265,27 @@ void MeasureDrift(const ConditionedData& data,
   check->drift_ppm_std = 1e6 * std::sqrt(std::max(0.0, covariance(7, 7)));
 }
 
-double Overlap(const ConditionedData& data, double time_shift) {
-  const double begin = std::max(0.0, data.gyro.front().t + time_shift);
-  const double end = std::min(data.poses.back().t, data.gyro.back().t + time_shift);
+double Overlap(const ConditionedData& data, const ConditionedImu& imu, double time_shift) {
+  const double begin = std::max(0.0, imu.gyro.front().t + time_shift);
+  const double end = std::min(data.poses.back().t, imu.gyro.back().t + time_shift);
   return std::max(0.0, end - begin);
-}
-
-/// A calibration warns by its own, more exact estimate.
-void WarnOfDrift(const CalibrationOptions& options, DataCheck* check) {
-  const double effect = 1e-6 * std::abs(check->drift_ppm) * check->overlap_s;
-  if (!options.estimate_clock_drift && effect > kMaxDriftEffect &&
-      std::abs(check->drift_ppm) > kDriftSigmas * check->drift_ppm_std)
-    Warn(&check->warnings,
-         "the clocks drift against each other by ",
-         check->drift_ppm,
-         " +- ",
-         check->drift_ppm_std,
-         " ppm, ",
-         1e3 * effect,
-         " ms over the recording (bound: ",
-         1e3 * kMaxDriftEffect,
-         " ms): set estimate_clock_drift: true");
 }
 
 }  // namespace
 
-DataCheck CheckStreams(const CalibrationData& data) {
+DataCheck CheckStreams(const SessionData& session) {
   DataCheck check;
-  check.poses = CheckStream(data.poses);
-  check.gyro = CheckStream(data.gyro);
-  check.accel = CheckStream(data.accel);
+  check.poses = CheckStream(session.poses);
   WarnOfStamps("pose", check.poses, kMaxMissingPoses, kMaxRepeatedPoses, &check.warnings);
-  WarnOfStamps("gyroscope", check.gyro, kMaxMissingImu, kMaxRepeatedImu, &check.warnings);
-  WarnOfStamps("accelerometer", check.accel, kMaxMissingImu, kMaxRepeatedImu, &check.warnings);
+  for (size_t i = 0; i < session.imus.size(); ++i) {
+    ImuCheck imu;
+    imu.gyro = CheckStream(session.imus[i].gyro);
+    imu.accel = CheckStream(session.imus[i].accel);
+    const std::string of = OfImu(i, session.imus.size());
+    WarnOfStamps("gyroscope" + of, imu.gyro, kMaxMissingImu, kMaxRepeatedImu, &check.warnings);
+    WarnOfStamps("accelerometer" + of, imu.accel, kMaxMissingImu, kMaxRepeatedImu, &check.warnings);
+    check.imus.push_back(imu);
+  }
   return check;
 }
 
@@ -304,13 +294,17 @@ void CheckMotion(const CalibrationOptions& options,
                  const PoseTrajectory& trajectory,
                  DataCheck* check) {
   check->poses_report = data.pose_report;
-  check->gyro_report = data.gyro_report;
-  check->accel_report = data.accel_report;
+  check->segments = data.segments.size();
   check->gaps = data.gaps;
   check->jumps = data.jumps;
   WarnOfDrops("pose", data.pose_report, &check->warnings);
-  WarnOfDrops("gyroscope", data.gyro_report, &check->warnings);
-  WarnOfDrops("accelerometer", data.accel_report, &check->warnings);
+  for (size_t i = 0; i < data.imus.size(); ++i) {
+    const std::string of = OfImu(i, data.imus.size());
+    check->imus[i].gyro_report = data.imus[i].gyro_report;
+    check->imus[i].accel_report = data.imus[i].accel_report;
+    WarnOfDrops("gyroscope" + of, data.imus[i].gyro_report, &check->warnings);
+    WarnOfDrops("accelerometer" + of, data.imus[i].accel_report, &check->warnings);
+  }
   if (data.jumps > 0 && data.pose_report.flipped == 0)
     Warn(&check->warnings,
          "pose: ",
@@ -334,70 +328,77 @@ void CheckMotion(const CalibrationOptions& options,
   check->turns_M = rms.head<3>();
   check->moves_W = rms.tail<3>();
 
-  FindRest(data, MedianRate(data.gyro), check);
   const double g = options.gravity_magnitude;
-  if (check->rest_s >= kMinRest && std::abs(check->rest_norm - g) > kMaxGravityError * g)
-    Warn(&check->warnings,
-         "accelerometer: its norm at rest is ",
-         check->rest_norm,
-         " m/s^2 (bound: within ",
-         Percent(kMaxGravityError),
-         " % of gravity_magnitude = ",
-         g,
-         "); check its scale and biases");
+  for (size_t i = 0; i < data.imus.size(); ++i) {
+    if (!data.imus[i].IsPresent()) continue;
+    ImuCheck& imu = check->imus[i];
+    FindRest(data.imus[i], MedianRate(data.imus[i].gyro), &imu);
+    if (imu.rest_s >= kMinRest && std::abs(imu.rest_norm - g) > kMaxGravityError * g)
+      Warn(&check->warnings,
+           "accelerometer" + OfImu(i, data.imus.size()) + ": its norm at rest is ",
+           imu.rest_norm,
+           " m/s^2 (bound: within ",
+           Percent(kMaxGravityError),
+           " % of gravity_magnitude = ",
+           g,
+           "); check its scale and biases");
+  }
 }
 
 void CheckMatch(const ConditionedData& data,
                 const PoseTrajectory& trajectory,
                 const Start& start,
+                size_t imu,
                 DataCheck* check) {
-  check->is_matched = true;
-  check->time_shift =
-      start.time_shift + 1e-9 * static_cast<double>(data.pose_epoch_ns - data.imu_epoch_ns);
-  check->overlap_s = Overlap(data, start.time_shift);
-  MeasureDrift(data, trajectory, start, check);
-  if (check->overlap_s < kMinOverlap)
+  const ConditionedImu& samples = data.imus[imu];
+  ImuCheck& match = check->imus[imu];
+  match.is_matched = true;
+  match.time_shift =
+      start.time_shift + 1e-9 * static_cast<double>(data.pose_epoch_ns - samples.epoch_ns);
+  match.overlap_s = Overlap(data, samples, start.time_shift);
+  MeasureDrift(samples, trajectory, start, &match);
+  const std::string of = OfImu(imu, data.imus.size());
+  if (match.overlap_s < kMinOverlap)
     Warn(&check->warnings,
-         "poses and IMU have only ",
-         check->overlap_s,
+         "poses and IMU",
+         of,
+         " have only ",
+         match.overlap_s,
          " s in common (bound: ",
          kMinOverlap,
          " s); record 30 s or more");
-  if (check->explained < kMinExplained)
+  if (match.explained < kMinExplained)
     Warn(&check->warnings,
          "the poses explain only ",
-         Percent(check->explained),
-         " % of the gyroscope's variance (bound: ",
+         Percent(match.explained),
+         " % of the variance of the gyroscope",
+         of,
+         " (bound: ",
          Percent(kMinExplained),
          " %): a loose mount, or poses that are slow, filtered or rare");
 }
 
-DataCheck CheckData(const CalibrationOptions& options, const CalibrationData& data) {
-  options.Validate();
-  DataCheck check = CheckStreams(data);
-  try {
-    ConditionedData conditioned = Condition(options, data);
-    PoseTrajectory trajectory = FitTrajectory(options, &conditioned);
-    RemoveFlippedSegments(options, &trajectory, &conditioned);
-    CheckMotion(options, conditioned, trajectory, &check);
-    Calibration motion;
-    const bool needs_turns = options.estimate_translation && options.estimate_rotation;
-    if (needs_turns && IsMotionDegenerate(MeasureTurns(trajectory, conditioned), &motion))
-      throw DataError(motion.message);
-    CheckMatch(conditioned, trajectory, Initialise(options, trajectory, conditioned), &check);
-    WarnOfDrift(options, &check);
-  } catch (const OptionNeeded& error) {
-    check.verdict = DataVerdict::kUsable;
-    check.message = error.what();
-    return check;
-  } catch (const DataError& error) {
-    check.verdict = DataVerdict::kRecordAgain;
-    check.message = error.what();
-    return check;
+void WarnOfDrift(const CalibrationOptions& options, DataCheck* check) {
+  for (size_t i = 0; i < check->imus.size(); ++i) {
+    const ImuCheck& imu = check->imus[i];
+    const double effect = 1e-6 * std::abs(imu.drift_ppm) * imu.overlap_s;
+    const std::string of = OfImu(i, check->imus.size());
+    if (options.estimate_clock_drift || effect <= kMaxDriftEffect ||
+        std::abs(imu.drift_ppm) <= kDriftSigmas * imu.drift_ppm_std)
+      continue;
+    Warn(&check->warnings,
+         "the clocks",
+         of.empty() ? "" : of + " and the poses",
+         " drift against each other by ",
+         imu.drift_ppm,
+         " +- ",
+         imu.drift_ppm_std,
+         " ppm, ",
+         1e3 * effect,
+         " ms over the recording (bound: ",
+         1e3 * kMaxDriftEffect,
+         " ms): set estimate_clock_drift: true");
   }
-  check.verdict = check.warnings.empty() ? DataVerdict::kGood : DataVerdict::kUsable;
-  check.message = check.warnings.empty() ? "nothing to remark" : "see the warnings below";
-  return check;
 }
 
 const char* ToString(DataVerdict verdict) {

@@ -30,14 +30,85 @@ Eigen::Vector3d BiasKnots::Mean() const {
   return sum / static_cast<double>(values.size());
 }
 
-Estimate::Estimate(const Start& start, const ConditionedData& data, double bias_knot_interval_s)
-    : time_shift(start.time_shift),
-      accel_delay(start.accel_delay),
-      clock_reference(0.5 * (data.gyro.front().t + data.gyro.back().t)),
-      q_MI(start.q_MI),
-      p_MI(start.p_MI),
-      g_W(start.g_W),
-      gyro_bias(data.gyro, bias_knot_interval_s, start.gyro_bias),
-      accel_bias(data.accel, bias_knot_interval_s, start.accel_bias) {}
+size_t SessionEstimate::FirstImu() const {
+  const auto is_present = [](const ImuSessionEstimate& imu) { return imu.is_present; };
+  return static_cast<size_t>(std::find_if(imus.begin(), imus.end(), is_present) - imus.begin());
+}
+
+Estimate::Estimate(const PreparedSession& session, double bias_knot_interval_s)
+    : imus(session.starts.size()), sessions(1) {
+  sessions[0].imus.resize(imus.size());
+  sessions[0].g_W = session.starts[session.data.FirstImu()].g_W;
+  for (size_t i = 0; i < imus.size(); ++i) {
+    const ConditionedImu& samples = session.data.imus[i];
+    if (!samples.IsPresent()) continue;
+    const Start& start = session.starts[i];
+    imus[i].q_MI = start.q_MI;
+    imus[i].p_MI = start.p_MI;
+    imus[i].accel_delay = start.accel_delay;
+    ImuSessionEstimate& imu = sessions[0].imus[i];
+    imu.is_present = true;
+    imu.time_shift = start.time_shift;
+    imu.clock_reference = 0.5 * (samples.gyro.front().t + samples.gyro.back().t);
+    imu.gyro_bias = BiasKnots(samples.gyro, bias_knot_interval_s, start.gyro_bias);
+    imu.accel_bias = BiasKnots(samples.accel, bias_knot_interval_s, start.accel_bias);
+  }
+}
+
+std::vector<Parameter> CalibrationParameters(Estimate* estimate) {
+  std::vector<Parameter> parameters;
+  const auto in_sessions = [&](size_t i, auto visit) {
+    for (size_t s = 0; s < estimate->sessions.size(); ++s)
+      if (estimate->sessions[s].imus[i].is_present) visit(s, &estimate->sessions[s].imus[i]);
+  };
+  for (size_t i = 0; i < estimate->imus.size(); ++i) {
+    ImuEstimate& imu = estimate->imus[i];
+    const auto add = [&](ParameterKind kind, size_t session, int size, double* data) {
+      parameters.push_back({kind, i, session, size, data});
+    };
+    add(ParameterKind::kTranslation, 0, 3, imu.p_MI.data());
+    add(ParameterKind::kRotation, 0, 3, imu.q_MI.coeffs().data());
+    in_sessions(i, [&](size_t s, ImuSessionEstimate* own) {
+      add(ParameterKind::kTimeShift, s, 1, &own->time_shift);
+    });
+    add(ParameterKind::kAccelDelay, 0, 1, &imu.accel_delay);
+    in_sessions(i, [&](size_t s, ImuSessionEstimate* own) {
+      add(ParameterKind::kClockDrift, s, 1, &own->clock_drift);
+    });
+  }
+  parameters.push_back({ParameterKind::kPoseSmoothing, 0, 0, 1, &estimate->pose_smoothing});
+  for (size_t i = 0; i < estimate->imus.size(); ++i) {
+    ImuEstimate& imu = estimate->imus[i];
+    parameters.push_back({ParameterKind::kGyroIntrinsics, i, 0, 6, imu.gyro_intrinsics.data()});
+    parameters.push_back({ParameterKind::kAccelIntrinsics, i, 0, 9, imu.accel_intrinsics.data()});
+  }
+  return parameters;
+}
+
+bool IsEstimated(const CalibrationOptions& options, ParameterKind kind) {
+  switch (kind) {
+    case ParameterKind::kTranslation:
+      return options.estimate_translation;
+    case ParameterKind::kRotation:
+      return options.estimate_rotation;
+    case ParameterKind::kTimeShift:
+      return options.estimate_time_shift;
+    case ParameterKind::kAccelDelay:
+      return options.estimate_accel_delay;
+    case ParameterKind::kClockDrift:
+      return options.estimate_clock_drift;
+    case ParameterKind::kPoseSmoothing:
+      return options.estimate_pose_smoothing;
+    case ParameterKind::kGyroIntrinsics:
+    case ParameterKind::kAccelIntrinsics:
+      return options.imu_model == ImuModel::kScaleMisalignment;
+    case ParameterKind::kGravity:
+      return options.estimate_gravity;
+    case ParameterKind::kGyroBias:
+    case ParameterKind::kAccelBias:
+      break;
+  }
+  return true;
+}
 
 }  // namespace imu_pose_calib

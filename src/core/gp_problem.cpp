@@ -3,7 +3,6 @@
 #include <ceres/loss_function.h>
 
 #include <cmath>
-#include <memory>
 
 #include "imu_pose_calib/core/residuals.h"
 
@@ -14,100 +13,127 @@ namespace {
 constexpr double kCorrelation = 0.5;
 constexpr double kGpTolerance = 1e-8;
 
-}  // namespace
-
-GpProblem::GpProblem(const CalibrationOptions& options,
-                     const PoseTrajectory& trajectory,
-                     const ConditionedData& data,
-                     Sensors sensors,
-                     const NoiseStd& noise,
-                     Estimate* estimate)
-    : CalibrationProblem(options, trajectory, data, noise, estimate) {
-  AddGyroParameters();
-  AddGyro();
-  AddBiasWalk(options_.gyro_bias_walk, &estimate_->gyro_bias);
-  if (sensors == Sensors::kGyro) return;
-  AddAccelParameters();
-  AddAccel();
-  AddBiasWalk(options_.accel_bias_walk, &estimate_->accel_bias);
+/// Number of consecutive samples that share one error of the trajectory: together they tell no more
+/// about it than one, so its variance counts that many times in each sample's weight.
+double SharedSamples(const PoseTrajectory& trajectory, double rate_hz) {
+  return 1.0 + kCorrelation * trajectory.rotation_hyperparameters().lengthscale_s * rate_hz;
 }
 
-double GpProblem::SharedSamples(double rate_hz) const {
-  return 1.0 + kCorrelation * trajectory_.rotation_hyperparameters().lengthscale_s * rate_hz;
-}
-
-void GpProblem::AddGyro() {
-  BiasKnots& knots = estimate_->gyro_bias;
-  for (size_t i = 0; i < data_.gyro.size(); ++i) {
-    const TimedSample& s = data_.gyro[i];
-    const double t_M = s.t + estimate_->time_shift;
-    if (!IsOnTrajectory(t_M)) continue;
-    const double variance = trajectory_.Variance(t_M).omega;
-    const double sigma =
-        std::sqrt(noise_.gyro * noise_.gyro + SharedSamples(data_.gyro_report.rate_hz) * variance);
-    const auto [k, u] = knots.Locate(s.t);
-    const GyroResidual residual{&trajectory_, s.t, s.value, u, sigma};
-    gyro_.Add(problem_.AddResidualBlock(residual.Create(),
-                                        new ceres::CauchyLoss(options_.robust_loss_scale),
-                                        estimate_->q_MI.coeffs().data(),
-                                        knots.values[k].data(),
-                                        knots.values[k + 1].data(),
-                                        &estimate_->time_shift),
-              {{i, s.t, sigma, variance}});
+void AddGyro(size_t session, size_t imu, LeastSquares* gp) {
+  const ConditionedImu& data = gp->sessions[session].data.imus[imu];
+  const PoseTrajectory& trajectory = *gp->sessions[session].trajectory;
+  ImuSessionEstimate& clock = gp->estimate->sessions[session].imus[imu];
+  SensorBlocks* sensor = gp->Find(Quantity::kGyro, session, imu);
+  const double noise = sensor->model->noise;
+  const double shared = SharedSamples(trajectory, sensor->model->rate_hz);
+  for (size_t i = 0; i < data.gyro.size(); ++i) {
+    const TimedSample& s = data.gyro[i];
+    const double t_M = s.t + clock.time_shift;
+    if (!IsOnTrajectory(trajectory, t_M)) continue;
+    const double variance = trajectory.Variance(t_M).omega;
+    const double sigma = std::sqrt(noise * noise + shared * variance);
+    const auto [k, u] = clock.gyro_bias.Locate(s.t);
+    const GyroResidual residual{&trajectory, s.t, s.value, u, sigma};
+    sensor->Add(gp->problem.AddResidualBlock(residual.Create(),
+                                             new ceres::CauchyLoss(gp->options.robust_loss_scale),
+                                             gp->estimate->imus[imu].q_MI.coeffs().data(),
+                                             clock.gyro_bias.values[k].data(),
+                                             clock.gyro_bias.values[k + 1].data(),
+                                             &clock.time_shift),
+                {{i, t_M, sigma, variance}});
   }
-  if (gyro_.blocks.empty()) throw DataError("no gyroscope sample falls on the trajectory");
+  if (sensor->blocks.empty()) throw DataError("no gyroscope sample falls on the trajectory");
 }
 
-void GpProblem::AddAccel() {
-  BiasKnots& knots = estimate_->accel_bias;
-  const double arm2 = estimate_->p_MI.squaredNorm();
-  for (size_t i = 0; i < data_.accel.size(); ++i) {
-    const TimedSample& s = data_.accel[i];
-    const double t_M = s.t + estimate_->time_shift - estimate_->accel_delay;
-    if (!IsOnTrajectory(t_M)) continue;
+void AddAccel(size_t session, size_t imu, LeastSquares* gp) {
+  const ConditionedImu& data = gp->sessions[session].data.imus[imu];
+  const PoseTrajectory& trajectory = *gp->sessions[session].trajectory;
+  ImuEstimate& rig = gp->estimate->imus[imu];
+  ImuSessionEstimate& clock = gp->estimate->sessions[session].imus[imu];
+  SensorBlocks* sensor = gp->Find(Quantity::kAccel, session, imu);
+  const double noise = sensor->model->noise;
+  const double shared = SharedSamples(trajectory, sensor->model->rate_hz);
+  const double arm2 = rig.p_MI.squaredNorm();
+  for (size_t i = 0; i < data.accel.size(); ++i) {
+    const TimedSample& s = data.accel[i];
+    const double t_M = s.t + clock.time_shift - rig.accel_delay;
+    if (!IsOnTrajectory(trajectory, t_M)) continue;
     MarkerState<double> state;
-    trajectory_.Evaluate(t_M, &state);
+    trajectory.Evaluate(t_M, &state);
     // Errors of alpha and omega reach the accelerometer through the lever arm, errors of rotation
     // turn the specific force; all three axes share them.
-    const MarkerVariance v = trajectory_.Variance(t_M);
+    const MarkerVariance v = trajectory.Variance(t_M);
     const double lever = LeverArmCoefficientVariance(v.alpha, v.omega, state.omega_M.squaredNorm());
     const double variance =
         v.accel + (arm2 * lever + 2.0 * v.rotation * s.value.squaredNorm()) / 3.0;
-    const double sigma = std::sqrt(noise_.accel * noise_.accel +
-                                   SharedSamples(data_.accel_report.rate_hz) * variance);
-    feigned_information_ += lever / (sigma * sigma);
-    const auto [k, u] = knots.Locate(s.t);
-    const AccelResidual residual{&trajectory_, s.t, s.value, u, sigma};
-    accel_.Add(problem_.AddResidualBlock(residual.Create(),
-                                         new ceres::CauchyLoss(options_.robust_loss_scale),
-                                         estimate_->q_MI.coeffs().data(),
-                                         estimate_->p_MI.data(),
-                                         estimate_->g_W.data(),
-                                         knots.values[k].data(),
-                                         knots.values[k + 1].data(),
-                                         &estimate_->time_shift,
-                                         &estimate_->accel_delay),
-               {{i, s.t, sigma, variance}});
+    const double sigma = std::sqrt(noise * noise + shared * variance);
+    gp->feigned_information[imu] += lever / (sigma * sigma);
+    const auto [k, u] = clock.accel_bias.Locate(s.t);
+    const AccelResidual residual{&trajectory, s.t, s.value, u, sigma};
+    sensor->Add(gp->problem.AddResidualBlock(residual.Create(),
+                                             new ceres::CauchyLoss(gp->options.robust_loss_scale),
+                                             rig.q_MI.coeffs().data(),
+                                             rig.p_MI.data(),
+                                             gp->estimate->sessions[session].g_W.data(),
+                                             clock.accel_bias.values[k].data(),
+                                             clock.accel_bias.values[k + 1].data(),
+                                             &clock.time_shift,
+                                             &rig.accel_delay),
+                {{i, t_M, sigma, variance}});
   }
-  if (accel_.blocks.empty()) throw DataError("no accelerometer sample falls on the trajectory");
+  if (sensor->blocks.empty()) throw DataError("no accelerometer sample falls on the trajectory");
+}
+
+}  // namespace
+
+std::unique_ptr<LeastSquares> BuildGpProblem(const CalibrationOptions& options,
+                                             const std::vector<PreparedSession>& sessions,
+                                             const std::vector<SensorModel>& models,
+                                             GpSensors sensors,
+                                             Estimate* estimate) {
+  auto gp = std::make_unique<LeastSquares>(options, sessions, models, estimate);
+  gp->AddGyroParameters();
+  if (sensors == GpSensors::kGyroAndAccel) gp->AddAccelParameters();
+  for (size_t s = 0; s < sessions.size(); ++s) {
+    for (size_t i = 0; i < estimate->imus.size(); ++i) {
+      ImuSessionEstimate& clock = estimate->sessions[s].imus[i];
+      if (!clock.is_present) continue;
+      AddGyro(s, i, gp.get());
+      gp->AddBiasWalk(options.gyro_bias_walk, s, i, &clock.gyro_bias);
+      if (sensors == GpSensors::kGyro) continue;
+      AddAccel(s, i, gp.get());
+      gp->AddBiasWalk(options.accel_bias_walk, s, i, &clock.accel_bias);
+    }
+  }
+  return gp;
 }
 
 Solution SolveAgainstTrajectory(const CalibrationOptions& options,
-                                const PoseTrajectory& trajectory,
-                                const ConditionedData& data,
+                                const std::vector<PreparedSession>& sessions,
                                 Estimate* estimate) {
-  using Sensors = GpProblem::Sensors;
-  NoiseStd noise = InitialNoise(options, trajectory, data);
-  const auto solve = [&](Sensors sensors, double tolerance) {
-    auto problem = std::make_unique<GpProblem>(options, trajectory, data, sensors, noise, estimate);
-    problem->Solve(tolerance);
-    noise = problem->Statistics().noise;
-    return problem;
+  std::vector<SensorModel> models = InitialModels(options, sessions);
+  std::vector<SensorStatistics> statistics;
+  std::unique_ptr<LeastSquares> gp;
+  const auto solve = [&](GpSensors sensors, double tolerance) {
+    gp = BuildGpProblem(options, sessions, models, sensors, estimate);
+    gp->Solve(tolerance);
+    statistics = gp->FindStatistics();
   };
-  solve(Sensors::kGyro, kRoughTolerance);
-  solve(Sensors::kGyroAndAccel, kRoughTolerance);
-  const auto problem = solve(Sensors::kGyroAndAccel, kGpTolerance);
-  return {problem->Statistics(), problem->Covariance()};
+  const auto update_noise = [&] {
+    for (size_t k = 0; k < models.size(); ++k) models[k].noise = statistics[k].noise;
+  };
+  solve(GpSensors::kGyro, kRoughTolerance);
+  update_noise();
+  solve(GpSensors::kGyroAndAccel, kRoughTolerance);
+  update_noise();
+  solve(GpSensors::kGyroAndAccel, kGpTolerance);
+  Solution solution;
+  solution.statistics = std::move(statistics);
+  solution.marginals = FindMarginals(gp.get());
+  solution.residuals = gp->TakeResiduals();
+  gp.reset();
+  solution.models = std::move(models);
+  return solution;
 }
 
 }  // namespace imu_pose_calib

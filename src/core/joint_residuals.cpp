@@ -5,6 +5,7 @@
 #include <Eigen/LU>
 #include <initializer_list>
 
+#include "imu_pose_calib/core/correction.h"
 #include "imu_pose_calib/core/intrinsics.h"
 #include "imu_pose_calib/core/so3.h"
 
@@ -15,15 +16,6 @@ using Eigen::Matrix3d;
 using Eigen::Vector3d;
 
 Eigen::Map<Vector3d> AsVector(double* x) { return Eigen::Map<Vector3d>(x); }
-
-/// Value and derivatives 1..3 (columns) of a spline from its control points.
-Eigen::Matrix<double, 3, 4> EvaluateSpline(double const* const* points,
-                                           const SplineWeights& weights) {
-  Eigen::Matrix<double, 3, 4> x = Eigen::Matrix<double, 3, 4>::Zero();
-  for (int j = 0; j < kSplineOrder; ++j)
-    x += Eigen::Map<const Vector3d>(points[j]) * weights.col(j).transpose();
-  return x;
-}
 
 /// d(q^* v)/d(xyzw) for q turned on the left by twice the step, as Ceres' quaternion manifold does:
 /// the tangent Jacobian 2 R^T Hat(v) times the pseudo-inverse of the manifold's Plus Jacobian.
@@ -37,42 +29,21 @@ Eigen::Matrix<double, 3, 4> InverseRotationJacobian(const Eigen::Quaterniond& q,
   return 2.0 * Hat(turned_v) * q.conjugate().toRotationMatrix() * G;
 }
 
-/// u = J_r(phi) phi' and its time derivative, as cross products: with m = phi x phi',
-///   u     = phi' - b m + c phi x m
-///   du/dt = J_r(phi) phi'' - b' m + c' phi x m + c phi' x m.
-template <typename T>
-void CorrectionRate(const Eigen::Matrix<T, 3, 1>& phi,
-                    const Eigen::Matrix<T, 3, 1>& phi1,
-                    const Eigen::Matrix<T, 3, 1>& phi2,
-                    Eigen::Matrix<T, 3, 1>* u,
-                    Eigen::Matrix<T, 3, 1>* u_dot) {
-  using Vector3 = Eigen::Matrix<T, 3, 1>;
-  const internal::JacobianTerms<T> j(phi.squaredNorm());
-  const T s_dot = T(2) * phi.dot(phi1);
-  const Vector3 m = phi.cross(phi1);
-  const Vector3 n = phi.cross(phi2);
-  const Vector3 phi_m = phi.cross(m);
-  *u = phi1 - j.b * m + j.c * phi_m;
-  *u_dot = phi2 - j.b * n + j.c * phi.cross(n) - s_dot * j.db * m + s_dot * j.dc * phi_m +
-           j.c * phi1.cross(m);
-}
-
 /// The corrected rotation of the marker at one instant and how it moves with phi, phi' and phi''.
 struct CorrectedRotation {
-  Eigen::Quaterniond q_WM;  // at the point, as alpha: used with dt = 0 only
+  Eigen::Quaterniond q_WM;
   Vector3d omega, alpha;
   // Only with Jacobians:
   Matrix3d J;                                  // right Jacobian of phi
   Matrix3d omega_phi, omega_phi1;              // d omega / d phi, phi'
   Matrix3d alpha_phi, alpha_phi1, alpha_phi2;  // d alpha / d phi, phi', phi''
-  Vector3d omega_t;                            // time derivative
+  // Time derivatives, that of alpha but for the GP's own.
+  Vector3d omega_t, alpha_t;
 
-  /// phi: columns 0..3 are the value and its time derivatives. `dt` [s] beyond the point.
+  /// phi: columns 0..3 are the value and its time derivatives.
   CorrectedRotation(const MarkerState<double>& gp,
-                    double dt,
                     const Eigen::Matrix<double, 3, 4>& phi,
                     bool with_jacobians) {
-    const Vector3d omega_gp = gp.omega_M + dt * gp.alpha_M;
     const Eigen::Quaterniond E = Exp<double>(phi.col(0));
     q_WM = gp.q_WM * E;
 
@@ -97,7 +68,7 @@ struct CorrectedRotation {
       CorrectionRate<double>(phi.col(0), phi.col(1), phi.col(2), &u, &u_dot);
     }
 
-    const Vector3d omega_E = E.conjugate() * omega_gp;  // E^T omega_gp
+    const Vector3d omega_E = E.conjugate() * gp.omega_M;  // E^T omega_gp
     const Vector3d alpha_E = E.conjugate() * gp.alpha_M;
     omega = omega_E + u;
     alpha = alpha_E - u.cross(omega_E) + u_dot;
@@ -111,8 +82,20 @@ struct CorrectedRotation {
     alpha_phi1 = Hat(omega_E) * J + udot_phi1;
     alpha_phi2 = udot_phi2;
     omega_t = omega_phi * phi.col(1) + omega_phi1 * phi.col(2) + alpha_E;
+    alpha_t = alpha_phi * phi.col(1) + alpha_phi1 * phi.col(2) + alpha_phi2 * phi.col(3) -
+              u.cross(alpha_E);
   }
 };
+
+/// The GP's motion `dt` [s] beyond a point.
+MarkerState<double> Moved(MarkerState<double> gp, double dt, const MarkerJerk& jerk) {
+  if (dt == 0.0) return gp;
+  gp.q_WM = gp.q_WM * Exp<double>(dt * (gp.omega_M + 0.5 * dt * gp.alpha_M));
+  gp.omega_M += dt * (gp.alpha_M + 0.5 * dt * jerk.alpha_rate);
+  gp.alpha_M += dt * jerk.alpha_rate;
+  gp.a_W += dt * jerk.jerk_W;
+  return gp;
+}
 
 /// How far beyond its span a sample may move while the clocks are estimated: the cubic goes on, and
 /// the next solve finds the right span.
@@ -127,17 +110,41 @@ void SetRows(double** jacobians, int block, size_t i, const Matrix& J) {
   if (jacobians[block] != nullptr) Eigen::Map<Rows>(jacobians[block] + 3 * Columns * i) = J;
 }
 
-/// Residuals of samples that share all parameter blocks: `Sample` is evaluated one by one.
+double Coefficient(const ClockMotion& clock, double own_time, double reference_time) {
+  switch (clock.factor) {
+    case ClockMotion::kOwnTime:
+      return clock.sign * own_time;
+    case ClockMotion::kReferenceTime:
+      return clock.sign * reference_time;
+    case ClockMotion::kOne:
+      break;
+  }
+  return clock.sign;
+}
+double Coefficient(const ClockMotion& clock, const JointPoseSample& s) {
+  return Coefficient(clock, 0.0, s.reference_time);
+}
+double Coefficient(const ClockMotion& clock, const JointImuSample& s) {
+  return Coefficient(clock, s.own_time, s.reference_time);
+}
+
+/// Residuals of samples that share all parameter blocks: `Sample` is evaluated one by one. Blocks
+/// of the clocks come last.
 template <typename Sample>
 class BatchResidual : public ceres::CostFunction {
  public:
   BatchResidual(const std::vector<Sample>& samples,
                 std::initializer_list<int> other_blocks,
-                int splines)
-      : samples_(samples) {
+                int splines,
+                const ClockMotions& clocks)
+      : first_clock_(static_cast<size_t>(splines) * kSplineOrder + other_blocks.size()),
+        samples_(samples),
+        clocks_(clocks) {
     set_num_residuals(3 * static_cast<int>(samples_.size()));
-    mutable_parameter_block_sizes()->assign(static_cast<size_t>(splines) * kSplineOrder, 3);
-    mutable_parameter_block_sizes()->insert(mutable_parameter_block_sizes()->end(), other_blocks);
+    std::vector<int>* sizes = mutable_parameter_block_sizes();
+    sizes->assign(static_cast<size_t>(splines) * kSplineOrder, 3);
+    sizes->insert(sizes->end(), other_blocks);
+    sizes->insert(sizes->end(), clocks_->size(), 1);
   }
 
   bool Evaluate(double const* const* blocks, double* residual, double** jacobians) const override {
@@ -154,35 +161,37 @@ class BatchResidual : public ceres::CostFunction {
                               double* residual,
                               double** jacobians) const = 0;
 
+  /// How far the sample has moved along the trajectory [s].
+  double Move(const Sample& sample, double const* const* blocks) const {
+    double dt = 0.0;
+    for (size_t k = 0; k < clocks_->size(); ++k)
+      dt += Coefficient((*clocks_)[k], sample) * (*blocks[first_clock_ + k] - (*clocks_)[k].value);
+    return dt;
+  }
+
+  /// Columns of the clocks; `r_t` is the derivative of the residual along the trajectory.
+  void SetClockRows(const Sample& sample, size_t i, const Vector3d& r_t, double** jacobians) const {
+    for (size_t k = 0; k < clocks_->size(); ++k)
+      SetRows<1>(jacobians,
+                 static_cast<int>(first_clock_ + k),
+                 i,
+                 Vector3d(Coefficient((*clocks_)[k], sample) * r_t));
+  }
+
  private:
+  const size_t first_clock_;
   const std::vector<Sample> samples_;
+  const ClockMotions clocks_;
 };
 
-/// What position and rotation have in common: the pose moves along the trajectory with the clocks.
+/// What position and rotation have in common.
 class JointPoseResidual : public BatchResidual<JointPoseSample> {
  public:
-  explicit JointPoseResidual(const std::vector<JointPoseSample>& samples)
-      : BatchResidual(samples, {1, 1, 1, 1}, 1) {}
+  JointPoseResidual(const std::vector<JointPoseSample>& samples, const ClockMotions& clocks)
+      : BatchResidual(samples, {1}, 1, clocks) {}
 
  protected:
-  static constexpr int kSmoothing = kSplineOrder + 3;
-
-  /// tau less its value when the problem was made [s].
-  static double Move(const JointPoseSample& s, double const* const* blocks) {
-    const double* const* clocks = blocks + kSplineOrder;
-    return s.time_shift - *clocks[0] + (s.clock_drift - *clocks[1]) * s.t_drift + *clocks[2] -
-           s.accel_delay;
-  }
-
-  /// Columns of the clocks; `r_tau` is the derivative of the residual by tau.
-  static void SetClockRows(const JointPoseSample& s,
-                           size_t i,
-                           const Vector3d& r_tau,
-                           double** jacobians) {
-    SetRows<1>(jacobians, kSplineOrder, i, -r_tau);
-    SetRows<1>(jacobians, kSplineOrder + 1, i, -s.t_drift * r_tau);
-    SetRows<1>(jacobians, kSplineOrder + 2, i, r_tau);
-  }
+  static constexpr int kSmoothing = kSplineOrder;
 };
 
 class JointPositionResidual : public JointPoseResidual {
@@ -258,8 +267,8 @@ class JointRotationResidual : public JointPoseResidual {
 
 class JointGyroResidual : public BatchResidual<JointImuSample> {
  public:
-  explicit JointGyroResidual(const std::vector<JointImuSample>& samples)
-      : BatchResidual(samples, {4, 6, 3, 3, 1}, 1) {}
+  JointGyroResidual(const std::vector<JointImuSample>& samples, const ClockMotions& clocks)
+      : BatchResidual(samples, {4, 6, 3, 3}, 1, clocks) {}
 
  protected:
   bool EvaluateSample(const JointImuSample& s,
@@ -271,11 +280,13 @@ class JointGyroResidual : public BatchResidual<JointImuSample> {
     const Eigen::Map<const Eigen::Quaterniond> q_MI(blocks[n]);
     const Matrix3d M_g = GyroMatrix(Eigen::Map<const Vector6d>(blocks[n + 1]));
     const Eigen::Map<const Vector3d> knot_0(blocks[n + 2]), knot_1(blocks[n + 3]);
-    const double dt = *blocks[n + 4] - s.accel_delay;
+    const double dt = Move(s, blocks);
     const double u = s.at.place.u + dt / s.at.place.spacing;
     if (!IsNearSpan(u)) return false;
     const SplineWeights weights = CubicWeights(u, s.at.place.spacing);
-    const CorrectedRotation x(s.at.gp, dt, EvaluateSpline(blocks, weights), jacobians != nullptr);
+    const MarkerState<double> gp =
+        Moved(s.at.gp, dt, {Vector3d::Zero(), Vector3d::Zero()});  // omega to first order
+    const CorrectedRotation x(gp, EvaluateSpline(blocks, weights), jacobians != nullptr);
     const Vector3d omega_I = q_MI.conjugate() * x.omega;
     AsVector(residual) =
         (s.value - (1.0 - s.bias_u) * knot_0 - s.bias_u * knot_1 - M_g * omega_I) / s.sigma;
@@ -297,15 +308,17 @@ class JointGyroResidual : public BatchResidual<JointImuSample> {
     }
     SetRows<3>(jacobians, n + 2, i, -(1.0 - s.bias_u) / s.sigma * Matrix3d::Identity());
     SetRows<3>(jacobians, n + 3, i, -s.bias_u / s.sigma * Matrix3d::Identity());
-    SetRows<1>(jacobians, n + 4, i, A * x.omega_t);
+    SetClockRows(s, i, A * x.omega_t, jacobians);
     return true;
   }
 };
 
 class JointAccelResidual : public BatchResidual<JointImuSample> {
  public:
-  explicit JointAccelResidual(const std::vector<JointImuSample>& samples)
-      : BatchResidual(samples, {4, 3, 3, 9, 3, 3}, 2) {}
+  JointAccelResidual(const std::vector<JointImuSample>& samples,
+                     const std::vector<MarkerJerk>& jerks,
+                     const ClockMotions& clocks)
+      : BatchResidual(samples, {4, 3, 3, 9, 3, 3}, 2, clocks), jerks_(jerks) {}
 
  protected:
   bool EvaluateSample(const JointImuSample& s,
@@ -318,10 +331,17 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
     const Eigen::Map<const Vector3d> p(blocks[n + 1]), g(blocks[n + 2]);
     const Matrix3d M_a = AccelMatrix(Eigen::Map<const Vector9d>(blocks[n + 3]));
     const Eigen::Map<const Vector3d> knot_0(blocks[n + 4]), knot_1(blocks[n + 5]);
-    const SplineWeights weights = CubicWeights(s.at.place.u, s.at.place.spacing);
-    const CorrectedRotation x(
-        s.at.gp, 0.0, EvaluateSpline(blocks + kSplineOrder, weights), jacobians != nullptr);
-    const Vector3d a_W = s.at.gp.a_W + EvaluateSpline(blocks, weights).col(2);
+    const double dt = Move(s, blocks);
+    const double u = s.at.place.u + dt / s.at.place.spacing;
+    if (!IsNearSpan(u)) return false;
+    const SplineWeights weights = CubicWeights(u, s.at.place.spacing);
+    const MarkerJerk jerk =
+        jerks_.empty() ? MarkerJerk{Vector3d::Zero(), Vector3d::Zero()} : jerks_[i];
+    const MarkerState<double> gp = Moved(s.at.gp, dt, jerk);
+    const Eigen::Matrix<double, 3, 4> phi = EvaluateSpline(blocks + kSplineOrder, weights);
+    const CorrectedRotation x(gp, phi, jacobians != nullptr);
+    const Eigen::Matrix<double, 3, 4> d = EvaluateSpline(blocks, weights);
+    const Vector3d a_W = gp.a_W + d.col(2);
     const Vector3d f_body = x.q_WM.conjugate() * (a_W - g);  // R_WM^T (a_W - g_W)
     const Vector3d f_M = f_body + x.alpha.cross(p) + x.omega.cross(x.omega.cross(p));
     const Vector3d f_I = q_MI.conjugate() * f_M;
@@ -357,26 +377,40 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
     }
     SetRows<3>(jacobians, n + 4, i, -(1.0 - s.bias_u) / s.sigma * Matrix3d::Identity());
     SetRows<3>(jacobians, n + 5, i, -s.bias_u / s.sigma * Matrix3d::Identity());
+    if (jerks_.empty()) return true;
+    const Matrix3d E_inv = Exp<double>(-phi.col(0)).toRotationMatrix();
+    const Vector3d alpha_t = x.alpha_t + E_inv * jerk.alpha_rate;
+    const Vector3d f_t = R_MW * (jerk.jerk_W + d.col(3)) - x.omega.cross(f_body) +
+                         f_omega * x.omega_t + f_alpha * alpha_t;
+    SetClockRows(s, i, A * f_t, jacobians);
     return true;
   }
+
+ private:
+  const std::vector<MarkerJerk> jerks_;
 };
 
 }  // namespace
 
-ceres::CostFunction* CreateJointPositionResidual(const std::vector<JointPoseSample>& samples) {
-  return new JointPositionResidual(samples);
+ceres::CostFunction* CreateJointPositionResidual(const std::vector<JointPoseSample>& samples,
+                                                 const ClockMotions& clocks) {
+  return new JointPositionResidual(samples, clocks);
 }
 
-ceres::CostFunction* CreateJointRotationResidual(const std::vector<JointPoseSample>& samples) {
-  return new JointRotationResidual(samples);
+ceres::CostFunction* CreateJointRotationResidual(const std::vector<JointPoseSample>& samples,
+                                                 const ClockMotions& clocks) {
+  return new JointRotationResidual(samples, clocks);
 }
 
-ceres::CostFunction* CreateJointGyroResidual(const std::vector<JointImuSample>& samples) {
-  return new JointGyroResidual(samples);
+ceres::CostFunction* CreateJointGyroResidual(const std::vector<JointImuSample>& samples,
+                                             const ClockMotions& clocks) {
+  return new JointGyroResidual(samples, clocks);
 }
 
-ceres::CostFunction* CreateJointAccelResidual(const std::vector<JointImuSample>& samples) {
-  return new JointAccelResidual(samples);
+ceres::CostFunction* CreateJointAccelResidual(const std::vector<JointImuSample>& samples,
+                                              const std::vector<MarkerJerk>& jerks,
+                                              const ClockMotions& clocks) {
+  return new JointAccelResidual(samples, jerks, clocks);
 }
 
 }  // namespace imu_pose_calib

@@ -5,8 +5,8 @@
 #include <limits>
 #include <memory>
 
+#include "imu_pose_calib/core/joint_noise.h"
 #include "imu_pose_calib/core/joint_problem.h"
-#include "imu_pose_calib/core/so3.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -15,119 +15,135 @@ namespace {
 constexpr double kNoiseAgreement = 1.5, kNoiseSettled = 1.15;
 constexpr int kMaxPasses = 6, kMaxNoisePasses = 10;
 
+constexpr double kStep = 0.02;              // [s] between the instants looked at
 constexpr double kExcerpt = 8.0;            // [s] on which the knot spacing is chosen
 constexpr double kCoarsestKnots = 0.12;     // [s]
 constexpr double kMinSamplesPerKnot = 4.0;  // IMU samples
+/// Share of an IMU's samples that those seconds must hold.
+constexpr double kLeastCovered = 0.1;
 /// Of gyro times accel residual, by the last step, that is worth knots twice and 1.4 times as
 /// dense.
 constexpr double kShrinkage = 0.96, kSteepShrinkage = 0.5;
 
 /// Samples of the log from `begin` to `end` [s, pose clock].
-ConditionedData Excerpt(const ConditionedData& data,
-                        const Estimate& estimate,
+PreparedSession Excerpt(const PreparedSession& session,
+                        const SessionEstimate& estimate,
                         double begin,
                         double end) {
-  const auto crop = [&](std::vector<TimedSample>* samples) {
-    const auto is_outside = [&](const TimedSample& s) {
-      const double t = estimate.PoseTime(s.t);
-      return t < begin || t > end;
+  PreparedSession excerpt{{}, session.trajectory, session.starts};
+  const ConditionedData& data = session.data;
+  excerpt.data.pose_epoch_ns = data.pose_epoch_ns;
+  excerpt.data.pose_report = data.pose_report;
+  excerpt.data.imus = data.imus;
+  for (size_t i = 0; i < data.imus.size(); ++i) {
+    const auto crop = [&](std::vector<TimedSample>* samples) {
+      const auto is_outside = [&](const TimedSample& s) {
+        const double t = estimate.imus[i].PoseTime(s.t);
+        return t < begin || t > end;
+      };
+      samples->erase(std::remove_if(samples->begin(), samples->end(), is_outside), samples->end());
     };
-    samples->erase(std::remove_if(samples->begin(), samples->end(), is_outside), samples->end());
-  };
-  ConditionedData excerpt = data;
-  crop(&excerpt.gyro);
-  crop(&excerpt.accel);
-  excerpt.poses.clear();
-  excerpt.segments.clear();
+    ConditionedImu& imu = excerpt.data.imus[i];
+    crop(&imu.gyro);
+    crop(&imu.accel);
+    if (imu.gyro.empty() || imu.accel.empty()) imu = ConditionedImu();
+  }
   for (const IndexRange& segment : data.segments) {
-    const size_t first = excerpt.poses.size();
+    std::vector<TimedPose>& poses = excerpt.data.poses;
+    const size_t first = poses.size();
     for (size_t i = segment.begin; i < segment.end; ++i)
-      if (data.poses[i].t >= begin && data.poses[i].t <= end)
-        excerpt.poses.push_back(data.poses[i]);
-    if (excerpt.poses.size() >= first + 2)
-      excerpt.segments.push_back({first, excerpt.poses.size()});
+      if (data.poses[i].t >= begin && data.poses[i].t <= end) poses.push_back(data.poses[i]);
+    if (poses.size() >= first + 2) excerpt.data.segments.push_back({first, poses.size()});
   }
   return excerpt;
 }
 
-/// The `duration_s` of the log in which the marker turns most, as far as the IMU covers it.
-ConditionedData LiveliestExcerpt(const ConditionedData& data,
-                                 const PoseTrajectory& trajectory,
-                                 const Estimate& estimate,
-                                 double duration_s) {
-  const double first = std::max(data.poses.front().t, estimate.PoseTime(data.gyro.front().t));
-  const double last = std::min(data.poses.back().t, estimate.PoseTime(data.gyro.back().t));
-  double begin = first, liveliest = -1.0;
+/// Whether both sensors of every IMU have samples for most of the time from `begin` to `end` [s,
+/// pose clock].
+bool IsCovered(const PreparedSession& session,
+               const SessionEstimate& estimate,
+               double begin,
+               double end) {
+  for (size_t i = 0; i < session.data.imus.size(); ++i) {
+    const ConditionedImu& imu = session.data.imus[i];
+    if (!imu.IsPresent()) continue;
+    const double from = estimate.imus[i].ImuTime(begin), to = estimate.imus[i].ImuTime(end);
+    const auto is_covered = [&](const std::vector<TimedSample>& samples, double rate_hz) {
+      const auto before = [](const TimedSample& s, double t) { return s.t < t; };
+      const auto first = std::lower_bound(samples.begin(), samples.end(), from, before);
+      const auto last = std::lower_bound(first, samples.end(), to, before);
+      return static_cast<double>(last - first) > kLeastCovered * (to - from) * rate_hz;
+    };
+    if (!is_covered(imu.gyro, imu.gyro_report.rate_hz) ||
+        !is_covered(imu.accel, imu.accel_report.rate_hz))
+      return false;
+  }
+  return true;
+}
+
+struct LivelySpan {
+  double begin = 0.0, end = 0.0;  ///< [s] pose clock
+  double liveliness = -1.0;       ///< see JointStart; negative: there is none
+};
+
+/// The `duration_s` of the log in which the marker turns most, as far as the IMUs cover it.
+LivelySpan FindLiveliest(const PreparedSession& session,
+                         const SessionEstimate& estimate,
+                         double duration_s) {
+  double first = session.data.poses.front().t, last = session.data.poses.back().t;
+  for (size_t i = 0; i < session.data.imus.size(); ++i) {
+    const ConditionedImu& imu = session.data.imus[i];
+    if (!imu.IsPresent()) continue;
+    first = std::max(first, estimate.imus[i].PoseTime(imu.gyro.front().t));
+    last = std::min(last, estimate.imus[i].PoseTime(imu.gyro.back().t));
+  }
+  LivelySpan best{first, first + duration_s};
   for (double t = first; t + 0.5 * duration_s < last; t += 0.5 * duration_s) {
     double sum = 0.0;
-    for (double s = t; s < std::min(last, t + duration_s); s += 0.02) {
+    for (double s = t; s < std::min(last, t + duration_s); s += kStep) {
       MarkerState<double> state;
-      if (trajectory.Evaluate(s, &state)) sum += state.alpha_M.squaredNorm();
+      if (session.trajectory->Evaluate(s, &state)) sum += state.alpha_M.squaredNorm();
     }
-    if (sum <= liveliest) continue;
-    liveliest = sum;
-    begin = t;
+    const double liveliness = kStep / duration_s * sum;
+    if (liveliness <= best.liveliness ||
+        !IsCovered(session, estimate, t, std::min(last, t + duration_s)))
+      continue;
+    best = {t, t + duration_s, liveliness};
   }
-  return Excerpt(data, estimate, begin, begin + duration_s);
+  return best;
 }
 
-/// Largest factor between two noise estimates of one sensor.
-double Change(const NoiseStd& a, const NoiseStd& b) {
-  const auto factor = [](double x, double y) { return std::max(x / y, y / x); };
-  return std::max({factor(a.position, b.position),
-                   factor(a.rotation, b.rotation),
-                   factor(a.gyro, b.gyro),
-                   factor(a.accel, b.accel)});
-}
-
-NoiseStd Scale(const NoiseStd& noise, const NoiseStd& factor) {
-  return {noise.position * factor.position,
-          noise.rotation * factor.rotation,
-          noise.gyro * factor.gyro,
-          noise.accel * factor.accel};
-}
-
-void Move(const CalibrationVector& step, Estimate* estimate) {
-  estimate->p_MI += step.segment<3>(kTranslation);
-  estimate->q_MI = (estimate->q_MI * Exp<double>(step.segment<3>(kRotation))).normalized();
-  estimate->time_shift += step[kTimeShift];
-  estimate->accel_delay += step[kAccelDelay];
-  estimate->clock_drift += step[kClockDrift];
-  estimate->pose_smoothing += step[kPoseSmoothing];
-  estimate->gyro_intrinsics += step.segment<6>(kGyroIntrinsics);
-  estimate->accel_intrinsics += step.segment<9>(kAccelIntrinsics);
-}
-
-/// S4 at one knot spacing: trajectory and calibration in passes of least squares, each with the
-/// noise and the robust weights that the residuals of the one before show.
+/// S4 at given knot spacings: trajectories and calibration in passes of least squares, each with
+/// the noise and the robust weights that the residuals of the one before show.
 class JointSolver {
  public:
   JointSolver(const CalibrationOptions& options,
-              const PoseTrajectory& trajectory,
-              const ConditionedData& data,
-              const JointStart& start,
+              const std::vector<PreparedSession>& sessions,
+              const std::vector<double>& knot_spacings_s,
+              const std::vector<double>& noise,
               Estimate* estimate)
       : options_(options),
-        trajectory_(trajectory),
-        data_(data),
+        sessions_(sessions),
         estimate_(estimate),
-        noise_(start.noise),
-        weights_(data),
-        splines_(data, *estimate, start.knot_spacing_s) {}
+        models_(InitialModels(options, sessions)) {
+    for (size_t k = 0; k < noise.size(); ++k) models_[k].noise = noise[k];
+    for (size_t s = 0; s < sessions.size(); ++s)
+      splines_.emplace_back(sessions[s].data, *estimate, s, knot_spacings_s[s]);
+  }
 
   /// The noise of a plain and a robust pass.
-  NoiseStd FindNoise() {
+  std::vector<double> FindNoise() {
     Pass();
-    NextPass(statistics_.noise);
-    return statistics_.noise;
+    NextPass(Noise());
+    return Noise();
   }
 
   /// After FindNoise(): until the noise hardly depends on the one that the search started from.
-  NoiseStd SettleNoise() {
+  std::vector<double> SettleNoise() {
     int pass = 2;
     do ++pass;
-    while (NextPass(statistics_.noise) > kNoiseSettled && pass < kMaxNoisePasses);
-    return statistics_.noise;
+    while (NextPass(Noise()) > kNoiseSettled && pass < kMaxNoisePasses);
+    return Noise();
   }
 
   /// Starts close to the solution: residuals about the calibration of the start tell what is an
@@ -141,81 +157,128 @@ class JointSolver {
     // The last step, with weights by the last residuals, comes with the covariance.
     SetNoise(ColoredNoise());
     Build();
-    const CalibrationCovariance covariance = problem_->Covariance();
-    Move(covariance.step, estimate_);
-    return {statistics_, covariance};
+    FeignInformation(splines_, problem_.get());
+    Solution solution;
+    solution.statistics = statistics_;
+    solution.marginals = FindMarginals(problem_.get());
+    FollowClocks([&] { TakeStep(solution.marginals, problem_.get()); });
+    solution.residuals = problem_->TakeResiduals();
+    problem_.reset();
+    solution.models = std::move(models_);
+    solution.splines = std::move(splines_);
+    return solution;
   }
 
  private:
   /// A problem with the noise and the weights that are set; at first, all weights are 1.
   void Build() {
     problem_.reset();  // never two of them at a time
-    problem_ = std::make_unique<JointProblem>(
-        options_, trajectory_, data_, noise_, weights_, estimate_, &splines_);
+    problem_ = BuildJointProblem(options_, sessions_, models_, estimate_, &splines_);
   }
 
   void Pass(bool hold_calibration = false) {
     Build();
-    if (hold_calibration) problem_->HoldCalibration();
-    problem_->Solve(kRoughTolerance);
-    statistics_ = problem_->Statistics();
+    if (hold_calibration) HoldCalibration(problem_.get());
+    FollowClocks([&] { problem_->Solve(kRoughTolerance); });
+    statistics_ = problem_->FindStatistics();
+  }
+
+  /// The splines go along with the clocks that `move` moves, as they did in the problem.
+  template <typename MoveClocks>
+  void FollowClocks(const MoveClocks& move) {
+    const Estimate before = *estimate_;
+    move();
+    for (size_t s = 0; s < splines_.size(); ++s) {
+      const size_t imu = before.sessions[s].FirstImu();
+      splines_[s].Follow(before.sessions[s].imus[imu],
+                         estimate_->sessions[s].imus[imu],
+                         estimate_->imus[imu].accel_delay - before.imus[imu].accel_delay);
+    }
   }
 
   /// A pass with `noise` and the weights that follow from it and the last residuals; the largest
-  /// factor by which the noise found changes.
-  double NextPass(const NoiseStd& noise) {
-    const NoiseStd before = statistics_.noise;
+  /// factor by which the noise of a sensor that is found changes.
+  double NextPass(const std::vector<double>& noise) {
+    const std::vector<double> before = Noise();
     SetNoise(noise);
     Pass();
-    return Change(before, statistics_.noise);
+    const std::vector<double> after = Noise();
+    double change = 1.0;
+    for (size_t k = 0; k < after.size(); ++k)
+      change = std::max({change, before[k] / after[k], after[k] / before[k]});
+    return change;
   }
 
-  NoiseStd ColoredNoise() const {
-    return Scale(statistics_.noise, problem_->NoiseColor(statistics_.noise));
+  /// Of each sensor, as the last residuals show it.
+  std::vector<double> Noise() const {
+    std::vector<double> noise;
+    for (const SensorStatistics& sensor : statistics_) noise.push_back(sensor.noise);
+    return noise;
   }
 
-  void SetNoise(const NoiseStd& noise) {
-    noise_ = noise;
-    problem_->UpdateWeights(noise, &weights_);
+  std::vector<double> ColoredNoise() const {
+    std::vector<double> noise = Noise();
+    const std::vector<double> colors = NoiseColor(*problem_, statistics_);
+    for (size_t k = 0; k < noise.size(); ++k) noise[k] *= colors[k];
+    return noise;
+  }
+
+  void SetNoise(const std::vector<double>& noise) {
+    for (size_t k = 0; k < noise.size(); ++k) models_[k].noise = noise[k];
+    UpdateWeights(*problem_, splines_, &models_);
   }
 
   const CalibrationOptions& options_;
-  const PoseTrajectory& trajectory_;
-  const ConditionedData& data_;
+  const std::vector<PreparedSession>& sessions_;
   Estimate* const estimate_;
-  NoiseStd noise_;
-  SampleWeights weights_;
-  CorrectionSplines splines_;
-  std::unique_ptr<JointProblem> problem_;
-  ResidualStatistics statistics_;  ///< of the last pass
+  std::vector<SensorModel> models_;
+  std::vector<CorrectionSplines> splines_;
+  std::unique_ptr<LeastSquares> problem_;
+  std::vector<SensorStatistics> statistics_;  ///< of the last pass
 };
+
+/// What the IMUs leave, over all of them: it shrinks while knots become denser for a reason.
+double ImuResidual(const std::vector<SensorModel>& models, const std::vector<double>& noise) {
+  double residual = 1.0, imus = 0.0;
+  for (size_t k = 0; k < models.size(); ++k) {
+    const Quantity quantity = models[k].quantity;
+    if (quantity == Quantity::kGyro || quantity == Quantity::kAccel) residual *= noise[k];
+    if (quantity == Quantity::kGyro) imus += 1.0;
+  }
+  return std::pow(residual, 1.0 / imus);
+}
 
 }  // namespace
 
 JointStart ChooseKnotSpacing(const CalibrationOptions& options,
-                             const PoseTrajectory& trajectory,
-                             const ConditionedData& data,
+                             const PreparedSession& session,
                              Estimate* estimate) {
-  const NoiseStd initial = InitialNoise(options, trajectory, data);
-  const ConditionedData excerpt = LiveliestExcerpt(data, trajectory, *estimate, kExcerpt);
+  const LivelySpan lively = FindLiveliest(session, estimate->sessions[0], kExcerpt);
+  if (lively.liveliness < 0.0)
+    throw DataError("there are no seconds in which poses and the samples of every imu are there");
+  const std::vector<PreparedSession> excerpt = {
+      Excerpt(session, estimate->sessions[0], lively.begin, lively.end)};
   const bool is_given = options.knot_spacing_s > 0.0;
-  const double finest =
-      kMinSamplesPerKnot / std::min(data.gyro_report.rate_hz, data.accel_report.rate_hz);
+  const std::vector<SensorModel> models = InitialModels(options, excerpt);
+  double slowest = std::numeric_limits<double>::infinity();
+  for (const SensorModel& model : models)
+    if (model.quantity == Quantity::kGyro || model.quantity == Quantity::kAccel)
+      slowest = std::min(slowest, model.rate_hz);
+  const double finest = kMinSamplesPerKnot / slowest;
   double spacing = is_given ? options.knot_spacing_s : kCoarsestKnots;
   double residual_before = std::numeric_limits<double>::infinity();
   for (;;) {
     Estimate trial = *estimate;
-    JointSolver solver(options, trajectory, excerpt, {spacing, initial}, &trial);
-    const NoiseStd noise = solver.FindNoise();
-    const double residual = noise.gyro * noise.accel;
+    JointSolver solver(options, excerpt, {spacing}, {}, &trial);
+    const double residual = ImuResidual(models, solver.FindNoise());
     const double shrinkage = residual / residual_before;
     const bool may_halve = 0.5 * spacing >= finest;
     const double next = (may_halve ? 0.5 : M_SQRT1_2) * spacing;
     const bool is_worth = shrinkage < (may_halve ? kShrinkage : kSteepShrinkage);
     if (is_given || !is_worth || next < finest) {
-      const NoiseStd settled = solver.SettleNoise();
+      const std::vector<double> settled = solver.SettleNoise();
       *estimate = trial;
-      return {spacing, settled};
+      return {spacing, settled, lively.liveliness};
     }
     residual_before = residual;
     spacing = next;
@@ -223,11 +286,15 @@ JointStart ChooseKnotSpacing(const CalibrationOptions& options,
 }
 
 Solution SolveJointly(const CalibrationOptions& options,
-                      const PoseTrajectory& trajectory,
-                      const ConditionedData& data,
-                      const JointStart& start,
+                      const std::vector<PreparedSession>& sessions,
+                      const std::vector<JointStart>& starts,
                       Estimate* estimate) {
-  return JointSolver(options, trajectory, data, start, estimate).Solve();
+  std::vector<double> spacings, noise;
+  for (const JointStart& start : starts) {
+    spacings.push_back(start.knot_spacing_s);
+    noise.insert(noise.end(), start.noise.begin(), start.noise.end());
+  }
+  return JointSolver(options, sessions, spacings, noise, estimate).Solve();
 }
 
 }  // namespace imu_pose_calib

@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "imu_pose_calib/core/intrinsics.h"
+#include "imu_pose_calib/core/so3.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -38,40 +39,27 @@ Eigen::Matrix3d HonestLeverArm(const Eigen::Matrix3d& covariance, double feigned
   return V * eigen.eigenvalues().cwiseMax(1e-12).cwiseInverse().asDiagonal() * V.transpose();
 }
 
-/// Scales the model's covariance so that every sigma is at least the robust one.
-CalibrationMatrix Enlarge(const CalibrationMatrix& model, const CalibrationCovariance& c) {
-  Eigen::Matrix<double, kCalibrationSize, 1> scale;
-  for (int i = 0; i < kCalibrationSize; ++i)
-    scale[i] = c.model(i, i) > 0.0 ? std::sqrt(std::max(1.0, c.robust(i, i) / c.model(i, i))) : 1.0;
-  return scale.asDiagonal() * model * scale.asDiagonal();
-}
-
-/// 123.4 mm, 0.1234 deg or 0.1234 ms.
-std::string InWords(double value, const std::string& unit) {
-  std::ostringstream text;
-  text.precision(3);
-  if (unit == "m") text << 1e3 * value << " mm";
-  if (unit == "rad") text << 180.0 / M_PI * value << " deg";
-  if (unit == "s") text << 1e3 * value << " ms";
-  return text.str();
-}
-
-/// Principal directions of the 3x3 block of C at `place`, each with its sigma. None when it is not
-/// estimated.
-void AddDirections(const CalibrationMatrix& C,
-                   int place,
+/// Principal directions of a 3x3 covariance, each with its sigma. None when it is not estimated.
+void AddDirections(const Eigen::Matrix3d& C,
                    const std::string& name,
                    const std::string& frame,
                    const std::string& unit,
                    std::vector<Observability>* spectrum) {
-  const Eigen::Matrix3d block = C.block<3, 3>(place, place);
-  if (block.isZero(0.0)) return;
-  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(block);
+  if (C.isZero(0.0)) return;
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(C);
   for (int k = 0; k < 3; ++k)
     spectrum->push_back({name + DescribeAxis(eigen.eigenvectors().col(k), frame),
                          std::sqrt(std::max(0.0, eigen.eigenvalues()[k])),
                          unit,
                          Status::kNotRun});
+}
+
+/// " of imu1", " of imu1 in session 2" (the first is 1), or less when there is only one.
+std::string Of(const Parameter& p, const Calibration& result, bool in_session) {
+  std::string text = OfImu(p.imu, result.imus.size());
+  if (in_session && result.sessions.size() > 1)
+    text += " in session " + std::to_string(p.session + 1);
+  return text;
 }
 
 double WeakThreshold(const CalibrationOptions& options, const std::string& unit) {
@@ -81,15 +69,46 @@ double WeakThreshold(const CalibrationOptions& options, const std::string& unit)
 }
 
 /// Each direction with its verdict, the worst first.
-std::vector<Observability> Spectrum(const CalibrationOptions& options, const CalibrationMatrix& C) {
+std::vector<Observability> Spectrum(const CalibrationOptions& options,
+                                    const Marginals& marginals,
+                                    const Eigen::MatrixXd& C,
+                                    const Calibration& result) {
   std::vector<Observability> spectrum;
-  AddDirections(C, kTranslation, "p_MI along ", "marker", "m", &spectrum);
-  AddDirections(C, kRotation, "R_MI about ", "imu", "rad", &spectrum);
-  if (C(kTimeShift, kTimeShift) > 0.0)
-    spectrum.push_back({"time_shift", std::sqrt(C(kTimeShift, kTimeShift)), "s", Status::kNotRun});
-  if (C(kAccelDelay, kAccelDelay) > 0.0)
-    spectrum.push_back(
-        {"accel_delay", std::sqrt(C(kAccelDelay, kAccelDelay)), "s", Status::kNotRun});
+  const auto add = [&](const PlacedParameter& p) {
+    const int k = p.place;
+    switch (p.parameter.kind) {
+      case ParameterKind::kTranslation:
+        AddDirections(C.block<3, 3>(k, k),
+                      "p_MI" + Of(p.parameter, result, false) + " along ",
+                      "marker",
+                      "m",
+                      &spectrum);
+        break;
+      case ParameterKind::kRotation:
+        AddDirections(C.block<3, 3>(k, k),
+                      "R_MI" + Of(p.parameter, result, false) + " about ",
+                      "imu",
+                      "rad",
+                      &spectrum);
+        break;
+      case ParameterKind::kTimeShift:
+        spectrum.push_back({"time_shift" + Of(p.parameter, result, true),
+                            std::sqrt(C(k, k)),
+                            "s",
+                            Status::kNotRun});
+        break;
+      case ParameterKind::kAccelDelay:
+        spectrum.push_back({"accel_delay" + Of(p.parameter, result, false),
+                            std::sqrt(C(k, k)),
+                            "s",
+                            Status::kNotRun});
+        break;
+      default:
+        break;
+    }
+  };
+  for (const PlacedParameter& p : marginals.parameters)
+    if (p.is_estimated && C(p.place, p.place) > 0.0) add(p);
   const auto badness = [&](const Observability& o) {
     return o.std / WeakThreshold(options, o.unit);
   };
@@ -104,21 +123,116 @@ std::vector<Observability> Spectrum(const CalibrationOptions& options, const Cal
   return spectrum;
 }
 
+bool IsKey(ParameterKind kind) { return kind <= ParameterKind::kAccelDelay; }
+
 /// Largest factor by which the clusters' sigma exceeds the model's.
-double Correlation(const CalibrationCovariance& c) {
+double Correlation(const Marginals& m) {
   double ratio = 0.0;
-  for (int i = 0; i <= kAccelDelay; ++i)
-    if (c.model(i, i) > 0.0) ratio = std::max(ratio, std::sqrt(c.robust(i, i) / c.model(i, i)));
+  for (const PlacedParameter& p : m.parameters)
+    for (int i = p.place; IsKey(p.parameter.kind) && i < p.place + p.parameter.size; ++i)
+      if (m.model(i, i) > 0.0) ratio = std::max(ratio, std::sqrt(m.robust(i, i) / m.model(i, i)));
   return ratio;
 }
 
-/// The hint of largest size among `count` from `place` on that is certain; 0 when none is.
-double CertainHint(const CalibrationCovariance& c, int place, int count) {
+/// The hint of largest size for parameters of this kind that is certain, and whose it is; 0 when
+/// none is.
+double CertainHint(const Marginals& m, ParameterKind kind, Parameter* whose) {
   double largest = 0.0;
-  for (int i = place; i < place + count; ++i)
-    if (std::abs(c.hint[i]) > kCertain * c.hint_std[i] && std::abs(c.hint[i]) > std::abs(largest))
-      largest = c.hint[i];
+  for (const PlacedParameter& p : m.parameters) {
+    if (p.parameter.kind != kind) continue;
+    for (int i = p.place; i < p.place + p.parameter.size; ++i) {
+      if (std::abs(m.hint[i]) <= kCertain * m.hint_std[i] ||
+          std::abs(m.hint[i]) <= std::abs(largest))
+        continue;
+      largest = m.hint[i];
+      *whose = p.parameter;
+    }
+  }
   return largest;
+}
+
+/// Sigmas, and what else is of one parameter.
+void ReportParameter(const PlacedParameter& p, const Eigen::MatrixXd& C, Calibration* result) {
+  const Eigen::VectorXd std_dev =
+      C.diagonal().segment(p.place, p.parameter.size).cwiseMax(0.0).cwiseSqrt();
+  ImuCalibration& imu = result->imus[p.parameter.imu];
+  SessionCalibration& session = result->sessions[p.parameter.session];
+  ImuSession& own = session.imus[p.parameter.imu];
+  switch (p.parameter.kind) {
+    case ParameterKind::kTranslation:
+    case ParameterKind::kRotation:
+      break;  // together
+    case ParameterKind::kTimeShift:
+      own.time_shift_std = std_dev[0];
+      break;
+    case ParameterKind::kAccelDelay:
+      imu.accel_delay_std = std_dev[0];
+      break;
+    case ParameterKind::kClockDrift:
+      own.clock_drift_std = std_dev[0];
+      break;
+    case ParameterKind::kPoseSmoothing:
+      result->pose_smoothing_std = std_dev[0];
+      break;
+    case ParameterKind::kGyroIntrinsics:
+      imu.gyro_matrix_std = GyroMatrix(Vector6d(std_dev)) - Eigen::Matrix3d::Identity();
+      break;
+    case ParameterKind::kAccelIntrinsics:
+      imu.accel_matrix_std = AccelMatrix(Vector9d(std_dev)) - Eigen::Matrix3d::Identity();
+      break;
+    case ParameterKind::kGravity:
+      session.g_W_std = std_dev;
+      break;
+    case ParameterKind::kGyroBias:
+      own.gyro_bias_std = std_dev;
+      break;
+    case ParameterKind::kAccelBias:
+      own.accel_bias_std = std_dev;
+      break;
+  }
+}
+
+/// Rows of (p_MI, R_MI) of each IMU in C; zero rows for what is not estimated.
+Eigen::MatrixXd PoseRows(const Marginals& marginals, size_t imus) {
+  Eigen::MatrixXd S =
+      Eigen::MatrixXd::Zero(6 * static_cast<Eigen::Index>(imus), marginals.model.rows());
+  for (size_t i = 0; i < imus; ++i) {
+    const auto row = 6 * static_cast<Eigen::Index>(i);
+    const int p = marginals.Find(ParameterKind::kTranslation, i);
+    const int R = marginals.Find(ParameterKind::kRotation, i);
+    if (p >= 0) S.block<3, 3>(row, p).setIdentity();
+    if (R >= 0) S.block<3, 3>(row + 3, R).setIdentity();
+  }
+  return S;
+}
+
+/// Covariance of each T_MI, and the transforms between the IMUs with theirs.
+void ReportTransforms(const Eigen::MatrixXd& C, const Marginals& marginals, Calibration* result) {
+  const Eigen::MatrixXd S = PoseRows(marginals, result->imus.size());
+  const Eigen::MatrixXd poses = S * C * S.transpose();
+  const Eigen::MatrixXd model = S * marginals.model * S.transpose();
+  const Rigid3& first = result->imus[0].T_MI;
+  result->between_imus.clear();
+  for (size_t i = 0; i < result->imus.size(); ++i) {
+    const auto row = 6 * static_cast<Eigen::Index>(i);
+    result->imus[i].covariance = poses.block<6, 6>(row, row);
+    result->imus[i].model_covariance = model.block<6, 6>(row, row);
+    if (i == 0) continue;
+    BetweenImus between{0, i, first.Inverse() * result->imus[i].T_MI, {}};
+    // p = R_0^T (p_i - p_0), R = R_0^T R_i, with R_0 Exp(theta_0) and R_i Exp(theta_i).
+    const Eigen::Matrix3d R_0M = first.q.conjugate().toRotationMatrix();
+    Eigen::Matrix<double, 6, 12> J = Eigen::Matrix<double, 6, 12>::Zero();
+    J.block<3, 3>(0, 0) = -R_0M;
+    J.block<3, 3>(0, 3) = Hat(between.T.p);
+    J.block<3, 3>(0, 6) = R_0M;
+    J.block<3, 3>(3, 3) = -between.T.q.conjugate().toRotationMatrix();
+    J.block<3, 3>(3, 9).setIdentity();
+    Eigen::Matrix<double, 12, 12> both;
+    both << poses.topLeftCorner<6, 6>(), poses.block<6, 6>(0, row), poses.block<6, 6>(row, 0),
+        poses.block<6, 6>(row, row);
+    between.covariance = J * both * J.transpose();
+    result->between_imus.push_back(between);
+  }
 }
 
 }  // namespace
@@ -164,58 +278,69 @@ std::string DescribeAxis(const Eigen::Vector3d& direction, const std::string& fr
   return text + frame + " frame";
 }
 
-bool IsMotionDegenerate(const TurnExcitation& turns, Calibration* result) {
-  if (turns.rate_std[1] >= kMinTurnRate) return false;
-  result->status = Status::kDegenerate;
+std::string InWords(double value, const std::string& unit) {
+  std::ostringstream text;
+  text.precision(3);
+  if (unit == "m") text << 1e3 * value << " mm";
+  if (unit == "rad") text << 180.0 / M_PI * value << " deg";
+  if (unit == "s") text << 1e3 * value << " ms";
+  return text.str();
+}
+
+void CheckTurns(const TurnExcitation& turns) {
+  if (turns.rate_std[1] >= kMinTurnRate) return;
   std::ostringstream text;
   text.precision(2);
   if (turns.rate_std[0] < kMinTurnRate) {
-    result->unobservable = {"R_MI, p_MI and time_shift: " + std::string(kTurnAdvice)};
     text << "the marker does not turn (" << turns.rate_std[0]
          << " rad/s rms, bound: " << kMinTurnRate
          << " rad/s): R_MI, p_MI and time_shift are undetermined; " << kTurnAdvice;
-  } else {
-    const std::string axis = DescribeAxis(turns.axes_M.col(0));
-    result->unobservable = {"p_MI along " + axis + ": turn about a second axis"};
-    text << "the marker turns about one axis only, " << axis << " (" << turns.rate_std[0]
-         << " rad/s rms; about any other " << turns.rate_std[1] << " rad/s, bound: " << kMinTurnRate
-         << " rad/s): p_MI along it is undetermined; " << kTurnAdvice;
+    throw DegenerateMotion(text.str(), "R_MI, p_MI and time_shift: " + std::string(kTurnAdvice));
   }
-  result->message = text.str();
-  return true;
+  const std::string axis = DescribeAxis(turns.axes_M.col(0));
+  text << "the marker turns about one axis only, " << axis << " (" << turns.rate_std[0]
+       << " rad/s rms; about any other " << turns.rate_std[1] << " rad/s, bound: " << kMinTurnRate
+       << " rad/s): p_MI along it is undetermined; " << kTurnAdvice;
+  throw DegenerateMotion(text.str(), "p_MI along " + axis + ": turn about a second axis");
 }
 
 void GradeResult(const CalibrationOptions& options,
-                 const CalibrationCovariance& covariance,
+                 const Marginals& marginals,
                  Calibration* result) {
-  if (!covariance.model.allFinite() || !covariance.robust.allFinite()) {
+  if (!marginals.model.allFinite() || !marginals.robust.allFinite()) {
     result->status = Status::kDegenerate;
     result->message = std::string("the data do not determine all parameters; ") + kTurnAdvice;
     result->unobservable = {result->message};
     return;
   }
-  const CalibrationMatrix C = Enlarge(covariance.model, covariance);
-  result->covariance = C.topLeftCorner<6, 6>();
-  result->time_shift_std = std::sqrt(C(kTimeShift, kTimeShift));
-  result->accel_delay_std = std::sqrt(C(kAccelDelay, kAccelDelay));
-  result->clock_drift_std = std::sqrt(C(kClockDrift, kClockDrift));
-  result->pose_smoothing_std = std::sqrt(C(kPoseSmoothing, kPoseSmoothing));
-  const CalibrationVector std_dev = C.diagonal().cwiseSqrt();
-  result->gyro_matrix_std =
-      GyroMatrix(std_dev.segment<6>(kGyroIntrinsics)) - Eigen::Matrix3d::Identity();
-  result->accel_matrix_std =
-      AccelMatrix(std_dev.segment<9>(kAccelIntrinsics)) - Eigen::Matrix3d::Identity();
+  const Eigen::VectorXd enlargement = Enlargement(marginals.model, marginals.robust);
+  const auto larger = enlargement.asDiagonal();
+  const Eigen::MatrixXd C = larger * marginals.model * larger;
+  for (const PlacedParameter& p : marginals.parameters)
+    if (p.is_estimated) ReportParameter(p, C, result);
+  ReportTransforms(C, marginals, result);
 
-  result->split_half.translation = covariance.halves_difference.segment<3>(kTranslation);
-  result->split_half.rotation = covariance.halves_difference.segment<3>(kRotation);
-  result->split_half.time_shift = covariance.halves_difference[kTimeShift];
-  result->split_half.sigmas = covariance.halves_sigmas;
+  const auto of_halves = [&](ParameterKind kind) {
+    const int place = marginals.Find(kind);
+    Eigen::VectorXd difference = Eigen::Vector3d::Zero();
+    const bool is_scalar = kind == ParameterKind::kTimeShift;
+    if (place >= 0)
+      difference.head(is_scalar ? 1 : 3) =
+          marginals.halves_difference.segment(place, is_scalar ? 1 : 3);
+    return difference;
+  };
+  result->split_half.translation = of_halves(ParameterKind::kTranslation);
+  result->split_half.rotation = of_halves(ParameterKind::kRotation);
+  result->split_half.time_shift = of_halves(ParameterKind::kTimeShift)[0];
+  result->split_half.sigmas = marginals.halves_sigmas;
 
-  CalibrationMatrix honest = covariance.model;
-  if (options.estimate_translation)
-    honest.topLeftCorner<3, 3>() = HonestLeverArm(covariance.model.topLeftCorner<3, 3>(),
-                                                  covariance.feigned_lever_arm_information);
-  result->observability = Spectrum(options, Enlarge(honest, covariance));
+  Eigen::MatrixXd honest = marginals.model;
+  for (const PlacedParameter& p : marginals.parameters)
+    if (p.is_estimated && p.parameter.kind == ParameterKind::kTranslation)
+      honest.block<3, 3>(p.place, p.place) =
+          HonestLeverArm(marginals.model.block<3, 3>(p.place, p.place),
+                         marginals.feigned_information[p.parameter.imu]);
+  result->observability = Spectrum(options, marginals, larger * honest * larger, *result);
   result->status = Status::kOk;
   result->message = "every sigma is within its bound";
   if (result->observability.empty() || result->observability.front().status == Status::kOk) return;
@@ -233,44 +358,55 @@ void GradeResult(const CalibrationOptions& options,
       result->unobservable.push_back(o.direction + ": turn faster, and about a second axis");
 }
 
-void WarnOfMisfit(const CalibrationCovariance& covariance, Calibration* result) {
+void WarnOfMisfit(const Marginals& marginals, Calibration* result) {
   const auto warn = [result](const std::string& text) { result->warnings.push_back(text); };
   const auto number = [](double value, const char* format) {
     char text[32];
     std::snprintf(text, sizeof(text), format, value);
     return std::string(text);
   };
-  const double correlation = Correlation(covariance);
+  const double correlation = Correlation(marginals);
   if (correlation > kCorrelated)
     warn("the residuals are not independent noise: sigmas are up to " +
          number(correlation, "%.1f") + " times as large as with it");
+  const char* const halves = result->sessions.size() == 1
+                                 ? "the two halves of the recording"
+                                 : "the first and the second halves of the sessions";
   if (result->split_half.sigmas > kDisagreement)
-    warn("the two halves of the recording disagree by up to " +
-         number(result->split_half.sigmas, "%.1f") + " sigma (translation " +
-         InWords(result->split_half.translation.norm(), "m") + ", rotation " +
-         InWords(result->split_half.rotation.norm(), "rad") + "): did the marker or the imu move?");
-  const double drift = CertainHint(covariance, kClockDrift, 1);
-  const double drifted = std::abs(drift) * result->gyro.duration_s;
+    warn(std::string(halves) + " disagree by up to " + number(result->split_half.sigmas, "%.1f") +
+         " sigma (translation " + InWords(result->split_half.translation.norm(), "m") +
+         ", rotation " + InWords(result->split_half.rotation.norm(), "rad") +
+         "): did the marker or the imu move?");
+  Parameter whose{};
+  const double drift = CertainHint(marginals, ParameterKind::kClockDrift, &whose);
+  const double drifted =
+      std::abs(drift) * result->sessions[whose.session].imus[whose.imu].gyro.duration_s;
   if (drifted > kNotableDrift)
-    warn("the clocks drift by " + number(1e6 * drift, "%+.1f") + " ppm (" + InWords(drifted, "s") +
-         " over the recording): set estimate_clock_drift: true");
-  const double smoothing = CertainHint(covariance, kPoseSmoothing, 1);
+    warn("the clocks" + Of(whose, *result, true) + " drift by " + number(1e6 * drift, "%+.1f") +
+         " ppm (" + InWords(drifted, "s") + " over the recording): set estimate_clock_drift: true");
+  const double smoothing = CertainHint(marginals, ParameterKind::kPoseSmoothing, &whose);
   if (std::abs(smoothing) > kNotableSmoothing)
     warn(std::string(smoothing > 0.0 ? "the poses are smoothed more than the imu's data"
                                      : "the imu's data are smoothed more than the poses") +
          ", over " + InWords(std::sqrt(std::abs(smoothing)), "s") +
          ": set estimate_pose_smoothing: true");
-  const std::pair<const char*, double> scales[] = {
-      {"gyroscope", CertainHint(covariance, kGyroIntrinsics, 6)},
-      {"accelerometer", CertainHint(covariance, kAccelIntrinsics, 9)}};
-  for (const auto& [sensor, error] : scales)
+  const std::pair<const char*, ParameterKind> scales[] = {
+      {"gyroscope", ParameterKind::kGyroIntrinsics},
+      {"accelerometer", ParameterKind::kAccelIntrinsics}};
+  for (const auto& [sensor, kind] : scales) {
+    const double error = CertainHint(marginals, kind, &whose);
     if (std::abs(error) > kNotableScale)
-      warn(std::string("the ") + sensor + "'s scale or alignment seems off by " +
-           number(100.0 * std::abs(error), "%.1f") + " %: try imu_model: scale_misalignment");
-  if (std::abs(result->accel_delay) > kNotableDelay)
-    warn("the accelerometer's data are " + InWords(std::abs(result->accel_delay), "s") +
-         (result->accel_delay > 0.0 ? " later" : " earlier") +
-         " than the gyroscope's of the same stamp: check the imu's filters and driver");
+      warn("the " + std::string(sensor) + "'s scale or alignment" + Of(whose, *result, false) +
+           " seems off by " + number(100.0 * std::abs(error), "%.1f") +
+           " %: try imu_model: scale_misalignment");
+  }
+  for (size_t i = 0; i < result->imus.size(); ++i) {
+    const double delay = result->imus[i].accel_delay;
+    if (std::abs(delay) > kNotableDelay)
+      warn("the accelerometer's data" + OfImu(i, result->imus.size()) + " are " +
+           InWords(std::abs(delay), "s") + (delay > 0.0 ? " later" : " earlier") +
+           " than the gyroscope's of the same stamp: check the imu's filters and driver");
+  }
 }
 
 }  // namespace imu_pose_calib

@@ -5,6 +5,7 @@
 #include <future>
 
 #include "imu_pose_calib/core/median.h"
+#include "imu_pose_calib/core/segments.h"
 #include "imu_pose_calib/core/so3.h"
 
 namespace imu_pose_calib {

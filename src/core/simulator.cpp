@@ -124,14 +124,14 @@ TrueState TrueTrajectory::At(double t) const {
   return state;
 }
 
-CalibrationData Simulate(const SimulatorOptions& options) {
+SessionData Simulate(const SimulatorOptions& options) {
   const TrueTrajectory trajectory(options);
-  std::mt19937 random(options.seed + 1000003u);
+  std::mt19937 random((options.noise_seed == 0 ? options.seed : options.noise_seed) + 1000003u);
   const auto count = [&](double rate_hz) {
     return static_cast<size_t>(std::floor(options.duration_s * rate_hz));
   };
 
-  CalibrationData data;
+  SessionData data;
   for (size_t k = 0; k < count(options.pose_rate_hz); ++k) {
     const double t = static_cast<double>(k) / options.pose_rate_hz;
     const Rigid3 mean = MeanPose(trajectory, t, options.pose_exposure_s);
@@ -159,20 +159,38 @@ CalibrationData Simulate(const SimulatorOptions& options) {
                      s.omega_M.cross(s.omega_M.cross(p))));
   }
   const int64_t first_ns = options.start_ns - std::llround(1e9 * options.time_shift_s);
-  data.gyro = SampleSensor(gyro,
-                           options.gyro_rate_hz,
-                           options.gyro_std,
-                           options.gyro_bias_walk,
-                           options.gyro_bias,
-                           first_ns,
-                           &random);
-  data.accel = SampleSensor(accel,
-                            options.accel_rate_hz,
-                            options.accel_std,
-                            options.accel_bias_walk,
-                            options.accel_bias,
-                            first_ns,
-                            &random);
+  data.imus[0].gyro = SampleSensor(gyro,
+                                   options.gyro_rate_hz,
+                                   options.gyro_std,
+                                   options.gyro_bias_walk,
+                                   options.gyro_bias,
+                                   first_ns,
+                                   &random);
+  data.imus[0].accel = SampleSensor(accel,
+                                    options.accel_rate_hz,
+                                    options.accel_std,
+                                    options.accel_bias_walk,
+                                    options.accel_bias,
+                                    first_ns,
+                                    &random);
+  return data;
+}
+
+SimulatorOptions FurtherImu(SimulatorOptions first, size_t imu) {
+  if (imu == 0) return first;
+  const auto k = static_cast<double>(imu);
+  first.noise_seed = first.seed + 5000u * static_cast<uint32_t>(imu);
+  first.T_MI.p.x() += 0.2 * k;
+  first.T_MI.q = first.T_MI.q * Exp<double>(Eigen::Vector3d(0.4, 1.1, -0.7) * k);
+  first.time_shift_s -= 3.7 * k;
+  first.accel_delay_s -= 3e-3 * k;
+  return first;
+}
+
+SessionData Simulate(const SimulatorOptions& options, size_t imus) {
+  SessionData data = Simulate(options);
+  for (size_t i = 1; i < imus; ++i)
+    data.imus.push_back(Simulate(FurtherImu(options, i)).imus[0]);
   return data;
 }
 

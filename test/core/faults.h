@@ -38,12 +38,12 @@ void RemoveBetween(double begin_s, double end_s, std::vector<Sample>* samples) {
 inline void SwapLabels(double begin_s,
                        double end_s,
                        const Eigen::Quaterniond& q_MF,
-                       CalibrationData* data) {
+                       SessionData* data) {
   ChangeBetween(begin_s, end_s, &data->poses, [&](PoseSample* s) { s->q_WM = s->q_WM * q_MF; });
 }
 
 /// The tracker repeats its last pose.
-inline void Freeze(double begin_s, double end_s, CalibrationData* data) {
+inline void Freeze(double begin_s, double end_s, SessionData* data) {
   PoseSample last = data->poses.front();
   ChangeBetween(0.0, begin_s, &data->poses, [&](PoseSample* s) { last = *s; });
   ChangeBetween(begin_s, end_s, &data->poses, [&](PoseSample* s) {
@@ -53,7 +53,7 @@ inline void Freeze(double begin_s, double end_s, CalibrationData* data) {
 }
 
 /// A share of the poses is off by 10 cm and 20 degrees in any direction.
-inline void AddOutliers(double share, uint32_t seed, CalibrationData* data) {
+inline void AddOutliers(double share, uint32_t seed, SessionData* data) {
   std::mt19937 random(seed);
   std::normal_distribution<double> normal;
   const auto direction = [&] {
@@ -85,8 +85,8 @@ inline void Clip(double limit, std::vector<ImuSample>* samples) {
 }
 
 /// The IMU's clock runs slow by `ppm`: t_pose = (1 + 1e-6 ppm) t_imu + const.
-inline void Drift(double ppm, CalibrationData* data) {
-  for (std::vector<ImuSample>* samples : {&data->gyro, &data->accel}) {
+inline void Drift(double ppm, ImuData* imu) {
+  for (std::vector<ImuSample>* samples : {&imu->gyro, &imu->accel}) {
     const int64_t first_ns = samples->front().t_ns;
     for (ImuSample& s : *samples)
       s.t_ns -= std::llround(1e-6 * ppm * static_cast<double>(s.t_ns - first_ns));

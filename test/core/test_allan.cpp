@@ -36,6 +36,32 @@ TEST(AllanNoise, IsTheSameAtEveryTimeWhenWhite) {
     EXPECT_NEAR(AllanNoise(s.t, s.x, tau), 0.2, 0.012) << tau;
 }
 
+TEST(AllanNoise, DoesNotDependOnRounding) {
+  // Steady stamps, and stamps that arrive in bunches of three.
+  for (const double bunching : {0.0, 0.3}) {
+    Series s = Autoregressive(0.5, 0.2, 20000);
+    for (size_t k = 0; k < s.t.size(); ++k)
+      s.t[k] -= bunching * kPeriod * static_cast<double>(k % 3);
+    for (const double tau : {0.02, 0.05, 0.37, 1.0}) {
+      const double noise = AllanNoise(s.t, s.x, tau);
+      ASSERT_GT(noise, 0.1) << tau;
+      for (const double change : {-1e-6, -1e-9, 1e-9, 1e-6})
+        EXPECT_NEAR(AllanNoise(s.t, s.x, tau * (1.0 + change)) / noise, 1.0, 1e-4) << tau;
+      for (const double shift : {-7.0 / 3.0, 0.004, 1.0, 12345.678}) {
+        std::vector<double> t = s.t;
+        for (double& stamp : t) stamp += shift;
+        EXPECT_NEAR(AllanNoise(t, s.x, tau) / noise, 1.0, 1e-4) << tau << " " << shift;
+      }
+    }
+  }
+}
+
+TEST(AllanNoise, IsUnbiasedForWindowsOfAFewSamples) {
+  const Series s = Autoregressive(0.0, 0.2, 100000);
+  for (double tau = 0.3 * kPeriod; tau < 5.0 * kPeriod; tau += 0.17 * kPeriod)
+    EXPECT_NEAR(AllanNoise(s.t, s.x, tau), 0.2, 0.002) << tau;
+}
+
 TEST(AllanNoise, ShowsTheSlowPartOfColouredNoise) {
   const Series s = Autoregressive(0.8, 0.2, 40000);
   // A density of sigma^2 / (1 - phi)^2 at low frequencies.

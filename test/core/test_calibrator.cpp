@@ -36,14 +36,17 @@ SimulatorOptions Recording(Motion motion, double duration_s, uint32_t seed) {
 /// (p_MI in M, rotation about the imu axes, time_shift, accel_delay).
 Vector8d Error(const Calibration& result, const SimulatorOptions& truth) {
   Vector8d e;
-  e << result.T_MI.p - truth.T_MI.p, Log(Quaterniond(truth.T_MI.q.conjugate() * result.T_MI.q)),
-      result.time_shift - truth.time_shift_s, result.accel_delay - truth.accel_delay_s;
+  e << result.imus[0].T_MI.p - truth.T_MI.p,
+      Log(Quaterniond(truth.T_MI.q.conjugate() * result.imus[0].T_MI.q)),
+      result.sessions[0].imus[0].time_shift - truth.time_shift_s,
+      result.imus[0].accel_delay - truth.accel_delay_s;
   return e;
 }
 
 Vector8d Sigma(const Calibration& result) {
   Vector8d sigma;
-  sigma << result.Std(), result.time_shift_std, result.accel_delay_std;
+  sigma << result.imus[0].Std(), result.sessions[0].imus[0].time_shift_std,
+      result.imus[0].accel_delay_std;
   return sigma;
 }
 
@@ -74,15 +77,15 @@ void ExpectRecovered(const Calibration& result,
   }
   EXPECT_LT(sigma.segment<3>(3).maxCoeff(), 2e-3);
   EXPECT_LT(sigma[6], 1e-3);
-  EXPECT_NEAR(result.T_MI.q.norm(), 1.0, 1e-12);
-  EXPECT_GE(result.T_MI.q.w(), 0.0);
-  EXPECT_LT(std::acos(result.g_W.normalized().dot(truth.g_W.normalized())), 0.01);
-  EXPECT_LT((result.covariance - result.covariance.transpose()).norm(),
-            1e-9 * result.covariance.norm());
+  EXPECT_NEAR(result.imus[0].T_MI.q.norm(), 1.0, 1e-12);
+  EXPECT_GE(result.imus[0].T_MI.q.w(), 0.0);
+  EXPECT_LT(std::acos(result.sessions[0].g_W.normalized().dot(truth.g_W.normalized())), 0.01);
+  EXPECT_LT((result.imus[0].covariance - result.imus[0].covariance.transpose()).norm(),
+            1e-9 * result.imus[0].covariance.norm());
 }
 
 Calibration ExpectCalibrates(const CalibrationOptions& options,
-                             const CalibrationData& data,
+                             const SessionData& data,
                              const SimulatorOptions& truth,
                              double largest_translation_error_m = 2e-3) {
   const Calibration result = Calibrate(options, data);
@@ -116,12 +119,12 @@ TEST(Calibrate, RecoversTheTruthFromSwingsAndFromFullTurns) {
       SCOPED_TRACE(std::string(Name(motion)) + ", seed " + std::to_string(seed));
       const SimulatorOptions truth = Recording(motion, 12.0, seed);
       const Calibration result = ExpectCalibrates(GpOptions(), Simulate(truth), truth);
-      EXPECT_NEAR(result.noise.position, truth.position_std, 0.1 * truth.position_std);
-      EXPECT_NEAR(result.noise.rotation, truth.rotation_std, 0.1 * truth.rotation_std);
-      EXPECT_NEAR(result.noise.gyro, truth.gyro_std, 0.4 * truth.gyro_std);
-      EXPECT_NEAR(result.noise.accel, truth.accel_std, 0.4 * truth.accel_std);
-      EXPECT_LT((result.gyro_bias - truth.gyro_bias).norm(), 2e-3);
-      EXPECT_LT((result.accel_bias - truth.accel_bias).norm(), 0.05);
+      EXPECT_NEAR(result.sessions[0].noise.position, truth.position_std, 0.1 * truth.position_std);
+      EXPECT_NEAR(result.sessions[0].noise.rotation, truth.rotation_std, 0.1 * truth.rotation_std);
+      EXPECT_NEAR(result.sessions[0].imus[0].noise.gyro, truth.gyro_std, 0.4 * truth.gyro_std);
+      EXPECT_NEAR(result.sessions[0].imus[0].noise.accel, truth.accel_std, 0.4 * truth.accel_std);
+      EXPECT_LT((result.sessions[0].imus[0].gyro_bias - truth.gyro_bias).norm(), 2e-3);
+      EXPECT_LT((result.sessions[0].imus[0].accel_bias - truth.accel_bias).norm(), 0.05);
     }
   }
 }
@@ -167,9 +170,9 @@ TEST(Calibrate, TakesStreamsOfDifferentRates) {
   truth.gyro_rate_hz = 400.0;
   truth.accel_rate_hz = 250.0;
   const Calibration result = ExpectCalibrates(GpOptions(), Simulate(truth), truth);
-  EXPECT_NEAR(result.poses.rate_hz, 300.0, 0.1);
-  EXPECT_NEAR(result.gyro.rate_hz, 400.0, 0.1);
-  EXPECT_NEAR(result.accel.rate_hz, 250.0, 0.1);
+  EXPECT_NEAR(result.sessions[0].poses.rate_hz, 300.0, 0.1);
+  EXPECT_NEAR(result.sessions[0].imus[0].gyro.rate_hz, 400.0, 0.1);
+  EXPECT_NEAR(result.sessions[0].imus[0].accel.rate_hz, 250.0, 0.1);
 }
 
 TEST(Calibrate, TakesABiasKnotAtEverySample) {
@@ -184,7 +187,7 @@ TEST(Calibrate, TakesClocksThatAreTwelveDaysApart) {
     SimulatorOptions truth = Recording(Motion::kHandheld, 10.0, 8);
     truth.time_shift_s = sign * (12.0 * 86400.0 + 0.0123456);
     const Calibration result = ExpectCalibrates(GpOptions(), Simulate(truth), truth);
-    EXPECT_LT(result.time_shift_std, 1e-3);
+    EXPECT_LT(result.sessions[0].imus[0].time_shift_std, 1e-3);
   }
 }
 
@@ -195,13 +198,13 @@ TEST(Calibrate, KeepsAFixedAccelDelay) {
   options.estimate_accel_delay = false;
   options.accel_delay = -0.0123;
   const Calibration result = ExpectCalibrates(options, Simulate(truth), truth);
-  EXPECT_EQ(result.accel_delay, -0.0123);
-  EXPECT_EQ(result.accel_delay_std, 0.0);
+  EXPECT_EQ(result.imus[0].accel_delay, -0.0123);
+  EXPECT_EQ(result.imus[0].accel_delay_std, 0.0);
 }
 
 TEST(Calibrate, EndsAtTheSameResultFromInitialValues) {
   const SimulatorOptions truth = Recording(Motion::kHandheld, 10.0, 10);
-  const CalibrationData data = Simulate(truth);
+  const SessionData data = Simulate(truth);
   const Calibration plain = ExpectCalibrates(GpOptions(), data, truth);
   CalibrationOptions options = GpOptions();
   options.initial_time_shift = truth.time_shift_s + 0.3;
@@ -214,17 +217,17 @@ TEST(Calibrate, EndsAtTheSameResultFromInitialValues) {
 }
 
 TEST(Calibrate, IsAFunctionOfItsInput) {
-  const CalibrationData data = Simulate(Recording(Motion::kHandheld, 8.0, 11));
+  const SessionData data = Simulate(Recording(Motion::kHandheld, 8.0, 11));
   const Calibration a = Calibrate(GpOptions(), data), b = Calibrate(GpOptions(), data);
-  EXPECT_EQ(a.T_MI.Matrix(), b.T_MI.Matrix());
-  EXPECT_EQ(a.time_shift, b.time_shift);
-  EXPECT_EQ(a.covariance, b.covariance);
+  EXPECT_EQ(a.imus[0].T_MI.Matrix(), b.imus[0].T_MI.Matrix());
+  EXPECT_EQ(a.sessions[0].imus[0].time_shift, b.sessions[0].imus[0].time_shift);
+  EXPECT_EQ(a.imus[0].covariance, b.imus[0].covariance);
 }
 
 TEST(Calibrate, DoesNotDependOnTheChoiceOfTheWorldFrame) {
   // A world that is turned and moved turns g_W and changes nothing else.
   const SimulatorOptions truth = Recording(Motion::kHandheld, 8.0, 12);
-  CalibrationData data = Simulate(truth);
+  SessionData data = Simulate(truth);
   const Calibration plain = Calibrate(GpOptions(), data);
   const Quaterniond q_VW = Exp(Vector3d(0.7, -1.1, 0.4));
   for (PoseSample& pose : data.poses) {
@@ -234,7 +237,7 @@ TEST(Calibrate, DoesNotDependOnTheChoiceOfTheWorldFrame) {
   const Calibration turned = Calibrate(GpOptions(), data);
   const Vector8d difference = Error(turned, truth) - Error(plain, truth);
   EXPECT_LT(difference.cwiseQuotient(Sigma(plain)).cwiseAbs().maxCoeff(), 0.05);
-  EXPECT_LT((turned.g_W - q_VW * plain.g_W).norm(), 1e-3);
+  EXPECT_LT((turned.sessions[0].g_W - q_VW * plain.sessions[0].g_W).norm(), 1e-3);
 }
 
 TEST(Calibrate, NamesTheTurnThatAPlanarMotionLacks) {
@@ -262,12 +265,13 @@ TEST(Calibrate, AsksForTurnsWhenTheMarkerRests) {
   ASSERT_FALSE(result.unobservable.empty());
   EXPECT_TRUE(Contains(result.unobservable[0], "R_MI, p_MI and time_shift"));
   EXPECT_TRUE(Contains(result.message, "does not turn"));
-  EXPECT_EQ(result.poses.received, 1200u);  // what was received is reported all the same
+  EXPECT_EQ(result.sessions[0].poses.received,
+            1200u);  // what was received is reported all the same
 }
 
 TEST(Calibrate, TakesGapsFrozenPosesAndOutliers) {
   const SimulatorOptions truth = Recording(Motion::kHandheld, 10.0, 16);
-  CalibrationData data = Simulate(truth);
+  SessionData data = Simulate(truth);
   std::mt19937 random(16);
   for (const size_t i : {37u, 104u, 180u, 251u, 377u, 445u, 446u, 583u, 719u, 888u}) {  // 1 %
     data.poses[i].p_WM += 0.1 * RandomAxis(&random);
@@ -279,37 +283,40 @@ TEST(Calibrate, TakesGapsFrozenPosesAndOutliers) {
   }
   data.poses.erase(data.poses.begin() + 600, data.poses.begin() + 650);
   const Calibration result = ExpectCalibrates(GpOptions(), data, truth, 3e-3);
-  EXPECT_EQ(result.gaps, 1u);
-  EXPECT_EQ(result.segments, 2u);
-  EXPECT_EQ(result.poses.repeated_value, 3u);
-  EXPECT_GE(result.poses.outlier, 10u);
-  EXPECT_LE(result.poses.outlier, 12u);
-  EXPECT_EQ(result.poses.received, 950u);
-  EXPECT_EQ(result.poses.used + result.poses.repeated_value + result.poses.outlier, 950u);
+  EXPECT_EQ(result.sessions[0].gaps, 1u);
+  EXPECT_EQ(result.sessions[0].segments, 2u);
+  EXPECT_EQ(result.sessions[0].poses.repeated_value, 3u);
+  EXPECT_GE(result.sessions[0].poses.outlier, 10u);
+  EXPECT_LE(result.sessions[0].poses.outlier, 12u);
+  EXPECT_EQ(result.sessions[0].poses.received, 950u);
+  EXPECT_EQ(result.sessions[0].poses.used + result.sessions[0].poses.repeated_value +
+                result.sessions[0].poses.outlier,
+            950u);
 }
 
 TEST(Calibrate, WithstandsGrossImuOutliers) {
   const SimulatorOptions truth = Recording(Motion::kHandheld, 10.0, 17);
-  CalibrationData data = Simulate(truth);
+  SessionData data = Simulate(truth);
   std::mt19937 random(17);
-  for (size_t i = 0; i < data.gyro.size(); i += 100) data.gyro[i].value += RandomAxis(&random);
-  for (size_t i = 50; i < data.accel.size(); i += 100)
-    data.accel[i].value += 10.0 * RandomAxis(&random);
+  for (size_t i = 0; i < data.imus[0].gyro.size(); i += 100)
+    data.imus[0].gyro[i].value += RandomAxis(&random);
+  for (size_t i = 50; i < data.imus[0].accel.size(); i += 100)
+    data.imus[0].accel[i].value += 10.0 * RandomAxis(&random);
   ExpectCalibrates(GpOptions(), data, truth);
 }
 
 TEST(Calibrate, RefusesBadOptionsBeforeItLooksAtTheData) {
   CalibrationOptions options = GpOptions();
   options.gravity_magnitude = -9.8;
-  EXPECT_TRUE(Contains(ErrorText<InputError>([&] { Calibrate(options, CalibrationData()); }),
+  EXPECT_TRUE(Contains(ErrorText<InputError>([&] { Calibrate(options, SessionData()); }),
                        "gravity_magnitude"));
 }
 
 TEST(Calibrate, RefusesDataWithoutOverlap) {
-  CalibrationData data = Simulate(Recording(Motion::kHandheld, 12.0, 18));
-  const CalibrationData other = Simulate(Recording(Motion::kHandheld, 12.0, 19));
-  data.gyro = other.gyro;
-  data.accel = other.accel;
+  SessionData data = Simulate(Recording(Motion::kHandheld, 12.0, 18));
+  const SessionData other = Simulate(Recording(Motion::kHandheld, 12.0, 19));
+  data.imus[0].gyro = other.imus[0].gyro;
+  data.imus[0].accel = other.imus[0].accel;
   EXPECT_TRUE(Contains(ErrorText<DataError>([&] { Calibrate(GpOptions(), data); }),
                        "agree at no time shift"));
 }
@@ -317,7 +324,7 @@ TEST(Calibrate, RefusesDataWithoutOverlap) {
 TEST(Calibrate, SaysWhenTheSolveDidNotConverge) {
   CalibrationOptions options = GpOptions();
   options.max_iterations = 1;
-  const CalibrationData data = Simulate(Recording(Motion::kHandheld, 8.0, 20));
+  const SessionData data = Simulate(Recording(Motion::kHandheld, 8.0, 20));
   EXPECT_TRUE(
       Contains(ErrorText<DataError>([&] { Calibrate(options, data); }), "max_iterations = 1"));
 }

@@ -2,6 +2,8 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Cholesky>
+#include <Eigen/LU>
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <random>
@@ -14,6 +16,7 @@ namespace {
 
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
+using SparseMatrix = Eigen::SparseMatrix<double>;
 
 ceres::CRSMatrix ToCrs(const MatrixXd& dense) {
   ceres::CRSMatrix sparse;
@@ -52,13 +55,21 @@ std::vector<int> Blocks(int rows, int size) {
   return cluster;
 }
 
-/// In two portions.
+/// The first `count` of `size` parameters.
+SparseMatrix Leading(Eigen::Index size, int count) {
+  return MatrixXd::Identity(size, count).sparseView();
+}
+
+/// In two portions; the clusters from `second_half` on are part 1.
 MarginalEstimator Estimator(const MatrixXd& J,
                             const std::vector<double>& residuals,
                             const std::vector<int>& cluster,
                             int leading,
                             int second_half = 3) {
-  MarginalEstimator estimator(static_cast<int>(J.cols()), leading, second_half);
+  std::vector<int> part_of_cluster;
+  for (int w = 0; w <= *std::max_element(cluster.begin(), cluster.end()); ++w)
+    part_of_cluster.push_back(w < second_half ? 0 : 1);
+  MarginalEstimator estimator(static_cast<int>(J.cols()), leading, part_of_cluster);
   const auto rows = static_cast<ptrdiff_t>(J.rows()), half = rows / 2;
   const auto part = [](const auto& all, ptrdiff_t begin, ptrdiff_t end) {
     return std::decay_t<decltype(all)>(all.begin() + begin, all.begin() + end);
@@ -73,7 +84,7 @@ MarginalEstimate Marginal(const MatrixXd& J,
                           const std::vector<double>& residuals,
                           const std::vector<int>& cluster,
                           int leading) {
-  return Estimator(J, residuals, cluster, leading).Estimate().gauss_newton;
+  return Estimator(J, residuals, cluster, leading).Solve(Leading(J.cols(), leading)).gauss_newton;
 }
 
 TEST(MarginalCovariance, EqualsTheDenseFormulas) {
@@ -101,13 +112,51 @@ TEST(MarginalCovariance, EqualsTheDenseFormulas) {
   }
 }
 
-TEST(MarginalCovariance, ConditionEqualsAProblemWithoutTheOtherColumns) {
+TEST(MarginalCovariance, OfFunctionalsEqualsTheDenseFormulas) {
+  std::mt19937 random(14);
+  const int rows = 60, cols = 12, clusters = 10;
+  const MatrixXd J = RandomJacobian(rows, cols, &random);
+  const std::vector<double> residuals = RandomResiduals(rows, &random);
+  const std::vector<int> cluster = Blocks(rows, rows / clusters);
+  const MatrixXd L = RandomJacobian(cols, 4, &random);
+  const MatrixXd H = J.transpose() * J;
+  MatrixXd scores = MatrixXd::Zero(cols, clusters);
+  for (int i = 0; i < rows; ++i)
+    scores.col(cluster[static_cast<size_t>(i)]) +=
+        residuals[static_cast<size_t>(i)] * J.row(i).transpose();
+  const MatrixXd gain = H.inverse() * L;
+
+  const MarginalEstimates estimates = Estimator(J, residuals, cluster, 3).Solve(L.sparseView());
+  const MarginalEstimate& marginal = estimates.gauss_newton;
+  EXPECT_LT((estimates.gain - gain).norm(), 1e-10 * gain.norm());
+  EXPECT_LT((marginal.covariance - L.transpose() * gain).norm(), 1e-10 * H.inverse().norm());
+  const MatrixXd influence = -gain.transpose() * scores;
+  EXPECT_LT((marginal.influence - influence).norm(), 1e-10 * influence.norm());
+  const VectorXd step = -H.inverse() * scores.rowwise().sum();
+  EXPECT_LT((estimates.step - step).norm(), 1e-10 * step.norm());
+  EXPECT_LT((marginal.Step() - L.transpose() * step).norm(), 1e-10 * step.norm());
+  const MatrixXd lower = H.triangularView<Eigen::Lower>();
+  EXPECT_LT((MatrixXd(estimates.H) - lower).norm(), 1e-12 * H.norm());
+}
+
+TEST(MarginalCovariance, SelectTakesRowsAndColumns) {
+  std::mt19937 random(15);
+  const MatrixXd J = RandomJacobian(60, 12, &random);
+  const MarginalEstimate all = Marginal(J, RandomResiduals(60, &random), Blocks(60, 6), 5);
+  const MarginalEstimate two = Select(all, {4, 1});
+  EXPECT_EQ(two.covariance(0, 1), all.covariance(4, 1));
+  EXPECT_EQ(two.covariance(1, 1), all.covariance(1, 1));
+  EXPECT_EQ(two.influence.row(0), all.influence.row(4));
+  EXPECT_EQ(two.influence.row(1), all.influence.row(1));
+}
+
+TEST(MarginalCovariance, GivenOthersEqualsAProblemWithoutTheOtherColumns) {
   std::mt19937 random(11);
   const int rows = 60, cols = 12;
   const MatrixXd J = RandomJacobian(rows, cols, &random);
   const std::vector<double> residuals = RandomResiduals(rows, &random);
   const MarginalEstimate conditioned =
-      Condition(Marginal(J, residuals, Blocks(rows, 6), 5), 3);  // columns 3 and 4 known
+      GivenOthers(Marginal(J, residuals, Blocks(rows, 6), 5), 3);  // columns 3 and 4 known
   MatrixXd without(rows, cols - 2);
   without << J.leftCols(3), J.rightCols(cols - 5);
   const MarginalEstimate expected = Marginal(without, residuals, Blocks(rows, 6), 3);
@@ -116,7 +165,7 @@ TEST(MarginalCovariance, ConditionEqualsAProblemWithoutTheOtherColumns) {
   EXPECT_LT((conditioned.influence - expected.influence).norm(), 1e-10 * expected.influence.norm());
 }
 
-TEST(MarginalCovariance, HalvesAreTheProblemsOfTheirRows) {
+TEST(MarginalCovariance, PartsAreTheProblemsOfTheirRows) {
   // The last columns are known to one half only, like a trajectory.
   std::mt19937 random(12);
   const int rows = 60, cols = 12;
@@ -131,11 +180,37 @@ TEST(MarginalCovariance, HalvesAreTheProblemsOfTheirRows) {
     const auto begin = residuals.begin() + 30 * half;
     const MarginalEstimate expected =
         Marginal(part, std::vector<double>(begin, begin + 30), Blocks(30, 6), 4);
-    const MarginalEstimate estimate = estimator.EstimateHalf(half);
+    const MarginalEstimate estimate = estimator.SolveParts({half}, {0, 1, 2, 3});
     EXPECT_LT((estimate.covariance - expected.covariance).norm(),
               1e-10 * expected.covariance.norm());
     EXPECT_LT((estimate.Step() - expected.Step()).norm(), 1e-10 * expected.Step().norm());
   }
+  const MarginalEstimate whole = Marginal(J, residuals, Blocks(rows, 6), 4);
+  const MarginalEstimate both = estimator.SolveParts({0, 1}, {0, 1, 2, 3});
+  EXPECT_LT((both.covariance - whole.covariance).norm(), 1e-10 * whole.covariance.norm());
+  EXPECT_LT((both.Step() - whole.Step()).norm(), 1e-10 * whole.Step().norm());
+}
+
+TEST(MarginalCovariance, PartsLeaveOutWhatActsElsewhereOnly) {
+  // Leading columns 1 and 2 act in one half each.
+  std::mt19937 random(16);
+  const int rows = 60, cols = 10;
+  MatrixXd J = RandomJacobian(rows, cols, &random);
+  J.block(30, 1, 30, 1).setZero();
+  J.block(0, 2, 30, 1).setZero();
+  const std::vector<double> residuals = RandomResiduals(rows, &random);
+  const MarginalEstimator estimator = Estimator(J, residuals, Blocks(rows, 6), 4, 5);
+  ASSERT_EQ(estimator.parts(), 2u);
+  EXPECT_EQ(estimator.ActingIn({0}), (std::vector<int>{0, 1, 3}));
+  EXPECT_EQ(estimator.ActingIn({1}), (std::vector<int>{0, 2, 3}));
+  EXPECT_EQ(estimator.ActingIn({0, 1}), (std::vector<int>{0, 1, 2, 3}));
+  MatrixXd part(30, cols - 1);
+  part << J.topLeftCorner(30, 2), J.topRightCorner(30, cols - 3);
+  const MarginalEstimate expected =
+      Marginal(part, {residuals.begin(), residuals.begin() + 30}, Blocks(30, 6), 3);
+  const MarginalEstimate estimate = estimator.SolveParts({0}, estimator.ActingIn({0}));
+  EXPECT_LT((estimate.covariance - expected.covariance).norm(), 1e-10 * expected.covariance.norm());
+  EXPECT_LT((estimate.influence - expected.influence).norm(), 1e-10 * expected.influence.norm());
 }
 
 TEST(MarginalCovariance, ExactColumnsEqualTheDenseFormulas) {
@@ -157,7 +232,7 @@ TEST(MarginalCovariance, ExactColumnsEqualTheDenseFormulas) {
       if (i != column) H(column, i) += S(i, column);
     }
   }
-  const MarginalEstimates estimates = estimator.Estimate();
+  const MarginalEstimates estimates = estimator.Solve(Leading(cols, leading));
   const MatrixXd expected = H.inverse().topLeftCorner(leading, leading);
   ASSERT_TRUE(expected.llt().info() == Eigen::Success);
   EXPECT_LT((estimates.exact.covariance - expected).norm(), 1e-10 * expected.norm());
@@ -174,7 +249,7 @@ TEST(MarginalCovariance, ExactColumnsAreLeftOutWhereTheyWouldTakeAllInformation)
   const MatrixXd J = MatrixXd::Identity(6, 6);
   MarginalEstimator estimator = Estimator(J, std::vector<double>(6, 1.0), Blocks(6, 1), 2);
   estimator.AddCurvature(0, -2.0 * VectorXd::Unit(6, 0));
-  const MarginalEstimates estimates = estimator.Estimate();
+  const MarginalEstimates estimates = estimator.Solve(Leading(6, 2));
   EXPECT_TRUE(estimates.exact.covariance.isApprox(estimates.gauss_newton.covariance));
 }
 
@@ -234,7 +309,7 @@ TEST(MarginalCovariance, IsNotSpoiltByAnUnseenParameterWithAPrior) {
   MatrixXd seen(40, 5);
   seen << J.leftCols(4), J.col(5);
   const MatrixXd expected = Marginal(seen, residuals, Blocks(40, 4), 3).covariance;
-  EXPECT_LT((estimator.Estimate().gauss_newton.covariance - expected).norm(),
+  EXPECT_LT((estimator.Solve(Leading(6, 3)).gauss_newton.covariance - expected).norm(),
             1e-6 * expected.norm());
 }
 

@@ -1,7 +1,9 @@
 #include <gtest/gtest.h>
 
 #include "faults.h"
+#include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/data_check.h"
+#include "imu_pose_calib/core/preparation.h"
 #include "imu_pose_calib/core/simulator.h"
 #include "test_util.h"
 
@@ -16,7 +18,7 @@ SimulatorOptions Truth(Motion motion = Motion::kHandheld, uint32_t seed = 51) {
   return options;
 }
 
-DataCheck Check(const CalibrationData& data) { return CheckData(CalibrationOptions(), data); }
+DataCheck Check(const SessionData& data) { return CheckData(CalibrationOptions(), data); }
 
 /// Expects a usable recording with one warning that holds every part.
 void ExpectWarning(const DataCheck& check, const std::vector<std::string>& parts) {
@@ -38,14 +40,14 @@ TEST(CheckData, HasNothingToRemarkOnGoodRecordings) {
         const DataCheck check = Check(Simulate(truth));
         EXPECT_EQ(check.verdict, DataVerdict::kGood) << ::testing::PrintToString(check.warnings);
         EXPECT_TRUE(check.warnings.empty());
-        EXPECT_TRUE(check.is_matched);
-        EXPECT_NEAR(check.time_shift, 7200.25, 1e-3);
-        EXPECT_NEAR(check.overlap_s, 19.8, 0.21);
-        EXPECT_GT(check.explained, 0.99);
-        EXPECT_LT(std::abs(check.drift_ppm), 5.0 * check.drift_ppm_std);
+        EXPECT_TRUE(check.imus[0].is_matched);
+        EXPECT_NEAR(check.imus[0].time_shift, 7200.25, 1e-3);
+        EXPECT_NEAR(check.imus[0].overlap_s, 19.8, 0.21);
+        EXPECT_GT(check.imus[0].explained, 0.99);
+        EXPECT_LT(std::abs(check.imus[0].drift_ppm), 5.0 * check.imus[0].drift_ppm_std);
         EXPECT_NEAR(check.poses.rate_hz, rate_hz, 1e-3);
-        EXPECT_NEAR(check.gyro.rate_hz, 200.0, 1e-3);
-        EXPECT_LT(check.gyro.jitter_s, 1e-6);
+        EXPECT_NEAR(check.imus[0].gyro.rate_hz, 200.0, 1e-3);
+        EXPECT_LT(check.imus[0].gyro.jitter_s, 1e-6);
         EXPECT_LT(check.poses.missing, 1e-9);
       }
     }
@@ -73,49 +75,50 @@ TEST(CheckData, MeasuresTheExcitationOfEachAxis) {
 
 TEST(CheckData, MeasuresTheDriftOfTheClocks) {
   for (const double ppm : {-300.0, 80.0}) {
-    CalibrationData data = Simulate(Truth());
-    Drift(ppm, &data);
+    SessionData data = Simulate(Truth());
+    Drift(ppm, &data.imus[0]);
     const DataCheck check = Check(data);
-    EXPECT_NEAR(check.drift_ppm, ppm, 5.0 * check.drift_ppm_std);
-    EXPECT_LT(check.drift_ppm_std, 10.0);
+    EXPECT_NEAR(check.imus[0].drift_ppm, ppm, 5.0 * check.imus[0].drift_ppm_std);
+    EXPECT_LT(check.imus[0].drift_ppm_std, 10.0);
     ExpectWarning(check, {"drift", "ppm", "set estimate_clock_drift: true"});
   }
   CalibrationOptions options;
   options.estimate_clock_drift = true;
-  CalibrationData data = Simulate(Truth());
-  Drift(100.0, &data);
+  SessionData data = Simulate(Truth());
+  Drift(100.0, &data.imus[0]);
   EXPECT_EQ(CheckData(options, data).verdict, DataVerdict::kGood);
 }
 
 TEST(CheckData, WarnsOfStampsByTimeOfArrival) {
-  CalibrationData data = Simulate(Truth());
-  for (size_t i = 0; i < data.gyro.size(); ++i)  // four at a time, 0.1 ms apart
-    data.gyro[i].t_ns = data.gyro[i - i % 4].t_ns + 100'000 * static_cast<int64_t>(i % 4);
+  SessionData data = Simulate(Truth());
+  for (size_t i = 0; i < data.imus[0].gyro.size(); ++i)  // four at a time, 0.1 ms apart
+    data.imus[0].gyro[i].t_ns =
+        data.imus[0].gyro[i - i % 4].t_ns + 100'000 * static_cast<int64_t>(i % 4);
   const DataCheck check = Check(data);
-  EXPECT_NEAR(check.gyro.bunched, 0.75, 0.01);
-  EXPECT_NEAR(check.gyro.rate_hz, 200.0, 1.0);
+  EXPECT_NEAR(check.imus[0].gyro.bunched, 0.75, 0.01);
+  EXPECT_NEAR(check.imus[0].gyro.rate_hz, 200.0, 1.0);
   ExpectWarning(check, {"gyroscope", "bunches", "sensor's own clock"});
 }
 
 TEST(CheckData, WarnsOfStampsThatJitter) {
-  CalibrationData data = Simulate(Truth());
+  SessionData data = Simulate(Truth());
   std::mt19937 random(1);
-  for (ImuSample& s : data.accel)
+  for (ImuSample& s : data.imus[0].accel)
     s.t_ns += std::uniform_int_distribution<int64_t>(-2'400'000, 2'400'000)(random);
   ExpectWarning(Check(data), {"accelerometer", "jitter", "of the period of"});
 }
 
 TEST(CheckData, WarnsOfLostSamples) {
-  CalibrationData data = Simulate(Truth());
-  LosePackets(0.15, 1, &data.gyro);
+  SessionData data = Simulate(Truth());
+  LosePackets(0.15, 1, &data.imus[0].gyro);
   const DataCheck check = Check(data);
-  EXPECT_NEAR(check.gyro.missing, 0.15, 0.05);
-  EXPECT_GE(check.gyro.longest_gap_s, 0.05);
+  EXPECT_NEAR(check.imus[0].gyro.missing, 0.15, 0.05);
+  EXPECT_GE(check.imus[0].gyro.longest_gap_s, 0.05);
   ExpectWarning(check, {"gyroscope", "missing", "longest gap"});
 }
 
 TEST(CheckData, WarnsOfAFrozenTracker) {
-  CalibrationData data = Simulate(Truth());
+  SessionData data = Simulate(Truth());
   Freeze(5.0, 8.0, &data);
   const DataCheck check = Check(data);
   EXPECT_NEAR(check.poses.repeated, 0.15, 0.01);
@@ -125,12 +128,13 @@ TEST(CheckData, WarnsOfAFrozenTracker) {
 }
 
 TEST(CheckData, WarnsOfSwappedLabelsSaturationAndOutliers) {
-  CalibrationData flipped = Simulate(Truth()), clipped = flipped, spoiled = flipped;
+  SessionData flipped = Simulate(Truth()), clipped = flipped, spoiled = flipped;
   SwapLabels(5.0, 8.0, Eigen::Quaterniond(0.0, 1.0, 0.0, 0.0), &flipped);
   ExpectWarning(Check(flipped), {"300 poses that turn against the gyroscope", "symmetrically"});
   double peak = 0.0;
-  for (const ImuSample& s : clipped.gyro) peak = std::max(peak, s.value.cwiseAbs().maxCoeff());
-  Clip(0.85 * peak, &clipped.gyro);
+  for (const ImuSample& s : clipped.imus[0].gyro)
+    peak = std::max(peak, s.value.cwiseAbs().maxCoeff());
+  Clip(0.85 * peak, &clipped.imus[0].gyro);
   ExpectWarning(Check(clipped), {"gyroscope", "end of the sensor's range"});
   AddOutliers(0.05, 1, &spoiled);
   ExpectWarning(Check(spoiled), {"pose", "outliers"});
@@ -138,9 +142,9 @@ TEST(CheckData, WarnsOfSwappedLabelsSaturationAndOutliers) {
 
 TEST(CheckData, WarnsOfAWrongScaleSeenAtRest) {
   SimulatorOptions truth = Truth();
-  CalibrationData data = Simulate(truth);
+  SessionData data = Simulate(truth);
   truth.motion = Motion::kStatic;
-  const CalibrationData rest = Simulate(truth);  // 20 s before the motion, on the same clocks
+  const SessionData rest = Simulate(truth);  // 20 s before the motion, on the same clocks
   const int64_t shift_ns = 20'000'000'000;
   const auto prepend = [&](const std::vector<ImuSample>& before, std::vector<ImuSample>* samples) {
     std::vector<ImuSample> all = before;
@@ -148,31 +152,31 @@ TEST(CheckData, WarnsOfAWrongScaleSeenAtRest) {
     all.insert(all.end(), samples->begin(), samples->end());
     *samples = all;
   };
-  prepend(rest.gyro, &data.gyro);
-  prepend(rest.accel, &data.accel);
+  prepend(rest.imus[0].gyro, &data.imus[0].gyro);
+  prepend(rest.imus[0].accel, &data.imus[0].accel);
   DataCheck check = Check(data);
-  EXPECT_NEAR(check.rest_s, 20.0, 0.5);
-  EXPECT_NEAR(check.rest_norm, 9.80665, 0.1);
+  EXPECT_NEAR(check.imus[0].rest_s, 20.0, 0.5);
+  EXPECT_NEAR(check.imus[0].rest_norm, 9.80665, 0.1);
   EXPECT_EQ(check.verdict, DataVerdict::kGood) << ::testing::PrintToString(check.warnings);
-  for (ImuSample& s : data.accel) s.value *= 1.08;
+  for (ImuSample& s : data.imus[0].accel) s.value *= 1.08;
   ExpectWarning(Check(data), {"norm at rest", "bound: within 5 % of gravity_magnitude"});
 }
 
 TEST(CheckData, AsksToRecordAgainWithTheReasonAndKeepsTheTable) {
-  CalibrationData data = Simulate(Truth());
-  for (ImuSample& s : data.gyro) s.value *= 180.0 / M_PI;
+  SessionData data = Simulate(Truth());
+  for (ImuSample& s : data.imus[0].gyro) s.value *= 180.0 / M_PI;
   DataCheck check = Check(data);
   EXPECT_EQ(check.verdict, DataVerdict::kUsable);
   EXPECT_TRUE(Contains(check.message, "set gyro_unit: 0.0174532925"));
-  EXPECT_EQ(check.gyro.count, 4000u);
-  EXPECT_FALSE(check.is_matched);
+  EXPECT_EQ(check.imus[0].gyro.count, 4000u);
+  EXPECT_FALSE(check.imus[0].is_matched);
 
   check = Check(Simulate(Truth(Motion::kPlanar)));
   EXPECT_EQ(check.verdict, DataVerdict::kRecordAgain);
   EXPECT_TRUE(Contains(check.message, "one axis only"));
   EXPECT_GT(check.turns_M.z(), 0.1);
 
-  check = Check(CalibrationData());
+  check = Check(SessionData());
   EXPECT_EQ(check.verdict, DataVerdict::kRecordAgain);
   EXPECT_TRUE(Contains(check.message, "no pose samples"));
 }
@@ -181,7 +185,7 @@ TEST(CheckData, HandsItsWarningsToTheCalibration) {
   CalibrationOptions options;
   options.method = Method::kGp;
   options.num_threads = 1;
-  CalibrationData data = Simulate(Truth());
+  SessionData data = Simulate(Truth());
   EXPECT_TRUE(Calibrate(options, data).warnings.empty());
   Freeze(5.0, 8.0, &data);
   const std::vector<std::string> warnings = Calibrate(options, data).warnings;
@@ -192,8 +196,8 @@ TEST(CheckData, HandsItsWarningsToTheCalibration) {
 TEST(CheckData, LeavesTheDriftToTheCalibration) {
   CalibrationOptions options;
   options.num_threads = 1;
-  CalibrationData data = Simulate(Truth());
-  Drift(300.0, &data);
+  SessionData data = Simulate(Truth());
+  Drift(300.0, &data.imus[0]);
   const std::vector<std::string> warnings = Calibrate(options, data).warnings;
   EXPECT_EQ(std::count_if(warnings.begin(),
                           warnings.end(),

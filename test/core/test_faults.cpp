@@ -37,7 +37,7 @@ Quaterniond Turn(double degrees, const Vector3d& axis) {
 struct Fault {
   const char* name;
   std::function<void(SimulatorOptions*)> simulate;
-  std::function<void(CalibrationData*)> spoil;
+  std::function<void(SessionData*)> spoil;
   std::function<void(const Calibration&)> check;
 };
 std::ostream& operator<<(std::ostream& out, const Fault& fault) { return out << fault.name; }
@@ -48,20 +48,23 @@ TEST_P(RepairedFault, LeavesTheCalibrationWithinItsSigmas) {
   const Fault& fault = GetParam();
   SimulatorOptions truth = Truth(31);
   if (fault.simulate) fault.simulate(&truth);
-  CalibrationData data = Simulate(truth);
+  SessionData data = Simulate(truth);
   if (fault.spoil) fault.spoil(&data);
   CalibrationOptions options;
   options.num_threads = 1;
   const Calibration result = Calibrate(options, data);
   EXPECT_TRUE(result.IsUsable()) << result.message;
   Eigen::Matrix<double, 8, 1> e, sigma;
-  e << result.T_MI.p - truth.T_MI.p, Log(Quaterniond(truth.T_MI.q.conjugate() * result.T_MI.q)),
-      result.time_shift - truth.time_shift_s, result.accel_delay - truth.accel_delay_s;
-  sigma << result.Std(), result.time_shift_std, result.accel_delay_std;
+  e << result.imus[0].T_MI.p - truth.T_MI.p,
+      Log(Quaterniond(truth.T_MI.q.conjugate() * result.imus[0].T_MI.q)),
+      result.sessions[0].imus[0].time_shift - truth.time_shift_s,
+      result.imus[0].accel_delay - truth.accel_delay_s;
+  sigma << result.imus[0].Std(), result.sessions[0].imus[0].time_shift_std,
+      result.imus[0].accel_delay_std;
   EXPECT_LT(e.cwiseQuotient(sigma).cwiseAbs().maxCoeff(), 3.5) << e.transpose() << "\n"
                                                                << sigma.transpose();
   EXPECT_LT(sigma.head<3>().maxCoeff(), truth.pose_rate_hz < 50.0 ? 5e-3 : 1e-3);
-  const StreamReport& poses = result.poses;
+  const StreamReport& poses = result.sessions[0].poses;
   EXPECT_EQ(poses.received,
             poses.used + poses.not_finite + poses.zero_quaternion + poses.reversed_stamp +
                 poses.duplicate_stamp + poses.repeated_value + poses.outlier + poses.flipped +
@@ -74,110 +77,112 @@ const Fault kFaults[] = {
      {},
      {},
      [](const Calibration& r) {
-       EXPECT_EQ(r.poses.used, r.poses.received);
-       EXPECT_EQ(r.gyro.used, r.gyro.received);
-       EXPECT_EQ(r.accel.used, r.accel.received);
-       EXPECT_EQ(r.segments, 1u);
+       EXPECT_EQ(r.sessions[0].poses.used, r.sessions[0].poses.received);
+       EXPECT_EQ(r.sessions[0].imus[0].gyro.used, r.sessions[0].imus[0].gyro.received);
+       EXPECT_EQ(r.sessions[0].imus[0].accel.used, r.sessions[0].imus[0].accel.received);
+       EXPECT_EQ(r.sessions[0].segments, 1u);
      }},
     {"Gaps",
      {},
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        for (const double t : {3.0, 8.0, 14.0}) RemoveBetween(t, t + 1.0, &d->poses);
      },
      [](const Calibration& r) {
-       EXPECT_EQ(r.gaps, 3u);
-       EXPECT_EQ(r.jumps, 0u);
+       EXPECT_EQ(r.sessions[0].gaps, 3u);
+       EXPECT_EQ(r.sessions[0].jumps, 0u);
      }},
     {"FrozenPoses",
      {},
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        for (const double t : {3.0, 8.0, 14.0}) Freeze(t, t + 1.0, d);
      },
      [](const Calibration& r) {
-       EXPECT_NEAR(static_cast<double>(r.poses.repeated_value), 300.0, 3.0);
-       EXPECT_EQ(r.gaps, 3u);
+       EXPECT_NEAR(static_cast<double>(r.sessions[0].poses.repeated_value), 300.0, 3.0);
+       EXPECT_EQ(r.sessions[0].gaps, 3u);
      }},
     {"Outliers",
      {},
-     [](CalibrationData* d) { AddOutliers(0.02, 1, d); },
+     [](SessionData* d) { AddOutliers(0.02, 1, d); },
      [](const Calibration& r) {
-       EXPECT_GE(r.poses.outlier, 25u);
-       EXPECT_LE(r.poses.outlier, 60u);
+       EXPECT_GE(r.sessions[0].poses.outlier, 25u);
+       EXPECT_LE(r.sessions[0].poses.outlier, 60u);
      }},
     {"HalfATurnForASecond",
      {},
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        SwapLabels(9.0, 10.0, Turn(180.0, {0, 0, 1}), d);
      },
      [](const Calibration& r) {
-       EXPECT_EQ(r.poses.flipped, 100u);
-       EXPECT_EQ(r.jumps, 2u);
+       EXPECT_EQ(r.sessions[0].poses.flipped, 100u);
+       EXPECT_EQ(r.sessions[0].jumps, 2u);
      }},
     {"AQuarterTurnAtTheEnd",
      {},
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        SwapLabels(14.0, 30.0, Turn(90.0, {1, 0, 0}), d);
      },
      [](const Calibration& r) {
-       EXPECT_EQ(r.poses.flipped, 600u);
-       EXPECT_EQ(r.jumps, 1u);
+       EXPECT_EQ(r.sessions[0].poses.flipped, 600u);
+       EXPECT_EQ(r.sessions[0].jumps, 1u);
      }},
     {"LabelsSwappedTwoWaysAfterGaps",
      {},
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        SwapLabels(2.0, 5.0, Turn(90.0, {0, 1, 0}), d);
        SwapLabels(12.0, 14.5, Turn(120.0, {1, 1, 1}), d);
        for (const double t : {2.0, 5.0, 12.0, 14.5}) RemoveBetween(t - 0.2, t + 0.2, &d->poses);
      },
-     [](const Calibration& r) { EXPECT_EQ(r.poses.flipped, 260u + 210u); }},
+     [](const Calibration& r) { EXPECT_EQ(r.sessions[0].poses.flipped, 260u + 210u); }},
     {"AShortFlip",
      {},
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        SwapLabels(9.0, 9.05, Turn(90.0, {0, 0, 1}), d);
      },
      [](const Calibration& r) {
-       EXPECT_EQ(r.poses.outlier, 5u);
-       EXPECT_EQ(r.segments, 1u);  // joined again
+       EXPECT_EQ(r.sessions[0].poses.outlier, 5u);
+       EXPECT_EQ(r.sessions[0].segments, 1u);  // joined again
      }},
     {"ATrackerThatFindsItselfElsewhere",
      {},
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        ChangeBetween(
            12.0, 30.0, &d->poses, [](PoseSample* s) { s->p_WM += Vector3d(0.3, 0.2, 0); });
      },
      [](const Calibration& r) {
-       EXPECT_EQ(r.jumps, 1u);
-       EXPECT_EQ(r.poses.used, r.poses.received);
+       EXPECT_EQ(r.sessions[0].jumps, 1u);
+       EXPECT_EQ(r.sessions[0].poses.used, r.sessions[0].poses.received);
      }},
     {"NanAndZeroPoses",
      {},
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        for (size_t i = 0; i < d->poses.size(); i += 50) d->poses[i].p_WM.y() = kNaN;
        for (size_t i = 25; i < d->poses.size(); i += 50) d->poses[i].q_WM.coeffs().setZero();
      },
      [](const Calibration& r) {
-       EXPECT_EQ(r.poses.not_finite, 40u);
-       EXPECT_EQ(r.poses.zero_quaternion, 40u);
+       EXPECT_EQ(r.sessions[0].poses.not_finite, 40u);
+       EXPECT_EQ(r.sessions[0].poses.zero_quaternion, 40u);
      }},
     {"StampsAstray",
      {},
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        d->poses.front().t_ns = 0;
        d->poses[1000].t_ns += 86400 * int64_t{1'000'000'000};
-       d->gyro.back().t_ns *= 2;
+       d->imus[0].gyro.back().t_ns *= 2;
      },
      [](const Calibration& r) {
-       EXPECT_EQ(r.poses.reversed_stamp, 2u);
-       EXPECT_EQ(r.gyro.reversed_stamp, 1u);
+       EXPECT_EQ(r.sessions[0].poses.reversed_stamp, 2u);
+       EXPECT_EQ(r.sessions[0].imus[0].gyro.reversed_stamp, 1u);
      }},
     {"QuaternionSignsAndNorms",
      {},
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        for (size_t i = 0; i < d->poses.size(); ++i)
          d->poses[i].q_WM.coeffs() *=
              (i % 3 == 0 ? -1.0 : 1.0) * (1.0 + 0.02 * static_cast<double>(i % 7));
      },
-     [](const Calibration& r) { EXPECT_EQ(r.poses.used, r.poses.received); }},
+     [](const Calibration& r) {
+       EXPECT_EQ(r.sessions[0].poses.used, r.sessions[0].poses.received);
+     }},
     {"PosesAt10Hz",
      [](SimulatorOptions* t) {
        t->pose_rate_hz = 10.0;
@@ -191,20 +196,20 @@ const Fault kFaults[] = {
     {"ClockOffByDays", [](SimulatorOptions* t) { t->time_shift_s = 12 * 86400.0 + 7.7; }, {}, {}},
     {"LostImuPackets",
      {},
-     [](CalibrationData* d) {
-       LosePackets(0.15, 1, &d->gyro);
-       LosePackets(0.15, 2, &d->accel);
-       RemoveBetween(6.0, 6.8, &d->gyro);
+     [](SessionData* d) {
+       LosePackets(0.15, 1, &d->imus[0].gyro);
+       LosePackets(0.15, 2, &d->imus[0].accel);
+       RemoveBetween(6.0, 6.8, &d->imus[0].gyro);
      },
      {}},
     {"SaturatedGyroscope",
      {},
-     [](CalibrationData* d) { Clip(3.0, &d->gyro); },
-     [](const Calibration& r) { EXPECT_GT(r.gyro.saturated, 20u); }},
+     [](SessionData* d) { Clip(3.0, &d->imus[0].gyro); },
+     [](const Calibration& r) { EXPECT_GT(r.sessions[0].imus[0].gyro.saturated, 20u); }},
     {"SaturatedAccelerometer",
      {},
-     [](CalibrationData* d) { Clip(13.0, &d->accel); },
-     [](const Calibration& r) { EXPECT_GT(r.accel.saturated, 20u); }},
+     [](SessionData* d) { Clip(13.0, &d->imus[0].accel); },
+     [](const Calibration& r) { EXPECT_GT(r.sessions[0].imus[0].accel.saturated, 20u); }},
 };
 
 INSTANTIATE_TEST_SUITE_P(Calibrate,
@@ -215,7 +220,7 @@ INSTANTIATE_TEST_SUITE_P(Calibrate,
 /// A recording that cannot be used as it is, and parts of the one line that says so.
 struct Refused {
   const char* name;
-  std::function<void(CalibrationData*)> spoil;
+  std::function<void(SessionData*)> spoil;
   std::vector<std::string> parts;
 };
 std::ostream& operator<<(std::ostream& out, const Refused& refused) { return out << refused.name; }
@@ -223,7 +228,7 @@ std::ostream& operator<<(std::ostream& out, const Refused& refused) { return out
 class RefusedRecording : public ::testing::TestWithParam<Refused> {};
 
 TEST_P(RefusedRecording, SaysWhatAndWhatToDo) {
-  CalibrationData data = Simulate(Truth(41));
+  SessionData data = Simulate(Truth(41));
   GetParam().spoil(&data);
   const std::string text = ErrorText<DataError>([&] { Calibrate(CalibrationOptions(), data); });
   for (const std::string& part : GetParam().parts) EXPECT_TRUE(Contains(text, part));
@@ -237,67 +242,67 @@ void Scale(double factor, std::vector<Sample>* samples) {
 
 const Refused kRefused[] = {
     {"TooShort",
-     [](CalibrationData* d) { d->poses.resize(300); },
+     [](SessionData* d) { d->poses.resize(300); },
      {"pose: 300 of 300 samples are usable and span 2.99 s", "at least 5 s"}},
     {"NoOverlap",
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        RemoveBetween(0.0, 10.0, &d->poses);
-       RemoveBetween(8.0, 30.0, &d->gyro);
-       RemoveBetween(8.0, 30.0, &d->accel);
+       RemoveBetween(8.0, 30.0, &d->imus[0].gyro);
+       RemoveBetween(8.0, 30.0, &d->imus[0].accel);
      },
      {"agree at no time shift", "overlap"}},
-    {"OneSample", [](CalibrationData* d) { d->accel.resize(1); }, {"accelerometer: 1 of 1"}},
+    {"OneSample", [](SessionData* d) { d->imus[0].accel.resize(1); }, {"accelerometer: 1 of 1"}},
     {"GyroscopeInDegrees",
-     [](CalibrationData* d) { Scale(180.0 / M_PI, &d->gyro); },
+     [](SessionData* d) { Scale(180.0 / M_PI, &d->imus[0].gyro); },
      {"gyroscope", "deg/s", "set gyro_unit: 0.0174532925"}},
     {"GyroscopeInRevolutions",
-     [](CalibrationData* d) { Scale(0.5 / M_PI, &d->gyro); },
+     [](SessionData* d) { Scale(0.5 / M_PI, &d->imus[0].gyro); },
      {"gyroscope", "times the marker's (bound: 0.5 to 2)", "set gyro_unit"}},
     {"AccelerometerInG",
-     [](CalibrationData* d) { Scale(1.0 / 9.80665, &d->accel); },
+     [](SessionData* d) { Scale(1.0 / 9.80665, &d->imus[0].accel); },
      {"accelerometer: median norm", "bound: 3.92", "set accel_unit: 9.80665"}},
     {"AccelerometerInMilliG",
-     [](CalibrationData* d) { Scale(1e3 / 9.80665, &d->accel); },
+     [](SessionData* d) { Scale(1e3 / 9.80665, &d->imus[0].accel); },
      {"accelerometer: median norm", "set accel_unit: 0.00980665"}},
     {"GyroscopeAllZero",
-     [](CalibrationData* d) { Scale(0.0, &d->gyro); },
+     [](SessionData* d) { Scale(0.0, &d->imus[0].gyro); },
      {"gyroscope: all 4000 samples are zero", "driver"}},
     {"AccelerometerAllZero",
-     [](CalibrationData* d) { Scale(0.0, &d->accel); },
+     [](SessionData* d) { Scale(0.0, &d->imus[0].accel); },
      {"accelerometer: all 4000 samples are zero", "driver"}},
     {"ImuAllZero",
-     [](CalibrationData* d) {
-       Scale(0.0, &d->gyro);
-       Scale(0.0, &d->accel);
+     [](SessionData* d) {
+       Scale(0.0, &d->imus[0].gyro);
+       Scale(0.0, &d->imus[0].accel);
      },
      {"gyroscope: all 4000 samples are zero"}},
     {"ADeadGyroscopeAxis",
-     [](CalibrationData* d) {
-       for (ImuSample& s : d->gyro) s.value.z() = 0.0;
+     [](SessionData* d) {
+       for (ImuSample& s : d->imus[0].gyro) s.value.z() = 0.0;
      },
      {"gyroscope: its z axis is always 0"}},
     {"PositionsInMillimetres",
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        for (PoseSample& s : d->poses) s.p_WM *= 1e3;
      },
      {"pose", "look like millimetres", "set position_unit: 1.0e-3"}},
     {"PositionsInCentimetres",
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        for (PoseSample& s : d->poses) s.p_WM *= 1e2;
      },
      {"look like centimetres", "set position_unit: 1.0e-2"}},
     {"NoPositions",
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        for (PoseSample& s : d->poses) s.p_WM.setZero();
      },
      {"pose: the position never changes"}},
     {"NoOrientations",
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        for (PoseSample& s : d->poses) s.q_WM.setIdentity();
      },
      {"pose: the orientation never changes"}},
     {"InvertedPoses",
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        for (PoseSample& s : d->poses) {
          s.q_WM = s.q_WM.conjugate();
          s.p_WM = -(s.q_WM * s.p_WM);
@@ -305,7 +310,7 @@ const Refused kRefused[] = {
      },
      {"agree only when the poses are inverted", "set invert_poses: true"}},
     {"QuaternionsWithWFirst",
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        for (PoseSample& s : d->poses) {
          const Quaterniond q = s.q_WM;
          s.q_WM.coeffs() << q.w(), q.x(), q.y(), q.z();
@@ -313,12 +318,12 @@ const Refused kRefused[] = {
      },
      {"agree only when the poses are inverted", "w, x, y, z, let it write x, y, z, w"}},
     {"AFlippingMarker",
-     [](CalibrationData* d) {
+     [](SessionData* d) {
        for (const double t : {3.0, 8.0, 14.0}) SwapLabels(t, t + 3.0, Turn(90.0, {0, 0, 1}), d);
      },
      {"the marker's frame flips", "bound: 60 %", "less symmetrically"}},
     {"ASaturatedGyroscope",
-     [](CalibrationData* d) { Clip(1.0, &d->gyro); },
+     [](SessionData* d) { Clip(1.0, &d->imus[0].gyro); },
      {"samples are at the end of the sensor's range (1)", "bound: 10 %"}},
 };
 
@@ -338,10 +343,10 @@ TEST(Calibrate, SaysThatGravityIsMissing) {
 }
 
 TEST(Calibrate, ReadsTheUnitsAndThePosesAsTheOptionsSay) {
-  const CalibrationData plain = Simulate(Truth(43));
-  CalibrationData data = plain;
-  Scale(180.0 / M_PI, &data.gyro);
-  Scale(1.0 / 9.80665, &data.accel);
+  const SessionData plain = Simulate(Truth(43));
+  SessionData data = plain;
+  Scale(180.0 / M_PI, &data.imus[0].gyro);
+  Scale(1.0 / 9.80665, &data.imus[0].accel);
   for (PoseSample& s : data.poses) {
     s.q_WM = s.q_WM.conjugate();
     s.p_WM = -1e3 * (s.q_WM * s.p_WM);
@@ -354,9 +359,9 @@ TEST(Calibrate, ReadsTheUnitsAndThePosesAsTheOptionsSay) {
   options.position_unit = 1e-3;
   options.invert_poses = true;
   const Calibration result = Calibrate(options, data);
-  EXPECT_LT((result.T_MI.p - expected.T_MI.p).norm(), 1e-6);
-  EXPECT_LT(result.T_MI.q.angularDistance(expected.T_MI.q), 1e-6);
-  EXPECT_NEAR(result.time_shift, expected.time_shift, 1e-7);
+  EXPECT_LT((result.imus[0].T_MI.p - expected.imus[0].T_MI.p).norm(), 1e-6);
+  EXPECT_LT(result.imus[0].T_MI.q.angularDistance(expected.imus[0].T_MI.q), 1e-6);
+  EXPECT_NEAR(result.sessions[0].imus[0].time_shift, expected.sessions[0].imus[0].time_shift, 1e-7);
 }
 
 }  // namespace

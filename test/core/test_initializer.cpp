@@ -27,14 +27,14 @@ struct Fitted {
   ConditionedData data;
   PoseTrajectory trajectory;
 
-  Fitted(const CalibrationData& recording, const CalibrationOptions& options)
-      : data(Condition(options, recording)), trajectory(FitTrajectory(options, &data)) {}
+  Fitted(const SessionData& recording, const CalibrationOptions& options)
+      : data(ConditionData(options, recording)), trajectory(FitTrajectory(options, &data)) {}
 };
 
 /// The time shift between the conditioned stamps that the simulator put in.
 double TrueShift(const ConditionedData& data, const SimulatorOptions& options) {
   const int64_t shift_ns = std::llround(1e9 * options.time_shift_s);
-  return 1e-9 * static_cast<double>(shift_ns - (data.pose_epoch_ns - data.imu_epoch_ns));
+  return 1e-9 * static_cast<double>(shift_ns - (data.pose_epoch_ns - data.imus[0].epoch_ns));
 }
 
 void ExpectCloseToTruth(const Start& start,
@@ -50,19 +50,19 @@ void ExpectCloseToTruth(const Start& start,
   EXPECT_LT((start.accel_bias - options.accel_bias).norm(), 0.2);
 }
 
-Start InitialiseOn(const CalibrationData& recording,
+Start InitialiseOn(const SessionData& recording,
                    const SimulatorOptions& truth,
                    const CalibrationOptions& options = CalibrationOptions()) {
   const Fitted fitted(recording, options);
-  const Start start = Initialise(options, fitted.trajectory, fitted.data);
+  const Start start = Initialise(options, fitted.trajectory, fitted.data, 0);
   ExpectCloseToTruth(start, fitted.data, truth);
   return start;
 }
 
-std::string Refusal(const CalibrationData& recording,
+std::string Refusal(const SessionData& recording,
                     const CalibrationOptions& options = CalibrationOptions()) {
   const Fitted fitted(recording, options);
-  return ErrorText<DataError>([&] { Initialise(options, fitted.trajectory, fitted.data); });
+  return ErrorText<DataError>([&] { Initialise(options, fitted.trajectory, fitted.data, 0); });
 }
 
 TEST(Initialise, FindsClocksThatAreDaysApart) {
@@ -104,28 +104,28 @@ TEST(Initialise, KeepsAFixedAccelDelay) {
 
 TEST(Initialise, FindsTheImuLogInsideOfALongerPoseLog) {
   const SimulatorOptions options = Recording(40.0, 7);
-  CalibrationData data = Simulate(options);
+  SessionData data = Simulate(options);
   const auto cut = [](std::vector<ImuSample>* s) {
     *s = std::vector<ImuSample>(s->begin() + 200 * 23, s->begin() + 200 * 33);
   };
-  cut(&data.gyro);
-  cut(&data.accel);
+  cut(&data.imus[0].gyro);
+  cut(&data.imus[0].accel);
   InitialiseOn(data, options);
 }
 
 TEST(Initialise, FindsThePoseLogInsideOfALongerImuLog) {
   const SimulatorOptions options = Recording(40.0, 8);
-  CalibrationData data = Simulate(options);
+  SessionData data = Simulate(options);
   data.poses = std::vector<PoseSample>(data.poses.begin() + 700, data.poses.begin() + 1700);
   InitialiseOn(data, options);
 }
 
 TEST(Initialise, FindsLogsThatOverlapAtTheirEndsOnly) {
   const SimulatorOptions options = Recording(40.0, 9);
-  CalibrationData data = Simulate(options);
+  SessionData data = Simulate(options);
   data.poses.resize(2400);  // first 24 s
-  data.gyro.erase(data.gyro.begin(), data.gyro.begin() + 200 * 14);
-  data.accel.erase(data.accel.begin(), data.accel.begin() + 200 * 14);
+  data.imus[0].gyro.erase(data.imus[0].gyro.begin(), data.imus[0].gyro.begin() + 200 * 14);
+  data.imus[0].accel.erase(data.imus[0].accel.begin(), data.imus[0].accel.begin() + 200 * 14);
   InitialiseOn(data, options);
 }
 
@@ -147,8 +147,8 @@ TEST(Initialise, SearchesOneSecondAroundAGuess) {
   const Fitted fitted(Simulate(options), CalibrationOptions());
   const double truth = TrueShift(fitted.data, options);
   for (const double guess : {truth - 0.7, truth + 0.7, truth + 4.0, truth - 4.0}) {
-    const auto shifts =
-        FindTimeShifts(fitted.trajectory, fitted.data.poses, fitted.data.gyro, 5.0, guess, 6);
+    const auto shifts = FindTimeShifts(
+        fitted.trajectory, fitted.data.poses, fitted.data.imus[0].gyro, 5.0, guess, 6);
     for (const double shift : shifts) EXPECT_NEAR(shift, guess, 1.0 + 0.01);
     const bool found = std::any_of(
         shifts.begin(), shifts.end(), [&](double s) { return std::abs(s - truth) < 5e-3; });
@@ -162,10 +162,10 @@ TEST(Initialise, SearchesOneSecondAroundAGuess) {
 TEST(Initialise, RefusesRecordingsOfDifferentMotions) {
   for (uint32_t seed = 12; seed <= 14; ++seed) {
     SCOPED_TRACE(seed);
-    CalibrationData data = Simulate(Recording(15.0, seed));
-    const CalibrationData other = Simulate(Recording(15.0, seed + 100));
-    data.gyro = other.gyro;
-    data.accel = other.accel;
+    SessionData data = Simulate(Recording(15.0, seed));
+    const SessionData other = Simulate(Recording(15.0, seed + 100));
+    data.imus[0].gyro = other.imus[0].gyro;
+    data.imus[0].accel = other.imus[0].accel;
     const std::string text = Refusal(data);
     EXPECT_TRUE(Contains(text, "agree at no time shift"));
     EXPECT_TRUE(Contains(text, "bound: 50 %"));
@@ -174,8 +174,8 @@ TEST(Initialise, RefusesRecordingsOfDifferentMotions) {
 }
 
 TEST(Initialise, RefusesAGyroscopeInDegrees) {
-  CalibrationData data = Simulate(Recording(12.0, 15));
-  for (ImuSample& s : data.gyro) s.value /= kDegree;
+  SessionData data = Simulate(Recording(12.0, 15));
+  for (ImuSample& s : data.imus[0].gyro) s.value /= kDegree;
   const std::string text = Refusal(data);
   EXPECT_TRUE(Contains(text, "gyroscope: its rates are 57."));
   EXPECT_TRUE(Contains(text, "bound: 0.5 to 2"));
@@ -185,8 +185,8 @@ TEST(Initialise, RefusesAGyroscopeInDegrees) {
 TEST(FindTimeShifts, ReturnsTheBestFirstAndNoTwoNeighbours) {
   const SimulatorOptions options = Recording(15.0, 16);
   const Fitted fitted(Simulate(options), CalibrationOptions());
-  const auto shifts =
-      FindTimeShifts(fitted.trajectory, fitted.data.poses, fitted.data.gyro, 5.0, std::nullopt, 4);
+  const auto shifts = FindTimeShifts(
+      fitted.trajectory, fitted.data.poses, fitted.data.imus[0].gyro, 5.0, std::nullopt, 4);
   ASSERT_EQ(shifts.size(), 4u);
   EXPECT_NEAR(shifts[0], TrueShift(fitted.data, options), 3e-3);  // bins of 10 ms
   for (size_t i = 0; i < shifts.size(); ++i)
@@ -197,7 +197,7 @@ TEST(FindTimeShifts, OffersNoOverlapBelowTheMinimum) {
   const Fitted fitted(Simulate(Recording(15.0, 17)), CalibrationOptions());
   const auto find = [&](double overlap) {
     return FindTimeShifts(
-        fitted.trajectory, fitted.data.poses, fitted.data.gyro, overlap, std::nullopt, 50);
+        fitted.trajectory, fitted.data.poses, fitted.data.imus[0].gyro, overlap, std::nullopt, 50);
   };
   for (const double shift : find(12.0)) EXPECT_LT(std::abs(shift), 3.1);
   double largest = 0.0;
@@ -211,17 +211,17 @@ TEST(AlignRates, RecoversRotationAndBiasAtTheTrueShift) {
   options.gyro_bias << 0.1, -0.05, 0.2;
   const Fitted fitted(Simulate(options), CalibrationOptions());
   const double truth = TrueShift(fitted.data, options);
-  const RateAlignment at_truth = AlignRates(fitted.trajectory, fitted.data.gyro, truth);
+  const RateAlignment at_truth = AlignRates(fitted.trajectory, fitted.data.imus[0].gyro, truth);
   EXPECT_LT(at_truth.q_MI.angularDistance(options.T_MI.q), 0.1 * kDegree);
   EXPECT_LT((at_truth.gyro_bias - options.gyro_bias).norm(), 2e-3);
   EXPECT_NEAR(at_truth.scale, 1.0, 1e-2);
   EXPECT_GT(at_truth.explained, 0.99);
   EXPECT_NEAR(static_cast<double>(at_truth.count), 3000.0, 20.0);
 
-  const RateAlignment off = AlignRates(fitted.trajectory, fitted.data.gyro, truth + 3.0);
+  const RateAlignment off = AlignRates(fitted.trajectory, fitted.data.imus[0].gyro, truth + 3.0);
   EXPECT_LT(off.explained, 0.5);
   EXPECT_NEAR(static_cast<double>(off.count), 2400.0, 20.0);
-  EXPECT_EQ(AlignRates(fitted.trajectory, fitted.data.gyro, truth + 20.0).count, 0u);
+  EXPECT_EQ(AlignRates(fitted.trajectory, fitted.data.imus[0].gyro, truth + 20.0).count, 0u);
 }
 
 TEST(FitLeverArm, RecoversLeverArmGravityAndBiasAtTheTrueRotationAndShift) {
@@ -232,7 +232,7 @@ TEST(FitLeverArm, RecoversLeverArmGravityAndBiasAtTheTrueRotationAndShift) {
   Start start;
   start.q_MI = options.T_MI.q;
   start.time_shift = TrueShift(fitted.data, options);
-  FitLeverArm(fitted.trajectory, fitted.data.accel, 9.79, false, &start);
+  FitLeverArm(fitted.trajectory, fitted.data.imus[0].accel, 9.79, false, &start);
   EXPECT_LT((start.p_MI - options.T_MI.p).norm(), 2e-3);
   EXPECT_LT((start.g_W - options.g_W).norm(), 0.03);
   EXPECT_LT((start.accel_bias - options.accel_bias).norm(), 0.03);

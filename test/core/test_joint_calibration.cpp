@@ -25,10 +25,12 @@ SimulatorOptions Recording(double pose_noise, uint32_t seed) {
 /// Errors of (p_MI, rotation about the imu axes, time_shift, accel_delay) in reported sigmas.
 Vector8d Normalised(const Calibration& result, const SimulatorOptions& truth) {
   Vector8d error, sigma;
-  error << result.T_MI.p - truth.T_MI.p,
-      Log(Eigen::Quaterniond(truth.T_MI.q.conjugate() * result.T_MI.q)),
-      result.time_shift - truth.time_shift_s, result.accel_delay - truth.accel_delay_s;
-  sigma << result.Std(), result.time_shift_std, result.accel_delay_std;
+  error << result.imus[0].T_MI.p - truth.T_MI.p,
+      Log(Eigen::Quaterniond(truth.T_MI.q.conjugate() * result.imus[0].T_MI.q)),
+      result.sessions[0].imus[0].time_shift - truth.time_shift_s,
+      result.imus[0].accel_delay - truth.accel_delay_s;
+  sigma << result.imus[0].Std(), result.sessions[0].imus[0].time_shift_std,
+      result.imus[0].accel_delay_std;
   return error.cwiseQuotient(sigma);
 }
 
@@ -41,7 +43,7 @@ TEST(JointCalibration, IsTheDefaultAndReportsSigmasThatMatchTheErrors) {
     const Calibration result = Calibrate(CalibrationOptions(), Simulate(truth));
     EXPECT_EQ(result.method, Method::kJoint);
     EXPECT_TRUE(result.IsUsable()) << result.message;
-    EXPECT_GT(result.knot_spacing_s, 0.0);
+    EXPECT_GT(result.sessions[0].knot_spacing_s, 0.0);
     const Vector8d z = Normalised(result, truth);
     EXPECT_LT(z.cwiseAbs().maxCoeff(), 4.5) << "seed " << seed << ": " << z.transpose();
     mean_square += z.squaredNorm() / (8.0 * 6.0);
@@ -58,15 +60,15 @@ TEST(JointCalibration, FindsTheNoiseOfEverySensor) {
     SCOPED_TRACE(pose_noise);
     const SimulatorOptions truth = Recording(pose_noise, 7);
     const Calibration result = Calibrate(options, Simulate(truth));
-    EXPECT_NEAR(result.noise.position, truth.position_std, 0.05 * truth.position_std);
-    EXPECT_NEAR(result.noise.rotation, truth.rotation_std, 0.05 * truth.rotation_std);
-    EXPECT_NEAR(result.noise.gyro, truth.gyro_std, 0.05 * truth.gyro_std);
-    EXPECT_NEAR(result.noise.accel, truth.accel_std, 0.05 * truth.accel_std);
+    EXPECT_NEAR(result.sessions[0].noise.position, truth.position_std, 0.05 * truth.position_std);
+    EXPECT_NEAR(result.sessions[0].noise.rotation, truth.rotation_std, 0.05 * truth.rotation_std);
+    EXPECT_NEAR(result.sessions[0].imus[0].noise.gyro, truth.gyro_std, 0.05 * truth.gyro_std);
+    EXPECT_NEAR(result.sessions[0].imus[0].noise.accel, truth.accel_std, 0.05 * truth.accel_std);
   }
 }
 
 TEST(JointCalibration, DoesNotDependOnTheNoiseThatIsSet) {
-  const CalibrationData data = Simulate(Recording(1e-3, 8));
+  const SessionData data = Simulate(Recording(1e-3, 8));
   CalibrationOptions options;
   options.knot_spacing_s = 0.06;
   const Calibration right = Calibrate(options, data);
@@ -74,10 +76,13 @@ TEST(JointCalibration, DoesNotDependOnTheNoiseThatIsSet) {
     const Calibration result = Calibrate(wrong, data);
     ASSERT_TRUE(result.IsUsable()) << result.message;
     const Eigen::Vector3d move =
-        (result.T_MI.p - right.T_MI.p).cwiseQuotient(right.Std().head<3>());
+        (result.imus[0].T_MI.p - right.imus[0].T_MI.p).cwiseQuotient(right.imus[0].Std().head<3>());
     EXPECT_LT(move.cwiseAbs().maxCoeff(), 1.0);
-    EXPECT_LT(result.T_MI.q.angularDistance(right.T_MI.q), right.Std().tail<3>().minCoeff());
-    EXPECT_LT(std::abs(result.time_shift - right.time_shift), right.time_shift_std);
+    EXPECT_LT(result.imus[0].T_MI.q.angularDistance(right.imus[0].T_MI.q),
+              right.imus[0].Std().tail<3>().minCoeff());
+    EXPECT_LT(
+        std::abs(result.sessions[0].imus[0].time_shift - right.sessions[0].imus[0].time_shift),
+        right.sessions[0].imus[0].time_shift_std);
   };
   for (const double factor : {0.1, 10.0}) {
     SCOPED_TRACE(factor);
@@ -100,12 +105,12 @@ TEST(JointCalibration, IsCloserThanTheFixedTrajectoryWhenPosesAreNoisy) {
   double joint = 0.0, gp = 0.0;
   for (uint32_t seed = 11; seed <= 13; ++seed) {
     const SimulatorOptions truth = Recording(5e-3, seed);
-    const CalibrationData data = Simulate(truth);
+    const SessionData data = Simulate(truth);
     CalibrationOptions options;
     options.knot_spacing_s = 0.06;
-    joint += (Calibrate(options, data).T_MI.p - truth.T_MI.p).squaredNorm();
+    joint += (Calibrate(options, data).imus[0].T_MI.p - truth.T_MI.p).squaredNorm();
     options.method = Method::kGp;
-    gp += (Calibrate(options, data).T_MI.p - truth.T_MI.p).squaredNorm();
+    gp += (Calibrate(options, data).imus[0].T_MI.p - truth.T_MI.p).squaredNorm();
   }
   EXPECT_LT(joint, gp);
 }
@@ -125,12 +130,12 @@ TEST(JointCalibration, EstimatesScaleAndMisalignmentWhenAsked) {
   truth.duration_s = 30.0;
   truth.gyro_matrix << 1.012, 0.0, 0.0, 0.004, 0.991, 0.0, -0.003, 0.006, 1.005;
   truth.accel_matrix << 0.992, 0.003, -0.004, 0.002, 1.006, 0.005, -0.003, 0.004, 1.011;
-  const CalibrationData data = Simulate(truth);
+  const SessionData data = Simulate(truth);
   CalibrationOptions options;
   options.knot_spacing_s = 0.06;
 
   const Calibration without = Calibrate(options, data);
-  EXPECT_EQ(without.gyro_matrix, Eigen::Matrix3d::Identity());
+  EXPECT_EQ(without.imus[0].gyro_matrix, Eigen::Matrix3d::Identity());
   const auto is_hint = [](const std::string& warning) {
     return warning.find("scale_misalignment") != std::string::npos;
   };
@@ -142,27 +147,28 @@ TEST(JointCalibration, EstimatesScaleAndMisalignmentWhenAsked) {
   EXPECT_LT(Normalised(result, truth).cwiseAbs().maxCoeff(), 4.5);
   for (int i = 0; i < 3; ++i) {
     for (int j = 0; j < 3; ++j) {
-      EXPECT_NEAR(result.gyro_matrix(i, j),
+      EXPECT_NEAR(result.imus[0].gyro_matrix(i, j),
                   truth.gyro_matrix(i, j),
-                  4.5 * result.gyro_matrix_std(i, j) + 1e-12);
-      EXPECT_NEAR(
-          result.accel_matrix(i, j), truth.accel_matrix(i, j), 4.5 * result.accel_matrix_std(i, j));
+                  4.5 * result.imus[0].gyro_matrix_std(i, j) + 1e-12);
+      EXPECT_NEAR(result.imus[0].accel_matrix(i, j),
+                  truth.accel_matrix(i, j),
+                  4.5 * result.imus[0].accel_matrix_std(i, j));
     }
   }
-  EXPECT_LT(result.gyro_matrix_std.maxCoeff(), 2e-3);
-  EXPECT_LT(result.accel_matrix_std.maxCoeff(), 2e-3);
+  EXPECT_LT(result.imus[0].gyro_matrix_std.maxCoeff(), 2e-3);
+  EXPECT_LT(result.imus[0].accel_matrix_std.maxCoeff(), 2e-3);
 }
 
 TEST(JointCalibration, EstimatesClockDriftWhenAsked) {
   SimulatorOptions truth = Recording(1e-3, 22);
   truth.duration_s = 60.0;
   truth.clock_drift = 20e-6;  // 1.2 ms over the recording
-  const CalibrationData data = Simulate(truth);
+  const SessionData data = Simulate(truth);
   CalibrationOptions options;
   options.knot_spacing_s = 0.06;
 
   const Calibration without = Calibrate(options, data);
-  EXPECT_EQ(without.clock_drift, 0.0);
+  EXPECT_EQ(without.sessions[0].imus[0].clock_drift, 0.0);
   EXPECT_TRUE(std::any_of(without.warnings.begin(), without.warnings.end(), [](const auto& text) {
     return text.find("estimate_clock_drift") != std::string::npos;
   }));
@@ -170,8 +176,10 @@ TEST(JointCalibration, EstimatesClockDriftWhenAsked) {
   options.estimate_clock_drift = true;
   const Calibration result = Calibrate(options, data);
   EXPECT_LT(Normalised(result, truth).cwiseAbs().maxCoeff(), 4.5);
-  EXPECT_NEAR(result.clock_drift, truth.clock_drift, 4.5 * result.clock_drift_std);
-  EXPECT_LT(result.clock_drift_std, 5e-6);
+  EXPECT_NEAR(result.sessions[0].imus[0].clock_drift,
+              truth.clock_drift,
+              4.5 * result.sessions[0].imus[0].clock_drift_std);
+  EXPECT_LT(result.sessions[0].imus[0].clock_drift_std, 5e-6);
 }
 
 TEST(JointCalibration, TellsHowMuchPosesAreSmoothed) {
@@ -179,7 +187,7 @@ TEST(JointCalibration, TellsHowMuchPosesAreSmoothed) {
   truth.duration_s = 24.0;
   truth.pose_exposure_s = 0.06;
   const double variance = truth.pose_exposure_s * truth.pose_exposure_s / 12.0;  // of a uniform
-  const CalibrationData data = Simulate(truth);
+  const SessionData data = Simulate(truth);
   CalibrationOptions options;
   const Calibration result = Calibrate(options, data);
   EXPECT_NEAR(result.pose_smoothing, variance, 4.5 * result.pose_smoothing_std);
@@ -190,7 +198,8 @@ TEST(JointCalibration, TellsHowMuchPosesAreSmoothed) {
   const Calibration without = Calibrate(options, data);
   EXPECT_EQ(without.pose_smoothing, 0.0);
   EXPECT_EQ(without.pose_smoothing_std, 0.0);
-  EXPECT_GT((without.T_MI.p - truth.T_MI.p).norm(), 3.0 * (result.T_MI.p - truth.T_MI.p).norm());
+  EXPECT_GT((without.imus[0].T_MI.p - truth.T_MI.p).norm(),
+            3.0 * (result.imus[0].T_MI.p - truth.T_MI.p).norm());
   EXPECT_TRUE(std::any_of(without.warnings.begin(), without.warnings.end(), [](const auto& text) {
     return text.find("estimate_pose_smoothing") != std::string::npos;
   }));
@@ -211,7 +220,7 @@ void AddSlowErrors(double rotation_std,
                    double correlation_s,
                    double rate_hz,
                    uint32_t seed,
-                   CalibrationData* data) {
+                   SessionData* data) {
   std::mt19937 random(seed);
   std::normal_distribution<double> normal(0.0, rotation_std);
   const double keep = std::exp(-1.0 / (correlation_s * rate_hz));
@@ -232,10 +241,10 @@ TEST(JointCalibration, SlowPoseErrorsWeighAsMuchAsTheyDo) {
     truth.duration_s = 24.0;
     truth.gyro_std = 1e-3;
     truth.accel_delay_s = 0.0;
-    CalibrationData data = Simulate(truth);
+    SessionData data = Simulate(truth);
     AddSlowErrors(3e-3, 0.3, truth.pose_rate_hz, seed, &data);
     const Calibration result = Calibrate(CalibrationOptions(), data);
-    shift2 += std::pow(result.time_shift - truth.time_shift_s, 2) / seeds;
+    shift2 += std::pow(result.sessions[0].imus[0].time_shift - truth.time_shift_s, 2) / seeds;
   }
   EXPECT_LT(std::sqrt(shift2), 0.035e-3);
 }
@@ -246,7 +255,7 @@ TEST(JointCalibration, AShockDoesNotMoveTheResult) {
   for (uint32_t seed = 41; seed < 44; ++seed) {
     SimulatorOptions truth = Recording(1e-4, seed);
     truth.duration_s = 24.0;
-    const CalibrationData quiet = Simulate(truth);
+    const SessionData quiet = Simulate(truth);
     const auto ring = [](double amplitude, std::vector<ImuSample>* samples) {
       const int64_t hit = (*samples)[samples->size() / 3].t_ns;
       for (ImuSample& sample : *samples) {
@@ -256,9 +265,9 @@ TEST(JointCalibration, AShockDoesNotMoveTheResult) {
                           Eigen::Vector3d(1.0, -0.6, 0.8);
       }
     };
-    CalibrationData shaken = quiet;
-    ring(2.0, &shaken.gyro);
-    ring(15.0, &shaken.accel);
+    SessionData shaken = quiet;
+    ring(2.0, &shaken.imus[0].gyro);
+    ring(15.0, &shaken.imus[0].accel);
     const Calibration a = Calibrate(CalibrationOptions(), quiet);
     const Calibration b = Calibrate(CalibrationOptions(), shaken);
     const Vector8d move = Normalised(b, truth) - Normalised(a, truth);
@@ -268,7 +277,7 @@ TEST(JointCalibration, AShockDoesNotMoveTheResult) {
 
 TEST(JointCalibration, KeepsWhatIsFixed) {
   const SimulatorOptions truth = Recording(1e-3, 23);
-  const CalibrationData data = Simulate(truth);
+  const SessionData data = Simulate(truth);
   for (const Method method : {Method::kJoint, Method::kGp}) {
     CalibrationOptions options;
     options.method = method;
@@ -283,22 +292,26 @@ TEST(JointCalibration, KeepsWhatIsFixed) {
     fixed.estimate_rotation = fixed.estimate_translation = false;
     Calibration result = Calibrate(fixed, data);
     EXPECT_TRUE(result.IsUsable()) << result.message;
-    EXPECT_LT(result.T_MI.q.angularDistance(truth.T_MI.q), 1e-12);
-    EXPECT_EQ(result.T_MI.p, truth.T_MI.p);
-    EXPECT_TRUE(result.covariance.isZero(0.0));
-    EXPECT_NE(result.time_shift, truth.time_shift_s);
-    EXPECT_NEAR(result.time_shift, truth.time_shift_s, 5.0 * result.time_shift_std);
+    EXPECT_LT(result.imus[0].T_MI.q.angularDistance(truth.T_MI.q), 1e-12);
+    EXPECT_EQ(result.imus[0].T_MI.p, truth.T_MI.p);
+    EXPECT_TRUE(result.imus[0].covariance.isZero(0.0));
+    EXPECT_NE(result.sessions[0].imus[0].time_shift, truth.time_shift_s);
+    EXPECT_NEAR(result.sessions[0].imus[0].time_shift,
+                truth.time_shift_s,
+                5.0 * result.sessions[0].imus[0].time_shift_std);
 
     fixed = options;
     fixed.estimate_time_shift = fixed.estimate_accel_delay = fixed.estimate_gravity = false;
     result = Calibrate(fixed, data);
     EXPECT_TRUE(result.IsUsable()) << result.message;
-    EXPECT_NEAR(result.time_shift, truth.time_shift_s, 1e-9);
-    EXPECT_EQ(result.accel_delay, truth.accel_delay_s);
-    EXPECT_EQ(result.g_W, truth.g_W);
-    EXPECT_EQ(result.time_shift_std, 0.0);
-    EXPECT_GT(result.Std().minCoeff(), 0.0);
-    EXPECT_LT((result.T_MI.p - truth.T_MI.p).cwiseQuotient(result.Std().head<3>()).norm(), 6.0);
+    EXPECT_NEAR(result.sessions[0].imus[0].time_shift, truth.time_shift_s, 1e-9);
+    EXPECT_EQ(result.imus[0].accel_delay, truth.accel_delay_s);
+    EXPECT_EQ(result.sessions[0].g_W, truth.g_W);
+    EXPECT_EQ(result.sessions[0].imus[0].time_shift_std, 0.0);
+    EXPECT_GT(result.imus[0].Std().minCoeff(), 0.0);
+    EXPECT_LT(
+        (result.imus[0].T_MI.p - truth.T_MI.p).cwiseQuotient(result.imus[0].Std().head<3>()).norm(),
+        6.0);
   }
 }
 
@@ -312,13 +325,15 @@ TEST(JointCalibration, AKnownLeverArmMakesATurnAboutOneAxisEnough) {
   options.estimate_rotation = options.estimate_translation = false;
   const Calibration result = Calibrate(options, Simulate(truth));
   EXPECT_TRUE(result.IsUsable()) << result.message;
-  EXPECT_NEAR(result.time_shift, truth.time_shift_s, 5.0 * result.time_shift_std);
+  EXPECT_NEAR(result.sessions[0].imus[0].time_shift,
+              truth.time_shift_s,
+              5.0 * result.sessions[0].imus[0].time_shift_std);
 }
 
 TEST(JointCalibration, HalvesAgreeUnlessTheImuIsMoved) {
   SimulatorOptions truth = Recording(1e-3, 25);
   truth.duration_s = 24.0;
-  CalibrationData data = Simulate(truth);
+  SessionData data = Simulate(truth);
   CalibrationOptions options;
   options.knot_spacing_s = 0.06;
   const Calibration steady = Calibrate(options, data);
@@ -326,8 +341,9 @@ TEST(JointCalibration, HalvesAgreeUnlessTheImuIsMoved) {
   EXPECT_LT(steady.split_half.sigmas, 4.0);
 
   truth.T_MI.p.x() += 0.006;
-  const CalibrationData moved = Simulate(truth);
-  for (size_t i = data.accel.size() / 2; i < data.accel.size(); ++i) data.accel[i] = moved.accel[i];
+  const SessionData moved = Simulate(truth);
+  for (size_t i = data.imus[0].accel.size() / 2; i < data.imus[0].accel.size(); ++i)
+    data.imus[0].accel[i] = moved.imus[0].accel[i];
   const Calibration result = Calibrate(options, data);
   EXPECT_GT(result.split_half.sigmas, 5.0);
   EXPECT_NEAR(result.split_half.translation.x(), 0.006, 0.002);
@@ -338,8 +354,8 @@ TEST(JointCalibration, HalvesAgreeUnlessTheImuIsMoved) {
 
 /// Every second pose has ten times the noise of the others; `claim` states what it pleases.
 template <typename Claim>
-CalibrationData SimulateUneven(const SimulatorOptions& truth, Claim claim) {
-  CalibrationData data = Simulate(truth);
+SessionData SimulateUneven(const SimulatorOptions& truth, Claim claim) {
+  SessionData data = Simulate(truth);
   std::mt19937 random(truth.seed);
   std::normal_distribution<double> normal;
   for (size_t i = 0; i < data.poses.size(); ++i) {
@@ -359,7 +375,7 @@ TEST(JointCalibration, WeighsPosesByTheNoiseTheyStateUpToAFactor) {
       Calibrate(CalibrationOptions(), SimulateUneven(truth, [](bool is_noisy) {
                   return PoseStd{is_noisy ? 0.5 : 0.05, 0.3};  // fifty times too large, all of them
                 }));
-  EXPECT_LT(stated.Std().head<3>().norm(), 0.9 * silent.Std().head<3>().norm());
+  EXPECT_LT(stated.imus[0].Std().head<3>().norm(), 0.9 * silent.imus[0].Std().head<3>().norm());
   EXPECT_LT(Normalised(stated, truth).cwiseAbs().maxCoeff(), 4.5);
 }
 
@@ -370,8 +386,8 @@ TEST(JointCalibration, DoesNotBelieveStatedNoiseThatTheResidualsContradict) {
   const Calibration lied = Calibrate(CalibrationOptions(), SimulateUneven(truth, [](bool is_noisy) {
                                        return PoseStd{is_noisy ? 0.05 : 0.5, is_noisy ? 0.01 : 0.2};
                                      }));
-  EXPECT_EQ(lied.T_MI.p, silent.T_MI.p);
-  EXPECT_EQ(lied.Std(), silent.Std());
+  EXPECT_EQ(lied.imus[0].T_MI.p, silent.imus[0].T_MI.p);
+  EXPECT_EQ(lied.imus[0].Std(), silent.imus[0].Std());
 }
 
 }  // namespace

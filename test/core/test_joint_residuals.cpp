@@ -2,13 +2,18 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <cmath>
+#include <functional>
 #include <memory>
 #include <random>
 #include <vector>
 
+#include "imu_pose_calib/core/intrinsics.h"
 #include "imu_pose_calib/core/joint_residuals.h"
 #include "imu_pose_calib/core/manifolds.h"
+#include "imu_pose_calib/core/simulator.h"
 #include "imu_pose_calib/core/so3.h"
+#include "test_util.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -57,36 +62,221 @@ class JointResiduals : public ::testing::Test {
       at_.place.u = u;
       const Eigen::Quaterniond q_WM = at_.gp.q_WM * Exp<double>(Random(0.5));
       const Vector3d p_WM = at_.gp.p_WM + Random(0.01);
-      poses.push_back({at_, q_WM, p_WM, 0.0213, 1e-6, 0.0008, -0.5, 0.01});
+      poses.push_back({at_, q_WM, p_WM, -0.5, 0.01});
     }
     return poses;
   }
 
   /// Two IMU samples of one span.
   std::vector<JointImuSample> Imu() {
-    JointImuSample sample{at_, Random(3.0), 0.3, 0.0008, 0.05};
-    JointImuSample next{at_, Random(3.0), 0.4, 0.0008, 0.03};
+    JointImuSample sample{at_, Random(3.0), 0.3, 2.4, -0.5, 0.05};
+    JointImuSample next{at_, Random(3.0), 0.4, 2.5, -0.4, 0.03};
     next.at.place.u += 0.2;
     next.at.gp.omega_M += Random(0.1);
     return {sample, next};
   }
+  std::vector<MarkerJerk> Jerks() {
+    return {{Random(40.0), Random(30.0)}, {Random(40.0), Random(30.0)}};
+  }
 
-  std::vector<double*> PoseBlocks(std::vector<Vector3d>* spline) {
-    std::vector<double*> blocks = Points({spline});
-    for (double* block : {&time_shift_, &clock_drift_, &accel_delay_, &pose_smoothing_})
-      blocks.push_back(block);
+  /// The clock parameters that move a sensor, as the joint solve hands them over.
+  struct Clock {
+    double* parameter;
+    ClockMotion motion;
+  };
+  std::vector<Clock> PoseClocks() {
+    return {{&time_shift_, {0.0213, -1.0, ClockMotion::kOne}},
+            {&clock_drift_, {1e-6, -1.0, ClockMotion::kReferenceTime}},
+            {&accel_delay_, {0.0008, 1.0, ClockMotion::kOne}}};
+  }
+  std::vector<Clock> GyroClocks() { return {{&accel_delay_, {0.0008, 1.0, ClockMotion::kOne}}}; }
+  std::vector<Clock> OtherGyroClocks() {
+    std::vector<Clock> clocks = PoseClocks();
+    clocks.push_back({&other_time_shift_, {0.0117, 1.0, ClockMotion::kOne}});
+    clocks.push_back({&other_clock_drift_, {-2e-6, 1.0, ClockMotion::kOwnTime}});
+    return clocks;
+  }
+  std::vector<Clock> OtherAccelClocks() {
+    std::vector<Clock> clocks = OtherGyroClocks();
+    clocks.push_back({&other_accel_delay_, {0.0005, -1.0, ClockMotion::kOne}});
+    return clocks;
+  }
+  static ClockMotions Motions(const std::vector<Clock>& clocks) {
+    auto motions = std::make_shared<std::vector<ClockMotion>>();
+    for (const Clock& clock : clocks) motions->push_back(clock.motion);
+    return motions;
+  }
+  static std::vector<double*> With(std::vector<double*> blocks, const std::vector<Clock>& clocks) {
+    for (const Clock& clock : clocks) blocks.push_back(clock.parameter);
     return blocks;
   }
 
-  std::vector<double*> GyroBlocks() {
+  std::vector<double*> PoseBlocks(std::vector<Vector3d>* spline) {
+    std::vector<double*> blocks = Points({spline});
+    blocks.push_back(&pose_smoothing_);
+    return With(blocks, PoseClocks());
+  }
+
+  std::vector<double*> GyroBlocks(const std::vector<Clock>& clocks) {
     std::vector<double*> blocks = Points({&phi_});
-    for (double* block : {q_MI_.coeffs().data(),
-                          gyro_intrinsics_.data(),
-                          knot_0_.data(),
-                          knot_1_.data(),
-                          &accel_delay_})
+    for (double* block :
+         {q_MI_.coeffs().data(), gyro_intrinsics_.data(), knot_0_.data(), knot_1_.data()})
       blocks.push_back(block);
-    return blocks;
+    return With(blocks, clocks);
+  }
+
+  std::vector<double*> AccelBlocks(const std::vector<Clock>& clocks) {
+    std::vector<double*> blocks = Points({&d_, &phi_});
+    for (double* block : {q_MI_.coeffs().data(),
+                          p_MI_.data(),
+                          g_W_.data(),
+                          accel_intrinsics_.data(),
+                          knot_0_.data(),
+                          knot_1_.data()})
+      blocks.push_back(block);
+    return With(blocks, clocks);
+  }
+
+  /// Moves all clocks by about `scale`: [s], drifts [s/s].
+  void MoveClocks(double scale) {
+    time_shift_ = 0.0213 + 0.7 * scale;
+    clock_drift_ = 1e-6 + 0.9 * scale;
+    accel_delay_ = 0.0008 - 0.4 * scale;
+    other_time_shift_ = 0.0117 + 1.1 * scale;
+    other_clock_drift_ = -2e-6 + 0.8 * scale;
+    other_accel_delay_ = 0.0005 + 0.3 * scale;
+  }
+  /// How far samples have moved then.
+  static double PoseMove(double scale, double reference_time) {
+    return scale * (-0.7 - 0.9 * reference_time - 0.4);
+  }
+  static double GyroMove(double scale) { return -0.4 * scale; }
+  static double OtherGyroMove(double scale, double own_time, double reference_time) {
+    return PoseMove(scale, reference_time) + scale * (1.1 + 0.8 * own_time);
+  }
+  static double OtherAccelMove(double scale, double own_time, double reference_time) {
+    return OtherGyroMove(scale, own_time, reference_time) - 0.3 * scale;
+  }
+
+  /// A motion that agrees with its derivatives, in place of the GP's.
+  TrajectoryPoint PointAt(double t) const {
+    const TrueState s = true_.At(t);
+    const Eigen::Quaterniond q_WM(s.R_WM);
+    return {{q_WM, s.omega_M, s.alpha_M, s.p_WM, s.v_W, s.a_W}, {0, (t - kSpan) / 0.03, 0.03}};
+  }
+  MarkerJerk JerkAt(double t) const {
+    return {NumericRate([&](double at) { return true_.At(at).alpha_M; }, t, 1e-3),
+            NumericRate([&](double at) { return true_.At(at).a_W; }, t, 1e-3)};
+  }
+  /// The same with the corrections.
+  template <typename Points>
+  static Vector3d Correction(const Points& points, double t, int derivative = 0) {
+    const SplineWeights w = CubicWeights((t - kSpan) / 0.03, 0.03);
+    Vector3d x = Vector3d::Zero();
+    for (int j = 0; j < kSplineOrder; ++j) x += w(derivative, j) * points[static_cast<size_t>(j)];
+    return x;
+  }
+  Eigen::Matrix3d RotationAt(double t) const {
+    return true_.At(t).R_WM * Exp<double>(Correction(phi_, t)).toRotationMatrix();
+  }
+
+  struct Evaluated {
+    Eigen::VectorXd residuals;
+    std::vector<Eigen::MatrixXd> jacobians;  ///< of each block
+  };
+  static Evaluated Evaluate(ceres::CostFunction* cost_function,
+                            const std::vector<double*>& blocks) {
+    using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+    const std::unique_ptr<ceres::CostFunction> cost(cost_function);
+    Evaluated out;
+    out.residuals.resize(cost->num_residuals());
+    std::vector<std::vector<double>> values;
+    std::vector<double*> pointers;
+    for (const int size : cost->parameter_block_sizes())
+      values.emplace_back(static_cast<size_t>(size * cost->num_residuals()));
+    for (auto& block : values) pointers.push_back(block.data());
+    EXPECT_EQ(values.size(), blocks.size());
+    EXPECT_TRUE(cost->Evaluate(blocks.data(), out.residuals.data(), pointers.data()));
+    for (size_t k = 0; k < values.size(); ++k) {
+      Eigen::MatrixXd J = Eigen::Map<const RowMajor>(
+          values[k].data(), cost->num_residuals(), cost->parameter_block_sizes()[k]);
+      if (J.cols() == 4) {  // the quaternion: in its tangent space
+        RowMajor plus(4, 3);
+#if IMU_POSE_CALIB_CERES_HAS_MANIFOLDS
+        QuaternionManifold().PlusJacobian(blocks[k], plus.data());
+#else
+        QuaternionManifold().ComputeJacobian(blocks[k], plus.data());
+#endif
+        J = (J * plus).eval();
+      }
+      out.jacobians.push_back(J);
+    }
+    return out;
+  }
+
+  /// Of samples that the clocks move, and of samples that are where they move to.
+  struct MovedAndPlaced {
+    Evaluated moved, placed;
+  };
+  /// `evaluate(scale)` with all clocks moved by about `scale`. Expects both to be the same at 0 and
+  /// their difference to vanish with the move to the `order`, for the residuals, and to those of
+  /// the Jacobians of each block.
+  static void ExpectOrder(const std::function<MovedAndPlaced(double)>& evaluate,
+                          int order,
+                          const std::function<int(size_t)>& jacobian_order) {
+    const MovedAndPlaced zero = evaluate(0.0);
+    EXPECT_LT((zero.moved.residuals - zero.placed.residuals).norm(), 1e-12);
+    const MovedAndPlaced whole = evaluate(2e-4), half = evaluate(1e-4);
+    // Within a quarter of the power of two; what vanishes altogether is left to rounding.
+    const auto expect = [](const auto& at_whole, const auto& at_half, double size, int power) {
+      EXPECT_LT(at_half.norm(), 1.25 * std::pow(0.5, power) * at_whole.norm() + 1e-13 * size);
+    };
+    EXPECT_GT((whole.moved.residuals - zero.moved.residuals).norm(), 1e-3);
+    expect(whole.moved.residuals - whole.placed.residuals,
+           half.moved.residuals - half.placed.residuals,
+           whole.moved.residuals.norm(),
+           order);
+    for (size_t k = 0; k < zero.moved.jacobians.size(); ++k) {
+      SCOPED_TRACE("block " + std::to_string(k));
+      EXPECT_LT((zero.moved.jacobians[k] - zero.placed.jacobians[k]).norm(), 1e-12);
+      expect(whole.moved.jacobians[k] - whole.placed.jacobians[k],
+             half.moved.jacobians[k] - half.placed.jacobians[k],
+             whole.moved.jacobians[k].norm(),
+             jacobian_order(k));
+    }
+  }
+
+  /// Samples of the true motion from kSpan on; `clocks` move them by `move(scale, own time,
+  /// reference time)`.
+  template <typename Create>
+  void ExpectImuOrder(const std::vector<Clock>& clocks,
+                      const std::vector<double*>& blocks,
+                      double (*move)(double, double, double),
+                      int order,
+                      const std::function<int(size_t)>& jacobian_order,
+                      const Create& create) {
+    const ClockMotions motions = Motions(clocks);
+    const Vector3d value = Random(3.0);
+    const auto evaluate = [&](double scale) {
+      std::vector<JointImuSample> samples, placed;
+      std::vector<MarkerJerk> jerks, placed_jerks;
+      std::vector<std::pair<double, double>> times = {{2.4, -0.5}, {2.5, -0.4}};
+      for (const auto& [own, reference] : times) {
+        const double t = kSpan + 0.012 + 0.03 * (own - 2.4);
+        const double t_placed = t + move(scale, own, reference);
+        samples.push_back({PointAt(t), value, 0.3, own, reference, 0.05});
+        placed.push_back({PointAt(t_placed), value, 0.3, own, reference, 0.05});
+        jerks.push_back(JerkAt(t));
+        placed_jerks.push_back(JerkAt(t_placed));
+      }
+      MoveClocks(0.0);
+      MovedAndPlaced both;
+      both.placed = Evaluate(create(placed, placed_jerks, motions), blocks);
+      MoveClocks(scale);
+      both.moved = Evaluate(create(samples, jerks, motions), blocks);
+      return both;
+    };
+    ExpectOrder(evaluate, order, jacobian_order);
   }
 
   /// Analytic Jacobians against numeric ones, in the tangent space.
@@ -113,6 +303,8 @@ class JointResiduals : public ::testing::Test {
     }
   }
 
+  static constexpr double kSpan = 3.1;  ///< [s] where the span of the corrections begins
+  const TrueTrajectory true_{SimulatorOptions()};
   std::mt19937 random_{17};
   std::vector<Vector3d> d_ = std::vector<Vector3d>(kSplineOrder);
   std::vector<Vector3d> phi_ = std::vector<Vector3d>(kSplineOrder);
@@ -123,41 +315,216 @@ class JointResiduals : public ::testing::Test {
   Vector6d gyro_intrinsics_ = (Vector6d() << 0.02, -0.01, 0.03, 0.01, 0.02, -0.02).finished();
   Vector9d accel_intrinsics_ =
       (Vector9d() << 0.01, 0.02, -0.03, 0.01, -0.02, 0.02, 0.03, -0.01, 0.02).finished();
+  /// Clocks of the session's first IMU, with which the trajectory goes along, and of another one.
   double time_shift_ = 0.0213, accel_delay_ = 0.0008, clock_drift_ = 1e-6;
+  double other_time_shift_ = 0.0117, other_accel_delay_ = 0.0005, other_clock_drift_ = -2e-6;
   double pose_smoothing_ = 3e-4;
 };
 
 TEST_F(JointResiduals, PositionJacobian) {
   for (const double shift : {0.0213, 0.021, 0.005}) {  // at, near and beyond the span of the sample
     time_shift_ = shift;
-    ExpectJacobiansMatch(CreateJointPositionResidual(Poses()), PoseBlocks(&d_), -1);
+    ExpectJacobiansMatch(
+        CreateJointPositionResidual(Poses(), Motions(PoseClocks())), PoseBlocks(&d_), -1);
   }
 }
 
 TEST_F(JointResiduals, RotationJacobian) {
   for (const double shift : {0.0213, 0.021, 0.005}) {
     time_shift_ = shift;
-    ExpectJacobiansMatch(CreateJointRotationResidual(Poses()), PoseBlocks(&phi_), -1);
+    ExpectJacobiansMatch(
+        CreateJointRotationResidual(Poses(), Motions(PoseClocks())), PoseBlocks(&phi_), -1);
   }
 }
 
 TEST_F(JointResiduals, GyroJacobian) {
   for (const double delay : {0.0008, 0.0011, 0.017}) {
     accel_delay_ = delay;
-    ExpectJacobiansMatch(CreateJointGyroResidual(Imu()), GyroBlocks(), kSplineOrder);
+    ExpectJacobiansMatch(CreateJointGyroResidual(Imu(), Motions(GyroClocks())),
+                         GyroBlocks(GyroClocks()),
+                         kSplineOrder);
+  }
+}
+
+TEST_F(JointResiduals, JacobianOfAnotherGyro) {
+  for (const double shift : {0.0117, 0.012, 0.028}) {
+    other_time_shift_ = shift;
+    ExpectJacobiansMatch(CreateJointGyroResidual(Imu(), Motions(OtherGyroClocks())),
+                         GyroBlocks(OtherGyroClocks()),
+                         kSplineOrder);
   }
 }
 
 TEST_F(JointResiduals, AccelJacobian) {
-  std::vector<double*> blocks = Points({&d_, &phi_});
-  for (double* block : {q_MI_.coeffs().data(),
-                        p_MI_.data(),
-                        g_W_.data(),
-                        accel_intrinsics_.data(),
-                        knot_0_.data(),
-                        knot_1_.data()})
-    blocks.push_back(block);
-  ExpectJacobiansMatch(CreateJointAccelResidual(Imu()), blocks, 2 * kSplineOrder);
+  ExpectJacobiansMatch(
+      CreateJointAccelResidual(Imu(), {}, Motions({})), AccelBlocks({}), 2 * kSplineOrder);
+}
+
+TEST_F(JointResiduals, JacobianOfAnotherAccel) {
+  ExpectJacobiansMatch(CreateJointAccelResidual(Imu(), Jerks(), Motions(OtherAccelClocks())),
+                       AccelBlocks(OtherAccelClocks()),
+                       2 * kSplineOrder);
+}
+
+TEST_F(JointResiduals, JacobianOfAnotherAccelThatHasMoved) {
+  // Columns of the clocks leave out terms of second order in the move, all others are exact.
+  const std::vector<double*> blocks = AccelBlocks(OtherAccelClocks());
+  const std::vector<JointImuSample> samples = Imu();
+  const std::vector<MarkerJerk> jerks = Jerks();
+  const auto create = [&] {
+    return CreateJointAccelResidual(samples, jerks, Motions(OtherAccelClocks()));
+  };
+  const size_t first_clock = blocks.size() - OtherAccelClocks().size();
+  const auto errors = [&](double scale) {
+    MoveClocks(scale);
+    const Evaluated at = Evaluate(create(), blocks);
+    std::vector<double> out;
+    for (size_t k = 0; k < blocks.size(); ++k) {
+      const Eigen::Index size = at.jacobians[k].cols();
+      const bool is_quaternion = blocks[k] == q_MI_.coeffs().data();
+      const Eigen::Quaterniond q_MI = q_MI_;
+      const Eigen::VectorXd x = is_quaternion
+                                    ? Eigen::VectorXd(Eigen::VectorXd::Zero(3))
+                                    : Eigen::Map<const Eigen::VectorXd>(blocks[k], size).eval();
+      const auto residuals = [&](const Eigen::VectorXd& moved) {
+        if (is_quaternion)
+          q_MI_ = Exp<double>(Vector3d(2.0 * moved)) * q_MI;  // as Ceres' manifold
+        else
+          Eigen::Map<Eigen::VectorXd>(blocks[k], size) = moved;
+        return Evaluate(create(), blocks).residuals;
+      };
+      const Eigen::MatrixXd numeric = NumericJacobian(residuals, x, 1e-4);
+      residuals(x);
+      out.push_back((at.jacobians[k] - numeric).norm() / std::max(1.0, numeric.norm()));
+    }
+    return out;
+  };
+  const std::vector<double> still = errors(0.0), half = errors(2e-3), whole = errors(4e-3);
+  for (size_t k = 0; k < blocks.size(); ++k) {
+    SCOPED_TRACE("block " + std::to_string(k));
+    EXPECT_LT(still[k], 1e-6);
+    EXPECT_LT(half[k], k < first_clock ? 1e-6 : 1e-3);
+    EXPECT_LT(whole[k], k < first_clock ? 1e-6 : 4e-3);
+    if (k >= first_clock) {
+      EXPECT_LT(half[k], 1.25 / 4.0 * whole[k]);
+    }
+  }
+}
+
+TEST_F(JointResiduals, MovedPositionsAreThoseFurtherAlongTheTrajectory) {
+  // But for the second derivatives that smooth the poses, which stay where they were.
+  pose_smoothing_ = 0.0;
+  const ClockMotions clocks = Motions(PoseClocks());
+  const auto evaluate = [&](double scale) {
+    std::vector<JointPoseSample> samples, placed;
+    for (const double reference : {-0.5, -0.3}) {
+      const double t = kSpan + 0.02 + 0.03 * reference;
+      const Vector3d p_WM(0.1, 0.2, -0.1);
+      const Eigen::Quaterniond q_WM = Eigen::Quaterniond::Identity();
+      samples.push_back({PointAt(t), q_WM, p_WM, reference, 0.01});
+      placed.push_back({PointAt(t + PoseMove(scale, reference)), q_WM, p_WM, reference, 0.01});
+    }
+    MoveClocks(0.0);
+    MovedAndPlaced both;
+    both.placed = Evaluate(CreateJointPositionResidual(placed, clocks), PoseBlocks(&d_));
+    MoveClocks(scale);
+    both.moved = Evaluate(CreateJointPositionResidual(samples, clocks), PoseBlocks(&d_));
+    return both;
+  };
+  ExpectOrder(evaluate, 3, [](size_t k) { return k == kSplineOrder ? 1 : 2; });
+}
+
+TEST_F(JointResiduals, MovedRotationsAreThoseFurtherAlongTheTrajectory) {
+  pose_smoothing_ = 0.0;
+  const ClockMotions clocks = Motions(PoseClocks());
+  const auto evaluate = [&](double scale) {
+    std::vector<JointPoseSample> samples, placed;
+    for (const double reference : {-0.5, -0.3}) {
+      const double t = kSpan + 0.02 + 0.03 * reference;
+      const Eigen::Quaterniond q_WM =
+          Eigen::Quaterniond(true_.At(kSpan).R_WM) * Exp<double>(Vector3d(0.2, 0.1, -0.3));
+      samples.push_back({PointAt(t), q_WM, Vector3d::Zero(), reference, 0.01});
+      placed.push_back(
+          {PointAt(t + PoseMove(scale, reference)), q_WM, Vector3d::Zero(), reference, 0.01});
+    }
+    MoveClocks(0.0);
+    MovedAndPlaced both;
+    both.placed = Evaluate(CreateJointRotationResidual(placed, clocks), PoseBlocks(&phi_));
+    MoveClocks(scale);
+    both.moved = Evaluate(CreateJointRotationResidual(samples, clocks), PoseBlocks(&phi_));
+    return both;
+  };
+  ExpectOrder(evaluate, 3, [](size_t k) { return k == kSplineOrder ? 1 : 2; });
+}
+
+TEST_F(JointResiduals, MovedRatesAreThoseFurtherAlongTheTrajectory) {
+  const auto create = [](const auto& samples, const auto&, const ClockMotions& clocks) {
+    return CreateJointGyroResidual(samples, clocks);
+  };
+  // The slope of a motion of first order is constant.
+  const auto jacobian_order = [](size_t k) { return k < kSplineOrder + 4 ? 2 : 1; };
+  ExpectImuOrder(
+      GyroClocks(),
+      GyroBlocks(GyroClocks()),
+      [](double scale, double, double) { return GyroMove(scale); },
+      2,
+      jacobian_order,
+      create);
+  ExpectImuOrder(
+      OtherGyroClocks(), GyroBlocks(OtherGyroClocks()), &OtherGyroMove, 2, jacobian_order, create);
+}
+
+TEST_F(JointResiduals, MovedForcesAreThoseFurtherAlongTheTrajectory) {
+  ExpectImuOrder(
+      OtherAccelClocks(),
+      AccelBlocks(OtherAccelClocks()),
+      &OtherAccelMove,
+      2,
+      [](size_t k) { return k < 2 * kSplineOrder + 6 ? 2 : 1; },
+      &CreateJointAccelResidual);
+}
+
+TEST_F(JointResiduals, VanishWhereTheCorrectedTrajectoryIsMeasured) {
+  // Rates and forces by differences of R_gp Exp(phi) and p_gp + d + R p_MI.
+  const double t = kSpan + 0.012;
+  const TrajectoryPoint at = PointAt(t);
+  const Eigen::Matrix3d R_WM = RotationAt(t);
+  const auto turn = [&](double to) {
+    return Log(Eigen::Quaterniond(Eigen::Matrix3d(R_WM.transpose() * RotationAt(to))));
+  };
+  const auto imu_position = [&](double to) {
+    return Vector3d(true_.At(to).p_WM + Correction(d_, to) + RotationAt(to) * p_MI_);
+  };
+  const auto imu_velocity = [&](double to) { return NumericRate(imu_position, to, 1e-3); };
+  const Vector3d omega_M = NumericRate(turn, t, 1e-3);
+  const Vector3d f_W = NumericRate(imu_velocity, t, 1e-3) - g_W_;
+  const Vector3d bias = 0.7 * knot_0_ + 0.3 * knot_1_;
+  const Vector3d w = GyroMatrix(gyro_intrinsics_) * (q_MI_.conjugate() * omega_M) + bias;
+  const Vector3d f =
+      AccelMatrix(accel_intrinsics_) * (q_MI_.conjugate() * (R_WM.transpose() * f_W)) + bias;
+  const ClockMotions gyro = Motions(OtherGyroClocks()), accel = Motions(OtherAccelClocks());
+  const auto residual = [](ceres::CostFunction* cost, const std::vector<double*>& blocks) {
+    return Evaluate(cost, blocks).residuals.norm();
+  };
+  const std::vector<JointImuSample> rate{{at, w, 0.3, 2.4, -0.5, 1.0}};
+  const std::vector<JointImuSample> force{{at, f, 0.3, 2.4, -0.5, 1.0}};
+  EXPECT_LT(residual(CreateJointGyroResidual(rate, gyro), GyroBlocks(OtherGyroClocks())), 1e-6);
+  EXPECT_LT(residual(CreateJointAccelResidual(force, {}, Motions({})), AccelBlocks({})), 1e-4);
+  EXPECT_LT(residual(CreateJointAccelResidual(force, {JerkAt(t)}, accel),
+                     AccelBlocks(OtherAccelClocks())),
+            1e-4);
+
+  const double c = 0.5 * pose_smoothing_;
+  const Vector3d lag = c * (at.gp.alpha_M + Correction(phi_, t, 2));
+  const std::vector<JointPoseSample> pose{
+      {at,
+       Eigen::Quaterniond(R_WM) * Exp<double>(lag),
+       at.gp.p_WM + Correction(d_, t) + c * (at.gp.a_W + Correction(d_, t, 2)),
+       -0.5,
+       1.0}};
+  const ClockMotions clocks = Motions(PoseClocks());
+  EXPECT_LT(residual(CreateJointPositionResidual(pose, clocks), PoseBlocks(&d_)), 1e-12);
+  EXPECT_LT(residual(CreateJointRotationResidual(pose, clocks), PoseBlocks(&phi_)), 1e-12);
 }
 
 TEST_F(JointResiduals, FollowTheDifferentiatedCorrectedRotation) {
@@ -173,9 +540,10 @@ TEST_F(JointResiduals, FollowTheDifferentiatedCorrectedRotation) {
   knot_0_ = knot_1_ = Vector3d::Zero();
   gyro_intrinsics_.setZero();
   Vector3d residual;
+  const std::vector<Clock> clocks = {{&accel_delay_, {0.0, 1.0, ClockMotion::kOne}}};
   const std::unique_ptr<ceres::CostFunction> cost(
-      CreateJointGyroResidual({{at_, Vector3d::Zero(), 0.0, 0.0, 1.0}}));
-  ASSERT_TRUE(cost->Evaluate(GyroBlocks().data(), residual.data(), nullptr));
+      CreateJointGyroResidual({{at_, Vector3d::Zero(), 0.0, 0.0, 0.0, 1.0}}, Motions(clocks)));
+  ASSERT_TRUE(cost->Evaluate(GyroBlocks(clocks).data(), residual.data(), nullptr));
   const double h = 1e-6;
   const Vector3d rate =
       Log(Eigen::Quaterniond(rotation(accel_delay_ - h).conjugate() * rotation(accel_delay_ + h))) /
@@ -185,7 +553,8 @@ TEST_F(JointResiduals, FollowTheDifferentiatedCorrectedRotation) {
 
 TEST_F(JointResiduals, PosesMoveWithTheClocks) {
   // A pose that is stamped later by what the time shift grows is the same pose.
-  const std::unique_ptr<ceres::CostFunction> cost(CreateJointPositionResidual(Poses()));
+  const std::unique_ptr<ceres::CostFunction> cost(
+      CreateJointPositionResidual(Poses(), Motions(PoseClocks())));
   std::vector<double> before(6), after(6);
   ASSERT_TRUE(cost->Evaluate(PoseBlocks(&d_).data(), before.data(), nullptr));
   time_shift_ += 0.002;
@@ -194,16 +563,44 @@ TEST_F(JointResiduals, PosesMoveWithTheClocks) {
   for (size_t i = 0; i < before.size(); ++i) EXPECT_NEAR(after[i], before[i], 1e-9);
 }
 
+TEST_F(JointResiduals, ImusThatMoveAlikeKeepTheirResiduals) {
+  // The trajectory goes along with the first IMU's accelerometer.
+  const std::unique_ptr<ceres::CostFunction> gyro(
+      CreateJointGyroResidual(Imu(), Motions(OtherGyroClocks())));
+  const std::unique_ptr<ceres::CostFunction> accel(
+      CreateJointAccelResidual(Imu(), Jerks(), Motions(OtherAccelClocks())));
+  const std::vector<double*> gyro_blocks = GyroBlocks(OtherGyroClocks());
+  const std::vector<double*> accel_blocks = AccelBlocks(OtherAccelClocks());
+  std::vector<double> before(12), after(12);
+  ASSERT_TRUE(gyro->Evaluate(gyro_blocks.data(), before.data(), nullptr));
+  ASSERT_TRUE(accel->Evaluate(accel_blocks.data(), before.data() + 6, nullptr));
+  time_shift_ += 0.002;
+  other_time_shift_ += 0.002;
+  ASSERT_TRUE(gyro->Evaluate(gyro_blocks.data(), after.data(), nullptr));
+  ASSERT_TRUE(accel->Evaluate(accel_blocks.data(), after.data() + 6, nullptr));
+  accel_delay_ += 0.001;
+  other_accel_delay_ += 0.001;
+  ASSERT_TRUE(accel->Evaluate(accel_blocks.data(), after.data() + 6, nullptr));
+  for (size_t i = 0; i < before.size(); ++i) EXPECT_NEAR(after[i], before[i], 1e-9);
+}
+
 TEST_F(JointResiduals, FailFarBeyondTheSpan) {
   time_shift_ = accel_delay_ = 0.5;
   Vector3d residual[2];
-  const std::unique_ptr<ceres::CostFunction> gyro(CreateJointGyroResidual(Imu()));
-  EXPECT_FALSE(gyro->Evaluate(GyroBlocks().data(), residual[0].data(), nullptr));
+  const std::unique_ptr<ceres::CostFunction> gyro(
+      CreateJointGyroResidual(Imu(), Motions(GyroClocks())));
+  EXPECT_FALSE(gyro->Evaluate(GyroBlocks(GyroClocks()).data(), residual[0].data(), nullptr));
   accel_delay_ = 0.0;
-  const std::unique_ptr<ceres::CostFunction> position(CreateJointPositionResidual(Poses()));
+  const std::unique_ptr<ceres::CostFunction> position(
+      CreateJointPositionResidual(Poses(), Motions(PoseClocks())));
   EXPECT_FALSE(position->Evaluate(PoseBlocks(&d_).data(), residual[0].data(), nullptr));
-  const std::unique_ptr<ceres::CostFunction> rotation(CreateJointRotationResidual(Poses()));
+  const std::unique_ptr<ceres::CostFunction> rotation(
+      CreateJointRotationResidual(Poses(), Motions(PoseClocks())));
   EXPECT_FALSE(rotation->Evaluate(PoseBlocks(&phi_).data(), residual[0].data(), nullptr));
+  const std::unique_ptr<ceres::CostFunction> accel(
+      CreateJointAccelResidual(Imu(), Jerks(), Motions(OtherAccelClocks())));
+  EXPECT_FALSE(
+      accel->Evaluate(AccelBlocks(OtherAccelClocks()).data(), residual[0].data(), nullptr));
 }
 
 TEST(CubicWeights, SumToOneAndEachRowIsTheSlopeOfTheOneBefore) {

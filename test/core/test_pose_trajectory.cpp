@@ -30,8 +30,8 @@ struct Fitted {
   ConditionedData data;
   PoseTrajectory trajectory;
 
-  explicit Fitted(const CalibrationData& recording)
-      : data(Condition(CalibrationOptions(), recording)),
+  explicit Fitted(const SessionData& recording)
+      : data(ConditionData(CalibrationOptions(), recording)),
         trajectory(FitTrajectory(CalibrationOptions(), &data)) {}
 };
 
@@ -55,7 +55,7 @@ struct NormalisedErrors {
   double rotation = 0.0, omega = 0.0, alpha = 0.0, accel = 0.0, largest = 0.0;
 
   NormalisedErrors(const CalibrationOptions& calibration, const SimulatorOptions& options) {
-    ConditionedData data = Condition(calibration, Simulate(options));
+    ConditionedData data = ConditionData(calibration, Simulate(options));
     const PoseTrajectory trajectory = FitTrajectory(calibration, &data);
     EXPECT_EQ(data.pose_report.outlier, 0u);
     const TrueTrajectory truth(options);
@@ -214,7 +214,7 @@ TEST(PoseTrajectory, AngularVelocityIsTheSlopeOfTheAttitude) {
 }
 
 TEST(PoseTrajectory, ContainsWhatLiesBetweenPosesWithoutAGap) {
-  CalibrationData recording = Simulate(Recording(Motion::kHandheld, 10.0, 9));
+  SessionData recording = Simulate(Recording(Motion::kHandheld, 10.0, 9));
   recording.poses.erase(recording.poses.begin() + 401, recording.poses.begin() + 500);
   const Fitted fitted(recording);
   const PoseTrajectory& trajectory = fitted.trajectory;
@@ -234,7 +234,7 @@ TEST(PoseTrajectory, ContainsWhatLiesBetweenPosesWithoutAGap) {
 }
 
 TEST(PoseTrajectory, IsTheSameForFlippedQuaternions) {
-  CalibrationData recording = Simulate(Recording(Motion::kTumble, 8.0, 10));
+  SessionData recording = Simulate(Recording(Motion::kTumble, 8.0, 10));
   const Fitted plain(recording);
   std::mt19937 random(10);
   for (PoseSample& pose : recording.poses)
@@ -256,7 +256,7 @@ TEST(FitTrajectory, TakesGivenHyperparameters) {
   options.position_noise_std = 2e-3;
   options.rotation_lengthscale_s = 0.17;
   options.rotation_signal_std = 1.1;
-  ConditionedData data = Condition(options, Simulate(Recording(Motion::kHandheld, 8.0, 11)));
+  ConditionedData data = ConditionData(options, Simulate(Recording(Motion::kHandheld, 8.0, 11)));
   const PoseTrajectory trajectory = FitTrajectory(options, &data);
   EXPECT_DOUBLE_EQ(trajectory.position_hyperparameters().lengthscale_s, 0.21);
   EXPECT_DOUBLE_EQ(trajectory.position_hyperparameters().noise_std, 2e-3);
@@ -275,7 +275,7 @@ TEST(FitTrajectory, FindsTheNoiseOfThePoses) {
 }
 
 TEST(FitTrajectory, RemovesAllGrossOutliersAndHardlyAnythingElse) {
-  CalibrationData recording = Simulate(Recording(Motion::kTumble, 8.0, 13));
+  SessionData recording = Simulate(Recording(Motion::kTumble, 8.0, 13));
   std::mt19937 random(13);
   std::set<size_t> moved;
   while (moved.size() < recording.poses.size() / 100)

@@ -41,7 +41,7 @@ class Residuals : public ::testing::Test {
     options = WithoutNoise(options);
     truth_ = new SimulatorOptions(options);
     CalibrationOptions calibration;
-    data_ = new ConditionedData(Condition(calibration, Simulate(options)));
+    data_ = new ConditionedData(ConditionData(calibration, Simulate(options)));
     trajectory_ = new PoseTrajectory(FitTrajectory(calibration, data_));
   }
   static void TearDownTestSuite() {
@@ -55,7 +55,7 @@ class Residuals : public ::testing::Test {
         p_MI(truth_->T_MI.p),
         g_W(truth_->g_W),
         time_shift(truth_->time_shift_s -
-                   1e-9 * static_cast<double>(data_->pose_epoch_ns - data_->imu_epoch_ns)),
+                   1e-9 * static_cast<double>(data_->pose_epoch_ns - data_->imus[0].epoch_ns)),
         accel_delay(truth_->accel_delay_s) {}
 
   std::vector<double*> GyroBlocks() {
@@ -71,10 +71,10 @@ class Residuals : public ::testing::Test {
             &accel_delay};
   }
   static GyroResidual Gyro(size_t i, double sigma) {
-    return {trajectory_, data_->gyro[i].t, data_->gyro[i].value, 0.3, sigma};
+    return {trajectory_, data_->imus[0].gyro[i].t, data_->imus[0].gyro[i].value, 0.3, sigma};
   }
   static AccelResidual Accel(size_t i, double sigma) {
-    return {trajectory_, data_->accel[i].t, data_->accel[i].value, 0.3, sigma};
+    return {trajectory_, data_->imus[0].accel[i].t, data_->imus[0].accel[i].value, 0.3, sigma};
   }
 
   /// Value of a residual at the parameters of this test.
@@ -133,12 +133,12 @@ double Change(const Residual& residual,
 }
 
 TEST_F(Residuals, GyroIsZeroAtTheTruth) {
-  for (size_t i = 60; i < data_->gyro.size() - 60; i += 23)
+  for (size_t i = 60; i < data_->imus[0].gyro.size() - 60; i += 23)
     EXPECT_LT(Value(Gyro(i, 1.0), GyroBlocks()).norm(), 1e-3) << i;
 }
 
 TEST_F(Residuals, AccelIsZeroAtTheTruth) {
-  for (size_t i = 60; i < data_->accel.size() - 60; i += 23)
+  for (size_t i = 60; i < data_->imus[0].accel.size() - 60; i += 23)
     EXPECT_LT(Value(Accel(i, 1.0), AccelBlocks()).norm(), 5e-3) << i;
 }
 

@@ -153,21 +153,21 @@ TEST(TrueTrajectory, StaticRests) {
 
 TEST(Simulate, IsAFunctionOfItsOptions) {
   const SimulatorOptions options = Recording(Motion::kHandheld, 2.0, 7);
-  const CalibrationData a = Simulate(options), b = Simulate(options);
-  const CalibrationData other = Simulate(Recording(Motion::kHandheld, 2.0, 8));
+  const SessionData a = Simulate(options), b = Simulate(options);
+  const SessionData other = Simulate(Recording(Motion::kHandheld, 2.0, 8));
   ASSERT_EQ(a.poses.size(), 200u);
-  ASSERT_EQ(a.gyro.size(), 400u);
-  ASSERT_EQ(a.accel.size(), 400u);
+  ASSERT_EQ(a.imus[0].gyro.size(), 400u);
+  ASSERT_EQ(a.imus[0].accel.size(), 400u);
   for (size_t i = 0; i < a.poses.size(); ++i) {
     EXPECT_EQ(a.poses[i].p_WM, b.poses[i].p_WM);
     EXPECT_EQ(a.poses[i].q_WM.coeffs(), b.poses[i].q_WM.coeffs());
     EXPECT_NE(a.poses[i].p_WM, other.poses[i].p_WM);
   }
-  for (size_t i = 0; i < a.gyro.size(); ++i) {
-    EXPECT_EQ(a.gyro[i].value, b.gyro[i].value);
-    EXPECT_EQ(a.accel[i].value, b.accel[i].value);
-    EXPECT_NE(a.gyro[i].value, other.gyro[i].value);
-    EXPECT_NE(a.accel[i].value, other.accel[i].value);
+  for (size_t i = 0; i < a.imus[0].gyro.size(); ++i) {
+    EXPECT_EQ(a.imus[0].gyro[i].value, b.imus[0].gyro[i].value);
+    EXPECT_EQ(a.imus[0].accel[i].value, b.imus[0].accel[i].value);
+    EXPECT_NE(a.imus[0].gyro[i].value, other.imus[0].gyro[i].value);
+    EXPECT_NE(a.imus[0].accel[i].value, other.imus[0].accel[i].value);
   }
 }
 
@@ -180,15 +180,15 @@ TEST(Simulate, NoiseIsWhiteWithTheAskedStandardDeviation) {
   noisy.gyro_bias_walk = noisy.accel_bias_walk = 0.0;
   noisy.pose_rate_hz = 200.0;
   noisy.position_std = 2e-3;
-  const CalibrationData data = Simulate(noisy), exact = Simulate(clean);
+  const SessionData data = Simulate(noisy), exact = Simulate(clean);
   const auto expect_white = [](const std::vector<Vector3d>& noise, double sigma) {
     const Moments moments(noise);
     EXPECT_NEAR(moments.std, sigma, 0.03 * sigma);
     EXPECT_NEAR(moments.mean, 0.0, 0.04 * sigma);
     EXPECT_NEAR(Moments(Steps(noise)).std, std::sqrt(2.0) * sigma, 0.05 * sigma);
   };
-  expect_white(Difference(data.gyro, exact.gyro), noisy.gyro_std);
-  expect_white(Difference(data.accel, exact.accel), noisy.accel_std);
+  expect_white(Difference(data.imus[0].gyro, exact.imus[0].gyro), noisy.gyro_std);
+  expect_white(Difference(data.imus[0].accel, exact.imus[0].accel), noisy.accel_std);
 
   const TrueTrajectory truth(noisy);
   std::vector<Vector3d> position, rotation;
@@ -203,16 +203,16 @@ TEST(Simulate, NoiseIsWhiteWithTheAskedStandardDeviation) {
 
 TEST(Simulate, BiasesStartWhereAskedAndWalk) {
   SimulatorOptions options = WithoutNoise(Recording(Motion::kHandheld, 20.0, 5));
-  const CalibrationData exact = Simulate(options);
+  const SessionData exact = Simulate(options);
   options.gyro_bias << 0.1, -0.2, 0.3;
   options.accel_bias << -1.0, 2.0, 0.5;
   options.gyro_bias_walk = 1e-3;
   options.accel_bias_walk = 5e-3;
   options.gyro_rate_hz = 200.0;
   options.accel_rate_hz = 200.0;
-  const CalibrationData data = Simulate(options);
-  const auto gyro = Difference(data.gyro, exact.gyro);
-  const auto accel = Difference(data.accel, exact.accel);
+  const SessionData data = Simulate(options);
+  const auto gyro = Difference(data.imus[0].gyro, exact.imus[0].gyro);
+  const auto accel = Difference(data.imus[0].accel, exact.imus[0].accel);
   EXPECT_LT((gyro.front() - options.gyro_bias).norm(), 1e-12);
   EXPECT_LT((accel.front() - options.accel_bias).norm(), 1e-12);
   // Sigma of a step is walk sqrt(1 / rate).
@@ -226,24 +226,24 @@ TEST(Simulate, SamplesEqualTheModelAtTheShiftedAndDelayedTime) {
       SimulatorOptions o = WithoutNoise(Recording(Motion::kTumble, 3.0, 6));
       o.time_shift_s = shift;
       o.accel_delay_s = delay;
-      const CalibrationData data = Simulate(o);
+      const SessionData data = Simulate(o);
       const TrueTrajectory truth(o);
       const Matrix3d R_IM = o.T_MI.q.toRotationMatrix().transpose();
       const auto t_pose = [&](const ImuSample& s) {
         return 1e-9 * static_cast<double>(s.t_ns - o.start_ns) + o.time_shift_s;
       };
-      for (size_t i = 0; i < data.gyro.size(); i += 37) {
-        const TrueState at_gyro = truth.At(t_pose(data.gyro[i]));
-        EXPECT_LT((data.gyro[i].value - R_IM * at_gyro.omega_M).norm(), 1e-6);
+      for (size_t i = 0; i < data.imus[0].gyro.size(); i += 37) {
+        const TrueState at_gyro = truth.At(t_pose(data.imus[0].gyro[i]));
+        EXPECT_LT((data.imus[0].gyro[i].value - R_IM * at_gyro.omega_M).norm(), 1e-6);
         // The acceleration of the IMU's origin by differences of its position.
-        const double t = t_pose(data.accel[i]) - delay;
+        const double t = t_pose(data.imus[0].accel[i]) - delay;
         const auto velocity = [&](double at) {
           const TrueState s = truth.At(at);
           return Vector3d(s.v_W + s.R_WM * s.omega_M.cross(o.T_MI.p));
         };
         const Vector3d a_W = NumericRate(velocity, t, 1e-3);
         const Vector3d f_I = R_IM * truth.At(t).R_WM.transpose() * (a_W - o.g_W);
-        EXPECT_LT((data.accel[i].value - f_I).norm(), 1e-5);
+        EXPECT_LT((data.imus[0].accel[i].value - f_I).norm(), 1e-5);
       }
     }
   }
@@ -253,12 +253,12 @@ TEST(Simulate, StampsKeepNanosecondsWhenTheClocksAreTwelveDaysApart) {
   SimulatorOptions near = Recording(Motion::kHandheld, 2.0, 9), far = near;
   near.time_shift_s = 0.0;
   far.time_shift_s = 12.0 * 86400.0 + 0.123456789;
-  const CalibrationData a = Simulate(near), b = Simulate(far);
-  ASSERT_EQ(a.gyro.size(), b.gyro.size());
-  for (size_t i = 0; i < a.gyro.size(); ++i) {
-    EXPECT_EQ(a.gyro[i].t_ns - b.gyro[i].t_ns, int64_t{1036800123456789});
-    EXPECT_EQ(a.accel[i].t_ns - b.accel[i].t_ns, int64_t{1036800123456789});
-    EXPECT_EQ(a.gyro[i].value, b.gyro[i].value);
+  const SessionData a = Simulate(near), b = Simulate(far);
+  ASSERT_EQ(a.imus[0].gyro.size(), b.imus[0].gyro.size());
+  for (size_t i = 0; i < a.imus[0].gyro.size(); ++i) {
+    EXPECT_EQ(a.imus[0].gyro[i].t_ns - b.imus[0].gyro[i].t_ns, int64_t{1036800123456789});
+    EXPECT_EQ(a.imus[0].accel[i].t_ns - b.imus[0].accel[i].t_ns, int64_t{1036800123456789});
+    EXPECT_EQ(a.imus[0].gyro[i].value, b.imus[0].gyro[i].value);
   }
   for (size_t i = 0; i < a.poses.size(); ++i) EXPECT_EQ(a.poses[i].t_ns, b.poses[i].t_ns);
 }
@@ -269,7 +269,7 @@ TEST(Simulator, PosesAreMeansOverTheExposure) {
   options.position_std = options.rotation_std = 0.0;
   options.pose_exposure_s = 0.06;
   const TrueTrajectory trajectory(options);
-  const CalibrationData data = Simulate(options);
+  const SessionData data = Simulate(options);
   constexpr int kSteps = 2000;  // midpoint rule
   for (const size_t k : {0u, 70u, 199u}) {
     const double t = static_cast<double>(k) / options.pose_rate_hz;

@@ -446,7 +446,7 @@ class BadInputTest : public ExecutableTest, public ::testing::WithParamInterface
  protected:
   void SetUp() override {
     ExecutableTest::SetUp();
-    const CalibrationData data = Simulate(ShortSimulation());
+    const SessionData data = Simulate(ShortSimulation());
     WriteBag(Path("x.bag"), data, {});
     WriteBag(Path("tf.bag"), data, {false, "tf"});
   }

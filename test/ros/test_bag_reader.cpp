@@ -11,7 +11,7 @@ namespace {
 
 // --- Reading ---
 
-void ExpectSameSamples(const CalibrationData& a, const CalibrationData& b) {
+void ExpectSameSamples(const SessionData& a, const SessionData& b) {
   ASSERT_EQ(a.poses.size(), b.poses.size());
   for (size_t k = 0; k < a.poses.size(); ++k) {
     EXPECT_EQ(a.poses[k].t_ns, b.poses[k].t_ns);
@@ -30,7 +30,7 @@ void ExpectSameSamples(const CalibrationData& a, const CalibrationData& b) {
 }
 
 TEST_F(BagReaderTest, ReadsBackWhatTheWriterWrote) {
-  const CalibrationData data = Simulate(ShortSimulation());
+  const SessionData data = Simulate(ShortSimulation());
   WriteBag(Path("recording.bag"), data, {});
   const Recording recording = ReadBag(Request());
   ExpectSameSamples(recording.data, data);
@@ -46,7 +46,7 @@ TEST_F(BagReaderTest, ReadsBackWhatTheWriterWrote) {
 TEST_F(BagReaderTest, TellsTheTopicsOfASplitImuApart) {
   SimulatorOptions simulator = ShortSimulation();
   simulator.accel_rate_hz = 150.0;
-  const CalibrationData data = Simulate(simulator);
+  const SessionData data = Simulate(simulator);
   WriteBag(Path("recording.bag"), data, {true, "TransformStamped"});
   const Recording recording = ReadBag(Request());
   ExpectSameSamples(recording.data, data);
@@ -56,7 +56,7 @@ TEST_F(BagReaderTest, TellsTheTopicsOfASplitImuApart) {
 }
 
 TEST_F(BagReaderTest, ReadsEveryTypeOfPose) {
-  const CalibrationData data = Simulate(ShortSimulation());
+  const SessionData data = Simulate(ShortSimulation());
   for (const char* type : {"TransformStamped", "PoseWithCovarianceStamped", "Odometry"}) {
     WriteBag(Path("recording.bag"), data, {false, type});
     const Recording recording = ReadBag(Request());
@@ -69,7 +69,7 @@ TEST_F(BagReaderTest, ReadsEveryTypeOfPose) {
 }
 
 TEST_F(BagReaderTest, ReadsVectors) {
-  const CalibrationData data = Simulate(ShortSimulation());
+  const SessionData data = Simulate(ShortSimulation());
   WriteBag(Path("recording.bag"), data, {false, "PoseStamped", "Vector3Stamped"});
   BagRequest request = Request();
   request.gyro_topic = "/imu/gyro";
@@ -80,7 +80,7 @@ TEST_F(BagReaderTest, ReadsVectors) {
 }
 
 TEST_F(BagReaderTest, ReadsTf) {
-  const CalibrationData data = Simulate(ShortSimulation());
+  const SessionData data = Simulate(ShortSimulation());
   WriteBag(Path("recording.bag"), data, {false, "tf"});
   BagRequest request = Request();
   request.tf_parent = "world";
@@ -102,7 +102,7 @@ TEST_F(BagReaderTest, ReadsTf) {
 }
 
 TEST_F(BagReaderTest, ReadsCompressedBags) {
-  const CalibrationData data = Simulate(ShortSimulation());
+  const SessionData data = Simulate(ShortSimulation());
   WriteBag(Path("plain.bag"), data, {});
   for (const auto compression : {rosbag::compression::BZ2, rosbag::compression::LZ4}) {
     Recompress(Path("plain.bag"), Path("recording.bag"), compression);
@@ -113,7 +113,7 @@ TEST_F(BagReaderTest, ReadsCompressedBags) {
 }
 
 TEST_F(BagReaderTest, ReadsImuAndPosesFromABagEach) {
-  CalibrationData data = Simulate(ShortSimulation()), poses, imu = data;
+  SessionData data = Simulate(ShortSimulation()), poses, imu = data;
   poses.poses = data.poses;
   imu.poses.clear();
   WriteBag(Path("poses.bag"), poses, {});
@@ -142,9 +142,9 @@ TEST_F(BagReaderTest, StampsWithRecordTimes) {
   Record().Add("/imu", Imu(0.1, 9.8)).Add("/pose", Pose());
   BagRequest request = Request();
   request.record_time = true;
-  const CalibrationData data = ReadBag(request).data;
-  EXPECT_EQ(data.gyro.at(0).t_ns, 100000000000);
-  EXPECT_EQ(data.accel.at(0).t_ns, 100000000000);
+  const SessionData data = ReadBag(request).data;
+  EXPECT_EQ(data.imus[0].gyro.at(0).t_ns, 100000000000);
+  EXPECT_EQ(data.imus[0].accel.at(0).t_ns, 100000000000);
   EXPECT_EQ(data.poses.at(0).t_ns, 100010000000);
 }
 
@@ -158,7 +158,7 @@ TEST_F(BagReaderTest, StampsTfWithRecordTimes) {
   request.tf_parent = "map";
   request.tf_child = "rig";
   request.record_time = true;
-  const CalibrationData data = ReadBag(request).data;
+  const SessionData data = ReadBag(request).data;
   ASSERT_EQ(data.poses.size(), 2u);
   EXPECT_EQ(data.poses[0].t_ns, 100010000000);
   EXPECT_EQ(data.poses[1].t_ns, 100020000000);
@@ -175,7 +175,7 @@ TEST_F(BagReaderTest, KeepsNanosecondsAndFrames) {
   Record().Add("/imu", Imu(0.1, 9.8)).Add("/pose", Transform("/rig"));
   const Recording recording = ReadBag(Request());
   EXPECT_EQ(recording.data.poses.at(0).t_ns, 60123456789);
-  EXPECT_EQ(recording.data.gyro.at(0).t_ns, 50000000001);
+  EXPECT_EQ(recording.data.imus[0].gyro.at(0).t_ns, 50000000001);
   EXPECT_EQ(recording.info.world_frame, "map");
   EXPECT_EQ(recording.info.marker_frame, "rig");
   EXPECT_EQ(recording.info.imu_frame, "imu_link");
@@ -197,9 +197,9 @@ TEST_F(BagReaderTest, StartAndDurationAreRecordTimeAfterTheFirstMessage) {
   request.start_s = 0.035;     // messages 4..19, the IMU's are the even ones
   request.duration_s = 0.100;  // to message 13
   const Recording recording = ReadBag(request);
-  ASSERT_EQ(recording.data.gyro.size(), 5u);
-  EXPECT_EQ(recording.data.gyro.front().value.x(), 3.0);
-  EXPECT_EQ(recording.data.gyro.back().value.x(), 7.0);
+  ASSERT_EQ(recording.data.imus[0].gyro.size(), 5u);
+  EXPECT_EQ(recording.data.imus[0].gyro.front().value.x(), 3.0);
+  EXPECT_EQ(recording.data.imus[0].gyro.back().value.x(), 7.0);
   EXPECT_EQ(recording.data.poses.size(), 5u);
 }
 
@@ -211,8 +211,8 @@ TEST_F(BagReaderTest, RecordTimesOfForeignClocksAreThePoses) {
   request.duration_s = 1.0;
   const Recording recording = ReadBag(request);
   EXPECT_EQ(recording.data.poses.size(), 101u);
-  EXPECT_EQ(recording.data.gyro.size(), 201u);
-  EXPECT_EQ(recording.data.gyro[0].t_ns, simulator.start_ns - 1034771500000000);
+  EXPECT_EQ(recording.data.imus[0].gyro.size(), 201u);
+  EXPECT_EQ(recording.data.imus[0].gyro[0].t_ns, simulator.start_ns - 1034771500000000);
 }
 
 // --- Refusals ---
@@ -272,21 +272,21 @@ TEST_F(BagReaderTest, RefusesASpanOutsideOfTheBag) {
 // --- Writer ---
 
 TEST_F(BagReaderTest, WriterKeepsTheOrderOfReversedStamps) {
-  CalibrationData data = Simulate(ShortSimulation());
+  SessionData data = Simulate(ShortSimulation());
   std::reverse(data.poses.begin(), data.poses.end());
   WriteBag(Path("recording.bag"), data, {});
   ExpectSameSamples(ReadBag(Request()).data, data);
 }
 
 TEST_F(BagReaderTest, WriterRefusesWhatItCannotWrite) {
-  const CalibrationData data = Simulate(ShortSimulation());
+  const SessionData data = Simulate(ShortSimulation());
   ExpectError<InputError>([&] { WriteBag(Path("no/dir.bag"), data, {}); }, {"no/dir.bag"});
   ExpectError<InputError>(
       [&] {
         WriteBag(Path("x.bag"), data, {false, "Path"});
       },
       {"'Path'", "PoseStamped, TransformStamped"});
-  CalibrationData uneven = data;
+  SessionData uneven = data;
   uneven.accel.pop_back();
   ExpectError<InputError>([&] { WriteBag(Path("x.bag"), uneven, {}); }, {"600 and 599"});
   uneven = data;

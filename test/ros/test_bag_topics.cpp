@@ -16,9 +16,9 @@ TEST_F(BagTopicsTest, TheUsualImuIsTakenWhenItIsThere) {
   Record().Add("/imu1", Imu(1, 9.8)).Add("/imu2", Imu(2, 9.8)).Add("/pose", Pose());
   BagRequest request = Request();
   request.usual_imu_topic = "/imu2";
-  EXPECT_EQ(ReadBag(request).info.imu_topic, "/imu2");
+  EXPECT_EQ(ReadBag(request).info.imus[0].imu_topic, "/imu2");
   request.imu_topic = "/imu1";
-  EXPECT_EQ(ReadBag(request).info.imu_topic, "/imu1");
+  EXPECT_EQ(ReadBag(request).info.imus[0].imu_topic, "/imu1");
   request.imu_topic = "";
   request.usual_imu_topic = "/imu3";
   ExpectRefusal(request, {"several IMU topics"});
@@ -27,8 +27,8 @@ TEST_F(BagTopicsTest, TheUsualImuIsTakenWhenItIsThere) {
 TEST_F(BagTopicsTest, TellsASplitImuByItsZerosAlone) {
   Record().Add("/a", Imu(0, 9.8)).Add("/b", Imu(0.1, 0)).Add("/pose", Pose());
   const Recording recording = ReadBag(Request());
-  EXPECT_EQ(recording.info.gyro_topic, "/b");
-  EXPECT_EQ(recording.info.accel_topic, "/a");
+  EXPECT_EQ(recording.info.imus[0].gyro_topic, "/b");
+  EXPECT_EQ(recording.info.imus[0].accel_topic, "/a");
 }
 
 TEST_F(BagTopicsTest, TellsASplitImuByItsCovarianceAlone) {
@@ -36,12 +36,12 @@ TEST_F(BagTopicsTest, TellsASplitImuByItsCovarianceAlone) {
   gyro.linear_acceleration_covariance[0] = -1;
   accel.angular_velocity_covariance[0] = -1;
   Record().Add("/a", accel).Add("/b", gyro).Add("/pose", Pose());
-  EXPECT_EQ(ReadBag(Request()).info.gyro_topic, "/b");
+  EXPECT_EQ(ReadBag(Request()).info.imus[0].gyro_topic, "/b");
 }
 
 TEST_F(BagTopicsTest, PassesOverAnImuThatCarriesNothing) {
   Record().Add("/idle", Imu(0, 0)).Add("/imu", Imu(0.1, 9.8)).Add("/pose", Pose());
-  EXPECT_EQ(ReadBag(Request()).info.imu_topic, "/imu");
+  EXPECT_EQ(ReadBag(Request()).info.imus[0].imu_topic, "/imu");
 }
 
 TEST_F(BagTopicsTest, NamedTopicsWinOverOthers) {
@@ -54,14 +54,14 @@ TEST_F(BagTopicsTest, NamedTopicsWinOverOthers) {
   request.imu_topic = "/imu2";
   request.pose_topic = "/pose2";
   const Recording recording = ReadBag(request);
-  EXPECT_EQ(recording.data.gyro.at(0).value.x(), 2.0);
+  EXPECT_EQ(recording.data.imus[0].gyro.at(0).value.x(), 2.0);
   EXPECT_EQ(recording.info.marker_frame, "rig");
 
   request.imu_topic = "";
   request.gyro_topic = "/imu1";
   request.accel_topic = "/imu2";
-  EXPECT_EQ(ReadBag(request).data.gyro.at(0).value.x(), 1.0);
-  EXPECT_EQ(ReadBag(request).info.accel_topic, "/imu2");
+  EXPECT_EQ(ReadBag(request).data.imus[0].gyro.at(0).value.x(), 1.0);
+  EXPECT_EQ(ReadBag(request).info.imus[0].accel_topic, "/imu2");
 }
 
 // --- Refusals ---

@@ -57,9 +57,9 @@ TEST(CalibrateLaunch, PublishesTheResult) {
   EXPECT_EQ(result->child_frame_id, "imu");
   ExpectTruth(result->transform);
   const YAML::Node truth = YAML::LoadFile(Param("truth"));
-  EXPECT_NEAR(result->time_shift, truth["time_shift"].as<double>(), kTimeShift);
-  EXPECT_NEAR(result->accel_delay, truth["accel_delay"].as<double>(), 5 * kTimeShift);
-  EXPECT_GT(result->covariance[0], 0.0);
+  EXPECT_NEAR(result->sessions[0].imus[0].time_shift, truth["time_shift"].as<double>(), kTimeShift);
+  EXPECT_NEAR(result->imus[0].accel_delay, truth["accel_delay"].as<double>(), 5 * kTimeShift);
+  EXPECT_GT(result->imus[0].covariance[0], 0.0);
   EXPECT_NEAR(result->gravity.z, -9.80665, 0.05);
 }
 
@@ -79,7 +79,7 @@ TEST(CalibrateLaunch, WritesTheResultFile) {
   const YAML::Node yaml = YAML::LoadFile(Param("output"));
   EXPECT_EQ(yaml["imu_pose_calib"]["status"].as<std::string>(), result->status_text);
   EXPECT_EQ(yaml["frames"]["marker"].as<std::string>(), "rig");
-  EXPECT_EQ(yaml["time_shift"].as<double>(), result->time_shift);
+  EXPECT_EQ(yaml["time_shift"].as<double>(), result->sessions[0].imus[0].time_shift);
   EXPECT_EQ(yaml["transform"]["translation"][0].as<double>(), result->transform.translation.x);
   EXPECT_EQ(yaml["transform"]["rotation"][3].as<double>(), result->transform.rotation.w);
 }
@@ -194,7 +194,7 @@ TEST(CalibrateNode, LeavesWhenWrittenWithExit) {
 TEST(CalibrateNode, ReadsTfFromSeveralBags) {
   SimulatorOptions simulator;
   simulator.duration_s = 15.0;
-  CalibrationData imu = Simulate(simulator), poses;
+  SessionData imu = Simulate(simulator), poses;
   std::swap(imu.poses, poses.poses);
   const std::string bags = Directory() + "/imu.bag " + Directory() + "/tf.bag";
   WriteBag(Directory() + "/imu.bag", imu, {});

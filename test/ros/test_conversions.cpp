@@ -97,17 +97,17 @@ class ResultMessages : public ::testing::Test {
     result_.status = Status::kWeak;
     result_.method = Method::kGp;
     result_.message = "why";
-    result_.T_MI = {Eigen::Quaterniond(0.5, -0.5, 0.5, 0.5), {0.1, 0.2, 0.3}};
-    result_.time_shift = 1.5;
-    result_.time_shift_std = 0.1;
-    result_.accel_delay = 0.25;
-    result_.accel_delay_std = 0.2;
+    result_.imus[0].T_MI = {Eigen::Quaterniond(0.5, -0.5, 0.5, 0.5), {0.1, 0.2, 0.3}};
+    result_.sessions[0].imus[0].time_shift = 1.5;
+    result_.sessions[0].imus[0].time_shift_std = 0.1;
+    result_.imus[0].accel_delay = 0.25;
+    result_.imus[0].accel_delay_std = 0.2;
     result_.pose_smoothing = 0.03;
     result_.pose_smoothing_std = 0.04;
-    result_.g_W = {0.0, 0.0, -9.8};
-    result_.gyro_bias = {1.0, 2.0, 3.0};
-    result_.accel_bias = {4.0, 5.0, 6.0};
-    result_.covariance(0, 5) = result_.covariance(5, 0) = 0.7;
+    result_.sessions[0].g_W = {0.0, 0.0, -9.8};
+    result_.sessions[0].imus[0].gyro_bias = {1.0, 2.0, 3.0};
+    result_.sessions[0].imus[0].accel_bias = {4.0, 5.0, 6.0};
+    result_.imus[0].covariance(0, 5) = result_.imus[0].covariance(5, 0) = 0.7;
     result_.unobservable = {"p_MI along z"};
     result_.warnings = {"slow"};
   }
@@ -117,7 +117,7 @@ class ResultMessages : public ::testing::Test {
 };
 
 TEST_F(ResultMessages, TransformGoesFromImuToMarker) {
-  const auto msg = ToTransformStamped(result_, info_, ros::Time(7, 8));
+  const auto msg = ToTransforms(result_, info_, ros::Time(7, 8)).front();
   EXPECT_EQ(msg.header.stamp, ros::Time(7, 8));
   EXPECT_EQ(msg.header.frame_id, "rig");
   EXPECT_EQ(msg.child_frame_id, "imu_link");

@@ -16,7 +16,7 @@ namespace {
 
 class CalibrateBagTest : public ExecutableTest {
  protected:
-  void WriteSimulation(const CalibrationData& data) const { WriteBag(Path("x.bag"), data, {}); }
+  void WriteSimulation(const SessionData& data) const { WriteBag(Path("x.bag"), data, {}); }
 
   static SimulatorOptions Handheld() {
     SimulatorOptions options;
@@ -207,7 +207,7 @@ double Difference(const YAML::Node& a, const YAML::Node& b) {
 }
 
 TEST_F(CalibrateBagTest, EverySourceGivesTheSameResult) {
-  const CalibrationData data = Simulate(Handheld());
+  const SessionData data = Simulate(Handheld());
   WriteBag(Path("x.bag"), data, {});
   ASSERT_EQ(Calibrate("x.bag --quiet").status, 0);
   const YAML::Node expected = YAML::LoadFile(Path("x.calibration.yaml"));
@@ -228,7 +228,7 @@ TEST_F(CalibrateBagTest, EverySourceGivesTheSameResult) {
 }
 
 TEST_F(CalibrateBagTest, ReadsSeveralBagsAsOneRecording) {
-  CalibrationData data = Simulate(Handheld()), first = data, second = data;
+  SessionData data = Simulate(Handheld()), first = data, second = data;
   WriteBag(Path("x.bag"), data, {});
   ASSERT_EQ(Calibrate("x.bag --quiet --start 2 --duration 10").status, 0);
   const YAML::Node expected = YAML::LoadFile(Path("x.calibration.yaml"));
@@ -249,7 +249,7 @@ TEST_F(CalibrateBagTest, ReadsSeveralBagsAsOneRecording) {
 }
 
 TEST_F(CalibrateBagTest, TakesNoiseAndTopicFromAnImuYaml) {
-  const CalibrationData data = Simulate(Handheld());
+  const SessionData data = Simulate(Handheld());
   WriteBag(Path("x.bag"), data, {});
   {
     rosbag::Bag bag(Path("x.bag"), rosbag::bagmode::Append);
@@ -284,7 +284,7 @@ TEST_F(CalibrateBagTest, RefusesMotionThatDeterminesTooLittle) {
 }
 
 TEST_F(CalibrateBagTest, RefusesTooFewPoses) {
-  CalibrationData data = Simulate(Handheld());
+  SessionData data = Simulate(Handheld());
   data.poses.resize(300);  // 3 s
   WriteSimulation(data);
   ExpectFailure("x.bag", 2, {"pose", "span 2.99 s", "at least 5 s"});
@@ -293,23 +293,23 @@ TEST_F(CalibrateBagTest, RefusesTooFewPoses) {
 TEST_F(CalibrateBagTest, RefusesImuOfAnotherMotion) {
   SimulatorOptions other = Handheld();
   other.seed = 99;
-  CalibrationData data = Simulate(Handheld());
-  data.gyro = Simulate(other).gyro;
-  data.accel = Simulate(other).accel;
+  SessionData data = Simulate(Handheld());
+  data.imus[0].gyro = Simulate(other).gyro;
+  data.imus[0].accel = Simulate(other).accel;
   WriteSimulation(data);
   ExpectFailure("x.bag", 2, {"time shift"});
 }
 
 TEST_F(CalibrateBagTest, RefusesMostlyNan) {
-  CalibrationData data = Simulate(Handheld());
-  for (size_t k = 0; k < data.gyro.size(); k += 2)
-    data.gyro[k].value.y() = std::numeric_limits<double>::quiet_NaN();
+  SessionData data = Simulate(Handheld());
+  for (size_t k = 0; k < data.imus[0].gyro.size(); k += 2)
+    data.imus[0].gyro[k].value.y() = std::numeric_limits<double>::quiet_NaN();
   WriteSimulation(data);
   ExpectFailure("x.bag", 2, {"gyroscope", "1500 of 3000", "not finite"});
 }
 
 TEST_F(CalibrateBagTest, RefusesReversedStamps) {
-  CalibrationData data = Simulate(Handheld());
+  SessionData data = Simulate(Handheld());
   std::reverse(data.poses.begin(), data.poses.end());
   WriteSimulation(data);
   ExpectFailure("x.bag", 2, {"of 1500 samples are stamped", "1 s before"});
@@ -329,38 +329,38 @@ TEST_F(CalibrateBagTest, FailureLeavesNoOldResultBehind) {
 
 TEST_F(CalibrateBagTest, RefusesWhatCannotBeAsItIsInOneLine) {
   struct Case {
-    void (*spoil)(CalibrationData*);
+    void (*spoil)(SessionData*);
     std::vector<std::string> parts;
   };
   const Case cases[] = {
-      {[](CalibrationData* d) {
+      {[](SessionData* d) {
          for (ImuSample& s : d->gyro) s.value *= 57.29578;
        },
        {"gyroscope", "set gyro_unit: 0.0174532925"}},
-      {[](CalibrationData* d) {
+      {[](SessionData* d) {
          for (ImuSample& s : d->accel) s.value /= 9.80665;
        },
        {"accelerometer", "set accel_unit: 9.80665"}},
-      {[](CalibrationData* d) {
+      {[](SessionData* d) {
          for (PoseSample& s : d->poses) s.p_WM *= 1e3;
        },
        {"millimetres", "set position_unit: 1.0e-3"}},
-      {[](CalibrationData* d) {
+      {[](SessionData* d) {
          for (PoseSample& s : d->poses) s.q_WM = s.q_WM.conjugate();
        },
        {"inverted", "set invert_poses: true"}},
-      {[](CalibrationData* d) {
+      {[](SessionData* d) {
          for (PoseSample& s : d->poses) s.p_WM.setZero();
        },
        {"the position never changes"}},
-      {[](CalibrationData* d) {
+      {[](SessionData* d) {
          for (ImuSample& s : d->gyro) s.value.z() = 0.0;
        },
        {"gyroscope: its z axis is always 0"}},
   };
   for (const Case& c : cases) {
     SCOPED_TRACE(c.parts.back());
-    CalibrationData data = Simulate(Handheld());
+    SessionData data = Simulate(Handheld());
     c.spoil(&data);
     WriteSimulation(data);
     ExpectFailure("x.bag", 2, c.parts);
@@ -370,7 +370,7 @@ TEST_F(CalibrateBagTest, RefusesWhatCannotBeAsItIsInOneLine) {
 // --- calibrate_bag --check ---
 
 TEST_F(CalibrateBagTest, ChecksABagWithoutCalibrating) {
-  CalibrationData data = Simulate(Handheld());
+  SessionData data = Simulate(Handheld());
   WriteSimulation(data);
   Write("x.calibration.yaml", std::string(kResultHeader) + "\n");
   Outcome outcome = Calibrate("x.bag --check");
@@ -380,13 +380,13 @@ TEST_F(CalibrateBagTest, ChecksABagWithoutCalibrating) {
   EXPECT_TRUE(Contains(outcome.out, "rad/s rms about marker x, y, z")) << outcome.out;
   EXPECT_TRUE(std::filesystem::exists(Path("x.calibration.yaml")));  // not touched
 
-  for (ImuSample& s : data.gyro) s.value *= 57.29578;
+  for (ImuSample& s : data.imus[0].gyro) s.value *= 57.29578;
   WriteSimulation(data);
   outcome = Calibrate("x.bag --check");
   EXPECT_EQ(outcome.status, 0) << outcome.err;
   EXPECT_EQ(outcome.out.compare(0, 18, "USABLE: gyroscope:"), 0) << outcome.out;
 
-  data.gyro = Simulate(Handheld()).gyro;
+  data.imus[0].gyro = Simulate(Handheld()).gyro;
   data.poses.resize(300);
   WriteSimulation(data);
   outcome = Calibrate("x.bag --check");

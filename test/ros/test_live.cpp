@@ -1,86 +1,25 @@
 // The live node beside played bags and stand-ins for bridges, each test with processes of its own.
 
 #include <diagnostic_msgs/DiagnosticArray.h>
-#include <fcntl.h>
 #include <geometry_msgs/PoseStamped.h>
 #include <gtest/gtest.h>
 #include <nav_msgs/Path.h>
-#include <ros/callback_queue.h>
-#include <ros/ros.h>
-#include <signal.h>
 #include <std_srvs/SetBool.h>
-#include <std_srvs/Trigger.h>
 #include <tf2_msgs/TFMessage.h>
 #include <visualization_msgs/MarkerArray.h>
 #include <yaml-cpp/yaml.h>
 
 #include <fstream>
-#include <functional>
 #include <map>
-#include <memory>
 #include <optional>
 #include <set>
 
-#include "imu_pose_calib/CalibrationResult.h"
-#include "imu_pose_calib/CalibrationStatus.h"
 #include "imu_pose_calib/ros/io/bag_writer.h"
 #include "imu_pose_calib/ros/offline/offline.h"
-#include "test_util.h"
+#include "live_util.h"
 
 namespace imu_pose_calib {
 namespace {
-
-using Arguments = std::vector<std::string>;
-
-constexpr double kTimeout = 150.0;  // [s] far more than a machine that is not overloaded needs
-
-/// Handles messages until `done` or until the time is over.
-bool WaitFor(const std::function<bool()>& done) {
-  const ros::SteadyTime end = ros::SteadyTime::now() + ros::WallDuration(kTimeout);
-  while (!done()) {
-    if (ros::SteadyTime::now() > end) return false;
-    ros::getGlobalCallbackQueue()->callAvailable(ros::WallDuration(0.1));
-  }
-  return true;
-}
-
-/// A child with a process group of its own, ended with the object.
-class Process {
- public:
-  explicit Process(const Arguments& arguments) : pid_(fork()) {
-    if (pid_ != 0) return;
-    setpgid(0, 0);
-    std::vector<char*> argv;
-    for (const std::string& argument : arguments)
-      argv.push_back(const_cast<char*>(argument.data()));
-    argv.push_back(nullptr);
-    execvp(argv[0], argv.data());
-    _exit(127);
-  }
-  Process(const Process&) = delete;
-  Process& operator=(const Process&) = delete;
-  ~Process() { End(SIGINT); }
-
-  bool IsRunning() {
-    if (pid_ > 0 && waitpid(pid_, nullptr, WNOHANG) == pid_) pid_ = 0;
-    return pid_ > 0;
-  }
-  void End(int signal) {
-    if (!IsRunning()) return;
-    setpgid(pid_, pid_);  // should the child not have come that far
-    kill(-pid_, signal);
-    waitpid(pid_, nullptr, 0);
-    pid_ = 0;
-  }
-
- private:
-  pid_t pid_;
-};
-
-Arguments Concatenate(Arguments a, const Arguments& b) {
-  a.insert(a.end(), b.begin(), b.end());
-  return a;
-}
 
 /// rosbag play.
 class Player {
@@ -110,60 +49,6 @@ Process Bridge(const std::string& style, const Arguments& options = {}) {
                              options));
 }
 
-/// A live node in the namespace `name`, and what it publishes.
-class Node {
- public:
-  Node(const std::string& name, const Arguments& parameters)
-      : prefix_("/" + name + "/imu_pose_calib/"),
-        command_(
-            Concatenate({IMU_POSE_CALIB_BIN_DIR "/calibrate_node", "__ns:=/" + name}, parameters)) {
-    Listen("status", &Node::OnStatus);
-    Listen("result", &Node::OnResult);
-    Start();
-  }
-
-  void Start() { process_ = std::make_unique<Process>(command_); }
-  void Kill() { process_->End(SIGKILL); }
-
-  bool WaitForPhase(uint8_t phase) {
-    return WaitFor([&] { return status.phase == phase; });
-  }
-  bool WaitForResult() {
-    return WaitFor([&] { return result.has_value(); });
-  }
-  std_srvs::Trigger::Response Call(const std::string& service) {
-    std_srvs::Trigger trigger;
-    EXPECT_TRUE(ros::service::waitForService(prefix_ + service, 1000 * static_cast<int>(kTimeout)));
-    EXPECT_TRUE(ros::service::call(prefix_ + service, trigger));
-    return trigger.response;
-  }
-  template <typename Msg>
-  void Listen(const std::string& topic,
-              void (Node::*callback)(const boost::shared_ptr<const Msg>&)) {
-    subscribers_.push_back(node_.subscribe<Msg>(prefix_ + topic, 100, callback, this));
-  }
-  const std::string& prefix() const { return prefix_; }
-
-  CalibrationStatus status;
-  std::optional<CalibrationResult> result;
-  std::set<uint8_t> phases;        ///< seen so far
-  std::set<std::string> degraded;  ///< messages of this phase
-
- private:
-  void OnStatus(const CalibrationStatus::ConstPtr& msg) {
-    status = *msg;
-    phases.insert(msg->phase);
-    if (msg->phase == CalibrationStatus::DEGRADED) degraded.insert(msg->message);
-  }
-  void OnResult(const CalibrationResult::ConstPtr& msg) { result = *msg; }
-
-  ros::NodeHandle node_;
-  const std::string prefix_;
-  const Arguments command_;
-  std::vector<ros::Subscriber> subscribers_;
-  std::unique_ptr<Process> process_;
-};
-
 bool AnyContains(const std::set<std::string>& texts, const std::string& part) {
   return std::any_of(
       texts.begin(), texts.end(), [&](const auto& text) { return Contains(text, part); });
@@ -177,15 +62,15 @@ Rigid3 ToRigid3(const geometry_msgs::Transform& transform) {
 
 /// Largest difference of two results, in sigma of the difference.
 double Distance(const Calibration& a, const CalibrationResult& b) {
-  Vector6d variance = a.covariance.diagonal();
+  Vector6d variance = a.imus[0].covariance.diagonal();
   for (Eigen::Index i = 0; i < 6; ++i) variance[i] += b.covariance[static_cast<size_t>(7 * i)];
   const Rigid3 T_MI = ToRigid3(b.transform);
   Vector6d difference;
-  difference.head<3>() = T_MI.p - a.T_MI.p;
-  const Eigen::AngleAxisd turn(a.T_MI.q.conjugate() * T_MI.q);
+  difference.head<3>() = T_MI.p - a.imus[0].T_MI.p;
+  const Eigen::AngleAxisd turn(a.imus[0].T_MI.q.conjugate() * T_MI.q);
   difference.tail<3>() = turn.angle() * turn.axis();
   const double time_shift =
-      std::abs(b.time_shift - a.time_shift) / std::hypot(a.time_shift_std, b.time_shift_std);
+      std::abs(b.time_shift - a.sessions[0].imus[0].time_shift) / std::hypot(a.sessions[0].imus[0].time_shift_std, b.time_shift_std);
   return std::max(time_shift, difference.cwiseAbs().cwiseQuotient(variance.cwiseSqrt()).maxCoeff());
 }
 
@@ -222,6 +107,31 @@ class Live : public TempDirTest {
   ros::Subscriber static_;
   std::map<std::string, geometry_msgs::TransformStamped> transforms_;  ///< of /tf_static
 };
+
+/// Two IMUs on one body, with clocks of their own: one result and a static transform for each.
+TEST_F(Live, CalibratesTwoImusTogether) {
+  SimulatorOptions options = truth_;
+  options.duration_s = 30.0;
+  const std::string bag = Path("two.bag");
+  WriteBag(bag, Simulate(options, 2), BagFormat());
+  Node node("two",
+            {"_imu_topic:=/imu /imu1",
+             "_pose_topic:=/mocap/pose",
+             "_imu_frame:=two_imu0 two_imu1",
+             "_min_duration:=8"});
+  Player player(bag, {"--clock", "--rate=1", "--delay=2"});
+  ASSERT_TRUE(WaitFor([&] { return node.result && node.result->imus.size() == 2; })) << node.status;
+  ExpectTruth(node, truth_.time_shift_s);
+  for (size_t i = 0; i < 2; ++i) {
+    const SimulatorOptions truth = FurtherImu(options, i);
+    const Rigid3 T_MI = ToRigid3(node.result->imus[i].transform);
+    EXPECT_LT((T_MI.p - truth.T_MI.p).norm(), 3e-3);
+    EXPECT_LT(T_MI.q.angularDistance(truth.T_MI.q), 3e-3);
+    const std::string name = "marker -> two_imu" + std::to_string(i);
+    ASSERT_TRUE(WaitFor([&] { return transforms_.count(name) > 0; })) << name;
+    EXPECT_LT((ToRigid3(transforms_.at(name).transform).p - truth.T_MI.p).norm(), 3e-3);
+  }
+}
 
 /// The sample at four times real time. Playing waits for slow solves, and nothing gets lost: so the
 /// last solve has the data of the offline one.

@@ -21,20 +21,20 @@ SimulatorOptions Handheld(double duration_s) {
 double Arrival(int64_t t_ns) { return 1e-9 * static_cast<double>(t_ns) + 0.01; }
 
 /// Adds the samples in the order in which they would arrive, `rate` times faster.
-void Feed(const CalibrationData& data, LiveCalibration* live, double rate = 1.0) {
+void Feed(const SessionData& data, LiveCalibration* live, double rate = 1.0) {
   const double start = Arrival(data.poses.front().t_ns);
   size_t gyro = 0, accel = 0;
   for (size_t k = 0; k < data.poses.size(); ++k) {
     const double now = start + (Arrival(data.poses[k].t_ns) - start) / rate;
     const auto due = [&](size_t count) { return count * (k + 1) / data.poses.size(); };
     live->AddPose(data.poses[k], now);
-    while (gyro < due(data.gyro.size())) live->AddGyro(data.gyro[gyro++], now);
-    while (accel < due(data.accel.size())) live->AddAccel(data.accel[accel++], now);
+    while (gyro < due(data.imus[0].gyro.size())) live->AddGyro(data.imus[0].gyro[gyro++], now);
+    while (accel < due(data.imus[0].accel.size())) live->AddAccel(data.imus[0].accel[accel++], now);
   }
 }
 
 /// The samples from `from` to `to` [s] after the first pose.
-CalibrationData Cut(const CalibrationData& data, double from, double to) {
+SessionData Cut(const SessionData& data, double from, double to) {
   const int64_t start = data.poses.front().t_ns;
   const auto cut = [&](const auto& samples) {
     std::decay_t<decltype(samples)> kept;
@@ -44,28 +44,28 @@ CalibrationData Cut(const CalibrationData& data, double from, double to) {
     }
     return kept;
   };
-  return {cut(data.poses), cut(data.gyro), cut(data.accel)};
+  return {cut(data.poses), cut(data.imus[0].gyro), cut(data.imus[0].accel)};
 }
 
-CalibrationData Shift(CalibrationData data, double seconds) {
+SessionData Shift(SessionData data, double seconds) {
   const auto shift = [&](auto* samples) {
     for (auto& sample : *samples) sample.t_ns += static_cast<int64_t>(1e9 * seconds);
   };
   shift(&data.poses);
-  shift(&data.gyro);
-  shift(&data.accel);
+  shift(&data.imus[0].gyro);
+  shift(&data.imus[0].accel);
   return data;
 }
 
-double End(const CalibrationData& data) { return Arrival(data.poses.back().t_ns); }
+double End(const SessionData& data) { return Arrival(data.poses.back().t_ns); }
 
 /// A usable result with one sigma for all [m], and 1 rad and 1 s as precise as 1 m.
 Calibration Result(double sigma, double x = 0.0) {
   Calibration result;
   result.status = Status::kOk;
-  result.T_MI.p.x() = x;
-  result.covariance = Matrix6d::Identity() * sigma * sigma;
-  result.time_shift_std = sigma;
+  result.imus[0].T_MI.p.x() = x;
+  result.imus[0].covariance = Matrix6d::Identity() * sigma * sigma;
+  result.sessions[0].imus[0].time_shift_std = sigma;
   return result;
 }
 
@@ -86,9 +86,9 @@ TEST(LiveOptions, NamesTheParameterOutOfRange) {
 TEST(LiveCalibration, SaysWhichStreamIsMissing) {
   LiveCalibration live((LiveOptions()));
   EXPECT_EQ(live.Status(0.0).phase, Phase::kWaiting);
-  CalibrationData data = Simulate(Handheld(2.0));
-  data.gyro.clear();
-  for (ImuSample& sample : data.accel) sample.t_ns = 0;
+  SessionData data = Simulate(Handheld(2.0));
+  data.imus[0].gyro.clear();
+  for (ImuSample& sample : data.imus[0].accel) sample.t_ns = 0;
   Feed(data, &live);
   const LiveStatus status = live.Status(End(data));
   EXPECT_EQ(status.phase, Phase::kWaiting);
@@ -99,9 +99,9 @@ TEST(LiveCalibration, KeepsEverySampleOfTheWindow) {
   LiveOptions options;
   options.window = 20.0;
   LiveCalibration live(options);
-  const CalibrationData all = Simulate(Handheld(50.0));
+  const SessionData all = Simulate(Handheld(50.0));
   Feed(all, &live);
-  const CalibrationData kept = live.BeginSolve();
+  const SessionData kept = live.BeginSolve();
   const auto expect_tail = [](const auto& samples, const auto& tail, size_t count) {
     ASSERT_EQ(tail.size(), count);
     for (size_t k = 0; k < count; ++k)
@@ -120,12 +120,12 @@ TEST(LiveCalibration, KeepsEverySampleOfTheWindow) {
 
 TEST(LiveCalibration, SolvesTheSameDataAsOffline) {
   LiveCalibration live((LiveOptions()));
-  const CalibrationData data = Simulate(Handheld(15.0));
+  const SessionData data = Simulate(Handheld(15.0));
   Feed(data, &live);
   ASSERT_TRUE(live.WantsSolve());
   CalibrationOptions options;
   options.method = Method::kGp;
-  const CalibrationData snapshot = live.BeginSolve();
+  const SessionData snapshot = live.BeginSolve();
   ASSERT_TRUE(live.EndSolve(Calibrate(options, snapshot)));
   EXPECT_LT((live.result()->T_MI.p - SimulatorOptions().T_MI.p).norm(), 0.01);
 }
@@ -134,8 +134,8 @@ TEST(LiveCalibration, UnderstandsThePosesAsTheSolverDoes) {
   CalibrationOptions options;
   options.position_unit = 1e-3;
   options.invert_poses = true;
-  const CalibrationData data = Simulate(Handheld(3.0));
-  CalibrationData recorded = data;
+  const SessionData data = Simulate(Handheld(3.0));
+  SessionData recorded = data;
   for (PoseSample& pose : recorded.poses) {
     pose.q_WM = pose.q_WM.conjugate();
     pose.p_WM = -1e3 * (pose.q_WM * pose.p_WM);
@@ -155,7 +155,7 @@ TEST(LiveCalibration, AsksForTheMotionThatIsMissing) {
   LiveCalibration live((LiveOptions()));
   SimulatorOptions simulator = Handheld(40.0);
   simulator.motion = Motion::kPlanar;
-  const CalibrationData planar = Simulate(simulator);
+  const SessionData planar = Simulate(simulator);
   Feed(planar, &live);
   LiveStatus status = live.Status(End(planar));
   EXPECT_EQ(status.phase, Phase::kCollecting);
@@ -170,7 +170,7 @@ TEST(LiveCalibration, AsksForTheMotionThatIsMissing) {
   // Handheld motion fills all bars.
   simulator.motion = Motion::kHandheld;
   simulator.start_ns += 40'000'000'000;
-  const CalibrationData handheld = Simulate(simulator);
+  const SessionData handheld = Simulate(simulator);
   Feed(handheld, &live);
   status = live.Status(End(handheld));
   EXPECT_TRUE(status.excitation.rotation.isOnes()) << status.excitation.rotation.transpose();
@@ -180,7 +180,7 @@ TEST(LiveCalibration, AsksForTheMotionThatIsMissing) {
 
 TEST(LiveCalibration, WantsASolveOnlyWithNewData) {
   LiveCalibration live((LiveOptions()));
-  const CalibrationData data = Simulate(Handheld(40.0));
+  const SessionData data = Simulate(Handheld(40.0));
   Feed(Cut(data, 0.0, 9.0), &live);
   EXPECT_FALSE(live.WantsSolve()) << "before min_duration";
   Feed(Cut(data, 9.0, 20.0), &live);
@@ -201,7 +201,7 @@ TEST(LiveCalibration, WantsASolveOnlyWithNewData) {
 
 TEST(LiveCalibration, ConvergesWhenThreeSolvesAgree) {
   LiveCalibration live((LiveOptions()));
-  const CalibrationData data = Simulate(Handheld(20.0));
+  const SessionData data = Simulate(Handheld(20.0));
   Feed(data, &live);
   const auto phase = [&] { return live.Status(End(data)).phase; };
   const double good = 0.5 * LiveOptions().target_time_shift_std;
@@ -222,7 +222,7 @@ TEST(LiveCalibration, ConvergesWhenThreeSolvesAgree) {
 
 TEST(LiveCalibration, DoesNotConvergeAboveATarget) {
   LiveCalibration live((LiveOptions()));
-  const CalibrationData data = Simulate(Handheld(20.0));
+  const SessionData data = Simulate(Handheld(20.0));
   Feed(data, &live);
   for (int k = 0; k < 3; ++k) EndSolve(Result(2.0 * LiveOptions().target_time_shift_std), &live);
   EXPECT_EQ(live.Status(End(data)).phase, Phase::kCollecting);
@@ -246,9 +246,9 @@ TEST(LiveCalibration, OffersTheNewestOfThePreciseResults) {
 
 TEST(LiveCalibration, NoticesLostStreamsAndMarkers) {
   LiveCalibration live((LiveOptions()));
-  const CalibrationData data = Simulate(Handheld(30.0));
+  const SessionData data = Simulate(Handheld(30.0));
   Feed(Cut(data, 0.0, 10.0), &live);
-  CalibrationData lost = Cut(data, 10.0, 15.0);
+  SessionData lost = Cut(data, 10.0, 15.0);
   const double lost_end = End(lost);
   const PoseSample last = lost.poses.front();
   lost.poses.resize(1);
@@ -264,7 +264,7 @@ TEST(LiveCalibration, NoticesLostStreamsAndMarkers) {
   EXPECT_NEAR(status.poses.buffered_s, 20.0, 0.1);
 
   // A bridge that repeats what it saw last.
-  CalibrationData frozen = Cut(data, 20.0, 23.0);
+  SessionData frozen = Cut(data, 20.0, 23.0);
   for (PoseSample& pose : frozen.poses) pose = {pose.t_ns, last.q_WM, last.p_WM, {}};
   Feed(frozen, &live);
   status = live.Status(End(frozen));
@@ -273,8 +273,8 @@ TEST(LiveCalibration, NoticesLostStreamsAndMarkers) {
 }
 
 TEST(LiveCalibration, StartsAnewWhenAClockJumps) {
-  const CalibrationData data = Simulate(Handheld(20.0));
-  const auto expect_reset = [&](const CalibrationData& more, const std::string& text) {
+  const SessionData data = Simulate(Handheld(20.0));
+  const auto expect_reset = [&](const SessionData& more, const std::string& text) {
     LiveCalibration live((LiveOptions()));
     Feed(data, &live);
     EndSolve(Result(1e-3), &live);
@@ -286,9 +286,9 @@ TEST(LiveCalibration, StartsAnewWhenAClockJumps) {
     EXPECT_FALSE(live.result());
     EXPECT_NEAR(status.poses.buffered_s, 3.0, 0.1);
   };
-  const CalibrationData again = Cut(data, 0.0, 3.0);
+  const SessionData again = Cut(data, 0.0, 3.0);
   expect_reset(again, "time went back by 20 s");
-  CalibrationData back = Shift(again, 20.0), ahead = back;
+  SessionData back = Shift(again, 20.0), ahead = back;
   for (ImuSample& sample : back.gyro) sample.t_ns -= 10'000'000'000;
   expect_reset(back, "the stamps of the gyroscope went back by 9.98 s");
   for (ImuSample& sample : ahead.accel) sample.t_ns += 10'000'000'000;
@@ -297,8 +297,8 @@ TEST(LiveCalibration, StartsAnewWhenAClockJumps) {
 
 TEST(LiveCalibration, TakesFastPlaybackForNoJump) {
   LiveCalibration live((LiveOptions()));
-  const CalibrationData data = Simulate(Handheld(30.0));
-  CalibrationData gap = data;
+  const SessionData data = Simulate(Handheld(30.0));
+  SessionData gap = data;
   gap.poses.erase(gap.poses.begin() + 1000, gap.poses.begin() + 1500);
   Feed(gap, &live, 10.0);
   EXPECT_NEAR(live.Status(0.0).poses.buffered_s, 30.0, 0.1);
@@ -306,7 +306,7 @@ TEST(LiveCalibration, TakesFastPlaybackForNoJump) {
 
 TEST(LiveCalibration, IgnoresTheResultOfForgottenData) {
   LiveCalibration live((LiveOptions()));
-  const CalibrationData data = Simulate(Handheld(20.0));
+  const SessionData data = Simulate(Handheld(20.0));
   Feed(data, &live);
   live.BeginSolve();
   live.Reset("", End(data));
@@ -317,7 +317,7 @@ TEST(LiveCalibration, IgnoresTheResultOfForgottenData) {
 
 TEST(LiveCalibration, StaysAsItWasSaved) {
   LiveCalibration live((LiveOptions()));
-  const CalibrationData data = Simulate(Handheld(20.0));
+  const SessionData data = Simulate(Handheld(20.0));
   Feed(data, &live);
   EndSolve(Result(1e-3), &live);
   live.Freeze("saved to here");
@@ -331,9 +331,32 @@ TEST(LiveCalibration, StaysAsItWasSaved) {
   EXPECT_FALSE(live.IsFrozen());
 }
 
+TEST(LiveCalibration, KeepsThePathOfTheWindow) {
+  LiveOptions options;
+  options.window = 20.0;
+  LiveCalibration live(options);
+  const SessionData data = Simulate(Handheld(30.0));
+  Feed(data, &live);
+  const auto length = live.path().back().t_ns - live.path().front().t_ns;
+  EXPECT_NEAR(1e-9 * static_cast<double>(length), 20.0, 0.1);
+  EXPECT_NEAR(static_cast<double>(live.path().size()), 20.0 / 0.06, 2.0) << "every sixth pose";
+}
+
+/// The second pose of all is stamped before the first, by less than what would extend the path.
+TEST(LiveCalibration, KeepsAPathWhoseStampsGoBackALittle) {
+  LiveCalibration live((LiveOptions()));
+  const SessionData data = Simulate(Handheld(1.0));
+  EXPECT_TRUE(live.AddPose(data.poses[3], 1.0));
+  EXPECT_TRUE(live.AddPose(data.poses[0], 1.01));
+  ASSERT_EQ(live.path().size(), 1u);
+  EXPECT_EQ(live.path().front().t_ns, data.poses[0].t_ns);
+  live.Reset("", 1.02);
+  EXPECT_TRUE(live.path().empty());
+}
+
 TEST(LiveCalibration, CountsBrokenPosesAsALostMarker) {
   LiveCalibration live((LiveOptions()));
-  CalibrationData data = Simulate(Handheld(5.0));
+  SessionData data = Simulate(Handheld(5.0));
   for (PoseSample& pose : data.poses)
     if (pose.t_ns > data.poses[200].t_ns) pose.p_WM.x() = std::numeric_limits<double>::quiet_NaN();
   Feed(data, &live);

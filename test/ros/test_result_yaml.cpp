@@ -12,46 +12,48 @@ Calibration MakeResult() {
   result.status = Status::kOk;
   result.method = Method::kGp;
   result.message = "fine: \"really\"";
-  result.T_MI = {Eigen::Quaterniond(0.5, -0.5, 0.5, 0.5), {1.0 / 3.0, -0.2, 3e-8}};
-  result.covariance = Vector6d(1e-6, 4e-6, 9e-6, 1e-8, 4e-8, 9e-8).asDiagonal();
-  result.covariance(1, 4) = result.covariance(4, 1) = 1e-9;
-  result.time_shift = -1034771.50664123456;
-  result.time_shift_std = 1e-5;
-  result.accel_delay = 0.0037;
-  result.accel_delay_std = 2e-5;
+  result.imus[0].T_MI = {Eigen::Quaterniond(0.5, -0.5, 0.5, 0.5), {1.0 / 3.0, -0.2, 3e-8}};
+  result.imus[0].covariance = Vector6d(1e-6, 4e-6, 9e-6, 1e-8, 4e-8, 9e-8).asDiagonal();
+  result.imus[0].covariance(1, 4) = result.imus[0].covariance(4, 1) = 1e-9;
+  result.sessions[0].imus[0].time_shift = -1034771.50664123456;
+  result.sessions[0].imus[0].time_shift_std = 1e-5;
+  result.imus[0].accel_delay = 0.0037;
+  result.imus[0].accel_delay_std = 2e-5;
   result.pose_smoothing = -1.5e-5;
   result.pose_smoothing_std = 2.5e-6;
-  result.g_W = {0.0, 3.0, -4.0};
-  result.gyro_bias = {0.1, 0.2, 0.3};
-  result.accel_bias = {0.4, 0.5, 0.6};
-  result.noise = {0.001, 0.002, 0.003, 0.004};
-  result.rms = {0.011, 0.012, 0.013, 0.014};
+  result.sessions[0].g_W = {0.0, 3.0, -4.0};
+  result.sessions[0].imus[0].gyro_bias = {0.1, 0.2, 0.3};
+  result.sessions[0].imus[0].accel_bias = {0.4, 0.5, 0.6};
+  result.sessions[0].noise = {0.001, 0.002};
+  result.sessions[0].imus[0].noise = {0.003, 0.004};
+  result.sessions[0].rms = {0.011, 0.012};
+  result.sessions[0].imus[0].rms = {0.013, 0.014};
   result.warnings = {"w1"};
   result.observability = {{"p_MI along marker z", 0.25, "m", Status::kWeak}};
   result.unobservable = {"p_MI along marker z: turn about a second axis"};
-  result.poses.used = 4000;
-  result.poses.outlier = 3;
-  result.poses.rate_hz = 100.0;
-  result.poses.duration_s = 39.5;
-  result.gyro.used = 7920;
-  result.gyro.duplicate_stamp = 2;
-  result.accel.used = 7919;
-  result.gaps = 2;
+  result.sessions[0].poses.used = 4000;
+  result.sessions[0].poses.outlier = 3;
+  result.sessions[0].poses.rate_hz = 100.0;
+  result.sessions[0].poses.duration_s = 39.5;
+  result.sessions[0].imus[0].gyro.used = 7920;
+  result.sessions[0].imus[0].gyro.duplicate_stamp = 2;
+  result.sessions[0].imus[0].accel.used = 7919;
+  result.sessions[0].gaps = 2;
   return result;
 }
 
 RecordingInfo MakeInfo() {
   RecordingInfo info;
   info.bag = "dir/x.bag";
-  info.imu_topic = "/imu";
+  info.imus[0].imu_topic = "/imu";
   info.pose_topic = "/mocap/pose";
   info.world_frame = "world";
   info.marker_frame = "marker";
-  info.imu_frame = "imu";
+  info.imus[0].imu_frame = "imu";
   return info;
 }
 
-YAML::Node Parsed() { return YAML::Load(ToYaml(MakeResult(), MakeInfo(), CalibrationOptions())); }
+YAML::Node Parsed() { return YAML::Load(ToYaml(MakeResult(), {MakeInfo()}, CalibrationOptions())); }
 
 Eigen::MatrixXd Matrix(const YAML::Node& node) {
   Eigen::MatrixXd matrix(node.size(), node[0].size());
@@ -81,11 +83,11 @@ TEST(ResultYaml, HoldsTransformExactly) {
   const YAML::Node transform = Parsed()["transform"];
   EXPECT_EQ(transform["translation"].as<Doubles>(), Doubles({1.0 / 3.0, -0.2, 3e-8}));
   EXPECT_EQ(transform["rotation"].as<Doubles>(), Doubles({-0.5, 0.5, 0.5, 0.5}));
-  EXPECT_EQ(Matrix(transform["matrix"]), result.T_MI.Matrix());
-  EXPECT_EQ(Matrix(transform["covariance"]), result.covariance);
+  EXPECT_EQ(Matrix(transform["matrix"]), result.imus[0].T_MI.Matrix());
+  EXPECT_EQ(Matrix(transform["covariance"]), result.imus[0].covariance);
   for (size_t i = 0; i < 3; ++i) {
-    EXPECT_EQ(transform["translation_std"][i].as<double>(), result.Std()[i]);
-    EXPECT_EQ(transform["rotation_std"][i].as<double>(), result.Std()[3 + i]);
+    EXPECT_EQ(transform["translation_std"][i].as<double>(), result.imus[0].Std()[i]);
+    EXPECT_EQ(transform["rotation_std"][i].as<double>(), result.imus[0].Std()[3 + i]);
   }
 }
 
@@ -103,7 +105,7 @@ TEST(ResultYaml, InverseUndoesTransform) {
 TEST(ResultYaml, HoldsClocksGravityAndBiases) {
   const Calibration result = MakeResult();
   const YAML::Node yaml = Parsed();
-  EXPECT_EQ(yaml["time_shift"].as<double>(), result.time_shift);
+  EXPECT_EQ(yaml["time_shift"].as<double>(), result.sessions[0].imus[0].time_shift);
   EXPECT_EQ(yaml["time_shift_std"].as<double>(), 1e-5);
   EXPECT_EQ(yaml["accel_delay"].as<double>(), 0.0037);
   EXPECT_EQ(yaml["accel_delay_std"].as<double>(), 2e-5);
@@ -152,7 +154,7 @@ TEST(ResultYaml, HoldsDataAndOptions) {
 }
 
 TEST(ResultYaml, StatesTheEquations) {
-  const std::string text = ToYaml(MakeResult(), MakeInfo(), CalibrationOptions());
+  const std::string text = ToYaml(MakeResult(), {MakeInfo()}, CalibrationOptions());
   EXPECT_EQ(text.compare(0, std::string(kResultHeader).size(), kResultHeader), 0);
   for (const char* equation : {"x_marker = R x_imu + p",
                                "t_pose = t_imu + time_shift",

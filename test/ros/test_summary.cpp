@@ -11,24 +11,24 @@ Calibration MakeResult() {
   result.status = Status::kWeak;
   result.message =
       "the sigma of p_MI along z exceeds its bound of 10 mm, so use the result with care";
-  result.T_MI = {Eigen::Quaterniond(0.5, -0.5, 0.5, -0.5), {-1.0501, -0.2034, -0.3}};
-  result.covariance = Vector6d(1e-6, 4e-6, 9e-6, 1e-4, 4e-4, 9e-4).asDiagonal();
-  result.time_shift = -1034771.50664123456;
-  result.time_shift_std = 1.25e-3;
-  result.accel_delay = -0.0037;
-  result.accel_delay_std = 2e-5;
+  result.imus[0].T_MI = {Eigen::Quaterniond(0.5, -0.5, 0.5, -0.5), {-1.0501, -0.2034, -0.3}};
+  result.imus[0].covariance = Vector6d(1e-6, 4e-6, 9e-6, 1e-4, 4e-4, 9e-4).asDiagonal();
+  result.sessions[0].imus[0].time_shift = -1034771.50664123456;
+  result.sessions[0].imus[0].time_shift_std = 1.25e-3;
+  result.imus[0].accel_delay = -0.0037;
+  result.imus[0].accel_delay_std = 2e-5;
   result.pose_smoothing = 1.6e-5;
   result.pose_smoothing_std = 2e-6;
-  result.g_W = {-0.1, -0.2, -9.8};
-  result.gyro_bias = {-0.01, -0.02, -0.03};
-  result.accel_bias = {-0.4, -0.5, -0.6};
-  result.poses.used = 22562;
-  result.poses.rate_hz = 300.0;
-  result.poses.duration_s = 75.2;
-  result.poses.outlier = 1234;
-  result.poses.in_short_segment = 4321;
-  result.poses.duplicate_stamp = 17;
-  result.poses.not_finite = 18;
+  result.sessions[0].g_W = {-0.1, -0.2, -9.8};
+  result.sessions[0].imus[0].gyro_bias = {-0.01, -0.02, -0.03};
+  result.sessions[0].imus[0].accel_bias = {-0.4, -0.5, -0.6};
+  result.sessions[0].poses.used = 22562;
+  result.sessions[0].poses.rate_hz = 300.0;
+  result.sessions[0].poses.duration_s = 75.2;
+  result.sessions[0].poses.outlier = 1234;
+  result.sessions[0].poses.in_short_segment = 4321;
+  result.sessions[0].poses.duplicate_stamp = 17;
+  result.sessions[0].poses.not_finite = 18;
   result.observability = {{"p_MI along marker z", 3e-3, "m", Status::kWeak},
                           {"R_MI about imu z", 3e-2, "rad", Status::kOk},
                           {"time_shift", 1.25e-3, "s", Status::kOk},
@@ -41,16 +41,16 @@ Calibration MakeResult() {
 
 RecordingInfo MakeInfo() {
   RecordingInfo info;
-  info.gyro_topic = "/imu/gyro";
-  info.accel_topic = "/imu/accel";
+  info.imus[0].gyro_topic = "/imu/gyro";
+  info.imus[0].accel_topic = "/imu/accel";
   info.pose_topic = "/mocap/pose";
   info.marker_frame = "rig";
-  info.imu_frame = "imu_link";
+  info.imus[0].imu_frame = "imu_link";
   return info;
 }
 
 TEST(Summary, SaysWhatAPersonNeeds) {
-  const std::string text = Summary(MakeResult(), MakeInfo());
+  const std::string text = Summary(MakeResult(), {MakeInfo()});
   EXPECT_EQ(text.compare(0, 6, "WEAK: "), 0) << text;
   for (const char* part : {"/imu/gyro",
                            "/imu/accel",
@@ -74,9 +74,9 @@ TEST(Summary, SaysWhatAPersonNeeds) {
 
 TEST(Summary, ShowsNamesWithoutControlCharacters) {
   RecordingInfo info = MakeInfo();
-  info.gyro_topic = info.accel_topic = info.pose_topic = "/\x1b[2J";
-  info.marker_frame = info.imu_frame = info.imu_yaml = "\xff";
-  for (const std::string& text : {Summary(MakeResult(), info), Summary(DataCheck(), info)}) {
+  info.imus[0].gyro_topic = info.imus[0].accel_topic = info.pose_topic = "/\x1b[2J";
+  info.marker_frame = info.imus[0].imu_frame = info.imu_yaml = "\xff";
+  for (const std::string& text : {Summary(MakeResult(), {info}), Summary(DataCheck(), info)}) {
     EXPECT_TRUE(Contains(text, "/\\x1b[2J")) << text;
     EXPECT_FALSE(Contains(text, "\x1b"));
     EXPECT_FALSE(Contains(text, "\xff"));
@@ -85,24 +85,24 @@ TEST(Summary, ShowsNamesWithoutControlCharacters) {
 
 TEST(Summary, SaysWhichSideIsSmoothed) {
   Calibration result = MakeResult();
-  EXPECT_TRUE(Contains(Summary(result, MakeInfo()),
+  EXPECT_TRUE(Contains(Summary(result, {MakeInfo()}),
                        "Poses smoothed over 4.0 ms (sigma 0.2 ms) more than the imu"));
   result.pose_smoothing = -2.5e-5;
-  EXPECT_TRUE(Contains(Summary(result, MakeInfo()),
+  EXPECT_TRUE(Contains(Summary(result, {MakeInfo()}),
                        "Imu smoothed over 5.0 ms (sigma 0.2 ms) more than the poses"));
   result.pose_smoothing_std = 1e-5;
-  EXPECT_FALSE(Contains(Summary(result, MakeInfo()), "smoothed"));
+  EXPECT_FALSE(Contains(Summary(result, {MakeInfo()}), "smoothed"));
   result.pose_smoothing = result.pose_smoothing_std = 0.0;  // not estimated
-  EXPECT_FALSE(Contains(Summary(result, MakeInfo()), "smoothed"));
+  EXPECT_FALSE(Contains(Summary(result, {MakeInfo()}), "smoothed"));
 }
 
 TEST(Summary, FitsEightyColumns) {
-  std::istringstream lines(Summary(MakeResult(), MakeInfo()));
+  std::istringstream lines(Summary(MakeResult(), {MakeInfo()}));
   for (std::string line; std::getline(lines, line);) EXPECT_LE(line.size(), 80u) << line;
 }
 
 TEST(Summary, OffersACommandForTf) {
-  const std::string text = Summary(MakeResult(), MakeInfo());
+  const std::string text = Summary(MakeResult(), {MakeInfo()});
   const std::string command =
       "rosrun tf2_ros static_transform_publisher \\\n"
       "  -1.050100 -0.203400 -0.300000 -0.50000000 0.50000000 -0.50000000 0.50000000 \\\n"
@@ -112,16 +112,16 @@ TEST(Summary, OffersACommandForTf) {
 
 TEST(Summary, ShowsWhatTheCovariancesOfThePosesSay) {
   RecordingInfo info = MakeInfo();
-  EXPECT_FALSE(Contains(Summary(MakeResult(), info), "covariances"));
+  EXPECT_FALSE(Contains(Summary(MakeResult(), {info}), "covariances"));
   info.stated_pose_std = PoseStd{0.02, M_PI / 180};
-  EXPECT_TRUE(Contains(Summary(MakeResult(), info), "covariances say 20 mm and 1 deg per axis"));
+  EXPECT_TRUE(Contains(Summary(MakeResult(), {info}), "covariances say 20 mm and 1 deg per axis"));
 }
 
 TEST(Summary, ShowsNoNumbersThatAreNoResult) {
   Calibration result = MakeResult();
   result.status = Status::kDegenerate;
   result.unobservable = {"p_MI along marker z"};
-  const std::string text = Summary(result, MakeInfo());
+  const std::string text = Summary(result, {MakeInfo()});
   EXPECT_EQ(text.compare(0, 12, "DEGENERATE: "), 0);
   EXPECT_TRUE(Contains(text, "p_MI along marker z"));
   EXPECT_FALSE(Contains(text, "x_marker"));
@@ -146,7 +146,7 @@ TEST(Summary, ShowsADataCheckAtAGlance) {
   check.turns_M = {0.82, 0.57, 0.88};
   check.warnings = {"a warning that is long enough to be wrapped, for it goes on and on and on so"};
   RecordingInfo info = MakeInfo();
-  info.gyro_latency = Latency{-1034771.5, 2.5e-3};
+  info.imus[0].gyro_latency = Latency{-1034771.5, 2.5e-3};
   const std::string text = Summary(check, info);
   EXPECT_EQ(text.compare(0, 8, "USABLE: "), 0) << text;
   for (const char* part : {"22562   300.0  0.00 ms 250.00 ms",

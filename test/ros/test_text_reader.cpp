@@ -30,20 +30,20 @@ class TextFiles : public TempDirTest {
   static void ExpectRefusal(const TextRequest& request, const std::vector<std::string>& parts) {
     ExpectError<InputError>([&] { ReadText(request); }, parts);
   }
-  void ExpectData(const CalibrationData& data) const {
+  void ExpectData(const SessionData& data) const {
     ASSERT_EQ(data.poses.size(), data_.poses.size());
-    ASSERT_EQ(data.gyro.size(), data_.gyro.size());
-    ASSERT_EQ(data.accel.size(), data_.accel.size());
+    ASSERT_EQ(data.imus[0].gyro.size(), data_.gyro.size());
+    ASSERT_EQ(data.imus[0].accel.size(), data_.accel.size());
     for (size_t k = 0; k < data.poses.size(); ++k) {
       ASSERT_EQ(data.poses[k].t_ns, data_.poses[k].t_ns);
       ASSERT_EQ(data.poses[k].p_WM, data_.poses[k].p_WM);
       ASSERT_EQ(data.poses[k].q_WM.coeffs(), data_.poses[k].q_WM.coeffs());
     }
-    ExpectSamples(data.gyro, data_.gyro);
-    ExpectSamples(data.accel, data_.accel);
+    ExpectSamples(data.imus[0].gyro, data_.gyro);
+    ExpectSamples(data.imus[0].accel, data_.accel);
   }
 
-  CalibrationData data_;
+  SessionData data_;
 
  private:
   static void ExpectSamples(const std::vector<ImuSample>& a, const std::vector<ImuSample>& b) {
@@ -60,10 +60,10 @@ TEST_F(TextFiles, AslFolderGivesBackTheData) {
   ExpectData(recording.data);
   EXPECT_EQ(recording.info.bag, "");
   EXPECT_EQ(recording.info.pose_topic, Path("a/mocap0/data.csv"));
-  EXPECT_EQ(recording.info.imu_topic, Path("a/imu0/data.csv"));
+  EXPECT_EQ(recording.info.imus[0].imu_topic, Path("a/imu0/data.csv"));
   EXPECT_EQ(recording.info.world_frame, "world");
   EXPECT_EQ(recording.info.marker_frame, "marker");
-  EXPECT_EQ(recording.info.imu_frame, "imu");
+  EXPECT_EQ(recording.info.imus[0].imu_frame, "imu");
 }
 
 TEST_F(TextFiles, AslFolderMayHoldMav0) {
@@ -88,9 +88,9 @@ TEST_F(TextFiles, SplitTablesGiveBackTheData) {
   request.accel = Path("x.accel.csv");
   const Recording recording = ReadText(request);
   ExpectData(recording.data);
-  EXPECT_EQ(recording.info.imu_topic, "");
-  EXPECT_EQ(recording.info.gyro_topic, Path("x.gyro.csv"));
-  EXPECT_EQ(recording.info.accel_topic, Path("x.accel.csv"));
+  EXPECT_EQ(recording.info.imus[0].imu_topic, "");
+  EXPECT_EQ(recording.info.imus[0].gyro_topic, Path("x.gyro.csv"));
+  EXPECT_EQ(recording.info.imus[0].accel_topic, Path("x.accel.csv"));
 }
 
 TEST_F(TextFiles, OneFileForBothNeedsTheSameStamps) {
@@ -120,11 +120,11 @@ TEST_F(TextFiles, SpanOfForeignClocksCountsFromEachStart) {
   TextRequest request = Tables();
   request.start_s = 1.0;
   request.duration_s = 1.0;
-  const CalibrationData data = ReadText(request).data;
+  const SessionData data = ReadText(request).data;
   EXPECT_EQ(data.poses.front().t_ns, data_.poses.front().t_ns + 1'000'000'000);
   EXPECT_EQ(data.poses.size(), 101u);
-  EXPECT_EQ(data.gyro.front().t_ns, data_.gyro.front().t_ns + 1'000'000'000);
-  EXPECT_EQ(data.gyro.size(), 201u);
+  EXPECT_EQ(data.imus[0].gyro.front().t_ns, data_.gyro.front().t_ns + 1'000'000'000);
+  EXPECT_EQ(data.imus[0].gyro.size(), 201u);
 }
 
 TEST_F(TextFiles, RefusesASpanThatIsNone) {

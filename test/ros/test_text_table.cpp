@@ -12,9 +12,9 @@ std::vector<PoseSample> Poses(const std::string& text) {
   return ReadPoseTable(in, "p.txt");
 }
 
-CalibrationData Imu(const std::string& text) {
+SessionData Imu(const std::string& text) {
   std::istringstream in(text);
-  CalibrationData data;
+  SessionData data;
   ReadImuTable(in, "i.csv", &data);
   return data;
 }
@@ -95,20 +95,20 @@ TEST(PoseTable, SkipsByteOrderMarkCommentsAndEmptyLines) {
 }
 
 TEST(ImuTable, HasGyroscopeFirstWithoutHeader) {
-  const CalibrationData data = Imu("0.5,1,2,3,4,5,6\n0.6,1,2,3,4,5,7\n");
-  ASSERT_EQ(data.gyro.size(), 2u);
-  ASSERT_EQ(data.accel.size(), 2u);
-  EXPECT_EQ(data.gyro[0].t_ns, 500'000'000);
-  EXPECT_EQ(data.gyro[0].value, Eigen::Vector3d(1, 2, 3));
-  EXPECT_EQ(data.accel[1].t_ns, 600'000'000);
-  EXPECT_EQ(data.accel[1].value, Eigen::Vector3d(4, 5, 7));
+  const SessionData data = Imu("0.5,1,2,3,4,5,6\n0.6,1,2,3,4,5,7\n");
+  ASSERT_EQ(data.imus[0].gyro.size(), 2u);
+  ASSERT_EQ(data.imus[0].accel.size(), 2u);
+  EXPECT_EQ(data.imus[0].gyro[0].t_ns, 500'000'000);
+  EXPECT_EQ(data.imus[0].gyro[0].value, Eigen::Vector3d(1, 2, 3));
+  EXPECT_EQ(data.imus[0].accel[1].t_ns, 600'000'000);
+  EXPECT_EQ(data.imus[0].accel[1].value, Eigen::Vector3d(4, 5, 7));
 }
 
 TEST(ImuTable, FollowsTheHeader) {
-  const CalibrationData data = Imu("t [ms];temp;ax;ay;az;wx;wy;wz\n0.5;warm;4;5;6;1;2;3\n");
-  EXPECT_EQ(data.gyro.at(0).t_ns, 500'000);
-  EXPECT_EQ(data.gyro[0].value, Eigen::Vector3d(1, 2, 3));
-  EXPECT_EQ(data.accel[0].value, Eigen::Vector3d(4, 5, 6));
+  const SessionData data = Imu("t [ms];temp;ax;ay;az;wx;wy;wz\n0.5;warm;4;5;6;1;2;3\n");
+  EXPECT_EQ(data.imus[0].gyro.at(0).t_ns, 500'000);
+  EXPECT_EQ(data.imus[0].gyro[0].value, Eigen::Vector3d(1, 2, 3));
+  EXPECT_EQ(data.imus[0].accel[0].value, Eigen::Vector3d(4, 5, 6));
 }
 
 TEST(SensorTable, HasThreeValues) {

@@ -144,6 +144,63 @@ TEST(TfChain, KeepsNanosecondsOverLongRecordings) {
   EXPECT_EQ(count, 2000u);
 }
 
+/// Most updates that a chain of two links keeps while a -> b moves at 100 Hz.
+template <typename Others>
+size_t MostPending(const Others& others) {
+  TfChain chain("a", "c", 2.0);
+  size_t most = 0;
+  for (int k = 0; k < 3000; ++k) {
+    chain.Add(Message({Link("a", "b", 1.0 + 0.01 * k, k)}), false);
+    chain.Add(Message(others(k)), false);
+    chain.TakePoses();
+    most = std::max(most, chain.Pending());
+  }
+  return most;
+}
+
+using Links = std::vector<geometry_msgs::TransformStamped>;
+
+/// Whatever the other links do, no more is kept than the cache can tell poses of.
+TEST(TfChain, KeepsNoMoreUpdatesThanTheCache) {
+  EXPECT_LT(MostPending([](int k) { return Links{Link("b", "c", 1.0 + 0.01 * k, k)}; }), 5u);
+  EXPECT_LE(MostPending([](int) { return Links(); }), 201u) << "not connected";
+  EXPECT_LE(MostPending(
+                [](int k) { return k > 100 ? Links() : Links{Link("b", "c", 1.0 + 0.01 * k, k)}; }),
+            201u)
+      << "b -> c stalls";
+  EXPECT_LE(MostPending([](int k) { return Links{Link("b", "c", 5.0, k)}; }), 202u)
+      << "the stamps of b -> c stall";
+  EXPECT_LE(MostPending([](int k) {
+              return Links{Link("b", "c", 1.0 + 0.01 * k, k), Link("x", "y", 1.0 + 0.01 * k, k)};
+            }),
+            205u)
+      << "x -> y is not part of the chain";
+  const auto lost = [](double t) {
+    auto link = Link("b", "c", t, 0.0);
+    link.transform.translation.x = std::nan("");
+    return link;
+  };
+  EXPECT_LE(MostPending([&](int k) {
+              return Links{k < 100 ? Link("b", "c", 1.0 + 0.01 * k, k) : lost(1.0 + 0.01 * k)};
+            }),
+            402u)
+      << "b -> c is lost for good";
+  EXPECT_LE(MostPending([&](int k) { return Links{lost(1.0 + 0.01 * k)}; }), 201u)
+      << "b -> c has never been seen";
+}
+
+/// A stall that is longer than the cache costs no more than the poses meanwhile.
+TEST(TfChain, GoesOnAfterAStall) {
+  TfChain chain("a", "c", 2.0);
+  size_t count = 0;
+  for (int k = 0; k < 3000; ++k) {
+    chain.Add(Message({Link("a", "b", 1.0 + 0.01 * k, k)}), false);
+    if (k < 1000 || k >= 2000) chain.Add(Message({Link("b", "c", 1.0 + 0.01 * k, k)}), false);
+    for (const PoseSample& pose : chain.TakePoses()) count += pose.p_WM.allFinite();
+  }
+  EXPECT_GE(count, 2000u);
+}
+
 void ExpectProblem(const TfChain& chain, const std::vector<std::string>& parts) {
   ExpectError<InputError>([&] { chain.Check(); }, parts);
 }

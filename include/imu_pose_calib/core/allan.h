@@ -10,9 +10,13 @@ namespace imu_pose_calib {
 /// that is stronger at low frequencies has more at long ones. It sees frequencies around
 /// kAllanBand / tau.
 ///
-/// t: [s], not decreasing; means that hold less than half as many samples as the fullest are left
-/// out. x: as many, of the same unit as the result. The spread is the median's, so outliers do not
-/// count. 0 when fewer than ten pairs of means remain.
+/// The two windows of the means slide with the samples, and a sample at the end of a window counts
+/// by the part of its time that is within: no choice of bins, of the origin of t or of rounding
+/// moves the result.
+///
+/// t: [s], not decreasing; windows that samples do not cover by three quarters are left out. x: as
+/// many, of the same unit as the result. The spread is the median's, so outliers do not count. 0
+/// when there is no room for ten pairs of windows side by side.
 double AllanNoise(const std::vector<double>& t, const std::vector<Eigen::Vector3d>& x, double tau);
 
 /// Frequency [Hz] times tau [s] at which the Allan deviation is most sensitive.

@@ -1,134 +1,24 @@
 #pragma once
 
-#include <optional>
-#include <string>
 #include <vector>
 
 #include "imu_pose_calib/core/options.h"
+#include "imu_pose_calib/core/result.h"
 #include "imu_pose_calib/core/types.h"
 
 namespace imu_pose_calib {
 
-/// What became of the samples of one sensor (S0). received = used + the dropped ones.
-struct StreamReport {
-  size_t received = 0;
-  size_t used = 0;
-  size_t not_finite = 0;        ///< NaN or infinite value
-  size_t zero_quaternion = 0;   ///< poses only
-  size_t reversed_stamp = 0;    ///< 1 s before a sample that arrived earlier, or hours astray
-  size_t duplicate_stamp = 0;   ///< same stamp as another sample
-  size_t repeated_value = 0;    ///< exactly the previous value under a new stamp (frozen)
-  size_t saturated = 0;         ///< IMU only: at the end of the sensor's range
-  size_t outlier = 0;           ///< poses only: off its neighbours
-  size_t flipped = 0;           ///< poses only: in a run that turns against the gyroscope
-  size_t in_short_segment = 0;  ///< poses only: between gaps less than min_segment_s apart
-  double rate_hz = 0.0;         ///< 1 / median period of the samples used
-  double duration_s = 0.0;      ///< first to last sample used
-};
-
-/// White noise per sample and axis, as estimated from the data.
-struct NoiseStd {
-  double position = 0.0;  ///< [m]
-  double rotation = 0.0;  ///< [rad]
-  double gyro = 0.0;      ///< [rad/s]
-  double accel = 0.0;     ///< [m/s^2]
-};
-
-enum class Status {
-  kNotRun,
-  kOk,          ///< every sigma within its threshold
-  kWeak,        ///< usable with care: a sigma beyond its threshold
-  kDegenerate,  ///< the data do not determine the calibration; `message` names what is missing
-};
-
-/// How well one direction of the calibration is determined.
-struct Observability {
-  std::string direction;  ///< in words: "p_MI along marker z", "time_shift"
-  double std = 0.0;       ///< sigma [m, rad or s]
-  std::string unit;       ///< "m", "rad", "s"
-  Status status = Status::kNotRun;
-};
-
-/// Second half of the log less the first, each taken alone.
-struct SplitHalf {
-  Eigen::Vector3d translation = Eigen::Vector3d::Zero();  ///< [m] in M
-  Eigen::Vector3d rotation = Eigen::Vector3d::Zero();     ///< [rad] about the imu axes
-  double time_shift = 0.0;                                ///< [s]
-  double sigmas = 0.0;  ///< largest difference of a component in its sigma
-};
-
-/// Result of Calibrate(). Only kOk and kWeak are results.
-struct Calibration {
-  Status status = Status::kNotRun;
-  /// One sentence for people: the verdict and its reason.
-  std::string message = "Calibrate() was not called";
-  Method method = Method::kJoint;
-
-  Rigid3 T_MI;               ///< x_M = T_MI x_I
-  double time_shift = 0.0;   ///< [s] t_pose = t_imu + time_shift
-  double accel_delay = 0.0;  ///< [s] t_pose = t_accel + time_shift - accel_delay
-  /// Covariance of (p_MI [m] in M, small rotation [rad] about the imu axes: R_MI Exp(dtheta)).
-  Matrix6d covariance = Matrix6d::Zero();
-  double time_shift_std = 0.0;   ///< [s]
-  double accel_delay_std = 0.0;  ///< [s], 0 when not estimated
-  /// t_pose = t_imu + time_shift + clock_drift (t_imu - clock_reference); 0 when not estimated.
-  double clock_drift = 0.0, clock_drift_std = 0.0;  ///< [s/s]
-  double clock_reference = 0.0;                     ///< [s] IMU clock
-  /// [s^2] by how much the variance of the time over which a pose is averaged exceeds that of an
-  /// IMU sample; 0 when not estimated.
-  double pose_smoothing = 0.0, pose_smoothing_std = 0.0;
-
-  /// Scale and misalignment: measured = M true + bias, in I. Identity when not estimated.
-  ImuModel imu_model = ImuModel::kCalibrated;
-  Eigen::Matrix3d gyro_matrix = Eigen::Matrix3d::Identity();
-  Eigen::Matrix3d accel_matrix = Eigen::Matrix3d::Identity();
-  Eigen::Matrix3d gyro_matrix_std = Eigen::Matrix3d::Zero();
-  Eigen::Matrix3d accel_matrix_std = Eigen::Matrix3d::Zero();
-
-  Eigen::Vector3d g_W = Eigen::Vector3d::Zero();         ///< [m/s^2], points down
-  Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();   ///< [rad/s] in I, mean over the log
-  Eigen::Vector3d accel_bias = Eigen::Vector3d::Zero();  ///< [m/s^2] in I, mean over the log
-
-  NoiseStd noise;
-  /// RMS per axis of the residuals of the samples used, same units as `noise`.
-  NoiseStd rms;
-  /// GP length scales used [s].
-  double position_lengthscale_s = 0.0;
-  double rotation_lengthscale_s = 0.0;
-  /// Knot spacing of the joint solve's splines [s]; 0 when not used.
-  double knot_spacing_s = 0.0;
-
-  /// Spectrum of the calibration, the least certain direction first.
-  std::vector<Observability> observability;
-  SplitHalf split_half;
-  /// Directions of the calibration that the motion does not determine, in words; empty when all
-  /// are determined.
-  std::vector<std::string> unobservable;
-  std::vector<std::string> warnings;
-
-  StreamReport poses, gyro, accel;
-  size_t segments = 0;  ///< runs of poses without a gap
-  size_t gaps = 0;      ///< pose gaps longer than max_gap_s
-  size_t jumps = 0;     ///< cuts where a pose cannot follow from the one before it
-
-  Vector6d Std() const { return covariance.diagonal().cwiseSqrt(); }
-  /// The numbers may be used: status kOk or kWeak.
-  bool IsUsable() const { return status == Status::kOk || status == Status::kWeak; }
-};
-
-/// Estimates T_MI, time_shift and accel_delay from poses of M and IMU samples of I (doc/math.md).
-/// No initial guess is needed; the clocks may be days apart.
+/// Estimates T_MI and accel_delay of every IMU of a rig and the time shifts of every session, from
+/// poses of M and IMU samples of I (doc/math.md). No initial guess is needed. All sessions are
+/// recordings of one rig; they need not share a world frame, a clock, a length or the IMUs that
+/// they hold.
 ///
 /// Throws InputError for options out of range and DataError for data that cannot be used (too few
 /// samples, wrong units, no overlap, no motion). A motion that leaves part of the calibration
 /// undetermined gives status kDegenerate.
-Calibration Calibrate(const CalibrationOptions& options, const CalibrationData& data);
+Calibration Calibrate(const CalibrationOptions& options, const std::vector<SessionData>& sessions);
 
-/// "ok", "weak", "degenerate", "not run".
-const char* ToString(Status status);
-/// "joint", "gp".
-const char* ToString(Method method);
-/// "calibrated", "scale_misalignment".
-const char* ToString(ImuModel model);
+/// The same of a single recording.
+Calibration Calibrate(const CalibrationOptions& options, const SessionData& session);
 
 }  // namespace imu_pose_calib

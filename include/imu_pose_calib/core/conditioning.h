@@ -1,15 +1,39 @@
 #pragma once
 
+#include <algorithm>
+#include <string>
+#include <utility>
 #include <vector>
 
-#include "imu_pose_calib/core/calibrator.h"
+#include "imu_pose_calib/core/median.h"
 #include "imu_pose_calib/core/options.h"
+#include "imu_pose_calib/core/result.h"
 #include "imu_pose_calib/core/types.h"
 
 namespace imu_pose_calib {
 
 /// A sample stamped further from the median of its stream is astray (stamp 0, clock set meanwhile).
 constexpr int64_t kMaxAstrayNs = 6 * 3600 * int64_t{1'000'000'000};
+
+/// A sample that arrives up to this much after a later-stamped one is sorted in; beyond, one of the
+/// stamps is not believed.
+constexpr int64_t kMaxReorderNs = 1'000'000'000;
+
+/// Whether sample i, in order of arrival, is stamped by more than that after most of those that
+/// come next, and after most of those before it as well. The last before a clock jumps back agree
+/// with those before them, the first after a pause with those that come next.
+template <typename Sample>
+bool IsStampedAhead(const std::vector<Sample>& samples, size_t i) {
+  constexpr size_t kNear = 9;
+  const auto earlier = [&](size_t begin, size_t end) {
+    size_t count = 0;
+    for (size_t k = begin; k < end; ++k)
+      if (samples[k].t_ns < samples[i].t_ns - kMaxReorderNs) ++count;
+    return count;
+  };
+  const size_t before = std::min(i, kNear), after = std::min(samples.size() - 1 - i, kNear);
+  return 2 * earlier(i + 1, i + 1 + after) > after && 2 * earlier(i - before, i) >= before;
+}
 
 /// A pose at `t` [s] after ConditionedData::pose_epoch_ns.
 struct TimedPose {
@@ -20,7 +44,7 @@ struct TimedPose {
   double position_scale = 1.0, rotation_scale = 1.0;
 };
 
-/// A gyroscope or accelerometer sample at `t` [s] after ConditionedData::imu_epoch_ns.
+/// A gyroscope or accelerometer sample at `t` [s] after ConditionedImu::epoch_ns.
 struct TimedSample {
   double t;
   Eigen::Vector3d value;
@@ -32,20 +56,34 @@ struct IndexRange {
   size_t size() const { return end - begin; }
 };
 
+/// The samples of one IMU; without any when the session lacks it.
+struct ConditionedImu {
+  int64_t epoch_ns = 0;  ///< IMU clock
+  std::vector<TimedSample> gyro;
+  std::vector<TimedSample> accel;
+  StreamReport gyro_report, accel_report;
+
+  bool IsPresent() const { return !gyro.empty(); }
+};
+
 /// A recording that the next stages can rely on: finite, in strictly increasing time, without
 /// repeated samples, unit quaternions of continuous sign, in SI units.
 struct ConditionedData {
   int64_t pose_epoch_ns = 0;  ///< pose clock
-  int64_t imu_epoch_ns = 0;   ///< IMU clock
   std::vector<TimedPose> poses;
   std::vector<IndexRange> segments;  ///< of `poses`: runs without a gap
-  std::vector<TimedSample> gyro;
-  std::vector<TimedSample> accel;
+  std::vector<ConditionedImu> imus;  ///< in the order of the rig
 
-  StreamReport pose_report, gyro_report, accel_report;
+  StreamReport pose_report;
   size_t gaps = 0;
   size_t jumps = 0;
+
+  /// Place of the first IMU that the session has.
+  size_t FirstImu() const;
 };
+
+/// " of imu1", or nothing for the only one of the rig: what messages add to the name of a sensor.
+std::string OfImu(size_t imu, size_t count);
 
 /// The pose T_WM [m] of what was recorded as the options say.
 PoseSample ToMarkerPose(const CalibrationOptions& options, PoseSample recorded);
@@ -57,12 +95,17 @@ bool SameValue(const ImuSample& a, const ImuSample& b);
 /// Stage S0. Every dropped sample is counted in a report.
 /// Throws DataError naming the number and the bound when a stream is empty, too short, mostly
 /// unusable, or not in SI units.
-ConditionedData Condition(const CalibrationOptions& options, const CalibrationData& data);
+ConditionedData ConditionData(const CalibrationOptions& options, const SessionData& session);
 
-/// Cuts the segments where a pose cannot follow from the one before it (swapped marker labels, a
-/// tracker that finds itself anew) and counts the jumps. Runs between jumps that are too short for
-/// a segment are dropped and count as outliers. Single spikes must be gone already.
-/// Throws DataError when no run is left.
-void SplitAtJumps(const CalibrationOptions& options, ConditionedData* data);
+/// Fills `used`, rate and duration of the samples used, by their stamps.
+template <typename Timed>
+void Summarise(const std::vector<Timed>& samples, StreamReport* report) {
+  report->used = samples.size();
+  if (samples.size() < 2) return;
+  std::vector<double> periods;
+  for (size_t i = 1; i < samples.size(); ++i) periods.push_back(samples[i].t - samples[i - 1].t);
+  report->rate_hz = 1.0 / Median(std::move(periods));
+  report->duration_s = samples.back().t - samples.front().t;
+}
 
 }  // namespace imu_pose_calib

@@ -10,11 +10,12 @@
 
 namespace imu_pose_calib {
 
-/// The leading parameters of a least squares problem, all others marginalised.
+/// Some linear functionals of the parameters of a least squares problem, most of them parameters
+/// themselves; all others are marginalised.
 struct MarginalEstimate {
-  Eigen::MatrixXd covariance;  ///< leading block of H^-1, H = J^T J
-  /// Column w: -H^-1 g_w of the leading parameters, what the scores g_w = sum_w J^T r of cluster w
-  /// add to the Gauss-Newton step. At the minimum the columns add up to 0.
+  Eigen::MatrixXd covariance;  ///< L^T H^-1 L, H = J^T J
+  /// Column w: -L^T H^-1 g_w, what the scores g_w = sum_w J^T r of cluster w add to the
+  /// Gauss-Newton step. At the minimum the columns add up to 0.
   Eigen::MatrixXd influence;
 
   Eigen::VectorXd Step() const { return influence.rowwise().sum(); }
@@ -24,17 +25,22 @@ struct MarginalEstimate {
 struct MarginalEstimates {
   MarginalEstimate gauss_newton;
   MarginalEstimate exact;  ///< the same as gauss_newton when it would not be positive definite
+  Eigen::VectorXd step;    ///< Gauss-Newton step of all parameters
+  Eigen::MatrixXd gain;    ///< H^-1 L
+  Eigen::SparseMatrix<double> H;  ///< lower triangle
 };
 
-/// The first `count` parameters, as if the others were known to be right.
-MarginalEstimate Condition(const MarginalEstimate& estimate, int count);
+/// The first `count` functionals, as if the others were known to be right.
+MarginalEstimate GivenOthers(const MarginalEstimate& estimate, int count);
+/// The functionals at `places`, whatever the others are.
+MarginalEstimate Select(const MarginalEstimate& estimate, const std::vector<int>& places);
 
 /// Gathers H and the scores of the clusters from portions of the Jacobian, so that it need not be
-/// held as a whole.
+/// held as a whole. Clusters belong to parts of the data, which can be looked at alone.
 class MarginalEstimator {
  public:
-  /// Clusters from `second_half` on belong to the second half of the log.
-  MarginalEstimator(int parameters, int leading, int second_half);
+  /// The first `leading` parameters are those that parts are asked for.
+  MarginalEstimator(int parameters, int leading, const std::vector<int>& part_of_cluster);
 
   /// Rows of the weighted and robustified Jacobian and residuals at the minimum; `cluster[i]` is
   /// the time block of row i.
@@ -50,17 +56,24 @@ class MarginalEstimator {
   /// sample sees determined.
   void AddPrior(int first, double information);
 
-  /// Infinite when some parameter has no information.
-  MarginalEstimates Estimate() const;
-  /// What one half of the log (0 or 1) says alone, by J^T J.
-  MarginalEstimate EstimateHalf(int half) const;
+  /// Functionals are the columns of L. Infinite when some parameter has no information.
+  MarginalEstimates Solve(const Eigen::SparseMatrix<double>& L) const;
+  /// What some parts say alone, by J^T J, of the leading parameters at `wanted`, which must act in
+  /// them.
+  MarginalEstimate SolveParts(const std::vector<int>& parts, const std::vector<int>& wanted) const;
+  /// Leading parameters of which these parts say anything.
+  std::vector<int> ActingIn(const std::vector<int>& parts) const;
+
+  size_t parts() const { return H_.size(); }
 
  private:
-  const int leading_, second_half_;
-  Eigen::SparseMatrix<double> H_[2];            ///< lower triangles, of each half
+  Eigen::SparseMatrix<double> Sum(const std::vector<int>& parts) const;
+
+  const int leading_;
+  const std::vector<int> part_of_cluster_;
+  std::vector<Eigen::SparseMatrix<double>> H_;  ///< lower triangles, of each part
   std::map<int, Eigen::VectorXd> curvature_;    ///< by column
   std::vector<Eigen::Triplet<double>> scores_;  ///< (parameter, cluster, g)
-  int clusters_ = 0;
 };
 
 /// sum_i r_i d^2 r_i / (dp dx) for every column x of J, from the gradient `step` further in the

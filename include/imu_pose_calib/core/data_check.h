@@ -3,11 +3,11 @@
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/conditioning.h"
 #include "imu_pose_calib/core/initializer.h"
 #include "imu_pose_calib/core/options.h"
 #include "imu_pose_calib/core/pose_trajectory.h"
+#include "imu_pose_calib/core/result.h"
 
 namespace imu_pose_calib {
 
@@ -26,23 +26,13 @@ struct StreamCheck {
 
 enum class DataVerdict { kGood, kUsable, kRecordAgain };
 
-/// What a recording is worth, found without calibrating.
-struct DataCheck {
-  DataVerdict verdict = DataVerdict::kRecordAgain;
-  /// The reason in one line.
-  std::string message;
-  std::vector<std::string> warnings;
+/// The same of one IMU.
+struct ImuCheck {
+  StreamCheck gyro, accel;
+  StreamReport gyro_report, accel_report;  ///< what S0 would drop
 
-  StreamCheck poses, gyro, accel;
-  /// What S0 and S1 would drop.
-  StreamReport poses_report, gyro_report, accel_report;
-  size_t gaps = 0, jumps = 0;
-
-  /// Rms per axis about the mean: rate about the marker axes, acceleration along the world axes.
-  Eigen::Vector3d turns_M = Eigen::Vector3d::Zero();  ///< [rad/s]
-  Eigen::Vector3d moves_W = Eigen::Vector3d::Zero();  ///< [m/s^2]
-  double rest_s = 0.0;                                ///< how long the IMU rested
-  double rest_norm = 0.0;                             ///< [m/s^2] of the accelerometer meanwhile
+  double rest_s = 0.0;     ///< how long the IMU rested
+  double rest_norm = 0.0;  ///< [m/s^2] of the accelerometer meanwhile
 
   bool is_matched = false;  ///< both streams show the same motion; what follows is set
   double explained = 0.0;   ///< share of the gyroscope's variance that the poses explain
@@ -52,8 +42,25 @@ struct DataCheck {
   double drift_ppm_std = 0.0;
 };
 
+/// What a recording is worth, found without calibrating.
+struct DataCheck {
+  DataVerdict verdict = DataVerdict::kRecordAgain;
+  /// The reason in one line.
+  std::string message;
+  std::vector<std::string> warnings;
+
+  StreamCheck poses;
+  StreamReport poses_report;  ///< what S0 and S1 would drop
+  size_t segments = 0, gaps = 0, jumps = 0;
+
+  /// Rms per axis about the mean: rate about the marker axes, acceleration along the world axes.
+  Eigen::Vector3d turns_M = Eigen::Vector3d::Zero();  ///< [rad/s]
+  Eigen::Vector3d moves_W = Eigen::Vector3d::Zero();  ///< [m/s^2]
+  std::vector<ImuCheck> imus;                         ///< in the order of the rig
+};
+
 /// Checks of the samples as recorded: rates, stamps, repetitions.
-DataCheck CheckStreams(const CalibrationData& data);
+DataCheck CheckStreams(const SessionData& session);
 
 /// Checks of what S0 and S1 made of them: what was dropped, rest, excitation.
 void CheckMotion(const CalibrationOptions& options,
@@ -61,15 +68,15 @@ void CheckMotion(const CalibrationOptions& options,
                  const PoseTrajectory& trajectory,
                  DataCheck* check);
 
-/// Checks that poses and IMU fit each other at the start found in S2: overlap, clock drift.
+/// Checks that poses and an IMU fit each other at the start found in S2: overlap, clock drift.
 void CheckMatch(const ConditionedData& data,
                 const PoseTrajectory& trajectory,
                 const Start& start,
+                size_t imu,
                 DataCheck* check);
 
-/// All checks, with the verdict. Data that Calibrate() would refuse are `kRecordAgain`, or
-/// `kUsable` when they only need another option. Throws InputError for options out of range.
-DataCheck CheckData(const CalibrationOptions& options, const CalibrationData& data);
+/// Warns of clocks that drift. A calibration does so by its own, more exact estimate.
+void WarnOfDrift(const CalibrationOptions& options, DataCheck* check);
 
 /// "good", "usable", "record again".
 const char* ToString(DataVerdict verdict);

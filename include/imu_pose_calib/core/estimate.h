@@ -1,18 +1,29 @@
 #pragma once
 
+#include <memory>
 #include <utility>
 #include <vector>
 
 #include "imu_pose_calib/core/conditioning.h"
 #include "imu_pose_calib/core/initializer.h"
+#include "imu_pose_calib/core/options.h"
+#include "imu_pose_calib/core/pose_trajectory.h"
 
 namespace imu_pose_calib {
+
+/// A session as S0 to S2 leave it.
+struct PreparedSession {
+  ConditionedData data;
+  std::shared_ptr<const PoseTrajectory> trajectory;
+  std::vector<Start> starts;  ///< of each IMU of the rig; meaningless for one that is not present
+};
 
 /// A bias that changes linearly between knots.
 struct BiasKnots {
   std::vector<double> t;                ///< [s] IMU clock, increasing, at least two
   std::vector<Eigen::Vector3d> values;  ///< in I
 
+  BiasKnots() = default;
   /// Knots every `interval_s` over the samples, or one at every sample when 0.
   BiasKnots(const std::vector<TimedSample>& samples,
             double interval_s,
@@ -23,19 +34,22 @@ struct BiasKnots {
   Eigen::Vector3d Mean() const;
 };
 
-/// State of the solve; times as in Start.
-struct Estimate {
-  double time_shift, accel_delay;
+/// An IMU of the rig.
+struct ImuEstimate {
+  Eigen::Quaterniond q_MI = Eigen::Quaterniond::Identity();
+  Eigen::Vector3d p_MI = Eigen::Vector3d::Zero();  ///< [m]
+  double accel_delay = 0.0;                        ///< [s]
+  Vector6d gyro_intrinsics = Vector6d::Zero();     ///< of GyroMatrix()
+  Vector9d accel_intrinsics = Vector9d::Zero();    ///< of AccelMatrix()
+};
+
+/// An IMU in a session; times as in Start.
+struct ImuSessionEstimate {
+  bool is_present = false;
+  double time_shift = 0.0;       ///< [s]
   double clock_drift = 0.0;      ///< [s/s] growth of the time shift
   double clock_reference = 0.0;  ///< [s] IMU clock: instant at which time_shift holds
-  double pose_smoothing = 0.0;   ///< [s^2] see Calibration
-  Eigen::Quaterniond q_MI;
-  Eigen::Vector3d p_MI, g_W;
-  Vector6d gyro_intrinsics = Vector6d::Zero();   ///< of GyroMatrix()
-  Vector9d accel_intrinsics = Vector9d::Zero();  ///< of AccelMatrix()
   BiasKnots gyro_bias, accel_bias;
-
-  Estimate(const Start& start, const ConditionedData& data, double bias_knot_interval_s);
 
   /// Pose clock at t [s, IMU clock]. The accelerometer's samples describe t = stamp - accel_delay.
   double PoseTime(double t) const { return t + time_shift + clock_drift * (t - clock_reference); }
@@ -44,5 +58,52 @@ struct Estimate {
     return (t_M - time_shift + clock_drift * clock_reference) / (1.0 + clock_drift);
   }
 };
+
+struct SessionEstimate {
+  Eigen::Vector3d g_W = Eigen::Vector3d::Zero();  ///< [m/s^2]
+  std::vector<ImuSessionEstimate> imus;           ///< in the order of the rig
+
+  size_t FirstImu() const;
+};
+
+/// State of the solve but for the trajectories: the rig, and its sessions.
+struct Estimate {
+  double pose_smoothing = 0.0;  ///< [s^2] see Calibration
+  std::vector<ImuEstimate> imus;
+  std::vector<SessionEstimate> sessions;
+
+  Estimate() = default;
+  /// One session where S2 leaves it.
+  Estimate(const PreparedSession& session, double bias_knot_interval_s);
+};
+
+/// Parameters of a calibration, those of the IMUs and clocks first.
+enum class ParameterKind {
+  kTranslation,      ///< p_MI [m] in M
+  kRotation,         ///< [rad] about the imu axes, R_MI Exp(dtheta)
+  kTimeShift,        ///< [s] of an IMU in a session
+  kAccelDelay,       ///< [s]
+  kClockDrift,       ///< [s/s] of an IMU in a session
+  kPoseSmoothing,    ///< [s^2]
+  kGyroIntrinsics,   ///< 6, of GyroMatrix()
+  kAccelIntrinsics,  ///< 9, of AccelMatrix()
+  kGravity,          ///< [m/s^2] of a session
+  kGyroBias,         ///< [rad/s] of an IMU in a session, mean
+  kAccelBias,        ///< [m/s^2] of an IMU in a session, mean
+};
+
+/// One parameter and where it stands in the estimate; `imu` and `session` as far as they apply.
+struct Parameter {
+  ParameterKind kind;
+  size_t imu, session;
+  int size;      ///< degrees of freedom
+  double* data;  ///< in the estimate; a mean: null
+};
+
+/// What is calibrated: all but gravity and biases, of every IMU that is present, in a fixed order.
+std::vector<Parameter> CalibrationParameters(Estimate* estimate);
+
+/// Whether the options want it estimated.
+bool IsEstimated(const CalibrationOptions& options, ParameterKind kind);
 
 }  // namespace imu_pose_calib

@@ -3,11 +3,13 @@
 #include "imu_pose_calib/core/conditioning.h"
 #include "imu_pose_calib/core/options.h"
 #include "imu_pose_calib/core/pose_trajectory.h"
+#include "imu_pose_calib/core/rate_alignment.h"
 
 namespace imu_pose_calib {
 
-/// What the solve starts from. Times are relative to the epochs of ConditionedData:
-/// t_pose = t_imu + time_shift with t_pose after pose_epoch_ns and t_imu after imu_epoch_ns.
+/// What the solve starts from for one IMU. Times are relative to the epochs of the
+/// session and the IMU: t_pose = t_imu + time_shift with t_pose after
+/// ConditionedData::pose_epoch_ns and t_imu after ConditionedImu::epoch_ns.
 struct Start {
   double time_shift = 0.0;   ///< [s]
   double accel_delay = 0.0;  ///< [s]
@@ -18,32 +20,9 @@ struct Start {
   Eigen::Vector3d accel_bias = Eigen::Vector3d::Zero();  ///< [m/s^2] in I
 };
 
-/// Time shifts at which |omega_M| and |gyro| correlate best, the best first, at most `count`.
-/// Every overlap of at least `min_overlap_s` is searched, or those within 1 s of `guess`.
-std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
-                                   const std::vector<TimedPose>& poses,
-                                   const std::vector<TimedSample>& gyro,
-                                   double min_overlap_s,
-                                   const std::optional<double>& guess,
-                                   int count);
-
-/// Rotation, gyro bias and fit of the rates at a given time shift.
-struct RateAlignment {
-  Eigen::Quaterniond q_MI = Eigen::Quaterniond::Identity();
-  Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();  ///< [rad/s] in I
-  double scale = 0.0;      ///< rms of the gyro's rates over the marker's: 1 when both are rad/s
-  double explained = 0.0;  ///< share of the gyro's variance that the marker's rates explain
-  size_t count = 0;        ///< gyro samples that fall on the trajectory
-};
-
-/// SVD solution of Wahba's problem on mean-free rates, omega_M = R_MI (gyro - bias).
-RateAlignment AlignRates(const PoseTrajectory& trajectory,
-                         const std::vector<TimedSample>& gyro,
-                         double time_shift);
-
 /// Drops the segments on which the marker turns against the gyroscope, as with swapped labels that
 /// turn the marker's frame on its body; they leave `trajectory` and data->poses and are counted.
-/// The rotation R_MI on which the longest part of the log agrees decides.
+/// The rotation R_MI of the first IMU on which the longest part of the log agrees decides.
 /// Throws DataError when no such part prevails.
 void RemoveFlippedSegments(const CalibrationOptions& options,
                            PoseTrajectory* trajectory,
@@ -59,11 +38,12 @@ void FitLeverArm(const PoseTrajectory& trajectory,
                  bool estimate_delay,
                  Start* start);
 
-/// Stage S2: closed-form start; initial values of the options take precedence.
+/// Stage S2: closed-form start of one IMU; initial values of the options take precedence.
 /// Throws DataError when the rates of poses and gyroscope do not match at any time shift, or match
 /// better when the poses are inverted.
 Start Initialise(const CalibrationOptions& options,
                  const PoseTrajectory& trajectory,
-                 const ConditionedData& data);
+                 const ConditionedData& data,
+                 size_t imu);
 
 }  // namespace imu_pose_calib

@@ -2,6 +2,7 @@
 
 #include <ceres/cost_function.h>
 
+#include <memory>
 #include <vector>
 
 #include "imu_pose_calib/core/pose_trajectory.h"
@@ -14,9 +15,9 @@ namespace imu_pose_calib {
 /// keeps the normal equations to a few dense products. `phi` and `d` stand for kSplineOrder control
 /// points each, blocks of 3.
 ///
-/// The trajectory is a function of the accelerometer's clock, tau [s]: the sensor that sees the
-/// highest derivatives stays put, and poses and gyroscope move along the trajectory when the clocks
-/// are estimated (doc/math.md, S4, "Clock of the trajectory").
+/// While the clocks are estimated, the trajectory goes along with the accelerometer of the
+/// session's first IMU: the sensor that sees the highest derivatives stays put, and all others move
+/// along the trajectory (doc/math.md, S4, "Clock of the trajectory").
 
 /// Where a sample lies on the trajectory while the clocks are where they stood when the problem was
 /// made. It moves along the GP to first order (poses: second), and by little: the last pass starts
@@ -26,42 +27,63 @@ struct TrajectoryPoint {
   SplinePlace place;
 };
 
+/// How the samples of a block move along the trajectory with one clock parameter, a block of 1:
+/// dt = coefficient (parameter - value) [s].
+struct ClockMotion {
+  enum Factor { kOne, kOwnTime, kReferenceTime };
+  double value;   ///< for which the samples are at their places
+  double sign;    ///< +1 or -1
+  Factor factor;  ///< of the coefficient: 1, or a time of the sample as below
+};
+using ClockMotions = std::shared_ptr<const std::vector<ClockMotion>>;
+
 /// A pose of the marker.
 struct JointPoseSample {
   TrajectoryPoint at;
   Eigen::Quaterniond q_WM;
-  Eigen::Vector3d p_WM;                         ///< [m]
-  double time_shift, clock_drift, accel_delay;  ///< for which it is `at` its place
-  double t_drift;  ///< [s] its time, IMU clock, after the instant at which time_shift holds
-  double sigma;    ///< [m] of the position or [rad] of the rotation
+  Eigen::Vector3d p_WM;  ///< [m]
+  double
+      reference_time;  ///< [s] clock of the first IMU, after the instant at which its shift holds
+  double sigma;        ///< [m] of the position or [rad] of the rotation
 };
 
-/// r = (p_meas - p_gp(tau) - d(tau) - s/2 (a_gp + d''(tau))) / sigma, in W, s: pose_smoothing.
-/// Blocks: d | time_shift (1) | clock_drift (1) | accel_delay (1) | pose_smoothing (1).
-ceres::CostFunction* CreateJointPositionResidual(const std::vector<JointPoseSample>& samples);
+/// r = (p_meas - p_gp(t) - d(t) - s/2 (a_gp + d''(t))) / sigma, in W, s: pose_smoothing.
+/// Blocks: d | pose_smoothing (1) | clocks.
+ceres::CostFunction* CreateJointPositionResidual(const std::vector<JointPoseSample>& samples,
+                                                 const ClockMotions& clocks);
 
-/// r = Log(Exp(s/2 (alpha_gp + phi''(tau)))^T Exp(phi(tau))^T R_gp(tau)^T R_meas) / sigma, in M.
-/// Blocks: phi | time_shift (1) | clock_drift (1) | accel_delay (1) | pose_smoothing (1).
-ceres::CostFunction* CreateJointRotationResidual(const std::vector<JointPoseSample>& samples);
+/// r = Log(Exp(s/2 (alpha_gp + phi''(t)))^T Exp(phi(t))^T R_gp(t)^T R_meas) / sigma, in M.
+/// Blocks: phi | pose_smoothing (1) | clocks.
+ceres::CostFunction* CreateJointRotationResidual(const std::vector<JointPoseSample>& samples,
+                                                 const ClockMotions& clocks);
 
 /// A sample of the gyroscope or the accelerometer.
 struct JointImuSample {
   TrajectoryPoint at;
-  Eigen::Vector3d value;  ///< gyroscope [rad/s] or accelerometer [m/s^2] in I
-  double bias_u;          ///< 0..1 between the bias knots
-  double accel_delay;     ///< [s] for which it is `at` its place; gyroscope only
-  double sigma;           ///< unit of value
+  Eigen::Vector3d value;            ///< gyroscope [rad/s] or accelerometer [m/s^2] in I
+  double bias_u;                    ///< 0..1 between the bias knots
+  double own_time, reference_time;  ///< [s] as in JointPoseSample, on its own IMU's clock too
+  double sigma;                     ///< unit of value
 };
 
-/// r = (w - b_g - M_g R_MI^T omega_M(tau)) / sigma, in I.
+/// r = (w - b_g - M_g R_MI^T omega_M(t)) / sigma, in I.
 /// Blocks: phi | q_MI (4, xyzw) | M_g (6, see GyroMatrix()) | bias knot_0 (3) | knot_1 (3) |
-/// accel_delay (1).
-ceres::CostFunction* CreateJointGyroResidual(const std::vector<JointImuSample>& samples);
+/// clocks.
+ceres::CostFunction* CreateJointGyroResidual(const std::vector<JointImuSample>& samples,
+                                             const ClockMotions& clocks);
 
-/// r = (f - b_a - M_a R_MI^T f_M(tau)) / sigma, in I, with
+/// Third derivatives of the GP, for accelerometers that move along it.
+struct MarkerJerk {
+  Eigen::Vector3d alpha_rate;  ///< [rad/s^3] in M
+  Eigen::Vector3d jerk_W;      ///< [m/s^3]
+};
+
+/// r = (f - b_a - M_a R_MI^T f_M(t)) / sigma, in I, with
 /// f_M = R_WM^T (a_W - g_W) + alpha_M x p_MI + omega_M x (omega_M x p_MI).
 /// Blocks: d | phi | q_MI (4) | p_MI (3) | g_W (3) | M_a (9, see AccelMatrix()) | knot_0 (3) |
-/// knot_1 (3).
-ceres::CostFunction* CreateJointAccelResidual(const std::vector<JointImuSample>& samples);
+/// knot_1 (3) | clocks. `jerks`: of each sample, when there are clocks.
+ceres::CostFunction* CreateJointAccelResidual(const std::vector<JointImuSample>& samples,
+                                              const std::vector<MarkerJerk>& jerks,
+                                              const ClockMotions& clocks);
 
 }  // namespace imu_pose_calib

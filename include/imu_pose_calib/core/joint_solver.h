@@ -1,30 +1,32 @@
 #pragma once
 
-#include "imu_pose_calib/core/calibration_problem.h"
+#include <vector>
+
+#include "imu_pose_calib/core/least_squares.h"
+#include "imu_pose_calib/core/solution.h"
 
 namespace imu_pose_calib {
 
-/// Where the joint solve starts from beside the estimate.
+/// Where the joint solve of a session starts from beside the estimate.
 struct JointStart {
   double knot_spacing_s;
-  NoiseStd noise;
+  std::vector<double> noise;  ///< of the sensors, in the order of InitialModels()
+  double liveliness;  ///< [rad^2/s^4] mean square of alpha_M of the seconds that were looked at
 };
 
-/// Knot spacing: options.knot_spacing_s, or refined on the liveliest seconds of the log until the
-/// IMU residuals stop shrinking (doc/math.md, S4, "Knot spacing"). The noise is what these
-/// residuals show, and `estimate` moves to the calibration of these seconds.
+/// Knot spacing of one session: options.knot_spacing_s, or refined on the liveliest seconds of the
+/// log until the IMU residuals stop shrinking (doc/math.md, S4, "Knot spacing"). The noise is what
+/// these residuals show, and `estimate` moves to the calibration of these seconds.
 JointStart ChooseKnotSpacing(const CalibrationOptions& options,
-                             const PoseTrajectory& trajectory,
-                             const ConditionedData& data,
+                             const PreparedSession& session,
                              Estimate* estimate);
 
-/// Stage S4 as a whole at one knot spacing: passes of JointProblem with the noise and the robust
-/// weights that the residuals before show, until the noise found agrees with the noise assumed
-/// (doc/math.md, S4, "Passes"). Moves `estimate`.
+/// Stage S4 as a whole at the knot spacings and noise of each session: passes of least squares with
+/// the noise and the robust weights that the residuals before show, until the noise found agrees
+/// with the noise assumed (doc/math.md, S4, "Passes"). Moves `estimate`.
 Solution SolveJointly(const CalibrationOptions& options,
-                      const PoseTrajectory& trajectory,
-                      const ConditionedData& data,
-                      const JointStart& start,
+                      const std::vector<PreparedSession>& sessions,
+                      const std::vector<JointStart>& starts,
                       Estimate* estimate);
 
 }  // namespace imu_pose_calib

@@ -3,6 +3,8 @@
 #include <ceres/problem.h>
 #include <ceres/version.h>
 
+#include <Eigen/Core>
+
 /// The only place that knows that Ceres renamed its parameterizations (2.1 against 1.14).
 #if CERES_VERSION_MAJOR > 2 || (CERES_VERSION_MAJOR == 2 && CERES_VERSION_MINOR >= 1)
 #define IMU_POSE_CALIB_CERES_HAS_MANIFOLDS 1
@@ -32,6 +34,41 @@ inline void SetSphere(double* vector3, ceres::Problem* problem) {
 #else
   problem->SetParameterization(vector3, new ceres::HomogeneousVectorParameterization(3));
 #endif
+}
+
+/// Moves a parameter block by a step in its tangent space.
+inline void MoveBlock(const ceres::Problem& problem, const double* step, double* parameters) {
+  const int size = problem.ParameterBlockSize(parameters);
+  Eigen::VectorXd moved(size);
+#if IMU_POSE_CALIB_CERES_HAS_MANIFOLDS
+  const ceres::Manifold* manifold = problem.GetManifold(parameters);
+#else
+  const ceres::LocalParameterization* manifold = problem.GetParameterization(parameters);
+#endif
+  if (manifold == nullptr)
+    moved = Eigen::Map<const Eigen::VectorXd>(parameters, size) +
+            Eigen::Map<const Eigen::VectorXd>(step, size);
+  else
+    manifold->Plus(parameters, step, moved.data());
+  Eigen::Map<Eigen::VectorXd>(parameters, size) = moved;
+}
+
+/// Derivative of a parameter block by a step in its tangent space, which has a manifold.
+inline Eigen::MatrixXd PlusJacobian(const ceres::Problem& problem, const double* parameters) {
+  auto* block = const_cast<double*>(parameters);  // Ceres asks for it
+#if IMU_POSE_CALIB_CERES_HAS_MANIFOLDS
+  const int size = problem.ParameterBlockTangentSize(block);
+#else
+  const int size = problem.ParameterBlockLocalSize(block);
+#endif
+  Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> J(
+      problem.ParameterBlockSize(block), size);
+#if IMU_POSE_CALIB_CERES_HAS_MANIFOLDS
+  problem.GetManifold(block)->PlusJacobian(block, J.data());
+#else
+  problem.GetParameterization(block)->ComputeJacobian(block, J.data());
+#endif
+  return J;
 }
 
 /// Degrees of freedom of a parameter block.

@@ -2,11 +2,11 @@
 
 #include <string>
 
-#include "imu_pose_calib/core/calibration_problem.h"
-#include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/conditioning.h"
+#include "imu_pose_calib/core/marginals.h"
 #include "imu_pose_calib/core/options.h"
 #include "imu_pose_calib/core/pose_trajectory.h"
+#include "imu_pose_calib/core/result.h"
 
 namespace imu_pose_calib {
 
@@ -21,17 +21,27 @@ TurnExcitation MeasureTurns(const PoseTrajectory& trajectory, const ConditionedD
 /// "marker z", or "(0.71, 0.00, 0.71) in the marker frame" when no axis is within 20 degrees.
 std::string DescribeAxis(const Eigen::Vector3d& axis, const std::string& frame = "marker");
 
-/// Without turns about two axes no solve can tell the lever arm or the rotation: sets status
-/// kDegenerate, message and the directions in words. False when the motion suffices.
-bool IsMotionDegenerate(const TurnExcitation& turns, Calibration* result);
+/// Without turns about two axes no solve can tell the lever arm or the rotation.
+class DegenerateMotion : public DataError {
+ public:
+  DegenerateMotion(const std::string& message, const std::string& unobservable)
+      : DataError(message), unobservable(unobservable) {}
+  std::string unobservable;  ///< the direction in words
+};
 
-/// Stage S5: fills covariance, sigmas, observability, split halves, status and message.
+/// Throws DegenerateMotion unless the motion suffices.
+void CheckTurns(const TurnExcitation& turns);
+
+/// Stage S5: fills covariances, sigmas, observability, split halves, status and message.
 void GradeResult(const CalibrationOptions& options,
-                 const CalibrationCovariance& covariance,
+                 const Marginals& marginals,
                  Calibration* result);
 
 /// Adds a warning in words for each sign that the model does not fit the data: correlated
 /// residuals, halves that disagree, drifting clocks, wrong scales, a long accel_delay.
-void WarnOfMisfit(const CalibrationCovariance& covariance, Calibration* result);
+void WarnOfMisfit(const Marginals& marginals, Calibration* result);
+
+/// "123.4 mm", "0.1234 deg" or "0.1234 ms" of a value in m, rad or s.
+std::string InWords(double value, const std::string& unit);
 
 }  // namespace imu_pose_calib

@@ -19,7 +19,8 @@ enum class Motion {
 struct SimulatorOptions {
   Motion motion = Motion::kHandheld;
   double duration_s = 40.0;
-  uint32_t seed = 1;  ///< motion, noise and biases follow from it
+  uint32_t seed = 1;        ///< motion, noise and biases follow from it
+  uint32_t noise_seed = 0;  ///< noise and biases follow from this one unless it is 0
 
   double pose_rate_hz = 100.0;
   double gyro_rate_hz = 200.0;
@@ -76,6 +77,13 @@ class TrueTrajectory {
 };
 
 /// Poses and IMU samples of `options`; the same options give the same data.
-CalibrationData Simulate(const SimulatorOptions& options);
+SessionData Simulate(const SimulatorOptions& options);
+
+/// IMU number `imu` on the body of `first`, which is number 0: 0.2 m further along x each, turned,
+/// and with a clock, a delay and noise of its own.
+SimulatorOptions FurtherImu(SimulatorOptions first, size_t imu);
+
+/// Poses and the samples of several IMUs.
+SessionData Simulate(const SimulatorOptions& options, size_t imus);
 
 }  // namespace imu_pose_calib

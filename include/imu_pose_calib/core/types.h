@@ -37,6 +37,11 @@ struct Rigid3 {
   }
 };
 
+/// T_XZ = T_XY T_YZ.
+inline Rigid3 operator*(const Rigid3& T_XY, const Rigid3& T_YZ) {
+  return {T_XY.q * T_YZ.q, T_XY.q * T_YZ.p + T_XY.p};
+}
+
 /// Sigma of a pose, per axis.
 struct PoseStd {
   double position = 0.0;  ///< [m]
@@ -51,18 +56,32 @@ struct PoseSample {
   PoseStd stated_std;                              ///< as its source says; 0: it does not
 };
 
+/// Sigma of the samples of an IMU, per axis.
+struct ImuStd {
+  double gyro = 0.0;   ///< [rad/s]
+  double accel = 0.0;  ///< [m/s^2]
+};
+
 /// One gyroscope [rad/s] or accelerometer [m/s^2] sample in I, stamped by the IMU clock.
 struct ImuSample {
   int64_t t_ns = 0;  ///< IMU clock
   Eigen::Vector3d value = Eigen::Vector3d::Zero();
 };
 
-/// A recording in the order in which it arrived. Integer stamps keep clocks that are days apart at
-/// full precision.
-struct CalibrationData {
-  std::vector<PoseSample> poses;
+/// What a recording holds of one IMU, in the order in which it arrived; both empty: nothing.
+struct ImuData {
   std::vector<ImuSample> gyro;
   std::vector<ImuSample> accel;
+
+  bool IsEmpty() const { return gyro.empty() && accel.empty(); }
+};
+
+/// One recording of a rig, which is a marker and the IMUs on its body, in the order in which it
+/// arrived. Integer stamps keep clocks that are days apart at full precision. The places in `imus`
+/// are those of the rig: the same in all its sessions, empty where a session lacks an IMU.
+struct SessionData {
+  std::vector<PoseSample> poses;
+  std::vector<ImuData> imus = std::vector<ImuData>(1);
 };
 
 /// The input or an option is unusable as given: the text names field, value and bound.

@@ -5,7 +5,10 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
+#include <functional>
+#include <map>
 #include <optional>
+#include <sstream>
 #include <vector>
 
 #include "imu_pose_calib/core/median.h"
@@ -18,6 +21,9 @@
 
 namespace imu_pose_calib {
 namespace {
+
+/// Bags of one recording follow each other, or overlap, by no more than this [s].
+constexpr double kMaxPause = 2.0;
 
 std::string PoseTypeList() {
   std::string list;
@@ -101,24 +107,54 @@ ImuTopics FindImu(const Bags& bags) {
   }
   if (gyros.size() != 1 || accels.size() != 1)
     throw InputError("several IMU topics: " + Describe(candidates) +
-                     "; choose with imu_topic, or with gyro_topic and accel_topic");
+                     "; choose with imu_topic, several of one body with white space between them, "
+                     "or with gyro_topic and accel_topic");
   return {gyros[0], accels[0]};
 }
 
-ImuTopics ChooseImu(const Bags& bags, const BagRequest& request) {
+/// Whether the bags lack a topic that other sessions of the rig have.
+bool IsMissing(const Bags& bags, const BagRequest& request, const std::string& name) {
+  const auto is_it = [&name](const BagTopic& topic) { return topic.name == name; };
+  return request.may_lack_imus && bags.Select(is_it).empty();
+}
+
+/// The topics of each IMU; nameless for one that is missing.
+std::vector<ImuTopics> ChooseImus(const Bags& bags, const BagRequest& request) {
+  std::vector<ImuTopics> imus;
   if (IsPair({"imu_topic", request.imu_topic},
              {"gyro_topic", request.gyro_topic},
-             {"accel_topic", request.accel_topic}))
-    return {NamedImu(bags, "gyro_topic", request.gyro_topic),
-            NamedImu(bags, "accel_topic", request.accel_topic)};
+             {"accel_topic", request.accel_topic})) {
+    const std::vector<std::string> gyros = SplitNames(request.gyro_topic);
+    const std::vector<std::string> accels = SplitNames(request.accel_topic);
+    if (gyros.size() != accels.size())
+      throw InputError("gyro_topic names " + std::to_string(gyros.size()) +
+                       " topics and accel_topic " + std::to_string(accels.size()) +
+                       "; give as many of both, in the same order");
+    for (size_t i = 0; i < gyros.size(); ++i) {
+      const bool is_missing =
+          IsMissing(bags, request, gyros[i]) && IsMissing(bags, request, accels[i]);
+      imus.push_back(is_missing ? ImuTopics()
+                                : ImuTopics{NamedImu(bags, "gyro_topic", gyros[i]),
+                                            NamedImu(bags, "accel_topic", accels[i])});
+    }
+    return imus;
+  }
   if (!request.imu_topic.empty()) {
-    const BagTopic topic = NamedImu(bags, "imu_topic", request.imu_topic);
-    return {topic, topic};
+    for (const std::string& name : SplitNames(request.imu_topic)) {
+      if (std::any_of(imus.begin(), imus.end(), [&](const ImuTopics& imu) {
+            return imu.gyro.name == name;
+          }))
+        throw InputError("imu_topic '" + name + "' is given twice");
+      const bool is_missing = IsMissing(bags, request, name);
+      const BagTopic topic = is_missing ? BagTopic() : NamedImu(bags, "imu_topic", name);
+      imus.push_back({topic, topic});
+    }
+    return imus;
   }
   for (const BagTopic& topic : bags.topics())
     if (topic.IsImu() && topic.count > 0 && topic.name == request.usual_imu_topic)
-      return {topic, topic};
-  return FindImu(bags);
+      return {{topic, topic}};
+  return {FindImu(bags)};
 }
 
 /// A topic without the data that are to come from it is a mistake in the topics, not bad data.
@@ -204,7 +240,11 @@ class Delays {
   std::vector<double> delays_s_;
 };
 
-void ReadImu(const Bags& bags, const ImuTopics& imu, bool record_time, Recording* recording) {
+void ReadImu(const Bags& bags,
+             const ImuTopics& imu,
+             bool record_time,
+             ImuInfo* info,
+             ImuData* data) {
   const auto add = [record_time](ImuSample sample,
                                  const rosbag::MessageInstance& instance,
                                  std::vector<ImuSample>* samples,
@@ -218,9 +258,8 @@ void ReadImu(const Bags& bags, const ImuTopics& imu, bool record_time, Recording
   const auto read = [&](const BagTopic& topic, bool gyro, bool accel) {
     bags.ForEach(topic, [&](const rosbag::MessageInstance& instance) {
       const ImuContent content = ReadImuMessage(instance);
-      if (gyro && content.gyro) add(*content.gyro, instance, &recording->data.gyro, &gyro_delays);
-      if (accel && content.accel)
-        add(*content.accel, instance, &recording->data.accel, &accel_delays);
+      if (gyro && content.gyro) add(*content.gyro, instance, &data->gyro, &gyro_delays);
+      if (accel && content.accel) add(*content.accel, instance, &data->accel, &accel_delays);
       if (gyro) frame = content.frame;
       return true;
     });
@@ -228,11 +267,17 @@ void ReadImu(const Bags& bags, const ImuTopics& imu, bool record_time, Recording
   const bool is_split = imu.gyro.name != imu.accel.name;
   read(imu.gyro, true, !is_split);
   if (is_split) read(imu.accel, false, true);
-  CheckStamps(imu.gyro.name, recording->data.gyro);
-  CheckStamps(imu.accel.name, recording->data.accel);
-  recording->info.imu_frame = FrameName(frame, "imu");
-  recording->info.gyro_latency = std::move(gyro_delays).Summarise();
-  recording->info.accel_latency = std::move(accel_delays).Summarise();
+  CheckStamps(imu.gyro.name, data->gyro);
+  CheckStamps(imu.accel.name, data->accel);
+  if (is_split) {
+    info->gyro_topic = imu.gyro.name;
+    info->accel_topic = imu.accel.name;
+  } else {
+    info->imu_topic = imu.gyro.name;
+  }
+  info->imu_frame = FrameName(frame, "imu");
+  info->gyro_latency = std::move(gyro_delays).Summarise();
+  info->accel_latency = std::move(accel_delays).Summarise();
 }
 
 /// Median of each sigma that is stated; no value when none is.
@@ -299,20 +344,18 @@ void ReadTf(const Bags& bags, const BagRequest& request, Recording* recording) {
 Recording Read(const BagRequest& request) {
   const Bags bags(request.paths, request.start_s, request.duration_s);
   const bool tf = WantsTf(request);
-  const ImuTopics imu = ChooseImu(bags, request);
+  const std::vector<ImuTopics> imus = ChooseImus(bags, request);
   const BagTopic pose = tf ? BagTopic() : ChoosePose(bags, request.pose_topic);
-  CheckContent(bags, imu);
+  for (const ImuTopics& imu : imus) CheckContent(bags, imu);
 
   Recording recording;
   for (const std::string& path : request.paths)
     recording.info.bag += (recording.info.bag.empty() ? "" : " ") + path;
-  if (imu.gyro.name == imu.accel.name) {
-    recording.info.imu_topic = imu.gyro.name;
-  } else {
-    recording.info.gyro_topic = imu.gyro.name;
-    recording.info.accel_topic = imu.accel.name;
-  }
-  ReadImu(bags, imu, request.record_time, &recording);
+  recording.info.imus.resize(imus.size());
+  recording.data.imus.resize(imus.size());
+  for (size_t i = 0; i < imus.size(); ++i)
+    if (!imus[i].gyro.name.empty())
+      ReadImu(bags, imus[i], request.record_time, &recording.info.imus[i], &recording.data.imus[i]);
   if (tf)
     ReadTf(bags, request, &recording);
   else
@@ -328,9 +371,11 @@ Recording Read(const BagRequest& request) {
                              "); run: rosbag reindex" + reindex));
 }
 
-Recording ReadOrFail(const BagRequest& request) {
+/// What `read` returns, or an InputError that says what is wrong with the bags.
+template <typename Read>
+auto OrFail(const BagRequest& request, const Read& read) {
   try {
-    return Read(request);
+    return read();
   } catch (const InputError& error) {  // with names of topics, types and frames as in the bag
     throw InputError(Printable(error.what()));
   } catch (const std::runtime_error& error) {  // rosbag, deserialisation, times out of range
@@ -352,7 +397,10 @@ ChildLimits Limits(uint64_t bytes) {
 
 }  // namespace
 
-Recording ReadBag(const BagRequest& request) {
+namespace {
+
+/// Runs `read`, which returns bytes, in a child process.
+std::string ReadApart(const BagRequest& request, const std::function<std::string()>& read) {
   const Silence silence;
   uint64_t bytes = 0;
   for (const std::string& path : request.paths) {
@@ -360,9 +408,71 @@ Recording ReadBag(const BagRequest& request) {
     const auto size = std::filesystem::file_size(path, ignored);
     if (!ignored) bytes += size;
   }
-  auto recording = RunApart([&] { return ToBytes(ReadOrFail(request)); }, Limits(bytes));
-  if (!recording) FailDamaged(request, "rosbag cannot cope with it");
-  return FromBytes(*std::move(recording));
+  auto answer = RunApart([&] { return OrFail(request, read); }, Limits(bytes));
+  if (!answer) FailDamaged(request, "rosbag cannot cope with it");
+  return *std::move(answer);
+}
+
+/// When a bag was recorded and what it holds of poses and IMUs.
+struct BagSpan {
+  std::string path;
+  double begin_s, end_s;
+  std::vector<std::string> topics;
+
+  explicit BagSpan(const std::string& bag_path) : path(bag_path) {
+    const Bags bag({path}, 0.0, 0.0);
+    begin_s = bag.begin_s();
+    end_s = begin_s + bag.duration_s();
+    for (const BagTopic& topic : bag.topics())
+      if (topic.IsImu() || topic.IsVector() || topic.IsPose()) topics.push_back(topic.name);
+  }
+
+  /// Whether both are of one recording: one goes on where the other ends, or they hold other topics
+  /// of the same time.
+  bool Continues(const BagSpan& other) const {
+    const double pause = std::max(begin_s, other.begin_s) - std::min(end_s, other.end_s);
+    if (pause > kMaxPause) return false;
+    const auto is_shared = [&](const std::string& topic) {
+      return std::find(other.topics.begin(), other.topics.end(), topic) != other.topics.end();
+    };
+    return pause > -kMaxPause || std::none_of(topics.begin(), topics.end(), is_shared);
+  }
+};
+
+}  // namespace
+
+Recording ReadBag(const BagRequest& request) {
+  return FromBytes(ReadApart(request, [&] { return ToBytes(Read(request)); }));
+}
+
+std::vector<std::vector<std::string>> GroupBags(const std::vector<std::string>& paths) {
+  if (paths.size() < 2) return {paths};
+  BagRequest request;
+  request.paths = paths;
+  // A line for each bag: the number of its recording.
+  const std::string numbers = ReadApart(request, [&paths] {
+    std::vector<BagSpan> spans;
+    std::vector<size_t> group;
+    std::string text;
+    for (const std::string& path : paths) {
+      const BagSpan span(path);
+      size_t own = spans.size();
+      for (size_t k = 0; k < spans.size(); ++k)
+        if (span.Continues(spans[k])) own = std::min(own, group[k]);
+      spans.push_back(span);
+      group.push_back(own);
+      text += std::to_string(own) + "\n";
+    }
+    return text;
+  });
+  std::istringstream lines(numbers);
+  std::map<size_t, std::vector<std::string>> groups;
+  size_t number = 0;
+  for (const std::string& path : paths)
+    if (lines >> number) groups[number].push_back(path);
+  std::vector<std::vector<std::string>> recordings;
+  for (const auto& [first, bags] : groups) recordings.push_back(bags);
+  return recordings;
 }
 
 }  // namespace imu_pose_calib

@@ -79,8 +79,6 @@ geometry_msgs::TransformStamped ToLink(int64_t t_ns,
   return msg;
 }
 
-Rigid3 operator*(const Rigid3& A, const Rigid3& B) { return {A.q * B.q, A.q * B.p + A.p}; }
-
 Rigid3 BaseInWorld() { return {Eigen::Quaterniond(0.8, 0.0, 0.0, 0.6), {1.0, -0.5, 0.2}}; }
 
 std::string JointName(size_t joint) {
@@ -143,9 +141,11 @@ geometry_msgs::Vector3Stamped ToVector(const ImuSample& sample) {
 }
 
 /// An Imu message of one or both samples; what is missing is marked as the message defines it.
-sensor_msgs::Imu ToImu(const ImuSample* gyro, const ImuSample* accel) {
+sensor_msgs::Imu ToImu(const ImuSample* gyro,
+                       const ImuSample* accel,
+                       const std::string& frame = "imu") {
   sensor_msgs::Imu msg;
-  msg.header = MakeHeader((gyro ? gyro : accel)->t_ns, "imu");
+  msg.header = MakeHeader((gyro ? gyro : accel)->t_ns, frame);
   msg.orientation_covariance[0] = -1.0;
   msg.angular_velocity_covariance[0] = gyro ? 0.0 : -1.0;
   msg.linear_acceleration_covariance[0] = accel ? 0.0 : -1.0;
@@ -178,9 +178,9 @@ void Add(const std::string& topic,
 }
 
 /// What to add to IMU stamps to get record times.
-int64_t RecordOffset(const CalibrationData& data) {
-  if (data.poses.empty() || data.gyro.empty()) return 0;
-  const int64_t offset = data.poses.front().t_ns - data.gyro.front().t_ns;
+int64_t RecordOffset(const SessionData& data) {
+  if (data.poses.empty() || data.imus[0].gyro.empty()) return 0;
+  const int64_t offset = data.poses.front().t_ns - data.imus[0].gyro.front().t_ns;
   return std::abs(offset) > kDay ? offset : 0;
 }
 
@@ -195,8 +195,8 @@ void Write(const std::string& path, const std::vector<Record>& records) {
 
 }  // namespace
 
-void CheckSameStamps(const CalibrationData& data) {
-  const std::vector<ImuSample>&gyro = data.gyro, &accel = data.accel;
+void CheckSameStamps(const SessionData& data) {
+  const std::vector<ImuSample>&gyro = data.imus[0].gyro, &accel = data.imus[0].accel;
   if (gyro.size() != accel.size())
     throw InputError(
         "an IMU on one topic or in one file needs as many gyroscope as accelerometer samples, "
@@ -209,18 +209,18 @@ void CheckSameStamps(const CalibrationData& data) {
           "accelerometer");
 }
 
-void WriteBag(const std::string& path, const CalibrationData& data, const BagFormat& format) {
+void WriteBag(const std::string& path, const SessionData& data, const BagFormat& format) {
   const auto pose = [&](size_t k) { return ToPoseStamped(data.poses[k]); };
   const auto transform = [&](size_t k) { return ToTransformStamped(data.poses[k]); };
   const auto covariance = [&](size_t k) { return ToPoseWithCovariance(data.poses[k]); };
   const auto odometry = [&](size_t k) { return ToOdometry(data.poses[k]); };
   const auto tf = [&](size_t k) { return ToTf(k, data.poses); };
   const auto fixed_tf = [&](size_t k) { return ToFixedTf(data.poses[k].t_ns); };
-  const auto imu = [&](size_t k) { return ToImu(&data.gyro[k], &data.accel[k]); };
-  const auto gyro_vector = [&](size_t k) { return ToVector(data.gyro[k]); };
-  const auto accel_vector = [&](size_t k) { return ToVector(data.accel[k]); };
-  const auto gyro = [&](size_t k) { return ToImu(&data.gyro[k], nullptr); };
-  const auto accel = [&](size_t k) { return ToImu(nullptr, &data.accel[k]); };
+  const auto imu = [&](size_t k) { return ToImu(&data.imus[0].gyro[k], &data.imus[0].accel[k]); };
+  const auto gyro_vector = [&](size_t k) { return ToVector(data.imus[0].gyro[k]); };
+  const auto accel_vector = [&](size_t k) { return ToVector(data.imus[0].accel[k]); };
+  const auto gyro = [&](size_t k) { return ToImu(&data.imus[0].gyro[k], nullptr); };
+  const auto accel = [&](size_t k) { return ToImu(nullptr, &data.imus[0].accel[k]); };
 
   std::vector<Record> records;
   if (format.pose_type == "PoseStamped") {
@@ -242,17 +242,26 @@ void WriteBag(const std::string& path, const CalibrationData& data, const BagFor
   }
   const int64_t offset = RecordOffset(data);
   if (format.imu_type == "Vector3Stamped") {
-    Add("/imu/gyro", data.gyro, offset, gyro_vector, &records);
-    Add("/imu/accel", data.accel, offset, accel_vector, &records);
+    Add("/imu/gyro", data.imus[0].gyro, offset, gyro_vector, &records);
+    Add("/imu/accel", data.imus[0].accel, offset, accel_vector, &records);
   } else if (format.imu_type != "Imu") {
     throw InputError("imu type '" + format.imu_type + "' is unknown; must be Imu or " +
                      "Vector3Stamped");
   } else if (format.split_imu) {
-    Add("/imu/gyro", data.gyro, offset, gyro, &records);
-    Add("/imu/accel", data.accel, offset, accel, &records);
+    Add("/imu/gyro", data.imus[0].gyro, offset, gyro, &records);
+    Add("/imu/accel", data.imus[0].accel, offset, accel, &records);
   } else {
     CheckSameStamps(data);
-    Add("/imu", data.gyro, offset, imu, &records);
+    Add("/imu", data.imus[0].gyro, offset, imu, &records);
+  }
+  for (size_t i = 1; i < data.imus.size(); ++i) {
+    const std::string name = "imu" + std::to_string(i);
+    const auto further = [&data, i, name](size_t k) {
+      return ToImu(&data.imus[i].gyro[k], &data.imus[i].accel[k], name);
+    };
+    const int64_t own_offset =
+        offset + data.imus[0].gyro.front().t_ns - data.imus[i].gyro.front().t_ns;
+    Add("/" + name, data.imus[i].gyro, own_offset, further, &records);
   }
   std::stable_sort(records.begin(), records.end(), [](const Record& a, const Record& b) {
     return a.t_ns < b.t_ns;

@@ -120,15 +120,19 @@ std::string FrameName(const std::string& frame, const std::string& fallback) {
   return first == std::string::npos ? fallback : frame.substr(first);
 }
 
-geometry_msgs::TransformStamped ToTransformStamped(const Calibration& result,
-                                                   const RecordingInfo& info,
-                                                   const ros::Time& stamp) {
-  geometry_msgs::TransformStamped msg;
-  msg.header.stamp = stamp;
-  msg.header.frame_id = info.marker_frame;
-  msg.child_frame_id = info.imu_frame;
-  msg.transform = ToTransformMsg(result.T_MI);
-  return msg;
+std::vector<geometry_msgs::TransformStamped> ToTransforms(const Calibration& result,
+                                                          const RecordingInfo& info,
+                                                          const ros::Time& stamp) {
+  std::vector<geometry_msgs::TransformStamped> transforms;
+  for (size_t i = 0; i < result.imus.size(); ++i) {
+    geometry_msgs::TransformStamped msg;
+    msg.header.stamp = stamp;
+    msg.header.frame_id = info.marker_frame;
+    msg.child_frame_id = info.imus[i].imu_frame;
+    msg.transform = ToTransformMsg(result.imus[i].T_MI);
+    transforms.push_back(msg);
+  }
+  return transforms;
 }
 
 CalibrationResult ToMsg(const Calibration& result,
@@ -151,26 +155,27 @@ CalibrationResult ToMsg(const Calibration& result,
   CalibrationResult msg;
   msg.header.stamp = stamp;
   msg.header.frame_id = info.marker_frame;
-  msg.child_frame_id = info.imu_frame;
+  msg.child_frame_id = info.imus[0].imu_frame;
   msg.status = status_code(result.status);
   msg.status_text = ToString(result.status);
   msg.method = ToString(result.method);
   msg.message = result.message;
-  msg.transform = ToTransformMsg(result.T_MI);
+  msg.transform = ToTransformMsg(result.imus[0].T_MI);
   // Symmetric: row-major and column-major are the same.
-  std::copy_n(result.covariance.data(), msg.covariance.size(), msg.covariance.begin());
-  msg.time_shift = result.time_shift;
-  msg.time_shift_std = result.time_shift_std;
-  msg.accel_delay = result.accel_delay;
-  msg.accel_delay_std = result.accel_delay_std;
-  msg.clock_drift = result.clock_drift;
-  msg.clock_drift_std = result.clock_drift_std;
-  msg.clock_reference = result.clock_reference;
+  std::copy_n(result.imus[0].covariance.data(), msg.covariance.size(), msg.covariance.begin());
+  msg.time_shift = result.sessions[0].imus[0].time_shift;
+  msg.time_shift_std = result.sessions[0].imus[0].time_shift_std;
+  msg.accel_delay = result.imus[0].accel_delay;
+  msg.accel_delay_std = result.imus[0].accel_delay_std;
+  msg.clock_drift = result.sessions[0].imus[0].clock_drift;
+  msg.clock_drift_std = result.sessions[0].imus[0].clock_drift_std;
+  msg.clock_reference = result.sessions[0].imus[0].clock_reference;
   msg.pose_smoothing = result.pose_smoothing;
   msg.pose_smoothing_std = result.pose_smoothing_std;
-  msg.gravity = ToVector3Msg(result.g_W);
-  msg.gyro_bias = ToVector3Msg(result.gyro_bias);
-  msg.accel_bias = ToVector3Msg(result.accel_bias);
+  msg.gravity = ToVector3Msg(result.sessions[0].g_W);
+  msg.gyro_bias = ToVector3Msg(result.sessions[0].imus[0].gyro_bias);
+  msg.accel_bias = ToVector3Msg(result.sessions[0].imus[0].accel_bias);
+  msg.imus = ToTransforms(result, info, stamp);
   msg.unobservable = result.unobservable;
   msg.warnings = result.warnings;
   return msg;

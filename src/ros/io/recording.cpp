@@ -1,125 +1,67 @@
 #include "imu_pose_calib/ros/io/recording.h"
 
-#include <ros/serialization.h>
-
+#include <cereal/archives/binary.hpp>
+#include <cereal/types/optional.hpp>
+#include <cereal/types/string.hpp>
+#include <cereal/types/vector.hpp>
+#include <iterator>
+#include <map>
 #include <sstream>
 
-namespace ros::serialization {
+#include "imu_pose_calib/ros/io/conversions.h"
 
-using imu_pose_calib::ImuSample;
-using imu_pose_calib::Latency;
-using imu_pose_calib::PoseSample;
-using imu_pose_calib::PoseStd;
-using imu_pose_calib::Recording;
-using imu_pose_calib::RecordingInfo;
+namespace cereal {
 
-template <int N>
-struct Serializer<Eigen::Matrix<double, N, 1>> {
-  template <typename Stream, typename Value>
-  static void allInOne(Stream& stream, Value value) {
-    for (int i = 0; i < N; ++i) stream.next(value[i]);
-  }
-  ROS_DECLARE_ALLINONE_SERIALIZER
-};
+template <typename Archive, int N>
+void serialize(Archive& archive, Eigen::Matrix<double, N, 1>& v) {
+  archive(binary_data(v.data(), N * sizeof(double)));
+}
 
-template <typename T>
-struct Serializer<std::optional<T>> {
-  template <typename Stream>
-  static void write(Stream& stream, const std::optional<T>& value) {
-    stream.next(value.has_value());
-    if (value) stream.next(*value);
-  }
-  template <typename Stream>
-  static void read(Stream& stream, std::optional<T>& value) {
-    bool has_value = false;
-    stream.next(has_value);
-    if (has_value) stream.next(value.emplace());
-  }
-  static uint32_t serializedLength(const std::optional<T>& value) {
-    return serializationLength(true) + (value ? serializationLength(*value) : 0);
-  }
-};
-
-template <>
-struct Serializer<PoseStd> {
-  template <typename Stream, typename Value>
-  static void allInOne(Stream& stream, Value value) {
-    stream.next(value.position);
-    stream.next(value.rotation);
-  }
-  ROS_DECLARE_ALLINONE_SERIALIZER
-};
-
-template <>
-struct Serializer<PoseSample> {
-  template <typename Stream, typename Value>
-  static void allInOne(Stream& stream, Value value) {
-    stream.next(value.t_ns);
-    stream.next(value.q_WM.coeffs());
-    stream.next(value.p_WM);
-    stream.next(value.stated_std);
-  }
-  ROS_DECLARE_ALLINONE_SERIALIZER
-};
-
-template <>
-struct Serializer<ImuSample> {
-  template <typename Stream, typename Value>
-  static void allInOne(Stream& stream, Value value) {
-    stream.next(value.t_ns);
-    stream.next(value.value);
-  }
-  ROS_DECLARE_ALLINONE_SERIALIZER
-};
-
-template <>
-struct Serializer<Latency> {
-  template <typename Stream, typename Value>
-  static void allInOne(Stream& stream, Value value) {
-    stream.next(value.median_s);
-    stream.next(value.spread_s);
-  }
-  ROS_DECLARE_ALLINONE_SERIALIZER
-};
-
-template <>
-struct Serializer<RecordingInfo> {
-  template <typename Stream, typename Value>
-  static void allInOne(Stream& stream, Value value) {
-    stream.next(value.bag);
-    stream.next(value.imu_topic);
-    stream.next(value.gyro_topic);
-    stream.next(value.accel_topic);
-    stream.next(value.pose_topic);
-    stream.next(value.world_frame);
-    stream.next(value.marker_frame);
-    stream.next(value.imu_frame);
-    stream.next(value.imu_yaml);
-    stream.next(value.stated_pose_std);
-    stream.next(value.pose_latency);
-    stream.next(value.gyro_latency);
-    stream.next(value.accel_latency);
-  }
-  ROS_DECLARE_ALLINONE_SERIALIZER
-};
-
-template <>
-struct Serializer<Recording> {
-  template <typename Stream, typename Value>
-  static void allInOne(Stream& stream, Value value) {
-    stream.next(value.info);
-    stream.next(value.data.poses);
-    stream.next(value.data.gyro);
-    stream.next(value.data.accel);
-  }
-  ROS_DECLARE_ALLINONE_SERIALIZER
-};
-
-}  // namespace ros::serialization
+}  // namespace cereal
 
 namespace imu_pose_calib {
 
-namespace rs = ros::serialization;
+template <typename Archive>
+void serialize(Archive& archive, PoseStd& std_dev) {
+  archive(std_dev.position, std_dev.rotation);
+}
+
+template <typename Archive>
+void serialize(Archive& archive, PoseSample& pose) {
+  archive(pose.t_ns, pose.q_WM.coeffs(), pose.p_WM, pose.stated_std);
+}
+
+template <typename Archive>
+void serialize(Archive& archive, ImuSample& sample) {
+  archive(sample.t_ns, sample.value);
+}
+
+template <typename Archive>
+void serialize(Archive& archive, ImuData& imu) {
+  archive(imu.gyro, imu.accel);
+}
+
+template <typename Archive>
+void serialize(Archive& archive, Latency& latency) {
+  archive(latency.median_s, latency.spread_s);
+}
+
+template <typename Archive>
+void serialize(Archive& archive, ImuInfo& imu) {
+  archive(imu.imu_topic,
+          imu.gyro_topic,
+          imu.accel_topic,
+          imu.imu_frame,
+          imu.gyro_latency,
+          imu.accel_latency);
+}
+
+template <typename Archive>
+void serialize(Archive& archive, Recording& recording) {
+  RecordingInfo& info = recording.info;
+  archive(info.bag, info.imus, info.pose_topic, info.world_frame, info.marker_frame, info.imu_yaml);
+  archive(info.stated_pose_std, info.pose_latency, recording.data.poses, recording.data.imus);
+}
 
 bool IsPair(const Given& one, const Given& first, const Given& second) {
   if (first.value.empty() && second.value.empty()) return false;
@@ -143,17 +85,39 @@ void CheckSpan(double start_s, double duration_s) {
   check("duration", duration_s, " (0: all)");
 }
 
+std::vector<std::string> SplitNames(const std::string& text) {
+  std::istringstream words(text);
+  std::vector<std::string> names{std::istream_iterator<std::string>(words), {}};
+  if (names.empty()) names.emplace_back();
+  return names;
+}
+
+void NameFrames(const std::string& marker_frame,
+                const std::string& imu_frame,
+                RecordingInfo* info) {
+  info->marker_frame = FrameName(marker_frame, info->marker_frame);
+  const std::vector<std::string> names = SplitNames(imu_frame);
+  std::map<std::string, int> uses;
+  for (const ImuInfo& imu : info->imus) ++uses[imu.imu_frame];
+  for (size_t i = 0; i < info->imus.size(); ++i) {
+    std::string& frame = info->imus[i].imu_frame;
+    if (uses[frame] > 1) frame = FrameName(frame, "imu") + std::to_string(i);
+    if (i < names.size()) frame = FrameName(names[i], frame);
+  }
+}
+
 std::string ToBytes(const Recording& recording) {
-  std::string bytes(rs::serializationLength(recording), '\0');
-  rs::OStream stream(reinterpret_cast<uint8_t*>(bytes.data()), static_cast<uint32_t>(bytes.size()));
-  rs::serialize(stream, recording);
-  return bytes;
+  std::ostringstream stream;
+  cereal::BinaryOutputArchive archive(stream);
+  archive(recording);
+  return std::move(stream).str();
 }
 
 Recording FromBytes(std::string bytes) {
-  rs::IStream stream(reinterpret_cast<uint8_t*>(bytes.data()), static_cast<uint32_t>(bytes.size()));
+  std::istringstream stream(std::move(bytes));
+  cereal::BinaryInputArchive archive(stream);
   Recording recording;
-  rs::deserialize(stream, recording);
+  archive(recording);
   return recording;
 }
 

@@ -110,60 +110,170 @@ void EmitPerStream(const char* key,
                    T StreamReport::*member,
                    YAML::Emitter* out) {
   *out << YAML::Key << key << YAML::Value << YAML::Flow << YAML::BeginMap;
-  Emit("poses", result.poses.*member, out);
-  Emit("gyro", result.gyro.*member, out);
-  Emit("accel", result.accel.*member, out);
+  Emit("poses", result.sessions[0].poses.*member, out);
+  Emit("gyro", result.sessions[0].imus[0].gyro.*member, out);
+  Emit("accel", result.sessions[0].imus[0].accel.*member, out);
   *out << YAML::EndMap;
 }
 
-void EmitEstimate(const Calibration& result, YAML::Emitter* out) {
+void EmitTransforms(const ImuCalibration& imu, YAML::Emitter* out) {
   EmitMap(
       "transform",
       [&] {
-        EmitTransform(result.T_MI, out);
-        EmitList("translation_std", result.Std().head<3>(), out);
-        EmitList("rotation_std", result.Std().tail<3>(), out);
-        EmitMatrix("covariance", result.covariance, out);
+        EmitTransform(imu.T_MI, out);
+        EmitList("translation_std", imu.Std().head<3>(), out);
+        EmitList("rotation_std", imu.Std().tail<3>(), out);
+        EmitMatrix("covariance", imu.covariance, out);
       },
       out);
   EmitMap(
-      "inverse_transform", [&] { EmitTransform(result.T_MI.Inverse(), out); }, out);
-  Emit("time_shift", result.time_shift, out);
-  Emit("time_shift_std", result.time_shift_std, out);
-  Emit("accel_delay", result.accel_delay, out);
-  Emit("accel_delay_std", result.accel_delay_std, out);
-  Emit("clock_drift", result.clock_drift, out);
-  Emit("clock_drift_std", result.clock_drift_std, out);
-  Emit("clock_reference", result.clock_reference, out);
-  Emit("pose_smoothing", result.pose_smoothing, out);
-  Emit("pose_smoothing_std", result.pose_smoothing_std, out);
-  EmitMap(
-      "gravity",
-      [&] {
-        EmitList("vector", result.g_W, out);
-        Emit("magnitude", result.g_W.norm(), out);
-      },
-      out);
+      "inverse_transform", [&] { EmitTransform(imu.T_MI.Inverse(), out); }, out);
+}
+
+void EmitIntrinsics(const ImuModel model, const ImuCalibration& imu, YAML::Emitter* out) {
+  Emit("model", ToString(model), out);
+  EmitMatrix("gyro_matrix", imu.gyro_matrix, out);
+  EmitMatrix("gyro_matrix_std", imu.gyro_matrix_std, out);
+  EmitMatrix("accel_matrix", imu.accel_matrix, out);
+  EmitMatrix("accel_matrix_std", imu.accel_matrix_std, out);
+}
+
+void EmitBiases(const ImuSession& imu, YAML::Emitter* out) {
   EmitMap(
       "biases",
       [&] {
-        EmitList("gyro", result.gyro_bias, out);
-        EmitList("accel", result.accel_bias, out);
+        EmitList("gyro", imu.gyro_bias, out);
+        EmitList("accel", imu.accel_bias, out);
+        EmitList("gyro_std", imu.gyro_bias_std, out);
+        EmitList("accel_std", imu.accel_bias_std, out);
       },
       out);
 }
 
-void EmitImu(const Calibration& result, YAML::Emitter* out) {
+void EmitGravity(const SessionCalibration& session, YAML::Emitter* out) {
   EmitMap(
-      "imu",
+      "gravity",
       [&] {
-        Emit("model", ToString(result.imu_model), out);
-        EmitMatrix("gyro_matrix", result.gyro_matrix, out);
-        EmitMatrix("gyro_matrix_std", result.gyro_matrix_std, out);
-        EmitMatrix("accel_matrix", result.accel_matrix, out);
-        EmitMatrix("accel_matrix_std", result.accel_matrix_std, out);
+        EmitList("vector", session.g_W, out);
+        EmitList("std", session.g_W_std, out);
+        Emit("magnitude", session.g_W.norm(), out);
       },
       out);
+}
+
+std::string ImuName(size_t imu) { return "imu" + std::to_string(imu); }
+
+void EmitImus(const Calibration& result, const RecordingInfo& info, YAML::Emitter* out) {
+  *out << YAML::Key << "imus" << YAML::Value << YAML::BeginSeq;
+  for (size_t i = 0; i < result.imus.size(); ++i) {
+    *out << YAML::BeginMap;
+    Emit("name", ImuName(i), out);
+    Emit("topic", info.imus[i].GyroSource(), out);
+    if (info.imus[i].imu_topic.empty()) Emit("accel_topic", info.imus[i].accel_topic, out);
+    Emit("frame", info.imus[i].imu_frame, out);
+    EmitTransforms(result.imus[i], out);
+    Emit("accel_delay", result.imus[i].accel_delay, out);
+    Emit("accel_delay_std", result.imus[i].accel_delay_std, out);
+    EmitMap(
+        "intrinsics", [&] { EmitIntrinsics(result.imu_model, result.imus[i], out); }, out);
+    *out << YAML::EndMap;
+  }
+  *out << YAML::EndSeq;
+  *out << YAML::Key << "between_imus" << YAML::Value;
+  if (result.between_imus.empty()) *out << YAML::Flow;
+  *out << YAML::BeginSeq;
+  for (const BetweenImus& between : result.between_imus) {
+    *out << YAML::BeginMap;
+    Emit("first", ImuName(between.first), out);
+    Emit("second", ImuName(between.second), out);
+    EmitMap(
+        "transform",
+        [&] {
+          EmitTransform(between.T, out);
+          EmitList("translation_std", between.Std().head<3>(), out);
+          EmitList("rotation_std", between.Std().tail<3>(), out);
+          EmitMatrix("covariance", between.covariance, out);
+        },
+        out);
+    *out << YAML::EndMap;
+  }
+  *out << YAML::EndSeq;
+}
+
+void EmitOwn(const SessionCalibration& session, YAML::Emitter* out) {
+  const OwnEstimate& own = session.own;
+  EmitMap(
+      "own",
+      [&] {
+        Emit("imu", ImuName(own.imu), out);
+        EmitList("translation", own.T_MI.p, out);
+        EmitList("translation_std", own.std.head<3>(), out);
+        EmitList("rotation", own.T_MI.q.coeffs(), out);
+        EmitList("rotation_std", own.std.tail<3>(), out);
+        Emit("time_shift", own.time_shift, out);
+        Emit("time_shift_std", own.time_shift_std, out);
+        Emit("accel_delay", own.accel_delay, out);
+        Emit("accel_delay_std", own.accel_delay_std, out);
+      },
+      out);
+  char sigmas[32];
+  std::snprintf(sigmas, sizeof(sigmas), ", %.1f sigma", session.agreement.sigmas);
+  EmitMap(
+      "agreement",
+      [&] {
+        Emit("chi2", session.agreement.chi2, out);
+        Emit("dof", static_cast<size_t>(session.agreement.dof), out);
+        Emit("worst", session.agreement.worst + sigmas, out);
+      },
+      out);
+}
+
+void EmitSessions(const Calibration& result,
+                  const std::vector<RecordingInfo>& infos,
+                  YAML::Emitter* out) {
+  *out << YAML::Key << "sessions" << YAML::Value << YAML::BeginSeq;
+  for (size_t s = 0; s < result.sessions.size(); ++s) {
+    const SessionCalibration& session = result.sessions[s];
+    *out << YAML::BeginMap;
+    Emit("source", infos[s].bag.empty() ? infos[s].pose_topic : infos[s].bag, out);
+    Emit("world", infos[s].world_frame, out);
+    *out << YAML::Key << "imus" << YAML::Value << YAML::BeginSeq;
+    for (size_t i = 0; i < session.imus.size(); ++i) {
+      const ImuSession& imu = session.imus[i];
+      if (!imu.is_present) continue;
+      *out << YAML::BeginMap;
+      Emit("name", ImuName(i), out);
+      Emit("time_shift", imu.time_shift, out);
+      Emit("time_shift_std", imu.time_shift_std, out);
+      Emit("clock_drift", imu.clock_drift, out);
+      Emit("clock_drift_std", imu.clock_drift_std, out);
+      Emit("clock_reference", imu.clock_reference, out);
+      EmitBiases(imu, out);
+      *out << YAML::EndMap;
+    }
+    *out << YAML::EndSeq;
+    EmitGravity(session, out);
+    if (result.sessions.size() > 1) EmitOwn(session, out);
+    *out << YAML::EndMap;
+  }
+  *out << YAML::EndSeq;
+}
+
+void EmitEstimate(const Calibration& result, YAML::Emitter* out) {
+  EmitTransforms(result.imus[0], out);
+  Emit("time_shift", result.sessions[0].imus[0].time_shift, out);
+  Emit("time_shift_std", result.sessions[0].imus[0].time_shift_std, out);
+  Emit("accel_delay", result.imus[0].accel_delay, out);
+  Emit("accel_delay_std", result.imus[0].accel_delay_std, out);
+  Emit("clock_drift", result.sessions[0].imus[0].clock_drift, out);
+  Emit("clock_drift_std", result.sessions[0].imus[0].clock_drift_std, out);
+  Emit("clock_reference", result.sessions[0].imus[0].clock_reference, out);
+  Emit("pose_smoothing", result.pose_smoothing, out);
+  Emit("pose_smoothing_std", result.pose_smoothing_std, out);
+  EmitGravity(result.sessions[0], out);
+  EmitBiases(result.sessions[0].imus[0], out);
+  EmitMap(
+      "imu", [&] { EmitIntrinsics(result.imu_model, result.imus[0], out); }, out);
 }
 
 void EmitObservability(const std::vector<Observability>& observability, YAML::Emitter* out) {
@@ -183,19 +293,19 @@ void EmitQuality(const Calibration& result, YAML::Emitter* out) {
   EmitMap(
       "noise",
       [&] {
-        Emit("position_std", result.noise.position, out);
-        Emit("rotation_std", result.noise.rotation, out);
-        Emit("gyro_std", result.noise.gyro, out);
-        Emit("accel_std", result.noise.accel, out);
+        Emit("position_std", result.sessions[0].noise.position, out);
+        Emit("rotation_std", result.sessions[0].noise.rotation, out);
+        Emit("gyro_std", result.sessions[0].imus[0].noise.gyro, out);
+        Emit("accel_std", result.sessions[0].imus[0].noise.accel, out);
       },
       out);
   EmitMap(
       "quality",
       [&] {
-        Emit("gyro_rms", result.rms.gyro, out);
-        Emit("accel_rms", result.rms.accel, out);
-        Emit("position_rms", result.rms.position, out);
-        Emit("rotation_rms", result.rms.rotation, out);
+        Emit("gyro_rms", result.sessions[0].imus[0].rms.gyro, out);
+        Emit("accel_rms", result.sessions[0].imus[0].rms.accel, out);
+        Emit("position_rms", result.sessions[0].rms.position, out);
+        Emit("rotation_rms", result.sessions[0].rms.rotation, out);
         EmitObservability(result.observability, out);
         EmitMap(
             "split_half",
@@ -212,10 +322,10 @@ void EmitQuality(const Calibration& result, YAML::Emitter* out) {
   EmitMap(
       "trajectory",
       [&] {
-        Emit("position_lengthscale_s", result.position_lengthscale_s, out);
-        Emit("rotation_lengthscale_s", result.rotation_lengthscale_s, out);
-        Emit("knot_spacing_s", result.knot_spacing_s, out);
-        Emit("segments", result.segments, out);
+        Emit("position_lengthscale_s", result.sessions[0].position_lengthscale_s, out);
+        Emit("rotation_lengthscale_s", result.sessions[0].rotation_lengthscale_s, out);
+        Emit("knot_spacing_s", result.sessions[0].knot_spacing_s, out);
+        Emit("segments", result.sessions[0].segments, out);
       },
       out);
 }
@@ -232,25 +342,25 @@ void EmitData(const Calibration& result, const RecordingInfo& info, YAML::Emitte
       "data",
       [&] {
         Emit("bag", info.bag, out);
-        Emit("imu_topic", info.imu_topic, out);
-        Emit("gyro_topic", info.gyro_topic, out);
-        Emit("accel_topic", info.accel_topic, out);
+        Emit("imu_topic", info.imus[0].imu_topic, out);
+        Emit("gyro_topic", info.imus[0].gyro_topic, out);
+        Emit("accel_topic", info.imus[0].accel_topic, out);
         Emit("pose_topic", info.pose_topic, out);
         Emit("imu_yaml", info.imu_yaml, out);
         if (info.stated_pose_std) EmitStated(*info.stated_pose_std, out);
-        Emit("duration", result.poses.duration_s, out);
+        Emit("duration", result.sessions[0].poses.duration_s, out);
         EmitPerStream("counts", result, &StreamReport::used, out);
         EmitPerStream("rates", result, &StreamReport::rate_hz, out);
         EmitMap(
             "rejected",
             [&] {
-              EmitRejected("poses", result.poses, out);
-              EmitRejected("gyro", result.gyro, out);
-              EmitRejected("accel", result.accel, out);
+              EmitRejected("poses", result.sessions[0].poses, out);
+              EmitRejected("gyro", result.sessions[0].imus[0].gyro, out);
+              EmitRejected("accel", result.sessions[0].imus[0].accel, out);
             },
             out);
-        Emit("gaps", result.gaps, out);
-        Emit("jumps", result.jumps, out);
+        Emit("gaps", result.sessions[0].gaps, out);
+        Emit("jumps", result.sessions[0].jumps, out);
       },
       out);
 }
@@ -276,8 +386,9 @@ std::string YamlNumber(double value) {
 }
 
 std::string ToYaml(const Calibration& result,
-                   const RecordingInfo& info,
+                   const std::vector<RecordingInfo>& infos,
                    const CalibrationOptions& options) {
+  const RecordingInfo& info = infos.front();
   YAML::Emitter out;
   out << YAML::BeginMap;
   EmitMap(
@@ -295,11 +406,14 @@ std::string ToYaml(const Calibration& result,
       [&] {
         Emit("world", info.world_frame, &out);
         Emit("marker", info.marker_frame, &out);
-        Emit("imu", info.imu_frame, &out);
+        Emit("imu", info.imus[0].imu_frame, &out);
       },
       &out);
   EmitEstimate(result, &out);
-  EmitImu(result, &out);
+  if (result.imus.size() > 1 || result.sessions.size() > 1) {
+    EmitImus(result, info, &out);
+    EmitSessions(result, infos, &out);
+  }
   EmitQuality(result, &out);
   EmitData(result, info, &out);
   out << YAML::Key << "options" << YAML::Value << YAML::Load(ToYaml(options));

@@ -4,7 +4,7 @@
 #include <sstream>
 #include <vector>
 
-#include "imu_pose_calib/core/calibrator.h"
+#include "imu_pose_calib/core/result.h"
 #include "imu_pose_calib/core/types.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/yaml_file.h"

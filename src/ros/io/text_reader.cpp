@@ -24,6 +24,11 @@ std::ifstream Open(const std::string& path) {
   return file;
 }
 
+/// Names of files with white space between them, or the name of one that has some in it.
+std::vector<std::string> SplitFiles(const std::string& text) {
+  return std::filesystem::exists(text) ? std::vector<std::string>{text} : SplitNames(text);
+}
+
 using HasHeader = bool (*)(std::istream&, const std::string& name);
 
 /// SENSOR/data.csv of the folder that have the header.
@@ -101,13 +106,15 @@ void Cut(const TextRequest& request, const Span& whole, std::vector<Sample>* sam
                  samples->end());
 }
 
-void Cut(const TextRequest& request, CalibrationData* data) {
+void Cut(const TextRequest& request, SessionData* data) {
   Span poses = FindSpan(data->poses);
-  Span imu = Union(FindSpan(data->gyro), FindSpan(data->accel));
-  if (Overlap(poses, imu)) poses = imu = Union(poses, imu);
+  for (ImuData& samples : data->imus) {
+    Span imu = Union(FindSpan(samples.gyro), FindSpan(samples.accel));
+    if (Overlap(poses, imu)) imu = poses = Union(poses, imu);
+    Cut(request, imu, &samples.gyro);
+    Cut(request, imu, &samples.accel);
+  }
   Cut(request, poses, &data->poses);
-  Cut(request, imu, &data->gyro);
-  Cut(request, imu, &data->accel);
 }
 
 }  // namespace
@@ -134,24 +141,34 @@ Recording ReadText(const TextRequest& request) {
 
   Recording recording;
   recording.info.pose_topic = files.poses;
-  recording.info.imu_topic = files.imu;
-  recording.info.gyro_topic = files.gyro;
-  recording.info.accel_topic = files.accel;
   recording.info.world_frame = "world";
   recording.info.marker_frame = "marker";
-  recording.info.imu_frame = "imu";
 
-  CalibrationData& data = recording.data;
+  SessionData& data = recording.data;
   std::ifstream poses = Open(files.poses);
   data.poses = ReadPoseTable(poses, files.poses);
-  if (!files.imu.empty()) {
-    std::ifstream imu = Open(files.imu);
-    ReadImuTable(imu, files.imu, &data);
-  } else {
-    std::ifstream gyro = Open(files.gyro);
-    data.gyro = ReadGyroTable(gyro, files.gyro);
-    std::ifstream accel = Open(files.accel);
-    data.accel = ReadAccelTable(accel, files.accel);
+  const bool is_split = files.imu.empty();
+  const std::vector<std::string> gyros = SplitFiles(is_split ? files.gyro : files.imu);
+  const std::vector<std::string> accels = SplitFiles(is_split ? files.accel : files.imu);
+  if (gyros.size() != accels.size())
+    throw InputError("gyro and accel name different numbers of files: " +
+                     std::to_string(gyros.size()) + " and " + std::to_string(accels.size()));
+  data.imus.resize(gyros.size());
+  recording.info.imus.resize(gyros.size());
+  for (size_t i = 0; i < gyros.size(); ++i) {
+    ImuInfo& info = recording.info.imus[i];
+    info.imu_frame = "imu";
+    std::ifstream gyro = Open(gyros[i]);
+    if (!is_split) {
+      info.imu_topic = gyros[i];
+      ReadImuTable(gyro, gyros[i], &data.imus[i]);
+      continue;
+    }
+    info.gyro_topic = gyros[i];
+    info.accel_topic = accels[i];
+    data.imus[i].gyro = ReadGyroTable(gyro, gyros[i]);
+    std::ifstream accel = Open(accels[i]);
+    data.imus[i].accel = ReadAccelTable(accel, accels[i]);
   }
   Cut(request, &data);
   return recording;

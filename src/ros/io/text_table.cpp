@@ -411,7 +411,7 @@ std::vector<PoseSample> ReadPoseTable(std::istream& in, const std::string& name)
   return poses;
 }
 
-void ReadImuTable(std::istream& in, const std::string& name, CalibrationData* data) {
+void ReadImuTable(std::istream& in, const std::string& name, ImuData* data) {
   TableReader(ImuColumns(), in, name).ForEach([&](int64_t t_ns, const std::vector<double>& v) {
     data->gyro.push_back({t_ns, Vector(v, 0)});
     data->accel.push_back({t_ns, Vector(v, 3)});

@@ -49,7 +49,7 @@ std::string Nanoseconds(int64_t t_ns) { return std::to_string(t_ns); }
 
 }  // namespace
 
-void WriteAslFolder(const std::string& folder, const CalibrationData& data) {
+void WriteAslFolder(const std::string& folder, const SessionData& data) {
   CheckSameStamps(data);
   std::error_code error;
   for (const char* sensor : {"mocap0", "imu0"})
@@ -71,12 +71,12 @@ void WriteAslFolder(const std::string& folder, const CalibrationData& data) {
              "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
              "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]",
              ',',
-             data.gyro,
+             data.imus[0].gyro,
              Nanoseconds,
-             [&](size_t k) { return Join(data.gyro[k].value, data.accel[k].value); });
+             [&](size_t k) { return Join(data.imus[0].gyro[k].value, data.imus[0].accel[k].value); });
 }
 
-void WriteTables(const std::string& prefix, const CalibrationData& data, bool split_imu) {
+void WriteTables(const std::string& prefix, const SessionData& data, bool split_imu) {
   WriteTable(prefix + ".poses.txt",
              "# timestamp tx ty tz qx qy qz qw",
              ' ',
@@ -90,8 +90,8 @@ void WriteTables(const std::string& prefix, const CalibrationData& data, bool sp
   if (!split_imu) {
     CheckSameStamps(data);
     WriteTable(
-        prefix + ".imu.csv", "timestamp,gx,gy,gz,ax,ay,az", ',', data.gyro, Seconds, [&](size_t k) {
-          return Join(data.gyro[k].value, data.accel[k].value);
+        prefix + ".imu.csv", "timestamp,gx,gy,gz,ax,ay,az", ',', data.imus[0].gyro, Seconds, [&](size_t k) {
+          return Join(data.imus[0].gyro[k].value, data.imus[0].accel[k].value);
         });
     return;
   }
@@ -103,8 +103,8 @@ void WriteTables(const std::string& prefix, const CalibrationData& data, bool sp
       return {v.x(), v.y(), v.z()};
     });
   };
-  write_sensor(prefix + ".gyro.csv", "timestamp,gx,gy,gz", data.gyro);
-  write_sensor(prefix + ".accel.csv", "timestamp,ax,ay,az", data.accel);
+  write_sensor(prefix + ".gyro.csv", "timestamp,gx,gy,gz", data.imus[0].gyro);
+  write_sensor(prefix + ".accel.csv", "timestamp,ax,ay,az", data.imus[0].accel);
 }
 
 }  // namespace imu_pose_calib

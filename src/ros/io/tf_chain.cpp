@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <limits>
 
 #include "imu_pose_calib/ros/io/conversions.h"
@@ -23,6 +24,7 @@ bool IsUsable(const geometry_msgs::Transform& transform) {
 TfChain::TfChain(const std::string& parent, const std::string& child, double cache_s)
     : parent_(FrameName(parent, "")),
       child_(FrameName(child, "")),
+      cache_ns_(static_cast<int64_t>(1e9 * cache_s)),
       buffer_(ros::Duration(cache_s)) {}
 
 void TfChain::Add(const tf2_msgs::TFMessage& message, bool fixed) {
@@ -55,20 +57,33 @@ void TfChain::AddMoving(const geometry_msgs::TransformStamped& transform) {
   const ros::Time stamp = transform.header.stamp;
   if (stamp.isZero()) return;  // tf2 would take it for the latest
   const bool usable = IsUsable(transform.transform);
+  if (!usable && link.last.isZero()) return;  // no pose before the first usable one
   if (usable && link.last.isZero()) {
     link.first = stamp;
     link.first_transform = transform.transform;
   }
   if (usable && !link.moves && transform.transform != link.first_transform) {
     link.moves = true;
-    if (link.first > last_taken_) link.updates.push_back({link.first, true});
+    if (link.first > last_taken_) link.updates.emplace(link.first, true);
   }
-  if (link.moves || !usable) link.updates.push_back({stamp, usable});
+  if (link.moves || !usable) link.updates.emplace(stamp, true).first->second &= usable;
   if (usable) {
     link.first = std::min(link.first, stamp);
     link.last = std::max(link.last, stamp);
     buffer_.setTransform(transform, "");
   }
+  Prune(&link);
+}
+
+void TfChain::Prune(Link* link) const {
+  auto& updates = link->updates;
+  const auto after_last = [&](const auto& update) {
+    return ToNanoseconds(update.first) - ToNanoseconds(link->last);
+  };
+  while (!updates.empty() && after_last(*updates.begin()) < -cache_ns_)
+    updates.erase(updates.begin());
+  while (!updates.empty() && after_last(*updates.rbegin()) > cache_ns_)
+    updates.erase(std::prev(updates.end()));
 }
 
 std::vector<PoseSample> TfChain::TakePoses() {
@@ -82,11 +97,10 @@ std::vector<PoseSample> TfChain::TakePoses() {
 
   std::map<ros::Time, bool> due;  // stamp; whether all of its updates are usable
   for (const std::string& frame : *chain) {
-    std::vector<Update>& updates = links_[frame].updates;
-    const auto waiting = std::stable_partition(
-        updates.begin(), updates.end(), [&](const Update& update) { return update.stamp <= end; });
+    auto& updates = links_[frame].updates;
+    const auto waiting = updates.upper_bound(end);
     for (auto update = updates.begin(); update != waiting; ++update)
-      due.emplace(update->stamp, true).first->second &= update->usable;
+      due.emplace(update->first, true).first->second &= update->second;
     updates.erase(updates.begin(), waiting);
   }
 
@@ -110,6 +124,12 @@ PoseSample TfChain::PoseAt(const ros::Time& stamp, bool usable) const {
   pose.t_ns = ToNanoseconds(stamp);
   pose.p_WM.setConstant(std::numeric_limits<double>::quiet_NaN());
   return pose;
+}
+
+size_t TfChain::Pending() const {
+  size_t count = 0;
+  for (const auto& [child, link] : links_) count += link.updates.size();
+  return count;
 }
 
 std::vector<std::string> TfChain::Ancestry(std::string frame) const {

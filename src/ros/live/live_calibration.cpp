@@ -25,6 +25,8 @@ constexpr double kEnoughTranslation = 3.0 * 0.3 * 0.3;  // [m^2/s]
 /// Rates are differences over this time, long enough for the noise of poses [s].
 constexpr double kMinMotionStep = 0.1, kMaxMotionStep = 0.3;
 
+constexpr double kPathStep = 0.05;  // [s]
+
 constexpr size_t kStableSolves = 3;
 /// Of two results about as precise the newer one counts.
 constexpr double kMuchWorse = 1.2;
@@ -60,9 +62,15 @@ double Score(const LiveOptions& options, const Calibration& result) {
 
 /// Within two targets of each other.
 bool Agree(const LiveOptions& options, const Calibration& a, const Calibration& b) {
-  return a.T_MI.q.angularDistance(b.T_MI.q) <= 2.0 * options.target_rotation_std &&
-         (a.T_MI.p - b.T_MI.p).norm() <= 2.0 * options.target_translation_std &&
-         std::abs(a.time_shift - b.time_shift) <= 2.0 * options.target_time_shift_std;
+  for (size_t i = 0; i < a.imus.size(); ++i) {
+    const Rigid3 &T_a = a.imus[i].T_MI, &T_b = b.imus[i].T_MI;
+    const double shift = a.sessions[0].imus[i].time_shift - b.sessions[0].imus[i].time_shift;
+    if (T_a.q.angularDistance(T_b.q) > 2.0 * options.target_rotation_std ||
+        (T_a.p - T_b.p).norm() > 2.0 * options.target_translation_std ||
+        std::abs(shift) > 2.0 * options.target_time_shift_std)
+      return false;
+  }
+  return true;
 }
 
 std::string Sigmas(const Calibration& result) {
@@ -123,8 +131,14 @@ const char* ToString(Phase phase) {
 }
 
 LargestStd MaxStd(const Calibration& result) {
-  const Vector6d std_dev = result.Std();
-  return {std_dev.tail<3>().maxCoeff(), std_dev.head<3>().maxCoeff(), result.time_shift_std};
+  LargestStd largest{0.0, 0.0, 0.0};
+  for (size_t i = 0; i < result.imus.size(); ++i) {
+    const Vector6d std_dev = result.imus[i].Std();
+    largest.rotation = std::max(largest.rotation, std_dev.tail<3>().maxCoeff());
+    largest.translation = std::max(largest.translation, std_dev.head<3>().maxCoeff());
+    largest.time_shift = std::max(largest.time_shift, result.sessions[0].imus[i].time_shift_std);
+  }
+  return largest;
 }
 
 template <typename Sample>
@@ -149,9 +163,13 @@ StreamStatus LiveCalibration::Stream<Sample>::Status() const {
   return status;
 }
 
-LiveCalibration::LiveCalibration(const LiveOptions& options, const CalibrationOptions& calibration)
+LiveCalibration::LiveCalibration(const LiveOptions& options,
+                                 const CalibrationOptions& calibration,
+                                 size_t imus)
     : options_(options), calibration_(calibration) {
   options_.Validate();
+  for (size_t i = 0; i < imus; ++i)
+    imus_.push_back({{"gyroscope" + OfImu(i, imus), {}}, {"accelerometer" + OfImu(i, imus), {}}});
 }
 
 // --- Samples ---
@@ -191,18 +209,24 @@ bool LiveCalibration::Add(const Sample& sample, double now, Stream<Sample>* stre
   return true;
 }
 
-void LiveCalibration::AddPose(const PoseSample& recorded, double now) {
-  if (!Add(recorded, now, &poses_)) return;
+bool LiveCalibration::AddPose(const PoseSample& recorded, double now) {
+  if (!Add(recorded, now, &poses_)) return false;
   const PoseSample pose = ToMarkerPose(calibration_, recorded);
-  if (!IsValid(pose) || (pose_ && SameValue(pose, *pose_))) return;
+  if (!IsValid(pose) || (pose_ && SameValue(pose, *pose_))) return false;
   pose_ = pose;
   pose_changed_ = now;
   MeasureMotion(pose);
+  ExtendPath(pose);
+  return true;
 }
 
-void LiveCalibration::AddGyro(const ImuSample& sample, double now) { Add(sample, now, &gyro_); }
+void LiveCalibration::AddGyro(const ImuSample& sample, double now, size_t imu) {
+  Add(sample, now, &imus_[imu].gyro);
+}
 
-void LiveCalibration::AddAccel(const ImuSample& sample, double now) { Add(sample, now, &accel_); }
+void LiveCalibration::AddAccel(const ImuSample& sample, double now, size_t imu) {
+  Add(sample, now, &imus_[imu].accel);
+}
 
 void LiveCalibration::MeasureMotion(const PoseSample& pose) {
   const double dt = motion_from_ ? Seconds(pose.t_ns - motion_from_->t_ns) : kMaxMotionStep;
@@ -223,6 +247,15 @@ void LiveCalibration::MeasureMotion(const PoseSample& pose) {
   }
 }
 
+void LiveCalibration::ExtendPath(const PoseSample& pose) {
+  const auto seconds_since = [&](const PoseSample& old) { return Seconds(pose.t_ns - old.t_ns); };
+  const auto is_outside = [&](const PoseSample& old) {
+    return seconds_since(old) > options_.window || seconds_since(old) < 0.0;
+  };
+  while (!path_.empty() && is_outside(path_.front())) path_.pop_front();
+  if (path_.empty() || std::abs(seconds_since(path_.back())) > kPathStep) path_.push_back(pose);
+}
+
 Excitation LiveCalibration::Excited() const {
   const auto share = [](const Eigen::Vector3d& motion, double enough) -> Eigen::Vector3d {
     return (motion / enough).cwiseMax(0.0).cwiseMin(1.0);
@@ -234,7 +267,9 @@ Excitation LiveCalibration::Excited() const {
 
 bool LiveCalibration::WantsSolve() const {
   if (is_solving_ || IsFrozen()) return false;
-  const double shortest = std::min({poses_.Duration(), gyro_.Duration(), accel_.Duration()});
+  double shortest = poses_.Duration();
+  for (const Imu& imu : imus_)
+    shortest = std::min({shortest, imu.gyro.Duration(), imu.accel.Duration()});
   if (shortest < options_.min_duration) return false;
   // Two axes determine everything; the solve itself tells how well.
   Eigen::Vector3d rotation = Excited().rotation;
@@ -244,12 +279,15 @@ bool LiveCalibration::WantsSolve() const {
   return fresh >= (IsConverged() ? 0.5 * options_.window : options_.solve_interval);
 }
 
-CalibrationData LiveCalibration::BeginSolve() {
+SessionData LiveCalibration::BeginSolve() {
   is_solving_ = true;
   is_stale_ = false;
   solved_until_ns_ = poses_.samples.empty() ? 0 : poses_.samples.back().t_ns;
   const auto copy = [](const auto& samples) { return std::vector(samples.begin(), samples.end()); };
-  return {copy(poses_.samples), copy(gyro_.samples), copy(accel_.samples)};
+  SessionData data{copy(poses_.samples), {}};
+  for (const Imu& imu : imus_)
+    data.imus.push_back({copy(imu.gyro.samples), copy(imu.accel.samples)});
+  return data;
 }
 
 bool LiveCalibration::EndSolve(const Calibration& result) {
@@ -280,9 +318,12 @@ void LiveCalibration::FailSolve(const std::string& reason) {
 
 void LiveCalibration::Reset(const std::string& reason, double now) {
   poses_.samples.clear();
-  gyro_.samples.clear();
-  accel_.samples.clear();
+  for (Imu& imu : imus_) {
+    imu.gyro.samples.clear();
+    imu.accel.samples.clear();
+  }
   pose_.reset();
+  path_.clear();
   motion_.clear();
   total_ = Motion();
   motion_from_.reset();
@@ -319,8 +360,10 @@ std::string LiveCalibration::MissingStreams() const {
     if (stream.unstamped > 0) missing += " with header stamps (all are 0)";
   };
   check(poses_);
-  check(gyro_);
-  check(accel_);
+  for (const Imu& imu : imus_) {
+    check(imu.gyro);
+    check(imu.accel);
+  }
   return missing;
 }
 
@@ -336,8 +379,10 @@ std::string LiveCalibration::LostStreams(double now) const {
     lost = Text("the marker is lost: the poses repeat or are invalid for ",
                 std::round(10.0 * (now - pose_changed_)) / 10.0,
                 " s");
-  check(gyro_);
-  check(accel_);
+  for (const Imu& imu : imus_) {
+    check(imu.gyro);
+    check(imu.accel);
+  }
   return lost;
 }
 
@@ -362,8 +407,14 @@ std::string LiveCalibration::Advice() const {
 LiveStatus LiveCalibration::Status(double now) const {
   LiveStatus status;
   status.poses = poses_.Status();
-  status.gyro = gyro_.Status();
-  status.accel = accel_.Status();
+  const auto slower = [](const StreamStatus& a, const StreamStatus& b) {
+    return a.rate_hz < b.rate_hz || a.buffered_s < b.buffered_s;
+  };
+  for (size_t i = 0; i < imus_.size(); ++i) {
+    const StreamStatus gyro = imus_[i].gyro.Status(), accel = imus_[i].accel.Status();
+    if (i == 0 || slower(gyro, status.gyro)) status.gyro = gyro;
+    if (i == 0 || slower(accel, status.accel)) status.accel = accel;
+  }
   status.excitation = Excited();
   status.solves = solves_;
 

@@ -28,6 +28,8 @@ constexpr double kSigmaScale = 200.0;
 constexpr double kPathSpan = 8.0;
 /// The panel stands beside the motion, upright, and is read against the world's y axis.
 constexpr double kBarLength = 0.5, kBarHeight = 0.05, kLine = 0.08;  // [m]
+/// From the motion to the first bar, and heights of that at which the whole panel is in the view.
+constexpr double kPanelDistance = 0.6, kCeiling = 1.9, kFloor = 0.5;  // [m]
 
 /// Collects markers; those of one name have consecutive ids.
 class Drawing {
@@ -108,8 +110,6 @@ class Drawing {
   MarkerArray array_;
 };
 
-Rigid3 operator*(const Rigid3& a, const Rigid3& b) { return {a.q * b.q, a.p + a.q * b.p}; }
-
 Rigid3 ToRigid3(const PoseSample& pose) { return {pose.q_WM.normalized(), pose.p_WM}; }
 
 void DrawPath(const std::string& name,
@@ -127,16 +127,15 @@ void DrawPath(const std::string& name,
   line->points = points;
 }
 
-/// The lever arm and the ellipsoid of its sigma, which lies along the marker axes.
-void DrawLeverArm(const Scene& scene, const Rigid3& T_WM, Drawing* drawing) {
-  const Calibration& result = *scene.result;
-  const Rigid3 T_WI = T_WM * result.T_MI;
+/// The lever arm of an IMU and the ellipsoid of its sigma, which lies along the marker axes.
+void DrawLeverArm(const ImuCalibration& imu, const Rigid3& T_WM, Drawing* drawing) {
+  const Rigid3 T_WI = T_WM * imu.T_MI;
   Marker* arm = drawing->Add("lever arm", Marker::LINE_LIST, kImu);
   arm->scale.x = 0.006;
   arm->points = {ToPointMsg(T_WM.p), ToPointMsg(T_WI.p)};
 
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(
-      result.covariance.topLeftCorner<3, 3>());
+      Eigen::Matrix3d(imu.covariance.topLeftCorner<3, 3>()));
   Eigen::Matrix3d axes = eigen.eigenvectors();
   if (axes.determinant() < 0.0) axes.col(0) *= -1.0;
   const Eigen::Vector3d size = 2.0 * kSigmaScale * eigen.eigenvalues().cwiseMax(0.0).cwiseSqrt();
@@ -185,12 +184,16 @@ std::string Wrap(const std::string& text) {
   return wrapped;
 }
 
-/// Middle of the top of the box around the poses.
-Eigen::Vector3d Above(const std::deque<PoseSample>& path) {
+/// Where the first bar goes: above the poses or, where the view of rviz/calibration.rviz would not
+/// show it any more, below them.
+Eigen::Vector3d PanelPosition(const std::deque<PoseSample>& path) {
   Eigen::AlignedBox3d box(Eigen::Vector3d::Zero());
   if (!path.empty()) box.setEmpty();
   for (const PoseSample& pose : path) box.extend(pose.p_WM);
-  return {box.center().x(), box.center().y(), box.max().z()};
+  Eigen::Vector3d position = box.center();
+  position.z() = box.max().z() + kPanelDistance;
+  if (position.z() > kCeiling) position.z() = std::max(box.min().z() - kPanelDistance, kFloor);
+  return position;
 }
 
 /// Bars, verdict and result, `middle` being that of the first bar.
@@ -225,10 +228,10 @@ void DrawPanel(const Scene& scene, const Eigen::Vector3d& middle, Drawing* drawi
   std::snprintf(text,
                 sizeof(text),
                 "p = [%.1f, %.1f, %.1f] mm\ntime shift = %.4f s\nellipsoid: sigma x %.0f",
-                1e3 * result.T_MI.p.x(),
-                1e3 * result.T_MI.p.y(),
-                1e3 * result.T_MI.p.z(),
-                result.time_shift,
+                1e3 * result.imus[0].T_MI.p.x(),
+                1e3 * result.imus[0].T_MI.p.y(),
+                1e3 * result.imus[0].T_MI.p.z(),
+                result.sessions[0].imus[0].time_shift,
                 kSigmaScale);
   drawing->Label(
       "verdict", middle + Eigen::Vector3d(1.4 * kBarLength, 0.0, -2.5 * kLine), 0.06, text, kImu);
@@ -239,18 +242,20 @@ void DrawPanel(const Scene& scene, const Eigen::Vector3d& middle, Drawing* drawi
 MarkerArray Draw(const Scene& scene, const ros::Time& stamp) {
   Drawing drawing(scene.world_frame, stamp);
   drawing.Frame("world", Rigid3(), 0.3);
-  DrawPanel(scene, Above(scene.path) + Eigen::Vector3d(0.0, 0.0, 0.6), &drawing);
+  DrawPanel(scene, PanelPosition(scene.path), &drawing);
   if (!scene.pose) return drawing.Take();
 
   const Rigid3 T_WM = ToRigid3(*scene.pose);
   drawing.Frame("marker", T_WM, 0.2);
   DrawPath("marker path", scene, Rigid3(), kMarker, &drawing);
   if (!scene.result) return drawing.Take();
-  drawing.Frame("imu", T_WM * scene.result->T_MI, 0.12);
-  DrawPath("imu path", scene, scene.result->T_MI, kImu, &drawing);
-  DrawLeverArm(scene, T_WM, &drawing);
+  for (const ImuCalibration& imu : scene.result->imus) {
+    drawing.Frame("imu", T_WM * imu.T_MI, 0.12);
+    DrawPath("imu path", scene, imu.T_MI, kImu, &drawing);
+    DrawLeverArm(imu, T_WM, &drawing);
+  }
   const Eigen::Vector3d top = T_WM.p + Eigen::Vector3d(-0.3, 0.0, 0.0);
-  drawing.Arrow("gravity", top, top + 0.03 * scene.result->g_W, 0.012, kWhite);
+  drawing.Arrow("gravity", top, top + 0.03 * scene.result->sessions[0].g_W, 0.012, kWhite);
   drawing.Label("gravity", top, 0.04, "gravity");
   return drawing.Take();
 }

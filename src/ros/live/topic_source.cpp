@@ -41,9 +41,12 @@ TopicSource::TopicSource(const ros::NodeHandle& node,
 }
 
 void TopicSource::Subscribe(const std::string& topic) {
-  topic_ = topic;
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    topic_ = topic;
+  }
   subscriber_ = node_.subscribe<topic_tools::ShapeShifter>(
-      topic_,
+      topic,
       0,  // a queue without bound
       Callback([this](const Message& message) { OnMessage(message); }),
       ros::VoidConstPtr(),
@@ -52,35 +55,61 @@ void TopicSource::Subscribe(const std::string& topic) {
 
 void TopicSource::OnMessage(const Message& message) {
   const std::string& type = message.getMessage()->getDataType();
-  if (!Accepts(type)) {
-    problem_ = "is " + type + ", must be " + Join(types_, " or ");
-    return;
+  std::string problem;
+  if (Accepts(type)) {
+    try {
+      callback_(message);
+      ++count_;
+      return;
+    } catch (const ros::Exception& error) {
+      problem = "has another definition of " + type + " than this computer (" + error.what() + ")";
+    }
+  } else {
+    problem = "is " + type + ", must be " + Join(types_, " or ");
   }
-  try {
-    callback_(message);
-    ++count_;
-  } catch (const ros::Exception& error) {
-    problem_ = "has another definition of " + type + " than this computer (" + error.what() + ")";
-  }
+  const std::lock_guard<std::mutex> lock(mutex_);
+  problem_ = problem;
 }
 
 bool TopicSource::Accepts(const std::string& type) const {
   return std::find(types_.begin(), types_.end(), type) != types_.end();
 }
 
-std::string TopicSource::Look() {
-  ros::master::V_TopicInfo published;
-  if (!ros::master::getTopics(published)) return "the ROS master does not answer";
+std::string TopicSource::topic() const {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return topic_;
+}
+
+std::string TopicSource::State() const {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return state_;
+}
+
+void TopicSource::Look(const ros::master::V_TopicInfo& published) {
+  std::string state;
   if (!is_named_ && count_ == 0) {
-    std::vector<std::string> found;
-    for (const ros::master::TopicInfo& info : published)
-      if (Accepts(info.datatype) && !IsOurs(info.name)) found.push_back(info.name);
-    if (found.empty()) return "no topic of type " + Join(types_, " or ") + " is published";
-    if (found.size() > 1)
-      return "several topics of type " + Join(types_, " or ") + ": " + Join(found, ", ") +
-             "; choose with " + parameter_;
-    if (found.front() != topic_) Subscribe(found.front());
+    const std::string found = Find(published, &state);
+    if (!found.empty() && found != topic()) Subscribe(found);
   }
+  if (state.empty()) state = Inspect(published);
+  const std::lock_guard<std::mutex> lock(mutex_);
+  state_ = state;
+}
+
+std::string TopicSource::Find(const ros::master::V_TopicInfo& published, std::string* state) const {
+  std::vector<std::string> found;
+  for (const ros::master::TopicInfo& info : published)
+    if (Accepts(info.datatype) && !IsOurs(info.name)) found.push_back(info.name);
+  if (found.size() == 1) return found.front();
+  const std::string types = Join(types_, " or ");
+  *state = found.empty() ? "no topic of type " + types + " is published"
+                         : "several topics of type " + types + ": " + Join(found, ", ") +
+                               "; choose with " + parameter_;
+  return "";
+}
+
+std::string TopicSource::Inspect(const ros::master::V_TopicInfo& published) const {
+  const std::lock_guard<std::mutex> lock(mutex_);
   if (!problem_.empty()) return topic_ + " " + problem_;
   const auto info = std::find_if(published.begin(), published.end(), [&](const auto& candidate) {
     return candidate.name == topic_;

@@ -7,6 +7,8 @@
 #include <sstream>
 #include <system_error>
 
+#include "imu_pose_calib/core/calibrator.h"
+#include "imu_pose_calib/core/preparation.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/imu_yaml.h"
 #include "imu_pose_calib/ros/io/printable.h"
@@ -25,17 +27,18 @@ bool NamesFiles(const TextRequest& text) {
   return !(text.poses.empty() && text.imu.empty() && text.gyro.empty() && text.accel.empty());
 }
 
-/// Whether the recording is in text files.
+/// Whether the recordings are in text files.
 bool IsText(const OfflineRequest& request) {
   const std::vector<std::string>& paths = request.bag.paths;
-  return NamesFiles(request.text) || (paths.size() == 1 && IsFolder(paths[0]));
+  return NamesFiles(request.text) ||
+         (!paths.empty() && std::all_of(paths.begin(), paths.end(), IsFolder));
 }
 
-/// A request for text files with every file named.
+/// A request for the text files of one session with every file named.
 OfflineRequest FindText(OfflineRequest request) {
   const BagRequest& bag = request.bag;
   TextRequest& text = request.text;
-  if (bag.paths.size() > 1 || (bag.paths.size() == 1 && !IsFolder(bag.paths[0])))
+  if (bag.paths.size() == 1 && !IsFolder(bag.paths[0]))
     throw InputError("poses, imu, gyro and accel name text files; they do not go with the bag '" +
                      bag.paths[0] + "'");
   if (!(bag.imu_topic.empty() && bag.pose_topic.empty() && bag.gyro_topic.empty() &&
@@ -85,16 +88,61 @@ Recording ReadBags(const OfflineRequest& request) {
   return ReadBag(bag);
 }
 
+/// Names the frames as the request says.
+void NameFrames(const OfflineRequest& request, RecordingInfo* info) {
+  const size_t names = SplitNames(request.imu_frame).size();
+  if (!request.imu_frame.empty() && names != info->imus.size())
+    throw InputError("imu_frame names " + std::to_string(names) + " frames for " +
+                     std::to_string(info->imus.size()) + " imus");
+  NameFrames(request.marker_frame, request.imu_frame, info);
+  for (const ImuInfo& imu : info->imus)
+    if (info->marker_frame == imu.imu_frame)
+      throw InputError("marker_frame and imu_frame are both '" + imu.imu_frame +
+                       "', which leaves no transform between them; give one of them another name");
+}
+
+/// One request for each session.
+std::vector<OfflineRequest> SplitSessions(const OfflineRequest& request) {
+  const bool is_text = IsText(request);
+  std::vector<std::vector<std::string>> groups;
+  if (request.bag.paths.size() < 2 || (request.one_recording && !is_text))
+    groups.push_back(request.bag.paths);
+  else if (is_text)
+    for (const std::string& folder : request.bag.paths) groups.push_back({folder});
+  else
+    groups = GroupBags(request.bag.paths);
+  std::vector<OfflineRequest> sessions;
+  for (const auto& paths : groups) {
+    sessions.push_back(request);
+    sessions.back().bag.paths = paths;
+    sessions.back().bag.may_lack_imus = groups.size() > 1;
+    if (is_text) sessions.back() = FindText(sessions.back());
+  }
+  return sessions;
+}
+
 Recording ReadRecording(const OfflineRequest& request) {
   Recording recording = IsText(request) ? ReadText(request.text) : ReadBags(request);
-  RecordingInfo& info = recording.info;
-  info.marker_frame = FrameName(request.marker_frame, info.marker_frame);
-  info.imu_frame = FrameName(request.imu_frame, info.imu_frame);
-  info.imu_yaml = request.imu_yaml;
-  if (info.marker_frame == info.imu_frame)
-    throw InputError("marker_frame and imu_frame are both '" + info.imu_frame +
-                     "', which leaves no transform between them; give one of them another name");
+  recording.info.imu_yaml = request.imu_yaml;
+  if (recording.info.bag.empty()) recording.info.bag = request.text.folder;
   return recording;
+}
+
+/// The recordings of one rig, and the frames of its IMUs the same in all of them.
+std::vector<Recording> ReadRecordings(const std::vector<OfflineRequest>& sessions) {
+  std::vector<Recording> recordings;
+  for (const OfflineRequest& session : sessions) recordings.push_back(ReadRecording(session));
+  RecordingInfo& first = recordings.front().info;
+  for (Recording& recording : recordings) {
+    for (size_t i = 0; i < recording.info.imus.size() && i < first.imus.size(); ++i) {
+      if (first.imus[i].imu_frame.empty())
+        first.imus[i].imu_frame = recording.info.imus[i].imu_frame;
+      recording.info.imus[i].imu_frame = first.imus[i].imu_frame;
+    }
+    recording.info.marker_frame = first.marker_frame;
+  }
+  for (Recording& recording : recordings) NameFrames(sessions.front(), &recording.info);
+  return recordings;
 }
 
 void CheckGiven(const OfflineRequest& request) {
@@ -120,16 +168,19 @@ OfflineResult CalibrateOffline(const OfflineRequest& given) {
   offline.output = OutputPath(given);
   CheckOutput(offline.output, given);  // an old result may be given as the config
   RemoveOldResult(offline.output);
-  const OfflineRequest request = IsText(given) ? FindText(given) : given;
-  CheckOutput(offline.output, request);  // now with the files that were found
+  const std::vector<OfflineRequest> requests = SplitSessions(given);
+  for (const OfflineRequest& request : requests)
+    CheckOutput(offline.output, request);  // now with the files that were found
 
-  const CalibrationOptions options = Options(request);
-  const Recording recording = ReadRecording(request);
-  offline.info = recording.info;
-
-  offline.result = Calibrate(options, recording.data);
+  const CalibrationOptions options = Options(requests.front());
+  std::vector<SessionData> sessions;
+  for (Recording& recording : ReadRecordings(requests)) {
+    offline.infos.push_back(recording.info);
+    sessions.push_back(std::move(recording.data));
+  }
+  offline.result = Calibrate(options, sessions);
   if (!offline.result.IsUsable()) throw DataError(offline.result.message);
-  offline.yaml = ToYaml(offline.result, offline.info, options);
+  offline.yaml = ToYaml(offline.result, offline.infos, options);
   return offline;
 }
 
@@ -148,12 +199,14 @@ void WriteResult(const OfflineResult& offline) {
   }
 }
 
-OfflineCheck CheckOffline(const OfflineRequest& given) {
+std::vector<OfflineCheck> CheckOffline(const OfflineRequest& given) {
   CheckGiven(given);
-  const OfflineRequest request = IsText(given) ? FindText(given) : given;
-  const CalibrationOptions options = Options(request);
-  const Recording recording = ReadRecording(request);
-  return {CheckData(options, recording.data), recording.info};
+  const std::vector<OfflineRequest> requests = SplitSessions(given);
+  const CalibrationOptions options = Options(requests.front());
+  std::vector<OfflineCheck> checks;
+  for (const Recording& recording : ReadRecordings(requests))
+    checks.push_back({CheckData(options, recording.data), recording.info});
+  return checks;
 }
 
 std::string OneLine(const std::exception& error) {

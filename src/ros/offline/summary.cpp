@@ -89,19 +89,33 @@ std::string Stated(const char* indent, const PoseStd& stated) {
                 kDegrees * stated.rotation);
 }
 
-std::string Data(const Calibration& result, const RecordingInfo& info) {
-  const bool is_split = info.imu_topic.empty();
-  std::string text = "\nData\n";
-  text += Stream("  poses  ", info.pose_topic, result.poses);
+std::string Data(const SessionCalibration& session, const RecordingInfo& info) {
+  std::string text = Stream("  poses  ", info.pose_topic, session.poses);
   if (info.stated_pose_std) text += Stated("         ", *info.stated_pose_std);
-  text += Stream("  gyro   ", is_split ? info.gyro_topic : info.imu_topic, result.gyro);
-  text += Stream("  accel  ", is_split ? info.accel_topic : info.imu_topic, result.accel);
+  for (size_t i = 0; i < session.imus.size(); ++i) {
+    const ImuSession& imu = session.imus[i];
+    if (!imu.is_present) continue;
+    text += Stream("  gyro   ", info.imus[i].GyroSource(), imu.gyro);
+    text += Stream("  accel  ", info.imus[i].AccelSource(), imu.accel);
+  }
   if (!info.imu_yaml.empty()) text += Wrap("  noise  ", info.imu_yaml);
-  if (result.gaps + result.jumps > 0)
+  if (session.gaps + session.jumps > 0)
     text += Format("  %zu gaps and %zu jumps in the poses leave %zu segments\n",
-                   result.gaps,
-                   result.jumps,
-                   result.segments);
+                   session.gaps,
+                   session.jumps,
+                   session.segments);
+  return text;
+}
+
+std::string Data(const Calibration& result, const std::vector<RecordingInfo>& infos) {
+  std::string text;
+  for (size_t s = 0; s < result.sessions.size(); ++s) {
+    const bool is_single = result.sessions.size() == 1;
+    text += is_single
+                ? "\nData\n"
+                : "\n" + Wrap("Data of session " + std::to_string(s + 1) + ": ", infos[s].bag);
+    text += Data(result.sessions[s], infos[s]);
+  }
   return text;
 }
 
@@ -149,34 +163,85 @@ std::string Row(const std::string& name,
 
 /// What a person wants to know first.
 std::string Table(const Calibration& result) {
-  const Vector6d sigma = result.Std();
+  const Vector6d sigma = result.imus[0].Std();
   std::string text = "\n" + Row("imu in marker", "value", "sigma", "verdict");
   text += Row("translation [mm]",
-              List(1e3 * result.T_MI.p, "%.3f"),
+              List(1e3 * result.imus[0].T_MI.p, "%.3f"),
               List(1e3 * sigma.head<3>(), "%.3f"),
               RowVerdict(result, "p_MI"));
   text += Row("rpy [deg]",
-              List(RollPitchYaw(result.T_MI.q), "%.3f"),
+              List(RollPitchYaw(result.imus[0].T_MI.q), "%.3f"),
               List(kDegrees * sigma.tail<3>(), "%.4f"),
               RowVerdict(result, "R_MI"));
   text += Row("time shift",
-              Format("%.7f s", result.time_shift),
-              Format("%.4f ms", 1e3 * result.time_shift_std),
+              Format("%.7f s", result.sessions[0].imus[0].time_shift),
+              Format("%.4f ms", 1e3 * result.sessions[0].imus[0].time_shift_std),
               RowVerdict(result, "time_shift"));
   text += Row("accel delay",
-              Format("%.4f ms", 1e3 * result.accel_delay),
-              Format("%.4f ms", 1e3 * result.accel_delay_std),
+              Format("%.4f ms", 1e3 * result.imus[0].accel_delay),
+              Format("%.4f ms", 1e3 * result.imus[0].accel_delay_std),
               RowVerdict(result, "accel_delay"));
-  if (result.clock_drift_std > 0.0)
+  if (result.sessions[0].imus[0].clock_drift_std > 0.0)
     text += Row("clock drift",
-                Format("%.2f ppm", 1e6 * result.clock_drift),
-                Format("%.2f ppm", 1e6 * result.clock_drift_std),
+                Format("%.2f ppm", 1e6 * result.sessions[0].imus[0].clock_drift),
+                Format("%.2f ppm", 1e6 * result.sessions[0].imus[0].clock_drift_std),
                 "ok");
   return text;
 }
 
+/// With several IMUs: one row for each, and their transforms to the first.
+std::string ImuTable(const Calibration& result, const RecordingInfo& info) {
+  const auto row = [](const std::string& name, const Rigid3& T, const Vector6d& sigma) {
+    return Format("  %-6s %26s %7.3f %25s %9.4f\n",
+                  name.c_str(),
+                  List(1e3 * T.p, "%.3f").c_str(),
+                  1e3 * sigma.head<3>().maxCoeff(),
+                  List(RollPitchYaw(T.q), "%.3f").c_str(),
+                  kDegrees * sigma.tail<3>().maxCoeff());
+  };
+  const std::string units =
+      Format("%26s %7s %25s %9s\n", "translation [mm]", "sigma", "rpy [deg]", "sigma");
+  std::string text = "\n  in marker" + units.substr(2);
+  for (size_t i = 0; i < result.imus.size(); ++i)
+    text += row("imu" + std::to_string(i), result.imus[i].T_MI, result.imus[i].Std());
+  text += "  in imu0  " + units.substr(2);
+  for (const BetweenImus& between : result.between_imus)
+    text += row("imu" + std::to_string(between.second), between.T, between.Std());
+  for (size_t i = 0; i < result.imus.size(); ++i)
+    text += Wrap("  imu" + std::to_string(i) + ": ",
+                 info.imus[i].imu_frame + ", " + info.imus[i].GyroSource() +
+                     Format(", accel delay %.4f +- %.4f ms",
+                            1e3 * result.imus[i].accel_delay,
+                            1e3 * result.imus[i].accel_delay_std));
+  return text;
+}
+
+/// With several sessions or IMUs: which is which, the clocks, and what a session says alone.
+std::string SessionTable(const Calibration& result, const std::vector<RecordingInfo>& infos) {
+  std::string text = "\n  session, what it says alone less all others\n";
+  if (result.sessions.size() == 1) text = "\n";
+  for (size_t s = 0; s < result.sessions.size(); ++s) {
+    const SessionCalibration& session = result.sessions[s];
+    if (result.sessions.size() > 1) {
+      text += Wrap("  " + std::to_string(s + 1) + "  ", infos[s].bag);
+      text += Format("     at most %s: %.1f sigma (chi-square %.1f of %d)\n",
+                     session.agreement.worst.c_str(),
+                     session.agreement.sigmas,
+                     session.agreement.chi2,
+                     session.agreement.dof);
+    }
+    for (size_t i = 0; i < session.imus.size(); ++i)
+      if (session.imus[i].is_present)
+        text += Format("     time shift of imu%zu  %.7f s +- %.4f ms\n",
+                       i,
+                       session.imus[i].time_shift,
+                       1e3 * session.imus[i].time_shift_std);
+  }
+  return text;
+}
+
 std::string Transform(const Calibration& result) {
-  const Rigid3& T = result.T_MI;
+  const Rigid3& T = result.imus[0].T_MI;
   const Rigid3 inverse = T.Inverse();
   std::string text = "\nT_marker_imu, the imu seen from the marker: x_marker = R x_imu + p\n";
   text += "  p = " + Vector(1e3 * T.p, "%.3f") + " mm\n";
@@ -192,9 +257,9 @@ std::string Clocks(const Calibration& result) {
   std::string text =
       "Clocks: t_pose = t_imu + time_shift      (inverse: t_imu = t_pose - time_shift)\n";
   text += "        t_pose = t_accel + time_shift - accel_delay\n";
-  if (result.clock_drift_std > 0.0)
+  if (result.sessions[0].imus[0].clock_drift_std > 0.0)
     text += Format("        time_shift holds at t_imu = %.3f s and grows by clock drift\n",
-                   result.clock_reference);
+                   result.sessions[0].imus[0].clock_reference);
   const double smoothing = result.pose_smoothing;
   if (std::abs(smoothing) > kCertain * result.pose_smoothing_std) {
     const double root = std::sqrt(std::abs(smoothing));
@@ -217,13 +282,16 @@ std::string Matrix(const char* name, const Eigen::Matrix3d& M, const Eigen::Matr
 
 std::string Imu(const Calibration& result) {
   std::string text = "\nGravity and mean biases\n";
-  text += "  gravity    = " + Vector(result.g_W, "%.5f") + " m/s^2 in the world frame\n";
-  text += "  gyro bias  = " + Vector(result.gyro_bias, "%.6f") + " rad/s in the imu frame\n";
-  text += "  accel bias = " + Vector(result.accel_bias, "%.5f") + " m/s^2 in the imu frame\n";
+  text +=
+      "  gravity    = " + Vector(result.sessions[0].g_W, "%.5f") + " m/s^2 in the world frame\n";
+  text += "  gyro bias  = " + Vector(result.sessions[0].imus[0].gyro_bias, "%.6f") +
+          " rad/s in the imu frame\n";
+  text += "  accel bias = " + Vector(result.sessions[0].imus[0].accel_bias, "%.5f") +
+          " m/s^2 in the imu frame\n";
   if (result.imu_model == ImuModel::kCalibrated) return text;
   text += "\nScale and misalignment: measured = M true + bias\n";
-  text += Matrix("gyro M =", result.gyro_matrix, result.gyro_matrix_std);
-  text += Matrix("accel M =", result.accel_matrix, result.accel_matrix_std);
+  text += Matrix("gyro M =", result.imus[0].gyro_matrix, result.imus[0].gyro_matrix_std);
+  text += Matrix("accel M =", result.imus[0].accel_matrix, result.imus[0].accel_matrix_std);
   return text;
 }
 
@@ -232,10 +300,22 @@ std::string Residuals(const Calibration& result) {
     return Format("  %-9s rms %.3g %s, noise %.3g %s\n", name, rms, unit, noise, unit);
   };
   return "\nResiduals per axis, and the noise estimated from them\n" +
-         row("gyro", result.rms.gyro, result.noise.gyro, "rad/s") +
-         row("accel", result.rms.accel, result.noise.accel, "m/s^2") +
-         row("position", 1e3 * result.rms.position, 1e3 * result.noise.position, "mm") +
-         row("rotation", kDegrees * result.rms.rotation, kDegrees * result.noise.rotation, "deg") +
+         row("gyro",
+             result.sessions[0].imus[0].rms.gyro,
+             result.sessions[0].imus[0].noise.gyro,
+             "rad/s") +
+         row("accel",
+             result.sessions[0].imus[0].rms.accel,
+             result.sessions[0].imus[0].noise.accel,
+             "m/s^2") +
+         row("position",
+             1e3 * result.sessions[0].rms.position,
+             1e3 * result.sessions[0].noise.position,
+             "mm") +
+         row("rotation",
+             kDegrees * result.sessions[0].rms.rotation,
+             kDegrees * result.sessions[0].noise.rotation,
+             "deg") +
          Format("  the halves of the recording differ by up to %.1f sigma\n",
                 result.split_half.sigmas);
 }
@@ -248,8 +328,9 @@ std::string Warnings(const Calibration& result) {
   return text.empty() ? "" : "\n" + text;
 }
 
-std::string StaticTransform(const Calibration& result, const RecordingInfo& info) {
-  const Rigid3& T = result.T_MI;
+std::string StaticTransform(const Rigid3& T,
+                            const std::string& marker_frame,
+                            const std::string& imu_frame) {
   return "\nrosrun tf2_ros static_transform_publisher \\\n" +
          Format("  %.6f %.6f %.6f %.8f %.8f %.8f %.8f \\\n",
                 T.p.x(),
@@ -259,7 +340,7 @@ std::string StaticTransform(const Calibration& result, const RecordingInfo& info
                 T.q.y(),
                 T.q.z(),
                 T.q.w()) +
-         "  " + info.marker_frame + " " + info.imu_frame + "\n";
+         "  " + marker_frame + " " + imu_frame + "\n";
 }
 
 // --- Data check ---
@@ -312,56 +393,76 @@ std::string Remarks(const char* label, const StreamCheck& stream, const StreamRe
 }
 
 std::string Streams(const DataCheck& check, const RecordingInfo& info) {
-  const bool is_split = info.imu_topic.empty();
-  const bool has_latency = info.pose_latency || info.gyro_latency || info.accel_latency;
+  bool has_latency = info.pose_latency.has_value();
+  for (const ImuInfo& imu : info.imus)
+    has_latency = has_latency || imu.gyro_latency || imu.accel_latency;
   std::string text = "\n         samples      Hz   jitter   max gap missing repeated";
   text += has_latency ? "     latency  spread\n" : "\n";
   text += "                                                %        %";
   text += has_latency ? "   (record - header)\n" : "\n";
-  text += Row("poses", check.poses, info.pose_latency) +
-          Row("gyro", check.gyro, info.gyro_latency) +
-          Row("accel", check.accel, info.accel_latency);
-  text += Wrap(info.bag.empty() ? "  files: " : "  topics: ",
-               info.pose_topic + ", " +
-                   (is_split ? info.gyro_topic + ", " + info.accel_topic : info.imu_topic));
+  text += Row("poses", check.poses, info.pose_latency);
+  std::string topics = info.pose_topic,
+              remarks = Remarks("  poses: ", check.poses, check.poses_report);
+  for (size_t i = 0; i < check.imus.size(); ++i) {
+    const ImuCheck& imu = check.imus[i];
+    text += Row("gyro", imu.gyro, info.imus[i].gyro_latency) +
+            Row("accel", imu.accel, info.imus[i].accel_latency);
+    topics += ", " + info.imus[i].GyroSource();
+    if (info.imus[i].imu_topic.empty()) topics += ", " + info.imus[i].accel_topic;
+    remarks += Remarks("  gyro: ", imu.gyro, imu.gyro_report) +
+               Remarks("  accel: ", imu.accel, imu.accel_report);
+  }
+  text += Wrap(info.bag.empty() ? "  files: " : "  topics: ", topics);
   if (info.stated_pose_std) text += Stated("  poses: ", *info.stated_pose_std);
-  text += Remarks("  poses: ", check.poses, check.poses_report) +
-          Remarks("  gyro: ", check.gyro, check.gyro_report) +
-          Remarks("  accel: ", check.accel, check.accel_report);
+  text += remarks;
   if (check.gaps + check.jumps > 0)
     text += Format("  gaps in the poses: %zu, jumps: %zu\n", check.gaps, check.jumps);
   return text;
 }
 
-std::string Match(const DataCheck& check) {
-  if (!check.is_matched) return "";
-  return Format("  time shift   about %.4f s", check.time_shift) +
-         (std::abs(check.time_shift) < 600.0 ? "" : " (" + Time(check.time_shift) + ")") +
-         Format("; %.1f s in common\n", check.overlap_s) +
-         Format("  clock drift  %.1f +- %.1f ppm\n", check.drift_ppm, check.drift_ppm_std) +
+std::string Match(const ImuCheck& imu) {
+  if (!imu.is_matched) return "";
+  return Format("  time shift   about %.4f s", imu.time_shift) +
+         (std::abs(imu.time_shift) < 600.0 ? "" : " (" + Time(imu.time_shift) + ")") +
+         Format("; %.1f s in common\n", imu.overlap_s) +
+         Format("  clock drift  %.1f +- %.1f ppm\n", imu.drift_ppm, imu.drift_ppm_std) +
          Format("  same motion  the poses explain %.1f %% of the gyroscope's variance\n",
-                100.0 * check.explained);
+                100.0 * imu.explained);
+}
+
+/// What each IMU shows, under its name when there are several.
+std::string Matches(const DataCheck& check) {
+  std::string text;
+  for (size_t i = 0; i < check.imus.size(); ++i) {
+    const std::string match = Match(check.imus[i]);
+    if (check.imus.size() > 1 && !match.empty()) text += "  imu" + std::to_string(i) + "\n";
+    text += match;
+  }
+  return text;
+}
+
+std::string Rest(const ImuCheck& imu) {
+  return imu.rest_s > 0.0 ? Format("  at rest      %.1f s; the accelerometer shows %.2f m/s^2\n",
+                                   imu.rest_s,
+                                   imu.rest_norm)
+                          : "  at rest      never, so the accelerometer's norm is unchecked\n";
 }
 
 std::string Excitation(const DataCheck& check) {
-  return "  turns        " + Vector(check.turns_M, "%.2f") + " rad/s rms about marker x, y, z\n" +
-         "  moves        " + Vector(check.moves_W, "%.2f") + " m/s^2 rms along world x, y, z\n" +
-         (check.rest_s > 0.0 ? Format("  at rest      %.1f s; the accelerometer shows %.2f m/s^2\n",
-                                      check.rest_s,
-                                      check.rest_norm)
-                             : "  at rest      never, so the accelerometer's norm is unchecked\n");
+  std::string text = "  turns        " + Vector(check.turns_M, "%.2f") +
+                     " rad/s rms about marker x, y, z\n" + "  moves        " +
+                     Vector(check.moves_W, "%.2f") + " m/s^2 rms along world x, y, z\n";
+  for (const ImuCheck& imu : check.imus) text += Rest(imu);
+  return text;
 }
 
 /// The names as they can be shown.
 RecordingInfo WithPrintableNames(RecordingInfo info) {
-  for (std::string* name : {&info.imu_topic,
-                            &info.gyro_topic,
-                            &info.accel_topic,
-                            &info.pose_topic,
-                            &info.marker_frame,
-                            &info.imu_frame,
-                            &info.imu_yaml})
-    *name = Printable(*name);
+  std::vector<std::string*> names = {
+      &info.bag, &info.pose_topic, &info.marker_frame, &info.imu_yaml};
+  for (ImuInfo& imu : info.imus)
+    names.insert(names.end(), {&imu.imu_topic, &imu.gyro_topic, &imu.accel_topic, &imu.imu_frame});
+  for (std::string* name : names) *name = Printable(*name);
   return info;
 }
 
@@ -369,18 +470,25 @@ RecordingInfo WithPrintableNames(RecordingInfo info) {
 
 std::string Summary(const DataCheck& check, const RecordingInfo& recording) {
   const RecordingInfo info = WithPrintableNames(recording);
-  std::string text = Verdict(check) + Streams(check, info) + "\n" + Match(check);
+  std::string text = Verdict(check) + Streams(check, info) + "\n" + Matches(check);
   if (!check.turns_M.isZero(0.0)) text += Excitation(check);
   for (const std::string& warning : check.warnings) text += Wrap("  warning: ", warning);
   return text;
 }
 
-std::string Summary(const Calibration& result, const RecordingInfo& recording) {
-  const RecordingInfo info = WithPrintableNames(recording);
-  if (!result.IsUsable()) return Verdict(result) + Data(result, info) + Warnings(result);
-  return Verdict(result) + Table(result) + Warnings(result) + Data(result, info) +
-         Transform(result) + Clocks(result) + Imu(result) + Residuals(result) +
-         StaticTransform(result, info);
+std::string Summary(const Calibration& result, const std::vector<RecordingInfo>& recordings) {
+  std::vector<RecordingInfo> infos;
+  for (const RecordingInfo& recording : recordings) infos.push_back(WithPrintableNames(recording));
+  if (!result.IsUsable()) return Verdict(result) + Data(result, infos) + Warnings(result);
+  const bool is_single = result.imus.size() == 1 && result.sessions.size() == 1;
+  std::string text = Verdict(result);
+  text += result.imus.size() == 1 ? Table(result) : ImuTable(result, infos.front());
+  if (!is_single) text += SessionTable(result, infos);
+  text += Warnings(result) + Data(result, infos) + Transform(result) + Clocks(result) +
+          Imu(result) + Residuals(result);
+  for (size_t i = 0; i < result.imus.size(); ++i)
+    text += StaticTransform(result.imus[i].T_MI, infos[0].marker_frame, infos[0].imus[i].imu_frame);
+  return text;
 }
 
 }  // namespace imu_pose_calib

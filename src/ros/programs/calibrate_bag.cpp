@@ -1,6 +1,9 @@
 // Calibrates from a recording, without a ROS master.
 
+#include <boost/algorithm/string/join.hpp>
 #include <iostream>
+#include <string>
+#include <vector>
 
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
@@ -14,6 +17,7 @@ namespace po = boost::program_options;
 
 struct CommandLine {
   OfflineRequest request;
+  std::vector<std::string> imu_topics, gyro_topics, accel_topics, imus, gyros, accels, imu_frames;
   bool check = false, quiet = false, help = false, version = false;
 };
 
@@ -22,20 +26,25 @@ po::options_description Describe(CommandLine* line) {
   const auto text = [](std::string* field) { return po::value(field)->value_name("TEXT"); };
   po::options_description options("Options");
   auto add = options.add_options();
-  add("imu-topic", text(&request.bag.imu_topic), "sensor_msgs/Imu; default: the one in the bag");
+  const auto texts = [](std::vector<std::string>* field) {
+    return po::value(field)->composing()->value_name("TEXT");
+  };
+  add("imu-topic",
+      texts(&line->imu_topics),
+      "sensor_msgs/Imu; default: the one in the bag; again for each further IMU on the body");
   add("pose-topic",
       text(&request.bag.pose_topic),
       "poses of the marker; default: the one in the bag");
   add("gyro-topic",
-      text(&request.bag.gyro_topic),
+      texts(&line->gyro_topics),
       "gyroscope of a split IMU: sensor_msgs/Imu or geometry_msgs/Vector3Stamped");
-  add("accel-topic", text(&request.bag.accel_topic), "accelerometer of a split IMU");
+  add("accel-topic", texts(&line->accel_topics), "accelerometer of a split IMU");
   add("tf-parent", text(&request.bag.tf_parent), "poses from tf: the fixed frame");
   add("tf-child", text(&request.bag.tf_child), "poses from tf: the marker");
   add("poses", text(&request.text.poses), "text file of the poses, instead of a bag");
-  add("imu", text(&request.text.imu), "text file of the IMU");
-  add("gyro", text(&request.text.gyro), "text file of the gyroscope of a split IMU");
-  add("accel", text(&request.text.accel), "text file of the accelerometer of a split IMU");
+  add("imu", texts(&line->imus), "text file of the IMU; again for each further one");
+  add("gyro", texts(&line->gyros), "text file of the gyroscope of a split IMU");
+  add("accel", texts(&line->accels), "text file of the accelerometer of a split IMU");
   add("imu-yaml", text(&request.imu_yaml), "Kalibr's imu.yaml: noise and topic of the IMU");
   add("config", text(&request.config), "YAML of options, see config/default.yaml");
   add("method", text(&request.method), "joint (default) or gp");
@@ -48,7 +57,12 @@ po::options_description Describe(CommandLine* line) {
       po::bool_switch(&request.bag.record_time),
       "times of recording instead of the header stamps");
   add("marker-frame", text(&request.marker_frame), "name of the marker frame in the result");
-  add("imu-frame", text(&request.imu_frame), "name of the imu frame in the result");
+  add("imu-frame",
+      texts(&line->imu_frames),
+      "name of the imu frame in the result; again for each further IMU");
+  add("one-recording",
+      po::bool_switch(&request.one_recording),
+      "all bags are one recording, also those that do not continue each other");
   add("check", po::bool_switch(&line->check), "judge the recording without calibrating");
   add("quiet", po::bool_switch(&line->quiet), "print errors only");
   add("help", po::bool_switch(&line->help), "print this text");
@@ -60,6 +74,14 @@ void Parse(int argc, char** argv, CommandLine* line) {
   po::options_description all = Describe(line);
   all.add_options()("bag", po::value(&line->request.bag.paths));
   ParseCommandLine(argc, argv, all, "bag", -1);
+  OfflineRequest& request = line->request;
+  request.bag.imu_topic = boost::join(line->imu_topics, " ");
+  request.bag.gyro_topic = boost::join(line->gyro_topics, " ");
+  request.bag.accel_topic = boost::join(line->accel_topics, " ");
+  request.text.imu = boost::join(line->imus, " ");
+  request.text.gyro = boost::join(line->gyros, " ");
+  request.text.accel = boost::join(line->accels, " ");
+  request.imu_frame = boost::join(line->imu_frames, " ");
 }
 
 void PrintHelp() {
@@ -69,16 +91,21 @@ void PrintHelp() {
       << "       calibrate_bag FOLDER [options]                     ASL dataset (EuRoC)\n"
       << "       calibrate_bag --poses FILE --imu FILE [options]    CSV, TUM\n\n"
       << "Estimates T_marker_imu (x_marker = R x_imu + p) and time_shift (t_pose = t_imu +\n"
-      << "time_shift) from the poses of a marker and the samples of an IMU attached to it.\n\n"
+      << "time_shift) from the poses of a marker and the samples of IMUs attached to it. Bags "
+         "that\n"
+      << "do not continue each other are sessions of the same body.\n\n"
       << Describe(&line)
       << "\nExit status: 0 calibrated, 1 bad usage or unreadable input, 2 data that cannot be\n"
       << "calibrated.\n";
 }
 
 void Check(const CommandLine& line) {
-  const OfflineCheck offline = CheckOffline(line.request);
-  if (!line.quiet) std::cout << Summary(offline.check, offline.info) << std::flush;
-  if (offline.check.verdict == DataVerdict::kRecordAgain) throw DataError(offline.check.message);
+  std::string refused;
+  for (const OfflineCheck& offline : CheckOffline(line.request)) {
+    if (!line.quiet) std::cout << Summary(offline.check, offline.info) << std::flush;
+    if (offline.check.verdict == DataVerdict::kRecordAgain) refused = offline.check.message;
+  }
+  if (!refused.empty()) throw DataError(refused);
 }
 
 void Run(int argc, char** argv) {
@@ -92,7 +119,7 @@ void Run(int argc, char** argv) {
 
   if (line.check) return Check(line);
   const OfflineResult offline = CalibrateOffline(line.request);
-  if (!line.quiet) std::cout << Summary(offline.result, offline.info) << std::flush;
+  if (!line.quiet) std::cout << Summary(offline.result, offline.infos) << std::flush;
   WriteResult(offline);
   if (!line.quiet) std::cout << "\nWritten to " << offline.output << "\n";
 }

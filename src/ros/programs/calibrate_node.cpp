@@ -67,6 +67,7 @@ OfflineJob ReadJob() {
   request.bag.tf_child = text("tf_child");
   request.bag.start_s = number("start");
   request.bag.duration_s = number("duration");
+  request.one_recording = Param<bool>("~one_recording", false, "true or false");
   request.bag.record_time = Param<bool>("~record_time", false, "true or false");
   request.text.poses = text("poses");
   request.text.imu = text("imu");
@@ -102,10 +103,10 @@ OfflineJob TakeJob(const std::vector<std::string>& given) {
 /// Publishes the result and the static transform until the node is shut down.
 void Offer(const OfflineResult& offline, ros::NodeHandle* node) {
   auto publisher = node->advertise<CalibrationResult>("result", 1, true);
-  publisher.publish(ToMsg(offline.result, offline.info, ros::Time::now()));
+  publisher.publish(ToMsg(offline.result, offline.infos.front(), ros::Time::now()));
 
   tf2_ros::StaticTransformBroadcaster broadcaster;
-  broadcaster.sendTransform(ToTransformStamped(offline.result, offline.info, ros::Time::now()));
+  broadcaster.sendTransform(ToTransforms(offline.result, offline.infos.front(), ros::Time::now()));
   ros::spin();
 }
 
@@ -115,7 +116,7 @@ void Offer(const OfflineResult& offline, ros::NodeHandle* node) {
 void RunOffline(const OfflineJob& job, std::optional<ros::NodeHandle>* node) {
   std::signal(SIGINT, SIG_DFL);  // as later in the graph, also when a shell has it ignored
   const OfflineResult offline = CalibrateOffline(job.request);
-  std::cout << Summary(offline.result, offline.info) << std::flush;
+  std::cout << Summary(offline.result, offline.infos) << std::flush;
   WriteResult(offline);
   ROS_INFO("Written to %s", offline.output.c_str());
   if (!job.exit) Offer(offline, &node->emplace("~"));

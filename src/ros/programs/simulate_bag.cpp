@@ -20,6 +20,7 @@ struct CommandLine {
   std::string output, motion = "handheld", format_name = "bag";
   SimulatorOptions simulator;
   double imu_rate_hz = 200.0;
+  size_t imus = 1;
   BagFormat format;
   bool help = false;
 };
@@ -38,6 +39,7 @@ po::options_description Describe(CommandLine* line) {
   add("seed", value(&simulator.seed, "N"), "motion, noise and biases follow from it");
   add("pose-rate", value(&simulator.pose_rate_hz, "HZ"), "poses");
   add("imu-rate", value(&line->imu_rate_hz, "HZ"), "gyroscope and accelerometer");
+  add("imus", value(&line->imus, "N"), "on the body, with clocks of their own: /imu, /imu1, ...");
   add("position-std", value(&simulator.position_std, "M"), "noise per axis");
   add("rotation-std", value(&simulator.rotation_std, "RAD"), "noise per axis");
   add("gyro-std", value(&simulator.gyro_std, "RAD/S"), "noise per sample");
@@ -141,7 +143,10 @@ void Run(int argc, char** argv) {
   if (line.help) return PrintHelp();
   const std::string prefix = Prefix(line);
   const SimulatorOptions simulator = Simulator(line);
-  const CalibrationData data = Simulate(simulator);
+  if (line.imus < 1 || line.imus > 9 || (line.imus > 1 && line.format_name != "bag"))
+    throw InputError("--imus = " + std::to_string(line.imus) +
+                     " must be 1 to 9, and 1 but for a bag");
+  const SessionData data = Simulate(simulator, line.imus);
   if (line.format_name == "bag") WriteBag(line.output, data, line.format);
   if (line.format_name == "asl") WriteAslFolder(prefix, data);
   if (line.format_name == "text") WriteTables(prefix, data, line.format.split_imu);

@@ -11,7 +11,7 @@ namespace imu_pose_calib {
 struct BagRequest {
   /// Bags of one recording, each with all topics or only some; at least one.
   std::vector<std::string> paths;
-  std::string imu_topic;
+  std::string imu_topic;  ///< several IMUs: white space between them, as below
   std::string pose_topic;
   /// Split IMU, both or none; not together with `imu_topic`.
   std::string gyro_topic, accel_topic;
@@ -20,6 +20,8 @@ struct BagRequest {
   double start_s = 0.0;      ///< [s] after the first record time of the bags
   double duration_s = 0.0;   ///< [s] 0: to the end
   bool record_time = false;  ///< Stamp with the record times instead of the header stamps.
+  /// An IMU that is named may be missing: another session of the rig has it.
+  bool may_lack_imus = false;
   /// Taken when no IMU topic is given and the bags have it.
   std::string usual_imu_topic;
 };
@@ -37,5 +39,10 @@ struct BagRequest {
 /// Throws InputError when a bag cannot be read or when the bags do not hold exactly one choice of
 /// topics: the text, printable, names what they have and which field to give.
 Recording ReadBag(const BagRequest& request);
+
+/// Bags by the recording that they are of, in the order in which they are given. Those that
+/// continue each other, or hold other topics of the same time, are one recording. Reads and throws
+/// as ReadBag() does.
+std::vector<std::vector<std::string>> GroupBags(const std::vector<std::string>& paths);
 
 }  // namespace imu_pose_calib

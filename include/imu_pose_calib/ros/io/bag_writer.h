@@ -21,15 +21,17 @@ struct BagFormat {
 
 /// Throws InputError unless gyroscope and accelerometer samples have the same stamps, as one topic
 /// or file for both needs.
-void CheckSameStamps(const CalibrationData& data);
+void CheckSameStamps(const SessionData& data);
 
-/// Writes poses on /mocap/pose or /tf (frame world, child marker) and IMU samples (frame imu).
+/// Writes poses on /mocap/pose or /tf (frame world, child marker) and IMU samples (frame imu);
+/// further IMUs on /imu1 (frame imu1) and so on, as Imu, recorded as if they had all started
+/// together.
 /// Record times are header times; when the clocks start more than a day apart, the IMU's record
 /// times are moved to the pose clock as if both had started together.
 ///
 /// Throws InputError when the file cannot be written, when a type is unknown, or when one
 /// topic is to hold gyroscope and accelerometer samples of different stamps.
-void WriteBag(const std::string& path, const CalibrationData& data, const BagFormat& format);
+void WriteBag(const std::string& path, const SessionData& data, const BagFormat& format);
 
 /// Truth of a simulated bag as YAML: rotation [x, y, z, w] and translation of T_marker_imu,
 /// time_shift, accel_delay, gravity, gyro_bias, accel_bias.

@@ -56,6 +56,7 @@ class Bags {
   Bags(const std::vector<std::string>& paths, double start_s, double duration_s);
 
   const std::vector<BagTopic>& topics() const { return topics_; }
+  double begin_s() const { return begin_.toSec(); }  ///< first record time
   double duration_s() const { return (end_ - begin_).toSec(); }
 
   /// Calls `use(message)` for the messages of a topic in the order of recording while it is true.

@@ -13,9 +13,10 @@
 
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "imu_pose_calib/CalibrationResult.h"
-#include "imu_pose_calib/core/calibrator.h"
+#include "imu_pose_calib/core/result.h"
 #include "imu_pose_calib/core/types.h"
 #include "imu_pose_calib/ros/io/recording.h"
 
@@ -65,10 +66,10 @@ ImuSample ToAccelSample(const sensor_msgs::Imu& msg);             ///< [m/s^2]
 /// `frame` without leading slash, or `fallback` when it is empty.
 std::string FrameName(const std::string& frame, const std::string& fallback);
 
-/// T_marker_imu as a tf: parent marker, child imu.
-geometry_msgs::TransformStamped ToTransformStamped(const Calibration& result,
-                                                   const RecordingInfo& info,
-                                                   const ros::Time& stamp);
+/// T_marker_imu of each IMU as a tf: parent marker, child imu.
+std::vector<geometry_msgs::TransformStamped> ToTransforms(const Calibration& result,
+                                                          const RecordingInfo& info,
+                                                          const ros::Time& stamp);
 CalibrationResult ToMsg(const Calibration& result,
                         const RecordingInfo& info,
                         const ros::Time& stamp);

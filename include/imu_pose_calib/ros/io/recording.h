@@ -2,6 +2,7 @@
 
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "imu_pose_calib/core/types.h"
 
@@ -13,28 +14,38 @@ struct Latency {
   double spread_s = 0.0;  ///< robust sigma
 };
 
+/// Where the samples of an IMU come from. All empty: the recording lacks it.
+struct ImuInfo {
+  /// Either `imu_topic`, or `gyro_topic` and `accel_topic` for a split IMU; the others are empty.
+  std::string imu_topic, gyro_topic, accel_topic;
+  std::string imu_frame;  ///< without leading slash
+  /// No value: there are no record times, as in text files.
+  std::optional<Latency> gyro_latency, accel_latency;
+
+  const std::string& GyroSource() const { return imu_topic.empty() ? gyro_topic : imu_topic; }
+  const std::string& AccelSource() const { return imu_topic.empty() ? accel_topic : imu_topic; }
+};
+
 /// Where a recording comes from and how its frames are called.
 struct RecordingInfo {
   /// Path of the bag, or paths with spaces between them. Empty: live topics, or text files, whose
   /// paths stand for the topics.
   std::string bag;
-  /// Either `imu_topic`, or `gyro_topic` and `accel_topic` for a split IMU; the others are empty.
-  std::string imu_topic, gyro_topic, accel_topic;
+  std::vector<ImuInfo> imus = std::vector<ImuInfo>(1);
   std::string pose_topic;
-  /// Frame names without leading slash: fixed frame of the poses, marker, imu.
-  std::string world_frame, marker_frame, imu_frame;
+  /// Frame names without leading slash: fixed frame of the poses, marker.
+  std::string world_frame, marker_frame;
   /// File that the noise of the IMU is from. Empty: the options.
   std::string imu_yaml;
   /// What the covariances of the poses say, median.
   std::optional<PoseStd> stated_pose_std;
-  /// No value: there are no record times, as in text files.
-  std::optional<Latency> pose_latency, gyro_latency, accel_latency;
+  std::optional<Latency> pose_latency;  ///< see ImuInfo
 };
 
 /// The samples of one recording in the order in which they were recorded.
 struct Recording {
   RecordingInfo info;
-  CalibrationData data;
+  SessionData data;
 };
 
 /// A field of a request: its name and what was given for it, empty for nothing.
@@ -49,6 +60,13 @@ bool IsPair(const Given& one, const Given& first, const Given& second);
 
 /// Throws InputError when the part of a recording to use is not one.
 void CheckSpan(double start_s, double duration_s);
+
+/// The names that one text holds with white space between them; at least one, which may be empty.
+std::vector<std::string> SplitNames(const std::string& text);
+
+/// Sets frames that are named by the user, `imu_frame` with white space between those of several
+/// IMUs; empty names keep those of the recording. IMUs that it calls alike get numbers.
+void NameFrames(const std::string& marker_frame, const std::string& imu_frame, RecordingInfo* info);
 
 /// For handing a recording from one process to another of the same program.
 std::string ToBytes(const Recording& recording);

@@ -1,9 +1,10 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
-#include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/options.h"
+#include "imu_pose_calib/core/result.h"
 #include "imu_pose_calib/ros/io/recording.h"
 
 namespace imu_pose_calib {
@@ -15,9 +16,11 @@ extern const char kVersion[];
 extern const char kResultHeader[];
 
 /// Result file: T_marker_imu and its inverse, clocks, biases, noise, quality and the data used. A
-/// comment at the top states the equations of transform and clocks.
+/// comment at the top states the equations of transform and clocks. With several IMUs or sessions
+/// these are of the first; `imus`, `between_imus` and `sessions` hold all. `infos`: of each
+/// session.
 std::string ToYaml(const Calibration& result,
-                   const RecordingInfo& info,
+                   const std::vector<RecordingInfo>& infos,
                    const CalibrationOptions& options);
 
 /// Shortest text that reads back as `value` and that YAML 1.1 and 1.2 both take for a float.

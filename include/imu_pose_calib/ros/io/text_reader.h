@@ -12,7 +12,7 @@ struct TextRequest {
   /// in it by their columns: SENSOR/data.csv.
   std::string folder;
   std::string poses;
-  std::string imu;
+  std::string imu;  ///< several IMUs: white space between them, unless a file is called so
   /// Split IMU, both or none; not together with `imu`.
   std::string gyro, accel;
   double start_s = 0.0;     ///< [s] after the first stamp; see ReadText()

@@ -22,7 +22,7 @@ namespace imu_pose_calib {
 ///
 /// Throws InputError starting with `name` when the text is anything else.
 std::vector<PoseSample> ReadPoseTable(std::istream& in, const std::string& name);
-void ReadImuTable(std::istream& in, const std::string& name, CalibrationData* data);
+void ReadImuTable(std::istream& in, const std::string& name, ImuData* data);
 std::vector<ImuSample> ReadGyroTable(std::istream& in, const std::string& name);
 std::vector<ImuSample> ReadAccelTable(std::istream& in, const std::string& name);
 

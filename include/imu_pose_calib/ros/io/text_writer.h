@@ -11,10 +11,10 @@ namespace imu_pose_calib {
 // samples of different stamps.
 
 /// ASL dataset (EuRoC) of poses and IMU: folder/mocap0/data.csv and folder/imu0/data.csv.
-void WriteAslFolder(const std::string& folder, const CalibrationData& data);
+void WriteAslFolder(const std::string& folder, const SessionData& data);
 
 /// Tables without any folder: prefix.poses.txt (TUM) and prefix.imu.csv, or for a split IMU
 /// prefix.gyro.csv and prefix.accel.csv.
-void WriteTables(const std::string& prefix, const CalibrationData& data, bool split_imu);
+void WriteTables(const std::string& prefix, const SessionData& data, bool split_imu);
 
 }  // namespace imu_pose_calib

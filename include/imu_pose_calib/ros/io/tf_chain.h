@@ -30,6 +30,9 @@ class TfChain {
   /// belongs to it is unusable: not finite, or its quaternion is not of unit length.
   std::vector<PoseSample> TakePoses();
 
+  /// How many updates have been kept for poses that are not known yet.
+  size_t Pending() const;
+
   /// Throws InputError naming the frames when the links seen so far cannot give poses: a frame is
   /// missing, the two are not connected, or nothing between them moves.
   void Check() const;
@@ -38,10 +41,6 @@ class TfChain {
   std::string Links() const;
 
  private:
-  struct Update {
-    ros::Time stamp;
-    bool usable;
-  };
   /// The link from a frame, which is the key of `links_`, to its parent.
   struct Link {
     std::string parent;
@@ -49,11 +48,15 @@ class TfChain {
     bool moves = false;     ///< has changed
     ros::Time first, last;  ///< stamps of usable updates; 0: none
     geometry_msgs::Transform first_transform;
-    std::vector<Update> updates;  ///< that call for a pose and have not been taken
+    /// Stamps of updates that call for a pose and have not been taken; whether all of this stamp
+    /// are usable.
+    std::map<ros::Time, bool> updates;
   };
 
   void AddFixed(const geometry_msgs::TransformStamped& transform);
   void AddMoving(const geometry_msgs::TransformStamped& transform);
+  /// Forgets updates further from the last usable one than the cache: nothing is known of them.
+  void Prune(Link* link) const;
   PoseSample PoseAt(const ros::Time& stamp, bool usable) const;
   /// The frame and those above it, up to the root.
   std::vector<std::string> Ancestry(std::string frame) const;
@@ -62,6 +65,7 @@ class TfChain {
   std::optional<std::vector<std::string>> Chain() const;
 
   std::string parent_, child_;
+  int64_t cache_ns_;
   tf2::BufferCore buffer_;
   std::map<std::string, Link> links_;
   ros::Time last_taken_;

@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/core/calibrator.h"
+#include "imu_pose_calib/core/result.h"
 #include "imu_pose_calib/core/types.h"
 
 namespace imu_pose_calib {
@@ -47,8 +47,8 @@ struct StreamStatus {
 
 struct LiveStatus {
   Phase phase = Phase::kWaiting;
-  std::string message;  ///< one sentence for people
-  StreamStatus poses, gyro, accel;
+  std::string message;              ///< one sentence for people
+  StreamStatus poses, gyro, accel;  ///< of several IMUs, the slowest
   Excitation excitation;
   size_t solves = 0;  ///< since the last reset
 };
@@ -68,20 +68,23 @@ LargestStd MaxStd(const Calibration& result);
 ///   live.EndSolve(result);  // or live.FailSolve(error.what())
 class LiveCalibration {
  public:
-  /// `calibration` tells how the poses are to be understood: unit and direction.
+  /// `calibration` tells how the poses are to be understood: unit and direction. `imus`: how many
+  /// there are on the body.
   explicit LiveCalibration(const LiveOptions& options,
-                           const CalibrationOptions& calibration = CalibrationOptions());
+                           const CalibrationOptions& calibration = CalibrationOptions(),
+                           size_t imus = 1);
 
   /// Samples in the order of arrival. A stamp that jumps, or `now` that goes back, starts anew:
   /// the old data and result belong to another clock.
-  void AddPose(const PoseSample& recorded, double now);
-  void AddGyro(const ImuSample& sample, double now);
-  void AddAccel(const ImuSample& sample, double now);
+  /// True when the pose is valid and differs from the one before.
+  bool AddPose(const PoseSample& recorded, double now);
+  void AddGyro(const ImuSample& sample, double now, size_t imu = 0);
+  void AddAccel(const ImuSample& sample, double now, size_t imu = 0);
 
   /// There is enough motion, enough of it is new, and no solve is running.
   bool WantsSolve() const;
   /// What is in the buffers, for Calibrate().
-  CalibrationData BeginSolve();
+  SessionData BeginSolve();
   /// True when `result` is the one to use from now on: no result so far was clearly more precise.
   /// A result of data from before a reset is ignored.
   bool EndSolve(const Calibration& result);
@@ -101,17 +104,22 @@ class LiveCalibration {
   const std::optional<Calibration>& result() const { return result_; }
   /// Newest valid pose T_WM [m].
   const std::optional<PoseSample>& pose() const { return pose_; }
+  /// Valid poses of the window, thinned out.
+  const std::deque<PoseSample>& path() const { return path_; }
 
  private:
   template <typename Sample>
   struct Stream {
-    const char* name;  ///< for people
+    std::string name;  ///< for people
     std::deque<Sample> samples;
     size_t received = 0, unstamped = 0;
     double arrival = 0.0;  ///< `now` of the last sample [s]
 
     StreamStatus Status() const;
     double Duration() const;  ///< [s]
+  };
+  struct Imu {
+    Stream<ImuSample> gyro, accel;
   };
   /// Squared rates in the marker frame, times the time between two poses.
   struct Motion {
@@ -125,6 +133,7 @@ class LiveCalibration {
   template <typename Sample>
   std::string FindJump(const Sample& sample, double now, const Stream<Sample>& stream) const;
   void MeasureMotion(const PoseSample& pose);
+  void ExtendPath(const PoseSample& pose);
   Excitation Excited() const;
 
   bool IsStable() const;
@@ -136,10 +145,10 @@ class LiveCalibration {
   const LiveOptions options_;
   const CalibrationOptions calibration_;
   Stream<PoseSample> poses_{"poses", {}};
-  Stream<ImuSample> gyro_{"gyroscope", {}};
-  Stream<ImuSample> accel_{"accelerometer", {}};
+  std::vector<Imu> imus_;
 
   std::optional<PoseSample> pose_;
+  std::deque<PoseSample> path_;
   double pose_changed_ = 0.0;  ///< `now` of the last pose that was valid and new [s]
 
   std::deque<Motion> motion_;

@@ -6,7 +6,7 @@
 #include <deque>
 #include <string>
 
-#include "imu_pose_calib/core/calibrator.h"
+#include "imu_pose_calib/core/result.h"
 #include "imu_pose_calib/ros/live/live_calibration.h"
 
 namespace imu_pose_calib {

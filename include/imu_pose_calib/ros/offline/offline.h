@@ -4,18 +4,21 @@
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/data_check.h"
+#include "imu_pose_calib/core/result.h"
 #include "imu_pose_calib/ros/io/bag_reader.h"
 #include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/io/text_reader.h"
 
 namespace imu_pose_calib {
 
-/// Calibration of a recording as calibrate_bag and calibrate_node offer it. Empty: the default.
+/// Calibration of recordings of one rig as calibrate_bag and calibrate_node offer it. Empty: the
+/// default.
 struct OfflineRequest {
-  /// The path may also be the folder of an ASL dataset.
+  /// The paths may also be folders of ASL datasets, each a session. Bags that continue each other
+  /// are one session, see GroupBags().
   BagRequest bag;
+  bool one_recording = false;  ///< all bags are one session, whatever they hold
   /// Text files without any bag, or those to choose of the folder; only the names of files are
   /// used.
   TextRequest text;
@@ -23,17 +26,18 @@ struct OfflineRequest {
   /// Kalibr's imu.yaml; its noise wins over `config`. Empty: without a `config`, the sensor.yaml
   /// beside a text file of the IMU, if there is one.
   std::string imu_yaml;
-  std::string method;                   ///< name of a Method; wins over `config`
-  std::string output;                   ///< result YAML; default: see OutputPath()
-  std::string marker_frame, imu_frame;  ///< replace the names found in the bag
+  std::string method;        ///< name of a Method; wins over `config`
+  std::string output;        ///< result YAML; default: see OutputPath()
+  std::string marker_frame;  ///< replaces the name found in the bag
+  std::string imu_frame;     ///< the same; of several IMUs: white space between them
 };
 
 /// A usable calibration and what to do with it.
 struct OfflineResult {
   Calibration result;
-  RecordingInfo info;
-  std::string output;  ///< path of the result file, not written yet
-  std::string yaml;    ///< its text
+  std::vector<RecordingInfo> infos;  ///< of each session
+  std::string output;                ///< path of the result file, not written yet
+  std::string yaml;                  ///< its text
 };
 
 /// Where the result goes: x.calibration.yaml for x.bag, the first of the bags, or for a file x.csv
@@ -53,15 +57,15 @@ std::vector<std::string> SplitBags(const std::string& text);
 /// Writes the result. When that fails, prints its text on stdout before it throws.
 void WriteResult(const OfflineResult& offline);
 
-/// Checks of one bag without a calibration.
+/// Checks of one session without a calibration.
 struct OfflineCheck {
   DataCheck check;
   RecordingInfo info;
 };
 
-/// Reads the bag and judges it; writes and removes nothing.
+/// Reads each session and judges it; writes and removes nothing.
 /// Throws InputError when something cannot be used as given.
-OfflineCheck CheckOffline(const OfflineRequest& request);
+std::vector<OfflineCheck> CheckOffline(const OfflineRequest& request);
 
 /// The text of an error on one line, printable whatever files and arguments it quotes.
 std::string OneLine(const std::exception& error);

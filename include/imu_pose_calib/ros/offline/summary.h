@@ -1,9 +1,10 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
-#include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/data_check.h"
+#include "imu_pose_calib/core/result.h"
 #include "imu_pose_calib/ros/io/recording.h"
 
 namespace imu_pose_calib {
@@ -11,7 +12,8 @@ namespace imu_pose_calib {
 /// The result as a person reads it in a terminal, at most 80 columns wide (names excepted):
 /// verdict, data, T_marker_imu and its inverse, clocks, biases, residuals and warnings, each number
 /// with its unit, each equation with its direction; last a command that publishes the transform.
-std::string Summary(const Calibration& result, const RecordingInfo& info);
+/// With several IMUs or sessions, a table of each. `infos`: of each session.
+std::string Summary(const Calibration& result, const std::vector<RecordingInfo>& infos);
 
 /// What a check of the data found, readable at a glance: verdict, a table of the streams, clocks,
 /// excitation and warnings.

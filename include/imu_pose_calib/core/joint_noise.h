@@ -1,0 +1,28 @@
+#pragma once
+
+#include <vector>
+
+#include "imu_pose_calib/core/correction_splines.h"
+#include "imu_pose_calib/core/least_squares.h"
+
+namespace imu_pose_calib {
+
+/// Sets the share of each sensor's degrees of freedom that a session's splines use up, doc/math.md,
+/// S4, "Degrees of freedom".
+void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares* joint);
+
+/// Sets the information that the trajectories feign, doc/math.md Eq. (18).
+void FeignInformation(const std::vector<CorrectionSplines>& splines, LeastSquares* joint);
+
+/// Robust weights of the samples by the last residuals in units of the noise of `models`,
+/// doc/math.md, S4, "Passes".
+void UpdateWeights(const LeastSquares& joint,
+                   const std::vector<CorrectionSplines>& splines,
+                   std::vector<SensorModel>* models);
+
+/// Noise of each sensor at the frequencies where poses and IMU meet over its spread per sample, at
+/// least 1: 1 when it is white. From the last residuals; doc/math.md, S4, "Colour".
+std::vector<double> NoiseColor(const LeastSquares& joint,
+                               const std::vector<SensorStatistics>& statistics);
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,133 @@
+#pragma once
+
+#include <ceres/problem.h>
+
+#include <vector>
+
+#include "imu_pose_calib/core/estimate.h"
+#include "imu_pose_calib/core/options.h"
+
+namespace imu_pose_calib {
+
+enum class Quantity { kPosition, kRotation, kGyro, kAccel };
+
+/// What a solve assumes of one sensor in one session.
+struct SensorModel {
+  Quantity quantity;
+  size_t session, imu;          ///< imu: of gyroscope and accelerometer
+  double rate_hz;               ///< of its samples
+  double noise;                 ///< sigma per sample and axis [m, rad, rad/s, m/s^2]
+  std::vector<double> weights;  ///< robust (0..1], of each sample of the data
+
+  /// Two-sided power spectral density of the noise [unit^2/Hz].
+  double Density() const { return noise * noise / rate_hz; }
+};
+
+/// The sensors of all sessions, with the noise to start from and all weights 1: position and
+/// rotation of a session, then gyroscope and accelerometer of each of its IMUs. Noise of poses as
+/// the GP's likelihood says, of IMUs by the options' densities, sigma = density sqrt(rate).
+std::vector<SensorModel> InitialModels(const CalibrationOptions& options,
+                                       const std::vector<PreparedSession>& sessions);
+
+/// What the residuals of a sensor say after a solve.
+struct SensorStatistics {
+  double noise;  ///< robust spread per axis, less what the trajectory's own variance explains
+  double rms;    ///< per axis, of all samples used
+};
+
+/// A sample in a problem.
+struct ProblemSample {
+  size_t index;                      ///< in the data
+  double t;                          ///< [s] pose clock
+  double sigma;                      ///< residual * sigma has the sensor's unit
+  double trajectory_variance = 0.0;  ///< share of sigma^2
+  double scale = 1.0;                ///< noise relative to the usual sample's
+};
+
+/// Residual blocks of a sensor, three rows in sigma for each sample. Their rows, one after the
+/// other, are those of `samples`.
+struct SensorBlocks {
+  const SensorModel* model;
+  std::vector<ceres::ResidualBlockId> blocks;
+  std::vector<double> block_t;  ///< [s] pose clock, of each block's first sample
+  std::vector<ProblemSample> samples;
+  /// Share of the samples' degrees of freedom that the trajectory uses up by following them [0..1].
+  double fitted = 0.0;
+  /// Of each sample, in the sensor's unit and over its scale, as of the last FindStatistics().
+  std::vector<Eigen::Vector3d> residuals;
+
+  void Add(ceres::ResidualBlockId block, const std::vector<ProblemSample>& block_samples);
+};
+
+/// Bias walks and priors.
+struct PriorBlock {
+  ceres::ResidualBlockId block;
+  size_t session;
+  double t;  ///< [s] pose clock
+};
+
+/// Residuals of the samples of a sensor, measured less model, with the noise that weighs them.
+struct SensorResiduals {
+  Quantity quantity;
+  size_t session, imu;
+  double noise;                           ///< sigma of a sample of weight 1 [m, rad, rad/s, m/s^2]
+  std::vector<double> t;                  ///< [s] pose clock after the epoch of the session's poses
+  std::vector<Eigen::Vector3d> residual;  ///< unit of `noise`; position in W, others in M or I
+  std::vector<double> weight;             ///< robust (0..1]
+};
+
+/// Tolerance of the passes of a solve after which noise or weights still change.
+constexpr double kRoughTolerance = 1e-3;
+
+/// Expected squared norm of the error of ([alpha]x + [omega]x [omega]x) e for a unit vector e, when
+/// alpha and omega have the given variances per axis: what a lever arm makes of their errors.
+inline double LeverArmCoefficientVariance(double alpha_variance,
+                                          double omega_variance,
+                                          double omega2) {
+  return 2.0 * alpha_variance + 4.0 * omega_variance * omega2;
+}
+
+/// A least squares problem over all sessions: what the two solves, against fixed trajectories and
+/// jointly with them, have in common. Refers to everything it is given; Solve() moves `estimate`.
+struct LeastSquares {
+  const CalibrationOptions& options;
+  const std::vector<PreparedSession>& sessions;
+  Estimate* const estimate;
+
+  ceres::Problem problem;
+  std::vector<SensorBlocks> sensors;  ///< in the order of the models
+  std::vector<PriorBlock> priors;
+  std::vector<double*> trajectory_blocks;  ///< parameters of the trajectories, when estimated
+  /// Information on the p_MI of each IMU [1/m^2] that the trajectory's own errors feign: they move
+  /// the lever arm's coefficients as a motion would.
+  std::vector<double> feigned_information;
+
+  LeastSquares(const CalibrationOptions& options,
+               const std::vector<PreparedSession>& sessions,
+               const std::vector<SensorModel>& models,
+               Estimate* estimate);
+
+  SensorBlocks* Find(Quantity quantity, size_t session, size_t imu = 0);
+  /// Parameter blocks with their manifolds, constant where the options fix them: rotation and time
+  /// shifts; translation, gravity and accel_delay.
+  void AddGyroParameters();
+  void AddAccelParameters();
+  void AddBiasWalk(double walk, size_t session, size_t imu, BiasKnots* knots);
+  /// The parameters of this kind; when they are estimated, with independent priors around 0.
+  void AddOptional(ParameterKind kind, double sigma);
+
+  /// Throws DataError when Ceres does not converge to a relative change of the cost below
+  /// `function_tolerance`.
+  void Solve(double function_tolerance);
+  /// Of each sensor.
+  std::vector<SensorStatistics> FindStatistics();
+  /// Residuals of each sensor where the estimate stands.
+  std::vector<SensorResiduals> TakeResiduals();
+  /// Threads that the options ask for.
+  int Threads() const;
+};
+
+/// The sample can be compared: t_M [s, pose clock] is inside of a segment and not at its very end.
+bool IsOnTrajectory(const PoseTrajectory& trajectory, double t_M);
+
+}  // namespace imu_pose_calib

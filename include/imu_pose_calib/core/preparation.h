@@ -1,0 +1,24 @@
+#pragma once
+
+#include <vector>
+
+#include "imu_pose_calib/core/data_check.h"
+#include "imu_pose_calib/core/estimate.h"
+#include "imu_pose_calib/core/options.h"
+
+namespace imu_pose_calib {
+
+/// Stages S0 to S2 of one session, with all that they remark in `check`.
+///
+/// Throws DataError for data that cannot be used and DegenerateMotion when the marker does not turn
+/// enough; what was found by then is in `check`.
+PreparedSession Prepare(const CalibrationOptions& options,
+                        const SessionData& session,
+                        DataCheck* check);
+
+/// What a recording is worth, by these stages, with the verdict. Data that Calibrate() would refuse
+/// are `kRecordAgain`, or `kUsable` when they only need another option. Throws InputError for
+/// options out of range.
+DataCheck CheckData(const CalibrationOptions& options, const SessionData& session);
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,26 @@
+#pragma once
+
+#include <ros/node_handle.h>
+
+#include <string>
+
+#include "imu_pose_calib/core/options.h"
+#include "imu_pose_calib/ros/live/live_calibration.h"
+
+namespace imu_pose_calib {
+
+/// Parameters of the live node; README.md lists them.
+struct LiveSettings {
+  /// Topics and frame of several IMUs have white space between them.
+  std::string imu_topic, gyro_topic, accel_topic, pose_topic, tf_parent, tf_child;
+  std::string marker_frame, imu_frame;  ///< empty: of the messages
+  std::string output, imu_yaml;
+  bool auto_save = false;
+  CalibrationOptions calibration;
+  LiveOptions live;
+};
+
+/// From the parameters of `node`. Throws InputError for those that cannot be used as given.
+LiveSettings ReadLiveSettings(const ros::NodeHandle& node);
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,163 @@
+#include "imu_pose_calib/core/joint_noise.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "imu_pose_calib/core/allan.h"
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr double kLongestAveraging = 1.0;  // [s] beyond it biases and few means blur the noise
+/// Knots on either side that act on the trajectory at a sample.
+constexpr double kReach = 0.5 * kSplineOrder;
+
+/// Mean squared residual of the samples within `reach` [s] of each, which are in order of time.
+template <typename Samples>
+std::vector<double> MeanSquareAround(const Samples& samples,
+                                     const std::vector<Eigen::Vector3d>& residuals,
+                                     double reach) {
+  std::vector<double> means;
+  size_t begin = 0, end = 0;
+  double sum = 0.0;
+  for (const auto& sample : samples) {
+    for (; end < samples.size() && samples[end].t <= sample.t + reach; ++end)
+      sum += residuals[end].squaredNorm();
+    for (; samples[begin].t < sample.t - reach; ++begin) sum -= residuals[begin].squaredNorm();
+    means.push_back(sum / static_cast<double>(end - begin));
+  }
+  return means;
+}
+
+/// Densities of the noise that sensors of one kind have together in a session, as they tell of the
+/// same motion.
+struct JointDensities {
+  double position, rotation, gyro, accel;
+
+  JointDensities(const LeastSquares& joint, size_t session) {
+    const auto together = [&](Quantity quantity) {
+      double information = 0.0;
+      for (const SensorBlocks& sensor : joint.sensors)
+        if (sensor.model->session == session && sensor.model->quantity == quantity)
+          information += 1.0 / sensor.model->Density();
+      return 1.0 / information;
+    };
+    position = together(Quantity::kPosition);
+    rotation = together(Quantity::kRotation);
+    gyro = together(Quantity::kGyro);
+    accel = together(Quantity::kAccel);
+  }
+
+  /// [Hz] above which the IMUs say more of the trajectory than the poses do: S_a = w^4 S_p and
+  /// S_g = w^2 S_r.
+  double AccelCrossover() const { return std::pow(accel / position, 0.25) / (2.0 * M_PI); }
+  double GyroCrossover() const { return std::sqrt(gyro / rotation) / (2.0 * M_PI); }
+};
+
+/// The IMUs' share of the information on a spline, in the mean over the spline's band [Hz].
+double ImuShare(double crossover, int order, double band) {
+  constexpr int kSteps = 100;
+  double sum = 0.0;
+  for (int k = 0; k < kSteps; ++k) {
+    const double x = std::pow((k + 0.5) / kSteps * band / crossover, order);
+    sum += x / (1.0 + x);
+  }
+  return sum / kSteps;
+}
+
+}  // namespace
+
+void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares* joint) {
+  const double band = 0.5 / splines.spacing();  // [Hz]
+  const auto points = static_cast<double>(splines.d.size());
+  const JointDensities S(*joint, session);
+  const double accel = ImuShare(S.AccelCrossover(), 4, band);
+  const double gyro = ImuShare(S.GyroCrossover(), 2, band);
+  const auto share = [&](const SensorModel& model) {
+    switch (model.quantity) {
+      case Quantity::kPosition:
+        return 1.0 - accel;
+      case Quantity::kRotation:
+        return 1.0 - gyro;
+      case Quantity::kGyro:
+        return gyro * S.gyro / model.Density();
+      case Quantity::kAccel:
+        break;
+    }
+    return accel * S.accel / model.Density();
+  };
+  for (SensorBlocks& sensor : joint->sensors)
+    if (sensor.model->session == session)
+      sensor.fitted =
+          share(*sensor.model) * points / std::max(1.0, static_cast<double>(sensor.samples.size()));
+}
+
+void FeignInformation(const std::vector<CorrectionSplines>& splines, LeastSquares* joint) {
+  constexpr int kSteps = 200;
+  for (const SensorBlocks& sensor : joint->sensors) {
+    if (sensor.model->quantity != Quantity::kAccel) continue;
+    const size_t session = sensor.model->session;
+    const PoseTrajectory& trajectory = *joint->sessions[session].trajectory;
+    const JointDensities S(*joint, session);
+    double turn2 = 0.0, count = 0.0, spacing = 0.0;
+    for (const ProblemSample& s : sensor.samples) {
+      MarkerState<double> state;
+      const auto place = splines[session].Locate(s.t);
+      if (!place || !trajectory.Evaluate(s.t, &state)) continue;
+      turn2 += state.omega_M.squaredNorm();
+      spacing = place->spacing;
+      count += 1.0;
+    }
+    if (count == 0.0) continue;
+    const double band = 0.5 / spacing, step = band / kSteps;  // [Hz]
+    double density = 0.0;                                     // information per second
+    for (int k = 0; k < kSteps; ++k) {
+      const double w2 = std::pow(2.0 * M_PI * (k + 0.5) * step, 2);
+      const double omega =
+          1.0 / (1.0 / S.gyro + 1.0 / (w2 * S.rotation));  // poses and gyroscope add up
+      const double lever = LeverArmCoefficientVariance(w2 * omega, omega, turn2 / count);
+      density += 2.0 * step * lever / (sensor.model->Density() + w2 * w2 * S.position);
+    }
+    joint->feigned_information[sensor.model->imu] += count / sensor.model->rate_hz * density;
+  }
+}
+
+void UpdateWeights(const LeastSquares& joint,
+                   const std::vector<CorrectionSplines>& splines,
+                   std::vector<SensorModel>* models) {
+  for (size_t k = 0; k < models->size(); ++k) {
+    SensorModel& model = (*models)[k];
+    const SensorBlocks& sensor = joint.sensors[k];
+    const double scale2 = std::pow(model.noise * joint.options.robust_loss_scale, 2);
+    for (size_t i = 0; i < sensor.samples.size(); ++i)
+      model.weights[sensor.samples[i].index] =
+          1.0 / (1.0 + sensor.residuals[i].squaredNorm() / scale2);
+    if (model.quantity == Quantity::kPosition || model.quantity == Quantity::kRotation) continue;
+    // Where knots do not follow the motion, residuals swing through zero and none of them is right.
+    const std::vector<double> around = MeanSquareAround(
+        sensor.samples, sensor.residuals, kReach * splines[model.session].spacing());
+    for (size_t i = 0; i < sensor.samples.size(); ++i)
+      model.weights[sensor.samples[i].index] /= 1.0 + std::pow(around[i] / scale2, 2);
+  }
+}
+
+std::vector<double> NoiseColor(const LeastSquares& joint,
+                               const std::vector<SensorStatistics>& statistics) {
+  std::vector<double> colors;
+  for (size_t k = 0; k < joint.sensors.size(); ++k) {
+    const SensorBlocks& sensor = joint.sensors[k];
+    const JointDensities S(joint, sensor.model->session);
+    const Quantity quantity = sensor.model->quantity;
+    const bool is_pose = quantity == Quantity::kPosition || quantity == Quantity::kRotation;
+    const bool is_linear = quantity == Quantity::kPosition || quantity == Quantity::kAccel;
+    const double crossover = is_linear ? S.AccelCrossover() : S.GyroCrossover();
+    const double tau =
+        std::min(kLongestAveraging, kAllanBand / ((is_pose ? 2.0 : 0.5) * crossover));
+    std::vector<double> t;
+    for (const ProblemSample& sample : sensor.samples) t.push_back(sample.t);
+    colors.push_back(std::max(1.0, AllanNoise(t, sensor.residuals, tau) / statistics[k].noise));
+  }
+  return colors;
+}
+
+}  // namespace imu_pose_calib

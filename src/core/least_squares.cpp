@@ -1,0 +1,217 @@
+#include "imu_pose_calib/core/least_squares.h"
+
+#include <ceres/normal_prior.h>
+#include <ceres/solver.h>
+
+#include <algorithm>
+#include <cmath>
+#include <string>
+#include <thread>
+
+#include "imu_pose_calib/core/manifolds.h"
+#include "imu_pose_calib/core/median.h"
+#include "imu_pose_calib/core/residuals.h"
+
+namespace imu_pose_calib {
+namespace {
+
+/// Samples closer than this to the end of a segment are left out, so that the time shift can move.
+constexpr double kEdge = 0.02;  // [s]
+/// Residuals of a sensor that the trajectory follows more closely say little about its noise.
+constexpr double kLeastRedundancy = 0.1;
+
+}  // namespace
+
+std::vector<SensorModel> InitialModels(const CalibrationOptions& options,
+                                       const std::vector<PreparedSession>& sessions) {
+  std::vector<SensorModel> models;
+  for (size_t s = 0; s < sessions.size(); ++s) {
+    const ConditionedData& data = sessions[s].data;
+    const PoseTrajectory& trajectory = *sessions[s].trajectory;
+    const auto add = [&](Quantity quantity, size_t imu, double rate_hz, double noise, size_t size) {
+      models.push_back({quantity, s, imu, rate_hz, noise, std::vector<double>(size, 1.0)});
+    };
+    const double rate_hz = data.pose_report.rate_hz;
+    const size_t poses = data.poses.size();
+    add(Quantity::kPosition, 0, rate_hz, trajectory.position_hyperparameters().noise_std, poses);
+    add(Quantity::kRotation, 0, rate_hz, trajectory.rotation_hyperparameters().noise_std, poses);
+    for (size_t i = 0; i < data.imus.size(); ++i) {
+      const ConditionedImu& imu = data.imus[i];
+      if (!imu.IsPresent()) continue;
+      const auto add_imu = [&](Quantity quantity, double density, double rate, size_t size) {
+        add(quantity, i, rate, density * std::sqrt(rate), size);
+      };
+      add_imu(
+          Quantity::kGyro, options.gyro_noise_density, imu.gyro_report.rate_hz, imu.gyro.size());
+      add_imu(Quantity::kAccel,
+              options.accel_noise_density,
+              imu.accel_report.rate_hz,
+              imu.accel.size());
+    }
+  }
+  return models;
+}
+
+void SensorBlocks::Add(ceres::ResidualBlockId block,
+                       const std::vector<ProblemSample>& block_samples) {
+  blocks.push_back(block);
+  block_t.push_back(block_samples.front().t);
+  samples.insert(samples.end(), block_samples.begin(), block_samples.end());
+}
+
+LeastSquares::LeastSquares(const CalibrationOptions& options,
+                           const std::vector<PreparedSession>& sessions,
+                           const std::vector<SensorModel>& models,
+                           Estimate* estimate)
+    : options(options),
+      sessions(sessions),
+      estimate(estimate),
+      feigned_information(estimate->imus.size(), 0.0) {
+  for (const SensorModel& model : models) {
+    sensors.emplace_back();
+    sensors.back().model = &model;
+  }
+}
+
+SensorBlocks* LeastSquares::Find(Quantity quantity, size_t session, size_t imu) {
+  for (SensorBlocks& sensor : sensors)
+    if (sensor.model->quantity == quantity && sensor.model->session == session &&
+        sensor.model->imu == imu)
+      return &sensor;
+  return nullptr;
+}
+
+void LeastSquares::AddGyroParameters() {
+  for (const Parameter& p : CalibrationParameters(estimate)) {
+    if (p.kind != ParameterKind::kRotation && p.kind != ParameterKind::kTimeShift) continue;
+    const bool is_rotation = p.kind == ParameterKind::kRotation;
+    problem.AddParameterBlock(p.data, is_rotation ? 4 : 1);
+    if (is_rotation) SetUnitQuaternion(p.data, &problem);
+    if (!IsEstimated(options, p.kind)) problem.SetParameterBlockConstant(p.data);
+  }
+}
+
+void LeastSquares::AddAccelParameters() {
+  for (const Parameter& p : CalibrationParameters(estimate)) {
+    if (p.kind != ParameterKind::kTranslation && p.kind != ParameterKind::kAccelDelay) continue;
+    problem.AddParameterBlock(p.data, p.size);
+    if (!IsEstimated(options, p.kind)) problem.SetParameterBlockConstant(p.data);
+  }
+  for (SessionEstimate& session : estimate->sessions) {
+    problem.AddParameterBlock(session.g_W.data(), 3);
+    SetSphere(session.g_W.data(), &problem);
+    if (!options.estimate_gravity) problem.SetParameterBlockConstant(session.g_W.data());
+  }
+}
+
+void LeastSquares::AddBiasWalk(double walk, size_t session, size_t imu, BiasKnots* knots) {
+  const ImuSessionEstimate& clock = estimate->sessions[session].imus[imu];
+  for (size_t k = 0; k + 1 < knots->t.size(); ++k) {
+    const double sigma = walk * std::sqrt(knots->t[k + 1] - knots->t[k]);
+    priors.push_back({problem.AddResidualBlock(BiasWalkResidual{sigma}.Create(),
+                                               nullptr,
+                                               knots->values[k].data(),
+                                               knots->values[k + 1].data()),
+                      session,
+                      clock.PoseTime(knots->t[k])});
+  }
+}
+
+void LeastSquares::AddOptional(ParameterKind kind, double sigma) {
+  for (const Parameter& p : CalibrationParameters(estimate)) {
+    if (p.kind != kind) continue;
+    problem.AddParameterBlock(p.data, p.size);
+    if (!IsEstimated(options, kind)) {
+      problem.SetParameterBlockConstant(p.data);
+      continue;
+    }
+    auto* prior = new ceres::NormalPrior(Eigen::MatrixXd::Identity(p.size, p.size) / sigma,
+                                         Eigen::VectorXd::Zero(p.size));
+    const SessionEstimate& session = estimate->sessions[p.session];
+    const ImuSessionEstimate& clock = session.imus[session.FirstImu()];
+    priors.push_back({problem.AddResidualBlock(prior, nullptr, p.data),
+                      p.session,
+                      clock.PoseTime(clock.clock_reference)});
+  }
+}
+
+int LeastSquares::Threads() const {
+  return options.num_threads > 0
+             ? options.num_threads
+             : std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
+}
+
+void LeastSquares::Solve(double function_tolerance) {
+  ceres::Solver::Options ceres_options;
+  ceres_options.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
+  ceres_options.sparse_linear_algebra_library_type = ceres::EIGEN_SPARSE;  // small blocks: no BLAS
+  ceres_options.max_num_iterations = options.max_iterations;
+  ceres_options.num_threads = Threads();
+  ceres_options.logging_type = ceres::SILENT;
+  ceres_options.function_tolerance = function_tolerance;
+  ceres_options.jacobi_scaling = false;  // Cholesky does not need it
+  // Nearly linear: full Gauss-Newton steps first.
+  ceres_options.initial_trust_region_radius = 1e8;
+  ceres::Solver::Summary summary;
+  ceres::Solve(ceres_options, &problem, &summary);
+  if (summary.termination_type == ceres::CONVERGENCE) return;
+  throw DataError("the solve did not converge within max_iterations = " +
+                  std::to_string(options.max_iterations) + ": " + summary.message);
+}
+
+std::vector<SensorStatistics> LeastSquares::FindStatistics() {
+  std::vector<SensorStatistics> statistics;
+  for (SensorBlocks& sensor : sensors) {
+    if (sensor.samples.empty()) {
+      statistics.push_back({sensor.model->noise, 0.0});
+      continue;
+    }
+    ceres::Problem::EvaluateOptions evaluate;
+    evaluate.apply_loss_function = false;
+    evaluate.num_threads = Threads();
+    evaluate.residual_blocks = sensor.blocks;
+    std::vector<double> residuals;
+    if (!problem.Evaluate(evaluate, nullptr, &residuals, nullptr, nullptr))
+      throw DataError("the residuals cannot be evaluated where the solve ended");
+    std::vector<double> magnitudes, variances;
+    double sum2 = 0.0;
+    sensor.residuals.clear();
+    for (size_t i = 0; i < sensor.samples.size(); ++i) {
+      const ProblemSample& sample = sensor.samples[i];
+      const Eigen::Vector3d r =
+          sample.sigma / sample.scale * Eigen::Map<const Eigen::Vector3d>(&residuals[3 * i]);
+      for (const double x : r) magnitudes.push_back(std::abs(x));
+      variances.push_back(sample.trajectory_variance);
+      sensor.residuals.push_back(r);
+      sum2 += sample.scale * sample.scale * r.squaredNorm();
+    }
+    const double redundancy = std::max(kLeastRedundancy, 1.0 - sensor.fitted);
+    const double spread2 = std::pow(kMadToSigma * Median(magnitudes), 2) / redundancy;
+    // The trajectory's share is known only roughly: it never explains the residuals alone.
+    statistics.push_back({std::sqrt(std::max({spread2 - Median(variances), 0.01 * spread2, 1e-18})),
+                          std::sqrt(sum2 / static_cast<double>(residuals.size()))});
+  }
+  return statistics;
+}
+
+std::vector<SensorResiduals> LeastSquares::TakeResiduals() {
+  FindStatistics();
+  std::vector<SensorResiduals> all;
+  for (SensorBlocks& sensor : sensors) {
+    const SensorModel& model = *sensor.model;
+    SensorResiduals own{model.quantity, model.session, model.imu, model.noise, {}, {}, {}};
+    for (size_t i = 0; i < sensor.samples.size(); ++i) {
+      own.t.push_back(sensor.samples[i].t);
+      own.residual.push_back(sensor.samples[i].scale * sensor.residuals[i]);
+      own.weight.push_back(model.weights[sensor.samples[i].index]);
+    }
+    all.push_back(std::move(own));
+  }
+  return all;
+}
+
+bool IsOnTrajectory(const PoseTrajectory& trajectory, double t_M) {
+  return trajectory.Contains(t_M - kEdge) && trajectory.Contains(t_M + kEdge);
+}
+
+}  // namespace imu_pose_calib

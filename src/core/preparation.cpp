@@ -1,0 +1,71 @@
+#include "imu_pose_calib/core/preparation.h"
+
+#include <string>
+
+#include "imu_pose_calib/core/observability.h"
+
+namespace imu_pose_calib {
+namespace {
+
+/// S2 of one IMU; initial values are those of the first. What it throws names the IMU when there
+/// are several.
+Start StartOf(CalibrationOptions options, const PreparedSession& session, size_t imu) {
+  if (imu > 0) {
+    options.initial_time_shift.reset();
+    options.initial_rotation.reset();
+    options.initial_translation.reset();
+  }
+  const std::string of = OfImu(imu, session.data.imus.size());
+  try {
+    return Initialise(options, *session.trajectory, session.data, imu);
+  } catch (const OptionNeeded& error) {
+    throw OptionNeeded(error.what() + of);
+  } catch (const DataError& error) {
+    throw DataError(error.what() + of);
+  }
+}
+
+}  // namespace
+
+PreparedSession Prepare(const CalibrationOptions& options,
+                        const SessionData& session,
+                        DataCheck* check) {
+  *check = CheckStreams(session);
+  PreparedSession prepared;
+  prepared.data = ConditionData(options, session);
+  PoseTrajectory trajectory = FitTrajectory(options, &prepared.data);
+  RemoveFlippedSegments(options, &trajectory, &prepared.data);
+  prepared.trajectory = std::make_shared<const PoseTrajectory>(std::move(trajectory));
+  CheckMotion(options, prepared.data, *prepared.trajectory, check);
+  // With a known lever arm or rotation a turn about one axis may do: the covariance will tell.
+  if (options.estimate_translation && options.estimate_rotation)
+    CheckTurns(MeasureTurns(*prepared.trajectory, prepared.data));
+  for (size_t i = 0; i < prepared.data.imus.size(); ++i) {
+    const bool is_present = prepared.data.imus[i].IsPresent();
+    prepared.starts.push_back(is_present ? StartOf(options, prepared, i) : Start());
+    if (is_present) CheckMatch(prepared.data, *prepared.trajectory, prepared.starts[i], i, check);
+  }
+  return prepared;
+}
+
+DataCheck CheckData(const CalibrationOptions& options, const SessionData& session) {
+  options.Validate();
+  DataCheck check;
+  try {
+    Prepare(options, session, &check);
+    WarnOfDrift(options, &check);
+  } catch (const OptionNeeded& error) {
+    check.verdict = DataVerdict::kUsable;
+    check.message = error.what();
+    return check;
+  } catch (const DataError& error) {
+    check.verdict = DataVerdict::kRecordAgain;
+    check.message = error.what();
+    return check;
+  }
+  check.verdict = check.warnings.empty() ? DataVerdict::kGood : DataVerdict::kUsable;
+  check.message = check.warnings.empty() ? "nothing to remark" : "see the warnings below";
+  return check;
+}
+
+}  // namespace imu_pose_calib
