@@ -101,7 +101,8 @@ void CompareSessions(int seeds, double duration_s) {
 void CompareImus(int seeds, double duration_s) {
   Errors alone[2], together[2], between, between_alone;
   for (int seed = 1; seed <= seeds; ++seed) {
-    const SimulatorOptions truth[2] = {Truth(seed, duration_s), FurtherImu(Truth(seed, duration_s), 1)};
+    const SimulatorOptions truth[2] = {Truth(seed, duration_s),
+                                       FurtherImu(Truth(seed, duration_s), 1)};
     SessionData both = Simulate(truth[0], 2);
     const SessionData second = {both.poses, {both.imus[1]}};
     const Calibration rig = Calibrate({}, both);

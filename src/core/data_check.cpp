@@ -277,14 +277,14 @@ DataCheck CheckStreams(const SessionData& session) {
   DataCheck check;
   check.poses = CheckStream(session.poses);
   WarnOfStamps("pose", check.poses, kMaxMissingPoses, kMaxRepeatedPoses, &check.warnings);
+  check.imus.resize(session.imus.size());
   for (size_t i = 0; i < session.imus.size(); ++i) {
-    ImuCheck imu;
+    ImuCheck& imu = check.imus[i];
     imu.gyro = CheckStream(session.imus[i].gyro);
     imu.accel = CheckStream(session.imus[i].accel);
     const std::string of = OfImu(i, session.imus.size());
     WarnOfStamps("gyroscope" + of, imu.gyro, kMaxMissingImu, kMaxRepeatedImu, &check.warnings);
     WarnOfStamps("accelerometer" + of, imu.accel, kMaxMissingImu, kMaxRepeatedImu, &check.warnings);
-    check.imus.push_back(imu);
   }
   return check;
 }

@@ -189,8 +189,7 @@ SimulatorOptions FurtherImu(SimulatorOptions first, size_t imu) {
 
 SessionData Simulate(const SimulatorOptions& options, size_t imus) {
   SessionData data = Simulate(options);
-  for (size_t i = 1; i < imus; ++i)
-    data.imus.push_back(Simulate(FurtherImu(options, i)).imus[0]);
+  for (size_t i = 1; i < imus; ++i) data.imus.push_back(Simulate(FurtherImu(options, i)).imus[0]);
   return data;
 }
 

@@ -90,7 +90,7 @@ TEST_F(RigsTest, BagsThatContinueEachOtherAreOneSession) {
       whole.imus[0].accel, [](SessionData * d) -> auto& { return d->imus[0].accel; }, 0);
   WriteBag(Path("a_0.bag"), parts[0], {});
   WriteBag(Path("a_1.bag"), parts[1], {});
-  WriteSession("b.bag", Handheld(5), 1);
+  WriteSession("b.bag", Handheld(5, 20.0), 1);
   const std::vector<std::string> paths = {Path("a_1.bag"), Path("b.bag"), Path("a_0.bag")};
   const auto groups = GroupBags(paths);
   // b starts when a does and has its topics: another session.
@@ -118,7 +118,7 @@ TEST_F(RigsTest, ASessionMayLackAnImu) {
   EXPECT_EQ(sessions[1]["imus"].size(), 1u);
   ExpectFailure("s2.bag" + topics, 1, {"imu_topic '/imu1' is not in s2.bag"});
   ExpectFailure("s1.bag --imu-topic /imu --imu-topic /imu", 1, {"'/imu' is given twice"});
-  ExpectFailure("s1.bag --imu-frame a --imu-frame b", 1, {"imu_frame names 2 frames for 1 imus"});
+  ExpectFailure("s2.bag --imu-frame a --imu-frame b", 1, {"imu_frame names 2 frames for 1 imus"});
 }
 
 TEST_F(RigsTest, TextFilesAndFoldersMayBeSeveral) {
@@ -134,7 +134,7 @@ TEST_F(RigsTest, TextFilesAndFoldersMayBeSeveral) {
       Calibrate("--poses a.poses.txt --imu a.imu.csv --imu b.imu.csv --output y.yaml --quiet");
   ASSERT_EQ(files.status, 0) << files.err;
   const YAML::Node between = YAML::LoadFile(Path("y.yaml"))["between_imus"][0]["transform"];
-  EXPECT_LT(Distance(between["translation"], Eigen::Vector3d::Zero()), 1e-6);
+  EXPECT_LT(Distance(between["translation"], Eigen::Vector3d::Zero()), 1e-5);
 }
 
 }  // namespace

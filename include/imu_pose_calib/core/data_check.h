@@ -54,9 +54,9 @@ struct DataCheck {
   size_t segments = 0, gaps = 0, jumps = 0;
 
   /// Rms per axis about the mean: rate about the marker axes, acceleration along the world axes.
-  Eigen::Vector3d turns_M = Eigen::Vector3d::Zero();  ///< [rad/s]
-  Eigen::Vector3d moves_W = Eigen::Vector3d::Zero();  ///< [m/s^2]
-  std::vector<ImuCheck> imus;                         ///< in the order of the rig
+  Eigen::Vector3d turns_M = Eigen::Vector3d::Zero();      ///< [rad/s]
+  Eigen::Vector3d moves_W = Eigen::Vector3d::Zero();      ///< [m/s^2]
+  std::vector<ImuCheck> imus = std::vector<ImuCheck>(1);  ///< in the order of the rig
 };
 
 /// Checks of the samples as recorded: rates, stamps, repetitions.

@@ -8,6 +8,7 @@
 #include <functional>
 #include <map>
 #include <optional>
+#include <set>
 #include <sstream>
 #include <vector>
 
@@ -22,8 +23,8 @@
 namespace imu_pose_calib {
 namespace {
 
-/// Bags of one recording follow each other, or overlap, by no more than this [s].
-constexpr double kMaxPause = 2.0;
+/// Bags of one recording follow each other by no more than this, or overlap by as little [s].
+constexpr double kMaxPause = 2.0, kMaxOverlap = 0.5;
 
 std::string PoseTypeList() {
   std::string list;
@@ -107,8 +108,8 @@ ImuTopics FindImu(const Bags& bags) {
   }
   if (gyros.size() != 1 || accels.size() != 1)
     throw InputError("several IMU topics: " + Describe(candidates) +
-                     "; choose with imu_topic, several of one body with white space between them, "
-                     "or with gyro_topic and accel_topic");
+                     "; choose with imu_topic, or with gyro_topic and accel_topic; several IMUs of "
+                     "one body have white space between their topics");
   return {gyros[0], accels[0]};
 }
 
@@ -435,7 +436,7 @@ struct BagSpan {
     const auto is_shared = [&](const std::string& topic) {
       return std::find(other.topics.begin(), other.topics.end(), topic) != other.topics.end();
     };
-    return pause > -kMaxPause || std::none_of(topics.begin(), topics.end(), is_shared);
+    return pause > -kMaxOverlap || std::none_of(topics.begin(), topics.end(), is_shared);
   }
 };
 
@@ -447,6 +448,10 @@ Recording ReadBag(const BagRequest& request) {
 
 std::vector<std::vector<std::string>> GroupBags(const std::vector<std::string>& paths) {
   if (paths.size() < 2) return {paths};
+  std::set<std::filesystem::path> known;
+  for (const std::string& path : paths)
+    if (std::filesystem::exists(path) && !known.insert(std::filesystem::canonical(path)).second)
+      throw InputError("bag '" + path + "' is given twice");
   BagRequest request;
   request.paths = paths;
   // A line for each bag: the number of its recording.

@@ -67,13 +67,14 @@ void WriteAslFolder(const std::string& folder, const SessionData& data) {
                const Eigen::Quaterniond& q = data.poses[k].q_WM;
                return {p.x(), p.y(), p.z(), q.w(), q.x(), q.y(), q.z()};
              });
-  WriteTable(folder + "/imu0/data.csv",
-             "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
-             "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]",
-             ',',
-             data.imus[0].gyro,
-             Nanoseconds,
-             [&](size_t k) { return Join(data.imus[0].gyro[k].value, data.imus[0].accel[k].value); });
+  WriteTable(
+      folder + "/imu0/data.csv",
+      "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
+      "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]",
+      ',',
+      data.imus[0].gyro,
+      Nanoseconds,
+      [&](size_t k) { return Join(data.imus[0].gyro[k].value, data.imus[0].accel[k].value); });
 }
 
 void WriteTables(const std::string& prefix, const SessionData& data, bool split_imu) {
@@ -90,9 +91,12 @@ void WriteTables(const std::string& prefix, const SessionData& data, bool split_
   if (!split_imu) {
     CheckSameStamps(data);
     WriteTable(
-        prefix + ".imu.csv", "timestamp,gx,gy,gz,ax,ay,az", ',', data.imus[0].gyro, Seconds, [&](size_t k) {
-          return Join(data.imus[0].gyro[k].value, data.imus[0].accel[k].value);
-        });
+        prefix + ".imu.csv",
+        "timestamp,gx,gy,gz,ax,ay,az",
+        ',',
+        data.imus[0].gyro,
+        Seconds,
+        [&](size_t k) { return Join(data.imus[0].gyro[k].value, data.imus[0].accel[k].value); });
     return;
   }
   const auto write_sensor = [](const std::string& path,

@@ -124,7 +124,6 @@ std::vector<OfflineRequest> SplitSessions(const OfflineRequest& request) {
 Recording ReadRecording(const OfflineRequest& request) {
   Recording recording = IsText(request) ? ReadText(request.text) : ReadBags(request);
   recording.info.imu_yaml = request.imu_yaml;
-  if (recording.info.bag.empty()) recording.info.bag = request.text.folder;
   return recording;
 }
 
