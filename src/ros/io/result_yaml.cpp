@@ -235,7 +235,7 @@ void EmitSessions(const Calibration& result,
   for (size_t s = 0; s < result.sessions.size(); ++s) {
     const SessionCalibration& session = result.sessions[s];
     *out << YAML::BeginMap;
-    Emit("source", infos[s].bag.empty() ? infos[s].pose_topic : infos[s].bag, out);
+    Emit("source", infos[s].Source(), out);
     Emit("world", infos[s].world_frame, out);
     *out << YAML::Key << "imus" << YAML::Value << YAML::BeginSeq;
     for (size_t i = 0; i < session.imus.size(); ++i) {

@@ -113,7 +113,7 @@ std::string Data(const Calibration& result, const std::vector<RecordingInfo>& in
     const bool is_single = result.sessions.size() == 1;
     text += is_single
                 ? "\nData\n"
-                : "\n" + Wrap("Data of session " + std::to_string(s + 1) + ": ", infos[s].bag);
+                : "\n" + Wrap("Data of session " + std::to_string(s + 1) + ": ", infos[s].Source());
     text += Data(result.sessions[s], infos[s]);
   }
   return text;
@@ -223,7 +223,7 @@ std::string SessionTable(const Calibration& result, const std::vector<RecordingI
   for (size_t s = 0; s < result.sessions.size(); ++s) {
     const SessionCalibration& session = result.sessions[s];
     if (result.sessions.size() > 1) {
-      text += Wrap("  " + std::to_string(s + 1) + "  ", infos[s].bag);
+      text += Wrap("  " + std::to_string(s + 1) + "  ", infos[s].Source());
       text += Format("     at most %s: %.1f sigma (chi-square %.1f of %d)\n",
                      session.agreement.worst.c_str(),
                      session.agreement.sigmas,

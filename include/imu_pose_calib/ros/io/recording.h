@@ -40,6 +40,9 @@ struct RecordingInfo {
   /// What the covariances of the poses say, median.
   std::optional<PoseStd> stated_pose_std;
   std::optional<Latency> pose_latency;  ///< see ImuInfo
+
+  /// What tells it from other recordings.
+  const std::string& Source() const { return bag.empty() ? pose_topic : bag; }
 };
 
 /// The samples of one recording in the order in which they were recorded.
