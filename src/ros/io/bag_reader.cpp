@@ -32,26 +32,8 @@ std::string PoseTypeList() {
   return list;
 }
 
-/// What a message of an IMU topic carries.
-struct ImuContent {
-  std::optional<ImuSample> gyro, accel;
-  std::string frame;
-};
-
-/// A vector may be either sensor.
 ImuContent ReadImuMessage(const rosbag::MessageInstance& instance) {
-  ImuContent content;
-  if (instance.getDataType() == kVectorType) {
-    const auto msg = Instantiate<geometry_msgs::Vector3Stamped>(instance);
-    content.gyro = content.accel = ToImuSample(*msg);
-    content.frame = msg->header.frame_id;
-  } else {
-    const auto msg = Instantiate<sensor_msgs::Imu>(instance);
-    if (IsGiven(msg->angular_velocity_covariance)) content.gyro = ToGyroSample(*msg);
-    if (IsGiven(msg->linear_acceleration_covariance)) content.accel = ToAccelSample(*msg);
-    content.frame = msg->header.frame_id;
-  }
-  return content;
+  return ReadImuContent(instance.getDataType(), BagMessage{instance});
 }
 
 // --- Which topics ---

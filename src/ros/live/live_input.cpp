@@ -28,25 +28,8 @@ std::string LookAt(const TfChain& chain) {
   }
 }
 
-/// What one message of an IMU gives; a vector may be of either sensor.
-struct ImuContent {
-  std::optional<ImuSample> gyro, accel;
-  std::string frame;
-};
-
 ImuContent ReadImu(const topic_tools::ShapeShifter& message) {
-  ImuContent content;
-  if (message.getDataType() == kVectorType) {
-    const auto vector = message.instantiate<geometry_msgs::Vector3Stamped>();
-    content.gyro = content.accel = ToImuSample(*vector);
-    content.frame = vector->header.frame_id;
-  } else {
-    const auto imu = message.instantiate<sensor_msgs::Imu>();
-    if (IsGiven(imu->angular_velocity_covariance)) content.gyro = ToGyroSample(*imu);
-    if (IsGiven(imu->linear_acceleration_covariance)) content.accel = ToAccelSample(*imu);
-    content.frame = imu->header.frame_id;
-  }
-  return content;
+  return ReadImuContent(message.getDataType(), message);
 }
 
 }  // namespace

@@ -3,6 +3,7 @@
 #include <topic_tools/shape_shifter.h>
 
 #include <array>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -42,6 +43,29 @@ const PoseType<Source>* FindPoseType(const std::string& name) {
 }
 
 std::vector<std::string> PoseTypeNames();
+
+/// What a message of an IMU gives; a vector may be of either sensor.
+struct ImuContent {
+  std::optional<ImuSample> gyro, accel;
+  std::string frame;  ///< as in the message
+};
+
+/// Reads a message of `type`, kImuType or kVectorType, from a `Source` with instantiate<Msg>().
+template <typename Source>
+ImuContent ReadImuContent(const std::string& type, const Source& source) {
+  ImuContent content;
+  if (type == kVectorType) {
+    const auto vector = source.template instantiate<geometry_msgs::Vector3Stamped>();
+    content.gyro = content.accel = ToImuSample(*vector);
+    content.frame = vector->header.frame_id;
+  } else {
+    const auto imu = source.template instantiate<sensor_msgs::Imu>();
+    if (IsGiven(imu->angular_velocity_covariance)) content.gyro = ToGyroSample(*imu);
+    if (IsGiven(imu->linear_acceleration_covariance)) content.accel = ToAccelSample(*imu);
+    content.frame = imu->header.frame_id;
+  }
+  return content;
+}
 
 /// The pose of a message of one of these types. Throws ros::Exception when its definition differs.
 FramedPose ToFramedPose(const topic_tools::ShapeShifter& msg);
