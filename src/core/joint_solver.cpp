@@ -117,6 +117,17 @@ LivelySpan FindLiveliest(const PreparedSession& session,
   return best;
 }
 
+/// Takes the step that remains, of everything: trajectories, gravity and biases too.
+void TakeStep(const Marginals& marginals, LeastSquares* solved) {
+  Eigen::Index column = 0;
+  for (double* block : marginals.blocks) {
+    const int size = TangentSize(solved->problem, block);
+    const bool is_held = solved->problem.IsParameterBlockConstant(block);
+    if (!is_held) MoveBlock(solved->problem, marginals.step.data() + column, block);
+    column += size;
+  }
+}
+
 /// S4 at given knot spacings: trajectories and calibration in passes of least squares, each with
 /// the noise and the robust weights that the residuals of the one before show.
 class JointSolver {

@@ -493,14 +493,4 @@ Marginals FindMarginals(LeastSquares* solved) {
   return result;
 }
 
-void TakeStep(const Marginals& marginals, LeastSquares* solved) {
-  Eigen::Index column = 0;
-  for (double* block : marginals.blocks) {
-    const int size = TangentSize(solved->problem, block);
-    const bool is_held = solved->problem.IsParameterBlockConstant(block);
-    if (!is_held) MoveBlock(solved->problem, marginals.step.data() + column, block);
-    column += size;
-  }
-}
-
 }  // namespace imu_pose_calib

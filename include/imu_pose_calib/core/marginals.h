@@ -63,7 +63,4 @@ Eigen::VectorXd Enlargement(const Eigen::MatrixXd& model, const Eigen::MatrixXd&
 /// Stage S5 where a solve has ended, doc/math.md, "Covariance" and "What one more step tells".
 Marginals FindMarginals(LeastSquares* solved);
 
-/// Takes the step that remains, of everything: trajectories, gravity and biases too.
-void TakeStep(const Marginals& marginals, LeastSquares* solved);
-
 }  // namespace imu_pose_calib
