@@ -139,14 +139,16 @@ void ReportSensors(const Solution& solution, Calibration* result) {
 /// S4: each session finds its knot spacing, noise and clocks alone; the rig starts from the
 /// liveliest session that has the IMU.
 Solution SolveTogether(const CalibrationOptions& options,
-                       const std::vector<PreparedSession>& sessions,
+                       std::vector<PreparedSession>* prepared,
                        Estimate* estimate,
                        Calibration* result) {
+  std::vector<PreparedSession>& sessions = *prepared;
   std::vector<JointStart> starts;
   std::vector<double> liveliest(estimate->imus.size(), -1.0);
   for (size_t s = 0; s < sessions.size(); ++s) {
     Estimate own(sessions[s], options.bias_knot_interval_s);
     starts.push_back(ChooseKnotSpacing(options, sessions[s], &own));
+    sessions[s] = std::move(starts[s].session);
     result->sessions[s].knot_spacing_s = starts[s].knot_spacing_s;
     estimate->sessions[s] = own.sessions[0];
     for (size_t i = 0; i < own.imus.size(); ++i) {
@@ -206,7 +208,7 @@ Calibration Calibrate(const CalibrationOptions& options, const std::vector<Sessi
   }
 
   Solution solution = options.method == Method::kJoint
-                          ? SolveTogether(options, sessions, &estimate, &result)
+                          ? SolveTogether(options, &sessions, &estimate, &result)
                           : SolveAgainstTrajectory(options, sessions, &estimate);
   ReportEstimate(estimate, sessions, &result);
   ReportSensors(solution, &result);

@@ -24,7 +24,8 @@ constexpr double kMinProposal = 0.3;       // of the log, for a rotation to be t
 constexpr double kMinSignalToNoise = 3.0;  // power of the marker's acceleration
 constexpr double kUnitBound = 5.0;         // scale of the positions, either way
 constexpr double kDelaySearch = 0.1;       // [s]
-constexpr double kDelayStep = 0.01;        // [s]
+constexpr double kDelayStep = 0.01;        // [s] of a first search
+constexpr double kDelayResolution = 1e-4;  // [s]
 constexpr double kAccelBiasPrior = 1.0;    // [m/s^2] keeps bias and gravity apart at small turns
 
 /// Throws when inverted poses explain the gyroscope far better. Quaternions whose w comes first,
@@ -309,17 +310,24 @@ void FitLeverArm(const PoseTrajectory& trajectory,
   double best_delay = start->accel_delay;
   LeverArmEquations equations = equations_at(best_delay);
   Eigen::Matrix<double, 9, 1> best = equations.Solve(&lowest);
-  const int steps = estimate_delay ? static_cast<int>(std::round(kDelaySearch / kDelayStep)) : -1;
-  for (int k = -steps; k <= steps; ++k) {
-    const double delay = start->accel_delay + k * kDelayStep;
+  const auto attempt = [&](double delay) {
     const LeverArmEquations candidate = equations_at(delay);
     double residual = 0.0;
     const Eigen::Matrix<double, 9, 1> x = candidate.Solve(&residual);
-    if (residual >= lowest) continue;
+    if (residual >= lowest) return;
     lowest = residual;
     best = x;
     best_delay = delay;
     equations = candidate;
+  };
+  if (estimate_delay) {
+    const int steps = static_cast<int>(std::round(kDelaySearch / kDelayStep));
+    for (int k = -steps; k <= steps; ++k) attempt(start->accel_delay + k * kDelayStep);
+    for (double step = 0.5 * kDelayStep; step > kDelayResolution; step *= 0.5) {
+      const double middle = best_delay;
+      attempt(middle - step);
+      attempt(middle + step);
+    }
   }
   CheckPositionUnit(equations, MeanAccelVariance(trajectory, accel, start->time_shift));
   start->accel_delay = best_delay;

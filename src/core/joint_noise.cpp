@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "imu_pose_calib/core/allan.h"
+#include "imu_pose_calib/core/band.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -68,8 +69,9 @@ double ImuShare(double crossover, int order, double band) {
 }  // namespace
 
 void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares* joint) {
-  const double band = 0.5 / splines.spacing();  // [Hz]
-  const auto points = static_cast<double>(splines.d.size());
+  const double band = Band(splines.spacing());
+  // As many as there is noise in that band.
+  const double points = static_cast<double>(splines.d.size()) * 2.0 * band * splines.spacing();
   const JointDensities S(*joint, session);
   const double accel = ImuShare(S.AccelCrossover(), 4, band);
   const double gyro = ImuShare(S.GyroCrossover(), 2, band);
@@ -92,6 +94,11 @@ void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares
           share(*sensor.model) * points / std::max(1.0, static_cast<double>(sensor.samples.size()));
 }
 
+bool DoPosesLead(const CorrectionSplines& splines, size_t session, const LeastSquares& joint) {
+  const double crossover = JointDensities(joint, session).AccelCrossover();
+  return ImuShare(crossover, 4, Band(splines.spacing())) < 0.5;
+}
+
 void FeignInformation(const std::vector<CorrectionSplines>& splines, LeastSquares* joint) {
   constexpr int kSteps = 200;
   for (const SensorBlocks& sensor : joint->sensors) {
@@ -109,7 +116,7 @@ void FeignInformation(const std::vector<CorrectionSplines>& splines, LeastSquare
       count += 1.0;
     }
     if (count == 0.0) continue;
-    const double band = 0.5 / spacing, step = band / kSteps;  // [Hz]
+    const double band = Band(spacing), step = band / kSteps;  // [Hz]
     double density = 0.0;                                     // information per second
     for (int k = 0; k < kSteps; ++k) {
       const double w2 = std::pow(2.0 * M_PI * (k + 0.5) * step, 2);

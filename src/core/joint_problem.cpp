@@ -29,8 +29,8 @@ class SessionBuilder {
     double* parameter;
     ClockMotion motion;
   };
-  /// How the samples of an IMU's sensor move along the trajectory, which goes along with the
-  /// accelerometer of the reference IMU; of poses when `imu` is null.
+  /// How the samples of an IMU's sensor move along the trajectory, of which the splines go along
+  /// with the accelerometer of the reference IMU; of poses when `imu` is null.
   std::vector<Clock> Clocks(const size_t* imu, bool is_accel);
   /// IMU samples of stamp t at the instant t - delay: consecutive ones that share a span and a pair
   /// of bias knots are handed to `create(batch, jerks, control points' index, knot)`, which returns
@@ -88,21 +88,24 @@ std::vector<double*> SessionBuilder::ControlPoints(std::vector<Eigen::Vector3d>*
 
 std::vector<SessionBuilder::Clock> SessionBuilder::Clocks(const size_t* imu, bool is_accel) {
   std::vector<Clock> clocks;
-  const auto add = [&](double* parameter, double sign, ClockMotion::Factor factor) {
-    clocks.push_back({parameter, {*parameter, sign, factor}});
+  const auto add = [&](double* parameter, double on_gp, double on_spline, auto factor) {
+    clocks.push_back({parameter, {*parameter, on_gp, on_spline, factor}});
   };
-  ImuEstimate& reference = joint_->estimate->imus[first_imu_];
-  const bool is_reference = imu != nullptr && *imu == first_imu_;
-  if (is_reference && is_accel) return {};
-  if (!is_reference) {
-    add(&reference_.time_shift, -1.0, ClockMotion::kOne);
-    add(&reference_.clock_drift, -1.0, ClockMotion::kReferenceTime);
+  // On the GP a sample of the IMU moves as its own clocks do; on the splines, unless they stay with
+  // the poses, by what that exceeds the move of the reference accelerometer.
+  const bool is_with_poses = splines_->is_with_poses;
+  const bool is_reference = !is_with_poses && imu != nullptr && *imu == first_imu_;
+  if (!is_reference && !is_with_poses) {
+    add(&reference_.time_shift, 0.0, -1.0, ClockMotion::kOne);
+    add(&reference_.clock_drift, 0.0, -1.0, ClockMotion::kReferenceTime);
   }
-  add(&reference.accel_delay, 1.0, ClockMotion::kOne);
-  if (imu == nullptr || is_reference) return clocks;
-  add(&estimate_.imus[*imu].time_shift, 1.0, ClockMotion::kOne);
-  add(&estimate_.imus[*imu].clock_drift, 1.0, ClockMotion::kOwnTime);
-  if (is_accel) add(&joint_->estimate->imus[*imu].accel_delay, -1.0, ClockMotion::kOne);
+  if (!is_with_poses && (!is_reference || !is_accel))
+    add(&joint_->estimate->imus[first_imu_].accel_delay, 0.0, 1.0, ClockMotion::kOne);
+  if (imu == nullptr) return clocks;
+  const double on_spline = is_reference ? 0.0 : 1.0;
+  add(&estimate_.imus[*imu].time_shift, 1.0, on_spline, ClockMotion::kOne);
+  add(&estimate_.imus[*imu].clock_drift, 1.0, on_spline, ClockMotion::kOwnTime);
+  if (is_accel) add(&joint_->estimate->imus[*imu].accel_delay, -1.0, -on_spline, ClockMotion::kOne);
   return clocks;
 }
 
@@ -156,10 +159,12 @@ void SessionBuilder::AddPoses() {
     JointPoseSample sample{
         *point, pose.q_WM, pose.p_WM, ReferenceTime(pose.t), sigma(*position, pose.position_scale)};
     positions.push_back(sample);
-    position_samples.push_back({i, pose.t, sample.sigma, 0.0, pose.position_scale});
+    position_samples.push_back(
+        {i, pose.t, sample.sigma, 0.0, pose.position_scale, pose.position_rest});
     sample.sigma = sigma(*rotation, pose.rotation_scale);
     rotations.push_back(sample);
-    rotation_samples.push_back({i, pose.t, sample.sigma, 0.0, pose.rotation_scale});
+    rotation_samples.push_back(
+        {i, pose.t, sample.sigma, 0.0, pose.rotation_scale, pose.rotation_rest});
   }
   add_blocks();
 }
@@ -203,7 +208,7 @@ void SessionBuilder::AddImu(size_t imu,
                      ReferenceTime(t_M),
                      sigma});
     if (with_jerks) jerks.push_back(jerk);
-    batch_samples.push_back({i, t_M, sigma});
+    batch_samples.push_back({i, t_M, sigma, 0.0, 1.0, samples[i].rest});
   }
   add_block();
 }
@@ -253,13 +258,8 @@ void SessionBuilder::AddAccel(size_t imu) {
     return joint_->problem.AddResidualBlock(
         CreateJointAccelResidual(batch, jerks, motions), nullptr, blocks);
   };
-  AddImu(imu,
-         Quantity::kAccel,
-         prepared_.data.imus[imu].accel,
-         rig.accel_delay,
-         !clocks.empty(),
-         knots,
-         create);
+  AddImu(
+      imu, Quantity::kAccel, prepared_.data.imus[imu].accel, rig.accel_delay, true, knots, create);
 }
 
 }  // namespace
@@ -285,6 +285,7 @@ std::unique_ptr<LeastSquares> BuildJointProblem(const CalibrationOptions& option
   joint->AddOptional(ParameterKind::kGyroIntrinsics, kIntrinsicsPrior);
   joint->AddOptional(ParameterKind::kAccelIntrinsics, kIntrinsicsPrior);
   for (size_t s = 0; s < sessions.size(); ++s) {
+    (*splines)[s].is_with_poses = DoPosesLead((*splines)[s], s, *joint);
     SessionBuilder builder(s, &(*splines)[s], joint.get());
     builder.AddPoses();
     for (size_t i = 0; i < estimate->imus.size(); ++i) {

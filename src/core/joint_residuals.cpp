@@ -37,8 +37,8 @@ struct CorrectedRotation {
   Matrix3d J;                                  // right Jacobian of phi
   Matrix3d omega_phi, omega_phi1;              // d omega / d phi, phi'
   Matrix3d alpha_phi, alpha_phi1, alpha_phi2;  // d alpha / d phi, phi', phi''
-  // Time derivatives, that of alpha but for the GP's own.
-  Vector3d omega_t, alpha_t;
+  // Change with time of the splines, and of the GP's motion, of alpha but for its own change.
+  Vector3d u, omega_spline, alpha_spline, omega_gp, alpha_gp;
 
   /// phi: columns 0..3 are the value and its time derivatives.
   CorrectedRotation(const MarkerState<double>& gp,
@@ -47,7 +47,7 @@ struct CorrectedRotation {
     const Eigen::Quaterniond E = Exp<double>(phi.col(0));
     q_WM = gp.q_WM * E;
 
-    Vector3d u, u_dot;
+    Vector3d u_dot;
     Matrix3d u_phi, udot_phi, udot_phi1, udot_phi2;
     if (with_jacobians) {
       using Jet = ceres::Jet<double, 9>;  // by (phi, phi', phi'')
@@ -81,9 +81,10 @@ struct CorrectedRotation {
     alpha_phi = Hat(alpha_E) * J + Hat(omega_E) * u_phi - Hat(u) * omega_E_phi + udot_phi;
     alpha_phi1 = Hat(omega_E) * J + udot_phi1;
     alpha_phi2 = udot_phi2;
-    omega_t = omega_phi * phi.col(1) + omega_phi1 * phi.col(2) + alpha_E;
-    alpha_t = alpha_phi * phi.col(1) + alpha_phi1 * phi.col(2) + alpha_phi2 * phi.col(3) -
-              u.cross(alpha_E);
+    omega_spline = omega_phi * phi.col(1) + omega_phi1 * phi.col(2);
+    alpha_spline = alpha_phi * phi.col(1) + alpha_phi1 * phi.col(2) + alpha_phi2 * phi.col(3);
+    omega_gp = alpha_E;
+    alpha_gp = -u.cross(alpha_E);
   }
 };
 
@@ -110,23 +111,28 @@ void SetRows(double** jacobians, int block, size_t i, const Matrix& J) {
   if (jacobians[block] != nullptr) Eigen::Map<Rows>(jacobians[block] + 3 * Columns * i) = J;
 }
 
-double Coefficient(const ClockMotion& clock, double own_time, double reference_time) {
+double Factor(const ClockMotion& clock, double own_time, double reference_time) {
   switch (clock.factor) {
     case ClockMotion::kOwnTime:
-      return clock.sign * own_time;
+      return own_time;
     case ClockMotion::kReferenceTime:
-      return clock.sign * reference_time;
+      return reference_time;
     case ClockMotion::kOne:
       break;
   }
-  return clock.sign;
+  return 1.0;
 }
-double Coefficient(const ClockMotion& clock, const JointPoseSample& s) {
-  return Coefficient(clock, 0.0, s.reference_time);
+double Factor(const ClockMotion& clock, const JointPoseSample& s) {
+  return Factor(clock, 0.0, s.reference_time);
 }
-double Coefficient(const ClockMotion& clock, const JointImuSample& s) {
-  return Coefficient(clock, s.own_time, s.reference_time);
+double Factor(const ClockMotion& clock, const JointImuSample& s) {
+  return Factor(clock, s.own_time, s.reference_time);
 }
+
+/// How far a sample has moved [s].
+struct Move {
+  double on_gp = 0.0, on_spline = 0.0;
+};
 
 /// Residuals of samples that share all parameter blocks: `Sample` is evaluated one by one. Blocks
 /// of the clocks come last.
@@ -161,21 +167,31 @@ class BatchResidual : public ceres::CostFunction {
                               double* residual,
                               double** jacobians) const = 0;
 
-  /// How far the sample has moved along the trajectory [s].
-  double Move(const Sample& sample, double const* const* blocks) const {
-    double dt = 0.0;
-    for (size_t k = 0; k < clocks_->size(); ++k)
-      dt += Coefficient((*clocks_)[k], sample) * (*blocks[first_clock_ + k] - (*clocks_)[k].value);
+  Move FindMove(const Sample& sample, double const* const* blocks) const {
+    Move dt;
+    for (size_t k = 0; k < clocks_->size(); ++k) {
+      const ClockMotion& clock = (*clocks_)[k];
+      const double step = Factor(clock, sample) * (*blocks[first_clock_ + k] - clock.value);
+      dt.on_gp += clock.on_gp * step;
+      dt.on_spline += clock.on_spline * step;
+    }
     return dt;
   }
 
-  /// Columns of the clocks; `r_t` is the derivative of the residual along the trajectory.
-  void SetClockRows(const Sample& sample, size_t i, const Vector3d& r_t, double** jacobians) const {
-    for (size_t k = 0; k < clocks_->size(); ++k)
-      SetRows<1>(jacobians,
-                 static_cast<int>(first_clock_ + k),
-                 i,
-                 Vector3d(Coefficient((*clocks_)[k], sample) * r_t));
+  /// Columns of the clocks from the derivatives of the residual along GP and splines.
+  void SetClockRows(const Sample& sample,
+                    size_t i,
+                    const Vector3d& r_gp,
+                    const Vector3d& r_spline,
+                    double** jacobians) const {
+    for (size_t k = 0; k < clocks_->size(); ++k) {
+      const ClockMotion& clock = (*clocks_)[k];
+      SetRows<1>(
+          jacobians,
+          static_cast<int>(first_clock_ + k),
+          i,
+          Vector3d(Factor(clock, sample) * (clock.on_gp * r_gp + clock.on_spline * r_spline)));
+    }
   }
 
  private:
@@ -204,21 +220,19 @@ class JointPositionResidual : public JointPoseResidual {
                       double const* const* blocks,
                       double* residual,
                       double** jacobians) const override {
-    const double dt = Move(s, blocks);
-    const double u = s.at.place.u + dt / s.at.place.spacing;
+    const double u = s.at.place.u + FindMove(s, blocks).on_spline / s.at.place.spacing;
     if (!IsNearSpan(u)) return false;
     const SplineWeights weights = CubicWeights(u, s.at.place.spacing);
     const Eigen::Matrix<double, 3, 4> d = EvaluateSpline(blocks, weights);
     const MarkerState<double>& gp = s.at.gp;
     const double c = 0.5 * *blocks[kSmoothing];
     const Vector3d a_W = gp.a_W + d.col(2);
-    AsVector(residual) =
-        (s.p_WM - gp.p_WM - dt * (gp.v_W + 0.5 * dt * gp.a_W) - d.col(0) - c * a_W) / s.sigma;
+    AsVector(residual) = (s.p_WM - gp.p_WM - d.col(0) - c * a_W) / s.sigma;
     if (jacobians == nullptr) return true;
     for (int j = 0; j < kSplineOrder; ++j)
       SetRows<3>(
           jacobians, j, i, -(weights(0, j) + c * weights(2, j)) / s.sigma * Matrix3d::Identity());
-    SetClockRows(s, i, -(gp.v_W + dt * gp.a_W + d.col(1) + c * d.col(3)) / s.sigma, jacobians);
+    SetClockRows(s, i, Vector3d::Zero(), -(d.col(1) + c * d.col(3)) / s.sigma, jacobians);
     SetRows<1>(jacobians, kSmoothing, i, -0.5 / s.sigma * a_W);
     return true;
   }
@@ -234,33 +248,29 @@ class JointRotationResidual : public JointPoseResidual {
                       double const* const* blocks,
                       double* residual,
                       double** jacobians) const override {
-    const double dt = Move(s, blocks);
-    const double u = s.at.place.u + dt / s.at.place.spacing;
+    const double u = s.at.place.u + FindMove(s, blocks).on_spline / s.at.place.spacing;
     if (!IsNearSpan(u)) return false;
     const SplineWeights weights = CubicWeights(u, s.at.place.spacing);
     const Eigen::Matrix<double, 3, 4> phi = EvaluateSpline(blocks, weights);
-    const Vector3d turn = dt * (s.at.gp.omega_M + 0.5 * dt * s.at.gp.alpha_M);
-    const Eigen::Quaterniond q_gp = s.at.gp.q_WM * Exp<double>(turn);
     const Eigen::Quaterniond E_inv = Exp<double>(-phi.col(0));
     const double c = 0.5 * *blocks[kSmoothing];
     const Vector3d alpha = s.at.gp.alpha_M + phi.col(2);
     const Eigen::Quaterniond lag_inv = Exp<double>(-c * alpha);
-    const Vector3d error = Log(Eigen::Quaterniond(lag_inv * E_inv * q_gp.conjugate() * s.q_WM));
+    const Vector3d error =
+        Log(Eigen::Quaterniond(lag_inv * E_inv * s.at.gp.q_WM.conjugate() * s.q_WM));
     AsVector(residual) = error / s.sigma;
     if (jacobians == nullptr) return true;
     // Log(Exp(-delta) Exp(error)) = error - J_l(error)^-1 delta with J_l(x) = J_r(-x); delta is
-    // J_r(c alpha) d(c alpha), and before that J_r(phi) dphi and omega_M dtau.
+    // J_r(c alpha) d(c alpha), and before that J_r(phi) dphi.
     const Matrix3d A = -RightJacobian<double>(-error).inverse() / s.sigma;
     const Matrix3d A_lag = A * RightJacobian<double>(c * alpha);
     const Matrix3d A_phi = A * lag_inv.toRotationMatrix();
     const Matrix3d J = RightJacobian<double>(phi.col(0));
     for (int j = 0; j < kSplineOrder; ++j)
       SetRows<3>(jacobians, j, i, weights(0, j) * A_phi * J + weights(2, j) * c * A_lag);
-    const Vector3d omega_gp =
-        RightJacobian<double>(turn) * (s.at.gp.omega_M + dt * s.at.gp.alpha_M);
-    const Vector3d r_tau = A_phi * (E_inv * omega_gp + J * phi.col(1)) + c * A_lag * phi.col(3);
     SetRows<1>(jacobians, kSmoothing, i, 0.5 * A_lag * alpha);
-    SetClockRows(s, i, r_tau, jacobians);
+    const Vector3d r_spline = A_phi * J * phi.col(1) + c * A_lag * phi.col(3);
+    SetClockRows(s, i, Vector3d::Zero(), r_spline, jacobians);
     return true;
   }
 };
@@ -280,12 +290,12 @@ class JointGyroResidual : public BatchResidual<JointImuSample> {
     const Eigen::Map<const Eigen::Quaterniond> q_MI(blocks[n]);
     const Matrix3d M_g = GyroMatrix(Eigen::Map<const Vector6d>(blocks[n + 1]));
     const Eigen::Map<const Vector3d> knot_0(blocks[n + 2]), knot_1(blocks[n + 3]);
-    const double dt = Move(s, blocks);
-    const double u = s.at.place.u + dt / s.at.place.spacing;
+    const Move dt = FindMove(s, blocks);
+    const double u = s.at.place.u + dt.on_spline / s.at.place.spacing;
     if (!IsNearSpan(u)) return false;
     const SplineWeights weights = CubicWeights(u, s.at.place.spacing);
     const MarkerState<double> gp =
-        Moved(s.at.gp, dt, {Vector3d::Zero(), Vector3d::Zero()});  // omega to first order
+        Moved(s.at.gp, dt.on_gp, {Vector3d::Zero(), Vector3d::Zero()});  // omega to first order
     const CorrectedRotation x(gp, EvaluateSpline(blocks, weights), jacobians != nullptr);
     const Vector3d omega_I = q_MI.conjugate() * x.omega;
     AsVector(residual) =
@@ -308,7 +318,7 @@ class JointGyroResidual : public BatchResidual<JointImuSample> {
     }
     SetRows<3>(jacobians, n + 2, i, -(1.0 - s.bias_u) / s.sigma * Matrix3d::Identity());
     SetRows<3>(jacobians, n + 3, i, -s.bias_u / s.sigma * Matrix3d::Identity());
-    SetClockRows(s, i, A * x.omega_t, jacobians);
+    SetClockRows(s, i, A * x.omega_gp, A * x.omega_spline, jacobians);
     return true;
   }
 };
@@ -331,13 +341,12 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
     const Eigen::Map<const Vector3d> p(blocks[n + 1]), g(blocks[n + 2]);
     const Matrix3d M_a = AccelMatrix(Eigen::Map<const Vector9d>(blocks[n + 3]));
     const Eigen::Map<const Vector3d> knot_0(blocks[n + 4]), knot_1(blocks[n + 5]);
-    const double dt = Move(s, blocks);
-    const double u = s.at.place.u + dt / s.at.place.spacing;
+    const Move dt = FindMove(s, blocks);
+    const double u = s.at.place.u + dt.on_spline / s.at.place.spacing;
     if (!IsNearSpan(u)) return false;
     const SplineWeights weights = CubicWeights(u, s.at.place.spacing);
-    const MarkerJerk jerk =
-        jerks_.empty() ? MarkerJerk{Vector3d::Zero(), Vector3d::Zero()} : jerks_[i];
-    const MarkerState<double> gp = Moved(s.at.gp, dt, jerk);
+    const MarkerJerk& jerk = jerks_[i];
+    const MarkerState<double> gp = Moved(s.at.gp, dt.on_gp, jerk);
     const Eigen::Matrix<double, 3, 4> phi = EvaluateSpline(blocks + kSplineOrder, weights);
     const CorrectedRotation x(gp, phi, jacobians != nullptr);
     const Eigen::Matrix<double, 3, 4> d = EvaluateSpline(blocks, weights);
@@ -377,12 +386,12 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
     }
     SetRows<3>(jacobians, n + 4, i, -(1.0 - s.bias_u) / s.sigma * Matrix3d::Identity());
     SetRows<3>(jacobians, n + 5, i, -s.bias_u / s.sigma * Matrix3d::Identity());
-    if (jerks_.empty()) return true;
     const Matrix3d E_inv = Exp<double>(-phi.col(0)).toRotationMatrix();
-    const Vector3d alpha_t = x.alpha_t + E_inv * jerk.alpha_rate;
-    const Vector3d f_t = R_MW * (jerk.jerk_W + d.col(3)) - x.omega.cross(f_body) +
-                         f_omega * x.omega_t + f_alpha * alpha_t;
-    SetClockRows(s, i, A * f_t, jacobians);
+    const Vector3d f_gp = R_MW * jerk.jerk_W - (x.omega - x.u).cross(f_body) +
+                          f_omega * x.omega_gp + f_alpha * (x.alpha_gp + E_inv * jerk.alpha_rate);
+    const Vector3d f_spline =
+        R_MW * d.col(3) - x.u.cross(f_body) + f_omega * x.omega_spline + f_alpha * x.alpha_spline;
+    SetClockRows(s, i, A * f_gp, A * f_spline, jacobians);
     return true;
   }
 

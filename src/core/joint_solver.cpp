@@ -5,6 +5,7 @@
 #include <limits>
 #include <memory>
 
+#include "imu_pose_calib/core/band.h"
 #include "imu_pose_calib/core/joint_noise.h"
 #include "imu_pose_calib/core/joint_problem.h"
 #include "imu_pose_calib/core/manifolds.h"
@@ -26,6 +27,13 @@ constexpr double kLeastFollowed = 0.15, kLeastCovered = 0.1;
 /// Of gyro times accel residual, by the last step, that is worth knots twice and 1.4 times as
 /// dense.
 constexpr double kShrinkage = 0.96, kSteepShrinkage = 0.5;
+
+/// The session without what splines of this spacing cannot follow.
+PreparedSession Correctable(const CalibrationOptions& options,
+                            const PreparedSession& session,
+                            double spacing) {
+  return LimitBand(session, Band(spacing), options.LaunchPolicy());
+}
 
 /// Samples of the log from `begin` to `end` [s, pose clock].
 PreparedSession Excerpt(const PreparedSession& session,
@@ -205,6 +213,7 @@ class JointSolver {
     const Estimate before = *estimate_;
     move();
     for (size_t s = 0; s < splines_.size(); ++s) {
+      if (splines_[s].is_with_poses) continue;
       const size_t imu = before.sessions[s].FirstImu();
       splines_[s].Follow(before.sessions[s].imus[imu],
                          estimate_->sessions[s].imus[imu],
@@ -277,9 +286,8 @@ JointStart ChooseKnotSpacing(const CalibrationOptions& options,
                                           kExcerpt);
   if (lively.liveliness < 0.0)
     throw DataError("there are no seconds in which poses and the samples of every imu are there");
-  const std::vector<PreparedSession> excerpt = {
-      Excerpt(session, estimate->sessions[0], lively.begin, lively.end)};
-  const std::vector<SensorModel> models = InitialModels(options, excerpt);
+  const PreparedSession excerpt = Excerpt(session, estimate->sessions[0], lively.begin, lively.end);
+  const std::vector<SensorModel> models = InitialModels(options, {excerpt});
   double slowest = std::numeric_limits<double>::infinity();
   for (const SensorModel& model : models)
     if (model.quantity == Quantity::kGyro || model.quantity == Quantity::kAccel)
@@ -288,7 +296,8 @@ JointStart ChooseKnotSpacing(const CalibrationOptions& options,
   double residual_before = std::numeric_limits<double>::infinity();
   for (;;) {
     Estimate trial = *estimate;
-    JointSolver solver(options, excerpt, {spacing}, {}, &trial);
+    const std::vector<PreparedSession> limited = {Correctable(options, excerpt, spacing)};
+    JointSolver solver(options, limited, {spacing}, {}, &trial);
     const double residual = ImuResidual(models, solver.FindNoise());
     const double shrinkage = residual / residual_before;
     const bool may_halve = 0.5 * spacing >= finest;
@@ -297,7 +306,7 @@ JointStart ChooseKnotSpacing(const CalibrationOptions& options,
     if (is_given || !is_worth || next < finest) {
       const std::vector<double> settled = solver.SettleNoise();
       *estimate = trial;
-      return {spacing, settled, lively.liveliness};
+      return {spacing, Correctable(options, session, spacing), settled, lively.liveliness};
     }
     residual_before = residual;
     spacing = next;

@@ -179,7 +179,8 @@ std::vector<SensorStatistics> LeastSquares::FindStatistics() {
     for (size_t i = 0; i < sensor.samples.size(); ++i) {
       const ProblemSample& sample = sensor.samples[i];
       const Eigen::Vector3d r =
-          sample.sigma / sample.scale * Eigen::Map<const Eigen::Vector3d>(&residuals[3 * i]);
+          (sample.sigma * Eigen::Map<const Eigen::Vector3d>(&residuals[3 * i]) + sample.rest) /
+          sample.scale;
       for (const double x : r) magnitudes.push_back(std::abs(x));
       variances.push_back(sample.trajectory_variance);
       sensor.residuals.push_back(r);

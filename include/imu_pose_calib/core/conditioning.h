@@ -42,12 +42,15 @@ struct TimedPose {
   Eigen::Vector3d p_WM;
   /// Noise of position and rotation relative to the usual pose's, as far as the source states it.
   double position_scale = 1.0, rotation_scale = 1.0;
+  /// What LimitBand() took: recorded less p_WM [m], and from q_WM to recorded [rad] in M.
+  Eigen::Vector3d position_rest = Eigen::Vector3d::Zero(), rotation_rest = Eigen::Vector3d::Zero();
 };
 
 /// A gyroscope or accelerometer sample at `t` [s] after ConditionedImu::epoch_ns.
 struct TimedSample {
   double t;
   Eigen::Vector3d value;
+  Eigen::Vector3d rest = Eigen::Vector3d::Zero();  ///< what LimitBand() took: recorded less `value`
 };
 
 /// Half-open range of indices.

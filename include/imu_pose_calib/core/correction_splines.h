@@ -31,6 +31,10 @@ class CorrectionSplines {
   /// About the time between knots [s].
   double spacing() const { return spacing_; }
 
+  /// While the clocks move, the splines stay with the poses; else they go along with the
+  /// accelerometer of the first IMU.
+  bool is_with_poses = false;
+
   std::vector<Eigen::Vector3d> d;    ///< control points [m] in W
   std::vector<Eigen::Vector3d> phi;  ///< control points [rad] in M
 

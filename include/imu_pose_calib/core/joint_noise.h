@@ -11,6 +11,10 @@ namespace imu_pose_calib {
 /// S4, "Degrees of freedom".
 void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares* joint);
 
+/// Whether the poses tell more of a session's positions than the accelerometers, in the mean over
+/// the band of the splines.
+bool DoPosesLead(const CorrectionSplines& splines, size_t session, const LeastSquares& joint);
+
 /// Sets the information that the trajectories feign, doc/math.md Eq. (18).
 void FeignInformation(const std::vector<CorrectionSplines>& splines, LeastSquares* joint);
 

@@ -15,25 +15,25 @@ namespace imu_pose_calib {
 /// keeps the normal equations to a few dense products. `phi` and `d` stand for kSplineOrder control
 /// points each, blocks of 3.
 ///
-/// While the clocks are estimated, the trajectory goes along with the accelerometer of the
-/// session's first IMU: the sensor that sees the highest derivatives stays put, and all others move
-/// along the trajectory (doc/math.md, S4, "Clock of the trajectory").
+/// While the clocks are estimated, IMU samples move along the GP, which stays with the poses; the
+/// splines go along with the accelerometer of the session's first IMU, since it sees their highest
+/// derivatives, and all others move along them (doc/math.md, S4, "Clock of the trajectory").
 
 /// Where a sample lies on the trajectory while the clocks are where they stood when the problem was
-/// made. It moves along the GP to first order (poses: second), and by little: the last pass starts
-/// close to the solution.
+/// made. It moves along the GP to first or second order, and by little: the last pass starts close
+/// to the solution.
 struct TrajectoryPoint {
   MarkerState<double> gp;  ///< the GP's motion
   SplinePlace place;
 };
 
-/// How the samples of a block move along the trajectory with one clock parameter, a block of 1:
-/// dt = coefficient (parameter - value) [s].
+/// How the samples of a block move along GP and splines with one clock parameter, a block of 1:
+/// dt = sign factor (parameter - value) [s].
 struct ClockMotion {
   enum Factor { kOne, kOwnTime, kReferenceTime };
-  double value;   ///< for which the samples are at their places
-  double sign;    ///< +1 or -1
-  Factor factor;  ///< of the coefficient: 1, or a time of the sample as below
+  double value;             ///< for which the samples are at their places
+  double on_gp, on_spline;  ///< sign: -1, 0 or 1
+  Factor factor;            ///< 1, or a time of the sample as below
 };
 using ClockMotions = std::shared_ptr<const std::vector<ClockMotion>>;
 
@@ -72,7 +72,7 @@ struct JointImuSample {
 ceres::CostFunction* CreateJointGyroResidual(const std::vector<JointImuSample>& samples,
                                              const ClockMotions& clocks);
 
-/// Third derivatives of the GP, for accelerometers that move along it.
+/// Third derivatives of the GP, since accelerometers move along it.
 struct MarkerJerk {
   Eigen::Vector3d alpha_rate;  ///< [rad/s^3] in M
   Eigen::Vector3d jerk_W;      ///< [m/s^3]
@@ -81,7 +81,7 @@ struct MarkerJerk {
 /// r = (f - b_a - M_a R_MI^T f_M(t)) / sigma, in I, with
 /// f_M = R_WM^T (a_W - g_W) + alpha_M x p_MI + omega_M x (omega_M x p_MI).
 /// Blocks: d | phi | q_MI (4) | p_MI (3) | g_W (3) | M_a (9, see AccelMatrix()) | knot_0 (3) |
-/// knot_1 (3) | clocks. `jerks`: of each sample, when there are clocks.
+/// knot_1 (3) | clocks. `jerks`: of each sample.
 ceres::CostFunction* CreateJointAccelResidual(const std::vector<JointImuSample>& samples,
                                               const std::vector<MarkerJerk>& jerks,
                                               const ClockMotions& clocks);

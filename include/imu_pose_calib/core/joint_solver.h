@@ -10,6 +10,7 @@ namespace imu_pose_calib {
 /// Where the joint solve of a session starts from beside the estimate.
 struct JointStart {
   double knot_spacing_s;
+  PreparedSession session;    ///< with what the splines can follow
   std::vector<double> noise;  ///< of the sensors, in the order of InitialModels()
   double liveliness;  ///< [rad^2/s^4] mean square of alpha_M of the seconds that were looked at
 };
@@ -21,9 +22,10 @@ JointStart ChooseKnotSpacing(const CalibrationOptions& options,
                              const PreparedSession& session,
                              Estimate* estimate);
 
-/// Stage S4 as a whole at the knot spacings and noise of each session: passes of least squares with
-/// the noise and the robust weights that the residuals before show, until the noise found agrees
-/// with the noise assumed (doc/math.md, S4, "Passes"). Moves `estimate`.
+/// Stage S4 as a whole at the knot spacings and noise of each session, whose trajectories are those
+/// of the starts: passes of least squares with the noise and the robust weights that the residuals
+/// before show, until the noise found agrees with the noise assumed (doc/math.md, S4, "Passes").
+/// Moves `estimate`.
 Solution SolveJointly(const CalibrationOptions& options,
                       const std::vector<PreparedSession>& sessions,
                       const std::vector<JointStart>& starts,

@@ -42,6 +42,8 @@ struct ProblemSample {
   double sigma;                      ///< residual * sigma has the sensor's unit
   double trajectory_variance = 0.0;  ///< share of sigma^2
   double scale = 1.0;                ///< noise relative to the usual sample's
+  /// Recorded less what the residual compares, in the sensor's unit.
+  Eigen::Vector3d rest = Eigen::Vector3d::Zero();
 };
 
 /// Residual blocks of a sensor, three rows in sigma for each sample. Their rows, one after the

@@ -1,0 +1,18 @@
+#pragma once
+
+#include <future>
+
+#include "imu_pose_calib/core/estimate.h"
+
+namespace imu_pose_calib {
+
+/// What splines with knots `spacing_s` [s] apart follow well, below the highest frequency that they
+/// can hold [Hz].
+inline double Band(double spacing_s) { return 0.75 * 0.5 / spacing_s; }
+
+/// The session with nothing beyond `cutoff` [Hz] in its trajectory nor in the samples of its IMUs,
+/// all smoothed alike; what is taken from a sample is its `rest`. Poses follow where the trajectory
+/// had to be smoothed. doc/math.md, S4, "One band".
+PreparedSession LimitBand(const PreparedSession& session, double cutoff, std::launch policy);
+
+}  // namespace imu_pose_calib
