@@ -24,8 +24,8 @@ constexpr double kMinSamplesPerKnot = 4.0;  // IMU samples
 /// Share of those seconds that knots must cover, more than the ends of two runs can be too short
 /// for; and share of the samples of each sensor that they must hold.
 constexpr double kLeastFollowed = 0.15, kLeastCovered = 0.1;
-/// Of gyro times accel residual, by the last step, that is worth knots twice and 1.4 times as
-/// dense.
+/// Of gyro times accel residual, that knots as much denser have to leave at most; and that the step
+/// before has to have left for knots 1.4 times as dense, where twice is too much.
 constexpr double kShrinkage = 0.96, kSteepShrinkage = 0.5;
 
 /// The session without what splines of this spacing cannot follow.
@@ -273,6 +273,23 @@ double ImuResidual(const std::vector<SensorModel>& models, const std::vector<dou
   return std::pow(residual, 1.0 / imus);
 }
 
+/// An excerpt solved at one knot spacing.
+struct Trial {
+  std::vector<PreparedSession> sessions;
+  Estimate estimate;
+  JointSolver solver;
+  double residual;
+
+  Trial(const CalibrationOptions& options,
+        const PreparedSession& excerpt,
+        double spacing,
+        const Estimate& start)
+      : sessions{Correctable(options, excerpt, spacing)},
+        estimate(start),
+        solver(options, sessions, {spacing}, {}, &estimate),
+        residual(ImuResidual(InitialModels(options, sessions), solver.FindNoise())) {}
+};
+
 }  // namespace
 
 JointStart ChooseKnotSpacing(const CalibrationOptions& options,
@@ -293,24 +310,21 @@ JointStart ChooseKnotSpacing(const CalibrationOptions& options,
     if (model.quantity == Quantity::kGyro || model.quantity == Quantity::kAccel)
       slowest = std::min(slowest, model.rate_hz);
   const double finest = kMinSamplesPerKnot / slowest;
-  double residual_before = std::numeric_limits<double>::infinity();
-  for (;;) {
-    Estimate trial = *estimate;
-    const std::vector<PreparedSession> limited = {Correctable(options, excerpt, spacing)};
-    JointSolver solver(options, limited, {spacing}, {}, &trial);
-    const double residual = ImuResidual(models, solver.FindNoise());
-    const double shrinkage = residual / residual_before;
+  auto best = std::make_unique<Trial>(options, excerpt, spacing, *estimate);
+  double shrinkage = 0.0;
+  while (!is_given) {
     const bool may_halve = 0.5 * spacing >= finest;
     const double next = (may_halve ? 0.5 : M_SQRT1_2) * spacing;
-    const bool is_worth = shrinkage < (may_halve ? kShrinkage : kSteepShrinkage);
-    if (is_given || !is_worth || next < finest) {
-      const std::vector<double> settled = solver.SettleNoise();
-      *estimate = trial;
-      return {spacing, Correctable(options, session, spacing), settled, lively.liveliness};
-    }
-    residual_before = residual;
+    if (next < finest || (!may_halve && shrinkage > kSteepShrinkage)) break;
+    auto denser = std::make_unique<Trial>(options, excerpt, next, *estimate);
+    shrinkage = denser->residual / best->residual;
+    if (shrinkage > kShrinkage) break;
+    best = std::move(denser);
     spacing = next;
   }
+  const std::vector<double> noise = best->solver.SettleNoise();
+  *estimate = best->estimate;
+  return {spacing, Correctable(options, session, spacing), noise, lively.liveliness};
 }
 
 Solution SolveJointly(const CalibrationOptions& options,
