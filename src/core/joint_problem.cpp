@@ -10,9 +10,20 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr double kDriftPrior = 1e-2;       // [s/s]
-constexpr double kSmoothingPrior = 1e-3;   // [s^2]
-constexpr double kIntrinsicsPrior = 0.05;  // [1] sigma of each element of M_g and M_a
+// Sigmas of ordinary clocks, trackers and IMUs.
+constexpr double kDriftPrior = 1e-4;              // [s/s]
+constexpr double kSmoothingPrior = 1e-3;          // [s^2]
+constexpr double kScalePrior = 0.01;              // [1] diagonal of M_g and M_a
+constexpr double kAlignmentPrior = M_PI / 360.0;  // [rad] their other elements: 0.5 deg
+
+/// Of the elements of a matrix in rows, or of its lower triangle.
+Eigen::VectorXd IntrinsicsPrior(bool is_triangle) {
+  std::vector<double> sigmas;
+  for (int row = 0; row < 3; ++row)
+    for (int column = 0; column < (is_triangle ? row + 1 : 3); ++column)
+      sigmas.push_back(row == column ? kScalePrior : kAlignmentPrior);
+  return Eigen::Map<Eigen::VectorXd>(sigmas.data(), static_cast<Eigen::Index>(sigmas.size()));
+}
 
 /// Adds the residual blocks of one session.
 class SessionBuilder {
@@ -280,10 +291,11 @@ std::unique_ptr<LeastSquares> BuildJointProblem(const CalibrationOptions& option
   }
   joint->AddGyroParameters();
   joint->AddAccelParameters();
-  joint->AddOptional(ParameterKind::kClockDrift, kDriftPrior);
-  joint->AddOptional(ParameterKind::kPoseSmoothing, kSmoothingPrior);
-  joint->AddOptional(ParameterKind::kGyroIntrinsics, kIntrinsicsPrior);
-  joint->AddOptional(ParameterKind::kAccelIntrinsics, kIntrinsicsPrior);
+  const auto one = [](double sigma) { return Eigen::VectorXd::Constant(1, sigma).eval(); };
+  joint->AddOptional(ParameterKind::kClockDrift, one(kDriftPrior));
+  joint->AddOptional(ParameterKind::kPoseSmoothing, one(kSmoothingPrior));
+  joint->AddOptional(ParameterKind::kGyroIntrinsics, IntrinsicsPrior(true));
+  joint->AddOptional(ParameterKind::kAccelIntrinsics, IntrinsicsPrior(false));
   for (size_t s = 0; s < sessions.size(); ++s) {
     (*splines)[s].is_with_poses = DoPosesLead((*splines)[s], s, *joint);
     SessionBuilder builder(s, &(*splines)[s], joint.get());
@@ -302,8 +314,12 @@ std::unique_ptr<LeastSquares> BuildJointProblem(const CalibrationOptions& option
 }
 
 void HoldCalibration(LeastSquares* joint) {
-  for (const Parameter& p : CalibrationParameters(joint->estimate))
-    joint->problem.SetParameterBlockConstant(p.data);
+  for (const Parameter& p : CalibrationParameters(joint->estimate)) {
+    const bool is_clock =
+        p.kind == ParameterKind::kTimeShift || p.kind == ParameterKind::kClockDrift;
+    if (!is_clock || !joint->options.estimate_clock_drift)
+      joint->problem.SetParameterBlockConstant(p.data);
+  }
 }
 
 }  // namespace imu_pose_calib

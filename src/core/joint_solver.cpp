@@ -174,7 +174,7 @@ class JointSolver {
   /// outlier before it can move the calibration. Linear growth of the time shift cannot be known by
   /// then.
   Solution Solve() {
-    Pass(!options_.estimate_clock_drift);
+    Pass(true);
     int pass = 1;
     do ++pass;
     while (NextPass(ColoredNoise()) > kNoiseAgreement && pass < kMaxPasses);

@@ -16,6 +16,7 @@ namespace imu_pose_calib {
 namespace {
 
 /// Samples closer than this to the end of a segment are left out, so that the time shift can move.
+constexpr double kDelayPrior = 0.02;  // [s] sigma of the delays of ordinary IMUs
 constexpr double kEdge = 0.02;  // [s]
 /// Residuals of a sensor that the trajectory follows more closely say little about its noise.
 constexpr double kLeastRedundancy = 0.1;
@@ -93,10 +94,13 @@ void LeastSquares::AddGyroParameters() {
 
 void LeastSquares::AddAccelParameters() {
   for (const Parameter& p : CalibrationParameters(estimate)) {
-    if (p.kind != ParameterKind::kTranslation && p.kind != ParameterKind::kAccelDelay) continue;
+    if (p.kind != ParameterKind::kTranslation) continue;
     problem.AddParameterBlock(p.data, p.size);
     if (!IsEstimated(options, p.kind)) problem.SetParameterBlockConstant(p.data);
   }
+  AddOptional(ParameterKind::kAccelDelay,
+              Eigen::VectorXd::Constant(1, kDelayPrior),
+              options.accel_delay);
   for (SessionEstimate& session : estimate->sessions) {
     problem.AddParameterBlock(session.g_W.data(), 3);
     SetSphere(session.g_W.data(), &problem);
@@ -117,7 +121,9 @@ void LeastSquares::AddBiasWalk(double walk, size_t session, size_t imu, BiasKnot
   }
 }
 
-void LeastSquares::AddOptional(ParameterKind kind, double sigma) {
+void LeastSquares::AddOptional(ParameterKind kind,
+                               const Eigen::VectorXd& sigmas,
+                               double expected) {
   for (const Parameter& p : CalibrationParameters(estimate)) {
     if (p.kind != kind) continue;
     problem.AddParameterBlock(p.data, p.size);
@@ -125,8 +131,8 @@ void LeastSquares::AddOptional(ParameterKind kind, double sigma) {
       problem.SetParameterBlockConstant(p.data);
       continue;
     }
-    auto* prior = new ceres::NormalPrior(Eigen::MatrixXd::Identity(p.size, p.size) / sigma,
-                                         Eigen::VectorXd::Zero(p.size));
+    auto* prior = new ceres::NormalPrior(sigmas.cwiseInverse().asDiagonal(),
+                                         Eigen::VectorXd::Constant(p.size, expected));
     const SessionEstimate& session = estimate->sessions[p.session];
     const ImuSessionEstimate& clock = session.imus[session.FirstImu()];
     priors.push_back({problem.AddResidualBlock(prior, nullptr, p.data),

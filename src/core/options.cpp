@@ -30,12 +30,6 @@ void CheckGiven(const char* estimate, bool estimated, const char* initial, bool 
                    initial);
 }
 
-/// The fixed trajectory of method gp has no room for these.
-void CheckJoint(const char* option, bool wanted, Method method) {
-  if (!wanted || method == Method::kJoint) return;
-  throw InputError(std::string("option ") + option + " needs method = joint, not gp");
-}
-
 }  // namespace
 
 void CalibrationOptions::Validate() const {
@@ -77,8 +71,6 @@ void CalibrationOptions::Validate() const {
   CheckGiven("estimate_gravity", estimate_gravity, "initial_gravity", initial_gravity.has_value());
   if (!estimate_time_shift && !estimate_rotation && !estimate_translation && !estimate_accel_delay)
     throw InputError("options estimate_* leave nothing to estimate: set at least one to true");
-  CheckJoint("estimate_clock_drift = true", estimate_clock_drift, method);
-  CheckJoint("imu_model = scale_misalignment", imu_model != ImuModel::kCalibrated, method);
   CheckRange("knot_spacing_s", knot_spacing_s, 0.0, 10.0);
   CheckRange("accel_delay", accel_delay, -0.5, 0.5);
   CheckRange("gravity_magnitude", gravity_magnitude, 0.1, 100.0);

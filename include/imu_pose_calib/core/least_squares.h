@@ -115,8 +115,9 @@ struct LeastSquares {
   void AddGyroParameters();
   void AddAccelParameters();
   void AddBiasWalk(double walk, size_t session, size_t imu, BiasKnots* knots);
-  /// The parameters of this kind; when they are estimated, with independent priors around 0.
-  void AddOptional(ParameterKind kind, double sigma);
+  /// The parameters of this kind; when they are estimated, with independent priors around
+  /// `expected`.
+  void AddOptional(ParameterKind kind, const Eigen::VectorXd& sigmas, double expected = 0.0);
 
   /// Throws DataError when Ceres does not converge to a relative change of the cost below
   /// `function_tolerance`.

@@ -93,10 +93,10 @@ struct CalibrationOptions {
   double accel_delay = 0.0;
   /// How much more than the IMU the source of the poses averages over time. Joint solve only.
   bool estimate_pose_smoothing = true;
-  /// Linear growth of the time shift. Joint solve only.
-  bool estimate_clock_drift = false;
-  /// Scale and misalignment of the sensors. Joint solve only.
-  ImuModel imu_model = ImuModel::kCalibrated;
+  /// Linear growth of the time shift, usually within 100 ppm. Joint solve only.
+  bool estimate_clock_drift = true;
+  /// Scale and misalignment of the sensors, usually within 1 % and 0.5 deg. Joint solve only.
+  ImuModel imu_model = ImuModel::kScaleMisalignment;
   /// Magnitude of gravity [m/s^2] unless initial_gravity is given.
   double gravity_magnitude = 9.80665;
 
