@@ -89,6 +89,7 @@ void ReportEstimate(const Estimate& estimate,
     result->imus[i].T_MI = {imu.q_MI.normalized(), imu.p_MI};
     if (imu.q_MI.w() < 0.0) result->imus[i].T_MI.q.coeffs() *= -1.0;
     result->imus[i].accel_delay = imu.accel_delay;
+    result->imus[i].accel_smoothing = imu.accel_smoothing;
     result->imus[i].gyro_matrix = GyroMatrix(imu.gyro_intrinsics);
     result->imus[i].accel_matrix = AccelMatrix(imu.accel_intrinsics);
   }

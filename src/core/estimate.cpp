@@ -79,6 +79,7 @@ std::vector<Parameter> CalibrationParameters(Estimate* estimate) {
   parameters.push_back({ParameterKind::kPoseSmoothing, 0, 0, 1, &estimate->pose_smoothing});
   for (size_t i = 0; i < estimate->imus.size(); ++i) {
     ImuEstimate& imu = estimate->imus[i];
+    parameters.push_back({ParameterKind::kAccelSmoothing, i, 0, 1, &imu.accel_smoothing});
     parameters.push_back({ParameterKind::kGyroIntrinsics, i, 0, 6, imu.gyro_intrinsics.data()});
     parameters.push_back({ParameterKind::kAccelIntrinsics, i, 0, 9, imu.accel_intrinsics.data()});
   }
@@ -99,6 +100,8 @@ bool IsEstimated(const CalibrationOptions& options, ParameterKind kind) {
       return options.estimate_clock_drift;
     case ParameterKind::kPoseSmoothing:
       return options.estimate_pose_smoothing;
+    case ParameterKind::kAccelSmoothing:
+      return options.estimate_accel_smoothing;
     case ParameterKind::kGyroIntrinsics:
     case ParameterKind::kAccelIntrinsics:
       return options.imu_model == ImuModel::kScaleMisalignment;

@@ -1,5 +1,6 @@
 #include "imu_pose_calib/core/joint_problem.h"
 
+#include <algorithm>
 #include <cmath>
 #include <optional>
 #include <utility>
@@ -11,10 +12,16 @@ namespace imu_pose_calib {
 namespace {
 
 // Sigmas of ordinary clocks, trackers and IMUs.
-constexpr double kDriftPrior = 1e-4;              // [s/s]
-constexpr double kSmoothingPrior = 1e-3;          // [s^2]
-constexpr double kScalePrior = 0.01;              // [1] diagonal of M_g and M_a
+constexpr double kDriftPrior = 1e-4;      // [s/s]
+constexpr double kSmoothingPrior = 1e-3;  // [s^2]
+// A filter that spreads samples over time delays them, too. Where the delay is small, so is the
+// smoothing, and errors of the poses would take its place.
+constexpr double kSmoothingPerDelay2 = 2.0;  // [1] sigma of accel_smoothing over the squared delay
+constexpr double kLeastFilterDelay = 5e-3;   // [s]
+constexpr double kScalePrior = 0.01;         // [1] diagonal of M_g and M_a
 constexpr double kAlignmentPrior = M_PI / 360.0;  // [rad] their other elements: 0.5 deg
+
+constexpr double kCurvatureStep = 0.01;  // [s] of differences
 
 /// Of the elements of a matrix in rows, or of its lower triangle.
 Eigen::VectorXd IntrinsicsPrior(bool is_triangle) {
@@ -56,6 +63,10 @@ class SessionBuilder {
               const Create& create);
   /// The trajectory at t [s]; nothing when it is not on a spline.
   std::optional<TrajectoryPoint> PointAt(double t, MarkerJerk* jerk = nullptr) const;
+  /// f_M'' of the GP at t [s], where it moves as `middle`; [m/s^4], components in M.
+  Eigen::Vector3d ForceCurvature(const MarkerState<double>& middle,
+                                 double t,
+                                 const Eigen::Vector3d& p_MI) const;
   std::vector<double*> ControlPoints(std::vector<Eigen::Vector3d>* spline, size_t first) const;
   double ReferenceTime(double t_M) const {
     return reference_.ImuTime(t_M) - reference_.clock_reference;
@@ -88,6 +99,20 @@ std::optional<TrajectoryPoint> SessionBuilder::PointAt(double t, MarkerJerk* jer
   if (jerk != nullptr) *jerk = {rate.alpha_M, rate.a_W};
   point.place = *place;
   return point;
+}
+
+Eigen::Vector3d SessionBuilder::ForceCurvature(const MarkerState<double>& middle,
+                                               double t,
+                                               const Eigen::Vector3d& p_MI) const {
+  const auto force = [&](const MarkerState<double>& x) {
+    return Eigen::Vector3d(x.q_WM.conjugate() * (x.a_W - estimate_.g_W) + x.alpha_M.cross(p_MI) +
+                           x.omega_M.cross(x.omega_M.cross(p_MI)));
+  };
+  MarkerState<double> before, after;
+  if (!prepared_.trajectory->Evaluate(t - kCurvatureStep, &before) ||
+      !prepared_.trajectory->Evaluate(t + kCurvatureStep, &after))
+    return Eigen::Vector3d::Zero();
+  return (force(before) - 2.0 * force(middle) + force(after)) / (kCurvatureStep * kCurvatureStep);
 }
 
 std::vector<double*> SessionBuilder::ControlPoints(std::vector<Eigen::Vector3d>* spline,
@@ -207,6 +232,8 @@ void SessionBuilder::AddImu(size_t imu,
     MarkerJerk jerk;
     const auto point = PointAt(t_M, with_jerks ? &jerk : nullptr);
     if (!point || !IsOnTrajectory(*prepared_.trajectory, t_M)) continue;
+    if (with_jerks)
+      jerk.f_curvature = ForceCurvature(point->gp, t_M, joint_->estimate->imus[imu].p_MI);
     const auto [k, u] = knots.Locate(samples[i].t);
     if (!batch.empty() && (batch.front().at.place.first != point->place.first || knot != k))
       add_block();
@@ -264,7 +291,8 @@ void SessionBuilder::AddAccel(size_t imu) {
                    estimate_.g_W.data(),
                    rig.accel_intrinsics.data(),
                    knots.values[knot].data(),
-                   knots.values[knot + 1].data()});
+                   knots.values[knot + 1].data(),
+                   &rig.accel_smoothing});
     blocks.insert(blocks.end(), clocks.begin(), clocks.end());
     return joint_->problem.AddResidualBlock(
         CreateJointAccelResidual(batch, jerks, motions), nullptr, blocks);
@@ -294,6 +322,16 @@ std::unique_ptr<LeastSquares> BuildJointProblem(const CalibrationOptions& option
   const auto one = [](double sigma) { return Eigen::VectorXd::Constant(1, sigma).eval(); };
   joint->AddOptional(ParameterKind::kClockDrift, one(kDriftPrior));
   joint->AddOptional(ParameterKind::kPoseSmoothing, one(kSmoothingPrior));
+  for (size_t i = 0; i < estimate->imus.size(); ++i) {
+    double delay = kLeastFilterDelay;
+    for (const PreparedSession& session : sessions)
+      if (session.data.imus[i].IsPresent())
+        delay = std::max(delay, std::abs(session.starts[i].accel_delay));
+    double* const smoothing = &estimate->imus[i].accel_smoothing;
+    joint->AddOptional(
+        ParameterKind::kAccelSmoothing, one(kSmoothingPerDelay2 * delay * delay), 0.0, i);
+    if (delay <= kLeastFilterDelay) joint->problem.SetParameterBlockConstant(smoothing);
+  }
   joint->AddOptional(ParameterKind::kGyroIntrinsics, IntrinsicsPrior(true));
   joint->AddOptional(ParameterKind::kAccelIntrinsics, IntrinsicsPrior(false));
   for (size_t s = 0; s < sessions.size(); ++s) {

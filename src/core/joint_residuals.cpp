@@ -328,7 +328,7 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
   JointAccelResidual(const std::vector<JointImuSample>& samples,
                      const std::vector<MarkerJerk>& jerks,
                      const ClockMotions& clocks)
-      : BatchResidual(samples, {4, 3, 3, 9, 3, 3}, 2, clocks), jerks_(jerks) {}
+      : BatchResidual(samples, {4, 3, 3, 9, 3, 3, 1}, 2, clocks), jerks_(jerks) {}
 
  protected:
   bool EvaluateSample(const JointImuSample& s,
@@ -352,7 +352,8 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
     const Eigen::Matrix<double, 3, 4> d = EvaluateSpline(blocks, weights);
     const Vector3d a_W = gp.a_W + d.col(2);
     const Vector3d f_body = x.q_WM.conjugate() * (a_W - g);  // R_WM^T (a_W - g_W)
-    const Vector3d f_M = f_body + x.alpha.cross(p) + x.omega.cross(x.omega.cross(p));
+    const Vector3d f_M = f_body + x.alpha.cross(p) + x.omega.cross(x.omega.cross(p)) +
+                         0.5 * *blocks[n + 6] * jerk.f_curvature;
     const Vector3d f_I = q_MI.conjugate() * f_M;
     AsVector(residual) =
         (s.value - (1.0 - s.bias_u) * knot_0 - s.bias_u * knot_1 - M_a * f_I) / s.sigma;
@@ -386,6 +387,7 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
     }
     SetRows<3>(jacobians, n + 4, i, -(1.0 - s.bias_u) / s.sigma * Matrix3d::Identity());
     SetRows<3>(jacobians, n + 5, i, -s.bias_u / s.sigma * Matrix3d::Identity());
+    SetRows<1>(jacobians, n + 6, i, 0.5 * A * jerk.f_curvature);
     const Matrix3d E_inv = Exp<double>(-phi.col(0)).toRotationMatrix();
     const Vector3d f_gp = R_MW * jerk.jerk_W - (x.omega - x.u).cross(f_body) +
                           f_omega * x.omega_gp + f_alpha * (x.alpha_gp + E_inv * jerk.alpha_rate);

@@ -17,7 +17,7 @@ namespace {
 
 /// Samples closer than this to the end of a segment are left out, so that the time shift can move.
 constexpr double kDelayPrior = 0.02;  // [s] sigma of the delays of ordinary IMUs
-constexpr double kEdge = 0.02;  // [s]
+constexpr double kEdge = 0.02;        // [s]
 /// Residuals of a sensor that the trajectory follows more closely say little about its noise.
 constexpr double kLeastRedundancy = 0.1;
 
@@ -98,9 +98,8 @@ void LeastSquares::AddAccelParameters() {
     problem.AddParameterBlock(p.data, p.size);
     if (!IsEstimated(options, p.kind)) problem.SetParameterBlockConstant(p.data);
   }
-  AddOptional(ParameterKind::kAccelDelay,
-              Eigen::VectorXd::Constant(1, kDelayPrior),
-              options.accel_delay);
+  AddOptional(
+      ParameterKind::kAccelDelay, Eigen::VectorXd::Constant(1, kDelayPrior), options.accel_delay);
   for (SessionEstimate& session : estimate->sessions) {
     problem.AddParameterBlock(session.g_W.data(), 3);
     SetSphere(session.g_W.data(), &problem);
@@ -123,9 +122,10 @@ void LeastSquares::AddBiasWalk(double walk, size_t session, size_t imu, BiasKnot
 
 void LeastSquares::AddOptional(ParameterKind kind,
                                const Eigen::VectorXd& sigmas,
-                               double expected) {
+                               double expected,
+                               std::optional<size_t> imu) {
   for (const Parameter& p : CalibrationParameters(estimate)) {
-    if (p.kind != kind) continue;
+    if (p.kind != kind || (imu && p.imu != *imu)) continue;
     problem.AddParameterBlock(p.data, p.size);
     if (!IsEstimated(options, kind)) {
       problem.SetParameterBlockConstant(p.data);

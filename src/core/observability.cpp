@@ -174,6 +174,9 @@ void ReportParameter(const PlacedParameter& p, const Eigen::MatrixXd& C, Calibra
     case ParameterKind::kPoseSmoothing:
       result->pose_smoothing_std = std_dev[0];
       break;
+    case ParameterKind::kAccelSmoothing:
+      imu.accel_smoothing_std = std_dev[0];
+      break;
     case ParameterKind::kGyroIntrinsics:
       imu.gyro_matrix_std = GyroMatrix(Vector6d(std_dev)) - Eigen::Matrix3d::Identity();
       break;

@@ -76,7 +76,8 @@ class JointResiduals : public ::testing::Test {
     return {sample, next};
   }
   std::vector<MarkerJerk> Jerks() {
-    return {{Random(40.0), Random(30.0)}, {Random(40.0), Random(30.0)}};
+    return {{Random(40.0), Random(30.0), Random(300.0)},
+            {Random(40.0), Random(30.0), Random(300.0)}};
   }
 
   /// The clock parameters that move a sensor, as the joint solve hands them over.
@@ -136,7 +137,8 @@ class JointResiduals : public ::testing::Test {
                           g_W_.data(),
                           accel_intrinsics_.data(),
                           knot_0_.data(),
-                          knot_1_.data()})
+                          knot_1_.data(),
+                          &accel_smoothing_})
       blocks.push_back(block);
     return With(blocks, clocks);
   }
@@ -332,7 +334,7 @@ class JointResiduals : public ::testing::Test {
   /// Clocks of the session's first IMU, with which the trajectory goes along, and of another one.
   double time_shift_ = 0.0213, accel_delay_ = 0.0008, clock_drift_ = 1e-6;
   double other_time_shift_ = 0.0117, other_accel_delay_ = 0.0005, other_clock_drift_ = -2e-6;
-  double pose_smoothing_ = 3e-4;
+  double pose_smoothing_ = 3e-4, accel_smoothing_ = 4e-4;
 };
 
 TEST_F(JointResiduals, PositionJacobian) {

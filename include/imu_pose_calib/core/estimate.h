@@ -39,6 +39,7 @@ struct ImuEstimate {
   Eigen::Quaterniond q_MI = Eigen::Quaterniond::Identity();
   Eigen::Vector3d p_MI = Eigen::Vector3d::Zero();  ///< [m]
   double accel_delay = 0.0;                        ///< [s]
+  double accel_smoothing = 0.0;                    ///< [s^2] see ImuCalibration
   Vector6d gyro_intrinsics = Vector6d::Zero();     ///< of GyroMatrix()
   Vector9d accel_intrinsics = Vector9d::Zero();    ///< of AccelMatrix()
 };
@@ -85,6 +86,7 @@ enum class ParameterKind {
   kAccelDelay,       ///< [s]
   kClockDrift,       ///< [s/s] of an IMU in a session
   kPoseSmoothing,    ///< [s^2]
+  kAccelSmoothing,   ///< [s^2]
   kGyroIntrinsics,   ///< 6, of GyroMatrix()
   kAccelIntrinsics,  ///< 9, of AccelMatrix()
   kGravity,          ///< [m/s^2] of a session

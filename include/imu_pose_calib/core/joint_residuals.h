@@ -72,16 +72,17 @@ struct JointImuSample {
 ceres::CostFunction* CreateJointGyroResidual(const std::vector<JointImuSample>& samples,
                                              const ClockMotions& clocks);
 
-/// Third derivatives of the GP, since accelerometers move along it.
+/// Derivatives of the GP's motion, along which accelerometers move and over which they average.
 struct MarkerJerk {
-  Eigen::Vector3d alpha_rate;  ///< [rad/s^3] in M
-  Eigen::Vector3d jerk_W;      ///< [m/s^3]
+  Eigen::Vector3d alpha_rate;                             ///< [rad/s^3] in M
+  Eigen::Vector3d jerk_W;                                 ///< [m/s^3]
+  Eigen::Vector3d f_curvature = Eigen::Vector3d::Zero();  ///< [m/s^4] f_M'', components in M
 };
 
-/// r = (f - b_a - M_a R_MI^T f_M(t)) / sigma, in I, with
+/// r = (f - b_a - M_a R_MI^T (f_M(t) + s/2 f_M'')) / sigma, in I, s: accel_smoothing, with
 /// f_M = R_WM^T (a_W - g_W) + alpha_M x p_MI + omega_M x (omega_M x p_MI).
 /// Blocks: d | phi | q_MI (4) | p_MI (3) | g_W (3) | M_a (9, see AccelMatrix()) | knot_0 (3) |
-/// knot_1 (3) | clocks. `jerks`: of each sample.
+/// knot_1 (3) | accel_smoothing (1) | clocks. `jerks`: of each sample.
 ceres::CostFunction* CreateJointAccelResidual(const std::vector<JointImuSample>& samples,
                                               const std::vector<MarkerJerk>& jerks,
                                               const ClockMotions& clocks);

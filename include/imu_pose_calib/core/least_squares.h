@@ -2,6 +2,7 @@
 
 #include <ceres/problem.h>
 
+#include <optional>
 #include <vector>
 
 #include "imu_pose_calib/core/estimate.h"
@@ -115,9 +116,12 @@ struct LeastSquares {
   void AddGyroParameters();
   void AddAccelParameters();
   void AddBiasWalk(double walk, size_t session, size_t imu, BiasKnots* knots);
-  /// The parameters of this kind; when they are estimated, with independent priors around
-  /// `expected`.
-  void AddOptional(ParameterKind kind, const Eigen::VectorXd& sigmas, double expected = 0.0);
+  /// The parameters of this kind, of one IMU or of all; when they are estimated, with independent
+  /// priors around `expected`.
+  void AddOptional(ParameterKind kind,
+                   const Eigen::VectorXd& sigmas,
+                   double expected = 0.0,
+                   std::optional<size_t> imu = std::nullopt);
 
   /// Throws DataError when Ceres does not converge to a relative change of the cost below
   /// `function_tolerance`.

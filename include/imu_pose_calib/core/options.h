@@ -93,6 +93,8 @@ struct CalibrationOptions {
   double accel_delay = 0.0;
   /// How much more than the IMU the source of the poses averages over time. Joint solve only.
   bool estimate_pose_smoothing = true;
+  /// How much more than the gyroscope the accelerometer averages over time. Joint solve only.
+  bool estimate_accel_smoothing = true;
   /// Linear growth of the time shift, usually within 100 ppm. Joint solve only.
   bool estimate_clock_drift = true;
   /// Scale and misalignment of the sensors, usually within 1 % and 0.5 deg. Joint solve only.

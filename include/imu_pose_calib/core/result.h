@@ -60,6 +60,9 @@ struct ImuCalibration {
   Matrix6d model_covariance = Matrix6d::Zero();
   double accel_delay = 0.0;      ///< [s] t_pose = t_accel + time_shift - accel_delay
   double accel_delay_std = 0.0;  ///< [s], 0 when not estimated
+  /// [s^2] by how much the variance of the time over which the accelerometer averages exceeds that
+  /// of the gyroscope; 0 when not estimated.
+  double accel_smoothing = 0.0, accel_smoothing_std = 0.0;
 
   /// Scale and misalignment: measured = M true + bias, in I. Identity when not estimated.
   Eigen::Matrix3d gyro_matrix = Eigen::Matrix3d::Identity();
