@@ -105,7 +105,7 @@ std::vector<PoseSample> Poses(const SimulatorOptions& options,
 /// What one IMU does to the truth, beside filters, noise and delays.
 struct Flaws {
   Eigen::Matrix3d gyro_matrix, accel_matrix, g_sensitivity;
-  Eigen::Matrix3d axes_M;  ///< [m] column i: the accelerometer's axis i, from I
+  Eigen::Matrix3d axes_I;  ///< [m] column i: where the accelerometer's axis i is
   Eigen::Vector3d gyro_warm_up, accel_warm_up;
 
   explicit Flaws(const SimulatorOptions& options) {
@@ -125,7 +125,8 @@ struct Flaws {
     g_sensitivity = matrix(effects.g_sensitivity, &random);
     random = random_of(RandomEffect::kSizeEffect);
     for (int i = 0; i < 9; ++i)
-      axes_M(i) = effects.size_effect * std::uniform_real_distribution<double>(-0.5, 0.5)(random);
+      axes_I(i) = effects.size_effect * std::uniform_real_distribution<double>(-0.5, 0.5)(random);
+    for (int i = 0; i < 3; ++i) axes_I.row(i).array() -= 0.5 * (axes_I.row(i).sum() - axes_I(i, i));
     random = random_of(RandomEffect::kTemperature);
     gyro_warm_up = effects.temperature_drift * RandomDirection(&random);
     accel_warm_up = kAccelWarmUp * effects.temperature_drift * RandomDirection(&random);
@@ -151,8 +152,10 @@ ImuData Imu(const SimulatorOptions& options,
     const TrueState s = trajectory.At(PoseTime(options, t - options.accel_delay_s));
     const Eigen::Vector3d force = force_M(s, options.T_MI.p);
     Eigen::Vector3d by_size;
-    for (int i = 0; i < 3; ++i)
-      by_size[i] = R_IM.row(i).dot(force_M(s, options.T_MI.p + flaws.axes_M.col(i)) - force);
+    for (int i = 0; i < 3; ++i) {
+      const Eigen::Vector3d axis_M = options.T_MI.p + options.T_MI.q * flaws.axes_I.col(i);
+      by_size[i] = R_IM.row(i).dot(force_M(s, axis_M) - force);
+    }
     return accel_R_IM * force + flaws.accel_matrix * by_size;
   };
   const auto sample = [&](const auto& signal, double rate_hz, double cutoff_hz) {

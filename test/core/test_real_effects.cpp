@@ -381,22 +381,25 @@ TEST(SizeEffect, MovesEachAxisOfTheAccelerometer) {
   const MatrixXd off = Values(Simulate(options).imus[0].accel) - exact;
   const TrueTrajectory truth(options);
   const Matrix3d R_IM = options.T_MI.q.toRotationMatrix().transpose();
-  Vector3d axes[3];
+  Matrix3d axes;  // columns, in I
   for (int axis = 0; axis < 3; ++axis) {
-    // off_i = e_i^T R_IM (hat(alpha) + hat(omega)^2) r_i
+    // off_i = e_i^T R_IM (hat(alpha) + hat(omega)^2) R_MI r_i
     MatrixXd x(3, off.cols());
     for (Eigen::Index k = 0; k < off.cols(); ++k) {
       const TrueState s = truth.At(0.005 * static_cast<double>(k));
       const Matrix3d W = Hat(s.omega_M);
-      x.col(k) = (R_IM.row(axis) * (Hat(s.alpha_M) + W * W)).transpose();
+      x.col(k) = (R_IM.row(axis) * (Hat(s.alpha_M) + W * W) * R_IM.transpose()).transpose();
     }
     double rest = 0.0;
-    axes[axis] = Regress(off.row(axis), x, &rest).transpose();
+    axes.col(axis) = Regress(off.row(axis), x, &rest).transpose();
     EXPECT_LT(rest, 1e-10);
-    EXPECT_LT(axes[axis].cwiseAbs().maxCoeff(), 0.01);
   }
-  EXPECT_GT((axes[0] - axes[1]).norm(), 1e-3);
-  EXPECT_GT((axes[0] - axes[2]).norm(), 1e-3);
+  for (int i = 0; i < 3; ++i) {
+    const double distance = axes.row(i).maxCoeff() - axes.row(i).minCoeff();
+    EXPECT_GT(distance, 1e-3);
+    EXPECT_LT(distance, 0.02);
+    EXPECT_NEAR(axes.row(i).sum() - axes(i, i), 0.0, 1e-9);
+  }
 }
 
 TEST(GSensitivity, AddsToTheGyroscopeByTheSpecificForce) {

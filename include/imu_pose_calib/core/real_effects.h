@@ -37,7 +37,9 @@ struct RealEffects {
   /// Sigma of the elements of both matrices less the identity; the gyroscope's are drawn below the
   /// diagonal only, so that I is defined by its axes.
   double scale_misalignment = 0.0;
-  double size_effect = 0.0;    ///< [m] largest distance per axis between the accelerometer's axes
+  /// [m] largest distance per axis of I between the axes of the accelerometer. I's origin has the x
+  /// of the middle of y and z, which is where turning accelerates along x, and so on.
+  double size_effect = 0.0;
   double g_sensitivity = 0.0;  ///< [rad/s per m/s^2] sigma of gyroscope by specific force
   /// [rad/s] change of the gyroscope's bias by warming up, within minutes; of the accelerometer's
   /// ten times as much [m/s^2].
