@@ -5,8 +5,12 @@
 //
 // A row for each effect alone, at its usual strength, on SEEDS recordings; then a campaign of
 // recordings FIRST, FIRST + 1, ... that are random mixtures of motions, rates, noises and effects,
-// of which it prints those that are wrong and called ok, or refused. The second form looks at one
-// of them: as it is, and without each of its effects.
+// of which it prints those that are wrong and called ok, refused, or too much for it. The second
+// form looks at one of them: as it is, and without each of its effects.
+
+#include <sys/resource.h>
+#include <sys/wait.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <atomic>
@@ -15,7 +19,9 @@
 #include <cstdlib>
 #include <future>
 #include <map>
+#include <mutex>
 #include <random>
+#include <sstream>
 #include <string>
 #include <thread>
 #include <vector>
@@ -32,18 +38,20 @@ constexpr double kWrongSigmas = 5.0, kWrong = 1e-3;  // [m] both exceeded by an 
 constexpr double kShare = 0.15;                      // of the mixtures that have an effect
 constexpr double kLeast = 1.0 / 3.0, kMost = 2.0;    // strength in mixtures, of the usual one
 constexpr size_t kBlock = 20;                        // recordings of the campaign between outputs
+constexpr rlim_t kTimeLimit = 90;                    // [s] of a processor, for one recording
+constexpr rlim_t kMemoryLimit = 4ull << 30;          // [bytes]
 
 /// What became of one recording.
 struct Outcome {
-  std::string verdict;  ///< "ok", "weak", "degenerate" or "refused"
-  std::string reason;   ///< message of the result or the refusal
-  std::vector<std::string> warnings;
+  std::string verdict = "failed";                ///< or "ok", "weak", "degenerate", "refused"
+  std::string reason = "died or took too long";  ///< message of the result or the refusal
   // Of usable results:
   double p = 0.0;           ///< [m] norm of the error
   double R = 0.0;           ///< [rad]
   double time_shift = 0.0;  ///< [s]
   double sigmas = 0.0;      ///< largest error of p along an axis
   double p_std = 0.0;       ///< [m] norm of the reported sigma
+  std::string warnings;     ///< one a line
 
   bool IsUsable() const { return verdict == "ok" || verdict == "weak"; }
   bool IsWrong() const { return IsUsable() && sigmas > kWrongSigmas && p > kWrong; }
@@ -59,25 +67,74 @@ Outcome Run(const SimulatorOptions& truth) {
     const Eigen::Vector3d p = T.p - truth.T_MI.p, std = result.imus[0].Std().head<3>();
     outcome.verdict = ToString(result.status);
     outcome.reason = result.message;
-    outcome.warnings = result.warnings;
+    for (const std::string& warning : result.warnings)
+      outcome.warnings += "warning: " + warning + "\n";
     outcome.p = p.norm();
     outcome.R = truth.T_MI.q.angularDistance(T.q);
     outcome.time_shift = result.sessions[0].imus[0].time_shift - TrueClock(truth).time_shift_s;
     outcome.sigmas = p.cwiseQuotient(std).cwiseAbs().maxCoeff();
     outcome.p_std = std.norm();
-  } catch (const std::exception& error) {
+  } catch (const DataError& error) {
     outcome.verdict = "refused";
+    outcome.reason = error.what();
+  } catch (const std::exception& error) {
     outcome.reason = error.what();
   }
   return outcome;
 }
 
-/// Run() of all, on all processors.
+/// Run() in a process of its own, which may die or take too much.
+Outcome RunApart(const SimulatorOptions& truth) {
+  static std::mutex mutex;  // no child holds the end of another one's pipe
+  std::unique_lock<std::mutex> lock(mutex);
+  int ends[2];
+  if (pipe(ends) != 0) throw std::runtime_error("no pipe");
+  const pid_t child = fork();
+  if (child < 0) throw std::runtime_error("no process");
+  if (child == 0) {
+    const rlimit time{kTimeLimit, kTimeLimit}, memory{kMemoryLimit, kMemoryLimit};
+    setrlimit(RLIMIT_CPU, &time);
+    setrlimit(RLIMIT_AS, &memory);
+    const Outcome outcome = Run(truth);
+    std::ostringstream text;
+    text.precision(17);
+    text << outcome.p << " " << outcome.R << " " << outcome.time_shift << " " << outcome.sigmas
+         << " " << outcome.p_std << " " << outcome.verdict << "\n"
+         << outcome.reason << "\n"
+         << outcome.warnings;
+    const std::string all = text.str();
+    _exit(write(ends[1], all.data(), all.size()) < 0 ? 1 : 0);
+  }
+  close(ends[1]);
+  lock.unlock();
+  std::string all;
+  char buffer[4096];
+  for (ssize_t size; (size = read(ends[0], buffer, sizeof(buffer))) > 0;)
+    all.append(buffer, static_cast<size_t>(size));
+  close(ends[0]);
+  waitpid(child, nullptr, 0);
+
+  Outcome outcome;
+  if (all.empty()) return outcome;
+  std::istringstream text(all);
+  for (double* number :
+       {&outcome.p, &outcome.R, &outcome.time_shift, &outcome.sigmas, &outcome.p_std}) {
+    std::string word;  // may be nan
+    text >> word;
+    *number = std::atof(word.c_str());
+  }
+  text >> outcome.verdict;
+  std::getline(text.ignore(), outcome.reason);
+  std::getline(text, outcome.warnings, '\0');
+  return outcome;
+}
+
+/// RunApart() of all, on all processors.
 std::vector<Outcome> RunAll(const std::vector<SimulatorOptions>& truths) {
   std::vector<Outcome> outcomes(truths.size());
   std::atomic<size_t> next{0};
   const auto work = [&] {
-    for (size_t i = next++; i < truths.size(); i = next++) outcomes[i] = Run(truths[i]);
+    for (size_t i = next++; i < truths.size(); i = next++) outcomes[i] = RunApart(truths[i]);
   };
   std::vector<std::future<void>> workers;
   for (unsigned i = 0; i < std::max(1u, std::thread::hardware_concurrency()); ++i)
@@ -150,16 +207,19 @@ void PrintRow(const std::string& name, const std::vector<Outcome>& outcomes) {
     sigmas.push_back(outcome.sigmas);
   }
   const auto rms = [&](double sum) { return std::sqrt(sum / static_cast<double>(sigmas.size())); };
-  std::printf("%-24s%9.3f%9.4f%9.4f%9.3f%9.2f%9.2f  ",
-              name.c_str(),
-              1e3 * rms(p),
-              180.0 / M_PI * rms(R),
-              1e3 * rms(shift),
-              1e3 * rms(variance),
-              Quantile(sigmas, 0.5),
-              Quantile(sigmas, 0.9));
+  std::printf("%-24s", name.c_str());
+  if (sigmas.empty())
+    std::printf("%56s", "");
+  else
+    std::printf("%9.3f%9.4f%9.4f%9.3f%9.2f%9.2f  ",
+                1e3 * rms(p),
+                180.0 / M_PI * rms(R),
+                1e3 * rms(shift),
+                1e3 * rms(variance),
+                Quantile(sigmas, 0.5),
+                Quantile(sigmas, 0.9));
   const char* separator = "";
-  for (const char* verdict : {"ok", "weak", "degenerate", "refused"}) {
+  for (const char* verdict : {"ok", "weak", "degenerate", "refused", "failed"}) {
     if (verdicts[verdict] == 0) continue;
     std::printf("%s%d %s", separator, verdicts[verdict], verdict);
     separator = ", ";
@@ -285,7 +345,7 @@ void RunCampaign(size_t count, uint32_t first) {
     std::fflush(stdout);
   }
   std::printf(
-      "%d ok, of which %d wrong; %d weak, of which %d wrong; %d degenerate; %d refused\n"
+      "%d ok, of which %d wrong; %d weak, of which %d wrong; %d degenerate; %d refused; %d failed\n"
       "largest error of p by its sigma: median %.2f, 90 %% %.2f\n",
       verdicts["ok"],
       wrong["ok"],
@@ -293,6 +353,7 @@ void RunCampaign(size_t count, uint32_t first) {
       wrong["weak"],
       verdicts["degenerate"],
       verdicts["refused"],
+      verdicts["failed"],
       Quantile(sigmas, 0.5),
       Quantile(sigmas, 0.9));
 }
@@ -311,9 +372,10 @@ void LookAt(uint32_t seed) {
     names.push_back(std::string("- ") + effect.name);
   }
   const std::vector<Outcome> outcomes = RunAll(truths);
-  std::printf("%s\n%s\n", Describe(mixture).c_str(), outcomes[0].reason.c_str());
-  for (const std::string& warning : outcomes[0].warnings)
-    std::printf("warning: %s\n", warning.c_str());
+  std::printf("%s\n%s\n%s",
+              Describe(mixture).c_str(),
+              outcomes[0].reason.c_str(),
+              outcomes[0].warnings.c_str());
   PrintHeader();
   for (size_t i = 0; i < outcomes.size(); ++i) PrintRow(names[i], {outcomes[i]});
 }
