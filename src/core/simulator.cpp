@@ -8,32 +8,51 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr double kTwoPi = 2.0 * M_PI;
-constexpr int kSinesPerAxis = 5;
+constexpr double kWarmUp = 120.0;      // [s]
+constexpr double kAccelWarmUp = 10.0;  // [m/s^2] of the accelerometer's bias per rad/s of the other
 
-double Uniform(std::mt19937* random, double low, double high) {
-  return std::uniform_real_distribution<double>(low, high)(*random);
+/// Seed of the IMU's noise.
+uint32_t ImuSeed(const SimulatorOptions& options) {
+  return options.noise_seed == 0 ? options.seed : options.noise_seed;
 }
 
-Eigen::Vector3d Gaussian(std::mt19937* random, double sigma) {
-  std::normal_distribution<double> normal(0.0, sigma);
-  Eigen::Vector3d v;
-  for (int i = 0; i < 3; ++i) v[i] = sigma > 0.0 ? normal(*random) : 0.0;
-  return v;
+size_t Count(const SimulatorOptions& options, double rate_hz) {
+  return static_cast<size_t>(std::floor(options.duration_s * rate_hz));
 }
 
-/// Brownian bias: steps of `walk` sqrt(period).
+int64_t FirstImuStamp(const SimulatorOptions& options) {
+  return options.start_ns - std::llround(1e9 * options.time_shift_s);
+}
+
+std::vector<int64_t> PoseStamps(const SimulatorOptions& options) {
+  return Stamps(options.start_ns,
+                options.pose_rate_hz,
+                Count(options, options.pose_rate_hz),
+                options.effects.pose_stream,
+                RandomOf(RandomEffect::kPoseStamps, options.seed));
+}
+
+/// The same for gyroscope and accelerometer at the same rate: they come in one message.
+std::vector<int64_t> ImuStamps(const SimulatorOptions& options, double rate_hz) {
+  return Stamps(FirstImuStamp(options),
+                rate_hz,
+                Count(options, rate_hz),
+                options.effects.imu_stream,
+                RandomOf(RandomEffect::kImuStamps, ImuSeed(options)));
+}
+
+/// Brownian bias: steps of `walk` sqrt(period). `warm_up`: its change as the sensor gets warm.
 std::vector<ImuSample> SampleSensor(const std::vector<Eigen::Vector3d>& exact,
                                     double rate_hz,
                                     double noise,
                                     double walk,
                                     Eigen::Vector3d bias,
-                                    int64_t first_ns,
+                                    const Eigen::Vector3d& warm_up,
                                     std::mt19937* random) {
   std::vector<ImuSample> samples(exact.size());
   for (size_t k = 0; k < exact.size(); ++k) {
-    samples[k].t_ns = first_ns + std::llround(1e9 * static_cast<double>(k) / rate_hz);
-    samples[k].value = exact[k] + bias + Gaussian(random, noise);
+    const double warmth = -std::expm1(-static_cast<double>(k) / (rate_hz * kWarmUp));
+    samples[k].value = exact[k] + bias + Gaussian(random, noise) + warmth * warm_up;
     bias += Gaussian(random, walk / std::sqrt(rate_hz));
   }
   return samples;
@@ -52,127 +71,164 @@ Rigid3 MeanPose(const TrueTrajectory& trajectory, double t, double exposure_s) {
   return {Eigen::Quaterniond(middle.R_WM) * Exp(turn), p};
 }
 
+/// Pose clock [s] at `s` after the first sample of the IMU.
+double PoseTime(const SimulatorOptions& options, double s) {
+  return s + options.clock_drift * (s - 0.5 * options.duration_s);
+}
+
+std::vector<PoseSample> Poses(const SimulatorOptions& options,
+                              const TrueTrajectory& trajectory,
+                              std::mt19937* random) {
+  const RealEffects& effects = options.effects;
+  const size_t count = Count(options, options.pose_rate_hz);
+  std::mt19937 slow = RandomOf(RandomEffect::kSlowErrors, options.seed);
+  const auto slow_error = [&] {
+    return SlowError(effects.slow_errors, options.pose_rate_hz, count, std::mt19937(slow()));
+  };
+  const std::vector<Eigen::Vector3d> slow_p = slow_error(), slow_r = slow_error();
+  std::mt19937 direction = RandomOf(RandomEffect::kMarkerOffset, options.seed);
+  const Eigen::Vector3d origin_M = effects.marker_offset * RandomDirection(&direction);
+
+  std::vector<PoseSample> poses(count);
+  for (size_t k = 0; k < count; ++k) {
+    const double t = static_cast<double>(k) / options.pose_rate_hz;
+    const Rigid3 mean = MeanPose(trajectory, t, options.pose_exposure_s);
+    const Eigen::Quaterniond error =
+        Exp<double>(Gaussian(random, options.rotation_std) + slow_r[k]);
+    poses[k].q_WM = mean.q * error;
+    poses[k].p_WM = (1.0 + effects.pose_scale) * mean.p + Gaussian(random, options.position_std) +
+                    slow_p[k] + mean.q * (error * origin_M - origin_M);
+  }
+  return poses;
+}
+
+/// What one IMU does to the truth, beside filters, noise and delays.
+struct Flaws {
+  Eigen::Matrix3d gyro_matrix, accel_matrix, g_sensitivity;
+  Eigen::Matrix3d axes_I;  ///< [m] column i: where the accelerometer's axis i is
+  Eigen::Vector3d gyro_warm_up, accel_warm_up;
+
+  explicit Flaws(const SimulatorOptions& options) {
+    const RealEffects& effects = options.effects;
+    const auto random_of = [&](RandomEffect effect) { return RandomOf(effect, ImuSeed(options)); };
+    const auto matrix = [](double sigma, std::mt19937* random) {
+      Eigen::Matrix3d m;
+      for (int i = 0; i < 3; ++i) m.row(i) = Gaussian(random, sigma);
+      return m;
+    };
+    std::mt19937 random = random_of(RandomEffect::kIntrinsics);
+    const Eigen::Matrix3d I = Eigen::Matrix3d::Identity();
+    const Eigen::Matrix3d gyro = matrix(effects.scale_misalignment, &random);
+    gyro_matrix = options.gyro_matrix * (I + Eigen::Matrix3d(gyro.triangularView<Eigen::Lower>()));
+    accel_matrix = options.accel_matrix * (I + matrix(effects.scale_misalignment, &random));
+    random = random_of(RandomEffect::kGSensitivity);
+    g_sensitivity = matrix(effects.g_sensitivity, &random);
+    random = random_of(RandomEffect::kSizeEffect);
+    for (int i = 0; i < 9; ++i)
+      axes_I(i) = effects.size_effect * std::uniform_real_distribution<double>(-0.5, 0.5)(random);
+    for (int i = 0; i < 3; ++i) axes_I.row(i).array() -= 0.5 * (axes_I.row(i).sum() - axes_I(i, i));
+    random = random_of(RandomEffect::kTemperature);
+    gyro_warm_up = effects.temperature_drift * RandomDirection(&random);
+    accel_warm_up = kAccelWarmUp * effects.temperature_drift * RandomDirection(&random);
+  }
+};
+
+ImuData Imu(const SimulatorOptions& options,
+            const TrueTrajectory& trajectory,
+            std::mt19937* random) {
+  const Flaws flaws(options);
+  const Eigen::Matrix3d R_IM = options.T_MI.q.toRotationMatrix().transpose();
+  const Eigen::Matrix3d gyro_R_IM = flaws.gyro_matrix * R_IM;
+  const Eigen::Matrix3d accel_R_IM = flaws.accel_matrix * R_IM;
+  const auto force_M = [&](const TrueState& s, const Eigen::Vector3d& p) -> Eigen::Vector3d {
+    return s.R_WM.transpose() * (s.a_W - options.g_W) + s.alpha_M.cross(p) +
+           s.omega_M.cross(s.omega_M.cross(p));
+  };
+  const auto gyro = [&](double t) -> Eigen::Vector3d {
+    const TrueState s = trajectory.At(PoseTime(options, t));
+    return gyro_R_IM * s.omega_M + flaws.g_sensitivity * (R_IM * force_M(s, options.T_MI.p));
+  };
+  const auto accel = [&](double t) -> Eigen::Vector3d {
+    const TrueState s = trajectory.At(PoseTime(options, t - options.accel_delay_s));
+    const Eigen::Vector3d force = force_M(s, options.T_MI.p);
+    Eigen::Vector3d by_size;
+    for (int i = 0; i < 3; ++i) {
+      const Eigen::Vector3d axis_M = options.T_MI.p + options.T_MI.q * flaws.axes_I.col(i);
+      by_size[i] = R_IM.row(i).dot(force_M(s, axis_M) - force);
+    }
+    return accel_R_IM * force + flaws.accel_matrix * by_size;
+  };
+  const auto sample = [&](const auto& signal, double rate_hz, double cutoff_hz) {
+    return Sampled(signal, rate_hz, Count(options, rate_hz), cutoff_hz);
+  };
+
+  ImuData data;
+  data.gyro = SampleSensor(sample(gyro, options.gyro_rate_hz, options.effects.gyro_filter_hz),
+                           options.gyro_rate_hz,
+                           options.gyro_std,
+                           options.gyro_bias_walk,
+                           options.gyro_bias,
+                           flaws.gyro_warm_up,
+                           random);
+  data.accel = SampleSensor(sample(accel, options.accel_rate_hz, options.effects.accel_filter_hz),
+                            options.accel_rate_hz,
+                            options.accel_std,
+                            options.accel_bias_walk,
+                            options.accel_bias,
+                            flaws.accel_warm_up,
+                            random);
+  return data;
+}
+
+/// Poses fused with the IMU by one who knows T_MI, the clocks and the gyroscope's first bias.
+std::vector<PoseSample> FusedPoses(const SimulatorOptions& options, const SessionData& data) {
+  std::vector<double> t_pose, t_omega;
+  std::vector<Eigen::Vector3d> omega_M;
+  for (size_t k = 0; k < data.poses.size(); ++k)
+    t_pose.push_back(static_cast<double>(k) / options.pose_rate_hz);
+  const double delay = FilterDelay(options.effects.gyro_filter_hz);
+  for (size_t k = 0; k < data.imus[0].gyro.size(); ++k) {
+    t_omega.push_back(PoseTime(options, static_cast<double>(k) / options.gyro_rate_hz - delay));
+    omega_M.push_back(options.T_MI.q * (data.imus[0].gyro[k].value - options.gyro_bias));
+  }
+  return Fused(data.poses, t_pose, omega_M, t_omega, options.effects.fused_poses_s);
+}
+
 }  // namespace
 
-Eigen::Vector3d TrueTrajectory::Sines::Evaluate(double t, int derivative) const {
-  // d^n/dt^n sin(w t + p) = w^n sin(w t + p + n pi/2)
-  const double quarter_turns = derivative * M_PI / 2.0;
-  return (amplitude.array() * frequency.array().pow(derivative) *
-          (frequency.array() * t + phase.array() + quarter_turns).sin())
-      .rowwise()
-      .sum();
-}
-
-TrueTrajectory::TrueTrajectory(const SimulatorOptions& options) {
-  std::mt19937 random(options.seed);
-  const auto fill = [&random](double amplitude, Sines* sines) {
-    for (Eigen::Matrix3Xd* m : {&sines->amplitude, &sines->frequency, &sines->phase})
-      m->resize(3, kSinesPerAxis);
-    for (int axis = 0; axis < 3; ++axis) {
-      for (int k = 0; k < kSinesPerAxis; ++k) {
-        const double hz = Uniform(&random, 0.15 + 0.25 * k, 0.4 + 0.25 * k);
-        sines->frequency(axis, k) = kTwoPi * hz;
-        sines->amplitude(axis, k) = amplitude * Uniform(&random, 0.6, 1.2) / (1.0 + 2.0 * hz * hz);
-        sines->phase(axis, k) = Uniform(&random, 0.0, kTwoPi);
-      }
-    }
+TrueClock::TrueClock(const SimulatorOptions& options) {
+  const int64_t first_ns = FirstImuStamp(options);
+  const auto delay = [&](double rate_hz, double cutoff_hz) {
+    return FilterDelay(cutoff_hz) + MeanLateness(ImuStamps(options, rate_hz), first_ns, rate_hz);
   };
-  fill(0.15, &position_);
-  fill(0.40, &rotation_);
-  q_WB_ = Exp<double>(Gaussian(&random, 1.0));
-
-  switch (options.motion) {
-    case Motion::kHandheld:
-      break;
-    case Motion::kTumble:
-      spin_ =
-          4.0 * Eigen::Vector3d(Uniform(&random, -1, 1), Uniform(&random, -1, 1), 1).normalized();
-      break;
-    case Motion::kPlanar:
-      position_.amplitude.row(2).setZero();
-      rotation_.amplitude.topRows<2>().setZero();
-      q_WB_ = Exp<double>(Eigen::Vector3d(0, 0, Uniform(&random, -1, 1)));
-      break;
-    case Motion::kHinge:
-      position_.amplitude.setZero();
-      rotation_.amplitude.bottomRows<2>().setZero();
-      break;
-    case Motion::kStatic:
-      position_.amplitude.setZero();
-      rotation_.amplitude.setZero();
-      break;
-  }
-}
-
-TrueState TrueTrajectory::At(double t) const {
-  // R = R_WB Exp(r) S with S = Exp(spin t), so omega = S^T u + spin with u = J_r(r) r'.
-  const Eigen::Vector3d r = rotation_.Evaluate(t, 0);
-  const Eigen::Vector3d r_dot = rotation_.Evaluate(t, 1);
-  const Eigen::Vector3d r_ddot = rotation_.Evaluate(t, 2);
-  const Eigen::Matrix3d J = RightJacobian(r);
-  const Eigen::Vector3d u = J * r_dot;
-  const Eigen::Vector3d u_dot = J * r_ddot + RightJacobianRate(r, r_dot) * r_dot;
-  const Eigen::Matrix3d S = Exp<double>(spin_ * t).toRotationMatrix();
-
-  TrueState state;
-  state.R_WM = (q_WB_ * Exp(r)).toRotationMatrix() * S;
-  state.omega_M = S.transpose() * u + spin_;
-  state.alpha_M = S.transpose() * u_dot - spin_.cross(S.transpose() * u);
-  state.p_WM = position_.Evaluate(t, 0);
-  state.v_W = position_.Evaluate(t, 1);
-  state.a_W = position_.Evaluate(t, 2);
-  return state;
+  const double gyro = delay(options.gyro_rate_hz, options.effects.gyro_filter_hz);
+  const double accel = delay(options.accel_rate_hz, options.effects.accel_filter_hz);
+  time_shift_s = options.time_shift_s - gyro +
+                 MeanLateness(PoseStamps(options), options.start_ns, options.pose_rate_hz);
+  accel_delay_s = options.accel_delay_s + accel - gyro;
 }
 
 SessionData Simulate(const SimulatorOptions& options) {
   const TrueTrajectory trajectory(options);
-  std::mt19937 random((options.noise_seed == 0 ? options.seed : options.noise_seed) + 1000003u);
-  const auto count = [&](double rate_hz) {
-    return static_cast<size_t>(std::floor(options.duration_s * rate_hz));
-  };
-
+  std::mt19937 random(ImuSeed(options) + 1000003u);
   SessionData data;
-  for (size_t k = 0; k < count(options.pose_rate_hz); ++k) {
-    const double t = static_cast<double>(k) / options.pose_rate_hz;
-    const Rigid3 mean = MeanPose(trajectory, t, options.pose_exposure_s);
-    PoseSample pose;
-    pose.t_ns = options.start_ns + std::llround(1e9 * t);
-    pose.q_WM = mean.q * Exp(Gaussian(&random, options.rotation_std));
-    pose.p_WM = mean.p + Gaussian(&random, options.position_std);
-    data.poses.push_back(pose);
-  }
+  data.poses = Poses(options, trajectory, &random);
+  data.imus[0] = Imu(options, trajectory, &random);
+  const RealEffects& effects = options.effects;
+  if (effects.fused_poses_s > 0.0) data.poses = FusedPoses(options, data);
 
-  const Eigen::Matrix3d R_IM = options.T_MI.q.toRotationMatrix().transpose();
-  // Pose clock at s seconds after the first IMU stamp.
-  const auto at = [&](double s) {
-    return trajectory.At(s + options.clock_drift * (s - 0.5 * options.duration_s));
+  Deliver(PoseStamps(options),
+          effects.pose_stream.drops,
+          RandomOf(RandomEffect::kPoseDrops, options.seed),
+          &data.poses);
+  const auto deliver_imu = [&](double rate_hz, std::vector<ImuSample>* samples) {
+    Deliver(ImuStamps(options, rate_hz),
+            effects.imu_stream.drops,
+            RandomOf(RandomEffect::kImuDrops, ImuSeed(options)),
+            samples);
   };
-  std::vector<Eigen::Vector3d> gyro, accel;
-  for (size_t k = 0; k < count(options.gyro_rate_hz); ++k)
-    gyro.push_back(options.gyro_matrix * R_IM *
-                   at(static_cast<double>(k) / options.gyro_rate_hz).omega_M);
-  for (size_t k = 0; k < count(options.accel_rate_hz); ++k) {
-    const TrueState s = at(static_cast<double>(k) / options.accel_rate_hz - options.accel_delay_s);
-    const Eigen::Vector3d& p = options.T_MI.p;
-    accel.push_back(options.accel_matrix * R_IM *
-                    (s.R_WM.transpose() * (s.a_W - options.g_W) + s.alpha_M.cross(p) +
-                     s.omega_M.cross(s.omega_M.cross(p))));
-  }
-  const int64_t first_ns = options.start_ns - std::llround(1e9 * options.time_shift_s);
-  data.imus[0].gyro = SampleSensor(gyro,
-                                   options.gyro_rate_hz,
-                                   options.gyro_std,
-                                   options.gyro_bias_walk,
-                                   options.gyro_bias,
-                                   first_ns,
-                                   &random);
-  data.imus[0].accel = SampleSensor(accel,
-                                    options.accel_rate_hz,
-                                    options.accel_std,
-                                    options.accel_bias_walk,
-                                    options.accel_bias,
-                                    first_ns,
-                                    &random);
+  deliver_imu(options.gyro_rate_hz, &data.imus[0].gyro);
+  deliver_imu(options.accel_rate_hz, &data.imus[0].accel);
   return data;
 }
 

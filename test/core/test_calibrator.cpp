@@ -116,7 +116,7 @@ TEST(Calibration, OnlyOkAndWeakAreUsable) {
 TEST(Calibrate, RecoversTheTruthFromSwingsAndFromFullTurns) {
   for (const Motion motion : {Motion::kHandheld, Motion::kTumble}) {
     for (uint32_t seed = 1; seed <= 3; ++seed) {
-      SCOPED_TRACE(std::string(Name(motion)) + ", seed " + std::to_string(seed));
+      SCOPED_TRACE(std::string(ToString(motion)) + ", seed " + std::to_string(seed));
       const SimulatorOptions truth = Recording(motion, 12.0, seed);
       const Calibration result = ExpectCalibrates(GpOptions(), Simulate(truth), truth);
       EXPECT_NEAR(result.sessions[0].noise.position, truth.position_std, 0.1 * truth.position_std);

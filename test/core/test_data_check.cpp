@@ -31,7 +31,7 @@ TEST(CheckData, HasNothingToRemarkOnGoodRecordings) {
   for (const Motion motion : {Motion::kHandheld, Motion::kTumble}) {
     for (const double noise : {1e-4, 5e-3}) {
       for (const double rate_hz : {10.0, 100.0, 250.0}) {
-        SCOPED_TRACE(std::string(Name(motion)) + " " + std::to_string(noise) + " " +
+        SCOPED_TRACE(std::string(ToString(motion)) + " " + std::to_string(noise) + " " +
                      std::to_string(rate_hz));
         SimulatorOptions truth = Truth(motion);
         truth.position_std = truth.rotation_std = noise;

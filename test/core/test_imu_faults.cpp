@@ -181,8 +181,8 @@ TEST(ImuSpikes, AreNotSeenInACleanRecording) {
       truth.gyro_std *= noise;
       truth.accel_std *= noise;
       const ConditionedData data = ConditionData(CalibrationOptions(), Simulate(truth));
-      EXPECT_EQ(data.imus[0].gyro_report.outlier, 0u) << Name(motion) << " " << noise;
-      EXPECT_EQ(data.imus[0].accel_report.outlier, 0u) << Name(motion) << " " << noise;
+      EXPECT_EQ(data.imus[0].gyro_report.outlier, 0u) << ToString(motion) << " " << noise;
+      EXPECT_EQ(data.imus[0].accel_report.outlier, 0u) << ToString(motion) << " " << noise;
     }
 }
 

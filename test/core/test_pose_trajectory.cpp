@@ -86,7 +86,7 @@ struct NormalisedErrors {
 TEST(PoseTrajectory, ErrorsAgreeWithTheVarianceAtALengthScaleThatSuitsTheMotion) {
   for (const Motion motion : {Motion::kHandheld, Motion::kTumble}) {
     for (const double noise : {1e-3, 1e-2}) {
-      SCOPED_TRACE(std::string(Name(motion)) + ", noise " + std::to_string(noise));
+      SCOPED_TRACE(std::string(ToString(motion)) + ", noise " + std::to_string(noise));
       SimulatorOptions options = Recording(motion, 20.0, 1);
       options.position_std = options.rotation_std = noise;
       CalibrationOptions calibration;  // a third of the shortest period, 1 / 1.4 Hz
@@ -108,7 +108,7 @@ TEST(PoseTrajectory, ErrorsStayWithinTwiceTheSigmaAtTheLikelihoodsLengthScale) {
   // shows in alpha, the second derivative, first.
   for (const Motion motion : {Motion::kHandheld, Motion::kTumble}) {
     for (uint32_t seed = 1; seed <= 2; ++seed) {
-      SCOPED_TRACE(std::string(Name(motion)) + ", seed " + std::to_string(seed));
+      SCOPED_TRACE(std::string(ToString(motion)) + ", seed " + std::to_string(seed));
       const NormalisedErrors errors(CalibrationOptions(), Recording(motion, 20.0, seed));
       for (const double mean : {errors.rotation, errors.accel}) {
         EXPECT_GT(mean, 0.3);
@@ -125,7 +125,7 @@ TEST(PoseTrajectory, ErrorsStayWithinTwiceTheSigmaAtTheLikelihoodsLengthScale) {
 
 TEST(PoseTrajectory, ConvergesToTheTruthWhenPosesAreGood) {
   for (const Motion motion : {Motion::kHandheld, Motion::kTumble}) {
-    SCOPED_TRACE(Name(motion));
+    SCOPED_TRACE(ToString(motion));
     SimulatorOptions options = Recording(motion, 8.0, 5);
     options.position_std = options.rotation_std = 1e-6;
     const Fitted fitted(Simulate(options));
@@ -163,7 +163,7 @@ TEST(PoseTrajectory, PoseAtIsTheSmoothedPose) {
 
 TEST(PoseTrajectory, JetsCarryTheSlopeOfTheValues) {
   for (const Motion motion : {Motion::kHandheld, Motion::kTumble}) {
-    SCOPED_TRACE(Name(motion));
+    SCOPED_TRACE(ToString(motion));
     const Fitted fitted(Simulate(Recording(motion, 8.0, 7)));
     using Jet = ceres::Jet<double, 2>;
     for (double t = 0.3; t < 7.6; t += 0.217) {

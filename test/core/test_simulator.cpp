@@ -15,12 +15,6 @@ namespace {
 using Eigen::Matrix3d;
 using Eigen::Vector3d;
 
-constexpr Motion kMotions[] = {Motion::kHandheld,
-                               Motion::kTumble,
-                               Motion::kPlanar,
-                               Motion::kHinge,
-                               Motion::kStatic};
-
 SimulatorOptions Recording(Motion motion, double duration_s, uint32_t seed) {
   SimulatorOptions options;
   options.motion = motion;
@@ -59,7 +53,7 @@ std::vector<Vector3d> Steps(const std::vector<Vector3d>& x) {
 TEST(TrueTrajectory, EachDerivativeIsTheSlopeOfTheOneBefore) {
   const double step = 1e-3;
   for (const Motion motion : kMotions) {
-    SCOPED_TRACE(Name(motion));
+    SCOPED_TRACE(ToString(motion));
     const TrueTrajectory trajectory(Recording(motion, 40.0, 3));
     for (double t = 0.1; t < 40.0; t += 0.737) {
       const auto rate = [&](Vector3d TrueState::*member) {

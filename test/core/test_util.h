@@ -83,20 +83,4 @@ inline SimulatorOptions WithoutNoise(SimulatorOptions options) {
   return options;
 }
 
-inline const char* Name(Motion motion) {
-  switch (motion) {
-    case Motion::kHandheld:
-      return "handheld";
-    case Motion::kTumble:
-      return "tumble";
-    case Motion::kPlanar:
-      return "planar";
-    case Motion::kHinge:
-      return "hinge";
-    case Motion::kStatic:
-      break;
-  }
-  return "static";
-}
-
 }  // namespace imu_pose_calib

@@ -423,6 +423,17 @@ TEST_F(CalibrateBagTest, SimulationWritesItsTruth) {
   EXPECT_EQ(truth["accel_bias"][2].as<double>(), options.accel_bias.z());
 }
 
+TEST_F(CalibrateBagTest, SimulationHasTheDelaysOfEffectsInItsTruth) {
+  ASSERT_EQ(Run("simulate_bag",
+                "a.bag --duration 2 --motion drone --gyro-filter 40 --imu-burst 5 --imu-drops 3")
+                .status,
+            0);
+  const YAML::Node truth = YAML::LoadFile(Path("a.truth.yaml"));
+  const double filter = 1.0 / (2.0 * M_PI * 40.0), burst = 0.010;
+  EXPECT_NEAR(truth["time_shift"].as<double>(), 0.02 - filter - burst, 1e-4);
+  EXPECT_NEAR(truth["accel_delay"].as<double>(), -filter, 1e-9);
+}
+
 TEST_F(CalibrateBagTest, SimulationRefusesBadOptions) {
   const auto expect_refusal = [&](const std::string& arguments, const std::string& part) {
     const Outcome outcome = Run("simulate_bag", arguments);
@@ -435,6 +446,7 @@ TEST_F(CalibrateBagTest, SimulationRefusesBadOptions) {
   expect_refusal("a.bag --motion waltz", "waltz");
   expect_refusal("a.bag --imu-rate 0", "--imu-rate");
   expect_refusal("a.bag --gyro-std=-1", "--gyro-std");
+  expect_refusal("a.bag --pose-drops 120", "--pose-drops = 120.0 must be within 0.0 and 90.0");
   expect_refusal("a.bag --pose-type Path", "'Path'");
   expect_refusal("a --format csv", "'csv' is unknown; must be bag, asl or text");
   expect_refusal("a --format asl --split", "--split");

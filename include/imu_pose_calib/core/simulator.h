@@ -2,18 +2,11 @@
 
 #include <cstdint>
 
+#include "imu_pose_calib/core/real_effects.h"
+#include "imu_pose_calib/core/true_trajectory.h"
 #include "imu_pose_calib/core/types.h"
 
 namespace imu_pose_calib {
-
-/// Shape of a simulated motion.
-enum class Motion {
-  kHandheld,  ///< swings of about 0.6 rad and 0.2 m on all six axes
-  kTumble,    ///< many full turns about a wandering axis
-  kPlanar,    ///< turns about W's z and moves in its xy plane only: p_MI along z is undetermined
-  kHinge,     ///< turns about one fixed tilted axis, without moving
-  kStatic,    ///< rests
-};
 
 /// A recording to simulate: truth, sensors and clocks.
 struct SimulatorOptions {
@@ -45,35 +38,16 @@ struct SimulatorOptions {
   Eigen::Vector3d accel_bias{0.03, 0.05, -0.04};    ///< [m/s^2] at the start
 
   int64_t start_ns = 1'600'000'000'000'000'000;  ///< first pose stamp
+
+  RealEffects effects;  ///< those of motion and poses follow from `seed`
 };
 
-/// Exact kinematics of the marker at one instant.
-struct TrueState {
-  Eigen::Matrix3d R_WM;
-  Eigen::Vector3d p_WM;     ///< [m]
-  Eigen::Vector3d v_W;      ///< [m/s]
-  Eigen::Vector3d a_W;      ///< [m/s^2]
-  Eigen::Vector3d omega_M;  ///< [rad/s]
-  Eigen::Vector3d alpha_M;  ///< [rad/s^2]
-};
+/// What a calibration should find: `time_shift_s` and `accel_delay_s` with the delays of the
+/// sensors' filters and the mean lateness of the stamps.
+struct TrueClock {
+  double time_shift_s, accel_delay_s;
 
-/// Closed-form trajectory: sums of sines in position and rotation.
-class TrueTrajectory {
- public:
-  explicit TrueTrajectory(const SimulatorOptions& options);
-  /// State `t` [s] after the first pose.
-  TrueState At(double t) const;
-
- private:
-  /// x(t) = sum_k amplitude_k sin(frequency_k t + phase_k), per axis.
-  struct Sines {
-    Eigen::Matrix3Xd amplitude, frequency, phase;
-    /// Value (0), first (1) or second (2) derivative at t.
-    Eigen::Vector3d Evaluate(double t, int derivative) const;
-  };
-  Sines position_, rotation_;
-  Eigen::Quaterniond q_WB_ = Eigen::Quaterniond::Identity();  ///< mean attitude
-  Eigen::Vector3d spin_ = Eigen::Vector3d::Zero();            ///< [rad/s] steady turn, kTumble
+  explicit TrueClock(const SimulatorOptions& options);
 };
 
 /// Poses and IMU samples of `options`; the same options give the same data.

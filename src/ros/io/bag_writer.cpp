@@ -270,6 +270,7 @@ void WriteBag(const std::string& path, const SessionData& data, const BagFormat&
 }
 
 std::string TruthYaml(const SimulatorOptions& options) {
+  const TrueClock clock(options);
   std::ostringstream text;
   const auto list = [&](const char* key, const auto& values) {
     text << key << ": [";
@@ -281,8 +282,8 @@ std::string TruthYaml(const SimulatorOptions& options) {
   list("rotation", options.T_MI.q.coeffs());
   list("translation", options.T_MI.p);
   text << "# t_pose = t_imu + time_shift, t_pose = t_accel + time_shift - accel_delay\n"
-       << "time_shift: " << YamlNumber(options.time_shift_s) << "\n"
-       << "accel_delay: " << YamlNumber(options.accel_delay_s) << "\n";
+       << "time_shift: " << YamlNumber(clock.time_shift_s) << "\n"
+       << "accel_delay: " << YamlNumber(clock.accel_delay_s) << "\n";
   list("gravity", options.g_W);
   text << "# at the start\n";
   list("gyro_bias", options.gyro_bias);

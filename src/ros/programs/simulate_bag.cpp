@@ -2,9 +2,9 @@
 
 #include <cmath>
 #include <iostream>
-#include <map>
 #include <sstream>
 
+#include "imu_pose_calib/core/effect_options.h"
 #include "imu_pose_calib/core/simulator.h"
 #include "imu_pose_calib/ros/io/bag_writer.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
@@ -34,7 +34,9 @@ po::options_description Describe(CommandLine* line) {
   };
   po::options_description options("Options");
   auto add = options.add_options();
-  add("motion", value(&line->motion, "TEXT"), "handheld, tumble, planar, hinge or static");
+  add("motion",
+      value(&line->motion, "TEXT"),
+      "handheld, tumble, arm, drone, planar, hinge or static");
   add("duration", value(&simulator.duration_s, "S"), "length");
   add("seed", value(&simulator.seed, "N"), "motion, noise and biases follow from it");
   add("pose-rate", value(&simulator.pose_rate_hz, "HZ"), "poses");
@@ -62,20 +64,22 @@ po::options_description Describe(CommandLine* line) {
       value(&line->format.imu_type, "TEXT"),
       "Imu or Vector3Stamped (/imu/gyro and /imu/accel)");
   add("help", po::bool_switch(&line->help), "print this text");
+  po::options_description effects("Effects that real recordings have; 0: none");
+  for (const EffectOption& effect : EffectOptions()) {
+    std::ostringstream text;
+    text << effect.text << "; usual: " << effect.usual;
+    effects.add_options()(
+        effect.name, value(&effect.strength(&simulator), effect.unit), text.str().c_str());
+  }
+  options.add(effects);
   return options;
 }
 
 Motion ParseMotion(const std::string& name) {
-  static const std::map<std::string, Motion> kMotions = {{"handheld", Motion::kHandheld},
-                                                         {"tumble", Motion::kTumble},
-                                                         {"planar", Motion::kPlanar},
-                                                         {"hinge", Motion::kHinge},
-                                                         {"static", Motion::kStatic}};
-  const auto it = kMotions.find(name);
-  if (it == kMotions.end())
-    throw InputError("motion '" + name +
-                     "' is unknown; must be handheld, tumble, planar, hinge or static");
-  return it->second;
+  for (const Motion motion : kMotions)
+    if (name == ToString(motion)) return motion;
+  throw InputError("motion '" + name +
+                   "' is unknown; must be handheld, tumble, arm, drone, planar, hinge or static");
 }
 
 void CheckPositive(const char* option, double value) {
@@ -109,6 +113,13 @@ SimulatorOptions Simulator(const CommandLine& line) {
   CheckNotNegative("--rotation-std", simulator.rotation_std);
   CheckNotNegative("--gyro-std", simulator.gyro_std);
   CheckNotNegative("--accel-std", simulator.accel_std);
+  for (const EffectOption& effect : EffectOptions()) {
+    const double strength = effect.strength(&simulator);
+    if (!(strength >= effect.least && strength <= effect.most))
+      throw InputError(std::string("--") + effect.name + " = " + YamlNumber(strength) +
+                       " must be within " + YamlNumber(effect.least) + " and " +
+                       YamlNumber(effect.most));
+  }
   return simulator;
 }
 
