@@ -10,6 +10,9 @@ namespace imu_pose_calib {
 namespace {
 
 constexpr double kLongestAveraging = 1.0;  // [s] beyond it biases and few means blur the noise
+/// Vibration beyond the band makes samples spread more than the noise within it: from this ratio
+/// on, and to no less than that.
+constexpr double kNearlyWhite = 0.7, kLeastColor = 0.01;
 /// Knots on either side that act on the trajectory at a sample.
 constexpr double kReach = 0.5 * kSplineOrder;
 
@@ -135,7 +138,7 @@ void UpdateWeights(const LeastSquares& joint,
   for (size_t k = 0; k < models->size(); ++k) {
     SensorModel& model = (*models)[k];
     const SensorBlocks& sensor = joint.sensors[k];
-    const double scale2 = std::pow(model.noise * joint.options.robust_loss_scale, 2);
+    const double scale2 = std::pow(model.spread * joint.options.robust_loss_scale, 2);
     for (size_t i = 0; i < sensor.samples.size(); ++i)
       model.weights[sensor.samples[i].index] =
           1.0 / (1.0 + sensor.residuals[i].squaredNorm() / scale2);
@@ -149,20 +152,28 @@ void UpdateWeights(const LeastSquares& joint,
 }
 
 std::vector<double> NoiseColor(const LeastSquares& joint,
+                               const std::vector<CorrectionSplines>& splines,
                                const std::vector<SensorStatistics>& statistics) {
   std::vector<double> colors;
   for (size_t k = 0; k < joint.sensors.size(); ++k) {
     const SensorBlocks& sensor = joint.sensors[k];
-    const JointDensities S(joint, sensor.model->session);
+    const size_t session = sensor.model->session;
+    const JointDensities S(joint, session);
     const Quantity quantity = sensor.model->quantity;
     const bool is_pose = quantity == Quantity::kPosition || quantity == Quantity::kRotation;
     const bool is_linear = quantity == Quantity::kPosition || quantity == Quantity::kAccel;
     const double crossover = is_linear ? S.AccelCrossover() : S.GyroCrossover();
-    const double tau =
-        std::min(kLongestAveraging, kAllanBand / ((is_pose ? 2.0 : 0.5) * crossover));
+    const double frequency =
+        is_pose ? 2.0 * crossover : 0.5 * std::min(crossover, Band(splines[session].spacing()));
+    const double tau = std::min(kLongestAveraging, kAllanBand / frequency);
     std::vector<double> t;
     for (const ProblemSample& sample : sensor.samples) t.push_back(sample.t);
-    colors.push_back(std::max(1.0, AllanNoise(t, sensor.residuals, tau) / statistics[k].noise));
+    std::vector<Eigen::Vector3d> residuals = sensor.residuals;
+    if (!is_pose)  // what the solve leaves out is none of its noise
+      for (size_t i = 0; i < residuals.size(); ++i) residuals[i] -= sensor.samples[i].rest;
+    const double color = AllanNoise(t, residuals, tau) / statistics[k].noise;
+    const bool is_white = color < 1.0 && (is_pose || color > kNearlyWhite);
+    colors.push_back(is_white ? 1.0 : std::max(color, kLeastColor));
   }
   return colors;
 }

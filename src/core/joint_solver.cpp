@@ -150,7 +150,7 @@ class JointSolver {
         sessions_(sessions),
         estimate_(estimate),
         models_(InitialModels(options, sessions)) {
-    for (size_t k = 0; k < noise.size(); ++k) models_[k].noise = noise[k];
+    for (size_t k = 0; k < noise.size(); ++k) models_[k].noise = models_[k].spread = noise[k];
     for (size_t s = 0; s < sessions.size(); ++s)
       splines_.emplace_back(sessions[s].data, *estimate, s, knot_spacings_s[s]);
   }
@@ -243,13 +243,16 @@ class JointSolver {
 
   std::vector<double> ColoredNoise() const {
     std::vector<double> noise = Noise();
-    const std::vector<double> colors = NoiseColor(*problem_, statistics_);
+    const std::vector<double> colors = NoiseColor(*problem_, splines_, statistics_);
     for (size_t k = 0; k < noise.size(); ++k) noise[k] *= colors[k];
     return noise;
   }
 
   void SetNoise(const std::vector<double>& noise) {
-    for (size_t k = 0; k < noise.size(); ++k) models_[k].noise = noise[k];
+    for (size_t k = 0; k < noise.size(); ++k) {
+      models_[k].noise = noise[k];
+      models_[k].spread = statistics_[k].noise;
+    }
     UpdateWeights(*problem_, splines_, &models_);
   }
 

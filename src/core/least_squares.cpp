@@ -30,7 +30,7 @@ std::vector<SensorModel> InitialModels(const CalibrationOptions& options,
     const ConditionedData& data = sessions[s].data;
     const PoseTrajectory& trajectory = *sessions[s].trajectory;
     const auto add = [&](Quantity quantity, size_t imu, double rate_hz, double noise, size_t size) {
-      models.push_back({quantity, s, imu, rate_hz, noise, std::vector<double>(size, 1.0)});
+      models.push_back({quantity, s, imu, rate_hz, noise, noise, std::vector<double>(size, 1.0)});
     };
     const double rate_hz = data.pose_report.rate_hz;
     const size_t poses = data.poses.size();

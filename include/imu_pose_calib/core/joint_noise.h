@@ -24,9 +24,10 @@ void UpdateWeights(const LeastSquares& joint,
                    const std::vector<CorrectionSplines>& splines,
                    std::vector<SensorModel>* models);
 
-/// Noise of each sensor at the frequencies where poses and IMU meet over its spread per sample, at
-/// least 1: 1 when it is white. From the last residuals; doc/math.md, S4, "Colour".
+/// Noise of each sensor at the frequencies where poses and IMU meet over its spread per sample: 1
+/// when it is white. From the last residuals; doc/math.md, S4, "Colour".
 std::vector<double> NoiseColor(const LeastSquares& joint,
+                               const std::vector<CorrectionSplines>& splines,
                                const std::vector<SensorStatistics>& statistics);
 
 }  // namespace imu_pose_calib

@@ -17,7 +17,8 @@ struct SensorModel {
   Quantity quantity;
   size_t session, imu;          ///< imu: of gyroscope and accelerometer
   double rate_hz;               ///< of its samples
-  double noise;                 ///< sigma per sample and axis [m, rad, rad/s, m/s^2]
+  double noise;                 ///< sigma per sample and axis [m, rad, rad/s, m/s^2], in the band
+  double spread;                ///< of samples, in the same units: what outliers are measured by
   std::vector<double> weights;  ///< robust (0..1], of each sample of the data
 
   /// Two-sided power spectral density of the noise [unit^2/Hz].
