@@ -7,6 +7,7 @@
 
 #include "imu_pose_calib/core/joint_noise.h"
 #include "imu_pose_calib/core/joint_problem.h"
+#include "imu_pose_calib/core/manifolds.h"
 
 namespace imu_pose_calib {
 namespace {
