@@ -4,17 +4,19 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 #include "imu_pose_calib/core/median.h"
 
 namespace imu_pose_calib {
 namespace {
 
-constexpr size_t kWindow = 50;    // samples
-constexpr int kStart = 10;        // frames by which the first sample may be off the level
-constexpr double kBeam = 500.0;   // counts that cost so much more than the best are given up
-constexpr size_t kMemory = 500;   // [samples] of the level while frames are counted
-constexpr double kLongest = 8.0;  // latency [periods] beyond which it costs no more; or
+constexpr size_t kWindow = 50;       // samples, whose median step is at least
+constexpr double kMinMedian = 0.25;  // of the mean one
+constexpr int kStart = 10;           // frames by which the first sample may be off the level
+constexpr double kBeam = 500.0;      // counts that cost so much more than the best are given up
+constexpr size_t kMemory = 500;      // [samples] of the level while frames are counted
+constexpr double kLongest = 8.0;     // latency [periods] beyond which it costs no more; or
 constexpr double kLongestScatters = 4.0;
 
 /// What missing frames cost, in periods of latency: more where the stamps scatter more.
@@ -31,14 +33,26 @@ constexpr size_t kShortExcerpt = 4000, kExcerpt = 20000;
 
 /// Cost of a latency while its distribution is unknown.
 struct LatencyCost {
-  double longest = kLongest;
-  double factor = 1.0;
+  double factor, reach;
 
-  double operator()(double r) const { return std::min(factor * std::abs(r), longest); }
+  double operator()(double r) const { return factor * std::min(std::abs(r), reach); }
+};
+
+/// Cost by the distribution that latencies [periods] were found to have.
+struct FoundCost {
+  static constexpr double kBin = 0.1;
+  static constexpr size_t kBins = 600, kZero = 200;  // -20 to 40
+  static size_t Bin(double r) {
+    return static_cast<size_t>(std::clamp(kZero + std::floor(r / kBin), 1.0, kBins - 2.0));
+  }
+  double reach = kBin * (kBins - kZero);
+  std::array<double, kBins> table{};
+
+  double operator()(double r) const { return table[Bin(r)]; }
 };
 
 LatencyCost CostOf(const Period& period, double factor) {
-  return {std::max(kLongest, kLongestScatters * period.scatter), factor};
+  return {factor, std::max(kLongest, kLongestScatters * period.scatter) / factor};
 }
 
 double JumpCost(const Period& period) {
@@ -48,7 +62,8 @@ double JumpCost(const Period& period) {
 /// The frames n_i of stamps t_i that minimise
 ///   sum_i cost(t_i / period - n_i - level_i) + jump_cost (number of n_i > n_(i-1) + 1)
 /// by dynamic programming over the number of missing frames; returns the sum. The level follows the
-/// latency with a memory of so many samples, or stays at 0 when that is 0.
+/// latency with a memory of so many samples, or stays at 0 when that is 0. Latencies beyond the
+/// reach of the cost [periods] cost the same.
 template <typename Cost>
 double Count(const std::vector<double>& t,
              double period,
@@ -57,7 +72,9 @@ double Count(const std::vector<double>& t,
              const Cost& cost,
              FrameCount* count) {
   struct State {
+    int missing;
     double cost, level;
+    int from;  // its place among the states of the sample before
   };
   const auto latency = [&](size_t i) { return t[i] / period - static_cast<double>(i); };
   const double gain = memory > 0 ? 1.0 / static_cast<double>(memory) : 0.0;
@@ -67,58 +84,61 @@ double Count(const std::vector<double>& t,
     for (size_t i = 0; i < std::min(kWindow, t.size()); ++i) first.push_back(latency(i));
     level = Median(std::move(first));
   }
-  // With `low` missing frames, one more, ...; the first sample may be off the level, too.
-  std::vector<State> states(2 * kStart + 1, {0.0, level}), next;
-  int low = -kStart;
-  std::vector<int> lows, from;  // of each sample; of each of its states: missing before it
-  std::vector<size_t> begins;   // of each sample, in `from`
-  size_t best = 0;
+  std::vector<State> states, next;  // by missing frames
+  for (int m = -kStart; m <= kStart; ++m) states.push_back({m, 0.0, level, 0});
+  std::vector<std::pair<int, int>> path;  // (missing, from) of the states of all samples
+  std::vector<size_t> begins;             // of each sample
+  size_t best = kStart;
   for (size_t i = 0; i < t.size(); ++i) {
     const double x = latency(i);
-    int high = low + static_cast<int>(states.size());
-    // Frames that miss before a stamp, but not by this one, may as well miss later.
-    if (i > 0) high = std::max(high, static_cast<int>(std::ceil(x - states[best].level)) + 1);
+    // A jump is due when it brings the sample nearer to the level, else it may as well come later.
+    const double due = x - states[best].level;
+    int fresh = std::max(states.front().missing + 1,
+                         static_cast<int>(std::floor(std::max(due - cost.reach, -1e9))));
+    const int high = i > 0 ? static_cast<int>(std::ceil(due)) + 1 : fresh;
     next.clear();
-    begins.push_back(from.size());
-    lows.push_back(low);
     size_t source = 0;  // the best state with fewer missing frames
-    double least = std::numeric_limits<double>::infinity();
-    best = 0;
-    for (int m = low; m < high; ++m) {
-      const auto k = static_cast<size_t>(m - low);
-      const bool exists = k < states.size();
+    double below = std::numeric_limits<double>::infinity(), least = below;
+    for (size_t k = 0; k < states.size() || fresh < high;) {
+      const bool exists = k < states.size() && (fresh >= high || states[k].missing <= fresh);
+      const int m = exists ? states[k].missing : fresh;
+      fresh = std::max(fresh, m + 1);
       const bool stays =
-          i == 0 || k == 0 || (exists && states[k].cost <= states[source].cost + jump_cost);
-      const size_t origin = stays ? k : source;
-      State state = states[origin];
+          exists && (i == 0 || k == 0 || states[k].cost <= states[source].cost + jump_cost);
+      State state = states[stays ? k : source];
+      state.missing = m;
+      state.from = static_cast<int>(stays ? k : source);
       if (!stays) state.cost += jump_cost;
       if (exists && states[k].cost < states[source].cost) source = k;
+      if (exists) ++k;
       const double r = x - m - state.level;
       state.cost += cost(r);
       state.level += gain * std::clamp(r, -1.0, 1.0);
-      from.push_back(low + static_cast<int>(origin));
+      // Another with fewer missing frames can still jump here.
+      if (i > 0 && state.cost >= below + jump_cost) continue;
+      below = std::min(below, state.cost);
       next.push_back(state);
-      if (state.cost >= least) continue;
-      least = state.cost;
-      best = k;
     }
-    size_t begin = 0, end = next.size();
-    while (next[begin].cost > least + kBeam) ++begin;
-    while (next[end - 1].cost > least + kBeam) --end;
-    states.assign(next.begin() + static_cast<ptrdiff_t>(begin),
-                  next.begin() + static_cast<ptrdiff_t>(end));
-    low += static_cast<int>(begin);
-    best -= begin;
+    for (const State& state : next) least = std::min(least, state.cost);
+    states.clear();
+    begins.push_back(path.size());
+    for (const State& state : next) {
+      if (state.cost > least + kBeam) continue;
+      if (state.cost == least) best = states.size();
+      states.push_back(state);
+      path.emplace_back(state.missing, state.from);
+    }
   }
-  int missing = low + static_cast<int>(best);
+  const double sum = states[best].cost;
   count->frames.resize(t.size());
   for (size_t i = t.size(); i-- > 0;) {
+    const auto& [missing, from] = path[begins[i] + best];
     count->frames[i] = static_cast<int64_t>(i) + missing;
-    missing = from[begins[i] + static_cast<size_t>(missing - lows[i])];
+    best = static_cast<size_t>(from);
   }
   const int64_t first = count->frames.front();
   for (int64_t& frame : count->frames) frame -= first;
-  return states[best].cost;
+  return sum;
 }
 
 /// The middle of `t`, at most `count` of them.
@@ -177,7 +197,8 @@ Period FindPeriod(const std::vector<double>& t) {
   for (size_t i = kWindow; i < t.size(); ++i)
     means.push_back((t[i] - t[i - kWindow]) / static_cast<double>(kWindow));
   Period period{Median(std::move(means)), 0.0};
-  if (!(period.seconds > 0.0)) return {};
+  const double mean = (t.back() - t.front()) / static_cast<double>(t.size());
+  if (!(period.seconds > kMinMedian * mean)) return {};
   period.scatter = Scatter(t) / period.seconds;
   const std::vector<double> excerpt = Excerpt(t, kShortExcerpt);
   return FindPeriod(excerpt, FindPeriod(excerpt, period, kCoarse), kMiddle);
@@ -196,25 +217,20 @@ FrameCount CountFrames(const std::vector<double>& t, const Period& period) {
 FrameCount CountAgain(const FrameCount& count,
                       const std::vector<double>& latency,
                       const Period& period) {
-  constexpr double kBin = 0.1;                // [periods]
-  constexpr size_t kBins = 600, kZero = 200;  // -20 to 40 periods
-  const auto bin = [](double r) {
-    return static_cast<size_t>(std::clamp(kZero + std::floor(r / kBin), 1.0, kBins - 2.0));
-  };
-  std::array<double, kBins> histogram{}, cost{};
-  for (const double r : latency) histogram[bin(r / period.seconds)] += 1.0;
+  FoundCost cost;
+  for (const double r : latency) cost.table[FoundCost::Bin(r / period.seconds)] += 1.0;
+  const std::array<double, FoundCost::kBins> histogram = cost.table;
   const auto n = static_cast<double>(latency.size());
-  for (size_t k = 1; k + 1 < kBins; ++k) {
+  for (size_t k = 1; k + 1 < histogram.size(); ++k) {
     const double share = (histogram[k - 1] + 2.0 * histogram[k] + histogram[k + 1]) / (4.0 * n);
-    cost[k] = -std::log(share + 1e-5);
+    cost.table[k] = -std::log(share + 1e-5);
   }
   std::vector<double> t(latency.size());  // but for what the clock is off the period
   for (size_t i = 0; i < t.size(); ++i)
     t[i] = period.seconds * static_cast<double>(count.frames[i]) + latency[i];
   const double jump_cost = std::log(n / static_cast<double>(1 + count.Jumps()));
   FrameCount again;
-  Count(
-      t, period.seconds, 0, jump_cost, [&](double r) { return cost[bin(r)]; }, &again);
+  Count(t, period.seconds, 0, jump_cost, cost, &again);
   return again;
 }
 

@@ -22,7 +22,7 @@ struct Period {
   double scatter = 0.0;
 };
 
-/// The period of at least 100 stamps [s], to about 1e-3; 0 when they do not advance.
+/// The period of at least 100 stamps [s], to about 1e-3; 0 when they hardly advance but for pauses.
 Period FindPeriod(const std::vector<double>& t);
 
 /// The same to about 1e-4, from one within 3e-3.
