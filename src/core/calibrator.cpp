@@ -267,4 +267,16 @@ const char* ToString(ImuModel model) {
   return "calibrated";
 }
 
+const char* ToString(StampRecovery mode) {
+  switch (mode) {
+    case StampRecovery::kAlways:
+      return "always";
+    case StampRecovery::kNever:
+      return "never";
+    case StampRecovery::kAuto:
+      break;
+  }
+  return "auto";
+}
+
 }  // namespace imu_pose_calib

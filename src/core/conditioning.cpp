@@ -73,27 +73,21 @@ std::vector<Sample> Clean(const std::string& stream,
 
   std::vector<Sample> kept;
   kept.reserve(samples.size());
-  std::vector<int64_t> stamps;
-  for (const Sample& s : samples) stamps.push_back(s.t_ns);
-  std::nth_element(
-      stamps.begin(), stamps.begin() + static_cast<ptrdiff_t>(stamps.size() / 2), stamps.end());
-  const int64_t median = stamps[stamps.size() / 2];
+  const std::vector<StampFault> faults = JudgeStamps(Stamps(samples));
   size_t astray = 0, ahead = 0;
-  int64_t latest = std::numeric_limits<int64_t>::min() + kMaxReorderNs;
   for (size_t i = 0; i < samples.size(); ++i) {
     const Sample& s = samples[i];
     if (!IsFinite(s)) {
       ++report->not_finite;
     } else if (!HasRotation(s)) {
       ++report->zero_quaternion;
-    } else if (std::abs(s.t_ns - median) > kMaxAstrayNs) {
+    } else if (faults[i] == StampFault::kAstray) {
       ++astray;
-    } else if (IsStampedAhead(samples, i)) {
+    } else if (faults[i] == StampFault::kAhead) {
       ++ahead;
-    } else if (s.t_ns < latest - kMaxReorderNs) {
+    } else if (faults[i] == StampFault::kReversed) {
       ++report->reversed_stamp;
     } else {
-      latest = std::max(latest, s.t_ns);
       kept.push_back(s);
     }
   }
@@ -391,6 +385,38 @@ ConditionedImu ConditionImu(const CalibrationOptions& options,
 
 }  // namespace
 
+bool IsStampedAhead(const std::vector<int64_t>& stamps_ns, size_t i) {
+  constexpr size_t kNear = 9;
+  const auto earlier = [&](size_t begin, size_t end) {
+    size_t count = 0;
+    for (size_t k = begin; k < end; ++k)
+      if (stamps_ns[k] < stamps_ns[i] - kMaxReorderNs) ++count;
+    return count;
+  };
+  const size_t before = std::min(i, kNear), after = std::min(stamps_ns.size() - 1 - i, kNear);
+  return 2 * earlier(i + 1, i + 1 + after) > after && 2 * earlier(i - before, i) >= before;
+}
+
+std::vector<StampFault> JudgeStamps(const std::vector<int64_t>& stamps_ns) {
+  std::vector<StampFault> faults(stamps_ns.size(), StampFault::kNone);
+  if (stamps_ns.empty()) return faults;
+  std::vector<int64_t> sorted = stamps_ns;
+  const auto middle = sorted.begin() + static_cast<ptrdiff_t>(sorted.size() / 2);
+  std::nth_element(sorted.begin(), middle, sorted.end());
+  int64_t latest = std::numeric_limits<int64_t>::min() + kMaxReorderNs;
+  for (size_t i = 0; i < stamps_ns.size(); ++i) {
+    if (std::abs(stamps_ns[i] - *middle) > kMaxAstrayNs)
+      faults[i] = StampFault::kAstray;
+    else if (IsStampedAhead(stamps_ns, i))
+      faults[i] = StampFault::kAhead;
+    else if (stamps_ns[i] < latest - kMaxReorderNs)
+      faults[i] = StampFault::kReversed;
+    else
+      latest = std::max(latest, stamps_ns[i]);
+  }
+  return faults;
+}
+
 PoseSample ToMarkerPose(const CalibrationOptions& options, PoseSample recorded) {
   recorded.p_WM *= options.position_unit;
   if (!options.invert_poses) return recorded;
@@ -414,8 +440,21 @@ std::string OfImu(size_t imu, size_t count) {
 }
 
 ConditionedData ConditionData(const CalibrationOptions& options, const SessionData& recorded) {
+  SessionData session = recorded;
+  const SessionStamps stamps = RecoverStamps(options.recover_stamps, &session);
+  return ConditionData(options, session, stamps);
+}
+
+ConditionedData ConditionData(const CalibrationOptions& options,
+                              const SessionData& recorded,
+                              const SessionStamps& stamps) {
   const SessionData session = Convert(options, recorded);
   ConditionedData out;
+  const auto report = [](const StreamStamps& of, StreamReport* stream) {
+    stream->stamps_recovered = of.recovered;
+    stream->stamp_jitter_s = of.jitter_s;
+  };
+  report(stamps.poses, &out.pose_report);
   const double max_bad = options.max_bad_fraction;
   const auto poses = Clean("pose", max_bad, session.poses, &out.pose_report);
   CheckAlive(poses);
@@ -431,6 +470,8 @@ ConditionedData ConditionData(const CalibrationOptions& options, const SessionDa
     out.imus.push_back(is_missing
                            ? ConditionedImu()
                            : ConditionImu(options, OfImu(i, session.imus.size()), session.imus[i]));
+    report(stamps.imus[i].first, &out.imus[i].gyro_report);
+    report(stamps.imus[i].second, &out.imus[i].accel_report);
   }
   if (out.imus.empty()) Refuse("the session has no imu");
 

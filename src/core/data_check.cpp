@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdlib>
+#include <numeric>
 #include <sstream>
 #include <utility>
 
@@ -27,6 +28,7 @@ constexpr double kMaxDriftEffect = 5e-4;  // [s] over the recording
 constexpr double kDriftSigmas = 5.0;
 
 constexpr double kBunch = 0.25;       // of a period
+constexpr double kMinCut = 5e-4;      // [s]
 constexpr double kRestWindow = 0.25;  // [s]
 constexpr double kRestRate = 0.05;    // [rad/s] rms
 constexpr double kRestForce = 0.15;   // [m/s^2] rms about the mean
@@ -51,9 +53,10 @@ StreamCheck CheckStream(const std::vector<Sample>& samples) {
   check.count = samples.size();
   if (samples.size() < 2) return check;
   size_t repeated = 0, run = 0, longest_run = 0;
+  const std::vector<int64_t> recorded = Stamps(samples);
   std::vector<int64_t> stamps;
   for (size_t i = 0; i < samples.size(); ++i) {
-    if (!IsStampedAhead(samples, i)) stamps.push_back(samples[i].t_ns);
+    if (!IsStampedAhead(recorded, i)) stamps.push_back(recorded[i]);
     if (i == 0) continue;
     run = SameValue(samples[i], samples[i - 1]) ? run + 1 : 0;
     repeated += run > 0 ? 1 : 0;
@@ -94,20 +97,54 @@ StreamCheck CheckStream(const std::vector<Sample>& samples) {
   return check;
 }
 
+/// Largest unit [s] of which all differences of the stamps are multiples, to a microsecond; 0 when
+/// it is finer than what matters.
+double CutOf(const std::vector<int64_t>& stamps_ns) {
+  int64_t unit_us = 0;
+  for (size_t i = 1; i < stamps_ns.size(); ++i)
+    unit_us = std::gcd(unit_us, (std::abs(stamps_ns[i] - stamps_ns[i - 1]) + 500) / 1000);
+  const double cut = 1e-6 * static_cast<double>(unit_us);
+  return cut >= kMinCut ? cut : 0.0;
+}
+
+/// The same of a stream whose stamps were looked at, and perhaps replaced, in `samples`.
+template <typename Sample>
+StreamCheck CheckStream(const std::vector<Sample>& recorded,
+                        const std::vector<Sample>& samples,
+                        const StreamStamps& stamps) {
+  StreamCheck check = CheckStream(samples);
+  if (stamps.recovered) {
+    const StreamCheck before = CheckStream(recorded);
+    check.jitter_s = before.jitter_s;
+    check.bunched = before.bunched;
+  }
+  if (!stamps.even) check.cut_s = CutOf(Stamps(recorded));
+  check.stamps = stamps;
+  return check;
+}
+
 void WarnOfStamps(const std::string& stream,
                   const StreamCheck& check,
                   double max_missing,
                   double max_repeated,
                   std::vector<std::string>* warnings) {
-  if (check.bunched > kMaxBunched)
+  if (check.stamps.recovered) {
+    // The stamps in use are even.
+  } else if (check.bunched > kMaxBunched) {
     Warn(warnings,
          stream,
          ": ",
          Percent(check.bunched),
          " % of the samples are stamped in bunches (bound: ",
          Percent(kMaxBunched),
-         " %), as by time of arrival; use stamps of the sensor's own clock");
-  else if (check.jitter_s * check.rate_hz > kMaxJitter)
+         " %), as by time of arrival, and used as recorded; use stamps of the sensor's own clock");
+  } else if (check.cut_s > 0.0) {
+    Warn(warnings,
+         stream,
+         ": the stamps are multiples of ",
+         1e3 * check.cut_s,
+         " ms, not even, and used as recorded; use stamps of the sensor's own clock");
+  } else if (check.jitter_s * check.rate_hz > kMaxJitter) {
     Warn(warnings,
          stream,
          ": the stamps jitter by ",
@@ -116,7 +153,8 @@ void WarnOfStamps(const std::string& stream,
          kMaxJitter,
          " of the period of ",
          1e3 / check.rate_hz,
-         " ms); use stamps of the sensor's own clock");
+         " ms) and are used as recorded; use stamps of the sensor's own clock");
+  }
   if (check.missing > max_missing)
     Warn(warnings,
          stream,
@@ -273,15 +311,18 @@ double Overlap(const ConditionedData& data, const ConditionedImu& imu, double ti
 
 }  // namespace
 
-DataCheck CheckStreams(const SessionData& session) {
+DataCheck CheckStreams(const SessionData& recorded,
+                       const SessionData& session,
+                       const SessionStamps& stamps) {
   DataCheck check;
-  check.poses = CheckStream(session.poses);
+  check.poses = CheckStream(recorded.poses, session.poses, stamps.poses);
   WarnOfStamps("pose", check.poses, kMaxMissingPoses, kMaxRepeatedPoses, &check.warnings);
   check.imus.resize(session.imus.size());
   for (size_t i = 0; i < session.imus.size(); ++i) {
     ImuCheck& imu = check.imus[i];
-    imu.gyro = CheckStream(session.imus[i].gyro);
-    imu.accel = CheckStream(session.imus[i].accel);
+    const ImuData &before = recorded.imus[i], &after = session.imus[i];
+    imu.gyro = CheckStream(before.gyro, after.gyro, stamps.imus[i].first);
+    imu.accel = CheckStream(before.accel, after.accel, stamps.imus[i].second);
     const std::string of = OfImu(i, session.imus.size());
     WarnOfStamps("gyroscope" + of, imu.gyro, kMaxMissingImu, kMaxRepeatedImu, &check.warnings);
     WarnOfStamps("accelerometer" + of, imu.accel, kMaxMissingImu, kMaxRepeatedImu, &check.warnings);

@@ -28,11 +28,13 @@ Start StartOf(CalibrationOptions options, const PreparedSession& session, size_t
 }  // namespace
 
 PreparedSession Prepare(const CalibrationOptions& options,
-                        const SessionData& session,
+                        const SessionData& recorded,
                         DataCheck* check) {
-  *check = CheckStreams(session);
+  SessionData session = recorded;
+  const SessionStamps stamps = RecoverStamps(options.recover_stamps, &session);
+  *check = CheckStreams(recorded, session, stamps);
   PreparedSession prepared;
-  prepared.data = ConditionData(options, session);
+  prepared.data = ConditionData(options, session, stamps);
   PoseTrajectory trajectory = FitTrajectory(options, &prepared.data);
   RemoveFlippedSegments(options, &trajectory, &prepared.data);
   prepared.trajectory = std::make_shared<const PoseTrajectory>(std::move(trajectory));

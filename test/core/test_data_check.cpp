@@ -18,7 +18,11 @@ SimulatorOptions Truth(Motion motion = Motion::kHandheld, uint32_t seed = 51) {
   return options;
 }
 
-DataCheck Check(const SessionData& data) { return CheckData(CalibrationOptions(), data); }
+DataCheck Check(const SessionData& data, StampRecovery recover_stamps = StampRecovery::kAuto) {
+  CalibrationOptions options;
+  options.recover_stamps = recover_stamps;
+  return CheckData(options, data);
+}
 
 /// Expects a usable recording with one warning that holds every part.
 void ExpectWarning(const DataCheck& check, const std::vector<std::string>& parts) {
@@ -94,10 +98,15 @@ TEST(CheckData, WarnsOfStampsByTimeOfArrival) {
   for (size_t i = 0; i < data.imus[0].gyro.size(); ++i)  // four at a time, 0.1 ms apart
     data.imus[0].gyro[i].t_ns =
         data.imus[0].gyro[i - i % 4].t_ns + 100'000 * static_cast<int64_t>(i % 4);
-  const DataCheck check = Check(data);
+  DataCheck check = Check(data, StampRecovery::kNever);
   EXPECT_NEAR(check.imus[0].gyro.bunched, 0.75, 0.01);
   EXPECT_NEAR(check.imus[0].gyro.rate_hz, 200.0, 1.0);
-  ExpectWarning(check, {"gyroscope", "bunches", "sensor's own clock"});
+  ExpectWarning(check, {"gyroscope", "bunches", "as recorded", "sensor's own clock"});
+  check = Check(data);
+  EXPECT_EQ(check.verdict, DataVerdict::kGood) << ::testing::PrintToString(check.warnings);
+  EXPECT_TRUE(check.imus[0].gyro.stamps.recovered);
+  EXPECT_NEAR(check.imus[0].gyro.bunched, 0.75, 0.01);
+  EXPECT_NEAR(check.imus[0].gyro.rate_hz, 200.0, 0.1);
 }
 
 TEST(CheckData, WarnsOfStampsThatJitter) {
@@ -105,7 +114,11 @@ TEST(CheckData, WarnsOfStampsThatJitter) {
   std::mt19937 random(1);
   for (ImuSample& s : data.imus[0].accel)
     s.t_ns += std::uniform_int_distribution<int64_t>(-2'400'000, 2'400'000)(random);
-  ExpectWarning(Check(data), {"accelerometer", "jitter", "of the period of"});
+  ExpectWarning(Check(data, StampRecovery::kNever),
+                {"accelerometer", "jitter", "of the period of", "as recorded"});
+  const DataCheck check = Check(data);
+  EXPECT_EQ(check.verdict, DataVerdict::kGood) << ::testing::PrintToString(check.warnings);
+  EXPECT_NEAR(check.imus[0].accel.stamps.jitter_s, 1.39e-3, 5e-5);
 }
 
 TEST(CheckData, WarnsOfLostSamples) {

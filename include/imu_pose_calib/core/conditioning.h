@@ -8,6 +8,7 @@
 #include "imu_pose_calib/core/median.h"
 #include "imu_pose_calib/core/options.h"
 #include "imu_pose_calib/core/result.h"
+#include "imu_pose_calib/core/stamp_recovery.h"
 #include "imu_pose_calib/core/types.h"
 
 namespace imu_pose_calib {
@@ -19,20 +20,23 @@ constexpr int64_t kMaxAstrayNs = 6 * 3600 * int64_t{1'000'000'000};
 /// stamps is not believed.
 constexpr int64_t kMaxReorderNs = 1'000'000'000;
 
-/// Whether sample i, in order of arrival, is stamped by more than that after most of those that
-/// come next, and after most of those before it as well. The last before a clock jumps back agree
-/// with those before them, the first after a pause with those that come next.
+/// Why a stamp is not believed: hours from the others; after most of what arrived around it, see
+/// IsStampedAhead(); more than a second before one that arrived earlier.
+enum class StampFault { kNone, kAstray, kAhead, kReversed };
+
+/// Whether stamp i, in order of arrival, is by more than a second after most of those that come
+/// next, and after most of those before it as well. The last before a clock jumps back agree with
+/// those before them, the first after a pause with those that come next.
+bool IsStampedAhead(const std::vector<int64_t>& stamps_ns, size_t i);
+
+/// The faults of stamps in order of arrival.
+std::vector<StampFault> JudgeStamps(const std::vector<int64_t>& stamps_ns);
+
 template <typename Sample>
-bool IsStampedAhead(const std::vector<Sample>& samples, size_t i) {
-  constexpr size_t kNear = 9;
-  const auto earlier = [&](size_t begin, size_t end) {
-    size_t count = 0;
-    for (size_t k = begin; k < end; ++k)
-      if (samples[k].t_ns < samples[i].t_ns - kMaxReorderNs) ++count;
-    return count;
-  };
-  const size_t before = std::min(i, kNear), after = std::min(samples.size() - 1 - i, kNear);
-  return 2 * earlier(i + 1, i + 1 + after) > after && 2 * earlier(i - before, i) >= before;
+std::vector<int64_t> Stamps(const std::vector<Sample>& samples) {
+  std::vector<int64_t> stamps_ns;
+  for (const Sample& s : samples) stamps_ns.push_back(s.t_ns);
+  return stamps_ns;
 }
 
 /// A pose at `t` [s] after ConditionedData::pose_epoch_ns.
@@ -99,6 +103,11 @@ bool SameValue(const ImuSample& a, const ImuSample& b);
 /// Throws DataError naming the number and the bound when a stream is empty, too short, mostly
 /// unusable, or not in SI units.
 ConditionedData ConditionData(const CalibrationOptions& options, const SessionData& session);
+
+/// The same once RecoverStamps() has looked at the stamps.
+ConditionedData ConditionData(const CalibrationOptions& options,
+                              const SessionData& session,
+                              const SessionStamps& stamps);
 
 /// Fills `used`, rate and duration of the samples used, by their stamps.
 template <typename Timed>

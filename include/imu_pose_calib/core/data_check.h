@@ -11,7 +11,8 @@
 
 namespace imu_pose_calib {
 
-/// The stamps and values of one sensor as recorded. Shares are 0..1.
+/// The stamps and values of one sensor. Shares are 0..1; jitter, bunches and cut are of the stamps
+/// as recorded.
 struct StreamCheck {
   size_t count = 0;
   double duration_s = 0.0;        ///< first to last stamp
@@ -22,6 +23,8 @@ struct StreamCheck {
   double missing = 0.0;           ///< of the samples that rate and duration promise
   double repeated = 0.0;          ///< same value as the sample before
   double longest_freeze_s = 0.0;  ///< longest time without a new value
+  double cut_s = 0.0;             ///< uneven stamps are multiples of it; 0: of nothing coarse
+  StreamStamps stamps;            ///< what was done about them
 };
 
 enum class DataVerdict { kGood, kUsable, kRecordAgain };
@@ -59,8 +62,11 @@ struct DataCheck {
   std::vector<ImuCheck> imus = std::vector<ImuCheck>(1);  ///< in the order of the rig
 };
 
-/// Checks of the samples as recorded: rates, stamps, repetitions.
-DataCheck CheckStreams(const SessionData& session);
+/// Checks of the samples before S0: rates, stamps, repetitions. `session` is `recorded` after
+/// RecoverStamps(), which gave `stamps`.
+DataCheck CheckStreams(const SessionData& recorded,
+                       const SessionData& session,
+                       const SessionStamps& stamps);
 
 /// Checks of what S0 and S1 made of them: what was dropped, rest, excitation.
 void CheckMotion(const CalibrationOptions& options,

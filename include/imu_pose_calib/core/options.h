@@ -19,6 +19,13 @@ enum class ImuModel {
   kScaleMisalignment,  ///< measured = M true + bias + noise, one matrix M per sensor
 };
 
+/// Where stamps are replaced by those of the source's own clock (doc/math.md, S0).
+enum class StampRecovery {
+  kAuto,    ///< where that explains the samples better
+  kAlways,  ///< where such a clock is found
+  kNever,
+};
+
 /// Everything that can be set. The defaults work on a normal recording; the same names, with the
 /// same defaults, are the keys of config/default.yaml.
 struct CalibrationOptions {
@@ -34,6 +41,8 @@ struct CalibrationOptions {
   double accel_unit = 1.0;
   /// The recorded poses are T_MW (world seen from the marker) and have to be inverted.
   bool invert_poses = false;
+  /// Estimate the even clock of a source whose stamps are not (time of arrival, cut), and use it.
+  StampRecovery recover_stamps = StampRecovery::kAuto;
   /// Poses further apart than this are not interpolated between [s]. 0: five pose periods, at least
   /// 0.1 s.
   double max_gap_s = 0.0;

@@ -26,6 +26,9 @@ struct StreamReport {
   size_t in_short_segment = 0;  ///< poses only: between gaps less than min_segment_s apart
   double rate_hz = 0.0;         ///< 1 / median period of the samples used
   double duration_s = 0.0;      ///< first to last sample used
+
+  bool stamps_recovered = false;  ///< the stamps are those of the source's own clock, estimated
+  double stamp_jitter_s = 0.0;    ///< rms of recorded less recovered stamp, about its mean
 };
 
 enum class Status {
@@ -185,5 +188,7 @@ const char* ToString(Status status);
 const char* ToString(Method method);
 /// "calibrated", "scale_misalignment".
 const char* ToString(ImuModel model);
+/// "auto", "always", "never".
+const char* ToString(StampRecovery mode);
 
 }  // namespace imu_pose_calib

@@ -57,6 +57,12 @@ void Emit(const char* key, double value, YAML::Emitter* out) {
 void Emit(const char* key, size_t value, YAML::Emitter* out) {
   *out << YAML::Key << key << YAML::Value << value;
 }
+void Emit(const char* key, bool value, YAML::Emitter* out) {
+  *out << YAML::Key << key << YAML::Value << value;
+}
+void Emit(const char* key, const char* value, YAML::Emitter* out) {
+  *out << YAML::Key << key << YAML::Value << YAML::DoubleQuoted << value;
+}
 void Emit(const char* key, const std::string& value, YAML::Emitter* out) {
   *out << YAML::Key << key << YAML::Value << YAML::DoubleQuoted << value;
 }
@@ -351,6 +357,8 @@ void EmitData(const Calibration& result, const RecordingInfo& info, YAML::Emitte
         Emit("duration", result.sessions[0].poses.duration_s, out);
         EmitPerStream("counts", result, &StreamReport::used, out);
         EmitPerStream("rates", result, &StreamReport::rate_hz, out);
+        EmitPerStream("stamps_recovered", result, &StreamReport::stamps_recovered, out);
+        EmitPerStream("stamp_jitter", result, &StreamReport::stamp_jitter_s, out);
         EmitMap(
             "rejected",
             [&] {

@@ -49,6 +49,16 @@ void Read(const YAML::Node& node, ImuModel* field) {
   }
   throw TypeError{"calibrated or scale_misalignment"};
 }
+void Read(const YAML::Node& node, StampRecovery* field) {
+  const auto name = ReadScalar<std::string>(node, "a string");
+  for (const StampRecovery mode :
+       {StampRecovery::kAuto, StampRecovery::kAlways, StampRecovery::kNever}) {
+    if (name != ToString(mode)) continue;
+    *field = mode;
+    return;
+  }
+  throw TypeError{"auto, always or never"};
+}
 void Read(const YAML::Node& node, Eigen::Vector3d* field) {
   *field = ReadNumbers(node, 3, "[x, y, z]");
 }
@@ -74,6 +84,7 @@ std::string Text(int value) { return std::to_string(value); }
 std::string Text(bool value) { return value ? "true" : "false"; }
 std::string Text(Method value) { return ToString(value); }
 std::string Text(ImuModel value) { return ToString(value); }
+std::string Text(StampRecovery value) { return ToString(value); }
 std::string Text(const Eigen::Vector3d& value) { return NumbersText(value); }
 std::string Text(const Eigen::Quaterniond& value) { return NumbersText(value.coeffs()); }
 template <typename T>

@@ -74,12 +74,27 @@ std::string Dropped(const StreamReport& report) {
   return reasons.empty() ? "" : "; dropped " + reasons;
 }
 
+/// A time as people say it: "3.10 ms", "2.5 s", "-2.00 h", "12.0 days".
+std::string Time(double seconds) {
+  const double size = std::abs(seconds);
+  if (size < 1.0) return Format("%.2f ms", 1e3 * seconds);
+  if (size < 600.0) return Format("%.1f s", seconds);
+  if (size < 36.0 * 3600.0) return Format("%.2f h", seconds / 3600.0);
+  return Format("%.1f days", seconds / 86400.0);
+}
+
+/// What became of the stamps; nothing when they are as recorded.
+std::string Recovered(const StreamReport& report) {
+  return report.stamps_recovered ? "; stamps: recovered, jitter " + Time(report.stamp_jitter_s)
+                                 : "";
+}
+
 std::string Stream(const char* label, const std::string& topic, const StreamReport& report) {
   return Wrap(
       label,
       topic +
           Format(": %zu at %.1f Hz over %.1f s", report.used, report.rate_hz, report.duration_s) +
-          Dropped(report));
+          Recovered(report) + Dropped(report));
 }
 
 std::string Stated(const char* indent, const PoseStd& stated) {
@@ -345,15 +360,6 @@ std::string StaticTransform(const Rigid3& T,
 
 // --- Data check ---
 
-/// A time as people say it: "3.10 ms", "2.5 s", "-2.00 h", "12.0 days".
-std::string Time(double seconds) {
-  const double size = std::abs(seconds);
-  if (size < 1.0) return Format("%.2f ms", 1e3 * seconds);
-  if (size < 600.0) return Format("%.1f s", seconds);
-  if (size < 36.0 * 3600.0) return Format("%.2f h", seconds / 3600.0);
-  return Format("%.1f days", seconds / 86400.0);
-}
-
 std::string Verdict(const DataCheck& check) {
   switch (check.verdict) {
     case DataVerdict::kGood:
@@ -388,6 +394,11 @@ std::string Remarks(const char* label, const StreamCheck& stream, const StreamRe
   std::string text = Dropped(report);
   if (stream.longest_freeze_s > kNotableFreeze)
     text += "; no new value for up to " + Time(stream.longest_freeze_s);
+  if (stream.cut_s > 0.0) text += Format("; stamps are multiples of %g ms", 1e3 * stream.cut_s);
+  if (stream.stamps.recovered)
+    text += "; stamps: recovered, jitter " + Time(stream.stamps.jitter_s);
+  else if (!stream.stamps.even)
+    text += "; stamps: uneven, as recorded";
   if (stream.bunched > 0.0) text += Format("; %.1f %% stamped in bunches", 100.0 * stream.bunched);
   return text.empty() ? "" : Wrap(label, text.substr(2));
 }

@@ -17,6 +17,7 @@ void VisitFields(Options&& options, Visitor&& visit) {
   IMU_POSE_CALIB_VISIT(gyro_unit);
   IMU_POSE_CALIB_VISIT(accel_unit);
   IMU_POSE_CALIB_VISIT(invert_poses);
+  IMU_POSE_CALIB_VISIT(recover_stamps);
   IMU_POSE_CALIB_VISIT(max_gap_s);
   IMU_POSE_CALIB_VISIT(min_segment_s);
   IMU_POSE_CALIB_VISIT(min_overlap_s);
