@@ -169,7 +169,7 @@ Calibration Calibrate(const CalibrationOptions& options, const std::vector<Sessi
   CheckRig(options, data);
   Calibration result;
   result.method = options.method;
-  result.imu_model = options.imu_model;
+  result.imu_model = options.method == Method::kJoint ? options.imu_model : ImuModel::kCalibrated;
   result.imus.resize(data[0].imus.size());
   result.sessions.resize(data.size());
 

@@ -81,13 +81,14 @@ TEST(CheckData, MeasuresTheDriftOfTheClocks) {
   for (const double ppm : {-300.0, 80.0}) {
     SessionData data = Simulate(Truth());
     Drift(ppm, &data.imus[0]);
-    const DataCheck check = Check(data);
+    CalibrationOptions without;
+    without.estimate_clock_drift = false;
+    const DataCheck check = CheckData(without, data);
     EXPECT_NEAR(check.imus[0].drift_ppm, ppm, 5.0 * check.imus[0].drift_ppm_std);
     EXPECT_LT(check.imus[0].drift_ppm_std, 10.0);
     ExpectWarning(check, {"drift", "ppm", "set estimate_clock_drift: true"});
   }
-  CalibrationOptions options;
-  options.estimate_clock_drift = true;
+  const CalibrationOptions options;
   SessionData data = Simulate(Truth());
   Drift(100.0, &data.imus[0]);
   EXPECT_EQ(CheckData(options, data).verdict, DataVerdict::kGood);
@@ -209,6 +210,7 @@ TEST(CheckData, HandsItsWarningsToTheCalibration) {
 TEST(CheckData, LeavesTheDriftToTheCalibration) {
   CalibrationOptions options;
   options.num_threads = 1;
+  options.estimate_clock_drift = false;
   SessionData data = Simulate(Truth());
   Drift(300.0, &data.imus[0]);
   const std::vector<std::string> warnings = Calibrate(options, data).warnings;

@@ -125,7 +125,7 @@ TEST(JointCalibration, RefusesATurnAboutOneAxis) {
   }
 }
 
-TEST(JointCalibration, EstimatesScaleAndMisalignmentWhenAsked) {
+TEST(JointCalibration, EstimatesScaleAndMisalignment) {
   SimulatorOptions truth = Recording(1e-3, 21);
   truth.duration_s = 30.0;
   truth.gyro_matrix << 1.012, 0.0, 0.0, 0.004, 0.991, 0.0, -0.003, 0.006, 1.005;
@@ -133,6 +133,7 @@ TEST(JointCalibration, EstimatesScaleAndMisalignmentWhenAsked) {
   const SessionData data = Simulate(truth);
   CalibrationOptions options;
   options.knot_spacing_s = 0.06;
+  options.imu_model = ImuModel::kCalibrated;
 
   const Calibration without = Calibrate(options, data);
   EXPECT_EQ(without.imus[0].gyro_matrix, Eigen::Matrix3d::Identity());
@@ -159,13 +160,14 @@ TEST(JointCalibration, EstimatesScaleAndMisalignmentWhenAsked) {
   EXPECT_LT(result.imus[0].accel_matrix_std.maxCoeff(), 2e-3);
 }
 
-TEST(JointCalibration, EstimatesClockDriftWhenAsked) {
+TEST(JointCalibration, EstimatesClockDrift) {
   SimulatorOptions truth = Recording(1e-3, 22);
   truth.duration_s = 60.0;
   truth.clock_drift = 20e-6;  // 1.2 ms over the recording
   const SessionData data = Simulate(truth);
   CalibrationOptions options;
   options.knot_spacing_s = 0.06;
+  options.estimate_clock_drift = false;
 
   const Calibration without = Calibrate(options, data);
   EXPECT_EQ(without.sessions[0].imus[0].clock_drift, 0.0);
@@ -271,7 +273,7 @@ TEST(JointCalibration, AShockDoesNotMoveTheResult) {
     const Calibration a = Calibrate(CalibrationOptions(), quiet);
     const Calibration b = Calibrate(CalibrationOptions(), shaken);
     const Vector8d move = Normalised(b, truth) - Normalised(a, truth);
-    EXPECT_LT(move.cwiseAbs().maxCoeff(), 0.6) << "seed " << seed << ": " << move.transpose();
+    EXPECT_LT(move.cwiseAbs().maxCoeff(), 0.8) << "seed " << seed << ": " << move.transpose();
   }
 }
 

@@ -163,14 +163,10 @@ TEST(Options, SomethingMustBeEstimated) {
   EXPECT_TRUE(Contains(Refusal(options), "nothing to estimate"));
 }
 
-TEST(Options, DriftAndIntrinsicsNeedTheJointSolve) {
-  CalibrationOptions options;
-  options.method = Method::kGp;
-  options.estimate_clock_drift = true;
-  EXPECT_TRUE(Contains(Refusal(options), "estimate_clock_drift"));
-  options.estimate_clock_drift = false;
-  options.imu_model = ImuModel::kScaleMisalignment;
-  EXPECT_TRUE(Contains(Refusal(options), "imu_model"));
+TEST(Options, DriftAndIntrinsicsAreEstimatedByDefault) {
+  const CalibrationOptions options;
+  EXPECT_TRUE(options.estimate_clock_drift);
+  EXPECT_EQ(options.imu_model, ImuModel::kScaleMisalignment);
 }
 
 }  // namespace

@@ -1,0 +1,163 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "imu_pose_calib/core/band.h"
+#include "imu_pose_calib/core/calibrator.h"
+#include "imu_pose_calib/core/preparation.h"
+#include "imu_pose_calib/core/simulator.h"
+#include "imu_pose_calib/core/so3.h"
+#include "test_util.h"
+
+namespace imu_pose_calib {
+namespace {
+
+/// A session at rest whose gyroscope and accelerometer swing at `hz` with an amplitude of 1.
+PreparedSession Swinging(double hz) {
+  PreparedSession session;
+  session.data.imus.resize(1);
+  ConditionedImu& imu = session.data.imus[0];
+  imu.gyro_report.rate_hz = imu.accel_report.rate_hz = 200.0;
+  for (int k = 0; k < 2000; ++k) {
+    const double t = k / 200.0;
+    const Eigen::Vector3d value(9.8, std::sin(2.0 * M_PI * hz * t), 0.0);
+    imu.gyro.push_back({t, value, {0, 0, 0}});
+    imu.accel.push_back({t, value, {0, 0, 0}});
+  }
+  for (int k = 0; k < 1000; ++k)
+    session.data.poses.push_back(
+        {k / 100.0, Eigen::Quaterniond::Identity(), {0, 0, 0}, 1.0, 1.0, {0, 0, 0}, {0, 0, 0}});
+  session.data.pose_report.rate_hz = 100.0;
+  session.data.segments = {{0, 1000}};
+  session.trajectory = std::make_shared<PoseTrajectory>(session.data.poses,
+                                                        session.data.segments,
+                                                        GpHyperparameters{1.0, 1.0, 0.1},
+                                                        GpHyperparameters{1.0, 1.0, 0.1});
+  return session;
+}
+
+TEST(LimitBand, TakesWhatIsFasterAndKeepsWhatIsSlower) {
+  const auto remains = [](double hz) {
+    const PreparedSession limited = LimitBand(Swinging(hz), 10.0, std::launch::deferred);
+    const ConditionedImu& imu = limited.data.imus[0];
+    double largest = 0.0;
+    for (size_t k = 200; k + 200 < imu.gyro.size(); ++k) {
+      EXPECT_NEAR(imu.gyro[k].value.x(), 9.8, 1e-6);
+      EXPECT_EQ(imu.gyro[k].value, imu.accel[k].value);
+      EXPECT_NEAR(imu.gyro[k].value.y() + imu.gyro[k].rest.y(),
+                  std::sin(2.0 * M_PI * hz * imu.gyro[k].t),
+                  1e-12);
+      largest = std::max(largest, std::abs(imu.gyro[k].value.y()));
+    }
+    return largest;
+  };
+  EXPECT_NEAR(remains(1.0), 1.0, 1e-5);
+  EXPECT_NEAR(remains(5.0), 1.0, 1e-3);
+  EXPECT_NEAR(remains(10.0), 0.5, 0.02);
+  EXPECT_LT(remains(14.0), 1e-3);
+}
+
+TEST(LimitBand, SmoothsTheTrajectoryWhereItIsFaster) {
+  SimulatorOptions truth;
+  truth.duration_s = 20.0;
+  CalibrationOptions options;
+  options.rotation_lengthscale_s = 0.03;
+  DataCheck check;
+  const PreparedSession session = Prepare(options, Simulate(truth), &check);
+  const PreparedSession limited = LimitBand(session, 5.0, std::launch::deferred);
+  EXPECT_GT(limited.trajectory->rotation_hyperparameters().lengthscale_s, 0.1);
+  const TrueTrajectory exact(truth);
+  double before = 0.0, after = 0.0;
+  for (double t = 2.0; t < 18.0; t += 0.01) {
+    MarkerState<double> wide, narrow;
+    ASSERT_TRUE(session.trajectory->Evaluate(t, &wide));
+    ASSERT_TRUE(limited.trajectory->Evaluate(t, &narrow));
+    before += (wide.alpha_M - exact.At(t).alpha_M).squaredNorm();
+    after += (narrow.alpha_M - exact.At(t).alpha_M).squaredNorm();
+  }
+  EXPECT_LT(after, 0.1 * before);
+  for (size_t i = 0; i < session.data.poses.size(); i += 50) {
+    const TimedPose& pose = limited.data.poses[i];
+    const Eigen::Quaterniond recorded = pose.q_WM * Exp(pose.rotation_rest);
+    EXPECT_LT(recorded.angularDistance(session.data.poses[i].q_WM), 1e-9);
+  }
+}
+
+/// Norm of the difference of two lever arms in sigma of the first.
+double Sigmas(const Calibration& a, const Calibration& b) {
+  return (a.imus[0].T_MI.p - b.imus[0].T_MI.p)
+      .cwiseQuotient(a.imus[0].Std().head<3>())
+      .cwiseAbs()
+      .maxCoeff();
+}
+
+/// Error of the lever arm, in sigma.
+double Error(const Calibration& result, const SimulatorOptions& truth) {
+  return (result.imus[0].T_MI.p - truth.T_MI.p)
+      .cwiseQuotient(result.imus[0].Std().head<3>())
+      .cwiseAbs()
+      .maxCoeff();
+}
+
+TEST(OneBand, TheResultDoesNotDependOnWhereItIsLinearised) {
+  // Rotations that follow fast noise of which the positions know nothing.
+  SimulatorOptions truth;
+  truth.seed = 5;
+  truth.duration_s = 30.0;
+  truth.effects.rocking = 0.1;
+  const SessionData data = Simulate(truth);
+  CalibrationOptions options;
+  options.num_threads = 1;
+  const Calibration usual = Calibrate(options, data);
+  for (const double lengthscale : {0.02, 0.05}) {
+    options.rotation_lengthscale_s = lengthscale;
+    EXPECT_LT(Sigmas(usual, Calibrate(options, data)), 0.3) << lengthscale;
+  }
+}
+
+TEST(OneBand, VibrationBeyondItCostsNothing) {
+  SimulatorOptions truth;
+  truth.seed = 6;
+  truth.duration_s = 30.0;
+  const Calibration calm = Calibrate(CalibrationOptions(), Simulate(truth));
+  for (const bool is_rocking : {false, true}) {
+    truth.effects.rocking = is_rocking ? 0.1 : 0.0;
+    truth.effects.vibration = is_rocking ? 0.0 : 2.0;
+    const Calibration shaken = Calibrate(CalibrationOptions(), Simulate(truth));
+    EXPECT_LT(Error(shaken, truth), 4.0);
+    EXPECT_LT(shaken.imus[0].Std().head<3>().norm(), 3.0 * calm.imus[0].Std().head<3>().norm());
+  }
+}
+
+TEST(OrdinaryImus, FlawsThatAreUsualAreNoErrors) {
+  SimulatorOptions truth;
+  truth.seed = 7;
+  truth.duration_s = 40.0;
+  const Calibration flawless = Calibrate(CalibrationOptions(), Simulate(truth));
+  truth.effects.scale_misalignment = 0.005;
+  truth.clock_drift = 40e-6;
+  const Calibration result = Calibrate(CalibrationOptions(), Simulate(truth));
+  EXPECT_EQ(result.status, Status::kOk);
+  EXPECT_LT(Error(result, truth), 4.0);
+  EXPECT_LT(result.imus[0].Std().head<3>().norm(), 1.3 * flawless.imus[0].Std().head<3>().norm());
+}
+
+TEST(OrdinaryImus, AnAccelerometerThatAveragesLongerIsRecognised) {
+  // While a body hovers, its tilts turn gravity as a lever arm would.
+  SimulatorOptions truth;
+  truth.motion = Motion::kDrone;
+  truth.seed = 8;
+  truth.duration_s = 40.0;
+  truth.effects.accel_filter_hz = 5.0;
+  truth.effects.gyro_filter_hz = 20.0;
+  const SessionData data = Simulate(truth);
+  const Calibration result = Calibrate(CalibrationOptions(), data);
+  EXPECT_LT(Error(result, truth), 5.0);
+  EXPECT_GT(result.imus[0].accel_smoothing, 5e-4);
+  CalibrationOptions options;
+  options.estimate_accel_smoothing = false;
+  EXPECT_GT(Error(Calibrate(options, data), truth), 5.0);
+}
+
+}  // namespace
+}  // namespace imu_pose_calib
