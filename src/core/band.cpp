@@ -12,6 +12,12 @@ namespace {
 /// takes 6e-6, of a third more it lets 4e-6 pass.
 constexpr double kSharpness = 0.9;
 
+/// Length scales from the end of a run within which samples stay as they are: what lies beyond is
+/// missing in their means.
+constexpr double kEdge = 2.0;
+/// Periods between samples, of a gap.
+constexpr double kMaxGapPeriods = 5.5;
+
 /// Noise of the GP that lets half of `cutoff` [Hz] pass: there, the spectra of its signal and of
 /// its noise meet.
 double NoiseOf(const GpHyperparameters& h, double rate_hz, double cutoff) {
@@ -29,22 +35,37 @@ bool LowerCutoff(double rate_hz, double cutoff, GpHyperparameters* h) {
   return true;
 }
 
-void Smooth(double rate_hz, double cutoff, std::vector<TimedSample>* samples) {
-  const auto n = static_cast<Eigen::Index>(samples->size());
+/// The samples of a run without a gap.
+void Smooth(double rate_hz, double cutoff, TimedSample* begin, TimedSample* end) {
+  const auto n = static_cast<Eigen::Index>(end - begin);
   GpData data{Eigen::VectorXd(n), Eigen::MatrixXd(n, 3)};
   for (Eigen::Index i = 0; i < n; ++i) {
-    data.t[i] = (*samples)[static_cast<size_t>(i)].t;
-    data.y.row(i) = (*samples)[static_cast<size_t>(i)].value;
+    data.t[i] = begin[i].t;
+    data.y.row(i) = begin[i].value;
   }
   const Eigen::RowVector3d mean = data.y.colwise().mean();
   data.y.rowwise() -= mean;
   GpHyperparameters h{kSharpness / cutoff, 1.0, 0.0};  // only the ratio of the two matters
   h.noise_std = NoiseOf(h, rate_hz, cutoff);
+  const double edge = kEdge * h.lengthscale_s;
+  if (data.t[n - 1] - data.t[0] < 2.0 * edge) return;
   const WindowedGp gp(data, h);
-  for (TimedSample& sample : *samples) {
-    const Eigen::Vector3d smooth = mean.transpose() + gp.Evaluate(sample.t).col(0);
-    sample.rest += sample.value - smooth;
-    sample.value = smooth;
+  for (TimedSample* sample = begin; sample != end; ++sample) {
+    if (sample->t - data.t[0] < edge || data.t[n - 1] - sample->t < edge) continue;
+    const Eigen::Vector3d smooth = mean.transpose() + gp.Evaluate(sample->t).col(0);
+    sample->rest += sample->value - smooth;
+    sample->value = smooth;
+  }
+}
+
+void Smooth(double rate_hz, double cutoff, std::vector<TimedSample>* samples) {
+  const double max_gap = kMaxGapPeriods / rate_hz;
+  TimedSample* const end = samples->data() + samples->size();
+  TimedSample* begin = samples->data();
+  for (TimedSample* s = begin; s != end; ++s) {
+    if (s + 1 != end && (s + 1)->t - s->t <= max_gap) continue;
+    Smooth(rate_hz, cutoff, begin, s + 1);
+    begin = s + 1;
   }
 }
 
@@ -68,8 +89,11 @@ PreparedSession LimitBand(const PreparedSession& session, double cutoff, std::la
   if (is_position_lower || is_rotation_lower) {
     limited.trajectory = std::make_shared<const PoseTrajectory>(
         session.data.poses, session.data.segments, position, rotation, policy);
+    const double edge = kEdge * std::max(is_position_lower ? position.lengthscale_s : 0.0,
+                                         is_rotation_lower ? rotation.lengthscale_s : 0.0);
     for (TimedPose& pose : limited.data.poses) {
-      if (!limited.trajectory->Contains(pose.t)) continue;
+      const PoseTrajectory& trajectory = *limited.trajectory;
+      if (!trajectory.Contains(pose.t - edge) || !trajectory.Contains(pose.t + edge)) continue;
       const PoseTrajectory::Pose smooth = limited.trajectory->PoseAt(pose.t);
       if (is_position_lower) {
         pose.position_rest = pose.p_WM - smooth.p_WM;

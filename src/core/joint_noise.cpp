@@ -10,9 +10,9 @@ namespace imu_pose_calib {
 namespace {
 
 constexpr double kLongestAveraging = 1.0;  // [s] beyond it biases and few means blur the noise
-/// Vibration beyond the band makes samples spread more than the noise within it: from this ratio
-/// on, and to no less than that.
-constexpr double kNearlyWhite = 0.7, kLeastColor = 0.01;
+/// Noise within the band over the spread of samples below which vibration beyond it is seen in the
+/// spread, the least that is believed, and the windows that it takes to tell.
+constexpr double kMostlyBeyond = 0.6, kLeastShare = 0.01, kLeastWindows = 40.0;
 /// Knots on either side that act on the trajectory at a sample.
 constexpr double kReach = 0.5 * kSplineOrder;
 
@@ -67,6 +67,24 @@ double ImuShare(double crossover, int order, double band) {
     sum += x / (1.0 + x);
   }
   return sum / kSteps;
+}
+
+bool IsOfPoses(const SensorBlocks& sensor) {
+  return sensor.model->quantity == Quantity::kPosition ||
+         sensor.model->quantity == Quantity::kRotation;
+}
+
+/// Where the sensor and its counterpart meet [Hz].
+double Crossover(const JointDensities& S, const SensorBlocks& sensor) {
+  const bool is_linear =
+      sensor.model->quantity == Quantity::kPosition || sensor.model->quantity == Quantity::kAccel;
+  return is_linear ? S.AccelCrossover() : S.GyroCrossover();
+}
+
+std::vector<double> Times(const SensorBlocks& sensor) {
+  std::vector<double> t;
+  for (const ProblemSample& sample : sensor.samples) t.push_back(sample.t);
+  return t;
 }
 
 }  // namespace
@@ -152,30 +170,39 @@ void UpdateWeights(const LeastSquares& joint,
 }
 
 std::vector<double> NoiseColor(const LeastSquares& joint,
-                               const std::vector<CorrectionSplines>& splines,
                                const std::vector<SensorStatistics>& statistics) {
   std::vector<double> colors;
   for (size_t k = 0; k < joint.sensors.size(); ++k) {
     const SensorBlocks& sensor = joint.sensors[k];
-    const size_t session = sensor.model->session;
-    const JointDensities S(joint, session);
-    const Quantity quantity = sensor.model->quantity;
-    const bool is_pose = quantity == Quantity::kPosition || quantity == Quantity::kRotation;
-    const bool is_linear = quantity == Quantity::kPosition || quantity == Quantity::kAccel;
-    const double crossover = is_linear ? S.AccelCrossover() : S.GyroCrossover();
-    const double frequency =
-        is_pose ? 2.0 * crossover : 0.5 * std::min(crossover, Band(splines[session].spacing()));
-    const double tau = std::min(kLongestAveraging, kAllanBand / frequency);
-    std::vector<double> t;
-    for (const ProblemSample& sample : sensor.samples) t.push_back(sample.t);
-    std::vector<Eigen::Vector3d> residuals = sensor.residuals;
-    if (!is_pose)  // what the solve leaves out is none of its noise
-      for (size_t i = 0; i < residuals.size(); ++i) residuals[i] -= sensor.samples[i].rest;
-    const double color = AllanNoise(t, residuals, tau) / statistics[k].noise;
-    const bool is_white = color < 1.0 && (is_pose || color > kNearlyWhite);
-    colors.push_back(is_white ? 1.0 : std::max(color, kLeastColor));
+    const JointDensities S(joint, sensor.model->session);
+    const double factor = IsOfPoses(sensor) ? 2.0 : 0.5;
+    const double tau = std::min(kLongestAveraging, kAllanBand / (factor * Crossover(S, sensor)));
+    colors.push_back(
+        std::max(1.0, AllanNoise(Times(sensor), sensor.residuals, tau) / statistics[k].noise));
   }
   return colors;
+}
+
+std::vector<double> NoiseInBand(const LeastSquares& joint,
+                                const std::vector<CorrectionSplines>& splines,
+                                const std::vector<SensorStatistics>& statistics) {
+  std::vector<double> shares;
+  for (size_t k = 0; k < joint.sensors.size(); ++k) {
+    const SensorBlocks& sensor = joint.sensors[k];
+    const size_t session = sensor.model->session;
+    shares.push_back(1.0);
+    if (IsOfPoses(sensor) || sensor.samples.empty()) continue;
+    const JointDensities S(joint, session);
+    const double tau =
+        kAllanBand / (0.5 * std::min(Crossover(S, sensor), Band(splines[session].spacing())));
+    const double duration = sensor.samples.back().t - sensor.samples.front().t;
+    if (tau > kLongestAveraging || duration < kLeastWindows * tau) continue;
+    std::vector<Eigen::Vector3d> residuals = sensor.residuals;
+    for (size_t i = 0; i < residuals.size(); ++i) residuals[i] -= sensor.samples[i].rest;
+    const double share = AllanNoise(Times(sensor), residuals, tau) / statistics[k].noise;
+    if (share < kMostlyBeyond) shares.back() = std::max(share, kLeastShare);
+  }
+  return shares;
 }
 
 }  // namespace imu_pose_calib

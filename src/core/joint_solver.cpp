@@ -175,7 +175,9 @@ class JointSolver {
   /// then.
   Solution Solve() {
     Pass(true);
-    int pass = 1;
+    NextPass(Noise());
+    in_band_ = NoiseInBand(*problem_, splines_, statistics_);
+    int pass = 2;
     do ++pass;
     while (NextPass(ColoredNoise()) > kNoiseAgreement && pass < kMaxPasses);
     // The last step, with weights by the last residuals, comes with the covariance.
@@ -243,8 +245,9 @@ class JointSolver {
 
   std::vector<double> ColoredNoise() const {
     std::vector<double> noise = Noise();
-    const std::vector<double> colors = NoiseColor(*problem_, splines_, statistics_);
-    for (size_t k = 0; k < noise.size(); ++k) noise[k] *= colors[k];
+    const std::vector<double> colors = NoiseColor(*problem_, statistics_);
+    for (size_t k = 0; k < noise.size(); ++k)
+      noise[k] *= in_band_[k] < 1.0 ? in_band_[k] : colors[k];
     return noise;
   }
 
@@ -263,6 +266,7 @@ class JointSolver {
   std::vector<CorrectionSplines> splines_;
   std::unique_ptr<LeastSquares> problem_;
   std::vector<SensorStatistics> statistics_;  ///< of the last pass
+  std::vector<double> in_band_;               ///< see NoiseInBand()
 };
 
 /// What the IMUs leave, over all of them: it shrinks while knots become denser for a reason.

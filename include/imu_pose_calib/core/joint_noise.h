@@ -24,10 +24,15 @@ void UpdateWeights(const LeastSquares& joint,
                    const std::vector<CorrectionSplines>& splines,
                    std::vector<SensorModel>* models);
 
-/// Noise of each sensor at the frequencies where poses and IMU meet over its spread per sample: 1
-/// when it is white. From the last residuals; doc/math.md, S4, "Colour".
+/// Noise of each sensor at the frequencies where poses and IMU meet over its spread per sample, at
+/// least 1: 1 when it is white. From the last residuals; doc/math.md, S4, "Colour".
 std::vector<double> NoiseColor(const LeastSquares& joint,
-                               const std::vector<CorrectionSplines>& splines,
                                const std::vector<SensorStatistics>& statistics);
+
+/// The same of IMU sensors that vibrate beyond the band: below 1; else 1. Where the spread is what
+/// weighs them, or the trajectory would follow them there.
+std::vector<double> NoiseInBand(const LeastSquares& joint,
+                                const std::vector<CorrectionSplines>& splines,
+                                const std::vector<SensorStatistics>& statistics);
 
 }  // namespace imu_pose_calib

@@ -27,8 +27,8 @@ const char kEquations[] = R"(
 # clocks:    t_pose = t_imu + time_shift     inverse: t_imu = t_pose - time_shift
 #            t_pose = t_accel + time_shift - accel_delay
 #            time_shift holds at clock_reference [s, imu clock] and grows by clock_drift
-# smoothing: poses are means over time; pose_smoothing [s^2] is the variance of that time, less
-#            the imu's
+# smoothing: samples are means over time; pose_smoothing [s^2] is the variance of that time of
+#            poses, accel_smoothing that of the accelerometer, less that of the gyroscope
 # imu:       measured = matrix * true + bias
 # Units: m, s, rad, m/s^2. Quaternions: x, y, z, w.
 
@@ -180,6 +180,8 @@ void EmitImus(const Calibration& result, const RecordingInfo& info, YAML::Emitte
     EmitTransforms(result.imus[i], out);
     Emit("accel_delay", result.imus[i].accel_delay, out);
     Emit("accel_delay_std", result.imus[i].accel_delay_std, out);
+    Emit("accel_smoothing", result.imus[i].accel_smoothing, out);
+    Emit("accel_smoothing_std", result.imus[i].accel_smoothing_std, out);
     EmitMap(
         "intrinsics", [&] { EmitIntrinsics(result.imu_model, result.imus[i], out); }, out);
     *out << YAML::EndMap;
@@ -271,6 +273,8 @@ void EmitEstimate(const Calibration& result, YAML::Emitter* out) {
   Emit("time_shift_std", result.sessions[0].imus[0].time_shift_std, out);
   Emit("accel_delay", result.imus[0].accel_delay, out);
   Emit("accel_delay_std", result.imus[0].accel_delay_std, out);
+  Emit("accel_smoothing", result.imus[0].accel_smoothing, out);
+  Emit("accel_smoothing_std", result.imus[0].accel_smoothing_std, out);
   Emit("clock_drift", result.sessions[0].imus[0].clock_drift, out);
   Emit("clock_drift_std", result.sessions[0].imus[0].clock_drift_std, out);
   Emit("clock_reference", result.sessions[0].imus[0].clock_reference, out);

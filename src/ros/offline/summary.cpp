@@ -275,6 +275,12 @@ std::string Clocks(const Calibration& result) {
   if (result.sessions[0].imus[0].clock_drift_std > 0.0)
     text += Format("        time_shift holds at t_imu = %.3f s and grows by clock drift\n",
                    result.sessions[0].imus[0].clock_reference);
+  const double averaging = result.imus[0].accel_smoothing;
+  if (std::abs(averaging) > kCertain * result.imus[0].accel_smoothing_std)
+    text += Format("%s averages over %.1f ms more than the %s: accounted for\n",
+                   averaging > 0.0 ? "Accelerometer" : "Gyroscope",
+                   1e3 * std::sqrt(std::abs(averaging)),
+                   averaging > 0.0 ? "gyroscope" : "accelerometer");
   const double smoothing = result.pose_smoothing;
   if (std::abs(smoothing) > kCertain * result.pose_smoothing_std) {
     const double root = std::sqrt(std::abs(smoothing));
