@@ -23,6 +23,9 @@ constexpr double kKnotSpacing = 10.0;  // [s]
 constexpr double kRateStep = 1e-5;     // sigma of the change of the rate at a knot
 constexpr double kHuber = 1.5;         // sigma
 constexpr int kRounds = 15, kCounts = 2;
+/// A quantile is used when its sigma is below so much of that of the mean; a density is bounded by
+/// that of so much of the sigma.
+constexpr double kMaxQuantileStd = 0.7, kSharpest = 0.02;
 
 /// The clock breaks where the latency changes by more than a part of a period, and of its sigma,
 /// between two blocks: of so many samples, at least, and so long [s]. Not in most blocks, and on
@@ -45,8 +48,11 @@ double RobustSigma(std::vector<double> values) {
 }
 
 /// Latency [s] of the stamps t [s] about a clock whose offset from period * frame is linear between
-/// knots: least squares, robust against late stamps and changes of the rate.
-std::vector<double> FitClock(const std::vector<double>& t, const FrameCount& count, double period) {
+/// knots: their mean, robust, or a quantile of them if it is not 0. Changes of the rate are few.
+std::vector<double> FitClock(const std::vector<double>& t,
+                             const FrameCount& count,
+                             double period,
+                             double quantile = 0.0) {
   const auto n = static_cast<double>(count.frames.back());
   const auto intervals = static_cast<int>(std::max(1.0, std::round(n * period / kKnotSpacing)));
   const double spacing = n / intervals;  // in frames
@@ -79,7 +85,9 @@ std::vector<double> FitClock(const std::vector<double>& t, const FrameCount& cou
     for (size_t i = 0; i < t.size(); ++i) {
       const auto [knot, part] = place(i);
       const std::array<double, 2> row = {1.0 - part, part};
-      const double w = weight(r[i], sigma);
+      const double w = quantile == 0.0 ? weight(r[i], sigma)
+                                       : (r[i] > 0.0 ? quantile : 1.0 - quantile) * sigma /
+                                             std::max(std::abs(r[i]), kSharpest * sigma);
       for (int k = 0; k < 2; ++k) {
         b[knot + k] += w * row[static_cast<size_t>(k)] * y[i];
         for (int l = 0; l < 2; ++l)
@@ -102,6 +110,37 @@ std::vector<double> FitClock(const std::vector<double>& t, const FrameCount& cou
     update();
   }
   return r;
+}
+
+/// The quantile of the latencies that is known best, from the density there; 0 for the mean. Of
+/// latencies that are often small and sometimes long it is a low one.
+double BestQuantile(std::vector<double> latency) {
+  const double sigma = RobustSigma(latency);
+  std::sort(latency.begin(), latency.end());
+  const auto at = [&](double quantile) {
+    return latency[static_cast<size_t>(quantile * static_cast<double>(latency.size() - 1))];
+  };
+  double best = 0.0, least = kMaxQuantileStd * sigma;
+  for (const double quantile : {0.05, 0.1, 0.25, 0.75, 0.9, 0.95}) {
+    const double reach = 0.8 * std::min(quantile, 1.0 - quantile);
+    const double slope = (at(quantile + reach) - at(quantile - reach)) / (2.0 * reach);
+    const double std = std::sqrt(quantile * (1.0 - quantile)) * std::max(slope, kSharpest * sigma);
+    if (std >= least) continue;
+    least = std;
+    best = quantile;
+  }
+  return best;
+}
+
+/// Robust mean.
+double Location(const std::vector<double>& values) {
+  const double middle = Median(values);
+  std::vector<double> sizes;
+  for (const double value : values) sizes.push_back(value - middle);
+  const double bound = kHuber * RobustSigma(sizes);
+  double sum = 0.0;
+  for (const double value : sizes) sum += std::clamp(value, -bound, bound);
+  return middle + sum / static_cast<double>(values.size());
 }
 
 /// Share of the blocks of samples whose mean latency is not that of the block before.
@@ -164,7 +203,10 @@ size_t RecoverRun(Period period, int* breaks, std::vector<double>* t) {
   if (!AreJumpsCredible(count, latency, period.seconds)) return 0;
   const double broken = ShareBroken(latency, period.seconds);
   if (broken == 0.0) {
-    for (size_t i = 0; i < t->size(); ++i) (*t)[i] -= latency[i];
+    const double quantile = BestQuantile(latency);
+    if (quantile != 0.0) latency = FitClock(*t, count, period.seconds, quantile);
+    const double mean = Location(latency);
+    for (size_t i = 0; i < t->size(); ++i) (*t)[i] -= latency[i] - mean;
     return t->size();
   }
   if (broken > kMaxBroken || --*breaks < 0) return 0;

@@ -216,6 +216,7 @@ SimulatorOptions Truth(double pose_rate_hz = 100.0) {
   options.duration_s = 40.0;
   options.seed = 71;
   options.pose_rate_hz = pose_rate_hz;
+  options.position_std = options.rotation_std = 3e-4;
   options.accel_delay_s = 2e-3;
   options.start_ns += 3'456'789;
   return options;
