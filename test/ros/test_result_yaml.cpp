@@ -35,6 +35,8 @@ Calibration MakeResult() {
   result.sessions[0].poses.outlier = 3;
   result.sessions[0].poses.rate_hz = 100.0;
   result.sessions[0].poses.duration_s = 39.5;
+  result.sessions[0].poses.stamps_recovered = true;
+  result.sessions[0].poses.stamp_jitter_s = 3.1e-3;
   result.sessions[0].imus[0].gyro.used = 7920;
   result.sessions[0].imus[0].gyro.duplicate_stamp = 2;
   result.sessions[0].imus[0].accel.used = 7919;
@@ -146,6 +148,10 @@ TEST(ResultYaml, HoldsDataAndOptions) {
   EXPECT_EQ(data["counts"]["gyro"].as<int>(), 7920);
   EXPECT_EQ(data["counts"]["accel"].as<int>(), 7919);
   EXPECT_EQ(data["rates"]["poses"].as<double>(), 100.0);
+  EXPECT_TRUE(data["stamps_recovered"]["poses"].as<bool>());
+  EXPECT_FALSE(data["stamps_recovered"]["gyro"].as<bool>());
+  EXPECT_EQ(data["stamp_jitter"]["poses"].as<double>(), 3.1e-3);
+  EXPECT_EQ(data["stamp_jitter"]["accel"].as<double>(), 0.0);
   EXPECT_EQ(data["rejected"]["poses"]["outlier"].as<int>(), 3);
   EXPECT_EQ(data["rejected"]["gyro"]["duplicate_stamp"].as<int>(), 2);
   EXPECT_EQ(data["rejected"]["accel"]["not_finite"].as<int>(), 0);

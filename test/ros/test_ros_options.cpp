@@ -55,12 +55,14 @@ TEST_F(OptionsFile, SetsWhatItNamesOnly) {
       "method: gp\n"
       "gyro_noise_density: 1e-3\n"
       "estimate_accel_delay: false\n"
+      "recover_stamps: always\n"
       "max_iterations: 7\n"
       "initial_time_shift: -12.5\n"
       "initial_rotation: [0, 0, 0.6, 0.8]\n"
       "initial_translation: [1, 2.5, -3]\n");
   EXPECT_EQ(options.gyro_noise_density, 1e-3);
   EXPECT_FALSE(options.estimate_accel_delay);
+  EXPECT_EQ(options.recover_stamps, StampRecovery::kAlways);
   EXPECT_EQ(options.max_iterations, 7);
   EXPECT_EQ(options.initial_time_shift, -12.5);
   EXPECT_EQ(options.initial_rotation->coeffs(), Eigen::Vector4d(0, 0, 0.6, 0.8));
@@ -101,6 +103,7 @@ TEST_F(OptionsFile, RefusesWrongTypes) {
   ExpectRefusal("initial_translation: [0, 0, up]\n", {"initial_translation", "[x, y, z]", "up"});
   ExpectRefusal("method: joint2\n", {"joint2", "available: joint, gp"});
   ExpectRefusal("method: [gp]\n", {"method", "a string"});
+  ExpectRefusal("recover_stamps: yes\n", {"recover_stamps", "auto, always or never", "yes"});
 }
 
 TEST_F(OptionsFile, RefusesValuesOutOfRange) {

@@ -26,6 +26,8 @@ Calibration MakeResult() {
   result.sessions[0].poses.used = 22562;
   result.sessions[0].poses.rate_hz = 300.0;
   result.sessions[0].poses.duration_s = 75.2;
+  result.sessions[0].poses.stamps_recovered = true;
+  result.sessions[0].poses.stamp_jitter_s = 3.1e-3;
   result.sessions[0].poses.outlier = 1234;
   result.sessions[0].poses.in_short_segment = 4321;
   result.sessions[0].poses.duplicate_stamp = 17;
@@ -56,6 +58,8 @@ TEST(Summary, SaysWhatAPersonNeeds) {
   for (const char* part : {"/imu/gyro",
                            "/imu/accel",
                            "/mocap/pose: 22562 at 300.0 Hz over 75.2 s",
+                           "stamps: recovered",
+                           "3.10 ms; dropped 18 not finite",
                            "1234 outlier",
                            "x_marker = R x_imu + p",
                            "[-1050.100, -203.400, -300.000] mm",
@@ -138,6 +142,9 @@ TEST(Summary, ShowsADataCheckAtAGlance) {
   check.poses.longest_gap_s = 0.25;
   check.poses.repeated = 0.125;
   check.poses_report.flipped = 321;
+  check.poses.cut_s = 0.01;
+  check.poses.stamps = {false, true, 3.1e-3};
+  check.imus[0].gyro.stamps.even = false;
   check.imus[0].is_matched = true;
   check.imus[0].time_shift = -1034771.5066;
   check.imus[0].overlap_s = 65.1;
@@ -154,7 +161,9 @@ TEST(Summary, ShowsADataCheckAtAGlance) {
                            "12.5",
                            "-12.0 days 2.50 ms",
                            "/mocap/pose, /imu/gyro, /imu/accel",
-                           "dropped 321 flipped",
+                           "dropped 321 flipped; stamps are multiples of 10 ms",
+                           "stamps: recovered, jitter 3.10 ms",
+                           "gyro: stamps: uneven, as recorded",
                            "about -1034771.5066 s (-12.0 days); 65.1 s in common",
                            "-48.2 +- 1.3 ppm",
                            "explain 99.4 %",

@@ -11,7 +11,7 @@ namespace imu_pose_calib {
 
 /// What is known and was done about the stamps of a stream.
 struct StreamStamps {
-  bool even = false;       ///< as recorded
+  bool even = true;        ///< as recorded
   bool recovered = false;  ///< they are now those of the source's own clock
   double jitter_s = 0.0;   ///< rms of recorded less recovered stamp, about its mean
 };
