@@ -488,7 +488,7 @@ Marginals FindMarginals(LeastSquares* solved) {
   result.held_begin = ordering.estimated;
   result.held_end = ordering.leading;
   result.trajectory_begin = ordering.trajectory;
-  result.H = std::move(estimates.H);
+  result.H.swap(estimates.H);
   FindSessions(estimator, ordering, report, fitted, report.SpreadVector(marginal.Step()), &result);
   return result;
 }
