@@ -104,9 +104,8 @@ std::optional<TrajectoryPoint> SessionBuilder::PointAt(double t, MarkerJerk* jer
 Eigen::Vector3d SessionBuilder::ForceCurvature(const MarkerState<double>& middle,
                                                double t,
                                                const Eigen::Vector3d& p_MI) const {
-  const auto force = [&](const MarkerState<double>& x) {
-    return Eigen::Vector3d(x.q_WM.conjugate() * (x.a_W - estimate_.g_W) + x.alpha_M.cross(p_MI) +
-                           x.omega_M.cross(x.omega_M.cross(p_MI)));
+  const auto force = [&](const MarkerState<double>& state) {
+    return SpecificForce(state, estimate_.g_W, p_MI);
   };
   MarkerState<double> before, after;
   if (!prepared_.trajectory->Evaluate(t - kCurvatureStep, &before) ||

@@ -155,6 +155,8 @@ class JointSolver {
       splines_.emplace_back(sessions[s].data, *estimate, s, knot_spacings_s[s]);
   }
 
+  const std::vector<SensorModel>& models() const { return models_; }
+
   /// The noise of a plain and a robust pass.
   std::vector<double> FindNoise() {
     Pass();
@@ -171,8 +173,8 @@ class JointSolver {
   }
 
   /// Starts close to the solution: residuals about the calibration of the start tell what is an
-  /// outlier before it can move the calibration. Linear growth of the time shift cannot be known by
-  /// then.
+  /// outlier before it can move the calibration. The noise within the band is measured while
+  /// sensors weigh by their spread.
   Solution Solve() {
     Pass(true);
     NextPass(Noise());
@@ -294,7 +296,7 @@ struct Trial {
       : sessions{Correctable(options, excerpt, spacing)},
         estimate(start),
         solver(options, sessions, {spacing}, {}, &estimate),
-        residual(ImuResidual(InitialModels(options, sessions), solver.FindNoise())) {}
+        residual(ImuResidual(solver.models(), solver.FindNoise())) {}
 };
 
 }  // namespace
@@ -311,13 +313,12 @@ JointStart ChooseKnotSpacing(const CalibrationOptions& options,
   if (lively.liveliness < 0.0)
     throw DataError("there are no seconds in which poses and the samples of every imu are there");
   const PreparedSession excerpt = Excerpt(session, estimate->sessions[0], lively.begin, lively.end);
-  const std::vector<SensorModel> models = InitialModels(options, {excerpt});
+  auto best = std::make_unique<Trial>(options, excerpt, spacing, *estimate);
   double slowest = std::numeric_limits<double>::infinity();
-  for (const SensorModel& model : models)
+  for (const SensorModel& model : best->solver.models())
     if (model.quantity == Quantity::kGyro || model.quantity == Quantity::kAccel)
       slowest = std::min(slowest, model.rate_hz);
   const double finest = kMinSamplesPerKnot / slowest;
-  auto best = std::make_unique<Trial>(options, excerpt, spacing, *estimate);
   double shrinkage = 0.0;
   while (!is_given) {
     const bool may_halve = 0.5 * spacing >= finest;

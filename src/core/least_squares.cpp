@@ -15,9 +15,10 @@
 namespace imu_pose_calib {
 namespace {
 
+/// Sigma of the delays of ordinary IMUs.
+constexpr double kDelayPrior = 0.02;  // [s]
 /// Samples closer than this to the end of a segment are left out, so that the time shift can move.
-constexpr double kDelayPrior = 0.02;  // [s] sigma of the delays of ordinary IMUs
-constexpr double kEdge = 0.02;        // [s]
+constexpr double kEdge = 0.02;  // [s]
 /// Residuals of a sensor that the trajectory follows more closely say little about its noise.
 constexpr double kLeastRedundancy = 0.1;
 

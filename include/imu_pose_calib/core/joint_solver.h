@@ -22,8 +22,8 @@ JointStart ChooseKnotSpacing(const CalibrationOptions& options,
                              const PreparedSession& session,
                              Estimate* estimate);
 
-/// Stage S4 as a whole at the knot spacings and noise of each session, whose trajectories are those
-/// of the starts: passes of least squares with the noise and the robust weights that the residuals
+/// Stage S4 as a whole at the knot spacings and noise of each session; `sessions` are those of the
+/// starts: passes of least squares with the noise and the robust weights that the residuals
 /// before show, until the noise found agrees with the noise assumed (doc/math.md, S4, "Passes").
 /// Moves `estimate`.
 Solution SolveJointly(const CalibrationOptions& options,

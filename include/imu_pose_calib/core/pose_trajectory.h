@@ -23,6 +23,15 @@ struct MarkerState {
   Vector3 a_W;      ///< [m/s^2]
 };
 
+/// f_M [m/s^2] at p_MI of doc/math.md Eq. (2), in M: what an accelerometer there feels.
+template <typename T>
+Eigen::Matrix<T, 3, 1> SpecificForce(const MarkerState<T>& state,
+                                     const Eigen::Matrix<T, 3, 1>& g_W,
+                                     const Eigen::Matrix<T, 3, 1>& p_MI) {
+  return state.q_WM.conjugate() * (state.a_W - g_W) + state.alpha_M.cross(p_MI) +
+         state.omega_M.cross(state.omega_M.cross(p_MI));
+}
+
 /// Posterior variance per axis of the marker's motion at one instant.
 struct MarkerVariance {
   double rotation;  ///< [rad^2]

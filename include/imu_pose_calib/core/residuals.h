@@ -70,10 +70,8 @@ struct AccelResidual {
     const Vector3 g = Eigen::Map<const Vector3>(g_W);
     const Vector3 b =
         T(1.0 - u) * Eigen::Map<const Vector3>(knot_0) + T(u) * Eigen::Map<const Vector3>(knot_1);
-    const Vector3 f_M = state.q_WM.conjugate() * (state.a_W - g) + state.alpha_M.cross(p) +
-                        state.omega_M.cross(state.omega_M.cross(p));
     Eigen::Map<Vector3> r(residual);
-    r = (f.cast<T>() - b - R_MI.conjugate() * f_M) / T(sigma);
+    r = (f.cast<T>() - b - R_MI.conjugate() * SpecificForce(state, g, p)) / T(sigma);
     return true;
   }
 
