@@ -204,7 +204,7 @@ MarginalEstimates MarginalEstimator::Solve(const SparseMatrix& L) const {
   std::iota(all.begin(), all.end(), 0);
   SparseMatrix H = Sum(all);
   MarginalEstimates result = SolveFor(H, curvature_, scores, L);
-  result.H = std::move(H);
+  result.H.swap(H);
   return result;
 }
 

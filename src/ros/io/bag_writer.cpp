@@ -73,7 +73,7 @@ geometry_msgs::TransformStamped ToLink(int64_t t_ns,
                                        const std::string& child,
                                        const Rigid3& T) {
   geometry_msgs::TransformStamped msg;
-  msg.header = MakeHeader(t_ns, parent.c_str());
+  msg.header = MakeHeader(t_ns, parent);
   msg.child_frame_id = child;
   msg.transform = ToTransformMsg(T);
   return msg;

@@ -10,6 +10,8 @@
 
 #include "imu_pose_calib/ros/io/conversions.h"
 
+// Cereal prescribes the name of serialize().
+// NOLINTBEGIN(readability-identifier-naming)
 namespace cereal {
 
 template <typename Archive, int N>
@@ -62,6 +64,7 @@ void serialize(Archive& archive, Recording& recording) {
   archive(info.bag, info.imus, info.pose_topic, info.world_frame, info.marker_frame, info.imu_yaml);
   archive(info.stated_pose_std, info.pose_latency, recording.data.poses, recording.data.imus);
 }
+// NOLINTEND(readability-identifier-naming)
 
 bool IsPair(const Given& one, const Given& first, const Given& second) {
   if (first.value.empty() && second.value.empty()) return false;
@@ -113,8 +116,8 @@ std::string ToBytes(const Recording& recording) {
   return std::move(stream).str();
 }
 
-Recording FromBytes(std::string bytes) {
-  std::istringstream stream(std::move(bytes));
+Recording FromBytes(const std::string& bytes) {
+  std::istringstream stream(bytes);
   cereal::BinaryInputArchive archive(stream);
   Recording recording;
   archive(recording);

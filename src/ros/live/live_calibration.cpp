@@ -63,10 +63,10 @@ double Score(const LiveOptions& options, const Calibration& result) {
 /// Within two targets of each other.
 bool Agree(const LiveOptions& options, const Calibration& a, const Calibration& b) {
   for (size_t i = 0; i < a.imus.size(); ++i) {
-    const Rigid3 &T_a = a.imus[i].T_MI, &T_b = b.imus[i].T_MI;
+    const Rigid3 &one = a.imus[i].T_MI, &other = b.imus[i].T_MI;
     const double shift = a.sessions[0].imus[i].time_shift - b.sessions[0].imus[i].time_shift;
-    if (T_a.q.angularDistance(T_b.q) > 2.0 * options.target_rotation_std ||
-        (T_a.p - T_b.p).norm() > 2.0 * options.target_translation_std ||
+    if (one.q.angularDistance(other.q) > 2.0 * options.target_rotation_std ||
+        (one.p - other.p).norm() > 2.0 * options.target_translation_std ||
         std::abs(shift) > 2.0 * options.target_time_shift_std)
       return false;
   }

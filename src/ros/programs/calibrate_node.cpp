@@ -91,7 +91,7 @@ OfflineJob TakeJob(const std::vector<std::string>& given) {
     for (const std::string& name : given) ros::param::del(name);
   };
   try {
-    const OfflineJob job = ReadJob();
+    OfflineJob job = ReadJob();
     forget();
     return job;
   } catch (const InputError&) {

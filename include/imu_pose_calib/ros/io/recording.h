@@ -73,6 +73,6 @@ void NameFrames(const std::string& marker_frame, const std::string& imu_frame, R
 
 /// For handing a recording from one process to another of the same program.
 std::string ToBytes(const Recording& recording);
-Recording FromBytes(std::string bytes);
+Recording FromBytes(const std::string& bytes);
 
 }  // namespace imu_pose_calib
