@@ -83,6 +83,8 @@ void ReportEstimate(const Estimate& estimate,
                     const std::vector<PreparedSession>& sessions,
                     Calibration* result) {
   result->pose_smoothing = estimate.pose_smoothing;
+  result->position_smoothing = estimate.position_smoothing;
+  result->pose_scale = estimate.pose_scale;
   result->imus.resize(estimate.imus.size());
   for (size_t i = 0; i < estimate.imus.size(); ++i) {
     const ImuEstimate& imu = estimate.imus[i];
@@ -156,7 +158,10 @@ Solution SolveTogether(const CalibrationOptions& options,
       if (!own.sessions[0].imus[i].is_present || starts[s].liveliness <= liveliest[i]) continue;
       liveliest[i] = starts[s].liveliness;
       estimate->imus[i] = own.imus[i];
-      if (i == 0) estimate->pose_smoothing = own.pose_smoothing;
+      if (i > 0) continue;
+      estimate->pose_smoothing = own.pose_smoothing;
+      estimate->position_smoothing = own.position_smoothing;
+      estimate->pose_scale = own.pose_scale;
     }
   }
   return SolveJointly(options, sessions, starts, estimate);

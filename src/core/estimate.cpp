@@ -55,6 +55,11 @@ Estimate::Estimate(const PreparedSession& session, double bias_knot_interval_s)
   }
 }
 
+bool IsOfPoses(ParameterKind kind) {
+  return kind == ParameterKind::kPoseSmoothing || kind == ParameterKind::kPositionSmoothing ||
+         kind == ParameterKind::kPoseScale;
+}
+
 std::vector<Parameter> CalibrationParameters(Estimate* estimate) {
   std::vector<Parameter> parameters;
   const auto in_sessions = [&](size_t i, auto visit) {
@@ -77,6 +82,8 @@ std::vector<Parameter> CalibrationParameters(Estimate* estimate) {
     });
   }
   parameters.push_back({ParameterKind::kPoseSmoothing, 0, 0, 1, &estimate->pose_smoothing});
+  parameters.push_back({ParameterKind::kPositionSmoothing, 0, 0, 1, &estimate->position_smoothing});
+  parameters.push_back({ParameterKind::kPoseScale, 0, 0, 1, &estimate->pose_scale});
   for (size_t i = 0; i < estimate->imus.size(); ++i) {
     ImuEstimate& imu = estimate->imus[i];
     parameters.push_back({ParameterKind::kAccelSmoothing, i, 0, 1, &imu.accel_smoothing});
@@ -99,7 +106,10 @@ bool IsEstimated(const CalibrationOptions& options, ParameterKind kind) {
     case ParameterKind::kClockDrift:
       return options.estimate_clock_drift;
     case ParameterKind::kPoseSmoothing:
+    case ParameterKind::kPositionSmoothing:
       return options.estimate_pose_smoothing;
+    case ParameterKind::kPoseScale:
+      return options.estimate_pose_scale;
     case ParameterKind::kAccelSmoothing:
       return options.estimate_accel_smoothing;
     case ParameterKind::kGyroIntrinsics:

@@ -14,6 +14,7 @@ namespace {
 // Sigmas of ordinary clocks, trackers and IMUs.
 constexpr double kDriftPrior = 1e-4;      // [s/s]
 constexpr double kSmoothingPrior = 1e-3;  // [s^2]
+constexpr double kPoseScalePrior = 3e-3;  // [1]
 // A filter that spreads samples over time delays them, too. Where the delay is small, so is the
 // smoothing, and errors of the poses would take its place.
 constexpr double kSmoothingPerDelay2 = 2.0;  // [1] sigma of accel_smoothing over the squared delay
@@ -166,17 +167,24 @@ void SessionBuilder::AddPoses() {
     if (positions.empty()) return;
     const size_t first = positions.front().at.place.first;
     const auto add = [&](std::vector<Eigen::Vector3d>* spline,
+                         const std::vector<double*>& smoothing,
                          ceres::CostFunction* residual,
                          std::vector<ProblemSample>* samples,
                          SensorBlocks* sensor) {
       std::vector<double*> blocks = ControlPoints(spline, first);
-      blocks.push_back(&joint_->estimate->pose_smoothing);
+      blocks.insert(blocks.end(), smoothing.begin(), smoothing.end());
       blocks.insert(blocks.end(), clocks.begin(), clocks.end());
       sensor->Add(joint_->problem.AddResidualBlock(residual, nullptr, blocks), *samples);
       samples->clear();
     };
-    add(&splines_->d, CreateJointPositionResidual(positions, motions), &position_samples, position);
+    Estimate& estimate = *joint_->estimate;
+    add(&splines_->d,
+        {&estimate.pose_smoothing, &estimate.position_smoothing},
+        CreateJointPositionResidual(positions, motions),
+        &position_samples,
+        position);
     add(&splines_->phi,
+        {&estimate.pose_smoothing},
         CreateJointRotationResidual(rotations, motions),
         &rotation_samples,
         rotation);
@@ -291,7 +299,8 @@ void SessionBuilder::AddAccel(size_t imu) {
                    rig.accel_intrinsics.data(),
                    knots.values[knot].data(),
                    knots.values[knot + 1].data(),
-                   &rig.accel_smoothing});
+                   &rig.accel_smoothing,
+                   &joint_->estimate->pose_scale});
     blocks.insert(blocks.end(), clocks.begin(), clocks.end());
     return joint_->problem.AddResidualBlock(
         CreateJointAccelResidual(batch, jerks, motions), nullptr, blocks);
@@ -321,6 +330,8 @@ std::unique_ptr<LeastSquares> BuildJointProblem(const CalibrationOptions& option
   const auto one = [](double sigma) { return Eigen::VectorXd::Constant(1, sigma).eval(); };
   joint->AddOptional(ParameterKind::kClockDrift, one(kDriftPrior));
   joint->AddOptional(ParameterKind::kPoseSmoothing, one(kSmoothingPrior));
+  joint->AddOptional(ParameterKind::kPositionSmoothing, one(kSmoothingPrior));
+  joint->AddOptional(ParameterKind::kPoseScale, one(kPoseScalePrior), 1.0);
   for (size_t i = 0; i < estimate->imus.size(); ++i) {
     double delay = kLeastFilterDelay;
     for (const PreparedSession& session : sessions)

@@ -200,19 +200,10 @@ class BatchResidual : public ceres::CostFunction {
   const ClockMotions clocks_;
 };
 
-/// What position and rotation have in common.
-class JointPoseResidual : public BatchResidual<JointPoseSample> {
+class JointPositionResidual : public BatchResidual<JointPoseSample> {
  public:
-  JointPoseResidual(const std::vector<JointPoseSample>& samples, const ClockMotions& clocks)
-      : BatchResidual(samples, {1}, 1, clocks) {}
-
- protected:
-  static constexpr int kSmoothing = kSplineOrder;
-};
-
-class JointPositionResidual : public JointPoseResidual {
- public:
-  using JointPoseResidual::JointPoseResidual;
+  JointPositionResidual(const std::vector<JointPoseSample>& samples, const ClockMotions& clocks)
+      : BatchResidual(samples, {1, 1}, 1, clocks) {}
 
  protected:
   bool EvaluateSample(const JointPoseSample& s,
@@ -225,7 +216,7 @@ class JointPositionResidual : public JointPoseResidual {
     const SplineWeights weights = CubicWeights(u, s.at.place.spacing);
     const Eigen::Matrix<double, 3, 4> d = EvaluateSpline(blocks, weights);
     const MarkerState<double>& gp = s.at.gp;
-    const double c = 0.5 * *blocks[kSmoothing];
+    const double c = 0.5 * (*blocks[kSplineOrder] + *blocks[kSplineOrder + 1]);
     const Vector3d a_W = gp.a_W + d.col(2);
     AsVector(residual) = (s.p_WM - gp.p_WM - d.col(0) - c * a_W) / s.sigma;
     if (jacobians == nullptr) return true;
@@ -233,14 +224,16 @@ class JointPositionResidual : public JointPoseResidual {
       SetRows<3>(
           jacobians, j, i, -(weights(0, j) + c * weights(2, j)) / s.sigma * Matrix3d::Identity());
     SetClockRows(s, i, Vector3d::Zero(), -(d.col(1) + c * d.col(3)) / s.sigma, jacobians);
-    SetRows<1>(jacobians, kSmoothing, i, -0.5 / s.sigma * a_W);
+    for (const int smoothing : {kSplineOrder, kSplineOrder + 1})
+      SetRows<1>(jacobians, smoothing, i, -0.5 / s.sigma * a_W);
     return true;
   }
 };
 
-class JointRotationResidual : public JointPoseResidual {
+class JointRotationResidual : public BatchResidual<JointPoseSample> {
  public:
-  using JointPoseResidual::JointPoseResidual;
+  JointRotationResidual(const std::vector<JointPoseSample>& samples, const ClockMotions& clocks)
+      : BatchResidual(samples, {1}, 1, clocks) {}
 
  protected:
   bool EvaluateSample(const JointPoseSample& s,
@@ -253,7 +246,7 @@ class JointRotationResidual : public JointPoseResidual {
     const SplineWeights weights = CubicWeights(u, s.at.place.spacing);
     const Eigen::Matrix<double, 3, 4> phi = EvaluateSpline(blocks, weights);
     const Eigen::Quaterniond E_inv = Exp<double>(-phi.col(0));
-    const double c = 0.5 * *blocks[kSmoothing];
+    const double c = 0.5 * *blocks[kSplineOrder];
     const Vector3d alpha = s.at.gp.alpha_M + phi.col(2);
     const Eigen::Quaterniond lag_inv = Exp<double>(-c * alpha);
     const Vector3d error =
@@ -268,7 +261,7 @@ class JointRotationResidual : public JointPoseResidual {
     const Matrix3d J = RightJacobian<double>(phi.col(0));
     for (int j = 0; j < kSplineOrder; ++j)
       SetRows<3>(jacobians, j, i, weights(0, j) * A_phi * J + weights(2, j) * c * A_lag);
-    SetRows<1>(jacobians, kSmoothing, i, 0.5 * A_lag * alpha);
+    SetRows<1>(jacobians, kSplineOrder, i, 0.5 * A_lag * alpha);
     const Vector3d r_spline = A_phi * J * phi.col(1) + c * A_lag * phi.col(3);
     SetClockRows(s, i, Vector3d::Zero(), r_spline, jacobians);
     return true;
@@ -328,7 +321,7 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
   JointAccelResidual(const std::vector<JointImuSample>& samples,
                      const std::vector<MarkerJerk>& jerks,
                      const ClockMotions& clocks)
-      : BatchResidual(samples, {4, 3, 3, 9, 3, 3, 1}, 2, clocks), jerks_(jerks) {}
+      : BatchResidual(samples, {4, 3, 3, 9, 3, 3, 1, 1}, 2, clocks), jerks_(jerks) {}
 
  protected:
   bool EvaluateSample(const JointImuSample& s,
@@ -350,7 +343,8 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
     const Eigen::Matrix<double, 3, 4> phi = EvaluateSpline(blocks + kSplineOrder, weights);
     const CorrectedRotation x(gp, phi, jacobians != nullptr);
     const Eigen::Matrix<double, 3, 4> d = EvaluateSpline(blocks, weights);
-    const Vector3d a_W = gp.a_W + d.col(2);
+    const double scale = *blocks[n + 7];
+    const Vector3d a_W = (gp.a_W + d.col(2)) / scale;
     const Vector3d f_body = x.q_WM.conjugate() * (a_W - g);  // R_WM^T (a_W - g_W)
     const Vector3d f_M = f_body + x.alpha.cross(p) + x.omega.cross(x.omega.cross(p)) +
                          0.5 * *blocks[n + 6] * jerk.f_curvature;
@@ -369,9 +363,9 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
     const Matrix3d r_phi = A * (Hat(f_body) * x.J + f_omega * x.omega_phi + f_alpha * x.alpha_phi);
     const Matrix3d r_phi1 = A * (f_omega * x.omega_phi1 + f_alpha * x.alpha_phi1);
     const Matrix3d r_phi2 = A * f_alpha * x.alpha_phi2;
-    const Matrix3d r_d2 = A * R_MW;
+    const Matrix3d r_a = A * R_MW;
     for (int j = 0; j < kSplineOrder; ++j) {
-      SetRows<3>(jacobians, j, i, weights(2, j) * r_d2);
+      SetRows<3>(jacobians, j, i, weights(2, j) / scale * r_a);
       SetRows<3>(jacobians,
                  kSplineOrder + j,
                  i,
@@ -379,7 +373,7 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
     }
     SetRows<4>(jacobians, n, i, -M_a * InverseRotationJacobian(q_MI, f_I) / s.sigma);
     SetRows<3>(jacobians, n + 1, i, A * (Hat(x.alpha) + W * W));
-    SetRows<3>(jacobians, n + 2, i, -r_d2);
+    SetRows<3>(jacobians, n + 2, i, -r_a);
     if (jacobians[n + 3] != nullptr) {
       Eigen::Matrix<double, 3, 9> r_M = Eigen::Matrix<double, 3, 9>::Zero();
       for (int row = 0; row < 3; ++row) r_M.block<1, 3>(row, 3 * row) = f_I.transpose();
@@ -388,11 +382,12 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
     SetRows<3>(jacobians, n + 4, i, -(1.0 - s.bias_u) / s.sigma * Matrix3d::Identity());
     SetRows<3>(jacobians, n + 5, i, -s.bias_u / s.sigma * Matrix3d::Identity());
     SetRows<1>(jacobians, n + 6, i, 0.5 * A * jerk.f_curvature);
+    SetRows<1>(jacobians, n + 7, i, -1.0 / scale * r_a * a_W);
     const Matrix3d E_inv = Exp<double>(-phi.col(0)).toRotationMatrix();
-    const Vector3d f_gp = R_MW * jerk.jerk_W - (x.omega - x.u).cross(f_body) +
+    const Vector3d f_gp = 1.0 / scale * R_MW * jerk.jerk_W - (x.omega - x.u).cross(f_body) +
                           f_omega * x.omega_gp + f_alpha * (x.alpha_gp + E_inv * jerk.alpha_rate);
-    const Vector3d f_spline =
-        R_MW * d.col(3) - x.u.cross(f_body) + f_omega * x.omega_spline + f_alpha * x.alpha_spline;
+    const Vector3d f_spline = 1.0 / scale * R_MW * d.col(3) - x.u.cross(f_body) +
+                              f_omega * x.omega_spline + f_alpha * x.alpha_spline;
     SetClockRows(s, i, A * f_gp, A * f_spline, jacobians);
     return true;
   }

@@ -26,7 +26,7 @@ constexpr double kMinSamplesPerKnot = 4.0;  // IMU samples
 constexpr double kLeastFollowed = 0.15, kLeastCovered = 0.1;
 /// Of gyro times accel residual, that knots as much denser have to leave at most; and that the step
 /// before has to have left for knots 1.4 times as dense, where twice is too much.
-constexpr double kShrinkage = 0.96, kSteepShrinkage = 0.5;
+constexpr double kShrinkage = 0.985, kSteepShrinkage = 0.5;
 
 /// The session without what splines of this spacing cannot follow.
 PreparedSession Correctable(const CalibrationOptions& options,

@@ -265,7 +265,7 @@ class Report {
 
 /// Whether the session has the IMU that the parameter is of, or any session's.
 bool ActsIn(const Estimate& estimate, const Parameter& p, size_t session) {
-  if (p.kind == ParameterKind::kPoseSmoothing) return true;
+  if (IsOfPoses(p.kind)) return true;
   return estimate.sessions[session].imus[p.imu].is_present &&
          (!IsOfSession(p) || p.session == session);
 }
@@ -321,7 +321,7 @@ Eigen::MatrixXd RobustCovariance(const MarginalEstimate& exact,
       std::vector<int> places;
       int place = 0;
       for (const Parameter& p : ordering.calibrated) {
-        const bool is_of_imu = p.kind == ParameterKind::kPoseSmoothing || p.imu == imu;
+        const bool is_of_imu = IsOfPoses(p.kind) || p.imu == imu;
         if (is_of_imu && ActsIn(estimate, p, s))
           for (int k = 0; k < p.size; ++k) places.push_back(place + k);
         place += p.size;
@@ -416,7 +416,7 @@ void FindSessions(const MarginalEstimator& estimator,
 }  // namespace
 
 int Marginals::Find(ParameterKind kind, size_t imu, size_t session) const {
-  const bool is_of_imu = kind != ParameterKind::kGravity && kind != ParameterKind::kPoseSmoothing;
+  const bool is_of_imu = kind != ParameterKind::kGravity && !IsOfPoses(kind);
   const bool is_of_session = kind == ParameterKind::kGravity || kind == ParameterKind::kGyroBias ||
                              kind == ParameterKind::kAccelBias ||
                              IsOfSession({kind, imu, session, 0, nullptr});

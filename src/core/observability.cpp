@@ -174,6 +174,12 @@ void ReportParameter(const PlacedParameter& p, const Eigen::MatrixXd& C, Calibra
     case ParameterKind::kPoseSmoothing:
       result->pose_smoothing_std = std_dev[0];
       break;
+    case ParameterKind::kPositionSmoothing:
+      result->position_smoothing_std = std_dev[0];
+      break;
+    case ParameterKind::kPoseScale:
+      result->pose_scale_std = std_dev[0];
+      break;
     case ParameterKind::kAccelSmoothing:
       imu.accel_smoothing_std = std_dev[0];
       break;

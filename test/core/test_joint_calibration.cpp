@@ -207,6 +207,37 @@ TEST(JointCalibration, TellsHowMuchPosesAreSmoothed) {
   }));
 }
 
+TEST(JointCalibration, TellsThePositionsFiltersFromTheRotations) {
+  // Poses that are fused with the IMU: rotations follow the gyroscope, positions are means.
+  SimulatorOptions truth = Recording(1e-4, 26);
+  truth.duration_s = 24.0;
+  truth.effects.fused_poses_s = 0.06;
+  const double variance = truth.effects.fused_poses_s * truth.effects.fused_poses_s / 12.0;
+  const Calibration result = Calibrate(CalibrationOptions(), Simulate(truth));
+  EXPECT_NEAR(result.position_smoothing, variance, 0.3 * variance);
+  EXPECT_LT(result.position_smoothing_std, 0.1 * variance);
+  EXPECT_LT(std::abs(result.pose_smoothing), 0.1 * variance);
+  EXPECT_LT(Normalised(result, truth).cwiseAbs().maxCoeff(), 4.5);
+}
+
+TEST(JointCalibration, FindsTheScaleOfThePositions) {
+  SimulatorOptions truth = Recording(3e-4, 27);
+  truth.effects.pose_scale = 3e-3;
+  const SessionData data = Simulate(truth);
+  const Calibration result = Calibrate(CalibrationOptions(), data);
+  EXPECT_NEAR(result.pose_scale, 1.003, 4.5 * result.pose_scale_std);
+  EXPECT_LT(result.pose_scale_std, 6e-4);
+  EXPECT_LT(Normalised(result, truth).cwiseAbs().maxCoeff(), 4.5);
+
+  CalibrationOptions options;
+  options.estimate_pose_scale = false;
+  const Calibration without = Calibrate(options, data);
+  EXPECT_EQ(without.pose_scale, 1.0);
+  EXPECT_EQ(without.pose_scale_std, 0.0);
+  EXPECT_GT((without.imus[0].T_MI.p - truth.T_MI.p).norm(),
+            2.0 * (result.imus[0].T_MI.p - truth.T_MI.p).norm());
+}
+
 TEST(JointCalibration, FindsNoSmoothingWhereThereIsNone) {
   double mean_square = 0.0;
   for (uint32_t seed = 27; seed < 31; ++seed) {

@@ -119,6 +119,7 @@ class JointResiduals : public ::testing::Test {
   std::vector<double*> PoseBlocks(std::vector<Vector3d>* spline) {
     std::vector<double*> blocks = Points({spline});
     blocks.push_back(&pose_smoothing_);
+    if (spline == &d_) blocks.push_back(&position_smoothing_);
     return With(blocks, PoseClocks());
   }
 
@@ -138,7 +139,8 @@ class JointResiduals : public ::testing::Test {
                           accel_intrinsics_.data(),
                           knot_0_.data(),
                           knot_1_.data(),
-                          &accel_smoothing_})
+                          &accel_smoothing_,
+                          &pose_scale_})
       blocks.push_back(block);
     return With(blocks, clocks);
   }
@@ -335,7 +337,8 @@ class JointResiduals : public ::testing::Test {
   /// Clocks of the session's first IMU, with which the trajectory goes along, and of another one.
   double time_shift_ = 0.0213, accel_delay_ = 0.0008, clock_drift_ = 1e-6;
   double other_time_shift_ = 0.0117, other_accel_delay_ = 0.0005, other_clock_drift_ = -2e-6;
-  double pose_smoothing_ = 3e-4, accel_smoothing_ = 4e-4;
+  double pose_smoothing_ = 3e-4, position_smoothing_ = -1e-4, accel_smoothing_ = 4e-4;
+  double pose_scale_ = 1.03;
 };
 
 TEST_F(JointResiduals, PositionJacobian) {
@@ -430,7 +433,7 @@ TEST_F(JointResiduals, JacobianOfAnotherAccelThatHasMoved) {
 
 TEST_F(JointResiduals, MovedPositionsAreThoseFurtherAlongTheTrajectory) {
   // But for the second derivatives that smooth the poses, which stay where they were.
-  pose_smoothing_ = 0.0;
+  pose_smoothing_ = position_smoothing_ = 0.0;
   const ClockMotions clocks = Motions(PoseClocks());
   const auto evaluate = [&](double scale) {
     std::vector<JointPoseSample> samples, placed;
@@ -449,7 +452,8 @@ TEST_F(JointResiduals, MovedPositionsAreThoseFurtherAlongTheTrajectory) {
     both.moved = Evaluate(CreateJointPositionResidual(samples, clocks), PoseBlocks(&d_));
     return both;
   };
-  ExpectOrder(evaluate, 3, [](size_t k) { return k == kSplineOrder ? 1 : 2; });
+  ExpectOrder(
+      evaluate, 3, [](size_t k) { return k == kSplineOrder || k == kSplineOrder + 1 ? 1 : 2; });
 }
 
 TEST_F(JointResiduals, MovedRotationsAreThoseFurtherAlongTheTrajectory) {
@@ -509,6 +513,7 @@ TEST_F(JointResiduals, VanishWhereTheCorrectedTrajectoryIsMeasured) {
   };
   const auto imu_velocity = [&](double to) { return NumericRate(imu_position, to, 1e-3); };
   const Vector3d omega_M = NumericRate(turn, t, 1e-3);
+  pose_scale_ = 1.0;
   const Vector3d f_W = NumericRate(imu_velocity, t, 1e-3) - g_W_;
   const Vector3d bias = 0.7 * knot_0_ + 0.3 * knot_1_;
   const Vector3d w = GyroMatrix(gyro_intrinsics_) * (q_MI_.conjugate() * omega_M) + bias;
@@ -527,8 +532,8 @@ TEST_F(JointResiduals, VanishWhereTheCorrectedTrajectoryIsMeasured) {
                      AccelBlocks(OtherAccelClocks())),
             1e-4);
 
-  const double c = 0.5 * pose_smoothing_;
-  const Vector3d lag = c * (at.gp.alpha_M + Correction(phi_, t, 2));
+  const double c = 0.5 * (pose_smoothing_ + position_smoothing_);
+  const Vector3d lag = 0.5 * pose_smoothing_ * (at.gp.alpha_M + Correction(phi_, t, 2));
   const std::vector<JointPoseSample> pose{
       {at,
        Eigen::Quaterniond(R_WM) * Exp<double>(lag),

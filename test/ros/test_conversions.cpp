@@ -104,6 +104,10 @@ class ResultMessages : public ::testing::Test {
     result_.imus[0].accel_delay_std = 0.2;
     result_.pose_smoothing = 0.03;
     result_.pose_smoothing_std = 0.04;
+    result_.position_smoothing = 0.05;
+    result_.position_smoothing_std = 0.06;
+    result_.pose_scale = 1.07;
+    result_.pose_scale_std = 0.08;
     result_.sessions[0].g_W = {0.0, 0.0, -9.8};
     result_.sessions[0].imus[0].gyro_bias = {1.0, 2.0, 3.0};
     result_.sessions[0].imus[0].accel_bias = {4.0, 5.0, 6.0};
@@ -144,6 +148,10 @@ TEST_F(ResultMessages, ResultKeepsEveryField) {
   EXPECT_EQ(msg.accel_delay_std, 0.2);
   EXPECT_EQ(msg.pose_smoothing, 0.03);
   EXPECT_EQ(msg.pose_smoothing_std, 0.04);
+  EXPECT_EQ(msg.position_smoothing, 0.05);
+  EXPECT_EQ(msg.position_smoothing_std, 0.06);
+  EXPECT_EQ(msg.pose_scale, 1.07);
+  EXPECT_EQ(msg.pose_scale_std, 0.08);
   EXPECT_EQ(msg.gravity.z, -9.8);
   EXPECT_EQ(msg.gyro_bias.y, 2.0);
   EXPECT_EQ(msg.accel_bias.x, 4.0);

@@ -21,6 +21,10 @@ Calibration MakeResult() {
   result.imus[0].accel_delay_std = 2e-5;
   result.pose_smoothing = -1.5e-5;
   result.pose_smoothing_std = 2.5e-6;
+  result.position_smoothing = 1e-4;
+  result.position_smoothing_std = 3e-6;
+  result.pose_scale = 1.002;
+  result.pose_scale_std = 4e-4;
   result.sessions[0].g_W = {0.0, 3.0, -4.0};
   result.sessions[0].imus[0].gyro_bias = {0.1, 0.2, 0.3};
   result.sessions[0].imus[0].accel_bias = {0.4, 0.5, 0.6};
@@ -113,6 +117,10 @@ TEST(ResultYaml, HoldsClocksGravityAndBiases) {
   EXPECT_EQ(yaml["accel_delay_std"].as<double>(), 2e-5);
   EXPECT_EQ(yaml["pose_smoothing"].as<double>(), -1.5e-5);
   EXPECT_EQ(yaml["pose_smoothing_std"].as<double>(), 2.5e-6);
+  EXPECT_EQ(yaml["position_smoothing"].as<double>(), 1e-4);
+  EXPECT_EQ(yaml["position_smoothing_std"].as<double>(), 3e-6);
+  EXPECT_EQ(yaml["pose_scale"].as<double>(), 1.002);
+  EXPECT_EQ(yaml["pose_scale_std"].as<double>(), 4e-4);
   EXPECT_EQ(yaml["gravity"]["vector"].as<Doubles>(), Doubles({0.0, 3.0, -4.0}));
   EXPECT_EQ(yaml["gravity"]["magnitude"].as<double>(), 5.0);
   EXPECT_EQ(yaml["biases"]["gyro"].as<Doubles>(), Doubles({0.1, 0.2, 0.3}));

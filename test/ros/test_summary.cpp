@@ -101,6 +101,21 @@ TEST(Summary, SaysWhichSideIsSmoothed) {
   EXPECT_FALSE(Contains(Summary(result, {MakeInfo()}), "smoothed"));
 }
 
+TEST(Summary, SaysWhatIsKnownOfThePositions) {
+  Calibration result = MakeResult();
+  EXPECT_FALSE(Contains(Summary(result, {MakeInfo()}), "averages"));
+  EXPECT_FALSE(Contains(Summary(result, {MakeInfo()}), "too large"));
+  result.position_smoothing = 4e-4;
+  result.position_smoothing_std = 1e-5;
+  result.pose_scale = 1.0031;
+  result.pose_scale_std = 4e-4;
+  const std::string text = Summary(result, {MakeInfo()});
+  EXPECT_TRUE(
+      Contains(text, "Position of the poses averages over 20.0 ms more than their rotation"))
+      << text;
+  EXPECT_TRUE(Contains(text, "Positions are too large by 0.31 % (sigma 0.04 %)")) << text;
+}
+
 TEST(Summary, FitsEightyColumns) {
   std::istringstream lines(Summary(MakeResult(), {MakeInfo()}));
   for (std::string line; std::getline(lines, line);) EXPECT_LE(line.size(), 80u) << line;

@@ -69,7 +69,9 @@ struct SessionEstimate {
 
 /// State of the solve but for the trajectories: the rig, and its sessions.
 struct Estimate {
-  double pose_smoothing = 0.0;  ///< [s^2] see Calibration
+  // Of the source of the poses, see Calibration:
+  double pose_smoothing = 0.0, position_smoothing = 0.0;  ///< [s^2]
+  double pose_scale = 1.0;
   std::vector<ImuEstimate> imus;
   std::vector<SessionEstimate> sessions;
 
@@ -80,18 +82,20 @@ struct Estimate {
 
 /// Parameters of a calibration, those of the IMUs and clocks first.
 enum class ParameterKind {
-  kTranslation,      ///< p_MI [m] in M
-  kRotation,         ///< [rad] about the imu axes, R_MI Exp(dtheta)
-  kTimeShift,        ///< [s] of an IMU in a session
-  kAccelDelay,       ///< [s]
-  kClockDrift,       ///< [s/s] of an IMU in a session
-  kPoseSmoothing,    ///< [s^2]
-  kAccelSmoothing,   ///< [s^2]
-  kGyroIntrinsics,   ///< 6, of GyroMatrix()
-  kAccelIntrinsics,  ///< 9, of AccelMatrix()
-  kGravity,          ///< [m/s^2] of a session
-  kGyroBias,         ///< [rad/s] of an IMU in a session, mean
-  kAccelBias,        ///< [m/s^2] of an IMU in a session, mean
+  kTranslation,        ///< p_MI [m] in M
+  kRotation,           ///< [rad] about the imu axes, R_MI Exp(dtheta)
+  kTimeShift,          ///< [s] of an IMU in a session
+  kAccelDelay,         ///< [s]
+  kClockDrift,         ///< [s/s] of an IMU in a session
+  kPoseSmoothing,      ///< [s^2]
+  kPositionSmoothing,  ///< [s^2]
+  kPoseScale,          ///< [1]
+  kAccelSmoothing,     ///< [s^2]
+  kGyroIntrinsics,     ///< 6, of GyroMatrix()
+  kAccelIntrinsics,    ///< 9, of AccelMatrix()
+  kGravity,            ///< [m/s^2] of a session
+  kGyroBias,           ///< [rad/s] of an IMU in a session, mean
+  kAccelBias,          ///< [m/s^2] of an IMU in a session, mean
 };
 
 /// One parameter and where it stands in the estimate; `imu` and `session` as far as they apply.
@@ -101,6 +105,9 @@ struct Parameter {
   int size;      ///< degrees of freedom
   double* data;  ///< in the estimate; a mean: null
 };
+
+/// Of the source of the poses, which IMUs and sessions share.
+bool IsOfPoses(ParameterKind kind);
 
 /// What is calibrated: all but gravity and biases, of every IMU that is present, in a fixed order.
 std::vector<Parameter> CalibrationParameters(Estimate* estimate);

@@ -47,8 +47,8 @@ struct JointPoseSample {
   double sigma;        ///< [m] of the position or [rad] of the rotation
 };
 
-/// r = (p_meas - p_gp(t) - d(t) - s/2 (a_gp + d''(t))) / sigma, in W, s: pose_smoothing.
-/// Blocks: d | pose_smoothing (1) | clocks.
+/// r = (p_meas - p_gp(t) - d(t) - s/2 (a_gp + d''(t))) / sigma, in W, s: pose_smoothing +
+/// position_smoothing. Blocks: d | pose_smoothing (1) | position_smoothing (1) | clocks.
 ceres::CostFunction* CreateJointPositionResidual(const std::vector<JointPoseSample>& samples,
                                                  const ClockMotions& clocks);
 
@@ -80,9 +80,9 @@ struct MarkerJerk {
 };
 
 /// r = (f - b_a - M_a R_MI^T (f_M(t) + s/2 f_M'')) / sigma, in I, s: accel_smoothing, with
-/// f_M = R_WM^T (a_W - g_W) + alpha_M x p_MI + omega_M x (omega_M x p_MI).
+/// f_M = R_WM^T (a_W / k - g_W) + alpha_M x p_MI + omega_M x (omega_M x p_MI), k: pose_scale.
 /// Blocks: d | phi | q_MI (4) | p_MI (3) | g_W (3) | M_a (9, see AccelMatrix()) | knot_0 (3) |
-/// knot_1 (3) | accel_smoothing (1) | clocks. `jerks`: of each sample.
+/// knot_1 (3) | accel_smoothing (1) | pose_scale (1) | clocks. `jerks`: of each sample.
 ceres::CostFunction* CreateJointAccelResidual(const std::vector<JointImuSample>& samples,
                                               const std::vector<MarkerJerk>& jerks,
                                               const ClockMotions& clocks);

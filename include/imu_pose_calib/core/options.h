@@ -102,6 +102,9 @@ struct CalibrationOptions {
   double accel_delay = 0.0;
   /// How much more than the IMU the source of the poses averages over time. Joint solve only.
   bool estimate_pose_smoothing = true;
+  /// By how much the source of the poses exaggerates positions, usually within 0.3 %. Joint solve
+  /// only.
+  bool estimate_pose_scale = true;
   /// How much more than the gyroscope the accelerometer averages over time. Joint solve only.
   bool estimate_accel_smoothing = true;
   /// Linear growth of the time shift, usually within 100 ppm. Joint solve only.

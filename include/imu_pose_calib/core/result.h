@@ -162,9 +162,13 @@ struct Calibration {
   std::vector<ImuCalibration> imus = std::vector<ImuCalibration>(1);
   std::vector<BetweenImus> between_imus;  ///< from the first IMU to each other
   std::vector<SessionCalibration> sessions = std::vector<SessionCalibration>(1);
-  /// [s^2] by how much the variance of the time over which a pose is averaged exceeds that of an
-  /// IMU sample; 0 when not estimated.
+  /// [s^2] by how much the variance of the time over which a pose's rotation is averaged exceeds
+  /// that of an IMU sample; 0 when not estimated.
   double pose_smoothing = 0.0, pose_smoothing_std = 0.0;
+  /// [s^2] by how much that of its position exceeds that of its rotation; 0 when not estimated.
+  double position_smoothing = 0.0, position_smoothing_std = 0.0;
+  /// Positions of the poses are those of a body this many times as large; sigma 0: not estimated.
+  double pose_scale = 1.0, pose_scale_std = 0.0;
 
   /// Spectrum of the calibration, the least certain direction first.
   std::vector<Observability> observability;

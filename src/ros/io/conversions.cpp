@@ -172,6 +172,10 @@ CalibrationResult ToMsg(const Calibration& result,
   msg.clock_reference = result.sessions[0].imus[0].clock_reference;
   msg.pose_smoothing = result.pose_smoothing;
   msg.pose_smoothing_std = result.pose_smoothing_std;
+  msg.position_smoothing = result.position_smoothing;
+  msg.position_smoothing_std = result.position_smoothing_std;
+  msg.pose_scale = result.pose_scale;
+  msg.pose_scale_std = result.pose_scale_std;
   msg.gravity = ToVector3Msg(result.sessions[0].g_W);
   msg.gyro_bias = ToVector3Msg(result.sessions[0].imus[0].gyro_bias);
   msg.accel_bias = ToVector3Msg(result.sessions[0].imus[0].accel_bias);

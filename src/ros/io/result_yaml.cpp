@@ -28,7 +28,9 @@ const char kEquations[] = R"(
 #            t_pose = t_accel + time_shift - accel_delay
 #            time_shift holds at clock_reference [s, imu clock] and grows by clock_drift
 # smoothing: samples are means over time; pose_smoothing [s^2] is the variance of that time of
-#            poses, accel_smoothing that of the accelerometer, less that of the gyroscope
+#            rotations of poses, accel_smoothing that of the accelerometer, less that of the
+#            gyroscope; position_smoothing that of positions, less that of rotations
+# scale:     positions of poses = pose_scale * true
 # imu:       measured = matrix * true + bias
 # Units: m, s, rad, m/s^2. Quaternions: x, y, z, w.
 
@@ -280,6 +282,10 @@ void EmitEstimate(const Calibration& result, YAML::Emitter* out) {
   Emit("clock_reference", result.sessions[0].imus[0].clock_reference, out);
   Emit("pose_smoothing", result.pose_smoothing, out);
   Emit("pose_smoothing_std", result.pose_smoothing_std, out);
+  Emit("position_smoothing", result.position_smoothing, out);
+  Emit("position_smoothing_std", result.position_smoothing_std, out);
+  Emit("pose_scale", result.pose_scale, out);
+  Emit("pose_scale_std", result.pose_scale_std, out);
   EmitGravity(result.sessions[0], out);
   EmitBiases(result.sessions[0].imus[0], out);
   EmitMap(

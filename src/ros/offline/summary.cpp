@@ -290,6 +290,17 @@ std::string Clocks(const Calibration& result) {
                    0.5e3 * result.pose_smoothing_std / root,
                    smoothing > 0.0 ? "imu" : "poses");
   }
+  const double excess = result.position_smoothing;
+  if (std::abs(excess) > kCertain * result.position_smoothing_std)
+    text += Format("%s of the poses averages over %.1f ms more than their %s: accounted for\n",
+                   excess > 0.0 ? "Position" : "Rotation",
+                   1e3 * std::sqrt(std::abs(excess)),
+                   excess > 0.0 ? "rotation" : "position");
+  if (std::abs(result.pose_scale - 1.0) > kCertain * result.pose_scale_std)
+    text += Format("Positions are too %s by %.2f %% (sigma %.2f %%): accounted for\n",
+                   result.pose_scale > 1.0 ? "large" : "small",
+                   100.0 * std::abs(result.pose_scale - 1.0),
+                   100.0 * result.pose_scale_std);
   return text;
 }
 

@@ -45,6 +45,7 @@ void VisitFields(Options&& options, Visitor&& visit) {
   IMU_POSE_CALIB_VISIT(estimate_accel_delay);
   IMU_POSE_CALIB_VISIT(accel_delay);
   IMU_POSE_CALIB_VISIT(estimate_pose_smoothing);
+  IMU_POSE_CALIB_VISIT(estimate_pose_scale);
   IMU_POSE_CALIB_VISIT(estimate_accel_smoothing);
   IMU_POSE_CALIB_VISIT(estimate_clock_drift);
   IMU_POSE_CALIB_VISIT(imu_model);
