@@ -27,6 +27,8 @@ constexpr double kLeastFollowed = 0.15, kLeastCovered = 0.1;
 /// Of gyro times accel residual, that knots as much denser have to leave at most; and that the step
 /// before has to have left for knots 1.4 times as dense, where twice is too much.
 constexpr double kShrinkage = 0.985, kSteepShrinkage = 0.5;
+/// Of the knot spacing at which noise hides what is left of the motion.
+constexpr double kReserve = M_SQRT1_2;
 
 /// The session without what splines of this spacing cannot follow.
 PreparedSession Correctable(const CalibrationOptions& options,
@@ -202,6 +204,8 @@ class JointSolver {
   void Build() {
     problem_.reset();  // never two of them at a time
     problem_ = BuildJointProblem(options_, sessions_, models_, estimate_, &splines_);
+    if (holds_position_smoothing_)
+      problem_->problem.SetParameterBlockConstant(&estimate_->position_smoothing);
   }
 
   void Pass(bool hold_calibration = false) {
@@ -209,6 +213,11 @@ class JointSolver {
     if (hold_calibration) HoldCalibration(problem_.get());
     FollowClocks([&] { problem_->Solve(kRoughTolerance); });
     statistics_ = problem_->FindStatistics();
+    // No source averages rotations over longer than positions: other errors look like that.
+    if (estimate_->position_smoothing < 0.0) {
+      estimate_->position_smoothing = 0.0;
+      holds_position_smoothing_ = true;
+    }
   }
 
   /// The splines go along with the clocks that `move` moves, as they did in the problem.
@@ -269,6 +278,7 @@ class JointSolver {
   std::unique_ptr<LeastSquares> problem_;
   std::vector<SensorStatistics> statistics_;  ///< of the last pass
   std::vector<double> in_band_;               ///< see NoiseInBand()
+  bool holds_position_smoothing_ = false;     ///< at 0
 };
 
 /// What the IMUs leave, over all of them: it shrinks while knots become denser for a reason.
@@ -329,6 +339,11 @@ JointStart ChooseKnotSpacing(const CalibrationOptions& options,
     if (shrinkage > kShrinkage) break;
     best = std::move(denser);
     spacing = next;
+  }
+  // Motion that the knots do not follow feigns a lever arm long before the noise shows it.
+  if (!is_given && kReserve * spacing >= finest) {
+    spacing *= kReserve;
+    best = std::make_unique<Trial>(options, excerpt, spacing, *estimate);
   }
   const std::vector<double> noise = best->solver.SettleNoise();
   *estimate = best->estimate;

@@ -35,6 +35,12 @@ bool IsOfSession(const Parameter& p) {
   return p.kind == ParameterKind::kTimeShift || p.kind == ParameterKind::kClockDrift;
 }
 
+/// Worth a remark to the user who holds it where it does not belong.
+bool IsHint(ParameterKind kind) {
+  return kind == ParameterKind::kClockDrift || kind == ParameterKind::kPoseSmoothing ||
+         kind == ParameterKind::kGyroIntrinsics || kind == ParameterKind::kAccelIntrinsics;
+}
+
 /// Parameter blocks in the order of H: what is calibrated, what could have been, all others.
 struct Ordering {
   std::vector<double*> blocks;
@@ -50,8 +56,7 @@ struct Ordering {
     for (const Parameter& p : CalibrationParameters(solved->estimate)) {
       if (!problem.HasParameterBlock(p.data)) continue;
       const bool is_estimated = !problem.IsParameterBlockConstant(p.data);
-      const bool is_hint = p.kind >= ParameterKind::kClockDrift;
-      if (!is_estimated && !is_hint) continue;  // known to the user
+      if (!is_estimated && !IsHint(p.kind)) continue;
       (is_estimated ? calibrated : possible).push_back(p);
     }
     for (const Parameter& p : calibrated) {
