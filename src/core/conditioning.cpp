@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "imu_pose_calib/core/median.h"
+#include "imu_pose_calib/core/pose_updates.h"
 #include "imu_pose_calib/core/segments.h"
 
 namespace imu_pose_calib {
@@ -456,8 +457,9 @@ ConditionedData ConditionData(const CalibrationOptions& options,
   };
   report(stamps.poses, &out.pose_report);
   const double max_bad = options.max_bad_fraction;
-  const auto poses = Clean("pose", max_bad, session.poses, &out.pose_report);
+  auto poses = Clean("pose", max_bad, session.poses, &out.pose_report);
   CheckAlive(poses);
+  out.pose_report.between_updates = KeepOneOf(FindUpdatePeriod(poses), &poses);
   out.pose_epoch_ns = poses.front().t_ns;
   out.poses = ToSeconds(poses, out.pose_epoch_ns);
   ScaleNoise(poses, &out.poses);

@@ -205,6 +205,13 @@ void WarnOfDrops(const std::string& stream,
          " % are outliers (bound: ",
          Percent(kMaxOutliers),
          " %); they are not used");
+  if (r.between_updates > 0)
+    Warn(warnings,
+         stream,
+         ": they jump or bend ",
+         Percent(r.rate_hz / 100.0),
+         " times a second and are made up in between (fused with an imu, or interpolated): one is "
+         "used of each such interval; record what the tracker measures");
   if (r.flipped > 0)
     Warn(warnings,
          stream,

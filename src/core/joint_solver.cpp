@@ -17,6 +17,9 @@ namespace {
 constexpr double kNoiseAgreement = 1.5, kNoiseSettled = 1.15;
 constexpr int kMaxPasses = 6, kMaxNoisePasses = 10;
 
+/// Of the noise of poses that S1 finds: a trajectory that follows every pose shows none.
+constexpr double kLeastPositionNoise = 0.25, kLeastRotationNoise = 0.1;
+
 constexpr double kStep = 0.02;              // [s] between the instants looked at
 constexpr double kExcerpt = 8.0;            // [s] on which the knot spacing is chosen
 constexpr double kCoarsestKnots = 0.12;     // [s]
@@ -42,7 +45,7 @@ PreparedSession Excerpt(const PreparedSession& session,
                         const SessionEstimate& estimate,
                         double begin,
                         double end) {
-  PreparedSession excerpt{{}, session.trajectory, session.starts};
+  PreparedSession excerpt{{}, session.trajectory, session.starts, session.pose_noise};
   const ConditionedData& data = session.data;
   excerpt.data.pose_epoch_ns = data.pose_epoch_ns;
   excerpt.data.pose_report = data.pose_report;
@@ -152,6 +155,7 @@ class JointSolver {
         sessions_(sessions),
         estimate_(estimate),
         models_(InitialModels(options, sessions)) {
+    for (const SensorModel& model : models_) floor_.push_back(LeastNoise(model));
     for (size_t k = 0; k < noise.size(); ++k) models_[k].noise = models_[k].spread = noise[k];
     for (size_t s = 0; s < sessions.size(); ++s)
       splines_.emplace_back(sessions[s].data, *estimate, s, knot_spacings_s[s]);
@@ -200,6 +204,13 @@ class JointSolver {
   }
 
  private:
+  /// What is believed of a sensor's noise at least.
+  double LeastNoise(const SensorModel& model) const {
+    const PoseStd& noise = sessions_[model.session].pose_noise;
+    if (model.quantity == Quantity::kPosition) return kLeastPositionNoise * noise.position;
+    return model.quantity == Quantity::kRotation ? kLeastRotationNoise * noise.rotation : 0.0;
+  }
+
   /// A problem with the noise and the weights that are set; at first, all weights are 1.
   void Build() {
     problem_.reset();  // never two of them at a time
@@ -264,7 +275,7 @@ class JointSolver {
 
   void SetNoise(const std::vector<double>& noise) {
     for (size_t k = 0; k < noise.size(); ++k) {
-      models_[k].noise = noise[k];
+      models_[k].noise = std::max(noise[k], floor_[k]);
       models_[k].spread = statistics_[k].noise;
     }
     UpdateWeights(*problem_, splines_, &models_);
@@ -278,6 +289,7 @@ class JointSolver {
   std::unique_ptr<LeastSquares> problem_;
   std::vector<SensorStatistics> statistics_;  ///< of the last pass
   std::vector<double> in_band_;               ///< see NoiseInBand()
+  std::vector<double> floor_;                 ///< of the noise, by sensor
   bool holds_position_smoothing_ = false;     ///< at 0
 };
 

@@ -29,14 +29,13 @@ std::vector<SensorModel> InitialModels(const CalibrationOptions& options,
   std::vector<SensorModel> models;
   for (size_t s = 0; s < sessions.size(); ++s) {
     const ConditionedData& data = sessions[s].data;
-    const PoseTrajectory& trajectory = *sessions[s].trajectory;
     const auto add = [&](Quantity quantity, size_t imu, double rate_hz, double noise, size_t size) {
       models.push_back({quantity, s, imu, rate_hz, noise, noise, std::vector<double>(size, 1.0)});
     };
     const double rate_hz = data.pose_report.rate_hz;
     const size_t poses = data.poses.size();
-    add(Quantity::kPosition, 0, rate_hz, trajectory.position_hyperparameters().noise_std, poses);
-    add(Quantity::kRotation, 0, rate_hz, trajectory.rotation_hyperparameters().noise_std, poses);
+    add(Quantity::kPosition, 0, rate_hz, sessions[s].pose_noise.position, poses);
+    add(Quantity::kRotation, 0, rate_hz, sessions[s].pose_noise.rotation, poses);
     for (size_t i = 0; i < data.imus.size(); ++i) {
       const ConditionedImu& imu = data.imus[i];
       if (!imu.IsPresent()) continue;

@@ -37,6 +37,8 @@ PreparedSession Prepare(const CalibrationOptions& options,
   prepared.data = ConditionData(options, session, stamps);
   PoseTrajectory trajectory = FitTrajectory(options, &prepared.data);
   RemoveFlippedSegments(options, &trajectory, &prepared.data);
+  prepared.pose_noise = {trajectory.position_hyperparameters().noise_std,
+                         trajectory.rotation_hyperparameters().noise_std};
   prepared.trajectory = std::make_shared<const PoseTrajectory>(std::move(trajectory));
   CheckMotion(options, prepared.data, *prepared.trajectory, check);
   // With a known lever arm or rotation a turn about one axis may do: the covariance will tell.

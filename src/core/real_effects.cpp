@@ -15,7 +15,10 @@ using Eigen::Vector3d;
 constexpr double kFilterStep = 5e-4;    // [s] at most, between which a filtered signal is linear
 constexpr double kSlowErrorTime = 3.0;  // [s]
 constexpr int64_t kTogether = 20'000;   // [ns] between the stamps of samples that come together
-constexpr double kFusedReach = 3.0;     // of the sigma of its weights
+// Of a filter that carries poses on: updates a second [Hz], scale error of its accelerometer, gains
+// of an update [1, 1/s].
+constexpr double kUpdateRate = 20.0, kCarriedScale = 0.02, kPositionGain = 0.2, kVelocityGain = 0.4;
+constexpr double kFusedReach = 3.0;  // of the sigma of its weights
 
 int64_t Nominal(int64_t first_ns, double rate_hz, size_t k) {
   return first_ns + std::llround(1e9 * static_cast<double>(k) / rate_hz);
@@ -95,6 +98,30 @@ std::vector<Vector3d> SlowError(double sigma, double rate_hz, size_t count, std:
     errors[k] = k == 0 ? Gaussian(&random, sigma)
                        : Vector3d(kept * errors[k - 1] +
                                   Gaussian(&random, sigma * std::sqrt(1.0 - kept * kept)));
+  return errors;
+}
+
+std::vector<Vector3d> CarriedOn(double sigma,
+                                double rate_hz,
+                                const std::vector<Vector3d>& p_WM,
+                                std::mt19937 random) {
+  const double h = 1.0 / rate_hz;
+  const auto period = std::max<size_t>(1, static_cast<size_t>(std::lround(rate_hz / kUpdateRate)));
+  Vector3d error = Vector3d::Zero(), velocity = error;
+  std::vector<Vector3d> errors;
+  for (size_t k = 0; k < p_WM.size(); ++k) {
+    if (k >= 2) {
+      const Vector3d acceleration = (p_WM[k] - 2.0 * p_WM[k - 1] + p_WM[k - 2]) / (h * h);
+      velocity += kCarriedScale * h * acceleration;
+      error += h * velocity;
+    }
+    if (k % period == 0) {
+      const Vector3d innovation = Gaussian(&random, sigma) - error;
+      error += kPositionGain * innovation;
+      velocity += kVelocityGain * innovation;
+    }
+    errors.push_back(error);
+  }
   return errors;
 }
 

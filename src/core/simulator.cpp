@@ -89,16 +89,28 @@ std::vector<PoseSample> Poses(const SimulatorOptions& options,
   std::mt19937 direction = RandomOf(RandomEffect::kMarkerOffset, options.seed);
   const Eigen::Vector3d origin_M = effects.marker_offset * RandomDirection(&direction);
 
+  const bool is_carried_on = effects.pose_updates > 0.0;
+  const double position_std = is_carried_on ? 0.0 : options.position_std;
+  const double rotation_std = is_carried_on ? 0.0 : options.rotation_std;
+
   std::vector<PoseSample> poses(count);
   for (size_t k = 0; k < count; ++k) {
     const double t = static_cast<double>(k) / options.pose_rate_hz;
     const Rigid3 mean = MeanPose(trajectory, t, options.pose_exposure_s);
-    const Eigen::Quaterniond error =
-        Exp<double>(Gaussian(random, options.rotation_std) + slow_r[k]);
+    const Eigen::Quaterniond error = Exp<double>(Gaussian(random, rotation_std) + slow_r[k]);
     poses[k].q_WM = mean.q * error;
-    poses[k].p_WM = (1.0 + effects.pose_scale) * mean.p + Gaussian(random, options.position_std) +
+    poses[k].p_WM = (1.0 + effects.pose_scale) * mean.p + Gaussian(random, position_std) +
                     slow_p[k] + mean.q * (error * origin_M - origin_M);
   }
+  if (!is_carried_on) return poses;
+  std::vector<Eigen::Vector3d> positions;
+  for (const PoseSample& pose : poses) positions.push_back(pose.p_WM);
+  const std::vector<Eigen::Vector3d> errors =
+      CarriedOn(effects.pose_updates,
+                options.pose_rate_hz,
+                positions,
+                RandomOf(RandomEffect::kPoseUpdates, options.seed));
+  for (size_t k = 0; k < count; ++k) poses[k].p_WM += errors[k];
   return poses;
 }
 

@@ -68,7 +68,7 @@ TEST_P(RepairedFault, LeavesTheCalibrationWithinItsSigmas) {
   EXPECT_EQ(poses.received,
             poses.used + poses.not_finite + poses.zero_quaternion + poses.reversed_stamp +
                 poses.duplicate_stamp + poses.repeated_value + poses.outlier + poses.flipped +
-                poses.in_short_segment);
+                poses.in_short_segment + poses.between_updates);
   if (fault.check) fault.check(result);
 }
 

@@ -16,6 +16,7 @@ struct PreparedSession {
   ConditionedData data;
   std::shared_ptr<const PoseTrajectory> trajectory;
   std::vector<Start> starts;  ///< of each IMU of the rig; meaningless for one that is not present
+  PoseStd pose_noise;         ///< per axis, as S1 finds it
 };
 
 /// A bias that changes linearly between knots.

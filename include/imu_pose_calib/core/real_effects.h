@@ -56,6 +56,10 @@ struct RealEffects {
   /// that the gyroscope carries here from then.
   double fused_poses_s = 0.0;
 
+  /// [m] sigma of a tracker's positions, 20 a second, by which a filter corrects the poses that it
+  /// carries on with an IMU whose accelerometer's scale is off by 2 %; poses have no other noise.
+  double pose_updates = 0.0;
+
   StreamEffects pose_stream, imu_stream;
 };
 
@@ -74,6 +78,7 @@ enum class RandomEffect : uint32_t {
   kImuStamps,
   kPoseDrops,
   kImuDrops,
+  kPoseUpdates,
 };
 std::mt19937 RandomOf(RandomEffect effect, uint32_t seed);
 
@@ -94,6 +99,12 @@ double FilterDelay(double cutoff_hz);
 std::vector<Eigen::Vector3d> SlowError(double sigma,
                                        double rate_hz,
                                        size_t count,
+                                       std::mt19937 random);
+
+/// RealEffects::pose_updates. Errors [m] of positions p_WM at rate_hz.
+std::vector<Eigen::Vector3d> CarriedOn(double sigma,
+                                       double rate_hz,
+                                       const std::vector<Eigen::Vector3d>& p_WM,
                                        std::mt19937 random);
 
 /// RealEffects::fused_poses_s. `t` [s] of the poses and of the turn rates omega_M, in one clock.

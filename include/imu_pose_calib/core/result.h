@@ -24,6 +24,7 @@ struct StreamReport {
   size_t outlier = 0;           ///< off its neighbours
   size_t flipped = 0;           ///< poses only: in a run that turns against the gyroscope
   size_t in_short_segment = 0;  ///< poses only: between gaps less than min_segment_s apart
+  size_t between_updates = 0;   ///< poses only: tells nothing new, see FindUpdatePeriod()
   double rate_hz = 0.0;         ///< 1 / median period of the samples used
   double duration_s = 0.0;      ///< first to last sample used
 

@@ -108,6 +108,7 @@ void EmitRejected(const char* key, const StreamReport& report, YAML::Emitter* ou
   Emit("outlier", report.outlier, out);
   Emit("flipped", report.flipped, out);
   Emit("in_short_segment", report.in_short_segment, out);
+  Emit("between_updates", report.between_updates, out);
   *out << YAML::EndMap;
 }
 

@@ -71,6 +71,7 @@ std::string Dropped(const StreamReport& report) {
   add(report.outlier, "outlier");
   add(report.flipped, "flipped");
   add(report.in_short_segment, "between gaps");
+  add(report.between_updates, "between updates");
   return reasons.empty() ? "" : "; dropped " + reasons;
 }
 
