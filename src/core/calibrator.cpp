@@ -5,6 +5,7 @@
 #include <string>
 
 #include "imu_pose_calib/core/agreement.h"
+#include "imu_pose_calib/core/doubts.h"
 #include "imu_pose_calib/core/gp_problem.h"
 #include "imu_pose_calib/core/intrinsics.h"
 #include "imu_pose_calib/core/joint_solver.h"
@@ -221,9 +222,10 @@ Calibration Calibrate(const CalibrationOptions& options, const std::vector<Sessi
   if (options.method == Method::kGp)
     for (size_t s = 0; s < sessions.size(); ++s)
       result.sessions[s].rms = PoseResiduals(sessions[s]);
-  const Marginals marginals = CompareSessions(solution.marginals, &result);
+  const Marginals marginals = CompareSessions(CoverHalves(solution.marginals), &result);
   GradeResult(options, marginals, &result);
   WarnOfMisfit(marginals, &result);
+  DoubtResult(sessions, marginals, &result);
   JudgeAgreement(&result);
   solution.estimate = std::move(estimate);
   for (const PreparedSession& session : sessions) {

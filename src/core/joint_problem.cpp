@@ -17,9 +17,10 @@ constexpr double kSmoothingPrior = 1e-3;  // [s^2]
 constexpr double kPoseScalePrior = 3e-3;  // [1]
 // A filter that spreads samples over time delays them, too. Where the delay is small, so is the
 // smoothing, and errors of the poses would take its place.
-constexpr double kSmoothingPerDelay2 = 2.0;  // [1] sigma of accel_smoothing over the squared delay
-constexpr double kLeastFilterDelay = 5e-3;   // [s]
-constexpr double kScalePrior = 0.01;         // [1] diagonal of M_g and M_a
+// For a filter of first order, the squared delay; for a plain delay, nothing.
+constexpr double kSmoothingPerDelay2 = 0.5, kSmoothingSpread = 1.0;
+constexpr double kLeastFilterDelay = 5e-3;        // [s]
+constexpr double kScalePrior = 0.01;              // [1] diagonal of M_g and M_a
 constexpr double kAlignmentPrior = M_PI / 360.0;  // [rad] their other elements: 0.5 deg
 
 constexpr double kCurvatureStep = 0.01;  // [s] of differences
@@ -333,14 +334,17 @@ std::unique_ptr<LeastSquares> BuildJointProblem(const CalibrationOptions& option
   joint->AddOptional(ParameterKind::kPositionSmoothing, one(kSmoothingPrior));
   joint->AddOptional(ParameterKind::kPoseScale, one(kPoseScalePrior), 1.0);
   for (size_t i = 0; i < estimate->imus.size(); ++i) {
-    double delay = kLeastFilterDelay;
+    double delay = 0.0;
     for (const PreparedSession& session : sessions)
-      if (session.data.imus[i].IsPresent())
-        delay = std::max(delay, std::abs(session.starts[i].accel_delay));
-    double* const smoothing = &estimate->imus[i].accel_smoothing;
-    joint->AddOptional(
-        ParameterKind::kAccelSmoothing, one(kSmoothingPerDelay2 * delay * delay), 0.0, i);
-    if (delay <= kLeastFilterDelay) joint->problem.SetParameterBlockConstant(smoothing);
+      if (session.data.imus[i].IsPresent() &&
+          std::abs(session.starts[i].accel_delay) > std::abs(delay))
+        delay = session.starts[i].accel_delay;
+    joint->AddOptional(ParameterKind::kAccelSmoothing,
+                       one(kSmoothingSpread * std::max(delay * delay, 1e-12)),
+                       kSmoothingPerDelay2 * delay * std::abs(delay),
+                       i);
+    if (std::abs(delay) <= kLeastFilterDelay)
+      joint->problem.SetParameterBlockConstant(&estimate->imus[i].accel_smoothing);
   }
   joint->AddOptional(ParameterKind::kGyroIntrinsics, IntrinsicsPrior(true));
   joint->AddOptional(ParameterKind::kAccelIntrinsics, IntrinsicsPrior(false));

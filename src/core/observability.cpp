@@ -22,7 +22,6 @@ constexpr double kDegenerateFactor = 10.0;  // times the weak threshold
 // What is worth a warning:
 constexpr double kCertain = 3.0;            // sigma of a hint
 constexpr double kCorrelated = 3.0;         // clusters' sigma over the model's
-constexpr double kDisagreement = 5.0;       // sigma between the halves
 constexpr double kNotableDrift = 1e-4;      // [s] over the recording
 constexpr double kNotableSmoothing = 1e-5;  // [s^2]
 constexpr double kNotableScale = 5e-3;      // [1]
@@ -378,14 +377,6 @@ void WarnOfMisfit(const Marginals& marginals, Calibration* result) {
   if (correlation > kCorrelated)
     warn("the residuals are not independent noise: sigmas are up to " +
          number(correlation, "%.1f") + " times as large as with it");
-  const char* const halves = result->sessions.size() == 1
-                                 ? "the two halves of the recording"
-                                 : "the first and the second halves of the sessions";
-  if (result->split_half.sigmas > kDisagreement)
-    warn(std::string(halves) + " disagree by up to " + number(result->split_half.sigmas, "%.1f") +
-         " sigma (translation " + InWords(result->split_half.translation.norm(), "m") +
-         ", rotation " + InWords(result->split_half.rotation.norm(), "rad") +
-         "): did the marker or the imu move?");
   Parameter whose{};
   const double drift = CertainHint(marginals, ParameterKind::kClockDrift, &whose);
   const double drifted =

@@ -38,7 +38,7 @@ void GradeResult(const CalibrationOptions& options,
                  Calibration* result);
 
 /// Adds a warning in words for each sign that the model does not fit the data: correlated
-/// residuals, halves that disagree, drifting clocks, wrong scales, a long accel_delay.
+/// residuals, drifting clocks, wrong scales, a long accel_delay.
 void WarnOfMisfit(const Marginals& marginals, Calibration* result);
 
 /// "123.4 mm", "0.1234 deg" or "0.1234 ms" of a value in m, rad or s.

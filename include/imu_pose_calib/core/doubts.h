@@ -1,0 +1,21 @@
+#pragma once
+
+#include <vector>
+
+#include "imu_pose_calib/core/marginals.h"
+#include "imu_pose_calib/core/result.h"
+
+namespace imu_pose_calib {
+
+/// The marginals with sigmas that cover half of what the halves differ by, if they disagree: then
+/// the recording shows more scatter than its residuals do.
+Marginals CoverHalves(Marginals marginals);
+
+/// Makes a graded result `weak`, and says why, where what the solve found cannot be right though
+/// every sigma is small: halves that disagree, poses that are ignored, a source of poses as there
+/// is none, a bias of method gp beyond its sigma (doc/math.md, "Doubts").
+void DoubtResult(const std::vector<PreparedSession>& sessions,
+                 const Marginals& marginals,
+                 Calibration* result);
+
+}  // namespace imu_pose_calib

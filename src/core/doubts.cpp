@@ -1,0 +1,119 @@
+#include "imu_pose_calib/core/doubts.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <string>
+
+#include "imu_pose_calib/core/observability.h"
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr double kDisagreement = 5.0;  // sigma between the halves
+/// Noise of poses in the solve over that of S1, which is at least the second of these.
+constexpr double kIgnored = 10.0;
+constexpr PoseStd kOrdinaryNoise{1e-3, 3e-3};  // [m], [rad]
+// Beyond what sources of poses do:
+constexpr double kMostScale = 0.012;     // [1]
+constexpr double kMostSmoothing = 4e-3;  // [s^2]
+
+std::string Number(double value, const char* format) {
+  char text[32];
+  std::snprintf(text, sizeof(text), format, value);
+  return text;
+}
+
+std::string InSession(size_t session, const Calibration& result) {
+  return result.sessions.size() == 1 ? "" : " in session " + std::to_string(session + 1);
+}
+
+void DoubtHalves(const Calibration& result, std::vector<std::string>* doubts) {
+  if (result.split_half.sigmas <= kDisagreement) return;
+  const char* const halves = result.sessions.size() == 1
+                                 ? "the two halves of the recording"
+                                 : "the first and the second halves of the sessions";
+  doubts->push_back(
+      std::string(halves) + " disagree by up to " + Number(result.split_half.sigmas, "%.1f") +
+      " sigma (translation " + InWords(result.split_half.translation.norm(), "m") + ", rotation " +
+      InWords(result.split_half.rotation.norm(), "rad") + "): did the marker or the imu move?");
+}
+
+void DoubtNoise(const std::vector<PreparedSession>& sessions,
+                const Calibration& result,
+                std::vector<std::string>* doubts) {
+  for (size_t s = 0; s < sessions.size(); ++s) {
+    const auto check = [&](const char* name, double PoseStd::*member, const char* unit) {
+      const double found = result.sessions[s].noise.*member;
+      const double own = sessions[s].pose_noise.*member;
+      if (found <= kIgnored * std::max(own, kOrdinaryNoise.*member)) return;
+      doubts->push_back(std::string("the ") + name + " of the poses" + InSession(s, result) +
+                        " are off by " + InWords(found, unit) + " where they scatter by " +
+                        InWords(own, unit) +
+                        ": the result hardly rests on them; are their stamps "
+                        "right?");
+    };
+    check("positions", &PoseStd::position, "m");
+    check("rotations", &PoseStd::rotation, "rad");
+  }
+}
+
+void DoubtPoseSource(const Calibration& result, std::vector<std::string>* doubts) {
+  if (std::abs(result.pose_scale - 1.0) > kMostScale)
+    doubts->push_back("the positions seem off in scale by " +
+                      Number(100.0 * (result.pose_scale - 1.0), "%+.1f") + " % (bound: " +
+                      Number(100.0 * kMostScale, "%.1f") + " %): check the tracker's calibration");
+  for (const double smoothing : {result.pose_smoothing, result.position_smoothing})
+    if (std::abs(smoothing) > kMostSmoothing)
+      doubts->push_back(std::string(smoothing > 0.0 ? "the poses" : "the imu's data") +
+                        " seem smoothed over " + InWords(std::sqrt(std::abs(smoothing)), "s") +
+                        " more than the " + (smoothing > 0.0 ? "imu's data" : "poses") +
+                        " (bound: " + InWords(std::sqrt(kMostSmoothing), "s") +
+                        "): something else is not as assumed");
+}
+
+/// Errors of the smoothed trajectory feign information, which shrinks p_MI.
+void DoubtSmoothing(const Marginals& marginals,
+                    const Calibration& result,
+                    std::vector<std::string>* doubts) {
+  if (result.method != Method::kGp) return;
+  for (const PlacedParameter& p : marginals.parameters) {
+    if (!p.is_estimated || p.parameter.kind != ParameterKind::kTranslation) continue;
+    const size_t i = p.parameter.imu;
+    const Eigen::Vector3d bias =
+        marginals.feigned_information[i] *
+        (marginals.model.block<3, 3>(p.place, p.place) * result.imus[i].T_MI.p);
+    const Eigen::Vector3d std = result.imus[i].Std().head<3>();
+    if ((bias.cwiseAbs() - std).maxCoeff() <= 0.0) continue;
+    doubts->push_back("method gp takes p_MI" + OfImu(i, result.imus.size()) + " for about " +
+                      InWords(bias.norm(), "m") + " too short, more than its sigma: use joint");
+  }
+}
+
+}  // namespace
+
+Marginals CoverHalves(Marginals marginals) {
+  if (marginals.halves_sigmas <= kDisagreement) return marginals;
+  for (Eigen::Index k = 0; k < marginals.halves_difference.size(); ++k)
+    marginals.robust(k, k) =
+        std::max(marginals.robust(k, k), std::pow(0.5 * marginals.halves_difference[k], 2));
+  return marginals;
+}
+
+void DoubtResult(const std::vector<PreparedSession>& sessions,
+                 const Marginals& marginals,
+                 Calibration* result) {
+  if (!result->IsUsable()) return;
+  std::vector<std::string> doubts;
+  DoubtHalves(*result, &doubts);
+  DoubtNoise(sessions, *result, &doubts);
+  DoubtPoseSource(*result, &doubts);
+  DoubtSmoothing(marginals, *result, &doubts);
+  if (doubts.empty()) return;
+  if (result->status == Status::kWeak) doubts.push_back(result->message);
+  result->status = Status::kWeak;
+  result->message = doubts.front();
+  result->warnings.insert(result->warnings.end(), doubts.begin() + 1, doubts.end());
+}
+
+}  // namespace imu_pose_calib
