@@ -19,7 +19,7 @@ constexpr double kPoseScalePrior = 3e-3;  // [1]
 // smoothing, and errors of the poses would take its place.
 // For a filter of first order, the squared delay; for a plain delay, nothing.
 constexpr double kSmoothingPerDelay2 = 0.5, kSmoothingSpread = 1.0;
-constexpr double kLeastFilterDelay = 5e-3;        // [s]
+constexpr double kLeastFilterDelay = 0.01;        // [s]
 constexpr double kScalePrior = 0.01;              // [1] diagonal of M_g and M_a
 constexpr double kAlignmentPrior = M_PI / 360.0;  // [rad] their other elements: 0.5 deg
 
