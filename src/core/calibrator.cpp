@@ -225,7 +225,7 @@ Calibration Calibrate(const CalibrationOptions& options, const std::vector<Sessi
   const Marginals marginals = CompareSessions(CoverHalves(solution.marginals), &result);
   GradeResult(options, marginals, &result);
   WarnOfMisfit(marginals, &result);
-  DoubtResult(sessions, marginals, &result);
+  DoubtResult(sessions, &result);
   JudgeAgreement(&result);
   solution.estimate = std::move(estimate);
   for (const PreparedSession& session : sessions) {

@@ -5,6 +5,7 @@
 #include <cstdio>
 #include <string>
 
+#include "imu_pose_calib/core/median.h"
 #include "imu_pose_calib/core/observability.h"
 
 namespace imu_pose_calib {
@@ -14,6 +15,8 @@ constexpr double kDisagreement = 5.0;  // sigma between the halves
 /// Noise of poses in the solve over that of S1, which is at least the second of these.
 constexpr double kIgnored = 10.0;
 constexpr PoseStd kOrdinaryNoise{1e-3, 3e-3};  // [m], [rad]
+/// Noise of the accelerometer in a solve against a given trajectory, over its own.
+constexpr double kLost = 2.0;
 // Beyond what sources of poses do:
 constexpr double kMostScale = 0.012;     // [1]
 constexpr double kMostSmoothing = 4e-3;  // [s^2]
@@ -72,21 +75,34 @@ void DoubtPoseSource(const Calibration& result, std::vector<std::string>* doubts
                         "): something else is not as assumed");
 }
 
-/// Errors of the smoothed trajectory feign information, which shrinks p_MI.
-void DoubtSmoothing(const Marginals& marginals,
+/// Noise of samples as their second differences show it, which hold little of the motion.
+double OwnNoise(const std::vector<TimedSample>& samples) {
+  std::vector<double> magnitudes;
+  for (size_t i = 2; i < samples.size(); ++i) {
+    const Eigen::Vector3d second =
+        samples[i].value - 2.0 * samples[i - 1].value + samples[i - 2].value;
+    for (const double x : second) magnitudes.push_back(std::abs(x) / std::sqrt(6.0));
+  }
+  return kMadToSigma * Median(std::move(magnitudes));
+}
+
+/// What a given trajectory has lost of the motion remains in the accelerometer's residuals, and
+/// the lever arm has adapted to it.
+void DoubtSmoothing(const std::vector<PreparedSession>& sessions,
                     const Calibration& result,
                     std::vector<std::string>* doubts) {
   if (result.method != Method::kGp) return;
-  for (const PlacedParameter& p : marginals.parameters) {
-    if (!p.is_estimated || p.parameter.kind != ParameterKind::kTranslation) continue;
-    const size_t i = p.parameter.imu;
-    const Eigen::Vector3d bias =
-        marginals.feigned_information[i] *
-        (marginals.model.block<3, 3>(p.place, p.place) * result.imus[i].T_MI.p);
-    const Eigen::Vector3d std = result.imus[i].Std().head<3>();
-    if ((bias.cwiseAbs() - std).maxCoeff() <= 0.0) continue;
-    doubts->push_back("method gp takes p_MI" + OfImu(i, result.imus.size()) + " for about " +
-                      InWords(bias.norm(), "m") + " too short, more than its sigma: use joint");
+  for (size_t s = 0; s < sessions.size(); ++s) {
+    for (size_t i = 0; i < result.imus.size(); ++i) {
+      const ConditionedImu& imu = sessions[s].data.imus[i];
+      if (!imu.IsPresent()) continue;
+      const double own = OwnNoise(imu.accel), found = result.sessions[s].imus[i].noise.accel;
+      if (found <= kLost * own) continue;
+      doubts->push_back("method gp loses motion" + InSession(s, result) +
+                        ": it leaves the accelerometer" + OfImu(i, result.imus.size()) +
+                        " a noise of " + Number(found, "%.3g") + " m/s^2, its own is " +
+                        Number(own, "%.3g") + ", and p_MI is too short or too long: use joint");
+    }
   }
 }
 
@@ -100,15 +116,13 @@ Marginals CoverHalves(Marginals marginals) {
   return marginals;
 }
 
-void DoubtResult(const std::vector<PreparedSession>& sessions,
-                 const Marginals& marginals,
-                 Calibration* result) {
+void DoubtResult(const std::vector<PreparedSession>& sessions, Calibration* result) {
   if (!result->IsUsable()) return;
   std::vector<std::string> doubts;
   DoubtHalves(*result, &doubts);
   DoubtNoise(sessions, *result, &doubts);
   DoubtPoseSource(*result, &doubts);
-  DoubtSmoothing(marginals, *result, &doubts);
+  DoubtSmoothing(sessions, *result, &doubts);
   if (doubts.empty()) return;
   if (result->status == Status::kWeak) doubts.push_back(result->message);
   result->status = Status::kWeak;

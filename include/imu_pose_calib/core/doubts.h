@@ -13,9 +13,7 @@ Marginals CoverHalves(Marginals marginals);
 
 /// Makes a graded result `weak`, and says why, where what the solve found cannot be right though
 /// every sigma is small: halves that disagree, poses that are ignored, a source of poses as there
-/// is none, a bias of method gp beyond its sigma (doc/math.md, "Doubts").
-void DoubtResult(const std::vector<PreparedSession>& sessions,
-                 const Marginals& marginals,
-                 Calibration* result);
+/// is none, motion that method gp has lost (doc/math.md, "Doubts").
+void DoubtResult(const std::vector<PreparedSession>& sessions, Calibration* result);
 
 }  // namespace imu_pose_calib
