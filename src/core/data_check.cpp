@@ -16,7 +16,7 @@ namespace {
 
 // Bounds of the warnings, as shares of a stream unless a unit is given.
 constexpr double kMaxJitter = 0.3;  // of a period
-constexpr double kMaxBunched = 0.1;
+constexpr double kMaxBunched = 0.1, kMostBunched = 0.8;
 constexpr double kMaxMissingImu = 0.05, kMaxMissingPoses = 0.3;
 constexpr double kMaxRepeatedImu = 0.3, kMaxRepeatedPoses = 0.1;
 constexpr double kMaxDropped = 0.01;  // not finite, zero, reversed
@@ -335,6 +335,26 @@ DataCheck CheckStreams(const SessionData& recorded,
     WarnOfStamps("accelerometer" + of, imu.accel, kMaxMissingImu, kMaxRepeatedImu, &check.warnings);
   }
   return check;
+}
+
+void RefuseBunches(const DataCheck& check) {
+  const auto refuse = [](const std::string& stream, const StreamCheck& of) {
+    if (of.stamps.recovered || of.bunched <= kMostBunched) return;
+    std::ostringstream text;
+    text.precision(3);
+    text
+        << stream << ": " << Percent(of.bunched)
+        << " % of the samples are stamped in bunches (bound: " << Percent(kMostBunched)
+        << " %), as by time of arrival, and no even clock fits them; record stamps of the sensor's "
+           "own clock";
+    throw DataError(text.str());
+  };
+  refuse("pose", check.poses);
+  for (size_t i = 0; i < check.imus.size(); ++i) {
+    const std::string of = OfImu(i, check.imus.size());
+    refuse("gyroscope" + of, check.imus[i].gyro);
+    refuse("accelerometer" + of, check.imus[i].accel);
+  }
 }
 
 void CheckMotion(const CalibrationOptions& options,

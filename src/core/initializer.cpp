@@ -23,6 +23,7 @@ constexpr double kMinAgreement = 0.6;      // of the log, on one rotation
 constexpr double kMinProposal = 0.3;       // of the log, for a rotation to be taken seriously
 constexpr double kMinSignalToNoise = 3.0;  // power of the marker's acceleration
 constexpr double kUnitBound = 5.0;         // scale of the positions, either way
+constexpr double kLeastExplained = 0.3;    // by positions in another unit
 constexpr double kDelaySearch = 0.1;       // [s]
 constexpr double kDelayStep = 0.01;        // [s] of a first search
 constexpr double kDelayResolution = 1e-4;  // [s]
@@ -214,7 +215,14 @@ struct LeverArmEquations {
     return x;
   }
 
-  double PositionScale() const { return A.ldlt().solve(b)[9]; }
+  /// s when it is free, and its share of what the other unknowns leave of the accelerometer.
+  double PositionScale(double* explained) const {
+    const Eigen::LDLT<Matrix10d> ldlt = A.ldlt();
+    const Vector10d x = ldlt.solve(b);
+    const double gain = x[9] * x[9] / ldlt.solve(Vector10d::Unit(9))[9];
+    *explained = gain / (gain + sum - b.dot(x));
+    return x[9];
+  }
 };
 
 /// Variance per axis of the marker's acceleration [(m/s^2)^2].
@@ -236,8 +244,11 @@ double MeanAccelVariance(const PoseTrajectory& trajectory,
 void CheckPositionUnit(const LeverArmEquations& equations, double mean_variance) {
   const double mean_square = equations.A(9, 9) / std::max(1.0, equations.count);
   if (mean_square < 3.0 * kMinSignalToNoise * mean_variance) return;
-  const double scale = equations.PositionScale();
+  double explained = 0.0;
+  const double scale = equations.PositionScale(&explained);
   if (scale > 1.0 / kUnitBound && scale < kUnitBound) return;
+  // Accelerations that are mostly errors of the poses match nothing, in no unit.
+  if (explained < kLeastExplained) return;
   std::ostringstream text;
   text.precision(3);
   text << "pose: the marker's acceleration has to be multiplied by " << scale

@@ -33,6 +33,7 @@ PreparedSession Prepare(const CalibrationOptions& options,
   SessionData session = recorded;
   const SessionStamps stamps = RecoverStamps(options.recover_stamps, &session);
   *check = CheckStreams(recorded, session, stamps);
+  RefuseBunches(*check);
   PreparedSession prepared;
   prepared.data = ConditionData(options, session, stamps);
   PoseTrajectory trajectory = FitTrajectory(options, &prepared.data);

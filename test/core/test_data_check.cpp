@@ -110,6 +110,16 @@ TEST(CheckData, WarnsOfStampsByTimeOfArrival) {
   EXPECT_NEAR(check.imus[0].gyro.rate_hz, 200.0, 0.1);
 }
 
+TEST(CheckData, RefusesBunchesThatNoClockFits) {
+  SimulatorOptions truth = Truth();
+  truth.effects.imu_stream.burst = 8.0;
+  const DataCheck check = Check(Simulate(truth), StampRecovery::kNever);
+  EXPECT_EQ(check.verdict, DataVerdict::kRecordAgain);
+  EXPECT_NE(check.message.find("stamped in bunches (bound: 80 %)"), std::string::npos)
+      << check.message;
+  EXPECT_NEAR(check.imus[0].gyro.bunched, 7.0 / 8.0, 0.01);
+}
+
 TEST(CheckData, WarnsOfStampsThatJitter) {
   SessionData data = Simulate(Truth());
   std::mt19937 random(1);

@@ -68,6 +68,10 @@ DataCheck CheckStreams(const SessionData& recorded,
                        const SessionData& session,
                        const SessionStamps& stamps);
 
+/// Throws DataError when most samples of a stream come in bunches for which no clock was found:
+/// when they were taken cannot be told.
+void RefuseBunches(const DataCheck& check);
+
 /// Checks of what S0 and S1 made of them: what was dropped, rest, excitation.
 void CheckMotion(const CalibrationOptions& options,
                  const ConditionedData& data,

@@ -57,7 +57,7 @@ struct RealEffects {
   double fused_poses_s = 0.0;
 
   /// [m] sigma of a tracker's positions, 20 a second, by which a filter corrects the poses that it
-  /// carries on with an IMU whose accelerometer's scale is off by 2 %; poses have no other noise.
+  /// carries on with an IMU whose accelerometer's scale is off by 0.5 %; poses have no other noise.
   double pose_updates = 0.0;
 
   StreamEffects pose_stream, imu_stream;
