@@ -90,17 +90,18 @@ std::vector<PoseSample> Poses(const SimulatorOptions& options,
   const Eigen::Vector3d origin_M = effects.marker_offset * RandomDirection(&direction);
 
   const bool is_carried_on = effects.pose_updates > 0.0;
-  const double position_std = is_carried_on ? 0.0 : options.position_std;
-  const double rotation_std = is_carried_on ? 0.0 : options.rotation_std;
+  const double noise = is_carried_on ? 0.0 : 1.0;
 
   std::vector<PoseSample> poses(count);
   for (size_t k = 0; k < count; ++k) {
     const double t = static_cast<double>(k) / options.pose_rate_hz;
     const Rigid3 mean = MeanPose(trajectory, t, options.pose_exposure_s);
-    const Eigen::Quaterniond error = Exp<double>(Gaussian(random, rotation_std) + slow_r[k]);
+    const Eigen::Quaterniond error =
+        Exp<double>(noise * Gaussian(random, options.rotation_std) + slow_r[k]);
     poses[k].q_WM = mean.q * error;
-    poses[k].p_WM = (1.0 + effects.pose_scale) * mean.p + Gaussian(random, position_std) +
-                    slow_p[k] + mean.q * (error * origin_M - origin_M);
+    poses[k].p_WM = (1.0 + effects.pose_scale) * mean.p +
+                    noise * Gaussian(random, options.position_std) + slow_p[k] +
+                    mean.q * (error * origin_M - origin_M);
   }
   if (!is_carried_on) return poses;
   std::vector<Eigen::Vector3d> positions;
