@@ -60,6 +60,11 @@ bool IsOfPoses(ParameterKind kind) {
          kind == ParameterKind::kPoseScale;
 }
 
+bool IsHint(ParameterKind kind) {
+  return kind == ParameterKind::kClockDrift || kind == ParameterKind::kPoseSmoothing ||
+         kind == ParameterKind::kGyroIntrinsics || kind == ParameterKind::kAccelIntrinsics;
+}
+
 std::vector<Parameter> CalibrationParameters(Estimate* estimate) {
   std::vector<Parameter> parameters;
   const auto in_sessions = [&](size_t i, auto visit) {

@@ -35,12 +35,6 @@ bool IsOfSession(const Parameter& p) {
   return p.kind == ParameterKind::kTimeShift || p.kind == ParameterKind::kClockDrift;
 }
 
-/// Worth a remark to the user who holds it where it does not belong.
-bool IsHint(ParameterKind kind) {
-  return kind == ParameterKind::kClockDrift || kind == ParameterKind::kPoseSmoothing ||
-         kind == ParameterKind::kGyroIntrinsics || kind == ParameterKind::kAccelIntrinsics;
-}
-
 /// Parameter blocks in the order of H: what is calibrated, what could have been, all others.
 struct Ordering {
   std::vector<double*> blocks;

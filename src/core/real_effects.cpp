@@ -17,7 +17,8 @@ constexpr double kSlowErrorTime = 3.0;  // [s]
 constexpr int64_t kTogether = 20'000;   // [ns] between the stamps of samples that come together
 // Of a filter that carries poses on: updates a second [Hz], scale error of its accelerometer, gains
 // of an update [1, 1/s].
-constexpr double kUpdateRate = 20.0, kCarriedScale = 0.005, kPositionGain = 0.2, kVelocityGain = 0.4;
+constexpr double kUpdateRate = 20.0, kCarriedScale = 0.005, kPositionGain = 0.2,
+                 kVelocityGain = 0.4;
 constexpr double kFusedReach = 3.0;  // of the sigma of its weights
 
 int64_t Nominal(int64_t first_ns, double rate_hz, size_t k) {
