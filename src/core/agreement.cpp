@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <string>
 
 #include "imu_pose_calib/core/observability.h"
@@ -134,9 +133,8 @@ OwnEstimate Own(const Marginals& marginals,
 }
 
 std::string Describe(const Agreement& agreement) {
-  char sigmas[32];
-  std::snprintf(sigmas, sizeof(sigmas), "%.1f sigma", agreement.sigmas);
-  return agreement.worst + " by " + InWords(agreement.difference, agreement.unit) + ", " + sigmas;
+  return agreement.worst + " by " + InWords(agreement.difference, agreement.unit) + ", " +
+         Number(agreement.sigmas, "%.1f sigma");
 }
 
 }  // namespace

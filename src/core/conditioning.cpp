@@ -440,6 +440,10 @@ std::string OfImu(size_t imu, size_t count) {
   return count == 1 ? "" : " of imu" + std::to_string(imu);
 }
 
+std::string OfSession(size_t session, size_t count) {
+  return count == 1 ? "" : " in session " + std::to_string(session + 1);
+}
+
 ConditionedData ConditionData(const CalibrationOptions& options, const SessionData& recorded) {
   SessionData session = recorded;
   const SessionStamps stamps = RecoverStamps(options.recover_stamps, &session);

@@ -209,7 +209,7 @@ void WarnOfDrops(const std::string& stream,
     Warn(warnings,
          stream,
          ": they jump or bend ",
-         Percent(r.rate_hz / 100.0),
+         r.rate_hz,
          " times a second and are made up in between (fused with an imu, or interpolated): one is "
          "used of each such interval; record what the tracker measures");
   if (r.flipped > 0)

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <string>
 
 #include "imu_pose_calib/core/median.h"
@@ -20,16 +19,6 @@ constexpr double kLost = 2.0;
 // Beyond what sources of poses do:
 constexpr double kMostScale = 0.012;     // [1]
 constexpr double kMostSmoothing = 4e-3;  // [s^2]
-
-std::string Number(double value, const char* format) {
-  char text[32];
-  std::snprintf(text, sizeof(text), format, value);
-  return text;
-}
-
-std::string InSession(size_t session, const Calibration& result) {
-  return result.sessions.size() == 1 ? "" : " in session " + std::to_string(session + 1);
-}
 
 void DoubtHalves(const Calibration& result, std::vector<std::string>* doubts) {
   if (result.split_half.sigmas <= kDisagreement) return;
@@ -50,9 +39,9 @@ void DoubtNoise(const std::vector<PreparedSession>& sessions,
       const double found = result.sessions[s].noise.*member;
       const double own = sessions[s].pose_noise.*member;
       if (found <= kIgnored * std::max(own, kOrdinaryNoise.*member)) return;
-      doubts->push_back(std::string("the ") + name + " of the poses" + InSession(s, result) +
-                        " are off by " + InWords(found, unit) + " where they scatter by " +
-                        InWords(own, unit) +
+      doubts->push_back(std::string("the ") + name + " of the poses" +
+                        OfSession(s, result.sessions.size()) + " are off by " +
+                        InWords(found, unit) + " where they scatter by " + InWords(own, unit) +
                         ": the result hardly rests on them; are their stamps "
                         "right?");
     };
@@ -98,7 +87,7 @@ void DoubtSmoothing(const std::vector<PreparedSession>& sessions,
       if (!imu.IsPresent()) continue;
       const double own = OwnNoise(imu.accel), found = result.sessions[s].imus[i].noise.accel;
       if (found <= kLost * own) continue;
-      doubts->push_back("method gp loses motion" + InSession(s, result) +
+      doubts->push_back("method gp loses motion" + OfSession(s, result.sessions.size()) +
                         ": it leaves the accelerometer" + OfImu(i, result.imus.size()) +
                         " a noise of " + Number(found, "%.3g") + " m/s^2, its own is " +
                         Number(own, "%.3g") + ", and p_MI is too short or too long: use joint");

@@ -227,6 +227,10 @@ void SessionBuilder::AddImu(size_t imu,
   std::vector<MarkerJerk> jerks;
   std::vector<ProblemSample> batch_samples;
   size_t knot = 0;
+  ImuEstimate& rig = joint_->estimate->imus[imu];
+  const bool with_curvature =
+      with_jerks && (rig.accel_smoothing != 0.0 ||
+                     !joint_->problem.IsParameterBlockConstant(&rig.accel_smoothing));
   const auto add_block = [&] {
     if (batch.empty()) return;
     const size_t first = batch.front().at.place.first;
@@ -240,8 +244,7 @@ void SessionBuilder::AddImu(size_t imu,
     MarkerJerk jerk;
     const auto point = PointAt(t_M, with_jerks ? &jerk : nullptr);
     if (!point || !IsOnTrajectory(*prepared_.trajectory, t_M)) continue;
-    if (with_jerks)
-      jerk.f_curvature = ForceCurvature(point->gp, t_M, joint_->estimate->imus[imu].p_MI);
+    if (with_curvature) jerk.f_curvature = ForceCurvature(point->gp, t_M, rig.p_MI);
     const auto [k, u] = knots.Locate(samples[i].t);
     if (!batch.empty() && (batch.front().at.place.first != point->place.first || knot != k))
       add_block();

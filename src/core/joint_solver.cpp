@@ -27,9 +27,8 @@ constexpr double kMinSamplesPerKnot = 4.0;  // IMU samples
 /// Share of those seconds that knots must cover, more than the ends of two runs can be too short
 /// for; and share of the samples of each sensor that they must hold.
 constexpr double kLeastFollowed = 0.15, kLeastCovered = 0.1;
-/// Of gyro times accel residual, that knots as much denser have to leave at most; and that the step
-/// before has to have left for knots 1.4 times as dense, where twice is too much.
-constexpr double kShrinkage = 0.985, kSteepShrinkage = 0.5;
+/// Of gyro times accel residual, that knots twice as dense have to leave at most.
+constexpr double kShrinkage = 0.985;
 /// Of the knot spacing at which noise hides what is left of the motion.
 constexpr double kReserve = M_SQRT1_2;
 
@@ -341,16 +340,11 @@ JointStart ChooseKnotSpacing(const CalibrationOptions& options,
     if (model.quantity == Quantity::kGyro || model.quantity == Quantity::kAccel)
       slowest = std::min(slowest, model.rate_hz);
   const double finest = kMinSamplesPerKnot / slowest;
-  double shrinkage = 0.0;
-  while (!is_given) {
-    const bool may_halve = 0.5 * spacing >= finest;
-    const double next = (may_halve ? 0.5 : M_SQRT1_2) * spacing;
-    if (next < finest || (!may_halve && shrinkage > kSteepShrinkage)) break;
-    auto denser = std::make_unique<Trial>(options, excerpt, next, *estimate);
-    shrinkage = denser->residual / best->residual;
-    if (shrinkage > kShrinkage) break;
+  while (!is_given && 0.5 * spacing >= finest) {
+    auto denser = std::make_unique<Trial>(options, excerpt, 0.5 * spacing, *estimate);
+    if (denser->residual > kShrinkage * best->residual) break;
     best = std::move(denser);
-    spacing = next;
+    spacing *= 0.5;
   }
   // Motion that the knots do not follow feigns a lever arm long before the noise shows it.
   if (!is_given && kReserve * spacing >= finest) {

@@ -55,10 +55,8 @@ void AddDirections(const Eigen::Matrix3d& C,
 
 /// " of imu1", " of imu1 in session 2" (the first is 1), or less when there is only one.
 std::string Of(const Parameter& p, const Calibration& result, bool in_session) {
-  std::string text = OfImu(p.imu, result.imus.size());
-  if (in_session && result.sessions.size() > 1)
-    text += " in session " + std::to_string(p.session + 1);
-  return text;
+  return OfImu(p.imu, result.imus.size()) +
+         (in_session ? OfSession(p.session, result.sessions.size()) : "");
 }
 
 double WeakThreshold(const CalibrationOptions& options, const std::string& unit) {
@@ -295,6 +293,12 @@ std::string InWords(double value, const std::string& unit) {
   return text.str();
 }
 
+std::string Number(double value, const char* format) {
+  char text[32];
+  std::snprintf(text, sizeof(text), format, value);
+  return text;
+}
+
 void CheckTurns(const TurnExcitation& turns) {
   if (turns.rate_std[1] >= kMinTurnRate) return;
   std::ostringstream text;
@@ -368,21 +372,16 @@ void GradeResult(const CalibrationOptions& options,
 
 void WarnOfMisfit(const Marginals& marginals, Calibration* result) {
   const auto warn = [result](const std::string& text) { result->warnings.push_back(text); };
-  const auto number = [](double value, const char* format) {
-    char text[32];
-    std::snprintf(text, sizeof(text), format, value);
-    return std::string(text);
-  };
   const double correlation = Correlation(marginals);
   if (correlation > kCorrelated)
     warn("the residuals are not independent noise: sigmas are up to " +
-         number(correlation, "%.1f") + " times as large as with it");
+         Number(correlation, "%.1f") + " times as large as with it");
   Parameter whose{};
   const double drift = CertainHint(marginals, ParameterKind::kClockDrift, &whose);
   const double drifted =
       std::abs(drift) * result->sessions[whose.session].imus[whose.imu].gyro.duration_s;
   if (drifted > kNotableDrift)
-    warn("the clocks" + Of(whose, *result, true) + " drift by " + number(1e6 * drift, "%+.1f") +
+    warn("the clocks" + Of(whose, *result, true) + " drift by " + Number(1e6 * drift, "%+.1f") +
          " ppm (" + InWords(drifted, "s") + " over the recording): set estimate_clock_drift: true");
   const double smoothing = CertainHint(marginals, ParameterKind::kPoseSmoothing, &whose);
   if (std::abs(smoothing) > kNotableSmoothing)
@@ -397,7 +396,7 @@ void WarnOfMisfit(const Marginals& marginals, Calibration* result) {
     const double error = CertainHint(marginals, kind, &whose);
     if (std::abs(error) > kNotableScale)
       warn("the " + std::string(sensor) + "'s scale or alignment" + Of(whose, *result, false) +
-           " seems off by " + number(100.0 * std::abs(error), "%.1f") +
+           " seems off by " + Number(100.0 * std::abs(error), "%.1f") +
            " %: try imu_model: scale_misalignment");
   }
   for (size_t i = 0; i < result->imus.size(); ++i) {

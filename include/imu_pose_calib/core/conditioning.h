@@ -91,6 +91,8 @@ struct ConditionedData {
 
 /// " of imu1", or nothing for the only one of the rig: what messages add to the name of a sensor.
 std::string OfImu(size_t imu, size_t count);
+/// " in session 2" (the first is 1), or nothing for the only one.
+std::string OfSession(size_t session, size_t count);
 
 /// The pose T_WM [m] of what was recorded as the options say.
 PoseSample ToMarkerPose(const CalibrationOptions& options, PoseSample recorded);

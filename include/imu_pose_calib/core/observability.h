@@ -43,5 +43,7 @@ void WarnOfMisfit(const Marginals& marginals, Calibration* result);
 
 /// "123.4 mm", "0.1234 deg" or "0.1234 ms" of a value in m, rad or s.
 std::string InWords(double value, const std::string& unit);
+/// By a format of printf for one double, such as "%.1f".
+std::string Number(double value, const char* format);
 
 }  // namespace imu_pose_calib
