@@ -95,6 +95,7 @@ void ReportEstimate(const Estimate& estimate,
     result->imus[i].accel_smoothing = imu.accel_smoothing;
     result->imus[i].gyro_matrix = GyroMatrix(imu.gyro_intrinsics);
     result->imus[i].accel_matrix = AccelMatrix(imu.accel_intrinsics);
+    result->imus[i].accel_positions = AccelPositions(imu.accel_positions);
   }
   for (size_t s = 0; s < sessions.size(); ++s) {
     result->sessions[s].g_W = estimate.sessions[s].g_W;

@@ -62,7 +62,8 @@ bool IsOfPoses(ParameterKind kind) {
 
 bool IsHint(ParameterKind kind) {
   return kind == ParameterKind::kClockDrift || kind == ParameterKind::kPoseSmoothing ||
-         kind == ParameterKind::kGyroIntrinsics || kind == ParameterKind::kAccelIntrinsics;
+         kind == ParameterKind::kGyroIntrinsics || kind == ParameterKind::kAccelIntrinsics ||
+         kind == ParameterKind::kAccelPositions;
 }
 
 std::vector<Parameter> CalibrationParameters(Estimate* estimate) {
@@ -94,6 +95,7 @@ std::vector<Parameter> CalibrationParameters(Estimate* estimate) {
     parameters.push_back({ParameterKind::kAccelSmoothing, i, 0, 1, &imu.accel_smoothing});
     parameters.push_back({ParameterKind::kGyroIntrinsics, i, 0, 6, imu.gyro_intrinsics.data()});
     parameters.push_back({ParameterKind::kAccelIntrinsics, i, 0, 9, imu.accel_intrinsics.data()});
+    parameters.push_back({ParameterKind::kAccelPositions, i, 0, 6, imu.accel_positions.data()});
   }
   return parameters;
 }
@@ -120,6 +122,8 @@ bool IsEstimated(const CalibrationOptions& options, ParameterKind kind) {
     case ParameterKind::kGyroIntrinsics:
     case ParameterKind::kAccelIntrinsics:
       return options.imu_model == ImuModel::kScaleMisalignment;
+    case ParameterKind::kAccelPositions:
+      return options.estimate_size_effect;
     case ParameterKind::kGravity:
       return options.estimate_gravity;
     case ParameterKind::kGyroBias:

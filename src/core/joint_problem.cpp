@@ -22,6 +22,7 @@ constexpr double kSmoothingPerDelay2 = 0.5, kSmoothingSpread = 1.0;
 constexpr double kLeastFilterDelay = 0.01;        // [s]
 constexpr double kScalePrior = 0.01;              // [1] diagonal of M_g and M_a
 constexpr double kAlignmentPrior = M_PI / 360.0;  // [rad] their other elements: 0.5 deg
+constexpr double kSizePrior = 3e-3;               // [m] places of the accelerometer's axes
 
 constexpr double kCurvatureStep = 0.01;  // [s] of differences
 
@@ -288,6 +289,7 @@ void SessionBuilder::AddAccel(size_t imu) {
   const auto [motions, clocks] = Split(Clocks(&imu, true));
   ImuEstimate& rig = joint_->estimate->imus[imu];
   BiasKnots& knots = estimate_.imus[imu].accel_bias;
+  const Eigen::Matrix3d R_axes = rig.q_MI.toRotationMatrix();
   const auto create = [&, &motions = motions, &clocks = clocks](
                           const std::vector<JointImuSample>& batch,
                           const std::vector<MarkerJerk>& jerks,
@@ -304,10 +306,11 @@ void SessionBuilder::AddAccel(size_t imu) {
                    knots.values[knot].data(),
                    knots.values[knot + 1].data(),
                    &rig.accel_smoothing,
-                   &joint_->estimate->pose_scale});
+                   &joint_->estimate->pose_scale,
+                   rig.accel_positions.data()});
     blocks.insert(blocks.end(), clocks.begin(), clocks.end());
     return joint_->problem.AddResidualBlock(
-        CreateJointAccelResidual(batch, jerks, motions), nullptr, blocks);
+        CreateJointAccelResidual(batch, jerks, R_axes, motions), nullptr, blocks);
   };
   AddImu(
       imu, Quantity::kAccel, prepared_.data.imus[imu].accel, rig.accel_delay, true, knots, create);
@@ -351,6 +354,7 @@ std::unique_ptr<LeastSquares> BuildJointProblem(const CalibrationOptions& option
   }
   joint->AddOptional(ParameterKind::kGyroIntrinsics, IntrinsicsPrior(true));
   joint->AddOptional(ParameterKind::kAccelIntrinsics, IntrinsicsPrior(false));
+  joint->AddOptional(ParameterKind::kAccelPositions, Eigen::VectorXd::Constant(6, kSizePrior));
   for (size_t s = 0; s < sessions.size(); ++s) {
     (*splines)[s].is_with_poses = DoPosesLead((*splines)[s], s, *joint);
     SessionBuilder builder(s, &(*splines)[s], joint.get());

@@ -320,8 +320,11 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
  public:
   JointAccelResidual(const std::vector<JointImuSample>& samples,
                      const std::vector<MarkerJerk>& jerks,
+                     const Matrix3d& R_axes,
                      const ClockMotions& clocks)
-      : BatchResidual(samples, {4, 3, 3, 9, 3, 3, 1, 1}, 2, clocks), jerks_(jerks) {}
+      : BatchResidual(samples, {4, 3, 3, 9, 3, 3, 1, 1, 6}, 2, clocks),
+        R_axes_(R_axes),
+        jerks_(jerks) {}
 
  protected:
   bool EvaluateSample(const JointImuSample& s,
@@ -348,21 +351,38 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
     const Vector3d f_body = x.q_WM.conjugate() * (a_W - g);  // R_WM^T (a_W - g_W)
     const Vector3d f_M = f_body + x.alpha.cross(p) + x.omega.cross(x.omega.cross(p)) +
                          0.5 * *blocks[n + 6] * jerk.f_curvature;
-    const Vector3d f_I = q_MI.conjugate() * f_M;
+    const Matrix3d R_IM = q_MI.conjugate().toRotationMatrix();
+    const Matrix3d W = Hat(x.omega);
+    const Matrix3d K = Hat(x.alpha) + W * W;  // acceleration by the lever arm
+    const Matrix3d arms = R_axes_ * AccelPositions(Eigen::Map<const Vector6d>(blocks[n + 8]));
+    const bool have_arms = !arms.isZero(0.0);
+    Vector3d f_I = R_IM * f_M;
+    if (have_arms) f_I += (R_IM * K).cwiseProduct(arms.transpose()).rowwise().sum();
     AsVector(residual) =
         (s.value - (1.0 - s.bias_u) * knot_0 - s.bias_u * knot_1 - M_a * f_I) / s.sigma;
     if (jacobians == nullptr) return true;
 
-    // d r / d f_M
-    const Matrix3d A = -M_a * q_MI.conjugate().toRotationMatrix() / s.sigma;
+    const Matrix3d r_I = -M_a / s.sigma;  // d r / d f_I
+    const Matrix3d A = r_I * R_IM;        // d r / d f_M
     const Matrix3d R_MW = x.q_WM.conjugate().toRotationMatrix();
-    const Matrix3d W = Hat(x.omega);
     // d (omega x (omega x p)) / d omega
-    const Matrix3d f_omega = -Hat<double>(x.omega.cross(p)) - W * Hat<double>(p);
-    const Matrix3d f_alpha = -Hat<double>(p);
-    const Matrix3d r_phi = A * (Hat(f_body) * x.J + f_omega * x.omega_phi + f_alpha * x.alpha_phi);
-    const Matrix3d r_phi1 = A * (f_omega * x.omega_phi1 + f_alpha * x.alpha_phi1);
-    const Matrix3d r_phi2 = A * f_alpha * x.alpha_phi2;
+    const auto by_omega = [&](const Vector3d& arm) -> Matrix3d {
+      return -Hat<double>(x.omega.cross(arm)) - W * Hat<double>(arm);
+    };
+    Matrix3d r_omega = A * by_omega(p);
+    Matrix3d r_alpha = -A * Hat<double>(p);
+    Eigen::Matrix<double, 3, 4> f_q = InverseRotationJacobian(q_MI, R_IM * f_M);
+    if (have_arms) {
+      for (int axis = 0; axis < 3; ++axis) {
+        const Vector3d arm = arms.col(axis);
+        r_omega += r_I.col(axis) * (R_IM.row(axis) * by_omega(arm));
+        r_alpha -= r_I.col(axis) * (R_IM.row(axis) * Hat<double>(arm));
+        f_q.row(axis) = InverseRotationJacobian(q_MI, R_IM * (f_M + K * arm)).row(axis);
+      }
+    }
+    const Matrix3d r_phi = A * Hat(f_body) * x.J + r_omega * x.omega_phi + r_alpha * x.alpha_phi;
+    const Matrix3d r_phi1 = r_omega * x.omega_phi1 + r_alpha * x.alpha_phi1;
+    const Matrix3d r_phi2 = r_alpha * x.alpha_phi2;
     const Matrix3d r_a = A * R_MW;
     for (int j = 0; j < kSplineOrder; ++j) {
       SetRows<3>(jacobians, j, i, weights(2, j) / scale * r_a);
@@ -371,8 +391,8 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
                  i,
                  weights(0, j) * r_phi + weights(1, j) * r_phi1 + weights(2, j) * r_phi2);
     }
-    SetRows<4>(jacobians, n, i, -M_a * InverseRotationJacobian(q_MI, f_I) / s.sigma);
-    SetRows<3>(jacobians, n + 1, i, A * (Hat(x.alpha) + W * W));
+    SetRows<4>(jacobians, n, i, r_I * f_q);
+    SetRows<3>(jacobians, n + 1, i, A * K);
     SetRows<3>(jacobians, n + 2, i, -r_a);
     if (jacobians[n + 3] != nullptr) {
       Eigen::Matrix<double, 3, 9> r_M = Eigen::Matrix<double, 3, 9>::Zero();
@@ -384,15 +404,26 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
     SetRows<1>(jacobians, n + 6, i, 0.5 * A * jerk.f_curvature);
     SetRows<1>(jacobians, n + 7, i, -1.0 / scale * r_a * a_W);
     const Matrix3d E_inv = Exp<double>(-phi.col(0)).toRotationMatrix();
-    const Vector3d f_gp = 1.0 / scale * R_MW * jerk.jerk_W - (x.omega - x.u).cross(f_body) +
-                          f_omega * x.omega_gp + f_alpha * (x.alpha_gp + E_inv * jerk.alpha_rate);
-    const Vector3d f_spline = 1.0 / scale * R_MW * d.col(3) - x.u.cross(f_body) +
-                              f_omega * x.omega_spline + f_alpha * x.alpha_spline;
-    SetClockRows(s, i, A * f_gp, A * f_spline, jacobians);
+    const Vector3d r_gp = A * (1.0 / scale * R_MW * jerk.jerk_W - (x.omega - x.u).cross(f_body)) +
+                          r_omega * x.omega_gp + r_alpha * (x.alpha_gp + E_inv * jerk.alpha_rate);
+    const Vector3d r_spline = A * (1.0 / scale * R_MW * d.col(3) - x.u.cross(f_body)) +
+                              r_omega * x.omega_spline + r_alpha * x.alpha_spline;
+    SetClockRows(s, i, r_gp, r_spline, jacobians);
+    if (jacobians[n + 8] != nullptr) {
+      // Row: axis; column: component of its place in I.
+      const Matrix3d f_r = R_IM * K * R_axes_;
+      Eigen::Matrix<double, 3, 6> f_places = Eigen::Matrix<double, 3, 6>::Zero();
+      for (int axis = 0; axis < 3; ++axis) {
+        for (int k = 0; k < 6; ++k)
+          f_places(axis, k) = f_r.row(axis).dot(AccelPositions(Vector6d::Unit(k)).col(axis));
+      }
+      SetRows<6>(jacobians, n + 8, i, r_I * f_places);
+    }
     return true;
   }
 
  private:
+  const Matrix3d R_axes_;
   const std::vector<MarkerJerk> jerks_;
 };
 
@@ -415,8 +446,9 @@ ceres::CostFunction* CreateJointGyroResidual(const std::vector<JointImuSample>& 
 
 ceres::CostFunction* CreateJointAccelResidual(const std::vector<JointImuSample>& samples,
                                               const std::vector<MarkerJerk>& jerks,
+                                              const Eigen::Matrix3d& R_axes,
                                               const ClockMotions& clocks) {
-  return new JointAccelResidual(samples, jerks, clocks);
+  return new JointAccelResidual(samples, jerks, R_axes, clocks);
 }
 
 }  // namespace imu_pose_calib

@@ -27,6 +27,8 @@ constexpr double kMinSamplesPerKnot = 4.0;  // IMU samples
 /// Share of those seconds that knots must cover, more than the ends of two runs can be too short
 /// for; and share of the samples of each sensor that they must hold.
 constexpr double kLeastFollowed = 0.15, kLeastCovered = 0.1;
+/// Of its sigma: the size effect where it is estimated.
+constexpr double kShown = 4.0;
 /// Of gyro times accel residual, that knots twice as dense have to leave at most.
 constexpr double kShrinkage = 0.985;
 /// Of the knot spacing at which noise hides what is left of the motion.
@@ -141,6 +143,14 @@ void TakeStep(const Marginals& marginals, LeastSquares* solved) {
   }
 }
 
+/// Whether the data show that the axes of the accelerometer are not at one place.
+bool ShowsSize(const Marginals& marginals, size_t imu) {
+  const int place = marginals.Find(ParameterKind::kAccelPositions, imu);
+  return place >= 0 && (marginals.hint.segment<6>(place).array().abs() >
+                        kShown * marginals.hint_std.segment<6>(place).array())
+                           .any();
+}
+
 /// S4 at given knot spacings: trajectories and calibration in passes of least squares, each with
 /// the noise and the robust weights that the residuals of the one before show.
 class JointSolver {
@@ -153,7 +163,8 @@ class JointSolver {
       : options_(options),
         sessions_(sessions),
         estimate_(estimate),
-        models_(InitialModels(options, sessions)) {
+        models_(InitialModels(options, sessions)),
+        holds_size_(estimate->imus.size(), true) {
     for (const SensorModel& model : models_) floor_.push_back(LeastNoise(model));
     for (size_t k = 0; k < noise.size(); ++k) models_[k].noise = models_[k].spread = noise[k];
     for (size_t s = 0; s < sessions.size(); ++s)
@@ -187,13 +198,13 @@ class JointSolver {
     int pass = 2;
     do ++pass;
     while (NextPass(ColoredNoise()) > kNoiseAgreement && pass < kMaxPasses);
-    // The last step, with weights by the last residuals, comes with the covariance.
-    SetNoise(ColoredNoise());
-    Build();
-    FeignInformation(splines_, problem_.get());
     Solution solution;
+    solution.marginals = LastStep();
+    if (options_.estimate_size_effect && FreeSizes(solution.marginals)) {
+      Pass();
+      solution.marginals = LastStep();
+    }
     solution.statistics = statistics_;
-    solution.marginals = FindMarginals(problem_.get());
     FollowClocks([&] { TakeStep(solution.marginals, problem_.get()); });
     solution.residuals = problem_->TakeResiduals();
     problem_.reset();
@@ -203,6 +214,21 @@ class JointSolver {
   }
 
  private:
+  /// The step that remains with weights by the last residuals, and the covariance.
+  Marginals LastStep() {
+    SetNoise(ColoredNoise());
+    Build();
+    FeignInformation(splines_, problem_.get());
+    return FindMarginals(problem_.get());
+  }
+
+  /// From now on with the size effect of the IMUs that show it; whether there are any.
+  bool FreeSizes(const Marginals& marginals) {
+    for (size_t i = 0; i < holds_size_.size(); ++i)
+      if (ShowsSize(marginals, i)) holds_size_[i] = false;
+    return std::find(holds_size_.begin(), holds_size_.end(), false) != holds_size_.end();
+  }
+
   /// What is believed of a sensor's noise at least.
   double LeastNoise(const SensorModel& model) const {
     const PoseStd& noise = sessions_[model.session].pose_noise;
@@ -216,6 +242,9 @@ class JointSolver {
     problem_ = BuildJointProblem(options_, sessions_, models_, estimate_, &splines_);
     if (holds_position_smoothing_)
       problem_->problem.SetParameterBlockConstant(&estimate_->position_smoothing);
+    for (size_t i = 0; i < holds_size_.size(); ++i)
+      if (holds_size_[i])
+        problem_->problem.SetParameterBlockConstant(estimate_->imus[i].accel_positions.data());
   }
 
   void Pass(bool hold_calibration = false) {
@@ -290,6 +319,7 @@ class JointSolver {
   std::vector<double> in_band_;               ///< see NoiseInBand()
   std::vector<double> floor_;                 ///< of the noise, by sensor
   bool holds_position_smoothing_ = false;     ///< at 0
+  std::vector<bool> holds_size_;              ///< of each IMU: no size effect
 };
 
 /// What the IMUs leave, over all of them: it shrinks while knots become denser for a reason.

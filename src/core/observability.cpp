@@ -186,6 +186,9 @@ void ReportParameter(const PlacedParameter& p, const Eigen::MatrixXd& C, Calibra
     case ParameterKind::kAccelIntrinsics:
       imu.accel_matrix_std = AccelMatrix(Vector9d(std_dev)) - Eigen::Matrix3d::Identity();
       break;
+    case ParameterKind::kAccelPositions:
+      imu.accel_positions_std = AccelPositions(Vector6d(std_dev)).cwiseAbs();
+      break;
     case ParameterKind::kGravity:
       session.g_W_std = std_dev;
       break;

@@ -160,6 +160,38 @@ TEST(JointCalibration, EstimatesScaleAndMisalignment) {
   EXPECT_LT(result.imus[0].accel_matrix_std.maxCoeff(), 2e-3);
 }
 
+TEST(JointCalibration, FindsAxesOfTheAccelerometerThatAreApart) {
+  SimulatorOptions truth = Recording(1e-3, 23);
+  truth.duration_s = 30.0;
+  truth.motion = Motion::kTumble;
+  truth.effects.size_effect = 6e-3;
+  const SessionData data = Simulate(truth);
+  CalibrationOptions options;
+  options.knot_spacing_s = 0.06;
+
+  const Calibration result = Calibrate(options, data);
+  EXPECT_LT(Normalised(result, truth).cwiseAbs().maxCoeff(), 4.5);
+  const ImuCalibration& imu = result.imus[0];
+  EXPECT_GT(imu.accel_positions.cwiseAbs().maxCoeff(), 1e-3);
+  EXPECT_LT(imu.accel_positions_std.maxCoeff(), 0.5e-3);
+  for (int row = 0; row < 3; ++row)
+    EXPECT_NEAR(imu.accel_positions.row(row).sum(), imu.accel_positions(row, row), 1e-12);
+
+  options.estimate_size_effect = false;
+  const Calibration without = Calibrate(options, data);
+  EXPECT_EQ(without.imus[0].accel_positions, Eigen::Matrix3d::Zero());
+  EXPECT_GT(Normalised(without, truth).cwiseAbs().maxCoeff(), 5.0);
+  EXPECT_GT(without.sessions[0].imus[0].rms.accel, 1.2 * result.sessions[0].imus[0].rms.accel);
+}
+
+TEST(JointCalibration, HoldsTheAxesOfTheAccelerometerTogetherWithoutEvidence) {
+  SimulatorOptions truth = Recording(1e-3, 24);
+  truth.motion = Motion::kTumble;
+  const Calibration result = Calibrate(CalibrationOptions(), Simulate(truth));
+  EXPECT_EQ(result.imus[0].accel_positions, Eigen::Matrix3d::Zero());
+  EXPECT_EQ(result.imus[0].accel_positions_std, Eigen::Matrix3d::Zero());
+}
+
 TEST(JointCalibration, EstimatesClockDrift) {
   SimulatorOptions truth = Recording(1e-3, 22);
   truth.duration_s = 60.0;

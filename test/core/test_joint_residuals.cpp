@@ -140,7 +140,8 @@ class JointResiduals : public ::testing::Test {
                           knot_0_.data(),
                           knot_1_.data(),
                           &accel_smoothing_,
-                          &pose_scale_})
+                          &pose_scale_,
+                          accel_positions_.data()})
       blocks.push_back(block);
     return With(blocks, clocks);
   }
@@ -339,6 +340,9 @@ class JointResiduals : public ::testing::Test {
   double other_time_shift_ = 0.0117, other_accel_delay_ = 0.0005, other_clock_drift_ = -2e-6;
   double pose_smoothing_ = 3e-4, position_smoothing_ = -1e-4, accel_smoothing_ = 4e-4;
   double pose_scale_ = 1.03;
+  /// More than any IMU has.
+  Vector6d accel_positions_ = (Vector6d() << 0.05, -0.03, 0.02, 0.04, -0.05, 0.03).finished();
+  Eigen::Matrix3d R_axes_ = Exp<double>(Vector3d(0.2, -1.3, 0.9)).toRotationMatrix();
 };
 
 TEST_F(JointResiduals, PositionJacobian) {
@@ -376,14 +380,16 @@ TEST_F(JointResiduals, JacobianOfAnotherGyro) {
 }
 
 TEST_F(JointResiduals, AccelJacobian) {
-  ExpectJacobiansMatch(
-      CreateJointAccelResidual(Imu(), Jerks(), Motions({})), AccelBlocks({}), 2 * kSplineOrder);
+  ExpectJacobiansMatch(CreateJointAccelResidual(Imu(), Jerks(), R_axes_, Motions({})),
+                       AccelBlocks({}),
+                       2 * kSplineOrder);
 }
 
 TEST_F(JointResiduals, JacobianOfAnotherAccel) {
-  ExpectJacobiansMatch(CreateJointAccelResidual(Imu(), Jerks(), Motions(OtherAccelClocks())),
-                       AccelBlocks(OtherAccelClocks()),
-                       2 * kSplineOrder);
+  ExpectJacobiansMatch(
+      CreateJointAccelResidual(Imu(), Jerks(), R_axes_, Motions(OtherAccelClocks())),
+      AccelBlocks(OtherAccelClocks()),
+      2 * kSplineOrder);
 }
 
 TEST_F(JointResiduals, JacobianOfAnotherAccelThatHasMoved) {
@@ -392,7 +398,7 @@ TEST_F(JointResiduals, JacobianOfAnotherAccelThatHasMoved) {
   const std::vector<JointImuSample> samples = Imu();
   const std::vector<MarkerJerk> jerks = Jerks();
   const auto create = [&] {
-    return CreateJointAccelResidual(samples, jerks, Motions(OtherAccelClocks()));
+    return CreateJointAccelResidual(samples, jerks, R_axes_, Motions(OtherAccelClocks()));
   };
   const size_t first_clock = blocks.size() - OtherAccelClocks().size();
   const auto errors = [&](double scale) {
@@ -491,13 +497,16 @@ TEST_F(JointResiduals, MovedRatesAreThoseFurtherAlongTheTrajectory) {
 }
 
 TEST_F(JointResiduals, MovedForcesAreThoseFurtherAlongTheTrajectory) {
+  const auto create = [&](const auto& samples, const auto& jerks, const ClockMotions& clocks) {
+    return CreateJointAccelResidual(samples, jerks, R_axes_, clocks);
+  };
   ExpectImuOrder(
       OtherAccelClocks(),
       AccelBlocks(OtherAccelClocks()),
       &OtherAccelMove,
       2,
       [](size_t k) { return k < 2 * kSplineOrder + 6 ? 2 : 1; },
-      &CreateJointAccelResidual);
+      create);
 }
 
 TEST_F(JointResiduals, VanishWhereTheCorrectedTrajectoryIsMeasured) {
@@ -508,17 +517,24 @@ TEST_F(JointResiduals, VanishWhereTheCorrectedTrajectoryIsMeasured) {
   const auto turn = [&](double to) {
     return Log(Eigen::Quaterniond(Eigen::Matrix3d(R_WM.transpose() * RotationAt(to))));
   };
-  const auto imu_position = [&](double to) {
-    return Vector3d(true_.At(to).p_WM + Correction(d_, to) + RotationAt(to) * p_MI_);
+  // Of the place p_M of the marker's frame.
+  const auto force_W = [&](const Vector3d& p_M) -> Vector3d {
+    const auto position = [&](double to) {
+      return Vector3d(true_.At(to).p_WM + Correction(d_, to) + RotationAt(to) * p_M);
+    };
+    const auto velocity = [&](double to) { return NumericRate(position, to, 1e-3); };
+    return NumericRate(velocity, t, 1e-3) - g_W_;
   };
-  const auto imu_velocity = [&](double to) { return NumericRate(imu_position, to, 1e-3); };
   const Vector3d omega_M = NumericRate(turn, t, 1e-3);
   pose_scale_ = 1.0;
-  const Vector3d f_W = NumericRate(imu_velocity, t, 1e-3) - g_W_;
+  Vector3d f_I;
+  for (int axis = 0; axis < 3; ++axis) {
+    const Vector3d p_M = p_MI_ + R_axes_ * AccelPositions(accel_positions_).col(axis);
+    f_I[axis] = (q_MI_.conjugate() * (R_WM.transpose() * force_W(p_M)))[axis];
+  }
   const Vector3d bias = 0.7 * knot_0_ + 0.3 * knot_1_;
   const Vector3d w = GyroMatrix(gyro_intrinsics_) * (q_MI_.conjugate() * omega_M) + bias;
-  const Vector3d f =
-      AccelMatrix(accel_intrinsics_) * (q_MI_.conjugate() * (R_WM.transpose() * f_W)) + bias;
+  const Vector3d f = AccelMatrix(accel_intrinsics_) * f_I + bias;
   const ClockMotions gyro = Motions(OtherGyroClocks()), accel = Motions(OtherAccelClocks());
   const auto residual = [](ceres::CostFunction* cost, const std::vector<double*>& blocks) {
     return Evaluate(cost, blocks).residuals.norm();
@@ -526,9 +542,10 @@ TEST_F(JointResiduals, VanishWhereTheCorrectedTrajectoryIsMeasured) {
   const std::vector<JointImuSample> rate{{at, w, 0.3, 2.4, -0.5, 1.0}};
   const std::vector<JointImuSample> force{{at, f, 0.3, 2.4, -0.5, 1.0}};
   EXPECT_LT(residual(CreateJointGyroResidual(rate, gyro), GyroBlocks(OtherGyroClocks())), 1e-6);
-  EXPECT_LT(residual(CreateJointAccelResidual(force, {JerkAt(t)}, Motions({})), AccelBlocks({})),
-            1e-4);
-  EXPECT_LT(residual(CreateJointAccelResidual(force, {JerkAt(t)}, accel),
+  EXPECT_LT(
+      residual(CreateJointAccelResidual(force, {JerkAt(t)}, R_axes_, Motions({})), AccelBlocks({})),
+      1e-4);
+  EXPECT_LT(residual(CreateJointAccelResidual(force, {JerkAt(t)}, R_axes_, accel),
                      AccelBlocks(OtherAccelClocks())),
             1e-4);
 
@@ -589,7 +606,7 @@ TEST_F(JointResiduals, ImusThatMoveAlikeKeepTheirResiduals) {
   const std::unique_ptr<ceres::CostFunction> gyro(
       CreateJointGyroResidual(resting, Motions(OtherGyroClocks())));
   const std::unique_ptr<ceres::CostFunction> accel(
-      CreateJointAccelResidual(resting, at_rest, Motions(OtherAccelClocks())));
+      CreateJointAccelResidual(resting, at_rest, R_axes_, Motions(OtherAccelClocks())));
   const std::vector<double*> gyro_blocks = GyroBlocks(OtherGyroClocks());
   const std::vector<double*> accel_blocks = AccelBlocks(OtherAccelClocks());
   std::vector<double> before(6), after(6);
@@ -619,7 +636,7 @@ TEST_F(JointResiduals, FailFarBeyondTheSpan) {
       CreateJointRotationResidual(Poses(), Motions(PoseClocks())));
   EXPECT_FALSE(rotation->Evaluate(PoseBlocks(&phi_).data(), residual[0].data(), nullptr));
   const std::unique_ptr<ceres::CostFunction> accel(
-      CreateJointAccelResidual(Imu(), Jerks(), Motions(OtherAccelClocks())));
+      CreateJointAccelResidual(Imu(), Jerks(), R_axes_, Motions(OtherAccelClocks())));
   EXPECT_FALSE(
       accel->Evaluate(AccelBlocks(OtherAccelClocks()).data(), residual[0].data(), nullptr));
 }

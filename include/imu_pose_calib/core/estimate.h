@@ -43,6 +43,7 @@ struct ImuEstimate {
   double accel_smoothing = 0.0;                    ///< [s^2] see ImuCalibration
   Vector6d gyro_intrinsics = Vector6d::Zero();     ///< of GyroMatrix()
   Vector9d accel_intrinsics = Vector9d::Zero();    ///< of AccelMatrix()
+  Vector6d accel_positions = Vector6d::Zero();     ///< [m] of AccelPositions()
 };
 
 /// An IMU in a session; times as in Start.
@@ -94,6 +95,7 @@ enum class ParameterKind {
   kAccelSmoothing,     ///< [s^2]
   kGyroIntrinsics,     ///< 6, of GyroMatrix()
   kAccelIntrinsics,    ///< 9, of AccelMatrix()
+  kAccelPositions,     ///< 6 [m], of AccelPositions()
   kGravity,            ///< [m/s^2] of a session
   kGyroBias,           ///< [rad/s] of an IMU in a session, mean
   kAccelBias,          ///< [m/s^2] of an IMU in a session, mean

@@ -22,4 +22,12 @@ inline Eigen::Matrix3d AccelMatrix(const Vector9d& m) {
   return Eigen::Matrix3d::Identity() + Eigen::Map<const Eigen::Matrix3d>(m.data()).transpose();
 }
 
+/// Places [m] in I of the accelerometer's axes, column i of axis i (size effect). I's origin has
+/// the x of the middle of y and z, which is where turning accelerates along x, and so on.
+inline Eigen::Matrix3d AccelPositions(const Vector6d& m) {
+  Eigen::Matrix3d P;
+  P << m[0], m[3], -m[3], -m[4], m[1], m[4], m[5], -m[5], m[2];
+  return P;
+}
+
 }  // namespace imu_pose_calib

@@ -111,6 +111,8 @@ struct CalibrationOptions {
   bool estimate_clock_drift = true;
   /// Scale and misalignment of the sensors, usually within 1 % and 0.5 deg. Joint solve only.
   ImuModel imu_model = ImuModel::kScaleMisalignment;
+  /// Places of the accelerometer's axes, where the data show that they are apart. Joint solve only.
+  bool estimate_size_effect = true;
   /// Magnitude of gravity [m/s^2] unless initial_gravity is given.
   double gravity_magnitude = 9.80665;
 

@@ -31,7 +31,7 @@ const char kEquations[] = R"(
 #            rotations of poses, accel_smoothing that of the accelerometer, less that of the
 #            gyroscope; position_smoothing that of positions, less that of rotations
 # scale:     positions of poses = pose_scale * true
-# imu:       measured = matrix * true + bias
+# imu:       measured = matrix * true + bias; row i of accel_positions: where the accelerometer's axis i is [m]
 # Units: m, s, rad, m/s^2. Quaternions: x, y, z, w.
 
 )";
@@ -145,6 +145,8 @@ void EmitIntrinsics(const ImuModel model, const ImuCalibration& imu, YAML::Emitt
   EmitMatrix("gyro_matrix_std", imu.gyro_matrix_std, out);
   EmitMatrix("accel_matrix", imu.accel_matrix, out);
   EmitMatrix("accel_matrix_std", imu.accel_matrix_std, out);
+  EmitMatrix("accel_positions", imu.accel_positions.transpose(), out);
+  EmitMatrix("accel_positions_std", imu.accel_positions_std.transpose(), out);
 }
 
 void EmitBiases(const ImuSession& imu, YAML::Emitter* out) {
