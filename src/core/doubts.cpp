@@ -19,6 +19,8 @@ constexpr double kLost = 2.0;
 // Beyond what sources of poses do:
 constexpr double kMostScale = 0.012;     // [1]
 constexpr double kMostSmoothing = 4e-3;  // [s^2]
+/// From which on the second moment is not enough to describe an accelerometer's filter.
+constexpr double kMostAccelSmoothing = 1.2e-3;  // [s^2]
 
 void DoubtHalves(const Calibration& result, std::vector<std::string>* doubts) {
   if (result.split_half.sigmas <= kDisagreement) return;
@@ -62,6 +64,20 @@ void DoubtPoseSource(const Calibration& result, std::vector<std::string>* doubts
                         " more than the " + (smoothing > 0.0 ? "imu's data" : "poses") +
                         " (bound: " + InWords(std::sqrt(kMostSmoothing), "s") +
                         "): something else is not as assumed");
+}
+
+void DoubtFilters(const Calibration& result, std::vector<std::string>* doubts) {
+  for (size_t i = 0; i < result.imus.size(); ++i) {
+    const double smoothing = result.imus[i].accel_smoothing;
+    if (std::abs(smoothing) <= kMostAccelSmoothing) continue;
+    doubts->push_back(std::string("the ") + (smoothing > 0.0 ? "accelerometer" : "gyroscope") +
+                      OfImu(i, result.imus.size()) + " averages over " +
+                      InWords(std::sqrt(std::abs(smoothing)), "s") + " more than the " +
+                      (smoothing > 0.0 ? "gyroscope" : "accelerometer") +
+                      " (bound: " + InWords(std::sqrt(kMostAccelSmoothing), "s") +
+                      "), and what that does to fast motion is undone in part only: set a faster "
+                      "filter, or move slowly");
+  }
 }
 
 /// Noise of samples as their second differences show it, which hold little of the motion.
@@ -111,6 +127,7 @@ void DoubtResult(const std::vector<PreparedSession>& sessions, Calibration* resu
   DoubtHalves(*result, &doubts);
   DoubtNoise(sessions, *result, &doubts);
   DoubtPoseSource(*result, &doubts);
+  DoubtFilters(*result, &doubts);
   DoubtSmoothing(sessions, *result, &doubts);
   if (doubts.empty()) return;
   if (result->status == Status::kWeak) doubts.push_back(result->message);

@@ -39,6 +39,7 @@ TEST(Doubts, NoneWithoutAReason) {
   Calibration result = Certain();
   result.pose_scale = 1.011;
   result.pose_smoothing = -3.9e-3;
+  result.imus[0].accel_smoothing = -1.1e-3;
   result.split_half.sigmas = 4.9;
   result.sessions[0].noise = {0.019, 0.039};
   result = Doubted(result);
@@ -54,6 +55,8 @@ TEST(Doubts, AreTheMessageOfAWeakResult) {
   scale.pose_scale = 0.987;
   Calibration smoothing = Certain();
   smoothing.pose_smoothing = -5e-3;
+  Calibration filter = Certain();
+  filter.imus[0].accel_smoothing = 2e-3;
   Calibration positions = Certain();
   positions.sessions[0].noise.position = 0.021;
   Calibration rotations = Certain();
@@ -62,6 +65,7 @@ TEST(Doubts, AreTheMessageOfAWeakResult) {
       {halves, "halves of the recording disagree by up to 5.1 sigma"},
       {scale, "off in scale by -1.3 % (bound: 1.2 %)"},
       {smoothing, "the imu's data seem smoothed over 70.7 ms"},
+      {filter, "the accelerometer averages over 44.7 ms more than the gyroscope (bound: 34.6 ms)"},
       {positions, "the positions of the poses are off by 21 mm where they scatter by 2 mm"},
       {rotations,
        "the rotations of the poses are off by 2.35 deg where they scatter by 0.229 deg"}};
