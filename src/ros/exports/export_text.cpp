@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <boost/algorithm/string/replace.hpp>
 #include <cmath>
+#include <cstdio>
 #include <filesystem>
 
 #include "imu_pose_calib/ros/io/printable.h"
@@ -22,12 +23,11 @@ double Density(double sigma, double rate_hz, const std::string& what) {
 
 Lines Clocks(const StoredResult& stored) {
   const ImuSession& clock = stored.Clock(0);
-  Lines lines = {
-      "clocks:    t_pose = t_imu + time_shift, time_shift = " + YamlNumber(clock.time_shift) +
-      " s, sigma " + YamlNumber(clock.time_shift_std) + " s"};
+  Lines lines = {"clocks:    t_pose = t_imu + time_shift, time_shift = " +
+                 YamlNumber(clock.time_shift) + " s, sigma " + Short(clock.time_shift_std) + " s"};
   if (clock.clock_drift != 0.0)
     lines.push_back("           at t_imu = " + YamlNumber(clock.clock_reference) +
-                    " s; it grows by " + YamlNumber(clock.clock_drift) +
+                    " s; it grows by " + Short(clock.clock_drift) +
                     " s/s, which nothing below holds");
   if (stored.result.sessions.size() > 1)
     lines.push_back("           of session 1 of " + std::to_string(stored.result.sessions.size()) +
@@ -37,7 +37,7 @@ Lines Clocks(const StoredResult& stored) {
         "           The clocks differ by more than 1 s, which many programs take for an error: "
         "shift the stamps first.");
   lines.push_back("           t_pose = t_accel + time_shift - accel_delay, accel_delay = " +
-                  YamlNumber(stored.result.imus[0].accel_delay) + " s: no key below holds it;");
+                  Short(stored.result.imus[0].accel_delay) + " s: no key below holds it;");
   lines.emplace_back("           subtract it from the stamps of accelerometer samples");
   return lines;
 }
@@ -67,6 +67,12 @@ Lines Head(const StoredResult& stored, const std::string& what, bool all_imus, c
   lines.insert(lines.end(), more.begin(), more.end());
   for (std::string& line : lines) line = Printable(line);
   return lines;
+}
+
+std::string Short(double value) {
+  char text[32];
+  std::snprintf(text, sizeof(text), "%.4g", value);
+  return text;
 }
 
 std::string YamlComment(const Lines& lines) {
@@ -110,9 +116,10 @@ std::string Quoted(const std::string& text) {
 
 std::string Numbers(const Eigen::MatrixXd& values) {
   std::string text;
+  // Adding zero makes -0.0 a 0.0.
   for (Eigen::Index i = 0; i < values.rows(); ++i)
     for (Eigen::Index j = 0; j < values.cols(); ++j)
-      text += (text.empty() ? "" : ", ") + YamlNumber(values(i, j));
+      text += (text.empty() ? "" : ", ") + YamlNumber(values(i, j) + 0.0);
   return text;
 }
 

@@ -12,10 +12,12 @@ namespace {
 /// R = Rz(yaw) Ry(pitch) Rx(roll), as (roll, pitch, yaw) [rad].
 Eigen::Vector3d RollPitchYaw(const Eigen::Quaterniond& q) {
   const Eigen::Matrix3d R = q.toRotationMatrix();
-  const double cos_pitch = std::hypot(R(0, 0), R(1, 0));
-  const double pitch = std::atan2(-R(2, 0), cos_pitch);
-  if (cos_pitch < 1e-9) return {0.0, pitch, std::atan2(-R(0, 1), R(1, 1))};
-  return {std::atan2(R(2, 1), R(2, 2)), pitch, std::atan2(R(1, 0), R(0, 0))};
+  const double roll = std::atan2(R(2, 1), R(2, 2));
+  // With a pitch of a right angle any roll will do, if the others are those of what is left.
+  const Eigen::Matrix3d yaw_pitch = R * Eigen::AngleAxisd(-roll, Eigen::Vector3d::UnitX());
+  return {roll,
+          std::atan2(-yaw_pitch(2, 0), yaw_pitch(2, 2)),
+          std::atan2(-yaw_pitch(0, 1), yaw_pitch(1, 1))};
 }
 
 /// "1.0 2.0 3.0"

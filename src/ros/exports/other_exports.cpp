@@ -181,7 +181,7 @@ std::vector<ExportFile> ExportPx4(const StoredResult& stored, const ExportOption
       "clocks are the autopilot's"};
   if (!fits)
     more.push_back("EKF2_EV_DELAY must be 0 to 300 and is left out: time_shift is " +
-                   YamlNumber(delay_ms) + " ms");
+                   Short(delay_ms) + " ms");
   more.emplace_back("columns: vehicle, component, name, value, type (9: float)");
   std::string text = YamlComment(Head(stored, "PX4 parameters", false, more));
   const auto add = [&text](const std::string& name, double value) {

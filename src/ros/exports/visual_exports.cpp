@@ -18,7 +18,7 @@ std::string ImuName(size_t imu) { return "imu" + std::to_string(imu); }
 Lines AxesRemark(const AccelAxes& axes) {
   if (axes.angle_rad == 0.0) return {};
   return {"axes:      the imu's here are those of the accelerometer, since its matrix is lower",
-          "           triangular: turned by " + YamlNumber(axes.angle_rad * 180.0 / M_PI) +
+          "           triangular: turned by " + Short(axes.angle_rad * 180.0 / M_PI) +
               " deg from the imu axes of the result"};
 }
 

@@ -16,6 +16,9 @@ using Lines = std::vector<std::string>;
 /// transform and clocks; then `more`. `all_imus`: the file holds every IMU of a rig.
 Lines Head(const StoredResult& stored, const std::string& what, bool all_imus, const Lines& more);
 
+/// A number for people, four digits.
+std::string Short(double value);
+
 std::string YamlComment(const Lines& lines);  ///< each line after "# "
 std::string XmlComment(const Lines& lines);
 /// A list of strings, indented by two.
