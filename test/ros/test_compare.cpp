@@ -62,13 +62,13 @@ class CompareTest : public ExecutableTest {
 
 TEST_F(CompareTest, TwoThatAgree) {
   WriteResult("a.yaml");
-  WriteResult("b.yaml", {0.001, 0.0, 0.0}, {0.0, 0.0002, 0.0});
+  WriteResult("b.yaml", {0.001, 0.0, 0.0}, {0.0, 0.0004, 0.0});
   ExpectAgree(Compare("a.yaml b.yaml"),
-              {"most apart: rotation y, 0.01146 deg, 0.7 sigma (bound: 5)",
+              {"most apart: rotation y, 0.02292 deg, 1.4 sigma (bound: 5)",
                "result 1: a.yaml",
                "weak: sigma of p_MI is 12 mm",
                "translation x                1.0000 mm      1.4142 mm   0.7 sigma",
-               "together: 1.000 mm, 0.0115 deg; chi-square 1.0 with 7 degrees of freedom",
+               "together: 1.000 mm, 0.0229 deg; chi-square 2.5 with 7 degrees of freedom",
                "time shifts are not compared"});
 }
 
@@ -98,7 +98,7 @@ TEST_F(CompareTest, ManyGiveATableOfRepeatability) {
               {"chi2 / dof", "1.0 / 9 = 0.11", "from the others", "result 4"});
   WriteResult("odd.yaml", Eigen::Vector3d::Zero(), {0.005, 0.0, 0.0});
   ExpectDiffer(Compare("r0.yaml odd.yaml r2.yaml r3.yaml"),
-               {"result 2, rotation x, 0.2865 deg", "result 2            0.000 mm   0.2865 deg"});
+               {"result 2, rotation x, 0.2865 deg", "result 2             0.333 mm   0.2865 deg"});
 }
 
 // --- References ---

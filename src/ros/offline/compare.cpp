@@ -1,6 +1,7 @@
 #include "imu_pose_calib/ros/offline/compare.h"
 
 #include <algorithm>
+#include <boost/algorithm/string/trim.hpp>
 #include <cmath>
 #include <cstdio>
 #include <optional>
@@ -20,6 +21,15 @@ std::string Format(const char* format, Arguments... arguments) {
   std::snprintf(text, sizeof(text), format, arguments...);
   return text;
 }
+
+/// A line of a table, without blanks at its end.
+template <typename... Arguments>
+std::string Row(const char* format, Arguments... arguments) {
+  return boost::trim_right_copy(Format(format, arguments...)) + "\n";
+}
+
+/// The number with four digits after the point; never "-0.0000".
+std::string Fixed(double value) { return Format("%.4f", std::round(value * 1e4) / 1e4 + 0.0); }
 
 /// How a quantity is shown.
 struct Unit {
@@ -100,17 +110,17 @@ bool AreOfOneRecording(const std::vector<StoredResult>& results, size_t imu) {
 
 /// Rows of each component, then distance, angle and chi-square.
 std::string Table(const Comparison& comparison, const std::string& title) {
-  std::string text = Format("\n  %-24s %14s %14s %10s\n", title.c_str(), "difference", "sigma", "");
+  std::string text = Row("\n  %-24s %14s %14s", title.c_str(), "difference", "sigma");
   for (const Difference& component : comparison.components) {
     const Unit unit = UnitOf(component.quantity);
     const std::string judged = component.sigma > 0.0 ? Format("%.1f sigma", component.sigmas) : "-";
-    text += Format("  %-24s %10.4f %-3s %10.4f %-3s %10s\n",
-                   Name(component.quantity, component.axis).c_str(),
-                   component.value * unit.factor,
-                   unit.name,
-                   component.sigma * unit.factor,
-                   unit.name,
-                   judged.c_str());
+    text += Row("  %-24s %10s %-3s %10s %-3s %10s",
+                Name(component.quantity, component.axis).c_str(),
+                Fixed(component.value * unit.factor).c_str(),
+                unit.name,
+                Fixed(component.sigma * unit.factor).c_str(),
+                unit.name,
+                judged.c_str());
   }
   text += Format(
       "  together: %.3f mm, %.4f deg", comparison.distance * 1e3, comparison.angle * 180.0 / M_PI);
@@ -119,33 +129,47 @@ std::string Table(const Comparison& comparison, const std::string& title) {
   return text + "\n";
 }
 
+/// The mean of a component as text; of a rotation none, which has no mean of an axis.
+std::string MeanText(const Comparable& mean, Quantity quantity, int axis) {
+  const double factor = UnitOf(quantity).factor;
+  switch (quantity) {
+    case Quantity::kTranslation:
+      return Fixed(mean.T_MI.p[axis] * factor);
+    case Quantity::kRotation:
+      return "";
+    case Quantity::kAccelDelay:
+      return Fixed(mean.accel_delay * factor);
+    case Quantity::kTimeShift:
+      return Fixed(mean.time_shift * factor);
+  }
+  return "";
+}
+
 std::string ScatterTable(const Repeatability& repeatability) {
-  std::string text = Format(
-      "\n  %-16s %12s %12s %12s %14s\n", "repeatability", "mean", "scatter", "sigma", "chi2 / dof");
-  const Comparable& mean = repeatability.mean;
+  std::string text = Row("\n  %-16s %14s %12s %12s      %s",
+                         "repeatability",
+                         "mean",
+                         "scatter",
+                         "sigma",
+                         "chi2 / dof");
   for (const Scatter& scatter : repeatability.scatters) {
     const Unit unit = UnitOf(scatter.quantity);
     for (int axis = 0; axis < scatter.deviation.size(); ++axis) {
-      // A rotation has no mean of an axis; it stands below.
-      const double value = scatter.quantity == Quantity::kTranslation  ? mean.T_MI.p[axis]
-                           : scatter.quantity == Quantity::kAccelDelay ? mean.accel_delay
-                                                                       : mean.time_shift;
       const std::string chi2 =
           axis > 0 || scatter.dof == 0
               ? ""
               : Format("%.1f / %d = %.2f", scatter.chi2, scatter.dof, scatter.chi2 / scatter.dof);
-      const std::string shown =
-          scatter.quantity == Quantity::kRotation ? "" : Format("%.4f", value * unit.factor);
-      text += Format("  %-16s %12s %12.4f %12.4f %-4s %s\n",
-                     Name(scatter.quantity, axis).c_str(),
-                     shown.c_str(),
-                     scatter.deviation[axis] * unit.factor,
-                     scatter.sigma[axis] * unit.factor,
-                     unit.name,
-                     chi2.c_str());
+      text += Row("  %-16s %14s %12s %12s %-4s %s",
+                  Name(scatter.quantity, axis).c_str(),
+                  MeanText(repeatability.mean, scatter.quantity, axis).c_str(),
+                  Fixed(scatter.deviation[axis] * unit.factor).c_str(),
+                  Fixed(scatter.sigma[axis] * unit.factor).c_str(),
+                  unit.name,
+                  chi2.c_str());
     }
   }
-  const Eigen::Vector4d q = mean.T_MI.q.coeffs() * (mean.T_MI.q.w() < 0.0 ? -1.0 : 1.0);
+  Eigen::Vector4d q = repeatability.mean.T_MI.q.coeffs();
+  if (q[3] < 0.0) q = -q;
   return text + Format("  mean rotation x y z w: %.8f %.8f %.8f %.8f\n", q[0], q[1], q[2], q[3]);
 }
 
