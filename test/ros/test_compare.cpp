@@ -96,9 +96,12 @@ TEST_F(CompareTest, ManyGiveATableOfRepeatability) {
     WriteResult("r" + std::to_string(i) + ".yaml", {0.001 * (i % 2), 0.0, 0.0});
   ExpectAgree(Compare("r0.yaml r1.yaml r2.yaml r3.yaml"),
               {"chi2 / dof", "1.0 / 9 = 0.11", "from the others", "result 4"});
+  EXPECT_FALSE(Contains(Compare("r0.yaml r1.yaml r2.yaml r3.yaml").out, "more scatter"));
   WriteResult("odd.yaml", Eigen::Vector3d::Zero(), {0.005, 0.0, 0.0});
   ExpectDiffer(Compare("r0.yaml odd.yaml r2.yaml r3.yaml"),
-               {"result 2, rotation x, 0.2865 deg", "result 2             0.333 mm   0.2865 deg"});
+               {"more scatter than the sigmas say: rotation 14.4 times\n",
+                "result 2, rotation x, 0.2865 deg",
+                "result 2             0.333 mm   0.2865 deg"});
 }
 
 // --- References ---

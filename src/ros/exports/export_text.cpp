@@ -45,8 +45,7 @@ Lines Clocks(const StoredResult& stored) {
 }  // namespace
 
 const char kNoiseRemark[] =
-    "noise: density = sigma per sample / sqrt(rate), from the residuals of the calibration; walks "
-    "as in its options";
+    "noise: density = sigma per sample / sqrt(rate), from the residuals; walks: of the options";
 
 Lines Head(const StoredResult& stored, const std::string& what, bool all_imus, const Lines& more) {
   const ImuInfo& imu = stored.Info(0);

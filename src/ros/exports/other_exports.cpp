@@ -70,12 +70,13 @@ std::vector<ExportFile> ExportVicon2Gt(const StoredResult& stored, const ExportO
   Eigen::Matrix<double, 1, 6> sigmas;
   sigmas << Eigen::RowVector3d::Constant(poses.rotation),
       Eigen::RowVector3d::Constant(poses.position);
-  const Lines more = {"Parameters of the node estimate_vicon2gt; B = marker:",
-                      "R_BtoI, p_BinI: x_imu = R_BtoI x_marker + p_BinI, the inverse of "
-                      "T_marker_imu; R_BtoI row by row",
-                      "toff_imu_to_vicon: t_imu = t_vicon + toff_imu_to_vicon, so -time_shift",
-                      "vicon_sigmas: [rad] about and [m] along the axes, per pose",
-                      kNoiseRemark};
+  const Lines more = {
+      "Parameters of the node estimate_vicon2gt; B = marker:",
+      "R_BtoI, p_BinI: x_imu = R_BtoI x_marker + p_BinI, the inverse of T_marker_imu;",
+      "R_BtoI row by row",
+      "toff_imu_to_vicon: t_imu = t_vicon + toff_imu_to_vicon, so -time_shift",
+      "vicon_sigmas: [rad] about and [m] along the axes, per pose",
+      kNoiseRemark};
   return {{"vicon2gt.launch",
            XmlComment(Head(stored, "vicon2gt launch parameters", false, more)) + "<launch>\n" +
                RosParam("R_BtoI", InARow(T_IM.q)) + RosParam("p_BinI", T_IM.p.transpose()) +
@@ -177,8 +178,8 @@ std::vector<ExportFile> ExportPx4(const StoredResult& stored, const ExportOption
                : ""),
       "if they are others, as mavros' forward, left, up: export_calibration --body-imu",
       "The poses sent must be of the body: q_body_marker = " + List(q_BM.coeffs().transpose()),
-      "EKF2_EV_DELAY [ms]: time of a pose = its stamp - delay, so time_shift, if both "
-      "clocks are the autopilot's"};
+      "EKF2_EV_DELAY [ms]: time of a pose = its stamp - delay, so time_shift,",
+      "if both clocks are the autopilot's"};
   if (!fits)
     more.push_back("EKF2_EV_DELAY must be 0 to 300 and is left out: time_shift is " +
                    Short(delay_ms) + " ms");
@@ -203,8 +204,8 @@ std::vector<ExportFile> ExportEvo(const StoredResult& stored, const ExportOption
   const std::string offset = YamlNumber(-stored.Clock(0).time_shift);
   const Lines more = {"Poses of the marker become poses of the imu, on the imu's clock:",
                       "evo_traj tum markers.txt --transform_right THIS_FILE --t_offset " + offset,
-                      "transform_right: T_marker_imu; t_offset: -time_shift, t_imu = t_pose + "
-                      "t_offset"};
+                      "transform_right: T_marker_imu",
+                      "t_offset: -time_shift, t_imu = t_pose + t_offset"};
   text += "  \"comment\": " + JsonList(Head(stored, "evo transform", false, more)) + "\n}\n";
   return {{"evo.json", text}};
 }

@@ -56,11 +56,12 @@ double OffsetToFirst(const StoredResult& stored, size_t imu) {
   return 0.0;
 }
 
-std::string KalibrImu(const StoredResult& stored, size_t imu, const Rigid3& T_MA0) {
+std::string KalibrImu(const StoredResult& stored, size_t imu, const Rigid3& T_MA_first) {
   const AccelAxes axes = ToAccelAxes(stored.result.imus[imu]);
   const NoiseDensity noise = Noise(stored, imu);
   std::string text = ImuName(imu) + ":\n  T_i_b:\n" +
-                     Rows((axes.T_MA.Inverse() * T_MA0).Matrix(), "  ") + NoiseKeys(noise, "  ");
+                     Rows((axes.T_MA.Inverse() * T_MA_first).Matrix(), "  ") +
+                     NoiseKeys(noise, "  ");
   if (HasMatrices(stored))
     text += "  accelerometers:\n    M:\n" + Rows(axes.accel, "    ") + "  gyroscopes:\n    A:\n" +
             Rows(Eigen::Matrix3d::Zero(), "    ") + "    C_gyro_i:\n" + Rows(axes.R_GA, "    ") +
@@ -116,8 +117,7 @@ ExportFile BasaltMocap(const StoredResult& stored) {
   const AccelAxes axes = ToAccelAxes(stored.result.imus[0]);
   const Lines more =
       Lines{"T_imu_marker: x_imu = T_imu_marker x_marker, the inverse of T_marker_imu",
-            "mocap_to_imu_offset_ns: t_imu = t_mocap + mocap_to_imu_offset_ns + "
-            "mocap_time_offset_ns, so -time_shift",
+            "t_imu = t_mocap + mocap_to_imu_offset_ns + mocap_time_offset_ns, so both: -time_shift",
             "T_mocap_world: the world is that of the poses"} +
       AxesRemark(axes);
   const std::string value =

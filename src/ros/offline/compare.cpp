@@ -173,6 +173,16 @@ std::string ScatterTable(const Repeatability& repeatability) {
   return text + Format("  mean rotation x y z w: %.8f %.8f %.8f %.8f\n", q[0], q[1], q[2], q[3]);
 }
 
+/// Names what scatters more than its sigmas say, beyond chance.
+std::string ScatterRemark(const Repeatability& repeatability) {
+  std::string text;
+  for (const Scatter& scatter : repeatability.scatters)
+    if (scatter.chi2 > scatter.dof + 3.0 * std::sqrt(2.0 * scatter.dof))
+      text += (text.empty() ? "" : ", ") + std::string(ToString(scatter.quantity)) +
+              Format(" %.1f times", std::sqrt(scatter.chi2 / scatter.dof));
+  return text.empty() ? "" : "  more scatter than the sigmas say: " + text + "\n";
+}
+
 /// One row for each result: how far it is from something, and in what most.
 std::string Rows(const std::vector<Comparison>& comparisons, const std::string& title) {
   std::string text =
@@ -230,8 +240,8 @@ std::vector<std::string> WriteChain(const CompareRequest& request,
       "marker -> imu -> cameras",
       true,
       {"cameras: x_cam = T_cam_imu x_imu of " + request.chain[1] + "; published is its inverse"});
-  const std::vector<std::string> paths = {request.chain_output + ".urdf",
-                                          request.chain_output + ".tf.launch"};
+  std::vector<std::string> paths = {request.chain_output + ".urdf",
+                                    request.chain_output + ".tf.launch"};
   WriteFile(paths[0], UrdfText(head, transforms));
   WriteFile(paths[1], LaunchText(head, transforms));
   return paths;
@@ -296,8 +306,8 @@ CompareOutcome CompareResults(const CompareRequest& request) {
     const Repeatability repeatability = Repeat(calibrations, quantities);
     for (size_t i = 0; i < results.size(); ++i)
       worst.Add(repeatability.from_others[i], "result " + std::to_string(i + 1) + ", ");
-    outcome.text +=
-        ScatterTable(repeatability) + Rows(repeatability.from_others, "from the others");
+    outcome.text += ScatterTable(repeatability) + ScatterRemark(repeatability) +
+                    Rows(repeatability.from_others, "from the others");
   }
   if (results.size() > 1 && !has_shift)
     outcome.text +=
