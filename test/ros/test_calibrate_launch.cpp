@@ -185,10 +185,13 @@ TEST(CalibrateLaunch, TakesTextFilesInPlaceOfTheSample) {
 TEST(CalibrateNode, LeavesWhenWrittenWithExit) {
   const std::string output = Directory() + "/exit.result.yaml";
   std::filesystem::remove(output);
-  const Outcome outcome = RunNode(
-      "leaving", "_exit:=true _output:='" + output + "' _bag:='" + Directory() + "/launch.bag'");
+  const Outcome outcome = RunNode("leaving",
+                                  "_exit:=true _export:='evo tf' _output:='" + output +
+                                      "' _bag:='" + Directory() + "/launch.bag'");
   EXPECT_EQ(outcome.status, 0) << outcome.err;
   EXPECT_TRUE(std::filesystem::exists(output));
+  EXPECT_TRUE(std::filesystem::exists(Directory() + "/exit.result.evo.json"));
+  EXPECT_TRUE(std::filesystem::exists(Directory() + "/exit.result.tf.launch"));
 }
 
 TEST(CalibrateNode, ReadsTfFromSeveralBags) {

@@ -172,6 +172,23 @@ void EmitGravity(const SessionCalibration& session, YAML::Emitter* out) {
       out);
 }
 
+void EmitNoise(const ImuSession& imu, YAML::Emitter* out) {
+  EmitMap(
+      "noise",
+      [&] {
+        Emit("gyro_std", imu.noise.gyro, out);
+        Emit("accel_std", imu.noise.accel, out);
+      },
+      out);
+  EmitMap(
+      "rates",
+      [&] {
+        Emit("gyro", imu.gyro.rate_hz, out);
+        Emit("accel", imu.accel.rate_hz, out);
+      },
+      out);
+}
+
 std::string ImuName(size_t imu) { return "imu" + std::to_string(imu); }
 
 void EmitImus(const Calibration& result, const RecordingInfo& info, YAML::Emitter* out) {
@@ -262,6 +279,7 @@ void EmitSessions(const Calibration& result,
       Emit("clock_drift_std", imu.clock_drift_std, out);
       Emit("clock_reference", imu.clock_reference, out);
       EmitBiases(imu, out);
+      EmitNoise(imu, out);
       *out << YAML::EndMap;
     }
     *out << YAML::EndSeq;

@@ -9,6 +9,7 @@
 
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/preparation.h"
+#include "imu_pose_calib/ros/exports/exports.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/imu_yaml.h"
 #include "imu_pose_calib/ros/io/printable.h"
@@ -164,9 +165,11 @@ std::string OutputPath(const OfflineRequest& request) {
 OfflineResult CalibrateOffline(const OfflineRequest& given) {
   CheckGiven(given);
   OfflineResult offline;
+  offline.exports = ParseExports(given.exports);
   offline.output = OutputPath(given);
   CheckOutput(offline.output, given);  // an old result may be given as the config
   RemoveOldResult(offline.output);
+  RemoveOldExports(offline.output, offline.exports);
   const std::vector<OfflineRequest> requests = SplitSessions(given);
   for (const OfflineRequest& request : requests)
     CheckOutput(offline.output, request);  // now with the files that were found
@@ -196,6 +199,11 @@ void WriteResult(const OfflineResult& offline) {
     std::cout << offline.yaml << std::flush;
     throw;
   }
+}
+
+std::vector<std::string> WriteExports(const OfflineResult& offline) {
+  if (offline.exports.empty()) return {};
+  return WriteExports(ParseResult(offline.yaml, offline.output), offline.exports);
 }
 
 std::vector<OfflineCheck> CheckOffline(const OfflineRequest& given) {

@@ -49,6 +49,9 @@ po::options_description Describe(CommandLine* line) {
   add("config", text(&request.config), "YAML of options, see config/default.yaml");
   add("method", text(&request.method), "joint (default) or gp");
   add("output", text(&request.output), "result; default: next to the recording");
+  add("export",
+      text(&request.exports),
+      "also write it for these programs, separated by commas: kalibr, evo, ... (doc/exports.md)");
   add("start",
       po::value(&request.bag.start_s)->value_name("S"),
       "seconds of the recording to skip");
@@ -122,6 +125,8 @@ void Run(int argc, char** argv) {
   if (!line.quiet) std::cout << Summary(offline.result, offline.infos) << std::flush;
   WriteResult(offline);
   if (!line.quiet) std::cout << "\nWritten to " << offline.output << "\n";
+  for (const std::string& path : WriteExports(offline))
+    if (!line.quiet) std::cout << "Written to " << path << "\n";
 }
 
 }  // namespace

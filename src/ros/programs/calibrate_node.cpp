@@ -77,6 +77,7 @@ OfflineJob ReadJob() {
   request.config = text("config");
   request.method = text("method");
   request.output = text("output");
+  request.exports = text("export");
   request.marker_frame = text("marker_frame");
   request.imu_frame = text("imu_frame");
   return job;
@@ -119,6 +120,7 @@ void RunOffline(const OfflineJob& job, std::optional<ros::NodeHandle>* node) {
   std::cout << Summary(offline.result, offline.infos) << std::flush;
   WriteResult(offline);
   ROS_INFO("Written to %s", offline.output.c_str());
+  for (const std::string& path : WriteExports(offline)) ROS_INFO("Written to %s", path.c_str());
   if (!job.exit) Offer(offline, &node->emplace("~"));
 }
 

@@ -30,6 +30,7 @@ struct OfflineRequest {
   std::string output;        ///< result YAML; default: see OutputPath()
   std::string marker_frame;  ///< replaces the name found in the bag
   std::string imu_frame;     ///< the same; of several IMUs: white space between them
+  std::string exports;       ///< programs to export the result to, see ParseExports()
 };
 
 /// A usable calibration and what to do with it.
@@ -38,6 +39,7 @@ struct OfflineResult {
   std::vector<RecordingInfo> infos;  ///< of each session
   std::string output;                ///< path of the result file, not written yet
   std::string yaml;                  ///< its text
+  std::vector<std::string> exports;  ///< programs to export it to
 };
 
 /// Where the result goes: x.calibration.yaml for x.bag, the first of the bags, or for a file x.csv
@@ -45,7 +47,8 @@ struct OfflineResult {
 std::string OutputPath(const OfflineRequest& request);
 
 /// Reads the recording (before ros::start(), see ReadBag()) and calibrates. A result of an earlier
-/// run at the output path is removed first, so that a failure leaves none behind.
+/// run at the output path is removed first, and what was exported from it to the same programs, so
+/// that a failure leaves none behind.
 ///
 /// Throws InputError when something cannot be used as given, DataError when no calibration can come
 /// from the data: so the result is always usable.
@@ -56,6 +59,9 @@ std::vector<std::string> SplitBags(const std::string& text);
 
 /// Writes the result. When that fails, prints its text on stdout before it throws.
 void WriteResult(const OfflineResult& offline);
+
+/// Exports the result that was written, and returns the paths of the files.
+std::vector<std::string> WriteExports(const OfflineResult& offline);
 
 /// Checks of one session without a calibration.
 struct OfflineCheck {

@@ -1,0 +1,45 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "imu_pose_calib/ros/io/stored_result.h"
+
+namespace imu_pose_calib {
+
+/// What a consumer needs beyond the result.
+struct ExportOptions {
+  /// px4: imu axes to the autopilot's body axes forward, right, down: v_body = q v_imu.
+  Eigen::Quaterniond q_body_imu = Eigen::Quaterniond::Identity();
+};
+
+/// One file of an export.
+struct ExportFile {
+  std::string ending;  ///< "kalibr.imu0.yaml", what follows the name of the result and a dot
+  std::string text;
+};
+
+/// The programs that a result can be exported to.
+std::vector<std::string> ExportNames();
+
+/// The names in a list that is separated by commas or white space, each once; "all": every one.
+/// Throws InputError listing the known names for one that is not among them.
+std::vector<std::string> ParseExports(const std::string& list);
+
+/// The files of one program, doc/exports.md. Each states the equations of transform and clocks in
+/// this package's terms and what its own keys mean.
+std::vector<ExportFile> Export(const StoredResult& stored,
+                               const std::string& name,
+                               const ExportOptions& options = {});
+
+/// Writes the files of all `names` next to the result, or into `folder` if that is not empty:
+/// my.calibration.kalibr.imu0.yaml for my.calibration.yaml. Returns their paths.
+std::vector<std::string> WriteExports(const StoredResult& stored,
+                                      const std::vector<std::string>& names,
+                                      const std::string& folder = "",
+                                      const ExportOptions& options = {});
+
+/// Removes what an earlier run exported under `names` from the result at `path`.
+void RemoveOldExports(const std::string& path, const std::vector<std::string>& names);
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,34 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "imu_pose_calib/core/types.h"
+
+namespace imu_pose_calib {
+
+// All throw InputError that begins with `name`, which says what the text was given for.
+
+/// "a b c": exactly `count` finite numbers, separated by blanks or commas.
+Eigen::VectorXd ParseNumbers(const std::string& name, const std::string& text, Eigen::Index count);
+
+/// "qx qy qz qw", normalized when it is within 1 % of a unit quaternion.
+Eigen::Quaterniond ParseQuaternion(const std::string& name, const std::string& text);
+
+/// A transform as seven numbers "x y z qx qy qz qw", or as the YAML or JSON file of that name,
+/// which holds one of
+///   x, y, z, qx, qy, qz, qw       at the top (evo) or below `transformation` (easy_handeye);
+///   translation, rotation         [x, y, z] and [qx, qy, qz, qw], at the top or below `transform`;
+///   matrix                        four rows of four numbers, at the top.
+Rigid3 ReadTransform(const std::string& name, const std::string& text);
+
+/// A camera of a chain: x_cam = T x_imu.
+struct ChainCamera {
+  std::string name;  ///< "cam0"
+  Rigid3 T_cam_imu;
+};
+
+/// The cameras of a camchain-imucam.yaml of Kalibr, or of OpenVINS, which may give T_imu_cam.
+std::vector<ChainCamera> LoadCameraChain(const std::string& path);
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,213 @@
+// Ground truth, lidar, autopilot.
+
+#include <cmath>
+
+#include "imu_pose_calib/ros/exports/export_text.h"
+#include "imu_pose_calib/ros/exports/exporters.h"
+#include "imu_pose_calib/ros/io/result_yaml.h"
+
+namespace imu_pose_calib {
+namespace {
+
+/// A sensor.yaml of EuRoC.
+std::string SensorYaml(const StoredResult& stored,
+                       const Lines& more,
+                       bool all_imus,
+                       const std::string& type,
+                       const Rigid3& T_BS) {
+  return "%YAML:1.0\n" + YamlComment(Head(stored, "EuRoC sensor.yaml", all_imus, more)) +
+         "sensor_type: " + type + "\ncomment: \"imu_pose_calib\"\nT_BS:\n  cols: 4\n  rows: 4\n" +
+         "  data: " + Block(T_BS.Matrix(), "    ") + "\n";
+}
+
+std::string RosParam(const char* name, const Eigen::MatrixXd& values) {
+  return std::string("  <rosparam param=\"") + name + "\">" + List(values) + "</rosparam>\n";
+}
+
+std::string DoubleParam(const char* name, double value) {
+  return std::string("  <param name=\"") + name + "\" type=\"double\" value=\"" +
+         YamlNumber(value) + "\"/>\n";
+}
+
+/// The rows of R in one.
+Eigen::Matrix<double, 1, 9> InARow(const Eigen::Quaterniond& q) {
+  const Eigen::Matrix<double, 3, 3, Eigen::RowMajor> R = q.toRotationMatrix();
+  return Eigen::Map<const Eigen::Matrix<double, 1, 9>>(R.data());
+}
+
+}  // namespace
+
+std::vector<ExportFile> ExportEuroc(const StoredResult& stored, const ExportOptions&) {
+  const Rigid3& T_MI = stored.result.imus[0].T_MI;
+  const Lines of_poses = {
+      "To be mav0/vicon0/sensor.yaml or mav0/mocap0/sensor.yaml. Body B = imu0, S = marker:",
+      "T_BS: x_B = T_BS x_S, the inverse of T_marker_imu",
+      "There is no key for time_shift: add it to the stamps of the imu."};
+  std::vector<ExportFile> files = {
+      {"euroc.vicon0.sensor.yaml", SensorYaml(stored, of_poses, false, "pose", T_MI.Inverse())}};
+  for (size_t i = 0; i < stored.result.imus.size(); ++i) {
+    const NoiseDensity noise = Noise(stored, i);
+    const std::string name = "imu" + std::to_string(i);
+    const Lines of_imu = {"To be mav0/" + name + "/sensor.yaml. Body B = imu0, S = " + name + ":",
+                          "T_BS: x_B = T_BS x_S",
+                          kNoiseRemark};
+    files.push_back({"euroc." + name + ".sensor.yaml",
+                     SensorYaml(stored,
+                                of_imu,
+                                true,
+                                "imu",
+                                i == 0 ? Rigid3() : T_MI.Inverse() * stored.result.imus[i].T_MI) +
+                         "rate_hz: " + std::to_string(std::lround(noise.rate_hz)) + "\n" +
+                         NoiseKeys(noise, "")});
+  }
+  return files;
+}
+
+std::vector<ExportFile> ExportVicon2Gt(const StoredResult& stored, const ExportOptions&) {
+  const Rigid3 T_IM = stored.result.imus[0].T_MI.Inverse();
+  const NoiseDensity noise = Noise(stored, 0);
+  const PoseStd& poses = stored.result.sessions[0].noise;
+  Eigen::Matrix<double, 1, 6> sigmas;
+  sigmas << Eigen::RowVector3d::Constant(poses.rotation),
+      Eigen::RowVector3d::Constant(poses.position);
+  const Lines more = {
+      "Parameters of the node estimate_vicon2gt; B = marker:",
+      "R_BtoI, p_BinI: x_imu = R_BtoI x_marker + p_BinI, the inverse of T_marker_imu;",
+      "R_BtoI row by row",
+      "toff_imu_to_vicon: t_imu = t_vicon + toff_imu_to_vicon, so -time_shift",
+      "vicon_sigmas: [rad] about and [m] along the axes, per pose",
+      kNoiseRemark};
+  return {{"vicon2gt.launch",
+           XmlComment(Head(stored, "vicon2gt launch parameters", false, more)) + "<launch>\n" +
+               RosParam("R_BtoI", InARow(T_IM.q)) + RosParam("p_BinI", T_IM.p.transpose()) +
+               DoubleParam("toff_imu_to_vicon", -stored.Clock(0).time_shift) +
+               DoubleParam("gravity_magnitude", stored.result.sessions[0].g_W.norm()) +
+               RosParam("vicon_sigmas", sigmas) +
+               DoubleParam("gyroscope_noise_density", noise.gyro) +
+               DoubleParam("gyroscope_random_walk", noise.gyro_walk) +
+               DoubleParam("accelerometer_noise_density", noise.accel) +
+               DoubleParam("accelerometer_random_walk", noise.accel_walk) + "</launch>\n"}};
+}
+
+std::vector<ExportFile> ExportMocap2Gt(const StoredResult& stored, const ExportOptions&) {
+  const Rigid3& T_MI = stored.result.imus[0].T_MI;
+  const SessionCalibration& session = stored.result.sessions[0];
+  const NoiseDensity noise = Noise(stored, 0);
+  const auto q_WG = Eigen::Quaterniond::FromTwoVectors(Eigen::Vector3d::UnitZ(), -session.g_W);
+  const auto keys = [&](const std::string& ending) {
+    return "p_MI" + ending + ": " + List(T_MI.p.transpose()) + "\nq_MI" + ending + ": " +
+           List(T_MI.q.coeffs().transpose()) + "\nq_WG" + ending + ": " +
+           List(q_WG.coeffs().transpose()) + "\ntoff_MI" + ending + ": " +
+           YamlNumber(-stored.Clock(0).time_shift) + "\n";
+  };
+  const Lines meaning = {"p_MI, q_MI: x_marker = q_MI x_imu + p_MI, T_marker_imu itself",
+                         "toff_MI: t_imu = t_marker + toff_MI, so -time_shift",
+                         "q_WG: x_world = q_WG x_G, z of G is up; quaternions x, y, z, w"};
+  Lines of_config = meaning;
+  of_config.emplace_back("imu_noise: accelerometer density, walk, gyroscope density, walk");
+  of_config.emplace_back(kNoiseRemark);
+  Eigen::RowVector4d imu_noise(noise.accel, noise.accel_walk, noise.gyro, noise.gyro_walk);
+  return {
+      {"mocap2gt.calib.yaml",
+       YamlComment(Head(stored, "mocap2gt calibration", false, meaning)) + keys("")},
+      {"mocap2gt.estimator_config.yaml",
+       YamlComment(Head(stored, "mocap2gt, part of its config", false, of_config)) + keys("_init") +
+           "gravity_magnitude: " + YamlNumber(session.g_W.norm()) + "\nmocap_trans_noise: " +
+           List(Eigen::RowVector3d::Constant(session.noise.position)) + "  # [m]\n" +
+           "mocap_rot_noise: " + List(Eigen::RowVector3d::Constant(session.noise.rotation)) +
+           "  # [rad]\nimu_noise: " + List(imu_noise) + "\nimu_freq: " + YamlNumber(noise.rate_hz) +
+           "  # [Hz]\n"}};
+}
+
+std::vector<ExportFile> ExportLioSam(const StoredResult& stored, const ExportOptions&) {
+  const Rigid3& T_MI = stored.result.imus[0].T_MI;
+  const NoiseDensity noise = Noise(stored, 0);
+  const Lines more = {
+      "The pose sensor plays the lidar:",
+      "extrinsicRot: v_lidar = extrinsicRot v_imu; extrinsicTrans: the imu in lidar axes [m];",
+      "so lidar = marker, and the two are T_marker_imu",
+      "extrinsicRPY: of the imu's own orientation; here as if that were of the same axes",
+      "There is no key for time_shift: add it to the stamps of the imu beforehand.",
+      kNoiseRemark};
+  const std::string R = Block(T_MI.q.toRotationMatrix(), "    ");
+  return {{"liosam.yaml",
+           YamlComment(Head(stored, "LIO-SAM, part of its params.yaml", false, more)) +
+               "lio_sam:\n  extrinsicTrans: " + List(T_MI.p.transpose()) + "\n  extrinsicRot: " +
+               R + "\n  extrinsicRPY: " + R + "\n  imuAccNoise: " + YamlNumber(noise.accel) +
+               "\n  imuGyrNoise: " + YamlNumber(noise.gyro) + "\n  imuAccBiasN: " +
+               YamlNumber(noise.accel_walk) + "\n  imuGyrBiasN: " + YamlNumber(noise.gyro_walk) +
+               "\n  imuGravity: " + YamlNumber(stored.result.sessions[0].g_W.norm()) + "\n"}};
+}
+
+std::vector<ExportFile> ExportFastLio(const StoredResult& stored, const ExportOptions&) {
+  const Rigid3 T_IM = stored.result.imus[0].T_MI.Inverse();
+  const ImuSession& session = stored.Clock(0);
+  const NoiseDensity noise = Noise(stored, 0);
+  const auto square = [](double value) { return YamlNumber(value * value); };
+  const Lines more = {
+      "The pose sensor plays the lidar:",
+      "extrinsic_R, extrinsic_T: x_imu = extrinsic_R x_lidar + extrinsic_T, so lidar = marker",
+      "and the inverse of T_marker_imu",
+      "time_offset_lidar_to_imu: t_imu - time_offset_lidar_to_imu = t_lidar, so -time_shift",
+      "acc_cov, gyr_cov: variance per sample; b_acc_cov, b_gyr_cov: walk^2 * rate, since its",
+      "filter multiplies all of them by dt^2. Its examples have larger ones.",
+      kNoiseRemark};
+  return {{"fastlio.yaml",
+           YamlComment(Head(stored, "FAST-LIO2, part of its config", false, more)) +
+               "common:\n  time_offset_lidar_to_imu: " + YamlNumber(-session.time_shift) +
+               "\nmapping:\n  acc_cov: " + square(session.noise.accel) +
+               "\n  gyr_cov: " + square(session.noise.gyro) +
+               "\n  b_acc_cov: " + square(noise.accel_walk * std::sqrt(session.accel.rate_hz)) +
+               "\n  b_gyr_cov: " + square(noise.gyro_walk * std::sqrt(session.gyro.rate_hz)) +
+               "\n  extrinsic_T: " + List(T_IM.p.transpose()) +
+               "\n  extrinsic_R: " + Block(T_IM.q.toRotationMatrix(), "    ") + "\n"}};
+}
+
+std::vector<ExportFile> ExportPx4(const StoredResult& stored, const ExportOptions& options) {
+  const Rigid3 T_IM = stored.result.imus[0].T_MI.Inverse();
+  const Eigen::Quaterniond& q_BI = options.q_body_imu;
+  const Eigen::Vector3d p_BM = q_BI * T_IM.p;
+  const Eigen::Quaterniond q_BM = q_BI * T_IM.q;
+  const double delay_ms = 1e3 * stored.Clock(0).time_shift;
+  const bool fits = delay_ms >= 0.0 && delay_ms <= 300.0;
+  Lines more = {
+      "EKF2_EV_POS_*: the marker in body axes forward, right, down [m], from the imu",
+      "v_body = q v_imu with q = " + List(q_BI.coeffs().transpose()) + " (x, y, z, w)" +
+          (q_BI.isApprox(Eigen::Quaterniond::Identity())
+               ? ": the imu's axes are taken for the body's;"
+               : ""),
+      "if they are others, as mavros' forward, left, up: export_calibration --body-imu",
+      "The poses sent must be of the body: q_body_marker = " + List(q_BM.coeffs().transpose()),
+      "EKF2_EV_DELAY [ms]: time of a pose = its stamp - delay, so time_shift,",
+      "if both clocks are the autopilot's"};
+  if (!fits)
+    more.push_back("EKF2_EV_DELAY must be 0 to 300 and is left out: time_shift is " +
+                   Short(delay_ms) + " ms");
+  more.emplace_back("columns: vehicle, component, name, value, type (9: float)");
+  std::string text = YamlComment(Head(stored, "PX4 parameters", false, more));
+  const auto add = [&text](const std::string& name, double value) {
+    text += "1\t1\t" + name + "\t" + YamlNumber(value) + "\t9\n";
+  };
+  if (fits) add("EKF2_EV_DELAY", delay_ms);
+  for (int i = 0; i < 3; ++i) add(std::string("EKF2_EV_POS_") + "XYZ"[i], p_BM[i]);
+  return {{"px4.params", text}};
+}
+
+std::vector<ExportFile> ExportEvo(const StoredResult& stored, const ExportOptions&) {
+  const Rigid3& T_MI = stored.result.imus[0].T_MI;
+  Eigen::Matrix<double, 7, 1> values;
+  values << T_MI.p, T_MI.q.coeffs();
+  const char* const keys[] = {"x", "y", "z", "qx", "qy", "qz", "qw"};
+  std::string text = "{\n";
+  for (Eigen::Index i = 0; i < 7; ++i)
+    text += "  " + Quoted(keys[i]) + ": " + YamlNumber(values[i]) + ",\n";
+  const std::string offset = YamlNumber(-stored.Clock(0).time_shift);
+  const Lines more = {"Poses of the marker become poses of the imu, on the imu's clock:",
+                      "evo_traj tum markers.txt --transform_right THIS_FILE --t_offset " + offset,
+                      "transform_right: T_marker_imu",
+                      "t_offset: -time_shift, t_imu = t_pose + t_offset"};
+  text += "  \"comment\": " + JsonList(Head(stored, "evo transform", false, more)) + "\n}\n";
+  return {{"evo.json", text}};
+}
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,141 @@
+#include "imu_pose_calib/ros/io/transform_file.h"
+
+#include <algorithm>
+#include <boost/algorithm/string/predicate.hpp>
+#include <cmath>
+#include <filesystem>
+#include <sstream>
+
+#include "imu_pose_calib/ros/io/yaml_file.h"
+
+namespace imu_pose_calib {
+namespace {
+
+double Number(const YAML::Node& node, const std::string& what) {
+  double value = 0.0;
+  if (!node || !node.IsScalar() || !YAML::convert<double>::decode(node, value) ||
+      !std::isfinite(value))
+    throw InputError(what + " must be a finite number");
+  return value;
+}
+
+Eigen::VectorXd Numbers(const YAML::Node& list, Eigen::Index count, const std::string& what) {
+  if (!list || !list.IsSequence() || static_cast<Eigen::Index>(list.size()) != count)
+    throw InputError(what + " must be a list of " + std::to_string(count) + " numbers");
+  Eigen::VectorXd values(count);
+  for (Eigen::Index i = 0; i < count; ++i)
+    values[i] = Number(list[static_cast<size_t>(i)], "each element of " + what);
+  return values;
+}
+
+/// From x, y, z, w.
+Eigen::Quaterniond ToQuaternion(const Eigen::Vector4d& xyzw, const std::string& what) {
+  if (std::abs(xyzw.norm() - 1.0) > 0.01) {
+    std::ostringstream norm;
+    norm << xyzw.norm();
+    throw InputError(what + " must be a unit quaternion x, y, z, w; its norm is " + norm.str());
+  }
+  return Eigen::Quaterniond(xyzw).normalized();
+}
+
+Rigid3 FromRows(const YAML::Node& rows, const std::string& what) {
+  if (!rows.IsSequence() || rows.size() != 4) throw InputError(what + " must have four rows");
+  Eigen::Matrix4d T;
+  for (Eigen::Index i = 0; i < 4; ++i)
+    T.row(i) = Numbers(rows[static_cast<size_t>(i)], 4, "each row of " + what);
+  const Eigen::Matrix3d R = T.topLeftCorner<3, 3>();
+  const bool is_rigid = (R * R.transpose()).isIdentity(1e-3) && R.determinant() > 0.0 &&
+                        T.row(3).isApprox(Eigen::RowVector4d(0.0, 0.0, 0.0, 1.0));
+  if (!is_rigid) throw InputError(what + " must be a rotation and a translation");
+  return {Eigen::Quaterniond(R).normalized(), T.topRightCorner<3, 1>()};
+}
+
+Rigid3 FromLists(const YAML::Node& node) {
+  return {ToQuaternion(Numbers(node["rotation"], 4, "rotation"), "rotation"),
+          Numbers(node["translation"], 3, "translation")};
+}
+
+Rigid3 FromKeys(const YAML::Node& node) {
+  const char* const keys[] = {"x", "y", "z", "qx", "qy", "qz", "qw"};
+  Eigen::Matrix<double, 7, 1> values;
+  for (Eigen::Index i = 0; i < 7; ++i) values[i] = Number(node[keys[i]], keys[i]);
+  return {ToQuaternion(values.tail<4>(), "qx, qy, qz, qw"), values.head<3>()};
+}
+
+Rigid3 FromFile(const std::string& path) {
+  const YAML::Node root = ParseYaml(ReadYamlFile(path));
+  if (!root.IsMap()) throw InputError("must be a map");
+  if (root["transform"] && root["transform"].IsMap()) return FromLists(root["transform"]);
+  if (root["transformation"] && root["transformation"].IsMap())
+    return FromKeys(root["transformation"]);
+  if (root["matrix"]) return FromRows(root["matrix"], "matrix");
+  if (root["translation"]) return FromLists(root);
+  if (root["qw"]) return FromKeys(root);
+  throw InputError(
+      "must hold x y z qx qy qz qw, translation and rotation, or matrix, at the top or below "
+      "transform or transformation");
+}
+
+}  // namespace
+
+Eigen::VectorXd ParseNumbers(const std::string& name, const std::string& text, Eigen::Index count) {
+  std::string spaced = text;
+  std::replace(spaced.begin(), spaced.end(), ',', ' ');
+  std::istringstream words(spaced);
+  std::vector<double> values;
+  for (std::string word; words >> word;) {
+    char* end = nullptr;
+    values.push_back(std::strtod(word.c_str(), &end));
+    if (end == word.c_str() || *end != '\0' || !std::isfinite(values.back()))
+      throw InputError(name + " '" + text + "': '" + word + "' is not a finite number");
+  }
+  if (static_cast<Eigen::Index>(values.size()) != count)
+    throw InputError(name + " '" + text + "' must be " + std::to_string(count) + " numbers, not " +
+                     std::to_string(values.size()));
+  return Eigen::Map<const Eigen::VectorXd>(values.data(), count);
+}
+
+Eigen::Quaterniond ParseQuaternion(const std::string& name, const std::string& text) {
+  return ToQuaternion(ParseNumbers(name, text, 4), name + " '" + text + "'");
+}
+
+Rigid3 ReadTransform(const std::string& name, const std::string& text) {
+  std::error_code ignored;
+  if (std::filesystem::exists(text, ignored) || boost::ends_with(text, ".yaml") ||
+      boost::ends_with(text, ".json")) {
+    try {
+      return FromFile(text);
+    } catch (const InputError& error) {
+      throw InputError(name + " '" + text + "': " + error.what());
+    }
+  }
+  const Eigen::VectorXd values = ParseNumbers(name, text, 7);
+  return {ToQuaternion(values.tail<4>(), name + " '" + text + "': qx qy qz qw"), values.head<3>()};
+}
+
+std::vector<ChainCamera> LoadCameraChain(const std::string& path) {
+  try {
+    const YAML::Node root = ParseYaml(ReadYamlFile(path));
+    std::vector<ChainCamera> cameras;
+    if (!root.IsMap()) throw InputError("must be a map");
+    for (const auto& entry : root) {
+      const std::string name = entry.first.IsScalar() ? entry.first.Scalar() : "";
+      if (name.compare(0, 3, "cam") != 0 || !entry.second.IsMap()) continue;
+      const YAML::Node camera = entry.second;
+      if (camera["T_cam_imu"])
+        cameras.push_back({name, FromRows(camera["T_cam_imu"], name + ": T_cam_imu")});
+      else if (camera["T_imu_cam"])
+        cameras.push_back({name, FromRows(camera["T_imu_cam"], name + ": T_imu_cam").Inverse()});
+      else
+        throw InputError(name +
+                         " has no T_cam_imu; give the camchain-imucam.yaml of the "
+                         "calibration with the imu");
+    }
+    if (cameras.empty()) throw InputError("holds no cam0");
+    return cameras;
+  } catch (const InputError& error) {
+    throw InputError("camera chain '" + path + "': " + error.what());
+  }
+}
+
+}  // namespace imu_pose_calib
