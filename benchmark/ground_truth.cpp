@@ -12,6 +12,7 @@
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
+#include <random>
 #include <string>
 #include <vector>
 
@@ -100,8 +101,10 @@ void Compare(const SimulatorOptions& truth, bool with_gaps, Accuracy* sums) {
   for (const ImuTrack::Instant& instant : track.Instants(0.0)) {
     const auto x = track.At(instant.t);
     if (!x) continue;
-    const TrueState s = trajectory.At(
-        1e-9 * static_cast<double>(instant.stamp_ns - truth.start_ns) + truth.time_shift_s);
+    // The shift holds at mid-recording.
+    const double t_imu = 1e-9 * static_cast<double>(instant.stamp_ns - truth.start_ns);
+    const TrueState s = trajectory.At(t_imu + truth.time_shift_s +
+                                      truth.clock_drift * (t_imu - 0.5 * truth.duration_s));
     const Eigen::Quaterniond q_WI = Eigen::Quaterniond(s.R_WM) * truth.T_MI.q;
     const Eigen::Vector3d v_WI = s.v_W + s.R_WM * s.omega_M.cross(truth.T_MI.p);
     Error e;
@@ -115,6 +118,19 @@ void Compare(const SimulatorOptions& truth, bool with_gaps, Accuracy* sums) {
   }
 }
 
+/// Scale, misalignment and drift as the priors of the solve expect them.
+void DrawUnknowns(SimulatorOptions* truth) {
+  std::mt19937 random(truth->seed);
+  std::normal_distribution<double> normal;
+  for (int row = 0; row < 3; ++row)
+    for (int column = 0; column < 3; ++column) {
+      const double sigma = row == column ? 0.01 : M_PI / 360.0;
+      if (column <= row) truth->gyro_matrix(row, column) += sigma * normal(random);
+      truth->accel_matrix(row, column) += sigma * normal(random);
+    }
+  truth->clock_drift = 1e-4 * normal(random);
+}
+
 void PrintAccuracy(uint32_t seeds, double seconds) {
   std::printf("RMS errors per axis at the stamps of the imu, in brackets over the rms sigma\n");
   for (const double noise : {1e-4, 1e-3, 5e-3}) {
@@ -126,6 +142,7 @@ void PrintAccuracy(uint32_t seeds, double seconds) {
         truth.duration_s = seconds;
         truth.position_std = noise;
         truth.rotation_std = noise == 1e-4 ? 2e-4 : noise;
+        DrawUnknowns(&truth);
         Compare(truth, with_gaps, &sums);
       }
       std::printf("poses %.1f mm%s: position rms over that of the poses %.3f\n",

@@ -4,6 +4,17 @@
 #include <cmath>
 
 namespace imu_pose_calib {
+namespace {
+
+constexpr double kStep = 1e-4;  // [s] at the ends of runs
+
+/// The part of a run for which there are poses, too: the clocks may have moved its ends.
+void Trim(const PoseTrajectory& trajectory, CorrectionSplines::Run* run) {
+  while (!trajectory.Contains(run->begin) && run->begin < run->end) run->begin += kStep;
+  while (!trajectory.Contains(run->end) && run->begin < run->end) run->end -= kStep;
+}
+
+}  // namespace
 
 ImuTrack::ImuTrack(const std::shared_ptr<const Solution>& solution,
                    size_t session,
@@ -20,7 +31,8 @@ ImuTrack::ImuTrack(const std::shared_ptr<const Solution>& solution,
     if (model.quantity == Quantity::kGyro && model.session == session && model.imu == imu)
       gyro_noise_ = model.noise;
   if (!has_covariance()) return;
-  const std::vector<CorrectionSplines::Run> runs = solution->splines[session].Runs();
+  std::vector<CorrectionSplines::Run> runs = solution->splines[session].Runs();
+  for (CorrectionSplines::Run& run : runs) Trim(*solution->trajectories[session], &run);
   for (size_t k = 0; k + 1 < runs.size(); ++k) {
     gaps_.push_back({runs[k].end, runs[k + 1].begin, {}});
     TrackGap& gap = gaps_.back();
