@@ -9,6 +9,7 @@
 #include "imu_pose_calib/ros/io/bag_reader.h"
 #include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/io/text_reader.h"
+#include "imu_pose_calib/ros/offline/ground_truth.h"
 
 namespace imu_pose_calib {
 
@@ -30,6 +31,7 @@ struct OfflineRequest {
   std::string output;        ///< result YAML; default: see OutputPath()
   std::string marker_frame;  ///< replaces the name found in the bag
   std::string imu_frame;     ///< the same; of several IMUs: white space between them
+  TrajectoryRequest trajectory;
 };
 
 /// A usable calibration and what to do with it.
@@ -38,6 +40,7 @@ struct OfflineResult {
   std::vector<RecordingInfo> infos;  ///< of each session
   std::string output;                ///< path of the result file, not written yet
   std::string yaml;                  ///< its text
+  CalibrationOptions options;        ///< as used
 };
 
 /// Where the result goes: x.calibration.yaml for x.bag, the first of the bags, or for a file x.csv
@@ -56,6 +59,10 @@ std::vector<std::string> SplitBags(const std::string& text);
 
 /// Writes the result. When that fails, prints its text on stdout before it throws.
 void WriteResult(const OfflineResult& offline);
+
+/// Writes the ground truth that the request asks for, if any, and returns a line on each file.
+std::vector<std::string> WriteTrajectories(const OfflineRequest& request,
+                                           const OfflineResult& offline);
 
 /// Checks of one session without a calibration.
 struct OfflineCheck {
