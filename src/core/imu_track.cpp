@@ -8,10 +8,11 @@ namespace {
 
 constexpr double kStep = 1e-4;  // [s] at the ends of runs
 
-/// The part of a run for which there are poses, too: the clocks may have moved its ends.
+/// The part of a run in which samples of the IMU tell of the motion: at its very ends, poses alone
+/// leave the velocity undetermined.
 void Trim(const PoseTrajectory& trajectory, CorrectionSplines::Run* run) {
-  while (!trajectory.Contains(run->begin) && run->begin < run->end) run->begin += kStep;
-  while (!trajectory.Contains(run->end) && run->begin < run->end) run->end -= kStep;
+  while (!IsOnTrajectory(trajectory, run->begin) && run->begin < run->end) run->begin += kStep;
+  while (!IsOnTrajectory(trajectory, run->end) && run->begin < run->end) run->end -= kStep;
 }
 
 }  // namespace
@@ -94,7 +95,9 @@ std::optional<ImuState> ImuTrack::At(double t) const {
     for (int i = 0; i < 3; ++i)
       for (int j = 0; j < 3; ++j)
         state.covariance.block<3, 3>(place[i], place[j]) = x.covariance.block<3, 3>(3 * i, 3 * j);
-  } else if (const auto body = trajectory_.Imu(imu_, t)) {
+  } else if (const auto body = IsOnTrajectory(*solution_->trajectories[session_], t)
+                                   ? trajectory_.Imu(imu_, t)
+                                   : std::nullopt) {
     state.q_WI = body->q_WB;
     state.p_WI = body->p_WB;
     state.omega_I = body->omega_B;

@@ -16,7 +16,7 @@ namespace {
 /// Between the poses of the path, which is there to be looked at.
 constexpr int64_t kPathPeriodNs = 50'000'000;
 
-/// 6x6 in rows as ROS has it: `own`, 3 axes first, and rotation or rate.
+/// Row by row, as messages have it.
 template <typename Covariance>
 void Fill(const Eigen::Matrix<double, 6, 6>& C, Covariance* covariance) {
   for (int i = 0; i < 6; ++i)
@@ -53,37 +53,33 @@ TrajectoryCount Write(const std::string& path, const TrajectoryOutput& output) {
   nav_msgs::Path track;
   track.header.frame_id = output.world_frame;
   int64_t next_ns = 0;
-  TrajectoryCount count;
-  for (const ImuTrack::Instant& instant : output.track.Instants(output.rate_hz)) {
-    const auto x = output.track.At(instant.t);
-    if (!x) continue;
-    const ros::Time stamp = std::max(ros::TIME_MIN, FromNanoseconds(instant.stamp_ns));
+  const TrajectoryCount count = ForEachState(output, [&](int64_t stamp_ns, const ImuState& x) {
+    const ros::Time stamp = std::max(ros::TIME_MIN, FromNanoseconds(stamp_ns));
     std_msgs::Header header;
     header.stamp = stamp;
     header.frame_id = output.world_frame;
-    const nav_msgs::Odometry odometry = ToOdometry(header, child, *x);
+    const nav_msgs::Odometry odometry = ToOdometry(header, child, x);
     bag.write("/ground_truth/odometry", stamp, odometry);
 
     geometry_msgs::TransformStamped transform;
     transform.header = header;
     transform.child_frame_id = child;
-    transform.transform = ToTransformMsg({x->q_WI, x->p_WI});
+    transform.transform = ToTransformMsg({x.q_WI, x.p_WI});
     tf2_msgs::TFMessage tf;
     tf.transforms = {transform};
     bag.write("/tf", stamp, tf);
 
-    if (count.states == 0) track.header.stamp = stamp;
-    if (count.states == 0 || instant.stamp_ns >= next_ns) {
-      next_ns = instant.stamp_ns + kPathPeriodNs;
-      track.poses.emplace_back();
-      track.poses.back().header = header;
-      track.poses.back().pose = odometry.pose.pose;
-    }
-    ++count.states;
-    if (x->is_carried) ++count.carried;
-  }
+    if (!track.poses.empty() && stamp_ns < next_ns) return;
+    next_ns = stamp_ns + kPathPeriodNs;
+    track.poses.emplace_back();
+    track.poses.back().header = header;
+    track.poses.back().pose = odometry.pose.pose;
+  });
   // At the start, so that whoever plays it sees the whole.
-  if (count.states > 0) bag.write("/ground_truth/path", track.header.stamp, track);
+  if (!track.poses.empty()) {
+    track.header.stamp = track.poses.front().header.stamp;
+    bag.write("/ground_truth/path", track.header.stamp, track);
+  }
   return count;
 }
 

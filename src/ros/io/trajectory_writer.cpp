@@ -72,20 +72,6 @@ class Table {
   const char separator_;
 };
 
-/// Of the states that there are, in order.
-template <typename Visit>
-TrajectoryCount ForEachState(const TrajectoryOutput& output, const Visit& visit) {
-  TrajectoryCount count;
-  for (const ImuTrack::Instant& instant : output.track.Instants(output.rate_hz)) {
-    const auto state = output.track.At(instant.t);
-    if (!state) continue;
-    visit(instant.stamp_ns, *state);
-    ++count.states;
-    if (state->is_carried) ++count.carried;
-  }
-  return count;
-}
-
 void AddEuroc(int64_t stamp_ns, const ImuState& x, Table* table) {
   table->Stamp(stamp_ns);
   table->Add(x.p_WI);
@@ -110,7 +96,7 @@ void AddSigmas(int64_t stamp_ns, const ImuState& x, Table* table) {
 
 std::string SensorYaml(const char* type, const std::string& rest) {
   std::ostringstream text;
-  text << "sensor_type: " << type << "\n"
+  text << "%YAML:1.0\nsensor_type: " << type << "\n"
        << kAuthor << "\n\n# Sensor S in the body B, x_B = T_BS x_S: B is the IMU.\nT_BS:\n"
        << "  cols: 4\n  rows: 4\n  data: [1.0, 0.0, 0.0, 0.0,\n         0.0, 1.0, 0.0, 0.0,\n"
        << "         0.0, 0.0, 1.0, 0.0,\n         0.0, 0.0, 0.0, 1.0]\n"
@@ -233,6 +219,22 @@ void CheckAslFolder(const std::string& path) {
   if (text.find(kAuthor) == std::string::npos)
     throw InputError("trajectory '" + path +
                      "' holds another dataset (mav0), which would be replaced; choose another");
+}
+
+TrajectoryCount ForEachState(const TrajectoryOutput& output,
+                             const std::function<void(int64_t, const ImuState&)>& visit) {
+  TrajectoryCount count;
+  Eigen::Quaterniond last = Eigen::Quaterniond::Identity();
+  for (const ImuTrack::Instant& instant : output.track.Instants(output.rate_hz)) {
+    auto state = output.track.At(instant.t);
+    if (!state) continue;
+    if (state->q_WI.dot(last) < 0.0) state->q_WI.coeffs() *= -1.0;
+    last = state->q_WI;
+    visit(instant.stamp_ns, *state);
+    ++count.states;
+    if (state->is_carried) ++count.carried;
+  }
+  return count;
 }
 
 TrajectoryCount WriteTrajectory(const std::string& path,
