@@ -8,10 +8,10 @@
 
 #include <Eigen/Cholesky>
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
+#include <ctime>
 #include <random>
 #include <string>
 #include <vector>
@@ -157,8 +157,9 @@ void PrintAccuracy(uint32_t seeds, double seconds) {
   }
 }
 
-double Seconds(const std::chrono::steady_clock::time_point& start) {
-  return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+/// Of all threads since `start`, which other work on the machine hardly changes.
+double CpuSeconds(std::clock_t start) {
+  return static_cast<double>(std::clock() - start) / CLOCKS_PER_SEC;
 }
 
 double PeakGib() {
@@ -171,21 +172,21 @@ void PrintCost(double minutes) {
   SimulatorOptions truth;
   truth.seed = 7;
   truth.duration_s = 60.0 * minutes;
-  auto start = std::chrono::steady_clock::now();
+  std::clock_t start = std::clock();
   const SessionData data = Simulate(truth);
-  std::printf("%.0f min: simulation %.1f s", minutes, Seconds(start));
-  start = std::chrono::steady_clock::now();
+  std::printf("%.0f min: simulation %.1f s", minutes, CpuSeconds(start));
+  start = std::clock();
   const Calibration result = Calibrate({}, data);
-  std::printf(", calibration %.1f s, peak %.2f GiB", Seconds(start), PeakGib());
-  start = std::chrono::steady_clock::now();
+  std::printf(", calibration %.1f s, peak %.2f GiB", CpuSeconds(start), PeakGib());
+  start = std::clock();
   const ImuTrack track(result.solution,
                        0,
                        0,
                        std::make_shared<const TrajectoryCovariance>(result.solution),
                        TrackClock::kImu,
                        kMaxGap);
-  std::printf(", covariance %.1f s", Seconds(start));
-  start = std::chrono::steady_clock::now();
+  std::printf(", covariance %.1f s", CpuSeconds(start));
+  start = std::clock();
   double count = 0.0, sum = 0.0;
   for (const ImuTrack::Instant& instant : track.Instants(0.0)) {
     const auto x = track.At(instant.t);
@@ -195,7 +196,7 @@ void PrintCost(double minutes) {
   }
   std::printf(", %.0f samples %.1f s, peak %.2f GiB (mean trace %.2g)\n",
               count,
-              Seconds(start),
+              CpuSeconds(start),
               PeakGib(),
               sum / count);
 }
