@@ -143,11 +143,11 @@ class Integrator {
     const Matrix3d R = (x->q_WI * Exp<double>(0.5 * turn)).toRotationMatrix();
     const Vector3d omega = 0.5 * (a.omega + b.omega), f = 0.5 * (a.f + b.f);
     const Matrix3d accel_by_turn = -scale_ * R * Hat(f);
-    Matrix9d Phi = Matrix9d::Identity();
-    Phi.block<3, 3>(0, 0) = Exp<double>(-turn).toRotationMatrix();
-    Phi.block<3, 3>(3, 0) = 0.5 * dt * dt * accel_by_turn;
-    Phi.block<3, 3>(3, 6) = dt * Matrix3d::Identity();
-    Phi.block<3, 3>(6, 0) = dt * accel_by_turn;
+    Matrix9d F = Matrix9d::Identity();
+    F.block<3, 3>(0, 0) = Exp<double>(-turn).toRotationMatrix();
+    F.block<3, 3>(3, 0) = 0.5 * dt * dt * accel_by_turn;
+    F.block<3, 3>(3, 6) = dt * Matrix3d::Identity();
+    F.block<3, 3>(6, 0) = dt * accel_by_turn;
 
     ByConstants G = ByConstants::Zero();
     Eigen::Matrix<double, 3, 6> by_M_g = Eigen::Matrix<double, 3, 6>::Zero();
@@ -178,9 +178,9 @@ class Integrator {
     x->v_W += 0.5 * dt * (a_W + b_W);
     x->q_WI = after;
     x->omega_I = b.omega;
-    *by_start = Phi * *by_start;
-    *by_constants = Phi * *by_constants + G;
-    *noise = Phi * *noise * Phi.transpose() + Q;
+    *by_start = F * *by_start;
+    *by_constants = F * *by_constants + G;
+    *noise = F * *noise * F.transpose() + Q;
   }
 
  private:

@@ -76,7 +76,9 @@ struct Errors {
 };
 
 TEST(ImuTrackTest, IsBetterThanThePosesAndKnowsHowMuch) {
-  const struct { double pose_std, ratio; } cases[] = {{1e-4, 0.6}, {1e-3, 0.25}, {5e-3, 0.2}};
+  const struct {
+    double pose_std, ratio, duration_s;
+  } cases[] = {{1e-4, 0.6, 60.0}, {1e-3, 0.25, 30.0}, {5e-3, 0.2, 30.0}};
   for (const auto& c : cases) {
     const SimulatorOptions truth = Truth(410, c.duration_s, c.pose_std);
     const Calibration result = Calibrate({}, Simulate(truth));
