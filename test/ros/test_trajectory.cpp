@@ -111,7 +111,7 @@ class TrajectoryTest : public ExecutableTest {
 TEST_F(TrajectoryTest, TumIsAsEvoReadsIt) {
   const Outcome outcome = Run("x.tum");
   ASSERT_EQ(outcome.status, 0) << outcome.err;
-  EXPECT_TRUE(Contains(outcome.out, "by the imu alone in 1 gaps of up to 1.0")) << outcome.out;
+  EXPECT_TRUE(Contains(outcome.out, "by the imu alone in 1 gap of up to 1.0")) << outcome.out;
   // evo: all rows of 8 fields with one blank between; quaternions of unit norm; rising stamps.
   const std::vector<std::string> lines = Lines(Path("x.tum"));
   ASSERT_GT(lines.size(), 2780u);
@@ -136,7 +136,7 @@ TEST_F(TrajectoryTest, TumIsAsEvoReadsIt) {
 TEST_F(TrajectoryTest, GapsAreLeftOutWhenTheyAreLongerThanAskedFor) {
   const Outcome outcome = Run("x.txt --trajectory-gaps 0 --trajectory-rate 50");
   ASSERT_EQ(outcome.status, 0) << outcome.err;
-  EXPECT_TRUE(Contains(outcome.out, ", 1 gaps left out (1.0 s)")) << outcome.out;
+  EXPECT_TRUE(Contains(outcome.out, ", 1 gap left out (1.0 s)")) << outcome.out;
   size_t gaps = 0;
   int64_t last = 0;
   for (const std::string& line : Lines(Path("x.txt"))) {

@@ -37,6 +37,8 @@ std::string Insert(const std::string& path, const std::string& addition, Traject
   return name.string() + addition + suffix;
 }
 
+std::string Gaps(size_t count) { return std::to_string(count) + (count == 1 ? " gap" : " gaps"); }
+
 /// "12000 states, 200 of them across gaps".
 std::string Describe(const TrajectoryCount& count, const std::vector<TrackGap>& gaps) {
   std::string text = std::to_string(count.states) + " states";
@@ -54,15 +56,18 @@ std::string Describe(const TrajectoryCount& count, const std::vector<TrackGap>& 
   if (carried > 0) {
     std::snprintf(more,
                   sizeof(more),
-                  ", %zu of them by the imu alone in %zu gaps of up to %.2f s",
+                  ", %zu of them by the imu alone in %s of up to %.2f s",
                   count.carried,
-                  carried,
+                  Gaps(carried).c_str(),
                   longest);
     text += more;
   }
   if (gaps.size() > carried) {
-    std::snprintf(
-        more, sizeof(more), ", %zu gaps left out (%.1f s)", gaps.size() - carried, left_out);
+    std::snprintf(more,
+                  sizeof(more),
+                  ", %s left out (%.1f s)",
+                  Gaps(gaps.size() - carried).c_str(),
+                  left_out);
     text += more;
   }
   return text;
