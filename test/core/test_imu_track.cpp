@@ -244,6 +244,48 @@ TEST_F(ImuTrackOfOneTest, SamplesAreOfOneInstant) {
   EXPECT_GT(late2, 1.05 * error2);
 }
 
+TEST(ImuTrackTest, EndsOfRunsHaveTheCovarianceOfAllThatActsThere) {
+  const Calibration result = Calibrate({}, Simulate(Truth(460, 7.0, 1e-3)));
+  const Marginals& m = result.solution->marginals;
+  // Without what is held.
+  const Eigen::MatrixXd H = Eigen::MatrixXd(m.H).selfadjointView<Eigen::Lower>();
+  const auto held = m.held_end - m.held_begin, size = static_cast<int>(H.rows()) - held;
+  const auto before = m.held_begin, after = size - before;
+  Eigen::MatrixXd own(size, size);
+  own << H.topLeftCorner(before, before), H.topRightCorner(before, after),
+      H.bottomLeftCorner(after, before), H.bottomRightCorner(after, after);
+  const Eigen::MatrixXd inverse = own.llt().solve(Eigen::MatrixXd::Identity(size, size));
+
+  const TrajectoryCovariance covariance(result.solution);
+  const CorrectionSplines::Run run = result.solution->splines[0].Runs().front();
+  const ImuSessionEstimate& imu = result.solution->estimate.sessions[0].imus[0];
+  for (const bool is_end : {false, true}) {
+    const double t = is_end ? run.end : run.begin;
+    TrajectoryCovariance::Columns columns =
+        covariance.ControlPoints(0, is_end ? run.first + run.points - kSplineOrder : run.first);
+    const auto add = [&columns](const TrajectoryCovariance::Columns& more) {
+      columns.insert(columns.end(), more.begin(), more.end());
+    };
+    add(covariance.Calibrated(ParameterKind::kTranslation, 0, 3));
+    add(covariance.Calibrated(ParameterKind::kGyroIntrinsics, 0, 6));
+    add(covariance.Calibrated(ParameterKind::kPoseScale, 0, 1));
+    add(covariance.Clock(0, 0));
+    add(covariance.Gravity(0));
+    add(covariance.BiasKnotPair(0, 0, false, imu.gyro_bias.Locate(imu.ImuTime(t)).first));
+    add(covariance.BiasKnotPair(0, 0, true, imu.accel_bias.Locate(imu.ImuTime(t)).first));
+    const Eigen::MatrixXd C = covariance.At(columns);
+    for (Eigen::Index i = 0; i < C.rows(); ++i)
+      for (Eigen::Index j = 0; j < C.cols(); ++j) {
+        const int row = columns[static_cast<size_t>(i)], column = columns[static_cast<size_t>(j)];
+        ASSERT_TRUE(row >= 0 && column >= 0);
+        EXPECT_NEAR(C(i, j),
+                    inverse(row, column),
+                    1e-5 * std::sqrt(inverse(row, row) * inverse(column, column)))
+            << i << " " << j;
+      }
+  }
+}
+
 TEST(ImuTrackTest, OfAGivenTrajectoryHasNoCovariance) {
   const SimulatorOptions truth = Truth(450, 15.0, 1e-3);
   CalibrationOptions options;
