@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <string>
+#include <utility>
 
 #include "imu_pose_calib/core/agreement.h"
 #include "imu_pose_calib/core/doubts.h"
@@ -229,9 +230,10 @@ Calibration Calibrate(const CalibrationOptions& options, const std::vector<Sessi
   DoubtResult(sessions, &result);
   JudgeAgreement(&result);
   solution.estimate = std::move(estimate);
-  for (const PreparedSession& session : sessions) {
+  for (PreparedSession& session : sessions) {
     solution.trajectories.push_back(session.trajectory);
     solution.pose_epochs_ns.push_back(session.data.pose_epoch_ns);
+    solution.imus.push_back(std::move(session.data.imus));
   }
   result.solution = std::make_shared<const Solution>(std::move(solution));
   return result;

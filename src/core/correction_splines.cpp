@@ -102,6 +102,13 @@ std::optional<SplinePlace> CorrectionSplines::Locate(double t) const {
   return SplinePlace{range->first + span, x - static_cast<double>(span), range->spacing};
 }
 
+std::vector<CorrectionSplines::Run> CorrectionSplines::Runs() const {
+  std::vector<Run> runs;
+  for (const Range& range : ranges_)
+    runs.push_back({range.begin, range.end, range.first, range.spans + kSplineOrder - 1});
+  return runs;
+}
+
 void CorrectionSplines::Follow(const ImuSessionEstimate& before,
                                const ImuSessionEstimate& after,
                                double delay_growth) {

@@ -2,7 +2,6 @@
 
 #include <ceres/jet.h>
 
-#include <Eigen/SparseCholesky>
 #include <algorithm>
 
 #include "imu_pose_calib/core/correction.h"
@@ -10,63 +9,12 @@
 namespace imu_pose_calib {
 namespace {
 
-using SparseMatrix = Eigen::SparseMatrix<double>;
-
 constexpr int kPoints = 3 * kSplineOrder;  // coordinates of the control points that act at once
 /// Of the state: control points of d, of phi, p_MB and R_MB.
 constexpr int kInputs = 2 * kPoints + 6;
 using Jet = ceres::Jet<double, kInputs>;
 template <typename T>
 using Vector3 = Eigen::Matrix<T, 3, 1>;
-
-/// The elements of H^-1 where the Cholesky factor of H has elements, by Takahashi's recursion: as
-/// cheap as the factorisation, and enough for parameters that share a residual.
-class SelectedInverse {
- public:
-  explicit SelectedInverse(const SparseMatrix& H) {
-    const Eigen::SimplicialLDLT<SparseMatrix> ldlt(H);
-    if (ldlt.info() != Eigen::Success) throw DataError("the trajectory is not determined");
-    place_ = ldlt.permutationP().indices();
-    Z_ = ldlt.matrixL();
-    const Eigen::VectorXd D = ldlt.vectorD();
-    for (Eigen::Index j = H.cols() - 1; j >= 0; --j) SolveColumn(j, 1.0 / D[j]);
-  }
-
-  double At(int row, int column) const {
-    Eigen::Index i = place_[row], j = place_[column];
-    if (i < j) std::swap(i, j);
-    const int* begin = Z_.innerIndexPtr() + Z_.outerIndexPtr()[j];
-    const int* end = Z_.innerIndexPtr() + Z_.outerIndexPtr()[j + 1];
-    const int* found = std::lower_bound(begin, end, static_cast<int>(i));
-    return found == end || *found != i ? 0.0 : Z_.valuePtr()[found - Z_.innerIndexPtr()];
-  }
-
- private:
-  /// Replaces column j of L by that of H^-1; all later columns are done.
-  void SolveColumn(Eigen::Index j, double inverse_D) {
-    const int begin = Z_.outerIndexPtr()[j] + 1, end = Z_.outerIndexPtr()[j + 1];  // below diagonal
-    const int* rows = Z_.innerIndexPtr();
-    double* values = Z_.valuePtr();
-    const Eigen::Map<const Eigen::VectorXd> l(values + begin, end - begin);
-    Eigen::VectorXd z = Eigen::VectorXd::Zero(l.size());
-    for (int a = begin; a < end; ++a) {
-      // Column rows[a] of H^-1 holds all rows of column j below it.
-      int b = a;
-      for (int k = Z_.outerIndexPtr()[rows[a]]; k < Z_.outerIndexPtr()[rows[a] + 1] && b < end;
-           ++k) {
-        if (rows[k] != rows[b]) continue;
-        z[b - begin] -= values[k] * l[a - begin];
-        if (b != a) z[a - begin] -= values[k] * l[b - begin];
-        ++b;
-      }
-    }
-    values[begin - 1] = inverse_D - l.dot(z);
-    std::copy(z.data(), z.data() + z.size(), values + begin);
-  }
-
-  Eigen::VectorXi place_;
-  SparseMatrix Z_;  ///< lower triangle, permuted
-};
 
 /// State of B on M where the splines of the control points correct the GP's motion.
 template <typename T>
@@ -99,76 +47,16 @@ void CorrectedState(const MarkerState<double>& gp,
 
 }  // namespace
 
-/// H^-1 as far as single instants need it, parameters that are held left out.
-class SessionTrajectory::Uncertainty {
- public:
-  explicit Uncertainty(const Solution& solution) : marginals_(solution.marginals) {
-    std::vector<Eigen::Triplet<double>> kept;
-    const SparseMatrix& H = marginals_.H;
-    for (int column = 0; column < H.cols(); ++column)
-      for (SparseMatrix::InnerIterator it(H, column); it; ++it)
-        if (Kept(column) >= 0 && Kept(static_cast<int>(it.row())) >= 0)
-          kept.emplace_back(Kept(static_cast<int>(it.row())), Kept(column), it.value());
-    const int size = static_cast<int>(H.cols()) - (marginals_.held_end - marginals_.held_begin);
-    SparseMatrix own(size, size);
-    own.setFromTriplets(kept.begin(), kept.end());
-    inverse_ = std::make_unique<SelectedInverse>(own);
-    for (const CorrectionSplines& splines : solution.splines) {
-      first_column_.push_back(first_column_.empty() ? marginals_.trajectory_begin : next_);
-      next_ = first_column_.back() + 6 * static_cast<int>(splines.d.size());
-    }
-  }
-
-  /// Covariance of the inputs of CorrectedState(), at a place of the session's splines.
-  Eigen::Matrix<double, kInputs, kInputs> At(const Solution& solution,
-                                             size_t session,
-                                             size_t first_point,
-                                             int imu) const {
-    std::vector<int> columns;
-    const auto add = [&](int first, int count) {
-      for (int k = 0; k < count; ++k) columns.push_back(first < 0 ? -1 : Kept(first + k));
-    };
-    const int d = first_column_[session] + 3 * static_cast<int>(first_point);
-    add(d, kPoints);
-    add(d + 3 * static_cast<int>(solution.splines[session].d.size()), kPoints);
-    const auto calibrated = [&](ParameterKind kind) {
-      return imu < 0 ? -1 : marginals_.FindColumn(kind, static_cast<size_t>(imu));
-    };
-    add(calibrated(ParameterKind::kTranslation), 3);
-    add(calibrated(ParameterKind::kRotation), 3);
-    Eigen::Matrix<double, kInputs, kInputs> C;
-    for (int i = 0; i < kInputs; ++i)
-      for (int j = 0; j < kInputs; ++j) {
-        const int row = columns[static_cast<size_t>(i)], column = columns[static_cast<size_t>(j)];
-        C(i, j) = row < 0 || column < 0 ? 0.0 : inverse_->At(row, column);
-      }
-    return C;
-  }
-
- private:
-  /// Column without those that are held; -1 for one of them.
-  int Kept(int column) const {
-    if (column < marginals_.held_begin) return column;
-    return column < marginals_.held_end ? -1
-                                        : column - (marginals_.held_end - marginals_.held_begin);
-  }
-
-  const Marginals& marginals_;
-  std::unique_ptr<SelectedInverse> inverse_;
-  std::vector<int> first_column_;  ///< of each session's d
-  int next_ = 0;
-};
-
 SessionTrajectory::SessionTrajectory(const std::shared_ptr<const Solution>& solution,
-                                     size_t session)
-    : solution_(solution), session_(session) {}
+                                     size_t session,
+                                     const std::shared_ptr<const TrajectoryCovariance>& covariance)
+    : solution_(solution), session_(session), covariance_(covariance) {}
 
 int64_t SessionTrajectory::epoch_ns() const { return solution_->pose_epochs_ns[session_]; }
 
 std::optional<BodyState> SessionTrajectory::Evaluate(const Rigid3& T_MB,
                                                      double t,
-                                                     Eigen::Matrix<double, 18, 30>* J) const {
-  static_assert(kInputs == 30, "as declared");
+                                                     StateJacobian* J) const {
   MarkerState<double> gp;
   if (!solution_->trajectories[session_]->Evaluate(t, &gp)) return std::nullopt;
   // Without splines, zero corrections.
@@ -222,33 +110,109 @@ std::optional<BodyState> SessionTrajectory::Evaluate(const Rigid3& T_MB,
   return state;
 }
 
+std::shared_ptr<const TrajectoryCovariance> SessionTrajectory::covariance() const {
+  if (!covariance_ && !solution_->splines.empty())
+    covariance_ = std::make_shared<const TrajectoryCovariance>(solution_);
+  return covariance_;
+}
+
 std::optional<BodyCovariance> SessionTrajectory::Covariance(const Rigid3& T_MB,
                                                             int imu,
+                                                            bool is_on_its_clock,
                                                             double t) const {
-  Eigen::Matrix<double, 18, 30> J;
-  if (solution_->splines.empty() || !Evaluate(T_MB, t, &J)) return std::nullopt;
-  if (!uncertainty_) uncertainty_ = std::make_shared<const Uncertainty>(*solution_);
-  const size_t first_point = solution_->splines[session_].Locate(t)->first;
-  return BodyCovariance(J * uncertainty_->At(*solution_, session_, first_point, imu) *
-                        J.transpose());
+  if (solution_->splines.empty()) return std::nullopt;
+  StateJacobian J;
+  const auto state = Evaluate(T_MB, t, &J);
+  if (!state) return std::nullopt;
+  const size_t first = solution_->splines[session_].Locate(t)->first;
+  if (!last_inputs_ || last_inputs_->first != first || last_inputs_->imu != imu) {
+    const auto own = covariance();
+    TrajectoryCovariance::Columns columns = own->ControlPoints(session_, first);
+    const auto add = [&](const TrajectoryCovariance::Columns& more) {
+      columns.insert(columns.end(), more.begin(), more.end());
+    };
+    const auto i = static_cast<size_t>(imu);
+    if (imu >= 0) {
+      add(own->Calibrated(ParameterKind::kTranslation, i, 3));
+      add(own->Calibrated(ParameterKind::kRotation, i, 3));
+      add(own->Clock(session_, i));
+    }
+    last_inputs_ = Inputs{first, imu, own->At(columns)};
+  }
+  const Eigen::MatrixXd& C = last_inputs_->C;
+  if (imu < 0) return BodyCovariance(J.leftCols(C.cols()) * C * J.leftCols(C.cols()).transpose());
+  Eigen::Matrix<double, 18, kInputs + 2> with_clock;
+  with_clock << J, Eigen::Matrix<double, 18, 2>::Zero();
+  if (is_on_its_clock) {
+    const ImuSessionEstimate& clock =
+        solution_->estimate.sessions[session_].imus[static_cast<size_t>(imu)];
+    with_clock.col(kInputs).head<12>() << state->omega_B, state->v_W, state->alpha_B, state->a_W;
+    with_clock.col(kInputs + 1) =
+        (clock.ImuTime(t) - clock.clock_reference) * with_clock.col(kInputs);
+  }
+  return BodyCovariance(with_clock * C * with_clock.transpose());
+}
+
+double SessionTrajectory::ClockVariance(size_t imu, double t) const {
+  const auto own = covariance();
+  if (!own) return 0.0;
+  const ImuSessionEstimate& clock = solution_->estimate.sessions[session_].imus[imu];
+  const Eigen::Vector2d J(1.0, clock.ImuTime(t) - clock.clock_reference);
+  return J.dot(own->At(own->Clock(session_, imu)) * J);
 }
 
 std::optional<BodyState> SessionTrajectory::Marker(double t) const {
   return Evaluate({}, t, nullptr);
 }
 
-std::optional<BodyState> SessionTrajectory::Imu(size_t imu, double t) const {
+std::optional<BodyState> SessionTrajectory::Imu(size_t imu, double t, StateJacobian* J) const {
   const ImuEstimate& rig = solution_->estimate.imus[imu];
-  return Evaluate({rig.q_MI, rig.p_MI}, t, nullptr);
+  return Evaluate({rig.q_MI, rig.p_MI}, t, J);
+}
+
+std::optional<BodyState> SessionTrajectory::Imu(size_t imu, double t) const {
+  return Imu(imu, t, nullptr);
+}
+
+ImuBiases SessionTrajectory::Biases(size_t imu, double t) const {
+  const ImuSessionEstimate& own = solution_->estimate.sessions[session_].imus[imu];
+  const auto at = [&](const BiasKnots& knots) -> Eigen::Vector3d {
+    const auto [k, u] = knots.Locate(own.ImuTime(t));
+    return (1.0 - u) * knots.values[k] + u * knots.values[k + 1];
+  };
+  return {at(own.gyro_bias), at(own.accel_bias)};
 }
 
 std::optional<BodyCovariance> SessionTrajectory::MarkerCovariance(double t) const {
-  return Covariance({}, -1, t);
+  return Covariance({}, -1, false, t);
 }
 
 std::optional<BodyCovariance> SessionTrajectory::ImuCovariance(size_t imu, double t) const {
   const ImuEstimate& rig = solution_->estimate.imus[imu];
-  return Covariance({rig.q_MI, rig.p_MI}, static_cast<int>(imu), t);
+  return Covariance({rig.q_MI, rig.p_MI}, static_cast<int>(imu), false, t);
+}
+
+std::optional<BodyCovariance> SessionTrajectory::ImuCovarianceOnItsClock(size_t imu,
+                                                                         double t) const {
+  const ImuEstimate& rig = solution_->estimate.imus[imu];
+  return Covariance({rig.q_MI, rig.p_MI}, static_cast<int>(imu), true, t);
+}
+
+std::optional<Matrix6d> SessionTrajectory::BiasCovariance(size_t imu, double t) const {
+  const auto own = covariance();
+  if (!own) return std::nullopt;
+  const ImuSessionEstimate& biases = solution_->estimate.sessions[session_].imus[imu];
+  TrajectoryCovariance::Columns columns;
+  Eigen::Matrix<double, 6, 12> J = Eigen::Matrix<double, 6, 12>::Zero();
+  for (const bool is_accel : {false, true}) {
+    const auto [k, u] = (is_accel ? biases.accel_bias : biases.gyro_bias).Locate(biases.ImuTime(t));
+    const auto pair = own->BiasKnotPair(session_, imu, is_accel, k);
+    columns.insert(columns.end(), pair.begin(), pair.end());
+    const int i = is_accel ? 3 : 0;
+    J.block<3, 3>(i, 2 * i) = (1.0 - u) * Eigen::Matrix3d::Identity();
+    J.block<3, 3>(i, 2 * i + 3) = u * Eigen::Matrix3d::Identity();
+  }
+  return Matrix6d(J * own->At(columns) * J.transpose());
 }
 
 }  // namespace imu_pose_calib

@@ -28,6 +28,13 @@ class CorrectionSplines {
               const ImuSessionEstimate& after,
               double delay_growth);
 
+  /// The runs, in order: instants t [s, pose clock] and control points.
+  struct Run {
+    double begin, end;
+    size_t first, points;
+  };
+  std::vector<Run> Runs() const;
+
   /// About the time between knots [s].
   double spacing() const { return spacing_; }
 

@@ -20,6 +20,7 @@ struct Solution {
   Estimate estimate;
   std::vector<std::shared_ptr<const PoseTrajectory>> trajectories;  ///< of S1, of each session
   std::vector<int64_t> pose_epochs_ns;                              ///< of each session
+  std::vector<std::vector<ConditionedImu>> imus;  ///< samples of each session's IMUs
 };
 
 }  // namespace imu_pose_calib

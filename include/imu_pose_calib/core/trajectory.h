@@ -4,6 +4,7 @@
 #include <optional>
 
 #include "imu_pose_calib/core/solution.h"
+#include "imu_pose_calib/core/trajectory_covariance.h"
 
 namespace imu_pose_calib {
 
@@ -21,11 +22,20 @@ struct BodyState {
 /// of BodyState, in their order, 3 each.
 using BodyCovariance = Eigen::Matrix<double, 18, 18>;
 
+/// Biases of an IMU at one instant, in I: measured = M true + bias.
+struct ImuBiases {
+  Eigen::Vector3d gyro;   ///< [rad/s]
+  Eigen::Vector3d accel;  ///< [m/s^2]
+};
+
 /// The trajectory of one session as solved: with method `joint` by all sensors together, with `gp`
-/// that of S1.
+/// that of S1. Not for several threads at a time.
 class SessionTrajectory {
  public:
-  SessionTrajectory(const std::shared_ptr<const Solution>& solution, size_t session);
+  /// The covariance is made when it is asked for, unless it is given: sessions can share it.
+  SessionTrajectory(const std::shared_ptr<const Solution>& solution,
+                    size_t session,
+                    const std::shared_ptr<const TrajectoryCovariance>& covariance = nullptr);
 
   /// Stamp [ns, pose clock] at which t = 0.
   int64_t epoch_ns() const;
@@ -33,22 +43,46 @@ class SessionTrajectory {
   /// Motion at t [s]; nothing where poses or IMUs have a gap.
   std::optional<BodyState> Marker(double t) const;
   std::optional<BodyState> Imu(size_t imu, double t) const;
+  /// Where the clock of the IMU shows the time that goes with t; the session must have that IMU.
+  ImuBiases Biases(size_t imu, double t) const;
 
   /// By the model's noise, calibration included; nothing where there is no motion, and with method
   /// `gp`. The first call takes about as long as a pass of the solve.
   std::optional<BodyCovariance> MarkerCovariance(double t) const;
   std::optional<BodyCovariance> ImuCovariance(size_t imu, double t) const;
+  /// The same where the clock of the IMU shows the time that goes with t: errors of the clock count
+  /// too, except in accelerations.
+  std::optional<BodyCovariance> ImuCovarianceOnItsClock(size_t imu, double t) const;
+  /// Variance of the instant t that goes with a time on the clock of the IMU [s^2]; 0 with `gp`.
+  double ClockVariance(size_t imu, double t) const;
+  /// Of gyroscope and accelerometer, 3 each, also where the motion has a gap.
+  std::optional<Matrix6d> BiasCovariance(size_t imu, double t) const;
+  /// Null with method `gp`.
+  std::shared_ptr<const TrajectoryCovariance> covariance() const;
+
+  /// Derivative of BodyState, in the order of BodyCovariance, by the coordinates of the control
+  /// points of d and phi that act at t, p_MB, and the rotation of R_MB on the left by twice a step.
+  using StateJacobian = Eigen::Matrix<double, 18, 6 * kSplineOrder + 6>;
+  /// The motion with its derivative.
+  std::optional<BodyState> Imu(size_t imu, double t, StateJacobian* J) const;
 
  private:
-  class Uncertainty;
-  std::optional<BodyState> Evaluate(const Rigid3& T_MB,
-                                    double t,
-                                    Eigen::Matrix<double, 18, 30>* J) const;
-  std::optional<BodyCovariance> Covariance(const Rigid3& T_MB, int imu, double t) const;
+  std::optional<BodyState> Evaluate(const Rigid3& T_MB, double t, StateJacobian* J) const;
+  std::optional<BodyCovariance> Covariance(const Rigid3& T_MB,
+                                           int imu,
+                                           bool is_on_its_clock,
+                                           double t) const;
 
   std::shared_ptr<const Solution> solution_;
   size_t session_;
-  mutable std::shared_ptr<const Uncertainty> uncertainty_;
+  mutable std::shared_ptr<const TrajectoryCovariance> covariance_;
+  /// Of the control points from `first` on and an IMU: samples come in order.
+  struct Inputs {
+    size_t first;
+    int imu;
+    Eigen::MatrixXd C;
+  };
+  mutable std::optional<Inputs> last_inputs_;
 };
 
 }  // namespace imu_pose_calib

@@ -66,8 +66,8 @@ CalibrationOptions Options(const OfflineRequest& request) {
   return options;
 }
 
-/// Throws InputError when the output would replace what is read.
-void CheckOutput(const std::string& output, const OfflineRequest& request) {
+/// Throws InputError when `output`, which is called `name`, would replace what is read.
+void CheckOutput(const char* name, const std::string& output, const OfflineRequest& request) {
   const TextRequest& text = request.text;
   std::vector<Given> inputs = {{"poses", text.poses},
                                {"imu", text.imu},
@@ -79,8 +79,26 @@ void CheckOutput(const std::string& output, const OfflineRequest& request) {
   std::error_code ignored;
   for (const Given& input : inputs)
     if (std::filesystem::equivalent(output, input.value, ignored))
-      throw InputError("output '" + output + "' would replace the " + input.name + " '" +
-                       input.value + "'; choose another");
+      throw InputError(std::string(name) + " '" + output + "' would replace the " + input.name +
+                       " '" + input.value + "'; choose another");
+}
+
+/// The same of all files of the trajectories.
+void CheckTrajectories(const OfflineRequest& given,
+                       const std::vector<OfflineRequest>& sessions,
+                       Method method,
+                       size_t imus,
+                       const std::string& output) {
+  const TrajectoryRequest& request = given.trajectory;
+  for (const TrajectoryTarget& target : PlanTrajectories(request, method, sessions.size(), imus)) {
+    const TrajectoryFormat format = ParseTrajectoryFormat(request.format, request.path);
+    for (const std::string& file : TrajectoryFiles(target.path, format)) {
+      for (const OfflineRequest& session : sessions) CheckOutput("trajectory", file, session);
+      if (std::filesystem::absolute(file).lexically_normal() ==
+          std::filesystem::absolute(output).lexically_normal())
+        throw InputError("trajectory and output are both '" + output + "'; choose another");
+    }
+  }
 }
 
 Recording ReadBags(const OfflineRequest& request) {
@@ -167,19 +185,22 @@ OfflineResult CalibrateOffline(const OfflineRequest& given) {
   OfflineResult offline;
   offline.exports = ParseExports(given.exports);
   offline.output = OutputPath(given);
-  CheckOutput(offline.output, given);  // an old result may be given as the config
+  CheckOutput("output", offline.output, given);  // an old result may be given as the config
   RemoveOldResult(offline.output);
   RemoveOldExports(offline.output, offline.exports);
   const std::vector<OfflineRequest> requests = SplitSessions(given);
   for (const OfflineRequest& request : requests)
-    CheckOutput(offline.output, request);  // now with the files that were found
+    CheckOutput("output", offline.output, request);  // now with the files that were found
 
   const CalibrationOptions options = Options(requests.front());
+  offline.options = options;
+  CheckTrajectories(given, requests, options.method, 1, offline.output);  // before it takes long
   std::vector<SessionData> sessions;
   for (Recording& recording : ReadRecordings(requests)) {
     offline.infos.push_back(recording.info);
     sessions.push_back(std::move(recording.data));
   }
+  CheckTrajectories(given, requests, options.method, sessions.front().imus.size(), offline.output);
   offline.result = Calibrate(options, sessions);
   if (!offline.result.IsUsable()) throw DataError(offline.result.message);
   offline.yaml = ToYaml(offline.result, offline.infos, options);
@@ -204,6 +225,11 @@ void WriteResult(const OfflineResult& offline) {
 std::vector<std::string> WriteExports(const OfflineResult& offline) {
   if (offline.exports.empty()) return {};
   return WriteExports(ParseResult(offline.yaml, offline.output), offline.exports);
+}
+
+std::vector<std::string> WriteTrajectories(const OfflineRequest& request,
+                                           const OfflineResult& offline) {
+  return WriteTrajectories(request.trajectory, offline.result, offline.infos, offline.options);
 }
 
 std::vector<OfflineCheck> CheckOffline(const OfflineRequest& given) {

@@ -52,6 +52,21 @@ po::options_description Describe(CommandLine* line) {
   add("export",
       text(&request.exports),
       "also write it for these programs, separated by commas: kalibr, evo, ... (doc/exports.md)");
+  add("trajectory",
+      text(&request.trajectory.path),
+      "ground truth of the IMU: .tum, .txt, .csv (EuRoC), .bag, or a folder (ASL dataset)");
+  add("trajectory-format",
+      text(&request.trajectory.format),
+      "tum, ov_eval, euroc, asl or bag; default: by the suffix");
+  add("trajectory-rate",
+      po::value(&request.trajectory.rate_hz)->value_name("HZ"),
+      "states per second; default: at the samples of the IMU");
+  add("trajectory-clock",
+      text(&request.trajectory.clock),
+      "clock of its stamps: imu (default) or poses");
+  add("trajectory-gaps",
+      po::value(&request.trajectory.max_gap_s)->value_name("S"),
+      "longest gap of the poses that the IMU bridges (default 2); others are left out");
   add("start",
       po::value(&request.bag.start_s)->value_name("S"),
       "seconds of the recording to skip");
@@ -127,6 +142,8 @@ void Run(int argc, char** argv) {
   if (!line.quiet) std::cout << "\nWritten to " << offline.output << "\n";
   for (const std::string& path : WriteExports(offline))
     if (!line.quiet) std::cout << "Written to " << path << "\n";
+  for (const std::string& trajectory : WriteTrajectories(line.request, offline))
+    if (!line.quiet) std::cout << "Trajectory " << trajectory << "\n";
 }
 
 }  // namespace

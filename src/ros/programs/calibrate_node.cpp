@@ -52,8 +52,8 @@ OfflineJob ReadJob() {
   const auto text = [](const char* name) {
     return Param<std::string>(std::string("~") + name, "", "a string");
   };
-  const auto number = [](const char* name) {
-    return Param<double>(std::string("~") + name, 0.0, "a number");
+  const auto number = [](const char* name, double fallback = 0.0) {
+    return Param<double>(std::string("~") + name, fallback, "a number");
   };
   OfflineJob job;
   job.exit = Param<bool>("~exit", false, "true or false");
@@ -80,6 +80,11 @@ OfflineJob ReadJob() {
   request.exports = text("export");
   request.marker_frame = text("marker_frame");
   request.imu_frame = text("imu_frame");
+  request.trajectory.path = text("trajectory");
+  request.trajectory.format = text("trajectory_format");
+  request.trajectory.clock = text("trajectory_clock");
+  request.trajectory.rate_hz = number("trajectory_rate");
+  request.trajectory.max_gap_s = number("trajectory_gaps", request.trajectory.max_gap_s);
   return job;
 }
 
@@ -121,6 +126,8 @@ void RunOffline(const OfflineJob& job, std::optional<ros::NodeHandle>* node) {
   WriteResult(offline);
   ROS_INFO("Written to %s", offline.output.c_str());
   for (const std::string& path : WriteExports(offline)) ROS_INFO("Written to %s", path.c_str());
+  for (const std::string& trajectory : WriteTrajectories(job.request, offline))
+    ROS_INFO("Trajectory %s", trajectory.c_str());
   if (!job.exit) Offer(offline, &node->emplace("~"));
 }
 

@@ -9,6 +9,7 @@
 #include "imu_pose_calib/ros/io/bag_reader.h"
 #include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/io/text_reader.h"
+#include "imu_pose_calib/ros/offline/ground_truth.h"
 
 namespace imu_pose_calib {
 
@@ -31,6 +32,7 @@ struct OfflineRequest {
   std::string marker_frame;  ///< replaces the name found in the bag
   std::string imu_frame;     ///< the same; of several IMUs: white space between them
   std::string exports;       ///< programs to export the result to, see ParseExports()
+  TrajectoryRequest trajectory;
 };
 
 /// A usable calibration and what to do with it.
@@ -40,6 +42,7 @@ struct OfflineResult {
   std::string output;                ///< path of the result file, not written yet
   std::string yaml;                  ///< its text
   std::vector<std::string> exports;  ///< programs to export it to
+  CalibrationOptions options;        ///< as used
 };
 
 /// Where the result goes: x.calibration.yaml for x.bag, the first of the bags, or for a file x.csv
@@ -62,6 +65,10 @@ void WriteResult(const OfflineResult& offline);
 
 /// Exports the result that was written, and returns the paths of the files.
 std::vector<std::string> WriteExports(const OfflineResult& offline);
+
+/// Writes the ground truth that the request asks for, if any, and returns a line on each file.
+std::vector<std::string> WriteTrajectories(const OfflineRequest& request,
+                                           const OfflineResult& offline);
 
 /// Checks of one session without a calibration.
 struct OfflineCheck {

@@ -1,0 +1,60 @@
+#pragma once
+
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "imu_pose_calib/core/imu_track.h"
+
+namespace imu_pose_calib {
+
+/// Ground truth files, doc/trajectory.md says what is in them.
+enum class TrajectoryFormat {
+  kTum,     ///< t x y z qx qy qz qw
+  kOvEval,  ///< the same with the covariances of rotation and position
+  kEuroc,   ///< data.csv of state_groundtruth_estimate0, with velocity and biases
+  kAsl,     ///< folder with mav0: that file, its sigmas, and the samples of the IMU
+  kBag,     ///< nav_msgs/Odometry, nav_msgs/Path and tf
+};
+
+/// "tum", "ov_eval", "euroc", "asl", "bag"; InputError otherwise. When the name is empty, by the
+/// suffix of `path`: .tum and .txt, .csv, .bag; a folder or no suffix is asl.
+TrajectoryFormat ParseTrajectoryFormat(const std::string& name, const std::string& path);
+
+/// A track and what files say of it.
+struct TrajectoryOutput {
+  const ImuTrack& track;
+  double rate_hz;                      ///< 0: at the samples of the IMU
+  std::string world_frame, imu_frame;  ///< names
+  ImuStd noise;                        ///< white noise per sample of the IMU
+  double imu_rate_hz;
+  double gyro_bias_walk, accel_bias_walk;  ///< [rad/s^2/sqrt(Hz)], [m/s^3/sqrt(Hz)]
+};
+
+/// What was written.
+struct TrajectoryCount {
+  size_t states = 0;
+  size_t carried = 0;  ///< of these, across gaps of the poses
+};
+
+/// Writes a file, or a folder for kAsl. Files are replaced in one step each.
+/// Throws InputError when it cannot be written, or when the format needs covariances that the track
+/// has not.
+TrajectoryCount WriteTrajectory(const std::string& path,
+                                TrajectoryFormat format,
+                                const TrajectoryOutput& output);
+
+/// The files that WriteTrajectory() would write at `path`.
+std::vector<std::string> TrajectoryFiles(const std::string& path, TrajectoryFormat format);
+
+/// Throws InputError when `path` holds an ASL dataset that is not from WriteTrajectory().
+void CheckAslFolder(const std::string& path);
+
+/// The states that there are, in order; the sign of the quaternion does not jump.
+TrajectoryCount ForEachState(const TrajectoryOutput& output,
+                             const std::function<void(int64_t stamp_ns, const ImuState&)>& visit);
+
+/// The part of kBag.
+TrajectoryCount WriteTrajectoryBag(const std::string& path, const TrajectoryOutput& output);
+
+}  // namespace imu_pose_calib

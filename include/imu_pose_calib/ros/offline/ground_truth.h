@@ -1,0 +1,42 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "imu_pose_calib/core/options.h"
+#include "imu_pose_calib/core/result.h"
+#include "imu_pose_calib/ros/io/recording.h"
+#include "imu_pose_calib/ros/io/trajectory_writer.h"
+
+namespace imu_pose_calib {
+
+/// The ground truth that is asked for. Empty: the default.
+struct TrajectoryRequest {
+  std::string path;        ///< file or folder; empty: none is wanted
+  std::string format;      ///< see ParseTrajectoryFormat()
+  std::string clock;       ///< of the stamps: "imu" (default) or "poses"
+  double rate_hz = 0.0;    ///< 0: at the samples of the IMU
+  double max_gap_s = 2.0;  ///< longest gap of the poses that the IMU carries the trajectory across
+};
+
+/// A file or folder to write.
+struct TrajectoryTarget {
+  std::string path;
+  size_t session, imu;
+};
+
+/// One for each IMU in each session: `path` itself for a single one, else path_session1_imu0 with
+/// the suffix of `path`, `_session` and `_imu` as far as there are several.
+/// Throws InputError when the request cannot be fulfilled.
+std::vector<TrajectoryTarget> PlanTrajectories(const TrajectoryRequest& request,
+                                               Method method,
+                                               size_t sessions,
+                                               size_t imus);
+
+/// Writes the trajectories of those IMUs that the sessions have, and returns a line on each.
+std::vector<std::string> WriteTrajectories(const TrajectoryRequest& request,
+                                           const Calibration& result,
+                                           const std::vector<RecordingInfo>& infos,
+                                           const CalibrationOptions& options);
+
+}  // namespace imu_pose_calib

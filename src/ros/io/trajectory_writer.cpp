@@ -1,0 +1,251 @@
+#include "imu_pose_calib/ros/io/trajectory_writer.h"
+
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <sstream>
+
+#include "imu_pose_calib/ros/io/result_yaml.h"
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr int64_t kNanosecondsPerSecond = 1'000'000'000;
+/// In the sensor.yaml of a folder that may be written again.
+const char kAuthor[] = "comment: ground truth by imu_pose_calib";
+const char kTruth[] = "state_groundtruth_estimate0";
+
+/// The header of the original, with its blanks: readers compare the cells.
+const char kEurocHeader[] =
+    "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], "
+    "q_RS_z [], v_RS_R_x [m s^-1], v_RS_R_y [m s^-1], v_RS_R_z [m s^-1], b_w_RS_S_x [rad s^-1], "
+    "b_w_RS_S_y [rad s^-1], b_w_RS_S_z [rad s^-1], b_a_RS_S_x [m s^-2], b_a_RS_S_y [m s^-2], "
+    "b_a_RS_S_z [m s^-2]\n";
+const char kImuHeader[] =
+    "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
+    "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]\n";
+const char kSigmaHeader[] =
+    "#timestamp [ns],p_x [m],p_y [m],p_z [m],theta_x [rad],theta_y [rad],theta_z [rad],"
+    "v_x [m s^-1],v_y [m s^-1],v_z [m s^-1],b_w_x [rad s^-1],b_w_y [rad s^-1],b_w_z [rad s^-1],"
+    "b_a_x [m s^-2],b_a_y [m s^-2],b_a_z [m s^-2],carried []\n";
+const char kOvEvalHeader[] =
+    "# timestamp(s) tx ty tz qx qy qz qw Pr11 Pr12 Pr13 Pr22 Pr23 Pr33 "
+    "Pt11 Pt12 Pt13 Pt22 Pt23 Pt33\n";
+
+/// Lines of numbers with one separator.
+class Table {
+ public:
+  Table(const char* header, char separator) : text_(header), separator_(separator) {}
+
+  void Stamp(int64_t t_ns) { text_ += std::to_string(t_ns); }
+  void SecondsStamp(int64_t t_ns) {
+    char stamp[32];
+    std::snprintf(stamp,
+                  sizeof(stamp),
+                  "%s%lld.%09lld",
+                  t_ns < 0 ? "-" : "",
+                  std::llabs(t_ns / kNanosecondsPerSecond),
+                  std::llabs(t_ns % kNanosecondsPerSecond));
+    text_ += stamp;
+  }
+  void Add(double value) {
+    char number[32];
+    std::snprintf(number, sizeof(number), "%c%.12g", separator_, value);
+    text_ += number;
+  }
+  void Add(const Eigen::Vector3d& v) {
+    for (const double value : v) Add(value);
+  }
+  /// The upper triangle.
+  void Add(const Eigen::Matrix3d& C) {
+    for (int i = 0; i < 3; ++i)
+      for (int j = i; j < 3; ++j) Add(C(i, j));
+  }
+  void End() { text_ += '\n'; }
+  const std::string& text() const { return text_; }
+
+ private:
+  std::string text_;
+  const char separator_;
+};
+
+void AddEuroc(int64_t stamp_ns, const ImuState& x, Table* table) {
+  table->Stamp(stamp_ns);
+  table->Add(x.p_WI);
+  table->Add(x.q_WI.w());
+  table->Add(Eigen::Vector3d(x.q_WI.vec()));
+  table->Add(x.v_W);
+  table->Add(x.biases.gyro);
+  table->Add(x.biases.accel);
+  table->End();
+}
+
+void AddSigmas(int64_t stamp_ns, const ImuState& x, Table* table) {
+  const Eigen::VectorXd sigma = x.covariance.diagonal().cwiseMax(0.0).cwiseSqrt();
+  const Eigen::VectorXd bias_sigma = x.bias_covariance.diagonal().cwiseMax(0.0).cwiseSqrt();
+  table->Stamp(stamp_ns);
+  for (const int place : {3, 0, 9}) table->Add(Eigen::Vector3d(sigma.segment<3>(place)));
+  table->Add(Eigen::Vector3d(bias_sigma.head<3>()));
+  table->Add(Eigen::Vector3d(bias_sigma.tail<3>()));
+  table->Add(x.is_carried ? 1.0 : 0.0);
+  table->End();
+}
+
+std::string SensorYaml(const char* type, const std::string& rest) {
+  std::ostringstream text;
+  text << "%YAML:1.0\nsensor_type: " << type << "\n"
+       << kAuthor << "\n\n# Sensor S in the body B, x_B = T_BS x_S: B is the IMU.\nT_BS:\n"
+       << "  cols: 4\n  rows: 4\n  data: [1.0, 0.0, 0.0, 0.0,\n         0.0, 1.0, 0.0, 0.0,\n"
+       << "         0.0, 0.0, 1.0, 0.0,\n         0.0, 0.0, 0.0, 1.0]\n"
+       << rest;
+  return text.str();
+}
+
+std::string ImuSensorYaml(const TrajectoryOutput& output) {
+  std::ostringstream text;
+  const auto add = [&text](const char* key, double value, const char* unit) {
+    text << key << ": " << YamlNumber(value) << "  # " << unit << "\n";
+  };
+  const double root = std::sqrt(output.imu_rate_hz);
+  add("rate_hz", output.imu_rate_hz, "Hz");
+  text << "\n# White noise as the residuals of the calibration show it; random walk as it "
+          "assumed.\n";
+  add("gyroscope_noise_density", output.noise.gyro / root, "[ rad / s / sqrt(Hz) ]");
+  add("gyroscope_random_walk", output.gyro_bias_walk, "[ rad / s^2 / sqrt(Hz) ]");
+  add("accelerometer_noise_density", output.noise.accel / root, "[ m / s^2 / sqrt(Hz) ]");
+  add("accelerometer_random_walk", output.accel_bias_walk, "[ m / s^3 / sqrt(Hz) ]");
+  return SensorYaml("imu", text.str());
+}
+
+std::filesystem::path Mav0(const std::string& folder) {
+  return std::filesystem::path(folder) / "mav0";
+}
+
+TrajectoryCount WriteAsl(const std::string& path, const TrajectoryOutput& output) {
+  const std::filesystem::path truth = Mav0(path) / kTruth, imu = Mav0(path) / "imu0";
+  std::error_code error;
+  for (const std::filesystem::path& folder : {truth, imu})
+    if (!error) std::filesystem::create_directories(folder, error);
+  if (error)
+    throw InputError("trajectory: folder '" + path + "' cannot be made: " + error.message());
+
+  // First what tells that the folder is ours.
+  WriteFile(truth / "sensor.yaml", SensorYaml("visual-inertial", ""));
+  Table states(kEurocHeader, ','), sigmas(kSigmaHeader, ','), samples(kImuHeader, ',');
+  const TrajectoryCount count = ForEachState(output, [&](int64_t stamp_ns, const ImuState& x) {
+    AddEuroc(stamp_ns, x, &states);
+    if (output.track.has_covariance()) AddSigmas(stamp_ns, x, &sigmas);
+  });
+  for (const ImuTrack::Sample& s : output.track.Samples()) {
+    samples.Stamp(s.stamp_ns);
+    samples.Add(s.gyro);
+    samples.Add(s.accel);
+    samples.End();
+  }
+  WriteFile(truth / "data.csv", states.text());
+  if (output.track.has_covariance()) {
+    WriteFile(truth / "sigma.csv", sigmas.text());
+  } else {
+    std::filesystem::remove(truth / "sigma.csv", error);  // of an earlier run
+  }
+  WriteFile(imu / "sensor.yaml", ImuSensorYaml(output));
+  WriteFile(imu / "data.csv", samples.text());
+  return count;
+}
+
+TrajectoryCount WriteText(const std::string& path,
+                          TrajectoryFormat format,
+                          const TrajectoryOutput& output) {
+  const bool is_euroc = format == TrajectoryFormat::kEuroc;
+  const bool with_covariance = format == TrajectoryFormat::kOvEval;
+  Table table(is_euroc ? kEurocHeader : with_covariance ? kOvEvalHeader : "", is_euroc ? ',' : ' ');
+  const TrajectoryCount count = ForEachState(output, [&](int64_t stamp_ns, const ImuState& x) {
+    if (is_euroc) return AddEuroc(stamp_ns, x, &table);
+    table.SecondsStamp(stamp_ns);
+    table.Add(x.p_WI);
+    for (const double value : x.q_WI.coeffs()) table.Add(value);  // x y z w
+    if (with_covariance) {
+      table.Add(Eigen::Matrix3d(x.covariance.block<3, 3>(0, 0)));
+      table.Add(Eigen::Matrix3d(x.covariance.block<3, 3>(3, 3)));
+    }
+    table.End();
+  });
+  WriteFile(path, table.text());
+  return count;
+}
+
+}  // namespace
+
+TrajectoryFormat ParseTrajectoryFormat(const std::string& name, const std::string& path) {
+  const auto is = [&](const char* format, std::initializer_list<const char*> suffixes) {
+    if (!name.empty()) return name == format;
+    const std::string extension = std::filesystem::path(path).extension();
+    for (const char* suffix : suffixes)
+      if (extension == suffix) return true;
+    return false;
+  };
+  std::error_code ignored;
+  const bool is_folder = std::filesystem::is_directory(path, ignored);
+  if (is("asl", {""}) || (name.empty() && is_folder)) return TrajectoryFormat::kAsl;
+  if (is("tum", {".tum", ".txt"})) return TrajectoryFormat::kTum;
+  if (is("euroc", {".csv"})) return TrajectoryFormat::kEuroc;
+  if (is("bag", {".bag"})) return TrajectoryFormat::kBag;
+  if (is("ov_eval", {})) return TrajectoryFormat::kOvEval;
+  if (name.empty())
+    throw InputError("the suffix of trajectory '" + path +
+                     "' tells no format: must be .tum, .txt, .csv, .bag or none for a folder; or "
+                     "give trajectory_format");
+  throw InputError("trajectory_format '" + name +
+                   "' is unknown; must be tum, ov_eval, euroc, asl or bag");
+}
+
+std::vector<std::string> TrajectoryFiles(const std::string& path, TrajectoryFormat format) {
+  if (format != TrajectoryFormat::kAsl) return {path};
+  std::vector<std::string> files;
+  for (const char* name : {"data.csv", "sigma.csv", "sensor.yaml"})
+    files.push_back(Mav0(path) / kTruth / name);
+  for (const char* name : {"data.csv", "sensor.yaml"}) files.push_back(Mav0(path) / "imu0" / name);
+  return files;
+}
+
+void CheckAslFolder(const std::string& path) {
+  std::error_code ignored;
+  if (!std::filesystem::exists(Mav0(path), ignored)) return;
+  std::ifstream file(Mav0(path) / kTruth / "sensor.yaml");
+  const std::string text{std::istreambuf_iterator<char>(file), {}};
+  if (text.find(kAuthor) == std::string::npos)
+    throw InputError("trajectory '" + path +
+                     "' holds another dataset (mav0), which would be replaced; choose another");
+}
+
+TrajectoryCount ForEachState(const TrajectoryOutput& output,
+                             const std::function<void(int64_t, const ImuState&)>& visit) {
+  TrajectoryCount count;
+  Eigen::Quaterniond last = Eigen::Quaterniond::Identity();
+  for (const ImuTrack::Instant& instant : output.track.Instants(output.rate_hz)) {
+    auto state = output.track.At(instant.t);
+    if (!state) continue;
+    if (state->q_WI.dot(last) < 0.0) state->q_WI.coeffs() *= -1.0;
+    last = state->q_WI;
+    visit(instant.stamp_ns, *state);
+    ++count.states;
+    if (state->is_carried) ++count.carried;
+  }
+  return count;
+}
+
+TrajectoryCount WriteTrajectory(const std::string& path,
+                                TrajectoryFormat format,
+                                const TrajectoryOutput& output) {
+  if (format == TrajectoryFormat::kOvEval && !output.track.has_covariance())
+    throw InputError(
+        "trajectory_format ov_eval has covariances, which only method joint gives; use it, or tum");
+  if (format == TrajectoryFormat::kBag) return WriteTrajectoryBag(path, output);
+  return format == TrajectoryFormat::kAsl ? WriteAsl(path, output)
+                                          : WriteText(path, format, output);
+}
+
+}  // namespace imu_pose_calib
