@@ -72,7 +72,8 @@ void BenchmarkJointAccelResidual(benchmark::State& state) {
   const auto samples = static_cast<size_t>(state.range(0));
   const std::unique_ptr<ceres::CostFunction> block(
       CreateJointAccelResidual(std::vector<JointImuSample>(samples, sample),
-                               {},
+                               std::vector<MarkerJerk>(samples),
+                               Eigen::Matrix3d::Identity(),
                                std::make_shared<const std::vector<ClockMotion>>()));
   std::vector<std::vector<double>> parameters, jacobians;
   std::vector<double*> parameter_blocks, jacobian_blocks;
