@@ -199,6 +199,7 @@ class JointSolver {
     problem_.reset();
     solution.models = std::move(models_);
     solution.splines = std::move(splines_);
+    solution.iterations = iterations_;
     return solution;
   }
 
@@ -221,7 +222,7 @@ class JointSolver {
   void Pass(bool hold_calibration = false) {
     Build();
     if (hold_calibration) HoldCalibration(problem_.get());
-    FollowClocks([&] { problem_->Solve(kRoughTolerance); });
+    FollowClocks([&] { iterations_ += problem_->Solve(kRoughTolerance); });
     statistics_ = problem_->FindStatistics();
     // No source averages rotations over longer than positions: other errors look like that.
     if (estimate_->position_smoothing < 0.0) {
@@ -290,6 +291,7 @@ class JointSolver {
   std::vector<double> in_band_;               ///< see NoiseInBand()
   std::vector<double> floor_;                 ///< of the noise, by sensor
   bool holds_position_smoothing_ = false;     ///< at 0
+  int iterations_ = 0;
 };
 
 /// What the IMUs leave, over all of them: it shrinks while knots become denser for a reason.

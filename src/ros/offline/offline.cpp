@@ -7,13 +7,13 @@
 #include <sstream>
 #include <system_error>
 
-#include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/preparation.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/imu_yaml.h"
 #include "imu_pose_calib/ros/io/printable.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
+#include "imu_pose_calib/ros/offline/report.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -65,8 +65,8 @@ CalibrationOptions Options(const OfflineRequest& request) {
   return options;
 }
 
-/// Throws InputError when the output would replace what is read.
-void CheckOutput(const std::string& output, const OfflineRequest& request) {
+/// Throws InputError when a file to write would replace what is read.
+void CheckOutput(const Given& output, const OfflineRequest& request) {
   const TextRequest& text = request.text;
   std::vector<Given> inputs = {{"poses", text.poses},
                                {"imu", text.imu},
@@ -77,9 +77,34 @@ void CheckOutput(const std::string& output, const OfflineRequest& request) {
   for (const std::string& path : request.bag.paths) inputs.push_back({"bag", path});
   std::error_code ignored;
   for (const Given& input : inputs)
-    if (std::filesystem::equivalent(output, input.value, ignored))
-      throw InputError("output '" + output + "' would replace the " + input.name + " '" +
-                       input.value + "'; choose another");
+    if (std::filesystem::equivalent(output.value, input.value, ignored))
+      throw InputError(std::string(output.name) + " '" + output.value + "' would replace the " +
+                       input.name + " '" + input.value + "'; choose another");
+}
+
+/// Throws InputError for a report that is of no kind that can be drawn, or that would replace
+/// something else.
+void CheckReport(const OfflineResult& offline, const OfflineRequest& request) {
+  if (offline.report.empty()) return;
+  const std::string extension = std::filesystem::path(offline.report).extension();
+  if (extension != ".html" && extension != ".pdf")
+    throw InputError("report '" + offline.report + "' must end in .html or .pdf");
+  if (offline.report == offline.output)
+    throw InputError("report and output are both '" + offline.report + "'");
+  CheckOutput({"report", offline.report}, request);
+}
+
+/// Draws why the data were refused. That they were is what to report in the first place: a failure
+/// is added to it.
+[[noreturn]] void Refuse(const OfflineResult& offline, const std::string& reason) {
+  if (offline.report.empty()) throw DataError(reason);
+  try {
+    WriteReport({offline.options, offline.sessions, offline.infos, offline.result, reason},
+                offline.report);
+  } catch (const std::exception& error) {
+    throw DataError(reason + "; " + error.what());
+  }
+  throw DataError(reason);
 }
 
 Recording ReadBags(const OfflineRequest& request) {
@@ -161,25 +186,40 @@ std::string OutputPath(const OfflineRequest& request) {
   return (has_extension ? path.substr(0, path.size() - 4) : path) + ".calibration.yaml";
 }
 
-OfflineResult CalibrateOffline(const OfflineRequest& given) {
+std::string ReportPath(const OfflineRequest& request) {
+  return std::filesystem::path(OutputPath(request)).replace_extension(".report.html");
+}
+
+OfflineResult CalibrateOffline(const OfflineRequest& given, const Progress& progress) {
   CheckGiven(given);
   OfflineResult offline;
   offline.output = OutputPath(given);
-  CheckOutput(offline.output, given);  // an old result may be given as the config
+  offline.report = given.report;
+  CheckOutput({"output", offline.output}, given);  // an old result may be given as the config
+  CheckReport(offline, given);
   RemoveOldResult(offline.output);
+  RemoveOldReport(offline.report);
   const std::vector<OfflineRequest> requests = SplitSessions(given);
-  for (const OfflineRequest& request : requests)
-    CheckOutput(offline.output, request);  // now with the files that were found
+  for (const OfflineRequest& request : requests) {  // now with the files that were found
+    CheckOutput({"output", offline.output}, request);
+    CheckReport(offline, request);
+  }
 
-  const CalibrationOptions options = Options(requests.front());
-  std::vector<SessionData> sessions;
+  offline.options = Options(requests.front());
+  if (progress) progress("recording", std::nullopt);
   for (Recording& recording : ReadRecordings(requests)) {
     offline.infos.push_back(recording.info);
-    sessions.push_back(std::move(recording.data));
+    offline.sessions.push_back(std::move(recording.data));
   }
-  offline.result = Calibrate(options, sessions);
-  if (!offline.result.IsUsable()) throw DataError(offline.result.message);
-  offline.yaml = ToYaml(offline.result, offline.infos, options);
+  if (progress) progress("recording", 0);
+  try {
+    offline.result = Calibrate(offline.options, offline.sessions, progress);
+  } catch (const DataError& error) {
+    Refuse(offline, error.what());
+  }
+  if (!offline.result.IsUsable()) Refuse(offline, offline.result.message);
+  offline.yaml = ToYaml(offline.result, offline.infos, offline.options);
+  if (offline.report.empty()) offline.sessions.clear();
   return offline;
 }
 
@@ -189,13 +229,22 @@ std::vector<std::string> SplitBags(const std::string& text) {
   return {std::istream_iterator<std::string>(words), {}};
 }
 
-void WriteResult(const OfflineResult& offline) {
+void WriteResult(OfflineResult* offline) {
   try {
-    WriteFile(offline.output, offline.yaml);
+    WriteFile(offline->output, offline->yaml);
   } catch (const InputError&) {
-    std::cout << offline.yaml << std::flush;
+    std::cout << offline->yaml << std::flush;
     throw;
   }
+  offline->written.push_back(offline->output);
+}
+
+void WriteReport(OfflineResult* offline) {
+  if (offline->report.empty()) return;
+  WriteReport({offline->options, offline->sessions, offline->infos, offline->result, ""},
+              offline->report);
+  offline->sessions = {};
+  offline->written.push_back(offline->report);
 }
 
 std::vector<OfflineCheck> CheckOffline(const OfflineRequest& given) {

@@ -1,6 +1,7 @@
 // Calibrates from a recording, without a ROS master.
 
 #include <boost/algorithm/string/join.hpp>
+#include <functional>
 #include <iostream>
 #include <string>
 #include <vector>
@@ -8,6 +9,7 @@
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
 #include "imu_pose_calib/ros/offline/offline.h"
+#include "imu_pose_calib/ros/offline/progress_lines.h"
 #include "imu_pose_calib/ros/offline/summary.h"
 
 namespace imu_pose_calib {
@@ -49,6 +51,9 @@ po::options_description Describe(CommandLine* line) {
   add("config", text(&request.config), "YAML of options, see config/default.yaml");
   add("method", text(&request.method), "joint (default) or gp");
   add("output", text(&request.output), "result; default: next to the recording");
+  add("report",
+      text(&request.report),
+      "FILE.html or FILE.pdf: figures of the calibration, or of why there is none");
   add("start",
       po::value(&request.bag.start_s)->value_name("S"),
       "seconds of the recording to skip");
@@ -118,10 +123,12 @@ void Run(int argc, char** argv) {
   }
 
   if (line.check) return Check(line);
-  const OfflineResult offline = CalibrateOffline(line.request);
+  ProgressLines progress(line.quiet);
+  OfflineResult offline = CalibrateOffline(line.request, std::ref(progress));
   if (!line.quiet) std::cout << Summary(offline.result, offline.infos) << std::flush;
-  WriteResult(offline);
-  if (!line.quiet) std::cout << "\nWritten to " << offline.output << "\n";
+  WriteResult(&offline);
+  if (!offline.report.empty()) progress.Run("report", [&] { WriteReport(&offline); });
+  if (!line.quiet) std::cout << WrittenTo(offline.written);
 }
 
 }  // namespace

@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/data_check.h"
 #include "imu_pose_calib/core/result.h"
 #include "imu_pose_calib/ros/io/bag_reader.h"
@@ -28,6 +29,7 @@ struct OfflineRequest {
   std::string imu_yaml;
   std::string method;        ///< name of a Method; wins over `config`
   std::string output;        ///< result YAML; default: see OutputPath()
+  std::string report;        ///< HTML or PDF; default: none
   std::string marker_frame;  ///< replaces the name found in the bag
   std::string imu_frame;     ///< the same; of several IMUs: white space between them
 };
@@ -38,24 +40,37 @@ struct OfflineResult {
   std::vector<RecordingInfo> infos;  ///< of each session
   std::string output;                ///< path of the result file, not written yet
   std::string yaml;                  ///< its text
+  std::vector<std::string> written;  ///< paths of the files that were written
+
+  // What a report is made of; no sessions when none is wanted.
+  std::string report;  ///< path
+  CalibrationOptions options;
+  std::vector<SessionData> sessions;
 };
 
 /// Where the result goes: x.calibration.yaml for x.bag, the first of the bags, or for a file x.csv
 /// of poses; calibration.yaml in a folder.
 std::string OutputPath(const OfflineRequest& request);
 
+/// Where the report goes by default: x.calibration.report.html beside x.calibration.yaml.
+std::string ReportPath(const OfflineRequest& request);
+
 /// Reads the recording (before ros::start(), see ReadBag()) and calibrates. A result of an earlier
-/// run at the output path is removed first, so that a failure leaves none behind.
+/// run at the output path is removed first, so that a failure leaves none behind, and so is a
+/// report. Data that are refused have their report written, when one is wanted.
 ///
 /// Throws InputError when something cannot be used as given, DataError when no calibration can come
 /// from the data: so the result is always usable.
-OfflineResult CalibrateOffline(const OfflineRequest& request);
+OfflineResult CalibrateOffline(const OfflineRequest& request, const Progress& progress = {});
 
 /// The bags that one text names: a file of that name, or else names with white space between them.
 std::vector<std::string> SplitBags(const std::string& text);
 
 /// Writes the result. When that fails, prints its text on stdout before it throws.
-void WriteResult(const OfflineResult& offline);
+void WriteResult(OfflineResult* offline);
+
+/// Writes the report, if one is wanted, and lets go of the recorded data. Throws InputError.
+void WriteReport(OfflineResult* offline);
 
 /// Checks of one session without a calibration.
 struct OfflineCheck {
