@@ -6,9 +6,8 @@ report.py FOLDER OUT.pdf     the same figures as PDF
 """
 
 import html
-import io
+import multiprocessing
 import os
-import re
 import sys
 import textwrap
 
@@ -16,7 +15,9 @@ sys.dont_write_bytecode = True
 sys.path.insert(0, os.path.dirname(os.path.realpath(__file__)))
 try:
     import numpy as np
+    import report_axes
     import report_figures as figures
+    from report_axes import DEGREES, Figure, FigureCanvasAgg, GREEN, ORANGE, RED, Report
 except ImportError as error:
     sys.exit('%s: apt install python3-matplotlib python3-yaml' % error)
 
@@ -34,7 +35,7 @@ PER_IMU = (
      figures.residual_series),
     ('distributions', 'Distribution of the residuals',
      'Good: steps follow the dashed bell. Bad: wide shoulders (outliers, shocks: they weigh little, but should be '
-     'few) or a middle beside 0 (something that the model lacks).',
+     'few; the outermost steps hold all beyond) or a middle beside 0 (something that the model lacks).',
      figures.distributions),
     ('spectra', 'Spectra of the residuals',
      'Good: flat, at or below the dashed line. Bad: hills above it, which are vibration, a filter of the tracker or '
@@ -81,7 +82,7 @@ REFUSED = (
      figures.recorded),
     [x for x in PER_IMU if x[0] == 'stamps'][0],
 )
-COLORS = {'ok': figures.GREEN, 'weak': figures.ORANGE}
+COLORS = {'ok': GREEN, 'weak': ORANGE}
 STYLE = '''
 body{font:14px/1.45 "DejaVu Sans",Verdana,sans-serif;color:#222;max-width:960px;margin:1.5em auto;padding:0 1em}
 h1{font-size:1.5em;margin:0 0 .3em}h2{font-size:1.2em;margin:2em 0 .4em;border-bottom:1px solid #ccc}
@@ -99,41 +100,21 @@ pre{break-inside:auto}.verdict{background:none;border:1px solid #888;border-left
 '''
 
 
-def svg(figure, label):
-    """The figure as it can stand in HTML: without the parts that only a file of its own needs."""
-    out = io.StringIO()
-    figure.savefig(out, format='svg', metadata={'Date': None})
-    text = out.getvalue()
-    text = text[text.index('<svg'):]
-    text = re.sub(r'<metadata>.*?</metadata>', '', text, flags=re.S)
-    text = re.sub(r' id="[a-zA-Z0-9]+_[a-zA-Z0-9_]*\d"', '', text)
-    text = re.sub(r' xmlns:xlink="[^"]*"| xmlns="[^"]*"| xmlns:\w+="[^"]*"', '', text, count=3)
-    text = text.replace('xlink:href', 'href')
-    text = re.sub(r'(\d\.\d\d)\d+', r'\1', text)
-    text = re.sub(r'\n\s*', '\n', text)
-    return text.replace('<svg', '<svg role="img" aria-label="%s"' % html.escape(label, True), 1)
-
-
 def sections(report):
-    """(heading, [(name, title, sentence, figure)]) of everything that can be drawn."""
+    """(heading, [(name, title, sentence, function, its arguments)]) of everything that can be drawn."""
     head = report.head
     pairs = [(s, imu) for s, session in enumerate(head['sessions']) for imu in session['imus']]
-    for number, (s, imu) in enumerate(pairs[:MOST_PAIRS]):
+    for s, imu in pairs[:MOST_PAIRS]:
         session = head['sessions'][s]
         heading = []
         if len(head['sessions']) > 1:
             heading.append('session %d: %s' % (s + 1, session['source']))
         if len(session['imus']) > 1:
             heading.append('imu%d' % imu)
-        drawn = []
-        is_first = imu == session['imus'][0]
-        if not head['solved']:
-            drawn += [(*x[:3], x[3](report, s, imu)) for x in REFUSED]
-        else:
-            drawn += [(*x[:3], x[3](report, s, imu)) for x in PER_IMU]
-        if is_first:
-            drawn += [(*x[:3], x[3](report, s)) for x in PER_SESSION[:2 if head['solved'] else 1]]
-        yield ', '.join(heading), [x for x in drawn if x[3] is not None]
+        wanted = [(*x, (s, imu)) for x in (PER_IMU if head['solved'] else REFUSED)]
+        if imu == session['imus'][0]:
+            wanted += [(*x, (s,)) for x in PER_SESSION[:2 if head['solved'] else 1]]
+        yield ', '.join(heading), wanted
 
 
 # --- Tables ---
@@ -165,8 +146,8 @@ def result_table(report):
         transform = imu['transform']
         rows.append(('translation%s [mm]' % name, triple(transform['translation'], 1e3, '%.3f'),
                      triple(transform['translation_std'], 1e3, '%.3f'), 'x, y, z in the marker frame'))
-        rows.append(('roll, pitch, yaw%s [deg]' % name, triple(rpy(transform['rotation']), figures.DEGREES, '%.3f'),
-                     triple(transform['rotation_std'], figures.DEGREES, '%.4f'), 'sigma about the imu axes'))
+        rows.append(('roll, pitch, yaw%s [deg]' % name, triple(rpy(transform['rotation']), DEGREES, '%.3f'),
+                     triple(transform['rotation_std'], DEGREES, '%.4f'), 'sigma about the imu axes'))
         rows.append(('quaternion%s' % name, triple(transform['rotation'], 1, '%.6f'), '', 'x, y, z, w'))
         rows.append(('accel delay%s [ms]' % name, '%.4f' % (1e3 * imu['accel_delay']),
                      '%.4f' % (1e3 * imu['accel_delay_std']), 't_pose = t_accel + time_shift - accel_delay'))
@@ -210,7 +191,7 @@ def warnings(report):
 
 def settings(report):
     return '<div class="settings">%s</div>' % ''.join(
-        '<div>%s: %s</div>' % (html.escape(str(k)), html.escape('not given' if v is None else str(v)))
+        '<div>%s: %s</div>' % (html.escape(str(k)), html.escape('not given' if v is None else str(v).lower() if isinstance(v, bool) else str(v)))
         for k, v in report.head['options'].items())
 
 
@@ -222,7 +203,7 @@ def write_html(report, path):
              % (status, sources, STYLE),
              '<h1>Calibration of an IMU on a tracked body</h1><div>%s</div>' % sources,
              '<div class="verdict" id="verdict" style="border-color:%s"><b>%s</b> %s</div>'
-             % (COLORS.get(head['status'], figures.RED), status, message)]
+             % (COLORS.get(head['status'], RED), status, message)]
     if report.result:
         if head['status'] == 'refused':
             parts.append('<p>No result: the numbers below show why, and are not to be used.</p>')
@@ -232,15 +213,17 @@ def write_html(report, path):
     found = warnings(report)
     parts.append('<h3 id="warnings">Warnings</h3><ul>%s</ul>' % found if found else '<p id="warnings">No warnings.</p>')
     parts.append('<h3 id="streams">Streams</h3>%s' % stream_table(report))
-    count = 0
-    for heading, drawn in sections(report):
-        count += 1
-        mark = '' if count == 1 else '-%d' % count
+    wanted = list(sections(report))
+    tasks = [(report, x[1], x[3], x[4]) for _, group in wanted for x in group]
+    with multiprocessing.get_context('fork').Pool(2) as pool:
+        drawn = iter(pool.map(report_axes.draw, tasks, chunksize=1))
+    for count, (heading, group) in enumerate(wanted):
         if heading:
             parts.append('<h2>%s</h2>' % html.escape(heading))
-        for name, title, sentence, figure in drawn:
-            parts.append('<h3 id="%s">%s</h3><figure>%s<figcaption>%s</figcaption></figure>'
-                         % (name + mark, title, svg(figure, title), sentence))
+        for (name, title, sentence, _, _), figure in zip(group, drawn):
+            if figure:
+                parts.append('<h3 id="%s">%s</h3><figure>%s<figcaption>%s</figcaption></figure>'
+                             % (name + ('-%d' % (count + 1) if count else ''), title, figure, sentence))
     pairs = sum(len(session['imus']) for session in head['sessions'])
     if pairs > MOST_PAIRS:
         parts.append('<p>%d more pairs of session and imu are without figures.</p>' % (pairs - MOST_PAIRS))
@@ -262,12 +245,15 @@ def write_pdf(report, path):
     with PdfPages(path) as pages:
         rows = text.split('\n')
         for begin in range(0, len(rows), 85):
-            page = figures.Figure(figsize=(8.27, 11.69))
-            figures.FigureCanvasAgg(page)
+            page = Figure(figsize=(8.27, 11.69))
+            FigureCanvasAgg(page)
             page.text(0.08, 0.96, '\n'.join(rows[begin:begin + 85]), va='top', family='monospace', fontsize=7)
             pages.savefig(page)
-        for heading, drawn in sections(report):
-            for _, title, sentence, figure in drawn:
+        for heading, wanted in sections(report):
+            for _, title, sentence, function, arguments in wanted:
+                figure = function(report, *arguments)
+                if figure is None:
+                    continue
                 figure.text(0.02, 1.02, ', '.join(filter(None, (title, heading))), fontsize=11, weight='bold')
                 figure.text(0.02, -0.02, textwrap.fill(sentence, 130), va='top', fontsize=7.5)
                 pages.savefig(figure, bbox_inches='tight')
@@ -275,7 +261,9 @@ def write_pdf(report, path):
 
 def main():
     folder, path = sys.argv[1:]
-    report = figures.Report(folder)
+    report = Report(folder)
+    pairs = sum(len(session['imus']) for session in report.head['sessions'])
+    report_axes.BINS = max(120, report_axes.BINS // min(pairs, MOST_PAIRS))
     (write_pdf if path.endswith('.pdf') else write_html)(report, path)
 
 

@@ -1,138 +1,14 @@
-"""Figures of report.py, from the series in include/imu_pose_calib/ros/offline/report_data.h."""
-
-import os
-import textwrap
+"""Figures of report.py: those of a session and an IMU, of a session, and of data that were refused."""
 
 import numpy as np
-import yaml
-from matplotlib import rcParams
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from mpl_toolkits.mplot3d import Axes3D  # noqa: F401  (registers the projection)
-
-# Okabe and Ito's palette, which everybody can tell apart.
-BLUE, ORANGE, GREEN, RED, SKY, PURPLE = '#0072B2', '#E69F00', '#009E73', '#D55E00', '#56B4E9', '#CC79A7'
-AXES = (('x', BLUE), ('y', ORANGE), ('z', GREEN))
-WIDTH = 8.6  # [inch]
-BINS = 500  # of what is drawn over the whole recording
-DEGREES = 180 / np.pi
-QUANTITIES = {  # title, unit, factor from SI
-    'position': ('position of the poses', 'mm', 1e3),
-    'rotation': ('rotation of the poses', 'mrad', 1e3),
-    'gyro': ('gyroscope', 'rad/s', 1.0),
-    'accel': ('accelerometer', 'm/s²', 1.0),
-}
-
-rcParams.update({'svg.fonttype': 'none', 'font.size': 8, 'axes.titlesize': 9, 'axes.titlelocation': 'left',
-                 'axes.spines.top': False, 'axes.spines.right': False, 'axes.grid': True, 'grid.color': '#e4e4e4',
-                 'grid.linewidth': 0.6, 'lines.linewidth': 0.9, 'legend.fontsize': 7, 'legend.frameon': False,
-                 'axes.linewidth': 0.6, 'svg.hashsalt': 'report', 'axes.axisbelow': True})
-
-
-class Report:
-    """The folder."""
-
-    def __init__(self, folder):
-        self.folder = folder
-        self.head = self.yaml('report.yaml')
-        self.result = self.yaml('result.yaml') if self.head['solved'] else None
-
-    def yaml(self, name):
-        with open(os.path.join(self.folder, name), encoding='utf-8') as file:
-            return yaml.load(file, Loader=getattr(yaml, 'CSafeLoader', yaml.SafeLoader))
-
-    def text(self, name):
-        with open(os.path.join(self.folder, name), encoding='utf-8') as file:
-            return file.read()
-
-    def rows(self, name):
-        return np.load(os.path.join(self.folder, name + '.npy'), allow_pickle=False)
-
-    def times(self, name):
-        return self.rows(name)[:, 0]
-
-
-# --- Helpers of figures ---
-
-def axes_of(rows, columns, height, widths=None, share=False, left=0.75, gap=0.8):
-    """A figure of `rows` x `columns` axes, each row `height` inches high."""
-    top, bottom, between = 0.28, 0.5, (0.28 if share else 0.68)
-    total = top + bottom + rows * height + (rows - 1) * between
-    figure = Figure(figsize=(WIDTH, total))
-    FigureCanvasAgg(figure)
-    width = (WIDTH - left - 0.15 - (columns - 1) * gap) / columns
-    grid = figure.add_gridspec(rows, columns, left=left / WIDTH, right=1 - 0.15 / WIDTH, bottom=bottom / total,
-                               top=1 - top / total, wspace=gap / width, hspace=between / height, width_ratios=widths)
-    axes = np.empty((rows, columns), dtype=object)
-    for row in range(rows):
-        for column in range(columns):
-            axes[row, column] = figure.add_subplot(grid[row, column], sharex=axes[0, column] if share and row else None)
-            if share and row + 1 < rows:
-                axes[row, column].tick_params(labelbottom=False)
-    return figure, axes
-
-
-def envelope(t, y, bins=BINS, span=None):
-    """Middle of each bin of time, least and largest value in it; nan where there is none."""
-    first, last = span if span else (t[0], t[-1])
-    edges = np.linspace(first, last, bins + 1)
-    place = np.searchsorted(t, edges)
-    low, high = np.full(bins, np.nan), np.full(bins, np.nan)
-    full = np.flatnonzero(place[1:] > place[:-1])
-    if full.size:
-        stop = place[full[-1] + 1]
-        low[full] = np.fmin.reduceat(y[:stop], place[full])
-        high[full] = np.fmax.reduceat(y[:stop], place[full])
-    return 0.5 * (edges[1:] + edges[:-1]), low, high
-
-
-def draw_series(ax, t, y, color, label=None, alpha=0.75):
-    """A line, or the band that it fills when it is too long for one."""
-    if t.size == 0:
-        return
-    if t.size < 2 * BINS:
-        ax.plot(t, y, color=color, label=label)
-        return
-    middle, low, high = envelope(t, y)
-    ax.fill_between(middle, low, high, color=color, alpha=alpha, linewidth=0.3, label=label)
-
-
-def note(ax, text, x=0.99, y=0.96, **more):
-    ax.text(x, y, text, transform=ax.transAxes, ha='right' if x > 0.5 else 'left', va='top', fontsize=7,
-            bbox={'facecolor': 'white', 'edgecolor': 'none', 'alpha': 0.75, 'pad': 1}, **more)
-
-
-def legend(ax, **more):
-    ax.legend(**{**{'loc': 'upper left', 'ncol': 4, 'handlelength': 1.2, 'columnspacing': 1.0, 'borderaxespad': 0.2},
-                 **more})
-
-
-def runs(t, rate):
-    """Ranges of indices without a gap."""
-    if t.size < 2:
-        return []
-    cuts = np.flatnonzero(np.diff(t) > 3.0 / rate) + 1
-    return list(zip(np.r_[0, cuts], np.r_[cuts, t.size]))
+from report_axes import (AXES, BLUE, DEGREES, DOTS, ORANGE, PURPLE, QUANTITIES, RED, SKY, WIDTH, axes_of, draw_series,
+                         envelope, legend, log_scale, note, residuals, runs, runs_of, sensor, stamps)
 
 
 # --- Figures of a session and an IMU ---
-
-def sensor(session, quantity, imu):
-    for found in session['sensors']:
-        if found['quantity'] == quantity and (quantity in ('position', 'rotation') or found['imu'] == imu):
-            return found
-    return None
-
-
-def residuals(report, s, quantity, imu):
-    """Times, residuals and weights of a sensor, in order of time."""
-    name = 's%d_%s' % (s, quantity) if quantity in ('position', 'rotation') else 's%d_i%d_%s' % (s, imu, quantity)
-    t, rows = report.times(name + '_residual_t'), report.rows(name + '_residual')
-    if np.any(np.diff(t) < 0):
-        order = np.argsort(t, kind='stable')
-        t, rows = t[order], rows[order]
-    return t, rows[:, :3].astype(float), rows[:, 3]
-
 
 def signals(report, s, imu):
     figure, axes = axes_of(2, 2, 1.75, widths=(1.35, 1))
@@ -156,7 +32,8 @@ def signals(report, s, imu):
         ax.margins(x=0.01, y=0.2)
         legend(ax)
         ax = axes[row, 1]
-        near = slice(*np.searchsorted(t, (zoom[0, 0], zoom[-1, 0])))
+        first, last = np.searchsorted(t, (zoom[0, 0], zoom[-1, 0]))
+        near = slice(first, last, max(1, -(-(last - first) // DOTS)))
         for k, (axis, color) in enumerate(AXES):
             ax.plot(t[near], values[near, k], '.', color=color, markersize=3, label=axis)
             ax.plot(zoom[:, 0], zoom[:, column + k], color='black', linewidth=0.7,
@@ -191,7 +68,7 @@ def residual_series(report, s, imu):
                 label='weight below 1/2')
         stream = 'poses' if quantity in ('position', 'rotation') else quantity
         recorded = stamps(report, s, stream, imu)
-        bins = int(np.clip((recorded[-1] - recorded[0]) / 0.25, 10, BINS))
+        bins = int(np.clip((recorded[-1] - recorded[0]) / 0.25, 10, 500))
         count, edges = np.histogram(recorded, bins)
         used, _ = np.histogram(t, edges)
         for begin, end in runs_of(used < 0.5 * count):
@@ -201,20 +78,8 @@ def residual_series(report, s, imu):
             factor * found['rms'], noise, unit, 100 * low.size / t.size), y=1.17)
         ax.margins(x=0.01)
     axes[-1, 0].set_xlabel('time [s]; grey: more than half of the samples left out')
-    legend(axes[0, 0], loc='lower left', ncol=6)
+    legend(axes[0, 0], loc='lower left', ncol=6, bbox_to_anchor=(0.2, 1.0))
     return figure
-
-
-def runs_of(mask):
-    edges = np.flatnonzero(np.diff(np.r_[0, mask.astype(int), 0]))
-    return list(zip(edges[::2], edges[1::2]))
-
-
-def stamps(report, s, stream, imu):
-    """Recorded stamps [s] in order of arrival."""
-    if stream == 'poses':
-        return report.times('s%d_poses_stamps' % s)
-    return report.times('s%d_i%d_%s_%s' % (s, imu, stream, 't' if report.head['solved'] else 'stamps'))
 
 
 def distributions(report, s, imu):
@@ -233,7 +98,8 @@ def distributions(report, s, imu):
             ax.plot(0.5 * (x[1:] + x[:-1]), np.where(density > 0, density, np.nan), color=color, label=axis,
                     drawstyle='steps-mid')
         ax.plot(x, np.exp(-0.5 * x * x) / np.sqrt(2 * np.pi), '--', color='black', label='normal')
-        ax.set(yscale='log', ylim=(1e-5, 3), xticks=(-6, -3, 0, 3, 6))
+        log_scale(ax, 'y', (1,))
+        ax.set(ylim=(1e-5, 3), xticks=(-6, -3, 0, 3, 6))
         note(ax, 'sigma %.3g %s' % (factor * sigma, unit), y=1.0)
     axes[0, 0].set_ylabel('density')
     legend(axes[0, 0], loc='lower center', ncol=2)
@@ -267,11 +133,13 @@ def spectrum(t, r, rate):
 
 def spectra(report, s, imu):
     session = report.head['sessions'][s]
-    figure, axes = axes_of(2, 2, 1.6)
+    figure, axes = axes_of(2, 2, 1.6, gap=0.9)
     for ax, (quantity, (title, unit, factor)) in zip(axes.flat, QUANTITIES.items()):
         t, r, _ = residuals(report, s, quantity, imu)
         found = sensor(session, quantity, imu)
-        ax.set(title=title, xlabel='frequency [Hz]', ylabel='[%s/√Hz]' % unit, xscale='log', yscale='log')
+        ax.set(title=title, xlabel='frequency [Hz]', ylabel='[%s/√Hz]' % unit)
+        log_scale(ax, 'x', (1,))
+        log_scale(ax, 'y')
         if t.size == 0:
             continue
         frequency, density = spectrum(t, factor * r, found['rate_hz'])
@@ -285,7 +153,7 @@ def spectra(report, s, imu):
             band = 0.375 / session['knot_spacing_s']
             if band < frequency[-1]:
                 ax.axvline(band, color=RED, linestyle=':', label='end of the band')
-        legend(ax, loc='lower left', ncol=1)
+        legend(ax, loc='best', ncol=1)
     return figure
 
 
@@ -335,7 +203,8 @@ def stamp_figure(report, s, imu):
         place, values = t[1:][forward][order], period[forward][order]
         middle, low, high = envelope(place, values, 300)
         ax.fill_between(middle, low, np.maximum(high, 1.03 * low), color=BLUE, linewidth=0.5)
-        ax.set(title='%s: step between recorded stamps' % title, ylabel='[ms]', yscale='log')
+        ax.set(title='%s: step between recorded stamps' % title, ylabel='[ms]')
+        log_scale(ax, 'y')
         low_limit, high_limit = np.quantile(values, 0.001), values.max()
         ax.set_ylim(0.4 * min(low_limit, np.median(values)), 3 * high_limit)
         if not forward.all():
@@ -376,7 +245,7 @@ def excitation(report, s):
     if not found:
         return None
     columns = 3 if directions else 2
-    figure, axes = axes_of(1, columns, 1.9, widths=(1, 1, 2.6)[:columns], gap=0.62)
+    figure, axes = axes_of(1, columns, 1.9, widths=(1, 1, 3)[:columns], gap=0.62)
     for ax, name, frame, unit in ((axes[0, 0], 'turns', 'marker', 'rad/s'), (axes[0, 1], 'moves', 'world', 'm/s²')):
         values = found[name]
         ax.bar(range(3), values, color=[color for _, color in AXES], width=0.65)
@@ -397,14 +266,17 @@ def excitation(report, s):
             scale, unit = factor[direction['unit']]
             ax.text(1.15 * ratio, k, '%.3g %s' % (scale * direction['std'], unit), va='center', fontsize=7)
         ax.axvline(1, color='black', linestyle='--', linewidth=0.8)
-        ax.set(title='sigma / bound of the verdict', xscale='log', yticks=range(len(shown)),
-               yticklabels=[textwrap.shorten(d['direction'], 26) for d in shown])
+        ax.set(title='what is determined, the worst first', yticks=range(len(shown)),
+               yticklabels=[d['direction'].replace(' in the imu frame', '').replace(' in the marker frame', '')
+                            for d in shown], xlabel='sigma / bound')
+        log_scale(ax, 'x', (1,))
         if shown:
             ax.set_xlim(0.4 * min(ratios), 8 * max(1, max(ratios)))
         ax.invert_yaxis()
         ax.grid(axis='y')
         box = ax.get_position()
-        ax.set_position([box.x0 + 0.12, box.y0, box.width - 0.12, box.height])
+        ax.set_position([box.x0 + 0.16, box.y0, box.width - 0.16, box.height])
+        ax.tick_params(axis='y', labelsize=7)
     return figure
 
 
@@ -422,10 +294,10 @@ def growth(report, s, imu):
                 highest = max(highest, factor * table[-1, column])
         if highest > 0:
             ax.plot(100 * table[:, 0], highest / np.sqrt(table[:, 0]), ':', color='black', label='1/√share')
-        ax.set(title=title, ylabel='sigma [%s]' % unit, xlabel='share of the data [%]', xscale='log', yscale='log')
+        ax.set(title=title, ylabel='sigma [%s]' % unit, xlabel='share of the data [%]')
+        log_scale(ax, 'x')
+        log_scale(ax, 'y', (1,))
         ax.set_xticks((2.5, 10, 25, 100))
-        ax.set_xticklabels(('2.5', '10', '25', '100'))
-        ax.minorticks_off()
         legend(ax, loc='upper right', ncol=1)
     return figure
 
@@ -506,7 +378,12 @@ def p_figure(report, s, imu):
             # Bands that tell nothing would hide the others.
             reach = 6 * max(np.median([1e3 * v[2][k] for v in values]), 1e3 * sigma[k])
             near = [1e3 * v[1][k] for v in values if abs(1e3 * (v[1][k] - p[k])) < 4 * reach] + [1e3 * p[k]]
-            ax.set_ylim(min(near) - reach, max(near) + reach)
+            low, high = min(near) - reach, max(near) + reach
+            ax.set_ylim(low, high)
+            for x, v in zip(place, values):
+                if not low < 1e3 * v[1][k] < high:
+                    ax.plot(x, np.clip(1e3 * v[1][k], low, high), '^' if 1e3 * v[1][k] > high else 'v', color=RED,
+                            clip_on=False)
             ax.set_ylabel('p %s [mm]' % axis)
         axes[0, column].set_title(title)
         axes[2, column].set_xticks(place)
@@ -521,7 +398,7 @@ def imu_result(report, imu):
 
 def trajectory(report, s):
     motion = report.rows('s%d_motion' % s)
-    figure = Figure(figsize=(WIDTH, 4.6))
+    figure = Figure(figsize=(WIDTH, 4.2))
     FigureCanvasAgg(figure)
     known = motion[np.isfinite(motion).all(axis=1)]
     if len(known) < 10:
@@ -532,7 +409,9 @@ def trajectory(report, s):
             begin = known[len(known) // 2, 0]
             rows = motion[(motion[:, 0] >= begin) & (motion[:, 0] <= begin + 5)]
             rows = rows if len(rows) > 20 else known[len(known) // 2:][:20]
-        ax = figure.add_axes([0.01 + 0.5 * column, 0.06, 0.46, 0.88], projection='3d')
+        ax = figure.add_axes([0.005 + 0.495 * column, 0.04, 0.47, 0.9], projection='3d')
+        if hasattr(ax, 'set_box_aspect'):
+            ax.set_box_aspect((1, 1, 1), zoom=0.82)
         ax.plot(*rows[:, 1:4].T, color=BLUE, linewidth=0.7, label='marker')
         ax.plot(*rows[:, 4:7].T, color=ORANGE, linewidth=0.7, label='imu')
         for k, row in enumerate(rows[::max(1, len(rows) // (60 if column else 25))]):

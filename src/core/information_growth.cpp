@@ -14,6 +14,7 @@ using Eigen::Vector3d;
 constexpr int kShares = 40;
 constexpr int kInstantsPerShare = 100;
 constexpr double kDerivativeStep = 1e-3;  // [s]
+constexpr double kEdge = 0.1;             // [s] close to gaps, the trajectory is not believed
 /// Sigmas of what is known before: of gravity's magnitude [m/s^2], and of everything, in its unit.
 constexpr double kGravityPrior = 1e-3, kPrior = 10.0;
 
@@ -40,7 +41,9 @@ bool Differentiate(const SessionTrajectory& trajectory,
   const auto marker = trajectory.Marker(t);
   const auto before = trajectory.Imu(imu, t - kDerivativeStep);
   const auto now = trajectory.Imu(imu, t), after = trajectory.Imu(imu, t + kDerivativeStep);
-  if (!marker || !before || !now || !after) return false;
+  if (!marker || !before || !now || !after || !trajectory.Marker(t - kEdge) ||
+      !trajectory.Marker(t + kEdge))
+    return false;
   gyro->setZero();
   gyro->block<3, 3>(0, 3) = Hat(now->omega_B);
   gyro->col(kShift) = now->alpha_B;
