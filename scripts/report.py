@@ -38,8 +38,9 @@ PER_IMU = (
      'few; the outermost steps hold all beyond) or a middle beside 0 (something that the model lacks).',
      figures.distributions),
     ('spectra', 'Spectra of the residuals',
-     'Good: flat, at or below the dashed line. Bad: hills above it, which are vibration, a filter of the tracker or '
-     'motion that the model does not follow; below the dotted end of the band they move the result.',
+     'Good: at the dashed line, or below it where the trajectory follows this sensor. Bad: hills above it, which are '
+     'vibration, a filter of the tracker or motion that the model does not follow; below the dotted end of the band '
+     'they move the result.',
      figures.spectra),
     ('time_shift', 'Time shift',
      'Good: one peak near 1 at 0, far above the others. Bad: several peaks of one height (motion that repeats '

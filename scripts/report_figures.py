@@ -78,7 +78,7 @@ def residual_series(report, s, imu):
             factor * found['rms'], noise, unit, 100 * low.size / t.size), y=1.17)
         ax.margins(x=0.01)
     axes[-1, 0].set_xlabel('time [s]; grey: more than half of the samples left out')
-    legend(axes[0, 0], loc='lower left', ncol=6, bbox_to_anchor=(0.2, 1.0))
+    legend(axes[0, 0], loc='lower left', ncol=6, bbox_to_anchor=(0.235, 1.0))
     return figure
 
 

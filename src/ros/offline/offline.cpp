@@ -102,7 +102,7 @@ void CheckReport(const OfflineResult& offline, const OfflineRequest& request) {
     WriteReport({offline.options, offline.sessions, offline.infos, offline.result, reason},
                 offline.report);
   } catch (const std::exception& error) {
-    throw DataError(reason + "; " + error.what());
+    throw DataError(reason + "; no report: " + error.what());
   }
   throw DataError(reason);
 }
@@ -241,8 +241,13 @@ void WriteResult(OfflineResult* offline) {
 
 void WriteReport(OfflineResult* offline) {
   if (offline->report.empty()) return;
-  WriteReport({offline->options, offline->sessions, offline->infos, offline->result, ""},
-              offline->report);
+  try {
+    WriteReport({offline->options, offline->sessions, offline->infos, offline->result, ""},
+                offline->report);
+  } catch (const std::exception& error) {
+    throw InputError(std::string("no report: ") + error.what() + "; the result is in '" +
+                     offline->output + "'");
+  }
   offline->sessions = {};
   offline->written.push_back(offline->report);
 }

@@ -69,7 +69,8 @@ std::vector<std::string> SplitBags(const std::string& text);
 /// Writes the result. When that fails, prints its text on stdout before it throws.
 void WriteResult(OfflineResult* offline);
 
-/// Writes the report, if one is wanted, and lets go of the recorded data. Throws InputError.
+/// Writes the report, if one is wanted, and lets go of the recorded data. Throws InputError
+/// that says where the result is.
 void WriteReport(OfflineResult* offline);
 
 /// Checks of one session without a calibration.
