@@ -61,8 +61,8 @@ PER_IMU = (
      figures.growth),
     ('lever_arm', 'Lever arm by parts of the data',
      'Good: points scatter about the black line of the result as far as their bars say. Bad: a trend with frequency '
-     '(filters, a mount that bends) or one session apart. Poses twice differentiated, without the joint solve: bars '
-     'are wide and high bands may be missing.',
+     '(filters, a mount that bends) or one session apart; red: beyond the picture. Bands differentiate the recorded '
+     'positions twice, so their bars grow with frequency and are no measure of the result.',
      figures.p_figure),
 )
 PER_SESSION = (

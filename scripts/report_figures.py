@@ -303,7 +303,7 @@ def growth(report, s, imu):
 
 
 def p_by_band(report, s, imu):
-    """p_MI from the second derivative of the poses alone and the accelerometer, band by band."""
+    """p_MI from the second derivative of the recorded positions and the accelerometer, band by band."""
     grid = report.rows('s%d_i%d_grid' % (s, imu))
     grid = grid[np.isfinite(grid).all(axis=1)]
     if len(grid) < 1000:
@@ -311,10 +311,14 @@ def p_by_band(report, s, imu):
     step = grid[1, 0] - grid[0, 0]
     size = len(grid)
     frequency = np.fft.rfftfreq(size, step)
-    # Poses are means over time; what that takes from them, to where they are still believed.
-    averaging = report.result['pose_smoothing'] + report.result['position_smoothing']
-    sharpen = np.exp(0.5 * np.clip(averaging * (2 * np.pi * frequency) ** 2, -4, 4))
-    a_W = np.fft.irfft(np.fft.rfft(grid[:, 3:6], axis=0) * sharpen[:, None], size, axis=0)
+    # The motion of the poses alone: of the solve, and what it leaves of them.
+    a_W = grid[:, 3:6]
+    t, r, weight = residuals(report, s, 'position', imu)
+    good = weight > 0.5
+    if good.sum() > 10:
+        left = np.stack([np.interp(grid[:, 0], t[good], r[good, k]) for k in range(3)], axis=1)
+        omega2 = (2 * np.pi * frequency[:, None]) ** 2
+        a_W = a_W - np.fft.irfft(omega2 * np.fft.rfft(left, axis=0), size, axis=0)
     R = rotations(grid[:, 6:10])
     specific = np.einsum('nji,nj->ni', R, a_W / report.result['pose_scale'] - report.head['sessions'][s]['gravity'])
     rest = grid[:, 16:19] - specific
@@ -337,7 +341,9 @@ def p_by_band(report, s, imu):
         variance = np.sum((b - A @ p) ** 2) / max(1, len(b) - 3) * 2
         sigma = np.sqrt(variance * np.diag(np.linalg.pinv(information)))
         bands.append(('%g-%g Hz' % (low, high), p, sigma))
-    return bands
+    # Bands that tell nothing would hide the others.
+    least = min([sigma.max() for _, _, sigma in bands], default=0)
+    return [band for band in bands if band[2].max() <= 30 * least]
 
 
 def rotations(q):
@@ -355,7 +361,7 @@ def hats(v):
 
 def p_figure(report, s, imu):
     """The lever arm as parts of the data tell it: bands of frequency, and sessions alone."""
-    groups = [('by band of frequency (poses alone, up to a minute)', p_by_band(report, s, imu))]
+    groups = [('by band of frequency, up to a minute', p_by_band(report, s, imu))]
     sessions = report.result.get('sessions') or []
     own = [('session %d' % (k + 1), np.array(x['own']['translation']), np.array(x['own']['translation_std']))
            for k, x in enumerate(sessions) if 'own' in x and x['own']['imu'] == 'imu%d' % imu]
@@ -375,7 +381,6 @@ def p_figure(report, s, imu):
             ax.axhline(1e3 * p[k], color='black', linewidth=0.8)
             ax.errorbar(place, [1e3 * v[1][k] for v in values], yerr=[1e3 * v[2][k] for v in values], fmt='o',
                         color=color, markersize=4, capsize=3)
-            # Bands that tell nothing would hide the others.
             reach = 6 * max(np.median([1e3 * v[2][k] for v in values]), 1e3 * sigma[k])
             near = [1e3 * v[1][k] for v in values if abs(1e3 * (v[1][k] - p[k])) < 4 * reach] + [1e3 * p[k]]
             low, high = min(near) - reach, max(near) + reach

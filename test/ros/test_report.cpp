@@ -305,7 +305,9 @@ TEST(Progress, TellsOfEveryStageFromBeginningToEnd) {
   const Calibration result = Calibrate(
       {}, {Simulate(truth)}, [&](const std::string& stage, std::optional<int> iterations) {
         stages.push_back((iterations ? "end " : "begin ") + stage);
-        if (stage == "trajectory and calibration") EXPECT_NE(iterations, std::optional<int>(0));
+        if (stage == "trajectory and calibration") {
+          EXPECT_NE(iterations, std::optional<int>(0));
+        }
       });
   EXPECT_EQ(stages,
             (std::vector<std::string>{"begin data and start",

@@ -252,7 +252,7 @@ class SolvedSession {
   }
 
   /// Evenly spaced rows where poses and IMU have no gap, for at most kLongestGrid: t, |omega| of
-  /// the poses alone and of the gyroscope [rad/s], acceleration of the poses alone in W, rotation
+  /// the poses alone and of the gyroscope [rad/s], acceleration in W, rotation
   /// q_WM (xyzw), omega_M, alpha_M, and the accelerometer without bias and matrix, in M.
   void WriteGrid(const std::string& prefix, size_t imu, const ImuData& recorded) const {
     const PoseTrajectory& poses = *solution_.trajectories[s_];
@@ -304,7 +304,7 @@ class SolvedSession {
           t,
           state.omega_M.norm(),
           (gyro_inverse * (gyro - Bias(own.gyro_bias, t_imu))).norm(),
-          state.a_W,
+          joint->a_W,
           joint->q_WB.coeffs(),
           joint->omega_B,
           joint->alpha_B,
