@@ -60,12 +60,12 @@ def residual_series(report, s, imu):
             draw_series(ax, t, np.clip(r[:, k], -limit, limit), color, axis, alpha=0.55)
         for sign in (-1, 1):
             ax.axhline(sign * noise, color='black', linestyle='--', linewidth=0.8,
-                       label='sigma of the solve' if sign > 0 else None)
+                       label='sigma' if sign > 0 else None)
         low = np.flatnonzero(weight < 0.5)
         shown = low[np.linspace(0, low.size - 1, min(low.size, 300)).astype(int)] if low.size else low
         worst = r[shown, np.argmax(np.abs(r[shown]), axis=1)] if low.size else r[shown, 0]
         ax.plot(t[shown], np.clip(worst, -limit, limit), 'v', color=RED, markersize=3, linestyle='none',
-                label='weight below 1/2')
+                label='weight < 1/2')
         stream = 'poses' if quantity in ('position', 'rotation') else quantity
         recorded = stamps(report, s, stream, imu)
         bins = int(np.clip((recorded[-1] - recorded[0]) / 0.25, 10, 500))
