@@ -235,13 +235,13 @@ class SolvedSession {
     constexpr double kLook = 0.05;  // [s]
     double liveliest = begin, most = -1.0;
     for (double t = begin; t + kZoom < end; t += 0.5 * kZoom) {
-      std::vector<double> accelerations;
+      std::vector<double> rates;
       for (double u = t; u < t + kZoom; u += kLook) {
         const auto state = trajectory_.Marker(u);
-        if (state) accelerations.push_back(state->alpha_B.norm());
+        if (state) rates.push_back(state->omega_B.norm());
       }
-      if (accelerations.empty()) continue;
-      const double usual = Median(std::move(accelerations));  // not that of a shock
+      if (rates.empty()) continue;
+      const double usual = Median(std::move(rates));  // not that of a shock
       if (usual > most) liveliest = t;
       most = std::max(most, usual);
     }
