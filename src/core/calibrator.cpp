@@ -22,6 +22,21 @@ std::string InSession(size_t session, size_t count) {
   return count == 1 ? "" : "session " + std::to_string(session + 1) + ": ";
 }
 
+/// Tells of a stage from beginning to end.
+class Stage {
+ public:
+  Stage(const Progress& progress, const std::string& name) : progress_(progress), name_(name) {
+    if (progress_) progress_(name_, std::nullopt);
+  }
+  void End(int iterations = 0) const {
+    if (progress_) progress_(name_, iterations);
+  }
+
+ private:
+  const Progress& progress_;
+  const std::string name_;
+};
+
 /// Initial values are those of the first IMU, an initial time shift and gravity of the first
 /// session.
 CalibrationOptions WithoutStart(CalibrationOptions options, bool is_first_session) {
@@ -146,14 +161,17 @@ void ReportSensors(const Solution& solution, Calibration* result) {
 /// liveliest session that has the IMU.
 Solution SolveTogether(const CalibrationOptions& options,
                        std::vector<PreparedSession>* prepared,
+                       const Progress& progress,
                        Estimate* estimate,
                        Calibration* result) {
   std::vector<PreparedSession>& sessions = *prepared;
   std::vector<JointStart> starts;
   std::vector<double> liveliest(estimate->imus.size(), -1.0);
   for (size_t s = 0; s < sessions.size(); ++s) {
+    const Stage knots(progress, InSession(s, sessions.size()) + "knot spacing");
     Estimate own(sessions[s], options.bias_knot_interval_s);
     starts.push_back(ChooseKnotSpacing(options, sessions[s], &own));
+    knots.End();
     sessions[s] = std::move(starts[s].session);
     result->sessions[s].knot_spacing_s = starts[s].knot_spacing_s;
     estimate->sessions[s] = own.sessions[0];
@@ -167,12 +185,28 @@ Solution SolveTogether(const CalibrationOptions& options,
       estimate->pose_scale = own.pose_scale;
     }
   }
-  return SolveJointly(options, sessions, starts, estimate);
+  const Stage solve(progress, "trajectory and calibration");
+  Solution solution = SolveJointly(options, sessions, starts, estimate);
+  solve.End(solution.iterations);
+  return solution;
+}
+
+/// S3, told of.
+Solution SolveGp(const CalibrationOptions& options,
+                 const std::vector<PreparedSession>& sessions,
+                 const Progress& progress,
+                 Estimate* estimate) {
+  const Stage solve(progress, "calibration");
+  Solution solution = SolveAgainstTrajectory(options, sessions, estimate);
+  solve.End(solution.iterations);
+  return solution;
 }
 
 }  // namespace
 
-Calibration Calibrate(const CalibrationOptions& options, const std::vector<SessionData>& data) {
+Calibration Calibrate(const CalibrationOptions& options,
+                      const std::vector<SessionData>& data,
+                      const Progress& progress) {
   options.Validate();
   CheckRig(options, data);
   Calibration result;
@@ -186,6 +220,7 @@ Calibration Calibrate(const CalibrationOptions& options, const std::vector<Sessi
   for (size_t s = 0; s < data.size(); ++s) {
     DataCheck check;
     const std::string in_session = InSession(s, data.size());
+    const Stage preparation(progress, in_session + "data and start");
     const auto report = [&] {
       ReportData(check, &result.sessions[s]);
       for (const std::string& warning : check.warnings)
@@ -205,6 +240,7 @@ Calibration Calibrate(const CalibrationOptions& options, const std::vector<Sessi
     } catch (const DataError& error) {
       throw DataError(in_session + error.what());
     }
+    preparation.End();
     const Estimate own(sessions[s], options.bias_knot_interval_s);
     estimate.sessions.push_back(own.sessions[0]);
     estimate.imus.resize(own.imus.size());
@@ -217,8 +253,9 @@ Calibration Calibrate(const CalibrationOptions& options, const std::vector<Sessi
   }
 
   Solution solution = options.method == Method::kJoint
-                          ? SolveTogether(options, &sessions, &estimate, &result)
-                          : SolveAgainstTrajectory(options, sessions, &estimate);
+                          ? SolveTogether(options, &sessions, progress, &estimate, &result)
+                          : SolveGp(options, sessions, progress, &estimate);
+  const Stage verdict(progress, "sigmas and verdict");
   ReportEstimate(estimate, sessions, &result);
   ReportSensors(solution, &result);
   if (options.method == Method::kGp)
@@ -236,6 +273,7 @@ Calibration Calibrate(const CalibrationOptions& options, const std::vector<Sessi
     solution.imus.push_back(std::move(session.data.imus));
   }
   result.solution = std::make_shared<const Solution>(std::move(solution));
+  verdict.End();
   return result;
 }
 

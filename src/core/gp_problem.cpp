@@ -114,9 +114,10 @@ Solution SolveAgainstTrajectory(const CalibrationOptions& options,
   std::vector<SensorModel> models = InitialModels(options, sessions);
   std::vector<SensorStatistics> statistics;
   std::unique_ptr<LeastSquares> gp;
+  int iterations = 0;
   const auto solve = [&](GpSensors sensors, double tolerance) {
     gp = BuildGpProblem(options, sessions, models, sensors, estimate);
-    gp->Solve(tolerance);
+    iterations += gp->Solve(tolerance);
     statistics = gp->FindStatistics();
   };
   const auto update_noise = [&] {
@@ -133,6 +134,7 @@ Solution SolveAgainstTrajectory(const CalibrationOptions& options,
   solution.residuals = gp->TakeResiduals();
   gp.reset();
   solution.models = std::move(models);
+  solution.iterations = iterations;
   return solution;
 }
 

@@ -210,6 +210,7 @@ class JointSolver {
     problem_.reset();
     solution.models = std::move(models_);
     solution.splines = std::move(splines_);
+    solution.iterations = iterations_;
     return solution;
   }
 
@@ -250,7 +251,7 @@ class JointSolver {
   void Pass(bool hold_calibration = false) {
     Build();
     if (hold_calibration) HoldCalibration(problem_.get());
-    FollowClocks([&] { problem_->Solve(kRoughTolerance); });
+    FollowClocks([&] { iterations_ += problem_->Solve(kRoughTolerance); });
     statistics_ = problem_->FindStatistics();
     // No source averages rotations over longer than positions: other errors look like that.
     if (estimate_->position_smoothing < 0.0) {
@@ -320,6 +321,7 @@ class JointSolver {
   std::vector<double> floor_;                 ///< of the noise, by sensor
   bool holds_position_smoothing_ = false;     ///< at 0
   std::vector<bool> holds_size_;              ///< of each IMU: no size effect
+  int iterations_ = 0;
 };
 
 /// What the IMUs leave, over all of them: it shrinks while knots become denser for a reason.

@@ -147,7 +147,7 @@ int LeastSquares::Threads() const {
              : std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
 }
 
-void LeastSquares::Solve(double function_tolerance) {
+int LeastSquares::Solve(double function_tolerance) {
   ceres::Solver::Options ceres_options;
   ceres_options.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
   ceres_options.sparse_linear_algebra_library_type = ceres::EIGEN_SPARSE;  // small blocks: no BLAS
@@ -160,7 +160,8 @@ void LeastSquares::Solve(double function_tolerance) {
   ceres_options.initial_trust_region_radius = 1e8;
   ceres::Solver::Summary summary;
   ceres::Solve(ceres_options, &problem, &summary);
-  if (summary.termination_type == ceres::CONVERGENCE) return;
+  if (summary.termination_type == ceres::CONVERGENCE)
+    return static_cast<int>(summary.iterations.size()) - 1;  // the first entry is the start
   throw DataError("the solve did not converge within max_iterations = " +
                   std::to_string(options.max_iterations) + ": " + summary.message);
 }

@@ -82,6 +82,8 @@ TEST(CalibrateLaunch, WritesTheResultFile) {
   EXPECT_EQ(yaml["time_shift"].as<double>(), result->time_shift);
   EXPECT_EQ(yaml["transform"]["translation"][0].as<double>(), result->transform.translation.x);
   EXPECT_EQ(yaml["transform"]["rotation"][3].as<double>(), result->transform.rotation.w);
+  std::filesystem::path report(Param("output"));
+  EXPECT_TRUE(std::filesystem::exists(report.replace_extension(".report.html")));
 }
 
 std::string Directory() { return std::filesystem::path(Param("truth")).parent_path().string(); }

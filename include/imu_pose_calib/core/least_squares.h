@@ -124,9 +124,9 @@ struct LeastSquares {
                    double expected = 0.0,
                    std::optional<size_t> imu = std::nullopt);
 
-  /// Throws DataError when Ceres does not converge to a relative change of the cost below
-  /// `function_tolerance`.
-  void Solve(double function_tolerance);
+  /// Returns the number of iterations. Throws DataError when Ceres does not converge to a relative
+  /// change of the cost below `function_tolerance`.
+  int Solve(double function_tolerance);
   /// Of each sensor.
   std::vector<SensorStatistics> FindStatistics();
   /// Residuals of each sensor where the estimate stands.

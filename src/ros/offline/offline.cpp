@@ -7,7 +7,6 @@
 #include <sstream>
 #include <system_error>
 
-#include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/preparation.h"
 #include "imu_pose_calib/ros/exports/exports.h"
 #include "imu_pose_calib/ros/io/conversions.h"
@@ -15,6 +14,7 @@
 #include "imu_pose_calib/ros/io/printable.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
+#include "imu_pose_calib/ros/offline/report.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -66,8 +66,8 @@ CalibrationOptions Options(const OfflineRequest& request) {
   return options;
 }
 
-/// Throws InputError when `output`, which is called `name`, would replace what is read.
-void CheckOutput(const char* name, const std::string& output, const OfflineRequest& request) {
+/// Throws InputError when a file to write would replace what is read.
+void CheckOutput(const Given& output, const OfflineRequest& request) {
   const TextRequest& text = request.text;
   std::vector<Given> inputs = {{"poses", text.poses},
                                {"imu", text.imu},
@@ -78,27 +78,56 @@ void CheckOutput(const char* name, const std::string& output, const OfflineReque
   for (const std::string& path : request.bag.paths) inputs.push_back({"bag", path});
   std::error_code ignored;
   for (const Given& input : inputs)
-    if (std::filesystem::equivalent(output, input.value, ignored))
-      throw InputError(std::string(name) + " '" + output + "' would replace the " + input.name +
-                       " '" + input.value + "'; choose another");
+    if (std::filesystem::equivalent(output.value, input.value, ignored))
+      throw InputError(std::string(output.name) + " '" + output.value + "' would replace the " +
+                       input.name + " '" + input.value + "'; choose another");
+}
+
+bool IsSamePath(const std::string& a, const std::string& b) {
+  return std::filesystem::absolute(a).lexically_normal() ==
+         std::filesystem::absolute(b).lexically_normal();
 }
 
 /// The same of all files of the trajectories.
 void CheckTrajectories(const OfflineRequest& given,
                        const std::vector<OfflineRequest>& sessions,
-                       Method method,
                        size_t imus,
-                       const std::string& output) {
+                       const OfflineResult& offline) {
   const TrajectoryRequest& request = given.trajectory;
-  for (const TrajectoryTarget& target : PlanTrajectories(request, method, sessions.size(), imus)) {
+  for (const TrajectoryTarget& target :
+       PlanTrajectories(request, offline.options.method, sessions.size(), imus)) {
     const TrajectoryFormat format = ParseTrajectoryFormat(request.format, request.path);
     for (const std::string& file : TrajectoryFiles(target.path, format)) {
-      for (const OfflineRequest& session : sessions) CheckOutput("trajectory", file, session);
-      if (std::filesystem::absolute(file).lexically_normal() ==
-          std::filesystem::absolute(output).lexically_normal())
-        throw InputError("trajectory and output are both '" + output + "'; choose another");
+      for (const OfflineRequest& session : sessions) CheckOutput({"trajectory", file}, session);
+      if (IsSamePath(file, offline.output))
+        throw InputError("trajectory and output are both '" + file + "'; choose another");
     }
   }
+}
+
+/// Throws InputError for a report that is of no kind that can be drawn, or that would replace
+/// something else.
+void CheckReport(const OfflineResult& offline, const OfflineRequest& request) {
+  if (offline.report.empty()) return;
+  const std::string extension = std::filesystem::path(offline.report).extension();
+  if (extension != ".html" && extension != ".pdf")
+    throw InputError("report '" + offline.report + "' must end in .html or .pdf");
+  if (IsSamePath(offline.report, offline.output))
+    throw InputError("report and output are both '" + offline.report + "'; choose another");
+  CheckOutput({"report", offline.report}, request);
+}
+
+/// Draws why the data were refused. That they were is what to report in the first place: a failure
+/// is added to it.
+[[noreturn]] void Refuse(const OfflineResult& offline, const std::string& reason) {
+  if (offline.report.empty()) throw DataError(reason);
+  try {
+    WriteReport({offline.options, offline.sessions, offline.infos, offline.result, reason},
+                offline.report);
+  } catch (const std::exception& error) {
+    throw DataError(reason + "; no report: " + error.what());
+  }
+  throw DataError(reason);
 }
 
 Recording ReadBags(const OfflineRequest& request) {
@@ -180,30 +209,44 @@ std::string OutputPath(const OfflineRequest& request) {
   return (has_extension ? path.substr(0, path.size() - 4) : path) + ".calibration.yaml";
 }
 
-OfflineResult CalibrateOffline(const OfflineRequest& given) {
+std::string ReportPath(const OfflineRequest& request) {
+  return std::filesystem::path(OutputPath(request)).replace_extension(".report.html");
+}
+
+OfflineResult CalibrateOffline(const OfflineRequest& given, const Progress& progress) {
   CheckGiven(given);
   OfflineResult offline;
   offline.exports = ParseExports(given.exports);
   offline.output = OutputPath(given);
-  CheckOutput("output", offline.output, given);  // an old result may be given as the config
+  offline.report = given.report;
+  CheckOutput({"output", offline.output}, given);  // an old result may be given as the config
+  CheckReport(offline, given);
   RemoveOldResult(offline.output);
   RemoveOldExports(offline.output, offline.exports);
+  RemoveOldReport(offline.report);
   const std::vector<OfflineRequest> requests = SplitSessions(given);
-  for (const OfflineRequest& request : requests)
-    CheckOutput("output", offline.output, request);  // now with the files that were found
+  for (const OfflineRequest& request : requests) {  // now with the files that were found
+    CheckOutput({"output", offline.output}, request);
+    CheckReport(offline, request);
+  }
 
-  const CalibrationOptions options = Options(requests.front());
-  offline.options = options;
-  CheckTrajectories(given, requests, options.method, 1, offline.output);  // before it takes long
-  std::vector<SessionData> sessions;
+  offline.options = Options(requests.front());
+  CheckTrajectories(given, requests, 1, offline);  // before it takes long
+  if (progress) progress("recording", std::nullopt);
   for (Recording& recording : ReadRecordings(requests)) {
     offline.infos.push_back(recording.info);
-    sessions.push_back(std::move(recording.data));
+    offline.sessions.push_back(std::move(recording.data));
   }
-  CheckTrajectories(given, requests, options.method, sessions.front().imus.size(), offline.output);
-  offline.result = Calibrate(options, sessions);
-  if (!offline.result.IsUsable()) throw DataError(offline.result.message);
-  offline.yaml = ToYaml(offline.result, offline.infos, options);
+  CheckTrajectories(given, requests, offline.sessions.front().imus.size(), offline);
+  if (progress) progress("recording", 0);
+  try {
+    offline.result = Calibrate(offline.options, offline.sessions, progress);
+  } catch (const DataError& error) {
+    Refuse(offline, error.what());
+  }
+  if (!offline.result.IsUsable()) Refuse(offline, offline.result.message);
+  offline.yaml = ToYaml(offline.result, offline.infos, offline.options);
+  if (offline.report.empty()) offline.sessions.clear();
   return offline;
 }
 
@@ -213,23 +256,40 @@ std::vector<std::string> SplitBags(const std::string& text) {
   return {std::istream_iterator<std::string>(words), {}};
 }
 
-void WriteResult(const OfflineResult& offline) {
+void WriteResult(OfflineResult* offline) {
   try {
-    WriteFile(offline.output, offline.yaml);
+    WriteFile(offline->output, offline->yaml);
   } catch (const InputError&) {
-    std::cout << offline.yaml << std::flush;
+    std::cout << offline->yaml << std::flush;
     throw;
   }
+  offline->written.push_back(offline->output);
 }
 
-std::vector<std::string> WriteExports(const OfflineResult& offline) {
-  if (offline.exports.empty()) return {};
-  return WriteExports(ParseResult(offline.yaml, offline.output), offline.exports);
+void WriteReport(OfflineResult* offline) {
+  if (offline->report.empty()) return;
+  try {
+    WriteReport({offline->options, offline->sessions, offline->infos, offline->result, ""},
+                offline->report);
+  } catch (const std::exception& error) {
+    throw InputError(std::string("no report: ") + error.what() + "; the result is in '" +
+                     offline->output + "'");
+  }
+  offline->sessions = {};
+  offline->written.push_back(offline->report);
 }
 
-std::vector<std::string> WriteTrajectories(const OfflineRequest& request,
-                                           const OfflineResult& offline) {
-  return WriteTrajectories(request.trajectory, offline.result, offline.infos, offline.options);
+void WriteExports(OfflineResult* offline) {
+  if (offline->exports.empty()) return;
+  for (const std::string& path :
+       WriteExports(ParseResult(offline->yaml, offline->output), offline->exports))
+    offline->written.push_back(path);
+}
+
+void WriteTrajectories(const OfflineRequest& request, OfflineResult* offline) {
+  for (const std::string& line :
+       WriteTrajectories(request.trajectory, offline->result, offline->infos, offline->options))
+    offline->written.push_back(line);
 }
 
 std::vector<OfflineCheck> CheckOffline(const OfflineRequest& given) {

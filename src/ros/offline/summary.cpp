@@ -2,46 +2,15 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdarg>
-#include <cstdio>
-#include <sstream>
 
 #include "imu_pose_calib/ros/io/printable.h"
+#include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
 namespace {
 
-constexpr size_t kColumns = 80;
-constexpr double kNotableFreeze = 0.1;  // [s]
-constexpr double kCertain = 3.0;        // sigma
+constexpr double kCertain = 3.0;  // sigma
 constexpr double kDegrees = 180.0 / 3.14159265358979323846;
-
-[[gnu::format(printf, 1, 2)]] std::string Format(const char* format, ...) {
-  char buffer[512];
-  va_list arguments;
-  va_start(arguments, format);
-  std::vsnprintf(buffer, sizeof(buffer), format, arguments);
-  va_end(arguments);
-  return buffer;
-}
-
-/// `text` in lines of at most kColumns, the first behind `label`, the others indented like it.
-std::string Wrap(const std::string& label, const std::string& text) {
-  std::istringstream words(text);
-  std::string wrapped, line = label, word;
-  const std::string indent(label.size(), ' ');
-  bool is_empty = true;
-  while (words >> word) {
-    if (!is_empty && line.size() + 1 + word.size() > kColumns) {
-      wrapped += line + "\n";
-      line = indent;
-      is_empty = true;
-    }
-    line += (is_empty ? "" : " ") + word;
-    is_empty = false;
-  }
-  return wrapped + line + "\n";
-}
 
 std::string Verdict(const Calibration& result) {
   switch (result.status) {
@@ -57,33 +26,6 @@ std::string Verdict(const Calibration& result) {
   return Wrap("NOT RUN: ", result.message);
 }
 
-std::string Dropped(const StreamReport& report) {
-  std::string reasons;
-  const auto add = [&](size_t count, const char* reason) {
-    if (count > 0) reasons += (reasons.empty() ? "" : ", ") + std::to_string(count) + " " + reason;
-  };
-  add(report.not_finite, "not finite");
-  add(report.zero_quaternion, "zero quaternion");
-  add(report.reversed_stamp, "reversed stamp");
-  add(report.duplicate_stamp, "duplicate stamp");
-  add(report.repeated_value, "repeated value");
-  add(report.saturated, "saturated");
-  add(report.outlier, "outlier");
-  add(report.flipped, "flipped");
-  add(report.in_short_segment, "between gaps");
-  add(report.between_updates, "between updates");
-  return reasons.empty() ? "" : "; dropped " + reasons;
-}
-
-/// A time as people say it: "3.10 ms", "2.5 s", "-2.00 h", "12.0 days".
-std::string Time(double seconds) {
-  const double size = std::abs(seconds);
-  if (size < 1.0) return Format("%.2f ms", 1e3 * seconds);
-  if (size < 600.0) return Format("%.1f s", seconds);
-  if (size < 36.0 * 3600.0) return Format("%.2f h", seconds / 3600.0);
-  return Format("%.1f days", seconds / 86400.0);
-}
-
 /// What became of the stamps; nothing when they are as recorded.
 std::string Recovered(const StreamReport& report) {
   return report.stamps_recovered ? "; stamps: recovered, jitter " + Time(report.stamp_jitter_s)
@@ -96,13 +38,6 @@ std::string Stream(const char* label, const std::string& topic, const StreamRepo
       topic +
           Format(": %zu at %.1f Hz over %.1f s", report.used, report.rate_hz, report.duration_s) +
           Recovered(report) + Dropped(report));
-}
-
-std::string Stated(const char* indent, const PoseStd& stated) {
-  return Format("%stheir covariances say %.3g mm and %.3g deg per axis\n",
-                indent,
-                1e3 * stated.position,
-                kDegrees * stated.rotation);
 }
 
 std::string Data(const SessionCalibration& session, const RecordingInfo& info) {
@@ -133,13 +68,6 @@ std::string Data(const Calibration& result, const std::vector<RecordingInfo>& in
     text += Data(result.sessions[s], infos[s]);
   }
   return text;
-}
-
-std::string Vector(const Eigen::Vector3d& v, const char* number) {
-  const std::string format = std::string("[") + number + ", " + number + ", " + number + "]";
-  char buffer[128];
-  std::snprintf(buffer, sizeof(buffer), format.c_str(), v.x(), v.y(), v.z());
-  return buffer;
 }
 
 std::string List(const Eigen::Vector3d& v, const char* number) {
@@ -376,134 +304,7 @@ std::string StaticTransform(const Rigid3& T,
          "  " + marker_frame + " " + imu_frame + "\n";
 }
 
-// --- Data check ---
-
-std::string Verdict(const DataCheck& check) {
-  switch (check.verdict) {
-    case DataVerdict::kGood:
-      return Wrap("GOOD: ", check.message);
-    case DataVerdict::kUsable:
-      return Wrap("USABLE: ", check.message);
-    case DataVerdict::kRecordAgain:
-      break;
-  }
-  return Wrap("RECORD AGAIN: ", check.message);
-}
-
-std::string Row(const char* label,
-                const StreamCheck& stream,
-                const std::optional<Latency>& latency) {
-  return Format("  %-6s%8zu%8.1f%9s%10s%8.1f%9.1f",
-                label,
-                stream.count,
-                stream.rate_hz,
-                Time(stream.jitter_s).c_str(),
-                Time(stream.longest_gap_s).c_str(),
-                100.0 * stream.missing,
-                100.0 * stream.repeated) +
-         (latency
-              ? Format("%12s%8s", Time(latency->median_s).c_str(), Time(latency->spread_s).c_str())
-              : "") +
-         "\n";
-}
-
-/// What the table does not show of a stream.
-std::string Remarks(const char* label, const StreamCheck& stream, const StreamReport& report) {
-  std::string text = Dropped(report);
-  if (stream.longest_freeze_s > kNotableFreeze)
-    text += "; no new value for up to " + Time(stream.longest_freeze_s);
-  if (stream.cut_s > 0.0) text += Format("; stamps are multiples of %g ms", 1e3 * stream.cut_s);
-  if (stream.stamps.recovered)
-    text += "; stamps: recovered, jitter " + Time(stream.stamps.jitter_s);
-  else if (!stream.stamps.even)
-    text += "; stamps: uneven, as recorded";
-  if (stream.bunched > 0.0) text += Format("; %.1f %% stamped in bunches", 100.0 * stream.bunched);
-  return text.empty() ? "" : Wrap(label, text.substr(2));
-}
-
-std::string Streams(const DataCheck& check, const RecordingInfo& info) {
-  bool has_latency = info.pose_latency.has_value();
-  for (const ImuInfo& imu : info.imus)
-    has_latency = has_latency || imu.gyro_latency || imu.accel_latency;
-  std::string text = "\n         samples      Hz   jitter   max gap missing repeated";
-  text += has_latency ? "     latency  spread\n" : "\n";
-  text += "                                                %        %";
-  text += has_latency ? "   (record - header)\n" : "\n";
-  text += Row("poses", check.poses, info.pose_latency);
-  std::string topics = info.pose_topic,
-              remarks = Remarks("  poses: ", check.poses, check.poses_report);
-  for (size_t i = 0; i < check.imus.size(); ++i) {
-    const ImuCheck& imu = check.imus[i];
-    text += Row("gyro", imu.gyro, info.imus[i].gyro_latency) +
-            Row("accel", imu.accel, info.imus[i].accel_latency);
-    topics += ", " + info.imus[i].GyroSource();
-    if (info.imus[i].imu_topic.empty()) topics += ", " + info.imus[i].accel_topic;
-    remarks += Remarks("  gyro: ", imu.gyro, imu.gyro_report) +
-               Remarks("  accel: ", imu.accel, imu.accel_report);
-  }
-  text += Wrap(info.bag.empty() ? "  files: " : "  topics: ", topics);
-  if (info.stated_pose_std) text += Stated("  poses: ", *info.stated_pose_std);
-  text += remarks;
-  if (check.gaps + check.jumps > 0)
-    text += Format("  gaps in the poses: %zu, jumps: %zu\n", check.gaps, check.jumps);
-  return text;
-}
-
-std::string Match(const ImuCheck& imu) {
-  if (!imu.is_matched) return "";
-  return Format("  time shift   about %.4f s", imu.time_shift) +
-         (std::abs(imu.time_shift) < 600.0 ? "" : " (" + Time(imu.time_shift) + ")") +
-         Format("; %.1f s in common\n", imu.overlap_s) +
-         Format("  clock drift  %.1f +- %.1f ppm\n", imu.drift_ppm, imu.drift_ppm_std) +
-         Format("  same motion  the poses explain %.1f %% of the gyroscope's variance\n",
-                100.0 * imu.explained);
-}
-
-/// What each IMU shows, under its name when there are several.
-std::string Matches(const DataCheck& check) {
-  std::string text;
-  for (size_t i = 0; i < check.imus.size(); ++i) {
-    const std::string match = Match(check.imus[i]);
-    if (check.imus.size() > 1 && !match.empty()) text += "  imu" + std::to_string(i) + "\n";
-    text += match;
-  }
-  return text;
-}
-
-std::string Rest(const ImuCheck& imu) {
-  return imu.rest_s > 0.0 ? Format("  at rest      %.1f s; the accelerometer shows %.2f m/s^2\n",
-                                   imu.rest_s,
-                                   imu.rest_norm)
-                          : "  at rest      never, so the accelerometer's norm is unchecked\n";
-}
-
-std::string Excitation(const DataCheck& check) {
-  std::string text = "  turns        " + Vector(check.turns_M, "%.2f") +
-                     " rad/s rms about marker x, y, z\n" + "  moves        " +
-                     Vector(check.moves_W, "%.2f") + " m/s^2 rms along world x, y, z\n";
-  for (const ImuCheck& imu : check.imus) text += Rest(imu);
-  return text;
-}
-
-/// The names as they can be shown.
-RecordingInfo WithPrintableNames(RecordingInfo info) {
-  std::vector<std::string*> names = {
-      &info.bag, &info.pose_topic, &info.marker_frame, &info.imu_yaml};
-  for (ImuInfo& imu : info.imus)
-    names.insert(names.end(), {&imu.imu_topic, &imu.gyro_topic, &imu.accel_topic, &imu.imu_frame});
-  for (std::string* name : names) *name = Printable(*name);
-  return info;
-}
-
 }  // namespace
-
-std::string Summary(const DataCheck& check, const RecordingInfo& recording) {
-  const RecordingInfo info = WithPrintableNames(recording);
-  std::string text = Verdict(check) + Streams(check, info) + "\n" + Matches(check);
-  if (!check.turns_M.isZero(0.0)) text += Excitation(check);
-  for (const std::string& warning : check.warnings) text += Wrap("  warning: ", warning);
-  return text;
-}
 
 std::string Summary(const Calibration& result, const std::vector<RecordingInfo>& recordings) {
   std::vector<RecordingInfo> infos;
@@ -517,6 +318,13 @@ std::string Summary(const Calibration& result, const std::vector<RecordingInfo>&
           Imu(result) + Residuals(result);
   for (size_t i = 0; i < result.imus.size(); ++i)
     text += StaticTransform(result.imus[i].T_MI, infos[0].marker_frame, infos[0].imus[i].imu_frame);
+  return text;
+}
+
+std::string WrittenTo(const std::vector<std::string>& paths) {
+  std::string text;
+  for (const std::string& path : paths)
+    text += (text.empty() ? "\nWritten to " : "           ") + Printable(path) + "\n";
   return text;
 }
 

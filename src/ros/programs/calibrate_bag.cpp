@@ -1,6 +1,7 @@
 // Calibrates from a recording, without a ROS master.
 
 #include <boost/algorithm/string/join.hpp>
+#include <functional>
 #include <iostream>
 #include <string>
 #include <vector>
@@ -8,6 +9,7 @@
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
 #include "imu_pose_calib/ros/offline/offline.h"
+#include "imu_pose_calib/ros/offline/progress_lines.h"
 #include "imu_pose_calib/ros/offline/summary.h"
 
 namespace imu_pose_calib {
@@ -67,6 +69,9 @@ po::options_description Describe(CommandLine* line) {
   add("trajectory-gaps",
       po::value(&request.trajectory.max_gap_s)->value_name("S"),
       "longest gap of the poses that the IMU bridges (default 2); others are left out");
+  add("report",
+      text(&request.report),
+      "FILE.html or FILE.pdf: figures of the calibration, or of why there is none");
   add("start",
       po::value(&request.bag.start_s)->value_name("S"),
       "seconds of the recording to skip");
@@ -136,14 +141,14 @@ void Run(int argc, char** argv) {
   }
 
   if (line.check) return Check(line);
-  const OfflineResult offline = CalibrateOffline(line.request);
+  ProgressLines progress(line.quiet);
+  OfflineResult offline = CalibrateOffline(line.request, std::ref(progress));
   if (!line.quiet) std::cout << Summary(offline.result, offline.infos) << std::flush;
-  WriteResult(offline);
-  if (!line.quiet) std::cout << "\nWritten to " << offline.output << "\n";
-  for (const std::string& path : WriteExports(offline))
-    if (!line.quiet) std::cout << "Written to " << path << "\n";
-  for (const std::string& trajectory : WriteTrajectories(line.request, offline))
-    if (!line.quiet) std::cout << "Trajectory " << trajectory << "\n";
+  WriteResult(&offline);
+  WriteExports(&offline);
+  WriteTrajectories(line.request, &offline);
+  if (!offline.report.empty()) progress.Run("report", [&] { WriteReport(&offline); });
+  if (!line.quiet) std::cout << WrittenTo(offline.written);
 }
 
 }  // namespace

@@ -5,6 +5,7 @@
 #include <tf2_ros/static_transform_broadcaster.h>
 
 #include <csignal>
+#include <functional>
 #include <iostream>
 #include <optional>
 #include <string>
@@ -15,6 +16,7 @@
 #include "imu_pose_calib/ros/live/live_node.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
 #include "imu_pose_calib/ros/offline/offline.h"
+#include "imu_pose_calib/ros/offline/progress_lines.h"
 #include "imu_pose_calib/ros/offline/summary.h"
 
 namespace imu_pose_calib {
@@ -78,6 +80,7 @@ OfflineJob ReadJob() {
   request.method = text("method");
   request.output = text("output");
   request.exports = text("export");
+  if (Param<bool>("~report", false, "true or false")) request.report = ReportPath(request);
   request.marker_frame = text("marker_frame");
   request.imu_frame = text("imu_frame");
   request.trajectory.path = text("trajectory");
@@ -121,13 +124,19 @@ void Offer(const OfflineResult& offline, ros::NodeHandle* node) {
 /// interrupt ends it at once.
 void RunOffline(const OfflineJob& job, std::optional<ros::NodeHandle>* node) {
   std::signal(SIGINT, SIG_DFL);  // as later in the graph, also when a shell has it ignored
-  const OfflineResult offline = CalibrateOffline(job.request);
+  ProgressLines progress(false);
+  OfflineResult offline = CalibrateOffline(job.request, std::ref(progress));
   std::cout << Summary(offline.result, offline.infos) << std::flush;
-  WriteResult(offline);
-  ROS_INFO("Written to %s", offline.output.c_str());
-  for (const std::string& path : WriteExports(offline)) ROS_INFO("Written to %s", path.c_str());
-  for (const std::string& trajectory : WriteTrajectories(job.request, offline))
-    ROS_INFO("Trajectory %s", trajectory.c_str());
+  WriteResult(&offline);
+  WriteExports(&offline);
+  WriteTrajectories(job.request, &offline);
+  try {
+    WriteReport(&offline);
+  } catch (const InputError& error) {
+    if (job.exit) throw;
+    ROS_ERROR("%s", OneLine(error).c_str());  // the result is there, and is offered
+  }
+  for (const std::string& path : offline.written) ROS_INFO("Written to %s", path.c_str());
   if (!job.exit) Offer(offline, &node->emplace("~"));
 }
 

@@ -4,6 +4,7 @@
 #include <functional>
 #include <optional>
 #include <string>
+#include <vector>
 
 namespace imu_pose_calib {
 
@@ -23,5 +24,10 @@ struct ChildLimits {
 /// open it again. When that happens all the same, the limits end it.
 std::optional<std::string> RunApart(const std::function<std::string()>& run,
                                     const ChildLimits& limits);
+
+/// Runs a program, a path and its arguments, without input and output and with stderr in the file
+/// `errors`; returns its exit status, -1 when it did not end by itself. Throws InputError when it
+/// cannot be started.
+int RunProgram(const std::vector<std::string>& command, const std::string& errors);
 
 }  // namespace imu_pose_calib

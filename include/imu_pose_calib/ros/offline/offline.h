@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/data_check.h"
 #include "imu_pose_calib/core/result.h"
 #include "imu_pose_calib/ros/io/bag_reader.h"
@@ -29,6 +30,7 @@ struct OfflineRequest {
   std::string imu_yaml;
   std::string method;        ///< name of a Method; wins over `config`
   std::string output;        ///< result YAML; default: see OutputPath()
+  std::string report;        ///< HTML or PDF; default: none
   std::string marker_frame;  ///< replaces the name found in the bag
   std::string imu_frame;     ///< the same; of several IMUs: white space between them
   std::string exports;       ///< programs to export the result to, see ParseExports()
@@ -41,34 +43,46 @@ struct OfflineResult {
   std::vector<RecordingInfo> infos;  ///< of each session
   std::string output;                ///< path of the result file, not written yet
   std::string yaml;                  ///< its text
-  std::vector<std::string> exports;  ///< programs to export it to
   CalibrationOptions options;        ///< as used
+  std::vector<std::string> exports;  ///< programs to export it to
+  std::vector<std::string> written;  ///< files that were written, with what is to be said of them
+
+  // What a report is made of; no sessions when none is wanted.
+  std::string report;  ///< path
+  std::vector<SessionData> sessions;
 };
 
 /// Where the result goes: x.calibration.yaml for x.bag, the first of the bags, or for a file x.csv
 /// of poses; calibration.yaml in a folder.
 std::string OutputPath(const OfflineRequest& request);
 
+/// Where the report goes by default: x.calibration.report.html beside x.calibration.yaml.
+std::string ReportPath(const OfflineRequest& request);
+
 /// Reads the recording (before ros::start(), see ReadBag()) and calibrates. A result of an earlier
-/// run at the output path is removed first, and what was exported from it to the same programs, so
-/// that a failure leaves none behind.
+/// run at the output path is removed first, and so are a report and what was exported from it to
+/// the same programs, so that a failure leaves none behind. Data that are refused have their report
+/// written, when one is wanted.
 ///
 /// Throws InputError when something cannot be used as given, DataError when no calibration can come
 /// from the data: so the result is always usable.
-OfflineResult CalibrateOffline(const OfflineRequest& request);
+OfflineResult CalibrateOffline(const OfflineRequest& request, const Progress& progress = {});
 
 /// The bags that one text names: a file of that name, or else names with white space between them.
 std::vector<std::string> SplitBags(const std::string& text);
 
 /// Writes the result. When that fails, prints its text on stdout before it throws.
-void WriteResult(const OfflineResult& offline);
+void WriteResult(OfflineResult* offline);
 
-/// Exports the result that was written, and returns the paths of the files.
-std::vector<std::string> WriteExports(const OfflineResult& offline);
+/// Writes the report, if one is wanted, and lets go of the recorded data. Throws InputError
+/// that says where the result is.
+void WriteReport(OfflineResult* offline);
 
-/// Writes the ground truth that the request asks for, if any, and returns a line on each file.
-std::vector<std::string> WriteTrajectories(const OfflineRequest& request,
-                                           const OfflineResult& offline);
+/// Exports the result that was written.
+void WriteExports(OfflineResult* offline);
+
+/// Writes the ground truth that the request asks for, if any.
+void WriteTrajectories(const OfflineRequest& request, OfflineResult* offline);
 
 /// Checks of one session without a calibration.
 struct OfflineCheck {

@@ -15,6 +15,9 @@ namespace imu_pose_calib {
 /// With several IMUs or sessions, a table of each. `infos`: of each session.
 std::string Summary(const Calibration& result, const std::vector<RecordingInfo>& infos);
 
+/// The end of a summary: the files that were written.
+std::string WrittenTo(const std::vector<std::string>& paths);
+
 /// What a check of the data found, readable at a glance: verdict, a table of the streams, clocks,
 /// excitation and warnings.
 std::string Summary(const DataCheck& check, const RecordingInfo& info);

@@ -1,0 +1,182 @@
+"""What the figures of report.py are made with: the series of report_data.h, axes, colours."""
+
+import html
+import io
+import os
+import re
+
+import numpy as np
+import yaml
+from matplotlib import rcParams
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+# Okabe and Ito's palette, which everybody can tell apart.
+BLUE, ORANGE, GREEN, RED, SKY, PURPLE = '#0072B2', '#E69F00', '#009E73', '#D55E00', '#56B4E9', '#CC79A7'
+AXES = (('x', BLUE), ('y', ORANGE), ('z', GREEN))
+WIDTH = 8.6  # [inch]
+BINS = 500  # of what is drawn over the whole recording
+DOTS = 250  # of a second
+DEGREES = 180 / np.pi
+QUANTITIES = {  # title, unit, factor from SI
+    'position': ('position of the poses', 'mm', 1e3),
+    'rotation': ('rotation of the poses', 'mrad', 1e3),
+    'gyro': ('gyroscope', 'rad/s', 1.0),
+    'accel': ('accelerometer', 'm/s²', 1.0),
+}
+
+rcParams.update({'svg.fonttype': 'none', 'font.size': 8, 'axes.titlesize': 9, 'axes.titlelocation': 'left',
+                 'axes.spines.top': False, 'axes.spines.right': False, 'axes.grid': True, 'grid.color': '#e4e4e4',
+                 'grid.linewidth': 0.6, 'lines.linewidth': 0.9, 'legend.fontsize': 7, 'legend.frameon': False,
+                 'axes.linewidth': 0.6, 'svg.hashsalt': 'report', 'axes.axisbelow': True})
+
+
+class Report:
+    """The folder."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.head = self.yaml('report.yaml')
+        self.result = self.yaml('result.yaml') if self.head['solved'] else None
+
+    def yaml(self, name):
+        with open(os.path.join(self.folder, name), encoding='utf-8') as file:
+            return yaml.load(file, Loader=getattr(yaml, 'CSafeLoader', yaml.SafeLoader))
+
+    def text(self, name):
+        with open(os.path.join(self.folder, name), encoding='utf-8') as file:
+            return file.read()
+
+    def rows(self, name):
+        return np.load(os.path.join(self.folder, name + '.npy'), allow_pickle=False)
+
+    def times(self, name):
+        return self.rows(name)[:, 0]
+
+
+# --- Helpers of figures ---
+
+def axes_of(rows, columns, height, widths=None, share=False, left=0.75, gap=0.8):
+    """A figure of `rows` x `columns` axes, each row `height` inches high."""
+    top, bottom, between = 0.28, 0.5, (0.28 if share else 0.68)
+    total = top + bottom + rows * height + (rows - 1) * between
+    figure = Figure(figsize=(WIDTH, total))
+    FigureCanvasAgg(figure)
+    width = (WIDTH - left - 0.15 - (columns - 1) * gap) / columns
+    grid = figure.add_gridspec(rows, columns, left=left / WIDTH, right=1 - 0.15 / WIDTH, bottom=bottom / total,
+                               top=1 - top / total, wspace=gap / width, hspace=between / height, width_ratios=widths)
+    axes = np.empty((rows, columns), dtype=object)
+    for row in range(rows):
+        for column in range(columns):
+            axes[row, column] = figure.add_subplot(grid[row, column], sharex=axes[0, column] if share and row else None)
+            if share and row + 1 < rows:
+                axes[row, column].tick_params(labelbottom=False)
+    return figure, axes
+
+
+def envelope(t, y, bins=None, span=None):
+    """Middle of each bin of time, least and largest value in it; nan where there is none."""
+    first, last = span if span else (t[0], t[-1])
+    bins = bins or BINS
+    edges = np.linspace(first, last, bins + 1)
+    place = np.searchsorted(t, edges)
+    low, high = np.full(bins, np.nan), np.full(bins, np.nan)
+    full = np.flatnonzero(place[1:] > place[:-1])
+    if full.size:
+        stop = place[full[-1] + 1]
+        low[full] = np.fmin.reduceat(y[:stop], place[full])
+        high[full] = np.fmax.reduceat(y[:stop], place[full])
+    return 0.5 * (edges[1:] + edges[:-1]), low, high
+
+
+def draw_series(ax, t, y, color, label=None, alpha=0.75):
+    """A line, or the band that it fills when it is too long for one."""
+    if t.size == 0:
+        return
+    if t.size < 2 * BINS:
+        ax.plot(t, y, color=color, label=label)
+        return
+    middle, low, high = envelope(t, y)
+    ax.fill_between(middle, low, high, color=color, alpha=alpha, linewidth=0.3, label=label)
+
+
+def log_scale(ax, name, subs=(1, 2, 5)):
+    """A logarithmic x or y axis with plain numbers; minor ticks would take most of the time."""
+    getattr(ax, 'set_%sscale' % name)('log')
+    axis = getattr(ax, name + 'axis')
+    axis.set_major_locator(LogLocator(subs=subs, numticks=6))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: '%g' % value))
+    axis.set_minor_locator(NullLocator())
+
+
+def note(ax, text, x=0.99, y=0.96, **more):
+    ax.text(x, y, text, transform=ax.transAxes, ha='right' if x > 0.5 else 'left', va='top', fontsize=7,
+            bbox={'facecolor': 'white', 'edgecolor': 'none', 'alpha': 0.75, 'pad': 1}, **more)
+
+
+def legend(ax, **more):
+    ax.legend(**{**{'loc': 'upper left', 'ncol': 4, 'handlelength': 1.2, 'columnspacing': 1.0, 'borderaxespad': 0.2},
+                 **more})
+
+
+def runs(t, rate):
+    """Ranges of indices without a gap."""
+    if t.size < 2:
+        return []
+    cuts = np.flatnonzero(np.diff(t) > 3.0 / rate) + 1
+    return list(zip(np.r_[0, cuts], np.r_[cuts, t.size]))
+
+
+def sensor(session, quantity, imu):
+    for found in session['sensors']:
+        if found['quantity'] == quantity and (quantity in ('position', 'rotation') or found['imu'] == imu):
+            return found
+    return None
+
+
+def residuals(report, s, quantity, imu):
+    """Times, residuals and weights of a sensor, in order of time."""
+    name = 's%d_%s' % (s, quantity) if quantity in ('position', 'rotation') else 's%d_i%d_%s' % (s, imu, quantity)
+    t, rows = report.times(name + '_residual_t'), report.rows(name + '_residual')
+    if np.any(np.diff(t) < 0):
+        order = np.argsort(t, kind='stable')
+        t, rows = t[order], rows[order]
+    return t, rows[:, :3].astype(float), rows[:, 3]
+
+
+def runs_of(mask):
+    edges = np.flatnonzero(np.diff(np.r_[0, mask.astype(int), 0]))
+    return list(zip(edges[::2], edges[1::2]))
+
+
+def stamps(report, s, stream, imu):
+    """Recorded stamps [s] in order of arrival."""
+    if stream == 'poses':
+        return report.times('s%d_poses_stamps' % s)
+    return report.times('s%d_i%d_%s_%s' % (s, imu, stream, 't' if report.head['solved'] else 'stamps'))
+
+
+# --- Figures in HTML ---
+
+def svg(figure, label):
+    """The figure as it can stand in HTML: without the parts that only a file of its own needs."""
+    out = io.StringIO()
+    figure.savefig(out, format='svg', metadata={'Date': None})
+    text = out.getvalue()
+    text = text[text.index('<svg'):]
+    text = re.sub(r'<metadata>.*?</metadata>', '', text, flags=re.S)
+    text = re.sub(r' id="[a-zA-Z0-9]+_[a-zA-Z0-9_]*\d"', '', text)
+    text = re.sub(r' xmlns:xlink="[^"]*"| xmlns="[^"]*"| xmlns:\w+="[^"]*"', '', text, count=3)
+    text = text.replace('xlink:href', 'href')
+    text = re.sub(r'<[^>]*>', lambda tag: re.sub(r'(\d\.\d\d)\d+', r'\1', tag.group()), text)
+    text = re.sub(r' d="[^"]*"', lambda path: re.sub(r'(\.\d)\d', r'\1', path.group()).replace('\n', ' '), text)
+    text = re.sub(r'\n\s*', '\n', text)
+    return text.replace('<svg', '<svg role="img" aria-label="%s"' % html.escape(label, True), 1)
+
+
+def draw(task):
+    """A figure as SVG; nothing when there is nothing to draw. `task`: report, title, function, its arguments."""
+    report, title, function, arguments = task
+    figure = function(report, *arguments)
+    return figure and svg(figure, title)

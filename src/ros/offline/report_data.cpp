@@ -1,0 +1,168 @@
+#include "imu_pose_calib/ros/offline/report_data.h"
+
+#include <yaml-cpp/yaml.h>
+
+#include <cstdint>
+#include <optional>
+
+#include "imu_pose_calib/core/preparation.h"
+#include "imu_pose_calib/core/stamp_recovery.h"
+#include "imu_pose_calib/ros/io/numpy_table.h"
+#include "imu_pose_calib/ros/io/printable.h"
+#include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/io/ros_options.h"
+#include "imu_pose_calib/ros/offline/report_series.h"
+#include "imu_pose_calib/ros/offline/summary.h"
+#include "imu_pose_calib/ros/offline/summary_text.h"
+
+namespace imu_pose_calib {
+namespace {
+
+YAML::Node Describe(const char* role,
+                    size_t imu,
+                    const std::string& topic,
+                    const StreamCheck& check,
+                    const StreamReport& report,
+                    const std::optional<Latency>& latency) {
+  YAML::Node node;
+  node["role"] = role;
+  node["imu"] = imu;
+  node["topic"] = topic;
+  node["count"] = check.count;
+  node["used"] = report.used;
+  node["rate_hz"] = YamlValue(check.rate_hz);
+  node["jitter_s"] = YamlValue(check.jitter_s);
+  node["longest_gap_s"] = YamlValue(check.longest_gap_s);
+  node["missing"] = YamlValue(check.missing);
+  node["repeated"] = YamlValue(check.repeated);
+  node["bunched"] = YamlValue(check.bunched);
+  node["recovered"] = check.stamps.recovered;
+  const std::string dropped = Dropped(report);
+  node["dropped"] = dropped.empty() ? "" : dropped.substr(std::string("; dropped ").size());
+  if (latency) node["latency"] = YamlList(Eigen::Vector2d(latency->median_s, latency->spread_s));
+  return node;
+}
+
+template <typename Sample>
+int64_t FirstStamp(const std::vector<Sample>& samples) {
+  return samples.empty() ? 0 : samples.front().t_ns;
+}
+
+/// Stamps in order of arrival; `time` gives their place.
+template <typename Sample, typename Time>
+void WriteStamps(const std::string& file, const std::vector<Sample>& samples, Time time) {
+  NumpyTable<double> table(1);
+  for (const Sample& sample : samples) table.AddRow(time(sample.t_ns));
+  table.Write(file);
+}
+
+/// Recorded signals on their own clocks, for data that were not solved.
+void WriteRecorded(const CalibrationOptions& options,
+                   const SessionData& session,
+                   const std::string& prefix) {
+  const auto since_first = [](const auto& samples) {
+    return [first = FirstStamp(samples)](int64_t t_ns) {
+      return 1e-9 * static_cast<double>(t_ns - first);
+    };
+  };
+  WriteStamps(prefix + "_poses_stamps.npy", session.poses, since_first(session.poses));
+  NumpyTable<float> poses(7);
+  for (const PoseSample& sample : session.poses) {
+    const PoseSample pose = ToMarkerPose(options, sample);
+    poses.AddRow(pose.p_WM, pose.q_WM.coeffs());
+  }
+  poses.Write(prefix + "_poses.npy");
+  for (size_t i = 0; i < session.imus.size(); ++i) {
+    const auto write = [&](const char* sensor, const std::vector<ImuSample>& samples, double unit) {
+      const std::string file = prefix + "_i" + std::to_string(i) + "_" + sensor;
+      WriteStamps(file + "_stamps.npy", samples, since_first(samples));
+      NumpyTable<float> values(3);
+      for (const ImuSample& sample : samples) values.AddRow(Eigen::Vector3d(unit * sample.value));
+      values.Write(file + ".npy");
+    };
+    write("gyro", session.imus[i].gyro, options.gyro_unit);
+    write("accel", session.imus[i].accel, options.accel_unit);
+  }
+}
+
+YAML::Node Streams(const DataCheck& check, const RecordingInfo& info) {
+  YAML::Node streams(YAML::NodeType::Sequence);
+  streams.push_back(
+      Describe("poses", 0, info.pose_topic, check.poses, check.poses_report, info.pose_latency));
+  for (size_t i = 0; i < check.imus.size(); ++i) {
+    const ImuCheck& imu = check.imus[i];
+    if (imu.gyro.count == 0) continue;
+    const ImuInfo& source = info.imus[i];
+    streams.push_back(
+        Describe("gyro", i, source.GyroSource(), imu.gyro, imu.gyro_report, source.gyro_latency));
+    streams.push_back(Describe(
+        "accel", i, source.AccelSource(), imu.accel, imu.accel_report, source.accel_latency));
+  }
+  return streams;
+}
+
+/// The check of a session that was solved: its streams as recorded, and what the solve used.
+DataCheck CheckSolved(const CalibrationOptions& options,
+                      const SessionData& recorded,
+                      const SessionCalibration& solved) {
+  SessionData session = recorded;
+  const SessionStamps stamps = RecoverStamps(options.recover_stamps, &session);
+  DataCheck check = CheckStreams(recorded, session, stamps);
+  check.poses_report = solved.poses;
+  for (size_t i = 0; i < solved.imus.size(); ++i) {
+    check.imus[i].gyro_report = solved.imus[i].gyro;
+    check.imus[i].accel_report = solved.imus[i].accel;
+  }
+  return check;
+}
+
+YAML::Node WriteSession(const ReportInput& input, size_t s, const std::string& folder) {
+  const SessionData& recorded = input.sessions[s];
+  const RecordingInfo info = WithPrintableNames(input.infos[s]);
+  const std::string prefix = folder + "/s" + std::to_string(s);
+  const bool is_solved = input.result.solution != nullptr;
+  const DataCheck check = is_solved ? CheckSolved(input.options, recorded, input.result.sessions[s])
+                                    : CheckData(input.options, recorded);
+  YAML::Node node;
+  node["source"] = info.Source();
+  node["marker_frame"] = info.marker_frame;
+  node["streams"] = Streams(check, info);
+  node["imus"] = YAML::Node(YAML::NodeType::Sequence);
+  for (size_t i = 0; i < recorded.imus.size(); ++i)
+    if (!recorded.imus[i].IsEmpty()) node["imus"].push_back(i);
+  if (!is_solved) {
+    node["message"] = Printable(check.message);
+    for (const std::string& warning : check.warnings) node["warnings"].push_back(warning);
+    if (!check.turns_M.isZero(0.0)) {
+      node["excitation"]["turns"] = YamlList(check.turns_M);
+      node["excitation"]["moves"] = YamlList(check.moves_W);
+    }
+    WriteRecorded(input.options, recorded, prefix);
+    return node;
+  }
+  WriteSolvedSession(input, s, prefix, &node);
+  return node;
+}
+
+}  // namespace
+
+void WriteReportData(const ReportInput& input, const std::string& folder) {
+  YAML::Node report;
+  report["version"] = kVersion;
+  const bool is_solved = input.result.solution != nullptr;
+  report["status"] = input.refusal.empty() ? ToString(input.result.status) : "refused";
+  report["message"] = Printable(input.refusal.empty() ? input.result.message : input.refusal);
+  report["solved"] = is_solved;
+  report["options"] = YAML::Load(ToYaml(input.options));
+  report["sessions"] = YAML::Node(YAML::NodeType::Sequence);
+  for (size_t s = 0; s < input.sessions.size(); ++s)
+    report["sessions"].push_back(WriteSession(input, s, folder));
+  YAML::Emitter out;
+  out << report;
+  WriteFile(folder + "/report.yaml", out.c_str());
+  if (!is_solved) return;
+  WriteFile(folder + "/result.yaml", ToYaml(input.result, input.infos, input.options));
+  WriteFile(folder + "/summary.txt", Summary(input.result, input.infos));
+}
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,324 @@
+// The report: the numbers that are drawn, and the page as a user opens it.
+
+#include <yaml-cpp/yaml.h>
+
+#include <cstring>
+#include <regex>
+
+#include "imu_pose_calib/core/calibrator.h"
+#include "imu_pose_calib/core/information_growth.h"
+#include "imu_pose_calib/ros/io/bag_writer.h"
+#include "imu_pose_calib/ros/io/numpy_table.h"
+#include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/offline/report_data.h"
+#include "imu_pose_calib/ros/offline/summary.h"
+#include "run_executable.h"
+
+namespace imu_pose_calib {
+namespace {
+
+/// A NumPy file as https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html has it.
+std::vector<std::vector<double>> ReadNumpy(const std::string& path) {
+  const std::string text = ReadText(path);
+  EXPECT_EQ(text.compare(0, 8, std::string("\x93NUMPY\x01\x00", 8)), 0) << path;
+  const size_t size =
+      static_cast<unsigned char>(text[8]) + 256u * static_cast<unsigned char>(text[9]);
+  EXPECT_EQ((10 + size) % 64, 0u) << path;
+  const std::string header = text.substr(10, size);
+  EXPECT_EQ(header.back(), '\n');
+  std::smatch found;
+  if (!std::regex_search(header,
+                         found,
+                         std::regex(R"(\{'descr': '<f([48])', 'fortran_order': False, )"
+                                    R"('shape': \((\d+), (\d+)\), \} *\n)"))) {
+    ADD_FAILURE() << header;
+    return {};
+  }
+  const size_t bytes = std::stoul(found[1]), rows = std::stoul(found[2]),
+               columns = std::stoul(found[3]);
+  EXPECT_EQ(text.size(), 10 + size + rows * columns * bytes) << path;
+  std::vector<std::vector<double>> table(rows, std::vector<double>(columns));
+  const char* next = text.data() + 10 + size;
+  for (auto& row : table)
+    for (double& value : row) {
+      float single = 0.0f;
+      if (bytes == 8) std::memcpy(&value, next, 8);
+      if (bytes == 4) std::memcpy(&single, next, 4);
+      if (bytes == 4) value = single;
+      next += bytes;
+    }
+  return table;
+}
+
+Eigen::Vector3d VectorAt(const std::vector<double>& row, size_t column) {
+  return {row[column], row[column + 1], row[column + 2]};
+}
+
+class ReportTest : public ExecutableTest {
+ protected:
+  static SimulatorOptions Handheld() {
+    SimulatorOptions options;
+    options.duration_s = 12.0;
+    return options;
+  }
+  /// The ids of headings and tables of a page.
+  static bool HasSection(const std::string& page, const std::string& id) {
+    return Contains(page, "id=\"" + id + "\"");
+  }
+  /// Works without a network and without scripts.
+  static void ExpectSelfContained(const std::string& page) {
+    EXPECT_FALSE(std::regex_search(page, std::regex(R"((src|href)\s*=\s*["'](?!#))")));
+    EXPECT_FALSE(
+        std::regex_search(page, std::regex(R"(url\((?!#)|@import|<script|<link|<iframe)")));
+    EXPECT_FALSE(std::regex_search(page, std::regex(R"(\son[a-z]+\s*=|http[s]?://)")));
+  }
+};
+
+TEST_F(ReportTest, NumpyReadsTheTables) {
+  NumpyTable<double> table(4);
+  table.AddRow(1.0 / 3.0, Eigen::Vector3d(1, -2, 3e300));
+  table.AddRow(-0.5, Eigen::Vector3d(4, 5, 6));
+  table.Write(Path("x.npy"));
+  EXPECT_EQ(ReadNumpy(Path("x.npy")),
+            (std::vector<std::vector<double>>{{1.0 / 3.0, 1, -2, 3e300}, {-0.5, 4, 5, 6}}));
+  NumpyTable<float> singles(1);
+  singles.Write(Path("y.npy"));
+  EXPECT_TRUE(ReadNumpy(Path("y.npy")).empty());
+}
+
+/// Measured samples are predicted from the trajectory to their noise, and that is what the
+/// residuals of the solve are.
+TEST_F(ReportTest, MeasuredLessPredictedAreTheResiduals) {
+  SimulatorOptions truth = Handheld();
+  truth.time_shift_s = -1000.5;
+  truth.accel_delay_s = 0.004;
+  const std::vector<SessionData> sessions = {Simulate(truth)};
+  const CalibrationOptions options;
+  const Calibration result = imu_pose_calib::Calibrate(options, sessions);
+  ASSERT_TRUE(result.IsUsable()) << result.message;
+  WriteReportData({options, sessions, std::vector<RecordingInfo>(1), result, ""}, dir_.string());
+
+  const auto zoom = ReadNumpy(Path("s0_i0_zoom.npy"));
+  ASSERT_EQ(zoom.size(), 501u);
+  for (const auto& [sensor, column, sigma] :
+       {std::tuple("gyro", 1, truth.gyro_std), std::tuple("accel", 4, truth.accel_std)}) {
+    SCOPED_TRACE(sensor);
+    const std::string file = std::string("s0_i0_") + sensor;
+    const auto t = ReadNumpy(Path(file + "_t.npy")), values = ReadNumpy(Path(file + ".npy"));
+    const auto used = ReadNumpy(Path(file + "_residual_t.npy"));
+    const auto residuals = ReadNumpy(Path(file + "_residual.npy"));
+    ASSERT_EQ(t.size(), sessions[0].imus[0].gyro.size());
+    ASSERT_EQ(used.size(), residuals.size());
+    double sum2 = 0.0, count = 0.0;
+    for (size_t i = 0, k = 0; i < t.size(); ++i) {
+      const double place = (t[i][0] - zoom[0][0]) / (zoom[1][0] - zoom[0][0]);
+      if (place < 0.0 || place >= 500.0) continue;
+      const auto before = static_cast<size_t>(place);
+      const double u = place - static_cast<double>(before);
+      const Eigen::Vector3d predicted =
+          (1.0 - u) * VectorAt(zoom[before], static_cast<size_t>(column)) +
+          u * VectorAt(zoom[before + 1], static_cast<size_t>(column));
+      const Eigen::Vector3d rest = VectorAt(values[i], 0) - predicted;
+      while (k < used.size() && used[k][0] < t[i][0] - 1e-4) ++k;
+      ASSERT_LT(k, used.size());
+      EXPECT_NEAR(used[k][0], t[i][0], 1e-5);
+      EXPECT_LT((VectorAt(residuals[k], 0) - rest).norm(), 0.3 * sigma) << t[i][0];
+      sum2 += rest.squaredNorm() / (sigma * sigma);
+      count += 3.0;
+    }
+    EXPECT_GT(count, 590.0);
+    EXPECT_NEAR(std::sqrt(sum2 / count), 1.0, 0.15);
+  }
+
+  const YAML::Node report = YAML::LoadFile(Path("report.yaml"));
+  EXPECT_EQ(report["status"].as<std::string>(), "ok");
+  EXPECT_EQ(report["sessions"][0]["streams"][1]["count"].as<size_t>(),
+            sessions[0].imus[0].gyro.size());
+  EXPECT_NEAR(report["sessions"][0]["sensors"][2]["rms"].as<double>(), truth.gyro_std, 1e-3);
+  EXPECT_EQ(YAML::LoadFile(Path("result.yaml"))["time_shift"].as<double>(),
+            result.sessions[0].imus[0].time_shift);
+}
+
+TEST_F(ReportTest, SigmasShrinkToThoseOfTheResult) {
+  const std::vector<SessionData> sessions = {Simulate(Handheld())};
+  const Calibration result = imu_pose_calib::Calibrate({}, sessions);
+  const SessionTrajectory trajectory(result.solution, 0);
+  const InformationGrowth growth = GrowInformation(result, 0, 0, trajectory, 1.0, 11.0);
+  ASSERT_EQ(growth.share.back(), 1.0);
+  const Vector6d std_dev = result.imus[0].Std();
+  EXPECT_LT((growth.std.back().head<6>() - std_dev).norm(), 1e-9 * std_dev.norm());
+  for (size_t k = 1; k < growth.std.size(); ++k)
+    EXPECT_LE((growth.std[k] - growth.std[k - 1]).maxCoeff(), 1e-12) << k;
+  // Of an even motion, four times the data tell twice as exactly, roughly.
+  const double ratio = growth.std[growth.std.size() / 4 - 1][0] / std_dev[0];
+  EXPECT_GT(ratio, 1.4);
+  EXPECT_LT(ratio, 4.0);
+}
+
+TEST_F(ReportTest, DrawsEverythingIntoOnePage) {
+  WriteBag(Path("x.bag"), Simulate(Handheld()), {});
+  const Outcome outcome = Calibrate("x.bag --report r.html");
+  ASSERT_EQ(outcome.status, 0) << outcome.err;
+  EXPECT_EQ(outcome.err, "");  // no progress: no terminal
+  EXPECT_TRUE(Contains(outcome.out, "\nWritten to x.calibration.yaml\n           r.html\n"))
+      << outcome.out;
+  const std::string page = ReadText(Path("r.html"));
+  EXPECT_EQ(page.compare(0, 15, "<!DOCTYPE html>"), 0);
+  for (const char* id : {"verdict",
+                         "table",
+                         "warnings",
+                         "streams",
+                         "signals",
+                         "residuals",
+                         "distributions",
+                         "spectra",
+                         "time_shift",
+                         "stamps",
+                         "biases",
+                         "growth",
+                         "lever_arm",
+                         "excitation",
+                         "trajectory",
+                         "summary",
+                         "settings"})
+    EXPECT_TRUE(HasSection(page, id)) << id;
+  const std::regex figure("<svg ");
+  EXPECT_EQ(
+      std::distance(std::sregex_iterator(page.begin(), page.end(), figure), std::sregex_iterator()),
+      11);
+  EXPECT_TRUE(Contains(page, "x_marker = R x_imu + p"));
+  EXPECT_TRUE(Contains(page, "robust_loss_scale: 5.0"));
+  EXPECT_TRUE(Contains(page, std::string("imu_pose_calib ") + kVersion));
+  ExpectSelfContained(page);
+  EXPECT_LT(page.size(), 2'000'000u);
+}
+
+TEST_F(ReportTest, DrawsSeveralSessionsAndWritesPdf) {
+  SimulatorOptions second = Handheld();
+  second.seed = 9;
+  WriteBag(Path("x.bag"), Simulate(Handheld()), {});
+  WriteBag(Path("y.bag"), Simulate(second), {});
+  Outcome outcome = Calibrate("x.bag y.bag --report r.html --quiet");
+  ASSERT_EQ(outcome.status, 0) << outcome.err;
+  EXPECT_EQ(outcome.out, "");
+  const std::string page = ReadText(Path("r.html"));
+  EXPECT_TRUE(HasSection(page, "signals"));
+  EXPECT_TRUE(HasSection(page, "signals-2"));
+  EXPECT_TRUE(Contains(page, "what each session says alone"));
+  ExpectSelfContained(page);
+
+  outcome = Calibrate("x.bag --method gp --report r.pdf --quiet");
+  ASSERT_EQ(outcome.status, 0) << outcome.err;
+  EXPECT_EQ(ReadText(Path("r.pdf")).compare(0, 5, "%PDF-"), 0);
+}
+
+TEST_F(ReportTest, ShowsWhyARecordingIsRefused) {
+  SimulatorOptions planar = Handheld();
+  planar.motion = Motion::kPlanar;
+  WriteBag(Path("x.bag"), Simulate(planar), {});
+  Write("r.html", "an older file");
+  ExpectFailure("x.bag --report r.html", 2, {"turns about one axis only"});
+  std::string page = ReadText(Path("r.html"));
+  for (const char* id : {"verdict", "streams", "recorded", "stamps", "excitation", "settings"})
+    EXPECT_TRUE(HasSection(page, id)) << id;
+  EXPECT_FALSE(HasSection(page, "table"));
+  EXPECT_TRUE(Contains(page, "<b>REFUSED</b> the marker turns about one axis only, marker z"));
+  ExpectSelfContained(page);
+
+  // Refused after the solve: the figures of the solve are there, and no result.
+  WriteBag(Path("y.bag"), Simulate(Handheld()), {});
+  Write("c.yaml", "weak_translation_std: 1.0e-7\n");
+  const Outcome outcome = Calibrate("y.bag --config c.yaml --report r.html");
+  EXPECT_EQ(outcome.status, 2);
+  EXPECT_FALSE(std::filesystem::exists(Path("y.calibration.yaml")));
+  page = ReadText(Path("r.html"));
+  EXPECT_TRUE(Contains(page, "<b>REFUSED</b>"));
+  EXPECT_TRUE(HasSection(page, "residuals"));
+  EXPECT_TRUE(Contains(page, "are not to be used"));
+
+  // Nothing is left that could be taken for the report of data that cannot even be read.
+  EXPECT_EQ(Calibrate("missing.bag --report r.html").status, 1);
+  EXPECT_FALSE(std::filesystem::exists(Path("r.html")));
+}
+
+TEST_F(ReportTest, ResultIsKeptWhenThereCanBeNoReport) {
+  WriteBag(Path("x.bag"), Simulate(Handheld()), {});
+  const Outcome outcome = Calibrate("x.bag --report no/such/r.html");
+  EXPECT_EQ(outcome.status, 1);
+  EXPECT_EQ(outcome.err,
+            "calibrate_bag: error: no report: output 'no/such/r.html' cannot be written: No such "
+            "file or directory; the result is in 'x.calibration.yaml'\n");
+  EXPECT_TRUE(std::filesystem::exists(Path("x.calibration.yaml")));
+
+  std::filesystem::remove(Path("x.calibration.yaml"));
+  ExpectFailure("x.bag --report r.txt", 1, {"report 'r.txt' must end in .html or .pdf"});
+  ExpectFailure("x.bag --output r.html --report r.html", 1, {"report and output are both"});
+  Write("c.html", "knot_spacing_s: 0.03\n");
+  ExpectFailure(
+      "x.bag --config c.html --report c.html", 1, {"report 'c.html' would replace the config"});
+}
+
+/// Without a Python that has matplotlib: PYTHONPATH holds one that cannot be imported.
+TEST_F(ReportTest, SaysThatMatplotlibIsMissing) {
+  std::filesystem::create_directory(Path("matplotlib"));
+  Write("matplotlib/__init__.py", "raise ImportError('No module named matplotlib')\n");
+  WriteBag(Path("x.bag"), Simulate(Handheld()), {});
+  ASSERT_EQ(setenv("PYTHONPATH", dir_.c_str(), 1), 0);
+  const Outcome outcome = Calibrate("x.bag --report r.html --quiet");
+  unsetenv("PYTHONPATH");
+  EXPECT_EQ(outcome.status, 1);
+  EXPECT_TRUE(Contains(outcome.err, "No module named matplotlib: apt install python3-matplotlib"))
+      << outcome.err;
+  EXPECT_EQ(std::count(outcome.err.begin(), outcome.err.end(), '\n'), 1) << outcome.err;
+  EXPECT_TRUE(std::filesystem::exists(Path("x.calibration.yaml")));
+}
+
+/// `script` of util-linux gives the command a terminal.
+TEST_F(ReportTest, TellsOfItsStagesOnATerminal) {
+  WriteBag(Path("x.bag"), Simulate(Handheld()), {});
+  const auto run = [&](const std::string& options) {
+    const std::string command = "cd '" + dir_.string() + "' && script -qec \"" +
+                                IMU_POSE_CALIB_BIN_DIR + "/calibrate_bag x.bag " + options +
+                                " > out.txt\" tty.txt > /dev/null";
+    EXPECT_EQ(std::system(command.c_str()), 0);
+    return ReadText(Path("tty.txt"));
+  };
+  const std::string lines = run("--report r.html");
+  for (const char* stage : {"recording  ", "data and start  ", "knot spacing  ", "report  "})
+    EXPECT_TRUE(Contains(lines, stage)) << stage << "\n" << lines;
+  EXPECT_TRUE(std::regex_search(
+      lines, std::regex(R"(trajectory and calibration +\d+\.\d s  \d+ iterations)")))
+      << lines;
+  EXPECT_EQ(ReadText(Path("out.txt")).compare(0, 4, "OK: "), 0);
+  EXPECT_FALSE(Contains(run("--quiet"), "recording  "));
+}
+
+TEST(Progress, ListsWhatWasWritten) {
+  EXPECT_EQ(WrittenTo({"a.yaml", "b\x1b.html"}), "\nWritten to a.yaml\n           b\\x1b.html\n");
+  EXPECT_EQ(WrittenTo({}), "");
+}
+
+TEST(Progress, TellsOfEveryStageFromBeginningToEnd) {
+  std::vector<std::string> stages;
+  SimulatorOptions truth;
+  truth.duration_s = 12.0;
+  const Calibration result = Calibrate(
+      {}, {Simulate(truth)}, [&](const std::string& stage, std::optional<int> iterations) {
+        stages.push_back((iterations ? "end " : "begin ") + stage);
+        if (stage == "trajectory and calibration") {
+          EXPECT_NE(iterations, std::optional<int>(0));
+        }
+      });
+  EXPECT_EQ(stages,
+            (std::vector<std::string>{"begin data and start",
+                                      "end data and start",
+                                      "begin knot spacing",
+                                      "end knot spacing",
+                                      "begin trajectory and calibration",
+                                      "end trajectory and calibration",
+                                      "begin sigmas and verdict",
+                                      "end sigmas and verdict"}));
+}
+
+}  // namespace
+}  // namespace imu_pose_calib
