@@ -29,6 +29,7 @@ inline Calibration ExampleResult(ImuModel model, size_t imus) {
     if (model == ImuModel::kScaleMisalignment) {
       imu.gyro_matrix << 1.01, 0.0, 0.0, -0.004, 0.99, 0.0, 0.006, 0.003, 1.02;
       imu.accel_matrix << 0.98, 0.01, -0.02, 0.005, 1.03, 0.015, -0.008, 0.012, 0.995;
+      imu.accel_positions << 1e-3, 2e-3, -3e-3, 4e-3, 5e-3, 6e-3, -7e-3, 8e-3, 9e-3;
     }
     ImuSession& clock = session.imus[i];
     clock.is_present = true;

@@ -40,6 +40,7 @@ TEST(StoredResult, HoldsWhatWasWritten) {
       EXPECT_EQ(read.accel_delay_std, imu.accel_delay_std);
       EXPECT_EQ(read.gyro_matrix, imu.gyro_matrix);
       EXPECT_EQ(read.accel_matrix, imu.accel_matrix);
+      EXPECT_EQ(read.accel_positions, imu.accel_positions);
       ExpectSame(stored.Clock(i), written.sessions[0].imus[i]);
       EXPECT_EQ(stored.Info(i).imu_topic, "/imu" + std::to_string(i));
       EXPECT_EQ(stored.Info(i).imu_frame, "imu_" + std::to_string(i) + "_link");

@@ -101,6 +101,16 @@ TEST(Summary, SaysWhichSideIsSmoothed) {
   EXPECT_FALSE(Contains(Summary(result, {MakeInfo()}), "smoothed"));
 }
 
+TEST(Summary, SaysWhereTheAxesOfTheAccelerometerAre) {
+  Calibration result = MakeResult();
+  EXPECT_FALSE(Contains(Summary(result, {MakeInfo()}), "Size effect"));
+  result.imus[0].accel_positions(0, 1) = 1.25e-3;  // x of the axis y
+  result.imus[0].accel_positions_std.setConstant(1e-4);
+  const std::string text = Summary(result, {MakeInfo()});
+  EXPECT_TRUE(Contains(text, "Size effect")) << text;
+  EXPECT_TRUE(Contains(text, "  0.00125,   0.00000,   0.00000] +- [0.00010")) << text;
+}
+
 TEST(Summary, SaysWhatIsKnownOfThePositions) {
   Calibration result = MakeResult();
   EXPECT_FALSE(Contains(Summary(result, {MakeInfo()}), "averages"));

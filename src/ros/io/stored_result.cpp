@@ -104,6 +104,9 @@ ImuCalibration ReadImu(const Section& section, const Section& intrinsics) {
   imu.accel_delay_std = Number(section, "accel_delay_std");
   ReadMatrix(intrinsics, "gyro_matrix", &imu.gyro_matrix);
   ReadMatrix(intrinsics, "accel_matrix", &imu.accel_matrix);
+  Eigen::Matrix3d places;  // rows
+  ReadMatrix(intrinsics, "accel_positions", &places);
+  imu.accel_positions = places.transpose();
   return imu;
 }
 

@@ -249,10 +249,17 @@ std::string Imu(const Calibration& result) {
           " rad/s in the imu frame\n";
   text += "  accel bias = " + Vector(result.sessions[0].imus[0].accel_bias, "%.5f") +
           " m/s^2 in the imu frame\n";
-  if (result.imu_model == ImuModel::kCalibrated) return text;
-  text += "\nScale and misalignment: measured = M true + bias\n";
-  text += Matrix("gyro M =", result.imus[0].gyro_matrix, result.imus[0].gyro_matrix_std);
-  text += Matrix("accel M =", result.imus[0].accel_matrix, result.imus[0].accel_matrix_std);
+  const ImuCalibration& imu = result.imus[0];
+  if (result.imu_model != ImuModel::kCalibrated) {
+    text += "\nScale and misalignment: measured = M true + bias\n";
+    text += Matrix("gyro M =", imu.gyro_matrix, imu.gyro_matrix_std);
+    text += Matrix("accel M =", imu.accel_matrix, imu.accel_matrix_std);
+  }
+  if (!imu.accel_positions_std.isZero(0.0)) {
+    text += "\nSize effect: places of the accelerometer's axes in the imu frame [m]\n";
+    text += Matrix(
+        "axes x,y,z =", imu.accel_positions.transpose(), imu.accel_positions_std.transpose());
+  }
   return text;
 }
 
