@@ -47,9 +47,9 @@ void VisitFields(Options&& options, Visitor&& visit) {
   IMU_POSE_CALIB_VISIT(estimate_pose_smoothing);
   IMU_POSE_CALIB_VISIT(estimate_pose_scale);
   IMU_POSE_CALIB_VISIT(estimate_accel_smoothing);
-  IMU_POSE_CALIB_VISIT(estimate_size_effect);
   IMU_POSE_CALIB_VISIT(estimate_clock_drift);
   IMU_POSE_CALIB_VISIT(imu_model);
+  IMU_POSE_CALIB_VISIT(estimate_size_effect);
   IMU_POSE_CALIB_VISIT(gravity_magnitude);
   IMU_POSE_CALIB_VISIT(knot_spacing_s);
   IMU_POSE_CALIB_VISIT(robust_loss_scale);
