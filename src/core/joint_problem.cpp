@@ -289,7 +289,7 @@ void SessionBuilder::AddAccel(size_t imu) {
   const auto [motions, clocks] = Split(Clocks(&imu, true));
   ImuEstimate& rig = joint_->estimate->imus[imu];
   BiasKnots& knots = estimate_.imus[imu].accel_bias;
-  const Eigen::Matrix3d R_axes = rig.q_MI.toRotationMatrix();
+  const Eigen::Matrix3d R_MA = rig.q_MI.toRotationMatrix();
   const auto create = [&, &motions = motions, &clocks = clocks](
                           const std::vector<JointImuSample>& batch,
                           const std::vector<MarkerJerk>& jerks,
@@ -310,7 +310,7 @@ void SessionBuilder::AddAccel(size_t imu) {
                    rig.accel_positions.data()});
     blocks.insert(blocks.end(), clocks.begin(), clocks.end());
     return joint_->problem.AddResidualBlock(
-        CreateJointAccelResidual(batch, jerks, R_axes, motions), nullptr, blocks);
+        CreateJointAccelResidual(batch, jerks, R_MA, motions), nullptr, blocks);
   };
   AddImu(
       imu, Quantity::kAccel, prepared_.data.imus[imu].accel, rig.accel_delay, true, knots, create);

@@ -320,10 +320,10 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
  public:
   JointAccelResidual(const std::vector<JointImuSample>& samples,
                      const std::vector<MarkerJerk>& jerks,
-                     const Matrix3d& R_axes,
+                     const Matrix3d& R_MA,
                      const ClockMotions& clocks)
       : BatchResidual(samples, {4, 3, 3, 9, 3, 3, 1, 1, 6}, 2, clocks),
-        R_axes_(R_axes),
+        R_MA_(R_MA),
         jerks_(jerks) {}
 
  protected:
@@ -354,7 +354,7 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
     const Matrix3d R_IM = q_MI.conjugate().toRotationMatrix();
     const Matrix3d W = Hat(x.omega);
     const Matrix3d K = Hat(x.alpha) + W * W;  // acceleration by the lever arm
-    const Matrix3d arms = R_axes_ * AccelPositions(Eigen::Map<const Vector6d>(blocks[n + 8]));
+    const Matrix3d arms = R_MA_ * AccelPositions(Eigen::Map<const Vector6d>(blocks[n + 8]));
     const bool have_arms = !arms.isZero(0.0);
     Vector3d f_I = R_IM * f_M;
     if (have_arms) f_I += (R_IM * K).cwiseProduct(arms.transpose()).rowwise().sum();
@@ -411,7 +411,7 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
     SetClockRows(s, i, r_gp, r_spline, jacobians);
     if (jacobians[n + 8] != nullptr) {
       // Row: axis; column: component of its place in I.
-      const Matrix3d f_r = R_IM * K * R_axes_;
+      const Matrix3d f_r = R_IM * K * R_MA_;
       Eigen::Matrix<double, 3, 6> f_places = Eigen::Matrix<double, 3, 6>::Zero();
       for (int axis = 0; axis < 3; ++axis) {
         for (int k = 0; k < 6; ++k)
@@ -423,7 +423,7 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
   }
 
  private:
-  const Matrix3d R_axes_;
+  const Matrix3d R_MA_;
   const std::vector<MarkerJerk> jerks_;
 };
 
@@ -446,9 +446,9 @@ ceres::CostFunction* CreateJointGyroResidual(const std::vector<JointImuSample>& 
 
 ceres::CostFunction* CreateJointAccelResidual(const std::vector<JointImuSample>& samples,
                                               const std::vector<MarkerJerk>& jerks,
-                                              const Eigen::Matrix3d& R_axes,
+                                              const Eigen::Matrix3d& R_MA,
                                               const ClockMotions& clocks) {
-  return new JointAccelResidual(samples, jerks, R_axes, clocks);
+  return new JointAccelResidual(samples, jerks, R_MA, clocks);
 }
 
 }  // namespace imu_pose_calib

@@ -342,7 +342,7 @@ class JointResiduals : public ::testing::Test {
   double pose_scale_ = 1.03;
   /// More than any IMU has.
   Vector6d accel_positions_ = (Vector6d() << 0.05, -0.03, 0.02, 0.04, -0.05, 0.03).finished();
-  Eigen::Matrix3d R_axes_ = Exp<double>(Vector3d(0.2, -1.3, 0.9)).toRotationMatrix();
+  Eigen::Matrix3d R_MA_ = Exp<double>(Vector3d(0.2, -1.3, 0.9)).toRotationMatrix();
 };
 
 TEST_F(JointResiduals, PositionJacobian) {
@@ -380,16 +380,15 @@ TEST_F(JointResiduals, JacobianOfAnotherGyro) {
 }
 
 TEST_F(JointResiduals, AccelJacobian) {
-  ExpectJacobiansMatch(CreateJointAccelResidual(Imu(), Jerks(), R_axes_, Motions({})),
+  ExpectJacobiansMatch(CreateJointAccelResidual(Imu(), Jerks(), R_MA_, Motions({})),
                        AccelBlocks({}),
                        2 * kSplineOrder);
 }
 
 TEST_F(JointResiduals, JacobianOfAnotherAccel) {
-  ExpectJacobiansMatch(
-      CreateJointAccelResidual(Imu(), Jerks(), R_axes_, Motions(OtherAccelClocks())),
-      AccelBlocks(OtherAccelClocks()),
-      2 * kSplineOrder);
+  ExpectJacobiansMatch(CreateJointAccelResidual(Imu(), Jerks(), R_MA_, Motions(OtherAccelClocks())),
+                       AccelBlocks(OtherAccelClocks()),
+                       2 * kSplineOrder);
 }
 
 TEST_F(JointResiduals, JacobianOfAnotherAccelThatHasMoved) {
@@ -398,7 +397,7 @@ TEST_F(JointResiduals, JacobianOfAnotherAccelThatHasMoved) {
   const std::vector<JointImuSample> samples = Imu();
   const std::vector<MarkerJerk> jerks = Jerks();
   const auto create = [&] {
-    return CreateJointAccelResidual(samples, jerks, R_axes_, Motions(OtherAccelClocks()));
+    return CreateJointAccelResidual(samples, jerks, R_MA_, Motions(OtherAccelClocks()));
   };
   const size_t first_clock = blocks.size() - OtherAccelClocks().size();
   const auto errors = [&](double scale) {
@@ -498,7 +497,7 @@ TEST_F(JointResiduals, MovedRatesAreThoseFurtherAlongTheTrajectory) {
 
 TEST_F(JointResiduals, MovedForcesAreThoseFurtherAlongTheTrajectory) {
   const auto create = [&](const auto& samples, const auto& jerks, const ClockMotions& clocks) {
-    return CreateJointAccelResidual(samples, jerks, R_axes_, clocks);
+    return CreateJointAccelResidual(samples, jerks, R_MA_, clocks);
   };
   ExpectImuOrder(
       OtherAccelClocks(),
@@ -529,7 +528,7 @@ TEST_F(JointResiduals, VanishWhereTheCorrectedTrajectoryIsMeasured) {
   pose_scale_ = 1.0;
   Vector3d f_I;
   for (int axis = 0; axis < 3; ++axis) {
-    const Vector3d p_M = p_MI_ + R_axes_ * AccelPositions(accel_positions_).col(axis);
+    const Vector3d p_M = p_MI_ + R_MA_ * AccelPositions(accel_positions_).col(axis);
     f_I[axis] = (q_MI_.conjugate() * (R_WM.transpose() * force_W(p_M)))[axis];
   }
   const Vector3d bias = 0.7 * knot_0_ + 0.3 * knot_1_;
@@ -543,9 +542,9 @@ TEST_F(JointResiduals, VanishWhereTheCorrectedTrajectoryIsMeasured) {
   const std::vector<JointImuSample> force{{at, f, 0.3, 2.4, -0.5, 1.0}};
   EXPECT_LT(residual(CreateJointGyroResidual(rate, gyro), GyroBlocks(OtherGyroClocks())), 1e-6);
   EXPECT_LT(
-      residual(CreateJointAccelResidual(force, {JerkAt(t)}, R_axes_, Motions({})), AccelBlocks({})),
+      residual(CreateJointAccelResidual(force, {JerkAt(t)}, R_MA_, Motions({})), AccelBlocks({})),
       1e-4);
-  EXPECT_LT(residual(CreateJointAccelResidual(force, {JerkAt(t)}, R_axes_, accel),
+  EXPECT_LT(residual(CreateJointAccelResidual(force, {JerkAt(t)}, R_MA_, accel),
                      AccelBlocks(OtherAccelClocks())),
             1e-4);
 
@@ -606,7 +605,7 @@ TEST_F(JointResiduals, ImusThatMoveAlikeKeepTheirResiduals) {
   const std::unique_ptr<ceres::CostFunction> gyro(
       CreateJointGyroResidual(resting, Motions(OtherGyroClocks())));
   const std::unique_ptr<ceres::CostFunction> accel(
-      CreateJointAccelResidual(resting, at_rest, R_axes_, Motions(OtherAccelClocks())));
+      CreateJointAccelResidual(resting, at_rest, R_MA_, Motions(OtherAccelClocks())));
   const std::vector<double*> gyro_blocks = GyroBlocks(OtherGyroClocks());
   const std::vector<double*> accel_blocks = AccelBlocks(OtherAccelClocks());
   std::vector<double> before(6), after(6);
@@ -636,7 +635,7 @@ TEST_F(JointResiduals, FailFarBeyondTheSpan) {
       CreateJointRotationResidual(Poses(), Motions(PoseClocks())));
   EXPECT_FALSE(rotation->Evaluate(PoseBlocks(&phi_).data(), residual[0].data(), nullptr));
   const std::unique_ptr<ceres::CostFunction> accel(
-      CreateJointAccelResidual(Imu(), Jerks(), R_axes_, Motions(OtherAccelClocks())));
+      CreateJointAccelResidual(Imu(), Jerks(), R_MA_, Motions(OtherAccelClocks())));
   EXPECT_FALSE(
       accel->Evaluate(AccelBlocks(OtherAccelClocks()).data(), residual[0].data(), nullptr));
 }

@@ -81,12 +81,12 @@ struct MarkerJerk {
 
 /// r = (f - b_a - M_a R_MI^T (f_M(t) + s/2 f_M'')) / sigma, in I, s: accel_smoothing, with
 /// f_M = R_WM^T (a_W / k - g_W) + alpha_M x p + omega_M x (omega_M x p), k: pose_scale. For axis i
-/// p is p_MI + R_axes r_i with r_i of AccelPositions() and R_axes about R_MI: it does not move.
+/// p is p_MI + R_MA r_i with r_i of AccelPositions() and R_MA about R_MI: it does not move.
 /// Blocks: d | phi | q_MI (4) | p_MI (3) | g_W (3) | M_a (9, see AccelMatrix()) | knot_0 (3) |
 /// knot_1 (3) | accel_smoothing (1) | pose_scale (1) | r (6) | clocks. `jerks`: of each sample.
 ceres::CostFunction* CreateJointAccelResidual(const std::vector<JointImuSample>& samples,
                                               const std::vector<MarkerJerk>& jerks,
-                                              const Eigen::Matrix3d& R_axes,
+                                              const Eigen::Matrix3d& R_MA,
                                               const ClockMotions& clocks);
 
 }  // namespace imu_pose_calib
