@@ -13,7 +13,7 @@ absolute_paths() {
   local argument
   for argument in "$@"; do
     case $argument in
-      bag:=?* | poses:=?* | imu:=?* | gyro:=?* | accel:=?* | output:=?* | config:=?* | imu_yaml:=?*)
+      bag:=?* | poses:=?* | imu:=?* | gyro:=?* | accel:=?* | output:=?* | config:=?* | imu_yaml:=?* | trajectory:=?*)
         printf '%s:=%s\n' "${argument%%:=*}" "$(realpath -m -- "${argument#*:=}")"
         ;;
       *) printf '%s\n' "$argument" ;;

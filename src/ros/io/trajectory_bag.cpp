@@ -19,8 +19,8 @@ constexpr int64_t kPathPeriodNs = 50'000'000;
 /// Row by row, as messages have it.
 template <typename Covariance>
 void Fill(const Eigen::Matrix<double, 6, 6>& C, Covariance* covariance) {
-  for (int i = 0; i < 6; ++i)
-    for (int j = 0; j < 6; ++j) (*covariance)[static_cast<size_t>(6 * i + j)] = C(i, j);
+  using RowMajor = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>;
+  Eigen::Map<RowMajor>(covariance->data()) = C;
 }
 
 nav_msgs::Odometry ToOdometry(const std_msgs::Header& header,
