@@ -26,12 +26,12 @@ Value Scalar(double value, double std_dev) {
   return {Eigen::VectorXd::Constant(1, value), Eigen::MatrixXd::Constant(1, 1, std_dev * std_dev)};
 }
 
-Value Get(const Comparable& calibration, const Comparable& reference, Quantity quantity) {
-  if (quantity == Quantity::kTranslation)
+Value Get(const Comparable& calibration, const Comparable& reference, ComparedQuantity quantity) {
+  if (quantity == ComparedQuantity::kTranslation)
     return {calibration.T_MI.p - reference.T_MI.p, calibration.covariance.topLeftCorner<3, 3>()};
-  if (quantity == Quantity::kAccelDelay)
+  if (quantity == ComparedQuantity::kAccelDelay)
     return Scalar(calibration.accel_delay - reference.accel_delay, calibration.accel_delay_std);
-  if (quantity == Quantity::kTimeShift)
+  if (quantity == ComparedQuantity::kTimeShift)
     return Scalar(calibration.time_shift - reference.time_shift, calibration.time_shift_std);
   const Eigen::Quaterniond q = reference.T_MI.q.conjugate() * calibration.T_MI.q;
   const Eigen::Matrix3d R = q.toRotationMatrix();
@@ -41,7 +41,7 @@ Value Get(const Comparable& calibration, const Comparable& reference, Quantity q
 /// The values of all calibrations of one quantity.
 std::vector<Value> GetAll(const std::vector<Comparable>& calibrations,
                           const Comparable& reference,
-                          Quantity quantity) {
+                          ComparedQuantity quantity) {
   std::vector<Value> values;
   for (const Comparable& calibration : calibrations)
     values.push_back(Get(calibration, reference, quantity));
@@ -69,7 +69,7 @@ Value MeanOf(const std::vector<Value>& values) {
           is_weighted ? covariance : Eigen::MatrixXd(Eigen::MatrixXd::Zero(size, size))};
 }
 
-Scatter ScatterOf(const std::vector<Value>& values, Quantity quantity) {
+Scatter ScatterOf(const std::vector<Value>& values, ComparedQuantity quantity) {
   const auto count = static_cast<double>(values.size());
   const Eigen::Index size = values.front().x.size();
   const Value mean = MeanOf(values);
@@ -93,15 +93,15 @@ Scatter ScatterOf(const std::vector<Value>& values, Quantity quantity) {
 
 }  // namespace
 
-const char* ToString(Quantity quantity) {
+const char* ToString(ComparedQuantity quantity) {
   switch (quantity) {
-    case Quantity::kTranslation:
+    case ComparedQuantity::kTranslation:
       return "translation";
-    case Quantity::kRotation:
+    case ComparedQuantity::kRotation:
       return "rotation";
-    case Quantity::kAccelDelay:
+    case ComparedQuantity::kAccelDelay:
       return "accel delay";
-    case Quantity::kTimeShift:
+    case ComparedQuantity::kTimeShift:
       return "time shift";
   }
   return "";
@@ -116,11 +116,11 @@ const Difference* Comparison::Worst() const {
 
 Comparison Compare(const Comparable& first,
                    const Comparable& second,
-                   const std::vector<Quantity>& quantities) {
+                   const std::vector<ComparedQuantity>& quantities) {
   Comparison comparison;
   comparison.distance = (second.T_MI.p - first.T_MI.p).norm();
   comparison.angle = Log(Eigen::Quaterniond(first.T_MI.q.conjugate() * second.T_MI.q)).norm();
-  for (const Quantity quantity : quantities) {
+  for (const ComparedQuantity quantity : quantities) {
     const Value from = Get(first, first, quantity), to = Get(second, first, quantity);
     const Value difference = {to.x, from.covariance + to.covariance};
     for (int axis = 0; axis < difference.x.size(); ++axis) {
@@ -140,29 +140,29 @@ Comparable Mean(const std::vector<Comparable>& calibrations) {
   Comparable mean = calibrations.front();
   // The rotation's tangent space moves with the mean.
   for (int iteration = 0; iteration < 10; ++iteration) {
-    const Value rotation = MeanOf(GetAll(calibrations, mean, Quantity::kRotation));
+    const Value rotation = MeanOf(GetAll(calibrations, mean, ComparedQuantity::kRotation));
     mean.T_MI.q = (mean.T_MI.q * Exp(Eigen::Vector3d(rotation.x))).normalized();
     mean.covariance.setZero();
     mean.covariance.bottomRightCorner<3, 3>() = rotation.covariance;
   }
-  const Value translation = MeanOf(GetAll(calibrations, mean, Quantity::kTranslation));
+  const Value translation = MeanOf(GetAll(calibrations, mean, ComparedQuantity::kTranslation));
   mean.T_MI.p += translation.x;
   mean.covariance.topLeftCorner<3, 3>() = translation.covariance;
-  const auto take = [&](Quantity quantity, double* value, double* std_dev) {
+  const auto take = [&](ComparedQuantity quantity, double* value, double* std_dev) {
     const Value scalar = MeanOf(GetAll(calibrations, mean, quantity));
     *value += scalar.x[0];
     *std_dev = std::sqrt(scalar.covariance(0, 0));
   };
-  take(Quantity::kAccelDelay, &mean.accel_delay, &mean.accel_delay_std);
-  take(Quantity::kTimeShift, &mean.time_shift, &mean.time_shift_std);
+  take(ComparedQuantity::kAccelDelay, &mean.accel_delay, &mean.accel_delay_std);
+  take(ComparedQuantity::kTimeShift, &mean.time_shift, &mean.time_shift_std);
   return mean;
 }
 
 Repeatability Repeat(const std::vector<Comparable>& calibrations,
-                     const std::vector<Quantity>& quantities) {
+                     const std::vector<ComparedQuantity>& quantities) {
   Repeatability repeatability;
   repeatability.mean = Mean(calibrations);
-  for (const Quantity quantity : quantities)
+  for (const ComparedQuantity quantity : quantities)
     repeatability.scatters.push_back(
         ScatterOf(GetAll(calibrations, repeatability.mean, quantity), quantity));
   for (size_t i = 0; i < calibrations.size(); ++i) {

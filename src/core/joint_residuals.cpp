@@ -412,11 +412,10 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
     if (jacobians[n + 8] != nullptr) {
       // Row: axis; column: component of its place in I.
       const Matrix3d f_r = R_IM * K * R_MA_;
-      Eigen::Matrix<double, 3, 6> f_places = Eigen::Matrix<double, 3, 6>::Zero();
-      for (int axis = 0; axis < 3; ++axis) {
-        for (int k = 0; k < 6; ++k)
-          f_places(axis, k) = f_r.row(axis).dot(AccelPositions(Vector6d::Unit(k)).col(axis));
-      }
+      Eigen::Matrix<double, 3, 6> f_places;
+      for (int k = 0; k < 6; ++k)
+        f_places.col(k) =
+            f_r.cwiseProduct(AccelPositions(Vector6d::Unit(k)).transpose()).rowwise().sum();
       SetRows<6>(jacobians, n + 8, i, r_I * f_places);
     }
     return true;

@@ -8,10 +8,10 @@
 namespace imu_pose_calib {
 namespace {
 
-const std::vector<Quantity> kAll = {Quantity::kTranslation,
-                                    Quantity::kRotation,
-                                    Quantity::kAccelDelay,
-                                    Quantity::kTimeShift};
+const std::vector<ComparedQuantity> kAll = {ComparedQuantity::kTranslation,
+                                            ComparedQuantity::kRotation,
+                                            ComparedQuantity::kAccelDelay,
+                                            ComparedQuantity::kTimeShift};
 
 /// Covariance whose components are correlated within translation and rotation.
 Matrix6d Correlated() {
@@ -74,7 +74,7 @@ TEST(Comparison, TakesCovariancesOfRotationsInOneFrame) {
   second.T_MI.q =
       first.T_MI.q * Exp(Eigen::Vector3d(0.0, 0.0, M_PI / 2));  // x of second is y of first
   second.covariance.bottomRightCorner<3, 3>() = Eigen::Vector3d(1e-8, 4e-8, 9e-8).asDiagonal();
-  const Comparison comparison = Compare(first, second, {Quantity::kRotation});
+  const Comparison comparison = Compare(first, second, {ComparedQuantity::kRotation});
   EXPECT_NEAR(comparison.components[0].sigma, 2e-4, 1e-12);
   EXPECT_NEAR(comparison.components[1].sigma, 1e-4, 1e-12);
   EXPECT_NEAR(comparison.components[2].sigma, 3e-4, 1e-12);
@@ -85,7 +85,7 @@ TEST(Comparison, JudgesNothingThatIsNotEstimated) {
   first.covariance.setZero();
   second.covariance.setZero();
   second.T_MI.p.x() += 1.0;
-  const Comparison comparison = Compare(first, second, {Quantity::kTranslation});
+  const Comparison comparison = Compare(first, second, {ComparedQuantity::kTranslation});
   EXPECT_EQ(comparison.Worst(), nullptr);
   EXPECT_EQ(comparison.dof, 0);
   EXPECT_EQ(comparison.components[0].value, 1.0);
@@ -127,7 +127,7 @@ TEST(Repeatability, ChiSquareIsThatOfTheScatter) {
       chi2[k] += repeatability.scatters[static_cast<size_t>(k)].chi2;
       dof[k] += repeatability.scatters[static_cast<size_t>(k)].dof;
     }
-    covered += Compare(Example(), repeatability.mean, {Quantity::kTranslation}).chi2;
+    covered += Compare(Example(), repeatability.mean, {ComparedQuantity::kTranslation}).chi2;
   }
   EXPECT_EQ(dof, Eigen::Vector4d(15.0, 15.0, 5.0, 5.0) * trials);
   for (Eigen::Index k = 0; k < 4; ++k)
@@ -151,7 +151,7 @@ TEST(Repeatability, TheOddOneStandsOutFromTheOthers) {
   const Repeatability repeatability = Repeat(calibrations, kAll);
   ASSERT_EQ(repeatability.from_others.size(), 5u);
   const Difference* odd = repeatability.from_others[3].Worst();
-  EXPECT_EQ(odd->quantity, Quantity::kRotation);
+  EXPECT_EQ(odd->quantity, ComparedQuantity::kRotation);
   EXPECT_EQ(odd->axis, 1);
   EXPECT_GT(odd->value, 0.009);
   for (const size_t other : {0u, 1u, 2u, 4u})

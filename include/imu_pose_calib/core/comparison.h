@@ -20,14 +20,14 @@ struct Comparable {
 };
 
 /// The quantities that are compared.
-enum class Quantity { kTranslation, kRotation, kAccelDelay, kTimeShift };
+enum class ComparedQuantity { kTranslation, kRotation, kAccelDelay, kTimeShift };
 
 /// "translation", "rotation", "accel delay", "time shift".
-const char* ToString(Quantity quantity);
+const char* ToString(ComparedQuantity quantity);
 
 /// Difference of one component.
 struct Difference {
-  Quantity quantity;
+  ComparedQuantity quantity;
   int axis;       ///< 0 to 2, of M or, for rotations, of the IMU; 0 for the scalars
   double value;   ///< [m, rad, s]
   double sigma;   ///< of the difference; 0: neither is estimated, so nothing is judged
@@ -47,7 +47,7 @@ struct Comparison {
 
 Comparison Compare(const Comparable& first,
                    const Comparable& second,
-                   const std::vector<Quantity>& quantities);
+                   const std::vector<ComparedQuantity>& quantities);
 
 /// Mean weighted by the inverse covariances of each quantity. One without them in some calibration
 /// has the plain mean, and sigma 0.
@@ -55,7 +55,7 @@ Comparable Mean(const std::vector<Comparable>& calibrations);
 
 /// How one quantity scatters among calibrations.
 struct Scatter {
-  Quantity quantity;
+  ComparedQuantity quantity;
   Eigen::VectorXd deviation;  ///< standard deviation of each component about the plain mean
   Eigen::VectorXd sigma;      ///< root mean square of the sigmas
   double chi2 = 0.0;          ///< about the weighted mean; with `dof` 0 not judged
@@ -70,6 +70,6 @@ struct Repeatability {
 };
 
 Repeatability Repeat(const std::vector<Comparable>& calibrations,
-                     const std::vector<Quantity>& quantities);
+                     const std::vector<ComparedQuantity>& quantities);
 
 }  // namespace imu_pose_calib

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <boost/algorithm/string/trim.hpp>
 #include <cmath>
-#include <cstdio>
 #include <optional>
 
 #include "imu_pose_calib/core/comparison.h"
@@ -11,16 +10,10 @@
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/stored_result.h"
 #include "imu_pose_calib/ros/io/transform_file.h"
+#include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
 namespace {
-
-template <typename... Arguments>
-std::string Format(const char* format, Arguments... arguments) {
-  char text[256];
-  std::snprintf(text, sizeof(text), format, arguments...);
-  return text;
-}
 
 /// A line of a table, without blanks at its end.
 template <typename... Arguments>
@@ -37,15 +30,16 @@ struct Unit {
   const char* name;
 };
 
-Unit UnitOf(Quantity quantity) {
-  if (quantity == Quantity::kTranslation) return {1e3, "mm"};
-  if (quantity == Quantity::kRotation) return {180.0 / M_PI, "deg"};
+Unit UnitOf(ComparedQuantity quantity) {
+  if (quantity == ComparedQuantity::kTranslation) return {1e3, "mm"};
+  if (quantity == ComparedQuantity::kRotation) return {180.0 / M_PI, "deg"};
   return {1e3, "ms"};
 }
 
 /// "translation x", "accel delay".
-std::string Name(Quantity quantity, int axis) {
-  const bool is_vector = quantity == Quantity::kTranslation || quantity == Quantity::kRotation;
+std::string Name(ComparedQuantity quantity, int axis) {
+  const bool is_vector =
+      quantity == ComparedQuantity::kTranslation || quantity == ComparedQuantity::kRotation;
   return std::string(ToString(quantity)) + (is_vector ? std::string(" ") + "xyz"[axis] : "");
 }
 
@@ -130,16 +124,16 @@ std::string Table(const Comparison& comparison, const std::string& title) {
 }
 
 /// The mean of a component as text; of a rotation none, which has no mean of an axis.
-std::string MeanText(const Comparable& mean, Quantity quantity, int axis) {
+std::string MeanText(const Comparable& mean, ComparedQuantity quantity, int axis) {
   const double factor = UnitOf(quantity).factor;
   switch (quantity) {
-    case Quantity::kTranslation:
+    case ComparedQuantity::kTranslation:
       return Fixed(mean.T_MI.p[axis] * factor);
-    case Quantity::kRotation:
+    case ComparedQuantity::kRotation:
       return "";
-    case Quantity::kAccelDelay:
+    case ComparedQuantity::kAccelDelay:
       return Fixed(mean.accel_delay * factor);
-    case Quantity::kTimeShift:
+    case ComparedQuantity::kTimeShift:
       return Fixed(mean.time_shift * factor);
   }
   return "";
@@ -289,11 +283,12 @@ CompareOutcome CompareResults(const CompareRequest& request) {
     calibrations.push_back(ToComparable(results.back(), request.imu));
   }
   SetTimeShifts(results, request.imu, &calibrations);
-  std::vector<Quantity> quantities = {Quantity::kTranslation, Quantity::kRotation};
-  const std::vector<Quantity> transform = quantities;
-  quantities.push_back(Quantity::kAccelDelay);
+  std::vector<ComparedQuantity> quantities = {ComparedQuantity::kTranslation,
+                                              ComparedQuantity::kRotation};
+  const std::vector<ComparedQuantity> transform = quantities;
+  quantities.push_back(ComparedQuantity::kAccelDelay);
   const bool has_shift = request.same_clocks || AreOfOneRecording(results, request.imu);
-  if (has_shift) quantities.push_back(Quantity::kTimeShift);
+  if (has_shift) quantities.push_back(ComparedQuantity::kTimeShift);
 
   CompareOutcome outcome;
   Worst worst;
