@@ -9,6 +9,7 @@
 #include "imu_pose_calib/core/information_growth.h"
 #include "imu_pose_calib/core/intrinsics.h"
 #include "imu_pose_calib/core/median.h"
+#include "imu_pose_calib/core/so3.h"
 #include "imu_pose_calib/core/trajectory.h"
 #include "imu_pose_calib/ros/io/numpy_table.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
@@ -117,7 +118,11 @@ class SolvedSession {
     if (before && after)
       mean +=
           0.5 * rig.accel_smoothing / std::pow(kCurvatureStep, 2) * (*before - 2.0 * *f + *after);
-    predicted.accel = AccelMatrix(rig.accel_intrinsics) * (rig.q_MI.conjugate() * mean) +
+    const Eigen::Matrix3d R_IM = rig.q_MI.conjugate().toRotationMatrix(), W = Hat(state->omega_B);
+    const Eigen::Matrix3d K = Hat(state->alpha_B) + W * W;
+    const Eigen::Matrix3d arms = R_IM.transpose() * AccelPositions(rig.accel_positions);
+    const Eigen::Vector3d by_size = (R_IM * K).cwiseProduct(arms.transpose()).rowwise().sum();
+    predicted.accel = AccelMatrix(rig.accel_intrinsics) * (R_IM * mean + by_size) +
                       Bias(own.accel_bias, own.ImuTime(t));
     return predicted;
   }
