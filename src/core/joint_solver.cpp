@@ -27,8 +27,6 @@ constexpr double kMinSamplesPerKnot = 4.0;  // IMU samples
 /// Share of those seconds that knots must cover, more than the ends of two runs can be too short
 /// for; and share of the samples of each sensor that they must hold.
 constexpr double kLeastFollowed = 0.15, kLeastCovered = 0.1;
-/// Of its sigma: the size effect where it is estimated.
-constexpr double kShown = 4.0;
 /// Of gyro times accel residual, that knots twice as dense have to leave at most.
 constexpr double kShrinkage = 0.985;
 /// Of the knot spacing at which noise hides what is left of the motion.
@@ -143,14 +141,6 @@ void TakeStep(const Marginals& marginals, LeastSquares* solved) {
   }
 }
 
-/// Whether the data show that the axes of the accelerometer are not at one place.
-bool ShowsSize(const Marginals& marginals, size_t imu) {
-  const int place = marginals.Find(ParameterKind::kAccelPositions, imu);
-  return place >= 0 && (marginals.hint.segment<6>(place).array().abs() >
-                        kShown * marginals.hint_std.segment<6>(place).array())
-                           .any();
-}
-
 /// S4 at given knot spacings: trajectories and calibration in passes of least squares, each with
 /// the noise and the robust weights that the residuals of the one before show.
 class JointSolver {
@@ -200,8 +190,9 @@ class JointSolver {
     while (NextPass(ColoredNoise()) > kNoiseAgreement && pass < kMaxPasses);
     Solution solution;
     solution.marginals = LastStep();
-    if (options_.estimate_size_effect && FreeSizes(solution.marginals)) {
-      Pass();
+    if (Release(solution.marginals.shown)) {
+      FollowClocks([&] { TakeStep(solution.marginals, problem_.get()); });
+      statistics_ = problem_->FindStatistics();
       solution.marginals = LastStep();
     }
     solution.statistics = statistics_;
@@ -223,11 +214,13 @@ class JointSolver {
     return FindMarginals(problem_.get());
   }
 
-  /// From now on with the size effect of the IMUs that show it; whether there are any.
-  bool FreeSizes(const Marginals& marginals) {
-    for (size_t i = 0; i < holds_size_.size(); ++i)
-      if (ShowsSize(marginals, i)) holds_size_[i] = false;
-    return std::find(holds_size_.begin(), holds_size_.end(), false) != holds_size_.end();
+  /// From now on these are estimated; whether there are any.
+  bool Release(const std::vector<Parameter>& shown) {
+    for (const Parameter& size : shown) {
+      holds_size_[size.imu] = false;
+      problem_->problem.SetParameterBlockVariable(size.data);
+    }
+    return !shown.empty();
   }
 
   /// What is believed of a sensor's noise at least.

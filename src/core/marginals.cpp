@@ -29,6 +29,8 @@ constexpr double kClockStep = 1e-6;
 /// From which one matrix is factorised at a time.
 constexpr int kManyColumns = 100000;
 constexpr double kRounding = 1e-6;
+/// Of its sigma: the size effect of an IMU that shows it.
+constexpr double kShown = 4.0;
 
 /// Of one session alone.
 bool IsOfSession(const Parameter& p) {
@@ -371,6 +373,42 @@ void FindHints(const MarginalEstimate& all,
   result->hint_std.tail(held) = std_dev.tail(held);
 }
 
+/// The IMUs whose accelerometer does not have its axes at one place, as the hints tell.
+std::vector<Parameter> FindShown(const Ordering& ordering, const Marginals& marginals) {
+  std::vector<Parameter> shown;
+  for (const Parameter& p : ordering.possible) {
+    if (p.kind != ParameterKind::kAccelPositions) continue;
+    const int place = marginals.Find(p.kind, p.imu);
+    if ((marginals.hint.segment(place, p.size).array().abs() >
+         kShown * marginals.hint_std.segment(place, p.size).array())
+            .any())
+      shown.push_back(p);
+  }
+  return shown;
+}
+
+/// The Gauss-Newton step as if what is held was known to be right, but for what is shown.
+Eigen::VectorXd FindStep(const MarginalEstimates& estimates,
+                         const Report& report,
+                         const Marginals& marginals) {
+  std::vector<int> held;
+  for (const PlacedParameter& p : marginals.parameters) {
+    const auto is_same = [&](const Parameter& q) { return q.data == p.parameter.data; };
+    if (p.is_estimated || std::any_of(marginals.shown.begin(), marginals.shown.end(), is_same))
+      continue;
+    // Places and functionals end alike.
+    for (int k = 0; k < p.parameter.size; ++k)
+      held.push_back(p.place + k - report.size() + report.functionals());
+  }
+  if (held.empty() || estimates.gain.size() == 0) return estimates.step;
+  const MarginalEstimate others = Select(estimates.gauss_newton, held);
+  const Eigen::VectorXd back = others.covariance.ldlt().solve(others.Step());
+  Eigen::VectorXd step = estimates.step;
+  for (size_t k = 0; k < held.size(); ++k)
+    step -= back[static_cast<Eigen::Index>(k)] * estimates.gain.col(held[k]);
+  return step;
+}
+
 /// What each session says alone.
 void FindSessions(const MarginalEstimator& estimator,
                   const Ordering& ordering,
@@ -477,12 +515,8 @@ Marginals FindMarginals(LeastSquares* solved) {
   CompareHalves(first_half.get(), second_half.get(), report, fitted, &result);
   FindHints(all, report, fitted, &result);
 
-  // The step as if what is held was known to be right.
-  const auto held = report.functionals() - report.estimated();
-  result.step = estimates.step;
-  if (held > 0 && marginal.covariance.allFinite())
-    result.step -= estimates.gain.rightCols(held) *
-                   all.covariance.bottomRightCorner(held, held).ldlt().solve(all.Step().tail(held));
+  if (solved->options.estimate_size_effect) result.shown = FindShown(ordering, result);
+  result.step = FindStep(estimates, report, result);
   result.blocks = ordering.blocks;
   result.held_begin = ordering.estimated;
   result.held_end = ordering.leading;

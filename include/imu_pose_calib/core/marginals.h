@@ -39,6 +39,8 @@ struct Marginals {
   /// Parameters that are not estimated: where they would move if they were, and the sigma of that;
   /// else 0.
   Eigen::VectorXd hint, hint_std;
+  /// Of these, the size effects that the data show: `step` moves them, too.
+  std::vector<Parameter> shown;
 
   std::vector<SessionMarginals> sessions;  ///< none when there is only one
 
