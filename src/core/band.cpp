@@ -93,7 +93,7 @@ PreparedSession LimitBand(const PreparedSession& session, double cutoff, std::la
                                          is_rotation_lower ? rotation.lengthscale_s : 0.0);
     for (TimedPose& pose : limited.data.poses) {
       const PoseTrajectory& trajectory = *limited.trajectory;
-      if (!trajectory.Contains(pose.t - edge) || !trajectory.Contains(pose.t + edge)) continue;
+      if (!trajectory.Covers(pose.t - edge, pose.t + edge)) continue;
       const PoseTrajectory::Pose smooth = limited.trajectory->PoseAt(pose.t);
       if (is_position_lower) {
         pose.position_rest = pose.p_WM - smooth.p_WM;

@@ -14,8 +14,8 @@ constexpr double kDisagreement = 5.0;  // sigma between the halves
 /// Noise of poses in the solve over that of S1, which is at least the second of these.
 constexpr double kIgnored = 10.0;
 constexpr PoseStd kOrdinaryNoise{1e-3, 3e-3};  // [m], [rad]
-/// Noise of the accelerometer in a solve against a given trajectory, over its own.
-constexpr double kLost = 2.0;
+/// Noise of the IMU's sensors in a solve against a given trajectory, over their own.
+constexpr double kLostForce = 1.5, kLostRate = 2.0;
 // Beyond what sources of poses do:
 constexpr double kMostScale = 0.012;     // [1]
 constexpr double kMostSmoothing = 4e-3;  // [s^2]
@@ -91,8 +91,8 @@ double OwnNoise(const std::vector<TimedSample>& samples) {
   return kMadToSigma * Median(std::move(magnitudes));
 }
 
-/// What a given trajectory has lost of the motion remains in the accelerometer's residuals, and
-/// the lever arm has adapted to it.
+/// What a given trajectory has lost of the motion, or has too much, remains in the residuals of the
+/// IMU, and the lever arm has adapted to it.
 void DoubtSmoothing(const std::vector<PreparedSession>& sessions,
                     const Calibration& result,
                     std::vector<std::string>* doubts) {
@@ -101,12 +101,21 @@ void DoubtSmoothing(const std::vector<PreparedSession>& sessions,
     for (size_t i = 0; i < result.imus.size(); ++i) {
       const ConditionedImu& imu = sessions[s].data.imus[i];
       if (!imu.IsPresent()) continue;
-      const double own = OwnNoise(imu.accel), found = result.sessions[s].imus[i].noise.accel;
-      if (found <= kLost * own) continue;
-      doubts->push_back("method gp loses motion" + OfSession(s, result.sessions.size()) +
-                        ": it leaves the accelerometer" + OfImu(i, result.imus.size()) +
-                        " a noise of " + Number(found, "%.3g") + " m/s^2, its own is " +
-                        Number(own, "%.3g") + ", and p_MI is too short or too long: use joint");
+      const auto check = [&](const char* name,
+                             const std::vector<TimedSample>& samples,
+                             double found,
+                             double bound,
+                             const char* unit) {
+        const double own = OwnNoise(samples);
+        if (found <= bound * own) return;
+        doubts->push_back("method gp does not follow the motion" + OfSession(s, sessions.size()) +
+                          ": it leaves the " + name + OfImu(i, result.imus.size()) +
+                          " a noise of " + Number(found, "%.3g") + " " + unit + ", its own is " +
+                          Number(own, "%.3g") + ", and p_MI is too short or too long: use joint");
+      };
+      const auto& noise = result.sessions[s].imus[i].noise;
+      check("accelerometer", imu.accel, noise.accel, kLostForce, "m/s^2");
+      check("gyroscope", imu.gyro, noise.gyro, kLostRate, "rad/s");
     }
   }
 }

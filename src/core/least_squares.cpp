@@ -219,7 +219,7 @@ std::vector<SensorResiduals> LeastSquares::TakeResiduals() {
 }
 
 bool IsOnTrajectory(const PoseTrajectory& trajectory, double t_M) {
-  return trajectory.Contains(t_M - kEdge) && trajectory.Contains(t_M + kEdge);
+  return trajectory.Covers(t_M - kEdge, t_M + kEdge);
 }
 
 }  // namespace imu_pose_calib

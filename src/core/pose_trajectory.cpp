@@ -264,6 +264,11 @@ const PoseTrajectory::Segment* PoseTrajectory::Find(double t) const {
   return t <= segment.position.end() ? &segment : nullptr;
 }
 
+bool PoseTrajectory::Covers(double begin, double end) const {
+  const Segment* segment = Find(begin);
+  return segment != nullptr && end <= segment->position.end();
+}
+
 bool PoseTrajectory::Evaluate(double t,
                               MarkerState<double>* state,
                               MarkerState<double>* rate) const {

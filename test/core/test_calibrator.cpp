@@ -164,6 +164,16 @@ TEST(Calibrate, ReportsSigmasThatMatchTheErrorsWhenPosesAreGood) {
   EXPECT_LT(mean_square, 2.0);
 }
 
+TEST(Calibration, LeavesOutSamplesInTheGapOfAJump) {
+  SimulatorOptions truth = Recording(Motion::kHandheld, 20.0, 61);
+  truth.pose_rate_hz = 200.0;
+  SessionData data = Simulate(truth);
+  for (PoseSample& pose : data.poses)
+    if (pose.t_ns > data.poses.front().t_ns + 10'000'000'000) pose.p_WM.x() += 0.5;
+  const Calibration result = ExpectCalibrates(GpOptions(), data, truth);
+  EXPECT_EQ(result.sessions[0].jumps, 1u);
+}
+
 TEST(Calibrate, TakesStreamsOfDifferentRates) {
   SimulatorOptions truth = Recording(Motion::kHandheld, 10.0, 6);
   truth.pose_rate_hz = 300.0;

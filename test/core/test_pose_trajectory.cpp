@@ -231,6 +231,12 @@ TEST(PoseTrajectory, ContainsWhatLiesBetweenPosesWithoutAGap) {
   for (const double t : {-1e3, -1e-6, 4.001, 4.5, 4.999, 9.991, 1e3})
     EXPECT_FALSE(evaluates(t)) << t;
   EXPECT_FALSE(evaluates(std::nan("")));
+
+  EXPECT_TRUE(trajectory.Covers(3.0, 4.0));
+  EXPECT_TRUE(trajectory.Covers(5.0, 6.0));
+  EXPECT_FALSE(trajectory.Covers(3.0, 6.0));  // both ends are on it, the gap is not
+  EXPECT_FALSE(trajectory.Covers(3.0, 4.5));
+  EXPECT_FALSE(trajectory.Covers(4.5, 6.0));
 }
 
 TEST(PoseTrajectory, IsTheSameForFlippedQuaternions) {

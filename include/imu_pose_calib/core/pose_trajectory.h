@@ -58,6 +58,8 @@ class PoseTrajectory {
 
   /// True when t [s] lies between two poses without a gap.
   bool Contains(double t) const { return Find(t) != nullptr; }
+  /// The same of all instants from `begin` to `end` [s].
+  bool Covers(double begin, double end) const;
 
   /// Posterior mean of the motion at t [s] and, unless null, its time derivative (of q_WM: of its
   /// coefficients). False when t is not contained.
