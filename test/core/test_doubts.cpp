@@ -118,7 +118,9 @@ TEST(Doubts, OfAGivenTrajectoryThatHasLostMotion) {
   const SessionData data = Simulate(truth);
   const Calibration noisy = Calibrate(options, data);
   EXPECT_EQ(noisy.status, Status::kWeak);
-  EXPECT_TRUE(Contains(noisy.message, "method gp does not follow the motion: it leaves the accelerometer")) << noisy.message;
+  EXPECT_TRUE(
+      Contains(noisy.message, "method gp does not follow the motion: it leaves the accelerometer"))
+      << noisy.message;
   EXPECT_EQ(Calibrate(CalibrationOptions(), data).status, Status::kOk);
 
   truth.motion = Motion::kHandheld;

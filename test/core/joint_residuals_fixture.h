@@ -1,0 +1,349 @@
+#pragma once
+
+#include <ceres/gradient_checker.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <memory>
+#include <random>
+#include <vector>
+
+#include "imu_pose_calib/core/intrinsics.h"
+#include "imu_pose_calib/core/joint_residuals.h"
+#include "imu_pose_calib/core/manifolds.h"
+#include "imu_pose_calib/core/simulator.h"
+#include "imu_pose_calib/core/so3.h"
+#include "test_util.h"
+
+namespace imu_pose_calib {
+
+using Eigen::Vector3d;
+
+#if IMU_POSE_CALIB_CERES_HAS_MANIFOLDS
+using Manifold = ceres::Manifold;
+using QuaternionManifold = ceres::EigenQuaternionManifold;
+#else
+using Manifold = ceres::LocalParameterization;
+using QuaternionManifold = ceres::EigenQuaternionParameterization;
+#endif
+
+/// Random blocks of a residual: control points of a lively correction, then the given parameters.
+class JointResiduals : public ::testing::Test {
+ protected:
+  JointResiduals() {
+    for (auto& point : d_) point = Random(0.01);
+    for (auto& point : phi_) point = Random(0.3);
+    at_.gp.q_WM = Exp<double>(Random(1.0));
+    at_.gp.omega_M = Random(2.0);
+    at_.gp.alpha_M = Random(8.0);
+    at_.gp.p_WM = Random(1.0);
+    at_.gp.v_W = Random(1.0);
+    at_.gp.a_W = Random(5.0);
+    at_.place = {0, 0.4, 0.03};
+  }
+
+  Vector3d Random(double scale) {
+    std::uniform_real_distribution<double> uniform(-scale, scale);
+    return {uniform(random_), uniform(random_), uniform(random_)};
+  }
+
+  std::vector<double*> Points(std::vector<std::vector<Vector3d>*> splines) {
+    std::vector<double*> blocks;
+    for (auto* points : splines)
+      for (Vector3d& point : *points) blocks.push_back(point.data());
+    return blocks;
+  }
+
+  /// Two poses of one span, close to the trajectory.
+  std::vector<JointPoseSample> Poses() {
+    std::vector<JointPoseSample> poses;
+    for (const double u : {0.4, 0.7}) {
+      at_.place.u = u;
+      const Eigen::Quaterniond q_WM = at_.gp.q_WM * Exp<double>(Random(0.5));
+      const Vector3d p_WM = at_.gp.p_WM + Random(0.01);
+      poses.push_back({at_, q_WM, p_WM, -0.5, 0.01});
+    }
+    return poses;
+  }
+
+  /// Two IMU samples of one span.
+  std::vector<JointImuSample> Imu() {
+    JointImuSample sample{at_, Random(3.0), 0.3, 2.4, -0.5, 0.05};
+    JointImuSample next{at_, Random(3.0), 0.4, 2.5, -0.4, 0.03};
+    next.at.place.u += 0.2;
+    next.at.gp.omega_M += Random(0.1);
+    return {sample, next};
+  }
+  std::vector<MarkerJerk> Jerks() {
+    return {{Random(40.0), Random(30.0), Random(300.0)},
+            {Random(40.0), Random(30.0), Random(300.0)}};
+  }
+
+  /// The clock parameters that move a sensor, as the joint solve hands them over.
+  struct Clock {
+    double* parameter;
+    ClockMotion motion;
+  };
+  std::vector<Clock> PoseClocks() {
+    return {{&time_shift_, {0.0213, 0.0, -1.0, ClockMotion::kOne}},
+            {&clock_drift_, {1e-6, 0.0, -1.0, ClockMotion::kReferenceTime}},
+            {&accel_delay_, {0.0008, 0.0, 1.0, ClockMotion::kOne}}};
+  }
+  std::vector<Clock> GyroClocks() {
+    return {{&time_shift_, {0.0213, 1.0, 0.0, ClockMotion::kOne}},
+            {&clock_drift_, {1e-6, 1.0, 0.0, ClockMotion::kOwnTime}},
+            {&accel_delay_, {0.0008, 0.0, 1.0, ClockMotion::kOne}}};
+  }
+  std::vector<Clock> OtherGyroClocks() {
+    std::vector<Clock> clocks = PoseClocks();
+    clocks.push_back({&other_time_shift_, {0.0117, 1.0, 1.0, ClockMotion::kOne}});
+    clocks.push_back({&other_clock_drift_, {-2e-6, 1.0, 1.0, ClockMotion::kOwnTime}});
+    return clocks;
+  }
+  std::vector<Clock> OtherAccelClocks() {
+    std::vector<Clock> clocks = OtherGyroClocks();
+    clocks.push_back({&other_accel_delay_, {0.0005, -1.0, -1.0, ClockMotion::kOne}});
+    return clocks;
+  }
+  static ClockMotions Motions(const std::vector<Clock>& clocks) {
+    auto motions = std::make_shared<std::vector<ClockMotion>>();
+    for (const Clock& clock : clocks) motions->push_back(clock.motion);
+    return motions;
+  }
+  static std::vector<double*> With(std::vector<double*> blocks, const std::vector<Clock>& clocks) {
+    for (const Clock& clock : clocks) blocks.push_back(clock.parameter);
+    return blocks;
+  }
+
+  std::vector<double*> PoseBlocks(std::vector<Vector3d>* spline) {
+    std::vector<double*> blocks = Points({spline});
+    blocks.push_back(&pose_smoothing_);
+    if (spline == &d_) blocks.push_back(&position_smoothing_);
+    return With(blocks, PoseClocks());
+  }
+
+  std::vector<double*> GyroBlocks(const std::vector<Clock>& clocks) {
+    std::vector<double*> blocks = Points({&phi_});
+    for (double* block :
+         {q_MI_.coeffs().data(), gyro_intrinsics_.data(), knot_0_.data(), knot_1_.data()})
+      blocks.push_back(block);
+    return With(blocks, clocks);
+  }
+
+  std::vector<double*> AccelBlocks(const std::vector<Clock>& clocks) {
+    std::vector<double*> blocks = Points({&d_, &phi_});
+    for (double* block : {q_MI_.coeffs().data(),
+                          p_MI_.data(),
+                          g_W_.data(),
+                          accel_intrinsics_.data(),
+                          knot_0_.data(),
+                          knot_1_.data(),
+                          &accel_smoothing_,
+                          &pose_scale_,
+                          accel_positions_.data()})
+      blocks.push_back(block);
+    return With(blocks, clocks);
+  }
+
+  /// Moves all clocks by about `scale`: [s], drifts [s/s].
+  void MoveClocks(double scale) {
+    time_shift_ = 0.0213 + 0.7 * scale;
+    clock_drift_ = 1e-6 + 0.9 * scale;
+    accel_delay_ = 0.0008 - 0.4 * scale;
+    other_time_shift_ = 0.0117 + 1.1 * scale;
+    other_clock_drift_ = -2e-6 + 0.8 * scale;
+    other_accel_delay_ = 0.0005 + 0.3 * scale;
+  }
+  /// How far samples have moved then along GP and splines [s].
+  struct Moved {
+    double on_gp, on_spline;
+  };
+  static Moved PoseMove(double scale, double reference_time) {
+    return {0.0, scale * (-0.7 - 0.9 * reference_time - 0.4)};
+  }
+  static Moved GyroMove(double scale, double own_time, double) {
+    return {scale * (0.7 + 0.9 * own_time), -0.4 * scale};
+  }
+  static Moved OtherGyroMove(double scale, double own_time, double reference_time) {
+    const double own = scale * (1.1 + 0.8 * own_time);
+    return {own, PoseMove(scale, reference_time).on_spline + own};
+  }
+  static Moved OtherAccelMove(double scale, double own_time, double reference_time) {
+    const Moved gyro = OtherGyroMove(scale, own_time, reference_time);
+    return {gyro.on_gp - 0.3 * scale, gyro.on_spline - 0.3 * scale};
+  }
+
+  /// A motion that agrees with its derivatives, in place of the GP's.
+  TrajectoryPoint PointAt(double t) const { return PointAt(t, t); }
+  TrajectoryPoint PointAt(double t_gp, double t_spline) const {
+    const TrueState s = true_.At(t_gp);
+    const Eigen::Quaterniond q_WM(s.R_WM);
+    return {{q_WM, s.omega_M, s.alpha_M, s.p_WM, s.v_W, s.a_W},
+            {0, (t_spline - kSpan) / 0.03, 0.03}};
+  }
+  MarkerJerk JerkAt(double t) const {
+    return {NumericRate([&](double at) { return true_.At(at).alpha_M; }, t, 1e-3),
+            NumericRate([&](double at) { return true_.At(at).a_W; }, t, 1e-3)};
+  }
+  /// The same with the corrections.
+  template <typename Points>
+  static Vector3d Correction(const Points& points, double t, int derivative = 0) {
+    const SplineWeights w = CubicWeights((t - kSpan) / 0.03, 0.03);
+    Vector3d x = Vector3d::Zero();
+    for (int j = 0; j < kSplineOrder; ++j) x += w(derivative, j) * points[static_cast<size_t>(j)];
+    return x;
+  }
+  Eigen::Matrix3d RotationAt(double t) const {
+    return true_.At(t).R_WM * Exp<double>(Correction(phi_, t)).toRotationMatrix();
+  }
+
+  struct Evaluated {
+    Eigen::VectorXd residuals;
+    std::vector<Eigen::MatrixXd> jacobians;  ///< of each block
+  };
+  static Evaluated Evaluate(ceres::CostFunction* cost_function,
+                            const std::vector<double*>& blocks) {
+    using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+    const std::unique_ptr<ceres::CostFunction> cost(cost_function);
+    Evaluated out;
+    out.residuals.resize(cost->num_residuals());
+    std::vector<std::vector<double>> values;
+    std::vector<double*> pointers;
+    for (const int size : cost->parameter_block_sizes())
+      values.emplace_back(static_cast<size_t>(size * cost->num_residuals()));
+    for (auto& block : values) pointers.push_back(block.data());
+    EXPECT_EQ(values.size(), blocks.size());
+    EXPECT_TRUE(cost->Evaluate(blocks.data(), out.residuals.data(), pointers.data()));
+    for (size_t k = 0; k < values.size(); ++k) {
+      Eigen::MatrixXd J = Eigen::Map<const RowMajor>(
+          values[k].data(), cost->num_residuals(), cost->parameter_block_sizes()[k]);
+      if (J.cols() == 4) {  // the quaternion: in its tangent space
+        RowMajor plus(4, 3);
+#if IMU_POSE_CALIB_CERES_HAS_MANIFOLDS
+        QuaternionManifold().PlusJacobian(blocks[k], plus.data());
+#else
+        QuaternionManifold().ComputeJacobian(blocks[k], plus.data());
+#endif
+        J = (J * plus).eval();
+      }
+      out.jacobians.push_back(J);
+    }
+    return out;
+  }
+
+  /// Of samples that the clocks move, and of samples that are where they move to.
+  struct MovedAndPlaced {
+    Evaluated moved, placed;
+  };
+  /// `evaluate(scale)` with all clocks moved by about `scale`. Expects both to be the same at 0 and
+  /// their difference to vanish with the move to the `order`, for the residuals, and to those of
+  /// the Jacobians of each block.
+  static void ExpectOrder(const std::function<MovedAndPlaced(double)>& evaluate,
+                          int order,
+                          const std::function<int(size_t)>& jacobian_order) {
+    const MovedAndPlaced zero = evaluate(0.0);
+    EXPECT_LT((zero.moved.residuals - zero.placed.residuals).norm(), 1e-12);
+    const MovedAndPlaced whole = evaluate(2e-4), half = evaluate(1e-4);
+    // Within a quarter of the power of two; what vanishes altogether is left to rounding.
+    const auto expect = [](const auto& at_whole, const auto& at_half, double size, int power) {
+      EXPECT_LT(at_half.norm(), 1.25 * std::pow(0.5, power) * at_whole.norm() + 1e-13 * size);
+    };
+    EXPECT_GT((whole.moved.residuals - zero.moved.residuals).norm(), 1e-3);
+    expect(whole.moved.residuals - whole.placed.residuals,
+           half.moved.residuals - half.placed.residuals,
+           whole.moved.residuals.norm(),
+           order);
+    for (size_t k = 0; k < zero.moved.jacobians.size(); ++k) {
+      SCOPED_TRACE("block " + std::to_string(k));
+      EXPECT_LT((zero.moved.jacobians[k] - zero.placed.jacobians[k]).norm(), 1e-12);
+      if (whole.moved.jacobians[k].norm() == 0.0) continue;
+      expect(whole.moved.jacobians[k] - whole.placed.jacobians[k],
+             half.moved.jacobians[k] - half.placed.jacobians[k],
+             whole.moved.jacobians[k].norm(),
+             jacobian_order(k));
+    }
+  }
+
+  /// Samples of the true motion from kSpan on; `clocks` move them by `move(scale, own time,
+  /// reference time)`.
+  template <typename Create>
+  void ExpectImuOrder(const std::vector<Clock>& clocks,
+                      const std::vector<double*>& blocks,
+                      Moved (*move)(double, double, double),
+                      int order,
+                      const std::function<int(size_t)>& jacobian_order,
+                      const Create& create) {
+    const ClockMotions motions = Motions(clocks);
+    const Vector3d value = Random(3.0);
+    const auto evaluate = [&](double scale) {
+      std::vector<JointImuSample> samples, placed;
+      std::vector<MarkerJerk> jerks, placed_jerks;
+      std::vector<std::pair<double, double>> times = {{2.4, -0.5}, {2.5, -0.4}};
+      for (const auto& [own, reference] : times) {
+        const double t = kSpan + 0.012 + 0.03 * (own - 2.4);
+        const Moved dt = move(scale, own, reference);
+        samples.push_back({PointAt(t), value, 0.3, own, reference, 0.05});
+        placed.push_back(
+            {PointAt(t + dt.on_gp, t + dt.on_spline), value, 0.3, own, reference, 0.05});
+        jerks.push_back(JerkAt(t));
+        placed_jerks.push_back(JerkAt(t + dt.on_gp));
+      }
+      MoveClocks(0.0);
+      MovedAndPlaced both;
+      both.placed = Evaluate(create(placed, placed_jerks, motions), blocks);
+      MoveClocks(scale);
+      both.moved = Evaluate(create(samples, jerks, motions), blocks);
+      return both;
+    };
+    ExpectOrder(evaluate, order, jacobian_order);
+  }
+
+  /// Analytic Jacobians against numeric ones, in the tangent space.
+  static void ExpectJacobiansMatch(ceres::CostFunction* cost_function,
+                                   const std::vector<double*>& blocks,
+                                   int quaternion) {
+    const std::unique_ptr<ceres::CostFunction> cost(cost_function);
+    ASSERT_EQ(cost->parameter_block_sizes().size(), blocks.size());
+    QuaternionManifold manifold;
+    std::vector<const Manifold*> manifolds(blocks.size(), nullptr);
+    if (quaternion >= 0) manifolds[static_cast<size_t>(quaternion)] = &manifold;
+    ceres::NumericDiffOptions options;
+    options.ridders_relative_initial_step_size = 1e-4;  // times 32 at first: stays near the span
+    const ceres::GradientChecker checker(cost.get(), &manifolds, options);
+    ceres::GradientChecker::ProbeResults results;
+    checker.Probe(blocks.data(), 1e-6, &results);  // its verdict calls 1e-15 different from 0
+    ASSERT_TRUE(results.return_value) << results.error_log;
+    for (size_t k = 0; k < blocks.size(); ++k) {
+      const auto& J = results.local_jacobians[k];
+      EXPECT_LT((J - results.local_numeric_jacobians[k]).norm(), 1e-6 * std::max(1.0, J.norm()))
+          << "block " << k << "\n"
+          << J << "\nnumeric\n"
+          << results.local_numeric_jacobians[k];
+    }
+  }
+
+  static constexpr double kSpan = 3.1;  ///< [s] where the span of the corrections begins
+  const TrueTrajectory true_{SimulatorOptions()};
+  std::mt19937 random_{17};
+  std::vector<Vector3d> d_ = std::vector<Vector3d>(kSplineOrder);
+  std::vector<Vector3d> phi_ = std::vector<Vector3d>(kSplineOrder);
+  TrajectoryPoint at_;
+  Eigen::Quaterniond q_MI_ = Exp<double>(Vector3d(0.3, -1.2, 0.8));
+  Vector3d p_MI_{0.1, -0.05, 0.2}, g_W_{0.3, -0.2, -9.8};
+  Vector3d knot_0_{0.01, 0.02, -0.01}, knot_1_{-0.02, 0.01, 0.03};
+  Vector6d gyro_intrinsics_ = (Vector6d() << 0.02, -0.01, 0.03, 0.01, 0.02, -0.02).finished();
+  Vector9d accel_intrinsics_ =
+      (Vector9d() << 0.01, 0.02, -0.03, 0.01, -0.02, 0.02, 0.03, -0.01, 0.02).finished();
+  /// Clocks of the session's first IMU, with which the trajectory goes along, and of another one.
+  double time_shift_ = 0.0213, accel_delay_ = 0.0008, clock_drift_ = 1e-6;
+  double other_time_shift_ = 0.0117, other_accel_delay_ = 0.0005, other_clock_drift_ = -2e-6;
+  double pose_smoothing_ = 3e-4, position_smoothing_ = -1e-4, accel_smoothing_ = 4e-4;
+  double pose_scale_ = 1.03;
+  /// More than any IMU has.
+  Vector6d accel_positions_ = (Vector6d() << 0.05, -0.03, 0.02, 0.04, -0.05, 0.03).finished();
+  Eigen::Matrix3d R_MA_ = Exp<double>(Vector3d(0.2, -1.3, 0.9)).toRotationMatrix();
+};
+
+}  // namespace imu_pose_calib
