@@ -2,6 +2,7 @@
 
 #include <sstream>
 
+#include "imu_pose_calib/ros/io/mocap_csv.h"
 #include "imu_pose_calib/ros/io/text_table.h"
 
 extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
@@ -19,6 +20,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   read([&](std::istream& in) { ReadImuTable(in, "imu", &imu); });
   read([&](std::istream& in) { ReadGyroTable(in, "gyro"); });
   read([&](std::istream& in) { ReadAccelTable(in, "accel"); });
+  read([&](std::istream& in) { ReadMocapCsv(in, "mocap", ""); });
   read([&](std::istream& in) { HasPoseHeader(in, "poses"); });
   return 0;
 }

@@ -10,8 +10,8 @@ set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
 
 READER_TESTS=(
-  test_bag_damage test_bag_reader test_bag_topics test_child_process test_conversions test_imu_yaml test_printable
-  test_result_yaml test_ros_options test_text_reader test_text_table test_tf_chain
+  test_bag_damage test_bag_reader test_bag_topics test_cdr test_child_process test_conversions test_imu_yaml test_mocap_csv test_point_cloud test_printable
+  test_result_yaml test_ros2_damage test_ros_options test_text_reader test_text_table test_tf_chain
 )
 READERS_BUILD=$WORKSPACE/readers_sanitized
 REPORTS=$LOG_DIR/readers_sanitized

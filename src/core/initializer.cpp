@@ -369,12 +369,13 @@ Start Initialise(const CalibrationOptions& options,
   CheckPoseReading(options, trajectory, samples.gyro, shifts, best);
   if (best.explained < kMinExplained) throw DataError(RateMismatch(best));
   CheckGyroUnit(best);
-  start.q_MI = options.initial_rotation ? options.initial_rotation->normalized() : best.q_MI;
+  // What is estimated starts where the data put it, which no guess can better.
+  start.q_MI = options.estimate_rotation ? best.q_MI : options.initial_rotation->normalized();
   start.gyro_bias = best.gyro_bias;
   start.accel_delay = options.accel_delay;
   FitLeverArm(
       trajectory, samples.accel, options.gravity_magnitude, options.estimate_accel_delay, &start);
-  if (options.initial_translation) start.p_MI = *options.initial_translation;
+  if (!options.estimate_translation) start.p_MI = *options.initial_translation;
   if (options.initial_gravity) start.g_W = *options.initial_gravity;
   return start;
 }

@@ -130,17 +130,6 @@ LivelySpan FindLiveliest(const PreparedSession& session,
   return best;
 }
 
-/// Takes the step that remains, of everything: trajectories, gravity and biases too.
-void TakeStep(const Marginals& marginals, LeastSquares* solved) {
-  Eigen::Index column = 0;
-  for (double* block : marginals.blocks) {
-    const int size = TangentSize(solved->problem, block);
-    const bool is_held = solved->problem.IsParameterBlockConstant(block);
-    if (!is_held) MoveBlock(solved->problem, marginals.step.data() + column, block);
-    column += size;
-  }
-}
-
 /// S4 at given knot spacings: trajectories and calibration in passes of least squares, each with
 /// the noise and the robust weights that the residuals of the one before show.
 class JointSolver {
@@ -191,12 +180,12 @@ class JointSolver {
     Solution solution;
     solution.marginals = LastStep();
     if (Release(solution.marginals.shown)) {
-      FollowClocks([&] { TakeStep(solution.marginals, problem_.get()); });
+      TakeStep(solution.marginals);
       statistics_ = problem_->FindStatistics();
       solution.marginals = LastStep();
     }
     solution.statistics = statistics_;
-    FollowClocks([&] { TakeStep(solution.marginals, problem_.get()); });
+    TakeStep(solution.marginals);
     solution.residuals = problem_->TakeResiduals();
     problem_.reset();
     solution.models = std::move(models_);
@@ -212,6 +201,11 @@ class JointSolver {
     Build();
     FeignInformation(splines_, problem_.get());
     return FindMarginals(problem_.get());
+  }
+
+  /// Of everything: trajectories, gravity and biases too.
+  void TakeStep(const Marginals& marginals) {
+    FollowClocks([&] { MoveBlocks(problem_->problem, marginals.blocks, marginals.step); });
   }
 
   /// From now on these are estimated; whether there are any.

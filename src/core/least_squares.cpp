@@ -1,12 +1,13 @@
 #include "imu_pose_calib/core/least_squares.h"
 
 #include <ceres/normal_prior.h>
-#include <ceres/solver.h>
 
+#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <string>
 #include <thread>
+#include <utility>
 
 #include "imu_pose_calib/core/manifolds.h"
 #include "imu_pose_calib/core/median.h"
@@ -21,6 +22,39 @@ constexpr double kDelayPrior = 0.02;  // [s]
 constexpr double kEdge = 0.02;  // [s]
 /// Residuals of a sensor that the trajectory follows more closely say little about its noise.
 constexpr double kLeastRedundancy = 0.1;
+
+/// Share of the diagonal of H that is added to it after a step that does not reduce the cost by a
+/// share kLeastGain of what it should (Levenberg-Marquardt); less than this is none.
+constexpr double kLeastDamping = 1e-8, kLeastGain = 1e-3;
+/// Relative to the parameters.
+constexpr double kLeastStep = 1e-8;
+
+struct GaussNewtonStep {
+  Eigen::VectorXd x;  ///< of the blocks
+  double decrease;    ///< of the cost, if the residuals were linear; NaN when there is no step
+};
+
+GaussNewtonStep FindStep(const NormalEquations& equations,
+                         size_t sessions,
+                         double damping,
+                         int threads) {
+  const Elimination& elimination = *equations.elimination();
+  std::vector<Panels> panels = equations.Assemble(static_cast<int>(sessions), {});
+  const auto damp = [damping](int, auto diagonal) { diagonal *= 1.0 + damping; };
+  for (Panels& own : panels) elimination.VisitDiagonal(damp, &own);
+  const Eigen::VectorXd weights = Eigen::VectorXd::Ones(static_cast<Eigen::Index>(sessions));
+  Reduced reduced = EliminateAll(elimination, weights, true, threads, &panels);
+  for (Eigen::Index k = 0; k < reduced.H.rows(); ++k)
+    if (reduced.H(k, k) == 0.0) reduced.H(k, k) = 1.0;  // nothing acts on it: it stays
+  GaussNewtonStep step{Eigen::VectorXd::Zero(elimination.columns()), std::nan("")};
+  const Eigen::LLT<Eigen::MatrixXd> llt(reduced.H);
+  if (!reduced.H.allFinite() || llt.info() != Eigen::Success) return step;
+  const Eigen::VectorXd b = reduced.B * weights;
+  step.x.head(b.size()) = -llt.solve(b);
+  step.decrease = 0.5 * (reduced.inner.sum() - b.dot(step.x.head(b.size())));
+  for (const Panels& own : panels) elimination.SubstituteBack(own, &step.x);
+  return step;
+}
 
 }  // namespace
 
@@ -147,23 +181,72 @@ int LeastSquares::Threads() const {
              : std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
 }
 
+std::vector<double*> LeastSquares::BiasBlocks() const {
+  std::vector<double*> blocks;
+  for (SessionEstimate& session : estimate->sessions)
+    for (ImuSessionEstimate& imu : session.imus)
+      for (BiasKnots* knots : {&imu.gyro_bias, &imu.accel_bias})
+        for (Eigen::Vector3d& value : knots->values)
+          if (problem.HasParameterBlock(value.data())) blocks.push_back(value.data());
+  return blocks;
+}
+
+std::vector<Equation> LeastSquares::Equations() const {
+  std::vector<Equation> equations;
+  for (const SensorBlocks& sensor : sensors)
+    for (size_t i = 0; i < sensor.blocks.size(); ++i)
+      equations.push_back({sensor.blocks[i], sensor.model->session, sensor.block_t[i]});
+  for (const PriorBlock& prior : priors) equations.push_back({prior.block, prior.session, prior.t});
+  return equations;
+}
+
 int LeastSquares::Solve(double function_tolerance) {
-  ceres::Solver::Options ceres_options;
-  ceres_options.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
-  ceres_options.sparse_linear_algebra_library_type = ceres::EIGEN_SPARSE;  // small blocks: no BLAS
-  ceres_options.max_num_iterations = options.max_iterations;
-  ceres_options.num_threads = Threads();
-  ceres_options.logging_type = ceres::SILENT;
-  ceres_options.function_tolerance = function_tolerance;
-  ceres_options.jacobi_scaling = false;  // Cholesky does not need it
-  // Nearly linear: full Gauss-Newton steps first.
-  ceres_options.initial_trust_region_radius = 1e8;
-  ceres::Solver::Summary summary;
-  ceres::Solve(ceres_options, &problem, &summary);
-  if (summary.termination_type == ceres::CONVERGENCE)
-    return static_cast<int>(summary.iterations.size()) - 1;  // the first entry is the start
+  std::vector<double*> border, inner = BiasBlocks();
+  const auto add_border = [&](double* block) {
+    if (problem.HasParameterBlock(block) && !problem.IsParameterBlockConstant(block))
+      border.push_back(block);
+  };
+  for (const Parameter& p : CalibrationParameters(estimate)) add_border(p.data);
+  for (SessionEstimate& session : estimate->sessions) add_border(session.g_W.data());
+  inner.insert(inner.end(), trajectory_blocks.begin(), trajectory_blocks.end());
+  std::vector<Equation> all = Equations();
+  for (Equation& equation : all) equation.cluster = static_cast<int>(equation.session);
+  const NormalEquations equations(problem, border, inner, std::move(all), Threads());
+
+  ceres::Problem::EvaluateOptions evaluate;
+  evaluate.num_threads = Threads();
+  const auto find_cost = [&] {
+    double cost = 0.0;
+    return problem.Evaluate(evaluate, &cost, nullptr, nullptr, nullptr) ? cost : std::nan("");
+  };
+  double cost = find_cost(), damping = 0.0, growth = 2.0;
+  if (!std::isfinite(cost))
+    throw DataError("the residuals cannot be evaluated where the solve starts");
+  for (int iteration = 1; iteration <= options.max_iterations; ++iteration) {
+    const GaussNewtonStep step = FindStep(equations, sessions.size(), damping, Threads());
+    const Eigen::VectorXd before = MoveBlocks(problem, equations.blocks(), step.x);
+    const double found = find_cost(), change = cost - found;
+    const bool is_accepted = change > kLeastGain * step.decrease;
+    if (!is_accepted) RestoreBlocks(problem, equations.blocks(), before);
+    // No change to speak of; or all of what the linear model foresaw, at its minimum.
+    const bool is_full = damping == 0.0;
+    if (std::isfinite(step.decrease) && (is_accepted || is_full) &&
+        (std::abs(change) <= function_tolerance * cost ||
+         step.x.norm() <= kLeastStep * (before.norm() + kLeastStep) ||
+         (is_accepted && is_full &&
+          std::abs(change - step.decrease) <= function_tolerance * found)))
+      return iteration;
+    if (is_accepted) {
+      damping = damping / 3.0 < kLeastDamping ? 0.0 : damping / 3.0;
+      growth = 2.0;
+      cost = found;
+    } else {
+      damping = std::max(kLeastDamping, damping * growth);
+      growth *= 2.0;
+    }
+  }
   throw DataError("the solve did not converge within max_iterations = " +
-                  std::to_string(options.max_iterations) + ": " + summary.message);
+                  std::to_string(options.max_iterations));
 }
 
 std::vector<SensorStatistics> LeastSquares::FindStatistics() {

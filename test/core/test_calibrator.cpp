@@ -226,6 +226,24 @@ TEST(Calibrate, EndsAtTheSameResultFromInitialValues) {
   EXPECT_LT(difference.cwiseQuotient(Sigma(plain)).cwiseAbs().maxCoeff(), 0.2);
 }
 
+/// However wrong, and with both methods.
+TEST(Calibrate, NoGuessOfTheTransformLeadsAstray) {
+  const SimulatorOptions truth = Recording(Motion::kHandheld, 10.0, 10);
+  const SessionData data = Simulate(truth);
+  for (const Method method : {Method::kGp, Method::kJoint}) {
+    CalibrationOptions options = GpOptions();
+    options.method = method;
+    const Calibration plain = Calibrate(options, data);
+    for (const Vector3d& turn : {Vector3d(M_PI, 0.0, 0.0), Vector3d(0.0, 1.0, -2.0)}) {
+      options.initial_rotation = truth.T_MI.q * Exp(turn);
+      options.initial_translation = truth.T_MI.p + Vector3d(0.6, -0.7, 0.3);
+      const Calibration result = Calibrate(options, data);
+      EXPECT_EQ(result.imus[0].T_MI.Matrix(), plain.imus[0].T_MI.Matrix());
+      EXPECT_EQ(result.sessions[0].imus[0].time_shift, plain.sessions[0].imus[0].time_shift);
+    }
+  }
+}
+
 TEST(Calibrate, IsAFunctionOfItsInput) {
   const SessionData data = Simulate(Recording(Motion::kHandheld, 8.0, 11));
   const Calibration a = Calibrate(GpOptions(), data), b = Calibrate(GpOptions(), data);

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <functional>
 
+#include "dense_inverse.h"
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/imu_track.h"
 #include "imu_pose_calib/core/so3.h"
@@ -246,16 +247,7 @@ TEST_F(ImuTrackOfOneTest, SamplesAreOfOneInstant) {
 
 TEST(ImuTrackTest, EndsOfRunsHaveTheCovarianceOfAllThatActsThere) {
   const Calibration result = Calibrate({}, Simulate(Truth(460, 7.0, 1e-3)));
-  const Marginals& m = result.solution->marginals;
-  // Without what is held.
-  const Eigen::MatrixXd H = Eigen::MatrixXd(m.H).selfadjointView<Eigen::Lower>();
-  const auto held = m.held_end - m.held_begin, size = static_cast<int>(H.rows()) - held;
-  const auto before = m.held_begin, after = size - before;
-  Eigen::MatrixXd own(size, size);
-  own << H.topLeftCorner(before, before), H.topRightCorner(before, after),
-      H.bottomLeftCorner(after, before), H.bottomRightCorner(after, after);
-  const Eigen::MatrixXd inverse = own.llt().solve(Eigen::MatrixXd::Identity(size, size));
-
+  const Eigen::MatrixXd inverse = DenseInverse(result.solution->marginals);
   const TrajectoryCovariance covariance(result.solution);
   const CorrectionSplines::Run run = result.solution->splines[0].Runs().front();
   const ImuSessionEstimate& imu = result.solution->estimate.sessions[0].imus[0];

@@ -129,7 +129,7 @@ TEST(Initialise, FindsLogsThatOverlapAtTheirEndsOnly) {
   InitialiseOn(data, options);
 }
 
-TEST(Initialise, UsesInitialValues) {
+TEST(Initialise, TakesTheTransformThatIsGivenWhereItIsNotEstimated) {
   SimulatorOptions options = Recording(12.0, 10);
   options.time_shift_s = -777.77;
   CalibrationOptions calibration;
@@ -137,9 +137,14 @@ TEST(Initialise, UsesInitialValues) {
   calibration.initial_rotation =
       options.T_MI.q * Eigen::Quaterniond(Eigen::AngleAxisd(kDegree, Vector3d::UnitX()));
   calibration.initial_translation = options.T_MI.p + Vector3d(0.001, 0.002, 0.003);
-  const Start start = InitialiseOn(Simulate(options), options, calibration);
-  EXPECT_LT(start.q_MI.angularDistance(*calibration.initial_rotation), 1e-9);
-  EXPECT_EQ(start.p_MI, *calibration.initial_translation);
+  const SessionData data = Simulate(options);
+  const Start guessed = InitialiseOn(data, options, calibration);
+  EXPECT_GT(guessed.q_MI.angularDistance(*calibration.initial_rotation), 1e-6);
+  EXPECT_NE(guessed.p_MI, *calibration.initial_translation);
+  calibration.estimate_rotation = calibration.estimate_translation = false;
+  const Start given = InitialiseOn(data, options, calibration);
+  EXPECT_LT(given.q_MI.angularDistance(*calibration.initial_rotation), 1e-9);
+  EXPECT_EQ(given.p_MI, *calibration.initial_translation);
 }
 
 TEST(Initialise, SearchesOneSecondAroundAGuess) {

@@ -1,5 +1,6 @@
 #include <Eigen/Cholesky>
 
+#include "dense_inverse.h"
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/so3.h"
 #include "imu_pose_calib/core/trajectory.h"
@@ -223,24 +224,18 @@ TEST_F(SolutionTest, CovarianceIsABlockOfTheInverse) {
   const Calibration result = Calibrate({}, Simulate(brief));
   const Solution& solution = *result.solution;
   const Marginals& m = solution.marginals;
-  // Without the parameters that are held.
-  const Eigen::MatrixXd H = Eigen::MatrixXd(m.H).selfadjointView<Eigen::Lower>();
-  const auto held = m.held_end - m.held_begin, size = static_cast<int>(H.rows()) - held;
-  Eigen::MatrixXd own(size, size);
-  const auto before = m.held_begin, after = size - before;
-  own << H.topLeftCorner(before, before), H.topRightCorner(before, after),
-      H.bottomLeftCorner(after, before), H.bottomRightCorner(after, after);
-  const Eigen::MatrixXd C = own.llt().solve(Eigen::MatrixXd::Identity(size, size));
+  const Eigen::MatrixXd C = DenseInverse(m);
 
   const double t = 2.345;
   const SplinePlace place = *solution.splines[0].Locate(t);
   const SplineWeights weights = CubicWeights(place.u, place.spacing);
-  Eigen::MatrixXd B = Eigen::MatrixXd::Zero(9, size);  // position, velocity, acceleration
+  const auto first = m.trajectory_begin + 3 * static_cast<int>(place.first);
+  const Eigen::MatrixXd points = C.block(first, first, 3 * kSplineOrder, 3 * kSplineOrder);
+  Eigen::MatrixXd B(9, points.rows());  // position, velocity, acceleration
   for (int j = 0; j < kSplineOrder; ++j)
     for (int k = 0; k < 3; ++k)
-      B.block<3, 3>(3 * k, m.trajectory_begin - held + 3 * (static_cast<int>(place.first) + j)) =
-          weights(k, j) * Eigen::Matrix3d::Identity();
-  const Eigen::MatrixXd expected = B * C * B.transpose();
+      B.block<3, 3>(3 * k, 3 * j) = weights(k, j) * Eigen::Matrix3d::Identity();
+  const Eigen::MatrixXd expected = B * points * B.transpose();
   const BodyCovariance found = *SessionTrajectory(result.solution, 0).MarkerCovariance(t);
   const int place_of[] = {3, 9, 15};
   for (int i = 0; i < 3; ++i)

@@ -1,7 +1,6 @@
 // Bags with random damage are read or refused with one line; nothing crashes or hangs.
 
-#include <random>
-
+#include "damage.h"
 #include "imu_pose_calib/ros/io/bag_reader.h"
 #include "imu_pose_calib/ros/io/bag_writer.h"
 #include "recompress.h"
@@ -9,48 +8,6 @@
 
 namespace imu_pose_calib {
 namespace {
-
-/// Damages a few bits, bytes, or a run of bytes; or cuts the text off or a part out.
-std::string Damage(std::string text, std::mt19937* random) {
-  const auto below = [&](size_t size) {
-    return std::uniform_int_distribution<size_t>(0, size - 1)(*random);
-  };
-  // A third of the damage goes to the headers at the start, a third to the index at the end.
-  const size_t part = std::min<size_t>(text.size(), 6000);
-  const auto position = [&] {
-    switch (below(3)) {
-      case 0:
-        return below(part);
-      case 1:
-        return text.size() - 1 - below(part);
-      default:
-        return below(text.size());
-    }
-  };
-  const auto flip = [&](size_t at) {
-    text[at] = static_cast<char>(static_cast<unsigned char>(text[at]) ^ (1u << below(8)));
-  };
-  switch (below(5)) {
-    case 0:
-      flip(position());
-      break;
-    case 1:
-      for (int k = 0; k < 20; ++k) flip(position());
-      break;
-    case 2:
-      text.resize(position());
-      break;
-    case 3:
-      text.erase(position(), 1 + below(100));
-      break;
-    default: {
-      const size_t begin = position();
-      for (size_t k = begin; k < std::min(text.size(), begin + 64); ++k)
-        text[k] = static_cast<char>(below(256));
-    }
-  }
-  return text;
-}
 
 class BagDamageTest : public TempDirTest {
  protected:
@@ -88,12 +45,6 @@ class BagDamageTest : public TempDirTest {
     return refused;
   }
 };
-
-/// Copies of each kind; the environment may ask for more.
-int Copies() {
-  const char* text = std::getenv("IMU_POSE_CALIB_DAMAGED_BAGS");
-  return text ? std::atoi(text) : 40;
-}
 
 TEST_F(BagDamageTest, UncompressedBags) {
   EXPECT_GT(ReadDamaged("poses.bag", rosbag::compression::Uncompressed, Copies()), Copies() / 3);

@@ -3,6 +3,7 @@
 #include <fcntl.h>
 #include <gtest/gtest.h>
 #include <ros/ros.h>
+#include <sensor_msgs/PointCloud2.h>
 #include <sys/stat.h>
 #include <tf2_msgs/TFMessage.h>
 #include <yaml-cpp/yaml.h>
@@ -212,6 +213,17 @@ TEST(CalibrateNode, ReadsTfFromSeveralBags) {
                   output + "' _bag:='" + bags + "'");
   EXPECT_EQ(outcome.status, 0) << outcome.err;
   EXPECT_EQ(YAML::LoadFile(output)["data"]["bag"].as<std::string>(), bags);
+}
+
+TEST(AggregateCloudsLaunch, OffersBothMaps) {
+  for (const char* topic : {"/aggregate_clouds/map", "/aggregate_clouds/uncalibrated"}) {
+    const auto map =
+        ros::topic::waitForMessage<sensor_msgs::PointCloud2>(topic, ros::Duration(60.0));
+    ASSERT_TRUE(map) << topic;
+    EXPECT_EQ(map->header.frame_id, "world");
+    EXPECT_GT(map->width, 10000u);
+  }
+  EXPECT_TRUE(std::filesystem::exists(Directory() + "/clouds.map.pcd"));
 }
 
 }  // namespace

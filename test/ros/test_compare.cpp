@@ -249,7 +249,6 @@ TEST_F(CompareTest, ExportsFromTheResultAreThoseOfTheCalibration) {
   const Outcome outcome =
       Calibrate("x.bag --imu-topic /imu --imu-topic /imu1 --export kalibr,px4 --quiet");
   ASSERT_EQ(outcome.status, 0) << outcome.err;
-  std::filesystem::create_directory(Path("later"));
   const Outcome later =
       Run("export_calibration", "x.calibration.yaml --export kalibr,px4,urdf --output-dir later");
   ASSERT_EQ(later.status, 0) << later.err;

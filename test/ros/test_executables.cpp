@@ -448,13 +448,14 @@ TEST_F(CalibrateBagTest, SimulationRefusesBadOptions) {
   expect_refusal("a.bag --gyro-std=-1", "--gyro-std");
   expect_refusal("a.bag --pose-drops 120", "--pose-drops = 120.0 must be within 0.0 and 90.0");
   expect_refusal("a.bag --pose-type Path", "'Path'");
-  expect_refusal("a --format csv", "'csv' is unknown; must be bag, asl or text");
+  expect_refusal("a --format csv", "'csv' is unknown; must be bag, mcap, db3, asl or text");
   expect_refusal("a --format asl --split", "--split");
   expect_refusal("--format text", "path");
   expect_refusal("no/dir --format text --duration 2", "no/dir.poses.txt");
   expect_refusal("/proc/dir --format asl --duration 2", "/proc/dir");
   expect_refusal("a.bag --duration 2 --time-shift 1e10", "--time-shift");
-  expect_refusal("no/dir.bag --duration 2", "no/dir.bag");
+  for (const std::string format : {"bag", "mcap", "db3"})
+    expect_refusal("no/dir." + format + " --duration 2 --format " + format, "no/dir." + format);
 }
 
 }  // namespace

@@ -258,11 +258,10 @@ TEST_F(ExportFiles, StandNextToTheResult) {
       paths,
       std::vector<std::string>({Path("my.calibration.evo.json"), Path("my.calibration.urdf")}));
   EXPECT_EQ(ReadText(paths[0]), FileOf(stored, "evo", "evo.json"));
-  std::filesystem::create_directory(Path("out"));
-  EXPECT_EQ(WriteExports(stored, {"tf"}, Path("out")),
-            std::vector<std::string>({Path("out/my.calibration.tf.launch")}));
-  ExpectError<InputError>([&] { WriteExports(stored, {"tf"}, Path("none")); },
-                          {"none/my.calibration.tf.launch", "No such file"});
+  EXPECT_EQ(WriteExports(stored, {"tf"}, Path("a/b")),  // made
+            std::vector<std::string>({Path("a/b/my.calibration.tf.launch")}));
+  ExpectError<InputError>([&] { WriteExports(stored, {"tf"}, paths[0] + "/c"); },
+                          {"my.calibration.evo.json/c", "Not a directory"});
 }
 
 TEST_F(ExportFiles, AreNotWrittenWhenOneCannotBeMade) {

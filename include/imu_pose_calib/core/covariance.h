@@ -1,12 +1,9 @@
 #pragma once
 
-#include <ceres/crs_matrix.h>
-#include <ceres/problem.h>
-
 #include <Eigen/Core>
-#include <Eigen/SparseCore>
-#include <map>
 #include <vector>
+
+#include "imu_pose_calib/core/elimination.h"
 
 namespace imu_pose_calib {
 
@@ -25,67 +22,25 @@ struct MarginalEstimate {
 struct MarginalEstimates {
   MarginalEstimate gauss_newton;
   MarginalEstimate exact;  ///< the same as gauss_newton when it would not be positive definite
-  Eigen::VectorXd step;    ///< Gauss-Newton step of all parameters
-  Eigen::MatrixXd gain;    ///< H^-1 L
-  Eigen::SparseMatrix<double> H;  ///< lower triangle
 };
+
+/// From B^T H^-1 B, where B holds the scores of the clusters, the functionals, then for each
+/// functional in `exact`, which are parameters, sum_i r_i d^2 r_i / (dp dx): what its column of the
+/// Hessian has beyond J^T J; half of it for other p in `exact`. Infinite when B^T H^-1 B is not
+/// finite.
+MarginalEstimates EstimateMarginals(const Eigen::MatrixXd& products,
+                                    int clusters,
+                                    int functionals,
+                                    const std::vector<int>& exact);
+/// Of columns of the border, all others of it being known, with the influence of these clusters.
+MarginalEstimate EstimateBorder(const Reduced& reduced,
+                                const std::vector<int>& columns,
+                                const std::vector<int>& clusters);
 
 /// The first `count` functionals, as if the others were known to be right.
 MarginalEstimate GivenOthers(const MarginalEstimate& estimate, int count);
 /// The functionals at `places`, whatever the others are.
 MarginalEstimate Select(const MarginalEstimate& estimate, const std::vector<int>& places);
-
-/// Gathers H and the scores of the clusters from portions of the Jacobian, so that it need not be
-/// held as a whole. Clusters belong to parts of the data, which can be looked at alone.
-class MarginalEstimator {
- public:
-  /// The first `leading` parameters are those that parts are asked for.
-  MarginalEstimator(int parameters, int leading, const std::vector<int>& part_of_cluster);
-
-  /// Rows of the weighted and robustified Jacobian and residuals at the minimum; `cluster[i]` is
-  /// the time block of row i.
-  void Add(const ceres::CRSMatrix& J,
-           const std::vector<double>& residuals,
-           const std::vector<int>& cluster);
-
-  /// sum_i r_i d^2 r_i / (dx_column dx) of rows that were added, see Curvature(): what column
-  /// `column`, a leading one, of the Hessian has beyond J^T J. Once per portion and column.
-  void AddCurvature(int column, const Eigen::VectorXd& curvature);
-
-  /// `information` on each parameter from `first` on, beside what the rows say: keeps those that no
-  /// sample sees determined.
-  void AddPrior(int first, double information);
-
-  /// Functionals are the columns of L. Infinite when some parameter has no information.
-  MarginalEstimates Solve(const Eigen::SparseMatrix<double>& L) const;
-  /// What some parts say alone, by J^T J, of the leading parameters at `wanted`, which must act in
-  /// them.
-  MarginalEstimate SolveParts(const std::vector<int>& parts, const std::vector<int>& wanted) const;
-  /// Leading parameters of which these parts say anything.
-  std::vector<int> ActingIn(const std::vector<int>& parts) const;
-
-  size_t parts() const { return H_.size(); }
-
- private:
-  Eigen::SparseMatrix<double> Sum(const std::vector<int>& parts) const;
-
-  const int leading_;
-  const std::vector<int> part_of_cluster_;
-  std::vector<Eigen::SparseMatrix<double>> H_;  ///< lower triangles, of each part
-  std::map<int, Eigen::VectorXd> curvature_;    ///< by column
-  std::vector<Eigen::Triplet<double>> scores_;  ///< (parameter, cluster, g)
-};
-
-/// sum_i r_i d^2 r_i / (dp dx) for every column x of J, from the gradient `step` further in the
-/// scalar p, whose column in J is `column`. J and `residuals` are what `problem` evaluates to with
-/// `options`.
-Eigen::VectorXd Curvature(ceres::Problem* problem,
-                          const ceres::Problem::EvaluateOptions& options,
-                          const ceres::CRSMatrix& J,
-                          const std::vector<double>& residuals,
-                          double* p,
-                          int column,
-                          double step);
 
 /// Largest share of the scores' degrees of freedom that a fit is taken to have used up.
 constexpr double kLargestFittedShare = 0.5;

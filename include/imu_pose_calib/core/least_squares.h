@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "imu_pose_calib/core/estimate.h"
+#include "imu_pose_calib/core/normal_equations.h"
 #include "imu_pose_calib/core/options.h"
 
 namespace imu_pose_calib {
@@ -124,8 +125,13 @@ struct LeastSquares {
                    double expected = 0.0,
                    std::optional<size_t> imu = std::nullopt);
 
-  /// Returns the number of iterations. Throws DataError when Ceres does not converge to a relative
-  /// change of the cost below `function_tolerance`.
+  /// Bias knots of all sessions.
+  std::vector<double*> BiasBlocks() const;
+  /// All residual blocks.
+  std::vector<Equation> Equations() const;
+
+  /// Gauss-Newton steps, damped when they fail. Returns their number. Throws DataError when the
+  /// cost does not converge to what it is at the minimum, but for a share `function_tolerance`.
   int Solve(double function_tolerance);
   /// Of each sensor.
   std::vector<SensorStatistics> FindStatistics();

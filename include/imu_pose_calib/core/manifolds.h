@@ -4,6 +4,8 @@
 #include <ceres/version.h>
 
 #include <Eigen/Core>
+#include <algorithm>
+#include <vector>
 
 /// The only place that knows that Ceres renamed its parameterizations (2.1 against 1.14).
 #if CERES_VERSION_MAJOR > 2 || (CERES_VERSION_MAJOR == 2 && CERES_VERSION_MINOR >= 1)
@@ -78,6 +80,32 @@ inline int TangentSize(const ceres::Problem& problem, const double* parameters) 
 #else
   return problem.ParameterBlockLocalSize(parameters);
 #endif
+}
+
+/// Moves parameter blocks one after the other by a step of all; returns the values before.
+inline Eigen::VectorXd MoveBlocks(const ceres::Problem& problem,
+                                  const std::vector<double*>& blocks,
+                                  const Eigen::VectorXd& step) {
+  std::vector<double> before;
+  const double* next = step.data();
+  for (double* block : blocks) {
+    before.insert(before.end(), block, block + problem.ParameterBlockSize(block));
+    MoveBlock(problem, next, block);
+    next += TangentSize(problem, block);
+  }
+  return Eigen::Map<Eigen::VectorXd>(before.data(), static_cast<Eigen::Index>(before.size()));
+}
+
+/// Puts them back.
+inline void RestoreBlocks(const ceres::Problem& problem,
+                          const std::vector<double*>& blocks,
+                          const Eigen::VectorXd& before) {
+  const double* next = before.data();
+  for (double* block : blocks) {
+    const int size = problem.ParameterBlockSize(block);
+    std::copy(next, next + size, block);
+    next += size;
+  }
 }
 
 }  // namespace imu_pose_calib

@@ -1,7 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <Eigen/SparseCore>
+#include <memory>
 #include <vector>
 
 #include "imu_pose_calib/core/least_squares.h"
@@ -44,10 +44,13 @@ struct Marginals {
 
   std::vector<SessionMarginals> sessions;  ///< none when there is only one
 
-  /// The Gauss-Newton step that remains, of the parameter blocks in the order of H.
+  /// The Gauss-Newton step that remains, of the parameter blocks in the order of H: what is
+  /// calibrated, what could have been (no step), gravity of each session, then of each session the
+  /// bias knots, gyroscope and accelerometer of each IMU, and of each session the control points.
   std::vector<double*> blocks;
   Eigen::VectorXd step;
-  Eigen::SparseMatrix<double> H;  ///< lower triangle, by the steps of the blocks
+  std::shared_ptr<const Elimination> elimination;
+  Panels factor;  ///< of H; of the border H itself, less what the rest takes
 
   int held_begin = 0, held_end = 0;  ///< columns of H of parameters that are not estimated
   int trajectory_begin = 0;          ///< first column of H of the control points

@@ -13,7 +13,6 @@ class TrajectoryCovariance {
  public:
   /// Throws DataError when the trajectory is not determined.
   explicit TrajectoryCovariance(const std::shared_ptr<const Solution>& solution);
-  ~TrajectoryCovariance();
 
   /// Columns of the parameters, one for each degree of freedom; -1 for what is held.
   using Columns = std::vector<int>;
@@ -33,16 +32,13 @@ class TrajectoryCovariance {
   Eigen::MatrixXd At(const Columns& columns) const;
 
  private:
-  class SelectedInverse;
   Columns Kept(int first, int count) const;
-  /// H without what is held.
-  Eigen::SparseMatrix<double> FreeInformation() const;
 
   std::shared_ptr<const Solution> solution_;
   // First columns, of each session:
   std::vector<int> d_, gravity_;
   std::vector<std::vector<int>> gyro_knots_, accel_knots_;  ///< of each IMU
-  std::unique_ptr<const SelectedInverse> inverse_;
+  Panels inverse_;  ///< elements of H^-1, what is held being known
 };
 
 }  // namespace imu_pose_calib

@@ -95,6 +95,11 @@ std::vector<std::string> WriteExports(const StoredResult& stored,
   std::vector<ExportFile> files;  // all of them before any is written
   for (const std::string& name : names)
     for (ExportFile& file : Export(stored, name, options)) files.push_back(std::move(file));
+  if (!folder.empty()) {
+    std::error_code failure;
+    std::filesystem::create_directories(folder, failure);
+    if (failure) throw InputError("folder '" + folder + "' cannot be made: " + failure.message());
+  }
   std::vector<std::string> paths;
   for (const ExportFile& file : files) {
     paths.push_back(stem.string() + "." + file.ending);

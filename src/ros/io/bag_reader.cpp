@@ -3,17 +3,17 @@
 #include <console_bridge/console.h>
 
 #include <algorithm>
+#include <boost/algorithm/string/join.hpp>
 #include <cmath>
 #include <filesystem>
 #include <functional>
-#include <map>
 #include <optional>
 #include <set>
-#include <sstream>
 #include <vector>
 
 #include "imu_pose_calib/core/median.h"
 #include "imu_pose_calib/ros/io/bags.h"
+#include "imu_pose_calib/ros/io/body_poses.h"
 #include "imu_pose_calib/ros/io/child_process.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/pose_messages.h"
@@ -23,17 +23,14 @@
 namespace imu_pose_calib {
 namespace {
 
-/// Bags of one recording follow each other by no more than this, or overlap by as little [s].
-constexpr double kMaxPause = 2.0, kMaxOverlap = 0.5;
-
 std::string PoseTypeList() {
   std::string list;
   for (const std::string& name : PoseTypeNames()) list += (list.empty() ? "" : " or ") + name;
   return list;
 }
 
-ImuContent ReadImuMessage(const rosbag::MessageInstance& instance) {
-  return ReadImuContent(instance.getDataType(), BagMessage{instance});
+ImuContent ReadImuMessage(const BagMessage& message) {
+  return ReadImuContent(message.type(), message);
 }
 
 // --- Which topics ---
@@ -46,8 +43,8 @@ struct ImuSensors {
 
 ImuSensors FindSensors(const Bags& bags, const BagTopic& topic) {
   ImuSensors sensors;
-  bags.ForEach(topic, [&](const rosbag::MessageInstance& instance) {
-    const ImuContent content = ReadImuMessage(instance);
+  bags.ForEach(topic, [&](const BagMessage& message) {
+    const ImuContent content = ReadImuMessage(message);
     if (content.gyro && !content.gyro->value.isZero(0.0)) sensors.gyro = true;
     if (content.accel && !content.accel->value.isZero(0.0)) sensors.accel = true;
     return !(sensors.gyro && sensors.accel);
@@ -157,8 +154,8 @@ void CheckContent(const Bags& bags, const ImuTopics& imu) {
 std::string TfHint(const Bags& bags) {
   if (bags.Select([](const BagTopic& t) { return t.IsTf(); }).empty()) return "";
   TfChain links("", "", 0.0);
-  bags.ForEachTf([&](const rosbag::MessageInstance& instance, bool fixed) {
-    links.Add(*Instantiate<tf2_msgs::TFMessage>(instance), fixed);
+  bags.ForEachTf([&](const BagMessage& message, bool fixed) {
+    links.Add(*message.instantiate<tf2_msgs::TFMessage>(), fixed);
   });
   return "; for poses from tf give tf_parent and tf_child, its frames are: " + links.Links();
 }
@@ -206,8 +203,8 @@ void CheckStamps(const std::string& topic, const std::vector<Sample>& samples) {
 /// Record time minus header stamp [s] of the messages of one stream.
 class Delays {
  public:
-  void Add(const rosbag::MessageInstance& instance, int64_t stamp_ns) {
-    delays_s_.push_back(1e-9 * static_cast<double>(ToNanoseconds(instance.getTime()) - stamp_ns));
+  void Add(const BagMessage& message, int64_t stamp_ns) {
+    delays_s_.push_back(1e-9 * static_cast<double>(ToNanoseconds(message.time()) - stamp_ns));
   }
 
   std::optional<Latency> Summarise() && {
@@ -229,20 +226,20 @@ void ReadImu(const Bags& bags,
              ImuInfo* info,
              ImuData* data) {
   const auto add = [record_time](ImuSample sample,
-                                 const rosbag::MessageInstance& instance,
+                                 const BagMessage& message,
                                  std::vector<ImuSample>* samples,
                                  Delays* delays) {
-    delays->Add(instance, sample.t_ns);
-    if (record_time) sample.t_ns = ToNanoseconds(instance.getTime());
+    delays->Add(message, sample.t_ns);
+    if (record_time) sample.t_ns = ToNanoseconds(message.time());
     samples->push_back(sample);
   };
   std::string frame;
   Delays gyro_delays, accel_delays;
   const auto read = [&](const BagTopic& topic, bool gyro, bool accel) {
-    bags.ForEach(topic, [&](const rosbag::MessageInstance& instance) {
-      const ImuContent content = ReadImuMessage(instance);
-      if (gyro && content.gyro) add(*content.gyro, instance, &data->gyro, &gyro_delays);
-      if (accel && content.accel) add(*content.accel, instance, &data->accel, &accel_delays);
+    bags.ForEach(topic, [&](const BagMessage& message) {
+      const ImuContent content = ReadImuMessage(message);
+      if (gyro && content.gyro) add(*content.gyro, message, &data->gyro, &gyro_delays);
+      if (accel && content.accel) add(*content.accel, message, &data->accel, &accel_delays);
       if (gyro) frame = content.frame;
       return true;
     });
@@ -275,21 +272,58 @@ std::optional<PoseStd> MedianStd(const std::vector<PoseSample>& poses) {
   return PoseStd{Median(position), Median(rotation)};
 }
 
-void ReadPoses(const Bags& bags, const BagTopic& topic, bool record_time, Recording* recording) {
+/// The body of a topic of several that a request names, or the only one.
+std::string ChooseBody(const Bags& bags, const BagTopic& topic, const std::string& name) {
+  std::set<std::string> names;
+  bags.ForEach(topic, [&](const BagMessage& message) {
+    for (const FramedPose& body : ReadBodies(message)) names.insert(body.marker_frame);
+    return true;
+  });
+  const std::string list =
+      "pose_topic '" + topic.name + "' has the bodies: " + boost::join(names, ", ");
+  if (names.empty()) throw InputError("pose_topic '" + topic.name + "' has no bodies");
+  if (name.empty() && names.size() > 1) throw InputError(list + "; choose with body");
+  if (!name.empty() && names.count(name) == 0)
+    throw InputError("body '" + name + "' is missing: " + list);
+  return name.empty() ? *names.begin() : name;
+}
+
+/// Calls `use(message, framed)` for each pose of the topic.
+template <typename Use>
+void ForEachPose(const Bags& bags, const BagTopic& topic, const std::string& body, Use use) {
+  if (topic.IsBodies()) {
+    const std::string name = ChooseBody(bags, topic, body);
+    return bags.ForEach(topic, [&](const BagMessage& message) {
+      for (const FramedPose& framed : ReadBodies(message))
+        if (framed.marker_frame == name) use(message, framed);
+      return true;
+    });
+  }
+  if (!body.empty())
+    throw InputError("body '" + body + "' is given, but pose_topic '" + topic.name + "' is " +
+                     topic.type + ", which holds one body");
   const PoseType<BagMessage>& type = *FindPoseType<BagMessage>(topic.type);
+  bags.ForEach(topic, [&](const BagMessage& message) {
+    use(message, type.read(message));
+    return true;
+  });
+}
+
+void ReadPoses(const Bags& bags,
+               const BagTopic& topic,
+               const BagRequest& request,
+               Recording* recording) {
   FramedPose first;
   Delays delays;
-  bags.ForEach(topic, [&](const rosbag::MessageInstance& instance) {
-    FramedPose framed = type.read({instance});
-    delays.Add(instance, framed.pose.t_ns);
-    if (record_time) framed.pose.t_ns = ToNanoseconds(instance.getTime());
+  ForEachPose(bags, topic, request.body, [&](const BagMessage& message, FramedPose framed) {
+    delays.Add(message, framed.pose.t_ns);
+    if (request.record_time) framed.pose.t_ns = ToNanoseconds(message.time());
     if (recording->data.poses.empty()) first = framed;
     if (framed.world_frame != first.world_frame || framed.marker_frame != first.marker_frame)
       throw InputError("pose_topic '" + topic.name + "' mixes poses of several frames: '" +
                        first.world_frame + "' -> '" + first.marker_frame + "' and '" +
                        framed.world_frame + "' -> '" + framed.marker_frame + "'");
     recording->data.poses.push_back(framed.pose);
-    return true;
   });
   CheckStamps(topic.name, recording->data.poses);
   recording->info.pose_topic = topic.name;
@@ -303,13 +337,13 @@ void ReadTf(const Bags& bags, const BagRequest& request, Recording* recording) {
   std::vector<PoseSample>& poses = recording->data.poses;
   Delays delays;
   TfChain chain(request.tf_parent, request.tf_child, bags.duration_s());
-  bags.ForEachTf([&](const rosbag::MessageInstance& instance, bool fixed) {
-    const auto msg = Instantiate<tf2_msgs::TFMessage>(instance);
+  bags.ForEachTf([&](const BagMessage& message, bool fixed) {
+    const auto msg = message.instantiate<tf2_msgs::TFMessage>();
     if (request.record_time)
-      for (auto& transform : msg->transforms) transform.header.stamp = instance.getTime();
+      for (auto& transform : msg->transforms) transform.header.stamp = message.time();
     chain.Add(*msg, fixed);
     for (const PoseSample& pose : chain.TakePoses()) {
-      if (!request.record_time) delays.Add(instance, pose.t_ns);
+      if (!request.record_time) delays.Add(message, pose.t_ns);
       poses.push_back(pose);
     }
   });
@@ -327,6 +361,8 @@ void ReadTf(const Bags& bags, const BagRequest& request, Recording* recording) {
 Recording Read(const BagRequest& request) {
   const Bags bags(request.paths, request.start_s, request.duration_s);
   const bool tf = WantsTf(request);
+  if (tf && !request.body.empty())
+    throw InputError("body '" + request.body + "' does not go with poses from tf");
   const std::vector<ImuTopics> imus = ChooseImus(bags, request);
   const BagTopic pose = tf ? BagTopic() : ChoosePose(bags, request.pose_topic);
   for (const ImuTopics& imu : imus) CheckContent(bags, imu);
@@ -334,6 +370,7 @@ Recording Read(const BagRequest& request) {
   Recording recording;
   for (const std::string& path : request.paths)
     recording.info.bag += (recording.info.bag.empty() ? "" : " ") + path;
+  recording.info.notes = bags.Notes();
   recording.info.imus.resize(imus.size());
   recording.data.imus.resize(imus.size());
   for (size_t i = 0; i < imus.size(); ++i)
@@ -342,16 +379,17 @@ Recording Read(const BagRequest& request) {
   if (tf)
     ReadTf(bags, request, &recording);
   else
-    ReadPoses(bags, pose, request.record_time, &recording);
+    ReadPoses(bags, pose, request, &recording);
   return recording;
 }
 
-/// "'A.bag', 'B.bag' ..." and what to run, for damage that rosbag does not pin down.
+/// "'A.bag', 'B.bag' ..." and what to run, for damage that the reader does not pin down.
 [[noreturn]] void FailDamaged(const BagRequest& request, const std::string& reason) {
   std::string reindex;
-  for (const std::string& path : request.paths) reindex += " " + path;
-  throw InputError(Printable("bag '" + FileNames(request.paths) + "' is damaged (" + reason +
-                             "); run: rosbag reindex" + reindex));
+  for (const std::string& path : request.paths)
+    if (!IsRos2Bag(path)) reindex += " " + path;
+  throw InputError(Printable("bag '" + FileNames(request.paths) + "' is damaged (" + reason + ")" +
+                             (reindex.empty() ? "" : "; run: rosbag reindex" + reindex)));
 }
 
 /// What `read` returns, or an InputError that says what is wrong with the bags.
@@ -378,88 +416,26 @@ ChildLimits Limits(uint64_t bytes) {
   return {10 + bytes / 1'000'000, 120 + bytes / 100'000, 4'000'000'000 + 8 * bytes};
 }
 
+uint64_t SizeOf(const std::string& path) {
+  std::error_code error;
+  const auto size = std::filesystem::file_size(path, error);
+  return error ? 0 : size;
+}
+
 }  // namespace
 
-namespace {
-
-/// Runs `read`, which returns bytes, in a child process.
 std::string ReadApart(const BagRequest& request, const std::function<std::string()>& read) {
   const Silence silence;
   uint64_t bytes = 0;
-  for (const std::string& path : request.paths) {
-    std::error_code ignored;
-    const auto size = std::filesystem::file_size(path, ignored);
-    if (!ignored) bytes += size;
-  }
+  for (const std::string& path : request.paths)
+    for (const std::string& file : FilesOfBag(path)) bytes += SizeOf(file);
   auto answer = RunApart([&] { return OrFail(request, read); }, Limits(bytes));
-  if (!answer) FailDamaged(request, "rosbag cannot cope with it");
+  if (!answer) FailDamaged(request, "it cannot be read within bounds of time and memory");
   return *std::move(answer);
 }
 
-/// When a bag was recorded and what it holds of poses and IMUs.
-struct BagSpan {
-  std::string path;
-  double begin_s, end_s;
-  std::vector<std::string> topics;
-
-  explicit BagSpan(const std::string& bag_path) : path(bag_path) {
-    const Bags bag({path}, 0.0, 0.0);
-    begin_s = bag.begin_s();
-    end_s = begin_s + bag.duration_s();
-    for (const BagTopic& topic : bag.topics())
-      if (topic.IsImu() || topic.IsVector() || topic.IsPose()) topics.push_back(topic.name);
-  }
-
-  /// Whether both are of one recording: one goes on where the other ends, or they hold other topics
-  /// of the same time.
-  bool Continues(const BagSpan& other) const {
-    const double pause = std::max(begin_s, other.begin_s) - std::min(end_s, other.end_s);
-    if (pause > kMaxPause) return false;
-    const auto is_shared = [&](const std::string& topic) {
-      return std::find(other.topics.begin(), other.topics.end(), topic) != other.topics.end();
-    };
-    return pause > -kMaxOverlap || std::none_of(topics.begin(), topics.end(), is_shared);
-  }
-};
-
-}  // namespace
-
 Recording ReadBag(const BagRequest& request) {
   return FromBytes(ReadApart(request, [&] { return ToBytes(Read(request)); }));
-}
-
-std::vector<std::vector<std::string>> GroupBags(const std::vector<std::string>& paths) {
-  if (paths.size() < 2) return {paths};
-  std::set<std::filesystem::path> known;
-  for (const std::string& path : paths)
-    if (std::filesystem::exists(path) && !known.insert(std::filesystem::canonical(path)).second)
-      throw InputError("bag '" + path + "' is given twice");
-  BagRequest request;
-  request.paths = paths;
-  // A line for each bag: the number of its recording.
-  const std::string numbers = ReadApart(request, [&paths] {
-    std::vector<BagSpan> spans;
-    std::vector<size_t> group;
-    std::string text;
-    for (const std::string& path : paths) {
-      const BagSpan span(path);
-      size_t own = spans.size();
-      for (size_t k = 0; k < spans.size(); ++k)
-        if (span.Continues(spans[k])) own = std::min(own, group[k]);
-      spans.push_back(span);
-      group.push_back(own);
-      text += std::to_string(own) + "\n";
-    }
-    return text;
-  });
-  std::istringstream lines(numbers);
-  std::map<size_t, std::vector<std::string>> groups;
-  size_t number = 0;
-  for (const std::string& path : paths)
-    if (lines >> number) groups[number].push_back(path);
-  std::vector<std::vector<std::string>> recordings;
-  for (const auto& [first, bags] : groups) recordings.push_back(bags);
-  return recordings;
 }
 
 }  // namespace imu_pose_calib

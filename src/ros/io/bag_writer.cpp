@@ -154,10 +154,24 @@ sensor_msgs::Imu ToImu(const ImuSample* gyro,
   return msg;
 }
 
+/// A bag of ROS 1 or ROS 2 that is being written.
+struct Sink {
+  rosbag::Bag* ros1;
+  Ros2Writer* ros2;
+
+  template <typename Msg>
+  void Write(const std::string& topic, int64_t t_ns, const Msg& msg) {
+    if (ros1)
+      ros1->write(topic, FromNanoseconds(t_ns), msg);
+    else
+      ros2->Write(topic, t_ns, msg);
+  }
+};
+
 /// A message to write and its record time [ns].
 struct Record {
   int64_t t_ns;
-  std::function<void(rosbag::Bag*, const ros::Time&)> write;
+  std::function<void(Sink*, int64_t)> write;
 };
 
 /// Appends the messages `to_msg(k)` of the samples, recorded at their stamps plus `offset` [ns],
@@ -171,8 +185,8 @@ void Add(const std::string& topic,
   int64_t arrival = std::numeric_limits<int64_t>::min();
   for (size_t k = 0; k < samples.size(); ++k) {
     arrival = std::max(arrival, samples[k].t_ns + offset);
-    records->push_back({arrival, [topic, to_msg, k](rosbag::Bag* bag, const ros::Time& time) {
-                          bag->write(topic, time, to_msg(k));
+    records->push_back({arrival, [topic, to_msg, k](Sink* sink, int64_t t_ns) {
+                          sink->Write(topic, t_ns, to_msg(k));
                         }});
   }
 }
@@ -184,10 +198,19 @@ int64_t RecordOffset(const SessionData& data) {
   return std::abs(offset) > kDay ? offset : 0;
 }
 
-void Write(const std::string& path, const std::vector<Record>& records) {
+void Write(const std::string& path,
+           const std::vector<Record>& records,
+           const std::optional<Ros2Format>& ros2) {
+  if (ros2) {
+    Ros2Writer writer(path, *ros2);
+    Sink sink{nullptr, &writer};
+    for (const Record& record : records) record.write(&sink, record.t_ns);
+    return writer.Close();
+  }
   try {
     rosbag::Bag bag(path, rosbag::bagmode::Write);
-    for (const Record& record : records) record.write(&bag, FromNanoseconds(record.t_ns));
+    Sink sink{&bag, nullptr};
+    for (const Record& record : records) record.write(&sink, record.t_ns);
   } catch (const rosbag::BagException& error) {
     throw InputError("cannot write bag '" + path + "': " + error.what());
   }
@@ -266,7 +289,7 @@ void WriteBag(const std::string& path, const SessionData& data, const BagFormat&
   std::stable_sort(records.begin(), records.end(), [](const Record& a, const Record& b) {
     return a.t_ns < b.t_ns;
   });
-  Write(path, records);
+  Write(path, records, format.ros2);
 }
 
 std::string TruthYaml(const SimulatorOptions& options) {

@@ -1,45 +1,19 @@
 #include "imu_pose_calib/ros/io/bags.h"
 
-#include <cerrno>
-#include <cstring>
+#include <algorithm>
 #include <filesystem>
-#include <fstream>
 #include <map>
 #include <set>
 #include <sstream>
+#include <tuple>
 
+#include "imu_pose_calib/ros/io/body_poses.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/pose_messages.h"
 #include "imu_pose_calib/ros/io/recording.h"
 
 namespace imu_pose_calib {
 namespace {
-
-/// Opens a bag or throws InputError with the reason and the remedy.
-void Open(const std::string& path, rosbag::Bag* bag) {
-  if (!std::filesystem::exists(path)) throw InputError("bag '" + path + "' does not exist");
-  if (!std::filesystem::is_regular_file(path)) throw InputError("bag '" + path + "' is not a file");
-  std::ifstream file(path, std::ios::binary);
-  if (!file) throw InputError("bag '" + path + "' cannot be read: " + std::strerror(errno));
-
-  const std::string magic = "#ROSBAG V";
-  std::string header(magic.size() + 3, '\0');
-  file.read(header.data(), static_cast<std::streamsize>(header.size()));
-  if (header.compare(0, magic.size(), magic) != 0)
-    throw InputError("'" + path + "' is not a ROS 1 bag");
-  const std::string version = header.substr(magic.size());
-  if (version != "1.2" && version != "2.0")
-    throw InputError("bag '" + path + "' is of version " + version + ", must be 1.2 or 2.0");
-  try {
-    bag->open(path);
-  } catch (const rosbag::BagUnindexedException&) {
-    throw InputError("bag '" + path + "' has no index, its recording was cut off; run: rosbag " +
-                     "reindex " + path);
-  } catch (const rosbag::BagException& error) {
-    throw InputError("bag '" + path + "' is damaged or cut off (" + error.what() +
-                     "); run: rosbag reindex " + path);
-  }
-}
 
 std::string Seconds(double value) {
   std::ostringstream text;
@@ -53,7 +27,9 @@ bool BagTopic::IsImu() const { return type == kImuType; }
 
 bool BagTopic::IsVector() const { return type == kVectorType; }
 
-bool BagTopic::IsPose() const { return FindPoseType<BagMessage>(type) != nullptr; }
+bool BagTopic::IsPose() const { return IsBodies() || FindPoseType<BagMessage>(type) != nullptr; }
+
+bool BagTopic::IsBodies() const { return HoldsBodies(type); }
 
 bool BagTopic::IsTf() const { return type == "tf2_msgs/TFMessage" || type == "tf/tfMessage"; }
 
@@ -73,8 +49,9 @@ std::string Describe(const std::vector<BagTopic>& topics) {
 
 std::string FileNames(const std::vector<std::string>& paths) {
   std::string names;
-  for (const std::string& path : paths)
-    names += (names.empty() ? "" : ", ") + std::filesystem::path(path).filename().string();
+  for (const std::filesystem::path path : paths)  // a folder may end with a slash
+    names += (names.empty() ? "" : ", ") +
+             (path.has_filename() ? path : path.parent_path()).filename().string();
   return names;
 }
 
@@ -82,11 +59,14 @@ Bags::Bags(const std::vector<std::string>& paths, double start_s, double duratio
     : paths_(paths) {
   std::set<std::filesystem::path> known;
   for (const std::string& path : paths_) {
-    bags_.push_back(std::make_unique<rosbag::Bag>());
-    Open(path, bags_.back().get());
+    if (!std::filesystem::exists(path)) throw InputError("bag '" + path + "' does not exist");
     if (!known.insert(std::filesystem::canonical(path)).second)
       throw InputError("bag '" + path + "' is given twice");
   }
+  const auto ros2 = std::count_if(paths_.begin(), paths_.end(), IsRos2Bag);
+  if (ros2 != 0 && ros2 != static_cast<int64_t>(paths_.size()))
+    throw InputError("bags of ROS 1 and of ROS 2 cannot be one recording: " + FileNames(paths_));
+  source_ = ros2 == 0 ? OpenRos1(paths_) : OpenRos2(paths_);
   SetSpan(start_s, duration_s);
   ListTopics();
 }
@@ -105,24 +85,17 @@ const BagTopic& Bags::Find(const std::string& field, const std::string& name) co
 
 std::string Bags::Contents() const { return FileNames(paths_) + "; it has: " + Describe(topics_); }
 
-std::unique_ptr<rosbag::View> Bags::View(const std::vector<BagTopic>& topics,
-                                         const ros::Time& start,
-                                         const ros::Time& end) const {
+std::vector<std::string> Bags::Names(const std::vector<BagTopic>& topics) {
   std::vector<std::string> names;
   for (const BagTopic& topic : topics) names.push_back(topic.name);
-  auto view = std::make_unique<rosbag::View>();
-  if (names.empty()) return view;
-  for (const auto& bag : bags_) view->addQuery(*bag, rosbag::TopicQuery(names), start, end);
-  return view;
+  return names;
 }
 
 void Bags::SetSpan(double start_s, double duration_s) {
   CheckSpan(start_s, duration_s);
-  rosbag::View all;
-  for (const auto& bag : bags_) all.addQuery(*bag);
-  if (all.size() == 0) throw InputError("bag '" + FileNames(paths_) + "' holds no messages");
-  begin_ = all.getBeginTime();
-  bag_end_ = all.getEndTime();
+  const auto span = source_->Span();
+  if (!span) throw InputError("bag '" + FileNames(paths_) + "' holds no messages");
+  std::tie(begin_, bag_end_) = *span;
   const double length_s = (bag_end_ - begin_).toSec();
   if (start_s > length_s)
     throw InputError("start = " + Seconds(start_s) + " is beyond the end of the bag, which lasts " +
@@ -134,16 +107,11 @@ void Bags::SetSpan(double start_s, double duration_s) {
 }
 
 void Bags::ListTopics() {
-  std::map<std::string, std::set<std::string>> types;
-  for (const auto& bag : bags_) {
-    rosbag::View view(*bag);
-    for (const rosbag::ConnectionInfo* connection : view.getConnections())
-      types[connection->topic].insert(connection->datatype);
-  }
-  for (const auto& [name, names] : types) {
-    BagTopic topic{name, *names.begin()};
-    if (names.size() > 1) topic.type += " and " + *names.rbegin();  // fits no role
-    topic.count = View({topic}, start_, end_)->size();
+  std::map<std::string, uint32_t> counts = source_->Counts(start_, end_);
+  for (const auto& [name, types] : source_->Types()) {
+    BagTopic topic{name, *types.begin()};
+    if (types.size() > 1) topic.type += " and " + *types.rbegin();  // fits no role
+    topic.count = counts[name];
     topics_.push_back(topic);
   }
 }

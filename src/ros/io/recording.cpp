@@ -62,7 +62,8 @@ template <typename Archive>
 void serialize(Archive& archive, Recording& recording) {
   RecordingInfo& info = recording.info;
   archive(info.bag, info.imus, info.pose_topic, info.world_frame, info.marker_frame, info.imu_yaml);
-  archive(info.stated_pose_std, info.pose_latency, recording.data.poses, recording.data.imus);
+  archive(info.notes, info.stated_pose_std, info.pose_latency);
+  archive(recording.data.poses, recording.data.imus);
 }
 // NOLINTEND(readability-identifier-naming)
 

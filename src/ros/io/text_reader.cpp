@@ -7,8 +7,11 @@
 #include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <utility>
 #include <vector>
 
+#include "imu_pose_calib/ros/io/conversions.h"
+#include "imu_pose_calib/ros/io/mocap_csv.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/text_table.h"
 
@@ -146,7 +149,16 @@ Recording ReadText(const TextRequest& request) {
 
   SessionData& data = recording.data;
   std::ifstream poses = Open(files.poses);
-  data.poses = ReadPoseTable(poses, files.poses);
+  if (IsMocapCsv(poses)) {
+    MocapPoses mocap = ReadMocapCsv(poses, files.poses, files.body);
+    data.poses = std::move(mocap.poses);
+    recording.info.marker_frame = FrameName(mocap.body, "marker");
+  } else {
+    if (!files.body.empty())
+      throw InputError("body '" + files.body + "' is given, but '" + files.poses +
+                       "' is no CSV of Motive or Vicon and holds one body");
+    data.poses = ReadPoseTable(poses, files.poses);
+  }
   const bool is_split = files.imu.empty();
   const std::vector<std::string> gyros = SplitFiles(is_split ? files.gyro : files.imu);
   const std::vector<std::string> accels = SplitFiles(is_split ? files.accel : files.imu);

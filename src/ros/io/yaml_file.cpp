@@ -15,7 +15,6 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr size_t kMaxSize = 100'000;
 constexpr int kMaxDepth = 20;
 
 [[noreturn]] void FailAt(const YAML::Mark& mark, const std::string& text) {
@@ -74,16 +73,17 @@ size_t EditDistance(const std::string& a, const std::string& b) {
 
 }  // namespace
 
-std::string ReadYamlFile(const std::string& path) {
+std::string ReadYamlFile(const std::string& path, size_t max_size) {
   std::error_code ignored;
   if (std::filesystem::is_directory(path, ignored))
     throw InputError("is a directory, must be a file");
   std::ifstream file(path, std::ios::binary);
   if (!file) throw InputError(std::string("cannot be read: ") + std::strerror(errno));
-  std::string text(kMaxSize + 1, '\0');
+  std::string text(max_size + 1, '\0');
   file.read(text.data(), static_cast<std::streamsize>(text.size()));
   text.resize(static_cast<size_t>(file.gcount()));
-  if (text.size() > kMaxSize) throw InputError("is larger than 100 kB");
+  if (text.size() > max_size)
+    throw InputError("is larger than " + std::to_string(max_size / 1000) + " kB");
   return text;
 }
 

@@ -6,6 +6,13 @@
 #include "imu_pose_calib/ros/offline/offline.h"
 
 namespace imu_pose_calib {
+namespace {
+
+LiveSolver::Verdict Forgotten() {
+  return {false, "the data were forgotten during the solve: call again"};
+}
+
+}  // namespace
 
 LiveSolver::LiveSolver(std::mutex* mutex,
                        LiveCalibration* live,
@@ -47,7 +54,8 @@ LiveSolver::Verdict LiveSolver::Calibrate() {
   Start();
   const size_t awaited = started_;
   changed_.wait(lock, [&] { return ended_ >= awaited; });
-  return verdict_;
+  // Another may have ended since.
+  return awaited <= forgotten_ ? Forgotten() : verdict_;
 }
 
 void LiveSolver::Run() {
@@ -70,7 +78,8 @@ void LiveSolver::Run() {
     ++ended_;
     last_solve_time_ = SecondsSinceStart();
     if (IsStale()) {
-      verdict_ = {false, "the data were forgotten during the solve: call again"};
+      forgotten_ = ended_;
+      verdict_ = Forgotten();
       live_->FailSolve("");
     } else if (result) {
       verdict_ = {result->IsUsable(),

@@ -11,9 +11,11 @@
 #include "imu_pose_calib/ros/exports/exports.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/imu_yaml.h"
+#include "imu_pose_calib/ros/io/message_source.h"
 #include "imu_pose_calib/ros/io/printable.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
+#include "imu_pose_calib/ros/io/stored_result.h"
 #include "imu_pose_calib/ros/offline/report.h"
 
 namespace imu_pose_calib {
@@ -28,18 +30,21 @@ bool NamesFiles(const TextRequest& text) {
   return !(text.poses.empty() && text.imu.empty() && text.gyro.empty() && text.accel.empty());
 }
 
+/// Whether it is a folder of text files, not a bag of ROS 2.
+bool IsTextFolder(const std::string& path) { return IsFolder(path) && !IsRos2Bag(path); }
+
 /// Whether the recordings are in text files.
 bool IsText(const OfflineRequest& request) {
   const std::vector<std::string>& paths = request.bag.paths;
   return NamesFiles(request.text) ||
-         (!paths.empty() && std::all_of(paths.begin(), paths.end(), IsFolder));
+         (!paths.empty() && std::all_of(paths.begin(), paths.end(), IsTextFolder));
 }
 
 /// A request for the text files of one session with every file named.
 OfflineRequest FindText(OfflineRequest request) {
   const BagRequest& bag = request.bag;
   TextRequest& text = request.text;
-  if (bag.paths.size() == 1 && !IsFolder(bag.paths[0]))
+  if (bag.paths.size() == 1 && !IsTextFolder(bag.paths[0]))
     throw InputError("poses, imu, gyro and accel name text files; they do not go with the bag '" +
                      bag.paths[0] + "'");
   if (!(bag.imu_topic.empty() && bag.pose_topic.empty() && bag.gyro_topic.empty() &&
@@ -48,6 +53,7 @@ OfflineRequest FindText(OfflineRequest request) {
   if (bag.record_time)
     throw InputError("text files have no times of recording; leave out record_time");
   if (!bag.paths.empty()) text.folder = bag.paths[0];
+  text.body = bag.body;
   text.start_s = bag.start_s;
   text.duration_s = bag.duration_s;
   text = FindFiles(text);
@@ -58,11 +64,22 @@ OfflineRequest FindText(OfflineRequest request) {
   return request;
 }
 
+/// Of the first IMU; clocks, gravity and biases are each recording's own.
+void KeepCalibration(const Calibration& known, CalibrationOptions* options) {
+  options->initial_rotation = known.imus[0].T_MI.q;
+  options->initial_translation = known.imus[0].T_MI.p;
+  options->accel_delay = known.imus[0].accel_delay;
+  options->estimate_rotation = options->estimate_translation = false;
+  options->estimate_accel_delay = false;
+}
+
 CalibrationOptions Options(const OfflineRequest& request) {
   CalibrationOptions options;
   if (!request.config.empty()) options = LoadOptions(request.config);
   if (!request.imu_yaml.empty()) LoadImuYaml(request.imu_yaml).CopyNoise(&options);
   if (!request.method.empty()) options.method = ParseMethod(request.method);
+  if (!request.calibration.empty())
+    KeepCalibration(LoadResult(request.calibration).result, &options);
   return options;
 }
 
@@ -74,8 +91,12 @@ void CheckOutput(const Given& output, const OfflineRequest& request) {
                                {"gyro", text.gyro},
                                {"accel", text.accel},
                                {"config", request.config},
-                               {"imu_yaml", request.imu_yaml}};
-  for (const std::string& path : request.bag.paths) inputs.push_back({"bag", path});
+                               {"imu_yaml", request.imu_yaml},
+                               {"calibration", request.calibration}};
+  std::vector<std::string> bags;
+  for (const std::string& path : request.bag.paths)
+    for (const std::string& file : FilesOfBag(path)) bags.push_back(file);
+  for (const std::string& file : bags) inputs.push_back({"bag", file});
   std::error_code ignored;
   for (const Given& input : inputs)
     if (std::filesystem::equivalent(output.value, input.value, ignored))
@@ -205,8 +226,7 @@ std::string OutputPath(const OfflineRequest& request) {
     return std::filesystem::path(request.text.poses).replace_extension(".calibration.yaml");
   const std::string& path = request.bag.paths.front();
   if (IsFolder(path)) return std::filesystem::path(path) / "calibration.yaml";
-  const bool has_extension = path.size() > 4 && path.substr(path.size() - 4) == ".bag";
-  return (has_extension ? path.substr(0, path.size() - 4) : path) + ".calibration.yaml";
+  return WithoutBagEnding(path) + ".calibration.yaml";
 }
 
 std::string ReportPath(const OfflineRequest& request) {
@@ -244,9 +264,11 @@ OfflineResult CalibrateOffline(const OfflineRequest& given, const Progress& prog
   } catch (const DataError& error) {
     Refuse(offline, error.what());
   }
+  for (const RecordingInfo& info : offline.infos)
+    for (const std::string& note : info.notes) offline.result.warnings.push_back(note);
   if (!offline.result.IsUsable()) Refuse(offline, offline.result.message);
   offline.yaml = ToYaml(offline.result, offline.infos, offline.options);
-  if (offline.report.empty()) offline.sessions.clear();
+  if (offline.report.empty() && !given.keep_data) offline.sessions.clear();
   return offline;
 }
 
@@ -297,8 +319,11 @@ std::vector<OfflineCheck> CheckOffline(const OfflineRequest& given) {
   const std::vector<OfflineRequest> requests = SplitSessions(given);
   const CalibrationOptions options = Options(requests.front());
   std::vector<OfflineCheck> checks;
-  for (const Recording& recording : ReadRecordings(requests))
+  for (const Recording& recording : ReadRecordings(requests)) {
     checks.push_back({CheckData(options, recording.data), recording.info});
+    std::vector<std::string>& warnings = checks.back().check.warnings;
+    warnings.insert(warnings.end(), recording.info.notes.begin(), recording.info.notes.end());
+  }
   return checks;
 }
 

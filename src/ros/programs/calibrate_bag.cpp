@@ -37,13 +37,18 @@ po::options_description Describe(CommandLine* line) {
   add("pose-topic",
       text(&request.bag.pose_topic),
       "poses of the marker; default: the one in the bag");
+  add("body",
+      text(&request.bag.body),
+      "name of the rigid body, where a topic or file of poses holds several");
   add("gyro-topic",
       texts(&line->gyro_topics),
       "gyroscope of a split IMU: sensor_msgs/Imu or geometry_msgs/Vector3Stamped");
   add("accel-topic", texts(&line->accel_topics), "accelerometer of a split IMU");
   add("tf-parent", text(&request.bag.tf_parent), "poses from tf: the fixed frame");
   add("tf-child", text(&request.bag.tf_child), "poses from tf: the marker");
-  add("poses", text(&request.text.poses), "text file of the poses, instead of a bag");
+  add("poses",
+      text(&request.text.poses),
+      "text file of the poses, instead of a bag: CSV, TUM, export of Motive or Vicon");
   add("imu", texts(&line->imus), "text file of the IMU; again for each further one");
   add("gyro", texts(&line->gyros), "text file of the gyroscope of a split IMU");
   add("accel", texts(&line->accels), "text file of the accelerometer of a split IMU");
@@ -110,7 +115,8 @@ void Parse(int argc, char** argv, CommandLine* line) {
 void PrintHelp() {
   CommandLine line;
   std::cout
-      << "Usage: calibrate_bag BAG [BAG ...] [options]\n"
+      << "Usage: calibrate_bag BAG [BAG ...] [options]               ROS 1 or 2: .bag, .mcap,\n"
+      << "                                                           .db3, folder\n"
       << "       calibrate_bag FOLDER [options]                     ASL dataset (EuRoC)\n"
       << "       calibrate_bag --poses FILE --imu FILE [options]    CSV, TUM\n\n"
       << "Estimates T_marker_imu (x_marker = R x_imu + p) and time_shift (t_pose = t_imu +\n"

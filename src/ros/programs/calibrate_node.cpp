@@ -5,6 +5,7 @@
 #include <tf2_ros/static_transform_broadcaster.h>
 
 #include <csignal>
+#include <cstdio>
 #include <functional>
 #include <iostream>
 #include <optional>
@@ -61,6 +62,7 @@ OfflineJob ReadJob() {
   job.exit = Param<bool>("~exit", false, "true or false");
   OfflineRequest& request = job.request;
   request.bag.paths = SplitBags(text("bag"));
+  request.bag.body = text("body");
   request.bag.imu_topic = text("imu_topic");
   request.bag.pose_topic = text("pose_topic");
   request.bag.gyro_topic = text("gyro_topic");
@@ -152,6 +154,7 @@ void Run(const std::vector<std::string>& given, std::optional<ros::NodeHandle>* 
 }  // namespace imu_pose_calib
 
 int main(int argc, char** argv) {
+  std::setvbuf(stdout, nullptr, _IOLBF, BUFSIZ);  // also where roslaunch's output goes into a pipe
   const std::vector<std::string> given = imu_pose_calib::ParametersOf(argc, argv);
   ros::init(argc, argv, "imu_pose_calib");
   // Outlives the error message: when the last handle goes, the console is shut down.

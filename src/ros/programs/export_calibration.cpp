@@ -27,7 +27,7 @@ po::options_description Describe(CommandLine* line) {
       "programs, separated by commas; all: every one");
   add("output-dir",
       po::value(&line->output_dir)->value_name("DIR"),
-      "existing folder for the files; default: that of the result");
+      "folder for the files, made when missing; default: that of the result");
   add("body-imu",
       po::value(&line->body_imu)->value_name("\"QX QY QZ QW\""),
       "px4: from imu axes to the body's forward, right, down; default: they are the same");

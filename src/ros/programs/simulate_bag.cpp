@@ -6,6 +6,7 @@
 
 #include "imu_pose_calib/core/effect_options.h"
 #include "imu_pose_calib/core/simulator.h"
+#include "imu_pose_calib/ros/clouds/simulated_lidar.h"
 #include "imu_pose_calib/ros/io/bag_writer.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/text_writer.h"
@@ -22,7 +23,7 @@ struct CommandLine {
   double imu_rate_hz = 200.0;
   size_t imus = 1;
   BagFormat format;
-  bool help = false;
+  bool lidar = false, help = false;
 };
 
 po::options_description Describe(CommandLine* line) {
@@ -52,7 +53,8 @@ po::options_description Describe(CommandLine* line) {
       "t_pose = t_accel + time_shift - accel_delay");
   add("format",
       value(&line->format_name, "TEXT"),
-      "bag; asl: folder OUTPUT/ like EuRoC; text: OUTPUT.poses.txt and OUTPUT.imu.csv");
+      "bag; mcap, db3: of ROS 2; asl: folder OUTPUT/ like EuRoC; text: OUTPUT.poses.txt and "
+      "OUTPUT.imu.csv");
   add("split",
       po::bool_switch(&line->format.split_imu),
       "gyroscope and accelerometer on two topics, or in two files");
@@ -63,6 +65,9 @@ po::options_description Describe(CommandLine* line) {
   add("imu-type",
       value(&line->format.imu_type, "TEXT"),
       "Imu or Vector3Stamped (/imu/gyro and /imu/accel)");
+  add("lidar",
+      po::bool_switch(&line->lidar),
+      "a spinning lidar in a room, /points, on the IMU's clock; where it sits: OUTPUT.lidar.yaml");
   add("help", po::bool_switch(&line->help), "print this text");
   po::options_description effects("Effects that real recordings have; 0: none");
   for (const EffectOption& effect : EffectOptions()) {
@@ -123,6 +128,12 @@ SimulatorOptions Simulator(const CommandLine& line) {
   return simulator;
 }
 
+/// Whether topics are written.
+bool IsBag(const CommandLine& line) {
+  const std::string& format = line.format_name;
+  return format == "bag" || format == "mcap" || format == "db3";
+}
+
 /// The output path without .bag, to which other endings are added.
 std::string Prefix(const CommandLine& line) {
   std::string path = line.output;
@@ -133,16 +144,20 @@ std::string Prefix(const CommandLine& line) {
     if (path.empty()) throw InputError("give the path to write; see simulate_bag --help");
     return path;
   }
-  if (line.format_name != "bag")
-    throw InputError("format '" + line.format_name + "' is unknown; must be bag, asl or text");
-  if (path.size() <= 4 || path.substr(path.size() - 4) != ".bag")
-    throw InputError("give the path of the bag to write, ending in .bag; see simulate_bag --help");
-  return path.substr(0, path.size() - 4);
+  if (!IsBag(line))
+    throw InputError("format '" + line.format_name +
+                     "' is unknown; must be bag, mcap, db3, asl or text");
+  const std::string ending = "." + line.format_name;
+  if (path.size() <= ending.size() || path.substr(path.size() - ending.size()) != ending)
+    throw InputError("give the path of the bag to write, ending in " + ending +
+                     "; see simulate_bag --help");
+  return path.substr(0, path.size() - ending.size());
 }
 
 void PrintHelp() {
   CommandLine line;
   std::cout << "Usage: simulate_bag OUTPUT.bag [options]\n"
+            << "       simulate_bag OUTPUT.mcap --format mcap [options]      bag of ROS 2, or db3\n"
             << "       simulate_bag OUTPUT --format asl|text [options]\n\n"
             << "Writes a simulated recording and, beside it, its truth: OUTPUT.truth.yaml.\n\n"
             << Describe(&line);
@@ -154,14 +169,24 @@ void Run(int argc, char** argv) {
   if (line.help) return PrintHelp();
   const std::string prefix = Prefix(line);
   const SimulatorOptions simulator = Simulator(line);
-  if (line.imus < 1 || line.imus > 9 || (line.imus > 1 && line.format_name != "bag"))
+  if (line.imus < 1 || line.imus > 9 || (line.imus > 1 && !IsBag(line)))
     throw InputError("--imus = " + std::to_string(line.imus) +
                      " must be 1 to 9, and 1 but for a bag");
+  if (line.lidar && line.format_name != "bag")
+    throw InputError("--lidar does not go with the format " + line.format_name + ", must be bag");
   const SessionData data = Simulate(simulator, line.imus);
-  if (line.format_name == "bag") WriteBag(line.output, data, line.format);
+  if (line.format_name != "bag") {
+    line.format.ros2.emplace();
+    line.format.ros2->is_mcap = line.format_name == "mcap";
+  }
+  if (IsBag(line)) WriteBag(line.output, data, line.format);
   if (line.format_name == "asl") WriteAslFolder(prefix, data);
   if (line.format_name == "text") WriteTables(prefix, data, line.format.split_imu);
   WriteFile(prefix + ".truth.yaml", TruthYaml(simulator));
+  if (line.lidar) {
+    AppendLidar(line.output, simulator);
+    WriteFile(prefix + ".lidar.yaml", LidarYaml());
+  }
 }
 
 }  // namespace

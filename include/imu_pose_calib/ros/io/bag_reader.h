@@ -1,5 +1,6 @@
 #pragma once
 
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -13,6 +14,7 @@ struct BagRequest {
   std::vector<std::string> paths;
   std::string imu_topic;  ///< several IMUs: white space between them, as below
   std::string pose_topic;
+  std::string body;  ///< of a pose topic, or file of poses, that holds several
   /// Split IMU, both or none; not together with `imu_topic`.
   std::string gyro_topic, accel_topic;
   /// Poses of `tf_child` in `tf_parent` from tf, both or none; not together with `pose_topic`.
@@ -26,9 +28,10 @@ struct BagRequest {
   std::string usual_imu_topic;
 };
 
-/// Reads IMU samples (sensor_msgs/Imu on one topic; gyroscope and accelerometer on two as
-/// sensor_msgs/Imu or geometry_msgs/Vector3Stamped) and poses (geometry_msgs/PoseStamped,
-/// TransformStamped or PoseWithCovarianceStamped, nav_msgs/Odometry, or tf).
+/// Reads bags of ROS 1, or of ROS 2 (folder, .mcap, .db3): IMU samples (sensor_msgs/Imu on one
+/// topic; gyroscope and accelerometer on two as sensor_msgs/Imu or geometry_msgs/Vector3Stamped)
+/// and poses (geometry_msgs/PoseStamped, TransformStamped or PoseWithCovarianceStamped,
+/// nav_msgs/Odometry, or tf; of ROS 2 also messages that hold poses of several bodies by name).
 ///
 /// Time is the header stamp, at full precision. World frame: header.frame_id of the poses; marker
 /// frame: child_frame_id, else "marker"; imu frame: header.frame_id of the IMU, else "imu".
@@ -39,6 +42,10 @@ struct BagRequest {
 /// Throws InputError when a bag cannot be read or when the bags do not hold exactly one choice of
 /// topics: the text, printable, names what they have and which field to give.
 Recording ReadBag(const BagRequest& request);
+
+/// Runs `read`, which returns bytes, in such a child process and with its errors. For more of the
+/// bags of the request, whose paths alone count here.
+std::string ReadApart(const BagRequest& request, const std::function<std::string()>& read);
 
 /// Bags by the recording that they are of, in the order in which they are given. Those that
 /// continue each other, or hold other topics of the same time, are one recording. Reads and throws

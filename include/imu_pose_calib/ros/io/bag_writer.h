@@ -1,9 +1,11 @@
 #pragma once
 
+#include <optional>
 #include <string>
 
 #include "imu_pose_calib/core/simulator.h"
 #include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/ros/io/ros2_writer.h"
 
 namespace imu_pose_calib {
 
@@ -17,6 +19,7 @@ struct BagFormat {
   std::string pose_type = "PoseStamped";
   /// "Imu" (sensor_msgs) or "Vector3Stamped" (geometry_msgs), which is always split.
   std::string imu_type = "Imu";
+  std::optional<Ros2Format> ros2 = std::nullopt;  ///< none: a bag of ROS 1
 };
 
 /// Throws InputError unless gyroscope and accelerometer samples have the same stamps, as one topic

@@ -1,13 +1,11 @@
 #pragma once
 
-#include <rosbag/bag.h>
-#include <rosbag/view.h>
-
 #include <memory>
 #include <string>
 #include <vector>
 
 #include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/ros/io/message_source.h"
 
 namespace imu_pose_calib {
 
@@ -19,6 +17,7 @@ struct BagTopic {
   bool IsImu() const;
   bool IsVector() const;
   bool IsPose() const;
+  bool IsBodies() const;  ///< poses of several bodies in each message
   bool IsTf() const;
   bool IsFixedTf() const;
 };
@@ -29,26 +28,7 @@ std::string Describe(const std::vector<BagTopic>& topics);
 /// "A.bag, B.bag" for error messages.
 std::string FileNames(const std::vector<std::string>& paths);
 
-/// The message. Throws InputError when its type is defined differently here.
-template <typename Msg>
-boost::shared_ptr<Msg> Instantiate(const rosbag::MessageInstance& instance) {
-  auto msg = instance.instantiate<Msg>();
-  if (!msg)
-    throw InputError("topic '" + instance.getTopic() + "' has another definition of " +
-                     instance.getDataType() + " than this computer");
-  return msg;
-}
-
-/// A message of a bag, as PoseType reads it.
-struct BagMessage {
-  const rosbag::MessageInstance& instance;
-  template <typename Msg>
-  boost::shared_ptr<Msg> instantiate() const {
-    return Instantiate<Msg>(instance);
-  }
-};
-
-/// Open bags as one recording, limited to a span of record time.
+/// Open bags of ROS 1, or of ROS 2, as one recording, limited to a span of record time.
 class Bags {
  public:
   /// The span starts `start_s` after the first record time; `duration_s` 0: to the end. Throws
@@ -62,9 +42,7 @@ class Bags {
   /// Calls `use(message)` for the messages of a topic in the order of recording while it is true.
   template <typename Use>
   void ForEach(const BagTopic& topic, Use use) const {
-    const auto view = View({topic}, start_, end_);
-    for (const rosbag::MessageInstance& message : *view)
-      if (!use(message)) return;
+    source_->ForEach({topic.name}, start_, end_, use);
   }
 
   /// Calls `use(message, fixed)` for the tf messages: first all fixed ones of the whole bags, which
@@ -73,10 +51,14 @@ class Bags {
   void ForEachTf(Use use) const {
     const auto fixed = [](const BagTopic& topic) { return topic.IsFixedTf(); };
     const auto moving = [](const BagTopic& topic) { return topic.IsTf() && !topic.IsFixedTf(); };
-    const auto all_fixed = View(Select(fixed), begin_, bag_end_);
-    for (const rosbag::MessageInstance& message : *all_fixed) use(message, true);
-    const auto all_moving = View(Select(moving), start_, end_);
-    for (const rosbag::MessageInstance& message : *all_moving) use(message, false);
+    source_->ForEach(Names(Select(fixed)), begin_, bag_end_, [&use](const BagMessage& message) {
+      use(message, true);
+      return true;
+    });
+    source_->ForEach(Names(Select(moving)), start_, end_, [&use](const BagMessage& message) {
+      use(message, false);
+      return true;
+    });
   }
 
   /// The topic that `field` of a request names; InputError when the bags do not have it.
@@ -93,15 +75,16 @@ class Bags {
   /// "NAMES; it has: TOPICS" for error messages.
   std::string Contents() const;
 
+  /// What is to be said of the bags, as that one is cut off.
+  std::vector<std::string> Notes() const { return source_->Notes(); }
+
  private:
-  std::unique_ptr<rosbag::View> View(const std::vector<BagTopic>& topics,
-                                     const ros::Time& start,
-                                     const ros::Time& end) const;
+  static std::vector<std::string> Names(const std::vector<BagTopic>& topics);
   void SetSpan(double start_s, double duration_s);
   void ListTopics();
 
   std::vector<std::string> paths_;
-  std::vector<std::unique_ptr<rosbag::Bag>> bags_;
+  std::unique_ptr<MessageSource> source_;
   ros::Time begin_, bag_end_;  ///< record time of the first and last message
   ros::Time start_, end_;      ///< record time, the span to use
   std::vector<BagTopic> topics_;

@@ -40,6 +40,8 @@ struct RecordingInfo {
   /// What the covariances of the poses say, median.
   std::optional<PoseStd> stated_pose_std;
   std::optional<Latency> pose_latency;  ///< see ImuInfo
+  /// What is to be said of the files, as that one is cut off.
+  std::vector<std::string> notes;
 
   /// What tells it from other recordings.
   const std::string& Source() const { return bag.empty() ? pose_topic : bag; }

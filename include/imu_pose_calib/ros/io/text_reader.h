@@ -11,8 +11,9 @@ struct TextRequest {
   /// ASL dataset (EuRoC), with its sensors in it or in its mav0. Files left empty below are found
   /// in it by their columns: SENSOR/data.csv.
   std::string folder;
-  std::string poses;
-  std::string imu;  ///< several IMUs: white space between them, unless a file is called so
+  std::string poses;  ///< table of samples, or CSV of Motive or Vicon
+  std::string body;   ///< of a CSV of Motive or Vicon with several
+  std::string imu;    ///< several IMUs: white space between them, unless a file is called so
   /// Split IMU, both or none; not together with `imu`.
   std::string gyro, accel;
   double start_s = 0.0;     ///< [s] after the first stamp; see ReadText()

@@ -59,6 +59,7 @@ class LiveSolver {
   bool is_ending_ = false;
   bool is_solving_ = false;
   size_t started_ = 0, ended_ = 0;  ///< counts of solves
+  size_t forgotten_ = 0;            ///< the last one that ended with its data forgotten
   SessionData data_;                ///< of the next solve
   size_t resets_ = 0;               ///< of live_, when the last solve began
   Clock::time_point start_;         ///< of the last solve

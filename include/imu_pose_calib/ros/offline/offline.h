@@ -35,6 +35,9 @@ struct OfflineRequest {
   std::string imu_frame;     ///< the same; of several IMUs: white space between them
   std::string exports;       ///< programs to export the result to, see ParseExports()
   TrajectoryRequest trajectory;
+  /// Result of another recording, whose transform and accel_delay are kept.
+  std::string calibration;
+  bool keep_data = false;  ///< leaves OfflineResult::sessions also without a report
 };
 
 /// A usable calibration and what to do with it.
@@ -47,7 +50,7 @@ struct OfflineResult {
   std::vector<std::string> exports;  ///< programs to export it to
   std::vector<std::string> written;  ///< files that were written, with what is to be said of them
 
-  // What a report is made of; no sessions when none is wanted.
+  // What a report is made of; no sessions when none is wanted, nor keep_data.
   std::string report;  ///< path
   std::vector<SessionData> sessions;
 };

@@ -1,0 +1,62 @@
+#pragma once
+
+#include <ceres/problem.h>
+
+#include <memory>
+#include <unordered_map>
+#include <vector>
+
+#include "imu_pose_calib/core/elimination.h"
+
+namespace imu_pose_calib {
+
+/// A residual block and what it is of.
+struct Equation {
+  ceres::ResidualBlockId block;
+  size_t session;
+  double t;         ///< [s] pose clock
+  int cluster = 0;  ///< in which its scores are summed up; grows with sessions and time
+};
+
+/// A scalar parameter of which H gets the exact column, doc/math.md, "Covariance".
+struct ExactColumn {
+  double* data;
+  double step;  ///< of differences
+  int rhs;      ///< right-hand side of what the column has beyond J^T J
+};
+
+/// H = J^T J and the scores J^T r of a least squares problem, linearised where its parameters stand
+/// when they are asked for. Refers to the problem.
+class NormalEquations {
+ public:
+  /// `border`: parameter blocks that act nearly everywhere; `inner`: others that are estimated; in
+  /// this order they are the columns of H. All other blocks are held.
+  NormalEquations(const ceres::Problem& problem,
+                  const std::vector<double*>& border,
+                  const std::vector<double*>& inner,
+                  std::vector<Equation> equations,
+                  int threads);
+
+  /// H of each cluster and as right-hand side w the score of cluster w. Throws DataError where the
+  /// residuals cannot be differentiated.
+  std::vector<Panels> Assemble(int clusters, const std::vector<ExactColumn>& exact) const;
+
+  const std::vector<double*>& blocks() const { return blocks_; }
+  const std::shared_ptr<const Elimination>& elimination() const { return elimination_; }
+
+ private:
+  class Linearisation;
+  struct Place {
+    int place, size;
+    int curved;  ///< which of those on a manifold; -1: none
+  };
+
+  const ceres::Problem& problem_;
+  const int threads_;
+  std::vector<double*> blocks_, curved_;  ///< of these, on a manifold
+  std::vector<Equation> equations_;
+  std::shared_ptr<const Elimination> elimination_;
+  std::unordered_map<const double*, Place> places_;
+};
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,129 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <memory>
+#include <vector>
+
+#include "imu_pose_calib/core/covariance.h"
+#include "imu_pose_calib/core/marginals.h"
+#include "imu_pose_calib/core/normal_equations.h"
+
+namespace imu_pose_calib {
+
+/// Parameter blocks of a solve in the order of H, see Marginals.
+struct Ordering {
+  std::vector<double*> border, inner;
+  int columns = 0;
+  int estimated = 0, leading = 0;  ///< columns of what is calibrated, with what could have been
+  int biases = 0, trajectory = 0;  ///< first columns
+  std::vector<Parameter> calibrated, possible;
+  std::vector<int> clocks;  ///< columns of those that are estimated
+  std::vector<double*> clock_data;
+
+  explicit Ordering(LeastSquares* solved);
+};
+
+/// Time blocks whose scores are summed up, and the half of a session that they belong to: part
+/// 2 s + 0 or 1.
+class Clusters {
+ public:
+  explicit Clusters(const LeastSquares& solved);
+
+  /// Cluster of an instant t [s, pose clock].
+  int Of(size_t session, double t) const;
+  const std::vector<int>& parts() const { return part_; }
+  int Count(size_t session) const { return spans_[session].count; }
+
+ private:
+  struct Span {
+    double begin, end;
+    int first, count;
+  };
+  std::vector<Span> spans_;
+  std::vector<int> part_;
+  double block_s_;
+};
+
+/// What is reported, as functionals L of the parameters and back: the leading parameters with
+/// gravity and mean biases between those that are estimated and those that could have been.
+class Functionals {
+ public:
+  /// Also lists the parameters in the result.
+  Functionals(const Ordering& ordering, LeastSquares* solved, Marginals* result);
+
+  /// The column of each functional that is a parameter of the border, else -1.
+  const std::vector<int>& columns() const { return columns_; }
+  /// Functionals that are the mean of a session's bias knots, in the order of the columns.
+  struct Mean {
+    size_t session;
+    int functional;
+    size_t knots;
+  };
+  const std::vector<Mean>& means() const { return means_; }
+  int count() const { return count_; }
+  int estimated() const { return estimated_; }    ///< of them, gravity and biases included
+  int calibrated() const { return calibrated_; }  ///< without these
+  int size() const { return size_; }              ///< of what is reported
+
+  /// Covariance of functionals to what is reported; those beyond the ones given are 0.
+  Eigen::MatrixXd Spread(const Eigen::MatrixXd& C) const;
+  Eigen::VectorXd SpreadVector(const Eigen::VectorXd& x) const;
+  /// Rows: what is reported; columns: functionals.
+  Eigen::MatrixXd Basis() const;
+
+ private:
+  struct Block {
+    int place, functional;
+    Eigen::MatrixXd basis;
+  };
+  std::vector<Block> bases_;
+  std::vector<int> columns_;
+  std::vector<Mean> means_;
+  int leading_ = 0, count_ = 0, size_ = 0, estimated_ = 0, calibrated_ = 0;
+};
+
+/// H and scores of the whole problem and of parts of it, when all but the border is eliminated.
+/// Right-hand sides: scores of the clusters, functionals, exact columns of the clocks.
+class ReducedProblem {
+ public:
+  ReducedProblem(const Ordering& ordering,
+                 const Clusters& clusters,
+                 const Functionals& functionals,
+                 LeastSquares* solved);
+
+  /// Of the functionals.
+  MarginalEstimates Estimate() const;
+  /// Of columns of what is calibrated by a part of the residuals, all else that is calibrated or
+  /// could be being known.
+  struct Part {
+    Reduced reduced;
+    std::vector<int> clusters;  ///< that it has
+    std::vector<int> acting;    ///< columns of what is calibrated
+  };
+  MarginalEstimate EstimateOf(const Part& part, const std::vector<int>& columns) const;
+  /// The Gauss-Newton step as if what is held, all but result->shown, was known to be right; with
+  /// the factor of H.
+  void FindStep(Marginals* result);
+
+  const std::vector<Part>& halves() const { return halves_; }
+  const std::vector<Part>& sessions() const { return sessions_; }
+
+ private:
+  int RhsOfClock(size_t clock) const { return clusters_ + functionals_ + static_cast<int>(clock); }
+  std::vector<int> ActingColumns(const Panels& session) const;
+  void AddMeans(const Functionals& functionals, std::vector<Panels>* totals) const;
+  void HalveClocks(std::vector<Panels>* totals) const;
+
+  const Ordering& ordering_;
+  const int clusters_, functionals_;
+  std::vector<double*> blocks_;
+  std::shared_ptr<const Elimination> elimination_;
+  std::vector<Part> halves_, sessions_;
+  Reduced all_;
+  Panels factor_;
+};
+
+/// 0, 1, ... count - 1.
+std::vector<int> Counted(size_t count);
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,74 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <functional>
+#include <optional>
+#include <unordered_map>
+#include <vector>
+
+#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/ros/clouds/point_cloud.h"
+
+namespace imu_pose_calib {
+
+/// T_WS, the pose of a sensor S, at a stamp of its clouds; nothing where it is not known.
+using SensorPoseAt = std::function<std::optional<Rigid3>(int64_t stamp_ns)>;
+
+/// How a sensor moved during a cloud: its pose every millisecond, linear between.
+class CloudMotion {
+ public:
+  /// From stamp to stamp, both included.
+  CloudMotion(const SensorPoseAt& pose, int64_t begin_ns, int64_t end_ns);
+
+  /// What S sees at p_S at a stamp of the cloud, in W; nothing where its pose is not known on both
+  /// sides.
+  std::optional<Eigen::Vector3d> Place(int64_t stamp_ns, const Eigen::Vector3f& p_S) const;
+
+ private:
+  int64_t begin_ns_, end_ns_;
+  std::vector<std::optional<Rigid3>> poses_;
+};
+
+/// The mean of the points in each cube, so that memory grows with what was seen, not with time.
+class VoxelMap {
+ public:
+  /// `size` [m] of a cube; `most`: of them, see Add().
+  explicit VoxelMap(double size, size_t most = 10'000'000) : size_(size), most_(most) {}
+
+  /// Throws InputError when there are more cubes than memory is meant for.
+  void Add(const Eigen::Vector3d& p_W, float intensity);
+
+  std::vector<MapPoint> Points() const;
+
+ private:
+  using Cube = Eigen::Matrix<int64_t, 3, 1>;
+  struct Hash {
+    size_t operator()(const Cube& cube) const;
+  };
+  struct Sum {
+    Eigen::Vector3d p_W = Eigen::Vector3d::Zero();
+    double intensity = 0.0;
+    size_t count = 0;
+  };
+
+  double size_;
+  size_t most_;
+  std::unordered_map<Cube, Sum, Hash> cubes_;
+};
+
+/// How sharp a map is, by the points around some of its points.
+struct Sharpness {
+  /// Mean map entropy: mean of ln |2 pi e C| / 2 with C [m^2] the covariance of the points around.
+  double entropy = 0.0;
+  /// [m] rms distance of the points around to the plane through them, median.
+  double thickness = 0.0;
+  size_t places = 0;  ///< points that were looked around at
+};
+
+/// Sharpness of several maps of the same points, in the same order, at the same of them; those that
+/// are not finite in one map are not used in any. `radius` [m]: what is around.
+std::vector<Sharpness> CompareSharpness(const std::vector<std::vector<Eigen::Vector3f>>& maps,
+                                        double radius);
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,95 @@
+#pragma once
+
+#include <rosbag/message_instance.h>
+
+#include <functional>
+#include <map>
+#include <memory>
+#include <optional>
+#include <set>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/ros/io/cdr.h"
+
+namespace imu_pose_calib {
+
+/// A message of ROS 2 as it was recorded.
+struct Ros2Message {
+  const std::string& topic;
+  const std::string& type;  ///< as ROS 1 names it: "sensor_msgs/Imu"
+  ros::Time time;           ///< of recording
+  std::string_view data;    ///< CDR
+};
+
+/// A message of a bag of ROS 1 or ROS 2, as long as the bag hands it out.
+class BagMessage {
+ public:
+  explicit BagMessage(const rosbag::MessageInstance& ros1) : ros1_(&ros1) {}
+  explicit BagMessage(const Ros2Message& ros2) : ros2_(&ros2) {}
+
+  std::string topic() const { return ros1_ ? ros1_->getTopic() : ros2_->topic; }
+  std::string type() const { return ros1_ ? ros1_->getDataType() : ros2_->type; }
+  ros::Time time() const { return ros1_ ? ros1_->getTime() : ros2_->time; }
+
+  /// The message. Throws InputError when its type is defined differently here.
+  template <typename Msg>
+  boost::shared_ptr<Msg> instantiate() const {  // NOLINT(readability-identifier-naming)
+    boost::shared_ptr<Msg> msg;
+    if (ros1_)
+      msg = ros1_->instantiate<Msg>();
+    else if (ros2_->type == ros::message_traits::DataType<Msg>::value())
+      Decode([&](std::string_view data) { msg = boost::make_shared<Msg>(FromCdr<Msg>(data)); });
+    if (!msg)
+      throw InputError("topic '" + topic() + "' has another definition of " + type() +
+                       " than this computer");
+    return msg;
+  }
+
+  /// Runs `decode` on the CDR of a message of ROS 2, with errors that name it; nothing for ROS 1.
+  void Decode(const std::function<void(std::string_view)>& decode) const;
+
+ private:
+  const rosbag::MessageInstance* ros1_ = nullptr;
+  const Ros2Message* ros2_ = nullptr;
+};
+
+/// The messages of some bags that are one recording.
+class MessageSource {
+ public:
+  virtual ~MessageSource() = default;
+  /// What each topic holds; more than one type fits no role.
+  virtual std::map<std::string, std::set<std::string>> Types() const = 0;
+  /// Record time of the first and the last message; none: there are no messages.
+  virtual std::optional<std::pair<ros::Time, ros::Time>> Span() const = 0;
+  /// Number of messages of each topic; none may be missing.
+  virtual std::map<std::string, uint32_t> Counts(const ros::Time& start,
+                                                 const ros::Time& end) const = 0;
+  /// Calls `use(message)` for the messages of these topics in the order of recording while it is
+  /// true.
+  virtual void ForEach(const std::vector<std::string>& topics,
+                       const ros::Time& start,
+                       const ros::Time& end,
+                       const std::function<bool(const BagMessage&)>& use) const = 0;
+  /// What is to be said of the bags, as that one is cut off.
+  virtual std::vector<std::string> Notes() const { return {}; }
+};
+
+/// Both throw InputError with the reason and the remedy when a bag cannot be opened.
+std::unique_ptr<MessageSource> OpenRos1(const std::vector<std::string>& paths);
+std::unique_ptr<MessageSource> OpenRos2(const std::vector<std::string>& paths);
+
+/// Whether there is a bag of ROS 2 at `path`: an .mcap or .db3 file, whole or compressed by zstd,
+/// or a folder that holds one or a metadata.yaml.
+bool IsRos2Bag(const std::string& path);
+
+/// The files that are read for a bag, the metadata.yaml of a folder among them. Throws InputError
+/// when that names what is not there.
+std::vector<std::string> FilesOfBag(const std::string& path);
+
+/// The bag's path without the ending that files of its kind have.
+std::string WithoutBagEnding(const std::string& path);
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,50 @@
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace imu_pose_calib {
+
+/// A file of a ROS 2 bag: what topics it has, where the messages are, and the bytes of each.
+class Ros2File {
+ public:
+  struct Topic {
+    std::string name, type, encoding;  ///< "/imu", "sensor_msgs/msg/Imu", "cdr"
+  };
+  /// A message, and where the reader finds it.
+  struct Entry {
+    int64_t t_ns = 0;    ///< record time
+    uint32_t topic = 0;  ///< index in topics()
+    uint32_t chunk = 0;
+    uint64_t at = 0, size = 0;
+  };
+
+  virtual ~Ros2File() = default;
+  const std::vector<Topic>& topics() const { return topics_; }
+  const std::vector<Entry>& entries() const { return entries_; }  ///< in the order of the file
+  /// What is to be said of the file; empty: nothing.
+  const std::string& note() const { return note_; }
+  /// The bytes of a message, until the next call. Throws InputError when they cannot be had.
+  virtual std::string_view Read(const Entry& entry) = 0;
+
+ protected:
+  std::vector<Topic> topics_;
+  std::vector<Entry> entries_;
+  std::string note_;
+};
+
+/// Whether these are the first bytes of an mcap file, or of a database of SQLite.
+bool IsMcap(std::string_view bytes);
+bool IsSqlite(std::string_view bytes);
+
+/// An mcap file that lies in memory. A file that is cut off is read up to there, and `note()` says
+/// so. Throws InputError, with `name` and the place in the file, when it is damaged otherwise.
+std::unique_ptr<Ros2File> OpenMcap(std::string_view bytes, const std::string& name);
+
+/// The database of rosbag2 (.db3) at `path`. Throws InputError with `name` and SQLite's words.
+std::unique_ptr<Ros2File> OpenSqlite(const std::string& path, const std::string& name);
+
+}  // namespace imu_pose_calib

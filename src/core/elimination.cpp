@@ -1,0 +1,367 @@
+#include "imu_pose_calib/core/elimination.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <limits>
+#include <numeric>
+
+#include "imu_pose_calib/core/parallel.h"
+
+namespace imu_pose_calib {
+namespace {
+
+/// Columns of a panel: about as many as a control point acts together with, so that the dense
+/// products pay.
+constexpr int kPanelColumns = 24;
+constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+
+size_t Index(int k) { return static_cast<size_t>(k); }
+
+}  // namespace
+
+void Reduced::Add(const Reduced& other) {
+  H += other.H;
+  B += other.B;
+  inner += other.inner;
+}
+
+Eigen::MatrixXd Reduced::Products() const {
+  const Eigen::LLT<Eigen::MatrixXd> llt(H);
+  if (!H.allFinite() || llt.info() != Eigen::Success)
+    return Eigen::MatrixXd::Constant(B.cols(), B.cols(), kNan);
+  const Eigen::MatrixXd y = llt.matrixL().solve(B);
+  return inner + y.transpose() * y;
+}
+
+Elimination::Elimination(const std::vector<int>& sizes,
+                         size_t border,
+                         const std::vector<std::vector<int>>& residuals,
+                         const std::vector<size_t>& first_of_session)
+    : place_(sizes.size()), block_at_(sizes.size()) {
+  // Blocks by the last residual that has them; what no residual has stays beside its neighbour.
+  std::vector<size_t> last(sizes.size(), 0);
+  std::vector<bool> acts(sizes.size(), false);
+  for (size_t r = 0; r < residuals.size(); ++r) {
+    for (const int block : residuals[r]) {
+      last[Index(block)] = r;
+      acts[Index(block)] = true;
+    }
+  }
+  for (size_t b = border + 1; b < sizes.size(); ++b)
+    if (!acts[b]) last[b] = last[b - 1];
+  std::iota(block_at_.begin(), block_at_.end(), 0);
+  std::rotate(
+      block_at_.begin(), block_at_.begin() + static_cast<ptrdiff_t>(border), block_at_.end());
+  const auto inner_end = block_at_.end() - static_cast<ptrdiff_t>(border);
+  std::stable_sort(block_at_.begin(), inner_end, [&last](int a, int b) {
+    return last[Index(a)] < last[Index(b)];
+  });
+
+  const auto session_of = [&](int block) {
+    return std::upper_bound(first_of_session.begin(), first_of_session.end(), last[Index(block)]) -
+           first_of_session.begin();
+  };
+  const size_t inner = sizes.size() - border;
+  for (size_t k = 0; k < sizes.size(); ++k) {
+    const int block = block_at_[k];
+    place_[Index(block)] = static_cast<int>(k);
+    const bool is_full = k > 0 && shapes_.back().columns >= kPanelColumns && k < inner;
+    if (k == 0 || k == inner || is_full ||
+        (k < inner && session_of(block) != session_of(block_at_[k - 1]))) {
+      shapes_.emplace_back();
+      shapes_.back().first = static_cast<int>(k);
+    }
+    Shape& shape = shapes_.back();
+    panel_.push_back(border_panel());
+    offset_.push_back(shape.columns);
+    size_.push_back(sizes[Index(block)]);
+    shape.columns += size_.back();
+    shape.end = static_cast<int>(k) + 1;
+  }
+  if (border == 0) {  // the last panel is it all the same
+    shapes_.emplace_back();
+    shapes_.back().first = shapes_.back().end = static_cast<int>(inner);
+  }
+  first_column_.resize(sizes.size());
+  for (size_t b = 0; b < sizes.size(); ++b) {
+    first_column_[Index(place_[b])] = columns_;
+    for (int k = 0; k < sizes[b]; ++k) place_of_column_.emplace_back(place_[b], k);
+    columns_ += sizes[b];
+  }
+
+  for (const std::vector<int>& blocks : residuals) {
+    if (blocks.empty()) continue;
+    std::vector<int> places;
+    for (const int block : blocks) places.push_back(place(block));
+    Shape& shape = shapes_[Index(panel_[Index(*std::min_element(places.begin(), places.end()))])];
+    for (const int k : places)
+      if (k >= shape.end) shape.rows.push_back(k);
+  }
+  for (Shape& shape : shapes_) {
+    std::vector<int>& rows = shape.rows;
+    std::sort(rows.begin(), rows.end());
+    rows.erase(std::unique(rows.begin(), rows.end()), rows.end());
+    shape.height = shape.columns;
+    for (const int k : rows) {
+      shape.row_offset.push_back(shape.height);
+      shape.height += size_[Index(k)];
+    }
+    if (rows.empty()) continue;
+    // Eliminated, they act on each other.
+    Shape& next = shapes_[Index(panel_[Index(rows.front())])];
+    std::copy_if(rows.begin(), rows.end(), std::back_inserter(next.rows), [&next](int k) {
+      return k >= next.end;
+    });
+  }
+}
+
+int Elimination::Offset(int block, int panel) const {
+  if (panel_[Index(block)] == panel) return offset_[Index(block)];
+  const Shape& shape = shapes_[Index(panel)];
+  const auto found = std::lower_bound(shape.rows.begin(), shape.rows.end(), block);
+  if (found == shape.rows.end() || *found != block) return -1;
+  return shape.row_offset[static_cast<size_t>(found - shape.rows.begin())];
+}
+
+std::vector<int> Elimination::Offsets(const int* begin, const int* end, int panel) const {
+  std::vector<int> offsets;
+  for (const int* block = begin; block != end; ++block) {
+    const int first = Offset(*block, panel);
+    for (int k = 0; k < size_[Index(*block)]; ++k) offsets.push_back(first + k);
+  }
+  return offsets;
+}
+
+Panel* Elimination::Touch(int panel, Panels* panels) const {
+  const auto [place, is_new] = panels->try_emplace(panel);
+  const Shape& shape = shapes_[Index(panel)];
+  if (is_new) place->second.H = Eigen::MatrixXd::Zero(shape.height, shape.columns);
+  return &place->second;
+}
+
+void Elimination::Add(const std::vector<int>& places,
+                      const Eigen::MatrixXd& product,
+                      Panels* panels) const {
+  int column = 0;
+  for (size_t begin = 0, end = 0; begin < places.size(); begin = end) {
+    const int panel = panel_[Index(places[begin])];
+    int count = 0;
+    for (; end < places.size() && panel_[Index(places[end])] == panel; ++end)
+      count += size_[Index(places[end])];
+    const std::vector<int> offsets = Offsets(&places[begin], places.data() + places.size(), panel);
+    Eigen::MatrixXd& H = Touch(panel, panels)->H;
+    for (int j = 0; j < count; ++j) {
+      const double* own = &product(column, column + j);
+      double* target = &H(0, offsets[Index(j)]);
+      for (size_t i = Index(j); i < offsets.size(); ++i) target[offsets[i]] += own[i];
+    }
+    column += count;
+  }
+}
+
+void Elimination::AddRhs(const std::vector<int>& places,
+                         int number,
+                         const Eigen::VectorXd& rhs,
+                         Panels* panels) const {
+  Eigen::Index row = 0;
+  for (const int place : places) {
+    const size_t k = Index(place);
+    Panel* panel = Touch(panel_[k], panels);
+    Eigen::VectorXd& own = panel->rhs[number];
+    if (own.size() == 0) own = Eigen::VectorXd::Zero(panel->H.cols());
+    own.segment(offset_[k], size_[k]) += rhs.segment(row, size_[k]);
+    row += size_[k];
+  }
+}
+
+void Elimination::Merge(Panels&& from, Panels* to) {
+  for (auto& [p, panel] : from) {
+    const auto [place, is_new] = to->try_emplace(p, std::move(panel));
+    if (is_new) continue;
+    place->second.H += panel.H;
+    for (auto& [number, rhs] : panel.rhs) {
+      Eigen::VectorXd& own = place->second.rhs[number];
+      own = own.size() == 0 ? rhs : (own + rhs).eval();
+    }
+  }
+  from.clear();
+}
+
+bool Elimination::ActsInside(int block, const Panels& panels) const {
+  const int k = place(block);
+  return std::any_of(panels.begin(), panels.end(), [&](const auto& entry) {
+    const int row = entry.first == border_panel() ? -1 : Offset(k, entry.first);
+    return row >= 0 && !entry.second.H.middleRows(row, size_[Index(k)]).isZero(0.0);
+  });
+}
+
+Reduced Elimination::Eliminate(const Eigen::VectorXd& weights, bool keeps, Panels* panels) const {
+  Touch(border_panel(), panels);
+  const Eigen::Index count = weights.size();
+  // Right-hand sides in the order in which they are met: those to come are 0 so far.
+  std::vector<int> met, column(Index(static_cast<int>(count)), -1);
+  Eigen::MatrixXd inner = Eigen::MatrixXd::Zero(count, count);
+  std::map<int, std::vector<Update>> waiting;
+  for (auto& [p, panel] : *panels) {
+    const Shape& shape = shapes_[Index(p)];
+    for (const auto& [number, unused] : panel.rhs) {
+      if (column[Index(number)] >= 0) continue;
+      column[Index(number)] = static_cast<int>(met.size());
+      met.push_back(number);
+    }
+    const auto known = static_cast<Eigen::Index>(met.size());
+    Eigen::MatrixXd F = Eigen::MatrixXd::Zero(shape.height, shape.height);
+    Eigen::MatrixXd B = Eigen::MatrixXd::Zero(shape.height, known);
+    F.leftCols(shape.columns) = panel.H;
+    for (const auto& [number, rhs] : panel.rhs)
+      B.col(column[Index(number)]).head(shape.columns) = rhs;
+    for (const Update& update : waiting[p]) {
+      const std::vector<int> rows =
+          Offsets(update.rows.data(), update.rows.data() + update.rows.size(), p);
+      for (size_t j = 0; j < rows.size(); ++j)
+        for (size_t i = j; i < rows.size(); ++i)
+          F(rows[i], rows[j]) +=
+              update.H(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j));
+      for (Eigen::Index k = 0; k < update.B.cols(); ++k)
+        for (size_t i = 0; i < rows.size(); ++i)
+          B(rows[i], k) += update.B(static_cast<Eigen::Index>(i), k);
+    }
+    waiting.erase(p);
+    if (p == border_panel()) {
+      Reduced reduced{F.selfadjointView<Eigen::Lower>(),
+                      Eigen::MatrixXd::Zero(F.rows(), count),
+                      Eigen::MatrixXd::Zero(count, count)};
+      for (Eigen::Index j = 0; j < known; ++j) {
+        reduced.B.col(met[Index(static_cast<int>(j))]) = B.col(j);
+        for (Eigen::Index i = 0; i < known; ++i)
+          reduced.inner(met[Index(static_cast<int>(i))], met[Index(static_cast<int>(j))]) =
+              inner(i, j);
+      }
+      return reduced;
+    }
+
+    const int below = shape.height - shape.columns;
+    for (int j = 0; j < shape.columns; ++j)
+      if (F(j, j) == 0.0) F(j, j) = 1.0;
+    Eigen::Ref<Eigen::MatrixXd> own = F.topLeftCorner(shape.columns, shape.columns);
+    const Eigen::LLT<Eigen::Ref<Eigen::MatrixXd>> llt(own);
+    if (llt.info() != Eigen::Success) break;
+    auto L = F.bottomLeftCorner(below, shape.columns);
+    if (below > 0) llt.matrixL().transpose().solveInPlace<Eigen::OnTheRight>(L);
+    auto y = B.topRows(shape.columns);
+    if (known > 0) llt.matrixL().solveInPlace(y);
+    inner.topLeftCorner(known, known).noalias() += y.transpose() * y;
+    F.bottomRightCorner(below, below).selfadjointView<Eigen::Lower>().rankUpdate(L, -1.0);
+    B.bottomRows(below).noalias() -= L * y;
+    // What no residual here has is not there.
+    Update update;
+    std::vector<int> kept;
+    for (size_t r = 0; r < shape.rows.size(); ++r) {
+      const int k = shape.rows[r];
+      if (panels->count(panel_[Index(k)]) == 0) continue;
+      update.rows.push_back(k);
+      for (int i = 0; i < size_[Index(k)]; ++i) kept.push_back(shape.row_offset[r] + i);
+    }
+    const auto size = static_cast<Eigen::Index>(kept.size());
+    update.H.resize(size, size);
+    update.B.resize(size, known);
+    for (Eigen::Index j = 0; j < size; ++j)
+      for (Eigen::Index i = j; i < size; ++i)
+        update.H(i, j) = F(kept[Index(static_cast<int>(i))], kept[Index(static_cast<int>(j))]);
+    for (Eigen::Index i = 0; i < size; ++i)
+      update.B.row(i) = B.row(kept[Index(static_cast<int>(i))]);
+    if (keeps) {
+      panel.H = F.leftCols(shape.columns);
+      Eigen::VectorXd combined = Eigen::VectorXd::Zero(shape.columns);
+      for (Eigen::Index j = 0; j < known; ++j)
+        combined += weights[met[Index(static_cast<int>(j))]] * y.col(j);
+      panel.rhs.clear();
+      panel.rhs.emplace(0, std::move(combined));
+    }
+    if (size > 0) waiting[panel_[Index(update.rows.front())]].push_back(std::move(update));
+  }
+  const int size = border_columns();
+  return {Eigen::MatrixXd::Constant(size, size, kNan),
+          Eigen::MatrixXd::Zero(size, count),
+          Eigen::MatrixXd::Zero(count, count)};
+}
+
+void Elimination::SubstituteBack(const Panels& panels, Eigen::VectorXd* x) const {
+  for (auto entry = panels.rbegin(); entry != panels.rend(); ++entry) {
+    if (entry->first == border_panel()) continue;
+    const Shape& shape = shapes_[Index(entry->first)];
+    const Eigen::MatrixXd& L = entry->second.H;
+    Eigen::VectorXd own = -entry->second.rhs.at(0);
+    for (size_t r = 0; r < shape.rows.size(); ++r) {
+      const size_t k = Index(shape.rows[r]);
+      own -= L.middleRows(shape.row_offset[r], size_[k]).transpose() *
+             x->segment(first_column_[k], size_[k]);
+    }
+    L.topRows(shape.columns).triangularView<Eigen::Lower>().transpose().solveInPlace(own);
+    for (int k = shape.first; k < shape.end; ++k)
+      x->segment(first_column_[Index(k)], size_[Index(k)]) =
+          own.segment(offset_[Index(k)], size_[Index(k)]);
+  }
+}
+
+void Elimination::Invert(const Eigen::MatrixXd& border, Panels* panels) const {
+  for (auto entry = panels->rbegin(); entry != panels->rend(); ++entry) {
+    Eigen::MatrixXd& Z = entry->second.H;
+    if (entry->first == border_panel()) {
+      Z = border;
+      continue;
+    }
+    const Shape& shape = shapes_[Index(entry->first)];
+    const int below = shape.height - shape.columns;
+    Eigen::MatrixXd later = Eigen::MatrixXd::Zero(below, below);  // lower triangle
+    for (size_t c = 0; c < shape.rows.size(); ++c) {
+      const size_t column = Index(shape.rows[c]);
+      const auto source = panels->find(panel_[column]);
+      if (source == panels->end()) continue;
+      for (size_t r = c; r < shape.rows.size(); ++r) {
+        const size_t row = Index(shape.rows[r]);
+        later.block(shape.row_offset[r] - shape.columns,
+                    shape.row_offset[c] - shape.columns,
+                    size_[row],
+                    size_[column]) =
+            source->second.H.block(
+                Offset(shape.rows[r], source->first), offset_[column], size_[row], size_[column]);
+      }
+    }
+    const auto L = Z.topRows(shape.columns).triangularView<Eigen::Lower>();
+    Eigen::MatrixXd M = Z.bottomRows(below);
+    if (below > 0) L.solveInPlace<Eigen::OnTheRight>(M);
+    Eigen::MatrixXd own = L.solve(Eigen::MatrixXd::Identity(shape.columns, shape.columns));
+    own = (own.transpose() * own).eval();
+    if (below > 0) Z.bottomRows(below).noalias() = -(later.selfadjointView<Eigen::Lower>() * M);
+    Z.topRows(shape.columns) = own - M.transpose() * Z.bottomRows(below);
+  }
+}
+
+double Elimination::At(const Panels& panels, int row, int column) const {
+  auto [k, i] = place_of_column_[Index(row)];
+  auto [l, j] = place_of_column_[Index(column)];
+  if (k < l) {
+    std::swap(k, l);
+    std::swap(i, j);
+  }
+  const auto panel = panels.find(panel_[Index(l)]);
+  if (panel == panels.end()) return 0.0;
+  const int first = Offset(k, panel->first);
+  return first < 0 ? 0.0 : panel->second.H(first + i, offset_[Index(l)] + j);
+}
+
+Reduced EliminateAll(const Elimination& elimination,
+                     const Eigen::VectorXd& weights,
+                     bool keeps,
+                     int threads,
+                     std::vector<Panels>* sessions) {
+  std::vector<Reduced> reduced(sessions->size());
+  InParallel(threads, sessions->size(), [&](size_t s) {
+    reduced[s] = elimination.Eliminate(weights, keeps, &(*sessions)[s]);
+  });
+  for (size_t s = 1; s < reduced.size(); ++s) reduced[0].Add(reduced[s]);
+  return reduced[0];
+}
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,182 @@
+#include "imu_pose_calib/ros/clouds/cloud_map.h"
+
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <string>
+
+#include "imu_pose_calib/core/median.h"
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr int64_t kStepNs = 1'000'000;  // between the poses of a cloud
+constexpr double kFarthest = 1e6;       // [m] in W
+
+/// Places at which sharpness is judged, and points that are to be around each.
+constexpr size_t kPlaces = 5000, kLeastPoints = 10;
+constexpr double kLeastVariance = 1e-12;  // [m^2] of points in a plane
+
+Eigen::Matrix<int64_t, 3, 1> CubeOf(const Eigen::Vector3d& p, double size) {
+  return (p / size).array().floor().cast<int64_t>();
+}
+
+/// Points by the cubes that they are in.
+class Neighbours {
+ public:
+  Neighbours(const std::vector<Eigen::Vector3f>& points, const std::vector<size_t>& used, double r)
+      : points_(points), radius_(r) {
+    for (const size_t k : used) cubes_[KeyOf(points[k].cast<double>())].push_back(k);
+  }
+
+  /// Covariance [m^2] of the points around point k; nothing when there are too few.
+  std::optional<Eigen::Matrix3d> CovarianceAround(size_t k) const {
+    const Eigen::Vector3d center = points_[k].cast<double>();
+    const Key middle = KeyOf(center);
+    Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+    Eigen::Matrix3d squares = Eigen::Matrix3d::Zero();
+    size_t count = 0;
+    for (int64_t cube = 0; cube < 27; ++cube) {
+      const auto found = cubes_.find(
+          {middle[0] + cube / 9 - 1, middle[1] + cube / 3 % 3 - 1, middle[2] + cube % 3 - 1});
+      if (found == cubes_.end()) continue;
+      for (const size_t j : found->second) {
+        const Eigen::Vector3d d = points_[j].cast<double>() - center;
+        if (d.squaredNorm() > radius_ * radius_) continue;
+        sum += d;
+        squares += d * d.transpose();
+        ++count;
+      }
+    }
+    if (count < kLeastPoints) return std::nullopt;
+    const auto n = static_cast<double>(count);
+    return Eigen::Matrix3d((squares - sum * sum.transpose() / n) / (n - 1.0));
+  }
+
+ private:
+  using Key = std::array<int64_t, 3>;
+  Key KeyOf(const Eigen::Vector3d& p) const {
+    const auto cube = CubeOf(p, radius_);
+    return {cube[0], cube[1], cube[2]};
+  }
+
+  const std::vector<Eigen::Vector3f>& points_;
+  double radius_;
+  std::map<Key, std::vector<size_t>> cubes_;
+};
+
+/// One point of each cube, spread over the map; at most kPlaces.
+std::vector<size_t> Spread(const std::vector<Eigen::Vector3f>& points,
+                           const std::vector<size_t>& used,
+                           double size) {
+  std::map<std::array<int64_t, 3>, size_t> first;
+  for (const size_t k : used) {
+    const auto cube = CubeOf(points[k].cast<double>(), size);
+    first.insert({{cube[0], cube[1], cube[2]}, k});
+  }
+  std::vector<size_t> places;
+  const size_t stride = first.size() / kPlaces + 1;
+  size_t number = 0;
+  for (const auto& [cube, k] : first)
+    if (number++ % stride == 0) places.push_back(k);
+  return places;
+}
+
+}  // namespace
+
+CloudMotion::CloudMotion(const SensorPoseAt& pose, int64_t begin_ns, int64_t end_ns)
+    : begin_ns_(begin_ns), end_ns_(end_ns) {
+  for (int64_t t = begin_ns; t < end_ns; t += kStepNs) poses_.push_back(pose(t));
+  poses_.push_back(pose(end_ns));
+}
+
+std::optional<Eigen::Vector3d> CloudMotion::Place(int64_t stamp_ns,
+                                                  const Eigen::Vector3f& p_S) const {
+  if (stamp_ns < begin_ns_ || stamp_ns > end_ns_) return std::nullopt;
+  const Eigen::Vector3d p = p_S.cast<double>();
+  const auto in_W = [&](const Rigid3& T_WS) -> Eigen::Vector3d { return T_WS.q * p + T_WS.p; };
+  const auto k = static_cast<size_t>((stamp_ns - begin_ns_) / kStepNs);
+  if (!poses_[k]) return std::nullopt;
+  const int64_t before_ns = begin_ns_ + static_cast<int64_t>(k) * kStepNs;
+  if (stamp_ns == before_ns || k + 1 == poses_.size()) return in_W(*poses_[k]);
+  if (!poses_[k + 1]) return std::nullopt;
+  const int64_t after_ns = std::min(before_ns + kStepNs, end_ns_);
+  const double u =
+      static_cast<double>(stamp_ns - before_ns) / static_cast<double>(after_ns - before_ns);
+  // On the chord instead of the arc: of a turn by an angle a it misses a^2 / 8 of the range.
+  return Eigen::Vector3d((1.0 - u) * in_W(*poses_[k]) + u * in_W(*poses_[k + 1]));
+}
+
+size_t VoxelMap::Hash::operator()(const Cube& cube) const {
+  uint64_t hash = 0;
+  for (int i = 0; i < 3; ++i) {
+    hash ^= static_cast<uint64_t>(cube[i]);
+    hash *= 0x9e3779b97f4a7c15u;  // 2^64 over the golden ratio: spreads neighbours
+    hash ^= hash >> 32u;
+  }
+  return hash;
+}
+
+void VoxelMap::Add(const Eigen::Vector3d& p_W, float intensity) {
+  if (!(p_W.array().abs() <= kFarthest).all())
+    throw InputError("a point is more than " + std::to_string(static_cast<int>(kFarthest)) +
+                     " m from the origin of the poses");
+  Sum& sum = cubes_[CubeOf(p_W, size_)];
+  sum.p_W += p_W;
+  sum.intensity += static_cast<double>(intensity);
+  ++sum.count;
+  if (cubes_.size() > most_)
+    throw InputError("the map has more than " + std::to_string(most_) +
+                     " points; give a larger voxel, or a smaller max_range");
+}
+
+std::vector<MapPoint> VoxelMap::Points() const {
+  std::vector<MapPoint> points;
+  points.reserve(cubes_.size());
+  for (const auto& [cube, sum] : cubes_) {
+    const auto n = static_cast<double>(sum.count);
+    const Eigen::Vector3f p = (sum.p_W / n).cast<float>();
+    points.push_back({p.x(), p.y(), p.z(), static_cast<float>(sum.intensity / n)});
+  }
+  return points;
+}
+
+std::vector<Sharpness> CompareSharpness(const std::vector<std::vector<Eigen::Vector3f>>& maps,
+                                        double radius) {
+  std::vector<size_t> used;
+  for (size_t k = 0; k < maps.front().size(); ++k)
+    if (std::all_of(maps.begin(), maps.end(), [k](const auto& map) { return map[k].allFinite(); }))
+      used.push_back(k);
+  const std::vector<size_t> places = Spread(maps.back(), used, 0.5 * radius);
+  std::vector<std::vector<std::optional<Eigen::Matrix3d>>> covariances;
+  for (const auto& map : maps) {
+    const Neighbours neighbours(map, used, radius);
+    covariances.emplace_back();
+    for (const size_t k : places) covariances.back().push_back(neighbours.CovarianceAround(k));
+  }
+  std::vector<Sharpness> all;
+  for (const auto& own : covariances) {
+    Sharpness sharpness;
+    std::vector<double> distances;
+    for (size_t i = 0; i < places.size(); ++i) {
+      if (!std::all_of(covariances.begin(), covariances.end(), [i](const auto& c) {
+            return c[i].has_value();
+          }))
+        continue;
+      const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver(*own[i], Eigen::EigenvaluesOnly);
+      const Eigen::Array3d variance = solver.eigenvalues().array().max(kLeastVariance);
+      sharpness.entropy += 0.5 * (2.0 * M_PI * M_E * variance).log().sum();
+      distances.push_back(std::sqrt(variance.minCoeff()));
+    }
+    sharpness.places = distances.size();
+    if (!distances.empty()) {
+      sharpness.entropy /= static_cast<double>(distances.size());
+      sharpness.thickness = Median(std::move(distances));
+    }
+    all.push_back(sharpness);
+  }
+  return all;
+}
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,354 @@
+#include "imu_pose_calib/ros/evaluation/evaluation.h"
+
+#include <algorithm>
+#include <boost/algorithm/string/join.hpp>
+#include <filesystem>
+#include <map>
+#include <memory>
+
+#include "imu_pose_calib/ros/evaluation/experiments.h"
+#include "imu_pose_calib/ros/evaluation/tables.h"
+#include "imu_pose_calib/ros/io/bag_reader.h"
+#include "imu_pose_calib/ros/io/child_process.h"
+#include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/io/transform_file.h"
+#include "imu_pose_calib/ros/io/yaml_file.h"
+#include "imu_pose_calib/ros/offline/summary_text.h"
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr int kParts = 3;             // of a bag that is compared with itself
+constexpr double kPartDuration = 25;  // [s]
+
+/// An experiment on one base, with its cells and the tasks of its trials.
+struct Plan {
+  Experiment experiment;
+  Base base;
+  std::vector<Cell> cells;
+  std::vector<std::vector<Trial>> gp, joint;  ///< of the cells
+};
+
+/// Bags that are read when they are needed first.
+class Bags {
+ public:
+  const SessionData& Get(const Source& source) {
+    const std::string key =
+        Format("%s %.9g %.9g", source.path.c_str(), source.start_s, source.duration_s);
+    const auto found = data_.find(key);
+    if (found != data_.end()) return found->second;
+    BagRequest request;
+    request.paths = {source.path};
+    request.start_s = source.start_s;
+    request.duration_s = source.duration_s;
+    return data_[key] = ReadBag(request).data;
+  }
+
+ private:
+  std::map<std::string, SessionData> data_;
+};
+
+class Evaluation {
+ public:
+  explicit Evaluation(const EvaluationRequest& request) : request_(request) {
+    for (const Experiment& experiment : Chosen())
+      for (const Base base : experiment.bases)
+        if (std::count(request.bases.begin(), request.bases.end(), base) > 0)
+          plans_.push_back(MakePlan(experiment, base));
+    if (plans_.empty())
+      throw InputError("none of the experiments runs on a bag; leave out --bag or add --simulate");
+    if (!request.chain.empty()) {
+      if (request.chain.size() != 2)
+        throw InputError("--chain takes two transforms: T_marker_camera and T_camera_imu");
+      chained_ = {
+          true,
+          ReadTransform("--chain", request.chain[0]) * ReadTransform("--chain", request.chain[1])};
+    }
+  }
+
+  std::string Run() {
+    const std::vector<Task> references = References(), tasks = Tasks();
+    if (!request_.is_merge) {
+      ReadBags(references, tasks);
+      RunnerOptions all = request_.runner;  // every part needs them
+      all.part = 0;
+      all.parts = 1;
+      all.title = "references";
+      RunTasks(references, all);
+      RunTasks(tasks, request_.runner);
+    }
+    size_t missing = 0;
+    for (const Task& task : tasks)
+      if (!StoredResult(request_.runner.folder, task)) ++missing;
+    for (const Task& task : references)
+      if (!StoredResult(request_.runner.folder, task)) ++missing;
+    if (missing > 0 && request_.is_merge)
+      throw InputError(Format("%zu of %zu trials are missing in '%s'; run them, and merge again",
+                              missing,
+                              tasks.size() + references.size(),
+                              request_.runner.folder.c_str()));
+    if (request_.runner.parts > 1)  // others may be at it, too
+      return Format("%zu of %zu trials are done; --merge makes the tables\n",
+                    tasks.size() + references.size() - missing,
+                    tasks.size() + references.size());
+    return WriteTables();
+  }
+
+ private:
+  std::vector<Experiment> Chosen() const {
+    std::vector<Experiment> all = Experiments();
+    if (request_.experiments.empty()) return all;
+    std::vector<std::string> names;
+    for (const Experiment& experiment : all) names.push_back(experiment.name);
+    std::vector<Experiment> chosen;
+    for (const std::string& name : request_.experiments) {
+      const auto found = std::find(names.begin(), names.end(), name);
+      if (found == names.end())
+        throw InputError("there is no experiment '" + name + "'; did you mean '" +
+                         Nearest(name, names) + "'? There are: " + boost::join(names, ", "));
+      chosen.push_back(all[static_cast<size_t>(found - names.begin())]);
+    }
+    return chosen;
+  }
+
+  /// What is compared with each other: the bags of the rig, or parts of one.
+  Axis Recordings() const {
+    std::vector<Source> sources;
+    for (const std::string& path : request_.rig) sources.push_back({path});
+    for (int i = 0; i < kParts && request_.rig.empty(); ++i)
+      sources.push_back({request_.bag.path, kPartDuration * i, kPartDuration});
+    Axis axis{"recording", {}, [sources](double value, Case* trial) {
+                trial->source = sources[static_cast<size_t>(value)];
+              }};
+    for (size_t i = 0; i < sources.size(); ++i) {
+      const Source& source = sources[i];
+      const std::string name = std::filesystem::path(source.path).stem();
+      axis.values.push_back(
+          {request_.rig.empty()
+               ? Format(
+                     "%s %g-%g s", name.c_str(), source.start_s, source.start_s + source.duration_s)
+               : name,
+           static_cast<double>(i)});
+    }
+    return axis;
+  }
+
+  Plan MakePlan(const Experiment& experiment, Base base) const {
+    Plan plan{experiment, base, {}, {}, {}};
+    plan.experiment.base.source = request_.bag;
+    if (experiment.is_compared && base == Base::kBag) plan.experiment.axes = {Recordings()};
+    plan.cells = Cells(plan.experiment);
+    for (const Cell& cell : plan.cells) {
+      plan.gp.push_back(Trials(plan.experiment, cell, base, Method::kGp, request_.trials));
+      plan.joint.push_back(Trials(plan.experiment, cell, base, Method::kJoint, request_.trials));
+    }
+    return plan;
+  }
+
+  Task ToTask(const Trial& trial, bool needs_reference) const {
+    return {trial.name, Describe(trial.what), [this, what = trial.what, needs_reference] {
+              static const SessionData kNoBag;
+              const bool is_bag = what.base == Base::kBag;
+              return ToYaml(RunTrial(what,
+                                     is_bag ? bags_->Get(what.source) : kNoBag,
+                                     needs_reference ? Reference(what.method) : TrialOutcome()));
+            }};
+  }
+
+  /// The bag as it is.
+  Task ReferenceTask(Method method) const {
+    Trial trial;
+    trial.name = std::string("reference/sample/") + ToString(method);
+    trial.what.base = Base::kBag;
+    trial.what.method = method;
+    trial.what.source = request_.bag;
+    return ToTask(trial, false);
+  }
+
+  std::vector<Task> References() const {
+    for (const Plan& plan : plans_)
+      if (plan.base == Base::kBag && !plan.experiment.is_compared)
+        return {ReferenceTask(Method::kGp), ReferenceTask(Method::kJoint)};
+    return {};
+  }
+
+  TrialOutcome Reference(Method method) const {
+    const auto text = StoredResult(request_.runner.folder, ReferenceTask(method));
+    TrialOutcome outcome;
+    if (text) outcome = ParseOutcome(*text);
+    if (!outcome.IsUsable())
+      throw InputError("the bag '" + request_.bag.path + "' cannot be evaluated with " +
+                       ToString(method) + ": " + outcome.reason);
+    return outcome;
+  }
+
+  std::vector<Task> Tasks() const {
+    std::vector<Task> tasks;
+    for (const Plan& plan : plans_)
+      for (const auto* method : {&plan.gp, &plan.joint})
+        for (const auto& cell : *method)
+          for (const Trial& trial : cell)
+            tasks.push_back(ToTask(trial, trial.what.is_guessed && plan.base == Base::kBag));
+    return tasks;
+  }
+
+  /// Once, before the processes of the trials begin.
+  void ReadBags(const std::vector<Task>& references, const std::vector<Task>& tasks) const {
+    const auto is_missing = [&](const Task& task) {
+      return !StoredResult(request_.runner.folder, task);
+    };
+    if (std::none_of(references.begin(), references.end(), is_missing) &&
+        std::none_of(tasks.begin(), tasks.end(), is_missing))
+      return;
+    for (const Plan& plan : plans_) {
+      if (plan.base != Base::kBag) continue;
+      for (const auto& cell : plan.joint)
+        for (const Trial& trial : cell) bags_->Get(trial.what.source);
+    }
+  }
+
+  /// What the trials of a method came to, with errors against the truth or the reference.
+  std::vector<CellOutcomes> Load(const Plan& plan,
+                                 const std::vector<std::vector<Trial>>& cells) const {
+    std::vector<CellOutcomes> loaded;
+    for (const std::vector<Trial>& trials : cells) {
+      CellOutcomes cell;
+      for (const Trial& trial : trials) {
+        const TrialOutcome outcome =
+            ParseOutcome(StoredResult(request_.runner.folder, ToTask(trial, false)).value());
+        TrialOutcome truth = outcome;
+        if (plan.base == Base::kBag && !plan.experiment.is_compared) {
+          const TrialOutcome reference = Reference(trial.what.method);
+          truth.true_T_MI = reference.T_MI;
+          truth.true_time_shift = reference.time_shift;
+          truth.true_accel_delay = reference.accel_delay;
+        }
+        cell.errors.push_back(
+            ErrorsOf(outcome, truth.true_T_MI, truth.true_time_shift, truth.true_accel_delay));
+        cell.outcomes.push_back(outcome);
+      }
+      loaded.push_back(std::move(cell));
+    }
+    return loaded;
+  }
+
+  std::string Introduction() const {
+    std::string text = Format(
+        "# Evaluation of imu_pose_calib %s\n\n"
+        "Root mean squares of the errors over the usable trials; %zu trials a cell in the tables "
+        "of "
+        "the paper. `gp` is the method of the paper, `joint` the default.\n\n",
+        kVersion,
+        request_.trials);
+    const auto has = [&](Base base) {
+      return std::any_of(
+          plans_.begin(), plans_.end(), [base](const Plan& plan) { return plan.base == base; });
+    };
+    if (has(Base::kBag))
+      text += Format(
+          "**sample**: %s, %g s from %g s on. Noise is added to what was recorded, and errors are "
+          "those against what the same method says of the recording as it is, as in the paper.\n\n",
+          std::filesystem::path(request_.bag.path).filename().c_str(),
+          request_.bag.duration_s,
+          request_.bag.start_s);
+    if (has(Base::kSimulation))
+      text +=
+          "**simulation**: errors are those against the truth, another motion in every trial. "
+          "*bound* is the Cramér-Rao bound for what `joint` estimates, of which it knows as much "
+          "as its priors say; cells.csv also has it with all else known (*least*). chi² is the "
+          "error squared by the covariance that is reported, over its 8 degrees of freedom, *of "
+          "the model* by that of independent residuals; *band* holds 95 % of such means when the "
+          "sigmas are right.\n\n";
+    return text +
+           "*Within bounds*: usable, and less than 10 mm, 0.01 rad and 2 ms off. Time and memory: "
+           "usage.md.\n\n";
+  }
+
+  std::string WriteTables() const {
+    const std::filesystem::path folder = request_.runner.folder;
+    std::string text = Introduction(), cells, trials;
+    for (const Plan& plan : plans_) {
+      const Results results{
+          &plan.experiment, plan.base, plan.cells, Load(plan, plan.gp), Load(plan, plan.joint)};
+      text += plan.experiment.is_compared ? ComparedSection(results, chained_) : Section(results);
+      if (plan.experiment.is_compared) continue;
+      trials += TrialsCsv(results, trials.empty());
+      cells += CellsCsv(results, cells.empty());
+    }
+    WriteFile(folder / "evaluation.md", text);
+    WriteFile(folder / "cells.csv", cells);
+    WriteFile(folder / "trials.csv", trials);
+    WriteFile(folder / "usage.md", UsageTable());
+    Draw();
+    return "tables and figures are in '" + request_.runner.folder + "': evaluation.md\n";
+  }
+
+  /// Median and largest of each experiment, base and method.
+  std::string UsageTable() const {
+    std::map<std::string, Usage> used;
+    for (const Usage& usage : LoadUsage(request_.runner.folder)) used[usage.name] = usage;
+    std::string text =
+        "# Time and memory\n\nMedians over the trials; their recording is simulated or has its "
+        "noise added in the same process, which takes a part of it.\n\n"
+        "| experiment | base | cell | method | time [s] | processor [s] | memory, most [MB] |\n"
+        "|---|---|---|---|---|---|---|\n";
+    double all = 0.0;
+    for (const Plan& plan : plans_) {
+      for (size_t c = 0; c < plan.cells.size(); ++c) {
+        for (const auto* method : {&plan.gp, &plan.joint}) {
+          std::vector<double> wall, cpu, memory;
+          for (const Trial& trial : (*method)[c]) {
+            const auto found = used.find(trial.name);
+            if (found == used.end()) continue;
+            wall.push_back(found->second.wall_s);
+            cpu.push_back(found->second.cpu_s);
+            memory.push_back(found->second.memory_mb);
+            all += found->second.cpu_s;
+          }
+          if (wall.empty()) continue;
+          const auto median = [](std::vector<double>* values) {
+            std::sort(values->begin(), values->end());
+            return (*values)[values->size() / 2];
+          };
+          text += Format("| %s | %s | %s | %s | %.2f | %.2f | %.0f |\n",
+                         plan.experiment.name.c_str(),
+                         ToString(plan.base),
+                         boost::join(plan.cells[c].labels, ", ").c_str(),
+                         method == &plan.gp ? "gp" : "joint",
+                         median(&wall),
+                         median(&cpu),
+                         *std::max_element(memory.begin(), memory.end()));
+        }
+      }
+    }
+    return text + Format("\nAll trials: %.0f min of a processor.\n", all / 60.0);
+  }
+
+  void Draw() const {
+    const std::filesystem::path script =
+        std::filesystem::read_symlink("/proc/self/exe").parent_path() / "evaluation_figures.py";
+    const std::string errors = request_.runner.folder + "/figures.log";
+    if (!std::filesystem::exists(script))
+      throw InputError("the figures cannot be drawn: there is no " + script.string());
+    if (RunProgram({script, request_.runner.folder}, errors) != 0)
+      throw InputError("the figures cannot be drawn; see '" + errors + "'");
+    std::filesystem::remove(errors);
+  }
+
+  const EvaluationRequest& request_;
+  std::vector<Plan> plans_;
+  Chained chained_;
+  const std::shared_ptr<Bags> bags_ = std::make_shared<Bags>();
+};
+
+}  // namespace
+
+std::string Evaluate(const EvaluationRequest& request) {
+  std::error_code error;
+  std::filesystem::create_directories(request.runner.folder, error);
+  if (error)
+    throw InputError("--out '" + request.runner.folder + "' cannot be made: " + error.message());
+  return Evaluation(request).Run();
+}
+
+}  // namespace imu_pose_calib

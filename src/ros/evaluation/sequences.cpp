@@ -1,0 +1,259 @@
+#include "imu_pose_calib/ros/evaluation/sequences.h"
+
+#include <boost/algorithm/string/join.hpp>
+#include <boost/algorithm/string/replace.hpp>
+#include <cmath>
+#include <filesystem>
+#include <map>
+
+#include "imu_pose_calib/core/comparison.h"
+#include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/io/ros_options.h"
+#include "imu_pose_calib/ros/offline/summary_text.h"
+
+namespace imu_pose_calib {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr double kDegrees = 180.0 / M_PI;
+
+std::vector<std::string> Inputs(const OfflineRequest& request) {
+  std::vector<std::string> paths = request.bag.paths;
+  for (const std::string* path :
+       {&request.text.poses, &request.text.imu, &request.config, &request.imu_yaml})
+    if (!path->empty()) paths.push_back(*path);
+  return paths;
+}
+
+/// All that the result follows from, on one line: a file by its size and time.
+std::string Describe(const OfflineRequest& request) {
+  std::string text = kVersion + (" " + request.method) + " " + request.bag.imu_topic + " " +
+                     request.bag.pose_topic + " " + request.bag.tf_parent + " " +
+                     request.bag.tf_child;
+  for (const std::string& path : Inputs(request)) {
+    std::error_code ignored;
+    const auto time = fs::last_write_time(path, ignored).time_since_epoch().count();
+    text += Format("; %s %ju %lld",
+                   path.c_str(),
+                   static_cast<uintmax_t>(fs::file_size(path, ignored)),
+                   static_cast<long long>(time));
+  }
+  return boost::replace_all_copy(text, "\n", " ");
+}
+
+/// Result, report and outcome of one.
+std::string Calibrate(const OfflineRequest& request) {
+  TrialOutcome outcome;
+  try {
+    OfflineResult offline = CalibrateOffline(request);
+    WriteResult(&offline);
+    WriteReport(&offline);
+    Take(offline.result, &outcome);
+  } catch (const DataError& error) {
+    outcome.verdict = "refused";
+    outcome.reason = OneLine(error);
+  } catch (const InputError& error) {  // of this one: others go on
+    outcome.verdict = kFailed;
+    outcome.reason = OneLine(error);
+  }
+  return ToYaml(outcome);
+}
+
+std::vector<Task> ToTasks(const std::vector<Sequence>& sequences,
+                          bool with_report,
+                          const std::string& folder) {
+  std::vector<Task> tasks;
+  for (const Sequence& sequence : sequences) {
+    OfflineRequest request = sequence.request;
+    request.output = folder + "/" + sequence.name + ".calibration.yaml";
+    if (with_report) request.report = ReportPath(request);
+    fs::create_directories(fs::path(request.output).parent_path());
+    tasks.push_back({sequence.name, Describe(request), [request] { return Calibrate(request); }});
+  }
+  return tasks;
+}
+
+std::string Triple(const Eigen::Vector3d& v, const char* number) {
+  const std::string format = std::string(number) + ", " + number + ", " + number;
+  return Format(format.c_str(), v.x(), v.y(), v.z());  // NOLINT
+}
+
+std::string Table(const std::vector<Sequence>& sequences,
+                  const std::vector<TrialOutcome>& outcomes) {
+  std::string text =
+      "| recording | verdict | p [mm] | sigma | R, rotation vector [deg] | sigma | time shift [s] "
+      "| "
+      "sigma | accel delay [ms] | sigma | warnings |\n"
+      "|---|---|---|---|---|---|---|---|---|---|---|\n";
+  for (size_t i = 0; i < outcomes.size(); ++i) {
+    const TrialOutcome& o = outcomes[i];
+    text += "| " + sequences[i].name + " | " + o.verdict + " | ";
+    if (!o.IsUsable()) {
+      text += boost::replace_all_copy(o.reason, "|", "/") + " | | | | | | | | |\n";
+      continue;
+    }
+    const Vector6d std = o.covariance.diagonal().cwiseSqrt();
+    text += Triple(1e3 * o.T_MI.p, "%.2f") + " | " + Triple(1e3 * std.head<3>(), "%.2f") + " | " +
+            Triple(kDegrees * Log(o.T_MI.q), "%.3f") + " | " +
+            Triple(kDegrees * std.tail<3>(), "%.3f") +
+            Format(" | %.6f | %.6f | %.3f | %.3f | %zu |\n",
+                   o.time_shift,
+                   o.time_shift_std,
+                   1e3 * o.accel_delay,
+                   1e3 * o.accel_delay_std,
+                   o.warnings);
+  }
+  return text + "\n";
+}
+
+std::string Csv(const std::vector<Sequence>& sequences, const std::vector<TrialOutcome>& outcomes) {
+  std::string text =
+      "recording,verdict,x,y,z,x_std,y_std,z_std,qx,qy,qz,qw,rx_std,ry_std,rz_std,time_shift,"
+      "time_shift_std,accel_delay,accel_delay_std,warnings,reason\n";
+  for (size_t i = 0; i < outcomes.size(); ++i) {
+    const TrialOutcome& o = outcomes[i];
+    Eigen::VectorXd numbers(17);
+    const Vector6d std = o.covariance.diagonal().cwiseSqrt();
+    numbers << o.T_MI.p, std.head<3>(), o.T_MI.q.coeffs(), std.tail<3>(), o.time_shift,
+        o.time_shift_std, o.accel_delay, o.accel_delay_std;
+    text += "\"" + sequences[i].name + "\"," + o.verdict;
+    for (const double number : numbers) text += o.IsUsable() ? "," + YamlNumber(number) : ",";
+    text += Format(",%zu,\"", o.warnings) + boost::replace_all_copy(o.reason, "\"", "'") + "\"\n";
+  }
+  return text;
+}
+
+// --- Datasets ---
+
+Comparable ToComparable(const TrialOutcome& outcome) {
+  Comparable comparable;
+  comparable.T_MI = outcome.T_MI;
+  comparable.covariance = outcome.covariance;
+  comparable.accel_delay = outcome.accel_delay;
+  comparable.accel_delay_std = outcome.accel_delay_std;
+  comparable.time_shift = outcome.time_shift;
+  comparable.time_shift_std = outcome.time_shift_std;
+  return comparable;
+}
+
+std::string ScatterTable(const std::vector<Comparable>& calibrations) {
+  const Repeatability repeat = Repeat(calibrations,
+                                      {ComparedQuantity::kTranslation,
+                                       ComparedQuantity::kRotation,
+                                       ComparedQuantity::kAccelDelay,
+                                       ComparedQuantity::kTimeShift});
+  std::string text = Format("Scatter of %zu: mean p %s mm, R %s deg.\n\n",
+                            calibrations.size(),
+                            Triple(1e3 * repeat.mean.T_MI.p, "%.2f").c_str(),
+                            Triple(kDegrees * Log(repeat.mean.T_MI.q), "%.3f").c_str()) +
+                     "| | standard deviation | sigma, rms | chi² / dof |\n|---|---|---|---|\n";
+  for (const Scatter& scatter : repeat.scatters) {
+    const bool is_angle = scatter.quantity == ComparedQuantity::kRotation;
+    const auto list = [&](const Eigen::VectorXd& values) {
+      std::vector<std::string> words;
+      for (const double value : values)
+        words.push_back(Format("%.3f", value * (is_angle ? kDegrees : 1e3)));
+      return boost::join(words, ", ");
+    };
+    const char* unit = is_angle                                             ? "deg"
+                       : scatter.quantity == ComparedQuantity::kTranslation ? "mm"
+                                                                            : "ms";
+    text += Format("| %s [%s] | %s | %s | %.1f / %d |\n",
+                   ToString(scatter.quantity),
+                   unit,
+                   list(scatter.deviation).c_str(),
+                   list(scatter.sigma).c_str(),
+                   scatter.chi2,
+                   scatter.dof);
+  }
+  return text + "\n";
+}
+
+std::string AuditRow(const std::string& name, const Comparable& found, const Rigid3& published) {
+  Comparable given;
+  given.T_MI = published;
+  std::vector<std::string> cells = {name};
+  bool agrees = true;
+  const auto add = [&](ComparedQuantity quantity, const char* format, double value) {
+    const Comparison comparison = Compare(given, found, {quantity});
+    const Difference* worst = comparison.Worst();
+    const double sigmas = worst == nullptr ? 0.0 : worst->sigmas;
+    agrees = agrees && sigmas <= kAgreementBound;
+    cells.push_back(Format(format, value) + Format(" (%.1f)", sigmas));  // NOLINT
+  };
+  const Comparison all = Compare(given, found, {ComparedQuantity::kTranslation});
+  add(ComparedQuantity::kTranslation, "%.2f", 1e3 * all.distance);
+  add(ComparedQuantity::kRotation, "%.3f", kDegrees * all.angle);
+  const bool is_frame = agrees;
+  agrees = true;
+  add(ComparedQuantity::kTimeShift, "%.3f", 1e3 * found.time_shift);
+  cells.emplace_back(is_frame ? "yes" : "no");
+  cells.emplace_back(agrees ? "yes" : "no");
+  return "| " + boost::join(cells, " | ") + " |\n";
+}
+
+/// Tables of each group of a dataset.
+std::string DatasetTables(const std::vector<Sequence>& sequences,
+                          const std::vector<TrialOutcome>& outcomes) {
+  std::string text;
+  for (size_t begin = 0, end = 0; begin < sequences.size(); begin = end) {
+    while (end < sequences.size() && sequences[end].group == sequences[begin].group) ++end;
+    const auto part = [&](const auto& all) {
+      using List = std::decay_t<decltype(all)>;
+      return List(all.begin() + static_cast<std::ptrdiff_t>(begin),
+                  all.begin() + static_cast<std::ptrdiff_t>(end));
+    };
+    text += "## " + sequences[begin].group + "\n\n" + Table(part(sequences), part(outcomes));
+    std::vector<Comparable> usable;
+    std::string audit;
+    for (size_t i = begin; i < end; ++i) {
+      if (!outcomes[i].IsUsable()) continue;
+      usable.push_back(ToComparable(outcomes[i]));
+      if (sequences[i].published_T_MI)
+        audit += AuditRow(sequences[i].name, usable.back(), *sequences[i].published_T_MI);
+    }
+    if (usable.size() > 1) text += ScatterTable(usable);
+    if (audit.empty()) continue;
+    text +=
+        Format(
+            "Less what is published, in brackets the largest component in its sigma; *yes* is "
+            "within "
+            "%g sigma. The clocks are said to be one.\n\n"
+            "| recording | p [mm] | R [deg] | time shift [ms] | frame as published? | clock of the "
+            "IMU? |\n|---|---|---|---|---|---|\n",
+            kAgreementBound) +
+        audit + "\n";
+  }
+  return text;
+}
+
+}  // namespace
+
+SequencesOutcome RunSequences(const std::vector<Sequence>& sequences,
+                              const std::string& title,
+                              bool is_dataset,
+                              const RunnerOptions& runner) {
+  const std::vector<Task> tasks = ToTasks(sequences, !is_dataset, runner.folder);
+  RunTasks(tasks, runner);
+  SequencesOutcome result;
+  std::vector<TrialOutcome> outcomes;
+  for (size_t i = 0; i < tasks.size(); ++i) {
+    const auto text = StoredResult(runner.folder, tasks[i]);
+    if (!text) {
+      ++result.missing;
+      continue;
+    }
+    outcomes.push_back(ParseOutcome(*text));
+    if (!outcomes.back().IsUsable()) result.failed.push_back(sequences[i].name);
+  }
+  if (result.missing > 0) return result;
+  result.text = "# " + title + "\n\n" +
+                (is_dataset ? DatasetTables(sequences, outcomes) : Table(sequences, outcomes));
+  WriteFile(runner.folder + "/sequences.md", result.text);
+  WriteFile(runner.folder + "/sequences.csv", Csv(sequences, outcomes));
+  return result;
+}
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,321 @@
+#include "imu_pose_calib/ros/evaluation/trial.h"
+
+#include <yaml-cpp/yaml.h>
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+#include <random>
+#include <sstream>
+
+#include "imu_pose_calib/core/calibrator.h"
+#include "imu_pose_calib/core/effect_options.h"
+#include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/core/solution.h"
+#include "imu_pose_calib/ros/evaluation/task_runner.h"
+#include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/offline/summary_text.h"
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr uint32_t kFirstSeed = 1000, kRecordingSeeds = 100000;
+constexpr double kGuessAngle = M_PI, kGuessDistance = 1.0;                   // [rad], [m], at most
+constexpr double kClocks = 3600.0;                                           // [s] at most
+constexpr double kOutlierDistance = 0.1, kOutlierAngle = 20.0 / 180 * M_PI;  // [m], [rad]
+constexpr double kGap = 1.0;                                                 // [s]
+
+/// Random numbers of one use in one trial.
+enum class Use : uint32_t { kNoise, kGuess, kRig, kOutliers };
+std::mt19937 RandomOf(Use use, uint32_t index, size_t recording = 0) {
+  std::seed_seq sequence{
+      7001u, static_cast<uint32_t>(use), index, static_cast<uint32_t>(recording)};
+  return std::mt19937(sequence);
+}
+
+double Uniform(std::mt19937* random, double low, double high) {
+  return std::uniform_real_distribution<double>(low, high)(*random);
+}
+
+/// A transform up to 180 deg and 1 m from none.
+Rigid3 RandomTransform(std::mt19937* random) {
+  const Eigen::Vector3d axis = RandomDirection(random), direction = RandomDirection(random);
+  const double angle = Uniform(random, 0.0, kGuessAngle);
+  return {Exp<double>(angle * axis), Uniform(random, 0.0, kGuessDistance) * direction};
+}
+
+std::vector<SimulatorOptions> Truths(const Case& trial) {
+  std::vector<SimulatorOptions> truths(trial.recordings, trial.simulator);
+  std::mt19937 random = RandomOf(Use::kRig, trial.index);
+  const Rigid3 rig = RandomTransform(&random);
+  for (size_t s = 0; s < truths.size(); ++s) {
+    SimulatorOptions& truth = truths[s];
+    truth.seed = kFirstSeed + trial.index + kRecordingSeeds * static_cast<uint32_t>(s);
+    if (trial.is_random_rig) truth.T_MI = rig;
+    if (trial.is_random_rig || trial.is_one_rig || trial.recordings > 1)
+      truth.time_shift_s = Uniform(&random, -kClocks, kClocks);
+  }
+  return truths;
+}
+
+void AddNoise(const Case& trial, std::mt19937* random, SessionData* data) {
+  for (PoseSample& pose : data->poses) {
+    pose.p_WM += Gaussian(random, trial.pose_noise.position);
+    pose.q_WM = pose.q_WM * Exp(Gaussian(random, trial.pose_noise.rotation));
+  }
+  for (ImuSample& gyro : data->imus[0].gyro) gyro.value += Gaussian(random, trial.imu_noise.gyro);
+  for (ImuSample& accel : data->imus[0].accel)
+    accel.value += Gaussian(random, trial.imu_noise.accel);
+}
+
+void AddOutliers(const Case& trial, std::mt19937* random, SessionData* data) {
+  for (PoseSample& pose : data->poses) {
+    if (Uniform(random, 0.0, 100.0) >= trial.outliers) continue;
+    pose.p_WM += kOutlierDistance * RandomDirection(random);
+    pose.q_WM = pose.q_WM * Exp<double>(kOutlierAngle * RandomDirection(random));
+  }
+}
+
+/// Loses `lost` of the poses in gaps of 1 s at even distances.
+void Lose(double lost, SessionData* data) {
+  if (lost <= 0.0 || data->poses.empty()) return;
+  const double period = kGap * 100.0 / lost;
+  const int64_t first_ns = data->poses.front().t_ns;
+  const auto is_lost = [&](const PoseSample& pose) {
+    const double t = 1e-9 * static_cast<double>(pose.t_ns - first_ns);
+    return std::fmod(t, period) >= period - kGap;
+  };
+  auto& poses = data->poses;
+  poses.erase(std::remove_if(poses.begin(), poses.end(), is_lost), poses.end());
+}
+
+/// What one calibration and its trial have in common.
+void Judge(const Calibration& result, const Errors& errors, TrialOutcome* outcome) {
+  const Marginals& marginals = result.solution->marginals;
+  std::vector<int> places;
+  const auto add = [&](ParameterKind kind, int size) {
+    for (int i = 0; i < size; ++i) places.push_back(marginals.Find(kind) + i);
+  };
+  add(ParameterKind::kTranslation, 3);
+  add(ParameterKind::kRotation, 3);
+  add(ParameterKind::kTimeShift, 1);
+  add(ParameterKind::kAccelDelay, 1);
+  Eigen::Matrix<double, 8, 1> e;
+  e << errors.translation, errors.rotation, errors.time_shift, errors.accel_delay;
+  const Eigen::VectorXd larger = Enlargement(marginals.model, marginals.robust);
+  Eigen::Matrix<double, 8, 8> model, reported;
+  for (int i = 0; i < 8; ++i) {
+    for (int k = 0; k < 8; ++k) {
+      const int row = places[static_cast<size_t>(i)], column = places[static_cast<size_t>(k)];
+      model(i, k) = marginals.model(row, column);
+      reported(i, k) = larger[row] * model(i, k) * larger[column];
+    }
+  }
+  outcome->chi2 = e.dot(reported.llt().solve(e));
+  outcome->model_chi2 = e.dot(model.llt().solve(e));
+}
+
+// --- YAML ---
+
+std::string List(const Eigen::VectorXd& values) {
+  std::string text;
+  for (const double value : values) text += (text.empty() ? "" : ", ") + YamlNumber(value);
+  return "[" + text + "]";
+}
+
+Eigen::VectorXd List(const YAML::Node& node) {
+  const auto values = node.as<std::vector<double>>();
+  return Eigen::Map<const Eigen::VectorXd>(values.data(), static_cast<Eigen::Index>(values.size()));
+}
+
+std::string List(const Rigid3& T) {
+  Eigen::VectorXd values(7);
+  values << T.p, T.q.coeffs();
+  return List(values);
+}
+
+Rigid3 Transform(const YAML::Node& node) {
+  const Eigen::VectorXd values = List(node);
+  return {Eigen::Quaterniond(Eigen::Vector4d(values.tail<4>())), values.head<3>()};
+}
+
+std::string List(const ErrorNorms& norms) {
+  return List(
+      Eigen::Vector4d(norms.translation, norms.rotation, norms.time_shift, norms.accel_delay));
+}
+
+ErrorNorms Norms(const YAML::Node& node) {
+  const Eigen::VectorXd v = List(node);
+  return {v[0], v[1], v[2], v[3]};
+}
+
+std::string Line(const std::string& text) {
+  YAML::Emitter out;
+  out << YAML::DoubleQuoted << text;
+  return out.c_str();
+}
+
+}  // namespace
+
+const char* ToString(Base base) { return base == Base::kBag ? "sample" : "simulation"; }
+
+std::string Describe(const Case& trial) {
+  std::ostringstream text;
+  text.precision(10);
+  text << kVersion << " " << ToString(trial.method) << " trial " << trial.index;
+  if (trial.base == Base::kBag) {
+    text << " " << trial.source.path << " from " << trial.source.start_s << " for "
+         << trial.source.duration_s;
+  } else {
+    SimulatorOptions s = trial.simulator;
+    text << " " << ToString(s.motion) << " " << s.duration_s << " s, " << s.pose_rate_hz << " "
+         << s.gyro_rate_hz << " " << s.accel_rate_hz << " Hz, " << s.position_std << " "
+         << s.rotation_std << " " << s.gyro_std << " " << s.accel_std << ", bias "
+         << s.gyro_bias.transpose() << " " << s.gyro_bias_walk << " " << s.accel_bias.transpose()
+         << " " << s.accel_bias_walk << ", T_MI " << List(s.T_MI) << ", " << s.time_shift_s << " "
+         << s.accel_delay_s << " s";
+    for (const EffectOption& effect : EffectOptions())
+      if (effect.strength(&s) != 0.0) text << ", " << effect.name << " " << effect.strength(&s);
+    text << "; recordings " << trial.recordings << (trial.is_random_rig ? " random" : "")
+         << (trial.is_one_rig ? " one rig" : "");
+  }
+  text << "; added " << trial.pose_noise.position << " " << trial.pose_noise.rotation << " "
+       << trial.imu_noise.gyro << " " << trial.imu_noise.accel << ", outliers " << trial.outliers
+       << ", lost " << trial.lost << (trial.is_guessed ? ", guessed" : "");
+  return text.str();
+}
+
+Errors ErrorsOf(const TrialOutcome& outcome,
+                const Rigid3& true_T_MI,
+                double true_time_shift,
+                double true_accel_delay) {
+  return {outcome.T_MI.p - true_T_MI.p,
+          Log(Eigen::Quaterniond(true_T_MI.q.conjugate() * outcome.T_MI.q)),
+          outcome.time_shift - true_time_shift,
+          outcome.accel_delay - true_accel_delay};
+}
+
+void Take(const Calibration& result, TrialOutcome* outcome) {
+  outcome->verdict = ToString(result.status);
+  outcome->reason = result.message;
+  if (!result.IsUsable()) return;
+  const ImuCalibration& imu = result.imus[0];
+  const ImuSession& clock = result.sessions[0].imus[0];
+  outcome->warnings = result.warnings.size();
+  outcome->T_MI = imu.T_MI;
+  outcome->covariance = imu.covariance;
+  outcome->time_shift = clock.time_shift;
+  outcome->time_shift_std = clock.time_shift_std;
+  outcome->accel_delay = imu.accel_delay;
+  outcome->accel_delay_std = imu.accel_delay_std;
+}
+
+TrialOutcome RunTrial(const Case& trial, const SessionData& bag, const TrialOutcome& reference) {
+  TrialOutcome outcome;
+  std::vector<SimulatorOptions> truths;
+  std::vector<SessionData> recordings = {bag};
+  const bool is_simulated = trial.base == Base::kSimulation;
+  if (is_simulated) {
+    truths = Truths(trial);
+    recordings.clear();
+    for (const SimulatorOptions& truth : truths) recordings.push_back(Simulate(truth));
+    const TrueClock clock(truths[0]);
+    outcome.true_T_MI = truths[0].T_MI;
+    outcome.true_time_shift = clock.time_shift_s;
+    outcome.true_accel_delay = clock.accel_delay_s;
+  }
+  for (size_t s = 0; s < recordings.size(); ++s) {
+    std::mt19937 noise = RandomOf(Use::kNoise, trial.index, s);
+    std::mt19937 outliers = RandomOf(Use::kOutliers, trial.index, s);
+    AddNoise(trial, &noise, &recordings[s]);
+    AddOutliers(trial, &outliers, &recordings[s]);
+    Lose(trial.lost, &recordings[s]);
+  }
+  if (is_simulated && trial.method == Method::kJoint) {
+    for (SimulatorOptions& truth : truths) {
+      truth.position_std = std::hypot(truth.position_std, trial.pose_noise.position);
+      truth.rotation_std = std::hypot(truth.rotation_std, trial.pose_noise.rotation);
+      truth.gyro_std = std::hypot(truth.gyro_std, trial.imu_noise.gyro);
+      truth.accel_std = std::hypot(truth.accel_std, trial.imu_noise.accel);
+    }
+    outcome.bounds = FindErrorBounds(truths, recordings);
+  }
+
+  CalibrationOptions options;
+  options.method = trial.method;
+  options.num_threads = 1;  // trials run side by side, and give the same on any machine
+  if (trial.is_guessed) {
+    std::mt19937 random = RandomOf(Use::kGuess, trial.index);
+    const Rigid3 away = RandomTransform(&random);
+    const Rigid3& truth = is_simulated ? outcome.true_T_MI : reference.T_MI;
+    options.initial_rotation = truth.q * away.q;
+    options.initial_translation = truth.p + away.p;
+    outcome.guess_angle = Eigen::Quaterniond::Identity().angularDistance(away.q);
+    outcome.guess_distance = away.p.norm();
+  }
+  try {
+    const Calibration result = Calibrate(options, recordings);
+    Take(result, &outcome);
+    if (result.IsUsable() && is_simulated)
+      Judge(result,
+            ErrorsOf(outcome, outcome.true_T_MI, outcome.true_time_shift, outcome.true_accel_delay),
+            &outcome);
+  } catch (const DataError& error) {
+    outcome.verdict = "refused";
+    outcome.reason = error.what();
+  }
+  return outcome;
+}
+
+std::string ToYaml(const TrialOutcome& outcome) {
+  std::ostringstream text;
+  text << "verdict: " << outcome.verdict << "\nreason: " << Line(outcome.reason)
+       << "\nwarnings: " << outcome.warnings << "\nT_MI: " << List(outcome.T_MI)
+       << "\ncovariance: " << List(Eigen::Map<const Eigen::VectorXd>(outcome.covariance.data(), 36))
+       << "\nclocks: "
+       << List(Eigen::Vector4d(outcome.time_shift,
+                               outcome.time_shift_std,
+                               outcome.accel_delay,
+                               outcome.accel_delay_std))
+       << "\ntrue_T_MI: " << List(outcome.true_T_MI) << "\ntrue_clocks: "
+       << List(Eigen::Vector2d(outcome.true_time_shift, outcome.true_accel_delay))
+       << "\nchi2: " << List(Eigen::Vector2d(outcome.chi2, outcome.model_chi2))
+       << "\nleast: " << List(outcome.bounds.least)
+       << "\nas_joint: " << List(outcome.bounds.as_joint)
+       << "\nguess: " << List(Eigen::Vector2d(outcome.guess_angle, outcome.guess_distance)) << "\n";
+  return text.str();
+}
+
+TrialOutcome ParseOutcome(const std::string& text) {
+  TrialOutcome outcome;
+  const std::string failed = kFailed + std::string(": ");
+  if (text.rfind(failed, 0) == 0) {
+    outcome.verdict = kFailed;
+    outcome.reason = text.substr(failed.size());
+    return outcome;
+  }
+  const YAML::Node node = YAML::Load(text);
+  outcome.verdict = node["verdict"].as<std::string>();
+  outcome.reason = node["reason"].as<std::string>();
+  outcome.warnings = node["warnings"].as<size_t>();
+  outcome.T_MI = Transform(node["T_MI"]);
+  outcome.covariance = Eigen::Map<const Matrix6d>(List(node["covariance"]).eval().data());
+  const Eigen::VectorXd clocks = List(node["clocks"]), true_clocks = List(node["true_clocks"]),
+                        chi2 = List(node["chi2"]), guess = List(node["guess"]);
+  outcome.time_shift = clocks[0];
+  outcome.time_shift_std = clocks[1];
+  outcome.accel_delay = clocks[2];
+  outcome.accel_delay_std = clocks[3];
+  outcome.true_T_MI = Transform(node["true_T_MI"]);
+  outcome.true_time_shift = true_clocks[0];
+  outcome.true_accel_delay = true_clocks[1];
+  outcome.chi2 = chi2[0];
+  outcome.model_chi2 = chi2[1];
+  outcome.bounds.least = Norms(node["least"]);
+  outcome.bounds.as_joint = Norms(node["as_joint"]);
+  outcome.guess_angle = guess[0];
+  outcome.guess_distance = guess[1];
+  return outcome;
+}
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,195 @@
+// Reruns the experiments of the paper and others.
+
+#include <ros/init.h>
+#include <ros/package.h>
+
+#include <boost/algorithm/string/classification.hpp>
+#include <boost/algorithm/string/join.hpp>
+#include <boost/algorithm/string/split.hpp>
+#include <cstdio>
+#include <iostream>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "imu_pose_calib/ros/evaluation/evaluation.h"
+#include "imu_pose_calib/ros/evaluation/experiments.h"
+#include "imu_pose_calib/ros/evaluation/sequences.h"
+#include "imu_pose_calib/ros/offline/command_line.h"
+
+namespace imu_pose_calib {
+namespace {
+
+namespace po = boost::program_options;
+
+struct CommandLine {
+  EvaluationRequest request;
+  OfflineRequest sequences;  ///< how each of a batch or a dataset is read and calibrated
+  std::string experiments, job, batch, dataset, data;
+  bool simulate = false, list = false, help = false;
+  size_t print_jobs = 0;
+};
+
+po::options_description Describe(CommandLine* line) {
+  EvaluationRequest& request = line->request;
+  const auto text = [](std::string* field) { return po::value(field)->value_name("TEXT"); };
+  const auto texts = [](std::vector<std::string>* field) {
+    return po::value(field)->multitoken()->value_name("TEXT");
+  };
+  po::options_description options("Options");
+  auto add = options.add_options();
+  add("bag", text(&request.bag.path), "recording to add noise to, no simulation; default: both");
+  add("simulate", po::bool_switch(&line->simulate), "simulated recordings only; with --bag: both");
+  add("start",
+      po::value(&request.bag.start_s)->value_name("S")->default_value(0),
+      "seconds of the bag to skip");
+  add("duration",
+      po::value(&request.bag.duration_s)->value_name("S")->default_value(40),
+      "seconds of the bag to use; 0: all");
+  add("experiments", text(&line->experiments), "names with commas between; default: all");
+  add("list", po::bool_switch(&line->list), "print the names of the experiments");
+  add("trials",
+      po::value(&request.trials)->value_name("N")->default_value(request.trials),
+      "of each cell of the paper's tables; others have a part or a multiple of it");
+  add("rig", texts(&request.rig), "bags of one rig to compare with each other");
+  add("chain",
+      texts(&request.chain),
+      "T_marker_camera and T_camera_imu, to compare the rig with: \"x y z qx qy qz qw\" or files");
+  add("batch",
+      po::value(&line->batch)->value_name("DIR"),
+      "instead of experiments: calibrate every bag below DIR, with a report of each");
+  add("dataset", text(&line->dataset), "instead: a public dataset, tum-vi, euroc or broad");
+  add("data", po::value(&line->data)->value_name("DIR"), "where it is");
+  add("imu-topic", text(&line->sequences.bag.imu_topic), "of all bags of a batch or a dataset");
+  add("pose-topic", text(&line->sequences.bag.pose_topic), "the same");
+  add("tf-parent", text(&line->sequences.bag.tf_parent), "poses from tf: the fixed frame");
+  add("tf-child", text(&line->sequences.bag.tf_child), "poses from tf: the marker");
+  add("config", text(&line->sequences.config), "YAML of options, for a batch or a dataset");
+  add("method", text(&line->sequences.method), "joint (default) or gp, for a batch or a dataset");
+  add("jobs",
+      po::value(&request.runner.jobs)->value_name("J"),
+      "trials at a time; default: one per processor");
+  add("out",
+      po::value(&request.runner.folder)->value_name("DIR")->default_value("evaluation"),
+      "trials, tables and figures; what is there is not run again");
+  add("print-jobs",
+      po::value(&line->print_jobs)->value_name("K"),
+      "print K commands that share the trials, and run nothing");
+  add("job", text(&line->job), "I/K: only the I-th of K shares of the trials");
+  add("merge", po::bool_switch(&request.is_merge), "tables only: all trials must be there");
+  add("quiet", po::bool_switch(&request.runner.quiet), "print errors only");
+  add("help", po::bool_switch(&line->help), "print this text");
+  return options;
+}
+
+void Complete(CommandLine* line) {
+  EvaluationRequest& request = line->request;
+  request.bases = {Base::kBag, Base::kSimulation};
+  const bool is_bag_given = !request.bag.path.empty() || !request.rig.empty();
+  if (line->simulate && !is_bag_given) request.bases = {Base::kSimulation};
+  if (is_bag_given && !line->simulate) request.bases = {Base::kBag};
+  if (request.bag.path.empty())
+    request.bag.path = ros::package::getPath("imu_pose_calib") + "/data/estimator_own_clocks.bag";
+  if (!line->experiments.empty())
+    boost::split(request.experiments, line->experiments, boost::is_any_of(","));
+  if (request.trials < 1 || request.trials > 100000)
+    throw InputError("--trials = " + std::to_string(request.trials) + " must be 1 to 100000");
+  if (request.runner.jobs == 0)
+    request.runner.jobs = static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
+  if (request.runner.jobs < 1 || request.runner.jobs > 1000)
+    throw InputError("--jobs = " + std::to_string(request.runner.jobs) + " must be 1 to 1000");
+  request.runner.title = "trials";
+  if (line->job.empty()) return;
+  char rest = 0;
+  size_t part = 0;
+  if (std::sscanf(line->job.c_str(), "%zu/%zu%c", &part, &request.runner.parts, &rest) != 2 ||
+      part < 1 || part > request.runner.parts)
+    throw InputError("--job '" + line->job + "' must be I/K with I from 1 to K");
+  request.runner.part = part - 1;
+}
+
+/// The same command for each share.
+void PrintJobs(int argc, char** argv, size_t jobs) {
+  for (size_t i = 1; i <= jobs; ++i) {
+    for (int k = 0; k < argc; ++k) {
+      std::string word = argv[k];
+      if (word == "--print-jobs") {
+        ++k;
+        continue;
+      }
+      if (word.rfind("--print-jobs=", 0) == 0) continue;
+      std::string quoted = "'";
+      for (const char c : word) quoted += c == '\'' ? "'\\''" : std::string(1, c);
+      const bool is_plain = word.find_first_not_of(
+                                "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789"
+                                "_-./,=:") == std::string::npos;
+      std::cout << (is_plain && !word.empty() ? word : quoted + "'") << " ";
+    }
+    std::cout << "--job " << i << "/" << jobs << "\n";
+  }
+}
+
+/// A batch or a dataset.
+void RunRecordings(const CommandLine& line) {
+  const bool is_dataset = !line.dataset.empty();
+  if (is_dataset && !line.batch.empty())
+    throw InputError("--batch and --dataset do not go together");
+  if (is_dataset && line.data.empty())
+    throw InputError("--dataset needs --data DIR, the folder that it is in. " +
+                     DatasetTitle(line.dataset));
+  const std::vector<Sequence> sequences = is_dataset
+                                              ? FindDataset(line.dataset, line.data, line.sequences)
+                                              : FindBags(line.batch, line.sequences);
+  RunnerOptions runner = line.request.runner;
+  runner.title = "recordings";
+  const SequencesOutcome outcome =
+      RunSequences(sequences,
+                   is_dataset ? DatasetTitle(line.dataset) : "Calibration of " + line.batch,
+                   is_dataset,
+                   runner);
+  if (!runner.quiet && outcome.missing > 0)
+    std::cout << outcome.missing << " recordings of the other jobs are missing\n";
+  if (!runner.quiet) std::cout << outcome.text;
+  if (!outcome.failed.empty() && !is_dataset)
+    throw DataError(std::to_string(outcome.failed.size()) + " of " +
+                    std::to_string(sequences.size()) +
+                    " bags have no calibration: " + boost::join(outcome.failed, ", "));
+}
+
+void Run(int argc, char** argv) {
+  CommandLine line;
+  line.request.runner.jobs = 0;
+  ParseCommandLine(argc, argv, Describe(&line), "", 0);
+  if (line.help) {
+    CommandLine defaults;
+    std::cout << "Usage: evaluate [options]\n\n"
+              << "Reruns the experiments of the paper and others with both methods, on a recording "
+                 "to\nwhich noise is added and on simulated ones. Can be interrupted at any time: "
+                 "run it\nagain, and it goes on.\n\n"
+              << Describe(&defaults);
+    return;
+  }
+  if (line.list) {
+    for (const Experiment& experiment : Experiments())
+      std::cout << experiment.name << ": " << experiment.title << "\n";
+    return;
+  }
+  Complete(&line);
+  if (line.print_jobs > 0) return PrintJobs(argc, argv, line.print_jobs);
+  if (!line.batch.empty() || !line.dataset.empty()) return RunRecordings(line);
+  const std::string done = Evaluate(line.request);
+  if (!line.request.runner.quiet) std::cout << done;
+}
+
+}  // namespace
+}  // namespace imu_pose_calib
+
+int main(int argc, char** argv) {
+  // Without what roslaunch adds, __name and __log.
+  ros::V_string words;
+  ros::removeROSArgs(argc, argv, words);
+  std::vector<char*> own;
+  for (std::string& word : words) own.push_back(word.data());
+  return imu_pose_calib::RunCommand(
+      "evaluate", [&] { imu_pose_calib::Run(static_cast<int>(own.size()), own.data()); });
+}

@@ -1,0 +1,64 @@
+#pragma once
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <numeric>
+#include <vector>
+
+#include "imu_pose_calib/core/marginals.h"
+
+namespace imu_pose_calib {
+
+/// H^-1 of a solve whose parameters that are held are known, which have zeros: put together from
+/// the factor of H, and inverted as a dense matrix.
+inline Eigen::MatrixXd DenseInverse(const Marginals& m) {
+  std::vector<int> size;  // of the blocks
+  for (const bool is_estimated : {true, false})
+    for (const PlacedParameter& p : m.parameters)
+      if (p.is_estimated == is_estimated && p.parameter.data != nullptr)
+        size.push_back(p.parameter.size);
+  for (const PlacedParameter& p : m.parameters)
+    if (p.parameter.kind == ParameterKind::kGravity) size.push_back(2);
+  const size_t border = size.size();
+  size.resize(m.blocks.size(), 3);
+  std::vector<int> first(size.size(), 0), order(size.size());
+  std::partial_sum(size.begin(), size.end() - 1, first.begin() + 1);
+  std::iota(order.begin(), order.end(), 0);
+  std::sort(order.begin(), order.end(), [&m](int a, int b) {
+    return m.elimination->place(a) < m.elimination->place(b);
+  });
+  std::vector<int> column;  // by place
+  Eigen::Index inner = 0;
+  for (const int block : order) {
+    if (block >= static_cast<int>(border)) inner += size[static_cast<size_t>(block)];
+    for (int k = 0; k < size[static_cast<size_t>(block)]; ++k)
+      column.push_back(first[static_cast<size_t>(block)] + k);
+  }
+  const auto columns = static_cast<Eigen::Index>(column.size());
+  Eigen::MatrixXd L = Eigen::MatrixXd::Zero(columns, inner);
+  for (Eigen::Index j = 0; j < inner; ++j)
+    for (Eigen::Index i = j; i < columns; ++i)
+      L(i, j) = m.elimination->At(
+          m.factor, column[static_cast<size_t>(i)], column[static_cast<size_t>(j)]);
+  Eigen::MatrixXd ordered = L * L.transpose();
+  ordered.bottomRightCorner(columns - inner, columns - inner) += m.factor.rbegin()->second.H;
+  std::vector<Eigen::Index> own;
+  for (Eigen::Index i = 0; i < columns; ++i) {
+    const int k = column[static_cast<size_t>(i)];
+    if (k < m.held_begin || k >= m.held_end) own.push_back(i);
+  }
+  const auto count = static_cast<Eigen::Index>(own.size());
+  Eigen::MatrixXd H(count, count);
+  for (Eigen::Index i = 0; i < count; ++i)
+    for (Eigen::Index j = 0; j < count; ++j)
+      H(i, j) = ordered(own[static_cast<size_t>(i)], own[static_cast<size_t>(j)]);
+  const Eigen::MatrixXd C = H.llt().solve(Eigen::MatrixXd::Identity(count, count));
+  Eigen::MatrixXd inverse = Eigen::MatrixXd::Zero(columns, columns);
+  for (Eigen::Index i = 0; i < count; ++i)
+    for (Eigen::Index j = 0; j < count; ++j)
+      inverse(column[static_cast<size_t>(own[static_cast<size_t>(i)])],
+              column[static_cast<size_t>(own[static_cast<size_t>(j)])]) = C(i, j);
+  return inverse;
+}
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,384 @@
+// The experiments of the paper: trials, their runner, tables; and evaluate as a user runs it.
+
+#include <yaml-cpp/yaml.h>
+
+#include <chrono>
+#include <csignal>
+#include <set>
+#include <thread>
+
+#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/ros/evaluation/experiments.h"
+#include "imu_pose_calib/ros/evaluation/sequences.h"
+#include "imu_pose_calib/ros/evaluation/tables.h"
+#include "imu_pose_calib/ros/evaluation/task_runner.h"
+#include "imu_pose_calib/ros/evaluation/trial.h"
+#include "run_executable.h"
+
+namespace imu_pose_calib {
+namespace {
+
+// --- Runner ---
+
+class TaskRunnerTest : public TempDirTest {
+ protected:
+  RunnerOptions Options() const {
+    RunnerOptions options;
+    options.folder = dir_;
+    options.jobs = 2;
+    options.quiet = true;
+    return options;
+  }
+  /// Leaves a mark each time it runs.
+  Task Marked(const std::string& name, const std::string& description = "as is") const {
+    return {name, description, [this, name] {
+              std::ofstream(Path(name + ".mark"), std::ios::app) << "x";
+              return "result of " + name + "\n";
+            }};
+  }
+  size_t Marks(const std::string& name) const { return ReadText(Path(name + ".mark")).size(); }
+};
+
+TEST_F(TaskRunnerTest, KeepsWhatIsDone) {
+  const std::vector<Task> tasks = {Marked("a"), Marked("b")};
+  RunTasks({tasks[0]}, Options());
+  RunTasks(tasks, Options());
+  EXPECT_EQ(Marks("a"), 1u);
+  EXPECT_EQ(Marks("b"), 1u);
+  EXPECT_EQ(StoredResult(dir_, tasks[0]), "result of a\n");
+  EXPECT_EQ(LoadUsage(dir_).size(), 2u);
+}
+
+TEST_F(TaskRunnerTest, RunsAgainWhatFollowsFromSomethingElse) {
+  RunTasks({Marked("a")}, Options());
+  const Task changed = Marked("a", "otherwise");
+  EXPECT_FALSE(StoredResult(dir_, changed));
+  RunTasks({changed}, Options());
+  EXPECT_EQ(Marks("a"), 2u);
+}
+
+TEST_F(TaskRunnerTest, EveryTaskIsInOnePart) {
+  std::vector<Task> tasks;
+  for (const char* name : {"a", "b", "c", "d", "e"}) tasks.push_back(Marked(name));
+  RunnerOptions options = Options();
+  options.parts = 3;
+  for (options.part = 0; options.part < 3; ++options.part) RunTasks(tasks, options);
+  for (const Task& task : tasks) EXPECT_EQ(Marks(task.name), 1u) << task.name;
+  EXPECT_EQ(LoadUsage(dir_).size(), 5u);
+}
+
+TEST_F(TaskRunnerTest, ATaskThatDiesOrThrowsFailsAlone) {
+  const Task dies{"dies", "", []() -> std::string {
+                    std::raise(SIGKILL);
+                    return "";
+                  }};
+  const Task throws{"throws", "", []() -> std::string { throw std::logic_error("no luck"); }};
+  const Task works = Marked("works");
+  RunTasks({dies, throws, works}, Options());
+  EXPECT_EQ(StoredResult(dir_, dies), "failed: it died or took too long\n");
+  EXPECT_EQ(StoredResult(dir_, throws), "failed: no luck\n");
+  EXPECT_TRUE(StoredResult(dir_, works));
+  EXPECT_EQ(ParseOutcome(*StoredResult(dir_, throws)).verdict, "failed");
+}
+
+TEST_F(TaskRunnerTest, AnInputErrorEndsIt) {
+  const Task wrong{"wrong", "", []() -> std::string { throw InputError("no such bag"); }};
+  ExpectError<InputError>([&] { RunTasks({wrong}, Options()); }, {"no such bag"});
+  EXPECT_FALSE(StoredResult(dir_, wrong));
+}
+
+// --- Trials ---
+
+TEST(TrialTest, EveryTrialHasANameOfItsOwnAndTablesHaveAllCellsOfThePaper) {
+  std::set<std::string> names;
+  for (const Experiment& experiment : Experiments()) {
+    const std::vector<Cell> cells = Cells(experiment);
+    EXPECT_TRUE(experiment.printed.empty() || experiment.printed.size() == cells.size());
+    for (const Base base : experiment.bases)
+      for (const Method method : {Method::kGp, Method::kJoint})
+        for (const Cell& cell : cells)
+          for (const Trial& trial : Trials(experiment, cell, base, method, 6)) {
+            EXPECT_TRUE(names.insert(trial.name).second) << trial.name;
+            EXPECT_EQ(Describe(trial.what).find('\n'), std::string::npos);
+          }
+  }
+}
+
+TEST(TrialTest, NoiseOfACellIsWhatItsLabelsSay) {
+  for (const Experiment& experiment : Experiments()) {
+    if (experiment.name != "pose_noise") continue;
+    const Cell cell = Cells(experiment)[5];
+    EXPECT_EQ(cell.labels, (std::vector<std::string>{"0.005", "0.01"}));
+    EXPECT_EQ(experiment.printed[5].translation, 13.8);  // Table 5, second row, last column
+    const Case what = Trials(experiment, cell, Base::kSimulation, Method::kGp, 1)[0].what;
+    EXPECT_EQ(what.pose_noise.position, 0.005);
+    EXPECT_EQ(what.pose_noise.rotation, 0.01);
+    EXPECT_EQ(what.imu_noise.gyro, 0.0);
+  }
+}
+
+Case Short() {
+  Case what;
+  what.method = Method::kGp;
+  what.simulator.duration_s = 12.0;
+  what.index = 3;
+  return what;
+}
+
+TEST(TrialTest, IsTheSameAgainAndIsReadBackExactly) {
+  Case what = Short();
+  what.pose_noise = {1e-3, 1e-3};
+  what.outliers = 0.5;
+  what.lost = 10.0;
+  const TrialOutcome outcome = RunTrial(what, {}, {});
+  ASSERT_TRUE(outcome.IsUsable()) << outcome.reason;
+  EXPECT_EQ(ToYaml(outcome), ToYaml(RunTrial(what, {}, {})));
+  EXPECT_EQ(ToYaml(outcome), ToYaml(ParseOutcome(ToYaml(outcome))));
+  const ErrorNorms error =
+      ErrorsOf(outcome, outcome.true_T_MI, outcome.true_time_shift, outcome.true_accel_delay)
+          .Norms();
+  EXPECT_LT(error.translation, 0.01);
+  EXPECT_GT(error.translation, 0.0);
+  what.index = 4;
+  EXPECT_NE(ToYaml(outcome), ToYaml(RunTrial(what, {}, {})));
+}
+
+/// Noise is added to a recording as it is, which the errors are measured against.
+TEST(TrialTest, NoiseIsAddedToABag) {
+  SimulatorOptions recorded = Short().simulator;
+  recorded.position_std = recorded.rotation_std = 1e-4;
+  const SessionData bag = Simulate(recorded);
+  Case what = Short();
+  what.base = Base::kBag;
+  const TrialOutcome reference = RunTrial(what, bag, {});
+  EXPECT_EQ(reference.bounds.least.translation, 0.0);  // no truth, no bound
+  const auto error = [&](double noise) {
+    Case noisy = what;
+    noisy.pose_noise = {noise, noise};
+    const TrialOutcome outcome = RunTrial(noisy, bag, reference);
+    EXPECT_TRUE(outcome.IsUsable()) << outcome.reason;
+    return ErrorsOf(outcome, reference.T_MI, reference.time_shift, reference.accel_delay).Norms();
+  };
+  EXPECT_EQ(error(0.0).translation, 0.0);
+  EXPECT_GT(error(5e-3).rotation, 3.0 * error(2e-4).rotation);
+}
+
+// --- Tables ---
+
+TEST(TablesTest, QuantilesOfChiSquare) {
+  // From tables of the distribution.
+  const auto [low, high] = ChiSquareBand(8.0);
+  EXPECT_NEAR(8.0 * low, 2.180, 0.03);
+  EXPECT_NEAR(8.0 * high, 17.535, 0.03);
+  EXPECT_NEAR(240.0 * ChiSquareBand(240.0).second, 284.80, 0.1);
+}
+
+TEST(TablesTest, SummarizesUsableTrials) {
+  CellOutcomes cell;
+  const double errors[] = {3e-3, 4e-3, 30e-3, 1.0};
+  for (const double error : errors) {
+    TrialOutcome outcome;
+    outcome.verdict = error < 0.5 ? "ok" : "refused";
+    outcome.covariance = 4e-6 * Matrix6d::Identity();
+    outcome.bounds.as_joint.translation = 2e-3;
+    outcome.chi2 = 16.0;
+    outcome.T_MI.p.x() = error;
+    cell.outcomes.push_back(outcome);
+    cell.errors.push_back(ErrorsOf(outcome, Rigid3(), 0.0, 0.0));
+  }
+  const CellSummary sum = Summarize(cell);
+  EXPECT_EQ(sum.trials, 4u);
+  EXPECT_EQ(sum.usable, 3u);
+  EXPECT_EQ(sum.successes, 2u);
+  EXPECT_NEAR(sum.error.translation, std::sqrt((9e-6 + 16e-6 + 900e-6) / 3.0), 1e-12);
+  EXPECT_NEAR(sum.sigma.translation, std::sqrt(12e-6), 1e-12);
+  EXPECT_NEAR(sum.bound.translation, 2e-3, 1e-12);
+  EXPECT_NEAR(sum.chi2, 2.0, 1e-12);
+}
+
+// --- evaluate ---
+
+class EvaluateTest : public ExecutableTest {
+ protected:
+  Outcome Evaluate(const std::string& out, const std::string& more = "") const {
+    return Run("evaluate",
+               "--simulate --experiments excitation --trials 1 --jobs 2 --out " + out + " " + more);
+  }
+  std::vector<std::string> Tables(const std::string& out) const {
+    std::vector<std::string> tables;
+    for (const char* name : {"evaluation.md",
+                             "cells.csv",
+                             "trials.csv",
+                             "excitation_simulation.svg",
+                             "excitation_simulation.png"}) {
+      tables.push_back(ReadText(Path(out + "/" + name)));
+      EXPECT_FALSE(tables.back().empty()) << name;
+    }
+    return tables;
+  }
+};
+
+TEST_F(EvaluateTest, EndsInTheSameTablesWhenItIsKilledOrShared) {
+  const Outcome outcome = Evaluate("whole");
+  ASSERT_EQ(outcome.status, 0) << outcome.err;
+  const std::vector<std::string> whole = Tables("whole");
+  EXPECT_TRUE(Contains(whole[0], "| drone |"));
+  EXPECT_TRUE(Contains(whole[1], "excitation,simulation,\"tumble\",joint,1,1,"));
+  EXPECT_TRUE(
+      Contains(ReadText(Path("whole/usage.md")), "| excitation | simulation | arm | joint |"));
+
+  // Killed after some trials.
+  const std::string evaluate = "cd '" + dir_.string() +
+                               "' && exec '" IMU_POSE_CALIB_BIN_DIR
+                               "/evaluate' --simulate --experiments excitation --trials 1 --jobs 1 "
+                               "--out killed";
+  const pid_t child = fork();
+  if (child == 0) execl("/bin/sh", "sh", "-c", evaluate.c_str(), nullptr);
+  const auto count = [&] {
+    size_t trials = 0;
+    std::error_code none;
+    for (const auto& entry :
+         std::filesystem::recursive_directory_iterator(Path("killed/trials"), none))
+      trials += entry.path().extension() == ".yaml" ? 1 : 0;
+    return trials;
+  };
+  for (int i = 0; i < 600 && count() < 2; ++i)
+    std::this_thread::sleep_for(std::chrono::milliseconds(100));
+  kill(child, SIGKILL);
+  waitpid(child, nullptr, 0);
+  EXPECT_GE(count(), 2u);
+  EXPECT_LT(count(), 8u);
+  EXPECT_FALSE(std::filesystem::exists(Path("killed/evaluation.md")));
+  ASSERT_EQ(Evaluate("killed").status, 0);
+  EXPECT_EQ(Tables("killed"), whole);
+
+  // Shared by the commands that it prints.
+  const Outcome jobs = Evaluate("shared", "--print-jobs 2");
+  ASSERT_EQ(std::count(jobs.out.begin(), jobs.out.end(), '\n'), 2) << jobs.out;
+  std::istringstream lines(jobs.out);
+  std::string line;
+  std::getline(lines, line);
+  ASSERT_EQ(std::system(("cd '" + dir_.string() + "' && " + line + " > /dev/null").c_str()), 0);
+  const Outcome early = Evaluate("shared", "--merge");
+  EXPECT_EQ(early.status, 1);
+  EXPECT_TRUE(Contains(early.err, "4 of 8 trials are missing")) << early.err;
+  std::getline(lines, line);
+  ASSERT_EQ(std::system(("cd '" + dir_.string() + "' && " + line + " > /dev/null").c_str()), 0);
+  const Outcome merged = Evaluate("shared", "--merge");
+  ASSERT_EQ(merged.status, 0) << merged.err;
+  EXPECT_EQ(Tables("shared"), whole);
+}
+
+TEST_F(EvaluateTest, RefusesWhatItCannotDo) {
+  const auto expect = [&](const std::string& arguments, const std::vector<std::string>& parts) {
+    const Outcome outcome = Run("evaluate", arguments);
+    EXPECT_EQ(outcome.status, 1) << arguments;
+    for (const std::string& part : parts)
+      EXPECT_TRUE(Contains(outcome.err, part)) << arguments << ": " << outcome.err;
+  };
+  expect("--experiments pose_noize", {"'pose_noize'", "did you mean 'pose_noise'?"});
+  expect("--trials 0", {"--trials = 0", "1 to 100000"});
+  expect("--job 3/2", {"--job '3/2'", "I from 1 to K"});
+  expect("--bag x.bag --experiments lever_arm", {"none of the experiments runs on a bag"});
+  expect("--dataset kitti --data .", {"'kitti'", "tum-vi, euroc or broad"});
+  expect("--dataset euroc", {"--data", "https://doi.org/10.3929/ethz-b-000690084"});
+  expect("--dataset broad --data .", {"no sequence of 'broad'", "convert_broad.py"});
+  expect("--batch nowhere", {"'nowhere' is not a folder"});
+  expect("--chain '0 0 0 0 0 0 1' --simulate", {"--chain takes two transforms"});
+}
+
+TEST_F(EvaluateTest, ComparesBagsOfOneRigAndWithAChain) {
+  ASSERT_EQ(Run("simulate_bag", "A.bag --duration 15 --seed 5").status, 0);
+  ASSERT_EQ(Run("simulate_bag", "B.bag --duration 15 --seed 6").status, 0);
+  // T_marker_camera and T_camera_imu that are together 10 mm along x from the simulator's T_MI.
+  const Outcome outcome = Run("evaluate",
+                              "--experiments repeatability --rig A.bag B.bag --chain "
+                              "'0.06 -0.03 0.08 -0.5 0.5 0.5 0.5' '0 0 0 0 0 0 1' --out rig");
+  ASSERT_EQ(outcome.status, 0) << outcome.err;
+  const std::string text = ReadText(Path("rig/evaluation.md"));
+  EXPECT_TRUE(Contains(text, "| B less A | ")) << text;
+  EXPECT_TRUE(Contains(text, "Less the chained calibration")) << text;
+  const size_t joint = text.find("| A | ", text.rfind("Less the chained calibration"));
+  ASSERT_NE(joint, std::string::npos) << text;
+  std::istringstream row(text.substr(joint + 6));
+  double degrees = NAN, millimetres = NAN;
+  std::string bar;
+  row >> degrees >> bar >> millimetres;
+  EXPECT_LT(degrees, 0.1);
+  EXPECT_NEAR(millimetres, 10.0, 1.0);
+}
+
+// --- Batch and datasets ---
+
+TEST_F(EvaluateTest, BatchHasARowForEachBag) {
+  std::filesystem::create_directories(dir_ / "fleet/b.1");
+  ASSERT_EQ(Run("simulate_bag", "fleet/good.bag --duration 15 --seed 5").status, 0);
+  ASSERT_EQ(Run("simulate_bag", "fleet/b.1/planar.bag --duration 15 --motion planar").status, 0);
+  Write("fleet/cut.bag", ReadText(Path("fleet/good.bag")).substr(0, 5000));
+  const Outcome outcome = Run("evaluate", "--batch fleet --out done");
+  EXPECT_EQ(outcome.status, 2);
+  EXPECT_TRUE(Contains(outcome.err, "2 of 3 bags")) << outcome.err;
+  EXPECT_TRUE(Contains(outcome.err, "b.1/planar, cut")) << outcome.err;
+  const std::string table = ReadText(Path("done/sequences.md"));
+  EXPECT_TRUE(Contains(table, "| good | ok | ")) << table;
+  EXPECT_TRUE(Contains(table, "| b.1/planar | refused | the marker turns about one axis")) << table;
+  EXPECT_TRUE(Contains(table, "| cut | failed | bag ")) << table;
+  EXPECT_TRUE(std::filesystem::exists(Path("done/good.calibration.yaml")));
+  EXPECT_TRUE(std::filesystem::exists(Path("done/good.calibration.report.html")));
+  EXPECT_FALSE(std::filesystem::exists(Path("done/b.1/planar.calibration.yaml")));
+  EXPECT_TRUE(std::filesystem::exists(Path("done/b.1/planar.calibration.report.html")));
+
+  std::filesystem::remove(dir_ / "fleet/cut.bag");
+  std::filesystem::remove(dir_ / "fleet/b.1/planar.bag");
+  EXPECT_EQ(Run("evaluate", "--batch fleet --out done").status, 0);
+}
+
+/// A sensor.yaml as EuRoC has it: the marker in the body frame, which is the IMU's.
+std::string SensorYaml(const Rigid3& T_BM) {
+  std::ostringstream text;
+  text.precision(17);
+  text
+      << "#Default\nsensor_type: vicon\ncomment: of a test\nT_BS:\n  cols: 4\n  rows: 4\n  data: [";
+  const Eigen::Matrix4d T = T_BM.Matrix();
+  for (int i = 0; i < 16; ++i) text << (i > 0 ? ", " : "") << T(i / 4, i % 4);
+  text << "]\n";
+  return text.str();
+}
+
+TEST_F(EvaluateTest, AuditsWhatADatasetPublishes) {
+  const SimulatorOptions truth;
+  std::filesystem::create_directories(dir_ / "data");
+  for (const char* name : {"V1", "V2"})
+    ASSERT_EQ(
+        Run("simulate_bag",
+            std::string("data/") + name + " --format asl --duration 20 --time-shift 0 --seed " +
+                (name[1] + std::string("0")))
+            .status,
+        0);
+  Rigid3 wrong = truth.T_MI.Inverse();
+  wrong.p.z() += 0.02;
+  Write("data/V1/mocap0/sensor.yaml", SensorYaml(truth.T_MI.Inverse()));
+  Write("data/V2/mocap0/sensor.yaml", SensorYaml(wrong));
+  const Outcome outcome = Run("evaluate", "--dataset euroc --data data --out done");
+  ASSERT_EQ(outcome.status, 0) << outcome.err;
+  const auto row = [&](const std::string& name) {
+    const size_t audit = outcome.out.find("Less what is published");
+    const size_t begin = outcome.out.find("| " + name, audit);
+    return outcome.out.substr(begin, outcome.out.find('\n', begin) - begin);
+  };
+  EXPECT_TRUE(Contains(row("V1/mocap0"), "| yes | yes |")) << outcome.out;
+  EXPECT_TRUE(Contains(row("V2/mocap0"), "| no | yes |")) << outcome.out;
+  EXPECT_TRUE(Contains(outcome.out, "Scatter of 2")) << outcome.out;
+
+  // Without one, TUM-VI's poses are said to be those of the IMU.
+  std::filesystem::remove(dir_ / "data/V1/mocap0/sensor.yaml");
+  const std::vector<Sequence> found = FindDataset("tum-vi", Path("data"), {});
+  ASSERT_EQ(found.size(), 2u);
+  EXPECT_EQ(found[0].name, "V1/mocap0");
+  ASSERT_TRUE(found[0].published_T_MI);
+  EXPECT_EQ(found[0].published_T_MI->p.norm(), 0.0);
+  EXPECT_FALSE(FindDataset("broad", Path("data"), {})[0].published_T_MI);
+}
+
+}  // namespace
+}  // namespace imu_pose_calib
