@@ -148,6 +148,11 @@ TEST_F(CalibrateBagTest, BagFolderAndTablesGiveTheSameResult) {
   EXPECT_EQ(Numbers(ReadText(Path("asl/calibration.yaml"))), expected);
   EXPECT_EQ(Numbers(ReadText(Path("x.poses.calibration.yaml"))), expected);
   EXPECT_EQ(Numbers(ReadText(Path("y.poses.calibration.yaml"))), expected);
+  // Poses of one kind of file, IMU of the other.
+  for (const std::string& part : {"--poses x.poses.txt", "--imu x.imu.csv"}) {
+    ASSERT_EQ(Calibrate("x.bag " + part + span + " --output mixed.yaml").status, 0);
+    EXPECT_EQ(Numbers(ReadText(Path("mixed.yaml"))), expected) << part;
+  }
 
   const YAML::Node data = YAML::LoadFile(Path("asl/calibration.yaml"))["data"];
   EXPECT_EQ(data["bag"].as<std::string>(), "");

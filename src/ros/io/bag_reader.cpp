@@ -9,6 +9,7 @@
 #include <functional>
 #include <optional>
 #include <set>
+#include <utility>
 #include <vector>
 
 #include "imu_pose_calib/core/median.h"
@@ -220,45 +221,54 @@ class Delays {
   std::vector<double> delays_s_;
 };
 
-void ReadImu(const Bags& bags,
-             const ImuTopics& imu,
-             bool record_time,
-             ImuInfo* info,
-             ImuData* data) {
-  const auto add = [record_time](ImuSample sample,
-                                 const BagMessage& message,
-                                 std::vector<ImuSample>* samples,
-                                 Delays* delays) {
-    delays->Add(message, sample.t_ns);
-    if (record_time) sample.t_ns = ToNanoseconds(message.time());
-    samples->push_back(sample);
-  };
-  std::string frame;
-  Delays gyro_delays, accel_delays;
-  const auto read = [&](const BagTopic& topic, bool gyro, bool accel) {
-    bags.ForEach(topic, [&](const BagMessage& message) {
-      const ImuContent content = ReadImuMessage(message);
-      if (gyro && content.gyro) add(*content.gyro, message, &data->gyro, &gyro_delays);
-      if (accel && content.accel) add(*content.accel, message, &data->accel, &accel_delays);
-      if (gyro) frame = content.frame;
-      return true;
-    });
-  };
-  const bool is_split = imu.gyro.name != imu.accel.name;
-  read(imu.gyro, true, !is_split);
-  if (is_split) read(imu.accel, false, true);
-  CheckStamps(imu.gyro.name, data->gyro);
-  CheckStamps(imu.accel.name, data->accel);
-  if (is_split) {
-    info->gyro_topic = imu.gyro.name;
-    info->accel_topic = imu.accel.name;
-  } else {
-    info->imu_topic = imu.gyro.name;
+/// Takes the samples of one IMU out of messages.
+class ImuReader {
+ public:
+  ImuReader(ImuTopics topics, bool record_time)
+      : topics_(std::move(topics)), record_time_(record_time) {}
+
+  std::set<std::string> Topics() const { return {topics_.gyro.name, topics_.accel.name}; }
+
+  void Add(const std::string& topic, const BagMessage& message) {
+    const bool gyro = topic == topics_.gyro.name, accel = topic == topics_.accel.name;
+    if (!gyro && !accel) return;
+    const ImuContent content = ReadImuMessage(message);
+    if (gyro) frame_ = content.frame;
+    if (gyro && content.gyro) Add(*content.gyro, message, &data_.gyro, &gyro_delays_);
+    if (accel && content.accel) Add(*content.accel, message, &data_.accel, &accel_delays_);
   }
-  info->imu_frame = FrameName(frame, "imu");
-  info->gyro_latency = std::move(gyro_delays).Summarise();
-  info->accel_latency = std::move(accel_delays).Summarise();
-}
+
+  void Finish(ImuInfo* info, ImuData* data) && {
+    CheckStamps(topics_.gyro.name, data_.gyro);
+    CheckStamps(topics_.accel.name, data_.accel);
+    if (topics_.gyro.name != topics_.accel.name) {
+      info->gyro_topic = topics_.gyro.name;
+      info->accel_topic = topics_.accel.name;
+    } else {
+      info->imu_topic = topics_.gyro.name;
+    }
+    info->imu_frame = FrameName(frame_, "imu");
+    info->gyro_latency = std::move(gyro_delays_).Summarise();
+    info->accel_latency = std::move(accel_delays_).Summarise();
+    *data = std::move(data_);
+  }
+
+ private:
+  void Add(ImuSample sample,
+           const BagMessage& message,
+           std::vector<ImuSample>* samples,
+           Delays* delays) const {
+    delays->Add(message, sample.t_ns);
+    if (record_time_) sample.t_ns = ToNanoseconds(message.time());
+    samples->push_back(sample);
+  }
+
+  ImuTopics topics_;
+  bool record_time_;
+  std::string frame_;
+  Delays gyro_delays_, accel_delays_;
+  ImuData data_;
+};
 
 /// Median of each sigma that is stated; no value when none is.
 std::optional<PoseStd> MedianStd(const std::vector<PoseSample>& poses) {
@@ -288,50 +298,57 @@ std::string ChooseBody(const Bags& bags, const BagTopic& topic, const std::strin
   return name.empty() ? *names.begin() : name;
 }
 
-/// Calls `use(message, framed)` for each pose of the topic.
-template <typename Use>
-void ForEachPose(const Bags& bags, const BagTopic& topic, const std::string& body, Use use) {
-  if (topic.IsBodies()) {
-    const std::string name = ChooseBody(bags, topic, body);
-    return bags.ForEach(topic, [&](const BagMessage& message) {
-      for (const FramedPose& framed : ReadBodies(message))
-        if (framed.marker_frame == name) use(message, framed);
-      return true;
-    });
+/// Takes the poses of one body out of messages of a topic.
+class PoseReader {
+ public:
+  PoseReader(const Bags& bags, BagTopic topic, const BagRequest& request)
+      : topic_(std::move(topic)), record_time_(request.record_time) {
+    if (topic_.IsBodies())
+      body_ = ChooseBody(bags, topic_, request.body);
+    else if (!request.body.empty())
+      throw InputError("body '" + request.body + "' is given, but pose_topic '" + topic_.name +
+                       "' is " + topic_.type + ", which holds one body");
   }
-  if (!body.empty())
-    throw InputError("body '" + body + "' is given, but pose_topic '" + topic.name + "' is " +
-                     topic.type + ", which holds one body");
-  const PoseType<BagMessage>& type = *FindPoseType<BagMessage>(topic.type);
-  bags.ForEach(topic, [&](const BagMessage& message) {
-    use(message, type.read(message));
-    return true;
-  });
-}
 
-void ReadPoses(const Bags& bags,
-               const BagTopic& topic,
-               const BagRequest& request,
-               Recording* recording) {
-  FramedPose first;
-  Delays delays;
-  ForEachPose(bags, topic, request.body, [&](const BagMessage& message, FramedPose framed) {
-    delays.Add(message, framed.pose.t_ns);
-    if (request.record_time) framed.pose.t_ns = ToNanoseconds(message.time());
-    if (recording->data.poses.empty()) first = framed;
-    if (framed.world_frame != first.world_frame || framed.marker_frame != first.marker_frame)
-      throw InputError("pose_topic '" + topic.name + "' mixes poses of several frames: '" +
-                       first.world_frame + "' -> '" + first.marker_frame + "' and '" +
+  const std::string& Topic() const { return topic_.name; }
+
+  void Add(const std::string& topic, const BagMessage& message) {
+    if (topic != topic_.name) return;
+    if (!topic_.IsBodies())
+      return Add(message, FindPoseType<BagMessage>(topic_.type)->read(message));
+    for (const FramedPose& framed : ReadBodies(message))
+      if (framed.marker_frame == body_) Add(message, framed);
+  }
+
+  void Finish(Recording* recording) && {
+    CheckStamps(topic_.name, poses_);
+    recording->info.pose_topic = topic_.name;
+    recording->info.pose_latency = std::move(delays_).Summarise();
+    recording->info.world_frame = FrameName(first_.world_frame, "world");
+    recording->info.marker_frame = FrameName(first_.marker_frame, "marker");
+    recording->info.stated_pose_std = MedianStd(poses_);
+    recording->data.poses = std::move(poses_);
+  }
+
+ private:
+  void Add(const BagMessage& message, FramedPose framed) {
+    delays_.Add(message, framed.pose.t_ns);
+    if (record_time_) framed.pose.t_ns = ToNanoseconds(message.time());
+    if (poses_.empty()) first_ = framed;
+    if (framed.world_frame != first_.world_frame || framed.marker_frame != first_.marker_frame)
+      throw InputError("pose_topic '" + topic_.name + "' mixes poses of several frames: '" +
+                       first_.world_frame + "' -> '" + first_.marker_frame + "' and '" +
                        framed.world_frame + "' -> '" + framed.marker_frame + "'");
-    recording->data.poses.push_back(framed.pose);
-  });
-  CheckStamps(topic.name, recording->data.poses);
-  recording->info.pose_topic = topic.name;
-  recording->info.pose_latency = std::move(delays).Summarise();
-  recording->info.world_frame = FrameName(first.world_frame, "world");
-  recording->info.marker_frame = FrameName(first.marker_frame, "marker");
-  recording->info.stated_pose_std = MedianStd(recording->data.poses);
-}
+    poses_.push_back(framed.pose);
+  }
+
+  BagTopic topic_;
+  bool record_time_;
+  std::string body_;  ///< of a topic of several
+  FramedPose first_;
+  Delays delays_;
+  std::vector<PoseSample> poses_;
+};
 
 void ReadTf(const Bags& bags, const BagRequest& request, Recording* recording) {
   std::vector<PoseSample>& poses = recording->data.poses;
@@ -363,8 +380,11 @@ Recording Read(const BagRequest& request) {
   const bool tf = WantsTf(request);
   if (tf && !request.body.empty())
     throw InputError("body '" + request.body + "' does not go with poses from tf");
-  const std::vector<ImuTopics> imus = ChooseImus(bags, request);
-  const BagTopic pose = tf ? BagTopic() : ChoosePose(bags, request.pose_topic);
+  std::vector<ImuTopics> imus;
+  if (request.imus) imus = ChooseImus(bags, request);
+  std::optional<PoseReader> pose_reader;
+  if (request.poses && !tf)
+    pose_reader.emplace(bags, ChoosePose(bags, request.pose_topic), request);
   for (const ImuTopics& imu : imus) CheckContent(bags, imu);
 
   Recording recording;
@@ -373,13 +393,23 @@ Recording Read(const BagRequest& request) {
   recording.info.notes = bags.Notes();
   recording.info.imus.resize(imus.size());
   recording.data.imus.resize(imus.size());
+  // All in one pass: what is compressed is unfolded once.
+  std::set<std::string> topics;
+  std::vector<ImuReader> imu_readers;
+  for (const ImuTopics& imu : imus)
+    topics.merge(imu_readers.emplace_back(imu, request.record_time).Topics());
+  if (pose_reader) topics.insert(pose_reader->Topic());
+  topics.erase("");  // of an IMU that is missing
+  bags.ForEach(topics, [&](const BagMessage& message) {
+    const std::string topic = message.topic();
+    for (ImuReader& reader : imu_readers) reader.Add(topic, message);
+    if (pose_reader) pose_reader->Add(topic, message);
+  });
   for (size_t i = 0; i < imus.size(); ++i)
     if (!imus[i].gyro.name.empty())
-      ReadImu(bags, imus[i], request.record_time, &recording.info.imus[i], &recording.data.imus[i]);
-  if (tf)
-    ReadTf(bags, request, &recording);
-  else
-    ReadPoses(bags, pose, request, &recording);
+      std::move(imu_readers[i]).Finish(&recording.info.imus[i], &recording.data.imus[i]);
+  if (pose_reader) std::move(*pose_reader).Finish(&recording);
+  if (tf) ReadTf(bags, request, &recording);
   return recording;
 }
 

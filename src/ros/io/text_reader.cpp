@@ -93,31 +93,34 @@ bool Overlap(const Span& a, const Span& b) { return a.begin <= b.end && b.begin 
 
 /// Keeps the samples from `start_s` after the begin of `whole` on, for `duration_s`.
 template <typename Sample>
-void Cut(const TextRequest& request, const Span& whole, std::vector<Sample>* samples) {
+void Cut(double start_s, double duration_s, const Span& whole, std::vector<Sample>* samples) {
   const double length_s = 1e-9 * static_cast<double>(whole.end - whole.begin);
-  if (request.start_s > length_s)
-    throw InputError("start = " + YamlNumber(request.start_s) +
+  if (start_s > length_s)
+    throw InputError("start = " + YamlNumber(start_s) +
                      " s is beyond the end of the recording, which lasts " + YamlNumber(length_s) +
                      " s");
-  const int64_t begin = whole.begin + std::llround(1e9 * request.start_s);
+  const int64_t begin = whole.begin + std::llround(1e9 * start_s);
   int64_t end = whole.end;
-  if (request.duration_s > 0.0 && request.start_s + request.duration_s < length_s)
-    end = begin + std::llround(1e9 * request.duration_s);
+  if (duration_s > 0.0 && start_s + duration_s < length_s)
+    end = begin + std::llround(1e9 * duration_s);
   samples->erase(std::remove_if(samples->begin(),
                                 samples->end(),
                                 [&](const Sample& s) { return s.t_ns < begin || s.t_ns > end; }),
                  samples->end());
 }
 
-void Cut(const TextRequest& request, SessionData* data) {
-  Span poses = FindSpan(data->poses);
-  for (ImuData& samples : data->imus) {
-    Span imu = Union(FindSpan(samples.gyro), FindSpan(samples.accel));
-    if (Overlap(poses, imu)) imu = poses = Union(poses, imu);
-    Cut(request, imu, &samples.gyro);
-    Cut(request, imu, &samples.accel);
+void ReadPoses(const TextRequest& files, Recording* recording) {
+  std::ifstream poses = Open(files.poses);
+  if (IsMocapCsv(poses)) {
+    MocapPoses mocap = ReadMocapCsv(poses, files.poses, files.body);
+    recording->data.poses = std::move(mocap.poses);
+    recording->info.marker_frame = FrameName(mocap.body, "marker");
+    return;
   }
-  Cut(request, poses, &data->poses);
+  if (!files.body.empty())
+    throw InputError("body '" + files.body + "' is given, but '" + files.poses +
+                     "' is no CSV of Motive or Vicon and holds one body");
+  recording->data.poses = ReadPoseTable(poses, files.poses);
 }
 
 }  // namespace
@@ -138,27 +141,37 @@ TextRequest FindFiles(TextRequest request) {
   return request;
 }
 
+void CutSpan(double start_s, double duration_s, SessionData* data) {
+  CheckSpan(start_s, duration_s);
+  Span poses = FindSpan(data->poses);
+  for (ImuData& samples : data->imus) {
+    Span imu = Union(FindSpan(samples.gyro), FindSpan(samples.accel));
+    if (Overlap(poses, imu)) imu = poses = Union(poses, imu);
+    Cut(start_s, duration_s, imu, &samples.gyro);
+    Cut(start_s, duration_s, imu, &samples.accel);
+  }
+  Cut(start_s, duration_s, poses, &data->poses);
+}
+
 Recording ReadText(const TextRequest& request) {
   CheckSpan(request.start_s, request.duration_s);
-  const TextRequest files = FindFiles(request);
+  Recording recording = ReadFiles(FindFiles(request));
+  CutSpan(request.start_s, request.duration_s, &recording.data);
+  return recording;
+}
 
+Recording ReadFiles(const TextRequest& files) {
   Recording recording;
   recording.info.pose_topic = files.poses;
   recording.info.world_frame = "world";
   recording.info.marker_frame = "marker";
 
-  SessionData& data = recording.data;
-  std::ifstream poses = Open(files.poses);
-  if (IsMocapCsv(poses)) {
-    MocapPoses mocap = ReadMocapCsv(poses, files.poses, files.body);
-    data.poses = std::move(mocap.poses);
-    recording.info.marker_frame = FrameName(mocap.body, "marker");
-  } else {
-    if (!files.body.empty())
-      throw InputError("body '" + files.body + "' is given, but '" + files.poses +
-                       "' is no CSV of Motive or Vicon and holds one body");
-    data.poses = ReadPoseTable(poses, files.poses);
+  if (!files.poses.empty()) ReadPoses(files, &recording);
+  if (files.imu.empty() && files.gyro.empty()) {
+    recording.info.imus.clear();
+    return recording;
   }
+  SessionData& data = recording.data;
   const bool is_split = files.imu.empty();
   const std::vector<std::string> gyros = SplitFiles(is_split ? files.gyro : files.imu);
   const std::vector<std::string> accels = SplitFiles(is_split ? files.accel : files.imu);
@@ -182,7 +195,6 @@ Recording ReadText(const TextRequest& request) {
     std::ifstream accel = Open(accels[i]);
     data.imus[i].accel = ReadAccelTable(accel, accels[i]);
   }
-  Cut(request, &data);
   return recording;
 }
 

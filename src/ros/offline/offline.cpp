@@ -6,6 +6,7 @@
 #include <iterator>
 #include <sstream>
 #include <system_error>
+#include <utility>
 
 #include "imu_pose_calib/core/preparation.h"
 #include "imu_pose_calib/ros/exports/exports.h"
@@ -33,20 +34,40 @@ bool NamesFiles(const TextRequest& text) {
 /// Whether it is a folder of text files, not a bag of ROS 2.
 bool IsTextFolder(const std::string& path) { return IsFolder(path) && !IsRos2Bag(path); }
 
-/// Whether the recordings are in text files.
+/// Whether the recordings are in text files alone.
 bool IsText(const OfflineRequest& request) {
   const std::vector<std::string>& paths = request.bag.paths;
-  return NamesFiles(request.text) ||
-         (!paths.empty() && std::all_of(paths.begin(), paths.end(), IsTextFolder));
+  return std::all_of(paths.begin(), paths.end(), IsTextFolder);
+}
+
+/// Whether either the poses or the IMUs are in text files, and what is missing there in bags.
+bool IsMixed(const OfflineRequest& request) { return NamesFiles(request.text) && !IsText(request); }
+
+/// A request for a session of which one part is in text files.
+OfflineRequest FindMixed(OfflineRequest request) {
+  BagRequest& bag = request.bag;
+  TextRequest& text = request.text;
+  const std::string bags = "the bag '" + bag.paths.front() + "'";
+  const bool is_split = IsPair({"imu", text.imu}, {"gyro", text.gyro}, {"accel", text.accel});
+  bag.poses = text.poses.empty();
+  bag.imus = text.imu.empty() && !is_split;
+  if (!bag.poses && !bag.imus)
+    throw InputError("poses and imu name text files for all that there is to read; leave out " +
+                     bags);
+  if (!bag.poses && !(bag.pose_topic.empty() && bag.tf_parent.empty() && bag.tf_child.empty()))
+    throw InputError("poses names a text file; it does not go with pose_topic or tf of " + bags);
+  if (!bag.imus && !(bag.imu_topic.empty() && bag.gyro_topic.empty() && bag.accel_topic.empty()))
+    throw InputError("imu, gyro and accel name text files; they do not go with topics of " + bags);
+  if (!bag.poses) std::swap(text.body, bag.body);
+  text.start_s = std::exchange(bag.start_s, 0.0);
+  text.duration_s = std::exchange(bag.duration_s, 0.0);
+  return request;
 }
 
 /// A request for the text files of one session with every file named.
 OfflineRequest FindText(OfflineRequest request) {
   const BagRequest& bag = request.bag;
   TextRequest& text = request.text;
-  if (bag.paths.size() == 1 && !IsTextFolder(bag.paths[0]))
-    throw InputError("poses, imu, gyro and accel name text files; they do not go with the bag '" +
-                     bag.paths[0] + "'");
   if (!(bag.imu_topic.empty() && bag.pose_topic.empty() && bag.gyro_topic.empty() &&
         bag.accel_topic.empty() && bag.tf_parent.empty() && bag.tf_child.empty()))
     throw InputError("text files have no topics and no tf; choose with poses, imu, gyro and accel");
@@ -172,6 +193,7 @@ void NameFrames(const OfflineRequest& request, RecordingInfo* info) {
 
 /// One request for each session.
 std::vector<OfflineRequest> SplitSessions(const OfflineRequest& request) {
+  if (IsMixed(request)) return {FindMixed(request)};
   const bool is_text = IsText(request);
   std::vector<std::vector<std::string>> groups;
   if (request.bag.paths.size() < 2 || (request.one_recording && !is_text))
@@ -190,8 +212,27 @@ std::vector<OfflineRequest> SplitSessions(const OfflineRequest& request) {
   return sessions;
 }
 
+/// Bags and text files have no span of record time in common: the stamps of the samples count.
+Recording ReadMixed(const OfflineRequest& request) {
+  Recording recording = ReadBags(request);
+  Recording files = ReadFiles(request.text);
+  if (request.bag.poses) {
+    recording.info.imus = std::move(files.info.imus);
+    recording.data.imus = std::move(files.data.imus);
+  } else {
+    recording.info.pose_topic = files.info.pose_topic;
+    recording.info.world_frame = files.info.world_frame;
+    recording.info.marker_frame = files.info.marker_frame;
+    recording.data.poses = std::move(files.data.poses);
+  }
+  CutSpan(request.text.start_s, request.text.duration_s, &recording.data);
+  return recording;
+}
+
 Recording ReadRecording(const OfflineRequest& request) {
-  Recording recording = IsText(request) ? ReadText(request.text) : ReadBags(request);
+  Recording recording = IsMixed(request)  ? ReadMixed(request)
+                        : IsText(request) ? ReadText(request.text)
+                                          : ReadBags(request);
   recording.info.imu_yaml = request.imu_yaml;
   return recording;
 }

@@ -48,7 +48,7 @@ po::options_description Describe(CommandLine* line) {
   add("tf-child", text(&request.bag.tf_child), "poses from tf: the marker");
   add("poses",
       text(&request.text.poses),
-      "text file of the poses, instead of a bag: CSV, TUM, export of Motive or Vicon");
+      "text file of the poses, instead of those of a bag: CSV, TUM, export of Motive or Vicon");
   add("imu", texts(&line->imus), "text file of the IMU; again for each further one");
   add("gyro", texts(&line->gyros), "text file of the gyroscope of a split IMU");
   add("accel", texts(&line->accels), "text file of the accelerometer of a split IMU");

@@ -22,6 +22,8 @@ struct BagRequest {
   double start_s = 0.0;      ///< [s] after the first record time of the bags
   double duration_s = 0.0;   ///< [s] 0: to the end
   bool record_time = false;  ///< Stamp with the record times instead of the header stamps.
+  /// What to read; the other part is in text files. Its fields above are to be empty then.
+  bool poses = true, imus = true;
   /// An IMU that is named may be missing: another session of the rig has it.
   bool may_lack_imus = false;
   /// Taken when no IMU topic is given and the bags have it.

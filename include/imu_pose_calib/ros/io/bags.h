@@ -1,6 +1,7 @@
 #pragma once
 
 #include <memory>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -43,6 +44,15 @@ class Bags {
   template <typename Use>
   void ForEach(const BagTopic& topic, Use use) const {
     source_->ForEach({topic.name}, start_, end_, use);
+  }
+
+  /// Calls `use(message)` for the messages of these topics in the order of recording.
+  template <typename Use>
+  void ForEach(const std::set<std::string>& topics, Use use) const {
+    source_->ForEach({topics.begin(), topics.end()}, start_, end_, [&](const BagMessage& message) {
+      use(message);
+      return true;
+    });
   }
 
   /// Calls `use(message, fixed)` for the tf messages: first all fixed ones of the whole bags, which

@@ -24,14 +24,20 @@ struct TextRequest {
 /// the field to give.
 TextRequest FindFiles(TextRequest request);
 
+/// Reads the files that are named, all of them whole. Throws InputError when one cannot be read,
+/// naming file, line, column and value.
+Recording ReadFiles(const TextRequest& request);
+
+/// Keeps the samples from `start_s` on, for `duration_s` (0: to the end), as said at ReadText().
+void CutSpan(double start_s, double duration_s, SessionData* data);
+
 /// Reads a recording from text files. The frames are called world, marker and imu; the topics of
 /// the info are the paths of the files.
 ///
 /// `start_s` counts from the first stamp of all files when poses and IMU share a time span, else
 /// (clocks of different epochs) from the first stamp of each.
 ///
-/// Throws InputError as FindFiles() does, and when a file cannot be read, naming file, line, column
-/// and value.
+/// Throws InputError as FindFiles() and ReadFiles() do.
 Recording ReadText(const TextRequest& request);
 
 }  // namespace imu_pose_calib

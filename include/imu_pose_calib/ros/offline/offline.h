@@ -21,8 +21,8 @@ struct OfflineRequest {
   /// are one session, see GroupBags().
   BagRequest bag;
   bool one_recording = false;  ///< all bags are one session, whatever they hold
-  /// Text files without any bag, or those to choose of the folder; only the names of files are
-  /// used.
+  /// Text files without any bag; those to choose of the folder; or either the poses or the IMUs,
+  /// the others being in the bags, which are one session then. Only the names of files are used.
   TextRequest text;
   std::string config;  ///< YAML of CalibrationOptions
   /// Kalibr's imu.yaml; its noise wins over `config`. Empty: without a `config`, the sensor.yaml
