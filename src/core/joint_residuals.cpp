@@ -34,9 +34,9 @@ struct CorrectedRotation {
   Eigen::Quaterniond q_WM;
   Vector3d omega, alpha;
   // Only with Jacobians:
-  Matrix3d J;                                  // right Jacobian of phi
-  Matrix3d omega_phi, omega_phi1;              // d omega / d phi, phi'
-  Matrix3d alpha_phi, alpha_phi1, alpha_phi2;  // d alpha / d phi, phi', phi''
+  Matrix3d J;                      // right Jacobian of phi; d omega / d phi', d alpha / d phi''
+  Matrix3d omega_phi;              // d omega / d phi
+  Matrix3d alpha_phi, alpha_phi1;  // d alpha / d phi, phi'
   // Change with time of the splines, and of the GP's motion, of alpha but for its own change.
   Vector3d u, omega_spline, alpha_spline, omega_gp, alpha_gp;
 
@@ -48,21 +48,18 @@ struct CorrectedRotation {
     q_WM = gp.q_WM * E;
 
     Vector3d u_dot;
-    Matrix3d u_phi, udot_phi, udot_phi1, udot_phi2;
+    Matrix3d u_phi, udot_phi;
     if (with_jacobians) {
-      using Jet = ceres::Jet<double, 9>;  // by (phi, phi', phi'')
+      using Jet = ceres::Jet<double, 3>;  // by phi
       Eigen::Matrix<Jet, 3, 1> x[3], u_jet, udot_jet;
-      for (int k = 0; k < 3; ++k)
-        for (int i = 0; i < 3; ++i) x[k][i] = Jet(phi(i, k), 3 * k + i);
+      for (int k = 0; k < 3; ++k) x[k] = phi.col(k).cast<Jet>();
+      for (int i = 0; i < 3; ++i) x[0][i].v[i] = 1.0;
       CorrectionRate(x[0], x[1], x[2], &u_jet, &udot_jet);
       for (int i = 0; i < 3; ++i) {
         u[i] = u_jet[i].a;
-        u_phi.row(i) = u_jet[i].v.head<3>();
-        J.row(i) = u_jet[i].v.segment<3>(3);
+        u_phi.row(i) = u_jet[i].v;
         u_dot[i] = udot_jet[i].a;
-        udot_phi.row(i) = udot_jet[i].v.head<3>();
-        udot_phi1.row(i) = udot_jet[i].v.segment<3>(3);
-        udot_phi2.row(i) = udot_jet[i].v.tail<3>();
+        udot_phi.row(i) = udot_jet[i].v;
       }
     } else {
       CorrectionRate<double>(phi.col(0), phi.col(1), phi.col(2), &u, &u_dot);
@@ -74,15 +71,17 @@ struct CorrectedRotation {
     alpha = alpha_E - u.cross(omega_E) + u_dot;
     if (!with_jacobians) return;
 
+    J = RightJacobian<double>(phi.col(0));
+    // u' = J phi'' + B(phi', phi') with the bilinear B(a, b) = (d(J b)/d phi) a, of which the rate
+    // of J is one half of the derivative by phi', and d u / d phi the other.
+    const Matrix3d udot_phi1 = RightJacobianRate<double>(phi.col(0), phi.col(1)) + u_phi;
     // d(E^T v)/d phi = Hat(E^T v) J
     const Matrix3d omega_E_phi = Hat(omega_E) * J;
     omega_phi = omega_E_phi + u_phi;
-    omega_phi1 = J;
     alpha_phi = Hat(alpha_E) * J + Hat(omega_E) * u_phi - Hat(u) * omega_E_phi + udot_phi;
     alpha_phi1 = Hat(omega_E) * J + udot_phi1;
-    alpha_phi2 = udot_phi2;
-    omega_spline = omega_phi * phi.col(1) + omega_phi1 * phi.col(2);
-    alpha_spline = alpha_phi * phi.col(1) + alpha_phi1 * phi.col(2) + alpha_phi2 * phi.col(3);
+    omega_spline = omega_phi * phi.col(1) + J * phi.col(2);
+    alpha_spline = alpha_phi * phi.col(1) + alpha_phi1 * phi.col(2) + J * phi.col(3);
     omega_gp = alpha_E;
     alpha_gp = -u.cross(alpha_E);
   }
@@ -298,7 +297,7 @@ class JointGyroResidual : public BatchResidual<JointImuSample> {
     // d r / d omega_M
     const Matrix3d A = -M_g * q_MI.conjugate().toRotationMatrix() / s.sigma;
     const Matrix3d r_phi = A * x.omega_phi;
-    const Matrix3d r_phi1 = A * x.omega_phi1;
+    const Matrix3d r_phi1 = A * x.J;
     for (int j = 0; j < n; ++j)
       SetRows<3>(jacobians, j, i, weights(0, j) * r_phi + weights(1, j) * r_phi1);
     SetRows<4>(jacobians, n, i, -M_g * InverseRotationJacobian(q_MI, omega_I) / s.sigma);
@@ -381,8 +380,8 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
       }
     }
     const Matrix3d r_phi = A * Hat(f_body) * x.J + r_omega * x.omega_phi + r_alpha * x.alpha_phi;
-    const Matrix3d r_phi1 = r_omega * x.omega_phi1 + r_alpha * x.alpha_phi1;
-    const Matrix3d r_phi2 = r_alpha * x.alpha_phi2;
+    const Matrix3d r_phi1 = r_omega * x.J + r_alpha * x.alpha_phi1;
+    const Matrix3d r_phi2 = r_alpha * x.J;
     const Matrix3d r_a = A * R_MW;
     for (int j = 0; j < kSplineOrder; ++j) {
       SetRows<3>(jacobians, j, i, weights(2, j) / scale * r_a);
