@@ -1,0 +1,118 @@
+#!/usr/bin/env bash
+# Installs the package into a scratch prefix, .catkin_ws/install, and uses it from there: every program and launch file,
+# the sample, the scripts that draw, completion, and the libraries from another package.
+#
+#   scripts/check_install.sh
+set -euo pipefail
+source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
+
+INSTALL=$WORKSPACE/install
+SCRATCH=$WORKSPACE/check_install
+SHARE=$INSTALL/share/imu_pose_calib
+
+install_package() {
+  rm -rf "$INSTALL"
+  catkin_build install -DCMAKE_INSTALL_PREFIX="$INSTALL"
+}
+
+# Every file of these folders is there, and none names the repository or the devel space.
+check_files() {
+  local folder file found
+  for folder in config data launch rviz; do
+    for file in "$REPO/$folder"/*; do
+      [[ -s $SHARE/$folder/${file##*/} ]] || fail "$folder/${file##*/} is not installed"
+    done
+  done
+  found=$(grep -rlIF -e "$REPO/src" -e "$REPO/include" -e "$WORKSPACE/devel" -e "$WORKSPACE/src" "$INSTALL" || true)
+  [[ -z $found ]] || fail "these installed files name the source or the devel space: $found"
+}
+
+# written FILE...: each is there and holds something.
+written() {
+  local file
+  for file in "$@"; do
+    [[ -s $file ]] || fail "$file was not written"
+  done
+}
+
+check_programs() {
+  local program bag=$SHARE/data/estimator_own_clocks.bag
+  cd "$SCRATCH"
+  for program in "$INSTALL"/lib/imu_pose_calib/*; do
+    # calibrate_node has no options; of the scripts, some are modules of others.
+    [[ $program != *.py && $program != */calibrate_node ]] || continue
+    rosrun imu_pose_calib "${program##*/}" --help | grep -q . || fail "$program has no --help"
+  done
+  rosrun imu_pose_calib calibrate_bag "$bag" --config "$SHARE/config/default.yaml" --output sample.yaml \
+    --report sample.html --trajectory sample.tum
+  written sample.yaml sample.html sample.tum
+  rosrun imu_pose_calib export_calibration sample.yaml --export ros2 --export-dir exports
+  written exports/*
+  rosrun imu_pose_calib simulate_bag simulated.mcap --format mcap --duration 20
+  rosrun imu_pose_calib calibrate_bag simulated.mcap --output simulated.yaml
+  rosrun imu_pose_calib compare_calibrations sample.yaml sample.yaml
+  rosrun imu_pose_calib simulate_bag clouds.bag --duration 10 --lidar
+  written simulated.yaml clouds.bag
+}
+
+check_launch_files() {
+  local file
+  cd "$SCRATCH"
+  for file in "$SHARE"/launch/*.launch; do
+    roslaunch imu_pose_calib "${file##*/}" --ros-args | grep -q . || fail "${file##*/} names no arguments"
+  done
+  ROS_MASTER_URI=http://localhost:$(free_port)
+  export ROS_MASTER_URI
+  roslaunch imu_pose_calib calibrate.launch bag:="$SHARE/data/estimator_own_clocks.bag" output:="$SCRATCH/launched.yaml" \
+    exit:=true
+  written launched.yaml
+  roslaunch imu_pose_calib aggregate_clouds.launch bag:="$SCRATCH/clouds.bag" imu_sensor:="0.08 0 0 0 0 0 1" \
+    exit:=true pcd:="$SCRATCH/clouds.pcd"
+  written clouds.pcd
+}
+
+# A package of a user: finds this one, includes the headers of the core and of ROS, and links both libraries.
+check_libraries() {
+  local user=$SCRATCH/user
+  mkdir -p "$user/src/user"
+  cat >"$user/src/user/package.xml" <<'XML'
+<package format="2">
+  <name>user</name><version>0.0.0</version><description>Uses the libraries.</description>
+  <maintainer email="nobody@user.invalid">nobody</maintainer><license>BSD-3-Clause</license>
+  <buildtool_depend>catkin</buildtool_depend><depend>imu_pose_calib</depend>
+</package>
+XML
+  cat >"$user/src/user/CMakeLists.txt" <<'CMAKE'
+cmake_minimum_required(VERSION 3.16)
+project(user CXX)
+set(CMAKE_CXX_STANDARD 17)
+find_package(catkin REQUIRED COMPONENTS imu_pose_calib)
+catkin_package()
+include_directories(${catkin_INCLUDE_DIRS})
+add_executable(user user.cpp)
+target_link_libraries(user ${catkin_LIBRARIES})
+CMAKE
+  {
+    (cd "$INSTALL/include" && find imu_pose_calib -name '*.h' | sort | sed 's/.*/#include <&>/')
+    echo 'int main() { return imu_pose_calib::Median({1.0, 2.0, 3.0}) == 2.0 ? 0 : 1; }'
+  } >"$user/src/user/user.cpp"
+  catkin_make --no-color -C "$user" -DPYTHON_EXECUTABLE=/usr/bin/python3
+  "$user/devel/lib/user/user"
+}
+
+main() {
+  setup
+  rm -rf "$SCRATCH"
+  mkdir -p "$SCRATCH"
+  step "install" install_package install_package
+  unset CMAKE_PREFIX_PATH ROS_PACKAGE_PATH LD_LIBRARY_PATH PYTHONPATH
+  load_ros
+  load_workspace "$INSTALL"
+  [[ $(rospack find imu_pose_calib) == "$SHARE" ]] || fail "rospack finds $(rospack find imu_pose_calib)"
+  step "installed files" check_files check_files
+  step "programs" check_programs check_programs
+  step "launch files" check_launch_files check_launch_files
+  step "libraries in another package" check_libraries check_libraries
+}
+
+main
