@@ -143,6 +143,11 @@ load_workspace() {
   unset ROS_IP
 }
 
+# For a master of our own, beside any other.
+free_port() {
+  /usr/bin/python3 -c 'import socket; s = socket.socket(); s.bind(("", 0)); print(s.getsockname()[1])'
+}
+
 # One compiler per core, but none without 2 GB of memory.
 parallel_jobs() {
   local cores memory

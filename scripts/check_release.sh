@@ -1,14 +1,53 @@
 #!/usr/bin/env bash
-# Installs the package into a scratch prefix, .catkin_ws/install, and uses it from there: every program and launch file,
-# the sample, the scripts that draw, completion, and the libraries from another package.
+# What a release needs beside the tests: one version everywhere, catkin_lint and doxygen (as rosdoc_lite runs it) without
+# a warning, and an install space, .catkin_ws/install, that is used in place of the repository: programs, launch files,
+# sample, the scripts that draw, completion, and the libraries from another package.
 #
-#   scripts/check_install.sh
+#   scripts/check_release.sh
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
 
 INSTALL=$WORKSPACE/install
-SCRATCH=$WORKSPACE/check_install
+SCRATCH=$WORKSPACE/check_release
 SHARE=$INSTALL/share/imu_pose_calib
+
+check_versions() {
+  local version
+  version=$(sed -n 's/.*<version>\(.*\)<.*/\1/p' "$REPO/package.xml")
+  grep -qx "$version ([0-9-]*)" "$REPO/CHANGELOG.rst" || fail "CHANGELOG.rst has no version $version"
+  head -n 1 "$REPO/debian/changelog" | grep -qF "($version)" || fail "debian/changelog does not begin with $version"
+}
+
+# In the workspace, where the folder has the package's name.
+check_catkin_lint() {
+  catkin_lint -W2 --strict --offline "$WORKSPACE/src/imu_pose_calib"
+}
+
+# The settings of rosdoc.yaml, and those of rosdoc_lite's own template that bear on warnings.
+check_doxygen() {
+  local doxyfile=$SCRATCH/Doxyfile warnings
+  /usr/bin/python3 - "$REPO/rosdoc.yaml" >"$doxyfile" <<'PYTHON'
+import sys, yaml
+for key, value in yaml.safe_load(open(sys.argv[1]))[0].items():
+    if key not in ('builder', 'name', 'output_dir'):
+        print(key.upper(), '=', value)
+PYTHON
+  cat >>"$doxyfile" <<DOXYFILE
+INPUT = $REPO
+OUTPUT_DIRECTORY = $SCRATCH/doxygen
+EXTRACT_ALL = YES
+EXTRACT_PRIVATE = YES
+EXTRACT_STATIC = YES
+RECURSIVE = YES
+GENERATE_LATEX = NO
+HAVE_DOT = NO
+QUIET = YES
+DOXYFILE
+  mkdir -p "$SCRATCH/doxygen"
+  warnings=$(doxygen "$doxyfile" 2>&1 >/dev/null)
+  [[ -z $warnings ]] || fail "$warnings"
+  compgen -G "$SCRATCH/doxygen/html/class*.html" >/dev/null || fail "doxygen found no class"
+}
 
 install_package() {
   rm -rf "$INSTALL"
@@ -39,20 +78,35 @@ check_programs() {
   local program bag=$SHARE/data/estimator_own_clocks.bag
   cd "$SCRATCH"
   for program in "$INSTALL"/lib/imu_pose_calib/*; do
-    # calibrate_node has no options; of the scripts, some are modules of others.
-    [[ $program != *.py && $program != */calibrate_node ]] || continue
+    [[ $program != *.py && $program != */calibrate_node && $program != */replay_bridge ]] || continue  # have none
     rosrun imu_pose_calib "${program##*/}" --help | grep -q . || fail "$program has no --help"
   done
   rosrun imu_pose_calib calibrate_bag "$bag" --config "$SHARE/config/default.yaml" --output sample.yaml \
     --report sample.html --trajectory sample.tum
   written sample.yaml sample.html sample.tum
-  rosrun imu_pose_calib export_calibration sample.yaml --export ros2 --export-dir exports
+  rosrun imu_pose_calib export_calibration sample.yaml --export ros2 --output-dir exports
   written exports/*
   rosrun imu_pose_calib simulate_bag simulated.mcap --format mcap --duration 20
   rosrun imu_pose_calib calibrate_bag simulated.mcap --output simulated.yaml
   rosrun imu_pose_calib compare_calibrations sample.yaml sample.yaml
   rosrun imu_pose_calib simulate_bag clouds.bag --duration 10 --lidar
-  written simulated.yaml clouds.bag
+  rosrun imu_pose_calib aggregate_clouds clouds.bag --imu-sensor clouds.lidar.yaml --output clouds.pcd
+  written simulated.yaml clouds.pcd
+}
+
+# The demo saves once it has converged, and then goes on.
+check_live_demo() {
+  local demo status=1
+  roslaunch imu_pose_calib live_demo.launch rviz:=false auto_save:=true output:="$SCRATCH/live.yaml" &
+  demo=$!
+  for ((i = 0; i < 300 && status; ++i)); do
+    sleep 1
+    [[ ! -s live.yaml ]] || status=0
+    kill -0 "$demo" || break
+  done
+  kill "$demo" || true
+  wait "$demo" || true
+  return "$status"
 }
 
 check_launch_files() {
@@ -66,9 +120,7 @@ check_launch_files() {
   roslaunch imu_pose_calib calibrate.launch bag:="$SHARE/data/estimator_own_clocks.bag" output:="$SCRATCH/launched.yaml" \
     exit:=true
   written launched.yaml
-  roslaunch imu_pose_calib aggregate_clouds.launch bag:="$SCRATCH/clouds.bag" imu_sensor:="0.08 0 0 0 0 0 1" \
-    exit:=true pcd:="$SCRATCH/clouds.pcd"
-  written clouds.pcd
+  check_live_demo
 }
 
 # A package of a user: finds this one, includes the headers of the core and of ROS, and links both libraries.
@@ -101,9 +153,13 @@ CMAKE
 }
 
 main() {
+  install_packages catkin-lint doxygen
   setup
   rm -rf "$SCRATCH"
   mkdir -p "$SCRATCH"
+  step "versions" versions check_versions
+  step "catkin_lint" catkin_lint check_catkin_lint
+  step "doxygen" doxygen check_doxygen
   step "install" install_package install_package
   unset CMAKE_PREFIX_PATH ROS_PACKAGE_PATH LD_LIBRARY_PATH PYTHONPATH
   load_ros
