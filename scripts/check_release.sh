@@ -123,6 +123,19 @@ check_launch_files() {
   check_live_demo
 }
 
+# completed WORD...: what _imu_pose_calib_rosrun offers for the last word.
+completed() {
+  COMP_WORDS=("$@") COMP_CWORD=$(($# - 1)) COMPREPLY=()
+  _imu_pose_calib_rosrun "$1"
+  printf '%s\n' "${COMPREPLY[@]}"
+}
+
+# setup.bash has sourced it.
+check_completion() {
+  completed rosrun imu_pose_calib calibrate_bag my.bag --trajectory-g | grep -qx -e --trajectory-gaps
+  completed rosrun imu_pose_calib simulate_bag --lid | grep -qx -e --lidar
+}
+
 # A package of a user: finds this one, includes the headers of the core and of ROS, and links both libraries.
 check_libraries() {
   local user=$SCRATCH/user
@@ -168,6 +181,7 @@ main() {
   step "installed files" check_files check_files
   step "programs" check_programs check_programs
   step "launch files" check_launch_files check_launch_files
+  step "completion" completion check_completion
   step "libraries in another package" check_libraries check_libraries
 }
 

@@ -116,23 +116,22 @@ void Parse(int argc, char** argv, CommandLine* line) {
 
 void PrintHelp(bool with_others) {
   CommandLine line;
-  std::cout
-      << "Usage: calibrate_bag BAG [BAG ...] [options]             .bag, .mcap, .db3 or folder\n"
-      << "       calibrate_bag FOLDER [options]                  ASL dataset (EuRoC)\n"
-      << "       calibrate_bag --poses FILE --imu FILE [options] CSV, TUM, Motive, Vicon\n\n"
-      << "Finds where an IMU sits on a tracked body, the marker: T_marker_imu (x_marker =\n"
-      << "R x_imu + p), and time_shift (t_pose = t_imu + time_shift). Bags that do not\n"
-      << "continue each other are sessions of the same body. Topics are found by type.\n\n"
-      << DescribeCommon(&line) << "\n";
+  std::cout << "Usage: calibrate_bag BAG [BAG ...] [options]          .bag, .mcap, .db3, folder\n"
+            << "       calibrate_bag FOLDER [options]                  ASL dataset (EuRoC)\n"
+            << "       calibrate_bag --poses FILE --imu FILE [options] CSV, TUM, Motive, Vicon\n\n"
+            << "Finds where an IMU sits on a tracked body, the marker: T_marker_imu (x_marker =\n"
+            << "R x_imu + p), and time_shift (t_pose = t_imu + time_shift). Bags that do not\n"
+            << "continue each other are sessions of the same body. Topics are found by type.\n\n"
+            << DescribeCommon(&line) << "\n";
   if (with_others) std::cout << DescribeOthers(&line) << "\n";
-  std::cout
-      << "Examples:\n"
-      << "  calibrate_bag my.bag --check\n"
-      << "  calibrate_bag my.bag --report my.html --export kalibr,ros2\n"
-      << "  calibrate_bag rosbag2_folder --pose-topic /rigid_bodies --body drone\n"
-      << "  calibrate_bag first.mcap second.mcap --imu-topic /imu0 --imu-topic /imu1\n"
-      << "  calibrate_bag --poses take.csv --body drone --imu imu.csv --output drone.yaml\n\n"
-      << "Exit status: 0 calibrated, 1 bad usage or input, 2 data that cannot be calibrated\n";
+  std::cout << "Examples:\n"
+            << "  calibrate_bag my.bag --check\n"
+            << "  calibrate_bag my.bag --report my.html --export kalibr,ros2\n"
+            << "  calibrate_bag rosbag2_folder --pose-topic /rigid_bodies --body drone\n"
+            << "  calibrate_bag first.mcap second.mcap --imu-topic /imu0 --imu-topic /imu1\n"
+            << "  calibrate_bag --poses take.csv --body drone --imu imu.csv --output drone.yaml\n\n"
+            << "Exit status: 0 calibrated, 1 bad usage or unreadable input, 2 data that cannot be\n"
+            << "calibrated.\n";
 }
 
 void Check(const CommandLine& line) {
