@@ -42,10 +42,6 @@ result_file() {
   printf '%s\n' "${output:-${recording%"$name"}${name%.*}.calibration.yaml}"
 }
 
-free_port() {
-  /usr/bin/python3 -c 'import socket; s = socket.socket(); s.bind(("", 0)); print(s.getsockname()[1])'
-}
-
 # Passes on what the nodes say and leaves out colours and what roslaunch says of itself.
 node_output() {
   sed -u -n -E '

@@ -26,10 +26,12 @@ QUANTITIES = {  # title, unit, factor from SI
     'accel': ('accelerometer', 'm/s²', 1.0),
 }
 
-rcParams.update({'svg.fonttype': 'none', 'font.size': 8, 'axes.titlesize': 9, 'axes.titlelocation': 'left',
+rcParams.update({'svg.fonttype': 'none', 'font.size': 8, 'axes.titlesize': 9,
                  'axes.spines.top': False, 'axes.spines.right': False, 'axes.grid': True, 'grid.color': '#e4e4e4',
                  'grid.linewidth': 0.6, 'lines.linewidth': 0.9, 'legend.fontsize': 7, 'legend.frameon': False,
                  'axes.linewidth': 0.6, 'svg.hashsalt': 'report', 'axes.axisbelow': True})
+if 'axes.titlelocation' in rcParams:  # not before matplotlib 3.2; Ubuntu 20.04 has 3.1
+    rcParams['axes.titlelocation'] = 'left'
 
 
 class Report:

@@ -31,6 +31,7 @@ DEBIAN_PACKAGES=(
   ros-std-msgs ros-std-srvs ros-geometry-msgs ros-sensor-msgs ros-nav-msgs ros-visualization-msgs ros-diagnostic-msgs
   ros-tf2-msgs
   python3-std-srvs python3-diagnostic-msgs python3-nav-msgs python3-visualization-msgs
+  rviz
 )
 
 NOETIC_PACKAGES=(
@@ -38,7 +39,7 @@ NOETIC_PACKAGES=(
   ros-noetic-roscpp ros-noetic-roslib ros-noetic-rosbag ros-noetic-rosbag-storage ros-noetic-rostest
   ros-noetic-tf2-ros ros-noetic-tf2-msgs ros-noetic-tf2-eigen ros-noetic-diagnostic-updater ros-noetic-diagnostic-msgs
   ros-noetic-std-msgs ros-noetic-std-srvs ros-noetic-geometry-msgs ros-noetic-sensor-msgs ros-noetic-nav-msgs
-  ros-noetic-topic-tools ros-noetic-visualization-msgs
+  ros-noetic-topic-tools ros-noetic-visualization-msgs ros-noetic-rviz
 )
 
 # fail TEXT...: one line on stderr, then leave.
@@ -140,6 +141,11 @@ load_workspace() {
   source_setup "${1:-$WORKSPACE/devel}/setup.bash"
   export PATH=/usr/bin:$PATH ROS_HOSTNAME=localhost ROS_HOME=$WORKSPACE/ros ROS_LOG_DIR=$LOG_DIR/ros
   unset ROS_IP
+}
+
+# For a master of our own, beside any other.
+free_port() {
+  /usr/bin/python3 -c 'import socket; s = socket.socket(); s.bind(("", 0)); print(s.getsockname()[1])'
 }
 
 # One compiler per core, but none without 2 GB of memory.

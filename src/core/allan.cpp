@@ -108,7 +108,7 @@ double AllanNoise(const std::vector<double>& t, const std::vector<Eigen::Vector3
     if (std::min(a.covered, b.covered) < kLeastCovered * tau) continue;
     const Eigen::Vector3d difference =
         (a.Mean() - b.Mean()) / std::sqrt(a.Variance() + b.Variance());
-    for (const double value : difference) magnitudes.push_back(std::abs(value));
+    for (int k = 0; k < 3; ++k) magnitudes.push_back(std::abs(difference[k]));
     slid += static_cast<double>(stride) * cells.Width(j);
   }
   if (magnitudes.empty() || slid < kFewestPairs * 2.0 * tau) return 0.0;

@@ -86,7 +86,7 @@ double OwnNoise(const std::vector<TimedSample>& samples) {
   for (size_t i = 2; i < samples.size(); ++i) {
     const Eigen::Vector3d second =
         samples[i].value - 2.0 * samples[i - 1].value + samples[i - 2].value;
-    for (const double x : second) magnitudes.push_back(std::abs(x) / std::sqrt(6.0));
+    for (int k = 0; k < 3; ++k) magnitudes.push_back(std::abs(second[k]) / std::sqrt(6.0));
   }
   return kMadToSigma * Median(std::move(magnitudes));
 }

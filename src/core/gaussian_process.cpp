@@ -23,7 +23,7 @@ constexpr double kCore = 32.0;             // [length scales]
 constexpr double kMargin = 20.0;           // [length scales]
 constexpr double kMaxSignalToNoise = 1e5;  // keeps the normal equations well conditioned
 
-/// Uniform grid of Gaussian bumps exp(-(t - u_j)^2 / l^2), u_j = first + j spacing.
+/// Uniform grid of Gaussian bumps exp(-(t - c_j)^2 / l^2), c_j = first + j spacing.
 struct BumpGrid {
   double lengthscale, spacing, first;
   int size;
@@ -52,7 +52,7 @@ struct BumpGrid {
 using BumpArray = Eigen::Array<double, kSupport, 1>;
 using BumpDerivatives = Eigen::Matrix<double, kSupport, 4>;
 
-/// Distances z_j = (t - u_j) / l of the bumps around t and their values exp(-z_j^2).
+/// Distances z_j = (t - c_j) / l of the bumps around t and their values exp(-z_j^2).
 struct BumpValues {
   BumpArray distance, value;
 

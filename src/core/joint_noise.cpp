@@ -52,8 +52,8 @@ struct JointDensities {
     accel = together(Quantity::kAccel);
   }
 
-  /// [Hz] above which the IMUs say more of the trajectory than the poses do: S_a = w^4 S_p and
-  /// S_g = w^2 S_r.
+  /// [Hz] above which the IMUs say more of the trajectory than the poses do: S_a = W^4 S_p and
+  /// S_g = W^2 S_R, W = 2 pi frequency.
   double AccelCrossover() const { return std::pow(accel / position, 0.25) / (2.0 * M_PI); }
   double GyroCrossover() const { return std::sqrt(gyro / rotation) / (2.0 * M_PI); }
 };

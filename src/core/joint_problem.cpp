@@ -20,7 +20,7 @@ constexpr double kPoseScalePrior = 3e-3;  // [1]
 // For a filter of first order, the squared delay; for a plain delay, nothing.
 constexpr double kSmoothingPerDelay2 = 0.5, kSmoothingSpread = 1.0;
 constexpr double kLeastFilterDelay = 0.01;        // [s]
-constexpr double kScalePrior = 0.01;              // [1] diagonal of M_g and M_a
+constexpr double kScalePrior = 0.01;              // [1] diagonal of K_g and K_a
 constexpr double kAlignmentPrior = M_PI / 360.0;  // [rad] their other elements: 0.5 deg
 constexpr double kSizePrior = 3e-3;               // [m] places of the accelerometer's axes
 

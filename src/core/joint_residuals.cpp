@@ -280,7 +280,7 @@ class JointGyroResidual : public BatchResidual<JointImuSample> {
                       double** jacobians) const override {
     const int n = kSplineOrder;
     const Eigen::Map<const Eigen::Quaterniond> q_MI(blocks[n]);
-    const Matrix3d M_g = GyroMatrix(Eigen::Map<const Vector6d>(blocks[n + 1]));
+    const Matrix3d K_g = GyroMatrix(Eigen::Map<const Vector6d>(blocks[n + 1]));
     const Eigen::Map<const Vector3d> knot_0(blocks[n + 2]), knot_1(blocks[n + 3]);
     const Move dt = FindMove(s, blocks);
     const double u = s.at.place.u + dt.on_spline / s.at.place.spacing;
@@ -291,16 +291,16 @@ class JointGyroResidual : public BatchResidual<JointImuSample> {
     const CorrectedRotation x(gp, EvaluateSpline(blocks, weights), jacobians != nullptr);
     const Vector3d omega_I = q_MI.conjugate() * x.omega;
     AsVector(residual) =
-        (s.value - (1.0 - s.bias_u) * knot_0 - s.bias_u * knot_1 - M_g * omega_I) / s.sigma;
+        (s.value - (1.0 - s.bias_u) * knot_0 - s.bias_u * knot_1 - K_g * omega_I) / s.sigma;
     if (jacobians == nullptr) return true;
 
     // d r / d omega_M
-    const Matrix3d A = -M_g * q_MI.conjugate().toRotationMatrix() / s.sigma;
+    const Matrix3d A = -K_g * q_MI.conjugate().toRotationMatrix() / s.sigma;
     const Matrix3d r_phi = A * x.omega_phi;
     const Matrix3d r_phi1 = A * x.J;
     for (int j = 0; j < n; ++j)
       SetRows<3>(jacobians, j, i, weights(0, j) * r_phi + weights(1, j) * r_phi1);
-    SetRows<4>(jacobians, n, i, -M_g * InverseRotationJacobian(q_MI, omega_I) / s.sigma);
+    SetRows<4>(jacobians, n, i, -K_g * InverseRotationJacobian(q_MI, omega_I) / s.sigma);
     if (jacobians[n + 1] != nullptr) {
       Eigen::Matrix<double, 3, 6> r_M = Eigen::Matrix<double, 3, 6>::Zero();
       r_M.block<1, 1>(0, 0) = omega_I.head<1>();
@@ -334,7 +334,7 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
     const int n = 2 * kSplineOrder;
     const Eigen::Map<const Eigen::Quaterniond> q_MI(blocks[n]);
     const Eigen::Map<const Vector3d> p(blocks[n + 1]), g(blocks[n + 2]);
-    const Matrix3d M_a = AccelMatrix(Eigen::Map<const Vector9d>(blocks[n + 3]));
+    const Matrix3d K_a = AccelMatrix(Eigen::Map<const Vector9d>(blocks[n + 3]));
     const Eigen::Map<const Vector3d> knot_0(blocks[n + 4]), knot_1(blocks[n + 5]);
     const Move dt = FindMove(s, blocks);
     const double u = s.at.place.u + dt.on_spline / s.at.place.spacing;
@@ -358,10 +358,10 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
     Vector3d f_I = R_IM * f_M;
     if (have_arms) f_I += (R_IM * K).cwiseProduct(arms.transpose()).rowwise().sum();
     AsVector(residual) =
-        (s.value - (1.0 - s.bias_u) * knot_0 - s.bias_u * knot_1 - M_a * f_I) / s.sigma;
+        (s.value - (1.0 - s.bias_u) * knot_0 - s.bias_u * knot_1 - K_a * f_I) / s.sigma;
     if (jacobians == nullptr) return true;
 
-    const Matrix3d r_I = -M_a / s.sigma;  // d r / d f_I
+    const Matrix3d r_I = -K_a / s.sigma;  // d r / d f_I
     const Matrix3d A = r_I * R_IM;        // d r / d f_M
     const Matrix3d R_MW = x.q_WM.conjugate().toRotationMatrix();
     // d (omega x (omega x p)) / d omega

@@ -271,7 +271,7 @@ std::vector<SensorStatistics> LeastSquares::FindStatistics() {
       const Eigen::Vector3d r =
           (sample.sigma * Eigen::Map<const Eigen::Vector3d>(&residuals[3 * i]) + sample.rest) /
           sample.scale;
-      for (const double x : r) magnitudes.push_back(std::abs(x));
+      for (int k = 0; k < 3; ++k) magnitudes.push_back(std::abs(r[k]));
       variances.push_back(sample.trajectory_variance);
       sensor.residuals.push_back(r);
       sum2 += sample.scale * sample.scale * r.squaredNorm();

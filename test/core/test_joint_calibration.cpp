@@ -291,7 +291,8 @@ void AddSlowErrors(double rotation_std,
   const double keep = std::exp(-1.0 / (correlation_s * rate_hz));
   Eigen::Vector3d error = Eigen::Vector3d::Zero();
   for (PoseSample& pose : data->poses) {
-    for (double& x : error) x = keep * x + std::sqrt(1.0 - keep * keep) * normal(random);
+    for (int k = 0; k < 3; ++k)
+      error[k] = keep * error[k] + std::sqrt(1.0 - keep * keep) * normal(random);
     pose.q_WM = pose.q_WM * Exp<double>(error);
   }
 }
@@ -426,7 +427,8 @@ SessionData SimulateUneven(const SimulatorOptions& truth, Claim claim) {
   for (size_t i = 0; i < data.poses.size(); ++i) {
     PoseSample& pose = data.poses[i];
     const bool is_noisy = i % 2 == 1;
-    for (double& x : pose.p_WM) x += (is_noisy ? 10.0 * truth.position_std : 0.0) * normal(random);
+    for (int k = 0; k < 3; ++k)
+      pose.p_WM[k] += (is_noisy ? 10.0 * truth.position_std : 0.0) * normal(random);
     pose.stated_std = claim(is_noisy);
   }
   return data;

@@ -23,7 +23,7 @@ inline Calibration ExampleResult(ImuModel model, size_t imus) {
     const double k = static_cast<double>(i) + 1.0;
     ImuCalibration& imu = result.imus[i];
     imu.T_MI = {Exp(Eigen::Vector3d(0.7 * k, -0.4, 1.1)), {0.11 * k, -0.23, 0.37}};
-    imu.covariance = Vector6d(1e-6, 4e-6, 9e-6, 1e-8, 4e-8, 9e-8).asDiagonal();
+    imu.covariance = (Vector6d() << 1e-6, 4e-6, 9e-6, 1e-8, 4e-8, 9e-8).finished().asDiagonal();
     imu.accel_delay = 0.0031 * k;
     imu.accel_delay_std = 2e-5;
     if (model == ImuModel::kScaleMisalignment) {

@@ -5,6 +5,7 @@
 #include <yaml-cpp/yaml.h>
 
 #include <limits>
+#include <sstream>
 
 #include "imu_pose_calib/core/types.h"
 #include "imu_pose_calib/ros/io/bag_writer.h"
@@ -190,8 +191,20 @@ TEST_F(CalibrateBagTest, TakesNoiseFromTheSensorYamlOfAFolder) {
 }
 
 TEST_F(CalibrateBagTest, HelpAndVersionSucceed) {
-  EXPECT_EQ(Calibrate("--help").status, 0);
-  EXPECT_TRUE(Contains(Calibrate("--help").out, "--pose-topic"));
+  const Outcome help = Calibrate("--help"), all = Calibrate("--help-all");
+  EXPECT_EQ(help.status, 0);
+  EXPECT_EQ(all.status, 0);
+  for (const char* text : {"--pose-topic", "--check", "Examples:", "Exit status:"}) {
+    EXPECT_TRUE(Contains(help.out, text)) << text;
+    EXPECT_TRUE(Contains(all.out, text)) << text;
+  }
+  EXPECT_FALSE(Contains(help.out, "--trajectory-gaps"));
+  EXPECT_TRUE(Contains(all.out, "--trajectory-gaps"));
+  // One screen.
+  std::istringstream lines(help.out);
+  int count = 0;
+  for (std::string line; std::getline(lines, line); ++count) EXPECT_LE(line.size(), 80u) << line;
+  EXPECT_LE(count, 40);
   EXPECT_EQ(Calibrate("--version").out, std::string("imu_pose_calib ") + kVersion + "\n");
   EXPECT_EQ(Run("simulate_bag", "--help").status, 0);
 }

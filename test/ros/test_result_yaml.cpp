@@ -13,7 +13,8 @@ Calibration MakeResult() {
   result.method = Method::kGp;
   result.message = "fine: \"really\"";
   result.imus[0].T_MI = {Eigen::Quaterniond(0.5, -0.5, 0.5, 0.5), {1.0 / 3.0, -0.2, 3e-8}};
-  result.imus[0].covariance = Vector6d(1e-6, 4e-6, 9e-6, 1e-8, 4e-8, 9e-8).asDiagonal();
+  result.imus[0].covariance =
+      (Vector6d() << 1e-6, 4e-6, 9e-6, 1e-8, 4e-8, 9e-8).finished().asDiagonal();
   result.imus[0].covariance(1, 4) = result.imus[0].covariance(4, 1) = 1e-9;
   result.sessions[0].imus[0].time_shift = -1034771.50664123456;
   result.sessions[0].imus[0].time_shift_std = 1e-5;

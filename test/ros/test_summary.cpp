@@ -12,7 +12,8 @@ Calibration MakeResult() {
   result.message =
       "the sigma of p_MI along z exceeds its bound of 10 mm, so use the result with care";
   result.imus[0].T_MI = {Eigen::Quaterniond(0.5, -0.5, 0.5, -0.5), {-1.0501, -0.2034, -0.3}};
-  result.imus[0].covariance = Vector6d(1e-6, 4e-6, 9e-6, 1e-4, 4e-4, 9e-4).asDiagonal();
+  result.imus[0].covariance =
+      (Vector6d() << 1e-6, 4e-6, 9e-6, 1e-4, 4e-4, 9e-4).finished().asDiagonal();
   result.sessions[0].imus[0].is_present = true;
   result.sessions[0].imus[0].time_shift = -1034771.50664123456;
   result.sessions[0].imus[0].time_shift_std = 1.25e-3;

@@ -11,7 +11,7 @@ namespace imu_pose_calib {
 /// themselves; all others are marginalised.
 struct MarginalEstimate {
   Eigen::MatrixXd covariance;  ///< L^T H^-1 L, H = J^T J
-  /// Column w: -L^T H^-1 g_w, what the scores g_w = sum_w J^T r of cluster w add to the
+  /// Column k: -L^T H^-1 G_k, what the scores G_k = sum_k J^T r of cluster k add to the
   /// Gauss-Newton step. At the minimum the columns add up to 0.
   Eigen::MatrixXd influence;
 
@@ -45,7 +45,7 @@ MarginalEstimate Select(const MarginalEstimate& estimate, const std::vector<int>
 /// Largest share of the scores' degrees of freedom that a fit is taken to have used up.
 constexpr double kLargestFittedShare = 0.5;
 
-/// Cluster-robust (sandwich) covariance H^-1 (sum_w g_w g_w^T) H^-1 from the influences of the
+/// Cluster-robust (sandwich) covariance H^-1 (sum_k G_k G_k^T) H^-1 from the influences of the
 /// clusters, doc/math.md Eq. (16): for the degrees of freedom that the fit took from the scores
 /// (share `fitted`, 0..kLargestFittedShare), drawn towards a multiple of H^-1 as far as the
 /// clusters are too few to tell it from that, and larger as a whole when errors last longer than a

@@ -4,10 +4,10 @@
 
 namespace imu_pose_calib {
 
-/// Scale and misalignment of the IMU's sensors, doc/math.md Eq. (19): measured = M true + bias,
+/// Scale and misalignment of the IMU's sensors, doc/math.md Eq. (19): measured = K true + bias,
 /// both in I. All zeros is a calibrated sensor.
 
-/// M_g from its lower triangle less the identity, (xx, yx, yy, zx, zy, zz): the gyroscope's x axis
+/// K_g from its lower triangle less the identity, (xx, yx, yy, zx, zy, zz): the gyroscope's x axis
 /// is that of I and its y axis lies in the xy plane, so a rotation is left to R_MI alone.
 inline Eigen::Matrix3d GyroMatrix(const Vector6d& m) {
   Eigen::Matrix3d M;
@@ -17,7 +17,7 @@ inline Eigen::Matrix3d GyroMatrix(const Vector6d& m) {
   return M;
 }
 
-/// M_a from its elements less the identity, row by row.
+/// K_a from its elements less the identity, row by row.
 inline Eigen::Matrix3d AccelMatrix(const Vector9d& m) {
   return Eigen::Matrix3d::Identity() + Eigen::Map<const Eigen::Matrix3d>(m.data()).transpose();
 }

@@ -66,8 +66,8 @@ struct JointImuSample {
   double sigma;                     ///< unit of value
 };
 
-/// r = (w - b_g - M_g R_MI^T omega_M(t)) / sigma, in I.
-/// Blocks: phi | q_MI (4, xyzw) | M_g (6, see GyroMatrix()) | bias knot_0 (3) | knot_1 (3) |
+/// r = (w - b_g - K_g R_MI^T omega_M(t)) / sigma, in I.
+/// Blocks: phi | q_MI (4, xyzw) | K_g (6, see GyroMatrix()) | bias knot_0 (3) | knot_1 (3) |
 /// clocks.
 ceres::CostFunction* CreateJointGyroResidual(const std::vector<JointImuSample>& samples,
                                              const ClockMotions& clocks);
@@ -79,10 +79,10 @@ struct MarkerJerk {
   Eigen::Vector3d f_curvature = Eigen::Vector3d::Zero();  ///< [m/s^4] f_M'', components in M
 };
 
-/// r = (f - b_a - M_a R_MI^T (f_M(t) + s/2 f_M'')) / sigma, in I, s: accel_smoothing, with
+/// r = (f - b_a - K_a R_MI^T (f_M(t) + s/2 f_M'')) / sigma, in I, s: accel_smoothing, with
 /// f_M = R_WM^T (a_W / k - g_W) + alpha_M x p + omega_M x (omega_M x p), k: pose_scale. For axis i
 /// p is p_MI + R_MA r_i with r_i of AccelPositions() and R_MA about R_MI: it does not move.
-/// Blocks: d | phi | q_MI (4) | p_MI (3) | g_W (3) | M_a (9, see AccelMatrix()) | knot_0 (3) |
+/// Blocks: d | phi | q_MI (4) | p_MI (3) | g_W (3) | K_a (9, see AccelMatrix()) | knot_0 (3) |
 /// knot_1 (3) | accel_smoothing (1) | pose_scale (1) | r (6) | clocks. `jerks`: of each sample.
 ceres::CostFunction* CreateJointAccelResidual(const std::vector<JointImuSample>& samples,
                                               const std::vector<MarkerJerk>& jerks,

@@ -54,7 +54,8 @@ Eigen::Matrix<T, 3, 1> Log(const Eigen::Quaternion<T>& q) {
 
 namespace internal {
 
-/// b = (1 - cos x) / x^2 and c = (x - sin x) / x^3 with their derivatives by s = x^2.
+/// b = (1 - cos x) / x^2 and c = (x - sin x) / x^3 (j_1 and j_2 of doc/math.md) with their
+/// derivatives by s = x^2.
 template <typename T>
 struct JacobianTerms {
   T b, c, db, dc;

@@ -57,7 +57,7 @@ class Table {
     text_ += number;
   }
   void Add(const Eigen::Vector3d& v) {
-    for (const double value : v) Add(value);
+    for (int k = 0; k < 3; ++k) Add(v[k]);
   }
   /// The upper triangle.
   void Add(const Eigen::Matrix3d& C) {
@@ -166,7 +166,7 @@ TrajectoryCount WriteText(const std::string& path,
     if (is_euroc) return AddEuroc(stamp_ns, x, &table);
     table.SecondsStamp(stamp_ns);
     table.Add(x.p_WI);
-    for (const double value : x.q_WI.coeffs()) table.Add(value);  // x y z w
+    for (int k = 0; k < 4; ++k) table.Add(x.q_WI.coeffs()[k]);  // x y z w
     if (with_covariance) {
       table.Add(Eigen::Matrix3d(x.covariance.block<3, 3>(0, 0)));
       table.Add(Eigen::Matrix3d(x.covariance.block<3, 3>(3, 3)));

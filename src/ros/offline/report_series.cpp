@@ -343,7 +343,7 @@ YAML::Node YamlValue(double value) { return YAML::Node(YamlNumber(value)); }
 
 YAML::Node YamlList(const Eigen::VectorXd& values) {
   YAML::Node list(YAML::NodeType::Sequence);
-  for (const double value : values) list.push_back(YamlValue(value));
+  for (Eigen::Index k = 0; k < values.size(); ++k) list.push_back(YamlValue(values[k]));
   return list;
 }
 

@@ -20,26 +20,47 @@ namespace po = boost::program_options;
 struct CommandLine {
   OfflineRequest request;
   std::vector<std::string> imu_topics, gyro_topics, accel_topics, imus, gyros, accels, imu_frames;
-  bool check = false, quiet = false, help = false, version = false;
+  bool check = false, quiet = false, help = false, help_all = false, version = false;
 };
 
-po::options_description Describe(CommandLine* line) {
+/// Those that --help shows; with the others they fit a screen no more.
+po::options_description DescribeCommon(CommandLine* line) {
   OfflineRequest& request = line->request;
   const auto text = [](std::string* field) { return po::value(field)->value_name("TEXT"); };
-  po::options_description options("Options");
-  auto add = options.add_options();
   const auto texts = [](std::vector<std::string>* field) {
     return po::value(field)->composing()->value_name("TEXT");
   };
-  add("imu-topic",
-      texts(&line->imu_topics),
-      "sensor_msgs/Imu; default: the one in the bag; again for each further IMU on the body");
-  add("pose-topic",
-      text(&request.bag.pose_topic),
-      "poses of the marker; default: the one in the bag");
-  add("body",
-      text(&request.bag.body),
-      "name of the rigid body, where a topic or file of poses holds several");
+  po::options_description options("Options");
+  auto add = options.add_options();
+  add("imu-topic", texts(&line->imu_topics), "sensor_msgs/Imu; again for each further IMU");
+  add("pose-topic", text(&request.bag.pose_topic), "poses of the marker");
+  add("body", text(&request.bag.body), "rigid body, where poses are of several");
+  add("imu-yaml", text(&request.imu_yaml), "Kalibr's imu.yaml: noise and topic");
+  add("config", text(&request.config), "YAML of options, see config/default.yaml");
+  add("start",
+      po::value(&request.bag.start_s)->value_name("S"),
+      "seconds of the recording to skip");
+  add("duration", po::value(&request.bag.duration_s)->value_name("S"), "seconds to use; 0: all");
+  add("output", text(&request.output), "result; default: next to the recording");
+  add("report", text(&request.report), "figures: FILE.html or FILE.pdf");
+  add("export", text(&request.exports), "kalibr,ros2,...: files for other programs");
+  add("trajectory", text(&request.trajectory.path), "ground truth: .tum, .csv, .bag, folder");
+  add("check", po::bool_switch(&line->check), "judge the recording without calibrating");
+  add("quiet", po::bool_switch(&line->quiet), "print errors only");
+  add("help", po::bool_switch(&line->help), "print this text");
+  add("help-all", po::bool_switch(&line->help_all), "print every option");
+  add("version", po::bool_switch(&line->version), "print the version");
+  return options;
+}
+
+po::options_description DescribeOthers(CommandLine* line) {
+  OfflineRequest& request = line->request;
+  const auto text = [](std::string* field) { return po::value(field)->value_name("TEXT"); };
+  const auto texts = [](std::vector<std::string>* field) {
+    return po::value(field)->composing()->value_name("TEXT");
+  };
+  po::options_description options("Other options");
+  auto add = options.add_options();
   add("gyro-topic",
       texts(&line->gyro_topics),
       "gyroscope of a split IMU: sensor_msgs/Imu or geometry_msgs/Vector3Stamped");
@@ -52,16 +73,7 @@ po::options_description Describe(CommandLine* line) {
   add("imu", texts(&line->imus), "text file of the IMU; again for each further one");
   add("gyro", texts(&line->gyros), "text file of the gyroscope of a split IMU");
   add("accel", texts(&line->accels), "text file of the accelerometer of a split IMU");
-  add("imu-yaml", text(&request.imu_yaml), "Kalibr's imu.yaml: noise and topic of the IMU");
-  add("config", text(&request.config), "YAML of options, see config/default.yaml");
   add("method", text(&request.method), "joint (default) or gp");
-  add("output", text(&request.output), "result; default: next to the recording");
-  add("export",
-      text(&request.exports),
-      "also write it for these programs, separated by commas: kalibr, evo, ... (doc/exports.md)");
-  add("trajectory",
-      text(&request.trajectory.path),
-      "ground truth of the IMU: .tum, .txt, .csv (EuRoC), .bag, or a folder (ASL dataset)");
   add("trajectory-format",
       text(&request.trajectory.format),
       "tum, ov_eval, euroc, asl or bag; default: by the suffix");
@@ -74,13 +86,6 @@ po::options_description Describe(CommandLine* line) {
   add("trajectory-gaps",
       po::value(&request.trajectory.max_gap_s)->value_name("S"),
       "longest gap of the poses that the IMU bridges (default 2); others are left out");
-  add("report",
-      text(&request.report),
-      "FILE.html or FILE.pdf: figures of the calibration, or of why there is none");
-  add("start",
-      po::value(&request.bag.start_s)->value_name("S"),
-      "seconds of the recording to skip");
-  add("duration", po::value(&request.bag.duration_s)->value_name("S"), "seconds to use; 0: all");
   add("record-time",
       po::bool_switch(&request.bag.record_time),
       "times of recording instead of the header stamps");
@@ -91,15 +96,12 @@ po::options_description Describe(CommandLine* line) {
   add("one-recording",
       po::bool_switch(&request.one_recording),
       "all bags are one recording, also those that do not continue each other");
-  add("check", po::bool_switch(&line->check), "judge the recording without calibrating");
-  add("quiet", po::bool_switch(&line->quiet), "print errors only");
-  add("help", po::bool_switch(&line->help), "print this text");
-  add("version", po::bool_switch(&line->version), "print the version");
   return options;
 }
 
 void Parse(int argc, char** argv, CommandLine* line) {
-  po::options_description all = Describe(line);
+  po::options_description all;
+  all.add(DescribeCommon(line)).add(DescribeOthers(line));
   all.add_options()("bag", po::value(&line->request.bag.paths));
   ParseCommandLine(argc, argv, all, "bag", -1);
   OfflineRequest& request = line->request;
@@ -112,20 +114,24 @@ void Parse(int argc, char** argv, CommandLine* line) {
   request.imu_frame = boost::join(line->imu_frames, " ");
 }
 
-void PrintHelp() {
+void PrintHelp(bool with_others) {
   CommandLine line;
-  std::cout
-      << "Usage: calibrate_bag BAG [BAG ...] [options]               ROS 1 or 2: .bag, .mcap,\n"
-      << "                                                           .db3, folder\n"
-      << "       calibrate_bag FOLDER [options]                     ASL dataset (EuRoC)\n"
-      << "       calibrate_bag --poses FILE --imu FILE [options]    CSV, TUM\n\n"
-      << "Estimates T_marker_imu (x_marker = R x_imu + p) and time_shift (t_pose = t_imu +\n"
-      << "time_shift) from the poses of a marker and the samples of IMUs attached to it. Bags "
-         "that\n"
-      << "do not continue each other are sessions of the same body.\n\n"
-      << Describe(&line)
-      << "\nExit status: 0 calibrated, 1 bad usage or unreadable input, 2 data that cannot be\n"
-      << "calibrated.\n";
+  std::cout << "Usage: calibrate_bag BAG [BAG ...] [options]          .bag, .mcap, .db3, folder\n"
+            << "       calibrate_bag FOLDER [options]                  ASL dataset (EuRoC)\n"
+            << "       calibrate_bag --poses FILE --imu FILE [options] CSV, TUM, Motive, Vicon\n\n"
+            << "Finds where an IMU sits on a tracked body, the marker: T_marker_imu (x_marker =\n"
+            << "R x_imu + p), and time_shift (t_pose = t_imu + time_shift). Bags that do not\n"
+            << "continue each other are sessions of the same body. Topics are found by type.\n\n"
+            << DescribeCommon(&line) << "\n";
+  if (with_others) std::cout << DescribeOthers(&line) << "\n";
+  std::cout << "Examples:\n"
+            << "  calibrate_bag my.bag --check\n"
+            << "  calibrate_bag my.bag --report my.html --export kalibr,ros2\n"
+            << "  calibrate_bag rosbag2_folder --pose-topic /rigid_bodies --body drone\n"
+            << "  calibrate_bag first.mcap second.mcap --imu-topic /imu0 --imu-topic /imu1\n"
+            << "  calibrate_bag --poses take.csv --body drone --imu imu.csv --output drone.yaml\n\n"
+            << "Exit status: 0 calibrated, 1 bad usage or unreadable input, 2 data that cannot be\n"
+            << "calibrated.\n";
 }
 
 void Check(const CommandLine& line) {
@@ -140,7 +146,7 @@ void Check(const CommandLine& line) {
 void Run(int argc, char** argv) {
   CommandLine line;
   Parse(argc, argv, &line);
-  if (line.help) return PrintHelp();
+  if (line.help || line.help_all) return PrintHelp(line.help_all);
   if (line.version) {
     std::cout << "imu_pose_calib " << kVersion << "\n";
     return;
