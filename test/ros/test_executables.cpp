@@ -150,8 +150,8 @@ TEST_F(CalibrateBagTest, BagFolderAndTablesGiveTheSameResult) {
   EXPECT_EQ(Numbers(ReadText(Path("x.poses.calibration.yaml"))), expected);
   EXPECT_EQ(Numbers(ReadText(Path("y.poses.calibration.yaml"))), expected);
   // Poses of one kind of file, IMU of the other.
-  for (const std::string& part : {"--poses x.poses.txt", "--imu x.imu.csv"}) {
-    ASSERT_EQ(Calibrate("x.bag " + part + span + " --output mixed.yaml").status, 0);
+  for (const char* part : {"--poses x.poses.txt", "--imu x.imu.csv"}) {
+    ASSERT_EQ(Calibrate(std::string("x.bag ") + part + span + " --output mixed.yaml").status, 0);
     EXPECT_EQ(Numbers(ReadText(Path("mixed.yaml"))), expected) << part;
   }
 
