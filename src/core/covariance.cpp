@@ -65,14 +65,14 @@ MarginalEstimates EstimateMarginals(const Eigen::MatrixXd& products,
         Eigen::MatrixXd::Zero(functionals, clusters)};
     return {unknown, unknown};
   }
-  const auto of = [&](const Eigen::MatrixXd& L_H_B) {
-    return MarginalEstimate{L_H_B.middleCols(clusters, functionals), -L_H_B.leftCols(clusters)};
+  const auto of = [&](const Eigen::MatrixXd& rows) {
+    return MarginalEstimate{rows.middleCols(clusters, functionals), -rows.leftCols(clusters)};
   };
   const MarginalEstimate gauss_newton = of(products.middleRows(clusters, functionals));
   MarginalEstimates result{gauss_newton, gauss_newton};
   if (exact.empty()) return result;
 
-  // Exact columns add sum_k e_k c_k^T + c_k e_k^T = U W U^T: Woodbury.
+  // Exact columns add sum_k e_k c_k^T + c_k e_k^T = U W U^T: Woodbury, with rows U of the products.
   const auto count = static_cast<Eigen::Index>(exact.size());
   Eigen::MatrixXd W = Eigen::MatrixXd::Zero(2 * count, 2 * count);  // its own inverse
   std::vector<Eigen::Index> U;
@@ -81,13 +81,14 @@ MarginalEstimates EstimateMarginals(const Eigen::MatrixXd& products,
     U.push_back(clusters + functionals + k);
     W(2 * k, 2 * k + 1) = W(2 * k + 1, 2 * k) = 1.0;
   }
-  Eigen::MatrixXd U_H_B(2 * count, products.cols()), U_H_U(2 * count, 2 * count);
+  Eigen::MatrixXd rows_U(2 * count, products.cols()), block_UU(2 * count, 2 * count);
   for (Eigen::Index k = 0; k < 2 * count; ++k)
-    U_H_B.row(k) = products.row(U[static_cast<size_t>(k)]);
-  for (Eigen::Index k = 0; k < 2 * count; ++k) U_H_U.col(k) = U_H_B.col(U[static_cast<size_t>(k)]);
+    rows_U.row(k) = products.row(U[static_cast<size_t>(k)]);
+  for (Eigen::Index k = 0; k < 2 * count; ++k)
+    block_UU.col(k) = rows_U.col(U[static_cast<size_t>(k)]);
   const MarginalEstimate better = of(products.middleRows(clusters, functionals) -
-                                     U_H_B.middleCols(clusters, functionals).transpose() *
-                                         (W + U_H_U).partialPivLu().solve(U_H_B));
+                                     rows_U.middleCols(clusters, functionals).transpose() *
+                                         (W + block_UU).partialPivLu().solve(rows_U));
   if (better.covariance.llt().info() == Eigen::Success) result.exact = better;
   return result;
 }
