@@ -130,8 +130,8 @@ void PrintHelp(bool with_others) {
             << "  calibrate_bag rosbag2_folder --pose-topic /rigid_bodies --body drone\n"
             << "  calibrate_bag first.mcap second.mcap --imu-topic /imu0 --imu-topic /imu1\n"
             << "  calibrate_bag --poses take.csv --body drone --imu imu.csv --output drone.yaml\n\n"
-            << "Exit status: 0 calibrated, 1 bad usage or unreadable input, 2 data that cannot be\n"
-            << "calibrated.\n";
+            << "Exit status: 0 calibrated, 1 bad usage or unreadable input, 2 data that cannot\n"
+            << "be calibrated.\n";
 }
 
 void Check(const CommandLine& line) {
