@@ -129,7 +129,7 @@ void PrintHelp(bool with_others) {
             << "  calibrate_bag my.bag --report my.html --export kalibr,ros2\n"
             << "  calibrate_bag rosbag2_folder --pose-topic /rigid_bodies --body drone\n"
             << "  calibrate_bag first.mcap second.mcap --imu-topic /imu0 --imu-topic /imu1\n"
-            << "  calibrate_bag --poses take.csv --body drone --imu imu.csv --output drone.yaml\n\n"
+            << "  calibrate_bag imu.bag --poses take.csv --body drone --output drone.yaml\n\n"
             << "Exit status: 0 calibrated, 1 bad usage or unreadable input, 2 data that cannot\n"
             << "be calibrated.\n";
 }
