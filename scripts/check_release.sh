@@ -79,7 +79,7 @@ check_programs() {
   cd "$SCRATCH"
   for program in "$INSTALL"/lib/imu_pose_calib/*; do
     [[ $program != *.py && $program != */calibrate_node && $program != */replay_bridge ]] || continue  # have none
-    rosrun imu_pose_calib "${program##*/}" --help | grep -q . || fail "$program has no --help"
+    [[ -n $(rosrun imu_pose_calib "${program##*/}" --help) ]] || fail "$program has no --help"
   done
   rosrun imu_pose_calib calibrate_bag "$bag" --config "$SHARE/config/default.yaml" --output sample.yaml \
     --report sample.html --trajectory sample.tum
@@ -113,7 +113,7 @@ check_launch_files() {
   local file
   cd "$SCRATCH"
   for file in "$SHARE"/launch/*.launch; do
-    roslaunch imu_pose_calib "${file##*/}" --ros-args | grep -q . || fail "${file##*/} names no arguments"
+    [[ -n $(roslaunch imu_pose_calib "${file##*/}" --ros-args) ]] || fail "${file##*/} names no arguments"
   done
   ROS_MASTER_URI=http://localhost:$(free_port)
   export ROS_MASTER_URI
@@ -127,13 +127,13 @@ check_launch_files() {
 completed() {
   COMP_WORDS=("$@") COMP_CWORD=$(($# - 1)) COMPREPLY=()
   _imu_pose_calib_rosrun "$1"
-  printf '%s\n' "${COMPREPLY[@]}"
+  echo "${COMPREPLY[*]}"
 }
 
 # setup.bash has sourced it.
 check_completion() {
-  completed rosrun imu_pose_calib calibrate_bag my.bag --trajectory-g | grep -qx -e --trajectory-gaps
-  completed rosrun imu_pose_calib simulate_bag --lid | grep -qx -e --lidar
+  [[ $(completed rosrun imu_pose_calib calibrate_bag my.bag --trajectory-g) == --trajectory-gaps ]]
+  [[ $(completed rosrun imu_pose_calib simulate_bag --lid) == --lidar ]]
 }
 
 # A package of a user: finds this one, includes the headers of the core and of ROS, and links both libraries.
