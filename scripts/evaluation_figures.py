@@ -53,7 +53,10 @@ def error_figure(cells):
     values = [number(label) for label in labels]
     is_line = None not in values and len(values) > 1 and min(values) > 0
     places = values if is_line else list(range(len(labels)))
-    figure, all_axes = plt.subplots(1, 4, figsize=(13, 3.2 if is_line else 3.8))
+    is_wide = len(labels) > 12
+    figure, all_axes = plt.subplots(2 if is_wide else 1, 2 if is_wide else 4, sharex=True,
+                                    figsize=(13, 6.5 if is_wide else 3.2))
+    all_axes = all_axes.ravel()
     for axes, (quantity, unit) in zip(all_axes, QUANTITIES):
         def series(method, column):
             found = {row['cell']: float(row[column] or 'nan') for row in cells if row['method'] == method}
@@ -75,7 +78,10 @@ def error_figure(cells):
         else:
             axes.set_xticks(places)
             axes.set_xticklabels([label.replace(';', ', ') for label in labels], rotation=90)
-    all_axes[0].legend()
+    for axes in all_axes[-2:] if is_wide else all_axes:
+        axes.set_xlabel(cells[0]['experiment'].replace('_', ' '))
+    handles, names = all_axes[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc='upper center', ncol=len(names), frameon=False, bbox_to_anchor=(0.5, 1.03))
     return figure
 
 

@@ -57,6 +57,15 @@ TEST_F(TaskRunnerTest, RunsAgainWhatFollowsFromSomethingElse) {
   EXPECT_EQ(Marks("a"), 2u);
 }
 
+TEST_F(TaskRunnerTest, AFileThatWasReplacedIsAnother) {
+  const std::string path = Path("x.bag");
+  Write("x.bag", "some");
+  const std::string before = DescribeFile(path);
+  EXPECT_EQ(DescribeFile(path), before);
+  Write("x.bag", "other");
+  EXPECT_NE(DescribeFile(path), before);
+}
+
 TEST_F(TaskRunnerTest, EveryTaskIsInOnePart) {
   std::vector<Task> tasks;
   for (const char* name : {"a", "b", "c", "d", "e"}) tasks.push_back(Marked(name));
@@ -287,6 +296,23 @@ TEST_F(EvaluateTest, RefusesWhatItCannotDo) {
   expect("--chain '0 0 0 0 0 0 1' --simulate", {"--chain takes two transforms"});
 }
 
+/// A guess does not matter: errors are against what the same 20 s say without one.
+TEST_F(EvaluateTest, GuessesOnABagEndInTheResultWithoutOne) {
+  ASSERT_EQ(Run("simulate_bag", "A.bag --duration 25 --seed 5").status, 0);
+  const Outcome outcome =
+      Run("evaluate", "--bag A.bag --experiments guess --trials 1 --quiet --out guess");
+  ASSERT_EQ(outcome.status, 0) << outcome.err;
+  EXPECT_TRUE(
+      std::filesystem::exists(Path("guess/trials/reference/sample/duration_20/joint.yaml")));
+  const std::string cells = ReadText(Path("guess/cells.csv"));
+  for (const char* method : {"gp", "joint"}) {
+    EXPECT_TRUE(Contains(cells, std::string("guess,sample,\"none\",") + method + ",1,1,1,0,0,0,0,"))
+        << cells;
+    EXPECT_TRUE(Contains(cells, std::string("guess,sample,\"wrong\",") + method + ",6,6,6,"))
+        << cells;
+  }
+}
+
 TEST_F(EvaluateTest, ComparesBagsOfOneRigAndWithAChain) {
   ASSERT_EQ(Run("simulate_bag", "A.bag --duration 15 --seed 5").status, 0);
   ASSERT_EQ(Run("simulate_bag", "B.bag --duration 15 --seed 6").status, 0);
@@ -378,6 +404,19 @@ TEST_F(EvaluateTest, AuditsWhatADatasetPublishes) {
   ASSERT_TRUE(found[0].published_T_MI);
   EXPECT_EQ(found[0].published_T_MI->p.norm(), 0.0);
   EXPECT_FALSE(FindDataset("broad", Path("data"), {})[0].published_T_MI);
+}
+
+TEST_F(EvaluateTest, ADatasetMayBeBags) {
+  std::filesystem::create_directories(dir_ / "data/rooms");
+  Write("data/rooms/room1.bag", "");
+  const std::vector<Sequence> bags = FindDataset("tum-vi", Path("data"), {});
+  ASSERT_EQ(bags.size(), 1u);
+  EXPECT_EQ(bags[0].name, "rooms/room1");
+  EXPECT_EQ(bags[0].group, "rooms/bags");
+  EXPECT_EQ(bags[0].request.bag.imu_topic, "/imu0");
+  OfflineRequest chosen;
+  chosen.bag.imu_topic = "/imu1";
+  EXPECT_EQ(FindDataset("euroc", Path("data"), chosen)[0].request.bag.imu_topic, "/imu1");
 }
 
 }  // namespace

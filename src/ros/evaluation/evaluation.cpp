@@ -135,7 +135,11 @@ class Evaluation {
 
   Plan MakePlan(const Experiment& experiment, Base base) const {
     Plan plan{experiment, base, {}, {}, {}};
-    plan.experiment.base.source = request_.bag;
+    Source source = request_.bag;
+    const double enough = experiment.base.source.duration_s;
+    if (enough > 0.0 && (source.duration_s == 0.0 || source.duration_s > enough))
+      source.duration_s = enough;
+    plan.experiment.base.source = source;
     if (experiment.is_compared && base == Base::kBag) plan.experiment.axes = {Recordings()};
     plan.cells = Cells(plan.experiment);
     for (const Cell& cell : plan.cells) {
@@ -151,34 +155,42 @@ class Evaluation {
               const bool is_bag = what.base == Base::kBag;
               return ToYaml(RunTrial(what,
                                      is_bag ? bags_->Get(what.source) : kNoBag,
-                                     needs_reference ? Reference(what.method) : TrialOutcome()));
+                                     needs_reference ? Reference(what) : TrialOutcome()));
             }};
   }
 
-  /// The bag as it is.
-  Task ReferenceTask(Method method) const {
+  /// The bag of a trial as it is.
+  Task ReferenceTask(Method method, const Source& source) const {
     Trial trial;
-    trial.name = std::string("reference/sample/") + ToString(method);
+    trial.name = Format("reference/sample/duration_%g/%s", source.duration_s, ToString(method));
     trial.what.base = Base::kBag;
     trial.what.method = method;
-    trial.what.source = request_.bag;
+    trial.what.source = source;
     return ToTask(trial, false);
   }
 
   std::vector<Task> References() const {
-    for (const Plan& plan : plans_)
-      if (plan.base == Base::kBag && !plan.experiment.is_compared)
-        return {ReferenceTask(Method::kGp), ReferenceTask(Method::kJoint)};
-    return {};
+    std::map<std::string, Task> references;
+    for (const Plan& plan : plans_) {
+      if (plan.base != Base::kBag || plan.experiment.is_compared) continue;
+      for (const Method method : {Method::kGp, Method::kJoint}) {
+        const Task task = ReferenceTask(method, plan.experiment.base.source);
+        references.emplace(task.name, task);
+      }
+    }
+    std::vector<Task> tasks;
+    for (const auto& [name, task] : references) tasks.push_back(task);
+    return tasks;
   }
 
-  TrialOutcome Reference(Method method) const {
-    const auto text = StoredResult(request_.runner.folder, ReferenceTask(method));
+  TrialOutcome Reference(const Case& trial) const {
+    const auto text =
+        StoredResult(request_.runner.folder, ReferenceTask(trial.method, trial.source));
     TrialOutcome outcome;
     if (text) outcome = ParseOutcome(*text);
     if (!outcome.IsUsable())
       throw InputError("the bag '" + request_.bag.path + "' cannot be evaluated with " +
-                       ToString(method) + ": " + outcome.reason);
+                       ToString(trial.method) + ": " + outcome.reason);
     return outcome;
   }
 
@@ -218,7 +230,7 @@ class Evaluation {
             ParseOutcome(StoredResult(request_.runner.folder, ToTask(trial, false)).value());
         TrialOutcome truth = outcome;
         if (plan.base == Base::kBag && !plan.experiment.is_compared) {
-          const TrialOutcome reference = Reference(trial.what.method);
+          const TrialOutcome reference = Reference(trial.what);
           truth.true_T_MI = reference.T_MI;
           truth.true_time_shift = reference.time_shift;
           truth.true_accel_delay = reference.accel_delay;
@@ -244,16 +256,19 @@ class Evaluation {
       return std::any_of(
           plans_.begin(), plans_.end(), [base](const Plan& plan) { return plan.base == base; });
     };
+    const std::string used =
+        request_.bag.duration_s > 0.0 ? Format("%g s", request_.bag.duration_s) : "all";
     if (has(Base::kBag))
       text += Format(
-          "**sample**: %s, %g s from %g s on. Noise is added to what was recorded, and errors are "
+          "**sample**: %s, %s from %g s on. Noise is added to what was recorded, and errors are "
           "those against what the same method says of the recording as it is, as in the paper.\n\n",
           std::filesystem::path(request_.bag.path).filename().c_str(),
-          request_.bag.duration_s,
+          used.c_str(),
           request_.bag.start_s);
     if (has(Base::kSimulation))
       text +=
-          "**simulation**: errors are those against the truth, another motion in every trial. "
+          "**simulation**: errors are those against the truth, another motion in every trial; "
+          "recordings of 40 s in the tables of the paper, of 20 s where nothing else is said. "
           "*bound* is the Cramér-Rao bound for what `joint` estimates, of which it knows as much "
           "as its priors say; cells.csv also has it with all else known (*least*). chi² is the "
           "error squared by the covariance that is reported, over its 8 degrees of freedom, *of "

@@ -27,19 +27,12 @@ std::vector<std::string> Inputs(const OfflineRequest& request) {
   return paths;
 }
 
-/// All that the result follows from, on one line: a file by its size and time.
+/// All that the result follows from, on one line.
 std::string Describe(const OfflineRequest& request) {
   std::string text = kVersion + (" " + request.method) + " " + request.bag.imu_topic + " " +
                      request.bag.pose_topic + " " + request.bag.tf_parent + " " +
                      request.bag.tf_child;
-  for (const std::string& path : Inputs(request)) {
-    std::error_code ignored;
-    const auto time = fs::last_write_time(path, ignored).time_since_epoch().count();
-    text += Format("; %s %ju %lld",
-                   path.c_str(),
-                   static_cast<uintmax_t>(fs::file_size(path, ignored)),
-                   static_cast<long long>(time));
-  }
+  for (const std::string& path : Inputs(request)) text += "; " + DescribeFile(path);
   return boost::replace_all_copy(text, "\n", " ");
 }
 

@@ -207,6 +207,15 @@ class Children {
 
 }  // namespace
 
+std::string DescribeFile(const std::string& path) {
+  std::error_code ignored;
+  return Format("%s (%ju bytes of %lld)",
+                path.c_str(),
+                static_cast<uintmax_t>(std::filesystem::file_size(path, ignored)),
+                static_cast<long long>(
+                    std::filesystem::last_write_time(path, ignored).time_since_epoch().count()));
+}
+
 std::optional<std::string> StoredResult(const std::string& folder, const Task& task) {
   std::ifstream in(ResultPath(folder, task));
   std::string description;

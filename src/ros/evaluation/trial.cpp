@@ -164,7 +164,7 @@ std::string Describe(const Case& trial) {
   text.precision(10);
   text << kVersion << " " << ToString(trial.method) << " trial " << trial.index;
   if (trial.base == Base::kBag) {
-    text << " " << trial.source.path << " from " << trial.source.start_s << " for "
+    text << " " << DescribeFile(trial.source.path) << " from " << trial.source.start_s << " for "
          << trial.source.duration_s;
   } else {
     SimulatorOptions s = trial.simulator;

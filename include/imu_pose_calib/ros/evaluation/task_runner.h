@@ -14,6 +14,9 @@ struct Task {
   std::function<std::string()> run;
 };
 
+/// A file that a result follows from, with its size and time of change.
+std::string DescribeFile(const std::string& path);
+
 struct RunnerOptions {
   std::string folder;           ///< of the results
   int jobs = 1;                 ///< tasks at a time
