@@ -45,14 +45,14 @@ TEST_F(TaskRunnerTest, KeepsWhatIsDone) {
   RunTasks(tasks, Options());
   EXPECT_EQ(Marks("a"), 1u);
   EXPECT_EQ(Marks("b"), 1u);
-  EXPECT_EQ(StoredResult(dir_, tasks[0]), "result of a\n");
+  EXPECT_EQ(FinishedTask(dir_, tasks[0]), "result of a\n");
   EXPECT_EQ(LoadUsage(dir_).size(), 2u);
 }
 
 TEST_F(TaskRunnerTest, RunsAgainWhatFollowsFromSomethingElse) {
   RunTasks({Marked("a")}, Options());
   const Task changed = Marked("a", "otherwise");
-  EXPECT_FALSE(StoredResult(dir_, changed));
+  EXPECT_FALSE(FinishedTask(dir_, changed));
   RunTasks({changed}, Options());
   EXPECT_EQ(Marks("a"), 2u);
 }
@@ -84,16 +84,16 @@ TEST_F(TaskRunnerTest, ATaskThatDiesOrThrowsFailsAlone) {
   const Task throws{"throws", "", []() -> std::string { throw std::logic_error("no luck"); }};
   const Task works = Marked("works");
   RunTasks({dies, throws, works}, Options());
-  EXPECT_EQ(StoredResult(dir_, dies), "failed: it died or took too long\n");
-  EXPECT_EQ(StoredResult(dir_, throws), "failed: no luck\n");
-  EXPECT_TRUE(StoredResult(dir_, works));
-  EXPECT_EQ(ParseOutcome(*StoredResult(dir_, throws)).verdict, "failed");
+  EXPECT_EQ(FinishedTask(dir_, dies), "failed: it died or took too long\n");
+  EXPECT_EQ(FinishedTask(dir_, throws), "failed: no luck\n");
+  EXPECT_TRUE(FinishedTask(dir_, works));
+  EXPECT_EQ(ParseOutcome(*FinishedTask(dir_, throws)).verdict, "failed");
 }
 
 TEST_F(TaskRunnerTest, AnInputErrorEndsIt) {
   const Task wrong{"wrong", "", []() -> std::string { throw InputError("no such bag"); }};
   ExpectError<InputError>([&] { RunTasks({wrong}, Options()); }, {"no such bag"});
-  EXPECT_FALSE(StoredResult(dir_, wrong));
+  EXPECT_FALSE(FinishedTask(dir_, wrong));
 }
 
 // --- Trials ---

@@ -79,9 +79,9 @@ class Evaluation {
     }
     size_t missing = 0;
     for (const Task& task : tasks)
-      if (!StoredResult(request_.runner.folder, task)) ++missing;
+      if (!FinishedTask(request_.runner.folder, task)) ++missing;
     for (const Task& task : references)
-      if (!StoredResult(request_.runner.folder, task)) ++missing;
+      if (!FinishedTask(request_.runner.folder, task)) ++missing;
     if (missing > 0 && request_.is_merge)
       throw InputError(Format("%zu of %zu trials are missing in '%s'; run them, and merge again",
                               missing,
@@ -185,7 +185,7 @@ class Evaluation {
 
   TrialOutcome Reference(const Case& trial) const {
     const auto text =
-        StoredResult(request_.runner.folder, ReferenceTask(trial.method, trial.source));
+        FinishedTask(request_.runner.folder, ReferenceTask(trial.method, trial.source));
     TrialOutcome outcome;
     if (text) outcome = ParseOutcome(*text);
     if (!outcome.IsUsable())
@@ -207,7 +207,7 @@ class Evaluation {
   /// Once, before the processes of the trials begin.
   void ReadBags(const std::vector<Task>& references, const std::vector<Task>& tasks) const {
     const auto is_missing = [&](const Task& task) {
-      return !StoredResult(request_.runner.folder, task);
+      return !FinishedTask(request_.runner.folder, task);
     };
     if (std::none_of(references.begin(), references.end(), is_missing) &&
         std::none_of(tasks.begin(), tasks.end(), is_missing))
@@ -227,7 +227,7 @@ class Evaluation {
       CellOutcomes cell;
       for (const Trial& trial : trials) {
         const TrialOutcome outcome =
-            ParseOutcome(StoredResult(request_.runner.folder, ToTask(trial, false)).value());
+            ParseOutcome(FinishedTask(request_.runner.folder, ToTask(trial, false)).value());
         TrialOutcome truth = outcome;
         if (plan.base == Base::kBag && !plan.experiment.is_compared) {
           const TrialOutcome reference = Reference(trial.what);

@@ -112,7 +112,8 @@ std::string Csv(const std::vector<Sequence>& sequences, const std::vector<TrialO
     numbers << o.T_MI.p, std.head<3>(), o.T_MI.q.coeffs(), std.tail<3>(), o.time_shift,
         o.time_shift_std, o.accel_delay, o.accel_delay_std;
     text += "\"" + sequences[i].name + "\"," + o.verdict;
-    for (const double number : numbers) text += o.IsUsable() ? "," + YamlNumber(number) : ",";
+    for (Eigen::Index k = 0; k < numbers.size(); ++k)
+      text += o.IsUsable() ? "," + YamlNumber(numbers[k]) : ",";
     text += Format(",%zu,\"", o.warnings) + boost::replace_all_copy(o.reason, "\"", "'") + "\"\n";
   }
   return text;
@@ -146,8 +147,8 @@ std::string ScatterTable(const std::vector<Comparable>& calibrations) {
     const bool is_angle = scatter.quantity == ComparedQuantity::kRotation;
     const auto list = [&](const Eigen::VectorXd& values) {
       std::vector<std::string> words;
-      for (const double value : values)
-        words.push_back(Format("%.3f", value * (is_angle ? kDegrees : 1e3)));
+      for (Eigen::Index k = 0; k < values.size(); ++k)
+        words.push_back(Format("%.3f", values[k] * (is_angle ? kDegrees : 1e3)));
       return boost::join(words, ", ");
     };
     const char* unit = is_angle                                             ? "deg"
@@ -233,7 +234,7 @@ SequencesOutcome RunSequences(const std::vector<Sequence>& sequences,
   SequencesOutcome result;
   std::vector<TrialOutcome> outcomes;
   for (size_t i = 0; i < tasks.size(); ++i) {
-    const auto text = StoredResult(runner.folder, tasks[i]);
+    const auto text = FinishedTask(runner.folder, tasks[i]);
     if (!text) {
       ++result.missing;
       continue;

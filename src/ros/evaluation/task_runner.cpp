@@ -216,7 +216,7 @@ std::string DescribeFile(const std::string& path) {
                     std::filesystem::last_write_time(path, ignored).time_since_epoch().count()));
 }
 
-std::optional<std::string> StoredResult(const std::string& folder, const Task& task) {
+std::optional<std::string> FinishedTask(const std::string& folder, const Task& task) {
   std::ifstream in(ResultPath(folder, task));
   std::string description;
   if (!std::getline(in, description) || description != "# " + task.description) return std::nullopt;
@@ -228,7 +228,7 @@ std::optional<std::string> StoredResult(const std::string& folder, const Task& t
 void RunTasks(const std::vector<Task>& tasks, const RunnerOptions& options) {
   std::vector<const Task*> missing;
   for (size_t i = options.part; i < tasks.size(); i += options.parts)
-    if (!StoredResult(options.folder, tasks[i])) missing.push_back(&tasks[i]);
+    if (!FinishedTask(options.folder, tasks[i])) missing.push_back(&tasks[i]);
   ProgressBar progress(options, missing.size());
   Children children(options, missing);
   for (size_t begun = 0, done = 0; done < missing.size(); ++done) {

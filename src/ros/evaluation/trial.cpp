@@ -119,7 +119,8 @@ void Judge(const Calibration& result, const Errors& errors, TrialOutcome* outcom
 
 std::string List(const Eigen::VectorXd& values) {
   std::string text;
-  for (const double value : values) text += (text.empty() ? "" : ", ") + YamlNumber(value);
+  for (Eigen::Index k = 0; k < values.size(); ++k)
+    text += (text.empty() ? "" : ", ") + YamlNumber(values[k]);
   return "[" + text + "]";
 }
 

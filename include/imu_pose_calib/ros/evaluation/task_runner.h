@@ -26,7 +26,7 @@ struct RunnerOptions {
 };
 
 /// The result of a task that has run, unless something that it follows from has changed since.
-std::optional<std::string> StoredResult(const std::string& folder, const Task& task);
+std::optional<std::string> FinishedTask(const std::string& folder, const Task& task);
 
 /// Runs those tasks of the part that have no stored result, each in a process of its own, which may
 /// die or take too long: its result is then kFailed and the reason. A result is there as a whole or
