@@ -82,12 +82,14 @@ void WaitUntilAllSaw(const ros::Publisher& publisher, uint32_t subscribers) {
   ros::WallDuration(0.5).sleep();
 }
 
-/// What was asked for after a reset is never answered with what was solved before it.
+/// What is asked for after a reset is never answered with what was solved before it, whether that
+/// has ended by then or not: test_live_solver has each.
 TEST(LiveNode, DoesNotAnswerWithASolveFromBeforeTheReset) {
   Rig rig("stale");
   Node node("stale", Concatenate(rig.parameters, {"_min_duration:=40"}));
   rig.Publish(Simulate(Handheld(60.0)));
-  ASSERT_TRUE(WaitFor([&] { return node.status.solve_time > 0.0; }, kShort)) << node.status;
+  ASSERT_TRUE(WaitFor([&] { return node.status.solve_time > 0.0 || node.result; }, kShort))
+      << node.status;
   EXPECT_TRUE(node.Call("reset").success);
 
   SimulatorOptions at_rest = Handheld(5.0);
@@ -97,10 +99,8 @@ TEST(LiveNode, DoesNotAnswerWithASolveFromBeforeTheReset) {
   ASSERT_TRUE(
       WaitFor([&] { return node.status.buffered > 4.0 && node.status.buffered < 6.0; }, kShort))
       << node.status;
-  ASSERT_GT(node.status.solve_time, 0.0) << "the solve was too fast for this test";
   const auto calibrated = node.Call("calibrate");
   EXPECT_FALSE(calibrated.success) << calibrated;
-  EXPECT_FALSE(node.result);
 }
 
 /// As sensor_msgs/Imu has it, and as bags are read.
