@@ -115,10 +115,7 @@ class Integrator {
     const ImuEstimate& rig = solution.estimate.imus[imu];
     inverse_M_g_ = GyroMatrix(rig.gyro_intrinsics).inverse();
     inverse_M_a_ = AccelMatrix(rig.accel_intrinsics).inverse();
-    ceres::Problem problem;
-    problem.AddParameterBlock(g_W_.data(), 3);
-    SetSphere(g_W_.data(), &problem);
-    gravity_basis_ = PlusJacobian(problem, g_W_.data());
+    gravity_basis_ = PlusJacobian(BlockKind::kSphere, 3, g_W_.data());
   }
 
   /// From recorded values less biases.

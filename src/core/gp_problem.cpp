@@ -1,7 +1,5 @@
 #include "imu_pose_calib/core/gp_problem.h"
 
-#include <ceres/loss_function.h>
-
 #include <cmath>
 
 #include "imu_pose_calib/core/residuals.h"
@@ -34,15 +32,16 @@ void AddGyro(size_t session, size_t imu, LeastSquares* gp) {
     const double sigma = std::sqrt(noise * noise + shared * variance);
     const auto [k, u] = clock.gyro_bias.Locate(s.t);
     const GyroResidual residual{&trajectory, s.t, s.value, u, sigma};
-    sensor->Add(gp->problem.AddResidualBlock(residual.Create(),
-                                             new ceres::CauchyLoss(gp->options.robust_loss_scale),
-                                             gp->estimate->imus[imu].q_MI.coeffs().data(),
-                                             clock.gyro_bias.values[k].data(),
-                                             clock.gyro_bias.values[k + 1].data(),
-                                             &clock.time_shift),
-                {{i, t_M, sigma, variance}});
+    sensor->samples.push_back({i, t_M, sigma, variance});
+    sensor->Add(gp->problem.AddResiduals(residual.Create(),
+                                         {gp->estimate->imus[imu].q_MI.coeffs().data(),
+                                          clock.gyro_bias.values[k].data(),
+                                          clock.gyro_bias.values[k + 1].data(),
+                                          &clock.time_shift},
+                                         gp->options.robust_loss_scale),
+                t_M);
   }
-  if (sensor->blocks.empty()) throw DataError("no gyroscope sample falls on the trajectory");
+  if (sensor->samples.empty()) throw DataError("no gyroscope sample falls on the trajectory");
 }
 
 void AddAccel(size_t session, size_t imu, LeastSquares* gp) {
@@ -70,18 +69,19 @@ void AddAccel(size_t session, size_t imu, LeastSquares* gp) {
     gp->feigned_information[imu] += lever / (sigma * sigma);
     const auto [k, u] = clock.accel_bias.Locate(s.t);
     const AccelResidual residual{&trajectory, s.t, s.value, u, sigma};
-    sensor->Add(gp->problem.AddResidualBlock(residual.Create(),
-                                             new ceres::CauchyLoss(gp->options.robust_loss_scale),
-                                             rig.q_MI.coeffs().data(),
-                                             rig.p_MI.data(),
-                                             gp->estimate->sessions[session].g_W.data(),
-                                             clock.accel_bias.values[k].data(),
-                                             clock.accel_bias.values[k + 1].data(),
-                                             &clock.time_shift,
-                                             &rig.accel_delay),
-                {{i, t_M, sigma, variance}});
+    sensor->samples.push_back({i, t_M, sigma, variance});
+    sensor->Add(gp->problem.AddResiduals(residual.Create(),
+                                         {rig.q_MI.coeffs().data(),
+                                          rig.p_MI.data(),
+                                          gp->estimate->sessions[session].g_W.data(),
+                                          clock.accel_bias.values[k].data(),
+                                          clock.accel_bias.values[k + 1].data(),
+                                          &clock.time_shift,
+                                          &rig.accel_delay},
+                                         gp->options.robust_loss_scale),
+                t_M);
   }
-  if (sensor->blocks.empty()) throw DataError("no accelerometer sample falls on the trajectory");
+  if (sensor->samples.empty()) throw DataError("no accelerometer sample falls on the trajectory");
 }
 
 }  // namespace

@@ -2,11 +2,12 @@
 
 #include <algorithm>
 #include <cmath>
-#include <optional>
+#include <initializer_list>
 #include <utility>
 
 #include "imu_pose_calib/core/joint_noise.h"
 #include "imu_pose_calib/core/joint_residuals.h"
+#include "imu_pose_calib/core/parallel.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -25,6 +26,8 @@ constexpr double kAlignmentPrior = M_PI / 360.0;  // [rad] their other elements:
 constexpr double kSizePrior = 3e-3;               // [m] places of the accelerometer's axes
 
 constexpr double kCurvatureStep = 0.01;  // [s] of differences
+/// Samples that a thread takes at a time.
+constexpr size_t kPortion = 256;
 
 /// Of the elements of a matrix in rows, or of its lower triangle.
 Eigen::VectorXd IntrinsicsPrior(bool is_triangle) {
@@ -35,47 +38,81 @@ Eigen::VectorXd IntrinsicsPrior(bool is_triangle) {
   return Eigen::Map<Eigen::VectorXd>(sigmas.data(), static_cast<Eigen::Index>(sigmas.size()));
 }
 
+/// make(i, &sample) for i = 0 .. count - 1 on all threads; keeps the samples for which it is true,
+/// in order, and returns their i.
+template <typename Sample, typename Make>
+std::vector<size_t> Collect(int threads,
+                            size_t count,
+                            std::vector<Sample>* samples,
+                            const Make& make) {
+  samples->resize(count);
+  std::vector<char> is_kept(count);
+  InParallel(threads, (count + kPortion - 1) / kPortion, [&](size_t p) {
+    for (size_t i = p * kPortion; i < std::min(count, (p + 1) * kPortion); ++i)
+      is_kept[i] = make(i, &(*samples)[i]) ? 1 : 0;
+  });
+  std::vector<size_t> kept;
+  for (size_t i = 0; i < count; ++i) {
+    if (is_kept[i] == 0) continue;
+    (*samples)[kept.size()] = (*samples)[i];
+    kept.push_back(i);
+  }
+  samples->resize(kept.size());
+  samples->shrink_to_fit();
+  return kept;
+}
+
+/// Calls add(begin, end) for runs of `count` samples of which all are like the first.
+template <typename IsLike, typename Add>
+void ForRuns(size_t count, const IsLike& is_like, const Add& add) {
+  for (size_t begin = 0, end = 0; begin < count; begin = end) {
+    while (end < count && is_like(begin, end)) ++end;
+    add(begin, end);
+  }
+}
+
 /// Adds the residual blocks of one session.
 class SessionBuilder {
  public:
-  SessionBuilder(size_t session, CorrectionSplines* splines, LeastSquares* joint);
+  /// `d`, `phi`: blocks of the first control points; the others follow.
+  SessionBuilder(size_t session, int d, int phi, CorrectionSplines* splines, LeastSquares* joint);
 
   void AddPoses();
   void AddGyro(size_t imu);
   void AddAccel(size_t imu);
 
  private:
-  /// A parameter of the clocks with how samples move with it.
-  struct Clock {
-    double* parameter;
-    ClockMotion motion;
+  /// Clocks, as blocks of parameters and how samples move with them.
+  struct Clocks {
+    std::vector<int> blocks;
+    ClockMotions motions;
   };
   /// How the samples of an IMU's sensor move along the trajectory, of which the splines go along
   /// with the accelerometer of the reference IMU; of poses when `imu` is null.
-  std::vector<Clock> Clocks(const size_t* imu, bool is_accel);
+  Clocks FindClocks(const size_t* imu, bool is_accel);
   /// IMU samples of stamp t at the instant t - delay: consecutive ones that share a span and a pair
-  /// of bias knots are handed to `create(batch, jerks, control points' index, knot)`, which returns
-  /// their block.
-  template <typename Create>
+  /// of bias knots are handed to `add(samples, control points' index, block of the first bias
+  /// knot)`, which returns their block. `complete(t_M, &sample)` does what is of the sensor.
+  template <typename Sample, typename Complete, typename Add>
   void AddImu(size_t imu,
               Quantity quantity,
-              const std::vector<TimedSample>& samples,
+              const std::vector<TimedSample>& data,
               double delay,
-              bool with_jerks,
-              const BiasKnots& knots,
-              const Create& create);
-  /// The trajectory at t [s]; nothing when it is not on a spline.
-  std::optional<TrajectoryPoint> PointAt(double t, MarkerJerk* jerk = nullptr) const;
+              BiasKnots* knots,
+              const Complete& complete,
+              const Add& add);
+  /// The trajectory at t [s]; false when it is not on a spline.
+  bool FindPoint(double t, TrajectoryPoint* point, MarkerState<double>* rate = nullptr) const;
   /// f_M'' of the GP at t [s], where it moves as `middle`; [m/s^4], components in M.
   Eigen::Vector3d ForceCurvature(const MarkerState<double>& middle,
                                  double t,
                                  const Eigen::Vector3d& p_MI) const;
-  std::vector<double*> ControlPoints(std::vector<Eigen::Vector3d>* spline, size_t first) const;
   double ReferenceTime(double t_M) const {
     return reference_.ImuTime(t_M) - reference_.clock_reference;
   }
 
   const size_t session_;
+  const int d_, phi_;
   CorrectionSplines* const splines_;
   LeastSquares* const joint_;
   const PreparedSession& prepared_;
@@ -84,8 +121,14 @@ class SessionBuilder {
   ImuSessionEstimate& reference_;  ///< clock of the first IMU
 };
 
-SessionBuilder::SessionBuilder(size_t session, CorrectionSplines* splines, LeastSquares* joint)
+SessionBuilder::SessionBuilder(size_t session,
+                               int d,
+                               int phi,
+                               CorrectionSplines* splines,
+                               LeastSquares* joint)
     : session_(session),
+      d_(d),
+      phi_(phi),
       splines_(splines),
       joint_(joint),
       prepared_(joint->sessions[session]),
@@ -93,15 +136,11 @@ SessionBuilder::SessionBuilder(size_t session, CorrectionSplines* splines, Least
       first_imu_(estimate_.FirstImu()),
       reference_(estimate_.imus[first_imu_]) {}
 
-std::optional<TrajectoryPoint> SessionBuilder::PointAt(double t, MarkerJerk* jerk) const {
-  TrajectoryPoint point;
-  MarkerState<double> rate;
+bool SessionBuilder::FindPoint(double t, TrajectoryPoint* point, MarkerState<double>* rate) const {
   const auto place = splines_->Locate(t);
-  if (!place || !prepared_.trajectory->Evaluate(t, &point.gp, jerk == nullptr ? nullptr : &rate))
-    return std::nullopt;
-  if (jerk != nullptr) *jerk = {rate.alpha_M, rate.a_W};
-  point.place = *place;
-  return point;
+  if (!place || !prepared_.trajectory->Evaluate(t, &point->gp, rate)) return false;
+  point->place = *place;
+  return true;
 }
 
 Eigen::Vector3d SessionBuilder::ForceCurvature(const MarkerState<double>& middle,
@@ -117,17 +156,12 @@ Eigen::Vector3d SessionBuilder::ForceCurvature(const MarkerState<double>& middle
   return (force(before) - 2.0 * force(middle) + force(after)) / (kCurvatureStep * kCurvatureStep);
 }
 
-std::vector<double*> SessionBuilder::ControlPoints(std::vector<Eigen::Vector3d>* spline,
-                                                   size_t first) const {
-  std::vector<double*> blocks;
-  for (size_t j = first; j < first + kSplineOrder; ++j) blocks.push_back((*spline)[j].data());
-  return blocks;
-}
-
-std::vector<SessionBuilder::Clock> SessionBuilder::Clocks(const size_t* imu, bool is_accel) {
-  std::vector<Clock> clocks;
+SessionBuilder::Clocks SessionBuilder::FindClocks(const size_t* imu, bool is_accel) {
+  std::vector<int> blocks;
+  std::vector<ClockMotion> motions;
   const auto add = [&](double* parameter, double on_gp, double on_spline, auto factor) {
-    clocks.push_back({parameter, {*parameter, on_gp, on_spline, factor}});
+    blocks.push_back(joint_->problem.Find(parameter));
+    motions.push_back({*parameter, on_gp, on_spline, factor});
   };
   // On the GP a sample of the IMU moves as its own clocks do; on the splines, unless they stay with
   // the poses, by what that exceeds the move of the reference accelerometer.
@@ -139,181 +173,181 @@ std::vector<SessionBuilder::Clock> SessionBuilder::Clocks(const size_t* imu, boo
   }
   if (!is_with_poses && (!is_reference || !is_accel))
     add(&joint_->estimate->imus[first_imu_].accel_delay, 0.0, 1.0, ClockMotion::kOne);
-  if (imu == nullptr) return clocks;
-  const double on_spline = is_reference ? 0.0 : 1.0;
-  add(&estimate_.imus[*imu].time_shift, 1.0, on_spline, ClockMotion::kOne);
-  add(&estimate_.imus[*imu].clock_drift, 1.0, on_spline, ClockMotion::kOwnTime);
-  if (is_accel) add(&joint_->estimate->imus[*imu].accel_delay, -1.0, -on_spline, ClockMotion::kOne);
-  return clocks;
+  if (imu != nullptr) {
+    const double on_spline = is_reference ? 0.0 : 1.0;
+    add(&estimate_.imus[*imu].time_shift, 1.0, on_spline, ClockMotion::kOne);
+    add(&estimate_.imus[*imu].clock_drift, 1.0, on_spline, ClockMotion::kOwnTime);
+    if (is_accel)
+      add(&joint_->estimate->imus[*imu].accel_delay, -1.0, -on_spline, ClockMotion::kOne);
+  }
+  return {blocks, std::make_shared<const std::vector<ClockMotion>>(motions)};
 }
 
-/// The motions of clocks, for residuals, and their parameters, for the problem.
-template <typename Clocks>
-std::pair<ClockMotions, std::vector<double*>> Split(const Clocks& clocks) {
-  auto motions = std::make_shared<std::vector<ClockMotion>>();
-  std::vector<double*> parameters;
-  for (const auto& clock : clocks) {
-    motions->push_back(clock.motion);
-    parameters.push_back(clock.parameter);
-  }
-  return {motions, parameters};
+/// The blocks of a residual: those of the control points from the places on, of `shared`, and of
+/// the clocks.
+std::vector<int> Blocks(std::initializer_list<int> splines,
+                        std::initializer_list<int> shared,
+                        const std::vector<int>& clocks) {
+  std::vector<int> blocks;
+  for (const int first : splines)
+    for (int j = 0; j < kSplineOrder; ++j) blocks.push_back(first + j);
+  blocks.insert(blocks.end(), shared);
+  blocks.insert(blocks.end(), clocks.begin(), clocks.end());
+  return blocks;
 }
 
 void SessionBuilder::AddPoses() {
-  const auto [motions, clocks] = Split(Clocks(nullptr, false));
+  const Clocks clocks = FindClocks(nullptr, false);
+  Problem& problem = joint_->problem;
   SensorBlocks* position = joint_->Find(Quantity::kPosition, session_);
   SensorBlocks* rotation = joint_->Find(Quantity::kRotation, session_);
-  std::vector<JointPoseSample> positions, rotations;
-  std::vector<ProblemSample> position_samples, rotation_samples;
-  const auto add_blocks = [&, &motions = motions, &clocks = clocks] {
-    if (positions.empty()) return;
-    const size_t first = positions.front().at.place.first;
-    const auto add = [&](std::vector<Eigen::Vector3d>* spline,
-                         const std::vector<double*>& smoothing,
-                         ceres::CostFunction* residual,
-                         std::vector<ProblemSample>* samples,
-                         SensorBlocks* sensor) {
-      std::vector<double*> blocks = ControlPoints(spline, first);
-      blocks.insert(blocks.end(), smoothing.begin(), smoothing.end());
-      blocks.insert(blocks.end(), clocks.begin(), clocks.end());
-      sensor->Add(joint_->problem.AddResidualBlock(residual, nullptr, blocks), *samples);
-      samples->clear();
-    };
-    Estimate& estimate = *joint_->estimate;
-    add(&splines_->d,
-        {&estimate.pose_smoothing, &estimate.position_smoothing},
-        CreateJointPositionResidual(positions, motions),
-        &position_samples,
-        position);
-    add(&splines_->phi,
-        {&estimate.pose_smoothing},
-        CreateJointRotationResidual(rotations, motions),
-        &rotation_samples,
-        rotation);
-    positions.clear();
-    rotations.clear();
-  };
-  for (size_t i = 0; i < prepared_.data.poses.size(); ++i) {
-    const TimedPose& pose = prepared_.data.poses[i];
-    const auto point = PointAt(pose.t);
-    if (!point) continue;
-    if (!positions.empty() && positions.front().at.place.first != point->place.first) add_blocks();
-    const auto sigma = [i](const SensorBlocks& sensor, double scale) {
-      return sensor.model->noise * scale / std::sqrt(sensor.model->weights[i]);
-    };
-    JointPoseSample sample{
-        *point, pose.q_WM, pose.p_WM, ReferenceTime(pose.t), sigma(*position, pose.position_scale)};
-    positions.push_back(sample);
-    position_samples.push_back(
-        {i, pose.t, sample.sigma, 0.0, pose.position_scale, pose.position_rest});
-    sample.sigma = sigma(*rotation, pose.rotation_scale);
-    rotations.push_back(sample);
-    rotation_samples.push_back(
-        {i, pose.t, sample.sigma, 0.0, pose.rotation_scale, pose.rotation_rest});
+  const std::vector<TimedPose>& poses = prepared_.data.poses;
+  std::vector<JointPoseSample> all;
+  const std::vector<size_t> kept =
+      Collect(joint_->Threads(), poses.size(), &all, [&](size_t i, JointPoseSample* sample) {
+        const TimedPose& pose = poses[i];
+        const auto sigma = [i](const SensorBlocks& sensor, double scale) {
+          return sensor.model->noise * scale / std::sqrt(sensor.model->weights[i]);
+        };
+        sample->q_WM = pose.q_WM;
+        sample->p_WM = pose.p_WM;
+        sample->reference_time = ReferenceTime(pose.t);
+        sample->position_sigma = sigma(*position, pose.position_scale);
+        sample->rotation_sigma = sigma(*rotation, pose.rotation_scale);
+        return FindPoint(pose.t, &sample->at);
+      });
+  for (size_t k = 0; k < kept.size(); ++k) {
+    const TimedPose& pose = poses[kept[k]];
+    position->samples.push_back(
+        {kept[k], pose.t, all[k].position_sigma, 0.0, pose.position_scale, pose.position_rest});
+    rotation->samples.push_back(
+        {kept[k], pose.t, all[k].rotation_sigma, 0.0, pose.rotation_scale, pose.rotation_rest});
   }
-  add_blocks();
+  const size_t count = all.size();
+  const Samples<JointPoseSample> samples(std::move(all));
+  const auto share_span = [&](size_t i, size_t j) {
+    return samples[i].at.place.first == samples[j].at.place.first;
+  };
+  const int pose_smoothing = problem.Find(&joint_->estimate->pose_smoothing);
+  const int position_smoothing = problem.Find(&joint_->estimate->position_smoothing);
+  ForRuns(count, share_span, [&](size_t begin, size_t end) {
+    const auto first = static_cast<int>(samples[begin].at.place.first);
+    position->Add(problem.AddResiduals(
+                      CreateJointPositionResidual(samples.Part(begin, end), clocks.motions),
+                      Blocks({d_ + first}, {pose_smoothing, position_smoothing}, clocks.blocks)),
+                  position->samples[begin].t);
+  });
+  ForRuns(count, share_span, [&](size_t begin, size_t end) {
+    const auto first = static_cast<int>(samples[begin].at.place.first);
+    rotation->Add(
+        problem.AddResiduals(CreateJointRotationResidual(samples.Part(begin, end), clocks.motions),
+                             Blocks({phi_ + first}, {pose_smoothing}, clocks.blocks)),
+        rotation->samples[begin].t);
+  });
 }
 
-template <typename Create>
+template <typename Sample, typename Complete, typename Add>
 void SessionBuilder::AddImu(size_t imu,
                             Quantity quantity,
-                            const std::vector<TimedSample>& samples,
+                            const std::vector<TimedSample>& data,
                             double delay,
-                            bool with_jerks,
-                            const BiasKnots& knots,
-                            const Create& create) {
+                            BiasKnots* knots,
+                            const Complete& complete,
+                            const Add& add) {
   const ImuSessionEstimate& clock = estimate_.imus[imu];
   SensorBlocks* sensor = joint_->Find(quantity, session_, imu);
-  std::vector<JointImuSample> batch;
-  std::vector<MarkerJerk> jerks;
-  std::vector<ProblemSample> batch_samples;
-  size_t knot = 0;
-  ImuEstimate& rig = joint_->estimate->imus[imu];
-  const bool with_curvature =
-      with_jerks && (rig.accel_smoothing != 0.0 ||
-                     !joint_->problem.IsParameterBlockConstant(&rig.accel_smoothing));
-  const auto add_block = [&] {
-    if (batch.empty()) return;
-    const size_t first = batch.front().at.place.first;
-    sensor->Add(create(batch, jerks, first, knot), batch_samples);
-    batch.clear();
-    jerks.clear();
-    batch_samples.clear();
-  };
-  for (size_t i = 0; i < samples.size(); ++i) {
-    const double t_M = clock.PoseTime(samples[i].t - delay);
-    MarkerJerk jerk;
-    const auto point = PointAt(t_M, with_jerks ? &jerk : nullptr);
-    if (!point || !IsOnTrajectory(*prepared_.trajectory, t_M)) continue;
-    if (with_curvature) jerk.f_curvature = ForceCurvature(point->gp, t_M, rig.p_MI);
-    const auto [k, u] = knots.Locate(samples[i].t);
-    if (!batch.empty() && (batch.front().at.place.first != point->place.first || knot != k))
-      add_block();
-    knot = k;
-    const double sigma = sensor->model->noise / std::sqrt(sensor->model->weights[i]);
-    batch.push_back({*point,
-                     samples[i].value,
-                     u,
-                     samples[i].t - delay - clock.clock_reference,
-                     ReferenceTime(t_M),
-                     sigma});
-    if (with_jerks) jerks.push_back(jerk);
-    batch_samples.push_back({i, t_M, sigma, 0.0, 1.0, samples[i].rest});
+  std::vector<Sample> all;
+  std::vector<int> knot(data.size());
+  const std::vector<size_t> kept =
+      Collect(joint_->Threads(), data.size(), &all, [&](size_t i, Sample* sample) {
+        const double t_M = clock.PoseTime(data[i].t - delay);
+        const auto [k, u] = knots->Locate(data[i].t);
+        knot[i] = static_cast<int>(k);
+        sample->value = data[i].value;
+        sample->bias_u = u;
+        sample->own_time = data[i].t - delay - clock.clock_reference;
+        sample->reference_time = ReferenceTime(t_M);
+        sample->sigma = sensor->model->noise / std::sqrt(sensor->model->weights[i]);
+        return complete(t_M, sample) && IsOnTrajectory(*prepared_.trajectory, t_M);
+      });
+  for (size_t k = 0; k < kept.size(); ++k) {
+    const TimedSample& own = data[kept[k]];
+    sensor->samples.push_back(
+        {kept[k], clock.PoseTime(own.t - delay), all[k].sigma, 0.0, 1.0, own.rest});
   }
-  add_block();
+  const size_t count = all.size();
+  const Samples<Sample> samples(std::move(all));
+  int first_knot = -1;  // the others follow
+  for (Eigen::Vector3d& value : knots->values) {
+    const int block = joint_->problem.AddParameters(value.data(), 3);
+    if (first_knot < 0) first_knot = block;
+  }
+  const auto are_alike = [&](size_t i, size_t j) {
+    return samples[i].at.place.first == samples[j].at.place.first && knot[kept[i]] == knot[kept[j]];
+  };
+  ForRuns(count, are_alike, [&](size_t begin, size_t end) {
+    sensor->Add(add(samples.Part(begin, end),
+                    static_cast<int>(samples[begin].at.place.first),
+                    first_knot + knot[kept[begin]]),
+                sensor->samples[begin].t);
+  });
 }
 
 void SessionBuilder::AddGyro(size_t imu) {
-  const auto [motions, clocks] = Split(Clocks(&imu, false));
+  const Clocks clocks = FindClocks(&imu, false);
+  Problem& problem = joint_->problem;
   ImuEstimate& rig = joint_->estimate->imus[imu];
-  BiasKnots& knots = estimate_.imus[imu].gyro_bias;
-  const auto create = [&, &motions = motions, &clocks = clocks](
-                          const std::vector<JointImuSample>& batch,
-                          const std::vector<MarkerJerk>&,
-                          size_t first,
-                          size_t knot) {
-    std::vector<double*> blocks = ControlPoints(&splines_->phi, first);
-    blocks.insert(blocks.end(),
-                  {rig.q_MI.coeffs().data(),
-                   rig.gyro_intrinsics.data(),
-                   knots.values[knot].data(),
-                   knots.values[knot + 1].data()});
-    blocks.insert(blocks.end(), clocks.begin(), clocks.end());
-    return joint_->problem.AddResidualBlock(
-        CreateJointGyroResidual(batch, motions), nullptr, blocks);
-  };
-  AddImu(imu, Quantity::kGyro, prepared_.data.imus[imu].gyro, 0.0, false, knots, create);
+  const int q_MI = problem.Find(rig.q_MI.coeffs().data());
+  const int intrinsics = problem.Find(rig.gyro_intrinsics.data());
+  AddImu<JointImuSample>(
+      imu,
+      Quantity::kGyro,
+      prepared_.data.imus[imu].gyro,
+      0.0,
+      &estimate_.imus[imu].gyro_bias,
+      [&](double t_M, JointImuSample* sample) { return FindPoint(t_M, &sample->at); },
+      [&](const Samples<JointImuSample>& samples, int first, int knot) {
+        return problem.AddResiduals(
+            CreateJointGyroResidual(samples, clocks.motions),
+            Blocks({phi_ + first}, {q_MI, intrinsics, knot, knot + 1}, clocks.blocks));
+      });
 }
 
 void SessionBuilder::AddAccel(size_t imu) {
-  const auto [motions, clocks] = Split(Clocks(&imu, true));
+  const Clocks clocks = FindClocks(&imu, true);
+  Problem& problem = joint_->problem;
   ImuEstimate& rig = joint_->estimate->imus[imu];
-  BiasKnots& knots = estimate_.imus[imu].accel_bias;
   const Eigen::Matrix3d R_MA = rig.q_MI.toRotationMatrix();
-  const auto create = [&, &motions = motions, &clocks = clocks](
-                          const std::vector<JointImuSample>& batch,
-                          const std::vector<MarkerJerk>& jerks,
-                          size_t first,
-                          size_t knot) {
-    std::vector<double*> blocks = ControlPoints(&splines_->d, first);
-    const std::vector<double*> phi = ControlPoints(&splines_->phi, first);
-    blocks.insert(blocks.end(), phi.begin(), phi.end());
-    blocks.insert(blocks.end(),
-                  {rig.q_MI.coeffs().data(),
-                   rig.p_MI.data(),
-                   estimate_.g_W.data(),
-                   rig.accel_intrinsics.data(),
-                   knots.values[knot].data(),
-                   knots.values[knot + 1].data(),
-                   &rig.accel_smoothing,
-                   &joint_->estimate->pose_scale,
-                   rig.accel_positions.data()});
-    blocks.insert(blocks.end(), clocks.begin(), clocks.end());
-    return joint_->problem.AddResidualBlock(
-        CreateJointAccelResidual(batch, jerks, R_MA, motions), nullptr, blocks);
+  const bool with_curvature =
+      rig.accel_smoothing != 0.0 || problem.IsEstimated(&rig.accel_smoothing);
+  const auto complete = [&](double t_M, JointAccelSample* sample) {
+    MarkerState<double> rate;
+    if (!FindPoint(t_M, &sample->at, &rate)) return false;
+    sample->jerk = {rate.alpha_M, rate.a_W};
+    if (with_curvature) sample->jerk.f_curvature = ForceCurvature(sample->at.gp, t_M, rig.p_MI);
+    return true;
   };
-  AddImu(
-      imu, Quantity::kAccel, prepared_.data.imus[imu].accel, rig.accel_delay, true, knots, create);
+  const int q_MI = problem.Find(rig.q_MI.coeffs().data());
+  const int p_MI = problem.Find(rig.p_MI.data());
+  const int g_W = problem.Find(estimate_.g_W.data());
+  const int intrinsics = problem.Find(rig.accel_intrinsics.data());
+  const int smoothing = problem.Find(&rig.accel_smoothing);
+  const int scale = problem.Find(&joint_->estimate->pose_scale);
+  const int positions = problem.Find(rig.accel_positions.data());
+  AddImu<JointAccelSample>(
+      imu,
+      Quantity::kAccel,
+      prepared_.data.imus[imu].accel,
+      rig.accel_delay,
+      &estimate_.imus[imu].accel_bias,
+      complete,
+      [&](const Samples<JointAccelSample>& samples, int first, int knot) {
+        return problem.AddResiduals(
+            CreateJointAccelResidual(samples, R_MA, clocks.motions),
+            Blocks({d_ + first, phi_ + first},
+                   {q_MI, p_MI, g_W, intrinsics, knot, knot + 1, smoothing, scale, positions},
+                   clocks.blocks));
+      });
 }
 
 }  // namespace
@@ -324,14 +358,10 @@ std::unique_ptr<LeastSquares> BuildJointProblem(const CalibrationOptions& option
                                                 Estimate* estimate,
                                                 std::vector<CorrectionSplines>* splines) {
   auto joint = std::make_unique<LeastSquares>(options, sessions, models, estimate);
-  for (CorrectionSplines& own : *splines) {
-    for (auto* points : {&own.d, &own.phi}) {
-      for (Eigen::Vector3d& point : *points) {
-        joint->problem.AddParameterBlock(point.data(), 3);
-        joint->trajectory_blocks.push_back(point.data());
-      }
-    }
-  }
+  for (CorrectionSplines& own : *splines)
+    for (auto* points : {&own.d, &own.phi})
+      for (Eigen::Vector3d& point : *points)
+        joint->trajectory_blocks.push_back(joint->problem.AddParameters(point.data(), 3));
   joint->AddGyroParameters();
   joint->AddAccelParameters();
   const auto one = [](double sigma) { return Eigen::VectorXd::Constant(1, sigma).eval(); };
@@ -350,14 +380,18 @@ std::unique_ptr<LeastSquares> BuildJointProblem(const CalibrationOptions& option
                        kSmoothingPerDelay2 * delay * std::abs(delay),
                        i);
     if (std::abs(delay) <= kLeastFilterDelay)
-      joint->problem.SetParameterBlockConstant(&estimate->imus[i].accel_smoothing);
+      joint->problem.SetHeld(&estimate->imus[i].accel_smoothing, true);
   }
   joint->AddOptional(ParameterKind::kGyroIntrinsics, IntrinsicsPrior(true));
   joint->AddOptional(ParameterKind::kAccelIntrinsics, IntrinsicsPrior(false));
   joint->AddOptional(ParameterKind::kAccelPositions, Eigen::VectorXd::Constant(6, kSizePrior));
   for (size_t s = 0; s < sessions.size(); ++s) {
     (*splines)[s].is_with_poses = DoPosesLead((*splines)[s], s, *joint);
-    SessionBuilder builder(s, &(*splines)[s], joint.get());
+    const auto first = [&](const std::vector<Eigen::Vector3d>& points) {
+      return joint->problem.Find(points.front().data());
+    };
+    SessionBuilder builder(
+        s, first((*splines)[s].d), first((*splines)[s].phi), &(*splines)[s], joint.get());
     builder.AddPoses();
     for (size_t i = 0; i < estimate->imus.size(); ++i) {
       ImuSessionEstimate& imu = estimate->sessions[s].imus[i];
@@ -376,8 +410,7 @@ void HoldCalibration(LeastSquares* joint) {
   for (const Parameter& p : CalibrationParameters(joint->estimate)) {
     const bool is_clock =
         p.kind == ParameterKind::kTimeShift || p.kind == ParameterKind::kClockDrift;
-    if (!is_clock || !joint->options.estimate_clock_drift)
-      joint->problem.SetParameterBlockConstant(p.data);
+    if (!is_clock || !joint->options.estimate_clock_drift) joint->problem.SetHeld(p.data, true);
   }
 }
 

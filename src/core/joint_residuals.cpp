@@ -138,7 +138,7 @@ struct Move {
 template <typename Sample>
 class BatchResidual : public ceres::CostFunction {
  public:
-  BatchResidual(const std::vector<Sample>& samples,
+  BatchResidual(const Samples<Sample>& samples,
                 std::initializer_list<int> other_blocks,
                 int splines,
                 const ClockMotions& clocks)
@@ -195,13 +195,13 @@ class BatchResidual : public ceres::CostFunction {
 
  private:
   const size_t first_clock_;
-  const std::vector<Sample> samples_;
+  const Samples<Sample> samples_;
   const ClockMotions clocks_;
 };
 
 class JointPositionResidual : public BatchResidual<JointPoseSample> {
  public:
-  JointPositionResidual(const std::vector<JointPoseSample>& samples, const ClockMotions& clocks)
+  JointPositionResidual(const Samples<JointPoseSample>& samples, const ClockMotions& clocks)
       : BatchResidual(samples, {1, 1}, 1, clocks) {}
 
  protected:
@@ -217,21 +217,23 @@ class JointPositionResidual : public BatchResidual<JointPoseSample> {
     const MarkerState<double>& gp = s.at.gp;
     const double c = 0.5 * (*blocks[kSplineOrder] + *blocks[kSplineOrder + 1]);
     const Vector3d a_W = gp.a_W + d.col(2);
-    AsVector(residual) = (s.p_WM - gp.p_WM - d.col(0) - c * a_W) / s.sigma;
+    AsVector(residual) = (s.p_WM - gp.p_WM - d.col(0) - c * a_W) / s.position_sigma;
     if (jacobians == nullptr) return true;
     for (int j = 0; j < kSplineOrder; ++j)
-      SetRows<3>(
-          jacobians, j, i, -(weights(0, j) + c * weights(2, j)) / s.sigma * Matrix3d::Identity());
-    SetClockRows(s, i, Vector3d::Zero(), -(d.col(1) + c * d.col(3)) / s.sigma, jacobians);
+      SetRows<3>(jacobians,
+                 j,
+                 i,
+                 -(weights(0, j) + c * weights(2, j)) / s.position_sigma * Matrix3d::Identity());
+    SetClockRows(s, i, Vector3d::Zero(), -(d.col(1) + c * d.col(3)) / s.position_sigma, jacobians);
     for (const int smoothing : {kSplineOrder, kSplineOrder + 1})
-      SetRows<1>(jacobians, smoothing, i, -0.5 / s.sigma * a_W);
+      SetRows<1>(jacobians, smoothing, i, -0.5 / s.position_sigma * a_W);
     return true;
   }
 };
 
 class JointRotationResidual : public BatchResidual<JointPoseSample> {
  public:
-  JointRotationResidual(const std::vector<JointPoseSample>& samples, const ClockMotions& clocks)
+  JointRotationResidual(const Samples<JointPoseSample>& samples, const ClockMotions& clocks)
       : BatchResidual(samples, {1}, 1, clocks) {}
 
  protected:
@@ -250,11 +252,11 @@ class JointRotationResidual : public BatchResidual<JointPoseSample> {
     const Eigen::Quaterniond lag_inv = Exp<double>(-c * alpha);
     const Vector3d error =
         Log(Eigen::Quaterniond(lag_inv * E_inv * s.at.gp.q_WM.conjugate() * s.q_WM));
-    AsVector(residual) = error / s.sigma;
+    AsVector(residual) = error / s.rotation_sigma;
     if (jacobians == nullptr) return true;
     // Log(Exp(-delta) Exp(error)) = error - J_l(error)^-1 delta with J_l(x) = J_r(-x); delta is
     // J_r(c alpha) d(c alpha), and before that J_r(phi) dphi.
-    const Matrix3d A = -RightJacobian<double>(-error).inverse() / s.sigma;
+    const Matrix3d A = -RightJacobian<double>(-error).inverse() / s.rotation_sigma;
     const Matrix3d A_lag = A * RightJacobian<double>(c * alpha);
     const Matrix3d A_phi = A * lag_inv.toRotationMatrix();
     const Matrix3d J = RightJacobian<double>(phi.col(0));
@@ -269,7 +271,7 @@ class JointRotationResidual : public BatchResidual<JointPoseSample> {
 
 class JointGyroResidual : public BatchResidual<JointImuSample> {
  public:
-  JointGyroResidual(const std::vector<JointImuSample>& samples, const ClockMotions& clocks)
+  JointGyroResidual(const Samples<JointImuSample>& samples, const ClockMotions& clocks)
       : BatchResidual(samples, {4, 6, 3, 3}, 1, clocks) {}
 
  protected:
@@ -315,18 +317,15 @@ class JointGyroResidual : public BatchResidual<JointImuSample> {
   }
 };
 
-class JointAccelResidual : public BatchResidual<JointImuSample> {
+class JointAccelResidual : public BatchResidual<JointAccelSample> {
  public:
-  JointAccelResidual(const std::vector<JointImuSample>& samples,
-                     const std::vector<MarkerJerk>& jerks,
+  JointAccelResidual(const Samples<JointAccelSample>& samples,
                      const Matrix3d& R_MA,
                      const ClockMotions& clocks)
-      : BatchResidual(samples, {4, 3, 3, 9, 3, 3, 1, 1, 6}, 2, clocks),
-        R_MA_(R_MA),
-        jerks_(jerks) {}
+      : BatchResidual(samples, {4, 3, 3, 9, 3, 3, 1, 1, 6}, 2, clocks), R_MA_(R_MA) {}
 
  protected:
-  bool EvaluateSample(const JointImuSample& s,
+  bool EvaluateSample(const JointAccelSample& s,
                       size_t i,
                       double const* const* blocks,
                       double* residual,
@@ -340,7 +339,7 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
     const double u = s.at.place.u + dt.on_spline / s.at.place.spacing;
     if (!IsNearSpan(u)) return false;
     const SplineWeights weights = CubicWeights(u, s.at.place.spacing);
-    const MarkerJerk& jerk = jerks_[i];
+    const MarkerJerk& jerk = s.jerk;
     const MarkerState<double> gp = Moved(s.at.gp, dt.on_gp, jerk);
     const Eigen::Matrix<double, 3, 4> phi = EvaluateSpline(blocks + kSplineOrder, weights);
     const CorrectedRotation x(gp, phi, jacobians != nullptr);
@@ -422,31 +421,32 @@ class JointAccelResidual : public BatchResidual<JointImuSample> {
 
  private:
   const Matrix3d R_MA_;
-  const std::vector<MarkerJerk> jerks_;
 };
 
 }  // namespace
 
-ceres::CostFunction* CreateJointPositionResidual(const std::vector<JointPoseSample>& samples,
-                                                 const ClockMotions& clocks) {
-  return new JointPositionResidual(samples, clocks);
+std::unique_ptr<ceres::CostFunction> CreateJointPositionResidual(
+    const Samples<JointPoseSample>& samples,
+    const ClockMotions& clocks) {
+  return std::make_unique<JointPositionResidual>(samples, clocks);
 }
 
-ceres::CostFunction* CreateJointRotationResidual(const std::vector<JointPoseSample>& samples,
-                                                 const ClockMotions& clocks) {
-  return new JointRotationResidual(samples, clocks);
+std::unique_ptr<ceres::CostFunction> CreateJointRotationResidual(
+    const Samples<JointPoseSample>& samples,
+    const ClockMotions& clocks) {
+  return std::make_unique<JointRotationResidual>(samples, clocks);
 }
 
-ceres::CostFunction* CreateJointGyroResidual(const std::vector<JointImuSample>& samples,
-                                             const ClockMotions& clocks) {
-  return new JointGyroResidual(samples, clocks);
+std::unique_ptr<ceres::CostFunction> CreateJointGyroResidual(const Samples<JointImuSample>& samples,
+                                                             const ClockMotions& clocks) {
+  return std::make_unique<JointGyroResidual>(samples, clocks);
 }
 
-ceres::CostFunction* CreateJointAccelResidual(const std::vector<JointImuSample>& samples,
-                                              const std::vector<MarkerJerk>& jerks,
-                                              const Eigen::Matrix3d& R_MA,
-                                              const ClockMotions& clocks) {
-  return new JointAccelResidual(samples, jerks, R_MA, clocks);
+std::unique_ptr<ceres::CostFunction> CreateJointAccelResidual(
+    const Samples<JointAccelSample>& samples,
+    const Eigen::Matrix3d& R_MA,
+    const ClockMotions& clocks) {
+  return std::make_unique<JointAccelResidual>(samples, R_MA, clocks);
 }
 
 }  // namespace imu_pose_calib

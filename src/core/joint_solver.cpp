@@ -8,7 +8,6 @@
 #include "imu_pose_calib/core/band.h"
 #include "imu_pose_calib/core/joint_noise.h"
 #include "imu_pose_calib/core/joint_problem.h"
-#include "imu_pose_calib/core/manifolds.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -205,14 +204,14 @@ class JointSolver {
 
   /// Of everything: trajectories, gravity and biases too.
   void TakeStep(const Marginals& marginals) {
-    FollowClocks([&] { MoveBlocks(problem_->problem, marginals.blocks, marginals.step); });
+    FollowClocks([&] { problem_->problem.Move(marginals.blocks, marginals.step); });
   }
 
   /// From now on these are estimated; whether there are any.
   bool Release(const std::vector<Parameter>& shown) {
     for (const Parameter& size : shown) {
       holds_size_[size.imu] = false;
-      problem_->problem.SetParameterBlockVariable(size.data);
+      problem_->problem.SetHeld(size.data, false);
     }
     return !shown.empty();
   }
@@ -228,11 +227,10 @@ class JointSolver {
   void Build() {
     problem_.reset();  // never two of them at a time
     problem_ = BuildJointProblem(options_, sessions_, models_, estimate_, &splines_);
-    if (holds_position_smoothing_)
-      problem_->problem.SetParameterBlockConstant(&estimate_->position_smoothing);
+    if (holds_position_smoothing_) problem_->problem.SetHeld(&estimate_->position_smoothing, true);
     for (size_t i = 0; i < holds_size_.size(); ++i)
       if (holds_size_[i])
-        problem_->problem.SetParameterBlockConstant(estimate_->imus[i].accel_positions.data());
+        problem_->problem.SetHeld(estimate_->imus[i].accel_positions.data(), true);
   }
 
   void Pass(bool hold_calibration = false) {

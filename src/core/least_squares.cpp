@@ -9,8 +9,8 @@
 #include <thread>
 #include <utility>
 
-#include "imu_pose_calib/core/manifolds.h"
 #include "imu_pose_calib/core/median.h"
+#include "imu_pose_calib/core/parallel.h"
 #include "imu_pose_calib/core/residuals.h"
 
 namespace imu_pose_calib {
@@ -28,6 +28,10 @@ constexpr double kLeastRedundancy = 0.1;
 constexpr double kLeastDamping = 1e-8, kLeastGain = 1e-3;
 /// Relative to the parameters.
 constexpr double kLeastStep = 1e-8;
+
+double Norm(const std::vector<double>& x) {
+  return Eigen::Map<const Eigen::VectorXd>(x.data(), static_cast<Eigen::Index>(x.size())).norm();
+}
 
 struct GaussNewtonStep {
   Eigen::VectorXd x;  ///< of the blocks
@@ -87,11 +91,9 @@ std::vector<SensorModel> InitialModels(const CalibrationOptions& options,
   return models;
 }
 
-void SensorBlocks::Add(ceres::ResidualBlockId block,
-                       const std::vector<ProblemSample>& block_samples) {
-  blocks.push_back(block);
-  block_t.push_back(block_samples.front().t);
-  samples.insert(samples.end(), block_samples.begin(), block_samples.end());
+void SensorBlocks::Add(int block, double t) {
+  if (block_t.empty()) first_block = block;
+  block_t.push_back(t);
 }
 
 LeastSquares::LeastSquares(const CalibrationOptions& options,
@@ -120,24 +122,23 @@ void LeastSquares::AddGyroParameters() {
   for (const Parameter& p : CalibrationParameters(estimate)) {
     if (p.kind != ParameterKind::kRotation && p.kind != ParameterKind::kTimeShift) continue;
     const bool is_rotation = p.kind == ParameterKind::kRotation;
-    problem.AddParameterBlock(p.data, is_rotation ? 4 : 1);
-    if (is_rotation) SetUnitQuaternion(p.data, &problem);
-    if (!IsEstimated(options, p.kind)) problem.SetParameterBlockConstant(p.data);
+    problem.AddParameters(
+        p.data, is_rotation ? 4 : 1, is_rotation ? BlockKind::kUnitQuaternion : BlockKind::kVector);
+    problem.SetHeld(p.data, !IsEstimated(options, p.kind));
   }
 }
 
 void LeastSquares::AddAccelParameters() {
   for (const Parameter& p : CalibrationParameters(estimate)) {
     if (p.kind != ParameterKind::kTranslation) continue;
-    problem.AddParameterBlock(p.data, p.size);
-    if (!IsEstimated(options, p.kind)) problem.SetParameterBlockConstant(p.data);
+    problem.AddParameters(p.data, p.size);
+    problem.SetHeld(p.data, !IsEstimated(options, p.kind));
   }
   AddOptional(
       ParameterKind::kAccelDelay, Eigen::VectorXd::Constant(1, kDelayPrior), options.accel_delay);
   for (SessionEstimate& session : estimate->sessions) {
-    problem.AddParameterBlock(session.g_W.data(), 3);
-    SetSphere(session.g_W.data(), &problem);
-    if (!options.estimate_gravity) problem.SetParameterBlockConstant(session.g_W.data());
+    problem.AddParameters(session.g_W.data(), 3, BlockKind::kSphere);
+    problem.SetHeld(session.g_W.data(), !options.estimate_gravity);
   }
 }
 
@@ -145,10 +146,8 @@ void LeastSquares::AddBiasWalk(double walk, size_t session, size_t imu, BiasKnot
   const ImuSessionEstimate& clock = estimate->sessions[session].imus[imu];
   for (size_t k = 0; k + 1 < knots->t.size(); ++k) {
     const double sigma = walk * std::sqrt(knots->t[k + 1] - knots->t[k]);
-    priors.push_back({problem.AddResidualBlock(BiasWalkResidual{sigma}.Create(),
-                                               nullptr,
-                                               knots->values[k].data(),
-                                               knots->values[k + 1].data()),
+    const std::vector<double*> values = {knots->values[k].data(), knots->values[k + 1].data()};
+    priors.push_back({problem.AddResiduals(BiasWalkResidual{sigma}.Create(), values),
                       session,
                       clock.PoseTime(knots->t[k])});
   }
@@ -160,16 +159,14 @@ void LeastSquares::AddOptional(ParameterKind kind,
                                std::optional<size_t> imu) {
   for (const Parameter& p : CalibrationParameters(estimate)) {
     if (p.kind != kind || (imu && p.imu != *imu)) continue;
-    problem.AddParameterBlock(p.data, p.size);
-    if (!IsEstimated(options, kind)) {
-      problem.SetParameterBlockConstant(p.data);
-      continue;
-    }
-    auto* prior = new ceres::NormalPrior(sigmas.cwiseInverse().asDiagonal(),
-                                         Eigen::VectorXd::Constant(p.size, expected));
+    const int block = problem.AddParameters(p.data, p.size);
+    problem.SetHeld(p.data, !IsEstimated(options, kind));
+    if (!IsEstimated(options, kind)) continue;
+    auto prior = std::make_unique<const ceres::NormalPrior>(
+        sigmas.cwiseInverse().asDiagonal(), Eigen::VectorXd::Constant(p.size, expected));
     const SessionEstimate& session = estimate->sessions[p.session];
     const ImuSessionEstimate& clock = session.imus[session.FirstImu()];
-    priors.push_back({problem.AddResidualBlock(prior, nullptr, p.data),
+    priors.push_back({problem.AddResiduals(std::move(prior), std::vector<int>{block}),
                       p.session,
                       clock.PoseTime(clock.clock_reference)});
   }
@@ -181,30 +178,30 @@ int LeastSquares::Threads() const {
              : std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
 }
 
-std::vector<double*> LeastSquares::BiasBlocks() const {
-  std::vector<double*> blocks;
+std::vector<int> LeastSquares::BiasBlocks() const {
+  std::vector<int> blocks;
   for (SessionEstimate& session : estimate->sessions)
     for (ImuSessionEstimate& imu : session.imus)
       for (BiasKnots* knots : {&imu.gyro_bias, &imu.accel_bias})
         for (Eigen::Vector3d& value : knots->values)
-          if (problem.HasParameterBlock(value.data())) blocks.push_back(value.data());
+          if (const int block = problem.Find(value.data()); block >= 0) blocks.push_back(block);
   return blocks;
 }
 
 std::vector<Equation> LeastSquares::Equations() const {
   std::vector<Equation> equations;
   for (const SensorBlocks& sensor : sensors)
-    for (size_t i = 0; i < sensor.blocks.size(); ++i)
-      equations.push_back({sensor.blocks[i], sensor.model->session, sensor.block_t[i]});
+    for (size_t i = 0; i < sensor.block_t.size(); ++i)
+      equations.push_back(
+          {sensor.first_block + static_cast<int>(i), sensor.model->session, sensor.block_t[i]});
   for (const PriorBlock& prior : priors) equations.push_back({prior.block, prior.session, prior.t});
   return equations;
 }
 
 int LeastSquares::Solve(double function_tolerance) {
-  std::vector<double*> border, inner = BiasBlocks();
-  const auto add_border = [&](double* block) {
-    if (problem.HasParameterBlock(block) && !problem.IsParameterBlockConstant(block))
-      border.push_back(block);
+  std::vector<int> border, inner = BiasBlocks();
+  const auto add_border = [&](const double* data) {
+    if (problem.IsEstimated(data)) border.push_back(problem.Find(data));
   };
   for (const Parameter& p : CalibrationParameters(estimate)) add_border(p.data);
   for (SessionEstimate& session : estimate->sessions) add_border(session.g_W.data());
@@ -213,26 +210,25 @@ int LeastSquares::Solve(double function_tolerance) {
   for (Equation& equation : all) equation.cluster = static_cast<int>(equation.session);
   const NormalEquations equations(problem, border, inner, std::move(all), Threads());
 
-  ceres::Problem::EvaluateOptions evaluate;
-  evaluate.num_threads = Threads();
+  std::vector<double> rows;
   const auto find_cost = [&] {
     double cost = 0.0;
-    return problem.Evaluate(evaluate, &cost, nullptr, nullptr, nullptr) ? cost : std::nan("");
+    return problem.Evaluate(Threads(), &rows, &cost) ? cost : std::nan("");
   };
   double cost = find_cost(), damping = 0.0, growth = 2.0;
   if (!std::isfinite(cost))
     throw DataError("the residuals cannot be evaluated where the solve starts");
   for (int iteration = 1; iteration <= options.max_iterations; ++iteration) {
     const GaussNewtonStep step = FindStep(equations, sessions.size(), damping, Threads());
-    const Eigen::VectorXd before = MoveBlocks(problem, equations.blocks(), step.x);
+    const std::vector<double> before = problem.Move(equations.blocks(), step.x);
     const double found = find_cost(), change = cost - found;
     const bool is_accepted = change > kLeastGain * step.decrease;
-    if (!is_accepted) RestoreBlocks(problem, equations.blocks(), before);
+    if (!is_accepted) problem.Restore(equations.blocks(), before);
     // No change to speak of; or all of what the linear model foresaw, at its minimum.
     const bool is_full = damping == 0.0;
     if (std::isfinite(step.decrease) && (is_accepted || is_full) &&
         (std::abs(change) <= function_tolerance * cost ||
-         step.x.norm() <= kLeastStep * (before.norm() + kLeastStep) ||
+         step.x.norm() <= kLeastStep * (Norm(before) + kLeastStep) ||
          (is_accepted && is_full &&
           std::abs(change - step.decrease) <= function_tolerance * found)))
       return iteration;
@@ -250,38 +246,37 @@ int LeastSquares::Solve(double function_tolerance) {
 }
 
 std::vector<SensorStatistics> LeastSquares::FindStatistics() {
-  std::vector<SensorStatistics> statistics;
-  for (SensorBlocks& sensor : sensors) {
+  std::vector<double> rows;
+  double cost = 0.0;
+  if (!problem.Evaluate(Threads(), &rows, &cost))
+    throw DataError("the residuals cannot be evaluated where the solve ended");
+  std::vector<SensorStatistics> statistics(sensors.size());
+  InParallel(Threads(), sensors.size(), [&](size_t k) {
+    SensorBlocks& sensor = sensors[k];
+    sensor.residuals.clear();
     if (sensor.samples.empty()) {
-      statistics.push_back({sensor.model->noise, 0.0});
-      continue;
+      statistics[k] = {sensor.model->noise, 0.0};
+      return;
     }
-    ceres::Problem::EvaluateOptions evaluate;
-    evaluate.apply_loss_function = false;
-    evaluate.num_threads = Threads();
-    evaluate.residual_blocks = sensor.blocks;
-    std::vector<double> residuals;
-    if (!problem.Evaluate(evaluate, nullptr, &residuals, nullptr, nullptr))
-      throw DataError("the residuals cannot be evaluated where the solve ended");
+    const double* r_sigma = &rows[problem.residuals(sensor.first_block).first_row];
     std::vector<double> magnitudes, variances;
     double sum2 = 0.0;
-    sensor.residuals.clear();
-    for (size_t i = 0; i < sensor.samples.size(); ++i) {
-      const ProblemSample& sample = sensor.samples[i];
+    for (const ProblemSample& sample : sensor.samples) {
       const Eigen::Vector3d r =
-          (sample.sigma * Eigen::Map<const Eigen::Vector3d>(&residuals[3 * i]) + sample.rest) /
-          sample.scale;
-      for (int k = 0; k < 3; ++k) magnitudes.push_back(std::abs(r[k]));
+          (sample.sigma * Eigen::Map<const Eigen::Vector3d>(r_sigma) + sample.rest) / sample.scale;
+      r_sigma += 3;
+      for (int i = 0; i < 3; ++i) magnitudes.push_back(std::abs(r[i]));
       variances.push_back(sample.trajectory_variance);
       sensor.residuals.push_back(r);
       sum2 += sample.scale * sample.scale * r.squaredNorm();
     }
+    const double count = static_cast<double>(magnitudes.size());
     const double redundancy = std::max(kLeastRedundancy, 1.0 - sensor.fitted);
-    const double spread2 = std::pow(kMadToSigma * Median(magnitudes), 2) / redundancy;
+    const double spread2 = std::pow(kMadToSigma * Median(std::move(magnitudes)), 2) / redundancy;
     // The trajectory's share is known only roughly: it never explains the residuals alone.
-    statistics.push_back({std::sqrt(std::max({spread2 - Median(variances), 0.01 * spread2, 1e-18})),
-                          std::sqrt(sum2 / static_cast<double>(residuals.size()))});
-  }
+    const double own2 = spread2 - Median(std::move(variances));
+    statistics[k] = {std::sqrt(std::max({own2, 0.01 * spread2, 1e-18})), std::sqrt(sum2 / count)};
+  });
   return statistics;
 }
 

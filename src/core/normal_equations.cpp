@@ -1,13 +1,9 @@
 #include "imu_pose_calib/core/normal_equations.h"
 
-#include <ceres/cost_function.h>
-#include <ceres/loss_function.h>
-
 #include <algorithm>
 #include <cmath>
 #include <utility>
 
-#include "imu_pose_calib/core/manifolds.h"
 #include "imu_pose_calib/core/parallel.h"
 #include "imu_pose_calib/core/types.h"
 
@@ -23,80 +19,83 @@ constexpr size_t kPortion = 512;
 class NormalEquations::Linearisation {
  public:
   explicit Linearisation(const NormalEquations& equations) : equations_(equations) {
-    for (const double* block : equations.curved_)
-      plus_.push_back(PlusJacobian(equations.problem_, block));
+    for (const int block : equations.curved_)
+      plus_.push_back(equations.problem_.PlusJacobian(block));
   }
 
   void Start(const Equation& equation) {
-    const ceres::Problem& problem = equations_.problem_;
-    cost_ = problem.GetCostFunctionForResidualBlock(equation.block);
-    loss_ = problem.GetLossFunctionForResidualBlock(equation.block);
-    problem.GetParameterBlocksForResidualBlock(equation.block, &parameters_);
+    const Problem& problem = equations_.problem_;
+    residuals_ = &problem.residuals(equation.block);
+    blocks_ = problem.BlocksOf(*residuals_);
+    const std::vector<int32_t>& sizes = residuals_->cost->parameter_block_sizes();
+    const int rows = residuals_->cost->num_residuals();
+    parameters_.resize(sizes.size());
     terms_.clear();
-    for (size_t k = 0; k < parameters_.size(); ++k) {
-      const auto found = equations_.places_.find(parameters_[k]);
-      if (found != equations_.places_.end()) terms_.push_back({&found->second, k});
+    Eigen::Index columns = 0, numbers = 0;
+    for (size_t k = 0; k < sizes.size(); ++k) {
+      parameters_[k] = problem.data(blocks_[k]);
+      const Place& at = equations_.places_[static_cast<size_t>(blocks_[k])];
+      if (at.place < 0) continue;
+      terms_.push_back({at.place, k, sizes[k], at.size, at.curved});
+      columns += at.size;
+      numbers += rows * sizes[k];
     }
     std::sort(terms_.begin(), terms_.end(), [](const Term& a, const Term& b) {
-      return a.at->place < b.at->place;
+      return a.place < b.place;
     });
     places.clear();
-    Eigen::Index columns = 0, numbers = 0;
-    for (const Term& term : terms_) {
-      places.push_back(term.at->place);
-      columns += term.at->size;
-      numbers += cost_->num_residuals() * cost_->parameter_block_sizes()[term.parameter];
-    }
-    r.resize(cost_->num_residuals());
-    J.resize(cost_->num_residuals(), columns);
+    for (const Term& term : terms_) places.push_back(term.place);
+    r.resize(rows);
+    J.resize(rows, columns);
     values_.resize(static_cast<size_t>(numbers));
+    jacobians_.assign(sizes.size(), nullptr);
+    double* next = values_.data();
+    for (const Term& term : terms_) {
+      jacobians_[term.parameter] = next;
+      next += rows * term.size;
+    }
   }
 
   /// Fills J and r; false where they are not defined.
   bool Evaluate() {
-    jacobians_.assign(parameters_.size(), nullptr);
-    double* next = values_.data();
-    for (const Term& term : terms_) {
-      jacobians_[term.parameter] = next;
-      next += J.rows() * cost_->parameter_block_sizes()[term.parameter];
-    }
-    if (!cost_->Evaluate(parameters_.data(), r.data(), jacobians_.data())) return false;
+    if (!residuals_->cost->Evaluate(parameters_.data(), r.data(), jacobians_.data())) return false;
     Eigen::Index column = 0;
     for (const Term& term : terms_) {
-      const Eigen::Map<const Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>
-          own(jacobians_[term.parameter], J.rows(), cost_->parameter_block_sizes()[term.parameter]);
-      if (term.at->curved < 0)
-        J.middleCols(column, term.at->size) = own;
+      using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+      const Eigen::Map<const RowMajor> own(jacobians_[term.parameter], J.rows(), term.size);
+      if (term.curved < 0)
+        J.middleCols(column, term.columns) = own;
       else
-        J.middleCols(column, term.at->size).noalias() =
-            own * plus_[static_cast<size_t>(term.at->curved)];
-      column += term.at->size;
+        J.middleCols(column, term.columns).noalias() =
+            own * plus_[static_cast<size_t>(term.curved)];
+      column += term.columns;
     }
-    if (loss_ != nullptr) {  // concave beyond its scale, as Ceres takes it there: rho'' is left out
-      double rho[3];
-      loss_->Evaluate(r.squaredNorm(), rho);
-      J *= std::sqrt(rho[1]);
-      r *= std::sqrt(rho[1]);
+    // Concave beyond its scale, the loss weighs as Ceres has it there: rho'' is left out.
+    const double weight = residuals_->Weight(r.squaredNorm());
+    if (weight != 1.0) {
+      J *= std::sqrt(weight);
+      r *= std::sqrt(weight);
     }
     return r.allFinite() && J.allFinite();
   }
 
-  /// The same with a parameter moved by `step`, unless the block does not have it.
-  bool EvaluateMoved(const double* parameter, double step) {
-    const auto found = std::find(parameters_.begin(), parameters_.end(), parameter);
-    double moved = *parameter + step;
-    *found = &moved;
+  /// The same with a parameter of the residuals moved by `step`.
+  bool EvaluateMoved(int block, double step) {
+    double*& at = parameters_[Parameter(block)];
+    double* const here = at;
+    double moved = *here + step;
+    at = &moved;
     const bool is_defined = Evaluate();
-    *found = const_cast<double*>(parameter);
+    at = here;
     return is_defined;
   }
 
-  /// Its column in J; -1 when the block does not have it.
-  Eigen::Index Column(const double* parameter) const {
+  /// Column of a parameter in J; -1 when the residuals do not have it.
+  Eigen::Index Column(int block) const {
     Eigen::Index column = 0;
     for (const Term& term : terms_) {
-      if (parameters_[term.parameter] == parameter) return column;
-      column += term.at->size;
+      if (blocks_[term.parameter] == block) return column;
+      column += term.columns;
     }
     return -1;
   }
@@ -107,21 +106,26 @@ class NormalEquations::Linearisation {
 
  private:
   struct Term {
-    const Place* at;
+    int place;
     size_t parameter;  ///< of the cost function
+    int size, columns, curved;
   };
+  size_t Parameter(int block) const {
+    return static_cast<size_t>(std::find(blocks_, blocks_ + parameters_.size(), block) - blocks_);
+  }
+
   const NormalEquations& equations_;
   std::vector<Eigen::MatrixXd> plus_;  ///< derivatives of curved blocks by their steps
-  const ceres::CostFunction* cost_ = nullptr;
-  const ceres::LossFunction* loss_ = nullptr;
+  const Problem::Residuals* residuals_ = nullptr;
+  const int* blocks_ = nullptr;
   std::vector<double*> parameters_, jacobians_;
   std::vector<Term> terms_;
   std::vector<double> values_;
 };
 
-NormalEquations::NormalEquations(const ceres::Problem& problem,
-                                 const std::vector<double*>& border,
-                                 const std::vector<double*>& inner,
+NormalEquations::NormalEquations(const Problem& problem,
+                                 const std::vector<int>& border,
+                                 const std::vector<int>& inner,
                                  std::vector<Equation> equations,
                                  int threads)
     : problem_(problem), threads_(threads), blocks_(border), equations_(std::move(equations)) {
@@ -129,31 +133,34 @@ NormalEquations::NormalEquations(const ceres::Problem& problem,
   std::stable_sort(equations_.begin(), equations_.end(), [](const Equation& a, const Equation& b) {
     return std::make_pair(a.session, a.t) < std::make_pair(b.session, b.t);
   });
+  places_.resize(problem.blocks());
   std::vector<int> sizes;
   for (size_t b = 0; b < blocks_.size(); ++b) {
-    sizes.push_back(TangentSize(problem, blocks_[b]));
-    const bool is_curved = problem.ParameterBlockSize(blocks_[b]) != sizes.back();
-    places_.emplace(
-        blocks_[b],
-        Place{
-            static_cast<int>(b), sizes.back(), is_curved ? static_cast<int>(curved_.size()) : -1});
-    if (is_curved) curved_.push_back(blocks_[b]);
+    const int block = blocks_[b];
+    sizes.push_back(problem.TangentSize(block));
+    Place& own = places_[static_cast<size_t>(block)];
+    own = {static_cast<int>(b), sizes.back(), -1};
+    if (problem.kind(block) == BlockKind::kVector) continue;
+    own.curved = static_cast<int>(curved_.size());
+    curved_.push_back(block);
   }
-  std::vector<std::vector<int>> residuals;
+  std::vector<std::vector<int>> residuals(equations_.size());
   std::vector<size_t> first_of_session;
-  std::vector<double*> parameters;
   for (size_t k = 0; k < equations_.size(); ++k) {
     if (k > 0 && equations_[k].session != equations_[k - 1].session) first_of_session.push_back(k);
-    problem.GetParameterBlocksForResidualBlock(equations_[k].block, &parameters);
-    residuals.emplace_back();
-    for (const double* block : parameters) {
-      const auto found = places_.find(block);
-      if (found != places_.end()) residuals.back().push_back(found->second.place);
+    const Problem::Residuals& own = problem.residuals(equations_[k].block);
+    const int* blocks = problem.BlocksOf(own);
+    for (size_t i = 0; i < own.cost->parameter_block_sizes().size(); ++i) {
+      const int place = places_[static_cast<size_t>(blocks[i])].place;
+      if (place >= 0) residuals[k].push_back(place);
     }
   }
   elimination_ =
       std::make_shared<const Elimination>(sizes, border.size(), residuals, first_of_session);
-  for (auto& [block, place] : places_) place.place = elimination_->place(place.place);
+  for (const int block : blocks_) {
+    int& place = places_[static_cast<size_t>(block)].place;
+    place = elimination_->place(place);
+  }
 }
 
 std::vector<Panels> NormalEquations::Assemble(int clusters,
@@ -178,9 +185,9 @@ std::vector<Panels> NormalEquations::Assemble(int clusters,
       elimination_->Add(at.places, product, &portions[p]);
       elimination_->AddRhs(at.places, equations_[k].cluster, score, &portions[p]);
       for (const ExactColumn& parameter : exact) {
-        const Eigen::Index column = at.Column(parameter.data);
+        const Eigen::Index column = at.Column(parameter.block);
         if (column < 0 || product(column, column) == 0.0) continue;
-        if (!at.EvaluateMoved(parameter.data, parameter.step)) continue;
+        if (!at.EvaluateMoved(parameter.block, parameter.step)) continue;
         moved.noalias() = at.J.transpose() * at.r;
         elimination_->AddRhs(at.places,
                              parameter.rhs,

@@ -6,7 +6,6 @@
 #include <numeric>
 #include <utility>
 
-#include "imu_pose_calib/core/manifolds.h"
 #include "imu_pose_calib/core/parallel.h"
 
 namespace imu_pose_calib {
@@ -37,33 +36,33 @@ std::vector<int> Counted(size_t count) {
 }
 
 Ordering::Ordering(LeastSquares* solved) {
-  ceres::Problem& problem = solved->problem;
+  const Problem& problem = solved->problem;
   for (const Parameter& p : CalibrationParameters(solved->estimate)) {
-    if (!problem.HasParameterBlock(p.data)) continue;
-    const bool is_estimated = !problem.IsParameterBlockConstant(p.data);
+    if (problem.Find(p.data) < 0) continue;
+    const bool is_estimated = problem.IsEstimated(p.data);
     if (!is_estimated && !IsHint(p.kind)) continue;
     (is_estimated ? calibrated : possible).push_back(p);
   }
-  const auto add = [&](double* block, std::vector<double*>* blocks) {
+  const auto add = [&](int block, std::vector<int>* blocks) {
     blocks->push_back(block);
-    columns += TangentSize(problem, block);
+    columns += problem.TangentSize(block);
   };
   for (const Parameter& p : calibrated) {
     if (p.kind == ParameterKind::kTimeShift || p.kind == ParameterKind::kAccelDelay) {
       clocks.push_back(columns);
-      clock_data.push_back(p.data);
+      clock_blocks.push_back(problem.Find(p.data));
     }
-    add(p.data, &border);
+    add(problem.Find(p.data), &border);
   }
   estimated = columns;
-  for (const Parameter& p : possible) add(p.data, &border);
+  for (const Parameter& p : possible) add(problem.Find(p.data), &border);
   leading = columns;
   for (SessionEstimate& session : solved->estimate->sessions)
-    if (solved->options.estimate_gravity) add(session.g_W.data(), &border);
+    if (solved->options.estimate_gravity) add(problem.Find(session.g_W.data()), &border);
   biases = columns;
-  for (double* block : solved->BiasBlocks()) add(block, &inner);
+  for (const int block : solved->BiasBlocks()) add(block, &inner);
   trajectory = columns;
-  for (double* block : solved->trajectory_blocks) add(block, &inner);
+  for (const int block : solved->trajectory_blocks) add(block, &inner);
 }
 
 Clusters::Clusters(const LeastSquares& solved) {
@@ -127,7 +126,7 @@ Functionals::Functionals(const Ordering& ordering, LeastSquares* solved, Margina
       for (int k = 0; k < 2; ++k) columns_.push_back(gravity++);
       place({ParameterKind::kGravity, 0, s, 3, nullptr},
             true,
-            PlusJacobian(solved->problem, session.g_W.data()));
+            PlusJacobian(BlockKind::kSphere, 3, session.g_W.data()));
     }
     for (size_t i = 0; i < session.imus.size(); ++i) {
       const auto place_mean = [&](ParameterKind kind, const BiasKnots& knots) {
@@ -174,7 +173,7 @@ ReducedProblem::ReducedProblem(const Ordering& ordering,
   blocks_ = equations.blocks();
   elimination_ = equations.elimination();
   std::vector<ExactColumn> exact;
-  for (double* clock : ordering.clock_data)
+  for (const int clock : ordering.clock_blocks)
     exact.push_back({clock, kClockStep, RhsOfClock(exact.size())});
   std::vector<Panels> of_cluster = equations.Assemble(clusters_, exact);
   std::vector<Panels> parts(2 * solved->sessions.size());

@@ -3,6 +3,7 @@
 #include <ceres/cost_function.h>
 
 #include <memory>
+#include <utility>
 #include <vector>
 
 #include "imu_pose_calib/core/pose_trajectory.h"
@@ -37,25 +38,47 @@ struct ClockMotion {
 };
 using ClockMotions = std::shared_ptr<const std::vector<ClockMotion>>;
 
+/// Consecutive samples of a sensor, which those of all its residual blocks share.
+template <typename Sample>
+class Samples {
+ public:
+  Samples(std::vector<Sample> all)  // NOLINT: all of them
+      : all_(std::make_shared<const std::vector<Sample>>(std::move(all))), count_(all_->size()) {}
+  Samples Part(size_t begin, size_t end) const {
+    Samples part = *this;
+    part.begin_ = begin_ + begin;
+    part.count_ = end - begin;
+    return part;
+  }
+  size_t size() const { return count_; }
+  const Sample& operator[](size_t i) const { return (*all_)[begin_ + i]; }
+
+ private:
+  std::shared_ptr<const std::vector<Sample>> all_;
+  size_t begin_ = 0, count_;
+};
+
 /// A pose of the marker.
 struct JointPoseSample {
   TrajectoryPoint at;
   Eigen::Quaterniond q_WM;
   Eigen::Vector3d p_WM;  ///< [m]
-  double
-      reference_time;  ///< [s] clock of the first IMU, after the instant at which its shift holds
-  double sigma;        ///< [m] of the position or [rad] of the rotation
+  /// [s] clock of the first IMU, after the instant at which its shift holds
+  double reference_time;
+  double position_sigma, rotation_sigma;  ///< [m], [rad]
 };
 
 /// r = (p_meas - p_gp(t) - d(t) - s/2 (a_gp + d''(t))) / sigma, in W, s: pose_smoothing +
 /// position_smoothing. Blocks: d | pose_smoothing (1) | position_smoothing (1) | clocks.
-ceres::CostFunction* CreateJointPositionResidual(const std::vector<JointPoseSample>& samples,
-                                                 const ClockMotions& clocks);
+std::unique_ptr<ceres::CostFunction> CreateJointPositionResidual(
+    const Samples<JointPoseSample>& samples,
+    const ClockMotions& clocks);
 
 /// r = Log(Exp(s/2 (alpha_gp + phi''(t)))^T Exp(phi(t))^T R_gp(t)^T R_meas) / sigma, in M.
 /// Blocks: phi | pose_smoothing (1) | clocks.
-ceres::CostFunction* CreateJointRotationResidual(const std::vector<JointPoseSample>& samples,
-                                                 const ClockMotions& clocks);
+std::unique_ptr<ceres::CostFunction> CreateJointRotationResidual(
+    const Samples<JointPoseSample>& samples,
+    const ClockMotions& clocks);
 
 /// A sample of the gyroscope or the accelerometer.
 struct JointImuSample {
@@ -69,8 +92,8 @@ struct JointImuSample {
 /// r = (w - b_g - K_g R_MI^T omega_M(t)) / sigma, in I.
 /// Blocks: phi | q_MI (4, xyzw) | K_g (6, see GyroMatrix()) | bias knot_0 (3) | knot_1 (3) |
 /// clocks.
-ceres::CostFunction* CreateJointGyroResidual(const std::vector<JointImuSample>& samples,
-                                             const ClockMotions& clocks);
+std::unique_ptr<ceres::CostFunction> CreateJointGyroResidual(const Samples<JointImuSample>& samples,
+                                                             const ClockMotions& clocks);
 
 /// Derivatives of the GP's motion, along which accelerometers move and over which they average.
 struct MarkerJerk {
@@ -79,14 +102,19 @@ struct MarkerJerk {
   Eigen::Vector3d f_curvature = Eigen::Vector3d::Zero();  ///< [m/s^4] f_M'', components in M
 };
 
+/// A sample of the accelerometer.
+struct JointAccelSample : JointImuSample {
+  MarkerJerk jerk;
+};
+
 /// r = (f - b_a - K_a R_MI^T (f_M(t) + s/2 f_M'')) / sigma, in I, s: accel_smoothing, with
 /// f_M = R_WM^T (a_W / k - g_W) + alpha_M x p + omega_M x (omega_M x p), k: pose_scale. For axis i
 /// p is p_MI + R_MA r_i with r_i of AccelPositions() and R_MA about R_MI: it does not move.
 /// Blocks: d | phi | q_MI (4) | p_MI (3) | g_W (3) | K_a (9, see AccelMatrix()) | knot_0 (3) |
-/// knot_1 (3) | accel_smoothing (1) | pose_scale (1) | r (6) | clocks. `jerks`: of each sample.
-ceres::CostFunction* CreateJointAccelResidual(const std::vector<JointImuSample>& samples,
-                                              const std::vector<MarkerJerk>& jerks,
-                                              const Eigen::Matrix3d& R_MA,
-                                              const ClockMotions& clocks);
+/// knot_1 (3) | accel_smoothing (1) | pose_scale (1) | r (6) | clocks.
+std::unique_ptr<ceres::CostFunction> CreateJointAccelResidual(
+    const Samples<JointAccelSample>& samples,
+    const Eigen::Matrix3d& R_MA,
+    const ClockMotions& clocks);
 
 }  // namespace imu_pose_calib

@@ -1,7 +1,5 @@
 #pragma once
 
-#include <ceres/problem.h>
-
 #include <optional>
 #include <vector>
 
@@ -53,7 +51,7 @@ struct ProblemSample {
 /// other, are those of `samples`.
 struct SensorBlocks {
   const SensorModel* model;
-  std::vector<ceres::ResidualBlockId> blocks;
+  int first_block = 0;          ///< of the residual blocks, the others follow
   std::vector<double> block_t;  ///< [s] pose clock, of each block's first sample
   std::vector<ProblemSample> samples;
   /// Share of the samples' degrees of freedom that the trajectory uses up by following them [0..1].
@@ -61,12 +59,13 @@ struct SensorBlocks {
   /// Of each sample, in the sensor's unit and over its scale, as of the last FindStatistics().
   std::vector<Eigen::Vector3d> residuals;
 
-  void Add(ceres::ResidualBlockId block, const std::vector<ProblemSample>& block_samples);
+  /// A residual block of the samples that come next, the first at t.
+  void Add(int block, double t);
 };
 
 /// Bias walks and priors.
 struct PriorBlock {
-  ceres::ResidualBlockId block;
+  int block;  ///< of residuals
   size_t session;
   double t;  ///< [s] pose clock
 };
@@ -99,10 +98,10 @@ struct LeastSquares {
   const std::vector<PreparedSession>& sessions;
   Estimate* const estimate;
 
-  ceres::Problem problem;
+  Problem problem;
   std::vector<SensorBlocks> sensors;  ///< in the order of the models
   std::vector<PriorBlock> priors;
-  std::vector<double*> trajectory_blocks;  ///< parameters of the trajectories, when estimated
+  std::vector<int> trajectory_blocks;  ///< parameters of the trajectories, when estimated
   /// Information on the p_MI of each IMU [1/m^2] that the trajectory's own errors feign: they move
   /// the lever arm's coefficients as a motion would.
   std::vector<double> feigned_information;
@@ -126,7 +125,7 @@ struct LeastSquares {
                    std::optional<size_t> imu = std::nullopt);
 
   /// Bias knots of all sessions.
-  std::vector<double*> BiasBlocks() const;
+  std::vector<int> BiasBlocks() const;
   /// All residual blocks.
   std::vector<Equation> Equations() const;
 

@@ -47,7 +47,7 @@ struct Marginals {
   /// The Gauss-Newton step that remains, of the parameter blocks in the order of H: what is
   /// calibrated, what could have been (no step), gravity of each session, then of each session the
   /// bias knots, gyroscope and accelerometer of each IMU, and of each session the control points.
-  std::vector<double*> blocks;
+  std::vector<int> blocks;
   Eigen::VectorXd step;
   std::shared_ptr<const Elimination> elimination;
   Panels factor;  ///< of H; of the border H itself, less what the rest takes

@@ -1,18 +1,16 @@
 #pragma once
 
-#include <ceres/problem.h>
-
 #include <memory>
-#include <unordered_map>
 #include <vector>
 
 #include "imu_pose_calib/core/elimination.h"
+#include "imu_pose_calib/core/problem.h"
 
 namespace imu_pose_calib {
 
 /// A residual block and what it is of.
 struct Equation {
-  ceres::ResidualBlockId block;
+  int block;  ///< of residuals
   size_t session;
   double t;         ///< [s] pose clock
   int cluster = 0;  ///< in which its scores are summed up; grows with sessions and time
@@ -20,7 +18,7 @@ struct Equation {
 
 /// A scalar parameter of which H gets the exact column, doc/math.md, "Covariance".
 struct ExactColumn {
-  double* data;
+  int block;    ///< of parameters
   double step;  ///< of differences
   int rhs;      ///< right-hand side of what the column has beyond J^T J
 };
@@ -31,9 +29,9 @@ class NormalEquations {
  public:
   /// `border`: parameter blocks that act nearly everywhere; `inner`: others that are estimated; in
   /// this order they are the columns of H. All other blocks are held.
-  NormalEquations(const ceres::Problem& problem,
-                  const std::vector<double*>& border,
-                  const std::vector<double*>& inner,
+  NormalEquations(const Problem& problem,
+                  const std::vector<int>& border,
+                  const std::vector<int>& inner,
                   std::vector<Equation> equations,
                   int threads);
 
@@ -41,22 +39,22 @@ class NormalEquations {
   /// residuals cannot be differentiated.
   std::vector<Panels> Assemble(int clusters, const std::vector<ExactColumn>& exact) const;
 
-  const std::vector<double*>& blocks() const { return blocks_; }
+  const std::vector<int>& blocks() const { return blocks_; }
   const std::shared_ptr<const Elimination>& elimination() const { return elimination_; }
 
  private:
   class Linearisation;
   struct Place {
-    int place, size;
-    int curved;  ///< which of those on a manifold; -1: none
+    int place = -1, size = 0;  ///< place -1: it is held
+    int curved = -1;           ///< which of those that are no vectors; -1: none
   };
 
-  const ceres::Problem& problem_;
+  const Problem& problem_;
   const int threads_;
-  std::vector<double*> blocks_, curved_;  ///< of these, on a manifold
+  std::vector<int> blocks_, curved_;  ///< of these, no vectors
   std::vector<Equation> equations_;
   std::shared_ptr<const Elimination> elimination_;
-  std::unordered_map<const double*, Place> places_;
+  std::vector<Place> places_;  ///< of each block of the problem
 };
 
 }  // namespace imu_pose_calib

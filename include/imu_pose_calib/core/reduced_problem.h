@@ -12,13 +12,12 @@ namespace imu_pose_calib {
 
 /// Parameter blocks of a solve in the order of H, see Marginals.
 struct Ordering {
-  std::vector<double*> border, inner;
+  std::vector<int> border, inner;
   int columns = 0;
   int estimated = 0, leading = 0;  ///< columns of what is calibrated, with what could have been
   int biases = 0, trajectory = 0;  ///< first columns
   std::vector<Parameter> calibrated, possible;
-  std::vector<int> clocks;  ///< columns of those that are estimated
-  std::vector<double*> clock_data;
+  std::vector<int> clocks, clock_blocks;  ///< columns of those that are estimated, and their blocks
 
   explicit Ordering(LeastSquares* solved);
 };
@@ -116,7 +115,7 @@ class ReducedProblem {
 
   const Ordering& ordering_;
   const int clusters_, functionals_;
-  std::vector<double*> blocks_;
+  std::vector<int> blocks_;
   std::shared_ptr<const Elimination> elimination_;
   std::vector<Part> halves_, sessions_;
   Reduced all_;

@@ -3,6 +3,7 @@
 #include <ceres/autodiff_cost_function.h>
 
 #include <cmath>
+#include <memory>
 
 #include "imu_pose_calib/core/pose_trajectory.h"
 
@@ -33,8 +34,9 @@ struct GyroResidual {
     return true;
   }
 
-  ceres::CostFunction* Create() const {
-    return new ceres::AutoDiffCostFunction<GyroResidual, 3, 4, 3, 3, 1>(new GyroResidual(*this));
+  std::unique_ptr<ceres::CostFunction> Create() const {
+    return std::make_unique<ceres::AutoDiffCostFunction<GyroResidual, 3, 4, 3, 3, 1>>(
+        new GyroResidual(*this));
   }
 };
 
@@ -75,8 +77,8 @@ struct AccelResidual {
     return true;
   }
 
-  ceres::CostFunction* Create() const {
-    return new ceres::AutoDiffCostFunction<AccelResidual, 3, 4, 3, 3, 3, 3, 1, 1>(
+  std::unique_ptr<ceres::CostFunction> Create() const {
+    return std::make_unique<ceres::AutoDiffCostFunction<AccelResidual, 3, 4, 3, 3, 3, 3, 1, 1>>(
         new AccelResidual(*this));
   }
 };
@@ -92,8 +94,9 @@ struct BiasWalkResidual {
     return true;
   }
 
-  ceres::CostFunction* Create() const {
-    return new ceres::AutoDiffCostFunction<BiasWalkResidual, 3, 3, 3>(new BiasWalkResidual(*this));
+  std::unique_ptr<ceres::CostFunction> Create() const {
+    return std::make_unique<ceres::AutoDiffCostFunction<BiasWalkResidual, 3, 3, 3>>(
+        new BiasWalkResidual(*this));
   }
 };
 

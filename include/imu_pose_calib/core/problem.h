@@ -1,0 +1,77 @@
+#pragma once
+
+#include <ceres/cost_function.h>
+
+#include <Eigen/Core>
+#include <memory>
+#include <unordered_map>
+#include <vector>
+
+#include "imu_pose_calib/core/manifolds.h"
+
+namespace imu_pose_calib {
+
+/// Least squares: residual blocks r, cost functions of Ceres, of parameter blocks that others own;
+/// its cost is the sum of rho(|r|^2) / 2. Holds little beside them, so that it can be large and be
+/// made often; any number of threads may read it. Both kinds of blocks are numbered as they come.
+class Problem {
+ public:
+  /// Number of a block of parameters; one that is there already stays as it is.
+  int AddParameters(double* data, int size, BlockKind kind = BlockKind::kVector);
+  /// -1 when it is not there.
+  int Find(const double* data) const;
+  void SetHeld(const double* data, bool is_held);
+  bool IsEstimated(const double* data) const;
+
+  size_t blocks() const { return parameters_.size(); }
+  double* data(int block) const { return At(block).data; }
+  int TangentSize(int block) const;
+  BlockKind kind(int block) const { return At(block).kind; }
+  Eigen::MatrixXd PlusJacobian(int block) const;
+  /// Moves blocks one after the other by a step of all; returns the values before.
+  std::vector<double> Move(const std::vector<int>& blocks, const Eigen::VectorXd& step) const;
+  void Restore(const std::vector<int>& blocks, const std::vector<double>& before) const;
+
+  /// Of parameters that are there. `cauchy_scale`: rho is Cauchy's loss, 0: none.
+  int AddResiduals(std::unique_ptr<const ceres::CostFunction> cost,
+                   const std::vector<int>& blocks,
+                   double cauchy_scale = 0.0);
+  /// The same; parameters that are not there are added as vectors.
+  int AddResiduals(std::unique_ptr<const ceres::CostFunction> cost,
+                   const std::vector<double*>& parameters,
+                   double cauchy_scale = 0.0);
+  struct Residuals {
+    std::unique_ptr<const ceres::CostFunction> cost;
+    double cauchy_scale;
+    size_t first_row, first_block;
+
+    /// rho'(|r|^2)
+    double Weight(double squared_norm) const;
+    double Cost(double squared_norm) const;
+  };
+  const Residuals& residuals(int number) const { return residuals_[static_cast<size_t>(number)]; }
+  /// The parameter blocks of a residual block, as many as its cost function has.
+  const int* BlocksOf(const Residuals& residuals) const {
+    return &blocks_of_residuals_[residuals.first_block];
+  }
+
+  /// All rows without their losses, and the cost. False where they are not defined.
+  bool Evaluate(int threads, std::vector<double>* rows, double* cost) const;
+
+ private:
+  struct ParameterBlock {
+    double* data;
+    int size;
+    BlockKind kind;
+    bool is_held;
+  };
+  const ParameterBlock& At(int block) const { return parameters_[static_cast<size_t>(block)]; }
+
+  std::vector<ParameterBlock> parameters_;
+  std::unordered_map<const double*, int> number_;
+  std::vector<Residuals> residuals_;
+  std::vector<int> blocks_of_residuals_;
+  size_t rows_ = 0;
+};
+
+}  // namespace imu_pose_calib
