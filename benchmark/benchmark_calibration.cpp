@@ -68,11 +68,11 @@ void BenchmarkJointAccelResidual(benchmark::State& state) {
                                    {0.0, 0.0, 0.0},
                                    {0.1, 0.2, 0.3},
                                    {1.0, 2.0, 3.0}};
-  const JointImuSample sample{{motion, {0, 0.3, 0.01}}, {0.0, 0.0, 9.8}, 0.5, 0.0, 0.0, 0.02};
+  const JointAccelSample sample{{{motion, {0, 0.3, 0.01}}, {0.0, 0.0, 9.8}, 0.5, 0.0, 0.0, 0.02},
+                                {}};
   const auto samples = static_cast<size_t>(state.range(0));
   const std::unique_ptr<ceres::CostFunction> block(
-      CreateJointAccelResidual(std::vector<JointImuSample>(samples, sample),
-                               std::vector<MarkerJerk>(samples),
+      CreateJointAccelResidual(std::vector<JointAccelSample>(samples, sample),
                                Eigen::Matrix3d::Identity(),
                                std::make_shared<const std::vector<ClockMotion>>()));
   std::vector<std::vector<double>> parameters, jacobians;

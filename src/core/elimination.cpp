@@ -4,8 +4,7 @@
 #include <algorithm>
 #include <limits>
 #include <numeric>
-
-#include "imu_pose_calib/core/parallel.h"
+#include <utility>
 
 namespace imu_pose_calib {
 namespace {
@@ -19,12 +18,6 @@ size_t Index(int k) { return static_cast<size_t>(k); }
 
 }  // namespace
 
-void Reduced::Add(const Reduced& other) {
-  H += other.H;
-  B += other.B;
-  inner += other.inner;
-}
-
 Eigen::MatrixXd Reduced::Products() const {
   const Eigen::LLT<Eigen::MatrixXd> llt(H);
   if (!H.allFinite() || llt.info() != Eigen::Success)
@@ -36,38 +29,43 @@ Eigen::MatrixXd Reduced::Products() const {
 Elimination::Elimination(const std::vector<int>& sizes,
                          size_t border,
                          const std::vector<std::vector<int>>& residuals,
-                         const std::vector<size_t>& first_of_session)
+                         const std::vector<size_t>& first_of_window)
     : place_(sizes.size()), block_at_(sizes.size()) {
-  // Blocks by the last residual that has them; what no residual has stays beside its neighbour.
+  // Blocks by window and the last residual that has them; what none has stays beside its neighbour.
+  const auto windows = static_cast<int>(first_of_window.size());
   std::vector<size_t> last(sizes.size(), 0);
-  std::vector<bool> acts(sizes.size(), false);
-  for (size_t r = 0; r < residuals.size(); ++r) {
+  std::vector<int> window(sizes.size(), -1);
+  for (size_t r = 0, w = 0; r < residuals.size(); ++r) {
+    while (w + 1 < first_of_window.size() && r >= first_of_window[w + 1]) ++w;
     for (const int block : residuals[r]) {
       last[Index(block)] = r;
-      acts[Index(block)] = true;
+      int& own = window[Index(block)];
+      own = own < 0 || own == static_cast<int>(w) ? static_cast<int>(w) : windows;
     }
   }
-  for (size_t b = border + 1; b < sizes.size(); ++b)
-    if (!acts[b]) last[b] = last[b - 1];
+  for (size_t b = border; b < sizes.size(); ++b) {
+    if (window[b] >= 0) continue;
+    window[b] = b > border ? window[b - 1] : 0;
+    last[b] = b > border ? last[b - 1] : 0;
+  }
   std::iota(block_at_.begin(), block_at_.end(), 0);
   std::rotate(
       block_at_.begin(), block_at_.begin() + static_cast<ptrdiff_t>(border), block_at_.end());
   const auto inner_end = block_at_.end() - static_cast<ptrdiff_t>(border);
-  std::stable_sort(block_at_.begin(), inner_end, [&last](int a, int b) {
-    return last[Index(a)] < last[Index(b)];
+  std::stable_sort(block_at_.begin(), inner_end, [&](int a, int b) {
+    return std::make_pair(window[Index(a)], last[Index(a)]) <
+           std::make_pair(window[Index(b)], last[Index(b)]);
   });
 
-  const auto session_of = [&](int block) {
-    return std::upper_bound(first_of_session.begin(), first_of_session.end(), last[Index(block)]) -
-           first_of_session.begin();
-  };
   const size_t inner = sizes.size() - border;
   for (size_t k = 0; k < sizes.size(); ++k) {
     const int block = block_at_[k];
     place_[Index(block)] = static_cast<int>(k);
     const bool is_full = k > 0 && shapes_.back().columns >= kPanelColumns && k < inner;
-    if (k == 0 || k == inner || is_full ||
-        (k < inner && session_of(block) != session_of(block_at_[k - 1]))) {
+    const int own = k < inner ? window[Index(block)] : windows;
+    if (k == 0 || k == inner || is_full || own >= static_cast<int>(first_panel_.size())) {
+      first_panel_.resize(std::max(first_panel_.size(), Index(own) + 1),
+                          static_cast<int>(shapes_.size()));
       shapes_.emplace_back();
       shapes_.back().first = static_cast<int>(k);
     }
@@ -78,6 +76,7 @@ Elimination::Elimination(const std::vector<int>& sizes,
     shape.columns += size_.back();
     shape.end = static_cast<int>(k) + 1;
   }
+  first_panel_.resize(Index(windows) + 1, static_cast<int>(shapes_.size()));
   if (border == 0) {  // the last panel is it all the same
     shapes_.emplace_back();
     shapes_.back().first = shapes_.back().end = static_cast<int>(inner);
@@ -195,95 +194,162 @@ bool Elimination::ActsInside(int block, const Panels& panels) const {
   });
 }
 
-Reduced Elimination::Eliminate(const Eigen::VectorXd& weights, bool keeps, Panels* panels) const {
-  Touch(border_panel(), panels);
-  const Eigen::Index count = weights.size();
+void Elimination::Gather(int p,
+                         const Panel& own,
+                         Rest* rest,
+                         Eigen::MatrixXd* H,
+                         Eigen::MatrixXd* B) const {
+  const Shape& shape = shapes_[Index(p)];
+  const auto waiting = rest->waiting.find(p);
   // Right-hand sides in the order in which they are met: those to come are 0 so far.
-  std::vector<int> met, column(Index(static_cast<int>(count)), -1);
-  Eigen::MatrixXd inner = Eigen::MatrixXd::Zero(count, count);
-  std::map<int, std::vector<Update>> waiting;
-  for (auto& [p, panel] : *panels) {
-    const Shape& shape = shapes_[Index(p)];
-    for (const auto& [number, unused] : panel.rhs) {
-      if (column[Index(number)] >= 0) continue;
-      column[Index(number)] = static_cast<int>(met.size());
-      met.push_back(number);
+  std::vector<int>& met = rest->numbers;
+  const auto column = [&met](int number) {
+    const auto found = std::find(met.begin(), met.end(), number);
+    if (found == met.end()) met.push_back(number);
+    return found - met.begin();
+  };
+  for (const auto& [number, unused] : own.rhs) column(number);
+  if (waiting != rest->waiting.end())
+    for (const auto& update : waiting->second)
+      for (const int number : update->numbers) column(number);
+  *H = Eigen::MatrixXd::Zero(shape.height, shape.height);
+  *B = Eigen::MatrixXd::Zero(shape.height, static_cast<Eigen::Index>(met.size()));
+  H->leftCols(shape.columns) = own.H;
+  for (const auto& [number, rhs] : own.rhs) B->col(column(number)).head(shape.columns) = rhs;
+  if (waiting == rest->waiting.end()) return;
+  for (const auto& update : waiting->second) {
+    const std::vector<int> rows =
+        Offsets(update->rows.data(), update->rows.data() + update->rows.size(), p);
+    for (size_t j = 0; j < rows.size(); ++j)
+      for (size_t i = j; i < rows.size(); ++i)
+        (*H)(rows[i], rows[j]) +=
+            update->H(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j));
+    for (Eigen::Index k = 0; k < update->B.cols(); ++k) {
+      const Eigen::Index at = column(update->numbers[Index(static_cast<int>(k))]);
+      for (size_t i = 0; i < rows.size(); ++i)
+        (*B)(rows[i], at) += update->B(static_cast<Eigen::Index>(i), k);
     }
-    const auto known = static_cast<Eigen::Index>(met.size());
-    Eigen::MatrixXd F = Eigen::MatrixXd::Zero(shape.height, shape.height);
-    Eigen::MatrixXd B = Eigen::MatrixXd::Zero(shape.height, known);
-    F.leftCols(shape.columns) = panel.H;
-    for (const auto& [number, rhs] : panel.rhs)
-      B.col(column[Index(number)]).head(shape.columns) = rhs;
-    for (const Update& update : waiting[p]) {
-      const std::vector<int> rows =
-          Offsets(update.rows.data(), update.rows.data() + update.rows.size(), p);
-      for (size_t j = 0; j < rows.size(); ++j)
-        for (size_t i = j; i < rows.size(); ++i)
-          F(rows[i], rows[j]) +=
-              update.H(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j));
-      for (Eigen::Index k = 0; k < update.B.cols(); ++k)
-        for (size_t i = 0; i < rows.size(); ++i)
-          B(rows[i], k) += update.B(static_cast<Eigen::Index>(i), k);
-    }
-    waiting.erase(p);
-    if (p == border_panel()) {
-      Reduced reduced{F.selfadjointView<Eigen::Lower>(),
-                      Eigen::MatrixXd::Zero(F.rows(), count),
-                      Eigen::MatrixXd::Zero(count, count)};
-      for (Eigen::Index j = 0; j < known; ++j) {
-        reduced.B.col(met[Index(static_cast<int>(j))]) = B.col(j);
-        for (Eigen::Index i = 0; i < known; ++i)
-          reduced.inner(met[Index(static_cast<int>(i))], met[Index(static_cast<int>(j))]) =
-              inner(i, j);
-      }
-      return reduced;
-    }
+  }
+}
 
+void Elimination::EliminatePanels(int begin,
+                                  int end,
+                                  const Eigen::VectorXd& weights,
+                                  bool keeps,
+                                  Panels* panels,
+                                  Rest* rest) const {
+  Eigen::MatrixXd F, B;
+  const auto last = panels->lower_bound(end);
+  for (auto entry = panels->lower_bound(begin); entry != last; ++entry) {
+    auto& [p, panel] = *entry;
+    const Shape& shape = shapes_[Index(p)];
+    Gather(p, panel, rest, &F, &B);
+    const std::vector<int>& numbers = rest->numbers;
+    const Eigen::Index known = B.cols();
     const int below = shape.height - shape.columns;
     for (int j = 0; j < shape.columns; ++j)
       if (F(j, j) == 0.0) F(j, j) = 1.0;
     Eigen::Ref<Eigen::MatrixXd> own = F.topLeftCorner(shape.columns, shape.columns);
     const Eigen::LLT<Eigen::Ref<Eigen::MatrixXd>> llt(own);
-    if (llt.info() != Eigen::Success) break;
+    if (llt.info() != Eigen::Success) {
+      rest->is_singular = true;
+      return;
+    }
     auto L = F.bottomLeftCorner(below, shape.columns);
     if (below > 0) llt.matrixL().transpose().solveInPlace<Eigen::OnTheRight>(L);
     auto y = B.topRows(shape.columns);
     if (known > 0) llt.matrixL().solveInPlace(y);
-    inner.topLeftCorner(known, known).noalias() += y.transpose() * y;
+    rest->inner.conservativeResizeLike(Eigen::MatrixXd::Zero(known, known));
+    rest->inner.noalias() += y.transpose() * y;
     F.bottomRightCorner(below, below).selfadjointView<Eigen::Lower>().rankUpdate(L, -1.0);
     B.bottomRows(below).noalias() -= L * y;
     // What no residual here has is not there.
-    Update update;
+    auto update = std::make_shared<Update>();
+    update->numbers = numbers;
     std::vector<int> kept;
     for (size_t r = 0; r < shape.rows.size(); ++r) {
       const int k = shape.rows[r];
       if (panels->count(panel_[Index(k)]) == 0) continue;
-      update.rows.push_back(k);
+      update->rows.push_back(k);
       for (int i = 0; i < size_[Index(k)]; ++i) kept.push_back(shape.row_offset[r] + i);
     }
     const auto size = static_cast<Eigen::Index>(kept.size());
-    update.H.resize(size, size);
-    update.B.resize(size, known);
+    update->H.resize(size, size);
+    update->B.resize(size, known);
     for (Eigen::Index j = 0; j < size; ++j)
       for (Eigen::Index i = j; i < size; ++i)
-        update.H(i, j) = F(kept[Index(static_cast<int>(i))], kept[Index(static_cast<int>(j))]);
+        update->H(i, j) = F(kept[Index(static_cast<int>(i))], kept[Index(static_cast<int>(j))]);
     for (Eigen::Index i = 0; i < size; ++i)
-      update.B.row(i) = B.row(kept[Index(static_cast<int>(i))]);
+      update->B.row(i) = B.row(kept[Index(static_cast<int>(i))]);
     if (keeps) {
       panel.H = F.leftCols(shape.columns);
       Eigen::VectorXd combined = Eigen::VectorXd::Zero(shape.columns);
       for (Eigen::Index j = 0; j < known; ++j)
-        combined += weights[met[Index(static_cast<int>(j))]] * y.col(j);
+        combined += weights[numbers[Index(static_cast<int>(j))]] * y.col(j);
       panel.rhs.clear();
       panel.rhs.emplace(0, std::move(combined));
     }
-    if (size > 0) waiting[panel_[Index(update.rows.front())]].push_back(std::move(update));
+    rest->waiting.erase(p);
+    if (size == 0) continue;
+    const int next = panel_[Index(update->rows.front())];
+    rest->waiting[next].push_back(std::move(update));
   }
-  const int size = border_columns();
-  return {Eigen::MatrixXd::Constant(size, size, kNan),
-          Eigen::MatrixXd::Zero(size, count),
-          Eigen::MatrixXd::Zero(count, count)};
+}
+
+Rest Elimination::EliminateWindow(int window,
+                                  const Eigen::VectorXd& weights,
+                                  bool keeps,
+                                  Panels* panels) const {
+  Touch(border_panel(), panels);
+  Rest rest;
+  EliminatePanels(
+      first_panel_[Index(window)], first_panel_[Index(window) + 1], weights, keeps, panels, &rest);
+  return rest;
+}
+
+Panels Elimination::TakeShared(Panels* window) const {
+  Panels shared;
+  while (!window->empty() && window->rbegin()->first >= first_panel_.back())
+    shared.insert(window->extract(std::prev(window->end())));
+  return shared;
+}
+
+Reduced Elimination::Reduce(const std::vector<const Rest*>& windows,
+                            const Eigen::VectorXd& weights,
+                            bool keeps,
+                            Panels* shared) const {
+  const Eigen::Index count = weights.size();
+  Reduced reduced{{}, Eigen::MatrixXd::Zero(border_columns(), count), {}};
+  reduced.inner = Eigen::MatrixXd::Zero(count, count);
+  const auto add_inner = [&reduced](const Rest& rest) {
+    for (Eigen::Index j = 0; j < rest.inner.cols(); ++j)
+      for (Eigen::Index i = 0; i < rest.inner.rows(); ++i)
+        reduced.inner(rest.numbers[Index(static_cast<int>(i))],
+                      rest.numbers[Index(static_cast<int>(j))]) += rest.inner(i, j);
+  };
+  Rest rest;
+  for (const Rest* window : windows) {
+    for (const auto& [p, updates] : window->waiting)
+      rest.waiting[p].insert(rest.waiting[p].end(), updates.begin(), updates.end());
+    add_inner(*window);
+    rest.is_singular = rest.is_singular || window->is_singular;
+  }
+  const Panel& border = *Touch(border_panel(), shared);
+  EliminatePanels(first_panel_.back(), border_panel(), weights, keeps, shared, &rest);
+  add_inner(rest);
+  Eigen::MatrixXd B;
+  Gather(border_panel(), border, &rest, &reduced.H, &B);
+  for (size_t j = 0; j < rest.numbers.size(); ++j)
+    reduced.B.col(rest.numbers[j]) = B.col(static_cast<Eigen::Index>(j));
+  reduced.H = Eigen::MatrixXd(reduced.H.selfadjointView<Eigen::Lower>());
+  if (rest.is_singular) reduced.H.setConstant(kNan);
+  return reduced;
+}
+
+int Elimination::WindowOf(int block) const {
+  const int panel = panel_[Index(place(block))];
+  const auto next = std::upper_bound(first_panel_.begin(), first_panel_.end(), panel);
+  return static_cast<int>(next - first_panel_.begin()) - 1;
 }
 
 void Elimination::SubstituteBack(const Panels& panels, Eigen::VectorXd* x) const {
@@ -349,19 +415,6 @@ double Elimination::At(const Panels& panels, int row, int column) const {
   if (panel == panels.end()) return 0.0;
   const int first = Offset(k, panel->first);
   return first < 0 ? 0.0 : panel->second.H(first + i, offset_[Index(l)] + j);
-}
-
-Reduced EliminateAll(const Elimination& elimination,
-                     const Eigen::VectorXd& weights,
-                     bool keeps,
-                     int threads,
-                     std::vector<Panels>* sessions) {
-  std::vector<Reduced> reduced(sessions->size());
-  InParallel(threads, sessions->size(), [&](size_t s) {
-    reduced[s] = elimination.Eliminate(weights, keeps, &(*sessions)[s]);
-  });
-  for (size_t s = 1; s < reduced.size(); ++s) reduced[0].Add(reduced[s]);
-  return reduced[0];
 }
 
 }  // namespace imu_pose_calib

@@ -33,12 +33,12 @@ void AddGyro(size_t session, size_t imu, LeastSquares* gp) {
     const auto [k, u] = clock.gyro_bias.Locate(s.t);
     const GyroResidual residual{&trajectory, s.t, s.value, u, sigma};
     sensor->samples.push_back({i, t_M, sigma, variance});
-    sensor->Add(gp->problem.AddResiduals(residual.Create(),
-                                         {gp->estimate->imus[imu].q_MI.coeffs().data(),
-                                          clock.gyro_bias.values[k].data(),
-                                          clock.gyro_bias.values[k + 1].data(),
-                                          &clock.time_shift},
-                                         gp->options.robust_loss_scale),
+    sensor->Add(gp->problem.AddResidualsOf({gp->estimate->imus[imu].q_MI.coeffs().data(),
+                                            clock.gyro_bias.values[k].data(),
+                                            clock.gyro_bias.values[k + 1].data(),
+                                            &clock.time_shift},
+                                           residual.Create(),
+                                           gp->options.robust_loss_scale),
                 t_M);
   }
   if (sensor->samples.empty()) throw DataError("no gyroscope sample falls on the trajectory");
@@ -70,15 +70,15 @@ void AddAccel(size_t session, size_t imu, LeastSquares* gp) {
     const auto [k, u] = clock.accel_bias.Locate(s.t);
     const AccelResidual residual{&trajectory, s.t, s.value, u, sigma};
     sensor->samples.push_back({i, t_M, sigma, variance});
-    sensor->Add(gp->problem.AddResiduals(residual.Create(),
-                                         {rig.q_MI.coeffs().data(),
-                                          rig.p_MI.data(),
-                                          gp->estimate->sessions[session].g_W.data(),
-                                          clock.accel_bias.values[k].data(),
-                                          clock.accel_bias.values[k + 1].data(),
-                                          &clock.time_shift,
-                                          &rig.accel_delay},
-                                         gp->options.robust_loss_scale),
+    sensor->Add(gp->problem.AddResidualsOf({rig.q_MI.coeffs().data(),
+                                            rig.p_MI.data(),
+                                            gp->estimate->sessions[session].g_W.data(),
+                                            clock.accel_bias.values[k].data(),
+                                            clock.accel_bias.values[k + 1].data(),
+                                            &clock.time_shift,
+                                            &rig.accel_delay},
+                                           residual.Create(),
+                                           gp->options.robust_loss_scale),
                 t_M);
   }
   if (sensor->samples.empty()) throw DataError("no accelerometer sample falls on the trajectory");

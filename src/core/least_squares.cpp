@@ -5,6 +5,7 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <string>
 #include <thread>
 #include <utility>
@@ -23,6 +24,11 @@ constexpr double kEdge = 0.02;  // [s]
 /// Residuals of a sensor that the trajectory follows more closely say little about its noise.
 constexpr double kLeastRedundancy = 0.1;
 
+/// Windows of all sessions by default, and their least length [s].
+constexpr double kWindows = 24.0;
+constexpr double kShortestWindow = 2.0;
+constexpr double kRounding = 1e-6;
+
 /// Share of the diagonal of H that is added to it after a step that does not reduce the cost by a
 /// share kLeastGain of what it should (Levenberg-Marquardt); less than this is none.
 constexpr double kLeastDamping = 1e-8, kLeastGain = 1e-3;
@@ -38,16 +44,25 @@ struct GaussNewtonStep {
   double decrease;    ///< of the cost, if the residuals were linear; NaN when there is no step
 };
 
-GaussNewtonStep FindStep(const NormalEquations& equations,
-                         size_t sessions,
-                         double damping,
-                         int threads) {
+GaussNewtonStep FindStep(const NormalEquations& equations, double damping, int threads) {
   const Elimination& elimination = *equations.elimination();
-  std::vector<Panels> panels = equations.Assemble(static_cast<int>(sessions), {});
+  const auto count = static_cast<size_t>(elimination.windows());
+  std::vector<Panels> windows(count);
+  std::vector<Rest> rests(count);
   const auto damp = [damping](int, auto diagonal) { diagonal *= 1.0 + damping; };
-  for (Panels& own : panels) elimination.VisitDiagonal(damp, &own);
-  const Eigen::VectorXd weights = Eigen::VectorXd::Ones(static_cast<Eigen::Index>(sessions));
-  Reduced reduced = EliminateAll(elimination, weights, true, threads, &panels);
+  const Eigen::VectorXd weights = Eigen::VectorXd::Ones(elimination.windows());
+  InParallel(threads, count, [&](size_t w) {
+    windows[w] = equations.Assemble(w, {});
+    elimination.VisitDiagonal(damp, &windows[w]);
+    rests[w] = elimination.EliminateWindow(static_cast<int>(w), weights, true, &windows[w]);
+  });
+  Panels shared;
+  std::vector<const Rest*> parts;
+  for (size_t w = 0; w < count; ++w) {
+    Elimination::Merge(elimination.TakeShared(&windows[w]), &shared);
+    parts.push_back(&rests[w]);
+  }
+  Reduced reduced = elimination.Reduce(parts, weights, true, &shared);
   for (Eigen::Index k = 0; k < reduced.H.rows(); ++k)
     if (reduced.H(k, k) == 0.0) reduced.H(k, k) = 1.0;  // nothing acts on it: it stays
   GaussNewtonStep step{Eigen::VectorXd::Zero(elimination.columns()), std::nan("")};
@@ -56,7 +71,8 @@ GaussNewtonStep FindStep(const NormalEquations& equations,
   const Eigen::VectorXd b = reduced.B * weights;
   step.x.head(b.size()) = -llt.solve(b);
   step.decrease = 0.5 * (reduced.inner.sum() - b.dot(step.x.head(b.size())));
-  for (const Panels& own : panels) elimination.SubstituteBack(own, &step.x);
+  elimination.SubstituteBack(shared, &step.x);
+  InParallel(threads, count, [&](size_t w) { elimination.SubstituteBack(windows[w], &step.x); });
   return step;
 }
 
@@ -91,6 +107,45 @@ std::vector<SensorModel> InitialModels(const CalibrationOptions& options,
   return models;
 }
 
+Windows::Windows(const CalibrationOptions& options,
+                 const std::vector<PreparedSession>& sessions,
+                 const Estimate& estimate) {
+  double total = 0.0;
+  for (size_t s = 0; s < estimate.sessions.size(); ++s) {
+    const SessionEstimate& session = estimate.sessions[s];
+    double begin = std::numeric_limits<double>::infinity(), end = -begin;
+    for (size_t i = 0; i < session.imus.size(); ++i) {
+      if (!session.imus[i].is_present) continue;
+      const ConditionedImu& imu = sessions[s].data.imus[i];
+      begin = std::min(begin,
+                       session.imus[i].PoseTime(std::min(imu.gyro.front().t, imu.accel.front().t)));
+      end =
+          std::max(end, session.imus[i].PoseTime(std::max(imu.gyro.back().t, imu.accel.back().t)));
+    }
+    if (begin > end) begin = end = 0.0;
+    spans_.push_back({begin, end, 0, 0});
+    total += end - begin;
+  }
+  length_s_ = options.covariance_block_s > 0.0 ? options.covariance_block_s
+                                               : std::max(kShortestWindow, total / kWindows);
+  for (size_t s = 0; s < spans_.size(); ++s) {
+    Span& span = spans_[s];
+    span.first = count();
+    // Not by rounding: a last window of nothing, a middle on either side, as for what is of the
+    // middle.
+    const double windows = (span.end - span.begin) / length_s_;
+    span.count = std::max(1, static_cast<int>(std::ceil(windows - kRounding)));
+    const int middle = static_cast<int>(0.5 * windows + kRounding);
+    for (int k = 0; k < span.count; ++k) places_.push_back({s, k < middle ? 0u : 1u});
+  }
+}
+
+int Windows::Of(size_t session, double t) const {
+  const Span& span = spans_[session];
+  const int window = static_cast<int>(std::max(0.0, t - span.begin) / length_s_ + kRounding);
+  return span.first + std::min(window, span.count - 1);
+}
+
 void SensorBlocks::Add(int block, double t) {
   if (block_t.empty()) first_block = block;
   block_t.push_back(t);
@@ -103,6 +158,7 @@ LeastSquares::LeastSquares(const CalibrationOptions& options,
     : options(options),
       sessions(sessions),
       estimate(estimate),
+      windows(options, sessions, *estimate),
       feigned_information(estimate->imus.size(), 0.0) {
   for (const SensorModel& model : models) {
     sensors.emplace_back();
@@ -147,7 +203,7 @@ void LeastSquares::AddBiasWalk(double walk, size_t session, size_t imu, BiasKnot
   for (size_t k = 0; k + 1 < knots->t.size(); ++k) {
     const double sigma = walk * std::sqrt(knots->t[k + 1] - knots->t[k]);
     const std::vector<double*> values = {knots->values[k].data(), knots->values[k + 1].data()};
-    priors.push_back({problem.AddResiduals(BiasWalkResidual{sigma}.Create(), values),
+    priors.push_back({problem.AddResidualsOf(values, BiasWalkResidual{sigma}.Create()),
                       session,
                       clock.PoseTime(knots->t[k])});
   }
@@ -190,11 +246,13 @@ std::vector<int> LeastSquares::BiasBlocks() const {
 
 std::vector<Equation> LeastSquares::Equations() const {
   std::vector<Equation> equations;
+  const auto add = [&](int block, size_t session, double t) {
+    equations.push_back({block, session, t, windows.Of(session, t)});
+  };
   for (const SensorBlocks& sensor : sensors)
     for (size_t i = 0; i < sensor.block_t.size(); ++i)
-      equations.push_back(
-          {sensor.first_block + static_cast<int>(i), sensor.model->session, sensor.block_t[i]});
-  for (const PriorBlock& prior : priors) equations.push_back({prior.block, prior.session, prior.t});
+      add(sensor.first_block + static_cast<int>(i), sensor.model->session, sensor.block_t[i]);
+  for (const PriorBlock& prior : priors) add(prior.block, prior.session, prior.t);
   return equations;
 }
 
@@ -206,9 +264,8 @@ int LeastSquares::Solve(double function_tolerance) {
   for (const Parameter& p : CalibrationParameters(estimate)) add_border(p.data);
   for (SessionEstimate& session : estimate->sessions) add_border(session.g_W.data());
   inner.insert(inner.end(), trajectory_blocks.begin(), trajectory_blocks.end());
-  std::vector<Equation> all = Equations();
-  for (Equation& equation : all) equation.cluster = static_cast<int>(equation.session);
-  const NormalEquations equations(problem, border, inner, std::move(all), Threads());
+  const NormalEquations equations(
+      problem, border, inner, Equations(), static_cast<size_t>(windows.count()));
 
   std::vector<double> rows;
   const auto find_cost = [&] {
@@ -219,7 +276,7 @@ int LeastSquares::Solve(double function_tolerance) {
   if (!std::isfinite(cost))
     throw DataError("the residuals cannot be evaluated where the solve starts");
   for (int iteration = 1; iteration <= options.max_iterations; ++iteration) {
-    const GaussNewtonStep step = FindStep(equations, sessions.size(), damping, Threads());
+    const GaussNewtonStep step = FindStep(equations, damping, Threads());
     const std::vector<double> before = problem.Move(equations.blocks(), step.x);
     const double found = find_cost(), change = cost - found;
     const bool is_accepted = change > kLeastGain * step.decrease;

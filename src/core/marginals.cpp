@@ -27,7 +27,7 @@ bool ActsIn(const Estimate& estimate, const Parameter& p, size_t session) {
 /// Share of the scores' degrees of freedom that the fit used up. Scores have as many dimensions per
 /// cluster as there are parameters that act in it; the fit sets as many of them to 0 as it has
 /// parameters.
-double FittedShare(const Ordering& ordering, const Clusters& clusters, const LeastSquares& solved) {
+double FittedShare(const Ordering& ordering, const LeastSquares& solved) {
   double dimensions = 0.0;
   for (size_t s = 0; s < solved.sessions.size(); ++s) {
     int local = solved.options.estimate_gravity ? 2 : 0;
@@ -35,7 +35,7 @@ double FittedShare(const Ordering& ordering, const Clusters& clusters, const Lea
       if (imu.is_present) local += 6;
     for (const Parameter& p : ordering.calibrated)
       if (ActsIn(*solved.estimate, p, s)) local += p.size;
-    dimensions += static_cast<double>(local * clusters.Count(s));
+    dimensions += static_cast<double>(local * solved.windows.Count(s));
   }
   const int shared = ordering.trajectory - ordering.leading;
   return std::min(kLargestFittedShare,
@@ -211,12 +211,11 @@ Eigen::VectorXd Enlargement(const Eigen::MatrixXd& model, const Eigen::MatrixXd&
 Marginals FindMarginals(LeastSquares* solved) {
   Marginals result;
   const Ordering ordering(solved);
-  const Clusters clusters(*solved);
   const Functionals functionals(ordering, solved, &result);
-  ReducedProblem problem(ordering, clusters, functionals, solved);
+  ReducedProblem problem(ordering, functionals, solved);
   const MarginalEstimates estimates = problem.Estimate();
 
-  const double fitted = FittedShare(ordering, clusters, *solved);
+  const double fitted = FittedShare(ordering, *solved);
   const MarginalEstimate& all = estimates.gauss_newton;
   const MarginalEstimate marginal = GivenOthers(all, functionals.estimated());
   result.model = functionals.Spread(marginal.covariance);

@@ -4,17 +4,9 @@
 #include <cmath>
 #include <utility>
 
-#include "imu_pose_calib/core/parallel.h"
 #include "imu_pose_calib/core/types.h"
 
 namespace imu_pose_calib {
-namespace {
-
-/// Residual blocks that a thread takes at a time.
-constexpr size_t kPortion = 512;
-
-}  // namespace
-
 /// One residual block at a time, weighted by its loss; its columns in the order of elimination.
 class NormalEquations::Linearisation {
  public:
@@ -127,8 +119,8 @@ NormalEquations::NormalEquations(const Problem& problem,
                                  const std::vector<int>& border,
                                  const std::vector<int>& inner,
                                  std::vector<Equation> equations,
-                                 int threads)
-    : problem_(problem), threads_(threads), blocks_(border), equations_(std::move(equations)) {
+                                 size_t windows)
+    : problem_(problem), blocks_(border), equations_(std::move(equations)) {
   blocks_.insert(blocks_.end(), inner.begin(), inner.end());
   std::stable_sort(equations_.begin(), equations_.end(), [](const Equation& a, const Equation& b) {
     return std::make_pair(a.session, a.t) < std::make_pair(b.session, b.t);
@@ -145,9 +137,9 @@ NormalEquations::NormalEquations(const Problem& problem,
     curved_.push_back(block);
   }
   std::vector<std::vector<int>> residuals(equations_.size());
-  std::vector<size_t> first_of_session;
   for (size_t k = 0; k < equations_.size(); ++k) {
-    if (k > 0 && equations_[k].session != equations_[k - 1].session) first_of_session.push_back(k);
+    while (first_of_window_.size() <= static_cast<size_t>(equations_[k].window))
+      first_of_window_.push_back(k);
     const Problem::Residuals& own = problem.residuals(equations_[k].block);
     const int* blocks = problem.BlocksOf(own);
     for (size_t i = 0; i < own.cost->parameter_block_sizes().size(); ++i) {
@@ -155,52 +147,42 @@ NormalEquations::NormalEquations(const Problem& problem,
       if (place >= 0) residuals[k].push_back(place);
     }
   }
+  first_of_window_.resize(windows, equations_.size());
   elimination_ =
-      std::make_shared<const Elimination>(sizes, border.size(), residuals, first_of_session);
+      std::make_shared<const Elimination>(sizes, border.size(), residuals, first_of_window_);
   for (const int block : blocks_) {
     int& place = places_[static_cast<size_t>(block)].place;
     place = elimination_->place(place);
   }
 }
 
-std::vector<Panels> NormalEquations::Assemble(int clusters,
-                                              const std::vector<ExactColumn>& exact) const {
-  std::vector<size_t> begins;
-  for (size_t k = 0; k < equations_.size(); ++k)
-    if (k == 0 || k - begins.back() == kPortion ||
-        equations_[k].cluster != equations_[k - 1].cluster)
-      begins.push_back(k);
-  std::vector<Panels> portions(begins.size());
-  InParallel(threads_, begins.size(), [&](size_t p) {
-    Linearisation at(*this);
-    Eigen::MatrixXd product;
-    Eigen::VectorXd score, moved;
-    const size_t end = p + 1 < begins.size() ? begins[p + 1] : equations_.size();
-    for (size_t k = begins[p]; k < end; ++k) {
-      at.Start(equations_[k]);
-      if (at.places.empty()) continue;
-      if (!at.Evaluate()) throw DataError("the residuals cannot be differentiated");
-      product.noalias() = at.J.transpose() * at.J;
-      score.noalias() = at.J.transpose() * at.r;
-      elimination_->Add(at.places, product, &portions[p]);
-      elimination_->AddRhs(at.places, equations_[k].cluster, score, &portions[p]);
-      for (const ExactColumn& parameter : exact) {
-        const Eigen::Index column = at.Column(parameter.block);
-        if (column < 0 || product(column, column) == 0.0) continue;
-        if (!at.EvaluateMoved(parameter.block, parameter.step)) continue;
-        moved.noalias() = at.J.transpose() * at.r;
-        elimination_->AddRhs(at.places,
-                             parameter.rhs,
-                             (moved - score) / parameter.step - product.col(column),
-                             &portions[p]);
-      }
+Panels NormalEquations::Assemble(size_t window, const std::vector<ExactColumn>& exact) const {
+  Panels panels;
+  Linearisation at(*this);
+  Eigen::MatrixXd product;
+  Eigen::VectorXd score, moved;
+  const size_t end =
+      window + 1 < first_of_window_.size() ? first_of_window_[window + 1] : equations_.size();
+  for (size_t k = first_of_window_[window]; k < end; ++k) {
+    at.Start(equations_[k]);
+    if (at.places.empty()) continue;
+    if (!at.Evaluate()) throw DataError("the residuals cannot be differentiated");
+    product.noalias() = at.J.transpose() * at.J;
+    score.noalias() = at.J.transpose() * at.r;
+    elimination_->Add(at.places, product, &panels);
+    elimination_->AddRhs(at.places, static_cast<int>(window), score, &panels);
+    for (const ExactColumn& parameter : exact) {
+      const Eigen::Index column = at.Column(parameter.block);
+      if (column < 0 || product(column, column) == 0.0) continue;
+      if (!at.EvaluateMoved(parameter.block, parameter.step)) continue;
+      moved.noalias() = at.J.transpose() * at.r;
+      elimination_->AddRhs(at.places,
+                           parameter.rhs,
+                           (moved - score) / parameter.step - product.col(column),
+                           &panels);
     }
-  });
-  std::vector<Panels> all(static_cast<size_t>(clusters));
-  for (size_t p = 0; p < begins.size(); ++p)
-    Elimination::Merge(std::move(portions[p]),
-                       &all[static_cast<size_t>(equations_[begins[p]].cluster)]);
-  return all;
+  }
+  return panels;
 }
 
 }  // namespace imu_pose_calib

@@ -73,9 +73,9 @@ int Problem::AddResiduals(std::unique_ptr<const ceres::CostFunction> cost,
   return static_cast<int>(residuals_.size()) - 1;
 }
 
-int Problem::AddResiduals(std::unique_ptr<const ceres::CostFunction> cost,
-                          const std::vector<double*>& parameters,
-                          double cauchy_scale) {
+int Problem::AddResidualsOf(const std::vector<double*>& parameters,
+                            std::unique_ptr<const ceres::CostFunction> cost,
+                            double cauchy_scale) {
   std::vector<int> blocks;
   for (size_t k = 0; k < parameters.size(); ++k)
     blocks.push_back(AddParameters(parameters[k], cost->parameter_block_sizes()[k]));

@@ -13,12 +13,8 @@ namespace {
 
 /// On each coordinate of the trajectory's corrections [1/m^2, 1/rad^2]: nothing beside any sample.
 constexpr double kWeakInformation = 1.0;
-/// Blocks of the cluster-robust covariance by default, and their least length [s].
-constexpr double kCovarianceBlocks = 24.0;
-constexpr double kShortestBlock = 2.0;
 /// Beyond which the change of the gradient is looked for [s].
 constexpr double kClockStep = 1e-6;
-constexpr double kRounding = 1e-6;
 
 /// Of a parameter that is not estimated.
 bool IsHeld(const Parameter& p, const Marginals& marginals) {
@@ -63,43 +59,6 @@ Ordering::Ordering(LeastSquares* solved) {
   for (const int block : solved->BiasBlocks()) add(block, &inner);
   trajectory = columns;
   for (const int block : solved->trajectory_blocks) add(block, &inner);
-}
-
-Clusters::Clusters(const LeastSquares& solved) {
-  double total = 0.0;
-  for (const SessionEstimate& session : solved.estimate->sessions) {
-    double begin = std::numeric_limits<double>::infinity(), end = -begin;
-    const size_t s = spans_.size();
-    for (size_t i = 0; i < session.imus.size(); ++i) {
-      if (!session.imus[i].is_present) continue;
-      const ConditionedImu& imu = solved.sessions[s].data.imus[i];
-      begin = std::min(begin,
-                       session.imus[i].PoseTime(std::min(imu.gyro.front().t, imu.accel.front().t)));
-      end =
-          std::max(end, session.imus[i].PoseTime(std::max(imu.gyro.back().t, imu.accel.back().t)));
-    }
-    spans_.push_back({begin, end, 0, 0});
-    total += end - begin;
-  }
-  block_s_ = solved.options.covariance_block_s > 0.0
-                 ? solved.options.covariance_block_s
-                 : std::max(kShortestBlock, total / kCovarianceBlocks);
-  for (size_t s = 0; s < spans_.size(); ++s) {
-    Span& span = spans_[s];
-    span.first = static_cast<int>(part_.size());
-    // Not by rounding: a last block of nothing, a middle on either side.
-    const double blocks = (span.end - span.begin) / block_s_;
-    span.count = std::max(1, static_cast<int>(std::ceil(blocks - kRounding)));
-    const int middle = static_cast<int>(0.5 * blocks + kRounding);
-    for (int k = 0; k < span.count; ++k)
-      part_.push_back(static_cast<int>(2 * s) + (k < middle ? 0 : 1));
-  }
-}
-
-int Clusters::Of(size_t session, double t) const {
-  const Span& span = spans_[session];
-  const int block = static_cast<int>(std::max(0.0, t - span.begin) / block_s_);
-  return span.first + std::min(block, span.count - 1);
 }
 
 Functionals::Functionals(const Ordering& ordering, LeastSquares* solved, Marginals* result) {
@@ -160,72 +119,86 @@ Eigen::MatrixXd Functionals::Basis() const {
 }
 
 ReducedProblem::ReducedProblem(const Ordering& ordering,
-                               const Clusters& clusters,
                                const Functionals& functionals,
                                LeastSquares* solved)
-    : ordering_(ordering),
-      clusters_(static_cast<int>(clusters.parts().size())),
-      functionals_(functionals.count()) {
-  std::vector<Equation> all = solved->Equations();
-  for (Equation& equation : all) equation.cluster = clusters.Of(equation.session, equation.t);
+    : ordering_(ordering), windows_(solved->windows.count()), functionals_(functionals.count()) {
+  const auto count = static_cast<size_t>(windows_);
   const NormalEquations equations(
-      solved->problem, ordering.border, ordering.inner, std::move(all), solved->Threads());
+      solved->problem, ordering.border, ordering.inner, solved->Equations(), count);
   blocks_ = equations.blocks();
   elimination_ = equations.elimination();
   std::vector<ExactColumn> exact;
   for (const int clock : ordering.clock_blocks)
     exact.push_back({clock, kClockStep, RhsOfClock(exact.size())});
-  std::vector<Panels> of_cluster = equations.Assemble(clusters_, exact);
-  std::vector<Panels> parts(2 * solved->sessions.size());
-  for (size_t w = 0; w < of_cluster.size(); ++w)
-    Elimination::Merge(std::move(of_cluster[w]), &parts[static_cast<size_t>(clusters.parts()[w])]);
+  // The gradient is the sum of the scores.
+  Eigen::VectorXd weights = Eigen::VectorXd::Zero(RhsOfClock(exact.size()));
+  weights.head(windows_).setOnes();
+
   const auto first_trajectory = static_cast<int>(blocks_.size() - solved->trajectory_blocks.size());
-  for (Panels& part : parts)
+  std::vector<Panels> panels(count), shared(count);
+  std::vector<Rest> rests(count);
+  std::vector<std::vector<bool>> acts(count);  // blocks of what is calibrated
+  InParallel(solved->Threads(), count, [&](size_t w) {
+    Panels& own = panels[w];
+    own = equations.Assemble(w, exact);
     elimination_->VisitDiagonal(
         [&](int block, auto diagonal) {
           if (block >= first_trajectory) diagonal.array() += 0.5 * kWeakInformation;
         },
-        &part);
-
-  // The gradient is the sum of the scores.
-  Eigen::VectorXd weights = Eigen::VectorXd::Zero(RhsOfClock(exact.size()));
-  weights.head(clusters_).setOnes();
-  std::vector<Reduced> reduced(parts.size());
-  InParallel(solved->Threads(), parts.size(), [&](size_t k) {
-    reduced[k] = elimination_->Eliminate(weights, false, &parts[k]);
+        &own);
+    for (size_t b = 0; b < ordering.calibrated.size(); ++b)
+      acts[w].push_back(elimination_->ActsInside(static_cast<int>(b), own));
+    AddMeans(functionals, static_cast<int>(w), &own);
+    rests[w] = elimination_->EliminateWindow(static_cast<int>(w), weights, true, &own);
+    shared[w] = elimination_->TakeShared(&own);
+    // What exact columns have in each other comes twice.
+    for (auto& [number, rhs] : shared[w].rbegin()->second.rhs)
+      if (number >= RhsOfClock(0))
+        for (const int column : ordering.clocks) rhs[column] *= 0.5;
   });
-  for (size_t k = 2; k < parts.size(); ++k) reduced[k % 2].Add(reduced[k]);
-  halves_ = {{reduced[0], {}, {}}, {reduced[1], {}, {}}};
-  sessions_.resize(parts.size() / 2);
-  for (int w = 0; w < clusters_; ++w) {
-    const auto part = static_cast<size_t>(clusters.parts()[static_cast<size_t>(w)]);
-    halves_[part % 2].clusters.push_back(w);
-    sessions_[part / 2].clusters.push_back(w);
-  }
 
-  std::vector<Panels> totals;
-  for (size_t k = 0; k < parts.size(); k += 2) {
-    Elimination::Merge(std::move(parts[k + 1]), &parts[k]);
-    totals.push_back(std::move(parts[k]));
-    sessions_[k / 2].acting = ActingColumns(totals.back());
+  const auto reduce = [&](const std::vector<int>& of, bool keeps, Panels* sum) {
+    std::vector<const Rest*> parts;
+    for (const int w : of) {
+      parts.push_back(&rests[static_cast<size_t>(w)]);
+      Elimination::Merge(Panels(shared[static_cast<size_t>(w)]), sum);
+    }
+    return elimination_->Reduce(parts, weights, keeps, sum);
+  };
+  halves_.resize(2);
+  sessions_.resize(solved->sessions.size());
+  for (int w = 0; w < windows_; ++w) {
+    const Windows::Place at = solved->windows.PlaceOf(w);
+    halves_[at.half].windows.push_back(w);
+    sessions_[at.session].windows.push_back(w);
   }
-  AddMeans(functionals, &totals);
-  HalveClocks(&totals);
-  InParallel(solved->Threads(), totals.size(), [&](size_t s) {
-    sessions_[s].reduced = elimination_->Eliminate(weights, true, &totals[s]);
-  });
-  all_ = sessions_[0].reduced;
-  for (size_t s = 1; s < sessions_.size(); ++s) all_.Add(sessions_[s].reduced);
-  for (Panels& own : totals) Elimination::Merge(std::move(own), &factor_);
+  for (std::vector<Part>* parts : {&halves_, &sessions_}) {
+    for (Part& part : *parts) {
+      Panels sum;
+      part.reduced = reduce(part.windows, false, &sum);
+      int block = 0, column = 0;
+      for (const Parameter& p : ordering.calibrated) {
+        const bool is_acting = std::any_of(part.windows.begin(), part.windows.end(), [&](int w) {
+          return acts[static_cast<size_t>(w)][static_cast<size_t>(block)];
+        });
+        for (int k = 0; k < p.size; ++k, ++column)
+          if (is_acting) part.acting.push_back(column);
+        ++block;
+      }
+    }
+  }
+  AddMeans(functionals, windows_, &factor_);
+  all_ = reduce(Counted(count), true, &factor_);
+  for (Panels& own : panels) factor_.merge(own);
   factor_.rbegin()->second = {all_.H, {}};
   for (int f = 0; f < functionals_; ++f) {
     const int column = functionals.columns()[static_cast<size_t>(f)];
-    if (column >= 0) all_.B(column, clusters_ + f) = 1.0;
+    if (column >= 0) all_.B(column, windows_ + f) = 1.0;
   }
 }
 
 MarginalEstimates ReducedProblem::Estimate() const {
-  return EstimateMarginals(all_.Products(), clusters_, functionals_, ordering_.clocks);
+  return EstimateMarginals(all_.Products(), windows_, functionals_, ordering_.clocks);
 }
 
 MarginalEstimate ReducedProblem::EstimateOf(const Part& part,
@@ -233,7 +206,7 @@ MarginalEstimate ReducedProblem::EstimateOf(const Part& part,
   std::vector<int> kept = columns;
   for (int column = ordering_.leading; column < ordering_.biases; ++column)
     if (part.reduced.H(column, column) != 0.0) kept.push_back(column);
-  return Select(EstimateBorder(part.reduced, kept, part.clusters), Counted(columns.size()));
+  return Select(EstimateBorder(part.reduced, kept, part.windows), Counted(columns.size()));
 }
 
 void ReducedProblem::FindStep(Marginals* result) {
@@ -247,7 +220,7 @@ void ReducedProblem::FindStep(Marginals* result) {
   for (const Parameter& p : ordering_.possible) keep(p.size, IsHeld(p, *result));
   keep(ordering_.biases - ordering_.leading, false);
   const MarginalEstimate border =
-      EstimateBorder(all_, kept, Counted(static_cast<size_t>(clusters_)));
+      EstimateBorder(all_, kept, Counted(static_cast<size_t>(windows_)));
   result->step = Eigen::VectorXd::Zero(ordering_.columns);
   if (border.covariance.allFinite()) {
     const Eigen::VectorXd step = border.Step();
@@ -260,35 +233,15 @@ void ReducedProblem::FindStep(Marginals* result) {
   result->factor = std::move(factor_);
 }
 
-std::vector<int> ReducedProblem::ActingColumns(const Panels& session) const {
-  std::vector<int> columns;
-  int block = 0, column = 0;
-  for (const Parameter& p : ordering_.calibrated) {
-    const bool acts = elimination_->ActsInside(block++, session);
-    for (int k = 0; k < p.size; ++k, ++column)
-      if (acts) columns.push_back(column);
-  }
-  return columns;
-}
-
-/// The means of bias knots.
-void ReducedProblem::AddMeans(const Functionals& functionals, std::vector<Panels>* totals) const {
+void ReducedProblem::AddMeans(const Functionals& functionals, int window, Panels* panels) const {
   auto block = static_cast<int>(ordering_.border.size());
   for (const Functionals::Mean& mean : functionals.means())
     for (size_t k = 0; k < mean.knots; ++k, ++block)
-      for (int axis = 0; axis < 3; ++axis)
+      for (int axis = 0; axis < 3 && elimination_->WindowOf(block) == window; ++axis)
         elimination_->AddRhs({elimination_->place(block)},
-                             clusters_ + mean.functional + axis,
+                             windows_ + mean.functional + axis,
                              Eigen::Vector3d::Unit(axis) / static_cast<double>(mean.knots),
-                             &(*totals)[mean.session]);
-}
-
-/// What exact columns have in each other comes twice.
-void ReducedProblem::HalveClocks(std::vector<Panels>* totals) const {
-  for (Panels& session : *totals)
-    for (auto& [number, rhs] : session.rbegin()->second.rhs)
-      if (number >= RhsOfClock(0))
-        for (const int column : ordering_.clocks) rhs[column] *= 0.5;
+                             panels);
 }
 
 }  // namespace imu_pose_calib

@@ -23,10 +23,8 @@ using Eigen::Vector3d;
 
 #if IMU_POSE_CALIB_CERES_HAS_MANIFOLDS
 using Manifold = ceres::Manifold;
-using QuaternionManifold = ceres::EigenQuaternionManifold;
 #else
 using Manifold = ceres::LocalParameterization;
-using QuaternionManifold = ceres::EigenQuaternionParameterization;
 #endif
 
 /// Random blocks of a residual: control points of a lively correction, then the given parameters.
@@ -63,7 +61,7 @@ class JointResiduals : public ::testing::Test {
       at_.place.u = u;
       const Eigen::Quaterniond q_WM = at_.gp.q_WM * Exp<double>(Random(0.5));
       const Vector3d p_WM = at_.gp.p_WM + Random(0.01);
-      poses.push_back({at_, q_WM, p_WM, -0.5, 0.01});
+      poses.push_back({at_, q_WM, p_WM, -0.5, 0.01, 0.02});
     }
     return poses;
   }
@@ -79,6 +77,13 @@ class JointResiduals : public ::testing::Test {
   std::vector<MarkerJerk> Jerks() {
     return {{Random(40.0), Random(30.0), Random(300.0)},
             {Random(40.0), Random(30.0), Random(300.0)}};
+  }
+
+  static std::vector<JointAccelSample> With(const std::vector<JointImuSample>& samples,
+                                            const std::vector<MarkerJerk>& jerks) {
+    std::vector<JointAccelSample> all;
+    for (size_t i = 0; i < samples.size(); ++i) all.push_back({samples[i], jerks[i]});
+    return all;
   }
 
   /// The clock parameters that move a sensor, as the joint solve hands them over.
@@ -203,10 +208,9 @@ class JointResiduals : public ::testing::Test {
     Eigen::VectorXd residuals;
     std::vector<Eigen::MatrixXd> jacobians;  ///< of each block
   };
-  static Evaluated Evaluate(ceres::CostFunction* cost_function,
+  static Evaluated Evaluate(const std::unique_ptr<ceres::CostFunction>& cost,
                             const std::vector<double*>& blocks) {
     using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-    const std::unique_ptr<ceres::CostFunction> cost(cost_function);
     Evaluated out;
     out.residuals.resize(cost->num_residuals());
     std::vector<std::vector<double>> values;
@@ -301,10 +305,9 @@ class JointResiduals : public ::testing::Test {
   }
 
   /// Analytic Jacobians against numeric ones, in the tangent space.
-  static void ExpectJacobiansMatch(ceres::CostFunction* cost_function,
+  static void ExpectJacobiansMatch(const std::unique_ptr<ceres::CostFunction>& cost,
                                    const std::vector<double*>& blocks,
                                    int quaternion) {
-    const std::unique_ptr<ceres::CostFunction> cost(cost_function);
     ASSERT_EQ(cost->parameter_block_sizes().size(), blocks.size());
     QuaternionManifold manifold;
     std::vector<const Manifold*> manifolds(blocks.size(), nullptr);

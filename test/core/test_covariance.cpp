@@ -7,6 +7,7 @@
 #include <limits>
 #include <random>
 
+#include "eliminate_all.h"
 #include "imu_pose_calib/core/covariance.h"
 #include "test_util.h"
 
@@ -56,7 +57,7 @@ Reduced Reduce(const MatrixXd& J,
       if (J(i, j) != 0.0) rows.back().push_back(j);
   }
   const Elimination elimination(
-      std::vector<int>(static_cast<size_t>(J.cols()), 1), static_cast<size_t>(leading), rows, {});
+      std::vector<int>(static_cast<size_t>(J.cols()), 1), static_cast<size_t>(leading), rows, {0});
   Panels panels;
   for (size_t r = 0; r < rows.size(); ++r) {
     std::sort(rows[r].begin(), rows[r].end(), [&elimination](int a, int b) {
@@ -78,7 +79,10 @@ Reduced Reduce(const MatrixXd& J,
       elimination.AddRhs(
           {elimination.place(i)}, Count(cluster) + k, VectorXd::Constant(1, rhs(i, k)), &panels);
   elimination.VisitDiagonal([prior](int, auto diagonal) { diagonal.array() += prior; }, &panels);
-  return elimination.Eliminate(VectorXd::Ones(Count(cluster) + rhs.cols()), false, &panels);
+  std::vector<Panels> windows = {std::move(panels)};
+  Panels shared;
+  return EliminateAll(
+      elimination, VectorXd::Ones(Count(cluster) + rhs.cols()), false, &windows, &shared);
 }
 
 /// Of the leading columns.
@@ -201,7 +205,9 @@ TEST(MarginalCovariance, OfPartsAddUp) {
   std::vector<int> later = Blocks(30, 6);
   for (int& w : later) w += 5;
   Reduced sum = Reduce(first, {residuals.begin(), middle}, Blocks(30, 6), 6, MatrixXd::Zero(9, 5));
-  sum.Add(Reduce(second, {middle, residuals.end()}, later, 6, none));
+  const Reduced other = Reduce(second, {middle, residuals.end()}, later, 6, none);
+  sum.H += other.H;
+  sum.B += other.B;
   const MarginalEstimate both =
       EstimateBorder(sum, {0, 1, 2, 3, 4, 5}, {0, 1, 2, 3, 4, 5, 6, 7, 8, 9});
   const MarginalEstimate whole = Marginal(J, residuals, cluster, 6);

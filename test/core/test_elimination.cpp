@@ -10,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include "eliminate_all.h"
 #include "imu_pose_calib/core/elimination.h"
 #include "imu_pose_calib/core/parallel.h"
 
@@ -26,11 +27,12 @@ struct RandomEquations {
   std::vector<int> sizes, first;  ///< of the blocks, first column
   size_t border = 3;
   std::vector<std::vector<int>> residuals;
-  std::vector<size_t> first_of_session;
-  MatrixXd H;  ///< of all
+  std::vector<size_t> first_of_window;  ///< a third of a session each
+  MatrixXd H;                           ///< of all
   MatrixXd B;  ///< right-hand sides, one a session and a last one that has it all
   std::unique_ptr<Elimination> elimination;
-  std::vector<Panels> sessions;
+  std::vector<Panels> windows;
+  Panels shared;
 
   RandomEquations(int session_count, int points, uint32_t seed) {
     std::mt19937 random(seed);
@@ -50,7 +52,8 @@ struct RandomEquations {
     border_columns = first[border];
     std::vector<int> session_of;
     for (int s = 0; s < session_count; ++s) {
-      if (s > 0) first_of_session.push_back(residuals.size());
+      for (const int third : {0, 1, 2})
+        first_of_window.push_back(residuals.size() + static_cast<size_t>(third * points / 3));
       const int own = static_cast<int>(border) + s * (knots + points + 3);
       for (int k = 0; k < points; ++k) {
         std::vector<int> blocks = {k % 3, own + k / knot_spans, own + k / knot_spans + 1};
@@ -60,10 +63,10 @@ struct RandomEquations {
         session_of.push_back(s);
       }
     }
-    elimination = std::make_unique<Elimination>(sizes, border, residuals, first_of_session);
+    elimination = std::make_unique<Elimination>(sizes, border, residuals, first_of_window);
+    windows.resize(first_of_window.size());
     H = MatrixXd::Zero(columns, columns);
     B = MatrixXd::Zero(columns, session_count + 1);
-    sessions.resize(static_cast<size_t>(session_count));
     for (size_t r = 0; r < residuals.size(); ++r) {
       std::vector<int> places, at;
       std::vector<int> blocks = residuals[r];
@@ -79,7 +82,8 @@ struct RandomEquations {
       const MatrixXd J = MatrixXd::NullaryExpr(6, size, [&] { return normal(random); });
       const VectorXd score = VectorXd::NullaryExpr(size, [&] { return normal(random); });
       const MatrixXd product = J.transpose() * J;
-      Panels* own = &sessions[static_cast<size_t>(session_of[r])];
+      const auto next = std::upper_bound(first_of_window.begin(), first_of_window.end(), r);
+      Panels* own = &windows[static_cast<size_t>(next - first_of_window.begin()) - 1];
       elimination->Add(places, product, own);
       elimination->AddRhs(places, session_of[r], score, own);
       elimination->AddRhs(places, session_count, 2.0 * score, own);
@@ -102,7 +106,7 @@ TEST_P(EliminationTest, ReducesToTheSchurComplement) {
   RandomEquations& e = equations_;
   const Eigen::Index border = e.border_columns, inner = e.H.rows() - border;
   const Reduced reduced =
-      EliminateAll(*e.elimination, VectorXd::Ones(e.B.cols()), false, 2, &e.sessions);
+      EliminateAll(*e.elimination, VectorXd::Ones(e.B.cols()), false, &e.windows, &e.shared);
   const MatrixXd D = e.H.bottomRightCorner(inner, inner), C = e.H.bottomLeftCorner(inner, border);
   const Eigen::LLT<MatrixXd> llt(D);
   const MatrixXd H = e.H.topLeftCorner(border, border) - C.transpose() * llt.solve(C);
@@ -116,10 +120,11 @@ TEST_P(EliminationTest, ReducesToTheSchurComplement) {
 TEST_P(EliminationTest, SubstitutesBack) {
   RandomEquations& e = equations_;
   const VectorXd weights = VectorXd::LinSpaced(e.B.cols(), -1.0, 2.0);
-  const Reduced reduced = EliminateAll(*e.elimination, weights, true, 2, &e.sessions);
+  const Reduced reduced = EliminateAll(*e.elimination, weights, true, &e.windows, &e.shared);
   VectorXd x = VectorXd::Zero(e.H.rows());
   x.head(e.border_columns) = -reduced.H.llt().solve(reduced.B * weights);
-  for (const Panels& own : e.sessions) e.elimination->SubstituteBack(own, &x);
+  e.elimination->SubstituteBack(e.shared, &x);
+  for (const Panels& own : e.windows) e.elimination->SubstituteBack(own, &x);
   const VectorXd expected = -e.H.llt().solve(e.B * weights);
   EXPECT_LT((x - expected).norm(), 1e-10 * expected.norm());
 }
@@ -127,16 +132,15 @@ TEST_P(EliminationTest, SubstitutesBack) {
 TEST_P(EliminationTest, InvertsAtItsPlaces) {
   RandomEquations& e = equations_;
   const Reduced reduced =
-      EliminateAll(*e.elimination, VectorXd::Ones(e.B.cols()), true, 2, &e.sessions);
-  Panels factor;
-  for (Panels& own : e.sessions) Elimination::Merge(std::move(own), &factor);
+      EliminateAll(*e.elimination, VectorXd::Ones(e.B.cols()), true, &e.windows, &e.shared);
+  for (Panels& own : e.windows) e.shared.merge(own);
   const Eigen::Index border = e.border_columns;
-  e.elimination->Invert(reduced.H.llt().solve(MatrixXd::Identity(border, border)), &factor);
+  e.elimination->Invert(reduced.H.llt().solve(MatrixXd::Identity(border, border)), &e.shared);
   const MatrixXd expected = e.H.llt().solve(MatrixXd::Identity(e.H.rows(), e.H.rows()));
   for (Eigen::Index i = 0; i < e.H.rows(); ++i)
     for (Eigen::Index j = 0; j < e.H.rows(); ++j)
       if (e.H(i, j) != 0.0) {
-        ASSERT_NEAR(e.elimination->At(factor, static_cast<int>(i), static_cast<int>(j)),
+        ASSERT_NEAR(e.elimination->At(e.shared, static_cast<int>(i), static_cast<int>(j)),
                     expected(i, j),
                     1e-10 * std::sqrt(expected(i, i) * expected(j, j)))
             << i << " " << j;
@@ -146,12 +150,12 @@ TEST_P(EliminationTest, InvertsAtItsPlaces) {
 TEST_P(EliminationTest, TellsWhatActs) {
   RandomEquations& e = equations_;
   std::vector<std::vector<int>> residuals = {{0, 3}, {3, 4}};
-  const Elimination elimination({1, 2, 1, 1, 1}, 3, residuals, {});
+  const Elimination elimination({1, 2, 1, 1, 1}, 3, residuals, {0});
   Panels panels;
   elimination.Add({elimination.place(3), elimination.place(0)}, MatrixXd::Ones(2, 2), &panels);
   EXPECT_TRUE(elimination.ActsInside(0, panels));
   EXPECT_FALSE(elimination.ActsInside(1, panels));
-  EXPECT_TRUE(e.elimination->ActsInside(0, e.sessions.back()));
+  EXPECT_TRUE(e.elimination->ActsInside(0, e.windows.back()));
 }
 
 INSTANTIATE_TEST_SUITE_P(Sessions, EliminationTest, testing::Values(1, 3));
@@ -159,7 +163,8 @@ INSTANTIATE_TEST_SUITE_P(Sessions, EliminationTest, testing::Values(1, 3));
 TEST(Elimination, OfAPartLeavesOutWhatActsElsewhere) {
   RandomEquations e(1, 60, 3);
   // Only the last third of the residuals, of which the first points are not.
-  Panels part;
+  std::vector<Panels> windows(3);
+  Panels shared;
   MatrixXd H = MatrixXd::Zero(e.H.rows(), e.H.rows());
   std::mt19937 random(1);
   for (size_t r = 40; r < e.residuals.size(); ++r) {
@@ -175,12 +180,12 @@ TEST(Elimination, OfAPartLeavesOutWhatActsElsewhere) {
     std::normal_distribution<double> normal;
     const auto size = static_cast<Eigen::Index>(at.size());
     const MatrixXd J = MatrixXd::NullaryExpr(9, size, [&] { return normal(random); });
-    e.elimination->Add(places, J.transpose() * J, &part);
+    e.elimination->Add(places, J.transpose() * J, &windows.back());
     for (Eigen::Index i = 0; i < size; ++i)
       for (Eigen::Index j = 0; j < size; ++j)
         H(at[static_cast<size_t>(i)], at[static_cast<size_t>(j)]) += J.col(i).dot(J.col(j));
   }
-  const Reduced reduced = e.elimination->Eliminate(VectorXd::Ones(1), false, &part);
+  const Reduced reduced = EliminateAll(*e.elimination, VectorXd::Ones(1), false, &windows, &shared);
   for (Eigen::Index i = 0; i < H.rows(); ++i)
     if (H(i, i) == 0.0) H(i, i) = 1.0;
   const MatrixXd expected =
@@ -195,8 +200,9 @@ TEST(Elimination, OfSingularEquationsIsNotFinite) {
       [](int block, auto diagonal) {
         if (block == 12) diagonal.array() -= 1e3;
       },
-      &e.sessions[0]);
-  const Reduced reduced = e.elimination->Eliminate(VectorXd::Ones(2), true, &e.sessions[0]);
+      &e.windows[0]);
+  const Reduced reduced =
+      EliminateAll(*e.elimination, VectorXd::Ones(2), true, &e.windows, &e.shared);
   EXPECT_FALSE(reduced.H.allFinite());
   EXPECT_FALSE(reduced.Products().allFinite());
 }
@@ -204,8 +210,10 @@ TEST(Elimination, OfSingularEquationsIsNotFinite) {
 TEST(Elimination, MergedPanelsAreTheSum) {
   RandomEquations a(1, 37, 8), b(1, 37, 9);
   const MatrixXd H = a.H + b.H, B = a.B + b.B;
-  Elimination::Merge(std::move(b.sessions[0]), &a.sessions[0]);
-  const Reduced reduced = a.elimination->Eliminate(VectorXd::Ones(2), false, &a.sessions[0]);
+  for (size_t w = 0; w < a.windows.size(); ++w)
+    Elimination::Merge(std::move(b.windows[w]), &a.windows[w]);
+  const Reduced reduced =
+      EliminateAll(*a.elimination, VectorXd::Ones(2), false, &a.windows, &a.shared);
   const MatrixXd products = B.transpose() * H.llt().solve(B);
   EXPECT_LT((reduced.Products() - products).norm(), 1e-10 * products.norm());
 }

@@ -42,15 +42,16 @@ TEST_F(JointResiduals, JacobianOfAnotherGyro) {
 }
 
 TEST_F(JointResiduals, AccelJacobian) {
-  ExpectJacobiansMatch(CreateJointAccelResidual(Imu(), Jerks(), R_MA_, Motions({})),
+  ExpectJacobiansMatch(CreateJointAccelResidual(With(Imu(), Jerks()), R_MA_, Motions({})),
                        AccelBlocks({}),
                        2 * kSplineOrder);
 }
 
 TEST_F(JointResiduals, JacobianOfAnotherAccel) {
-  ExpectJacobiansMatch(CreateJointAccelResidual(Imu(), Jerks(), R_MA_, Motions(OtherAccelClocks())),
-                       AccelBlocks(OtherAccelClocks()),
-                       2 * kSplineOrder);
+  ExpectJacobiansMatch(
+      CreateJointAccelResidual(With(Imu(), Jerks()), R_MA_, Motions(OtherAccelClocks())),
+      AccelBlocks(OtherAccelClocks()),
+      2 * kSplineOrder);
 }
 
 TEST_F(JointResiduals, JacobianOfAnotherAccelThatHasMoved) {
@@ -59,7 +60,7 @@ TEST_F(JointResiduals, JacobianOfAnotherAccelThatHasMoved) {
   const std::vector<JointImuSample> samples = Imu();
   const std::vector<MarkerJerk> jerks = Jerks();
   const auto create = [&] {
-    return CreateJointAccelResidual(samples, jerks, R_MA_, Motions(OtherAccelClocks()));
+    return CreateJointAccelResidual(With(samples, jerks), R_MA_, Motions(OtherAccelClocks()));
   };
   const size_t first_clock = blocks.size() - OtherAccelClocks().size();
   const auto errors = [&](double scale) {
@@ -108,9 +109,9 @@ TEST_F(JointResiduals, MovedPositionsAreThoseFurtherAlongTheTrajectory) {
       const double t = kSpan + 0.02 + 0.03 * reference;
       const Vector3d p_WM(0.1, 0.2, -0.1);
       const Eigen::Quaterniond q_WM = Eigen::Quaterniond::Identity();
-      samples.push_back({PointAt(t), q_WM, p_WM, reference, 0.01});
+      samples.push_back({PointAt(t), q_WM, p_WM, reference, 0.01, 0.01});
       const double moved = t + PoseMove(scale, reference).on_spline;
-      placed.push_back({PointAt(t, moved), q_WM, p_WM, reference, 0.01});
+      placed.push_back({PointAt(t, moved), q_WM, p_WM, reference, 0.01, 0.01});
     }
     MoveClocks(0.0);
     MovedAndPlaced both;
@@ -132,9 +133,9 @@ TEST_F(JointResiduals, MovedRotationsAreThoseFurtherAlongTheTrajectory) {
       const double t = kSpan + 0.02 + 0.03 * reference;
       const Eigen::Quaterniond q_WM =
           Eigen::Quaterniond(true_.At(kSpan).R_WM) * Exp<double>(Vector3d(0.2, 0.1, -0.3));
-      samples.push_back({PointAt(t), q_WM, Vector3d::Zero(), reference, 0.01});
+      samples.push_back({PointAt(t), q_WM, Vector3d::Zero(), reference, 0.01, 0.01});
       const double moved = t + PoseMove(scale, reference).on_spline;
-      placed.push_back({PointAt(t, moved), q_WM, Vector3d::Zero(), reference, 0.01});
+      placed.push_back({PointAt(t, moved), q_WM, Vector3d::Zero(), reference, 0.01, 0.01});
     }
     MoveClocks(0.0);
     MovedAndPlaced both;
@@ -159,7 +160,7 @@ TEST_F(JointResiduals, MovedRatesAreThoseFurtherAlongTheTrajectory) {
 
 TEST_F(JointResiduals, MovedForcesAreThoseFurtherAlongTheTrajectory) {
   const auto create = [&](const auto& samples, const auto& jerks, const ClockMotions& clocks) {
-    return CreateJointAccelResidual(samples, jerks, R_MA_, clocks);
+    return CreateJointAccelResidual(With(samples, jerks), R_MA_, clocks);
   };
   ExpectImuOrder(
       OtherAccelClocks(),
@@ -197,16 +198,16 @@ TEST_F(JointResiduals, VanishWhereTheCorrectedTrajectoryIsMeasured) {
   const Vector3d w = GyroMatrix(gyro_intrinsics_) * (q_MI_.conjugate() * omega_M) + bias;
   const Vector3d f = AccelMatrix(accel_intrinsics_) * f_I + bias;
   const ClockMotions gyro = Motions(OtherGyroClocks()), accel = Motions(OtherAccelClocks());
-  const auto residual = [](ceres::CostFunction* cost, const std::vector<double*>& blocks) {
+  const auto residual = [](const auto& cost, const std::vector<double*>& blocks) {
     return Evaluate(cost, blocks).residuals.norm();
   };
   const std::vector<JointImuSample> rate{{at, w, 0.3, 2.4, -0.5, 1.0}};
   const std::vector<JointImuSample> force{{at, f, 0.3, 2.4, -0.5, 1.0}};
   EXPECT_LT(residual(CreateJointGyroResidual(rate, gyro), GyroBlocks(OtherGyroClocks())), 1e-6);
-  EXPECT_LT(
-      residual(CreateJointAccelResidual(force, {JerkAt(t)}, R_MA_, Motions({})), AccelBlocks({})),
-      1e-4);
-  EXPECT_LT(residual(CreateJointAccelResidual(force, {JerkAt(t)}, R_MA_, accel),
+  EXPECT_LT(residual(CreateJointAccelResidual(With(force, {JerkAt(t)}), R_MA_, Motions({})),
+                     AccelBlocks({})),
+            1e-4);
+  EXPECT_LT(residual(CreateJointAccelResidual(With(force, {JerkAt(t)}), R_MA_, accel),
                      AccelBlocks(OtherAccelClocks())),
             1e-4);
 
@@ -217,6 +218,7 @@ TEST_F(JointResiduals, VanishWhereTheCorrectedTrajectoryIsMeasured) {
        Eigen::Quaterniond(R_WM) * Exp<double>(lag),
        at.gp.p_WM + Correction(d_, t) + c * (at.gp.a_W + Correction(d_, t, 2)),
        -0.5,
+       1.0,
        1.0}};
   const ClockMotions clocks = Motions(PoseClocks());
   EXPECT_LT(residual(CreateJointPositionResidual(pose, clocks), PoseBlocks(&d_)), 1e-12);
@@ -237,8 +239,9 @@ TEST_F(JointResiduals, FollowTheDifferentiatedCorrectedRotation) {
   gyro_intrinsics_.setZero();
   Vector3d residual;
   const std::vector<Clock> clocks = {{&accel_delay_, {0.0, 1.0, 1.0, ClockMotion::kOne}}};
+  const std::vector<JointImuSample> at_rest = {{at_, Vector3d::Zero(), 0.0, 0.0, 0.0, 1.0}};
   const std::unique_ptr<ceres::CostFunction> cost(
-      CreateJointGyroResidual({{at_, Vector3d::Zero(), 0.0, 0.0, 0.0, 1.0}}, Motions(clocks)));
+      CreateJointGyroResidual(at_rest, Motions(clocks)));
   ASSERT_TRUE(cost->Evaluate(GyroBlocks(clocks).data(), residual.data(), nullptr));
   const double h = 1e-6;
   const Vector3d rate =
@@ -267,7 +270,7 @@ TEST_F(JointResiduals, ImusThatMoveAlikeKeepTheirResiduals) {
   const std::unique_ptr<ceres::CostFunction> gyro(
       CreateJointGyroResidual(resting, Motions(OtherGyroClocks())));
   const std::unique_ptr<ceres::CostFunction> accel(
-      CreateJointAccelResidual(resting, at_rest, R_MA_, Motions(OtherAccelClocks())));
+      CreateJointAccelResidual(With(resting, at_rest), R_MA_, Motions(OtherAccelClocks())));
   const std::vector<double*> gyro_blocks = GyroBlocks(OtherGyroClocks());
   const std::vector<double*> accel_blocks = AccelBlocks(OtherAccelClocks());
   std::vector<double> before(6), after(6);
@@ -297,7 +300,7 @@ TEST_F(JointResiduals, FailFarBeyondTheSpan) {
       CreateJointRotationResidual(Poses(), Motions(PoseClocks())));
   EXPECT_FALSE(rotation->Evaluate(PoseBlocks(&phi_).data(), residual[0].data(), nullptr));
   const std::unique_ptr<ceres::CostFunction> accel(
-      CreateJointAccelResidual(Imu(), Jerks(), R_MA_, Motions(OtherAccelClocks())));
+      CreateJointAccelResidual(With(Imu(), Jerks()), R_MA_, Motions(OtherAccelClocks())));
   EXPECT_FALSE(
       accel->Evaluate(AccelBlocks(OtherAccelClocks()).data(), residual[0].data(), nullptr));
 }

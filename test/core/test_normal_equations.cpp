@@ -10,13 +10,14 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <memory>
 #include <optional>
 #include <random>
 #include <utility>
 #include <vector>
 
+#include "eliminate_all.h"
 #include "imu_pose_calib/core/least_squares.h"
-#include "imu_pose_calib/core/manifolds.h"
 #include "imu_pose_calib/core/normal_equations.h"
 
 namespace imu_pose_calib {
@@ -51,44 +52,67 @@ class NormalEquationsTest : public testing::Test {
     q_ = Eigen::Quaterniond(0.5, -0.1, 0.7, 0.3).normalized();
     g_ = vector();
     for (Eigen::Vector3d& point : points_) point = vector();
-    problem_.AddParameterBlock(q_.coeffs().data(), 4);
-    SetUnitQuaternion(q_.coeffs().data(), &problem_);
-    problem_.AddParameterBlock(g_.data(), 3);
-    SetSphere(g_.data(), &problem_);
+    border_ = {problem_.AddParameters(q_.coeffs().data(), 4, BlockKind::kUnitQuaternion),
+               problem_.AddParameters(g_.data(), 3, BlockKind::kSphere),
+               problem_.AddParameters(&s_, 1)};
+    ceres_.AddParameterBlock(q_.coeffs().data(), 4);
+    ceres_.AddParameterBlock(g_.data(), 3);
+#if IMU_POSE_CALIB_CERES_HAS_MANIFOLDS
+    ceres_.SetManifold(q_.coeffs().data(), new QuaternionManifold);
+    ceres_.SetManifold(g_.data(), new SphereManifold);
+#else
+    ceres_.SetParameterization(q_.coeffs().data(), new QuaternionManifold);
+    ceres_.SetParameterization(g_.data(), new SphereManifold);
+#endif
     for (size_t k = 0; k + 1 < points_.size(); ++k) {
-      const auto block = problem_.AddResidualBlock(
-          new ceres::AutoDiffCostFunction<Curved, 3, 4, 3, 1, 3, 3>(new Curved{vector()}),
-          k % 3 == 0 ? new ceres::CauchyLoss(0.7) : nullptr,
-          q_.coeffs().data(),
-          g_.data(),
-          &s_,
-          points_[k].data(),
-          points_[k + 1].data());
-      equations_.push_back({block, k < 12 ? 0u : 1u, 0.1 * static_cast<double>((7 * k) % 12)});
+      const Curved curved{vector()};
+      const auto create = [&curved] {
+        return std::make_unique<ceres::AutoDiffCostFunction<Curved, 3, 4, 3, 1, 3, 3>>(
+            new Curved(curved));
+      };
+      const std::vector<double*> parameters = {
+          q_.coeffs().data(), g_.data(), &s_, points_[k].data(), points_[k + 1].data()};
+      const bool is_robust = k % 3 == 0;
+      Add(problem_.AddResidualsOf(parameters, create(), is_robust ? 0.7 : 0.0),
+          ceres_.AddResidualBlock(
+              create().release(), is_robust ? new ceres::CauchyLoss(0.7) : nullptr, parameters),
+          k);
     }
+    const auto prior = [] {
+      return std::make_unique<ceres::NormalPrior>(Eigen::Matrix3d::Identity(),
+                                                  Eigen::Vector3d::Ones());
+    };
     for (size_t k = 0; k < points_.size(); ++k)
-      equations_.push_back(
-          {problem_.AddResidualBlock(
-               new ceres::NormalPrior(Eigen::Matrix3d::Identity(), Eigen::Vector3d::Ones()),
-               nullptr,
-               points_[k].data()),
-           k < 12 ? 0u : 1u,
-           0.1 * static_cast<double>((7 * k) % 12)});
-    problem_.SetParameterBlockConstant(points_[5].data());
-    border_ = {q_.coeffs().data(), g_.data(), &s_};
+      Add(problem_.AddResidualsOf({points_[k].data()}, prior()),
+          ceres_.AddResidualBlock(prior().release(), nullptr, points_[k].data()),
+          k);
+    problem_.SetHeld(points_[5].data(), true);
     for (Eigen::Vector3d& point : points_)
-      if (point.data() != points_[5].data()) inner_.push_back(point.data());
+      if (problem_.IsEstimated(point.data())) inner_.push_back(problem_.Find(point.data()));
+  }
+
+  void Add(int block, ceres::ResidualBlockId same, size_t k) {
+    const size_t session = k < 12 ? 0 : 1;
+    equations_.push_back(
+        {block, session, 0.1 * static_cast<double>((7 * k) % 12), static_cast<int>(session)});
+    same_.push_back(same);
+  }
+
+  Reduced Reduce(const NormalEquations& equations) {
+    std::vector<Panels> windows = {equations.Assemble(0, {}), equations.Assemble(1, {})};
+    Panels shared;
+    return EliminateAll(*equations.elimination(), VectorXd::Ones(2), false, &windows, &shared);
   }
 
   /// J, with the loss as Ceres applies it, in the order of border and inner, and r.
-  void Dense(MatrixXd* J, VectorXd* r, const std::vector<Equation>& equations) {
+  void Dense(MatrixXd* J, VectorXd* r) {
     ceres::Problem::EvaluateOptions options;
-    options.parameter_blocks = border_;
-    options.parameter_blocks.insert(options.parameter_blocks.end(), inner_.begin(), inner_.end());
-    for (const Equation& equation : equations) options.residual_blocks.push_back(equation.block);
+    for (const std::vector<int>* blocks : {&border_, &inner_})
+      for (const int block : *blocks) options.parameter_blocks.push_back(problem_.data(block));
+    options.residual_blocks = same_;
     std::vector<double> residuals;
     ceres::CRSMatrix sparse;
-    ASSERT_TRUE(problem_.Evaluate(options, nullptr, &residuals, nullptr, &sparse));
+    ASSERT_TRUE(ceres_.Evaluate(options, nullptr, &residuals, nullptr, &sparse));
     *J = MatrixXd::Zero(sparse.num_rows, sparse.num_cols);
     for (int i = 0; i < sparse.num_rows; ++i)
       for (int k = sparse.rows[static_cast<size_t>(i)]; k < sparse.rows[static_cast<size_t>(i) + 1];
@@ -101,9 +125,11 @@ class NormalEquationsTest : public testing::Test {
   Eigen::Vector3d g_;
   double s_ = 0.2;
   std::vector<Eigen::Vector3d> points_ = std::vector<Eigen::Vector3d>(24);
-  ceres::Problem problem_;
+  Problem problem_;
   std::vector<Equation> equations_;
-  std::vector<double*> border_, inner_;
+  std::vector<int> border_, inner_;
+  ceres::Problem ceres_;  ///< the same
+  std::vector<ceres::ResidualBlockId> same_;
 };
 
 TEST_F(NormalEquationsTest, AreThoseOfCeresWhereverTheParametersStand) {
@@ -111,32 +137,26 @@ TEST_F(NormalEquationsTest, AreThoseOfCeresWhereverTheParametersStand) {
   for (const double step : {0.0, 0.3}) {
     SCOPED_TRACE(step);
     const VectorXd moved = VectorXd::Constant(equations.elimination()->columns(), step);
-    MoveBlocks(problem_, equations.blocks(), moved);
+    problem_.Move(equations.blocks(), moved);
     MatrixXd J;
     VectorXd r;
-    Dense(&J, &r, equations_);
-    std::vector<Panels> panels = equations.Assemble(1, {});
-    const Reduced reduced =
-        EliminateAll(*equations.elimination(), VectorXd::Ones(1), false, 1, &panels);
+    Dense(&J, &r);
+    const Reduced reduced = Reduce(equations);
     const MatrixXd H = J.transpose() * J;
     const MatrixXd b = J.transpose() * r;
     const MatrixXd expected = b.transpose() * H.llt().solve(b);
-    EXPECT_NEAR(reduced.Products()(0, 0), expected(0, 0), 1e-9 * expected(0, 0));
+    EXPECT_NEAR(reduced.Products().sum(), expected(0, 0), 1e-9 * expected(0, 0));
     const MatrixXd C = H.llt().solve(MatrixXd::Identity(H.rows(), H.rows()));
     EXPECT_LT((reduced.H * C.topLeftCorner(6, 6) - MatrixXd::Identity(6, 6)).norm(), 1e-8);
   }
 }
 
-TEST_F(NormalEquationsTest, KeepTheScoresOfClustersApart) {
-  std::vector<Equation> clustered = equations_;
-  for (Equation& equation : clustered) equation.cluster = static_cast<int>(equation.session);
-  const NormalEquations equations(problem_, border_, inner_, clustered, 2);
-  std::vector<Panels> panels = equations.Assemble(2, {});
-  Elimination::Merge(std::move(panels[1]), &panels[0]);  // a point acts in both
-  const Reduced reduced = equations.elimination()->Eliminate(VectorXd::Ones(2), false, &panels[0]);
+TEST_F(NormalEquationsTest, KeepTheScoresOfWindowsApart) {
+  const NormalEquations equations(problem_, border_, inner_, equations_, 2);
+  const Reduced reduced = Reduce(equations);  // a point acts in both
   MatrixXd J;
   VectorXd r;
-  Dense(&J, &r, equations_);
+  Dense(&J, &r);
   MatrixXd B(J.cols(), 2);
   for (const int w : {0, 1}) {
     VectorXd own = r;
@@ -152,7 +172,7 @@ TEST_F(NormalEquationsTest, KeepTheScoresOfClustersApart) {
 TEST_F(NormalEquationsTest, RefuseWhatIsNotFinite) {
   const NormalEquations equations(problem_, border_, inner_, equations_, 2);
   points_[3][1] = std::numeric_limits<double>::quiet_NaN();
-  EXPECT_THROW(equations.Assemble(1, {}), DataError);
+  EXPECT_THROW(equations.Assemble(0, {}), DataError);
 }
 
 /// r_i = y_i - a sin(w t_i).
@@ -169,23 +189,26 @@ TEST(ExactColumn, IsTheSecondDerivativeThatGaussNewtonLeavesOut) {
   std::mt19937 random(5);
   std::normal_distribution<double> normal;
   double a = 1.3, w = 2.1;
-  ceres::Problem problem;
+  Problem problem;
   std::vector<Equation> all;
   double aw = 0.0, ww = 0.0;  // sum of r d^2 r / da dw and r d^2 r / dw^2
   for (int i = 0; i < 20; ++i) {
     const double t = 0.1 * i, y = normal(random);
     all.push_back(
-        {problem.AddResidualBlock(
-             new ceres::AutoDiffCostFunction<Wave, 1, 1, 1>(new Wave{t, y}), nullptr, &a, &w),
+        {problem.AddResidualsOf(
+             {&a, &w},
+             std::make_unique<ceres::AutoDiffCostFunction<Wave, 1, 1, 1>>(new Wave{t, y})),
          0,
          t});
     const double r = y - a * std::sin(w * t);
     aw -= r * t * std::cos(w * t);
     ww += r * a * t * t * std::sin(w * t);
   }
-  const NormalEquations equations(problem, {&a, &w}, {}, all, 1);
-  std::vector<Panels> panels = equations.Assemble(1, {{&w, 1e-6, 1}});
-  const Reduced reduced = equations.elimination()->Eliminate(VectorXd::Ones(2), false, &panels[0]);
+  const NormalEquations equations(problem, {problem.Find(&a), problem.Find(&w)}, {}, all, 1);
+  std::vector<Panels> windows = {equations.Assemble(0, {{problem.Find(&w), 1e-6, 1}})};
+  Panels shared;
+  const Reduced reduced =
+      EliminateAll(*equations.elimination(), VectorXd::Ones(2), false, &windows, &shared);
   EXPECT_NEAR(reduced.B(0, 1), aw, 1e-4);
   EXPECT_NEAR(reduced.B(1, 1), ww, 1e-4);
   EXPECT_EQ(w, 2.1);
@@ -204,17 +227,18 @@ struct Valley {
 /// A solve of residuals of its own.
 class SolveTest : public testing::Test {
  protected:
-  void Add(ceres::CostFunction* cost, ceres::LossFunction* loss, double* parameters) {
+  void Add(std::unique_ptr<ceres::CostFunction> cost,
+           double* parameters,
+           double cauchy_scale = 0.0) {
     if (!least_squares_) {
       sessions_.resize(1);
       estimate_.sessions.resize(1);
       least_squares_.emplace(options_, sessions_, models_, &estimate_);
     }
-    const auto block = least_squares_->problem.AddResidualBlock(cost, loss, parameters);
+    Problem& problem = least_squares_->problem;
+    const int block = problem.AddResidualsOf({parameters}, std::move(cost), cauchy_scale);
     least_squares_->priors.push_back({block, 0, 0.0});
-    std::vector<double*>& blocks = least_squares_->trajectory_blocks;
-    if (std::find(blocks.begin(), blocks.end(), parameters) == blocks.end())
-      blocks.push_back(parameters);
+    least_squares_->trajectory_blocks = {problem.Find(parameters)};
   }
 
   CalibrationOptions options_;
@@ -226,7 +250,7 @@ class SolveTest : public testing::Test {
 
 TEST_F(SolveTest, IsDampedWhereAFullStepClimbs) {
   double x[] = {-1.2, 1.0};
-  Add(new ceres::AutoDiffCostFunction<Valley, 2, 2>(new Valley), nullptr, x);
+  Add(std::make_unique<ceres::AutoDiffCostFunction<Valley, 2, 2>>(new Valley), x);
   EXPECT_GT(least_squares_->Solve(1e-12), 2);
   EXPECT_NEAR(x[0], 1.0, 1e-6);
   EXPECT_NEAR(x[1], 1.0, 1e-6);
@@ -235,13 +259,13 @@ TEST_F(SolveTest, IsDampedWhereAFullStepClimbs) {
 TEST_F(SolveTest, ThrowsWhenItDoesNotConverge) {
   double x[] = {-1.2, 1.0};
   options_.max_iterations = 3;
-  Add(new ceres::AutoDiffCostFunction<Valley, 2, 2>(new Valley), nullptr, x);
+  Add(std::make_unique<ceres::AutoDiffCostFunction<Valley, 2, 2>>(new Valley), x);
   EXPECT_THROW(least_squares_->Solve(1e-12), DataError);
 }
 
 TEST_F(SolveTest, ThrowsWhereTheResidualsAreNotDefined) {
   double x[] = {std::numeric_limits<double>::quiet_NaN(), 1.0};
-  Add(new ceres::AutoDiffCostFunction<Valley, 2, 2>(new Valley), nullptr, x);
+  Add(std::make_unique<ceres::AutoDiffCostFunction<Valley, 2, 2>>(new Valley), x);
   EXPECT_THROW(least_squares_->Solve(1e-12), DataError);
 }
 
@@ -253,7 +277,7 @@ TEST_F(SolveTest, FindsTheMinimumThatCeresFinds) {
   for (int k = 0; k < 50; ++k) {
     const Eigen::Vector2d y(normal(random) + (k % 7 == 0 ? 8.0 : 0.0), normal(random));
     const Eigen::Matrix2d A = Eigen::Matrix2d::NullaryExpr([&] { return normal(random); });
-    Add(new ceres::NormalPrior(A, y), new ceres::CauchyLoss(1.0), x);
+    Add(std::make_unique<ceres::NormalPrior>(A, y), x, 1.0);
     problem.AddResidualBlock(new ceres::NormalPrior(A, y), new ceres::CauchyLoss(1.0), expected);
   }
   least_squares_->Solve(1e-14);

@@ -20,14 +20,8 @@ using Eigen::Vector3d;
 
 #if IMU_POSE_CALIB_CERES_HAS_MANIFOLDS
 using Manifold = ceres::Manifold;
-using QuaternionManifold = ceres::EigenQuaternionManifold;
-using GravityManifold = ceres::SphereManifold<3>;
 #else
 using Manifold = ceres::LocalParameterization;
-using QuaternionManifold = ceres::EigenQuaternionParameterization;
-struct GravityManifold : ceres::HomogeneousVectorParameterization {
-  GravityManifold() : HomogeneousVectorParameterization(3) {}
-};
 #endif
 
 /// Noise-free recording of 8 s with its trajectory; the clocks are 0.02 s apart.
@@ -205,7 +199,7 @@ TEST_F(Residuals, GyroHasExactDerivatives) {
 
 TEST_F(Residuals, AccelHasExactDerivatives) {
   const QuaternionManifold quaternion;
-  const GravityManifold sphere;
+  const SphereManifold sphere;
   const std::vector<const Manifold*> manifolds = {
       &quaternion, nullptr, &sphere, nullptr, nullptr, nullptr, nullptr};
   knot_1 << 0.1, 0.2, -0.3;

@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <map>
+#include <memory>
 #include <utility>
 #include <vector>
 
@@ -23,22 +24,43 @@ struct Reduced {
   Eigen::MatrixXd B;      ///< rows of the border
   Eigen::MatrixXd inner;  ///< B^T H^-1 B of what is eliminated
 
-  void Add(const Reduced& other);
   /// B^T H^-1 B of the whole problem; not finite when it is singular.
   Eigen::MatrixXd Products() const;
 };
 
-/// Cholesky factorisation of normal equations whose residuals come in order of time. A block of
-/// parameters is eliminated as soon as no later residual has it: control points leave a band, slow
-/// biases a column or two beside it. The border, blocks that act nearly everywhere, comes last.
+/// Rows of H and of right-hand sides, by place, that columns which are eliminated take from later
+/// ones.
+struct Update {
+  std::vector<int> rows, numbers;
+  Eigen::MatrixXd H, B;
+};
+
+/// What is left when the columns of a window are eliminated.
+struct Rest {
+  std::map<int, std::vector<std::shared_ptr<const Update>>> waiting;  ///< by panel
+  std::vector<int> numbers;                                           ///< of right-hand sides
+  Eigen::MatrixXd inner;                                              ///< as in Reduced, of these
+  bool is_singular = false;
+};
+
+/// Cholesky factorisation of normal equations whose residuals come in order of time and are cut
+/// into windows. Blocks of parameters that act in one window only are eliminated there, as soon as
+/// no later residual has them: control points leave a band, slow biases a column or two beside it.
+/// Windows need no more than their own residuals, so that they can be taken one by one and by any
+/// thread. Then come the blocks that windows share, and at last the border: blocks that act nearly
+/// everywhere.
 class Elimination {
  public:
   /// Degrees of freedom of the blocks, of which the first `border` are the border, and the blocks
-  /// of each residual, in order of time and session after session; each session's first residual.
+  /// of each residual, in order of time; the first residual of each window, which increase.
   Elimination(const std::vector<int>& sizes,
               size_t border,
               const std::vector<std::vector<int>>& residuals,
-              const std::vector<size_t>& first_of_session);
+              const std::vector<size_t>& first_of_window);
+
+  int windows() const { return static_cast<int>(first_panel_.size()) - 1; }
+  /// Window of a block; windows() when several share it.
+  int WindowOf(int block) const;
 
   int columns() const { return columns_; }
   int border_columns() const { return shapes_.back().columns; }
@@ -67,11 +89,21 @@ class Elimination {
     }
   }
 
-  /// Eliminates all but the border. Columns in which nothing acts are left out. With `keeps`, the
-  /// panels take the factor and, as their only right-hand side, the combination `weights`, one for
-  /// each right-hand side; else they stay.
-  Reduced Eliminate(const Eigen::VectorXd& weights, bool keeps, Panels* panels) const;
-  /// -H^-1 b, where Eliminate() kept b, when that of the border is known: the rows of `panels`.
+  /// Eliminates the columns of a window, given all that acts there. Columns in which nothing acts
+  /// are left out. With `keeps`, the panels take the factor and, as their only right-hand side, the
+  /// combination `weights`, one for each right-hand side.
+  Rest EliminateWindow(int window,
+                       const Eigen::VectorXd& weights,
+                       bool keeps,
+                       Panels* panels) const;
+  /// Takes the panels that windows share, border included.
+  Panels TakeShared(Panels* window) const;
+  /// The same with what windows share, given the sum of that.
+  Reduced Reduce(const std::vector<const Rest*>& windows,
+                 const Eigen::VectorXd& weights,
+                 bool keeps,
+                 Panels* shared) const;
+  /// -H^-1 b, where b was kept, when those of later columns are known: the rows of `panels`.
   void SubstituteBack(const Panels& panels, Eigen::VectorXd* x) const;
   /// Replaces the factor by the elements of H^-1 at its places, given those of the border:
   /// Takahashi's recursion, as cheap as the factorisation.
@@ -85,10 +117,18 @@ class Elimination {
     int columns = 0, height = 0;
     std::vector<int> rows, row_offset;  ///< blocks below
   };
-  struct Update {
-    std::vector<int> rows;
-    Eigen::MatrixXd H, B;
-  };
+  void EliminatePanels(int begin,
+                       int end,
+                       const Eigen::VectorXd& weights,
+                       bool keeps,
+                       Panels* panels,
+                       Rest* rest) const;
+  /// H and B of a panel with what waits for it.
+  void Gather(int panel,
+              const Panel& own,
+              Rest* rest,
+              Eigen::MatrixXd* H,
+              Eigen::MatrixXd* B) const;
   int border_panel() const { return static_cast<int>(shapes_.size()) - 1; }
   Panel* Touch(int panel, Panels* panels) const;
   /// First row of a block in a panel; -1 when it has none there.
@@ -98,17 +138,11 @@ class Elimination {
 
   int columns_ = 0;
   std::vector<Shape> shapes_;
+  std::vector<int> first_panel_;                       ///< of each window, and of what they share
   std::vector<int> place_;                             ///< of each block
   std::vector<int> block_at_, size_, panel_, offset_;  ///< by place
   std::vector<int> first_column_;                      ///< by place
   std::vector<std::pair<int, int>> place_of_column_;   ///< and which of the block's columns
 };
-
-/// Eliminate() for the panels of every session, which share the border.
-Reduced EliminateAll(const Elimination& elimination,
-                     const Eigen::VectorXd& weights,
-                     bool keeps,
-                     int threads,
-                     std::vector<Panels>* sessions);
 
 }  // namespace imu_pose_calib

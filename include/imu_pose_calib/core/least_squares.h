@@ -91,6 +91,33 @@ inline double LeverArmCoefficientVariance(double alpha_variance,
   return 2.0 * alpha_variance + 4.0 * omega_variance * omega2;
 }
 
+/// Time blocks of the sessions, one after the other: what acts in one of them only is eliminated
+/// there, and scores are summed up in each.
+class Windows {
+ public:
+  Windows(const CalibrationOptions& options,
+          const std::vector<PreparedSession>& sessions,
+          const Estimate& estimate);
+
+  int count() const { return static_cast<int>(places_.size()); }
+  /// Window of an instant t [s, pose clock].
+  int Of(size_t session, double t) const;
+  struct Place {
+    size_t session, half;  ///< half: of the session, 0 or 1
+  };
+  const Place& PlaceOf(int window) const { return places_[static_cast<size_t>(window)]; }
+  int Count(size_t session) const { return spans_[session].count; }
+
+ private:
+  struct Span {
+    double begin = 0.0, end = 0.0;
+    int first = 0, count = 0;
+  };
+  std::vector<Span> spans_;
+  std::vector<Place> places_;
+  double length_s_;
+};
+
 /// A least squares problem over all sessions: what the two solves, against fixed trajectories and
 /// jointly with them, have in common. Refers to everything it is given; Solve() moves `estimate`.
 struct LeastSquares {
@@ -98,6 +125,7 @@ struct LeastSquares {
   const std::vector<PreparedSession>& sessions;
   Estimate* const estimate;
 
+  const Windows windows;
   Problem problem;
   std::vector<SensorBlocks> sensors;  ///< in the order of the models
   std::vector<PriorBlock> priors;

@@ -12,8 +12,8 @@ namespace imu_pose_calib {
 struct Equation {
   int block;  ///< of residuals
   size_t session;
-  double t;         ///< [s] pose clock
-  int cluster = 0;  ///< in which its scores are summed up; grows with sessions and time
+  double t;        ///< [s] pose clock
+  int window = 0;  ///< in which its scores are summed up; grows with sessions and time
 };
 
 /// A scalar parameter of which H gets the exact column, doc/math.md, "Covariance".
@@ -28,16 +28,16 @@ struct ExactColumn {
 class NormalEquations {
  public:
   /// `border`: parameter blocks that act nearly everywhere; `inner`: others that are estimated; in
-  /// this order they are the columns of H. All other blocks are held.
+  /// this order they are the columns of H. All other blocks are held. `windows`: their number.
   NormalEquations(const Problem& problem,
                   const std::vector<int>& border,
                   const std::vector<int>& inner,
                   std::vector<Equation> equations,
-                  int threads);
+                  size_t windows);
 
-  /// H of each cluster and as right-hand side w the score of cluster w. Throws DataError where the
+  /// H of a window and its score as right-hand side of that number. Throws DataError where the
   /// residuals cannot be differentiated.
-  std::vector<Panels> Assemble(int clusters, const std::vector<ExactColumn>& exact) const;
+  Panels Assemble(size_t window, const std::vector<ExactColumn>& exact) const;
 
   const std::vector<int>& blocks() const { return blocks_; }
   const std::shared_ptr<const Elimination>& elimination() const { return elimination_; }
@@ -50,9 +50,9 @@ class NormalEquations {
   };
 
   const Problem& problem_;
-  const int threads_;
   std::vector<int> blocks_, curved_;  ///< of these, no vectors
   std::vector<Equation> equations_;
+  std::vector<size_t> first_of_window_;
   std::shared_ptr<const Elimination> elimination_;
   std::vector<Place> places_;  ///< of each block of the problem
 };

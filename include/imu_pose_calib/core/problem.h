@@ -37,9 +37,9 @@ class Problem {
                    const std::vector<int>& blocks,
                    double cauchy_scale = 0.0);
   /// The same; parameters that are not there are added as vectors.
-  int AddResiduals(std::unique_ptr<const ceres::CostFunction> cost,
-                   const std::vector<double*>& parameters,
-                   double cauchy_scale = 0.0);
+  int AddResidualsOf(const std::vector<double*>& parameters,
+                     std::unique_ptr<const ceres::CostFunction> cost,
+                     double cauchy_scale = 0.0);
   struct Residuals {
     std::unique_ptr<const ceres::CostFunction> cost;
     double cauchy_scale;

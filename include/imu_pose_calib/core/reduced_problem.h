@@ -22,27 +22,6 @@ struct Ordering {
   explicit Ordering(LeastSquares* solved);
 };
 
-/// Time blocks whose scores are summed up, and the half of a session that they belong to: part
-/// 2 s + 0 or 1.
-class Clusters {
- public:
-  explicit Clusters(const LeastSquares& solved);
-
-  /// Cluster of an instant t [s, pose clock].
-  int Of(size_t session, double t) const;
-  const std::vector<int>& parts() const { return part_; }
-  int Count(size_t session) const { return spans_[session].count; }
-
- private:
-  struct Span {
-    double begin, end;
-    int first, count;
-  };
-  std::vector<Span> spans_;
-  std::vector<int> part_;
-  double block_s_;
-};
-
 /// What is reported, as functionals L of the parameters and back: the leading parameters with
 /// gravity and mean biases between those that are estimated and those that could have been.
 class Functionals {
@@ -85,10 +64,7 @@ class Functionals {
 /// Right-hand sides: scores of the clusters, functionals, exact columns of the clocks.
 class ReducedProblem {
  public:
-  ReducedProblem(const Ordering& ordering,
-                 const Clusters& clusters,
-                 const Functionals& functionals,
-                 LeastSquares* solved);
+  ReducedProblem(const Ordering& ordering, const Functionals& functionals, LeastSquares* solved);
 
   /// Of the functionals.
   MarginalEstimates Estimate() const;
@@ -96,8 +72,8 @@ class ReducedProblem {
   /// could be being known.
   struct Part {
     Reduced reduced;
-    std::vector<int> clusters;  ///< that it has
-    std::vector<int> acting;    ///< columns of what is calibrated
+    std::vector<int> windows;  ///< that it has
+    std::vector<int> acting;   ///< columns of what is calibrated
   };
   MarginalEstimate EstimateOf(const Part& part, const std::vector<int>& columns) const;
   /// The Gauss-Newton step as if what is held, all but result->shown, was known to be right; with
@@ -108,13 +84,12 @@ class ReducedProblem {
   const std::vector<Part>& sessions() const { return sessions_; }
 
  private:
-  int RhsOfClock(size_t clock) const { return clusters_ + functionals_ + static_cast<int>(clock); }
-  std::vector<int> ActingColumns(const Panels& session) const;
-  void AddMeans(const Functionals& functionals, std::vector<Panels>* totals) const;
-  void HalveClocks(std::vector<Panels>* totals) const;
+  int RhsOfClock(size_t clock) const { return windows_ + functionals_ + static_cast<int>(clock); }
+  /// The means of bias knots that are in one window, or are shared.
+  void AddMeans(const Functionals& functionals, int window, Panels* panels) const;
 
   const Ordering& ordering_;
-  const int clusters_, functionals_;
+  const int windows_, functionals_;
   std::vector<int> blocks_;
   std::shared_ptr<const Elimination> elimination_;
   std::vector<Part> halves_, sessions_;
