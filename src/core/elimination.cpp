@@ -139,7 +139,7 @@ Panel* Elimination::Touch(int panel, Panels* panels) const {
 }
 
 void Elimination::Add(const std::vector<int>& places,
-                      const Eigen::MatrixXd& product,
+                      const Eigen::Ref<const Eigen::MatrixXd>& product,
                       Panels* panels) const {
   int column = 0;
   for (size_t begin = 0, end = 0; begin < places.size(); begin = end) {
@@ -150,7 +150,7 @@ void Elimination::Add(const std::vector<int>& places,
     const std::vector<int> offsets = Offsets(&places[begin], places.data() + places.size(), panel);
     Eigen::MatrixXd& H = Touch(panel, panels)->H;
     for (int j = 0; j < count; ++j) {
-      const double* own = &product(column, column + j);
+      const double* own = product.data() + (column + j) * product.outerStride() + column;
       double* target = &H(0, offsets[Index(j)]);
       for (size_t i = Index(j); i < offsets.size(); ++i) target[offsets[i]] += own[i];
     }
@@ -160,7 +160,7 @@ void Elimination::Add(const std::vector<int>& places,
 
 void Elimination::AddRhs(const std::vector<int>& places,
                          int number,
-                         const Eigen::VectorXd& rhs,
+                         const Eigen::Ref<const Eigen::VectorXd>& rhs,
                          Panels* panels) const {
   Eigen::Index row = 0;
   for (const int place : places) {

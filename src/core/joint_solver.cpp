@@ -204,7 +204,7 @@ class JointSolver {
 
   /// Of everything: trajectories, gravity and biases too.
   void TakeStep(const Marginals& marginals) {
-    FollowClocks([&] { problem_->problem.Move(marginals.blocks, marginals.step); });
+    FollowClocks([&] { problem_->Move(marginals.blocks, marginals.step); });
   }
 
   /// From now on these are estimated; whether there are any.

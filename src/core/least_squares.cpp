@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <numeric>
 #include <string>
 #include <thread>
 #include <utility>
@@ -28,6 +29,8 @@ constexpr double kLeastRedundancy = 0.1;
 constexpr double kWindows = 24.0;
 constexpr double kShortestWindow = 2.0;
 constexpr double kRounding = 1e-6;
+/// Of them, that a step eliminates together: enough are left for all cores.
+constexpr int kJoined = 3;
 
 /// Share of the diagonal of H that is added to it after a step that does not reduce the cost by a
 /// share kLeastGain of what it should (Levenberg-Marquardt); less than this is none.
@@ -41,6 +44,7 @@ double Norm(const std::vector<double>& x) {
 
 struct GaussNewtonStep {
   Eigen::VectorXd x;  ///< of the blocks
+  double cost;        ///< where it begins
   double decrease;    ///< of the cost, if the residuals were linear; NaN when there is no step
 };
 
@@ -49,10 +53,11 @@ GaussNewtonStep FindStep(const NormalEquations& equations, double damping, int t
   const auto count = static_cast<size_t>(elimination.windows());
   std::vector<Panels> windows(count);
   std::vector<Rest> rests(count);
+  std::vector<double> costs(count, 0.0);
   const auto damp = [damping](int, auto diagonal) { diagonal *= 1.0 + damping; };
   const Eigen::VectorXd weights = Eigen::VectorXd::Ones(elimination.windows());
   InParallel(threads, count, [&](size_t w) {
-    windows[w] = equations.Assemble(w, {});
+    windows[w] = equations.Assemble(w, {}, &costs[w]);
     elimination.VisitDiagonal(damp, &windows[w]);
     rests[w] = elimination.EliminateWindow(static_cast<int>(w), weights, true, &windows[w]);
   });
@@ -65,7 +70,9 @@ GaussNewtonStep FindStep(const NormalEquations& equations, double damping, int t
   Reduced reduced = elimination.Reduce(parts, weights, true, &shared);
   for (Eigen::Index k = 0; k < reduced.H.rows(); ++k)
     if (reduced.H(k, k) == 0.0) reduced.H(k, k) = 1.0;  // nothing acts on it: it stays
-  GaussNewtonStep step{Eigen::VectorXd::Zero(elimination.columns()), std::nan("")};
+  GaussNewtonStep step{Eigen::VectorXd::Zero(elimination.columns()),
+                       std::accumulate(costs.begin(), costs.end(), 0.0),
+                       std::nan("")};
   const Eigen::LLT<Eigen::MatrixXd> llt(reduced.H);
   if (!reduced.H.allFinite() || llt.info() != Eigen::Success) return step;
   const Eigen::VectorXd b = reduced.B * weights;
@@ -264,23 +271,23 @@ int LeastSquares::Solve(double function_tolerance) {
   for (const Parameter& p : CalibrationParameters(estimate)) add_border(p.data);
   for (SessionEstimate& session : estimate->sessions) add_border(session.g_W.data());
   inner.insert(inner.end(), trajectory_blocks.begin(), trajectory_blocks.end());
+  std::vector<Equation> all = Equations();
+  for (Equation& equation : all) equation.window /= kJoined;
   const NormalEquations equations(
-      problem, border, inner, Equations(), static_cast<size_t>(windows.count()));
+      problem, border, inner, std::move(all), static_cast<size_t>(windows.count() / kJoined + 1));
 
-  std::vector<double> rows;
-  const auto find_cost = [&] {
-    double cost = 0.0;
-    return problem.Evaluate(Threads(), &rows, &cost) ? cost : std::nan("");
-  };
-  double cost = find_cost(), damping = 0.0, growth = 2.0;
-  if (!std::isfinite(cost))
-    throw DataError("the residuals cannot be evaluated where the solve starts");
+  double damping = 0.0, growth = 2.0;
   for (int iteration = 1; iteration <= options.max_iterations; ++iteration) {
     const GaussNewtonStep step = FindStep(equations, damping, Threads());
     const std::vector<double> before = problem.Move(equations.blocks(), step.x);
-    const double found = find_cost(), change = cost - found;
+    double found = 0.0;
+    if (!problem.Evaluate(Threads(), &rows_, &found)) found = std::nan("");
+    const double cost = step.cost, change = cost - found;
     const bool is_accepted = change > kLeastGain * step.decrease;
-    if (!is_accepted) problem.Restore(equations.blocks(), before);
+    if (!is_accepted) {
+      problem.Restore(equations.blocks(), before);
+      rows_.clear();
+    }
     // No change to speak of; or all of what the linear model foresaw, at its minimum.
     const bool is_full = damping == 0.0;
     if (std::isfinite(step.decrease) && (is_accepted || is_full) &&
@@ -292,7 +299,6 @@ int LeastSquares::Solve(double function_tolerance) {
     if (is_accepted) {
       damping = damping / 3.0 < kLeastDamping ? 0.0 : damping / 3.0;
       growth = 2.0;
-      cost = found;
     } else {
       damping = std::max(kLeastDamping, damping * growth);
       growth *= 2.0;
@@ -302,10 +308,14 @@ int LeastSquares::Solve(double function_tolerance) {
                   std::to_string(options.max_iterations));
 }
 
+void LeastSquares::Move(const std::vector<int>& blocks, const Eigen::VectorXd& step) {
+  problem.Move(blocks, step);
+  rows_.clear();
+}
+
 std::vector<SensorStatistics> LeastSquares::FindStatistics() {
-  std::vector<double> rows;
   double cost = 0.0;
-  if (!problem.Evaluate(Threads(), &rows, &cost))
+  if (rows_.empty() && !problem.Evaluate(Threads(), &rows_, &cost))
     throw DataError("the residuals cannot be evaluated where the solve ended");
   std::vector<SensorStatistics> statistics(sensors.size());
   InParallel(Threads(), sensors.size(), [&](size_t k) {
@@ -315,7 +325,7 @@ std::vector<SensorStatistics> LeastSquares::FindStatistics() {
       statistics[k] = {sensor.model->noise, 0.0};
       return;
     }
-    const double* r_sigma = &rows[problem.residuals(sensor.first_block).first_row];
+    const double* r_sigma = &rows_[problem.residuals(sensor.first_block).first_row];
     std::vector<double> magnitudes, variances;
     double sum2 = 0.0;
     for (const ProblemSample& sample : sensor.samples) {

@@ -37,9 +37,11 @@ class NormalEquations::Linearisation {
     });
     places.clear();
     for (const Term& term : terms_) places.push_back(term.place);
-    r.resize(rows);
-    J.resize(rows, columns);
-    values_.resize(static_cast<size_t>(numbers));
+    // In memory that all residuals share: allocating it would take as long as filling it.
+    values_.resize(std::max(values_.size(), static_cast<size_t>(numbers)));
+    memory_.resize(std::max(memory_.size(), static_cast<size_t>(rows * (columns + 1))));
+    new (&r) Eigen::Map<Eigen::VectorXd>(memory_.data(), rows);
+    new (&J) Eigen::Map<Eigen::MatrixXd>(memory_.data() + rows, rows, columns);
     jacobians_.assign(sizes.size(), nullptr);
     double* next = values_.data();
     for (const Term& term : terms_) {
@@ -62,8 +64,10 @@ class NormalEquations::Linearisation {
             own * plus_[static_cast<size_t>(term.curved)];
       column += term.columns;
     }
+    const double squared_norm = r.squaredNorm();
+    cost = residuals_->Cost(squared_norm);
     // Concave beyond its scale, the loss weighs as Ceres has it there: rho'' is left out.
-    const double weight = residuals_->Weight(r.squaredNorm());
+    const double weight = residuals_->Weight(squared_norm);
     if (weight != 1.0) {
       J *= std::sqrt(weight);
       r *= std::sqrt(weight);
@@ -93,8 +97,9 @@ class NormalEquations::Linearisation {
   }
 
   std::vector<int> places;
-  Eigen::MatrixXd J;
-  Eigen::VectorXd r;
+  Eigen::Map<Eigen::VectorXd> r{nullptr, 0};
+  Eigen::Map<Eigen::MatrixXd> J{nullptr, 0, 0};
+  double cost = 0.0;
 
  private:
   struct Term {
@@ -112,7 +117,7 @@ class NormalEquations::Linearisation {
   const int* blocks_ = nullptr;
   std::vector<double*> parameters_, jacobians_;
   std::vector<Term> terms_;
-  std::vector<double> values_;
+  std::vector<double> values_, memory_;
 };
 
 NormalEquations::NormalEquations(const Problem& problem,
@@ -156,10 +161,12 @@ NormalEquations::NormalEquations(const Problem& problem,
   }
 }
 
-Panels NormalEquations::Assemble(size_t window, const std::vector<ExactColumn>& exact) const {
+Panels NormalEquations::Assemble(size_t window,
+                                 const std::vector<ExactColumn>& exact,
+                                 double* cost) const {
   Panels panels;
   Linearisation at(*this);
-  Eigen::MatrixXd product;
+  std::vector<double> memory;
   Eigen::VectorXd score, moved;
   const size_t end =
       window + 1 < first_of_window_.size() ? first_of_window_[window + 1] : equations_.size();
@@ -167,19 +174,23 @@ Panels NormalEquations::Assemble(size_t window, const std::vector<ExactColumn>& 
     at.Start(equations_[k]);
     if (at.places.empty()) continue;
     if (!at.Evaluate()) throw DataError("the residuals cannot be differentiated");
-    product.noalias() = at.J.transpose() * at.J;
+    if (cost != nullptr) *cost += at.cost;
+    const Eigen::Index columns = at.J.cols();
+    memory.assign(static_cast<size_t>(columns * columns), 0.0);
+    Eigen::Map<Eigen::MatrixXd> product(memory.data(), columns, columns);
+    product.selfadjointView<Eigen::Lower>().rankUpdate(at.J.transpose());
     score.noalias() = at.J.transpose() * at.r;
     elimination_->Add(at.places, product, &panels);
     elimination_->AddRhs(at.places, static_cast<int>(window), score, &panels);
     for (const ExactColumn& parameter : exact) {
       const Eigen::Index column = at.Column(parameter.block);
       if (column < 0 || product(column, column) == 0.0) continue;
+      const Eigen::VectorXd at_clock =
+          product.selfadjointView<Eigen::Lower>() * Eigen::VectorXd::Unit(columns, column);
       if (!at.EvaluateMoved(parameter.block, parameter.step)) continue;
       moved.noalias() = at.J.transpose() * at.r;
-      elimination_->AddRhs(at.places,
-                           parameter.rhs,
-                           (moved - score) / parameter.step - product.col(column),
-                           &panels);
+      elimination_->AddRhs(
+          at.places, parameter.rhs, (moved - score) / parameter.step - at_clock, &panels);
     }
   }
   return panels;

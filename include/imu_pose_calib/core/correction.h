@@ -10,11 +10,10 @@ namespace imu_pose_calib {
 /// Value and derivatives 1..3 (columns) of a spline from its control points.
 template <typename T>
 Eigen::Matrix<T, 3, 4> EvaluateSpline(T const* const* points, const SplineWeights& weights) {
-  Eigen::Matrix<T, 3, 4> x = Eigen::Matrix<T, 3, 4>::Zero();
+  Eigen::Matrix<T, 3, kSplineOrder> P;
   for (int j = 0; j < kSplineOrder; ++j)
-    x += Eigen::Map<const Eigen::Matrix<T, 3, 1>>(points[j]) *
-         weights.col(j).transpose().template cast<T>();
-  return x;
+    P.col(j) = Eigen::Map<const Eigen::Matrix<T, 3, 1>>(points[j]);
+  return P * weights.transpose().template cast<T>();
 }
 
 /// u = J_r(phi) phi' and its time derivative, as cross products: with m = phi x phi',

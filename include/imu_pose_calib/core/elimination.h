@@ -69,10 +69,12 @@ class Elimination {
   int place(int block) const { return place_[static_cast<size_t>(block)]; }
   /// Adds J^T J (its lower triangle) of a residual of which J has the blocks at these places, which
   /// increase; and a right-hand side of them.
-  void Add(const std::vector<int>& places, const Eigen::MatrixXd& product, Panels* panels) const;
+  void Add(const std::vector<int>& places,
+           const Eigen::Ref<const Eigen::MatrixXd>& product,
+           Panels* panels) const;
   void AddRhs(const std::vector<int>& places,
               int number,
-              const Eigen::VectorXd& rhs,
+              const Eigen::Ref<const Eigen::VectorXd>& rhs,
               Panels* panels) const;
   static void Merge(Panels&& from, Panels* to);
   /// Whether anything beside the border acts together with a block of the border.

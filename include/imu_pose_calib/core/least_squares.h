@@ -160,12 +160,17 @@ struct LeastSquares {
   /// Gauss-Newton steps, damped when they fail. Returns their number. Throws DataError when the
   /// cost does not converge to what it is at the minimum, but for a share `function_tolerance`.
   int Solve(double function_tolerance);
+  /// A step of blocks of the problem.
+  void Move(const std::vector<int>& blocks, const Eigen::VectorXd& step);
   /// Of each sensor.
   std::vector<SensorStatistics> FindStatistics();
   /// Residuals of each sensor where the estimate stands.
   std::vector<SensorResiduals> TakeResiduals();
   /// Threads that the options ask for.
   int Threads() const;
+
+ private:
+  std::vector<double> rows_;  ///< residuals where the estimate stands; empty: not known
 };
 
 /// The sample can be compared: t_M [s, pose clock] is inside of a segment and not at its very end.

@@ -35,9 +35,11 @@ class NormalEquations {
                   std::vector<Equation> equations,
                   size_t windows);
 
-  /// H of a window and its score as right-hand side of that number. Throws DataError where the
-  /// residuals cannot be differentiated.
-  Panels Assemble(size_t window, const std::vector<ExactColumn>& exact) const;
+  /// H of a window and its score as right-hand side of that number; its share of the cost, unless
+  /// that is null. Throws DataError where the residuals cannot be differentiated.
+  Panels Assemble(size_t window,
+                  const std::vector<ExactColumn>& exact,
+                  double* cost = nullptr) const;
 
   const std::vector<int>& blocks() const { return blocks_; }
   const std::shared_ptr<const Elimination>& elimination() const { return elimination_; }
