@@ -62,13 +62,10 @@ BENCHMARK(BenchmarkTrajectoryVariance);
 /// Residuals and Jacobians of `range` accelerometer samples in one block, the joint solve's
 /// largest.
 void BenchmarkJointAccelResidual(benchmark::State& state) {
-  const MarkerState<double> motion{Eigen::Quaterniond::Identity(),
-                                   {1.0, -2.0, 0.5},
-                                   {10.0, 5.0, -3.0},
-                                   {0.0, 0.0, 0.0},
-                                   {0.1, 0.2, 0.3},
-                                   {1.0, 2.0, 3.0}};
-  const JointAccelSample sample{{{motion, {0, 0.3, 0.01}}, {0.0, 0.0, 9.8}, 0.5, 0.0, 0.0, 0.02},
+  const Eigen::Vector3d omega_M(1.0, -2.0, 0.5), alpha_M(10.0, 5.0, -3.0), f_I(0.0, 0.0, 9.8);
+  const JointAccelSample sample{{{0, 0.3, 0.01}, omega_M, alpha_M, f_I, 0.5, 0.0, 0.0, 0.02},
+                                Eigen::Quaterniond::Identity(),
+                                {1.0, 2.0, 3.0},
                                 {}};
   const auto samples = static_cast<size_t>(state.range(0));
   const std::unique_ptr<ceres::CostFunction> block(

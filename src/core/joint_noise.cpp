@@ -198,7 +198,8 @@ std::vector<double> NoiseInBand(const LeastSquares& joint,
     const double duration = sensor.samples.back().t - sensor.samples.front().t;
     if (tau > kLongestAveraging || duration < kLeastWindows * tau) continue;
     std::vector<Eigen::Vector3d> residuals = sensor.residuals;
-    for (size_t i = 0; i < residuals.size(); ++i) residuals[i] -= sensor.samples[i].rest;
+    for (size_t i = 0; i < residuals.size(); ++i)
+      residuals[i] -= joint.Rest(*sensor.model, sensor.samples[i].index);
     const double share = AllanNoise(Times(sensor), residuals, tau) / statistics[k].noise;
     if (share < kMostlyBeyond) shares.back() = std::max(share, kLeastShare);
   }

@@ -101,8 +101,11 @@ class SessionBuilder {
               BiasKnots* knots,
               const Complete& complete,
               const Add& add);
-  /// The trajectory at t [s]; false when it is not on a spline.
-  bool FindPoint(double t, TrajectoryPoint* point, MarkerState<double>* rate = nullptr) const;
+  /// The GP at t [s] and the place there; false when it is not on a spline.
+  bool FindPoint(double t,
+                 SplinePlace* place,
+                 MarkerState<double>* gp,
+                 MarkerState<double>* rate = nullptr) const;
   /// f_M'' of the GP at t [s], where it moves as `middle`; [m/s^4], components in M.
   Eigen::Vector3d ForceCurvature(const MarkerState<double>& middle,
                                  double t,
@@ -136,10 +139,13 @@ SessionBuilder::SessionBuilder(size_t session,
       first_imu_(estimate_.FirstImu()),
       reference_(estimate_.imus[first_imu_]) {}
 
-bool SessionBuilder::FindPoint(double t, TrajectoryPoint* point, MarkerState<double>* rate) const {
-  const auto place = splines_->Locate(t);
-  if (!place || !prepared_.trajectory->Evaluate(t, &point->gp, rate)) return false;
-  point->place = *place;
+bool SessionBuilder::FindPoint(double t,
+                               SplinePlace* place,
+                               MarkerState<double>* gp,
+                               MarkerState<double>* rate) const {
+  const auto found = splines_->Locate(t);
+  if (!found || !prepared_.trajectory->Evaluate(t, gp, rate)) return false;
+  *place = *found;
   return true;
 }
 
@@ -209,36 +215,37 @@ void SessionBuilder::AddPoses() {
         const auto sigma = [i](const SensorBlocks& sensor, double scale) {
           return sensor.model->noise * scale / std::sqrt(sensor.model->weights[i]);
         };
-        sample->q_WM = pose.q_WM;
-        sample->p_WM = pose.p_WM;
+        MarkerState<double> gp;
+        if (!FindPoint(pose.t, &sample->place, &gp)) return false;
+        sample->q_error = gp.q_WM.conjugate() * pose.q_WM;
+        sample->p_error = pose.p_WM - gp.p_WM;
+        sample->alpha_M = gp.alpha_M;
+        sample->a_W = gp.a_W;
         sample->reference_time = ReferenceTime(pose.t);
         sample->position_sigma = sigma(*position, pose.position_scale);
         sample->rotation_sigma = sigma(*rotation, pose.rotation_scale);
-        return FindPoint(pose.t, &sample->at);
+        return true;
       });
   for (size_t k = 0; k < kept.size(); ++k) {
-    const TimedPose& pose = poses[kept[k]];
-    position->samples.push_back(
-        {kept[k], pose.t, all[k].position_sigma, 0.0, pose.position_scale, pose.position_rest});
-    rotation->samples.push_back(
-        {kept[k], pose.t, all[k].rotation_sigma, 0.0, pose.rotation_scale, pose.rotation_rest});
+    position->samples.push_back({kept[k], poses[kept[k]].t, all[k].position_sigma});
+    rotation->samples.push_back({kept[k], poses[kept[k]].t, all[k].rotation_sigma});
   }
   const size_t count = all.size();
   const Samples<JointPoseSample> samples(std::move(all));
   const auto share_span = [&](size_t i, size_t j) {
-    return samples[i].at.place.first == samples[j].at.place.first;
+    return samples[i].place.first == samples[j].place.first;
   };
   const int pose_smoothing = problem.Find(&joint_->estimate->pose_smoothing);
   const int position_smoothing = problem.Find(&joint_->estimate->position_smoothing);
   ForRuns(count, share_span, [&](size_t begin, size_t end) {
-    const auto first = static_cast<int>(samples[begin].at.place.first);
+    const auto first = static_cast<int>(samples[begin].place.first);
     position->Add(problem.AddResiduals(
                       CreateJointPositionResidual(samples.Part(begin, end), clocks.motions),
                       Blocks({d_ + first}, {pose_smoothing, position_smoothing}, clocks.blocks)),
                   position->samples[begin].t);
   });
   ForRuns(count, share_span, [&](size_t begin, size_t end) {
-    const auto first = static_cast<int>(samples[begin].at.place.first);
+    const auto first = static_cast<int>(samples[begin].place.first);
     rotation->Add(
         problem.AddResiduals(CreateJointRotationResidual(samples.Part(begin, end), clocks.motions),
                              Blocks({phi_ + first}, {pose_smoothing}, clocks.blocks)),
@@ -270,11 +277,8 @@ void SessionBuilder::AddImu(size_t imu,
         sample->sigma = sensor->model->noise / std::sqrt(sensor->model->weights[i]);
         return complete(t_M, sample) && IsOnTrajectory(*prepared_.trajectory, t_M);
       });
-  for (size_t k = 0; k < kept.size(); ++k) {
-    const TimedSample& own = data[kept[k]];
-    sensor->samples.push_back(
-        {kept[k], clock.PoseTime(own.t - delay), all[k].sigma, 0.0, 1.0, own.rest});
-  }
+  for (size_t k = 0; k < kept.size(); ++k)
+    sensor->samples.push_back({kept[k], clock.PoseTime(data[kept[k]].t - delay), all[k].sigma});
   const size_t count = all.size();
   const Samples<Sample> samples(std::move(all));
   int first_knot = -1;  // the others follow
@@ -283,11 +287,11 @@ void SessionBuilder::AddImu(size_t imu,
     if (first_knot < 0) first_knot = block;
   }
   const auto are_alike = [&](size_t i, size_t j) {
-    return samples[i].at.place.first == samples[j].at.place.first && knot[kept[i]] == knot[kept[j]];
+    return samples[i].place.first == samples[j].place.first && knot[kept[i]] == knot[kept[j]];
   };
   ForRuns(count, are_alike, [&](size_t begin, size_t end) {
     sensor->Add(add(samples.Part(begin, end),
-                    static_cast<int>(samples[begin].at.place.first),
+                    static_cast<int>(samples[begin].place.first),
                     first_knot + knot[kept[begin]]),
                 sensor->samples[begin].t);
   });
@@ -305,7 +309,13 @@ void SessionBuilder::AddGyro(size_t imu) {
       prepared_.data.imus[imu].gyro,
       0.0,
       &estimate_.imus[imu].gyro_bias,
-      [&](double t_M, JointImuSample* sample) { return FindPoint(t_M, &sample->at); },
+      [&](double t_M, JointImuSample* sample) {
+        MarkerState<double> gp;
+        if (!FindPoint(t_M, &sample->place, &gp)) return false;
+        sample->omega_M = gp.omega_M;
+        sample->alpha_M = gp.alpha_M;
+        return true;
+      },
       [&](const Samples<JointImuSample>& samples, int first, int knot) {
         return problem.AddResiduals(
             CreateJointGyroResidual(samples, clocks.motions),
@@ -321,10 +331,14 @@ void SessionBuilder::AddAccel(size_t imu) {
   const bool with_curvature =
       rig.accel_smoothing != 0.0 || problem.IsEstimated(&rig.accel_smoothing);
   const auto complete = [&](double t_M, JointAccelSample* sample) {
-    MarkerState<double> rate;
-    if (!FindPoint(t_M, &sample->at, &rate)) return false;
+    MarkerState<double> gp, rate;
+    if (!FindPoint(t_M, &sample->place, &gp, &rate)) return false;
+    sample->q_WM = gp.q_WM;
+    sample->omega_M = gp.omega_M;
+    sample->alpha_M = gp.alpha_M;
+    sample->a_W = gp.a_W;
     sample->jerk = {rate.alpha_M, rate.a_W};
-    if (with_curvature) sample->jerk.f_curvature = ForceCurvature(sample->at.gp, t_M, rig.p_MI);
+    if (with_curvature) sample->jerk.f_curvature = ForceCurvature(gp, t_M, rig.p_MI);
     return true;
   };
   const int q_MI = problem.Find(rig.q_MI.coeffs().data());

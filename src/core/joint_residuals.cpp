@@ -31,7 +31,7 @@ Eigen::Matrix<double, 3, 4> InverseRotationJacobian(const Eigen::Quaterniond& q,
 
 /// The corrected rotation of the marker at one instant and how it moves with phi, phi' and phi''.
 struct CorrectedRotation {
-  Eigen::Quaterniond q_WM;
+  Eigen::Quaterniond E;  // Exp(phi)
   Vector3d omega, alpha;
   // Only with Jacobians:
   Matrix3d J;                      // right Jacobian of phi; d omega / d phi', d alpha / d phi''
@@ -41,12 +41,11 @@ struct CorrectedRotation {
   Vector3d u, omega_spline, alpha_spline, omega_gp, alpha_gp;
 
   /// phi: columns 0..3 are the value and its time derivatives.
-  CorrectedRotation(const MarkerState<double>& gp,
+  CorrectedRotation(const Vector3d& omega_gp_M,
+                    const Vector3d& alpha_gp_M,
                     const Eigen::Matrix<double, 3, 4>& phi,
-                    bool with_jacobians) {
-    const Eigen::Quaterniond E = Exp<double>(phi.col(0));
-    q_WM = gp.q_WM * E;
-
+                    bool with_jacobians)
+      : E(Exp<double>(phi.col(0))) {
     Vector3d u_dot;
     Matrix3d u_phi, udot_phi;
     if (with_jacobians) {
@@ -65,8 +64,8 @@ struct CorrectedRotation {
       CorrectionRate<double>(phi.col(0), phi.col(1), phi.col(2), &u, &u_dot);
     }
 
-    const Vector3d omega_E = E.conjugate() * gp.omega_M;  // E^T omega_gp
-    const Vector3d alpha_E = E.conjugate() * gp.alpha_M;
+    const Vector3d omega_E = E.conjugate() * omega_gp_M;  // E^T omega_gp
+    const Vector3d alpha_E = E.conjugate() * alpha_gp_M;
     omega = omega_E + u;
     alpha = alpha_E - u.cross(omega_E) + u_dot;
     if (!with_jacobians) return;
@@ -86,16 +85,6 @@ struct CorrectedRotation {
     alpha_gp = -u.cross(alpha_E);
   }
 };
-
-/// The GP's motion `dt` [s] beyond a point.
-MarkerState<double> Moved(MarkerState<double> gp, double dt, const MarkerJerk& jerk) {
-  if (dt == 0.0) return gp;
-  gp.q_WM = gp.q_WM * Exp<double>(dt * (gp.omega_M + 0.5 * dt * gp.alpha_M));
-  gp.omega_M += dt * (gp.alpha_M + 0.5 * dt * jerk.alpha_rate);
-  gp.alpha_M += dt * jerk.alpha_rate;
-  gp.a_W += dt * jerk.jerk_W;
-  return gp;
-}
 
 /// How far beyond its span a sample may move while the clocks are estimated: the cubic goes on, and
 /// the next solve finds the right span.
@@ -210,14 +199,13 @@ class JointPositionResidual : public BatchResidual<JointPoseSample> {
                       double const* const* blocks,
                       double* residual,
                       double** jacobians) const override {
-    const double u = s.at.place.u + FindMove(s, blocks).on_spline / s.at.place.spacing;
+    const double u = s.place.u + FindMove(s, blocks).on_spline / s.place.spacing;
     if (!IsNearSpan(u)) return false;
-    const SplineWeights weights = CubicWeights(u, s.at.place.spacing);
+    const SplineWeights weights = CubicWeights(u, s.place.spacing);
     const Eigen::Matrix<double, 3, 4> d = EvaluateSpline(blocks, weights);
-    const MarkerState<double>& gp = s.at.gp;
     const double c = 0.5 * (*blocks[kSplineOrder] + *blocks[kSplineOrder + 1]);
-    const Vector3d a_W = gp.a_W + d.col(2);
-    AsVector(residual) = (s.p_WM - gp.p_WM - d.col(0) - c * a_W) / s.position_sigma;
+    const Vector3d a_W = s.a_W + d.col(2);
+    AsVector(residual) = (s.p_error - d.col(0) - c * a_W) / s.position_sigma;
     if (jacobians == nullptr) return true;
     for (int j = 0; j < kSplineOrder; ++j)
       SetRows<3>(jacobians,
@@ -242,16 +230,15 @@ class JointRotationResidual : public BatchResidual<JointPoseSample> {
                       double const* const* blocks,
                       double* residual,
                       double** jacobians) const override {
-    const double u = s.at.place.u + FindMove(s, blocks).on_spline / s.at.place.spacing;
+    const double u = s.place.u + FindMove(s, blocks).on_spline / s.place.spacing;
     if (!IsNearSpan(u)) return false;
-    const SplineWeights weights = CubicWeights(u, s.at.place.spacing);
+    const SplineWeights weights = CubicWeights(u, s.place.spacing);
     const Eigen::Matrix<double, 3, 4> phi = EvaluateSpline(blocks, weights);
     const Eigen::Quaterniond E_inv = Exp<double>(-phi.col(0));
     const double c = 0.5 * *blocks[kSplineOrder];
-    const Vector3d alpha = s.at.gp.alpha_M + phi.col(2);
+    const Vector3d alpha = s.alpha_M + phi.col(2);
     const Eigen::Quaterniond lag_inv = Exp<double>(-c * alpha);
-    const Vector3d error =
-        Log(Eigen::Quaterniond(lag_inv * E_inv * s.at.gp.q_WM.conjugate() * s.q_WM));
+    const Vector3d error = Log(Eigen::Quaterniond(lag_inv * E_inv * s.q_error));
     AsVector(residual) = error / s.rotation_sigma;
     if (jacobians == nullptr) return true;
     // Log(Exp(-delta) Exp(error)) = error - J_l(error)^-1 delta with J_l(x) = J_r(-x); delta is
@@ -285,12 +272,12 @@ class JointGyroResidual : public BatchResidual<JointImuSample> {
     const Matrix3d K_g = GyroMatrix(Eigen::Map<const Vector6d>(blocks[n + 1]));
     const Eigen::Map<const Vector3d> knot_0(blocks[n + 2]), knot_1(blocks[n + 3]);
     const Move dt = FindMove(s, blocks);
-    const double u = s.at.place.u + dt.on_spline / s.at.place.spacing;
+    const double u = s.place.u + dt.on_spline / s.place.spacing;
     if (!IsNearSpan(u)) return false;
-    const SplineWeights weights = CubicWeights(u, s.at.place.spacing);
-    const MarkerState<double> gp =
-        Moved(s.at.gp, dt.on_gp, {Vector3d::Zero(), Vector3d::Zero()});  // omega to first order
-    const CorrectedRotation x(gp, EvaluateSpline(blocks, weights), jacobians != nullptr);
+    const SplineWeights weights = CubicWeights(u, s.place.spacing);
+    const Vector3d omega_gp = s.omega_M + dt.on_gp * s.alpha_M;
+    const CorrectedRotation x(
+        omega_gp, s.alpha_M, EvaluateSpline(blocks, weights), jacobians != nullptr);
     const Vector3d omega_I = q_MI.conjugate() * x.omega;
     AsVector(residual) =
         (s.value - (1.0 - s.bias_u) * knot_0 - s.bias_u * knot_1 - K_g * omega_I) / s.sigma;
@@ -336,17 +323,21 @@ class JointAccelResidual : public BatchResidual<JointAccelSample> {
     const Matrix3d K_a = AccelMatrix(Eigen::Map<const Vector9d>(blocks[n + 3]));
     const Eigen::Map<const Vector3d> knot_0(blocks[n + 4]), knot_1(blocks[n + 5]);
     const Move dt = FindMove(s, blocks);
-    const double u = s.at.place.u + dt.on_spline / s.at.place.spacing;
+    const double u = s.place.u + dt.on_spline / s.place.spacing;
     if (!IsNearSpan(u)) return false;
-    const SplineWeights weights = CubicWeights(u, s.at.place.spacing);
+    const SplineWeights weights = CubicWeights(u, s.place.spacing);
     const MarkerJerk& jerk = s.jerk;
-    const MarkerState<double> gp = Moved(s.at.gp, dt.on_gp, jerk);
+    const double t = dt.on_gp;
+    const Eigen::Quaterniond q_gp = s.q_WM * Exp<double>(t * (s.omega_M + 0.5 * t * s.alpha_M));
+    const Vector3d omega_gp = s.omega_M + t * (s.alpha_M + 0.5 * t * jerk.alpha_rate);
+    const Vector3d alpha_gp = s.alpha_M + t * jerk.alpha_rate;
     const Eigen::Matrix<double, 3, 4> phi = EvaluateSpline(blocks + kSplineOrder, weights);
-    const CorrectedRotation x(gp, phi, jacobians != nullptr);
+    const CorrectedRotation x(omega_gp, alpha_gp, phi, jacobians != nullptr);
+    const Eigen::Quaterniond q_WM = q_gp * x.E;
     const Eigen::Matrix<double, 3, 4> d = EvaluateSpline(blocks, weights);
     const double scale = *blocks[n + 7];
-    const Vector3d a_W = (gp.a_W + d.col(2)) / scale;
-    const Vector3d f_body = x.q_WM.conjugate() * (a_W - g);  // R_WM^T (a_W - g_W)
+    const Vector3d a_W = (s.a_W + t * jerk.jerk_W + d.col(2)) / scale;
+    const Vector3d f_body = q_WM.conjugate() * (a_W - g);  // R_WM^T (a_W - g_W)
     const Vector3d f_M = f_body + x.alpha.cross(p) + x.omega.cross(x.omega.cross(p)) +
                          0.5 * *blocks[n + 6] * jerk.f_curvature;
     const Matrix3d R_IM = q_MI.conjugate().toRotationMatrix();
@@ -362,7 +353,7 @@ class JointAccelResidual : public BatchResidual<JointAccelSample> {
 
     const Matrix3d r_I = -K_a / s.sigma;  // d r / d f_I
     const Matrix3d A = r_I * R_IM;        // d r / d f_M
-    const Matrix3d R_MW = x.q_WM.conjugate().toRotationMatrix();
+    const Matrix3d R_MW = q_WM.conjugate().toRotationMatrix();
     // d (omega x (omega x p)) / d omega
     const auto by_omega = [&](const Vector3d& arm) -> Matrix3d {
       return -Hat<double>(x.omega.cross(arm)) - W * Hat<double>(arm);

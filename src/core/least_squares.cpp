@@ -235,6 +235,27 @@ void LeastSquares::AddOptional(ParameterKind kind,
   }
 }
 
+double LeastSquares::Scale(const SensorModel& model, size_t index) const {
+  const std::vector<TimedPose>& poses = sessions[model.session].data.poses;
+  if (model.quantity == Quantity::kPosition) return poses[index].position_scale;
+  return model.quantity == Quantity::kRotation ? poses[index].rotation_scale : 1.0;
+}
+
+const Eigen::Vector3d& LeastSquares::Rest(const SensorModel& model, size_t index) const {
+  const ConditionedData& data = sessions[model.session].data;
+  switch (model.quantity) {
+    case Quantity::kPosition:
+      return data.poses[index].position_rest;
+    case Quantity::kRotation:
+      return data.poses[index].rotation_rest;
+    case Quantity::kGyro:
+      return data.imus[model.imu].gyro[index].rest;
+    case Quantity::kAccel:
+      break;
+  }
+  return data.imus[model.imu].accel[index].rest;
+}
+
 int LeastSquares::Threads() const {
   return options.num_threads > 0
              ? options.num_threads
@@ -329,13 +350,15 @@ std::vector<SensorStatistics> LeastSquares::FindStatistics() {
     std::vector<double> magnitudes, variances;
     double sum2 = 0.0;
     for (const ProblemSample& sample : sensor.samples) {
-      const Eigen::Vector3d r =
-          (sample.sigma * Eigen::Map<const Eigen::Vector3d>(r_sigma) + sample.rest) / sample.scale;
+      const double scale = Scale(*sensor.model, sample.index);
+      const Eigen::Vector3d r = (sample.sigma * Eigen::Map<const Eigen::Vector3d>(r_sigma) +
+                                 Rest(*sensor.model, sample.index)) /
+                                scale;
       r_sigma += 3;
       for (int i = 0; i < 3; ++i) magnitudes.push_back(std::abs(r[i]));
       variances.push_back(sample.trajectory_variance);
       sensor.residuals.push_back(r);
-      sum2 += sample.scale * sample.scale * r.squaredNorm();
+      sum2 += scale * scale * r.squaredNorm();
     }
     const double count = static_cast<double>(magnitudes.size());
     const double redundancy = std::max(kLeastRedundancy, 1.0 - sensor.fitted);
@@ -355,8 +378,9 @@ std::vector<SensorResiduals> LeastSquares::TakeResiduals() {
     SensorResiduals own{model.quantity, model.session, model.imu, model.noise, {}, {}, {}};
     for (size_t i = 0; i < sensor.samples.size(); ++i) {
       own.t.push_back(sensor.samples[i].t);
-      own.residual.push_back(sensor.samples[i].scale * sensor.residuals[i]);
-      own.weight.push_back(model.weights[sensor.samples[i].index]);
+      const size_t index = sensor.samples[i].index;
+      own.residual.push_back(Scale(model, index) * sensor.residuals[i]);
+      own.weight.push_back(model.weights[index]);
     }
     all.push_back(std::move(own));
   }

@@ -54,6 +54,39 @@ class JointResiduals : public ::testing::Test {
     return blocks;
   }
 
+  /// Where a sample lies on the trajectory.
+  struct TrajectoryPoint {
+    MarkerState<double> gp;
+    SplinePlace place;
+  };
+  static JointPoseSample Pose(const TrajectoryPoint& at,
+                              const Eigen::Quaterniond& q_WM,
+                              const Vector3d& p_WM,
+                              double reference_time,
+                              double position_sigma,
+                              double rotation_sigma) {
+    return {at.place,
+            at.gp.q_WM.conjugate() * q_WM,
+            p_WM - at.gp.p_WM,
+            at.gp.alpha_M,
+            at.gp.a_W,
+            reference_time,
+            position_sigma,
+            rotation_sigma};
+  }
+  static JointAccelSample Imu(const TrajectoryPoint& at,
+                              const Vector3d& value,
+                              double bias_u,
+                              double own_time,
+                              double reference_time,
+                              double sigma) {
+    const MarkerState<double>& gp = at.gp;
+    return {{at.place, gp.omega_M, gp.alpha_M, value, bias_u, own_time, reference_time, sigma},
+            gp.q_WM,
+            gp.a_W,
+            {}};
+  }
+
   /// Two poses of one span, close to the trajectory.
   std::vector<JointPoseSample> Poses() {
     std::vector<JointPoseSample> poses;
@@ -61,17 +94,17 @@ class JointResiduals : public ::testing::Test {
       at_.place.u = u;
       const Eigen::Quaterniond q_WM = at_.gp.q_WM * Exp<double>(Random(0.5));
       const Vector3d p_WM = at_.gp.p_WM + Random(0.01);
-      poses.push_back({at_, q_WM, p_WM, -0.5, 0.01, 0.02});
+      poses.push_back(Pose(at_, q_WM, p_WM, -0.5, 0.01, 0.02));
     }
     return poses;
   }
 
   /// Two IMU samples of one span.
-  std::vector<JointImuSample> Imu() {
-    JointImuSample sample{at_, Random(3.0), 0.3, 2.4, -0.5, 0.05};
-    JointImuSample next{at_, Random(3.0), 0.4, 2.5, -0.4, 0.03};
-    next.at.place.u += 0.2;
-    next.at.gp.omega_M += Random(0.1);
+  std::vector<JointAccelSample> Imu() {
+    const JointAccelSample sample = Imu(at_, Random(3.0), 0.3, 2.4, -0.5, 0.05);
+    JointAccelSample next = Imu(at_, Random(3.0), 0.4, 2.5, -0.4, 0.03);
+    next.place.u += 0.2;
+    next.omega_M += Random(0.1);
     return {sample, next};
   }
   std::vector<MarkerJerk> Jerks() {
@@ -79,11 +112,13 @@ class JointResiduals : public ::testing::Test {
             {Random(40.0), Random(30.0), Random(300.0)}};
   }
 
-  static std::vector<JointAccelSample> With(const std::vector<JointImuSample>& samples,
+  static std::vector<JointImuSample> Gyro(const std::vector<JointAccelSample>& samples) {
+    return {samples.begin(), samples.end()};
+  }
+  static std::vector<JointAccelSample> With(std::vector<JointAccelSample> samples,
                                             const std::vector<MarkerJerk>& jerks) {
-    std::vector<JointAccelSample> all;
-    for (size_t i = 0; i < samples.size(); ++i) all.push_back({samples[i], jerks[i]});
-    return all;
+    for (size_t i = 0; i < samples.size(); ++i) samples[i].jerk = jerks[i];
+    return samples;
   }
 
   /// The clock parameters that move a sensor, as the joint solve hands them over.
@@ -282,15 +317,15 @@ class JointResiduals : public ::testing::Test {
     const ClockMotions motions = Motions(clocks);
     const Vector3d value = Random(3.0);
     const auto evaluate = [&](double scale) {
-      std::vector<JointImuSample> samples, placed;
+      std::vector<JointAccelSample> samples, placed;
       std::vector<MarkerJerk> jerks, placed_jerks;
       std::vector<std::pair<double, double>> times = {{2.4, -0.5}, {2.5, -0.4}};
       for (const auto& [own, reference] : times) {
         const double t = kSpan + 0.012 + 0.03 * (own - 2.4);
         const Moved dt = move(scale, own, reference);
-        samples.push_back({PointAt(t), value, 0.3, own, reference, 0.05});
-        placed.push_back(
-            {PointAt(t + dt.on_gp, t + dt.on_spline), value, 0.3, own, reference, 0.05});
+        const TrajectoryPoint moved = PointAt(t + dt.on_gp, t + dt.on_spline);
+        samples.push_back(Imu(PointAt(t), value, 0.3, own, reference, 0.05));
+        placed.push_back(Imu(moved, value, 0.3, own, reference, 0.05));
         jerks.push_back(JerkAt(t));
         placed_jerks.push_back(JerkAt(t + dt.on_gp));
       }

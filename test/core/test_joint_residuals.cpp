@@ -26,7 +26,7 @@ TEST_F(JointResiduals, RotationJacobian) {
 TEST_F(JointResiduals, GyroJacobian) {
   for (const double delay : {0.0008, 0.0011, 0.017}) {
     accel_delay_ = delay;
-    ExpectJacobiansMatch(CreateJointGyroResidual(Imu(), Motions(GyroClocks())),
+    ExpectJacobiansMatch(CreateJointGyroResidual(Gyro(Imu()), Motions(GyroClocks())),
                          GyroBlocks(GyroClocks()),
                          kSplineOrder);
   }
@@ -35,7 +35,7 @@ TEST_F(JointResiduals, GyroJacobian) {
 TEST_F(JointResiduals, JacobianOfAnotherGyro) {
   for (const double shift : {0.0117, 0.012, 0.028}) {
     other_time_shift_ = shift;
-    ExpectJacobiansMatch(CreateJointGyroResidual(Imu(), Motions(OtherGyroClocks())),
+    ExpectJacobiansMatch(CreateJointGyroResidual(Gyro(Imu()), Motions(OtherGyroClocks())),
                          GyroBlocks(OtherGyroClocks()),
                          kSplineOrder);
   }
@@ -57,7 +57,7 @@ TEST_F(JointResiduals, JacobianOfAnotherAccel) {
 TEST_F(JointResiduals, JacobianOfAnotherAccelThatHasMoved) {
   // Columns of the clocks leave out terms of second order in the move, all others are exact.
   const std::vector<double*> blocks = AccelBlocks(OtherAccelClocks());
-  const std::vector<JointImuSample> samples = Imu();
+  const std::vector<JointAccelSample> samples = Imu();
   const std::vector<MarkerJerk> jerks = Jerks();
   const auto create = [&] {
     return CreateJointAccelResidual(With(samples, jerks), R_MA_, Motions(OtherAccelClocks()));
@@ -109,9 +109,9 @@ TEST_F(JointResiduals, MovedPositionsAreThoseFurtherAlongTheTrajectory) {
       const double t = kSpan + 0.02 + 0.03 * reference;
       const Vector3d p_WM(0.1, 0.2, -0.1);
       const Eigen::Quaterniond q_WM = Eigen::Quaterniond::Identity();
-      samples.push_back({PointAt(t), q_WM, p_WM, reference, 0.01, 0.01});
+      samples.push_back(Pose(PointAt(t), q_WM, p_WM, reference, 0.01, 0.01));
       const double moved = t + PoseMove(scale, reference).on_spline;
-      placed.push_back({PointAt(t, moved), q_WM, p_WM, reference, 0.01, 0.01});
+      placed.push_back(Pose(PointAt(t, moved), q_WM, p_WM, reference, 0.01, 0.01));
     }
     MoveClocks(0.0);
     MovedAndPlaced both;
@@ -133,9 +133,9 @@ TEST_F(JointResiduals, MovedRotationsAreThoseFurtherAlongTheTrajectory) {
       const double t = kSpan + 0.02 + 0.03 * reference;
       const Eigen::Quaterniond q_WM =
           Eigen::Quaterniond(true_.At(kSpan).R_WM) * Exp<double>(Vector3d(0.2, 0.1, -0.3));
-      samples.push_back({PointAt(t), q_WM, Vector3d::Zero(), reference, 0.01, 0.01});
+      samples.push_back(Pose(PointAt(t), q_WM, Vector3d::Zero(), reference, 0.01, 0.01));
       const double moved = t + PoseMove(scale, reference).on_spline;
-      placed.push_back({PointAt(t, moved), q_WM, Vector3d::Zero(), reference, 0.01, 0.01});
+      placed.push_back(Pose(PointAt(t, moved), q_WM, Vector3d::Zero(), reference, 0.01, 0.01));
     }
     MoveClocks(0.0);
     MovedAndPlaced both;
@@ -149,7 +149,7 @@ TEST_F(JointResiduals, MovedRotationsAreThoseFurtherAlongTheTrajectory) {
 
 TEST_F(JointResiduals, MovedRatesAreThoseFurtherAlongTheTrajectory) {
   const auto create = [](const auto& samples, const auto&, const ClockMotions& clocks) {
-    return CreateJointGyroResidual(samples, clocks);
+    return CreateJointGyroResidual(Gyro(samples), clocks);
   };
   // The slope of a motion of first order is constant.
   const auto jacobian_order = [](size_t k) { return k < kSplineOrder + 4 ? 2 : 1; };
@@ -201,9 +201,10 @@ TEST_F(JointResiduals, VanishWhereTheCorrectedTrajectoryIsMeasured) {
   const auto residual = [](const auto& cost, const std::vector<double*>& blocks) {
     return Evaluate(cost, blocks).residuals.norm();
   };
-  const std::vector<JointImuSample> rate{{at, w, 0.3, 2.4, -0.5, 1.0}};
-  const std::vector<JointImuSample> force{{at, f, 0.3, 2.4, -0.5, 1.0}};
-  EXPECT_LT(residual(CreateJointGyroResidual(rate, gyro), GyroBlocks(OtherGyroClocks())), 1e-6);
+  const std::vector<JointAccelSample> rate{Imu(at, w, 0.3, 2.4, -0.5, 1.0)};
+  const std::vector<JointAccelSample> force{Imu(at, f, 0.3, 2.4, -0.5, 1.0)};
+  EXPECT_LT(residual(CreateJointGyroResidual(Gyro(rate), gyro), GyroBlocks(OtherGyroClocks())),
+            1e-6);
   EXPECT_LT(residual(CreateJointAccelResidual(With(force, {JerkAt(t)}), R_MA_, Motions({})),
                      AccelBlocks({})),
             1e-4);
@@ -214,12 +215,12 @@ TEST_F(JointResiduals, VanishWhereTheCorrectedTrajectoryIsMeasured) {
   const double c = 0.5 * (pose_smoothing_ + position_smoothing_);
   const Vector3d lag = 0.5 * pose_smoothing_ * (at.gp.alpha_M + Correction(phi_, t, 2));
   const std::vector<JointPoseSample> pose{
-      {at,
-       Eigen::Quaterniond(R_WM) * Exp<double>(lag),
-       at.gp.p_WM + Correction(d_, t) + c * (at.gp.a_W + Correction(d_, t, 2)),
-       -0.5,
-       1.0,
-       1.0}};
+      Pose(at,
+           Eigen::Quaterniond(R_WM) * Exp<double>(lag),
+           at.gp.p_WM + Correction(d_, t) + c * (at.gp.a_W + Correction(d_, t, 2)),
+           -0.5,
+           1.0,
+           1.0)};
   const ClockMotions clocks = Motions(PoseClocks());
   EXPECT_LT(residual(CreateJointPositionResidual(pose, clocks), PoseBlocks(&d_)), 1e-12);
   EXPECT_LT(residual(CreateJointRotationResidual(pose, clocks), PoseBlocks(&phi_)), 1e-12);
@@ -239,9 +240,9 @@ TEST_F(JointResiduals, FollowTheDifferentiatedCorrectedRotation) {
   gyro_intrinsics_.setZero();
   Vector3d residual;
   const std::vector<Clock> clocks = {{&accel_delay_, {0.0, 1.0, 1.0, ClockMotion::kOne}}};
-  const std::vector<JointImuSample> at_rest = {{at_, Vector3d::Zero(), 0.0, 0.0, 0.0, 1.0}};
+  const std::vector<JointAccelSample> at_rest = {Imu(at_, Vector3d::Zero(), 0.0, 0.0, 0.0, 1.0)};
   const std::unique_ptr<ceres::CostFunction> cost(
-      CreateJointGyroResidual(at_rest, Motions(clocks)));
+      CreateJointGyroResidual(Gyro(at_rest), Motions(clocks)));
   ASSERT_TRUE(cost->Evaluate(GyroBlocks(clocks).data(), residual.data(), nullptr));
   const double h = 1e-6;
   const Vector3d rate =
@@ -265,10 +266,10 @@ TEST_F(JointResiduals, PosesMoveWithTheClocks) {
 TEST_F(JointResiduals, ImusThatMoveAlikeKeepTheirResiduals) {
   // The splines go along with the first IMU's accelerometer; the GP, here at rest, does not.
   at_.gp.omega_M = at_.gp.alpha_M = at_.gp.a_W = Vector3d::Zero();
-  const std::vector<JointImuSample> resting = {Imu()[0]};
+  const std::vector<JointAccelSample> resting = {Imu()[0]};
   const std::vector<MarkerJerk> at_rest = {{Vector3d::Zero(), Vector3d::Zero()}};
   const std::unique_ptr<ceres::CostFunction> gyro(
-      CreateJointGyroResidual(resting, Motions(OtherGyroClocks())));
+      CreateJointGyroResidual(Gyro(resting), Motions(OtherGyroClocks())));
   const std::unique_ptr<ceres::CostFunction> accel(
       CreateJointAccelResidual(With(resting, at_rest), R_MA_, Motions(OtherAccelClocks())));
   const std::vector<double*> gyro_blocks = GyroBlocks(OtherGyroClocks());
@@ -290,7 +291,7 @@ TEST_F(JointResiduals, FailFarBeyondTheSpan) {
   time_shift_ = accel_delay_ = 0.5;
   Vector3d residual[2];
   const std::unique_ptr<ceres::CostFunction> gyro(
-      CreateJointGyroResidual(Imu(), Motions(GyroClocks())));
+      CreateJointGyroResidual(Gyro(Imu()), Motions(GyroClocks())));
   EXPECT_FALSE(gyro->Evaluate(GyroBlocks(GyroClocks()).data(), residual[0].data(), nullptr));
   accel_delay_ = 0.0;
   const std::unique_ptr<ceres::CostFunction> position(

@@ -20,14 +20,6 @@ namespace imu_pose_calib {
 /// splines go along with the accelerometer of the session's first IMU, since it sees their highest
 /// derivatives, and all others move along them (doc/math.md, S4, "Clock of the trajectory").
 
-/// Where a sample lies on the trajectory while the clocks are where they stood when the problem was
-/// made. It moves along the GP to first or second order, and by little: the last pass starts close
-/// to the solution.
-struct TrajectoryPoint {
-  MarkerState<double> gp;  ///< the GP's motion
-  SplinePlace place;
-};
-
 /// How the samples of a block move along GP and splines with one clock parameter, a block of 1:
 /// dt = sign factor (parameter - value) [s].
 struct ClockMotion {
@@ -58,11 +50,14 @@ class Samples {
   size_t begin_ = 0, count_;
 };
 
-/// A pose of the marker.
+/// A pose of the marker where the trajectory has it while the clocks are where they stood when the
+/// problem was made: place on the splines, and what it is less the GP. Samples move along the GP to
+/// first or second order, and by little: the last pass starts close to the solution.
 struct JointPoseSample {
-  TrajectoryPoint at;
-  Eigen::Quaterniond q_WM;
-  Eigen::Vector3d p_WM;  ///< [m]
+  SplinePlace place;
+  Eigen::Quaterniond q_error;    ///< R_gp^T R_meas
+  Eigen::Vector3d p_error;       ///< [m] p_meas - p_gp in W
+  Eigen::Vector3d alpha_M, a_W;  ///< [rad/s^2], [m/s^2] of the GP
   /// [s] clock of the first IMU, after the instant at which its shift holds
   double reference_time;
   double position_sigma, rotation_sigma;  ///< [m], [rad]
@@ -80,13 +75,14 @@ std::unique_ptr<ceres::CostFunction> CreateJointRotationResidual(
     const Samples<JointPoseSample>& samples,
     const ClockMotions& clocks);
 
-/// A sample of the gyroscope or the accelerometer.
+/// A sample of the gyroscope, and what accelerometers have, too.
 struct JointImuSample {
-  TrajectoryPoint at;
-  Eigen::Vector3d value;            ///< gyroscope [rad/s] or accelerometer [m/s^2] in I
-  double bias_u;                    ///< 0..1 between the bias knots
-  double own_time, reference_time;  ///< [s] as in JointPoseSample, on its own IMU's clock too
-  double sigma;                     ///< unit of value
+  SplinePlace place;
+  Eigen::Vector3d omega_M, alpha_M;  ///< [rad/s], [rad/s^2] of the GP
+  Eigen::Vector3d value;             ///< gyroscope [rad/s] or accelerometer [m/s^2] in I
+  double bias_u;                     ///< 0..1 between the bias knots
+  double own_time, reference_time;   ///< [s] as in JointPoseSample, on its own IMU's clock too
+  double sigma;                      ///< unit of value
 };
 
 /// r = (w - b_g - K_g R_MI^T omega_M(t)) / sigma, in I.
@@ -97,13 +93,15 @@ std::unique_ptr<ceres::CostFunction> CreateJointGyroResidual(const Samples<Joint
 
 /// Derivatives of the GP's motion, along which accelerometers move and over which they average.
 struct MarkerJerk {
-  Eigen::Vector3d alpha_rate;                             ///< [rad/s^3] in M
-  Eigen::Vector3d jerk_W;                                 ///< [m/s^3]
+  Eigen::Vector3d alpha_rate = Eigen::Vector3d::Zero();   ///< [rad/s^3] in M
+  Eigen::Vector3d jerk_W = Eigen::Vector3d::Zero();       ///< [m/s^3]
   Eigen::Vector3d f_curvature = Eigen::Vector3d::Zero();  ///< [m/s^4] f_M'', components in M
 };
 
 /// A sample of the accelerometer.
 struct JointAccelSample : JointImuSample {
+  Eigen::Quaterniond q_WM;  ///< of the GP
+  Eigen::Vector3d a_W;      ///< [m/s^2] of the GP
   MarkerJerk jerk;
 };
 

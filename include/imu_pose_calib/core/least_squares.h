@@ -42,9 +42,6 @@ struct ProblemSample {
   double t;                          ///< [s] pose clock
   double sigma;                      ///< residual * sigma has the sensor's unit
   double trajectory_variance = 0.0;  ///< share of sigma^2
-  double scale = 1.0;                ///< noise relative to the usual sample's
-  /// Recorded less what the residual compares, in the sensor's unit.
-  Eigen::Vector3d rest = Eigen::Vector3d::Zero();
 };
 
 /// Residual blocks of a sensor, three rows in sigma for each sample. Their rows, one after the
@@ -166,6 +163,10 @@ struct LeastSquares {
   std::vector<SensorStatistics> FindStatistics();
   /// Residuals of each sensor where the estimate stands.
   std::vector<SensorResiduals> TakeResiduals();
+  /// Noise of a sample relative to the usual one of its sensor, and what was recorded less what the
+  /// residual compares, in the sensor's unit.
+  double Scale(const SensorModel& model, size_t index) const;
+  const Eigen::Vector3d& Rest(const SensorModel& model, size_t index) const;
   /// Threads that the options ask for.
   int Threads() const;
 
