@@ -1,123 +1,189 @@
-#include <benchmark/benchmark.h>
-#include <ceres/cost_function.h>
+// Times of the stages of a calibration (doc/math.md) and of whole ones, on 60 s handheld: poses at
+// pose_rate [Hz], IMU at twice that, so that 500 is the window of a live calibration.
+//
+//   benchmark_calibration [--benchmark_filter=REGEXP] [--benchmark_repetitions=N]
 
-#include <memory>
+#include <benchmark/benchmark.h>
+
+#include <map>
 #include <vector>
 
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/conditioning.h"
-#include "imu_pose_calib/core/joint_residuals.h"
+#include "imu_pose_calib/core/gp_problem.h"
+#include "imu_pose_calib/core/initializer.h"
+#include "imu_pose_calib/core/joint_problem.h"
 #include "imu_pose_calib/core/joint_solver.h"
+#include "imu_pose_calib/core/marginals.h"
 #include "imu_pose_calib/core/pose_trajectory.h"
 #include "imu_pose_calib/core/preparation.h"
 #include "imu_pose_calib/core/simulator.h"
+#include "imu_pose_calib/core/stamp_recovery.h"
 
 namespace imu_pose_calib {
 namespace {
 
-SessionData Recording(double duration_s) {
+SessionData Recording(const benchmark::State& state, size_t imus = 1, double latency_s = 0.0) {
   SimulatorOptions options;
-  options.duration_s = duration_s;
-  return Simulate(options);
+  options.duration_s = 60.0;
+  options.pose_rate_hz = static_cast<double>(state.range(0));
+  options.gyro_rate_hz = options.accel_rate_hz = 2.0 * options.pose_rate_hz;
+  options.effects.pose_stream.latency_s = options.effects.imu_stream.latency_s = latency_s;
+  return Simulate(options, imus);
 }
 
-/// S1 on `range` seconds of poses at 100 Hz.
-void BenchmarkFitTrajectory(benchmark::State& state) {
+CalibrationOptions Options(const benchmark::State& state, Method method = Method::kJoint) {
+  CalibrationOptions options;
+  options.method = method;
+  options.num_threads = static_cast<int>(state.range(1));
+  return options;
+}
+
+/// A recording up to S2 and up to its knot spacing: the same for all stages that come after.
+struct Prepared {
+  std::vector<PreparedSession> sessions;
+  Estimate estimate;
+  JointStart start;
+};
+const Prepared& PreparedRecording(const benchmark::State& state) {
+  static std::map<int64_t, Prepared> cache;
+  const auto found = cache.find(state.range(0));
+  if (found != cache.end()) return found->second;
   const CalibrationOptions options;
-  const ConditionedData data =
-      ConditionData(options, Recording(static_cast<double>(state.range(0))));
+  DataCheck check;
+  Prepared made;
+  made.sessions = {Prepare(options, Recording(state), &check)};
+  made.estimate = Estimate(made.sessions[0], options.bias_knot_interval_s);
+  made.start = ChooseKnotSpacing(options, made.sessions[0], &made.estimate);
+  return cache.emplace(state.range(0), std::move(made)).first->second;
+}
+
+/// CPU is that of all threads.
+void Cases(benchmark::internal::Benchmark* stage) {
+  stage->ArgNames({"pose_rate", "threads"})
+      ->Unit(benchmark::kMillisecond)
+      ->MeasureProcessCPUTime()
+      ->UseRealTime();
+  for (const int pose_rate : {100, 500})
+    for (const int threads : {1, 2}) stage->Args({pose_rate, threads});
+}
+
+/// S0 to S2 with their checks: what --check does.
+void Preparation(benchmark::State& state) {
+  const CalibrationOptions options = Options(state);
+  const SessionData data = Recording(state);
+  DataCheck check;
+  for (auto _ : state) benchmark::DoNotOptimize(Prepare(options, data, &check));
+}
+BENCHMARK(Preparation)->Apply(Cases);
+
+/// S0, with even stamps and with those of arrival, which are recovered.
+void Conditioning(benchmark::State& state, double latency_s) {
+  const CalibrationOptions options = Options(state);
+  const SessionData recorded = Recording(state, 1, latency_s);
+  for (auto _ : state) {
+    SessionData session = recorded;
+    const SessionStamps stamps = RecoverStamps(options.recover_stamps, &session);
+    benchmark::DoNotOptimize(ConditionData(options, session, stamps));
+  }
+}
+BENCHMARK_CAPTURE(Conditioning, even, 0.0)->Apply(Cases);
+BENCHMARK_CAPTURE(Conditioning, arrival, 2e-3)->Apply(Cases);
+
+/// S1.
+void Trajectory(benchmark::State& state) {
+  const CalibrationOptions options = Options(state);
+  const ConditionedData data = ConditionData(options, Recording(state));
   for (auto _ : state) {
     ConditionedData copy = data;
     benchmark::DoNotOptimize(FitTrajectory(options, &copy));
   }
 }
-BENCHMARK(BenchmarkFitTrajectory)->Arg(20)->Arg(40)->Arg(80)->Unit(benchmark::kMillisecond);
+BENCHMARK(Trajectory)->Apply(Cases);
 
-/// One query of value and derivatives, and one of the variances.
-void BenchmarkTrajectoryQuery(benchmark::State& state) {
-  const CalibrationOptions options;
-  ConditionedData data = ConditionData(options, Recording(20.0));
-  const PoseTrajectory trajectory = FitTrajectory(options, &data);
-  MarkerState<double> motion, rate;
-  double t = 1.0;
+/// Of S1, the windows once the hyperparameters are known.
+void TrajectoryWindows(benchmark::State& state) {
+  const CalibrationOptions options = Options(state);
+  const PreparedSession& session = PreparedRecording(state).sessions[0];
+  for (auto _ : state)
+    benchmark::DoNotOptimize(PoseTrajectory(session.data.poses,
+                                            session.data.segments,
+                                            session.trajectory->position_hyperparameters(),
+                                            session.trajectory->rotation_hyperparameters(),
+                                            options.LaunchPolicy()));
+}
+BENCHMARK(TrajectoryWindows)->Apply(Cases);
+
+/// S2.
+void Start(benchmark::State& state) {
+  const CalibrationOptions options = Options(state);
+  const PreparedSession& session = PreparedRecording(state).sessions[0];
+  for (auto _ : state)
+    benchmark::DoNotOptimize(Initialise(options, *session.trajectory, session.data, 0));
+}
+BENCHMARK(Start)->Apply(Cases);
+
+/// S3.
+void GpSolve(benchmark::State& state) {
+  const CalibrationOptions options = Options(state);
+  const Prepared& prepared = PreparedRecording(state);
   for (auto _ : state) {
-    t = t < 19.0 ? t + 0.0137 : 1.0;
-    benchmark::DoNotOptimize(trajectory.Evaluate(t, &motion, &rate));
+    Estimate estimate = prepared.estimate;
+    benchmark::DoNotOptimize(SolveAgainstTrajectory(options, prepared.sessions, &estimate));
   }
 }
-BENCHMARK(BenchmarkTrajectoryQuery);
+BENCHMARK(GpSolve)->Apply(Cases);
 
-void BenchmarkTrajectoryVariance(benchmark::State& state) {
-  const CalibrationOptions options;
-  ConditionedData data = ConditionData(options, Recording(20.0));
-  const PoseTrajectory trajectory = FitTrajectory(options, &data);
-  double t = 1.0;
+/// Of S4, before the solve.
+void KnotSpacing(benchmark::State& state) {
+  const CalibrationOptions options = Options(state);
+  const PreparedSession& session = PreparedRecording(state).sessions[0];
   for (auto _ : state) {
-    t = t < 19.0 ? t + 0.0137 : 1.0;
-    benchmark::DoNotOptimize(trajectory.Variance(t));
+    Estimate estimate(session, options.bias_knot_interval_s);
+    benchmark::DoNotOptimize(ChooseKnotSpacing(options, session, &estimate));
   }
 }
-BENCHMARK(BenchmarkTrajectoryVariance);
+BENCHMARK(KnotSpacing)->Apply(Cases);
 
-/// Residuals and Jacobians of `range` accelerometer samples in one block, the joint solve's
-/// largest.
-void BenchmarkJointAccelResidual(benchmark::State& state) {
-  const Eigen::Vector3d omega_M(1.0, -2.0, 0.5), alpha_M(10.0, 5.0, -3.0), f_I(0.0, 0.0, 9.8);
-  const JointAccelSample sample{{{0, 0.3, 0.01}, omega_M, alpha_M, f_I, 0.5, 0.0, 0.0, 0.02},
-                                Eigen::Quaterniond::Identity(),
-                                {1.0, 2.0, 3.0},
-                                {}};
-  const auto samples = static_cast<size_t>(state.range(0));
-  const std::unique_ptr<ceres::CostFunction> block(
-      CreateJointAccelResidual(std::vector<JointAccelSample>(samples, sample),
-                               Eigen::Matrix3d::Identity(),
-                               std::make_shared<const std::vector<ClockMotion>>()));
-  std::vector<std::vector<double>> parameters, jacobians;
-  std::vector<double*> parameter_blocks, jacobian_blocks;
-  for (const int size : block->parameter_block_sizes()) {
-    parameters.emplace_back(static_cast<size_t>(size), 0.01);
-    jacobians.emplace_back(static_cast<size_t>(size * block->num_residuals()));
-    parameter_blocks.push_back(parameters.back().data());
-    jacobian_blocks.push_back(jacobians.back().data());
-  }
-  std::vector<double> residuals(static_cast<size_t>(block->num_residuals()));
+/// S4 with S5's covariance.
+void JointSolve(benchmark::State& state) {
+  const CalibrationOptions options = Options(state);
+  const Prepared& prepared = PreparedRecording(state);
+  const std::vector<PreparedSession> sessions = {prepared.start.session};
+  const std::vector<JointStart> starts = {prepared.start};
   for (auto _ : state) {
-    block->Evaluate(parameter_blocks.data(), residuals.data(), jacobian_blocks.data());
-    benchmark::DoNotOptimize(residuals.data());
+    Estimate estimate = prepared.estimate;
+    benchmark::DoNotOptimize(SolveJointly(options, sessions, starts, &estimate));
   }
 }
-BENCHMARK(BenchmarkJointAccelResidual)->Arg(1)->Arg(4);
+BENCHMARK(JointSolve)->Apply(Cases);
 
-/// S4 alone on `range` seconds: poses 100 Hz, IMU 200 Hz.
-void BenchmarkSolveJointly(benchmark::State& state) {
-  const CalibrationOptions options;
-  DataCheck check;
-  const std::vector<PreparedSession> sessions = {
-      Prepare(options, Recording(static_cast<double>(state.range(0))), &check)};
-  Estimate first(sessions[0], options.bias_knot_interval_s);
-  const JointStart start = ChooseKnotSpacing(options, sessions[0], &first);
-  for (auto _ : state) {
-    Estimate estimate = first;
-    benchmark::DoNotOptimize(SolveJointly(options, sessions, {start}, &estimate));
-  }
+/// Of that, the covariance.
+void JointMarginals(benchmark::State& state) {
+  const CalibrationOptions options = Options(state);
+  const Prepared& prepared = PreparedRecording(state);
+  const JointStart& start = prepared.start;
+  const std::vector<PreparedSession> sessions = {start.session};
+  Estimate estimate = prepared.estimate;
+  std::vector<SensorModel> models = InitialModels(options, sessions);
+  for (size_t k = 0; k < models.size(); ++k) models[k].noise = models[k].spread = start.noise[k];
+  std::vector<CorrectionSplines> splines = {
+      CorrectionSplines(start.session.data, estimate, 0, start.knot_spacing_s)};
+  const auto joint = BuildJointProblem(options, sessions, models, &estimate, &splines);
+  joint->Solve(kRoughTolerance);
+  for (auto _ : state) benchmark::DoNotOptimize(FindMarginals(joint.get()));
 }
-BENCHMARK(BenchmarkSolveJointly)->Arg(40)->Arg(80)->Unit(benchmark::kMillisecond);
+BENCHMARK(JointMarginals)->Apply(Cases);
 
-/// The whole calibration of `range` seconds: poses 100 Hz, IMU 200 Hz.
-void BenchmarkCalibrate(benchmark::State& state, Method method) {
-  const SessionData data = Recording(static_cast<double>(state.range(0)));
-  CalibrationOptions options;
-  options.method = method;
+/// All stages.
+void Whole(benchmark::State& state, Method method, size_t imus) {
+  const CalibrationOptions options = Options(state, method);
+  const SessionData data = Recording(state, imus);
   for (auto _ : state) benchmark::DoNotOptimize(Calibrate(options, data));
 }
-BENCHMARK_CAPTURE(BenchmarkCalibrate, gp, Method::kGp)
-    ->Arg(40)
-    ->Arg(80)
-    ->Unit(benchmark::kMillisecond);
-BENCHMARK_CAPTURE(BenchmarkCalibrate, joint, Method::kJoint)
-    ->Arg(40)
-    ->Arg(80)
-    ->Unit(benchmark::kMillisecond);
+BENCHMARK_CAPTURE(Whole, gp, Method::kGp, 1)->Apply(Cases);
+BENCHMARK_CAPTURE(Whole, joint, Method::kJoint, 1)->Apply(Cases);
+BENCHMARK_CAPTURE(Whole, joint_of_two_imus, Method::kJoint, 2)->Apply(Cases);
 
 }  // namespace
 }  // namespace imu_pose_calib

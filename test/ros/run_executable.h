@@ -12,10 +12,12 @@ struct Outcome {
 /// Tests that run executables as a user or a script does, in a directory of their own.
 class ExecutableTest : public TempDirTest {
  protected:
-  /// Runs EXECUTABLE with ARGUMENTS (shell syntax) in the temporary directory.
+  /// Runs EXECUTABLE, one of the package's or a path, with ARGUMENTS (shell syntax) in the
+  /// temporary directory.
   Outcome Run(const std::string& executable, const std::string& arguments) const {
-    const std::string command = "cd '" + dir_.string() + "' && '" IMU_POSE_CALIB_BIN_DIR "/" +
-                                executable + "' " + arguments + " > out.txt 2> err.txt";
+    const std::filesystem::path path = std::filesystem::path(IMU_POSE_CALIB_BIN_DIR) / executable;
+    const std::string command = "cd '" + dir_.string() + "' && '" + path.string() + "' " +
+                                arguments + " > out.txt 2> err.txt";
     const int status = std::system(command.c_str());
     return {WIFEXITED(status) ? WEXITSTATUS(status) : -1,
             ReadText(Path("out.txt")),
