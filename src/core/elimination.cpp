@@ -114,6 +114,12 @@ Elimination::Elimination(const std::vector<int>& sizes,
   }
 }
 
+double Elimination::factor_mb() const {
+  double elements = 0.0;
+  for (const Shape& shape : shapes_) elements += static_cast<double>(shape.height * shape.columns);
+  return 1e-6 * sizeof(double) * elements;
+}
+
 int Elimination::Offset(int block, int panel) const {
   if (panel_[Index(block)] == panel) return offset_[Index(block)];
   const Shape& shape = shapes_[Index(panel)];

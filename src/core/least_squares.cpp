@@ -48,23 +48,33 @@ struct GaussNewtonStep {
   double decrease;    ///< of the cost, if the residuals were linear; NaN when there is no step
 };
 
-GaussNewtonStep FindStep(const NormalEquations& equations, double damping, int threads) {
+GaussNewtonStep FindStep(const NormalEquations& equations,
+                         double damping,
+                         double max_factor_mb,
+                         int threads) {
   const Elimination& elimination = *equations.elimination();
   const auto count = static_cast<size_t>(elimination.windows());
   std::vector<Panels> windows(count);
   std::vector<Rest> rests(count);
   std::vector<double> costs(count, 0.0);
+  const bool keeps = elimination.factor_mb() <= max_factor_mb;
   const auto damp = [damping](int, auto diagonal) { diagonal *= 1.0 + damping; };
   const Eigen::VectorXd weights = Eigen::VectorXd::Ones(elimination.windows());
-  InParallel(threads, count, [&](size_t w) {
-    windows[w] = equations.Assemble(w, {}, &costs[w]);
+  const auto eliminate = [&](size_t w, double* cost) {
+    windows[w] = equations.Assemble(w, {}, cost);
     elimination.VisitDiagonal(damp, &windows[w]);
-    rests[w] = elimination.EliminateWindow(static_cast<int>(w), weights, true, &windows[w]);
+    return elimination.EliminateWindow(static_cast<int>(w), weights, true, &windows[w]);
+  };
+  std::vector<Panels> of_window(count);
+  InParallel(threads, count, [&](size_t w) {
+    rests[w] = eliminate(w, &costs[w]);
+    of_window[w] = elimination.TakeShared(&windows[w]);
+    if (!keeps) windows[w].clear();
   });
   Panels shared;
   std::vector<const Rest*> parts;
   for (size_t w = 0; w < count; ++w) {
-    Elimination::Merge(elimination.TakeShared(&windows[w]), &shared);
+    Elimination::Merge(std::move(of_window[w]), &shared);
     parts.push_back(&rests[w]);
   }
   Reduced reduced = elimination.Reduce(parts, weights, true, &shared);
@@ -79,7 +89,14 @@ GaussNewtonStep FindStep(const NormalEquations& equations, double damping, int t
   step.x.head(b.size()) = -llt.solve(b);
   step.decrease = 0.5 * (reduced.inner.sum() - b.dot(step.x.head(b.size())));
   elimination.SubstituteBack(shared, &step.x);
-  InParallel(threads, count, [&](size_t w) { elimination.SubstituteBack(windows[w], &step.x); });
+  InParallel(threads, count, [&](size_t w) {
+    if (!keeps) {
+      eliminate(w, nullptr);
+      elimination.TakeShared(&windows[w]);
+    }
+    elimination.SubstituteBack(windows[w], &step.x);
+    windows[w].clear();
+  });
   return step;
 }
 
@@ -299,7 +316,7 @@ int LeastSquares::Solve(double function_tolerance) {
 
   double damping = 0.0, growth = 2.0;
   for (int iteration = 1; iteration <= options.max_iterations; ++iteration) {
-    const GaussNewtonStep step = FindStep(equations, damping, Threads());
+    const GaussNewtonStep step = FindStep(equations, damping, options.max_factor_mb, Threads());
     const std::vector<double> before = problem.Move(equations.blocks(), step.x);
     double found = 0.0;
     if (!problem.Evaluate(Threads(), &rows_, &found)) found = std::nan("");
@@ -367,6 +384,7 @@ std::vector<SensorStatistics> LeastSquares::FindStatistics() {
     const double own2 = spread2 - Median(std::move(variances));
     statistics[k] = {std::sqrt(std::max({own2, 0.01 * spread2, 1e-18})), std::sqrt(sum2 / count)};
   });
+  rows_ = {};
   return statistics;
 }
 
@@ -375,11 +393,14 @@ std::vector<SensorResiduals> LeastSquares::TakeResiduals() {
   std::vector<SensorResiduals> all;
   for (SensorBlocks& sensor : sensors) {
     const SensorModel& model = *sensor.model;
-    SensorResiduals own{model.quantity, model.session, model.imu, model.noise, {}, {}, {}};
+    SensorResiduals own{
+        model.quantity, model.session, model.imu, model.noise, {}, std::move(sensor.residuals), {}};
+    own.t.reserve(sensor.samples.size());
+    own.weight.reserve(sensor.samples.size());
     for (size_t i = 0; i < sensor.samples.size(); ++i) {
       own.t.push_back(sensor.samples[i].t);
       const size_t index = sensor.samples[i].index;
-      own.residual.push_back(Scale(model, index) * sensor.residuals[i]);
+      own.residual[i] *= Scale(model, index);
       own.weight.push_back(model.weights[index]);
     }
     all.push_back(std::move(own));

@@ -76,6 +76,7 @@ void CalibrationOptions::Validate() const {
   CheckRange("gravity_magnitude", gravity_magnitude, 0.1, 100.0);
   CheckRange("robust_loss_scale", robust_loss_scale, 1.0, kInfinity);
   CheckRange("max_iterations", max_iterations, 1, 10000);
+  CheckRange("max_factor_mb", max_factor_mb, 0.0, 1e6);
   CheckRange("num_threads", num_threads, 0, 1024);
   CheckRange("covariance_block_s", covariance_block_s, 0.0, 1e6);
   CheckRange("weak_rotation_std", weak_rotation_std, 1e-9, 1.0);

@@ -121,36 +121,40 @@ Eigen::MatrixXd Functionals::Basis() const {
 ReducedProblem::ReducedProblem(const Ordering& ordering,
                                const Functionals& functionals,
                                LeastSquares* solved)
-    : ordering_(ordering), windows_(solved->windows.count()), functionals_(functionals.count()) {
+    : ordering_(ordering),
+      windows_(solved->windows.count()),
+      functionals_(functionals.count()),
+      threads_(solved->Threads()),
+      first_trajectory_(static_cast<int>(ordering.border.size() + ordering.inner.size()) -
+                        static_cast<int>(solved->trajectory_blocks.size())),
+      equations_(solved->problem,
+                 ordering.border,
+                 ordering.inner,
+                 solved->Equations(),
+                 static_cast<size_t>(windows_)),
+      elimination_(equations_.elimination()),
+      keeps_factor_(solved->options.keep_trajectory_covariance ||
+                    elimination_->factor_mb() <= solved->options.max_factor_mb) {
   const auto count = static_cast<size_t>(windows_);
-  const NormalEquations equations(
-      solved->problem, ordering.border, ordering.inner, solved->Equations(), count);
-  blocks_ = equations.blocks();
-  elimination_ = equations.elimination();
   std::vector<ExactColumn> exact;
   for (const int clock : ordering.clock_blocks)
     exact.push_back({clock, kClockStep, RhsOfClock(exact.size())});
   // The gradient is the sum of the scores.
-  Eigen::VectorXd weights = Eigen::VectorXd::Zero(RhsOfClock(exact.size()));
-  weights.head(windows_).setOnes();
+  weights_ = Eigen::VectorXd::Zero(RhsOfClock(exact.size()));
+  weights_.head(windows_).setOnes();
 
-  const auto first_trajectory = static_cast<int>(blocks_.size() - solved->trajectory_blocks.size());
   std::vector<Panels> panels(count), shared(count);
   std::vector<Rest> rests(count);
   std::vector<std::vector<bool>> acts(count);  // blocks of what is calibrated
-  InParallel(solved->Threads(), count, [&](size_t w) {
+  InParallel(threads_, count, [&](size_t w) {
     Panels& own = panels[w];
-    own = equations.Assemble(w, exact);
-    elimination_->VisitDiagonal(
-        [&](int block, auto diagonal) {
-          if (block >= first_trajectory) diagonal.array() += 0.5 * kWeakInformation;
-        },
-        &own);
+    own = Assemble(w, exact);
     for (size_t b = 0; b < ordering.calibrated.size(); ++b)
       acts[w].push_back(elimination_->ActsInside(static_cast<int>(b), own));
     AddMeans(functionals, static_cast<int>(w), &own);
-    rests[w] = elimination_->EliminateWindow(static_cast<int>(w), weights, true, &own);
+    rests[w] = elimination_->EliminateWindow(static_cast<int>(w), weights_, keeps_factor_, &own);
     shared[w] = elimination_->TakeShared(&own);
+    if (!keeps_factor_) own.clear();
     // What exact columns have in each other comes twice.
     for (auto& [number, rhs] : shared[w].rbegin()->second.rhs)
       if (number >= RhsOfClock(0))
@@ -163,7 +167,7 @@ ReducedProblem::ReducedProblem(const Ordering& ordering,
       parts.push_back(&rests[static_cast<size_t>(w)]);
       Elimination::Merge(Panels(shared[static_cast<size_t>(w)]), sum);
     }
-    return elimination_->Reduce(parts, weights, keeps, sum);
+    return elimination_->Reduce(parts, weights_, keeps, sum);
   };
   halves_.resize(2);
   sessions_.resize(solved->sessions.size());
@@ -227,10 +231,26 @@ void ReducedProblem::FindStep(Marginals* result) {
     for (size_t k = 0; k < kept.size(); ++k)
       result->step[kept[k]] = step[static_cast<Eigen::Index>(k)];
     elimination_->SubstituteBack(factor_, &result->step);
+    InParallel(threads_, keeps_factor_ ? 0 : static_cast<size_t>(windows_), [&](size_t w) {
+      Panels own = Assemble(w, {});
+      elimination_->EliminateWindow(static_cast<int>(w), weights_, true, &own);
+      elimination_->TakeShared(&own);
+      elimination_->SubstituteBack(own, &result->step);
+    });
   }
-  result->blocks = std::move(blocks_);
+  result->blocks = equations_.blocks();
   result->elimination = elimination_;
-  result->factor = std::move(factor_);
+  if (keeps_factor_) result->factor = std::move(factor_);
+}
+
+Panels ReducedProblem::Assemble(size_t window, const std::vector<ExactColumn>& exact) const {
+  Panels panels = equations_.Assemble(window, exact);
+  elimination_->VisitDiagonal(
+      [&](int block, auto diagonal) {
+        if (block >= first_trajectory_) diagonal.array() += 0.5 * kWeakInformation;
+      },
+      &panels);
+  return panels;
 }
 
 void ReducedProblem::AddMeans(const Functionals& functionals, int window, Panels* panels) const {

@@ -4,6 +4,7 @@
 
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/simulator.h"
+#include "imu_pose_calib/core/trajectory_covariance.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -44,6 +45,29 @@ TEST(NumThreads, OneIsTheCallersAlone) {
     options.method = method;
     EXPECT_GT(ShareOfOthers([&] { Calibrate(options, data); }), 0.02);
   }
+}
+
+/// How the work is shared out, and what of it is done twice for want of memory, changes no digit.
+TEST(NumThreads, ChangeNoDigit) {
+  SimulatorOptions truth;
+  truth.duration_s = 20.0;
+  const SessionData data = Simulate(truth);
+  CalibrationOptions options;
+  options.num_threads = 1;
+  const Calibration expected = Calibrate(options, data);
+  options.num_threads = 3;
+  const Calibration shared = Calibrate(options, data);
+  options.max_factor_mb = 0.0;
+  options.keep_trajectory_covariance = false;
+  const Calibration twice = Calibrate(options, data);
+  for (const Calibration* other : {&shared, &twice}) {
+    EXPECT_EQ(other->imus[0].T_MI.Matrix(), expected.imus[0].T_MI.Matrix());
+    EXPECT_EQ(other->imus[0].covariance, expected.imus[0].covariance);
+    EXPECT_EQ(other->sessions[0].g_W, expected.sessions[0].g_W);
+    EXPECT_EQ(other->solution->splines[0].phi, expected.solution->splines[0].phi);
+  }
+  EXPECT_NO_THROW(TrajectoryCovariance{shared.solution});
+  EXPECT_THROW(TrajectoryCovariance{twice.solution}, InputError);
 }
 
 }  // namespace

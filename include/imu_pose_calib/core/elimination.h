@@ -62,6 +62,7 @@ class Elimination {
   /// Window of a block; windows() when several share it.
   int WindowOf(int block) const;
 
+  double factor_mb() const;  ///< of the whole factor [MB]
   int columns() const { return columns_; }
   int border_columns() const { return shapes_.back().columns; }
 

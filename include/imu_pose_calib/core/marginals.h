@@ -50,7 +50,9 @@ struct Marginals {
   std::vector<int> blocks;
   Eigen::VectorXd step;
   std::shared_ptr<const Elimination> elimination;
-  Panels factor;  ///< of H; of the border H itself, less what the rest takes
+  /// Of H; of the border H itself, less what the rest takes. Empty when it is large and not kept,
+  /// see CalibrationOptions::keep_trajectory_covariance.
+  Panels factor;
 
   int held_begin = 0, held_end = 0;  ///< columns of H of parameters that are not estimated
   int trajectory_begin = 0;          ///< first column of H of the control points

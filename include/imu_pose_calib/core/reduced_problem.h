@@ -85,13 +85,17 @@ class ReducedProblem {
 
  private:
   int RhsOfClock(size_t clock) const { return windows_ + functionals_ + static_cast<int>(clock); }
+  /// H and scores of a window.
+  Panels Assemble(size_t window, const std::vector<ExactColumn>& exact) const;
   /// The means of bias knots that are in one window, or are shared.
   void AddMeans(const Functionals& functionals, int window, Panels* panels) const;
 
   const Ordering& ordering_;
-  const int windows_, functionals_;
-  std::vector<int> blocks_;
-  std::shared_ptr<const Elimination> elimination_;
+  const int windows_, functionals_, threads_, first_trajectory_;
+  const NormalEquations equations_;
+  const std::shared_ptr<const Elimination> elimination_;
+  const bool keeps_factor_;  ///< else `factor_` has no more than what windows share
+  Eigen::VectorXd weights_;  ///< of right-hand sides, for the gradient
   std::vector<Part> halves_, sessions_;
   Reduced all_;
   Panels factor_;

@@ -292,6 +292,7 @@ OfflineResult CalibrateOffline(const OfflineRequest& given, const Progress& prog
   }
 
   offline.options = Options(requests.front());
+  offline.options.keep_trajectory_covariance = !given.trajectory.path.empty();
   CheckTrajectories(given, requests, 1, offline);  // before it takes long
   if (progress) progress("recording", std::nullopt);
   for (Recording& recording : ReadRecordings(requests)) {
