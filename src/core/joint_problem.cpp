@@ -226,6 +226,8 @@ void SessionBuilder::AddPoses() {
         sample->rotation_sigma = sigma(*rotation, pose.rotation_scale);
         return true;
       });
+  position->samples.reserve(kept.size());
+  rotation->samples.reserve(kept.size());
   for (size_t k = 0; k < kept.size(); ++k) {
     position->samples.push_back({kept[k], poses[kept[k]].t, all[k].position_sigma});
     rotation->samples.push_back({kept[k], poses[kept[k]].t, all[k].rotation_sigma});
@@ -277,6 +279,7 @@ void SessionBuilder::AddImu(size_t imu,
         sample->sigma = sensor->model->noise / std::sqrt(sensor->model->weights[i]);
         return complete(t_M, sample) && IsOnTrajectory(*prepared_.trajectory, t_M);
       });
+  sensor->samples.reserve(kept.size());
   for (size_t k = 0; k < kept.size(); ++k)
     sensor->samples.push_back({kept[k], clock.PoseTime(data[kept[k]].t - delay), all[k].sigma});
   const size_t count = all.size();

@@ -365,6 +365,9 @@ std::vector<SensorStatistics> LeastSquares::FindStatistics() {
     }
     const double* r_sigma = &rows_[problem.residuals(sensor.first_block).first_row];
     std::vector<double> magnitudes, variances;
+    magnitudes.reserve(3 * sensor.samples.size());
+    variances.reserve(sensor.samples.size());
+    sensor.residuals.reserve(sensor.samples.size());
     double sum2 = 0.0;
     for (const ProblemSample& sample : sensor.samples) {
       const double scale = Scale(*sensor.model, sample.index);
