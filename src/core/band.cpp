@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "imu_pose_calib/core/parallel.h"
 #include "imu_pose_calib/core/so3.h"
 
 namespace imu_pose_calib {
@@ -15,6 +16,7 @@ constexpr double kSharpness = 0.9;
 /// Length scales from the end of a run within which samples stay as they are: what lies beyond is
 /// missing in their means.
 constexpr double kEdge = 2.0;
+constexpr size_t kPortion = 256;  // samples that a thread takes at a time
 /// Periods between samples, of a gap.
 constexpr double kMaxGapPeriods = 5.5;
 
@@ -36,7 +38,7 @@ bool LowerCutoff(double rate_hz, double cutoff, GpHyperparameters* h) {
 }
 
 /// The samples of a run without a gap.
-void Smooth(double rate_hz, double cutoff, TimedSample* begin, TimedSample* end) {
+void Smooth(double rate_hz, double cutoff, int threads, TimedSample* begin, TimedSample* end) {
   const auto n = static_cast<Eigen::Index>(end - begin);
   GpData data{Eigen::VectorXd(n), Eigen::MatrixXd(n, 3)};
   for (Eigen::Index i = 0; i < n; ++i) {
@@ -49,37 +51,38 @@ void Smooth(double rate_hz, double cutoff, TimedSample* begin, TimedSample* end)
   h.noise_std = NoiseOf(h, rate_hz, cutoff);
   const double edge = kEdge * h.lengthscale_s;
   if (data.t[n - 1] - data.t[0] < 2.0 * edge) return;
-  const WindowedGp gp(data, h);
-  for (TimedSample* sample = begin; sample != end; ++sample) {
-    if (sample->t - data.t[0] < edge || data.t[n - 1] - sample->t < edge) continue;
-    const Eigen::Vector3d smooth = mean.transpose() + gp.Evaluate(sample->t).col(0);
-    sample->rest += sample->value - smooth;
-    sample->value = smooth;
-  }
+  const WindowedGp gp(data, h, threads);
+  const auto count = static_cast<size_t>(n);
+  InParallel(threads, (count + kPortion - 1) / kPortion, [&](size_t p) {
+    for (size_t i = p * kPortion; i < std::min(count, (p + 1) * kPortion); ++i) {
+      TimedSample& sample = begin[i];
+      if (sample.t - data.t[0] < edge || data.t[n - 1] - sample.t < edge) continue;
+      const Eigen::Vector3d smooth = mean.transpose() + gp.Evaluate(sample.t).col(0);
+      sample.rest += sample.value - smooth;
+      sample.value = smooth;
+    }
+  });
 }
 
-void Smooth(double rate_hz, double cutoff, std::vector<TimedSample>* samples) {
+void Smooth(double rate_hz, double cutoff, int threads, std::vector<TimedSample>* samples) {
   const double max_gap = kMaxGapPeriods / rate_hz;
   TimedSample* const end = samples->data() + samples->size();
   TimedSample* begin = samples->data();
   for (TimedSample* s = begin; s != end; ++s) {
     if (s + 1 != end && (s + 1)->t - s->t <= max_gap) continue;
-    Smooth(rate_hz, cutoff, begin, s + 1);
+    Smooth(rate_hz, cutoff, threads, begin, s + 1);
     begin = s + 1;
   }
 }
 
 }  // namespace
 
-PreparedSession LimitBand(const PreparedSession& session, double cutoff, std::launch policy) {
+PreparedSession LimitBand(const PreparedSession& session, double cutoff, int threads) {
   PreparedSession limited = session;
-  std::vector<std::future<void>> smoothed;
   for (ConditionedImu& imu : limited.data.imus) {
     if (!imu.IsPresent()) continue;
-    smoothed.push_back(
-        std::async(policy, [&imu, cutoff] { Smooth(imu.gyro_report.rate_hz, cutoff, &imu.gyro); }));
-    smoothed.push_back(std::async(
-        policy, [&imu, cutoff] { Smooth(imu.accel_report.rate_hz, cutoff, &imu.accel); }));
+    Smooth(imu.gyro_report.rate_hz, cutoff, threads, &imu.gyro);
+    Smooth(imu.accel_report.rate_hz, cutoff, threads, &imu.accel);
   }
   const double rate_hz = session.data.pose_report.rate_hz;
   GpHyperparameters position = session.trajectory->position_hyperparameters();
@@ -88,7 +91,7 @@ PreparedSession LimitBand(const PreparedSession& session, double cutoff, std::la
   const bool is_rotation_lower = LowerCutoff(rate_hz, cutoff, &rotation);
   if (is_position_lower || is_rotation_lower) {
     limited.trajectory = std::make_shared<const PoseTrajectory>(
-        session.data.poses, session.data.segments, position, rotation, policy);
+        session.data.poses, session.data.segments, position, rotation, threads);
     const double edge = kEdge * std::max(is_position_lower ? position.lengthscale_s : 0.0,
                                          is_rotation_lower ? rotation.lengthscale_s : 0.0);
     for (TimedPose& pose : limited.data.poses) {
@@ -105,7 +108,6 @@ PreparedSession LimitBand(const PreparedSession& session, double cutoff, std::la
       }
     }
   }
-  for (std::future<void>& task : smoothed) task.get();
   return limited;
 }
 

@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "imu_pose_calib/core/median.h"
+#include "imu_pose_calib/core/parallel.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -194,39 +195,64 @@ WeightPosterior FitWeights(const GpData& data,
 
 }  // namespace
 
-WindowedGp::WindowedGp(const GpData& data, const GpHyperparameters& hyperparameters)
+WindowedGp::WindowedGp(const GpData& data, const GpHyperparameters& hyperparameters, int threads)
     : hyperparameters_(hyperparameters), begin_(data.t[0]), end_(data.t[data.t.size() - 1]) {
-  const GpHyperparameters& h = hyperparameters_;
-  const double l = h.lengthscale_s;
-  const int count = std::max(1, static_cast<int>(std::round((end_ - begin_) / (kCore * l))));
+  const double windows = std::round((end_ - begin_) / (kCore * hyperparameters_.lengthscale_s));
+  const double count = std::max(1.0, windows);
   core_ = std::max((end_ - begin_) / count, 1e-9);
-  const double* const t_begin = data.t.data();
-  const double* const t_end = t_begin + data.t.size();
-  for (int k = 0; k < count; ++k) {
-    const double core_begin = begin_ + k * core_;
-    const double low = std::max(begin_, core_begin - kMargin * l);
-    const double high = std::min(end_, core_begin + core_ + kMargin * l);
-    const BumpGrid grid(low, high, l);
-    const WeightPosterior posterior = FitWeights(data,
-                                                 std::lower_bound(t_begin, t_end, low) - t_begin,
-                                                 std::upper_bound(t_begin, t_end, high) - t_begin,
-                                                 grid,
-                                                 h);
-    // Queries come from the core only: the margins' weights have done their work.
-    const int first = grid.FirstBump(core_begin);
-    const int size = grid.FirstBump(core_begin + core_) + kSupport - first;
-    const double weight_std = WeightStd(h);
-    windows_.push_back(
-        {grid.first + first * grid.spacing,
-         weight_std * posterior.mean.middleRows(first, size),
-         weight_std * weight_std * posterior.A.InverseInBand().block(first, first, size, size)});
-  }
+  windows_.resize(static_cast<size_t>(count));
+  InParallel(threads, windows_.size(), [&](size_t k) { windows_[k] = Fit(data, k); });
 }
 
-const WindowedGp::Window& WindowedGp::At(double t) const {
+WindowedGp::WindowedGp(const WindowedGp& before,
+                       const GpData& data,
+                       const std::vector<double>& removed,
+                       int threads)
+    : WindowedGp(before) {
+  InParallel(threads, windows_.size(), [&](size_t k) {
+    const auto [low, high] = Span(k);
+    const auto first = std::lower_bound(removed.begin(), removed.end(), low);
+    if (first != removed.end() && *first <= high) windows_[k] = Fit(data, k);
+  });
+}
+
+std::pair<double, double> WindowedGp::Span(size_t window) const {
+  const double core_begin = begin_ + static_cast<double>(window) * core_;
+  const double margin = kMargin * hyperparameters_.lengthscale_s;
+  return {std::max(begin_, core_begin - margin), std::min(end_, core_begin + core_ + margin)};
+}
+
+std::shared_ptr<const WindowedGp::Window> WindowedGp::Fit(const GpData& data, size_t window) const {
+  const GpHyperparameters& h = hyperparameters_;
+  const double* const t_begin = data.t.data();
+  const double* const t_end = t_begin + data.t.size();
+  const double core_begin = begin_ + static_cast<double>(window) * core_;
+  const auto [low, high] = Span(window);
+  const BumpGrid grid(low, high, h.lengthscale_s);
+  const WeightPosterior posterior = FitWeights(data,
+                                               std::lower_bound(t_begin, t_end, low) - t_begin,
+                                               std::upper_bound(t_begin, t_end, high) - t_begin,
+                                               grid,
+                                               h);
+  // Queries come from the core only: the margins' weights have done their work.
+  const int first = grid.FirstBump(core_begin);
+  const int size = grid.FirstBump(core_begin + core_) + kSupport - first;
+  const double weight_std = WeightStd(h);
+  return std::make_shared<const Window>(Window{
+      grid.first + first * grid.spacing,
+      weight_std * posterior.mean.middleRows(first, size),
+      weight_std * weight_std * posterior.A.InverseInBand().block(first, first, size, size)});
+}
+
+bool WindowedGp::Reaches(double t, double other) const {
+  const double core_begin = begin_ + static_cast<double>(IndexAt(t)) * core_;
+  const double margin = kMargin * hyperparameters_.lengthscale_s;
+  return other >= core_begin - margin && other <= core_begin + core_ + margin;
+}
+
+size_t WindowedGp::IndexAt(double t) const {
   const double k = std::floor((t - begin_) / core_);
-  return windows_[static_cast<size_t>(
-      std::clamp(k, 0.0, static_cast<double>(windows_.size()) - 1))];
+  return static_cast<size_t>(std::clamp(k, 0.0, static_cast<double>(windows_.size()) - 1));
 }
 
 WindowedGp::Derivatives WindowedGp::Evaluate(double t) const {

@@ -6,6 +6,7 @@
 #include <limits>
 #include <sstream>
 
+#include "imu_pose_calib/core/parallel.h"
 #include "imu_pose_calib/core/so3.h"
 
 namespace imu_pose_calib {
@@ -27,6 +28,7 @@ constexpr double kLeastExplained = 0.3;    // by positions in another unit
 constexpr double kDelaySearch = 0.1;       // [s]
 constexpr double kDelayStep = 0.01;        // [s] of a first search
 constexpr double kDelayResolution = 1e-4;  // [s]
+constexpr size_t kCoarse = 4;              // of the samples, one in so many for the first search
 constexpr double kAccelBiasPrior = 1.0;    // [m/s^2] keeps bias and gravity apart at small turns
 
 /// Throws when inverted poses explain the gyroscope far better. Quaternions whose w comes first,
@@ -188,10 +190,11 @@ struct LeverArmEquations {
   LeverArmEquations(const PoseTrajectory& trajectory,
                     const std::vector<TimedSample>& accel,
                     const Start& start,
-                    double delay) {
+                    double delay,
+                    size_t stride) {
     const Eigen::Matrix3d R_MI = start.q_MI.toRotationMatrix();
     A.diagonal().segment<3>(6).setConstant(1.0 / (kAccelBiasPrior * kAccelBiasPrior));
-    for (size_t i = 0; i < accel.size(); i += Stride(accel.size())) {
+    for (size_t i = 0; i < accel.size(); i += stride) {
       MarkerState<double> state;
       if (!trajectory.Evaluate(accel[i].t + start.time_shift - delay, &state)) continue;
       const Eigen::Matrix3d R_MW = state.q_WM.conjugate().toRotationMatrix();
@@ -306,40 +309,41 @@ void RemoveFlippedSegments(const CalibrationOptions& options,
                                data->segments,
                                trajectory->position_hyperparameters(),
                                trajectory->rotation_hyperparameters(),
-                               options.LaunchPolicy());
+                               options.Threads());
 }
 
 void FitLeverArm(const PoseTrajectory& trajectory,
                  const std::vector<TimedSample>& accel,
                  double gravity_magnitude,
                  bool estimate_delay,
+                 int threads,
                  Start* start) {
-  const auto equations_at = [&](double delay) {
-    return LeverArmEquations(trajectory, accel, *start, delay);
-  };
-  double lowest = 0.0;
-  double best_delay = start->accel_delay;
-  LeverArmEquations equations = equations_at(best_delay);
-  Eigen::Matrix<double, 9, 1> best = equations.Solve(&lowest);
-  const auto attempt = [&](double delay) {
-    const LeverArmEquations candidate = equations_at(delay);
-    double residual = 0.0;
-    const Eigen::Matrix<double, 9, 1> x = candidate.Solve(&residual);
-    if (residual >= lowest) return;
-    lowest = residual;
-    best = x;
-    best_delay = delay;
-    equations = candidate;
+  const size_t stride = Stride(accel.size());
+  double lowest = std::numeric_limits<double>::infinity(), best_delay = start->accel_delay;
+  const auto attempt = [&](const std::vector<double>& delays, size_t of_samples) {
+    std::vector<double> residuals(delays.size());
+    InParallel(threads, delays.size(), [&](size_t k) {
+      LeverArmEquations(trajectory, accel, *start, delays[k], of_samples).Solve(&residuals[k]);
+    });
+    for (size_t k = 0; k < delays.size(); ++k) {
+      if (residuals[k] >= lowest) continue;
+      lowest = residuals[k];
+      best_delay = delays[k];
+    }
   };
   if (estimate_delay) {
     const int steps = static_cast<int>(std::round(kDelaySearch / kDelayStep));
-    for (int k = -steps; k <= steps; ++k) attempt(start->accel_delay + k * kDelayStep);
-    for (double step = 0.5 * kDelayStep; step > kDelayResolution; step *= 0.5) {
-      const double middle = best_delay;
-      attempt(middle - step);
-      attempt(middle + step);
-    }
+    std::vector<double> delays = {best_delay};
+    for (int k = -steps; k <= steps; ++k)
+      if (k != 0) delays.push_back(start->accel_delay + k * kDelayStep);
+    attempt(delays, kCoarse * stride);
+    lowest = std::numeric_limits<double>::infinity();  // of fewer samples
+    attempt({best_delay}, stride);
+    for (double step = 0.5 * kDelayStep; step > kDelayResolution; step *= 0.5)
+      attempt({best_delay - step, best_delay + step}, stride);
   }
+  const LeverArmEquations equations(trajectory, accel, *start, best_delay, stride);
+  const Eigen::Matrix<double, 9, 1> best = equations.Solve(&lowest);
   CheckPositionUnit(equations, MeanAccelVariance(trajectory, accel, start->time_shift));
   start->accel_delay = best_delay;
   start->p_MI = best.head<3>();
@@ -373,8 +377,12 @@ Start Initialise(const CalibrationOptions& options,
   start.q_MI = options.estimate_rotation ? best.q_MI : options.initial_rotation->normalized();
   start.gyro_bias = best.gyro_bias;
   start.accel_delay = options.accel_delay;
-  FitLeverArm(
-      trajectory, samples.accel, options.gravity_magnitude, options.estimate_accel_delay, &start);
+  FitLeverArm(trajectory,
+              samples.accel,
+              options.gravity_magnitude,
+              options.estimate_accel_delay,
+              options.Threads(),
+              &start);
   if (!options.estimate_translation) start.p_MI = *options.initial_translation;
   if (options.initial_gravity) start.g_W = *options.initial_gravity;
   return start;

@@ -209,8 +209,8 @@ void SessionBuilder::AddPoses() {
   SensorBlocks* rotation = joint_->Find(Quantity::kRotation, session_);
   const std::vector<TimedPose>& poses = prepared_.data.poses;
   std::vector<JointPoseSample> all;
-  const std::vector<size_t> kept =
-      Collect(joint_->Threads(), poses.size(), &all, [&](size_t i, JointPoseSample* sample) {
+  const std::vector<size_t> kept = Collect(
+      joint_->options.Threads(), poses.size(), &all, [&](size_t i, JointPoseSample* sample) {
         const TimedPose& pose = poses[i];
         const auto sigma = [i](const SensorBlocks& sensor, double scale) {
           return sensor.model->noise * scale / std::sqrt(sensor.model->weights[i]);
@@ -268,7 +268,7 @@ void SessionBuilder::AddImu(size_t imu,
   std::vector<Sample> all;
   std::vector<int> knot(data.size());
   const std::vector<size_t> kept =
-      Collect(joint_->Threads(), data.size(), &all, [&](size_t i, Sample* sample) {
+      Collect(joint_->options.Threads(), data.size(), &all, [&](size_t i, Sample* sample) {
         const double t_M = clock.PoseTime(data[i].t - delay);
         const auto [k, u] = knots->Locate(data[i].t);
         knot[i] = static_cast<int>(k);

@@ -35,7 +35,7 @@ constexpr double kReserve = M_SQRT1_2;
 PreparedSession Correctable(const CalibrationOptions& options,
                             const PreparedSession& session,
                             double spacing) {
-  return LimitBand(session, Band(spacing), options.LaunchPolicy());
+  return LimitBand(session, Band(spacing), options.Threads());
 }
 
 /// Samples of the log from `begin` to `end` [s, pose clock].

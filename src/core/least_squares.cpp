@@ -8,7 +8,6 @@
 #include <limits>
 #include <numeric>
 #include <string>
-#include <thread>
 #include <utility>
 
 #include "imu_pose_calib/core/median.h"
@@ -273,12 +272,6 @@ const Eigen::Vector3d& LeastSquares::Rest(const SensorModel& model, size_t index
   return data.imus[model.imu].accel[index].rest;
 }
 
-int LeastSquares::Threads() const {
-  return options.num_threads > 0
-             ? options.num_threads
-             : std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
-}
-
 std::vector<int> LeastSquares::BiasBlocks() const {
   std::vector<int> blocks;
   for (SessionEstimate& session : estimate->sessions)
@@ -316,10 +309,11 @@ int LeastSquares::Solve(double function_tolerance) {
 
   double damping = 0.0, growth = 2.0;
   for (int iteration = 1; iteration <= options.max_iterations; ++iteration) {
-    const GaussNewtonStep step = FindStep(equations, damping, options.max_factor_mb, Threads());
+    const GaussNewtonStep step =
+        FindStep(equations, damping, options.max_factor_mb, options.Threads());
     const std::vector<double> before = problem.Move(equations.blocks(), step.x);
     double found = 0.0;
-    if (!problem.Evaluate(Threads(), &rows_, &found)) found = std::nan("");
+    if (!problem.Evaluate(options.Threads(), &rows_, &found)) found = std::nan("");
     const double cost = step.cost, change = cost - found;
     const bool is_accepted = change > kLeastGain * step.decrease;
     if (!is_accepted) {
@@ -353,10 +347,10 @@ void LeastSquares::Move(const std::vector<int>& blocks, const Eigen::VectorXd& s
 
 std::vector<SensorStatistics> LeastSquares::FindStatistics() {
   double cost = 0.0;
-  if (rows_.empty() && !problem.Evaluate(Threads(), &rows_, &cost))
+  if (rows_.empty() && !problem.Evaluate(options.Threads(), &rows_, &cost))
     throw DataError("the residuals cannot be evaluated where the solve ended");
   std::vector<SensorStatistics> statistics(sensors.size());
-  InParallel(Threads(), sensors.size(), [&](size_t k) {
+  InParallel(options.Threads(), sensors.size(), [&](size_t k) {
     SensorBlocks& sensor = sensors[k];
     sensor.residuals.clear();
     if (sensor.samples.empty()) {

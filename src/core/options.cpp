@@ -1,7 +1,9 @@
 #include "imu_pose_calib/core/options.h"
 
+#include <algorithm>
 #include <limits>
 #include <sstream>
+#include <thread>
 
 #include "imu_pose_calib/core/types.h"
 
@@ -31,6 +33,11 @@ void CheckGiven(const char* estimate, bool estimated, const char* initial, bool 
 }
 
 }  // namespace
+
+int CalibrationOptions::Threads() const {
+  return num_threads > 0 ? num_threads
+                         : std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
+}
 
 void CalibrationOptions::Validate() const {
   CheckRange("position_unit", position_unit, 1e-9, 1e9);

@@ -3,8 +3,11 @@
 #include <algorithm>
 #include <cmath>
 #include <future>
+#include <optional>
+#include <utility>
 
 #include "imu_pose_calib/core/median.h"
+#include "imu_pose_calib/core/parallel.h"
 #include "imu_pose_calib/core/segments.h"
 #include "imu_pose_calib/core/so3.h"
 
@@ -16,6 +19,7 @@ constexpr int kLikelihoodChunks = 16;
 constexpr size_t kChunkPoses = 250;
 constexpr int kMaxRounds = 12;
 constexpr int kMaxRefits = 3;
+constexpr size_t kPortion = 512;  // poses that a thread takes at a time
 constexpr int kSpikeRounds = 3;
 constexpr double kSpikeThreshold = 2.0;  // times the outlier threshold
 constexpr double kSpikeRadius = 10.5;    // poses on either side
@@ -90,31 +94,31 @@ GpHyperparameters FitRotation(const CalibrationOptions& o, const ConditionedData
   return {h.lengthscale_s, 2.0 * h.signal_std, h.noise_std / noise_ratio};
 }
 
-/// Norm of the leave-one-out residual in sigma, per pose: (position, rotation).
-std::vector<Eigen::Vector2d> LeaveOneOut(const PoseTrajectory& trajectory,
-                                         const std::vector<TimedPose>& poses,
-                                         std::launch policy) {
+/// Finds the norm of the leave-one-out residual in sigma, per pose: (position, rotation). Only
+/// where poses at `removed` [s] were before, unless there are none.
+void LeaveOneOut(const PoseTrajectory& trajectory,
+                 const std::vector<TimedPose>& poses,
+                 const std::vector<double>& removed,
+                 int threads,
+                 std::vector<Eigen::Vector2d>* normalised) {
   const double position_noise2 = std::pow(trajectory.position_hyperparameters().noise_std, 2);
   const double rotation_noise2 = std::pow(trajectory.rotation_hyperparameters().noise_std, 2);
   // r_loo = r / (1 - h) with variance noise^2 / (1 - h), h = posterior variance / noise^2
   const auto normalise = [](double residual, double variance, double noise2) {
     return residual / std::sqrt(std::max(noise2 - variance, 1e-3 * noise2));
   };
-  std::vector<Eigen::Vector2d> normalised(poses.size());
-  const auto fill = [&](size_t begin, size_t end) {
-    for (size_t i = begin; i < end; ++i) {
+  normalised->resize(poses.size());
+  InParallel(threads, (poses.size() + kPortion - 1) / kPortion, [&](size_t p) {
+    for (size_t i = p * kPortion; i < std::min(poses.size(), (p + 1) * kPortion); ++i) {
       const TimedPose& pose = poses[i];
+      if (!removed.empty() && !trajectory.Reaches(pose.t, removed)) continue;
       const PoseTrajectory::Pose smooth = trajectory.PoseAt(pose.t);
       const double rotation = Log(Eigen::Quaterniond(smooth.q_WM.conjugate() * pose.q_WM)).norm();
-      normalised[i] << normalise(
+      (*normalised)[i] << normalise(
           (pose.p_WM - smooth.p_WM).norm(), smooth.position_variance, position_noise2),
           normalise(rotation, smooth.rotation_variance, rotation_noise2);
     }
-  };
-  auto first_half = std::async(policy, fill, 0, poses.size() / 2);
-  fill(poses.size() / 2, poses.size());
-  first_half.get();
-  return normalised;
+  });
 }
 
 /// Believes in noise that differs between poses only as far as the residuals bear it out: on
@@ -244,14 +248,40 @@ PoseTrajectory::PoseTrajectory(const std::vector<TimedPose>& poses,
                                const std::vector<IndexRange>& segments,
                                const GpHyperparameters& position,
                                const GpHyperparameters& rotation,
-                               std::launch policy)
+                               int threads)
     : position_(position), rotation_(rotation), origin_W_(MeanPosition(poses)) {
+  for (const IndexRange& range : segments)
+    segments_.push_back(
+        {WindowedGp(PositionData(poses, range, origin_W_), position_, threads),
+         WindowedGp(QuaternionData(poses, range), Scaled(rotation_, 0.5), threads)});
+}
+
+PoseTrajectory PoseTrajectory::Without(const std::vector<double>& removed,
+                                       const std::vector<TimedPose>& poses,
+                                       const std::vector<IndexRange>& segments,
+                                       int threads) const {
+  PoseTrajectory without = *this;
+  without.segments_.clear();
   for (const IndexRange& range : segments) {
-    auto position_gp = std::async(
-        policy, [&] { return WindowedGp(PositionData(poses, range, origin_W_), position_); });
-    WindowedGp quaternion_gp(QuaternionData(poses, range), Scaled(rotation_, 0.5));
-    segments_.push_back({position_gp.get(), std::move(quaternion_gp)});
+    const GpData position = PositionData(poses, range, origin_W_);
+    const GpData quaternion = QuaternionData(poses, range);
+    const double begin = poses[range.begin].t, end = poses[range.end - 1].t;
+    const Segment* own = Find(begin);
+    if (own != nullptr && own->position.begin() == begin && own->position.end() == end)
+      without.segments_.push_back({WindowedGp(own->position, position, removed, threads),
+                                   WindowedGp(own->quaternion, quaternion, removed, threads)});
+    else
+      without.segments_.push_back({WindowedGp(position, position_, threads),
+                                   WindowedGp(quaternion, Scaled(rotation_, 0.5), threads)});
   }
+  return without;
+}
+
+bool PoseTrajectory::Reaches(double t, const std::vector<double>& others) const {
+  const Segment* segment = Find(t);
+  return std::any_of(others.begin(), others.end(), [&](double other) {
+    return segment->position.Reaches(t, other) || segment->quaternion.Reaches(t, other);
+  });
 }
 
 const PoseTrajectory::Segment* PoseTrajectory::Find(double t) const {
@@ -322,7 +352,11 @@ PoseTrajectory FitTrajectory(const CalibrationOptions& options, ConditionedData*
   RemoveSpikes(options.outlier_threshold, data);
   SplitAtJumps(options, data);
   const std::launch policy = options.LaunchPolicy();
+  const int threads = options.Threads();
   GpHyperparameters position, rotation;
+  std::optional<PoseTrajectory> trajectory;
+  std::vector<Eigen::Vector2d> residuals;
+  std::vector<double> removed;  // [s] since the last round
   bool refit = true;
   int refits = 0;
   bool stale = false;  // poses left since the hyperparameters were fitted
@@ -333,9 +367,12 @@ PoseTrajectory FitTrajectory(const CalibrationOptions& options, ConditionedData*
       position = fit_position.get();
       ++refits;
       stale = false;
+      removed.clear();
+      trajectory.emplace(data->poses, data->segments, position, rotation, threads);
+    } else {
+      trajectory = trajectory->Without(removed, data->poses, data->segments, threads);
     }
-    PoseTrajectory trajectory(data->poses, data->segments, position, rotation, policy);
-    const std::vector<Eigen::Vector2d> residuals = LeaveOneOut(trajectory, data->poses, policy);
+    LeaveOneOut(*trajectory, data->poses, removed, threads, &residuals);
     const std::vector<size_t> outliers =
         FindOutliers(residuals,
                      data->poses,
@@ -344,12 +381,17 @@ PoseTrajectory FitTrajectory(const CalibrationOptions& options, ConditionedData*
     const bool may_refit = refits < kMaxRefits;
     if (round == kMaxRounds || (outliers.empty() && !(stale && may_refit))) {
       CheckNoiseScales(residuals, &data->poses);
-      return trajectory;
+      return std::move(*trajectory);
     }
     // Gross outliers inflate the likelihood's noise: ask again when none is left, or while they are
     // so many that they hide each other.
     refit = may_refit && (outliers.empty() || outliers.size() > data->poses.size() / 1000);
     stale = stale || !outliers.empty();
+    removed.clear();
+    for (size_t k = outliers.size(); k-- > 0;) {
+      removed.insert(removed.begin(), data->poses[outliers[k]].t);
+      residuals.erase(residuals.begin() + static_cast<ptrdiff_t>(outliers[k]));
+    }
     RemovePoses(outliers, data);
   }
 }

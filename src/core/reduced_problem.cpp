@@ -124,7 +124,7 @@ ReducedProblem::ReducedProblem(const Ordering& ordering,
     : ordering_(ordering),
       windows_(solved->windows.count()),
       functionals_(functionals.count()),
-      threads_(solved->Threads()),
+      threads_(solved->options.Threads()),
       first_trajectory_(static_cast<int>(ordering.border.size() + ordering.inner.size()) -
                         static_cast<int>(solved->trajectory_blocks.size())),
       equations_(solved->problem,
@@ -133,8 +133,7 @@ ReducedProblem::ReducedProblem(const Ordering& ordering,
                  solved->Equations(),
                  static_cast<size_t>(windows_)),
       elimination_(equations_.elimination()),
-      keeps_factor_(solved->options.keep_trajectory_covariance ||
-                    elimination_->factor_mb() <= solved->options.max_factor_mb) {
+      keeps_factor_(elimination_->factor_mb() <= solved->options.max_factor_mb) {
   const auto count = static_cast<size_t>(windows_);
   std::vector<ExactColumn> exact;
   for (const int clock : ordering.clock_blocks)

@@ -8,7 +8,8 @@ TrajectoryCovariance::TrajectoryCovariance(const std::shared_ptr<const Solution>
     : solution_(solution) {
   const Marginals& m = solution->marginals;
   if (m.factor.empty())
-    throw InputError("the covariance of the trajectory was not kept: keep_trajectory_covariance");
+    throw InputError(
+        "the covariance of the trajectory was not kept: it needs a larger max_factor_mb");
   int column = m.held_end;
   for (size_t s = 0; s < solution->estimate.sessions.size(); ++s) {
     const bool has_gravity = m.Find(ParameterKind::kGravity, 0, s) >= 0;

@@ -38,7 +38,7 @@ PreparedSession Swinging(double hz) {
 
 TEST(LimitBand, TakesWhatIsFasterAndKeepsWhatIsSlower) {
   const auto remains = [](double hz) {
-    const PreparedSession limited = LimitBand(Swinging(hz), 10.0, std::launch::deferred);
+    const PreparedSession limited = LimitBand(Swinging(hz), 10.0, 1);
     const ConditionedImu& imu = limited.data.imus[0];
     double largest = 0.0;
     for (size_t k = 200; k + 200 < imu.gyro.size(); ++k) {
@@ -64,7 +64,7 @@ TEST(LimitBand, SmoothsTheTrajectoryWhereItIsFaster) {
   options.rotation_lengthscale_s = 0.03;
   DataCheck check;
   const PreparedSession session = Prepare(options, Simulate(truth), &check);
-  const PreparedSession limited = LimitBand(session, 5.0, std::launch::deferred);
+  const PreparedSession limited = LimitBand(session, 5.0, 1);
   EXPECT_GT(limited.trajectory->rotation_hyperparameters().lengthscale_s, 0.1);
   const TrueTrajectory exact(truth);
   double before = 0.0, after = 0.0;

@@ -237,7 +237,7 @@ TEST(FitLeverArm, RecoversLeverArmGravityAndBiasAtTheTrueRotationAndShift) {
   Start start;
   start.q_MI = options.T_MI.q;
   start.time_shift = TrueShift(fitted.data, options);
-  FitLeverArm(fitted.trajectory, fitted.data.imus[0].accel, 9.79, false, &start);
+  FitLeverArm(fitted.trajectory, fitted.data.imus[0].accel, 9.79, false, 2, &start);
   EXPECT_LT((start.p_MI - options.T_MI.p).norm(), 2e-3);
   EXPECT_LT((start.g_W - options.g_W).norm(), 0.03);
   EXPECT_LT((start.accel_bias - options.accel_bias).norm(), 0.03);

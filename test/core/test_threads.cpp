@@ -58,7 +58,6 @@ TEST(NumThreads, ChangeNoDigit) {
   options.num_threads = 3;
   const Calibration shared = Calibrate(options, data);
   options.max_factor_mb = 0.0;
-  options.keep_trajectory_covariance = false;
   const Calibration twice = Calibrate(options, data);
   for (const Calibration* other : {&shared, &twice}) {
     EXPECT_EQ(other->imus[0].T_MI.Matrix(), expected.imus[0].T_MI.Matrix());

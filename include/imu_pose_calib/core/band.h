@@ -1,7 +1,5 @@
 #pragma once
 
-#include <future>
-
 #include "imu_pose_calib/core/estimate.h"
 
 namespace imu_pose_calib {
@@ -13,6 +11,6 @@ inline double Band(double spacing_s) { return 0.75 * 0.5 / spacing_s; }
 /// The session with nothing beyond `cutoff` [Hz] in its trajectory nor in the samples of its IMUs,
 /// all smoothed alike; what is taken from a sample is its `rest`. Poses follow where the trajectory
 /// had to be smoothed. doc/math.md, S4, "One band".
-PreparedSession LimitBand(const PreparedSession& session, double cutoff, std::launch policy);
+PreparedSession LimitBand(const PreparedSession& session, double cutoff, int threads);
 
 }  // namespace imu_pose_calib

@@ -36,6 +36,7 @@ void FitLeverArm(const PoseTrajectory& trajectory,
                  const std::vector<TimedSample>& accel,
                  double gravity_magnitude,
                  bool estimate_delay,
+                 int threads,
                  Start* start);
 
 /// Stage S2: closed-form start of one IMU; initial values of the options take precedence.

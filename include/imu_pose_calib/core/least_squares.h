@@ -167,8 +167,6 @@ struct LeastSquares {
   /// residual compares, in the sensor's unit.
   double Scale(const SensorModel& model, size_t index) const;
   const Eigen::Vector3d& Rest(const SensorModel& model, size_t index) const;
-  /// Threads that the options ask for.
-  int Threads() const;
 
  private:
   std::vector<double> rows_;  ///< residuals where the estimate stands; empty: not known

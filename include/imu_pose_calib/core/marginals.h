@@ -50,8 +50,8 @@ struct Marginals {
   std::vector<int> blocks;
   Eigen::VectorXd step;
   std::shared_ptr<const Elimination> elimination;
-  /// Of H; of the border H itself, less what the rest takes. Empty when it is large and not kept,
-  /// see CalibrationOptions::keep_trajectory_covariance.
+  /// Of H; of the border H itself, less what the rest takes. Empty when it would take more than
+  /// CalibrationOptions::max_factor_mb.
   Panels factor;
 
   int held_begin = 0, held_end = 0;  ///< columns of H of parameters that are not estimated

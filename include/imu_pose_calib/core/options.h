@@ -128,11 +128,10 @@ struct CalibrationOptions {
   int max_iterations = 50;
   /// Threads. 0: one per processor.
   int num_threads = 0;
-  /// Longer recordings, the factor of whose normal equations would take more [MB], are eliminated
-  /// window by window twice rather than kept: memory grows less, time by a third.
+  /// When the factor of the normal equations would take more [MB], it is found again where it is
+  /// needed: memory grows less with the recording, and the solve takes longer by a third. There is
+  /// no TrajectoryCovariance then.
   double max_factor_mb = 128.0;
-  /// Keep the last factor all the same, which TrajectoryCovariance needs.
-  bool keep_trajectory_covariance = true;
 
   // --- Uncertainty and verdict (S5) ---
 
@@ -145,6 +144,8 @@ struct CalibrationOptions {
   double weak_translation_std = 0.01;  ///< [m]
   double weak_time_shift_std = 0.002;  ///< [s]
 
+  /// How many `num_threads` asks for.
+  int Threads() const;
   /// Of work that may be done aside.
   std::launch LaunchPolicy() const {
     return num_threads == 1 ? std::launch::deferred : std::launch::async;

@@ -2,7 +2,6 @@
 
 #include <ceres/jet.h>
 
-#include <future>
 #include <vector>
 
 #include "imu_pose_calib/core/conditioning.h"
@@ -51,7 +50,16 @@ class PoseTrajectory {
                  const std::vector<IndexRange>& segments,
                  const GpHyperparameters& position,
                  const GpHyperparameters& rotation,
-                 std::launch policy = std::launch::async);
+                 int threads = 1);
+  /// The same without the poses at `removed` [s], which are not in `poses` any more: what they do
+  /// not reach stays as it is.
+  PoseTrajectory Without(const std::vector<double>& removed,
+                         const std::vector<TimedPose>& poses,
+                         const std::vector<IndexRange>& segments,
+                         int threads) const;
+  /// Whether the trajectory at t [s] depends on poses at one of the instants `others` [s]; t must
+  /// be contained.
+  bool Reaches(double t, const std::vector<double>& others) const;
 
   const GpHyperparameters& position_hyperparameters() const { return position_; }
   const GpHyperparameters& rotation_hyperparameters() const { return rotation_; }

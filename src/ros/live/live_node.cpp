@@ -90,11 +90,7 @@ LiveNode::LiveNode(const ros::NodeHandle& node)
       solver_(
           &mutex_,
           &live_,
-          [this](const SessionData& data) {
-            CalibrationOptions options = settings_.calibration;
-            options.keep_trajectory_covariance = false;
-            return Calibrate(options, data);
-          },
+          [this](const SessionData& data) { return Calibrate(settings_.calibration, data); },
           [this] {
             const auto [frame, parent] = input_.OtherParent();
             output_.PublishResult(input_.Info(), frame, parent);

@@ -22,6 +22,9 @@
 namespace imu_pose_calib {
 namespace {
 
+/// Ground truth needs the whole factor, see CalibrationOptions::max_factor_mb.
+constexpr double kUnbounded = 1e6;  // [MB]
+
 bool IsFolder(const std::string& path) {
   std::error_code ignored;
   return std::filesystem::is_directory(path, ignored);
@@ -292,7 +295,7 @@ OfflineResult CalibrateOffline(const OfflineRequest& given, const Progress& prog
   }
 
   offline.options = Options(requests.front());
-  offline.options.keep_trajectory_covariance = !given.trajectory.path.empty();
+  if (!given.trajectory.path.empty()) offline.options.max_factor_mb = kUnbounded;
   CheckTrajectories(given, requests, 1, offline);  // before it takes long
   if (progress) progress("recording", std::nullopt);
   for (Recording& recording : ReadRecordings(requests)) {

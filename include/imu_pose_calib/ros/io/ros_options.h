@@ -55,6 +55,7 @@ void VisitFields(Options&& options, Visitor&& visit) {
   IMU_POSE_CALIB_VISIT(robust_loss_scale);
   IMU_POSE_CALIB_VISIT(max_iterations);
   IMU_POSE_CALIB_VISIT(num_threads);
+  IMU_POSE_CALIB_VISIT(max_factor_mb);
   IMU_POSE_CALIB_VISIT(covariance_block_s);
   IMU_POSE_CALIB_VISIT(weak_rotation_std);
   IMU_POSE_CALIB_VISIT(weak_translation_std);
