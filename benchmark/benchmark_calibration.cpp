@@ -110,7 +110,7 @@ void TrajectoryWindows(benchmark::State& state) {
                                             session.data.segments,
                                             session.trajectory->position_hyperparameters(),
                                             session.trajectory->rotation_hyperparameters(),
-                                            options.LaunchPolicy()));
+                                            options.Threads()));
 }
 BENCHMARK(TrajectoryWindows)->Apply(Cases);
 

@@ -176,7 +176,9 @@ void PrintCost(double minutes) {
   const SessionData data = Simulate(truth);
   std::printf("%.0f min: simulation %.1f s", minutes, CpuSeconds(start));
   start = std::clock();
-  const Calibration result = Calibrate({}, data);
+  CalibrationOptions options;
+  options.max_factor_mb = 1e6;  // the covariance needs it
+  const Calibration result = Calibrate(options, data);
   std::printf(", calibration %.1f s, peak %.2f GiB", CpuSeconds(start), PeakGib());
   start = std::clock();
   const ImuTrack track(result.solution,
