@@ -7,6 +7,19 @@
 #include "imu_pose_calib/core/types.h"
 
 namespace imu_pose_calib {
+namespace {
+
+/// Whether two columns of J are each other's negative, by the lower triangle of J^T J: parameters
+/// that move the same samples along the trajectory, one on and one back.
+bool AreOpposite(const Eigen::Map<Eigen::MatrixXd>& product, Eigen::Index a, Eigen::Index b) {
+  constexpr double kRounding = 1e-13;
+  const double norm2 = product(a, a), inner = product(std::max(a, b), std::min(a, b));
+  return std::abs(product(b, b) - norm2) < kRounding * norm2 &&
+         std::abs(inner + norm2) < kRounding * norm2;
+}
+
+}  // namespace
+
 /// One residual block at a time, weighted by its loss; its columns in the order of elimination.
 class NormalEquations::Linearisation {
  public:
@@ -167,7 +180,7 @@ Panels NormalEquations::Assemble(size_t window,
   Panels panels;
   Linearisation at(*this);
   std::vector<double> memory;
-  Eigen::VectorXd score, moved;
+  Eigen::VectorXd score;
   const size_t end =
       window + 1 < first_of_window_.size() ? first_of_window_[window + 1] : equations_.size();
   for (size_t k = first_of_window_[window]; k < end; ++k) {
@@ -182,15 +195,22 @@ Panels NormalEquations::Assemble(size_t window,
     score.noalias() = at.J.transpose() * at.r;
     elimination_->Add(at.places, product, &panels);
     elimination_->AddRhs(at.places, static_cast<int>(window), score, &panels);
+    Eigen::VectorXd excess;  // of the exact column over that of J^T J
+    Eigen::Index of = -1;
     for (const ExactColumn& parameter : exact) {
       const Eigen::Index column = at.Column(parameter.block);
       if (column < 0 || product(column, column) == 0.0) continue;
-      const Eigen::VectorXd at_clock =
-          product.selfadjointView<Eigen::Lower>() * Eigen::VectorXd::Unit(columns, column);
-      if (!at.EvaluateMoved(parameter.block, parameter.step)) continue;
-      moved.noalias() = at.J.transpose() * at.r;
-      elimination_->AddRhs(
-          at.places, parameter.rhs, (moved - score) / parameter.step - at_clock, &panels);
+      if (of >= 0 && AreOpposite(product, of, column)) {
+        excess = -excess;
+      } else {
+        const Eigen::VectorXd linear =
+            product.selfadjointView<Eigen::Lower>() * Eigen::VectorXd::Unit(columns, column);
+        of = -1;
+        if (!at.EvaluateMoved(parameter.block, parameter.step)) continue;
+        excess = (at.J.transpose() * at.r - score) / parameter.step - linear;
+      }
+      of = column;
+      elimination_->AddRhs(at.places, parameter.rhs, excess, &panels);
     }
   }
   return panels;
