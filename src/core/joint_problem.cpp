@@ -58,7 +58,6 @@ std::vector<size_t> Collect(int threads,
     kept.push_back(i);
   }
   samples->resize(kept.size());
-  samples->shrink_to_fit();
   return kept;
 }
 
