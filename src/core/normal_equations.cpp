@@ -185,9 +185,9 @@ Panels NormalEquations::Assemble(size_t window,
       window + 1 < first_of_window_.size() ? first_of_window_[window + 1] : equations_.size();
   for (size_t k = first_of_window_[window]; k < end; ++k) {
     at.Start(equations_[k]);
-    if (at.places.empty()) continue;
     if (!at.Evaluate()) throw DataError("the residuals cannot be differentiated");
     if (cost != nullptr) *cost += at.cost;
+    if (at.places.empty()) continue;  // of what is held
     const Eigen::Index columns = at.J.cols();
     memory.assign(static_cast<size_t>(columns * columns), 0.0);
     Eigen::Map<Eigen::MatrixXd> product(memory.data(), columns, columns);
