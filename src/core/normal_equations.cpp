@@ -50,11 +50,9 @@ class NormalEquations::Linearisation {
     });
     places.clear();
     for (const Term& term : terms_) places.push_back(term.place);
-    // In memory that all residuals share: allocating it would take as long as filling it.
     values_.resize(std::max(values_.size(), static_cast<size_t>(numbers)));
-    memory_.resize(std::max(memory_.size(), static_cast<size_t>(rows * (columns + 1))));
-    new (&r) Eigen::Map<Eigen::VectorXd>(memory_.data(), rows);
-    new (&J) Eigen::Map<Eigen::MatrixXd>(memory_.data() + rows, rows, columns);
+    r.resize(rows);
+    J.resize(rows, columns);
     jacobians_.assign(sizes.size(), nullptr);
     double* next = values_.data();
     for (const Term& term : terms_) {
@@ -110,8 +108,8 @@ class NormalEquations::Linearisation {
   }
 
   std::vector<int> places;
-  Eigen::Map<Eigen::VectorXd> r{nullptr, 0};
-  Eigen::Map<Eigen::MatrixXd> J{nullptr, 0, 0};
+  Eigen::VectorXd r;
+  Eigen::MatrixXd J;
   double cost = 0.0;
 
  private:
@@ -130,7 +128,7 @@ class NormalEquations::Linearisation {
   const int* blocks_ = nullptr;
   std::vector<double*> parameters_, jacobians_;
   std::vector<Term> terms_;
-  std::vector<double> values_, memory_;
+  std::vector<double> values_;
 };
 
 NormalEquations::NormalEquations(const Problem& problem,
@@ -192,7 +190,7 @@ Panels NormalEquations::Assemble(size_t window,
     memory.assign(static_cast<size_t>(columns * columns), 0.0);
     Eigen::Map<Eigen::MatrixXd> product(memory.data(), columns, columns);
     product.selfadjointView<Eigen::Lower>().rankUpdate(at.J.transpose());
-    score.noalias() = at.J.transpose() * at.r;
+    score = at.J.transpose().lazyProduct(at.r);
     elimination_->Add(at.places, product, &panels);
     elimination_->AddRhs(at.places, static_cast<int>(window), score, &panels);
     Eigen::VectorXd excess;  // of the exact column over that of J^T J
@@ -203,11 +201,12 @@ Panels NormalEquations::Assemble(size_t window,
       if (of >= 0 && AreOpposite(product, of, column)) {
         excess = -excess;
       } else {
-        const Eigen::VectorXd linear =
-            product.selfadjointView<Eigen::Lower>() * Eigen::VectorXd::Unit(columns, column);
+        Eigen::VectorXd linear(columns);  // that of J^T J
+        linear << product.row(column).head(column).transpose(),
+            product.col(column).tail(columns - column);
         of = -1;
         if (!at.EvaluateMoved(parameter.block, parameter.step)) continue;
-        excess = (at.J.transpose() * at.r - score) / parameter.step - linear;
+        excess = (at.J.transpose().lazyProduct(at.r) - score) / parameter.step - linear;
       }
       of = column;
       elimination_->AddRhs(at.places, parameter.rhs, excess, &panels);
