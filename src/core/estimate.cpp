@@ -49,6 +49,7 @@ Estimate::Estimate(const PreparedSession& session, double bias_knot_interval_s)
     ImuSessionEstimate& imu = sessions[0].imus[i];
     imu.is_present = true;
     imu.time_shift = start.time_shift;
+    imu.clock_drift = start.clock_drift;
     imu.clock_reference = 0.5 * (samples.gyro.front().t + samples.gyro.back().t);
     imu.gyro_bias = BiasKnots(samples.gyro, bias_knot_interval_s, start.gyro_bias);
     imu.accel_bias = BiasKnots(samples.accel, bias_knot_interval_s, start.accel_bias);

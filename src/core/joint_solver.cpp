@@ -339,9 +339,12 @@ struct Trial {
 
 }  // namespace
 
-JointStart ChooseKnotSpacing(const CalibrationOptions& options,
+JointStart ChooseKnotSpacing(const CalibrationOptions& all,
                              const PreparedSession& session,
                              Estimate* estimate) {
+  // Seconds do not tell the drift: over hours, S2 knows it better.
+  CalibrationOptions options = all;
+  options.estimate_clock_drift = false;
   const bool is_given = options.knot_spacing_s > 0.0;
   double spacing = is_given ? options.knot_spacing_s : kCoarsestKnots;
   const LivelySpan lively = FindLiveliest(session,

@@ -1,11 +1,14 @@
 #include "imu_pose_calib/core/preparation.h"
 
+#include <cmath>
 #include <string>
 
 #include "imu_pose_calib/core/observability.h"
 
 namespace imu_pose_calib {
 namespace {
+
+constexpr double kSureDrift = 5.0;  // [sigma]
 
 /// S2 of one IMU; initial values are those of the first. What it throws names the IMU when there
 /// are several.
@@ -48,7 +51,12 @@ PreparedSession Prepare(const CalibrationOptions& options,
   for (size_t i = 0; i < prepared.data.imus.size(); ++i) {
     const bool is_present = prepared.data.imus[i].IsPresent();
     prepared.starts.push_back(is_present ? StartOf(options, prepared, i) : Start());
-    if (is_present) CheckMatch(prepared.data, *prepared.trajectory, prepared.starts[i], i, check);
+    if (!is_present) continue;
+    CheckMatch(prepared.data, *prepared.trajectory, prepared.starts[i], i, check);
+    const ImuCheck& match = check->imus[i];
+    if (options.method == Method::kJoint && options.estimate_clock_drift &&
+        std::abs(match.drift_ppm) > kSureDrift * match.drift_ppm_std)
+      prepared.starts[i].clock_drift = 1e-6 * match.drift_ppm;
   }
   return prepared;
 }
