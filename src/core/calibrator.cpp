@@ -205,7 +205,7 @@ Solution SolveGp(const CalibrationOptions& options,
 }  // namespace
 
 Calibration Calibrate(const CalibrationOptions& options,
-                      const std::vector<SessionData>& data,
+                      std::vector<SessionData> data,
                       const Progress& progress) {
   options.Validate();
   CheckRig(options, data);
@@ -228,6 +228,7 @@ Calibration Calibrate(const CalibrationOptions& options,
     };
     try {
       sessions.push_back(Prepare(WithoutStart(options, s == 0), data[s], &check));
+      data[s] = SessionData();  // of a long recording, a lot
       report();
     } catch (const DegenerateMotion& error) {
       report();

@@ -193,6 +193,19 @@ WeightPosterior FitWeights(const GpData& data,
   return posterior;
 }
 
+/// Of the sum of weights, from bump j on, times `factors`; of their covariance, column k holds the
+/// elements that are k rows below the diagonal.
+double VarianceOf(const Eigen::MatrixXd& covariance, int j, const BumpArray& factors) {
+  double variance = 0.0;
+  for (int k = 0; k < kSupport; ++k) {
+    const int n = kSupport - k;
+    const auto products =
+        factors.head(n) * factors.tail(n) * covariance.col(k).segment(j, n).array();
+    variance += (k == 0 ? 1.0 : 2.0) * products.sum();
+  }
+  return variance;
+}
+
 }  // namespace
 
 WindowedGp::WindowedGp(const GpData& data, const GpHyperparameters& hyperparameters, int threads)
@@ -238,10 +251,14 @@ std::shared_ptr<const WindowedGp::Window> WindowedGp::Fit(const GpData& data, si
   const int first = grid.FirstBump(core_begin);
   const int size = grid.FirstBump(core_begin + core_) + kSupport - first;
   const double weight_std = WeightStd(h);
-  return std::make_shared<const Window>(Window{
-      grid.first + first * grid.spacing,
-      weight_std * posterior.mean.middleRows(first, size),
-      weight_std * weight_std * posterior.A.InverseInBand().block(first, first, size, size)});
+  const Eigen::MatrixXd inverse = posterior.A.InverseInBand();
+  Eigen::MatrixXd covariance = Eigen::MatrixXd::Zero(size, kSupport);
+  for (int k = 0; k < std::min(kSupport, size); ++k)
+    covariance.col(k).head(size - k) =
+        weight_std * weight_std * inverse.block(first, first, size, size).diagonal(-k);
+  return std::make_shared<const Window>(Window{grid.first + first * grid.spacing,
+                                               weight_std * posterior.mean.middleRows(first, size),
+                                               std::move(covariance)});
 }
 
 bool WindowedGp::Reaches(double t, double other) const {
@@ -267,9 +284,8 @@ Eigen::Vector3d WindowedGp::Variance(double t) const {
   const BumpGrid grid(window.first_center, window.weights, hyperparameters_.lengthscale_s);
   const int j = grid.FirstBump(t);
   const BumpDerivatives B = Bumps(grid, j, t);
-  const auto C = window.covariance.block<kSupport, kSupport>(j, j);
   Eigen::Vector3d variance;
-  for (int k = 0; k < 3; ++k) variance[k] = B.col(k).dot(C.lazyProduct(B.col(k)));
+  for (int k = 0; k < 3; ++k) variance[k] = VarianceOf(window.covariance, j, B.col(k));
   return variance;
 }
 
@@ -277,8 +293,7 @@ double WindowedGp::ValueVariance(double t) const {
   const Window& window = At(t);
   const BumpGrid grid(window.first_center, window.weights, hyperparameters_.lengthscale_s);
   const int j = grid.FirstBump(t);
-  const Eigen::Matrix<double, kSupport, 1> b = BumpValues(grid, j, t).value;
-  return b.dot(window.covariance.block<kSupport, kSupport>(j, j).lazyProduct(b));
+  return VarianceOf(window.covariance, j, BumpValues(grid, j, t).value);
 }
 
 double LogMarginalLikelihood(const GpData& data,
@@ -295,8 +310,10 @@ double LogMarginalLikelihood(const GpData& data,
 
   double fit = posterior.mean.squaredNorm();
   double length_fit = 0.0;
-  Eigen::MatrixXd bump_product = Eigen::MatrixXd::Zero(grid.size, grid.size);
+  double tr_length = 0.0;
   double residual_norm2 = 0.0;
+  Eigen::MatrixXd A_inv;
+  if (gradient != nullptr) A_inv = posterior.A.InverseInBand();
   for (Eigen::Index i = 0; i < n; ++i) {
     const int j = grid.FirstBump(data.t[i]);
     const BumpValues bumps(grid, j, data.t[i]);
@@ -308,7 +325,7 @@ double LogMarginalLikelihood(const GpData& data,
     // d F / d log l; the 1/2 is the change of weight_std per length of a fixed grid.
     const Eigen::Matrix<double, kSupport, 1> df = f.array() * (2.0 * bumps.distance.square() - 0.5);
     length_fit += (residual / noise2).dot(df.transpose() * mean);
-    bump_product.block<kSupport, kSupport>(j, j).noalias() += f * df.transpose();
+    tr_length += f.dot(A_inv.block<kSupport, kSupport>(j, j).lazyProduct(df)) / noise2;
   }
   fit += residual_norm2 / noise2;
   const double log_likelihood =
@@ -317,10 +334,8 @@ double LogMarginalLikelihood(const GpData& data,
           (posterior.A.LogDeterminant() + static_cast<double>(n) * std::log(2.0 * M_PI * noise2));
 
   if (gradient != nullptr) {
-    const Eigen::MatrixXd A_inv = posterior.A.InverseInBand();
     const double trace_A_inv = A_inv.trace();
     const double m = grid.size;
-    const double tr_length = bump_product.cwiseProduct(A_inv).sum() / noise2;
     (*gradient)[0] = length_fit - outputs * tr_length;
     (*gradient)[1] = posterior.mean.squaredNorm() - outputs * (m - trace_A_inv);
     (*gradient)[2] = residual_norm2 / noise2 - outputs * (static_cast<double>(n) - m + trace_A_inv);

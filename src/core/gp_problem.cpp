@@ -32,7 +32,8 @@ void AddGyro(size_t session, size_t imu, LeastSquares* gp) {
     const double sigma = std::sqrt(noise * noise + shared * variance);
     const auto [k, u] = clock.gyro_bias.Locate(s.t);
     const GyroResidual residual{&trajectory, s.t, s.value, u, sigma};
-    sensor->samples.push_back({i, t_M, sigma, variance});
+    sensor->samples.push_back(
+        {t_M, static_cast<uint32_t>(i), static_cast<float>(sigma), static_cast<float>(variance)});
     sensor->Add(gp->problem.AddResidualsOf({gp->estimate->imus[imu].q_MI.coeffs().data(),
                                             clock.gyro_bias.values[k].data(),
                                             clock.gyro_bias.values[k + 1].data(),
@@ -69,7 +70,8 @@ void AddAccel(size_t session, size_t imu, LeastSquares* gp) {
     gp->feigned_information[imu] += lever / (sigma * sigma);
     const auto [k, u] = clock.accel_bias.Locate(s.t);
     const AccelResidual residual{&trajectory, s.t, s.value, u, sigma};
-    sensor->samples.push_back({i, t_M, sigma, variance});
+    sensor->samples.push_back(
+        {t_M, static_cast<uint32_t>(i), static_cast<float>(sigma), static_cast<float>(variance)});
     sensor->Add(gp->problem.AddResidualsOf({rig.q_MI.coeffs().data(),
                                             rig.p_MI.data(),
                                             gp->estimate->sessions[session].g_W.data(),

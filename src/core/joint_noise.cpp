@@ -122,31 +122,31 @@ bool DoPosesLead(const CorrectionSplines& splines, size_t session, const LeastSq
 
 void FeignInformation(const std::vector<CorrectionSplines>& splines, LeastSquares* joint) {
   constexpr int kSteps = 200;
+  constexpr size_t kEnough = 2000;  // samples, of which the mean is taken
   for (const SensorBlocks& sensor : joint->sensors) {
     if (sensor.model->quantity != Quantity::kAccel) continue;
     const size_t session = sensor.model->session;
     const PoseTrajectory& trajectory = *joint->sessions[session].trajectory;
     const JointDensities S(*joint, session);
-    double turn2 = 0.0, count = 0.0, spacing = 0.0;
-    for (const ProblemSample& s : sensor.samples) {
+    double turn2 = 0.0, seen = 0.0;
+    for (size_t i = 0; i < sensor.samples.size(); i += 1 + sensor.samples.size() / kEnough) {
       MarkerState<double> state;
-      const auto place = splines[session].Locate(s.t);
-      if (!place || !trajectory.Evaluate(s.t, &state)) continue;
+      if (!trajectory.Evaluate(sensor.samples[i].t, &state)) continue;
       turn2 += state.omega_M.squaredNorm();
-      spacing = place->spacing;
-      count += 1.0;
+      seen += 1.0;
     }
-    if (count == 0.0) continue;
-    const double band = Band(spacing), step = band / kSteps;  // [Hz]
-    double density = 0.0;                                     // information per second
+    if (seen == 0.0) continue;
+    const double band = Band(splines[session].spacing()), step = band / kSteps;  // [Hz]
+    double density = 0.0;  // information per second
     for (int k = 0; k < kSteps; ++k) {
       const double w2 = std::pow(2.0 * M_PI * (k + 0.5) * step, 2);
       const double omega =
           1.0 / (1.0 / S.gyro + 1.0 / (w2 * S.rotation));  // poses and gyroscope add up
-      const double lever = LeverArmCoefficientVariance(w2 * omega, omega, turn2 / count);
+      const double lever = LeverArmCoefficientVariance(w2 * omega, omega, turn2 / seen);
       density += 2.0 * step * lever / (sensor.model->Density() + w2 * w2 * S.position);
     }
-    joint->feigned_information[sensor.model->imu] += count / sensor.model->rate_hz * density;
+    joint->feigned_information[sensor.model->imu] +=
+        static_cast<double>(sensor.samples.size()) / sensor.model->rate_hz * density;
   }
 }
 

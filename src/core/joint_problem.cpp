@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <initializer_list>
+#include <optional>
 #include <utility>
 
 #include "imu_pose_calib/core/joint_noise.h"
@@ -28,6 +30,7 @@ constexpr double kSizePrior = 3e-3;               // [m] places of the accelerom
 constexpr double kCurvatureStep = 0.01;  // [s] of differences
 /// Samples that a thread takes at a time.
 constexpr size_t kPortion = 256;
+constexpr double kSensors = 4.0;  // of one IMU and the poses, that share what may be kept
 
 /// Of the elements of a matrix in rows, or of its lower triangle.
 Eigen::VectorXd IntrinsicsPrior(bool is_triangle) {
@@ -38,37 +41,68 @@ Eigen::VectorXd IntrinsicsPrior(bool is_triangle) {
   return Eigen::Map<Eigen::VectorXd>(sigmas.data(), static_cast<Eigen::Index>(sigmas.size()));
 }
 
-/// make(i, &sample) for i = 0 .. count - 1 on all threads; keeps the samples for which it is true,
-/// in order, and returns their i.
-template <typename Sample, typename Make>
-std::vector<size_t> Collect(int threads,
-                            size_t count,
-                            std::vector<Sample>* samples,
-                            const Make& make) {
-  samples->resize(count);
-  std::vector<char> is_kept(count);
-  InParallel(threads, (count + kPortion - 1) / kPortion, [&](size_t p) {
+/// What make(i) returns for i = 0 .. count - 1, on all threads: kept unless that is too much.
+template <typename Sample>
+Samples<Sample> Collect(const CalibrationOptions& options,
+                        size_t count,
+                        const std::function<Sample(size_t)>& make) {
+  const double mb = 1e-6 * static_cast<double>(count * sizeof(Sample));
+  if (mb > options.max_factor_mb / kSensors) return {count, make};
+  std::vector<Sample> samples(count);
+  InParallel(options.Threads(), (count + kPortion - 1) / kPortion, [&](size_t p) {
     for (size_t i = p * kPortion; i < std::min(count, (p + 1) * kPortion); ++i)
-      is_kept[i] = make(i, &(*samples)[i]) ? 1 : 0;
+      samples[i] = make(i);
   });
-  std::vector<size_t> kept;
-  for (size_t i = 0; i < count; ++i) {
-    if (is_kept[i] == 0) continue;
-    (*samples)[kept.size()] = (*samples)[i];
-    kept.push_back(i);
-  }
-  samples->resize(kept.size());
-  return kept;
+  return samples;
 }
 
-/// Calls add(begin, end) for runs of `count` samples of which all are like the first.
-template <typename IsLike, typename Add>
-void ForRuns(size_t count, const IsLike& is_like, const Add& add) {
-  for (size_t begin = 0, end = 0; begin < count; begin = end) {
-    while (end < count && is_like(begin, end)) ++end;
-    add(begin, end);
+/// The places of samples: a residual block takes those that share the first control point and knot.
+struct Run {
+  int first, knot;
+  bool operator==(const Run& o) const { return first == o.first && knot == o.knot; }
+};
+
+/// Calls add(begin, end, run) for samples that are alike.
+template <typename Add>
+void ForRuns(const std::vector<Run>& runs, const Add& add) {
+  for (size_t begin = 0, end = 0; begin < runs.size(); begin = end) {
+    while (end < runs.size() && runs[end] == runs[begin]) ++end;
+    add(begin, end, runs[begin]);
   }
 }
+
+/// Where the samples of a session are while its clocks stand as they did when the problem was made.
+struct Places {
+  std::shared_ptr<const PoseTrajectory> trajectory;
+  CorrectionSplines splines;
+  ImuSessionEstimate reference;  ///< clock of the first IMU
+  Eigen::Vector3d g_W;
+
+  /// The GP at t [s] on the pose clock.
+  MarkerState<double> At(double t, MarkerState<double>* rate = nullptr) const {
+    MarkerState<double> state;
+    trajectory->Evaluate(t, &state, rate);
+    return state;
+  }
+  /// The first control point's index at t [s], if GP and spline go on there.
+  std::optional<int> FindSpan(double t) const {
+    const auto place = splines.Locate(t);
+    if (!place || !trajectory->Contains(t)) return std::nullopt;
+    return static_cast<int>(place->first);
+  }
+  double ReferenceTime(double t) const { return reference.ImuTime(t) - reference.clock_reference; }
+  /// f_M'' of the GP at t [s], where it moves as `middle`; [m/s^4], components in M.
+  Eigen::Vector3d ForceCurvature(const MarkerState<double>& middle,
+                                 double t,
+                                 const Eigen::Vector3d& p_MI) const {
+    if (!trajectory->Covers(t - kCurvatureStep, t + kCurvatureStep)) return Eigen::Vector3d::Zero();
+    const auto force = [&](const MarkerState<double>& state) {
+      return SpecificForce(state, g_W, p_MI);
+    };
+    return (force(At(t - kCurvatureStep)) - 2.0 * force(middle) + force(At(t + kCurvatureStep))) /
+           (kCurvatureStep * kCurvatureStep);
+  }
+};
 
 /// Adds the residual blocks of one session.
 class SessionBuilder {
@@ -89,30 +123,18 @@ class SessionBuilder {
   /// How the samples of an IMU's sensor move along the trajectory, of which the splines go along
   /// with the accelerometer of the reference IMU; of poses when `imu` is null.
   Clocks FindClocks(const size_t* imu, bool is_accel);
-  /// IMU samples of stamp t at the instant t - delay: consecutive ones that share a span and a pair
-  /// of bias knots are handed to `add(samples, control points' index, block of the first bias
-  /// knot)`, which returns their block. `complete(t_M, &sample)` does what is of the sensor.
-  template <typename Sample, typename Complete, typename Add>
+  /// IMU samples of stamp t at the instant t - delay. `complete(places, t_M, &sample)` does what is
+  /// of the sensor, `create(samples)` makes its cost function, `blocks(first, knot)` are the blocks
+  /// of a residual, given the first control point's index and the first bias knot's block.
+  template <typename Sample, typename Complete, typename Create, typename BlocksOf>
   void AddImu(size_t imu,
               Quantity quantity,
               const std::vector<TimedSample>& data,
               double delay,
               BiasKnots* knots,
               const Complete& complete,
-              const Add& add);
-  /// The GP at t [s] and the place there; false when it is not on a spline.
-  bool FindPoint(double t,
-                 SplinePlace* place,
-                 MarkerState<double>* gp,
-                 MarkerState<double>* rate = nullptr) const;
-  /// f_M'' of the GP at t [s], where it moves as `middle`; [m/s^4], components in M.
-  Eigen::Vector3d ForceCurvature(const MarkerState<double>& middle,
-                                 double t,
-                                 const Eigen::Vector3d& p_MI) const;
-  double ReferenceTime(double t_M) const {
-    return reference_.ImuTime(t_M) - reference_.clock_reference;
-  }
-
+              const Create& create,
+              const BlocksOf& blocks);
   const size_t session_;
   const int d_, phi_;
   CorrectionSplines* const splines_;
@@ -121,6 +143,7 @@ class SessionBuilder {
   SessionEstimate& estimate_;
   const size_t first_imu_;
   ImuSessionEstimate& reference_;  ///< clock of the first IMU
+  const std::shared_ptr<const Places> places_;
 };
 
 SessionBuilder::SessionBuilder(size_t session,
@@ -136,30 +159,9 @@ SessionBuilder::SessionBuilder(size_t session,
       prepared_(joint->sessions[session]),
       estimate_(joint->estimate->sessions[session]),
       first_imu_(estimate_.FirstImu()),
-      reference_(estimate_.imus[first_imu_]) {}
-
-bool SessionBuilder::FindPoint(double t,
-                               SplinePlace* place,
-                               MarkerState<double>* gp,
-                               MarkerState<double>* rate) const {
-  const auto found = splines_->Locate(t);
-  if (!found || !prepared_.trajectory->Evaluate(t, gp, rate)) return false;
-  *place = *found;
-  return true;
-}
-
-Eigen::Vector3d SessionBuilder::ForceCurvature(const MarkerState<double>& middle,
-                                               double t,
-                                               const Eigen::Vector3d& p_MI) const {
-  const auto force = [&](const MarkerState<double>& state) {
-    return SpecificForce(state, estimate_.g_W, p_MI);
-  };
-  MarkerState<double> before, after;
-  if (!prepared_.trajectory->Evaluate(t - kCurvatureStep, &before) ||
-      !prepared_.trajectory->Evaluate(t + kCurvatureStep, &after))
-    return Eigen::Vector3d::Zero();
-  return (force(before) - 2.0 * force(middle) + force(after)) / (kCurvatureStep * kCurvatureStep);
-}
+      reference_(estimate_.imus[first_imu_]),
+      places_(std::make_shared<const Places>(
+          Places{prepared_.trajectory, *splines, reference_, estimate_.g_W})) {}
 
 SessionBuilder::Clocks SessionBuilder::FindClocks(const size_t* imu, bool is_accel) {
   std::vector<int> blocks;
@@ -204,104 +206,107 @@ std::vector<int> Blocks(std::initializer_list<int> splines,
 void SessionBuilder::AddPoses() {
   const Clocks clocks = FindClocks(nullptr, false);
   Problem& problem = joint_->problem;
-  SensorBlocks* position = joint_->Find(Quantity::kPosition, session_);
-  SensorBlocks* rotation = joint_->Find(Quantity::kRotation, session_);
   const std::vector<TimedPose>& poses = prepared_.data.poses;
-  std::vector<JointPoseSample> all;
-  const std::vector<size_t> kept = Collect(
-      joint_->options.Threads(), poses.size(), &all, [&](size_t i, JointPoseSample* sample) {
-        const TimedPose& pose = poses[i];
-        const auto sigma = [i](const SensorBlocks& sensor, double scale) {
-          return sensor.model->noise * scale / std::sqrt(sensor.model->weights[i]);
-        };
-        MarkerState<double> gp;
-        if (!FindPoint(pose.t, &sample->place, &gp)) return false;
-        sample->q_error = gp.q_WM.conjugate() * pose.q_WM;
-        sample->p_error = pose.p_WM - gp.p_WM;
-        sample->alpha_M = gp.alpha_M;
-        sample->a_W = gp.a_W;
-        sample->reference_time = ReferenceTime(pose.t);
-        sample->position_sigma = sigma(*position, pose.position_scale);
-        sample->rotation_sigma = sigma(*rotation, pose.rotation_scale);
-        return true;
-      });
-  position->samples.reserve(kept.size());
-  rotation->samples.reserve(kept.size());
-  for (size_t k = 0; k < kept.size(); ++k) {
-    position->samples.push_back({kept[k], poses[kept[k]].t, all[k].position_sigma});
-    rotation->samples.push_back({kept[k], poses[kept[k]].t, all[k].rotation_sigma});
+  std::vector<size_t> kept;
+  std::vector<Run> runs;
+  for (size_t i = 0; i < poses.size(); ++i) {
+    const auto span = places_->FindSpan(poses[i].t);
+    if (!span) continue;
+    kept.push_back(i);
+    runs.push_back({*span, 0});
   }
-  const size_t count = all.size();
-  const Samples<JointPoseSample> samples(std::move(all));
-  const auto share_span = [&](size_t i, size_t j) {
-    return samples[i].place.first == samples[j].place.first;
-  };
   const int pose_smoothing = problem.Find(&joint_->estimate->pose_smoothing);
   const int position_smoothing = problem.Find(&joint_->estimate->position_smoothing);
-  ForRuns(count, share_span, [&](size_t begin, size_t end) {
-    const auto first = static_cast<int>(samples[begin].place.first);
-    position->Add(problem.AddResiduals(
-                      CreateJointPositionResidual(samples.Part(begin, end), clocks.motions),
-                      Blocks({d_ + first}, {pose_smoothing, position_smoothing}, clocks.blocks)),
-                  position->samples[begin].t);
+  const auto add = [&](Quantity quantity, auto scale, auto create, auto blocks) {
+    SensorBlocks* sensor = joint_->Find(quantity, session_);
+    const SensorModel& model = *sensor->model;
+    for (const size_t i : kept)
+      sensor->samples.push_back(
+          {poses[i].t,
+           static_cast<uint32_t>(i),
+           static_cast<float>(model.noise * poses[i].*scale / std::sqrt(model.weights[i]))});
+    const std::function<JointPoseSample(size_t)> make =
+        [places = places_, sensor, &poses](size_t k) {
+          const ProblemSample& at = sensor->samples[k];
+          const TimedPose& pose = poses[at.index];
+          const MarkerState<double> gp = places->At(at.t);
+          return JointPoseSample{*places->splines.Locate(at.t),
+                                 gp.q_WM.conjugate() * pose.q_WM,
+                                 pose.p_WM - gp.p_WM,
+                                 gp.alpha_M,
+                                 gp.a_W,
+                                 places->ReferenceTime(at.t),
+                                 at.sigma,
+                                 at.sigma};
+        };
+    const std::shared_ptr<const SampledCost> cost =
+        create(Collect(joint_->options, kept.size(), make), clocks.motions);
+    ForRuns(runs, [&](size_t begin, size_t end, const Run& run) {
+      sensor->Add(problem.AddResiduals(cost, begin, end, blocks(run.first)), poses[kept[begin]].t);
+    });
+  };
+  add(Quantity::kPosition, &TimedPose::position_scale, CreateJointPositionResidual, [&](int first) {
+    return Blocks({d_ + first}, {pose_smoothing, position_smoothing}, clocks.blocks);
   });
-  ForRuns(count, share_span, [&](size_t begin, size_t end) {
-    const auto first = static_cast<int>(samples[begin].place.first);
-    rotation->Add(
-        problem.AddResiduals(CreateJointRotationResidual(samples.Part(begin, end), clocks.motions),
-                             Blocks({phi_ + first}, {pose_smoothing}, clocks.blocks)),
-        rotation->samples[begin].t);
+  add(Quantity::kRotation, &TimedPose::rotation_scale, CreateJointRotationResidual, [&](int first) {
+    return Blocks({phi_ + first}, {pose_smoothing}, clocks.blocks);
   });
 }
 
-template <typename Sample, typename Complete, typename Add>
+template <typename Sample, typename Complete, typename Create, typename BlocksOf>
 void SessionBuilder::AddImu(size_t imu,
                             Quantity quantity,
                             const std::vector<TimedSample>& data,
                             double delay,
                             BiasKnots* knots,
                             const Complete& complete,
-                            const Add& add) {
-  const ImuSessionEstimate& clock = estimate_.imus[imu];
+                            const Create& create,
+                            const BlocksOf& blocks) {
+  const ImuSessionEstimate clock = estimate_.imus[imu];
   SensorBlocks* sensor = joint_->Find(quantity, session_, imu);
-  std::vector<Sample> all;
-  std::vector<int> knot(data.size());
-  const std::vector<size_t> kept =
-      Collect(joint_->options.Threads(), data.size(), &all, [&](size_t i, Sample* sample) {
-        const double t_M = clock.PoseTime(data[i].t - delay);
-        const auto [k, u] = knots->Locate(data[i].t);
-        knot[i] = static_cast<int>(k);
-        sample->value = data[i].value;
-        sample->bias_u = u;
-        sample->own_time = data[i].t - delay - clock.clock_reference;
-        sample->reference_time = ReferenceTime(t_M);
-        sample->sigma = sensor->model->noise / std::sqrt(sensor->model->weights[i]);
-        return complete(t_M, sample) && IsOnTrajectory(*prepared_.trajectory, t_M);
-      });
-  sensor->samples.reserve(kept.size());
-  for (size_t k = 0; k < kept.size(); ++k)
-    sensor->samples.push_back({kept[k], clock.PoseTime(data[kept[k]].t - delay), all[k].sigma});
-  const size_t count = all.size();
-  const Samples<Sample> samples(std::move(all));
+  const SensorModel& model = *sensor->model;
+  std::vector<Run> runs;
+  for (size_t i = 0; i < data.size(); ++i) {
+    const double t_M = clock.PoseTime(data[i].t - delay);
+    const auto span = places_->FindSpan(t_M);
+    if (!span || !IsOnTrajectory(*prepared_.trajectory, t_M)) continue;
+    runs.push_back({*span, static_cast<int>(knots->Locate(data[i].t).first)});
+    sensor->samples.push_back({t_M,
+                               static_cast<uint32_t>(i),
+                               static_cast<float>(model.noise / std::sqrt(model.weights[i]))});
+  }
+  const double own_reference = delay + clock.clock_reference;
+  const std::function<Sample(size_t)> make =
+      [places = places_, sensor, knots, own_reference, complete, &data](size_t k) {
+        const ProblemSample& at = sensor->samples[k];
+        const TimedSample& measured = data[at.index];
+        Sample sample;
+        sample.place = *places->splines.Locate(at.t);
+        sample.value = measured.value;
+        sample.bias_u = knots->Locate(measured.t).second;
+        sample.own_time = measured.t - own_reference;
+        sample.reference_time = places->ReferenceTime(at.t);
+        sample.sigma = at.sigma;
+        complete(*places, at.t, &sample);
+        return sample;
+      };
   int first_knot = -1;  // the others follow
   for (Eigen::Vector3d& value : knots->values) {
     const int block = joint_->problem.AddParameters(value.data(), 3);
     if (first_knot < 0) first_knot = block;
   }
-  const auto are_alike = [&](size_t i, size_t j) {
-    return samples[i].place.first == samples[j].place.first && knot[kept[i]] == knot[kept[j]];
-  };
-  ForRuns(count, are_alike, [&](size_t begin, size_t end) {
-    sensor->Add(add(samples.Part(begin, end),
-                    static_cast<int>(samples[begin].place.first),
-                    first_knot + knot[kept[begin]]),
-                sensor->samples[begin].t);
+  const std::shared_ptr<const SampledCost> cost =
+      create(Collect(joint_->options, runs.size(), make));
+  ForRuns(runs, [&](size_t begin, size_t end, const Run& run) {
+    sensor->Add(
+        joint_->problem.AddResiduals(cost, begin, end, blocks(run.first, first_knot + run.knot)),
+        sensor->samples[begin].t);
   });
 }
 
 void SessionBuilder::AddGyro(size_t imu) {
   const Clocks clocks = FindClocks(&imu, false);
-  Problem& problem = joint_->problem;
+  const Problem& problem = joint_->problem;
   ImuEstimate& rig = joint_->estimate->imus[imu];
   const int q_MI = problem.Find(rig.q_MI.coeffs().data());
   const int intrinsics = problem.Find(rig.gyro_intrinsics.data());
@@ -311,38 +316,25 @@ void SessionBuilder::AddGyro(size_t imu) {
       prepared_.data.imus[imu].gyro,
       0.0,
       &estimate_.imus[imu].gyro_bias,
-      [&](double t_M, JointImuSample* sample) {
-        MarkerState<double> gp;
-        if (!FindPoint(t_M, &sample->place, &gp)) return false;
+      [](const Places& places, double t_M, JointImuSample* sample) {
+        const MarkerState<double> gp = places.At(t_M);
         sample->omega_M = gp.omega_M;
         sample->alpha_M = gp.alpha_M;
-        return true;
       },
-      [&](const Samples<JointImuSample>& samples, int first, int knot) {
-        return problem.AddResiduals(
-            CreateJointGyroResidual(samples, clocks.motions),
-            Blocks({phi_ + first}, {q_MI, intrinsics, knot, knot + 1}, clocks.blocks));
+      [&](Samples<JointImuSample> samples) {
+        return CreateJointGyroResidual(std::move(samples), clocks.motions);
+      },
+      [&](int first, int knot) {
+        return Blocks({phi_ + first}, {q_MI, intrinsics, knot, knot + 1}, clocks.blocks);
       });
 }
 
 void SessionBuilder::AddAccel(size_t imu) {
   const Clocks clocks = FindClocks(&imu, true);
-  Problem& problem = joint_->problem;
+  const Problem& problem = joint_->problem;
   ImuEstimate& rig = joint_->estimate->imus[imu];
-  const Eigen::Matrix3d R_MA = rig.q_MI.toRotationMatrix();
   const bool with_curvature =
       rig.accel_smoothing != 0.0 || problem.IsEstimated(&rig.accel_smoothing);
-  const auto complete = [&](double t_M, JointAccelSample* sample) {
-    MarkerState<double> gp, rate;
-    if (!FindPoint(t_M, &sample->place, &gp, &rate)) return false;
-    sample->q_WM = gp.q_WM;
-    sample->omega_M = gp.omega_M;
-    sample->alpha_M = gp.alpha_M;
-    sample->a_W = gp.a_W;
-    sample->jerk = {rate.alpha_M, rate.a_W};
-    if (with_curvature) sample->jerk.f_curvature = ForceCurvature(gp, t_M, rig.p_MI);
-    return true;
-  };
   const int q_MI = problem.Find(rig.q_MI.coeffs().data());
   const int p_MI = problem.Find(rig.p_MI.data());
   const int g_W = problem.Find(estimate_.g_W.data());
@@ -356,13 +348,25 @@ void SessionBuilder::AddAccel(size_t imu) {
       prepared_.data.imus[imu].accel,
       rig.accel_delay,
       &estimate_.imus[imu].accel_bias,
-      complete,
-      [&](const Samples<JointAccelSample>& samples, int first, int knot) {
-        return problem.AddResiduals(
-            CreateJointAccelResidual(samples, R_MA, clocks.motions),
-            Blocks({d_ + first, phi_ + first},
-                   {q_MI, p_MI, g_W, intrinsics, knot, knot + 1, smoothing, scale, positions},
-                   clocks.blocks));
+      [with_curvature, p_MI = Eigen::Vector3d(rig.p_MI)](
+          const Places& places, double t_M, JointAccelSample* sample) {
+        MarkerState<double> rate;
+        const MarkerState<double> gp = places.At(t_M, &rate);
+        sample->q_WM = gp.q_WM;
+        sample->omega_M = gp.omega_M;
+        sample->alpha_M = gp.alpha_M;
+        sample->a_W = gp.a_W;
+        sample->jerk = {rate.alpha_M, rate.a_W};
+        if (with_curvature) sample->jerk.f_curvature = places.ForceCurvature(gp, t_M, p_MI);
+      },
+      [&](Samples<JointAccelSample> samples) {
+        return CreateJointAccelResidual(
+            std::move(samples), rig.q_MI.toRotationMatrix(), clocks.motions);
+      },
+      [&](int first, int knot) {
+        return Blocks({d_ + first, phi_ + first},
+                      {q_MI, p_MI, g_W, intrinsics, knot, knot + 1, smoothing, scale, positions},
+                      clocks.blocks);
       });
 }
 

@@ -4,6 +4,7 @@
 
 #include <Eigen/LU>
 #include <initializer_list>
+#include <utility>
 
 #include "imu_pose_calib/core/correction.h"
 #include "imu_pose_calib/core/intrinsics.h"
@@ -122,17 +123,16 @@ struct Move {
   double on_gp = 0.0, on_spline = 0.0;
 };
 
-/// Residuals of samples that share all parameter blocks: `Sample` is evaluated one by one. Blocks
-/// of the clocks come last.
+/// Residuals of samples, evaluated one by one. Blocks of the clocks come last.
 template <typename Sample>
-class BatchResidual : public ceres::CostFunction {
+class BatchResidual : public SampledCost {
  public:
-  BatchResidual(const Samples<Sample>& samples,
+  BatchResidual(Samples<Sample> samples,
                 std::initializer_list<int> other_blocks,
                 int splines,
                 const ClockMotions& clocks)
       : first_clock_(static_cast<size_t>(splines) * kSplineOrder + other_blocks.size()),
-        samples_(samples),
+        samples_(std::move(samples)),
         clocks_(clocks) {
     set_num_residuals(3 * static_cast<int>(samples_.size()));
     std::vector<int>* sizes = mutable_parameter_block_sizes();
@@ -141,14 +141,18 @@ class BatchResidual : public ceres::CostFunction {
     sizes->insert(sizes->end(), clocks_->size(), 1);
   }
 
-  bool Evaluate(double const* const* blocks, double* residual, double** jacobians) const override {
-    for (size_t i = 0; i < samples_.size(); ++i)
-      if (!EvaluateSample(samples_[i], i, blocks, residual + 3 * i, jacobians)) return false;
+  bool EvaluatePart(size_t begin,
+                    size_t end,
+                    double const* const* blocks,
+                    double* residual,
+                    double** jacobians) const override {
+    for (size_t i = begin; i < end; ++i, residual += 3)
+      if (!EvaluateSample(samples_[i], i - begin, blocks, residual, jacobians)) return false;
     return true;
   }
 
  protected:
-  /// Sample `i`: three residuals and, unless `jacobians` is null, rows from 3 i on.
+  /// The i-th sample of a part: three residuals and, unless `jacobians` is null, rows from 3 i on.
   virtual bool EvaluateSample(const Sample& sample,
                               size_t i,
                               double const* const* blocks,
@@ -190,8 +194,8 @@ class BatchResidual : public ceres::CostFunction {
 
 class JointPositionResidual : public BatchResidual<JointPoseSample> {
  public:
-  JointPositionResidual(const Samples<JointPoseSample>& samples, const ClockMotions& clocks)
-      : BatchResidual(samples, {1, 1}, 1, clocks) {}
+  JointPositionResidual(Samples<JointPoseSample> samples, const ClockMotions& clocks)
+      : BatchResidual(std::move(samples), {1, 1}, 1, clocks) {}
 
  protected:
   bool EvaluateSample(const JointPoseSample& s,
@@ -221,8 +225,8 @@ class JointPositionResidual : public BatchResidual<JointPoseSample> {
 
 class JointRotationResidual : public BatchResidual<JointPoseSample> {
  public:
-  JointRotationResidual(const Samples<JointPoseSample>& samples, const ClockMotions& clocks)
-      : BatchResidual(samples, {1}, 1, clocks) {}
+  JointRotationResidual(Samples<JointPoseSample> samples, const ClockMotions& clocks)
+      : BatchResidual(std::move(samples), {1}, 1, clocks) {}
 
  protected:
   bool EvaluateSample(const JointPoseSample& s,
@@ -258,8 +262,8 @@ class JointRotationResidual : public BatchResidual<JointPoseSample> {
 
 class JointGyroResidual : public BatchResidual<JointImuSample> {
  public:
-  JointGyroResidual(const Samples<JointImuSample>& samples, const ClockMotions& clocks)
-      : BatchResidual(samples, {4, 6, 3, 3}, 1, clocks) {}
+  JointGyroResidual(Samples<JointImuSample> samples, const ClockMotions& clocks)
+      : BatchResidual(std::move(samples), {4, 6, 3, 3}, 1, clocks) {}
 
  protected:
   bool EvaluateSample(const JointImuSample& s,
@@ -306,10 +310,10 @@ class JointGyroResidual : public BatchResidual<JointImuSample> {
 
 class JointAccelResidual : public BatchResidual<JointAccelSample> {
  public:
-  JointAccelResidual(const Samples<JointAccelSample>& samples,
+  JointAccelResidual(Samples<JointAccelSample> samples,
                      const Matrix3d& R_MA,
                      const ClockMotions& clocks)
-      : BatchResidual(samples, {4, 3, 3, 9, 3, 3, 1, 1, 6}, 2, clocks), R_MA_(R_MA) {}
+      : BatchResidual(std::move(samples), {4, 3, 3, 9, 3, 3, 1, 1, 6}, 2, clocks), R_MA_(R_MA) {}
 
  protected:
   bool EvaluateSample(const JointAccelSample& s,
@@ -416,28 +420,25 @@ class JointAccelResidual : public BatchResidual<JointAccelSample> {
 
 }  // namespace
 
-std::unique_ptr<ceres::CostFunction> CreateJointPositionResidual(
-    const Samples<JointPoseSample>& samples,
-    const ClockMotions& clocks) {
-  return std::make_unique<JointPositionResidual>(samples, clocks);
+std::unique_ptr<SampledCost> CreateJointPositionResidual(Samples<JointPoseSample> samples,
+                                                         const ClockMotions& clocks) {
+  return std::make_unique<JointPositionResidual>(std::move(samples), clocks);
 }
 
-std::unique_ptr<ceres::CostFunction> CreateJointRotationResidual(
-    const Samples<JointPoseSample>& samples,
-    const ClockMotions& clocks) {
-  return std::make_unique<JointRotationResidual>(samples, clocks);
+std::unique_ptr<SampledCost> CreateJointRotationResidual(Samples<JointPoseSample> samples,
+                                                         const ClockMotions& clocks) {
+  return std::make_unique<JointRotationResidual>(std::move(samples), clocks);
 }
 
-std::unique_ptr<ceres::CostFunction> CreateJointGyroResidual(const Samples<JointImuSample>& samples,
-                                                             const ClockMotions& clocks) {
-  return std::make_unique<JointGyroResidual>(samples, clocks);
+std::unique_ptr<SampledCost> CreateJointGyroResidual(Samples<JointImuSample> samples,
+                                                     const ClockMotions& clocks) {
+  return std::make_unique<JointGyroResidual>(std::move(samples), clocks);
 }
 
-std::unique_ptr<ceres::CostFunction> CreateJointAccelResidual(
-    const Samples<JointAccelSample>& samples,
-    const Eigen::Matrix3d& R_MA,
-    const ClockMotions& clocks) {
-  return std::make_unique<JointAccelResidual>(samples, R_MA, clocks);
+std::unique_ptr<SampledCost> CreateJointAccelResidual(Samples<JointAccelSample> samples,
+                                                      const Eigen::Matrix3d& R_MA,
+                                                      const ClockMotions& clocks) {
+  return std::make_unique<JointAccelResidual>(std::move(samples), R_MA, clocks);
 }
 
 }  // namespace imu_pose_calib

@@ -339,12 +339,9 @@ struct Trial {
 
 }  // namespace
 
-JointStart ChooseKnotSpacing(const CalibrationOptions& all,
+JointStart ChooseKnotSpacing(const CalibrationOptions& options,
                              const PreparedSession& session,
                              Estimate* estimate) {
-  // Seconds do not tell the drift: over hours, S2 knows it better.
-  CalibrationOptions options = all;
-  options.estimate_clock_drift = false;
   const bool is_given = options.knot_spacing_s > 0.0;
   double spacing = is_given ? options.knot_spacing_s : kCoarsestKnots;
   const LivelySpan lively = FindLiveliest(session,
@@ -372,7 +369,16 @@ JointStart ChooseKnotSpacing(const CalibrationOptions& all,
     best = std::make_unique<Trial>(options, excerpt, spacing, *estimate);
   }
   const std::vector<double> noise = best->solver.SettleNoise();
+  const SessionEstimate start = estimate->sessions[0];
   *estimate = best->estimate;
+  // Seconds do not tell where the samples of hours are: S2 does.
+  for (size_t i = 0; i < start.imus.size(); ++i) {
+    const double reach = session.data.poses.back().t - session.data.poses.front().t;
+    ImuSessionEstimate& clock = estimate->sessions[0].imus[i];
+    if (std::abs(clock.clock_drift - start.imus[i].clock_drift) * reach <= spacing) continue;
+    clock.time_shift = start.imus[i].time_shift;
+    clock.clock_drift = start.imus[i].clock_drift;
+  }
   return {spacing, Correctable(options, session, spacing), noise, lively.liveliness};
 }
 

@@ -357,19 +357,20 @@ std::vector<SensorStatistics> LeastSquares::FindStatistics() {
       statistics[k] = {sensor.model->noise, 0.0};
       return;
     }
-    const double* r_sigma = &rows_[problem.residuals(sensor.first_block).first_row];
-    std::vector<double> magnitudes, variances;
+    const float* r_sigma = &rows_[problem.residuals(sensor.first_block).first_row];
+    std::vector<float> magnitudes, variances;
     magnitudes.reserve(3 * sensor.samples.size());
     variances.reserve(sensor.samples.size());
     sensor.residuals.reserve(sensor.samples.size());
     double sum2 = 0.0;
     for (const ProblemSample& sample : sensor.samples) {
       const double scale = Scale(*sensor.model, sample.index);
-      const Eigen::Vector3d r = (sample.sigma * Eigen::Map<const Eigen::Vector3d>(r_sigma) +
-                                 Rest(*sensor.model, sample.index)) /
-                                scale;
+      const Eigen::Vector3d r =
+          (sample.sigma * Eigen::Map<const Eigen::Vector3f>(r_sigma).cast<double>() +
+           Rest(*sensor.model, sample.index)) /
+          scale;
       r_sigma += 3;
-      for (int i = 0; i < 3; ++i) magnitudes.push_back(std::abs(r[i]));
+      for (int i = 0; i < 3; ++i) magnitudes.push_back(static_cast<float>(std::abs(r[i])));
       variances.push_back(sample.trajectory_variance);
       sensor.residuals.push_back(r);
       sum2 += scale * scale * r.squaredNorm();

@@ -33,7 +33,7 @@ class NormalEquations::Linearisation {
     residuals_ = &problem.residuals(equation.block);
     blocks_ = problem.BlocksOf(*residuals_);
     const std::vector<int32_t>& sizes = residuals_->cost->parameter_block_sizes();
-    const int rows = residuals_->cost->num_residuals();
+    const int rows = residuals_->rows();
     parameters_.resize(sizes.size());
     terms_.clear();
     Eigen::Index columns = 0, numbers = 0;
@@ -63,7 +63,7 @@ class NormalEquations::Linearisation {
 
   /// Fills J and r; false where they are not defined.
   bool Evaluate() {
-    if (!residuals_->cost->Evaluate(parameters_.data(), r.data(), jacobians_.data())) return false;
+    if (!residuals_->Evaluate(parameters_.data(), r.data(), jacobians_.data())) return false;
     Eigen::Index column = 0;
     for (const Term& term : terms_) {
       using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;

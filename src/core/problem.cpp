@@ -63,14 +63,27 @@ void Problem::Restore(const std::vector<int>& blocks, const std::vector<double>&
   }
 }
 
-int Problem::AddResiduals(std::unique_ptr<const ceres::CostFunction> cost,
+int Problem::AddResiduals(std::shared_ptr<const ceres::CostFunction> cost,
                           const std::vector<int>& blocks,
                           double cauchy_scale) {
-  const auto rows = static_cast<size_t>(cost->num_residuals());
-  residuals_.push_back({std::move(cost), cauchy_scale, rows_, blocks_of_residuals_.size()});
+  if (costs_.empty() || costs_.back() != cost) costs_.push_back(std::move(cost));
+  residuals_.push_back(
+      {costs_.back().get(), cauchy_scale, rows_, blocks_of_residuals_.size(), 0, 0});
   blocks_of_residuals_.insert(blocks_of_residuals_.end(), blocks.begin(), blocks.end());
-  rows_ += rows;
+  rows_ += static_cast<size_t>(residuals_.back().rows());
   return static_cast<int>(residuals_.size()) - 1;
+}
+
+int Problem::AddResiduals(const std::shared_ptr<const SampledCost>& cost,
+                          size_t begin,
+                          size_t end,
+                          const std::vector<int>& blocks) {
+  const size_t first_row = rows_;
+  const int number = AddResiduals(cost, blocks);
+  residuals_.back().begin = static_cast<uint32_t>(begin);
+  residuals_.back().end = static_cast<uint32_t>(end);
+  rows_ = first_row + 3 * (end - begin);
+  return number;
 }
 
 int Problem::AddResidualsOf(const std::vector<double*>& parameters,
@@ -82,6 +95,14 @@ int Problem::AddResidualsOf(const std::vector<double*>& parameters,
   return AddResiduals(std::move(cost), blocks, cauchy_scale);
 }
 
+bool Problem::Residuals::Evaluate(double const* const* parameters,
+                                  double* residuals,
+                                  double** jacobians) const {
+  if (end == 0) return cost->Evaluate(parameters, residuals, jacobians);
+  return static_cast<const SampledCost*>(cost)->EvaluatePart(
+      begin, end, parameters, residuals, jacobians);
+}
+
 double Problem::Residuals::Weight(double squared_norm) const {
   return cauchy_scale == 0.0 ? 1.0 : 1.0 / (1.0 + squared_norm / (cauchy_scale * cauchy_scale));
 }
@@ -91,25 +112,26 @@ double Problem::Residuals::Cost(double squared_norm) const {
   return 0.5 * (scale2 == 0.0 ? squared_norm : scale2 * std::log1p(squared_norm / scale2));
 }
 
-bool Problem::Evaluate(int threads, std::vector<double>* rows, double* cost) const {
+bool Problem::Evaluate(int threads, std::vector<float>* rows, double* cost) const {
   rows->resize(rows_);
   const size_t portions = (residuals_.size() + kPortion - 1) / kPortion;
   std::vector<double> costs(portions, 0.0);
   InParallel(threads, portions, [&](size_t p) {
     std::vector<double*> parameters;
+    Eigen::VectorXd r;
     for (size_t k = p * kPortion; k < std::min(residuals_.size(), (p + 1) * kPortion); ++k) {
       const Residuals& own = residuals_[k];
       const int* blocks = BlocksOf(own);
       parameters.clear();
       for (size_t i = 0; i < own.cost->parameter_block_sizes().size(); ++i)
         parameters.push_back(data(blocks[i]));
-      double* r = rows->data() + own.first_row;
-      if (!own.cost->Evaluate(parameters.data(), r, nullptr)) {
+      r.resize(own.rows());
+      if (!own.Evaluate(parameters.data(), r.data(), nullptr)) {
         costs[p] = std::nan("");
         return;
       }
-      costs[p] +=
-          own.Cost(Eigen::Map<const Eigen::VectorXd>(r, own.cost->num_residuals()).squaredNorm());
+      costs[p] += own.Cost(r.squaredNorm());
+      std::copy(r.begin(), r.end(), rows->begin() + static_cast<ptrdiff_t>(own.first_row));
     }
   });
   *cost = 0.0;

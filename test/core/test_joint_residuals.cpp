@@ -198,7 +198,8 @@ TEST_F(JointResiduals, VanishWhereTheCorrectedTrajectoryIsMeasured) {
   const Vector3d w = GyroMatrix(gyro_intrinsics_) * (q_MI_.conjugate() * omega_M) + bias;
   const Vector3d f = AccelMatrix(accel_intrinsics_) * f_I + bias;
   const ClockMotions gyro = Motions(OtherGyroClocks()), accel = Motions(OtherAccelClocks());
-  const auto residual = [](const auto& cost, const std::vector<double*>& blocks) {
+  const auto residual = [](const std::unique_ptr<ceres::CostFunction>& cost,
+                           const std::vector<double*>& blocks) {
     return Evaluate(cost, blocks).residuals.norm();
   };
   const std::vector<JointAccelSample> rate{Imu(at, w, 0.3, 2.4, -0.5, 1.0)};

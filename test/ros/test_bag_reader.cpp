@@ -1,6 +1,9 @@
 #include <nav_msgs/Odometry.h>
 #include <tf2_msgs/TFMessage.h>
 
+#include <filesystem>
+#include <fstream>
+
 #include "imu_pose_calib/ros/io/bag_writer.h"
 #include "imu_pose_calib/ros/offline/offline.h"
 #include "recompress.h"
@@ -109,6 +112,34 @@ TEST_F(BagReaderTest, ReadsCompressedBags) {
     EXPECT_LT(std::filesystem::file_size(Path("recording.bag")),
               std::filesystem::file_size(Path("plain.bag")));
     ExpectSameSamples(ReadBag(Request()).data, data);
+  }
+}
+
+TEST_F(BagReaderTest, ReadsLongBagsInParts) {
+  // Parts of 10 s or more, each by a thread of its own; chunks of less than 1 s.
+  SimulatorOptions simulator = ShortSimulation();
+  simulator.duration_s = 47.3;
+  const SessionData data = Simulate(simulator);
+  WriteBag(Path("plain.bag"), data, {});
+  Recompress(Path("plain.bag"), Path("recording.bag"), rosbag::compression::BZ2);
+  ExpectSameSamples(ReadBag(Request()).data, data);
+  BagRequest request = Request();
+  request.start_s = 1.5;
+  request.duration_s = 40.0;
+  const Recording part = ReadBag(request);
+  EXPECT_NEAR(
+      static_cast<double>(part.data.imus[0].gyro.size()), 40.0 * simulator.gyro_rate_hz, 2.0);
+  // Damaged beyond the first part.
+  std::fstream file(Path("recording.bag"), std::ios::in | std::ios::out | std::ios::binary);
+  file.seekp(static_cast<std::streamoff>(
+      0.7 * static_cast<double>(std::filesystem::file_size(Path("recording.bag")))));
+  file << std::string(2000, 'x');
+  file.close();
+  try {
+    ReadBag(Request());
+    FAIL() << "a damaged bag was read";
+  } catch (const InputError& error) {
+    EXPECT_NE(std::string(error.what()).find("is damaged"), std::string::npos) << error.what();
   }
 }
 

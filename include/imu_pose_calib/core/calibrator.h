@@ -23,7 +23,7 @@ using Progress = std::function<void(const std::string& stage, std::optional<int>
 /// samples, wrong units, no overlap, no motion). A motion that leaves part of the calibration
 /// undetermined gives status kDegenerate.
 Calibration Calibrate(const CalibrationOptions& options,
-                      const std::vector<SessionData>& sessions,
+                      std::vector<SessionData> sessions,
                       const Progress& progress = {});
 
 /// The same of a single recording.

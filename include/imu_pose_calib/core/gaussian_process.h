@@ -62,7 +62,7 @@ class WindowedGp {
   struct Window {
     double first_center;         ///< [s] centre of the bump of row 0
     Eigen::MatrixXd weights;     ///< bumps x D
-    Eigen::MatrixXd covariance;  ///< bumps x bumps, of the weights of one output; near bumps only
+    Eigen::MatrixXd covariance;  ///< of the weights of one output, see VarianceOf()
   };
   size_t IndexAt(double t) const;
   const Window& At(double t) const { return *windows_[IndexAt(t)]; }

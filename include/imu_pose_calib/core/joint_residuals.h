@@ -1,19 +1,20 @@
 #pragma once
 
-#include <ceres/cost_function.h>
-
+#include <functional>
 #include <memory>
 #include <utility>
 #include <vector>
 
 #include "imu_pose_calib/core/pose_trajectory.h"
+#include "imu_pose_calib/core/problem.h"
 #include "imu_pose_calib/core/spline.h"
 
 namespace imu_pose_calib {
 
-/// Residuals of the joint solve, doc/math.md Eqs. (9)-(14), with analytic Jacobians. A residual
-/// block holds consecutive samples that share all parameters, three rows in sigma for each: that
-/// keeps the normal equations to a few dense products. `phi` and `d` stand for kSplineOrder control
+/// Residuals of the joint solve, doc/math.md Eqs. (9)-(14), with analytic Jacobians: one cost
+/// function for all samples of a sensor, three rows in sigma for each. A residual block takes
+/// consecutive ones that share all parameters: that keeps the normal equations to a few dense
+/// products. `phi` and `d` stand for kSplineOrder control
 /// points each, blocks of 3.
 ///
 /// While the clocks are estimated, IMU samples move along the GP, which stays with the poses; the
@@ -30,24 +31,21 @@ struct ClockMotion {
 };
 using ClockMotions = std::shared_ptr<const std::vector<ClockMotion>>;
 
-/// Consecutive samples of a sensor, which those of all its residual blocks share.
+/// The samples of a sensor, either kept or made again whenever they are looked at.
 template <typename Sample>
 class Samples {
  public:
-  Samples(std::vector<Sample> all)  // NOLINT: all of them
-      : all_(std::make_shared<const std::vector<Sample>>(std::move(all))), count_(all_->size()) {}
-  Samples Part(size_t begin, size_t end) const {
-    Samples part = *this;
-    part.begin_ = begin_ + begin;
-    part.count_ = end - begin;
-    return part;
-  }
+  Samples(std::vector<Sample> kept)  // NOLINT: they are the samples
+      : count_(kept.size()), kept_(std::move(kept)) {}
+  Samples(size_t count, std::function<Sample(size_t)> make)
+      : count_(count), make_(std::move(make)) {}
   size_t size() const { return count_; }
-  const Sample& operator[](size_t i) const { return (*all_)[begin_ + i]; }
+  Sample operator[](size_t i) const { return make_ ? make_(i) : kept_[i]; }
 
  private:
-  std::shared_ptr<const std::vector<Sample>> all_;
-  size_t begin_ = 0, count_;
+  size_t count_;
+  std::vector<Sample> kept_;
+  std::function<Sample(size_t)> make_;
 };
 
 /// A pose of the marker where the trajectory has it while the clocks are where they stood when the
@@ -65,15 +63,13 @@ struct JointPoseSample {
 
 /// r = (p_meas - p_gp(t) - d(t) - s/2 (a_gp + d''(t))) / sigma, in W, s: pose_smoothing +
 /// position_smoothing. Blocks: d | pose_smoothing (1) | position_smoothing (1) | clocks.
-std::unique_ptr<ceres::CostFunction> CreateJointPositionResidual(
-    const Samples<JointPoseSample>& samples,
-    const ClockMotions& clocks);
+std::unique_ptr<SampledCost> CreateJointPositionResidual(Samples<JointPoseSample> samples,
+                                                         const ClockMotions& clocks);
 
 /// r = Log(Exp(s/2 (alpha_gp + phi''(t)))^T Exp(phi(t))^T R_gp(t)^T R_meas) / sigma, in M.
 /// Blocks: phi | pose_smoothing (1) | clocks.
-std::unique_ptr<ceres::CostFunction> CreateJointRotationResidual(
-    const Samples<JointPoseSample>& samples,
-    const ClockMotions& clocks);
+std::unique_ptr<SampledCost> CreateJointRotationResidual(Samples<JointPoseSample> samples,
+                                                         const ClockMotions& clocks);
 
 /// A sample of the gyroscope, and what accelerometers have, too.
 struct JointImuSample {
@@ -88,8 +84,8 @@ struct JointImuSample {
 /// r = (w - b_g - K_g R_MI^T omega_M(t)) / sigma, in I.
 /// Blocks: phi | q_MI (4, xyzw) | K_g (6, see GyroMatrix()) | bias knot_0 (3) | knot_1 (3) |
 /// clocks.
-std::unique_ptr<ceres::CostFunction> CreateJointGyroResidual(const Samples<JointImuSample>& samples,
-                                                             const ClockMotions& clocks);
+std::unique_ptr<SampledCost> CreateJointGyroResidual(Samples<JointImuSample> samples,
+                                                     const ClockMotions& clocks);
 
 /// Derivatives of the GP's motion, along which accelerometers move and over which they average.
 struct MarkerJerk {
@@ -110,9 +106,8 @@ struct JointAccelSample : JointImuSample {
 /// p is p_MI + R_MA r_i with r_i of AccelPositions() and R_MA about R_MI: it does not move.
 /// Blocks: d | phi | q_MI (4) | p_MI (3) | g_W (3) | K_a (9, see AccelMatrix()) | knot_0 (3) |
 /// knot_1 (3) | accel_smoothing (1) | pose_scale (1) | r (6) | clocks.
-std::unique_ptr<ceres::CostFunction> CreateJointAccelResidual(
-    const Samples<JointAccelSample>& samples,
-    const Eigen::Matrix3d& R_MA,
-    const ClockMotions& clocks);
+std::unique_ptr<SampledCost> CreateJointAccelResidual(Samples<JointAccelSample> samples,
+                                                      const Eigen::Matrix3d& R_MA,
+                                                      const ClockMotions& clocks);
 
 }  // namespace imu_pose_calib

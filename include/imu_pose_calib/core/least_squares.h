@@ -38,10 +38,10 @@ struct SensorStatistics {
 
 /// A sample in a problem.
 struct ProblemSample {
-  size_t index;                      ///< in the data
-  double t;                          ///< [s] pose clock
-  double sigma;                      ///< residual * sigma has the sensor's unit
-  double trajectory_variance = 0.0;  ///< share of sigma^2
+  double t;                         ///< [s] pose clock
+  uint32_t index;                   ///< in the data
+  float sigma;                      ///< residual * sigma has the sensor's unit
+  float trajectory_variance = 0.0;  ///< share of sigma^2
 };
 
 /// Residual blocks of a sensor, three rows in sigma for each sample. Their rows, one after the
@@ -169,7 +169,7 @@ struct LeastSquares {
   const Eigen::Vector3d& Rest(const SensorModel& model, size_t index) const;
 
  private:
-  std::vector<double> rows_;  ///< residuals where the estimate stands; empty: not known
+  std::vector<float> rows_;  ///< residuals where the estimate stands; empty: not known
 };
 
 /// The sample can be compared: t_M [s, pose clock] is inside of a segment and not at its very end.

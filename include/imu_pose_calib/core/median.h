@@ -7,7 +7,8 @@
 namespace imu_pose_calib {
 
 /// The middle value, the upper one of two. `values` must not be empty.
-inline double Median(std::vector<double> values) {
+template <typename T>
+T Median(std::vector<T> values) {
   const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
   std::nth_element(values.begin(), middle, values.end());
   return *middle;

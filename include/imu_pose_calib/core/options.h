@@ -129,8 +129,9 @@ struct CalibrationOptions {
   /// Threads. 0: one per processor.
   int num_threads = 0;
   /// When the factor of the normal equations would take more [MB], it is found again where it is
-  /// needed: memory grows less with the recording, and the solve takes longer by a third. There is
-  /// no TrajectoryCovariance then.
+  /// needed, and so is the trajectory where the samples are when those take more: memory grows less
+  /// with the recording, and the solve takes longer by a half. There is no TrajectoryCovariance
+  /// without the factor.
   double max_factor_mb = 128.0;
 
   // --- Uncertainty and verdict (S5) ---

@@ -3,6 +3,7 @@
 #include <ceres/cost_function.h>
 
 #include <Eigen/Core>
+#include <cstdint>
 #include <memory>
 #include <unordered_map>
 #include <vector>
@@ -10,6 +11,23 @@
 #include "imu_pose_calib/core/manifolds.h"
 
 namespace imu_pose_calib {
+
+/// A cost function of samples, three residuals each, of which a residual block can have a part.
+class SampledCost : public ceres::CostFunction {
+ public:
+  /// Residuals of the samples [begin, end); Jacobians have as many rows.
+  virtual bool EvaluatePart(size_t begin,
+                            size_t end,
+                            double const* const* parameters,
+                            double* residuals,
+                            double** jacobians) const = 0;
+  bool Evaluate(double const* const* parameters,
+                double* residuals,
+                double** jacobians) const override {
+    return EvaluatePart(
+        0, static_cast<size_t>(num_residuals()) / 3, parameters, residuals, jacobians);
+  }
+};
 
 /// Least squares: residual blocks r, cost functions of Ceres, of parameter blocks that others own;
 /// its cost is the sum of rho(|r|^2) / 2. Holds little beside them, so that it can be large and be
@@ -33,18 +51,26 @@ class Problem {
   void Restore(const std::vector<int>& blocks, const std::vector<double>& before) const;
 
   /// Of parameters that are there. `cauchy_scale`: rho is Cauchy's loss, 0: none.
-  int AddResiduals(std::unique_ptr<const ceres::CostFunction> cost,
+  int AddResiduals(std::shared_ptr<const ceres::CostFunction> cost,
                    const std::vector<int>& blocks,
                    double cauchy_scale = 0.0);
+  /// Of the samples [begin, end) of a cost function that was added last or is new.
+  int AddResiduals(const std::shared_ptr<const SampledCost>& cost,
+                   size_t begin,
+                   size_t end,
+                   const std::vector<int>& blocks);
   /// The same; parameters that are not there are added as vectors.
   int AddResidualsOf(const std::vector<double*>& parameters,
                      std::unique_ptr<const ceres::CostFunction> cost,
                      double cauchy_scale = 0.0);
   struct Residuals {
-    std::unique_ptr<const ceres::CostFunction> cost;
+    const ceres::CostFunction* cost;
     double cauchy_scale;
     size_t first_row, first_block;
+    uint32_t begin, end;  ///< samples of a SampledCost; 0: of any other cost function
 
+    int rows() const { return end > 0 ? 3 * static_cast<int>(end - begin) : cost->num_residuals(); }
+    bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const;
     /// rho'(|r|^2)
     double Weight(double squared_norm) const;
     double Cost(double squared_norm) const;
@@ -55,8 +81,8 @@ class Problem {
     return &blocks_of_residuals_[residuals.first_block];
   }
 
-  /// All rows without their losses, and the cost. False where they are not defined.
-  bool Evaluate(int threads, std::vector<double>* rows, double* cost) const;
+  /// All rows without their losses, rounded, and the cost. False where they are not defined.
+  bool Evaluate(int threads, std::vector<float>* rows, double* cost) const;
 
  private:
   struct ParameterBlock {
@@ -69,6 +95,7 @@ class Problem {
 
   std::vector<ParameterBlock> parameters_;
   std::unordered_map<const double*, int> number_;
+  std::vector<std::shared_ptr<const ceres::CostFunction>> costs_;
   std::vector<Residuals> residuals_;
   std::vector<int> blocks_of_residuals_;
   size_t rows_ = 0;

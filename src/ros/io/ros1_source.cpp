@@ -1,15 +1,23 @@
 #include <rosbag/bag.h>
 #include <rosbag/view.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <future>
+#include <thread>
+#include <utility>
 
 #include "imu_pose_calib/ros/io/message_source.h"
 
 namespace imu_pose_calib {
 namespace {
+
+/// Of what a thread reads at a time [s]: chunks at the ends are unfolded twice, all in it is held.
+constexpr double kShortestPart = 10.0, kLongestPart = 60.0;
+constexpr size_t kBeginning = 100;  // messages
 
 /// Opens a bag or throws InputError with the reason and the remedy.
 void Open(const std::string& path, rosbag::Bag* bag) {
@@ -36,9 +44,44 @@ void Open(const std::string& path, rosbag::Bag* bag) {
   }
 }
 
+/// Messages of a part of a recording, taken out of it.
+class Part {
+ public:
+  void Add(const rosbag::MessageInstance& message) {
+    const size_t begin = data_.size();
+    data_.resize(begin + message.size());
+    ros::serialization::OStream stream(data_.data() + begin, message.size());
+    message.write(stream);
+    messages_.push_back({message, begin, message.size()});
+  }
+  void Clear() {
+    messages_.clear();
+    data_.clear();
+  }
+  /// Whether `use` was true for all.
+  bool ForEach(const std::function<bool(const BagMessage&)>& use) const {
+    return std::all_of(messages_.begin(), messages_.end(), [&](const Message& m) {
+      const Ros1Message message{m.of.getTopic(),
+                                m.of.getDataType(),
+                                m.of.getMD5Sum(),
+                                m.of.getTime(),
+                                {reinterpret_cast<const char*>(data_.data()) + m.begin, m.size}};
+      return use(BagMessage(message));
+    });
+  }
+
+ private:
+  struct Message {
+    rosbag::MessageInstance of;  ///< for all but its data
+    size_t begin, size;
+  };
+  std::vector<Message> messages_;
+  std::vector<uint8_t> data_;
+};
+
 class Ros1Source : public MessageSource {
  public:
-  explicit Ros1Source(const std::vector<std::string>& paths) {
+  explicit Ros1Source(const std::vector<std::string>& paths) : paths_(paths) {
     for (const std::string& path : paths) {
       bags_.push_back(std::make_unique<rosbag::Bag>());
       Open(path, bags_.back().get());
@@ -69,13 +112,54 @@ class Ros1Source : public MessageSource {
     return counts;
   }
 
+  /// The bags are unfolded by all cores: parts that follow the one in hand by others that have
+  /// opened them, too, once that one has shown that more than its beginning is wanted.
   void ForEach(const std::vector<std::string>& topics,
                const ros::Time& start,
                const ros::Time& end,
                const std::function<bool(const BagMessage&)>& use) const override {
-    const auto view = View(topics, start, end);
-    for (const rosbag::MessageInstance& message : *view)
-      if (!use(BagMessage(message))) return;
+    const auto cores = std::max(1u, std::thread::hardware_concurrency());
+    helpers_.resize(cores - 1);
+    const double share_s = 1e-9 * static_cast<double>(end.toNSec() - start.toNSec()) / cores;
+    const auto length =
+        static_cast<uint64_t>(1e9 * std::clamp(share_s, kShortestPart, kLongestPart));
+    for (uint64_t begin = start.toNSec(); begin <= end.toNSec(); begin += cores * length) {
+      const auto rest = View(topics, ros::Time().fromNSec(begin), end);
+      if (rest->begin() == rest->end()) return;
+      begin = rest->getBeginTime().toNSec();  // after a gap of any length
+      const auto part = [&](unsigned k, const Ros1Source& source) {
+        const uint64_t first = begin + k * length;
+        const uint64_t last = std::min(first + length - 1, end.toNSec());
+        return first > last
+                   ? std::make_unique<rosbag::View>()
+                   : source.View(topics, ros::Time().fromNSec(first), ros::Time().fromNSec(last));
+      };
+      std::vector<std::future<Part>> others;
+      const auto read_ahead = [&] {
+        for (unsigned k = 1; k < cores; ++k) {
+          others.push_back(std::async(std::launch::async, [&, k] {
+            std::unique_ptr<Ros1Source>& helper = helpers_[k - 1];
+            if (!helper) helper = std::make_unique<Ros1Source>(paths_);
+            Part own;
+            const auto view = part(k, *helper);
+            for (const rosbag::MessageInstance& message : *view) own.Add(message);
+            return own;
+          }));
+        }
+      };
+      Part one;
+      size_t count = 0;
+      const auto view = part(0, *this);
+      for (const rosbag::MessageInstance& message : *view) {
+        one.Clear();
+        one.Add(message);
+        if (!one.ForEach(use)) return;
+        if (++count == kBeginning) read_ahead();
+      }
+      if (count < kBeginning) read_ahead();
+      for (std::future<Part>& other : others)
+        if (!other.get().ForEach(use)) return;
+    }
   }
 
  private:
@@ -88,7 +172,9 @@ class Ros1Source : public MessageSource {
     return view;
   }
 
+  const std::vector<std::string> paths_;
   std::vector<std::unique_ptr<rosbag::Bag>> bags_;
+  mutable std::vector<std::unique_ptr<Ros1Source>> helpers_;  ///< one for each further core
 };
 
 }  // namespace

@@ -305,7 +305,10 @@ OfflineResult CalibrateOffline(const OfflineRequest& given, const Progress& prog
   CheckTrajectories(given, requests, offline.sessions.front().imus.size(), offline);
   if (progress) progress("recording", 0);
   try {
-    offline.result = Calibrate(offline.options, offline.sessions, progress);
+    const bool is_kept = given.keep_data || !offline.report.empty();
+    offline.result = Calibrate(offline.options,
+                               is_kept ? offline.sessions : std::exchange(offline.sessions, {}),
+                               progress);
   } catch (const DataError& error) {
     Refuse(offline, error.what());
   }
@@ -313,7 +316,6 @@ OfflineResult CalibrateOffline(const OfflineRequest& given, const Progress& prog
     for (const std::string& note : info.notes) offline.result.warnings.push_back(note);
   if (!offline.result.IsUsable()) Refuse(offline, offline.result.message);
   offline.yaml = ToYaml(offline.result, offline.infos, offline.options);
-  if (offline.report.empty() && !given.keep_data) offline.sessions.clear();
   return offline;
 }
 

@@ -1,7 +1,9 @@
 #pragma once
 
-#include <rosbag/message_instance.h>
+#include <ros/message_traits.h>
+#include <ros/serialization.h>
 
+#include <boost/make_shared.hpp>
 #include <functional>
 #include <map>
 #include <memory>
@@ -16,6 +18,15 @@
 
 namespace imu_pose_calib {
 
+/// A message of ROS 1 as it was recorded.
+struct Ros1Message {
+  const std::string& topic;
+  const std::string& type;
+  const std::string& md5sum;  ///< of the type's definition
+  ros::Time time;             ///< of recording
+  std::string_view data;
+};
+
 /// A message of ROS 2 as it was recorded.
 struct Ros2Message {
   const std::string& topic;
@@ -27,20 +38,20 @@ struct Ros2Message {
 /// A message of a bag of ROS 1 or ROS 2, as long as the bag hands it out.
 class BagMessage {
  public:
-  explicit BagMessage(const rosbag::MessageInstance& ros1) : ros1_(&ros1) {}
+  explicit BagMessage(const Ros1Message& ros1) : ros1_(&ros1) {}
   explicit BagMessage(const Ros2Message& ros2) : ros2_(&ros2) {}
 
-  std::string topic() const { return ros1_ ? ros1_->getTopic() : ros2_->topic; }
-  std::string type() const { return ros1_ ? ros1_->getDataType() : ros2_->type; }
-  ros::Time time() const { return ros1_ ? ros1_->getTime() : ros2_->time; }
+  std::string topic() const { return ros1_ ? ros1_->topic : ros2_->topic; }
+  std::string type() const { return ros1_ ? ros1_->type : ros2_->type; }
+  ros::Time time() const { return ros1_ ? ros1_->time : ros2_->time; }
 
   /// The message. Throws InputError when its type is defined differently here.
   template <typename Msg>
   boost::shared_ptr<Msg> instantiate() const {  // NOLINT(readability-identifier-naming)
     boost::shared_ptr<Msg> msg;
-    if (ros1_)
-      msg = ros1_->instantiate<Msg>();
-    else if (ros2_->type == ros::message_traits::DataType<Msg>::value())
+    if (ros1_ && ros1_->md5sum == ros::message_traits::MD5Sum<Msg>::value())
+      msg = FromRos1<Msg>();
+    else if (ros1_ == nullptr && ros2_->type == ros::message_traits::DataType<Msg>::value())
       Decode([&](std::string_view data) { msg = boost::make_shared<Msg>(FromCdr<Msg>(data)); });
     if (!msg)
       throw InputError("topic '" + topic() + "' has another definition of " + type() +
@@ -52,7 +63,16 @@ class BagMessage {
   void Decode(const std::function<void(std::string_view)>& decode) const;
 
  private:
-  const rosbag::MessageInstance* ros1_ = nullptr;
+  template <typename Msg>
+  boost::shared_ptr<Msg> FromRos1() const {
+    auto msg = boost::make_shared<Msg>();
+    auto* data = reinterpret_cast<uint8_t*>(const_cast<char*>(ros1_->data.data()));
+    ros::serialization::IStream stream(data, static_cast<uint32_t>(ros1_->data.size()));
+    ros::serialization::deserialize(stream, *msg);
+    return msg;
+  }
+
+  const Ros1Message* ros1_ = nullptr;
   const Ros2Message* ros2_ = nullptr;
 };
 
