@@ -6,6 +6,8 @@
 #include <numeric>
 #include <utility>
 
+#include "imu_pose_calib/core/dense.h"
+
 namespace imu_pose_calib {
 namespace {
 
@@ -267,7 +269,7 @@ void Elimination::EliminatePanels(int begin,
     if (known > 0) llt.matrixL().solveInPlace(y);
     rest->inner.conservativeResizeLike(Eigen::MatrixXd::Zero(known, known));
     rest->inner.noalias() += y.transpose() * y;
-    F.bottomRightCorner(below, below).selfadjointView<Eigen::Lower>().rankUpdate(L, -1.0);
+    AddProduct(-1.0, L, L, true, F.bottomRightCorner(below, below));
     B.bottomRows(below).noalias() -= L * y;
     // What no residual here has is not there.
     auto update = std::make_shared<Update>();

@@ -9,6 +9,7 @@
 #include <limits>
 #include <utility>
 
+#include "imu_pose_calib/core/dense.h"
 #include "imu_pose_calib/core/median.h"
 #include "imu_pose_calib/core/parallel.h"
 
@@ -64,15 +65,27 @@ struct BumpValues {
     static const BumpArray kGaussian = (-(kSpacing * kSteps).square()).exp();
     const double z = (t - grid.first) / grid.lengthscale - kSpacing * (first_bump + kMiddle);
     const double ratio = std::exp(2.0 * z * kSpacing);
-    double up = std::exp(-z * z);
-    double down = up;
-    for (int j = kMiddle; j < kSupport; ++j, up *= ratio) value[j] = up * kGaussian[j];
-    for (int j = kMiddle - 1; j >= 0; --j) value[j] = (down /= ratio) * kGaussian[j];
+    // Up and down from the middle, in kLanes products that do not wait for each other.
+    const double inverse = 1.0 / ratio;
+    double factor = 1.0;
+    for (int lane = 0; lane < kLanes; ++lane) factor *= ratio;
+    const double inverse_factor = 1.0 / factor;
+    double up = std::exp(-z * z), down = up * inverse;
+    for (int lane = 0; lane < kLanes; ++lane, up *= ratio, down *= inverse) {
+      double value_up = up, value_down = down;
+      for (int j = lane; j < kMiddle; j += kLanes) {
+        value[kMiddle + j] = value_up * kGaussian[kMiddle + j];
+        value[kMiddle - 1 - j] = value_down * kGaussian[kMiddle - 1 - j];
+        value_up *= factor;
+        value_down *= inverse_factor;
+      }
+    }
     distance = z - kSpacing * kSteps;
   }
 
  private:
-  static constexpr int kMiddle = kHalfSupport;
+  static constexpr int kMiddle = kHalfSupport, kLanes = 5;
+  static_assert(kSupport == 2 * kMiddle, "as many below as above");
 };
 
 /// Values of the bumps around t and their first three time derivatives.
@@ -106,7 +119,7 @@ class BandedCholesky {
       if (next == 0) break;
       auto below = L_.block(i + n, i, next, n);
       diagonal.triangularView<Eigen::Lower>().transpose().solveInPlace<Eigen::OnTheRight>(below);
-      L_.block(i + n, i + n, next, next).noalias() -= below * below.transpose();
+      AddProduct(-1.0, below, below, true, L_.block(i + n, i + n, next, next));
     }
   }
 
@@ -137,11 +150,14 @@ class BandedCholesky {
       const Eigen::Index n = Size(i), next = Size(i + n);
       Eigen::MatrixXd inverse = Eigen::MatrixXd::Identity(n, n);
       L_.block(i, i, n, n).triangularView<Eigen::Lower>().solveInPlace(inverse);
-      S.block(i, i, n, n).noalias() = inverse.transpose() * inverse;
+      const Eigen::MatrixXd inverse_T = inverse.transpose();
+      AddProduct(1.0, inverse_T, inverse_T, false, S.block(i, i, n, n));
       if (next == 0) continue;
-      const Eigen::MatrixXd G = L_.block(i + n, i, next, n) * inverse;
-      const Eigen::MatrixXd below = -S.block(i + n, i + n, next, next) * G;
-      S.block(i, i, n, n).noalias() -= G.transpose() * below;
+      Eigen::MatrixXd G_T = Eigen::MatrixXd::Zero(n, next), below_T = G_T;
+      AddProduct(1.0, inverse_T, L_.block(i + n, i, next, n), false, G_T);
+      AddProduct(-1.0, G_T, S.block(i + n, i + n, next, next), false, below_T);
+      AddProduct(-1.0, G_T, below_T, false, S.block(i, i, n, n));
+      const Eigen::MatrixXd below = below_T.transpose();
       S.block(i + n, i, next, n) = below;
       S.block(i, i + n, n, next) = below.transpose();
     }
@@ -180,7 +196,7 @@ WeightPosterior FitWeights(const GpData& data,
     for (; i + count < end && count < kGroup && grid.FirstBump(data.t[i + count]) == j; ++count)
       F.col(count) = BumpValues(grid, j, data.t[i + count]).value;
     const auto group = F.leftCols(count);
-    A.block<kSupport, kSupport>(j, j).noalias() += group * group.transpose();
+    AddProduct(1.0, group, group, true, A.block<kSupport, kSupport>(j, j));
     b.middleRows<kSupport>(j).noalias() += group * data.y.middleRows(i, count);
     i += count;
   }

@@ -220,6 +220,7 @@ void SessionBuilder::AddPoses() {
   const auto add = [&](Quantity quantity, auto scale, auto create, auto blocks) {
     SensorBlocks* sensor = joint_->Find(quantity, session_);
     const SensorModel& model = *sensor->model;
+    sensor->samples.reserve(kept.size());
     for (const size_t i : kept)
       sensor->samples.push_back(
           {poses[i].t,
@@ -266,6 +267,7 @@ void SessionBuilder::AddImu(size_t imu,
   SensorBlocks* sensor = joint_->Find(quantity, session_, imu);
   const SensorModel& model = *sensor->model;
   std::vector<Run> runs;
+  sensor->samples.reserve(data.size());
   for (size_t i = 0; i < data.size(); ++i) {
     const double t_M = clock.PoseTime(data[i].t - delay);
     const auto span = places_->FindSpan(t_M);

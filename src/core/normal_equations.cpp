@@ -4,10 +4,14 @@
 #include <cmath>
 #include <utility>
 
+#include "imu_pose_calib/core/dense.h"
 #include "imu_pose_calib/core/types.h"
 
 namespace imu_pose_calib {
 namespace {
+
+using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+using RowMajor3 = Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor>;
 
 /// Whether two columns of J are each other's negative, by the lower triangle of J^T J: parameters
 /// that move the same samples along the trajectory, one on and one back.
@@ -66,13 +70,15 @@ class NormalEquations::Linearisation {
     if (!residuals_->Evaluate(parameters_.data(), r.data(), jacobians_.data())) return false;
     Eigen::Index column = 0;
     for (const Term& term : terms_) {
-      using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-      const Eigen::Map<const RowMajor> own(jacobians_[term.parameter], J.rows(), term.size);
-      if (term.curved < 0)
-        J.middleCols(column, term.columns) = own;
-      else
+      const double* const own = jacobians_[term.parameter];
+      if (term.curved >= 0)
         J.middleCols(column, term.columns).noalias() =
-            own * plus_[static_cast<size_t>(term.curved)];
+            Eigen::Map<const RowMajor>(own, J.rows(), term.size) *
+            plus_[static_cast<size_t>(term.curved)];
+      else if (term.size == 3)  // nearly all of them
+        J.middleCols<3>(column) = Eigen::Map<const RowMajor3>(own, J.rows(), 3);
+      else
+        J.middleCols(column, term.size) = Eigen::Map<const RowMajor>(own, J.rows(), term.size);
       column += term.columns;
     }
     const double squared_norm = r.squaredNorm();
@@ -109,7 +115,7 @@ class NormalEquations::Linearisation {
 
   std::vector<int> places;
   Eigen::VectorXd r;
-  Eigen::MatrixXd J;
+  RowMajor J;
   double cost = 0.0;
 
  private:
@@ -189,7 +195,7 @@ Panels NormalEquations::Assemble(size_t window,
     const Eigen::Index columns = at.J.cols();
     memory.assign(static_cast<size_t>(columns * columns), 0.0);
     Eigen::Map<Eigen::MatrixXd> product(memory.data(), columns, columns);
-    product.selfadjointView<Eigen::Lower>().rankUpdate(at.J.transpose());
+    AddProduct(1.0, at.J.transpose(), at.J.transpose(), true, product);
     score = at.J.transpose().lazyProduct(at.r);
     elimination_->Add(at.places, product, &panels);
     elimination_->AddRhs(at.places, static_cast<int>(window), score, &panels);
