@@ -34,6 +34,7 @@ constexpr double kRestRate = 0.05;    // [rad/s] rms
 constexpr double kRestForce = 0.15;   // [m/s^2] rms about the mean
 constexpr double kMinRest = 0.9;      // [s]
 constexpr double kMotionStep = 0.02;  // [s]
+constexpr double kPause = 1.0;        // [s] longer than between bunches
 constexpr double kDriftBlock = 2.0;   // [s] of samples whose errors may be correlated
 constexpr size_t kDriftSamples = 8000;
 
@@ -76,8 +77,13 @@ StreamCheck CheckStream(const std::vector<Sample>& samples) {
     periods.push_back(1e-9 * static_cast<double>(stamps[i] - stamps[i - 1]));
   check.longest_gap_s = *std::max_element(periods.begin(), periods.end());
   double period = Median(periods);
-  // Of samples that come in bunches, the median period is that inside of a bunch.
-  const double mean = check.duration_s / static_cast<double>(periods.size());
+  // Of samples that come in bunches, the median period is that inside of a bunch. Pauses are none.
+  double mean = 0.0, count = 0.0;
+  for (const double p : periods) {
+    mean += p < kPause ? p : 0.0;
+    count += p < kPause ? 1.0 : 0.0;
+  }
+  mean /= std::max(1.0, count);
   if (period < kBunch * mean) period = mean;
   if (period <= 0.0) return check;
   check.rate_hz = 1.0 / period;

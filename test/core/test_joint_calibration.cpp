@@ -7,6 +7,7 @@
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/simulator.h"
 #include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/core/solution.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -161,7 +162,7 @@ TEST(JointCalibration, EstimatesScaleAndMisalignment) {
 }
 
 TEST(JointCalibration, FindsAxesOfTheAccelerometerThatAreApart) {
-  SimulatorOptions truth = Recording(1e-3, 23);
+  SimulatorOptions truth = Recording(5e-3, 23);
   truth.duration_s = 30.0;
   truth.motion = Motion::kTumble;
   truth.effects.size_effect = 6e-3;
@@ -214,6 +215,30 @@ TEST(JointCalibration, EstimatesClockDrift) {
               truth.clock_drift,
               4.5 * result.sessions[0].imus[0].clock_drift_std);
   EXPECT_LT(result.sessions[0].imus[0].clock_drift_std, 5e-6);
+}
+
+/// Seconds, on which the knot spacing is chosen, tell the drift to some ppm: after hours, samples
+/// would be spans away from where they are.
+TEST(JointCalibration, StartsFromTheClocksOfTheWholeRecording) {
+  SimulatorOptions truth = Recording(5e-3, 23);
+  truth.duration_s = 40.0;
+  SessionData data = Simulate(truth);
+  const int64_t middle_ns = data.poses[data.poses.size() / 2].t_ns, pause_ns = 14'400'000'000'000;
+  const auto pause = [&](auto* samples) {
+    for (auto& sample : *samples)
+      if (sample.t_ns > middle_ns) sample.t_ns += pause_ns;
+  };
+  pause(&data.poses);
+  pause(&data.imus[0].gyro);
+  pause(&data.imus[0].accel);
+  const Calibration result = Calibrate({}, data);
+  EXPECT_LE(result.solution->iterations, 8);
+  EXPECT_LT(std::abs(result.sessions[0].imus[0].clock_drift), 1e-7);
+  EXPECT_LT((result.imus[0].T_MI.p - truth.T_MI.p)
+                .cwiseQuotient(result.imus[0].Std().head<3>())
+                .cwiseAbs()
+                .maxCoeff(),
+            4.5);
 }
 
 TEST(JointCalibration, TellsHowMuchPosesAreSmoothed) {
