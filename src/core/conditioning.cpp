@@ -236,20 +236,18 @@ std::vector<double> FromMiddle(const std::vector<ImuSample>& samples, IndexRange
     for (size_t k = range.begin; k < range.end; ++k) values.push_back(samples[k].value[axis]);
     middle[axis] = Median(std::move(values));
   }
-  std::vector<double> distances;
-  for (size_t k = range.begin; k < range.end; ++k)
-    distances.push_back((samples[k].value - middle).norm());
+  std::vector<double> distances(range.size());
+  for (size_t k = 0; k < range.size(); ++k)
+    distances[k] = (samples[range.begin + k].value - middle).norm();
   return distances;
 }
 
 /// Spikes leave and are counted: up to three samples in a row, off their neighbours by many times
-/// the usual step from sample to sample and the spread of these neighbours: that of a hard knock is
-/// wide. A closed form cannot bear them, and a solve with robust weights would not believe the
-/// motion around them either.
+/// the usual step and the spread of these neighbours: that of a hard knock is wide. A closed form
+/// cannot bear them, and robust weights would not believe the motion around them either.
 void RemoveSpikes(std::vector<ImuSample>* spiky, StreamReport* report) {
   if (spiky->size() < 2) return;
-  const std::vector<ImuSample> samples = std::move(*spiky);
-  spiky->clear();
+  const std::vector<ImuSample> samples = std::exchange(*spiky, {});
   const auto around = [&](size_t i, size_t reach) {
     return IndexRange{i - std::min(i, reach), std::min(i + reach + 1, samples.size())};
   };
@@ -259,15 +257,21 @@ void RemoveSpikes(std::vector<ImuSample>* spiky, StreamReport* report) {
       steps.push_back((samples[i].value - samples[i - 1].value).norm());
     return Median(std::move(steps));
   };
-  const double usual_in_log = usual_step({0, samples.size()});
+  const double least = kSpikeSteps * usual_step({0, samples.size()});
   for (size_t i = 0; i < samples.size(); ++i) {
     const IndexRange near = around(i, kSpikeReach);
-    const std::vector<double> distances = FromMiddle(samples, near);
-    const double off = distances[i - near.begin];
-    const bool is_spike = off > kSpikeSteps * usual_in_log &&
-                          off > kSpikeSteps * usual_step(around(i, kStepReach)) &&
-                          off > kSpikeSpreads * Median(distances);
-    if (!is_spike) spiky->push_back(samples[i]);
+    // No further off the middle than off the furthest of them, by component.
+    Eigen::Vector3d furthest = Eigen::Vector3d::Zero();
+    for (size_t k = near.begin; k < near.end; ++k)
+      furthest = furthest.cwiseMax((samples[k].value - samples[i].value).cwiseAbs());
+    if (furthest.norm() > least) {
+      const std::vector<double> distances = FromMiddle(samples, near);
+      const double off = distances[i - near.begin];
+      if (off > std::max(least, kSpikeSteps * usual_step(around(i, kStepReach))) &&
+          off > kSpikeSpreads * Median(distances))
+        continue;
+    }
+    spiky->push_back(samples[i]);
   }
   report->outlier = samples.size() - spiky->size();
 }

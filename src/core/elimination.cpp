@@ -90,9 +90,10 @@ Elimination::Elimination(const std::vector<int>& sizes,
     columns_ += sizes[b];
   }
 
+  std::vector<int> places;
   for (const std::vector<int>& blocks : residuals) {
     if (blocks.empty()) continue;
-    std::vector<int> places;
+    places.clear();
     for (const int block : blocks) places.push_back(place(block));
     Shape& shape = shapes_[Index(panel_[Index(*std::min_element(places.begin(), places.end()))])];
     for (const int k : places)

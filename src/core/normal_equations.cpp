@@ -164,7 +164,9 @@ NormalEquations::NormalEquations(const Problem& problem,
       first_of_window_.push_back(k);
     const Problem::Residuals& own = problem.residuals(equations_[k].block);
     const int* blocks = problem.BlocksOf(own);
-    for (size_t i = 0; i < own.cost->parameter_block_sizes().size(); ++i) {
+    const size_t count = own.cost->parameter_block_sizes().size();
+    residuals[k].reserve(count);
+    for (size_t i = 0; i < count; ++i) {
       const int place = places_[static_cast<size_t>(blocks[i])].place;
       if (place >= 0) residuals[k].push_back(place);
     }
