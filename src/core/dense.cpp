@@ -73,8 +73,8 @@ void AddProduct(double scale,
                 bool is_lower,
                 DenseRef C) {
 #ifdef IMU_POSE_CALIB_AVX2
-  static const bool has_avx2 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
-  if (has_avx2 && C.rows() >= 4)
+  static const bool kHasAvx2 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
+  if (kHasAvx2 && C.rows() >= 4)
     return AddWithAvx2({scale,
                         C.rows(),
                         C.cols(),

@@ -328,8 +328,8 @@ double LogMarginalLikelihood(const GpData& data,
   double length_fit = 0.0;
   double tr_length = 0.0;
   double residual_norm2 = 0.0;
-  Eigen::MatrixXd A_inv;
-  if (gradient != nullptr) A_inv = posterior.A.InverseInBand();
+  Eigen::MatrixXd inverse;  // of A, in its band
+  if (gradient != nullptr) inverse = posterior.A.InverseInBand();
   for (Eigen::Index i = 0; i < n; ++i) {
     const int j = grid.FirstBump(data.t[i]);
     const BumpValues bumps(grid, j, data.t[i]);
@@ -341,7 +341,7 @@ double LogMarginalLikelihood(const GpData& data,
     // d F / d log l; the 1/2 is the change of weight_std per length of a fixed grid.
     const Eigen::Matrix<double, kSupport, 1> df = f.array() * (2.0 * bumps.distance.square() - 0.5);
     length_fit += (residual / noise2).dot(df.transpose() * mean);
-    tr_length += f.dot(A_inv.block<kSupport, kSupport>(j, j).lazyProduct(df)) / noise2;
+    tr_length += f.dot(inverse.block<kSupport, kSupport>(j, j).lazyProduct(df)) / noise2;
   }
   fit += residual_norm2 / noise2;
   const double log_likelihood =
@@ -350,7 +350,7 @@ double LogMarginalLikelihood(const GpData& data,
           (posterior.A.LogDeterminant() + static_cast<double>(n) * std::log(2.0 * M_PI * noise2));
 
   if (gradient != nullptr) {
-    const double trace_A_inv = A_inv.trace();
+    const double trace_A_inv = inverse.trace();
     const double m = grid.size;
     (*gradient)[0] = length_fit - outputs * tr_length;
     (*gradient)[1] = posterior.mean.squaredNorm() - outputs * (m - trace_A_inv);

@@ -162,7 +162,7 @@ TEST(JointCalibration, EstimatesScaleAndMisalignment) {
 }
 
 TEST(JointCalibration, FindsAxesOfTheAccelerometerThatAreApart) {
-  SimulatorOptions truth = Recording(5e-3, 23);
+  SimulatorOptions truth = Recording(1e-3, 23);
   truth.duration_s = 30.0;
   truth.motion = Motion::kTumble;
   truth.effects.size_effect = 6e-3;
