@@ -7,6 +7,7 @@
 #include <filesystem>
 #include <fstream>
 #include <future>
+#include <map>
 #include <thread>
 #include <utility>
 
@@ -17,7 +18,8 @@ namespace {
 
 /// Of what a thread reads at a time [s]: chunks at the ends are unfolded twice, all in it is held.
 constexpr double kShortestPart = 10.0, kLongestPart = 60.0;
-constexpr size_t kBeginning = 100;  // messages
+constexpr unsigned kMostCores = 8;
+constexpr size_t kBeginning = 100, kSmall = 4096;  // messages, and [bytes] of one of these
 
 /// Opens a bag or throws InputError with the reason and the remedy.
 void Open(const std::string& path, rosbag::Bag* bag) {
@@ -113,12 +115,13 @@ class Ros1Source : public MessageSource {
   }
 
   /// The bags are unfolded by all cores: parts that follow the one in hand by others that have
-  /// opened them, too, once that one has shown that more than its beginning is wanted.
+  /// opened them, too, once that one has shown that more than its beginning is wanted, and that
+  /// messages are small enough to be held.
   void ForEach(const std::vector<std::string>& topics,
                const ros::Time& start,
                const ros::Time& end,
                const std::function<bool(const BagMessage&)>& use) const override {
-    const auto cores = std::max(1u, std::thread::hardware_concurrency());
+    const unsigned cores = std::clamp(std::thread::hardware_concurrency(), 1u, kMostCores);
     helpers_.resize(cores - 1);
     const double share_s = 1e-9 * static_cast<double>(end.toNSec() - start.toNSec()) / cores;
     const auto length =
@@ -127,38 +130,37 @@ class Ros1Source : public MessageSource {
       const auto rest = View(topics, ros::Time().fromNSec(begin), end);
       if (rest->begin() == rest->end()) return;
       begin = rest->getBeginTime().toNSec();  // after a gap of any length
-      const auto part = [&](unsigned k, const Ros1Source& source) {
+      const auto view = [&](unsigned k, const Ros1Source& source) {
         const uint64_t first = begin + k * length;
         const uint64_t last = std::min(first + length - 1, end.toNSec());
-        return first > last
-                   ? std::make_unique<rosbag::View>()
-                   : source.View(topics, ros::Time().fromNSec(first), ros::Time().fromNSec(last));
+        return source.View(topics, ros::Time().fromNSec(first), ros::Time().fromNSec(last));
       };
-      std::vector<std::future<Part>> others;
-      const auto read_ahead = [&] {
-        for (unsigned k = 1; k < cores; ++k) {
-          others.push_back(std::async(std::launch::async, [&, k] {
-            std::unique_ptr<Ros1Source>& helper = helpers_[k - 1];
-            if (!helper) helper = std::make_unique<Ros1Source>(paths_);
-            Part own;
-            const auto view = part(k, *helper);
-            for (const rosbag::MessageInstance& message : *view) own.Add(message);
-            return own;
-          }));
-        }
-      };
+      std::map<unsigned, std::future<Part>> others;
       Part one;
-      size_t count = 0;
-      const auto view = part(0, *this);
-      for (const rosbag::MessageInstance& message : *view) {
-        one.Clear();
-        one.Add(message);
-        if (!one.ForEach(use)) return;
-        if (++count == kBeginning) read_ahead();
+      size_t count = 0, largest = 0;
+      for (unsigned k = 0; k < cores && begin + k * length <= end.toNSec(); ++k) {
+        if (others.count(k) > 0) {
+          if (!others[k].get().ForEach(use)) return;
+          continue;
+        }
+        const auto own = view(k, *this);
+        for (const rosbag::MessageInstance& message : *own) {
+          one.Clear();
+          one.Add(message);
+          if (!one.ForEach(use)) return;
+          largest = std::max<size_t>(largest, message.size());
+          if (++count != kBeginning || largest > kSmall) continue;
+          for (unsigned j = k + 1; j < cores && begin + j * length <= end.toNSec(); ++j)
+            others[j] = std::async(std::launch::async, [this, &view, j] {
+              std::unique_ptr<Ros1Source>& helper = helpers_[j - 1];
+              if (!helper) helper = std::make_unique<Ros1Source>(paths_);
+              Part part;
+              const auto its = view(j, *helper);
+              for (const rosbag::MessageInstance& ahead : *its) part.Add(ahead);
+              return part;
+            });
+        }
       }
-      if (count < kBeginning) read_ahead();
-      for (std::future<Part>& other : others)
-        if (!other.get().ForEach(use)) return;
     }
   }
 
