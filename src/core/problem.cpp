@@ -131,7 +131,7 @@ bool Problem::Evaluate(int threads, std::vector<float>* rows, double* cost) cons
         return;
       }
       costs[p] += own.Cost(r.squaredNorm());
-      std::copy(r.begin(), r.end(), rows->begin() + static_cast<ptrdiff_t>(own.first_row));
+      std::copy_n(r.data(), r.size(), rows->begin() + static_cast<ptrdiff_t>(own.first_row));
     }
   });
   *cost = 0.0;
