@@ -37,10 +37,15 @@ bool LowerCutoff(double rate_hz, double cutoff, GpHyperparameters* h) {
   return true;
 }
 
-/// The samples of a run without a gap.
-void Smooth(double rate_hz, double cutoff, int threads, TimedSample* begin, TimedSample* end) {
+/// The samples of a run without a gap; `noise_scale` of each, empty: they are alike.
+void Smooth(double rate_hz,
+            double cutoff,
+            int threads,
+            TimedSample* begin,
+            TimedSample* end,
+            const Eigen::VectorXd& noise_scale = Eigen::VectorXd()) {
   const auto n = static_cast<Eigen::Index>(end - begin);
-  GpData data{Eigen::VectorXd(n), Eigen::MatrixXd(n, 3)};
+  GpData data{Eigen::VectorXd(n), Eigen::MatrixXd(n, 3), noise_scale};
   for (Eigen::Index i = 0; i < n; ++i) {
     data.t[i] = begin[i].t;
     data.y.row(i) = begin[i].value;
@@ -72,6 +77,37 @@ void Smooth(double rate_hz, double cutoff, int threads, std::vector<TimedSample>
     if (s + 1 != end && (s + 1)->t - s->t <= max_gap) continue;
     Smooth(rate_hz, cutoff, threads, begin, s + 1);
     begin = s + 1;
+  }
+}
+
+/// Smooths the errors of the poses about the session's trajectory. `error` [m or rad] of a pose,
+/// `move` it to another error, `scale` of its noise.
+template <typename Error, typename Move>
+void SmoothErrors(double cutoff,
+                  int threads,
+                  const Error& error,
+                  const Move& move,
+                  double TimedPose::*scale,
+                  PreparedSession* session) {
+  for (const IndexRange& segment : session->data.segments) {
+    TimedPose* const poses = session->data.poses.data() + segment.begin;
+    std::vector<MarkerState<double>> states(segment.size());
+    std::vector<TimedSample> errors(segment.size());
+    Eigen::VectorXd scales(segment.size());
+    InParallel(threads, (segment.size() + kPortion - 1) / kPortion, [&](size_t p) {
+      for (size_t i = p * kPortion; i < std::min(segment.size(), (p + 1) * kPortion); ++i) {
+        session->trajectory->Evaluate(poses[i].t, &states[i]);
+        errors[i] = {poses[i].t, error(states[i], poses[i])};
+        scales[static_cast<Eigen::Index>(i)] = poses[i].*scale;
+      }
+    });
+    Smooth(session->data.pose_report.rate_hz,
+           cutoff,
+           threads,
+           errors.data(),
+           errors.data() + errors.size(),
+           scales);
+    for (size_t i = 0; i < segment.size(); ++i) move(states[i], errors[i], &poses[i]);
   }
 }
 
@@ -108,6 +144,33 @@ PreparedSession LimitBand(const PreparedSession& session, double cutoff, int thr
       }
     }
   }
+  if (!is_position_lower)
+    SmoothErrors(
+        cutoff,
+        threads,
+        [](const auto& state, const TimedPose& pose) -> Eigen::Vector3d {
+          return pose.p_WM - state.p_WM;
+        },
+        [](const auto& state, const TimedSample& smooth, TimedPose* pose) {
+          pose->position_rest = smooth.rest;
+          pose->p_WM = state.p_WM + smooth.value;
+        },
+        &TimedPose::position_scale,
+        &limited);
+  if (!is_rotation_lower)
+    SmoothErrors(
+        cutoff,
+        threads,
+        [](const auto& state, const TimedPose& pose) {
+          return Log(Eigen::Quaterniond(state.q_WM.conjugate() * pose.q_WM));
+        },
+        [](const auto& state, const TimedSample& smooth, TimedPose* pose) {
+          const Eigen::Quaterniond q_WM = state.q_WM * Exp(smooth.value);
+          pose->rotation_rest = Log(Eigen::Quaterniond(q_WM.conjugate() * pose->q_WM));
+          pose->q_WM = q_WM;
+        },
+        &TimedPose::rotation_scale,
+        &limited);
   return limited;
 }
 

@@ -195,8 +195,12 @@ WeightPosterior FitWeights(const GpData& data,
     Eigen::Index count = 0;
     for (; i + count < end && count < kGroup && grid.FirstBump(data.t[i + count]) == j; ++count)
       F.col(count) = BumpValues(grid, j, data.t[i + count]).value;
-    const auto group = F.leftCols(count);
+    auto group = F.leftCols(count);
+    if (data.noise_scale.size() > 0)
+      group *= data.noise_scale.segment(i, count).cwiseInverse().asDiagonal();
     AddProduct(1.0, group, group, true, A.block<kSupport, kSupport>(j, j));
+    if (data.noise_scale.size() > 0)
+      group *= data.noise_scale.segment(i, count).cwiseInverse().asDiagonal();
     b.middleRows<kSupport>(j).noalias() += group * data.y.middleRows(i, count);
     i += count;
   }

@@ -8,9 +8,9 @@ namespace imu_pose_calib {
 /// can hold [Hz].
 inline double Band(double spacing_s) { return 0.75 * 0.5 / spacing_s; }
 
-/// The session with nothing beyond `cutoff` [Hz] in its trajectory nor in the samples of its IMUs,
-/// all smoothed alike; what is taken from a sample is its `rest`. Poses follow where the trajectory
-/// had to be smoothed. doc/math.md, S4, "One band".
+/// The session with nothing beyond `cutoff` [Hz] in its trajectory, its poses and the samples of
+/// its IMUs, all smoothed alike; what is taken from a sample is its `rest`. doc/math.md, S4, "One
+/// band".
 PreparedSession LimitBand(const PreparedSession& session, double cutoff, int threads);
 
 }  // namespace imu_pose_calib

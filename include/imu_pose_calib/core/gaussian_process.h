@@ -19,6 +19,8 @@ struct GpHyperparameters {
 struct GpData {
   Eigen::VectorXd t;  ///< [s]
   Eigen::MatrixXd y;  ///< N x D, D <= 4
+  /// Noise of each over GpHyperparameters::noise_std; empty: 1. Of WindowedGp.
+  Eigen::VectorXd noise_scale = Eigen::VectorXd();
 };
 
 /// Gaussian process regression with one 1-D input and D independent outputs that share their
