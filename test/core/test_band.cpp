@@ -163,10 +163,10 @@ TEST(OneBand, VibrationThatComesBackThroughGapsFeignsNoSmoothing) {
   truth.effects.rocking = 0.11;
   SessionData data = Simulate(truth);
   std::mt19937 random(2);
+  std::uniform_real_distribution<> share(0.0, 1.0);
+  const auto is_lost = [&](const ImuSample&) { return share(random) <= 0.03; };
   std::vector<ImuSample>& accel = data.imus[0].accel;
-  accel.erase(std::remove_if(
-                  accel.begin(), accel.end(), [&](const ImuSample&) { return random() % 100 < 3; }),
-              accel.end());
+  accel.erase(std::remove_if(accel.begin(), accel.end(), is_lost), accel.end());
   const Calibration result = Calibrate({}, data);
   EXPECT_LT(std::abs(result.position_smoothing), 1e-3);
   const Eigen::Vector3d error = result.imus[0].T_MI.p - truth.T_MI.p;
