@@ -4,6 +4,8 @@
 #include <cmath>
 #include <limits>
 #include <memory>
+#include <optional>
+#include <utility>
 
 #include "imu_pose_calib/core/band.h"
 #include "imu_pose_calib/core/joint_noise.h"
@@ -18,6 +20,9 @@ constexpr int kMaxPasses = 6, kMaxNoisePasses = 10;
 
 /// Of the noise of poses that S1 finds: a trajectory that follows every pose shows none.
 constexpr double kLeastPositionNoise = 0.25, kLeastRotationNoise = 0.1;
+
+/// Sigmas of a size effect that is shown, and of one that could be with other weights.
+constexpr double kShownSize = 5.0, kPossibleSize = 3.0;
 
 constexpr double kStep = 0.02;              // [s] between the instants looked at
 constexpr double kExcerpt = 8.0;            // [s] on which the knot spacing is chosen
@@ -170,21 +175,20 @@ class JointSolver {
   /// outlier before it can move the calibration. The noise within the band is measured while
   /// sensors weigh by their spread.
   Solution Solve() {
-    Pass(true);
+    Pass(Calibration::kHeld);
     NextPass(Noise());
     in_band_ = NoiseInBand(*problem_, splines_, statistics_);
     int pass = 2;
     do ++pass;
-    while (NextPass(ColoredNoise()) > kNoiseAgreement && pass < kMaxPasses);
+    while (NextPass(ColoredNoise(), Calibration::kTested) > kNoiseAgreement && pass < kMaxPasses);
+    BuildLast();
+    if (may_show_sizes_ && Release()) BuildLast();
+    FeignInformation(splines_, problem_.get());
     Solution solution;
-    solution.marginals = LastStep();
-    if (Release(solution.marginals.shown)) {
-      TakeStep(solution.marginals);
-      statistics_ = problem_->FindStatistics();
-      solution.marginals = LastStep();
-    }
+    solution.marginals = FindMarginals(problem_.get());
     solution.statistics = statistics_;
-    TakeStep(solution.marginals);
+    // Of everything: trajectories, gravity and biases too.
+    FollowClocks([&] { problem_->Move(solution.marginals.step); });
     solution.residuals = problem_->TakeResiduals();
     problem_.reset();
     solution.models = std::move(models_);
@@ -194,26 +198,23 @@ class JointSolver {
   }
 
  private:
-  /// The step that remains with weights by the last residuals, and the covariance.
-  Marginals LastStep() {
+  /// What a pass does with it. Tested: it also finds whether there may be size effects.
+  enum class Calibration { kHeld, kFound, kTested };
+
+  /// With weights by the last residuals.
+  void BuildLast() {
     SetNoise(ColoredNoise());
     Build();
-    FeignInformation(splines_, problem_.get());
-    return FindMarginals(problem_.get());
   }
 
-  /// Of everything: trajectories, gravity and biases too.
-  void TakeStep(const Marginals& marginals) {
-    FollowClocks([&] { problem_->Move(marginals.blocks, marginals.step); });
-  }
-
-  /// From now on these are estimated; whether there are any.
-  bool Release(const std::vector<Parameter>& shown) {
-    for (const Parameter& size : shown) {
-      holds_size_[size.imu] = false;
-      problem_->problem.SetHeld(size.data, false);
-    }
-    return !shown.empty();
+  /// From now on the size effects that the data show are estimated; whether there are any.
+  bool Release() {
+    const SizeTest test = TestSizes(problem_.get(), kShownSize, true);
+    if (test.shown.empty()) return false;
+    for (const Parameter& size : test.shown) holds_size_[size.imu] = false;
+    FollowClocks([&] { problem_->Move(test.step); });
+    statistics_ = problem_->FindStatistics();
+    return true;
   }
 
   /// What is believed of a sensor's noise at least.
@@ -233,10 +234,18 @@ class JointSolver {
         problem_->problem.SetHeld(estimate_->imus[i].accel_positions.data(), true);
   }
 
-  void Pass(bool hold_calibration = false) {
+  void Pass(Calibration calibration = Calibration::kFound) {
     Build();
-    if (hold_calibration) HoldCalibration(problem_.get());
-    FollowClocks([&] { iterations_ += problem_->Solve(kRoughTolerance); });
+    if (calibration == Calibration::kHeld) HoldCalibration(problem_.get());
+    FollowClocks([&] {
+      std::optional<GaussNewtonStep> first;
+      if (calibration == Calibration::kTested && options_.estimate_size_effect) {
+        SizeTest test = TestSizes(problem_.get(), kPossibleSize, false);
+        may_show_sizes_ = !test.shown.empty();
+        first = std::move(test.step);
+      }
+      iterations_ += problem_->Solve(kRoughTolerance, std::move(first));
+    });
     statistics_ = problem_->FindStatistics();
     // No source averages rotations over longer than positions: other errors look like that.
     if (estimate_->position_smoothing < 0.0) {
@@ -261,10 +270,10 @@ class JointSolver {
 
   /// A pass with `noise` and the weights that follow from it and the last residuals; the largest
   /// factor by which the noise of a sensor that is found changes.
-  double NextPass(const std::vector<double>& noise) {
+  double NextPass(const std::vector<double>& noise, Calibration calibration = Calibration::kFound) {
     const std::vector<double> before = Noise();
     SetNoise(noise);
-    Pass();
+    Pass(calibration);
     const std::vector<double> after = Noise();
     double change = 1.0;
     for (size_t k = 0; k < after.size(); ++k)
@@ -306,6 +315,7 @@ class JointSolver {
   std::vector<double> floor_;                 ///< of the noise, by sensor
   bool holds_position_smoothing_ = false;     ///< at 0
   std::vector<bool> holds_size_;              ///< of each IMU: no size effect
+  bool may_show_sizes_ = false;
   int iterations_ = 0;
 };
 

@@ -28,8 +28,8 @@ constexpr double kLeastRedundancy = 0.1;
 constexpr double kWindows = 24.0;
 constexpr double kShortestWindow = 2.0;
 constexpr double kRounding = 1e-6;
-/// Of them, that a step eliminates together: enough are left for all cores.
-constexpr int kJoined = 3;
+/// Of them, that a step has, others being joined: enough for all cores.
+constexpr int kStepWindows = 8;
 
 /// Share of the diagonal of H that is added to it after a step that does not reduce the cost by a
 /// share kLeastGain of what it should (Levenberg-Marquardt); less than this is none.
@@ -40,12 +40,6 @@ constexpr double kLeastStep = 1e-8;
 double Norm(const std::vector<double>& x) {
   return Eigen::Map<const Eigen::VectorXd>(x.data(), static_cast<Eigen::Index>(x.size())).norm();
 }
-
-struct GaussNewtonStep {
-  Eigen::VectorXd x;  ///< of the blocks
-  double cost;        ///< where it begins
-  double decrease;    ///< of the cost, if the residuals were linear; NaN when there is no step
-};
 
 GaussNewtonStep FindStep(const NormalEquations& equations,
                          double damping,
@@ -79,7 +73,8 @@ GaussNewtonStep FindStep(const NormalEquations& equations,
   Reduced reduced = elimination.Reduce(parts, weights, true, &shared);
   for (Eigen::Index k = 0; k < reduced.H.rows(); ++k)
     if (reduced.H(k, k) == 0.0) reduced.H(k, k) = 1.0;  // nothing acts on it: it stays
-  GaussNewtonStep step{Eigen::VectorXd::Zero(elimination.columns()),
+  GaussNewtonStep step{equations.blocks(),
+                       Eigen::VectorXd::Zero(elimination.columns()),
                        std::accumulate(costs.begin(), costs.end(), 0.0),
                        std::nan("")};
   const Eigen::LLT<Eigen::MatrixXd> llt(reduced.H);
@@ -294,7 +289,7 @@ std::vector<Equation> LeastSquares::Equations() const {
   return equations;
 }
 
-int LeastSquares::Solve(double function_tolerance) {
+NormalEquations LeastSquares::StepEquations() const {
   std::vector<int> border, inner = BiasBlocks();
   const auto add_border = [&](const double* data) {
     if (problem.IsEstimated(data)) border.push_back(problem.Find(data));
@@ -303,21 +298,27 @@ int LeastSquares::Solve(double function_tolerance) {
   for (SessionEstimate& session : estimate->sessions) add_border(session.g_W.data());
   inner.insert(inner.end(), trajectory_blocks.begin(), trajectory_blocks.end());
   std::vector<Equation> all = Equations();
-  for (Equation& equation : all) equation.window /= kJoined;
-  const NormalEquations equations(
-      problem, border, inner, std::move(all), static_cast<size_t>(windows.count() / kJoined + 1));
+  const int joined = std::max(1, windows.count() / kStepWindows);
+  for (Equation& equation : all) equation.window /= joined;
+  const auto count = static_cast<size_t>((windows.count() - 1) / joined + 1);
+  return {problem, border, inner, std::move(all), count};
+}
 
+int LeastSquares::Solve(double function_tolerance, std::optional<GaussNewtonStep> first) {
+  std::optional<NormalEquations> equations;
   double damping = 0.0, growth = 2.0;
   for (int iteration = 1; iteration <= options.max_iterations; ++iteration) {
+    if (!first && !equations) equations.emplace(StepEquations());
     const GaussNewtonStep step =
-        FindStep(equations, damping, options.max_factor_mb, options.Threads());
-    const std::vector<double> before = problem.Move(equations.blocks(), step.x);
+        first ? *std::exchange(first, std::nullopt)
+              : FindStep(*equations, damping, options.max_factor_mb, options.Threads());
+    const std::vector<double> before = problem.Move(step.blocks, step.x);
     double found = 0.0;
     if (!problem.Evaluate(options.Threads(), &rows_, &found)) found = std::nan("");
     const double cost = step.cost, change = cost - found;
     const bool is_accepted = change > kLeastGain * step.decrease;
     if (!is_accepted) {
-      problem.Restore(equations.blocks(), before);
+      problem.Restore(step.blocks, before);
       rows_.clear();
     }
     // No change to speak of; or all of what the linear model foresaw, at its minimum.
@@ -340,8 +341,8 @@ int LeastSquares::Solve(double function_tolerance) {
                   std::to_string(options.max_iterations));
 }
 
-void LeastSquares::Move(const std::vector<int>& blocks, const Eigen::VectorXd& step) {
-  problem.Move(blocks, step);
+void LeastSquares::Move(const GaussNewtonStep& step) {
+  problem.Move(step.blocks, step.x);
   rows_.clear();
 }
 

@@ -9,9 +9,6 @@
 namespace imu_pose_calib {
 namespace {
 
-/// Of its sigma: the size effect of an IMU that shows it.
-constexpr double kShown = 5.0;
-
 /// Of one session alone.
 bool IsOfSession(const Parameter& p) {
   return p.kind == ParameterKind::kTimeShift || p.kind == ParameterKind::kClockDrift;
@@ -109,8 +106,8 @@ void FindHints(const MarginalEstimate& all,
                Marginals* result) {
   // A parameter that is missing makes blocks differ slowly, as drift does: that is no scatter.
   std::vector<int> leading = Counted(static_cast<size_t>(all.covariance.rows()));
-  leading.erase(leading.begin() + functionals.calibrated(),
-                leading.begin() + functionals.estimated());
+  const auto held = functionals.count() - functionals.estimated();
+  leading.erase(leading.begin() + functionals.calibrated(), leading.end() - held);
   MarginalEstimate neighbours = Select(all, leading);
   const Eigen::MatrixXd influence = neighbours.influence;
   neighbours.influence =
@@ -118,7 +115,6 @@ void FindHints(const MarginalEstimate& all,
       std::sqrt(2.0);
   const Eigen::VectorXd std_dev = LargerStd(neighbours, fitted);
   const Eigen::VectorXd step = all.Step();
-  const auto held = step.size() - functionals.estimated();
   result->hint = Eigen::VectorXd::Zero(functionals.size());
   result->hint_std = Eigen::VectorXd::Zero(functionals.size());
   // Held parameters are reported as they are, and last.
@@ -127,13 +123,15 @@ void FindHints(const MarginalEstimate& all,
 }
 
 /// The IMUs whose accelerometer does not have its axes at one place, as the hints tell.
-std::vector<Parameter> FindShown(const Ordering& ordering, const Marginals& marginals) {
+std::vector<Parameter> FindShown(const Ordering& ordering,
+                                 const Marginals& marginals,
+                                 double sigmas) {
   std::vector<Parameter> shown;
   for (const Parameter& p : ordering.possible) {
     if (p.kind != ParameterKind::kAccelPositions) continue;
     const int place = marginals.Find(p.kind, p.imu);
     if ((marginals.hint.segment(place, p.size).array().abs() >
-         kShown * marginals.hint_std.segment(place, p.size).array())
+         sigmas * marginals.hint_std.segment(place, p.size).array())
             .any())
       shown.push_back(p);
   }
@@ -212,12 +210,11 @@ Marginals FindMarginals(LeastSquares* solved) {
   Marginals result;
   const Ordering ordering(solved);
   const Functionals functionals(ordering, solved, &result);
-  ReducedProblem problem(ordering, functionals, solved);
+  ReducedProblem problem(ordering, functionals, false, solved);
   const MarginalEstimates estimates = problem.Estimate();
 
   const double fitted = FittedShare(ordering, *solved);
-  const MarginalEstimate& all = estimates.gauss_newton;
-  const MarginalEstimate marginal = GivenOthers(all, functionals.estimated());
+  const MarginalEstimate marginal = GivenOthers(estimates.gauss_newton, functionals.estimated());
   result.model = functionals.Spread(marginal.covariance);
   result.robust = functionals.Spread(
       result.model.allFinite()
@@ -233,15 +230,27 @@ Marginals FindMarginals(LeastSquares* solved) {
                 functionals,
                 fitted,
                 &result);
-  FindHints(all, functionals, fitted, &result);
+  FindHints(problem.EstimateOfBorder(functionals), functionals, fitted, &result);
 
-  if (solved->options.estimate_size_effect) result.shown = FindShown(ordering, result);
-  problem.FindStep(&result);
+  result.step = problem.FindStep({});
+  result.elimination = problem.elimination();
+  result.factor = problem.TakeFactor();
   result.held_begin = ordering.estimated;
   result.held_end = ordering.leading;
   result.trajectory_begin = ordering.trajectory;
   FindSessions(problem, functionals, fitted, functionals.SpreadVector(marginal.Step()), &result);
   return result;
+}
+
+SizeTest TestSizes(LeastSquares* problem, double sigmas, bool moves) {
+  Marginals hints;
+  const Ordering ordering(problem);
+  const Functionals functionals(ordering, problem, &hints);
+  const ReducedProblem reduced(ordering, functionals, true, problem);
+  FindHints(
+      reduced.EstimateOfBorder(functionals), functionals, FittedShare(ordering, *problem), &hints);
+  const std::vector<Parameter> shown = FindShown(ordering, hints, sigmas);
+  return {shown, reduced.FindStep(moves ? shown : std::vector<Parameter>())};
 }
 
 }  // namespace imu_pose_calib

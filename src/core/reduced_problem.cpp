@@ -16,13 +16,6 @@ constexpr double kWeakInformation = 1.0;
 /// Beyond which the change of the gradient is looked for [s].
 constexpr double kClockStep = 1e-6;
 
-/// Of a parameter that is not estimated.
-bool IsHeld(const Parameter& p, const Marginals& marginals) {
-  return std::none_of(marginals.shown.begin(), marginals.shown.end(), [&p](const Parameter& q) {
-    return q.data == p.data;
-  });
-}
-
 }  // namespace
 
 std::vector<int> Counted(size_t count) {
@@ -120,10 +113,11 @@ Eigen::MatrixXd Functionals::Basis() const {
 
 ReducedProblem::ReducedProblem(const Ordering& ordering,
                                const Functionals& functionals,
+                               bool is_for_step,
                                LeastSquares* solved)
     : ordering_(ordering),
       windows_(solved->windows.count()),
-      functionals_(functionals.count()),
+      functionals_(is_for_step ? 0 : functionals.count()),
       threads_(solved->options.Threads()),
       first_trajectory_(static_cast<int>(ordering.border.size() + ordering.inner.size()) -
                         static_cast<int>(solved->trajectory_blocks.size())),
@@ -136,21 +130,22 @@ ReducedProblem::ReducedProblem(const Ordering& ordering,
       keeps_factor_(elimination_->factor_mb() <= solved->options.max_factor_mb) {
   const auto count = static_cast<size_t>(windows_);
   std::vector<ExactColumn> exact;
-  for (const int clock : ordering.clock_blocks)
-    exact.push_back({clock, kClockStep, RhsOfClock(exact.size())});
+  for (size_t k = 0; k < ordering.clock_blocks.size() && !is_for_step; ++k)
+    exact.push_back({ordering.clock_blocks[k], kClockStep, RhsOfClock(k)});
   // The gradient is the sum of the scores.
   weights_ = Eigen::VectorXd::Zero(RhsOfClock(exact.size()));
   weights_.head(windows_).setOnes();
 
   std::vector<Panels> panels(count), shared(count);
   std::vector<Rest> rests(count);
+  std::vector<double> costs(count, 0.0);
   std::vector<std::vector<bool>> acts(count);  // blocks of what is calibrated
   InParallel(threads_, count, [&](size_t w) {
     Panels& own = panels[w];
-    own = Assemble(w, exact);
+    own = Assemble(w, exact, &costs[w]);
     for (size_t b = 0; b < ordering.calibrated.size(); ++b)
       acts[w].push_back(elimination_->ActsInside(static_cast<int>(b), own));
-    AddMeans(functionals, static_cast<int>(w), &own);
+    if (!is_for_step) AddMeans(functionals, static_cast<int>(w), &own);
     rests[w] = elimination_->EliminateWindow(static_cast<int>(w), weights_, keeps_factor_, &own);
     shared[w] = elimination_->TakeShared(&own);
     if (!keeps_factor_) own.clear();
@@ -168,9 +163,10 @@ ReducedProblem::ReducedProblem(const Ordering& ordering,
     }
     return elimination_->Reduce(parts, weights_, keeps, sum);
   };
-  halves_.resize(2);
-  sessions_.resize(solved->sessions.size());
-  for (int w = 0; w < windows_; ++w) {
+  cost_ = std::accumulate(costs.begin(), costs.end(), 0.0);
+  halves_.resize(is_for_step ? 0 : 2);
+  sessions_.resize(is_for_step ? 0 : solved->sessions.size());
+  for (int w = 0; w < windows_ && !is_for_step; ++w) {
     const Windows::Place at = solved->windows.PlaceOf(w);
     halves_[at.half].windows.push_back(w);
     sessions_[at.session].windows.push_back(w);
@@ -190,7 +186,7 @@ ReducedProblem::ReducedProblem(const Ordering& ordering,
       }
     }
   }
-  AddMeans(functionals, windows_, &factor_);
+  if (!is_for_step) AddMeans(functionals, windows_, &factor_);
   all_ = reduce(Counted(count), true, &factor_);
   for (Panels& own : panels) factor_.merge(own);
   factor_.rbegin()->second = {all_.H, {}};
@@ -204,6 +200,12 @@ MarginalEstimates ReducedProblem::Estimate() const {
   return EstimateMarginals(all_.Products(), windows_, functionals_, ordering_.clocks);
 }
 
+MarginalEstimate ReducedProblem::EstimateOfBorder(const Functionals& functionals) const {
+  std::vector<int> columns = functionals.columns();
+  columns.erase(std::remove(columns.begin(), columns.end(), -1), columns.end());
+  return EstimateBorder(all_, columns, Counted(static_cast<size_t>(windows_)));
+}
+
 MarginalEstimate ReducedProblem::EstimateOf(const Part& part,
                                             const std::vector<int>& columns) const {
   std::vector<int> kept = columns;
@@ -212,38 +214,44 @@ MarginalEstimate ReducedProblem::EstimateOf(const Part& part,
   return Select(EstimateBorder(part.reduced, kept, part.windows), Counted(columns.size()));
 }
 
-void ReducedProblem::FindStep(Marginals* result) {
+GaussNewtonStep ReducedProblem::FindStep(const std::vector<Parameter>& moved) const {
   std::vector<int> kept;
   int column = 0;
-  const auto keep = [&](int size, bool is_held) {
+  const auto keep = [&](int size, bool is_kept) {
     for (int k = 0; k < size; ++k, ++column)
-      if (!is_held) kept.push_back(column);
+      if (is_kept) kept.push_back(column);
   };
-  keep(ordering_.estimated, false);
-  for (const Parameter& p : ordering_.possible) keep(p.size, IsHeld(p, *result));
-  keep(ordering_.biases - ordering_.leading, false);
+  keep(ordering_.estimated, true);
+  for (const Parameter& p : ordering_.possible)
+    keep(p.size, std::any_of(moved.begin(), moved.end(), [&p](const Parameter& q) {
+           return q.data == p.data;
+         }));
+  keep(ordering_.biases - ordering_.leading, true);
   const MarginalEstimate border =
       EstimateBorder(all_, kept, Counted(static_cast<size_t>(windows_)));
-  result->step = Eigen::VectorXd::Zero(ordering_.columns);
-  if (border.covariance.allFinite()) {
-    const Eigen::VectorXd step = border.Step();
-    for (size_t k = 0; k < kept.size(); ++k)
-      result->step[kept[k]] = step[static_cast<Eigen::Index>(k)];
-    elimination_->SubstituteBack(factor_, &result->step);
-    InParallel(threads_, keeps_factor_ ? 0 : static_cast<size_t>(windows_), [&](size_t w) {
-      Panels own = Assemble(w, {});
-      elimination_->EliminateWindow(static_cast<int>(w), weights_, true, &own);
-      elimination_->TakeShared(&own);
-      elimination_->SubstituteBack(own, &result->step);
-    });
+  GaussNewtonStep result{
+      equations_.blocks(), Eigen::VectorXd::Zero(ordering_.columns), cost_, std::nan("")};
+  if (!border.covariance.allFinite()) return result;
+  const Eigen::VectorXd step = border.Step(), gradient = all_.B * weights_;
+  result.decrease = 0.5 * weights_.dot(all_.inner * weights_);
+  for (size_t k = 0; k < kept.size(); ++k) {
+    result.x[kept[k]] = step[static_cast<Eigen::Index>(k)];
+    result.decrease -= 0.5 * gradient[kept[k]] * result.x[kept[k]];
   }
-  result->blocks = equations_.blocks();
-  result->elimination = elimination_;
-  if (keeps_factor_) result->factor = std::move(factor_);
+  elimination_->SubstituteBack(factor_, &result.x);
+  InParallel(threads_, keeps_factor_ ? 0 : static_cast<size_t>(windows_), [&](size_t w) {
+    Panels own = Assemble(w, {}, nullptr);
+    elimination_->EliminateWindow(static_cast<int>(w), weights_, true, &own);
+    elimination_->TakeShared(&own);
+    elimination_->SubstituteBack(own, &result.x);
+  });
+  return result;
 }
 
-Panels ReducedProblem::Assemble(size_t window, const std::vector<ExactColumn>& exact) const {
-  Panels panels = equations_.Assemble(window, exact);
+Panels ReducedProblem::Assemble(size_t window,
+                                const std::vector<ExactColumn>& exact,
+                                double* cost) const {
+  Panels panels = equations_.Assemble(window, exact, cost);
   elimination_->VisitDiagonal(
       [&](int block, auto diagonal) {
         if (block >= first_trajectory_) diagonal.array() += 0.5 * kWeakInformation;

@@ -20,7 +20,7 @@ inline Eigen::MatrixXd DenseInverse(const Marginals& m) {
   for (const PlacedParameter& p : m.parameters)
     if (p.parameter.kind == ParameterKind::kGravity) size.push_back(2);
   const size_t border = size.size();
-  size.resize(m.blocks.size(), 3);
+  size.resize(m.step.blocks.size(), 3);
   std::vector<int> first(size.size(), 0), order(size.size());
   std::partial_sum(size.begin(), size.end() - 1, first.begin() + 1);
   std::iota(order.begin(), order.end(), 0);

@@ -88,6 +88,14 @@ inline double LeverArmCoefficientVariance(double alpha_variance,
   return 2.0 * alpha_variance + 4.0 * omega_variance * omega2;
 }
 
+/// Of parameter blocks of a problem, one after the other.
+struct GaussNewtonStep {
+  std::vector<int> blocks;
+  Eigen::VectorXd x;
+  double cost = 0.0;      ///< where it begins
+  double decrease = 0.0;  ///< of the cost, if the residuals were linear; NaN when there is no step
+};
+
 /// Time blocks of the sessions, one after the other: what acts in one of them only is eliminated
 /// there, and scores are summed up in each.
 class Windows {
@@ -156,9 +164,9 @@ struct LeastSquares {
 
   /// Gauss-Newton steps, damped when they fail. Returns their number. Throws DataError when the
   /// cost does not converge to what it is at the minimum, but for a share `function_tolerance`.
-  int Solve(double function_tolerance);
-  /// A step of blocks of the problem.
-  void Move(const std::vector<int>& blocks, const Eigen::VectorXd& step);
+  /// `first`: the first step, if it is known.
+  int Solve(double function_tolerance, std::optional<GaussNewtonStep> first = std::nullopt);
+  void Move(const GaussNewtonStep& step);
   /// Of each sensor.
   std::vector<SensorStatistics> FindStatistics();
   /// Residuals of each sensor where the estimate stands.
@@ -169,6 +177,9 @@ struct LeastSquares {
   const Eigen::Vector3d& Rest(const SensorModel& model, size_t index) const;
 
  private:
+  /// What steps are found from.
+  NormalEquations StepEquations() const;
+
   std::vector<float> rows_;  ///< residuals where the estimate stands; empty: not known
 };
 

@@ -64,10 +64,16 @@ class Functionals {
 /// Right-hand sides: scores of the clusters, functionals, exact columns of the clocks.
 class ReducedProblem {
  public:
-  ReducedProblem(const Ordering& ordering, const Functionals& functionals, LeastSquares* solved);
+  /// `is_for_step`: without parts, functionals and exact columns.
+  ReducedProblem(const Ordering& ordering,
+                 const Functionals& functionals,
+                 bool is_for_step,
+                 LeastSquares* solved);
 
   /// Of the functionals.
   MarginalEstimates Estimate() const;
+  /// Of those that are parameters of the border: all but mean biases.
+  MarginalEstimate EstimateOfBorder(const Functionals& functionals) const;
   /// Of columns of what is calibrated by a part of the residuals, all else that is calibrated or
   /// could be being known.
   struct Part {
@@ -76,9 +82,11 @@ class ReducedProblem {
     std::vector<int> acting;   ///< columns of what is calibrated
   };
   MarginalEstimate EstimateOf(const Part& part, const std::vector<int>& columns) const;
-  /// The Gauss-Newton step as if what is held, all but result->shown, was known to be right; with
-  /// the factor of H.
-  void FindStep(Marginals* result);
+  /// As if what is held, all but `moved`, was known to be right.
+  GaussNewtonStep FindStep(const std::vector<Parameter>& moved) const;
+  /// Of H, as far as it is kept; then it is gone.
+  Panels TakeFactor() { return keeps_factor_ ? std::move(factor_) : Panels(); }
+  const std::shared_ptr<const Elimination>& elimination() const { return elimination_; }
 
   const std::vector<Part>& halves() const { return halves_; }
   const std::vector<Part>& sessions() const { return sessions_; }
@@ -86,7 +94,7 @@ class ReducedProblem {
  private:
   int RhsOfClock(size_t clock) const { return windows_ + functionals_ + static_cast<int>(clock); }
   /// H and scores of a window.
-  Panels Assemble(size_t window, const std::vector<ExactColumn>& exact) const;
+  Panels Assemble(size_t window, const std::vector<ExactColumn>& exact, double* cost) const;
   /// The means of bias knots that are in one window, or are shared.
   void AddMeans(const Functionals& functionals, int window, Panels* panels) const;
 
@@ -98,6 +106,7 @@ class ReducedProblem {
   Eigen::VectorXd weights_;  ///< of right-hand sides, for the gradient
   std::vector<Part> halves_, sessions_;
   Reduced all_;
+  double cost_ = 0.0;
   Panels factor_;
 };
 
