@@ -150,20 +150,47 @@ Panel* Elimination::Touch(int panel, Panels* panels) const {
 void Elimination::Add(const std::vector<int>& places,
                       const Eigen::Ref<const Eigen::MatrixXd>& product,
                       Panels* panels) const {
+  struct Run {
+    int from, to, count;  // rows of the product and of the panel
+  };
+  thread_local std::vector<Run> runs;
   int column = 0;
   for (size_t begin = 0, end = 0; begin < places.size(); begin = end) {
     const int panel = panel_[Index(places[begin])];
-    int count = 0;
-    for (; end < places.size() && panel_[Index(places[end])] == panel; ++end)
-      count += size_[Index(places[end])];
-    const std::vector<int> offsets = Offsets(&places[begin], places.data() + places.size(), panel);
-    Eigen::MatrixXd& H = Touch(panel, panels)->H;
-    for (int j = 0; j < count; ++j) {
-      const double* own = product.data() + (column + j) * product.outerStride() + column;
-      double* target = &H(0, offsets[Index(j)]);
-      for (size_t i = Index(j); i < offsets.size(); ++i) target[offsets[i]] += own[i];
+    const std::vector<int>& rows = shapes_[Index(panel)].rows;
+    auto below = rows.begin();
+    int row = column, count = 0;
+    runs.clear();
+    for (size_t i = begin; i < places.size(); ++i) {
+      const size_t k = Index(places[i]);
+      int to = offset_[k];
+      if (panel_[k] == panel) {
+        end = i + 1;
+        count += size_[k];
+      } else {
+        if (*below != places[i]) below = std::lower_bound(below, rows.end(), places[i]);
+        to = shapes_[Index(panel)].row_offset[static_cast<size_t>(below++ - rows.begin())];
+      }
+      if (!runs.empty() && runs.back().to + runs.back().count == to)
+        runs.back().count += size_[k];
+      else
+        runs.push_back({row, to, size_[k]});
+      row += size_[k];
     }
-    column += count;
+    Eigen::MatrixXd& H = Touch(panel, panels)->H;
+    for (size_t first = 0; count > 0; ++first) {
+      const Run run = runs[first];
+      for (int j = 0; j < std::min(run.count, count); ++j) {
+        const double* const from = product.data() + (run.from + j) * product.outerStride();
+        double* const to = &H(0, run.to + j);
+        for (int i = j; i < run.count; ++i) to[run.to + i] += from[run.from + i];
+        for (size_t r = first + 1; r < runs.size(); ++r)
+          for (int i = 0; i < runs[r].count; ++i) to[runs[r].to + i] += from[runs[r].from + i];
+      }
+      count -= run.count;
+      column += run.count;
+    }
+    column += count;  // rows below came in the same run
   }
 }
 
@@ -172,12 +199,17 @@ void Elimination::AddRhs(const std::vector<int>& places,
                          const Eigen::Ref<const Eigen::VectorXd>& rhs,
                          Panels* panels) const {
   Eigen::Index row = 0;
+  int panel = -1;
+  Eigen::VectorXd* own = nullptr;
   for (const int place : places) {
     const size_t k = Index(place);
-    Panel* panel = Touch(panel_[k], panels);
-    Eigen::VectorXd& own = panel->rhs[number];
-    if (own.size() == 0) own = Eigen::VectorXd::Zero(panel->H.cols());
-    own.segment(offset_[k], size_[k]) += rhs.segment(row, size_[k]);
+    if (panel_[k] != panel) {
+      panel = panel_[k];
+      Panel* const touched = Touch(panel, panels);
+      own = &touched->rhs[number];
+      if (own->size() == 0) *own = Eigen::VectorXd::Zero(touched->H.cols());
+    }
+    own->segment(offset_[k], size_[k]) += rhs.segment(row, size_[k]);
     row += size_[k];
   }
 }

@@ -103,6 +103,13 @@ class NormalEquations::Linearisation {
     return is_defined;
   }
 
+  /// J^T r, by the rows of J as they are stored.
+  Eigen::VectorXd Score() const {
+    Eigen::VectorXd score = Eigen::VectorXd::Zero(J.cols());
+    for (Eigen::Index i = 0; i < J.rows(); ++i) score += r[i] * J.row(i).transpose();
+    return score;
+  }
+
   /// Column of a parameter in J; -1 when the residuals do not have it.
   Eigen::Index Column(int block) const {
     Eigen::Index column = 0;
@@ -198,7 +205,7 @@ Panels NormalEquations::Assemble(size_t window,
     memory.assign(static_cast<size_t>(columns * columns), 0.0);
     Eigen::Map<Eigen::MatrixXd> product(memory.data(), columns, columns);
     AddProduct(1.0, at.J.transpose(), at.J.transpose(), true, product);
-    score = at.J.transpose().lazyProduct(at.r);
+    score = at.Score();
     elimination_->Add(at.places, product, &panels);
     elimination_->AddRhs(at.places, static_cast<int>(window), score, &panels);
     Eigen::VectorXd excess;  // of the exact column over that of J^T J
@@ -214,7 +221,7 @@ Panels NormalEquations::Assemble(size_t window,
             product.col(column).tail(columns - column);
         of = -1;
         if (!at.EvaluateMoved(parameter.block, parameter.step)) continue;
-        excess = (at.J.transpose().lazyProduct(at.r) - score) / parameter.step - linear;
+        excess = (at.Score() - score) / parameter.step - linear;
       }
       of = column;
       elimination_->AddRhs(at.places, parameter.rhs, excess, &panels);
