@@ -21,7 +21,7 @@ constexpr int kHalfSupport = 15;
 constexpr int kSupport =
     2 * kHalfSupport;  // bumps that reach one instant: the others are below 3e-14
 constexpr int kGroup = 32;
-constexpr double kCore = 32.0;             // [length scales]
+constexpr double kCore = 64.0;             // [length scales]
 constexpr double kMargin = 20.0;           // [length scales]
 constexpr double kMaxSignalToNoise = 1e5;  // keeps the normal equations well conditioned
 
@@ -444,21 +444,27 @@ struct Moments {
   }
 };
 
+/// Of a few of the data; x: logarithms of the hyperparameters.
+double RoughLikelihood(const std::vector<GpData>& data, const Eigen::Vector3d& x) {
+  double likelihood = 0.0;
+  for (size_t k = 0; k < data.size(); k += 1 + data.size() / 4)
+    likelihood +=
+        LogMarginalLikelihood(data[k], {std::exp(x[0]), std::exp(x[1]), std::exp(x[2])}, nullptr);
+  return likelihood;
+}
+
 /// The likelihood has a second maximum where the noise is followed as a signal: start the search in
-/// the right valley. Logarithm of the best of a few length scales around exp(x[0]).
-double ScanLengthscale(const std::vector<GpData>& data,
-                       const Eigen::Vector3d& x,
-                       double low,
-                       double high) {
-  double best = x[0];
+/// the right valley, with the best of a few length scales around exp(x[0]).
+Eigen::Vector3d ScanLengthscale(const std::vector<GpData>& data,
+                                const Eigen::Vector3d& x,
+                                double low,
+                                double high) {
+  Eigen::Vector3d best = x;
   double most = -std::numeric_limits<double>::infinity();
   for (double step = -3.5; step <= 1.0; step += 0.5) {
-    const double candidate = x[0] + step;
-    if (candidate < low || candidate > high) continue;
-    double likelihood = 0.0;
-    for (size_t k = 0; k < data.size(); k += 1 + data.size() / 4)
-      likelihood += LogMarginalLikelihood(
-          data[k], {std::exp(candidate), std::exp(x[1]), std::exp(x[2])}, nullptr);
+    const Eigen::Vector3d candidate(x[0] + step, x[1], x[2]);
+    if (candidate[0] < low || candidate[0] > high) continue;
+    const double likelihood = RoughLikelihood(data, candidate);
     if (likelihood <= most) continue;
     most = likelihood;
     best = candidate;
@@ -469,11 +475,12 @@ double ScanLengthscale(const std::vector<GpData>& data,
 }  // namespace
 
 GpHyperparameters FitHyperparameters(const std::vector<GpData>& data,
-                                     const GpHyperparameters& fixed) {
+                                     const GpHyperparameters& fixed,
+                                     const GpHyperparameters& before) {
   if (fixed.lengthscale_s > 0.0 && fixed.signal_std > 0.0 && fixed.noise_std > 0.0) return fixed;
   if (fixed.lengthscale_s == 0.0 && fixed.noise_std > 0.0) {
     const GpHyperparameters fitted =
-        FitHyperparameters(data, {fixed.lengthscale_s, fixed.signal_std, 0.0});
+        FitHyperparameters(data, {fixed.lengthscale_s, fixed.signal_std, 0.0}, before);
     if (fitted.noise_std > fixed.noise_std) return fitted;
   }
   const Moments moments(data);
@@ -491,7 +498,15 @@ GpHyperparameters FitHyperparameters(const std::vector<GpData>& data,
   if (fixed.lengthscale_s > 0.0) x[0] = std::log(fixed.lengthscale_s);
   if (fixed.signal_std > 0.0) x[1] = std::log(fixed.signal_std);
   if (fixed.noise_std > 0.0) x[2] = std::log(fixed.noise_std);
-  if (fixed.lengthscale_s == 0.0) x[0] = ScanLengthscale(data, x, low[0], high[0]);
+  if (fixed.lengthscale_s == 0.0) x = ScanLengthscale(data, x, low[0], high[0]);
+  if (before.lengthscale_s > 0.0) {
+    Eigen::Vector3d there(before.lengthscale_s, before.signal_std, before.noise_std);
+    there = there.array().log().matrix().cwiseMax(low).cwiseMin(high).eval();
+    if (fixed.lengthscale_s > 0.0) there[0] = x[0];
+    if (fixed.signal_std > 0.0) there[1] = x[1];
+    if (fixed.noise_std > 0.0) there[2] = x[2];
+    if (RoughLikelihood(data, there) > RoughLikelihood(data, x)) x = there;
+  }
 
   ceres::GradientProblem problem(
       new MarginalLikelihoodCost(data, fixed, low.cwiseMin(x), high.cwiseMax(x)));

@@ -87,8 +87,13 @@ std::vector<double> CandidateShifts(const CalibrationOptions& options,
     guess =
         *options.initial_time_shift - 1e-9 * static_cast<double>(data.pose_epoch_ns - imu.epoch_ns);
   if (!options.estimate_time_shift) return {*guess};
-  return FindTimeShifts(
-      trajectory, data.poses, imu.gyro, options.min_overlap_s, guess, kCandidates);
+  return FindTimeShifts(trajectory,
+                        data.poses,
+                        imu.gyro,
+                        options.min_overlap_s,
+                        guess,
+                        kCandidates,
+                        options.Threads());
 }
 
 /// Gyro samples on one segment of the trajectory.
@@ -273,10 +278,13 @@ void RemoveFlippedSegments(const CalibrationOptions& options,
                            ConditionedData* data) {
   if (data->segments.size() < 2) return;
   const ConditionedImu& imu = data->imus[data->FirstImu()];
+  const std::vector<double> shifts = CandidateShifts(options, *trajectory, *data, imu);
+  std::vector<RotationAgreement> agreements(shifts.size());
+  InParallel(options.Threads(), shifts.size(), [&](size_t k) {
+    agreements[k] = FindAgreement(PairRatesBySegment(*trajectory, *data, imu, shifts[k]));
+  });
   RotationAgreement best;
-  for (const double shift : CandidateShifts(options, *trajectory, *data, imu)) {
-    const RotationAgreement agreement =
-        FindAgreement(PairRatesBySegment(*trajectory, *data, imu, shift));
+  for (const RotationAgreement& agreement : agreements) {
     if (agreement.explained * agreement.agreeing > best.explained * best.agreeing) best = agreement;
   }
   if (best.agreeing < kMinProposal || best.explained < kMinExplained) return;  // S2 says why
@@ -361,14 +369,18 @@ Start Initialise(const CalibrationOptions& options,
   Start start;
   RateAlignment best;
   double most = -1.0;
-  for (const double shift : shifts) {
-    const RateAlignment alignment = AlignRates(trajectory, samples.gyro, shift);
+  std::vector<RateAlignment> alignments(shifts.size());
+  InParallel(options.Threads(), shifts.size(), [&](size_t k) {
+    alignments[k] = AlignRates(trajectory, samples.gyro, shifts[k]);
+  });
+  for (size_t k = 0; k < shifts.size(); ++k) {
+    const RateAlignment& alignment = alignments[k];
     const double evidence = Evidence(std::sqrt(std::max(0.0, alignment.explained)),
                                      static_cast<double>(alignment.count));
     if (evidence <= most) continue;
     most = evidence;
     best = alignment;
-    start.time_shift = shift;
+    start.time_shift = shifts[k];
   }
   CheckPoseReading(options, trajectory, samples.gyro, shifts, best);
   if (best.explained < kMinExplained) throw DataError(RateMismatch(best));

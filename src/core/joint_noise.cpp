@@ -5,6 +5,7 @@
 
 #include "imu_pose_calib/core/allan.h"
 #include "imu_pose_calib/core/band.h"
+#include "imu_pose_calib/core/parallel.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -171,15 +172,15 @@ void UpdateWeights(const LeastSquares& joint,
 
 std::vector<double> NoiseColor(const LeastSquares& joint,
                                const std::vector<SensorStatistics>& statistics) {
-  std::vector<double> colors;
-  for (size_t k = 0; k < joint.sensors.size(); ++k) {
+  std::vector<double> colors(joint.sensors.size());
+  InParallel(joint.options.Threads(), joint.sensors.size(), [&](size_t k) {
     const SensorBlocks& sensor = joint.sensors[k];
     const JointDensities S(joint, sensor.model->session);
     const double factor = IsOfPoses(sensor) ? 2.0 : 0.5;
     const double tau = std::min(kLongestAveraging, kAllanBand / (factor * Crossover(S, sensor)));
-    colors.push_back(
-        std::max(1.0, AllanNoise(Times(sensor), sensor.residuals, tau) / statistics[k].noise));
-  }
+    colors[k] =
+        std::max(1.0, AllanNoise(Times(sensor), sensor.residuals, tau) / statistics[k].noise);
+  });
   return colors;
 }
 

@@ -72,25 +72,30 @@ std::vector<IndexRange> Chunks(const std::vector<IndexRange>& segments) {
   return spread;
 }
 
-GpHyperparameters FitPosition(const CalibrationOptions& o, const ConditionedData& data) {
+GpHyperparameters FitPosition(const CalibrationOptions& o,
+                              const ConditionedData& data,
+                              const GpHyperparameters& before) {
   const Eigen::Vector3d origin_W = MeanPosition(data.poses);
   std::vector<GpData> chunks;
   for (const IndexRange& range : Chunks(data.segments))
     chunks.push_back(PositionData(data.poses, range, origin_W));
   return FitHyperparameters(
-      chunks, {o.position_lengthscale_s, o.position_signal_std, o.position_noise_std});
+      chunks, {o.position_lengthscale_s, o.position_signal_std, o.position_noise_std}, before);
 }
 
 /// In [rad]. Rotation noise moves a unit quaternion by half the angle and in three of its four
 /// dimensions only, so the noise per component that the likelihood sees is sigma/2 sqrt(3/4).
-GpHyperparameters FitRotation(const CalibrationOptions& o, const ConditionedData& data) {
+GpHyperparameters FitRotation(const CalibrationOptions& o,
+                              const ConditionedData& data,
+                              const GpHyperparameters& before) {
   std::vector<GpData> chunks;
   for (const IndexRange& range : Chunks(data.segments))
     chunks.push_back(QuaternionData(data.poses, range));
   const double noise_ratio = 0.5 * std::sqrt(0.75);
   const GpHyperparameters h = FitHyperparameters(
       chunks,
-      {o.rotation_lengthscale_s, 0.5 * o.rotation_signal_std, noise_ratio * o.rotation_noise_std});
+      {o.rotation_lengthscale_s, 0.5 * o.rotation_signal_std, noise_ratio * o.rotation_noise_std},
+      {before.lengthscale_s, 0.5 * before.signal_std, noise_ratio * before.noise_std});
   return {h.lengthscale_s, 2.0 * h.signal_std, h.noise_std / noise_ratio};
 }
 
@@ -362,8 +367,8 @@ PoseTrajectory FitTrajectory(const CalibrationOptions& options, ConditionedData*
   bool stale = false;  // poses left since the hyperparameters were fitted
   for (int round = 1;; ++round) {
     if (refit) {
-      auto fit_position = std::async(policy, [&] { return FitPosition(options, *data); });
-      rotation = FitRotation(options, *data);
+      auto fit_position = std::async(policy, [&] { return FitPosition(options, *data, position); });
+      rotation = FitRotation(options, *data, rotation);
       position = fit_position.get();
       ++refits;
       stale = false;

@@ -7,12 +7,15 @@
 #include <unsupported/Eigen/FFT>
 #include <utility>
 
+#include "imu_pose_calib/core/parallel.h"
+
 namespace imu_pose_calib {
 namespace {
 
 constexpr double kBin = 0.01;              // [s] of the correlated signals
 constexpr double kGuessWindow = 1.0;       // [s] searched around a given time shift
 constexpr double kMinPeakDistance = 0.15;  // [s] between correlation peaks
+constexpr size_t kPortion = 512;           // bins that a thread takes at a time
 constexpr size_t kMaxSamples = 4000;       // per closed-form fit: more does not change a start
 
 /// A signal in bins of kBin; bins without a sample have weight 0.
@@ -41,20 +44,21 @@ struct Signal {
 /// Pearson correlation of two masked signals at every lag, by FFT.
 class MaskedCorrelation {
  public:
-  MaskedCorrelation(const Signal& x, const Signal& y) : bins_(x.value.size() + y.value.size()) {
+  MaskedCorrelation(const Signal& x, const Signal& y, int threads)
+      : bins_(x.value.size() + y.value.size()) {
     size_ = 1;
     while (size_ < bins_) size_ *= 2;
-    std::vector<std::vector<std::complex<double>>> X, Y;
-    for (int exponent = 0; exponent < 3; ++exponent) {
-      X.push_back(Spectrum(x.Power(exponent)));
-      Y.push_back(Spectrum(y.Power(exponent)));
-    }
-    n_ = Correlate(X[0], Y[0]);
-    x_ = Correlate(X[1], Y[0]);
-    xx_ = Correlate(X[2], Y[0]);
-    y_ = Correlate(X[0], Y[1]);
-    yy_ = Correlate(X[0], Y[2]);
-    xy_ = Correlate(X[1], Y[1]);
+    std::vector<std::complex<double>> X[3], Y[3];
+    InParallel(threads, 6, [&](size_t k) {
+      const int exponent = static_cast<int>(k / 2);
+      (k % 2 == 0 ? X : Y)[exponent] = Spectrum((k % 2 == 0 ? x : y).Power(exponent));
+    });
+    struct {
+      std::vector<double>* of;
+      int x, y;
+    } const sums[] = {
+        {&n_, 0, 0}, {&x_, 1, 0}, {&xx_, 2, 0}, {&y_, 0, 1}, {&yy_, 0, 2}, {&xy_, 1, 1}};
+    InParallel(threads, 6, [&](size_t k) { *sums[k].of = Correlate(X[sums[k].x], Y[sums[k].y]); });
   }
 
   /// Common bins when y is moved by `lag` bins.
@@ -70,25 +74,24 @@ class MaskedCorrelation {
   }
 
  private:
-  std::vector<std::complex<double>> Spectrum(std::vector<double> x) {
+  std::vector<std::complex<double>> Spectrum(std::vector<double> x) const {
     x.resize(size_, 0.0);
     std::vector<std::complex<double>> X;
-    fft_.fwd(X, x);
+    Eigen::FFT<double>().fwd(X, x);
     return X;
   }
-  std::vector<double> Correlate(const std::vector<std::complex<double>>& X,
-                                const std::vector<std::complex<double>>& Y) {
+  static std::vector<double> Correlate(const std::vector<std::complex<double>>& X,
+                                       const std::vector<std::complex<double>>& Y) {
     std::vector<std::complex<double>> Z(X.size());
     for (size_t i = 0; i < X.size(); ++i) Z[i] = X[i] * std::conj(Y[i]);
     std::vector<double> z;
-    fft_.inv(z, Z);
+    Eigen::FFT<double>().inv(z, Z);
     return z;
   }
   size_t Wrap(ptrdiff_t lag) const {
     return static_cast<size_t>(lag < 0 ? lag + static_cast<ptrdiff_t>(size_) : lag);
   }
 
-  Eigen::FFT<double> fft_;
   size_t bins_, size_;
   std::vector<double> n_, x_, xx_, y_, yy_, xy_;
 };
@@ -155,21 +158,24 @@ std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
                                    const std::vector<TimedSample>& gyro,
                                    double min_overlap_s,
                                    const std::optional<double>& guess,
-                                   int count) {
+                                   int count,
+                                   int threads) {
   const auto bins = [](double duration) { return static_cast<size_t>(duration / kBin) + 1; };
   Signal marker(bins(poses.back().t));
-  for (size_t i = 0; i < marker.value.size(); ++i) {
-    MarkerState<double> state;
-    if (trajectory.Evaluate((static_cast<double>(i) + 0.5) * kBin, &state))
-      marker.Add(i, state.omega_M.norm());
-  }
+  InParallel(threads, (marker.value.size() + kPortion - 1) / kPortion, [&](size_t p) {
+    for (size_t i = p * kPortion; i < std::min(marker.value.size(), (p + 1) * kPortion); ++i) {
+      MarkerState<double> state;
+      if (trajectory.Evaluate((static_cast<double>(i) + 0.5) * kBin, &state))
+        marker.Add(i, state.omega_M.norm());
+    }
+  });
   const double gyro_begin = gyro.front().t;
   Signal imu(bins(gyro.back().t - gyro_begin));
   for (const TimedSample& s : gyro)
     imu.Add(static_cast<size_t>((s.t - gyro_begin) / kBin), s.value.norm());
   imu.Average();
 
-  const MaskedCorrelation correlation(marker, imu);
+  const MaskedCorrelation correlation(marker, imu, threads);
   const auto shift = [&](double lag) { return lag * kBin - gyro_begin; };
   const auto score = [&](ptrdiff_t lag) {
     if (correlation.Count(lag) * kBin < min_overlap_s) return 0.0;

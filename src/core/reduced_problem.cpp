@@ -136,12 +136,13 @@ ReducedProblem::ReducedProblem(const Ordering& ordering,
   weights_ = Eigen::VectorXd::Zero(RhsOfClock(exact.size()));
   weights_.head(windows_).setOnes();
 
-  std::vector<Panels> panels(count), shared(count);
+  std::vector<Panels> shared(count);
+  window_factors_.resize(count);
   std::vector<Rest> rests(count);
   std::vector<double> costs(count, 0.0);
   std::vector<std::vector<bool>> acts(count);  // blocks of what is calibrated
   InParallel(threads_, count, [&](size_t w) {
-    Panels& own = panels[w];
+    Panels& own = window_factors_[w];
     own = Assemble(w, exact, &costs[w]);
     for (size_t b = 0; b < ordering.calibrated.size(); ++b)
       acts[w].push_back(elimination_->ActsInside(static_cast<int>(b), own));
@@ -186,10 +187,8 @@ ReducedProblem::ReducedProblem(const Ordering& ordering,
       }
     }
   }
-  if (!is_for_step) AddMeans(functionals, windows_, &factor_);
-  all_ = reduce(Counted(count), true, &factor_);
-  for (Panels& own : panels) factor_.merge(own);
-  factor_.rbegin()->second = {all_.H, {}};
+  if (!is_for_step) AddMeans(functionals, windows_, &shared_factor_);
+  all_ = reduce(Counted(count), true, &shared_factor_);
   for (int f = 0; f < functionals_; ++f) {
     const int column = functionals.columns()[static_cast<size_t>(f)];
     if (column >= 0) all_.B(column, windows_ + f) = 1.0;
@@ -238,14 +237,23 @@ GaussNewtonStep ReducedProblem::FindStep(const std::vector<Parameter>& moved) co
     result.x[kept[k]] = step[static_cast<Eigen::Index>(k)];
     result.decrease -= 0.5 * gradient[kept[k]] * result.x[kept[k]];
   }
-  elimination_->SubstituteBack(factor_, &result.x);
-  InParallel(threads_, keeps_factor_ ? 0 : static_cast<size_t>(windows_), [&](size_t w) {
+  elimination_->SubstituteBack(shared_factor_, &result.x);
+  InParallel(threads_, static_cast<size_t>(windows_), [&](size_t w) {
+    if (keeps_factor_) return elimination_->SubstituteBack(window_factors_[w], &result.x);
     Panels own = Assemble(w, {}, nullptr);
     elimination_->EliminateWindow(static_cast<int>(w), weights_, true, &own);
     elimination_->TakeShared(&own);
     elimination_->SubstituteBack(own, &result.x);
   });
   return result;
+}
+
+Panels ReducedProblem::TakeFactor() {
+  if (!keeps_factor_) return {};
+  Panels factor = std::move(shared_factor_);
+  for (Panels& own : window_factors_) factor.merge(own);
+  factor.rbegin()->second = {all_.H, {}};
+  return factor;
 }
 
 Panels ReducedProblem::Assemble(size_t window,

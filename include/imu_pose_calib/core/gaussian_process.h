@@ -85,8 +85,10 @@ double LogMarginalLikelihood(const GpData& data,
 
 /// Hyperparameters that maximise the marginal likelihood of all of `data`. Values of `fixed` that
 /// are not zero are kept; a noise without a length scale is the least: with less than the data
-/// show, the length scale would follow the noise.
+/// show, the length scale would follow the noise. `before`: those of nearly the same data, if
+/// known.
 GpHyperparameters FitHyperparameters(const std::vector<GpData>& data,
-                                     const GpHyperparameters& fixed);
+                                     const GpHyperparameters& fixed,
+                                     const GpHyperparameters& before = {});
 
 }  // namespace imu_pose_calib

@@ -15,7 +15,8 @@ std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
                                    const std::vector<TimedSample>& gyro,
                                    double min_overlap_s,
                                    const std::optional<double>& guess,
-                                   int count);
+                                   int count,
+                                   int threads = 1);
 
 /// log likelihood ratio of a correlation over n bins: long and close overlaps win.
 double Evidence(double correlation, double n);

@@ -85,7 +85,7 @@ class ReducedProblem {
   /// As if what is held, all but `moved`, was known to be right.
   GaussNewtonStep FindStep(const std::vector<Parameter>& moved) const;
   /// Of H, as far as it is kept; then it is gone.
-  Panels TakeFactor() { return keeps_factor_ ? std::move(factor_) : Panels(); }
+  Panels TakeFactor();
   const std::shared_ptr<const Elimination>& elimination() const { return elimination_; }
 
   const std::vector<Part>& halves() const { return halves_; }
@@ -102,12 +102,13 @@ class ReducedProblem {
   const int windows_, functionals_, threads_, first_trajectory_;
   const NormalEquations equations_;
   const std::shared_ptr<const Elimination> elimination_;
-  const bool keeps_factor_;  ///< else `factor_` has no more than what windows share
+  const bool keeps_factor_;
   Eigen::VectorXd weights_;  ///< of right-hand sides, for the gradient
   std::vector<Part> halves_, sessions_;
   Reduced all_;
   double cost_ = 0.0;
-  Panels factor_;
+  std::vector<Panels> window_factors_;  ///< empty when they are not kept
+  Panels shared_factor_;
 };
 
 /// 0, 1, ... count - 1.
