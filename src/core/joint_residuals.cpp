@@ -91,13 +91,24 @@ struct CorrectedRotation {
 /// the next solve finds the right span.
 bool IsNearSpan(double u) { return u > -2.0 && u < 3.0; }
 
-/// Sets rows 3 i .. 3 i + 2 of Ceres' row-major Jacobian of a block of `Columns` parameters, if it
-/// is wanted.
+/// Three rows of the Jacobians of all blocks, where they are wanted.
+struct JacobianRows {
+  double** blocks;         ///< null: of none
+  Eigen::Index first_row;  ///< of them
+  int stride;              ///< see SampledCost
+};
+
 template <int Columns, typename Matrix>
-void SetRows(double** jacobians, int block, size_t i, const Matrix& J) {
-  constexpr int kOrder = Columns == 1 ? Eigen::ColMajor : Eigen::RowMajor;
-  using Rows = Eigen::Matrix<double, 3, Columns, kOrder>;
-  if (jacobians[block] != nullptr) Eigen::Map<Rows>(jacobians[block] + 3 * Columns * i) = J;
+void SetRows(const JacobianRows& rows, int block, const Matrix& J) {
+  if (rows.blocks[block] == nullptr) return;
+  const Eigen::Index stride = rows.stride > 0 ? rows.stride : Columns;
+  double* const own = rows.blocks[block] + rows.first_row * stride;
+  if constexpr (Columns == 1) {
+    Eigen::Map<Vector3d, 0, Eigen::InnerStride<>>(own, Eigen::InnerStride<>(stride)) = J;
+  } else {
+    using Rows = Eigen::Matrix<double, 3, Columns, Eigen::RowMajor>;
+    Eigen::Map<Rows, 0, Eigen::OuterStride<>>(own, Eigen::OuterStride<>(stride)) = J;
+  }
 }
 
 double Factor(const ClockMotion& clock, double own_time, double reference_time) {
@@ -145,19 +156,20 @@ class BatchResidual : public SampledCost {
                     size_t end,
                     double const* const* blocks,
                     double* residual,
-                    double** jacobians) const override {
-    for (size_t i = begin; i < end; ++i, residual += 3)
-      if (!EvaluateSample(samples_[i], i - begin, blocks, residual, jacobians)) return false;
+                    double** jacobians,
+                    int stride) const override {
+    JacobianRows rows{jacobians, 0, stride};
+    for (size_t i = begin; i < end; ++i, residual += 3, rows.first_row += 3)
+      if (!EvaluateSample(samples_[i], blocks, residual, rows)) return false;
     return true;
   }
 
  protected:
-  /// The i-th sample of a part: three residuals and, unless `jacobians` is null, rows from 3 i on.
+  /// Three residuals and rows of the Jacobians.
   virtual bool EvaluateSample(const Sample& sample,
-                              size_t i,
                               double const* const* blocks,
                               double* residual,
-                              double** jacobians) const = 0;
+                              const JacobianRows& jacobians) const = 0;
 
   Move FindMove(const Sample& sample, double const* const* blocks) const {
     Move dt;
@@ -172,16 +184,14 @@ class BatchResidual : public SampledCost {
 
   /// Columns of the clocks from the derivatives of the residual along GP and splines.
   void SetClockRows(const Sample& sample,
-                    size_t i,
                     const Vector3d& r_gp,
                     const Vector3d& r_spline,
-                    double** jacobians) const {
+                    const JacobianRows& jacobians) const {
     for (size_t k = 0; k < clocks_->size(); ++k) {
       const ClockMotion& clock = (*clocks_)[k];
       SetRows<1>(
           jacobians,
           static_cast<int>(first_clock_ + k),
-          i,
           Vector3d(Factor(clock, sample) * (clock.on_gp * r_gp + clock.on_spline * r_spline)));
     }
   }
@@ -199,10 +209,9 @@ class JointPositionResidual : public BatchResidual<JointPoseSample> {
 
  protected:
   bool EvaluateSample(const JointPoseSample& s,
-                      size_t i,
                       double const* const* blocks,
                       double* residual,
-                      double** jacobians) const override {
+                      const JacobianRows& jacobians) const override {
     const double u = s.place.u + FindMove(s, blocks).on_spline / s.place.spacing;
     if (!IsNearSpan(u)) return false;
     const SplineWeights weights = CubicWeights(u, s.place.spacing);
@@ -210,15 +219,14 @@ class JointPositionResidual : public BatchResidual<JointPoseSample> {
     const double c = 0.5 * (*blocks[kSplineOrder] + *blocks[kSplineOrder + 1]);
     const Vector3d a_W = s.a_W + d.col(2);
     AsVector(residual) = (s.p_error - d.col(0) - c * a_W) / s.position_sigma;
-    if (jacobians == nullptr) return true;
+    if (jacobians.blocks == nullptr) return true;
     for (int j = 0; j < kSplineOrder; ++j)
       SetRows<3>(jacobians,
                  j,
-                 i,
                  -(weights(0, j) + c * weights(2, j)) / s.position_sigma * Matrix3d::Identity());
-    SetClockRows(s, i, Vector3d::Zero(), -(d.col(1) + c * d.col(3)) / s.position_sigma, jacobians);
+    SetClockRows(s, Vector3d::Zero(), -(d.col(1) + c * d.col(3)) / s.position_sigma, jacobians);
     for (const int smoothing : {kSplineOrder, kSplineOrder + 1})
-      SetRows<1>(jacobians, smoothing, i, -0.5 / s.position_sigma * a_W);
+      SetRows<1>(jacobians, smoothing, -0.5 / s.position_sigma * a_W);
     return true;
   }
 };
@@ -230,10 +238,9 @@ class JointRotationResidual : public BatchResidual<JointPoseSample> {
 
  protected:
   bool EvaluateSample(const JointPoseSample& s,
-                      size_t i,
                       double const* const* blocks,
                       double* residual,
-                      double** jacobians) const override {
+                      const JacobianRows& jacobians) const override {
     const double u = s.place.u + FindMove(s, blocks).on_spline / s.place.spacing;
     if (!IsNearSpan(u)) return false;
     const SplineWeights weights = CubicWeights(u, s.place.spacing);
@@ -244,7 +251,7 @@ class JointRotationResidual : public BatchResidual<JointPoseSample> {
     const Eigen::Quaterniond lag_inv = Exp<double>(-c * alpha);
     const Vector3d error = Log(Eigen::Quaterniond(lag_inv * E_inv * s.q_error));
     AsVector(residual) = error / s.rotation_sigma;
-    if (jacobians == nullptr) return true;
+    if (jacobians.blocks == nullptr) return true;
     // Log(Exp(-delta) Exp(error)) = error - J_l(error)^-1 delta with J_l(x) = J_r(-x); delta is
     // J_r(c alpha) d(c alpha), and before that J_r(phi) dphi.
     const Matrix3d A = -RightJacobian<double>(-error).inverse() / s.rotation_sigma;
@@ -252,10 +259,10 @@ class JointRotationResidual : public BatchResidual<JointPoseSample> {
     const Matrix3d A_phi = A * lag_inv.toRotationMatrix();
     const Matrix3d J = RightJacobian<double>(phi.col(0));
     for (int j = 0; j < kSplineOrder; ++j)
-      SetRows<3>(jacobians, j, i, weights(0, j) * A_phi * J + weights(2, j) * c * A_lag);
-    SetRows<1>(jacobians, kSplineOrder, i, 0.5 * A_lag * alpha);
+      SetRows<3>(jacobians, j, weights(0, j) * A_phi * J + weights(2, j) * c * A_lag);
+    SetRows<1>(jacobians, kSplineOrder, 0.5 * A_lag * alpha);
     const Vector3d r_spline = A_phi * J * phi.col(1) + c * A_lag * phi.col(3);
-    SetClockRows(s, i, Vector3d::Zero(), r_spline, jacobians);
+    SetClockRows(s, Vector3d::Zero(), r_spline, jacobians);
     return true;
   }
 };
@@ -267,10 +274,9 @@ class JointGyroResidual : public BatchResidual<JointImuSample> {
 
  protected:
   bool EvaluateSample(const JointImuSample& s,
-                      size_t i,
                       double const* const* blocks,
                       double* residual,
-                      double** jacobians) const override {
+                      const JacobianRows& jacobians) const override {
     const int n = kSplineOrder;
     const Eigen::Map<const Eigen::Quaterniond> q_MI(blocks[n]);
     const Matrix3d K_g = GyroMatrix(Eigen::Map<const Vector6d>(blocks[n + 1]));
@@ -281,29 +287,29 @@ class JointGyroResidual : public BatchResidual<JointImuSample> {
     const SplineWeights weights = CubicWeights(u, s.place.spacing);
     const Vector3d omega_gp = s.omega_M + dt.on_gp * s.alpha_M;
     const CorrectedRotation x(
-        omega_gp, s.alpha_M, EvaluateSpline(blocks, weights), jacobians != nullptr);
+        omega_gp, s.alpha_M, EvaluateSpline(blocks, weights), jacobians.blocks != nullptr);
     const Vector3d omega_I = q_MI.conjugate() * x.omega;
     AsVector(residual) =
         (s.value - (1.0 - s.bias_u) * knot_0 - s.bias_u * knot_1 - K_g * omega_I) / s.sigma;
-    if (jacobians == nullptr) return true;
+    if (jacobians.blocks == nullptr) return true;
 
     // d r / d omega_M
     const Matrix3d A = -K_g * q_MI.conjugate().toRotationMatrix() / s.sigma;
     const Matrix3d r_phi = A * x.omega_phi;
     const Matrix3d r_phi1 = A * x.J;
     for (int j = 0; j < n; ++j)
-      SetRows<3>(jacobians, j, i, weights(0, j) * r_phi + weights(1, j) * r_phi1);
-    SetRows<4>(jacobians, n, i, -K_g * InverseRotationJacobian(q_MI, omega_I) / s.sigma);
-    if (jacobians[n + 1] != nullptr) {
+      SetRows<3>(jacobians, j, weights(0, j) * r_phi + weights(1, j) * r_phi1);
+    SetRows<4>(jacobians, n, -K_g * InverseRotationJacobian(q_MI, omega_I) / s.sigma);
+    if (jacobians.blocks[n + 1] != nullptr) {
       Eigen::Matrix<double, 3, 6> r_M = Eigen::Matrix<double, 3, 6>::Zero();
       r_M.block<1, 1>(0, 0) = omega_I.head<1>();
       r_M.block<1, 2>(1, 1) = omega_I.head<2>().transpose();
       r_M.block<1, 3>(2, 3) = omega_I.transpose();
-      SetRows<6>(jacobians, n + 1, i, -r_M / s.sigma);
+      SetRows<6>(jacobians, n + 1, -r_M / s.sigma);
     }
-    SetRows<3>(jacobians, n + 2, i, -(1.0 - s.bias_u) / s.sigma * Matrix3d::Identity());
-    SetRows<3>(jacobians, n + 3, i, -s.bias_u / s.sigma * Matrix3d::Identity());
-    SetClockRows(s, i, A * x.omega_gp, A * x.omega_spline, jacobians);
+    SetRows<3>(jacobians, n + 2, -(1.0 - s.bias_u) / s.sigma * Matrix3d::Identity());
+    SetRows<3>(jacobians, n + 3, -s.bias_u / s.sigma * Matrix3d::Identity());
+    SetClockRows(s, A * x.omega_gp, A * x.omega_spline, jacobians);
     return true;
   }
 };
@@ -317,10 +323,9 @@ class JointAccelResidual : public BatchResidual<JointAccelSample> {
 
  protected:
   bool EvaluateSample(const JointAccelSample& s,
-                      size_t i,
                       double const* const* blocks,
                       double* residual,
-                      double** jacobians) const override {
+                      const JacobianRows& jacobians) const override {
     const int n = 2 * kSplineOrder;
     const Eigen::Map<const Eigen::Quaterniond> q_MI(blocks[n]);
     const Eigen::Map<const Vector3d> p(blocks[n + 1]), g(blocks[n + 2]);
@@ -336,7 +341,7 @@ class JointAccelResidual : public BatchResidual<JointAccelSample> {
     const Vector3d omega_gp = s.omega_M + t * (s.alpha_M + 0.5 * t * jerk.alpha_rate);
     const Vector3d alpha_gp = s.alpha_M + t * jerk.alpha_rate;
     const Eigen::Matrix<double, 3, 4> phi = EvaluateSpline(blocks + kSplineOrder, weights);
-    const CorrectedRotation x(omega_gp, alpha_gp, phi, jacobians != nullptr);
+    const CorrectedRotation x(omega_gp, alpha_gp, phi, jacobians.blocks != nullptr);
     const Eigen::Quaterniond q_WM = q_gp * x.E;
     const Eigen::Matrix<double, 3, 4> d = EvaluateSpline(blocks, weights);
     const double scale = *blocks[n + 7];
@@ -353,7 +358,7 @@ class JointAccelResidual : public BatchResidual<JointAccelSample> {
     if (have_arms) f_I += (R_IM * K).cwiseProduct(arms.transpose()).rowwise().sum();
     AsVector(residual) =
         (s.value - (1.0 - s.bias_u) * knot_0 - s.bias_u * knot_1 - K_a * f_I) / s.sigma;
-    if (jacobians == nullptr) return true;
+    if (jacobians.blocks == nullptr) return true;
 
     const Matrix3d r_I = -K_a / s.sigma;  // d r / d f_I
     const Matrix3d A = r_I * R_IM;        // d r / d f_M
@@ -378,38 +383,37 @@ class JointAccelResidual : public BatchResidual<JointAccelSample> {
     const Matrix3d r_phi2 = r_alpha * x.J;
     const Matrix3d r_a = A * R_MW;
     for (int j = 0; j < kSplineOrder; ++j) {
-      SetRows<3>(jacobians, j, i, weights(2, j) / scale * r_a);
+      SetRows<3>(jacobians, j, weights(2, j) / scale * r_a);
       SetRows<3>(jacobians,
                  kSplineOrder + j,
-                 i,
                  weights(0, j) * r_phi + weights(1, j) * r_phi1 + weights(2, j) * r_phi2);
     }
-    SetRows<4>(jacobians, n, i, r_I * f_q);
-    SetRows<3>(jacobians, n + 1, i, A * K);
-    SetRows<3>(jacobians, n + 2, i, -r_a);
-    if (jacobians[n + 3] != nullptr) {
+    SetRows<4>(jacobians, n, r_I * f_q);
+    SetRows<3>(jacobians, n + 1, A * K);
+    SetRows<3>(jacobians, n + 2, -r_a);
+    if (jacobians.blocks[n + 3] != nullptr) {
       Eigen::Matrix<double, 3, 9> r_M = Eigen::Matrix<double, 3, 9>::Zero();
       for (int row = 0; row < 3; ++row) r_M.block<1, 3>(row, 3 * row) = f_I.transpose();
-      SetRows<9>(jacobians, n + 3, i, -r_M / s.sigma);
+      SetRows<9>(jacobians, n + 3, -r_M / s.sigma);
     }
-    SetRows<3>(jacobians, n + 4, i, -(1.0 - s.bias_u) / s.sigma * Matrix3d::Identity());
-    SetRows<3>(jacobians, n + 5, i, -s.bias_u / s.sigma * Matrix3d::Identity());
-    SetRows<1>(jacobians, n + 6, i, 0.5 * A * jerk.f_curvature);
-    SetRows<1>(jacobians, n + 7, i, -1.0 / scale * r_a * a_W);
+    SetRows<3>(jacobians, n + 4, -(1.0 - s.bias_u) / s.sigma * Matrix3d::Identity());
+    SetRows<3>(jacobians, n + 5, -s.bias_u / s.sigma * Matrix3d::Identity());
+    SetRows<1>(jacobians, n + 6, 0.5 * A * jerk.f_curvature);
+    SetRows<1>(jacobians, n + 7, -1.0 / scale * r_a * a_W);
     const Matrix3d E_inv = Exp<double>(-phi.col(0)).toRotationMatrix();
     const Vector3d r_gp = A * (1.0 / scale * R_MW * jerk.jerk_W - (x.omega - x.u).cross(f_body)) +
                           r_omega * x.omega_gp + r_alpha * (x.alpha_gp + E_inv * jerk.alpha_rate);
     const Vector3d r_spline = A * (1.0 / scale * R_MW * d.col(3) - x.u.cross(f_body)) +
                               r_omega * x.omega_spline + r_alpha * x.alpha_spline;
-    SetClockRows(s, i, r_gp, r_spline, jacobians);
-    if (jacobians[n + 8] != nullptr) {
+    SetClockRows(s, r_gp, r_spline, jacobians);
+    if (jacobians.blocks[n + 8] != nullptr) {
       // Row: axis; column: component of its place in I.
       const Matrix3d f_r = R_IM * K * R_MA_;
       Eigen::Matrix<double, 3, 6> f_places;
       for (int k = 0; k < 6; ++k)
         f_places.col(k) =
             f_r.cwiseProduct(AccelPositions(Vector6d::Unit(k)).transpose()).rowwise().sum();
-      SetRows<6>(jacobians, n + 8, i, r_I * f_places);
+      SetRows<6>(jacobians, n + 8, r_I * f_places);
     }
     return true;
   }

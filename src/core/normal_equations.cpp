@@ -11,7 +11,6 @@ namespace imu_pose_calib {
 namespace {
 
 using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-using RowMajor3 = Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor>;
 
 /// Whether two columns of J are each other's negative, by the lower triangle of J^T J: parameters
 /// that move the same samples along the trajectory, one on and one back.
@@ -40,45 +39,61 @@ class NormalEquations::Linearisation {
     const int rows = residuals_->rows();
     parameters_.resize(sizes.size());
     terms_.clear();
-    Eigen::Index columns = 0, numbers = 0;
+    Eigen::Index columns = 0, ambient = 0, dense = 0;
     for (size_t k = 0; k < sizes.size(); ++k) {
       parameters_[k] = problem.data(blocks_[k]);
       const Place& at = equations_.places_[static_cast<size_t>(blocks_[k])];
       if (at.place < 0) continue;
       terms_.push_back({at.place, k, sizes[k], at.size, at.curved});
       columns += at.size;
-      numbers += rows * sizes[k];
+      if (!residuals_->IsSampled())
+        dense += rows * sizes[k];
+      else if (at.curved >= 0)
+        ambient += sizes[k];
     }
     std::sort(terms_.begin(), terms_.end(), [](const Term& a, const Term& b) {
       return a.place < b.place;
     });
     places.clear();
     for (const Term& term : terms_) places.push_back(term.place);
-    values_.resize(std::max(values_.size(), static_cast<size_t>(numbers)));
-    r.resize(rows);
-    J.resize(rows, columns);
+    rows_ = rows;
+    columns_ = columns;
+    // Rows of J, beside them those of curved blocks as they come.
+    stride_ = columns + ambient;
+    r_.resize(std::max(r_.size(), static_cast<size_t>(rows)));
+    values_.resize(std::max(values_.size(), static_cast<size_t>(rows * stride_ + dense)));
     jacobians_.assign(sizes.size(), nullptr);
-    double* next = values_.data();
+    double *next = values_.data(), *next_ambient = next + columns;
+    double* next_dense = next + rows * stride_;
     for (const Term& term : terms_) {
-      jacobians_[term.parameter] = next;
-      next += rows * term.size;
+      double*& own = jacobians_[term.parameter];
+      if (!residuals_->IsSampled()) {
+        own = std::exchange(next_dense, next_dense + rows * term.size);
+      } else if (term.curved >= 0) {
+        own = std::exchange(next_ambient, next_ambient + term.size);
+      } else {
+        own = next;
+      }
+      next += term.columns;
     }
   }
 
   /// Fills J and r; false where they are not defined.
   bool Evaluate() {
-    if (!residuals_->Evaluate(parameters_.data(), r.data(), jacobians_.data())) return false;
+    const auto stride = static_cast<int>(stride_);
+    if (!residuals_->Evaluate(parameters_.data(), r_.data(), jacobians_.data(), stride))
+      return false;
+    auto J = this->J();
+    auto r = this->r();
     Eigen::Index column = 0;
     for (const Term& term : terms_) {
-      const double* const own = jacobians_[term.parameter];
+      const bool is_sampled = residuals_->IsSampled();
+      const Eigen::Map<const RowMajor, 0, Eigen::OuterStride<>> own(
+          jacobians_[term.parameter], rows_, term.size, is_sampled ? stride_ : term.size);
       if (term.curved >= 0)
-        J.middleCols(column, term.columns).noalias() =
-            Eigen::Map<const RowMajor>(own, J.rows(), term.size) *
-            plus_[static_cast<size_t>(term.curved)];
-      else if (term.size == 3)  // nearly all of them
-        J.middleCols<3>(column) = Eigen::Map<const RowMajor3>(own, J.rows(), 3);
-      else
-        J.middleCols(column, term.size) = Eigen::Map<const RowMajor>(own, J.rows(), term.size);
+        J.middleCols(column, term.columns) = own * plus_[static_cast<size_t>(term.curved)];
+      else if (!is_sampled)
+        J.middleCols(column, term.size) = own;
       column += term.columns;
     }
     const double squared_norm = r.squaredNorm();
@@ -104,9 +119,9 @@ class NormalEquations::Linearisation {
   }
 
   /// J^T r, by the rows of J as they are stored.
-  Eigen::VectorXd Score() const {
-    Eigen::VectorXd score = Eigen::VectorXd::Zero(J.cols());
-    for (Eigen::Index i = 0; i < J.rows(); ++i) score += r[i] * J.row(i).transpose();
+  Eigen::VectorXd Score() {
+    Eigen::VectorXd score = Eigen::VectorXd::Zero(columns_);
+    for (Eigen::Index i = 0; i < rows_; ++i) score += r()[i] * J().row(i).transpose();
     return score;
   }
 
@@ -120,9 +135,12 @@ class NormalEquations::Linearisation {
     return -1;
   }
 
+  Eigen::Map<Eigen::VectorXd> r() { return {r_.data(), rows_}; }
+  Eigen::Map<RowMajor, 0, Eigen::OuterStride<>> J() {
+    return {values_.data(), rows_, columns_, Eigen::OuterStride<>(stride_)};
+  }
+
   std::vector<int> places;
-  Eigen::VectorXd r;
-  RowMajor J;
   double cost = 0.0;
 
  private:
@@ -141,7 +159,8 @@ class NormalEquations::Linearisation {
   const int* blocks_ = nullptr;
   std::vector<double*> parameters_, jacobians_;
   std::vector<Term> terms_;
-  std::vector<double> values_;
+  Eigen::Index rows_ = 0, columns_ = 0, stride_ = 0;
+  std::vector<double> r_, values_;
 };
 
 NormalEquations::NormalEquations(const Problem& problem,
@@ -201,10 +220,10 @@ Panels NormalEquations::Assemble(size_t window,
     if (!at.Evaluate()) throw DataError("the residuals cannot be differentiated");
     if (cost != nullptr) *cost += at.cost;
     if (at.places.empty()) continue;  // of what is held
-    const Eigen::Index columns = at.J.cols();
+    const Eigen::Index columns = at.J().cols();
     memory.assign(static_cast<size_t>(columns * columns), 0.0);
     Eigen::Map<Eigen::MatrixXd> product(memory.data(), columns, columns);
-    AddProduct(1.0, at.J.transpose(), at.J.transpose(), true, product);
+    AddProduct(1.0, at.J().transpose(), at.J().transpose(), true, product);
     score = at.Score();
     elimination_->Add(at.places, product, &panels);
     elimination_->AddRhs(at.places, static_cast<int>(window), score, &panels);

@@ -97,10 +97,11 @@ int Problem::AddResidualsOf(const std::vector<double*>& parameters,
 
 bool Problem::Residuals::Evaluate(double const* const* parameters,
                                   double* residuals,
-                                  double** jacobians) const {
+                                  double** jacobians,
+                                  int stride) const {
   if (end == 0) return cost->Evaluate(parameters, residuals, jacobians);
   return static_cast<const SampledCost*>(cost)->EvaluatePart(
-      begin, end, parameters, residuals, jacobians);
+      begin, end, parameters, residuals, jacobians, stride);
 }
 
 double Problem::Residuals::Weight(double squared_norm) const {

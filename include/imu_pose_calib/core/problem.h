@@ -15,17 +15,19 @@ namespace imu_pose_calib {
 /// A cost function of samples, three residuals each, of which a residual block can have a part.
 class SampledCost : public ceres::CostFunction {
  public:
-  /// Residuals of the samples [begin, end); Jacobians have as many rows.
+  /// Residuals of the samples [begin, end); Jacobians have as many rows, `stride` elements apart,
+  /// or one after the other when it is 0.
   virtual bool EvaluatePart(size_t begin,
                             size_t end,
                             double const* const* parameters,
                             double* residuals,
-                            double** jacobians) const = 0;
+                            double** jacobians,
+                            int stride) const = 0;
   bool Evaluate(double const* const* parameters,
                 double* residuals,
                 double** jacobians) const override {
     return EvaluatePart(
-        0, static_cast<size_t>(num_residuals()) / 3, parameters, residuals, jacobians);
+        0, static_cast<size_t>(num_residuals()) / 3, parameters, residuals, jacobians, 0);
   }
 };
 
@@ -69,8 +71,13 @@ class Problem {
     size_t first_row, first_block;
     uint32_t begin, end;  ///< samples of a SampledCost; 0: of any other cost function
 
+    bool IsSampled() const { return end > 0; }
     int rows() const { return end > 0 ? 3 * static_cast<int>(end - begin) : cost->num_residuals(); }
-    bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const;
+    /// `stride`: see SampledCost; others have their Jacobians' rows one after the other.
+    bool Evaluate(double const* const* parameters,
+                  double* residuals,
+                  double** jacobians,
+                  int stride = 0) const;
     /// rho'(|r|^2)
     double Weight(double squared_norm) const;
     double Cost(double squared_norm) const;
