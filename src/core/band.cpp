@@ -62,7 +62,7 @@ void Smooth(double rate_hz,
     for (size_t i = p * kPortion; i < std::min(count, (p + 1) * kPortion); ++i) {
       TimedSample& sample = begin[i];
       if (sample.t - data.t[0] < edge || data.t[n - 1] - sample.t < edge) continue;
-      const Eigen::Vector3d smooth = mean.transpose() + gp.Evaluate(sample.t).col(0);
+      const Eigen::Vector3d smooth = mean.transpose() + gp.Value(sample.t);
       sample.rest += sample.value - smooth;
       sample.value = smooth;
     }

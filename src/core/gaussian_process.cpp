@@ -107,12 +107,42 @@ double WeightStd(const GpHyperparameters& h) {
   return h.signal_std * std::sqrt(kSpacing * std::sqrt(2.0 / M_PI));
 }
 
-/// Cholesky factor of a matrix whose entries further than kSupport from the diagonal are zero, in
-/// tiles of kTile >= kSupport: only those on the diagonal and next to it are not zero.
+constexpr Eigen::Index kTile = 32;
+static_assert(kTile >= kSupport, "a bump must not reach beyond the next tile");
+
+/// Lower triangle of a symmetric matrix, as far as it is in a tile of kTile rows and columns on the
+/// diagonal or below one. Columns begin with the diagonal, so that blocks are matrices of columns
+/// one element less apart; above the diagonal, blocks have what is beyond the band.
+class BandMatrix {
+ public:
+  using Block = Eigen::Map<Eigen::MatrixXd, 0, Eigen::OuterStride<>>;
+  using Diagonal = Eigen::Map<Eigen::VectorXd, 0, Eigen::InnerStride<>>;
+
+  explicit BandMatrix(Eigen::Index size)
+      : size_(size), elements_(Eigen::VectorXd::Zero(size * kHeight)) {}
+
+  Eigen::Index size() const { return size_; }
+  Block block(Eigen::Index i, Eigen::Index j, Eigen::Index rows, Eigen::Index columns) {
+    return {
+        elements_.data() + i + j * (kHeight - 1), rows, columns, Eigen::OuterStride<>(kHeight - 1)};
+  }
+  /// `count` elements that are k rows below the diagonal, from column j on.
+  Diagonal diagonal(Eigen::Index k, Eigen::Index j, Eigen::Index count) {
+    return {elements_.data() + j * kHeight + k, count, Eigen::InnerStride<>(kHeight)};
+  }
+  void Scale(double factor) { elements_ *= factor; }
+
+ private:
+  static constexpr Eigen::Index kHeight = 3 * kTile;
+  Eigen::Index size_;
+  Eigen::VectorXd elements_;
+};
+
+/// Cholesky factor of a matrix whose entries further than kSupport from the diagonal are zero.
 class BandedCholesky {
  public:
-  explicit BandedCholesky(Eigen::MatrixXd A) : L_(std::move(A)) {
-    for (Eigen::Index i = 0; i < L_.rows(); i += kTile) {
+  explicit BandedCholesky(BandMatrix A) : L_(std::move(A)) {
+    for (Eigen::Index i = 0; i < L_.size(); i += kTile) {
       const Eigen::Index n = Size(i), next = Size(i + n);
       auto diagonal = L_.block(i, i, n, n);
       Eigen::LLT<Eigen::Ref<Eigen::MatrixXd>> in_place(diagonal);
@@ -123,10 +153,10 @@ class BandedCholesky {
     }
   }
 
-  double LogDeterminant() const { return 2.0 * L_.diagonal().array().log().sum(); }
+  double LogDeterminant() { return 2.0 * L_.diagonal(0, 0, L_.size()).array().log().sum(); }
 
-  Eigen::MatrixXd Solve(Eigen::MatrixXd b) const {
-    for (Eigen::Index i = 0; i < L_.rows(); i += kTile) {
+  Eigen::MatrixXd Solve(Eigen::MatrixXd b) {
+    for (Eigen::Index i = 0; i < L_.size(); i += kTile) {
       const Eigen::Index n = Size(i), next = Size(i + n);
       auto x = b.middleRows(i, n);
       L_.block(i, i, n, n).triangularView<Eigen::Lower>().solveInPlace(x);
@@ -141,37 +171,37 @@ class BandedCholesky {
     return b;
   }
 
-  /// The tiles of the inverse on the diagonal and next to it; zero elsewhere. From the last tile
-  /// up, with G = L_below L_ii^-1:
+  /// Of the inverse, what a BandMatrix has. From the last tile up, with G = L_below L_ii^-1:
   ///   S_below,i = -S_below G,  S_ii = (L_ii L_ii^T)^-1 + G^T S_below G.
-  Eigen::MatrixXd InverseInBand() const {
-    Eigen::MatrixXd S = Eigen::MatrixXd::Zero(L_.rows(), L_.cols());
+  BandMatrix InverseInBand() {
+    BandMatrix S(L_.size());
+    Eigen::MatrixXd later;  // S_below
     for (Eigen::Index i = LastTile(); i >= 0; i -= kTile) {
       const Eigen::Index n = Size(i), next = Size(i + n);
       Eigen::MatrixXd inverse = Eigen::MatrixXd::Identity(n, n);
       L_.block(i, i, n, n).triangularView<Eigen::Lower>().solveInPlace(inverse);
       const Eigen::MatrixXd inverse_T = inverse.transpose();
-      AddProduct(1.0, inverse_T, inverse_T, false, S.block(i, i, n, n));
-      if (next == 0) continue;
-      Eigen::MatrixXd G_T = Eigen::MatrixXd::Zero(n, next), below_T = G_T;
-      AddProduct(1.0, inverse_T, L_.block(i + n, i, next, n), false, G_T);
-      AddProduct(-1.0, G_T, S.block(i + n, i + n, next, next), false, below_T);
-      AddProduct(-1.0, G_T, below_T, false, S.block(i, i, n, n));
-      const Eigen::MatrixXd below = below_T.transpose();
-      S.block(i + n, i, next, n) = below;
-      S.block(i, i + n, n, next) = below.transpose();
+      Eigen::MatrixXd own = Eigen::MatrixXd::Zero(n, n);
+      AddProduct(1.0, inverse_T, inverse_T, false, own);
+      if (next > 0) {
+        Eigen::MatrixXd G_T = Eigen::MatrixXd::Zero(n, next), below_T = G_T;
+        AddProduct(1.0, inverse_T, L_.block(i + n, i, next, n), false, G_T);
+        AddProduct(-1.0, G_T, later, false, below_T);
+        AddProduct(-1.0, G_T, below_T, false, own);
+        S.block(i + n, i, next, n) = below_T.transpose();
+      }
+      S.block(i, i, n, n).triangularView<Eigen::Lower>() = own;
+      later = std::move(own);
     }
     return S;
   }
 
  private:
-  static constexpr Eigen::Index kTile = 32;
-  static_assert(kTile >= kSupport, "a bump must not reach beyond the next tile");
   /// Rows of the tile that begins at row i.
-  Eigen::Index Size(Eigen::Index i) const { return std::min(kTile, L_.rows() - i); }
-  Eigen::Index LastTile() const { return (L_.rows() - 1) / kTile * kTile; }
+  Eigen::Index Size(Eigen::Index i) const { return std::min(kTile, L_.size() - i); }
+  Eigen::Index LastTile() const { return (L_.size() - 1) / kTile * kTile; }
 
-  Eigen::MatrixXd L_;
+  BandMatrix L_;
 };
 
 /// Posterior of unit-variance bump weights given rows [begin, end) of the data:
@@ -186,7 +216,7 @@ WeightPosterior FitWeights(const GpData& data,
                            Eigen::Index end,
                            const BumpGrid& grid,
                            const GpHyperparameters& h) {
-  Eigen::MatrixXd A = Eigen::MatrixXd::Zero(grid.size, grid.size);
+  BandMatrix A(grid.size);
   Eigen::MatrixXd b = Eigen::MatrixXd::Zero(grid.size, data.y.cols());
   // Neighbours share their bumps: one product for each group of them.
   Eigen::Matrix<double, kSupport, kGroup> F;
@@ -198,15 +228,15 @@ WeightPosterior FitWeights(const GpData& data,
     auto group = F.leftCols(count);
     if (data.noise_scale.size() > 0)
       group *= data.noise_scale.segment(i, count).cwiseInverse().asDiagonal();
-    AddProduct(1.0, group, group, true, A.block<kSupport, kSupport>(j, j));
+    AddProduct(1.0, group, group, true, A.block(j, j, kSupport, kSupport));
     if (data.noise_scale.size() > 0)
       group *= data.noise_scale.segment(i, count).cwiseInverse().asDiagonal();
     b.middleRows<kSupport>(j).noalias() += group * data.y.middleRows(i, count);
     i += count;
   }
   const double weight_std = WeightStd(h);
-  A *= std::pow(weight_std / h.noise_std, 2);
-  A.diagonal().array() += 1.0;
+  A.Scale(std::pow(weight_std / h.noise_std, 2));
+  A.diagonal(0, 0, grid.size).array() += 1.0;
   b *= weight_std / (h.noise_std * h.noise_std);
   WeightPosterior posterior{BandedCholesky(std::move(A)), {}};
   posterior.mean = posterior.A.Solve(std::move(b));
@@ -262,20 +292,20 @@ std::shared_ptr<const WindowedGp::Window> WindowedGp::Fit(const GpData& data, si
   const double core_begin = begin_ + static_cast<double>(window) * core_;
   const auto [low, high] = Span(window);
   const BumpGrid grid(low, high, h.lengthscale_s);
-  const WeightPosterior posterior = FitWeights(data,
-                                               std::lower_bound(t_begin, t_end, low) - t_begin,
-                                               std::upper_bound(t_begin, t_end, high) - t_begin,
-                                               grid,
-                                               h);
+  WeightPosterior posterior = FitWeights(data,
+                                         std::lower_bound(t_begin, t_end, low) - t_begin,
+                                         std::upper_bound(t_begin, t_end, high) - t_begin,
+                                         grid,
+                                         h);
   // Queries come from the core only: the margins' weights have done their work.
   const int first = grid.FirstBump(core_begin);
   const int size = grid.FirstBump(core_begin + core_) + kSupport - first;
   const double weight_std = WeightStd(h);
-  const Eigen::MatrixXd inverse = posterior.A.InverseInBand();
+  BandMatrix inverse = posterior.A.InverseInBand();
   Eigen::MatrixXd covariance = Eigen::MatrixXd::Zero(size, kSupport);
   for (int k = 0; k < std::min(kSupport, size); ++k)
     covariance.col(k).head(size - k) =
-        weight_std * weight_std * inverse.block(first, first, size, size).diagonal(-k);
+        weight_std * weight_std * inverse.diagonal(k, first, size - k);
   return std::make_shared<const Window>(Window{grid.first + first * grid.spacing,
                                                weight_std * posterior.mean.middleRows(first, size),
                                                std::move(covariance)});
@@ -297,6 +327,14 @@ WindowedGp::Derivatives WindowedGp::Evaluate(double t) const {
   const BumpGrid grid(window.first_center, window.weights, hyperparameters_.lengthscale_s);
   const int j = grid.FirstBump(t);
   return window.weights.middleRows<kSupport>(j).transpose().lazyProduct(Bumps(grid, j, t));
+}
+
+WindowedGp::Values WindowedGp::Value(double t) const {
+  const Window& window = At(t);
+  const BumpGrid grid(window.first_center, window.weights, hyperparameters_.lengthscale_s);
+  const int j = grid.FirstBump(t);
+  return window.weights.middleRows<kSupport>(j).transpose().lazyProduct(
+      BumpValues(grid, j, t).value.matrix());
 }
 
 Eigen::Vector3d WindowedGp::Variance(double t) const {
@@ -324,7 +362,7 @@ double LogMarginalLikelihood(const GpData& data,
   const auto n = data.t.size();
   const auto outputs = static_cast<double>(data.y.cols());
   const BumpGrid grid(data.t[0], data.t[n - 1], h.lengthscale_s);
-  const WeightPosterior posterior = FitWeights(data, 0, n, grid, h);
+  WeightPosterior posterior = FitWeights(data, 0, n, grid, h);
   const double noise2 = h.noise_std * h.noise_std;
   const double weight_std = WeightStd(h);
 
@@ -332,7 +370,7 @@ double LogMarginalLikelihood(const GpData& data,
   double length_fit = 0.0;
   double tr_length = 0.0;
   double residual_norm2 = 0.0;
-  Eigen::MatrixXd inverse;  // of A, in its band
+  BandMatrix inverse(0);  // of A
   if (gradient != nullptr) inverse = posterior.A.InverseInBand();
   for (Eigen::Index i = 0; i < n; ++i) {
     const int j = grid.FirstBump(data.t[i]);
@@ -345,7 +383,9 @@ double LogMarginalLikelihood(const GpData& data,
     // d F / d log l; the 1/2 is the change of weight_std per length of a fixed grid.
     const Eigen::Matrix<double, kSupport, 1> df = f.array() * (2.0 * bumps.distance.square() - 0.5);
     length_fit += (residual / noise2).dot(df.transpose() * mean);
-    tr_length += f.dot(inverse.block<kSupport, kSupport>(j, j).lazyProduct(df)) / noise2;
+    tr_length +=
+        f.dot(inverse.block(j, j, kSupport, kSupport).selfadjointView<Eigen::Lower>() * df) /
+        noise2;
   }
   fit += residual_norm2 / noise2;
   const double log_likelihood =
@@ -354,7 +394,7 @@ double LogMarginalLikelihood(const GpData& data,
           (posterior.A.LogDeterminant() + static_cast<double>(n) * std::log(2.0 * M_PI * noise2));
 
   if (gradient != nullptr) {
-    const double trace_A_inv = inverse.trace();
+    const double trace_A_inv = inverse.diagonal(0, 0, grid.size).sum();
     const double m = grid.size;
     (*gradient)[0] = length_fit - outputs * tr_length;
     (*gradient)[1] = posterior.mean.squaredNorm() - outputs * (m - trace_A_inv);

@@ -346,9 +346,9 @@ MarkerVariance PoseTrajectory::Variance(double t) const {
 
 PoseTrajectory::Pose PoseTrajectory::PoseAt(double t) const {
   const Segment* segment = Find(t);
-  const Eigen::Vector4d q = segment->quaternion.Evaluate(t).col(0);
+  const Eigen::Vector4d q = segment->quaternion.Value(t);
   return {Eigen::Quaterniond(q).normalized(),
-          origin_W_ + Eigen::Vector3d(segment->position.Evaluate(t).col(0)),
+          origin_W_ + Eigen::Vector3d(segment->position.Value(t)),
           segment->position.ValueVariance(t),
           4.0 * segment->quaternion.ValueVariance(t)};
 }

@@ -88,7 +88,7 @@ GpData Measure(double duration, double rate, double noise, uint32_t seed) {
 constexpr double kAccelNoise = 0.02;
 
 TEST(WindowedGp, EqualsTheDenseGpOfTheWholeLogAlsoAcrossWindowBorders) {
-  const GpData data = Measure(30.0, 50.0, 1e-3, 1);
+  const GpData data = Measure(60.0, 25.0, 1e-3, 1);
   const GpHyperparameters h{0.15, 0.4, 1e-3};
   const WindowedGp windowed(data, h);
   const DenseGp dense(data, h);
@@ -108,7 +108,7 @@ TEST(WindowedGp, EqualsTheDenseGpOfTheWholeLogAlsoAcrossWindowBorders) {
 
 TEST(WindowedGp, WindowBordersAreContinuous) {
   const GpHyperparameters h{0.15, 0.4, 1e-3};
-  const WindowedGp gp(Measure(30.0, 100.0, 1e-3, 2), h);
+  const WindowedGp gp(Measure(70.0, 100.0, 1e-3, 2), h);
   const int windows = static_cast<int>(std::round((gp.end() - gp.begin()) / gp.core()));
   ASSERT_GT(windows, 5);
   for (int k = 1; k < windows; ++k) {

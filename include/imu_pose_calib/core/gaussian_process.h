@@ -34,6 +34,7 @@ class WindowedGp {
  public:
   /// Column k holds the k-th time derivative, k = 0..3; one row per output.
   using Derivatives = Eigen::Matrix<double, Eigen::Dynamic, 4, Eigen::ColMajor, 4, 4>;
+  using Values = Eigen::Matrix<double, Eigen::Dynamic, 1, Eigen::ColMajor, 4, 1>;
 
   /// Windows are fitted on up to `threads` threads.
   WindowedGp(const GpData& data, const GpHyperparameters& hyperparameters, int threads = 1);
@@ -53,6 +54,8 @@ class WindowedGp {
   /// Posterior mean at t and its first three derivatives (paper Eqs. 3 and 6). Outside of
   /// [begin, end] it tends to the prior mean, zero.
   Derivatives Evaluate(double t) const;
+  /// Evaluate(t).col(0) alone, at a third of the cost.
+  Values Value(double t) const;
 
   /// Posterior variance of the value and of the first and second derivative, the same for each
   /// output (paper Eqs. 4 and 7).
