@@ -204,6 +204,20 @@ class BandedCholesky {
   BandMatrix L_;
 };
 
+/// Values of the bumps around neighbours that share them: one product for all of them.
+using BumpGroup = Eigen::Matrix<double, kSupport, kGroup>;
+
+/// Whether the measurement i + count, before `end`, is one of those from i on, whose bumps begin at
+/// j.
+bool IsInGroup(const GpData& data,
+               Eigen::Index end,
+               const BumpGrid& grid,
+               int j,
+               Eigen::Index i,
+               Eigen::Index count) {
+  return i + count < end && count < kGroup && grid.FirstBump(data.t[i + count]) == j;
+}
+
 /// Posterior of unit-variance bump weights given rows [begin, end) of the data:
 ///   A = I + F^T F / noise^2, mean = A^-1 F^T y / noise^2, with F = weight_std * bumps.
 struct WeightPosterior {
@@ -218,12 +232,10 @@ WeightPosterior FitWeights(const GpData& data,
                            const GpHyperparameters& h) {
   BandMatrix A(grid.size);
   Eigen::MatrixXd b = Eigen::MatrixXd::Zero(grid.size, data.y.cols());
-  // Neighbours share their bumps: one product for each group of them.
-  Eigen::Matrix<double, kSupport, kGroup> F;
-  for (Eigen::Index i = begin; i < end;) {
+  BumpGroup F;
+  for (Eigen::Index i = begin, count = 0; i < end; i += count) {
     const int j = grid.FirstBump(data.t[i]);
-    Eigen::Index count = 0;
-    for (; i + count < end && count < kGroup && grid.FirstBump(data.t[i + count]) == j; ++count)
+    for (count = 0; IsInGroup(data, end, grid, j, i, count); ++count)
       F.col(count) = BumpValues(grid, j, data.t[i + count]).value;
     auto group = F.leftCols(count);
     if (data.noise_scale.size() > 0)
@@ -232,7 +244,6 @@ WeightPosterior FitWeights(const GpData& data,
     if (data.noise_scale.size() > 0)
       group *= data.noise_scale.segment(i, count).cwiseInverse().asDiagonal();
     b.middleRows<kSupport>(j).noalias() += group * data.y.middleRows(i, count);
-    i += count;
   }
   const double weight_std = WeightStd(h);
   A.Scale(std::pow(weight_std / h.noise_std, 2));
@@ -372,20 +383,29 @@ double LogMarginalLikelihood(const GpData& data,
   double residual_norm2 = 0.0;
   BandMatrix inverse(0);  // of A
   if (gradient != nullptr) inverse = posterior.A.InverseInBand();
-  for (Eigen::Index i = 0; i < n; ++i) {
+  BumpGroup F, dF;
+  for (Eigen::Index i = 0, count = 0; i < n; i += count) {
     const int j = grid.FirstBump(data.t[i]);
-    const BumpValues bumps(grid, j, data.t[i]);
-    const Eigen::Matrix<double, kSupport, 1> f = weight_std * bumps.value;
+    for (count = 0; IsInGroup(data, n, grid, j, i, count); ++count) {
+      const BumpValues bumps(grid, j, data.t[i + count]);
+      F.col(count) = weight_std * bumps.value;
+      // d F / d log l; the 1/2 is the change of weight_std per length of a fixed grid.
+      dF.col(count) = F.col(count).array() * (2.0 * bumps.distance.square() - 0.5);
+    }
     const auto mean = posterior.mean.middleRows<kSupport>(j);
-    const Eigen::RowVectorXd residual = data.y.row(i) - f.transpose() * mean;
+    const auto f = F.leftCols(count), df = dF.leftCols(count);
+    const Eigen::MatrixXd residual = data.y.middleRows(i, count) - f.transpose() * mean;
     residual_norm2 += residual.squaredNorm();
     if (gradient == nullptr) continue;
-    // d F / d log l; the 1/2 is the change of weight_std per length of a fixed grid.
-    const Eigen::Matrix<double, kSupport, 1> df = f.array() * (2.0 * bumps.distance.square() - 0.5);
-    length_fit += (residual / noise2).dot(df.transpose() * mean);
-    tr_length +=
-        f.dot(inverse.block(j, j, kSupport, kSupport).selfadjointView<Eigen::Lower>() * df) /
-        noise2;
+    length_fit += residual.cwiseProduct(df.transpose() * mean).sum() / noise2;
+    Eigen::Matrix<double, kSupport, kSupport> product = decltype(product)::Zero();
+    AddProduct(1.0, df, f, false, product);
+    product += product.transpose().eval();
+    const auto own = inverse.block(j, j, kSupport, kSupport);  // lower triangle
+    for (int k = 0; k < kSupport; ++k)
+      tr_length += (own.col(k).tail(kSupport - k).dot(product.col(k).tail(kSupport - k)) -
+                    0.5 * own(k, k) * product(k, k)) /
+                   noise2;
   }
   fit += residual_norm2 / noise2;
   const double log_likelihood =

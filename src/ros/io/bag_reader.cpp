@@ -459,7 +459,11 @@ std::string ReadApart(const BagRequest& request, const std::function<std::string
   uint64_t bytes = 0;
   for (const std::string& path : request.paths)
     for (const std::string& file : FilesOfBag(path)) bytes += SizeOf(file);
-  auto answer = RunApart([&] { return OrFail(request, read); }, Limits(bytes));
+  const auto run = [&] {
+    setenv("ROS_CACHE_TIMEOUT", "-1", 0);  // no search of all packages for plugins of rosbag
+    return OrFail(request, read);
+  };
+  auto answer = RunApart(run, Limits(bytes));
   if (!answer) FailDamaged(request, "it cannot be read within bounds of time and memory");
   return *std::move(answer);
 }
