@@ -1,7 +1,5 @@
 #include "imu_pose_calib/core/joint_residuals.h"
 
-#include <ceres/jet.h>
-
 #include <Eigen/LU>
 #include <initializer_list>
 #include <utility>
@@ -34,55 +32,60 @@ Eigen::Matrix<double, 3, 4> InverseRotationJacobian(const Eigen::Quaterniond& q,
 struct CorrectedRotation {
   Eigen::Quaterniond E;  // Exp(phi)
   Vector3d omega, alpha;
-  // Only with Jacobians:
+  // Only with derivatives:
   Matrix3d J;                      // right Jacobian of phi; d omega / d phi', d alpha / d phi''
   Matrix3d omega_phi;              // d omega / d phi
   Matrix3d alpha_phi, alpha_phi1;  // d alpha / d phi, phi'
   // Change with time of the splines, and of the GP's motion, of alpha but for its own change.
   Vector3d u, omega_spline, alpha_spline, omega_gp, alpha_gp;
 
+  /// Derivatives that are wanted: none, of omega, of both.
+  enum Derivatives { kNone, kOfOmega, kOfBoth };
+
   /// phi: columns 0..3 are the value and its time derivatives.
   CorrectedRotation(const Vector3d& omega_gp_M,
                     const Vector3d& alpha_gp_M,
                     const Eigen::Matrix<double, 3, 4>& phi,
-                    bool with_jacobians)
+                    Derivatives wanted)
       : E(Exp<double>(phi.col(0))) {
     Vector3d u_dot;
-    Matrix3d u_phi, udot_phi;
-    if (with_jacobians) {
-      using Jet = ceres::Jet<double, 3>;  // by phi
-      Eigen::Matrix<Jet, 3, 1> x[3], u_jet, udot_jet;
-      for (int k = 0; k < 3; ++k) x[k] = phi.col(k).cast<Jet>();
-      for (int i = 0; i < 3; ++i) x[0][i].v[i] = 1.0;
-      CorrectionRate(x[0], x[1], x[2], &u_jet, &udot_jet);
-      for (int i = 0; i < 3; ++i) {
-        u[i] = u_jet[i].a;
-        u_phi.row(i) = u_jet[i].v;
-        u_dot[i] = udot_jet[i].a;
-        udot_phi.row(i) = udot_jet[i].v;
-      }
-    } else {
-      CorrectionRate<double>(phi.col(0), phi.col(1), phi.col(2), &u, &u_dot);
-    }
-
+    CorrectionRate<double>(phi.col(0), phi.col(1), phi.col(2), &u, &u_dot);
     const Vector3d omega_E = E.conjugate() * omega_gp_M;  // E^T omega_gp
     const Vector3d alpha_E = E.conjugate() * alpha_gp_M;
     omega = omega_E + u;
     alpha = alpha_E - u.cross(omega_E) + u_dot;
-    if (!with_jacobians) return;
+    if (wanted == kNone) return;
 
-    J = RightJacobian<double>(phi.col(0));
-    // u' = J phi'' + B(phi', phi') with the bilinear B(a, b) = (d(J b)/d phi) a, of which the rate
-    // of J is one half of the derivative by phi', and d u / d phi the other.
-    const Matrix3d udot_phi1 = RightJacobianRate<double>(phi.col(0), phi.col(1)) + u_phi;
+    // With phi = w, phi' = x, phi'' = y, and b and c of RightJacobian() and their derivatives by
+    // |w|^2: d(J v)/d w, and with it that of u = J x.
+    const internal::JacobianTerms<double> j(phi.col(0).squaredNorm());
+    const Vector3d w = phi.col(0), x = phi.col(1), y = phi.col(2), p = w.cross(x), r = w.cross(p);
+    const Matrix3d W = Hat(w), X = Hat(x), WX = W * X;
+    const auto slope = [&](const Vector3d& wv, const Matrix3d& V, const Matrix3d& WV) -> Matrix3d {
+      return 2.0 * (j.dc * w.cross(wv) - j.db * wv) * w.transpose() + j.b * V -
+             j.c * (Hat(wv) + WV);
+    };
+    const Matrix3d WW = W * W, u_phi = slope(p, X, WX);
+    J = Matrix3d::Identity() - j.b * W + j.c * WW;
     // d(E^T v)/d phi = Hat(E^T v) J
-    const Matrix3d omega_E_phi = Hat(omega_E) * J;
-    omega_phi = omega_E_phi + u_phi;
-    alpha_phi = Hat(alpha_E) * J + Hat(omega_E) * u_phi - Hat(u) * omega_E_phi + udot_phi;
-    alpha_phi1 = Hat(omega_E) * J + udot_phi1;
-    omega_spline = omega_phi * phi.col(1) + J * phi.col(2);
-    alpha_spline = alpha_phi * phi.col(1) + alpha_phi1 * phi.col(2) + J * phi.col(3);
+    const Matrix3d omega_E_J = Hat(omega_E) * J;
+    omega_phi = omega_E_J + u_phi;
+    omega_spline = omega_phi * x + J * y;
     omega_gp = alpha_E;
+    if (wanted == kOfOmega) return;
+
+    // u' = J y + d(J x)/d w x, of which the second is 2 w.x (dc r - db p) + c x x p.
+    const double wx = 2.0 * w.dot(x);
+    const Vector3d by_w = 2.0 * (wx * (j.ddc * r - j.ddb * p) + j.dc * x.cross(p));
+    const Matrix3d Y = Hat(y);
+    const Matrix3d udot_phi = slope(w.cross(y), Y, W * Y) + by_w * w.transpose() +
+                              2.0 * (j.dc * r - j.db * p) * x.transpose() +
+                              wx * (j.db * X - j.dc * (Hat(p) + WX)) - j.c * X * X;
+    // The rate of J, and d u / d w again.
+    const Matrix3d udot_phi1 = wx * (j.dc * WW - j.db * W) - j.b * X + j.c * (X * W + WX) + u_phi;
+    alpha_phi = Hat(alpha_E) * J + Hat(omega_E) * u_phi - Hat(u) * omega_E_J + udot_phi;
+    alpha_phi1 = omega_E_J + udot_phi1;
+    alpha_spline = alpha_phi * x + alpha_phi1 * y + J * phi.col(3);
     alpha_gp = -u.cross(alpha_E);
   }
 };
@@ -287,7 +290,10 @@ class JointGyroResidual : public BatchResidual<JointImuSample> {
     const SplineWeights weights = CubicWeights(u, s.place.spacing);
     const Vector3d omega_gp = s.omega_M + dt.on_gp * s.alpha_M;
     const CorrectedRotation x(
-        omega_gp, s.alpha_M, EvaluateSpline(blocks, weights), jacobians.blocks != nullptr);
+        omega_gp,
+        s.alpha_M,
+        EvaluateSpline(blocks, weights),
+        jacobians.blocks != nullptr ? CorrectedRotation::kOfOmega : CorrectedRotation::kNone);
     const Vector3d omega_I = q_MI.conjugate() * x.omega;
     AsVector(residual) =
         (s.value - (1.0 - s.bias_u) * knot_0 - s.bias_u * knot_1 - K_g * omega_I) / s.sigma;
@@ -341,7 +347,11 @@ class JointAccelResidual : public BatchResidual<JointAccelSample> {
     const Vector3d omega_gp = s.omega_M + t * (s.alpha_M + 0.5 * t * jerk.alpha_rate);
     const Vector3d alpha_gp = s.alpha_M + t * jerk.alpha_rate;
     const Eigen::Matrix<double, 3, 4> phi = EvaluateSpline(blocks + kSplineOrder, weights);
-    const CorrectedRotation x(omega_gp, alpha_gp, phi, jacobians.blocks != nullptr);
+    const CorrectedRotation x(
+        omega_gp,
+        alpha_gp,
+        phi,
+        jacobians.blocks != nullptr ? CorrectedRotation::kOfBoth : CorrectedRotation::kNone);
     const Eigen::Quaterniond q_WM = q_gp * x.E;
     const Eigen::Matrix<double, 3, 4> d = EvaluateSpline(blocks, weights);
     const double scale = *blocks[n + 7];
