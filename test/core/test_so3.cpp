@@ -204,6 +204,18 @@ TEST(So3OfJets, LogTurnsStepsByTheInverseRightJacobian) {
   });
 }
 
+TEST(So3OfJets, TermsOfTheJacobianHaveTheSlopesTheyState) {
+  using Jet1 = ceres::Jet<double, 1>;
+  for (const double s : {0.0, 1e-4, 9.9e-3, 1.01e-2, 0.1, 1.0, 4.0, 9.0}) {
+    const internal::JacobianTerms<Jet1> of_jet(Jet1(s, 0));
+    const internal::JacobianTerms<double> terms(s);
+    EXPECT_NEAR(terms.db, of_jet.b.v[0], 1e-9) << s;
+    EXPECT_NEAR(terms.dc, of_jet.c.v[0], 1e-9) << s;
+    EXPECT_NEAR(terms.ddb, of_jet.db.v[0], 1e-8) << s;
+    EXPECT_NEAR(terms.ddc, of_jet.dc.v[0], 1e-8) << s;
+  }
+}
+
 TEST(So3OfJets, RightJacobianAndItsRateHaveTheSlopeOfTheirValues) {
   std::mt19937 random(12);
   ForEachVector(12, [&random](const Vector3d& r) {
