@@ -56,7 +56,7 @@ void Smooth(double rate_hz,
   h.noise_std = NoiseOf(h, rate_hz, cutoff);
   const double edge = kEdge * h.lengthscale_s;
   if (data.t[n - 1] - data.t[0] < 2.0 * edge) return;
-  const WindowedGp gp(data, h, threads);
+  const WindowedGp gp(data, h, threads, false);
   const auto count = static_cast<size_t>(n);
   InParallel(threads, (count + kPortion - 1) / kPortion, [&](size_t p) {
     for (size_t i = p * kPortion; i < std::min(count, (p + 1) * kPortion); ++i) {

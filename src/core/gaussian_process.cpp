@@ -269,8 +269,14 @@ double VarianceOf(const Eigen::MatrixXd& covariance, int j, const BumpArray& fac
 
 }  // namespace
 
-WindowedGp::WindowedGp(const GpData& data, const GpHyperparameters& hyperparameters, int threads)
-    : hyperparameters_(hyperparameters), begin_(data.t[0]), end_(data.t[data.t.size() - 1]) {
+WindowedGp::WindowedGp(const GpData& data,
+                       const GpHyperparameters& hyperparameters,
+                       int threads,
+                       bool with_variance)
+    : hyperparameters_(hyperparameters),
+      with_variance_(with_variance),
+      begin_(data.t[0]),
+      end_(data.t[data.t.size() - 1]) {
   const double windows = std::round((end_ - begin_) / (kCore * hyperparameters_.lengthscale_s));
   const double count = std::max(1.0, windows);
   core_ = std::max((end_ - begin_) / count, 1e-9);
@@ -312,14 +318,15 @@ std::shared_ptr<const WindowedGp::Window> WindowedGp::Fit(const GpData& data, si
   const int first = grid.FirstBump(core_begin);
   const int size = grid.FirstBump(core_begin + core_) + kSupport - first;
   const double weight_std = WeightStd(h);
+  auto fitted = std::make_shared<Window>(Window{
+      grid.first + first * grid.spacing, weight_std * posterior.mean.middleRows(first, size), {}});
+  if (!with_variance_) return fitted;
   BandMatrix inverse = posterior.A.InverseInBand();
-  Eigen::MatrixXd covariance = Eigen::MatrixXd::Zero(size, kSupport);
+  fitted->covariance = Eigen::MatrixXd::Zero(size, kSupport);
   for (int k = 0; k < std::min(kSupport, size); ++k)
-    covariance.col(k).head(size - k) =
+    fitted->covariance.col(k).head(size - k) =
         weight_std * weight_std * inverse.diagonal(k, first, size - k);
-  return std::make_shared<const Window>(Window{grid.first + first * grid.spacing,
-                                               weight_std * posterior.mean.middleRows(first, size),
-                                               std::move(covariance)});
+  return fitted;
 }
 
 bool WindowedGp::Reaches(double t, double other) const {

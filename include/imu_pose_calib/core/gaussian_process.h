@@ -36,8 +36,11 @@ class WindowedGp {
   using Derivatives = Eigen::Matrix<double, Eigen::Dynamic, 4, Eigen::ColMajor, 4, 4>;
   using Values = Eigen::Matrix<double, Eigen::Dynamic, 1, Eigen::ColMajor, 4, 1>;
 
-  /// Windows are fitted on up to `threads` threads.
-  WindowedGp(const GpData& data, const GpHyperparameters& hyperparameters, int threads = 1);
+  /// Windows are fitted on up to `threads` threads; there are variances only `with_variance`.
+  WindowedGp(const GpData& data,
+             const GpHyperparameters& hyperparameters,
+             int threads = 1,
+             bool with_variance = true);
   /// `before` without the measurements at the instants `removed` [s], neither the first nor the
   /// last: windows that they do not reach stay as they are.
   WindowedGp(const WindowedGp& before,
@@ -76,6 +79,7 @@ class WindowedGp {
   std::shared_ptr<const Window> Fit(const GpData& data, size_t window) const;
 
   GpHyperparameters hyperparameters_;
+  bool with_variance_;
   double begin_, end_, core_;
   std::vector<std::shared_ptr<const Window>> windows_;
 };

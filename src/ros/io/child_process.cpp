@@ -121,7 +121,9 @@ constexpr char kResult = 'r', kInputError = 'e';
   Limit(RLIMIT_AS, limits.memory);
 #endif
   try {
-    WriteAll(output, kResult + run());
+    const std::string result = run();
+    WriteAll(output, {kResult});
+    WriteAll(output, result);
   } catch (const InputError& error) {
     WriteAll(output, kInputError + std::string(error.what()));
   } catch (...) {
@@ -150,11 +152,12 @@ std::optional<std::string> RunApart(const std::function<std::string()>& run,
   }
   Child child(pid, ends[0]);
   const auto deadline = Clock::now() + std::chrono::seconds(limits.wall_s);
-  const std::string answer = ReadAll(child.output(), deadline);
+  std::string answer = ReadAll(child.output(), deadline);
   // No answer: it is late, or ended before it had one.
   if (answer.empty() || !child.Wait()) return std::nullopt;
   if (answer.front() == kInputError) throw InputError(answer.substr(1));
-  return answer.substr(1);
+  answer.erase(0, 1);
+  return answer;
 }
 
 int RunProgram(const std::vector<std::string>& command, const std::string& errors) {

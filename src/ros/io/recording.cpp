@@ -10,37 +10,29 @@
 
 #include "imu_pose_calib/ros/io/conversions.h"
 
+namespace imu_pose_calib {
+
 // Cereal prescribes the name of serialize().
 // NOLINTBEGIN(readability-identifier-naming)
-namespace cereal {
-
-template <typename Archive, int N>
-void serialize(Archive& archive, Eigen::Matrix<double, N, 1>& v) {
-  archive(binary_data(v.data(), N * sizeof(double)));
-}
-
-}  // namespace cereal
-
-namespace imu_pose_calib {
 
 template <typename Archive>
 void serialize(Archive& archive, PoseStd& std_dev) {
   archive(std_dev.position, std_dev.rotation);
 }
 
-template <typename Archive>
-void serialize(Archive& archive, PoseSample& pose) {
-  archive(pose.t_ns, pose.q_WM.coeffs(), pose.p_WM, pose.stated_std);
-}
-
-template <typename Archive>
-void serialize(Archive& archive, ImuSample& sample) {
-  archive(sample.t_ns, sample.value);
+/// As they are in memory: both ends are of one program.
+template <typename Archive, typename Sample>
+void Transfer(Archive& archive, std::vector<Sample>& samples) {
+  size_t count = samples.size();
+  archive(count);
+  samples.resize(count);
+  archive(cereal::binary_data(samples.data(), count * sizeof(Sample)));
 }
 
 template <typename Archive>
 void serialize(Archive& archive, ImuData& imu) {
-  archive(imu.gyro, imu.accel);
+  Transfer(archive, imu.gyro);
+  Transfer(archive, imu.accel);
 }
 
 template <typename Archive>
@@ -63,7 +55,8 @@ void serialize(Archive& archive, Recording& recording) {
   RecordingInfo& info = recording.info;
   archive(info.bag, info.imus, info.pose_topic, info.world_frame, info.marker_frame, info.imu_yaml);
   archive(info.notes, info.stated_pose_std, info.pose_latency);
-  archive(recording.data.poses, recording.data.imus);
+  Transfer(archive, recording.data.poses);
+  archive(recording.data.imus);
 }
 // NOLINTEND(readability-identifier-naming)
 
