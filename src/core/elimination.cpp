@@ -90,14 +90,16 @@ Elimination::Elimination(const std::vector<int>& sizes,
     columns_ += sizes[b];
   }
 
-  std::vector<int> places;
+  std::vector<int> places, seen_by(sizes.size(), -1);  // panel that had it last
   for (const std::vector<int>& blocks : residuals) {
     if (blocks.empty()) continue;
     places.clear();
     for (const int block : blocks) places.push_back(place(block));
-    Shape& shape = shapes_[Index(panel_[Index(*std::min_element(places.begin(), places.end()))])];
+    const int panel = panel_[Index(*std::min_element(places.begin(), places.end()))];
+    Shape& shape = shapes_[Index(panel)];
     for (const int k : places)
-      if (k >= shape.end) shape.rows.push_back(k);
+      if (k >= shape.end && std::exchange(seen_by[Index(k)], panel) != panel)
+        shape.rows.push_back(k);
   }
   for (Shape& shape : shapes_) {
     std::vector<int>& rows = shape.rows;

@@ -170,9 +170,15 @@ NormalEquations::NormalEquations(const Problem& problem,
                                  size_t windows)
     : problem_(problem), blocks_(border), equations_(std::move(equations)) {
   blocks_.insert(blocks_.end(), inner.begin(), inner.end());
-  std::stable_sort(equations_.begin(), equations_.end(), [](const Equation& a, const Equation& b) {
-    return std::make_pair(a.session, a.t) < std::make_pair(b.session, b.t);
-  });
+  const auto is_before = [](const Equation& a, const Equation& b) {
+    return a.session != b.session ? a.session < b.session : a.t < b.t;
+  };
+  // Those of a sensor are in order of time already.
+  const auto begin = equations_.begin(), end = equations_.end();
+  for (auto next = std::is_sorted_until(begin, end, is_before); next != end;) {
+    const auto sorted = std::exchange(next, std::is_sorted_until(next, end, is_before));
+    std::inplace_merge(begin, sorted, next, is_before);
+  }
   places_.resize(problem.blocks());
   std::vector<int> sizes;
   for (size_t b = 0; b < blocks_.size(); ++b) {
