@@ -20,13 +20,22 @@ void serialize(Archive& archive, PoseStd& std_dev) {
   archive(std_dev.position, std_dev.rotation);
 }
 
+template <typename Archive>
+void serialize(Archive& archive, PoseSample& pose) {
+  archive(pose.t_ns,
+          cereal::binary_data(pose.q_WM.coeffs().data(), 4 * sizeof(double)),
+          cereal::binary_data(pose.p_WM.data(), 3 * sizeof(double)),
+          pose.stated_std);
+}
+
 /// As they are in memory: both ends are of one program.
-template <typename Archive, typename Sample>
-void Transfer(Archive& archive, std::vector<Sample>& samples) {
+template <typename Archive>
+void Transfer(Archive& archive, std::vector<ImuSample>& samples) {
+  static_assert(sizeof(ImuSample) == 4 * sizeof(double), "nothing between the fields");
   size_t count = samples.size();
   archive(count);
   samples.resize(count);
-  archive(cereal::binary_data(samples.data(), count * sizeof(Sample)));
+  archive(cereal::binary_data(samples.data(), count * sizeof(ImuSample)));
 }
 
 template <typename Archive>
@@ -55,8 +64,7 @@ void serialize(Archive& archive, Recording& recording) {
   RecordingInfo& info = recording.info;
   archive(info.bag, info.imus, info.pose_topic, info.world_frame, info.marker_frame, info.imu_yaml);
   archive(info.notes, info.stated_pose_std, info.pose_latency);
-  Transfer(archive, recording.data.poses);
-  archive(recording.data.imus);
+  archive(recording.data.poses, recording.data.imus);
 }
 // NOLINTEND(readability-identifier-naming)
 
