@@ -205,7 +205,7 @@ void Elimination::AddRhs(const std::vector<int>& places,
   Eigen::VectorXd* own = nullptr;
   for (const int place : places) {
     const size_t k = Index(place);
-    if (panel_[k] != panel) {
+    if (own == nullptr || panel_[k] != panel) {
       panel = panel_[k];
       Panel* const touched = Touch(panel, panels);
       own = &touched->rhs[number];

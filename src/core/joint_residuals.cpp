@@ -61,9 +61,10 @@ struct CorrectedRotation {
     const internal::JacobianTerms<double> j(phi.col(0).squaredNorm());
     const Vector3d w = phi.col(0), x = phi.col(1), y = phi.col(2), p = w.cross(x), r = w.cross(p);
     const Matrix3d W = Hat(w), X = Hat(x), WX = W * X;
-    const auto slope = [&](const Vector3d& wv, const Matrix3d& V, const Matrix3d& WV) -> Matrix3d {
+    const auto slope =
+        [&](const Vector3d& wv, const Matrix3d& V, const Matrix3d& turned) -> Matrix3d {
       return 2.0 * (j.dc * w.cross(wv) - j.db * wv) * w.transpose() + j.b * V -
-             j.c * (Hat(wv) + WV);
+             j.c * (Hat(wv) + turned);
     };
     const Matrix3d WW = W * W, u_phi = slope(p, X, WX);
     J = Matrix3d::Identity() - j.b * W + j.c * WW;

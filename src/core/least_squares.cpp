@@ -300,8 +300,8 @@ NormalEquations LeastSquares::StepEquations() const {
   std::vector<Equation> all = Equations();
   const int joined = std::max(1, windows.count() / kStepWindows);
   for (Equation& equation : all) equation.window /= joined;
-  const auto count = static_cast<size_t>((windows.count() - 1) / joined + 1);
-  return {problem, border, inner, std::move(all), count};
+  const int count = (windows.count() - 1) / joined + 1;
+  return {problem, border, inner, std::move(all), static_cast<size_t>(count)};
 }
 
 int LeastSquares::Solve(double function_tolerance, std::optional<GaussNewtonStep> first) {
