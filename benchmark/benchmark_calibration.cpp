@@ -10,7 +10,6 @@
 
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/conditioning.h"
-#include "imu_pose_calib/core/gp_problem.h"
 #include "imu_pose_calib/core/initializer.h"
 #include "imu_pose_calib/core/joint_problem.h"
 #include "imu_pose_calib/core/joint_solver.h"

@@ -16,7 +16,6 @@ constexpr double kSharpness = 0.9;
 /// Length scales from the end of a run within which samples stay as they are: what lies beyond is
 /// missing in their means.
 constexpr double kEdge = 2.0;
-constexpr size_t kPortion = 256;  // samples that a thread takes at a time
 /// Periods between samples, of a gap.
 constexpr double kMaxGapPeriods = 5.5;
 
@@ -57,15 +56,12 @@ void Smooth(double rate_hz,
   const double edge = kEdge * h.lengthscale_s;
   if (data.t[n - 1] - data.t[0] < 2.0 * edge) return;
   const WindowedGp gp(data, h, threads, false);
-  const auto count = static_cast<size_t>(n);
-  InParallel(threads, (count + kPortion - 1) / kPortion, [&](size_t p) {
-    for (size_t i = p * kPortion; i < std::min(count, (p + 1) * kPortion); ++i) {
-      TimedSample& sample = begin[i];
-      if (sample.t - data.t[0] < edge || data.t[n - 1] - sample.t < edge) continue;
-      const Eigen::Vector3d smooth = mean.transpose() + gp.Value(sample.t);
-      sample.rest += sample.value - smooth;
-      sample.value = smooth;
-    }
+  InPortions(threads, static_cast<size_t>(n), [&](size_t i) {
+    TimedSample& sample = begin[i];
+    if (sample.t - data.t[0] < edge || data.t[n - 1] - sample.t < edge) return;
+    const Eigen::Vector3d smooth = mean.transpose() + gp.Value(sample.t);
+    sample.rest += sample.value - smooth;
+    sample.value = smooth;
   });
 }
 
@@ -91,15 +87,13 @@ void SmoothErrors(double cutoff,
                   PreparedSession* session) {
   for (const IndexRange& segment : session->data.segments) {
     TimedPose* const poses = session->data.poses.data() + segment.begin;
-    std::vector<MarkerState<double>> states(segment.size());
+    std::vector<Rigid3> T_WM(segment.size());
     std::vector<TimedSample> errors(segment.size());
     Eigen::VectorXd scales(segment.size());
-    InParallel(threads, (segment.size() + kPortion - 1) / kPortion, [&](size_t p) {
-      for (size_t i = p * kPortion; i < std::min(segment.size(), (p + 1) * kPortion); ++i) {
-        session->trajectory->Evaluate(poses[i].t, &states[i]);
-        errors[i] = {poses[i].t, error(states[i], poses[i])};
-        scales[static_cast<Eigen::Index>(i)] = poses[i].*scale;
-      }
+    InPortions(threads, segment.size(), [&](size_t i) {
+      T_WM[i] = session->trajectory->PoseAt(poses[i].t);
+      errors[i] = {poses[i].t, error(T_WM[i], poses[i])};
+      scales[static_cast<Eigen::Index>(i)] = poses[i].*scale;
     });
     Smooth(session->data.pose_report.rate_hz,
            cutoff,
@@ -107,7 +101,7 @@ void SmoothErrors(double cutoff,
            errors.data(),
            errors.data() + errors.size(),
            scales);
-    for (size_t i = 0; i < segment.size(); ++i) move(states[i], errors[i], &poses[i]);
+    for (size_t i = 0; i < segment.size(); ++i) move(T_WM[i], errors[i], &poses[i]);
   }
 }
 
@@ -133,14 +127,14 @@ PreparedSession LimitBand(const PreparedSession& session, double cutoff, int thr
     for (TimedPose& pose : limited.data.poses) {
       const PoseTrajectory& trajectory = *limited.trajectory;
       if (!trajectory.Covers(pose.t - edge, pose.t + edge)) continue;
-      const PoseTrajectory::Pose smooth = limited.trajectory->PoseAt(pose.t);
+      const Rigid3 smooth = limited.trajectory->PoseAt(pose.t);
       if (is_position_lower) {
-        pose.position_rest = pose.p_WM - smooth.p_WM;
-        pose.p_WM = smooth.p_WM;
+        pose.position_rest = pose.p_WM - smooth.p;
+        pose.p_WM = smooth.p;
       }
       if (is_rotation_lower) {
-        pose.rotation_rest = Log(Eigen::Quaterniond(smooth.q_WM.conjugate() * pose.q_WM));
-        pose.q_WM = smooth.q_WM;
+        pose.rotation_rest = Log(Eigen::Quaterniond(smooth.q.conjugate() * pose.q_WM));
+        pose.q_WM = smooth.q;
       }
     }
   }
@@ -148,12 +142,12 @@ PreparedSession LimitBand(const PreparedSession& session, double cutoff, int thr
     SmoothErrors(
         cutoff,
         threads,
-        [](const auto& state, const TimedPose& pose) -> Eigen::Vector3d {
-          return pose.p_WM - state.p_WM;
+        [](const Rigid3& T_WM, const TimedPose& pose) -> Eigen::Vector3d {
+          return pose.p_WM - T_WM.p;
         },
-        [](const auto& state, const TimedSample& smooth, TimedPose* pose) {
+        [](const Rigid3& T_WM, const TimedSample& smooth, TimedPose* pose) {
           pose->position_rest = smooth.rest;
-          pose->p_WM = state.p_WM + smooth.value;
+          pose->p_WM = T_WM.p + smooth.value;
         },
         &TimedPose::position_scale,
         &limited);
@@ -161,11 +155,11 @@ PreparedSession LimitBand(const PreparedSession& session, double cutoff, int thr
     SmoothErrors(
         cutoff,
         threads,
-        [](const auto& state, const TimedPose& pose) {
-          return Log(Eigen::Quaterniond(state.q_WM.conjugate() * pose.q_WM));
+        [](const Rigid3& T_WM, const TimedPose& pose) {
+          return Log(Eigen::Quaterniond(T_WM.q.conjugate() * pose.q_WM));
         },
-        [](const auto& state, const TimedSample& smooth, TimedPose* pose) {
-          const Eigen::Quaterniond q_WM = state.q_WM * Exp(smooth.value);
+        [](const Rigid3& T_WM, const TimedSample& smooth, TimedPose* pose) {
+          const Eigen::Quaterniond q_WM = T_WM.q * Exp(smooth.value);
           pose->rotation_rest = Log(Eigen::Quaterniond(q_WM.conjugate() * pose->q_WM));
           pose->q_WM = q_WM;
         },

@@ -7,7 +7,6 @@
 
 #include "imu_pose_calib/core/agreement.h"
 #include "imu_pose_calib/core/doubts.h"
-#include "imu_pose_calib/core/gp_problem.h"
 #include "imu_pose_calib/core/intrinsics.h"
 #include "imu_pose_calib/core/joint_solver.h"
 #include "imu_pose_calib/core/observability.h"
@@ -88,9 +87,9 @@ PoseStd PoseResiduals(const PreparedSession& session) {
   double position2 = 0.0, rotation2 = 0.0, count = 0.0;
   for (const TimedPose& pose : session.data.poses) {
     if (!session.trajectory->Contains(pose.t)) continue;
-    const PoseTrajectory::Pose smooth = session.trajectory->PoseAt(pose.t);
-    position2 += (pose.p_WM - smooth.p_WM).squaredNorm();
-    rotation2 += Log(Eigen::Quaterniond(smooth.q_WM.conjugate() * pose.q_WM)).squaredNorm();
+    const Rigid3 smooth = session.trajectory->PoseAt(pose.t);
+    position2 += (pose.p_WM - smooth.p).squaredNorm();
+    rotation2 += Log(Eigen::Quaterniond(smooth.q.conjugate() * pose.q_WM)).squaredNorm();
     count += 3.0;
   }
   return {std::sqrt(position2 / count), std::sqrt(rotation2 / count)};

@@ -9,7 +9,6 @@
 #include <utility>
 
 #include "imu_pose_calib/core/median.h"
-#include "imu_pose_calib/core/pose_updates.h"
 #include "imu_pose_calib/core/segments.h"
 
 namespace imu_pose_calib {
@@ -92,33 +91,20 @@ std::vector<Sample> Clean(const std::string& stream,
       kept.push_back(s);
     }
   }
-  const size_t n = samples.size();
-  CheckShare(stream, "are not finite: look at the driver", report->not_finite, n, max_bad_fraction);
-  CheckShare(stream,
-             "have a zero quaternion: look at the driver",
-             report->zero_quaternion,
-             n,
-             max_bad_fraction);
-  CheckShare(stream,
-             "are stamped hours from most others: its clock jumped; cut the recording at the jump",
-             astray,
-             n,
-             max_bad_fraction);
-  CheckShare(stream,
-             "are stamped more than 1 s ahead of those around them: look at the driver",
-             ahead,
-             n,
-             max_bad_fraction);
-  CheckShare(stream,
-             "are stamped more than 1 s before a sample that arrived earlier: its clock jumped "
-             "back; cut the recording at the jump",
-             report->reversed_stamp,
-             n,
-             max_bad_fraction);
-
+  const auto check = [&](size_t bad, const char* defect) {
+    CheckShare(stream, defect, bad, samples.size(), max_bad_fraction);
+  };
+  check(report->not_finite, "are not finite: look at the driver");
+  check(report->zero_quaternion, "have a zero quaternion: look at the driver");
+  check(astray,
+        "are stamped hours from most others: its clock jumped; cut the recording at the jump");
+  check(ahead, "are stamped more than 1 s ahead of those around them: look at the driver");
+  check(report->reversed_stamp,
+        "are stamped more than 1 s before a sample that arrived earlier: its clock jumped back; "
+        "cut the recording at the jump");
   report->reversed_stamp += astray + ahead;
 
-  if (kept.empty()) Refuse("none of the ", n, " ", stream, " samples is usable");
+  if (kept.empty()) Refuse("none of the ", samples.size(), " ", stream, " samples is usable");
 
   std::stable_sort(
       kept.begin(), kept.end(), [](const Sample& a, const Sample& b) { return a.t_ns < b.t_ns; });

@@ -1,16 +1,11 @@
 #include "imu_pose_calib/core/gaussian_process.h"
 
-#include <ceres/gradient_problem.h>
-#include <ceres/gradient_problem_solver.h>
-
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <utility>
 
 #include "imu_pose_calib/core/dense.h"
-#include "imu_pose_calib/core/median.h"
 #include "imu_pose_calib/core/parallel.h"
 
 namespace imu_pose_calib {
@@ -21,9 +16,8 @@ constexpr int kHalfSupport = 15;
 constexpr int kSupport =
     2 * kHalfSupport;  // bumps that reach one instant: the others are below 3e-14
 constexpr int kGroup = 32;
-constexpr double kCore = 64.0;             // [length scales]
-constexpr double kMargin = 20.0;           // [length scales]
-constexpr double kMaxSignalToNoise = 1e5;  // keeps the normal equations well conditioned
+constexpr double kCore = 64.0;    // [length scales]
+constexpr double kMargin = 20.0;  // [length scales]
 
 /// Uniform grid of Gaussian bumps exp(-(t - c_j)^2 / l^2), c_j = first + j spacing.
 struct BumpGrid {
@@ -347,12 +341,13 @@ WindowedGp::Derivatives WindowedGp::Evaluate(double t) const {
   return window.weights.middleRows<kSupport>(j).transpose().lazyProduct(Bumps(grid, j, t));
 }
 
-WindowedGp::Values WindowedGp::Value(double t) const {
+WindowedGp::Values WindowedGp::Value(double t, double* variance) const {
   const Window& window = At(t);
   const BumpGrid grid(window.first_center, window.weights, hyperparameters_.lengthscale_s);
   const int j = grid.FirstBump(t);
-  return window.weights.middleRows<kSupport>(j).transpose().lazyProduct(
-      BumpValues(grid, j, t).value.matrix());
+  const BumpArray bumps = BumpValues(grid, j, t).value;
+  if (variance != nullptr) *variance = VarianceOf(window.covariance, j, bumps);
+  return window.weights.middleRows<kSupport>(j).transpose().lazyProduct(bumps.matrix());
 }
 
 Eigen::Vector3d WindowedGp::Variance(double t) const {
@@ -363,13 +358,6 @@ Eigen::Vector3d WindowedGp::Variance(double t) const {
   Eigen::Vector3d variance;
   for (int k = 0; k < 3; ++k) variance[k] = VarianceOf(window.covariance, j, B.col(k));
   return variance;
-}
-
-double WindowedGp::ValueVariance(double t) const {
-  const Window& window = At(t);
-  const BumpGrid grid(window.first_center, window.weights, hyperparameters_.lengthscale_s);
-  const int j = grid.FirstBump(t);
-  return VarianceOf(window.covariance, j, BumpValues(grid, j, t).value);
 }
 
 double LogMarginalLikelihood(const GpData& data,
@@ -428,164 +416,6 @@ double LogMarginalLikelihood(const GpData& data,
     (*gradient)[2] = residual_norm2 / noise2 - outputs * (static_cast<double>(n) - m + trace_A_inv);
   }
   return log_likelihood;
-}
-
-namespace {
-
-/// Negative log marginal likelihood in the logarithms of the three hyperparameters, with soft walls
-/// that keep them where the data can tell them.
-class MarginalLikelihoodCost : public ceres::FirstOrderFunction {
- public:
-  MarginalLikelihoodCost(const std::vector<GpData>& data,
-                         const GpHyperparameters& fixed,
-                         const Eigen::Vector3d& low,
-                         const Eigen::Vector3d& high)
-      : data_(data),
-        is_free_(fixed.lengthscale_s == 0.0, fixed.signal_std == 0.0, fixed.noise_std == 0.0),
-        low_(low),
-        high_(high) {
-    for (const GpData& d : data) count_ += static_cast<double>(d.y.size());
-  }
-
-  bool Evaluate(const double* x, double* cost, double* gradient) const override {
-    const Eigen::Map<const Eigen::Vector3d> logs(x);
-    const Eigen::Vector3d clamped = logs.cwiseMax(low_ - kSlack).cwiseMin(high_ + kSlack);
-    if (clamped != logs) return false;
-    const GpHyperparameters h{std::exp(x[0]), std::exp(x[1]), std::exp(x[2])};
-    *cost = 0.0;
-    Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-    for (const GpData& d : data_) {
-      Eigen::Vector3d g;
-      *cost -= LogMarginalLikelihood(d, h, gradient != nullptr ? &g : nullptr);
-      if (gradient != nullptr) sum -= g;
-    }
-    const Eigen::Vector3d below = (low_ - logs).cwiseMax(0.0);
-    const Eigen::Vector3d above = (logs - high_).cwiseMax(0.0);
-    const double ratio = std::max(0.0, x[1] - x[2] - std::log(kMaxSignalToNoise));
-    const double wall = 10.0 * count_;
-    *cost += wall * (below.squaredNorm() + above.squaredNorm() + ratio * ratio);
-    sum += 2.0 * wall * (above - below + Eigen::Vector3d(0.0, ratio, -ratio));
-    *cost /= count_;
-    for (int k = 0; gradient != nullptr && k < 3; ++k)
-      gradient[k] = is_free_[k] ? sum[k] / count_ : 0.0;
-    return std::isfinite(*cost);
-  }
-  int NumParameters() const override { return 3; }
-
- private:
-  const Eigen::Vector3d kSlack = Eigen::Vector3d::Constant(0.3);
-  const std::vector<GpData>& data_;
-  const Eigen::Array<bool, 3, 1> is_free_;
-  const Eigen::Vector3d low_, high_;
-  double count_ = 0.0;
-};
-
-/// Moments of the data from which the search starts.
-struct Moments {
-  double period, duration, signal, rate, noise;
-
-  explicit Moments(const std::vector<GpData>& data) {
-    double sum2 = 0.0, count = 0.0;
-    std::vector<double> periods, rates, second_differences;
-    duration = 0.0;
-    for (const GpData& d : data) {
-      const auto n = d.t.size();
-      sum2 += d.y.squaredNorm();
-      count += static_cast<double>(d.y.size());
-      duration = std::max(duration, d.t[n - 1] - d.t[0]);
-      Eigen::Index lag = 0;  // a rate over 50 ms is not all noise
-      for (Eigen::Index i = 1; i < n; ++i) {
-        periods.push_back(d.t[i] - d.t[i - 1]);
-        while (d.t[i] - d.t[lag] > 0.05 && lag + 1 < i) ++lag;
-        rates.push_back((d.y.row(i) - d.y.row(lag)).squaredNorm() / std::pow(d.t[i] - d.t[lag], 2) /
-                        static_cast<double>(d.y.cols()));
-        if (i < 2) continue;
-        for (Eigen::Index k = 0; k < d.y.cols(); ++k)
-          second_differences.push_back(std::abs(d.y(i, k) - 2.0 * d.y(i - 1, k) + d.y(i - 2, k)));
-      }
-    }
-    period = Median(periods);
-    signal = std::sqrt(sum2 / count);
-    rate = std::sqrt(Median(rates));
-    noise = Median(second_differences) / 0.6745 / std::sqrt(6.0);
-  }
-};
-
-/// Of a few of the data; x: logarithms of the hyperparameters.
-double RoughLikelihood(const std::vector<GpData>& data, const Eigen::Vector3d& x) {
-  double likelihood = 0.0;
-  for (size_t k = 0; k < data.size(); k += 1 + data.size() / 4)
-    likelihood +=
-        LogMarginalLikelihood(data[k], {std::exp(x[0]), std::exp(x[1]), std::exp(x[2])}, nullptr);
-  return likelihood;
-}
-
-/// The likelihood has a second maximum where the noise is followed as a signal: start the search in
-/// the right valley, with the best of a few length scales around exp(x[0]).
-Eigen::Vector3d ScanLengthscale(const std::vector<GpData>& data,
-                                const Eigen::Vector3d& x,
-                                double low,
-                                double high) {
-  Eigen::Vector3d best = x;
-  double most = -std::numeric_limits<double>::infinity();
-  for (double step = -3.5; step <= 1.0; step += 0.5) {
-    const Eigen::Vector3d candidate(x[0] + step, x[1], x[2]);
-    if (candidate[0] < low || candidate[0] > high) continue;
-    const double likelihood = RoughLikelihood(data, candidate);
-    if (likelihood <= most) continue;
-    most = likelihood;
-    best = candidate;
-  }
-  return best;
-}
-
-}  // namespace
-
-GpHyperparameters FitHyperparameters(const std::vector<GpData>& data,
-                                     const GpHyperparameters& fixed,
-                                     const GpHyperparameters& before) {
-  if (fixed.lengthscale_s > 0.0 && fixed.signal_std > 0.0 && fixed.noise_std > 0.0) return fixed;
-  if (fixed.lengthscale_s == 0.0 && fixed.noise_std > 0.0) {
-    const GpHyperparameters fitted =
-        FitHyperparameters(data, {fixed.lengthscale_s, fixed.signal_std, 0.0}, before);
-    if (fitted.noise_std > fixed.noise_std) return fitted;
-  }
-  const Moments moments(data);
-  const double signal = std::max(moments.signal, 1e-6);
-  const double noise = std::clamp(moments.noise, 1e-5 * signal, signal);
-  const Eigen::Vector3d low =
-      Eigen::Vector3d(2.0 * moments.period, 1e-2 * signal, 2e-6 * signal).array().log();
-  const Eigen::Vector3d high =
-      Eigen::Vector3d(std::max(moments.duration, 4.0 * moments.period), 1e3 * signal, 3.0 * signal)
-          .array()
-          .log();
-  Eigen::Vector3d x(
-      std::log(signal / std::max(moments.rate, 1e-6)), std::log(signal), std::log(noise));
-  x = x.cwiseMax(low).cwiseMin(high);
-  if (fixed.lengthscale_s > 0.0) x[0] = std::log(fixed.lengthscale_s);
-  if (fixed.signal_std > 0.0) x[1] = std::log(fixed.signal_std);
-  if (fixed.noise_std > 0.0) x[2] = std::log(fixed.noise_std);
-  if (fixed.lengthscale_s == 0.0) x = ScanLengthscale(data, x, low[0], high[0]);
-  if (before.lengthscale_s > 0.0) {
-    Eigen::Vector3d there(before.lengthscale_s, before.signal_std, before.noise_std);
-    there = there.array().log().matrix().cwiseMax(low).cwiseMin(high).eval();
-    if (fixed.lengthscale_s > 0.0) there[0] = x[0];
-    if (fixed.signal_std > 0.0) there[1] = x[1];
-    if (fixed.noise_std > 0.0) there[2] = x[2];
-    if (RoughLikelihood(data, there) > RoughLikelihood(data, x)) x = there;
-  }
-
-  ceres::GradientProblem problem(
-      new MarginalLikelihoodCost(data, fixed, low.cwiseMin(x), high.cwiseMax(x)));
-  ceres::GradientProblemSolver::Options options;
-  options.logging_type = ceres::SILENT;
-  options.line_search_direction_type = ceres::BFGS;
-  options.max_num_iterations = 60;
-  options.function_tolerance = 1e-7;
-  options.gradient_tolerance = 1e-5;
-  ceres::GradientProblemSolver::Summary summary;
-  ceres::Solve(options, problem, x.data(), &summary);
-  return {std::exp(x[0]), std::exp(x[1]), std::exp(x[2])};
 }
 
 }  // namespace imu_pose_calib

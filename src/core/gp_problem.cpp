@@ -1,7 +1,6 @@
-#include "imu_pose_calib/core/gp_problem.h"
-
 #include <cmath>
 
+#include "imu_pose_calib/core/joint_solver.h"
 #include "imu_pose_calib/core/residuals.h"
 
 namespace imu_pose_calib {

@@ -131,9 +131,9 @@ void FeignInformation(const std::vector<CorrectionSplines>& splines, LeastSquare
     const JointDensities S(*joint, session);
     double turn2 = 0.0, seen = 0.0;
     for (size_t i = 0; i < sensor.samples.size(); i += 1 + sensor.samples.size() / kEnough) {
-      MarkerState<double> state;
-      if (!trajectory.Evaluate(sensor.samples[i].t, &state)) continue;
-      turn2 += state.omega_M.squaredNorm();
+      MarkerRotation<double> marker;
+      if (!trajectory.EvaluateRotation(sensor.samples[i].t, &marker)) continue;
+      turn2 += marker.omega_M.squaredNorm();
       seen += 1.0;
     }
     if (seen == 0.0) continue;

@@ -28,9 +28,7 @@ constexpr double kAlignmentPrior = M_PI / 360.0;  // [rad] their other elements:
 constexpr double kSizePrior = 3e-3;               // [m] places of the accelerometer's axes
 
 constexpr double kCurvatureStep = 0.01;  // [s] of differences
-/// Samples that a thread takes at a time.
-constexpr size_t kPortion = 256;
-constexpr double kSensors = 4.0;  // of one IMU and the poses, that share what may be kept
+constexpr double kSensors = 3.0;         // of one IMU and the poses, that share what may be kept
 
 /// Of the elements of a matrix in rows, or of its lower triangle.
 Eigen::VectorXd IntrinsicsPrior(bool is_triangle) {
@@ -49,10 +47,7 @@ Samples<Sample> Collect(const CalibrationOptions& options,
   const double mb = 1e-6 * static_cast<double>(count * sizeof(Sample));
   if (mb > options.max_factor_mb / kSensors) return {count, make};
   std::vector<Sample> samples(count);
-  InParallel(options.Threads(), (count + kPortion - 1) / kPortion, [&](size_t p) {
-    for (size_t i = p * kPortion; i < std::min(count, (p + 1) * kPortion); ++i)
-      samples[i] = make(i);
-  });
+  InPortions(options.Threads(), count, [&](size_t i) { samples[i] = make(i); });
   return samples;
 }
 
@@ -207,6 +202,7 @@ void SessionBuilder::AddPoses() {
   const Clocks clocks = FindClocks(nullptr, false);
   Problem& problem = joint_->problem;
   const std::vector<TimedPose>& poses = prepared_.data.poses;
+  const std::shared_ptr<const Places> places = places_;
   std::vector<size_t> kept;
   std::vector<Run> runs;
   for (size_t i = 0; i < poses.size(); ++i) {
@@ -217,8 +213,9 @@ void SessionBuilder::AddPoses() {
   }
   const int pose_smoothing = problem.Find(&joint_->estimate->pose_smoothing);
   const int position_smoothing = problem.Find(&joint_->estimate->position_smoothing);
-  const auto add = [&](Quantity quantity, auto scale, auto create, auto blocks) {
-    SensorBlocks* sensor = joint_->Find(quantity, session_);
+  SensorBlocks* const position = joint_->Find(Quantity::kPosition, session_);
+  SensorBlocks* const rotation = joint_->Find(Quantity::kRotation, session_);
+  const auto place = [&](double TimedPose::*scale, SensorBlocks* sensor) {
     const SensorModel& model = *sensor->model;
     sensor->samples.reserve(kept.size());
     for (const size_t i : kept)
@@ -226,32 +223,38 @@ void SessionBuilder::AddPoses() {
           {poses[i].t,
            static_cast<uint32_t>(i),
            static_cast<float>(model.noise * poses[i].*scale / std::sqrt(model.weights[i]))});
-    const std::function<JointPoseSample(size_t)> make =
-        [places = places_, sensor, &poses](size_t k) {
-          const ProblemSample& at = sensor->samples[k];
-          const TimedPose& pose = poses[at.index];
-          const MarkerState<double> gp = places->At(at.t);
-          return JointPoseSample{*places->splines.Locate(at.t),
-                                 gp.q_WM.conjugate() * pose.q_WM,
-                                 pose.p_WM - gp.p_WM,
-                                 gp.alpha_M,
-                                 gp.a_W,
-                                 places->ReferenceTime(at.t),
-                                 at.sigma,
-                                 at.sigma};
-        };
-    const std::shared_ptr<const SampledCost> cost =
-        create(Collect(joint_->options, kept.size(), make), clocks.motions);
+  };
+  place(&TimedPose::position_scale, position);
+  place(&TimedPose::rotation_scale, rotation);
+  const auto samples =
+      Collect<JointPoseSample>(joint_->options, kept.size(), [=, &poses](size_t k) {
+        const ProblemSample& at = position->samples[k];
+        const TimedPose& pose = poses[at.index];
+        const MarkerState<double> gp = places->At(at.t);
+        return JointPoseSample{*places->splines.Locate(at.t),
+                               gp.q_WM.conjugate() * pose.q_WM,
+                               pose.p_WM - gp.p_WM,
+                               gp.alpha_M,
+                               gp.a_W,
+                               places->ReferenceTime(at.t),
+                               at.sigma,
+                               rotation->samples[k].sigma};
+      });
+  const auto add = [&](std::shared_ptr<const SampledCost> cost, auto blocks, SensorBlocks* sensor) {
     ForRuns(runs, [&](size_t begin, size_t end, const Run& run) {
       sensor->Add(problem.AddResiduals(cost, begin, end, blocks(run.first)), poses[kept[begin]].t);
     });
   };
-  add(Quantity::kPosition, &TimedPose::position_scale, CreateJointPositionResidual, [&](int first) {
-    return Blocks({d_ + first}, {pose_smoothing, position_smoothing}, clocks.blocks);
-  });
-  add(Quantity::kRotation, &TimedPose::rotation_scale, CreateJointRotationResidual, [&](int first) {
-    return Blocks({phi_ + first}, {pose_smoothing}, clocks.blocks);
-  });
+  add(
+      CreateJointPositionResidual(samples, clocks.motions),
+      [&](int first) {
+        return Blocks({d_ + first}, {pose_smoothing, position_smoothing}, clocks.blocks);
+      },
+      position);
+  add(
+      CreateJointRotationResidual(samples, clocks.motions),
+      [&](int first) { return Blocks({phi_ + first}, {pose_smoothing}, clocks.blocks); },
+      rotation);
 }
 
 template <typename Sample, typename Complete, typename Create, typename BlocksOf>
@@ -319,7 +322,8 @@ void SessionBuilder::AddGyro(size_t imu) {
       0.0,
       &estimate_.imus[imu].gyro_bias,
       [](const Places& places, double t_M, JointImuSample* sample) {
-        const MarkerState<double> gp = places.At(t_M);
+        MarkerRotation<double> gp;
+        places.trajectory->EvaluateRotation(t_M, &gp);
         sample->omega_M = gp.omega_M;
         sample->alpha_M = gp.alpha_M;
       },

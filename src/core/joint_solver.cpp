@@ -120,9 +120,9 @@ LivelySpan FindLiveliest(const PreparedSession& session,
   for (double t = first; t + 0.5 * duration_s < last; t += 0.5 * duration_s) {
     double sum = 0.0, followed = 0.0;
     for (double s = t; s < std::min(last, t + duration_s); s += kStep) {
-      MarkerState<double> state;
-      if (!knots.Locate(s) || !session.trajectory->Evaluate(s, &state)) continue;
-      sum += state.alpha_M.squaredNorm();
+      MarkerRotation<double> marker;
+      if (!knots.Locate(s) || !session.trajectory->EvaluateRotation(s, &marker)) continue;
+      sum += marker.alpha_M.squaredNorm();
       followed += kStep / duration_s;
     }
     const double liveliness = kStep / duration_s * sum;

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <future>
 #include <optional>
 #include <utility>
 
@@ -19,7 +18,6 @@ constexpr int kLikelihoodChunks = 16;
 constexpr size_t kChunkPoses = 250;
 constexpr int kMaxRounds = 12;
 constexpr int kMaxRefits = 3;
-constexpr size_t kPortion = 512;  // poses that a thread takes at a time
 constexpr int kSpikeRounds = 3;
 constexpr double kSpikeThreshold = 2.0;  // times the outlier threshold
 constexpr double kSpikeRadius = 10.5;    // poses on either side
@@ -79,8 +77,10 @@ GpHyperparameters FitPosition(const CalibrationOptions& o,
   std::vector<GpData> chunks;
   for (const IndexRange& range : Chunks(data.segments))
     chunks.push_back(PositionData(data.poses, range, origin_W));
-  return FitHyperparameters(
-      chunks, {o.position_lengthscale_s, o.position_signal_std, o.position_noise_std}, before);
+  return FitHyperparameters(chunks,
+                            {o.position_lengthscale_s, o.position_signal_std, o.position_noise_std},
+                            before,
+                            o.Threads());
 }
 
 /// In [rad]. Rotation noise moves a unit quaternion by half the angle and in three of its four
@@ -95,7 +95,8 @@ GpHyperparameters FitRotation(const CalibrationOptions& o,
   const GpHyperparameters h = FitHyperparameters(
       chunks,
       {o.rotation_lengthscale_s, 0.5 * o.rotation_signal_std, noise_ratio * o.rotation_noise_std},
-      {before.lengthscale_s, 0.5 * before.signal_std, noise_ratio * before.noise_std});
+      {before.lengthscale_s, 0.5 * before.signal_std, noise_ratio * before.noise_std},
+      o.Threads());
   return {h.lengthscale_s, 2.0 * h.signal_std, h.noise_std / noise_ratio};
 }
 
@@ -113,16 +114,15 @@ void LeaveOneOut(const PoseTrajectory& trajectory,
     return residual / std::sqrt(std::max(noise2 - variance, 1e-3 * noise2));
   };
   normalised->resize(poses.size());
-  InParallel(threads, (poses.size() + kPortion - 1) / kPortion, [&](size_t p) {
-    for (size_t i = p * kPortion; i < std::min(poses.size(), (p + 1) * kPortion); ++i) {
-      const TimedPose& pose = poses[i];
-      if (!removed.empty() && !trajectory.Reaches(pose.t, removed)) continue;
-      const PoseTrajectory::Pose smooth = trajectory.PoseAt(pose.t);
-      const double rotation = Log(Eigen::Quaterniond(smooth.q_WM.conjugate() * pose.q_WM)).norm();
-      (*normalised)[i] << normalise(
-          (pose.p_WM - smooth.p_WM).norm(), smooth.position_variance, position_noise2),
-          normalise(rotation, smooth.rotation_variance, rotation_noise2);
-    }
+  InPortions(threads, poses.size(), [&](size_t i) {
+    const TimedPose& pose = poses[i];
+    if (!removed.empty() && !trajectory.Reaches(pose.t, removed)) return;
+    Eigen::Vector2d variance;
+    const Rigid3 smooth = trajectory.PoseAt(pose.t, &variance);
+    const double position = (pose.p_WM - smooth.p).norm();
+    const double rotation = Log(Eigen::Quaterniond(smooth.q.conjugate() * pose.q_WM)).norm();
+    (*normalised)[i] << normalise(position, variance[0], position_noise2),
+        normalise(rotation, variance[1], rotation_noise2);
   });
 }
 
@@ -247,6 +247,30 @@ void RemoveSpikes(double threshold, ConditionedData* data) {
   }
 }
 
+/// How the quaternion before projection turns, given with its derivatives in columns, and, unless
+/// null, the time derivative of that (of q_WM: of its coefficients).
+void FindRotation(const WindowedGp::Derivatives& q,
+                  MarkerRotation<double>* rotation,
+                  MarkerRotation<double>* rate) {
+  const auto quaternion = [&q](int derivative) {
+    return Eigen::Quaterniond(Eigen::Vector4d(q.col(derivative)));
+  };
+  // With A = q^-1 q', B = q^-1 q'', C = q^-1 q''': omega = 2 Im A, A' = B - A^2, B' = C - A B,
+  // whatever the norm of q does.
+  const Eigen::Quaterniond q_inv = quaternion(0).inverse();
+  const Eigen::Quaterniond A = q_inv * quaternion(1);
+  const Eigen::Quaterniond B = q_inv * quaternion(2);
+  rotation->q_WM = quaternion(0).normalized();
+  rotation->omega_M = 2.0 * A.vec();
+  rotation->alpha_M = 2.0 * (B.vec() - (A * A).vec());
+  if (rate == nullptr) return;
+  const Eigen::Quaterniond C = q_inv * quaternion(3);
+  const Eigen::Quaterniond half_omega(0.0, A.x(), A.y(), A.z());
+  rate->q_WM = rotation->q_WM * half_omega;
+  rate->omega_M = rotation->alpha_M;
+  rate->alpha_M = 2.0 * (C.vec() - 2.0 * (A * B).vec() - (B * A).vec() + 2.0 * (A * A * A).vec());
+}
+
 }  // namespace
 
 PoseTrajectory::PoseTrajectory(const std::vector<TimedPose>& poses,
@@ -310,30 +334,21 @@ bool PoseTrajectory::Evaluate(double t,
   const Segment* segment = Find(t);
   if (segment == nullptr) return false;
   const WindowedGp::Derivatives p = segment->position.Evaluate(t);
-  const WindowedGp::Derivatives q = segment->quaternion.Evaluate(t);
-  const auto quaternion = [&q](int derivative) {
-    return Eigen::Quaterniond(Eigen::Vector4d(q.col(derivative)));
-  };
-  // With A = q^-1 q', B = q^-1 q'', C = q^-1 q''' of the quaternion before projection:
-  // omega = 2 Im A, A' = B - A^2, B' = C - A B, whatever the norm of q does.
-  const Eigen::Quaterniond q_inv = quaternion(0).inverse();
-  const Eigen::Quaterniond A = q_inv * quaternion(1);
-  const Eigen::Quaterniond B = q_inv * quaternion(2);
-  state->q_WM = quaternion(0).normalized();
-  state->omega_M = 2.0 * A.vec();
-  state->alpha_M = 2.0 * (B.vec() - (A * A).vec());
+  FindRotation(segment->quaternion.Evaluate(t), state, rate);
   state->p_WM = origin_W_ + Eigen::Vector3d(p.col(0));
   state->v_W = p.col(1);
   state->a_W = p.col(2);
   if (rate == nullptr) return true;
-  const Eigen::Quaterniond C = q_inv * quaternion(3);
-  const Eigen::Quaterniond half_omega(0.0, A.x(), A.y(), A.z());
-  rate->q_WM = state->q_WM * half_omega;
-  rate->omega_M = state->alpha_M;
-  rate->alpha_M = 2.0 * (C.vec() - 2.0 * (A * B).vec() - (B * A).vec() + 2.0 * (A * A * A).vec());
   rate->p_WM = state->v_W;
   rate->v_W = state->a_W;
   rate->a_W = p.col(3);
+  return true;
+}
+
+bool PoseTrajectory::EvaluateRotation(double t, MarkerRotation<double>* rotation) const {
+  const Segment* segment = Find(t);
+  if (segment == nullptr) return false;
+  FindRotation(segment->quaternion.Evaluate(t), rotation, nullptr);
   return true;
 }
 
@@ -344,19 +359,19 @@ MarkerVariance PoseTrajectory::Variance(double t) const {
   return {q[0], q[1], q[2], p[2]};
 }
 
-PoseTrajectory::Pose PoseTrajectory::PoseAt(double t) const {
+Rigid3 PoseTrajectory::PoseAt(double t, Eigen::Vector2d* variance) const {
   const Segment* segment = Find(t);
-  const Eigen::Vector4d q = segment->quaternion.Value(t);
-  return {Eigen::Quaterniond(q).normalized(),
-          origin_W_ + Eigen::Vector3d(segment->position.Value(t)),
-          segment->position.ValueVariance(t),
-          4.0 * segment->quaternion.ValueVariance(t)};
+  const Eigen::Vector4d q =
+      segment->quaternion.Value(t, variance != nullptr ? &variance->y() : nullptr);
+  const Eigen::Vector3d p =
+      segment->position.Value(t, variance != nullptr ? &variance->x() : nullptr);
+  if (variance != nullptr) variance->y() *= 4.0;  // an angle is twice its half
+  return {Eigen::Quaterniond(q).normalized(), origin_W_ + p};
 }
 
 PoseTrajectory FitTrajectory(const CalibrationOptions& options, ConditionedData* data) {
   RemoveSpikes(options.outlier_threshold, data);
   SplitAtJumps(options, data);
-  const std::launch policy = options.LaunchPolicy();
   const int threads = options.Threads();
   GpHyperparameters position, rotation;
   std::optional<PoseTrajectory> trajectory;
@@ -367,9 +382,8 @@ PoseTrajectory FitTrajectory(const CalibrationOptions& options, ConditionedData*
   bool stale = false;  // poses left since the hyperparameters were fitted
   for (int round = 1;; ++round) {
     if (refit) {
-      auto fit_position = std::async(policy, [&] { return FitPosition(options, *data, position); });
+      position = FitPosition(options, *data, position);
       rotation = FitRotation(options, *data, rotation);
-      position = fit_position.get();
       ++refits;
       stale = false;
       removed.clear();

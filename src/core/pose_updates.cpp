@@ -1,8 +1,7 @@
-#include "imu_pose_calib/core/pose_updates.h"
-
 #include <algorithm>
 #include <cmath>
 
+#include "imu_pose_calib/core/conditioning.h"
 #include "imu_pose_calib/core/median.h"
 
 namespace imu_pose_calib {

@@ -1,5 +1,3 @@
-#include "imu_pose_calib/core/rate_alignment.h"
-
 #include <Eigen/SVD>
 #include <algorithm>
 #include <cmath>
@@ -7,6 +5,7 @@
 #include <unsupported/Eigen/FFT>
 #include <utility>
 
+#include "imu_pose_calib/core/initializer.h"
 #include "imu_pose_calib/core/parallel.h"
 
 namespace imu_pose_calib {
@@ -15,7 +14,6 @@ namespace {
 constexpr double kBin = 0.01;              // [s] of the correlated signals
 constexpr double kGuessWindow = 1.0;       // [s] searched around a given time shift
 constexpr double kMinPeakDistance = 0.15;  // [s] between correlation peaks
-constexpr size_t kPortion = 512;           // bins that a thread takes at a time
 constexpr size_t kMaxSamples = 4000;       // per closed-form fit: more does not change a start
 
 /// A signal in bins of kBin; bins without a sample have weight 0.
@@ -112,10 +110,10 @@ std::vector<RatePair> PairRates(const PoseTrajectory& trajectory,
   std::vector<RatePair> pairs;
   for (size_t i = 0; i < gyro.size(); i += Stride(gyro.size())) {
     const double t = gyro[i].t + time_shift;
-    MarkerState<double> state;
-    if (!trajectory.Evaluate(t, &state)) continue;
-    if (inverted) state.omega_M = -(state.q_WM * state.omega_M);
-    pairs.push_back({t, state.omega_M, gyro[i].value});
+    MarkerRotation<double> marker;
+    if (!trajectory.EvaluateRotation(t, &marker)) continue;
+    if (inverted) marker.omega_M = -(marker.q_WM * marker.omega_M);
+    pairs.push_back({t, marker.omega_M, gyro[i].value});
   }
   return pairs;
 }
@@ -162,12 +160,10 @@ std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
                                    int threads) {
   const auto bins = [](double duration) { return static_cast<size_t>(duration / kBin) + 1; };
   Signal marker(bins(poses.back().t));
-  InParallel(threads, (marker.value.size() + kPortion - 1) / kPortion, [&](size_t p) {
-    for (size_t i = p * kPortion; i < std::min(marker.value.size(), (p + 1) * kPortion); ++i) {
-      MarkerState<double> state;
-      if (trajectory.Evaluate((static_cast<double>(i) + 0.5) * kBin, &state))
-        marker.Add(i, state.omega_M.norm());
-    }
+  InPortions(threads, marker.value.size(), [&](size_t i) {
+    MarkerRotation<double> rotation;
+    if (trajectory.EvaluateRotation((static_cast<double>(i) + 0.5) * kBin, &rotation))
+      marker.Add(i, rotation.omega_M.norm());
   });
   const double gyro_begin = gyro.front().t;
   Signal imu(bins(gyro.back().t - gyro_begin));

@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/pose_updates.h"
+#include "imu_pose_calib/core/conditioning.h"
 #include "imu_pose_calib/core/simulator.h"
 #include "imu_pose_calib/core/so3.h"
 #include "test_util.h"

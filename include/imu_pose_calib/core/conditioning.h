@@ -111,6 +111,14 @@ ConditionedData ConditionData(const CalibrationOptions& options,
                               const SessionData& session,
                               const SessionStamps& stamps);
 
+/// Poses from one measurement to the next of a filter that carries them on with an IMU in between,
+/// or of an interpolation: there, they jump or bend, and no pose in between tells anything new
+/// (doc/math.md, "Fused poses"). 1 when the poses show no such beat. In order of time.
+size_t FindUpdatePeriod(const std::vector<PoseSample>& poses);
+
+/// Keeps one of `period` poses, evenly in time, and returns how many have gone.
+size_t KeepOneOf(size_t period, std::vector<PoseSample>* poses);
+
 /// Fills `used`, rate and duration of the samples used, by their stamps.
 template <typename Timed>
 void Summarise(const std::vector<Timed>& samples, StreamReport* report) {

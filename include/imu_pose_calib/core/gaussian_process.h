@@ -57,14 +57,12 @@ class WindowedGp {
   /// Posterior mean at t and its first three derivatives (paper Eqs. 3 and 6). Outside of
   /// [begin, end] it tends to the prior mean, zero.
   Derivatives Evaluate(double t) const;
-  /// Evaluate(t).col(0) alone, at a third of the cost.
-  Values Value(double t) const;
+  /// Evaluate(t).col(0) and Variance(t)[0] (unless null) alone, at a third of the cost.
+  Values Value(double t, double* variance = nullptr) const;
 
   /// Posterior variance of the value and of the first and second derivative, the same for each
   /// output (paper Eqs. 4 and 7).
   Eigen::Vector3d Variance(double t) const;
-  /// Variance(t)[0] alone, at a third of the cost.
-  double ValueVariance(double t) const;
 
  private:
   struct Window {
@@ -93,9 +91,10 @@ double LogMarginalLikelihood(const GpData& data,
 /// Hyperparameters that maximise the marginal likelihood of all of `data`. Values of `fixed` that
 /// are not zero are kept; a noise without a length scale is the least: with less than the data
 /// show, the length scale would follow the noise. `before`: those of nearly the same data, if
-/// known.
+/// known. Each of the data is taken by one of up to `threads` threads.
 GpHyperparameters FitHyperparameters(const std::vector<GpData>& data,
                                      const GpHyperparameters& fixed,
-                                     const GpHyperparameters& before = {});
+                                     const GpHyperparameters& before = {},
+                                     int threads = 1);
 
 }  // namespace imu_pose_calib

@@ -31,20 +31,21 @@ struct ClockMotion {
 };
 using ClockMotions = std::shared_ptr<const std::vector<ClockMotion>>;
 
-/// The samples of a sensor, either kept or made again whenever they are looked at.
+/// The samples of a sensor, either kept, for all residuals that share them, or made again whenever
+/// they are looked at.
 template <typename Sample>
 class Samples {
  public:
   Samples(std::vector<Sample> kept)  // NOLINT: they are the samples
-      : count_(kept.size()), kept_(std::move(kept)) {}
+      : count_(kept.size()), kept_(std::make_shared<const std::vector<Sample>>(std::move(kept))) {}
   Samples(size_t count, std::function<Sample(size_t)> make)
       : count_(count), make_(std::move(make)) {}
   size_t size() const { return count_; }
-  Sample operator[](size_t i) const { return make_ ? make_(i) : kept_[i]; }
+  Sample operator[](size_t i) const { return kept_ ? (*kept_)[i] : make_(i); }
 
  private:
   size_t count_;
-  std::vector<Sample> kept_;
+  std::shared_ptr<const std::vector<Sample>> kept_;
   std::function<Sample(size_t)> make_;
 };
 

@@ -2,7 +2,6 @@
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
-#include <future>
 #include <optional>
 
 namespace imu_pose_calib {
@@ -147,10 +146,6 @@ struct CalibrationOptions {
 
   /// How many `num_threads` asks for.
   int Threads() const;
-  /// Of work that may be done aside.
-  std::launch LaunchPolicy() const {
-    return num_threads == 1 ? std::launch::deferred : std::launch::async;
-  }
 
   /// Throws InputError naming field, value and bound when a value is out of range.
   void Validate() const;

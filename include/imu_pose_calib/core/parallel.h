@@ -21,4 +21,14 @@ void InParallel(int threads, size_t count, const Work& work) {
   for (std::future<void>& other : others) other.get();
 }
 
+/// The same for work that is small: a thread takes some hundreds of it at a time.
+template <typename Work>
+void InPortions(int threads, size_t count, const Work& work) {
+  constexpr size_t kPortion = 256;
+  InParallel(threads, (count + kPortion - 1) / kPortion, [&](size_t portion) {
+    const size_t begin = portion * kPortion;
+    for (size_t k = begin; k < std::min(count, begin + kPortion); ++k) work(k);
+  });
+}
+
 }  // namespace imu_pose_calib

@@ -10,16 +10,20 @@
 
 namespace imu_pose_calib {
 
+/// How the marker turns at one instant.
+template <typename T>
+struct MarkerRotation {
+  Eigen::Quaternion<T> q_WM;
+  Eigen::Matrix<T, 3, 1> omega_M;  ///< [rad/s]
+  Eigen::Matrix<T, 3, 1> alpha_M;  ///< [rad/s^2]
+};
+
 /// Motion of the marker at one instant.
 template <typename T>
-struct MarkerState {
-  using Vector3 = Eigen::Matrix<T, 3, 1>;
-  Eigen::Quaternion<T> q_WM;
-  Vector3 omega_M;  ///< [rad/s]
-  Vector3 alpha_M;  ///< [rad/s^2]
-  Vector3 p_WM;     ///< [m]
-  Vector3 v_W;      ///< [m/s]
-  Vector3 a_W;      ///< [m/s^2]
+struct MarkerState : MarkerRotation<T> {
+  Eigen::Matrix<T, 3, 1> p_WM;  ///< [m]
+  Eigen::Matrix<T, 3, 1> v_W;   ///< [m/s]
+  Eigen::Matrix<T, 3, 1> a_W;   ///< [m/s^2]
 };
 
 /// f_M [m/s^2] at p_MI of doc/math.md Eq. (2), in M: what an accelerometer there feels.
@@ -44,8 +48,7 @@ struct MarkerVariance {
 /// The quaternion needs no chart, so any number of turns is fine.
 class PoseTrajectory {
  public:
-  /// Hyperparameters in [m] and, for rotation, in [rad]. `policy`: see
-  /// CalibrationOptions::LaunchPolicy().
+  /// Hyperparameters in [m] and, for rotation, in [rad].
   PoseTrajectory(const std::vector<TimedPose>& poses,
                  const std::vector<IndexRange>& segments,
                  const GpHyperparameters& position,
@@ -73,20 +76,19 @@ class PoseTrajectory {
   /// coefficients). False when t is not contained.
   bool Evaluate(double t, MarkerState<double>* state, MarkerState<double>* rate = nullptr) const;
 
-  /// The same with the exact derivative by t: Jets in, Jets out.
+  /// Evaluate() without the positions, at half the cost.
+  bool EvaluateRotation(double t, MarkerRotation<double>* rotation) const;
+
+  /// Evaluate() with the exact derivative by t: Jets in, Jets out.
   template <typename Scalar, int N>
   bool Evaluate(const ceres::Jet<Scalar, N>& t, MarkerState<ceres::Jet<Scalar, N>>* state) const;
 
   /// Posterior variance of the motion at t [s]; t must be contained.
   MarkerVariance Variance(double t) const;
 
-  /// Smoothed pose at t [s]; t must be contained. `position_variance` [m^2] per axis.
-  struct Pose {
-    Eigen::Quaterniond q_WM;
-    Eigen::Vector3d p_WM;
-    double position_variance, rotation_variance;
-  };
-  Pose PoseAt(double t) const;
+  /// Smoothed T_WM at t [s] and, unless null, its posterior variance per axis of position [m^2] and
+  /// rotation [rad^2]; t must be contained.
+  Rigid3 PoseAt(double t, Eigen::Vector2d* variance = nullptr) const;
 
  private:
   struct Segment {
