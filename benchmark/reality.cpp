@@ -27,7 +27,6 @@
 #include <vector>
 
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/effect_options.h"
 #include "imu_pose_calib/core/simulator.h"
 #include "imu_pose_calib/core/so3.h"
 

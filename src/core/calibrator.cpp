@@ -5,8 +5,6 @@
 #include <string>
 #include <utility>
 
-#include "imu_pose_calib/core/agreement.h"
-#include "imu_pose_calib/core/doubts.h"
 #include "imu_pose_calib/core/intrinsics.h"
 #include "imu_pose_calib/core/joint_solver.h"
 #include "imu_pose_calib/core/observability.h"

@@ -1,4 +1,4 @@
-#include "imu_pose_calib/core/effect_options.h"
+#include "imu_pose_calib/core/simulator.h"
 
 namespace imu_pose_calib {
 

@@ -1,10 +1,9 @@
-#include "imu_pose_calib/core/gap_carrier.h"
-
 #include <Eigen/Cholesky>
 #include <Eigen/LU>
 #include <algorithm>
 #include <optional>
 
+#include "imu_pose_calib/core/imu_track.h"
 #include "imu_pose_calib/core/intrinsics.h"
 #include "imu_pose_calib/core/manifolds.h"
 #include "imu_pose_calib/core/so3.h"

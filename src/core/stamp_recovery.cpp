@@ -8,7 +8,6 @@
 
 #include "imu_pose_calib/core/conditioning.h"
 #include "imu_pose_calib/core/median.h"
-#include "imu_pose_calib/core/source_clock.h"
 
 namespace imu_pose_calib {
 namespace {

@@ -1,5 +1,3 @@
-#include "imu_pose_calib/core/true_trajectory.h"
-
 #include <algorithm>
 #include <cmath>
 #include <random>

@@ -4,7 +4,7 @@
 #include <random>
 #include <vector>
 
-#include "imu_pose_calib/core/allan.h"
+#include "imu_pose_calib/core/joint_noise.h"
 
 namespace imu_pose_calib {
 namespace {

@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/doubts.h"
+#include "imu_pose_calib/core/observability.h"
 #include "imu_pose_calib/core/simulator.h"
 #include "test_util.h"
 

@@ -12,7 +12,6 @@
 #include "imu_pose_calib/core/conditioning.h"
 #include "imu_pose_calib/core/preparation.h"
 #include "imu_pose_calib/core/simulator.h"
-#include "imu_pose_calib/core/source_clock.h"
 #include "imu_pose_calib/core/stamp_recovery.h"
 #include "test_util.h"
 

@@ -6,7 +6,6 @@
 #include <set>
 #include <vector>
 
-#include "imu_pose_calib/core/effect_options.h"
 #include "imu_pose_calib/core/simulator.h"
 #include "imu_pose_calib/core/so3.h"
 #include "test_util.h"

@@ -4,7 +4,7 @@
 
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/simulator.h"
-#include "imu_pose_calib/core/trajectory_covariance.h"
+#include "imu_pose_calib/core/trajectory.h"
 
 namespace imu_pose_calib {
 namespace {

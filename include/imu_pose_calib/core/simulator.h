@@ -1,12 +1,38 @@
 #pragma once
 
+#include <Eigen/Core>
+#include <Eigen/Geometry>
 #include <cstdint>
+#include <functional>
+#include <vector>
 
 #include "imu_pose_calib/core/real_effects.h"
-#include "imu_pose_calib/core/true_trajectory.h"
 #include "imu_pose_calib/core/types.h"
 
 namespace imu_pose_calib {
+
+/// Shape of a simulated motion.
+enum class Motion {
+  kHandheld,  ///< swings of about 0.6 rad and 0.2 m on all six axes
+  kTumble,    ///< many full turns about a wandering axis
+  kArm,       ///< moves of about 1 rad and 0.3 m from rest to rest, in 1.5 to 3 s each
+  kDrone,   ///< hovers: tilts of 0.1 to 0.2 rad at 0.5 to 3 Hz push it aside; turns slowly about z
+  kPlanar,  ///< turns about W's z and moves in its xy plane only: p_MI along z is undetermined
+  kHinge,   ///< turns about one fixed tilted axis, without moving
+  kStatic,  ///< rests
+};
+
+/// All motions, in order.
+constexpr Motion kMotions[] = {Motion::kHandheld,
+                               Motion::kTumble,
+                               Motion::kArm,
+                               Motion::kDrone,
+                               Motion::kPlanar,
+                               Motion::kHinge,
+                               Motion::kStatic};
+
+/// "handheld", "tumble", ...
+const char* ToString(Motion motion);
 
 /// A recording to simulate: truth, sensors and clocks.
 struct SimulatorOptions {
@@ -40,6 +66,52 @@ struct SimulatorOptions {
   int64_t start_ns = 1'600'000'000'000'000'000;  ///< first pose stamp
 
   RealEffects effects;  ///< those of motion and poses follow from `seed`
+};
+
+/// An effect that one number switches on.
+struct EffectOption {
+  const char* name;
+  const char* unit;
+  const char* text;
+  double usual;        ///< strength that recordings have
+  double least, most;  ///< that make sense
+  double& (*strength)(SimulatorOptions* options);
+};
+
+/// All effects that recordings usually have.
+const std::vector<EffectOption>& EffectOptions();
+
+/// Exact kinematics of the marker at one instant.
+struct TrueState {
+  Eigen::Matrix3d R_WM;
+  Eigen::Vector3d p_WM;     ///< [m]
+  Eigen::Vector3d v_W;      ///< [m/s]
+  Eigen::Vector3d a_W;      ///< [m/s^2]
+  Eigen::Vector3d omega_M;  ///< [rad/s]
+  Eigen::Vector3d alpha_M;  ///< [rad/s^2]
+};
+
+/// Closed-form trajectory: a smooth motion, and what shakes the body on top of it.
+class TrueTrajectory {
+ public:
+  explicit TrueTrajectory(const SimulatorOptions& options);
+  /// State `t` [s] after the first pose.
+  TrueState At(double t) const;
+
+ private:
+  /// Vector over time [s]: its value (0), first (1) or second (2) derivative.
+  using Curve = std::function<Eigen::Vector3d(double t, int derivative)>;
+  /// On top of a motion: M turns by Exp(turn) about a point of the body, then moves by `shift`.
+  struct Shake {
+    Curve shift_W, turn_M;
+    Eigen::Vector3d pivot_M;
+  };
+  void AddShakes(const SimulatorOptions& options);
+
+  Curve position_, rotation_;
+  Eigen::Quaterniond q_WB_ = Eigen::Quaterniond::Identity();  ///< mean attitude
+  Eigen::Vector3d spin_ = Eigen::Vector3d::Zero();            ///< [rad/s] steady turn
+  std::vector<Shake> shakes_;
 };
 
 /// What a calibration should find: `time_shift_s` and `accel_delay_s` with the delays of the

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 
-#include "imu_pose_calib/core/effect_options.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {

@@ -9,7 +9,6 @@
 #include <sstream>
 
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/effect_options.h"
 #include "imu_pose_calib/core/so3.h"
 #include "imu_pose_calib/core/solution.h"
 #include "imu_pose_calib/ros/evaluation/task_runner.h"

@@ -4,7 +4,6 @@
 #include <iostream>
 #include <sstream>
 
-#include "imu_pose_calib/core/effect_options.h"
 #include "imu_pose_calib/core/simulator.h"
 #include "imu_pose_calib/ros/clouds/simulated_lidar.h"
 #include "imu_pose_calib/ros/io/bag_writer.h"
