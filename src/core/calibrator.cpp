@@ -188,17 +188,6 @@ Solution SolveTogether(const CalibrationOptions& options,
   return solution;
 }
 
-/// S3, told of.
-Solution SolveGp(const CalibrationOptions& options,
-                 const std::vector<PreparedSession>& sessions,
-                 const Progress& progress,
-                 Estimate* estimate) {
-  const Stage solve(progress, "calibration");
-  Solution solution = SolveAgainstTrajectory(options, sessions, estimate);
-  solve.End(solution.iterations);
-  return solution;
-}
-
 }  // namespace
 
 Calibration Calibrate(const CalibrationOptions& options,
@@ -250,9 +239,14 @@ Calibration Calibrate(const CalibrationOptions& options,
         sessions[s].trajectory->rotation_hyperparameters().lengthscale_s;
   }
 
-  Solution solution = options.method == Method::kJoint
-                          ? SolveTogether(options, &sessions, progress, &estimate, &result)
-                          : SolveGp(options, sessions, progress, &estimate);
+  Solution solution;
+  if (options.method == Method::kJoint) {
+    solution = SolveTogether(options, &sessions, progress, &estimate, &result);
+  } else {
+    const Stage solve(progress, "calibration");
+    solution = SolveAgainstTrajectory(options, sessions, &estimate);
+    solve.End(solution.iterations);
+  }
   const Stage verdict(progress, "sigmas and verdict");
   ReportEstimate(estimate, sessions, &result);
   ReportSensors(solution, &result);
@@ -280,49 +274,19 @@ Calibration Calibrate(const CalibrationOptions& options, const SessionData& sess
 }
 
 const char* ToString(Status status) {
-  switch (status) {
-    case Status::kOk:
-      return "ok";
-    case Status::kWeak:
-      return "weak";
-    case Status::kDegenerate:
-      return "degenerate";
-    case Status::kNotRun:
-      break;
-  }
-  return "not run";
+  constexpr const char* kNames[] = {"not run", "ok", "weak", "degenerate"};
+  return kNames[static_cast<int>(status)];
 }
 
-const char* ToString(Method method) {
-  switch (method) {
-    case Method::kJoint:
-      return "joint";
-    case Method::kGp:
-      break;
-  }
-  return "gp";
-}
+const char* ToString(Method method) { return method == Method::kJoint ? "joint" : "gp"; }
 
 const char* ToString(ImuModel model) {
-  switch (model) {
-    case ImuModel::kScaleMisalignment:
-      return "scale_misalignment";
-    case ImuModel::kCalibrated:
-      break;
-  }
-  return "calibrated";
+  return model == ImuModel::kCalibrated ? "calibrated" : "scale_misalignment";
 }
 
 const char* ToString(StampRecovery mode) {
-  switch (mode) {
-    case StampRecovery::kAlways:
-      return "always";
-    case StampRecovery::kNever:
-      return "never";
-    case StampRecovery::kAuto:
-      break;
-  }
-  return "auto";
+  constexpr const char* kNames[] = {"auto", "always", "never"};
+  return kNames[static_cast<int>(mode)];
 }
 
 }  // namespace imu_pose_calib

@@ -94,17 +94,8 @@ Scatter ScatterOf(const std::vector<Value>& values, ComparedQuantity quantity) {
 }  // namespace
 
 const char* ToString(ComparedQuantity quantity) {
-  switch (quantity) {
-    case ComparedQuantity::kTranslation:
-      return "translation";
-    case ComparedQuantity::kRotation:
-      return "rotation";
-    case ComparedQuantity::kAccelDelay:
-      return "accel delay";
-    case ComparedQuantity::kTimeShift:
-      return "time shift";
-  }
-  return "";
+  constexpr const char* kNames[] = {"translation", "rotation", "accel delay", "time shift"};
+  return kNames[static_cast<int>(quantity)];
 }
 
 const Difference* Comparison::Worst() const {

@@ -5,10 +5,10 @@
 #include <cmath>
 #include <cstdlib>
 #include <numeric>
-#include <sstream>
 #include <utility>
 
 #include "imu_pose_calib/core/median.h"
+#include "imu_pose_calib/core/observability.h"
 #include "imu_pose_calib/core/so3.h"
 
 namespace imu_pose_calib {
@@ -38,15 +38,7 @@ constexpr double kPause = 1.0;        // [s] longer than between bunches
 constexpr double kDriftBlock = 2.0;   // [s] of samples whose errors may be correlated
 constexpr size_t kDriftSamples = 8000;
 
-template <typename... Args>
-void Warn(std::vector<std::string>* warnings, const Args&... args) {
-  std::ostringstream text;
-  text.precision(4);
-  (text << ... << args);
-  warnings->push_back(text.str());
-}
-
-double Percent(double share) { return 100.0 * share; }
+std::string Percent(double share) { return Number(100.0 * share, "%.4g %%"); }
 
 template <typename Sample>
 StreamCheck CheckStream(const std::vector<Sample>& samples) {
@@ -88,16 +80,15 @@ StreamCheck CheckStream(const std::vector<Sample>& samples) {
   if (period <= 0.0) return check;
   check.rate_hz = 1.0 / period;
   check.longest_freeze_s = period * static_cast<double>(longest_run);
-  std::vector<double> deviations;
   double bunched = 0.0, duplicates = 0.0;
   for (const double p : periods) {
-    deviations.push_back(std::abs(p - period));
     if (p == 0.0)
       duplicates += 1.0;
     else if (p < kBunch * period)
       bunched += 1.0;
   }
-  check.jitter_s = kMadToSigma * Median(std::move(deviations));
+  for (double& p : periods) p -= period;
+  check.jitter_s = RobustSigma(std::move(periods));
   check.bunched = bunched / n;
   check.missing = std::max(0.0, 1.0 - (n - duplicates) / (check.duration_s / period + 1.0));
   return check;
@@ -134,97 +125,56 @@ void WarnOfStamps(const std::string& stream,
                   double max_missing,
                   double max_repeated,
                   std::vector<std::string>* warnings) {
+  const auto warn = [&](const std::string& text) { warnings->push_back(stream + ": " + text); };
   if (check.stamps.recovered) {
     // The stamps in use are even.
   } else if (check.bunched > kMaxBunched) {
-    Warn(warnings,
-         stream,
-         ": ",
-         Percent(check.bunched),
-         " % of the samples are stamped in bunches (bound: ",
-         Percent(kMaxBunched),
-         " %), as by time of arrival, and used as recorded; use stamps of the sensor's own clock");
+    warn(Percent(check.bunched) +
+         " of the samples are stamped in bunches (bound: " + Percent(kMaxBunched) +
+         "), as by time of arrival, and used as recorded; use stamps of the "
+         "sensor's own clock");
   } else if (check.cut_s > 0.0) {
-    Warn(warnings,
-         stream,
-         ": the stamps are multiples of ",
-         1e3 * check.cut_s,
+    warn("the stamps are multiples of " + Number(1e3 * check.cut_s) +
          " ms, not even, and used as recorded; use stamps of the sensor's own clock");
   } else if (check.jitter_s * check.rate_hz > kMaxJitter) {
-    Warn(warnings,
-         stream,
-         ": the stamps jitter by ",
-         1e3 * check.jitter_s,
-         " ms (bound: ",
-         kMaxJitter,
-         " of the period of ",
-         1e3 / check.rate_hz,
+    warn("the stamps jitter by " + Number(1e3 * check.jitter_s) +
+         " ms (bound: " + Number(kMaxJitter) + " of the period of " + Number(1e3 / check.rate_hz) +
          " ms) and are used as recorded; use stamps of the sensor's own clock");
   }
   if (check.missing > max_missing)
-    Warn(warnings,
-         stream,
-         ": ",
-         Percent(check.missing),
-         " % of the samples are missing (bound: ",
-         Percent(max_missing),
-         " %), the longest gap is ",
-         check.longest_gap_s,
+    warn(Percent(check.missing) + " of the samples are missing (bound: " + Percent(max_missing) +
+         "), the longest gap is " + Number(check.longest_gap_s) +
          " s; look for lost packets or a hidden marker");
   if (check.repeated > max_repeated)
-    Warn(warnings,
-         stream,
-         ": ",
-         Percent(check.repeated),
-         " % of the samples repeat the value before (bound: ",
-         Percent(max_repeated),
-         " %), for up to ",
-         check.longest_freeze_s,
-         " s; they are not used");
+    warn(Percent(check.repeated) +
+         " of the samples repeat the value before (bound: " + Percent(max_repeated) +
+         "), for up to " + Number(check.longest_freeze_s) + " s; they are not used");
 }
 
 void WarnOfDrops(const std::string& stream,
                  const StreamReport& r,
                  std::vector<std::string>* warnings) {
+  const auto warn = [&](const std::string& text) { warnings->push_back(stream + ": " + text); };
   const double n = std::max(1.0, static_cast<double>(r.received));
   const size_t bad = r.not_finite + r.zero_quaternion + r.reversed_stamp;
   if (static_cast<double>(bad) > kMaxDropped * n)
-    Warn(warnings,
-         stream,
-         ": ",
-         bad,
-         " of ",
-         r.received,
+    warn(std::to_string(bad) + " of " + std::to_string(r.received) +
          " samples are not finite, zero or stamped backwards; they are not used");
   if (r.saturated > 0)
-    Warn(warnings,
-         stream,
-         ": ",
-         r.saturated,
-         " samples at the end of the sensor's range are not used; choose a larger range or move "
-         "more gently");
+    warn(std::to_string(r.saturated) +
+         " samples at the end of the sensor's range are not used; "
+         "choose a larger range or move more gently");
   if (static_cast<double>(r.outlier) > kMaxOutliers * n)
-    Warn(warnings,
-         stream,
-         ": ",
-         Percent(static_cast<double>(r.outlier) / n),
-         " % are outliers (bound: ",
-         Percent(kMaxOutliers),
-         " %); they are not used");
+    warn(Percent(static_cast<double>(r.outlier) / n) +
+         " are outliers (bound: " + Percent(kMaxOutliers) + "); they are not used");
   if (r.between_updates > 0)
-    Warn(warnings,
-         stream,
-         ": they jump or bend ",
-         r.rate_hz,
+    warn("they jump or bend " + Number(r.rate_hz) +
          " times a second and are made up in between (fused with an imu, or interpolated): one is "
          "used of each such interval; record what the tracker measures");
   if (r.flipped > 0)
-    Warn(warnings,
-         stream,
-         ": ",
-         r.flipped,
-         " poses that turn against the gyroscope are not used: swapped labels? Place the markers "
-         "less symmetrically");
+    warn(std::to_string(r.flipped) +
+         " poses that turn against the gyroscope are not used: swapped "
+         "labels? Place the markers less symmetrically");
 }
 
 /// Mean norm of the accelerometer while neither sensor shows motion, and how long that was.
@@ -346,14 +296,11 @@ DataCheck CheckStreams(const SessionData& recorded,
 void RefuseBunches(const DataCheck& check) {
   const auto refuse = [](const std::string& stream, const StreamCheck& of) {
     if (of.stamps.recovered || of.bunched <= kMostBunched) return;
-    std::ostringstream text;
-    text.precision(3);
-    text
-        << stream << ": " << Percent(of.bunched)
-        << " % of the samples are stamped in bunches (bound: " << Percent(kMostBunched)
-        << " %), as by time of arrival, and no even clock fits them; record stamps of the sensor's "
-           "own clock";
-    throw DataError(text.str());
+    const auto percent = [](double share) { return Number(100.0 * share, "%.3g %%"); };
+    throw DataError(stream + ": " + percent(of.bunched) +
+                    " of the samples are stamped in bunches (bound: " + percent(kMostBunched) +
+                    "), as by time of arrival, and no even clock fits them; record stamps of the "
+                    "sensor's own clock");
   };
   refuse("pose", check.poses);
   for (size_t i = 0; i < check.imus.size(); ++i) {
@@ -380,11 +327,10 @@ void CheckMotion(const CalibrationOptions& options,
     WarnOfDrops("accelerometer" + of, data.imus[i].accel_report, &check->warnings);
   }
   if (data.jumps > 0 && data.pose_report.flipped == 0)
-    Warn(&check->warnings,
-         "pose: ",
-         data.jumps,
-         " jumps; the poses are cut there, but they must all be in one frame W up to a turn about "
-         "gravity and a move");
+    check->warnings.push_back(
+        "pose: " + std::to_string(data.jumps) +
+        " jumps; the poses are cut there, but they must all be in one frame W up to a turn about "
+        "gravity and a move");
 
   Eigen::Matrix<double, 6, 1> sum = Eigen::Matrix<double, 6, 1>::Zero(), sum2 = sum;
   double count = 1e-9;
@@ -408,14 +354,10 @@ void CheckMotion(const CalibrationOptions& options,
     ImuCheck& imu = check->imus[i];
     FindRest(data.imus[i], MedianRate(data.imus[i].gyro), &imu);
     if (imu.rest_s >= kMinRest && std::abs(imu.rest_norm - g) > kMaxGravityError * g)
-      Warn(&check->warnings,
-           "accelerometer" + OfImu(i, data.imus.size()) + ": its norm at rest is ",
-           imu.rest_norm,
-           " m/s^2 (bound: within ",
-           Percent(kMaxGravityError),
-           " % of gravity_magnitude = ",
-           g,
-           "); check its scale and biases");
+      check->warnings.push_back(
+          "accelerometer" + OfImu(i, data.imus.size()) + ": its norm at rest is " +
+          Number(imu.rest_norm) + " m/s^2 (bound: within " + Percent(kMaxGravityError) +
+          " of gravity_magnitude = " + Number(g) + "); check its scale and biases");
   }
 }
 
@@ -433,23 +375,14 @@ void CheckMatch(const ConditionedData& data,
   MeasureDrift(samples, trajectory, start, &match);
   const std::string of = OfImu(imu, data.imus.size());
   if (match.overlap_s < kMinOverlap)
-    Warn(&check->warnings,
-         "poses and IMU",
-         of,
-         " have only ",
-         match.overlap_s,
-         " s in common (bound: ",
-         kMinOverlap,
-         " s); record 30 s or more");
+    check->warnings.push_back("poses and IMU" + of + " have only " + Number(match.overlap_s) +
+                              " s in common (bound: " + Number(kMinOverlap) +
+                              " s); record 30 s or more");
   if (match.explained < kMinExplained)
-    Warn(&check->warnings,
-         "the poses explain only ",
-         Percent(match.explained),
-         " % of the variance of the gyroscope",
-         of,
-         " (bound: ",
-         Percent(kMinExplained),
-         " %): a loose mount, or poses that are slow, filtered or rare");
+    check->warnings.push_back("the poses explain only " + Percent(match.explained) +
+                              " of the variance of the gyroscope" + of +
+                              " (bound: " + Percent(kMinExplained) +
+                              "): a loose mount, or poses that are slow, filtered or rare");
 }
 
 void WarnOfDrift(const CalibrationOptions& options, DataCheck* check) {
@@ -460,31 +393,17 @@ void WarnOfDrift(const CalibrationOptions& options, DataCheck* check) {
     if (options.estimate_clock_drift || effect <= kMaxDriftEffect ||
         std::abs(imu.drift_ppm) <= kDriftSigmas * imu.drift_ppm_std)
       continue;
-    Warn(&check->warnings,
-         "the clocks",
-         of.empty() ? "" : of + " and the poses",
-         " drift against each other by ",
-         imu.drift_ppm,
-         " +- ",
-         imu.drift_ppm_std,
-         " ppm, ",
-         1e3 * effect,
-         " ms over the recording (bound: ",
-         1e3 * kMaxDriftEffect,
-         " ms): set estimate_clock_drift: true");
+    check->warnings.push_back("the clocks" + (of.empty() ? "" : of + " and the poses") +
+                              " drift against each other by " + Number(imu.drift_ppm) + " +- " +
+                              Number(imu.drift_ppm_std) + " ppm, " + Number(1e3 * effect) +
+                              " ms over the recording (bound: " + Number(1e3 * kMaxDriftEffect) +
+                              " ms): set estimate_clock_drift: true");
   }
 }
 
 const char* ToString(DataVerdict verdict) {
-  switch (verdict) {
-    case DataVerdict::kGood:
-      return "good";
-    case DataVerdict::kUsable:
-      return "usable";
-    case DataVerdict::kRecordAgain:
-      break;
-  }
-  return "record again";
+  constexpr const char* kNames[] = {"good", "usable", "record again"};
+  return kNames[static_cast<int>(verdict)];
 }
 
 }  // namespace imu_pose_calib

@@ -81,13 +81,13 @@ void DoubtFilters(const Calibration& result, std::vector<std::string>* doubts) {
 
 /// Noise of samples as their second differences show it, which hold little of the motion.
 double OwnNoise(const std::vector<TimedSample>& samples) {
-  std::vector<double> magnitudes;
+  std::vector<double> differences;
   for (size_t i = 2; i < samples.size(); ++i) {
     const Eigen::Vector3d second =
         samples[i].value - 2.0 * samples[i - 1].value + samples[i - 2].value;
-    for (int k = 0; k < 3; ++k) magnitudes.push_back(std::abs(second[k]) / std::sqrt(6.0));
+    for (int k = 0; k < 3; ++k) differences.push_back(second[k] / std::sqrt(6.0));
   }
-  return kMadToSigma * Median(std::move(magnitudes));
+  return RobustSigma(std::move(differences));
 }
 
 /// What a given trajectory has lost of the motion, or has too much, remains in the residuals of the
@@ -241,11 +241,6 @@ OwnEstimate Own(const Marginals& marginals,
   return own;
 }
 
-std::string Describe(const Agreement& agreement) {
-  return agreement.worst + " by " + InWords(agreement.difference, agreement.unit) + ", " +
-         Number(agreement.sigmas, "%.1f sigma");
-}
-
 }  // namespace
 
 Marginals CoverHalves(Marginals marginals) {
@@ -298,7 +293,9 @@ void JudgeAgreement(Calibration* result) {
   const std::string who = result->sessions.size() == 2
                               ? "sessions 1 and 2 disagree"
                               : "session " + std::to_string(worst + 1) + " stands out";
-  const std::string text = who + ": " + Describe(agreement) + ": did the marker or the imu move?";
+  const std::string text =
+      who + ": " + agreement.worst + " by " + InWords(agreement.difference, agreement.unit) + ", " +
+      Number(agreement.sigmas, "%.1f sigma") + ": did the marker or the imu move?";
   result->message = result->status == Status::kOk ? text : text + "; " + result->message;
   result->status = Status::kWeak;
 }

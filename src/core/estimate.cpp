@@ -69,24 +69,19 @@ bool IsHint(ParameterKind kind) {
 
 std::vector<Parameter> CalibrationParameters(Estimate* estimate) {
   std::vector<Parameter> parameters;
-  const auto in_sessions = [&](size_t i, auto visit) {
-    for (size_t s = 0; s < estimate->sessions.size(); ++s)
-      if (estimate->sessions[s].imus[i].is_present) visit(s, &estimate->sessions[s].imus[i]);
+  const auto add_clocks = [&](ParameterKind kind, size_t i, double ImuSessionEstimate::*clock) {
+    for (size_t s = 0; s < estimate->sessions.size(); ++s) {
+      ImuSessionEstimate& own = estimate->sessions[s].imus[i];
+      if (own.is_present) parameters.push_back({kind, i, s, 1, &(own.*clock)});
+    }
   };
   for (size_t i = 0; i < estimate->imus.size(); ++i) {
     ImuEstimate& imu = estimate->imus[i];
-    const auto add = [&](ParameterKind kind, size_t session, int size, double* data) {
-      parameters.push_back({kind, i, session, size, data});
-    };
-    add(ParameterKind::kTranslation, 0, 3, imu.p_MI.data());
-    add(ParameterKind::kRotation, 0, 3, imu.q_MI.coeffs().data());
-    in_sessions(i, [&](size_t s, ImuSessionEstimate* own) {
-      add(ParameterKind::kTimeShift, s, 1, &own->time_shift);
-    });
-    add(ParameterKind::kAccelDelay, 0, 1, &imu.accel_delay);
-    in_sessions(i, [&](size_t s, ImuSessionEstimate* own) {
-      add(ParameterKind::kClockDrift, s, 1, &own->clock_drift);
-    });
+    parameters.push_back({ParameterKind::kTranslation, i, 0, 3, imu.p_MI.data()});
+    parameters.push_back({ParameterKind::kRotation, i, 0, 3, imu.q_MI.coeffs().data()});
+    add_clocks(ParameterKind::kTimeShift, i, &ImuSessionEstimate::time_shift);
+    parameters.push_back({ParameterKind::kAccelDelay, i, 0, 1, &imu.accel_delay});
+    add_clocks(ParameterKind::kClockDrift, i, &ImuSessionEstimate::clock_drift);
   }
   parameters.push_back({ParameterKind::kPoseSmoothing, 0, 0, 1, &estimate->pose_smoothing});
   parameters.push_back({ParameterKind::kPositionSmoothing, 0, 0, 1, &estimate->position_smoothing});

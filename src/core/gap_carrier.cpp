@@ -50,20 +50,17 @@ RunEnd FindRunEnd(const Solution& solution,
   const ImuSessionEstimate& biases = solution.estimate.sessions[session].imus[imu];
   const auto [gyro_knot, gyro_u] = biases.gyro_bias.Locate(biases.ImuTime(t));
   const auto [accel_knot, accel_u] = biases.accel_bias.Locate(biases.ImuTime(t));
-  TrajectoryCovariance::Columns columns =
-      covariance.ControlPoints(session, solution.splines[session].Locate(t)->first);
-  const auto points = static_cast<int>(columns.size());
-  const auto add = [&columns](const TrajectoryCovariance::Columns& more) {
-    columns.insert(columns.end(), more.begin(), more.end());
-  };
-  add(covariance.Calibrated(ParameterKind::kTranslation, imu, 3));
-  add(covariance.Calibrated(ParameterKind::kRotation, imu, 3));
-  add(covariance.Calibrated(ParameterKind::kGyroIntrinsics, imu, 6));
-  add(covariance.Calibrated(ParameterKind::kAccelIntrinsics, imu, 9));
-  add(covariance.Calibrated(ParameterKind::kPoseScale, imu, 1));
-  add(covariance.Gravity(session));
-  add(covariance.BiasKnotPair(session, imu, false, gyro_knot));
-  add(covariance.BiasKnotPair(session, imu, true, accel_knot));
+  constexpr int kPoints = 6 * kSplineOrder;  // coordinates of the control points
+  const auto columns = TrajectoryCovariance::Joined(
+      {covariance.ControlPoints(session, solution.splines[session].Locate(t)->first),
+       covariance.Calibrated(ParameterKind::kTranslation, imu, 3),
+       covariance.Calibrated(ParameterKind::kRotation, imu, 3),
+       covariance.Calibrated(ParameterKind::kGyroIntrinsics, imu, 6),
+       covariance.Calibrated(ParameterKind::kAccelIntrinsics, imu, 9),
+       covariance.Calibrated(ParameterKind::kPoseScale, imu, 1),
+       covariance.Gravity(session),
+       covariance.BiasKnotPair(session, imu, false, gyro_knot),
+       covariance.BiasKnotPair(session, imu, true, accel_knot)});
 
   RunEnd end;
   SessionTrajectory::StateJacobian J;
@@ -71,10 +68,10 @@ RunEnd FindRunEnd(const Solution& solution,
   MatrixXd A = MatrixXd::Zero(9 + kConstants, static_cast<Eigen::Index>(columns.size()));
   A.block(0, 0, 6, J.cols()) = J.topRows<6>();
   A.block(6, 0, 3, J.cols()) = J.middleRows<3>(9);
-  A.block<kGyroBias, kGyroBias>(9, points).setIdentity();
-  const auto knots = [&A, points](int place, int column, double u) {
-    A.block<3, 3>(9 + place, points + column) = (1.0 - u) * Matrix3d::Identity();
-    A.block<3, 3>(9 + place, points + column + 3) = u * Matrix3d::Identity();
+  A.block<kGyroBias, kGyroBias>(9, kPoints).setIdentity();
+  const auto knots = [&A](int place, int column, double u) {
+    A.block<3, 3>(9 + place, kPoints + column) = (1.0 - u) * Matrix3d::Identity();
+    A.block<3, 3>(9 + place, kPoints + column + 3) = u * Matrix3d::Identity();
   };
   knots(kGyroBias, kGyroBias, gyro_u);
   knots(kAccelBias, kGyroBias + 6, accel_u);
@@ -101,6 +98,20 @@ struct Measured {
   Vector3d omega, f;
 };
 
+/// A state on the way, and where its error comes from.
+struct Carried {
+  CarriedState state;
+  Matrix9d by_start = Matrix9d::Identity();        ///< derivative by that of the first state
+  ByConstants by_constants = ByConstants::Zero();  ///< derivative by that of the constants
+  Matrix9d noise = Matrix9d::Zero();               ///< covariance that the samples since add
+
+  Eigen::Matrix<double, 9, 9 + kConstants> ByBoth() const {
+    Eigen::Matrix<double, 9, 9 + kConstants> A;
+    A << by_start, by_constants;
+    return A;
+  }
+};
+
 /// Integration along the gap and how its errors grow.
 class Integrator {
  public:
@@ -122,15 +133,9 @@ class Integrator {
     return {inverse_M_g_ * gyro, inverse_M_a_ * accel};
   }
 
-  /// Moves the state on; `by_start`, `by_constants`: derivative of its error; `noise`: covariance
-  /// that the samples since the start add.
-  void Step(const Measured& a,
-            const Measured& b,
-            double dt,
-            CarriedState* x,
-            Matrix9d* by_start,
-            ByConstants* by_constants,
-            Matrix9d* noise) const {
+  /// Moves the state on by `dt`.
+  void Step(const Measured& a, const Measured& b, double dt, Carried* carried) const {
+    CarriedState* x = &carried->state;
     // To third order for rates that change linearly.
     const Vector3d turn = 0.5 * dt * (a.omega + b.omega) + dt * dt / 12.0 * a.omega.cross(b.omega);
     const Eigen::Quaterniond after = (x->q_WI * Exp<double>(turn)).normalized();
@@ -174,9 +179,9 @@ class Integrator {
     x->v_W += 0.5 * dt * (a_W + b_W);
     x->q_WI = after;
     x->omega_I = b.omega;
-    *by_start = F * *by_start;
-    *by_constants = F * *by_constants + G;
-    *noise = F * *noise * F.transpose() + Q;
+    carried->by_start = F * carried->by_start;
+    carried->by_constants = F * carried->by_constants + G;
+    carried->noise = F * carried->noise * F.transpose() + Q;
   }
 
  private:
@@ -239,26 +244,12 @@ std::vector<CarriedState> CarryAcrossGap(const Solution& solution,
 
   const RunEnd first = FindRunEnd(solution, trajectory, session, imu, begin);
   const RunEnd last = FindRunEnd(solution, trajectory, session, imu, end);
-  std::vector<CarriedState> states = {{begin,
-                                       first.state.q_WB,
-                                       first.state.p_WB,
-                                       first.state.v_W,
-                                       first.state.omega_B,
-                                       Matrix9d::Zero()}};
-  std::vector<Matrix9d> by_start = {Matrix9d::Identity()}, noise = {Matrix9d::Zero()};
-  std::vector<ByConstants> by_constants = {ByConstants::Zero()};
-  for (size_t j = 1; j < instants.size(); ++j) {
-    states.push_back(states.back());
-    by_start.push_back(by_start.back());
-    by_constants.push_back(by_constants.back());
-    noise.push_back(noise.back());
-    integrator.Step(measured[j - 1],
-                    measured[j],
-                    instants[j] - instants[j - 1],
-                    &states.back(),
-                    &by_start.back(),
-                    &by_constants.back(),
-                    &noise.back());
+  const BodyState& start = first.state;
+  std::vector<Carried> way(instants.size());
+  way[0].state = {begin, start.q_WB, start.p_WB, start.v_W, start.omega_B, Matrix9d::Zero()};
+  for (size_t j = 1; j < way.size(); ++j) {
+    way[j] = way[j - 1];
+    integrator.Step(measured[j - 1], measured[j], instants[j] - instants[j - 1], &way[j]);
   }
 
   // Apart from the constants, both ends err independently: beyond the constants' part the last
@@ -267,28 +258,26 @@ std::vector<CarriedState> CarryAcrossGap(const Solution& solution,
   const Matrix9d rest = last.own - gain * last.cross.transpose();
   MatrixXd P(9 + kConstants, 9 + kConstants);  // of the first state and the constants
   P << first.own, first.cross, first.cross.transpose(), first.constants;
-  const auto by_both = [&](size_t j) {
-    Eigen::Matrix<double, 9, 9 + kConstants> A;
-    A << by_start[j], by_constants[j];
-    return A;
-  };
-  Eigen::Matrix<double, 9, 9 + kConstants> h = by_both(states.size() - 1);
+  const Carried there = way.back();
+  Eigen::Matrix<double, 9, 9 + kConstants> h = there.ByBoth();
   h.rightCols<kConstants>() -= gain;
-  const Matrix9d S = h * P * h.transpose() + noise.back() + rest;
+  const Matrix9d S = h * P * h.transpose() + there.noise + rest;
   Eigen::Matrix<double, 9, 1> distance;
-  distance << Log(Eigen::Quaterniond(states.back().q_WI.conjugate() * last.state.q_WB)),
-      last.state.p_WB - states.back().p_WI, last.state.v_W - states.back().v_W;
+  distance << Log(Eigen::Quaterniond(there.state.q_WI.conjugate() * last.state.q_WB)),
+      last.state.p_WB - there.state.p_WI, last.state.v_W - there.state.v_W;
   const Eigen::LDLT<Matrix9d> S_inverse(S);
   if (!(distance.dot(S_inverse.solve(distance)) < kMaxDistance2)) return {};
 
-  for (size_t j = 0; j < states.size(); ++j) {
-    const auto A = by_both(j);
-    // What errs until j turns up at the end as much as the steps from there on carry it.
-    const Matrix9d rest_of_way = by_start.back() * by_start[j].inverse();
-    const Matrix9d with_distance = A * P * h.transpose() + noise[j] * rest_of_way.transpose();
+  std::vector<CarriedState> states;
+  for (const Carried& here : way) {
+    const auto A = here.ByBoth();
+    // What errs until here turns up at the end as much as the steps from here on carry it.
+    const Matrix9d rest_of_way = there.by_start * here.by_start.inverse();
+    const Matrix9d with_distance = A * P * h.transpose() + here.noise * rest_of_way.transpose();
     const Matrix9d K = S_inverse.solve(with_distance.transpose()).transpose();
-    Move(K * distance, &states[j]);
-    states[j].covariance = A * P * A.transpose() + noise[j] - K * S * K.transpose();
+    states.push_back(here.state);
+    Move(K * distance, &states.back());
+    states.back().covariance = A * P * A.transpose() + here.noise - K * S * K.transpose();
   }
   return states;
 }

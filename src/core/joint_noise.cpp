@@ -1,6 +1,7 @@
 #include "imu_pose_calib/core/joint_noise.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstddef>
 #include <utility>
@@ -91,12 +92,6 @@ class Cells {
   std::vector<double> covered_;        ///< [s] by them
 };
 
-double MedianPeriod(const std::vector<double>& t) {
-  std::vector<double> periods;
-  for (size_t i = 1; i < t.size(); ++i) periods.push_back(t[i] - t[i - 1]);
-  return Median(std::move(periods));
-}
-
 constexpr double kLongestAveraging = 1.0;  // [s] beyond it biases and few means blur the noise
 /// Noise within the band over the spread of samples below which vibration beyond it is seen in the
 /// spread, the least that is believed, and the windows that it takes to tell.
@@ -121,52 +116,51 @@ std::vector<double> MeanSquareAround(const Samples& samples,
   return means;
 }
 
+bool IsOfPoses(Quantity quantity) {
+  return quantity == Quantity::kPosition || quantity == Quantity::kRotation;
+}
+
+bool IsLinear(Quantity quantity) {
+  return quantity == Quantity::kPosition || quantity == Quantity::kAccel;
+}
+
 /// Densities of the noise that sensors of one kind have together in a session, as they tell of the
 /// same motion.
-struct JointDensities {
-  double position, rotation, gyro, accel;
-
+class JointDensities {
+ public:
   JointDensities(const LeastSquares& joint, size_t session) {
-    const auto together = [&](Quantity quantity) {
-      double information = 0.0;
-      for (const SensorBlocks& sensor : joint.sensors)
-        if (sensor.model->session == session && sensor.model->quantity == quantity)
-          information += 1.0 / sensor.model->Density();
-      return 1.0 / information;
-    };
-    position = together(Quantity::kPosition);
-    rotation = together(Quantity::kRotation);
-    gyro = together(Quantity::kGyro);
-    accel = together(Quantity::kAccel);
+    for (const SensorBlocks& sensor : joint.sensors)
+      if (sensor.model->session == session)
+        information_[static_cast<size_t>(sensor.model->quantity)] += 1.0 / sensor.model->Density();
+  }
+  double operator[](Quantity quantity) const {
+    return 1.0 / information_[static_cast<size_t>(quantity)];
   }
 
   /// [Hz] above which the IMUs say more of the trajectory than the poses do: S_a = W^4 S_p and
   /// S_g = W^2 S_R, W = 2 pi frequency.
-  double AccelCrossover() const { return std::pow(accel / position, 0.25) / (2.0 * M_PI); }
-  double GyroCrossover() const { return std::sqrt(gyro / rotation) / (2.0 * M_PI); }
+  double Crossover(Quantity quantity) const {
+    const JointDensities& S = *this;
+    return (IsLinear(quantity) ? std::pow(S[Quantity::kAccel] / S[Quantity::kPosition], 0.25)
+                               : std::sqrt(S[Quantity::kGyro] / S[Quantity::kRotation])) /
+           (2.0 * M_PI);
+  }
+
+ private:
+  std::array<double, 4> information_{};
 };
 
-/// The IMUs' share of the information on a spline, in the mean over the spline's band [Hz].
-double ImuShare(double crossover, int order, double band) {
+/// The IMUs' share of the information on the spline that a quantity tells of, in the mean over the
+/// spline's band [Hz].
+double ImuShare(const JointDensities& S, Quantity quantity, double band) {
   constexpr int kSteps = 100;
+  const double crossover = S.Crossover(quantity);
   double sum = 0.0;
   for (int k = 0; k < kSteps; ++k) {
-    const double x = std::pow((k + 0.5) / kSteps * band / crossover, order);
+    const double x = std::pow((k + 0.5) / kSteps * band / crossover, IsLinear(quantity) ? 4 : 2);
     sum += x / (1.0 + x);
   }
   return sum / kSteps;
-}
-
-bool IsOfPoses(const SensorBlocks& sensor) {
-  return sensor.model->quantity == Quantity::kPosition ||
-         sensor.model->quantity == Quantity::kRotation;
-}
-
-/// Where the sensor and its counterpart meet [Hz].
-double Crossover(const JointDensities& S, const SensorBlocks& sensor) {
-  const bool is_linear =
-      sensor.model->quantity == Quantity::kPosition || sensor.model->quantity == Quantity::kAccel;
-  return is_linear ? S.AccelCrossover() : S.GyroCrossover();
 }
 
 std::vector<double> Times(const SensorBlocks& sensor) {
@@ -179,20 +173,20 @@ std::vector<double> Times(const SensorBlocks& sensor) {
 
 double AllanNoise(const std::vector<double>& t, const std::vector<Eigen::Vector3d>& x, double tau) {
   if (t.size() < 2) return 0.0;
-  const Cells cells(t, x, std::max(kMaxCellPeriods * MedianPeriod(t), kMaxCellShare * tau));
+  const Cells cells(t, x, std::max(kMaxCellPeriods * MedianStep(t), kMaxCellShare * tau));
   const size_t stride = t.size() / kMaxPositions + 1;
-  std::vector<double> magnitudes;
+  std::vector<double> differences;
   double slid = 0.0;  // [s]
   for (size_t j = 1; j < t.size(); j += stride) {
     const Window a = cells.Before(j, tau), b = cells.After(j, tau);
     if (std::min(a.covered, b.covered) < kLeastCovered * tau) continue;
     const Eigen::Vector3d difference =
         (a.Mean() - b.Mean()) / std::sqrt(a.Variance() + b.Variance());
-    for (int k = 0; k < 3; ++k) magnitudes.push_back(std::abs(difference[k]));
+    differences.insert(differences.end(), difference.data(), difference.data() + 3);
     slid += static_cast<double>(stride) * cells.Width(j);
   }
-  if (magnitudes.empty() || slid < kFewestPairs * 2.0 * tau) return 0.0;
-  return kMadToSigma * Median(std::move(magnitudes));
+  if (differences.empty() || slid < kFewestPairs * 2.0 * tau) return 0.0;
+  return RobustSigma(std::move(differences));
 }
 
 void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares* joint) {
@@ -200,30 +194,19 @@ void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares
   // As many as there is noise in that band.
   const double points = static_cast<double>(splines.d.size()) * 2.0 * band * splines.spacing();
   const JointDensities S(*joint, session);
-  const double accel = ImuShare(S.AccelCrossover(), 4, band);
-  const double gyro = ImuShare(S.GyroCrossover(), 2, band);
-  const auto share = [&](const SensorModel& model) {
-    switch (model.quantity) {
-      case Quantity::kPosition:
-        return 1.0 - accel;
-      case Quantity::kRotation:
-        return 1.0 - gyro;
-      case Quantity::kGyro:
-        return gyro * S.gyro / model.Density();
-      case Quantity::kAccel:
-        break;
-    }
-    return accel * S.accel / model.Density();
-  };
-  for (SensorBlocks& sensor : joint->sensors)
-    if (sensor.model->session == session)
-      sensor.fitted =
-          share(*sensor.model) * points / std::max(1.0, static_cast<double>(sensor.samples.size()));
+  for (SensorBlocks& sensor : joint->sensors) {
+    const SensorModel& model = *sensor.model;
+    if (model.session != session) continue;
+    const double imus = ImuShare(S, model.quantity, band);
+    const double share =
+        IsOfPoses(model.quantity) ? 1.0 - imus : imus * S[model.quantity] / model.Density();
+    sensor.fitted = share * points / std::max(1.0, static_cast<double>(sensor.samples.size()));
+  }
 }
 
 bool DoPosesLead(const CorrectionSplines& splines, size_t session, const LeastSquares& joint) {
-  const double crossover = JointDensities(joint, session).AccelCrossover();
-  return ImuShare(crossover, 4, Band(splines.spacing())) < 0.5;
+  const JointDensities S(joint, session);
+  return ImuShare(S, Quantity::kAccel, Band(splines.spacing())) < 0.5;
 }
 
 void FeignInformation(const std::vector<CorrectionSplines>& splines, LeastSquares* joint) {
@@ -247,9 +230,10 @@ void FeignInformation(const std::vector<CorrectionSplines>& splines, LeastSquare
     for (int k = 0; k < kSteps; ++k) {
       const double w2 = std::pow(2.0 * M_PI * (k + 0.5) * step, 2);
       const double omega =
-          1.0 / (1.0 / S.gyro + 1.0 / (w2 * S.rotation));  // poses and gyroscope add up
+          1.0 / (1.0 / S[Quantity::kGyro] +
+                 1.0 / (w2 * S[Quantity::kRotation]));  // poses and gyroscope add up
       const double lever = LeverArmCoefficientVariance(w2 * omega, omega, turn2 / seen);
-      density += 2.0 * step * lever / (sensor.model->Density() + w2 * w2 * S.position);
+      density += 2.0 * step * lever / (sensor.model->Density() + w2 * w2 * S[Quantity::kPosition]);
     }
     joint->feigned_information[sensor.model->imu] +=
         static_cast<double>(sensor.samples.size()) / sensor.model->rate_hz * density;
@@ -266,7 +250,7 @@ void UpdateWeights(const LeastSquares& joint,
     for (size_t i = 0; i < sensor.samples.size(); ++i)
       model.weights[sensor.samples[i].index] =
           1.0 / (1.0 + sensor.residuals[i].squaredNorm() / scale2);
-    if (model.quantity == Quantity::kPosition || model.quantity == Quantity::kRotation) continue;
+    if (IsOfPoses(model.quantity)) continue;
     // Where knots do not follow the motion, residuals swing through zero and none of them is right.
     const std::vector<double> around = MeanSquareAround(
         sensor.samples, sensor.residuals, kReach * splines[model.session].spacing());
@@ -281,8 +265,9 @@ std::vector<double> NoiseColor(const LeastSquares& joint,
   InParallel(joint.options.Threads(), joint.sensors.size(), [&](size_t k) {
     const SensorBlocks& sensor = joint.sensors[k];
     const JointDensities S(joint, sensor.model->session);
-    const double factor = IsOfPoses(sensor) ? 2.0 : 0.5;
-    const double tau = std::min(kLongestAveraging, kAllanBand / (factor * Crossover(S, sensor)));
+    const Quantity quantity = sensor.model->quantity;
+    const double crossover = S.Crossover(quantity) * (IsOfPoses(quantity) ? 2.0 : 0.5);
+    const double tau = std::min(kLongestAveraging, kAllanBand / crossover);
     colors[k] =
         std::max(1.0, AllanNoise(Times(sensor), sensor.residuals, tau) / statistics[k].noise);
   });
@@ -297,10 +282,10 @@ std::vector<double> NoiseInBand(const LeastSquares& joint,
     const SensorBlocks& sensor = joint.sensors[k];
     const size_t session = sensor.model->session;
     shares.push_back(1.0);
-    if (IsOfPoses(sensor) || sensor.samples.empty()) continue;
+    if (IsOfPoses(sensor.model->quantity) || sensor.samples.empty()) continue;
     const JointDensities S(joint, session);
-    const double tau =
-        kAllanBand / (0.5 * std::min(Crossover(S, sensor), Band(splines[session].spacing())));
+    const double tau = kAllanBand / (0.5 * std::min(S.Crossover(sensor.model->quantity),
+                                                    Band(splines[session].spacing())));
     const double duration = sensor.samples.back().t - sensor.samples.front().t;
     if (tau > kLongestAveraging || duration < kLeastWindows * tau) continue;
     std::vector<Eigen::Vector3d> residuals = sensor.residuals;

@@ -6,7 +6,6 @@
 #include <cmath>
 #include <cstdio>
 #include <limits>
-#include <sstream>
 #include <utility>
 
 #include "imu_pose_calib/core/intrinsics.h"
@@ -71,41 +70,21 @@ std::vector<Observability> Spectrum(const CalibrationOptions& options,
                                     const Eigen::MatrixXd& C,
                                     const Calibration& result) {
   std::vector<Observability> spectrum;
-  const auto add = [&](const PlacedParameter& p) {
+  for (const PlacedParameter& p : marginals.parameters) {
     const int k = p.place;
-    switch (p.parameter.kind) {
-      case ParameterKind::kTranslation:
-        AddDirections(C.block<3, 3>(k, k),
-                      "p_MI" + Of(p.parameter, result, false) + " along ",
-                      "marker",
-                      "m",
-                      &spectrum);
-        break;
-      case ParameterKind::kRotation:
-        AddDirections(C.block<3, 3>(k, k),
-                      "R_MI" + Of(p.parameter, result, false) + " about ",
-                      "imu",
-                      "rad",
-                      &spectrum);
-        break;
-      case ParameterKind::kTimeShift:
-        spectrum.push_back({"time_shift" + Of(p.parameter, result, true),
-                            std::sqrt(C(k, k)),
-                            "s",
-                            Status::kNotRun});
-        break;
-      case ParameterKind::kAccelDelay:
-        spectrum.push_back({"accel_delay" + Of(p.parameter, result, false),
-                            std::sqrt(C(k, k)),
-                            "s",
-                            Status::kNotRun});
-        break;
-      default:
-        break;
-    }
-  };
-  for (const PlacedParameter& p : marginals.parameters)
-    if (p.is_estimated && C(p.place, p.place) > 0.0) add(p);
+    const ParameterKind kind = p.parameter.kind;
+    if (!p.is_estimated || !(C(k, k) > 0.0)) continue;
+    const std::string of = Of(p.parameter, result, kind == ParameterKind::kTimeShift);
+    const auto add_time = [&](const char* name) {
+      spectrum.push_back({name + of, std::sqrt(C(k, k)), "s", Status::kNotRun});
+    };
+    if (kind == ParameterKind::kTranslation)
+      AddDirections(C.block<3, 3>(k, k), "p_MI" + of + " along ", "marker", "m", &spectrum);
+    if (kind == ParameterKind::kRotation)
+      AddDirections(C.block<3, 3>(k, k), "R_MI" + of + " about ", "imu", "rad", &spectrum);
+    if (kind == ParameterKind::kTimeShift) add_time("time_shift");
+    if (kind == ParameterKind::kAccelDelay) add_time("accel_delay");
+  }
   const auto badness = [&](const Observability& o) {
     return o.std / WeakThreshold(options, o.unit);
   };
@@ -148,57 +127,36 @@ double CertainHint(const Marginals& m, ParameterKind kind, Parameter* whose) {
   return largest;
 }
 
-/// Sigmas, and what else is of one parameter.
+/// Sigmas of one parameter, but for p_MI and R_MI, which go together.
 void ReportParameter(const PlacedParameter& p, const Eigen::MatrixXd& C, Calibration* result) {
   const Eigen::VectorXd std_dev =
       C.diagonal().segment(p.place, p.parameter.size).cwiseMax(0.0).cwiseSqrt();
+  const ParameterKind kind = p.parameter.kind;
   ImuCalibration& imu = result->imus[p.parameter.imu];
   SessionCalibration& session = result->sessions[p.parameter.session];
   ImuSession& own = session.imus[p.parameter.imu];
-  switch (p.parameter.kind) {
-    case ParameterKind::kTranslation:
-    case ParameterKind::kRotation:
-      break;  // together
-    case ParameterKind::kTimeShift:
-      own.time_shift_std = std_dev[0];
-      break;
-    case ParameterKind::kAccelDelay:
-      imu.accel_delay_std = std_dev[0];
-      break;
-    case ParameterKind::kClockDrift:
-      own.clock_drift_std = std_dev[0];
-      break;
-    case ParameterKind::kPoseSmoothing:
-      result->pose_smoothing_std = std_dev[0];
-      break;
-    case ParameterKind::kPositionSmoothing:
-      result->position_smoothing_std = std_dev[0];
-      break;
-    case ParameterKind::kPoseScale:
-      result->pose_scale_std = std_dev[0];
-      break;
-    case ParameterKind::kAccelSmoothing:
-      imu.accel_smoothing_std = std_dev[0];
-      break;
-    case ParameterKind::kGyroIntrinsics:
-      imu.gyro_matrix_std = GyroMatrix(Vector6d(std_dev)) - Eigen::Matrix3d::Identity();
-      break;
-    case ParameterKind::kAccelIntrinsics:
-      imu.accel_matrix_std = AccelMatrix(Vector9d(std_dev)) - Eigen::Matrix3d::Identity();
-      break;
-    case ParameterKind::kAccelPositions:
-      imu.accel_positions_std = AccelPositions(Vector6d(std_dev)).cwiseAbs();
-      break;
-    case ParameterKind::kGravity:
-      session.g_W_std = std_dev;
-      break;
-    case ParameterKind::kGyroBias:
-      own.gyro_bias_std = std_dev;
-      break;
-    case ParameterKind::kAccelBias:
-      own.accel_bias_std = std_dev;
-      break;
-  }
+  const std::pair<ParameterKind, double*> scalars[] = {
+      {ParameterKind::kTimeShift, &own.time_shift_std},
+      {ParameterKind::kAccelDelay, &imu.accel_delay_std},
+      {ParameterKind::kClockDrift, &own.clock_drift_std},
+      {ParameterKind::kPoseSmoothing, &result->pose_smoothing_std},
+      {ParameterKind::kPositionSmoothing, &result->position_smoothing_std},
+      {ParameterKind::kPoseScale, &result->pose_scale_std},
+      {ParameterKind::kAccelSmoothing, &imu.accel_smoothing_std}};
+  for (const auto& [of, scalar] : scalars)
+    if (of == kind) *scalar = std_dev[0];
+  const std::pair<ParameterKind, Eigen::Vector3d*> vectors[] = {
+      {ParameterKind::kGravity, &session.g_W_std},
+      {ParameterKind::kGyroBias, &own.gyro_bias_std},
+      {ParameterKind::kAccelBias, &own.accel_bias_std}};
+  for (const auto& [of, vector] : vectors)
+    if (of == kind) *vector = std_dev;
+  if (kind == ParameterKind::kGyroIntrinsics)
+    imu.gyro_matrix_std = GyroMatrix(Vector6d(std_dev)) - Eigen::Matrix3d::Identity();
+  if (kind == ParameterKind::kAccelIntrinsics)
+    imu.accel_matrix_std = AccelMatrix(Vector9d(std_dev)) - Eigen::Matrix3d::Identity();
+  if (kind == ParameterKind::kAccelPositions)
+    imu.accel_positions_std = AccelPositions(Vector6d(std_dev)).cwiseAbs();
 }
 
 /// Rows of (p_MI, R_MI) of each IMU in C; zero rows for what is not estimated.
@@ -277,23 +235,13 @@ std::string DescribeAxis(const Eigen::Vector3d& direction, const std::string& fr
   if (axis.cwiseAbs().maxCoeff(&largest) > std::cos(20.0 * M_PI / 180.0))
     return frame + " " + "xyz"[largest];
   const double sign = axis[largest] < 0.0 ? -1.0 : 1.0;
-  char text[48];
-  std::snprintf(text,
-                sizeof(text),
-                "(%.2f, %.2f, %.2f) in the ",
-                sign * axis.x(),
-                sign * axis.y(),
-                sign * axis.z());
-  return text + frame + " frame";
+  return "(" + Number(sign * axis.x(), "%.2f") + ", " + Number(sign * axis.y(), "%.2f") + ", " +
+         Number(sign * axis.z(), "%.2f") + ") in the " + frame + " frame";
 }
 
 std::string InWords(double value, const std::string& unit) {
-  std::ostringstream text;
-  text.precision(3);
-  if (unit == "m") text << 1e3 * value << " mm";
-  if (unit == "rad") text << 180.0 / M_PI * value << " deg";
-  if (unit == "s") text << 1e3 * value << " ms";
-  return text.str();
+  if (unit == "rad") return Number(180.0 / M_PI * value, "%.3g deg");
+  return Number(1e3 * value, unit == "m" ? "%.3g mm" : "%.3g ms");
 }
 
 std::string Number(double value, const char* format) {
@@ -304,19 +252,17 @@ std::string Number(double value, const char* format) {
 
 void CheckTurns(const TurnExcitation& turns) {
   if (turns.rate_std[1] >= kMinTurnRate) return;
-  std::ostringstream text;
-  text.precision(2);
-  if (turns.rate_std[0] < kMinTurnRate) {
-    text << "the marker does not turn (" << turns.rate_std[0]
-         << " rad/s rms, bound: " << kMinTurnRate
-         << " rad/s): R_MI, p_MI and time_shift are undetermined; " << kTurnAdvice;
-    throw DegenerateMotion(text.str(), "R_MI, p_MI and time_shift: " + std::string(kTurnAdvice));
-  }
+  const auto rate = [](double value) { return Number(value, "%.2g rad/s"); };
+  const std::string largest = rate(turns.rate_std[0]) + " rms", bound = rate(kMinTurnRate);
+  if (turns.rate_std[0] < kMinTurnRate)
+    throw DegenerateMotion("the marker does not turn (" + largest + ", bound: " + bound +
+                               "): R_MI, p_MI and time_shift are undetermined; " + kTurnAdvice,
+                           std::string("R_MI, p_MI and time_shift: ") + kTurnAdvice);
   const std::string axis = DescribeAxis(turns.axes_M.col(0));
-  text << "the marker turns about one axis only, " << axis << " (" << turns.rate_std[0]
-       << " rad/s rms; about any other " << turns.rate_std[1] << " rad/s, bound: " << kMinTurnRate
-       << " rad/s): p_MI along it is undetermined; " << kTurnAdvice;
-  throw DegenerateMotion(text.str(), "p_MI along " + axis + ": turn about a second axis");
+  throw DegenerateMotion("the marker turns about one axis only, " + axis + " (" + largest +
+                             "; about any other " + rate(turns.rate_std[1]) + ", bound: " + bound +
+                             "): p_MI along it is undetermined; " + kTurnAdvice,
+                         "p_MI along " + axis + ": turn about a second axis");
 }
 
 void GradeResult(const CalibrationOptions& options,

@@ -26,10 +26,10 @@ void CheckRange(const char* field, double value, double low, double high) {
 }
 
 /// A value that is not to be estimated must be given.
-void CheckGiven(const char* estimate, bool estimated, const char* initial, bool given) {
-  if (estimated || given) return;
-  throw InputError(std::string("option ") + estimate + " = false needs a value to keep: give " +
-                   initial);
+void CheckGiven(const std::string& value, bool is_estimated, bool is_given) {
+  if (!is_estimated && !is_given)
+    throw InputError("option estimate_" + value + " = false needs a value to keep: give initial_" +
+                     value);
 }
 
 }  // namespace
@@ -65,17 +65,10 @@ void CalibrationOptions::Validate() const {
   if (initial_translation)
     CheckRange("norm of initial_translation", initial_translation->norm(), 0.0, 1e3);
   if (initial_gravity) CheckRange("norm of initial_gravity", initial_gravity->norm(), 0.1, 100.0);
-  CheckGiven("estimate_time_shift",
-             estimate_time_shift,
-             "initial_time_shift",
-             initial_time_shift.has_value());
-  CheckGiven(
-      "estimate_rotation", estimate_rotation, "initial_rotation", initial_rotation.has_value());
-  CheckGiven("estimate_translation",
-             estimate_translation,
-             "initial_translation",
-             initial_translation.has_value());
-  CheckGiven("estimate_gravity", estimate_gravity, "initial_gravity", initial_gravity.has_value());
+  CheckGiven("time_shift", estimate_time_shift, initial_time_shift.has_value());
+  CheckGiven("rotation", estimate_rotation, initial_rotation.has_value());
+  CheckGiven("translation", estimate_translation, initial_translation.has_value());
+  CheckGiven("gravity", estimate_gravity, initial_gravity.has_value());
   if (!estimate_time_shift && !estimate_rotation && !estimate_translation && !estimate_accel_delay)
     throw InputError("options estimate_* leave nothing to estimate: set at least one to true");
   CheckRange("knot_spacing_s", knot_spacing_s, 0.0, 10.0);

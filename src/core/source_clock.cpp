@@ -276,11 +276,6 @@ constexpr double kMaxJumps = 0.3, kJumpSigmas = 4.0;
 constexpr size_t kNear = 5;
 constexpr double kMaxDrop = 0.05, kMaxDropSigmas = 2.0;
 
-double RobustSigma(std::vector<double> values) {
-  for (double& value : values) value = std::abs(value);
-  return kMadToSigma * Median(std::move(values));
-}
-
 /// Latency [s] of the stamps t [s] about a clock whose offset from period * frame is linear between
 /// knots: their mean, robust, or a quantile of them if it is not 0. Changes of the rate are few.
 std::vector<double> FitClock(const std::vector<double>& t,

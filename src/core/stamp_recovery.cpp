@@ -56,14 +56,6 @@ Stream ToStream(const std::vector<ImuSample>& samples) {
   return stream;
 }
 
-/// Median step [ns].
-double MedianStep(const std::vector<int64_t>& t_ns) {
-  std::vector<double> steps;
-  for (size_t i = 1; i < t_ns.size(); ++i)
-    steps.push_back(static_cast<double>(t_ns[i] - t_ns[i - 1]));
-  return Median(std::move(steps));
-}
-
 /// Error of the cubic through two samples on either side of sample i at the times t, over what it
 /// makes of their noise.
 double Roughness(const Channel& channel, size_t i, const std::array<double, 5>& t) {

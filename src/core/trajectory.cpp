@@ -90,6 +90,12 @@ TrajectoryCovariance::TrajectoryCovariance(const std::shared_ptr<const Solution>
   m.elimination->Invert(border, &inverse_);
 }
 
+TrajectoryCovariance::Columns TrajectoryCovariance::Joined(const std::vector<Columns>& parts) {
+  Columns all;
+  for (const Columns& part : parts) all.insert(all.end(), part.begin(), part.end());
+  return all;
+}
+
 TrajectoryCovariance::Columns TrajectoryCovariance::Kept(int first, int count) const {
   const Marginals& m = solution_->marginals;
   Columns columns(static_cast<size_t>(count), -1);
@@ -101,11 +107,8 @@ TrajectoryCovariance::Columns TrajectoryCovariance::Kept(int first, int count) c
 TrajectoryCovariance::Columns TrajectoryCovariance::ControlPoints(size_t session,
                                                                   size_t first) const {
   const int d = d_[session] + 3 * static_cast<int>(first);
-  Columns columns = Kept(d, 3 * kSplineOrder);
-  const Columns phi =
-      Kept(d + 3 * static_cast<int>(solution_->splines[session].d.size()), 3 * kSplineOrder);
-  columns.insert(columns.end(), phi.begin(), phi.end());
-  return columns;
+  const int phi = d + 3 * static_cast<int>(solution_->splines[session].d.size());
+  return Joined({Kept(d, 3 * kSplineOrder), Kept(phi, 3 * kSplineOrder)});
 }
 
 TrajectoryCovariance::Columns TrajectoryCovariance::Calibrated(ParameterKind kind,
@@ -156,8 +159,6 @@ SessionTrajectory::SessionTrajectory(const std::shared_ptr<const Solution>& solu
                                      size_t session,
                                      const std::shared_ptr<const TrajectoryCovariance>& covariance)
     : solution_(solution), session_(session), covariance_(covariance) {}
-
-int64_t SessionTrajectory::epoch_ns() const { return solution_->pose_epochs_ns[session_]; }
 
 std::optional<BodyState> SessionTrajectory::Evaluate(const Rigid3& T_MB,
                                                      double t,
@@ -233,15 +234,12 @@ std::optional<BodyCovariance> SessionTrajectory::Covariance(const Rigid3& T_MB,
   if (!last_inputs_ || last_inputs_->first != first || last_inputs_->imu != imu) {
     const auto own = covariance();
     TrajectoryCovariance::Columns columns = own->ControlPoints(session_, first);
-    const auto add = [&](const TrajectoryCovariance::Columns& more) {
-      columns.insert(columns.end(), more.begin(), more.end());
-    };
     const auto i = static_cast<size_t>(imu);
-    if (imu >= 0) {
-      add(own->Calibrated(ParameterKind::kTranslation, i, 3));
-      add(own->Calibrated(ParameterKind::kRotation, i, 3));
-      add(own->Clock(session_, i));
-    }
+    if (imu >= 0)
+      columns = TrajectoryCovariance::Joined({columns,
+                                              own->Calibrated(ParameterKind::kTranslation, i, 3),
+                                              own->Calibrated(ParameterKind::kRotation, i, 3),
+                                              own->Clock(session_, i)});
     last_inputs_ = Inputs{first, imu, own->At(columns)};
   }
   const Eigen::MatrixXd& C = last_inputs_->C;
@@ -275,10 +273,6 @@ std::optional<BodyState> SessionTrajectory::Imu(size_t imu, double t, StateJacob
   return Evaluate({rig.q_MI, rig.p_MI}, t, J);
 }
 
-std::optional<BodyState> SessionTrajectory::Imu(size_t imu, double t) const {
-  return Imu(imu, t, nullptr);
-}
-
 ImuBiases SessionTrajectory::Biases(size_t imu, double t) const {
   const ImuSessionEstimate& own = solution_->estimate.sessions[session_].imus[imu];
   const auto at = [&](const BiasKnots& knots) -> Eigen::Vector3d {
@@ -307,17 +301,16 @@ std::optional<Matrix6d> SessionTrajectory::BiasCovariance(size_t imu, double t) 
   const auto own = covariance();
   if (!own) return std::nullopt;
   const ImuSessionEstimate& biases = solution_->estimate.sessions[session_].imus[imu];
-  TrajectoryCovariance::Columns columns;
+  std::vector<TrajectoryCovariance::Columns> knots;
   Eigen::Matrix<double, 6, 12> J = Eigen::Matrix<double, 6, 12>::Zero();
   for (const bool is_accel : {false, true}) {
     const auto [k, u] = (is_accel ? biases.accel_bias : biases.gyro_bias).Locate(biases.ImuTime(t));
-    const auto pair = own->BiasKnotPair(session_, imu, is_accel, k);
-    columns.insert(columns.end(), pair.begin(), pair.end());
+    knots.push_back(own->BiasKnotPair(session_, imu, is_accel, k));
     const int i = is_accel ? 3 : 0;
     J.block<3, 3>(i, 2 * i) = (1.0 - u) * Eigen::Matrix3d::Identity();
     J.block<3, 3>(i, 2 * i + 3) = u * Eigen::Matrix3d::Identity();
   }
-  return Matrix6d(J * own->At(columns) * J.transpose());
+  return Matrix6d(J * own->At(TrajectoryCovariance::Joined(knots)) * J.transpose());
 }
 
 }  // namespace imu_pose_calib

@@ -148,23 +148,9 @@ struct BodyRate {
 }  // namespace
 
 const char* ToString(Motion motion) {
-  switch (motion) {
-    case Motion::kHandheld:
-      return "handheld";
-    case Motion::kTumble:
-      return "tumble";
-    case Motion::kArm:
-      return "arm";
-    case Motion::kDrone:
-      return "drone";
-    case Motion::kPlanar:
-      return "planar";
-    case Motion::kHinge:
-      return "hinge";
-    case Motion::kStatic:
-      break;
-  }
-  return "static";
+  constexpr const char* kNames[] = {
+      "handheld", "tumble", "arm", "drone", "planar", "hinge", "static"};
+  return kNames[static_cast<int>(motion)];
 }
 
 TrueTrajectory::TrueTrajectory(const SimulatorOptions& options) {

@@ -68,13 +68,17 @@ struct SimulatorOptions {
   RealEffects effects;  ///< those of motion and poses follow from `seed`
 };
 
-/// An effect that one number switches on.
-struct EffectOption {
-  const char* name;
-  const char* unit;
-  const char* text;
-  double usual;        ///< strength that recordings have
+/// What an effect is called.
+struct EffectName {
+  const char *name, *unit, *text;
+};
+/// How strong it is.
+struct EffectRange {
+  double usual;        ///< that recordings have
   double least, most;  ///< that make sense
+};
+/// An effect that one number switches on.
+struct EffectOption : EffectName, EffectRange {
   double& (*strength)(SimulatorOptions* options);
 };
 

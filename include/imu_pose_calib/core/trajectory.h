@@ -17,6 +17,8 @@ class TrajectoryCovariance {
 
   /// Columns of the parameters, one for each degree of freedom; -1 for what is held.
   using Columns = std::vector<int>;
+  /// Those of all parts, in order.
+  static Columns Joined(const std::vector<Columns>& parts);
   /// The kSplineOrder control points of d from `first` on, then those of phi.
   Columns ControlPoints(size_t session, size_t first) const;
   /// What is calibrated, `size` degrees of freedom. q_MI turns on the left by twice the step.
@@ -72,11 +74,15 @@ class SessionTrajectory {
                     const std::shared_ptr<const TrajectoryCovariance>& covariance = nullptr);
 
   /// Stamp [ns, pose clock] at which t = 0.
-  int64_t epoch_ns() const;
+  int64_t epoch_ns() const { return solution_->pose_epochs_ns[session_]; }
 
-  /// Motion at t [s]; nothing where poses or IMUs have a gap.
+  /// Derivative of BodyState, in the order of BodyCovariance, by the coordinates of the control
+  /// points of d and phi that act at t, p_MB, and the rotation of R_MB on the left by twice a step.
+  using StateJacobian = Eigen::Matrix<double, 18, 6 * kSplineOrder + 6>;
+  /// Motion at t [s], and its derivative unless `J` is null; nothing where poses or IMUs have a
+  /// gap.
   std::optional<BodyState> Marker(double t) const;
-  std::optional<BodyState> Imu(size_t imu, double t) const;
+  std::optional<BodyState> Imu(size_t imu, double t, StateJacobian* J = nullptr) const;
   /// Where the clock of the IMU shows the time that goes with t; the session must have that IMU.
   ImuBiases Biases(size_t imu, double t) const;
 
@@ -93,12 +99,6 @@ class SessionTrajectory {
   std::optional<Matrix6d> BiasCovariance(size_t imu, double t) const;
   /// Null with method `gp`.
   std::shared_ptr<const TrajectoryCovariance> covariance() const;
-
-  /// Derivative of BodyState, in the order of BodyCovariance, by the coordinates of the control
-  /// points of d and phi that act at t, p_MB, and the rotation of R_MB on the left by twice a step.
-  using StateJacobian = Eigen::Matrix<double, 18, 6 * kSplineOrder + 6>;
-  /// The motion with its derivative.
-  std::optional<BodyState> Imu(size_t imu, double t, StateJacobian* J) const;
 
  private:
   std::optional<BodyState> Evaluate(const Rigid3& T_MB, double t, StateJacobian* J) const;
