@@ -131,8 +131,7 @@ void WarnOfStamps(const std::string& stream,
   } else if (check.bunched > kMaxBunched) {
     warn(Percent(check.bunched) +
          " of the samples are stamped in bunches (bound: " + Percent(kMaxBunched) +
-         "), as by time of arrival, and used as recorded; use stamps of the "
-         "sensor's own clock");
+         "), as by time of arrival, and used as recorded; use stamps of the sensor's own clock");
   } else if (check.cut_s > 0.0) {
     warn("the stamps are multiples of " + Number(1e3 * check.cut_s) +
          " ms, not even, and used as recorded; use stamps of the sensor's own clock");
@@ -162,8 +161,8 @@ void WarnOfDrops(const std::string& stream,
          " samples are not finite, zero or stamped backwards; they are not used");
   if (r.saturated > 0)
     warn(std::to_string(r.saturated) +
-         " samples at the end of the sensor's range are not used; "
-         "choose a larger range or move more gently");
+         " samples at the end of the sensor's range are not used; choose a larger range or move "
+         "more gently");
   if (static_cast<double>(r.outlier) > kMaxOutliers * n)
     warn(Percent(static_cast<double>(r.outlier) / n) +
          " are outliers (bound: " + Percent(kMaxOutliers) + "); they are not used");
@@ -173,8 +172,8 @@ void WarnOfDrops(const std::string& stream,
          "used of each such interval; record what the tracker measures");
   if (r.flipped > 0)
     warn(std::to_string(r.flipped) +
-         " poses that turn against the gyroscope are not used: swapped "
-         "labels? Place the markers less symmetrically");
+         " poses that turn against the gyroscope are not used: swapped labels? Place the markers "
+         "less symmetrically");
 }
 
 /// Mean norm of the accelerometer while neither sensor shows motion, and how long that was.

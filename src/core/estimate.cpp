@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 
 namespace imu_pose_calib {
 
@@ -97,36 +98,23 @@ std::vector<Parameter> CalibrationParameters(Estimate* estimate) {
 }
 
 bool IsEstimated(const CalibrationOptions& options, ParameterKind kind) {
-  switch (kind) {
-    case ParameterKind::kTranslation:
-      return options.estimate_translation;
-    case ParameterKind::kRotation:
-      return options.estimate_rotation;
-    case ParameterKind::kTimeShift:
-      return options.estimate_time_shift;
-    case ParameterKind::kAccelDelay:
-      return options.estimate_accel_delay;
-    case ParameterKind::kClockDrift:
-      return options.estimate_clock_drift;
-    case ParameterKind::kPoseSmoothing:
-    case ParameterKind::kPositionSmoothing:
-      return options.estimate_pose_smoothing;
-    case ParameterKind::kPoseScale:
-      return options.estimate_pose_scale;
-    case ParameterKind::kAccelSmoothing:
-      return options.estimate_accel_smoothing;
-    case ParameterKind::kGyroIntrinsics:
-    case ParameterKind::kAccelIntrinsics:
-      return options.imu_model == ImuModel::kScaleMisalignment;
-    case ParameterKind::kAccelPositions:
-      return options.estimate_size_effect;
-    case ParameterKind::kGravity:
-      return options.estimate_gravity;
-    case ParameterKind::kGyroBias:
-    case ParameterKind::kAccelBias:
-      break;
-  }
-  return true;
+  using Options = CalibrationOptions;
+  static const std::map<ParameterKind, bool Options::*> kSwitches = {
+      {ParameterKind::kTranslation, &Options::estimate_translation},
+      {ParameterKind::kRotation, &Options::estimate_rotation},
+      {ParameterKind::kTimeShift, &Options::estimate_time_shift},
+      {ParameterKind::kAccelDelay, &Options::estimate_accel_delay},
+      {ParameterKind::kClockDrift, &Options::estimate_clock_drift},
+      {ParameterKind::kPoseSmoothing, &Options::estimate_pose_smoothing},
+      {ParameterKind::kPositionSmoothing, &Options::estimate_pose_smoothing},
+      {ParameterKind::kPoseScale, &Options::estimate_pose_scale},
+      {ParameterKind::kAccelSmoothing, &Options::estimate_accel_smoothing},
+      {ParameterKind::kAccelPositions, &Options::estimate_size_effect},
+      {ParameterKind::kGravity, &Options::estimate_gravity}};
+  if (kind == ParameterKind::kGyroIntrinsics || kind == ParameterKind::kAccelIntrinsics)
+    return options.imu_model == ImuModel::kScaleMisalignment;
+  const auto found = kSwitches.find(kind);
+  return found == kSwitches.end() || options.*found->second;
 }
 
 }  // namespace imu_pose_calib

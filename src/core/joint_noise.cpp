@@ -92,6 +92,8 @@ class Cells {
   std::vector<double> covered_;        ///< [s] by them
 };
 
+/// Frequency [Hz] times tau [s] at which the Allan deviation is most sensitive.
+constexpr double kAllanBand = 0.37;
 constexpr double kLongestAveraging = 1.0;  // [s] beyond it biases and few means blur the noise
 /// Noise within the band over the spread of samples below which vibration beyond it is seen in the
 /// spread, the least that is believed, and the windows that it takes to tell.

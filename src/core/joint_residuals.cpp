@@ -4,7 +4,6 @@
 #include <initializer_list>
 #include <utility>
 
-#include "imu_pose_calib/core/correction.h"
 #include "imu_pose_calib/core/intrinsics.h"
 #include "imu_pose_calib/core/so3.h"
 

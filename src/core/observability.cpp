@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
-#include <limits>
 #include <utility>
 
 #include "imu_pose_calib/core/intrinsics.h"
@@ -35,6 +34,17 @@ Eigen::Matrix3d HonestLeverArm(const Eigen::Matrix3d& covariance, double feigned
       Eigen::Matrix3d(covariance.inverse() - feigned_information * Eigen::Matrix3d::Identity()));
   const Eigen::Matrix3d& V = eigen.eigenvectors();
   return V * eigen.eigenvalues().cwiseMax(1e-12).cwiseInverse().asDiagonal() * V.transpose();
+}
+
+/// "marker z", or "(0.71, 0.00, 0.71) in the marker frame" when no axis is within 20 degrees.
+std::string DescribeAxis(const Eigen::Vector3d& direction, const std::string& frame) {
+  const Eigen::Vector3d axis = direction.normalized();
+  int largest = 0;
+  if (axis.cwiseAbs().maxCoeff(&largest) > std::cos(20.0 * M_PI / 180.0))
+    return frame + " " + "xyz"[largest];
+  const double sign = axis[largest] < 0.0 ? -1.0 : 1.0;
+  return "(" + Number(sign * axis.x(), "%.2f") + ", " + Number(sign * axis.y(), "%.2f") + ", " +
+         Number(sign * axis.z(), "%.2f") + ") in the " + frame + " frame";
 }
 
 /// Principal directions of a 3x3 covariance, each with its sigma. None when it is not estimated.
@@ -229,16 +239,6 @@ TurnExcitation MeasureTurns(const PoseTrajectory& trajectory, const ConditionedD
   return turns;
 }
 
-std::string DescribeAxis(const Eigen::Vector3d& direction, const std::string& frame) {
-  const Eigen::Vector3d axis = direction.normalized();
-  int largest = 0;
-  if (axis.cwiseAbs().maxCoeff(&largest) > std::cos(20.0 * M_PI / 180.0))
-    return frame + " " + "xyz"[largest];
-  const double sign = axis[largest] < 0.0 ? -1.0 : 1.0;
-  return "(" + Number(sign * axis.x(), "%.2f") + ", " + Number(sign * axis.y(), "%.2f") + ", " +
-         Number(sign * axis.z(), "%.2f") + ") in the " + frame + " frame";
-}
-
 std::string InWords(double value, const std::string& unit) {
   if (unit == "rad") return Number(180.0 / M_PI * value, "%.3g deg");
   return Number(1e3 * value, unit == "m" ? "%.3g mm" : "%.3g ms");
@@ -258,7 +258,7 @@ void CheckTurns(const TurnExcitation& turns) {
     throw DegenerateMotion("the marker does not turn (" + largest + ", bound: " + bound +
                                "): R_MI, p_MI and time_shift are undetermined; " + kTurnAdvice,
                            std::string("R_MI, p_MI and time_shift: ") + kTurnAdvice);
-  const std::string axis = DescribeAxis(turns.axes_M.col(0));
+  const std::string axis = DescribeAxis(turns.axes_M.col(0), "marker");
   throw DegenerateMotion("the marker turns about one axis only, " + axis + " (" + largest +
                              "; about any other " + rate(turns.rate_std[1]) + ", bound: " + bound +
                              "): p_MI along it is undetermined; " + kTurnAdvice,
@@ -281,18 +281,13 @@ void GradeResult(const CalibrationOptions& options,
     if (p.is_estimated) ReportParameter(p, C, result);
   ReportTransforms(C, marginals, result);
 
-  const auto of_halves = [&](ParameterKind kind) {
+  const auto take_halves = [&](ParameterKind kind, int size, double* difference) {
     const int place = marginals.Find(kind);
-    Eigen::VectorXd difference = Eigen::Vector3d::Zero();
-    const bool is_scalar = kind == ParameterKind::kTimeShift;
-    if (place >= 0)
-      difference.head(is_scalar ? 1 : 3) =
-          marginals.halves_difference.segment(place, is_scalar ? 1 : 3);
-    return difference;
+    if (place >= 0) std::copy_n(&marginals.halves_difference[place], size, difference);
   };
-  result->split_half.translation = of_halves(ParameterKind::kTranslation);
-  result->split_half.rotation = of_halves(ParameterKind::kRotation);
-  result->split_half.time_shift = of_halves(ParameterKind::kTimeShift)[0];
+  take_halves(ParameterKind::kTranslation, 3, result->split_half.translation.data());
+  take_halves(ParameterKind::kRotation, 3, result->split_half.rotation.data());
+  take_halves(ParameterKind::kTimeShift, 1, &result->split_half.time_shift);
   result->split_half.sigmas = marginals.halves_sigmas;
 
   Eigen::MatrixXd honest = marginals.model;

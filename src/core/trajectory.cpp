@@ -6,7 +6,7 @@
 #include <algorithm>
 #include <numeric>
 
-#include "imu_pose_calib/core/correction.h"
+#include "imu_pose_calib/core/so3.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -222,13 +222,12 @@ std::shared_ptr<const TrajectoryCovariance> SessionTrajectory::covariance() cons
   return covariance_;
 }
 
-std::optional<BodyCovariance> SessionTrajectory::Covariance(const Rigid3& T_MB,
-                                                            int imu,
-                                                            bool is_on_its_clock,
-                                                            double t) const {
+std::optional<BodyCovariance> SessionTrajectory::CovarianceOf(int imu,
+                                                              bool is_on_its_clock,
+                                                              double t) const {
   if (solution_->splines.empty()) return std::nullopt;
   StateJacobian J;
-  const auto state = Evaluate(T_MB, t, &J);
+  const auto state = imu < 0 ? Evaluate({}, t, &J) : Imu(static_cast<size_t>(imu), t, &J);
   if (!state) return std::nullopt;
   const size_t first = solution_->splines[session_].Locate(t)->first;
   if (!last_inputs_ || last_inputs_->first != first || last_inputs_->imu != imu) {
@@ -264,10 +263,6 @@ double SessionTrajectory::ClockVariance(size_t imu, double t) const {
   return J.dot(own->At(own->Clock(session_, imu)) * J);
 }
 
-std::optional<BodyState> SessionTrajectory::Marker(double t) const {
-  return Evaluate({}, t, nullptr);
-}
-
 std::optional<BodyState> SessionTrajectory::Imu(size_t imu, double t, StateJacobian* J) const {
   const ImuEstimate& rig = solution_->estimate.imus[imu];
   return Evaluate({rig.q_MI, rig.p_MI}, t, J);
@@ -280,21 +275,6 @@ ImuBiases SessionTrajectory::Biases(size_t imu, double t) const {
     return (1.0 - u) * knots.values[k] + u * knots.values[k + 1];
   };
   return {at(own.gyro_bias), at(own.accel_bias)};
-}
-
-std::optional<BodyCovariance> SessionTrajectory::MarkerCovariance(double t) const {
-  return Covariance({}, -1, false, t);
-}
-
-std::optional<BodyCovariance> SessionTrajectory::ImuCovariance(size_t imu, double t) const {
-  const ImuEstimate& rig = solution_->estimate.imus[imu];
-  return Covariance({rig.q_MI, rig.p_MI}, static_cast<int>(imu), false, t);
-}
-
-std::optional<BodyCovariance> SessionTrajectory::ImuCovarianceOnItsClock(size_t imu,
-                                                                         double t) const {
-  const ImuEstimate& rig = solution_->estimate.imus[imu];
-  return Covariance({rig.q_MI, rig.p_MI}, static_cast<int>(imu), true, t);
 }
 
 std::optional<Matrix6d> SessionTrajectory::BiasCovariance(size_t imu, double t) const {

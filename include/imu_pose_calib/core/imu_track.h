@@ -8,12 +8,6 @@
 
 namespace imu_pose_calib {
 
-/// A sensor as recorded at t [s, IMU clock], linear between samples; nothing where some are
-/// missing.
-std::optional<Eigen::Vector3d> RecordedAt(const std::vector<TimedSample>& samples,
-                                          double rate_hz,
-                                          double t);
-
 /// State of an IMU that was integrated from its own samples.
 struct CarriedState {
   double t;  ///< [s] pose clock
@@ -24,21 +18,6 @@ struct CarriedState {
   /// Of the rotation [rad, about the axes of I: R_WI Exp(dtheta)], p_WI and v_W.
   Eigen::Matrix<double, 9, 9> covariance;
 };
-
-/// The motion of an IMU from `begin` to `end` [s, pose clock], between two runs of a joint solve's
-/// trajectory: integrated from the state in which the first run ends, and adjusted to meet the one
-/// in which the second begins, each by its covariance (doc/trajectory.md). States at both ends and
-/// at the samples of the gyroscope in between; none when the IMU has a gap, too, or when the two
-/// runs are further apart than their sigmas and the IMU's noise explain.
-std::vector<CarriedState> CarryAcrossGap(const Solution& solution,
-                                         const SessionTrajectory& trajectory,
-                                         size_t session,
-                                         size_t imu,
-                                         double begin,
-                                         double end);
-
-/// Between two states that follow each other.
-CarriedState Interpolate(const CarriedState& a, const CarriedState& b, double t);
 
 /// State of an IMU at one instant: ground truth.
 struct ImuState {
@@ -67,7 +46,7 @@ struct TrackGap {
 class ImuTrack {
  public:
   /// Gaps of the poses of up to `max_gap_s` are carried by the IMU where that is possible, see
-  /// CarryAcrossGap(); longer ones are left out, and all of them with method `gp`.
+  /// doc/trajectory.md; longer ones are left out, and all of them with method `gp`.
   ImuTrack(const std::shared_ptr<const Solution>& solution,
            size_t session,
            size_t imu,

@@ -18,9 +18,6 @@ struct TurnExcitation {
 };
 TurnExcitation MeasureTurns(const PoseTrajectory& trajectory, const ConditionedData& data);
 
-/// "marker z", or "(0.71, 0.00, 0.71) in the marker frame" when no axis is within 20 degrees.
-std::string DescribeAxis(const Eigen::Vector3d& axis, const std::string& frame = "marker");
-
 /// Without turns about two axes no solve can tell the lever arm or the rotation.
 class DegenerateMotion : public DataError {
  public:

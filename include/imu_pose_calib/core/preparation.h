@@ -1,7 +1,5 @@
 #pragma once
 
-#include <vector>
-
 #include "imu_pose_calib/core/data_check.h"
 #include "imu_pose_calib/core/estimate.h"
 #include "imu_pose_calib/core/options.h"

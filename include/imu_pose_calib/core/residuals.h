@@ -2,7 +2,6 @@
 
 #include <ceres/autodiff_cost_function.h>
 
-#include <cmath>
 #include <memory>
 
 #include "imu_pose_calib/core/pose_trajectory.h"

@@ -108,4 +108,24 @@ Eigen::Matrix<T, 3, 3> RightJacobianRate(const Eigen::Matrix<T, 3, 1>& r,
   return -s_dot * j.db * H - j.b * D + s_dot * j.dc * H * H + j.c * (D * H + H * D);
 }
 
+/// u = J_r(phi) phi' and its time derivative, as cross products: with m = phi x phi',
+///   u     = phi' - b m + c phi x m
+///   du/dt = J_r(phi) phi'' - b' m + c' phi x m + c phi' x m.
+template <typename T>
+void CorrectionRate(const Eigen::Matrix<T, 3, 1>& phi,
+                    const Eigen::Matrix<T, 3, 1>& phi1,
+                    const Eigen::Matrix<T, 3, 1>& phi2,
+                    Eigen::Matrix<T, 3, 1>* u,
+                    Eigen::Matrix<T, 3, 1>* u_dot) {
+  using Vector3 = Eigen::Matrix<T, 3, 1>;
+  const internal::JacobianTerms<T> j(phi.squaredNorm());
+  const T s_dot = T(2) * phi.dot(phi1);
+  const Vector3 m = phi.cross(phi1);
+  const Vector3 n = phi.cross(phi2);
+  const Vector3 phi_m = phi.cross(m);
+  *u = phi1 - j.b * m + j.c * phi_m;
+  *u_dot = phi2 - j.b * n + j.c * phi.cross(n) - s_dot * j.db * m + s_dot * j.dc * phi_m +
+           j.c * phi1.cross(m);
+}
+
 }  // namespace imu_pose_calib

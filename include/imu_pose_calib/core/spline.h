@@ -35,4 +35,13 @@ inline SplineWeights CubicWeights(double u, double spacing) {
   return w;
 }
 
+/// Value and derivatives 1..3 (columns) of a spline from its control points.
+template <typename T>
+Eigen::Matrix<T, 3, 4> EvaluateSpline(T const* const* points, const SplineWeights& weights) {
+  Eigen::Matrix<T, 3, kSplineOrder> P;
+  for (int j = 0; j < kSplineOrder; ++j)
+    P.col(j) = Eigen::Map<const Eigen::Matrix<T, 3, 1>>(points[j]);
+  return P * weights.transpose().template cast<T>();
+}
+
 }  // namespace imu_pose_calib

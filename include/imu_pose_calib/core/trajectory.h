@@ -81,18 +81,24 @@ class SessionTrajectory {
   using StateJacobian = Eigen::Matrix<double, 18, 6 * kSplineOrder + 6>;
   /// Motion at t [s], and its derivative unless `J` is null; nothing where poses or IMUs have a
   /// gap.
-  std::optional<BodyState> Marker(double t) const;
+  std::optional<BodyState> Marker(double t) const { return Evaluate({}, t, nullptr); }
   std::optional<BodyState> Imu(size_t imu, double t, StateJacobian* J = nullptr) const;
   /// Where the clock of the IMU shows the time that goes with t; the session must have that IMU.
   ImuBiases Biases(size_t imu, double t) const;
 
   /// By the model's noise, calibration included; nothing where there is no motion, and with method
   /// `gp`. The first call takes about as long as a pass of the solve.
-  std::optional<BodyCovariance> MarkerCovariance(double t) const;
-  std::optional<BodyCovariance> ImuCovariance(size_t imu, double t) const;
+  std::optional<BodyCovariance> MarkerCovariance(double t) const {
+    return CovarianceOf(-1, false, t);
+  }
+  std::optional<BodyCovariance> ImuCovariance(size_t imu, double t) const {
+    return CovarianceOf(static_cast<int>(imu), false, t);
+  }
   /// The same where the clock of the IMU shows the time that goes with t: errors of the clock count
   /// too, except in accelerations.
-  std::optional<BodyCovariance> ImuCovarianceOnItsClock(size_t imu, double t) const;
+  std::optional<BodyCovariance> ImuCovarianceOnItsClock(size_t imu, double t) const {
+    return CovarianceOf(static_cast<int>(imu), true, t);
+  }
   /// Variance of the instant t that goes with a time on the clock of the IMU [s^2]; 0 with `gp`.
   double ClockVariance(size_t imu, double t) const;
   /// Of gyroscope and accelerometer, 3 each, also where the motion has a gap.
@@ -102,10 +108,8 @@ class SessionTrajectory {
 
  private:
   std::optional<BodyState> Evaluate(const Rigid3& T_MB, double t, StateJacobian* J) const;
-  std::optional<BodyCovariance> Covariance(const Rigid3& T_MB,
-                                           int imu,
-                                           bool is_on_its_clock,
-                                           double t) const;
+  /// Of an IMU, or of the marker for -1.
+  std::optional<BodyCovariance> CovarianceOf(int imu, bool is_on_its_clock, double t) const;
 
   std::shared_ptr<const Solution> solution_;
   size_t session_;
