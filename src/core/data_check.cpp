@@ -233,9 +233,9 @@ void MeasureDrift(const ConditionedImu& data,
   const size_t stride = std::max<size_t>(1, data.gyro.size() / kDriftSamples);
   for (size_t i = 0; i < data.gyro.size(); i += stride) {
     const TimedSample& s = data.gyro[i];
-    MarkerState<double> state;
-    if (!trajectory.Evaluate(s.t + start.time_shift, &state)) continue;
-    const Eigen::Vector3d omega_I = R_IM * state.omega_M, alpha_I = R_IM * state.alpha_M;
+    MarkerRotation<double> marker;
+    if (!trajectory.EvaluateRotation(s.t + start.time_shift, &marker)) continue;
+    const Eigen::Vector3d omega_I = R_IM * marker.omega_M, alpha_I = R_IM * marker.alpha_M;
     Row row{s.t, {}, s.value - start.gyro_bias - omega_I};
     row.J << Hat(omega_I), Eigen::Matrix3d::Identity(), alpha_I, (s.t - middle) * alpha_I;
     H.noalias() += row.J.transpose() * row.J;

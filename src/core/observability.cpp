@@ -219,10 +219,10 @@ TurnExcitation MeasureTurns(const PoseTrajectory& trajectory, const ConditionedD
   Eigen::Matrix3d sum2 = Eigen::Matrix3d::Zero();
   double variance = 0.0, count = 0.0;
   for (double t = 0.0; t <= data.poses.back().t; t += kSampleStep) {
-    MarkerState<double> state;
-    if (!trajectory.Evaluate(t, &state)) continue;
-    sum += state.omega_M;
-    sum2 += state.omega_M * state.omega_M.transpose();
+    MarkerRotation<double> marker;
+    if (!trajectory.EvaluateRotation(t, &marker)) continue;
+    sum += marker.omega_M;
+    sum2 += marker.omega_M * marker.omega_M.transpose();
     variance += trajectory.Variance(t).omega;
     count += 1.0;
   }
