@@ -133,15 +133,6 @@ int Elimination::Offset(int block, int panel) const {
   return shape.row_offset[static_cast<size_t>(found - shape.rows.begin())];
 }
 
-std::vector<int> Elimination::Offsets(const int* begin, const int* end, int panel) const {
-  std::vector<int> offsets;
-  for (const int* block = begin; block != end; ++block) {
-    const int first = Offset(*block, panel);
-    for (int k = 0; k < size_[Index(*block)]; ++k) offsets.push_back(first + k);
-  }
-  return offsets;
-}
-
 Panel* Elimination::Touch(int panel, Panels* panels) const {
   const auto [place, is_new] = panels->try_emplace(panel);
   const Shape& shape = shapes_[Index(panel)];
@@ -261,8 +252,11 @@ void Elimination::Gather(int p,
   for (const auto& [number, rhs] : own.rhs) B->col(column(number)).head(shape.columns) = rhs;
   if (waiting == rest->waiting.end()) return;
   for (const auto& update : waiting->second) {
-    const std::vector<int> rows =
-        Offsets(update->rows.data(), update->rows.data() + update->rows.size(), p);
+    std::vector<int> rows;  // of the panel
+    for (const int k : update->rows) {
+      const int first = Offset(k, p);
+      for (int i = 0; i < size_[Index(k)]; ++i) rows.push_back(first + i);
+    }
     for (size_t j = 0; j < rows.size(); ++j)
       for (size_t i = j; i < rows.size(); ++i)
         (*H)(rows[i], rows[j]) +=

@@ -46,31 +46,19 @@ GaussNewtonStep FindStep(const NormalEquations& equations,
                          double max_factor_mb,
                          int threads) {
   const Elimination& elimination = *equations.elimination();
-  const auto count = static_cast<size_t>(elimination.windows());
-  std::vector<Panels> windows(count);
-  std::vector<Rest> rests(count);
-  std::vector<double> costs(count, 0.0);
-  const bool keeps = elimination.factor_mb() <= max_factor_mb;
   const auto damp = [damping](int, auto diagonal) { diagonal *= 1.0 + damping; };
-  const Eigen::VectorXd weights = Eigen::VectorXd::Ones(elimination.windows());
-  const auto eliminate = [&](size_t w, double* cost) {
-    windows[w] = equations.Assemble(w, {}, cost);
-    elimination.VisitDiagonal(damp, &windows[w]);
-    return elimination.EliminateWindow(static_cast<int>(w), weights, true, &windows[w]);
+  const auto assemble = [&](size_t w, double* cost) {
+    Panels own = equations.Assemble(w, {}, cost);
+    elimination.VisitDiagonal(damp, &own);
+    return own;
   };
-  std::vector<Panels> of_window(count);
-  InParallel(threads, count, [&](size_t w) {
-    rests[w] = eliminate(w, &costs[w]);
-    of_window[w] = elimination.TakeShared(&windows[w]);
-    if (!keeps) windows[w].clear();
-  });
-  Panels shared;
-  std::vector<const Rest*> parts;
-  for (size_t w = 0; w < count; ++w) {
-    Elimination::Merge(std::move(of_window[w]), &shared);
-    parts.push_back(&rests[w]);
-  }
-  Reduced reduced = elimination.Reduce(parts, weights, true, &shared);
+  std::vector<double> costs(static_cast<size_t>(elimination.windows()), 0.0);
+  const Eigen::VectorXd weights = Eigen::VectorXd::Ones(elimination.windows());
+  EliminatedWindows windows(
+      equations.elimination(), weights, max_factor_mb, threads, [&](size_t w) {
+        return assemble(w, &costs[w]);
+      });
+  Reduced reduced = windows.ReduceAll({});
   for (Eigen::Index k = 0; k < reduced.H.rows(); ++k)
     if (reduced.H(k, k) == 0.0) reduced.H(k, k) = 1.0;  // nothing acts on it: it stays
   GaussNewtonStep step{equations.blocks(),
@@ -82,15 +70,7 @@ GaussNewtonStep FindStep(const NormalEquations& equations,
   const Eigen::VectorXd b = reduced.B * weights;
   step.x.head(b.size()) = -llt.solve(b);
   step.decrease = 0.5 * (reduced.inner.sum() - b.dot(step.x.head(b.size())));
-  elimination.SubstituteBack(shared, &step.x);
-  InParallel(threads, count, [&](size_t w) {
-    if (!keeps) {
-      eliminate(w, nullptr);
-      elimination.TakeShared(&windows[w]);
-    }
-    elimination.SubstituteBack(windows[w], &step.x);
-    windows[w].clear();
-  });
+  windows.SubstituteBack([&](size_t w) { return assemble(w, nullptr); }, &step.x);
   return step;
 }
 

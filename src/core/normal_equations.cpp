@@ -2,9 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <utility>
 
 #include "imu_pose_calib/core/dense.h"
+#include "imu_pose_calib/core/parallel.h"
 #include "imu_pose_calib/core/types.h"
 
 namespace imu_pose_calib {
@@ -247,12 +249,79 @@ Panels NormalEquations::Assemble(size_t window,
         of = -1;
         if (!at.EvaluateMoved(parameter.block, parameter.step)) continue;
         excess = (at.Score() - score) / parameter.step - linear;
+        for (const ExactColumn& other : exact)
+          if (const Eigen::Index k = at.Column(other.block); k >= 0) excess[k] *= 0.5;
       }
       of = column;
       elimination_->AddRhs(at.places, parameter.rhs, excess, &panels);
     }
   }
   return panels;
+}
+
+EliminatedWindows::EliminatedWindows(std::shared_ptr<const Elimination> elimination,
+                                     const Eigen::VectorXd& weights,
+                                     double max_factor_mb,
+                                     int threads,
+                                     const Assemble& assemble)
+    : elimination_(std::move(elimination)),
+      weights_(weights),
+      keeps_(elimination_->factor_mb() <= max_factor_mb),
+      threads_(threads),
+      factors_(static_cast<size_t>(elimination_->windows())),
+      shared_(factors_.size()),
+      rests_(factors_.size()) {
+  InParallel(threads, factors_.size(), [&](size_t w) {
+    Panels own = assemble(w);
+    rests_[w] = elimination_->EliminateWindow(static_cast<int>(w), weights_, keeps_, &own);
+    shared_[w] = elimination_->TakeShared(&own);
+    if (keeps_) factors_[w] = std::move(own);
+  });
+}
+
+Reduced EliminatedWindows::Reduce(const std::vector<int>& windows,
+                                  bool keeps,
+                                  Panels* shared) const {
+  std::vector<const Rest*> rests;
+  for (const int w : windows) {
+    rests.push_back(&rests_[static_cast<size_t>(w)]);
+    Elimination::Merge(Panels(shared_[static_cast<size_t>(w)]), shared);
+  }
+  return elimination_->Reduce(rests, weights_, keeps, shared);
+}
+
+Reduced EliminatedWindows::Reduce(const std::vector<int>& windows) const {
+  Panels shared;
+  return Reduce(windows, false, &shared);
+}
+
+Reduced EliminatedWindows::ReduceAll(Panels shared) {
+  shared_factor_ = std::move(shared);
+  return Reduce(Counted(rests_.size()), true, &shared_factor_);
+}
+
+void EliminatedWindows::SubstituteBack(const Assemble& assemble, Eigen::VectorXd* x) const {
+  elimination_->SubstituteBack(shared_factor_, x);
+  InParallel(threads_, factors_.size(), [&](size_t w) {
+    if (keeps_) return elimination_->SubstituteBack(factors_[w], x);
+    Panels own = assemble(w);
+    elimination_->EliminateWindow(static_cast<int>(w), weights_, true, &own);
+    elimination_->TakeShared(&own);
+    elimination_->SubstituteBack(own, x);
+  });
+}
+
+Panels EliminatedWindows::TakeFactor() {
+  if (!keeps_) return {};
+  Panels factor = std::move(shared_factor_);
+  for (Panels& own : factors_) factor.merge(own);
+  return factor;
+}
+
+std::vector<int> Counted(size_t count) {
+  std::vector<int> numbers(count);
+  std::iota(numbers.begin(), numbers.end(), 0);
+  return numbers;
 }
 
 }  // namespace imu_pose_calib

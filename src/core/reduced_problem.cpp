@@ -2,11 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <numeric>
 #include <utility>
-
-#include "imu_pose_calib/core/parallel.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -17,12 +14,6 @@ constexpr double kWeakInformation = 1.0;
 constexpr double kClockStep = 1e-6;
 
 }  // namespace
-
-std::vector<int> Counted(size_t count) {
-  std::vector<int> numbers(count);
-  std::iota(numbers.begin(), numbers.end(), 0);
-  return numbers;
-}
 
 Ordering::Ordering(LeastSquares* solved) {
   const Problem& problem = solved->problem;
@@ -118,7 +109,6 @@ ReducedProblem::ReducedProblem(const Ordering& ordering,
     : ordering_(ordering),
       windows_(solved->windows.count()),
       functionals_(is_for_step ? 0 : functionals.count()),
-      threads_(solved->options.Threads()),
       first_trajectory_(static_cast<int>(ordering.border.size() + ordering.inner.size()) -
                         static_cast<int>(solved->trajectory_blocks.size())),
       equations_(solved->problem,
@@ -126,8 +116,7 @@ ReducedProblem::ReducedProblem(const Ordering& ordering,
                  ordering.inner,
                  solved->Equations(),
                  static_cast<size_t>(windows_)),
-      elimination_(equations_.elimination()),
-      keeps_factor_(elimination_->factor_mb() <= solved->options.max_factor_mb) {
+      elimination_(equations_.elimination()) {
   const auto count = static_cast<size_t>(windows_);
   std::vector<ExactColumn> exact;
   for (size_t k = 0; k < ordering.clock_blocks.size() && !is_for_step; ++k)
@@ -136,34 +125,19 @@ ReducedProblem::ReducedProblem(const Ordering& ordering,
   weights_ = Eigen::VectorXd::Zero(RhsOfClock(exact.size()));
   weights_.head(windows_).setOnes();
 
-  std::vector<Panels> shared(count);
-  window_factors_.resize(count);
-  std::vector<Rest> rests(count);
   std::vector<double> costs(count, 0.0);
   std::vector<std::vector<bool>> acts(count);  // blocks of what is calibrated
-  InParallel(threads_, count, [&](size_t w) {
-    Panels& own = window_factors_[w];
-    own = Assemble(w, exact, &costs[w]);
-    for (size_t b = 0; b < ordering.calibrated.size(); ++b)
-      acts[w].push_back(elimination_->ActsInside(static_cast<int>(b), own));
-    if (!is_for_step) AddMeans(functionals, static_cast<int>(w), &own);
-    rests[w] = elimination_->EliminateWindow(static_cast<int>(w), weights_, keeps_factor_, &own);
-    shared[w] = elimination_->TakeShared(&own);
-    if (!keeps_factor_) own.clear();
-    // What exact columns have in each other comes twice.
-    for (auto& [number, rhs] : shared[w].rbegin()->second.rhs)
-      if (number >= RhsOfClock(0))
-        for (const int column : ordering.clocks) rhs[column] *= 0.5;
-  });
-
-  const auto reduce = [&](const std::vector<int>& of, bool keeps, Panels* sum) {
-    std::vector<const Rest*> parts;
-    for (const int w : of) {
-      parts.push_back(&rests[static_cast<size_t>(w)]);
-      Elimination::Merge(Panels(shared[static_cast<size_t>(w)]), sum);
-    }
-    return elimination_->Reduce(parts, weights_, keeps, sum);
-  };
+  eliminated_.emplace(elimination_,
+                      weights_,
+                      solved->options.max_factor_mb,
+                      solved->options.Threads(),
+                      [&](size_t w) {
+                        Panels own = Assemble(w, exact, &costs[w]);
+                        for (size_t b = 0; b < ordering.calibrated.size(); ++b)
+                          acts[w].push_back(elimination_->ActsInside(static_cast<int>(b), own));
+                        if (!is_for_step) AddMeans(functionals, static_cast<int>(w), &own);
+                        return own;
+                      });
   cost_ = std::accumulate(costs.begin(), costs.end(), 0.0);
   halves_.resize(is_for_step ? 0 : 2);
   sessions_.resize(is_for_step ? 0 : solved->sessions.size());
@@ -174,8 +148,7 @@ ReducedProblem::ReducedProblem(const Ordering& ordering,
   }
   for (std::vector<Part>* parts : {&halves_, &sessions_}) {
     for (Part& part : *parts) {
-      Panels sum;
-      part.reduced = reduce(part.windows, false, &sum);
+      part.reduced = eliminated_->Reduce(part.windows);
       int block = 0, column = 0;
       for (const Parameter& p : ordering.calibrated) {
         const bool is_acting = std::any_of(part.windows.begin(), part.windows.end(), [&](int w) {
@@ -187,8 +160,9 @@ ReducedProblem::ReducedProblem(const Ordering& ordering,
       }
     }
   }
-  if (!is_for_step) AddMeans(functionals, windows_, &shared_factor_);
-  all_ = reduce(Counted(count), true, &shared_factor_);
+  Panels means;
+  if (!is_for_step) AddMeans(functionals, windows_, &means);
+  all_ = eliminated_->ReduceAll(std::move(means));
   for (int f = 0; f < functionals_; ++f) {
     const int column = functionals.columns()[static_cast<size_t>(f)];
     if (column >= 0) all_.B(column, windows_ + f) = 1.0;
@@ -237,22 +211,13 @@ GaussNewtonStep ReducedProblem::FindStep(const std::vector<Parameter>& moved) co
     result.x[kept[k]] = step[static_cast<Eigen::Index>(k)];
     result.decrease -= 0.5 * gradient[kept[k]] * result.x[kept[k]];
   }
-  elimination_->SubstituteBack(shared_factor_, &result.x);
-  InParallel(threads_, static_cast<size_t>(windows_), [&](size_t w) {
-    if (keeps_factor_) return elimination_->SubstituteBack(window_factors_[w], &result.x);
-    Panels own = Assemble(w, {}, nullptr);
-    elimination_->EliminateWindow(static_cast<int>(w), weights_, true, &own);
-    elimination_->TakeShared(&own);
-    elimination_->SubstituteBack(own, &result.x);
-  });
+  eliminated_->SubstituteBack([this](size_t w) { return Assemble(w, {}, nullptr); }, &result.x);
   return result;
 }
 
 Panels ReducedProblem::TakeFactor() {
-  if (!keeps_factor_) return {};
-  Panels factor = std::move(shared_factor_);
-  for (Panels& own : window_factors_) factor.merge(own);
-  factor.rbegin()->second = {all_.H, {}};
+  Panels factor = eliminated_->TakeFactor();
+  if (!factor.empty()) factor.rbegin()->second = {all_.H, {}};
   return factor;
 }
 

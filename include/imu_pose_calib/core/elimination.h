@@ -136,8 +136,6 @@ class Elimination {
   Panel* Touch(int panel, Panels* panels) const;
   /// First row of a block in a panel; -1 when it has none there.
   int Offset(int block, int panel) const;
-  /// Rows of all columns of the blocks.
-  std::vector<int> Offsets(const int* begin, const int* end, int panel) const;
 
   int columns_ = 0;
   std::vector<Shape> shapes_;

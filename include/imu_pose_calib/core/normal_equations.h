@@ -1,5 +1,6 @@
 #pragma once
 
+#include <functional>
 #include <memory>
 #include <vector>
 
@@ -20,7 +21,7 @@ struct Equation {
 struct ExactColumn {
   int block;    ///< of parameters
   double step;  ///< of differences
-  int rhs;      ///< right-hand side of what the column has beyond J^T J
+  int rhs;      ///< right-hand side of what it has beyond J^T J; where it meets an exact one, half
 };
 
 /// H = J^T J and the scores J^T r of a least squares problem, linearised where its parameters stand
@@ -58,5 +59,45 @@ class NormalEquations {
   std::shared_ptr<const Elimination> elimination_;
   std::vector<Place> places_;  ///< of each block of the problem
 };
+
+/// The windows of normal equations when their own columns are eliminated.
+class EliminatedWindows {
+ public:
+  /// All that acts in a window.
+  using Assemble = std::function<Panels(size_t window)>;
+
+  /// One window after the other on each of `threads` threads. `weights`: the combination of
+  /// right-hand sides that is substituted back. Factors that would take more than `max_factor_mb`
+  /// [MB] are not kept.
+  EliminatedWindows(std::shared_ptr<const Elimination> elimination,
+                    const Eigen::VectorXd& weights,
+                    double max_factor_mb,
+                    int threads,
+                    const Assemble& assemble);
+
+  /// Of some windows alone.
+  Reduced Reduce(const std::vector<int>& windows) const;
+  /// Of all, and of what else acts on the columns that they share; last, and once.
+  Reduced ReduceAll(Panels shared);
+  /// The rows of all windows and of what they share, when x has those of the border. `assemble`: as
+  /// before, for factors that were not kept.
+  void SubstituteBack(const Assemble& assemble, Eigen::VectorXd* x) const;
+  /// The factor of all but the border, then it is gone; nothing if it was not kept.
+  Panels TakeFactor();
+
+ private:
+  Reduced Reduce(const std::vector<int>& windows, bool keeps, Panels* shared) const;
+
+  std::shared_ptr<const Elimination> elimination_;
+  Eigen::VectorXd weights_;
+  bool keeps_;
+  int threads_;
+  std::vector<Panels> factors_, shared_;  ///< of each window
+  std::vector<Rest> rests_;
+  Panels shared_factor_;
+};
+
+/// 0, 1, ... count - 1.
+std::vector<int> Counted(size_t count);
 
 }  // namespace imu_pose_calib

@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include "imu_pose_calib/core/covariance.h"
@@ -99,19 +100,14 @@ class ReducedProblem {
   void AddMeans(const Functionals& functionals, int window, Panels* panels) const;
 
   const Ordering& ordering_;
-  const int windows_, functionals_, threads_, first_trajectory_;
+  const int windows_, functionals_, first_trajectory_;
   const NormalEquations equations_;
   const std::shared_ptr<const Elimination> elimination_;
-  const bool keeps_factor_;
   Eigen::VectorXd weights_;  ///< of right-hand sides, for the gradient
   std::vector<Part> halves_, sessions_;
   Reduced all_;
   double cost_ = 0.0;
-  std::vector<Panels> window_factors_;  ///< empty when they are not kept
-  Panels shared_factor_;
+  std::optional<EliminatedWindows> eliminated_;
 };
-
-/// 0, 1, ... count - 1.
-std::vector<int> Counted(size_t count);
 
 }  // namespace imu_pose_calib
