@@ -3,7 +3,6 @@
 #include <yaml-cpp/yaml.h>
 
 #include <algorithm>
-#include <boost/algorithm/string/join.hpp>
 #include <filesystem>
 #include <fstream>
 
@@ -27,8 +26,7 @@ constexpr Dataset kDatasets[] = {
     {"tum-vi",
      "TUM-VI (Schubert et al., IROS 2018): https://cvg.cit.tum.de/data/datasets/"
      "visual-inertial-dataset, CC BY 4.0. Sequences in EuRoC's format, or bags; poses are "
-     "published "
-     "as those of the IMU, on its clock",
+     "published as those of the IMU, on its clock",
      true,
      true},
     {"euroc",
@@ -49,14 +47,10 @@ const Dataset& Find(const std::string& name) {
   throw InputError("dataset '" + name + "' is unknown; must be tum-vi, euroc or broad");
 }
 
-void CheckFolder(const std::string& folder) {
-  if (!fs::is_directory(folder))
-    throw InputError("'" + folder + "' is not a folder with recordings");
-}
-
 /// All paths below a folder, in order.
 std::vector<fs::path> Below(const std::string& folder) {
-  CheckFolder(folder);
+  if (!fs::is_directory(folder))
+    throw InputError("'" + folder + "' is not a folder with recordings");
   std::vector<fs::path> paths;
   const auto options = fs::directory_options::skip_permission_denied;
   for (const auto& entry : fs::recursive_directory_iterator(folder, options))
@@ -71,8 +65,14 @@ std::string NameOf(const fs::path& path, const std::string& folder) {
   return name == "." ? fs::absolute(path).lexically_normal().filename().string() : name;
 }
 
-std::string NameOfBag(fs::path path, const std::string& folder) {
-  return NameOf(path.replace_extension(""), folder);
+Sequence BagSequence(const fs::path& path,
+                     const std::string& folder,
+                     const OfflineRequest& common) {
+  Sequence sequence;
+  sequence.name = NameOf(fs::path(path).replace_extension(""), folder);
+  sequence.request = common;
+  sequence.request.bag.paths = {path};
+  return sequence;
 }
 
 /// The folder that a sequence is in, below `folder`: of one session, perhaps.
@@ -112,8 +112,7 @@ void AddAsl(const Dataset& dataset,
   const fs::path root = sensors.filename() == "mav0" ? sensors.parent_path() : sensors;
   std::vector<fs::path> sources;
   for (const auto& entry : fs::directory_iterator(sensors))
-    if (fs::exists(entry.path() / "data.csv") && HasPoses(entry.path() / "data.csv"))
-      sources.push_back(entry.path());
+    if (HasPoses(entry.path() / "data.csv")) sources.push_back(entry.path());
   std::sort(sources.begin(), sources.end());
   for (const fs::path& source : sources) {
     Sequence sequence;
@@ -138,14 +137,8 @@ std::string DatasetTitle(const std::string& dataset) { return Find(dataset).titl
 
 std::vector<Sequence> FindBags(const std::string& folder, const OfflineRequest& common) {
   std::vector<Sequence> sequences;
-  for (const fs::path& path : Below(folder)) {
-    if (path.extension() != ".bag") continue;
-    Sequence sequence;
-    sequence.name = NameOfBag(path, folder);
-    sequence.request = common;
-    sequence.request.bag.paths = {path};
-    sequences.push_back(sequence);
-  }
+  for (const fs::path& path : Below(folder))
+    if (path.extension() == ".bag") sequences.push_back(BagSequence(path, folder, common));
   if (sequences.empty()) throw InputError("there is no *.bag in '" + folder + "'");
   return sequences;
 }
@@ -159,11 +152,8 @@ std::vector<Sequence> FindDataset(const std::string& name,
     if (path.filename() == "data.csv" && path.parent_path().filename() == "imu0")
       AddAsl(dataset, path, folder, common, &sequences);
     if (path.extension() != ".bag") continue;
-    Sequence sequence;
-    sequence.name = NameOfBag(path, folder);
+    Sequence sequence = BagSequence(path, folder, common);
     sequence.group = GroupOf(path, folder) + "bags";
-    sequence.request = common;
-    sequence.request.bag.paths = {path};
     if (dataset.is_imu0 && common.bag.imu_topic.empty()) sequence.request.bag.imu_topic = "/imu0";
     sequences.push_back(sequence);
   }

@@ -4,7 +4,7 @@
 #include <boost/algorithm/string/join.hpp>
 #include <filesystem>
 #include <map>
-#include <memory>
+#include <optional>
 
 #include "imu_pose_calib/ros/evaluation/experiments.h"
 #include "imu_pose_calib/ros/evaluation/tables.h"
@@ -21,31 +21,17 @@ namespace {
 constexpr int kParts = 3;             // of a bag that is compared with itself
 constexpr double kPartDuration = 25;  // [s]
 
-/// An experiment on one base, with its cells and the tasks of its trials.
+/// The trials of one cell.
+struct CellTrials {
+  std::vector<std::string> labels;
+  std::vector<Trial> gp, joint;
+};
+
+/// An experiment on one base.
 struct Plan {
   Experiment experiment;
   Base base;
-  std::vector<Cell> cells;
-  std::vector<std::vector<Trial>> gp, joint;  ///< of the cells
-};
-
-/// Bags that are read when they are needed first.
-class Bags {
- public:
-  const SessionData& Get(const Source& source) {
-    const std::string key =
-        Format("%s %.9g %.9g", source.path.c_str(), source.start_s, source.duration_s);
-    const auto found = data_.find(key);
-    if (found != data_.end()) return found->second;
-    BagRequest request;
-    request.paths = {source.path};
-    request.start_s = source.start_s;
-    request.duration_s = source.duration_s;
-    return data_[key] = ReadBag(request).data;
-  }
-
- private:
-  std::map<std::string, SessionData> data_;
+  std::vector<CellTrials> cells;
 };
 
 class Evaluation {
@@ -60,16 +46,16 @@ class Evaluation {
     if (!request.chain.empty()) {
       if (request.chain.size() != 2)
         throw InputError("--chain takes two transforms: T_marker_camera and T_camera_imu");
-      chained_ = {
-          true,
-          ReadTransform("--chain", request.chain[0]) * ReadTransform("--chain", request.chain[1])};
+      chained_T_MI_ =
+          ReadTransform("--chain", request.chain[0]) * ReadTransform("--chain", request.chain[1]);
     }
   }
 
   std::string Run() {
     const std::vector<Task> references = References(), tasks = Tasks();
     if (!request_.is_merge) {
-      ReadBags(references, tasks);
+      // Once, before the processes of the trials begin.
+      if (Missing(references) + Missing(tasks) > 0) ReadBags();
       RunnerOptions all = request_.runner;  // every part needs them
       all.part = 0;
       all.parts = 1;
@@ -77,20 +63,15 @@ class Evaluation {
       RunTasks(references, all);
       RunTasks(tasks, request_.runner);
     }
-    size_t missing = 0;
-    for (const Task& task : tasks)
-      if (!FinishedTask(request_.runner.folder, task)) ++missing;
-    for (const Task& task : references)
-      if (!FinishedTask(request_.runner.folder, task)) ++missing;
+    const size_t missing = Missing(references) + Missing(tasks);
+    const size_t all = references.size() + tasks.size();
     if (missing > 0 && request_.is_merge)
       throw InputError(Format("%zu of %zu trials are missing in '%s'; run them, and merge again",
                               missing,
-                              tasks.size() + references.size(),
+                              all,
                               request_.runner.folder.c_str()));
     if (request_.runner.parts > 1)  // others may be at it, too
-      return Format("%zu of %zu trials are done; --merge makes the tables\n",
-                    tasks.size() + references.size() - missing,
-                    tasks.size() + references.size());
+      return Format("%zu of %zu trials are done; --merge makes the tables\n", all - missing, all);
     return WriteTables();
   }
 
@@ -134,18 +115,17 @@ class Evaluation {
   }
 
   Plan MakePlan(const Experiment& experiment, Base base) const {
-    Plan plan{experiment, base, {}, {}, {}};
+    Plan plan{experiment, base, {}};
     Source source = request_.bag;
     const double enough = experiment.base.source.duration_s;
     if (enough > 0.0 && (source.duration_s == 0.0 || source.duration_s > enough))
       source.duration_s = enough;
     plan.experiment.base.source = source;
     if (experiment.is_compared && base == Base::kBag) plan.experiment.axes = {Recordings()};
-    plan.cells = Cells(plan.experiment);
-    for (const Cell& cell : plan.cells) {
-      plan.gp.push_back(Trials(plan.experiment, cell, base, Method::kGp, request_.trials));
-      plan.joint.push_back(Trials(plan.experiment, cell, base, Method::kJoint, request_.trials));
-    }
+    for (const Cell& cell : Cells(plan.experiment))
+      plan.cells.push_back({cell.labels,
+                            Trials(plan.experiment, cell, base, Method::kGp, request_.trials),
+                            Trials(plan.experiment, cell, base, Method::kJoint, request_.trials)});
     return plan;
   }
 
@@ -154,9 +134,22 @@ class Evaluation {
               static const SessionData kNoBag;
               const bool is_bag = what.base == Base::kBag;
               return ToYaml(RunTrial(what,
-                                     is_bag ? bags_->Get(what.source) : kNoBag,
+                                     is_bag ? Bag(what.source) : kNoBag,
                                      needs_reference ? Reference(what) : TrialOutcome()));
             }};
+  }
+
+  /// What a bag holds; read when it is needed first.
+  const SessionData& Bag(const Source& source) const {
+    const std::string key =
+        Format("%s %.9g %.9g", source.path.c_str(), source.start_s, source.duration_s);
+    const auto found = bags_.find(key);
+    if (found != bags_.end()) return found->second;
+    BagRequest request;
+    request.paths = {source.path};
+    request.start_s = source.start_s;
+    request.duration_s = source.duration_s;
+    return bags_[key] = ReadBag(request).data;
   }
 
   /// The bag of a trial as it is.
@@ -197,59 +190,49 @@ class Evaluation {
   std::vector<Task> Tasks() const {
     std::vector<Task> tasks;
     for (const Plan& plan : plans_)
-      for (const auto* method : {&plan.gp, &plan.joint})
-        for (const auto& cell : *method)
-          for (const Trial& trial : cell)
+      for (const auto method : {&CellTrials::gp, &CellTrials::joint})
+        for (const CellTrials& cell : plan.cells)
+          for (const Trial& trial : cell.*method)
             tasks.push_back(ToTask(trial, trial.what.is_guessed && plan.base == Base::kBag));
     return tasks;
   }
 
-  /// Once, before the processes of the trials begin.
-  void ReadBags(const std::vector<Task>& references, const std::vector<Task>& tasks) const {
-    const auto is_missing = [&](const Task& task) {
+  size_t Missing(const std::vector<Task>& tasks) const {
+    return static_cast<size_t>(std::count_if(tasks.begin(), tasks.end(), [&](const Task& task) {
       return !FinishedTask(request_.runner.folder, task);
-    };
-    if (std::none_of(references.begin(), references.end(), is_missing) &&
-        std::none_of(tasks.begin(), tasks.end(), is_missing))
-      return;
-    for (const Plan& plan : plans_) {
-      if (plan.base != Base::kBag) continue;
-      for (const auto& cell : plan.joint)
-        for (const Trial& trial : cell) bags_->Get(trial.what.source);
-    }
+    }));
   }
 
-  /// What the trials of a method came to, with errors against the truth or the reference.
-  std::vector<CellOutcomes> Load(const Plan& plan,
-                                 const std::vector<std::vector<Trial>>& cells) const {
-    std::vector<CellOutcomes> loaded;
-    for (const std::vector<Trial>& trials : cells) {
-      CellOutcomes cell;
-      for (const Trial& trial : trials) {
-        const TrialOutcome outcome =
-            ParseOutcome(FinishedTask(request_.runner.folder, ToTask(trial, false)).value());
-        TrialOutcome truth = outcome;
-        if (plan.base == Base::kBag && !plan.experiment.is_compared) {
-          const TrialOutcome reference = Reference(trial.what);
-          truth.true_T_MI = reference.T_MI;
-          truth.true_time_shift = reference.time_shift;
-          truth.true_accel_delay = reference.accel_delay;
-        }
-        cell.errors.push_back(
-            ErrorsOf(outcome, truth.true_T_MI, truth.true_time_shift, truth.true_accel_delay));
-        cell.outcomes.push_back(outcome);
+  void ReadBags() const {
+    for (const Plan& plan : plans_)
+      if (plan.base == Base::kBag)
+        for (const CellTrials& cell : plan.cells)
+          for (const Trial& trial : cell.joint) Bag(trial.what.source);
+  }
+
+  /// What trials of a plan came to, with errors against the truth or the reference.
+  CellOutcomes Load(const Plan& plan, const std::vector<Trial>& trials) const {
+    CellOutcomes cell;
+    for (const Trial& trial : trials) {
+      const TrialOutcome outcome =
+          ParseOutcome(FinishedTask(request_.runner.folder, ToTask(trial, false)).value());
+      if (plan.base == Base::kBag && !plan.experiment.is_compared) {
+        const TrialOutcome truth = Reference(trial.what);
+        cell.errors.push_back(ErrorsOf(outcome, truth.T_MI, truth.time_shift, truth.accel_delay));
+      } else {
+        cell.errors.push_back(ErrorsOf(
+            outcome, outcome.true_T_MI, outcome.true_time_shift, outcome.true_accel_delay));
       }
-      loaded.push_back(std::move(cell));
+      cell.outcomes.push_back(outcome);
     }
-    return loaded;
+    return cell;
   }
 
   std::string Introduction() const {
     std::string text = Format(
         "# Evaluation of imu_pose_calib %s\n\n"
         "Root mean squares of the errors over the usable trials; %zu trials a cell in the tables "
-        "of "
-        "the paper. `gp` is the method of the paper, `joint` the default.\n\n",
+        "of the paper. `gp` is the method of the paper, `joint` the default.\n\n",
         kVersion,
         request_.trials);
     const auto has = [&](Base base) {
@@ -283,9 +266,11 @@ class Evaluation {
     const std::filesystem::path folder = request_.runner.folder;
     std::string text = Introduction(), cells, trials;
     for (const Plan& plan : plans_) {
-      const Results results{
-          &plan.experiment, plan.base, plan.cells, Load(plan, plan.gp), Load(plan, plan.joint)};
-      text += plan.experiment.is_compared ? ComparedSection(results, chained_) : Section(results);
+      Results results{&plan.experiment, plan.base, {}};
+      for (const auto& [labels, gp, joint] : plan.cells)
+        results.cells.push_back({labels, Load(plan, gp), Load(plan, joint)});
+      text +=
+          plan.experiment.is_compared ? ComparedSection(results, chained_T_MI_) : Section(results);
       if (plan.experiment.is_compared) continue;
       trials += TrialsCsv(results, trials.empty());
       cells += CellsCsv(results, cells.empty());
@@ -300,8 +285,7 @@ class Evaluation {
 
   /// Median and largest of each experiment, base and method.
   std::string UsageTable() const {
-    std::map<std::string, Usage> used;
-    for (const Usage& usage : LoadUsage(request_.runner.folder)) used[usage.name] = usage;
+    const std::map<std::string, Usage> used = LoadUsage(request_.runner.folder);
     std::string text =
         "# Time and memory\n\nMedians over the trials; their recording is simulated or has its "
         "noise added in the same process, which takes a part of it.\n\n"
@@ -309,10 +293,10 @@ class Evaluation {
         "|---|---|---|---|---|---|---|\n";
     double all = 0.0;
     for (const Plan& plan : plans_) {
-      for (size_t c = 0; c < plan.cells.size(); ++c) {
-        for (const auto* method : {&plan.gp, &plan.joint}) {
+      for (const CellTrials& cell : plan.cells) {
+        for (const auto* trials : {&cell.gp, &cell.joint}) {
           std::vector<double> wall, cpu, memory;
-          for (const Trial& trial : (*method)[c]) {
+          for (const Trial& trial : *trials) {
             const auto found = used.find(trial.name);
             if (found == used.end()) continue;
             wall.push_back(found->second.wall_s);
@@ -328,8 +312,8 @@ class Evaluation {
           text += Format("| %s | %s | %s | %s | %.2f | %.2f | %.0f |\n",
                          plan.experiment.name.c_str(),
                          ToString(plan.base),
-                         boost::join(plan.cells[c].labels, ", ").c_str(),
-                         method == &plan.gp ? "gp" : "joint",
+                         boost::join(cell.labels, ", ").c_str(),
+                         trials == &cell.gp ? "gp" : "joint",
                          median(&wall),
                          median(&cpu),
                          *std::max_element(memory.begin(), memory.end()));
@@ -352,8 +336,8 @@ class Evaluation {
 
   const EvaluationRequest& request_;
   std::vector<Plan> plans_;
-  Chained chained_;
-  const std::shared_ptr<Bags> bags_ = std::make_shared<Bags>();
+  std::optional<Rigid3> chained_T_MI_;
+  mutable std::map<std::string, SessionData> bags_;
 };
 
 }  // namespace

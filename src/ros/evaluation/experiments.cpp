@@ -8,35 +8,28 @@ namespace imu_pose_calib {
 namespace {
 
 const std::vector<Base> kBoth = {Base::kBag, Base::kSimulation};
-const std::vector<Base> kSimulated = {Base::kSimulation};
 
 /// Values that are their own labels, in `unit` of the value that is set.
-Axis::Value Value(double shown, double unit = 1.0) { return {Format("%g", shown), shown * unit}; }
-
 std::vector<Axis::Value> Values(const std::vector<double>& shown, double unit = 1.0) {
   std::vector<Axis::Value> values;
-  for (const double value : shown) values.push_back(Value(value, unit));
+  for (const double value : shown) values.push_back({Format("%g", value), value * unit});
   return values;
 }
 
-size_t All(size_t trials, Base) { return trials; }
-size_t Third(size_t trials, Base) { return std::max<size_t>(1, trials / 3); }
-
 constexpr double kShort = 20.0;  // [s] where the length of a recording is not the matter
-
-/// A motion-capture system as that of the paper, before noise is added.
-Case MotionCapture() {
-  Case base;
-  base.simulator.position_std = 1e-4;
-  base.simulator.rotation_std = 2e-4;
-  base.simulator.accel_delay_s = 2e-3;
-  return base;
-}
 
 /// Poses of 1 mm and 1 mrad.
 Case Ordinary() {
   Case base;
   base.simulator.accel_delay_s = 2e-3;
+  return base;
+}
+
+/// A motion-capture system as that of the paper, before noise is added.
+Case MotionCapture() {
+  Case base = Ordinary();
+  base.simulator.position_std = 1e-4;
+  base.simulator.rotation_std = 2e-4;
   return base;
 }
 
@@ -58,10 +51,19 @@ Experiment Guess() {
   return guess;
 }
 
-Experiment ImuNoise() {
+/// What the experiments with noise have in common.
+Experiment Noise(const std::string& name, const std::string& title) {
   Experiment noise;
-  noise.name = "imu_noise";
-  noise.title = "Noise of the IMU";
+  noise.name = name;
+  noise.title = title;
+  noise.bases = kBoth;
+  noise.trials = [](size_t trials, Base) { return trials; };
+  noise.base = MotionCapture();
+  return noise;
+}
+
+Experiment ImuNoise() {
+  Experiment noise = Noise("imu_noise", "Noise of the IMU");
   noise.remark = "White noise added to accelerometer [m/s^2] and gyroscope [rad/s].";
   noise.printed_in = "Tables 2 and 3";
   noise.printed = {{0.0012, 0.050},
@@ -73,22 +75,17 @@ Experiment ImuNoise() {
                    {0.0012, 1.776},
                    {0.0055, 1.865},
                    {0.0115, 1.850}};
-  noise.bases = kBoth;
   noise.axes = {{"accel [m/s^2]",
                  Values({0.001, 0.01, 0.1}),
                  [](double value, Case* trial) { trial->imu_noise.accel = value; }},
                 {"gyro [rad/s]", Values({0.001, 0.005, 0.01}), [](double value, Case* trial) {
                    trial->imu_noise.gyro = value;
                  }}};
-  noise.trials = All;
-  noise.base = MotionCapture();
   return noise;
 }
 
 Experiment PoseNoise() {
-  Experiment noise;
-  noise.name = "pose_noise";
-  noise.title = "Noise of the poses";
+  Experiment noise = Noise("pose_noise", "Noise of the poses");
   noise.remark = "White noise added to positions [m] and rotations [rad].";
   noise.printed_in = "Tables 4 and 5";
   noise.printed = {{0.011, 3.38},
@@ -100,15 +97,12 @@ Experiment PoseNoise() {
                    {0.011, 16.7},
                    {0.064, 21.7},
                    {0.125, 23.5}};
-  noise.bases = kBoth;
   noise.axes = {{"position [m]",
                  Values({0.001, 0.005, 0.01}),
                  [](double value, Case* trial) { trial->pose_noise.position = value; }},
                 {"rotation [rad]", Values({0.001, 0.005, 0.01}), [](double value, Case* trial) {
                    trial->pose_noise.rotation = value;
                  }}};
-  noise.trials = All;
-  noise.base = MotionCapture();
   return noise;
 }
 
@@ -136,9 +130,9 @@ Experiment OneAxis(const std::string& name,
   experiment.name = name;
   experiment.title = title;
   experiment.remark = remark;
-  experiment.bases = kSimulated;
+  experiment.bases = {Base::kSimulation};
   experiment.axes = {axis};
-  experiment.trials = Third;
+  experiment.trials = [](size_t trials, Base) { return std::max<size_t>(1, trials / 3); };
   experiment.base = Ordinary();
   experiment.base.simulator.duration_s = kShort;
   return experiment;
@@ -178,7 +172,7 @@ std::vector<Experiment> Experiments() {
     return [set](double value, Case* trial) { set(value, &trial->simulator); };
   };
   using Options = SimulatorOptions;
-  std::vector<Experiment> all = {
+  return {
       Guess(),
       ImuNoise(),
       PoseNoise(),
@@ -244,7 +238,6 @@ std::vector<Experiment> Experiments() {
               "of them.",
               {"effect", EffectValues(), SetEffect}),
   };
-  return all;
 }
 
 std::vector<Cell> Cells(const Experiment& experiment) {

@@ -4,10 +4,10 @@
 #include <boost/algorithm/string/replace.hpp>
 #include <cmath>
 #include <filesystem>
-#include <map>
 
 #include "imu_pose_calib/core/comparison.h"
 #include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/ros/evaluation/tables.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"
@@ -68,17 +68,11 @@ std::vector<Task> ToTasks(const std::vector<Sequence>& sequences,
   return tasks;
 }
 
-std::string Triple(const Eigen::Vector3d& v, const char* number) {
-  const std::string format = std::string(number) + ", " + number + ", " + number;
-  return Format(format.c_str(), v.x(), v.y(), v.z());  // NOLINT
-}
-
 std::string Table(const std::vector<Sequence>& sequences,
                   const std::vector<TrialOutcome>& outcomes) {
   std::string text =
       "| recording | verdict | p [mm] | sigma | R, rotation vector [deg] | sigma | time shift [s] "
-      "| "
-      "sigma | accel delay [ms] | sigma | warnings |\n"
+      "| sigma | accel delay [ms] | sigma | warnings |\n"
       "|---|---|---|---|---|---|---|---|---|---|---|\n";
   for (size_t i = 0; i < outcomes.size(); ++i) {
     const TrialOutcome& o = outcomes[i];
@@ -121,17 +115,6 @@ std::string Csv(const std::vector<Sequence>& sequences, const std::vector<TrialO
 
 // --- Datasets ---
 
-Comparable ToComparable(const TrialOutcome& outcome) {
-  Comparable comparable;
-  comparable.T_MI = outcome.T_MI;
-  comparable.covariance = outcome.covariance;
-  comparable.accel_delay = outcome.accel_delay;
-  comparable.accel_delay_std = outcome.accel_delay_std;
-  comparable.time_shift = outcome.time_shift;
-  comparable.time_shift_std = outcome.time_shift_std;
-  return comparable;
-}
-
 std::string ScatterTable(const std::vector<Comparable>& calibrations) {
   const Repeatability repeat = Repeat(calibrations,
                                       {ComparedQuantity::kTranslation,
@@ -170,19 +153,19 @@ std::string AuditRow(const std::string& name, const Comparable& found, const Rig
   given.T_MI = published;
   std::vector<std::string> cells = {name};
   bool agrees = true;
-  const auto add = [&](ComparedQuantity quantity, const char* format, double value) {
+  const auto add = [&](ComparedQuantity quantity, double value, int digits) {
     const Comparison comparison = Compare(given, found, {quantity});
     const Difference* worst = comparison.Worst();
     const double sigmas = worst == nullptr ? 0.0 : worst->sigmas;
     agrees = agrees && sigmas <= kAgreementBound;
-    cells.push_back(Format(format, value) + Format(" (%.1f)", sigmas));  // NOLINT
+    cells.push_back(Format("%.*f (%.1f)", digits, value, sigmas));
   };
   const Comparison all = Compare(given, found, {ComparedQuantity::kTranslation});
-  add(ComparedQuantity::kTranslation, "%.2f", 1e3 * all.distance);
-  add(ComparedQuantity::kRotation, "%.3f", kDegrees * all.angle);
+  add(ComparedQuantity::kTranslation, 1e3 * all.distance, 2);
+  add(ComparedQuantity::kRotation, kDegrees * all.angle, 3);
   const bool is_frame = agrees;
   agrees = true;
-  add(ComparedQuantity::kTimeShift, "%.3f", 1e3 * found.time_shift);
+  add(ComparedQuantity::kTimeShift, 1e3 * found.time_shift, 3);
   cells.emplace_back(is_frame ? "yes" : "no");
   cells.emplace_back(agrees ? "yes" : "no");
   return "| " + boost::join(cells, " | ") + " |\n";
@@ -204,7 +187,7 @@ std::string DatasetTables(const std::vector<Sequence>& sequences,
     std::string audit;
     for (size_t i = begin; i < end; ++i) {
       if (!outcomes[i].IsUsable()) continue;
-      usable.push_back(ToComparable(outcomes[i]));
+      usable.push_back(outcomes[i]);
       if (sequences[i].published_T_MI)
         audit += AuditRow(sequences[i].name, usable.back(), *sequences[i].published_T_MI);
     }
@@ -213,8 +196,7 @@ std::string DatasetTables(const std::vector<Sequence>& sequences,
     text +=
         Format(
             "Less what is published, in brackets the largest component in its sigma; *yes* is "
-            "within "
-            "%g sigma. The clocks are said to be one.\n\n"
+            "within %g sigma. The clocks are said to be one.\n\n"
             "| recording | p [mm] | R [deg] | time shift [ms] | frame as published? | clock of the "
             "IMU? |\n|---|---|---|---|---|---|\n",
             kAgreementBound) +

@@ -1,7 +1,10 @@
 #include "imu_pose_calib/ros/evaluation/tables.h"
 
+#include <algorithm>
 #include <boost/algorithm/string/join.hpp>
 #include <cmath>
+#include <functional>
+#include <iterator>
 
 #include "imu_pose_calib/core/comparison.h"
 #include "imu_pose_calib/core/so3.h"
@@ -12,6 +15,13 @@ namespace {
 
 constexpr int kDof = 8;  // of TrialOutcome::chi2
 constexpr double kDegrees = 180.0 / M_PI;
+
+/// The methods in the order of the tables.
+struct MethodOf {
+  const char* name;
+  CellOutcomes CellResults::*outcomes;
+};
+constexpr MethodOf kMethods[] = {{"gp", &CellResults::gp}, {"joint", &CellResults::joint}};
 
 using Row = std::vector<std::string>;
 
@@ -43,52 +53,42 @@ struct Shown {
   double factor;
   double Printed::*printed;  ///< null: the paper has none
 };
+constexpr Shown kShown[] = {{"rotation [deg]", &ErrorNorms::rotation, kDegrees, &Printed::rotation},
+                            {"position [mm]", &ErrorNorms::translation, 1e3, &Printed::translation},
+                            {"time shift [ms]", &ErrorNorms::time_shift, 1e3, nullptr},
+                            {"accel delay [ms]", &ErrorNorms::accel_delay, 1e3, nullptr}};
 
-constexpr Shown kRotationShown = {"rotation [deg]",
-                                  &ErrorNorms::rotation,
-                                  kDegrees,
-                                  &Printed::rotation};
-constexpr Shown kTranslationShown = {"position [mm]",
-                                     &ErrorNorms::translation,
-                                     1e3,
-                                     &Printed::translation};
-constexpr Shown kShiftShown = {"time shift [ms]", &ErrorNorms::time_shift, 1e3, nullptr};
-constexpr Shown kDelayShown = {"accel delay [ms]", &ErrorNorms::accel_delay, 1e3, nullptr};
+/// Names of the axes of an experiment, for the first columns.
+Row AxisNames(const Results& results) {
+  Row names;
+  for (const Axis& axis : results.experiment->axes) names.push_back(axis.name);
+  return names;
+}
 
 /// A table of two quantities: errors of both methods, beside what they are measured by.
 std::string ErrorTable(const Results& results, const Shown& first, const Shown& second) {
-  const Experiment& experiment = *results.experiment;
+  const std::vector<Printed>& printed = results.experiment->printed;
   const bool has_bound = results.base == Base::kSimulation;
-  Row header;
-  for (const Axis& axis : experiment.axes) header.push_back(axis.name);
+  const auto is_printed = [&](const Shown& shown) {
+    return shown.printed != nullptr && !printed.empty();
+  };
+  Row header = AxisNames(results);
   for (const Shown& shown : {first, second}) {
-    header.push_back(shown.name);
-    if (shown.printed != nullptr && !experiment.printed.empty())
-      header.back() += ": paper";
-    else
-      header.back() += ": gp";
-    if (shown.printed != nullptr && !experiment.printed.empty()) header.emplace_back("gp");
-    header.emplace_back("joint");
-    if (has_bound) {
-      header.emplace_back("bound");
-      header.emplace_back("joint / bound");
-    } else {
-      header.emplace_back("sigma of joint");
-    }
+    Row names = {"gp", "joint", has_bound ? "bound" : "sigma of joint"};
+    if (is_printed(shown)) names.insert(names.begin(), "paper");
+    if (has_bound) names.emplace_back("joint / bound");
+    names[0] = shown.name + (": " + names[0]);
+    header.insert(header.end(), names.begin(), names.end());
   }
   std::vector<Row> rows;
   for (size_t c = 0; c < results.cells.size(); ++c) {
-    Row row = results.cells[c].labels;
-    const CellSummary gp = Summarize(results.gp[c]), joint = Summarize(results.joint[c]);
+    const auto& [labels, gp_outcomes, joint_outcomes] = results.cells[c];
+    const CellSummary gp = Summarize(gp_outcomes), joint = Summarize(joint_outcomes);
+    Row row = labels;
     for (const Shown& shown : {first, second}) {
-      if (shown.printed != nullptr && !experiment.printed.empty())
-        row.push_back(Format("%g", experiment.printed[c].*shown.printed));
-      const auto number = [&](const ErrorNorms& norms) {
-        return Number(norms.*shown.norm * shown.factor);
-      };
-      row.push_back(number(gp.error));
-      row.push_back(number(joint.error));
-      row.push_back(number(has_bound ? joint.bound : joint.sigma));
+      if (is_printed(shown)) row.push_back(Format("%g", printed[c].*shown.printed));
+      for (const ErrorNorms& norms : {gp.error, joint.error, has_bound ? joint.bound : joint.sigma})
+        row.push_back(Number(norms.*shown.norm * shown.factor));
       if (has_bound) row.push_back(Ratio(joint.error.*shown.norm, joint.bound.*shown.norm));
     }
     rows.push_back(row);
@@ -100,27 +100,28 @@ std::string Share(size_t count, size_t of) { return Format("%zu/%zu", count, of)
 
 /// How many were right, and how honest the sigmas are.
 std::string CountTable(const Results& results) {
-  Row header;
-  for (const Axis& axis : results.experiment->axes) header.push_back(axis.name);
+  Row header = AxisNames(results);
   header.insert(header.end(),
                 {"gp: usable", "joint: usable", "gp: within bounds", "joint: within bounds"});
   const bool has_chi2 = results.base == Base::kSimulation;
   if (has_chi2)
     header.insert(header.end(), {"gp: chi²/dof", "joint: chi²/dof", "joint: of the model", "band"});
   std::vector<Row> rows;
-  for (size_t c = 0; c < results.cells.size(); ++c) {
-    Row row = results.cells[c].labels;
-    const CellSummary gp = Summarize(results.gp[c]), joint = Summarize(results.joint[c]);
-    row.push_back(Share(gp.usable, gp.trials));
-    row.push_back(Share(joint.usable, joint.trials));
-    row.push_back(Share(gp.successes, gp.trials));
-    row.push_back(Share(joint.successes, joint.trials));
+  for (const auto& [labels, gp_outcomes, joint_outcomes] : results.cells) {
+    const CellSummary gp = Summarize(gp_outcomes), joint = Summarize(joint_outcomes);
+    Row row = labels;
+    row.insert(row.end(),
+               {Share(gp.usable, gp.trials),
+                Share(joint.usable, joint.trials),
+                Share(gp.successes, gp.trials),
+                Share(joint.successes, joint.trials)});
     if (has_chi2) {
       const auto [low, high] = ChiSquareBand(kDof * static_cast<double>(joint.usable));
-      row.push_back(Number(gp.chi2));
-      row.push_back(Number(joint.chi2));
-      row.push_back(Number(joint.model_chi2));
-      row.push_back(joint.usable == 0 ? "" : Format("%.2f-%.2f", low, high));
+      row.insert(row.end(),
+                 {Number(gp.chi2),
+                  Number(joint.chi2),
+                  Number(joint.model_chi2),
+                  joint.usable == 0 ? "" : Format("%.2f-%.2f", low, high)});
     }
     rows.push_back(row);
   }
@@ -130,17 +131,17 @@ std::string CountTable(const Results& results) {
 /// Why trials were not usable, each reason once.
 std::string Refusals(const Results& results) {
   std::string text;
-  for (size_t c = 0; c < results.cells.size(); ++c) {
-    for (const auto* method : {&results.gp[c], &results.joint[c]}) {
-      for (const TrialOutcome& outcome : method->outcomes) {
-        if (outcome.IsUsable()) continue;
-        text += Format("- %s, %s: %s: %s\n",
-                       boost::join(results.cells[c].labels, ", ").c_str(),
-                       method == &results.gp[c] ? "gp" : "joint",
-                       outcome.verdict.c_str(),
-                       outcome.reason.substr(0, outcome.reason.find('\n')).c_str());
-        break;
-      }
+  for (const CellResults& cell : results.cells) {
+    for (const auto& [method, member] : kMethods) {
+      const std::vector<TrialOutcome>& outcomes = (cell.*member).outcomes;
+      const auto first =
+          std::find_if_not(outcomes.begin(), outcomes.end(), std::mem_fn(&TrialOutcome::IsUsable));
+      if (first == outcomes.end()) continue;
+      text += Format("- %s, %s: %s: %s\n",
+                     boost::join(cell.labels, ", ").c_str(),
+                     method,
+                     first->verdict.c_str(),
+                     first->reason.substr(0, first->reason.find('\n')).c_str());
     }
   }
   return text.empty() ? "" : "The first that was not usable of each:\n\n" + text + "\n";
@@ -152,19 +153,6 @@ std::string Heading(const Results& results) {
   if (!experiment.remark.empty()) text += experiment.remark + "\n\n";
   return text;
 }
-
-Comparable ToComparable(const TrialOutcome& outcome) {
-  Comparable comparable;
-  comparable.T_MI = outcome.T_MI;
-  comparable.covariance = outcome.covariance;
-  comparable.accel_delay = outcome.accel_delay;
-  comparable.accel_delay_std = outcome.accel_delay_std;
-  return comparable;
-}
-
-const std::vector<ComparedQuantity> kCompared = {ComparedQuantity::kTranslation,
-                                                 ComparedQuantity::kRotation,
-                                                 ComparedQuantity::kAccelDelay};
 
 Row DifferenceRow(const std::string& name, const Comparison& comparison) {
   const Difference* worst = comparison.Worst();
@@ -178,40 +166,38 @@ Row DifferenceRow(const std::string& name, const Comparison& comparison) {
           : Format("%s %c, %.1f", ToString(worst->quantity), "xyz"[worst->axis], worst -> sigmas)};
 }
 
-/// Recordings of one method with their names.
+/// A usable calibration of a recording.
 struct Named {
-  std::vector<std::string> names;
-  std::vector<TrialOutcome> outcomes;
+  std::string name;
+  TrialOutcome outcome;
 };
 
-Named Usable(const Results& results, const std::vector<CellOutcomes>& cells) {
-  Named named;
-  for (size_t c = 0; c < cells.size(); ++c) {
-    for (size_t i = 0; i < cells[c].outcomes.size(); ++i) {
-      if (!cells[c].outcomes[i].IsUsable()) continue;
-      const std::vector<std::string>& labels = results.cells[c].labels;
-      named.names.push_back(labels.empty() ? Format("recording %zu", i + 1)
-                                           : boost::join(labels, ", "));
-      named.outcomes.push_back(cells[c].outcomes[i]);
+std::vector<Named> Usable(const Results& results, CellOutcomes CellResults::*method) {
+  std::vector<Named> usable;
+  for (const CellResults& cell : results.cells) {
+    size_t number = 0;
+    for (const TrialOutcome& outcome : (cell.*method).outcomes) {
+      ++number;
+      if (outcome.IsUsable())
+        usable.push_back(
+            {cell.labels.empty() ? Format("recording %zu", number) : boost::join(cell.labels, ", "),
+             outcome});
     }
   }
-  return named;
+  return usable;
 }
 
-std::string ResultTable(const Named& named) {
+std::string ResultTable(const std::vector<Named>& calibrations) {
   std::vector<Row> rows;
-  for (size_t i = 0; i < named.names.size(); ++i) {
-    const TrialOutcome& o = named.outcomes[i];
+  for (const auto& [name, o] : calibrations) {
     const Vector6d std = o.covariance.diagonal().cwiseSqrt();
-    const Eigen::Vector3d r = Log(o.T_MI.q) * kDegrees;
-    rows.push_back(
-        {named.names[i],
-         Format("%.3f, %.3f, %.3f", 1e3 * o.T_MI.p.x(), 1e3 * o.T_MI.p.y(), 1e3 * o.T_MI.p.z()),
-         Format("%.3f, %.3f, %.3f", 1e3 * std[0], 1e3 * std[1], 1e3 * std[2]),
-         Format("%.4f, %.4f, %.4f", r.x(), r.y(), r.z()),
-         Format("%.4f, %.4f, %.4f", kDegrees * std[3], kDegrees * std[4], kDegrees * std[5]),
-         Format("%.4f ± %.4f", 1e3 * o.accel_delay, 1e3 * o.accel_delay_std),
-         o.verdict});
+    rows.push_back({name,
+                    Triple(1e3 * o.T_MI.p, "%.3f"),
+                    Triple(1e3 * std.head<3>(), "%.3f"),
+                    Triple(kDegrees * Log(o.T_MI.q), "%.4f"),
+                    Triple(kDegrees * std.tail<3>(), "%.4f"),
+                    Format("%.4f ± %.4f", 1e3 * o.accel_delay, 1e3 * o.accel_delay_std),
+                    o.verdict});
   }
   return MarkdownTable({"recording",
                         "p [mm]",
@@ -223,45 +209,64 @@ std::string ResultTable(const Named& named) {
                        rows);
 }
 
-std::string PairTable(const Named& named) {
-  std::vector<Row> rows;
-  for (size_t i = 0; i < named.names.size(); ++i)
-    for (size_t k = i + 1; k < named.names.size(); ++k)
-      rows.push_back(DifferenceRow(
-          named.names[k] + " less " + named.names[i],
-          Compare(ToComparable(named.outcomes[i]), ToComparable(named.outcomes[k]), kCompared)));
-  return MarkdownTable(
-      {"pair", "rotation [deg]", "position [mm]", "chi² / dof", "largest, in sigma"}, rows);
+std::string DifferenceTable(const char* what, const std::vector<Row>& rows) {
+  return MarkdownTable({what, "rotation [deg]", "position [mm]", "chi² / dof", "largest, in sigma"},
+                       rows);
 }
 
-std::string ChainTable(const Named& named, const Chained& chained) {
+std::string PairTable(const std::vector<Named>& calibrations) {
+  std::vector<Row> rows;
+  for (auto a = calibrations.begin(); a != calibrations.end(); ++a)
+    for (auto b = std::next(a); b != calibrations.end(); ++b)
+      rows.push_back(DifferenceRow(b->name + " less " + a->name,
+                                   Compare(a->outcome,
+                                           b->outcome,
+                                           {ComparedQuantity::kTranslation,
+                                            ComparedQuantity::kRotation,
+                                            ComparedQuantity::kAccelDelay})));
+  return DifferenceTable("pair", rows);
+}
+
+std::string ChainTable(const std::vector<Named>& calibrations, const Rigid3& chained_T_MI) {
   Comparable chain;
-  chain.T_MI = chained.T_MI;
+  chain.T_MI = chained_T_MI;
   std::vector<Row> rows;
-  for (size_t i = 0; i < named.names.size(); ++i)
+  for (const auto& [name, outcome] : calibrations)
     rows.push_back(DifferenceRow(
-        named.names[i],
-        Compare(chain, ToComparable(named.outcomes[i]), {kCompared[0], kCompared[1]})));
+        name,
+        Compare(chain, outcome, {ComparedQuantity::kTranslation, ComparedQuantity::kRotation})));
   return "Less the chained calibration, which is taken as exact:\n\n" +
-         MarkdownTable(
-             {"recording", "rotation [deg]", "position [mm]", "chi² / dof", "largest, in sigma"},
-             rows);
+         DifferenceTable("recording", rows);
 }
 
-std::string Csv(const Row& row) { return boost::join(row, ",") + "\n"; }
 std::string Exact(double value) { return Format("%.9g", value); }
 
+/// The columns by which rows of CSV files tell cells and methods.
+Row CsvRow(const Results& results, const CellResults& cell, const char* method) {
+  return {results.experiment->name,
+          ToString(results.base),
+          "\"" + boost::join(cell.labels, ";") + "\"",
+          method};
+}
+
+void AppendExact(const ErrorNorms& norms, Row* row) {
+  for (const Shown& shown : kShown) row->push_back(Exact(norms.*shown.norm * shown.factor));
+}
+
 }  // namespace
+
+std::string Triple(const Eigen::Vector3d& v, const char* number) {
+  const std::string format = std::string(number) + ", " + number + ", " + number;
+  return Format(format.c_str(), v.x(), v.y(), v.z());  // NOLINT
+}
 
 CellSummary Summarize(const CellOutcomes& cell) {
   static const CalibrationOptions kOptions;
   CellSummary sum;
   sum.trials = cell.outcomes.size();
   const auto add = [](const ErrorNorms& norms, ErrorNorms* squares) {
-    squares->translation += norms.translation * norms.translation;
-    squares->rotation += norms.rotation * norms.rotation;
-    squares->time_shift += norms.time_shift * norms.time_shift;
-    squares->accel_delay += norms.accel_delay * norms.accel_delay;
+    for (const Shown& shown : kShown)
+      squares->*shown.norm += norms.*shown.norm * (norms.*shown.norm);
   };
   for (size_t i = 0; i < sum.trials; ++i) {
     const TrialOutcome& outcome = cell.outcomes[i];
@@ -287,11 +292,7 @@ CellSummary Summarize(const CellOutcomes& cell) {
   if (sum.usable == 0) return sum;
   const auto n = static_cast<double>(sum.usable);
   for (ErrorNorms* squares : {&sum.error, &sum.sigma, &sum.bound, &sum.least})
-    for (double ErrorNorms::*norm : {&ErrorNorms::translation,
-                                     &ErrorNorms::rotation,
-                                     &ErrorNorms::time_shift,
-                                     &ErrorNorms::accel_delay})
-      squares->*norm = std::sqrt(squares->*norm / n);
+    for (const Shown& shown : kShown) squares->*shown.norm = std::sqrt(squares->*shown.norm / n);
   sum.chi2 /= n;
   sum.model_chi2 /= n;
   return sum;
@@ -311,21 +312,20 @@ std::string Section(const Results& results) {
   if (!results.experiment->printed.empty())
     text += "The paper's figures are its " + results.experiment->printed_in +
             ", of another recording.\n\n";
-  return text + ErrorTable(results, kRotationShown, kTranslationShown) +
-         ErrorTable(results, kShiftShown, kDelayShown) + CountTable(results) + Refusals(results) +
+  return text + ErrorTable(results, kShown[0], kShown[1]) +
+         ErrorTable(results, kShown[2], kShown[3]) + CountTable(results) + Refusals(results) +
          Format("![%s](%s_%s.png)\n\n",
                 results.experiment->title.c_str(),
                 results.experiment->name.c_str(),
                 ToString(results.base));
 }
 
-std::string ComparedSection(const Results& results, const Chained& chained) {
+std::string ComparedSection(const Results& results, const std::optional<Rigid3>& chained_T_MI) {
   std::string text = Heading(results);
-  for (const auto* method : {&results.gp, &results.joint}) {
-    const Named named = Usable(results, *method);
-    text += method == &results.gp ? "### gp\n\n" : "### joint\n\n";
-    text += ResultTable(named) + PairTable(named);
-    if (chained.is_given && results.base == Base::kBag) text += ChainTable(named, chained);
+  for (const auto& [method, outcomes] : kMethods) {
+    const std::vector<Named> usable = Usable(results, outcomes);
+    text += Format("### %s\n\n", method) + ResultTable(usable) + PairTable(usable);
+    if (chained_T_MI && results.base == Base::kBag) text += ChainTable(usable, *chained_T_MI);
   }
   return text + Refusals(results);
 }
@@ -340,29 +340,21 @@ std::string CellsCsv(const Results& results, bool with_header) {
         "rotation_bound_deg,position_bound_mm,time_shift_bound_ms,accel_delay_bound_ms,"
         "rotation_least_deg,position_least_mm,time_shift_least_ms,accel_delay_least_ms,"
         "chi2_per_dof,model_chi2_per_dof,paper_rotation_deg,paper_position_mm\n";
-  const Experiment& experiment = *results.experiment;
+  const std::vector<Printed>& printed = results.experiment->printed;
   for (size_t c = 0; c < results.cells.size(); ++c) {
-    for (const auto* method : {&results.gp, &results.joint}) {
-      const CellSummary sum = Summarize((*method)[c]);
-      Row row = {experiment.name,
-                 ToString(results.base),
-                 "\"" + boost::join(results.cells[c].labels, ";") + "\"",
-                 method == &results.gp ? "gp" : "joint",
-                 std::to_string(sum.trials),
-                 std::to_string(sum.usable),
-                 std::to_string(sum.successes)};
+    for (const auto& [method, outcomes] : kMethods) {
+      const CellSummary sum = Summarize(results.cells[c].*outcomes);
+      Row row = CsvRow(results, results.cells[c], method);
+      for (const size_t count : {sum.trials, sum.usable, sum.successes})
+        row.push_back(std::to_string(count));
       for (const ErrorNorms& norms : {sum.error, sum.sigma, sum.bound, sum.least})
-        row.insert(row.end(),
-                   {Exact(norms.rotation * kDegrees),
-                    Exact(norms.translation * 1e3),
-                    Exact(norms.time_shift * 1e3),
-                    Exact(norms.accel_delay * 1e3)});
-      row.push_back(Exact(sum.chi2));
-      row.push_back(Exact(sum.model_chi2));
-      const bool is_printed = !experiment.printed.empty();
-      row.push_back(is_printed ? Exact(experiment.printed[c].rotation) : "");
-      row.push_back(is_printed ? Exact(experiment.printed[c].translation) : "");
-      text += Csv(row);
+        AppendExact(norms, &row);
+      row.insert(row.end(),
+                 {Exact(sum.chi2),
+                  Exact(sum.model_chi2),
+                  printed.empty() ? "" : Exact(printed[c].rotation),
+                  printed.empty() ? "" : Exact(printed[c].translation)});
+      text += boost::join(row, ",") + "\n";
     }
   }
   return text;
@@ -374,27 +366,18 @@ std::string TrialsCsv(const Results& results, bool with_header) {
     text =
         "experiment,base,cell,method,trial,verdict,rotation_error_deg,position_error_mm,"
         "time_shift_error_ms,accel_delay_error_ms,chi2,model_chi2,guess_deg,guess_m\n";
-  for (size_t c = 0; c < results.cells.size(); ++c) {
-    for (const auto* method : {&results.gp, &results.joint}) {
-      const CellOutcomes& cell = (*method)[c];
-      for (size_t i = 0; i < cell.outcomes.size(); ++i) {
-        const TrialOutcome& o = cell.outcomes[i];
-        const ErrorNorms error =
-            o.IsUsable() ? cell.errors[i].Norms() : ErrorNorms{NAN, NAN, NAN, NAN};
-        text += Csv({results.experiment->name,
-                     ToString(results.base),
-                     "\"" + boost::join(results.cells[c].labels, ";") + "\"",
-                     method == &results.gp ? "gp" : "joint",
-                     std::to_string(i + 1),
-                     o.verdict,
-                     Exact(error.rotation * kDegrees),
-                     Exact(error.translation * 1e3),
-                     Exact(error.time_shift * 1e3),
-                     Exact(error.accel_delay * 1e3),
-                     Exact(o.chi2),
-                     Exact(o.model_chi2),
-                     Exact(o.guess_angle * kDegrees),
-                     Exact(o.guess_distance)});
+  for (const CellResults& cell : results.cells) {
+    for (const auto& [method, member] : kMethods) {
+      const auto& [outcomes, errors] = cell.*member;
+      for (size_t i = 0; i < outcomes.size(); ++i) {
+        const TrialOutcome& o = outcomes[i];
+        Row row = CsvRow(results, cell, method);
+        row.insert(row.end(), {std::to_string(i + 1), o.verdict});
+        AppendExact(o.IsUsable() ? errors[i].Norms() : ErrorNorms{NAN, NAN, NAN, NAN}, &row);
+        for (const double value :
+             {o.chi2, o.model_chi2, o.guess_angle * kDegrees, o.guess_distance})
+          row.push_back(Exact(value));
+        text += boost::join(row, ",") + "\n";
       }
     }
   }

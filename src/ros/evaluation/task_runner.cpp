@@ -1,12 +1,9 @@
 #include "imu_pose_calib/ros/evaluation/task_runner.h"
 
-#include <fcntl.h>
-#include <sys/prctl.h>
 #include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include <algorithm>
 #include <cerrno>
 #include <chrono>
 #include <csignal>
@@ -14,10 +11,10 @@
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
-#include <map>
-#include <sstream>
+#include <iterator>
 
 #include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/ros/io/child_process.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"
 
@@ -29,9 +26,8 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-constexpr rlim_t kTimeLimit = 3600;           // [s] of a processor, for one task
-constexpr rlim_t kMemoryLimit = 16ull << 30;  // [bytes]
-constexpr int kInputErrorStatus = 3;          // of a child that has written its error
+constexpr ChildLimits kLimits = {3600, 0, 16ull << 30};  // of one task, however long it waits
+constexpr int kInputErrorStatus = 3;                     // of a child that has written its error
 constexpr auto kBetweenLines = std::chrono::milliseconds(200);
 
 double Seconds(Clock::duration time) { return std::chrono::duration<double>(time).count(); }
@@ -48,26 +44,16 @@ std::string ErrorPath(const std::string& folder, const Task& task) {
   return ResultPath(folder, task).string() + ".error";
 }
 
+/// What is left of a file.
+std::string Rest(std::ifstream& in) { return {std::istreambuf_iterator<char>(in), {}}; }
+
 void Store(const std::string& folder, const Task& task, const std::string& result) {
   WriteFile(ResultPath(folder, task), "# " + task.description + "\n" + result);
 }
 
-void Limit(decltype(RLIMIT_CPU) resource, rlim_t value) {
-  rlimit limit{};
-  getrlimit(resource, &limit);
-  limit.rlim_cur = std::min(value, limit.rlim_max);
-  setrlimit(resource, &limit);
-}
-
 /// In the child. Ends with it, whatever happens.
 [[noreturn]] void RunHere(const std::string& folder, const Task& task, pid_t parent) {
-  prctl(PR_SET_PDEATHSIG, SIGKILL);  // it ends with its parent, which may have ended by now
-  if (getppid() != parent) _exit(EXIT_FAILURE);
-  Limit(RLIMIT_CORE, 0);
-  Limit(RLIMIT_CPU, kTimeLimit);
-#ifndef __SANITIZE_ADDRESS__  // its shadow memory is larger than any limit
-  Limit(RLIMIT_AS, kMemoryLimit);
-#endif
+  ConfineChild(parent, kLimits);
   try {
     Store(folder, task, task.run());
   } catch (const InputError& error) {
@@ -173,10 +159,13 @@ class Children {
     if (has_ended && WEXITSTATUS(status) == kInputErrorStatus) Throw(task);
     if (!has_ended || WEXITSTATUS(status) != EXIT_SUCCESS)
       Store(options_.folder, task, kFailed + std::string(": it died or took too long\n"));
-    Note({task.name,
-          Seconds(Clock::now() - child.begin),
-          Seconds(used.ru_utime) + Seconds(used.ru_stime),
-          static_cast<double>(used.ru_maxrss) / 1024.0});
+    const std::string file =
+        Format("%s/usage_%zu_%zu.csv", options_.folder.c_str(), options_.part + 1, options_.parts);
+    std::ofstream(file, std::ios::app) << Format("\"%s\",%.3f,%.3f,%.1f\n",
+                                                 task.name.c_str(),
+                                                 Seconds(Clock::now() - child.begin),
+                                                 Seconds(used.ru_utime) + Seconds(used.ru_stime),
+                                                 static_cast<double>(used.ru_maxrss) / 1024.0);
   }
 
  private:
@@ -187,17 +176,9 @@ class Children {
 
   [[noreturn]] void Throw(const Task& task) const {
     const std::string path = ErrorPath(options_.folder, task);
-    std::ostringstream text;
-    text << std::ifstream(path).rdbuf();
+    std::ifstream in(path);
     std::filesystem::remove(path);
-    throw InputError(text.str());
-  }
-
-  void Note(const Usage& usage) const {
-    const std::string file =
-        Format("%s/usage_%zu_%zu.csv", options_.folder.c_str(), options_.part + 1, options_.parts);
-    std::ofstream(file, std::ios::app) << Format(
-        "\"%s\",%.3f,%.3f,%.1f\n", usage.name.c_str(), usage.wall_s, usage.cpu_s, usage.memory_mb);
+    throw InputError(Rest(in));
   }
 
   const RunnerOptions& options_;
@@ -220,9 +201,7 @@ std::optional<std::string> FinishedTask(const std::string& folder, const Task& t
   std::ifstream in(ResultPath(folder, task));
   std::string description;
   if (!std::getline(in, description) || description != "# " + task.description) return std::nullopt;
-  std::ostringstream text;
-  text << in.rdbuf();
-  return text.str();
+  return Rest(in);
 }
 
 void RunTasks(const std::vector<Task>& tasks, const RunnerOptions& options) {
@@ -239,7 +218,7 @@ void RunTasks(const std::vector<Task>& tasks, const RunnerOptions& options) {
   progress.Show(missing.size());
 }
 
-std::vector<Usage> LoadUsage(const std::string& folder) {
+std::map<std::string, Usage> LoadUsage(const std::string& folder) {
   std::map<std::string, Usage> found;
   for (const auto& entry : std::filesystem::directory_iterator(folder)) {
     const std::string file = entry.path().filename();
@@ -255,13 +234,10 @@ std::vector<Usage> LoadUsage(const std::string& folder) {
                       &usage.cpu_s,
                       &usage.memory_mb) != 3)
         continue;  // cut off when a process was killed
-      usage.name = line.substr(1, end - 1);
-      found[usage.name] = usage;
+      found[line.substr(1, end - 1)] = usage;
     }
   }
-  std::vector<Usage> all;
-  for (const auto& [name, usage] : found) all.push_back(usage);
-  return all;
+  return found;
 }
 
 }  // namespace imu_pose_calib

@@ -4,9 +4,12 @@
 
 #include <Eigen/Cholesky>
 #include <algorithm>
+#include <boost/algorithm/string/join.hpp>
 #include <cmath>
 #include <random>
 #include <sstream>
+#include <utility>
+#include <vector>
 
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/so3.h"
@@ -116,43 +119,36 @@ void Judge(const Calibration& result, const Errors& errors, TrialOutcome* outcom
 
 // --- YAML ---
 
-std::string List(const Eigen::VectorXd& values) {
-  std::string text;
-  for (Eigen::Index k = 0; k < values.size(); ++k)
-    text += (text.empty() ? "" : ", ") + YamlNumber(values[k]);
-  return "[" + text + "]";
+std::string List(const std::vector<double>& values) {
+  std::vector<std::string> words;
+  for (const double value : values) words.push_back(YamlNumber(value));
+  return "[" + boost::join(words, ", ") + "]";
 }
 
-Eigen::VectorXd List(const YAML::Node& node) {
-  const auto values = node.as<std::vector<double>>();
-  return Eigen::Map<const Eigen::VectorXd>(values.data(), static_cast<Eigen::Index>(values.size()));
+using Numbers = std::vector<double*>;
+
+Numbers NumbersOf(Rigid3* T) {
+  double *p = T->p.data(), *q = T->q.coeffs().data();
+  return {p, p + 1, p + 2, q, q + 1, q + 2, q + 3};
 }
 
-std::string List(const Rigid3& T) {
-  Eigen::VectorXd values(7);
-  values << T.p, T.q.coeffs();
-  return List(values);
+Numbers NumbersOf(ErrorNorms* norms) {
+  return {&norms->translation, &norms->rotation, &norms->time_shift, &norms->accel_delay};
 }
 
-Rigid3 Transform(const YAML::Node& node) {
-  const Eigen::VectorXd values = List(node);
-  return {Eigen::Quaterniond(Eigen::Vector4d(values.tail<4>())), values.head<3>()};
-}
-
-std::string List(const ErrorNorms& norms) {
-  return List(
-      Eigen::Vector4d(norms.translation, norms.rotation, norms.time_shift, norms.accel_delay));
-}
-
-ErrorNorms Norms(const YAML::Node& node) {
-  const Eigen::VectorXd v = List(node);
-  return {v[0], v[1], v[2], v[3]};
-}
-
-std::string Line(const std::string& text) {
-  YAML::Emitter out;
-  out << YAML::DoubleQuoted << text;
-  return out.c_str();
+/// The lists of numbers in the YAML of an outcome, in the order in which they are written.
+std::vector<std::pair<const char*, Numbers>> ListsOf(TrialOutcome* o) {
+  Numbers covariance;
+  for (int i = 0; i < 36; ++i) covariance.push_back(o->covariance.data() + i);
+  return {{"T_MI", NumbersOf(&o->T_MI)},
+          {"covariance", covariance},
+          {"clocks", {&o->time_shift, &o->time_shift_std, &o->accel_delay, &o->accel_delay_std}},
+          {"true_T_MI", NumbersOf(&o->true_T_MI)},
+          {"true_clocks", {&o->true_time_shift, &o->true_accel_delay}},
+          {"chi2", {&o->chi2, &o->model_chi2}},
+          {"least", NumbersOf(&o->bounds.least)},
+          {"as_joint", NumbersOf(&o->bounds.as_joint)},
+          {"guess", {&o->guess_angle, &o->guess_distance}}};
 }
 
 }  // namespace
@@ -168,11 +164,13 @@ std::string Describe(const Case& trial) {
          << trial.source.duration_s;
   } else {
     SimulatorOptions s = trial.simulator;
+    const auto& [q, p] = s.T_MI;
     text << " " << ToString(s.motion) << " " << s.duration_s << " s, " << s.pose_rate_hz << " "
          << s.gyro_rate_hz << " " << s.accel_rate_hz << " Hz, " << s.position_std << " "
          << s.rotation_std << " " << s.gyro_std << " " << s.accel_std << ", bias "
          << s.gyro_bias.transpose() << " " << s.gyro_bias_walk << " " << s.accel_bias.transpose()
-         << " " << s.accel_bias_walk << ", T_MI " << List(s.T_MI) << ", " << s.time_shift_s << " "
+         << " " << s.accel_bias_walk << ", T_MI "
+         << List({p.x(), p.y(), p.z(), q.x(), q.y(), q.z(), q.w()}) << ", " << s.time_shift_s << " "
          << s.accel_delay_s << " s";
     for (const EffectOption& effect : EffectOptions())
       if (effect.strength(&s) != 0.0) text << ", " << effect.name << " " << effect.strength(&s);
@@ -267,23 +265,17 @@ TrialOutcome RunTrial(const Case& trial, const SessionData& bag, const TrialOutc
   return outcome;
 }
 
-std::string ToYaml(const TrialOutcome& outcome) {
-  std::ostringstream text;
-  text << "verdict: " << outcome.verdict << "\nreason: " << Line(outcome.reason)
-       << "\nwarnings: " << outcome.warnings << "\nT_MI: " << List(outcome.T_MI)
-       << "\ncovariance: " << List(Eigen::Map<const Eigen::VectorXd>(outcome.covariance.data(), 36))
-       << "\nclocks: "
-       << List(Eigen::Vector4d(outcome.time_shift,
-                               outcome.time_shift_std,
-                               outcome.accel_delay,
-                               outcome.accel_delay_std))
-       << "\ntrue_T_MI: " << List(outcome.true_T_MI) << "\ntrue_clocks: "
-       << List(Eigen::Vector2d(outcome.true_time_shift, outcome.true_accel_delay))
-       << "\nchi2: " << List(Eigen::Vector2d(outcome.chi2, outcome.model_chi2))
-       << "\nleast: " << List(outcome.bounds.least)
-       << "\nas_joint: " << List(outcome.bounds.as_joint)
-       << "\nguess: " << List(Eigen::Vector2d(outcome.guess_angle, outcome.guess_distance)) << "\n";
-  return text.str();
+std::string ToYaml(TrialOutcome outcome) {
+  YAML::Emitter reason;
+  reason << YAML::DoubleQuoted << outcome.reason;
+  std::string text = "verdict: " + outcome.verdict + "\nreason: " + reason.c_str() +
+                     "\nwarnings: " + std::to_string(outcome.warnings) + "\n";
+  for (const auto& [key, numbers] : ListsOf(&outcome)) {
+    std::vector<double> values;
+    for (const double* number : numbers) values.push_back(*number);
+    text += key + (": " + List(values)) + "\n";
+  }
+  return text;
 }
 
 TrialOutcome ParseOutcome(const std::string& text) {
@@ -298,23 +290,10 @@ TrialOutcome ParseOutcome(const std::string& text) {
   outcome.verdict = node["verdict"].as<std::string>();
   outcome.reason = node["reason"].as<std::string>();
   outcome.warnings = node["warnings"].as<size_t>();
-  outcome.T_MI = Transform(node["T_MI"]);
-  outcome.covariance = Eigen::Map<const Matrix6d>(List(node["covariance"]).eval().data());
-  const Eigen::VectorXd clocks = List(node["clocks"]), true_clocks = List(node["true_clocks"]),
-                        chi2 = List(node["chi2"]), guess = List(node["guess"]);
-  outcome.time_shift = clocks[0];
-  outcome.time_shift_std = clocks[1];
-  outcome.accel_delay = clocks[2];
-  outcome.accel_delay_std = clocks[3];
-  outcome.true_T_MI = Transform(node["true_T_MI"]);
-  outcome.true_time_shift = true_clocks[0];
-  outcome.true_accel_delay = true_clocks[1];
-  outcome.chi2 = chi2[0];
-  outcome.model_chi2 = chi2[1];
-  outcome.bounds.least = Norms(node["least"]);
-  outcome.bounds.as_joint = Norms(node["as_joint"]);
-  outcome.guess_angle = guess[0];
-  outcome.guess_distance = guess[1];
+  for (const auto& [key, numbers] : ListsOf(&outcome)) {
+    const auto values = node[key].as<std::vector<double>>();
+    for (size_t i = 0; i < numbers.size(); ++i) *numbers[i] = values.at(i);
+  }
   return outcome;
 }
 

@@ -111,15 +111,8 @@ constexpr char kResult = 'r', kInputError = 'e';
                            const ChildLimits& limits,
                            pid_t parent,
                            int output) {
-  // A parent that is killed takes the child along; it may have been killed before this call.
-  prctl(PR_SET_PDEATHSIG, SIGKILL);
-  if (getppid() != parent) _exit(EXIT_FAILURE);
+  ConfineChild(parent, limits);
   Silence();
-  Limit(RLIMIT_CORE, 0);
-  Limit(RLIMIT_CPU, limits.cpu_s);
-#ifndef __SANITIZE_ADDRESS__  // its shadow memory is larger than any limit
-  Limit(RLIMIT_AS, limits.memory);
-#endif
   try {
     const std::string result = run();
     WriteAll(output, {kResult});
@@ -158,6 +151,17 @@ std::optional<std::string> RunApart(const std::function<std::string()>& run,
   if (answer.front() == kInputError) throw InputError(answer.substr(1));
   answer.erase(0, 1);
   return answer;
+}
+
+void ConfineChild(pid_t parent, const ChildLimits& limits) {
+  // A parent that is killed takes the child along; it may have been killed before this call.
+  prctl(PR_SET_PDEATHSIG, SIGKILL);
+  if (getppid() != parent) _exit(EXIT_FAILURE);
+  Limit(RLIMIT_CORE, 0);
+  Limit(RLIMIT_CPU, limits.cpu_s);
+#ifndef __SANITIZE_ADDRESS__  // its shadow memory is larger than any limit
+  Limit(RLIMIT_AS, limits.memory);
+#endif
 }
 
 int RunProgram(const std::vector<std::string>& command, const std::string& errors) {

@@ -1,6 +1,8 @@
 #pragma once
 
+#include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "imu_pose_calib/ros/evaluation/experiments.h"
@@ -13,12 +15,17 @@ struct CellOutcomes {
   std::vector<Errors> errors;  ///< of each; of those that are not usable without meaning
 };
 
+/// Trials of one cell by both methods.
+struct CellResults {
+  std::vector<std::string> labels;
+  CellOutcomes gp, joint;
+};
+
 /// What came out of an experiment on one base.
 struct Results {
   const Experiment* experiment;
   Base base;
-  std::vector<Cell> cells;
-  std::vector<CellOutcomes> gp, joint;  ///< of the cells
+  std::vector<CellResults> cells;
 };
 
 /// Root mean squares over the usable trials of a cell.
@@ -42,12 +49,11 @@ std::string CellsCsv(const Results& results, bool with_header);
 /// One row for each trial.
 std::string TrialsCsv(const Results& results, bool with_header);
 
-/// A transform to compare repeated calibrations with, as of a chained calibration. Given none.
-struct Chained {
-  bool is_given = false;
-  Rigid3 T_MI;
-};
-/// Markdown: the section of an experiment whose recordings are compared with each other.
-std::string ComparedSection(const Results& results, const Chained& chained);
+/// Markdown: the section of an experiment whose recordings are compared with each other, and with
+/// `chained_T_MI`, as of a chained calibration, if it is given.
+std::string ComparedSection(const Results& results, const std::optional<Rigid3>& chained_T_MI);
+
+/// "x, y, z", each as printf prints it by `number`.
+std::string Triple(const Eigen::Vector3d& v, const char* number);
 
 }  // namespace imu_pose_calib

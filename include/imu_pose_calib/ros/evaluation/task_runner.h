@@ -1,6 +1,7 @@
 #pragma once
 
 #include <functional>
+#include <map>
 #include <optional>
 #include <string>
 #include <vector>
@@ -42,11 +43,10 @@ extern const char kFailed[];
 
 /// Time and memory that a task took.
 struct Usage {
-  std::string name;
   double wall_s, cpu_s, memory_mb;
 };
 
-/// Of all parts; of a task that ran more than once, the last. In the order of the names.
-std::vector<Usage> LoadUsage(const std::string& folder);
+/// By the names of the tasks, of all parts; of a task that ran more than once, the last.
+std::map<std::string, Usage> LoadUsage(const std::string& folder);
 
 }  // namespace imu_pose_calib

@@ -1,9 +1,8 @@
 #pragma once
 
-#include <optional>
 #include <string>
-#include <vector>
 
+#include "imu_pose_calib/core/comparison.h"
 #include "imu_pose_calib/core/error_bound.h"
 #include "imu_pose_calib/core/options.h"
 #include "imu_pose_calib/core/result.h"
@@ -51,17 +50,12 @@ struct Case {
 /// On one line.
 std::string Describe(const Case& trial);
 
-/// What became of a trial.
-struct TrialOutcome {
+/// What became of a trial. Usable results are compared with others.
+struct TrialOutcome : Comparable {
   std::string verdict;  ///< "ok", "weak", "degenerate", "refused" or "failed"
   std::string reason;   ///< message of the result or of the refusal
 
-  // Of usable results:
-  size_t warnings = 0;
-  Rigid3 T_MI;
-  Matrix6d covariance = Matrix6d::Zero();  ///< see ImuCalibration
-  double time_shift = 0.0, time_shift_std = 0.0;
-  double accel_delay = 0.0, accel_delay_std = 0.0;
+  size_t warnings = 0;  ///< of usable results
 
   // Of simulations:
   Rigid3 true_T_MI;
@@ -79,7 +73,7 @@ struct TrialOutcome {
 /// Sets verdict and, when it is usable, the result.
 void Take(const Calibration& result, TrialOutcome* outcome);
 
-std::string ToYaml(const TrialOutcome& outcome);
+std::string ToYaml(TrialOutcome outcome);
 /// `text` may be that of a task that failed.
 TrialOutcome ParseOutcome(const std::string& text);
 

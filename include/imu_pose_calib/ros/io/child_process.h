@@ -1,5 +1,7 @@
 #pragma once
 
+#include <sys/types.h>
+
 #include <cstdint>
 #include <functional>
 #include <optional>
@@ -24,6 +26,10 @@ struct ChildLimits {
 /// open it again. When that happens all the same, the limits end it.
 std::optional<std::string> RunApart(const std::function<std::string()>& run,
                                     const ChildLimits& limits);
+
+/// To be called in a fork of the process `parent`: lets it end with that, and limits what it uses
+/// up but for the time from start to end.
+void ConfineChild(pid_t parent, const ChildLimits& limits);
 
 /// Runs a program, a path and its arguments, without input and output and with stderr in the file
 /// `errors`; returns its exit status, -1 when it did not end by itself. Throws InputError when it
