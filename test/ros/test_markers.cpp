@@ -8,7 +8,7 @@
 #include <deque>
 #include <sstream>
 
-#include "imu_pose_calib/ros/live/markers.h"
+#include "imu_pose_calib/ros/live/live_output.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {

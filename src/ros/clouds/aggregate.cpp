@@ -25,6 +25,11 @@ void serialize(Archive& archive, MapPoint& point) {  // NOLINT(readability-ident
   archive(point.x, point.y, point.z, point.intensity);
 }
 
+template <typename Archive>
+void serialize(Archive& archive, Sharpness& sharpness) {  // NOLINT(readability-identifier-naming)
+  archive(sharpness.entropy, sharpness.thickness, sharpness.places);
+}
+
 namespace {
 
 constexpr char kCloudType[] = "sensor_msgs/PointCloud2";
@@ -87,18 +92,6 @@ SensorMount Mount(const AggregateRequest& request) {
                               : ReadTransform("marker_sensor", request.marker_sensor);
   if (!request.guess.empty()) sensor.guessed_T_MI = ReadTransform("guess", request.guess);
   return sensor;
-}
-
-/// First and last stamp [s].
-template <typename Sample>
-std::string SpanOf(const std::vector<Sample>& samples) {
-  int64_t first = samples.front().t_ns, last = first;
-  for (const Sample& sample : samples) {
-    first = std::min(first, sample.t_ns);
-    last = std::max(last, sample.t_ns);
-  }
-  return Format(
-      "%.3f to %.3f s", 1e-9 * static_cast<double>(first), 1e-9 * static_cast<double>(last));
 }
 
 // --- Clouds, read in a child process ---
@@ -191,14 +184,14 @@ struct Aggregate {
   size_t points = 0, placed = 0, out_of_range = 0;
   bool has_intensity = false;
   std::vector<MapPoint> map, uncalibrated;
-  std::vector<double> entropy, thickness, share;  ///< of each variant; share of points placed
-  size_t places = 0;
+  std::vector<double> share;         ///< of the points that each variant places
+  std::vector<Sharpness> sharpness;  ///< of each variant; without meaning for shares below a half
 
   template <typename Archive>
   void serialize(Archive& archive) {  // NOLINT(readability-identifier-naming): cereal's name
     archive(topic, time_field, time_unit, begin_s, end_s, least_s, most_s, clouds, left_out);
     archive(points, placed, out_of_range, has_intensity, map, uncalibrated);
-    archive(entropy, thickness, share, places);
+    archive(share, sharpness);
   }
 };
 
@@ -262,14 +255,9 @@ class Aggregator {
       compared.push_back(v);
       maps.push_back(std::move(samples_[v]));
     }
-    aggregate_.entropy.resize(samples_.size());
-    aggregate_.thickness.resize(samples_.size());
+    aggregate_.sharpness.resize(samples_.size());
     const std::vector<Sharpness> sharpness = CompareSharpness(maps, request_.radius_m);
-    for (size_t i = 0; i < compared.size(); ++i) {
-      aggregate_.entropy[compared[i]] = sharpness[i].entropy;
-      aggregate_.thickness[compared[i]] = sharpness[i].thickness;
-      aggregate_.places = sharpness[i].places;
-    }
+    for (size_t i = 0; i < compared.size(); ++i) aggregate_.sharpness[compared[i]] = sharpness[i];
   }
 
  private:
@@ -329,24 +317,20 @@ Aggregate AggregateApart(const AggregateRequest& request,
 
 // --- What is said of it ---
 
-std::string Percent(size_t part, size_t whole) {
-  return Format(
-      "%.1f %%",
-      100.0 * static_cast<double>(part) / static_cast<double>(std::max<size_t>(1, whole)));
-}
-
 void CheckPlaced(const AggregateRequest& request, const SessionData& data, const Aggregate& a) {
   if (a.placed > 0) return;
   const bool on_imu_clock = request.cloud_clock != "poses";
+  const auto [first_ns, last_ns] = on_imu_clock ? SpanOf(data.imus[0].gyro) : SpanOf(data.poses);
   throw DataError(
       Format("no point of the %zu clouds of '%s', stamped %.3f to %.3f s, is within the trajectory "
-             "and min_range to max_range; cloud_clock is %s stamped %s",
+             "and min_range to max_range; cloud_clock is %s stamped %.3f to %.3f s",
              a.clouds,
              a.topic.c_str(),
              a.begin_s,
              a.end_s,
              on_imu_clock ? "imu, which is" : "poses, which are",
-             (on_imu_clock ? SpanOf(data.imus[0].gyro) : SpanOf(data.poses)).c_str()));
+             1e-9 * static_cast<double>(first_ns),
+             1e-9 * static_cast<double>(last_ns)));
 }
 
 std::string Describe(const AggregateRequest& request,
@@ -367,28 +351,31 @@ std::string Describe(const AggregateRequest& request,
                             1e3 * a.least_s,
                             1e3 * a.most_s));
   const size_t not_placed = a.points - a.placed;
-  text += Wrap("left out   ",
-               Format("%zu clouds, %zu points (%s) without trajectory; %zu nearer than %g m or "
-                      "beyond %g m",
-                      a.left_out,
-                      not_placed,
-                      Percent(not_placed, a.points).c_str(),
-                      a.out_of_range,
-                      request.min_range_m,
-                      request.max_range_m));
+  const double share =
+      static_cast<double>(not_placed) / static_cast<double>(std::max<size_t>(1, a.points));
+  text +=
+      Wrap("left out   ",
+           Format("%zu clouds, %zu points (%.1f %%) without trajectory; %zu nearer than %g m or "
+                  "beyond %g m",
+                  a.left_out,
+                  not_placed,
+                  100.0 * share,
+                  a.out_of_range,
+                  request.min_range_m,
+                  request.max_range_m));
   text += Wrap("map        ",
                Format("%zu points, means of cubes of %g m", a.map.size(), request.voxel_m));
   text += Format("\n  %-38s %12s %16s\n", "sharpness, better below", "map entropy", "planes [mm]");
   for (size_t v = 0; v < variants.size(); ++v) {
     text += Format("  %-38s", variants[v].name.c_str());
-    text += a.share[v] < 0.5 && v + 1 < variants.size()
-                ? Format(" %s of points within the poses\n",
-                         Format("%.0f %%", 100 * a.share[v]).c_str())
-                : Format(" %12.3f %16.1f\n", a.entropy[v], 1e3 * a.thickness[v]);
+    text +=
+        a.share[v] < 0.5 && v + 1 < variants.size()
+            ? Format(" %.0f %% of points within the poses\n", 100 * a.share[v])
+            : Format(" %12.3f %16.1f\n", a.sharpness[v].entropy, 1e3 * a.sharpness[v].thickness);
   }
-  text +=
-      Format("  (within %g m around the same %zu points in each)\n", request.radius_m, a.places);
-  return text;
+  return text + Format("  (within %g m around the same %zu points in each)\n",
+                       request.radius_m,
+                       a.sharpness.back().places);
 }
 
 }  // namespace

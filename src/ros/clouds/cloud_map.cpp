@@ -18,8 +18,11 @@ constexpr double kFarthest = 1e6;       // [m] in W
 constexpr size_t kPlaces = 5000, kLeastPoints = 10;
 constexpr double kLeastVariance = 1e-12;  // [m^2] of points in a plane
 
-Eigen::Matrix<int64_t, 3, 1> CubeOf(const Eigen::Vector3d& p, double size) {
-  return (p / size).array().floor().cast<int64_t>();
+Cube CubeOf(const Eigen::Vector3d& p, double size) {
+  Cube cube;
+  for (int i = 0; i < 3; ++i)
+    cube[static_cast<size_t>(i)] = static_cast<int64_t>(std::floor(p[i] / size));
+  return cube;
 }
 
 /// Points by the cubes that they are in.
@@ -27,13 +30,13 @@ class Neighbours {
  public:
   Neighbours(const std::vector<Eigen::Vector3f>& points, const std::vector<size_t>& used, double r)
       : points_(points), radius_(r) {
-    for (const size_t k : used) cubes_[KeyOf(points[k].cast<double>())].push_back(k);
+    for (const size_t k : used) cubes_[CubeOf(points[k].cast<double>(), r)].push_back(k);
   }
 
   /// Covariance [m^2] of the points around point k; nothing when there are too few.
   std::optional<Eigen::Matrix3d> CovarianceAround(size_t k) const {
     const Eigen::Vector3d center = points_[k].cast<double>();
-    const Key middle = KeyOf(center);
+    const Cube middle = CubeOf(center, radius_);
     Eigen::Vector3d sum = Eigen::Vector3d::Zero();
     Eigen::Matrix3d squares = Eigen::Matrix3d::Zero();
     size_t count = 0;
@@ -55,26 +58,17 @@ class Neighbours {
   }
 
  private:
-  using Key = std::array<int64_t, 3>;
-  Key KeyOf(const Eigen::Vector3d& p) const {
-    const auto cube = CubeOf(p, radius_);
-    return {cube[0], cube[1], cube[2]};
-  }
-
   const std::vector<Eigen::Vector3f>& points_;
   double radius_;
-  std::map<Key, std::vector<size_t>> cubes_;
+  std::map<Cube, std::vector<size_t>> cubes_;
 };
 
 /// One point of each cube, spread over the map; at most kPlaces.
 std::vector<size_t> Spread(const std::vector<Eigen::Vector3f>& points,
                            const std::vector<size_t>& used,
                            double size) {
-  std::map<std::array<int64_t, 3>, size_t> first;
-  for (const size_t k : used) {
-    const auto cube = CubeOf(points[k].cast<double>(), size);
-    first.insert({{cube[0], cube[1], cube[2]}, k});
-  }
+  std::map<Cube, size_t> first;
+  for (const size_t k : used) first.emplace(CubeOf(points[k].cast<double>(), size), k);
   std::vector<size_t> places;
   const size_t stride = first.size() / kPlaces + 1;
   size_t number = 0;
@@ -110,8 +104,8 @@ std::optional<Eigen::Vector3d> CloudMotion::Place(int64_t stamp_ns,
 
 size_t VoxelMap::Hash::operator()(const Cube& cube) const {
   uint64_t hash = 0;
-  for (int i = 0; i < 3; ++i) {
-    hash ^= static_cast<uint64_t>(cube[i]);
+  for (const int64_t place : cube) {
+    hash ^= static_cast<uint64_t>(place);
     hash *= 0x9e3779b97f4a7c15u;  // 2^64 over the golden ratio: spreads neighbours
     hash ^= hash >> 32u;
   }

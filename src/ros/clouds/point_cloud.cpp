@@ -7,10 +7,10 @@
 #include <cstring>
 #include <limits>
 #include <optional>
-#include <sstream>
 
 #include "imu_pose_calib/core/median.h"
 #include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -40,12 +40,6 @@ constexpr double kLeastFill = 0.02, kMostFill = 1.5;
 constexpr double kUsualPeriod = 0.1;    // [s] of clouds, when there is only one
 constexpr double kLongestOffset = 1.0;  // [s] from the stamp of a cloud to that of a point
 
-/// Bytes of a value; 0: there is no such type.
-size_t SizeOf(uint8_t type) {
-  constexpr size_t kSizes[] = {0, 1, 1, 2, 2, 4, 4, 4, 8};
-  return type < std::size(kSizes) ? kSizes[type] : 0;
-}
-
 template <typename T>
 double ValueAs(const uint8_t* data) {
   T value;
@@ -53,33 +47,22 @@ double ValueAs(const uint8_t* data) {
   return static_cast<double>(value);
 }
 
-double Value(const uint8_t* data, uint8_t type) {
-  switch (type) {
-    case PointField::INT8:
-      return ValueAs<int8_t>(data);
-    case PointField::UINT8:
-      return ValueAs<uint8_t>(data);
-    case PointField::INT16:
-      return ValueAs<int16_t>(data);
-    case PointField::UINT16:
-      return ValueAs<uint16_t>(data);
-    case PointField::INT32:
-      return ValueAs<int32_t>(data);
-    case PointField::UINT32:
-      return ValueAs<uint32_t>(data);
-    case PointField::FLOAT32:
-      return ValueAs<float>(data);
-    default:
-      return ValueAs<double>(data);
-  }
-}
+/// How the values of a field are stored.
+struct Type {
+  uint8_t number;
+  size_t size;  ///< [bytes]
+  double (*value)(const uint8_t* data);
+};
+constexpr Type kTypes[] = {{PointField::INT8, 1, ValueAs<int8_t>},
+                           {PointField::UINT8, 1, ValueAs<uint8_t>},
+                           {PointField::INT16, 2, ValueAs<int16_t>},
+                           {PointField::UINT16, 2, ValueAs<uint16_t>},
+                           {PointField::INT32, 4, ValueAs<int32_t>},
+                           {PointField::UINT32, 4, ValueAs<uint32_t>},
+                           {PointField::FLOAT32, 4, ValueAs<float>},
+                           {PointField::FLOAT64, 8, ValueAs<double>}};
 
-std::string Text(double value) {
-  std::ostringstream text;
-  text.precision(10);
-  text << value;
-  return text.str();
-}
+std::string Text(double value) { return Format("%.10g", value); }
 
 void CheckBytes(const char* name, uint64_t value, uint64_t bound) {
   if (value != bound)
@@ -104,27 +87,31 @@ class CheckedCloud {
   /// Place and type of a field; nothing when there is none of that name.
   struct Field {
     size_t offset;
-    uint8_t type;
+    const Type* type;
+
+    double Of(const uint8_t* point) const { return type->value(point + offset); }
   };
   std::optional<Field> Find(const std::string& name) const {
     for (const PointField& field : cloud_.fields) {
       if (field.name != name) continue;
-      const size_t size = SizeOf(field.datatype);
-      if (size == 0)
+      const auto type = std::find_if(std::begin(kTypes), std::end(kTypes), [&](const Type& t) {
+        return t.number == field.datatype;
+      });
+      if (type == std::end(kTypes))
         throw InputError("datatype of field '" + name + "' = " + std::to_string(field.datatype) +
                          " must be 1 to 8");
-      if (uint64_t{field.offset} + size > cloud_.point_step)
+      if (uint64_t{field.offset} + type->size > cloud_.point_step)
         throw InputError("offset of field '" + name + "' = " + std::to_string(field.offset) +
-                         " leaves no " + std::to_string(size) +
+                         " leaves no " + std::to_string(type->size) +
                          " bytes within point_step = " + std::to_string(cloud_.point_step));
-      return Field{field.offset, field.datatype};
+      return Field{field.offset, type};
     }
     return std::nullopt;
   }
 
   Field Coordinate(const std::string& name) const {
     const auto field = Find(name);
-    if (!field || (field->type != PointField::FLOAT32 && field->type != PointField::FLOAT64))
+    if (!field || field->type->number < PointField::FLOAT32)  // the last two of them
       throw InputError("field '" + name + "' must be there as float32 or float64; the fields are " +
                        Names());
     return *field;
@@ -164,7 +151,7 @@ TimeRange RangeOf(const PointCloud2& message, const std::string& name) {
   const auto field = cloud.Find(name);
   if (!field) return range;
   cloud.ForEach([&](const uint8_t* data) {
-    const double value = Value(data + field->offset, field->type);
+    const double value = field->Of(data);
     if (!std::isfinite(value)) return;
     range.least = std::min(range.least, value);
     range.largest = std::max(range.largest, value);
@@ -263,12 +250,10 @@ std::vector<CloudPoint> ReadCloud(const PointCloud2& message, const PointTime& t
   points.reserve(cloud.size());
   cloud.ForEach([&](const uint8_t* data) {
     CloudPoint point;
-    for (int i = 0; i < 3; ++i)
-      point.p_S[i] = static_cast<float>(Value(data + xyz[i].offset, xyz[i].type));
-    if (intensity)
-      point.intensity = static_cast<float>(Value(data + intensity->offset, intensity->type));
+    for (int i = 0; i < 3; ++i) point.p_S[i] = static_cast<float>(xyz[i].Of(data));
+    if (intensity) point.intensity = static_cast<float>(intensity->Of(data));
     if (own_time && point.p_S.allFinite()) {
-      const double after_s = time.unit_s * Value(data + own_time->offset, own_time->type) - epoch_s;
+      const double after_s = time.unit_s * own_time->Of(data) - epoch_s;
       if (!(std::abs(after_s) <= kLongestOffset))
         throw InputError("field '" + time.field + "' puts a point " + Text(after_s) +
                          " s after the stamp of its cloud; must be within " + Text(kLongestOffset) +
@@ -285,32 +270,41 @@ bool HasIntensity(const PointCloud2& cloud) {
 }
 
 std::string ToPcd(const std::vector<MapPoint>& points, bool has_intensity) {
-  const std::string count = std::to_string(points.size());
-  const std::string more[] = {" intensity", " 4", " F", " 1"};
-  const auto line = [&](const char* text, int k) {
-    return text + (has_intensity ? more[k] : std::string()) + "\n";
-  };
   std::string pcd = "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\n";
-  pcd += line("FIELDS x y z", 0) + line("SIZE 4 4 4", 1) + line("TYPE F F F", 2) +
-         line("COUNT 1 1 1", 3);
-  pcd +=
-      "WIDTH " + count + "\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS " + count + "\nDATA binary\n";
+  pcd += has_intensity ? "FIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\n"
+                       : "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n";
+  pcd += Format("WIDTH %zu\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS %zu\nDATA binary\n",
+                points.size(),
+                points.size());
   const size_t size = (has_intensity ? 4 : 3) * sizeof(float);
   pcd.reserve(pcd.size() + size * points.size());
   for (const MapPoint& point : points) pcd.append(reinterpret_cast<const char*>(&point), size);
   return pcd;
 }
 
+PointCloud2 NewCloud(const std::string& frame,
+                     const std::vector<const char*>& names,
+                     size_t points) {
+  PointCloud2 cloud;
+  cloud.header.frame_id = frame;
+  cloud.height = 1;
+  cloud.is_dense = 1u;
+  for (const char* name : names) {
+    PointField field;
+    field.name = name;
+    field.offset = cloud.point_step;
+    field.datatype = field.name == "t" ? PointField::UINT32 : PointField::FLOAT32;
+    field.count = 1;
+    cloud.fields.push_back(field);
+    cloud.point_step += 4;
+  }
+  sensor_msgs::PointCloud2Modifier(cloud).resize(points);
+  return cloud;
+}
+
 PointCloud2 ToMessage(const std::vector<MapPoint>& points, const std::string& frame) {
   static_assert(sizeof(MapPoint) == 4 * sizeof(float));
-  PointCloud2 message;
-  message.header.frame_id = frame;
-  message.height = 1;
-  message.is_dense = 1u;
-  sensor_msgs::PointCloud2Modifier fields(message);
-  const auto type = PointField::FLOAT32;
-  fields.setPointCloud2Fields(4, "x", 1, type, "y", 1, type, "z", 1, type, "intensity", 1, type);
-  fields.resize(points.size());
+  PointCloud2 message = NewCloud(frame, {"x", "y", "z", "intensity"}, points.size());
   std::memcpy(message.data.data(), points.data(), message.data.size());
   return message;
 }

@@ -5,7 +5,6 @@
 #include <functional>
 #include <limits>
 #include <memory>
-#include <utility>
 
 #include "imu_pose_calib/core/trajectory.h"
 
@@ -50,16 +49,6 @@ class RecordedPoses {
   int64_t max_gap_ns_;
   std::vector<PoseSample> poses_;
 };
-
-/// First and last stamp.
-template <typename Sample>
-std::pair<int64_t, int64_t> SpanOf(const std::vector<Sample>& samples) {
-  const auto [first, last] =
-      std::minmax_element(samples.begin(), samples.end(), [](const Sample& a, const Sample& b) {
-        return a.t_ns < b.t_ns;
-      });
-  return {first->t_ns, last->t_ns};
-}
 
 /// What one takes for the time shift [ns] without a calibration: 0 where the stamps could be of one
 /// clock, else what lets samples of both arrive together.

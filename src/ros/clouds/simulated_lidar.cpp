@@ -9,6 +9,7 @@
 #include <sstream>
 
 #include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/ros/clouds/point_cloud.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 
@@ -92,31 +93,9 @@ Rigid3 SimulatedLidar::PoseAt(int64_t stamp_ns) const {
 }
 
 sensor_msgs::PointCloud2 SimulatedLidar::Cloud(size_t k) const {
-  using sensor_msgs::PointField;
-  sensor_msgs::PointCloud2 cloud;
+  sensor_msgs::PointCloud2 cloud =
+      NewCloud("lidar", {"x", "y", "z", "intensity", "t"}, kRings * kColumns);
   cloud.header.stamp = FromNanoseconds(Stamp(k));
-  cloud.header.frame_id = "lidar";
-  cloud.height = 1;
-  cloud.is_dense = 1u;
-  sensor_msgs::PointCloud2Modifier fields(cloud);
-  const auto real = PointField::FLOAT32;
-  fields.setPointCloud2Fields(5,
-                              "x",
-                              1,
-                              real,
-                              "y",
-                              1,
-                              real,
-                              "z",
-                              1,
-                              real,
-                              "intensity",
-                              1,
-                              real,
-                              "t",
-                              1,
-                              PointField::UINT32);
-  fields.resize(kRings * kColumns);
   sensor_msgs::PointCloud2Iterator<float> x(cloud, "x"), intensity(cloud, "intensity");
   sensor_msgs::PointCloud2Iterator<uint32_t> t(cloud, "t");
 

@@ -47,11 +47,6 @@ bool IsValid(const PoseSample& pose) {
   return pose.p_WM.allFinite() && pose.q_WM.coeffs().allFinite() && pose.q_WM.norm() > 1e-3;
 }
 
-void CheckPositive(const char* name, double value) {
-  if (value > 0.0 && std::isfinite(value)) return;
-  throw InputError(Text(name, " = ", value, " must be positive"));
-}
-
 /// Largest ratio of sigma and target.
 double Score(const LiveOptions& options, const Calibration& result) {
   const LargestStd std_dev = MaxStd(result);
@@ -73,10 +68,9 @@ bool Agree(const LiveOptions& options, const Calibration& a, const Calibration& 
   return true;
 }
 
-std::string Sigmas(const Calibration& result) {
-  const LargestStd std_dev = MaxStd(result);
-  return Text("sigma ",
-              1e3 * std_dev.translation,
+/// As people say them.
+std::string Text(const LargestStd& std_dev) {
+  return Text(1e3 * std_dev.translation,
               " mm, ",
               kDegrees * std_dev.rotation,
               " deg, ",
@@ -84,15 +78,7 @@ std::string Sigmas(const Calibration& result) {
               " ms");
 }
 
-std::string Targets(const LiveOptions& options) {
-  return Text("target ",
-              1e3 * options.target_translation_std,
-              " mm, ",
-              kDegrees * options.target_rotation_std,
-              " deg, ",
-              1e3 * options.target_time_shift_std,
-              " ms");
-}
+std::string Sigmas(const Calibration& result) { return "sigma " + Text(MaxStd(result)); }
 
 void Append(const std::string& item, std::string* list) {
   *list += (list->empty() ? "" : ", ") + item;
@@ -100,34 +86,27 @@ void Append(const std::string& item, std::string* list) {
 
 }  // namespace
 
+const std::array<LiveOptions::Field, 7> LiveOptions::kFields = {
+    {{"window", &LiveOptions::window},
+     {"min_duration", &LiveOptions::min_duration},
+     {"solve_interval", &LiveOptions::solve_interval},
+     {"lost_timeout", &LiveOptions::lost_timeout},
+     {"target_rotation_std", &LiveOptions::target_rotation_std},
+     {"target_translation_std", &LiveOptions::target_translation_std},
+     {"target_time_shift_std", &LiveOptions::target_time_shift_std}}};
+
 void LiveOptions::Validate() const {
-  CheckPositive("window", window);
-  CheckPositive("min_duration", min_duration);
-  CheckPositive("solve_interval", solve_interval);
-  CheckPositive("lost_timeout", lost_timeout);
-  CheckPositive("target_rotation_std", target_rotation_std);
-  CheckPositive("target_translation_std", target_translation_std);
-  CheckPositive("target_time_shift_std", target_time_shift_std);
+  for (const auto& [name, member] : kFields)
+    if (const double value = this->*member; !(value > 0.0 && std::isfinite(value)))
+      throw InputError(Text(name, " = ", value, " must be positive"));
   if (min_duration >= window)
     throw InputError(Text("min_duration = ", min_duration, " must be below window = ", window));
 }
 
 const char* ToString(Phase phase) {
-  switch (phase) {
-    case Phase::kWaiting:
-      return "waiting";
-    case Phase::kCollecting:
-      return "collecting";
-    case Phase::kSolving:
-      return "solving";
-    case Phase::kConverged:
-      return "converged";
-    case Phase::kDegraded:
-      return "degraded";
-    case Phase::kSaved:
-      break;
-  }
-  return "saved";
+  constexpr const char* kNames[] = {
+      "waiting", "collecting", "solving", "converged", "degraded", "saved"};
+  return kNames[static_cast<size_t>(phase)];
 }
 
 LargestStd MaxStd(const Calibration& result) {
@@ -397,7 +376,10 @@ std::string LiveCalibration::Advice() const {
     return Text("move along the marker's ", kAxes[axis], " axis");
   if (!result_) return "keep moving";
   if (Score(options_, *result_) > 1.0)
-    return Text("keep moving: ", Sigmas(*result_), "; ", Targets(options_));
+    return "keep moving: " + Sigmas(*result_) + "; target " +
+           Text(LargestStd{options_.target_rotation_std,
+                           options_.target_translation_std,
+                           options_.target_time_shift_std});
   if (last_.size() < kStableSolves)
     return Text(
         "keep moving: ", last_.size(), " of ", kStableSolves, " solves done; ", Sigmas(*result_));

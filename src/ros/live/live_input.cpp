@@ -28,10 +28,6 @@ std::string LookAt(const TfChain& chain) {
   }
 }
 
-ImuContent ReadImu(const topic_tools::ShapeShifter& message) {
-  return ReadImuContent(message.getDataType(), message);
-}
-
 }  // namespace
 
 LiveInput::LiveInput(const ros::NodeHandle& node,
@@ -46,19 +42,16 @@ LiveInput::LiveInput(const ros::NodeHandle& node,
       SplitNames(is_split ? settings_.gyro_topic : settings_.imu_topic);
   const std::vector<std::string> accels = SplitNames(settings_.accel_topic);
   for (size_t i = 0; i < gyros.size(); ++i) {
-    const auto on_gyro = [this, i](const TopicSource::Message& m) { OnGyro(m, i); };
-    const auto on_accel = [this, i](const TopicSource::Message& m) { OnAccel(m, i); };
-    const auto on_both = [on_gyro, on_accel](const TopicSource::Message& m) {
-      on_gyro(m);
-      on_accel(m);
+    const auto listen = [this, i](bool is_gyro, bool is_accel) {
+      return [=](const TopicSource::Message& m) { OnImu(m, i, is_gyro, is_accel); };
     };
     if (is_split) {
-      AddSource("gyro_topic", gyros[i], split, on_gyro);
+      AddSource("gyro_topic", gyros[i], split, listen(true, false));
       const TopicSource* gyro = &sources_.back();
-      AddSource("accel_topic", accels[i], split, on_accel);
+      AddSource("accel_topic", accels[i], split, listen(false, true));
       imus_.push_back({gyro, &sources_.back(), ""});
     } else {
-      AddSource("imu_topic", gyros[i], {kImuType}, on_both);
+      AddSource("imu_topic", gyros[i], {kImuType}, listen(true, true));
       imus_.push_back({&sources_.back(), &sources_.back(), ""});
     }
   }
@@ -103,17 +96,18 @@ void LiveInput::AddSource(const std::string& parameter,
       });
 }
 
-void LiveInput::OnGyro(const TopicSource::Message& message, size_t imu) {
-  const ImuContent content = ReadImu(*message.getMessage());
-  imus_[imu].frame = content.frame;
-  imus_[imu].lacks_gyro = !content.gyro;
-  if (content.gyro) live_->AddGyro(*content.gyro, message.getReceiptTime().toSec(), imu);
-}
-
-void LiveInput::OnAccel(const TopicSource::Message& message, size_t imu) {
-  const ImuContent content = ReadImu(*message.getMessage());
-  imus_[imu].lacks_accel = !content.accel;
-  if (content.accel) live_->AddAccel(*content.accel, message.getReceiptTime().toSec(), imu);
+void LiveInput::OnImu(const TopicSource::Message& message,
+                      size_t imu,
+                      bool is_gyro,
+                      bool is_accel) {
+  const auto& [gyro, accel, frame] =
+      ReadImuContent(message.getMessage()->getDataType(), *message.getMessage());
+  const double now = message.getReceiptTime().toSec();
+  if (is_gyro) imus_[imu].frame = frame;
+  if (is_gyro) imus_[imu].lacks_gyro = !gyro;
+  if (is_accel) imus_[imu].lacks_accel = !accel;
+  if (is_gyro && gyro) live_->AddGyro(*gyro, now, imu);
+  if (is_accel && accel) live_->AddAccel(*accel, now, imu);
 }
 
 void LiveInput::OnPose(const TopicSource::Message& message) {

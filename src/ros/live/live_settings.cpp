@@ -4,7 +4,6 @@
 
 #include "imu_pose_calib/ros/io/imu_yaml.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
-#include "imu_pose_calib/ros/live/parameters.h"
 #include "imu_pose_calib/ros/offline/offline.h"
 
 namespace imu_pose_calib {
@@ -12,9 +11,6 @@ namespace imu_pose_calib {
 LiveSettings ReadLiveSettings(const ros::NodeHandle& node) {
   const auto text = [&](const char* name) {
     return Param<std::string>(node, name, "", "a string");
-  };
-  const auto number = [&](const char* name, double* value) {
-    *value = Param<double>(node, name, *value, "a number");
   };
   LiveSettings settings;
   settings.imu_topic = text("imu_topic");
@@ -57,13 +53,10 @@ LiveSettings ReadLiveSettings(const ros::NodeHandle& node) {
   }
   if (const std::string method = text("method"); !method.empty())
     settings.calibration.method = ParseMethod(method);
-  number("window", &settings.live.window);
-  number("min_duration", &settings.live.min_duration);
-  number("solve_interval", &settings.live.solve_interval);
-  number("lost_timeout", &settings.live.lost_timeout);
-  number("target_rotation_std", &settings.live.target_rotation_std);
-  number("target_translation_std", &settings.live.target_translation_std);
-  number("target_time_shift_std", &settings.live.target_time_shift_std);
+  for (const LiveOptions::Field& field : LiveOptions::kFields) {
+    double& value = settings.live.*field.value;
+    value = Param<double>(node, field.name, value, "a number");
+  }
   return settings;
 }
 

@@ -1,29 +1,20 @@
 #include "imu_pose_calib/ros/live/topic_source.h"
 
 #include <algorithm>
-#include <cmath>
+#include <boost/algorithm/string/join.hpp>
+#include <boost/algorithm/string/predicate.hpp>
 
 namespace imu_pose_calib {
 namespace {
 
-std::string Join(const std::vector<std::string>& items, const char* separator) {
-  std::string text;
-  for (const std::string& item : items) text += (text.empty() ? "" : separator) + item;
-  return text;
-}
-
 /// Types without their packages.
 std::string ShortNames(std::vector<std::string> types) {
   for (std::string& type : types) type.erase(0, type.find('/') + 1);
-  return Join(types, ", ");
+  return boost::join(types, ", ");
 }
 
 /// What nodes of this package publish is no input.
-bool IsOurs(const std::string& topic) {
-  const std::string ours = "/imu_pose";
-  return topic.size() >= ours.size() &&
-         topic.compare(topic.size() - ours.size(), ours.size(), ours) == 0;
-}
+bool IsOurs(const std::string& topic) { return boost::algorithm::ends_with(topic, "/imu_pose"); }
 
 }  // namespace
 
@@ -65,7 +56,7 @@ void TopicSource::OnMessage(const Message& message) {
       problem = "has another definition of " + type + " than this computer (" + error.what() + ")";
     }
   } else {
-    problem = "is " + type + ", must be " + Join(types_, " or ");
+    problem = "is " + type + ", must be " + boost::join(types_, " or ");
   }
   const std::lock_guard<std::mutex> lock(mutex_);
   problem_ = problem;
@@ -101,9 +92,9 @@ std::string TopicSource::Find(const ros::master::V_TopicInfo& published, std::st
   for (const ros::master::TopicInfo& info : published)
     if (Accepts(info.datatype) && !IsOurs(info.name)) found.push_back(info.name);
   if (found.size() == 1) return found.front();
-  const std::string types = Join(types_, " or ");
+  const std::string types = boost::join(types_, " or ");
   *state = found.empty() ? "no topic of type " + types + " is published"
-                         : "several topics of type " + types + ": " + Join(found, ", ") +
+                         : "several topics of type " + types + ": " + boost::join(found, ", ") +
                                "; choose with " + parameter_;
   return "";
 }
@@ -119,7 +110,7 @@ std::string TopicSource::Inspect(const ros::master::V_TopicInfo& published) cons
   if (info == published.end())
     return topic_ + " (" + ShortNames(types_) + "): nobody has published it" + waited;
   if (!Accepts(info->datatype))
-    return topic_ + " is " + info->datatype + ", must be " + Join(types_, " or ");
+    return topic_ + " is " + info->datatype + ", must be " + boost::join(types_, " or ");
   return topic_ + " (" + info->datatype +
          ", publishers connected: " + std::to_string(subscriber_.getNumPublishers()) +
          "): no message" + waited;

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <array>
 #include <cstdint>
 #include <functional>
 #include <optional>
@@ -30,6 +31,9 @@ class CloudMotion {
   std::vector<std::optional<Rigid3>> poses_;
 };
 
+/// A cube of space, by its place on each axis.
+using Cube = std::array<int64_t, 3>;
+
 /// The mean of the points in each cube, so that memory grows with what was seen, not with time.
 class VoxelMap {
  public:
@@ -42,7 +46,6 @@ class VoxelMap {
   std::vector<MapPoint> Points() const;
 
  private:
-  using Cube = Eigen::Matrix<int64_t, 3, 1>;
   struct Hash {
     size_t operator()(const Cube& cube) const;
   };

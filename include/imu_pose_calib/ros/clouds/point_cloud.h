@@ -45,6 +45,12 @@ struct MapPoint {
 /// As a binary file of the Point Cloud Library, version 0.7.
 std::string ToPcd(const std::vector<MapPoint>& points, bool has_intensity);
 
+/// A cloud of `points` in one row, for all of whose fields there are four bytes: a float, but for t
+/// [ns], which is unsigned.
+sensor_msgs::PointCloud2 NewCloud(const std::string& frame,
+                                  const std::vector<const char*>& names,
+                                  size_t points);
+
 /// The same as a message without a stamp.
 sensor_msgs::PointCloud2 ToMessage(const std::vector<MapPoint>& points, const std::string& frame);
 

@@ -1,13 +1,25 @@
 #pragma once
 
+#include <algorithm>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "imu_pose_calib/ros/clouds/cloud_map.h"
 #include "imu_pose_calib/ros/offline/offline.h"
 
 namespace imu_pose_calib {
+
+/// First and last stamp.
+template <typename Sample>
+std::pair<int64_t, int64_t> SpanOf(const std::vector<Sample>& samples) {
+  const auto [first, last] =
+      std::minmax_element(samples.begin(), samples.end(), [](const Sample& a, const Sample& b) {
+        return a.t_ns < b.t_ns;
+      });
+  return {first->t_ns, last->t_ns};
+}
 
 /// Where a sensor S sits on the body.
 struct SensorMount {

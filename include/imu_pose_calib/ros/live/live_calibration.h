@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <deque>
 #include <optional>
 #include <string>
@@ -20,6 +21,13 @@ struct LiveOptions {
   double target_rotation_std = 1e-3;     ///< [rad]
   double target_translation_std = 5e-4;  ///< [m]
   double target_time_shift_std = 5e-4;   ///< [s]
+
+  /// All of them, by their names.
+  struct Field {
+    const char* name;
+    double LiveOptions::*value;
+  };
+  static const std::array<Field, 7> kFields;
 
   /// Throws InputError naming parameter, value and bound when a value is out of range.
   void Validate() const;

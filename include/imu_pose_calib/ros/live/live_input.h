@@ -64,8 +64,8 @@ class LiveInput {
                  const std::string& topic,
                  const std::vector<std::string>& types,
                  const TopicSource::Callback& add);
-  void OnGyro(const TopicSource::Message& message, size_t imu);
-  void OnAccel(const TopicSource::Message& message, size_t imu);
+  /// A message of the gyroscope or the accelerometer of an IMU, or of both.
+  void OnImu(const TopicSource::Message& message, size_t imu, bool is_gyro, bool is_accel);
   void OnPose(const TopicSource::Message& message);
   void OnTransforms(const ros::MessageEvent<const tf2_msgs::TFMessage>& event, bool fixed);
   void AddPose(const PoseSample& recorded, const ros::Time& now);
