@@ -64,12 +64,6 @@ constexpr Type kTypes[] = {{PointField::INT8, 1, ValueAs<int8_t>},
 
 std::string Text(double value) { return Format("%.10g", value); }
 
-void CheckBytes(const char* name, uint64_t value, uint64_t bound) {
-  if (value != bound)
-    throw InputError(std::string(name) + " = " + std::to_string(value) + " must be " +
-                     std::to_string(bound) + " by width, height and point_step");
-}
-
 /// A cloud whose sizes fit each other.
 class CheckedCloud {
  public:
@@ -80,7 +74,10 @@ class CheckedCloud {
       throw InputError("row_step = " + std::to_string(cloud.row_step) + " must be at least " +
                        std::to_string(row) + ", width times point_step");
     row_step_ = cloud.height > 1 ? cloud.row_step : row;
-    CheckBytes("size of data", cloud.data.size(), row_step_ * cloud.height);
+    const uint64_t size = row_step_ * cloud.height;
+    if (cloud.data.size() != size)
+      throw InputError("size of data = " + std::to_string(cloud.data.size()) + " must be " +
+                       std::to_string(size) + " by width, height and point_step");
     if (cloud.point_step == 0) throw InputError("point_step = 0 must be positive");
   }
 

@@ -129,13 +129,13 @@ class Evaluation {
     return plan;
   }
 
-  Task ToTask(const Trial& trial, bool needs_reference) const {
-    return {trial.name, Describe(trial.what), [this, what = trial.what, needs_reference] {
+  Task ToTask(const Trial& trial) const {
+    return {trial.name, Describe(trial.what), [this, what = trial.what] {
               static const SessionData kNoBag;
               const bool is_bag = what.base == Base::kBag;
               return ToYaml(RunTrial(what,
                                      is_bag ? Bag(what.source) : kNoBag,
-                                     needs_reference ? Reference(what) : TrialOutcome()));
+                                     is_bag && what.is_guessed ? Reference(what) : TrialOutcome()));
             }};
   }
 
@@ -159,7 +159,7 @@ class Evaluation {
     trial.what.base = Base::kBag;
     trial.what.method = method;
     trial.what.source = source;
-    return ToTask(trial, false);
+    return ToTask(trial);
   }
 
   std::vector<Task> References() const {
@@ -192,8 +192,7 @@ class Evaluation {
     for (const Plan& plan : plans_)
       for (const auto method : {&CellTrials::gp, &CellTrials::joint})
         for (const CellTrials& cell : plan.cells)
-          for (const Trial& trial : cell.*method)
-            tasks.push_back(ToTask(trial, trial.what.is_guessed && plan.base == Base::kBag));
+          for (const Trial& trial : cell.*method) tasks.push_back(ToTask(trial));
     return tasks;
   }
 
@@ -215,7 +214,7 @@ class Evaluation {
     CellOutcomes cell;
     for (const Trial& trial : trials) {
       const TrialOutcome outcome =
-          ParseOutcome(FinishedTask(request_.runner.folder, ToTask(trial, false)).value());
+          ParseOutcome(FinishedTask(request_.runner.folder, ToTask(trial)).value());
       if (plan.base == Base::kBag && !plan.experiment.is_compared) {
         const TrialOutcome truth = Reference(trial.what);
         cell.errors.push_back(ErrorsOf(outcome, truth.T_MI, truth.time_shift, truth.accel_delay));

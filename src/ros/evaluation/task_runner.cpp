@@ -121,8 +121,7 @@ class ProgressBar {
 /// The tasks that run at the moment.
 class Children {
  public:
-  Children(const RunnerOptions& options, const std::vector<const Task*>& tasks)
-      : options_(options), tasks_(tasks) {}
+  explicit Children(const RunnerOptions& options) : options_(options) {}
   Children(const Children&) = delete;
   Children& operator=(const Children&) = delete;
   ~Children() {
@@ -133,15 +132,14 @@ class Children {
   }
 
   bool IsFull() const { return running_.size() >= static_cast<size_t>(options_.jobs); }
-  bool IsEmpty() const { return running_.empty(); }
 
-  void Start(size_t task) {
-    std::filesystem::create_directories(ResultPath(options_.folder, *tasks_[task]).parent_path());
+  void Start(const Task& task) {
+    std::filesystem::create_directories(ResultPath(options_.folder, task).parent_path());
     const pid_t parent = getpid();
     const pid_t pid = fork();
     if (pid < 0) throw InputError("no process can be started for a task; lower --jobs");
-    if (pid == 0) RunHere(options_.folder, *tasks_[task], parent);
-    running_[pid] = {task, Clock::now()};
+    if (pid == 0) RunHere(options_.folder, task, parent);
+    running_[pid] = {&task, Clock::now()};
   }
 
   /// Waits until one has ended.
@@ -154,7 +152,7 @@ class Children {
     if (pid < 0) throw InputError("the processes of the tasks cannot be waited for");
     const Child child = running_[pid];
     running_.erase(pid);
-    const Task& task = *tasks_[child.task];
+    const Task& task = *child.task;
     const bool has_ended = WIFEXITED(status);
     if (has_ended && WEXITSTATUS(status) == kInputErrorStatus) Throw(task);
     if (!has_ended || WEXITSTATUS(status) != EXIT_SUCCESS)
@@ -170,7 +168,7 @@ class Children {
 
  private:
   struct Child {
-    size_t task = 0;
+    const Task* task;
     Clock::time_point begin;
   };
 
@@ -182,7 +180,6 @@ class Children {
   }
 
   const RunnerOptions& options_;
-  const std::vector<const Task*>& tasks_;
   std::map<pid_t, Child> running_;
 };
 
@@ -209,10 +206,10 @@ void RunTasks(const std::vector<Task>& tasks, const RunnerOptions& options) {
   for (size_t i = options.part; i < tasks.size(); i += options.parts)
     if (!FinishedTask(options.folder, tasks[i])) missing.push_back(&tasks[i]);
   ProgressBar progress(options, missing.size());
-  Children children(options, missing);
+  Children children(options);
   for (size_t begun = 0, done = 0; done < missing.size(); ++done) {
     progress.Show(done);
-    while (begun < missing.size() && !children.IsFull()) children.Start(begun++);
+    while (begun < missing.size() && !children.IsFull()) children.Start(*missing[begun++]);
     children.Finish();
   }
   progress.Show(missing.size());

@@ -18,6 +18,7 @@
 #include "imu_pose_calib/ros/live/live_solver.h"
 #include "imu_pose_calib/ros/offline/offline.h"
 #include "imu_pose_calib/ros/offline/summary.h"
+#include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -199,12 +200,8 @@ void LiveNode::Tick() {
 /// "3 s of about 4 s: "
 std::string LiveNode::Progress() const {
   const double seconds = solver_.SolveTime(), last = solver_.last_solve_time();
-  char text[64];
-  if (last > 0.0)
-    std::snprintf(text, sizeof(text), "%.0f s of about %.0f s: ", seconds, last);
-  else
-    std::snprintf(text, sizeof(text), "%.0f s so far: ", seconds);
-  return text;
+  return last > 0.0 ? Format("%.0f s of about %.0f s: ", seconds, last)
+                    : Format("%.0f s so far: ", seconds);
 }
 
 void LiveNode::UpdateStatus() {

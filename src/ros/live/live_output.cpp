@@ -6,7 +6,6 @@
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <string>
 #include <utility>
 #include <vector>
@@ -14,6 +13,7 @@
 #include "imu_pose_calib/CalibrationResult.h"
 #include "imu_pose_calib/CalibrationStatus.h"
 #include "imu_pose_calib/ros/io/conversions.h"
+#include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -33,23 +33,19 @@ geometry_msgs::PoseStamped ToImuPose(const PoseSample& pose,
   return msg;
 }
 
-/// "rotation    x [######----]  60 %"
-std::string Bar(const std::string& motion, char axis, double share) {
-  const int filled = static_cast<int>(std::floor(10.0 * share));
-  const std::string bar = std::string(static_cast<size_t>(filled), '#') +
-                          std::string(static_cast<size_t>(10 - filled), '-');
-  char line[64];
-  std::snprintf(
-      line, sizeof(line), "%-11s %c [%s] %3.0f %%", motion.c_str(), axis, bar.c_str(), 100 * share);
-  return line;
-}
-
+/// Six lines as "rotation    x [######----]  60 %".
 std::vector<std::string> Bars(const Excitation& excitation) {
   std::vector<std::string> bars;
-  for (int axis = 0; axis < 3; ++axis)
-    bars.push_back(Bar("rotation", "xyz"[axis], excitation.rotation[axis]));
-  for (int axis = 0; axis < 3; ++axis)
-    bars.push_back(Bar("translation", "xyz"[axis], excitation.translation[axis]));
+  const auto add = [&](const char* motion, const Eigen::Vector3d& shares) {
+    for (int axis = 0; axis < 3; ++axis) {
+      std::string bar(10, '-');
+      std::fill_n(bar.begin(), static_cast<int>(std::floor(10.0 * shares[axis])), '#');
+      bars.push_back(
+          Format("%-11s %c [%s] %3.0f %%", motion, "xyz"[axis], bar.c_str(), 100.0 * shares[axis]));
+    }
+  };
+  add("rotation", excitation.rotation);
+  add("translation", excitation.translation);
   return bars;
 }
 
@@ -123,16 +119,6 @@ class Drawing {
     marker->text = text;
   }
 
-  void Box(const std::string& name,
-           const Eigen::Vector3d& center,
-           const Eigen::Vector3d& size,
-           const Color& color,
-           float alpha) {
-    Marker* marker = Add(name, Marker::CUBE, color, alpha);
-    marker->pose.position = ToPointMsg(center);
-    marker->scale = ToVector3Msg(size);
-  }
-
   void Frame(const std::string& name, const Rigid3& T_WX, double length) {
     for (int axis = 0; axis < 3; ++axis)
       Arrow(name,
@@ -179,10 +165,9 @@ void DrawLeverArm(const ImuCalibration& imu, const Rigid3& T_WM, Drawing* drawin
   Eigen::Matrix3d axes = eigen.eigenvectors();
   if (axes.determinant() < 0.0) axes.col(0) *= -1.0;
   const Eigen::Vector3d size = 2.0 * kSigmaScale * eigen.eigenvalues().cwiseMax(0.0).cwiseSqrt();
-  const Eigen::Quaterniond q = T_WM.q * Eigen::Quaterniond(axes);
   Marker* ellipsoid = drawing->Add("sigma", Marker::SPHERE, kImu, 0.35f);
   ellipsoid->pose.position = ToPointMsg(T_WI.p);
-  ellipsoid->pose.orientation = ToQuaternionMsg(q);
+  ellipsoid->pose.orientation = ToQuaternionMsg(T_WM.q * Eigen::Quaterniond(axes));
   ellipsoid->scale = ToVector3Msg(size);
 }
 
@@ -193,11 +178,9 @@ void DrawBar(const std::string& label,
              Drawing* drawing) {
   const double filled = std::max(0.002, share * kBarLength);
   const auto box = [&](double from, double length, double depth, const Color& c, float alpha) {
-    drawing->Box("bars",
-                 left + Eigen::Vector3d(from + 0.5 * length, 0.0, 0.0),
-                 {length, depth, kBarHeight},
-                 c,
-                 alpha);
+    Marker* marker = drawing->Add("bars", Marker::CUBE, c, alpha);
+    marker->pose.position = ToPointMsg(left + Eigen::Vector3d(from + 0.5 * length, 0.0, 0.0));
+    marker->scale = ToVector3Msg({length, depth, kBarHeight});
   };
   box(0.0, filled, 0.02, color, 1.0f);
   box(filled, kBarLength - filled + 0.001, 0.01, kGray, 0.6f);
@@ -205,7 +188,7 @@ void DrawBar(const std::string& label,
 }
 
 /// `text` in lines of at most 48 characters.
-std::string Wrap(const std::string& text) {
+std::string InLines(const std::string& text) {
   std::string wrapped;
   size_t column = 0, begin = 0;
   while (begin < text.size()) {
@@ -258,21 +241,19 @@ void DrawPanel(const Scene& scene, const Eigen::Vector3d& middle, Drawing* drawi
                  is_good  ? kGood
                  : is_bad ? kBad
                           : kWhite);
-  drawing->Label(
-      "verdict", middle + Eigen::Vector3d(0.0, 0.0, 2.2 * kLine), 0.05, Wrap(scene.status.message));
+  drawing->Label("verdict",
+                 middle + Eigen::Vector3d(0.0, 0.0, 2.2 * kLine),
+                 0.05,
+                 InLines(scene.status.message));
   if (!scene.result) return;
-  const Calibration& result = *scene.result;
-  char text[160];
-  std::snprintf(text,
-                sizeof(text),
-                "p = [%.1f, %.1f, %.1f] mm\ntime shift = %.4f s\nellipsoid: sigma x %.0f",
-                1e3 * result.imus[0].T_MI.p.x(),
-                1e3 * result.imus[0].T_MI.p.y(),
-                1e3 * result.imus[0].T_MI.p.z(),
-                result.sessions[0].imus[0].time_shift,
-                kSigmaScale);
-  drawing->Label(
-      "verdict", middle + Eigen::Vector3d(1.4 * kBarLength, 0.0, -2.5 * kLine), 0.06, text, kImu);
+  drawing->Label("verdict",
+                 middle + Eigen::Vector3d(1.4 * kBarLength, 0.0, -2.5 * kLine),
+                 0.06,
+                 Format("p = %s mm\ntime shift = %.4f s\nellipsoid: sigma x %.0f",
+                        Vector(1e3 * scene.result->imus[0].T_MI.p, "%.1f").c_str(),
+                        scene.result->sessions[0].imus[0].time_shift,
+                        kSigmaScale),
+                 kImu);
 }
 
 }  // namespace

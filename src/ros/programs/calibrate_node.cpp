@@ -15,6 +15,7 @@
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/live/live_node.h"
+#include "imu_pose_calib/ros/live/live_settings.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
 #include "imu_pose_calib/ros/offline/offline.h"
 #include "imu_pose_calib/ros/offline/progress_lines.h"
@@ -22,16 +23,6 @@
 
 namespace imu_pose_calib {
 namespace {
-
-/// Parameter `name`, or `fallback` when it is not set. InputError when its type is wrong. Needs no
-/// NodeHandle, which would start the threads of ROS.
-template <typename T>
-T Param(const std::string& name, const T& fallback, const char* type) {
-  T value = fallback;
-  if (ros::param::has(name) && !ros::param::get(name, value))
-    throw InputError("parameter " + ros::names::resolve(name) + " must be " + type);
-  return value;
-}
 
 /// The private parameters that a command line sets, "~bag" for "_bag:=FILE". ros::init() takes them
 /// out.

@@ -1,6 +1,8 @@
 #pragma once
 
+#include <ros/names.h>
 #include <ros/node_handle.h>
+#include <ros/param.h>
 
 #include <string>
 
@@ -10,13 +12,20 @@
 
 namespace imu_pose_calib {
 
-/// Parameter `name`, or `fallback` when it is not set. InputError when its type is wrong.
+/// Parameter `name`, or `fallback` when it is not set. InputError when its type is wrong. Needs no
+/// NodeHandle, which would start the threads of ROS.
+template <typename T>
+T Param(const std::string& name, const T& fallback, const char* type) {
+  T value = fallback;
+  if (ros::param::has(name) && !ros::param::get(name, value))
+    throw InputError("parameter " + ros::names::resolve(name) + " must be " + type);
+  return value;
+}
+
+/// The same of a node's own names.
 template <typename T>
 T Param(const ros::NodeHandle& node, const std::string& name, const T& fallback, const char* type) {
-  T value = fallback;
-  if (node.hasParam(name) && !node.getParam(name, value))
-    throw InputError("parameter " + node.resolveName(name) + " must be " + type);
-  return value;
+  return Param<T>(node.resolveName(name), fallback, type);
 }
 
 /// Parameters of the live node; README.md lists them.
