@@ -4,7 +4,6 @@
 #include <cereal/archives/binary.hpp>
 #include <cereal/types/string.hpp>
 #include <cereal/types/vector.hpp>
-#include <cmath>
 #include <filesystem>
 #include <limits>
 #include <sstream>

@@ -26,14 +26,11 @@ struct Box {
 };
 
 /// The room, whose walls are seen from inside, and what stands in it.
-const std::vector<Box>& Boxes() {
-  static const std::vector<Box> kBoxes = {{{-3.0, -2.5, -1.6}, {3.4, 2.9, 1.5}},
-                                          {{1.6, -2.5, -1.6}, {2.6, -1.5, 1.5}},
-                                          {{-3.0, 1.4, -1.6}, {-1.2, 2.9, -0.6}},
-                                          {{2.2, 1.0, -0.5}, {3.4, 2.0, 0.3}},
-                                          {{-2.4, -2.2, 0.6}, {-1.6, -1.2, 1.5}}};
-  return kBoxes;
-}
+const std::vector<Box> kBoxes = {{{-3.0, -2.5, -1.6}, {3.4, 2.9, 1.5}},
+                                 {{1.6, -2.5, -1.6}, {2.6, -1.5, 1.5}},
+                                 {{-3.0, 1.4, -1.6}, {-1.2, 2.9, -0.6}},
+                                 {{2.2, 1.0, -0.5}, {3.4, 2.0, 0.3}},
+                                 {{-2.4, -2.2, 0.6}, {-1.6, -1.2, 1.5}}};
 
 /// Where a ray enters a box and where it leaves it; nothing is between when it misses.
 struct Span {
@@ -60,10 +57,9 @@ Span Through(const Box& box, const Eigen::Vector3d& origin, const Eigen::Vector3
 
 SimulatedRoom::Hit SimulatedRoom::Cast(const Eigen::Vector3d& origin_W,
                                        const Eigen::Vector3d& direction_W) {
-  const std::vector<Box>& boxes = Boxes();
-  Hit hit{Through(boxes[0], origin_W, direction_W).leave, 0};
-  for (size_t k = 1; k < boxes.size(); ++k) {
-    const Span span = Through(boxes[k], origin_W, direction_W);
+  Hit hit{Through(kBoxes[0], origin_W, direction_W).leave, 0};
+  for (size_t k = 1; k < kBoxes.size(); ++k) {
+    const Span span = Through(kBoxes[k], origin_W, direction_W);
     if (span.enter > 0.0 && span.enter < span.leave && span.enter < hit.range)
       hit = {span.enter, static_cast<int>(k)};
   }

@@ -194,15 +194,18 @@ std::vector<Task> ToTasks(const std::vector<Sequence>& sequences,
   return tasks;
 }
 
-std::string Table(const std::vector<Sequence>& sequences,
-                  const std::vector<TrialOutcome>& outcomes) {
+struct Calibrated {
+  const Sequence* sequence;
+  TrialOutcome outcome;
+};
+
+std::string Table(const std::vector<Calibrated>& calibrations) {
   std::string text =
       "| recording | verdict | p [mm] | sigma | R, rotation vector [deg] | sigma | time shift [s] "
       "| sigma | accel delay [ms] | sigma | warnings |\n"
       "|---|---|---|---|---|---|---|---|---|---|---|\n";
-  for (size_t i = 0; i < outcomes.size(); ++i) {
-    const TrialOutcome& o = outcomes[i];
-    text += "| " + sequences[i].name + " | " + o.verdict + " | ";
+  for (const auto& [sequence, o] : calibrations) {
+    text += "| " + sequence->name + " | " + o.verdict + " | ";
     if (!o.IsUsable()) {
       text += boost::replace_all_copy(o.reason, "|", "/") + " | | | | | | | | |\n";
       continue;
@@ -221,17 +224,16 @@ std::string Table(const std::vector<Sequence>& sequences,
   return text + "\n";
 }
 
-std::string Csv(const std::vector<Sequence>& sequences, const std::vector<TrialOutcome>& outcomes) {
+std::string Csv(const std::vector<Calibrated>& calibrations) {
   std::string text =
       "recording,verdict,x,y,z,x_std,y_std,z_std,qx,qy,qz,qw,rx_std,ry_std,rz_std,time_shift,"
       "time_shift_std,accel_delay,accel_delay_std,warnings,reason\n";
-  for (size_t i = 0; i < outcomes.size(); ++i) {
-    const TrialOutcome& o = outcomes[i];
+  for (const auto& [sequence, o] : calibrations) {
     Eigen::VectorXd numbers(17);
     const Vector6d std = o.covariance.diagonal().cwiseSqrt();
     numbers << o.T_MI.p, std.head<3>(), o.T_MI.q.coeffs(), std.tail<3>(), o.time_shift,
         o.time_shift_std, o.accel_delay, o.accel_delay_std;
-    text += "\"" + sequences[i].name + "\"," + o.verdict;
+    text += "\"" + sequence->name + "\"," + o.verdict;
     for (Eigen::Index k = 0; k < numbers.size(); ++k)
       text += o.IsUsable() ? "," + YamlNumber(numbers[k]) : ",";
     text += Format(",%zu,\"", o.warnings) + boost::replace_all_copy(o.reason, "\"", "'") + "\"\n";
@@ -296,24 +298,22 @@ std::string AuditRow(const std::string& name, const Comparable& found, const Rig
 }
 
 /// Tables of each group of a dataset.
-std::string DatasetTables(const std::vector<Sequence>& sequences,
-                          const std::vector<TrialOutcome>& outcomes) {
+std::string DatasetTables(const std::vector<Calibrated>& calibrations) {
   std::string text;
-  for (size_t begin = 0, end = 0; begin < sequences.size(); begin = end) {
-    while (end < sequences.size() && sequences[end].group == sequences[begin].group) ++end;
-    const auto part = [&](const auto& all) {
-      using List = std::decay_t<decltype(all)>;
-      return List(all.begin() + static_cast<std::ptrdiff_t>(begin),
-                  all.begin() + static_cast<std::ptrdiff_t>(end));
-    };
-    text += "## " + sequences[begin].group + "\n\n" + Table(part(sequences), part(outcomes));
+  for (auto begin = calibrations.begin(), end = begin; begin != calibrations.end(); begin = end) {
+    const std::string& group = begin->sequence->group;
+    end = std::find_if(begin, calibrations.end(), [&](const Calibrated& calibrated) {
+      return calibrated.sequence->group != group;
+    });
+    text += "## " + group + "\n\n" + Table({begin, end});
     std::vector<Comparable> usable;
     std::string audit;
-    for (size_t i = begin; i < end; ++i) {
-      if (!outcomes[i].IsUsable()) continue;
-      usable.push_back(outcomes[i]);
-      if (sequences[i].published_T_MI)
-        audit += AuditRow(sequences[i].name, usable.back(), *sequences[i].published_T_MI);
+    for (auto it = begin; it != end; ++it) {
+      const auto& [sequence, outcome] = *it;
+      if (!outcome.IsUsable()) continue;
+      usable.push_back(outcome);
+      if (sequence->published_T_MI)
+        audit += AuditRow(sequence->name, outcome, *sequence->published_T_MI);
     }
     if (usable.size() > 1) text += ScatterTable(usable);
     if (audit.empty()) continue;
@@ -371,21 +371,21 @@ SequencesOutcome RunSequences(const std::vector<Sequence>& sequences,
   const std::vector<Task> tasks = ToTasks(sequences, !is_dataset, runner.folder);
   RunTasks(tasks, runner);
   SequencesOutcome result;
-  std::vector<TrialOutcome> outcomes;
+  std::vector<Calibrated> calibrations;
   for (size_t i = 0; i < tasks.size(); ++i) {
     const auto text = FinishedTask(runner.folder, tasks[i]);
     if (!text) {
       ++result.missing;
       continue;
     }
-    outcomes.push_back(ParseOutcome(*text));
-    if (!outcomes.back().IsUsable()) result.failed.push_back(sequences[i].name);
+    calibrations.push_back({&sequences[i], ParseOutcome(*text)});
+    if (!calibrations.back().outcome.IsUsable()) result.failed.push_back(sequences[i].name);
   }
   if (result.missing > 0) return result;
-  result.text = "# " + title + "\n\n" +
-                (is_dataset ? DatasetTables(sequences, outcomes) : Table(sequences, outcomes));
+  result.text =
+      "# " + title + "\n\n" + (is_dataset ? DatasetTables(calibrations) : Table(calibrations));
   WriteFile(runner.folder + "/sequences.md", result.text);
-  WriteFile(runner.folder + "/sequences.csv", Csv(sequences, outcomes));
+  WriteFile(runner.folder + "/sequences.csv", Csv(calibrations));
   return result;
 }
 

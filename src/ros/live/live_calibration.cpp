@@ -1,6 +1,7 @@
 #include "imu_pose_calib/ros/live/live_calibration.h"
 
 #include <algorithm>
+#include <boost/algorithm/string/join.hpp>
 #include <cmath>
 #include <sstream>
 
@@ -79,10 +80,6 @@ std::string Text(const LargestStd& std_dev) {
 }
 
 std::string Sigmas(const Calibration& result) { return "sigma " + Text(MaxStd(result)); }
-
-void Append(const std::string& item, std::string* list) {
-  *list += (list->empty() ? "" : ", ") + item;
-}
 
 }  // namespace
 
@@ -332,37 +329,37 @@ bool LiveCalibration::IsConverged() const {
 }
 
 std::string LiveCalibration::MissingStreams() const {
-  std::string missing;
+  std::vector<std::string> missing;
   const auto check = [&](const auto& stream) {
-    if (!stream.samples.empty()) return;
-    Append(stream.name, &missing);
-    if (stream.unstamped > 0) missing += " with header stamps (all are 0)";
+    if (stream.samples.empty())
+      missing.push_back(stream.name +
+                        (stream.unstamped > 0 ? " with header stamps (all are 0)" : ""));
   };
   check(poses_);
   for (const Imu& imu : imus_) {
     check(imu.gyro);
     check(imu.accel);
   }
-  return missing;
+  return boost::join(missing, ", ");
 }
 
 std::string LiveCalibration::LostStreams(double now) const {
-  std::string lost;
+  std::vector<std::string> lost;
   const auto check = [&](const auto& stream) {
     const double silent = now - stream.arrival;
     if (silent > options_.lost_timeout)
-      Append(Text("no ", stream.name, " for ", std::round(10.0 * silent) / 10.0, " s"), &lost);
+      lost.push_back(Text("no ", stream.name, " for ", std::round(10.0 * silent) / 10.0, " s"));
   };
   check(poses_);
   if (lost.empty() && now - pose_changed_ > options_.lost_timeout)
-    lost = Text("the marker is lost: the poses repeat or are invalid for ",
-                std::round(10.0 * (now - pose_changed_)) / 10.0,
-                " s");
+    lost.push_back(Text("the marker is lost: the poses repeat or are invalid for ",
+                        std::round(10.0 * (now - pose_changed_)) / 10.0,
+                        " s"));
   for (const Imu& imu : imus_) {
     check(imu.gyro);
     check(imu.accel);
   }
-  return lost;
+  return boost::join(lost, ", ");
 }
 
 std::string LiveCalibration::Advice() const {

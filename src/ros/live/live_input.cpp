@@ -112,16 +112,16 @@ void LiveInput::OnImu(const TopicSource::Message& message,
 
 void LiveInput::OnPose(const TopicSource::Message& message) {
   const FramedPose framed = ToFramedPose(*message.getMessage());
+  const std::string world_frame = FrameName(framed.world_frame, "world");
+  const std::string marker_frame = FrameName(framed.marker_frame, "marker");
   if (world_frame_.empty()) {
-    world_frame_ = FrameName(framed.world_frame, "world");
-    marker_frame_ = FrameName(framed.marker_frame, "marker");
+    world_frame_ = world_frame;
+    marker_frame_ = marker_frame;
   }
-  if (FrameName(framed.world_frame, "world") == world_frame_ &&
-      FrameName(framed.marker_frame, "marker") == marker_frame_) {
+  if (world_frame == world_frame_ && marker_frame == marker_frame_)
     AddPose(framed.pose, message.getReceiptTime());
-  } else {
+  else
     ++foreign_poses_;
-  }
 }
 
 void LiveInput::OnTransforms(const ros::MessageEvent<const tf2_msgs::TFMessage>& event,

@@ -15,7 +15,6 @@
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/live/live_node.h"
-#include "imu_pose_calib/ros/live/live_settings.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
 #include "imu_pose_calib/ros/offline/offline.h"
 #include "imu_pose_calib/ros/offline/progress_lines.h"

@@ -2,7 +2,6 @@
 
 #include <sensor_msgs/PointCloud2.h>
 
-#include <random>
 #include <string>
 
 #include "imu_pose_calib/core/simulator.h"
