@@ -9,7 +9,6 @@
 
 #include "cloud_util.h"
 #include "imu_pose_calib/ros/clouds/cloud_map.h"
-#include "imu_pose_calib/ros/clouds/sensor_poses.h"
 #include "imu_pose_calib/ros/clouds/simulated_lidar.h"
 #include "imu_pose_calib/ros/io/bag_writer.h"
 #include "imu_pose_calib/ros/io/conversions.h"

@@ -3,7 +3,6 @@
 
 #include "imu_pose_calib/core/so3.h"
 #include "imu_pose_calib/ros/clouds/cloud_map.h"
-#include "imu_pose_calib/ros/clouds/sensor_poses.h"
 #include "imu_pose_calib/ros/clouds/simulated_lidar.h"
 #include "test_util.h"
 

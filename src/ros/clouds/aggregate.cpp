@@ -10,7 +10,6 @@
 #include <utility>
 
 #include "imu_pose_calib/ros/clouds/cloud_map.h"
-#include "imu_pose_calib/ros/clouds/sensor_poses.h"
 #include "imu_pose_calib/ros/io/bags.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
@@ -176,7 +175,8 @@ class Clouds {
 
 /// What the child hands over.
 struct Aggregate {
-  std::string topic, time_field, time_unit;
+  std::string topic;
+  PointTime time;
   double begin_s = 0.0, end_s = 0.0;   ///< stamps of the first and last cloud
   double least_s = 0.0, most_s = 0.0;  ///< from the stamp of a cloud to those of its points
   size_t clouds = 0, left_out = 0;     ///< the latter all without trajectory
@@ -188,7 +188,7 @@ struct Aggregate {
 
   template <typename Archive>
   void serialize(Archive& archive) {  // NOLINT(readability-identifier-naming): cereal's name
-    archive(topic, time_field, time_unit, begin_s, end_s, least_s, most_s, clouds, left_out);
+    archive(topic, time.field, time.unit, begin_s, end_s, least_s, most_s, clouds, left_out);
     archive(points, placed, out_of_range, has_intensity, map, uncalibrated);
     archive(share, sharpness);
   }
@@ -294,8 +294,7 @@ Aggregate AggregateApart(const AggregateRequest& request,
     const Clouds clouds(request);
     Aggregate aggregate;
     aggregate.topic = clouds.topic().name;
-    aggregate.time_field = clouds.time().field;
-    aggregate.time_unit = clouds.time().unit;
+    aggregate.time = clouds.time();
     aggregate.has_intensity = clouds.has_intensity();
     Aggregator aggregator(request, variants, clouds.Points(), &aggregate);
     clouds.ForEach([&](int64_t stamp_ns, const std::vector<CloudPoint>& points) {
@@ -342,11 +341,11 @@ std::string Describe(const AggregateRequest& request,
                                  a.points,
                                  request.cloud_clock == "poses" ? "poses" : "imu"));
   text += Wrap("times      ",
-               a.time_field.empty()
+               a.time.field.empty()
                    ? "all points of a cloud at its stamp: they tell no times of their own"
                    : Format("field '%s', in %s: %.1f to %.1f ms after the stamp",
-                            a.time_field.c_str(),
-                            a.time_unit.c_str(),
+                            a.time.field.c_str(),
+                            a.time.unit.c_str(),
                             1e3 * a.least_s,
                             1e3 * a.most_s));
   const size_t not_placed = a.points - a.placed;

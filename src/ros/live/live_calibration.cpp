@@ -319,13 +319,10 @@ void LiveCalibration::Freeze(const std::string& message) { frozen_ = message; }
 
 // --- Status ---
 
-bool LiveCalibration::IsStable() const {
-  return last_.size() == kStableSolves && Agree(options_, last_[0], last_[1]) &&
-         Agree(options_, last_[1], last_[2]) && Agree(options_, last_[0], last_[2]);
-}
-
 bool LiveCalibration::IsConverged() const {
-  return result_ && Score(options_, *result_) <= 1.0 && IsStable();
+  return result_ && Score(options_, *result_) <= 1.0 && last_.size() == kStableSolves &&
+         Agree(options_, last_[0], last_[1]) && Agree(options_, last_[1], last_[2]) &&
+         Agree(options_, last_[0], last_[2]);
 }
 
 std::string LiveCalibration::MissingStreams() const {

@@ -8,9 +8,8 @@
 namespace imu_pose_calib {
 namespace {
 
-LiveSolver::Verdict Forgotten() {
-  return {false, "the data were forgotten during the solve: call again"};
-}
+const LiveSolver::Verdict kForgotten = {false,
+                                        "the data were forgotten during the solve: call again"};
 
 }  // namespace
 
@@ -55,7 +54,7 @@ LiveSolver::Verdict LiveSolver::Calibrate() {
   const size_t awaited = started_;
   changed_.wait(lock, [&] { return ended_ >= awaited; });
   // Another may have ended since.
-  return awaited <= forgotten_ ? Forgotten() : verdict_;
+  return awaited <= forgotten_ ? kForgotten : verdict_;
 }
 
 void LiveSolver::Run() {
@@ -79,7 +78,7 @@ void LiveSolver::Run() {
     last_solve_time_ = SecondsSinceStart();
     if (IsStale()) {
       forgotten_ = ended_;
-      verdict_ = Forgotten();
+      verdict_ = kForgotten;
       live_->FailSolve("");
     } else if (result) {
       verdict_ = {result->IsUsable(),

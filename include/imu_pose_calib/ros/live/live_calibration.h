@@ -144,7 +144,6 @@ class LiveCalibration {
   void ExtendPath(const PoseSample& pose);
   Excitation Excited() const;
 
-  bool IsStable() const;
   bool IsConverged() const;
   std::string MissingStreams() const;
   std::string LostStreams(double now) const;
