@@ -6,12 +6,11 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <sstream>
 
 #include "imu_pose_calib/core/so3.h"
 #include "imu_pose_calib/ros/clouds/point_cloud.h"
+#include "imu_pose_calib/ros/exports/export_text.h"
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/io/result_yaml.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -133,17 +132,8 @@ void AppendLidar(const std::string& path, const SimulatorOptions& options) {
 
 std::string LidarYaml() {
   const Rigid3 T_IL = SimulatedLidar::T_IL();
-  std::ostringstream text;
-  const auto list = [&](const char* key, const auto& values) {
-    text << key << ": [";
-    for (Eigen::Index i = 0; i < values.size(); ++i)
-      text << (i == 0 ? "" : ", ") << YamlNumber(values[i]);
-    text << "]\n";
-  };
-  text << "# T_imu_lidar: x_imu = R x_lidar + p\n";
-  list("rotation", T_IL.q.coeffs());
-  list("translation", T_IL.p);
-  return text.str();
+  return "# T_imu_lidar: x_imu = R x_lidar + p\nrotation: " + List(T_IL.q.coeffs()) +
+         "\ntranslation: " + List(T_IL.p) + "\n";
 }
 
 }  // namespace imu_pose_calib

@@ -58,74 +58,68 @@ constexpr Shown kShown[] = {{"rotation [deg]", &ErrorNorms::rotation, kDegrees, 
                             {"time shift [ms]", &ErrorNorms::time_shift, 1e3, nullptr},
                             {"accel delay [ms]", &ErrorNorms::accel_delay, 1e3, nullptr}};
 
-/// Names of the axes of an experiment, for the first columns.
-Row AxisNames(const Results& results) {
-  Row names;
-  for (const Axis& axis : results.experiment->axes) names.push_back(axis.name);
-  return names;
+/// What follows the labels of a cell in a row of a table: names of the columns and texts.
+using Columns = std::vector<std::pair<std::string, std::string>>;
+
+/// A table with a row for each cell, made by `columns(number of the cell, gp, joint)`.
+template <typename MakeColumns>
+std::string CellTable(const Results& results, MakeColumns columns) {
+  Row header;
+  for (const Axis& axis : results.experiment->axes) header.push_back(axis.name);
+  std::vector<Row> rows;
+  for (size_t c = 0; c < results.cells.size(); ++c) {
+    const auto& [labels, gp, joint] = results.cells[c];
+    rows.push_back(labels);
+    for (const auto& [name, text] : columns(c, Summarize(gp), Summarize(joint))) {
+      if (c == 0) header.push_back(name);
+      rows.back().push_back(text);
+    }
+  }
+  return MarkdownTable(header, rows);
 }
 
 /// A table of two quantities: errors of both methods, beside what they are measured by.
 std::string ErrorTable(const Results& results, const Shown& first, const Shown& second) {
   const std::vector<Printed>& printed = results.experiment->printed;
-  const bool has_bound = results.base == Base::kSimulation;
-  const auto is_printed = [&](const Shown& shown) {
-    return shown.printed != nullptr && !printed.empty();
-  };
-  Row header = AxisNames(results);
-  for (const Shown& shown : {first, second}) {
-    Row names = {"gp", "joint", has_bound ? "bound" : "sigma of joint"};
-    if (is_printed(shown)) names.insert(names.begin(), "paper");
-    if (has_bound) names.emplace_back("joint / bound");
-    names[0] = shown.name + (": " + names[0]);
-    header.insert(header.end(), names.begin(), names.end());
-  }
-  std::vector<Row> rows;
-  for (size_t c = 0; c < results.cells.size(); ++c) {
-    const auto& [labels, gp_outcomes, joint_outcomes] = results.cells[c];
-    const CellSummary gp = Summarize(gp_outcomes), joint = Summarize(joint_outcomes);
-    Row row = labels;
+  return CellTable(results, [&](size_t c, const CellSummary& gp, const CellSummary& joint) {
+    Columns all;
     for (const Shown& shown : {first, second}) {
-      if (is_printed(shown)) row.push_back(Format("%g", printed[c].*shown.printed));
-      for (const ErrorNorms& norms : {gp.error, joint.error, has_bound ? joint.bound : joint.sigma})
-        row.push_back(Number(norms.*shown.norm * shown.factor));
-      if (has_bound) row.push_back(Ratio(joint.error.*shown.norm, joint.bound.*shown.norm));
+      const auto number = [&](const ErrorNorms& norms) {
+        return Number(norms.*shown.norm * shown.factor);
+      };
+      Columns own = {{"gp", number(gp.error)}, {"joint", number(joint.error)}};
+      if (shown.printed != nullptr && !printed.empty())
+        own.insert(own.begin(), {"paper", Format("%g", printed[c].*shown.printed)});
+      if (results.base == Base::kSimulation) {
+        own.emplace_back("bound", number(joint.bound));
+        own.emplace_back("joint / bound", Ratio(joint.error.*shown.norm, joint.bound.*shown.norm));
+      } else {
+        own.emplace_back("sigma of joint", number(joint.sigma));
+      }
+      own[0].first = shown.name + (": " + own[0].first);
+      all.insert(all.end(), own.begin(), own.end());
     }
-    rows.push_back(row);
-  }
-  return MarkdownTable(header, rows);
+    return all;
+  });
 }
 
 std::string Share(size_t count, size_t of) { return Format("%zu/%zu", count, of); }
 
 /// How many were right, and how honest the sigmas are.
 std::string CountTable(const Results& results) {
-  Row header = AxisNames(results);
-  header.insert(header.end(),
-                {"gp: usable", "joint: usable", "gp: within bounds", "joint: within bounds"});
-  const bool has_chi2 = results.base == Base::kSimulation;
-  if (has_chi2)
-    header.insert(header.end(), {"gp: chi²/dof", "joint: chi²/dof", "joint: of the model", "band"});
-  std::vector<Row> rows;
-  for (const auto& [labels, gp_outcomes, joint_outcomes] : results.cells) {
-    const CellSummary gp = Summarize(gp_outcomes), joint = Summarize(joint_outcomes);
-    Row row = labels;
-    row.insert(row.end(),
-               {Share(gp.usable, gp.trials),
-                Share(joint.usable, joint.trials),
-                Share(gp.successes, gp.trials),
-                Share(joint.successes, joint.trials)});
-    if (has_chi2) {
-      const auto [low, high] = ChiSquareBand(kDof * static_cast<double>(joint.usable));
-      row.insert(row.end(),
-                 {Number(gp.chi2),
-                  Number(joint.chi2),
-                  Number(joint.model_chi2),
-                  joint.usable == 0 ? "" : Format("%.2f-%.2f", low, high)});
-    }
-    rows.push_back(row);
-  }
-  return MarkdownTable(header, rows);
+  return CellTable(results, [&](size_t, const CellSummary& gp, const CellSummary& joint) {
+    Columns columns = {{"gp: usable", Share(gp.usable, gp.trials)},
+                       {"joint: usable", Share(joint.usable, joint.trials)},
+                       {"gp: within bounds", Share(gp.successes, gp.trials)},
+                       {"joint: within bounds", Share(joint.successes, joint.trials)}};
+    if (results.base != Base::kSimulation) return columns;
+    const auto [low, high] = ChiSquareBand(kDof * static_cast<double>(joint.usable));
+    columns.emplace_back("gp: chi²/dof", Number(gp.chi2));
+    columns.emplace_back("joint: chi²/dof", Number(joint.chi2));
+    columns.emplace_back("joint: of the model", Number(joint.model_chi2));
+    columns.emplace_back("band", joint.usable == 0 ? "" : Format("%.2f-%.2f", low, high));
+    return columns;
+  });
 }
 
 /// Why trials were not usable, each reason once.
