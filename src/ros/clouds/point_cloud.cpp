@@ -302,7 +302,7 @@ PointCloud2 NewCloud(const std::string& frame,
 PointCloud2 ToMessage(const std::vector<MapPoint>& points, const std::string& frame) {
   static_assert(sizeof(MapPoint) == 4 * sizeof(float));
   PointCloud2 message = NewCloud(frame, {"x", "y", "z", "intensity"}, points.size());
-  std::memcpy(message.data.data(), points.data(), message.data.size());
+  if (!points.empty()) std::memcpy(message.data.data(), points.data(), message.data.size());
   return message;
 }
 
