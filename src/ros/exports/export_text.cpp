@@ -44,9 +44,6 @@ Lines Clocks(const StoredResult& stored) {
 
 }  // namespace
 
-const char kNoiseRemark[] =
-    "noise: density = sigma per sample / sqrt(rate), from the residuals; walks: of the options";
-
 Lines Head(const StoredResult& stored, const std::string& what, bool all_imus, const Lines& more) {
   const ImuInfo& imu = stored.Info(0);
   Lines lines = {
@@ -137,6 +134,8 @@ std::string Block(const Eigen::MatrixXd& matrix, const std::string& indent) {
     text += (i == 0 ? "" : ",\n" + indent) + Numbers(matrix.row(i));
   return text + "]";
 }
+
+Vector7d PoseNumbers(const Rigid3& T) { return (Vector7d() << T.p, T.q.coeffs()).finished(); }
 
 int64_t Nanoseconds(double seconds) {
   const double whole = std::floor(seconds);

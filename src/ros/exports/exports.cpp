@@ -8,7 +8,7 @@
 #include <sstream>
 #include <system_error>
 
-#include "imu_pose_calib/ros/exports/exporters.h"
+#include "imu_pose_calib/ros/exports/export_text.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 
 namespace imu_pose_calib {
@@ -16,7 +16,7 @@ namespace {
 
 struct NamedExporter {
   const char* name;
-  Exporter exporter;
+  Exporter* exporter;
 };
 
 constexpr NamedExporter kExporters[] = {

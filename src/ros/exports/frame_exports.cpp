@@ -3,7 +3,6 @@
 #include <cmath>
 
 #include "imu_pose_calib/ros/exports/export_text.h"
-#include "imu_pose_calib/ros/exports/exporters.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 
 namespace imu_pose_calib {
@@ -21,8 +20,26 @@ Eigen::Vector3d RollPitchYaw(const Eigen::Quaterniond& q) {
 }
 
 /// "1.0 2.0 3.0"
-std::string Spaced(const Eigen::Vector3d& values) {
-  return YamlNumber(values.x()) + " " + YamlNumber(values.y()) + " " + YamlNumber(values.z());
+std::string Spaced(const Eigen::VectorXd& values) {
+  std::string text;
+  for (Eigen::Index i = 0; i < values.size(); ++i)
+    text += (i == 0 ? "" : " ") + YamlNumber(values[i]);
+  return text;
+}
+
+/// Nodes that publish the transforms. `executable`: the key that names what they run; `arguments`
+/// gives those of a transform.
+template <typename Arguments>
+std::string PublishersText(const Lines& head,
+                           const std::vector<StaticTransform>& transforms,
+                           const std::string& executable,
+                           Arguments arguments) {
+  std::string text = XmlComment(head) + "<launch>\n";
+  for (size_t i = 0; i < transforms.size(); ++i)
+    text += "  <node pkg=\"tf2_ros\" " + executable +
+            "=\"static_transform_publisher\" name=\"calibrated_tf" + std::to_string(i) +
+            "\"\n        args=\"" + arguments(transforms[i]) + "\"/>\n";
+  return text + "</launch>\n";
 }
 
 Lines FrameRemarks(const char* what) {
@@ -46,38 +63,10 @@ std::string UrdfText(const Lines& head, const std::vector<StaticTransform>& tran
 }
 
 std::string LaunchText(const Lines& head, const std::vector<StaticTransform>& transforms) {
-  std::string text = XmlComment(head) + "<launch>\n";
-  for (size_t i = 0; i < transforms.size(); ++i) {
-    const Rigid3& T = transforms[i].T;
-    text += "  <node pkg=\"tf2_ros\" type=\"static_transform_publisher\" name=\"calibrated_tf" +
-            std::to_string(i) + "\"\n        args=\"" + Spaced(T.p) + " " + Spaced(T.q.vec()) +
-            " " + YamlNumber(T.q.w()) + " " + XmlText(transforms[i].parent) + " " +
-            XmlText(transforms[i].child) + "\"/>\n";
-  }
-  return text + "</launch>\n";
-}
-
-std::string Ros2LaunchText(const Lines& head, const std::vector<StaticTransform>& transforms) {
-  std::string text = XmlComment(head) + "<launch>\n";
-  for (size_t i = 0; i < transforms.size(); ++i) {
-    const Rigid3& T = transforms[i].T;
-    std::string arguments;
-    const auto add = [&arguments](const char* name, const std::string& value) {
-      arguments += (arguments.empty() ? "--" : " --") + std::string(name) + " " + value;
-    };
-    add("x", YamlNumber(T.p.x()));
-    add("y", YamlNumber(T.p.y()));
-    add("z", YamlNumber(T.p.z()));
-    add("qx", YamlNumber(T.q.x()));
-    add("qy", YamlNumber(T.q.y()));
-    add("qz", YamlNumber(T.q.z()));
-    add("qw", YamlNumber(T.q.w()));
-    add("frame-id", XmlText(transforms[i].parent));
-    add("child-frame-id", XmlText(transforms[i].child));
-    text += "  <node pkg=\"tf2_ros\" exec=\"static_transform_publisher\" name=\"calibrated_tf" +
-            std::to_string(i) + "\"\n        args=\"" + arguments + "\"/>\n";
-  }
-  return text + "</launch>\n";
+  return PublishersText(head, transforms, "type", [](const StaticTransform& transform) {
+    return Spaced(PoseNumbers(transform.T)) + " " + XmlText(transform.parent) + " " +
+           XmlText(transform.child);
+  });
 }
 
 std::vector<StaticTransform> ImuTransforms(const StoredResult& stored) {
@@ -103,8 +92,17 @@ std::vector<ExportFile> ExportTf(const StoredResult& stored, const ExportOptions
 std::vector<ExportFile> ExportRos2(const StoredResult& stored, const ExportOptions&) {
   const Lines more =
       FrameRemarks("args: x_frame = T x_child_frame: T_marker_imu. ros2 launch THIS_FILE");
+  const auto arguments = [](const StaticTransform& transform) {
+    const Vector7d numbers = PoseNumbers(transform.T);
+    std::string text;
+    for (Eigen::Index i = 0; i < numbers.size(); ++i)
+      text += std::string("--") + kPoseKeys[i] + " " + YamlNumber(numbers[i]) + " ";
+    return text + "--frame-id " + XmlText(transform.parent) + " --child-frame-id " +
+           XmlText(transform.child);
+  };
   return {{"ros2.launch.xml",
-           Ros2LaunchText(Head(stored, "ROS 2 tf", true, more), ImuTransforms(stored))}};
+           PublishersText(
+               Head(stored, "ROS 2 tf", true, more), ImuTransforms(stored), "exec", arguments)}};
 }
 
 }  // namespace imu_pose_calib

@@ -3,7 +3,6 @@
 #include <cmath>
 
 #include "imu_pose_calib/ros/exports/export_text.h"
-#include "imu_pose_calib/ros/exports/exporters.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 
 namespace imu_pose_calib {
@@ -194,13 +193,10 @@ std::vector<ExportFile> ExportPx4(const StoredResult& stored, const ExportOption
 }
 
 std::vector<ExportFile> ExportEvo(const StoredResult& stored, const ExportOptions&) {
-  const Rigid3& T_MI = stored.result.imus[0].T_MI;
-  Eigen::Matrix<double, 7, 1> values;
-  values << T_MI.p, T_MI.q.coeffs();
-  const char* const keys[] = {"x", "y", "z", "qx", "qy", "qz", "qw"};
+  const Vector7d numbers = PoseNumbers(stored.result.imus[0].T_MI);
   std::string text = "{\n";
-  for (Eigen::Index i = 0; i < 7; ++i)
-    text += "  " + Quoted(keys[i]) + ": " + YamlNumber(values[i]) + ",\n";
+  for (Eigen::Index i = 0; i < numbers.size(); ++i)
+    text += "  " + Quoted(kPoseKeys[i]) + ": " + YamlNumber(numbers[i]) + ",\n";
   const std::string offset = YamlNumber(-stored.Clock(0).time_shift);
   const Lines more = {"Poses of the marker become poses of the imu, on the imu's clock:",
                       "evo_traj tum markers.txt --transform_right THIS_FILE --t_offset " + offset,

@@ -3,7 +3,6 @@
 #include <cmath>
 
 #include "imu_pose_calib/ros/exports/export_text.h"
-#include "imu_pose_calib/ros/exports/exporters.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 
 namespace imu_pose_calib {
@@ -99,12 +98,11 @@ ExportFile KalibrInput(const StoredResult& stored, size_t imu) {
 // --- basalt ---
 
 std::string JsonPose(const Rigid3& T) {
-  const char* const keys[] = {"px", "py", "pz", "qx", "qy", "qz", "qw"};
-  Eigen::Matrix<double, 7, 1> values;
-  values << T.p, T.q.coeffs();
+  const Vector7d numbers = PoseNumbers(T);
   std::string text;
-  for (Eigen::Index i = 0; i < 7; ++i)
-    text += (i == 0 ? "{" : ", ") + Quoted(keys[i]) + ": " + YamlNumber(values[i]);
+  for (Eigen::Index i = 0; i < numbers.size(); ++i)
+    text += (i == 0 ? "{" : ", ") + Quoted((i < 3 ? "p" : "") + std::string(kPoseKeys[i])) + ": " +
+            YamlNumber(numbers[i]);
   return text + "}";
 }
 

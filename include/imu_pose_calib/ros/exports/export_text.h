@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/ros/io/stored_result.h"
+#include "imu_pose_calib/ros/exports/exports.h"
 
 namespace imu_pose_calib {
 
@@ -38,6 +38,11 @@ std::string Rows(const Eigen::MatrixXd& matrix, const std::string& indent);
 /// "[1.0, 2.0,\n" and so on, one line for each row after the first, which follow `indent`.
 std::string Block(const Eigen::MatrixXd& matrix, const std::string& indent);
 
+/// A transform as seven numbers, and how many programs call them.
+using Vector7d = Eigen::Matrix<double, 7, 1>;
+Vector7d PoseNumbers(const Rigid3& T);
+constexpr const char* kPoseKeys[] = {"x", "y", "z", "qx", "qy", "qz", "qw"};
+
 /// The whole number of nanoseconds nearest to `seconds`.
 int64_t Nanoseconds(double seconds);
 
@@ -56,7 +61,8 @@ NoiseDensity Noise(const StoredResult& stored, size_t imu);
 std::string NoiseKeys(const NoiseDensity& noise, const std::string& indent);
 
 /// What Noise() is, for comments.
-extern const char kNoiseRemark[];
+constexpr char kNoiseRemark[] =
+    "noise: density = sigma per sample / sqrt(rate), from the residuals; walks: of the options";
 
 /// A matrix as L Q, lower triangle with a positive diagonal times rotation.
 struct LowerTimesRotation {
@@ -80,12 +86,18 @@ struct StaticTransform {
   Rigid3 T;
 };
 
-/// The body as a robot description, a launch file of ROS 1, and one of ROS 2.
+/// The body as a robot description, and as a launch file of ROS 1.
 std::string UrdfText(const Lines& head, const std::vector<StaticTransform>& transforms);
 std::string LaunchText(const Lines& head, const std::vector<StaticTransform>& transforms);
-std::string Ros2LaunchText(const Lines& head, const std::vector<StaticTransform>& transforms);
 
 /// marker -> imu of every IMU.
 std::vector<StaticTransform> ImuTransforms(const StoredResult& stored);
+
+/// Gives the files of one program, which state what their keys mean.
+using Exporter = std::vector<ExportFile>(const StoredResult& stored, const ExportOptions& options);
+
+Exporter ExportKalibr, ExportOpenVins, ExportVins, ExportOrbSlam3, ExportKimera, ExportBasalt;
+Exporter ExportEuroc, ExportVicon2Gt, ExportMocap2Gt, ExportLioSam, ExportFastLio, ExportPx4;
+Exporter ExportEvo, ExportUrdf, ExportTf, ExportRos2;
 
 }  // namespace imu_pose_calib
