@@ -1,4 +1,4 @@
-"""What the figures of report.py are made with: the series of report_data.h, axes, colours."""
+"""What the figures of report.py are made with: the series of report.h, axes, colours."""
 
 import html
 import io

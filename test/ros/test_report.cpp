@@ -10,7 +10,7 @@
 #include "imu_pose_calib/ros/io/bag_writer.h"
 #include "imu_pose_calib/ros/io/numpy_table.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
-#include "imu_pose_calib/ros/offline/report_data.h"
+#include "imu_pose_calib/ros/offline/report.h"
 #include "imu_pose_calib/ros/offline/summary.h"
 #include "run_executable.h"
 

@@ -1,12 +1,12 @@
 #include "imu_pose_calib/ros/offline/ground_truth.h"
 
 #include <algorithm>
-#include <cstdio>
 #include <filesystem>
 #include <memory>
 
 #include "imu_pose_calib/core/imu_track.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -52,24 +52,13 @@ std::string Describe(const TrajectoryCount& count, const std::vector<TrackGap>& 
       left_out += gap.end - gap.begin;
     }
   }
-  char more[120];
-  if (carried > 0) {
-    std::snprintf(more,
-                  sizeof(more),
-                  ", %zu of them by the imu alone in %s of up to %.2f s",
-                  count.carried,
-                  Gaps(carried).c_str(),
-                  longest);
-    text += more;
-  }
-  if (gaps.size() > carried) {
-    std::snprintf(more,
-                  sizeof(more),
-                  ", %s left out (%.1f s)",
-                  Gaps(gaps.size() - carried).c_str(),
-                  left_out);
-    text += more;
-  }
+  if (carried > 0)
+    text += Format(", %zu of them by the imu alone in %s of up to %.2f s",
+                   count.carried,
+                   Gaps(carried).c_str(),
+                   longest);
+  if (gaps.size() > carried)
+    text += Format(", %s left out (%.1f s)", Gaps(gaps.size() - carried).c_str(), left_out);
   return text;
 }
 

@@ -1,19 +1,145 @@
 #include "imu_pose_calib/ros/offline/report.h"
 
+#include <yaml-cpp/yaml.h>
+
+#include <cstdint>
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
+#include <optional>
 #include <sstream>
 
+#include "imu_pose_calib/core/preparation.h"
+#include "imu_pose_calib/core/stamp_recovery.h"
 #include "imu_pose_calib/ros/io/child_process.h"
+#include "imu_pose_calib/ros/io/printable.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/io/ros_options.h"
+#include "imu_pose_calib/ros/offline/report_series.h"
+#include "imu_pose_calib/ros/offline/summary.h"
+#include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
 
 const char kReportHeader[] = "<!DOCTYPE html><!-- imu_pose_calib: report of a calibration -->";
 
 namespace {
+
+// --- The numbers ---
+
+YAML::Node Describe(const char* role,
+                    size_t imu,
+                    const std::string& topic,
+                    const StreamCheck& check,
+                    const StreamReport& report,
+                    const std::optional<Latency>& latency) {
+  YAML::Node node;
+  node["role"] = role;
+  node["imu"] = imu;
+  node["topic"] = topic;
+  node["count"] = check.count;
+  node["used"] = report.used;
+  node["rate_hz"] = YamlValue(check.rate_hz);
+  node["jitter_s"] = YamlValue(check.jitter_s);
+  node["longest_gap_s"] = YamlValue(check.longest_gap_s);
+  node["missing"] = YamlValue(check.missing);
+  node["repeated"] = YamlValue(check.repeated);
+  node["bunched"] = YamlValue(check.bunched);
+  node["recovered"] = check.stamps.recovered;
+  const std::string dropped = Dropped(report);
+  node["dropped"] = dropped.empty() ? "" : dropped.substr(std::string("; dropped ").size());
+  if (latency) node["latency"] = YamlList(Eigen::Vector2d(latency->median_s, latency->spread_s));
+  return node;
+}
+
+/// Recorded signals on their own clocks, for data that were not solved.
+void WriteRecorded(const CalibrationOptions& options,
+                   const SessionData& session,
+                   const std::string& prefix) {
+  const auto since_first = [](const auto& samples) {
+    return [first = samples.empty() ? 0 : samples.front().t_ns](int64_t t_ns) {
+      return 1e-9 * static_cast<double>(t_ns - first);
+    };
+  };
+  NumpyTable<float> poses(7);
+  for (const PoseSample& sample : session.poses) {
+    const PoseSample pose = ToMarkerPose(options, sample);
+    poses.AddRow(pose.p_WM, pose.q_WM.coeffs());
+  }
+  poses.Write(prefix + "_poses.npy");
+  WriteTimes(prefix + "_poses_stamps.npy", session.poses, since_first(session.poses));
+  for (size_t i = 0; i < session.imus.size(); ++i) {
+    const auto write = [&](const char* sensor, const std::vector<ImuSample>& samples, double unit) {
+      const std::string file = prefix + "_i" + std::to_string(i) + "_" + sensor;
+      WriteTimes(file + "_stamps.npy", samples, since_first(samples));
+      WriteValues(file + ".npy", samples, unit);
+    };
+    write("gyro", session.imus[i].gyro, options.gyro_unit);
+    write("accel", session.imus[i].accel, options.accel_unit);
+  }
+}
+
+YAML::Node Streams(const DataCheck& check, const RecordingInfo& info) {
+  YAML::Node streams(YAML::NodeType::Sequence);
+  streams.push_back(
+      Describe("poses", 0, info.pose_topic, check.poses, check.poses_report, info.pose_latency));
+  for (size_t i = 0; i < check.imus.size(); ++i) {
+    const ImuCheck& imu = check.imus[i];
+    if (imu.gyro.count == 0) continue;
+    const ImuInfo& source = info.imus[i];
+    streams.push_back(
+        Describe("gyro", i, source.GyroSource(), imu.gyro, imu.gyro_report, source.gyro_latency));
+    streams.push_back(Describe(
+        "accel", i, source.AccelSource(), imu.accel, imu.accel_report, source.accel_latency));
+  }
+  return streams;
+}
+
+/// The check of a session that was solved: its streams as recorded, and what the solve used.
+DataCheck CheckSolved(const CalibrationOptions& options,
+                      const SessionData& recorded,
+                      const SessionCalibration& solved) {
+  SessionData session = recorded;
+  const SessionStamps stamps = RecoverStamps(options.recover_stamps, &session);
+  DataCheck check = CheckStreams(recorded, session, stamps);
+  check.poses_report = solved.poses;
+  for (size_t i = 0; i < solved.imus.size(); ++i) {
+    check.imus[i].gyro_report = solved.imus[i].gyro;
+    check.imus[i].accel_report = solved.imus[i].accel;
+  }
+  return check;
+}
+
+YAML::Node WriteSession(const ReportInput& input, size_t s, const std::string& folder) {
+  const SessionData& recorded = input.sessions[s];
+  const RecordingInfo info = WithPrintableNames(input.infos[s]);
+  const std::string prefix = folder + "/s" + std::to_string(s);
+  const bool is_solved = input.result.solution != nullptr;
+  const DataCheck check = is_solved ? CheckSolved(input.options, recorded, input.result.sessions[s])
+                                    : CheckData(input.options, recorded);
+  YAML::Node node;
+  node["source"] = info.Source();
+  node["marker_frame"] = info.marker_frame;
+  node["streams"] = Streams(check, info);
+  node["imus"] = YAML::Node(YAML::NodeType::Sequence);
+  for (size_t i = 0; i < recorded.imus.size(); ++i)
+    if (!recorded.imus[i].IsEmpty()) node["imus"].push_back(i);
+  if (!is_solved) {
+    node["message"] = Printable(check.message);
+    for (const std::string& warning : check.warnings) node["warnings"].push_back(warning);
+    if (!check.turns_M.isZero(0.0)) {
+      node["excitation"]["turns"] = YamlList(check.turns_M);
+      node["excitation"]["moves"] = YamlList(check.moves_W);
+    }
+    WriteRecorded(input.options, recorded, prefix);
+  } else {
+    WriteSolvedSession(input, s, prefix, &node);
+  }
+  return node;
+}
+
+// --- The drawing ---
 
 /// A folder of its own, removed in the end.
 class TemporaryFolder {
@@ -31,8 +157,7 @@ class TemporaryFolder {
     std::filesystem::remove_all(path_, ignored);
   }
 
-  std::string File(const std::string& name) const { return path_ / name; }
-  std::string path() const { return path_; }
+  const std::filesystem::path& path() const { return path_; }
 
  private:
   std::filesystem::path path_;
@@ -54,6 +179,25 @@ std::string LastLine(const std::string& path) {
 
 }  // namespace
 
+void WriteReportData(const ReportInput& input, const std::string& folder) {
+  YAML::Node report;
+  report["version"] = kVersion;
+  const bool is_solved = input.result.solution != nullptr;
+  report["status"] = input.refusal.empty() ? ToString(input.result.status) : "refused";
+  report["message"] = Printable(input.refusal.empty() ? input.result.message : input.refusal);
+  report["solved"] = is_solved;
+  report["options"] = YAML::Load(ToYaml(input.options));
+  report["sessions"] = YAML::Node(YAML::NodeType::Sequence);
+  for (size_t s = 0; s < input.sessions.size(); ++s)
+    report["sessions"].push_back(WriteSession(input, s, folder));
+  YAML::Emitter out;
+  out << report;
+  WriteFile(folder + "/report.yaml", out.c_str());
+  if (!is_solved) return;
+  WriteFile(folder + "/result.yaml", ToYaml(input.result, input.infos, input.options));
+  WriteFile(folder + "/summary.txt", Summary(input.result, input.infos));
+}
+
 void WriteReport(const ReportInput& input, const std::string& path) {
   const std::filesystem::path script =
       std::filesystem::read_symlink("/proc/self/exe").parent_path() / "report.py";
@@ -62,8 +206,8 @@ void WriteReport(const ReportInput& input, const std::string& path) {
   const TemporaryFolder folder;
   WriteReportData(input, folder.path());
   const bool is_pdf = std::filesystem::path(path).extension() == ".pdf";
-  const std::string drawn = folder.File(is_pdf ? "drawn.pdf" : "drawn.html");
-  const std::string errors = folder.File("errors.txt");
+  const std::string drawn = folder.path() / (is_pdf ? "drawn.pdf" : "drawn.html");
+  const std::string errors = folder.path() / "errors.txt";
   if (RunProgram({script, folder.path(), drawn}, errors) != EXIT_SUCCESS)
     throw InputError("report '" + path + "' cannot be drawn: " + LastLine(errors));
   WriteFile(path, (is_pdf ? "" : kReportHeader + std::string("\n")) + ReadAll(drawn));

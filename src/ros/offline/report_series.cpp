@@ -5,13 +5,13 @@
 #include <cstdint>
 #include <limits>
 #include <optional>
+#include <utility>
 
 #include "imu_pose_calib/core/information_growth.h"
 #include "imu_pose_calib/core/intrinsics.h"
 #include "imu_pose_calib/core/median.h"
 #include "imu_pose_calib/core/so3.h"
 #include "imu_pose_calib/core/trajectory.h"
-#include "imu_pose_calib/ros/io/numpy_table.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 
 namespace imu_pose_calib {
@@ -24,23 +24,13 @@ constexpr double kZoom = 1.0;            // [s]
 constexpr double kZoomStep = 0.002;      // [s] of what is predicted
 constexpr double kCurvatureStep = 2e-3;  // [s]
 
-Eigen::Vector3d Nothing() {
-  return Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN());
+template <int size>
+Eigen::Matrix<double, size, 1> Nothing() {
+  return Eigen::Matrix<double, size, 1>::Constant(std::numeric_limits<double>::quiet_NaN());
 }
 
-const char* Name(Quantity quantity) {
-  switch (quantity) {
-    case Quantity::kPosition:
-      return "position";
-    case Quantity::kRotation:
-      return "rotation";
-    case Quantity::kGyro:
-      return "gyro";
-    case Quantity::kAccel:
-      break;
-  }
-  return "accel";
-}
+// In the order of Quantity.
+constexpr const char* kNames[] = {"position", "rotation", "gyro", "accel"};
 
 /// The series of one session that was solved.
 class SolvedSession {
@@ -59,12 +49,9 @@ class SolvedSession {
     return PoseEpoch() - std::llround(1e9 * apart);
   }
   double PoseTime(int64_t t_ns) const { return 1e-9 * static_cast<double>(t_ns - PoseEpoch()); }
-  double GyroTime(size_t imu, int64_t t_ns) const {
-    return estimate_.imus[imu].PoseTime(1e-9 * static_cast<double>(t_ns - ImuEpoch(imu)));
-  }
-  double AccelTime(size_t imu, int64_t t_ns) const {
-    return estimate_.imus[imu].PoseTime(1e-9 * static_cast<double>(t_ns - ImuEpoch(imu)) -
-                                        solution_.estimate.imus[imu].accel_delay);
+  /// `delay`: 0 for the gyroscope, accel_delay for the accelerometer.
+  double ImuSampleTime(size_t imu, double delay, int64_t t_ns) const {
+    return estimate_.imus[imu].PoseTime(1e-9 * static_cast<double>(t_ns - ImuEpoch(imu)) - delay);
   }
 
   /// Residuals of the sensors of the session, and what is said of them.
@@ -73,7 +60,7 @@ class SolvedSession {
     for (size_t k = 0; k < solution_.residuals.size(); ++k) {
       const SensorResiduals& found = solution_.residuals[k];
       if (found.session != s_) continue;
-      const std::string quantity = Name(found.quantity);
+      const std::string quantity = kNames[static_cast<size_t>(found.quantity)];
       const bool is_of_imu =
           found.quantity == Quantity::kGyro || found.quantity == Quantity::kAccel;
       const std::string file =
@@ -98,35 +85,6 @@ class SolvedSession {
     return sensors;
   }
 
-  /// What sensors at the estimate would measure; nothing in gaps.
-  struct Prediction {
-    Eigen::Vector3d gyro, accel;
-  };
-  std::optional<Prediction> Predict(size_t imu, double t) const {
-    const auto state = trajectory_.Marker(t);
-    const auto f = SpecificForceAt(imu, t);
-    if (!state || !f) return std::nullopt;
-    const ImuEstimate& rig = solution_.estimate.imus[imu];
-    const ImuSessionEstimate& own = estimate_.imus[imu];
-    Prediction predicted;
-    predicted.gyro = GyroMatrix(rig.gyro_intrinsics) * (rig.q_MI.conjugate() * state->omega_B) +
-                     Bias(own.gyro_bias, own.ImuTime(t));
-    // The mean over the time that the accelerometer averages longer than the gyroscope.
-    const auto before = SpecificForceAt(imu, t - kCurvatureStep);
-    const auto after = SpecificForceAt(imu, t + kCurvatureStep);
-    Eigen::Vector3d mean = *f;
-    if (before && after)
-      mean +=
-          0.5 * rig.accel_smoothing / std::pow(kCurvatureStep, 2) * (*before - 2.0 * *f + *after);
-    const Eigen::Matrix3d R_IM = rig.q_MI.conjugate().toRotationMatrix(), W = Hat(state->omega_B);
-    const Eigen::Matrix3d K = Hat(state->alpha_B) + W * W;
-    const Eigen::Matrix3d arms = R_IM.transpose() * AccelPositions(rig.accel_positions);
-    const Eigen::Vector3d by_size = (R_IM * K).cwiseProduct(arms.transpose()).rowwise().sum();
-    predicted.accel = AccelMatrix(rig.accel_intrinsics) * (R_IM * mean + by_size) +
-                      Bias(own.accel_bias, own.ImuTime(t));
-    return predicted;
-  }
-
   /// Motion over the whole session, and what each IMU measured and should have; the excitation.
   YAML::Node WriteMotion(const std::string& prefix) const {
     const double begin = PoseTime(input_.sessions[s_].poses.front().t_ns);
@@ -139,10 +97,11 @@ class SolvedSession {
       const double t = begin + (static_cast<double>(k) + 0.5) * step;
       const auto state = trajectory_.Marker(t);
       if (!state) {
-        motion.AddRow(t, Nothing(), Nothing());
+        motion.AddRow(t, Nothing<6>());
         continue;
       }
-      motion.AddRow(t, state->p_WB, Eigen::Vector3d(trajectory_.Imu(FirstImu(), t)->p_WB));
+      motion.AddRow(
+          t, state->p_WB, Eigen::Vector3d(trajectory_.Imu(estimate_.FirstImu(), t)->p_WB));
       turn += state->omega_B;
       turn2 += state->omega_B.cwiseAbs2();
       move += state->a_W;
@@ -159,35 +118,25 @@ class SolvedSession {
     return excitation;
   }
 
-  size_t FirstImu() const { return estimate_.FirstImu(); }
-  const SessionEstimate& estimate() const { return estimate_; }
-
   /// All of one IMU.
   void WriteImu(const std::string& prefix, size_t imu, const ImuData& recorded) const {
     const auto measured = [&](const std::string& file,
                               const std::vector<ImuSample>& samples,
                               double unit,
-                              auto time) {
-      NumpyTable<double> t(1);
-      NumpyTable<float> values(3);
-      for (const ImuSample& sample : samples) {
-        t.AddRow(time(sample.t_ns));
-        values.AddRow(Eigen::Vector3d(unit * sample.value));
-      }
-      t.Write(file + "_t.npy");
-      values.Write(file + ".npy");
+                              double delay) {
+      WriteTimes(
+          file + "_t.npy", samples, [&](int64_t t_ns) { return ImuSampleTime(imu, delay, t_ns); });
+      WriteValues(file + ".npy", samples, unit);
     };
-    measured(prefix + "_gyro", recorded.gyro, input_.options.gyro_unit, [&](int64_t t_ns) {
-      return GyroTime(imu, t_ns);
-    });
-    measured(prefix + "_accel", recorded.accel, input_.options.accel_unit, [&](int64_t t_ns) {
-      return AccelTime(imu, t_ns);
-    });
+    const double accel_delay = solution_.estimate.imus[imu].accel_delay;
+    measured(prefix + "_gyro", recorded.gyro, input_.options.gyro_unit, 0.0);
+    measured(prefix + "_accel", recorded.accel, input_.options.accel_unit, accel_delay);
     WritePredictions(prefix, imu);
     WriteGrid(prefix, imu, recorded);
     WriteBiases(prefix, imu);
+    const auto [begin, end] = Covered(imu);
     const InformationGrowth growth =
-        GrowInformation(input_.result, s_, imu, trajectory_, Begin(imu), End(imu));
+        GrowInformation(input_.result, s_, imu, trajectory_, begin, end);
     NumpyTable<double> table(9);
     for (size_t k = 0; k < growth.share.size(); ++k) table.AddRow(growth.share[k], growth.std[k]);
     table.Write(prefix + "_growth.npy");
@@ -209,27 +158,50 @@ class SolvedSession {
         state->alpha_B.cross(p_MI) + state->omega_B.cross(state->omega_B.cross(p_MI)));
   }
 
+  /// What gyroscope and accelerometer at the estimate would measure; nothing in gaps.
+  Vector6d Predict(size_t imu, double t) const {
+    const auto state = trajectory_.Marker(t);
+    const auto f = SpecificForceAt(imu, t);
+    if (!state || !f) return Nothing<6>();
+    const ImuEstimate& rig = solution_.estimate.imus[imu];
+    const ImuSessionEstimate& own = estimate_.imus[imu];
+    Vector6d predicted;
+    predicted.head<3>() =
+        GyroMatrix(rig.gyro_intrinsics) * (rig.q_MI.conjugate() * state->omega_B) +
+        Bias(own.gyro_bias, own.ImuTime(t));
+    // The mean over the time that the accelerometer averages longer than the gyroscope.
+    const auto before = SpecificForceAt(imu, t - kCurvatureStep);
+    const auto after = SpecificForceAt(imu, t + kCurvatureStep);
+    Eigen::Vector3d mean = *f;
+    if (before && after)
+      mean +=
+          0.5 * rig.accel_smoothing / std::pow(kCurvatureStep, 2) * (*before - 2.0 * *f + *after);
+    const Eigen::Matrix3d R_IM = rig.q_MI.conjugate().toRotationMatrix(), W = Hat(state->omega_B);
+    const Eigen::Matrix3d K = Hat(state->alpha_B) + W * W;
+    const Eigen::Matrix3d arms = R_IM.transpose() * AccelPositions(rig.accel_positions);
+    const Eigen::Vector3d by_size = (R_IM * K).cwiseProduct(arms.transpose()).rowwise().sum();
+    predicted.tail<3>() = AccelMatrix(rig.accel_intrinsics) * (R_IM * mean + by_size) +
+                          Bias(own.accel_bias, own.ImuTime(t));
+    return predicted;
+  }
+
   /// What the gyroscope's samples cover [s, pose clock].
-  double Begin(size_t imu) const { return Covered(imu, false); }
-  double End(size_t imu) const { return Covered(imu, true); }
-  double Covered(size_t imu, bool at_end) const {
+  std::pair<double, double> Covered(size_t imu) const {
     for (const SensorResiduals& sensor : solution_.residuals)
       if (sensor.session == s_ && sensor.imu == imu && sensor.quantity == Quantity::kGyro &&
           !sensor.t.empty())
-        return at_end ? sensor.t.back() : sensor.t.front();
-    return 0.0;
+        return {sensor.t.front(), sensor.t.back()};
+    return {0.0, 0.0};
   }
 
   /// Over the whole session, and close in the second in which it turns most.
   void WritePredictions(const std::string& prefix, size_t imu) const {
-    const double begin = Begin(imu), end = End(imu);
+    const auto [begin, end] = Covered(imu);
     const auto write = [&](const std::string& file, double from, double step, size_t count) {
       NumpyTable<double> table(7);
       for (size_t k = 0; k < count; ++k) {
         const double t = from + step * static_cast<double>(k);
-        const auto predicted = Predict(imu, t);
-        table.AddRow(
-            t, predicted ? predicted->gyro : Nothing(), predicted ? predicted->accel : Nothing());
+        table.AddRow(t, Predict(imu, t));
       }
       table.Write(file);
     };
@@ -261,7 +233,7 @@ class SolvedSession {
   /// q_WM (xyzw), omega_M, alpha_M, and the accelerometer without bias and matrix, in M.
   void WriteGrid(const std::string& prefix, size_t imu, const ImuData& recorded) const {
     const PoseTrajectory& poses = *solution_.trajectories[s_];
-    const double begin = Begin(imu), end = End(imu);
+    const auto [begin, end] = Covered(imu);
     // The longest run.
     double from = begin, to = begin, run = begin;
     for (double t = begin; t <= end && to - from < kLongestGrid; t += 0.02) {
@@ -276,34 +248,26 @@ class SolvedSession {
     const Eigen::Matrix3d gyro_inverse = GyroMatrix(rig.gyro_intrinsics).inverse();
     const Eigen::Matrix3d accel_inverse = AccelMatrix(rig.accel_intrinsics).inverse();
     size_t g = 0, a = 0;
-    const auto interpolate = [](const std::vector<ImuSample>& samples,
-                                double unit,
-                                auto time,
-                                double t,
-                                size_t* next) -> Eigen::Vector3d {
-      while (*next < samples.size() && !(time(samples[*next].t_ns) > t)) ++*next;
-      if (*next == 0 || *next == samples.size()) return Nothing();
-      const ImuSample &before = samples[*next - 1], &after = samples[*next];
-      const double t0 = time(before.t_ns), t1 = time(after.t_ns);
-      return unit * (before.value + (t - t0) / (t1 - t0) * (after.value - before.value));
+    const auto interpolate = [&](const std::vector<ImuSample>& samples,
+                                 double delay,
+                                 double t,
+                                 size_t* next) -> Eigen::Vector3d {
+      const auto time = [&](size_t k) { return ImuSampleTime(imu, delay, samples[k].t_ns); };
+      while (*next < samples.size() && !(time(*next) > t)) ++*next;
+      if (*next == 0 || *next == samples.size()) return Nothing<3>();
+      const Eigen::Vector3d &before = samples[*next - 1].value, &after = samples[*next].value;
+      const double t0 = time(*next - 1), t1 = time(*next);
+      return before + (t - t0) / (t1 - t0) * (after - before);
     };
     NumpyTable<double> table(19);
     for (double t = from; t < to; t += kGridStep) {
       MarkerState<double> state;
       const auto joint = trajectory_.Marker(t);
       if (!joint || !poses.Evaluate(t, &state)) break;
-      const Eigen::Vector3d gyro = interpolate(
-          recorded.gyro,
-          input_.options.gyro_unit,
-          [&](int64_t t_ns) { return GyroTime(imu, t_ns); },
-          t,
-          &g);
-      const Eigen::Vector3d accel = interpolate(
-          recorded.accel,
-          input_.options.accel_unit,
-          [&](int64_t t_ns) { return AccelTime(imu, t_ns); },
-          t,
-          &a);
+      const Eigen::Vector3d gyro =
+          input_.options.gyro_unit * interpolate(recorded.gyro, 0.0, t, &g);
+      const Eigen::Vector3d accel =
+          input_.options.accel_unit * interpolate(recorded.accel, rig.accel_delay, t, &a);
       const double t_imu = own.ImuTime(t);
       table.AddRow(
           t,
@@ -347,6 +311,12 @@ YAML::Node YamlList(const Eigen::VectorXd& values) {
   return list;
 }
 
+void WriteValues(const std::string& file, const std::vector<ImuSample>& samples, double unit) {
+  NumpyTable<float> values(3);
+  for (const ImuSample& sample : samples) values.AddRow(Eigen::Vector3d(unit * sample.value));
+  values.Write(file);
+}
+
 void WriteSolvedSession(const ReportInput& input,
                         size_t s,
                         const std::string& prefix,
@@ -361,9 +331,9 @@ void WriteSolvedSession(const ReportInput& input,
   (*node)["gravity"] = YamlList(session.g_W);
   (*node)["sensors"] = solved.WriteResiduals(prefix);
   (*node)["excitation"] = solved.WriteMotion(prefix);
-  NumpyTable<double> stamps(1);
-  for (const PoseSample& pose : recorded.poses) stamps.AddRow(solved.PoseTime(pose.t_ns));
-  stamps.Write(prefix + "_poses_stamps.npy");
+  WriteTimes(prefix + "_poses_stamps.npy", recorded.poses, [&](int64_t t_ns) {
+    return solved.PoseTime(t_ns);
+  });
   for (size_t i = 0; i < recorded.imus.size(); ++i)
     if (session.imus[i].is_present)
       solved.WriteImu(prefix + "_i" + std::to_string(i), i, recorded.imus[i]);

@@ -1,6 +1,7 @@
 #include "imu_pose_calib/ros/offline/summary.h"
 
 #include <algorithm>
+#include <boost/algorithm/string/case_conv.hpp>
 #include <cmath>
 
 #include "imu_pose_calib/ros/io/printable.h"
@@ -9,35 +10,31 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr double kCertain = 3.0;  // sigma
+constexpr double kCertain = 3.0;        // sigma
+constexpr double kNotableFreeze = 0.1;  // [s]
 constexpr double kDegrees = 180.0 / 3.14159265358979323846;
 
-std::string Verdict(const Calibration& result) {
-  switch (result.status) {
-    case Status::kOk:
-      return Wrap("OK: ", result.message);
-    case Status::kWeak:
-      return Wrap("WEAK: ", result.message);
-    case Status::kDegenerate:
-      return Wrap("DEGENERATE: ", result.message);
-    case Status::kNotRun:
-      break;
-  }
-  return Wrap("NOT RUN: ", result.message);
+/// "OK: the reason".
+std::string Verdict(const std::string& verdict, const std::string& message) {
+  return Wrap(boost::to_upper_copy(verdict) + ": ", message);
 }
 
-/// What became of the stamps; nothing when they are as recorded.
-std::string Recovered(const StreamReport& report) {
-  return report.stamps_recovered ? "; stamps: recovered, jitter " + Time(report.stamp_jitter_s)
-                                 : "";
+/// What the covariances of the poses say, a line.
+std::string Stated(const char* indent, const PoseStd& stated) {
+  return Format("%stheir covariances say %.3g mm and %.3g deg per axis\n",
+                indent,
+                1e3 * stated.position,
+                kDegrees * stated.rotation);
 }
 
 std::string Stream(const char* label, const std::string& topic, const StreamReport& report) {
+  const std::string recovered =
+      report.stamps_recovered ? "; stamps: recovered, jitter " + Time(report.stamp_jitter_s) : "";
   return Wrap(
       label,
       topic +
           Format(": %zu at %.1f Hz over %.1f s", report.used, report.rate_hz, report.duration_s) +
-          Recovered(report) + Dropped(report));
+          recovered + Dropped(report));
 }
 
 std::string Data(const SessionCalibration& session, const RecordingInfo& info) {
@@ -70,13 +67,14 @@ std::string Data(const Calibration& result, const std::vector<RecordingInfo>& in
   return text;
 }
 
+/// "x, y, z", each as printf prints it by `number`.
 std::string List(const Eigen::Vector3d& v, const char* number) {
-  const std::string text = Vector(v, number);
-  return text.substr(1, text.size() - 2);
+  const std::string format = std::string(number) + ", " + number + ", " + number;
+  return Format(format.c_str(), v.x(), v.y(), v.z());  // NOLINT
 }
 
-std::string Quaternion(const Eigen::Quaterniond& q) {
-  return Format("[%.6f, %.6f, %.6f, %.6f]", q.x(), q.y(), q.z(), q.w());
+std::string Vector(const Eigen::Vector3d& v, const char* number) {
+  return "[" + List(v, number) + "]";
 }
 
 /// Roll, pitch, yaw about the fixed axes, as tf prints them [deg].
@@ -107,28 +105,30 @@ std::string Row(const std::string& name,
 
 /// What a person wants to know first.
 std::string Table(const Calibration& result) {
-  const Vector6d sigma = result.imus[0].Std();
+  const ImuCalibration& imu = result.imus[0];
+  const ImuSession& clock = result.sessions[0].imus[0];
+  const Vector6d sigma = imu.Std();
   std::string text = "\n" + Row("imu in marker", "value", "sigma", "verdict");
   text += Row("translation [mm]",
-              List(1e3 * result.imus[0].T_MI.p, "%.3f"),
+              List(1e3 * imu.T_MI.p, "%.3f"),
               List(1e3 * sigma.head<3>(), "%.3f"),
               RowVerdict(result, "p_MI"));
   text += Row("rpy [deg]",
-              List(RollPitchYaw(result.imus[0].T_MI.q), "%.3f"),
+              List(RollPitchYaw(imu.T_MI.q), "%.3f"),
               List(kDegrees * sigma.tail<3>(), "%.4f"),
               RowVerdict(result, "R_MI"));
   text += Row("time shift",
-              Format("%.7f s", result.sessions[0].imus[0].time_shift),
-              Format("%.4f ms", 1e3 * result.sessions[0].imus[0].time_shift_std),
+              Format("%.7f s", clock.time_shift),
+              Format("%.4f ms", 1e3 * clock.time_shift_std),
               RowVerdict(result, "time_shift"));
   text += Row("accel delay",
-              Format("%.4f ms", 1e3 * result.imus[0].accel_delay),
-              Format("%.4f ms", 1e3 * result.imus[0].accel_delay_std),
+              Format("%.4f ms", 1e3 * imu.accel_delay),
+              Format("%.4f ms", 1e3 * imu.accel_delay_std),
               RowVerdict(result, "accel_delay"));
-  if (result.sessions[0].imus[0].clock_drift_std > 0.0)
+  if (clock.clock_drift_std > 0.0)
     text += Row("clock drift",
-                Format("%.2f ppm", 1e6 * result.sessions[0].imus[0].clock_drift),
-                Format("%.2f ppm", 1e6 * result.sessions[0].imus[0].clock_drift_std),
+                Format("%.2f ppm", 1e6 * clock.clock_drift),
+                Format("%.2f ppm", 1e6 * clock.clock_drift_std),
                 "ok");
   return text;
 }
@@ -185,16 +185,16 @@ std::string SessionTable(const Calibration& result, const std::vector<RecordingI
 }
 
 std::string Transform(const Calibration& result) {
+  const auto rows = [](const Rigid3& T) {
+    return "  p = " + Vector(1e3 * T.p, "%.3f") +
+           " mm\n  R = " + Format("[%.6f, %.6f, %.6f, %.6f]", T.q.x(), T.q.y(), T.q.z(), T.q.w()) +
+           " (x, y, z, w)\n";
+  };
   const Rigid3& T = result.imus[0].T_MI;
-  const Rigid3 inverse = T.Inverse();
-  std::string text = "\nT_marker_imu, the imu seen from the marker: x_marker = R x_imu + p\n";
-  text += "  p = " + Vector(1e3 * T.p, "%.3f") + " mm\n";
-  text += "  R = " + Quaternion(T.q) + " (x, y, z, w)\n";
-  text += "  sigma of p along the marker axes, of R about the imu axes\n";
-  text += "T_imu_marker, its inverse: x_imu = R x_marker + p\n";
-  text += "  p = " + Vector(1e3 * inverse.p, "%.3f") + " mm\n";
-  text += "  R = " + Quaternion(inverse.q) + " (x, y, z, w)\n";
-  return text;
+  return "\nT_marker_imu, the imu seen from the marker: x_marker = R x_imu + p\n" + rows(T) +
+         "  sigma of p along the marker axes, of R about the imu axes\n"
+         "T_imu_marker, its inverse: x_imu = R x_marker + p\n" +
+         rows(T.Inverse());
 }
 
 std::string Clocks(const Calibration& result) {
@@ -242,14 +242,14 @@ std::string Matrix(const char* name, const Eigen::Matrix3d& M, const Eigen::Matr
 }
 
 std::string Imu(const Calibration& result) {
-  std::string text = "\nGravity and mean biases\n";
-  text +=
-      "  gravity    = " + Vector(result.sessions[0].g_W, "%.5f") + " m/s^2 in the world frame\n";
-  text += "  gyro bias  = " + Vector(result.sessions[0].imus[0].gyro_bias, "%.6f") +
-          " rad/s in the imu frame\n";
-  text += "  accel bias = " + Vector(result.sessions[0].imus[0].accel_bias, "%.5f") +
-          " m/s^2 in the imu frame\n";
   const ImuCalibration& imu = result.imus[0];
+  const SessionCalibration& session = result.sessions[0];
+  std::string text = "\nGravity and mean biases\n";
+  text += "  gravity    = " + Vector(session.g_W, "%.5f") + " m/s^2 in the world frame\n";
+  text +=
+      "  gyro bias  = " + Vector(session.imus[0].gyro_bias, "%.6f") + " rad/s in the imu frame\n";
+  text +=
+      "  accel bias = " + Vector(session.imus[0].accel_bias, "%.5f") + " m/s^2 in the imu frame\n";
   if (result.imu_model != ImuModel::kCalibrated) {
     text += "\nScale and misalignment: measured = M true + bias\n";
     text += Matrix("gyro M =", imu.gyro_matrix, imu.gyro_matrix_std);
@@ -267,23 +267,14 @@ std::string Residuals(const Calibration& result) {
   const auto row = [](const char* name, double rms, double noise, const char* unit) {
     return Format("  %-9s rms %.3g %s, noise %.3g %s\n", name, rms, unit, noise, unit);
   };
+  const SessionCalibration& session = result.sessions[0];
+  const ImuStd &imu_rms = session.imus[0].rms, &imu_noise = session.imus[0].noise;
+  const PoseStd &rms = session.rms, &noise = session.noise;
   return "\nResiduals per axis, and the noise estimated from them\n" +
-         row("gyro",
-             result.sessions[0].imus[0].rms.gyro,
-             result.sessions[0].imus[0].noise.gyro,
-             "rad/s") +
-         row("accel",
-             result.sessions[0].imus[0].rms.accel,
-             result.sessions[0].imus[0].noise.accel,
-             "m/s^2") +
-         row("position",
-             1e3 * result.sessions[0].rms.position,
-             1e3 * result.sessions[0].noise.position,
-             "mm") +
-         row("rotation",
-             kDegrees * result.sessions[0].rms.rotation,
-             kDegrees * result.sessions[0].noise.rotation,
-             "deg") +
+         row("gyro", imu_rms.gyro, imu_noise.gyro, "rad/s") +
+         row("accel", imu_rms.accel, imu_noise.accel, "m/s^2") +
+         row("position", 1e3 * rms.position, 1e3 * noise.position, "mm") +
+         row("rotation", kDegrees * rms.rotation, kDegrees * noise.rotation, "deg") +
          Format("  the halves of the recording differ by up to %.1f sigma\n",
                 result.split_half.sigmas);
 }
@@ -311,14 +302,111 @@ std::string StaticTransform(const Rigid3& T,
          "  " + marker_frame + " " + imu_frame + "\n";
 }
 
+// --- Of a check of the data ---
+
+std::string StreamRow(const char* label,
+                      const StreamCheck& stream,
+                      const std::optional<Latency>& latency) {
+  return Format("  %-6s%8zu%8.1f%9s%10s%8.1f%9.1f",
+                label,
+                stream.count,
+                stream.rate_hz,
+                Time(stream.jitter_s).c_str(),
+                Time(stream.longest_gap_s).c_str(),
+                100.0 * stream.missing,
+                100.0 * stream.repeated) +
+         (latency
+              ? Format("%12s%8s", Time(latency->median_s).c_str(), Time(latency->spread_s).c_str())
+              : "") +
+         "\n";
+}
+
+/// What the table does not show of a stream.
+std::string Remarks(const char* label, const StreamCheck& stream, const StreamReport& report) {
+  std::string text = Dropped(report);
+  if (stream.longest_freeze_s > kNotableFreeze)
+    text += "; no new value for up to " + Time(stream.longest_freeze_s);
+  if (stream.cut_s > 0.0) text += Format("; stamps are multiples of %g ms", 1e3 * stream.cut_s);
+  if (stream.stamps.recovered)
+    text += "; stamps: recovered, jitter " + Time(stream.stamps.jitter_s);
+  else if (!stream.stamps.even)
+    text += "; stamps: uneven, as recorded";
+  if (stream.bunched > 0.0) text += Format("; %.1f %% stamped in bunches", 100.0 * stream.bunched);
+  return text.empty() ? "" : Wrap(label, text.substr(2));
+}
+
+std::string Streams(const DataCheck& check, const RecordingInfo& info) {
+  bool has_latency = info.pose_latency.has_value();
+  for (const ImuInfo& imu : info.imus)
+    has_latency = has_latency || imu.gyro_latency || imu.accel_latency;
+  std::string text = "\n         samples      Hz   jitter   max gap missing repeated";
+  text += has_latency ? "     latency  spread\n" : "\n";
+  text += "                                                %        %";
+  text += has_latency ? "   (record - header)\n" : "\n";
+  text += StreamRow("poses", check.poses, info.pose_latency);
+  std::string topics = info.pose_topic,
+              remarks = Remarks("  poses: ", check.poses, check.poses_report);
+  for (size_t i = 0; i < check.imus.size(); ++i) {
+    const ImuCheck& imu = check.imus[i];
+    text += StreamRow("gyro", imu.gyro, info.imus[i].gyro_latency) +
+            StreamRow("accel", imu.accel, info.imus[i].accel_latency);
+    topics += ", " + info.imus[i].GyroSource();
+    if (info.imus[i].imu_topic.empty()) topics += ", " + info.imus[i].accel_topic;
+    remarks += Remarks("  gyro: ", imu.gyro, imu.gyro_report) +
+               Remarks("  accel: ", imu.accel, imu.accel_report);
+  }
+  text += Wrap(info.bag.empty() ? "  files: " : "  topics: ", topics);
+  if (info.stated_pose_std) text += Stated("  poses: ", *info.stated_pose_std);
+  text += remarks;
+  if (check.gaps + check.jumps > 0)
+    text += Format("  gaps in the poses: %zu, jumps: %zu\n", check.gaps, check.jumps);
+  return text;
+}
+
+std::string Match(const ImuCheck& imu) {
+  if (!imu.is_matched) return "";
+  return Format("  time shift   about %.4f s", imu.time_shift) +
+         (std::abs(imu.time_shift) < 600.0 ? "" : " (" + Time(imu.time_shift) + ")") +
+         Format("; %.1f s in common\n", imu.overlap_s) +
+         Format("  clock drift  %.1f +- %.1f ppm\n", imu.drift_ppm, imu.drift_ppm_std) +
+         Format("  same motion  the poses explain %.1f %% of the gyroscope's variance\n",
+                100.0 * imu.explained);
+}
+
+/// What each IMU shows, under its name when there are several.
+std::string Matches(const DataCheck& check) {
+  std::string text;
+  for (size_t i = 0; i < check.imus.size(); ++i) {
+    const std::string match = Match(check.imus[i]);
+    if (check.imus.size() > 1 && !match.empty()) text += "  imu" + std::to_string(i) + "\n";
+    text += match;
+  }
+  return text;
+}
+
+std::string Rest(const ImuCheck& imu) {
+  return imu.rest_s > 0.0 ? Format("  at rest      %.1f s; the accelerometer shows %.2f m/s^2\n",
+                                   imu.rest_s,
+                                   imu.rest_norm)
+                          : "  at rest      never, so the accelerometer's norm is unchecked\n";
+}
+
+std::string Excitation(const DataCheck& check) {
+  std::string text = "  turns        " + Vector(check.turns_M, "%.2f") +
+                     " rad/s rms about marker x, y, z\n" + "  moves        " +
+                     Vector(check.moves_W, "%.2f") + " m/s^2 rms along world x, y, z\n";
+  for (const ImuCheck& imu : check.imus) text += Rest(imu);
+  return text;
+}
+
 }  // namespace
 
 std::string Summary(const Calibration& result, const std::vector<RecordingInfo>& recordings) {
   std::vector<RecordingInfo> infos;
   for (const RecordingInfo& recording : recordings) infos.push_back(WithPrintableNames(recording));
-  if (!result.IsUsable()) return Verdict(result) + Data(result, infos) + Warnings(result);
+  std::string text = Verdict(ToString(result.status), result.message);
+  if (!result.IsUsable()) return text + Data(result, infos) + Warnings(result);
   const bool is_single = result.imus.size() == 1 && result.sessions.size() == 1;
-  std::string text = Verdict(result);
   text += result.imus.size() == 1 ? Table(result) : ImuTable(result, infos.front());
   if (!is_single) text += SessionTable(result, infos);
   text += Warnings(result) + Data(result, infos) + Transform(result) + Clocks(result) +
@@ -332,6 +420,15 @@ std::string WrittenTo(const std::vector<std::string>& paths) {
   std::string text;
   for (const std::string& path : paths)
     text += (text.empty() ? "\nWritten to " : "           ") + Printable(path) + "\n";
+  return text;
+}
+
+std::string Summary(const DataCheck& check, const RecordingInfo& recording) {
+  const RecordingInfo info = WithPrintableNames(recording);
+  std::string text = Verdict(ToString(check.verdict), check.message) + Streams(check, info) + "\n" +
+                     Matches(check);
+  if (!check.turns_M.isZero(0.0)) text += Excitation(check);
+  for (const std::string& warning : check.warnings) text += Wrap("  warning: ", warning);
   return text;
 }
 

@@ -8,12 +8,8 @@
 #include "imu_pose_calib/ros/io/printable.h"
 
 namespace imu_pose_calib {
-namespace {
 
 constexpr size_t kColumns = 80;
-constexpr double kDegrees = 180.0 / 3.14159265358979323846;
-
-}  // namespace
 
 std::string Format(const char* format, ...) {
   char buffer[512];
@@ -49,13 +45,6 @@ std::string Time(double seconds) {
   return Format("%.1f days", seconds / 86400.0);
 }
 
-std::string Vector(const Eigen::Vector3d& v, const char* number) {
-  const std::string format = std::string("[") + number + ", " + number + ", " + number + "]";
-  char buffer[128];
-  std::snprintf(buffer, sizeof(buffer), format.c_str(), v.x(), v.y(), v.z());
-  return buffer;
-}
-
 std::string Dropped(const StreamReport& report) {
   std::string reasons;
   const auto add = [&](size_t count, const char* reason) {
@@ -72,13 +61,6 @@ std::string Dropped(const StreamReport& report) {
   add(report.in_short_segment, "between gaps");
   add(report.between_updates, "between updates");
   return reasons.empty() ? "" : "; dropped " + reasons;
-}
-
-std::string Stated(const char* indent, const PoseStd& stated) {
-  return Format("%stheir covariances say %.3g mm and %.3g deg per axis\n",
-                indent,
-                1e3 * stated.position,
-                kDegrees * stated.rotation);
 }
 
 RecordingInfo WithPrintableNames(RecordingInfo info) {

@@ -4,14 +4,27 @@
 
 #include <Eigen/Core>
 #include <string>
+#include <vector>
 
-#include "imu_pose_calib/ros/offline/report_data.h"
+#include "imu_pose_calib/ros/io/numpy_table.h"
+#include "imu_pose_calib/ros/offline/report.h"
 
 namespace imu_pose_calib {
 
 /// Numbers that every reader of YAML takes for numbers.
 YAML::Node YamlValue(double value);
 YAML::Node YamlList(const Eigen::VectorXd& values);
+
+/// Writes the time of each sample, in order of arrival; `time` gives that of a stamp.
+template <typename Sample, typename Time>
+void WriteTimes(const std::string& file, const std::vector<Sample>& samples, Time time) {
+  NumpyTable<double> table(1);
+  for (const Sample& sample : samples) table.AddRow(time(sample.t_ns));
+  table.Write(file);
+}
+
+/// Writes what a sensor of an IMU measured.
+void WriteValues(const std::string& file, const std::vector<ImuSample>& samples, double unit);
 
 /// Writes the series of a session that was solved to files whose names begin with `prefix`, and
 /// what is said of them to `node`.
