@@ -1,25 +1,68 @@
 #include "imu_pose_calib/ros/offline/command_line.h"
 
+#include <unistd.h>
+
+#include <chrono>
+#include <cstdio>
 #include <iostream>
+#include <memory>
 
 #include "imu_pose_calib/core/types.h"
 #include "imu_pose_calib/ros/offline/offline.h"
 
 namespace imu_pose_calib {
+namespace {
+
+class ProgressLines {
+ public:
+  ProgressLines() = default;
+  ProgressLines(const ProgressLines&) = delete;
+  ProgressLines& operator=(const ProgressLines&) = delete;
+  ~ProgressLines() {
+    if (is_open_) std::fputs("\n", stderr);
+  }
+
+  /// See Progress.
+  void Show(const std::string& stage, std::optional<int> iterations) {
+    is_open_ = !iterations;
+    if (!iterations) {
+      begin_ = std::chrono::steady_clock::now();
+      std::fprintf(stderr, "%-30s", stage.c_str());
+      return;
+    }
+    const std::chrono::duration<double> time = std::chrono::steady_clock::now() - begin_;
+    std::fprintf(stderr, "%6.1f s", time.count());
+    if (*iterations > 0) std::fprintf(stderr, "  %d iterations", *iterations);
+    std::fputs("\n", stderr);
+  }
+
+ private:
+  bool is_open_ = false;  ///< the last line has no end
+  std::chrono::steady_clock::time_point begin_;
+};
+
+}  // namespace
 
 void ParseCommandLine(int argc,
                       char** argv,
-                      const boost::program_options::options_description& options,
-                      const char* positional,
+                      boost::program_options::options_description options,
+                      const char* name,
+                      const boost::program_options::value_semantic* unnamed,
                       int count) {
   namespace po = boost::program_options;
-  po::positional_options_description unnamed;
-  unnamed.add(positional, count);
+  po::positional_options_description positional;
+  if (unnamed) {
+    options.add_options()(name, unnamed);
+    positional.add(name, count);
+  }
   const int style = po::command_line_style::unix_style & ~po::command_line_style::allow_guessing;
   po::variables_map values;
-  po::store(
-      po::command_line_parser(argc, argv).options(options).positional(unnamed).style(style).run(),
-      values);
+  po::store(po::command_line_parser(argc, argv)
+                .options(options)
+                .positional(positional)
+                .style(style)
+                .run(),
+            values);
   po::notify(values);
 }
 
@@ -41,6 +84,14 @@ int RunCommand(const std::string& name, const std::function<void()>& run) {
   return RunToExitStatus(run, [&name](const std::string& error) {
     std::cerr << name << ": error: " << error << "\n";
   });
+}
+
+Progress ShowProgress(bool quiet) {
+  if (quiet || isatty(STDERR_FILENO) != 1) return {};
+  const auto lines = std::make_shared<ProgressLines>();
+  return [lines](const std::string& stage, std::optional<int> iterations) {
+    lines->Show(stage, iterations);
+  };
 }
 
 }  // namespace imu_pose_calib

@@ -134,11 +134,10 @@ bool IsSamePath(const std::string& a, const std::string& b) {
 }
 
 /// The same of all files of the trajectories.
-void CheckTrajectories(const OfflineRequest& given,
-                       const std::vector<OfflineRequest>& sessions,
+void CheckTrajectories(const std::vector<OfflineRequest>& sessions,
                        size_t imus,
                        const OfflineResult& offline) {
-  const TrajectoryRequest& request = given.trajectory;
+  const TrajectoryRequest& request = offline.trajectory;
   for (const TrajectoryTarget& target :
        PlanTrajectories(request, offline.options.method, sessions.size(), imus)) {
     const TrajectoryFormat format = ParseTrajectoryFormat(request.format, request.path);
@@ -283,6 +282,7 @@ OfflineResult CalibrateOffline(const OfflineRequest& given, const Progress& prog
   offline.exports = ParseExports(given.exports);
   offline.output = OutputPath(given);
   offline.report = given.report;
+  offline.trajectory = given.trajectory;
   CheckOutput({"output", offline.output}, given);  // an old result may be given as the config
   CheckReport(offline, given);
   RemoveOldResult(offline.output);
@@ -296,13 +296,13 @@ OfflineResult CalibrateOffline(const OfflineRequest& given, const Progress& prog
 
   offline.options = Options(requests.front());
   if (!given.trajectory.path.empty()) offline.options.max_factor_mb = kUnbounded;
-  CheckTrajectories(given, requests, 1, offline);  // before it takes long
+  CheckTrajectories(requests, 1, offline);  // before it takes long
   if (progress) progress("recording", std::nullopt);
   for (Recording& recording : ReadRecordings(requests)) {
     offline.infos.push_back(recording.info);
     offline.sessions.push_back(std::move(recording.data));
   }
-  CheckTrajectories(given, requests, offline.sessions.front().imus.size(), offline);
+  CheckTrajectories(requests, offline.sessions.front().imus.size(), offline);
   if (progress) progress("recording", 0);
   try {
     const bool is_kept = given.keep_data || !offline.report.empty();
@@ -332,11 +332,20 @@ void WriteResult(OfflineResult* offline) {
     std::cout << offline->yaml << std::flush;
     throw;
   }
-  offline->written.push_back(offline->output);
+  std::vector<std::string>& written = offline->written;
+  written.push_back(offline->output);
+  if (!offline->exports.empty())
+    for (const std::string& path :
+         WriteExports(ParseResult(offline->yaml, offline->output), offline->exports))
+      written.push_back(path);
+  for (const std::string& line :
+       WriteTrajectories(offline->trajectory, offline->result, offline->infos, offline->options))
+    written.push_back(line);
 }
 
-void WriteReport(OfflineResult* offline) {
+void WriteReport(OfflineResult* offline, const Progress& progress) {
   if (offline->report.empty()) return;
+  if (progress) progress("report", std::nullopt);
   try {
     WriteReport({offline->options, offline->sessions, offline->infos, offline->result, ""},
                 offline->report);
@@ -346,19 +355,7 @@ void WriteReport(OfflineResult* offline) {
   }
   offline->sessions = {};
   offline->written.push_back(offline->report);
-}
-
-void WriteExports(OfflineResult* offline) {
-  if (offline->exports.empty()) return;
-  for (const std::string& path :
-       WriteExports(ParseResult(offline->yaml, offline->output), offline->exports))
-    offline->written.push_back(path);
-}
-
-void WriteTrajectories(const OfflineRequest& request, OfflineResult* offline) {
-  for (const std::string& line :
-       WriteTrajectories(request.trajectory, offline->result, offline->infos, offline->options))
-    offline->written.push_back(line);
+  if (progress) progress("report", 0);
 }
 
 std::vector<OfflineCheck> CheckOffline(const OfflineRequest& given) {

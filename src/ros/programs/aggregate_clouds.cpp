@@ -2,14 +2,11 @@
 
 #include <ros/ros.h>
 
-#include <functional>
 #include <iostream>
-#include <sstream>
 #include <string>
 
 #include "imu_pose_calib/ros/clouds/aggregate.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
-#include "imu_pose_calib/ros/offline/progress_lines.h"
 #include "imu_pose_calib/ros/offline/summary.h"
 
 namespace imu_pose_calib {
@@ -25,35 +22,27 @@ struct CommandLine {
 po::options_description Describe(CommandLine* line) {
   AggregateRequest& request = line->request;
   OfflineRequest& recording = request.recording;
-  const auto text = [](std::string* field, const char* name = "TEXT") {
-    return po::value(field)->value_name(name);
-  };
-  const auto number = [](double* field, const char* unit) {
-    std::ostringstream shown;
-    shown << *field;
-    return po::value(field)->value_name(unit)->default_value(*field, shown.str());
-  };
   po::options_description options("Options");
   auto add = options.add_options();
   add("imu-sensor",
-      text(&request.imu_sensor, "T"),
+      Value(&request.imu_sensor, "T"),
       "T_imu_sensor (x_imu = T x_sensor): \"x y z qx qy qz qw\" [m], or a YAML or JSON file");
-  add("marker-sensor", text(&request.marker_sensor, "T"), "T_marker_sensor, instead of it");
-  add("cloud-topic", text(&request.cloud_topic), "PointCloud2; default: the one in the bag");
-  add("cloud-clock", text(&request.cloud_clock), "clock of its stamps: imu (default) or poses");
+  add("marker-sensor", Value(&request.marker_sensor, "T"), "T_marker_sensor, instead of it");
+  add("cloud-topic", Value(&request.cloud_topic), "PointCloud2; default: the one in the bag");
+  add("cloud-clock", Value(&request.cloud_clock), "clock of its stamps: imu (default) or poses");
   add("point-time",
-      po::value(&request.point_time)->value_name("UNIT")->default_value(request.point_time),
+      ValueOrDefault(&request.point_time, "UNIT"),
       "unit of the points' own times: s, ms, us, ns; none: they have none");
-  add("output", text(&request.output, "FILE"), "map; default: BAG.map.pcd next to the bag");
-  add("voxel", number(&request.voxel_m, "M"), "one point of the map for each such cube");
-  add("min-range", number(&request.min_range_m, "M"), "nearer points are left out");
-  add("max-range", number(&request.max_range_m, "M"), "farther points are left out");
-  add("radius", number(&request.radius_m, "M"), "around a point, to judge sharpness");
+  add("output", Value(&request.output, "FILE"), "map; default: BAG.map.pcd next to the bag");
+  add("voxel", ValueOrDefault(&request.voxel_m, "M"), "one point of the map for each such cube");
+  add("min-range", ValueOrDefault(&request.min_range_m, "M"), "nearer points are left out");
+  add("max-range", ValueOrDefault(&request.max_range_m, "M"), "farther points are left out");
+  add("radius", ValueOrDefault(&request.radius_m, "M"), "around a point, to judge sharpness");
   add("uncalibrated",
-      text(&request.uncalibrated, "FILE"),
+      Value(&request.uncalibrated, "FILE"),
       "also write the map of the poses as recorded, without any calibration");
   add("guess",
-      text(&request.guess, "T"),
+      Value(&request.guess, "T"),
       "its T_marker_imu; default: nearest right angles, no lever arm");
   add("publish", po::bool_switch(&line->publish), "stay as a ROS node: ~map, ~uncalibrated");
   add("quiet", po::bool_switch(&line->quiet), "print errors only");
@@ -62,20 +51,20 @@ po::options_description Describe(CommandLine* line) {
   po::options_description calibration("Calibration, as calibrate_bag has it");
   auto more = calibration.add_options();
   more("calibration",
-       text(&recording.calibration, "FILE"),
+       Value(&recording.calibration, "FILE"),
        "result of another recording: its T_marker_imu is kept");
-  more("imu-topic", text(&recording.bag.imu_topic), "sensor_msgs/Imu");
-  more("pose-topic", text(&recording.bag.pose_topic), "poses of the marker");
-  more("body", text(&recording.bag.body), "name of the rigid body, where a topic holds several");
-  more("gyro-topic", text(&recording.bag.gyro_topic), "gyroscope of a split IMU");
-  more("accel-topic", text(&recording.bag.accel_topic), "its accelerometer");
-  more("tf-parent", text(&recording.bag.tf_parent), "poses from tf: the fixed frame");
-  more("tf-child", text(&recording.bag.tf_child), "poses from tf: the marker");
-  more("imu-frame", text(&recording.imu_frame), "name of the imu frame");
-  more("imu-yaml", text(&recording.imu_yaml), "Kalibr's imu.yaml");
-  more("config", text(&recording.config), "YAML of options");
-  more("start", po::value(&recording.bag.start_s)->value_name("S"), "seconds to skip");
-  more("duration", po::value(&recording.bag.duration_s)->value_name("S"), "to use; 0: all");
+  more("imu-topic", Value(&recording.bag.imu_topic), "sensor_msgs/Imu");
+  more("pose-topic", Value(&recording.bag.pose_topic), "poses of the marker");
+  more("body", Value(&recording.bag.body), "name of the rigid body, where a topic holds several");
+  more("gyro-topic", Value(&recording.bag.gyro_topic), "gyroscope of a split IMU");
+  more("accel-topic", Value(&recording.bag.accel_topic), "its accelerometer");
+  more("tf-parent", Value(&recording.bag.tf_parent), "poses from tf: the fixed frame");
+  more("tf-child", Value(&recording.bag.tf_child), "poses from tf: the marker");
+  more("imu-frame", Value(&recording.imu_frame), "name of the imu frame");
+  more("imu-yaml", Value(&recording.imu_yaml), "Kalibr's imu.yaml");
+  more("config", Value(&recording.config), "YAML of options");
+  more("start", Value(&recording.bag.start_s, "S"), "seconds to skip");
+  more("duration", Value(&recording.bag.duration_s, "S"), "to use; 0: all");
   options.add(calibration);
   return options;
 }
@@ -105,13 +94,11 @@ void Publish(const AggregateOutcome& outcome) {
 
 void Run(int argc, char** argv) {
   CommandLine line;
-  po::options_description all = Describe(&line);
-  all.add_options()("bag", po::value(&line.request.recording.bag.paths));
-  ParseCommandLine(argc, argv, all, "bag", -1);
+  ParseCommandLine(
+      argc, argv, Describe(&line), "bag", Value(&line.request.recording.bag.paths), -1);
   if (line.help) return PrintHelp();
   line.request.keep_uncalibrated = line.publish;
-  ProgressLines progress(line.quiet);
-  const AggregateOutcome outcome = AggregateClouds(line.request, std::ref(progress));
+  const AggregateOutcome outcome = AggregateClouds(line.request, ShowProgress(line.quiet));
   if (!line.quiet) std::cout << outcome.text << WrittenTo(outcome.written) << std::flush;
   if (line.publish) Publish(outcome);
 }

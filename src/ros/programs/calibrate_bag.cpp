@@ -1,7 +1,6 @@
 // Calibrates from a recording, without a ROS master.
 
 #include <boost/algorithm/string/join.hpp>
-#include <functional>
 #include <iostream>
 #include <string>
 #include <vector>
@@ -9,7 +8,6 @@
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
 #include "imu_pose_calib/ros/offline/offline.h"
-#include "imu_pose_calib/ros/offline/progress_lines.h"
 #include "imu_pose_calib/ros/offline/summary.h"
 
 namespace imu_pose_calib {
@@ -19,32 +17,31 @@ namespace po = boost::program_options;
 
 struct CommandLine {
   OfflineRequest request;
-  std::vector<std::string> imu_topics, gyro_topics, accel_topics, imus, gyros, accels, imu_frames;
   bool check = false, quiet = false, help = false, help_all = false, version = false;
 };
+
+/// An option that can be given again and again: `field` gets all values, with blanks between them.
+auto* Repeated(std::string* field) {
+  return po::value<std::vector<std::string>>()->composing()->value_name("TEXT")->notifier(
+      [field](const std::vector<std::string>& values) { *field = boost::join(values, " "); });
+}
 
 /// Those that --help shows; with the others they fit a screen no more.
 po::options_description DescribeCommon(CommandLine* line) {
   OfflineRequest& request = line->request;
-  const auto text = [](std::string* field) { return po::value(field)->value_name("TEXT"); };
-  const auto texts = [](std::vector<std::string>* field) {
-    return po::value(field)->composing()->value_name("TEXT");
-  };
   po::options_description options("Options");
   auto add = options.add_options();
-  add("imu-topic", texts(&line->imu_topics), "sensor_msgs/Imu; again for each further IMU");
-  add("pose-topic", text(&request.bag.pose_topic), "poses of the marker");
-  add("body", text(&request.bag.body), "rigid body, where poses are of several");
-  add("imu-yaml", text(&request.imu_yaml), "Kalibr's imu.yaml: noise and topic");
-  add("config", text(&request.config), "YAML of options, see config/default.yaml");
-  add("start",
-      po::value(&request.bag.start_s)->value_name("S"),
-      "seconds of the recording to skip");
-  add("duration", po::value(&request.bag.duration_s)->value_name("S"), "seconds to use; 0: all");
-  add("output", text(&request.output), "result; default: next to the recording");
-  add("report", text(&request.report), "figures: FILE.html or FILE.pdf");
-  add("export", text(&request.exports), "kalibr,ros2,...: files for other programs");
-  add("trajectory", text(&request.trajectory.path), "ground truth: .tum, .csv, .bag, folder");
+  add("imu-topic", Repeated(&request.bag.imu_topic), "sensor_msgs/Imu; again for each further IMU");
+  add("pose-topic", Value(&request.bag.pose_topic), "poses of the marker");
+  add("body", Value(&request.bag.body), "rigid body, where poses are of several");
+  add("imu-yaml", Value(&request.imu_yaml), "Kalibr's imu.yaml: noise and topic");
+  add("config", Value(&request.config), "YAML of options, see config/default.yaml");
+  add("start", Value(&request.bag.start_s, "S"), "seconds of the recording to skip");
+  add("duration", Value(&request.bag.duration_s, "S"), "seconds to use; 0: all");
+  add("output", Value(&request.output), "result; default: next to the recording");
+  add("report", Value(&request.report), "figures: FILE.html or FILE.pdf");
+  add("export", Value(&request.exports), "kalibr,ros2,...: files for other programs");
+  add("trajectory", Value(&request.trajectory.path), "ground truth: .tum, .csv, .bag, folder");
   add("check", po::bool_switch(&line->check), "judge the recording without calibrating");
   add("quiet", po::bool_switch(&line->quiet), "print errors only");
   add("help", po::bool_switch(&line->help), "print this text");
@@ -53,65 +50,46 @@ po::options_description DescribeCommon(CommandLine* line) {
   return options;
 }
 
-po::options_description DescribeOthers(CommandLine* line) {
-  OfflineRequest& request = line->request;
-  const auto text = [](std::string* field) { return po::value(field)->value_name("TEXT"); };
-  const auto texts = [](std::vector<std::string>* field) {
-    return po::value(field)->composing()->value_name("TEXT");
-  };
+po::options_description DescribeOthers(OfflineRequest* given) {
+  OfflineRequest& request = *given;
   po::options_description options("Other options");
   auto add = options.add_options();
   add("gyro-topic",
-      texts(&line->gyro_topics),
+      Repeated(&request.bag.gyro_topic),
       "gyroscope of a split IMU: sensor_msgs/Imu or geometry_msgs/Vector3Stamped");
-  add("accel-topic", texts(&line->accel_topics), "accelerometer of a split IMU");
-  add("tf-parent", text(&request.bag.tf_parent), "poses from tf: the fixed frame");
-  add("tf-child", text(&request.bag.tf_child), "poses from tf: the marker");
+  add("accel-topic", Repeated(&request.bag.accel_topic), "accelerometer of a split IMU");
+  add("tf-parent", Value(&request.bag.tf_parent), "poses from tf: the fixed frame");
+  add("tf-child", Value(&request.bag.tf_child), "poses from tf: the marker");
   add("poses",
-      text(&request.text.poses),
+      Value(&request.text.poses),
       "text file of the poses, instead of those of a bag: CSV, TUM, export of Motive or Vicon");
-  add("imu", texts(&line->imus), "text file of the IMU; again for each further one");
-  add("gyro", texts(&line->gyros), "text file of the gyroscope of a split IMU");
-  add("accel", texts(&line->accels), "text file of the accelerometer of a split IMU");
-  add("method", text(&request.method), "joint (default) or gp");
+  add("imu", Repeated(&request.text.imu), "text file of the IMU; again for each further one");
+  add("gyro", Repeated(&request.text.gyro), "text file of the gyroscope of a split IMU");
+  add("accel", Repeated(&request.text.accel), "text file of the accelerometer of a split IMU");
+  add("method", Value(&request.method), "joint (default) or gp");
   add("trajectory-format",
-      text(&request.trajectory.format),
+      Value(&request.trajectory.format),
       "tum, ov_eval, euroc, asl or bag; default: by the suffix");
   add("trajectory-rate",
-      po::value(&request.trajectory.rate_hz)->value_name("HZ"),
+      Value(&request.trajectory.rate_hz, "HZ"),
       "states per second; default: at the samples of the IMU");
   add("trajectory-clock",
-      text(&request.trajectory.clock),
+      Value(&request.trajectory.clock),
       "clock of its stamps: imu (default) or poses");
   add("trajectory-gaps",
-      po::value(&request.trajectory.max_gap_s)->value_name("S"),
+      Value(&request.trajectory.max_gap_s, "S"),
       "longest gap of the poses that the IMU bridges (default 2); others are left out");
   add("record-time",
       po::bool_switch(&request.bag.record_time),
       "times of recording instead of the header stamps");
-  add("marker-frame", text(&request.marker_frame), "name of the marker frame in the result");
+  add("marker-frame", Value(&request.marker_frame), "name of the marker frame in the result");
   add("imu-frame",
-      texts(&line->imu_frames),
+      Repeated(&request.imu_frame),
       "name of the imu frame in the result; again for each further IMU");
   add("one-recording",
       po::bool_switch(&request.one_recording),
       "all bags are one recording, also those that do not continue each other");
   return options;
-}
-
-void Parse(int argc, char** argv, CommandLine* line) {
-  po::options_description all;
-  all.add(DescribeCommon(line)).add(DescribeOthers(line));
-  all.add_options()("bag", po::value(&line->request.bag.paths));
-  ParseCommandLine(argc, argv, all, "bag", -1);
-  OfflineRequest& request = line->request;
-  request.bag.imu_topic = boost::join(line->imu_topics, " ");
-  request.bag.gyro_topic = boost::join(line->gyro_topics, " ");
-  request.bag.accel_topic = boost::join(line->accel_topics, " ");
-  request.text.imu = boost::join(line->imus, " ");
-  request.text.gyro = boost::join(line->gyros, " ");
-  request.text.accel = boost::join(line->accels, " ");
-  request.imu_frame = boost::join(line->imu_frames, " ");
 }
 
 void PrintHelp(bool with_others) {
@@ -123,7 +101,7 @@ void PrintHelp(bool with_others) {
             << "R x_imu + p), and time_shift (t_pose = t_imu + time_shift). Bags that do not\n"
             << "continue each other are sessions of the same body. Topics are found by type.\n\n"
             << DescribeCommon(&line) << "\n";
-  if (with_others) std::cout << DescribeOthers(&line) << "\n";
+  if (with_others) std::cout << DescribeOthers(&line.request) << "\n";
   std::cout << "Examples:\n"
             << "  calibrate_bag my.bag --check\n"
             << "  calibrate_bag my.bag --report my.html --export kalibr,ros2\n"
@@ -145,7 +123,9 @@ void Check(const CommandLine& line) {
 
 void Run(int argc, char** argv) {
   CommandLine line;
-  Parse(argc, argv, &line);
+  po::options_description all;
+  all.add(DescribeCommon(&line)).add(DescribeOthers(&line.request));
+  ParseCommandLine(argc, argv, all, "bag", Value(&line.request.bag.paths), -1);
   if (line.help || line.help_all) return PrintHelp(line.help_all);
   if (line.version) {
     std::cout << "imu_pose_calib " << kVersion << "\n";
@@ -153,13 +133,11 @@ void Run(int argc, char** argv) {
   }
 
   if (line.check) return Check(line);
-  ProgressLines progress(line.quiet);
-  OfflineResult offline = CalibrateOffline(line.request, std::ref(progress));
+  const Progress progress = ShowProgress(line.quiet);
+  OfflineResult offline = CalibrateOffline(line.request, progress);
   if (!line.quiet) std::cout << Summary(offline.result, offline.infos) << std::flush;
   WriteResult(&offline);
-  WriteExports(&offline);
-  WriteTrajectories(line.request, &offline);
-  if (!offline.report.empty()) progress.Run("report", [&] { WriteReport(&offline); });
+  WriteReport(&offline, progress);
   if (!line.quiet) std::cout << WrittenTo(offline.written);
 }
 

@@ -6,7 +6,6 @@
 
 #include <csignal>
 #include <cstdio>
-#include <functional>
 #include <iostream>
 #include <optional>
 #include <string>
@@ -17,7 +16,6 @@
 #include "imu_pose_calib/ros/live/live_node.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
 #include "imu_pose_calib/ros/offline/offline.h"
-#include "imu_pose_calib/ros/offline/progress_lines.h"
 #include "imu_pose_calib/ros/offline/summary.h"
 
 namespace imu_pose_calib {
@@ -48,8 +46,11 @@ OfflineJob ReadJob() {
   const auto number = [](const char* name, double fallback = 0.0) {
     return Param<double>(std::string("~") + name, fallback, "a number");
   };
+  const auto flag = [](const char* name) {
+    return Param<bool>(std::string("~") + name, false, "true or false");
+  };
   OfflineJob job;
-  job.exit = Param<bool>("~exit", false, "true or false");
+  job.exit = flag("exit");
   OfflineRequest& request = job.request;
   request.bag.paths = SplitBags(text("bag"));
   request.bag.body = text("body");
@@ -61,8 +62,8 @@ OfflineJob ReadJob() {
   request.bag.tf_child = text("tf_child");
   request.bag.start_s = number("start");
   request.bag.duration_s = number("duration");
-  request.one_recording = Param<bool>("~one_recording", false, "true or false");
-  request.bag.record_time = Param<bool>("~record_time", false, "true or false");
+  request.one_recording = flag("one_recording");
+  request.bag.record_time = flag("record_time");
   request.text.poses = text("poses");
   request.text.imu = text("imu");
   request.text.gyro = text("gyro");
@@ -72,7 +73,7 @@ OfflineJob ReadJob() {
   request.method = text("method");
   request.output = text("output");
   request.exports = text("export");
-  if (Param<bool>("~report", false, "true or false")) request.report = ReportPath(request);
+  if (flag("report")) request.report = ReportPath(request);
   request.marker_frame = text("marker_frame");
   request.imu_frame = text("imu_frame");
   request.trajectory.path = text("trajectory");
@@ -116,12 +117,9 @@ void Offer(const OfflineResult& offline, ros::NodeHandle* node) {
 /// interrupt ends it at once.
 void RunOffline(const OfflineJob& job, std::optional<ros::NodeHandle>* node) {
   std::signal(SIGINT, SIG_DFL);  // as later in the graph, also when a shell has it ignored
-  ProgressLines progress(false);
-  OfflineResult offline = CalibrateOffline(job.request, std::ref(progress));
+  OfflineResult offline = CalibrateOffline(job.request, ShowProgress(false));
   std::cout << Summary(offline.result, offline.infos) << std::flush;
   WriteResult(&offline);
-  WriteExports(&offline);
-  WriteTrajectories(job.request, &offline);
   try {
     WriteReport(&offline);
   } catch (const InputError& error) {

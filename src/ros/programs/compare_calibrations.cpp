@@ -1,12 +1,19 @@
 // Compares results with each other and with a reference.
 
+#include <algorithm>
+#include <boost/algorithm/string/trim.hpp>
+#include <cmath>
 #include <iostream>
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/core/comparison.h"
+#include "imu_pose_calib/ros/exports/export_text.h"
+#include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/io/stored_result.h"
+#include "imu_pose_calib/ros/io/transform_file.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
-#include "imu_pose_calib/ros/offline/compare.h"
+#include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -14,37 +21,365 @@ namespace {
 namespace po = boost::program_options;
 
 struct CommandLine {
-  CompareRequest request;
+  std::vector<std::string> results;  ///< result files, of one rig
+  size_t imu = 0;                    ///< place of the IMU in rigs with several
+  bool same_clocks = false;          ///< time shifts of different recordings can be compared
+  /// T_marker_imu to compare with, see ReadTransform().
+  std::string reference;
+  /// The same as a chain: T_marker_cam (x_marker = T x_cam), and Kalibr's camchain-imucam.yaml.
+  std::vector<std::string> chain;
+  std::string camera = "cam0";  ///< the one of the chain that T_marker_cam is of
+  /// "MM DEG": sigma of reference or chain, per axis.
+  std::string reference_std = "0 0";
+  /// Where marker -> imu -> cameras goes: this name with .urdf and .tf.launch.
+  std::string chain_output;
   bool quiet = false, help = false;
 };
 
+/// A line of a table, without blanks at its end.
+template <typename... Arguments>
+std::string Row(const char* format, Arguments... arguments) {
+  return boost::trim_right_copy(Format(format, arguments...)) + "\n";
+}
+
+/// The number with four digits after the point; never "-0.0000".
+std::string Fixed(double value) { return Format("%.4f", std::round(value * 1e4) / 1e4 + 0.0); }
+
+/// How a quantity is shown.
+struct Unit {
+  double factor;
+  const char* name;
+};
+
+Unit UnitOf(ComparedQuantity quantity) {
+  if (quantity == ComparedQuantity::kTranslation) return {1e3, "mm"};
+  if (quantity == ComparedQuantity::kRotation) return {180.0 / M_PI, "deg"};
+  return {1e3, "ms"};
+}
+
+/// "translation x", "accel delay".
+std::string Name(ComparedQuantity quantity, int axis) {
+  const bool is_vector =
+      quantity == ComparedQuantity::kTranslation || quantity == ComparedQuantity::kRotation;
+  return std::string(ToString(quantity)) + (is_vector ? std::string(" ") + "xyz"[axis] : "");
+}
+
+/// The worst of several comparisons so far.
+struct Worst {
+  double sigmas = 0.0;
+  std::string text = "nothing is judged";
+
+  void Add(const Comparison& comparison, const std::string& of) {
+    const Difference* worst = comparison.Worst();
+    if (!worst || (sigmas > 0.0 && worst->sigmas <= sigmas)) return;
+    const Unit unit = UnitOf(worst->quantity);
+    sigmas = worst->sigmas;
+    text = of + Name(worst->quantity, worst->axis) + ", " +
+           Format("%.4g %s, %.1f sigma", worst->value * unit.factor, unit.name, sigmas);
+  }
+};
+
+Comparable ToComparable(const StoredResult& stored, size_t imu) {
+  if (imu >= stored.result.imus.size())
+    throw InputError("--imu " + std::to_string(imu) + ": '" + stored.path + "' has " +
+                     std::to_string(stored.result.imus.size()) + " imus, from 0");
+  const ImuCalibration& calibration = stored.result.imus[imu];
+  return {calibration.T_MI,
+          calibration.covariance,
+          calibration.accel_delay,
+          calibration.accel_delay_std};
+}
+
+/// Time shifts at the mean of the instants at which they hold.
+void SetTimeShifts(const std::vector<StoredResult>& results,
+                   size_t imu,
+                   std::vector<Comparable>* calibrations) {
+  double reference = 0.0;
+  for (const StoredResult& stored : results)
+    reference += stored.Clock(imu).clock_reference / static_cast<double>(results.size());
+  for (size_t i = 0; i < results.size(); ++i) {
+    const ImuSession& clock = results[i].Clock(imu);
+    const double away = reference - clock.clock_reference;
+    (*calibrations)[i].time_shift = clock.time_shift + clock.clock_drift * away;
+    (*calibrations)[i].time_shift_std =
+        std::hypot(clock.time_shift_std, clock.clock_drift_std * away);
+  }
+}
+
+/// Whether all results are of one recording, or of parts of it.
+bool AreOfOneRecording(const std::vector<StoredResult>& results, size_t imu) {
+  const RecordingInfo& info = results.front().infos.front();
+  const ImuSession& clock = results.front().Clock(imu);
+  return std::all_of(results.begin(), results.end(), [&](const StoredResult& other) {
+    const RecordingInfo& its = other.infos.front();
+    const double longest = std::max(results.front().result.sessions[0].poses.duration_s,
+                                    other.result.sessions[0].poses.duration_s);
+    return other.result.sessions.size() == 1 && its.Source() == info.Source() &&
+           its.pose_topic == info.pose_topic &&
+           its.imus[imu].GyroSource() == info.imus[imu].GyroSource() &&
+           std::abs(other.Clock(imu).clock_reference - clock.clock_reference) <= longest;
+  });
+}
+
+/// Rows of each component, then distance, angle and chi-square.
+std::string Table(const Comparison& comparison, const std::string& title) {
+  std::string text = Row("\n  %-24s %14s %14s", title.c_str(), "difference", "sigma");
+  for (const Difference& component : comparison.components) {
+    const Unit unit = UnitOf(component.quantity);
+    const std::string judged = component.sigma > 0.0 ? Format("%.1f sigma", component.sigmas) : "-";
+    text += Row("  %-24s %10s %-3s %10s %-3s %10s",
+                Name(component.quantity, component.axis).c_str(),
+                Fixed(component.value * unit.factor).c_str(),
+                unit.name,
+                Fixed(component.sigma * unit.factor).c_str(),
+                unit.name,
+                judged.c_str());
+  }
+  text += Format(
+      "  together: %.3f mm, %.4f deg", comparison.distance * 1e3, comparison.angle * 180.0 / M_PI);
+  if (comparison.dof > 0)
+    text += Format("; chi-square %.1f with %d degrees of freedom", comparison.chi2, comparison.dof);
+  return text + "\n";
+}
+
+/// The mean of a component as text; of a rotation none, which has no mean of an axis.
+std::string MeanText(const Comparable& mean, ComparedQuantity quantity, int axis) {
+  if (quantity == ComparedQuantity::kRotation) return "";
+  const double value = quantity == ComparedQuantity::kTranslation  ? mean.T_MI.p[axis]
+                       : quantity == ComparedQuantity::kAccelDelay ? mean.accel_delay
+                                                                   : mean.time_shift;
+  return Fixed(value * UnitOf(quantity).factor);
+}
+
+std::string ScatterTable(const Repeatability& repeatability) {
+  std::string text = Row("\n  %-16s %14s %12s %12s      %s",
+                         "repeatability",
+                         "mean",
+                         "scatter",
+                         "sigma",
+                         "chi2 / dof");
+  for (const Scatter& scatter : repeatability.scatters) {
+    const Unit unit = UnitOf(scatter.quantity);
+    for (int axis = 0; axis < scatter.deviation.size(); ++axis) {
+      const std::string chi2 =
+          axis > 0 || scatter.dof == 0
+              ? ""
+              : Format("%.1f / %d = %.2f", scatter.chi2, scatter.dof, scatter.chi2 / scatter.dof);
+      text += Row("  %-16s %14s %12s %12s %-4s %s",
+                  Name(scatter.quantity, axis).c_str(),
+                  MeanText(repeatability.mean, scatter.quantity, axis).c_str(),
+                  Fixed(scatter.deviation[axis] * unit.factor).c_str(),
+                  Fixed(scatter.sigma[axis] * unit.factor).c_str(),
+                  unit.name,
+                  chi2.c_str());
+    }
+  }
+  Eigen::Vector4d q = repeatability.mean.T_MI.q.coeffs();
+  if (q[3] < 0.0) q = -q;
+  return text + Format("  mean rotation x y z w: %.8f %.8f %.8f %.8f\n", q[0], q[1], q[2], q[3]);
+}
+
+/// Names what scatters more than its sigmas say, beyond chance.
+std::string ScatterRemark(const Repeatability& repeatability) {
+  std::string text;
+  for (const Scatter& scatter : repeatability.scatters)
+    if (scatter.chi2 > scatter.dof + 3.0 * std::sqrt(2.0 * scatter.dof))
+      text += (text.empty() ? "" : ", ") + std::string(ToString(scatter.quantity)) +
+              Format(" %.1f times", std::sqrt(scatter.chi2 / scatter.dof));
+  return text.empty() ? "" : "  more scatter than the sigmas say: " + text + "\n";
+}
+
+/// One row for each result: how far it is from something, and in what most.
+std::string Rows(const std::vector<Comparison>& comparisons, const std::string& title) {
+  std::string text =
+      Format("\n  %-16s %12s %12s   %s\n", title.c_str(), "distance", "angle", "most");
+  for (size_t i = 0; i < comparisons.size(); ++i) {
+    Worst worst;
+    worst.Add(comparisons[i], "");
+    text += Format("  result %-9zu %9.3f mm %8.4f deg   %s\n",
+                   i + 1,
+                   comparisons[i].distance * 1e3,
+                   comparisons[i].angle * 180.0 / M_PI,
+                   worst.text.c_str());
+  }
+  return text;
+}
+
+/// T_marker_imu: x_marker = T_marker_cam x_cam, x_cam = T_cam_imu x_imu.
+Rigid3 Chain(const CommandLine& line, const std::vector<ChainCamera>& cameras) {
+  const auto found = std::find_if(cameras.begin(), cameras.end(), [&](const ChainCamera& camera) {
+    return camera.name == line.camera;
+  });
+  if (found == cameras.end())
+    throw InputError("--cam '" + line.camera + "' is not in '" + line.chain[1] + "'");
+  return ReadTransform("--chain", line.chain[0]) * found->T_cam_imu;
+}
+
+/// Of the sigma given for reference or chain.
+Matrix6d Covariance(const std::string& text) {
+  const Eigen::VectorXd sigmas = ParseNumbers("--reference-std", text, 2);
+  if (sigmas.minCoeff() < 0.0)
+    throw InputError("--reference-std '" + text + "' must not be negative");
+  const double position = sigmas[0] * 1e-3, rotation = sigmas[1] * M_PI / 180.0;
+  Matrix6d covariance = Matrix6d::Zero();
+  covariance.diagonal().head<3>().setConstant(position * position);
+  covariance.diagonal().tail<3>().setConstant(rotation * rotation);
+  return covariance;
+}
+
+/// Writes marker -> imu of the result, and imu -> each camera of the chain.
+std::vector<std::string> WriteChain(const CommandLine& line,
+                                    const StoredResult& stored,
+                                    const std::vector<ChainCamera>& cameras) {
+  std::vector<StaticTransform> transforms = {ImuTransforms(stored)[line.imu]};
+  const std::string imu = transforms.front().child;
+  for (const ChainCamera& camera : cameras)
+    transforms.push_back({imu, camera.name, camera.T_cam_imu.Inverse()});
+  const Lines head =
+      Head(stored,
+           "marker -> imu -> cameras",
+           true,
+           {"cameras: x_cam = T_cam_imu x_imu of " + line.chain[1] + "; published is its inverse"});
+  std::vector<std::string> paths = {line.chain_output + ".urdf", line.chain_output + ".tf.launch"};
+  WriteFile(paths[0], UrdfText(head, transforms));
+  WriteFile(paths[1], LaunchText(head, transforms));
+  return paths;
+}
+
+/// The results that are compared, and remarks on them.
+std::string List(const std::vector<StoredResult>& results) {
+  std::string text = "\n";
+  const std::string& marker = results.front().infos.front().marker_frame;
+  for (size_t i = 0; i < results.size(); ++i) {
+    const StoredResult& stored = results[i];
+    text += "  result " + std::to_string(i + 1) + ": " + stored.path + "\n";
+    if (stored.result.status == Status::kWeak)
+      text += "            weak: " + stored.result.message + "\n";
+    if (stored.infos.front().marker_frame != marker)
+      text += "            its marker is called '" + stored.infos.front().marker_frame +
+              "', not '" + marker + "'\n";
+  }
+  return text;
+}
+
+void Check(const CommandLine& line) {
+  if (line.results.empty())
+    throw InputError("give the results to compare; see compare_calibrations --help");
+  if (!line.chain.empty() && line.chain.size() != 2)
+    throw InputError("--chain needs T_marker_cam and a camera chain");
+  if (!line.reference.empty() && !line.chain.empty())
+    throw InputError("give --reference or --chain, not both");
+  if (!line.chain_output.empty() && line.chain.empty())
+    throw InputError("--chain-output needs --chain");
+  if (line.results.size() < 2 && line.reference.empty() && line.chain.empty())
+    throw InputError(
+        "one result needs something to compare it with: another one, --reference or "
+        "--chain");
+}
+
+/// Compares two results, or each of more with the mean of the others.
+std::string CompareResults(const std::vector<Comparable>& calibrations,
+                           const std::vector<ComparedQuantity>& quantities,
+                           Worst* worst) {
+  if (calibrations.size() < 2) return "";
+  if (calibrations.size() == 2) {
+    const Comparison comparison = Compare(calibrations[0], calibrations[1], quantities);
+    worst->Add(comparison, "");
+    return Table(comparison, "result 2 less result 1");
+  }
+  const Repeatability repeatability = Repeat(calibrations, quantities);
+  for (size_t i = 0; i < calibrations.size(); ++i)
+    worst->Add(repeatability.from_others[i], "result " + std::to_string(i + 1) + ", ");
+  return ScatterTable(repeatability) + ScatterRemark(repeatability) +
+         Rows(repeatability.from_others, "from the others");
+}
+
+/// Compares each result with the reference.
+std::string CompareWithReference(const std::vector<Comparable>& calibrations,
+                                 const Comparable& reference,
+                                 const std::string& name,
+                                 const std::vector<ComparedQuantity>& quantities,
+                                 Worst* worst) {
+  std::vector<Comparison> comparisons;
+  for (size_t i = 0; i < calibrations.size(); ++i) {
+    comparisons.push_back(Compare(reference, calibrations[i], quantities));
+    const std::string of = calibrations.size() > 1 ? "result " + std::to_string(i + 1) + ", " : "";
+    worst->Add(comparisons.back(), of + "less " + name + ": ");
+  }
+  return "\n  reference: " + name + "\n" +
+         (calibrations.size() == 1 ? Table(comparisons[0], "result less reference")
+                                   : Rows(comparisons, "less reference"));
+}
+
+/// They disagree when a component differs by more than kAgreementBound sigma. Time shifts count
+/// when the results are of one recording, or when the clocks are said to be the same.
+void CompareAll(const CommandLine& line) {
+  Check(line);
+  std::vector<StoredResult> results;
+  std::vector<Comparable> calibrations;
+  for (const std::string& path : line.results) {
+    results.push_back(LoadResult(path));
+    calibrations.push_back(ToComparable(results.back(), line.imu));
+  }
+  SetTimeShifts(results, line.imu, &calibrations);
+  const std::vector<ComparedQuantity> transform = {ComparedQuantity::kTranslation,
+                                                   ComparedQuantity::kRotation};
+  std::vector<ComparedQuantity> quantities = transform;
+  quantities.push_back(ComparedQuantity::kAccelDelay);
+  const bool has_shift = line.same_clocks || AreOfOneRecording(results, line.imu);
+  if (has_shift) quantities.push_back(ComparedQuantity::kTimeShift);
+
+  Worst worst;
+  std::string text = List(results) + CompareResults(calibrations, quantities, &worst);
+  if (results.size() > 1 && !has_shift)
+    text += "  time shifts are not compared: each recording has its own (--same-clocks if not)\n";
+  std::vector<ChainCamera> cameras;
+  std::string name;  // of the reference, if there is one
+  Comparable reference;
+  if (!line.reference.empty()) {
+    name = "reference";
+    reference.T_MI = ReadTransform("--reference", line.reference);
+  }
+  if (!line.chain.empty()) {
+    name = "marker -> " + line.camera + " -> imu";
+    cameras = LoadCameraChain(line.chain[1]);
+    reference.T_MI = Chain(line, cameras);
+  }
+  if (!name.empty()) {
+    reference.covariance = Covariance(line.reference_std);
+    text += CompareWithReference(calibrations, reference, name, transform, &worst);
+  }
+  const bool agrees = worst.sigmas <= kAgreementBound;
+  const std::string verdict =
+      (agrees ? "; most apart: " : ": ") + worst.text + Format(" (bound: %.0f)", kAgreementBound);
+  text = (agrees ? "AGREE" : "DIFFER") + verdict + "\n" + text;
+  if (!line.chain_output.empty())
+    for (const std::string& path : WriteChain(line, results.front(), cameras))
+      text += "Written to " + path + "\n";
+  if (!line.quiet) std::cout << text << std::flush;
+  if (!agrees) throw DataError("differ" + verdict);
+}
+
 po::options_description Describe(CommandLine* line) {
-  CompareRequest& request = line->request;
   po::options_description options("Options");
   auto add = options.add_options();
   add("reference",
-      po::value(&request.reference)->value_name("T"),
+      Value(&line->reference, "T"),
       "T_marker_imu to compare with: \"x y z qx qy qz qw\" [m], or a YAML or JSON file");
   add("chain",
-      po::value(&request.chain)->multitoken()->value_name("T CAMCHAIN"),
+      Value(&line->chain, "T CAMCHAIN")->multitoken(),
       "the same as T_marker_cam (x_marker = T x_cam), numbers or file, and Kalibr's "
       "camchain-imucam.yaml: T_marker_imu = T_marker_cam T_cam_imu");
-  add("cam",
-      po::value(&request.camera)->default_value(request.camera)->value_name("NAME"),
-      "camera of the chain that T_marker_cam is of");
+  add("cam", ValueOrDefault(&line->camera, "NAME"), "camera of the chain that T_marker_cam is of");
   add("reference-std",
-      po::value(&request.reference_std)
-          ->default_value(request.reference_std)
-          ->value_name("\"MM DEG\""),
+      ValueOrDefault(&line->reference_std, "\"MM DEG\""),
       "sigma of reference or chain, per axis");
   add("chain-output",
-      po::value(&request.chain_output)->value_name("PREFIX"),
+      Value(&line->chain_output, "PREFIX"),
       "write marker -> imu (result) -> cameras (chain): PREFIX.urdf, PREFIX.tf.launch");
-  add("imu",
-      po::value(&request.imu)->default_value(request.imu)->value_name("N"),
-      "which of several imus, from 0");
+  add("imu", ValueOrDefault(&line->imu, "N"), "which of several imus, from 0");
   add("same-clocks",
-      po::bool_switch(&request.same_clocks),
+      po::bool_switch(&line->same_clocks),
       "compare the time shifts of different recordings, too");
   add("quiet", po::bool_switch(&line->quiet), "print errors only");
   add("help", po::bool_switch(&line->help), "print this text");
@@ -52,15 +387,11 @@ po::options_description Describe(CommandLine* line) {
 }
 
 void Parse(int argc, char** argv, CommandLine* line) {
-  po::options_description all = Describe(line);
-  std::vector<std::string>& results = line->request.results;
-  all.add_options()("result", po::value(&results));
-  ParseCommandLine(argc, argv, all, "result", -1);
+  ParseCommandLine(argc, argv, Describe(line), "result", Value(&line->results), -1);
   // --chain takes all words that follow; those after its two are results.
-  std::vector<std::string>& chain = line->request.chain;
-  if (chain.size() > 2) {
-    results.insert(results.end(), chain.begin() + 2, chain.end());
-    chain.resize(2);
+  if (line->chain.size() > 2) {
+    line->results.insert(line->results.end(), line->chain.begin() + 2, line->chain.end());
+    line->chain.resize(2);
   }
 }
 
@@ -80,13 +411,7 @@ void Run(int argc, char** argv) {
   CommandLine line;
   Parse(argc, argv, &line);
   if (line.help) return PrintHelp();
-  const CompareOutcome outcome = CompareResults(line.request);
-  if (!line.quiet) {
-    std::cout << outcome.text;
-    for (const std::string& path : outcome.written) std::cout << "Written to " << path << "\n";
-    std::cout << std::flush;
-  }
-  if (!outcome.agrees) throw DataError(outcome.verdict);
+  CompareAll(line);
 }
 
 }  // namespace

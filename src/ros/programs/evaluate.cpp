@@ -32,50 +32,42 @@ struct CommandLine {
 
 po::options_description Describe(CommandLine* line) {
   EvaluationRequest& request = line->request;
-  const auto text = [](std::string* field) { return po::value(field)->value_name("TEXT"); };
-  const auto texts = [](std::vector<std::string>* field) {
-    return po::value(field)->multitoken()->value_name("TEXT");
-  };
   po::options_description options("Options");
   auto add = options.add_options();
-  add("bag", text(&request.bag.path), "recording to add noise to, no simulation; default: both");
+  add("bag", Value(&request.bag.path), "recording to add noise to, no simulation; default: both");
   add("simulate", po::bool_switch(&line->simulate), "simulated recordings only; with --bag: both");
-  add("start",
-      po::value(&request.bag.start_s)->value_name("S")->default_value(0),
-      "seconds of the bag to skip");
+  add("start", Value(&request.bag.start_s, "S")->default_value(0), "seconds of the bag to skip");
   add("duration",
-      po::value(&request.bag.duration_s)->value_name("S")->default_value(40),
+      Value(&request.bag.duration_s, "S")->default_value(40),
       "seconds of the bag to use; 0: all");
-  add("experiments", text(&line->experiments), "names with commas between; default: all");
+  add("experiments", Value(&line->experiments), "names with commas between; default: all");
   add("list", po::bool_switch(&line->list), "print the names of the experiments");
   add("trials",
-      po::value(&request.trials)->value_name("N")->default_value(request.trials),
+      ValueOrDefault(&request.trials, "N"),
       "of each cell of the paper's tables; others have a part or a multiple of it");
-  add("rig", texts(&request.rig), "bags of one rig to compare with each other");
+  add("rig", Value(&request.rig)->multitoken(), "bags of one rig to compare with each other");
   add("chain",
-      texts(&request.chain),
+      Value(&request.chain)->multitoken(),
       "T_marker_camera and T_camera_imu, to compare the rig with: \"x y z qx qy qz qw\" or files");
   add("batch",
-      po::value(&line->batch)->value_name("DIR"),
+      Value(&line->batch, "DIR"),
       "instead of experiments: calibrate every bag below DIR, with a report of each");
-  add("dataset", text(&line->dataset), "instead: a public dataset, tum-vi, euroc or broad");
-  add("data", po::value(&line->data)->value_name("DIR"), "where it is");
-  add("imu-topic", text(&line->sequences.bag.imu_topic), "of all bags of a batch or a dataset");
-  add("pose-topic", text(&line->sequences.bag.pose_topic), "the same");
-  add("tf-parent", text(&line->sequences.bag.tf_parent), "poses from tf: the fixed frame");
-  add("tf-child", text(&line->sequences.bag.tf_child), "poses from tf: the marker");
-  add("config", text(&line->sequences.config), "YAML of options, for a batch or a dataset");
-  add("method", text(&line->sequences.method), "joint (default) or gp, for a batch or a dataset");
-  add("jobs",
-      po::value(&request.runner.jobs)->value_name("J"),
-      "trials at a time; default: one per processor");
+  add("dataset", Value(&line->dataset), "instead: a public dataset, tum-vi, euroc or broad");
+  add("data", Value(&line->data, "DIR"), "where it is");
+  add("imu-topic", Value(&line->sequences.bag.imu_topic), "of all bags of a batch or a dataset");
+  add("pose-topic", Value(&line->sequences.bag.pose_topic), "the same");
+  add("tf-parent", Value(&line->sequences.bag.tf_parent), "poses from tf: the fixed frame");
+  add("tf-child", Value(&line->sequences.bag.tf_child), "poses from tf: the marker");
+  add("config", Value(&line->sequences.config), "YAML of options, for a batch or a dataset");
+  add("method", Value(&line->sequences.method), "joint (default) or gp, for a batch or a dataset");
+  add("jobs", Value(&request.runner.jobs, "J"), "trials at a time; default: one per processor");
   add("out",
-      po::value(&request.runner.folder)->value_name("DIR")->default_value("evaluation"),
+      Value(&request.runner.folder, "DIR")->default_value("evaluation"),
       "trials, tables and figures; what is there is not run again");
   add("print-jobs",
-      po::value(&line->print_jobs)->value_name("K"),
+      Value(&line->print_jobs, "K"),
       "print K commands that share the trials, and run nothing");
-  add("job", text(&line->job), "I/K: only the I-th of K shares of the trials");
+  add("job", Value(&line->job), "I/K: only the I-th of K shares of the trials");
   add("merge", po::bool_switch(&request.is_merge), "tables only: all trials must be there");
   add("quiet", po::bool_switch(&request.runner.quiet), "print errors only");
   add("help", po::bool_switch(&line->help), "print this text");
@@ -159,7 +151,7 @@ void RunRecordings(const CommandLine& line) {
 void Run(int argc, char** argv) {
   CommandLine line;
   line.request.runner.jobs = 0;
-  ParseCommandLine(argc, argv, Describe(&line), "", 0);
+  ParseCommandLine(argc, argv, Describe(&line));
   if (line.help) {
     CommandLine defaults;
     std::cout << "Usage: evaluate [options]\n\n"

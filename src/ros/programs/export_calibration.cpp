@@ -2,7 +2,6 @@
 
 #include <boost/algorithm/string/join.hpp>
 #include <iostream>
-#include <sstream>
 #include <string>
 
 #include "imu_pose_calib/ros/exports/exports.h"
@@ -22,14 +21,12 @@ struct CommandLine {
 po::options_description Describe(CommandLine* line) {
   po::options_description options("Options");
   auto add = options.add_options();
-  add("export",
-      po::value(&line->exports)->value_name("LIST"),
-      "programs, separated by commas; all: every one");
+  add("export", Value(&line->exports, "LIST"), "programs, separated by commas; all: every one");
   add("output-dir",
-      po::value(&line->output_dir)->value_name("DIR"),
+      Value(&line->output_dir, "DIR"),
       "folder for the files, made when missing; default: that of the result");
   add("body-imu",
-      po::value(&line->body_imu)->value_name("\"QX QY QZ QW\""),
+      Value(&line->body_imu, "\"QX QY QZ QW\""),
       "px4: from imu axes to the body's forward, right, down; default: they are the same");
   add("quiet", po::bool_switch(&line->quiet), "print errors only");
   add("help", po::bool_switch(&line->help), "print this text");
@@ -46,9 +43,7 @@ void PrintHelp() {
 
 void Run(int argc, char** argv) {
   CommandLine line;
-  po::options_description all = Describe(&line);
-  all.add_options()("result", po::value(&line.result));
-  ParseCommandLine(argc, argv, all, "result", 1);
+  ParseCommandLine(argc, argv, Describe(&line), "result", Value(&line.result), 1);
   if (line.help) return PrintHelp();
   if (line.result.empty())
     throw InputError("give the result to export; see export_calibration --help");

@@ -27,42 +27,39 @@ struct CommandLine {
 
 po::options_description Describe(CommandLine* line) {
   SimulatorOptions& simulator = line->simulator;
-  const auto value = [](auto* field, const char* unit) {
-    std::ostringstream text;
-    text << *field;
-    return po::value(field)->value_name(unit)->default_value(*field, text.str());
-  };
   po::options_description options("Options");
   auto add = options.add_options();
   add("motion",
-      value(&line->motion, "TEXT"),
+      ValueOrDefault(&line->motion, "TEXT"),
       "handheld, tumble, arm, drone, planar, hinge or static");
-  add("duration", value(&simulator.duration_s, "S"), "length");
-  add("seed", value(&simulator.seed, "N"), "motion, noise and biases follow from it");
-  add("pose-rate", value(&simulator.pose_rate_hz, "HZ"), "poses");
-  add("imu-rate", value(&line->imu_rate_hz, "HZ"), "gyroscope and accelerometer");
-  add("imus", value(&line->imus, "N"), "on the body, with clocks of their own: /imu, /imu1, ...");
-  add("position-std", value(&simulator.position_std, "M"), "noise per axis");
-  add("rotation-std", value(&simulator.rotation_std, "RAD"), "noise per axis");
-  add("gyro-std", value(&simulator.gyro_std, "RAD/S"), "noise per sample");
-  add("accel-std", value(&simulator.accel_std, "M/S^2"), "noise per sample");
-  add("time-shift", value(&simulator.time_shift_s, "S"), "t_pose = t_imu + time_shift");
+  add("duration", ValueOrDefault(&simulator.duration_s, "S"), "length");
+  add("seed", ValueOrDefault(&simulator.seed, "N"), "motion, noise and biases follow from it");
+  add("pose-rate", ValueOrDefault(&simulator.pose_rate_hz, "HZ"), "poses");
+  add("imu-rate", ValueOrDefault(&line->imu_rate_hz, "HZ"), "gyroscope and accelerometer");
+  add("imus",
+      ValueOrDefault(&line->imus, "N"),
+      "on the body, with clocks of their own: /imu, /imu1, ...");
+  add("position-std", ValueOrDefault(&simulator.position_std, "M"), "noise per axis");
+  add("rotation-std", ValueOrDefault(&simulator.rotation_std, "RAD"), "noise per axis");
+  add("gyro-std", ValueOrDefault(&simulator.gyro_std, "RAD/S"), "noise per sample");
+  add("accel-std", ValueOrDefault(&simulator.accel_std, "M/S^2"), "noise per sample");
+  add("time-shift", ValueOrDefault(&simulator.time_shift_s, "S"), "t_pose = t_imu + time_shift");
   add("accel-delay",
-      value(&simulator.accel_delay_s, "S"),
+      ValueOrDefault(&simulator.accel_delay_s, "S"),
       "t_pose = t_accel + time_shift - accel_delay");
   add("format",
-      value(&line->format_name, "TEXT"),
+      ValueOrDefault(&line->format_name, "TEXT"),
       "bag; mcap, db3: of ROS 2; asl: folder OUTPUT/ like EuRoC; text: OUTPUT.poses.txt and "
       "OUTPUT.imu.csv");
   add("split",
       po::bool_switch(&line->format.split_imu),
       "gyroscope and accelerometer on two topics, or in two files");
   add("pose-type",
-      value(&line->format.pose_type, "TEXT"),
+      ValueOrDefault(&line->format.pose_type, "TEXT"),
       "PoseStamped, TransformStamped, PoseWithCovarianceStamped, Odometry or tf (world to marker "
       "through six joints)");
   add("imu-type",
-      value(&line->format.imu_type, "TEXT"),
+      ValueOrDefault(&line->format.imu_type, "TEXT"),
       "Imu or Vector3Stamped (/imu/gyro and /imu/accel)");
   add("lidar",
       po::bool_switch(&line->lidar),
@@ -73,7 +70,7 @@ po::options_description Describe(CommandLine* line) {
     std::ostringstream text;
     text << effect.text << "; usual: " << effect.usual;
     effects.add_options()(
-        effect.name, value(&effect.strength(&simulator), effect.unit), text.str().c_str());
+        effect.name, ValueOrDefault(&effect.strength(&simulator), effect.unit), text.str().c_str());
   }
   options.add(effects);
   return options;
@@ -94,12 +91,6 @@ void CheckPositive(const char* option, double value) {
 void CheckNotNegative(const char* option, double value) {
   if (!(value >= 0.0))
     throw InputError(std::string(option) + " = " + YamlNumber(value) + " must not be negative");
-}
-
-void Parse(int argc, char** argv, CommandLine* line) {
-  po::options_description all = Describe(line);
-  all.add_options()("output", po::value(&line->output));
-  ParseCommandLine(argc, argv, all, "output", 1);
 }
 
 /// Completes and checks what the command line has filled in.
@@ -164,7 +155,7 @@ void PrintHelp() {
 
 void Run(int argc, char** argv) {
   CommandLine line;
-  Parse(argc, argv, &line);
+  ParseCommandLine(argc, argv, Describe(&line), "output", Value(&line.output), 1);
   if (line.help) return PrintHelp();
   const std::string prefix = Prefix(line);
   const SimulatorOptions simulator = Simulator(line);

@@ -2,17 +2,35 @@
 
 #include <boost/program_options.hpp>
 #include <functional>
+#include <sstream>
 #include <string>
+
+#include "imu_pose_calib/core/calibrator.h"
 
 namespace imu_pose_calib {
 
+/// An option that fills `field`. `unit`: what its value is called in the help.
+template <typename T>
+boost::program_options::typed_value<T>* Value(T* field, const char* unit = "TEXT") {
+  return boost::program_options::value(field)->value_name(unit);
+}
+
+/// The same; the help shows what `field` holds by default.
+template <typename T>
+boost::program_options::typed_value<T>* ValueOrDefault(T* field, const char* unit) {
+  std::ostringstream text;
+  text << *field;
+  return Value(field, unit)->default_value(*field, text.str());
+}
+
 /// Reads a command line into what `options` refer to. Arguments without a name, at most `count` of
-/// them (-1: any number), go to the option `positional`. Names must be spelled out.
+/// them (-1: any number), go to the option `name`, which is `unnamed`. Names must be spelled out.
 void ParseCommandLine(int argc,
                       char** argv,
-                      const boost::program_options::options_description& options,
-                      const char* positional,
-                      int count);
+                      boost::program_options::options_description options,
+                      const char* name = "",
+                      const boost::program_options::value_semantic* unnamed = nullptr,
+                      int count = 0);
 
 /// Runs an executable and returns its exit status: 0, 2 for data that cannot be calibrated, 1 for
 /// any other error. `report` is given the text of the error on one line.
@@ -21,5 +39,9 @@ int RunToExitStatus(const std::function<void()>& run,
 
 /// The same for a command: the error goes to stderr.
 int RunCommand(const std::string& name, const std::function<void()>& run);
+
+/// A line on stderr for each stage of a calibration, with the time and the iterations that it took;
+/// nothing when `quiet`, or when stderr is no terminal.
+Progress ShowProgress(bool quiet);
 
 }  // namespace imu_pose_calib

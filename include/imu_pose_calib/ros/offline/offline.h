@@ -48,6 +48,7 @@ struct OfflineResult {
   std::string yaml;                  ///< its text
   CalibrationOptions options;        ///< as used
   std::vector<std::string> exports;  ///< programs to export it to
+  TrajectoryRequest trajectory;
   std::vector<std::string> written;  ///< files that were written, with what is to be said of them
 
   // What a report is made of; no sessions when none is wanted, nor keep_data.
@@ -74,18 +75,13 @@ OfflineResult CalibrateOffline(const OfflineRequest& request, const Progress& pr
 /// The bags that one text names: a file of that name, or else names with white space between them.
 std::vector<std::string> SplitBags(const std::string& text);
 
-/// Writes the result. When that fails, prints its text on stdout before it throws.
+/// Writes the result, and what it is to be exported to, and the ground truth, as far as the request
+/// asks for them. When the result cannot be written, prints its text on stdout before it throws.
 void WriteResult(OfflineResult* offline);
 
 /// Writes the report, if one is wanted, and lets go of the recorded data. Throws InputError
 /// that says where the result is.
-void WriteReport(OfflineResult* offline);
-
-/// Exports the result that was written.
-void WriteExports(OfflineResult* offline);
-
-/// Writes the ground truth that the request asks for, if any.
-void WriteTrajectories(const OfflineRequest& request, OfflineResult* offline);
+void WriteReport(OfflineResult* offline, const Progress& progress = {});
 
 /// Checks of one session without a calibration.
 struct OfflineCheck {
