@@ -22,9 +22,10 @@
 
 namespace imu_pose_calib {
 
-const char kReportHeader[] = "<!DOCTYPE html><!-- imu_pose_calib: report of a calibration -->";
-
 namespace {
+
+// First line of every report in HTML; tells our files from others.
+constexpr char kReportHeader[] = "<!DOCTYPE html><!-- imu_pose_calib: report of a calibration -->";
 
 // --- The numbers ---
 

@@ -91,7 +91,7 @@ class SolvedSession {
     const double end = PoseTime(input_.sessions[s_].poses.back().t_ns);
     const double step = (end - begin) / static_cast<double>(kOverview);
     NumpyTable<double> motion(7);
-    Eigen::Vector3d turn = Eigen::Vector3d::Zero(), turn2 = turn, move = turn, move2 = turn;
+    Vector6d sum = Vector6d::Zero(), sum2 = sum;  // of turning and moving
     double count = 0.0;
     for (size_t k = 0; k < kOverview; ++k) {
       const double t = begin + (static_cast<double>(k) + 0.5) * step;
@@ -102,19 +102,16 @@ class SolvedSession {
       }
       motion.AddRow(
           t, state->p_WB, Eigen::Vector3d(trajectory_.Imu(estimate_.FirstImu(), t)->p_WB));
-      turn += state->omega_B;
-      turn2 += state->omega_B.cwiseAbs2();
-      move += state->a_W;
-      move2 += state->a_W.cwiseAbs2();
+      const Vector6d excitation = (Vector6d() << state->omega_B, state->a_W).finished();
+      sum += excitation;
+      sum2 += excitation.cwiseAbs2();
       count += 1.0;
     }
     motion.Write(prefix + "_motion.npy");
-    const auto rms = [&](const Eigen::Vector3d& sum, const Eigen::Vector3d& sum2) {
-      return Eigen::Vector3d((sum2 / count - (sum / count).cwiseAbs2()).cwiseMax(0.0).cwiseSqrt());
-    };
+    const Vector6d rms = (sum2 / count - (sum / count).cwiseAbs2()).cwiseMax(0.0).cwiseSqrt();
     YAML::Node excitation;
-    excitation["turns"] = YamlList(rms(turn, turn2));
-    excitation["moves"] = YamlList(rms(move, move2));
+    excitation["turns"] = YamlList(rms.head<3>());
+    excitation["moves"] = YamlList(rms.tail<3>());
     return excitation;
   }
 

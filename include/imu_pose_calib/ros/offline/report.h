@@ -9,9 +9,6 @@
 
 namespace imu_pose_calib {
 
-/// First line of every report in HTML; tells our files from others.
-extern const char kReportHeader[];
-
 /// What a report tells of.
 struct ReportInput {
   const CalibrationOptions& options;
