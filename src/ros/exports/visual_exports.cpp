@@ -8,8 +8,10 @@
 namespace imu_pose_calib {
 namespace {
 
-// OpenCV's reader of YAML wants this in the first line.
-constexpr char kOpenCvYaml[] = "%YAML:1.0\n";
+/// The head of a file for OpenCV's reader of YAML, which wants that in the first line.
+std::string OpenCvHead(const StoredResult& stored, const std::string& what, const Lines& more) {
+  return "%YAML:1.0\n" + YamlComment(Head(stored, what, false, more));
+}
 
 std::string ImuName(size_t imu) { return "imu" + std::to_string(imu); }
 
@@ -202,13 +204,13 @@ std::vector<ExportFile> ExportOpenVins(const StoredResult& stored, const ExportO
       "T_imu_cam: x_imu = T_imu_cam x_cam, so cam = marker and T_imu_cam = T_marker_imu^-1",
       "timeshift_cam_imu: t_imu = t_cam + timeshift_cam_imu, so -time_shift",
       "It is no camera: camera_model, intrinsics, distortion and resolution are left out."};
-  return {{"openvins.kalibr_imu_chain.yaml",
-           kOpenCvYaml + YamlComment(Head(stored, "OpenVINS imu chain", false, of_imu)) + chain},
-          {"openvins.kalibr_imucam_chain.yaml",
-           kOpenCvYaml + YamlComment(Head(stored, "OpenVINS camera chain", false, of_camera)) +
-               "cam0:\n  T_imu_cam:\n" + Rows(imu.T_MI.Inverse().Matrix(), "    ") +
-               "  rostopic: " + Quoted(stored.infos.front().pose_topic) +
-               "\n  timeshift_cam_imu: " + YamlNumber(-stored.Clock(0).time_shift) + "\n"}};
+  return {
+      {"openvins.kalibr_imu_chain.yaml", OpenCvHead(stored, "OpenVINS imu chain", of_imu) + chain},
+      {"openvins.kalibr_imucam_chain.yaml",
+       OpenCvHead(stored, "OpenVINS camera chain", of_camera) + "cam0:\n  T_imu_cam:\n" +
+           Rows(imu.T_MI.Inverse().Matrix(), "    ") +
+           "  rostopic: " + Quoted(stored.infos.front().pose_topic) +
+           "\n  timeshift_cam_imu: " + YamlNumber(-stored.Clock(0).time_shift) + "\n"}};
 }
 
 std::vector<ExportFile> ExportVins(const StoredResult& stored, const ExportOptions&) {
@@ -228,9 +230,7 @@ std::vector<ExportFile> ExportVins(const StoredResult& stored, const ExportOptio
       "\nacc_w: " + YamlNumber(noise.accel_walk * std::sqrt(session.accel.rate_hz)) +
       "\ngyr_w: " + YamlNumber(noise.gyro_walk * std::sqrt(session.gyro.rate_hz)) +
       "\ng_norm: " + YamlNumber(stored.result.sessions[0].g_W.norm()) + "\n";
-  return {{"vins.yaml",
-           kOpenCvYaml + YamlComment(Head(stored, "VINS-Fusion, part of its config", false, more)) +
-               text}};
+  return {{"vins.yaml", OpenCvHead(stored, "VINS-Fusion, part of its config", more) + text}};
 }
 
 std::vector<ExportFile> ExportOrbSlam3(const StoredResult& stored, const ExportOptions&) {
@@ -247,9 +247,7 @@ std::vector<ExportFile> ExportOrbSlam3(const StoredResult& stored, const ExportO
                            "  # [rad/s^2/sqrt(Hz)]\nIMU.AccWalk: " + YamlNumber(noise.accel_walk) +
                            "  # [m/s^3/sqrt(Hz)]\nIMU.Frequency: " + YamlNumber(noise.rate_hz) +
                            "\n";
-  return {{"orbslam3.yaml",
-           kOpenCvYaml + YamlComment(Head(stored, "ORB-SLAM3, part of its settings", false, more)) +
-               text}};
+  return {{"orbslam3.yaml", OpenCvHead(stored, "ORB-SLAM3, part of its settings", more) + text}};
 }
 
 std::vector<ExportFile> ExportKimera(const StoredResult& stored, const ExportOptions&) {
@@ -274,13 +272,11 @@ std::vector<ExportFile> ExportKimera(const StoredResult& stored, const ExportOpt
       "The pose sensor plays the left camera, body B = imu:",
       "T_BS: x_B = T_BS x_S, so S = marker and the inverse of T_marker_imu",
       "It is no camera: resolution, camera_model, intrinsics and distortion are left out."};
-  return {
-      {"kimera.ImuParams.yaml",
-       kOpenCvYaml + YamlComment(Head(stored, "Kimera-VIO ImuParams", false, of_imu)) + imu},
-      {"kimera.LeftCameraParams.yaml",
-       kOpenCvYaml + YamlComment(Head(stored, "Kimera-VIO LeftCameraParams", false, of_camera)) +
-           "camera_id: \"pose_sensor\"\n" +
-           OpenCvMatrix("T_BS", stored.result.imus[0].T_MI.Inverse(), "")}};
+  return {{"kimera.ImuParams.yaml", OpenCvHead(stored, "Kimera-VIO ImuParams", of_imu) + imu},
+          {"kimera.LeftCameraParams.yaml",
+           OpenCvHead(stored, "Kimera-VIO LeftCameraParams", of_camera) +
+               "camera_id: \"pose_sensor\"\n" +
+               OpenCvMatrix("T_BS", stored.result.imus[0].T_MI.Inverse(), "")}};
 }
 
 std::vector<ExportFile> ExportBasalt(const StoredResult& stored, const ExportOptions&) {
