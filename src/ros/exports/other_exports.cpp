@@ -28,12 +28,6 @@ std::string DoubleParam(const char* name, double value) {
          YamlNumber(value) + "\"/>\n";
 }
 
-/// The rows of R in one.
-Eigen::Matrix<double, 1, 9> InARow(const Eigen::Quaterniond& q) {
-  const Eigen::Matrix<double, 3, 3, Eigen::RowMajor> R = q.toRotationMatrix();
-  return Eigen::Map<const Eigen::Matrix<double, 1, 9>>(R.data());
-}
-
 /// R = Rz(yaw) Ry(pitch) Rx(roll), as (roll, pitch, yaw) [rad].
 Eigen::Vector3d RollPitchYaw(const Eigen::Quaterniond& q) {
   const Eigen::Matrix3d R = q.toRotationMatrix();
@@ -104,9 +98,8 @@ std::vector<ExportFile> ExportVicon2Gt(const StoredResult& stored, const ExportO
   const Rigid3 T_IM = stored.result.imus[0].T_MI.Inverse();
   const NoiseDensity noise = Noise(stored, 0);
   const PoseStd& poses = stored.result.sessions[0].noise;
-  Eigen::Matrix<double, 1, 6> sigmas;
-  sigmas << Eigen::RowVector3d::Constant(poses.rotation),
-      Eigen::RowVector3d::Constant(poses.position);
+  Vector6d sigmas;
+  sigmas << Eigen::Vector3d::Constant(poses.rotation), Eigen::Vector3d::Constant(poses.position);
   const Lines more = {
       "Parameters of the node estimate_vicon2gt; B = marker:",
       "R_BtoI, p_BinI: x_imu = R_BtoI x_marker + p_BinI, the inverse of T_marker_imu;",
@@ -116,7 +109,7 @@ std::vector<ExportFile> ExportVicon2Gt(const StoredResult& stored, const ExportO
       kNoiseRemark};
   return {{"vicon2gt.launch",
            XmlComment(Head(stored, "vicon2gt launch parameters", false, more)) + "<launch>\n" +
-               RosParam("R_BtoI", InARow(T_IM.q)) + RosParam("p_BinI", T_IM.p.transpose()) +
+               RosParam("R_BtoI", T_IM.q.toRotationMatrix()) + RosParam("p_BinI", T_IM.p) +
                DoubleParam("toff_imu_to_vicon", -stored.Clock(0).time_shift) +
                DoubleParam("gravity_magnitude", stored.result.sessions[0].g_W.norm()) +
                RosParam("vicon_sigmas", sigmas) +
@@ -132,10 +125,9 @@ std::vector<ExportFile> ExportMocap2Gt(const StoredResult& stored, const ExportO
   const NoiseDensity noise = Noise(stored, 0);
   const auto q_WG = Eigen::Quaterniond::FromTwoVectors(Eigen::Vector3d::UnitZ(), -session.g_W);
   const auto keys = [&](const std::string& ending) {
-    return "p_MI" + ending + ": " + List(T_MI.p.transpose()) + "\nq_MI" + ending + ": " +
-           List(T_MI.q.coeffs().transpose()) + "\nq_WG" + ending + ": " +
-           List(q_WG.coeffs().transpose()) + "\ntoff_MI" + ending + ": " +
-           YamlNumber(-stored.Clock(0).time_shift) + "\n";
+    return "p_MI" + ending + ": " + List(T_MI.p) + "\nq_MI" + ending + ": " +
+           List(T_MI.q.coeffs()) + "\nq_WG" + ending + ": " + List(q_WG.coeffs()) + "\ntoff_MI" +
+           ending + ": " + YamlNumber(-stored.Clock(0).time_shift) + "\n";
   };
   const Lines meaning = {"p_MI, q_MI: x_marker = q_MI x_imu + p_MI, T_marker_imu itself",
                          "toff_MI: t_imu = t_marker + toff_MI, so -time_shift",
@@ -143,15 +135,15 @@ std::vector<ExportFile> ExportMocap2Gt(const StoredResult& stored, const ExportO
   Lines of_config = meaning;
   of_config.emplace_back("imu_noise: accelerometer density, walk, gyroscope density, walk");
   of_config.emplace_back(kNoiseRemark);
-  Eigen::RowVector4d imu_noise(noise.accel, noise.accel_walk, noise.gyro, noise.gyro_walk);
+  Eigen::Vector4d imu_noise(noise.accel, noise.accel_walk, noise.gyro, noise.gyro_walk);
   return {
       {"mocap2gt.calib.yaml",
        YamlComment(Head(stored, "mocap2gt calibration", false, meaning)) + keys("")},
       {"mocap2gt.estimator_config.yaml",
        YamlComment(Head(stored, "mocap2gt, part of its config", false, of_config)) + keys("_init") +
-           "gravity_magnitude: " + YamlNumber(session.g_W.norm()) + "\nmocap_trans_noise: " +
-           List(Eigen::RowVector3d::Constant(session.noise.position)) + "  # [m]\n" +
-           "mocap_rot_noise: " + List(Eigen::RowVector3d::Constant(session.noise.rotation)) +
+           "gravity_magnitude: " + YamlNumber(session.g_W.norm()) +
+           "\nmocap_trans_noise: " + List(Eigen::Vector3d::Constant(session.noise.position)) +
+           "  # [m]\nmocap_rot_noise: " + List(Eigen::Vector3d::Constant(session.noise.rotation)) +
            "  # [rad]\nimu_noise: " + List(imu_noise) + "\nimu_freq: " + YamlNumber(noise.rate_hz) +
            "  # [Hz]\n"}};
 }
@@ -169,8 +161,8 @@ std::vector<ExportFile> ExportLioSam(const StoredResult& stored, const ExportOpt
   const std::string R = Block(T_MI.q.toRotationMatrix(), "    ");
   return {{"liosam.yaml",
            YamlComment(Head(stored, "LIO-SAM, part of its params.yaml", false, more)) +
-               "lio_sam:\n  extrinsicTrans: " + List(T_MI.p.transpose()) + "\n  extrinsicRot: " +
-               R + "\n  extrinsicRPY: " + R + "\n  imuAccNoise: " + YamlNumber(noise.accel) +
+               "lio_sam:\n  extrinsicTrans: " + List(T_MI.p) + "\n  extrinsicRot: " + R +
+               "\n  extrinsicRPY: " + R + "\n  imuAccNoise: " + YamlNumber(noise.accel) +
                "\n  imuGyrNoise: " + YamlNumber(noise.gyro) + "\n  imuAccBiasN: " +
                YamlNumber(noise.accel_walk) + "\n  imuGyrBiasN: " + YamlNumber(noise.gyro_walk) +
                "\n  imuGravity: " + YamlNumber(stored.result.sessions[0].g_W.norm()) + "\n"}};
@@ -196,7 +188,7 @@ std::vector<ExportFile> ExportFastLio(const StoredResult& stored, const ExportOp
                "\n  gyr_cov: " + square(session.noise.gyro) +
                "\n  b_acc_cov: " + square(noise.accel_walk * std::sqrt(session.accel.rate_hz)) +
                "\n  b_gyr_cov: " + square(noise.gyro_walk * std::sqrt(session.gyro.rate_hz)) +
-               "\n  extrinsic_T: " + List(T_IM.p.transpose()) +
+               "\n  extrinsic_T: " + List(T_IM.p) +
                "\n  extrinsic_R: " + Block(T_IM.q.toRotationMatrix(), "    ") + "\n"}};
 }
 
@@ -207,16 +199,15 @@ std::vector<ExportFile> ExportPx4(const StoredResult& stored, const ExportOption
   const Eigen::Quaterniond q_BM = q_BI * T_IM.q;
   const double delay_ms = 1e3 * stored.Clock(0).time_shift;
   const bool fits = delay_ms >= 0.0 && delay_ms <= 300.0;
-  Lines more = {
-      "EKF2_EV_POS_*: the marker in body axes forward, right, down [m], from the imu",
-      "v_body = q v_imu with q = " + List(q_BI.coeffs().transpose()) + " (x, y, z, w)" +
-          (q_BI.isApprox(Eigen::Quaterniond::Identity())
-               ? ": the imu's axes are taken for the body's;"
-               : ""),
-      "if they are others, as mavros' forward, left, up: export_calibration --body-imu",
-      "The poses sent must be of the body: q_body_marker = " + List(q_BM.coeffs().transpose()),
-      "EKF2_EV_DELAY [ms]: time of a pose = its stamp - delay, so time_shift,",
-      "if both clocks are the autopilot's"};
+  Lines more = {"EKF2_EV_POS_*: the marker in body axes forward, right, down [m], from the imu",
+                "v_body = q v_imu with q = " + List(q_BI.coeffs()) + " (x, y, z, w)" +
+                    (q_BI.isApprox(Eigen::Quaterniond::Identity())
+                         ? ": the imu's axes are taken for the body's;"
+                         : ""),
+                "if they are others, as mavros' forward, left, up: export_calibration --body-imu",
+                "The poses sent must be of the body: q_body_marker = " + List(q_BM.coeffs()),
+                "EKF2_EV_DELAY [ms]: time of a pose = its stamp - delay, so time_shift,",
+                "if both clocks are the autopilot's"};
   if (!fits)
     more.push_back("EKF2_EV_DELAY must be 0 to 300 and is left out: time_shift is " +
                    Short(delay_ms) + " ms");

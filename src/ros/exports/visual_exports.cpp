@@ -23,10 +23,6 @@ Lines AxesRemark(const AccelAxes& axes) {
               " deg from the imu axes of the result"};
 }
 
-bool HasMatrices(const StoredResult& stored) {
-  return stored.result.imu_model == ImuModel::kScaleMisalignment;
-}
-
 Lines operator+(Lines a, const Lines& b) {
   a.insert(a.end(), b.begin(), b.end());
   return a;
@@ -60,14 +56,15 @@ double OffsetToFirst(const StoredResult& stored, size_t imu) {
 std::string KalibrImu(const StoredResult& stored, size_t imu, const Rigid3& T_MA_first) {
   const AccelAxes axes = ToAccelAxes(stored.result.imus[imu]);
   const NoiseDensity noise = Noise(stored, imu);
+  const bool has_matrices = stored.result.imu_model == ImuModel::kScaleMisalignment;
   std::string text = ImuName(imu) + ":\n  T_i_b:\n" +
                      Rows((axes.T_MA.Inverse() * T_MA_first).Matrix(), "  ") +
                      NoiseKeys(noise, "  ");
-  if (HasMatrices(stored))
+  if (has_matrices)
     text += "  accelerometers:\n    M:\n" + Rows(axes.accel, "    ") + "  gyroscopes:\n    A:\n" +
             Rows(Eigen::Matrix3d::Zero(), "    ") + "    C_gyro_i:\n" + Rows(axes.R_GA, "    ") +
             "    M:\n" + Rows(axes.gyro, "    ");
-  return text + "  model: " + (HasMatrices(stored) ? "scale-misalignment" : "calibrated") +
+  return text + "  model: " + (has_matrices ? "scale-misalignment" : "calibrated") +
          "\n  rostopic: " + Quoted(stored.Info(imu).GyroSource()) +
          "\n  time_offset: " + YamlNumber(imu == 0 ? 0.0 : OffsetToFirst(stored, imu)) +
          "\n  update_rate: " + YamlNumber(noise.rate_hz) + "\n";
@@ -145,11 +142,10 @@ ExportFile BasaltImu(const StoredResult& stored) {
   const auto line = [](const char* key, const std::string& text) {
     return "    " + Quoted(key) + ": " + text + ",\n";
   };
-  const auto same = [](double value) { return List(Eigen::RowVector3d::Constant(value)); };
+  const auto same = [](double value) { return List(Eigen::Vector3d::Constant(value)); };
   const std::string value =
       "{\n" + line("T_imu_cam", "[]") + line("intrinsics", "[]") + line("resolution", "[]") +
-      line("calib_accel_bias", List(accel_bias.transpose())) +
-      line("calib_gyro_bias", List(gyro_bias.transpose())) +
+      line("calib_accel_bias", List(accel_bias)) + line("calib_gyro_bias", List(gyro_bias)) +
       line("imu_update_rate", YamlNumber(noise.rate_hz)) +
       line("accel_noise_std", same(noise.accel)) + line("gyro_noise_std", same(noise.gyro)) +
       line("accel_bias_std", same(noise.accel_walk)) +
@@ -266,7 +262,7 @@ std::vector<ExportFile> ExportKimera(const StoredResult& stored, const ExportOpt
       "time_alignment_variance_threshold_scaling: 30.0\nimu_integration_sigma: 1.0e-8\n"
       "imu_time_shift: " +
       YamlNumber(-stored.Clock(0).time_shift) +
-      "\nn_gravity: " + List(Eigen::RowVector3d(0.0, 0.0, -stored.result.sessions[0].g_W.norm())) +
+      "\nn_gravity: " + List(Eigen::Vector3d(0.0, 0.0, -stored.result.sessions[0].g_W.norm())) +
       "\n";
   const Lines of_camera = {
       "The pose sensor plays the left camera, body B = imu:",

@@ -86,7 +86,7 @@ std::vector<TrajectoryTarget> PlanTrajectories(const TrajectoryRequest& request,
     for (size_t i = 0; i < imus; ++i) {
       const std::string addition = (sessions > 1 ? "_session" + std::to_string(s + 1) : "") +
                                    (imus > 1 ? "_imu" + std::to_string(i) : "");
-      targets.push_back({Insert(request.path, addition, format), s, i});
+      targets.push_back({Insert(request.path, addition, format), format, s, i});
     }
   for (const TrajectoryTarget& target : targets) {
     const std::filesystem::path folder = std::filesystem::path(target.path).parent_path();
@@ -112,7 +112,6 @@ std::vector<std::string> WriteTrajectories(const TrajectoryRequest& request,
                                            const CalibrationOptions& options) {
   std::vector<std::string> lines;
   if (request.path.empty()) return lines;
-  const TrajectoryFormat format = ParseTrajectoryFormat(request.format, request.path);
   std::shared_ptr<const TrajectoryCovariance> covariance;
   if (result.method == Method::kJoint)
     covariance = std::make_shared<const TrajectoryCovariance>(result.solution);
@@ -128,7 +127,7 @@ std::vector<std::string> WriteTrajectories(const TrajectoryRequest& request,
                          request.max_gap_s);
     const RecordingInfo& info = infos[target.session];
     const TrajectoryCount count = WriteTrajectory(target.path,
-                                                  format,
+                                                  target.format,
                                                   {track,
                                                    request.rate_hz,
                                                    info.world_frame,

@@ -137,11 +137,9 @@ bool IsSamePath(const std::string& a, const std::string& b) {
 void CheckTrajectories(const std::vector<OfflineRequest>& sessions,
                        size_t imus,
                        const OfflineResult& offline) {
-  const TrajectoryRequest& request = offline.trajectory;
   for (const TrajectoryTarget& target :
-       PlanTrajectories(request, offline.options.method, sessions.size(), imus)) {
-    const TrajectoryFormat format = ParseTrajectoryFormat(request.format, request.path);
-    for (const std::string& file : TrajectoryFiles(target.path, format)) {
+       PlanTrajectories(offline.trajectory, offline.options.method, sessions.size(), imus)) {
+    for (const std::string& file : TrajectoryFiles(target.path, target.format)) {
       for (const OfflineRequest& session : sessions) CheckOutput({"trajectory", file}, session);
       if (IsSamePath(file, offline.output))
         throw InputError("trajectory and output are both '" + file + "'; choose another");

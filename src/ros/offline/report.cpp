@@ -21,7 +21,6 @@
 #include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
-
 namespace {
 
 // First line of every report in HTML; tells our files from others.

@@ -102,9 +102,9 @@ class SolvedSession {
       }
       motion.AddRow(
           t, state->p_WB, Eigen::Vector3d(trajectory_.Imu(estimate_.FirstImu(), t)->p_WB));
-      const Vector6d excitation = (Vector6d() << state->omega_B, state->a_W).finished();
-      sum += excitation;
-      sum2 += excitation.cwiseAbs2();
+      const Vector6d now = (Vector6d() << state->omega_B, state->a_W).finished();
+      sum += now;
+      sum2 += now.cwiseAbs2();
       count += 1.0;
     }
     motion.Write(prefix + "_motion.npy");

@@ -22,6 +22,7 @@ struct TrajectoryRequest {
 /// A file or folder to write.
 struct TrajectoryTarget {
   std::string path;
+  TrajectoryFormat format;
   size_t session, imu;
 };
 
