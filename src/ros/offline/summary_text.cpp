@@ -12,12 +12,14 @@ namespace imu_pose_calib {
 constexpr size_t kColumns = 80;
 
 std::string Format(const char* format, ...) {
-  char buffer[512];
-  va_list arguments;
+  va_list arguments, again;
   va_start(arguments, format);
-  std::vsnprintf(buffer, sizeof(buffer), format, arguments);
+  va_copy(again, arguments);
+  std::string text(static_cast<size_t>(std::vsnprintf(nullptr, 0, format, arguments)), ' ');
+  std::vsnprintf(text.data(), text.size() + 1, format, again);
+  va_end(again);
   va_end(arguments);
-  return buffer;
+  return text;
 }
 
 std::string Wrap(const std::string& label, const std::string& text) {
