@@ -36,59 +36,86 @@ const char kEquations[] = R"(
 
 )";
 
-template <typename Vector>
-void EmitList(const char* key, const Vector& values, YAML::Emitter* out) {
-  *out << YAML::Key << key << YAML::Value << YAML::Flow << YAML::BeginSeq;
-  for (Eigen::Index i = 0; i < values.size(); ++i) *out << YamlNumber(values[i]);
-  *out << YAML::EndSeq;
-}
+/// Writes the values of a map with their keys.
+class Writer {
+ public:
+  Writer() { out_ << YAML::BeginMap; }
 
-void EmitMatrix(const char* key, const Eigen::MatrixXd& matrix, YAML::Emitter* out) {
-  *out << YAML::Key << key << YAML::Value << YAML::BeginSeq;
-  for (Eigen::Index row = 0; row < matrix.rows(); ++row) {
-    *out << YAML::Flow << YAML::BeginSeq;
-    for (Eigen::Index col = 0; col < matrix.cols(); ++col) *out << YamlNumber(matrix(row, col));
-    *out << YAML::EndSeq;
+  template <typename Value>
+  void Put(const char* key, const Value& value) {
+    Key(key);
+    Write(value);
   }
-  *out << YAML::EndSeq;
-}
+  template <typename Value>
+  void PutWithStd(const std::string& key, const Value& value, const Value& std_dev) {
+    Put(key.c_str(), value);
+    Put((key + "_std").c_str(), std_dev);
+  }
 
-void Emit(const char* key, double value, YAML::Emitter* out) {
-  *out << YAML::Key << key << YAML::Value << YamlNumber(value);
-}
-void Emit(const char* key, size_t value, YAML::Emitter* out) {
-  *out << YAML::Key << key << YAML::Value << value;
-}
-void Emit(const char* key, bool value, YAML::Emitter* out) {
-  *out << YAML::Key << key << YAML::Value << value;
-}
-void Emit(const char* key, const char* value, YAML::Emitter* out) {
-  *out << YAML::Key << key << YAML::Value << YAML::DoubleQuoted << value;
-}
-void Emit(const char* key, const std::string& value, YAML::Emitter* out) {
-  *out << YAML::Key << key << YAML::Value << YAML::DoubleQuoted << value;
-}
-void Emit(const char* key, const std::vector<std::string>& values, YAML::Emitter* out) {
-  *out << YAML::Key << key << YAML::Value;
-  if (values.empty()) *out << YAML::Flow;
-  *out << YAML::BeginSeq;
-  for (const std::string& value : values) *out << YAML::DoubleQuoted << value;
-  *out << YAML::EndSeq;
-}
+  /// A map over several lines; `fill` puts what is in it.
+  template <typename Fill>
+  void Map(const char* key, Fill fill) {
+    Key(key);
+    FillMap(YAML::Block, fill);
+  }
+  /// A map in one line.
+  template <typename Fill>
+  void FlowMap(const char* key, Fill fill) {
+    Key(key);
+    FillMap(YAML::Flow, fill);
+  }
+  /// A list of maps in this style; `fill(k)` puts what is in one.
+  template <typename Fill>
+  void Maps(const char* key, YAML::EMITTER_MANIP style, size_t count, Fill fill) {
+    Key(key);
+    if (count == 0) out_ << YAML::Flow;
+    out_ << YAML::BeginSeq;
+    for (size_t k = 0; k < count; ++k) FillMap(style, [&] { fill(k); });
+    out_ << YAML::EndSeq;
+  }
 
-/// `key: {...}` over several lines; `emit` fills it.
-template <typename EmitContent>
-void EmitMap(const char* key, EmitContent emit, YAML::Emitter* out) {
-  *out << YAML::Key << key << YAML::Value << YAML::BeginMap;
-  emit();
-  *out << YAML::EndMap;
-}
+  std::string Finish() {
+    out_ << YAML::EndMap;
+    return out_.c_str();
+  }
 
-void EmitTransform(const Rigid3& T, YAML::Emitter* out) {
-  EmitList("translation", T.p, out);
-  EmitList("rotation", T.q.coeffs(), out);
-  EmitMatrix("matrix", T.Matrix(), out);
-}
+ private:
+  void Key(const char* key) { out_ << YAML::Key << key << YAML::Value; }
+
+  template <typename Fill>
+  void FillMap(YAML::EMITTER_MANIP style, Fill fill) {
+    out_ << style << YAML::BeginMap;
+    fill();
+    out_ << YAML::EndMap;
+  }
+
+  void Write(double value) { out_ << YamlNumber(value); }
+  void Write(size_t value) { out_ << value; }
+  void Write(bool value) { out_ << value; }
+  void Write(const char* value) { out_ << YAML::DoubleQuoted << value; }
+  void Write(const std::string& value) { out_ << YAML::DoubleQuoted << value; }
+  void Write(const YAML::Node& value) { out_ << value; }
+  void Write(const std::vector<std::string>& values) {
+    if (values.empty()) out_ << YAML::Flow;
+    out_ << YAML::BeginSeq;
+    for (const std::string& value : values) Write(value);
+    out_ << YAML::EndSeq;
+  }
+  /// A vector in one line, a matrix with a line for each row.
+  template <typename Derived>
+  void Write(const Eigen::MatrixBase<Derived>& matrix) {
+    out_ << (Derived::IsVectorAtCompileTime ? YAML::Flow : YAML::Block) << YAML::BeginSeq;
+    for (Eigen::Index row = 0; row < matrix.rows(); ++row) {
+      if constexpr (Derived::IsVectorAtCompileTime)
+        Write(matrix[row]);
+      else
+        Write(matrix.row(row).transpose());
+    }
+    out_ << YAML::EndSeq;
+  }
+
+  YAML::Emitter out_;
+};
 
 std::string UtcNow() {
   const std::time_t now = std::time(nullptr);
@@ -97,311 +124,238 @@ std::string UtcNow() {
   return text;
 }
 
-void EmitRejected(const char* key, const StreamReport& report, YAML::Emitter* out) {
-  *out << YAML::Key << key << YAML::Value << YAML::Flow << YAML::BeginMap;
-  Emit("not_finite", report.not_finite, out);
-  Emit("zero_quaternion", report.zero_quaternion, out);
-  Emit("reversed_stamp", report.reversed_stamp, out);
-  Emit("duplicate_stamp", report.duplicate_stamp, out);
-  Emit("repeated_value", report.repeated_value, out);
-  Emit("saturated", report.saturated, out);
-  Emit("outlier", report.outlier, out);
-  Emit("flipped", report.flipped, out);
-  Emit("in_short_segment", report.in_short_segment, out);
-  Emit("between_updates", report.between_updates, out);
-  *out << YAML::EndMap;
+std::string ImuName(size_t imu) { return "imu" + std::to_string(imu); }
+
+void PutRejected(const char* key, const StreamReport& report, Writer* out) {
+  out->FlowMap(key, [&] {
+    out->Put("not_finite", report.not_finite);
+    out->Put("zero_quaternion", report.zero_quaternion);
+    out->Put("reversed_stamp", report.reversed_stamp);
+    out->Put("duplicate_stamp", report.duplicate_stamp);
+    out->Put("repeated_value", report.repeated_value);
+    out->Put("saturated", report.saturated);
+    out->Put("outlier", report.outlier);
+    out->Put("flipped", report.flipped);
+    out->Put("in_short_segment", report.in_short_segment);
+    out->Put("between_updates", report.between_updates);
+  });
 }
 
 /// `key: {poses, gyro, accel}` of one member of the reports.
 template <typename T>
-void EmitPerStream(const char* key,
-                   const Calibration& result,
-                   T StreamReport::*member,
-                   YAML::Emitter* out) {
-  *out << YAML::Key << key << YAML::Value << YAML::Flow << YAML::BeginMap;
-  Emit("poses", result.sessions[0].poses.*member, out);
-  Emit("gyro", result.sessions[0].imus[0].gyro.*member, out);
-  Emit("accel", result.sessions[0].imus[0].accel.*member, out);
-  *out << YAML::EndMap;
+void PutPerStream(const char* key,
+                  const SessionCalibration& session,
+                  T StreamReport::*member,
+                  Writer* out) {
+  out->FlowMap(key, [&] {
+    out->Put("poses", session.poses.*member);
+    out->Put("gyro", session.imus[0].gyro.*member);
+    out->Put("accel", session.imus[0].accel.*member);
+  });
 }
 
-void EmitTransforms(const ImuCalibration& imu, YAML::Emitter* out) {
-  EmitMap(
-      "transform",
-      [&] {
-        EmitTransform(imu.T_MI, out);
-        EmitList("translation_std", imu.Std().head<3>(), out);
-        EmitList("rotation_std", imu.Std().tail<3>(), out);
-        EmitMatrix("covariance", imu.covariance, out);
-      },
-      out);
-  EmitMap(
-      "inverse_transform", [&] { EmitTransform(imu.T_MI.Inverse(), out); }, out);
+void PutTransform(const Rigid3& T, Writer* out) {
+  out->Put("translation", T.p);
+  out->Put("rotation", T.q.coeffs());
+  out->Put("matrix", T.Matrix());
 }
 
-void EmitIntrinsics(const ImuModel model, const ImuCalibration& imu, YAML::Emitter* out) {
-  Emit("model", ToString(model), out);
-  EmitMatrix("gyro_matrix", imu.gyro_matrix, out);
-  EmitMatrix("gyro_matrix_std", imu.gyro_matrix_std, out);
-  EmitMatrix("accel_matrix", imu.accel_matrix, out);
-  EmitMatrix("accel_matrix_std", imu.accel_matrix_std, out);
-  EmitMatrix("accel_positions", imu.accel_positions.transpose(), out);
-  EmitMatrix("accel_positions_std", imu.accel_positions_std.transpose(), out);
+/// A transform of `estimate`, which states its covariance and sigmas.
+template <typename Estimate>
+void PutUncertainTransform(const Rigid3& T, const Estimate& estimate, Writer* out) {
+  out->Map("transform", [&] {
+    PutTransform(T, out);
+    out->Put("translation_std", estimate.Std().template head<3>());
+    out->Put("rotation_std", estimate.Std().template tail<3>());
+    out->Put("covariance", estimate.covariance);
+  });
 }
 
-void EmitBiases(const ImuSession& imu, YAML::Emitter* out) {
-  EmitMap(
-      "biases",
-      [&] {
-        EmitList("gyro", imu.gyro_bias, out);
-        EmitList("accel", imu.accel_bias, out);
-        EmitList("gyro_std", imu.gyro_bias_std, out);
-        EmitList("accel_std", imu.accel_bias_std, out);
-      },
-      out);
+void PutTransforms(const ImuCalibration& imu, Writer* out) {
+  PutUncertainTransform(imu.T_MI, imu, out);
+  out->Map("inverse_transform", [&] { PutTransform(imu.T_MI.Inverse(), out); });
 }
 
-void EmitGravity(const SessionCalibration& session, YAML::Emitter* out) {
-  EmitMap(
-      "gravity",
-      [&] {
-        EmitList("vector", session.g_W, out);
-        EmitList("std", session.g_W_std, out);
-        Emit("magnitude", session.g_W.norm(), out);
-      },
-      out);
+void PutAccelDelay(const ImuCalibration& imu, Writer* out) {
+  out->PutWithStd("accel_delay", imu.accel_delay, imu.accel_delay_std);
+  out->PutWithStd("accel_smoothing", imu.accel_smoothing, imu.accel_smoothing_std);
 }
 
-void EmitNoise(const ImuSession& imu, YAML::Emitter* out) {
-  EmitMap(
-      "noise",
-      [&] {
-        Emit("gyro_std", imu.noise.gyro, out);
-        Emit("accel_std", imu.noise.accel, out);
-      },
-      out);
-  EmitMap(
-      "rates",
-      [&] {
-        Emit("gyro", imu.gyro.rate_hz, out);
-        Emit("accel", imu.accel.rate_hz, out);
-      },
-      out);
+void PutClockDrift(const ImuSession& imu, Writer* out) {
+  out->PutWithStd("clock_drift", imu.clock_drift, imu.clock_drift_std);
+  out->Put("clock_reference", imu.clock_reference);
 }
 
-std::string ImuName(size_t imu) { return "imu" + std::to_string(imu); }
-
-void EmitImus(const Calibration& result, const RecordingInfo& info, YAML::Emitter* out) {
-  *out << YAML::Key << "imus" << YAML::Value << YAML::BeginSeq;
-  for (size_t i = 0; i < result.imus.size(); ++i) {
-    *out << YAML::BeginMap;
-    Emit("name", ImuName(i), out);
-    Emit("topic", info.imus[i].GyroSource(), out);
-    if (info.imus[i].imu_topic.empty()) Emit("accel_topic", info.imus[i].accel_topic, out);
-    Emit("frame", info.imus[i].imu_frame, out);
-    EmitTransforms(result.imus[i], out);
-    Emit("accel_delay", result.imus[i].accel_delay, out);
-    Emit("accel_delay_std", result.imus[i].accel_delay_std, out);
-    Emit("accel_smoothing", result.imus[i].accel_smoothing, out);
-    Emit("accel_smoothing_std", result.imus[i].accel_smoothing_std, out);
-    EmitMap(
-        "intrinsics", [&] { EmitIntrinsics(result.imu_model, result.imus[i], out); }, out);
-    *out << YAML::EndMap;
-  }
-  *out << YAML::EndSeq;
-  *out << YAML::Key << "between_imus" << YAML::Value;
-  if (result.between_imus.empty()) *out << YAML::Flow;
-  *out << YAML::BeginSeq;
-  for (const BetweenImus& between : result.between_imus) {
-    *out << YAML::BeginMap;
-    Emit("first", ImuName(between.first), out);
-    Emit("second", ImuName(between.second), out);
-    EmitMap(
-        "transform",
-        [&] {
-          EmitTransform(between.T, out);
-          EmitList("translation_std", between.Std().head<3>(), out);
-          EmitList("rotation_std", between.Std().tail<3>(), out);
-          EmitMatrix("covariance", between.covariance, out);
-        },
-        out);
-    *out << YAML::EndMap;
-  }
-  *out << YAML::EndSeq;
+void PutIntrinsics(const char* key, ImuModel model, const ImuCalibration& imu, Writer* out) {
+  out->Map(key, [&] {
+    out->Put("model", ToString(model));
+    out->PutWithStd("gyro_matrix", imu.gyro_matrix, imu.gyro_matrix_std);
+    out->PutWithStd("accel_matrix", imu.accel_matrix, imu.accel_matrix_std);
+    out->Put("accel_positions", imu.accel_positions.transpose());
+    out->Put("accel_positions_std", imu.accel_positions_std.transpose());
+  });
 }
 
-void EmitOwn(const SessionCalibration& session, YAML::Emitter* out) {
-  const OwnEstimate& own = session.own;
-  EmitMap(
-      "own",
-      [&] {
-        Emit("imu", ImuName(own.imu), out);
-        EmitList("translation", own.T_MI.p, out);
-        EmitList("translation_std", own.std.head<3>(), out);
-        EmitList("rotation", own.T_MI.q.coeffs(), out);
-        EmitList("rotation_std", own.std.tail<3>(), out);
-        Emit("time_shift", own.time_shift, out);
-        Emit("time_shift_std", own.time_shift_std, out);
-        Emit("accel_delay", own.accel_delay, out);
-        Emit("accel_delay_std", own.accel_delay_std, out);
-      },
-      out);
+void PutBiases(const ImuSession& imu, Writer* out) {
+  out->Map("biases", [&] {
+    out->Put("gyro", imu.gyro_bias);
+    out->Put("accel", imu.accel_bias);
+    out->Put("gyro_std", imu.gyro_bias_std);
+    out->Put("accel_std", imu.accel_bias_std);
+  });
+}
+
+void PutGravity(const SessionCalibration& session, Writer* out) {
+  out->Map("gravity", [&] {
+    out->Put("vector", session.g_W);
+    out->Put("std", session.g_W_std);
+    out->Put("magnitude", session.g_W.norm());
+  });
+}
+
+void PutImuNoise(const ImuSession& imu, Writer* out) {
+  out->Put("gyro_std", imu.noise.gyro);
+  out->Put("accel_std", imu.noise.accel);
+}
+
+void PutImus(const Calibration& result, const RecordingInfo& info, Writer* out) {
+  out->Maps("imus", YAML::Block, result.imus.size(), [&](size_t i) {
+    out->Put("name", ImuName(i));
+    out->Put("topic", info.imus[i].GyroSource());
+    if (info.imus[i].imu_topic.empty()) out->Put("accel_topic", info.imus[i].accel_topic);
+    out->Put("frame", info.imus[i].imu_frame);
+    PutTransforms(result.imus[i], out);
+    PutAccelDelay(result.imus[i], out);
+    PutIntrinsics("intrinsics", result.imu_model, result.imus[i], out);
+  });
+  out->Maps("between_imus", YAML::Block, result.between_imus.size(), [&](size_t k) {
+    const BetweenImus& between = result.between_imus[k];
+    out->Put("first", ImuName(between.first));
+    out->Put("second", ImuName(between.second));
+    PutUncertainTransform(between.T, between, out);
+  });
+}
+
+void PutOwn(const SessionCalibration& session, Writer* out) {
+  out->Map("own", [&] {
+    const OwnEstimate& own = session.own;
+    out->Put("imu", ImuName(own.imu));
+    out->Put("translation", own.T_MI.p);
+    out->Put("translation_std", own.std.head<3>());
+    out->Put("rotation", own.T_MI.q.coeffs());
+    out->Put("rotation_std", own.std.tail<3>());
+    out->PutWithStd("time_shift", own.time_shift, own.time_shift_std);
+    out->PutWithStd("accel_delay", own.accel_delay, own.accel_delay_std);
+  });
   char sigmas[32];
   std::snprintf(sigmas, sizeof(sigmas), ", %.1f sigma", session.agreement.sigmas);
-  EmitMap(
-      "agreement",
-      [&] {
-        Emit("chi2", session.agreement.chi2, out);
-        Emit("dof", static_cast<size_t>(session.agreement.dof), out);
-        Emit("worst", session.agreement.worst + sigmas, out);
-      },
-      out);
+  out->Map("agreement", [&] {
+    out->Put("chi2", session.agreement.chi2);
+    out->Put("dof", static_cast<size_t>(session.agreement.dof));
+    out->Put("worst", session.agreement.worst + sigmas);
+  });
 }
 
-void EmitSessions(const Calibration& result,
-                  const std::vector<RecordingInfo>& infos,
-                  YAML::Emitter* out) {
-  *out << YAML::Key << "sessions" << YAML::Value << YAML::BeginSeq;
-  for (size_t s = 0; s < result.sessions.size(); ++s) {
+void PutSessions(const Calibration& result, const std::vector<RecordingInfo>& infos, Writer* out) {
+  out->Maps("sessions", YAML::Block, result.sessions.size(), [&](size_t s) {
     const SessionCalibration& session = result.sessions[s];
-    *out << YAML::BeginMap;
-    Emit("source", infos[s].Source(), out);
-    Emit("world", infos[s].world_frame, out);
-    *out << YAML::Key << "imus" << YAML::Value << YAML::BeginSeq;
-    for (size_t i = 0; i < session.imus.size(); ++i) {
-      const ImuSession& imu = session.imus[i];
-      if (!imu.is_present) continue;
-      *out << YAML::BeginMap;
-      Emit("name", ImuName(i), out);
-      Emit("time_shift", imu.time_shift, out);
-      Emit("time_shift_std", imu.time_shift_std, out);
-      Emit("clock_drift", imu.clock_drift, out);
-      Emit("clock_drift_std", imu.clock_drift_std, out);
-      Emit("clock_reference", imu.clock_reference, out);
-      EmitBiases(imu, out);
-      EmitNoise(imu, out);
-      *out << YAML::EndMap;
-    }
-    *out << YAML::EndSeq;
-    EmitGravity(session, out);
-    if (result.sessions.size() > 1) EmitOwn(session, out);
-    *out << YAML::EndMap;
-  }
-  *out << YAML::EndSeq;
+    out->Put("source", infos[s].Source());
+    out->Put("world", infos[s].world_frame);
+    std::vector<size_t> present;
+    for (size_t i = 0; i < session.imus.size(); ++i)
+      if (session.imus[i].is_present) present.push_back(i);
+    out->Maps("imus", YAML::Block, present.size(), [&](size_t k) {
+      const ImuSession& imu = session.imus[present[k]];
+      out->Put("name", ImuName(present[k]));
+      out->PutWithStd("time_shift", imu.time_shift, imu.time_shift_std);
+      PutClockDrift(imu, out);
+      PutBiases(imu, out);
+      out->Map("noise", [&] { PutImuNoise(imu, out); });
+      out->Map("rates", [&] {
+        out->Put("gyro", imu.gyro.rate_hz);
+        out->Put("accel", imu.accel.rate_hz);
+      });
+    });
+    PutGravity(session, out);
+    if (result.sessions.size() > 1) PutOwn(session, out);
+  });
 }
 
-void EmitEstimate(const Calibration& result, YAML::Emitter* out) {
-  EmitTransforms(result.imus[0], out);
-  Emit("time_shift", result.sessions[0].imus[0].time_shift, out);
-  Emit("time_shift_std", result.sessions[0].imus[0].time_shift_std, out);
-  Emit("accel_delay", result.imus[0].accel_delay, out);
-  Emit("accel_delay_std", result.imus[0].accel_delay_std, out);
-  Emit("accel_smoothing", result.imus[0].accel_smoothing, out);
-  Emit("accel_smoothing_std", result.imus[0].accel_smoothing_std, out);
-  Emit("clock_drift", result.sessions[0].imus[0].clock_drift, out);
-  Emit("clock_drift_std", result.sessions[0].imus[0].clock_drift_std, out);
-  Emit("clock_reference", result.sessions[0].imus[0].clock_reference, out);
-  Emit("pose_smoothing", result.pose_smoothing, out);
-  Emit("pose_smoothing_std", result.pose_smoothing_std, out);
-  Emit("position_smoothing", result.position_smoothing, out);
-  Emit("position_smoothing_std", result.position_smoothing_std, out);
-  Emit("pose_scale", result.pose_scale, out);
-  Emit("pose_scale_std", result.pose_scale_std, out);
-  EmitGravity(result.sessions[0], out);
-  EmitBiases(result.sessions[0].imus[0], out);
-  EmitMap(
-      "imu", [&] { EmitIntrinsics(result.imu_model, result.imus[0], out); }, out);
+void PutEstimate(const Calibration& result, Writer* out) {
+  const ImuSession& imu = result.sessions[0].imus[0];
+  PutTransforms(result.imus[0], out);
+  out->PutWithStd("time_shift", imu.time_shift, imu.time_shift_std);
+  PutAccelDelay(result.imus[0], out);
+  PutClockDrift(imu, out);
+  out->PutWithStd("pose_smoothing", result.pose_smoothing, result.pose_smoothing_std);
+  out->PutWithStd("position_smoothing", result.position_smoothing, result.position_smoothing_std);
+  out->PutWithStd("pose_scale", result.pose_scale, result.pose_scale_std);
+  PutGravity(result.sessions[0], out);
+  PutBiases(imu, out);
+  PutIntrinsics("imu", result.imu_model, result.imus[0], out);
 }
 
-void EmitObservability(const std::vector<Observability>& observability, YAML::Emitter* out) {
-  *out << YAML::Key << "observability" << YAML::Value << YAML::BeginSeq;
-  for (const Observability& o : observability) {
-    *out << YAML::Flow << YAML::BeginMap;
-    Emit("direction", o.direction, out);
-    Emit("std", o.std, out);
-    Emit("unit", o.unit, out);
-    Emit("status", ToString(o.status), out);
-    *out << YAML::EndMap;
-  }
-  *out << YAML::EndSeq;
+void PutQuality(const Calibration& result, Writer* out) {
+  const SessionCalibration& session = result.sessions[0];
+  out->Map("noise", [&] {
+    out->Put("position_std", session.noise.position);
+    out->Put("rotation_std", session.noise.rotation);
+    PutImuNoise(session.imus[0], out);
+  });
+  out->Map("quality", [&] {
+    out->Put("gyro_rms", session.imus[0].rms.gyro);
+    out->Put("accel_rms", session.imus[0].rms.accel);
+    out->Put("position_rms", session.rms.position);
+    out->Put("rotation_rms", session.rms.rotation);
+    out->Maps("observability", YAML::Flow, result.observability.size(), [&](size_t k) {
+      const Observability& o = result.observability[k];
+      out->Put("direction", o.direction);
+      out->Put("std", o.std);
+      out->Put("unit", o.unit);
+      out->Put("status", ToString(o.status));
+    });
+    out->Map("split_half", [&] {
+      out->Put("translation", result.split_half.translation);
+      out->Put("rotation", result.split_half.rotation);
+      out->Put("time_shift", result.split_half.time_shift);
+      out->Put("sigmas", result.split_half.sigmas);
+    });
+    out->Put("warnings", result.warnings);
+  });
+  out->Map("trajectory", [&] {
+    out->Put("position_lengthscale_s", session.position_lengthscale_s);
+    out->Put("rotation_lengthscale_s", session.rotation_lengthscale_s);
+    out->Put("knot_spacing_s", session.knot_spacing_s);
+    out->Put("segments", session.segments);
+  });
 }
 
-void EmitQuality(const Calibration& result, YAML::Emitter* out) {
-  EmitMap(
-      "noise",
-      [&] {
-        Emit("position_std", result.sessions[0].noise.position, out);
-        Emit("rotation_std", result.sessions[0].noise.rotation, out);
-        Emit("gyro_std", result.sessions[0].imus[0].noise.gyro, out);
-        Emit("accel_std", result.sessions[0].imus[0].noise.accel, out);
-      },
-      out);
-  EmitMap(
-      "quality",
-      [&] {
-        Emit("gyro_rms", result.sessions[0].imus[0].rms.gyro, out);
-        Emit("accel_rms", result.sessions[0].imus[0].rms.accel, out);
-        Emit("position_rms", result.sessions[0].rms.position, out);
-        Emit("rotation_rms", result.sessions[0].rms.rotation, out);
-        EmitObservability(result.observability, out);
-        EmitMap(
-            "split_half",
-            [&] {
-              EmitList("translation", result.split_half.translation, out);
-              EmitList("rotation", result.split_half.rotation, out);
-              Emit("time_shift", result.split_half.time_shift, out);
-              Emit("sigmas", result.split_half.sigmas, out);
-            },
-            out);
-        Emit("warnings", result.warnings, out);
-      },
-      out);
-  EmitMap(
-      "trajectory",
-      [&] {
-        Emit("position_lengthscale_s", result.sessions[0].position_lengthscale_s, out);
-        Emit("rotation_lengthscale_s", result.sessions[0].rotation_lengthscale_s, out);
-        Emit("knot_spacing_s", result.sessions[0].knot_spacing_s, out);
-        Emit("segments", result.sessions[0].segments, out);
-      },
-      out);
-}
-
-void EmitStated(const PoseStd& stated, YAML::Emitter* out) {
-  *out << YAML::Key << "stated_pose_std" << YAML::Value << YAML::Flow << YAML::BeginMap;
-  Emit("position", stated.position, out);
-  Emit("rotation", stated.rotation, out);
-  *out << YAML::EndMap;
-}
-
-void EmitData(const Calibration& result, const RecordingInfo& info, YAML::Emitter* out) {
-  EmitMap(
-      "data",
-      [&] {
-        Emit("bag", info.bag, out);
-        Emit("imu_topic", info.imus[0].imu_topic, out);
-        Emit("gyro_topic", info.imus[0].gyro_topic, out);
-        Emit("accel_topic", info.imus[0].accel_topic, out);
-        Emit("pose_topic", info.pose_topic, out);
-        Emit("imu_yaml", info.imu_yaml, out);
-        if (info.stated_pose_std) EmitStated(*info.stated_pose_std, out);
-        Emit("duration", result.sessions[0].poses.duration_s, out);
-        EmitPerStream("counts", result, &StreamReport::used, out);
-        EmitPerStream("rates", result, &StreamReport::rate_hz, out);
-        EmitPerStream("stamps_recovered", result, &StreamReport::stamps_recovered, out);
-        EmitPerStream("stamp_jitter", result, &StreamReport::stamp_jitter_s, out);
-        EmitMap(
-            "rejected",
-            [&] {
-              EmitRejected("poses", result.sessions[0].poses, out);
-              EmitRejected("gyro", result.sessions[0].imus[0].gyro, out);
-              EmitRejected("accel", result.sessions[0].imus[0].accel, out);
-            },
-            out);
-        Emit("gaps", result.sessions[0].gaps, out);
-        Emit("jumps", result.sessions[0].jumps, out);
-      },
-      out);
+void PutData(const SessionCalibration& session, const RecordingInfo& info, Writer* out) {
+  out->Map("data", [&] {
+    out->Put("bag", info.bag);
+    out->Put("imu_topic", info.imus[0].imu_topic);
+    out->Put("gyro_topic", info.imus[0].gyro_topic);
+    out->Put("accel_topic", info.imus[0].accel_topic);
+    out->Put("pose_topic", info.pose_topic);
+    out->Put("imu_yaml", info.imu_yaml);
+    if (info.stated_pose_std)
+      out->FlowMap("stated_pose_std", [&] {
+        out->Put("position", info.stated_pose_std->position);
+        out->Put("rotation", info.stated_pose_std->rotation);
+      });
+    out->Put("duration", session.poses.duration_s);
+    PutPerStream("counts", session, &StreamReport::used, out);
+    PutPerStream("rates", session, &StreamReport::rate_hz, out);
+    PutPerStream("stamps_recovered", session, &StreamReport::stamps_recovered, out);
+    PutPerStream("stamp_jitter", session, &StreamReport::stamp_jitter_s, out);
+    out->Map("rejected", [&] {
+      PutRejected("poses", session.poses, out);
+      PutRejected("gyro", session.imus[0].gyro, out);
+      PutRejected("accel", session.imus[0].accel, out);
+    });
+    out->Put("gaps", session.gaps);
+    out->Put("jumps", session.jumps);
+  });
 }
 
 [[noreturn]] void FailToWrite(const std::string& path) {
@@ -428,36 +382,28 @@ std::string ToYaml(const Calibration& result,
                    const std::vector<RecordingInfo>& infos,
                    const CalibrationOptions& options) {
   const RecordingInfo& info = infos.front();
-  YAML::Emitter out;
-  out << YAML::BeginMap;
-  EmitMap(
-      "imu_pose_calib",
-      [&] {
-        Emit("version", kVersion, &out);
-        Emit("method", ToString(result.method), &out);
-        Emit("status", ToString(result.status), &out);
-        Emit("message", result.message, &out);
-        Emit("date", UtcNow(), &out);
-      },
-      &out);
-  EmitMap(
-      "frames",
-      [&] {
-        Emit("world", info.world_frame, &out);
-        Emit("marker", info.marker_frame, &out);
-        Emit("imu", info.imus[0].imu_frame, &out);
-      },
-      &out);
-  EmitEstimate(result, &out);
+  Writer out;
+  out.Map("imu_pose_calib", [&] {
+    out.Put("version", kVersion);
+    out.Put("method", ToString(result.method));
+    out.Put("status", ToString(result.status));
+    out.Put("message", result.message);
+    out.Put("date", UtcNow());
+  });
+  out.Map("frames", [&] {
+    out.Put("world", info.world_frame);
+    out.Put("marker", info.marker_frame);
+    out.Put("imu", info.imus[0].imu_frame);
+  });
+  PutEstimate(result, &out);
   if (result.imus.size() > 1 || result.sessions.size() > 1) {
-    EmitImus(result, info, &out);
-    EmitSessions(result, infos, &out);
+    PutImus(result, info, &out);
+    PutSessions(result, infos, &out);
   }
-  EmitQuality(result, &out);
-  EmitData(result, info, &out);
-  out << YAML::Key << "options" << YAML::Value << YAML::Load(ToYaml(options));
-  out << YAML::EndMap;
-  return kResultHeader + std::string(kEquations) + out.c_str() + "\n";
+  PutQuality(result, &out);
+  PutData(result.sessions[0], info, &out);
+  out.Put("options", YAML::Load(ToYaml(options)));
+  return kResultHeader + std::string(kEquations) + out.Finish() + "\n";
 }
 
 void WriteFile(const std::string& path, const std::string& text) {
