@@ -7,7 +7,7 @@
 #include <cstdio>
 #include <cstdlib>
 
-#include "imu_pose_calib/ros/io/body_poses.h"
+#include "imu_pose_calib/ros/io/bags.h"
 #include "imu_pose_calib/ros/io/compression.h"
 #include "imu_pose_calib/ros/io/ros2_file.h"
 
@@ -30,7 +30,7 @@ void ReadMessage(std::string_view data) {
   Try([&] { FromCdr<tf2_msgs::TFMessage>(data); });
   for (const std::string type :
        {"mocap4r2_msgs/RigidBodies", "motion_capture_tracking_interfaces/NamedPoseArray"})
-    Try([&] { ReadBodies(BagMessage(Ros2Message{topic, type, ros::Time(1), data})); });
+    Try([&] { ReadBodies(BagMessage{topic, type, ros::Time(1), data}); });
 }
 
 void ReadMessages(Ros2File* file) {

@@ -4,7 +4,7 @@
 
 #include <cstring>
 
-#include "imu_pose_calib/ros/io/body_poses.h"
+#include "imu_pose_calib/ros/io/bags.h"
 #include "imu_pose_calib/ros/io/cdr.h"
 #include "test_util.h"
 
@@ -133,7 +133,7 @@ TEST_P(CdrTest, Transforms) {
 /// What ReadBodies() makes of a message of a type.
 std::vector<FramedPose> Bodies(const std::string& type, const std::string& message) {
   const std::string topic = "/bodies";
-  return ReadBodies(BagMessage(Ros2Message{topic, type, ros::Time(1), message}));
+  return ReadBodies(BagMessage{topic, type, ros::Time(1), message});
 }
 
 TEST_P(CdrTest, RigidBodies) {

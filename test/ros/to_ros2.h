@@ -7,8 +7,8 @@
 
 #include <string>
 
+#include "imu_pose_calib/ros/io/bag_writer.h"
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/io/ros2_writer.h"
 
 namespace imu_pose_calib {
 

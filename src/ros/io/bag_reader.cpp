@@ -14,10 +14,8 @@
 
 #include "imu_pose_calib/core/median.h"
 #include "imu_pose_calib/ros/io/bags.h"
-#include "imu_pose_calib/ros/io/body_poses.h"
 #include "imu_pose_calib/ros/io/child_process.h"
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/io/pose_messages.h"
 #include "imu_pose_calib/ros/io/printable.h"
 #include "imu_pose_calib/ros/io/tf_chain.h"
 
@@ -31,7 +29,7 @@ std::string PoseTypeList() {
 }
 
 ImuContent ReadImuMessage(const BagMessage& message) {
-  return ReadImuContent(message.type(), message);
+  return ReadImuContent(message.type, message);
 }
 
 // --- Which topics ---
@@ -205,7 +203,7 @@ void CheckStamps(const std::string& topic, const std::vector<Sample>& samples) {
 class Delays {
  public:
   void Add(const BagMessage& message, int64_t stamp_ns) {
-    delays_s_.push_back(1e-9 * static_cast<double>(ToNanoseconds(message.time()) - stamp_ns));
+    delays_s_.push_back(1e-9 * static_cast<double>(ToNanoseconds(message.time) - stamp_ns));
   }
 
   std::optional<Latency> Summarise() && {
@@ -229,8 +227,9 @@ class ImuReader {
 
   std::set<std::string> Topics() const { return {topics_.gyro.name, topics_.accel.name}; }
 
-  void Add(const std::string& topic, const BagMessage& message) {
-    const bool gyro = topic == topics_.gyro.name, accel = topic == topics_.accel.name;
+  void Add(const BagMessage& message) {
+    const bool gyro = message.topic == topics_.gyro.name;
+    const bool accel = message.topic == topics_.accel.name;
     if (!gyro && !accel) return;
     const ImuContent content = ReadImuMessage(message);
     if (gyro) frame_ = content.frame;
@@ -259,7 +258,7 @@ class ImuReader {
            std::vector<ImuSample>* samples,
            Delays* delays) const {
     delays->Add(message, sample.t_ns);
-    if (record_time_) sample.t_ns = ToNanoseconds(message.time());
+    if (record_time_) sample.t_ns = ToNanoseconds(message.time);
     samples->push_back(sample);
   }
 
@@ -312,8 +311,8 @@ class PoseReader {
 
   const std::string& Topic() const { return topic_.name; }
 
-  void Add(const std::string& topic, const BagMessage& message) {
-    if (topic != topic_.name) return;
+  void Add(const BagMessage& message) {
+    if (message.topic != topic_.name) return;
     if (!topic_.IsBodies())
       return Add(message, FindPoseType<BagMessage>(topic_.type)->read(message));
     for (const FramedPose& framed : ReadBodies(message))
@@ -333,7 +332,7 @@ class PoseReader {
  private:
   void Add(const BagMessage& message, FramedPose framed) {
     delays_.Add(message, framed.pose.t_ns);
-    if (record_time_) framed.pose.t_ns = ToNanoseconds(message.time());
+    if (record_time_) framed.pose.t_ns = ToNanoseconds(message.time);
     if (poses_.empty()) first_ = framed;
     if (framed.world_frame != first_.world_frame || framed.marker_frame != first_.marker_frame)
       throw InputError("pose_topic '" + topic_.name + "' mixes poses of several frames: '" +
@@ -357,7 +356,7 @@ void ReadTf(const Bags& bags, const BagRequest& request, Recording* recording) {
   bags.ForEachTf([&](const BagMessage& message, bool fixed) {
     const auto msg = message.instantiate<tf2_msgs::TFMessage>();
     if (request.record_time)
-      for (auto& transform : msg->transforms) transform.header.stamp = message.time();
+      for (auto& transform : msg->transforms) transform.header.stamp = message.time;
     chain.Add(*msg, fixed);
     for (const PoseSample& pose : chain.TakePoses()) {
       if (!request.record_time) delays.Add(message, pose.t_ns);
@@ -401,9 +400,8 @@ Recording Read(const BagRequest& request) {
   if (pose_reader) topics.insert(pose_reader->Topic());
   topics.erase("");  // of an IMU that is missing
   bags.ForEach(topics, [&](const BagMessage& message) {
-    const std::string topic = message.topic();
-    for (ImuReader& reader : imu_readers) reader.Add(topic, message);
-    if (pose_reader) pose_reader->Add(topic, message);
+    for (ImuReader& reader : imu_readers) reader.Add(message);
+    if (pose_reader) pose_reader->Add(message);
   });
   for (size_t i = 0; i < imus.size(); ++i)
     if (!imus[i].gyro.name.empty())

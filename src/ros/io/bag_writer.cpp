@@ -10,6 +10,7 @@
 #include <tf2_msgs/TFMessage.h>
 
 #include <algorithm>
+#include <boost/algorithm/string.hpp>
 #include <cmath>
 #include <cstdlib>
 #include <functional>
@@ -17,6 +18,7 @@
 #include <sstream>
 #include <vector>
 
+#include "imu_pose_calib/ros/io/compression.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 
@@ -26,58 +28,42 @@ namespace {
 constexpr int64_t kDay = 86'400'000'000'000;  // [ns]
 const char kPoseTopic[] = "/mocap/pose";
 
-std_msgs::Header MakeHeader(int64_t t_ns, const std::string& frame) {
-  std_msgs::Header header;
-  header.stamp = FromNanoseconds(t_ns);
-  header.frame_id = frame;
-  return header;
+geometry_msgs::TransformStamped ToLink(int64_t t_ns,
+                                       const std::string& parent,
+                                       const std::string& child,
+                                       const Rigid3& T) {
+  return ToTransformStamped(MakeHeader(FromNanoseconds(t_ns), parent), child, T);
+}
+
+geometry_msgs::TransformStamped ToTransform(const PoseSample& pose) {
+  return ToLink(pose.t_ns, "world", "marker", {pose.q_WM, pose.p_WM});
 }
 
 geometry_msgs::PoseStamped ToPoseStamped(const PoseSample& pose) {
   geometry_msgs::PoseStamped msg;
-  msg.header = MakeHeader(pose.t_ns, "world");
-  msg.pose.position = ToPointMsg(pose.p_WM);
-  msg.pose.orientation = ToQuaternionMsg(pose.q_WM);
-  return msg;
-}
-
-geometry_msgs::TransformStamped ToTransformStamped(const PoseSample& pose) {
-  geometry_msgs::TransformStamped msg;
-  msg.header = MakeHeader(pose.t_ns, "world");
-  msg.child_frame_id = "marker";
-  msg.transform = ToTransformMsg({pose.q_WM, pose.p_WM});
+  msg.header = MakeHeader(FromNanoseconds(pose.t_ns), "world");
+  msg.pose = ToPoseMsg({pose.q_WM, pose.p_WM});
   return msg;
 }
 
 geometry_msgs::PoseWithCovarianceStamped ToPoseWithCovariance(const PoseSample& pose) {
   geometry_msgs::PoseWithCovarianceStamped msg;
-  msg.header = MakeHeader(pose.t_ns, "world");
-  msg.pose.pose = ToPoseStamped(pose).pose;
+  msg.header = MakeHeader(FromNanoseconds(pose.t_ns), "world");
+  msg.pose.pose = ToPoseMsg({pose.q_WM, pose.p_WM});
   return msg;
 }
 
 nav_msgs::Odometry ToOdometry(const PoseSample& pose) {
   nav_msgs::Odometry msg;
-  msg.header = MakeHeader(pose.t_ns, "world");
+  msg.header = MakeHeader(FromNanoseconds(pose.t_ns), "world");
   msg.child_frame_id = "marker";
-  msg.pose = ToPoseWithCovariance(pose).pose;
+  msg.pose.pose = ToPoseMsg({pose.q_WM, pose.p_WM});
   return msg;
 }
 
 // --- Poses as an arm of six joints ---
 
 constexpr size_t kJoints = 6;  ///< links base -> joint1 -> ... -> joint5 -> marker
-
-geometry_msgs::TransformStamped ToLink(int64_t t_ns,
-                                       const std::string& parent,
-                                       const std::string& child,
-                                       const Rigid3& T) {
-  geometry_msgs::TransformStamped msg;
-  msg.header = MakeHeader(t_ns, parent);
-  msg.child_frame_id = child;
-  msg.transform = ToTransformMsg(T);
-  return msg;
-}
 
 Rigid3 BaseInWorld() { return {Eigen::Quaterniond(0.8, 0.0, 0.0, 0.6), {1.0, -0.5, 0.2}}; }
 
@@ -135,7 +121,7 @@ tf2_msgs::TFMessage ToFixedTf(int64_t t_ns) {
 
 geometry_msgs::Vector3Stamped ToVector(const ImuSample& sample) {
   geometry_msgs::Vector3Stamped msg;
-  msg.header = MakeHeader(sample.t_ns, "imu");
+  msg.header = MakeHeader(FromNanoseconds(sample.t_ns), "imu");
   msg.vector = ToVector3Msg(sample.value);
   return msg;
 }
@@ -145,7 +131,7 @@ sensor_msgs::Imu ToImu(const ImuSample* gyro,
                        const ImuSample* accel,
                        const std::string& frame = "imu") {
   sensor_msgs::Imu msg;
-  msg.header = MakeHeader((gyro ? gyro : accel)->t_ns, frame);
+  msg.header = MakeHeader(FromNanoseconds((gyro ? gyro : accel)->t_ns), frame);
   msg.orientation_covariance[0] = -1.0;
   msg.angular_velocity_covariance[0] = gyro ? 0.0 : -1.0;
   msg.linear_acceleration_covariance[0] = accel ? 0.0 : -1.0;
@@ -218,6 +204,41 @@ void Write(const std::string& path,
 
 }  // namespace
 
+Ros2Writer::Ros2Writer(const std::string& path, const Ros2Format& format)
+    : format_(format), storage_(format.is_mcap ? CreateMcap(path, format) : CreateSqlite(path)) {}
+
+void Ros2Writer::Add(const std::string& topic,
+                     const std::string& ros1_type,
+                     const std::string& ros1_definition,
+                     int64_t t_ns,
+                     const std::string& data) {
+  const auto [known, is_new] = topics_.emplace(topic, static_cast<uint32_t>(topics_.size()));
+  if (is_new)
+    storage_->AddTopic(
+        topic, boost::replace_first_copy(ros1_type, "/", "/msg/"), Ros2Definition(ros1_definition));
+  storage_->Write(known->second, t_ns, format_.compress_messages ? CompressZstd(data) : data);
+}
+
+std::string Ros2Definition(const std::string& ros1_definition) {
+  std::istringstream lines(ros1_definition);
+  std::string line, separator, text;
+  bool has_time = false;
+  while (std::getline(lines, line)) {
+    line.resize(std::min(line.find('#'), line.size()));
+    boost::trim(line);
+    if (line.empty() || line == "uint32 seq") continue;  // a field of ROS 1's Header alone
+    if (boost::starts_with(line, "====")) separator = line;
+    if (boost::starts_with(line, "Header ")) line = "std_msgs/" + line;
+    if (boost::starts_with(line, "time ")) {
+      line = "builtin_interfaces/Time" + line.substr(4);
+      has_time = true;
+    }
+    text += line + "\n";
+  }
+  if (has_time) text += separator + "\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n";
+  return text;
+}
+
 void CheckSameStamps(const SessionData& data) {
   const std::vector<ImuSample>&gyro = data.imus[0].gyro, &accel = data.imus[0].accel;
   if (gyro.size() != accel.size())
@@ -234,7 +255,7 @@ void CheckSameStamps(const SessionData& data) {
 
 void WriteBag(const std::string& path, const SessionData& data, const BagFormat& format) {
   const auto pose = [&](size_t k) { return ToPoseStamped(data.poses[k]); };
-  const auto transform = [&](size_t k) { return ToTransformStamped(data.poses[k]); };
+  const auto transform = [&](size_t k) { return ToTransform(data.poses[k]); };
   const auto covariance = [&](size_t k) { return ToPoseWithCovariance(data.poses[k]); };
   const auto odometry = [&](size_t k) { return ToOdometry(data.poses[k]); };
   const auto tf = [&](size_t k) { return ToTf(k, data.poses); };

@@ -7,13 +7,25 @@
 #include <sstream>
 #include <tuple>
 
-#include "imu_pose_calib/ros/io/body_poses.h"
-#include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/io/pose_messages.h"
 #include "imu_pose_calib/ros/io/recording.h"
 
 namespace imu_pose_calib {
 namespace {
+
+constexpr char kRigidBodies[] = "mocap4r2_msgs/RigidBodies";
+constexpr char kNamedPoses[] = "motion_capture_tracking_interfaces/NamedPoseArray";
+
+/// Reads over the markers of a body.
+void SkipMarkers(CdrInput* input) {
+  const uint32_t markers = input->Count();
+  for (uint32_t k = 0; k < markers; ++k) {
+    input->Number<int8_t>();   // kind of the number
+    input->Number<int32_t>();  // number
+    input->String();
+    geometry_msgs::Point position;
+    input->next(position);
+  }
+}
 
 std::string Seconds(double value) {
   std::ostringstream text;
@@ -29,7 +41,7 @@ bool BagTopic::IsVector() const { return type == kVectorType; }
 
 bool BagTopic::IsPose() const { return IsBodies() || FindPoseType<BagMessage>(type) != nullptr; }
 
-bool BagTopic::IsBodies() const { return HoldsBodies(type); }
+bool BagTopic::IsBodies() const { return type == kRigidBodies || type == kNamedPoses; }
 
 bool BagTopic::IsTf() const { return type == "tf2_msgs/TFMessage" || type == "tf/tfMessage"; }
 
@@ -37,6 +49,27 @@ bool BagTopic::IsFixedTf() const {
   const std::string ending = "tf_static";
   return IsTf() && name.size() >= ending.size() &&
          name.compare(name.size() - ending.size(), ending.size(), ending) == 0;
+}
+
+std::vector<FramedPose> ReadBodies(const BagMessage& message) {
+  const bool has_markers = message.type == kRigidBodies;
+  std::vector<FramedPose> bodies;
+  message.Decode([&](std::string_view data) {
+    CdrInput input(data);
+    std_msgs::Header header;
+    input.next(header);
+    if (has_markers) input.Number<uint32_t>();  // frame
+    const uint32_t count = input.Count();
+    for (uint32_t k = 0; k < count; ++k) {
+      const std::string name = input.String();
+      if (has_markers) SkipMarkers(&input);
+      geometry_msgs::Pose pose;
+      input.next(pose);
+      bodies.push_back({ToPoseSample(header.stamp, pose), header.frame_id, name});
+    }
+    input.Finish();
+  });
+  return bodies;
 }
 
 std::string Describe(const std::vector<BagTopic>& topics) {

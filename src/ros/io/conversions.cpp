@@ -62,6 +62,30 @@ geometry_msgs::Transform ToTransformMsg(const Rigid3& T) {
   return msg;
 }
 
+geometry_msgs::Pose ToPoseMsg(const Rigid3& T) {
+  geometry_msgs::Pose msg;
+  msg.position = ToPointMsg(T.p);
+  msg.orientation = ToQuaternionMsg(T.q);
+  return msg;
+}
+
+std_msgs::Header MakeHeader(const ros::Time& stamp, const std::string& frame) {
+  std_msgs::Header header;
+  header.stamp = stamp;
+  header.frame_id = frame;
+  return header;
+}
+
+geometry_msgs::TransformStamped ToTransformStamped(const std_msgs::Header& header,
+                                                   const std::string& child,
+                                                   const Rigid3& T) {
+  geometry_msgs::TransformStamped msg;
+  msg.header = header;
+  msg.child_frame_id = child;
+  msg.transform = ToTransformMsg(T);
+  return msg;
+}
+
 PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::Pose& pose) {
   return ToPoseSample(stamp, pose.orientation, pose.position);
 }
@@ -124,52 +148,37 @@ std::vector<geometry_msgs::TransformStamped> ToTransforms(const Calibration& res
                                                           const RecordingInfo& info,
                                                           const ros::Time& stamp) {
   std::vector<geometry_msgs::TransformStamped> transforms;
-  for (size_t i = 0; i < result.imus.size(); ++i) {
-    geometry_msgs::TransformStamped msg;
-    msg.header.stamp = stamp;
-    msg.header.frame_id = info.marker_frame;
-    msg.child_frame_id = info.imus[i].imu_frame;
-    msg.transform = ToTransformMsg(result.imus[i].T_MI);
-    transforms.push_back(msg);
-  }
+  for (size_t i = 0; i < result.imus.size(); ++i)
+    transforms.push_back(ToTransformStamped(
+        MakeHeader(stamp, info.marker_frame), info.imus[i].imu_frame, result.imus[i].T_MI));
   return transforms;
 }
 
 CalibrationResult ToMsg(const Calibration& result,
                         const RecordingInfo& info,
                         const ros::Time& stamp) {
-  const auto status_code = [](Status status) -> uint8_t {
-    switch (status) {
-      case Status::kNotRun:
-        return CalibrationResult::STATUS_NOT_RUN;
-      case Status::kOk:
-        return CalibrationResult::STATUS_OK;
-      case Status::kWeak:
-        return CalibrationResult::STATUS_WEAK;
-      case Status::kDegenerate:
-        return CalibrationResult::STATUS_DEGENERATE;
-    }
-    return CalibrationResult::STATUS_NOT_RUN;
-  };
-
+  static_assert(static_cast<int>(Status::kOk) == CalibrationResult::STATUS_OK &&
+                static_cast<int>(Status::kWeak) == CalibrationResult::STATUS_WEAK &&
+                static_cast<int>(Status::kDegenerate) == CalibrationResult::STATUS_DEGENERATE);
+  const ImuCalibration& imu = result.imus[0];
+  const ImuSession& session = result.sessions[0].imus[0];
   CalibrationResult msg;
-  msg.header.stamp = stamp;
-  msg.header.frame_id = info.marker_frame;
+  msg.header = MakeHeader(stamp, info.marker_frame);
   msg.child_frame_id = info.imus[0].imu_frame;
-  msg.status = status_code(result.status);
+  msg.status = static_cast<uint8_t>(result.status);
   msg.status_text = ToString(result.status);
   msg.method = ToString(result.method);
   msg.message = result.message;
-  msg.transform = ToTransformMsg(result.imus[0].T_MI);
+  msg.transform = ToTransformMsg(imu.T_MI);
   // Symmetric: row-major and column-major are the same.
-  std::copy_n(result.imus[0].covariance.data(), msg.covariance.size(), msg.covariance.begin());
-  msg.time_shift = result.sessions[0].imus[0].time_shift;
-  msg.time_shift_std = result.sessions[0].imus[0].time_shift_std;
-  msg.accel_delay = result.imus[0].accel_delay;
-  msg.accel_delay_std = result.imus[0].accel_delay_std;
-  msg.clock_drift = result.sessions[0].imus[0].clock_drift;
-  msg.clock_drift_std = result.sessions[0].imus[0].clock_drift_std;
-  msg.clock_reference = result.sessions[0].imus[0].clock_reference;
+  std::copy_n(imu.covariance.data(), msg.covariance.size(), msg.covariance.begin());
+  msg.time_shift = session.time_shift;
+  msg.time_shift_std = session.time_shift_std;
+  msg.accel_delay = imu.accel_delay;
+  msg.accel_delay_std = imu.accel_delay_std;
+  msg.clock_drift = session.clock_drift;
+  msg.clock_drift_std = session.clock_drift_std;
+  msg.clock_reference = session.clock_reference;
   msg.pose_smoothing = result.pose_smoothing;
   msg.pose_smoothing_std = result.pose_smoothing_std;
   msg.position_smoothing = result.position_smoothing;
@@ -177,12 +186,24 @@ CalibrationResult ToMsg(const Calibration& result,
   msg.pose_scale = result.pose_scale;
   msg.pose_scale_std = result.pose_scale_std;
   msg.gravity = ToVector3Msg(result.sessions[0].g_W);
-  msg.gyro_bias = ToVector3Msg(result.sessions[0].imus[0].gyro_bias);
-  msg.accel_bias = ToVector3Msg(result.sessions[0].imus[0].accel_bias);
+  msg.gyro_bias = ToVector3Msg(session.gyro_bias);
+  msg.accel_bias = ToVector3Msg(session.accel_bias);
   msg.imus = ToTransforms(result, info, stamp);
   msg.unobservable = result.unobservable;
   msg.warnings = result.warnings;
   return msg;
+}
+
+std::vector<std::string> PoseTypeNames() {
+  std::vector<std::string> names;
+  for (const auto& type : PoseTypes<topic_tools::ShapeShifter>()) names.emplace_back(type.name);
+  return names;
+}
+
+FramedPose ToFramedPose(const topic_tools::ShapeShifter& msg) {
+  const auto* type = FindPoseType<topic_tools::ShapeShifter>(msg.getDataType());
+  if (type == nullptr) throw InputError(msg.getDataType() + " holds no pose");
+  return type->read(msg);
 }
 
 }  // namespace imu_pose_calib

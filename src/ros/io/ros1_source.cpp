@@ -63,12 +63,11 @@ class Part {
   /// Whether `use` was true for all.
   bool ForEach(const std::function<bool(const BagMessage&)>& use) const {
     return std::all_of(messages_.begin(), messages_.end(), [&](const Message& m) {
-      const Ros1Message message{m.of.getTopic(),
-                                m.of.getDataType(),
-                                m.of.getMD5Sum(),
-                                m.of.getTime(),
-                                {reinterpret_cast<const char*>(data_.data()) + m.begin, m.size}};
-      return use(BagMessage(message));
+      return use({m.of.getTopic(),
+                  m.of.getDataType(),
+                  m.of.getTime(),
+                  {reinterpret_cast<const char*>(data_.data()) + m.begin, m.size},
+                  &m.of.getMD5Sum()});
     });
   }
 

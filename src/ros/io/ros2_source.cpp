@@ -126,14 +126,14 @@ class Ros2Source : public MessageSource {
     Visit(is_wanted, start, end, [&](const Place& place) {
       const File& file = files_[place.file];
       const Ros2File::Topic& topic = file.reader->topics()[place.entry.topic];
-      Ros2Message message{topic.name, file.types[place.entry.topic], Time(place), {}};
+      BagMessage message{topic.name, file.types[place.entry.topic], Time(place), {}};
       message.data = file.reader->Read(place.entry);
       if (IsZstd(message.data)) {  // CDR begins with 0
-        BagMessage(message).Decode(
+        message.Decode(
             [&](std::string_view data) { unfolded = DecompressZstd(data, kMaxBlockSize); });
         message.data = unfolded;
       }
-      return use(BagMessage(message));
+      return use(message);
     });
   }
 
@@ -204,13 +204,13 @@ class Ros2Source : public MessageSource {
 }  // namespace
 
 void BagMessage::Decode(const std::function<void(std::string_view)>& decode) const {
-  if (!ros2_) return;
+  if (md5sum) return;
   try {
-    decode(ros2_->data);
+    decode(data);
   } catch (const InputError& error) {
-    throw InputError("topic '" + ros2_->topic + "', message recorded at " +
-                     std::to_string(ToNanoseconds(ros2_->time)) + " ns is no " + ros2_->type +
-                     ": " + error.what());
+    throw InputError("topic '" + topic + "', message recorded at " +
+                     std::to_string(ToNanoseconds(time)) + " ns is no " + type + ": " +
+                     error.what());
   }
 }
 

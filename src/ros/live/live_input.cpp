@@ -3,7 +3,6 @@
 #include <boost/function.hpp>
 
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/io/pose_messages.h"
 
 namespace imu_pose_calib {
 namespace {

@@ -10,7 +10,6 @@
 #include <random>
 
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/io/pose_messages.h"
 #include "imu_pose_calib/ros/live/live_node.h"
 #include "imu_pose_calib/ros/live/topic_source.h"
 #include "imu_pose_calib/ros/offline/command_line.h"

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/message_source.h"
 
 namespace imu_pose_calib {
@@ -22,6 +23,11 @@ struct BagTopic {
   bool IsTf() const;
   bool IsFixedTf() const;
 };
+
+/// The poses in a message of ROS 2 that holds those of several bodies, by name
+/// (mocap4r2_msgs/RigidBodies, motion_capture_tracking_interfaces/NamedPoseArray), each with the
+/// name of the body as its marker frame.
+std::vector<FramedPose> ReadBodies(const BagMessage& message);
 
 /// "NAME (TYPE, COUNT), ..." for error messages.
 std::string Describe(const std::vector<BagTopic>& topics);

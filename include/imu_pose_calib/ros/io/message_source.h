@@ -18,62 +18,34 @@
 
 namespace imu_pose_calib {
 
-/// A message of ROS 1 as it was recorded.
-struct Ros1Message {
+/// A message of a bag of ROS 1 or ROS 2 as it was recorded, as long as the bag hands it out.
+struct BagMessage {
   const std::string& topic;
-  const std::string& type;
-  const std::string& md5sum;  ///< of the type's definition
-  ros::Time time;             ///< of recording
-  std::string_view data;
-};
-
-/// A message of ROS 2 as it was recorded.
-struct Ros2Message {
-  const std::string& topic;
-  const std::string& type;  ///< as ROS 1 names it: "sensor_msgs/Imu"
-  ros::Time time;           ///< of recording
-  std::string_view data;    ///< CDR
-};
-
-/// A message of a bag of ROS 1 or ROS 2, as long as the bag hands it out.
-class BagMessage {
- public:
-  explicit BagMessage(const Ros1Message& ros1) : ros1_(&ros1) {}
-  explicit BagMessage(const Ros2Message& ros2) : ros2_(&ros2) {}
-
-  std::string topic() const { return ros1_ ? ros1_->topic : ros2_->topic; }
-  std::string type() const { return ros1_ ? ros1_->type : ros2_->type; }
-  ros::Time time() const { return ros1_ ? ros1_->time : ros2_->time; }
+  const std::string& type;              ///< as ROS 1 names it: "sensor_msgs/Imu"
+  ros::Time time;                       ///< of recording
+  std::string_view data;                ///< of ROS 2: CDR
+  const std::string* md5sum = nullptr;  ///< of the type's definition; null: of ROS 2
 
   /// The message. Throws InputError when its type is defined differently here.
   template <typename Msg>
   boost::shared_ptr<Msg> instantiate() const {  // NOLINT(readability-identifier-naming)
     boost::shared_ptr<Msg> msg;
-    if (ros1_ && ros1_->md5sum == ros::message_traits::MD5Sum<Msg>::value())
-      msg = FromRos1<Msg>();
-    else if (ros1_ == nullptr && ros2_->type == ros::message_traits::DataType<Msg>::value())
-      Decode([&](std::string_view data) { msg = boost::make_shared<Msg>(FromCdr<Msg>(data)); });
+    if (md5sum && *md5sum == ros::message_traits::MD5Sum<Msg>::value()) {
+      msg = boost::make_shared<Msg>();
+      auto* bytes = reinterpret_cast<uint8_t*>(const_cast<char*>(data.data()));
+      ros::serialization::IStream stream(bytes, static_cast<uint32_t>(data.size()));
+      ros::serialization::deserialize(stream, *msg);
+    }
+    if (!md5sum && type == ros::message_traits::DataType<Msg>::value())
+      Decode([&](std::string_view cdr) { msg = boost::make_shared<Msg>(FromCdr<Msg>(cdr)); });
     if (!msg)
-      throw InputError("topic '" + topic() + "' has another definition of " + type() +
+      throw InputError("topic '" + topic + "' has another definition of " + type +
                        " than this computer");
     return msg;
   }
 
   /// Runs `decode` on the CDR of a message of ROS 2, with errors that name it; nothing for ROS 1.
   void Decode(const std::function<void(std::string_view)>& decode) const;
-
- private:
-  template <typename Msg>
-  boost::shared_ptr<Msg> FromRos1() const {
-    auto msg = boost::make_shared<Msg>();
-    auto* data = reinterpret_cast<uint8_t*>(const_cast<char*>(ros1_->data.data()));
-    ros::serialization::IStream stream(data, static_cast<uint32_t>(ros1_->data.size()));
-    ros::serialization::deserialize(stream, *msg);
-    return msg;
-  }
-
-  const Ros1Message* ros1_ = nullptr;
-  const Ros2Message* ros2_ = nullptr;
 };
 
 /// The messages of some bags that are one recording.

@@ -47,4 +47,29 @@ std::unique_ptr<Ros2File> OpenMcap(std::string_view bytes, const std::string& na
 /// The database of rosbag2 (.db3) at `path`. Throws InputError with `name` and SQLite's words.
 std::unique_ptr<Ros2File> OpenSqlite(const std::string& path, const std::string& name);
 
+/// How a bag of ROS 2 is stored.
+struct Ros2Format {
+  bool is_mcap = true;  ///< false: a database of SQLite, .db3
+  /// Of the chunks of an mcap file: "", "lz4" or "zstd"; "none": there are no chunks.
+  std::string chunk_compression;
+  bool compress_messages = false;  ///< each message by zstd
+  size_t chunk_size = 786'432;     ///< [bytes] that end a chunk
+};
+
+/// Where encoded messages go.
+class Ros2Storage {
+ public:
+  virtual ~Ros2Storage() = default;
+  /// Announces a topic, which gets the next number from 0 on.
+  virtual void AddTopic(const std::string& name,
+                        const std::string& type,
+                        const std::string& definition) = 0;
+  virtual void Write(uint32_t topic, int64_t t_ns, const std::string& data) = 0;
+  virtual void Close() = 0;
+};
+
+/// Both throw InputError with `path` when it cannot be written; so do their members.
+std::unique_ptr<Ros2Storage> CreateMcap(const std::string& path, const Ros2Format& format);
+std::unique_ptr<Ros2Storage> CreateSqlite(const std::string& path);
+
 }  // namespace imu_pose_calib

@@ -17,6 +17,48 @@ struct CloseSqlite {
 };
 using Statement = std::unique_ptr<sqlite3_stmt, CloseSqlite>;
 
+/// A database of SQLite that is open.
+class Database {
+ protected:
+  ~Database() = default;
+
+  void Open(const std::string& path, int flags) {
+    sqlite3* database = nullptr;
+    const int status = sqlite3_open_v2(path.c_str(), &database, flags, nullptr);
+    database_.reset(database);
+    Check(status);
+  }
+
+  Statement Prepare(const std::string& sql) const {
+    sqlite3_stmt* statement = nullptr;
+    Check(sqlite3_prepare_v2(database_.get(), sql.c_str(), -1, &statement, nullptr));
+    return Statement(statement);
+  }
+
+  /// False after the last row.
+  bool Step(sqlite3_stmt* statement) const {
+    const int status = sqlite3_step(statement);
+    if (status != SQLITE_ROW && status != SQLITE_DONE) Check(status);
+    return status == SQLITE_ROW;
+  }
+
+  int Run(const char* sql) const {
+    return sqlite3_exec(database_.get(), sql, nullptr, nullptr, nullptr);
+  }
+
+  void Check(int status) const {
+    if (status != SQLITE_OK) Fail(sqlite3_errmsg(database_.get()), status);
+  }
+
+  sqlite3* get() const { return database_.get(); }
+
+ private:
+  /// Throws InputError for an error of SQLite.
+  [[noreturn]] virtual void Fail(const std::string& text, int status) const = 0;
+
+  std::unique_ptr<sqlite3, CloseSqlite> database_;
+};
+
 /// "file:PATH?...", as SQLite wants it.
 std::string Uri(const std::string& path, const char* query) {
   std::string uri = "file:";
@@ -39,22 +81,14 @@ bool HasJournal(const std::string& path) {
   return false;
 }
 
-class SqliteFile : public Ros2File {
+class SqliteFile final : public Ros2File, private Database {
  public:
   SqliteFile(const std::string& path, const std::string& name) : name_(name) {
     // Nothing is written beside a database that cannot change.
     const std::string uri = Uri(path, HasJournal(path) ? "?mode=ro" : "?mode=ro&immutable=1");
-    sqlite3* database = nullptr;
-    const int status =
-        sqlite3_open_v2(uri.c_str(), &database, SQLITE_OPEN_READONLY | SQLITE_OPEN_URI, nullptr);
-    database_.reset(database);
-    Check(status);
-    sqlite3_db_config(database, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
-    sqlite3_exec(database,
-                 "PRAGMA trusted_schema=OFF; PRAGMA cell_size_check=ON",
-                 nullptr,
-                 nullptr,
-                 nullptr);
+    Open(uri, SQLITE_OPEN_READONLY | SQLITE_OPEN_URI);
+    sqlite3_db_config(get(), SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
+    Run("PRAGMA trusted_schema=OFF; PRAGMA cell_size_check=ON");
     CheckTables();
     ReadTopics();
     ReadEntries();
@@ -75,23 +109,8 @@ class SqliteFile : public Ros2File {
     throw InputError("'" + name_ + "' is no bag of ROS 2, or damaged: " + text);
   }
 
-  void Check(int status) const {
-    if (status != SQLITE_OK)
-      Fail(std::string(sqlite3_errmsg(database_.get())) + " (SQLite, " + std::to_string(status) +
-           ")");
-  }
-
-  Statement Prepare(const std::string& sql) const {
-    sqlite3_stmt* statement = nullptr;
-    Check(sqlite3_prepare_v2(database_.get(), sql.c_str(), -1, &statement, nullptr));
-    return Statement(statement);
-  }
-
-  /// False after the last row.
-  bool Step(sqlite3_stmt* statement) const {
-    const int status = sqlite3_step(statement);
-    if (status != SQLITE_ROW && status != SQLITE_DONE) Check(status);
-    return status == SQLITE_ROW;
+  [[noreturn]] void Fail(const std::string& text, int status) const override {
+    Fail(text + " (SQLite, " + std::to_string(status) + ")");
   }
 
   std::string Text(sqlite3_stmt* statement, int column) const {
@@ -140,9 +159,60 @@ class SqliteFile : public Ros2File {
   }
 
   std::string name_;
-  std::unique_ptr<sqlite3, CloseSqlite> database_;
-  Statement data_;  ///< goes before the database
+  Statement data_;
   std::map<int64_t, uint32_t> ids_;
+};
+
+/// The tables of rosbag2.
+constexpr char kTables[] = R"(
+CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,
+  serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL);
+CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL,
+  timestamp INTEGER NOT NULL, data BLOB NOT NULL);
+CREATE INDEX timestamp_idx ON messages (timestamp ASC);
+BEGIN)";
+
+class SqliteStorage final : public Ros2Storage, private Database {
+ public:
+  explicit SqliteStorage(const std::string& path) : path_(path) {
+    std::error_code ignored;
+    std::filesystem::remove(path, ignored);
+    Open(path, SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE);
+    Check(Run("PRAGMA journal_mode=OFF"));
+    Check(Run(kTables));
+    topic_ = Prepare("INSERT INTO topics VALUES(?, ?, ?, 'cdr', '')");
+    message_ = Prepare("INSERT INTO messages(topic_id, timestamp, data) VALUES(?, ?, ?)");
+  }
+
+  void AddTopic(const std::string& name, const std::string& type, const std::string&) override {
+    sqlite3_bind_int64(topic_.get(), 1, ++topics_);
+    sqlite3_bind_text(topic_.get(), 2, name.c_str(), -1, SQLITE_TRANSIENT);
+    sqlite3_bind_text(topic_.get(), 3, type.c_str(), -1, SQLITE_TRANSIENT);
+    Insert(topic_.get());
+  }
+
+  void Write(uint32_t topic, int64_t t_ns, const std::string& data) override {
+    sqlite3_bind_int64(message_.get(), 1, int64_t{topic} + 1);
+    sqlite3_bind_int64(message_.get(), 2, t_ns);
+    sqlite3_bind_blob64(message_.get(), 3, data.data(), data.size(), SQLITE_TRANSIENT);
+    Insert(message_.get());
+  }
+
+  void Close() override { Check(Run("COMMIT")); }
+
+ private:
+  [[noreturn]] void Fail(const std::string& text, int) const override {
+    throw InputError("cannot write bag '" + path_ + "': " + text);
+  }
+
+  void Insert(sqlite3_stmt* statement) const {
+    Step(statement);
+    sqlite3_reset(statement);
+  }
+
+  std::string path_;
+  Statement topic_, message_;
+  int64_t topics_ = 0;
 };
 
 }  // namespace
@@ -151,6 +221,10 @@ bool IsSqlite(std::string_view bytes) { return bytes.substr(0, kMagic.size()) ==
 
 std::unique_ptr<Ros2File> OpenSqlite(const std::string& path, const std::string& name) {
   return std::make_unique<SqliteFile>(path, name);
+}
+
+std::unique_ptr<Ros2Storage> CreateSqlite(const std::string& path) {
+  return std::make_unique<SqliteStorage>(path);
 }
 
 }  // namespace imu_pose_calib

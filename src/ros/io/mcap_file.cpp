@@ -3,6 +3,9 @@
 #include <algorithm>
 #include <array>
 #include <boost/crc.hpp>
+#include <cerrno>
+#include <cstring>
+#include <fstream>
 #include <limits>
 #include <map>
 #include <utility>
@@ -18,11 +21,15 @@ constexpr std::string_view kMagic("\x89MCAP0\r\n", 8);
 constexpr size_t kRecordHeader = 9;  // opcode, length
 
 enum Opcode : uint8_t {
+  kHeader = 0x01,
   kFooter = 0x02,
   kSchema = 0x03,
   kChannel = 0x04,
   kMessage = 0x05,
   kChunk = 0x06,
+  kMessageIndex = 0x07,
+  kChunkIndex = 0x08,
+  kStatistics = 0x0b,
   kDataEnd = 0x0f
 };
 
@@ -32,10 +39,12 @@ uint32_t Crc32(std::string_view bytes) {
   return crc.checksum();
 }
 
+// --- Reading ---
+
 /// The fields of a record, one after the other.
-class Fields {
+class FieldReader {
  public:
-  explicit Fields(std::string_view left) : left_(left) {}
+  explicit FieldReader(std::string_view left) : left_(left) {}
 
   template <typename T>
   T Number() {
@@ -77,7 +86,7 @@ class Records {
   /// False at the end, and where the rest is too short for a record.
   bool Next(Record* record) {
     if (bytes_.size() - at_ < kRecordHeader) return false;
-    Fields header(bytes_.substr(at_, kRecordHeader));
+    FieldReader header(bytes_.substr(at_, kRecordHeader));
     const auto opcode = header.Number<uint8_t>();
     const auto size = header.Number<uint64_t>();
     if (size > bytes_.size() - at_ - kRecordHeader) return false;
@@ -154,7 +163,7 @@ class McapFile : public Ros2File {
   }
 
   void ReadChunk(const Record& record) {
-    Fields fields(record.content);
+    FieldReader fields(record.content);
     fields.Bytes(2 * sizeof(uint64_t));  // first and last time
     const auto size = fields.Number<uint64_t>();
     const auto crc = fields.Number<uint32_t>();
@@ -193,14 +202,14 @@ class McapFile : public Ros2File {
   }
 
   void CheckDataEnd(const Record& record) const {
-    const auto crc = Fields(record.content).Number<uint32_t>();
+    const auto crc = FieldReader(record.content).Number<uint32_t>();
     if (crc != 0 && crc != Crc32(bytes_.substr(0, record.at)))
       throw InputError("the checksum of the messages is wrong");
   }
 
   /// A record that may stand in a chunk or outside of it; what is not needed is skipped.
   void ReadRecord(const Record& record, uint32_t chunk, std::string_view bytes) {
-    Fields fields(record.content);
+    FieldReader fields(record.content);
     switch (record.opcode) {
       case 0:
         throw InputError("its kind is 0, which there is none of");
@@ -234,7 +243,7 @@ class McapFile : public Ros2File {
     }
   }
 
-  void ReadChannel(Fields* fields) {
+  void ReadChannel(FieldReader* fields) {
     const auto id = fields->Number<uint16_t>();
     const auto schema = fields->Number<uint16_t>();
     Topic topic;
@@ -266,12 +275,191 @@ class McapFile : public Ros2File {
   size_t next_slot_ = 0;
 };
 
+// --- Writing ---
+
+/// The fields of a record.
+class FieldWriter {
+ public:
+  template <typename T>
+  FieldWriter& Number(T value) {
+    for (size_t k = 0; k < sizeof(T); ++k)
+      text_ += static_cast<char>(static_cast<uint64_t>(value) >> (8 * k) & 0xff);
+    return *this;
+  }
+  FieldWriter& Bytes(const std::string& bytes) {
+    text_ += bytes;
+    return *this;
+  }
+  FieldWriter& String(const std::string& text) {
+    return Number(static_cast<uint32_t>(text.size())).Bytes(text);
+  }
+
+  /// A record of these fields.
+  std::string Record(uint8_t opcode) const {
+    return FieldWriter().Number(opcode).Number(uint64_t{text_.size()}).Bytes(text_).text_;
+  }
+
+  const std::string& text() const { return text_; }
+
+ private:
+  std::string text_;
+};
+
+class McapStorage : public Ros2Storage {
+ public:
+  McapStorage(const std::string& path, const Ros2Format& format)
+      : path_(path),
+        format_(format),
+        has_chunks_(format.chunk_compression != "none"),
+        file_(path, std::ios::binary | std::ios::trunc) {
+    Put(kMagic);
+    Put(FieldWriter().String("ros2").String("imu_pose_calib").Record(kHeader));
+  }
+
+  void AddTopic(const std::string& name,
+                const std::string& type,
+                const std::string& definition) override {
+    const auto id = static_cast<uint16_t>(counts_.size() + 1);
+    const std::string records =
+        FieldWriter().Number(id).String(type).String("ros2msg").String(definition).Record(kSchema) +
+        FieldWriter().Number(id).Number(id).String(name).String("cdr").String("").Record(kChannel);
+    counts_.push_back(0);
+    topics_ += records;
+    PutInChunk(records);
+  }
+
+  void Write(uint32_t topic, int64_t t_ns, const std::string& data) override {
+    const auto time = static_cast<uint64_t>(t_ns);
+    const auto channel = static_cast<uint16_t>(topic + 1);
+    if (has_chunks_) index_[channel].emplace_back(time, chunk_.size());
+    begin_ = messages_ == 0 ? time : std::min(begin_, time);
+    end_ = std::max(end_, time);
+    chunk_begin_ = in_chunk_ == 0 ? time : std::min(chunk_begin_, time);
+    chunk_end_ = in_chunk_ == 0 ? time : std::max(chunk_end_, time);
+    ++in_chunk_;
+    ++messages_;
+    PutInChunk(FieldWriter()
+                   .Number(channel)
+                   .Number(static_cast<uint32_t>(counts_[topic]++))
+                   .Number(time)
+                   .Number(time)
+                   .Bytes(data)
+                   .Record(kMessage));
+    if (chunk_.size() >= format_.chunk_size) PutChunk();
+  }
+
+  void Close() override {
+    PutChunk();
+    Put(FieldWriter().Number(uint32_t{0}).Record(kDataEnd));  // no checksum
+    const uint64_t summary = at_;
+    Put(topics_);
+    FieldWriter counts;
+    for (size_t k = 0; k < counts_.size(); ++k)
+      counts.Number(static_cast<uint16_t>(k + 1)).Number(counts_[k]);
+    Put(FieldWriter()
+            .Number(messages_)
+            .Number(static_cast<uint16_t>(counts_.size()))
+            .Number(static_cast<uint32_t>(counts_.size()))
+            .Number(uint32_t{0})  // attachments
+            .Number(uint32_t{0})  // metadata
+            .Number(chunks_)
+            .Number(begin_)
+            .Number(end_)
+            .String(counts.text())
+            .Record(kStatistics));
+    Put(chunk_indexes_);
+    Put(FieldWriter().Number(summary).Number(uint64_t{0}).Number(uint32_t{0}).Record(kFooter));
+    Put(kMagic);
+    file_.close();
+    if (!file_) Fail();
+  }
+
+ private:
+  [[noreturn]] void Fail() const {
+    throw InputError("cannot write bag '" + path_ + "': " + std::strerror(errno));
+  }
+
+  void Put(std::string_view bytes) {
+    file_ << bytes;
+    if (!file_) Fail();
+    at_ += bytes.size();
+  }
+
+  void PutInChunk(const std::string& records) {
+    if (has_chunks_)
+      chunk_ += records;
+    else
+      Put(records);
+  }
+
+  /// Writes the chunk with the indexes of its messages.
+  void PutChunk() {
+    if (chunk_.empty()) return;
+    const std::string& compression = format_.chunk_compression;
+    const std::string stored = compression == "lz4"    ? CompressLz4(chunk_)
+                               : compression == "zstd" ? CompressZstd(chunk_)
+                                                       : chunk_;
+    const std::string record = FieldWriter()
+                                   .Number(chunk_begin_)
+                                   .Number(chunk_end_)
+                                   .Number(uint64_t{chunk_.size()})
+                                   .Number(Crc32(chunk_))
+                                   .String(compression)
+                                   .Number(uint64_t{stored.size()})
+                                   .Bytes(stored)
+                                   .Record(kChunk);
+    const uint64_t chunk_at = at_;
+    Put(record);
+    const uint64_t indexes_at = at_;
+    FieldWriter offsets;
+    for (const auto& [channel, messages] : index_) {
+      offsets.Number(channel).Number(at_);
+      FieldWriter entries;
+      for (const auto& [time, at] : messages) entries.Number(time).Number(at);
+      Put(FieldWriter().Number(channel).String(entries.text()).Record(kMessageIndex));
+    }
+    chunk_indexes_ += FieldWriter()
+                          .Number(chunk_begin_)
+                          .Number(chunk_end_)
+                          .Number(chunk_at)
+                          .Number(uint64_t{record.size()})
+                          .String(offsets.text())
+                          .Number(at_ - indexes_at)
+                          .String(compression)
+                          .Number(uint64_t{stored.size()})
+                          .Number(uint64_t{chunk_.size()})
+                          .Record(kChunkIndex);
+    ++chunks_;
+    chunk_.clear();
+    index_.clear();
+    in_chunk_ = 0;
+    chunk_begin_ = chunk_end_ = 0;
+  }
+
+  std::string path_;
+  Ros2Format format_;
+  bool has_chunks_;
+  std::ofstream file_;
+  uint64_t at_ = 0;
+  std::string topics_, chunk_, chunk_indexes_;  ///< records
+  /// Time and place in the chunk of the messages of each channel.
+  std::map<uint16_t, std::vector<std::pair<uint64_t, uint64_t>>> index_;
+  std::vector<uint64_t> counts_;  ///< messages of each topic
+  uint64_t messages_ = 0, in_chunk_ = 0;
+  uint64_t begin_ = 0, end_ = 0, chunk_begin_ = 0, chunk_end_ = 0;  ///< [ns]
+  uint32_t chunks_ = 0;
+};
+
 }  // namespace
 
 bool IsMcap(std::string_view bytes) { return bytes.substr(0, kMagic.size()) == kMagic; }
 
 std::unique_ptr<Ros2File> OpenMcap(std::string_view bytes, const std::string& name) {
   return std::make_unique<McapFile>(bytes, name);
+}
+
+std::unique_ptr<Ros2Storage> CreateMcap(const std::string& path, const Ros2Format& format) {
+  return std::make_unique<McapStorage>(path, format);
 }
 
 }  // namespace imu_pose_calib
