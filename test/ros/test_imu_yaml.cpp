@@ -1,5 +1,5 @@
 #include "imu_pose_calib/core/types.h"
-#include "imu_pose_calib/ros/io/imu_yaml.h"
+#include "imu_pose_calib/ros/io/ros_options.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {

@@ -1,5 +1,6 @@
 #include "imu_pose_calib/ros/io/ros_options.h"
 
+#include <algorithm>
 #include <set>
 #include <sstream>
 #include <vector>
@@ -26,6 +27,14 @@ T ReadScalar(const YAML::Node& node, const char* expected) {
   return value;
 }
 
+template <typename Enum>
+Enum ReadName(const YAML::Node& node, std::initializer_list<Enum> values, const char* expected) {
+  const auto name = ReadScalar<std::string>(node, "a string");
+  for (const Enum value : values)
+    if (name == ToString(value)) return value;
+  throw TypeError{expected};
+}
+
 Eigen::VectorXd ReadNumbers(const YAML::Node& node, size_t count, const char* expected) {
   if (!node.IsSequence() || node.size() != count) throw TypeError{expected};
   Eigen::VectorXd values(static_cast<Eigen::Index>(count));
@@ -41,23 +50,14 @@ void Read(const YAML::Node& node, Method* field) {
   *field = ParseMethod(ReadScalar<std::string>(node, "a string"));
 }
 void Read(const YAML::Node& node, ImuModel* field) {
-  const auto name = ReadScalar<std::string>(node, "a string");
-  for (const ImuModel model : {ImuModel::kCalibrated, ImuModel::kScaleMisalignment}) {
-    if (name != ToString(model)) continue;
-    *field = model;
-    return;
-  }
-  throw TypeError{"calibrated or scale_misalignment"};
+  *field = ReadName(node,
+                    {ImuModel::kCalibrated, ImuModel::kScaleMisalignment},
+                    "calibrated or scale_misalignment");
 }
 void Read(const YAML::Node& node, StampRecovery* field) {
-  const auto name = ReadScalar<std::string>(node, "a string");
-  for (const StampRecovery mode :
-       {StampRecovery::kAuto, StampRecovery::kAlways, StampRecovery::kNever}) {
-    if (name != ToString(mode)) continue;
-    *field = mode;
-    return;
-  }
-  throw TypeError{"auto, always or never"};
+  *field = ReadName(node,
+                    {StampRecovery::kAuto, StampRecovery::kAlways, StampRecovery::kNever},
+                    "auto, always or never");
 }
 void Read(const YAML::Node& node, Eigen::Vector3d* field) {
   *field = ReadNumbers(node, 3, "[x, y, z]");
@@ -82,9 +82,10 @@ std::string NumbersText(const Vector& values) {
 std::string Text(double value) { return YamlNumber(value); }
 std::string Text(int value) { return std::to_string(value); }
 std::string Text(bool value) { return value ? "true" : "false"; }
-std::string Text(Method value) { return ToString(value); }
-std::string Text(ImuModel value) { return ToString(value); }
-std::string Text(StampRecovery value) { return ToString(value); }
+template <typename Enum>
+auto Text(Enum value) -> decltype(std::string(ToString(value))) {
+  return ToString(value);
+}
 std::string Text(const Eigen::Vector3d& value) { return NumbersText(value); }
 std::string Text(const Eigen::Quaterniond& value) { return NumbersText(value.coeffs()); }
 template <typename T>
@@ -127,6 +128,74 @@ void ReadMap(const YAML::Node& map, CalibrationOptions* options) {
   }
 }
 
+// --- Noise of an IMU ---
+
+// Keys of Kalibr's imu.yaml and of its result, and of EuRoC's sensor.yaml.
+const std::vector<std::string> kKeys = {"gyroscope_noise_density",
+                                        "gyroscope_random_walk",
+                                        "accelerometer_noise_density",
+                                        "accelerometer_random_walk",
+                                        "update_rate",
+                                        "rostopic",
+                                        "model",
+                                        "time_offset",
+                                        "T_i_b",
+                                        "accelerometers",
+                                        "gyroscopes",
+                                        "sensor_type",
+                                        "comment",
+                                        "T_BS",
+                                        "rate_hz"};
+
+/// The map that holds the keys.
+YAML::Node FindImu(const YAML::Node& root) {
+  if (!root.IsMap()) throw InputError("must be a map of 'key: value' lines");
+  if (!root["imu0"]) return root;
+  if (root.size() > 1)
+    throw InputError("holds more than imu0; keep the block of the one IMU to calibrate");
+  if (!root["imu0"].IsMap()) throw InputError("imu0 must be a map of 'key: value' lines");
+  return root["imu0"];
+}
+
+void CheckKeys(const YAML::Node& imu) {
+  for (const auto& entry : imu) {
+    const std::string key = entry.first.IsScalar() ? entry.first.Scalar() : YAML::Dump(entry.first);
+    if (std::find(kKeys.begin(), kKeys.end(), key) == kKeys.end())
+      throw InputError("there is no key '" + key + "'; did you mean '" + Nearest(key, kKeys) +
+                       "'?");
+  }
+}
+
+double ReadNumber(const YAML::Node& imu, const char* key, double low, double high) {
+  const YAML::Node node = imu[key];
+  if (!node) throw InputError(std::string(key) + " is missing");
+  double value = 0.0;
+  if (!node.IsScalar() || !YAML::convert<double>::decode(node, value))
+    throw InputError(std::string(key) + " must be a number, not " +
+                     (node.IsNull() ? "nothing" : YAML::Dump(node)));
+  if (!(value >= low && value <= high))
+    throw InputError(std::string(key) + " = " + YamlNumber(value) +
+                     " is out of range: must be within [" + YamlNumber(low) + ", " +
+                     YamlNumber(high) + "]");
+  return value;
+}
+
+ImuYaml ReadImu(const YAML::Node& imu) {
+  CheckKeys(imu);
+  ImuYaml yaml;
+  // The bounds of CalibrationOptions.
+  yaml.gyroscope_noise_density = ReadNumber(imu, "gyroscope_noise_density", 1e-9, 1e3);
+  yaml.gyroscope_random_walk = ReadNumber(imu, "gyroscope_random_walk", 1e-12, 1e3);
+  yaml.accelerometer_noise_density = ReadNumber(imu, "accelerometer_noise_density", 1e-9, 1e3);
+  yaml.accelerometer_random_walk = ReadNumber(imu, "accelerometer_random_walk", 1e-12, 1e3);
+  if (imu["update_rate"]) yaml.update_rate = ReadNumber(imu, "update_rate", 1e-3, 1e6);
+  if (imu["rostopic"]) {
+    if (!imu["rostopic"].IsScalar()) throw InputError("rostopic must be a string");
+    yaml.rostopic = imu["rostopic"].Scalar();
+  }
+  return yaml;
+}
+
 }  // namespace
 
 Method ParseMethod(const std::string& name) {
@@ -150,11 +219,7 @@ CalibrationOptions ParseOptions(const std::string& yaml) {
 }
 
 CalibrationOptions LoadOptions(const std::string& yaml_path) {
-  try {
-    return ParseOptions(ReadYamlFile(yaml_path));
-  } catch (const InputError& error) {
-    throw InputError("config '" + yaml_path + "': " + error.what());
-  }
+  return LoadYaml("config", yaml_path, ParseOptions);
 }
 
 std::string ToYaml(const CalibrationOptions& options) {
@@ -164,5 +229,16 @@ std::string ToYaml(const CalibrationOptions& options) {
   });
   return text.str();
 }
+
+void ImuYaml::CopyNoise(CalibrationOptions* options) const {
+  options->gyro_noise_density = gyroscope_noise_density;
+  options->gyro_bias_walk = gyroscope_random_walk;
+  options->accel_noise_density = accelerometer_noise_density;
+  options->accel_bias_walk = accelerometer_random_walk;
+}
+
+ImuYaml ParseImuYaml(const std::string& yaml) { return ReadImu(FindImu(ParseYaml(yaml))); }
+
+ImuYaml LoadImuYaml(const std::string& path) { return LoadYaml("imu_yaml", path, ParseImuYaml); }
 
 }  // namespace imu_pose_calib

@@ -229,11 +229,8 @@ StoredResult ParseResult(const std::string& yaml, const std::string& path) {
 }
 
 StoredResult LoadResult(const std::string& path) {
-  try {
-    return ParseResult(ReadYamlFile(path), path);
-  } catch (const InputError& error) {
-    throw InputError("result '" + path + "': " + error.what());
-  }
+  const auto parse = [&path](const std::string& yaml) { return ParseResult(yaml, path); };
+  return LoadYaml("result", path, parse);
 }
 
 }  // namespace imu_pose_calib

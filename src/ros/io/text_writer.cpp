@@ -1,5 +1,6 @@
 #include "imu_pose_calib/ros/io/text_writer.h"
 
+#include <cstdio>
 #include <cstdlib>
 #include <filesystem>
 #include <iomanip>
@@ -12,16 +13,8 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr int64_t kNanosecondsPerSecond = 1'000'000'000;
 /// Digits that tell every double from its neighbours.
 constexpr int kDigits = 17;
-
-std::string Seconds(int64_t t_ns) {
-  std::ostringstream text;
-  text << (t_ns < 0 ? "-" : "") << std::abs(t_ns / kNanosecondsPerSecond) << "." << std::setw(9)
-       << std::setfill('0') << std::abs(t_ns % kNanosecondsPerSecond);
-  return text.str();
-}
 
 /// `header` and a line for each sample: its stamp and the values `values(k)`.
 template <typename Sample, typename Stamp, typename Values>
@@ -48,6 +41,18 @@ std::vector<double> Join(const Eigen::Vector3d& a, const Eigen::Vector3d& b) {
 std::string Nanoseconds(int64_t t_ns) { return std::to_string(t_ns); }
 
 }  // namespace
+
+std::string SecondsText(int64_t t_ns) {
+  constexpr int64_t kNanosecondsPerSecond = 1'000'000'000;
+  char text[32];
+  std::snprintf(text,
+                sizeof(text),
+                "%s%lld.%09lld",
+                t_ns < 0 ? "-" : "",
+                std::llabs(t_ns / kNanosecondsPerSecond),
+                std::llabs(t_ns % kNanosecondsPerSecond));
+  return text;
+}
 
 void WriteAslFolder(const std::string& folder, const SessionData& data) {
   CheckSameStamps(data);
@@ -82,7 +87,7 @@ void WriteTables(const std::string& prefix, const SessionData& data, bool split_
              "# timestamp tx ty tz qx qy qz qw",
              ' ',
              data.poses,
-             Seconds,
+             SecondsText,
              [&](size_t k) -> std::vector<double> {
                const Eigen::Vector3d& p = data.poses[k].p_WM;
                const Eigen::Quaterniond& q = data.poses[k].q_WM;
@@ -95,14 +100,14 @@ void WriteTables(const std::string& prefix, const SessionData& data, bool split_
         "timestamp,gx,gy,gz,ax,ay,az",
         ',',
         data.imus[0].gyro,
-        Seconds,
+        SecondsText,
         [&](size_t k) { return Join(data.imus[0].gyro[k].value, data.imus[0].accel[k].value); });
     return;
   }
   const auto write_sensor = [](const std::string& path,
                                const std::string& header,
                                const std::vector<ImuSample>& samples) {
-    WriteTable(path, header, ',', samples, Seconds, [&](size_t k) -> std::vector<double> {
+    WriteTable(path, header, ',', samples, SecondsText, [&](size_t k) -> std::vector<double> {
       const Eigen::Vector3d& v = samples[k].value;
       return {v.x(), v.y(), v.z()};
     });

@@ -1,19 +1,26 @@
 #include "imu_pose_calib/ros/io/trajectory_writer.h"
 
+#include <nav_msgs/Odometry.h>
+#include <nav_msgs/Path.h>
+#include <rosbag/bag.h>
+#include <tf2_msgs/TFMessage.h>
+
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
-#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <iterator>
+#include <random>
 #include <sstream>
 
+#include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/io/text_writer.h"
 
 namespace imu_pose_calib {
 namespace {
 
-constexpr int64_t kNanosecondsPerSecond = 1'000'000'000;
 /// In the sensor.yaml of a folder that may be written again.
 const char kAuthor[] = "comment: ground truth by imu_pose_calib";
 const char kTruth[] = "state_groundtruth_estimate0";
@@ -35,22 +42,30 @@ const char kOvEvalHeader[] =
     "# timestamp(s) tx ty tz qx qy qz qw Pr11 Pr12 Pr13 Pr22 Pr23 Pr33 "
     "Pt11 Pt12 Pt13 Pt22 Pt23 Pt33\n";
 
+/// Visits the states that there are, in order; the sign of the quaternion does not jump.
+template <typename Visit>
+TrajectoryCount ForEachState(const TrajectoryOutput& output, Visit visit) {
+  TrajectoryCount count;
+  Eigen::Quaterniond last = Eigen::Quaterniond::Identity();
+  for (const ImuTrack::Instant& instant : output.track.Instants(output.rate_hz)) {
+    auto state = output.track.At(instant.t);
+    if (!state) continue;
+    if (state->q_WI.dot(last) < 0.0) state->q_WI.coeffs() *= -1.0;
+    last = state->q_WI;
+    visit(instant.stamp_ns, *state);
+    ++count.states;
+    if (state->is_carried) ++count.carried;
+  }
+  return count;
+}
+
 /// Lines of numbers with one separator.
 class Table {
  public:
   Table(const char* header, char separator) : text_(header), separator_(separator) {}
 
   void Stamp(int64_t t_ns) { text_ += std::to_string(t_ns); }
-  void SecondsStamp(int64_t t_ns) {
-    char stamp[32];
-    std::snprintf(stamp,
-                  sizeof(stamp),
-                  "%s%lld.%09lld",
-                  t_ns < 0 ? "-" : "",
-                  std::llabs(t_ns / kNanosecondsPerSecond),
-                  std::llabs(t_ns % kNanosecondsPerSecond));
-    text_ += stamp;
-  }
+  void SecondsStamp(int64_t t_ns) { text_ += SecondsText(t_ns); }
   void Add(double value) {
     char number[32];
     std::snprintf(number, sizeof(number), "%c%.12g", separator_, value);
@@ -177,6 +192,88 @@ TrajectoryCount WriteText(const std::string& path,
   return count;
 }
 
+// --- Bag ---
+
+/// Between the poses of the path, which is there to be looked at.
+constexpr int64_t kPathPeriodNs = 50'000'000;
+
+/// Row by row, as messages have it.
+template <typename Covariance>
+void Fill(const Eigen::Matrix<double, 6, 6>& C, Covariance* covariance) {
+  using RowMajor = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>;
+  Eigen::Map<RowMajor>(covariance->data()) = C;
+}
+
+nav_msgs::Odometry ToOdometry(const std_msgs::Header& header,
+                              const std::string& child,
+                              const ImuState& x) {
+  const Eigen::Matrix3d R = x.q_WI.toRotationMatrix();
+  const Eigen::Vector3d v_I = R.transpose() * x.v_W;
+  nav_msgs::Odometry msg;
+  msg.header = header;
+  msg.child_frame_id = child;
+  msg.pose.pose = ToPoseMsg({x.q_WI, x.p_WI});
+  msg.twist.twist.linear = ToVector3Msg(v_I);
+  msg.twist.twist.angular = ToVector3Msg(x.omega_I);
+  // Pose: position and rotation about the axes of W. Twist: both in I.
+  Eigen::Matrix<double, 6, 12> pose = Eigen::Matrix<double, 6, 12>::Zero(), twist = pose;
+  pose.block<3, 3>(0, 3).setIdentity();
+  pose.block<3, 3>(3, 0) = R;
+  twist.block<3, 3>(0, 0) << 0.0, -v_I.z(), v_I.y(), v_I.z(), 0.0, -v_I.x(), -v_I.y(), v_I.x(), 0.0;
+  twist.block<3, 3>(0, 9) = R.transpose();
+  twist.block<3, 3>(3, 6).setIdentity();
+  Fill(pose * x.covariance * pose.transpose(), &msg.pose.covariance);
+  Fill(twist * x.covariance * twist.transpose(), &msg.twist.covariance);
+  return msg;
+}
+
+TrajectoryCount WriteBagDraft(const std::string& path, const TrajectoryOutput& output) {
+  const std::string child = output.imu_frame + "_ground_truth";
+  rosbag::Bag bag(path, rosbag::bagmode::Write);
+  nav_msgs::Path track;
+  track.header.frame_id = output.world_frame;
+  int64_t next_ns = 0;
+  const TrajectoryCount count = ForEachState(output, [&](int64_t stamp_ns, const ImuState& x) {
+    const ros::Time stamp = std::max(ros::TIME_MIN, FromNanoseconds(stamp_ns));
+    const std_msgs::Header header = MakeHeader(stamp, output.world_frame);
+    const nav_msgs::Odometry odometry = ToOdometry(header, child, x);
+    bag.write("/ground_truth/odometry", stamp, odometry);
+
+    tf2_msgs::TFMessage tf;
+    tf.transforms = {ToTransformStamped(header, child, {x.q_WI, x.p_WI})};
+    bag.write("/tf", stamp, tf);
+
+    if (!track.poses.empty() && stamp_ns < next_ns) return;
+    next_ns = stamp_ns + kPathPeriodNs;
+    track.poses.emplace_back();
+    track.poses.back().header = header;
+    track.poses.back().pose = odometry.pose.pose;
+  });
+  // At the start, so that whoever plays it sees the whole.
+  if (!track.poses.empty()) {
+    track.header.stamp = track.poses.front().header.stamp;
+    bag.write("/ground_truth/path", track.header.stamp, track);
+  }
+  return count;
+}
+
+TrajectoryCount WriteBag(const std::string& path, const TrajectoryOutput& output) {
+  std::random_device random;
+  const std::string draft = path + ".tmp" + std::to_string(random());
+  try {
+    const TrajectoryCount count = WriteBagDraft(draft, output);
+    if (std::rename(draft.c_str(), path.c_str()) == 0) return count;
+    std::remove(draft.c_str());
+  } catch (const rosbag::BagException& error) {
+    std::remove(draft.c_str());
+    throw InputError("trajectory '" + path + "' cannot be written: " + error.what());
+  } catch (const std::exception&) {
+    std::remove(draft.c_str());
+    throw;
+  }
+  throw InputError("trajectory '" + path + "' cannot be written: a bag cannot replace it");
+}
+
 }  // namespace
 
 TrajectoryFormat ParseTrajectoryFormat(const std::string& name, const std::string& path) {
@@ -221,29 +318,13 @@ void CheckAslFolder(const std::string& path) {
                      "' holds another dataset (mav0), which would be replaced; choose another");
 }
 
-TrajectoryCount ForEachState(const TrajectoryOutput& output,
-                             const std::function<void(int64_t, const ImuState&)>& visit) {
-  TrajectoryCount count;
-  Eigen::Quaterniond last = Eigen::Quaterniond::Identity();
-  for (const ImuTrack::Instant& instant : output.track.Instants(output.rate_hz)) {
-    auto state = output.track.At(instant.t);
-    if (!state) continue;
-    if (state->q_WI.dot(last) < 0.0) state->q_WI.coeffs() *= -1.0;
-    last = state->q_WI;
-    visit(instant.stamp_ns, *state);
-    ++count.states;
-    if (state->is_carried) ++count.carried;
-  }
-  return count;
-}
-
 TrajectoryCount WriteTrajectory(const std::string& path,
                                 TrajectoryFormat format,
                                 const TrajectoryOutput& output) {
   if (format == TrajectoryFormat::kOvEval && !output.track.has_covariance())
     throw InputError(
         "trajectory_format ov_eval has covariances, which only method joint gives; use it, or tum");
-  if (format == TrajectoryFormat::kBag) return WriteTrajectoryBag(path, output);
+  if (format == TrajectoryFormat::kBag) return WriteBag(path, output);
   return format == TrajectoryFormat::kAsl ? WriteAsl(path, output)
                                           : WriteText(path, format, output);
 }

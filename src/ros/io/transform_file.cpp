@@ -62,8 +62,8 @@ Rigid3 FromKeys(const YAML::Node& node) {
   return {ToQuaternion(values.tail<4>(), "qx, qy, qz, qw"), values.head<3>()};
 }
 
-Rigid3 FromFile(const std::string& path) {
-  const YAML::Node root = ParseYaml(ReadYamlFile(path));
+Rigid3 ParseTransform(const std::string& yaml) {
+  const YAML::Node root = ParseYaml(yaml);
   if (!root.IsMap()) throw InputError("must be a map");
   if (root["transform"] && root["transform"].IsMap()) return FromLists(root["transform"]);
   if (root["transformation"] && root["transformation"].IsMap())
@@ -74,6 +74,27 @@ Rigid3 FromFile(const std::string& path) {
   throw InputError(
       "must hold x y z qx qy qz qw, translation and rotation, or matrix, at the top or below "
       "transform or transformation");
+}
+
+std::vector<ChainCamera> ParseCameraChain(const std::string& yaml) {
+  const YAML::Node root = ParseYaml(yaml);
+  std::vector<ChainCamera> cameras;
+  if (!root.IsMap()) throw InputError("must be a map");
+  for (const auto& entry : root) {
+    const std::string name = entry.first.IsScalar() ? entry.first.Scalar() : "";
+    if (name.compare(0, 3, "cam") != 0 || !entry.second.IsMap()) continue;
+    const YAML::Node camera = entry.second;
+    if (camera["T_cam_imu"])
+      cameras.push_back({name, FromRows(camera["T_cam_imu"], name + ": T_cam_imu")});
+    else if (camera["T_imu_cam"])
+      cameras.push_back({name, FromRows(camera["T_imu_cam"], name + ": T_imu_cam").Inverse()});
+    else
+      throw InputError(name +
+                       " has no T_cam_imu; give the camchain-imucam.yaml of the "
+                       "calibration with the imu");
+  }
+  if (cameras.empty()) throw InputError("holds no cam0");
+  return cameras;
 }
 
 }  // namespace
@@ -102,40 +123,14 @@ Eigen::Quaterniond ParseQuaternion(const std::string& name, const std::string& t
 Rigid3 ReadTransform(const std::string& name, const std::string& text) {
   std::error_code ignored;
   if (std::filesystem::exists(text, ignored) || boost::ends_with(text, ".yaml") ||
-      boost::ends_with(text, ".json")) {
-    try {
-      return FromFile(text);
-    } catch (const InputError& error) {
-      throw InputError(name + " '" + text + "': " + error.what());
-    }
-  }
+      boost::ends_with(text, ".json"))
+    return LoadYaml(name, text, ParseTransform);
   const Eigen::VectorXd values = ParseNumbers(name, text, 7);
   return {ToQuaternion(values.tail<4>(), name + " '" + text + "': qx qy qz qw"), values.head<3>()};
 }
 
 std::vector<ChainCamera> LoadCameraChain(const std::string& path) {
-  try {
-    const YAML::Node root = ParseYaml(ReadYamlFile(path));
-    std::vector<ChainCamera> cameras;
-    if (!root.IsMap()) throw InputError("must be a map");
-    for (const auto& entry : root) {
-      const std::string name = entry.first.IsScalar() ? entry.first.Scalar() : "";
-      if (name.compare(0, 3, "cam") != 0 || !entry.second.IsMap()) continue;
-      const YAML::Node camera = entry.second;
-      if (camera["T_cam_imu"])
-        cameras.push_back({name, FromRows(camera["T_cam_imu"], name + ": T_cam_imu")});
-      else if (camera["T_imu_cam"])
-        cameras.push_back({name, FromRows(camera["T_imu_cam"], name + ": T_imu_cam").Inverse()});
-      else
-        throw InputError(name +
-                         " has no T_cam_imu; give the camchain-imucam.yaml of the "
-                         "calibration with the imu");
-    }
-    if (cameras.empty()) throw InputError("holds no cam0");
-    return cameras;
-  } catch (const InputError& error) {
-    throw InputError("camera chain '" + path + "': " + error.what());
-  }
+  return LoadYaml("camera chain", path, ParseCameraChain);
 }
 
 }  // namespace imu_pose_calib

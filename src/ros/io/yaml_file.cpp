@@ -10,8 +10,6 @@
 #include <numeric>
 #include <sstream>
 
-#include "imu_pose_calib/core/types.h"
-
 namespace imu_pose_calib {
 namespace {
 

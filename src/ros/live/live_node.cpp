@@ -11,7 +11,6 @@
 #include <mutex>
 
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/ros/io/imu_yaml.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
 #include "imu_pose_calib/ros/live/live_calibration.h"

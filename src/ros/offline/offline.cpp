@@ -11,7 +11,6 @@
 #include "imu_pose_calib/core/preparation.h"
 #include "imu_pose_calib/ros/exports/exports.h"
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/io/imu_yaml.h"
 #include "imu_pose_calib/ros/io/message_source.h"
 #include "imu_pose_calib/ros/io/printable.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"

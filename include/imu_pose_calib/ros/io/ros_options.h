@@ -79,4 +79,27 @@ CalibrationOptions LoadOptions(const std::string& yaml_path);
 /// The same map for every field, one `key: value` a line; ParseOptions() reads it back exactly.
 std::string ToYaml(const CalibrationOptions& options);
 
+/// IMU noise as Kalibr's imu.yaml states it. The units are those of CalibrationOptions.
+struct ImuYaml {
+  double gyroscope_noise_density = 0.0;      ///< [rad/s/sqrt(Hz)]
+  double gyroscope_random_walk = 0.0;        ///< [rad/s^2/sqrt(Hz)]
+  double accelerometer_noise_density = 0.0;  ///< [m/s^2/sqrt(Hz)]
+  double accelerometer_random_walk = 0.0;    ///< [m/s^3/sqrt(Hz)]
+  double update_rate = 0.0;                  ///< [Hz] 0: not given
+  std::string rostopic;                      ///< empty: not given
+
+  void CopyNoise(CalibrationOptions* options) const;
+};
+
+/// Reads the text of an imu.yaml, with its keys at the top or, as in Kalibr's results, below
+/// `imu0`, or of a sensor.yaml of EuRoC. The noise keys are required. Keys of these files that say
+/// nothing about noise are passed over.
+///
+/// Throws InputError naming key and bound for a key that is missing, unknown, of the wrong type or
+/// out of range.
+ImuYaml ParseImuYaml(const std::string& yaml);
+
+/// The same of a file, which the error names too.
+ImuYaml LoadImuYaml(const std::string& path);
+
 }  // namespace imu_pose_calib

@@ -6,6 +6,9 @@
 
 namespace imu_pose_calib {
 
+/// Decimal seconds, exact: "-12.000000345".
+std::string SecondsText(int64_t t_ns);
+
 // Both write stamps and values so that ReadText() gets back the very same data, and throw
 // InputError when a file cannot be written or when one file is to hold gyroscope and accelerometer
 // samples of different stamps.

@@ -1,6 +1,5 @@
 #pragma once
 
-#include <functional>
 #include <string>
 #include <vector>
 
@@ -49,12 +48,5 @@ std::vector<std::string> TrajectoryFiles(const std::string& path, TrajectoryForm
 
 /// Throws InputError when `path` holds an ASL dataset that is not from WriteTrajectory().
 void CheckAslFolder(const std::string& path);
-
-/// The states that there are, in order; the sign of the quaternion does not jump.
-TrajectoryCount ForEachState(const TrajectoryOutput& output,
-                             const std::function<void(int64_t stamp_ns, const ImuState&)>& visit);
-
-/// The part of kBag.
-TrajectoryCount WriteTrajectoryBag(const std::string& path, const TrajectoryOutput& output);
 
 }  // namespace imu_pose_calib

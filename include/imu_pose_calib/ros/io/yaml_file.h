@@ -5,6 +5,8 @@
 #include <string>
 #include <vector>
 
+#include "imu_pose_calib/core/types.h"
+
 namespace imu_pose_calib {
 
 /// The text of the file at `path`, at most `max_size` bytes. Throws InputError with the reason,
@@ -14,6 +16,16 @@ std::string ReadYamlFile(const std::string& path, size_t max_size = 100'000);
 /// The first document of a YAML text. Throws InputError naming the line when the text is not YAML
 /// or nests deeper than 20 levels, on which a parser could exhaust the stack.
 YAML::Node ParseYaml(const std::string& text);
+
+/// What `parse(text)` makes of the file at `path`, with errors that begin "WHAT 'PATH': ".
+template <typename Parse>
+auto LoadYaml(const std::string& what, const std::string& path, Parse parse) {
+  try {
+    return parse(ReadYamlFile(path));
+  } catch (const InputError& error) {
+    throw InputError(what + " '" + path + "': " + error.what());
+  }
+}
 
 /// The one of `names` with the smallest edit distance to `name`.
 std::string Nearest(const std::string& name, const std::vector<std::string>& names);
