@@ -22,15 +22,7 @@
 namespace imu_pose_calib {
 namespace {
 
-std::string PoseTypeList() {
-  std::string list;
-  for (const std::string& name : PoseTypeNames()) list += (list.empty() ? "" : " or ") + name;
-  return list;
-}
-
-ImuContent ReadImuMessage(const BagMessage& message) {
-  return ReadImuContent(message.type, message);
-}
+std::string PoseTypeList() { return boost::join(PoseTypeNames(), " or "); }
 
 // --- Which topics ---
 
@@ -43,7 +35,7 @@ struct ImuSensors {
 ImuSensors FindSensors(const Bags& bags, const BagTopic& topic) {
   ImuSensors sensors;
   bags.ForEach(topic, [&](const BagMessage& message) {
-    const ImuContent content = ReadImuMessage(message);
+    const ImuContent content = ReadImuContent(message.type, message);
     if (content.gyro && !content.gyro->value.isZero(0.0)) sensors.gyro = true;
     if (content.accel && !content.accel->value.isZero(0.0)) sensors.accel = true;
     return !(sensors.gyro && sensors.accel);
@@ -180,24 +172,7 @@ BagTopic ChoosePose(const Bags& bags, const std::string& name) {
   return candidates[0];
 }
 
-/// Whether poses are to come from tf.
-bool WantsTf(const BagRequest& request) {
-  return IsPair({"pose_topic", request.pose_topic},
-                {"tf_parent", request.tf_parent},
-                {"tf_child", request.tf_child});
-}
-
 // --- Samples ---
-
-template <typename Sample>
-void CheckStamps(const std::string& topic, const std::vector<Sample>& samples) {
-  const bool has_stamps =
-      std::any_of(samples.begin(), samples.end(), [](const Sample& s) { return s.t_ns != 0; });
-  if (!samples.empty() && !has_stamps)
-    throw InputError("'" + topic +
-                     "' has no header stamps (all are 0); record_time takes the times of "
-                     "recording instead, which are less exact");
-}
 
 /// Record time minus header stamp [s] of the messages of one stream.
 class Delays {
@@ -219,6 +194,33 @@ class Delays {
   std::vector<double> delays_s_;
 };
 
+/// The samples of one stream.
+template <typename Sample>
+struct Stream {
+  std::vector<Sample> samples;
+  Delays delays;
+
+  void Add(const BagMessage& message, Sample sample, bool record_time) {
+    delays.Add(message, sample.t_ns);
+    if (record_time) sample.t_ns = ToNanoseconds(message.time);
+    samples.push_back(sample);
+  }
+
+  /// Hands over samples that have stamps.
+  void Finish(const std::string& topic,
+              std::optional<Latency>* latency,
+              std::vector<Sample>* finished) && {
+    const bool has_stamps =
+        std::any_of(samples.begin(), samples.end(), [](const Sample& s) { return s.t_ns != 0; });
+    if (!samples.empty() && !has_stamps)
+      throw InputError("'" + topic +
+                       "' has no header stamps (all are 0); record_time takes the times of "
+                       "recording instead, which are less exact");
+    *latency = std::move(delays).Summarise();
+    *finished = std::move(samples);
+  }
+};
+
 /// Takes the samples of one IMU out of messages.
 class ImuReader {
  public:
@@ -231,15 +233,15 @@ class ImuReader {
     const bool gyro = message.topic == topics_.gyro.name;
     const bool accel = message.topic == topics_.accel.name;
     if (!gyro && !accel) return;
-    const ImuContent content = ReadImuMessage(message);
+    const ImuContent content = ReadImuContent(message.type, message);
     if (gyro) frame_ = content.frame;
-    if (gyro && content.gyro) Add(*content.gyro, message, &data_.gyro, &gyro_delays_);
-    if (accel && content.accel) Add(*content.accel, message, &data_.accel, &accel_delays_);
+    if (gyro && content.gyro) gyro_.Add(message, *content.gyro, record_time_);
+    if (accel && content.accel) accel_.Add(message, *content.accel, record_time_);
   }
 
   void Finish(ImuInfo* info, ImuData* data) && {
-    CheckStamps(topics_.gyro.name, data_.gyro);
-    CheckStamps(topics_.accel.name, data_.accel);
+    std::move(gyro_).Finish(topics_.gyro.name, &info->gyro_latency, &data->gyro);
+    std::move(accel_).Finish(topics_.accel.name, &info->accel_latency, &data->accel);
     if (topics_.gyro.name != topics_.accel.name) {
       info->gyro_topic = topics_.gyro.name;
       info->accel_topic = topics_.accel.name;
@@ -247,26 +249,13 @@ class ImuReader {
       info->imu_topic = topics_.gyro.name;
     }
     info->imu_frame = FrameName(frame_, "imu");
-    info->gyro_latency = std::move(gyro_delays_).Summarise();
-    info->accel_latency = std::move(accel_delays_).Summarise();
-    *data = std::move(data_);
   }
 
  private:
-  void Add(ImuSample sample,
-           const BagMessage& message,
-           std::vector<ImuSample>* samples,
-           Delays* delays) const {
-    delays->Add(message, sample.t_ns);
-    if (record_time_) sample.t_ns = ToNanoseconds(message.time);
-    samples->push_back(sample);
-  }
-
   ImuTopics topics_;
   bool record_time_;
   std::string frame_;
-  Delays gyro_delays_, accel_delays_;
-  ImuData data_;
+  Stream<ImuSample> gyro_, accel_;
 };
 
 /// Median of each sigma that is stated; no value when none is.
@@ -320,33 +309,28 @@ class PoseReader {
   }
 
   void Finish(Recording* recording) && {
-    CheckStamps(topic_.name, poses_);
+    std::move(poses_).Finish(topic_.name, &recording->info.pose_latency, &recording->data.poses);
     recording->info.pose_topic = topic_.name;
-    recording->info.pose_latency = std::move(delays_).Summarise();
     recording->info.world_frame = FrameName(first_.world_frame, "world");
     recording->info.marker_frame = FrameName(first_.marker_frame, "marker");
-    recording->info.stated_pose_std = MedianStd(poses_);
-    recording->data.poses = std::move(poses_);
+    recording->info.stated_pose_std = MedianStd(recording->data.poses);
   }
 
  private:
-  void Add(const BagMessage& message, FramedPose framed) {
-    delays_.Add(message, framed.pose.t_ns);
-    if (record_time_) framed.pose.t_ns = ToNanoseconds(message.time);
-    if (poses_.empty()) first_ = framed;
+  void Add(const BagMessage& message, const FramedPose& framed) {
+    if (poses_.samples.empty()) first_ = framed;
     if (framed.world_frame != first_.world_frame || framed.marker_frame != first_.marker_frame)
       throw InputError("pose_topic '" + topic_.name + "' mixes poses of several frames: '" +
                        first_.world_frame + "' -> '" + first_.marker_frame + "' and '" +
                        framed.world_frame + "' -> '" + framed.marker_frame + "'");
-    poses_.push_back(framed.pose);
+    poses_.Add(message, framed.pose, record_time_);
   }
 
   BagTopic topic_;
   bool record_time_;
   std::string body_;  ///< of a topic of several
   FramedPose first_;
-  Delays delays_;
-  std::vector<PoseSample> poses_;
+  Stream<PoseSample> poses_;
 };
 
 void ReadTf(const Bags& bags, const BagRequest& request, Recording* recording) {
@@ -376,7 +360,9 @@ void ReadTf(const Bags& bags, const BagRequest& request, Recording* recording) {
 
 Recording Read(const BagRequest& request) {
   const Bags bags(request.paths, request.start_s, request.duration_s);
-  const bool tf = WantsTf(request);
+  const bool tf = IsPair({"pose_topic", request.pose_topic},
+                         {"tf_parent", request.tf_parent},
+                         {"tf_child", request.tf_child});
   if (tf && !request.body.empty())
     throw InputError("body '" + request.body + "' does not go with poses from tf");
   std::vector<ImuTopics> imus;
@@ -387,8 +373,7 @@ Recording Read(const BagRequest& request) {
   for (const ImuTopics& imu : imus) CheckContent(bags, imu);
 
   Recording recording;
-  for (const std::string& path : request.paths)
-    recording.info.bag += (recording.info.bag.empty() ? "" : " ") + path;
+  recording.info.bag = boost::join(request.paths, " ");
   recording.info.notes = bags.Notes();
   recording.info.imus.resize(imus.size());
   recording.data.imus.resize(imus.size());

@@ -1,12 +1,6 @@
 #include "imu_pose_calib/ros/io/bag_writer.h"
 
-#include <geometry_msgs/PoseStamped.h>
-#include <geometry_msgs/PoseWithCovarianceStamped.h>
-#include <geometry_msgs/TransformStamped.h>
-#include <geometry_msgs/Vector3Stamped.h>
-#include <nav_msgs/Odometry.h>
 #include <rosbag/bag.h>
-#include <sensor_msgs/Imu.h>
 #include <tf2_msgs/TFMessage.h>
 
 #include <algorithm>

@@ -1,6 +1,7 @@
 #include "imu_pose_calib/ros/io/bags.h"
 
 #include <algorithm>
+#include <boost/algorithm/string/predicate.hpp>
 #include <filesystem>
 #include <map>
 #include <set>
@@ -45,11 +46,7 @@ bool BagTopic::IsBodies() const { return type == kRigidBodies || type == kNamedP
 
 bool BagTopic::IsTf() const { return type == "tf2_msgs/TFMessage" || type == "tf/tfMessage"; }
 
-bool BagTopic::IsFixedTf() const {
-  const std::string ending = "tf_static";
-  return IsTf() && name.size() >= ending.size() &&
-         name.compare(name.size() - ending.size(), ending.size(), ending) == 0;
-}
+bool BagTopic::IsFixedTf() const { return IsTf() && boost::ends_with(name, "tf_static"); }
 
 std::vector<FramedPose> ReadBodies(const BagMessage& message) {
   const bool has_markers = message.type == kRigidBodies;
@@ -117,12 +114,6 @@ const BagTopic& Bags::Find(const std::string& field, const std::string& name) co
 }
 
 std::string Bags::Contents() const { return FileNames(paths_) + "; it has: " + Describe(topics_); }
-
-std::vector<std::string> Bags::Names(const std::vector<BagTopic>& topics) {
-  std::vector<std::string> names;
-  for (const BagTopic& topic : topics) names.push_back(topic.name);
-  return names;
-}
 
 void Bags::SetSpan(double start_s, double duration_s) {
   CheckSpan(start_s, duration_s);

@@ -293,17 +293,10 @@ BodyColumns ViconColumns(const Cells& axes, const Cells& units, size_t begin, co
   return columns;
 }
 
-/// Reads on to the part of the table with the poses; false when there is none.
-bool FindPart(Cells cells, Lines* lines) {
-  do {
-    if (cells[0] == "Segments" || cells[0] == "Objects") return true;
-  } while (lines->Next(&cells));
-  return false;
-}
-
 MocapPoses ReadVicon(const Cells& first, Lines* lines, const std::string& body) {
-  if (!FindPart(first, lines)) lines->Fail("has no part Segments or Objects, which hold poses");
-  Cells cells, names, axes, units;
+  Cells cells = first, names, axes, units;
+  while (cells[0] != "Segments" && cells[0] != "Objects")
+    if (!lines->Next(&cells)) lines->Fail("has no part Segments or Objects, which hold poses");
   const auto next = [&](Cells* row, const char* what) {
     if (!lines->Next(row)) lines->Fail(std::string("ends before ") + what);
   };
@@ -340,8 +333,7 @@ bool IsVicon(const Cells& first) {
   static const std::array<const char*, 6> kParts = {
       "Segments", "Objects", "Trajectories", "Devices", "Model Outputs", "Joints"};
   return std::count(kParts.begin(), kParts.end(), first[0]) > 0 &&
-         std::all_of(
-             first.begin() + 1, first.end(), [](const std::string& c) { return c.empty(); });
+         IsBlank({first.begin() + 1, first.end()});
 }
 
 }  // namespace

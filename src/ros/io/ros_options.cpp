@@ -7,6 +7,7 @@
 
 #include "imu_pose_calib/core/result.h"
 #include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/yaml_file.h"
 
@@ -82,10 +83,9 @@ std::string NumbersText(const Vector& values) {
 std::string Text(double value) { return YamlNumber(value); }
 std::string Text(int value) { return std::to_string(value); }
 std::string Text(bool value) { return value ? "true" : "false"; }
-template <typename Enum>
-auto Text(Enum value) -> decltype(std::string(ToString(value))) {
-  return ToString(value);
-}
+std::string Text(Method value) { return ToString(value); }
+std::string Text(ImuModel value) { return ToString(value); }
+std::string Text(StampRecovery value) { return ToString(value); }
 std::string Text(const Eigen::Vector3d& value) { return NumbersText(value); }
 std::string Text(const Eigen::Quaterniond& value) { return NumbersText(value.coeffs()); }
 template <typename T>
@@ -131,21 +131,10 @@ void ReadMap(const YAML::Node& map, CalibrationOptions* options) {
 // --- Noise of an IMU ---
 
 // Keys of Kalibr's imu.yaml and of its result, and of EuRoC's sensor.yaml.
-const std::vector<std::string> kKeys = {"gyroscope_noise_density",
-                                        "gyroscope_random_walk",
-                                        "accelerometer_noise_density",
-                                        "accelerometer_random_walk",
-                                        "update_rate",
-                                        "rostopic",
-                                        "model",
-                                        "time_offset",
-                                        "T_i_b",
-                                        "accelerometers",
-                                        "gyroscopes",
-                                        "sensor_type",
-                                        "comment",
-                                        "T_BS",
-                                        "rate_hz"};
+const std::vector<std::string> kKeys = SplitNames(R"(
+  gyroscope_noise_density gyroscope_random_walk accelerometer_noise_density
+  accelerometer_random_walk update_rate rostopic model time_offset T_i_b accelerometers gyroscopes
+  sensor_type comment T_BS rate_hz)");
 
 /// The map that holds the keys.
 YAML::Node FindImu(const YAML::Node& root) {

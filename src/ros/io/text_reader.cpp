@@ -34,13 +34,16 @@ std::vector<std::string> SplitFiles(const std::string& text) {
 
 using HasHeader = bool (*)(std::istream&, const std::string& name);
 
-/// SENSOR/data.csv of the folder that have the header.
-std::vector<std::string> FindTables(const std::string& folder, HasHeader has_header) {
+/// SENSOR/data.csv of the folder that has the header.
+std::string FindTable(const std::string& folder,
+                      HasHeader has_header,
+                      const std::string& what,
+                      const std::string& fields) {
   namespace fs = std::filesystem;
   std::vector<std::string> tables;
   try {
-    const fs::path base =
-        fs::is_directory(fs::path(folder) / "mav0") ? fs::path(folder) / "mav0" : fs::path(folder);
+    const fs::path mav0 = fs::path(folder) / "mav0";
+    const fs::path base = fs::is_directory(mav0) ? mav0 : fs::path(folder);
     for (const fs::directory_entry& sensor : fs::directory_iterator(base)) {
       const std::string path = (sensor.path() / "data.csv").string();
       if (!fs::is_regular_file(path)) continue;
@@ -51,14 +54,6 @@ std::vector<std::string> FindTables(const std::string& folder, HasHeader has_hea
     throw InputError("folder '" + folder + "' cannot be read: " + error.code().message());
   }
   std::sort(tables.begin(), tables.end());
-  return tables;
-}
-
-std::string FindTable(const std::string& folder,
-                      HasHeader has_header,
-                      const std::string& what,
-                      const std::string& fields) {
-  const std::vector<std::string> tables = FindTables(folder, has_header);
   if (tables.empty())
     throw InputError("folder '" + folder +
                      "' has no SENSOR/data.csv whose header names the columns of " + what +
@@ -88,8 +83,6 @@ Span FindSpan(const std::vector<Sample>& samples) {
 Span Union(const Span& a, const Span& b) {
   return {std::min(a.begin, b.begin), std::max(a.end, b.end)};
 }
-
-bool Overlap(const Span& a, const Span& b) { return a.begin <= b.end && b.begin <= a.end; }
 
 /// Keeps the samples from `start_s` after the begin of `whole` on, for `duration_s`.
 template <typename Sample>
@@ -146,7 +139,7 @@ void CutSpan(double start_s, double duration_s, SessionData* data) {
   Span poses = FindSpan(data->poses);
   for (ImuData& samples : data->imus) {
     Span imu = Union(FindSpan(samples.gyro), FindSpan(samples.accel));
-    if (Overlap(poses, imu)) imu = poses = Union(poses, imu);
+    if (poses.begin <= imu.end && imu.begin <= poses.end) imu = poses = Union(poses, imu);
     Cut(start_s, duration_s, imu, &samples.gyro);
     Cut(start_s, duration_s, imu, &samples.accel);
   }

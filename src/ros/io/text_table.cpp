@@ -27,38 +27,33 @@ struct Column {
 /// The first one holds the stamps.
 using Columns = std::vector<Column>;
 
-void AddAxes(const std::string& axes, const Strings& prefixes, Columns* columns) {
-  for (const char axis : axes) {
-    Column column{prefixes[0] + axis, {}};
-    for (const std::string& prefix : prefixes) column.aliases.push_back(prefix + axis);
-    columns->push_back(column);
+/// The stamps, and for each axis of each group a column that any of the prefixes may begin.
+Columns MakeColumns(const std::vector<std::pair<std::string, Strings>>& groups) {
+  Columns columns{{"timestamp", {"timestamp", "time", "stamp", "t"}}};
+  for (const auto& [axes, prefixes] : groups) {
+    for (const char axis : axes) {
+      Column column{prefixes[0] + axis, {}};
+      for (const std::string& prefix : prefixes) column.aliases.push_back(prefix + axis);
+      columns.push_back(column);
+    }
   }
+  return columns;
 }
 
-const Column kTime{"timestamp", {"timestamp", "time", "stamp", "t"}};
 const Strings kGyroPrefixes{"g", "gyro_", "w", "w_", "w_rs_s_", "omega_", "angular_velocity_"};
 const Strings kAccelPrefixes{"a", "a_", "a_rs_s_", "acc_", "accel_", "linear_acceleration_"};
 
 Columns PoseColumns() {
-  Columns columns{kTime};
-  AddAxes("xyz", {"t", "", "p", "p_", "p_rs_r_", "pos_", "position_"}, &columns);
-  AddAxes("xyzw", {"q", "q_", "q_rs_", "quat_", "orientation_"}, &columns);
-  return columns;
+  return MakeColumns({{"xyz", {"t", "", "p", "p_", "p_rs_r_", "pos_", "position_"}},
+                      {"xyzw", {"q", "q_", "q_rs_", "quat_", "orientation_"}}});
 }
 
-Columns ImuColumns() {
-  Columns columns{kTime};
-  AddAxes("xyz", kGyroPrefixes, &columns);
-  AddAxes("xyz", kAccelPrefixes, &columns);
-  return columns;
-}
+Columns ImuColumns() { return MakeColumns({{"xyz", kGyroPrefixes}, {"xyz", kAccelPrefixes}}); }
 
 /// A file of one sensor may call its columns x, y, z.
 Columns SensorColumns(Strings prefixes) {
   prefixes.emplace_back("");
-  Columns columns{kTime};
-  AddAxes("xyz", prefixes, &columns);
-  return columns;
+  return MakeColumns({{"xyz", prefixes}});
 }
 
 std::string Names(const Columns& columns) {
@@ -172,11 +167,6 @@ std::vector<size_t> Find(const Column& column, const std::vector<HeaderField>& h
   return found;
 }
 
-bool HasAll(const Columns& columns, const std::vector<HeaderField>& header) {
-  return std::all_of(
-      columns.begin(), columns.end(), [&](const Column& c) { return !Find(c, header).empty(); });
-}
-
 /// A comment is a header when it names the stamps and more of the columns.
 bool IsHeader(const Columns& columns, const std::string& comment) {
   const std::vector<HeaderField> header = SplitHeader(comment);
@@ -193,16 +183,6 @@ struct Layout {
   size_t width = 0;           ///< fields in a line
   std::string time_unit;      ///< empty: not given
 };
-
-Layout DefaultLayout(const Columns& columns) {
-  Layout layout;
-  for (size_t i = 0; i < columns.size(); ++i) {
-    layout.index.push_back(i);
-    layout.names.push_back(columns[i].name);
-  }
-  layout.width = columns.size();
-  return layout;
-}
 
 /// A line that may be a header.
 struct NumberedLine {
@@ -285,8 +265,9 @@ class TableReader {
       const bool is_comment = (*line)[0] == '#';
       if (layout_ && !is_comment) return true;
       if (layout_) continue;
-      if (is_comment) {
-        KeepComment(*line);
+      if (is_comment) {  // of these the header is kept, else the last one
+        if (IsHeader(columns_, *line) || !IsHeader(columns_, comment_.text))
+          comment_ = {*line, lines_.number()};
       } else if (!ParseNumber(Split(*line)[0])) {
         SetHeader({*line, lines_.number()});
       } else {
@@ -295,12 +276,6 @@ class TableReader {
       }
     }
     return false;
-  }
-
-  /// Of the comments before the samples: the header, else the last one.
-  void KeepComment(const std::string& comment) {
-    if (IsHeader(columns_, comment) || !IsHeader(columns_, comment_.text))
-      comment_ = {comment, lines_.number()};
   }
 
   void SetHeader(const NumberedLine& line) {
@@ -315,7 +290,11 @@ class TableReader {
         IsHeader(columns_, comment_.text) ||
         (!comment_.text.empty() && SplitHeader(comment_.text).size() == Split(sample).size());
     if (has_header) return SetHeader(comment_);
-    layout_ = DefaultLayout(columns_);
+    layout_.emplace();
+    for (const Column& column : columns_) {
+      layout_->index.push_back(layout_->width++);
+      layout_->names.push_back(column.name);
+    }
   }
 
   /// Refuses the value of a column of the current line.
@@ -390,7 +369,10 @@ std::vector<ImuSample> ReadSensorTable(const Columns& columns,
 
 bool StartsWithHeader(const Columns& columns, std::istream& in, const std::string& name) {
   std::string line;
-  return Lines(in, name).Next(&line) && HasAll(columns, SplitHeader(line));
+  if (!Lines(in, name).Next(&line)) return false;
+  const std::vector<HeaderField> header = SplitHeader(line);
+  return std::all_of(
+      columns.begin(), columns.end(), [&](const Column& c) { return !Find(c, header).empty(); });
 }
 
 }  // namespace

@@ -1,6 +1,5 @@
 #include "imu_pose_calib/ros/io/trajectory_writer.h"
 
-#include <nav_msgs/Odometry.h>
 #include <nav_msgs/Path.h>
 #include <rosbag/bag.h>
 #include <tf2_msgs/TFMessage.h>
@@ -31,9 +30,6 @@ const char kEurocHeader[] =
     "q_RS_z [], v_RS_R_x [m s^-1], v_RS_R_y [m s^-1], v_RS_R_z [m s^-1], b_w_RS_S_x [rad s^-1], "
     "b_w_RS_S_y [rad s^-1], b_w_RS_S_z [rad s^-1], b_a_RS_S_x [m s^-2], b_a_RS_S_y [m s^-2], "
     "b_a_RS_S_z [m s^-2]\n";
-const char kImuHeader[] =
-    "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
-    "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]\n";
 const char kSigmaHeader[] =
     "#timestamp [ns],p_x [m],p_y [m],p_z [m],theta_x [rad],theta_y [rad],theta_z [rad],"
     "v_x [m s^-1],v_y [m s^-1],v_z [m s^-1],b_w_x [rad s^-1],b_w_y [rad s^-1],b_w_z [rad s^-1],"
@@ -59,54 +55,35 @@ TrajectoryCount ForEachState(const TrajectoryOutput& output, Visit visit) {
   return count;
 }
 
-/// Lines of numbers with one separator.
-class Table {
- public:
-  Table(const char* header, char separator) : text_(header), separator_(separator) {}
+/// Digits of the numbers in a text.
+constexpr int kDigits = 12;
 
-  void Stamp(int64_t t_ns) { text_ += std::to_string(t_ns); }
-  void SecondsStamp(int64_t t_ns) { text_ += SecondsText(t_ns); }
-  void Add(double value) {
-    char number[32];
-    std::snprintf(number, sizeof(number), "%c%.12g", separator_, value);
-    text_ += number;
-  }
-  void Add(const Eigen::Vector3d& v) {
-    for (int k = 0; k < 3; ++k) Add(v[k]);
-  }
-  /// The upper triangle.
-  void Add(const Eigen::Matrix3d& C) {
-    for (int i = 0; i < 3; ++i)
-      for (int j = i; j < 3; ++j) Add(C(i, j));
-  }
-  void End() { text_ += '\n'; }
-  const std::string& text() const { return text_; }
-
- private:
-  std::string text_;
-  const char separator_;
-};
-
-void AddEuroc(int64_t stamp_ns, const ImuState& x, Table* table) {
-  table->Stamp(stamp_ns);
-  table->Add(x.p_WI);
-  table->Add(x.q_WI.w());
-  table->Add(Eigen::Vector3d(x.q_WI.vec()));
-  table->Add(x.v_W);
-  table->Add(x.biases.gyro);
-  table->Add(x.biases.accel);
-  table->End();
+void AddEuroc(int64_t stamp_ns, const ImuState& x, TextTable* table) {
+  table->AddRow(std::to_string(stamp_ns),
+                x.p_WI,
+                x.q_WI.w(),
+                x.q_WI.vec(),
+                x.v_W,
+                x.biases.gyro,
+                x.biases.accel);
 }
 
-void AddSigmas(int64_t stamp_ns, const ImuState& x, Table* table) {
+void AddSigmas(int64_t stamp_ns, const ImuState& x, TextTable* table) {
   const Eigen::VectorXd sigma = x.covariance.diagonal().cwiseMax(0.0).cwiseSqrt();
   const Eigen::VectorXd bias_sigma = x.bias_covariance.diagonal().cwiseMax(0.0).cwiseSqrt();
-  table->Stamp(stamp_ns);
-  for (const int place : {3, 0, 9}) table->Add(Eigen::Vector3d(sigma.segment<3>(place)));
-  table->Add(Eigen::Vector3d(bias_sigma.head<3>()));
-  table->Add(Eigen::Vector3d(bias_sigma.tail<3>()));
-  table->Add(x.is_carried ? 1.0 : 0.0);
-  table->End();
+  table->AddRow(std::to_string(stamp_ns),
+                sigma.segment<3>(3),
+                sigma.segment<3>(0),
+                sigma.segment<3>(9),
+                bias_sigma,
+                x.is_carried ? 1.0 : 0.0);
+}
+
+/// Row by row.
+Vector6d UpperTriangle(const Eigen::Matrix3d& C) {
+  Vector6d upper;
+  upper << C(0, 0), C(0, 1), C(0, 2), C(1, 1), C(1, 2), C(2, 2);
+  return upper;
 }
 
 std::string SensorYaml(const char* type, const std::string& rest) {
@@ -149,17 +126,15 @@ TrajectoryCount WriteAsl(const std::string& path, const TrajectoryOutput& output
 
   // First what tells that the folder is ours.
   WriteFile(truth / "sensor.yaml", SensorYaml("visual-inertial", ""));
-  Table states(kEurocHeader, ','), sigmas(kSigmaHeader, ','), samples(kImuHeader, ',');
+  TextTable states(kEurocHeader, ',', kDigits);
+  TextTable sigmas(kSigmaHeader, ',', kDigits);
+  TextTable samples(kAslImuHeader, ',', kDigits);
   const TrajectoryCount count = ForEachState(output, [&](int64_t stamp_ns, const ImuState& x) {
     AddEuroc(stamp_ns, x, &states);
     if (output.track.has_covariance()) AddSigmas(stamp_ns, x, &sigmas);
   });
-  for (const ImuTrack::Sample& s : output.track.Samples()) {
-    samples.Stamp(s.stamp_ns);
-    samples.Add(s.gyro);
-    samples.Add(s.accel);
-    samples.End();
-  }
+  for (const ImuTrack::Sample& s : output.track.Samples())
+    samples.AddRow(std::to_string(s.stamp_ns), s.gyro, s.accel);
   WriteFile(truth / "data.csv", states.text());
   if (output.track.has_covariance()) {
     WriteFile(truth / "sigma.csv", sigmas.text());
@@ -176,17 +151,20 @@ TrajectoryCount WriteText(const std::string& path,
                           const TrajectoryOutput& output) {
   const bool is_euroc = format == TrajectoryFormat::kEuroc;
   const bool with_covariance = format == TrajectoryFormat::kOvEval;
-  Table table(is_euroc ? kEurocHeader : with_covariance ? kOvEvalHeader : "", is_euroc ? ',' : ' ');
+  TextTable table(is_euroc          ? kEurocHeader
+                  : with_covariance ? kOvEvalHeader
+                                    : "",
+                  is_euroc ? ',' : ' ',
+                  kDigits);
   const TrajectoryCount count = ForEachState(output, [&](int64_t stamp_ns, const ImuState& x) {
     if (is_euroc) return AddEuroc(stamp_ns, x, &table);
-    table.SecondsStamp(stamp_ns);
-    table.Add(x.p_WI);
-    for (int k = 0; k < 4; ++k) table.Add(x.q_WI.coeffs()[k]);  // x y z w
-    if (with_covariance) {
-      table.Add(Eigen::Matrix3d(x.covariance.block<3, 3>(0, 0)));
-      table.Add(Eigen::Matrix3d(x.covariance.block<3, 3>(3, 3)));
-    }
-    table.End();
+    const std::string stamp = SecondsText(stamp_ns);
+    if (!with_covariance) return table.AddRow(stamp, x.p_WI, x.q_WI.coeffs());
+    table.AddRow(stamp,
+                 x.p_WI,
+                 x.q_WI.coeffs(),
+                 UpperTriangle(x.covariance.block<3, 3>(0, 0)),
+                 UpperTriangle(x.covariance.block<3, 3>(3, 3)));
   });
   WriteFile(path, table.text());
   return count;

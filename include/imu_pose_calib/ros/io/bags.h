@@ -65,16 +65,17 @@ class Bags {
   /// are sent once, then the others in the order of recording.
   template <typename Use>
   void ForEachTf(Use use) const {
-    const auto fixed = [](const BagTopic& topic) { return topic.IsFixedTf(); };
-    const auto moving = [](const BagTopic& topic) { return topic.IsTf() && !topic.IsFixedTf(); };
-    source_->ForEach(Names(Select(fixed)), begin_, bag_end_, [&use](const BagMessage& message) {
-      use(message, true);
-      return true;
-    });
-    source_->ForEach(Names(Select(moving)), start_, end_, [&use](const BagMessage& message) {
-      use(message, false);
-      return true;
-    });
+    const auto visit = [&](bool fixed, const ros::Time& start, const ros::Time& end) {
+      std::vector<std::string> names;
+      for (const BagTopic& topic : topics_)
+        if (topic.IsTf() && topic.IsFixedTf() == fixed) names.push_back(topic.name);
+      source_->ForEach(names, start, end, [&](const BagMessage& message) {
+        use(message, fixed);
+        return true;
+      });
+    };
+    visit(true, begin_, bag_end_);
+    visit(false, start_, end_);
   }
 
   /// The topic that `field` of a request names; InputError when the bags do not have it.
@@ -95,7 +96,6 @@ class Bags {
   std::vector<std::string> Notes() const { return source_->Notes(); }
 
  private:
-  static std::vector<std::string> Names(const std::vector<BagTopic>& topics);
   void SetSpan(double start_s, double duration_s);
   void ListTopics();
 

@@ -4,6 +4,8 @@
 #include <string>
 #include <vector>
 
+#include "imu_pose_calib/ros/io/result_yaml.h"
+
 namespace imu_pose_calib {
 
 /// A table of doubles as NumPy reads it, or of floats where these are exact enough.
@@ -19,7 +21,20 @@ class NumpyTable {
   }
   size_t rows() const { return values_.size() / columns_; }
   /// An .npy file. Throws InputError when it cannot be written.
-  void Write(const std::string& path) const;
+  void Write(const std::string& path) const {
+    std::string header = std::string("{'descr': '") + (sizeof(Number) == 8 ? "<f8" : "<f4") +
+                         "', 'fortran_order': False, 'shape': (" + std::to_string(rows()) + ", " +
+                         std::to_string(columns_) + "), }";
+    constexpr size_t kFixed = 10, kAlignment = 64;  // bytes before the header; of the values
+    header.resize((kFixed + header.size() + kAlignment) / kAlignment * kAlignment - kFixed, ' ');
+    header.back() = '\n';
+    std::string text("\x93NUMPY\x01\x00", 8);
+    text += static_cast<char>(header.size() & 0xff);
+    text += static_cast<char>(header.size() >> 8);
+    text += header;
+    text.append(reinterpret_cast<const char*>(values_.data()), values_.size() * sizeof(Number));
+    WriteFile(path, text);
+  }
 
  private:
   void Append(double value) { values_.push_back(static_cast<Number>(value)); }

@@ -1,10 +1,42 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <string>
 
 #include "imu_pose_calib/core/types.h"
 
 namespace imu_pose_calib {
+
+/// Lines of a stamp and numbers with one separator between them.
+class TextTable {
+ public:
+  /// `header`: with the end of its line; `digits`: significant ones of a number.
+  TextTable(const std::string& header, char separator, int digits)
+      : text_(header), separator_(separator), digits_(digits) {}
+
+  /// A line of a stamp and of numbers and vectors.
+  template <typename... Parts>
+  void AddRow(const std::string& stamp, const Parts&... parts) {
+    text_ += stamp;
+    (Append(parts), ...);
+    text_ += '\n';
+  }
+  const std::string& text() const { return text_; }
+
+ private:
+  void Append(double value);
+  template <typename Derived>
+  void Append(const Eigen::MatrixBase<Derived>& vector) {
+    for (Eigen::Index i = 0; i < vector.size(); ++i) Append(vector[i]);
+  }
+
+  std::string text_;
+  char separator_;
+  int digits_;
+};
+
+/// Of the samples of an IMU in an ASL dataset.
+extern const char kAslImuHeader[];
 
 /// Decimal seconds, exact: "-12.000000345".
 std::string SecondsText(int64_t t_ns);
