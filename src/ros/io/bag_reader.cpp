@@ -424,11 +424,6 @@ class Silence {
   ~Silence() { console_bridge::restorePreviousOutputHandler(); }
 };
 
-/// Far above what any bag of this size needs, the time also when it comes over a slow network.
-ChildLimits Limits(uint64_t bytes) {
-  return {10 + bytes / 1'000'000, 120 + bytes / 100'000, 4'000'000'000 + 8 * bytes};
-}
-
 uint64_t SizeOf(const std::string& path) {
   std::error_code error;
   const auto size = std::filesystem::file_size(path, error);
@@ -446,7 +441,9 @@ std::string ReadApart(const BagRequest& request, const std::function<std::string
     setenv("ROS_CACHE_TIMEOUT", "-1", 0);  // no search of all packages for plugins of rosbag
     return OrFail(request, read);
   };
-  auto answer = RunApart(run, Limits(bytes));
+  // Far above what any bag of this size needs, the time also when it comes over a slow network.
+  auto answer =
+      RunApart(run, {10 + bytes / 1'000'000, 120 + bytes / 100'000, 4'000'000'000 + 8 * bytes});
   if (!answer) FailDamaged(request, "it cannot be read within bounds of time and memory");
   return *std::move(answer);
 }

@@ -8,12 +8,6 @@
 #include "imu_pose_calib/ros/io/result_yaml.h"
 
 namespace imu_pose_calib {
-namespace {
-
-/// Digits that tell every double from its neighbours.
-constexpr int kDigits = 17;
-
-}  // namespace
 
 const char kAslImuHeader[] =
     "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
@@ -47,12 +41,11 @@ void WriteAslFolder(const std::string& folder, const SessionData& data) {
   TextTable poses(
       "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],"
       "q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []\n",
-      ',',
-      kDigits);
+      ',');
   for (const PoseSample& pose : data.poses)
     poses.AddRow(std::to_string(pose.t_ns), pose.p_WM, pose.q_WM.w(), pose.q_WM.vec());
   WriteFile(folder + "/mocap0/data.csv", poses.text());
-  TextTable samples(kAslImuHeader, ',', kDigits);
+  TextTable samples(kAslImuHeader, ',');
   const ImuData& imu = data.imus[0];
   for (size_t k = 0; k < imu.gyro.size(); ++k)
     samples.AddRow(std::to_string(imu.gyro[k].t_ns), imu.gyro[k].value, imu.accel[k].value);
@@ -60,23 +53,23 @@ void WriteAslFolder(const std::string& folder, const SessionData& data) {
 }
 
 void WriteTables(const std::string& prefix, const SessionData& data, bool split_imu) {
-  TextTable poses("# timestamp tx ty tz qx qy qz qw\n", ' ', kDigits);
+  TextTable poses("# timestamp tx ty tz qx qy qz qw\n", ' ');
   for (const PoseSample& pose : data.poses)
     poses.AddRow(SecondsText(pose.t_ns), pose.p_WM, pose.q_WM.coeffs());
   WriteFile(prefix + ".poses.txt", poses.text());
   const ImuData& imu = data.imus[0];
   if (!split_imu) {
     CheckSameStamps(data);
-    TextTable samples("timestamp,gx,gy,gz,ax,ay,az\n", ',', kDigits);
+    TextTable samples("timestamp,gx,gy,gz,ax,ay,az\n", ',');
     for (size_t k = 0; k < imu.gyro.size(); ++k)
       samples.AddRow(SecondsText(imu.gyro[k].t_ns), imu.gyro[k].value, imu.accel[k].value);
     WriteFile(prefix + ".imu.csv", samples.text());
     return;
   }
-  TextTable gyro("timestamp,gx,gy,gz\n", ',', kDigits);
+  TextTable gyro("timestamp,gx,gy,gz\n", ',');
   for (const ImuSample& sample : imu.gyro) gyro.AddRow(SecondsText(sample.t_ns), sample.value);
   WriteFile(prefix + ".gyro.csv", gyro.text());
-  TextTable accel("timestamp,ax,ay,az\n", ',', kDigits);
+  TextTable accel("timestamp,ax,ay,az\n", ',');
   for (const ImuSample& sample : imu.accel) accel.AddRow(SecondsText(sample.t_ns), sample.value);
   WriteFile(prefix + ".accel.csv", accel.text());
 }

@@ -10,8 +10,9 @@ namespace imu_pose_calib {
 /// Lines of a stamp and numbers with one separator between them.
 class TextTable {
  public:
-  /// `header`: with the end of its line; `digits`: significant ones of a number.
-  TextTable(const std::string& header, char separator, int digits)
+  /// `header`: with the end of its line; `digits`: significant ones of a number, of which 17 tell
+  /// every double from its neighbours.
+  TextTable(const std::string& header, char separator, int digits = 17)
       : text_(header), separator_(separator), digits_(digits) {}
 
   /// A line of a stamp and of numbers and vectors.
