@@ -249,8 +249,8 @@ void DrawPanel(const Scene& scene, const Eigen::Vector3d& middle, Drawing* drawi
   drawing->Label("verdict",
                  middle + Eigen::Vector3d(1.4 * kBarLength, 0.0, -2.5 * kLine),
                  0.06,
-                 Format("p = %s mm\ntime shift = %.4f s\nellipsoid: sigma x %.0f",
-                        Vector(1e3 * scene.result->imus[0].T_MI.p, "%.1f").c_str(),
+                 Format("p = [%s] mm\ntime shift = %.4f s\nellipsoid: sigma x %.0f",
+                        List(1e3 * scene.result->imus[0].T_MI.p, "%.1f").c_str(),
                         scene.result->sessions[0].imus[0].time_shift,
                         kSigmaScale),
                  kImu);

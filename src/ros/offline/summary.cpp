@@ -67,12 +67,6 @@ std::string Data(const Calibration& result, const std::vector<RecordingInfo>& in
   return text;
 }
 
-/// "x, y, z", each as printf prints it by `number`.
-std::string List(const Eigen::Vector3d& v, const char* number) {
-  const std::string format = std::string(number) + ", " + number + ", " + number;
-  return Format(format.c_str(), v.x(), v.y(), v.z());  // NOLINT
-}
-
 std::string Vector(const Eigen::Vector3d& v, const char* number) {
   return "[" + List(v, number) + "]";
 }

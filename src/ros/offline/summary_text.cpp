@@ -47,6 +47,11 @@ std::string Time(double seconds) {
   return Format("%.1f days", seconds / 86400.0);
 }
 
+std::string List(const Eigen::Vector3d& v, const char* number) {
+  const std::string format = std::string(number) + ", " + number + ", " + number;
+  return Format(format.c_str(), v.x(), v.y(), v.z());  // NOLINT
+}
+
 std::string Dropped(const StreamReport& report) {
   std::string reasons;
   const auto add = [&](size_t count, const char* reason) {

@@ -15,6 +15,8 @@ namespace imu_pose_calib {
 std::string Wrap(const std::string& label, const std::string& text);
 /// A time as people say it: "3.10 ms", "2.5 s", "-2.00 h", "12.0 days".
 std::string Time(double seconds);
+/// "x, y, z", each as printf prints it by `number`.
+std::string List(const Eigen::Vector3d& v, const char* number);
 /// "; dropped 2 outlier, ..."; nothing when nothing was.
 std::string Dropped(const StreamReport& report);
 /// The names as they can be shown.
