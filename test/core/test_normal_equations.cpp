@@ -16,7 +16,6 @@
 #include <utility>
 #include <vector>
 
-#include "eliminate_all.h"
 #include "imu_pose_calib/core/least_squares.h"
 #include "imu_pose_calib/core/normal_equations.h"
 
@@ -98,10 +97,13 @@ class NormalEquationsTest : public testing::Test {
     same_.push_back(same);
   }
 
-  Reduced Reduce(const NormalEquations& equations) {
-    std::vector<Panels> windows = {equations.Assemble(0, {}), equations.Assemble(1, {})};
-    Panels shared;
-    return EliminateAll(*equations.elimination(), VectorXd::Ones(2), false, &windows, &shared);
+  static EliminatedWindows Eliminate(const NormalEquations& equations, double max_factor_mb) {
+    return {equations.elimination(), VectorXd::Ones(2), max_factor_mb, 2, [&](size_t window) {
+              return equations.Assemble(window, {});
+            }};
+  }
+  static Reduced Reduce(const NormalEquations& equations) {
+    return Eliminate(equations, 0.0).ReduceAll({});
   }
 
   /// J, with the loss as Ceres applies it, in the order of border and inner, and r.
@@ -169,6 +171,24 @@ TEST_F(NormalEquationsTest, KeepTheScoresOfWindowsApart) {
   EXPECT_LT((reduced.Products() - products).norm(), 1e-9 * products.norm());
 }
 
+TEST_F(NormalEquationsTest, AreSolvedByFactorsThatAreKeptOrFoundAgain) {
+  const NormalEquations equations(problem_, border_, inner_, equations_, 2);
+  MatrixXd J;
+  VectorXd r;
+  Dense(&J, &r);
+  const VectorXd expected = -(J.transpose() * J).llt().solve(J.transpose() * r);
+  for (const double max_factor_mb : {0.0, 1.0}) {
+    SCOPED_TRACE(max_factor_mb);
+    EliminatedWindows windows = Eliminate(equations, max_factor_mb);
+    const Reduced reduced = windows.ReduceAll({});
+    VectorXd x = VectorXd::Zero(expected.size());
+    x.head(reduced.H.rows()) = -reduced.H.llt().solve(reduced.B.rowwise().sum());
+    windows.SubstituteBack([&](size_t window) { return equations.Assemble(window, {}); }, &x);
+    EXPECT_LT((x - expected).norm(), 1e-9 * expected.norm());
+    EXPECT_EQ(windows.TakeFactor().empty(), max_factor_mb == 0.0);
+  }
+}
+
 TEST_F(NormalEquationsTest, RefuseWhatIsNotFinite) {
   const NormalEquations equations(problem_, border_, inner_, equations_, 2);
   points_[3][1] = std::numeric_limits<double>::quiet_NaN();
@@ -205,12 +225,12 @@ TEST(ExactColumn, IsTheSecondDerivativeThatGaussNewtonLeavesOut) {
     ww += r * a * t * t * std::sin(w * t);
   }
   const NormalEquations equations(problem, {problem.Find(&a), problem.Find(&w)}, {}, all, 1);
-  std::vector<Panels> windows = {equations.Assemble(0, {{problem.Find(&w), 1e-6, 1}})};
-  Panels shared;
-  const Reduced reduced =
-      EliminateAll(*equations.elimination(), VectorXd::Ones(2), false, &windows, &shared);
+  EliminatedWindows windows(equations.elimination(), VectorXd::Ones(2), 0.0, 1, [&](size_t k) {
+    return equations.Assemble(k, {{problem.Find(&w), 1e-6, 1}});
+  });
+  const Reduced reduced = windows.ReduceAll({});
   EXPECT_NEAR(reduced.B(0, 1), aw, 1e-4);
-  EXPECT_NEAR(reduced.B(1, 1), ww, 1e-4);
+  EXPECT_NEAR(2.0 * reduced.B(1, 1), ww, 1e-4);
   EXPECT_EQ(w, 2.1);
 }
 
