@@ -207,17 +207,16 @@ void Elimination::AddRhs(const std::vector<int>& places,
   }
 }
 
-void Elimination::Merge(Panels&& from, Panels* to) {
-  for (auto& [p, panel] : from) {
-    const auto [place, is_new] = to->try_emplace(p, std::move(panel));
+void Elimination::Merge(const Panels& from, Panels* to) {
+  for (const auto& [p, panel] : from) {
+    const auto [place, is_new] = to->try_emplace(p, panel);
     if (is_new) continue;
     place->second.H += panel.H;
-    for (auto& [number, rhs] : panel.rhs) {
+    for (const auto& [number, rhs] : panel.rhs) {
       Eigen::VectorXd& own = place->second.rhs[number];
       own = own.size() == 0 ? rhs : (own + rhs).eval();
     }
   }
-  from.clear();
 }
 
 bool Elimination::ActsInside(int block, const Panels& panels) const {

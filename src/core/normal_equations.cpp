@@ -285,7 +285,7 @@ Reduced EliminatedWindows::Reduce(const std::vector<int>& windows,
   std::vector<const Rest*> rests;
   for (const int w : windows) {
     rests.push_back(&rests_[static_cast<size_t>(w)]);
-    Elimination::Merge(Panels(shared_[static_cast<size_t>(w)]), shared);
+    Elimination::Merge(shared_[static_cast<size_t>(w)], shared);
   }
   return elimination_->Reduce(rests, weights_, keeps, shared);
 }

@@ -72,10 +72,8 @@ size_t FindUpdatePeriod(const std::vector<PoseSample>& poses) {
 size_t KeepOneOf(size_t period, std::vector<PoseSample>* poses) {
   const size_t before = poses->size();
   if (period < 2 || before < 2) return 0;
-  std::vector<double> steps;
-  for (size_t i = 1; i < before; ++i)
-    steps.push_back(static_cast<double>((*poses)[i].t_ns - (*poses)[i - 1].t_ns));
-  const double step = Median(steps), first = static_cast<double>(poses->front().t_ns);
+  const double step = MedianStep(Stamps(*poses));
+  const auto first = static_cast<double>(poses->front().t_ns);
   long long last = -1;
   const auto is_between = [&](const PoseSample& pose) {
     const double count = std::round((static_cast<double>(pose.t_ns) - first) / step);

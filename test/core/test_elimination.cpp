@@ -210,8 +210,7 @@ TEST(Elimination, OfSingularEquationsIsNotFinite) {
 TEST(Elimination, MergedPanelsAreTheSum) {
   RandomEquations a(1, 37, 8), b(1, 37, 9);
   const MatrixXd H = a.H + b.H, B = a.B + b.B;
-  for (size_t w = 0; w < a.windows.size(); ++w)
-    Elimination::Merge(std::move(b.windows[w]), &a.windows[w]);
+  for (size_t w = 0; w < a.windows.size(); ++w) Elimination::Merge(b.windows[w], &a.windows[w]);
   const Reduced reduced =
       EliminateAll(*a.elimination, VectorXd::Ones(2), false, &a.windows, &a.shared);
   const MatrixXd products = B.transpose() * H.llt().solve(B);

@@ -77,7 +77,7 @@ class Elimination {
               int number,
               const Eigen::Ref<const Eigen::VectorXd>& rhs,
               Panels* panels) const;
-  static void Merge(Panels&& from, Panels* to);
+  static void Merge(const Panels& from, Panels* to);
   /// Whether anything beside the border acts together with a block of the border.
   bool ActsInside(int block, const Panels& panels) const;
   /// Calls visit(block, diagonal of H) for all blocks in `panels`.

@@ -211,9 +211,9 @@ std::string Table(const std::vector<Calibrated>& calibrations) {
       continue;
     }
     const Vector6d std = o.covariance.diagonal().cwiseSqrt();
-    text += Triple(1e3 * o.T_MI.p, "%.2f") + " | " + Triple(1e3 * std.head<3>(), "%.2f") + " | " +
-            Triple(kDegrees * Log(o.T_MI.q), "%.3f") + " | " +
-            Triple(kDegrees * std.tail<3>(), "%.3f") +
+    text += List(1e3 * o.T_MI.p, "%.2f") + " | " + List(1e3 * std.head<3>(), "%.2f") + " | " +
+            List(kDegrees * Log(o.T_MI.q), "%.3f") + " | " +
+            List(kDegrees * std.tail<3>(), "%.3f") +
             Format(" | %.6f | %.6f | %.3f | %.3f | %zu |\n",
                    o.time_shift,
                    o.time_shift_std,
@@ -249,8 +249,8 @@ std::string ScatterTable(const std::vector<Comparable>& calibrations) {
                                        ComparedQuantity::kTimeShift});
   std::string text = Format("Scatter of %zu: mean p %s mm, R %s deg.\n\n",
                             calibrations.size(),
-                            Triple(1e3 * repeat.mean.T_MI.p, "%.2f").c_str(),
-                            Triple(kDegrees * Log(repeat.mean.T_MI.q), "%.3f").c_str()) +
+                            List(1e3 * repeat.mean.T_MI.p, "%.2f").c_str(),
+                            List(kDegrees * Log(repeat.mean.T_MI.q), "%.3f").c_str()) +
                      "| | standard deviation | sigma, rms | chi² / dof |\n|---|---|---|---|\n";
   for (const Scatter& scatter : repeat.scatters) {
     const bool is_angle = scatter.quantity == ComparedQuantity::kRotation;

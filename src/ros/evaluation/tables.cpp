@@ -186,10 +186,10 @@ std::string ResultTable(const std::vector<Named>& calibrations) {
   for (const auto& [name, o] : calibrations) {
     const Vector6d std = o.covariance.diagonal().cwiseSqrt();
     rows.push_back({name,
-                    Triple(1e3 * o.T_MI.p, "%.3f"),
-                    Triple(1e3 * std.head<3>(), "%.3f"),
-                    Triple(kDegrees * Log(o.T_MI.q), "%.4f"),
-                    Triple(kDegrees * std.tail<3>(), "%.4f"),
+                    List(1e3 * o.T_MI.p, "%.3f"),
+                    List(1e3 * std.head<3>(), "%.3f"),
+                    List(kDegrees * Log(o.T_MI.q), "%.4f"),
+                    List(kDegrees * std.tail<3>(), "%.4f"),
                     Format("%.4f ± %.4f", 1e3 * o.accel_delay, 1e3 * o.accel_delay_std),
                     o.verdict});
   }
@@ -248,11 +248,6 @@ void AppendExact(const ErrorNorms& norms, Row* row) {
 }
 
 }  // namespace
-
-std::string Triple(const Eigen::Vector3d& v, const char* number) {
-  const std::string format = std::string(number) + ", " + number + ", " + number;
-  return Format(format.c_str(), v.x(), v.y(), v.z());  // NOLINT
-}
 
 CellSummary Summarize(const CellOutcomes& cell) {
   static const CalibrationOptions kOptions;

@@ -53,7 +53,4 @@ std::string TrialsCsv(const Results& results, bool with_header);
 /// `chained_T_MI`, as of a chained calibration, if it is given.
 std::string ComparedSection(const Results& results, const std::optional<Rigid3>& chained_T_MI);
 
-/// "x, y, z", each as printf prints it by `number`.
-std::string Triple(const Eigen::Vector3d& v, const char* number);
-
 }  // namespace imu_pose_calib
