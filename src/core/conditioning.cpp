@@ -370,7 +370,7 @@ ConditionedImu ConditionImu(const CalibrationOptions& options,
   Summarise(imu.accel, &imu.accel_report);
   CheckDuration("gyroscope" + of, imu.gyro_report, options.min_overlap_s);
   CheckDuration("accelerometer" + of, imu.accel_report, options.min_overlap_s);
-  CheckAccelerometerUnit("accelerometer" + of, imu.accel, options.gravity_magnitude);
+  CheckAccelerometerUnit("accelerometer" + of, imu.accel, options.GravityMagnitude());
   return imu;
 }
 

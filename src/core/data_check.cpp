@@ -347,7 +347,7 @@ void CheckMotion(const CalibrationOptions& options,
   check->turns_M = rms.head<3>();
   check->moves_W = rms.tail<3>();
 
-  const double g = options.gravity_magnitude;
+  const double g = options.GravityMagnitude();
   for (size_t i = 0; i < data.imus.size(); ++i) {
     if (!data.imus[i].IsPresent()) continue;
     ImuCheck& imu = check->imus[i];

@@ -19,11 +19,12 @@ constexpr int kTranslation = 0, kRotation = 3, kDelay = 6, kGyroMatrix = 7, kAcc
               kAccelSmoothing = 22, kPoseSmoothing = 23, kPositionSmoothing = 24, kPoseScale = 25,
               kShared = 26;
 // Places of what a recording has of its own, after these; biases at knots follow.
-constexpr int kTimeShift = 26, kDrift = 27, kGravity = 28, kBiases = 30;
+constexpr int kTimeShift = 26, kDrift = 27, kGravity = 28, kMagnitude = 30, kBiases = 31;
 
 // Sigmas of the priors, as in joint_problem.cpp.
 constexpr double kScalePrior = 0.01, kAlignmentPrior = M_PI / 360.0, kDriftPrior = 1e-4,
-                 kSmoothingPrior = 1e-3, kAccelSmoothingPrior = 5e-5, kPoseScalePrior = 3e-3;
+                 kSmoothingPrior = 1e-3, kAccelSmoothingPrior = 5e-5, kPoseScalePrior = 1e-3,
+                 kMagnitudePrior = 0.03;
 constexpr double kKnown = 1e-12;  // sigma of what is known
 
 constexpr double kBiasKnots = 5.0;  // [s]
@@ -156,10 +157,10 @@ class RecordingInformation {
     Eigen::Matrix<double, 3, 9> matrix = Eigen::Matrix<double, 3, 9>::Zero();
     for (int row = 0; row < 3; ++row) matrix.block<1, 3>(row, 3 * row) = force.transpose();
     accel.Add(kAccelMatrix, matrix);
-    const Vector3d u = truth_.g_W.unitOrthogonal(), v = truth_.g_W.normalized().cross(u);
-    Eigen::Matrix<double, 3, 2> plane;
-    plane << u, v;
-    accel.Add(kGravity, -R_IM_ * R_MW * plane);
+    const Vector3d up = truth_.g_W.normalized(), u = up.unitOrthogonal();
+    Matrix3d axes;
+    axes << u, up.cross(u), up;
+    accel.Add(kGravity, -R_IM_ * R_MW * axes);
     AddBias(stamp, 3, &accel);
     Add(t, accel, truth_.accel_std);
   }
@@ -222,12 +223,16 @@ class RecordingInformation {
 };
 
 /// Adds what is known beforehand: all of it, or as much as the priors of the joint solve say.
-void AddPriors(bool is_known, const std::vector<int>& drifts, MatrixXd* information) {
+/// `recordings`: place of the own parameters of each.
+void AddPriors(bool is_known, const std::vector<int>& recordings, MatrixXd* information) {
   const auto add = [&](int place, double sigma) {
     const double used = is_known ? kKnown : sigma;
     (*information)(place, place) += 1.0 / (used * used);
   };
-  for (const int drift : drifts) add(drift, kDriftPrior);
+  for (const int own : recordings) {
+    add(own + kDrift - kShared, kDriftPrior);
+    add(own + kMagnitude - kShared, kMagnitudePrior);
+  }
   for (int row = 0, k = kGyroMatrix; row < 3; ++row)
     for (int column = 0; column <= row; ++column)
       add(k++, row == column ? kScalePrior : kAlignmentPrior);
@@ -257,7 +262,7 @@ ErrorBounds FindErrorBounds(const std::vector<SimulatorOptions>& truths,
                             const std::vector<SessionData>& recordings,
                             double knots_s) {
   MatrixXd information = MatrixXd::Zero(kShared, kShared);
-  std::vector<int> drifts;
+  std::vector<int> places;
   for (size_t s = 0; s < truths.size(); ++s) {
     const MatrixXd one = RecordingInformation(truths[s], recordings[s], knots_s).Eliminate();
     const Eigen::Index own = one.rows() - kShared, before = information.rows();
@@ -268,13 +273,13 @@ ErrorBounds FindErrorBounds(const std::vector<SimulatorOptions>& truths,
     all.topRightCorner(kShared, own) = one.topRightCorner(kShared, own);
     all.bottomLeftCorner(own, kShared) = one.bottomLeftCorner(own, kShared);
     information.swap(all);
-    drifts.push_back(static_cast<int>(before) + kDrift - kShared);
+    places.push_back(static_cast<int>(before));
   }
   ErrorBounds bounds;
   MatrixXd known = information;
-  AddPriors(true, drifts, &known);
+  AddPriors(true, places, &known);
   bounds.least = Bound(known);
-  AddPriors(false, drifts, &information);
+  AddPriors(false, places, &information);
   bounds.as_joint = Bound(information);
   return bounds;
 }

@@ -28,8 +28,8 @@ constexpr int kMount = 0;                      // p_MI and q_MI, as Ceres turns 
 constexpr int kGyroMatrix = kMount + 6;        // of GyroMatrix()
 constexpr int kAccelMatrix = kGyroMatrix + 6;  // of AccelMatrix()
 constexpr int kScale = kAccelMatrix + 9;       // pose_scale
-constexpr int kGravity = kScale + 1;           // in the tangent space
-constexpr int kGyroBias = kGravity + 2;
+constexpr int kGravity = kScale + 1;
+constexpr int kGyroBias = kGravity + 3;
 constexpr int kAccelBias = kGyroBias + 3;
 constexpr int kConstants = kAccelBias + 3;
 using ByConstants = Eigen::Matrix<double, 9, kConstants>;
@@ -127,7 +127,6 @@ class Integrator {
     const ImuEstimate& rig = solution.estimate.imus[imu];
     inverse_M_g_ = GyroMatrix(rig.gyro_intrinsics).inverse();
     inverse_M_a_ = AccelMatrix(rig.accel_intrinsics).inverse();
-    gravity_basis_ = PlusJacobian(BlockKind::kSphere, 3, g_W_.data());
   }
 
   /// From recorded values less biases.
@@ -165,7 +164,7 @@ class Integrator {
     accel.middleCols<9>(kAccelMatrix) = -scale_ * R * inverse_M_a_ * by_M_a;
     accel.middleCols<3>(kAccelBias) = -scale_ * R * inverse_M_a_;
     accel.col(kScale) = R * f + g_W_;
-    accel.middleCols<2>(kGravity) = scale_ * gravity_basis_;
+    accel.middleCols<3>(kGravity) = scale_ * Matrix3d::Identity();
     G.middleRows<3>(3) = 0.5 * dt * dt * accel;
     G.middleRows<3>(6) = dt * accel;
 
@@ -191,7 +190,6 @@ class Integrator {
   double scale_;
   double gyro_density_ = 0.0, accel_density_ = 0.0;  ///< [(rad/s)^2/Hz], [(m/s^2)^2/Hz]
   Matrix3d inverse_M_g_, inverse_M_a_;
-  Eigen::Matrix<double, 3, 2> gravity_basis_;
 };
 
 /// A sensor as recorded at t [s, IMU clock], linear between samples; nothing where some are

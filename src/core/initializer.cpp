@@ -391,7 +391,7 @@ Start Initialise(const CalibrationOptions& options,
   start.accel_delay = options.accel_delay;
   FitLeverArm(trajectory,
               samples.accel,
-              options.gravity_magnitude,
+              options.GravityMagnitude(),
               options.estimate_accel_delay,
               options.Threads(),
               &start);

@@ -17,7 +17,7 @@ namespace {
 // Sigmas of ordinary clocks, trackers and IMUs.
 constexpr double kDriftPrior = 1e-4;      // [s/s]
 constexpr double kSmoothingPrior = 1e-3;  // [s^2]
-constexpr double kPoseScalePrior = 3e-3;  // [1]
+constexpr double kPoseScalePrior = 1e-3;  // [1]
 // A filter that spreads samples over time delays them, too. Where the delay is small, so is the
 // smoothing, and errors of the poses would take its place.
 // For a filter of first order, the squared delay; for a plain delay, nothing.

@@ -190,9 +190,12 @@ void LeastSquares::AddAccelParameters() {
   }
   AddOptional(
       ParameterKind::kAccelDelay, Eigen::VectorXd::Constant(1, kDelayPrior), options.accel_delay);
-  for (SessionEstimate& session : estimate->sessions) {
-    problem.AddParameters(session.g_W.data(), 3, BlockKind::kSphere);
-    problem.SetHeld(session.g_W.data(), !options.estimate_gravity);
+  for (size_t s = 0; s < sessions.size(); ++s) {
+    double* const g_W = estimate->sessions[s].g_W.data();
+    problem.AddParameters(g_W, 3);
+    problem.SetHeld(g_W, !options.estimate_gravity);
+    if (options.estimate_gravity)
+      AddPrior(GravityPrior{options.GravityMagnitude(), options.GravityStd()}.Create(), g_W, s);
   }
 }
 
@@ -213,17 +216,22 @@ void LeastSquares::AddOptional(ParameterKind kind,
                                std::optional<size_t> imu) {
   for (const Parameter& p : CalibrationParameters(estimate)) {
     if (p.kind != kind || (imu && p.imu != *imu)) continue;
-    const int block = problem.AddParameters(p.data, p.size);
+    problem.AddParameters(p.data, p.size);
     problem.SetHeld(p.data, !IsEstimated(options, kind));
     if (!IsEstimated(options, kind)) continue;
     auto prior = std::make_unique<const ceres::NormalPrior>(
         sigmas.cwiseInverse().asDiagonal(), Eigen::VectorXd::Constant(p.size, expected));
-    const SessionEstimate& session = estimate->sessions[p.session];
-    const ImuSessionEstimate& clock = session.imus[session.FirstImu()];
-    priors.push_back({problem.AddResiduals(std::move(prior), std::vector<int>{block}),
-                      p.session,
-                      clock.PoseTime(clock.clock_reference)});
+    AddPrior(std::move(prior), p.data, p.session);
   }
+}
+
+void LeastSquares::AddPrior(std::unique_ptr<const ceres::CostFunction> prior,
+                            const double* data,
+                            size_t session) {
+  const ImuSessionEstimate& clock = estimate->sessions[session].imus[estimate->sessions[session].FirstImu()];
+  priors.push_back({problem.AddResiduals(std::move(prior), {problem.Find(data)}),
+                    session,
+                    clock.PoseTime(clock.clock_reference)});
 }
 
 double LeastSquares::Scale(const SensorModel& model, size_t index) const {

@@ -27,7 +27,7 @@ bool ActsIn(const Estimate& estimate, const Parameter& p, size_t session) {
 double FittedShare(const Ordering& ordering, const LeastSquares& solved) {
   double dimensions = 0.0;
   for (size_t s = 0; s < solved.sessions.size(); ++s) {
-    int local = solved.options.estimate_gravity ? 2 : 0;
+    int local = solved.options.estimate_gravity ? 3 : 0;
     for (const ImuSessionEstimate& imu : solved.estimate->sessions[s].imus)
       if (imu.is_present) local += 6;
     for (const Parameter& p : ordering.calibrated)

@@ -1,6 +1,7 @@
 #include "imu_pose_calib/core/options.h"
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <sstream>
 #include <thread>
@@ -33,6 +34,19 @@ void CheckGiven(const std::string& value, bool is_estimated, bool is_given) {
 }
 
 }  // namespace
+
+double CalibrationOptions::GravityMagnitude() const {
+  if (initial_gravity) return initial_gravity->norm();
+  if (!latitude) return gravity_magnitude;
+  // Of the reference ellipsoid WGS 84, at sea level (Somigliana).
+  const double sin2 = std::pow(std::sin(M_PI / 180.0 * *latitude), 2);
+  return 9.7803253359 * (1.0 + 0.00193185265241 * sin2) / std::sqrt(1.0 - 0.00669437999013 * sin2);
+}
+
+double CalibrationOptions::GravityStd() const {
+  constexpr double kUnknownHeight = 3e-3;  // of a kilometre
+  return latitude ? std::min(kUnknownHeight, gravity_magnitude_std) : gravity_magnitude_std;
+}
 
 int CalibrationOptions::Threads() const {
   return num_threads > 0 ? num_threads
@@ -74,6 +88,8 @@ void CalibrationOptions::Validate() const {
   CheckRange("knot_spacing_s", knot_spacing_s, 0.0, 10.0);
   CheckRange("accel_delay", accel_delay, -0.5, 0.5);
   CheckRange("gravity_magnitude", gravity_magnitude, 0.1, 100.0);
+  CheckRange("gravity_magnitude_std", gravity_magnitude_std, 1e-9, 10.0);
+  if (latitude) CheckRange("latitude", *latitude, -90.0, 90.0);
   CheckRange("robust_loss_scale", robust_loss_scale, 1.0, kInfinity);
   CheckRange("max_iterations", max_iterations, 1, 10000);
   CheckRange("max_factor_mb", max_factor_mb, 0.0, 1e6);

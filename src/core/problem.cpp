@@ -39,7 +39,7 @@ int Problem::TangentSize(int block) const {
 }
 
 Eigen::MatrixXd Problem::PlusJacobian(int block) const {
-  return imu_pose_calib::PlusJacobian(At(block).kind, At(block).size, At(block).data);
+  return imu_pose_calib::PlusJacobian(At(block).data);
 }
 
 std::vector<double> Problem::Move(const std::vector<int>& blocks,

@@ -66,10 +66,8 @@ Functionals::Functionals(const Ordering& ordering, LeastSquares* solved, Margina
   for (size_t s = 0; s < solved->estimate->sessions.size(); ++s) {
     SessionEstimate& session = solved->estimate->sessions[s];
     if (solved->options.estimate_gravity) {
-      for (int k = 0; k < 2; ++k) columns_.push_back(gravity++);
-      place({ParameterKind::kGravity, 0, s, 3, nullptr},
-            true,
-            PlusJacobian(BlockKind::kSphere, 3, session.g_W.data()));
+      for (int k = 0; k < 3; ++k) columns_.push_back(gravity++);
+      place({ParameterKind::kGravity, 0, s, 3, nullptr}, true, Eigen::Matrix3d::Identity());
     }
     for (size_t i = 0; i < session.imus.size(); ++i) {
       const auto place_mean = [&](ParameterKind kind, const BiasKnots& knots) {

@@ -59,7 +59,7 @@ TrajectoryCovariance::TrajectoryCovariance(const std::shared_ptr<const Solution>
   for (size_t s = 0; s < solution->estimate.sessions.size(); ++s) {
     const bool has_gravity = m.Find(ParameterKind::kGravity, 0, s) >= 0;
     gravity_.push_back(has_gravity ? column : -1);
-    if (has_gravity) column += 2;
+    if (has_gravity) column += 3;
   }
   for (const SessionEstimate& session : solution->estimate.sessions) {
     gyro_knots_.emplace_back();
@@ -132,7 +132,7 @@ TrajectoryCovariance::Columns TrajectoryCovariance::Clock(size_t session, size_t
 }
 
 TrajectoryCovariance::Columns TrajectoryCovariance::Gravity(size_t session) const {
-  return Kept(gravity_[session], 2);
+  return Kept(gravity_[session], 3);
 }
 
 TrajectoryCovariance::Columns TrajectoryCovariance::BiasKnotPair(size_t session,

@@ -52,16 +52,14 @@ class NormalEquationsTest : public testing::Test {
     g_ = vector();
     for (Eigen::Vector3d& point : points_) point = vector();
     border_ = {problem_.AddParameters(q_.coeffs().data(), 4, BlockKind::kUnitQuaternion),
-               problem_.AddParameters(g_.data(), 3, BlockKind::kSphere),
+               problem_.AddParameters(g_.data(), 3),
                problem_.AddParameters(&s_, 1)};
     ceres_.AddParameterBlock(q_.coeffs().data(), 4);
     ceres_.AddParameterBlock(g_.data(), 3);
 #if IMU_POSE_CALIB_CERES_HAS_MANIFOLDS
     ceres_.SetManifold(q_.coeffs().data(), new QuaternionManifold);
-    ceres_.SetManifold(g_.data(), new SphereManifold);
 #else
     ceres_.SetParameterization(q_.coeffs().data(), new QuaternionManifold);
-    ceres_.SetParameterization(g_.data(), new SphereManifold);
 #endif
     for (size_t k = 0; k + 1 < points_.size(); ++k) {
       const Curved curved{vector()};

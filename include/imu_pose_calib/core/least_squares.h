@@ -157,6 +157,11 @@ struct LeastSquares {
                    double expected = 0.0,
                    std::optional<size_t> imu = std::nullopt);
 
+  /// What is known beforehand of a parameter that is there, in the middle of a session.
+  void AddPrior(std::unique_ptr<const ceres::CostFunction> prior,
+                const double* data,
+                size_t session);
+
   /// Bias knots of all sessions.
   std::vector<int> BiasBlocks() const;
   /// All residual blocks.

@@ -86,7 +86,7 @@ struct CalibrationOptions {
   std::optional<Eigen::Quaterniond> initial_rotation;
   /// Guess of the translation p_MI [m].
   std::optional<Eigen::Vector3d> initial_translation;
-  /// Guess of gravity in W [m/s^2]; its norm is kept.
+  /// Guess of gravity in W [m/s^2].
   std::optional<Eigen::Vector3d> initial_gravity;
 
   // --- What is estimated; false keeps the initial value, which must then be given ---
@@ -94,14 +94,14 @@ struct CalibrationOptions {
   bool estimate_time_shift = true;
   bool estimate_rotation = true;
   bool estimate_translation = true;
-  bool estimate_gravity = true;  ///< the direction
+  bool estimate_gravity = true;
   /// How much later than the gyroscope's the accelerometer's data are delivered.
   bool estimate_accel_delay = true;
   /// Start or fixed value [s]: t_pose = t_accel + time_shift - accel_delay.
   double accel_delay = 0.0;
   /// How much more than the IMU the source of the poses averages over time. Joint solve only.
   bool estimate_pose_smoothing = true;
-  /// By how much the source of the poses exaggerates positions, usually within 0.3 %. Joint solve
+  /// By how much the source of the poses exaggerates positions, usually within 0.1 %. Joint solve
   /// only.
   bool estimate_pose_scale = true;
   /// How much more than the gyroscope the accelerometer averages over time. Joint solve only.
@@ -110,10 +110,14 @@ struct CalibrationOptions {
   bool estimate_clock_drift = true;
   /// Scale and misalignment of the sensors, usually within 1 % and 0.5 deg. Joint solve only.
   ImuModel imu_model = ImuModel::kScaleMisalignment;
-  /// Places of the accelerometer's axes, where the data show that they are apart. Joint solve only.
+  /// Places of the accelerometer's axes, usually within 3 mm. Joint solve only.
   bool estimate_size_effect = true;
-  /// Magnitude of gravity [m/s^2] unless initial_gravity is given.
+  /// What is known of the magnitude of gravity [m/s^2], and its sigma. The norm of initial_gravity
+  /// and the latitude, where they are given, count instead of the magnitude.
   double gravity_magnitude = 9.80665;
+  double gravity_magnitude_std = 0.03;
+  /// [deg] Then the sigma is that of unknown heights and anomalies, 0.003, or less if that is set.
+  std::optional<double> latitude;
 
   // --- Solve (S3, S4) ---
 
@@ -144,6 +148,9 @@ struct CalibrationOptions {
   double weak_translation_std = 0.01;  ///< [m]
   double weak_time_shift_std = 0.002;  ///< [s]
 
+  /// Magnitude of gravity that is expected, and its sigma [m/s^2].
+  double GravityMagnitude() const;
+  double GravityStd() const;
   /// How many `num_threads` asks for.
   int Threads() const;
 

@@ -47,6 +47,7 @@ class Problem {
   double* data(int block) const { return At(block).data; }
   int TangentSize(int block) const;
   BlockKind kind(int block) const { return At(block).kind; }
+  /// Of a quaternion.
   Eigen::MatrixXd PlusJacobian(int block) const;
   /// Moves blocks one after the other by a step of all; returns the values before.
   std::vector<double> Move(const std::vector<int>& blocks, const Eigen::VectorXd& step) const;

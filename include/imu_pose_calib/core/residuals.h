@@ -82,6 +82,23 @@ struct AccelResidual {
   }
 };
 
+/// Magnitude of gravity that is known beforehand: r = (|g_W| - magnitude) / sigma, both [m/s^2].
+/// Block: g_W (3). Residual: 1.
+struct GravityPrior {
+  double magnitude, sigma;
+
+  template <typename T>
+  bool operator()(const T* g_W, T* residual) const {
+    *residual = (Eigen::Map<const Eigen::Matrix<T, 3, 1>>(g_W).norm() - T(magnitude)) / T(sigma);
+    return true;
+  }
+
+  std::unique_ptr<ceres::CostFunction> Create() const {
+    return std::make_unique<ceres::AutoDiffCostFunction<GravityPrior, 1, 3>>(
+        new GravityPrior(*this));
+  }
+};
+
 /// Brownian motion of a bias between two knots: r = (knot_1 - knot_0) / sigma with
 /// sigma = walk sqrt(time between the knots). Blocks: knot_0 (3) | knot_1 (3). Residual: 3.
 struct BiasWalkResidual {

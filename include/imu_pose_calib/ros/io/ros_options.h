@@ -51,6 +51,8 @@ void VisitFields(Options&& options, Visitor&& visit) {
   IMU_POSE_CALIB_VISIT(imu_model);
   IMU_POSE_CALIB_VISIT(estimate_size_effect);
   IMU_POSE_CALIB_VISIT(gravity_magnitude);
+  IMU_POSE_CALIB_VISIT(gravity_magnitude_std);
+  IMU_POSE_CALIB_VISIT(latitude);
   IMU_POSE_CALIB_VISIT(knot_spacing_s);
   IMU_POSE_CALIB_VISIT(robust_loss_scale);
   IMU_POSE_CALIB_VISIT(max_iterations);
