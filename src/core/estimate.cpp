@@ -31,6 +31,14 @@ Eigen::Vector3d BiasKnots::Mean() const {
   return sum / static_cast<double>(values.size());
 }
 
+double ImuSessionEstimate::ImuTime(double t_M) const {
+  double t = ClockLine::ImuTime(t_M);
+  // The walk is slow: each round leaves what it changes by within the change of the last one.
+  for (int round = 0; round < 4 && !walk.IsLine(); ++round)
+    t = ClockLine::ImuTime(t_M - walk.At(t));
+  return t;
+}
+
 size_t SessionEstimate::FirstImu() const {
   const auto is_present = [](const ImuSessionEstimate& imu) { return imu.is_present; };
   return static_cast<size_t>(std::find_if(imus.begin(), imus.end(), is_present) - imus.begin());
@@ -51,7 +59,8 @@ Estimate::Estimate(const PreparedSession& session, double bias_knot_interval_s)
     imu.is_present = true;
     imu.time_shift = start.time_shift;
     imu.clock_drift = start.clock_drift;
-    imu.clock_reference = 0.5 * (samples.gyro.front().t + samples.gyro.back().t);
+    imu.walk = start.walk;
+    imu.clock_reference = samples.MiddleOfGyro();
     imu.gyro_bias = BiasKnots(samples.gyro, bias_knot_interval_s, start.gyro_bias);
     imu.accel_bias = BiasKnots(samples.accel, bias_knot_interval_s, start.accel_bias);
   }

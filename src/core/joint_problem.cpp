@@ -51,10 +51,13 @@ Samples<Sample> Collect(const CalibrationOptions& options,
   return samples;
 }
 
-/// The places of samples: a residual block takes those that share the first control point and knot.
+/// The places of samples: a residual block takes those that share the first control point, the
+/// knots of the bias and of the clock.
 struct Run {
-  int first, knot;
-  bool operator==(const Run& o) const { return first == o.first && knot == o.knot; }
+  int first, knot, walk = 0;
+  bool operator==(const Run& o) const {
+    return first == o.first && knot == o.knot && walk == o.walk;
+  }
 };
 
 /// Calls add(begin, end, run) for samples that are alike.
@@ -70,7 +73,7 @@ void ForRuns(const std::vector<Run>& runs, const Add& add) {
 struct Places {
   std::shared_ptr<const PoseTrajectory> trajectory;
   CorrectionSplines splines;
-  ImuSessionEstimate reference;  ///< clock of the first IMU
+  ClockLine reference;  ///< clock of the first IMU
   Eigen::Vector3d g_W;
 
   /// The GP at t [s] on the pose clock.
@@ -276,13 +279,16 @@ void SessionBuilder::AddImu(size_t imu,
     const auto span = places_->FindSpan(t_M);
     if (!span || !IsOnTrajectory(*prepared_.trajectory, t_M)) continue;
     runs.push_back({*span, static_cast<int>(knots->Locate(data[i].t).first)});
+    if (!clock.walk.IsLine())
+      runs.back().walk = static_cast<int>(clock.walk.Locate(data[i].t - delay).first);
     sensor->samples.push_back({t_M,
                                static_cast<uint32_t>(i),
                                static_cast<float>(model.noise / std::sqrt(model.weights[i]))});
   }
   const double own_reference = delay + clock.clock_reference;
   const std::function<Sample(size_t)> make =
-      [places = places_, sensor, knots, own_reference, complete, &data](size_t k) {
+      [places = places_, sensor, knots, own_reference, complete, walk = clock.walk, delay, &data](
+          size_t k) {
         const ProblemSample& at = sensor->samples[k];
         const TimedSample& measured = data[at.index];
         Sample sample;
@@ -292,6 +298,10 @@ void SessionBuilder::AddImu(size_t imu,
         sample.own_time = measured.t - own_reference;
         sample.reference_time = places->ReferenceTime(at.t);
         sample.sigma = at.sigma;
+        if (!walk.IsLine()) {
+          sample.walk_u = walk.Locate(measured.t - delay).second;
+          sample.walk = walk.At(measured.t - delay);
+        }
         complete(*places, at.t, &sample);
         return sample;
       };
@@ -300,12 +310,19 @@ void SessionBuilder::AddImu(size_t imu,
     const int block = joint_->problem.AddParameters(value.data(), 3);
     if (first_knot < 0) first_knot = block;
   }
+  ClockWalk& walk = estimate_.imus[imu].walk;
+  int first_walk = -1;  // as well
+  for (double& offset : walk.offset) {
+    const int block = joint_->problem.AddParameters(&offset, 1);
+    if (first_walk < 0) first_walk = block;
+  }
+  if (!walk.IsLine()) joint_->problem.SetHeld(&walk.offset[walk.reference], true);
   const std::shared_ptr<const SampledCost> cost =
       create(Collect(joint_->options, runs.size(), make));
   ForRuns(runs, [&](size_t begin, size_t end, const Run& run) {
-    sensor->Add(
-        joint_->problem.AddResiduals(cost, begin, end, blocks(run.first, first_knot + run.knot)),
-        sensor->samples[begin].t);
+    std::vector<int> all = blocks(run.first, first_knot + run.knot);
+    if (!walk.IsLine()) all.insert(all.end(), {first_walk + run.walk, first_walk + run.walk + 1});
+    sensor->Add(joint_->problem.AddResiduals(cost, begin, end, all), sensor->samples[begin].t);
   });
 }
 
@@ -328,7 +345,8 @@ void SessionBuilder::AddGyro(size_t imu) {
         sample->alpha_M = gp.alpha_M;
       },
       [&](Samples<JointImuSample> samples) {
-        return CreateJointGyroResidual(std::move(samples), clocks.motions);
+        return CreateJointGyroResidual(
+            std::move(samples), clocks.motions, !estimate_.imus[imu].walk.IsLine());
       },
       [&](int first, int knot) {
         return Blocks({phi_ + first}, {q_MI, intrinsics, knot, knot + 1}, clocks.blocks);
@@ -366,8 +384,10 @@ void SessionBuilder::AddAccel(size_t imu) {
         if (with_curvature) sample->jerk.f_curvature = places.ForceCurvature(gp, t_M, p_MI);
       },
       [&](Samples<JointAccelSample> samples) {
-        return CreateJointAccelResidual(
-            std::move(samples), rig.q_MI.toRotationMatrix(), clocks.motions);
+        return CreateJointAccelResidual(std::move(samples),
+                                        rig.q_MI.toRotationMatrix(),
+                                        clocks.motions,
+                                        !estimate_.imus[imu].walk.IsLine());
       },
       [&](int first, int knot) {
         return Blocks({d_ + first, phi_ + first},
@@ -426,6 +446,7 @@ std::unique_ptr<LeastSquares> BuildJointProblem(const CalibrationOptions& option
       builder.AddAccel(i);
       joint->AddBiasWalk(options.gyro_bias_walk, s, i, &imu.gyro_bias);
       joint->AddBiasWalk(options.accel_bias_walk, s, i, &imu.accel_bias);
+      joint->AddClockWalk(s, i);
     }
     ShareFreedom((*splines)[s], s, joint.get());
   }

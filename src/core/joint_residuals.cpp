@@ -132,6 +132,11 @@ double Factor(const ClockMotion& clock, const JointImuSample& s) {
   return Factor(clock, s.own_time, s.reference_time);
 }
 
+double WalkShare(const JointPoseSample&) { return 0.0; }
+double WalkShare(const JointImuSample& s) { return s.walk_u; }
+double WalkValue(const JointPoseSample&) { return 0.0; }
+double WalkValue(const JointImuSample& s) { return s.walk; }
+
 /// How far a sample has moved [s].
 struct Move {
   double on_gp = 0.0, on_spline = 0.0;
@@ -144,15 +149,17 @@ class BatchResidual : public SampledCost {
   BatchResidual(Samples<Sample> samples,
                 std::initializer_list<int> other_blocks,
                 int splines,
-                const ClockMotions& clocks)
-      : first_clock_(static_cast<size_t>(splines) * kSplineOrder + other_blocks.size()),
+                const ClockMotions& clocks,
+                bool has_walk = false)
+      : has_walk_(has_walk),
+        first_clock_(static_cast<size_t>(splines) * kSplineOrder + other_blocks.size()),
         samples_(std::move(samples)),
         clocks_(clocks) {
     set_num_residuals(3 * static_cast<int>(samples_.size()));
     std::vector<int>* sizes = mutable_parameter_block_sizes();
     sizes->assign(static_cast<size_t>(splines) * kSplineOrder, 3);
     sizes->insert(sizes->end(), other_blocks);
-    sizes->insert(sizes->end(), clocks_->size(), 1);
+    sizes->insert(sizes->end(), clocks_->size() + (has_walk ? 2 : 0), 1);
   }
 
   bool EvaluatePart(size_t begin,
@@ -182,6 +189,15 @@ class BatchResidual : public SampledCost {
       dt.on_gp += clock.on_gp * step;
       dt.on_spline += clock.on_spline * step;
     }
+    if (has_walk_) {
+      // Along both: the splines follow the line of a clock alone.
+      const size_t knot = first_clock_ + clocks_->size();
+      const double u = WalkShare(sample);
+      const double step =
+          (1.0 - u) * *blocks[knot] + u * *blocks[knot + 1] - WalkValue(sample);
+      dt.on_gp += step;
+      dt.on_spline += step;
+    }
     return dt;
   }
 
@@ -197,9 +213,15 @@ class BatchResidual : public SampledCost {
           static_cast<int>(first_clock_ + k),
           Vector3d(Factor(clock, sample) * (clock.on_gp * r_gp + clock.on_spline * r_spline)));
     }
+    if (!has_walk_) return;
+    const int knot = static_cast<int>(first_clock_ + clocks_->size());
+    const double u = WalkShare(sample);
+    SetRows<1>(jacobians, knot, Vector3d((1.0 - u) * (r_gp + r_spline)));
+    SetRows<1>(jacobians, knot + 1, Vector3d(u * (r_gp + r_spline)));
   }
 
  private:
+  const bool has_walk_;
   const size_t first_clock_;
   const Samples<Sample> samples_;
   const ClockMotions clocks_;
@@ -272,8 +294,8 @@ class JointRotationResidual : public BatchResidual<JointPoseSample> {
 
 class JointGyroResidual : public BatchResidual<JointImuSample> {
  public:
-  JointGyroResidual(Samples<JointImuSample> samples, const ClockMotions& clocks)
-      : BatchResidual(std::move(samples), {4, 6, 3, 3}, 1, clocks) {}
+  JointGyroResidual(Samples<JointImuSample> samples, const ClockMotions& clocks, bool has_walk)
+      : BatchResidual(std::move(samples), {4, 6, 3, 3}, 1, clocks, has_walk) {}
 
  protected:
   bool EvaluateSample(const JointImuSample& s,
@@ -324,8 +346,10 @@ class JointAccelResidual : public BatchResidual<JointAccelSample> {
  public:
   JointAccelResidual(Samples<JointAccelSample> samples,
                      const Matrix3d& R_MA,
-                     const ClockMotions& clocks)
-      : BatchResidual(std::move(samples), {4, 3, 3, 9, 3, 3, 1, 1, 6}, 2, clocks), R_MA_(R_MA) {}
+                     const ClockMotions& clocks,
+                     bool has_walk)
+      : BatchResidual(std::move(samples), {4, 3, 3, 9, 3, 3, 1, 1, 6}, 2, clocks, has_walk),
+        R_MA_(R_MA) {}
 
  protected:
   bool EvaluateSample(const JointAccelSample& s,
@@ -445,14 +469,16 @@ std::unique_ptr<SampledCost> CreateJointRotationResidual(Samples<JointPoseSample
 }
 
 std::unique_ptr<SampledCost> CreateJointGyroResidual(Samples<JointImuSample> samples,
-                                                     const ClockMotions& clocks) {
-  return std::make_unique<JointGyroResidual>(std::move(samples), clocks);
+                                                     const ClockMotions& clocks,
+                                                     bool has_walk) {
+  return std::make_unique<JointGyroResidual>(std::move(samples), clocks, has_walk);
 }
 
 std::unique_ptr<SampledCost> CreateJointAccelResidual(Samples<JointAccelSample> samples,
                                                       const Eigen::Matrix3d& R_MA,
-                                                      const ClockMotions& clocks) {
-  return std::make_unique<JointAccelResidual>(std::move(samples), R_MA, clocks);
+                                                      const ClockMotions& clocks,
+                                                      bool has_walk) {
+  return std::make_unique<JointAccelResidual>(std::move(samples), R_MA, clocks, has_walk);
 }
 
 }  // namespace imu_pose_calib

@@ -385,9 +385,11 @@ JointStart ChooseKnotSpacing(const CalibrationOptions& options,
   for (size_t i = 0; i < start.imus.size(); ++i) {
     const double reach = session.data.poses.back().t - session.data.poses.front().t;
     ImuSessionEstimate& clock = estimate->sessions[0].imus[i];
-    if (std::abs(clock.clock_drift - start.imus[i].clock_drift) * reach <= spacing) continue;
-    clock.time_shift = start.imus[i].time_shift;
-    clock.clock_drift = start.imus[i].clock_drift;
+    if (std::abs(clock.clock_drift - start.imus[i].clock_drift) * reach <= spacing &&
+        clock.walk.IsLine())
+      continue;
+    static_cast<ClockLine&>(clock) = start.imus[i];
+    clock.walk = start.imus[i].walk;
   }
   return {spacing, Correctable(options, session, spacing), noise, lively.liveliness};
 }

@@ -210,6 +210,15 @@ void LeastSquares::AddBiasWalk(double walk, size_t session, size_t imu, BiasKnot
   }
 }
 
+void LeastSquares::AddClockWalk(size_t session, size_t imu) {
+  ImuSessionEstimate& clock = estimate->sessions[session].imus[imu];
+  for (size_t k = 0; k + 1 < clock.walk.t.size(); ++k)
+    priors.push_back({problem.AddResidualsOf({&clock.walk.offset[k], &clock.walk.offset[k + 1]},
+                                             WalkResidual<1>{clock.walk.std[k]}.Create()),
+                      session,
+                      clock.PoseTime(clock.walk.t[k])});
+}
+
 void LeastSquares::AddOptional(ParameterKind kind,
                                const Eigen::VectorXd& sigmas,
                                double expected,
@@ -265,6 +274,15 @@ std::vector<int> LeastSquares::BiasBlocks() const {
   return blocks;
 }
 
+std::vector<int> LeastSquares::ClockBlocks() const {
+  std::vector<int> blocks;
+  for (SessionEstimate& session : estimate->sessions)
+    for (ImuSessionEstimate& imu : session.imus)
+      for (double& offset : imu.walk.offset)
+        if (problem.IsEstimated(&offset)) blocks.push_back(problem.Find(&offset));
+  return blocks;
+}
+
 std::vector<Equation> LeastSquares::Equations() const {
   std::vector<Equation> equations;
   const auto add = [&](int block, size_t session, double t) {
@@ -284,7 +302,8 @@ NormalEquations LeastSquares::StepEquations() const {
   };
   for (const Parameter& p : CalibrationParameters(estimate)) add_border(p.data);
   for (SessionEstimate& session : estimate->sessions) add_border(session.g_W.data());
-  inner.insert(inner.end(), trajectory_blocks.begin(), trajectory_blocks.end());
+  for (const std::vector<int>& blocks : {ClockBlocks(), trajectory_blocks})
+    inner.insert(inner.end(), blocks.begin(), blocks.end());
   std::vector<Equation> all = Equations();
   const int joined = std::max(1, windows.count() / kStepWindows);
   for (Equation& equation : all) equation.window /= joined;

@@ -28,6 +28,28 @@ Start StartOf(CalibrationOptions options, const PreparedSession& session, size_t
   }
 }
 
+/// What the clock does beyond its line, and the lever arm's start with it.
+void FindWalk(const CalibrationOptions& options,
+              const ConditionedImu& imu,
+              const PoseTrajectory& trajectory,
+              Start* start) {
+  ClockLine line{start->time_shift, start->clock_drift, imu.MiddleOfGyro()};
+  start->walk = FitClockWalk(trajectory, imu.gyro, &line);
+  if (start->walk.IsLine()) return;
+  start->time_shift = line.time_shift;
+  std::vector<TimedSample> accel = imu.accel;
+  for (TimedSample& s : accel) s.t += start->walk.At(s.t);
+  const Eigen::Vector3d g_W = start->g_W, p_MI = start->p_MI;
+  FitLeverArm(trajectory,
+              accel,
+              options.GravityMagnitude(),
+              options.estimate_accel_delay,
+              options.Threads(),
+              start);
+  if (!options.estimate_translation) start->p_MI = p_MI;
+  if (options.initial_gravity) start->g_W = g_W;
+}
+
 }  // namespace
 
 PreparedSession Prepare(const CalibrationOptions& options,
@@ -57,6 +79,8 @@ PreparedSession Prepare(const CalibrationOptions& options,
     if (options.method == Method::kJoint && options.estimate_clock_drift &&
         std::abs(match.drift_ppm) > kSureDrift * match.drift_ppm_std)
       prepared.starts[i].clock_drift = 1e-6 * match.drift_ppm;
+    if (options.method == Method::kJoint && options.estimate_clock_walk)
+      FindWalk(options, prepared.data.imus[i], *prepared.trajectory, &prepared.starts[i]);
   }
   return prepared;
 }

@@ -41,6 +41,7 @@ Ordering::Ordering(LeastSquares* solved) {
     if (solved->options.estimate_gravity) add(problem.Find(session.g_W.data()), &border);
   biases = columns;
   for (const int block : solved->BiasBlocks()) add(block, &inner);
+  for (const int block : solved->ClockBlocks()) add(block, &inner);
   trajectory = columns;
   for (const int block : solved->trajectory_blocks) add(block, &inner);
 }

@@ -153,8 +153,9 @@ ImuData Imu(const SimulatorOptions& options,
   const Eigen::Matrix3d R_IM = options.T_MI.q.toRotationMatrix().transpose();
   const Eigen::Matrix3d gyro_R_IM = flaws.gyro_matrix * R_IM;
   const Eigen::Matrix3d accel_R_IM = flaws.accel_matrix * R_IM;
+  const Eigen::Vector3d g_W = options.g_W + options.effects.gravity * options.g_W.normalized();
   const auto force_M = [&](const TrueState& s, const Eigen::Vector3d& p) -> Eigen::Vector3d {
-    return s.R_WM.transpose() * (s.a_W - options.g_W) + s.alpha_M.cross(p) +
+    return s.R_WM.transpose() * (s.a_W - g_W) + s.alpha_M.cross(p) +
            s.omega_M.cross(s.omega_M.cross(p));
   };
   const auto gyro = [&](double t) -> Eigen::Vector3d {
@@ -207,6 +208,24 @@ std::vector<PoseSample> FusedPoses(const SimulatorOptions& options, const Sessio
   return Fused(data.poses, t_pose, omega_M, t_omega, options.effects.fused_poses_s);
 }
 
+/// [s] by which a clock is ahead, `t` [s] after the first sample.
+double Ahead(const StreamEffects& effects, double t, double duration_s) {
+  constexpr double kPeriod = 60.0, kStepAt = 0.45;
+  return effects.wander_s * std::sin(2.0 * M_PI * t / kPeriod) +
+         (t > kStepAt * duration_s ? effects.clock_step_s : 0.0);
+}
+
+/// Stamps by that clock.
+template <typename Sample>
+void Warp(const StreamEffects& effects,
+          int64_t first_ns,
+          double duration_s,
+          std::vector<Sample>* samples) {
+  for (Sample& s : *samples)
+    s.t_ns += std::llround(
+        1e9 * Ahead(effects, 1e-9 * static_cast<double>(s.t_ns - first_ns), duration_s));
+}
+
 }  // namespace
 
 TrueClock::TrueClock(const SimulatorOptions& options) {
@@ -219,6 +238,12 @@ TrueClock::TrueClock(const SimulatorOptions& options) {
   time_shift_s = options.time_shift_s - gyro +
                  MeanLateness(PoseStamps(options), options.start_ns, options.pose_rate_hz);
   accel_delay_s = options.accel_delay_s + accel - gyro;
+  time_shift_s += Wander(options, 0.5 * options.duration_s);
+}
+
+double Wander(const SimulatorOptions& options, double t) {
+  return Ahead(options.effects.pose_stream, t, options.duration_s) -
+         Ahead(options.effects.imu_stream, t, options.duration_s);
 }
 
 SessionData Simulate(const SimulatorOptions& options) {
@@ -242,6 +267,9 @@ SessionData Simulate(const SimulatorOptions& options) {
   };
   deliver_imu(options.gyro_rate_hz, &data.imus[0].gyro);
   deliver_imu(options.accel_rate_hz, &data.imus[0].accel);
+  Warp(effects.pose_stream, options.start_ns, options.duration_s, &data.poses);
+  for (std::vector<ImuSample>* samples : {&data.imus[0].gyro, &data.imus[0].accel})
+    Warp(effects.imu_stream, FirstImuStamp(options), options.duration_s, samples);
   return data;
 }
 

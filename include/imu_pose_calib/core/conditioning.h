@@ -71,6 +71,8 @@ struct ConditionedImu {
   StreamReport gyro_report, accel_report;
 
   bool IsPresent() const { return !gyro.empty(); }
+  /// [s], at which a time shift holds.
+  double MiddleOfGyro() const { return 0.5 * (gyro.front().t + gyro.back().t); }
 };
 
 /// A recording that the next stages can rely on: finite, in strictly increasing time, without

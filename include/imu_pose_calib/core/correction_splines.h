@@ -22,11 +22,9 @@ class CorrectionSplines {
 
   /// Place of t; nothing when no spline covers it.
   std::optional<SplinePlace> Locate(double t) const;
-  /// The splines go along when the clock that maps to t changes: from `before` to `after`, which
-  /// are of the same IMU in the same session.
-  void Follow(const ImuSessionEstimate& before,
-              const ImuSessionEstimate& after,
-              double delay_growth);
+  /// The splines go along when the line of the clock that maps to t changes: from `before` to
+  /// `after`, which are of the same IMU in the same session.
+  void Follow(const ClockLine& before, const ClockLine& after, double delay_growth);
 
   /// The runs, in order: instants t [s, pose clock] and control points.
   struct Run {

@@ -47,19 +47,14 @@ struct ImuEstimate {
 };
 
 /// An IMU in a session; times as in Start.
-struct ImuSessionEstimate {
+struct ImuSessionEstimate : ClockLine {
   bool is_present = false;
-  double time_shift = 0.0;       ///< [s]
-  double clock_drift = 0.0;      ///< [s/s] growth of the time shift
-  double clock_reference = 0.0;  ///< [s] IMU clock: instant at which time_shift holds
+  ClockWalk walk;  ///< of the clock, beyond the line
   BiasKnots gyro_bias, accel_bias;
 
-  /// Pose clock at t [s, IMU clock]. The accelerometer's samples describe t = stamp - accel_delay.
-  double PoseTime(double t) const { return t + time_shift + clock_drift * (t - clock_reference); }
-  /// The other way.
-  double ImuTime(double t_M) const {
-    return (t_M - time_shift + clock_drift * clock_reference) / (1.0 + clock_drift);
-  }
+  /// As those of the line, with the walk.
+  double PoseTime(double t) const { return ClockLine::PoseTime(t) + walk.At(t); }
+  double ImuTime(double t_M) const;
 };
 
 struct SessionEstimate {

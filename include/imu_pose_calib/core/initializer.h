@@ -3,6 +3,7 @@
 #include <optional>
 #include <vector>
 
+#include "imu_pose_calib/core/clock_walk.h"
 #include "imu_pose_calib/core/conditioning.h"
 #include "imu_pose_calib/core/options.h"
 #include "imu_pose_calib/core/pose_trajectory.h"
@@ -15,6 +16,7 @@ namespace imu_pose_calib {
 struct Start {
   double time_shift = 0.0;   ///< [s]
   double clock_drift = 0.0;  ///< [s/s] unless it is not estimated or not sure
+  ClockWalk walk;            ///< beyond these; about the middle of the gyroscope's log
   double accel_delay = 0.0;  ///< [s]
   Eigen::Quaterniond q_MI = Eigen::Quaterniond::Identity();
   Eigen::Vector3d p_MI = Eigen::Vector3d::Zero();        ///< [m]

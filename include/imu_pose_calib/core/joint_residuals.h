@@ -79,14 +79,16 @@ struct JointImuSample {
   Eigen::Vector3d value;             ///< gyroscope [rad/s] or accelerometer [m/s^2] in I
   double bias_u;                     ///< 0..1 between the bias knots
   double own_time, reference_time;   ///< [s] as in JointPoseSample, on its own IMU's clock too
+  double walk_u = 0.0, walk = 0.0;   ///< 0..1 between the knots of the clock; [s] where it stands
   double sigma;                      ///< unit of value
 };
 
 /// r = (w - b_g - K_g R_MI^T omega_M(t)) / sigma, in I.
 /// Blocks: phi | q_MI (4, xyzw) | K_g (6, see GyroMatrix()) | bias knot_0 (3) | knot_1 (3) |
-/// clocks.
+/// clocks | with a walk: its knots (1), (1).
 std::unique_ptr<SampledCost> CreateJointGyroResidual(Samples<JointImuSample> samples,
-                                                     const ClockMotions& clocks);
+                                                     const ClockMotions& clocks,
+                                                     bool has_walk = false);
 
 /// Derivatives of the GP's motion, along which accelerometers move and over which they average.
 struct MarkerJerk {
@@ -106,9 +108,10 @@ struct JointAccelSample : JointImuSample {
 /// f_M = R_WM^T (a_W / k - g_W) + alpha_M x p + omega_M x (omega_M x p), k: pose_scale. For axis i
 /// p is p_MI + R_MA r_i with r_i of AccelPositions() and R_MA about R_MI: it does not move.
 /// Blocks: d | phi | q_MI (4) | p_MI (3) | g_W (3) | K_a (9, see AccelMatrix()) | knot_0 (3) |
-/// knot_1 (3) | accel_smoothing (1) | pose_scale (1) | r (6) | clocks.
+/// knot_1 (3) | accel_smoothing (1) | pose_scale (1) | r (6) | clocks | walk as above.
 std::unique_ptr<SampledCost> CreateJointAccelResidual(Samples<JointAccelSample> samples,
                                                       const Eigen::Matrix3d& R_MA,
-                                                      const ClockMotions& clocks);
+                                                      const ClockMotions& clocks,
+                                                      bool has_walk = false);
 
 }  // namespace imu_pose_calib

@@ -162,8 +162,12 @@ struct LeastSquares {
                 const double* data,
                 size_t session);
 
+  void AddClockWalk(size_t session, size_t imu);
+
   /// Bias knots of all sessions.
   std::vector<int> BiasBlocks() const;
+  /// Knots of the clocks of all sessions that are estimated.
+  std::vector<int> ClockBlocks() const;
   /// All residual blocks.
   std::vector<Equation> Equations() const;
 

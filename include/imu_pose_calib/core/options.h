@@ -108,6 +108,8 @@ struct CalibrationOptions {
   bool estimate_accel_smoothing = true;
   /// Linear growth of the time shift, usually within 100 ppm. Joint solve only.
   bool estimate_clock_drift = true;
+  /// What the time shift does beyond that: a walk, where the gyroscope shows one. Joint solve only.
+  bool estimate_clock_walk = true;
   /// Scale and misalignment of the sensors, usually within 1 % and 0.5 deg. Joint solve only.
   ImuModel imu_model = ImuModel::kScaleMisalignment;
   /// Places of the accelerometer's axes, usually within 3 mm. Joint solve only.

@@ -12,6 +12,8 @@ namespace imu_pose_calib {
 
 /// What happens to the stamps of a stream, and to its samples on the way. 0: nothing.
 struct StreamEffects {
+  double wander_s = 0.0;   ///< [s] amplitude of a sine of a minute that the clock runs ahead by
+  double clock_step_s = 0.0;  ///< [s] by which it jumps ahead after 45 % of the recording
   double jitter_s = 0.0;   ///< [s] sigma of the stamps
   double latency_s = 0.0;  ///< [s] mean of the exponential delay at which samples are stamped
   double burst = 0.0;      ///< samples that are stamped together, when the last of them is there
@@ -29,6 +31,8 @@ struct RealEffects {
   double rocking = 0.0;  ///< [rad/s] rms per axis from 20 to 80 Hz, about a point 0.2 m off
   /// [m/s^2] peak of jolts of some 20 ms, 30 a minute, and as much turning as gives that 0.2 m off.
   double shocks = 0.0;
+
+  double gravity = 0.0;  ///< [m/s^2] by which it is stronger than SimulatorOptions::g_W
 
   // --- IMU ---
 

@@ -99,21 +99,24 @@ struct GravityPrior {
   }
 };
 
-/// Brownian motion of a bias between two knots: r = (knot_1 - knot_0) / sigma with
-/// sigma = walk sqrt(time between the knots). Blocks: knot_0 (3) | knot_1 (3). Residual: 3.
-struct BiasWalkResidual {
+/// Brownian motion between two knots: r = (knot_1 - knot_0) / sigma, of a bias with
+/// sigma = walk sqrt(time between the knots). Blocks: knot_0 (kSize) | knot_1 (kSize). Residual:
+/// kSize.
+template <int kSize>
+struct WalkResidual {
   double sigma;
 
   template <typename T>
   bool operator()(const T* knot_0, const T* knot_1, T* residual) const {
-    for (int i = 0; i < 3; ++i) residual[i] = (knot_1[i] - knot_0[i]) / T(sigma);
+    for (int i = 0; i < kSize; ++i) residual[i] = (knot_1[i] - knot_0[i]) / T(sigma);
     return true;
   }
 
   std::unique_ptr<ceres::CostFunction> Create() const {
-    return std::make_unique<ceres::AutoDiffCostFunction<BiasWalkResidual, 3, 3, 3>>(
-        new BiasWalkResidual(*this));
+    return std::make_unique<ceres::AutoDiffCostFunction<WalkResidual, kSize, kSize, kSize>>(
+        new WalkResidual(*this));
   }
 };
+using BiasWalkResidual = WalkResidual<3>;
 
 }  // namespace imu_pose_calib

@@ -126,6 +126,9 @@ struct TrueClock {
   explicit TrueClock(const SimulatorOptions& options);
 };
 
+/// [s] by how much the offset of the clocks exceeds a line, `t` [s] after the first sample.
+double Wander(const SimulatorOptions& options, double t);
+
 /// Poses and IMU samples of `options`; the same options give the same data.
 SessionData Simulate(const SimulatorOptions& options);
 

@@ -48,6 +48,7 @@ void VisitFields(Options&& options, Visitor&& visit) {
   IMU_POSE_CALIB_VISIT(estimate_pose_scale);
   IMU_POSE_CALIB_VISIT(estimate_accel_smoothing);
   IMU_POSE_CALIB_VISIT(estimate_clock_drift);
+  IMU_POSE_CALIB_VISIT(estimate_clock_walk);
   IMU_POSE_CALIB_VISIT(imu_model);
   IMU_POSE_CALIB_VISIT(estimate_size_effect);
   IMU_POSE_CALIB_VISIT(gravity_magnitude);
