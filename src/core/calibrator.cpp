@@ -10,6 +10,7 @@
 #include "imu_pose_calib/core/observability.h"
 #include "imu_pose_calib/core/preparation.h"
 #include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/core/trajectory.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -154,6 +155,48 @@ void ReportSensors(const Solution& solution, Calibration* result) {
   }
 }
 
+/// Offsets of the clocks over time; sigmas enlarged as that of the time shift.
+void ReportClocks(const std::shared_ptr<const Solution>& solution, Calibration* result) {
+  std::shared_ptr<const TrajectoryCovariance> covariance;
+  for (size_t s = 0; s < result->sessions.size(); ++s) {
+    for (size_t i = 0; i < result->imus.size(); ++i) {
+      const ImuSessionEstimate& clock = solution->estimate.sessions[s].imus[i];
+      if (!clock.is_present) continue;
+      ImuSession& own = result->sessions[s].imus[i];
+      const double epoch = own.clock_reference - clock.clock_reference;
+      const auto offset = [&](double t) {
+        return own.time_shift + own.clock_drift * (t - clock.clock_reference) + clock.walk.At(t);
+      };
+      own.clock = {};
+      own.clock.wanders = !clock.walk.IsLine();
+      const std::vector<TimedSample>& gyro = solution->imus[s][i].gyro;
+      const std::vector<double> knots =
+          own.clock.wanders ? clock.walk.t : std::vector<double>{gyro.front().t, gyro.back().t};
+      const bool has_covariance = own.clock.wanders && !solution->marginals.factor.empty();
+      if (has_covariance && !covariance)
+        covariance = std::make_shared<const TrajectoryCovariance>(solution);
+      const SessionTrajectory trajectory(solution, s, covariance);
+      const auto model_std = [&](double t) {
+        return std::sqrt(trajectory.ClockVariance(i, clock.PoseTime(t)));
+      };
+      const double enlarged =
+          has_covariance ? std::max(1.0, own.time_shift_std / model_std(clock.clock_reference))
+                         : 1.0;
+      for (const double t : knots) {
+        own.clock.t.push_back(epoch + t);
+        own.clock.offset.push_back(offset(t));
+        own.clock.std.push_back(
+            has_covariance ? enlarged * model_std(t)
+                           : std::hypot(own.time_shift_std,
+                                        own.clock_drift_std * (t - clock.clock_reference)));
+      }
+      for (const size_t k : clock.walk.steps)
+        own.clock.steps.push_back(
+            {epoch + clock.walk.t[k + 1], clock.walk.offset[k + 1] - clock.walk.offset[k]});
+    }
+  }
+}
+
 /// S4: each session finds its knot spacing, noise and clocks alone; the rig starts from the
 /// liveliest session that has the IMU.
 Solution SolveTogether(const CalibrationOptions& options,
@@ -265,6 +308,7 @@ Calibration Calibrate(const CalibrationOptions& options,
     solution.imus.push_back(std::move(session.data.imus));
   }
   result.solution = std::make_shared<const Solution>(std::move(solution));
+  ReportClocks(result.solution, &result);
   verdict.End();
   return result;
 }

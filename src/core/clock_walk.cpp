@@ -16,9 +16,14 @@ constexpr double kRobust = 5.0;     // sigma, Cauchy's scale of a sample
 constexpr double kEvidence = 10.0;  // log likelihood by which a walk must beat a line
 // Densities that are tried [s/sqrt(s)], evenly in the logarithm.
 constexpr double kLeastDensity = 1e-7, kMostDensity = 1e-2;
-constexpr int kDensities = 50;
+constexpr int kDensities = 25;
+constexpr double kUnknown = 1.0;  // [s] sigma of the first offset
+// Errors of the poses that last [s], and how strong, in sigmas, they may be.
+constexpr double kSlowErrors = 3.0;
+constexpr double kSlow[] = {0.0, 0.5, 1.0, 2.0, 4.0};
 constexpr int kRounds = 4;         // each about the clock of the one before
-constexpr int kReweightings = 10;  // of the increments
+constexpr int kReweightings = 30;  // of the increments
+constexpr double kStep = 4.0;      // times the usual increment: a step
 
 /// A gyroscope sample and the marker where the clock puts it.
 struct Sample {
@@ -31,19 +36,30 @@ struct LocalOffsets {
   std::vector<double> z, variance;  ///< [s], [s^2]; infinite where there is no motion
 };
 
+/// What the offsets that samples tell are made of: the walk, white noise, and errors of the poses
+/// that last for seconds, `slow2` times as strong as the white noise.
+struct Model {
+  double density2, slow2;
+};
+
 /// A random walk through local offsets whose variances are known up to a factor.
 struct Walk {
   double log_likelihood = -std::numeric_limits<double>::infinity();
-  double scale2 = 1.0;                   ///< that factor
-  double density2 = 0.0;                 ///< [s] of the increments, in units of scale2
-  std::vector<double> offset;            ///< [s] smoothed
-  std::vector<double> increment2;        ///< [s^2] expected squares of the increments
+  double scale2 = 1.0;             ///< that factor
+  Model model = {0.0, 0.0};        ///< density in units of scale2
+  std::vector<double> offset;      ///< [s] smoothed
+  std::vector<double> increment2;  ///< [s^2] expected squares of the increments
 };
 
-std::vector<Sample> Compare(const PoseTrajectory& trajectory,
-                            const std::vector<TimedSample>& gyro,
-                            const ClockLine& line,
-                            const ClockWalk& walk) {
+struct Comparison {
+  RateAlignment alignment;
+  std::vector<Sample> samples;
+};
+
+Comparison Compare(const PoseTrajectory& trajectory,
+                   const std::vector<TimedSample>& gyro,
+                   const ClockLine& line,
+                   const ClockWalk& walk) {
   const double duration = gyro.back().t - gyro.front().t;
   const size_t stride =
       std::max<size_t>(1, static_cast<size_t>(static_cast<double>(gyro.size()) / duration / kRate));
@@ -58,13 +74,14 @@ std::vector<Sample> Compare(const PoseTrajectory& trajectory,
     t.push_back(gyro[i].t);
     alpha_M.push_back(marker.alpha_M);
   }
-  std::vector<Sample> samples;
-  if (pairs.size() < 3) return samples;
-  const RateAlignment alignment = AlignRates(pairs);
+  Comparison compared;
+  if (pairs.size() < 3) return compared;
+  compared.alignment = AlignRates(pairs);
   for (size_t i = 0; i < pairs.size(); ++i)
-    samples.push_back(
-        {t[i], alignment.Residual(pairs[i]), alignment.q_MI.conjugate() * alpha_M[i]});
-  return samples;
+    compared.samples.push_back({t[i],
+                                compared.alignment.Residual(pairs[i]),
+                                compared.alignment.q_MI.conjugate() * alpha_M[i]});
+  return compared;
 }
 
 LocalOffsets FindLocal(const std::vector<Sample>& samples, const ClockWalk& walk) {
@@ -90,66 +107,169 @@ LocalOffsets FindLocal(const std::vector<Sample>& samples, const ClockWalk& walk
 }
 
 /// Kalman filter and smoother. `growth2`: variance of each increment for a density of 1.
-Walk Smooth(const LocalOffsets& local, const std::vector<double>& growth2, double density2) {
+Walk Smooth(const LocalOffsets& local, const std::vector<double>& growth2, const Model& model) {
+  using Eigen::Matrix2d;
+  using Eigen::Vector2d;
   const size_t n = local.z.size();
-  Walk walk;
-  walk.density2 = density2;
-  std::vector<double> x(n), P(n), x_before(n), P_before(n);
+  const double kept = std::exp(-kInterval / kSlowErrors);
+  Matrix2d F = Matrix2d::Identity();
+  F(1, 1) = kept;
+  // Walk, and slow error in sigmas of the white noise.
+  std::vector<Vector2d> x(n), x_before(n);
+  std::vector<Matrix2d> P(n), P_before(n);
   double sum = 0.0, log_variance = 0.0, count = 0.0;
   bool is_known = false;
   for (size_t k = 0; k < n; ++k) {
-    x_before[k] = k == 0 ? 0.0 : x[k - 1];
-    P_before[k] = k == 0 ? 0.0 : P[k - 1] + density2 * growth2[k - 1];
+    if (k == 0) {
+      x_before[0].setZero();
+      P_before[0] << kUnknown * kUnknown, 0.0, 0.0, model.slow2;
+    } else {
+      x_before[k] = F * x[k - 1];
+      P_before[k] = F * P[k - 1] * F.transpose();
+      P_before[k](0, 0) += model.density2 * growth2[k - 1];
+      P_before[k](1, 1) += model.slow2 * (1.0 - kept * kept);
+    }
     x[k] = x_before[k];
     P[k] = P_before[k];
     if (!std::isfinite(local.variance[k])) continue;
-    if (!is_known) {  // nothing is known of the first
-      x[k] = local.z[k];
-      P[k] = local.variance[k];
-      is_known = true;
-      continue;
+    const double sigma = std::sqrt(local.variance[k]);
+    const Vector2d H(1.0, sigma);
+    const double innovation = local.z[k] - H.dot(x_before[k]);
+    const double variance = H.dot(P_before[k] * H) + local.variance[k];
+    if (is_known) {
+      sum += innovation * innovation / variance;
+      log_variance += std::log(variance);
+      count += 1.0;
     }
-    const double innovation = local.z[k] - x_before[k];
-    const double F = P_before[k] + local.variance[k];
-    sum += innovation * innovation / F;
-    log_variance += std::log(F);
-    count += 1.0;
-    x[k] += P_before[k] / F * innovation;
-    P[k] *= 1.0 - P_before[k] / F;
+    is_known = true;
+    const Vector2d gain = P_before[k] * H / variance;
+    x[k] += gain * innovation;
+    P[k] -= gain * gain.transpose() * variance;
   }
+  Walk walk;
+  walk.model = model;
   if (count < 1.0) return walk;
   walk.scale2 = sum / count;
   walk.log_likelihood = -0.5 * (count * std::log(walk.scale2) + log_variance);
-  walk.offset = x;
+  walk.offset.resize(n);
   walk.increment2.resize(n - 1);
+  walk.offset[n - 1] = x[n - 1][0];
   for (size_t k = n - 1; k-- > 0;) {
-    const double gain = P_before[k + 1] > 0.0 ? P[k] / P_before[k + 1] : 1.0;
-    const double after = P[k + 1];
-    walk.offset[k] = x[k] + gain * (walk.offset[k + 1] - x_before[k + 1]);
-    P[k] += gain * gain * (after - P_before[k + 1]);
+    const Matrix2d regular = P_before[k + 1] + 1e-18 * Matrix2d::Identity();
+    const Matrix2d gain = P[k] * F.transpose() * regular.inverse();
+    const Matrix2d after = P[k + 1];
+    x[k] += gain * (x[k + 1] - x_before[k + 1]);
+    P[k] += gain * (after - P_before[k + 1]) * gain.transpose();
+    walk.offset[k] = x[k][0];
+    const double together = (gain * after)(0, 0);
     walk.increment2[k] = std::pow(walk.offset[k + 1] - walk.offset[k], 2) +
-                         walk.scale2 * std::max(0.0, after + P[k] - 2.0 * gain * after);
+                         walk.scale2 * std::max(0.0, after(0, 0) + P[k](0, 0) - 2.0 * together);
   }
   return walk;
 }
 
-/// The likeliest density. Increments have Cauchy's distribution, so that a step is one of them:
-/// they are normal with the variances in `growth2`, which are found along.
-Walk FindWalk(const LocalOffsets& local, std::vector<double>* growth2) {
+/// The likeliest walk, or the likeliest without one. Increments have Cauchy's distribution, so that
+/// a step is one of them: they are normal with the variances in `growth2`, which are found along.
+Walk FindWalk(const LocalOffsets& local, bool walks, std::vector<double>* growth2) {
   Walk best;
+  const auto try_model = [&](double density2, double slow2) {
+    const Walk walk = Smooth(local, *growth2, {density2, slow2});
+    if (walk.log_likelihood > best.log_likelihood) best = walk;
+  };
+  std::vector<double> slow2;
+  for (const double slow : kSlow) slow2.push_back(slow * slow);
+  if (!walks) {
+    for (const double slow : slow2) try_model(0.0, slow);
+    return best;
+  }
   for (int iteration = 0; iteration < kReweightings; ++iteration) {
     best = Walk();
-    for (int k = 0; k < kDensities; ++k) {
-      const double density =
-          kLeastDensity * std::pow(kMostDensity / kLeastDensity, k / (kDensities - 1.0));
-      const Walk walk = Smooth(local, *growth2, density * density);
-      if (walk.log_likelihood > best.log_likelihood) best = walk;
-    }
+    for (int k = 0; k < kDensities; ++k)
+      for (const double slow : slow2)
+        try_model(std::pow(kLeastDensity, 2) *
+                      std::pow(kMostDensity / kLeastDensity, 2.0 * k / (kDensities - 1.0)),
+                  slow);
+    slow2 = {best.model.slow2};
     for (size_t k = 0; k < growth2->size() && !best.offset.empty(); ++k)
-      (*growth2)[k] =
-          0.5 * (kInterval + best.increment2[k] / (best.scale2 * best.density2));
+      (*growth2)[k] = 0.5 * (kInterval + best.increment2[k] / (best.scale2 * best.model.density2));
   }
   return best;
+}
+
+/// The sample from `begin` to `end` [s, IMU clock] after which a step from the offset `before` to
+/// `after` [s] explains the rates best.
+size_t FindStep(const PoseTrajectory& trajectory,
+                const std::vector<TimedSample>& gyro,
+                const ClockLine& line,
+                const RateAlignment& alignment,
+                double begin,
+                double end,
+                double before,
+                double after) {
+  const auto is_before = [](const TimedSample& s, double t) { return s.t < t; };
+  const auto first = std::lower_bound(gyro.begin(), gyro.end(), begin, is_before);
+  const auto last = std::lower_bound(first, gyro.end(), end, is_before);
+  double gain = 0.0, most = 0.0;
+  size_t best = static_cast<size_t>(first - gyro.begin());
+  for (auto s = first; s != last; ++s) {
+    const auto squared = [&](double offset) {
+      const double t_M = line.PoseTime(s->t) + offset;
+      MarkerRotation<double> marker;
+      if (!trajectory.EvaluateRotation(t_M, &marker)) return 0.0;
+      return alignment.Residual({t_M, marker.omega_M, s->value}).squaredNorm();
+    };
+    gain += squared(after) - squared(before);
+    if (gain <= most) continue;
+    most = gain;
+    best = static_cast<size_t>(s - gyro.begin());
+  }
+  return best;
+}
+
+/// Puts a knot on either side of each step, of which the walk so far is a ramp over some knots.
+/// `increment_std`: of the walk beside them, over kInterval.
+void CutAtSteps(const PoseTrajectory& trajectory,
+                const std::vector<TimedSample>& gyro,
+                const ClockLine& line,
+                const RateAlignment& alignment,
+                const std::vector<double>& growth2,
+                double increment_std,
+                ClockWalk* walk) {
+  const ClockWalk ramps = *walk;
+  const auto rise = [&](size_t k) { return std::abs(ramps.offset[k + 1] - ramps.offset[k - 1]); };
+  for (size_t k = 1; k + 1 < ramps.t.size(); ++k) {
+    // The window of knot k has the step: the walk rises before and after it.
+    if (std::max(growth2[k - 1], growth2[k]) < kStep * kStep * kInterval) continue;
+    if ((k > 1 && rise(k - 1) > rise(k)) || (k + 2 < ramps.t.size() && rise(k + 1) >= rise(k)))
+      continue;
+    const double before = ramps.offset[k - 1], after = ramps.offset[k + 1];
+    const size_t sample =
+        FindStep(trajectory, gyro, line, alignment, ramps.t[k - 1], ramps.t[k + 1], before, after);
+    if (sample + 1 >= gyro.size()) continue;
+    const double begin = gyro[sample].t, end = gyro[sample + 1].t;
+    const auto place = std::upper_bound(walk->t.begin(), walk->t.end(), begin);
+    const auto at = static_cast<size_t>(place - walk->t.begin());
+    if (at == 0 || at + 1 >= walk->t.size() || walk->t[at - 1] >= begin) continue;
+    if (walk->t[at] <= end) {  // a knot that the step leaves out
+      if (at == walk->reference) continue;
+      for (auto* values : {&walk->t, &walk->offset, &walk->std})
+        values->erase(values->begin() + static_cast<ptrdiff_t>(at));
+      if (at < walk->reference) --walk->reference;
+    }
+    for (size_t i = 0; i + 1 < walk->t.size(); ++i) {
+      if (walk->t[i] < ramps.t[k - 1] || walk->t[i] > ramps.t[k]) continue;
+      if (walk->t[i] == ramps.t[k]) walk->offset[i] = i < at ? before : after;
+      walk->std[i] = increment_std;
+    }
+    const auto insert = [at](auto* values, auto first, auto second) {
+      values->insert(values->begin() + static_cast<ptrdiff_t>(at), {first, second});
+    };
+    insert(&walk->t, begin, end);
+    insert(&walk->offset, before, after);
+    insert(&walk->std, std::abs(after - before), increment_std);
+    if (at <= walk->reference) walk->reference += 2;
+    walk->steps.push_back(at);
+  }
 }
 
 }  // namespace
@@ -176,25 +296,29 @@ ClockWalk FitClockWalk(const PoseTrajectory& trajectory,
   walk.reference = static_cast<size_t>(knots(gyro.front().t));
   const size_t count = walk.reference + static_cast<size_t>(knots(gyro.back().t)) + 1;
   for (size_t k = 0; k < count; ++k)
-    walk.t.push_back(line->clock_reference + kInterval * (static_cast<double>(k) -
-                                                          static_cast<double>(walk.reference)));
+    walk.t.push_back(line->clock_reference +
+                     kInterval * (static_cast<double>(k) - static_cast<double>(walk.reference)));
   walk.offset.assign(count, 0.0);
   if (count < 5) return {};
   std::vector<double> growth2(count - 1, kInterval);
   Walk found;
+  Comparison compared;
   for (int round = 0; round < kRounds; ++round) {
-    const LocalOffsets local = FindLocal(Compare(trajectory, gyro, *line, walk), walk);
-    found = FindWalk(local, &growth2);
+    compared = Compare(trajectory, gyro, *line, walk);
+    const LocalOffsets local = FindLocal(compared.samples, walk);
+    found = FindWalk(local, true, &growth2);
     if (found.offset.empty()) return {};
     double increments = 0.0;  // what it costs that they are not all alike
     for (const double growth : growth2) increments += 0.5 * std::log(growth / kInterval);
-    const Walk none = Smooth(local, growth2, 0.0);
-    if (round == 0 && found.log_likelihood - none.log_likelihood < kEvidence + std::max(0.0, increments))
+    if (round == 0 && found.log_likelihood - FindWalk(local, false, &growth2).log_likelihood <
+                          kEvidence + std::max(0.0, increments))
       return {};
     walk.offset = found.offset;
   }
   for (size_t k = 0; k + 1 < count; ++k)
-    walk.std.push_back(std::sqrt(found.scale2 * found.density2 * growth2[k]));
+    walk.std.push_back(std::sqrt(found.scale2 * found.model.density2 * growth2[k]));
+  const double usual = std::sqrt(found.scale2 * found.model.density2 * kInterval);
+  CutAtSteps(trajectory, gyro, *line, compared.alignment, growth2, usual, &walk);
   const double shift = walk.offset[walk.reference];
   for (double& offset : walk.offset) offset -= shift;
   line->time_shift += shift;

@@ -193,8 +193,7 @@ class BatchResidual : public SampledCost {
       // Along both: the splines follow the line of a clock alone.
       const size_t knot = first_clock_ + clocks_->size();
       const double u = WalkShare(sample);
-      const double step =
-          (1.0 - u) * *blocks[knot] + u * *blocks[knot + 1] - WalkValue(sample);
+      const double step = (1.0 - u) * *blocks[knot] + u * *blocks[knot + 1] - WalkValue(sample);
       dt.on_gp += step;
       dt.on_spline += step;
     }

@@ -237,7 +237,8 @@ void LeastSquares::AddOptional(ParameterKind kind,
 void LeastSquares::AddPrior(std::unique_ptr<const ceres::CostFunction> prior,
                             const double* data,
                             size_t session) {
-  const ImuSessionEstimate& clock = estimate->sessions[session].imus[estimate->sessions[session].FirstImu()];
+  const ImuSessionEstimate& clock =
+      estimate->sessions[session].imus[estimate->sessions[session].FirstImu()];
   priors.push_back({problem.AddResiduals(std::move(prior), {problem.Find(data)}),
                     session,
                     clock.PoseTime(clock.clock_reference)});

@@ -47,6 +47,15 @@ void CorrectedState(const MarkerState<double>& gp,
             q_WM * Vector3<T>(alpha.cross(p_MB) + omega.cross(omega.cross(p_MB)));
 }
 
+/// Derivative of the pose clock's time at t [s, IMU clock] by TrajectoryCovariance::Clock().
+Eigen::RowVector4d ByClock(const ImuSessionEstimate& clock, double t) {
+  Eigen::RowVector4d J(1.0, t - clock.clock_reference, 0.0, 0.0);
+  if (clock.walk.IsLine()) return J;
+  const double u = clock.walk.Locate(t).second;
+  J.tail<2>() << 1.0 - u, u;
+  return J;
+}
+
 }  // namespace
 
 TrajectoryCovariance::TrajectoryCovariance(const std::shared_ptr<const Solution>& solution)
@@ -69,6 +78,13 @@ TrajectoryCovariance::TrajectoryCovariance(const std::shared_ptr<const Solution>
       column += 3 * static_cast<int>(imu.gyro_bias.values.size());
       accel_knots_.back().push_back(column);
       column += 3 * static_cast<int>(imu.accel_bias.values.size());
+    }
+  }
+  for (const SessionEstimate& session : solution->estimate.sessions) {
+    clock_knots_.emplace_back();
+    for (const ImuSessionEstimate& imu : session.imus) {
+      clock_knots_.back().push_back(column);
+      if (!imu.walk.IsLine()) column += static_cast<int>(imu.walk.t.size()) - 1;
     }
   }
   for (const CorrectionSplines& splines : solution->splines) {
@@ -117,8 +133,10 @@ TrajectoryCovariance::Columns TrajectoryCovariance::Calibrated(ParameterKind kin
   return Kept(solution_->marginals.FindColumn(kind, IsOfPoses(kind) ? 0 : imu), size);
 }
 
-TrajectoryCovariance::Columns TrajectoryCovariance::Clock(size_t session, size_t imu) const {
-  Columns clock(2, -1);
+TrajectoryCovariance::Columns TrajectoryCovariance::Clock(size_t session,
+                                                          size_t imu,
+                                                          double t) const {
+  Columns clock(4, -1);
   int column = 0;
   for (const PlacedParameter& p : solution_->marginals.parameters) {
     if (!p.is_estimated) continue;
@@ -128,6 +146,13 @@ TrajectoryCovariance::Columns TrajectoryCovariance::Clock(size_t session, size_t
     }
     column += p.parameter.size;
   }
+  const ClockWalk& walk = solution_->estimate.sessions[session].imus[imu].walk;
+  if (walk.IsLine()) return clock;
+  const size_t knot = walk.Locate(t).first;
+  for (size_t k = knot; k < knot + 2; ++k)  // that at the reference is not estimated
+    if (k != walk.reference)
+      clock[2 + k - knot] =
+          clock_knots_[session][imu] + static_cast<int>(k) - (k > walk.reference ? 1 : 0);
   return clock;
 }
 
@@ -230,7 +255,13 @@ std::optional<BodyCovariance> SessionTrajectory::CovarianceOf(int imu,
   const auto state = imu < 0 ? Evaluate({}, t, &J) : Imu(static_cast<size_t>(imu), t, &J);
   if (!state) return std::nullopt;
   const size_t first = solution_->splines[session_].Locate(t)->first;
-  if (!last_inputs_ || last_inputs_->first != first || last_inputs_->imu != imu) {
+  const ImuSessionEstimate* const clock =
+      imu < 0 ? nullptr : &solution_->estimate.sessions[session_].imus[static_cast<size_t>(imu)];
+  const double t_imu = clock == nullptr ? t : clock->ImuTime(t);
+  const size_t knot =
+      clock == nullptr || clock->walk.IsLine() ? 0 : clock->walk.Locate(t_imu).first;
+  if (!last_inputs_ || last_inputs_->first != first || last_inputs_->imu != imu ||
+      last_inputs_->clock_knot != knot) {
     const auto own = covariance();
     TrajectoryCovariance::Columns columns = own->ControlPoints(session_, first);
     const auto i = static_cast<size_t>(imu);
@@ -238,19 +269,17 @@ std::optional<BodyCovariance> SessionTrajectory::CovarianceOf(int imu,
       columns = TrajectoryCovariance::Joined({columns,
                                               own->Calibrated(ParameterKind::kTranslation, i, 3),
                                               own->Calibrated(ParameterKind::kRotation, i, 3),
-                                              own->Clock(session_, i)});
-    last_inputs_ = Inputs{first, imu, own->At(columns)};
+                                              own->Clock(session_, i, t_imu)});
+    last_inputs_ = Inputs{first, knot, imu, own->At(columns)};
   }
   const Eigen::MatrixXd& C = last_inputs_->C;
   if (imu < 0) return BodyCovariance(J.leftCols(C.cols()) * C * J.leftCols(C.cols()).transpose());
-  Eigen::Matrix<double, 18, kInputs + 2> with_clock;
-  with_clock << J, Eigen::Matrix<double, 18, 2>::Zero();
+  Eigen::Matrix<double, 18, kInputs + 4> with_clock;
+  with_clock << J, Eigen::Matrix<double, 18, 4>::Zero();
   if (is_on_its_clock) {
-    const ImuSessionEstimate& clock =
-        solution_->estimate.sessions[session_].imus[static_cast<size_t>(imu)];
-    with_clock.col(kInputs).head<12>() << state->omega_B, state->v_W, state->alpha_B, state->a_W;
-    with_clock.col(kInputs + 1) =
-        (clock.ImuTime(t) - clock.clock_reference) * with_clock.col(kInputs);
+    Eigen::Matrix<double, 18, 1> rate = Eigen::Matrix<double, 18, 1>::Zero();
+    rate.head<12>() << state->omega_B, state->v_W, state->alpha_B, state->a_W;
+    with_clock.rightCols<4>() = rate * ByClock(*clock, t_imu);
   }
   return BodyCovariance(with_clock * C * with_clock.transpose());
 }
@@ -259,8 +288,9 @@ double SessionTrajectory::ClockVariance(size_t imu, double t) const {
   const auto own = covariance();
   if (!own) return 0.0;
   const ImuSessionEstimate& clock = solution_->estimate.sessions[session_].imus[imu];
-  const Eigen::Vector2d J(1.0, clock.ImuTime(t) - clock.clock_reference);
-  return J.dot(own->At(own->Clock(session_, imu)) * J);
+  const double t_imu = clock.ImuTime(t);
+  const Eigen::RowVector4d J = ByClock(clock, t_imu);
+  return J * own->At(own->Clock(session_, imu, t_imu)) * J.transpose();
 }
 
 std::optional<BodyState> SessionTrajectory::Imu(size_t imu, double t, StateJacobian* J) const {

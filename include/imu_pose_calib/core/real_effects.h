@@ -12,13 +12,13 @@ namespace imu_pose_calib {
 
 /// What happens to the stamps of a stream, and to its samples on the way. 0: nothing.
 struct StreamEffects {
-  double wander_s = 0.0;   ///< [s] amplitude of a sine of a minute that the clock runs ahead by
+  double wander_s = 0.0;      ///< [s] amplitude of a sine of a minute that the clock runs ahead by
   double clock_step_s = 0.0;  ///< [s] by which it jumps ahead after 45 % of the recording
-  double jitter_s = 0.0;   ///< [s] sigma of the stamps
-  double latency_s = 0.0;  ///< [s] mean of the exponential delay at which samples are stamped
-  double burst = 0.0;      ///< samples that are stamped together, when the last of them is there
-  double step_s = 0.0;     ///< [s] stamps are cut to multiples of it
-  double drops = 0.0;      ///< [%] of the samples that are missing, at random
+  double jitter_s = 0.0;      ///< [s] sigma of the stamps
+  double latency_s = 0.0;     ///< [s] mean of the exponential delay at which samples are stamped
+  double burst = 0.0;         ///< samples that are stamped together, when the last of them is there
+  double step_s = 0.0;        ///< [s] stamps are cut to multiples of it
+  double drops = 0.0;         ///< [%] of the samples that are missing, at random
 };
 
 /// What recordings have beyond white noise and wandering biases, each by its strength. 0: not

@@ -92,6 +92,17 @@ struct BetweenImus {
   Vector6d Std() const { return covariance.diagonal().cwiseSqrt(); }
 };
 
+/// t_pose - t_imu over time: linear between knots.
+struct ClockOffsets {
+  struct Step {
+    double t, size;  ///< [s] IMU clock, and by which the offset jumps
+  };
+  std::vector<double> t;            ///< [s] IMU clock
+  std::vector<double> offset, std;  ///< [s]
+  std::vector<Step> steps;
+  bool wanders = false;  ///< it is not a line
+};
+
 /// What belongs to one IMU in one session.
 struct ImuSession {
   bool is_present = false;  ///< else nothing below is set
@@ -101,6 +112,7 @@ struct ImuSession {
   /// t_pose = t_imu + time_shift + clock_drift (t_imu - clock_reference); 0 when not estimated.
   double clock_drift = 0.0, clock_drift_std = 0.0;  ///< [s/s]
   double clock_reference = 0.0;                     ///< [s] IMU clock
+  ClockOffsets clock;
 
   Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();   ///< [rad/s] in I, mean over the log
   Eigen::Vector3d accel_bias = Eigen::Vector3d::Zero();  ///< [m/s^2] in I, mean over the log

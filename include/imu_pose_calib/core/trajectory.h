@@ -23,9 +23,8 @@ class TrajectoryCovariance {
   Columns ControlPoints(size_t session, size_t first) const;
   /// What is calibrated, `size` degrees of freedom. q_MI turns on the left by twice the step.
   Columns Calibrated(ParameterKind kind, size_t imu, int size) const;
-  /// time_shift and clock_drift.
-  Columns Clock(size_t session, size_t imu) const;
-  /// Two, in the tangent space of Ceres' sphere.
+  /// time_shift and clock_drift, and the knots of the clock's walk around t [s, IMU clock]: 4.
+  Columns Clock(size_t session, size_t imu, double t) const;
   Columns Gravity(size_t session) const;
   /// The bias knots `knot` and `knot` + 1 of one sensor.
   Columns BiasKnotPair(size_t session, size_t imu, bool is_accel, size_t knot) const;
@@ -40,7 +39,7 @@ class TrajectoryCovariance {
   std::shared_ptr<const Solution> solution_;
   // First columns, of each session:
   std::vector<int> d_, gravity_;
-  std::vector<std::vector<int>> gyro_knots_, accel_knots_;  ///< of each IMU
+  std::vector<std::vector<int>> gyro_knots_, accel_knots_, clock_knots_;  ///< of each IMU
   Panels inverse_;  ///< elements of H^-1, what is held being known
 };
 
@@ -116,7 +115,7 @@ class SessionTrajectory {
   mutable std::shared_ptr<const TrajectoryCovariance> covariance_;
   /// Of the control points from `first` on and an IMU: samples come in order.
   struct Inputs {
-    size_t first;
+    size_t first, clock_knot;
     int imu;
     Eigen::MatrixXd C;
   };

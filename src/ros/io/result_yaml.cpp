@@ -101,6 +101,11 @@ class Writer {
     for (const std::string& value : values) Write(value);
     out_ << YAML::EndSeq;
   }
+  void Write(const std::vector<double>& values) {
+    out_ << YAML::Flow << YAML::BeginSeq;
+    for (const double value : values) Write(value);
+    out_ << YAML::EndSeq;
+  }
   /// A vector in one line, a matrix with a line for each row.
   template <typename Derived>
   void Write(const Eigen::MatrixBase<Derived>& matrix) {
@@ -184,6 +189,15 @@ void PutAccelDelay(const ImuCalibration& imu, Writer* out) {
 void PutClockDrift(const ImuSession& imu, Writer* out) {
   out->PutWithStd("clock_drift", imu.clock_drift, imu.clock_drift_std);
   out->Put("clock_reference", imu.clock_reference);
+  out->Map("clock", [&] {
+    out->Put("t", imu.clock.t);
+    out->Put("offset", imu.clock.offset);
+    out->Put("std", imu.clock.std);
+    out->Maps("steps", YAML::Flow, imu.clock.steps.size(), [&](size_t k) {
+      out->Put("t", imu.clock.steps[k].t);
+      out->Put("size", imu.clock.steps[k].size);
+    });
+  });
 }
 
 void PutIntrinsics(const char* key, ImuModel model, const ImuCalibration& imu, Writer* out) {

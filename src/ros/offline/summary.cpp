@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <boost/algorithm/string/case_conv.hpp>
 #include <cmath>
+#include <numeric>
 
 #include "imu_pose_calib/ros/io/printable.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"
@@ -191,6 +192,30 @@ std::string Transform(const Calibration& result) {
          rows(T.Inverse());
 }
 
+/// How far a clock is off a line, and where it steps.
+std::string Wander(const ClockOffsets& clock) {
+  if (!clock.wanders) return "";
+  const auto count = static_cast<double>(clock.t.size());
+  const auto mean = [&](const std::vector<double>& x) {
+    return std::accumulate(x.begin(), x.end(), 0.0) / count;
+  };
+  const double t = mean(clock.t), offset = mean(clock.offset);
+  double tt = 0.0, ty = 0.0, off = 0.0;
+  for (size_t k = 0; k < clock.t.size(); ++k) {
+    tt += std::pow(clock.t[k] - t, 2);
+    ty += (clock.t[k] - t) * (clock.offset[k] - offset);
+  }
+  for (size_t k = 0; k < clock.t.size(); ++k)
+    off = std::max(off, std::abs(clock.offset[k] - offset - ty / tt * (clock.t[k] - t)));
+  std::string text =
+      Format("        time_shift wanders: up to %.2f ms off a line; over time: clock in the file\n",
+             1e3 * off);
+  for (const ClockOffsets::Step& step : clock.steps)
+    text +=
+        Format("        time_shift steps by %+.2f ms at t_imu = %.3f s\n", 1e3 * step.size, step.t);
+  return text;
+}
+
 std::string Clocks(const Calibration& result) {
   std::string text =
       "Clocks: t_pose = t_imu + time_shift      (inverse: t_imu = t_pose - time_shift)\n";
@@ -198,6 +223,7 @@ std::string Clocks(const Calibration& result) {
   if (result.sessions[0].imus[0].clock_drift_std > 0.0)
     text += Format("        time_shift holds at t_imu = %.3f s and grows by clock drift\n",
                    result.sessions[0].imus[0].clock_reference);
+  text += Wander(result.sessions[0].imus[0].clock);
   const double averaging = result.imus[0].accel_smoothing;
   if (std::abs(averaging) > kCertain * result.imus[0].accel_smoothing_std)
     text += Format("%s averages over %.1f ms more than the %s: accounted for\n",
