@@ -18,11 +18,12 @@ constexpr double kEvidence = 10.0;  // log likelihood by which a walk must beat 
 constexpr double kLeastDensity = 1e-7, kMostDensity = 1e-2;
 constexpr int kDensities = 25;
 constexpr double kUnknown = 1.0;  // [s] sigma of the first offset
+constexpr double kDrift = 1e-4;   // [s/s] of the drift that is left
 // Errors of the poses that last [s], and how strong, in sigmas, they may be.
 constexpr double kSlowErrors = 3.0;
 constexpr double kSlow[] = {0.0, 0.5, 1.0, 2.0, 4.0};
 constexpr int kRounds = 4;         // each about the clock of the one before
-constexpr int kReweightings = 30;  // of the increments
+constexpr int kReweightings = 20;  // of increments and offsets
 constexpr double kStep = 4.0;      // times the usual increment: a step
 
 /// A gyroscope sample and the marker where the clock puts it.
@@ -42,13 +43,20 @@ struct Model {
   double density2, slow2;
 };
 
+/// Variances of increments and of local offsets as multiples of the usual ones: both have Cauchy's
+/// distribution, so that a step is one increment, and a mistake of the poses one offset.
+struct Tails {
+  std::vector<double> increments, offsets;
+};
+
 /// A random walk through local offsets whose variances are known up to a factor.
 struct Walk {
   double log_likelihood = -std::numeric_limits<double>::infinity();
   double scale2 = 1.0;             ///< that factor
   Model model = {0.0, 0.0};        ///< density in units of scale2
   std::vector<double> offset;      ///< [s] smoothed
-  std::vector<double> increment2;  ///< [s^2] expected squares of the increments
+  std::vector<double> increment2;  ///< expected squares of the increments less the drift, and of
+  std::vector<double> error2;      ///< the local offsets' errors, in usual variances
 };
 
 struct Comparison {
@@ -106,43 +114,41 @@ LocalOffsets FindLocal(const std::vector<Sample>& samples, const ClockWalk& walk
   return local;
 }
 
-/// Kalman filter and smoother. `growth2`: variance of each increment for a density of 1.
-Walk Smooth(const LocalOffsets& local, const std::vector<double>& growth2, const Model& model) {
-  using Eigen::Matrix2d;
-  using Eigen::Vector2d;
+/// Kalman filter and smoother.
+Walk Smooth(const LocalOffsets& local, const Tails& tails, const Model& model) {
+  using Eigen::Matrix3d;
+  using Eigen::Vector3d;
   const size_t n = local.z.size();
   const double kept = std::exp(-kInterval / kSlowErrors);
-  Matrix2d F = Matrix2d::Identity();
+  // Offset, slow error in sigmas of the white noise, drift.
+  Matrix3d F = Matrix3d::Identity();
+  F(0, 2) = kInterval;
   F(1, 1) = kept;
-  // Walk, and slow error in sigmas of the white noise.
-  std::vector<Vector2d> x(n), x_before(n);
-  std::vector<Matrix2d> P(n), P_before(n);
+  std::vector<Vector3d> x(n), x_before(n);
+  std::vector<Matrix3d> P(n), P_before(n);
   double sum = 0.0, log_variance = 0.0, count = 0.0;
-  bool is_known = false;
   for (size_t k = 0; k < n; ++k) {
     if (k == 0) {
       x_before[0].setZero();
-      P_before[0] << kUnknown * kUnknown, 0.0, 0.0, model.slow2;
+      P_before[0] = Vector3d(kUnknown * kUnknown, model.slow2, kDrift * kDrift).asDiagonal();
     } else {
       x_before[k] = F * x[k - 1];
       P_before[k] = F * P[k - 1] * F.transpose();
-      P_before[k](0, 0) += model.density2 * growth2[k - 1];
+      P_before[k](0, 0) += model.density2 * kInterval * tails.increments[k - 1];
       P_before[k](1, 1) += model.slow2 * (1.0 - kept * kept);
     }
     x[k] = x_before[k];
     P[k] = P_before[k];
     if (!std::isfinite(local.variance[k])) continue;
-    const double sigma = std::sqrt(local.variance[k]);
-    const Vector2d H(1.0, sigma);
+    const Vector3d H(1.0, std::sqrt(local.variance[k]), 0.0);
     const double innovation = local.z[k] - H.dot(x_before[k]);
-    const double variance = H.dot(P_before[k] * H) + local.variance[k];
-    if (is_known) {
+    const double variance = H.dot(P_before[k] * H) + local.variance[k] * tails.offsets[k];
+    if (variance < 0.1 * kUnknown * kUnknown) {
       sum += innovation * innovation / variance;
       log_variance += std::log(variance);
       count += 1.0;
     }
-    is_known = true;
-    const Vector2d gain = P_before[k] * H / variance;
+    const Vector3d gain = P_before[k] * H / variance;
     x[k] += gain * innovation;
     P[k] -= gain * gain.transpose() * variance;
   }
@@ -153,46 +159,54 @@ Walk Smooth(const LocalOffsets& local, const std::vector<double>& growth2, const
   walk.log_likelihood = -0.5 * (count * std::log(walk.scale2) + log_variance);
   walk.offset.resize(n);
   walk.increment2.resize(n - 1);
-  walk.offset[n - 1] = x[n - 1][0];
-  for (size_t k = n - 1; k-- > 0;) {
-    const Matrix2d regular = P_before[k + 1] + 1e-18 * Matrix2d::Identity();
-    const Matrix2d gain = P[k] * F.transpose() * regular.inverse();
-    const Matrix2d after = P[k + 1];
-    x[k] += gain * (x[k + 1] - x_before[k + 1]);
-    P[k] += gain * (after - P_before[k + 1]) * gain.transpose();
+  walk.error2.assign(n, 1.0);
+  for (size_t k = n; k-- > 0;) {
+    if (k + 1 < n) {
+      const Matrix3d gain =
+          P[k] * F.transpose() * P_before[k + 1].ldlt().solve(Matrix3d::Identity());
+      const Matrix3d after = P[k + 1];
+      x[k] += gain * (x[k + 1] - x_before[k + 1]);
+      P[k] += gain * (after - P_before[k + 1]) * gain.transpose();
+      const double increment = x[k + 1][0] - x[k][0] - kInterval * x[k][2];
+      const double variance = after(0, 0) + P[k](0, 0) - 2.0 * (gain * after)(0, 0);
+      walk.increment2[k] = (increment * increment / walk.scale2 + std::max(0.0, variance)) /
+                           (model.density2 * kInterval);
+    }
     walk.offset[k] = x[k][0];
-    const double together = (gain * after)(0, 0);
-    walk.increment2[k] = std::pow(walk.offset[k + 1] - walk.offset[k], 2) +
-                         walk.scale2 * std::max(0.0, after(0, 0) + P[k](0, 0) - 2.0 * together);
+    if (!std::isfinite(local.variance[k])) continue;
+    const Vector3d H(1.0, std::sqrt(local.variance[k]), 0.0);
+    walk.error2[k] =
+        (std::pow(local.z[k] - H.dot(x[k]), 2) / walk.scale2 + H.dot(P[k] * H)) / local.variance[k];
   }
   return walk;
 }
 
-/// The likeliest walk, or the likeliest without one. Increments have Cauchy's distribution, so that
-/// a step is one of them: they are normal with the variances in `growth2`, which are found along.
-Walk FindWalk(const LocalOffsets& local, bool walks, std::vector<double>* growth2) {
+/// The likeliest walk, or the likeliest without one.
+Walk FindWalk(const LocalOffsets& local, bool walks, Tails* tails) {
   Walk best;
-  const auto try_model = [&](double density2, double slow2) {
-    const Walk walk = Smooth(local, *growth2, {density2, slow2});
-    if (walk.log_likelihood > best.log_likelihood) best = walk;
-  };
   std::vector<double> slow2;
   for (const double slow : kSlow) slow2.push_back(slow * slow);
-  if (!walks) {
-    for (const double slow : slow2) try_model(0.0, slow);
-    return best;
-  }
   for (int iteration = 0; iteration < kReweightings; ++iteration) {
     best = Walk();
-    for (int k = 0; k < kDensities; ++k)
-      for (const double slow : slow2)
-        try_model(std::pow(kLeastDensity, 2) *
-                      std::pow(kMostDensity / kLeastDensity, 2.0 * k / (kDensities - 1.0)),
-                  slow);
+    for (int k = 0; k < (walks ? kDensities : 1); ++k) {
+      const double density =
+          walks ? kLeastDensity * std::pow(kMostDensity / kLeastDensity, k / (kDensities - 1.0))
+                : 0.0;
+      for (const double slow : slow2) {
+        const Walk walk = Smooth(local, *tails, {density * density, slow});
+        if (walk.log_likelihood > best.log_likelihood) best = walk;
+      }
+    }
+    if (best.offset.empty()) return best;
     slow2 = {best.model.slow2};
-    for (size_t k = 0; k < growth2->size() && !best.offset.empty(); ++k)
-      (*growth2)[k] = 0.5 * (kInterval + best.increment2[k] / (best.scale2 * best.model.density2));
+    for (size_t k = 0; k < tails->offsets.size(); ++k)
+      tails->offsets[k] = 0.5 * (1.0 + best.error2[k]);
+    for (size_t k = 0; walks && k < tails->increments.size(); ++k)
+      tails->increments[k] = 0.5 * (1.0 + best.increment2[k]);
   }
+  // Of what the variances are that were found along, by Cauchy's distribution.
+  for (const auto* values : {&tails->offsets, &tails->increments})
+    for (const double value : *values) best.log_likelihood -= 1.5 * std::log(value) + 0.5 / value;
   return best;
 }
 
@@ -232,14 +246,14 @@ void CutAtSteps(const PoseTrajectory& trajectory,
                 const std::vector<TimedSample>& gyro,
                 const ClockLine& line,
                 const RateAlignment& alignment,
-                const std::vector<double>& growth2,
+                const std::vector<double>& tails,
                 double increment_std,
                 ClockWalk* walk) {
   const ClockWalk ramps = *walk;
   const auto rise = [&](size_t k) { return std::abs(ramps.offset[k + 1] - ramps.offset[k - 1]); };
   for (size_t k = 1; k + 1 < ramps.t.size(); ++k) {
     // The window of knot k has the step: the walk rises before and after it.
-    if (std::max(growth2[k - 1], growth2[k]) < kStep * kStep * kInterval) continue;
+    if (std::max(tails[k - 1], tails[k]) < kStep * kStep) continue;
     if ((k > 1 && rise(k - 1) > rise(k)) || (k + 2 < ramps.t.size() && rise(k + 1) >= rise(k)))
       continue;
     const double before = ramps.offset[k - 1], after = ramps.offset[k + 1];
@@ -300,25 +314,24 @@ ClockWalk FitClockWalk(const PoseTrajectory& trajectory,
                      kInterval * (static_cast<double>(k) - static_cast<double>(walk.reference)));
   walk.offset.assign(count, 0.0);
   if (count < 5) return {};
-  std::vector<double> growth2(count - 1, kInterval);
+  const Tails none{std::vector<double>(count - 1, 1.0), std::vector<double>(count, 1.0)};
+  Tails tails = none;
   Walk found;
   Comparison compared;
   for (int round = 0; round < kRounds; ++round) {
     compared = Compare(trajectory, gyro, *line, walk);
     const LocalOffsets local = FindLocal(compared.samples, walk);
-    found = FindWalk(local, true, &growth2);
+    found = FindWalk(local, true, &tails);
     if (found.offset.empty()) return {};
-    double increments = 0.0;  // what it costs that they are not all alike
-    for (const double growth : growth2) increments += 0.5 * std::log(growth / kInterval);
-    if (round == 0 && found.log_likelihood - FindWalk(local, false, &growth2).log_likelihood <
-                          kEvidence + std::max(0.0, increments))
+    Tails of_line = none;
+    if (round == 0 &&
+        found.log_likelihood < FindWalk(local, false, &of_line).log_likelihood + kEvidence)
       return {};
     walk.offset = found.offset;
   }
-  for (size_t k = 0; k + 1 < count; ++k)
-    walk.std.push_back(std::sqrt(found.scale2 * found.model.density2 * growth2[k]));
   const double usual = std::sqrt(found.scale2 * found.model.density2 * kInterval);
-  CutAtSteps(trajectory, gyro, *line, compared.alignment, growth2, usual, &walk);
+  for (size_t k = 0; k + 1 < count; ++k) walk.std.push_back(usual * std::sqrt(tails.increments[k]));
+  CutAtSteps(trajectory, gyro, *line, compared.alignment, tails.increments, usual, &walk);
   const double shift = walk.offset[walk.reference];
   for (double& offset : walk.offset) offset -= shift;
   line->time_shift += shift;
