@@ -1,5 +1,6 @@
 #include "imu_pose_calib/core/clock_walk.h"
 
+#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -10,8 +11,12 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr double kInterval = 1.0;   // [s] between knots
-constexpr double kRate = 100.0;     // [Hz] of the samples looked at
+constexpr double kInterval = 1.0;  // [s] between knots
+constexpr double kRate = 100.0;    // [Hz] of the samples looked at
+// Errors of the rates that last for a knot: of the bias [rad/s], of scale and attitude [1].
+constexpr double kRateError = 2e-3, kTurnError = 5e-3;
+constexpr int kLocal = 13;          // offset, bias, matrix
+constexpr double kReach = 0.02;     // [s] to either side, of the gyroscope's derivative
 constexpr double kRobust = 5.0;     // sigma, Cauchy's scale of a sample
 constexpr double kEvidence = 10.0;  // log likelihood by which a walk must beat a line
 // Densities that are tried [s/sqrt(s)], evenly in the logarithm.
@@ -22,14 +27,17 @@ constexpr double kDrift = 1e-4;   // [s/s] of the drift that is left
 // Errors of the poses that last [s], and how strong, in sigmas, they may be.
 constexpr double kSlowErrors = 3.0;
 constexpr double kSlow[] = {0.0, 0.5, 1.0, 2.0, 4.0};
-constexpr int kRounds = 4;         // each about the clock of the one before
-constexpr int kReweightings = 20;  // of increments and offsets
-constexpr double kStep = 4.0;      // times the usual increment: a step
+constexpr int kRounds = 4;           // each about the clock of the one before
+constexpr int kReweightings = 20;    // of increments and offsets
+constexpr double kStep = 4.0;        // times the usual increment: a step
+constexpr double kLeastStep = 5e-4;  // [s]
 
-/// A gyroscope sample and the marker where the clock puts it.
+/// A gyroscope sample and the marker where the clock puts it. That the growth is the gyroscope's
+/// and not the poses' keeps mistakes of these from looking like motion.
 struct Sample {
-  double t;              ///< [s] IMU clock
-  Eigen::Vector3d r, a;  ///< [rad/s] measured less expected, [rad/s^2] its growth with the offset
+  double t;               ///< [s] IMU clock
+  Eigen::Vector3d r, a;   ///< [rad/s] measured less expected, [rad/s^2] its growth with the offset
+  Eigen::Vector3d omega;  ///< [rad/s] measured
 };
 
 /// Offsets near the knots, as the samples around each tell alone.
@@ -64,6 +72,14 @@ struct Comparison {
   std::vector<Sample> samples;
 };
 
+/// [rad/s^2] of the sample's time.
+Eigen::Vector3d Growth(const std::vector<TimedSample>& gyro, size_t sample) {
+  size_t begin = sample, end = sample;
+  while (begin > 0 && gyro[begin].t > gyro[sample].t - kReach) --begin;
+  while (end + 1 < gyro.size() && gyro[end].t < gyro[sample].t + kReach) ++end;
+  return (gyro[end].value - gyro[begin].value) / (gyro[end].t - gyro[begin].t);
+}
+
 Comparison Compare(const PoseTrajectory& trajectory,
                    const std::vector<TimedSample>& gyro,
                    const ClockLine& line,
@@ -72,44 +88,60 @@ Comparison Compare(const PoseTrajectory& trajectory,
   const size_t stride =
       std::max<size_t>(1, static_cast<size_t>(static_cast<double>(gyro.size()) / duration / kRate));
   std::vector<RatePair> pairs;
-  std::vector<double> t;
-  std::vector<Eigen::Vector3d> alpha_M;
+  std::vector<Sample> samples;
   for (size_t i = 0; i < gyro.size(); i += stride) {
     const double t_M = line.PoseTime(gyro[i].t) + walk.At(gyro[i].t);
     MarkerRotation<double> marker;
     if (!trajectory.EvaluateRotation(t_M, &marker)) continue;
     pairs.push_back({t_M, marker.omega_M, gyro[i].value});
-    t.push_back(gyro[i].t);
-    alpha_M.push_back(marker.alpha_M);
+    samples.push_back({gyro[i].t, Eigen::Vector3d::Zero(), Growth(gyro, i), gyro[i].value});
   }
   Comparison compared;
   if (pairs.size() < 3) return compared;
   compared.alignment = AlignRates(pairs);
-  for (size_t i = 0; i < pairs.size(); ++i)
-    compared.samples.push_back({t[i],
-                                compared.alignment.Residual(pairs[i]),
-                                compared.alignment.q_MI.conjugate() * alpha_M[i]});
+  for (size_t i = 0; i < pairs.size(); ++i) samples[i].r = compared.alignment.Residual(pairs[i]);
+  compared.samples = std::move(samples);
   return compared;
 }
 
+/// Around each knot least squares for the offset, beside errors of the rates that last as long: of
+/// the bias, and of scale, axes and attitude. They have priors, so that where the body rests the
+/// samples tell nothing.
 LocalOffsets FindLocal(const std::vector<Sample>& samples, const ClockWalk& walk) {
-  const auto count = static_cast<Eigen::Index>(walk.t.size());
+  using Information = Eigen::Matrix<double, kLocal, kLocal>;
+  using Vector = Eigen::Matrix<double, kLocal, 1>;
   std::vector<double> magnitudes;
   for (const Sample& s : samples)
     for (int axis = 0; axis < 3; ++axis) magnitudes.push_back(s.r[axis]);
   const double sigma = RobustSigma(std::move(magnitudes));
-  Eigen::VectorXd information = Eigen::VectorXd::Zero(count), sum = information;
+  Vector prior = Vector::Constant(std::pow(sigma / kRateError, 2));
+  prior[0] = 0.0;
+  prior.tail<9>().setConstant(std::pow(sigma / kTurnError, 2));
+  std::vector<Information> H(walk.t.size(), prior.asDiagonal());
+  std::vector<Vector> b(walk.t.size(), Vector::Zero());
+  std::vector<double> feigned(walk.t.size(), 0.0);  // information that is the noise of the growth
+  const double growth_noise2 = 1.5 * std::pow(sigma / kReach, 2);
   for (const Sample& s : samples) {
-    const auto knot = static_cast<Eigen::Index>(std::round((s.t - walk.t[0]) / kInterval));
+    const auto knot = static_cast<size_t>(std::round((s.t - walk.t[0]) / kInterval));
     const double weight = 1.0 / (1.0 + s.r.squaredNorm() / std::pow(kRobust * sigma, 2));
-    information[knot] += weight * s.a.squaredNorm();
-    sum[knot] += weight * s.a.dot(s.r);
+    Eigen::Matrix<double, 3, kLocal> J = Eigen::Matrix<double, 3, kLocal>::Zero();
+    J.col(0) = s.a;
+    J.block<3, 3>(0, 1).setIdentity();
+    for (int axis = 0; axis < 3; ++axis) J.block<1, 3>(axis, 4 + 3 * axis) = s.omega.transpose();
+    H[knot].noalias() += weight * J.transpose() * J;
+    b[knot].noalias() += weight * J.transpose() * s.r;
+    feigned[knot] += weight * growth_noise2;
   }
   LocalOffsets local;
-  for (Eigen::Index k = 0; k < count; ++k) {
-    local.z.push_back(walk.offset[static_cast<size_t>(k)] +
-                      (information[k] > 0.0 ? sum[k] / information[k] : 0.0));
-    local.variance.push_back(sigma * sigma / information[k]);
+  for (size_t k = 0; k < walk.t.size(); ++k) {
+    local.z.push_back(walk.offset[k]);
+    local.variance.push_back(std::numeric_limits<double>::infinity());
+    if (feigned[k] == 0.0) continue;
+    const Eigen::LDLT<Information> ldlt(H[k]);
+    const double information = 1.0 / ldlt.solve(Vector::Unit(0))[0] - feigned[k];
+    if (information <= 0.0) continue;
+    local.z[k] += ldlt.solve(b[k])[0];
+    local.variance[k] = sigma * sigma / information;
   }
   return local;
 }
@@ -253,7 +285,7 @@ void CutAtSteps(const PoseTrajectory& trajectory,
   const auto rise = [&](size_t k) { return std::abs(ramps.offset[k + 1] - ramps.offset[k - 1]); };
   for (size_t k = 1; k + 1 < ramps.t.size(); ++k) {
     // The window of knot k has the step: the walk rises before and after it.
-    if (std::max(tails[k - 1], tails[k]) < kStep * kStep) continue;
+    if (std::max(tails[k - 1], tails[k]) < kStep * kStep || rise(k) < kLeastStep) continue;
     if ((k > 1 && rise(k - 1) > rise(k)) || (k + 2 < ramps.t.size() && rise(k + 1) >= rise(k)))
       continue;
     const double before = ramps.offset[k - 1], after = ramps.offset[k + 1];
