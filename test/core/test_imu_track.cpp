@@ -261,7 +261,7 @@ TEST(ImuTrackTest, EndsOfRunsHaveTheCovarianceOfAllThatActsThere) {
     add(covariance.Calibrated(ParameterKind::kTranslation, 0, 3));
     add(covariance.Calibrated(ParameterKind::kGyroIntrinsics, 0, 6));
     add(covariance.Calibrated(ParameterKind::kPoseScale, 0, 1));
-    add(covariance.Clock(0, 0));
+    add(covariance.Clock(0, 0, t));
     add(covariance.Gravity(0));
     add(covariance.BiasKnotPair(0, 0, false, imu.gyro_bias.Locate(imu.ImuTime(t)).first));
     add(covariance.BiasKnotPair(0, 0, true, imu.accel_bias.Locate(imu.ImuTime(t)).first));

@@ -55,6 +55,7 @@ const Field kFields[] = {
     {"knot_spacing_s", &CalibrationOptions::knot_spacing_s, 0.0, 10.0},
     {"accel_delay", &CalibrationOptions::accel_delay, -0.5, 0.5},
     {"gravity_magnitude", &CalibrationOptions::gravity_magnitude, 0.1, 100.0},
+    {"gravity_magnitude_std", &CalibrationOptions::gravity_magnitude_std, 1e-9, 10.0},
     {"robust_loss_scale", &CalibrationOptions::robust_loss_scale, 1.0, kNoBound},
     {"covariance_block_s", &CalibrationOptions::covariance_block_s, 0.0, 1e6},
     {"weak_rotation_std", &CalibrationOptions::weak_rotation_std, 1e-9, 1.0},
@@ -132,6 +133,26 @@ TEST(Options, InitialValuesAreCheckedWhenGiven) {
     EXPECT_TRUE(Contains(Refusal(o), "initial_translation = " + Print(bad)));
     EXPECT_TRUE(Contains(Refusal(o), "1000"));
   }
+}
+
+TEST(Options, LatitudeTellsGravity) {
+  CalibrationOptions options;
+  EXPECT_EQ(options.GravityMagnitude(), options.gravity_magnitude);
+  EXPECT_EQ(options.GravityStd(), options.gravity_magnitude_std);
+  for (const double bad : {90.5, -91.0, kNaN}) {
+    options.latitude = bad;
+    EXPECT_TRUE(Contains(Refusal(options), "latitude = " + Print(bad)));
+    EXPECT_TRUE(Contains(Refusal(options), "[-90, 90]"));
+  }
+  for (const auto& [latitude, g] :
+       {std::pair{0.0, 9.7803253}, {45.0, 9.8061977}, {-90.0, 9.8321849}}) {
+    options.latitude = latitude;  // normal gravity of WGS 84 at sea level
+    EXPECT_NO_THROW(options.Validate());
+    EXPECT_NEAR(options.GravityMagnitude(), g, 1e-7);
+  }
+  EXPECT_EQ(options.GravityStd(), 3e-3);
+  options.initial_gravity = Eigen::Vector3d(0.0, 0.0, -9.7);
+  EXPECT_EQ(options.GravityMagnitude(), 9.7);
 }
 
 TEST(Options, WhatIsNotEstimatedMustBeGiven) {

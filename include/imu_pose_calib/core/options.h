@@ -112,7 +112,7 @@ struct CalibrationOptions {
   bool estimate_clock_walk = true;
   /// Scale and misalignment of the sensors, usually within 1 % and 0.5 deg. Joint solve only.
   ImuModel imu_model = ImuModel::kScaleMisalignment;
-  /// Places of the accelerometer's axes, usually within 3 mm. Joint solve only.
+  /// Places of the accelerometer's axes, where the data show that they are apart. Joint solve only.
   bool estimate_size_effect = true;
   /// What is known of the magnitude of gravity [m/s^2], and its sigma. The norm of initial_gravity
   /// and the latitude, where they are given, count instead of the magnitude.
