@@ -79,8 +79,8 @@ struct JointImuSample {
   Eigen::Vector3d value;             ///< gyroscope [rad/s] or accelerometer [m/s^2] in I
   double bias_u;                     ///< 0..1 between the bias knots
   double own_time, reference_time;   ///< [s] as in JointPoseSample, on its own IMU's clock too
-  double walk_u = 0.0, walk = 0.0;   ///< 0..1 between the knots of the clock; [s] where it stands
   double sigma;                      ///< unit of value
+  double walk_u = 0.0, walk = 0.0;   ///< 0..1 between the knots of the clock; [s] where it stands
 };
 
 /// r = (w - b_g - K_g R_MI^T omega_M(t)) / sigma, in I.
