@@ -186,6 +186,18 @@ TEST(CheckData, WarnsOfAWrongScaleSeenAtRest) {
   ExpectWarning(Check(data), {"norm at rest", "bound: within 5 % of gravity_magnitude"});
 }
 
+TEST(CheckMotion, FindsTheSameRestWhereverTimeIsZero) {
+  const CalibrationOptions options;
+  ConditionedData data = ConditionData(options, Simulate(Truth(Motion::kStatic)));
+  const PoseTrajectory trajectory = FitTrajectory(options, &data);
+  for (std::vector<TimedSample>* samples : {&data.imus[0].gyro, &data.imus[0].accel})
+    for (TimedSample& s : *samples) s.t -= 10.0;
+  DataCheck check;
+  check.imus.resize(1);
+  CheckMotion(options, data, trajectory, &check);
+  EXPECT_NEAR(check.imus[0].rest_s, 20.0, 0.5);
+}
+
 TEST(CheckData, AsksToRecordAgainWithTheReasonAndKeepsTheTable) {
   SessionData data = Simulate(Truth());
   for (ImuSample& s : data.imus[0].gyro) s.value *= 180.0 / M_PI;
