@@ -198,6 +198,19 @@ TEST(CheckMotion, FindsTheSameRestWhereverTimeIsZero) {
   EXPECT_NEAR(check.imus[0].rest_s, 20.0, 0.5);
 }
 
+TEST(CheckData, RefusesOneValueForTwoImus) {
+  const SessionData data = Simulate(Truth(), 2);
+  CalibrationOptions options;
+  options.estimate_time_shift = options.estimate_rotation = false;
+  options.initial_time_shift = 0.0;
+  options.initial_rotation = Eigen::Quaterniond::Identity();
+  EXPECT_TRUE(Contains(ErrorText<InputError>([&] { CheckData(options, data); }),
+                       "estimate_rotation = false needs a single imu"));
+  options.estimate_rotation = true;
+  EXPECT_TRUE(Contains(ErrorText<InputError>([&] { CheckData(options, data); }),
+                       "estimate_time_shift = false needs a single imu and recording"));
+}
+
 TEST(CheckData, AsksToRecordAgainWithTheReasonAndKeepsTheTable) {
   SessionData data = Simulate(Truth());
   for (ImuSample& s : data.imus[0].gyro) s.value *= 180.0 / M_PI;
