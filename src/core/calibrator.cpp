@@ -56,16 +56,7 @@ void CheckRig(const CalibrationOptions& options, const std::vector<SessionData>&
           return session.imus[i].IsEmpty();
         }))
       throw DataError("there are no samples" + OfImu(i, imus));
-  const auto refuse = [](const char* option, const char* what) {
-    throw InputError(std::string(option) + " = false needs a single " + what +
-                     ": one value is given, but there are several");
-  };
-  if (imus > 1 && !options.estimate_rotation) refuse("estimate_rotation", "imu");
-  if (imus > 1 && !options.estimate_translation) refuse("estimate_translation", "imu");
-  if (imus > 1 && !options.estimate_accel_delay) refuse("estimate_accel_delay", "imu");
-  if (imus * sessions.size() > 1 && !options.estimate_time_shift)
-    refuse("estimate_time_shift", "imu and recording");
-  if (sessions.size() > 1 && !options.estimate_gravity) refuse("estimate_gravity", "recording");
+  CheckSingle(options, imus, sessions.size());
 }
 
 void ReportData(const DataCheck& check, SessionCalibration* session) {

@@ -211,6 +211,7 @@ void RemoveSaturated(const std::string& stream,
   defect << "are at the end of the sensor's range (" << peak
          << "): choose a larger range or move more gently";
   CheckShare(stream, defect.str(), report->saturated, samples->size(), max_bad_fraction);
+  if (kept.empty()) Refuse(stream, ": all ", samples->size(), " samples ", defect.str());
   *samples = std::move(kept);
 }
 

@@ -181,7 +181,8 @@ void FindRest(const ConditionedImu& data, const Eigen::Vector3d& gyro_bias, ImuC
   double sum = 0.0, count = 0.0;
   size_t a = 0, g = 0;
   const double end = std::min(data.gyro.back().t, data.accel.back().t);
-  for (double t = 0.0; t + kRestWindow < end; t += kRestWindow) {
+  const double begin = std::min(data.gyro.front().t, data.accel.front().t);
+  for (double t = begin; t + kRestWindow < end; t += kRestWindow) {
     double rate2 = 0.0, gyros = 0.0, norm = 0.0, norm2 = 0.0, accels = 0.0;
     for (; g < data.gyro.size() && data.gyro[g].t < t + kRestWindow; ++g, gyros += 1.0)
       rate2 += (data.gyro[g].value - gyro_bias).squaredNorm();

@@ -54,7 +54,7 @@ RunEnd FindRunEnd(const Solution& solution,
   const auto [accel_knot, accel_u] = biases.accel_bias.Locate(biases.ImuTime(t));
   constexpr int kPoints = 6 * kSplineOrder;  // coordinates of the control points
   const auto columns = TrajectoryCovariance::Joined(
-      {covariance.ControlPoints(session, solution.splines[session].Locate(t)->first),
+      {covariance.ControlPoints(session, solution.splines[session].Locate(t).value().first),
        covariance.Calibrated(ParameterKind::kTranslation, imu, 3),
        covariance.Calibrated(ParameterKind::kRotation, imu, 3),
        covariance.Calibrated(ParameterKind::kGyroIntrinsics, imu, 6),
@@ -66,7 +66,7 @@ RunEnd FindRunEnd(const Solution& solution,
 
   RunEnd end;
   SessionTrajectory::StateJacobian J;
-  end.state = *trajectory.Imu(imu, t, &J);
+  end.state = trajectory.Imu(imu, t, &J).value();
   MatrixXd A = MatrixXd::Zero(9 + kConstants, static_cast<Eigen::Index>(columns.size()));
   A.block(0, 0, 6, J.cols()) = J.topRows<6>();
   A.block(6, 0, 3, J.cols()) = J.middleRows<3>(9);
@@ -300,10 +300,21 @@ CarriedState Interpolate(const CarriedState& a, const CarriedState& b, double t)
 }
 
 /// The part of a run in which samples of the IMU tell of the motion: at its very ends, poses alone
-/// leave the velocity undetermined.
+/// leave the velocity undetermined. Of a run without such a part, nothing.
 void Trim(const PoseTrajectory& trajectory, CorrectionSplines::Run* run) {
   while (!IsOnTrajectory(trajectory, run->begin) && run->begin < run->end) run->begin += kTrimStep;
   while (!IsOnTrajectory(trajectory, run->end) && run->begin < run->end) run->end -= kTrimStep;
+}
+
+/// The runs that are left when they are trimmed.
+std::vector<CorrectionSplines::Run> TrimmedRuns(const PoseTrajectory& trajectory,
+                                                const CorrectionSplines& splines) {
+  std::vector<CorrectionSplines::Run> runs;
+  for (CorrectionSplines::Run run : splines.Runs()) {
+    Trim(trajectory, &run);
+    if (run.begin < run.end) runs.push_back(run);
+  }
+  return runs;
 }
 
 }  // namespace
@@ -323,8 +334,8 @@ ImuTrack::ImuTrack(const std::shared_ptr<const Solution>& solution,
     if (model.quantity == Quantity::kGyro && model.session == session && model.imu == imu)
       gyro_noise_ = model.noise;
   if (!has_covariance()) return;
-  std::vector<CorrectionSplines::Run> runs = solution->splines[session].Runs();
-  for (CorrectionSplines::Run& run : runs) Trim(*solution->trajectories[session], &run);
+  const std::vector<CorrectionSplines::Run> runs =
+      TrimmedRuns(*solution->trajectories[session], solution->splines[session]);
   for (size_t k = 0; k + 1 < runs.size(); ++k) {
     gaps_.push_back({runs[k].end, runs[k + 1].begin, {}});
     TrackGap& gap = gaps_.back();

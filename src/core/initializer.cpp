@@ -77,19 +77,21 @@ void CheckGyroUnit(const RateAlignment& alignment) {
   throw OptionNeeded(text.str());
 }
 
-/// Time shifts that the correlation of the turn rates proposes.
+/// Time shifts of an IMU that the correlation of the turn rates proposes; a guess is of the first.
 std::vector<double> CandidateShifts(const CalibrationOptions& options,
                                     const PoseTrajectory& trajectory,
                                     const ConditionedData& data,
-                                    const ConditionedImu& imu) {
+                                    size_t imu) {
+  const ConditionedImu& samples = data.imus[imu];
   std::optional<double> guess;
-  if (options.initial_time_shift)  // t_pose - t_imu of absolute stamps, here of relative ones
-    guess =
-        *options.initial_time_shift - 1e-9 * static_cast<double>(data.pose_epoch_ns - imu.epoch_ns);
-  if (!options.estimate_time_shift) return {*guess};
+  // t_pose - t_imu of absolute stamps, here of relative ones.
+  if (options.initial_time_shift && imu == 0)
+    guess = *options.initial_time_shift -
+            1e-9 * static_cast<double>(data.pose_epoch_ns - samples.epoch_ns);
+  if (guess && !options.estimate_time_shift) return {*guess};
   return FindTimeShifts(trajectory,
                         data.poses,
-                        imu.gyro,
+                        samples.gyro,
                         options.min_overlap_s,
                         guess,
                         kCandidates,
@@ -277,8 +279,9 @@ void RemoveFlippedSegments(const CalibrationOptions& options,
                            PoseTrajectory* trajectory,
                            ConditionedData* data) {
   if (data->segments.size() < 2) return;
-  const ConditionedImu& imu = data->imus[data->FirstImu()];
-  const std::vector<double> shifts = CandidateShifts(options, *trajectory, *data, imu);
+  const size_t first = data->FirstImu();
+  const ConditionedImu& imu = data->imus[first];
+  const std::vector<double> shifts = CandidateShifts(options, *trajectory, *data, first);
   std::vector<RotationAgreement> agreements(shifts.size());
   InParallel(options.Threads(), shifts.size(), [&](size_t k) {
     agreements[k] = FindAgreement(PairRatesBySegment(*trajectory, *data, imu, shifts[k]));
@@ -365,7 +368,7 @@ Start Initialise(const CalibrationOptions& options,
                  const ConditionedData& data,
                  size_t imu) {
   const ConditionedImu& samples = data.imus[imu];
-  const std::vector<double> shifts = CandidateShifts(options, trajectory, data, samples);
+  const std::vector<double> shifts = CandidateShifts(options, trajectory, data, imu);
   Start start;
   RateAlignment best;
   double most = -1.0;

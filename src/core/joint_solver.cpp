@@ -347,6 +347,18 @@ struct Trial {
         residual(ImuResidual(solver.models(), solver.FindNoise())) {}
 };
 
+/// A trial that is worth having only if it comes to an end: nothing where it does not.
+std::unique_ptr<Trial> TryDenser(const CalibrationOptions& options,
+                                 const PreparedSession& excerpt,
+                                 double spacing,
+                                 const Estimate& start) {
+  try {
+    return std::make_unique<Trial>(options, excerpt, spacing, start);
+  } catch (const DataError&) {
+    return nullptr;
+  }
+}
+
 }  // namespace
 
 JointStart ChooseKnotSpacing(const CalibrationOptions& options,
@@ -368,15 +380,17 @@ JointStart ChooseKnotSpacing(const CalibrationOptions& options,
       slowest = std::min(slowest, model.rate_hz);
   const double finest = kMinSamplesPerKnot / slowest;
   while (!is_given && 0.5 * spacing >= finest) {
-    auto denser = std::make_unique<Trial>(options, excerpt, 0.5 * spacing, *estimate);
-    if (denser->residual > kShrinkage * best->residual) break;
+    auto denser = TryDenser(options, excerpt, 0.5 * spacing, *estimate);
+    if (!denser || !(denser->residual <= kShrinkage * best->residual)) break;
     best = std::move(denser);
     spacing *= 0.5;
   }
   // Motion that the knots do not follow feigns a lever arm long before the noise shows it.
   if (!is_given && kReserve * spacing >= finest) {
-    spacing *= kReserve;
-    best = std::make_unique<Trial>(options, excerpt, spacing, *estimate);
+    if (auto denser = TryDenser(options, excerpt, kReserve * spacing, *estimate)) {
+      best = std::move(denser);
+      spacing *= kReserve;
+    }
   }
   const std::vector<double> noise = best->solver.SettleNoise();
   const SessionEstimate start = estimate->sessions[0];

@@ -26,6 +26,15 @@ void CheckRange(const char* field, double value, double low, double high) {
   throw InputError(text.str());
 }
 
+/// The same of a value whose 0 has a meaning of its own, apart from the range.
+void CheckZeroOrRange(const char* field, double value, double low, double high) {
+  if (value == 0.0 || (value >= low && value <= high)) return;
+  std::ostringstream text;
+  text << "option " << field << " = " << value << " is out of range: must be 0 or within [" << low
+       << ", " << high << "]";
+  throw InputError(text.str());
+}
+
 /// A value that is not to be estimated must be given.
 void CheckGiven(const std::string& value, bool is_estimated, bool is_given) {
   if (!is_estimated && !is_given)
@@ -65,11 +74,11 @@ void CalibrationOptions::Validate() const {
   CheckRange("accel_noise_density", accel_noise_density, 1e-9, 1e3);
   CheckRange("gyro_bias_walk", gyro_bias_walk, 1e-12, 1e3);
   CheckRange("accel_bias_walk", accel_bias_walk, 1e-12, 1e3);
-  CheckRange("bias_knot_interval_s", bias_knot_interval_s, 0.0, 1e9);
-  CheckRange("position_lengthscale_s", position_lengthscale_s, 0.0, 1e3);
+  CheckZeroOrRange("bias_knot_interval_s", bias_knot_interval_s, 1e-2, 1e9);
+  CheckZeroOrRange("position_lengthscale_s", position_lengthscale_s, 1e-3, 1e3);
   CheckRange("position_signal_std", position_signal_std, 0.0, 1e9);
   CheckRange("position_noise_std", position_noise_std, 0.0, 1e3);
-  CheckRange("rotation_lengthscale_s", rotation_lengthscale_s, 0.0, 1e3);
+  CheckZeroOrRange("rotation_lengthscale_s", rotation_lengthscale_s, 1e-3, 1e3);
   CheckRange("rotation_signal_std", rotation_signal_std, 0.0, 1e3);
   CheckRange("rotation_noise_std", rotation_noise_std, 0.0, 1e3);
   CheckRange("outlier_threshold", outlier_threshold, 3.0, kInfinity);
@@ -85,7 +94,7 @@ void CalibrationOptions::Validate() const {
   CheckGiven("gravity", estimate_gravity, initial_gravity.has_value());
   if (!estimate_time_shift && !estimate_rotation && !estimate_translation && !estimate_accel_delay)
     throw InputError("options estimate_* leave nothing to estimate: set at least one to true");
-  CheckRange("knot_spacing_s", knot_spacing_s, 0.0, 10.0);
+  CheckZeroOrRange("knot_spacing_s", knot_spacing_s, 1e-3, 10.0);
   CheckRange("accel_delay", accel_delay, -0.5, 0.5);
   CheckRange("gravity_magnitude", gravity_magnitude, 0.1, 100.0);
   CheckRange("gravity_magnitude_std", gravity_magnitude_std, 1e-9, 10.0);
@@ -94,7 +103,7 @@ void CalibrationOptions::Validate() const {
   CheckRange("max_iterations", max_iterations, 1, 10000);
   CheckRange("max_factor_mb", max_factor_mb, 0.0, 1e6);
   CheckRange("num_threads", num_threads, 0, 1024);
-  CheckRange("covariance_block_s", covariance_block_s, 0.0, 1e6);
+  CheckZeroOrRange("covariance_block_s", covariance_block_s, 0.1, 1e6);
   CheckRange("weak_rotation_std", weak_rotation_std, 1e-9, 1.0);
   CheckRange("weak_translation_std", weak_translation_std, 1e-9, 10.0);
   CheckRange("weak_time_shift_std", weak_time_shift_std, 1e-9, 1.0);

@@ -52,6 +52,19 @@ void FindWalk(const CalibrationOptions& options,
 
 }  // namespace
 
+void CheckSingle(const CalibrationOptions& options, size_t imus, size_t sessions) {
+  const auto refuse = [](const char* option, const char* what) {
+    throw InputError(std::string(option) + " = false needs a single " + what +
+                     ": one value is given, but there are several");
+  };
+  if (imus > 1 && !options.estimate_rotation) refuse("estimate_rotation", "imu");
+  if (imus > 1 && !options.estimate_translation) refuse("estimate_translation", "imu");
+  if (imus > 1 && !options.estimate_accel_delay) refuse("estimate_accel_delay", "imu");
+  if (imus * sessions > 1 && !options.estimate_time_shift)
+    refuse("estimate_time_shift", "imu and recording");
+  if (sessions > 1 && !options.estimate_gravity) refuse("estimate_gravity", "recording");
+}
+
 PreparedSession Prepare(const CalibrationOptions& options,
                         const SessionData& recorded,
                         DataCheck* check) {
@@ -87,6 +100,7 @@ PreparedSession Prepare(const CalibrationOptions& options,
 
 DataCheck CheckData(const CalibrationOptions& options, const SessionData& session) {
   options.Validate();
+  CheckSingle(options, session.imus.size(), 1);
   DataCheck check;
   try {
     Prepare(options, session, &check);

@@ -402,5 +402,18 @@ TEST(ConditionData, RefusesAStreamWithNothingUsableWhateverTheBound) {
   EXPECT_TRUE(Contains(Refusal(data, options), "none of the 1000 pose samples is usable"));
 }
 
+TEST(ConditionData, RefusesASensorThatIsAlwaysAtItsLimitWhateverTheBound) {
+  CalibrationOptions options;
+  options.max_bad_fraction = 1.0;
+  for (auto sensor : {&ImuData::gyro, &ImuData::accel}) {
+    SessionData data = Recording();
+    std::vector<ImuSample>& samples = data.imus[0].*sensor;
+    for (size_t i = 0; i < samples.size(); ++i) samples[i].value.x() = i % 20 < 10 ? 50.0 : -50.0;
+    const std::string text = Refusal(data, options);
+    EXPECT_TRUE(Contains(text, sensor == &ImuData::gyro ? "gyroscope: " : "accelerometer: "));
+    EXPECT_TRUE(Contains(text, "all 2000 samples are at the end of the sensor's range (50)"));
+  }
+}
+
 }  // namespace
 }  // namespace imu_pose_calib

@@ -186,6 +186,31 @@ TEST(CheckData, WarnsOfAWrongScaleSeenAtRest) {
   ExpectWarning(Check(data), {"norm at rest", "bound: within 5 % of gravity_magnitude"});
 }
 
+TEST(CheckMotion, FindsTheSameRestWhereverTimeIsZero) {
+  const CalibrationOptions options;
+  ConditionedData data = ConditionData(options, Simulate(Truth(Motion::kStatic)));
+  const PoseTrajectory trajectory = FitTrajectory(options, &data);
+  for (std::vector<TimedSample>* samples : {&data.imus[0].gyro, &data.imus[0].accel})
+    for (TimedSample& s : *samples) s.t -= 10.0;
+  DataCheck check;
+  check.imus.resize(1);
+  CheckMotion(options, data, trajectory, &check);
+  EXPECT_NEAR(check.imus[0].rest_s, 20.0, 0.5);
+}
+
+TEST(CheckData, RefusesOneValueForTwoImus) {
+  const SessionData data = Simulate(Truth(), 2);
+  CalibrationOptions options;
+  options.estimate_time_shift = options.estimate_rotation = false;
+  options.initial_time_shift = 0.0;
+  options.initial_rotation = Eigen::Quaterniond::Identity();
+  EXPECT_TRUE(Contains(ErrorText<InputError>([&] { CheckData(options, data); }),
+                       "estimate_rotation = false needs a single imu"));
+  options.estimate_rotation = true;
+  EXPECT_TRUE(Contains(ErrorText<InputError>([&] { CheckData(options, data); }),
+                       "estimate_time_shift = false needs a single imu and recording"));
+}
+
 TEST(CheckData, AsksToRecordAgainWithTheReasonAndKeepsTheTable) {
   SessionData data = Simulate(Truth());
   for (ImuSample& s : data.imus[0].gyro) s.value *= 180.0 / M_PI;

@@ -155,6 +155,28 @@ TEST(ImuTrackTest, LeavesOutWhatTheImuCannotTell) {
   }
 }
 
+TEST(ImuTrackTest, ARunWithoutATrajectoryIsPartOfTheGap) {
+  const SimulatorOptions truth = Truth(435, 24.0, 1e-3);
+  SessionData data = Simulate(truth);
+  Withhold(
+      truth, [](double t) { return std::fmod(t, 8.0) > 7.5; }, &data);
+  auto solution = std::make_shared<Solution>(*Calibrate({}, data).solution);
+  ASSERT_EQ(solution->splines[0].Runs().size(), 3u);
+  // The splines of the second run stay.
+  Withhold(
+      truth, [](double t) { return t > 7.5 && t < 16.0; }, &data);
+  ConditionedData conditioned = ConditionData(CalibrationOptions(), data);
+  solution->trajectories[0] =
+      std::make_shared<const PoseTrajectory>(FitTrajectory(CalibrationOptions(), &conditioned));
+  const ImuTrack track(solution, 0, 0, nullptr, TrackClock::kImu, 2.0);
+  ASSERT_EQ(track.gaps().size(), 1u);
+  EXPECT_NEAR(track.gaps()[0].begin, 7.5, 0.05);
+  EXPECT_NEAR(track.gaps()[0].end, 16.0, 0.05);
+  EXPECT_TRUE(track.At(4.0));
+  EXPECT_FALSE(track.At(12.0));
+  EXPECT_TRUE(track.At(20.0));
+}
+
 /// One calibration with known biases on clocks that are far apart and drift.
 class ImuTrackOfOneTest : public ::testing::Test {
  protected:

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "faults.h"
 #include "imu_pose_calib/core/initializer.h"
 #include "imu_pose_calib/core/simulator.h"
 #include "test_util.h"
@@ -185,6 +186,18 @@ TEST(Initialise, RefusesAGyroscopeInDegrees) {
   EXPECT_TRUE(Contains(text, "gyroscope: its rates are 57."));
   EXPECT_TRUE(Contains(text, "bound: 0.5 to 2"));
   EXPECT_TRUE(Contains(text, "deg/s"));
+}
+
+TEST(RemoveFlippedSegments, TakesNoGuessOfAnotherImu) {
+  const SimulatorOptions options = Recording(20.0, 20);
+  SessionData data = Simulate(options, 2);
+  SwapLabels(5.0, 8.0, Eigen::Quaterniond(0.0, 1.0, 0.0, 0.0), &data);
+  data.imus[0] = ImuData();  // the session lacks the first IMU, which the guess is of
+  Fitted fitted(data, CalibrationOptions());
+  CalibrationOptions calibration;
+  calibration.initial_time_shift = options.time_shift_s;
+  RemoveFlippedSegments(calibration, &fitted.trajectory, &fitted.data);
+  EXPECT_EQ(fitted.data.pose_report.flipped, 300u);
 }
 
 TEST(FindTimeShifts, ReturnsTheBestFirstAndNoTwoNeighbours) {

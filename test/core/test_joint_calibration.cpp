@@ -5,6 +5,8 @@
 #include <random>
 
 #include "imu_pose_calib/core/calibrator.h"
+#include "imu_pose_calib/core/joint_solver.h"
+#include "imu_pose_calib/core/preparation.h"
 #include "imu_pose_calib/core/simulator.h"
 #include "imu_pose_calib/core/so3.h"
 #include "imu_pose_calib/core/solution.h"
@@ -219,6 +221,22 @@ TEST(JointCalibration, EstimatesClockDrift) {
 
 /// Seconds, on which the knot spacing is chosen, tell the drift to some ppm: after hours, samples
 /// would be spans away from where they are.
+TEST(JointCalibration, KeepsTheKnotSpacingWhereADenserOneDoesNotConverge) {
+  CalibrationOptions options;
+  options.max_iterations = 1;
+  const auto choose = [&options](const SessionData& data, double given) {
+    options.knot_spacing_s = given;
+    DataCheck check;
+    const PreparedSession session = Prepare(options, data, &check);
+    Estimate estimate(session, options.bias_knot_interval_s);
+    return ChooseKnotSpacing(options, session, &estimate).knot_spacing_s;
+  };
+  const SessionData data = Simulate(Recording(1e-4, 3));
+  EXPECT_THROW(choose(data, 0.06), DataError);
+  EXPECT_EQ(choose(data, 0.12), 0.12);
+  EXPECT_EQ(choose(data, 0.0), 0.12);
+}
+
 TEST(JointCalibration, StartsFromTheClocksOfTheWholeRecording) {
   SimulatorOptions truth = Recording(5e-3, 23);
   truth.duration_s = 40.0;

@@ -32,7 +32,8 @@ std::string Refusal(const CalibrationOptions& options) {
 struct Field {
   const char* name;
   double CalibrationOptions::*value;
-  double low, high;  ///< bounds
+  double low, high;          ///< bounds
+  bool may_be_zero = false;  ///< below the lower bound
 };
 
 const Field kFields[] = {
@@ -44,20 +45,20 @@ const Field kFields[] = {
     {"accel_noise_density", &CalibrationOptions::accel_noise_density, 1e-9, 1e3},
     {"gyro_bias_walk", &CalibrationOptions::gyro_bias_walk, 1e-12, 1e3},
     {"accel_bias_walk", &CalibrationOptions::accel_bias_walk, 1e-12, 1e3},
-    {"bias_knot_interval_s", &CalibrationOptions::bias_knot_interval_s, 0.0, 1e9},
-    {"position_lengthscale_s", &CalibrationOptions::position_lengthscale_s, 0.0, 1e3},
+    {"bias_knot_interval_s", &CalibrationOptions::bias_knot_interval_s, 1e-2, 1e9, true},
+    {"position_lengthscale_s", &CalibrationOptions::position_lengthscale_s, 1e-3, 1e3, true},
     {"position_signal_std", &CalibrationOptions::position_signal_std, 0.0, 1e9},
     {"position_noise_std", &CalibrationOptions::position_noise_std, 0.0, 1e3},
-    {"rotation_lengthscale_s", &CalibrationOptions::rotation_lengthscale_s, 0.0, 1e3},
+    {"rotation_lengthscale_s", &CalibrationOptions::rotation_lengthscale_s, 1e-3, 1e3, true},
     {"rotation_signal_std", &CalibrationOptions::rotation_signal_std, 0.0, 1e3},
     {"rotation_noise_std", &CalibrationOptions::rotation_noise_std, 0.0, 1e3},
     {"outlier_threshold", &CalibrationOptions::outlier_threshold, 3.0, kNoBound},
-    {"knot_spacing_s", &CalibrationOptions::knot_spacing_s, 0.0, 10.0},
+    {"knot_spacing_s", &CalibrationOptions::knot_spacing_s, 1e-3, 10.0, true},
     {"accel_delay", &CalibrationOptions::accel_delay, -0.5, 0.5},
     {"gravity_magnitude", &CalibrationOptions::gravity_magnitude, 0.1, 100.0},
     {"gravity_magnitude_std", &CalibrationOptions::gravity_magnitude_std, 1e-9, 10.0},
     {"robust_loss_scale", &CalibrationOptions::robust_loss_scale, 1.0, kNoBound},
-    {"covariance_block_s", &CalibrationOptions::covariance_block_s, 0.0, 1e6},
+    {"covariance_block_s", &CalibrationOptions::covariance_block_s, 0.1, 1e6, true},
     {"weak_rotation_std", &CalibrationOptions::weak_rotation_std, 1e-9, 1.0},
     {"weak_translation_std", &CalibrationOptions::weak_translation_std, 1e-9, 10.0},
     {"weak_time_shift_std", &CalibrationOptions::weak_time_shift_std, 1e-9, 1.0},
@@ -70,8 +71,10 @@ TEST(Options, EveryFieldOutOfRangeIsRefusedWithItsNameValueAndBound) {
     SCOPED_TRACE(field.name);
     const std::string bounds = field.high == kNoBound
                                    ? "at least " + Print(field.low)
-                                   : "[" + Print(field.low) + ", " + Print(field.high) + "]";
+                                   : std::string(field.may_be_zero ? "0 or " : "") + "within [" +
+                                         Print(field.low) + ", " + Print(field.high) + "]";
     std::vector<double> bad = {field.low - 0.123, -kInfinity, kNaN};
+    if (field.may_be_zero) bad.push_back(1e-9);
     if (field.high != kNoBound) bad.insert(bad.end(), {1.25 * field.high, kInfinity});
     for (const double value : bad) {
       CalibrationOptions options;
@@ -89,6 +92,10 @@ TEST(Options, TheBoundsThemselvesAreAllowed) {
     CalibrationOptions options;
     options.*field.value = field.low;
     EXPECT_NO_THROW(options.Validate());
+    if (field.may_be_zero) {
+      options.*field.value = 0.0;
+      EXPECT_NO_THROW(options.Validate());
+    }
     if (field.high == kNoBound) continue;
     options.*field.value = field.high;
     EXPECT_NO_THROW(options.Validate());

@@ -331,6 +331,22 @@ TEST_F(BagReaderTest, WriterKeepsTheOrderOfReversedStamps) {
   ExpectSameSamples(ReadBag(Request()).data, data);
 }
 
+TEST_F(BagReaderTest, WriterLeavesOutAnImuWithoutSamples) {
+  const SessionData data = Simulate(ShortSimulation(), 3);
+  for (const size_t missing : {0u, 1u}) {
+    SessionData incomplete = data;
+    incomplete.imus[missing] = ImuData();
+    WriteBag(Path("recording.bag"), incomplete, {});
+    for (size_t i = 0; i < 3; ++i) {
+      if (i == missing) continue;
+      BagRequest request = Request();
+      request.imu_topic = i == 0 ? "/imu" : "/imu" + std::to_string(i);
+      const SessionData read = ReadBag(request).data;
+      ExpectSameSamples(read, {data.poses, {data.imus[i]}});
+    }
+  }
+}
+
 TEST_F(BagReaderTest, WriterRefusesWhatItCannotWrite) {
   const SessionData data = Simulate(ShortSimulation());
   ExpectError<InputError>([&] { WriteBag(Path("no/dir.bag"), data, {}); }, {"no/dir.bag"});
@@ -345,6 +361,9 @@ TEST_F(BagReaderTest, WriterRefusesWhatItCannotWrite) {
   uneven = data;
   ++uneven.imus[0].accel[0].t_ns;
   ExpectError<InputError>([&] { WriteBag(Path("x.bag"), uneven, {}); }, {"same stamps"});
+  uneven = Simulate(ShortSimulation(), 2);
+  uneven.imus[1].accel.clear();
+  ExpectError<InputError>([&] { WriteBag(Path("x.bag"), uneven, {}); }, {"600 and 0"});
 }
 
 }  // namespace

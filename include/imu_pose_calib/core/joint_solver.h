@@ -34,8 +34,9 @@ struct JointStart {
 };
 
 /// Knot spacing of one session: options.knot_spacing_s, or refined on the liveliest seconds of the
-/// log until the IMU residuals stop shrinking (doc/math.md, S4, "Knot spacing"). The noise is what
-/// these residuals show, and `estimate` moves to the calibration of these seconds.
+/// log until the IMU residuals stop shrinking or a denser one does not converge (doc/math.md, S4,
+/// "Knot spacing"). The noise is what these residuals show, and `estimate` moves to the calibration
+/// of these seconds.
 JointStart ChooseKnotSpacing(const CalibrationOptions& options,
                              const PreparedSession& session,
                              Estimate* estimate);

@@ -6,6 +6,9 @@
 
 namespace imu_pose_calib {
 
+/// Throws InputError when one value is given and kept of what there are several of.
+void CheckSingle(const CalibrationOptions& options, size_t imus, size_t sessions);
+
 /// Stages S0 to S2 of one session, with all that they remark in `check`.
 ///
 /// Throws DataError for data that cannot be used and DegenerateMotion when the marker does not turn
@@ -16,7 +19,7 @@ PreparedSession Prepare(const CalibrationOptions& options,
 
 /// What a recording is worth, by these stages, with the verdict. Data that Calibrate() would refuse
 /// are `kRecordAgain`, or `kUsable` when they only need another option. Throws InputError for
-/// options out of range.
+/// options that it would refuse.
 DataCheck CheckData(const CalibrationOptions& options, const SessionData& session);
 
 }  // namespace imu_pose_calib

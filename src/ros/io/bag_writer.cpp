@@ -171,11 +171,34 @@ void Add(const std::string& topic,
   }
 }
 
-/// What to add to IMU stamps to get record times.
+/// The gyroscope of the first IMU that has samples of it; without any when there is none.
+const std::vector<ImuSample>& FirstGyro(const SessionData& data) {
+  for (const ImuData& imu : data.imus)
+    if (!imu.gyro.empty()) return imu.gyro;
+  return data.imus[0].gyro;
+}
+
+/// What to add to the stamps of the first IMU to get record times.
 int64_t RecordOffset(const SessionData& data) {
-  if (data.poses.empty() || data.imus[0].gyro.empty()) return 0;
-  const int64_t offset = data.poses.front().t_ns - data.imus[0].gyro.front().t_ns;
+  const std::vector<ImuSample>& gyro = FirstGyro(data);
+  if (data.poses.empty() || gyro.empty()) return 0;
+  const int64_t offset = data.poses.front().t_ns - gyro.front().t_ns;
   return std::abs(offset) > kDay ? offset : 0;
+}
+
+/// All but the first; of those without samples, nothing.
+void AddFurtherImus(const SessionData& data, int64_t offset, std::vector<Record>* records) {
+  for (size_t i = 1; i < data.imus.size(); ++i) {
+    const ImuData& imu = data.imus[i];
+    CheckSameStamps(imu);
+    if (imu.IsEmpty()) continue;
+    const std::string name = "imu" + std::to_string(i);
+    const auto further = [&imu, name](size_t k) {
+      return ToImu(&imu.gyro[k], &imu.accel[k], name);
+    };
+    const int64_t own_offset = offset + FirstGyro(data).front().t_ns - imu.gyro.front().t_ns;
+    Add("/" + name, imu.gyro, own_offset, further, records);
+  }
 }
 
 void Write(const std::string& path,
@@ -233,8 +256,8 @@ std::string Ros2Definition(const std::string& ros1_definition) {
   return text;
 }
 
-void CheckSameStamps(const SessionData& data) {
-  const std::vector<ImuSample>&gyro = data.imus[0].gyro, &accel = data.imus[0].accel;
+void CheckSameStamps(const ImuData& imu) {
+  const std::vector<ImuSample>&gyro = imu.gyro, &accel = imu.accel;
   if (gyro.size() != accel.size())
     throw InputError(
         "an IMU on one topic or in one file needs as many gyroscope as accelerometer samples, "
@@ -289,18 +312,10 @@ void WriteBag(const std::string& path, const SessionData& data, const BagFormat&
     Add("/imu/gyro", data.imus[0].gyro, offset, gyro, &records);
     Add("/imu/accel", data.imus[0].accel, offset, accel, &records);
   } else {
-    CheckSameStamps(data);
+    CheckSameStamps(data.imus[0]);
     Add("/imu", data.imus[0].gyro, offset, imu, &records);
   }
-  for (size_t i = 1; i < data.imus.size(); ++i) {
-    const std::string name = "imu" + std::to_string(i);
-    const auto further = [&data, i, name](size_t k) {
-      return ToImu(&data.imus[i].gyro[k], &data.imus[i].accel[k], name);
-    };
-    const int64_t own_offset =
-        offset + data.imus[0].gyro.front().t_ns - data.imus[i].gyro.front().t_ns;
-    Add("/" + name, data.imus[i].gyro, own_offset, further, &records);
-  }
+  AddFurtherImus(data, offset, &records);
   std::stable_sort(records.begin(), records.end(), [](const Record& a, const Record& b) {
     return a.t_ns < b.t_ns;
   });

@@ -32,7 +32,7 @@ std::string SecondsText(int64_t t_ns) {
 }
 
 void WriteAslFolder(const std::string& folder, const SessionData& data) {
-  CheckSameStamps(data);
+  CheckSameStamps(data.imus[0]);
   std::error_code error;
   for (const char* sensor : {"mocap0", "imu0"})
     if (!error) std::filesystem::create_directories(std::filesystem::path(folder) / sensor, error);
@@ -59,7 +59,7 @@ void WriteTables(const std::string& prefix, const SessionData& data, bool split_
   WriteFile(prefix + ".poses.txt", poses.text());
   const ImuData& imu = data.imus[0];
   if (!split_imu) {
-    CheckSameStamps(data);
+    CheckSameStamps(data.imus[0]);
     TextTable samples("timestamp,gx,gy,gz,ax,ay,az\n", ',');
     for (size_t k = 0; k < imu.gyro.size(); ++k)
       samples.AddRow(SecondsText(imu.gyro[k].t_ns), imu.gyro[k].value, imu.accel[k].value);

@@ -63,11 +63,11 @@ struct BagFormat {
 
 /// Throws InputError unless gyroscope and accelerometer samples have the same stamps, as one topic
 /// or file for both needs.
-void CheckSameStamps(const SessionData& data);
+void CheckSameStamps(const ImuData& imu);
 
 /// Writes poses on /mocap/pose or /tf (frame world, child marker) and IMU samples (frame imu);
-/// further IMUs on /imu1 (frame imu1) and so on, as Imu, recorded as if they had all started
-/// together.
+/// further IMUs that have samples on /imu1 (frame imu1) and so on, as Imu, recorded as if they had
+/// all started together.
 /// Record times are header times; when the clocks start more than a day apart, the IMU's record
 /// times are moved to the pose clock as if both had started together.
 ///
