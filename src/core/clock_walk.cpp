@@ -272,8 +272,8 @@ size_t FindStep(const PoseTrajectory& trajectory,
   return best;
 }
 
-/// Puts a knot on either side of each step, of which the walk so far is a ramp over some knots.
-/// `increment_std`: of the walk beside them, over kInterval.
+/// Puts two knots for each step between the samples that it parts, of which the walk so far is a
+/// ramp over some knots. `increment_std`: of the walk beside them, over kInterval.
 void CutAtSteps(const PoseTrajectory& trajectory,
                 const std::vector<TimedSample>& gyro,
                 const ClockLine& line,
@@ -292,10 +292,12 @@ void CutAtSteps(const PoseTrajectory& trajectory,
     const size_t sample =
         FindStep(trajectory, gyro, line, alignment, ramps.t[k - 1], ramps.t[k + 1], before, after);
     if (sample + 1 >= gyro.size()) continue;
-    const double begin = gyro[sample].t, end = gyro[sample + 1].t;
+    // Between the samples, on which other knots may lie.
+    const double u = 0.25, begin = (1.0 - u) * gyro[sample].t + u * gyro[sample + 1].t;
+    const double end = u * gyro[sample].t + (1.0 - u) * gyro[sample + 1].t;
     const auto place = std::upper_bound(walk->t.begin(), walk->t.end(), begin);
     const auto at = static_cast<size_t>(place - walk->t.begin());
-    if (at == 0 || at + 1 >= walk->t.size() || walk->t[at - 1] >= begin) continue;
+    if (at == 0 || at + 1 >= walk->t.size()) continue;
     if (walk->t[at] <= end) {  // a knot that the step leaves out
       if (at == walk->reference) continue;
       for (auto* values : {&walk->t, &walk->offset, &walk->std})

@@ -34,7 +34,7 @@ double FittedShare(const Ordering& ordering, const LeastSquares& solved) {
       if (ActsIn(*solved.estimate, p, s)) local += p.size;
     dimensions += static_cast<double>(local * solved.windows.Count(s));
   }
-  const int shared = ordering.trajectory - ordering.leading;
+  const int shared = ordering.walks - ordering.leading;  // knots of clocks act in one cluster
   return std::min(kLargestFittedShare,
                   static_cast<double>(ordering.estimated + shared) / dimensions);
 }

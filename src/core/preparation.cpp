@@ -92,7 +92,8 @@ PreparedSession Prepare(const CalibrationOptions& options,
     if (options.method == Method::kJoint && options.estimate_clock_drift &&
         std::abs(match.drift_ppm) > kSureDrift * match.drift_ppm_std)
       prepared.starts[i].clock_drift = 1e-6 * match.drift_ppm;
-    if (options.method == Method::kJoint && options.estimate_clock_walk)
+    if (options.method == Method::kJoint && options.estimate_clock_walk &&
+        options.estimate_time_shift)
       FindWalk(options, prepared.data.imus[i], *prepared.trajectory, &prepared.starts[i]);
   }
   return prepared;

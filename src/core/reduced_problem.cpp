@@ -41,6 +41,7 @@ Ordering::Ordering(LeastSquares* solved) {
     if (solved->options.estimate_gravity) add(problem.Find(session.g_W.data()), &border);
   biases = columns;
   for (const int block : solved->BiasBlocks()) add(block, &inner);
+  walks = columns;
   for (const int block : solved->ClockBlocks()) add(block, &inner);
   trajectory = columns;
   for (const int block : solved->trajectory_blocks) add(block, &inner);
@@ -148,6 +149,7 @@ ReducedProblem::ReducedProblem(const Ordering& ordering,
   for (std::vector<Part>* parts : {&halves_, &sessions_}) {
     for (Part& part : *parts) {
       part.reduced = eliminated_->Reduce(part.windows);
+      AddPriors(*solved, &part);
       int block = 0, column = 0;
       for (const Parameter& p : ordering.calibrated) {
         const bool is_acting = std::any_of(part.windows.begin(), part.windows.end(), [&](int w) {
@@ -218,6 +220,33 @@ Panels ReducedProblem::TakeFactor() {
   Panels factor = eliminated_->TakeFactor();
   if (!factor.empty()) factor.rbegin()->second = {all_.H, {}};
   return factor;
+}
+
+void ReducedProblem::AddPriors(const LeastSquares& solved, Part* part) const {
+  const Problem& problem = solved.problem;
+  for (const PriorBlock& prior : solved.priors) {
+    const Problem::Residuals& residuals = problem.residuals(prior.block);
+    const int window = solved.windows.Of(prior.session, prior.t),
+              *blocks = problem.BlocksOf(residuals);
+    const bool is_there =
+        std::find(part->windows.begin(), part->windows.end(), window) != part->windows.end();
+    if (is_there || residuals.cost->parameter_block_sizes().size() > 1) continue;
+    const auto place = std::find(ordering_.border.begin(), ordering_.border.end(), blocks[0]);
+    if (place == ordering_.border.end()) continue;
+    int column = 0;
+    for (auto block = ordering_.border.begin(); block != place; ++block)
+      column += problem.TangentSize(*block);
+    if (part->reduced.H(column, column) == 0.0) continue;  // of another session
+    const int size = problem.TangentSize(*place);
+    Eigen::VectorXd r(residuals.rows());
+    Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> J(r.size(), size);
+    const double* parameters[] = {problem.data(blocks[0])};
+    double* jacobians[] = {J.data()};
+    residuals.Evaluate(parameters, r.data(), jacobians);
+    part->reduced.H.block(column, column, size, size) += J.transpose() * J;
+    const Eigen::VectorXd share = J.transpose() * r / static_cast<double>(part->windows.size());
+    for (const int w : part->windows) part->reduced.B.col(w).segment(column, size) += share;
+  }
 }
 
 Panels ReducedProblem::Assemble(size_t window,

@@ -18,7 +18,7 @@ inline Eigen::MatrixXd DenseInverse(const Marginals& m) {
       if (p.is_estimated == is_estimated && p.parameter.data != nullptr)
         size.push_back(p.parameter.size);
   for (const PlacedParameter& p : m.parameters)
-    if (p.parameter.kind == ParameterKind::kGravity) size.push_back(2);
+    if (p.parameter.kind == ParameterKind::kGravity) size.push_back(3);
   const size_t border = size.size();
   size.resize(m.step.blocks.size(), 3);
   std::vector<int> first(size.size(), 0), order(size.size());

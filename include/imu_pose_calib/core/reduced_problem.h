@@ -16,7 +16,7 @@ struct Ordering {
   std::vector<int> border, inner;
   int columns = 0;
   int estimated = 0, leading = 0;  ///< columns of what is calibrated, with what could have been
-  int biases = 0, trajectory = 0;  ///< first columns
+  int biases = 0, walks = 0, trajectory = 0;  ///< first columns
   std::vector<Parameter> calibrated, possible;
   std::vector<int> clocks, clock_blocks;  ///< columns of those that are estimated, and their blocks
 
@@ -96,6 +96,8 @@ class ReducedProblem {
   int RhsOfClock(size_t clock) const { return windows_ + functionals_ + static_cast<int>(clock); }
   /// H and scores of a window.
   Panels Assemble(size_t window, const std::vector<ExactColumn>& exact, double* cost) const;
+  /// What is known beforehand of the border counts in every part, not only where it stands.
+  void AddPriors(const LeastSquares& solved, Part* part) const;
   /// The means of bias knots that are in one window, or are shared.
   void AddMeans(const Functionals& functionals, int window, Panels* panels) const;
 

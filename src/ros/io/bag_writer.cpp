@@ -337,7 +337,7 @@ std::string TruthYaml(const SimulatorOptions& options) {
   text << "# t_pose = t_imu + time_shift, t_pose = t_accel + time_shift - accel_delay\n"
        << "time_shift: " << YamlNumber(clock.time_shift_s) << "\n"
        << "accel_delay: " << YamlNumber(clock.accel_delay_s) << "\n";
-  list("gravity", options.g_W);
+  list("gravity", (options.g_W + options.effects.gravity * options.g_W.normalized()).eval());
   text << "# at the start\n";
   list("gyro_bias", options.gyro_bias);
   list("accel_bias", options.accel_bias);
