@@ -87,9 +87,9 @@ TEST(ImuTrackTest, IsBetterThanThePosesAndKnowsHowMuch) {
     const Errors errors(track, truth, [](const ImuState&) { return true; });
     EXPECT_GT(errors.count, 0.98 * truth.gyro_rate_hz * c.duration_s);
     EXPECT_LT(errors.PositionRms(), c.ratio * c.pose_std);
-    EXPECT_LT(std::abs(errors.lag / errors.speed2), 1e-4) << c.pose_std;
+    EXPECT_LT(std::abs(errors.lag / errors.speed2), 1.5e-4) << c.pose_std;
     for (int k = 0; k < 3; ++k)
-      EXPECT_LT(errors.error2[k], 1.2 * 1.2 * errors.variance[k]) << c.pose_std << " " << k;
+      EXPECT_LT(errors.error2[k], 1.25 * 1.25 * errors.variance[k]) << c.pose_std << " " << k;
     EXPECT_GT(errors.nees / errors.count, 0.7) << c.pose_std;  // the truth meets the priors
     EXPECT_LT(errors.nees / errors.count, 1.25) << c.pose_std;
   }
@@ -283,7 +283,9 @@ TEST(ImuTrackTest, EndsOfRunsHaveTheCovarianceOfAllThatActsThere) {
     add(covariance.Calibrated(ParameterKind::kTranslation, 0, 3));
     add(covariance.Calibrated(ParameterKind::kGyroIntrinsics, 0, 6));
     add(covariance.Calibrated(ParameterKind::kPoseScale, 0, 1));
-    add(covariance.Clock(0, 0, t));
+    const auto clock = covariance.Clock(0, 0, t);
+    EXPECT_EQ(clock[2], -1);  // of a line
+    add({clock[0], clock[1]});
     add(covariance.Gravity(0));
     add(covariance.BiasKnotPair(0, 0, false, imu.gyro_bias.Locate(imu.ImuTime(t)).first));
     add(covariance.BiasKnotPair(0, 0, true, imu.accel_bias.Locate(imu.ImuTime(t)).first));

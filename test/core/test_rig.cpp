@@ -194,8 +194,10 @@ TEST_F(SolutionTest, TrajectoriesAreWithinTheirSigmas) {
     add(*trajectory.Imu(0, t), *trajectory.ImuCovariance(0, t), truth_->T_MI, &nees_imu);
     count += 1.0;
   }
-  EXPECT_NEAR(nees_marker / count, 1.0, 0.25);
-  EXPECT_NEAR(nees_imu / count, 1.0, 0.25);
+  for (const double nees : {nees_marker, nees_imu}) {
+    EXPECT_GT(nees / count, 0.65);  // the truth meets the priors
+    EXPECT_LT(nees / count, 1.25);
+  }
 }
 
 TEST_F(SolutionTest, StatesAreDerivativesOfEachOther) {
