@@ -254,6 +254,27 @@ TEST(BiasWalkResidual, IsTheStepInSigmaWithExactDerivatives) {
   ExpectGradientsAgree(*cost, &manifolds, blocks);
 }
 
+TEST(WalkResidual, OfAClockHasOneRow) {
+  const std::unique_ptr<ceres::CostFunction> cost(WalkResidual<1>{1e-3}.Create());
+  double knot_0 = 2e-3, knot_1 = 5e-3, r;
+  const std::vector<double*> blocks = {&knot_0, &knot_1};
+  ASSERT_TRUE(cost->Evaluate(blocks.data(), &r, nullptr));
+  EXPECT_NEAR(r, 3.0, 1e-12);
+  const std::vector<const Manifold*> manifolds = {nullptr, nullptr};
+  ExpectGradientsAgree(*cost, &manifolds, blocks);
+}
+
+TEST(GravityPrior, IsTheExcessInSigmaWithExactDerivatives) {
+  const std::unique_ptr<ceres::CostFunction> cost(GravityPrior{9.8, 0.03}.Create());
+  Vector3d g_W = 9.86 * Vector3d(0.3, -0.4, -2.0).normalized();
+  double r;
+  const std::vector<double*> blocks = {g_W.data()};
+  ASSERT_TRUE(cost->Evaluate(blocks.data(), &r, nullptr));
+  EXPECT_NEAR(r, 2.0, 1e-9);
+  const std::vector<const Manifold*> manifolds = {nullptr};
+  ExpectGradientsAgree(*cost, &manifolds, blocks);
+}
+
 std::vector<TimedSample> SamplesAt(const std::vector<double>& times) {
   std::vector<TimedSample> samples;
   for (const double t : times) samples.push_back({t, Vector3d::Zero()});
