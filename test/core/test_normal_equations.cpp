@@ -25,7 +25,7 @@ namespace {
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
 
-/// Something curved of a quaternion, a direction, a scale and a control point each side.
+/// Something curved of a quaternion, a vector, a scale and a control point each side.
 struct Curved {
   Eigen::Vector3d y;
   template <typename T>
@@ -33,7 +33,7 @@ struct Curved {
     using Vector = Eigen::Matrix<T, 3, 1>;
     const Vector turned =
         Eigen::Map<const Eigen::Quaternion<T>>(q) *
-        Vector(Eigen::Map<const Vector>(g) * exp(s[0]) + Eigen::Map<const Vector>(a).cwiseAbs2());
+        Vector(Eigen::Map<const Vector>(g) + Eigen::Map<const Vector>(a).cwiseAbs2() * exp(s[0]));
     Eigen::Map<Vector> residual(r);
     residual = turned - Eigen::Map<const Vector>(b) - y.cast<T>();
     return true;
@@ -147,7 +147,7 @@ TEST_F(NormalEquationsTest, AreThoseOfCeresWhereverTheParametersStand) {
     const MatrixXd expected = b.transpose() * H.llt().solve(b);
     EXPECT_NEAR(reduced.Products().sum(), expected(0, 0), 1e-9 * expected(0, 0));
     const MatrixXd C = H.llt().solve(MatrixXd::Identity(H.rows(), H.rows()));
-    EXPECT_LT((reduced.H * C.topLeftCorner(6, 6) - MatrixXd::Identity(6, 6)).norm(), 1e-8);
+    EXPECT_LT((reduced.H * C.topLeftCorner(7, 7) - MatrixXd::Identity(7, 7)).norm(), 1e-8);
   }
 }
 

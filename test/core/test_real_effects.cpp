@@ -88,7 +88,7 @@ TEST(RealEffects, EachChangesWhatItSaysAndNothingElse) {
   const std::map<std::string, std::vector<std::string>> kEffects = {
       {"pga", {"vibration", "rocking", "shocks"}},
       {"g", {"gyro-filter", "g-sensitivity"}},
-      {"a", {"accel-filter", "size-effect"}},
+      {"a", {"accel-filter", "size-effect", "gravity"}},
       {"ga", {"scale-misalignment", "temperature-drift", "clock-drift"}},
       {"p",
        {"pose-exposure",
@@ -97,8 +97,14 @@ TEST(RealEffects, EachChangesWhatItSaysAndNothingElse) {
         "marker-offset",
         "fused-poses",
         "pose-updates"}},
-      {"P", {"pose-jitter", "pose-latency", "pose-burst", "pose-stamp-step"}},
-      {"I", {"imu-jitter", "imu-latency", "imu-burst", "imu-stamp-step"}},
+      {"P", {"pose-jitter", "pose-latency", "pose-burst", "pose-stamp-step", "pose-clock-step"}},
+      {"I",
+       {"imu-jitter",
+        "imu-latency",
+        "imu-burst",
+        "imu-stamp-step",
+        "imu-wander",
+        "imu-clock-step"}},
       {"P-", {"pose-drops"}},
       {"I-", {"imu-drops"}}};
   std::map<std::string, std::string> touched_by;
