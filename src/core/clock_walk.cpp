@@ -157,30 +157,30 @@ Walk Smooth(const LocalOffsets& local, const Tails& tails, const Model& model) {
   F(0, 2) = kInterval;
   F(1, 1) = kept;
   std::vector<Vector3d> x(n), x_before(n);
-  std::vector<Matrix3d> P(n), P_before(n);
+  std::vector<Matrix3d> P(n), predicted(n);
   double sum = 0.0, log_variance = 0.0, count = 0.0;
   for (size_t k = 0; k < n; ++k) {
     if (k == 0) {
       x_before[0].setZero();
-      P_before[0] = Vector3d(kUnknown * kUnknown, model.slow2, kDrift * kDrift).asDiagonal();
+      predicted[0] = Vector3d(kUnknown * kUnknown, model.slow2, kDrift * kDrift).asDiagonal();
     } else {
       x_before[k] = F * x[k - 1];
-      P_before[k] = F * P[k - 1] * F.transpose();
-      P_before[k](0, 0) += model.density2 * kInterval * tails.increments[k - 1];
-      P_before[k](1, 1) += model.slow2 * (1.0 - kept * kept);
+      predicted[k] = F * P[k - 1] * F.transpose();
+      predicted[k](0, 0) += model.density2 * kInterval * tails.increments[k - 1];
+      predicted[k](1, 1) += model.slow2 * (1.0 - kept * kept);
     }
     x[k] = x_before[k];
-    P[k] = P_before[k];
+    P[k] = predicted[k];
     if (!std::isfinite(local.variance[k])) continue;
     const Vector3d H(1.0, std::sqrt(local.variance[k]), 0.0);
     const double innovation = local.z[k] - H.dot(x_before[k]);
-    const double variance = H.dot(P_before[k] * H) + local.variance[k] * tails.offsets[k];
+    const double variance = H.dot(predicted[k] * H) + local.variance[k] * tails.offsets[k];
     if (variance < 0.1 * kUnknown * kUnknown) {
       sum += innovation * innovation / variance;
       log_variance += std::log(variance);
       count += 1.0;
     }
-    const Vector3d gain = P_before[k] * H / variance;
+    const Vector3d gain = predicted[k] * H / variance;
     x[k] += gain * innovation;
     P[k] -= gain * gain.transpose() * variance;
   }
@@ -195,10 +195,10 @@ Walk Smooth(const LocalOffsets& local, const Tails& tails, const Model& model) {
   for (size_t k = n; k-- > 0;) {
     if (k + 1 < n) {
       const Matrix3d gain =
-          P[k] * F.transpose() * P_before[k + 1].ldlt().solve(Matrix3d::Identity());
+          P[k] * F.transpose() * predicted[k + 1].ldlt().solve(Matrix3d::Identity());
       const Matrix3d after = P[k + 1];
       x[k] += gain * (x[k + 1] - x_before[k + 1]);
-      P[k] += gain * (after - P_before[k + 1]) * gain.transpose();
+      P[k] += gain * (after - predicted[k + 1]) * gain.transpose();
       const double increment = x[k + 1][0] - x[k][0] - kInterval * x[k][2];
       const double variance = after(0, 0) + P[k](0, 0) - 2.0 * (gain * after)(0, 0);
       walk.increment2[k] = (increment * increment / walk.scale2 + std::max(0.0, variance)) /
