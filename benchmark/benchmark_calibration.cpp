@@ -165,7 +165,7 @@ void JointMarginals(benchmark::State& state) {
   const std::vector<PreparedSession> sessions = {start.session};
   Estimate estimate = prepared.estimate;
   std::vector<SensorModel> models = InitialModels(options, sessions);
-  for (size_t k = 0; k < models.size(); ++k) models[k].noise = models[k].spread = start.noise[k];
+  for (size_t k = 0; k < models.size(); ++k) models[k].noise = start.noise[k];
   std::vector<CorrectionSplines> splines = {
       CorrectionSplines(start.session.data, estimate, 0, start.knot_spacing_s)};
   const auto joint = BuildJointProblem(options, sessions, models, &estimate, &splines);

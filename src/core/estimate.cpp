@@ -5,6 +5,12 @@
 #include <map>
 
 namespace imu_pose_calib {
+namespace {
+
+constexpr double kErrorKnots = 0.5;   // [s] between knots of slow errors
+constexpr double kErrorStart = 1e-3;  // [rad] their sigma to start from
+
+}  // namespace
 
 BiasKnots::BiasKnots(const std::vector<TimedSample>& samples,
                      double interval_s,
@@ -12,11 +18,15 @@ BiasKnots::BiasKnots(const std::vector<TimedSample>& samples,
   if (interval_s == 0.0) {
     for (const TimedSample& s : samples) t.push_back(s.t);
   } else {
-    const double duration = samples.back().t - samples.front().t;
-    const int intervals = std::max(1, static_cast<int>(std::ceil(duration / interval_s)));
-    for (int k = 0; k <= intervals; ++k) t.push_back(samples.front().t + duration * k / intervals);
+    t = BiasKnots(samples.front().t, samples.back().t, interval_s).t;
   }
   values.assign(t.size(), initial);
+}
+
+BiasKnots::BiasKnots(double begin, double end, double interval_s) {
+  const int intervals = std::max(1, static_cast<int>(std::ceil((end - begin) / interval_s)));
+  for (int k = 0; k <= intervals; ++k) t.push_back(begin + (end - begin) * k / intervals);
+  values.assign(t.size(), Eigen::Vector3d::Zero());
 }
 
 std::pair<size_t, double> BiasKnots::Locate(double time) const {
@@ -29,6 +39,17 @@ Eigen::Vector3d BiasKnots::Mean() const {
   Eigen::Vector3d sum = Eigen::Vector3d::Zero();
   for (const Eigen::Vector3d& v : values) sum += v;
   return sum / static_cast<double>(values.size());
+}
+
+SlowErrors::SlowErrors(double begin, double end)
+    : knots(begin, end, kErrorKnots), std(kErrorStart) {}
+
+double SlowErrors::Kept(size_t k) const {
+  return std::exp((knots.t[k] - knots.t[k + 1]) / kTime);
+}
+
+double SlowErrors::Density(double omega2) const {
+  return 2.0 * std * std * kTime / (1.0 + omega2 * kTime * kTime);
 }
 
 double ImuSessionEstimate::ImuTime(double t_M) const {
@@ -48,6 +69,8 @@ Estimate::Estimate(const PreparedSession& session, double bias_knot_interval_s)
     : imus(session.starts.size()), sessions(1) {
   sessions[0].imus.resize(imus.size());
   sessions[0].g_W = session.starts[session.data.FirstImu()].g_W;
+  sessions[0].rotation_errors =
+      SlowErrors(session.data.poses.front().t, session.data.poses.back().t);
   for (size_t i = 0; i < imus.size(); ++i) {
     const ConditionedImu& samples = session.data.imus[i];
     if (!samples.IsPresent()) continue;
@@ -73,8 +96,7 @@ bool IsOfPoses(ParameterKind kind) {
 
 bool IsHint(ParameterKind kind) {
   return kind == ParameterKind::kClockDrift || kind == ParameterKind::kPoseSmoothing ||
-         kind == ParameterKind::kGyroIntrinsics || kind == ParameterKind::kAccelIntrinsics ||
-         kind == ParameterKind::kAccelPositions;
+         kind == ParameterKind::kGyroIntrinsics || kind == ParameterKind::kAccelIntrinsics;
 }
 
 std::vector<Parameter> CalibrationParameters(Estimate* estimate) {

@@ -25,7 +25,7 @@ constexpr double kSmoothingPerDelay2 = 0.5, kSmoothingSpread = 1.0;
 constexpr double kLeastFilterDelay = 0.01;        // [s]
 constexpr double kScalePrior = 0.01;              // [1] diagonal of K_g and K_a
 constexpr double kAlignmentPrior = M_PI / 360.0;  // [rad] their other elements: 0.5 deg
-constexpr double kSizePrior = 3e-3;               // [m] places of the accelerometer's axes
+constexpr double kSizePrior = 2e-3;               // [m] places of the accelerometer's axes
 
 constexpr double kCurvatureStep = 0.01;  // [s] of differences
 constexpr double kSensors = 3.0;         // of one IMU and the poses, that share what may be kept
@@ -52,7 +52,7 @@ Samples<Sample> Collect(const CalibrationOptions& options,
 }
 
 /// The places of samples: a residual block takes those that share the first control point, the
-/// knots of the bias and of the clock.
+/// knots of the bias, of poses of the slow error, and of the clock.
 struct Run {
   int first, knot, walk = 0;
   bool operator==(const Run& o) const {
@@ -204,6 +204,12 @@ std::vector<int> Blocks(std::initializer_list<int> splines,
 void SessionBuilder::AddPoses() {
   const Clocks clocks = FindClocks(nullptr, false);
   Problem& problem = joint_->problem;
+  BiasKnots& errors = estimate_.rotation_errors.knots;
+  int first_error = -1;  // the others follow
+  for (Eigen::Vector3d& value : errors.values) {
+    const int block = problem.AddParameters(value.data(), 3);
+    if (first_error < 0) first_error = block;
+  }
   const std::vector<TimedPose>& poses = prepared_.data.poses;
   const std::shared_ptr<const Places> places = places_;
   std::vector<size_t> kept;
@@ -212,7 +218,7 @@ void SessionBuilder::AddPoses() {
     const auto span = places_->FindSpan(poses[i].t);
     if (!span) continue;
     kept.push_back(i);
-    runs.push_back({*span, 0});
+    runs.push_back({*span, static_cast<int>(errors.Locate(poses[i].t).first)});
   }
   const int pose_smoothing = problem.Find(&joint_->estimate->pose_smoothing);
   const int position_smoothing = problem.Find(&joint_->estimate->position_smoothing);
@@ -230,7 +236,7 @@ void SessionBuilder::AddPoses() {
   place(&TimedPose::position_scale, position);
   place(&TimedPose::rotation_scale, rotation);
   const auto samples =
-      Collect<JointPoseSample>(joint_->options, kept.size(), [=, &poses](size_t k) {
+      Collect<JointPoseSample>(joint_->options, kept.size(), [=, &poses, &errors](size_t k) {
         const ProblemSample& at = position->samples[k];
         const TimedPose& pose = poses[at.index];
         const MarkerState<double> gp = places->At(at.t);
@@ -241,22 +247,26 @@ void SessionBuilder::AddPoses() {
                                gp.a_W,
                                places->ReferenceTime(at.t),
                                at.sigma,
-                               rotation->samples[k].sigma};
+                               rotation->samples[k].sigma,
+                               errors.Locate(at.t).second};
       });
   const auto add = [&](std::shared_ptr<const SampledCost> cost, auto blocks, SensorBlocks* sensor) {
     ForRuns(runs, [&](size_t begin, size_t end, const Run& run) {
-      sensor->Add(problem.AddResiduals(cost, begin, end, blocks(run.first)), poses[kept[begin]].t);
+      sensor->Add(problem.AddResiduals(cost, begin, end, blocks(run)), poses[kept[begin]].t);
     });
   };
   add(
       CreateJointPositionResidual(samples, clocks.motions),
-      [&](int first) {
-        return Blocks({d_ + first}, {pose_smoothing, position_smoothing}, clocks.blocks);
+      [&](const Run& run) {
+        return Blocks({d_ + run.first}, {pose_smoothing, position_smoothing}, clocks.blocks);
       },
       position);
   add(
       CreateJointRotationResidual(samples, clocks.motions),
-      [&](int first) { return Blocks({phi_ + first}, {pose_smoothing}, clocks.blocks); },
+      [&](const Run& run) {
+        const int knot = first_error + run.knot;
+        return Blocks({phi_ + run.first}, {pose_smoothing, knot, knot + 1}, clocks.blocks);
+      },
       rotation);
 }
 
@@ -439,6 +449,7 @@ std::unique_ptr<LeastSquares> BuildJointProblem(const CalibrationOptions& option
     SessionBuilder builder(
         s, first((*splines)[s].d), first((*splines)[s].phi), &(*splines)[s], joint.get());
     builder.AddPoses();
+    joint->AddRotationErrors(s);
     for (size_t i = 0; i < estimate->imus.size(); ++i) {
       ImuSessionEstimate& imu = estimate->sessions[s].imus[i];
       if (!imu.is_present) continue;

@@ -258,7 +258,7 @@ class JointPositionResidual : public BatchResidual<JointPoseSample> {
 class JointRotationResidual : public BatchResidual<JointPoseSample> {
  public:
   JointRotationResidual(Samples<JointPoseSample> samples, const ClockMotions& clocks)
-      : BatchResidual(std::move(samples), {1}, 1, clocks) {}
+      : BatchResidual(std::move(samples), {1, 3, 3}, 1, clocks) {}
 
  protected:
   bool EvaluateSample(const JointPoseSample& s,
@@ -274,7 +274,10 @@ class JointRotationResidual : public BatchResidual<JointPoseSample> {
     const Vector3d alpha = s.alpha_M + phi.col(2);
     const Eigen::Quaterniond lag_inv = Exp<double>(-c * alpha);
     const Vector3d error = Log(Eigen::Quaterniond(lag_inv * E_inv * s.q_error));
-    AsVector(residual) = error / s.rotation_sigma;
+    const Eigen::Map<const Vector3d> knot_0(blocks[kSplineOrder + 1]),
+        knot_1(blocks[kSplineOrder + 2]);
+    AsVector(residual) =
+        (error - (1.0 - s.error_u) * knot_0 - s.error_u * knot_1) / s.rotation_sigma;
     if (jacobians.blocks == nullptr) return true;
     // Log(Exp(-delta) Exp(error)) = error - J_l(error)^-1 delta with J_l(x) = J_r(-x); delta is
     // J_r(c alpha) d(c alpha), and before that J_r(phi) dphi.
@@ -285,6 +288,9 @@ class JointRotationResidual : public BatchResidual<JointPoseSample> {
     for (int j = 0; j < kSplineOrder; ++j)
       SetRows<3>(jacobians, j, weights(0, j) * A_phi * J + weights(2, j) * c * A_lag);
     SetRows<1>(jacobians, kSplineOrder, 0.5 * A_lag * alpha);
+    const Matrix3d by_error = -Matrix3d::Identity() / s.rotation_sigma;
+    SetRows<3>(jacobians, kSplineOrder + 1, (1.0 - s.error_u) * by_error);
+    SetRows<3>(jacobians, kSplineOrder + 2, s.error_u * by_error);
     const Vector3d r_spline = A_phi * J * phi.col(1) + c * A_lag * phi.col(3);
     SetClockRows(s, Vector3d::Zero(), r_spline, jacobians);
     return true;

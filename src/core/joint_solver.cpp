@@ -14,15 +14,9 @@
 namespace imu_pose_calib {
 namespace {
 
-/// Factor between noise assumed and noise found, over the log and where the search for it is cheap.
-constexpr double kNoiseAgreement = 1.5, kNoiseSettled = 1.15;
-constexpr int kMaxPasses = 6, kMaxNoisePasses = 10;
-
-/// Of the noise of poses that S1 finds: a trajectory that follows every pose shows none.
-constexpr double kLeastPositionNoise = 0.25, kLeastRotationNoise = 0.1;
-
-/// Sigmas of a size effect that is shown, and of one that could be with other weights.
-constexpr double kShownSize = 5.0, kPossibleSize = 3.0;
+/// Passes end when no noise changes by more than this factor, or with the last of so many.
+constexpr double kSettled = 1.01;
+constexpr int kMaxPasses = 40;
 
 constexpr double kStep = 0.02;              // [s] between the instants looked at
 constexpr double kExcerpt = 8.0;            // [s] on which the knot spacing is chosen
@@ -146,45 +140,50 @@ class JointSolver {
       : options_(options),
         sessions_(sessions),
         estimate_(estimate),
-        models_(InitialModels(options, sessions)),
-        holds_size_(estimate->imus.size(), true) {
-    for (const SensorModel& model : models_) floor_.push_back(LeastNoise(model));
-    for (size_t k = 0; k < noise.size(); ++k) models_[k].noise = models_[k].spread = noise[k];
-    for (size_t s = 0; s < sessions.size(); ++s)
+        models_(InitialModels(options, sessions)) {
+    for (size_t k = 0; k < noise.size(); ++k) models_[k].noise = noise[k];
+    for (size_t s = 0; s < sessions.size(); ++s) {
       splines_.emplace_back(sessions[s].data, *estimate, s, knot_spacings_s[s]);
+      const std::vector<TimedPose>& poses = sessions[s].data.poses;
+      estimate->sessions[s].rotation_errors = SlowErrors(poses.front().t, poses.back().t);
+    }
   }
 
   const std::vector<SensorModel>& models() const { return models_; }
 
-  /// The noise of a plain and a robust pass.
-  std::vector<double> FindNoise() {
+  /// A plain and a robust pass. What IMUs leave, over all of them: it shrinks while knots become
+  /// denser for a reason.
+  double FindNoise() {
     Pass();
-    NextPass(Noise());
-    return Noise();
+    NextPass();
+    double residual = 1.0, imus = 0.0;
+    for (size_t k = 0; k < models_.size(); ++k) {
+      const Quantity quantity = models_[k].quantity;
+      if (quantity == Quantity::kGyro || quantity == Quantity::kAccel)
+        residual *= statistics_[k].spread.scale;
+      if (quantity == Quantity::kGyro) imus += 1.0;
+    }
+    return std::pow(residual, 1.0 / imus);
   }
 
-  /// After FindNoise(): until the noise hardly depends on the one that the search started from.
-  std::vector<double> SettleNoise() {
-    int pass = 2;
-    do ++pass;
-    while (NextPass(Noise()) > kNoiseSettled && pass < kMaxNoisePasses);
-    return Noise();
+  /// Of each sensor, as the last residuals show it.
+  std::vector<double> Noise() const {
+    std::vector<double> noise;
+    for (const SensorStatistics& sensor : statistics_) noise.push_back(sensor.noise);
+    return noise;
   }
 
   /// Starts close to the solution: residuals about the calibration of the start tell what is an
-  /// outlier before it can move the calibration. The noise within the band is measured while
-  /// sensors weigh by their spread.
+  /// outlier before it can move the calibration.
   Solution Solve() {
-    Pass(Calibration::kHeld);
-    NextPass(Noise());
-    in_band_ = NoiseInBand(*problem_, splines_, statistics_);
-    int pass = 2;
-    do ++pass;
-    while (NextPass(ColoredNoise(), Calibration::kTested) > kNoiseAgreement && pass < kMaxPasses);
-    BuildLast();
-    if (may_show_sizes_ && Release()) BuildLast();
-    FeignInformation(splines_, problem_.get());
+    Pass(true);
     Solution solution;
+    solution.has_settled = false;
+    for (int pass = 1; pass < kMaxPasses && !solution.has_settled; ++pass)
+      solution.has_settled = NextPass() < kSettled;
+    SetNoise();
+    Build();
+    FeignInformation(splines_, problem_.get());
     solution.marginals = FindMarginals(problem_.get());
     solution.statistics = statistics_;
     // Of everything: trajectories, gravity and biases too.
@@ -198,55 +197,19 @@ class JointSolver {
   }
 
  private:
-  /// What a pass does with it. Tested: it also finds whether there may be size effects.
-  enum class Calibration { kHeld, kFound, kTested };
-
-  /// With weights by the last residuals.
-  void BuildLast() {
-    SetNoise(ColoredNoise());
-    Build();
-  }
-
-  /// From now on the size effects that the data show are estimated; whether there are any.
-  bool Release() {
-    const SizeTest test = TestSizes(problem_.get(), kShownSize, true);
-    if (test.shown.empty()) return false;
-    for (const Parameter& size : test.shown) holds_size_[size.imu] = false;
-    FollowClocks([&] { problem_->Move(test.step); });
-    statistics_ = problem_->FindStatistics();
-    return true;
-  }
-
-  /// What is believed of a sensor's noise at least.
-  double LeastNoise(const SensorModel& model) const {
-    const PoseStd& noise = sessions_[model.session].pose_noise;
-    if (model.quantity == Quantity::kPosition) return kLeastPositionNoise * noise.position;
-    return model.quantity == Quantity::kRotation ? kLeastRotationNoise * noise.rotation : 0.0;
-  }
-
   /// A problem with the noise and the weights that are set; at first, all weights are 1.
   void Build() {
     problem_.reset();  // never two of them at a time
     problem_ = BuildJointProblem(options_, sessions_, models_, estimate_, &splines_);
     if (holds_position_smoothing_) problem_->problem.SetHeld(&estimate_->position_smoothing, true);
-    for (size_t i = 0; i < holds_size_.size(); ++i)
-      if (holds_size_[i])
-        problem_->problem.SetHeld(estimate_->imus[i].accel_positions.data(), true);
   }
 
-  void Pass(Calibration calibration = Calibration::kFound) {
+  void Pass(bool holds_calibration = false) {
     Build();
-    if (calibration == Calibration::kHeld) HoldCalibration(problem_.get());
-    FollowClocks([&] {
-      std::optional<GaussNewtonStep> first;
-      if (calibration == Calibration::kTested && options_.estimate_size_effect) {
-        SizeTest test = TestSizes(problem_.get(), kPossibleSize, false);
-        may_show_sizes_ = !test.shown.empty();
-        first = std::move(test.step);
-      }
-      iterations_ += problem_->Solve(kRoughTolerance, std::move(first));
-    });
+    if (holds_calibration) HoldCalibration(problem_.get());
+    FollowClocks([&] { iterations_ += problem_->Solve(kRoughTolerance); });
     statistics_ = problem_->FindStatistics();
+    UpdateRotationErrors(problem_.get());
     // No source averages rotations over longer than positions: other errors look like that.
     if (estimate_->position_smoothing < 0.0) {
       estimate_->position_smoothing = 0.0;
@@ -268,12 +231,12 @@ class JointSolver {
     }
   }
 
-  /// A pass with `noise` and the weights that follow from it and the last residuals; the largest
-  /// factor by which the noise of a sensor that is found changes.
-  double NextPass(const std::vector<double>& noise, Calibration calibration = Calibration::kFound) {
+  /// A pass with the noise and the weights that the last residuals show; the largest factor by
+  /// which the noise of a sensor that is found changes.
+  double NextPass() {
     const std::vector<double> before = Noise();
-    SetNoise(noise);
-    Pass(calibration);
+    SetNoise();
+    Pass();
     const std::vector<double> after = Noise();
     double change = 1.0;
     for (size_t k = 0; k < after.size(); ++k)
@@ -281,27 +244,12 @@ class JointSolver {
     return change;
   }
 
-  /// Of each sensor, as the last residuals show it.
-  std::vector<double> Noise() const {
-    std::vector<double> noise;
-    for (const SensorStatistics& sensor : statistics_) noise.push_back(sensor.noise);
-    return noise;
-  }
-
-  std::vector<double> ColoredNoise() const {
-    std::vector<double> noise = Noise();
-    const std::vector<double> colors = NoiseColor(*problem_, statistics_);
-    for (size_t k = 0; k < noise.size(); ++k)
-      noise[k] *= in_band_[k] < 1.0 ? in_band_[k] : colors[k];
-    return noise;
-  }
-
-  void SetNoise(const std::vector<double>& noise) {
-    for (size_t k = 0; k < noise.size(); ++k) {
-      models_[k].noise = std::max(noise[k], floor_[k]);
-      models_[k].spread = statistics_[k].noise;
+  void SetNoise() {
+    for (size_t k = 0; k < models_.size(); ++k) {
+      models_[k].noise = statistics_[k].noise;
+      models_[k].spread = statistics_[k].spread;
     }
-    UpdateWeights(*problem_, splines_, &models_);
+    UpdateWeights(*problem_, &models_);
   }
 
   const CalibrationOptions& options_;
@@ -311,24 +259,9 @@ class JointSolver {
   std::vector<CorrectionSplines> splines_;
   std::unique_ptr<LeastSquares> problem_;
   std::vector<SensorStatistics> statistics_;  ///< of the last pass
-  std::vector<double> in_band_;               ///< see NoiseInBand()
-  std::vector<double> floor_;                 ///< of the noise, by sensor
   bool holds_position_smoothing_ = false;     ///< at 0
-  std::vector<bool> holds_size_;              ///< of each IMU: no size effect
-  bool may_show_sizes_ = false;
   int iterations_ = 0;
 };
-
-/// What the IMUs leave, over all of them: it shrinks while knots become denser for a reason.
-double ImuResidual(const std::vector<SensorModel>& models, const std::vector<double>& noise) {
-  double residual = 1.0, imus = 0.0;
-  for (size_t k = 0; k < models.size(); ++k) {
-    const Quantity quantity = models[k].quantity;
-    if (quantity == Quantity::kGyro || quantity == Quantity::kAccel) residual *= noise[k];
-    if (quantity == Quantity::kGyro) imus += 1.0;
-  }
-  return std::pow(residual, 1.0 / imus);
-}
 
 /// An excerpt solved at one knot spacing.
 struct Trial {
@@ -344,7 +277,7 @@ struct Trial {
       : sessions{Correctable(options, excerpt, spacing)},
         estimate(start),
         solver(options, sessions, {spacing}, {}, &estimate),
-        residual(ImuResidual(solver.models(), solver.FindNoise())) {}
+        residual(solver.FindNoise()) {}
 };
 
 /// A trial that is worth having only if it comes to an end: nothing where it does not.
@@ -392,7 +325,7 @@ JointStart ChooseKnotSpacing(const CalibrationOptions& options,
       spacing *= kReserve;
     }
   }
-  const std::vector<double> noise = best->solver.SettleNoise();
+  const std::vector<double> noise = best->solver.Noise();
   const SessionEstimate start = estimate->sessions[0];
   *estimate = best->estimate;
   // Seconds do not tell where the samples of hours are: S2 does.

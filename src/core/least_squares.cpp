@@ -23,6 +23,12 @@ constexpr double kDelayPrior = 0.02;  // [s]
 constexpr double kEdge = 0.02;  // [s]
 /// Residuals of a sensor that the trajectory follows more closely say little about its noise.
 constexpr double kLeastRedundancy = 0.1;
+/// Weight of the expectation that noise is white against what the means within the band show, where
+/// the trajectory leaves all of it (doc/math.md, S4, "Noise").
+constexpr double kWhiteness = 0.05;
+// Bounds of what may be divided by, in means of no fewer than these samples [periods] and in all.
+constexpr double kLeastLeft = 1e-3, kLeastInBand = 1e-3;
+constexpr double kMaxMeanGap = 2.5, kFewestMeans = 30.0;
 
 /// Windows of all sessions by default, and their least length [s].
 constexpr double kWindows = 24.0;
@@ -82,7 +88,8 @@ std::vector<SensorModel> InitialModels(const CalibrationOptions& options,
   for (size_t s = 0; s < sessions.size(); ++s) {
     const ConditionedData& data = sessions[s].data;
     const auto add = [&](Quantity quantity, size_t imu, double rate_hz, double noise, size_t size) {
-      models.push_back({quantity, s, imu, rate_hz, noise, noise, std::vector<double>(size, 1.0)});
+      models.push_back(
+          {quantity, s, imu, rate_hz, noise, {noise, 0.0}, std::vector<double>(size, 1.0)});
     };
     const double rate_hz = data.pose_report.rate_hz;
     const size_t poses = data.poses.size();
@@ -219,6 +226,26 @@ void LeastSquares::AddClockWalk(size_t session, size_t imu) {
                       clock.PoseTime(clock.walk.t[k])});
 }
 
+void LeastSquares::AddRotationErrors(size_t session) {
+  SlowErrors& errors = estimate->sessions[session].rotation_errors;
+  BiasKnots& knots = errors.knots;
+  const auto add = [&](std::unique_ptr<const ceres::CostFunction> cost,
+                       const std::vector<double*>& values,
+                       double t) {
+    priors.push_back({problem.AddResidualsOf(values, std::move(cost)), session, t});
+  };
+  add(std::make_unique<const ceres::NormalPrior>(Eigen::Matrix3d::Identity() / errors.std,
+                                                 Eigen::Vector3d::Zero()),
+      {knots.values[0].data()},
+      knots.t[0]);
+  for (size_t k = 0; k + 1 < knots.t.size(); ++k) {
+    const double kept = errors.Kept(k);
+    add(DecayResidual{kept, errors.std * std::sqrt(1.0 - kept * kept)}.Create(),
+        {knots.values[k].data(), knots.values[k + 1].data()},
+        knots.t[k]);
+  }
+}
+
 void LeastSquares::AddOptional(ParameterKind kind,
                                const Eigen::VectorXd& sigmas,
                                double expected,
@@ -275,12 +302,15 @@ std::vector<int> LeastSquares::BiasBlocks() const {
   return blocks;
 }
 
-std::vector<int> LeastSquares::ClockBlocks() const {
+std::vector<int> LeastSquares::SlowBlocks() const {
   std::vector<int> blocks;
   for (SessionEstimate& session : estimate->sessions)
     for (ImuSessionEstimate& imu : session.imus)
       for (double& offset : imu.walk.offset)
         if (problem.IsEstimated(&offset)) blocks.push_back(problem.Find(&offset));
+  for (SessionEstimate& session : estimate->sessions)
+    for (Eigen::Vector3d& value : session.rotation_errors.knots.values)
+      if (problem.IsEstimated(value.data())) blocks.push_back(problem.Find(value.data()));
   return blocks;
 }
 
@@ -303,7 +333,7 @@ NormalEquations LeastSquares::StepEquations() const {
   };
   for (const Parameter& p : CalibrationParameters(estimate)) add_border(p.data);
   for (SessionEstimate& session : estimate->sessions) add_border(session.g_W.data());
-  for (const std::vector<int>& blocks : {ClockBlocks(), trajectory_blocks})
+  for (const std::vector<int>& blocks : {SlowBlocks(), trajectory_blocks})
     inner.insert(inner.end(), blocks.begin(), blocks.end());
   std::vector<Equation> all = Equations();
   const int joined = std::max(1, windows.count() / kStepWindows);
@@ -354,6 +384,37 @@ void LeastSquares::Move(const GaussNewtonStep& step) {
   rows_.clear();
 }
 
+double LeastSquares::NoiseInBand(const SensorBlocks& sensor,
+                                 const float* rows,
+                                 const StudentT& spread) const {
+  const SensorModel& model = *sensor.model;
+  double sum2 = 0.0, means = 0.0;
+  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+  int count = 0;
+  for (size_t i = 0; i < sensor.samples.size(); ++i, rows += 3) {
+    const ProblemSample& sample = sensor.samples[i];
+    if (i > 0 && sample.t - sensor.samples[i - 1].t > kMaxMeanGap / model.rate_hz) {
+      sum.setZero();
+      count = 0;
+    }
+    const double weight = spread.Weight(sensor.residuals[i].squaredNorm());
+    sum += std::sqrt(weight) * sample.sigma / Scale(model, sample.index) *
+           Eigen::Map<const Eigen::Vector3f>(rows).cast<double>();
+    if (++count < sensor.means.samples) continue;
+    sum2 += sum.squaredNorm() / count;
+    means += 3.0;
+    sum.setZero();
+    count = 0;
+  }
+  if (means < kFewestMeans) return spread.scale;
+  const double left = std::max(sensor.means.left, kLeastLeft);
+  const double share = left * left / (left * left + kWhiteness);
+  const double ratio =
+      std::pow(sum2 / (means * left * spread.scale * spread.scale), 0.5 * share);
+  const bool is_of_imu = model.quantity == Quantity::kGyro || model.quantity == Quantity::kAccel;
+  return spread.scale * std::clamp(ratio, kLeastInBand, is_of_imu ? 1.0 : 1.0 / kLeastInBand);
+}
+
 std::vector<SensorStatistics> LeastSquares::FindStatistics() {
   double cost = 0.0;
   if (rows_.empty() && !problem.Evaluate(options.Threads(), &rows_, &cost))
@@ -363,12 +424,12 @@ std::vector<SensorStatistics> LeastSquares::FindStatistics() {
     SensorBlocks& sensor = sensors[k];
     sensor.residuals.clear();
     if (sensor.samples.empty()) {
-      statistics[k] = {sensor.model->noise, 0.0};
+      statistics[k] = {sensor.model->noise, 0.0, sensor.model->spread};
       return;
     }
-    const float* r_sigma = &rows_[problem.residuals(sensor.first_block).first_row];
-    std::vector<float> magnitudes, variances;
-    magnitudes.reserve(3 * sensor.samples.size());
+    const float* const rows = &rows_[problem.residuals(sensor.first_block).first_row];
+    const float* r_sigma = rows;
+    std::vector<float> variances;
     variances.reserve(sensor.samples.size());
     sensor.residuals.reserve(sensor.samples.size());
     double sum2 = 0.0;
@@ -379,17 +440,20 @@ std::vector<SensorStatistics> LeastSquares::FindStatistics() {
            Rest(*sensor.model, sample.index)) /
           scale;
       r_sigma += 3;
-      for (int i = 0; i < 3; ++i) magnitudes.push_back(static_cast<float>(std::abs(r[i])));
       variances.push_back(sample.trajectory_variance);
       sensor.residuals.push_back(r);
       sum2 += scale * scale * r.squaredNorm();
     }
-    const double count = static_cast<double>(magnitudes.size());
+    const double count = 3.0 * static_cast<double>(sensor.samples.size());
     const double redundancy = std::max(kLeastRedundancy, 1.0 - sensor.fitted);
-    const double spread2 = std::pow(kMadToSigma * Median(std::move(magnitudes)), 2) / redundancy;
+    StudentT spread = FitStudentT(sensor.residuals);
+    spread.scale /= std::sqrt(redundancy);
+    const double spread2 = spread.scale * spread.scale;
     // The trajectory's share is known only roughly: it never explains the residuals alone.
-    const double own2 = spread2 - Median(std::move(variances));
-    statistics[k] = {std::sqrt(std::max({own2, 0.01 * spread2, 1e-18})), std::sqrt(sum2 / count)};
+    const double own2 = std::max(spread2 - Median(std::move(variances)), 0.01 * spread2);
+    const double noise =
+        sensor.means.samples > 0 ? NoiseInBand(sensor, rows, spread) : std::sqrt(own2);
+    statistics[k] = {noise, std::sqrt(sum2 / count), spread};
   });
   rows_ = {};
   return statistics;

@@ -122,22 +122,6 @@ void FindHints(const MarginalEstimate& all,
   result->hint_std.tail(held) = std_dev.tail(held);
 }
 
-/// The IMUs whose accelerometer does not have its axes at one place, as the hints tell.
-std::vector<Parameter> FindShown(const Ordering& ordering,
-                                 const Marginals& marginals,
-                                 double sigmas) {
-  std::vector<Parameter> shown;
-  for (const Parameter& p : ordering.possible) {
-    if (p.kind != ParameterKind::kAccelPositions) continue;
-    const int place = marginals.Find(p.kind, p.imu);
-    if ((marginals.hint.segment(place, p.size).array().abs() >
-         sigmas * marginals.hint_std.segment(place, p.size).array())
-            .any())
-      shown.push_back(p);
-  }
-  return shown;
-}
-
 /// What each session says alone.
 void FindSessions(const ReducedProblem& problem,
                   const Functionals& functionals,
@@ -210,7 +194,7 @@ Marginals FindMarginals(LeastSquares* solved) {
   Marginals result;
   const Ordering ordering(solved);
   const Functionals functionals(ordering, solved, &result);
-  ReducedProblem problem(ordering, functionals, false, solved);
+  ReducedProblem problem(ordering, functionals, solved);
   const MarginalEstimates estimates = problem.Estimate();
 
   const double fitted = FittedShare(ordering, *solved);
@@ -232,7 +216,7 @@ Marginals FindMarginals(LeastSquares* solved) {
                 &result);
   FindHints(problem.EstimateOfBorder(functionals), functionals, fitted, &result);
 
-  result.step = problem.FindStep({});
+  result.step = problem.FindStep();
   result.elimination = problem.elimination();
   result.factor = problem.TakeFactor();
   result.held_begin = ordering.estimated;
@@ -240,17 +224,6 @@ Marginals FindMarginals(LeastSquares* solved) {
   result.trajectory_begin = ordering.trajectory;
   FindSessions(problem, functionals, fitted, functionals.SpreadVector(marginal.Step()), &result);
   return result;
-}
-
-SizeTest TestSizes(LeastSquares* problem, double sigmas, bool moves) {
-  Marginals hints;
-  const Ordering ordering(problem);
-  const Functionals functionals(ordering, problem, &hints);
-  const ReducedProblem reduced(ordering, functionals, true, problem);
-  FindHints(
-      reduced.EstimateOfBorder(functionals), functionals, FittedShare(ordering, *problem), &hints);
-  const std::vector<Parameter> shown = FindShown(ordering, hints, sigmas);
-  return {shown, reduced.FindStep(moves ? shown : std::vector<Parameter>())};
 }
 
 }  // namespace imu_pose_calib

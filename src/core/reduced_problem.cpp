@@ -42,7 +42,7 @@ Ordering::Ordering(LeastSquares* solved) {
   biases = columns;
   for (const int block : solved->BiasBlocks()) add(block, &inner);
   walks = columns;
-  for (const int block : solved->ClockBlocks()) add(block, &inner);
+  for (const int block : solved->SlowBlocks()) add(block, &inner);
   trajectory = columns;
   for (const int block : solved->trajectory_blocks) add(block, &inner);
 }
@@ -104,11 +104,10 @@ Eigen::MatrixXd Functionals::Basis() const {
 
 ReducedProblem::ReducedProblem(const Ordering& ordering,
                                const Functionals& functionals,
-                               bool is_for_step,
                                LeastSquares* solved)
     : ordering_(ordering),
       windows_(solved->windows.count()),
-      functionals_(is_for_step ? 0 : functionals.count()),
+      functionals_(functionals.count()),
       first_trajectory_(static_cast<int>(ordering.border.size() + ordering.inner.size()) -
                         static_cast<int>(solved->trajectory_blocks.size())),
       equations_(solved->problem,
@@ -119,7 +118,7 @@ ReducedProblem::ReducedProblem(const Ordering& ordering,
       elimination_(equations_.elimination()) {
   const auto count = static_cast<size_t>(windows_);
   std::vector<ExactColumn> exact;
-  for (size_t k = 0; k < ordering.clock_blocks.size() && !is_for_step; ++k)
+  for (size_t k = 0; k < ordering.clock_blocks.size(); ++k)
     exact.push_back({ordering.clock_blocks[k], kClockStep, RhsOfClock(k)});
   // The gradient is the sum of the scores.
   weights_ = Eigen::VectorXd::Zero(RhsOfClock(exact.size()));
@@ -135,13 +134,13 @@ ReducedProblem::ReducedProblem(const Ordering& ordering,
                         Panels own = Assemble(w, exact, &costs[w]);
                         for (size_t b = 0; b < ordering.calibrated.size(); ++b)
                           acts[w].push_back(elimination_->ActsInside(static_cast<int>(b), own));
-                        if (!is_for_step) AddMeans(functionals, static_cast<int>(w), &own);
+                        AddMeans(functionals, static_cast<int>(w), &own);
                         return own;
                       });
   cost_ = std::accumulate(costs.begin(), costs.end(), 0.0);
-  halves_.resize(is_for_step ? 0 : 2);
-  sessions_.resize(is_for_step ? 0 : solved->sessions.size());
-  for (int w = 0; w < windows_ && !is_for_step; ++w) {
+  halves_.resize(2);
+  sessions_.resize(solved->sessions.size());
+  for (int w = 0; w < windows_; ++w) {
     const Windows::Place at = solved->windows.PlaceOf(w);
     halves_[at.half].windows.push_back(w);
     sessions_[at.session].windows.push_back(w);
@@ -162,7 +161,7 @@ ReducedProblem::ReducedProblem(const Ordering& ordering,
     }
   }
   Panels means;
-  if (!is_for_step) AddMeans(functionals, windows_, &means);
+  AddMeans(functionals, windows_, &means);
   all_ = eliminated_->ReduceAll(std::move(means));
   for (int f = 0; f < functionals_; ++f) {
     const int column = functionals.columns()[static_cast<size_t>(f)];
@@ -188,19 +187,10 @@ MarginalEstimate ReducedProblem::EstimateOf(const Part& part,
   return Select(EstimateBorder(part.reduced, kept, part.windows), Counted(columns.size()));
 }
 
-GaussNewtonStep ReducedProblem::FindStep(const std::vector<Parameter>& moved) const {
+GaussNewtonStep ReducedProblem::FindStep() const {
   std::vector<int> kept;
-  int column = 0;
-  const auto keep = [&](int size, bool is_kept) {
-    for (int k = 0; k < size; ++k, ++column)
-      if (is_kept) kept.push_back(column);
-  };
-  keep(ordering_.estimated, true);
-  for (const Parameter& p : ordering_.possible)
-    keep(p.size, std::any_of(moved.begin(), moved.end(), [&p](const Parameter& q) {
-           return q.data == p.data;
-         }));
-  keep(ordering_.biases - ordering_.leading, true);
+  for (int column = 0; column < ordering_.biases; ++column)
+    if (column < ordering_.estimated || column >= ordering_.leading) kept.push_back(column);
   const MarginalEstimate border =
       EstimateBorder(all_, kept, Counted(static_cast<size_t>(windows_)));
   GaussNewtonStep result{

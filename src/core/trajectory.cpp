@@ -87,6 +87,8 @@ TrajectoryCovariance::TrajectoryCovariance(const std::shared_ptr<const Solution>
       if (!imu.walk.IsLine()) column += static_cast<int>(imu.walk.t.size()) - 1;
     }
   }
+  for (const SessionEstimate& session : solution->estimate.sessions)
+    column += 3 * static_cast<int>(session.rotation_errors.knots.values.size());
   for (const CorrectionSplines& splines : solution->splines) {
     d_.push_back(column);
     column += 6 * static_cast<int>(splines.d.size());

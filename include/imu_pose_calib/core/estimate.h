@@ -19,20 +19,39 @@ struct PreparedSession {
   PoseStd pose_noise;         ///< per axis, as S1 finds it
 };
 
-/// A bias that changes linearly between knots.
+/// A bias of a sensor that changes linearly between knots.
 struct BiasKnots {
-  std::vector<double> t;                ///< [s] IMU clock, increasing, at least two
-  std::vector<Eigen::Vector3d> values;  ///< in I
+  std::vector<double> t;                ///< [s] clock of the sensor, increasing, at least two
+  std::vector<Eigen::Vector3d> values;  ///< in I, of poses in M
 
   BiasKnots() = default;
   /// Knots every `interval_s` over the samples, or one at every sample when 0.
   BiasKnots(const std::vector<TimedSample>& samples,
             double interval_s,
             const Eigen::Vector3d& initial);
+  /// Zeros at knots about `interval_s` apart.
+  BiasKnots(double begin, double end, double interval_s);
 
   /// Index of the knot before t (not the last one) and the fraction of the way to the next.
   std::pair<size_t, double> Locate(double t) const;
   Eigen::Vector3d Mean() const;
+};
+
+/// What the rotations of poses err by for seconds [rad], doc/math.md, S4, "Slow errors": an
+/// Ornstein-Uhlenbeck process of each axis.
+struct SlowErrors {
+  static constexpr double kTime = 2.0;  ///< [s] in which an error falls to 1/e
+  BiasKnots knots;
+  double std = 0.0;  ///< at an instant
+
+  SlowErrors() = default;
+  /// None, with a sigma to start from, of poses in that time [s].
+  SlowErrors(double begin, double end);
+
+  /// Share of an error at knot k that is left at the next one.
+  double Kept(size_t k) const;
+  /// Two-sided power spectral density [rad^2/Hz] at (2 pi frequency)^2.
+  double Density(double omega2) const;
 };
 
 /// An IMU of the rig.
@@ -60,6 +79,7 @@ struct ImuSessionEstimate : ClockLine {
 struct SessionEstimate {
   Eigen::Vector3d g_W = Eigen::Vector3d::Zero();  ///< [m/s^2]
   std::vector<ImuSessionEstimate> imus;           ///< in the order of the rig
+  SlowErrors rotation_errors;
 
   size_t FirstImu() const;
 };

@@ -60,6 +60,7 @@ struct JointPoseSample {
   /// [s] clock of the first IMU, after the instant at which its shift holds
   double reference_time;
   double position_sigma, rotation_sigma;  ///< [m], [rad]
+  double error_u;                         ///< 0..1 between the knots of the slow errors
 };
 
 /// r = (p_meas - p_gp(t) - d(t) - s/2 (a_gp + d''(t))) / sigma, in W, s: pose_smoothing +
@@ -67,8 +68,8 @@ struct JointPoseSample {
 std::unique_ptr<SampledCost> CreateJointPositionResidual(Samples<JointPoseSample> samples,
                                                          const ClockMotions& clocks);
 
-/// r = Log(Exp(s/2 (alpha_gp + phi''(t)))^T Exp(phi(t))^T R_gp(t)^T R_meas) / sigma, in M.
-/// Blocks: phi | pose_smoothing (1) | clocks.
+/// r = (Log(Exp(s/2 (alpha_gp + phi''(t)))^T Exp(phi(t))^T R_gp(t)^T R_meas) - e(t)) / sigma, in M,
+/// e: slow error. Blocks: phi | pose_smoothing (1) | knot_0 of e (3) | knot_1 (3) | clocks.
 std::unique_ptr<SampledCost> CreateJointRotationResidual(Samples<JointPoseSample> samples,
                                                          const ClockMotions& clocks);
 

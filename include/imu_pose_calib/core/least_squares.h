@@ -6,6 +6,7 @@
 #include "imu_pose_calib/core/estimate.h"
 #include "imu_pose_calib/core/normal_equations.h"
 #include "imu_pose_calib/core/options.h"
+#include "imu_pose_calib/core/student_t.h"
 
 namespace imu_pose_calib {
 
@@ -17,7 +18,7 @@ struct SensorModel {
   size_t session, imu;          ///< imu: of gyroscope and accelerometer
   double rate_hz;               ///< of its samples
   double noise;                 ///< sigma per sample and axis [m, rad, rad/s, m/s^2], in the band
-  double spread;                ///< of samples, in the same units: what outliers are measured by
+  StudentT spread;              ///< of samples, in the same unit: what outliers are measured by
   std::vector<double> weights;  ///< robust (0..1], of each sample of the data
 
   /// Two-sided power spectral density of the noise [unit^2/Hz].
@@ -32,8 +33,9 @@ std::vector<SensorModel> InitialModels(const CalibrationOptions& options,
 
 /// What the residuals of a sensor say after a solve.
 struct SensorStatistics {
-  double noise;  ///< robust spread per axis, less what the trajectory's own variance explains
-  double rms;    ///< per axis, of all samples used
+  double noise;     ///< per axis, in the band, less what the trajectory's own variance explains
+  double rms;       ///< per axis, of all samples used
+  StudentT spread;  ///< of the samples
 };
 
 /// A sample in a problem.
@@ -42,6 +44,13 @@ struct ProblemSample {
   uint32_t index;                   ///< in the data
   float sigma;                      ///< residual * sigma has the sensor's unit
   float trajectory_variance = 0.0;  ///< share of sigma^2
+};
+
+/// How the noise of a sensor within the band is seen: in the means of so many samples, one after
+/// the other, of whose variance the trajectory leaves a share [0..1].
+struct BandMeans {
+  int samples = 0;  ///< 0: not at all, it is the spread
+  double left = 1.0;
 };
 
 /// Residual blocks of a sensor, three rows in sigma for each sample. Their rows, one after the
@@ -53,6 +62,7 @@ struct SensorBlocks {
   std::vector<ProblemSample> samples;
   /// Share of the samples' degrees of freedom that the trajectory uses up by following them [0..1].
   double fitted = 0.0;
+  BandMeans means;
   /// Of each sample, in the sensor's unit and over its scale, as of the last FindStatistics().
   std::vector<Eigen::Vector3d> residuals;
 
@@ -163,11 +173,12 @@ struct LeastSquares {
                 size_t session);
 
   void AddClockWalk(size_t session, size_t imu);
+  void AddRotationErrors(size_t session);
 
   /// Bias knots of all sessions.
   std::vector<int> BiasBlocks() const;
-  /// Knots of the clocks of all sessions that are estimated.
-  std::vector<int> ClockBlocks() const;
+  /// Knots of clocks and of slow errors of all sessions that are estimated.
+  std::vector<int> SlowBlocks() const;
   /// All residual blocks.
   std::vector<Equation> Equations() const;
 
@@ -188,6 +199,8 @@ struct LeastSquares {
  private:
   /// What steps are found from.
   NormalEquations StepEquations() const;
+  /// Of residuals that start at `rows`, where the samples have that spread.
+  double NoiseInBand(const SensorBlocks& sensor, const float* rows, const StudentT& spread) const;
 
   std::vector<float> rows_;  ///< residuals where the estimate stands; empty: not known
 };

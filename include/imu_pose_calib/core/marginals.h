@@ -44,7 +44,8 @@ struct Marginals {
 
   /// The Gauss-Newton step that remains, of the parameter blocks in the order of H: what is
   /// calibrated, what could have been (no step), gravity of each session, then of each session the
-  /// bias knots, gyroscope and accelerometer of each IMU, and of each session the control points.
+  /// bias knots, gyroscope and accelerometer of each IMU, knots of the clocks, then of each session
+  /// those of the slow errors, and the control points.
   GaussNewtonStep step;
   std::shared_ptr<const Elimination> elimination;
   /// Of H; of the border H itself, less what the rest takes. Empty when it would take more than
@@ -66,13 +67,5 @@ Eigen::VectorXd Enlargement(const Eigen::MatrixXd& model, const Eigen::MatrixXd&
 
 /// Stage S5 where a solve has ended, doc/math.md, "Covariance" and "What one more step tells".
 Marginals FindMarginals(LeastSquares* solved);
-
-/// The size effects that are held but that the data show by more than `sigmas`, and a Gauss-Newton
-/// step, which moves these if it `moves` them.
-struct SizeTest {
-  std::vector<Parameter> shown;
-  GaussNewtonStep step;
-};
-SizeTest TestSizes(LeastSquares* problem, double sigmas, bool moves);
 
 }  // namespace imu_pose_calib

@@ -65,10 +65,8 @@ class Functionals {
 /// Right-hand sides: scores of the clusters, functionals, exact columns of the clocks.
 class ReducedProblem {
  public:
-  /// `is_for_step`: without parts, functionals and exact columns.
   ReducedProblem(const Ordering& ordering,
                  const Functionals& functionals,
-                 bool is_for_step,
                  LeastSquares* solved);
 
   /// Of the functionals.
@@ -83,8 +81,8 @@ class ReducedProblem {
     std::vector<int> acting;   ///< columns of what is calibrated
   };
   MarginalEstimate EstimateOf(const Part& part, const std::vector<int>& columns) const;
-  /// As if what is held, all but `moved`, was known to be right.
-  GaussNewtonStep FindStep(const std::vector<Parameter>& moved) const;
+  /// As if what is held was known to be right.
+  GaussNewtonStep FindStep() const;
   /// Of H, as far as it is kept; then it is gone.
   Panels TakeFactor();
   const std::shared_ptr<const Elimination>& elimination() const { return elimination_; }

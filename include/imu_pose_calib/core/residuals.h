@@ -119,4 +119,22 @@ struct WalkResidual {
 };
 using BiasWalkResidual = WalkResidual<3>;
 
+/// Ornstein-Uhlenbeck process between two knots: r = (knot_1 - kept knot_0) / sigma. Blocks: knot_0
+/// (3) | knot_1 (3). Residual: 3.
+struct DecayResidual {
+  double kept;   ///< share that is left of knot_0
+  double sigma;  ///< of what is new, in the unit of the knots
+
+  template <typename T>
+  bool operator()(const T* knot_0, const T* knot_1, T* residual) const {
+    for (int i = 0; i < 3; ++i) residual[i] = (knot_1[i] - T(kept) * knot_0[i]) / T(sigma);
+    return true;
+  }
+
+  std::unique_ptr<ceres::CostFunction> Create() const {
+    return std::make_unique<ceres::AutoDiffCostFunction<DecayResidual, 3, 3, 3>>(
+        new DecayResidual(*this));
+  }
+};
+
 }  // namespace imu_pose_calib

@@ -16,6 +16,7 @@ struct Solution {
   std::vector<CorrectionSplines> splines;  ///< of each session; none when they are not estimated
   Marginals marginals;
   int iterations = 0;  ///< of all passes
+  bool has_settled = true;  ///< noise and weights agree with the residuals
 
   // What it was solved from and for:
   Estimate estimate;
