@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "imu_pose_calib/core/intrinsics.h"
 #include "imu_pose_calib/core/so3.h"
 #include "imu_pose_calib/core/spline.h"
 
@@ -17,14 +18,15 @@ using Eigen::Vector3d;
 // Places of what the recordings share.
 constexpr int kTranslation = 0, kRotation = 3, kDelay = 6, kGyroMatrix = 7, kAccelMatrix = 13,
               kAccelSmoothing = 22, kPoseSmoothing = 23, kPositionSmoothing = 24, kPoseScale = 25,
-              kShared = 26;
+              kAccelPositions = 26, kShared = 32;
 // Places of what a recording has of its own, after these; biases at knots follow.
-constexpr int kTimeShift = 26, kDrift = 27, kGravity = 28, kMagnitude = 30, kBiases = 31;
+constexpr int kTimeShift = kShared, kDrift = kShared + 1, kGravity = kShared + 2,
+              kMagnitude = kShared + 4, kBiases = kShared + 5;
 
 // Sigmas of the priors, as in joint_problem.cpp.
 constexpr double kScalePrior = 0.01, kAlignmentPrior = M_PI / 360.0, kDriftPrior = 1e-4,
                  kSmoothingPrior = 1e-3, kAccelSmoothingPrior = 5e-5, kPoseScalePrior = 1e-3,
-                 kMagnitudePrior = 0.03;
+                 kMagnitudePrior = 0.03, kSizePrior = 2e-3;
 constexpr double kKnown = 1e-12;  // sigma of what is known
 
 constexpr double kBiasKnots = 5.0;  // [s]
@@ -157,6 +159,13 @@ class RecordingInformation {
     Eigen::Matrix<double, 3, 9> matrix = Eigen::Matrix<double, 3, 9>::Zero();
     for (int row = 0; row < 3; ++row) matrix.block<1, 3>(row, 3 * row) = force.transpose();
     accel.Add(kAccelMatrix, matrix);
+    // Row: axis; column: component of its place in I.
+    const Matrix3d by_place = R_IM_ * (Hat(s.alpha_M) + omega * omega) * R_IM_.transpose();
+    Eigen::Matrix<double, 3, 6> places;
+    for (int k = 0; k < 6; ++k)
+      places.col(k) =
+          by_place.cwiseProduct(AccelPositions(Vector6d::Unit(k)).transpose()).rowwise().sum();
+    accel.Add(kAccelPositions, places);
     const Vector3d up = truth_.g_W.normalized(), u = up.unitOrthogonal();
     Matrix3d axes;
     axes << u, up.cross(u), up;
@@ -241,6 +250,7 @@ void AddPriors(bool is_known, const std::vector<int>& recordings, MatrixXd* info
   add(kPoseSmoothing, kSmoothingPrior);
   add(kPositionSmoothing, kSmoothingPrior);
   add(kPoseScale, kPoseScalePrior);
+  for (int k = 0; k < 6; ++k) add(kAccelPositions + k, kSizePrior);
 }
 
 ErrorNorms Bound(const MatrixXd& information) {

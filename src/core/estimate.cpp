@@ -44,9 +44,7 @@ Eigen::Vector3d BiasKnots::Mean() const {
 SlowErrors::SlowErrors(double begin, double end)
     : knots(begin, end, kErrorKnots), std(kErrorStart) {}
 
-double SlowErrors::Kept(size_t k) const {
-  return std::exp((knots.t[k] - knots.t[k + 1]) / kTime);
-}
+double SlowErrors::Kept(size_t k) const { return std::exp((knots.t[k] - knots.t[k + 1]) / kTime); }
 
 double SlowErrors::Density(double omega2) const {
   return 2.0 * std * std * kTime / (1.0 + omega2 * kTime * kTime);

@@ -12,7 +12,7 @@ namespace {
 /// Noise within the band is looked at in means that see up to where poses and IMU meet, but not
 /// longer than this [Hz].
 constexpr double kLowestBand = 1.0;
-constexpr int kSteps = 200;  // of integrals over frequency
+constexpr int kSteps = 200;                   // of integrals over frequency
 constexpr double kLeastRotationError = 1e-7;  // [rad]
 
 bool IsOfPoses(Quantity quantity) {
@@ -154,9 +154,9 @@ void UpdateRotationErrors(LeastSquares* joint) {
     const double interval = errors.knots.t[1] - errors.knots.t[0];
     double increments2 = 0.0, share = 0.0;
     for (size_t k = 0; k + 1 < errors.knots.t.size(); ++k)
-      increments2 += (errors.knots.values[k + 1] - errors.Kept(k) * errors.knots.values[k])
-                         .squaredNorm() /
-                     (1.0 - errors.Kept(k) * errors.Kept(k));
+      increments2 +=
+          (errors.knots.values[k + 1] - errors.Kept(k) * errors.knots.values[k]).squaredNorm() /
+          (1.0 - errors.Kept(k) * errors.Kept(k));
     for (int k = 0; k < kSteps; ++k) {
       const double omega2 = std::pow(M_PI * (k + 0.5) / kSteps / interval, 2);
       const double own = errors.Density(omega2);

@@ -409,8 +409,7 @@ double LeastSquares::NoiseInBand(const SensorBlocks& sensor,
   if (means < kFewestMeans) return spread.scale;
   const double left = std::max(sensor.means.left, kLeastLeft);
   const double share = left * left / (left * left + kWhiteness);
-  const double ratio =
-      std::pow(sum2 / (means * left * spread.scale * spread.scale), 0.5 * share);
+  const double ratio = std::pow(sum2 / (means * left * spread.scale * spread.scale), 0.5 * share);
   const bool is_of_imu = model.quantity == Quantity::kGyro || model.quantity == Quantity::kAccel;
   return spread.scale * std::clamp(ratio, kLeastInBand, is_of_imu ? 1.0 : 1.0 / kLeastInBand);
 }

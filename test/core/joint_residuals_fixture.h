@@ -72,7 +72,8 @@ class JointResiduals : public ::testing::Test {
             at.gp.a_W,
             reference_time,
             position_sigma,
-            rotation_sigma};
+            rotation_sigma,
+            0.35};
   }
   static JointAccelSample Imu(const TrajectoryPoint& at,
                               const Vector3d& value,
@@ -160,7 +161,12 @@ class JointResiduals : public ::testing::Test {
   std::vector<double*> PoseBlocks(std::vector<Vector3d>* spline) {
     std::vector<double*> blocks = Points({spline});
     blocks.push_back(&pose_smoothing_);
-    if (spline == &d_) blocks.push_back(&position_smoothing_);
+    if (spline == &d_) {
+      blocks.push_back(&position_smoothing_);
+    } else {
+      blocks.push_back(error_0_.data());
+      blocks.push_back(error_1_.data());
+    }
     return With(blocks, PoseClocks());
   }
 
@@ -380,6 +386,7 @@ class JointResiduals : public ::testing::Test {
   double pose_smoothing_ = 3e-4, position_smoothing_ = -1e-4, accel_smoothing_ = 4e-4;
   double pose_scale_ = 1.03;
   /// More than any IMU has.
+  Vector3d error_0_{1e-3, -2e-3, 3e-3}, error_1_{2e-3, 1e-3, -1e-3};
   Vector6d accel_positions_ = (Vector6d() << 0.05, -0.03, 0.02, 0.04, -0.05, 0.03).finished();
   Eigen::Matrix3d R_MA_ = Exp<double>(Vector3d(0.2, -1.3, 0.9)).toRotationMatrix();
 };

@@ -215,13 +215,13 @@ TEST_F(JointResiduals, VanishWhereTheCorrectedTrajectoryIsMeasured) {
 
   const double c = 0.5 * (pose_smoothing_ + position_smoothing_);
   const Vector3d lag = 0.5 * pose_smoothing_ * (at.gp.alpha_M + Correction(phi_, t, 2));
-  const std::vector<JointPoseSample> pose{
-      Pose(at,
-           Eigen::Quaterniond(R_WM) * Exp<double>(lag),
-           at.gp.p_WM + Correction(d_, t) + c * (at.gp.a_W + Correction(d_, t, 2)),
-           -0.5,
-           1.0,
-           1.0)};
+  const std::vector<JointPoseSample> pose{Pose(
+      at,
+      Eigen::Quaterniond(R_WM) * Exp<double>(lag) * Exp<double>(0.65 * error_0_ + 0.35 * error_1_),
+      at.gp.p_WM + Correction(d_, t) + c * (at.gp.a_W + Correction(d_, t, 2)),
+      -0.5,
+      1.0,
+      1.0)};
   const ClockMotions clocks = Motions(PoseClocks());
   EXPECT_LT(residual(CreateJointPositionResidual(pose, clocks), PoseBlocks(&d_)), 1e-12);
   EXPECT_LT(residual(CreateJointRotationResidual(pose, clocks), PoseBlocks(&phi_)), 1e-12);

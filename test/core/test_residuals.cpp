@@ -254,6 +254,19 @@ TEST(BiasWalkResidual, IsTheStepInSigmaWithExactDerivatives) {
   ExpectGradientsAgree(*cost, &manifolds, blocks);
 }
 
+TEST(DecayResidual, IsWhatIsNewInSigmaWithExactDerivatives) {
+  const std::unique_ptr<ceres::CostFunction> cost(DecayResidual{0.8, 0.2}.Create());
+  const Eigen::Vector3d knot_0(1.0, 2.0, 3.0), knot_1(1.2, 1.5, 3.3);
+  const double* knots[] = {knot_0.data(), knot_1.data()};
+  Eigen::Vector3d residual;
+  Eigen::Matrix<double, 3, 3, Eigen::RowMajor> by_0, by_1;
+  double* jacobians[] = {by_0.data(), by_1.data()};
+  ASSERT_TRUE(cost->Evaluate(knots, residual.data(), jacobians));
+  EXPECT_NEAR((residual - Eigen::Vector3d(2.0, -0.5, 4.5)).norm(), 0.0, 1e-12);
+  EXPECT_NEAR((by_0 + 4.0 * Eigen::Matrix3d::Identity()).norm(), 0.0, 1e-12);
+  EXPECT_NEAR((by_1 - 5.0 * Eigen::Matrix3d::Identity()).norm(), 0.0, 1e-12);
+}
+
 TEST(WalkResidual, OfAClockHasOneRow) {
   const std::unique_ptr<ceres::CostFunction> cost(WalkResidual<1>{1e-3}.Create());
   double knot_0 = 2e-3, knot_1 = 5e-3, r;

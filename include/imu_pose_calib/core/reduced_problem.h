@@ -65,9 +65,7 @@ class Functionals {
 /// Right-hand sides: scores of the clusters, functionals, exact columns of the clocks.
 class ReducedProblem {
  public:
-  ReducedProblem(const Ordering& ordering,
-                 const Functionals& functionals,
-                 LeastSquares* solved);
+  ReducedProblem(const Ordering& ordering, const Functionals& functionals, LeastSquares* solved);
 
   /// Of the functionals.
   MarginalEstimates Estimate() const;

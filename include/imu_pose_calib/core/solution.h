@@ -15,7 +15,7 @@ struct Solution {
   std::vector<SensorResiduals> residuals;  ///< where the solve ended
   std::vector<CorrectionSplines> splines;  ///< of each session; none when they are not estimated
   Marginals marginals;
-  int iterations = 0;  ///< of all passes
+  int iterations = 0;       ///< of all passes
   bool has_settled = true;  ///< noise and weights agree with the residuals
 
   // What it was solved from and for:

@@ -1,0 +1,63 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <random>
+#include <vector>
+
+#include "imu_pose_calib/core/student_t.h"
+
+namespace imu_pose_calib {
+namespace {
+
+/// Vectors of the distribution; 0 degrees of freedom: normal ones.
+std::vector<Eigen::Vector3d> Draw(double scale, int dof, size_t count) {
+  std::mt19937 random(5);
+  std::normal_distribution<double> normal;
+  std::vector<Eigen::Vector3d> x;
+  for (size_t i = 0; i < count; ++i) {
+    double chi2 = 0.0;
+    for (int k = 0; k < dof; ++k) chi2 += std::pow(normal(random), 2);
+    const double stretch = dof > 0 ? std::sqrt(dof / chi2) : 1.0;
+    x.push_back(scale * stretch * Eigen::Vector3d(normal(random), normal(random), normal(random)));
+  }
+  return x;
+}
+
+double MeanWeight(const StudentT& t, const std::vector<Eigen::Vector3d>& x) {
+  double sum = 0.0;
+  for (const Eigen::Vector3d& v : x) sum += t.Weight(v.squaredNorm());
+  return sum / static_cast<double>(x.size());
+}
+
+TEST(StudentT, IsNormalForNormalVectors) {
+  const StudentT t = FitStudentT(Draw(0.2, 0, 20000));
+  EXPECT_NEAR(t.scale, 0.2, 0.003);
+  EXPECT_GT(t.dof, 50.0);
+  EXPECT_NEAR(t.Weight(0.12), 1.0, 0.05);  // 3 scale^2
+}
+
+TEST(StudentT, FindsScaleAndTails) {
+  for (const int dof : {2, 4, 8}) {
+    const std::vector<Eigen::Vector3d> x = Draw(0.2, dof, 20000);
+    const StudentT t = FitStudentT(x);
+    EXPECT_NEAR(t.scale, 0.2, 0.008) << dof;
+    EXPECT_NEAR(std::log(t.dof / dof), 0.0, 0.25) << dof;
+    EXPECT_NEAR(MeanWeight(t, x), 1.0, 0.02) << dof;
+  }
+}
+
+TEST(StudentT, HardlySeesOutliers) {
+  std::vector<Eigen::Vector3d> x = Draw(0.2, 0, 20000);
+  for (size_t i = 0; i < x.size(); i += 100) x[i] *= 1000.0;
+  const StudentT t = FitStudentT(x);
+  EXPECT_NEAR(t.scale, 0.2, 0.02);
+  EXPECT_LT(t.Weight(std::pow(200.0, 2)), 1e-4);
+}
+
+TEST(StudentT, IsOfAsManyVectorsAsThereAre) {
+  EXPECT_NEAR(FitStudentT({Eigen::Vector3d(0.1, -0.2, 0.2)}).scale, 0.3 / std::sqrt(3.0), 0.01);
+  EXPECT_EQ(FitStudentT({Eigen::Vector3d::Zero(), Eigen::Vector3d::Zero()}).scale, 1e-9);
+}
+
+}  // namespace
+}  // namespace imu_pose_calib
