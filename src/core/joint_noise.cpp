@@ -12,8 +12,10 @@ namespace {
 /// Noise within the band is looked at in means that see up to where poses and IMU meet, but not
 /// longer than this [Hz].
 constexpr double kLowestBand = 1.0;
-constexpr int kSteps = 200;                   // of integrals over frequency
-constexpr double kLeastRotationError = 1e-7;  // [rad]
+constexpr int kSteps = 200;  // of integrals over frequency
+/// Parameters of the calibration that follow an axis of an IMU beside its bias.
+constexpr double kOtherParameters = 4.0;
+constexpr double kLeastRotationError = 1e-5;  // [rad] nothing beside poses, and H stays regular
 
 bool IsOfPoses(Quantity quantity) {
   return quantity == Quantity::kPosition || quantity == Quantity::kRotation;
@@ -49,16 +51,27 @@ class JointDensities {
   std::array<double, 4> information_{};
 };
 
-/// The IMUs' share of the information on the spline that a quantity tells of, at a frequency [Hz].
-double ImuShareAt(const JointDensities& S, Quantity quantity, double frequency) {
-  const double x = std::pow(frequency / S.Crossover(quantity), IsLinear(quantity) ? 4 : 2);
-  return x / (1.0 + x);
+/// Densities of what poses and IMUs err by, of positions or rotations, at a frequency.
+struct Errors {
+  double poses, imus;
+  double slow = 0.0;  ///< of poses, beside the white noise
+};
+
+Errors ErrorsAt(const JointDensities& S, Quantity quantity, double omega2) {
+  return IsLinear(quantity)
+             ? Errors{S[Quantity::kPosition], S[Quantity::kAccel] / (omega2 * omega2)}
+             : Errors{S[Quantity::kRotation], S[Quantity::kGyro] / omega2};
 }
+
+double Omega2(double frequency) { return std::pow(2.0 * M_PI * frequency, 2); }
 
 /// In the mean over the spline's band [Hz].
 double ImuShare(const JointDensities& S, Quantity quantity, double band) {
   double sum = 0.0;
-  for (int k = 0; k < kSteps; ++k) sum += ImuShareAt(S, quantity, (k + 0.5) / kSteps * band);
+  for (int k = 0; k < kSteps; ++k) {
+    const Errors errors = ErrorsAt(S, quantity, Omega2((k + 0.5) / kSteps * band));
+    sum += errors.poses / (errors.poses + errors.imus);
+  }
   return sum / kSteps;
 }
 
@@ -68,7 +81,10 @@ double OwnShare(const JointDensities& S, const SensorModel& model, double imus) 
 }
 
 /// Means that see what the trajectory leaves of a sensor's noise, doc/math.md, S4, "Noise".
-BandMeans MeansOf(const JointDensities& S, const SensorModel& model, double band) {
+BandMeans MeansOf(const JointDensities& S,
+                  const SensorModel& model,
+                  const SlowErrors& errors,
+                  double band) {
   const double highest = IsOfPoses(model.quantity)
                              ? band
                              : std::min(band, std::max(kLowestBand, S.Crossover(model.quantity)));
@@ -80,7 +96,12 @@ BandMeans MeansOf(const JointDensities& S, const SensorModel& model, double band
   for (int k = 0; k < kSteps; ++k) {
     const double frequency = (k + 0.5) / kSteps * end, x = M_PI * frequency * length;
     const double passed = means.samples > 1 ? std::pow(std::sin(x) / x, 2) : 1.0;
-    sum += passed * (1.0 - OwnShare(S, model, ImuShareAt(S, model.quantity, frequency)));
+    Errors at = ErrorsAt(S, model.quantity, Omega2(frequency));
+    if (!IsLinear(model.quantity)) at.slow = errors.Density(Omega2(frequency));
+    const double all = at.poses + at.slow + at.imus;
+    sum +=
+        passed * (IsOfPoses(model.quantity) ? at.poses / all
+                                            : 1.0 - OwnShare(S, model, (at.poses + at.slow) / all));
   }
   means.left = 2.0 * length * end * sum / kSteps;
   return means;
@@ -97,7 +118,12 @@ void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares
     const SensorModel& model = *sensor.model;
     if (model.session != session) continue;
     const double share = OwnShare(S, model, ImuShare(S, model.quantity, band));
-    sensor.means = MeansOf(S, model, band);
+    const SessionEstimate& own = joint->estimate->sessions[session];
+    sensor.means = MeansOf(S, model, own.rotation_errors, band);
+    if (!IsOfPoses(model.quantity))
+      sensor.means.left -=
+          (kOtherParameters + static_cast<double>(own.imus[model.imu].gyro_bias.t.size())) /
+          (1.0 + static_cast<double>(sensor.samples.size()) / sensor.means.samples);
     sensor.fitted = share * points / std::max(1.0, static_cast<double>(sensor.samples.size()));
   }
 }
@@ -125,7 +151,7 @@ void FeignInformation(const std::vector<CorrectionSplines>& splines, LeastSquare
     const double band = Band(splines[session].spacing()), step = band / kSteps;  // [Hz]
     double density = 0.0;  // information per second
     for (int k = 0; k < kSteps; ++k) {
-      const double w2 = std::pow(2.0 * M_PI * (k + 0.5) * step, 2);
+      const double w2 = Omega2((k + 0.5) * step);
       const double omega =
           1.0 / (1.0 / S[Quantity::kGyro] +
                  1.0 / (w2 * S[Quantity::kRotation]));  // poses and gyroscope add up
@@ -158,7 +184,7 @@ void UpdateRotationErrors(LeastSquares* joint) {
           (errors.knots.values[k + 1] - errors.Kept(k) * errors.knots.values[k]).squaredNorm() /
           (1.0 - errors.Kept(k) * errors.Kept(k));
     for (int k = 0; k < kSteps; ++k) {
-      const double omega2 = std::pow(M_PI * (k + 0.5) / kSteps / interval, 2);
+      const double omega2 = Omega2(0.5 * (k + 0.5) / kSteps / interval);
       const double own = errors.Density(omega2);
       share += own / (own + S[Quantity::kRotation] + S[Quantity::kGyro] / omega2) / kSteps;
     }

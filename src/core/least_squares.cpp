@@ -43,6 +43,17 @@ constexpr double kLeastDamping = 1e-8, kLeastGain = 1e-3;
 /// Relative to the parameters.
 constexpr double kLeastStep = 1e-8;
 
+/// Of the poses that are left, between the first and the last one of segments [Hz].
+double MeanRate(const ConditionedData& data) {
+  double steps = 0.0, duration = 0.0;
+  for (const IndexRange& segment : data.segments) {
+    if (segment.size() < 2) continue;
+    steps += static_cast<double>(segment.size() - 1);
+    duration += data.poses[segment.end - 1].t - data.poses[segment.begin].t;
+  }
+  return duration > 0.0 ? steps / duration : data.pose_report.rate_hz;
+}
+
 double Norm(const std::vector<double>& x) {
   return Eigen::Map<const Eigen::VectorXd>(x.data(), static_cast<Eigen::Index>(x.size())).norm();
 }
@@ -91,7 +102,7 @@ std::vector<SensorModel> InitialModels(const CalibrationOptions& options,
       models.push_back(
           {quantity, s, imu, rate_hz, noise, {noise, 0.0}, std::vector<double>(size, 1.0)});
     };
-    const double rate_hz = data.pose_report.rate_hz;
+    const double rate_hz = MeanRate(data);
     const size_t poses = data.poses.size();
     add(Quantity::kPosition, 0, rate_hz, sessions[s].pose_noise.position, poses);
     add(Quantity::kRotation, 0, rate_hz, sessions[s].pose_noise.rotation, poses);

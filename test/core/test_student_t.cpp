@@ -50,7 +50,8 @@ TEST(StudentT, HardlySeesOutliers) {
   std::vector<Eigen::Vector3d> x = Draw(0.2, 0, 20000);
   for (size_t i = 0; i < x.size(); i += 100) x[i] *= 1000.0;
   const StudentT t = FitStudentT(x);
-  EXPECT_NEAR(t.scale, 0.2, 0.02);
+  EXPECT_NEAR(t.scale, 0.16, 0.01);  // of heavy tails
+  EXPECT_NEAR(t.Weight(3.0 * 0.2 * 0.2), 1.0, 0.1);
   EXPECT_LT(t.Weight(std::pow(200.0, 2)), 1e-4);
 }
 
