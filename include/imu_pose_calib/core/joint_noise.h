@@ -20,7 +20,9 @@ void FeignInformation(const std::vector<CorrectionSplines>& splines, LeastSquare
 
 /// Robust weights of the samples by the last residuals and the spread of `models`, doc/math.md, S4,
 /// "Noise".
-void UpdateWeights(const LeastSquares& joint, std::vector<SensorModel>* models);
+void UpdateWeights(const LeastSquares& joint,
+                   const std::vector<CorrectionSplines>& splines,
+                   std::vector<SensorModel>* models);
 
 /// Sets the sigma of the rotations' slow errors of each session to what is found of them,
 /// doc/math.md, S4, "Slow errors".

@@ -153,6 +153,8 @@ struct SessionCalibration {
 
   PoseStd noise;  ///< white noise per pose, as estimated
   PoseStd rms;    ///< of the residuals of the poses used
+  /// [rad] of what the rotations of the poses err by for seconds; 0 when not estimated.
+  double rotation_error_std = 0.0;
   /// GP length scales used [s].
   double position_lengthscale_s = 0.0;
   double rotation_lengthscale_s = 0.0;

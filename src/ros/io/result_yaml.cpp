@@ -314,6 +314,7 @@ void PutQuality(const Calibration& result, Writer* out) {
   out->Map("noise", [&] {
     out->Put("position_std", session.noise.position);
     out->Put("rotation_std", session.noise.rotation);
+    out->Put("rotation_error_std", session.rotation_error_std);
     PutImuNoise(session.imus[0], out);
   });
   out->Map("quality", [&] {

@@ -295,6 +295,10 @@ std::string Residuals(const Calibration& result) {
          row("accel", imu_rms.accel, imu_noise.accel, "m/s^2") +
          row("position", 1e3 * rms.position, 1e3 * noise.position, "mm") +
          row("rotation", kDegrees * rms.rotation, kDegrees * noise.rotation, "deg") +
+         (session.rotation_error_std > 0.0
+              ? Format("  rotations of the poses err for seconds by %.3g deg\n",
+                       kDegrees * session.rotation_error_std)
+              : std::string()) +
          Format("  the halves of the recording differ by up to %.1f sigma\n",
                 result.split_half.sigmas);
 }
