@@ -40,7 +40,7 @@ struct BiasKnots {
 /// What the rotations of poses err by for seconds [rad], doc/math.md, S4, "Slow errors": an
 /// Ornstein-Uhlenbeck process of each axis.
 struct SlowErrors {
-  static constexpr double kTime = 2.0;  ///< [s] in which an error falls to 1/e
+  static constexpr double kTime = 1.0;  ///< [s] in which an error falls to 1/e
   BiasKnots knots;
   double std = 0.0;  ///< at an instant
 

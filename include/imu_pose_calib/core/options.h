@@ -112,7 +112,7 @@ struct CalibrationOptions {
   bool estimate_clock_walk = true;
   /// Scale and misalignment of the sensors, usually within 1 % and 0.5 deg. Joint solve only.
   ImuModel imu_model = ImuModel::kScaleMisalignment;
-  /// Places of the accelerometer's axes, where the data show that they are apart. Joint solve only.
+  /// Places of the accelerometer's axes, usually within 2 mm of each other. Joint solve only.
   bool estimate_size_effect = true;
   /// What is known of the magnitude of gravity [m/s^2], and its sigma. The norm of initial_gravity
   /// and the latitude, where they are given, count instead of the magnitude.
@@ -127,9 +127,10 @@ struct CalibrationOptions {
   /// residuals stop shrinking.
   double knot_spacing_s = 0.0;
 
-  /// Cauchy scale of the robust loss, in sigma of a 3-vector residual.
+  /// Cauchy scale of the robust loss of method gp, in sigma of a 3-vector residual. The joint solve
+  /// finds from the data how heavy the tails of the noise are.
   double robust_loss_scale = 5.0;
-  /// Ceres iterations of each solve.
+  /// Steps of each solve.
   int max_iterations = 50;
   /// Threads. 0: one per processor.
   int num_threads = 0;

@@ -73,8 +73,8 @@ struct ImuCalibration {
   Eigen::Matrix3d accel_matrix = Eigen::Matrix3d::Identity();
   Eigen::Matrix3d gyro_matrix_std = Eigen::Matrix3d::Zero();
   Eigen::Matrix3d accel_matrix_std = Eigen::Matrix3d::Zero();
-  /// [m] in I, column i: where the accelerometer's axis i is, see AccelPositions(). 0 unless the
-  /// data show a size effect.
+  /// [m] in I, column i: where the accelerometer's axis i is, see AccelPositions(). 0 when not
+  /// estimated.
   Eigen::Matrix3d accel_positions = Eigen::Matrix3d::Zero();
   Eigen::Matrix3d accel_positions_std = Eigen::Matrix3d::Zero();
 

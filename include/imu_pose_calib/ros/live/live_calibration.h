@@ -18,7 +18,7 @@ struct LiveOptions {
   double solve_interval = 5.0;  ///< [s] of new poses between two solves
   double lost_timeout = 1.0;    ///< [s] of silence after which a stream is lost
   /// Converged when the largest sigma over the axes is below these.
-  double target_rotation_std = 1e-3;     ///< [rad]
+  double target_rotation_std = 2e-3;     ///< [rad]
   double target_translation_std = 5e-4;  ///< [m]
   double target_time_shift_std = 5e-4;   ///< [s]
 
