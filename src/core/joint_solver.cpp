@@ -15,7 +15,7 @@ namespace imu_pose_calib {
 namespace {
 
 /// Passes end when no noise changes by more than this factor, or with the last of so many.
-constexpr double kSettled = 1.01;
+constexpr double kSettled = 1.02;
 constexpr int kMaxPasses = 40;
 
 constexpr double kStep = 0.02;              // [s] between the instants looked at
