@@ -9,15 +9,16 @@
 namespace imu_pose_calib {
 namespace {
 
-/// Noise within the band is looked at in means that see up to where poses and IMU meet, but not
-/// longer than this [Hz].
+/// The noise of an IMU within the band is looked at below the frequency where poses and IMU meet,
+/// in no less than this [Hz]: longer means are few.
 constexpr double kLowestBand = 1.0;
 constexpr int kSteps = 200;  // of integrals over frequency
-/// Parameters of the calibration that follow an axis of an IMU beside its bias.
+/// Parameters of the calibration that follow an axis of an IMU, beside its bias.
 constexpr double kOtherParameters = 4.0;
-// [rad] Nothing beside poses, and H stays regular; and what is none any more.
+/// Bounds of the sigma of slow errors [rad]: nothing beside the noise of poses, with which H stays
+/// regular; and beyond what is an error.
 constexpr double kLeastRotationError = 1e-5, kMostRotationError = 0.1;
-constexpr double kLongestStride = 3.0;
+constexpr double kLongestStride = 3.0;  // of a pass, in what it finds
 
 bool IsOfPoses(Quantity quantity) {
   return quantity == Quantity::kPosition || quantity == Quantity::kRotation;
