@@ -177,6 +177,7 @@ class JointSolver {
   /// outlier before it can move the calibration.
   Solution Solve() {
     Pass(true);
+    holds_sizes_ = false;
     Solution solution;
     solution.has_settled = false;
     for (int pass = 1; pass < kMaxPasses && !solution.has_settled; ++pass)
@@ -202,6 +203,8 @@ class JointSolver {
     problem_.reset();  // never two of them at a time
     problem_ = BuildJointProblem(options_, sessions_, models_, estimate_, &splines_);
     if (holds_position_smoothing_) problem_->problem.SetHeld(&estimate_->position_smoothing, true);
+    for (ImuEstimate& imu : estimate_->imus)
+      if (holds_sizes_) problem_->problem.SetHeld(imu.accel_positions.data(), true);
   }
 
   void Pass(bool holds_calibration = false) {
@@ -260,6 +263,9 @@ class JointSolver {
   std::unique_ptr<LeastSquares> problem_;
   std::vector<SensorStatistics> statistics_;  ///< of the last pass
   bool holds_position_smoothing_ = false;     ///< at 0
+  /// At 0: before residuals have weights, motion that knots do not follow would move them by
+  /// metres.
+  bool holds_sizes_ = true;
   int iterations_ = 0;
 };
 
