@@ -277,8 +277,8 @@ std::string Imu(const Calibration& result) {
   }
   if (!imu.accel_positions_std.isZero(0.0)) {
     text += "\nSize effect: places of the accelerometer's axes in the imu frame [m]\n";
-    text += Matrix(
-        "axes xyz =", imu.accel_positions.transpose(), imu.accel_positions_std.transpose());
+    text +=
+        Matrix("axes xyz =", imu.accel_positions.transpose(), imu.accel_positions_std.transpose());
   }
   return text;
 }
