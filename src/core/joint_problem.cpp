@@ -60,6 +60,22 @@ struct Run {
   }
 };
 
+int AddKnot(double* value, Problem* problem) { return problem->AddParameters(value, 1); }
+int AddKnot(Eigen::Vector3d* value, Problem* problem) {
+  return problem->AddParameters(value->data(), 3);
+}
+
+/// Blocks of knots; the number of the first, which the others follow, -1 when there are none.
+template <typename Value>
+int AddKnots(std::vector<Value>* values, Problem* problem) {
+  int first = -1;
+  for (Value& value : *values) {
+    const int block = AddKnot(&value, problem);
+    if (first < 0) first = block;
+  }
+  return first;
+}
+
 /// Calls add(begin, end, run) for samples that are alike.
 template <typename Add>
 void ForRuns(const std::vector<Run>& runs, const Add& add) {
@@ -205,11 +221,7 @@ void SessionBuilder::AddPoses() {
   const Clocks clocks = FindClocks(nullptr, false);
   Problem& problem = joint_->problem;
   BiasKnots& errors = estimate_.rotation_errors.knots;
-  int first_error = -1;  // the others follow
-  for (Eigen::Vector3d& value : errors.values) {
-    const int block = problem.AddParameters(value.data(), 3);
-    if (first_error < 0) first_error = block;
-  }
+  const int first_error = AddKnots(&errors.values, &problem);
   const std::vector<TimedPose>& poses = prepared_.data.poses;
   const std::shared_ptr<const Places> places = places_;
   std::vector<size_t> kept;
@@ -315,17 +327,9 @@ void SessionBuilder::AddImu(size_t imu,
         complete(*places, at.t, &sample);
         return sample;
       };
-  int first_knot = -1;  // the others follow
-  for (Eigen::Vector3d& value : knots->values) {
-    const int block = joint_->problem.AddParameters(value.data(), 3);
-    if (first_knot < 0) first_knot = block;
-  }
+  const int first_knot = AddKnots(&knots->values, &joint_->problem);
   ClockWalk& walk = estimate_.imus[imu].walk;
-  int first_walk = -1;  // as well
-  for (double& offset : walk.offset) {
-    const int block = joint_->problem.AddParameters(&offset, 1);
-    if (first_walk < 0) first_walk = block;
-  }
+  const int first_walk = AddKnots(&walk.offset, &joint_->problem);
   if (!walk.IsLine()) joint_->problem.SetHeld(&walk.offset[walk.reference], true);
   const std::shared_ptr<const SampledCost> cost =
       create(Collect(joint_->options, runs.size(), make));

@@ -353,14 +353,12 @@ NormalEquations LeastSquares::StepEquations() const {
   return {problem, border, inner, std::move(all), static_cast<size_t>(count)};
 }
 
-int LeastSquares::Solve(double function_tolerance, std::optional<GaussNewtonStep> first) {
-  std::optional<NormalEquations> equations;
+int LeastSquares::Solve(double function_tolerance) {
+  const NormalEquations equations = StepEquations();
   double damping = 0.0, growth = 2.0;
   for (int iteration = 1; iteration <= options.max_iterations; ++iteration) {
-    if (!first && !equations) equations.emplace(StepEquations());
     const GaussNewtonStep step =
-        first ? *std::exchange(first, std::nullopt)
-              : FindStep(*equations, damping, options.max_factor_mb, options.Threads());
+        FindStep(equations, damping, options.max_factor_mb, options.Threads());
     const std::vector<double> before = problem.Move(step.blocks, step.x);
     double found = 0.0;
     if (!problem.Evaluate(options.Threads(), &rows_, &found)) found = std::nan("");

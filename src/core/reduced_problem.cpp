@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numeric>
 #include <utility>
 
 namespace imu_pose_calib {
@@ -124,20 +123,18 @@ ReducedProblem::ReducedProblem(const Ordering& ordering,
   weights_ = Eigen::VectorXd::Zero(RhsOfClock(exact.size()));
   weights_.head(windows_).setOnes();
 
-  std::vector<double> costs(count, 0.0);
   std::vector<std::vector<bool>> acts(count);  // blocks of what is calibrated
   eliminated_.emplace(elimination_,
                       weights_,
                       solved->options.max_factor_mb,
                       solved->options.Threads(),
                       [&](size_t w) {
-                        Panels own = Assemble(w, exact, &costs[w]);
+                        Panels own = Assemble(w, exact);
                         for (size_t b = 0; b < ordering.calibrated.size(); ++b)
                           acts[w].push_back(elimination_->ActsInside(static_cast<int>(b), own));
                         AddMeans(functionals, static_cast<int>(w), &own);
                         return own;
                       });
-  cost_ = std::accumulate(costs.begin(), costs.end(), 0.0);
   halves_.resize(2);
   sessions_.resize(solved->sessions.size());
   for (int w = 0; w < windows_; ++w) {
@@ -193,16 +190,11 @@ GaussNewtonStep ReducedProblem::FindStep() const {
     if (column < ordering_.estimated || column >= ordering_.leading) kept.push_back(column);
   const MarginalEstimate border =
       EstimateBorder(all_, kept, Counted(static_cast<size_t>(windows_)));
-  GaussNewtonStep result{
-      equations_.blocks(), Eigen::VectorXd::Zero(ordering_.columns), cost_, std::nan("")};
+  GaussNewtonStep result{equations_.blocks(), Eigen::VectorXd::Zero(ordering_.columns)};
   if (!border.covariance.allFinite()) return result;
-  const Eigen::VectorXd step = border.Step(), gradient = all_.B * weights_;
-  result.decrease = 0.5 * weights_.dot(all_.inner * weights_);
-  for (size_t k = 0; k < kept.size(); ++k) {
-    result.x[kept[k]] = step[static_cast<Eigen::Index>(k)];
-    result.decrease -= 0.5 * gradient[kept[k]] * result.x[kept[k]];
-  }
-  eliminated_->SubstituteBack([this](size_t w) { return Assemble(w, {}, nullptr); }, &result.x);
+  const Eigen::VectorXd step = border.Step();
+  for (size_t k = 0; k < kept.size(); ++k) result.x[kept[k]] = step[static_cast<Eigen::Index>(k)];
+  eliminated_->SubstituteBack([this](size_t w) { return Assemble(w, {}); }, &result.x);
   return result;
 }
 
@@ -239,10 +231,8 @@ void ReducedProblem::AddPriors(const LeastSquares& solved, Part* part) const {
   }
 }
 
-Panels ReducedProblem::Assemble(size_t window,
-                                const std::vector<ExactColumn>& exact,
-                                double* cost) const {
-  Panels panels = equations_.Assemble(window, exact, cost);
+Panels ReducedProblem::Assemble(size_t window, const std::vector<ExactColumn>& exact) const {
+  Panels panels = equations_.Assemble(window, exact);
   elimination_->VisitDiagonal(
       [&](int block, auto diagonal) {
         if (block >= first_trajectory_) diagonal.array() += 0.5 * kWeakInformation;

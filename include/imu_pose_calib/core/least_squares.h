@@ -184,8 +184,7 @@ struct LeastSquares {
 
   /// Gauss-Newton steps, damped when they fail. Returns their number. Throws DataError when the
   /// cost does not converge to what it is at the minimum, but for a share `function_tolerance`.
-  /// `first`: the first step, if it is known.
-  int Solve(double function_tolerance, std::optional<GaussNewtonStep> first = std::nullopt);
+  int Solve(double function_tolerance);
   void Move(const GaussNewtonStep& step);
   /// Of each sensor.
   std::vector<SensorStatistics> FindStatistics();

@@ -91,7 +91,7 @@ class ReducedProblem {
  private:
   int RhsOfClock(size_t clock) const { return windows_ + functionals_ + static_cast<int>(clock); }
   /// H and scores of a window.
-  Panels Assemble(size_t window, const std::vector<ExactColumn>& exact, double* cost) const;
+  Panels Assemble(size_t window, const std::vector<ExactColumn>& exact) const;
   /// What is known beforehand of the border counts in every part, not only where it stands.
   void AddPriors(const LeastSquares& solved, Part* part) const;
   /// The means of bias knots that are in one window, or are shared.
@@ -104,7 +104,6 @@ class ReducedProblem {
   Eigen::VectorXd weights_;  ///< of right-hand sides, for the gradient
   std::vector<Part> halves_, sessions_;
   Reduced all_;
-  double cost_ = 0.0;
   std::optional<EliminatedWindows> eliminated_;
 };
 
