@@ -24,12 +24,17 @@ double NextScale2(const std::vector<double>& norms2, double dof, double scale2) 
                   (dof + 3.0) * sum / (3.0 * static_cast<double>(norms2.size())));
 }
 
+/// std::lgamma() writes the sign to a global variable: a race between threads.
+double LogGamma(double x) {
+  int sign = 0;
+  return lgamma_r(x, &sign);
+}
+
 double LogLikelihood(const std::vector<double>& norms2, double dof, double scale2) {
   double sum = 0.0;
   for (const double norm2 : norms2) sum += std::log1p(norm2 / (dof * scale2));
   return static_cast<double>(norms2.size()) *
-             (std::lgamma(0.5 * (dof + 3.0)) - std::lgamma(0.5 * dof) -
-              1.5 * std::log(dof * scale2)) -
+             (LogGamma(0.5 * (dof + 3.0)) - LogGamma(0.5 * dof) - 1.5 * std::log(dof * scale2)) -
          0.5 * (dof + 3.0) * sum;
 }
 
