@@ -47,7 +47,11 @@ SlowErrors::SlowErrors(double begin, double end)
 double SlowErrors::Kept(size_t k) const { return std::exp((knots.t[k] - knots.t[k + 1]) / kTime); }
 
 double SlowErrors::Density(double omega2) const {
-  return 2.0 * std * std * kTime / (1.0 + omega2 * kTime * kTime);
+  const double interval = knots.t[1] - knots.t[0], kept = Kept(0);
+  const double angle = std::sqrt(omega2) * interval;
+  const double passed = angle > 0.0 ? std::pow(std::sin(0.5 * angle) / (0.5 * angle), 4) : 1.0;
+  return std * std * interval * passed * (1.0 - kept * kept) /
+         (1.0 - 2.0 * kept * std::cos(angle) + kept * kept);
 }
 
 double ImuSessionEstimate::ImuTime(double t_M) const {

@@ -3,22 +3,24 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
+#include <numeric>
 
 #include "imu_pose_calib/core/band.h"
 
 namespace imu_pose_calib {
 namespace {
 
-/// The noise of an IMU within the band is looked at below the frequency where poses and IMU meet,
-/// in no less than this [Hz]: longer means are few.
-constexpr double kLowestBand = 1.0;
 constexpr int kSteps = 200;  // of integrals over frequency
-/// Parameters of the calibration that follow an axis of an IMU, beside its bias.
-constexpr double kOtherParameters = 4.0;
+/// Share of the band and of the poses' frequencies in which residuals are whole.
+constexpr double kWhole = 0.8;
+/// Periodograms that the expectation is worth that noise is as white as the samples' spread.
+constexpr double kWhiteness = 30.0;
+constexpr int kRounds = 300;  // of the likelihood's ascent
 /// Bounds of the sigma of slow errors [rad]: nothing beside the noise of poses, with which H stays
 /// regular; and beyond what is an error.
-constexpr double kLeastRotationError = 1e-5, kMostRotationError = 0.1;
 constexpr double kLongestStride = 3.0;  // of a pass, in what it finds
+constexpr double kLeastRotationError = 1e-5, kMostRotationError = 0.1;
 
 bool IsOfPoses(Quantity quantity) {
   return quantity == Quantity::kPosition || quantity == Quantity::kRotation;
@@ -39,15 +41,6 @@ class JointDensities {
   }
   double operator[](Quantity quantity) const {
     return 1.0 / information_[static_cast<size_t>(quantity)];
-  }
-
-  /// [Hz] above which the IMUs say more of the trajectory than the poses do: S_a = W^4 S_p and
-  /// S_g = W^2 S_R, W = 2 pi frequency.
-  double Crossover(Quantity quantity) const {
-    const JointDensities& S = *this;
-    return (IsLinear(quantity) ? std::pow(S[Quantity::kAccel] / S[Quantity::kPosition], 0.25)
-                               : std::sqrt(S[Quantity::kGyro] / S[Quantity::kRotation])) /
-           (2.0 * M_PI);
   }
 
  private:
@@ -73,7 +66,6 @@ std::vector<double> MeanSquareAround(const SensorBlocks& sensor, double reach) {
 /// Densities of what poses and IMUs err by, of positions or rotations, at a frequency.
 struct Errors {
   double poses, imus;
-  double slow = 0.0;  ///< of poses, beside the white noise
 };
 
 Errors ErrorsAt(const JointDensities& S, Quantity quantity, double omega2) {
@@ -99,31 +91,121 @@ double OwnShare(const JointDensities& S, const SensorModel& model, double imus) 
   return IsOfPoses(model.quantity) ? 1.0 - imus : imus * S[model.quantity] / model.Density();
 }
 
-/// Means that see what the trajectory leaves of a sensor's noise, doc/math.md, S4, "Noise".
-BandMeans MeansOf(const JointDensities& S,
-                  const SensorModel& model,
-                  const SlowErrors& errors,
-                  double band) {
-  const double highest = IsOfPoses(model.quantity)
-                             ? band
-                             : std::min(band, std::max(kLowestBand, S.Crossover(model.quantity)));
-  BandMeans means;
-  means.samples = std::max(1, static_cast<int>(std::round(0.5 * model.rate_hz / highest)));
-  const double length = means.samples / model.rate_hz;
-  const double end = std::min(band, 0.5 * model.rate_hz);
-  double sum = 0.0;
-  for (int k = 0; k < kSteps; ++k) {
-    const double frequency = (k + 0.5) / kSteps * end, x = M_PI * frequency * length;
-    const double passed = means.samples > 1 ? std::pow(std::sin(x) / x, 2) : 1.0;
-    Errors at = ErrorsAt(S, model.quantity, Omega2(frequency));
-    if (!IsLinear(model.quantity)) at.slow = errors.Density(Omega2(frequency));
-    const double all = at.poses + at.slow + at.imus;
-    sum +=
-        passed * (IsOfPoses(model.quantity) ? at.poses / all
-                                            : 1.0 - OwnShare(S, model, (at.poses + at.slow) / all));
+/// Power spectral densities of the noise of sensors that tell of the same motion, by maximum
+/// likelihood of the spectra of their residuals, doc/math.md, S4, "Noise".
+class NoiseFit {
+ public:
+  /// A noise to start from, which may not exceed `most`.
+  size_t Add(double density, double most) {
+    x_.push_back(density);
+    most_.push_back(most);
+    return x_.size() - 1;
   }
-  means.left = 2.0 * length * end * sum / kSteps;
-  return means;
+  struct Part {
+    size_t noise;
+    double share;
+  };
+  /// A density found in so many periodograms, that is the sum of shares of noises.
+  void Observe(double count, double density, const std::vector<Part>& parts) {
+    observations_.push_back({count, density, parts});
+  }
+
+  std::vector<double> Solve() const {
+    std::vector<double> x = x_;
+    for (int round = 0; round < kRounds; ++round) {
+      std::vector<double> found(x.size(), 0.0), expected(x.size(), 0.0);
+      for (const Observation& o : observations_) {
+        double sum = 0.0;
+        for (const Part& part : o.parts) sum += part.share * x[part.noise];
+        for (const Part& part : o.parts) {
+          found[part.noise] += o.count * part.share * o.density / (sum * sum);
+          expected[part.noise] += o.count * part.share / sum;
+        }
+      }
+      for (size_t k = 0; k < x.size(); ++k)
+        x[k] = std::min(most_[k], x[k] * std::sqrt(found[k] / expected[k]));
+    }
+    return x;
+  }
+
+ private:
+  struct Observation {
+    double count, density;
+    std::vector<Part> parts;
+  };
+  std::vector<double> x_, most_;
+  std::vector<Observation> observations_;
+};
+
+/// Sets the noise of the sensors of positions and accelerations, or of rotations and turn rates, of
+/// a session.
+void FindNoiseOf(bool is_linear,
+                 size_t session,
+                 const LeastSquares& joint,
+                 std::vector<SensorStatistics>* statistics) {
+  std::vector<size_t> sensors;  // the poses first
+  for (size_t k = 0; k < joint.sensors.size(); ++k)
+    if (joint.sensors[k].model->session == session &&
+        IsLinear(joint.sensors[k].model->quantity) == is_linear)
+      sensors.push_back(k);
+  const SlowErrors& errors = joint.estimate->sessions[session].rotation_errors;
+  NoiseFit fit;
+  for (const size_t k : sensors) {
+    const SensorModel& model = *joint.sensors[k].model;
+    const double white = std::pow((*statistics)[k].spread.scale, 2) / model.rate_hz;
+    // What errs slowly in an IMU is its bias.
+    const double most = IsOfPoses(model.quantity) ? std::numeric_limits<double>::infinity() : white;
+    fit.Observe(kWhiteness, white, {{fit.Add(white, most), 1.0}});
+  }
+  for (size_t a = 0; a < sensors.size(); ++a) {
+    const NoiseSpectrum& spectrum = (*statistics)[sensors[a]].spectrum;
+    for (size_t f = 0; f < spectrum.density.size(); ++f) {
+      const double omega2 = Omega2(NoiseSpectrum::Frequency(f));
+      const double gain = is_linear ? omega2 * omega2 : omega2;  // of an IMU, squared
+      std::vector<double> share;                                 // of each sensor
+      for (const size_t k : sensors)
+        share.push_back((share.empty() ? 1.0 : gain) / joint.sensors[k].model->Density());
+      if (!is_linear && errors.Density(omega2) * share[0] > 1.0) continue;
+      const double all = std::accumulate(share.begin(), share.end(), 0.0);
+      for (double& own : share) own /= all;
+      if (share[a] > 0.5) continue;  // the others' residuals tell more
+      std::vector<NoiseFit::Part> parts;
+      for (size_t b = 0; b < sensors.size(); ++b) {
+        const double relative = a == b ? 1.0 : (a == 0 ? 1.0 : gain) / (b == 0 ? 1.0 : gain);
+        parts.push_back({b, relative * std::pow(a == b ? 1.0 - share[b] : share[b], 2)});
+      }
+      fit.Observe(spectrum.count, spectrum.density[f], parts);
+    }
+  }
+  const std::vector<double> x = fit.Solve();
+  for (size_t a = 0; a < sensors.size(); ++a)
+    (*statistics)[sensors[a]].noise = std::sqrt(x[a] * joint.sensors[sensors[a]].model->rate_hz);
+}
+
+/// Sets the sigma of the rotations' slow errors of each session to what is found of them,
+/// doc/math.md, S4, "Slow errors".
+void UpdateRotationErrors(LeastSquares* joint) {
+  for (size_t s = 0; s < joint->sessions.size(); ++s) {
+    SlowErrors& errors = joint->estimate->sessions[s].rotation_errors;
+    const JointDensities S(*joint, s);
+    const double interval = errors.knots.t[1] - errors.knots.t[0];
+    double increments2 = 0.0, share = 0.0;
+    for (size_t k = 0; k + 1 < errors.knots.t.size(); ++k)
+      increments2 +=
+          (errors.knots.values[k + 1] - errors.Kept(k) * errors.knots.values[k]).squaredNorm() /
+          (1.0 - errors.Kept(k) * errors.Kept(k));
+    for (int k = 0; k < kSteps; ++k) {
+      const double omega2 = Omega2(0.5 * (k + 0.5) / kSteps / interval);
+      const double own = errors.Density(omega2);
+      share += own / (own + S[Quantity::kRotation] + S[Quantity::kGyro] / omega2) / kSteps;
+    }
+    const double variance =
+        increments2 / (3.0 * static_cast<double>(errors.knots.t.size() - 1) * share);
+    // A pass moves it by the share that is found, on its way to where it stays.
+    const double stride = std::min(1.0 / share, kLongestStride);
+    errors.std *= std::pow(std::sqrt(variance) / errors.std, stride);
+    errors.std = std::clamp(errors.std, kLeastRotationError, kMostRotationError);
+  }
 }
 
 }  // namespace
@@ -137,12 +219,8 @@ void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares
     const SensorModel& model = *sensor.model;
     if (model.session != session) continue;
     const double share = OwnShare(S, model, ImuShare(S, model.quantity, band));
-    const SessionEstimate& own = joint->estimate->sessions[session];
-    sensor.means = MeansOf(S, model, own.rotation_errors, band);
-    if (!IsOfPoses(model.quantity))
-      sensor.means.left -=
-          (kOtherParameters + static_cast<double>(own.imus[model.imu].gyro_bias.t.size())) /
-          (1.0 + static_cast<double>(sensor.samples.size()) / sensor.means.samples);
+    sensor.band =
+        kWhole * std::min(band, 0.5 * joint->Find(Quantity::kPosition, session)->model->rate_hz);
     sensor.fitted = share * points / std::max(1.0, static_cast<double>(sensor.samples.size()));
   }
 }
@@ -199,28 +277,10 @@ void UpdateWeights(const LeastSquares& joint,
   }
 }
 
-void UpdateRotationErrors(LeastSquares* joint) {
-  for (size_t s = 0; s < joint->sessions.size(); ++s) {
-    SlowErrors& errors = joint->estimate->sessions[s].rotation_errors;
-    const JointDensities S(*joint, s);
-    const double interval = errors.knots.t[1] - errors.knots.t[0];
-    double increments2 = 0.0, share = 0.0;
-    for (size_t k = 0; k + 1 < errors.knots.t.size(); ++k)
-      increments2 +=
-          (errors.knots.values[k + 1] - errors.Kept(k) * errors.knots.values[k]).squaredNorm() /
-          (1.0 - errors.Kept(k) * errors.Kept(k));
-    for (int k = 0; k < kSteps; ++k) {
-      const double omega2 = Omega2(0.5 * (k + 0.5) / kSteps / interval);
-      const double own = errors.Density(omega2);
-      share += own / (own + S[Quantity::kRotation] + S[Quantity::kGyro] / omega2) / kSteps;
-    }
-    const double variance =
-        increments2 / (3.0 * static_cast<double>(errors.knots.t.size() - 1) * share);
-    // A pass moves it by the share that is found, on its way to where it stays.
-    const double stride = std::min(1.0 / share, kLongestStride);
-    errors.std *= std::pow(std::sqrt(variance) / errors.std, stride);
-    errors.std = std::clamp(errors.std, kLeastRotationError, kMostRotationError);
-  }
+void FindNoise(LeastSquares* joint, std::vector<SensorStatistics>* statistics) {
+  for (size_t s = 0; s < joint->sessions.size(); ++s)
+    for (const bool is_linear : {true, false}) FindNoiseOf(is_linear, s, *joint, statistics);
+  UpdateRotationErrors(joint);
 }
 
 }  // namespace imu_pose_calib

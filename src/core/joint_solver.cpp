@@ -212,7 +212,7 @@ class JointSolver {
     if (holds_calibration) HoldCalibration(problem_.get());
     FollowClocks([&] { iterations_ += problem_->Solve(kRoughTolerance); });
     statistics_ = problem_->FindStatistics();
-    UpdateRotationErrors(problem_.get());
+    imu_pose_calib::FindNoise(problem_.get(), &statistics_);
     // No source averages rotations over longer than positions: other errors look like that.
     if (estimate_->position_smoothing < 0.0) {
       estimate_->position_smoothing = 0.0;

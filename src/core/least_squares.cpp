@@ -5,6 +5,7 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <complex>
 #include <limits>
 #include <numeric>
 #include <string>
@@ -23,12 +24,10 @@ constexpr double kDelayPrior = 0.02;  // [s]
 constexpr double kEdge = 0.02;  // [s]
 /// Residuals of a sensor that the trajectory follows more closely say little about its noise.
 constexpr double kLeastRedundancy = 0.1;
-/// Weight of the expectation that noise is white against what the means within the band show, where
-/// the trajectory leaves all of it (doc/math.md, S4, "Noise").
-constexpr double kWhiteness = 0.05;
-// Bounds of what may be divided by, in means of no fewer than these samples [periods] and in all.
-constexpr double kLeastLeft = 1e-3, kLeastInBand = 1e-3;
-constexpr double kMaxMeanGap = 2.5, kFewestMeans = 30.0;
+/// Spans that a spectrum is the mean of, evenly over the session, at most; and share of the usual
+/// samples that each has at least.
+constexpr size_t kSpans = 100;
+constexpr double kLeastFull = 0.5;
 
 /// Windows of all sessions by default, and their least length [s].
 constexpr double kWindows = 24.0;
@@ -393,34 +392,46 @@ void LeastSquares::Move(const GaussNewtonStep& step) {
   rows_.clear();
 }
 
-double LeastSquares::NoiseInBand(const SensorBlocks& sensor,
-                                 const float* rows,
-                                 const StudentT& spread) const {
+NoiseSpectrum LeastSquares::FindSpectrum(const SensorBlocks& sensor,
+                                         const float* rows,
+                                         const StudentT& spread) const {
   const SensorModel& model = *sensor.model;
-  double sum2 = 0.0, means = 0.0;
-  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-  int count = 0;
-  for (size_t i = 0; i < sensor.samples.size(); ++i, rows += 3) {
-    const ProblemSample& sample = sensor.samples[i];
-    if (i > 0 && sample.t - sensor.samples[i - 1].t > kMaxMeanGap / model.rate_hz) {
-      sum.setZero();
-      count = 0;
+  const std::vector<ProblemSample>& samples = sensor.samples;
+  const int bins = static_cast<int>(sensor.band * NoiseSpectrum::kSpan) - NoiseSpectrum::kFirst + 1;
+  if (bins < 1) return {};
+  const double first_t = samples.front().t;
+  const auto spans = static_cast<size_t>((samples.back().t - first_t) / NoiseSpectrum::kSpan);
+  const size_t stride = 1 + spans / kSpans;
+  NoiseSpectrum spectrum{std::vector<double>(static_cast<size_t>(bins), 0.0)};
+  size_t i = 0;
+  for (size_t span = 0; span < spans; span += stride) {
+    const double begin = first_t + static_cast<double>(span) * NoiseSpectrum::kSpan;
+    Eigen::Matrix3Xcd sums = Eigen::Matrix3Xcd::Zero(3, bins);
+    double window2 = 0.0, count = 0.0;
+    while (i < samples.size() && samples[i].t < begin) ++i;
+    for (; i < samples.size() && samples[i].t < begin + NoiseSpectrum::kSpan; ++i) {
+      const double angle = 2.0 * M_PI * (samples[i].t - begin) / NoiseSpectrum::kSpan;
+      const double window = 1.0 - std::cos(angle);  // Hann's
+      const double weight = spread.Weight(sensor.residuals[i].squaredNorm());
+      const Eigen::Vector3d r = window * std::sqrt(weight) * samples[i].sigma /
+                                Scale(model, samples[i].index) *
+                                Eigen::Map<const Eigen::Vector3f>(rows + 3 * i).cast<double>();
+      const std::complex<double> turn = std::polar(1.0, angle);
+      std::complex<double> phase = std::polar(1.0, NoiseSpectrum::kFirst * angle);
+      for (int k = 0; k < bins; ++k, phase *= turn) sums.col(k) += phase * r;
+      window2 += window * window;
+      count += 1.0;
     }
-    const double weight = spread.Weight(sensor.residuals[i].squaredNorm());
-    sum += std::sqrt(weight) * sample.sigma / Scale(model, sample.index) *
-           Eigen::Map<const Eigen::Vector3f>(rows).cast<double>();
-    if (++count < sensor.means.samples) continue;
-    sum2 += sum.squaredNorm() / count;
-    means += 3.0;
-    sum.setZero();
-    count = 0;
+    if (count < kLeastFull * NoiseSpectrum::kSpan * model.rate_hz) continue;
+    for (int k = 0; k < bins; ++k)
+      spectrum.density[static_cast<size_t>(k)] +=
+          sums.col(k).squaredNorm() / (3.0 * window2 * model.rate_hz);
+    spectrum.count += 1.0;
   }
-  if (means < kFewestMeans) return spread.scale;
-  const double left = std::max(sensor.means.left, kLeastLeft);
-  const double share = left * left / (left * left + kWhiteness);
-  const double ratio = std::pow(sum2 / (means * left * spread.scale * spread.scale), 0.5 * share);
-  const bool is_of_imu = model.quantity == Quantity::kGyro || model.quantity == Quantity::kAccel;
-  return spread.scale * std::clamp(ratio, kLeastInBand, is_of_imu ? 1.0 : 1.0 / kLeastInBand);
+  if (spectrum.count == 0.0) return {};
+  for (double& density : spectrum.density) density /= spectrum.count;
+  spectrum.count *= 3.0;
+  return spectrum;
 }
 
 std::vector<SensorStatistics> LeastSquares::FindStatistics() {
@@ -432,7 +443,7 @@ std::vector<SensorStatistics> LeastSquares::FindStatistics() {
     SensorBlocks& sensor = sensors[k];
     sensor.residuals.clear();
     if (sensor.samples.empty()) {
-      statistics[k] = {sensor.model->noise, 0.0, sensor.model->spread};
+      statistics[k] = {sensor.model->noise, 0.0, sensor.model->spread, {}};
       return;
     }
     const float* const rows = &rows_[problem.residuals(sensor.first_block).first_row];
@@ -459,9 +470,8 @@ std::vector<SensorStatistics> LeastSquares::FindStatistics() {
     const double spread2 = spread.scale * spread.scale;
     // The trajectory's share is known only roughly: it never explains the residuals alone.
     const double own2 = std::max(spread2 - Median(std::move(variances)), 0.01 * spread2);
-    const double noise =
-        sensor.means.samples > 0 ? NoiseInBand(sensor, rows, spread) : std::sqrt(own2);
-    statistics[k] = {noise, std::sqrt(sum2 / count), spread};
+    statistics[k] = {
+        std::sqrt(own2), std::sqrt(sum2 / count), spread, FindSpectrum(sensor, rows, spread)};
   });
   rows_ = {};
   return statistics;

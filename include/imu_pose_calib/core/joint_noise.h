@@ -24,8 +24,8 @@ void UpdateWeights(const LeastSquares& joint,
                    const std::vector<CorrectionSplines>& splines,
                    std::vector<SensorModel>* models);
 
-/// Sets the sigma of the rotations' slow errors of each session to what is found of them,
-/// doc/math.md, S4, "Slow errors".
-void UpdateRotationErrors(LeastSquares* joint);
+/// Sets the noise of the sensors and the sigma of the rotations' slow errors of each session to
+/// what the spectra of the residuals show, doc/math.md, S4, "Noise" and "Slow errors".
+void FindNoise(LeastSquares* joint, std::vector<SensorStatistics>* statistics);
 
 }  // namespace imu_pose_calib

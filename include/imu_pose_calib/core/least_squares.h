@@ -31,11 +31,24 @@ struct SensorModel {
 std::vector<SensorModel> InitialModels(const CalibrationOptions& options,
                                        const std::vector<PreparedSession>& sessions);
 
+/// Power spectral density of residuals [unit^2/Hz, two-sided], the mean of axes and of spans of
+/// kSpan, at multiples of 1 / kSpan from kFirst on.
+struct NoiseSpectrum {
+  static constexpr double kSpan = 4.0;  ///< [s]
+  static constexpr int kFirst = 2;      ///< what is slower is the bias
+
+  std::vector<double> density;  ///< empty: not known
+  double count = 0.0;           ///< of periodograms that each is the mean of
+
+  static double Frequency(size_t k) { return (static_cast<double>(k) + kFirst) / kSpan; }
+};
+
 /// What the residuals of a sensor say after a solve.
 struct SensorStatistics {
-  double noise;     ///< per axis, in the band, less what the trajectory's own variance explains
-  double rms;       ///< per axis, of all samples used
-  StudentT spread;  ///< of the samples
+  double noise;            ///< per axis, less what the trajectory's own variance explains
+  double rms;              ///< per axis, of all samples used
+  StudentT spread;         ///< of the samples
+  NoiseSpectrum spectrum;  ///< of residuals without their rest, weighed by the spread
 };
 
 /// A sample in a problem.
@@ -44,13 +57,6 @@ struct ProblemSample {
   uint32_t index;                   ///< in the data
   float sigma;                      ///< residual * sigma has the sensor's unit
   float trajectory_variance = 0.0;  ///< share of sigma^2
-};
-
-/// How the noise of a sensor within the band is seen: in the means of so many samples, one after
-/// the other, of whose variance the trajectory leaves a share [0..1].
-struct BandMeans {
-  int samples = 0;  ///< 0: not at all, it is the spread
-  double left = 1.0;
 };
 
 /// Residual blocks of a sensor, three rows in sigma for each sample. Their rows, one after the
@@ -62,7 +68,7 @@ struct SensorBlocks {
   std::vector<ProblemSample> samples;
   /// Share of the samples' degrees of freedom that the trajectory uses up by following them [0..1].
   double fitted = 0.0;
-  BandMeans means;
+  double band = 0.0;  ///< [Hz] up to which residuals have a spectrum
   /// Of each sample, in the sensor's unit and over its scale, as of the last FindStatistics().
   std::vector<Eigen::Vector3d> residuals;
 
@@ -199,7 +205,9 @@ struct LeastSquares {
   /// What steps are found from.
   NormalEquations StepEquations() const;
   /// Of residuals that start at `rows`, where the samples have that spread.
-  double NoiseInBand(const SensorBlocks& sensor, const float* rows, const StudentT& spread) const;
+  NoiseSpectrum FindSpectrum(const SensorBlocks& sensor,
+                             const float* rows,
+                             const StudentT& spread) const;
 
   std::vector<float> rows_;  ///< residuals where the estimate stands; empty: not known
 };
