@@ -13,6 +13,11 @@ namespace {
 /// takes 6e-6, of a third more it lets 4e-6 pass.
 constexpr double kSharpness = 0.9;
 
+/// Of the band, what the trajectory that splines correct has at most: of noise that they take out
+/// of it again, they leave images about the frequency of the knots, strong ones near the band's
+/// end.
+constexpr double kBase = 0.5;
+
 /// Length scales from the end of a run within which samples stay as they are: what lies beyond is
 /// missing in their means.
 constexpr double kEdge = 2.0;
@@ -117,54 +122,36 @@ PreparedSession LimitBand(const PreparedSession& session, double cutoff, int thr
   const double rate_hz = session.data.pose_report.rate_hz;
   GpHyperparameters position = session.trajectory->position_hyperparameters();
   GpHyperparameters rotation = session.trajectory->rotation_hyperparameters();
-  const bool is_position_lower = LowerCutoff(rate_hz, cutoff, &position);
-  const bool is_rotation_lower = LowerCutoff(rate_hz, cutoff, &rotation);
-  if (is_position_lower || is_rotation_lower) {
+  const bool is_position_lower = LowerCutoff(rate_hz, kBase * cutoff, &position);
+  const bool is_rotation_lower = LowerCutoff(rate_hz, kBase * cutoff, &rotation);
+  if (is_position_lower || is_rotation_lower)
     limited.trajectory = std::make_shared<const PoseTrajectory>(
         session.data.poses, session.data.segments, position, rotation, threads);
-    const double edge = kEdge * std::max(is_position_lower ? position.lengthscale_s : 0.0,
-                                         is_rotation_lower ? rotation.lengthscale_s : 0.0);
-    for (TimedPose& pose : limited.data.poses) {
-      const PoseTrajectory& trajectory = *limited.trajectory;
-      if (!trajectory.Covers(pose.t - edge, pose.t + edge)) continue;
-      const Rigid3 smooth = limited.trajectory->PoseAt(pose.t);
-      if (is_position_lower) {
-        pose.position_rest = pose.p_WM - smooth.p;
-        pose.p_WM = smooth.p;
-      }
-      if (is_rotation_lower) {
-        pose.rotation_rest = Log(Eigen::Quaterniond(smooth.q.conjugate() * pose.q_WM));
-        pose.q_WM = smooth.q;
-      }
-    }
-  }
-  if (!is_position_lower)
-    SmoothErrors(
-        cutoff,
-        threads,
-        [](const Rigid3& T_WM, const TimedPose& pose) -> Eigen::Vector3d {
-          return pose.p_WM - T_WM.p;
-        },
-        [](const Rigid3& T_WM, const TimedSample& smooth, TimedPose* pose) {
-          pose->position_rest = smooth.rest;
-          pose->p_WM = T_WM.p + smooth.value;
-        },
-        &TimedPose::position_scale,
-        &limited);
-  if (!is_rotation_lower)
-    SmoothErrors(
-        cutoff,
-        threads,
-        [](const Rigid3& T_WM, const TimedPose& pose) {
-          return Log(Eigen::Quaterniond(T_WM.q.conjugate() * pose.q_WM));
-        },
-        [](const Rigid3& T_WM, const TimedSample& smooth, TimedPose* pose) {
-          const Eigen::Quaterniond q_WM = T_WM.q * Exp(smooth.value);
-          pose->rotation_rest = Log(Eigen::Quaterniond(q_WM.conjugate() * pose->q_WM));
-          pose->q_WM = q_WM;
-        },
-        &TimedPose::rotation_scale,
-        &limited);
+  SmoothErrors(
+      cutoff,
+      threads,
+      [](const Rigid3& T_WM, const TimedPose& pose) -> Eigen::Vector3d {
+        return pose.p_WM - T_WM.p;
+      },
+      [](const Rigid3& T_WM, const TimedSample& smooth, TimedPose* pose) {
+        pose->position_rest = smooth.rest;
+        pose->p_WM = T_WM.p + smooth.value;
+      },
+      &TimedPose::position_scale,
+      &limited);
+  SmoothErrors(
+      cutoff,
+      threads,
+      [](const Rigid3& T_WM, const TimedPose& pose) {
+        return Log(Eigen::Quaterniond(T_WM.q.conjugate() * pose.q_WM));
+      },
+      [](const Rigid3& T_WM, const TimedSample& smooth, TimedPose* pose) {
+        const Eigen::Quaterniond q_WM = T_WM.q * Exp(smooth.value);
+        pose->rotation_rest = Log(Eigen::Quaterniond(q_WM.conjugate() * pose->q_WM));
+        pose->q_WM = q_WM;
+      },
+      &TimedPose::rotation_scale,
+      &limited);
   return limited;
 }
 
