@@ -38,7 +38,7 @@ constexpr int kStepWindows = 8;
 
 /// Share of the diagonal of H that is added to it after a step that does not reduce the cost by a
 /// share kLeastGain of what it should (Levenberg-Marquardt); less than this is none.
-constexpr double kLeastDamping = 1e-8, kLeastGain = 1e-3;
+constexpr double kLeastDamping = 1e-12, kLeastGain = 1e-3;
 /// Relative to the parameters.
 constexpr double kLeastStep = 1e-8;
 
