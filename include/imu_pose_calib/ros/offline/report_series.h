@@ -3,9 +3,11 @@
 #include <yaml-cpp/yaml.h>
 
 #include <Eigen/Core>
+#include <memory>
 #include <string>
 #include <vector>
 
+#include "imu_pose_calib/core/trajectory.h"
 #include "imu_pose_calib/ros/io/numpy_table.h"
 #include "imu_pose_calib/ros/offline/report.h"
 
@@ -27,9 +29,10 @@ void WriteTimes(const std::string& file, const std::vector<Sample>& samples, Tim
 void WriteValues(const std::string& file, const std::vector<ImuSample>& samples, double unit);
 
 /// Writes the series of a session that was solved to files whose names begin with `prefix`, and
-/// what is said of them to `node`.
+/// what is said of them to `node`. `covariance`: null when it was not kept.
 void WriteSolvedSession(const ReportInput& input,
                         size_t session,
+                        const std::shared_ptr<const TrajectoryCovariance>& covariance,
                         const std::string& prefix,
                         YAML::Node* node);
 

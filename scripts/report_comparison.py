@@ -1,0 +1,2 @@
+def write_comparison(report, page):
+    pass
