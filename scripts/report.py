@@ -291,7 +291,7 @@ def main():
     report = Report(folder)
     page = (Pdf if path.endswith('.pdf') else Html)(report.head['status'].upper())
     if 'results' in report.head:
-        write_comparison(report, page)
+        write_comparison(report, page, making_rows)
     else:
         pairs = sum(len(session['imus']) for session in report.head['sessions'])
         report_axes.BINS = max(120, report_axes.BINS // min(pairs, MOST_PAIRS))

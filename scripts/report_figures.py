@@ -432,16 +432,16 @@ def trajectory(report, s):
             begin = known[len(known) // 2, 0]
             rows = motion[(motion[:, 0] >= begin) & (motion[:, 0] <= begin + 5)]
             rows = rows if len(rows) > 20 else known[len(known) // 2:][:20]
-        x0, y0, x1, y1 = where.box(0.02 + 4.3 * column, 0.05, 4.2 + 4.3 * column, 4.1)
+        x0, y0, x1, y1 = where.box(0.1 + 4.3 * column, 0.05, 4.1 + 4.3 * column, 3.95)
         ax = where.figure.add_axes([x0, y0, x1 - x0, y1 - y0], projection='3d')
         ax.plot(*rows[:, 1:4].T, color=BLUE, linewidth=0.7, label='marker')
         ax.plot(*rows[:, 4:7].T, color=ORANGE, linewidth=0.7, label='imu')
         for k, row in enumerate(rows[::max(1, len(rows) // (60 if column else 25))]):
             ax.plot(*np.c_[row[1:4], row[4:7]], color='black', linewidth=0.8, label='lever arm' if k == 0 else None)
         fill_box(ax, np.r_[rows[:, 1:4], rows[:, 4:7]])
-        ax.set_title(title)
+        ax.set_title(title, loc='left')
         ax.tick_params(labelsize='x-small', pad=0)
-        ax.legend(loc='lower right', bbox_to_anchor=(1.0, 0.98), ncol=3)
+        ax.legend(loc='lower right', bbox_to_anchor=(1.0, 1.0), ncol=3)
     return where.figure, verdicts.trajectory(report, s)
 
 
@@ -450,7 +450,7 @@ def fill_box(ax, points):
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     extent = np.maximum(high - low, 0.3 * max((high - low).max(), 1e-3))
     if hasattr(ax, 'set_box_aspect'):
-        ax.set_box_aspect(extent, zoom=1.0)
+        ax.set_box_aspect(extent, zoom=0.95)
     else:
         extent[:] = extent.max()
     for axis, middle, half in zip('xyz', 0.5 * (low + high), 0.53 * extent):

@@ -244,7 +244,7 @@ def wrap(text, width, size, weight='normal'):
 class Pdf:
     """The same on sheets of A4."""
 
-    SIZE, MARGIN = (8.27, 11.69), 0.55
+    SIZE, MARGIN = (8.27, 11.69), 0.5
 
     def __init__(self, title):
         self.sheets, self.y, self.caption = [], 0, None
@@ -295,7 +295,7 @@ class Pdf:
                 self.badge(found[1].level, 7)
                 self.paragraph('%s (%s)' % found[1][1:3], 7, 0.45)
             self.paragraph(sentence, 7)
-        self.drawn, self.sheets = self.sheets, []
+        self.drawn, self.sheets = (self.sheets, self.y), []
         return drawn
 
     def badge(self, level, size):
@@ -327,7 +327,7 @@ class Pdf:
         if not hint:
             self.paragraph(text)
 
-    def table(self, name, header, rows, size=7):
+    def table(self, name, header, rows, size=6.5):
         rows = [[str(cell) for cell in row] for row in ([header] if header else []) + list(rows)]
         columns = range(max(len(row) for row in rows))
         pad, natural, least = 0.12, [], []
@@ -352,13 +352,14 @@ class Pdf:
             self.y = lowest
 
     def figures(self, wanted, drawn):
-        self.sheets += self.drawn
-        self.drawn, self.y = [], 0
+        self.sheets += self.drawn[0]
+        self.y = self.drawn[1]
 
     def settings(self, rows):
         rows = ['%s: %s' % row for row in rows]
-        half = (len(rows) + 1) // 2
-        self.table('settings', None, zip(rows[:half], rows[half:] + ['']), 6.5)
+        rows += [''] * (-len(rows) % 4)
+        step = len(rows) // 4
+        self.table('settings', None, zip(*(rows[k * step:(k + 1) * step] for k in range(4))), 6)
 
     def write(self, path):
         from matplotlib.backends.backend_pdf import PdfPages

@@ -182,7 +182,8 @@ std::string LastLine(const std::string& path) {
   return last;
 }
 
-/// What every page tells of its making.
+}  // namespace
+
 YAML::Node ReportHead() {
   YAML::Node report;
   report["version"] = kVersion;
@@ -200,7 +201,6 @@ void WriteHead(const YAML::Node& report, const std::string& folder) {
   WriteFile(folder + "/report.yaml", out.c_str());
 }
 
-/// `write` puts the numbers into a folder.
 void DrawReport(const std::string& path, const std::function<void(const std::string&)>& write) {
   const std::filesystem::path script =
       std::filesystem::read_symlink("/proc/self/exe").parent_path() / "report.py";
@@ -215,8 +215,6 @@ void DrawReport(const std::string& path, const std::function<void(const std::str
     throw InputError("report '" + path + "' cannot be drawn: " + LastLine(errors));
   WriteFile(path, (is_pdf ? "" : kReportHeader + std::string("\n")) + ReadAll(drawn));
 }
-
-}  // namespace
 
 void WriteReportData(const ReportInput& input, const std::string& folder) {
   YAML::Node report = ReportHead();
@@ -238,6 +236,12 @@ void WriteReportData(const ReportInput& input, const std::string& folder) {
 
 void WriteReport(const ReportInput& input, const std::string& path) {
   DrawReport(path, [&](const std::string& folder) { WriteReportData(input, folder); });
+}
+
+void CheckReportName(const std::string& path) {
+  const std::string extension = std::filesystem::path(path).extension();
+  if (!path.empty() && extension != ".html" && extension != ".pdf")
+    throw InputError("report '" + path + "' must end in .html or .pdf");
 }
 
 void RemoveOldReport(const std::string& path) {

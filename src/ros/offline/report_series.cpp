@@ -126,11 +126,12 @@ class SolvedSession {
     const double end = PoseTime(input_.sessions[s_].poses.back().t_ns);
     NumpyTable<double> table(7);
     for (size_t k = 0; has_covariance_ && k < kErrorBounds; ++k) {
-      const double t =
-          begin + (static_cast<double>(k) + 0.5) / static_cast<double>(kErrorBounds) * (end - begin);
+      const double t = begin + (static_cast<double>(k) + 0.5) / static_cast<double>(kErrorBounds) *
+                                   (end - begin);
       const auto covariance = trajectory_.MarkerCovariance(t);
       Vector6d sigma = Nothing<6>();
-      if (covariance) sigma << covariance->diagonal().segment<3>(3), covariance->diagonal().head<3>();
+      if (covariance)
+        sigma << covariance->diagonal().segment<3>(3), covariance->diagonal().head<3>();
       table.AddRow(t, Vector6d(sigma.cwiseSqrt()));
     }
     table.Write(prefix + "_error_bounds.npy");

@@ -3,6 +3,7 @@
 #include <yaml-cpp/yaml.h>
 
 #include <Eigen/Core>
+#include <functional>
 #include <memory>
 #include <string>
 #include <vector>
@@ -16,6 +17,15 @@ namespace imu_pose_calib {
 /// Numbers that every reader of YAML takes for numbers.
 YAML::Node YamlValue(double value);
 YAML::Node YamlList(const Eigen::VectorXd& values);
+
+/// What every page tells of its making: version, command, folder.
+YAML::Node ReportHead();
+
+/// Writes the head of a page, report.yaml, to a folder.
+void WriteHead(const YAML::Node& head, const std::string& folder);
+
+/// Draws the page at `path` as WriteReport() does, of the numbers that `write` puts into a folder.
+void DrawReport(const std::string& path, const std::function<void(const std::string&)>& write);
 
 /// Writes the time of each sample, in order of arrival; `time` gives that of a stamp.
 template <typename Sample, typename Time>
