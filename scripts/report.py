@@ -30,20 +30,22 @@ MOST_PAIRS = 6  # of session and IMU with figures
 PER_IMU = (
     ('signals', 'Measured against predicted',
      'Left: least and largest of each bin; purple: the second to the right. Good: the dots, which are measured, lie '
-     'on the black lines, what the calibrated trajectory predicts, in every swing. Bad: the lines lag behind (time shift), cut the peaks (poses too slow) or swing to another height (lever arm).',
+     'on the black lines, what the calibrated trajectory predicts, in every swing. Bad: the lines lag behind (time '
+     'shift), cut the peaks (poses too slow) or swing to another height (lever arm).',
      figures.signals),
     ('residuals', 'Residuals over time',
      'Good: an even band within about three times the dashed noise. Bad: bursts, slow waves, many red triangles '
      '(samples weighed down) or grey (left out): look at these seconds of the recording.',
      figures.residual_series),
     ('distributions', 'Distribution of the residuals',
-     'In units of the robust spread. Good: steps follow the dashed bell. Bad: wide shoulders (outliers, shocks: they weigh little, but should be '
-     'few; the outermost steps hold all beyond) or a middle beside 0 (something that the model lacks).',
+     'In units of the robust spread. Good: steps follow the dashed bell. Bad: wide shoulders (outliers, shocks: they '
+     'weigh little, but should be few; the outermost steps hold all beyond) or a middle beside 0 (something that the '
+     'model lacks).',
      figures.distributions),
     ('spectra', 'Spectra of the residuals',
-     'Blue: residuals. Good: at the dashed line, the noise of the solve, or below it where the trajectory follows this sensor. Bad: hills above it, which are '
-     'vibration, a filter of the tracker or motion that the model does not follow; below the dotted end of the band '
-     'they move the result.',
+     'Blue: residuals. Good: at the dashed line, the noise of the solve, or below it where the trajectory follows '
+     'this sensor. Bad: hills above it, which are vibration, a filter of the tracker or motion that the model does '
+     'not follow; below the dotted end of the band they move the result.',
      figures.spectra),
     ('time_shift', 'Time shift',
      'Good: one peak near 1 at 0, far above the others. Bad: several peaks of one height (motion that repeats '
@@ -70,8 +72,8 @@ PER_IMU = (
 )
 PER_SESSION = (
     ('excitation', 'Excitation and observability',
-     'Numbers: sigma over its bound. Good: three bars of similar height, and every sigma left of the dashed bound. Bad: a turn bar near 0 (turn '
-     'about that axis, too), or a direction beyond its bound.',
+     'Numbers: sigma over its bound. Good: three bars of similar height, and every sigma left of the dashed bound. '
+     'Bad: a turn bar near 0 (turn about that axis, too), or a direction beyond its bound.',
      figures.excitation),
     ('trajectory', 'Trajectory and lever arm',
      'Good: smooth loops in all directions, with the imu\'s path at a constant distance from the marker\'s. Bad: '
@@ -83,7 +85,7 @@ PER_SESSION = (
      figures.error_bounds),
 )
 REFUSED = (
-    ('missing', 'The motion that is missing',
+    ('missing', 'Motion: how fast and how far it turned',
      'About the axes of the marker about which it turned most, second and least. Good: every bar reaches the dashed '
      'line. Bad: a red bar; turn about that axis, too.',
      figures.missing),
@@ -151,10 +153,11 @@ def result_rows(report):
                    '%.2f' % (1e6 * imu['clock_drift_std']), 'growth of the time shift')
     for k, imu in enumerate(imus):
         for sensor_name in ('gyro', 'accel'):
-            matrix, std = ((imu.get('imu') or imu['intrinsics'])[sensor_name + key] for key in ('_matrix', '_matrix_std'))
+            model = imu.get('imu') or imu['intrinsics']
+            matrix, std = model[sensor_name + '_matrix'], model[sensor_name + '_matrix_std']
             yield ('%s matrix%s' % (sensor_name, ' of imu%d' % k if len(imus) > 1 else ''),
-                   '; '.join(triple(row, 1, '%.5f') for row in matrix), '; '.join(triple(row, 1, '%.5f') for row in std),
-                   'measured = matrix true + bias')
+                   '; '.join(triple(row, 1, '%.5f') for row in matrix),
+                   '; '.join(triple(row, 1, '%.5f') for row in std), 'measured = matrix true + bias')
     yield ('gravity [m/s²]', triple(result['gravity']['vector'], 1, '%.4f'),
            triple(result['gravity']['std'], 1, '%.4f'), 'in the world frame')
 
@@ -182,7 +185,7 @@ def stream_rows(report):
             name += ', session %d' % (s + 1) if len(report.head['sessions']) > 1 else ''
             latency = '%.1f ± %.1f ms' % tuple(1e3 * v for v in x['latency']) \
                 if 'latency' in x and abs(x['latency'][0]) < 60 else ''
-            used = '%d' % x['used'] if report.head['solved'] else ''
+            used = x['used'] if report.head['solved'] else '-'
             yield (name, x['topic'], x['count'], used, '%.1f' % x['rate_hz'], '%.2f' % (1e3 * x['jitter_s']),
                    '%.1f' % (1e3 * x['longest_gap_s']), '%.1f' % (100 * x['missing']), '%.1f' % (100 * x['repeated']),
                    latency, 'recovered' if x['recovered'] else 'as recorded')
@@ -223,7 +226,7 @@ def remark(report, verdict):
         return ''
     harmless = verdict.harmless and report.head['status'] == 'ok' and \
         report.result['quality']['split_half']['sigmas'] <= 5
-    return ('Harmless: ' if harmless else '') + verdict.why
+    return 'Harmless: ' + verdict.why if harmless else verdict.why[0].upper() + verdict.why[1:]
 
 
 def repetition(report):
@@ -263,7 +266,7 @@ def write_report(report, page):
     page.judged(sorted(judged, key=lambda x: (BAD, LOOK, GOOD).index(x[2].level)))
     if any(row[3].startswith('Harmless') for row in judged):
         page.text('Harmless, since the result is ok all the same, and %s, each taken alone.' % report.halves)
-    page.text('Drag across a figure to zoom in, click twice to zoom out; the numbers are those under the pointer.', True)
+    page.text('Drag across a figure to zoom in, click twice to zoom out; numbers are those under the pointer.', True)
     if report.result:
         write_result(report, page)
     found = warnings(report)

@@ -27,9 +27,9 @@ QUANTITIES = {  # title, unit, factor from SI
     'accel': ('accelerometer', 'm/s²', 1.0),
 }
 
-rcParams.update({'svg.fonttype': 'none', 'pdf.fonttype': 42, 'axes.spines.top': False, 'axes.spines.right': False, 'axes.grid': True, 'grid.color': '#e4e4e4',
-                 'grid.linewidth': 0.6, 'lines.linewidth': 0.9, 'legend.frameon': False,
-                 'axes.linewidth': 0.6, 'svg.hashsalt': 'report', 'axes.axisbelow': True})
+rcParams.update({'svg.fonttype': 'none', 'pdf.fonttype': 42, 'axes.spines.top': False, 'axes.spines.right': False,
+                 'axes.grid': True, 'grid.color': '#e4e4e4', 'grid.linewidth': 0.6, 'lines.linewidth': 0.9,
+                 'legend.frameon': False, 'axes.linewidth': 0.6, 'svg.hashsalt': 'report', 'axes.axisbelow': True})
 if 'axes.titlelocation' in rcParams:  # not before matplotlib 3.2; Ubuntu 20.04 has 3.1
     rcParams['axes.titlelocation'] = 'left'
 
@@ -196,7 +196,8 @@ def reading(figure, ax):
     values = [box.x0 * width, (1 - box.y0) * height, box.x1 * width, (1 - box.y1) * height, *ax.get_xlim(),
               *ax.get_ylim()]
     return json.dumps(['%.7g' % value for value in values]
-                      + [int(ax.get_xscale() == 'log'), int(ax.get_yscale() == 'log'), ax.get_xlabel(), ax.get_ylabel()])
+                      + [int(scale == 'log') for scale in (ax.get_xscale(), ax.get_yscale())]
+                      + [ax.get_xlabel(), ax.get_ylabel()])
 
 
 def svg(figure, label):
@@ -210,7 +211,8 @@ def svg(figure, label):
         if ax.get_navigate() and ax.name == 'rectilinear':
             text = text.replace('<g id="axes_%d">' % (k + 1),
                                 '<g data-axes="%s">' % html.escape(reading(figure, ax), True), 1)
-    text = re.sub(r'<g id="[xy]tick_\d+">', '<g class="tick">', text)
+    text = re.sub(r'<g id="([xy])tick_\d+">', r'<g class="tick \1">', text)
+    text = re.sub(r'<g id="(FillBetween)?PolyCollection_\d+">', '<g class="area">', text)
     text = re.sub(r' id="[a-zA-Z0-9]+_[a-zA-Z0-9_]*\d"', '', text)
     text = re.sub(r' xmlns:xlink="[^"]*"| xmlns="[^"]*"| xmlns:\w+="[^"]*"', '', text, count=3)
     text = text.replace('xlink:href', 'href')

@@ -2,9 +2,10 @@
 
 import numpy as np
 from report_axes import BLUE, DEGREES, QUANTITIES, RED, axes_of
-from report_verdicts import AGREEMENT, BAD, GOOD, LOOK, Verdict
+from report_verdicts import AGREEMENT, BAD, GOOD, LOOK, NOISE, Verdict, level, ranges
 
-UNITS = {'translation': ('mm', 1e3), 'rotation': ('deg', DEGREES), 'accel delay': ('ms', 1e3), 'time shift': ('ms', 1e3)}
+UNITS = {'translation': ('mm', 1e3), 'rotation': ('deg', DEGREES), 'accel delay': ('ms', 1e3),
+         'time shift': ('ms', 1e3)}
 
 
 def product(a, b):
@@ -32,7 +33,7 @@ def scatter_verdict(report, quantity):
                    'chi-square %.1f with %d degrees of freedom: scatter %.2g times what the sigmas say%s' % (
                        chi2, dof, np.sqrt(chi2 / dof), ', up to %.1f sigma' % worst if worst else ''),
                    'good to %.0f, bad beyond %g sigma' % (bound, AGREEMENT),
-                   'something changes between the recordings that no sigma holds: look at the one most apart')
+                   'Something changes between the recordings that no sigma holds: look at the one most apart')
 
 
 def ellipses(report, quantity):
@@ -89,17 +90,17 @@ def noises(report):
     ratio, title = max((max(v) / max(min(v), 1e-300), QUANTITIES[q][0]) for q in QUANTITIES
                        for v in [[x['noise'][q] for x in results]])
     # Sigmas are as the noise: at 2 and 5 times, one recording outweighs the other 4 and 25 times.
-    return figure, Verdict(BAD if ratio > 5 else LOOK if ratio > 2 else GOOD, '%s: largest over least %.2g' % (title, ratio),
-                           'good to 2, bad from 5', 'one recording outweighs the others: look at its report')
+    return figure, Verdict(level(ratio, NOISE), '%s: largest over least %.2g' % (title, ratio), ranges(NOISE),
+                           'One recording outweighs the others: look at its report')
 
 
 FIGURES = (
     ('translation', 'Translation, less the mean',
-     'Ellipses of 1 and 3 sigma, numbers as in the table; cross: the mean; red: the reference. Good: ellipses of 3 sigma '
-     'hold the cross. Bad: ellipses far apart.', ellipses, ('translation',)),
+     'Ellipses of 1 and 3 sigma, numbers as in the table; cross: the mean; red: the reference. Good: ellipses of '
+     '3 sigma hold the cross. Bad: ellipses far apart.', ellipses, ('translation',)),
     ('rotation', 'Rotation, less the mean', 'As a rotation vector about the axes of the imu.', ellipses, ('rotation',)),
-    ('clocks', 'Clocks', 'With 1 sigma. A delay belongs to the IMU and should repeat; a time shift does so only where the '
-     'clocks are the same.', clocks, ()),
+    ('clocks', 'Clocks',
+     'With 1 sigma. A delay belongs to the IMU and should repeat; a time shift does so only where the clocks are the same.', clocks, ()),
     ('noise', 'Noise of the solve', 'Good: bars of one height.', noises, ()),
 )
 
@@ -113,8 +114,8 @@ def result_rows(results):
         c = x['calibration']
         sigma = np.sqrt(np.diag(c['covariance']))
         yield (k + 1, x['path'], x['status'], numbers(c['translation'], 1e3, '%.3f'), numbers(sigma[:3], 1e3, '%.3f'),
-               numbers(c['rotation'], 1, '%.5f'), numbers(sigma[3:], DEGREES, '%.4f'), '%.6f ± %.6f' % tuple(c['time_shift']),
-               '%.4f ± %.4f' % tuple(1e3 * v for v in c['accel_delay']))
+               numbers(c['rotation'], 1, '%.5f'), numbers(sigma[3:], DEGREES, '%.4f'),
+               '%.6f ± %.6f' % tuple(c['time_shift']), '%.4f ± %.4f' % tuple(1e3 * v for v in c['accel_delay']))
 
 
 def difference_rows(results, key):
@@ -135,9 +136,10 @@ def write_comparison(report, page, making_rows):
     judged = [(x[0], x[1], found[1], found[1].why if found[1].level != GOOD else '') for x, found in zip(wanted, drawn)
               if found and found[1]]
     page.judged(sorted(judged, key=lambda x: (BAD, LOOK, GOOD).index(x[2].level)))
-    page.table('table', ('', 'result', 'status', 'p [mm]', 'sigma', 'quaternion x y z w', 'sigma about the imu axes [deg]',
-                         'time shift [s]', 'accel delay [ms]'), result_rows(results))
-    for key, title in (('from_others', 'Each less the mean of the others'), ('from_reference', 'Each less the reference')):
+    page.table('table', ('', 'result', 'status', 'p [mm]', 'sigma', 'quaternion x y z w',
+                         'sigma about the imu axes [deg]', 'time shift [s]', 'accel delay [ms]'), result_rows(results))
+    for key, title in (('from_others', 'Each less the mean of the others'),
+                       ('from_reference', 'Each less the reference')):
         if key in results[0]:
             page.heading(key, title)
             page.table(key + '_table', ('', 'distance [mm]', 'angle [deg]', 'chi-square', 'most apart'),

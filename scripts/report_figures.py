@@ -4,7 +4,7 @@ import numpy as np
 import report_axes
 import report_verdicts as verdicts
 from mpl_toolkits.mplot3d import Axes3D  # noqa: F401  (registers the projection)
-from report_axes import (AXES, BLUE, DEGREES, DOTS, ORANGE, PURPLE, QUANTITIES, RED, SKY, WIDTH, axes_of, draw_series,
+from report_axes import (AXES, BLUE, DEGREES, DOTS, ORANGE, PURPLE, QUANTITIES, RED, SKY, axes_of, draw_series,
                          envelope, legend, log_scale, note, residuals, runs, runs_of, sensor, stamps)
 
 
@@ -425,23 +425,23 @@ def trajectory(report, s):
     known = motion[np.isfinite(motion).all(axis=1)]
     if len(known) < 10:
         return None
-    where = report_axes.place(4.3)
+    where = report_axes.place(3.3)
     thin = motion[::max(1, len(motion) // 2000)]
     for column, (title, rows) in enumerate((('the whole recording', thin), ('five seconds', None))):
         if rows is None:
             begin = known[len(known) // 2, 0]
             rows = motion[(motion[:, 0] >= begin) & (motion[:, 0] <= begin + 5)]
             rows = rows if len(rows) > 20 else known[len(known) // 2:][:20]
-        x0, y0, x1, y1 = where.box(0.1 + 4.3 * column, 0.05, 4.1 + 4.3 * column, 3.95)
+        x0, y0, x1, y1 = where.box(0.05 + 4.3 * column, -0.55, 4.05 + 4.3 * column, 3.75)
         ax = where.figure.add_axes([x0, y0, x1 - x0, y1 - y0], projection='3d')
         ax.plot(*rows[:, 1:4].T, color=BLUE, linewidth=0.7, label='marker')
         ax.plot(*rows[:, 4:7].T, color=ORANGE, linewidth=0.7, label='imu')
         for k, row in enumerate(rows[::max(1, len(rows) // (60 if column else 25))]):
             ax.plot(*np.c_[row[1:4], row[4:7]], color='black', linewidth=0.8, label='lever arm' if k == 0 else None)
         fill_box(ax, np.r_[rows[:, 1:4], rows[:, 4:7]])
-        ax.set_title(title, loc='left')
+        ax.set_title(title, loc='left', y=0.86)
         ax.tick_params(labelsize='x-small', pad=0)
-        ax.legend(loc='lower right', bbox_to_anchor=(1.0, 1.0), ncol=3)
+        ax.legend(loc='lower right', bbox_to_anchor=(1.0, 0.855), ncol=3)
     return where.figure, verdicts.trajectory(report, s)
 
 
@@ -450,12 +450,12 @@ def fill_box(ax, points):
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     extent = np.maximum(high - low, 0.3 * max((high - low).max(), 1e-3))
     if hasattr(ax, 'set_box_aspect'):
-        ax.set_box_aspect(extent, zoom=0.95)
+        ax.set_box_aspect(tuple(extent), zoom=0.9)
     else:
         extent[:] = extent.max()
     for axis, middle, half in zip('xyz', 0.5 * (low + high), 0.53 * extent):
         getattr(ax, 'set_%slim' % axis)(middle - half, middle + half)
-        getattr(ax, 'set_%slabel' % axis)('%s [m]' % axis, labelpad=-2)
+        getattr(ax, 'set_%slabel' % axis)('%s [m]' % axis, labelpad=-8 if axis == 'z' else -3)
         count = max(2, int(round(5 * half / (0.53 * extent.max()))))
         getattr(ax, 'set_%sticks' % axis)(np.round(np.linspace(middle - 0.9 * half, middle + 0.9 * half, count), 2))
 
@@ -470,13 +470,14 @@ def recorded(report, s, imu):
     t, poses = t[order], poses[order]
     draw_axes(axes[0, 0], t, poses[:, :3] - np.nanmean(poses[:, :3], axis=0) if len(poses) else poses[:, :3],
               'poses: position about its mean', 'm')
-    draw_axes(axes[1, 0], *turn_rates(t, poses[:, 3:7]), 'poses: turn rate about the marker axes', 'rad/s')
+    times, rates = turn_rates(t, poses[:, 3:7])
+    draw_axes(axes[1, 0], times, rates, 'poses: turn rate about the marker axes', 'rad/s')
     for ax, name in ((axes[2, 0], 'gyro'), (axes[3, 0], 'accel')):
         file = 's%d_i%d_%s' % (s, imu, name)
         title, unit, _ = QUANTITIES[name]
         draw_axes(ax, report.times(file + '_stamps'), report.rows(file).astype(float), title, unit)
     axes[3, 0].set_xlabel("time since the stream's first stamp [s]")
-    return figure, None
+    return figure, verdicts.recorded(rates, report.rows('s%d_i%d_gyro' % (s, imu)).astype(float))
 
 
 def missing(report, s):
@@ -493,13 +494,13 @@ def missing(report, s):
     step = np.minimum(np.diff(t, prepend=t[0]), 3 * np.median(np.diff(t)))
     fast, far = np.sqrt(np.mean(along ** 2, axis=0)), DEGREES * np.ptp(np.cumsum(along * step[:, None], axis=0), axis=0)
     figure, axes = axes_of(1, 2, 1.6)
-    for ax, values, asked, title, unit in ((axes[0, 0], fast, verdicts.TURNS[0], 'how fast', 'rad/s rms'),
-                                           (axes[0, 1], far, 30, 'how far', 'deg')):
+    for ax, values, asked, title, unit in ((axes[0, 0], fast, verdicts.TURNS[0], 'how fast it turned', 'rad/s rms'),
+                                           (axes[0, 1], far, 30, 'how far it turned', 'deg')):
         ax.bar(range(3), values, color=[BLUE if value >= asked else RED for value in values], width=0.6)
         for k, value in enumerate(values):
             ax.text(k, max(value, 0.02 * values.max()), '%.2g' % value, ha='center', va='bottom', fontsize='small')
         ax.axhline(asked, color='black', linestyle='--', linewidth=0.8, label='asked for')
-        ax.set(title='turned about an axis of the marker: ' + title, ylabel='[%s]' % unit, xticks=range(3),
+        ax.set(title=title, ylabel='[%s]' % unit, xticks=range(3),
                xticklabels=names, ylim=(0, 1.2 * max(values.max(), asked)))
         ax.set_navigate(False)
     legend(axes[0, 1])

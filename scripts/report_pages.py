@@ -36,7 +36,7 @@ h3{margin-top:1em}}
 # Reads out under the pointer; a span that is drawn with it fills the axes, and those of the figure with the same x.
 SCRIPT = '''
 "use strict";
-const tip = document.createElement("div"), NS = "http://www.w3.org/2000/svg";
+const tip = document.createElement("div"), NS = document.querySelector("svg")?.namespaceURI;
 tip.id = "reading";
 document.body.append(tip);
 const f = (log, v) => log ? Math.log10(v) : v, back = (log, v) => log ? 10 ** v : v;
@@ -83,9 +83,9 @@ class Axes {
     this.marks = [];
     for (const e of this.g.querySelectorAll("[clip-path]")) {
       if (e.closest(".tick")) continue;
-      const uses = e.querySelectorAll("use");
-      this.marks.push(...uses);
-      if (uses.length) continue;
+      const marks = e.closest(".area") ? [] : e.querySelectorAll("use");
+      this.marks.push(...marks);
+      if (marks.length) continue;
       const outer = document.createElementNS(NS, "g");
       outer.setAttribute("clip-path", e.getAttribute("clip-path"));
       e.removeAttribute("clip-path");
@@ -106,10 +106,12 @@ class Axes {
       const u = (f(log, value) - a) / (b - a);
       if (u < 0 || u > 1) continue;
       const x = this.x0 + u * (this.x1 - this.x0), y = this.y0 + u * (this.y1 - this.y0);
+      if (!this.g.querySelector(k ? ".tick.y text" : ".tick.x text")) continue;
       const text = add(this.own, "text", k ? {x: this.x0 - 4, y: y + 3, "text-anchor": "end"}
                                            : {x: x, y: this.y0 + 11, "text-anchor": "middle"});
       text.textContent = +value.toPrecision(6);
-      add(this.own, "path", {stroke: "#888", "stroke-width": ".5", d: k ? `M${this.x0} ${y}h-3` : `M${x} ${this.y0}v3`});
+      const d = k ? `M${this.x0} ${y}h-3` : `M${x} ${this.y0}v3`;
+      add(this.own, "path", {stroke: "#888", "stroke-width": ".5", d: d});
     }
   }
 }
@@ -197,8 +199,8 @@ class Html:
         columns = len(header or rows[0])
         for tag, row in ([('th', header)] if header else []) + [('td', row) for row in rows]:
             rest = ' colspan="%d"' % (columns - len(row) + 1) if len(row) < columns else ''
-            lines.append('<tr>%s</tr>' % ''.join('<%s%s>%s</%s>' % (tag, rest if k + 1 == len(row) else '', escape(cell),
-                                                                    tag) for k, cell in enumerate(row)))
+            cells = ['<%s>%s</%s>' % (tag, escape(cell), tag) for cell in row[:-1]]
+            lines.append('<tr>%s<%s%s>%s</%s></tr>' % (''.join(cells), tag, rest, escape(row[-1]), tag))
         self.parts.append('<div class="scroll" id="%s"><table>%s</table></div>' % (name, ''.join(lines)))
 
     def figures(self, wanted, drawn):
@@ -340,8 +342,8 @@ class Pdf:
         over = min(1, self.width / sum(widths))
         for i, row in enumerate(rows):
             weight = 'bold' if header and i == 0 else 'normal'
-            cells = [wrap(cell, over * sum(widths[k:] if k + 1 == len(row) else widths[k:k + 1]) - 0.6 * pad, size, weight)
-                     for k, cell in enumerate(row)]
+            spans = widths[:len(row) - 1] + [sum(widths[len(row) - 1:])]
+            cells = [wrap(cell, over * span - 0.6 * pad, size, weight) for cell, span in zip(row, spans)]
             self.room(1.35 * size / 72 * max(len(lines) for lines in cells))
             top = lowest = self.y
             for k, lines in enumerate(cells):

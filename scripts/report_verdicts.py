@@ -46,6 +46,8 @@ KNOWN = (0.95, 0.5)
 # Turn rate, rms [rad/s], of the axes about which it turns less: 30 degrees in a second, as the recording guide
 # asks; and what is rest to data_check.cpp.
 TURNS = (0.5, 0.05)
+# Share of the variance of turn rates that the other sensor has: as data_check.cpp warns, and half.
+EXPLAINED = (0.8, 0.5)
 
 
 def level(value, bounds):
@@ -240,7 +242,7 @@ def excitation(report, s):
         return None
     value, name, status = max(found, key=lambda x: (x[2] == 'degenerate', x[0]))
     if status == 'degenerate':
-        return Verdict(BAD, name + ' is not determined', 'good to 1, bad from %g' % SIGMA[1], 'turn about more axes', False)
+        return Verdict(BAD, name + ' is not determined', ranges(SIGMA), 'turn about more axes', False)
     return Verdict(level(value, SIGMA), '%s: sigma %.2g of its bound' % (name, value), ranges(SIGMA),
                    'turn faster about all three axes', False)
 
@@ -253,6 +255,18 @@ def missing_motion(rates, angles, names):
     k = 1 if found == BAD else 2
     return Verdict(found, 'about %s it turns by %.2g deg at %.2g rad/s rms' % (names[k], angles[k], rates[k]),
                    ranges(TURNS, '%g rad/s'), 'turn about that axis, too, 30 deg and more to and fro', False)
+
+
+def recorded(poses, gyro):
+    """Turn rates of both, which are of one body."""
+    if len(poses) < 10 or len(gyro) < 10:
+        return None
+    gyro = gyro - np.nanmedian(gyro, axis=0)
+    ratio = np.sqrt(np.nanmean(np.sum(gyro ** 2, axis=1)) / max(np.nanmean(np.sum(poses ** 2, axis=1)), 1e-12))
+    return Verdict(level(max(ratio, 1 / max(ratio, 1e-12)) ** -2, EXPLAINED),
+                   'the gyroscope turns %.3g times as fast as the poses' % ratio, 'good %.2f to %.2f, bad beyond a factor of %.2f' % (
+                       EXPLAINED[0] ** 0.5, EXPLAINED[0] ** -0.5, EXPLAINED[1] ** -0.5),
+                   'do units, rates and stamps fit, and is it one body?', False)
 
 
 def trajectory(report, s):
