@@ -100,7 +100,8 @@ FIGURES = (
      '3 sigma hold the cross. Bad: ellipses far apart.', ellipses, ('translation',)),
     ('rotation', 'Rotation, less the mean', 'As a rotation vector about the axes of the imu.', ellipses, ('rotation',)),
     ('clocks', 'Clocks',
-     'With 1 sigma. A delay belongs to the IMU and should repeat; a time shift does so only where the clocks are the same.', clocks, ()),
+     'With 1 sigma. A delay belongs to the IMU and should repeat; a time shift does so only where the clocks '
+     'are the same.', clocks, ()),
     ('noise', 'Noise of the solve', 'Good: bars of one height.', noises, ()),
 )
 

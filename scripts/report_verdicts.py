@@ -264,7 +264,8 @@ def recorded(poses, gyro):
     gyro = gyro - np.nanmedian(gyro, axis=0)
     ratio = np.sqrt(np.nanmean(np.sum(gyro ** 2, axis=1)) / max(np.nanmean(np.sum(poses ** 2, axis=1)), 1e-12))
     return Verdict(level(max(ratio, 1 / max(ratio, 1e-12)) ** -2, EXPLAINED),
-                   'the gyroscope turns %.3g times as fast as the poses' % ratio, 'good %.2f to %.2f, bad beyond a factor of %.2f' % (
+                   'the gyroscope turns %.3g times as fast as the poses' % ratio,
+                   'good %.2f to %.2f, bad beyond a factor of %.2f' % (
                        EXPLAINED[0] ** 0.5, EXPLAINED[0] ** -0.5, EXPLAINED[1] ** -0.5),
                    'do units, rates and stamps fit, and is it one body?', False)
 
