@@ -102,15 +102,14 @@ def sections(report):
     pairs = [(s, imu) for s, session in enumerate(head['sessions']) for imu in session['imus']]
     for count, (s, imu) in enumerate(pairs[:MOST_PAIRS]):
         session = head['sessions'][s]
-        of = ['session %d' % (s + 1)] * (len(head['sessions']) > 1) + ['imu%d' % imu] * (len(session['imus']) > 1)
-        wanted = [(*x, (s, imu)) for x in (PER_IMU if head['solved'] else REFUSED[1:])]
+        of_session = ', session %d' % (s + 1) if len(head['sessions']) > 1 else ''
+        of_imu = of_session + (', imu%d' % imu if len(session['imus']) > 1 else '')
+        wanted = [(*x, (s, imu), of_imu) for x in (PER_IMU if head['solved'] else REFUSED[1:])]
         if imu == session['imus'][0]:
-            if head['solved']:
-                wanted += [(*x, (s,)) for x in PER_SESSION]
-            else:
-                wanted.insert(0, (*REFUSED[0], (s,)))
-        for name, title, *rest in wanted:
-            yield (name + ('-%d' % (count + 1) if count else ''), ', '.join([title] + of), *rest)
+            own = [(*x, (s,), of_session) for x in (PER_SESSION if head['solved'] else REFUSED[:1])]
+            wanted = wanted + own if head['solved'] else own + wanted
+        for name, title, sentence, function, arguments, of in wanted:
+            yield name + ('-%d' % (count + 1) if count else ''), title + of, sentence, function, arguments
 
 
 # --- Tables ---
@@ -222,11 +221,12 @@ def warnings(report):
 
 def remark(report, verdict):
     """Of a figure that is not good: why that is harmless, or what there is to do."""
-    if verdict.level == GOOD or not verdict.why:
+    if verdict.level == GOOD:
         return ''
-    harmless = verdict.harmless and report.head['status'] == 'ok' and \
-        report.result['quality']['split_half']['sigmas'] <= 5
-    return 'Harmless: ' + verdict.why if harmless else verdict.why[0].upper() + verdict.why[1:]
+    if not verdict.harmless:
+        return verdict.why[0].upper() + verdict.why[1:]
+    return 'Harmless: ' + verdict.why if report.head['status'] == 'ok' and \
+        report.result['quality']['split_half']['sigmas'] <= 5 else ''
 
 
 def repetition(report):
@@ -284,6 +284,8 @@ def write_report(report, page):
     pairs = sum(len(session['imus']) for session in head['sessions'])
     if pairs > MOST_PAIRS:
         page.text('%d more pairs of session and imu are without figures.' % (pairs - MOST_PAIRS))
+    if head['solved'] and not any(found for x, found in zip(wanted, drawn) if x[0].startswith('error_bounds')):
+        page.text('No error bounds of trajectory and biases: their covariance was not kept, see max_factor_mb.')
     page.heading('settings', 'Settings', True)
     page.settings([(k, 'not given' if v is None else str(v).lower() if isinstance(v, bool) else v)
                    for k, v in head['options'].items()])

@@ -61,20 +61,27 @@ class Report:
 # --- Helpers of figures ---
 
 class Place:
-    """Where a figure goes, WIDTH x `height` before `scale` [inch]: one of its own, or a part of a sheet."""
+    """Where a figure goes: WIDTH wide before `scale`, from x, y [inch] of a matplotlib figure on."""
 
-    def __init__(self, height):
-        self.figure, self.x, self.y, self.scale = Figure(figsize=(WIDTH, height)), 0, 0, 1
-        FigureCanvasAgg(self.figure)
+    def __init__(self, figure, x=0, y=0, scale=1):
+        self.figure, self.x, self.y, self.scale = figure, x, y, scale
 
     def box(self, left, bottom, right, top):
-        """In shares of the matplotlib figure, of inches."""
+        """In shares of the matplotlib figure, of inches before `scale`."""
         width, height = self.figure.get_size_inches()
         return [(self.x + self.scale * left) / width, (self.y + self.scale * bottom) / height,
                 (self.x + self.scale * right) / width, (self.y + self.scale * top) / height]
 
 
-place = Place
+def empty(width, height):
+    figure = Figure(figsize=(width, height))
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def place(height):
+    """Of a figure that is `height` inches high: one of its own. The sheets of PDF replace this."""
+    return Place(empty(WIDTH, height))
 
 
 def axes_of(rows, columns, height, widths=None, share=False, left=0.75, gap=0.8, bottom=0.5):

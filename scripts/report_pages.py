@@ -258,8 +258,7 @@ class Pdf:
     def room(self, height):
         """Makes room for something of a height, on a new sheet if need be."""
         if not self.sheets or self.y - height < self.MARGIN:
-            self.sheets.append(Figure(figsize=self.SIZE))
-            FigureCanvasAgg(self.sheets[-1])
+            self.sheets.append(report_axes.empty(*self.SIZE))
             self.y = self.SIZE[1] - self.MARGIN
 
     def line(self, text, size, x=0, color='#222222', weight='normal'):
@@ -275,15 +274,13 @@ class Pdf:
 
     def place(self, height):
         """Of a figure: below its title, with room for what is said of it."""
-        where = report_axes.Place.__new__(report_axes.Place)
         title, sentence = self.caption
         below = len(wrap(sentence, self.width, 7)) + 2
         self.room(self.scale * height + 0.35 + below * 1.35 * 7 / 72)
         self.y -= 0.08
         self.line(title, 10, weight='bold')
         self.y -= self.scale * height
-        where.figure, where.x, where.y, where.scale = self.sheets[-1], self.MARGIN, self.y, self.scale
-        return where
+        return report_axes.Place(self.sheets[-1], self.MARGIN, self.y, self.scale)
 
     def draw(self, report, wanted):
         drawn = []

@@ -184,7 +184,7 @@ def stamp_figure(report, s, imu):
             kept = 1 - x['missing'] - x['repeated']
             found.append((USED[0] / max(kept, 1e-9), Verdict(
                 level(kept, USED), '%s: %.3g %% of the samples that the rate promises are there and new' % (
-                    x['role'], 100 * kept), ranges(USED, '%g %%', 100), '')))
+                    x['role'], 100 * kept), ranges(USED, '%g %%', 100), 'look at how it is recorded', False)))
     for x in streams:
         jitter = 0 if x['recovered'] else x['jitter_s'] * x['rate_hz']
         found.append((jitter / JITTER[0], Verdict(level(jitter, JITTER), '%s: stamps jitter by %.2g of a period' % (
