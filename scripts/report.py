@@ -16,6 +16,7 @@ try:
     import numpy as np
     import report_axes
     import report_figures as figures
+    import report_verdicts
     from report_axes import DEGREES, QUANTITIES, Report, residuals, sensor
     from report_comparison import write_comparison
     from report_pages import Html, Pdf
@@ -235,11 +236,7 @@ def repetition(report):
     if count == 1:
         return 'Sigmas are one standard deviation, of this one recording: what is the same all through it, as of the ' \
             'tracker or the mount, they do not show. Take a second one and give both: calibrate_bag A B.'
-    found = [x['agreement'] for x in report.result['sessions'] if 'agreement' in x]
-    worst = max(found, key=lambda x: x['chi2'], default=None)
-    return 'Sigmas are one standard deviation, of %d recordings and how they agree%s.' % (
-        count, ': at worst chi-square %.1f with %d degrees of freedom, %s' % (
-            worst['chi2'], worst['dof'], worst['worst']) if worst else '')
+    return 'Sigmas are one standard deviation, of %d recordings and how they agree.' % count
 
 
 def write_result(report, page):
@@ -263,6 +260,9 @@ def write_report(report, page):
     page.verdict(head['status'], str(head['message']))
     judged = [(x[0], x[1], found[1], remark(report, found[1])) for x, found in zip(wanted, drawn)
               if found and found[1]]
+    if report.result:
+        agreement = report_verdicts.agreement(report)
+        judged.insert(0, (*agreement, remark(report, agreement[2])))
     page.judged(sorted(judged, key=lambda x: (BAD, LOOK, GOOD).index(x[2].level)))
     if any(row[3].startswith('Harmless') for row in judged):
         page.text('Harmless, since the result is ok all the same, and %s, each taken alone.' % report.halves)
@@ -294,7 +294,8 @@ def write_report(report, page):
 def main():
     folder, path = sys.argv[1:]
     report = Report(folder)
-    page = (Pdf if path.endswith('.pdf') else Html)(report.head['status'].upper())
+    page = (Pdf if path.endswith('.pdf') else Html)('%s: %s' % (report.head['status'].upper(), ', '.join(
+        os.path.basename(str(x['source'])) for x in report.head.get('sessions') or report.head['results'])))
     if 'results' in report.head:
         write_comparison(report, page, making_rows)
     else:

@@ -332,8 +332,8 @@ class Pdf:
         pad, natural, least = 0.12, [], []
         for k in columns:
             own = [row[k] for row in rows if k < len(row) and (k + 1 < len(row) or len(row) == len(columns))]
-            natural.append(pad + max(text_width(cell, size) for cell in own))
-            least.append(pad + max(text_width(word, size) for cell in own for word in cell.split(' ')))
+            natural.append(pad + max(text_width(cell, size, 'bold') for cell in own))
+            least.append(pad + max(text_width(word, size, 'bold') for cell in own for word in cell.split(' ')))
         spare = max(0, self.width - sum(least)) / max(1e-9, sum(natural) - sum(least))
         widths = [low + min(1, spare) * (high - low) for low, high in zip(least, natural)]
         over = min(1, self.width / sum(widths))

@@ -34,8 +34,9 @@ BIAS_STEP = (3, 5)
 # Power of the data with which sigmas fall over the second half; 1/2 for steady motion. Half and twice that; four
 # times: what was recorded last decides.
 GROWTH = (0.25, 1, 2)
-# Differences of parts of the data in their sigmas: where chance ends for one of n is by chi-square; bad as
-# calibrations disagree.
+# Largest difference of parts of the data in its sigma: where chance ends, 3 sigma (of several components, by
+# chi-square); and as calibrations disagree, kAgreementBound.
+HALVES = (3, 5)
 AGREEMENT = 5
 # Sigma over its bound of the verdict.
 SIGMA = (1, 5)
@@ -219,6 +220,24 @@ def growth(table):
                    'steady motion: 0.5; good %g to %g, bad from %g' % GROWTH,
                    'the last half moved less; it costs nothing' if power < GROWTH[0] else
                    'the last half moved more, or the first rested; sigmas are within their bounds')
+
+
+def agreement(report):
+    """Of the recordings, or of the halves of one; with the name and the title of the line."""
+    found = [(x['agreement'], k + 1) for k, x in enumerate(report.result.get('sessions') or []) if 'agreement' in x]
+    if not found:
+        sigmas = report.result['quality']['split_half']['sigmas']
+        return 'table', 'Halves of the recording', Verdict(
+            level(sigmas, HALVES), 'each taken alone, they differ by up to %.1f sigma' % sigmas,
+            ranges(HALVES, '%g sigma'), 'something changed between them: the mount, the marker, the tracker', False)
+    x, session = max(found, key=lambda x: x[0]['chi2'] / x[0]['dof'])
+    bound = x['dof'] + 3 * np.sqrt(2 * x['dof'])
+    sigmas = float(x['worst'].split(', ')[1].split()[0])
+    return 'table', 'Agreement of the recordings', Verdict(
+        BAD if sigmas > AGREEMENT else LOOK if x['chi2'] > bound else GOOD,
+        'session %d against the others: chi-square %.0f with %d degrees of freedom, most apart %s' % (
+            session, x['chi2'], x['dof'], x['worst']), 'good to %.0f, bad beyond %g sigma' % (bound, AGREEMENT),
+        'did the marker or the imu move on the body?', False)
 
 
 def lever_arm(groups, p, sigma):

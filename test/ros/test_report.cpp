@@ -190,9 +190,13 @@ TEST_F(ReportTest, DrawsEverythingIntoOnePage) {
   EXPECT_EQ(
       std::distance(std::sregex_iterator(page.begin(), page.end(), figure), std::sregex_iterator()),
       12);
-  EXPECT_EQ(Judged(page).size(), 12u);
+  EXPECT_EQ(Judged(page).size(), 13u);  // and the halves
   EXPECT_TRUE(Contains(page, "x_marker = R x_imu + p"));
   EXPECT_TRUE(Contains(page, "<th>sigma of this recording</th>"));
+  // One sigma of the rotation: that about the imu axes.
+  EXPECT_TRUE(std::regex_search(
+      page, std::regex(R"(<td>roll, pitch, yaw \[deg\]</td><td>[^<]*</td><td></td>)")));
+  EXPECT_TRUE(Contains(page, "x, y, z, w; sigma about the imu axes"));
   EXPECT_TRUE(Contains(page, "calibrate_bag x.bag --report r.html (in "));
   ASSERT_EQ(std::system(("sha256sum '" + Path("x.bag") + "' > '" + Path("sum") + "'").c_str()), 0);
   EXPECT_TRUE(Contains(page, "sha256 " + ReadText(Path("sum")).substr(0, 64) + "</td>"));
@@ -245,6 +249,8 @@ TEST_F(ReportTest, DrawsSeveralSessionsAndWritesPdf) {
   EXPECT_TRUE(HasSection(page, "signals-2"));
   EXPECT_TRUE(Contains(page, "what each session says alone"));
   EXPECT_TRUE(Contains(page, "of 2 recordings and how they agree"));
+  EXPECT_EQ(VerdictOf(page, "table"), "good");
+  EXPECT_TRUE(Contains(page, "Agreement of the recordings"));
   ExpectSelfContained(page);
 
   outcome = Calibrate("x.bag --method gp --report r.pdf --quiet");
