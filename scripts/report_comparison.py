@@ -2,7 +2,7 @@
 
 import numpy as np
 from report_axes import BLUE, DEGREES, QUANTITIES, RED, axes_of
-from report_verdicts import AGREEMENT, BAD, GOOD, LOOK, NOISE, Verdict, level, ranges
+from report_verdicts import AGREEMENT, BAD, GOOD, LOOK, NOISE, Verdict, chi_square, level, ranges
 
 UNITS = {'translation': ('mm', 1e3), 'rotation': ('deg', DEGREES), 'accel delay': ('ms', 1e3),
          'time shift': ('ms', 1e3)}
@@ -26,7 +26,7 @@ def scatter_verdict(report, quantity):
     if not found:
         return None
     chi2, dof = found[0]['chi2'], found[0]['dof']
-    bound = dof + 3 * np.sqrt(2 * dof)
+    bound = chi_square(dof)
     worst = max((x['from_others']['sigmas'] for x in report.head['results'] if x['from_others']['worst'] == quantity),
                 default=0)
     return Verdict(BAD if worst > AGREEMENT else LOOK if chi2 > bound else GOOD,

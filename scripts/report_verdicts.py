@@ -63,6 +63,11 @@ def ranges(bounds, form='%g', factor=1):
                                       ('from', first, 'below', second))
 
 
+def chi_square(dof):
+    """Which chance exceeds as rarely as a normal distribution exceeds 3 sigma, by Wilson and Hilferty."""
+    return dof * (1 - 2 / (9 * dof) + 3 * np.sqrt(2 / (9 * dof))) ** 3
+
+
 def worst_of(session, imu, number, largest=True):
     """Largest or least `number(quantity)` of the sensors, and what the sensor is called."""
     found = [(number(q), QUANTITIES[q][0]) for q in QUANTITIES if sensor(session, q, imu)]
@@ -231,7 +236,7 @@ def agreement(report):
             level(sigmas, HALVES), 'each taken alone, they differ by up to %.1f sigma' % sigmas,
             ranges(HALVES, '%g sigma'), 'something changed between them: the mount, the marker, the tracker', False)
     x, session = max(found, key=lambda x: x[0]['chi2'] / x[0]['dof'])
-    bound = x['dof'] + 3 * np.sqrt(2 * x['dof'])
+    bound = chi_square(x['dof'])
     sigmas = float(x['worst'].split(', ')[1].split()[0])
     return 'table', 'Agreement of the recordings', Verdict(
         BAD if sigmas > AGREEMENT else LOOK if x['chi2'] > bound else GOOD,
@@ -244,7 +249,7 @@ def lever_arm(groups, p, sigma):
     z = np.array([(v[1] - p) / np.hypot(v[2], sigma) for _, values in groups for v in values])
     names = [v[0] for _, values in groups for v in values]
     chi2, dof, worst = np.sum(z ** 2), z.size, np.unravel_index(np.argmax(np.abs(z)), z.shape)
-    bound = dof + 3 * np.sqrt(2 * dof)  # 3 sigma of a chi-square
+    bound = chi_square(dof)
     found = BAD if np.abs(z).max() > AGREEMENT else LOOK if chi2 > bound else GOOD
     return Verdict(found, 'chi-square %.0f with %d degrees of freedom, most apart: %s along %s, %.1f sigma' % (
         chi2, dof, names[worst[0]], 'xyz'[worst[1]], np.abs(z).max()),

@@ -155,11 +155,16 @@ std::string ScatterTable(const Repeatability& repeatability) {
   return text + Format("  mean rotation x y z w: %.8f %.8f %.8f %.8f\n", q[0], q[1], q[2], q[3]);
 }
 
+/// Which chance exceeds as rarely as a normal distribution exceeds 3 sigma (Wilson and Hilferty).
+double ChiSquareBound(double dof) {
+  return dof * std::pow(1.0 - 2.0 / (9.0 * dof) + 3.0 * std::sqrt(2.0 / (9.0 * dof)), 3);
+}
+
 /// Names what scatters more than its sigmas say, beyond chance.
 std::string ScatterRemark(const Repeatability& repeatability) {
   std::string text;
   for (const Scatter& scatter : repeatability.scatters)
-    if (scatter.chi2 > scatter.dof + 3.0 * std::sqrt(2.0 * scatter.dof))
+    if (scatter.dof > 0 && scatter.chi2 > ChiSquareBound(scatter.dof))
       text += (text.empty() ? "" : ", ") + std::string(ToString(scatter.quantity)) +
               Format(" %.1f times", std::sqrt(scatter.chi2 / scatter.dof));
   return text.empty() ? "" : "  more scatter than the sigmas say: " + text + "\n";
