@@ -40,7 +40,7 @@ def signals(report, s, imu):
         ax.set(title='one second', ylabel='[%s]' % unit, xlabel='time [s]')
         ax.margins(x=0.01)
         legend(ax)
-    return figure, verdicts.signals(report, s, imu)
+    return figure, verdicts.signals(report, s, imu, spectrum)
 
 
 def residual_series(report, s, imu):

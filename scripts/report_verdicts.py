@@ -2,6 +2,7 @@
 of data that are as the solve takes them to be."""
 
 from collections import namedtuple
+from statistics import NormalDist
 
 import numpy as np
 from report_axes import QUANTITIES, residuals, sensor, stamps
@@ -29,14 +30,11 @@ PEAK_OFFSET = (0.005, 0.02)
 USED = (0.9, 0.5)
 # Jitter in periods: as data_check.cpp warns, and where the order of samples is lost.
 JITTER = (0.3, 1.0)
-# Steps of a bias in sigmas of its random walk: 3 sigma, and as calibrations agree.
-BIAS_STEP = (3, 5)
 # Power of the data with which sigmas fall over the second half; 1/2 for steady motion. Half and twice that; four
 # times: what was recorded last decides.
 GROWTH = (0.25, 1, 2)
-# Largest difference of parts of the data in its sigma: where chance ends, 3 sigma (of several components, by
-# chi-square); and as calibrations disagree, kAgreementBound.
-HALVES = (3, 5)
+# Differences in their sigmas: where chance ends, 3 sigma, see largest() and chi_square(); and as calibrations
+# disagree, kAgreementBound.
 AGREEMENT = 5
 # Sigma over its bound of the verdict.
 SIGMA = (1, 5)
@@ -63,6 +61,12 @@ def ranges(bounds, form='%g', factor=1):
                                       ('from', first, 'below', second))
 
 
+def largest(count):
+    """Bounds of the largest of `count` normal values in its sigma; chance exceeds the first as rarely as one value
+    exceeds 3 sigma."""
+    return min(AGREEMENT, NormalDist().inv_cdf(1 - (1 - NormalDist().cdf(3)) / count)), AGREEMENT
+
+
 def chi_square(dof):
     """Which chance exceeds as rarely as a normal distribution exceeds 3 sigma, by Wilson and Hilferty."""
     return dof * (1 - 2 / (9 * dof) + 3 * np.sqrt(2 / (9 * dof))) ** 3
@@ -77,12 +81,18 @@ def worst_of(session, imu, number, largest=True):
 
 # --- Of each figure; None: not judged ---
 
-def signals(report, s, imu):
+def signals(report, s, imu, spectrum):
     session = report.head['sessions'][s]
-    ratios = [(x['rms'] / x['noise'], QUANTITIES[q][0]) for q in ('gyro', 'accel') for x in [sensor(session, q, imu)]]
-    value, name = max(ratios)
+    value, quantity = max((x['rms'] / x['noise'], q) for q in ('gyro', 'accel') for x in [sensor(session, q, imu)])
+    _, r, weight = residuals(report, s, quantity, imu)
+    noise = sensor(session, quantity, imu)['noise']
+    why, harmless = 'vibration, a filter or a loose mount, which the model lacks', False
+    if level(np.sqrt(np.mean(r[weight >= 0.5] ** 2)) / noise, NOISE) == GOOD:
+        why, harmless = 'what is far off has little weight', True
+    elif level(in_band(report, s, imu, quantity, spectrum)[0], NOISE) == GOOD:
+        why, harmless = 'it is faster than the band that the solve uses', True
     return Verdict(level(value, NOISE), '%s: rms of measured less predicted %.2g times the noise of the solve'
-                   % (name, value), ranges(NOISE), 'what is far off has little weight')
+                   % (QUANTITIES[quantity][0], value), ranges(NOISE), why, harmless)
 
 
 def residual_series(report, s, imu):
@@ -127,25 +137,26 @@ def distributions(report, s, imu):
                    'tails are part of the noise, and weigh little')
 
 
-def spectra(report, s, imu, spectrum):
+def in_band(report, s, imu, quantity, spectrum):
+    """Largest density of the residuals within the band, over the noise of the solve, and where; 0 without any."""
     session = report.head['sessions'][s]
     band = 0.375 / session['knot_spacing_s'] if session['knot_spacing_s'] > 0 else np.inf
-    found = []
-    for quantity in QUANTITIES:
-        x = sensor(session, quantity, imu)
-        t, r, _ = residuals(report, s, quantity, imu)
-        if x is None or t.size == 0:
-            continue
-        frequency, density = spectrum(t, r, x['rate_hz'])
-        if frequency is None:
-            continue
-        ratio = np.array(density) / (x['noise'] * np.sqrt(2 / x['rate_hz']))
-        ratio[np.array(frequency) > band] = 0
-        k = np.argmax(ratio)
-        found.append((ratio[k], QUANTITIES[quantity][0], frequency[k]))
-    if not found:
+    x = sensor(session, quantity, imu)
+    t, r, _ = residuals(report, s, quantity, imu)
+    frequency, density = spectrum(t, r, x['rate_hz']) if x and t.size else (None, None)
+    if frequency is None:
+        return 0, 0
+    ratio = np.array(density) / (x['noise'] * np.sqrt(2 / x['rate_hz']))
+    ratio[np.array(frequency) > band] = 0
+    k = np.argmax(ratio)
+    return ratio[k], frequency[k]
+
+
+def spectra(report, s, imu, spectrum):
+    (value, frequency), name = max((in_band(report, s, imu, quantity, spectrum), QUANTITIES[quantity][0])
+                                   for quantity in QUANTITIES)
+    if value == 0:
         return None
-    value, name, frequency = max(found)
     return Verdict(level(value, NOISE), '%s: up to %.2g times the noise of the solve within its band, at %.2g Hz'
                    % (name, value, frequency), ranges(NOISE),
                    'sigmas are from the residuals as they are, correlated')
@@ -181,6 +192,8 @@ def stamp_figure(report, s, imu):
         begin, end = max(t.min() for t in times.values()), min(t.max() for t in times.values())
         for x in streams:
             t = residuals(report, s, 'position' if x['role'] == 'poses' else x['role'], imu)[0]
+            if not t.size:  # method gp: the trajectory is held
+                continue
             used = np.sum((t >= begin) & (t <= end)) / max(1, (end - begin) * x['rate_hz'])
             found.append((USED[0] / max(used, 1e-9), Verdict(
                 level(used, USED), '%s: %.3g %% of the samples that the rate promises are used' % (
@@ -204,12 +217,13 @@ def biases(report, s, imu):
         knots = report.rows('s%d_i%d_%s_bias' % (s, imu, name))
         walk = report.head['options'][name + '_bias_walk'] * np.sqrt(np.diff(knots[:, 0]))[:, None]
         if len(knots) > 1 and walk.min() > 0:
-            found.append((np.max(np.abs(np.diff(knots[:, 1:4], axis=0)) / walk), QUANTITIES[name][0]))
+            found.append((np.max(np.abs(np.diff(knots[:, 1:4], axis=0)) / walk), QUANTITIES[name][0], 3 * len(walk)))
     if not found:
         return None
-    value, name = max(found)
-    return Verdict(level(value, BIAS_STEP), '%s: largest step between knots %.2g sigma of its random walk'
-                   % (name, value), ranges(BIAS_STEP, '%g sigma'),
+    value, name, count = max(found)
+    bounds = largest(count)
+    return Verdict(level(value, bounds), '%s: largest step between knots %.2g sigma of its random walk'
+                   % (name, value), ranges(bounds, '%.2g sigma'),
                    'set %s_bias_walk to what the IMU does' % ('gyro' if 'gyro' in name else 'accel'), False)
 
 
@@ -232,9 +246,10 @@ def agreement(report):
     found = [(x['agreement'], k + 1) for k, x in enumerate(report.result.get('sessions') or []) if 'agreement' in x]
     if not found:
         sigmas = report.result['quality']['split_half']['sigmas']
+        bounds = largest(7 * len(report.result.get('imus') or [0]))  # p, R, time shift
         return 'table', 'Halves of the recording', Verdict(
-            level(sigmas, HALVES), 'each taken alone, they differ by up to %.1f sigma' % sigmas,
-            ranges(HALVES, '%g sigma'), 'something changed between them: the mount, the marker, the tracker', False)
+            level(sigmas, bounds), 'each taken alone, they differ by up to %.1f sigma' % sigmas,
+            ranges(bounds, '%.2g sigma'), 'something changed between them: the mount, the marker, the tracker', False)
     x, session = max(found, key=lambda x: x[0]['chi2'] / x[0]['dof'])
     bound = chi_square(x['dof'])
     sigmas = float(x['worst'].split(', ')[1].split()[0])
