@@ -1,5 +1,7 @@
 """Page of report.py that compares calibrations: p and R with ellipses, clocks, noise, chi-square."""
 
+import os
+
 import numpy as np
 from report_axes import BLUE, DEGREES, QUANTITIES, RED, axes_of
 from report_verdicts import AGREEMENT, BAD, GOOD, LOOK, NOISE, Verdict, chi_square, level, ranges
@@ -27,11 +29,10 @@ def scatter_verdict(report, quantity):
         return None
     chi2, dof = found[0]['chi2'], found[0]['dof']
     bound = chi_square(dof)
-    worst = max((x['from_others']['sigmas'] for x in report.head['results'] if x['from_others']['worst'] == quantity),
-                default=0)
+    worst = max(x['from_others']['most'][quantity] for x in report.head['results'])
     return Verdict(BAD if worst > AGREEMENT else LOOK if chi2 > bound else GOOD,
-                   'chi-square %.1f with %d degrees of freedom: scatter %.2g times what the sigmas say%s' % (
-                       chi2, dof, np.sqrt(chi2 / dof), ', up to %.1f sigma' % worst if worst else ''),
+                   '%s: chi-square %.1f with %d degrees of freedom, %.2g times the scatter that the sigmas say, up to '
+                   '%.1f sigma' % (quantity, chi2, dof, np.sqrt(chi2 / dof), worst),
                    'good to %.0f, bad beyond %g sigma' % (bound, AGREEMENT),
                    'Something changes between the recordings that no sigma holds: look at the one most apart')
 
@@ -74,7 +75,8 @@ def clocks(report):
         ax.set(title=title + (' less %.7g s' % (1e-3 * middle) if middle else ''), xlabel='result', ylabel='[ms]',
                xticks=place, xlim=(0.4, len(results) + 0.6))
         ax.set_navigate(False)
-    return figure, scatter_verdict(report, 'accel delay')
+    found = [x for x in (scatter_verdict(report, name) for name in ('accel delay', 'time shift')) if x]
+    return figure, max(found, key=lambda x: (GOOD, LOOK, BAD).index(x.level), default=None)
 
 
 def noises(report):
@@ -114,7 +116,8 @@ def result_rows(results):
     for k, x in enumerate(results):
         c = x['calibration']
         sigma = np.sqrt(np.diag(c['covariance']))
-        yield (k + 1, x['path'], x['status'], numbers(c['translation'], 1e3, '%.3f'), numbers(sigma[:3], 1e3, '%.3f'),
+        yield (k + 1, os.path.basename(x['path']), x['status'], numbers(c['translation'], 1e3, '%.3f'),
+               numbers(sigma[:3], 1e3, '%.3f'),
                numbers(c['rotation'], 1, '%.5f'), numbers(sigma[3:], DEGREES, '%.4f'),
                '%.6f ± %.6f' % tuple(c['time_shift']), '%.4f ± %.4f' % tuple(1e3 * v for v in c['accel_delay']))
 

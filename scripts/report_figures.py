@@ -425,14 +425,14 @@ def trajectory(report, s):
     known = motion[np.isfinite(motion).all(axis=1)]
     if len(known) < 10:
         return None
-    where = report_axes.place(3.3)
+    where = report_axes.place(3.5)
     thin = motion[::max(1, len(motion) // 2000)]
     for column, (title, rows) in enumerate((('the whole recording', thin), ('five seconds', None))):
         if rows is None:
             begin = known[len(known) // 2, 0]
             rows = motion[(motion[:, 0] >= begin) & (motion[:, 0] <= begin + 5)]
             rows = rows if len(rows) > 20 else known[len(known) // 2:][:20]
-        x0, y0, x1, y1 = where.box(0.05 + 4.3 * column, -0.55, 4.05 + 4.3 * column, 3.75)
+        x0, y0, x1, y1 = where.box(0.05 + 4.3 * column, -0.4, 4.05 + 4.3 * column, 3.95)
         ax = where.figure.add_axes([x0, y0, x1 - x0, y1 - y0], projection='3d')
         ax.plot(*rows[:, 1:4].T, color=BLUE, linewidth=0.7, label='marker')
         ax.plot(*rows[:, 4:7].T, color=ORANGE, linewidth=0.7, label='imu')
@@ -450,7 +450,7 @@ def fill_box(ax, points):
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     extent = np.maximum(high - low, 0.3 * max((high - low).max(), 1e-3))
     if hasattr(ax, 'set_box_aspect'):
-        ax.set_box_aspect(tuple(extent), zoom=0.9)
+        ax.set_box_aspect(tuple(extent), zoom=0.85)
     else:
         extent[:] = extent.max()
     for axis, middle, half in zip('xyz', 0.5 * (low + high), 0.53 * extent):

@@ -8,8 +8,8 @@ import report_axes
 from matplotlib.font_manager import FontProperties
 from report_axes import Figure, FigureCanvasAgg, GREEN, ORANGE, RED, WIDTH
 
-COLORS = {'ok': GREEN, 'weak': ORANGE, 'refused': RED, 'agree': GREEN, 'differ': RED, 'good': GREEN, 'look': ORANGE,
-          'bad': RED}
+COLORS = {'ok': GREEN, 'weak': ORANGE, 'refused': RED, 'agree': GREEN, 'differ': RED, 'compared': '#888888',
+          'good': GREEN, 'look': ORANGE, 'bad': RED}
 STYLE = '''
 body{font:14px/1.45 "DejaVu Sans",Verdana,sans-serif;color:#222;max-width:960px;margin:1.5em auto;padding:0 1em}
 h1{font-size:1.5em;margin:0 0 .3em}h2{font-size:1.2em;margin:2em 0 .4em;border-bottom:1px solid #ccc}
@@ -250,6 +250,7 @@ class Pdf:
 
     def __init__(self, title):
         self.sheets, self.y, self.caption = [], 0, None
+        self.shown, self.references = {}, []  # sheet of each figure, after the text; where it is to be named
         self.width, self.name = self.SIZE[0] - 2 * self.MARGIN, title
         self.scale = self.width / WIDTH
         report_axes.text_size(self.scale)
@@ -265,11 +266,11 @@ class Pdf:
         height = 1.35 * size / 72
         self.room(height)
         self.y -= height
-        self.sheets[-1].text((self.MARGIN + x) / self.SIZE[0], (self.y + 0.25 * height) / self.SIZE[1],
-                             text.replace('$', r'\$'), fontsize=size, color=color, weight=weight)
+        return self.sheets[-1].text((self.MARGIN + x) / self.SIZE[0], (self.y + 0.25 * height) / self.SIZE[1],
+                                    text.replace('$', r'\$'), fontsize=size, color=color, weight=weight)
 
-    def paragraph(self, text, size=7.5, x=0, **more):
-        for line in wrap(text, self.width - x, size, more.get('weight', 'normal')):
+    def paragraph(self, text, size=7.5, x=0, right=0, **more):
+        for line in wrap(text, self.width - x - right, size, more.get('weight', 'normal')):
             self.line(line, size, x, **more)
 
     def place(self, height):
@@ -284,12 +285,13 @@ class Pdf:
 
     def draw(self, report, wanted):
         drawn = []
-        for _, title, sentence, function, arguments in wanted:
+        for name, title, sentence, function, arguments in wanted:
             self.caption = title, sentence
             found = function(report, *arguments)
             drawn.append(found and (len(self.sheets), found[1]))
             if not found:
                 continue
+            self.shown[name] = len(self.sheets)
             if found[1]:
                 self.badge(found[1].level, 7)
                 self.paragraph('%s (%s)' % found[1][1:3], 7, 0.45)
@@ -313,9 +315,13 @@ class Pdf:
         self.paragraph(text, 9)
 
     def judged(self, rows):
-        for _, title, v, why in rows:
+        for name, title, v, why in rows:
             self.badge(v.level, 7.5)
-            self.paragraph('%s: %s (%s)%s' % (title, v.value, v.bounds, why and '. ' + why), 7.5, 0.45)
+            if name in self.shown:
+                y = self.y
+                self.references.append((self.line('', 7.5, self.width - 0.4), self.shown[name]))
+                self.y = y
+            self.paragraph('%s: %s (%s)%s' % (title, v.value, v.bounds, why and '. ' + why), 7.5, 0.45, 0.5)
 
     def heading(self, name, text, high=False):
         self.room(0.9)
@@ -351,6 +357,8 @@ class Pdf:
             self.y = lowest
 
     def figures(self, wanted, drawn):
+        for text, sheet in self.references:
+            text.set_text('page %d' % (len(self.sheets) + sheet))
         self.sheets += self.drawn[0]
         self.y = self.drawn[1]
 

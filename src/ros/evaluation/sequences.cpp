@@ -347,7 +347,7 @@ std::string WriteFleet(const std::vector<Calibrated>& calibrations,
                    0,
                    quantities,
                    std::nullopt,
-                   "ok",
+                   "compared",
                    title + Format(": %zu of %zu recordings have a result; those of one rig and IMU "
                                   "should agree",
                                   results.size(),

@@ -2,7 +2,9 @@
 
 #include <yaml-cpp/yaml.h>
 
+#include <algorithm>
 #include <cmath>
+#include <map>
 
 #include "imu_pose_calib/ros/io/printable.h"
 #include "imu_pose_calib/ros/offline/report_series.h"
@@ -34,7 +36,7 @@ YAML::Node Describe(const Comparable& calibration) {
   return node;
 }
 
-/// Worst component of a comparison.
+/// A comparison, its worst component, and the most sigmas of each quantity.
 YAML::Node Describe(const Comparison& comparison) {
   YAML::Node node;
   node["distance"] = YamlValue(comparison.distance);
@@ -45,6 +47,12 @@ YAML::Node Describe(const Comparison& comparison) {
   node["sigmas"] = YamlValue(worst ? worst->sigmas : 0.0);
   node["worst"] = worst ? ToString(worst->quantity) : "";
   node["axis"] = worst ? worst->axis : 0;
+  std::map<std::string, double> most;
+  for (const Difference& component : comparison.components) {
+    double& sigmas = most[ToString(component.quantity)];
+    sigmas = std::max(sigmas, component.sigmas);
+  }
+  for (const auto& [quantity, sigmas] : most) node["most"][quantity] = YamlValue(sigmas);
   return node;
 }
 

@@ -332,13 +332,14 @@ void CompareAll(const CommandLine& line) {
       (agrees ? "; most apart: " : ": ") + worst.text + Format(" (bound: %.0f)", kAgreementBound);
   text = (agrees ? "AGREE" : "DIFFER") + verdict + "\n" + text;
   if (!line.report.empty()) {
-    WriteComparison({results,
-                     line.imu,
-                     quantities,
-                     name.empty() ? std::nullopt : std::optional<Comparable>(reference),
-                     agrees ? "agree" : "differ",
-                     worst.text + Format(" (bound: %.0f)", kAgreementBound)},
-                    line.report);
+    WriteComparison(
+        {results,
+         line.imu,
+         quantities,
+         name.empty() ? std::nullopt : std::optional<Comparable>(reference),
+         agrees ? "agree" : "differ",
+         (agrees ? "most apart: " : "") + worst.text + Format(" (bound: %.0f)", kAgreementBound)},
+        line.report);
     text += "\nWritten to " + line.report + "\n";
   }
   if (!line.chain_output.empty())

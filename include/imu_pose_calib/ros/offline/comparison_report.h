@@ -19,7 +19,7 @@ struct ComparisonInput {
   size_t imu;
   const std::vector<ComparedQuantity>& quantities;  ///< that are judged
   std::optional<Comparable> reference;              ///< what all are compared with, too
-  std::string status;                               ///< "agree", "differ", or "ok" of a fleet
+  std::string status;                               ///< "agree", "differ", or "compared" of a fleet
   std::string message;
 };
 
