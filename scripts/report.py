@@ -152,12 +152,24 @@ def result_rows(report):
             yield ('clock drift%s [ppm]' % name, '%.2f' % (1e6 * imu['clock_drift']),
                    '%.2f' % (1e6 * imu['clock_drift_std']), 'growth of the time shift')
     for k, imu in enumerate(imus):
-        for sensor_name in ('gyro', 'accel'):
-            model = imu.get('imu') or imu['intrinsics']
-            matrix, std = model[sensor_name + '_matrix'], model[sensor_name + '_matrix_std']
-            yield ('%s matrix%s' % (sensor_name, ' of imu%d' % k if len(imus) > 1 else ''),
-                   '; '.join(triple(row, 1, '%.5f') for row in matrix),
-                   '; '.join(triple(row, 1, '%.5f') for row in std), 'measured = matrix true + bias')
+        model = imu.get('imu') or imu['intrinsics']
+        for key, title, factor, form, sentence in (
+                ('gyro_matrix', 'gyro matrix', 1, '%.5f', 'measured = matrix true + bias'),
+                ('accel_matrix', 'accel matrix', 1, '%.5f', 'measured = matrix true + bias'),
+                ('accel_positions', 'accel axes [mm]', 1e3, '%.2f', 'where the axes x; y; z are in the imu frame')):
+            if np.any(np.array(model.get(key + '_std', 0)) > 0):
+                yield (title + (' of imu%d' % k if len(imus) > 1 else ''),
+                       *('; '.join(triple(row, factor, form) for row in model[name]) for name in (key, key + '_std')),
+                       sentence)
+    for x in result.get('between_imus') or []:
+        transform, name = x['transform'], '%s in %s' % (x['second'], x['first'])
+        yield ('translation, %s [mm]' % name, triple(transform['translation'], 1e3, '%.3f'),
+               triple(transform['translation_std'], 1e3, '%.3f'), 'x_%s = R x_%s + p' % (x['first'], x['second']))
+        yield ('quaternion, %s' % name, triple(transform['rotation'], 1, '%.6f'),
+               triple(transform['rotation_std'], DEGREES, '%.4f deg'), 'sigma about the axes of ' + x['second'])
+    if result['pose_scale_std'] > 0:
+        yield ('pose scale', '%.5f' % result['pose_scale'], '%.5f' % result['pose_scale_std'],
+               'positions of poses = pose_scale true')
     yield ('gravity [m/s²]', triple(result['gravity']['vector'], 1, '%.4f'),
            triple(result['gravity']['std'], 1, '%.4f'), 'in the world frame')
 
