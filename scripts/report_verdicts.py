@@ -301,7 +301,11 @@ def recorded(poses, gyro):
     if len(poses) < 10 or len(gyro) < 10:
         return None
     gyro = gyro - np.nanmedian(gyro, axis=0)
-    ratio = np.sqrt(np.nanmean(np.sum(gyro ** 2, axis=1)) / max(np.nanmean(np.sum(poses ** 2, axis=1)), 1e-12))
+    of_gyro, of_poses = (np.sqrt(np.nanmean(np.sum(rates ** 2, axis=1))) for rates in (gyro, poses))
+    if max(of_gyro, of_poses) < TURNS[1]:
+        return Verdict(BAD, 'the body rests: it turns by %.2g rad/s rms' % max(of_gyro, of_poses),
+                       ranges(TURNS, '%g rad/s'), 'move it, about all three axes', False)
+    ratio = of_gyro / max(of_poses, 1e-6)
     return Verdict(level(max(ratio, 1 / max(ratio, 1e-12)) ** -2, EXPLAINED),
                    'the gyroscope turns %.3g times as fast as the poses' % ratio,
                    'good %.2f to %.2f, bad beyond a factor of %.2f' % (
