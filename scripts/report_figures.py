@@ -1,10 +1,10 @@
 """Figures of report.py: those of a session and an IMU, of a session, and of data that were refused."""
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+import report_axes
+import report_verdicts as verdicts
 from mpl_toolkits.mplot3d import Axes3D  # noqa: F401  (registers the projection)
-from report_axes import (AXES, BLUE, DEGREES, DOTS, ORANGE, PURPLE, QUANTITIES, RED, SKY, WIDTH, axes_of, draw_series,
+from report_axes import (AXES, BLUE, DEGREES, DOTS, ORANGE, PURPLE, QUANTITIES, RED, SKY, axes_of, draw_series,
                          envelope, legend, log_scale, note, residuals, runs, runs_of, sensor, stamps)
 
 
@@ -26,22 +26,21 @@ def signals(report, s, imu):
         middle, low, high = envelope(whole[:, 0], np.linalg.norm(whole[:, column:column + 3], axis=1), bins, span)
         ax.plot(middle, low, color='black', linewidth=0.5, label='predicted')
         ax.plot(middle, high, color='black', linewidth=0.5)
-        ax.axvspan(zoom[0, 0], zoom[-1, 0], color=PURPLE, alpha=0.5, linewidth=0, label='second to the right')
-        ax.set(title='%s, norm: least and largest of each %.2g s' % (title, middle[1] - middle[0]),
-               ylabel='[%s]' % unit, xlabel='time [s]')
-        ax.margins(x=0.01, y=0.2)
+        ax.axvspan(zoom[0, 0], zoom[-1, 0], color=PURPLE, alpha=0.5, linewidth=0)
+        ax.set(title='%s, norm' % title, ylabel='[%s]' % unit, xlabel='time [s]')
+        ax.margins(x=0.01)
         legend(ax)
         ax = axes[row, 1]
         first, last = np.searchsorted(t, (zoom[0, 0], zoom[-1, 0]))
         near = slice(first, last, max(1, -(-(last - first) // DOTS)))
         for k, (axis, color) in enumerate(AXES):
-            ax.plot(t[near], values[near, k], '.', color=color, markersize=3, label=axis)
-            ax.plot(zoom[:, 0], zoom[:, column + k], color='black', linewidth=0.7,
+            ax.plot(zoom[:, 0], zoom[:, column + k], color='black', linewidth=0.6,
                     label='predicted' if k == 2 else None)
-        ax.set(title='one second: dots measured', ylabel='[%s]' % unit, xlabel='time [s]')
-        ax.margins(x=0.01, y=0.2)
+            ax.plot(t[near], values[near, k], '.', color=color, markersize=4, label=axis, zorder=3)
+        ax.set(title='one second', ylabel='[%s]' % unit, xlabel='time [s]')
+        ax.margins(x=0.01)
         legend(ax)
-    return figure
+    return figure, verdicts.signals(report, s, imu, spectrum)
 
 
 def residual_series(report, s, imu):
@@ -51,7 +50,7 @@ def residual_series(report, s, imu):
         t, r, weight = residuals(report, s, quantity, imu)
         found = sensor(session, quantity, imu)
         if t.size == 0:
-            note(ax, 'not part of this solve')
+            ax.set_title('%s: not part of this solve' % title)
             continue
         r *= factor
         noise = factor * found['noise']
@@ -60,7 +59,7 @@ def residual_series(report, s, imu):
             draw_series(ax, t, np.clip(r[:, k], -limit, limit), color, axis, alpha=0.55)
         for sign in (-1, 1):
             ax.axhline(sign * noise, color='black', linestyle='--', linewidth=0.8,
-                       label='sigma' if sign > 0 else None)
+                       label='noise' if sign > 0 else None)
         low = np.flatnonzero(weight < 0.5)
         shown = low[np.linspace(0, low.size - 1, min(low.size, 300)).astype(int)] if low.size else low
         worst = r[shown, np.argmax(np.abs(r[shown]), axis=1)] if low.size else r[shown, 0]
@@ -73,25 +72,25 @@ def residual_series(report, s, imu):
         used, _ = np.histogram(t, edges)
         for begin, end in runs_of(used < 0.5 * count):
             ax.axvspan(edges[begin], edges[end], color='#bbbbbb', alpha=0.6, linewidth=0)
-        ax.set(title='%s [%s]' % (title, unit), ylabel='[%s]' % unit, ylim=(-1.1 * limit, 1.1 * limit))
-        note(ax, 'rms %.3g, sigma %.3g %s; %.2g %% weighed down' % (
-            factor * found['rms'], noise, unit, 100 * low.size / t.size), y=1.17)
+        ax.set(ylabel='[%s]' % unit, ylim=(-1.1 * limit, 1.1 * limit))
+        ax.set_title('%s: rms %.3g, noise %.3g %s; %.2g %% weighed down' % (
+            title, factor * found['rms'], noise, unit, 100 * low.size / t.size))
         ax.margins(x=0.01)
     axes[-1, 0].set_xlabel('time [s]; grey: more than half of the samples left out')
-    legend(axes[0, 0], loc='lower left', ncol=6, bbox_to_anchor=(0.235, 1.0))
-    return figure
+    legend(axes[0, 0])
+    return figure, verdicts.residual_series(report, s, imu)
 
 
 def distributions(report, s, imu):
-    figure, axes = axes_of(1, 4, 1.7, gap=0.5)
+    figure, axes = axes_of(1, 4, 1.7, gap=0.5, bottom=0.62)
     x = np.linspace(-6, 6, 61)
     for ax, (quantity, (title, unit, factor)) in zip(axes[0], QUANTITIES.items()):
         _, r, _ = residuals(report, s, quantity, imu)
         ax.set_title(title.replace(' of the poses', ''))
-        ax.set_xlabel('residual / sigma')
+        ax.set_xlabel('residual / spread')
         if r.size == 0:
             continue
-        sigma = sensor(report.head['sessions'][s], quantity, imu)['spread']
+        sigma = verdicts.spread(r)
         for k, (axis, color) in enumerate(AXES):
             count, _ = np.histogram(np.clip(r[:, k] / sigma, -6, 6), x)
             density = count / count.sum() / (x[1] - x[0])
@@ -100,10 +99,12 @@ def distributions(report, s, imu):
         ax.plot(x, np.exp(-0.5 * x * x) / np.sqrt(2 * np.pi), '--', color='black', label='normal')
         log_scale(ax, 'y', (1,))
         ax.set(ylim=(1e-5, 3), xticks=(-6, -3, 0, 3, 6))
-        note(ax, 'sigma %.3g %s' % (factor * sigma, unit), y=1.0)
+        inside = verdicts.within(report, s, quantity, imu)
+        ax.set_xlabel('residual / %.3g %s\nwithin 3: %s %%' % (
+            factor * sigma, unit, ', '.join('%.2f' % (100 * share) for share in inside)))
     axes[0, 0].set_ylabel('density')
-    legend(axes[0, 0], loc='lower center', ncol=2)
-    return figure
+    legend(axes[0, 0], loc='lower center', bbox_to_anchor=(0.5, 0.0), ncol=2)
+    return figure, verdicts.distributions(report, s, imu)
 
 
 def spectrum(t, r, rate):
@@ -146,15 +147,15 @@ def spectra(report, s, imu):
         if frequency is None:
             note(ax, 'no run is long enough')
             continue
-        ax.plot(frequency, density, color=BLUE, label='residuals')
+        ax.plot(frequency, density, color=BLUE)
         ax.axhline(factor * found['noise'] * np.sqrt(2 / found['rate_hz']), color='black', linestyle='--',
-                   label='noise of the solve')
+                   label='noise')
         if session['knot_spacing_s'] > 0:
             band = 0.375 / session['knot_spacing_s']
             if band < frequency[-1]:
-                ax.axvline(band, color=RED, linestyle=':', label='end of the band')
-        legend(ax, loc='best', ncol=1)
-    return figure
+                ax.axvline(band, color=RED, linestyle=':', label='band')
+        legend(ax)
+    return figure, verdicts.spectra(report, s, imu, spectrum)
 
 
 def time_shift(report, s, imu):
@@ -182,7 +183,7 @@ def time_shift(report, s, imu):
     axes[0, 0].set_title('which repetition of the motion')
     axes[0, 1].set_title('close to the result')
     note(axes[0, 1], 'peak %.3f at %.2f ms' % (correlation.max(), 1e3 * middle), x=0.03, y=0.2)
-    return figure
+    return figure, verdicts.time_shift(grid, lag, correlation)
 
 
 def stamp_figure(report, s, imu):
@@ -219,11 +220,11 @@ def stamp_figure(report, s, imu):
             used, _ = np.histogram(residuals(report, s, 'position' if stream['role'] == 'poses' else stream['role'],
                                              imu)[0], edges)
             ax.plot(0.5 * (edges[1:] + edges[:-1]), used / width, color='black', linewidth=0.8, label='used')
-        ax.set(title='%s: rate' % stream['role'], ylabel='[Hz]', ylim=(0, 1.45 * max(1, (count / width).max())))
+        ax.set(title='%s: rate' % stream['role'], ylabel='[Hz]', ylim=(0, 1.1 * max(1, (count / width).max())))
         legend(ax)
     for ax in axes[-1]:
         ax.set_xlabel('time [s]' if report.head['solved'] else "time since the stream's first stamp [s]")
-    return figure
+    return figure, verdicts.stamp_figure(report, s, imu)
 
 
 def biases(report, s, imu):
@@ -231,53 +232,69 @@ def biases(report, s, imu):
     for ax, (name, unit, factor) in zip(axes[0], (('gyro', 'mrad/s', 1e3), ('accel', 'm/s²', 1.0))):
         knots = report.rows('s%d_i%d_%s_bias' % (s, imu, name))
         for k, (axis, color) in enumerate(AXES):
-            ax.plot(knots[:, 0], factor * knots[:, 1 + k], color=color, label=axis,
-                    marker='.' if len(knots) < 60 else None, markersize=3)
+            value, sigma = factor * knots[:, 1 + k], factor * knots[:, 4 + k]
+            if np.isfinite(sigma).any():
+                ax.fill_between(knots[:, 0], value - 3 * sigma, value + 3 * sigma, color=color, alpha=0.2, linewidth=0,
+                                label='3 sigma' if k == 0 else None)
+            ax.plot(knots[:, 0], value, color=color, label=axis, marker='.' if len(knots) < 60 else None, markersize=3)
         ax.set(title='bias of the %s' % QUANTITIES[name][0], ylabel='[%s]' % unit, xlabel='time [s]')
-        ax.margins(y=0.25)
         legend(ax)
-    return figure
+    return figure, verdicts.biases(report, s, imu)
+
+
+def error_bounds(report, s):
+    """Sigmas of the trajectory of the marker over time."""
+    table = report.rows('s%d_error_bounds' % s)
+    if not len(table) or not np.isfinite(table[:, 1:]).any():
+        return None
+    figure, axes = axes_of(1, 2, 1.5)
+    for ax, first, quantity in ((axes[0, 0], 1, 'position'), (axes[0, 1], 4, 'rotation')):
+        title, unit, factor = QUANTITIES[quantity]
+        for k, (axis, color) in enumerate(AXES):
+            ax.plot(table[:, 0], factor * table[:, first + k], color=color, label=axis)
+        found = sensor(report.head['sessions'][s], quantity, 0)
+        ax.axhline(factor * found['noise'], color='black', linestyle='--', linewidth=0.8, label='noise of a pose')
+        ax.set(title='%s of the marker' % quantity, ylabel='sigma [%s]' % unit, xlabel='time [s]')
+        log_scale(ax, 'y')
+        legend(ax)
+    return figure, verdicts.error_bounds(report, s, table)
 
 
 def excitation(report, s):
-    found = report.head['sessions'][s].get('excitation')
-    directions = report.result['quality']['observability'] if report.result else []
-    if not found:
-        return None
-    columns = 3 if directions else 2
-    figure, axes = axes_of(1, columns, 1.9, widths=(1, 1, 3)[:columns], gap=0.62)
+    found = report.head['sessions'][s]['excitation']
+    directions = report.result['quality']['observability']
+    figure, axes = axes_of(1, 3, 1.9, widths=(1, 1, 3), gap=0.62)
+    for ax in axes.flat:
+        ax.set_navigate(False)
     for ax, name, frame, unit in ((axes[0, 0], 'turns', 'marker', 'rad/s'), (axes[0, 1], 'moves', 'world', 'm/s²')):
         values = found[name]
         ax.bar(range(3), values, color=[color for _, color in AXES], width=0.65)
         for k, value in enumerate(values):
-            ax.text(k, value, '%.2g' % value, ha='center', va='bottom', fontsize=7)
+            ax.text(k, value, '%.2g' % value, ha='center', va='bottom', fontsize='small')
         ax.set(title=name, xlabel='%s axis' % frame, ylabel='rms [%s]' % unit, xticks=range(3), xticklabels='xyz')
         ax.margins(y=0.15)
-    if directions:
-        ax = axes[0, 2]
-        bounds = {unit: report.head['options']['weak_%s_std' % name] for unit, name in
-                  (('m', 'translation'), ('rad', 'rotation'), ('s', 'time_shift'))}
-        shown = [d for d in directions if np.isfinite(d['std']) and d['std'] > 0 and d['unit'] in bounds][:12]
-        ratios = [d['std'] / bounds[d['unit']] for d in shown]
-        color = {'ok': BLUE, 'weak': ORANGE, 'degenerate': RED}
-        ax.barh(range(len(shown)), ratios, color=[color.get(d['status'], BLUE) for d in shown], height=0.7)
-        factor = {'m': (1e3, 'mm'), 'rad': (DEGREES, '°'), 's': (1e3, 'ms')}
-        for k, (direction, ratio) in enumerate(zip(shown, ratios)):
-            scale, unit = factor[direction['unit']]
-            ax.text(1.15 * ratio, k, '%.3g %s' % (scale * direction['std'], unit), va='center', fontsize=7)
-        ax.axvline(1, color='black', linestyle='--', linewidth=0.8)
-        ax.set(title='what is determined, the worst first', yticks=range(len(shown)),
-               yticklabels=[d['direction'].replace(' in the imu frame', '').replace(' in the marker frame', '')
-                            for d in shown], xlabel='sigma / bound')
-        log_scale(ax, 'x', (1,))
-        if shown:
-            ax.set_xlim(0.4 * min(ratios), 8 * max(1, max(ratios)))
-        ax.invert_yaxis()
-        ax.grid(axis='y')
-        box = ax.get_position()
-        ax.set_position([box.x0 + 0.16, box.y0, box.width - 0.16, box.height])
-        ax.tick_params(axis='y', labelsize=7)
-    return figure
+    ax = axes[0, 2]
+    bounds = {unit: report.head['options']['weak_%s_std' % name] for unit, name in
+              (('m', 'translation'), ('rad', 'rotation'), ('s', 'time_shift'))}
+    shown = [d for d in directions if np.isfinite(d['std']) and d['std'] > 0 and d['unit'] in bounds][:12]
+    ratios = [d['std'] / bounds[d['unit']] for d in shown]
+    color = {'ok': BLUE, 'weak': ORANGE, 'degenerate': RED}
+    ax.barh(range(len(shown)), ratios, color=[color.get(d['status'], BLUE) for d in shown], height=0.7)
+    for k, ratio in enumerate(ratios):
+        ax.text(1.15 * ratio, k, '%.2g' % ratio, va='center', fontsize='small')
+    ax.axvline(1, color='black', linestyle='--', linewidth=0.8)
+    ax.set(title='what is determined, the worst first', yticks=range(len(shown)),
+           yticklabels=[d['direction'].replace(' in the imu frame', '').replace(' in the marker frame', '')
+                        for d in shown], xlabel='sigma / bound')
+    log_scale(ax, 'x', (1,))
+    if shown:
+        ax.set_xlim(0.4 * min(ratios), 8 * max(1, max(ratios)))
+    ax.invert_yaxis()
+    ax.grid(axis='y')
+    box = ax.get_position()
+    ax.set_position([box.x0 + 0.3 * box.width, box.y0, 0.7 * box.width, box.height])
+    ax.tick_params(axis='y', labelsize='small')
+    return figure, verdicts.excitation(report, s)
 
 
 def growth(report, s, imu):
@@ -298,8 +315,8 @@ def growth(report, s, imu):
         log_scale(ax, 'x')
         log_scale(ax, 'y', (1,))
         ax.set_xticks((2.5, 10, 25, 100))
-        legend(ax, loc='upper right', ncol=1)
-    return figure
+        legend(ax, loc='upper right', bbox_to_anchor=(1.0, 1.0), ncol=1)
+    return figure, verdicts.growth(table)
 
 
 def p_by_band(report, s, imu):
@@ -394,7 +411,9 @@ def p_figure(report, s, imu):
         axes[2, column].set_xticks(place)
         axes[2, column].set_xticklabels([v[0] for v in values])
         axes[2, column].set_xlim(-0.6, len(values) - 0.4)
-    return figure
+    for ax in axes.flat:
+        ax.set_navigate(False)
+    return figure, verdicts.lever_arm(groups, p, sigma)
 
 
 def imu_result(report, imu):
@@ -403,34 +422,42 @@ def imu_result(report, imu):
 
 def trajectory(report, s):
     motion = report.rows('s%d_motion' % s)
-    figure = Figure(figsize=(WIDTH, 4.2))
-    FigureCanvasAgg(figure)
     known = motion[np.isfinite(motion).all(axis=1)]
     if len(known) < 10:
         return None
+    where = report_axes.place(3.5)
     thin = motion[::max(1, len(motion) // 2000)]
     for column, (title, rows) in enumerate((('the whole recording', thin), ('five seconds', None))):
         if rows is None:
             begin = known[len(known) // 2, 0]
             rows = motion[(motion[:, 0] >= begin) & (motion[:, 0] <= begin + 5)]
             rows = rows if len(rows) > 20 else known[len(known) // 2:][:20]
-        ax = figure.add_axes([0.005 + 0.495 * column, 0.04, 0.47, 0.9], projection='3d')
-        if hasattr(ax, 'set_box_aspect'):
-            ax.set_box_aspect((1, 1, 1), zoom=0.82)
+        x0, y0, x1, y1 = where.box(0.05 + 4.3 * column, -0.4, 4.05 + 4.3 * column, 3.95)
+        ax = where.figure.add_axes([x0, y0, x1 - x0, y1 - y0], projection='3d')
         ax.plot(*rows[:, 1:4].T, color=BLUE, linewidth=0.7, label='marker')
         ax.plot(*rows[:, 4:7].T, color=ORANGE, linewidth=0.7, label='imu')
         for k, row in enumerate(rows[::max(1, len(rows) // (60 if column else 25))]):
             ax.plot(*np.c_[row[1:4], row[4:7]], color='black', linewidth=0.8, label='lever arm' if k == 0 else None)
-        low, high = np.nanmin(rows[:, 1:4], axis=0), np.nanmax(rows[:, 1:4], axis=0)
-        half = 0.55 * max((high - low).max(), 1e-3)
-        for axis, middle in zip('xyz', 0.5 * (low + high)):
-            getattr(ax, 'set_%slim' % axis)(middle - half, middle + half)
-            getattr(ax, 'set_%slabel' % axis)('%s [m]' % axis)
-            getattr(ax, 'set_%sticks' % axis)(np.round(np.linspace(middle - half, middle + half, 4), 2))
-        ax.set_title(title)
-        ax.tick_params(labelsize=6)
-        ax.legend(loc='upper right')
-    return figure
+        fill_box(ax, np.r_[rows[:, 1:4], rows[:, 4:7]])
+        ax.set_title(title, loc='left', y=0.86)
+        ax.tick_params(labelsize='x-small', pad=0)
+        ax.legend(loc='lower right', bbox_to_anchor=(1.0, 0.855), ncol=3)
+    return where.figure, verdicts.trajectory(report, s)
+
+
+def fill_box(ax, points):
+    """Limits about the points, of one scale; before matplotlib 3.3 in a cube."""
+    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+    extent = np.maximum(high - low, 0.3 * max((high - low).max(), 1e-3))
+    if hasattr(ax, 'set_box_aspect'):
+        ax.set_box_aspect(tuple(extent), zoom=0.85)
+    else:
+        extent[:] = extent.max()
+    for axis, middle, half in zip('xyz', 0.5 * (low + high), 0.53 * extent):
+        getattr(ax, 'set_%slim' % axis)(middle - half, middle + half)
+        getattr(ax, 'set_%slabel' % axis)('%s [m]' % axis, labelpad=-8 if axis == 'z' else -3)
+        count = max(2, int(round(5 * half / (0.53 * extent.max()))))
+        getattr(ax, 'set_%sticks' % axis)(np.round(np.linspace(middle - 0.9 * half, middle + 0.9 * half, count), 2))
 
 
 # --- Figures of data that were refused ---
@@ -443,13 +470,41 @@ def recorded(report, s, imu):
     t, poses = t[order], poses[order]
     draw_axes(axes[0, 0], t, poses[:, :3] - np.nanmean(poses[:, :3], axis=0) if len(poses) else poses[:, :3],
               'poses: position about its mean', 'm')
-    draw_axes(axes[1, 0], *turn_rates(t, poses[:, 3:7]), 'poses: turn rate about the marker axes', 'rad/s')
+    times, rates = turn_rates(t, poses[:, 3:7])
+    draw_axes(axes[1, 0], times, rates, 'poses: turn rate about the marker axes', 'rad/s')
     for ax, name in ((axes[2, 0], 'gyro'), (axes[3, 0], 'accel')):
         file = 's%d_i%d_%s' % (s, imu, name)
         title, unit, _ = QUANTITIES[name]
         draw_axes(ax, report.times(file + '_stamps'), report.rows(file).astype(float), title, unit)
     axes[3, 0].set_xlabel("time since the stream's first stamp [s]")
-    return figure
+    return figure, verdicts.recorded(rates, report.rows('s%d_i%d_gyro' % (s, imu)).astype(float))
+
+
+def missing(report, s):
+    """How fast and how far the marker turned about the axes of most, second and least turning, and what is asked."""
+    t, poses = report.times('s%d_poses_stamps' % s), report.rows('s%d_poses' % s).astype(float)
+    order = np.argsort(t, kind='stable')
+    t, rates = turn_rates(t[order], poses[order, 3:7])
+    if len(rates) < 10:
+        return None
+    axes_M = np.linalg.eigh(rates.T @ rates)[1][:, ::-1].T
+    axes_M *= np.sign(axes_M[np.arange(3), np.abs(axes_M).argmax(axis=1)])[:, None]
+    names = ['marker ' + 'xyz'[a.argmax()] if a.max() > 0.999 else '(%.2f, %.2f, %.2f)' % tuple(a) for a in axes_M]
+    along = rates @ axes_M.T
+    step = np.minimum(np.diff(t, prepend=t[0]), 3 * np.median(np.diff(t)))
+    fast, far = np.sqrt(np.mean(along ** 2, axis=0)), DEGREES * np.ptp(np.cumsum(along * step[:, None], axis=0), axis=0)
+    figure, axes = axes_of(1, 2, 1.6)
+    for ax, values, asked, title, unit in ((axes[0, 0], fast, verdicts.TURNS[0], 'how fast it turned', 'rad/s rms'),
+                                           (axes[0, 1], far, 30, 'how far it turned', 'deg')):
+        ax.bar(range(3), values, color=[BLUE if value >= asked else RED for value in values], width=0.6)
+        for k, value in enumerate(values):
+            ax.text(k, max(value, 0.02 * values.max()), '%.2g' % value, ha='center', va='bottom', fontsize='small')
+        ax.axhline(asked, color='black', linestyle='--', linewidth=0.8, label='asked for')
+        ax.set(title=title, ylabel='[%s]' % unit, xticks=range(3),
+               xticklabels=names, ylim=(0, 1.2 * max(values.max(), asked)))
+        ax.set_navigate(False)
+    legend(axes[0, 1])
+    return figure, verdicts.missing_motion(fast, far, names)
 
 
 def draw_axes(ax, t, values, title, unit):
@@ -460,7 +515,7 @@ def draw_axes(ax, t, values, title, unit):
     order = np.argsort(t, kind='stable')
     for k, (axis, color) in enumerate(AXES):
         draw_series(ax, t[order], values[order, k], color, axis, alpha=0.65)
-    ax.margins(x=0.01, y=0.2)
+    ax.margins(x=0.01)
     legend(ax)
 
 

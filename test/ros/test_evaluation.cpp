@@ -353,6 +353,8 @@ TEST_F(EvaluateTest, BatchHasARowForEachBag) {
   EXPECT_TRUE(std::filesystem::exists(Path("done/good.calibration.report.html")));
   EXPECT_FALSE(std::filesystem::exists(Path("done/b.1/planar.calibration.yaml")));
   EXPECT_TRUE(std::filesystem::exists(Path("done/b.1/planar.calibration.report.html")));
+  EXPECT_TRUE(
+      Contains(ReadText(Path("done/sequences.report.html")), "1 of 3 recordings have a result"));
 
   std::filesystem::remove(dir_ / "fleet/cut.bag");
   std::filesystem::remove(dir_ / "fleet/b.1/planar.bag");

@@ -2,6 +2,7 @@
 
 #include <yaml-cpp/yaml.h>
 
+#include <array>
 #include <cstring>
 #include <regex>
 
@@ -65,12 +66,28 @@ class ReportTest : public ExecutableTest {
   static bool HasSection(const std::string& page, const std::string& id) {
     return Contains(page, "id=\"" + id + "\"");
   }
-  /// Works without a network and without scripts.
+  /// Works without a network, with the one script at its end.
   static void ExpectSelfContained(const std::string& page) {
     EXPECT_FALSE(std::regex_search(page, std::regex(R"((src|href)\s*=\s*["'](?!#))")));
-    EXPECT_FALSE(
-        std::regex_search(page, std::regex(R"(url\((?!#)|@import|<script|<link|<iframe)")));
+    EXPECT_FALSE(std::regex_search(page, std::regex(R"(url\((?!#)|@import|<link|<iframe)")));
     EXPECT_FALSE(std::regex_search(page, std::regex(R"(\son[a-z]+\s*=|http[s]?://)")));
+    EXPECT_FALSE(std::regex_search(
+        page, std::regex(R"(fetch|XMLHttp|WebSocket|import\(|eval|sendBeacon|localStorage)")));
+    EXPECT_EQ(page.find("<script>"), page.rfind("<script"));
+    EXPECT_NE(page.find("<script>"), std::string::npos);
+  }
+  /// The lines of the list at the top in their order: verdict, id of the figure, text.
+  static std::vector<std::array<std::string, 3>> Judged(const std::string& page) {
+    std::vector<std::array<std::string, 3>> lines;
+    const std::regex line(R"re(>(\w+)</span><a href="#([\w-]+)">[^<]*</a>: (.*?)</i></li>)re");
+    for (std::sregex_iterator it(page.begin(), page.end(), line), end; it != end; ++it)
+      lines.push_back({(*it)[1], (*it)[2], (*it)[3]});
+    return lines;
+  }
+  static std::string VerdictOf(const std::string& page, const std::string& id) {
+    for (const auto& line : Judged(page))
+      if (line[1] == id) return line[0];
+    return "none";
   }
 };
 
@@ -164,33 +181,59 @@ TEST_F(ReportTest, DrawsEverythingIntoOnePage) {
       << outcome.out;
   const std::string page = ReadText(Path("r.html"));
   EXPECT_EQ(page.compare(0, 15, "<!DOCTYPE html>"), 0);
-  for (const char* id : {"verdict",
-                         "table",
-                         "warnings",
-                         "streams",
-                         "signals",
-                         "residuals",
-                         "distributions",
-                         "spectra",
-                         "time_shift",
-                         "stamps",
-                         "biases",
-                         "growth",
-                         "lever_arm",
-                         "excitation",
-                         "trajectory",
-                         "summary",
-                         "settings"})
+  for (const char* id : {"verdict",   "table",      "judged",     "residual_table", "warnings",
+                         "streams",   "making",     "signals",    "residuals",      "distributions",
+                         "spectra",   "time_shift", "stamps",     "biases",         "growth",
+                         "lever_arm", "excitation", "trajectory", "error_bounds",   "settings"})
     EXPECT_TRUE(HasSection(page, id)) << id;
   const std::regex figure("<svg ");
   EXPECT_EQ(
       std::distance(std::sregex_iterator(page.begin(), page.end(), figure), std::sregex_iterator()),
-      11);
+      12);
+  EXPECT_EQ(Judged(page).size(), 13u);  // and the halves
   EXPECT_TRUE(Contains(page, "x_marker = R x_imu + p"));
+  EXPECT_TRUE(Contains(page, "<th>sigma of this recording</th>"));
+  // One sigma of the rotation: that about the imu axes.
+  EXPECT_TRUE(std::regex_search(
+      page, std::regex(R"(<td>roll, pitch, yaw \[deg\]</td><td>[^<]*</td><td></td>)")));
+  EXPECT_TRUE(Contains(page, "x, y, z, w; sigma about the imu axes"));
+  EXPECT_TRUE(Contains(page, "calibrate_bag x.bag --report r.html (in "));
+  ASSERT_EQ(std::system(("sha256sum '" + Path("x.bag") + "' > '" + Path("sum") + "'").c_str()), 0);
+  EXPECT_TRUE(Contains(page, "sha256 " + ReadText(Path("sum")).substr(0, 64) + "</td>"));
   EXPECT_TRUE(Contains(page, "robust_loss_scale: 5.0"));
   EXPECT_TRUE(Contains(page, std::string("imu_pose_calib ") + kVersion));
   ExpectSelfContained(page);
   EXPECT_LT(page.size(), 2'000'000u);
+}
+
+/// What each effect disturbs is what the page names, before what it does not disturb.
+TEST_F(ReportTest, JudgesEachFigure) {
+  const auto draw = [&](const SimulatorOptions& truth) {
+    WriteBag(Path("x.bag"), Simulate(truth), {});
+    EXPECT_EQ(Calibrate("x.bag --report r.html --quiet").status, 0);
+    return ReadText(Path("r.html"));
+  };
+  SimulatorOptions truth = Handheld();
+  truth.duration_s = 30.0;
+  std::string page = draw(truth);
+  for (const auto& [verdict, id, text] : Judged(page)) EXPECT_EQ(verdict, "good") << id << text;
+  EXPECT_FALSE(Contains(page, "Harmless"));
+
+  SimulatorOptions shaken = truth;
+  shaken.effects.shocks = 100.0;
+  page = draw(shaken);
+  EXPECT_EQ(VerdictOf(page, "residuals"), "bad");
+  EXPECT_NE(VerdictOf(page, "distributions"), "good");
+  EXPECT_EQ(VerdictOf(page, "stamps"), "good");
+  EXPECT_NE(Judged(page).front()[0], "good");
+  EXPECT_EQ(Judged(page).back()[0], "good");
+
+  SimulatorOptions lossy = truth;
+  lossy.effects.imu_stream.drops = 30.0;
+  EXPECT_EQ(VerdictOf(draw(lossy), "stamps"), "look");
+  SimulatorOptions slow = truth;
+  slow.effects.slow_errors = 0.004;
+  EXPECT_NE(VerdictOf(draw(slow), "spectra"), "good");
 }
 
 TEST_F(ReportTest, DrawsSeveralSessionsAndWritesPdf) {
@@ -205,11 +248,60 @@ TEST_F(ReportTest, DrawsSeveralSessionsAndWritesPdf) {
   EXPECT_TRUE(HasSection(page, "signals"));
   EXPECT_TRUE(HasSection(page, "signals-2"));
   EXPECT_TRUE(Contains(page, "what each session says alone"));
+  EXPECT_TRUE(Contains(page, "of 2 recordings and how they agree"));
+  EXPECT_EQ(VerdictOf(page, "table"), "good");
+  EXPECT_TRUE(Contains(page, "Agreement of the recordings"));
   ExpectSelfContained(page);
 
   outcome = Calibrate("x.bag --method gp --report r.pdf --quiet");
   ASSERT_EQ(outcome.status, 0) << outcome.err;
+  const std::string pdf = ReadText(Path("r.pdf"));
+  EXPECT_EQ(pdf.compare(0, 5, "%PDF-"), 0);
+  const std::regex size(R"(/MediaBox \[ 0 0 (\S+) (\S+) \])");
+  size_t sheets = 0;
+  for (std::sregex_iterator it(pdf.begin(), pdf.end(), size), end; it != end; ++it, ++sheets) {
+    EXPECT_NEAR(std::stod((*it)[1]), 595.3, 0.5);  // A4
+    EXPECT_NEAR(std::stod((*it)[2]), 841.9, 0.5);
+  }
+  EXPECT_GT(sheets, 3u);
+  EXPECT_LT(sheets, 10u);
+}
+
+TEST_F(ReportTest, ComparesResultsOnAPage) {
+  SimulatorOptions second = Handheld(), other = second;
+  second.seed = 9;
+  other.seed = 10;
+  other.T_MI.p.x() += 0.02;
+  for (const auto& [name, truth] :
+       {std::pair("a", Handheld()), std::pair("b", second), std::pair("c", other)}) {
+    WriteBag(Path(std::string(name) + ".bag"), Simulate(truth), {});
+    ASSERT_EQ(Calibrate(std::string(name) + ".bag --quiet").status, 0);
+  }
+  const std::string a = "a.calibration.yaml b.calibration.yaml ";
+  Outcome outcome = Run("compare_calibrations", a + "--report r.html");
+  EXPECT_EQ(outcome.status, 0) << outcome.err;
+  EXPECT_TRUE(Contains(outcome.out, "\nWritten to r.html\n")) << outcome.out;
+  std::string page = ReadText(Path("r.html"));
+  for (const char* id :
+       {"table", "from_others", "scatter", "translation", "rotation", "clocks", "noise", "making"})
+    EXPECT_TRUE(HasSection(page, id)) << id;
+  EXPECT_TRUE(Contains(page, "<b>AGREE</b>"));
+  EXPECT_EQ(VerdictOf(page, "translation"), "good");
+  ExpectSelfContained(page);
+
+  outcome = Run("compare_calibrations", a + "c.calibration.yaml --report r.html");
+  EXPECT_EQ(outcome.status, 2);
+  page = ReadText(Path("r.html"));
+  EXPECT_TRUE(Contains(page, "<b>DIFFER</b>"));
+  EXPECT_EQ(Judged(page).front()[0] + Judged(page).front()[1], "badtranslation");
+  EXPECT_EQ(VerdictOf(page, "rotation"), "good");
+
+  outcome = Run("compare_calibrations",
+                "a.calibration.yaml --reference '0.05 -0.03 0.08 0.5 -0.5 0.5 0.5' --report r.pdf");
   EXPECT_EQ(ReadText(Path("r.pdf")).compare(0, 5, "%PDF-"), 0);
+  outcome = Run("compare_calibrations", a + "--report r.txt");
+  EXPECT_EQ(outcome.status, 1);
+  EXPECT_TRUE(Contains(outcome.err, "report 'r.txt' must end in .html or .pdf")) << outcome.err;
 }
 
 TEST_F(ReportTest, ShowsWhyARecordingIsRefused) {
@@ -219,10 +311,12 @@ TEST_F(ReportTest, ShowsWhyARecordingIsRefused) {
   Write("r.html", "an older file");
   ExpectFailure("x.bag --report r.html", 2, {"turns about one axis only"});
   std::string page = ReadText(Path("r.html"));
-  for (const char* id : {"verdict", "streams", "recorded", "stamps", "excitation", "settings"})
+  for (const char* id : {"verdict", "streams", "recorded", "stamps", "missing", "settings"})
     EXPECT_TRUE(HasSection(page, id)) << id;
   EXPECT_FALSE(HasSection(page, "table"));
   EXPECT_TRUE(Contains(page, "<b>REFUSED</b> the marker turns about one axis only, marker z"));
+  EXPECT_FALSE(Contains(page, "No warnings"));
+  EXPECT_EQ(Judged(page).front()[0] + Judged(page).front()[1], "badmissing");
   ExpectSelfContained(page);
 
   // Refused after the solve: the figures of the solve are there, and no result.

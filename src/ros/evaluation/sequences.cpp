@@ -14,8 +14,10 @@
 #include "imu_pose_calib/ros/evaluation/tables.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
+#include "imu_pose_calib/ros/io/stored_result.h"
 #include "imu_pose_calib/ros/io/text_table.h"
 #include "imu_pose_calib/ros/io/yaml_file.h"
+#include "imu_pose_calib/ros/offline/comparison_report.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
@@ -329,6 +331,31 @@ std::string DatasetTables(const std::vector<Calibrated>& calibrations) {
   return text;
 }
 
+/// A page of all bags of a batch that have a result; empty without any.
+std::string WriteFleet(const std::vector<Calibrated>& calibrations,
+                       const std::string& title,
+                       const std::string& folder) {
+  std::vector<StoredResult> results;
+  for (const auto& [sequence, outcome] : calibrations)
+    if (outcome.IsUsable())
+      results.push_back(LoadResult(folder + "/" + sequence->name + ".calibration.yaml"));
+  if (results.empty()) return "";
+  const std::string path = folder + "/sequences.report.html";
+  const std::vector<ComparedQuantity> quantities = {
+      ComparedQuantity::kTranslation, ComparedQuantity::kRotation, ComparedQuantity::kAccelDelay};
+  WriteComparison({results,
+                   0,
+                   quantities,
+                   std::nullopt,
+                   "compared",
+                   title + Format(": %zu of %zu recordings have a result; those of one rig and IMU "
+                                  "should agree",
+                                  results.size(),
+                                  calibrations.size())},
+                  path);
+  return "Written to " + path + "\n";
+}
+
 }  // namespace
 
 std::string DatasetTitle(const std::string& dataset) { return Find(dataset).title; }
@@ -386,6 +413,7 @@ SequencesOutcome RunSequences(const std::vector<Sequence>& sequences,
       "# " + title + "\n\n" + (is_dataset ? DatasetTables(calibrations) : Table(calibrations));
   WriteFile(runner.folder + "/sequences.md", result.text);
   WriteFile(runner.folder + "/sequences.csv", Csv(calibrations));
+  if (!is_dataset) result.text += WriteFleet(calibrations, title, runner.folder);
   return result;
 }
 

@@ -150,9 +150,7 @@ void CheckTrajectories(const std::vector<OfflineRequest>& sessions,
 /// something else.
 void CheckReport(const OfflineResult& offline, const OfflineRequest& request) {
   if (offline.report.empty()) return;
-  const std::string extension = std::filesystem::path(offline.report).extension();
-  if (extension != ".html" && extension != ".pdf")
-    throw InputError("report '" + offline.report + "' must end in .html or .pdf");
+  CheckReportName(offline.report);
   if (IsSamePath(offline.report, offline.output))
     throw InputError("report and output are both '" + offline.report + "'; choose another");
   CheckOutput({"report", offline.report}, request);

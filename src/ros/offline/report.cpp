@@ -2,11 +2,14 @@
 
 #include <yaml-cpp/yaml.h>
 
+#include <algorithm>
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
+#include <functional>
+#include <memory>
 #include <optional>
 #include <sstream>
 
@@ -17,7 +20,6 @@
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
 #include "imu_pose_calib/ros/offline/report_series.h"
-#include "imu_pose_calib/ros/offline/summary.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
@@ -111,7 +113,10 @@ DataCheck CheckSolved(const CalibrationOptions& options,
   return check;
 }
 
-YAML::Node WriteSession(const ReportInput& input, size_t s, const std::string& folder) {
+YAML::Node WriteSession(const ReportInput& input,
+                        size_t s,
+                        const std::shared_ptr<const TrajectoryCovariance>& covariance,
+                        const std::string& folder) {
   const SessionData& recorded = input.sessions[s];
   const RecordingInfo info = WithPrintableNames(input.infos[s]);
   const std::string prefix = folder + "/s" + std::to_string(s);
@@ -134,7 +139,7 @@ YAML::Node WriteSession(const ReportInput& input, size_t s, const std::string& f
     }
     WriteRecorded(input.options, recorded, prefix);
   } else {
-    WriteSolvedSession(input, s, prefix, &node);
+    WriteSolvedSession(input, s, covariance, prefix, &node);
   }
   return node;
 }
@@ -179,38 +184,64 @@ std::string LastLine(const std::string& path) {
 
 }  // namespace
 
-void WriteReportData(const ReportInput& input, const std::string& folder) {
+YAML::Node ReportHead() {
   YAML::Node report;
   report["version"] = kVersion;
-  const bool is_solved = input.result.solution != nullptr;
-  report["status"] = input.refusal.empty() ? ToString(input.result.status) : "refused";
-  report["message"] = Printable(input.refusal.empty() ? input.result.message : input.refusal);
-  report["solved"] = is_solved;
-  report["options"] = YAML::Load(ToYaml(input.options));
-  report["sessions"] = YAML::Node(YAML::NodeType::Sequence);
-  for (size_t s = 0; s < input.sessions.size(); ++s)
-    report["sessions"].push_back(WriteSession(input, s, folder));
+  std::string command = ReadAll("/proc/self/cmdline");  // words end with 0
+  if (!command.empty()) command.pop_back();
+  std::replace(command.begin(), command.end(), '\0', ' ');
+  report["command"] = Printable(command);
+  report["folder"] = Printable(std::filesystem::current_path());
+  return report;
+}
+
+void WriteHead(const YAML::Node& report, const std::string& folder) {
   YAML::Emitter out;
   out << report;
   WriteFile(folder + "/report.yaml", out.c_str());
-  if (!is_solved) return;
-  WriteFile(folder + "/result.yaml", ToYaml(input.result, input.infos, input.options));
-  WriteFile(folder + "/summary.txt", Summary(input.result, input.infos));
 }
 
-void WriteReport(const ReportInput& input, const std::string& path) {
+void DrawReport(const std::string& path, const std::function<void(const std::string&)>& write) {
   const std::filesystem::path script =
       std::filesystem::read_symlink("/proc/self/exe").parent_path() / "report.py";
   if (!std::filesystem::exists(script))
     throw InputError("report '" + path + "' cannot be drawn: there is no " + script.string());
   const TemporaryFolder folder;
-  WriteReportData(input, folder.path());
+  write(folder.path());
   const bool is_pdf = std::filesystem::path(path).extension() == ".pdf";
   const std::string drawn = folder.path() / (is_pdf ? "drawn.pdf" : "drawn.html");
   const std::string errors = folder.path() / "errors.txt";
   if (RunProgram({script, folder.path(), drawn}, errors) != EXIT_SUCCESS)
     throw InputError("report '" + path + "' cannot be drawn: " + LastLine(errors));
   WriteFile(path, (is_pdf ? "" : kReportHeader + std::string("\n")) + ReadAll(drawn));
+}
+
+void WriteReportData(const ReportInput& input, const std::string& folder) {
+  YAML::Node report = ReportHead();
+  const bool is_solved = input.result.solution != nullptr;
+  std::shared_ptr<const TrajectoryCovariance> covariance;
+  if (is_solved && !input.result.solution->marginals.factor.empty())
+    covariance = std::make_shared<const TrajectoryCovariance>(input.result.solution);
+  report["status"] = input.refusal.empty() ? ToString(input.result.status) : "refused";
+  report["message"] = Printable(input.refusal.empty() ? input.result.message : input.refusal);
+  report["solved"] = is_solved;
+  report["options"] = YAML::Load(ToYaml(input.options));
+  report["sessions"] = YAML::Node(YAML::NodeType::Sequence);
+  for (size_t s = 0; s < input.sessions.size(); ++s)
+    report["sessions"].push_back(WriteSession(input, s, covariance, folder));
+  WriteHead(report, folder);
+  if (is_solved)
+    WriteFile(folder + "/result.yaml", ToYaml(input.result, input.infos, input.options));
+}
+
+void WriteReport(const ReportInput& input, const std::string& path) {
+  DrawReport(path, [&](const std::string& folder) { WriteReportData(input, folder); });
+}
+
+void CheckReportName(const std::string& path) {
+  const std::string extension = std::filesystem::path(path).extension();
+  if (!path.empty() && extension != ".html" && extension != ".pdf")
+    throw InputError("report '" + path + "' must end in .html or .pdf");
 }
 
 void RemoveOldReport(const std::string& path) {

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstdint>
 #include <limits>
+#include <memory>
 #include <optional>
 #include <utility>
 
@@ -18,6 +19,7 @@ namespace imu_pose_calib {
 namespace {
 
 constexpr size_t kOverview = 6000;       // instants over the whole recording
+constexpr size_t kErrorBounds = 400;     // the same, with covariance
 constexpr double kGridStep = 0.005;      // [s]
 constexpr double kLongestGrid = 60.0;    // [s]
 constexpr double kZoom = 1.0;            // [s]
@@ -35,12 +37,15 @@ constexpr const char* kNames[] = {"position", "rotation", "gyro", "accel"};
 /// The series of one session that was solved.
 class SolvedSession {
  public:
-  SolvedSession(const ReportInput& input, size_t session)
+  SolvedSession(const ReportInput& input,
+                size_t session,
+                const std::shared_ptr<const TrajectoryCovariance>& covariance)
       : input_(input),
         s_(session),
         solution_(*input.result.solution),
         estimate_(solution_.estimate.sessions[session]),
-        trajectory_(input.result.solution, session) {}
+        has_covariance_(covariance != nullptr),
+        trajectory_(input.result.solution, session, covariance) {}
 
   int64_t PoseEpoch() const { return trajectory_.epoch_ns(); }
   int64_t ImuEpoch(size_t imu) const {
@@ -77,7 +82,6 @@ class SolvedSession {
       node["quantity"] = quantity;
       node["imu"] = found.imu;
       node["noise"] = YamlValue(found.noise);
-      node["spread"] = YamlValue(solution_.statistics[k].noise);
       node["rms"] = YamlValue(solution_.statistics[k].rms);
       node["rate_hz"] = YamlValue(solution_.models[k].rate_hz);
       sensors.push_back(node);
@@ -113,6 +117,24 @@ class SolvedSession {
     excitation["turns"] = YamlList(rms.head<3>());
     excitation["moves"] = YamlList(rms.tail<3>());
     return excitation;
+  }
+
+  /// Sigmas of the trajectory of the marker over time: position in W [m], rotation about the
+  /// marker's axes [rad].
+  void WriteErrorBounds(const std::string& prefix) const {
+    const double begin = PoseTime(input_.sessions[s_].poses.front().t_ns);
+    const double end = PoseTime(input_.sessions[s_].poses.back().t_ns);
+    NumpyTable<double> table(7);
+    for (size_t k = 0; has_covariance_ && k < kErrorBounds; ++k) {
+      const double t = begin + (static_cast<double>(k) + 0.5) / static_cast<double>(kErrorBounds) *
+                                   (end - begin);
+      const auto covariance = trajectory_.MarkerCovariance(t);
+      Vector6d sigma = Nothing<6>();
+      if (covariance)
+        sigma << covariance->diagonal().segment<3>(3), covariance->diagonal().head<3>();
+      table.AddRow(t, Vector6d(sigma.cwiseSqrt()));
+    }
+    table.Write(prefix + "_error_bounds.npy");
   }
 
   /// All of one IMU.
@@ -279,22 +301,30 @@ class SolvedSession {
     table.Write(prefix + "_grid.npy");
   }
 
+  /// Values at the knots, and their sigmas.
   void WriteBiases(const std::string& prefix, size_t imu) const {
     const ImuSessionEstimate& own = estimate_.imus[imu];
-    const auto write = [&](const std::string& file, const BiasKnots& knots) {
-      NumpyTable<double> table(4);
-      for (size_t k = 0; k < knots.t.size(); ++k)
-        table.AddRow(own.PoseTime(knots.t[k]), knots.values[k]);
+    const auto write = [&](const std::string& file, const BiasKnots& knots, Eigen::Index sensor) {
+      NumpyTable<double> table(7);
+      for (size_t k = 0; k < knots.t.size(); ++k) {
+        const double t = own.PoseTime(knots.t[k]);
+        Eigen::Vector3d sigma = Nothing<3>();
+        if (has_covariance_)
+          if (const auto covariance = trajectory_.BiasCovariance(imu, t))
+            sigma = covariance->diagonal().segment<3>(sensor).cwiseSqrt();
+        table.AddRow(t, knots.values[k], sigma);
+      }
       table.Write(file);
     };
-    write(prefix + "_gyro_bias.npy", own.gyro_bias);
-    write(prefix + "_accel_bias.npy", own.accel_bias);
+    write(prefix + "_gyro_bias.npy", own.gyro_bias, 0);
+    write(prefix + "_accel_bias.npy", own.accel_bias, 3);
   }
 
   const ReportInput& input_;
   const size_t s_;
   const Solution& solution_;
   const SessionEstimate& estimate_;
+  const bool has_covariance_;
   const SessionTrajectory trajectory_;
 };
 
@@ -316,10 +346,11 @@ void WriteValues(const std::string& file, const std::vector<ImuSample>& samples,
 
 void WriteSolvedSession(const ReportInput& input,
                         size_t s,
+                        const std::shared_ptr<const TrajectoryCovariance>& covariance,
                         const std::string& prefix,
                         YAML::Node* node) {
   const SessionData& recorded = input.sessions[s];
-  const SolvedSession solved(input, s);
+  const SolvedSession solved(input, s, covariance);
   const SessionCalibration& session = input.result.sessions[s];
   (*node)["epoch_ns"] = solved.PoseEpoch();
   (*node)["gaps"] = session.gaps;
@@ -328,6 +359,7 @@ void WriteSolvedSession(const ReportInput& input,
   (*node)["gravity"] = YamlList(session.g_W);
   (*node)["sensors"] = solved.WriteResiduals(prefix);
   (*node)["excitation"] = solved.WriteMotion(prefix);
+  solved.WriteErrorBounds(prefix);
   WriteTimes(prefix + "_poses_stamps.npy", recorded.poses, [&](int64_t t_ns) {
     return solved.PoseTime(t_ns);
   });

@@ -13,6 +13,8 @@
 #include "imu_pose_calib/ros/io/stored_result.h"
 #include "imu_pose_calib/ros/io/transform_file.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
+#include "imu_pose_calib/ros/offline/comparison_report.h"
+#include "imu_pose_calib/ros/offline/report.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
@@ -33,6 +35,7 @@ struct CommandLine {
   std::string reference_std = "0 0";
   /// Where marker -> imu -> cameras goes: this name with .urdf and .tf.launch.
   std::string chain_output;
+  std::string report;  ///< page with figures
   bool quiet = false, help = false;
 };
 
@@ -78,33 +81,6 @@ struct Worst {
            Format("%.4g %s, %.1f sigma", worst->value * unit.factor, unit.name, sigmas);
   }
 };
-
-Comparable ToComparable(const StoredResult& stored, size_t imu) {
-  if (imu >= stored.result.imus.size())
-    throw InputError("--imu " + std::to_string(imu) + ": '" + stored.path + "' has " +
-                     std::to_string(stored.result.imus.size()) + " imus, from 0");
-  const ImuCalibration& calibration = stored.result.imus[imu];
-  return {calibration.T_MI,
-          calibration.covariance,
-          calibration.accel_delay,
-          calibration.accel_delay_std};
-}
-
-/// Time shifts at the mean of the instants at which they hold.
-void SetTimeShifts(const std::vector<StoredResult>& results,
-                   size_t imu,
-                   std::vector<Comparable>* calibrations) {
-  double reference = 0.0;
-  for (const StoredResult& stored : results)
-    reference += stored.Clock(imu).clock_reference / static_cast<double>(results.size());
-  for (size_t i = 0; i < results.size(); ++i) {
-    const ImuSession& clock = results[i].Clock(imu);
-    const double away = reference - clock.clock_reference;
-    (*calibrations)[i].time_shift = clock.time_shift + clock.clock_drift * away;
-    (*calibrations)[i].time_shift_std =
-        std::hypot(clock.time_shift_std, clock.clock_drift_std * away);
-  }
-}
 
 /// Whether all results are of one recording, or of parts of it.
 bool AreOfOneRecording(const std::vector<StoredResult>& results, size_t imu) {
@@ -179,11 +155,16 @@ std::string ScatterTable(const Repeatability& repeatability) {
   return text + Format("  mean rotation x y z w: %.8f %.8f %.8f %.8f\n", q[0], q[1], q[2], q[3]);
 }
 
+/// Which chance exceeds as rarely as a normal distribution exceeds 3 sigma (Wilson and Hilferty).
+double ChiSquareBound(double dof) {
+  return dof * std::pow(1.0 - 2.0 / (9.0 * dof) + 3.0 * std::sqrt(2.0 / (9.0 * dof)), 3);
+}
+
 /// Names what scatters more than its sigmas say, beyond chance.
 std::string ScatterRemark(const Repeatability& repeatability) {
   std::string text;
   for (const Scatter& scatter : repeatability.scatters)
-    if (scatter.chi2 > scatter.dof + 3.0 * std::sqrt(2.0 * scatter.dof))
+    if (scatter.dof > 0 && scatter.chi2 > ChiSquareBound(scatter.dof))
       text += (text.empty() ? "" : ", ") + std::string(ToString(scatter.quantity)) +
               Format(" %.1f times", std::sqrt(scatter.chi2 / scatter.dof));
   return text.empty() ? "" : "  more scatter than the sigmas say: " + text + "\n";
@@ -263,6 +244,7 @@ std::string List(const std::vector<StoredResult>& results) {
 }
 
 void Check(const CommandLine& line) {
+  CheckReportName(line.report);
   if (line.results.empty())
     throw InputError("give the results to compare; see compare_calibrations --help");
   if (!line.chain.empty() && line.chain.size() != 2)
@@ -316,12 +298,8 @@ std::string CompareWithReference(const std::vector<Comparable>& calibrations,
 void CompareAll(const CommandLine& line) {
   Check(line);
   std::vector<StoredResult> results;
-  std::vector<Comparable> calibrations;
-  for (const std::string& path : line.results) {
-    results.push_back(LoadResult(path));
-    calibrations.push_back(ToComparable(results.back(), line.imu));
-  }
-  SetTimeShifts(results, line.imu, &calibrations);
+  for (const std::string& path : line.results) results.push_back(LoadResult(path));
+  const std::vector<Comparable> calibrations = ToComparables(results, line.imu);
   const std::vector<ComparedQuantity> transform = {ComparedQuantity::kTranslation,
                                                    ComparedQuantity::kRotation};
   std::vector<ComparedQuantity> quantities = transform;
@@ -353,6 +331,17 @@ void CompareAll(const CommandLine& line) {
   const std::string verdict =
       (agrees ? "; most apart: " : ": ") + worst.text + Format(" (bound: %.0f)", kAgreementBound);
   text = (agrees ? "AGREE" : "DIFFER") + verdict + "\n" + text;
+  if (!line.report.empty()) {
+    WriteComparison(
+        {results,
+         line.imu,
+         quantities,
+         name.empty() ? std::nullopt : std::optional<Comparable>(reference),
+         agrees ? "agree" : "differ",
+         (agrees ? "most apart: " : "") + worst.text + Format(" (bound: %.0f)", kAgreementBound)},
+        line.report);
+    text += "\nWritten to " + line.report + "\n";
+  }
   if (!line.chain_output.empty())
     for (const std::string& path : WriteChain(line, results.front(), cameras))
       text += "Written to " + path + "\n";
@@ -381,6 +370,7 @@ po::options_description Describe(CommandLine* line) {
   add("same-clocks",
       po::bool_switch(&line->same_clocks),
       "compare the time shifts of different recordings, too");
+  add("report", Value(&line->report), "page with figures: FILE.html or FILE.pdf");
   add("quiet", po::bool_switch(&line->quiet), "print errors only");
   add("help", po::bool_switch(&line->help), "print this text");
   return options;

@@ -23,7 +23,6 @@ struct ReportInput {
 ///
 ///   report.yaml         verdict, names, streams, sensors, and which sessions and IMUs there are
 ///   result.yaml         as the result file, after a solve
-///   summary.txt         the summary, after a solve
 ///   sS_..., sS_iI_...   series of session S and of its IMU I, each a NumPy file of rows; times are
 ///                       [s] after report.yaml's `epoch_ns` on the clock of the session's poses, or
 ///                       without a solve after the first stamp of the stream, everything else SI
@@ -35,6 +34,9 @@ void WriteReportData(const ReportInput& input, const std::string& folder);
 /// file, or as PDF when `path` ends in ".pdf". Replaces the file in one step. Throws InputError
 /// with the reason when it cannot be drawn or written.
 void WriteReport(const ReportInput& input, const std::string& path);
+
+/// Throws InputError for a report that is of no kind that can be drawn; none is one that can.
+void CheckReportName(const std::string& path);
 
 /// Removes the file at `path` when it is a report in HTML of an earlier run.
 void RemoveOldReport(const std::string& path);

@@ -3,9 +3,12 @@
 #include <yaml-cpp/yaml.h>
 
 #include <Eigen/Core>
+#include <functional>
+#include <memory>
 #include <string>
 #include <vector>
 
+#include "imu_pose_calib/core/trajectory.h"
 #include "imu_pose_calib/ros/io/numpy_table.h"
 #include "imu_pose_calib/ros/offline/report.h"
 
@@ -14,6 +17,15 @@ namespace imu_pose_calib {
 /// Numbers that every reader of YAML takes for numbers.
 YAML::Node YamlValue(double value);
 YAML::Node YamlList(const Eigen::VectorXd& values);
+
+/// What every page tells of its making: version, command, folder.
+YAML::Node ReportHead();
+
+/// Writes the head of a page, report.yaml, to a folder.
+void WriteHead(const YAML::Node& head, const std::string& folder);
+
+/// Draws the page at `path` as WriteReport() does, of the numbers that `write` puts into a folder.
+void DrawReport(const std::string& path, const std::function<void(const std::string&)>& write);
 
 /// Writes the time of each sample, in order of arrival; `time` gives that of a stamp.
 template <typename Sample, typename Time>
@@ -27,9 +39,10 @@ void WriteTimes(const std::string& file, const std::vector<Sample>& samples, Tim
 void WriteValues(const std::string& file, const std::vector<ImuSample>& samples, double unit);
 
 /// Writes the series of a session that was solved to files whose names begin with `prefix`, and
-/// what is said of them to `node`.
+/// what is said of them to `node`. `covariance`: null when it was not kept.
 void WriteSolvedSession(const ReportInput& input,
                         size_t session,
+                        const std::shared_ptr<const TrajectoryCovariance>& covariance,
                         const std::string& prefix,
                         YAML::Node* node);
 

@@ -1,0 +1,29 @@
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "imu_pose_calib/core/comparison.h"
+#include "imu_pose_calib/ros/io/stored_result.h"
+
+namespace imu_pose_calib {
+
+/// Results of one IMU as they are compared, with time shifts at the mean of the instants at which
+/// they hold. Throws InputError when a result has no such IMU.
+std::vector<Comparable> ToComparables(const std::vector<StoredResult>& results, size_t imu);
+
+/// What a page of results beside each other tells of.
+struct ComparisonInput {
+  const std::vector<StoredResult>& results;
+  size_t imu;
+  const std::vector<ComparedQuantity>& quantities;  ///< that are judged
+  std::optional<Comparable> reference;              ///< what all are compared with, too
+  std::string status;                               ///< "agree", "differ", or "compared" of a fleet
+  std::string message;
+};
+
+/// Draws the page as WriteReport() does. Throws InputError likewise.
+void WriteComparison(const ComparisonInput& input, const std::string& path);
+
+}  // namespace imu_pose_calib
