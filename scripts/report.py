@@ -212,7 +212,8 @@ def write_html(report, path):
         parts.append('<p>x_marker = R x_imu + p. Sigmas are one standard deviation. Second half of the recording less '
                      'the first: up to %.1f sigma.</p>' % report.result['quality']['split_half']['sigmas'])
     found = warnings(report)
-    parts.append('<h3 id="warnings">Warnings</h3><ul>%s</ul>' % found if found else '<p id="warnings">No warnings.</p>')
+    parts.append('<h3 id="warnings">Warnings</h3><ul>%s</ul>' % found if found else
+                 '' if head['status'] == 'refused' else '<p id="warnings">No warnings.</p>')
     parts.append('<h3 id="streams">Streams</h3>%s' % stream_table(report))
     wanted = list(sections(report))
     tasks = [(report, x[1], x[3], x[4]) for _, group in wanted for x in group]

@@ -5,6 +5,7 @@
 #include <nav_msgs/Path.h>
 #include <rosbag/bag.h>
 #include <rosbag/view.h>
+#include <std_msgs/Bool.h>
 #include <tf2_msgs/TFMessage.h>
 #include <yaml-cpp/yaml.h>
 
@@ -41,6 +42,16 @@ std::vector<std::string> Lines(const std::string& path) {
   std::vector<std::string> lines;
   std::ifstream file(path);
   for (std::string line; std::getline(file, line);) lines.push_back(line);
+  return lines;
+}
+
+/// Those of a file of TUM or of ov_eval that are no comments.
+std::vector<std::string> States(const std::string& path) {
+  std::vector<std::string> lines = Lines(path);
+  lines.erase(std::remove_if(lines.begin(),
+                             lines.end(),
+                             [](const std::string& line) { return line[0] == '#'; }),
+              lines.end());
   return lines;
 }
 
@@ -113,7 +124,15 @@ TEST_F(TrajectoryTest, TumIsAsEvoReadsIt) {
   ASSERT_EQ(outcome.status, 0) << outcome.err;
   EXPECT_TRUE(Contains(outcome.out, "by the imu alone in 1 gap of up to 1.0")) << outcome.out;
   // evo: all rows of 8 fields with one blank between; quaternions of unit norm; rising stamps.
-  const std::vector<std::string> lines = Lines(Path("x.tum"));
+  // Comments say which states no poses support.
+  const std::string carried = "# by the imu alone, no poses: ";
+  const std::vector<std::string> all = Lines(Path("x.tum"));
+  ASSERT_EQ(all[1].compare(0, carried.size(), carried), 0) << all[1];
+  const Row run = Split(all[1].substr(carried.size()), ' ');
+  EXPECT_NEAR(std::stod(run[0]) + truth_.time_shift_s - 1.6e9, 6.0, 0.03);
+  EXPECT_NEAR(std::stod(run[2]) + truth_.time_shift_s - 1.6e9, 7.0, 0.03);
+  const std::vector<std::string> lines = States(Path("x.tum"));
+  ASSERT_EQ(all.size(), lines.size() + 2);
   ASSERT_GT(lines.size(), 2780u);
   int64_t last = 0;
   Eigen::Quaterniond last_q(0.0, 0.0, 0.0, 0.0);
@@ -139,7 +158,7 @@ TEST_F(TrajectoryTest, GapsAreLeftOutWhenTheyAreLongerThanAskedFor) {
   EXPECT_TRUE(Contains(outcome.out, ", 1 gap left out (1.0 s)")) << outcome.out;
   size_t gaps = 0;
   int64_t last = 0;
-  for (const std::string& line : Lines(Path("x.txt"))) {
+  for (const std::string& line : States(Path("x.txt"))) {
     const int64_t stamp = FromSeconds(Split(line, ' ')[0]);
     if (last > 0 && stamp - last != 20'000'000) {
       ++gaps;
@@ -152,9 +171,7 @@ TEST_F(TrajectoryTest, GapsAreLeftOutWhenTheyAreLongerThanAskedFor) {
 
 TEST_F(TrajectoryTest, OvEvalHasCovariances) {
   ASSERT_EQ(Run("x.txt --trajectory-format ov_eval --trajectory-rate 20").status, 0);
-  std::vector<std::string> lines = Lines(Path("x.txt"));
-  ASSERT_EQ(lines[0][0], '#');
-  lines.erase(lines.begin());
+  const std::vector<std::string> lines = States(Path("x.txt"));
   ASSERT_GT(lines.size(), 250u);
   double largest_in_gap = 0.0, largest = 0.0;
   for (const std::string& line : lines) {
@@ -182,7 +199,10 @@ TEST_F(TrajectoryTest, OvEvalHasCovariances) {
 }
 
 TEST_F(TrajectoryTest, EurocHasOneHeaderAndSeventeenColumns) {
-  ASSERT_EQ(Run("x.csv").status, 0);
+  const Outcome outcome = Run("x.csv");
+  ASSERT_EQ(outcome.status, 0);
+  EXPECT_TRUE(Contains(outcome.out, "by the imu alone, which the format cannot say: 1599999"))
+      << outcome.out;
   std::vector<std::string> lines = Lines(Path("x.csv"));
   // As in the dataset, comma and blank.
   const Row header = Split(lines[0], ',');
@@ -267,6 +287,7 @@ TEST_F(TrajectoryTest, BagHasOdometryPathAndTf) {
   rosbag::Bag bag(Path("t.bag"), rosbag::bagmode::Read);
   size_t odometries = 0, transforms = 0, paths = 0, same = 0;
   nav_msgs::Odometry::ConstPtr odometry;
+  std::vector<bool> carried;
   for (const rosbag::MessageInstance& message : rosbag::View(bag)) {
     if (const auto o = message.instantiate<nav_msgs::Odometry>()) {
       ++odometries;
@@ -304,12 +325,16 @@ TEST_F(TrajectoryTest, BagHasOdometryPathAndTf) {
     } else if (const auto path = message.instantiate<nav_msgs::Path>()) {
       ++paths;
       EXPECT_NEAR(static_cast<double>(path->poses.size()), 20.0 * 14.0, 10.0);
+    } else if (const auto flag = message.instantiate<std_msgs::Bool>()) {
+      EXPECT_EQ(message.getTopic(), "/ground_truth/by_imu_alone");
+      carried.push_back(flag->data != 0);
     }
   }
   EXPECT_GT(odometries, 2780u);
   EXPECT_EQ(odometries, transforms);
   EXPECT_GT(same, 1u);
   EXPECT_EQ(paths, 1u);
+  EXPECT_EQ(carried, (std::vector<bool>{false, true, false}));
 }
 
 TEST_F(TrajectoryTest, SeveralImusAndSessionsHaveAFileEach) {
@@ -324,8 +349,8 @@ TEST_F(TrajectoryTest, SeveralImusAndSessionsHaveAFileEach) {
   EXPECT_FALSE(std::filesystem::exists(Path("t.tum")));
   for (const char* name :
        {"t_session1_imu0.tum", "t_session1_imu1.tum", "t_session2_imu0.tum", "t_session2_imu1.tum"})
-    EXPECT_GT(Lines(Path(name)).size(), 130u) << name;
-  for (const std::string& line : Lines(Path("t_session1_imu0.tum"))) {
+    EXPECT_GT(States(Path(name)).size(), 130u) << name;
+  for (const std::string& line : States(Path("t_session1_imu0.tum"))) {
     const Row row = Split(line, ' ');
     ExpectTrue(FromSeconds(row[0]),
                Vector(row, 1),

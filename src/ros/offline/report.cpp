@@ -2,6 +2,7 @@
 
 #include <yaml-cpp/yaml.h>
 
+#include <boost/algorithm/string/replace.hpp>
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
@@ -23,7 +24,7 @@
 namespace imu_pose_calib {
 namespace {
 
-// First line of every report in HTML; tells our files from others.
+// First line of every report in HTML.
 constexpr char kReportHeader[] = "<!DOCTYPE html><!-- imu_pose_calib: report of a calibration -->";
 
 // --- The numbers ---
@@ -141,28 +142,6 @@ YAML::Node WriteSession(const ReportInput& input, size_t s, const std::string& f
 
 // --- The drawing ---
 
-/// A folder of its own, removed in the end.
-class TemporaryFolder {
- public:
-  TemporaryFolder() {
-    std::string name = (std::filesystem::temp_directory_path() / "imu_pose_calib_XXXXXX").string();
-    if (mkdtemp(name.data()) == nullptr)
-      throw InputError("no temporary folder '" + name + "' can be made");
-    path_ = name;
-  }
-  TemporaryFolder(const TemporaryFolder&) = delete;
-  TemporaryFolder& operator=(const TemporaryFolder&) = delete;
-  ~TemporaryFolder() {
-    std::error_code ignored;
-    std::filesystem::remove_all(path_, ignored);
-  }
-
-  const std::filesystem::path& path() const { return path_; }
-
- private:
-  std::filesystem::path path_;
-};
-
 std::string ReadAll(const std::string& path) {
   std::ostringstream text;
   text << std::ifstream(path, std::ios::binary).rdbuf();
@@ -182,6 +161,7 @@ std::string LastLine(const std::string& path) {
 void WriteReportData(const ReportInput& input, const std::string& folder) {
   YAML::Node report;
   report["version"] = kVersion;
+  report["run_id"] = input.run_id;
   const bool is_solved = input.result.solution != nullptr;
   report["status"] = input.refusal.empty() ? ToString(input.result.status) : "refused";
   report["message"] = Printable(input.refusal.empty() ? input.result.message : input.refusal);
@@ -194,11 +174,11 @@ void WriteReportData(const ReportInput& input, const std::string& folder) {
   out << report;
   WriteFile(folder + "/report.yaml", out.c_str());
   if (!is_solved) return;
-  WriteFile(folder + "/result.yaml", ToYaml(input.result, input.infos, input.options));
+  WriteFile(folder + "/result.yaml", ToYaml(input.result, input.infos, input.options, {input.run_id}));
   WriteFile(folder + "/summary.txt", Summary(input.result, input.infos));
 }
 
-void WriteReport(const ReportInput& input, const std::string& path) {
+void WriteReport(const ReportInput& input, const std::string& path, OutputFiles* outputs) {
   const std::filesystem::path script =
       std::filesystem::read_symlink("/proc/self/exe").parent_path() / "report.py";
   if (!std::filesystem::exists(script))
@@ -210,13 +190,16 @@ void WriteReport(const ReportInput& input, const std::string& path) {
   const std::string errors = folder.path() / "errors.txt";
   if (RunProgram({script, folder.path(), drawn}, errors) != EXIT_SUCCESS)
     throw InputError("report '" + path + "' cannot be drawn: " + LastLine(errors));
-  WriteFile(path, (is_pdf ? "" : kReportHeader + std::string("\n")) + ReadAll(drawn));
-}
-
-void RemoveOldReport(const std::string& path) {
-  std::string first_line;
-  std::getline(std::ifstream(path), first_line);
-  if (first_line == kReportHeader) std::remove(path.c_str());
+  const std::string run = "imu_pose_calib " + std::string(kVersion) + ", run_id: " + input.run_id;
+  std::string page = ReadAll(drawn);
+  if (is_pdf) {
+    page += "% " + run + "\n";  // a comment may follow the end
+  } else {
+    boost::replace_first(
+        page, "<title>", "<meta name=\"generator\" content=\"" + run + "\"><title>");
+    page = kReportHeader + ("\n" + page);
+  }
+  outputs->Write(path, page);
 }
 
 }  // namespace imu_pose_calib
