@@ -12,6 +12,7 @@
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
+#include <map>
 
 #include "imu_pose_calib/core/so3.h"
 #include "imu_pose_calib/ros/io/bag_writer.h"
@@ -381,6 +382,60 @@ TEST_F(TrajectoryTest, GpGivesStatesWithoutSigmas) {
   ASSERT_EQ(Run("out --method gp").status, 0);
   EXPECT_GT(Lines(Path("out/mav0/state_groundtruth_estimate0/data.csv")).size(), 2000u);
   EXPECT_FALSE(std::filesystem::exists(Path("out/mav0/state_groundtruth_estimate0/sigma.csv")));
+}
+
+/// Largest distance of the states of two files of TUM at the same stamps [m], and how many there are.
+std::pair<double, size_t> Apart(const std::vector<std::string>& a,
+                                const std::vector<std::string>& b) {
+  std::map<int64_t, Eigen::Vector3d> positions;
+  for (const std::string& line : a) {
+    const Row row = Split(line, ' ');
+    positions[FromSeconds(row[0])] = Vector(row, 1);
+  }
+  std::pair<double, size_t> apart{0.0, 0};
+  for (const std::string& line : b) {
+    const Row row = Split(line, ' ');
+    const auto same = positions.find(FromSeconds(row[0]));
+    if (same == positions.end()) continue;
+    apart.first = std::max(apart.first, (same->second - Vector(row, 1)).norm());
+    ++apart.second;
+  }
+  return apart;
+}
+
+TEST_F(TrajectoryTest, SimulationWritesTheTruth) {
+  ASSERT_EQ(ExecutableTest::Run("simulate_bag",
+                                "y.bag --duration 14 --seed 500 --time-shift 100.5 --truth y.tum")
+                .status,
+            0);
+  const std::vector<std::string> lines = States(Path("y.tum"));
+  ASSERT_EQ(lines.size(), 2800u);
+  for (const std::string& line : lines) {
+    const Row row = Split(line, ' ');
+    const TrueState s = trajectory_.At(
+        1e-9 * static_cast<double>(FromSeconds(row[0]) - truth_.start_ns) + truth_.time_shift_s);
+    ASSERT_LT((Vector(row, 1) - s.p_WM - s.R_WM * truth_.T_MI.p).norm(), 1e-8) << line;
+  }
+  // Ours against it; then with filters, drift and late stamps, on the same clock all the same.
+  for (const char* effects : {"", "--gyro-filter 40 --imu-burst 5 --clock-drift 3e-5"}) {
+    SCOPED_TRACE(effects);
+    ASSERT_EQ(ExecutableTest::Run("simulate_bag",
+                                  std::string("y.bag --duration 14 --truth y.tum ") + effects)
+                  .status,
+              0);
+    ASSERT_EQ(Calibrate("y.bag --trajectory z.tum --trajectory-rate 200").status, 0);
+    const auto [distance, count] = Apart(States(Path("y.tum")), States(Path("z.tum")));
+    if (*effects == '\0') {
+      EXPECT_GT(count, 2700u);
+    }
+    EXPECT_LT(distance, 3e-3);
+  }
+  ASSERT_EQ(ExecutableTest::Run("simulate_bag", "y.bag --duration 3 --imus 2 --truth t").status, 0);
+  EXPECT_TRUE(std::filesystem::exists(Path("t_imu1/mav0/state_groundtruth_estimate0/data.csv")));
+  const Outcome refused =
+      ExecutableTest::Run("simulate_bag", "new.bag --duration 3 --truth t.xyz");
+  EXPECT_EQ(refused.status, 1);
+  EXPECT_FALSE(std::filesystem::exists(Path("new.bag")));
 }
 
 }  // namespace

@@ -211,6 +211,7 @@ std::string ImuTable(const Calibration& result, const RecordingInfo& info) {
   text += "  in imu0  " + units.substr(2);
   for (const BetweenImus& between : result.between_imus)
     text += row("imu" + std::to_string(between.second), between.T, between.Std());
+  text += "  sigma: the largest, of translations and about the axes of the imu\n";
   for (size_t i = 0; i < result.imus.size(); ++i)
     text += Wrap("  imu" + std::to_string(i) + ": ",
                  info.imus[i].imu_frame + ", " + info.imus[i].GyroSource() +
