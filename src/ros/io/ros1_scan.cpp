@@ -73,6 +73,21 @@ bool Next(std::string_view* bytes, Record* record) {
          Take(bytes, &size) && Take(bytes, size, &record->data) && record->Kind() != '\0';
 }
 
+/// Whether a file that ends with these bytes, which are no whole record, has been cut off there: else
+/// they are no record at all.
+bool IsCutOff(std::string_view bytes) {
+  constexpr uint32_t kLargestHeader = 1 << 16;
+  uint32_t size = 0;
+  std::string_view header;
+  Fields fields;
+  if (!Take(&bytes, &size)) return true;
+  if (size == 0) return bytes.find_first_not_of('\0') == std::string_view::npos;  // never written
+  if (size > kLargestHeader) return false;
+  if (!Take(&bytes, size, &header)) return true;
+  if (!ReadFields(header, &fields) || fields.count("op") == 0) return false;
+  return !Take(&bytes, &size) || (size <= kMaxBlockSize && size > bytes.size());
+}
+
 /// The records in a chunk. False when they cannot be had.
 bool Unfold(const Record& chunk, std::string* records) {
   const std::string_view compression = chunk.fields.count("compression") > 0
@@ -113,6 +128,7 @@ class Ros1Scan : public MessageSource {
   }
 
   bool IsEmpty() const { return messages_.empty(); }
+  bool IsDamaged() const { return is_damaged_; }
 
   std::map<std::string, std::set<std::string>> Types() const override {
     std::map<std::string, std::set<std::string>> types;
@@ -181,12 +197,18 @@ class Ros1Scan : public MessageSource {
     std::string_view rest = all.substr(std::min(magic, all.size()));
     std::string_view whole = rest;  // from the end of the last record that is whole
     Record record;
+    bool is_open = false;  // a chunk that is still written has no size yet
     while (Next(&rest, &record)) {
+      is_open = record.Kind() == kChunk && record.data.empty();
+      if (is_open) break;
       if (record.Kind() == kChunk &&
-          !AddChunk(record, static_cast<size_t>(whole.data() - all.data()), &file))
+          !AddChunk(record, static_cast<size_t>(whole.data() - all.data()), &file)) {
+        is_damaged_ = true;
         break;
+      }
       whole = rest;
     }
+    if (!whole.empty() && !is_open && !IsCutOff(whole)) is_damaged_ = true;
     if (!whole.empty())
       notes_.push_back("'" + path + "' is cut off: it is read up to byte " +
                        std::to_string(all.size() - whole.size()) + " of " +
@@ -259,13 +281,14 @@ class Ros1Scan : public MessageSource {
   mutable std::vector<File> files_;
   std::vector<Message> messages_;  ///< in the order of recording
   std::vector<std::string> notes_;
+  bool is_damaged_ = false;  ///< otherwise than by being cut off
 };
 
 }  // namespace
 
 std::unique_ptr<MessageSource> ScanRos1(const std::vector<std::string>& paths) {
   auto source = std::make_unique<Ros1Scan>(paths);
-  return source->IsEmpty() ? nullptr : std::move(source);
+  return source->IsEmpty() || source->IsDamaged() ? nullptr : std::move(source);
 }
 
 }  // namespace imu_pose_calib

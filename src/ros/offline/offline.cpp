@@ -164,14 +164,14 @@ std::string RefusedPath(const std::string& report) {
   if (offline.report.empty()) throw DataError(reason);
   const std::string path = RefusedPath(offline.report);
   try {
-    WriteReport({offline.options,
-                 offline.sessions,
-                 offline.infos,
-                 offline.result,
-                 reason,
-                 offline.outputs->run_id()},
-                path,
-                offline.outputs.get());
+    offline.outputs->Write(path,
+                           DrawReport({offline.options,
+                                       offline.sessions,
+                                       offline.infos,
+                                       offline.result,
+                                       reason,
+                                       offline.outputs->run_id()},
+                                      path));
     offline.outputs->Commit();
   } catch (const std::exception& error) {
     throw DataError(reason + "; no report: " + error.what());
@@ -318,21 +318,22 @@ void RunOffline(const OfflineRequest& given, const Progress& progress, OfflineRe
 
 /// Gives the outputs the report, if one is wanted, and lets go of the recorded data. Returns why
 /// there is none.
-std::string DrawReport(OfflineResult* offline, const Progress& progress) {
+std::string WriteReport(OfflineResult* offline, const Progress& progress) {
   if (offline->report.empty()) return "";
   if (progress) progress("report", std::nullopt);
+  std::string page;
   try {
-    WriteReport({offline->options,
-                 offline->sessions,
-                 offline->infos,
-                 offline->result,
-                 "",
-                 offline->outputs->run_id()},
-                offline->report,
-                offline->outputs.get());
+    page = DrawReport({offline->options,
+                       offline->sessions,
+                       offline->infos,
+                       offline->result,
+                       "",
+                       offline->outputs->run_id()},
+                      offline->report);
   } catch (const std::exception& error) {
     return error.what();
   }
+  offline->outputs->Write(offline->report, page);
   offline->sessions = {};
   offline->written.push_back(offline->report);
   if (progress) progress("report", 0);
@@ -414,7 +415,7 @@ std::string WriteResult(OfflineResult* offline, const Progress& progress) {
     for (const std::string& line : WriteTrajectories(
              offline->trajectory, offline->result, offline->infos, offline->options, outputs))
       written.push_back(line);
-    no_report = DrawReport(offline, progress);
+    no_report = WriteReport(offline, progress);
     outputs->Commit();
   } catch (const InputError&) {
     std::cout << yaml << std::flush;

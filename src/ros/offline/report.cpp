@@ -178,7 +178,7 @@ void WriteReportData(const ReportInput& input, const std::string& folder) {
   WriteFile(folder + "/summary.txt", Summary(input.result, input.infos));
 }
 
-void WriteReport(const ReportInput& input, const std::string& path, OutputFiles* outputs) {
+std::string DrawReport(const ReportInput& input, const std::string& path) {
   const std::filesystem::path script =
       std::filesystem::read_symlink("/proc/self/exe").parent_path() / "report.py";
   if (!std::filesystem::exists(script))
@@ -192,14 +192,10 @@ void WriteReport(const ReportInput& input, const std::string& path, OutputFiles*
     throw InputError("report '" + path + "' cannot be drawn: " + LastLine(errors));
   const std::string run = "imu_pose_calib " + std::string(kVersion) + ", run_id: " + input.run_id;
   std::string page = ReadAll(drawn);
-  if (is_pdf) {
-    page += "% " + run + "\n";  // a comment may follow the end
-  } else {
-    boost::replace_first(
-        page, "<title>", "<meta name=\"generator\" content=\"" + run + "\"><title>");
-    page = kReportHeader + ("\n" + page);
-  }
-  outputs->Write(path, page);
+  if (is_pdf) return page + "% " + run + "\n";  // a comment may follow the end
+  boost::replace_first(
+      page, "<title>", "<meta name=\"generator\" content=\"" + run + "\"><title>");
+  return kReportHeader + ("\n" + page);
 }
 
 }  // namespace imu_pose_calib

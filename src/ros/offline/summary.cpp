@@ -245,6 +245,21 @@ std::string SessionTable(const Calibration& result, const std::vector<RecordingI
   return text;
 }
 
+/// One line instead of the table of the sessions.
+std::string MostApart(const Calibration& result) {
+  const auto most = std::max_element(
+      result.sessions.begin(),
+      result.sessions.end(),
+      [](const SessionCalibration& a, const SessionCalibration& b) {
+        return a.agreement.sigmas < b.agreement.sigmas;
+      });
+  return Format("\n  %zu sessions; farthest from the others: session %d, %s, %.1f sigma\n",
+                result.sessions.size(),
+                static_cast<int>(most - result.sessions.begin()) + 1,
+                most->agreement.worst.c_str(),
+                most->agreement.sigmas);
+}
+
 std::string Transform(const Calibration& result) {
   const auto rows = [](const Rigid3& T) {
     return "  p = " + Vector(1e3 * T.p, "%.3f") +
@@ -512,7 +527,10 @@ std::string Brief(const Calibration& result, const std::vector<RecordingInfo>& r
   for (const RecordingInfo& recording : recordings) infos.push_back(WithPrintableNames(recording));
   std::string text = Verdict(ToString(result.status), result.message);
   text += result.imus.size() == 1 ? Table(result) : ImuTable(result, infos.front());
-  if (result.imus.size() > 1 || result.sessions.size() > 1) text += SessionTable(result, infos);
+  if (result.sessions.size() > 1)
+    text += MostApart(result);
+  else if (result.imus.size() > 1)
+    text += SessionTable(result, infos);
   std::string dropped;
   for (size_t s = 0; s < result.sessions.size(); ++s)
     dropped += AllDropped(result.sessions[s], OfSession(s, result.sessions.size()));

@@ -34,8 +34,8 @@ struct ReportInput {
 void WriteReportData(const ReportInput& input, const std::string& folder);
 
 /// Draws a report with scripts/report.py, which is installed beside the executables: as one HTML
-/// file, or as PDF when `path` ends in ".pdf", that `outputs` puts there. Throws InputError
+/// file, or as PDF when `path` ends in ".pdf", which it returns. Throws InputError
 /// with the reason when it cannot be drawn or written.
-void WriteReport(const ReportInput& input, const std::string& path, OutputFiles* outputs);
+std::string DrawReport(const ReportInput& input, const std::string& path);
 
 }  // namespace imu_pose_calib
