@@ -292,9 +292,8 @@ TEST_F(BagReaderTest, ReadsABagThatIsCutOff) {
   SimulatorOptions options;
   options.duration_s = 60.0;
   WriteBag(Path("plain.bag"), Simulate(options), {});
-  for (const auto compression : {rosbag::compression::Uncompressed,
-                                 rosbag::compression::BZ2,
-                                 rosbag::compression::LZ4}) {
+  for (const auto compression :
+       {rosbag::compression::Uncompressed, rosbag::compression::BZ2, rosbag::compression::LZ4}) {
     Recompress(Path("plain.bag"), Path("recording.bag"), compression);
     const Recording all = ReadBag(Request());
     const std::string whole = ReadText(Path("recording.bag"));
@@ -337,7 +336,8 @@ TEST_F(BagReaderTest, ReadsABagWithoutIndex) {
   EXPECT_EQ(same.data.poses.size(), all.data.poses.size());
   EXPECT_EQ(same.data.imus[0].accel.size(), all.data.imus[0].accel.size());
   ASSERT_EQ(same.info.notes.size(), 1u);
-  EXPECT_TRUE(Contains(same.info.notes[0], "has no index: all of it is read")) << same.info.notes[0];
+  EXPECT_TRUE(Contains(same.info.notes[0], "has no index: all of it is read"))
+      << same.info.notes[0];
 }
 
 TEST_F(BagReaderTest, RefusesAnEmptyBag) {

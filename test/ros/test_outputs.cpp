@@ -250,10 +250,9 @@ TEST_F(OutputsTest, InterruptsTouchNothingOrComeLate) {
     const std::string delay = std::to_string(0.02 + 0.09 * moment);
     SCOPED_TRACE(signal + " after " + delay + " s");
     const std::string old_id = RunId();
-    const Outcome outcome =
-        Run("/usr/bin/env",
-            "TMPDIR='" + Path("tmp") + "' timeout -s " + signal + " " + delay + " " + IMU_POSE_CALIB_BIN_DIR + "/calibrate_bag x.bag " +
-                kAll);
+    const Outcome outcome = Run("/usr/bin/env",
+                                "TMPDIR='" + Path("tmp") + "' timeout -s " + signal + " " + delay +
+                                    " " + IMU_POSE_CALIB_BIN_DIR + "/calibrate_bag x.bag " + kAll);
     const auto after = Contents(dir_);
     if (RunId() == old_id) {
       ++interrupted;

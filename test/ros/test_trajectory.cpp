@@ -49,10 +49,10 @@ std::vector<std::string> Lines(const std::string& path) {
 /// Those of a file of TUM or of ov_eval that are no comments.
 std::vector<std::string> States(const std::string& path) {
   std::vector<std::string> lines = Lines(path);
-  lines.erase(std::remove_if(lines.begin(),
-                             lines.end(),
-                             [](const std::string& line) { return line[0] == '#'; }),
-              lines.end());
+  lines.erase(
+      std::remove_if(
+          lines.begin(), lines.end(), [](const std::string& line) { return line[0] == '#'; }),
+      lines.end());
   return lines;
 }
 
@@ -384,7 +384,8 @@ TEST_F(TrajectoryTest, GpGivesStatesWithoutSigmas) {
   EXPECT_FALSE(std::filesystem::exists(Path("out/mav0/state_groundtruth_estimate0/sigma.csv")));
 }
 
-/// Largest distance of the states of two files of TUM at the same stamps [m], and how many there are.
+/// Largest distance of the states of two files of TUM at the same stamps [m], and how many there
+/// are.
 std::pair<double, size_t> Apart(const std::vector<std::string>& a,
                                 const std::vector<std::string>& b) {
   std::map<int64_t, Eigen::Vector3d> positions;
@@ -432,8 +433,7 @@ TEST_F(TrajectoryTest, SimulationWritesTheTruth) {
   }
   ASSERT_EQ(ExecutableTest::Run("simulate_bag", "y.bag --duration 3 --imus 2 --truth t").status, 0);
   EXPECT_TRUE(std::filesystem::exists(Path("t_imu1/mav0/state_groundtruth_estimate0/data.csv")));
-  const Outcome refused =
-      ExecutableTest::Run("simulate_bag", "new.bag --duration 3 --truth t.xyz");
+  const Outcome refused = ExecutableTest::Run("simulate_bag", "new.bag --duration 3 --truth t.xyz");
   EXPECT_EQ(refused.status, 1);
   EXPECT_FALSE(std::filesystem::exists(Path("new.bag")));
 }

@@ -121,7 +121,8 @@ std::vector<std::string> ListedIn(const std::string& result) {
   constexpr size_t kMaxSize = 10'000'000;
   std::vector<std::string> files;
   try {
-    for (const YAML::Node& file : ParseYaml(ReadYamlFile(result, kMaxSize))["imu_pose_calib"]["files"])
+    for (const YAML::Node& file :
+         ParseYaml(ReadYamlFile(result, kMaxSize))["imu_pose_calib"]["files"])
       files.push_back(fs::path(result).parent_path() / file.as<std::string>());
   } catch (const std::exception&) {
     files.clear();  // no result of ours
@@ -208,14 +209,13 @@ void OutputFiles::MakeFolder(const std::string& path) {
     All().paths.insert(*folder);
   }
   if (error || !fs::is_directory(path, error))
-    throw InputError("folder '" + path + "' cannot be made: " +
-                     (error ? error.message() : std::strerror(ENOTDIR)));
+    throw InputError("folder '" + path +
+                     "' cannot be made: " + (error ? error.message() : std::strerror(ENOTDIR)));
 }
 
 bool OutputFiles::Holds(const std::string& path) const {
-  return std::any_of(files_.begin(), files_.end(), [&](const File& file) {
-    return IsSame(file.target, path);
-  });
+  return std::any_of(
+      files_.begin(), files_.end(), [&](const File& file) { return IsSame(file.target, path); });
 }
 
 void OutputFiles::Replace(File* file) {

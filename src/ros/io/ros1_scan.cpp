@@ -73,8 +73,8 @@ bool Next(std::string_view* bytes, Record* record) {
          Take(bytes, &size) && Take(bytes, size, &record->data) && record->Kind() != '\0';
 }
 
-/// Whether a file that ends with these bytes, which are no whole record, has been cut off there: else
-/// they are no record at all.
+/// Whether a file that ends with these bytes, which are no whole record, has been cut off there:
+/// else they are no record at all.
 bool IsCutOff(std::string_view bytes) {
   constexpr uint32_t kLargestHeader = 1 << 16;
   uint32_t size = 0;
@@ -90,9 +90,8 @@ bool IsCutOff(std::string_view bytes) {
 
 /// The records in a chunk. False when they cannot be had.
 bool Unfold(const Record& chunk, std::string* records) {
-  const std::string_view compression = chunk.fields.count("compression") > 0
-                                           ? chunk.fields.at("compression")
-                                           : std::string_view();
+  const std::string_view compression =
+      chunk.fields.count("compression") > 0 ? chunk.fields.at("compression") : std::string_view();
   const uint32_t size = chunk.Number("size");
   if (size > kMaxBlockSize) return false;
   if (compression == "none") {

@@ -108,8 +108,7 @@ void ReadField(const std::string& key, const YAML::Node& value, CalibrationOptio
     found = true;
     Read(value, &field);
   });
-  if (!found)
-    throw InputError("there is no option '" + key + "'" + DidYouMeanKey(key));
+  if (!found) throw InputError("there is no option '" + key + "'" + DidYouMeanKey(key));
 }
 
 void ReadMap(const YAML::Node& map, CalibrationOptions* options) {

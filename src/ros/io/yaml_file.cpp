@@ -101,8 +101,8 @@ std::string DidYouMean(const std::string& name, const std::vector<std::string>& 
     const size_t place = name.size() < 3 ? std::string::npos : other.find(name);
     return place == std::string::npos ? EditDistance(name, other) : std::min<size_t>(place, 1);
   };
-  const auto nearest = std::min_element(
-      names.begin(), names.end(), [&](const std::string& a, const std::string& b) {
+  const auto nearest =
+      std::min_element(names.begin(), names.end(), [&](const std::string& a, const std::string& b) {
         return distance(a) < distance(b);
       });
   const size_t farthest = std::max<size_t>(1, name.size() / 3);

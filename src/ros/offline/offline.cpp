@@ -131,11 +131,10 @@ void CheckOutput(const Given& output, const OfflineRequest& request) {
 
 /// Throws InputError when a trajectory cannot be written, or would replace something else.
 void PlanTrajectories(const std::vector<OfflineRequest>& sessions, OfflineResult* offline) {
-  for (const TrajectoryTarget& target :
-       PlanTrajectories(offline->trajectory,
-                        offline->options.method,
-                        sessions.size(),
-                        offline->sessions.front().imus.size()))
+  for (const TrajectoryTarget& target : PlanTrajectories(offline->trajectory,
+                                                         offline->options.method,
+                                                         sessions.size(),
+                                                         offline->sessions.front().imus.size()))
     for (const std::string& file : TrajectoryFiles(target.path, target.format)) {
       for (const OfflineRequest& session : sessions) CheckOutput({"trajectory", file}, session);
       offline->outputs->Plan("trajectory", file, target.format == TrajectoryFormat::kAsl);
@@ -398,10 +397,8 @@ std::vector<std::string> SplitBags(const std::string& text) {
 std::string WriteResult(OfflineResult* offline, const Progress& progress) {
   OutputFiles* outputs = offline->outputs.get();
   std::vector<std::string>& written = offline->written;
-  const std::string yaml = ToYaml(offline->result,
-                                  offline->infos,
-                                  offline->options,
-                                  {outputs->run_id(), OtherFiles(*offline)});
+  const std::string yaml = ToYaml(
+      offline->result, offline->infos, offline->options, {outputs->run_id(), OtherFiles(*offline)});
   std::string no_report;
   try {
     outputs->Write(offline->output, yaml);
@@ -428,8 +425,8 @@ std::string WriteResult(OfflineResult* offline, const Progress& progress) {
 
 std::string Describe(const OfflineResult& offline, bool is_verbose) {
   constexpr size_t kMostFiles = 3;
-  std::string text = is_verbose ? Summary(offline.result, offline.infos)
-                                : Brief(offline.result, offline.infos);
+  std::string text =
+      is_verbose ? Summary(offline.result, offline.infos) : Brief(offline.result, offline.infos);
   std::vector<std::string> written = offline.written;
   if (!is_verbose && written.size() > kMostFiles) {  // the exports
     const size_t more = written.size() - kMostFiles;

@@ -174,7 +174,8 @@ void WriteReportData(const ReportInput& input, const std::string& folder) {
   out << report;
   WriteFile(folder + "/report.yaml", out.c_str());
   if (!is_solved) return;
-  WriteFile(folder + "/result.yaml", ToYaml(input.result, input.infos, input.options, {input.run_id}));
+  WriteFile(folder + "/result.yaml",
+            ToYaml(input.result, input.infos, input.options, {input.run_id}));
   WriteFile(folder + "/summary.txt", Summary(input.result, input.infos));
 }
 
@@ -193,8 +194,7 @@ std::string DrawReport(const ReportInput& input, const std::string& path) {
   const std::string run = "imu_pose_calib " + std::string(kVersion) + ", run_id: " + input.run_id;
   std::string page = ReadAll(drawn);
   if (is_pdf) return page + "% " + run + "\n";  // a comment may follow the end
-  boost::replace_first(
-      page, "<title>", "<meta name=\"generator\" content=\"" + run + "\"><title>");
+  boost::replace_first(page, "<title>", "<meta name=\"generator\" content=\"" + run + "\"><title>");
   return kReportHeader + ("\n" + page);
 }
 

@@ -247,12 +247,11 @@ std::string SessionTable(const Calibration& result, const std::vector<RecordingI
 
 /// One line instead of the table of the sessions.
 std::string MostApart(const Calibration& result) {
-  const auto most = std::max_element(
-      result.sessions.begin(),
-      result.sessions.end(),
-      [](const SessionCalibration& a, const SessionCalibration& b) {
-        return a.agreement.sigmas < b.agreement.sigmas;
-      });
+  const auto most = std::max_element(result.sessions.begin(),
+                                     result.sessions.end(),
+                                     [](const SessionCalibration& a, const SessionCalibration& b) {
+                                       return a.agreement.sigmas < b.agreement.sigmas;
+                                     });
   return Format("\n  %zu sessions; farthest from the others: session %d, %s, %.1f sigma\n",
                 result.sessions.size(),
                 static_cast<int>(most - result.sessions.begin()) + 1,

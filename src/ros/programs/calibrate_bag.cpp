@@ -17,7 +17,8 @@ namespace po = boost::program_options;
 
 struct CommandLine {
   OfflineRequest request;
-  bool check = false, quiet = false, verbose = false, help = false, help_all = false, version = false;
+  bool check = false, quiet = false, verbose = false, help = false, help_all = false,
+       version = false;
 };
 
 /// An option that can be given again and again: `field` gets all values, with blanks between them.

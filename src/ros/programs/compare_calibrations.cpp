@@ -125,8 +125,8 @@ bool AreOfOneRecording(const std::vector<StoredResult>& results, size_t imu) {
 bool HaveDataInCommon(const StoredResult& a, const StoredResult& b, size_t imu) {
   const bool are_single = a.result.sessions.size() == 1 && b.result.sessions.size() == 1;
   const double apart = std::abs(a.Clock(imu).clock_reference - b.Clock(imu).clock_reference);
-  const double half_lengths = 0.5 * (a.result.sessions[0].poses.duration_s +
-                                     b.result.sessions[0].poses.duration_s);
+  const double half_lengths =
+      0.5 * (a.result.sessions[0].poses.duration_s + b.result.sessions[0].poses.duration_s);
   for (const RecordingInfo& its : a.infos)
     for (const RecordingInfo& other : b.infos)
       if (its.Source() == other.Source() && (!are_single || apart < half_lengths)) return true;
@@ -139,8 +139,8 @@ std::string DependenceRemark(const std::vector<StoredResult>& results, size_t im
   for (size_t i = 0; i < results.size(); ++i)
     for (size_t j = i + 1; j < results.size(); ++j)
       if (HaveDataInCommon(results[i], results[j], imu))
-        pairs += (pairs.empty() ? "" : ", ") + std::to_string(i + 1) + " and " +
-                 std::to_string(j + 1);
+        pairs +=
+            (pairs.empty() ? "" : ", ") + std::to_string(i + 1) + " and " + std::to_string(j + 1);
   if (pairs.empty()) return "";
   return Wrap("  note: ",
               "results " + pairs + " are of the same or overlapping data: that they agree does " +
@@ -388,7 +388,8 @@ void CompareAll(const CommandLine& line) {
   const bool agrees = worst.sigmas <= kAgreementBound;
   const std::string verdict =
       (agrees ? "; most apart: " : ": ") + worst.text + Format(" (bound: %.0f)", kAgreementBound);
-  text = (agrees ? "AGREE" : "DIFFER") + verdict + "\n" + DependenceRemark(results, line.imu) + text;
+  text =
+      (agrees ? "AGREE" : "DIFFER") + verdict + "\n" + DependenceRemark(results, line.imu) + text;
   if (!line.chain_output.empty())
     for (const std::string& path : WriteChain(line, results.front(), cameras))
       text += "Written to " + path + "\n";

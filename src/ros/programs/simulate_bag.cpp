@@ -173,8 +173,7 @@ void WriteTruth(const TrajectoryTarget& target,
   SimulatorOptions exact = options;  // but for the clock and the filters of the IMU
   exact.effects.pose_stream = {};
   const double middle = 0.5 * options.duration_s;
-  const double delay =
-      TrueClock(exact).time_shift_s - options.time_shift_s - Wander(exact, middle);
+  const double delay = TrueClock(exact).time_shift_s - options.time_shift_s - Wander(exact, middle);
   std::vector<ImuTrack::Instant> instants;
   for (int k = 0; k < options.duration_s * options.gyro_rate_hz; ++k) {
     const double s = k / options.gyro_rate_hz;  // since the first

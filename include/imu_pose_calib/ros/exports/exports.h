@@ -33,8 +33,8 @@ std::vector<ExportFile> Export(const StoredResult& stored,
                                const std::string& name,
                                const ExportOptions& options = {});
 
-/// Writes the files of all `names` to `outputs`, next to the result, or into `folder` if that is not empty:
-/// my.calibration.kalibr.imu0.yaml for my.calibration.yaml. Returns their paths.
+/// Writes the files of all `names` to `outputs`, next to the result, or into `folder` if that is
+/// not empty: my.calibration.kalibr.imu0.yaml for my.calibration.yaml. Returns their paths.
 std::vector<std::string> WriteExports(const StoredResult& stored,
                                       const std::vector<std::string>& names,
                                       OutputFiles* outputs,

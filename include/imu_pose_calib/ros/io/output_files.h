@@ -10,8 +10,8 @@
 namespace imu_pose_calib {
 
 /// The files of one run, which appear together or not at all: each is written beside its place and
-/// renamed by Commit(). Without it they are gone in the end, and what was there is as it was. A link
-/// stays, and what it leads to is replaced. Errors are InputErrors that name path and reason.
+/// renamed by Commit(). Without it they are gone in the end, and what was there is as it was. A
+/// link stays, and what it leads to is replaced. Errors are InputErrors that name path and reason.
 class OutputFiles {
  public:
   OutputFiles();
@@ -77,8 +77,8 @@ class TemporaryFolder {
   std::filesystem::path path_;
 };
 
-/// While it lives, SIGINT, SIGTERM and SIGHUP end the process as they do, but not before what is not
-/// committed is removed, nor amid a commit. To be made before other threads.
+/// While it lives, SIGINT, SIGTERM and SIGHUP end the process as they do, but not before what is
+/// not committed is removed, nor amid a commit. To be made before other threads.
 class InterruptGuard {
  public:
   InterruptGuard();

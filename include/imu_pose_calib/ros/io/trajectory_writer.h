@@ -47,8 +47,8 @@ struct TrajectoryCount {
   bool is_marked = true;
 };
 
-/// Gives `outputs` a file, or a folder for kAsl; each names the run where its format has a place for
-/// that, and which states are carried. Throws InputError when it cannot be written, or when the
+/// Gives `outputs` a file, or a folder for kAsl; each names the run where its format has a place
+/// for that, and which states are carried. Throws InputError when it cannot be written, or when the
 /// format needs covariances that there are none of.
 TrajectoryCount WriteTrajectory(const std::string& path,
                                 TrajectoryFormat format,

@@ -68,9 +68,9 @@ std::string OutputPath(const OfflineRequest& request);
 std::string ReportPath(const OfflineRequest& request);
 
 /// Reads the recording (before ros::start(), see ReadBag()) and calibrates, after it has tried that
-/// all outputs can be written. A failure leaves everything of an earlier run as it was, and its text
-/// names that. Data that are refused have their report written, when one is wanted: beside a report
-/// that is there, as x.refused.html.
+/// all outputs can be written. A failure leaves everything of an earlier run as it was, and its
+/// text names that. Data that are refused have their report written, when one is wanted: beside a
+/// report that is there, as x.refused.html.
 ///
 /// Throws InputError when something cannot be used as given, DataError when no calibration can come
 /// from the data: so the result is always usable.
@@ -79,10 +79,10 @@ OfflineResult CalibrateOffline(const OfflineRequest& request, const Progress& pr
 /// The bags that one text names: a file of that name, or else names with white space between them.
 std::vector<std::string> SplitBags(const std::string& text);
 
-/// Writes, as far as the request asks for them, the result, what it is to be exported to, the ground
-/// truth and the report, all at once; `outputs` may hold more. When a file cannot be written, prints
-/// the text of the result on stdout before it throws, and leaves everything as it was. Only a report
-/// that cannot be drawn is left out: returns why. Lets go of the recorded data.
+/// Writes, as far as the request asks for them, the result, what it is to be exported to, the
+/// ground truth and the report, all at once; `outputs` may hold more. When a file cannot be
+/// written, prints the text of the result on stdout before it throws, and leaves everything as it
+/// was. Only a report that cannot be drawn is left out: returns why. Lets go of the recorded data.
 std::string WriteResult(OfflineResult* offline, const Progress& progress = {});
 
 /// What a person reads in the terminal: result, the files that were written, and those of earlier
