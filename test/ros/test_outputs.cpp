@@ -90,6 +90,48 @@ TEST_F(OutputFilesTest, LinksStayAndLeadToWhatIsNew) {
 
 // --- calibrate_bag ---
 
+/// Each is refused before anything is calibrated.
+const char* const kMistakes[] = {
+    "x.bag --imu-topic /nope",
+    "x.bag --pose-topic /nope",
+    "x.bag --pose-topic /imu",
+    "x.bag --imu-topic /mocap/pose",
+    "x.bag --gyro-topic /imu",
+    "x.bag --tf-parent world",
+    "x.bag --body rig",
+    "x.bag --method foo",
+    "x.bag --duration -5",
+    "x.bag --duration five",
+    "x.bag --start 1000",
+    "x.bag --start -1",
+    "x.bag --config nope.yaml",
+    "x.bag --config bad.yaml",
+    "x.bag --config wide.yaml",
+    "x.bag --config folder",
+    "x.bag --imu-yaml nope.yaml",
+    "x.bag --imu-yaml noise.yaml",
+    "x.bag --trajectory q.xyz",
+    "x.bag --trajectory no/dir.tum",
+    "x.bag --trajectory-format foo",
+    "x.bag --trajectory-rate -1",
+    "x.bag --trajectory-clock foo",
+    "x.bag --trajectory x.bag",
+    "x.bag --export foo",
+    "x.bag --report r.txt",
+    "x.bag --report no/such/r.html",
+    "x.bag --output no/such/y.yaml",
+    "x.bag --output folder",
+    "x.bag --output x.bag",
+    "x.bag --output /dev/full",
+    "x.bag --marker-frame a --imu-frame a",
+    "x.bag --imu-frame 'a b'",
+    "x.bag --no-such-option",
+    "x.bag nope.bag",
+    "nope.bag --output x.calibration.yaml",
+    "mine.txt",
+    "--poses mine.txt --imu mine.txt",
+};
+
 class OutputsTest : public ExecutableTest {
  protected:
   static constexpr char kAll[] =
@@ -163,44 +205,7 @@ TEST_F(OutputsTest, UsageErrorsTouchNothing) {
   std::filesystem::create_directory(Path("folder"));
   const auto before = Contents(dir_);
   const std::string all = kAll;
-  for (const std::string& options : std::vector<std::string>{"x.bag --imu-topic /nope",
-                                                             "x.bag --pose-topic /nope",
-                                                             "x.bag --pose-topic /imu",
-                                                             "x.bag --imu-topic /mocap/pose",
-                                                             "x.bag --gyro-topic /imu",
-                                                             "x.bag --tf-parent world",
-                                                             "x.bag --body rig",
-                                                             "x.bag --method foo",
-                                                             "x.bag --duration -5",
-                                                             "x.bag --duration five",
-                                                             "x.bag --start 1000",
-                                                             "x.bag --start -1",
-                                                             "x.bag --config nope.yaml",
-                                                             "x.bag --config bad.yaml",
-                                                             "x.bag --config wide.yaml",
-                                                             "x.bag --config folder",
-                                                             "x.bag --imu-yaml nope.yaml",
-                                                             "x.bag --imu-yaml noise.yaml",
-                                                             "x.bag --trajectory q.xyz",
-                                                             "x.bag --trajectory no/dir.tum",
-                                                             "x.bag --trajectory-format foo",
-                                                             "x.bag --trajectory-rate -1",
-                                                             "x.bag --trajectory-clock foo",
-                                                             "x.bag --trajectory x.bag",
-                                                             "x.bag --export foo",
-                                                             "x.bag --report r.txt",
-                                                             "x.bag --report no/such/r.html",
-                                                             "x.bag --output no/such/y.yaml",
-                                                             "x.bag --output folder",
-                                                             "x.bag --output x.bag",
-                                                             "x.bag --output /dev/full",
-                                                             "x.bag --marker-frame a --imu-frame a",
-                                                             "x.bag --imu-frame 'a b'",
-                                                             "x.bag --no-such-option",
-                                                             "x.bag nope.bag",
-                                                             "nope.bag --output x.calibration.yaml",
-                                                             "mine.txt",
-                                                             "--poses mine.txt --imu mine.txt"}) {
+  for (const std::string options : kMistakes) {
     // What is given again comes last, and counts.
     const bool has_all = options.find("--report") == std::string::npos &&
                          options.find("--export") == std::string::npos &&

@@ -80,7 +80,7 @@ TEST(Summary, SaysWhatAPersonNeeds) {
 
 /// The row of the table that begins with `name`.
 std::string RowOf(const Calibration& result, const std::string& name) {
-  std::istringstream lines(Brief(result, {MakeInfo()}));
+  std::istringstream lines(Brief(result, {MakeInfo()}, 20));
   for (std::string line; std::getline(lines, line);)
     if (Contains(line, "  " + name)) return line;
   return "";
@@ -114,7 +114,21 @@ TEST(Summary, VerdictsOfRowsFollowTheirOwnBounds) {
   expect("translation", "ok");
 }
 
-/// Against rotations that are drawn from the covariance.
+TEST(Summary, BriefHasAsManyWarningsAsFit) {
+  Calibration result = MakeResult();
+  result.warnings = {
+      std::string(100, 'a') + " " + std::string(40, 'b'), "short", "third", "fourth"};
+  const auto brief = [&](size_t lines) {
+    const std::string text = Brief(result, {MakeInfo()}, lines);
+    EXPECT_LE(std::count(text.begin(), text.end(), '\n'), std::max<int64_t>(16, lines));
+    return text;
+  };
+  EXPECT_TRUE(Contains(brief(0), "\n  4 warnings: --verbose\n"));
+  EXPECT_TRUE(Contains(brief(19), "short\n  2 more warnings: --verbose\n")) << brief(19);
+  EXPECT_TRUE(Contains(brief(30), "warning: fourth\n\nrosrun")) << brief(30);
+}
+
+/// With a pitch of 60 deg roll and yaw are coupled.
 TEST(Summary, SigmasOfAnglesAreThoseOfTheAngles) {
   Calibration result = MakeResult();
   ImuCalibration& imu = result.imus[0];
@@ -127,7 +141,7 @@ TEST(Summary, SigmasOfAnglesAreThoseOfTheAngles) {
   EXPECT_TRUE(Contains(RowOf(result, "rpy"), "0.2066, 0.0057, 0.2292")) << RowOf(result, "rpy");
   imu.T_MI.q = Eigen::AngleAxisd(M_PI / 2.0 - 1e-3, Eigen::Vector3d::UnitY());
   EXPECT_TRUE(Contains(RowOf(result, "rpy"), "0.0573, 0.0057, 0.1146"));
-  EXPECT_TRUE(Contains(Brief(result, {MakeInfo()}), "pitch near 90 deg"));
+  EXPECT_TRUE(Contains(Brief(result, {MakeInfo()}, 20), "pitch near 90 deg"));
 }
 
 TEST(Summary, ShowsNamesWithoutControlCharacters) {

@@ -148,7 +148,7 @@ TrajectoryCount WriteAsl(const std::string& path,
   TextTable states(kEurocHeader, ',', kDigits);
   TextTable sigmas(kSigmaHeader, ',', kDigits);
   TextTable samples(kAslImuHeader, ',', kDigits);
-  const TrajectoryCount count = ForEachState(output, [&](int64_t stamp_ns, const ImuState& x) {
+  TrajectoryCount count = ForEachState(output, [&](int64_t stamp_ns, const ImuState& x) {
     AddEuroc(stamp_ns, x, &states);
     if (output.has_covariance) AddSigmas(stamp_ns, x, &sigmas);
   });
@@ -234,7 +234,7 @@ TrajectoryCount WriteBag(const std::string& path,
   track.header.frame_id = output.world_frame;
   int64_t next_ns = 0;
   std::optional<bool> last_carried;
-  const TrajectoryCount count = ForEachState(output, [&](int64_t stamp_ns, const ImuState& x) {
+  TrajectoryCount count = ForEachState(output, [&](int64_t stamp_ns, const ImuState& x) {
     const ros::Time stamp = std::max(ros::TIME_MIN, FromNanoseconds(stamp_ns));
     const std_msgs::Header header = MakeHeader(stamp, output.world_frame);
     const nav_msgs::Odometry odometry = ToOdometry(header, child, x);

@@ -426,9 +426,7 @@ std::string WriteResult(OfflineResult* offline, const Progress& progress) {
 }
 
 std::string Describe(const OfflineResult& offline, bool is_verbose) {
-  constexpr size_t kMostFiles = 3;
-  std::string text =
-      is_verbose ? Summary(offline.result, offline.infos) : Brief(offline.result, offline.infos);
+  constexpr size_t kMostFiles = 3, kScreen = 25;
   std::vector<std::string> written = offline.written;
   if (!is_verbose && written.size() > kMostFiles) {  // the exports
     const size_t more = written.size() - kMostFiles;
@@ -436,13 +434,15 @@ std::string Describe(const OfflineResult& offline, bool is_verbose) {
     written.erase(first, first + static_cast<std::ptrdiff_t>(more));
     written.push_back("and " + std::to_string(more) + " more beside the first: --verbose");
   }
-  text += WrittenTo(written);
-  if (!offline.export_note.empty()) text += Wrap("  note: ", Printable(offline.export_note));
+  std::string files = WrittenTo(written);
+  if (!offline.export_note.empty()) files += Wrap("  note: ", Printable(offline.export_note));
   std::vector<std::string> older = offline.earlier;
   const auto is_new = [&](const std::string& file) { return offline.outputs->Holds(file); };
   older.erase(std::remove_if(older.begin(), older.end(), is_new), older.end());
-  if (!older.empty()) text += Wrap("  older, of another run: ", Printable(WithTimes(older)));
-  return text;
+  if (!older.empty()) files += Wrap("  older, of another run: ", Printable(WithTimes(older)));
+  if (is_verbose) return Summary(offline.result, offline.infos) + files;
+  const auto lines = static_cast<size_t>(std::count(files.begin(), files.end(), '\n'));
+  return Brief(offline.result, offline.infos, kScreen - std::min(kScreen, lines)) + files;
 }
 
 std::vector<OfflineCheck> CheckOffline(const OfflineRequest& given) {

@@ -154,10 +154,21 @@ std::string AllDropped(const SessionCalibration& session, const std::string& of)
   return text;
 }
 
-/// A line, cut to the width of a terminal.
-std::string Shortened(const std::string& line) {
-  constexpr size_t kColumns = 80;
-  return (line.size() <= kColumns ? line : line.substr(0, kColumns - 4) + " ...") + "\n";
+/// So many lines at most of the warnings, with the number of those left out.
+std::string FirstWarnings(const Calibration& result, size_t lines) {
+  std::string text;
+  size_t used = 0, shown = 0;
+  for (; shown < result.warnings.size(); ++shown) {
+    const std::string warning = Wrap("  warning: ", Printable(result.warnings[shown]));
+    const auto size = static_cast<size_t>(std::count(warning.begin(), warning.end(), '\n'));
+    const bool is_last = shown + 1 == result.warnings.size();
+    if (used + size + (is_last ? 0 : 1) > lines) break;
+    text += warning;
+    used += size;
+  }
+  const size_t more = result.warnings.size() - shown;
+  if (more > 0) text += Format("  %zu %swarnings: --verbose\n", more, shown > 0 ? "more " : "");
+  return text;
 }
 
 /// What a person wants to know first.
@@ -520,8 +531,9 @@ std::string Summary(const Calibration& result, const std::vector<RecordingInfo>&
   return text;
 }
 
-std::string Brief(const Calibration& result, const std::vector<RecordingInfo>& recordings) {
-  constexpr size_t kMostWarnings = 2;
+std::string Brief(const Calibration& result,
+                  const std::vector<RecordingInfo>& recordings,
+                  size_t lines) {
   std::vector<RecordingInfo> infos;
   for (const RecordingInfo& recording : recordings) infos.push_back(WithPrintableNames(recording));
   std::string text = Verdict(ToString(result.status), result.message);
@@ -534,13 +546,12 @@ std::string Brief(const Calibration& result, const std::vector<RecordingInfo>& r
   for (size_t s = 0; s < result.sessions.size(); ++s)
     dropped += AllDropped(result.sessions[s], OfSession(s, result.sessions.size()));
   text += "\n" + Wrap("  dropped: ", dropped.empty() ? "no samples" : dropped.substr(2));
-  for (size_t k = 0; k < std::min(kMostWarnings, result.warnings.size()); ++k)
-    text += Shortened("  warning: " + Printable(result.warnings[k]));
-  if (result.warnings.size() > kMostWarnings)
-    text += Format("  ... and %zu more\n", result.warnings.size() - kMostWarnings);
+  std::string tf;
   for (size_t i = 0; i < result.imus.size(); ++i)
-    text += StaticTransform(result.imus[i].T_MI, infos[0].marker_frame, infos[0].imus[i].imu_frame);
-  return text;
+    tf += StaticTransform(result.imus[i].T_MI, infos[0].marker_frame, infos[0].imus[i].imu_frame);
+  const auto used = static_cast<size_t>(std::count(text.begin(), text.end(), '\n') +
+                                        std::count(tf.begin(), tf.end(), '\n'));
+  return text + FirstWarnings(result, lines > used ? lines - used : 0) + tf;
 }
 
 std::string WrittenTo(const std::vector<std::string>& paths) {
