@@ -11,6 +11,7 @@
 #include <filesystem>
 #include <fstream>
 #include <iterator>
+#include <memory>
 #include <sstream>
 
 #include "imu_pose_calib/ros/io/conversions.h"
@@ -225,11 +226,10 @@ nav_msgs::Odometry ToOdometry(const std_msgs::Header& header,
   return msg;
 }
 
-TrajectoryCount WriteBag(const std::string& path,
-                         const TrajectoryOutput& output,
-                         OutputFiles* outputs) {
+TrajectoryCount FillBag(const TrajectoryOutput& output,
+                        const std::string& run_id,
+                        rosbag::Bag* bag) {
   const std::string child = output.imu_frame + "_ground_truth";
-  rosbag::Bag bag(outputs->Draft(path), rosbag::bagmode::Write);
   nav_msgs::Path track;
   track.header.frame_id = output.world_frame;
   int64_t next_ns = 0;
@@ -238,17 +238,17 @@ TrajectoryCount WriteBag(const std::string& path,
     const ros::Time stamp = std::max(ros::TIME_MIN, FromNanoseconds(stamp_ns));
     const std_msgs::Header header = MakeHeader(stamp, output.world_frame);
     const nav_msgs::Odometry odometry = ToOdometry(header, child, x);
-    bag.write("/ground_truth/odometry", stamp, odometry);
+    bag->write("/ground_truth/odometry", stamp, odometry);
     if (last_carried != x.is_carried) {
       std_msgs::Bool carried;
       carried.data = x.is_carried;
-      bag.write("/ground_truth/by_imu_alone", stamp, carried);
+      bag->write("/ground_truth/by_imu_alone", stamp, carried);
       last_carried = x.is_carried;
     }
 
     tf2_msgs::TFMessage tf;
     tf.transforms = {ToTransformStamped(header, child, {x.q_WI, x.p_WI})};
-    bag.write("/tf", stamp, tf);
+    bag->write("/tf", stamp, tf);
 
     if (!track.poses.empty() && stamp_ns < next_ns) return;
     next_ns = stamp_ns + kPathPeriodNs;
@@ -259,13 +259,27 @@ TrajectoryCount WriteBag(const std::string& path,
   // At the start, so that whoever plays it sees the whole.
   if (!track.poses.empty()) {
     track.header.stamp = track.poses.front().header.stamp;
-    bag.write("/ground_truth/path", track.header.stamp, track);
+    bag->write("/ground_truth/path", track.header.stamp, track);
     std_msgs::String run;
-    run.data = outputs->run_id();
-    bag.write("/ground_truth/run_id", track.header.stamp, run);
+    run.data = run_id;
+    bag->write("/ground_truth/run_id", track.header.stamp, run);
   }
-  bag.close();
+  bag->close();
   return count;
+}
+
+TrajectoryCount WriteBag(const std::string& path,
+                         const TrajectoryOutput& output,
+                         OutputFiles* outputs) {
+  auto bag = std::make_unique<rosbag::Bag>(outputs->Draft(path), rosbag::bagmode::Write);
+  try {
+    return FillBag(output, outputs->run_id(), bag.get());
+  } catch (const rosbag::BagException&) {
+    // On a full disk its destructor, which writes the rest, would end the process: it is kept.
+    static auto* unfinished = new std::vector<std::unique_ptr<rosbag::Bag>>;
+    unfinished->push_back(std::move(bag));
+    throw;
+  }
 }
 
 }  // namespace
