@@ -15,7 +15,6 @@ namespace imu_pose_calib {
 namespace {
 
 // Sigmas of ordinary clocks, trackers and IMUs.
-constexpr double kDriftPrior = 1e-4;      // [s/s]
 constexpr double kSmoothingPrior = 1e-3;  // [s^2]
 constexpr double kPoseScalePrior = 1e-3;  // [1]
 // A filter that spreads samples over time delays them, too. Where the delay is small, so is the

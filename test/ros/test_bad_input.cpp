@@ -55,14 +55,6 @@ std::function<void(const Directory&)> Edit(const std::function<void(std::string*
   };
 }
 
-void CutOff(std::string* text) { text->resize(text->size() / 2); }
-
-/// As while recording.
-void RemoveIndex(std::string* text) {
-  const std::string key = "index_pos=";
-  text->replace(text->find(key) + key.size(), 8, 8, '\0');
-}
-
 template <typename Msg>
 Msg Stamped(double t, const std::string& frame) {
   Msg msg;
@@ -240,12 +232,6 @@ const std::vector<BadInput> kFiles = {
      {"output 'p.txt' would replace the poses 'p.txt'"}},
     {"BagIsEmptyFile", File("e.bag", ""), "e.bag", 1, {"'e.bag' is not a ROS 1 bag"}},
     {"BagIsText", File("t.bag", "t,x,y,z\n"), "t.bag", 1, {"'t.bag' is not a ROS 1 bag"}},
-    {"BagIsCutOff", Edit(CutOff), "x.bag", 1, {"'x.bag' is damaged", "run: rosbag reindex x.bag"}},
-    {"BagHasNoIndex",
-     Edit(RemoveIndex),
-     "x.bag",
-     1,
-     {"bag 'x.bag' has no index", "run: rosbag reindex x.bag"}},
     {"BagOfAnotherVersion",
      Edit([](std::string* text) { text->replace(0, 13, "#ROSBAG V9.9\n"); }),
      "x.bag",

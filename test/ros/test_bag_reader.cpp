@@ -1,3 +1,4 @@
+#include <geometry_msgs/PoseStamped.h>
 #include <nav_msgs/Odometry.h>
 #include <tf2_msgs/TFMessage.h>
 
@@ -286,23 +287,57 @@ TEST_F(BagReaderTest, RefusesWhatIsNoBag) {
   ExpectRefusal(Request(), {"recording.bag", "not a ROS 1 bag"});
 }
 
-TEST_F(BagReaderTest, RefusesACutOffBag) {
-  WriteBag(Path("recording.bag"), Simulate(ShortSimulation()), {});
+/// As after a loss of power: read as far as chunks are whole, and refused when none is.
+TEST_F(BagReaderTest, ReadsABagThatIsCutOff) {
+  SimulatorOptions options;
+  options.duration_s = 60.0;
+  WriteBag(Path("plain.bag"), Simulate(options), {});
+  for (const auto compression :
+       {rosbag::compression::Uncompressed, rosbag::compression::BZ2, rosbag::compression::LZ4}) {
+    Recompress(Path("plain.bag"), Path("recording.bag"), compression);
+    const Recording all = ReadBag(Request());
+    const std::string whole = ReadText(Path("recording.bag"));
+    size_t last = 0;
+    for (const size_t size : {whole.size() / 2, whole.size() * 3 / 4, whole.size() - 10}) {
+      Write("recording.bag", whole.substr(0, size));
+      const Recording part = ReadBag(Request());
+      const size_t count = part.data.poses.size();
+      EXPECT_GT(count, std::max<size_t>(last, 100)) << size;
+      ASSERT_LE(count, all.data.poses.size());
+      last = count;
+      for (size_t k = 0; k < count; ++k) {
+        ASSERT_EQ(part.data.poses[k].t_ns, all.data.poses[k].t_ns);
+        ASSERT_EQ(part.data.poses[k].p_WM, all.data.poses[k].p_WM);
+      }
+      for (size_t k = 0; k < part.data.imus[0].gyro.size(); ++k)
+        ASSERT_EQ(part.data.imus[0].gyro[k].value, all.data.imus[0].gyro[k].value);
+      ASSERT_EQ(part.info.notes.size(), 1u);
+      EXPECT_TRUE(Contains(part.info.notes[0], "of " + std::to_string(size))) << size;
+    }
+    EXPECT_EQ(last, all.data.poses.size());
+  }
   const std::string whole = ReadText(Path("recording.bag"));
-  for (const size_t size : {size_t{20}, size_t{4096}, whole.size() / 2, whole.size() - 10}) {
+  for (const size_t size : {size_t{20}, size_t{4096}}) {
     Write("recording.bag", whole.substr(0, size));
     ExpectRefusal(Request(), {"recording.bag", "rosbag reindex " + Path("recording.bag")});
   }
 }
 
-TEST_F(BagReaderTest, RefusesABagWithoutIndex) {
+/// A file of rosbag record that is still .active has no index.
+TEST_F(BagReaderTest, ReadsABagWithoutIndex) {
   WriteBag(Path("recording.bag"), Simulate(ShortSimulation()), {});
+  const Recording all = ReadBag(Request());
   std::string text = ReadText(Path("recording.bag"));
   const std::string key = "index_pos=";
   const size_t value = text.find(key) + key.size();
   text.replace(value, 8, 8, '\0');  // as while recording
   Write("recording.bag", text);
-  ExpectRefusal(Request(), {"no index", "rosbag reindex " + Path("recording.bag")});
+  const Recording same = ReadBag(Request());
+  EXPECT_EQ(same.data.poses.size(), all.data.poses.size());
+  EXPECT_EQ(same.data.imus[0].accel.size(), all.data.imus[0].accel.size());
+  ASSERT_EQ(same.info.notes.size(), 1u);
+  EXPECT_TRUE(Contains(same.info.notes[0], "has no index: all of it is read"))
+      << same.info.notes[0];
 }
 
 TEST_F(BagReaderTest, RefusesAnEmptyBag) {
@@ -364,6 +399,41 @@ TEST_F(BagReaderTest, WriterRefusesWhatItCannotWrite) {
   uneven = Simulate(ShortSimulation(), 2);
   uneven.imus[1].accel.clear();
   ExpectError<InputError>([&] { WriteBag(Path("x.bag"), uneven, {}); }, {"600 and 0"});
+}
+
+TEST_F(BagReaderTest, TakesTheOnlyPairOfTfFrames) {
+  const SessionData data = Simulate(ShortSimulation());
+  const auto record = [&](bool with_another) {
+    WriteBag(Path("recording.bag"), data, {});
+    rosbag::Bag from(Path("recording.bag")), to(Path("tf.bag"), rosbag::bagmode::Write);
+    for (const rosbag::MessageInstance& message : rosbag::View(from)) {
+      const auto pose = message.instantiate<geometry_msgs::PoseStamped>();
+      if (!pose) {
+        to.write(message.getTopic(), message.getTime(), message);
+        continue;
+      }
+      tf2_msgs::TFMessage tf;
+      tf.transforms.resize(with_another ? 2 : 1);
+      for (geometry_msgs::TransformStamped& transform : tf.transforms) {
+        transform.header = pose->header;
+        transform.child_frame_id = &transform == &tf.transforms[0] ? "rig" : "other";
+        transform.transform.rotation = pose->pose.orientation;
+        transform.transform.translation.x = pose->pose.position.x;
+        transform.transform.translation.y = pose->pose.position.y;
+        transform.transform.translation.z = pose->pose.position.z;
+      }
+      to.write("/tf", message.getTime(), tf);
+    }
+  };
+  BagRequest request;
+  request.paths = {Path("tf.bag")};
+  record(false);
+  const Recording recording = ReadBag(request);
+  EXPECT_EQ(recording.data.poses.size(), data.poses.size());
+  EXPECT_EQ(recording.info.world_frame, "world");
+  EXPECT_EQ(recording.info.marker_frame, "rig");
+  record(true);
+  ExpectRefusal(request, {"give tf_parent and tf_child", "world -> other, world -> rig"});
 }
 
 }  // namespace

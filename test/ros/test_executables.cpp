@@ -48,7 +48,7 @@ TEST_F(CalibrateBagTest, CalibratesASimulatedBag) {
   const Outcome outcome = Calibrate("x.bag");
   ASSERT_EQ(outcome.status, 0) << outcome.err;
   EXPECT_EQ(outcome.err, "");
-  EXPECT_TRUE(Contains(outcome.out, "x_marker = R x_imu + p")) << outcome.out;
+  EXPECT_TRUE(Contains(outcome.out, "translation [mm]")) << outcome.out;
   EXPECT_TRUE(Contains(outcome.out, "Written to x.calibration.yaml")) << outcome.out;
 
   const YAML::Node result = YAML::LoadFile(Path("x.calibration.yaml"));
@@ -121,11 +121,11 @@ TEST_F(CalibrateBagTest, PartsOfTheSampleAgreeWithinTheirSigmas) {
           begin["std"][0]);
 }
 
-TEST_F(CalibrateBagTest, PrintsTheResultThatCannotBeWritten) {
+TEST_F(CalibrateBagTest, TriesTheOutputBeforeTheSolve) {
   WriteSimulation(Simulate(Handheld()));
-  const Outcome outcome = Calibrate("x.bag --quiet --output no/such/dir.yaml");
+  const Outcome outcome = Calibrate("x.bag --output no/such/dir.yaml");
   EXPECT_EQ(outcome.status, 1);
-  EXPECT_EQ(YAML::Load(outcome.out)["imu_pose_calib"]["status"].as<std::string>(), "ok");
+  EXPECT_EQ(outcome.out, "");
   EXPECT_EQ(outcome.err,
             "calibrate_bag: error: output 'no/such/dir.yaml' cannot be written: No such file or "
             "directory\n");
@@ -137,7 +137,7 @@ std::string Numbers(const std::string& yaml) {
   std::string text, line;
   while (std::getline(in, line))
     if (!Contains(line, "date:") && !Contains(line, "_topic:") && !Contains(line, "_file:") &&
-        !Contains(line, "bag:"))
+        !Contains(line, "bag:") && !Contains(line, "run_id:"))
       text += line + "\n";
   return text;
 }
@@ -185,7 +185,7 @@ TEST_F(CalibrateBagTest, TakesNoiseFromTheSensorYamlOfAFolder) {
       "accelerometer_noise_density: 2.5e-3\n"
       "accelerometer_random_walk: 3.0e-3\n";
   Write("asl/imu0/sensor.yaml", sensor);
-  const Outcome outcome = Calibrate("asl");
+  const Outcome outcome = Calibrate("asl --verbose");
   ASSERT_EQ(outcome.status, 0) << outcome.err;
   EXPECT_TRUE(Contains(outcome.out, "noise  asl/imu0/sensor.yaml")) << outcome.out;
   const YAML::Node result = YAML::LoadFile(Path("asl/calibration.yaml"));
@@ -343,18 +343,6 @@ TEST_F(CalibrateBagTest, RefusesReversedStamps) {
   std::reverse(data.poses.begin(), data.poses.end());
   WriteSimulation(data);
   ExpectFailure("x.bag", 2, {"of 1500 samples are stamped", "1 s before"});
-}
-
-TEST_F(CalibrateBagTest, FailureLeavesNoOldResultBehind) {
-  SimulatorOptions options = Handheld();
-  options.motion = Motion::kStatic;
-  WriteSimulation(Simulate(options));
-  Write("x.calibration.yaml", std::string(kResultHeader) + "\n");
-  ExpectFailure("x.bag", 2, {});
-
-  Write("mine.yaml", "not: a result\n");
-  ExpectFailure("x.bag --output mine.yaml", 2, {});
-  EXPECT_EQ(ReadText(Path("mine.yaml")), "not: a result\n");
 }
 
 TEST_F(CalibrateBagTest, RefusesWhatCannotBeAsItIsInOneLine) {

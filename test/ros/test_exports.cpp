@@ -253,14 +253,17 @@ using ExportFiles = TempDirTest;
 TEST_F(ExportFiles, StandNextToTheResult) {
   StoredResult stored = Example();
   stored.path = Path("my.calibration.yaml");
-  const std::vector<std::string> paths = WriteExports(stored, {"evo", "urdf"});
+  OutputFiles outputs;
+  const std::vector<std::string> paths = WriteExports(stored, {"evo", "urdf"}, &outputs);
+  EXPECT_FALSE(std::filesystem::exists(paths[0]));
+  outputs.Commit();
   EXPECT_EQ(
       paths,
       std::vector<std::string>({Path("my.calibration.evo.json"), Path("my.calibration.urdf")}));
   EXPECT_EQ(ReadText(paths[0]), FileOf(stored, "evo", "evo.json"));
-  EXPECT_EQ(WriteExports(stored, {"tf"}, Path("a/b")),  // made
+  EXPECT_EQ(WriteExports(stored, {"tf"}, &outputs, Path("a/b")),  // made
             std::vector<std::string>({Path("a/b/my.calibration.tf.launch")}));
-  ExpectError<InputError>([&] { WriteExports(stored, {"tf"}, paths[0] + "/c"); },
+  ExpectError<InputError>([&] { WriteExports(stored, {"tf"}, &outputs, paths[0] + "/c"); },
                           {"my.calibration.evo.json/c", "Not a directory"});
 }
 
@@ -268,21 +271,13 @@ TEST_F(ExportFiles, AreNotWrittenWhenOneCannotBeMade) {
   StoredResult stored = Example();
   stored.path = Path("r.yaml");
   stored.result.sessions[0].imus[0].noise.gyro = 0.0;
-  ExpectError<InputError>([&] { WriteExports(stored, {"evo", "kalibr"}); }, {"gyroscope"});
+  ExpectError<InputError>(
+      [&] {
+        OutputFiles outputs;
+        WriteExports(stored, {"evo", "kalibr"}, &outputs);
+      },
+      {"gyroscope"});
   EXPECT_TRUE(std::filesystem::is_empty(dir_));
-}
-
-TEST_F(ExportFiles, OldOnesAreRemovedAndNoOthers) {
-  StoredResult stored = Example();
-  stored.path = Path("r.yaml");
-  const std::vector<std::string> old = WriteExports(stored, {"evo", "urdf", "kalibr", "tf"});
-  const std::string foreign = Write("r.evo.txt", "mine"),
-                    other = Write("rr.urdf", "by imu_pose_calib");
-  RemoveOldExports(stored.path, {"evo", "urdf", "kalibr"});
-  for (const std::string& path : old)
-    EXPECT_EQ(std::filesystem::exists(path), path == Path("r.tf.launch")) << path;
-  EXPECT_TRUE(std::filesystem::exists(foreign));
-  EXPECT_TRUE(std::filesystem::exists(other));
 }
 
 }  // namespace

@@ -224,15 +224,5 @@ TEST_F(ResultFile, FailureNamesPathAndReason) {
   EXPECT_EQ(std::distance(std::filesystem::directory_iterator(dir_), {}), 1);
 }
 
-TEST_F(ResultFile, OnlyOwnOldResultsAreRemoved) {
-  const std::string ours = Write("ours.yaml", std::string(kResultHeader) + "\nrest\n");
-  const std::string other = Write("other.yaml", "key: value\n");
-  RemoveOldResult(ours);
-  RemoveOldResult(other);
-  RemoveOldResult(Path("missing.yaml"));
-  EXPECT_FALSE(std::filesystem::exists(ours));
-  EXPECT_TRUE(std::filesystem::exists(other));
-}
-
 }  // namespace
 }  // namespace imu_pose_calib

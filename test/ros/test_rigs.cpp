@@ -59,7 +59,9 @@ TEST_F(RigsTest, TwoImusGiveOneResultWithBoth) {
 TEST_F(RigsTest, BagsOfTheSameTimeAndTopicsAreSessions) {
   for (const uint32_t seed : {1u, 2u, 3u})
     WriteSession("s" + std::to_string(seed) + ".bag", Handheld(seed), 1);
-  const Outcome outcome = Calibrate("s1.bag s2.bag s3.bag --output x.yaml");
+  const Outcome brief = Calibrate("s1.bag s2.bag s3.bag --output x.yaml");
+  EXPECT_TRUE(Contains(brief.out, "  3 sessions; farthest from the others: session ")) << brief.out;
+  const Outcome outcome = Calibrate("s1.bag s2.bag s3.bag --output x.yaml --verbose");
   ASSERT_EQ(outcome.status, 0) << outcome.err;
   for (const char* part : {"\n  1  s1.bag\n", "\n  3  s3.bag\n", "Data of session 2: s2.bag"})
     EXPECT_TRUE(Contains(outcome.out, part)) << outcome.out;

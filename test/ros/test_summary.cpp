@@ -66,7 +66,7 @@ TEST(Summary, SaysWhatAPersonNeeds) {
                            "[-1050.100, -203.400, -300.000] mm",
                            "-1050.100, -203.400, -300.000 1.000, 2.000, 3.000    weak",
                            "[-0.500000, 0.500000, -0.500000, 0.500000] (x, y, z, w)",
-                           "-90.000, -0.000, -90.000      0.5730, 1.1459, 1.7189 ok",
+                           "-90.000, -0.000, -90.000      0.5730, 1.7189, 1.1459 ok",
                            "x_imu = R x_marker + p",
                            "t_pose = t_imu + time_shift",
                            "t_imu = t_pose - time_shift",
@@ -76,6 +76,72 @@ TEST(Summary, SaysWhatAPersonNeeds) {
                            "[-0.10000, -0.20000, -9.80000] m/s^2",
                            "warning: the position residuals"})
     EXPECT_TRUE(Contains(text, part)) << "'" << part << "' is missing in\n" << text;
+}
+
+/// The row of the table that begins with `name`.
+std::string RowOf(const Calibration& result, const std::string& name) {
+  std::istringstream lines(Brief(result, {MakeInfo()}, 20));
+  for (std::string line; std::getline(lines, line);)
+    if (Contains(line, "  " + name)) return line;
+  return "";
+}
+
+TEST(Summary, VerdictsOfRowsFollowTheirOwnBounds) {
+  Calibration result = MakeResult();
+  ImuSession& clock = result.sessions[0].imus[0];
+  clock.gyro.duration_s = 75.0;
+  const auto expect = [&](const std::string& name, const std::string& verdict) {
+    const std::string row = RowOf(result, name);
+    ASSERT_GT(row.size(), verdict.size()) << name;
+    EXPECT_EQ(row.substr(row.size() - verdict.size() - 1), " " + verdict) << row;
+  };
+  expect("translation", "weak");
+  expect("rpy", "ok");
+  clock.clock_drift = 115e-6;
+  clock.clock_drift_std = 709e-6;
+  expect("clock drift", "prior");
+  clock.clock_drift_std = 95e-6;
+  expect("clock drift", "prior");
+  clock.clock_drift_std = 70e-6;  // 2.6 ms at the ends
+  expect("clock drift", "weak");
+  clock.clock_drift_std = 1e-6;
+  expect("clock drift", "ok");
+  // Weak for a reason that no sigma shows.
+  result.observability[0].status = Status::kOk;
+  for (const char* name : {"translation", "rpy", "time shift", "accel delay", "clock drift"})
+    expect(name, "in doubt");
+  result.status = Status::kOk;
+  expect("translation", "ok");
+}
+
+TEST(Summary, BriefHasAsManyWarningsAsFit) {
+  Calibration result = MakeResult();
+  result.warnings = {
+      std::string(100, 'a') + " " + std::string(40, 'b'), "short", "third", "fourth"};
+  const auto brief = [&](size_t lines) {
+    const std::string text = Brief(result, {MakeInfo()}, lines);
+    EXPECT_LE(std::count(text.begin(), text.end(), '\n'), std::max<int64_t>(16, lines));
+    return text;
+  };
+  EXPECT_TRUE(Contains(brief(0), "\n  4 warnings: --verbose\n"));
+  EXPECT_TRUE(Contains(brief(19), "short\n  2 more warnings: --verbose\n")) << brief(19);
+  EXPECT_TRUE(Contains(brief(30), "warning: fourth\n\nrosrun")) << brief(30);
+}
+
+/// With a pitch of 60 deg roll and yaw are coupled.
+TEST(Summary, SigmasOfAnglesAreThoseOfTheAngles) {
+  Calibration result = MakeResult();
+  ImuCalibration& imu = result.imus[0];
+  imu.covariance = Matrix6d::Identity() * 1e-8;
+  // Yaw 0, pitch 60 deg, roll 0: about x and z of the body, roll and yaw are coupled.
+  imu.T_MI.q = Eigen::AngleAxisd(M_PI / 3.0, Eigen::Vector3d::UnitY());
+  imu.covariance(3, 3) = std::pow(1e-3, 2);
+  imu.covariance(5, 5) = std::pow(2e-3, 2);
+  // yaw = z / cos(pitch), roll = x + z tan(pitch)
+  EXPECT_TRUE(Contains(RowOf(result, "rpy"), "0.2066, 0.0057, 0.2292")) << RowOf(result, "rpy");
+  imu.T_MI.q = Eigen::AngleAxisd(M_PI / 2.0 - 1e-3, Eigen::Vector3d::UnitY());
+  EXPECT_TRUE(Contains(RowOf(result, "rpy"), "0.0573, 0.0057, 0.1146"));
+  EXPECT_TRUE(Contains(Brief(result, {MakeInfo()}, 20), "pitch near 90 deg"));
 }
 
 TEST(Summary, ShowsNamesWithoutControlCharacters) {

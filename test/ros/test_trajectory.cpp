@@ -5,12 +5,14 @@
 #include <nav_msgs/Path.h>
 #include <rosbag/bag.h>
 #include <rosbag/view.h>
+#include <std_msgs/Bool.h>
 #include <tf2_msgs/TFMessage.h>
 #include <yaml-cpp/yaml.h>
 
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
+#include <map>
 
 #include "imu_pose_calib/core/so3.h"
 #include "imu_pose_calib/ros/io/bag_writer.h"
@@ -41,6 +43,16 @@ std::vector<std::string> Lines(const std::string& path) {
   std::vector<std::string> lines;
   std::ifstream file(path);
   for (std::string line; std::getline(file, line);) lines.push_back(line);
+  return lines;
+}
+
+/// Those of a file of TUM or of ov_eval that are no comments.
+std::vector<std::string> States(const std::string& path) {
+  std::vector<std::string> lines = Lines(path);
+  lines.erase(
+      std::remove_if(
+          lines.begin(), lines.end(), [](const std::string& line) { return line[0] == '#'; }),
+      lines.end());
   return lines;
 }
 
@@ -113,7 +125,15 @@ TEST_F(TrajectoryTest, TumIsAsEvoReadsIt) {
   ASSERT_EQ(outcome.status, 0) << outcome.err;
   EXPECT_TRUE(Contains(outcome.out, "by the imu alone in 1 gap of up to 1.0")) << outcome.out;
   // evo: all rows of 8 fields with one blank between; quaternions of unit norm; rising stamps.
-  const std::vector<std::string> lines = Lines(Path("x.tum"));
+  // Comments say which states no poses support.
+  const std::string carried = "# by the imu alone, no poses: ";
+  const std::vector<std::string> all = Lines(Path("x.tum"));
+  ASSERT_EQ(all[1].compare(0, carried.size(), carried), 0) << all[1];
+  const Row run = Split(all[1].substr(carried.size()), ' ');
+  EXPECT_NEAR(std::stod(run[0]) + truth_.time_shift_s - 1.6e9, 6.0, 0.03);
+  EXPECT_NEAR(std::stod(run[2]) + truth_.time_shift_s - 1.6e9, 7.0, 0.03);
+  const std::vector<std::string> lines = States(Path("x.tum"));
+  ASSERT_EQ(all.size(), lines.size() + 2);
   ASSERT_GT(lines.size(), 2780u);
   int64_t last = 0;
   Eigen::Quaterniond last_q(0.0, 0.0, 0.0, 0.0);
@@ -139,7 +159,7 @@ TEST_F(TrajectoryTest, GapsAreLeftOutWhenTheyAreLongerThanAskedFor) {
   EXPECT_TRUE(Contains(outcome.out, ", 1 gap left out (1.0 s)")) << outcome.out;
   size_t gaps = 0;
   int64_t last = 0;
-  for (const std::string& line : Lines(Path("x.txt"))) {
+  for (const std::string& line : States(Path("x.txt"))) {
     const int64_t stamp = FromSeconds(Split(line, ' ')[0]);
     if (last > 0 && stamp - last != 20'000'000) {
       ++gaps;
@@ -152,9 +172,7 @@ TEST_F(TrajectoryTest, GapsAreLeftOutWhenTheyAreLongerThanAskedFor) {
 
 TEST_F(TrajectoryTest, OvEvalHasCovariances) {
   ASSERT_EQ(Run("x.txt --trajectory-format ov_eval --trajectory-rate 20").status, 0);
-  std::vector<std::string> lines = Lines(Path("x.txt"));
-  ASSERT_EQ(lines[0][0], '#');
-  lines.erase(lines.begin());
+  const std::vector<std::string> lines = States(Path("x.txt"));
   ASSERT_GT(lines.size(), 250u);
   double largest_in_gap = 0.0, largest = 0.0;
   for (const std::string& line : lines) {
@@ -182,7 +200,10 @@ TEST_F(TrajectoryTest, OvEvalHasCovariances) {
 }
 
 TEST_F(TrajectoryTest, EurocHasOneHeaderAndSeventeenColumns) {
-  ASSERT_EQ(Run("x.csv").status, 0);
+  const Outcome outcome = Run("x.csv");
+  ASSERT_EQ(outcome.status, 0);
+  EXPECT_TRUE(Contains(outcome.out, "by the imu alone, which the format cannot say: 1599999"))
+      << outcome.out;
   std::vector<std::string> lines = Lines(Path("x.csv"));
   // As in the dataset, comma and blank.
   const Row header = Split(lines[0], ',');
@@ -267,6 +288,7 @@ TEST_F(TrajectoryTest, BagHasOdometryPathAndTf) {
   rosbag::Bag bag(Path("t.bag"), rosbag::bagmode::Read);
   size_t odometries = 0, transforms = 0, paths = 0, same = 0;
   nav_msgs::Odometry::ConstPtr odometry;
+  std::vector<bool> carried;
   for (const rosbag::MessageInstance& message : rosbag::View(bag)) {
     if (const auto o = message.instantiate<nav_msgs::Odometry>()) {
       ++odometries;
@@ -304,12 +326,16 @@ TEST_F(TrajectoryTest, BagHasOdometryPathAndTf) {
     } else if (const auto path = message.instantiate<nav_msgs::Path>()) {
       ++paths;
       EXPECT_NEAR(static_cast<double>(path->poses.size()), 20.0 * 14.0, 10.0);
+    } else if (const auto flag = message.instantiate<std_msgs::Bool>()) {
+      EXPECT_EQ(message.getTopic(), "/ground_truth/by_imu_alone");
+      carried.push_back(flag->data != 0);
     }
   }
   EXPECT_GT(odometries, 2780u);
   EXPECT_EQ(odometries, transforms);
   EXPECT_GT(same, 1u);
   EXPECT_EQ(paths, 1u);
+  EXPECT_EQ(carried, (std::vector<bool>{false, true, false}));
 }
 
 TEST_F(TrajectoryTest, SeveralImusAndSessionsHaveAFileEach) {
@@ -324,8 +350,8 @@ TEST_F(TrajectoryTest, SeveralImusAndSessionsHaveAFileEach) {
   EXPECT_FALSE(std::filesystem::exists(Path("t.tum")));
   for (const char* name :
        {"t_session1_imu0.tum", "t_session1_imu1.tum", "t_session2_imu0.tum", "t_session2_imu1.tum"})
-    EXPECT_GT(Lines(Path(name)).size(), 130u) << name;
-  for (const std::string& line : Lines(Path("t_session1_imu0.tum"))) {
+    EXPECT_GT(States(Path(name)).size(), 130u) << name;
+  for (const std::string& line : States(Path("t_session1_imu0.tum"))) {
     const Row row = Split(line, ' ');
     ExpectTrue(FromSeconds(row[0]),
                Vector(row, 1),
@@ -356,6 +382,60 @@ TEST_F(TrajectoryTest, GpGivesStatesWithoutSigmas) {
   ASSERT_EQ(Run("out --method gp").status, 0);
   EXPECT_GT(Lines(Path("out/mav0/state_groundtruth_estimate0/data.csv")).size(), 2000u);
   EXPECT_FALSE(std::filesystem::exists(Path("out/mav0/state_groundtruth_estimate0/sigma.csv")));
+}
+
+/// Largest distance of the states of two files of TUM at the same stamps [m], and how many there
+/// are.
+std::pair<double, size_t> Apart(const std::vector<std::string>& a,
+                                const std::vector<std::string>& b) {
+  std::map<int64_t, Eigen::Vector3d> positions;
+  for (const std::string& line : a) {
+    const Row row = Split(line, ' ');
+    positions[FromSeconds(row[0])] = Vector(row, 1);
+  }
+  std::pair<double, size_t> apart{0.0, 0};
+  for (const std::string& line : b) {
+    const Row row = Split(line, ' ');
+    const auto same = positions.find(FromSeconds(row[0]));
+    if (same == positions.end()) continue;
+    apart.first = std::max(apart.first, (same->second - Vector(row, 1)).norm());
+    ++apart.second;
+  }
+  return apart;
+}
+
+TEST_F(TrajectoryTest, SimulationWritesTheTruth) {
+  ASSERT_EQ(ExecutableTest::Run("simulate_bag",
+                                "y.bag --duration 14 --seed 500 --time-shift 100.5 --truth y.tum")
+                .status,
+            0);
+  const std::vector<std::string> lines = States(Path("y.tum"));
+  ASSERT_EQ(lines.size(), 2800u);
+  for (const std::string& line : lines) {
+    const Row row = Split(line, ' ');
+    const TrueState s = trajectory_.At(
+        1e-9 * static_cast<double>(FromSeconds(row[0]) - truth_.start_ns) + truth_.time_shift_s);
+    ASSERT_LT((Vector(row, 1) - s.p_WM - s.R_WM * truth_.T_MI.p).norm(), 1e-8) << line;
+  }
+  // Ours against it; then with filters, drift and late stamps, on the same clock all the same.
+  for (const char* effects : {"", "--gyro-filter 40 --imu-burst 5 --clock-drift 3e-5"}) {
+    SCOPED_TRACE(effects);
+    ASSERT_EQ(ExecutableTest::Run("simulate_bag",
+                                  std::string("y.bag --duration 14 --truth y.tum ") + effects)
+                  .status,
+              0);
+    ASSERT_EQ(Calibrate("y.bag --trajectory z.tum --trajectory-rate 200").status, 0);
+    const auto [distance, count] = Apart(States(Path("y.tum")), States(Path("z.tum")));
+    if (*effects == '\0') {
+      EXPECT_GT(count, 2700u);
+    }
+    EXPECT_LT(distance, 3e-3);
+  }
+  ASSERT_EQ(ExecutableTest::Run("simulate_bag", "y.bag --duration 3 --imus 2 --truth t").status, 0);
+  EXPECT_TRUE(std::filesystem::exists(Path("t_imu1/mav0/state_groundtruth_estimate0/data.csv")));
+  const Outcome refused = ExecutableTest::Run("simulate_bag", "new.bag --duration 3 --truth t.xyz");
+  EXPECT_EQ(refused.status, 1);
+  EXPECT_FALSE(std::filesystem::exists(Path("new.bag")));
 }
 
 }  // namespace

@@ -25,6 +25,9 @@ enum class StampRecovery {
   kNever,
 };
 
+/// What is known beforehand of the growth of a time shift: its sigma [s/s].
+constexpr double kDriftPrior = 1e-4;
+
 /// Everything that can be set. The defaults work on a normal recording; the same names, with the
 /// same defaults, are the keys of config/default.yaml.
 struct CalibrationOptions {

@@ -71,12 +71,7 @@ AggregateRequest Checked(AggregateRequest request) {
     request.output =
         std::filesystem::path(recording.bag.paths.front()).replace_extension(".map.pcd");
   CheckPcd("output", request.output);
-  if (!request.uncalibrated.empty()) {
-    CheckPcd("uncalibrated", request.uncalibrated);
-    if (std::filesystem::absolute(request.uncalibrated).lexically_normal() ==
-        std::filesystem::absolute(request.output).lexically_normal())
-      throw InputError("uncalibrated and output are both '" + request.output + "'; choose another");
-  }
+  if (!request.uncalibrated.empty()) CheckPcd("uncalibrated", request.uncalibrated);
   if (!request.uncalibrated.empty()) request.keep_uncalibrated = true;
   recording.one_recording = recording.keep_data = true;
   recording.output = std::filesystem::path(request.output).replace_extension(".calibration.yaml");
@@ -384,6 +379,11 @@ AggregateOutcome AggregateClouds(const AggregateRequest& given, const Progress& 
   // Before it takes long:
   ReadApart(request.recording.bag, [&] { return Clouds(request).topic().name; });
 
+  {
+    OutputFiles tried;
+    tried.Plan("output", request.output);
+    if (!request.uncalibrated.empty()) tried.Plan("uncalibrated", request.uncalibrated);
+  }
   OfflineResult offline = CalibrateOffline(request.recording, progress);
   const std::vector<SensorPoses> variants =
       PosesWithAndWithout(sensor, request.cloud_clock != "poses", offline);
@@ -394,10 +394,11 @@ AggregateOutcome AggregateClouds(const AggregateRequest& given, const Progress& 
 
   AggregateOutcome outcome;
   outcome.text = Describe(request, variants, aggregate);
-  WriteFile(request.output, ToPcd(aggregate.map, aggregate.has_intensity));
+  offline.outputs->Write(request.output, ToPcd(aggregate.map, aggregate.has_intensity));
   outcome.written.push_back(request.output);
   if (!request.uncalibrated.empty()) {
-    WriteFile(request.uncalibrated, ToPcd(aggregate.uncalibrated, aggregate.has_intensity));
+    offline.outputs->Write(request.uncalibrated,
+                           ToPcd(aggregate.uncalibrated, aggregate.has_intensity));
     outcome.written.push_back(request.uncalibrated);
   }
   WriteResult(&offline);

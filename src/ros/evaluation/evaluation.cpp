@@ -85,8 +85,8 @@ class Evaluation {
     for (const std::string& name : request_.experiments) {
       const auto found = std::find(names.begin(), names.end(), name);
       if (found == names.end())
-        throw InputError("there is no experiment '" + name + "'; did you mean '" +
-                         Nearest(name, names) + "'? There are: " + boost::join(names, ", "));
+        throw InputError("there is no experiment '" + name + "'" + DidYouMean(name, names) +
+                         " There are: " + boost::join(names, ", "));
       chosen.push_back(all[static_cast<size_t>(found - names.begin())]);
     }
     return chosen;

@@ -169,8 +169,8 @@ std::string Calibrate(const OfflineRequest& request) {
   TrialOutcome outcome;
   try {
     OfflineResult offline = CalibrateOffline(request);
-    WriteResult(&offline);
-    WriteReport(&offline);
+    const std::string failure = WriteResult(&offline);
+    if (!failure.empty()) throw InputError(failure);
     Take(offline.result, &outcome);
   } catch (const DataError& error) {
     outcome.verdict = "refused";

@@ -48,7 +48,8 @@ Lines Head(const StoredResult& stored, const std::string& what, bool all_imus, c
   const ImuInfo& imu = stored.Info(0);
   Lines lines = {
       what + ", from " + std::filesystem::path(stored.path).filename().string() +
-          " by imu_pose_calib " + stored.version,
+          " by imu_pose_calib " + stored.version +
+          (stored.run_id.empty() ? "" : ", run_id: " + stored.run_id),
       std::string("status:    ") + ToString(stored.result.status) + ": " + stored.result.message,
       "transform: x_marker = R x_imu + p, R and p are T_marker_imu; marker '" +
           stored.infos.front().marker_frame + "', imu '" + imu.imu_frame + "'"};

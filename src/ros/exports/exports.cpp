@@ -2,14 +2,12 @@
 
 #include <algorithm>
 #include <boost/algorithm/string/join.hpp>
+#include <cmath>
 #include <filesystem>
-#include <fstream>
 #include <iterator>
 #include <sstream>
-#include <system_error>
 
 #include "imu_pose_calib/ros/exports/export_text.h"
-#include "imu_pose_calib/ros/io/result_yaml.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -51,12 +49,6 @@ std::filesystem::path Stem(const std::filesystem::path& result) {
   return is_yaml ? std::filesystem::path(result).replace_extension() : result;
 }
 
-std::string FileText(const std::filesystem::path& path) {
-  std::ostringstream text;
-  text << std::ifstream(path).rdbuf();
-  return text.str();
-}
-
 }  // namespace
 
 std::vector<std::string> ExportNames() {
@@ -88,41 +80,36 @@ std::vector<ExportFile> Export(const StoredResult& stored,
 
 std::vector<std::string> WriteExports(const StoredResult& stored,
                                       const std::vector<std::string>& names,
+                                      OutputFiles* outputs,
                                       const std::string& folder,
                                       const ExportOptions& options) {
   std::filesystem::path stem = Stem(stored.path);
-  if (!folder.empty()) stem = folder / stem.filename();
-  std::vector<ExportFile> files;  // all of them before any is written
-  for (const std::string& name : names)
-    for (ExportFile& file : Export(stored, name, options)) files.push_back(std::move(file));
   if (!folder.empty()) {
-    std::error_code failure;
-    std::filesystem::create_directories(folder, failure);
-    if (failure) throw InputError("folder '" + folder + "' cannot be made: " + failure.message());
+    stem = folder / stem.filename();
+    outputs->MakeFolder(folder);
   }
   std::vector<std::string> paths;
-  for (const ExportFile& file : files) {
-    paths.push_back(stem.string() + "." + file.ending);
-    WriteFile(paths.back(), file.text);
-  }
+  for (const std::string& name : names)
+    for (const ExportFile& file : Export(stored, name, options)) {
+      paths.push_back(stem.string() + "." + file.ending);
+      outputs->Write(paths.back(), file.text);
+    }
   return paths;
 }
 
-void RemoveOldExports(const std::string& path, const std::vector<std::string>& names) {
-  const std::filesystem::path stem = Stem(path);
-  const std::filesystem::path folder = stem.has_parent_path() ? stem.parent_path() : ".";
-  std::error_code ignored;
-  std::vector<std::filesystem::path> old;
-  for (const auto& entry : std::filesystem::directory_iterator(folder, ignored))
-    for (const std::string& name : names) {
-      const std::string file = entry.path().filename().string();
-      const std::string start = stem.filename().string() + "." + name;
-      const bool is_named = file == start || file.compare(0, start.size() + 1, start + ".") == 0;
-      const bool is_ours =
-          is_named && FileText(entry.path()).find("by imu_pose_calib") != std::string::npos;
-      if (is_ours) old.push_back(entry.path());
-    }
-  for (const std::filesystem::path& file : old) std::filesystem::remove(file, ignored);
+std::string ExportNote(const StoredResult& stored, const std::vector<std::string>& names) {
+  std::vector<std::string> turned;
+  for (const std::string& name : names) {
+    const std::vector<ExportFile> files = Export(stored, name);
+    if (std::any_of(files.begin(), files.end(), [](const ExportFile& file) {
+          return file.text.find(kTurnedAxes) != std::string::npos;
+        }))
+      turned.push_back(name);
+  }
+  if (turned.empty()) return "";
+  return "the imu axes of " + boost::join(turned, ", ") + " are those of the accelerometer, by " +
+         Short(ToAccelAxes(stored.result.imus[0]).angle_rad * 180.0 / M_PI) +
+         " deg off those of T_marker_imu: the files say so, too";
 }
 
 }  // namespace imu_pose_calib

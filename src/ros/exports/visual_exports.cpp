@@ -18,7 +18,7 @@ std::string ImuName(size_t imu) { return "imu" + std::to_string(imu); }
 /// Says how the axes of a model are turned whose accelerometer matrix is triangular.
 Lines AxesRemark(const AccelAxes& axes) {
   if (axes.angle_rad == 0.0) return {};
-  return {"axes:      the imu's here are those of the accelerometer, since its matrix is lower",
+  return {std::string("axes:      ") + kTurnedAxes + ", since its matrix is lower",
           "           triangular: turned by " + Short(axes.angle_rad * 180.0 / M_PI) +
               " deg from the imu axes of the result"};
 }
@@ -34,7 +34,8 @@ ExportFile KalibrCamera(const StoredResult& stored) {
   const AccelAxes axes = ToAccelAxes(stored.result.imus[0]);
   const Lines more =
       Lines{"The pose sensor plays cam0:",
-            "T_cam_imu: x_cam = T_cam_imu x_imu, so cam = marker and T_cam_imu = T_marker_imu",
+            "T_cam_imu: x_cam = T_cam_imu x_imu, so cam = marker and T_cam_imu = T_marker_imu" +
+                std::string(axes.angle_rad == 0.0 ? "" : " but for the axes below"),
             "timeshift_cam_imu: t_imu = t_cam + timeshift_cam_imu, so -time_shift",
             "It is no camera: camera_model, intrinsics, distortion and resolution are left out."} +
       AxesRemark(axes);

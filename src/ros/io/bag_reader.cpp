@@ -7,8 +7,10 @@
 #include <cmath>
 #include <filesystem>
 #include <functional>
+#include <memory>
 #include <optional>
 #include <set>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -141,14 +143,32 @@ void CheckContent(const Bags& bags, const ImuTopics& imu) {
     fail(imu.accel, "linear acceleration");
 }
 
+/// The frames of tf, without a chain.
+std::unique_ptr<TfChain> TfLinks(const Bags& bags) {
+  auto links = std::make_unique<TfChain>("", "", 0.0);
+  bags.ForEachTf([&](const BagMessage& message, bool fixed) {
+    links->Add(*message.instantiate<tf2_msgs::TFMessage>(), fixed);
+  });
+  return links;
+}
+
 /// What poses could come from when there is no pose topic.
 std::string TfHint(const Bags& bags) {
   if (bags.Select([](const BagTopic& t) { return t.IsTf(); }).empty()) return "";
-  TfChain links("", "", 0.0);
-  bags.ForEachTf([&](const BagMessage& message, bool fixed) {
-    links.Add(*message.instantiate<tf2_msgs::TFMessage>(), fixed);
-  });
-  return "; for poses from tf give tf_parent and tf_child, its frames are: " + links.Links();
+  return "; for poses from tf give tf_parent and tf_child, its frames are: " +
+         TfLinks(bags)->Links();
+}
+
+/// A single pair of frames that tf has poses between is taken by itself when there are no others.
+BagRequest FindTf(const Bags& bags, BagRequest request) {
+  const bool is_open = request.poses && request.pose_topic.empty() && request.tf_parent.empty() &&
+                       request.tf_child.empty() && request.body.empty();
+  if (!is_open || bags.Select([](const BagTopic& t) { return t.IsTf(); }).empty() ||
+      !bags.Select([](const BagTopic& t) { return t.count > 0 && t.IsPose(); }).empty())
+    return request;
+  const auto pair = TfLinks(bags)->SinglePair();
+  if (pair) std::tie(request.tf_parent, request.tf_child) = *pair;
+  return request;
 }
 
 BagTopic ChoosePose(const Bags& bags, const std::string& name) {
@@ -358,8 +378,9 @@ void ReadTf(const Bags& bags, const BagRequest& request, Recording* recording) {
   recording->info.marker_frame = FrameName(request.tf_child, "");
 }
 
-Recording Read(const BagRequest& request) {
-  const Bags bags(request.paths, request.start_s, request.duration_s);
+Recording Read(const BagRequest& given) {
+  const Bags bags(given.paths, given.start_s, given.duration_s);
+  const BagRequest request = FindTf(bags, given);
   const bool tf = IsPair({"pose_topic", request.pose_topic},
                          {"tf_parent", request.tf_parent},
                          {"tf_child", request.tf_child});

@@ -3,14 +3,10 @@
 #include <yaml-cpp/yaml.h>
 
 #include <algorithm>
-#include <cerrno>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
-#include <cstring>
 #include <ctime>
-#include <fstream>
-#include <random>
 
 #include "imu_pose_calib/ros/io/ros_options.h"
 
@@ -32,6 +28,7 @@ const char kEquations[] = R"(
 #            gyroscope; position_smoothing that of positions, less that of rotations
 # scale:     positions of poses = pose_scale * true
 # imu:       measured = matrix * true + bias; row i of accel_positions: where the accelerometer's axis i is [m]
+# sigmas:    translation_std along the marker axes, rotation_std about the imu axes: R Exp(error)
 # Units: m, s, rad, m/s^2. Quaternions: x, y, z, w.
 
 )";
@@ -373,10 +370,6 @@ void PutData(const SessionCalibration& session, const RecordingInfo& info, Write
   });
 }
 
-[[noreturn]] void FailToWrite(const std::string& path) {
-  throw InputError("output '" + path + "' cannot be written: " + std::strerror(errno));
-}
-
 }  // namespace
 
 std::string YamlNumber(double value) {
@@ -395,7 +388,8 @@ std::string YamlNumber(double value) {
 
 std::string ToYaml(const Calibration& result,
                    const std::vector<RecordingInfo>& infos,
-                   const CalibrationOptions& options) {
+                   const CalibrationOptions& options,
+                   const RunInfo& run) {
   const RecordingInfo& info = infos.front();
   Writer out;
   out.Map("imu_pose_calib", [&] {
@@ -404,6 +398,8 @@ std::string ToYaml(const Calibration& result,
     out.Put("status", ToString(result.status));
     out.Put("message", result.message);
     out.Put("date", UtcNow());
+    if (!run.id.empty()) out.Put("run_id", run.id);
+    if (!run.files.empty()) out.Put("files", run.files);
   });
   out.Map("frames", [&] {
     out.Put("world", info.world_frame);
@@ -419,33 +415,6 @@ std::string ToYaml(const Calibration& result,
   PutData(result.sessions[0], info, &out);
   out.Put("options", YAML::Load(ToYaml(options)));
   return kResultHeader + std::string(kEquations) + out.Finish() + "\n";
-}
-
-void WriteFile(const std::string& path, const std::string& text) {
-  // A name that nobody can foresee, and "x": only a new file will do, not a link that somebody has
-  // laid to another. Unlike one of mkstemp(), it has the permissions that the umask leaves it.
-  std::random_device random;
-  std::string draft;
-  std::FILE* file = nullptr;
-  do {
-    draft = path + ".tmp" + std::to_string(random());
-    file = std::fopen(draft.c_str(), "wx");
-  } while (!file && errno == EEXIST);
-  if (!file) FailToWrite(path);
-  const bool is_whole = std::fwrite(text.data(), 1, text.size(), file) == text.size();
-  const bool is_closed = std::fclose(file) == 0;
-  if (!is_whole || !is_closed || std::rename(draft.c_str(), path.c_str()) != 0) {
-    const int reason = errno;
-    std::remove(draft.c_str());
-    errno = reason;
-    FailToWrite(path);
-  }
-}
-
-void RemoveOldResult(const std::string& path) {
-  std::string first_line;
-  std::getline(std::ifstream(path), first_line);
-  if (first_line == kResultHeader) std::remove(path.c_str());
 }
 
 }  // namespace imu_pose_calib

@@ -21,6 +21,12 @@ constexpr double kShortestPart = 10.0, kLongestPart = 60.0;
 constexpr unsigned kMostCores = 8;
 constexpr size_t kBeginning = 100, kSmall = 4096;  // messages, and [bytes] of one of these
 
+/// The bag has no index that could be read.
+class CutOff : public InputError {
+ public:
+  using InputError::InputError;
+};
+
 /// Opens a bag or throws InputError with the reason and the remedy.
 void Open(const std::string& path, rosbag::Bag* bag) {
   if (!std::filesystem::is_regular_file(path)) throw InputError("bag '" + path + "' is not a file");
@@ -38,11 +44,11 @@ void Open(const std::string& path, rosbag::Bag* bag) {
   try {
     bag->open(path);
   } catch (const rosbag::BagUnindexedException&) {
-    throw InputError("bag '" + path + "' has no index, its recording was cut off; run: rosbag " +
-                     "reindex " + path);
+    throw CutOff("bag '" + path + "' has no index, its recording was cut off; run: rosbag " +
+                 "reindex " + path);
   } catch (const rosbag::BagException& error) {
-    throw InputError("bag '" + path + "' is damaged or cut off (" + error.what() +
-                     "); run: rosbag reindex " + path);
+    throw CutOff("bag '" + path + "' is damaged or cut off (" + error.what() +
+                 "); run: rosbag reindex " + path);
   }
 }
 
@@ -181,7 +187,13 @@ class Ros1Source : public MessageSource {
 }  // namespace
 
 std::unique_ptr<MessageSource> OpenRos1(const std::vector<std::string>& paths) {
-  return std::make_unique<Ros1Source>(paths);
+  try {
+    return std::make_unique<Ros1Source>(paths);
+  } catch (const CutOff&) {
+    std::unique_ptr<MessageSource> source = ScanRos1(paths);
+    if (!source) throw;
+    return source;
+  }
 }
 
 }  // namespace imu_pose_calib

@@ -233,9 +233,11 @@ std::vector<std::string> FilesOfBag(const std::string& path) {
 }
 
 std::string WithoutBagEnding(const std::string& path) {
-  for (const std::string& ending : kEndings)
+  std::vector<std::string> endings(kEndings.begin(), kEndings.end());
+  endings.insert(endings.end(), {".bag", ".bag.active"});
+  for (const std::string& ending : endings)
     if (EndsWith(path, ending)) return path.substr(0, path.size() - ending.size());
-  return EndsWith(path, ".bag") ? path.substr(0, path.size() - 4) : path;
+  return path;
 }
 
 std::unique_ptr<MessageSource> OpenRos2(const std::vector<std::string>& paths) {

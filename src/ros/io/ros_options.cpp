@@ -93,11 +93,11 @@ std::string Text(const std::optional<T>& value) {
   return value ? Text(*value) : "~";
 }
 
-std::string NearestKey(const std::string& key) {
+std::string DidYouMeanKey(const std::string& key) {
   std::vector<std::string> names;
   VisitFields(CalibrationOptions(),
               [&](const char* name, const auto&) { names.emplace_back(name); });
-  return Nearest(key, names);
+  return DidYouMean(key, names);
 }
 
 /// Sets the field called `key`.
@@ -108,8 +108,7 @@ void ReadField(const std::string& key, const YAML::Node& value, CalibrationOptio
     found = true;
     Read(value, &field);
   });
-  if (!found)
-    throw InputError("there is no option '" + key + "'; did you mean '" + NearestKey(key) + "'?");
+  if (!found) throw InputError("there is no option '" + key + "'" + DidYouMeanKey(key));
 }
 
 void ReadMap(const YAML::Node& map, CalibrationOptions* options) {
@@ -150,8 +149,7 @@ void CheckKeys(const YAML::Node& imu) {
   for (const auto& entry : imu) {
     const std::string key = entry.first.IsScalar() ? entry.first.Scalar() : YAML::Dump(entry.first);
     if (std::find(kKeys.begin(), kKeys.end(), key) == kKeys.end())
-      throw InputError("there is no key '" + key + "'; did you mean '" + Nearest(key, kKeys) +
-                       "'?");
+      throw InputError("there is no key '" + key + "'" + DidYouMean(key, kKeys));
   }
 }
 

@@ -215,6 +215,7 @@ StoredResult ParseResult(const std::string& yaml, const std::string& path) {
   stored.path = path;
   const Section head = Map(root, "imu_pose_calib");
   stored.version = Text(head, "version");
+  if (head.Has("run_id")) stored.run_id = Text(head, "run_id");
   stored.result.status = ReadStatus(head);
   stored.result.message = Text(head, "message");
   const std::string model = Text(Map(root, "imu"), "model");

@@ -185,6 +185,11 @@ void TfChain::Check() const {
     throw InputError(pair + " do not move against each other");
 }
 
+std::optional<std::pair<std::string, std::string>> TfChain::SinglePair() const {
+  if (links_.size() != 1) return std::nullopt;
+  return std::make_pair(links_.begin()->second.parent, links_.begin()->first);
+}
+
 std::string TfChain::Links() const {
   std::string text;
   for (const auto& [child, link] : links_)

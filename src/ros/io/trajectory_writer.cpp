@@ -2,15 +2,16 @@
 
 #include <nav_msgs/Path.h>
 #include <rosbag/bag.h>
+#include <std_msgs/Bool.h>
+#include <std_msgs/String.h>
 #include <tf2_msgs/TFMessage.h>
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <filesystem>
 #include <fstream>
 #include <iterator>
-#include <random>
+#include <memory>
 #include <sstream>
 
 #include "imu_pose_calib/ros/io/conversions.h"
@@ -43,14 +44,20 @@ template <typename Visit>
 TrajectoryCount ForEachState(const TrajectoryOutput& output, Visit visit) {
   TrajectoryCount count;
   Eigen::Quaterniond last = Eigen::Quaterniond::Identity();
-  for (const ImuTrack::Instant& instant : output.track.Instants(output.rate_hz)) {
-    auto state = output.track.At(instant.t);
+  bool was_carried = false;
+  for (const ImuTrack::Instant& instant : output.instants) {
+    auto state = output.state(instant.t);
     if (!state) continue;
     if (state->q_WI.dot(last) < 0.0) state->q_WI.coeffs() *= -1.0;
     last = state->q_WI;
     visit(instant.stamp_ns, *state);
     ++count.states;
-    if (state->is_carried) ++count.carried;
+    if (state->is_carried) {
+      ++count.carried;
+      if (!was_carried) count.runs.push_back({instant.stamp_ns, 0});
+      count.runs.back().last_ns = instant.stamp_ns;
+    }
+    was_carried = state->is_carried;
   }
   return count;
 }
@@ -86,9 +93,24 @@ Vector6d UpperTriangle(const Eigen::Matrix3d& C) {
   return upper;
 }
 
-std::string SensorYaml(const char* type, const std::string& rest) {
+/// What every file says of its origin.
+std::string Origin(const OutputFiles& outputs) {
+  return std::string("# imu_pose_calib ") + kVersion + ", run_id: " + outputs.run_id() + "\n";
+}
+
+/// The states that the IMU alone has carried, as comments.
+std::string Carried(const TrajectoryCount& count) {
+  std::string text;
+  for (const TrajectoryCount::Run& run : count.runs)
+    text += "# by the imu alone, no poses: " + SecondsText(run.first_ns) + " to " +
+            SecondsText(run.last_ns) + "\n";
+  return text;
+}
+
+std::string SensorYaml(const OutputFiles& outputs, const char* type, const std::string& rest) {
   std::ostringstream text;
-  text << "%YAML:1.0\nsensor_type: " << type << "\n"
+  text << "%YAML:1.0\n"
+       << Origin(outputs) << "sensor_type: " << type << "\n"
        << kAuthor << "\n\n# Sensor S in the body B, x_B = T_BS x_S: B is the IMU.\nT_BS:\n"
        << "  cols: 4\n  rows: 4\n  data: [1.0, 0.0, 0.0, 0.0,\n         0.0, 1.0, 0.0, 0.0,\n"
        << "         0.0, 0.0, 1.0, 0.0,\n         0.0, 0.0, 0.0, 1.0]\n"
@@ -96,7 +118,7 @@ std::string SensorYaml(const char* type, const std::string& rest) {
   return text.str();
 }
 
-std::string ImuSensorYaml(const TrajectoryOutput& output) {
+std::string ImuSensorYaml(const TrajectoryOutput& output, const OutputFiles& outputs) {
   std::ostringstream text;
   const auto add = [&text](const char* key, double value, const char* unit) {
     text << key << ": " << YamlNumber(value) << "  # " << unit << "\n";
@@ -109,54 +131,48 @@ std::string ImuSensorYaml(const TrajectoryOutput& output) {
   add("gyroscope_random_walk", output.gyro_bias_walk, "[ rad / s^2 / sqrt(Hz) ]");
   add("accelerometer_noise_density", output.noise.accel / root, "[ m / s^2 / sqrt(Hz) ]");
   add("accelerometer_random_walk", output.accel_bias_walk, "[ m / s^3 / sqrt(Hz) ]");
-  return SensorYaml("imu", text.str());
+  return SensorYaml(outputs, "imu", text.str());
 }
 
 std::filesystem::path Mav0(const std::string& folder) {
   return std::filesystem::path(folder) / "mav0";
 }
 
-TrajectoryCount WriteAsl(const std::string& path, const TrajectoryOutput& output) {
+TrajectoryCount WriteAsl(const std::string& path,
+                         const TrajectoryOutput& output,
+                         OutputFiles* outputs) {
   const std::filesystem::path truth = Mav0(path) / kTruth, imu = Mav0(path) / "imu0";
-  std::error_code error;
-  for (const std::filesystem::path& folder : {truth, imu})
-    if (!error) std::filesystem::create_directories(folder, error);
-  if (error)
-    throw InputError("trajectory: folder '" + path + "' cannot be made: " + error.message());
-
+  outputs->MakeFolder(truth);
+  outputs->MakeFolder(imu);
   // First what tells that the folder is ours.
-  WriteFile(truth / "sensor.yaml", SensorYaml("visual-inertial", ""));
+  outputs->Write(truth / "sensor.yaml", SensorYaml(*outputs, "visual-inertial", ""));
   TextTable states(kEurocHeader, ',', kDigits);
   TextTable sigmas(kSigmaHeader, ',', kDigits);
   TextTable samples(kAslImuHeader, ',', kDigits);
-  const TrajectoryCount count = ForEachState(output, [&](int64_t stamp_ns, const ImuState& x) {
+  TrajectoryCount count = ForEachState(output, [&](int64_t stamp_ns, const ImuState& x) {
     AddEuroc(stamp_ns, x, &states);
-    if (output.track.has_covariance()) AddSigmas(stamp_ns, x, &sigmas);
+    if (output.has_covariance) AddSigmas(stamp_ns, x, &sigmas);
   });
-  for (const ImuTrack::Sample& s : output.track.Samples())
+  for (const ImuTrack::Sample& s : output.samples())
     samples.AddRow(std::to_string(s.stamp_ns), s.gyro, s.accel);
-  WriteFile(truth / "data.csv", states.text());
-  if (output.track.has_covariance()) {
-    WriteFile(truth / "sigma.csv", sigmas.text());
-  } else {
-    std::filesystem::remove(truth / "sigma.csv", error);  // of an earlier run
-  }
-  WriteFile(imu / "sensor.yaml", ImuSensorYaml(output));
-  WriteFile(imu / "data.csv", samples.text());
+  outputs->Write(truth / "data.csv", states.text());
+  if (output.has_covariance)
+    outputs->Write(truth / "sigma.csv", sigmas.text());
+  else
+    outputs->Remove(truth / "sigma.csv");  // of an earlier run
+  outputs->Write(imu / "sensor.yaml", ImuSensorYaml(output, *outputs));
+  outputs->Write(imu / "data.csv", samples.text());
   return count;
 }
 
 TrajectoryCount WriteText(const std::string& path,
                           TrajectoryFormat format,
-                          const TrajectoryOutput& output) {
+                          const TrajectoryOutput& output,
+                          OutputFiles* outputs) {
   const bool is_euroc = format == TrajectoryFormat::kEuroc;
   const bool with_covariance = format == TrajectoryFormat::kOvEval;
-  TextTable table(is_euroc          ? kEurocHeader
-                  : with_covariance ? kOvEvalHeader
-                                    : "",
-                  is_euroc ? ',' : ' ',
-                  kDigits);
-  const TrajectoryCount count = ForEachState(output, [&](int64_t stamp_ns, const ImuState& x) {
+  TextTable table("", is_euroc ? ',' : ' ', kDigits);
+  TrajectoryCount count = ForEachState(output, [&](int64_t stamp_ns, const ImuState& x) {
     if (is_euroc) return AddEuroc(stamp_ns, x, &table);
     const std::string stamp = SecondsText(stamp_ns);
     if (!with_covariance) return table.AddRow(stamp, x.p_WI, x.q_WI.coeffs());
@@ -166,7 +182,12 @@ TrajectoryCount WriteText(const std::string& path,
                  UpperTriangle(x.covariance.block<3, 3>(0, 0)),
                  UpperTriangle(x.covariance.block<3, 3>(3, 3)));
   });
-  WriteFile(path, table.text());
+  // Readers of the dataset's file take its first line for the header, and all others for states.
+  count.is_marked = !is_euroc;
+  const std::string head =
+      is_euroc ? kEurocHeader
+               : Origin(*outputs) + Carried(count) + (with_covariance ? kOvEvalHeader : "");
+  outputs->Write(path, head + table.text());
   return count;
 }
 
@@ -205,21 +226,29 @@ nav_msgs::Odometry ToOdometry(const std_msgs::Header& header,
   return msg;
 }
 
-TrajectoryCount WriteBagDraft(const std::string& path, const TrajectoryOutput& output) {
+TrajectoryCount FillBag(const TrajectoryOutput& output,
+                        const std::string& run_id,
+                        rosbag::Bag* bag) {
   const std::string child = output.imu_frame + "_ground_truth";
-  rosbag::Bag bag(path, rosbag::bagmode::Write);
   nav_msgs::Path track;
   track.header.frame_id = output.world_frame;
   int64_t next_ns = 0;
-  const TrajectoryCount count = ForEachState(output, [&](int64_t stamp_ns, const ImuState& x) {
+  std::optional<bool> last_carried;
+  TrajectoryCount count = ForEachState(output, [&](int64_t stamp_ns, const ImuState& x) {
     const ros::Time stamp = std::max(ros::TIME_MIN, FromNanoseconds(stamp_ns));
     const std_msgs::Header header = MakeHeader(stamp, output.world_frame);
     const nav_msgs::Odometry odometry = ToOdometry(header, child, x);
-    bag.write("/ground_truth/odometry", stamp, odometry);
+    bag->write("/ground_truth/odometry", stamp, odometry);
+    if (last_carried != x.is_carried) {
+      std_msgs::Bool carried;
+      carried.data = x.is_carried;
+      bag->write("/ground_truth/by_imu_alone", stamp, carried);
+      last_carried = x.is_carried;
+    }
 
     tf2_msgs::TFMessage tf;
     tf.transforms = {ToTransformStamped(header, child, {x.q_WI, x.p_WI})};
-    bag.write("/tf", stamp, tf);
+    bag->write("/tf", stamp, tf);
 
     if (!track.poses.empty() && stamp_ns < next_ns) return;
     next_ns = stamp_ns + kPathPeriodNs;
@@ -230,26 +259,27 @@ TrajectoryCount WriteBagDraft(const std::string& path, const TrajectoryOutput& o
   // At the start, so that whoever plays it sees the whole.
   if (!track.poses.empty()) {
     track.header.stamp = track.poses.front().header.stamp;
-    bag.write("/ground_truth/path", track.header.stamp, track);
+    bag->write("/ground_truth/path", track.header.stamp, track);
+    std_msgs::String run;
+    run.data = run_id;
+    bag->write("/ground_truth/run_id", track.header.stamp, run);
   }
+  bag->close();
   return count;
 }
 
-TrajectoryCount WriteBag(const std::string& path, const TrajectoryOutput& output) {
-  std::random_device random;
-  const std::string draft = path + ".tmp" + std::to_string(random());
+TrajectoryCount WriteBag(const std::string& path,
+                         const TrajectoryOutput& output,
+                         OutputFiles* outputs) {
+  auto bag = std::make_unique<rosbag::Bag>(outputs->Draft(path), rosbag::bagmode::Write);
   try {
-    const TrajectoryCount count = WriteBagDraft(draft, output);
-    if (std::rename(draft.c_str(), path.c_str()) == 0) return count;
-    std::remove(draft.c_str());
-  } catch (const rosbag::BagException& error) {
-    std::remove(draft.c_str());
-    throw InputError("trajectory '" + path + "' cannot be written: " + error.what());
-  } catch (const std::exception&) {
-    std::remove(draft.c_str());
+    return FillBag(output, outputs->run_id(), bag.get());
+  } catch (const rosbag::BagException&) {
+    // On a full disk its destructor, which writes the rest, would end the process: it is kept.
+    static auto* unfinished = new std::vector<std::unique_ptr<rosbag::Bag>>;
+    unfinished->push_back(std::move(bag));
     throw;
   }
-  throw InputError("trajectory '" + path + "' cannot be written: a bag cannot replace it");
 }
 
 }  // namespace
@@ -298,13 +328,19 @@ void CheckAslFolder(const std::string& path) {
 
 TrajectoryCount WriteTrajectory(const std::string& path,
                                 TrajectoryFormat format,
-                                const TrajectoryOutput& output) {
-  if (format == TrajectoryFormat::kOvEval && !output.track.has_covariance())
+                                const TrajectoryOutput& output,
+                                OutputFiles* outputs) {
+  if (format == TrajectoryFormat::kOvEval && !output.has_covariance)
     throw InputError(
         "trajectory_format ov_eval has covariances, which only method joint gives; use it, or tum");
-  if (format == TrajectoryFormat::kBag) return WriteBag(path, output);
-  return format == TrajectoryFormat::kAsl ? WriteAsl(path, output)
-                                          : WriteText(path, format, output);
+  if (format == TrajectoryFormat::kAsl) return WriteAsl(path, output, outputs);
+  if (format != TrajectoryFormat::kBag) return WriteText(path, format, output, outputs);
+  try {
+    return WriteBag(path, output, outputs);
+  } catch (const rosbag::BagException& error) {
+    outputs->Drop(path);
+    throw InputError("trajectory '" + path + "' cannot be written: " + error.what());
+  }
 }
 
 }  // namespace imu_pose_calib

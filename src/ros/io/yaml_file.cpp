@@ -96,14 +96,18 @@ YAML::Node ParseYaml(const std::string& text) {
   }
 }
 
-std::string Nearest(const std::string& name, const std::vector<std::string>& names) {
+std::string DidYouMean(const std::string& name, const std::vector<std::string>& names) {
   const auto distance = [&name](const std::string& other) {
-    return other.compare(0, name.size(), name) == 0 ? 0 : EditDistance(name, other);
+    const size_t place = name.size() < 3 ? std::string::npos : other.find(name);
+    return place == std::string::npos ? EditDistance(name, other) : std::min<size_t>(place, 1);
   };
-  return *std::min_element(
-      names.begin(), names.end(), [&](const std::string& a, const std::string& b) {
+  const auto nearest =
+      std::min_element(names.begin(), names.end(), [&](const std::string& a, const std::string& b) {
         return distance(a) < distance(b);
       });
+  const size_t farthest = std::max<size_t>(1, name.size() / 3);
+  const bool is_near = nearest != names.end() && distance(*nearest) <= farthest;
+  return is_near ? "; did you mean '" + *nearest + "'?" : "";
 }
 
 }  // namespace imu_pose_calib

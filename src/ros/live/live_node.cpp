@@ -115,7 +115,11 @@ bool LiveNode::IsBusy() {
 
 /// Writes the best result and freezes it. Returns what was done.
 std::string LiveNode::Save() {
-  WriteFile(settings_.output, ToYaml(*live_.result(), {input_.Info()}, settings_.calibration));
+  OutputFiles outputs;
+  outputs.Write(
+      settings_.output,
+      ToYaml(*live_.result(), {input_.Info()}, settings_.calibration, {outputs.run_id()}));
+  outputs.Commit();
   std::string message = "saved to " + settings_.output + "; call reset to start anew";
   live_.Freeze(message);
   save_error_.clear();

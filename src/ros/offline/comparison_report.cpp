@@ -125,7 +125,7 @@ void WriteComparison(const ComparisonInput& input, const std::string& path) {
     head["results"].push_back(node);
   }
   if (input.reference) head["reference"] = Describe(*input.reference);
-  DrawReport(path, [&](const std::string& folder) { WriteHead(head, folder); });
+  WriteFile(path, DrawPage(path, "", [&](const std::string& folder) { WriteHead(head, folder); }));
 }
 
 }  // namespace imu_pose_calib

@@ -6,6 +6,7 @@
 
 #include "imu_pose_calib/core/imu_track.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/io/text_writer.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
@@ -59,6 +60,10 @@ std::string Describe(const TrajectoryCount& count, const std::vector<TrackGap>& 
                    longest);
   if (gaps.size() > carried)
     text += Format(", %s left out (%.1f s)", Gaps(gaps.size() - carried).c_str(), left_out);
+  if (count.is_marked) return text;
+  for (const TrajectoryCount::Run& run : count.runs)
+    text += "\n  by the imu alone, which the format cannot say: " + SecondsText(run.first_ns) +
+            " to " + SecondsText(run.last_ns);
   return text;
 }
 
@@ -109,7 +114,8 @@ std::vector<TrajectoryTarget> PlanTrajectories(const TrajectoryRequest& request,
 std::vector<std::string> WriteTrajectories(const TrajectoryRequest& request,
                                            const Calibration& result,
                                            const std::vector<RecordingInfo>& infos,
-                                           const CalibrationOptions& options) {
+                                           const CalibrationOptions& options,
+                                           OutputFiles* outputs) {
   std::vector<std::string> lines;
   if (request.path.empty()) return lines;
   std::shared_ptr<const TrajectoryCovariance> covariance;
@@ -128,14 +134,17 @@ std::vector<std::string> WriteTrajectories(const TrajectoryRequest& request,
     const RecordingInfo& info = infos[target.session];
     const TrajectoryCount count = WriteTrajectory(target.path,
                                                   target.format,
-                                                  {track,
-                                                   request.rate_hz,
+                                                  {track.Instants(request.rate_hz),
+                                                   [&](double t) { return track.At(t); },
+                                                   track.has_covariance(),
+                                                   [&] { return track.Samples(); },
                                                    info.world_frame,
                                                    info.imus[target.imu].imu_frame,
                                                    imu.noise,
                                                    imu.gyro.rate_hz,
                                                    options.gyro_bias_walk,
-                                                   options.accel_bias_walk});
+                                                   options.accel_bias_walk},
+                                                  outputs);
     lines.push_back(target.path + ": " + Describe(count, track.gaps()));
   }
   return lines;

@@ -17,6 +17,8 @@
 #include "imu_pose_calib/ros/io/ros_options.h"
 #include "imu_pose_calib/ros/io/stored_result.h"
 #include "imu_pose_calib/ros/offline/report.h"
+#include "imu_pose_calib/ros/offline/summary.h"
+#include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -127,46 +129,58 @@ void CheckOutput(const Given& output, const OfflineRequest& request) {
                        input.name + " '" + input.value + "'; choose another");
 }
 
-bool IsSamePath(const std::string& a, const std::string& b) {
-  return std::filesystem::absolute(a).lexically_normal() ==
-         std::filesystem::absolute(b).lexically_normal();
-}
-
-/// The same of all files of the trajectories.
-void CheckTrajectories(const std::vector<OfflineRequest>& sessions,
-                       size_t imus,
-                       const OfflineResult& offline) {
-  for (const TrajectoryTarget& target :
-       PlanTrajectories(offline.trajectory, offline.options.method, sessions.size(), imus)) {
+/// Throws InputError when a trajectory cannot be written, or would replace something else.
+void PlanTrajectories(const std::vector<OfflineRequest>& sessions, OfflineResult* offline) {
+  for (const TrajectoryTarget& target : PlanTrajectories(offline->trajectory,
+                                                         offline->options.method,
+                                                         sessions.size(),
+                                                         offline->sessions.front().imus.size()))
     for (const std::string& file : TrajectoryFiles(target.path, target.format)) {
       for (const OfflineRequest& session : sessions) CheckOutput({"trajectory", file}, session);
-      if (IsSamePath(file, offline.output))
-        throw InputError("trajectory and output are both '" + file + "'; choose another");
+      offline->outputs->Plan("trajectory", file, target.format == TrajectoryFormat::kAsl);
     }
-  }
 }
 
-/// Throws InputError for a report that is of no kind that can be drawn, or that would replace
-/// something else.
-void CheckReport(const OfflineResult& offline, const OfflineRequest& request) {
-  if (offline.report.empty()) return;
-  CheckReportName(offline.report);
-  if (IsSamePath(offline.report, offline.output))
-    throw InputError("report and output are both '" + offline.report + "'; choose another");
-  CheckOutput({"report", offline.report}, request);
+/// The same of the report, and for one that is of no kind that can be drawn.
+void PlanReport(OfflineResult* offline) {
+  if (offline->report.empty()) return;
+  CheckReportName(offline->report);
+  offline->outputs->Plan("report", offline->report);
+}
+
+/// Where the report of refused data goes: beside the one of an earlier run, which stays.
+std::string RefusedPath(const std::string& report) {
+  if (!std::filesystem::exists(report)) return report;
+  const std::filesystem::path path = report;
+  return std::filesystem::path(path).replace_extension(".refused" + path.extension().string());
 }
 
 /// Draws why the data were refused. That they were is what to report in the first place: a failure
 /// is added to it.
 [[noreturn]] void Refuse(const OfflineResult& offline, const std::string& reason) {
   if (offline.report.empty()) throw DataError(reason);
+  const std::string path = RefusedPath(offline.report);
   try {
-    WriteReport({offline.options, offline.sessions, offline.infos, offline.result, reason},
-                offline.report);
+    offline.outputs->Write(path,
+                           DrawReport({offline.options,
+                                       offline.sessions,
+                                       offline.infos,
+                                       offline.result,
+                                       reason,
+                                       offline.outputs->run_id()},
+                                      path));
+    offline.outputs->Commit();
   } catch (const std::exception& error) {
     throw DataError(reason + "; no report: " + error.what());
   }
-  throw DataError(reason);
+  throw DataError(reason + "; report: " + path);
+}
+
+/// What a failure says of earlier runs, whose files it leaves as they are.
+std::string StillThere(const OfflineResult& offline) {
+  return offline.earlier.empty()
+             ? ""
+             : "; still there, of an earlier run: " + WithTimes(offline.earlier);
 }
 
 Recording ReadBags(const OfflineRequest& request) {
@@ -256,6 +270,92 @@ void CheckGiven(const OfflineRequest& request) {
     throw InputError("no recording is given: a bag, a folder, or the files poses and imu");
 }
 
+/// What comes before it takes long: the requests of each session, and all outputs tried.
+std::vector<OfflineRequest> Plan(const OfflineRequest& given, OfflineResult* offline) {
+  for (const std::string& path : given.bag.paths)
+    if (!std::filesystem::exists(path)) throw InputError("bag '" + path + "' does not exist");
+  offline->exports = ParseExports(given.exports);
+  CheckOutput({"output", offline->output}, given);  // an old result may be given as the config
+  CheckOutput({"report", offline->report}, given);
+  std::vector<OfflineRequest> requests = SplitSessions(given);
+  for (const OfflineRequest& request : requests) {  // now with the files that were found
+    CheckOutput({"output", offline->output}, request);
+    CheckOutput({"report", offline->report}, request);
+  }
+  offline->options = Options(requests.front());
+  if (!given.trajectory.path.empty()) offline->options.max_factor_mb = kUnbounded;
+  // Before it takes long; of how many IMUs is not known yet.
+  PlanTrajectories(offline->trajectory, offline->options.method, requests.size(), 1);
+  offline->outputs->Plan("output", offline->output);
+  PlanReport(offline);
+  return requests;
+}
+
+/// See CalibrateOffline().
+void RunOffline(const OfflineRequest& given, const Progress& progress, OfflineResult* offline) {
+  const std::vector<OfflineRequest> requests = Plan(given, offline);
+  if (progress) progress("recording", std::nullopt);
+  for (Recording& recording : ReadRecordings(requests)) {
+    offline->infos.push_back(recording.info);
+    offline->sessions.push_back(std::move(recording.data));
+  }
+  PlanTrajectories(requests, offline);
+  if (progress) progress("recording", 0);
+  try {
+    const bool is_kept = given.keep_data || !offline->report.empty();
+    offline->result = Calibrate(offline->options,
+                                is_kept ? offline->sessions : std::exchange(offline->sessions, {}),
+                                progress);
+  } catch (const DataError& error) {
+    Refuse(*offline, error.what());
+  }
+  std::vector<std::string>& warnings = offline->result.warnings;
+  for (const RecordingInfo& info : offline->infos)
+    warnings.insert(warnings.begin(), info.notes.begin(), info.notes.end());
+  if (!offline->result.IsUsable()) Refuse(*offline, offline->result.message);
+}
+
+/// Gives the outputs the report, if one is wanted, and lets go of the recorded data. Returns why
+/// there is none.
+std::string WriteReport(OfflineResult* offline, const Progress& progress) {
+  if (offline->report.empty()) return "";
+  if (progress) progress("report", std::nullopt);
+  std::string page;
+  try {
+    page = DrawReport({offline->options,
+                       offline->sessions,
+                       offline->infos,
+                       offline->result,
+                       "",
+                       offline->outputs->run_id()},
+                      offline->report);
+  } catch (const std::exception& error) {
+    return error.what();
+  }
+  offline->outputs->Write(offline->report, page);
+  offline->sessions = {};
+  offline->written.push_back(offline->report);
+  if (progress) progress("report", 0);
+  return "";
+}
+
+/// What the run writes under names that do not follow from that of the result, from its folder.
+std::vector<std::string> OtherFiles(const OfflineResult& offline) {
+  std::vector<std::string> files;
+  if (!offline.report.empty()) files.push_back(offline.report);
+  for (const TrajectoryTarget& target : PlanTrajectories(offline.trajectory,
+                                                         offline.result.method,
+                                                         offline.infos.size(),
+                                                         offline.result.imus.size()))
+    if (offline.result.sessions[target.session].imus[target.imu].is_present)
+      files.push_back(target.path);
+  const std::filesystem::path folder =
+      std::filesystem::absolute(offline.output).lexically_normal().parent_path();
+  for (std::string& file : files)
+    file = std::filesystem::absolute(file).lexically_normal().lexically_proximate(folder);
+  return files;
+}
+
 }  // namespace
 
 std::string OutputPath(const OfflineRequest& request) {
@@ -274,43 +374,17 @@ std::string ReportPath(const OfflineRequest& request) {
 OfflineResult CalibrateOffline(const OfflineRequest& given, const Progress& progress) {
   CheckGiven(given);
   OfflineResult offline;
-  offline.exports = ParseExports(given.exports);
   offline.output = OutputPath(given);
   offline.report = given.report;
   offline.trajectory = given.trajectory;
-  CheckOutput({"output", offline.output}, given);  // an old result may be given as the config
-  CheckReport(offline, given);
-  RemoveOldResult(offline.output);
-  RemoveOldExports(offline.output, offline.exports);
-  RemoveOldReport(offline.report);
-  const std::vector<OfflineRequest> requests = SplitSessions(given);
-  for (const OfflineRequest& request : requests) {  // now with the files that were found
-    CheckOutput({"output", offline.output}, request);
-    CheckReport(offline, request);
-  }
-
-  offline.options = Options(requests.front());
-  if (!given.trajectory.path.empty()) offline.options.max_factor_mb = kUnbounded;
-  CheckTrajectories(requests, 1, offline);  // before it takes long
-  if (progress) progress("recording", std::nullopt);
-  for (Recording& recording : ReadRecordings(requests)) {
-    offline.infos.push_back(recording.info);
-    offline.sessions.push_back(std::move(recording.data));
-  }
-  CheckTrajectories(requests, offline.sessions.front().imus.size(), offline);
-  if (progress) progress("recording", 0);
+  offline.earlier = FindEarlier(offline.output);
   try {
-    const bool is_kept = given.keep_data || !offline.report.empty();
-    offline.result = Calibrate(offline.options,
-                               is_kept ? offline.sessions : std::exchange(offline.sessions, {}),
-                               progress);
+    RunOffline(given, progress, &offline);
   } catch (const DataError& error) {
-    Refuse(offline, error.what());
+    throw DataError(error.what() + StillThere(offline));
+  } catch (const InputError& error) {
+    throw InputError(error.what() + StillThere(offline));
   }
-  for (const RecordingInfo& info : offline.infos)
-    for (const std::string& note : info.notes) offline.result.warnings.push_back(note);
-  if (!offline.result.IsUsable()) Refuse(offline, offline.result.message);
-  offline.yaml = ToYaml(offline.result, offline.infos, offline.options);
   return offline;
 }
 
@@ -320,37 +394,53 @@ std::vector<std::string> SplitBags(const std::string& text) {
   return {std::istream_iterator<std::string>(words), {}};
 }
 
-void WriteResult(OfflineResult* offline) {
+std::string WriteResult(OfflineResult* offline, const Progress& progress) {
+  OutputFiles* outputs = offline->outputs.get();
+  std::vector<std::string>& written = offline->written;
+  const std::string yaml = ToYaml(
+      offline->result, offline->infos, offline->options, {outputs->run_id(), OtherFiles(*offline)});
+  std::string no_report;
   try {
-    WriteFile(offline->output, offline->yaml);
+    outputs->Write(offline->output, yaml);
+    written.push_back(offline->output);
+    if (!offline->exports.empty()) {
+      const StoredResult stored = ParseResult(yaml, offline->output);
+      for (const std::string& path : WriteExports(stored, offline->exports, outputs))
+        written.push_back(path);
+      offline->export_note = ExportNote(stored, offline->exports);
+    }
+    for (const std::string& line : WriteTrajectories(
+             offline->trajectory, offline->result, offline->infos, offline->options, outputs))
+      written.push_back(line);
+    no_report = WriteReport(offline, progress);
+    outputs->Commit();
   } catch (const InputError&) {
-    std::cout << offline->yaml << std::flush;
+    std::cout << yaml << std::flush;
     throw;
   }
-  std::vector<std::string>& written = offline->written;
-  written.push_back(offline->output);
-  if (!offline->exports.empty())
-    for (const std::string& path :
-         WriteExports(ParseResult(offline->yaml, offline->output), offline->exports))
-      written.push_back(path);
-  for (const std::string& line :
-       WriteTrajectories(offline->trajectory, offline->result, offline->infos, offline->options))
-    written.push_back(line);
+  if (!no_report.empty())
+    no_report = "no report: " + no_report + "; the result is in '" + offline->output + "'";
+  return no_report;
 }
 
-void WriteReport(OfflineResult* offline, const Progress& progress) {
-  if (offline->report.empty()) return;
-  if (progress) progress("report", std::nullopt);
-  try {
-    WriteReport({offline->options, offline->sessions, offline->infos, offline->result, ""},
-                offline->report);
-  } catch (const std::exception& error) {
-    throw InputError(std::string("no report: ") + error.what() + "; the result is in '" +
-                     offline->output + "'");
+std::string Describe(const OfflineResult& offline, bool is_verbose) {
+  constexpr size_t kMostFiles = 3, kScreen = 25;
+  std::vector<std::string> written = offline.written;
+  if (!is_verbose && written.size() > kMostFiles) {  // the exports
+    const size_t more = written.size() - kMostFiles;
+    const auto first = written.begin() + 1;
+    written.erase(first, first + static_cast<std::ptrdiff_t>(more));
+    written.push_back("and " + std::to_string(more) + " more beside the first: --verbose");
   }
-  offline->sessions = {};
-  offline->written.push_back(offline->report);
-  if (progress) progress("report", 0);
+  std::string files = WrittenTo(written);
+  if (!offline.export_note.empty()) files += Wrap("  note: ", Printable(offline.export_note));
+  std::vector<std::string> older = offline.earlier;
+  const auto is_new = [&](const std::string& file) { return offline.outputs->Holds(file); };
+  older.erase(std::remove_if(older.begin(), older.end(), is_new), older.end());
+  if (!older.empty()) files += Wrap("  older, of another run: ", Printable(WithTimes(older)));
+  if (is_verbose) return Summary(offline.result, offline.infos) + files;
+  const auto lines = static_cast<size_t>(std::count(files.begin(), files.end(), '\n'));
+  return Brief(offline.result, offline.infos, kScreen - std::min(kScreen, lines)) + files;
 }
 
 std::vector<OfflineCheck> CheckOffline(const OfflineRequest& given) {

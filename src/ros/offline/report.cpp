@@ -3,6 +3,7 @@
 #include <yaml-cpp/yaml.h>
 
 #include <algorithm>
+#include <boost/algorithm/string/replace.hpp>
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
@@ -25,7 +26,7 @@
 namespace imu_pose_calib {
 namespace {
 
-// First line of every report in HTML; tells our files from others.
+// First line of every report in HTML.
 constexpr char kReportHeader[] = "<!DOCTYPE html><!-- imu_pose_calib: report of a calibration -->";
 
 // --- The numbers ---
@@ -146,28 +147,6 @@ YAML::Node WriteSession(const ReportInput& input,
 
 // --- The drawing ---
 
-/// A folder of its own, removed in the end.
-class TemporaryFolder {
- public:
-  TemporaryFolder() {
-    std::string name = (std::filesystem::temp_directory_path() / "imu_pose_calib_XXXXXX").string();
-    if (mkdtemp(name.data()) == nullptr)
-      throw InputError("no temporary folder '" + name + "' can be made");
-    path_ = name;
-  }
-  TemporaryFolder(const TemporaryFolder&) = delete;
-  TemporaryFolder& operator=(const TemporaryFolder&) = delete;
-  ~TemporaryFolder() {
-    std::error_code ignored;
-    std::filesystem::remove_all(path_, ignored);
-  }
-
-  const std::filesystem::path& path() const { return path_; }
-
- private:
-  std::filesystem::path path_;
-};
-
 std::string ReadAll(const std::string& path) {
   std::ostringstream text;
   text << std::ifstream(path, std::ios::binary).rdbuf();
@@ -201,7 +180,9 @@ void WriteHead(const YAML::Node& report, const std::string& folder) {
   WriteFile(folder + "/report.yaml", out.c_str());
 }
 
-void DrawReport(const std::string& path, const std::function<void(const std::string&)>& write) {
+std::string DrawPage(const std::string& path,
+                     const std::string& run_id,
+                     const std::function<void(const std::string&)>& write) {
   const std::filesystem::path script =
       std::filesystem::read_symlink("/proc/self/exe").parent_path() / "report.py";
   if (!std::filesystem::exists(script))
@@ -213,11 +194,17 @@ void DrawReport(const std::string& path, const std::function<void(const std::str
   const std::string errors = folder.path() / "errors.txt";
   if (RunProgram({script, folder.path(), drawn}, errors) != EXIT_SUCCESS)
     throw InputError("report '" + path + "' cannot be drawn: " + LastLine(errors));
-  WriteFile(path, (is_pdf ? "" : kReportHeader + std::string("\n")) + ReadAll(drawn));
+  std::string run = "imu_pose_calib " + std::string(kVersion);
+  if (!run_id.empty()) run += ", run_id: " + run_id;
+  std::string page = ReadAll(drawn);
+  if (is_pdf) return page + "% " + run + "\n";  // a comment may follow the end
+  boost::replace_first(page, "<title>", "<meta name=\"generator\" content=\"" + run + "\"><title>");
+  return kReportHeader + ("\n" + page);
 }
 
 void WriteReportData(const ReportInput& input, const std::string& folder) {
   YAML::Node report = ReportHead();
+  report["run_id"] = input.run_id;
   const bool is_solved = input.result.solution != nullptr;
   std::shared_ptr<const TrajectoryCovariance> covariance;
   if (is_solved && !input.result.solution->marginals.factor.empty())
@@ -231,23 +218,19 @@ void WriteReportData(const ReportInput& input, const std::string& folder) {
     report["sessions"].push_back(WriteSession(input, s, covariance, folder));
   WriteHead(report, folder);
   if (is_solved)
-    WriteFile(folder + "/result.yaml", ToYaml(input.result, input.infos, input.options));
+    WriteFile(folder + "/result.yaml",
+              ToYaml(input.result, input.infos, input.options, {input.run_id}));
 }
 
-void WriteReport(const ReportInput& input, const std::string& path) {
-  DrawReport(path, [&](const std::string& folder) { WriteReportData(input, folder); });
+std::string DrawReport(const ReportInput& input, const std::string& path) {
+  return DrawPage(
+      path, input.run_id, [&](const std::string& folder) { WriteReportData(input, folder); });
 }
 
 void CheckReportName(const std::string& path) {
   const std::string extension = std::filesystem::path(path).extension();
   if (!path.empty() && extension != ".html" && extension != ".pdf")
     throw InputError("report '" + path + "' must end in .html or .pdf");
-}
-
-void RemoveOldReport(const std::string& path) {
-  std::string first_line;
-  std::getline(std::ifstream(path), first_line);
-  if (first_line == kReportHeader) std::remove(path.c_str());
 }
 
 }  // namespace imu_pose_calib

@@ -4,7 +4,9 @@
 #include <boost/algorithm/string/case_conv.hpp>
 #include <cmath>
 #include <numeric>
+#include <optional>
 
+#include "imu_pose_calib/core/options.h"
 #include "imu_pose_calib/ros/io/printable.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"
 
@@ -80,11 +82,48 @@ Eigen::Vector3d RollPitchYaw(const Eigen::Quaterniond& q) {
                                     std::atan2(R(1, 0), R(0, 0)));
 }
 
+/// Sigmas of roll, pitch and yaw [rad]: about the imu axes, R Exp(dtheta) turns by
+/// E (droll, dpitch, dyaw). Nothing where the pitch leaves the other two undetermined.
+std::optional<Eigen::Vector3d> RollPitchYawStd(const ImuCalibration& imu) {
+  constexpr double kNearLock = 0.1;  // cosine of the pitch, 6 deg
+  const Eigen::Vector3d rpy = RollPitchYaw(imu.T_MI.q) / kDegrees;
+  const double sr = std::sin(rpy.x()), cr = std::cos(rpy.x());
+  const double sp = std::sin(rpy.y()), cp = std::cos(rpy.y());
+  if (cp < kNearLock) return std::nullopt;
+  Eigen::Matrix3d E;
+  E << 1.0, 0.0, -sp, 0.0, cr, cp * sr, 0.0, -sr, cp * cr;
+  const Eigen::Matrix3d inverse = E.inverse();
+  return (inverse * imu.covariance.bottomRightCorner<3, 3>() * inverse.transpose())
+      .diagonal()
+      .cwiseSqrt();
+}
+
+/// Whether the result is in doubt for a reason that no sigma shows.
+bool IsDoubted(const Calibration& result) {
+  return result.status != Status::kOk &&
+         std::all_of(result.observability.begin(),
+                     result.observability.end(),
+                     [](const Observability& o) { return o.status == Status::kOk; });
+}
+
 /// Worst verdict of the directions whose name begins with `name`; "fixed" when there are none.
 std::string RowVerdict(const Calibration& result, const std::string& name) {
   for (const Observability& o : result.observability)  // the worst first
-    if (o.direction.compare(0, name.size(), name) == 0) return ToString(o.status);
+    if (o.direction.compare(0, name.size(), name) == 0)
+      return IsDoubted(result) ? "in doubt" : ToString(o.status);
   return "fixed";
+}
+
+/// A drift is told when the data tell more of it than was known before, and well when it leaves the
+/// time shift well known over all of the recording.
+std::string DriftVerdict(const Calibration& result) {
+  constexpr double kSame = 0.9;
+  const ImuSession& clock = result.sessions[0].imus[0];
+  if (clock.clock_drift_std > kSame * kDriftPrior) return "prior";
+  const double away = 0.5 * clock.gyro.duration_s;
+  if (clock.clock_drift_std * away > CalibrationOptions().weak_time_shift_std)
+    return ToString(Status::kWeak);
+  return IsDoubted(result) ? "in doubt" : ToString(Status::kOk);
 }
 
 std::string Row(const std::string& name,
@@ -98,6 +137,40 @@ std::string Row(const std::string& name,
                 verdict.c_str());
 }
 
+/// What was dropped of all streams: "; gyro: 2 outlier".
+std::string AllDropped(const SessionCalibration& session, const std::string& of) {
+  std::string text;
+  const auto add = [&](const std::string& stream, const StreamReport& report) {
+    const std::string dropped = Dropped(report);
+    if (!dropped.empty())
+      text += "; " + stream + of + dropped.substr(std::string("; dropped").size());
+  };
+  add("poses", session.poses);
+  for (size_t i = 0; i < session.imus.size(); ++i) {
+    const std::string imu = OfImu(i, session.imus.size());
+    add("gyro" + imu, session.imus[i].gyro);
+    add("accel" + imu, session.imus[i].accel);
+  }
+  return text;
+}
+
+/// So many lines at most of the warnings, with the number of those left out.
+std::string FirstWarnings(const Calibration& result, size_t lines) {
+  std::string text;
+  size_t used = 0, shown = 0;
+  for (; shown < result.warnings.size(); ++shown) {
+    const std::string warning = Wrap("  warning: ", Printable(result.warnings[shown]));
+    const auto size = static_cast<size_t>(std::count(warning.begin(), warning.end(), '\n'));
+    const bool is_last = shown + 1 == result.warnings.size();
+    if (used + size + (is_last ? 0 : 1) > lines) break;
+    text += warning;
+    used += size;
+  }
+  const size_t more = result.warnings.size() - shown;
+  if (more > 0) text += Format("  %zu %swarnings: --verbose\n", more, shown > 0 ? "more " : "");
+  return text;
+}
+
 /// What a person wants to know first.
 std::string Table(const Calibration& result) {
   const ImuCalibration& imu = result.imus[0];
@@ -108,10 +181,13 @@ std::string Table(const Calibration& result) {
               List(1e3 * imu.T_MI.p, "%.3f"),
               List(1e3 * sigma.head<3>(), "%.3f"),
               RowVerdict(result, "p_MI"));
+  const std::optional<Eigen::Vector3d> rpy_sigma = RollPitchYawStd(imu);
   text += Row("rpy [deg]",
               List(RollPitchYaw(imu.T_MI.q), "%.3f"),
-              List(kDegrees * sigma.tail<3>(), "%.4f"),
+              List(kDegrees * rpy_sigma.value_or(sigma.tail<3>()), "%.4f"),
               RowVerdict(result, "R_MI"));
+  if (!rpy_sigma)
+    text += "    pitch near 90 deg: roll and yaw turn about one axis; sigma about imu x, y, z\n";
   text += Row("time shift",
               Format("%.7f s", clock.time_shift),
               Format("%.4f ms", 1e3 * clock.time_shift_std),
@@ -124,7 +200,7 @@ std::string Table(const Calibration& result) {
     text += Row("clock drift",
                 Format("%.2f ppm", 1e6 * clock.clock_drift),
                 Format("%.2f ppm", 1e6 * clock.clock_drift_std),
-                "ok");
+                DriftVerdict(result));
   return text;
 }
 
@@ -146,6 +222,7 @@ std::string ImuTable(const Calibration& result, const RecordingInfo& info) {
   text += "  in imu0  " + units.substr(2);
   for (const BetweenImus& between : result.between_imus)
     text += row("imu" + std::to_string(between.second), between.T, between.Std());
+  text += "  sigma: the largest, of translations and about the axes of the imu\n";
   for (size_t i = 0; i < result.imus.size(); ++i)
     text += Wrap("  imu" + std::to_string(i) + ": ",
                  info.imus[i].imu_frame + ", " + info.imus[i].GyroSource() +
@@ -177,6 +254,20 @@ std::string SessionTable(const Calibration& result, const std::vector<RecordingI
                        1e3 * session.imus[i].time_shift_std);
   }
   return text;
+}
+
+/// One line instead of the table of the sessions.
+std::string MostApart(const Calibration& result) {
+  const auto most = std::max_element(result.sessions.begin(),
+                                     result.sessions.end(),
+                                     [](const SessionCalibration& a, const SessionCalibration& b) {
+                                       return a.agreement.sigmas < b.agreement.sigmas;
+                                     });
+  return Format("\n  %zu sessions; farthest from the others: session %d, %s, %.1f sigma\n",
+                result.sessions.size(),
+                static_cast<int>(most - result.sessions.begin()) + 1,
+                most->agreement.worst.c_str(),
+                most->agreement.sigmas);
 }
 
 std::string Transform(const Calibration& result) {
@@ -438,6 +529,29 @@ std::string Summary(const Calibration& result, const std::vector<RecordingInfo>&
   for (size_t i = 0; i < result.imus.size(); ++i)
     text += StaticTransform(result.imus[i].T_MI, infos[0].marker_frame, infos[0].imus[i].imu_frame);
   return text;
+}
+
+std::string Brief(const Calibration& result,
+                  const std::vector<RecordingInfo>& recordings,
+                  size_t lines) {
+  std::vector<RecordingInfo> infos;
+  for (const RecordingInfo& recording : recordings) infos.push_back(WithPrintableNames(recording));
+  std::string text = Verdict(ToString(result.status), result.message);
+  text += result.imus.size() == 1 ? Table(result) : ImuTable(result, infos.front());
+  if (result.sessions.size() > 1)
+    text += MostApart(result);
+  else if (result.imus.size() > 1)
+    text += SessionTable(result, infos);
+  std::string dropped;
+  for (size_t s = 0; s < result.sessions.size(); ++s)
+    dropped += AllDropped(result.sessions[s], OfSession(s, result.sessions.size()));
+  text += "\n" + Wrap("  dropped: ", dropped.empty() ? "no samples" : dropped.substr(2));
+  std::string tf;
+  for (size_t i = 0; i < result.imus.size(); ++i)
+    tf += StaticTransform(result.imus[i].T_MI, infos[0].marker_frame, infos[0].imus[i].imu_frame);
+  const auto used = static_cast<size_t>(std::count(text.begin(), text.end(), '\n') +
+                                        std::count(tf.begin(), tf.end(), '\n'));
+  return text + FirstWarnings(result, lines > used ? lines - used : 0) + tf;
 }
 
 std::string WrittenTo(const std::vector<std::string>& paths) {

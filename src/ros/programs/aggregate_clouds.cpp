@@ -98,7 +98,9 @@ void Run(int argc, char** argv) {
       argc, argv, Describe(&line), "bag", Value(&line.request.recording.bag.paths), -1);
   if (line.help) return PrintHelp();
   line.request.keep_uncalibrated = line.publish;
+  auto guard = std::make_unique<InterruptGuard>();
   const AggregateOutcome outcome = AggregateClouds(line.request, ShowProgress(line.quiet));
+  guard.reset();
   if (!line.quiet) std::cout << outcome.text << WrittenTo(outcome.written) << std::flush;
   if (line.publish) Publish(outcome);
 }

@@ -17,7 +17,8 @@ namespace po = boost::program_options;
 
 struct CommandLine {
   OfflineRequest request;
-  bool check = false, quiet = false, help = false, help_all = false, version = false;
+  bool check = false, quiet = false, verbose = false, help = false, help_all = false,
+       version = false;
 };
 
 /// An option that can be given again and again: `field` gets all values, with blanks between them.
@@ -43,6 +44,7 @@ po::options_description DescribeCommon(CommandLine* line) {
   add("export", Value(&request.exports), "kalibr,ros2,...: files for other programs");
   add("trajectory", Value(&request.trajectory.path), "ground truth: .tum, .csv, .bag, folder");
   add("check", po::bool_switch(&line->check), "judge the recording without calibrating");
+  add("verbose", po::bool_switch(&line->verbose), "print all of the result");
   add("quiet", po::bool_switch(&line->quiet), "print errors only");
   add("help", po::bool_switch(&line->help), "print this text");
   add("help-all", po::bool_switch(&line->help_all), "print every option");
@@ -133,12 +135,12 @@ void Run(int argc, char** argv) {
   }
 
   if (line.check) return Check(line);
+  const InterruptGuard guard;
   const Progress progress = ShowProgress(line.quiet);
   OfflineResult offline = CalibrateOffline(line.request, progress);
-  if (!line.quiet) std::cout << Summary(offline.result, offline.infos) << std::flush;
-  WriteResult(&offline);
-  WriteReport(&offline, progress);
-  if (!line.quiet) std::cout << WrittenTo(offline.written);
+  const std::string failure = WriteResult(&offline, progress);
+  if (!line.quiet) std::cout << Describe(offline, line.verbose) << std::flush;
+  if (!failure.empty()) throw InputError(failure);
 }
 
 }  // namespace

@@ -7,16 +7,17 @@
 #include <csignal>
 #include <cstdio>
 #include <iostream>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/io/output_files.h"
+#include "imu_pose_calib/ros/io/printable.h"
 #include "imu_pose_calib/ros/live/live_node.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
 #include "imu_pose_calib/ros/offline/offline.h"
-#include "imu_pose_calib/ros/offline/summary.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -36,7 +37,7 @@ std::vector<std::string> ParametersOf(int argc, char** argv) {
 
 struct OfflineJob {
   OfflineRequest request;
-  bool exit;
+  bool exit, verbose;
 };
 
 OfflineJob ReadJob() {
@@ -51,6 +52,7 @@ OfflineJob ReadJob() {
   };
   OfflineJob job;
   job.exit = flag("exit");
+  job.verbose = flag("verbose");
   OfflineRequest& request = job.request;
   request.bag.paths = SplitBags(text("bag"));
   request.bag.body = text("body");
@@ -117,16 +119,13 @@ void Offer(const OfflineResult& offline, ros::NodeHandle* node) {
 /// interrupt ends it at once.
 void RunOffline(const OfflineJob& job, std::optional<ros::NodeHandle>* node) {
   std::signal(SIGINT, SIG_DFL);  // as later in the graph, also when a shell has it ignored
+  auto guard = std::make_unique<InterruptGuard>();
   OfflineResult offline = CalibrateOffline(job.request, ShowProgress(false));
-  std::cout << Summary(offline.result, offline.infos) << std::flush;
-  WriteResult(&offline);
-  try {
-    WriteReport(&offline);
-  } catch (const InputError& error) {
-    if (job.exit) throw;
-    ROS_ERROR("%s", OneLine(error).c_str());  // the result is there, and is offered
-  }
-  for (const std::string& path : offline.written) ROS_INFO("Written to %s", path.c_str());
+  const std::string failure = WriteResult(&offline);
+  std::cout << Describe(offline, job.verbose) << std::flush;
+  if (!failure.empty() && job.exit) throw InputError(failure);
+  if (!failure.empty()) ROS_ERROR("%s", Printable(failure).c_str());  // the result is offered
+  guard.reset();
   if (!job.exit) Offer(offline, &node->emplace("~"));
 }
 

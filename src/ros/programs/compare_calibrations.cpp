@@ -97,6 +97,41 @@ bool AreOfOneRecording(const std::vector<StoredResult>& results, size_t imu) {
   });
 }
 
+/// Whether two results have data in common: a recording, and of that the same time.
+bool HaveDataInCommon(const StoredResult& a, const StoredResult& b, size_t imu) {
+  const bool are_single = a.result.sessions.size() == 1 && b.result.sessions.size() == 1;
+  const double apart = std::abs(a.Clock(imu).clock_reference - b.Clock(imu).clock_reference);
+  const double half_lengths =
+      0.5 * (a.result.sessions[0].poses.duration_s + b.result.sessions[0].poses.duration_s);
+  for (const RecordingInfo& its : a.infos)
+    for (const RecordingInfo& other : b.infos)
+      if (its.Source() == other.Source() && (!are_single || apart < half_lengths)) return true;
+  return false;
+}
+
+/// What agreement does not tell of results that are not of data of their own.
+std::string DependenceRemark(const std::vector<StoredResult>& results, size_t imu) {
+  std::string pairs;
+  for (size_t i = 0; i < results.size(); ++i)
+    for (size_t j = i + 1; j < results.size(); ++j)
+      if (HaveDataInCommon(results[i], results[j], imu))
+        pairs +=
+            (pairs.empty() ? "" : ", ") + std::to_string(i + 1) + " and " + std::to_string(j + 1);
+  if (pairs.empty()) return "";
+  return Wrap("  note: ",
+              "results " + pairs + " are of the same or overlapping data: that they agree does " +
+                  "not show that either is right. Compare recordings that share nothing.");
+}
+
+/// A guess at why a reference is a thousand times too far away.
+std::string UnitRemark(const std::vector<Comparable>& calibrations, const Comparable& reference) {
+  constexpr double kLongArm = 1.0, kNear = 0.5;  // [m], [1]
+  const Eigen::Vector3d& p = reference.T_MI.p;
+  const Eigen::Vector3d& found = calibrations.front().T_MI.p;
+  if (p.norm() < kLongArm || (1e-3 * p - found).norm() > kNear * found.norm()) return "";
+  return "  note: the reference seems to be in millimetres, must be in m\n";
+}
+
 /// Rows of each component, then distance, angle and chi-square.
 std::string Table(const Comparison& comparison, const std::string& title) {
   std::string text = Row("\n  %-24s %14s %14s", title.c_str(), "difference", "sigma");
@@ -325,12 +360,14 @@ void CompareAll(const CommandLine& line) {
   }
   if (!name.empty()) {
     reference.covariance = Covariance(line.reference_std);
-    text += CompareWithReference(calibrations, reference, name, transform, &worst);
+    text += CompareWithReference(calibrations, reference, name, transform, &worst) +
+            UnitRemark(calibrations, reference);
   }
   const bool agrees = worst.sigmas <= kAgreementBound;
   const std::string verdict =
       (agrees ? "; most apart: " : ": ") + worst.text + Format(" (bound: %.0f)", kAgreementBound);
-  text = (agrees ? "AGREE" : "DIFFER") + verdict + "\n" + text;
+  text =
+      (agrees ? "AGREE" : "DIFFER") + verdict + "\n" + DependenceRemark(results, line.imu) + text;
   if (!line.report.empty()) {
     WriteComparison(
         {results,

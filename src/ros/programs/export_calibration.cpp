@@ -52,7 +52,12 @@ void Run(int argc, char** argv) {
   ExportOptions options;
   if (!line.body_imu.empty()) options.q_body_imu = ParseQuaternion("--body-imu", line.body_imu);
   const StoredResult stored = LoadResult(line.result);
-  for (const std::string& path : WriteExports(stored, names, line.output_dir, options))
+  const InterruptGuard guard;
+  OutputFiles outputs;
+  const std::vector<std::string> paths =
+      WriteExports(stored, names, &outputs, line.output_dir, options);
+  outputs.Commit();
+  for (const std::string& path : paths)
     if (!line.quiet) std::cout << "Written to " << path << "\n";
 }
 

@@ -7,9 +7,11 @@
 #include "imu_pose_calib/core/simulator.h"
 #include "imu_pose_calib/ros/clouds/simulated_lidar.h"
 #include "imu_pose_calib/ros/io/bag_writer.h"
+#include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/text_writer.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
+#include "imu_pose_calib/ros/offline/ground_truth.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -17,7 +19,7 @@ namespace {
 namespace po = boost::program_options;
 
 struct CommandLine {
-  std::string output, motion = "handheld", format_name = "bag";
+  std::string output, motion = "handheld", format_name = "bag", truth;
   SimulatorOptions simulator;
   double imu_rate_hz = 200.0;
   size_t imus = 1;
@@ -61,6 +63,9 @@ po::options_description Describe(CommandLine* line) {
   add("imu-type",
       ValueOrDefault(&line->format.imu_type, "TEXT"),
       "Imu or Vector3Stamped (/imu/gyro and /imu/accel)");
+  add("truth",
+      Value(&line->truth, "FILE"),
+      "where the IMU truly was, on its clock: .tum, .csv (EuRoC), .bag, or a folder (ASL)");
   add("lidar",
       po::bool_switch(&line->lidar),
       "a spinning lidar in a room, /points, on the IMU's clock; where it sits: OUTPUT.lidar.yaml");
@@ -144,6 +149,59 @@ std::string Prefix(const CommandLine& line) {
   return path.substr(0, path.size() - ending.size());
 }
 
+/// State of the IMU where the marker is; biases are those at the start.
+ImuState TrueImuState(const SimulatorOptions& options, const TrueState& marker) {
+  const Rigid3& T_MI = options.T_MI;
+  ImuState state;
+  state.q_WI = Eigen::Quaterniond(marker.R_WM) * T_MI.q;
+  state.p_WI = marker.p_WM + marker.R_WM * T_MI.p;
+  state.omega_I = T_MI.q.conjugate() * marker.omega_M;
+  state.v_W = marker.v_W + marker.R_WM * marker.omega_M.cross(T_MI.p);
+  state.biases = {options.gyro_bias, options.accel_bias};
+  state.covariance.setZero();
+  state.bias_covariance.setZero();
+  return state;
+}
+
+/// The true trajectory of one IMU at the rate of its gyroscope, without its delay.
+void WriteTruth(const TrajectoryTarget& target,
+                const SimulatorOptions& options,
+                const ImuData& imu,
+                OutputFiles* outputs) {
+  const TrueTrajectory trajectory(options);
+  const int64_t first_ns = options.start_ns - std::llround(1e9 * options.time_shift_s);
+  SimulatorOptions exact = options;  // but for the clock and the filters of the IMU
+  exact.effects.pose_stream = {};
+  const double middle = 0.5 * options.duration_s;
+  const double delay = TrueClock(exact).time_shift_s - options.time_shift_s - Wander(exact, middle);
+  std::vector<ImuTrack::Instant> instants;
+  for (int k = 0; k < options.duration_s * options.gyro_rate_hz; ++k) {
+    const double s = k / options.gyro_rate_hz;  // since the first
+    instants.push_back({first_ns + std::llround(1e9 * s),
+                        s + options.clock_drift * (s - middle) + delay + Wander(exact, s)});
+  }
+  const auto samples = [&imu] {
+    CheckSameStamps(imu);
+    std::vector<ImuTrack::Sample> both;
+    for (size_t k = 0; k < imu.gyro.size(); ++k)
+      both.push_back({imu.gyro[k].t_ns, imu.gyro[k].value, imu.accel[k].value});
+    return both;
+  };
+  WriteTrajectory(target.path,
+                  target.format,
+                  {instants,
+                   [&](double t) { return TrueImuState(options, trajectory.At(t)); },
+                   false,
+                   samples,
+                   "world",
+                   "imu",
+                   {options.gyro_std, options.accel_std},
+                   options.gyro_rate_hz,
+                   options.gyro_bias_walk,
+                   options.accel_bias_walk},
+                  outputs);
+}
+
 void PrintHelp() {
   CommandLine line;
   std::cout << "Usage: simulate_bag OUTPUT.bag [options]\n"
@@ -164,6 +222,10 @@ void Run(int argc, char** argv) {
                      " must be 1 to 9, and 1 but for a bag");
   if (line.lidar && line.format_name != "bag")
     throw InputError("--lidar does not go with the format " + line.format_name + ", must be bag");
+  TrajectoryRequest truth;
+  truth.path = line.truth;
+  const std::vector<TrajectoryTarget> targets =
+      PlanTrajectories(truth, Method::kJoint, 1, line.imus);
   const SessionData data = Simulate(simulator, line.imus);
   if (line.format_name != "bag") {
     line.format.ros2.emplace();
@@ -172,7 +234,14 @@ void Run(int argc, char** argv) {
   if (IsBag(line)) WriteBag(line.output, data, line.format);
   if (line.format_name == "asl") WriteAslFolder(prefix, data);
   if (line.format_name == "text") WriteTables(prefix, data, line.format.split_imu);
-  WriteFile(prefix + ".truth.yaml", TruthYaml(simulator));
+  OutputFiles outputs;
+  outputs.Write(prefix + ".truth.yaml", TruthYaml(simulator));
+  for (const TrajectoryTarget& target : targets)
+    WriteTruth(target,
+               target.imu == 0 ? simulator : FurtherImu(simulator, target.imu),
+               data.imus[target.imu],
+               &outputs);
+  outputs.Commit();
   if (line.lidar) {
     AppendLidar(line.output, simulator);
     WriteFile(prefix + ".lidar.yaml", LidarYaml());

@@ -79,6 +79,8 @@ struct AccelAxes {
   double angle_rad;            ///< by which A is turned from I
 };
 AccelAxes ToAccelAxes(const ImuCalibration& imu);
+/// In every file whose imu axes are those.
+constexpr char kTurnedAxes[] = "the imu's axes here are those of the accelerometer";
 
 /// A transform that tf is to publish: x_parent = T x_child.
 struct StaticTransform {

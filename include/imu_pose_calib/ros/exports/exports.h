@@ -3,6 +3,7 @@
 #include <string>
 #include <vector>
 
+#include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/stored_result.h"
 
 namespace imu_pose_calib {
@@ -32,14 +33,15 @@ std::vector<ExportFile> Export(const StoredResult& stored,
                                const std::string& name,
                                const ExportOptions& options = {});
 
-/// Writes the files of all `names` next to the result, or into `folder` if that is not empty:
-/// my.calibration.kalibr.imu0.yaml for my.calibration.yaml. Returns their paths.
+/// Writes the files of all `names` to `outputs`, next to the result, or into `folder` if that is
+/// not empty: my.calibration.kalibr.imu0.yaml for my.calibration.yaml. Returns their paths.
 std::vector<std::string> WriteExports(const StoredResult& stored,
                                       const std::vector<std::string>& names,
+                                      OutputFiles* outputs,
                                       const std::string& folder = "",
                                       const ExportOptions& options = {});
 
-/// Removes what an earlier run exported under `names` from the result at `path`.
-void RemoveOldExports(const std::string& path, const std::vector<std::string>& names);
+/// What a user of these exports should know before he compares them with the result; may be empty.
+std::string ExportNote(const StoredResult& stored, const std::vector<std::string>& names);
 
 }  // namespace imu_pose_calib

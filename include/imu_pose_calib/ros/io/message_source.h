@@ -73,6 +73,10 @@ class MessageSource {
 std::unique_ptr<MessageSource> OpenRos1(const std::vector<std::string>& paths);
 std::unique_ptr<MessageSource> OpenRos2(const std::vector<std::string>& paths);
 
+/// Bags of ROS 1 that are cut off, as far as they are whole, without their index; null when they
+/// hold no messages or are damaged otherwise.
+std::unique_ptr<MessageSource> ScanRos1(const std::vector<std::string>& paths);
+
 /// Whether there is a bag of ROS 2 at `path`: an .mcap or .db3 file, whole or compressed by zstd,
 /// or a folder that holds one or a metadata.yaml.
 bool IsRos2Bag(const std::string& path);

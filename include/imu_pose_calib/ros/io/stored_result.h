@@ -13,6 +13,7 @@ namespace imu_pose_calib {
 struct StoredResult {
   std::string path;     ///< of the file, as given
   std::string version;  ///< of the package that wrote it
+  std::string run_id;   ///< of the run that wrote it; empty: of none that has one
   /// Status, message, IMU model; transform, accel_delay and matrices of each IMU; of each session
   /// gravity, and of its IMUs clock, biases, noise and rates; noise, rate and duration of the poses
   /// of the first session.

@@ -39,6 +39,8 @@ class TfChain {
 
   /// All links seen so far, printable: "world -> base, base -> tool (fixed)".
   std::string Links() const;
+  /// Parent and child of the only link seen so far; no value when there are none or several.
+  std::optional<std::pair<std::string, std::string>> SinglePair() const;
 
  private:
   /// The link from a frame, which is the key of `links_`, to its parent.

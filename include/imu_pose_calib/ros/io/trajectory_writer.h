@@ -1,9 +1,12 @@
 #pragma once
 
+#include <functional>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "imu_pose_calib/core/imu_track.h"
+#include "imu_pose_calib/ros/io/output_files.h"
 
 namespace imu_pose_calib {
 
@@ -20,10 +23,12 @@ enum class TrajectoryFormat {
 /// suffix of `path`: .tum and .txt, .csv, .bag; a folder or no suffix is asl.
 TrajectoryFormat ParseTrajectoryFormat(const std::string& name, const std::string& path);
 
-/// A track and what files say of it.
+/// The states of an IMU over time, and what files say of it.
 struct TrajectoryOutput {
-  const ImuTrack& track;
-  double rate_hz;                      ///< 0: at the samples of the IMU
+  std::vector<ImuTrack::Instant> instants;
+  std::function<std::optional<ImuState>(double t)> state;  ///< see ImuTrack::At()
+  bool has_covariance;
+  std::function<std::vector<ImuTrack::Sample>()> samples;
   std::string world_frame, imu_frame;  ///< names
   ImuStd noise;                        ///< white noise per sample of the IMU
   double imu_rate_hz;
@@ -32,16 +37,23 @@ struct TrajectoryOutput {
 
 /// What was written.
 struct TrajectoryCount {
+  struct Run {
+    int64_t first_ns, last_ns;  ///< stamps
+  };
   size_t states = 0;
-  size_t carried = 0;  ///< of these, across gaps of the poses
+  size_t carried = 0;     ///< of these, across gaps of the poses
+  std::vector<Run> runs;  ///< of those
+  /// Whether the file says which.
+  bool is_marked = true;
 };
 
-/// Writes a file, or a folder for kAsl. Files are replaced in one step each.
-/// Throws InputError when it cannot be written, or when the format needs covariances that the track
-/// has not.
+/// Gives `outputs` a file, or a folder for kAsl; each names the run where its format has a place
+/// for that, and which states are carried. Throws InputError when it cannot be written, or when the
+/// format needs covariances that there are none of.
 TrajectoryCount WriteTrajectory(const std::string& path,
                                 TrajectoryFormat format,
-                                const TrajectoryOutput& output);
+                                const TrajectoryOutput& output,
+                                OutputFiles* outputs);
 
 /// The files that WriteTrajectory() would write at `path`.
 std::vector<std::string> TrajectoryFiles(const std::string& path, TrajectoryFormat format);

@@ -27,7 +27,7 @@ auto LoadYaml(const std::string& what, const std::string& path, Parse parse) {
   }
 }
 
-/// The one of `names` with the smallest edit distance to `name`.
-std::string Nearest(const std::string& name, const std::vector<std::string>& names);
+/// "; did you mean 'x'?": the one of `names` that is a typing error away from `name`; else nothing.
+std::string DidYouMean(const std::string& name, const std::vector<std::string>& names);
 
 }  // namespace imu_pose_calib

@@ -23,7 +23,7 @@ struct ComparisonInput {
   std::string message;
 };
 
-/// Draws the page as WriteReport() does. Throws InputError likewise.
+/// Draws the page as DrawReport() does and writes it. Throws InputError likewise.
 void WriteComparison(const ComparisonInput& input, const std::string& path);
 
 }  // namespace imu_pose_calib

@@ -34,10 +34,12 @@ std::vector<TrajectoryTarget> PlanTrajectories(const TrajectoryRequest& request,
                                                size_t sessions,
                                                size_t imus);
 
-/// Writes the trajectories of those IMUs that the sessions have, and returns a line on each.
+/// Gives `outputs` the trajectories of those IMUs that the sessions have, and returns a line on
+/// each, with more where the format cannot say which states the IMU alone has carried.
 std::vector<std::string> WriteTrajectories(const TrajectoryRequest& request,
                                            const Calibration& result,
                                            const std::vector<RecordingInfo>& infos,
-                                           const CalibrationOptions& options);
+                                           const CalibrationOptions& options,
+                                           OutputFiles* outputs);
 
 }  // namespace imu_pose_calib

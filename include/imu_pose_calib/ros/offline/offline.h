@@ -1,6 +1,7 @@
 #pragma once
 
 #include <exception>
+#include <memory>
 #include <string>
 #include <vector>
 
@@ -8,6 +9,7 @@
 #include "imu_pose_calib/core/data_check.h"
 #include "imu_pose_calib/core/result.h"
 #include "imu_pose_calib/ros/io/bag_reader.h"
+#include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/io/text_reader.h"
 #include "imu_pose_calib/ros/offline/ground_truth.h"
@@ -45,11 +47,13 @@ struct OfflineResult {
   Calibration result;
   std::vector<RecordingInfo> infos;  ///< of each session
   std::string output;                ///< path of the result file, not written yet
-  std::string yaml;                  ///< its text
   CalibrationOptions options;        ///< as used
   std::vector<std::string> exports;  ///< programs to export it to
   TrajectoryRequest trajectory;
   std::vector<std::string> written;  ///< files that were written, with what is to be said of them
+  std::string export_note;           ///< what is to be said of the exports
+  std::vector<std::string> earlier;  ///< files that were there before, see FindEarlier()
+  std::unique_ptr<OutputFiles> outputs = std::make_unique<OutputFiles>();
 
   // What a report is made of; no sessions when none is wanted, nor keep_data.
   std::string report;  ///< path
@@ -63,10 +67,10 @@ std::string OutputPath(const OfflineRequest& request);
 /// Where the report goes by default: x.calibration.report.html beside x.calibration.yaml.
 std::string ReportPath(const OfflineRequest& request);
 
-/// Reads the recording (before ros::start(), see ReadBag()) and calibrates. A result of an earlier
-/// run at the output path is removed first, and so are a report and what was exported from it to
-/// the same programs, so that a failure leaves none behind. Data that are refused have their report
-/// written, when one is wanted.
+/// Reads the recording (before ros::start(), see ReadBag()) and calibrates, after it has tried that
+/// all outputs can be written. A failure leaves everything of an earlier run as it was, and its
+/// text names that. Data that are refused have their report written, when one is wanted: beside a
+/// report that is there, as x.refused.html.
 ///
 /// Throws InputError when something cannot be used as given, DataError when no calibration can come
 /// from the data: so the result is always usable.
@@ -75,13 +79,15 @@ OfflineResult CalibrateOffline(const OfflineRequest& request, const Progress& pr
 /// The bags that one text names: a file of that name, or else names with white space between them.
 std::vector<std::string> SplitBags(const std::string& text);
 
-/// Writes the result, and what it is to be exported to, and the ground truth, as far as the request
-/// asks for them. When the result cannot be written, prints its text on stdout before it throws.
-void WriteResult(OfflineResult* offline);
+/// Writes, as far as the request asks for them, the result, what it is to be exported to, the
+/// ground truth and the report, all at once; `outputs` may hold more. When a file cannot be
+/// written, prints the text of the result on stdout before it throws, and leaves everything as it
+/// was. Only a report that cannot be drawn is left out: returns why. Lets go of the recorded data.
+std::string WriteResult(OfflineResult* offline, const Progress& progress = {});
 
-/// Writes the report, if one is wanted, and lets go of the recorded data. Throws InputError
-/// that says where the result is.
-void WriteReport(OfflineResult* offline, const Progress& progress = {});
+/// What a person reads in the terminal: result, the files that were written, and those of earlier
+/// runs that were not. `is_verbose`: all of it, else a screen of 25 lines.
+std::string Describe(const OfflineResult& offline, bool is_verbose);
 
 /// Checks of one session without a calibration.
 struct OfflineCheck {

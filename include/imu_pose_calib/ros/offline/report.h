@@ -5,6 +5,7 @@
 
 #include "imu_pose_calib/core/options.h"
 #include "imu_pose_calib/core/result.h"
+#include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/recording.h"
 
 namespace imu_pose_calib {
@@ -16,7 +17,8 @@ struct ReportInput {
   const std::vector<RecordingInfo>& infos;   ///< of each session
   /// Without a solution: the data were refused before the solve.
   const Calibration& result;
-  std::string refusal;  ///< why there is no result; empty: there is one
+  std::string refusal;      ///< why there is no result; empty: there is one
+  std::string run_id = {};  ///< see OutputFiles
 };
 
 /// Puts the numbers that scripts/report.py draws into a folder:
@@ -31,14 +33,11 @@ struct ReportInput {
 void WriteReportData(const ReportInput& input, const std::string& folder);
 
 /// Draws a report with scripts/report.py, which is installed beside the executables: as one HTML
-/// file, or as PDF when `path` ends in ".pdf". Replaces the file in one step. Throws InputError
+/// file, or as PDF when `path` ends in ".pdf", which it returns. Throws InputError
 /// with the reason when it cannot be drawn or written.
-void WriteReport(const ReportInput& input, const std::string& path);
+std::string DrawReport(const ReportInput& input, const std::string& path);
 
 /// Throws InputError for a report that is of no kind that can be drawn; none is one that can.
 void CheckReportName(const std::string& path);
-
-/// Removes the file at `path` when it is a report in HTML of an earlier run.
-void RemoveOldReport(const std::string& path);
 
 }  // namespace imu_pose_calib

@@ -24,8 +24,11 @@ YAML::Node ReportHead();
 /// Writes the head of a page, report.yaml, to a folder.
 void WriteHead(const YAML::Node& head, const std::string& folder);
 
-/// Draws the page at `path` as WriteReport() does, of the numbers that `write` puts into a folder.
-void DrawReport(const std::string& path, const std::function<void(const std::string&)>& write);
+/// Draws the page for `path` as DrawReport() does, of the numbers that `write` puts into a folder.
+/// run_id: empty when none is told.
+std::string DrawPage(const std::string& path,
+                     const std::string& run_id,
+                     const std::function<void(const std::string&)>& write);
 
 /// Writes the time of each sample, in order of arrival; `time` gives that of a stamp.
 template <typename Sample, typename Time>

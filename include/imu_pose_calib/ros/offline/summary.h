@@ -15,6 +15,10 @@ namespace imu_pose_calib {
 /// With several IMUs or sessions, a table of each. `infos`: of each session.
 std::string Summary(const Calibration& result, const std::vector<RecordingInfo>& infos);
 
+/// The same in brief: verdict, table, what was dropped, the warnings that fit into so many lines,
+/// tf.
+std::string Brief(const Calibration& result, const std::vector<RecordingInfo>& infos, size_t lines);
+
 /// The end of a summary: the files that were written.
 std::string WrittenTo(const std::vector<std::string>& paths);
 

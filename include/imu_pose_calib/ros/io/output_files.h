@@ -1,0 +1,102 @@
+#pragma once
+
+#include <cstdio>
+#include <filesystem>
+#include <memory>
+#include <string>
+#include <thread>
+#include <vector>
+
+namespace imu_pose_calib {
+
+/// The files of one run, which appear together or not at all: each is written beside its place and
+/// renamed by Commit(). Without it they are gone in the end, and what was there is as it was. A
+/// link stays, and what it leads to is replaced. Errors are InputErrors that name path and reason.
+class OutputFiles {
+ public:
+  OutputFiles();
+  OutputFiles(const OutputFiles&) = delete;
+  OutputFiles& operator=(const OutputFiles&) = delete;
+  ~OutputFiles();
+
+  /// Tells the run from others: "20261125T012345-1a2b3c4d", the time (UTC) and a random number.
+  const std::string& run_id() const { return run_id_; }
+
+  /// Throws unless a file can be written at `path`, and when it is the place of another that is
+  /// planned. `may_make_folders`: its folder need not be there.
+  void Plan(const std::string& field, const std::string& path, bool may_make_folders = false);
+
+  void Write(const std::string& path, const std::string& text);
+  /// Where to write what is to be at `path`, for writers that want a name.
+  std::string Draft(const std::string& path);
+  /// Takes back what was written for `path`.
+  void Drop(const std::string& path);
+  /// Makes a folder, and those that it is in.
+  void MakeFolder(const std::string& path);
+  /// Commit() removes the file, if it is there.
+  void Remove(const std::string& path) { obsolete_.push_back(path); }
+
+  /// Whether the file is written by this run.
+  bool Holds(const std::string& path) const;
+  void Commit();
+
+ private:
+  struct File {
+    std::string path, target, draft;
+    std::string old = {};  ///< what Commit() replaces, until it is done
+  };
+  struct Planned {
+    std::string field, target;
+  };
+
+  std::FILE* Open(const std::string& path);
+  static void Replace(File* file);
+  static void Restore(const File& file);
+
+  std::string run_id_;
+  std::vector<Planned> planned_;
+  std::vector<File> files_;
+  std::vector<std::string> folders_;  ///< new ones, the outer first
+  std::vector<std::string> obsolete_;
+};
+
+/// Replaces the file at `path` in one step.
+void WriteFile(const std::string& path, const std::string& text);
+
+/// A folder for temporary files, removed in the end.
+class TemporaryFolder {
+ public:
+  TemporaryFolder();
+  TemporaryFolder(const TemporaryFolder&) = delete;
+  TemporaryFolder& operator=(const TemporaryFolder&) = delete;
+  ~TemporaryFolder();
+
+  const std::filesystem::path& path() const { return path_; }
+
+ private:
+  std::filesystem::path path_;
+};
+
+/// While it lives, SIGINT, SIGTERM and SIGHUP end the process as they do, but not before what is
+/// not committed is removed, nor amid a commit. To be made before other threads.
+class InterruptGuard {
+ public:
+  InterruptGuard();
+  InterruptGuard(const InterruptGuard&) = delete;
+  InterruptGuard& operator=(const InterruptGuard&) = delete;
+  ~InterruptGuard();
+
+ private:
+  struct State;
+  std::unique_ptr<State> state_;
+  std::thread thread_;
+};
+
+/// Files of earlier runs that belong to the result at `output`: itself, those of this package that
+/// are named after it, and what it lists.
+std::vector<std::string> FindEarlier(const std::string& output);
+
+/// "a.yaml, b.yaml (2026-11-25 01:23 UTC)": with the times at which the files were made.
+std::string WithTimes(const std::vector<std::string>& files);
+
+}  // namespace imu_pose_calib
