@@ -14,8 +14,9 @@ namespace {
 constexpr int kSteps = 200;  // of integrals over frequency
 /// Share of the band and of the poses' frequencies in which residuals are whole.
 constexpr double kWhole = 0.8;
-/// Periodograms that the expectation is worth that noise is as white as the samples' spread.
-constexpr double kWhiteness = 30.0;
+/// Periodograms that the expectation is worth that noise is as white as the samples' spread, give
+/// or take a factor of e in the density; and by which it holds back what is far below.
+constexpr double kWhiteness = 30.0, kLeastWhiteness = 1.0;
 constexpr int kRounds = 300;  // of the likelihood's ascent
 /// Bounds of the sigma of slow errors [rad]: nothing beside the noise of poses, with which H stays
 /// regular; and beyond what is an error.
@@ -95,11 +96,10 @@ double OwnShare(const JointDensities& S, const SensorModel& model, double imus) 
 /// likelihood of the spectra of their residuals, doc/math.md, S4, "Noise".
 class NoiseFit {
  public:
-  /// A noise to start from, which may not exceed `most`.
-  size_t Add(double density, double most) {
-    x_.push_back(density);
+  /// A noise that is expected to be `white`, and may not exceed `most`.
+  void Add(double white, double most) {
+    white_.push_back(white);
     most_.push_back(most);
-    return x_.size() - 1;
   }
   struct Part {
     size_t noise;
@@ -111,7 +111,7 @@ class NoiseFit {
   }
 
   std::vector<double> Solve() const {
-    std::vector<double> x = x_;
+    std::vector<double> x = white_;
     for (int round = 0; round < kRounds; ++round) {
       std::vector<double> found(x.size(), 0.0), expected(x.size(), 0.0);
       for (const Observation& o : observations_) {
@@ -122,8 +122,13 @@ class NoiseFit {
           expected[part.noise] += o.count * part.share / sum;
         }
       }
-      for (size_t k = 0; k < x.size(); ++k)
+      for (size_t k = 0; k < x.size(); ++k) {
+        const double apart = std::log(white_[k] / x[k]);
+        const double pull = kWhiteness * apart / (1.0 + apart * apart);
+        found[k] += (kWhiteness + kLeastWhiteness * white_[k] / x[k] + std::max(0.0, pull)) / x[k];
+        expected[k] += (kWhiteness + kLeastWhiteness + std::max(0.0, -pull)) / x[k];
         x[k] = std::min(most_[k], x[k] * std::sqrt(found[k] / expected[k]));
+      }
     }
     return x;
   }
@@ -133,7 +138,7 @@ class NoiseFit {
     double count, density;
     std::vector<Part> parts;
   };
-  std::vector<double> x_, most_;
+  std::vector<double> white_, most_;
   std::vector<Observation> observations_;
 };
 
@@ -155,7 +160,7 @@ void FindNoiseOf(bool is_linear,
     const double white = std::pow((*statistics)[k].spread.scale, 2) / model.rate_hz;
     // What errs slowly in an IMU is its bias.
     const double most = IsOfPoses(model.quantity) ? std::numeric_limits<double>::infinity() : white;
-    fit.Observe(kWhiteness, white, {{fit.Add(white, most), 1.0}});
+    fit.Add(white, most);
   }
   for (size_t a = 0; a < sensors.size(); ++a) {
     const NoiseSpectrum& spectrum = (*statistics)[sensors[a]].spectrum;

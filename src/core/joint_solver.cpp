@@ -156,6 +156,7 @@ class JointSolver {
   double FindNoise() {
     Pass();
     NextPass();
+    if (!has_converged_) ThrowNotConverged(options_);
     double residual = 1.0, imus = 0.0;
     for (size_t k = 0; k < models_.size(); ++k) {
       const Quantity quantity = models_[k].quantity;
@@ -181,7 +182,8 @@ class JointSolver {
     Solution solution;
     solution.has_settled = false;
     for (int pass = 1; pass < kMaxPasses && !solution.has_settled; ++pass)
-      solution.has_settled = NextPass() < kSettled;
+      solution.has_settled = NextPass() < kSettled && has_converged_;
+    if (!has_converged_) ThrowNotConverged(options_);
     SetNoise();
     Build();
     FeignInformation(splines_, problem_.get());
@@ -210,7 +212,11 @@ class JointSolver {
   void Pass(bool holds_calibration = false) {
     Build();
     if (holds_calibration) HoldCalibration(problem_.get());
-    FollowClocks([&] { iterations_ += problem_->Solve(kRoughTolerance); });
+    FollowClocks([&] {
+      const std::optional<int> iterations = problem_->TrySolve(kRoughTolerance);
+      has_converged_ = iterations.has_value();
+      iterations_ += iterations.value_or(options_.max_iterations);
+    });
     statistics_ = problem_->FindStatistics();
     imu_pose_calib::FindNoise(problem_.get(), &statistics_);
     // No source averages rotations over longer than positions: other errors look like that.
@@ -266,6 +272,8 @@ class JointSolver {
   /// At 0: before residuals have weights, motion that knots do not follow would move them by
   /// metres.
   bool holds_sizes_ = true;
+  /// In the last pass: another one starts closer to the solution, and may.
+  bool has_converged_ = false;
   int iterations_ = 0;
 };
 

@@ -92,6 +92,11 @@ GaussNewtonStep FindStep(const NormalEquations& equations,
 
 }  // namespace
 
+void ThrowNotConverged(const CalibrationOptions& options) {
+  throw DataError("the solve did not converge within max_iterations = " +
+                  std::to_string(options.max_iterations));
+}
+
 std::vector<SensorModel> InitialModels(const CalibrationOptions& options,
                                        const std::vector<PreparedSession>& sessions) {
   std::vector<SensorModel> models;
@@ -352,7 +357,7 @@ NormalEquations LeastSquares::StepEquations() const {
   return {problem, border, inner, std::move(all), static_cast<size_t>(count)};
 }
 
-int LeastSquares::Solve(double function_tolerance) {
+std::optional<int> LeastSquares::TrySolve(double function_tolerance) {
   const NormalEquations equations = StepEquations();
   double damping = 0.0, growth = 2.0;
   for (int iteration = 1; iteration <= options.max_iterations; ++iteration) {
@@ -383,8 +388,13 @@ int LeastSquares::Solve(double function_tolerance) {
       growth *= 2.0;
     }
   }
-  throw DataError("the solve did not converge within max_iterations = " +
-                  std::to_string(options.max_iterations));
+  return std::nullopt;
+}
+
+int LeastSquares::Solve(double function_tolerance) {
+  const std::optional<int> iterations = TrySolve(function_tolerance);
+  if (!iterations) ThrowNotConverged(options);
+  return *iterations;
 }
 
 void LeastSquares::Move(const GaussNewtonStep& step) {

@@ -191,6 +191,8 @@ struct LeastSquares {
   /// Gauss-Newton steps, damped when they fail. Returns their number. Throws DataError when the
   /// cost does not converge to what it is at the minimum, but for a share `function_tolerance`.
   int Solve(double function_tolerance);
+  /// Nothing when it does not converge: it is where the last step left it.
+  std::optional<int> TrySolve(double function_tolerance);
   void Move(const GaussNewtonStep& step);
   /// Of each sensor.
   std::vector<SensorStatistics> FindStatistics();
@@ -211,6 +213,8 @@ struct LeastSquares {
 
   std::vector<float> rows_;  ///< residuals where the estimate stands; empty: not known
 };
+
+[[noreturn]] void ThrowNotConverged(const CalibrationOptions& options);
 
 /// The sample can be compared: t_M [s, pose clock] is inside of a segment and not at its very end.
 bool IsOnTrajectory(const PoseTrajectory& trajectory, double t_M);

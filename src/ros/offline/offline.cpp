@@ -272,9 +272,9 @@ void CheckGiven(const OfflineRequest& request) {
 
 /// What comes before it takes long: the requests of each session, and all outputs tried.
 std::vector<OfflineRequest> Plan(const OfflineRequest& given, OfflineResult* offline) {
+  offline->exports = ParseExports(given.exports);
   for (const std::string& path : given.bag.paths)
     if (!std::filesystem::exists(path)) throw InputError("bag '" + path + "' does not exist");
-  offline->exports = ParseExports(given.exports);
   CheckOutput({"output", offline->output}, given);  // an old result may be given as the config
   CheckOutput({"report", offline->report}, given);
   std::vector<OfflineRequest> requests = SplitSessions(given);
