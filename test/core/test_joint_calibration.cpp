@@ -231,7 +231,9 @@ TEST(JointCalibration, KeepsTheKnotSpacingWhereADenserOneDoesNotConverge) {
     Estimate estimate(session, options.bias_knot_interval_s);
     return ChooseKnotSpacing(options, session, &estimate).knot_spacing_s;
   };
-  const SessionData data = Simulate(Recording(1e-4, 3));
+  SimulatorOptions truth = Recording(1e-4, 5);
+  truth.motion = Motion::kArm;
+  const SessionData data = Simulate(truth);
   EXPECT_THROW(choose(data, 0.06), DataError);
   EXPECT_EQ(choose(data, 0.12), 0.12);
   EXPECT_GT(choose(data, 0.0), 0.06);
@@ -326,21 +328,23 @@ TEST(JointCalibration, FindsNoSmoothingWhereThereIsNone) {
   EXPECT_LT(mean_square, 4.0);
 }
 
-/// Adds errors to the positions that last for about `correlation_s`.
-void AddPositionErrors(double position_std,
-                       double correlation_s,
-                       double rate_hz,
-                       uint32_t seed,
-                       SessionData* data) {
+/// One error for each pose, of `std_dev` per axis, that lasts for about `correlation_s`.
+std::vector<Eigen::Vector3d> LastingErrors(double std_dev,
+                                           double correlation_s,
+                                           double rate_hz,
+                                           uint32_t seed,
+                                           size_t count) {
   std::mt19937 random(seed);
-  std::normal_distribution<double> normal(0.0, position_std);
+  std::normal_distribution<double> normal(0.0, std_dev);
   const double keep = std::exp(-1.0 / (correlation_s * rate_hz));
   Eigen::Vector3d error = Eigen::Vector3d::Zero();
-  for (PoseSample& pose : data->poses) {
+  std::vector<Eigen::Vector3d> errors;
+  for (size_t i = 0; i < count; ++i) {
     for (int k = 0; k < 3; ++k)
       error[k] = keep * error[k] + std::sqrt(1.0 - keep * keep) * normal(random);
-    pose.p_WM += error;
+    errors.push_back(error);
   }
+  return errors;
 }
 
 TEST(JointCalibration, PosesThatErrForLongerThanASampleDoNotWeakenTheMotion) {
@@ -352,7 +356,8 @@ TEST(JointCalibration, PosesThatErrForLongerThanASampleDoNotWeakenTheMotion) {
     truth.duration_s = 40.0;
     truth.pose_rate_hz = 200.0;
     SessionData data = Simulate(truth);
-    AddPositionErrors(1e-3, 0.03, truth.pose_rate_hz, seed, &data);
+    const auto errors = LastingErrors(1e-3, 0.03, truth.pose_rate_hz, seed, data.poses.size());
+    for (size_t i = 0; i < errors.size(); ++i) data.poses[i].p_WM += errors[i];
     const Calibration result = Calibrate(CalibrationOptions(), data);
     EXPECT_NEAR(result.sessions[0].imus[0].noise.accel, truth.accel_std, 0.2 * truth.accel_std);
     EXPECT_NEAR(result.sessions[0].g_W.norm(), truth.g_W.norm(), 0.02);
@@ -366,15 +371,9 @@ void AddSlowErrors(double rotation_std,
                    double rate_hz,
                    uint32_t seed,
                    SessionData* data) {
-  std::mt19937 random(seed);
-  std::normal_distribution<double> normal(0.0, rotation_std);
-  const double keep = std::exp(-1.0 / (correlation_s * rate_hz));
-  Eigen::Vector3d error = Eigen::Vector3d::Zero();
-  for (PoseSample& pose : data->poses) {
-    for (int k = 0; k < 3; ++k)
-      error[k] = keep * error[k] + std::sqrt(1.0 - keep * keep) * normal(random);
-    pose.q_WM = pose.q_WM * Exp<double>(error);
-  }
+  const auto errors = LastingErrors(rotation_std, correlation_s, rate_hz, seed, data->poses.size());
+  for (size_t i = 0; i < errors.size(); ++i)
+    data->poses[i].q_WM = data->poses[i].q_WM * Exp<double>(errors[i]);
 }
 
 TEST(JointCalibration, SlowPoseErrorsWeighAsMuchAsTheyDo) {
