@@ -167,17 +167,22 @@ void FindNoiseOf(bool is_linear,
     for (size_t f = 0; f < spectrum.density.size(); ++f) {
       const double omega2 = Omega2(NoiseSpectrum::Frequency(f));
       const double gain = is_linear ? omega2 * omega2 : omega2;  // of an IMU, squared
-      std::vector<double> share;                                 // of each sensor
-      for (const size_t k : sensors)
-        share.push_back((share.empty() ? 1.0 : gain) / joint.sensors[k].model->Density());
-      if (!is_linear && errors.Density(omega2) * share[0] > 1.0) continue;
+      const double white = joint.sensors[sensors[0]].model->Density();
+      const double poses = white + (is_linear ? 0.0 : errors.Density(omega2));
+      if (poses > 2.0 * white) continue;
+      std::vector<double> share{1.0 / poses};  // of each sensor
+      for (size_t b = 1; b < sensors.size(); ++b)
+        share.push_back(gain / joint.sensors[sensors[b]].model->Density());
       const double all = std::accumulate(share.begin(), share.end(), 0.0);
       for (double& own : share) own /= all;
       if (share[a] > 0.5) continue;  // the others' residuals tell more
       std::vector<NoiseFit::Part> parts;
       for (size_t b = 0; b < sensors.size(); ++b) {
-        const double relative = a == b ? 1.0 : (a == 0 ? 1.0 : gain) / (b == 0 ? 1.0 : gain);
-        parts.push_back({b, relative * std::pow(a == b ? 1.0 - share[b] : share[b], 2)});
+        double part = std::pow(a == b ? 1.0 - share[b] : share[b], 2);
+        if (a != b) part *= (a == 0 ? 1.0 : gain) / (b == 0 ? 1.0 : gain);
+        if (b == 0) part *= poses / white;               // slow errors beside it
+        if (a == 0) part *= std::pow(white / poses, 2);  // they take up the rest
+        parts.push_back({b, part});
       }
       fit.Observe(spectrum.count, spectrum.density[f], parts);
     }
