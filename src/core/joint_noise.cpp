@@ -17,10 +17,10 @@ constexpr double kWhole = 0.8;
 /// Periodograms that the expectation is worth that noise is as white as the samples' spread, give
 /// or take a factor of e in the density; and by which it holds back what is far below.
 constexpr double kWhiteness = 30.0, kLeastWhiteness = 1.0;
-constexpr int kRounds = 300;  // of the likelihood's ascent
-/// Bounds of the sigma of slow errors [rad]: nothing beside the noise of poses, with which H stays
-/// regular; and beyond what is an error.
-constexpr double kLongestStride = 3.0;  // of a pass, in what it finds
+constexpr int kRounds = 300;            // of the likelihood's ascent
+constexpr double kLongestStride = 3.0;  // of a pass, in the sigma of slow errors that it finds
+/// Bounds of that sigma [rad]: nothing beside the noise of poses, with which H stays regular; and
+/// beyond what is an error.
 constexpr double kLeastRotationError = 1e-5, kMostRotationError = 0.1;
 
 bool IsOfPoses(Quantity quantity) {
@@ -144,10 +144,10 @@ class NoiseFit {
 
 /// Sets the noise of the sensors of positions and accelerations, or of rotations and turn rates, of
 /// a session.
-void FindNoiseOf(bool is_linear,
-                 size_t session,
-                 const LeastSquares& joint,
-                 std::vector<SensorStatistics>* statistics) {
+void FitNoiseOf(bool is_linear,
+                size_t session,
+                const LeastSquares& joint,
+                std::vector<SensorStatistics>* statistics) {
   std::vector<size_t> sensors;  // the poses first
   for (size_t k = 0; k < joint.sensors.size(); ++k)
     if (joint.sensors[k].model->session == session &&
@@ -157,17 +157,17 @@ void FindNoiseOf(bool is_linear,
   NoiseFit fit;
   for (const size_t k : sensors) {
     const SensorModel& model = *joint.sensors[k].model;
-    const double white = std::pow((*statistics)[k].spread.scale, 2) / model.rate_hz;
+    const double expected = std::pow((*statistics)[k].spread.scale, 2) / model.rate_hz;
     // What errs slowly in an IMU is its bias.
-    const double most = IsOfPoses(model.quantity) ? std::numeric_limits<double>::infinity() : white;
-    fit.Add(white, most);
+    fit.Add(expected,
+            IsOfPoses(model.quantity) ? std::numeric_limits<double>::infinity() : expected);
   }
+  const double white = joint.sensors[sensors[0]].model->Density();  // of the poses
   for (size_t a = 0; a < sensors.size(); ++a) {
     const NoiseSpectrum& spectrum = (*statistics)[sensors[a]].spectrum;
     for (size_t f = 0; f < spectrum.density.size(); ++f) {
       const double omega2 = Omega2(NoiseSpectrum::Frequency(f));
       const double gain = is_linear ? omega2 * omega2 : omega2;  // of an IMU, squared
-      const double white = joint.sensors[sensors[0]].model->Density();
       const double poses = white + (is_linear ? 0.0 : errors.Density(omega2));
       if (poses > 2.0 * white) continue;
       std::vector<double> share{1.0 / poses};  // of each sensor
@@ -287,9 +287,9 @@ void UpdateWeights(const LeastSquares& joint,
   }
 }
 
-void FindNoise(LeastSquares* joint, std::vector<SensorStatistics>* statistics) {
+void FitNoise(LeastSquares* joint, std::vector<SensorStatistics>* statistics) {
   for (size_t s = 0; s < joint->sessions.size(); ++s)
-    for (const bool is_linear : {true, false}) FindNoiseOf(is_linear, s, *joint, statistics);
+    for (const bool is_linear : {true, false}) FitNoiseOf(is_linear, s, *joint, statistics);
   UpdateRotationErrors(joint);
 }
 

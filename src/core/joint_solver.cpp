@@ -218,7 +218,7 @@ class JointSolver {
       iterations_ += iterations.value_or(options_.max_iterations);
     });
     statistics_ = problem_->FindStatistics();
-    imu_pose_calib::FindNoise(problem_.get(), &statistics_);
+    FitNoise(problem_.get(), &statistics_);
     // No source averages rotations over longer than positions: other errors look like that.
     if (estimate_->position_smoothing < 0.0) {
       estimate_->position_smoothing = 0.0;

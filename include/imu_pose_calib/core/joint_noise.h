@@ -26,6 +26,6 @@ void UpdateWeights(const LeastSquares& joint,
 
 /// Sets the noise of the sensors and the sigma of the rotations' slow errors of each session to
 /// what the spectra of the residuals show, doc/math.md, S4, "Noise" and "Slow errors".
-void FindNoise(LeastSquares* joint, std::vector<SensorStatistics>* statistics);
+void FitNoise(LeastSquares* joint, std::vector<SensorStatistics>* statistics);
 
 }  // namespace imu_pose_calib

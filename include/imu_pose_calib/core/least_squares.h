@@ -214,6 +214,7 @@ struct LeastSquares {
   std::vector<float> rows_;  ///< residuals where the estimate stands; empty: not known
 };
 
+/// The DataError of a solve that did not converge.
 [[noreturn]] void ThrowNotConverged(const CalibrationOptions& options);
 
 /// The sample can be compared: t_M [s, pose clock] is inside of a segment and not at its very end.
