@@ -10,10 +10,10 @@
 #include <cstdlib>
 #include <vector>
 
-#include "imu_pose_calib/core/joint_solver.h"
-#include "imu_pose_calib/core/preparation.h"
-#include "imu_pose_calib/core/simulator.h"
-#include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/calibration/joint_solver.h"
+#include "imu_pose_calib/core/start/preparation.h"
+#include "imu_pose_calib/simulation/simulator.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -104,10 +104,8 @@ void Report(double position_std, double rotation_std, int seeds, double duration
   for (const Group& group : groups) {
     std::printf("  %-12s", group.name);
     if (group.scale > 0.0)
-      std::printf("%10.5f %-4s%11.2f",
-                  group.scale * std::sqrt(group.squared_error / seeds),
-                  group.unit,
-                  std::sqrt(group.squared_error / group.variance));
+      std::printf("%10.5f %-4s%11.2f", group.scale * std::sqrt(group.squared_error / seeds),
+                  group.unit, std::sqrt(group.squared_error / group.variance));
     else
       std::printf("%26s", "");
     std::printf("%14.2f%14.2f\n", group.model_nees / seeds, group.robust_nees / seeds);
@@ -126,8 +124,7 @@ int main(int argc, char** argv) {
     return 1;
   }
   std::printf(
-      "%d recordings of %g s each: RMS error, by the mean sigma; normalised error squared\n",
-      seeds,
+      "%d recordings of %g s each: RMS error, by the mean sigma; normalised error squared\n", seeds,
       duration_s);
   std::printf("%-18s%11s%11s%14s%14s\n", "", "RMS error", "/ sigma", "model", "robust");
   for (const double noise : {0.1e-3, 1e-3, 5e-3, 10e-3})

@@ -8,16 +8,16 @@
 #include <map>
 #include <vector>
 
+#include "imu_pose_calib/core/calibration/joint_problem.h"
+#include "imu_pose_calib/core/calibration/joint_solver.h"
+#include "imu_pose_calib/core/calibration/marginals.h"
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/conditioning.h"
-#include "imu_pose_calib/core/initializer.h"
-#include "imu_pose_calib/core/joint_problem.h"
-#include "imu_pose_calib/core/joint_solver.h"
-#include "imu_pose_calib/core/marginals.h"
-#include "imu_pose_calib/core/pose_trajectory.h"
-#include "imu_pose_calib/core/preparation.h"
-#include "imu_pose_calib/core/simulator.h"
-#include "imu_pose_calib/core/stamp_recovery.h"
+#include "imu_pose_calib/core/data/conditioning.h"
+#include "imu_pose_calib/core/data/stamp_recovery.h"
+#include "imu_pose_calib/core/start/initializer.h"
+#include "imu_pose_calib/core/start/preparation.h"
+#include "imu_pose_calib/core/trajectory/pose_trajectory.h"
+#include "imu_pose_calib/simulation/simulator.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -105,11 +105,9 @@ void TrajectoryWindows(benchmark::State& state) {
   const CalibrationOptions options = Options(state);
   const PreparedSession& session = PreparedRecording(state).sessions[0];
   for (auto _ : state)
-    benchmark::DoNotOptimize(PoseTrajectory(session.data.poses,
-                                            session.data.segments,
-                                            session.trajectory->position_hyperparameters(),
-                                            session.trajectory->rotation_hyperparameters(),
-                                            options.Threads()));
+    benchmark::DoNotOptimize(PoseTrajectory(
+        session.data.poses, session.data.segments, session.trajectory->position_hyperparameters(),
+        session.trajectory->rotation_hyperparameters(), options.Threads()));
 }
 BENCHMARK(TrajectoryWindows)->Apply(Cases);
 

@@ -16,10 +16,10 @@
 #include <string>
 #include <vector>
 
+#include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/imu_track.h"
-#include "imu_pose_calib/core/simulator.h"
-#include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/core/ground_truth/imu_track.h"
+#include "imu_pose_calib/simulation/simulator.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -60,18 +60,8 @@ struct Sums {
     std::printf(
         "  %-10s rotation %.4f mrad (%.2f)  position %.4f mm (%.2f)  velocity %.3f mm/s (%.2f)  "
         "nees %.2f  lag %.4f ms  in 3 sigma %.2f %%, largest %.1f sigma, %.0f samples\n",
-        name,
-        1e3 * rms[0],
-        ratio[0],
-        1e3 * rms[1],
-        ratio[1],
-        1e3 * rms[2],
-        ratio[2],
-        nees / count,
-        1e3 * lag / speed2,
-        100.0 * within / count,
-        largest,
-        count);
+        name, 1e3 * rms[0], ratio[0], 1e3 * rms[1], ratio[1], 1e3 * rms[2], ratio[2], nees / count,
+        1e3 * lag / speed2, 100.0 * within / count, largest, count);
   }
 };
 
@@ -145,8 +135,7 @@ void PrintAccuracy(uint32_t seeds, double seconds) {
         DrawUnknowns(&truth);
         Compare(truth, with_gaps, &sums);
       }
-      std::printf("poses %.1f mm%s: position rms over that of the poses %.3f\n",
-                  1e3 * noise,
+      std::printf("poses %.1f mm%s: position rms over that of the poses %.3f\n", 1e3 * noise,
                   with_gaps ? ", 1 s in 10 missing" : "",
                   std::sqrt(sums.followed.error2[1] / sums.followed.count) / noise);
       sums.followed.Print("followed");
@@ -181,12 +170,9 @@ void PrintCost(double minutes) {
   const Calibration result = Calibrate(options, data);
   std::printf(", calibration %.1f s, peak %.2f GiB", CpuSeconds(start), PeakGib());
   start = std::clock();
-  const ImuTrack track(result.solution,
-                       0,
-                       0,
+  const ImuTrack track(result.solution, 0, 0,
                        std::make_shared<const TrajectoryCovariance>(result.solution),
-                       TrackClock::kImu,
-                       kMaxGap);
+                       TrackClock::kImu, kMaxGap);
   std::printf(", covariance %.1f s", CpuSeconds(start));
   start = std::clock();
   double count = 0.0, sum = 0.0;
@@ -196,11 +182,8 @@ void PrintCost(double minutes) {
     count += 1.0;
     sum += x->covariance.trace();
   }
-  std::printf(", %.0f samples %.1f s, peak %.2f GiB (mean trace %.2g)\n",
-              count,
-              CpuSeconds(start),
-              PeakGib(),
-              sum / count);
+  std::printf(", %.0f samples %.1f s, peak %.2f GiB (mean trace %.2g)\n", count, CpuSeconds(start),
+              PeakGib(), sum / count);
 }
 
 }  // namespace

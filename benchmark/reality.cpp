@@ -26,9 +26,9 @@
 #include <thread>
 #include <vector>
 
+#include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/simulator.h"
-#include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/simulation/simulator.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -169,23 +169,9 @@ std::string Effects(SimulatorOptions options) {
 // --- Table ---
 
 void PrintHeader() {
-  std::printf("%-24s%9s%9s%9s%9s%9s%9s  %s\n%-24s%9s%9s%9s%9s%9s%9s  %s\n",
-              "",
-              "p",
-              "R",
-              "shift",
-              "sigma p",
-              "p/sigma",
-              "p/sigma",
-              "verdicts",
-              "",
-              "mm rms",
-              "deg rms",
-              "ms rms",
-              "mm rms",
-              "median",
-              "90 %",
-              "");
+  std::printf("%-24s%9s%9s%9s%9s%9s%9s  %s\n%-24s%9s%9s%9s%9s%9s%9s  %s\n", "", "p", "R", "shift",
+              "sigma p", "p/sigma", "p/sigma", "verdicts", "", "mm rms", "deg rms", "ms rms",
+              "mm rms", "median", "90 %", "");
 }
 
 void PrintRow(const std::string& name, const std::vector<Outcome>& outcomes) {
@@ -210,12 +196,8 @@ void PrintRow(const std::string& name, const std::vector<Outcome>& outcomes) {
   if (sigmas.empty())
     std::printf("%56s", "");
   else
-    std::printf("%9.3f%9.4f%9.4f%9.3f%9.2f%9.2f  ",
-                1e3 * rms(p),
-                180.0 / M_PI * rms(R),
-                1e3 * rms(shift),
-                1e3 * rms(variance),
-                Quantile(sigmas, 0.5),
+    std::printf("%9.3f%9.4f%9.4f%9.3f%9.2f%9.2f  ", 1e3 * rms(p), 180.0 / M_PI * rms(R),
+                1e3 * rms(shift), 1e3 * rms(variance), Quantile(sigmas, 0.5),
                 Quantile(sigmas, 0.9));
   const char* separator = "";
   for (const char* verdict : {"ok", "weak", "degenerate", "refused", "failed"}) {
@@ -267,8 +249,8 @@ SimulatorOptions Mixture(uint32_t seed) {
   const auto log_uniform = [&](double low, double high) {
     return std::exp(uniform(std::log(low), std::log(high)));
   };
-  const Motion motions[] = {
-      Motion::kHandheld, Motion::kHandheld, Motion::kTumble, Motion::kArm, Motion::kDrone};
+  const Motion motions[] = {Motion::kHandheld, Motion::kHandheld, Motion::kTumble, Motion::kArm,
+                            Motion::kDrone};
   SimulatorOptions truth;
   truth.seed = 4000 + seed;
   truth.motion = motions[static_cast<size_t>(uniform(0.0, 5.0))];
@@ -298,17 +280,10 @@ SimulatorOptions Mixture(uint32_t seed) {
 std::string Describe(const SimulatorOptions& truth) {
   char text[200];
   std::snprintf(
-      text,
-      sizeof(text),
+      text, sizeof(text),
       "%s %.0f s, %.0f/%.0f Hz, %.2g mm, %.2g mrad, %.2g rad/s, %.2g m/s^2, lever %.2g m: ",
-      ToString(truth.motion),
-      truth.duration_s,
-      truth.pose_rate_hz,
-      truth.gyro_rate_hz,
-      1e3 * truth.position_std,
-      1e3 * truth.rotation_std,
-      truth.gyro_std,
-      truth.accel_std,
+      ToString(truth.motion), truth.duration_s, truth.pose_rate_hz, truth.gyro_rate_hz,
+      1e3 * truth.position_std, 1e3 * truth.rotation_std, truth.gyro_std, truth.accel_std,
       truth.T_MI.p.norm());
   return text + Effects(truth);
 }
@@ -329,32 +304,19 @@ void RunCampaign(size_t count, uint32_t first) {
       if (outcome.IsWrong()) ++wrong[outcome.verdict];
       const size_t seed = first + done + i;
       if (outcome.IsWrong() && outcome.verdict == "ok")
-        std::printf("%5zu wrong: p off by %.1f mm, %.1f sigma: %s\n",
-                    seed,
-                    1e3 * outcome.p,
-                    outcome.sigmas,
-                    Describe(truths[i]).c_str());
+        std::printf("%5zu wrong: p off by %.1f mm, %.1f sigma: %s\n", seed, 1e3 * outcome.p,
+                    outcome.sigmas, Describe(truths[i]).c_str());
       if (!outcome.IsUsable())
-        std::printf("%5zu %s: %s\n      %s\n",
-                    seed,
-                    outcome.verdict.c_str(),
-                    Describe(truths[i]).c_str(),
-                    Shortened(outcome.reason, 150).c_str());
+        std::printf("%5zu %s: %s\n      %s\n", seed, outcome.verdict.c_str(),
+                    Describe(truths[i]).c_str(), Shortened(outcome.reason, 150).c_str());
     }
     std::fflush(stdout);
   }
   std::printf(
       "%d ok, of which %d wrong; %d weak, of which %d wrong; %d degenerate; %d refused; %d failed\n"
       "largest error of p by its sigma: median %.2f, 90 %% %.2f\n",
-      verdicts["ok"],
-      wrong["ok"],
-      verdicts["weak"],
-      wrong["weak"],
-      verdicts["degenerate"],
-      verdicts["refused"],
-      verdicts["failed"],
-      Quantile(sigmas, 0.5),
-      Quantile(sigmas, 0.9));
+      verdicts["ok"], wrong["ok"], verdicts["weak"], wrong["weak"], verdicts["degenerate"],
+      verdicts["refused"], verdicts["failed"], Quantile(sigmas, 0.5), Quantile(sigmas, 0.9));
 }
 
 /// One mixture, and the same without each of its effects and without all.
@@ -371,9 +333,7 @@ void LookAt(uint32_t seed) {
     names.push_back(std::string("- ") + effect.name);
   }
   const std::vector<Outcome> outcomes = RunAll(truths);
-  std::printf("%s\n%s\n%s",
-              Describe(mixture).c_str(),
-              outcomes[0].reason.c_str(),
+  std::printf("%s\n%s\n%s", Describe(mixture).c_str(), outcomes[0].reason.c_str(),
               outcomes[0].warnings.c_str());
   PrintHeader();
   for (size_t i = 0; i < outcomes.size(); ++i) PrintRow(names[i], {outcomes[i]});

@@ -11,9 +11,9 @@
 #include <cstdlib>
 #include <string>
 
+#include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/simulator.h"
-#include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/simulation/simulator.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -33,15 +33,12 @@ struct Errors {
     nees += e.dot(covariance.llt().solve(e)) / 6.0;
   }
   void Print(const std::string& name, const Errors& bound, int seeds) const {
-    std::printf("  %-28s%9.4f mm %9.5f deg%8.2f%8.2f%8.2f%8.2f%9.2f\n",
-                name.c_str(),
-                1e3 * std::sqrt(translation2 / seeds),
-                180.0 / M_PI * std::sqrt(rotation2 / seeds),
+    std::printf("  %-28s%9.4f mm %9.5f deg%8.2f%8.2f%8.2f%8.2f%9.2f\n", name.c_str(),
+                1e3 * std::sqrt(translation2 / seeds), 180.0 / M_PI * std::sqrt(rotation2 / seeds),
                 std::sqrt(translation2 / bound.translation_variance),
                 std::sqrt(rotation2 / bound.rotation_variance),
                 std::sqrt(translation_variance / bound.translation_variance),
-                std::sqrt(rotation_variance / bound.rotation_variance),
-                nees / seeds);
+                std::sqrt(rotation_variance / bound.rotation_variance), nees / seeds);
   }
 };
 
@@ -54,18 +51,8 @@ SimulatorOptions Truth(int seed, double duration_s) {
 }
 
 void Header(const char* title) {
-  std::printf("\n%s\n%52s%16s\n  %-28s%12s %12s%8s%8s%8s%8s%9s\n",
-              title,
-              "RMS / bound",
-              "sigma / bound",
-              "",
-              "RMS",
-              "RMS",
-              "p",
-              "R",
-              "p",
-              "R",
-              "nees");
+  std::printf("\n%s\n%52s%16s\n  %-28s%12s %12s%8s%8s%8s%8s%9s\n", title, "RMS / bound",
+              "sigma / bound", "", "RMS", "RMS", "p", "R", "p", "R", "nees");
 }
 
 /// Sessions of a quarter of the time, each with a motion, world and clock of its own.
@@ -115,8 +102,7 @@ void CompareImus(int seeds, double duration_s) {
     const Rigid3 true_between = truth[0].T_MI.Inverse() * truth[1].T_MI;
     between.Add(rig.between_imus[0].T, rig.between_imus[0].covariance, true_between);
     between_alone.Add(single[0].imus[0].T_MI.Inverse() * single[1].imus[0].T_MI,
-                      rig.between_imus[0].covariance,
-                      true_between);
+                      rig.between_imus[0].covariance, true_between);
   }
   Header("two imus");
   for (size_t i = 0; i < 2; ++i) {

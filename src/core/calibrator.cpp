@@ -5,12 +5,13 @@
 #include <string>
 #include <utility>
 
-#include "imu_pose_calib/core/intrinsics.h"
-#include "imu_pose_calib/core/joint_solver.h"
-#include "imu_pose_calib/core/observability.h"
-#include "imu_pose_calib/core/preparation.h"
-#include "imu_pose_calib/core/so3.h"
-#include "imu_pose_calib/core/trajectory.h"
+#include "imu_pose_calib/core/base/intrinsics.h"
+#include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/calibration/joint_solver.h"
+#include "imu_pose_calib/core/ground_truth/trajectory.h"
+#include "imu_pose_calib/core/start/excitation.h"
+#include "imu_pose_calib/core/start/preparation.h"
+#include "imu_pose_calib/core/verdict/observability.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -52,9 +53,8 @@ void CheckRig(const CalibrationOptions& options, const std::vector<SessionData>&
     if (session.imus.size() != imus || imus == 0)
       throw InputError("the sessions are not of one rig: their numbers of imus differ");
   for (size_t i = 0; i < imus && imus > 1; ++i)
-    if (std::all_of(sessions.begin(), sessions.end(), [i](const SessionData& session) {
-          return session.imus[i].IsEmpty();
-        }))
+    if (std::all_of(sessions.begin(), sessions.end(),
+                    [i](const SessionData& session) { return session.imus[i].IsEmpty(); }))
       throw DataError("there are no samples" + OfImu(i, imus));
   CheckSingle(options, imus, sessions.size());
 }
@@ -85,8 +85,7 @@ PoseStd PoseResiduals(const PreparedSession& session) {
   return {std::sqrt(position2 / count), std::sqrt(rotation2 / count)};
 }
 
-void ReportEstimate(const Estimate& estimate,
-                    const std::vector<PreparedSession>& sessions,
+void ReportEstimate(const Estimate& estimate, const std::vector<PreparedSession>& sessions,
                     Calibration* result) {
   result->pose_smoothing = estimate.pose_smoothing;
   result->position_smoothing = estimate.position_smoothing;
@@ -192,11 +191,8 @@ void ReportClocks(const std::shared_ptr<const Solution>& solution, Calibration* 
 
 /// S4: each session finds its knot spacing, noise and clocks alone; the rig starts from the
 /// liveliest session that has the IMU.
-Solution SolveTogether(const CalibrationOptions& options,
-                       std::vector<PreparedSession>* prepared,
-                       const Progress& progress,
-                       Estimate* estimate,
-                       Calibration* result) {
+Solution SolveTogether(const CalibrationOptions& options, std::vector<PreparedSession>* prepared,
+                       const Progress& progress, Estimate* estimate, Calibration* result) {
   std::vector<PreparedSession>& sessions = *prepared;
   std::vector<JointStart> starts;
   std::vector<double> liveliest(estimate->imus.size(), -1.0);
@@ -226,8 +222,7 @@ Solution SolveTogether(const CalibrationOptions& options,
 
 }  // namespace
 
-Calibration Calibrate(const CalibrationOptions& options,
-                      std::vector<SessionData> data,
+Calibration Calibrate(const CalibrationOptions& options, std::vector<SessionData> data,
                       const Progress& progress) {
   options.Validate();
   CheckRig(options, data);

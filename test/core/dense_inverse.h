@@ -5,7 +5,7 @@
 #include <numeric>
 #include <vector>
 
-#include "imu_pose_calib/core/marginals.h"
+#include "imu_pose_calib/core/calibration/marginals.h"
 
 namespace imu_pose_calib {
 
@@ -24,9 +24,8 @@ inline Eigen::MatrixXd DenseInverse(const Marginals& m) {
   std::vector<int> first(size.size(), 0), order(size.size());
   std::partial_sum(size.begin(), size.end() - 1, first.begin() + 1);
   std::iota(order.begin(), order.end(), 0);
-  std::sort(order.begin(), order.end(), [&m](int a, int b) {
-    return m.elimination->place(a) < m.elimination->place(b);
-  });
+  std::sort(order.begin(), order.end(),
+            [&m](int a, int b) { return m.elimination->place(a) < m.elimination->place(b); });
   std::vector<int> column;  // by place
   Eigen::Index inner = 0;
   for (const int block : order) {
@@ -38,8 +37,8 @@ inline Eigen::MatrixXd DenseInverse(const Marginals& m) {
   Eigen::MatrixXd L = Eigen::MatrixXd::Zero(columns, inner);
   for (Eigen::Index j = 0; j < inner; ++j)
     for (Eigen::Index i = j; i < columns; ++i)
-      L(i, j) = m.elimination->At(
-          m.factor, column[static_cast<size_t>(i)], column[static_cast<size_t>(j)]);
+      L(i, j) = m.elimination->At(m.factor, column[static_cast<size_t>(i)],
+                                  column[static_cast<size_t>(j)]);
   Eigen::MatrixXd ordered = L * L.transpose();
   ordered.bottomRightCorner(columns - inner, columns - inner) += m.factor.rbegin()->second.H;
   std::vector<Eigen::Index> own;

@@ -8,8 +8,8 @@
 #include <random>
 #include <vector>
 
-#include "imu_pose_calib/core/so3.h"
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/base/types.h"
 
 /// What goes wrong in recordings, done to good ones. Times [s] count from the first sample.
 namespace imu_pose_calib {
@@ -35,9 +35,7 @@ void RemoveBetween(double begin_s, double end_s, std::vector<Sample>* samples) {
 }
 
 /// The tracker swaps labels: the marker's frame is turned on its body by q_MF.
-inline void SwapLabels(double begin_s,
-                       double end_s,
-                       const Eigen::Quaterniond& q_MF,
+inline void SwapLabels(double begin_s, double end_s, const Eigen::Quaterniond& q_MF,
                        SessionData* data) {
   ChangeBetween(begin_s, end_s, &data->poses, [&](PoseSample* s) { s->q_WM = s->q_WM * q_MF; });
 }
@@ -72,8 +70,7 @@ inline void LosePackets(double share, uint32_t seed, std::vector<ImuSample>* sam
   std::vector<ImuSample> kept;
   for (size_t i = 0; i < samples->size(); i += 10) {
     if (std::uniform_real_distribution<double>()(random) < share) continue;
-    kept.insert(kept.end(),
-                samples->begin() + static_cast<std::ptrdiff_t>(i),
+    kept.insert(kept.end(), samples->begin() + static_cast<std::ptrdiff_t>(i),
                 samples->begin() + static_cast<std::ptrdiff_t>(std::min(i + 10, samples->size())));
   }
   *samples = kept;

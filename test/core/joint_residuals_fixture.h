@@ -10,11 +10,11 @@
 #include <random>
 #include <vector>
 
-#include "imu_pose_calib/core/intrinsics.h"
-#include "imu_pose_calib/core/joint_residuals.h"
-#include "imu_pose_calib/core/manifolds.h"
-#include "imu_pose_calib/core/simulator.h"
-#include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/core/base/intrinsics.h"
+#include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/calibration/joint_residuals.h"
+#include "imu_pose_calib/core/solver/manifolds.h"
+#include "imu_pose_calib/simulation/simulator.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -59,11 +59,8 @@ class JointResiduals : public ::testing::Test {
     MarkerState<double> gp;
     SplinePlace place;
   };
-  static JointPoseSample Pose(const TrajectoryPoint& at,
-                              const Eigen::Quaterniond& q_WM,
-                              const Vector3d& p_WM,
-                              double reference_time,
-                              double position_sigma,
+  static JointPoseSample Pose(const TrajectoryPoint& at, const Eigen::Quaterniond& q_WM,
+                              const Vector3d& p_WM, double reference_time, double position_sigma,
                               double rotation_sigma) {
     return {at.place,
             at.gp.q_WM.conjugate() * q_WM,
@@ -75,12 +72,8 @@ class JointResiduals : public ::testing::Test {
             rotation_sigma,
             0.35};
   }
-  static JointAccelSample Imu(const TrajectoryPoint& at,
-                              const Vector3d& value,
-                              double bias_u,
-                              double own_time,
-                              double reference_time,
-                              double sigma) {
+  static JointAccelSample Imu(const TrajectoryPoint& at, const Vector3d& value, double bias_u,
+                              double own_time, double reference_time, double sigma) {
     const MarkerState<double>& gp = at.gp;
     return {{at.place, gp.omega_M, gp.alpha_M, value, bias_u, own_time, reference_time, sigma},
             gp.q_WM,
@@ -180,15 +173,9 @@ class JointResiduals : public ::testing::Test {
 
   std::vector<double*> AccelBlocks(const std::vector<Clock>& clocks) {
     std::vector<double*> blocks = Points({&d_, &phi_});
-    for (double* block : {q_MI_.coeffs().data(),
-                          p_MI_.data(),
-                          g_W_.data(),
-                          accel_intrinsics_.data(),
-                          knot_0_.data(),
-                          knot_1_.data(),
-                          &accel_smoothing_,
-                          &pose_scale_,
-                          accel_positions_.data()})
+    for (double* block :
+         {q_MI_.coeffs().data(), p_MI_.data(), g_W_.data(), accel_intrinsics_.data(),
+          knot_0_.data(), knot_1_.data(), &accel_smoothing_, &pose_scale_, accel_positions_.data()})
       blocks.push_back(block);
     return With(blocks, clocks);
   }
@@ -262,8 +249,8 @@ class JointResiduals : public ::testing::Test {
     EXPECT_EQ(values.size(), blocks.size());
     EXPECT_TRUE(cost->Evaluate(blocks.data(), out.residuals.data(), pointers.data()));
     for (size_t k = 0; k < values.size(); ++k) {
-      Eigen::MatrixXd J = Eigen::Map<const RowMajor>(
-          values[k].data(), cost->num_residuals(), cost->parameter_block_sizes()[k]);
+      Eigen::MatrixXd J = Eigen::Map<const RowMajor>(values[k].data(), cost->num_residuals(),
+                                                     cost->parameter_block_sizes()[k]);
       if (J.cols() == 4) {  // the quaternion: in its tangent space
         RowMajor plus(4, 3);
 #if IMU_POSE_CALIB_CERES_HAS_MANIFOLDS
@@ -285,8 +272,7 @@ class JointResiduals : public ::testing::Test {
   /// `evaluate(scale)` with all clocks moved by about `scale`. Expects both to be the same at 0 and
   /// their difference to vanish with the move to the `order`, for the residuals, and to those of
   /// the Jacobians of each block.
-  static void ExpectOrder(const std::function<MovedAndPlaced(double)>& evaluate,
-                          int order,
+  static void ExpectOrder(const std::function<MovedAndPlaced(double)>& evaluate, int order,
                           const std::function<int(size_t)>& jacobian_order) {
     const MovedAndPlaced zero = evaluate(0.0);
     EXPECT_LT((zero.moved.residuals - zero.placed.residuals).norm(), 1e-12);
@@ -297,16 +283,13 @@ class JointResiduals : public ::testing::Test {
     };
     EXPECT_GT((whole.moved.residuals - zero.moved.residuals).norm(), 1e-3);
     expect(whole.moved.residuals - whole.placed.residuals,
-           half.moved.residuals - half.placed.residuals,
-           whole.moved.residuals.norm(),
-           order);
+           half.moved.residuals - half.placed.residuals, whole.moved.residuals.norm(), order);
     for (size_t k = 0; k < zero.moved.jacobians.size(); ++k) {
       SCOPED_TRACE("block " + std::to_string(k));
       EXPECT_LT((zero.moved.jacobians[k] - zero.placed.jacobians[k]).norm(), 1e-12);
       if (whole.moved.jacobians[k].norm() == 0.0) continue;
       expect(whole.moved.jacobians[k] - whole.placed.jacobians[k],
-             half.moved.jacobians[k] - half.placed.jacobians[k],
-             whole.moved.jacobians[k].norm(),
+             half.moved.jacobians[k] - half.placed.jacobians[k], whole.moved.jacobians[k].norm(),
              jacobian_order(k));
     }
   }
@@ -314,12 +297,9 @@ class JointResiduals : public ::testing::Test {
   /// Samples of the true motion from kSpan on; `clocks` move them by `move(scale, own time,
   /// reference time)`.
   template <typename Create>
-  void ExpectImuOrder(const std::vector<Clock>& clocks,
-                      const std::vector<double*>& blocks,
-                      Moved (*move)(double, double, double),
-                      int order,
-                      const std::function<int(size_t)>& jacobian_order,
-                      const Create& create) {
+  void ExpectImuOrder(const std::vector<Clock>& clocks, const std::vector<double*>& blocks,
+                      Moved (*move)(double, double, double), int order,
+                      const std::function<int(size_t)>& jacobian_order, const Create& create) {
     const ClockMotions motions = Motions(clocks);
     const Vector3d value = Random(3.0);
     const auto evaluate = [&](double scale) {
@@ -347,8 +327,7 @@ class JointResiduals : public ::testing::Test {
 
   /// Analytic Jacobians against numeric ones, in the tangent space.
   static void ExpectJacobiansMatch(const std::unique_ptr<ceres::CostFunction>& cost,
-                                   const std::vector<double*>& blocks,
-                                   int quaternion) {
+                                   const std::vector<double*>& blocks, int quaternion) {
     ASSERT_EQ(cost->parameter_block_sizes().size(), blocks.size());
     QuaternionManifold manifold;
     std::vector<const Manifold*> manifolds(blocks.size(), nullptr);

@@ -5,11 +5,11 @@
 #include <random>
 #include <vector>
 
-#include "imu_pose_calib/core/band.h"
+#include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/calibration/band.h"
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/preparation.h"
-#include "imu_pose_calib/core/simulator.h"
-#include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/core/start/preparation.h"
+#include "imu_pose_calib/simulation/simulator.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -35,8 +35,7 @@ PreparedSession Swinging(double hz) {
   }
   session.data.pose_report.rate_hz = 100.0;
   session.data.segments = {{0, 1000}};
-  session.trajectory = std::make_shared<PoseTrajectory>(session.data.poses,
-                                                        session.data.segments,
+  session.trajectory = std::make_shared<PoseTrajectory>(session.data.poses, session.data.segments,
                                                         GpHyperparameters{1.0, 1.0, 0.1},
                                                         GpHyperparameters{1.0, 1.0, 0.1});
   return session;
@@ -51,15 +50,14 @@ TEST(LimitBand, TakesWhatIsFasterAndKeepsWhatIsSlower) {
       EXPECT_NEAR(imu.gyro[k].value.x(), 9.8, 1e-6);
       EXPECT_EQ(imu.gyro[k].value, imu.accel[k].value);
       EXPECT_NEAR(imu.gyro[k].value.y() + imu.gyro[k].rest.y(),
-                  std::sin(2.0 * M_PI * hz * imu.gyro[k].t),
-                  1e-12);
+                  std::sin(2.0 * M_PI * hz * imu.gyro[k].t), 1e-12);
       largest = std::max(largest, std::abs(imu.gyro[k].value.y()));
     }
     double of_positions = 0.0, of_rotations = 0.0;
     for (size_t k = 100; k + 100 < limited.data.poses.size(); ++k) {
       const TimedPose& pose = limited.data.poses[k];
-      EXPECT_NEAR(
-          pose.p_WM.y() + pose.position_rest.y(), std::sin(2.0 * M_PI * hz * pose.t), 1e-12);
+      EXPECT_NEAR(pose.p_WM.y() + pose.position_rest.y(), std::sin(2.0 * M_PI * hz * pose.t),
+                  1e-12);
       of_positions = std::max(of_positions, std::abs(pose.p_WM.y()));
       of_rotations = std::max(of_rotations, Log(pose.q_WM).norm() / 0.1);
     }

@@ -3,9 +3,9 @@
 #include <cmath>
 #include <random>
 
+#include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/simulator.h"
-#include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/simulation/simulator.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -50,20 +50,13 @@ Vector8d Sigma(const Calibration& result) {
   return sigma;
 }
 
-const char* const kParameters[] = {"p_MI x",
-                                   "p_MI y",
-                                   "p_MI z",
-                                   "rotation x",
-                                   "rotation y",
-                                   "rotation z",
-                                   "time_shift",
-                                   "accel_delay"};
+const char* const kParameters[] = {"p_MI x",     "p_MI y",     "p_MI z",     "rotation x",
+                                   "rotation y", "rotation z", "time_shift", "accel_delay"};
 
 /// The sigmas reported with the fixed trajectory take its errors as independent from sample to
 /// sample. The lever arm, seen through the twice differentiated poses, is therefore held to a share
 /// of the pose noise and the other parameters to their sigmas.
-void ExpectRecovered(const Calibration& result,
-                     const SimulatorOptions& truth,
+void ExpectRecovered(const Calibration& result, const SimulatorOptions& truth,
                      double largest_translation_error_m) {
   EXPECT_EQ(result.status, Status::kOk) << result.message;
   EXPECT_TRUE(result.IsUsable());
@@ -84,8 +77,7 @@ void ExpectRecovered(const Calibration& result,
             1e-9 * result.imus[0].covariance.norm());
 }
 
-Calibration ExpectCalibrates(const CalibrationOptions& options,
-                             const SessionData& data,
+Calibration ExpectCalibrates(const CalibrationOptions& options, const SessionData& data,
                              const SimulatorOptions& truth,
                              double largest_translation_error_m = 2e-3) {
   const Calibration result = Calibrate(options, data);

@@ -3,11 +3,11 @@
 #include <algorithm>
 #include <cmath>
 
+#include "imu_pose_calib/core/calibration/estimate.h"
+#include "imu_pose_calib/core/calibration/solution.h"
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/clock_walk.h"
-#include "imu_pose_calib/core/estimate.h"
-#include "imu_pose_calib/core/simulator.h"
-#include "imu_pose_calib/core/solution.h"
+#include "imu_pose_calib/core/start/clock_walk.h"
+#include "imu_pose_calib/simulation/simulator.h"
 
 namespace imu_pose_calib {
 namespace {

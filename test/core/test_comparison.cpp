@@ -2,16 +2,15 @@
 
 #include <random>
 
-#include "imu_pose_calib/core/comparison.h"
-#include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/verdict/comparison.h"
 
 namespace imu_pose_calib {
 namespace {
 
-const std::vector<ComparedQuantity> kAll = {ComparedQuantity::kTranslation,
-                                            ComparedQuantity::kRotation,
-                                            ComparedQuantity::kAccelDelay,
-                                            ComparedQuantity::kTimeShift};
+const std::vector<ComparedQuantity> kAll = {
+    ComparedQuantity::kTranslation, ComparedQuantity::kRotation, ComparedQuantity::kAccelDelay,
+    ComparedQuantity::kTimeShift};
 
 /// Covariance whose components are correlated within translation and rotation.
 Matrix6d Correlated() {

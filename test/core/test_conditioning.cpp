@@ -4,8 +4,8 @@
 #include <cmath>
 #include <limits>
 
-#include "imu_pose_calib/core/conditioning.h"
-#include "imu_pose_calib/core/simulator.h"
+#include "imu_pose_calib/core/data/conditioning.h"
+#include "imu_pose_calib/simulation/simulator.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -196,8 +196,7 @@ TEST(ConditionData, KeepsWhatComesAfterAPause) {
 TEST(ConditionData, SortsInWhatArrivesUpToOneSecondLate) {
   const SessionData ordered = Recording();
   SessionData data = ordered;
-  std::rotate(data.imus[0].gyro.begin() + 100,
-              data.imus[0].gyro.begin() + 101,
+  std::rotate(data.imus[0].gyro.begin() + 100, data.imus[0].gyro.begin() + 101,
               data.imus[0].gyro.begin() + 290);  // 0.95 s
   std::swap(data.poses[300], data.poses[301]);
   std::swap(data.imus[0].accel[5], data.imus[0].accel[9]);

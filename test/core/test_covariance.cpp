@@ -8,7 +8,7 @@
 #include <random>
 
 #include "eliminate_all.h"
-#include "imu_pose_calib/core/covariance.h"
+#include "imu_pose_calib/core/solver/covariance.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -20,8 +20,8 @@ using Eigen::VectorXd;
 /// Random Jacobian of which a third is not zero.
 MatrixXd RandomJacobian(int rows, int cols, std::mt19937* random) {
   std::normal_distribution<double> normal;
-  return MatrixXd::NullaryExpr(
-      rows, cols, [&] { return (*random)() % 3 == 0 ? normal(*random) : 0.0; });
+  return MatrixXd::NullaryExpr(rows, cols,
+                               [&] { return (*random)() % 3 == 0 ? normal(*random) : 0.0; });
 }
 
 std::vector<double> RandomResiduals(int rows, std::mt19937* random) {
@@ -44,11 +44,8 @@ int Count(const std::vector<int>& cluster) {
 
 /// J^T J, the scores of the clusters and further right-hand sides, when all but the leading columns
 /// is eliminated.
-Reduced Reduce(const MatrixXd& J,
-               const std::vector<double>& residuals,
-               const std::vector<int>& cluster,
-               int leading,
-               const MatrixXd& rhs,
+Reduced Reduce(const MatrixXd& J, const std::vector<double>& residuals,
+               const std::vector<int>& cluster, int leading, const MatrixXd& rhs,
                double prior = 0.0) {
   std::vector<std::vector<int>> rows;
   for (Eigen::Index i = 0; i < J.rows(); ++i) {
@@ -56,13 +53,12 @@ Reduced Reduce(const MatrixXd& J,
     for (int j = 0; j < J.cols(); ++j)
       if (J(i, j) != 0.0) rows.back().push_back(j);
   }
-  const Elimination elimination(
-      std::vector<int>(static_cast<size_t>(J.cols()), 1), static_cast<size_t>(leading), rows, {0});
+  const Elimination elimination(std::vector<int>(static_cast<size_t>(J.cols()), 1),
+                                static_cast<size_t>(leading), rows, {0});
   Panels panels;
   for (size_t r = 0; r < rows.size(); ++r) {
-    std::sort(rows[r].begin(), rows[r].end(), [&elimination](int a, int b) {
-      return elimination.place(a) < elimination.place(b);
-    });
+    std::sort(rows[r].begin(), rows[r].end(),
+              [&elimination](int a, int b) { return elimination.place(a) < elimination.place(b); });
     std::vector<int> places;
     VectorXd own(static_cast<Eigen::Index>(rows[r].size()));
     for (Eigen::Index k = 0; k < own.size(); ++k) {
@@ -76,21 +72,18 @@ Reduced Reduce(const MatrixXd& J,
   }
   for (int k = 0; k < rhs.cols(); ++k)
     for (int i = 0; i < rhs.rows(); ++i)
-      elimination.AddRhs(
-          {elimination.place(i)}, Count(cluster) + k, VectorXd::Constant(1, rhs(i, k)), &panels);
+      elimination.AddRhs({elimination.place(i)}, Count(cluster) + k,
+                         VectorXd::Constant(1, rhs(i, k)), &panels);
   elimination.VisitDiagonal([prior](int, auto diagonal) { diagonal.array() += prior; }, &panels);
   std::vector<Panels> windows = {std::move(panels)};
   Panels shared;
-  return EliminateAll(
-      elimination, VectorXd::Ones(Count(cluster) + rhs.cols()), false, &windows, &shared);
+  return EliminateAll(elimination, VectorXd::Ones(Count(cluster) + rhs.cols()), false, &windows,
+                      &shared);
 }
 
 /// Of the leading columns.
-MarginalEstimate Marginal(const MatrixXd& J,
-                          const std::vector<double>& residuals,
-                          const std::vector<int>& cluster,
-                          int leading,
-                          double prior = 0.0) {
+MarginalEstimate Marginal(const MatrixXd& J, const std::vector<double>& residuals,
+                          const std::vector<int>& cluster, int leading, double prior = 0.0) {
   const Reduced reduced =
       Reduce(J, residuals, cluster, leading, MatrixXd::Identity(J.cols(), leading), prior);
   return EstimateMarginals(reduced.Products(), Count(cluster), leading, {}).gauss_newton;
@@ -181,8 +174,7 @@ TEST(MarginalCovariance, OfTheBorderLeavesOutItsOtherColumns) {
   part << J.leftCols(2), J.rightCols(cols - 3);
   const MarginalEstimate expected = Marginal(part, residuals, cluster, 3);
   const MarginalEstimate estimate =
-      EstimateBorder(Reduce(J, residuals, cluster, 4, MatrixXd(cols, 0)),
-                     {0, 1, 3},
+      EstimateBorder(Reduce(J, residuals, cluster, 4, MatrixXd(cols, 0)), {0, 1, 3},
                      {0, 1, 2, 3, 4, 5, 6, 7, 8, 9});
   EXPECT_LT((estimate.covariance - expected.covariance).norm(), 1e-10 * expected.covariance.norm());
   EXPECT_LT((estimate.influence - expected.influence).norm(), 1e-10 * expected.influence.norm());
@@ -329,8 +321,7 @@ TEST(MarginalCovariance, RobustGrowsWithTheCorrelationInsideOfClusters) {
   for (int i = 0; i < rows; ++i) residuals.push_back(noise[static_cast<size_t>(i / 5)]);
   const MarginalEstimate c = Marginal(J, residuals, Blocks(rows, 5), 1);
   EXPECT_NEAR(c.covariance(0, 0), 1e-3, 1e-12);
-  EXPECT_NEAR(ClusterRobustCovariance(c, 0.0)(0, 0) / c.covariance(0, 0),
-              5.0,
+  EXPECT_NEAR(ClusterRobustCovariance(c, 0.0)(0, 0) / c.covariance(0, 0), 5.0,
               1.5);  // 200 clusters: sigma 0.5
 }
 

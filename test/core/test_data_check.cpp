@@ -2,9 +2,9 @@
 
 #include "faults.h"
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/data_check.h"
-#include "imu_pose_calib/core/preparation.h"
-#include "imu_pose_calib/core/simulator.h"
+#include "imu_pose_calib/core/start/data_check.h"
+#include "imu_pose_calib/core/start/preparation.h"
+#include "imu_pose_calib/simulation/simulator.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -249,8 +249,7 @@ TEST(CheckData, LeavesTheDriftToTheCalibration) {
   SessionData data = Simulate(Truth());
   Drift(300.0, &data.imus[0]);
   const std::vector<std::string> warnings = Calibrate(options, data).warnings;
-  EXPECT_EQ(std::count_if(warnings.begin(),
-                          warnings.end(),
+  EXPECT_EQ(std::count_if(warnings.begin(), warnings.end(),
                           [](const std::string& w) { return Contains(w, "estimate_clock_drift"); }),
             1)
       << ::testing::PrintToString(warnings);

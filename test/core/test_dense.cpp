@@ -2,7 +2,7 @@
 
 #include <Eigen/Core>
 
-#include "imu_pose_calib/core/dense.h"
+#include "imu_pose_calib/core/base/dense.h"
 
 namespace imu_pose_calib {
 namespace {

@@ -4,8 +4,8 @@
 #include <vector>
 
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/observability.h"
-#include "imu_pose_calib/core/simulator.h"
+#include "imu_pose_calib/core/verdict/observability.h"
+#include "imu_pose_calib/simulation/simulator.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {

@@ -11,8 +11,8 @@
 #include <vector>
 
 #include "eliminate_all.h"
-#include "imu_pose_calib/core/elimination.h"
-#include "imu_pose_calib/core/parallel.h"
+#include "imu_pose_calib/core/base/parallel.h"
+#include "imu_pose_calib/core/solver/elimination.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -70,9 +70,8 @@ struct RandomEquations {
     for (size_t r = 0; r < residuals.size(); ++r) {
       std::vector<int> places, at;
       std::vector<int> blocks = residuals[r];
-      std::sort(blocks.begin(), blocks.end(), [this](int a, int b) {
-        return elimination->place(a) < elimination->place(b);
-      });
+      std::sort(blocks.begin(), blocks.end(),
+                [this](int a, int b) { return elimination->place(a) < elimination->place(b); });
       for (const int block : blocks) {
         places.push_back(elimination->place(block));
         for (int k = 0; k < sizes[static_cast<size_t>(block)]; ++k)
@@ -141,8 +140,7 @@ TEST_P(EliminationTest, InvertsAtItsPlaces) {
     for (Eigen::Index j = 0; j < e.H.rows(); ++j)
       if (e.H(i, j) != 0.0) {
         ASSERT_NEAR(e.elimination->At(e.shared, static_cast<int>(i), static_cast<int>(j)),
-                    expected(i, j),
-                    1e-10 * std::sqrt(expected(i, i) * expected(j, j)))
+                    expected(i, j), 1e-10 * std::sqrt(expected(i, i) * expected(j, j)))
             << i << " " << j;
       }
 }
@@ -169,9 +167,8 @@ TEST(Elimination, OfAPartLeavesOutWhatActsElsewhere) {
   std::mt19937 random(1);
   for (size_t r = 40; r < e.residuals.size(); ++r) {
     std::vector<int> blocks = e.residuals[r], places, at;
-    std::sort(blocks.begin(), blocks.end(), [&](int a, int b) {
-      return e.elimination->place(a) < e.elimination->place(b);
-    });
+    std::sort(blocks.begin(), blocks.end(),
+              [&](int a, int b) { return e.elimination->place(a) < e.elimination->place(b); });
     for (const int block : blocks) {
       places.push_back(e.elimination->place(block));
       for (int k = 0; k < e.sizes[static_cast<size_t>(block)]; ++k)
@@ -221,8 +218,7 @@ TEST(InParallel, CallsEachOnceAndThrowsOn) {
   std::vector<int> calls(100, 0);
   InParallel(4, calls.size(), [&calls](size_t k) { ++calls[k]; });
   EXPECT_EQ(calls, std::vector<int>(100, 1));
-  EXPECT_THROW(InParallel(4,
-                          calls.size(),
+  EXPECT_THROW(InParallel(4, calls.size(),
                           [](size_t k) {
                             if (k == 57) throw std::runtime_error("57");
                           }),

@@ -2,9 +2,9 @@
 
 #include <Eigen/Cholesky>
 
+#include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/error_bound.h"
-#include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/simulation/error_bound.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -44,8 +44,8 @@ TEST(ErrorBoundTest, IsThatOfARegressionWhenPosesAreExact) {
   SimulatorOptions truth = Handheld(4.0);
   truth.position_std = truth.rotation_std = 1e-7;
   truth.gyro_bias_walk = truth.accel_bias_walk = 1e-9;
-  Eigen::MatrixXd J = NumericJacobian(
-      [&](const Eigen::VectorXd& x) { return Samples(truth, x); }, Eigen::VectorXd::Zero(16), 1e-4);
+  Eigen::MatrixXd J = NumericJacobian([&](const Eigen::VectorXd& x) { return Samples(truth, x); },
+                                      Eigen::VectorXd::Zero(16), 1e-4);
   // A later shift is an earlier time of the samples: by the derivative over time of the samples of
   // a recording whose IMU samples come one step apart, which the delay gives for the accelerometer.
   const Eigen::Index gyros = J.rows() / 2;

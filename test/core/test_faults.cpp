@@ -7,7 +7,7 @@
 
 #include "faults.h"
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/simulator.h"
+#include "imu_pose_calib/simulation/simulator.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -65,10 +65,10 @@ TEST_P(RepairedFault, LeavesTheCalibrationWithinItsSigmas) {
                                                                << sigma.transpose();
   EXPECT_LT(sigma.head<3>().maxCoeff(), truth.pose_rate_hz < 50.0 ? 5e-3 : 1e-3);
   const StreamReport& poses = result.sessions[0].poses;
-  EXPECT_EQ(poses.received,
-            poses.used + poses.not_finite + poses.zero_quaternion + poses.reversed_stamp +
-                poses.duplicate_stamp + poses.repeated_value + poses.outlier + poses.flipped +
-                poses.in_short_segment + poses.between_updates);
+  EXPECT_EQ(poses.received, poses.used + poses.not_finite + poses.zero_quaternion +
+                                poses.reversed_stamp + poses.duplicate_stamp +
+                                poses.repeated_value + poses.outlier + poses.flipped +
+                                poses.in_short_segment + poses.between_updates);
   if (fault.check) fault.check(result);
 }
 
@@ -145,8 +145,8 @@ const Fault kFaults[] = {
     {"ATrackerThatFindsItselfElsewhere",
      {},
      [](SessionData* d) {
-       ChangeBetween(
-           12.0, 30.0, &d->poses, [](PoseSample* s) { s->p_WM += Vector3d(0.3, 0.2, 0); });
+       ChangeBetween(12.0, 30.0, &d->poses,
+                     [](PoseSample* s) { s->p_WM += Vector3d(0.3, 0.2, 0); });
      },
      [](const Calibration& r) {
        EXPECT_EQ(r.sessions[0].jumps, 1u);
@@ -212,9 +212,7 @@ const Fault kFaults[] = {
      [](const Calibration& r) { EXPECT_GT(r.sessions[0].imus[0].accel.saturated, 20u); }},
 };
 
-INSTANTIATE_TEST_SUITE_P(Calibrate,
-                         RepairedFault,
-                         ::testing::ValuesIn(kFaults),
+INSTANTIATE_TEST_SUITE_P(Calibrate, RepairedFault, ::testing::ValuesIn(kFaults),
                          [](const auto& test) { return std::string(test.param.name); });
 
 /// A recording that cannot be used as it is, and parts of the one line that says so.
@@ -327,9 +325,7 @@ const Refused kRefused[] = {
      {"samples are at the end of the sensor's range (1)", "bound: 10 %"}},
 };
 
-INSTANTIATE_TEST_SUITE_P(Calibrate,
-                         RefusedRecording,
-                         ::testing::ValuesIn(kRefused),
+INSTANTIATE_TEST_SUITE_P(Calibrate, RefusedRecording, ::testing::ValuesIn(kRefused),
                          [](const auto& test) { return std::string(test.param.name); });
 
 TEST(Calibrate, SaysThatGravityIsMissing) {

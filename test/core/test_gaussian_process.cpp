@@ -4,7 +4,7 @@
 #include <cmath>
 #include <random>
 
-#include "imu_pose_calib/core/gaussian_process.h"
+#include "imu_pose_calib/core/trajectory/gaussian_process.h"
 
 namespace imu_pose_calib {
 namespace {

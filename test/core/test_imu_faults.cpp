@@ -8,9 +8,9 @@
 
 #include "faults.h"
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/initializer.h"
-#include "imu_pose_calib/core/segments.h"
-#include "imu_pose_calib/core/simulator.h"
+#include "imu_pose_calib/core/data/segments.h"
+#include "imu_pose_calib/core/start/initializer.h"
+#include "imu_pose_calib/simulation/simulator.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -107,9 +107,8 @@ const Dropouts kDropouts[] = {
      {{2, 5.8}, {6.1, 9.8}, {10.1, 13.8}, {14.1, 17.8}},
      {{2, 5.8}, {6.1, 9.8}, {10.1, 13.8}, {14.1, 17.8}}},
 };
-INSTANTIATE_TEST_SUITE_P(All, ImuDropout, ::testing::ValuesIn(kDropouts), [](const auto& info) {
-  return info.param.name;
-});
+INSTANTIATE_TEST_SUITE_P(All, ImuDropout, ::testing::ValuesIn(kDropouts),
+                         [](const auto& info) { return info.param.name; });
 
 /// Samples that are off by `size` in any direction.
 void AddSpikes(size_t count, double size, uint32_t seed, std::vector<ImuSample>* samples) {
@@ -133,10 +132,9 @@ TEST(ImuSpikes, MoveTheCalibrationByLessThanHalfASigma) {
     SCOPED_TRACE(count);
     const Calibration result = Calibrated(WithSpikes(truth, count));
     EXPECT_TRUE(result.IsUsable()) << result.message;
-    const Vector8d moved = Difference(result,
-                                      clean.imus[0].T_MI,
-                                      clean.sessions[0].imus[0].time_shift,
-                                      clean.imus[0].accel_delay);
+    const Vector8d moved =
+        Difference(result, clean.imus[0].T_MI, clean.sessions[0].imus[0].time_shift,
+                   clean.imus[0].accel_delay);
     EXPECT_LT(moved.cwiseQuotient(Sigma(clean)).cwiseAbs().maxCoeff(), 0.5) << moved.transpose();
     EXPECT_LT(Sigma(result).cwiseQuotient(Sigma(clean)).maxCoeff(), 1.2);
     EXPECT_EQ(result.warnings, clean.warnings);

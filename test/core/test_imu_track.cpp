@@ -5,9 +5,9 @@
 #include <functional>
 
 #include "dense_inverse.h"
+#include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/imu_track.h"
-#include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/core/ground_truth/imu_track.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -28,8 +28,7 @@ double TrueTime(const SimulatorOptions& truth, int64_t stamp_ns) {
 }
 
 /// Takes the poses out of which `is_missing` holds at their time [s].
-void Withhold(const SimulatorOptions& truth,
-              const std::function<bool(double)>& is_missing,
+void Withhold(const SimulatorOptions& truth, const std::function<bool(double)>& is_missing,
               SessionData* data) {
   const auto is_out = [&](const PoseSample& pose) {
     return is_missing(1e-9 * static_cast<double>(pose.t_ns - truth.start_ns));
@@ -43,8 +42,7 @@ struct Errors {
   double count = 0.0, nees = 0.0, lag = 0.0, speed2 = 0.0, largest = 0.0;
   Eigen::Vector3d error2 = Eigen::Vector3d::Zero(), variance = Eigen::Vector3d::Zero();
 
-  Errors(const ImuTrack& track,
-         const SimulatorOptions& truth,
+  Errors(const ImuTrack& track, const SimulatorOptions& truth,
          const std::function<bool(const ImuState&)>& is_wanted) {
     const TrueTrajectory trajectory(truth);
     const Rigid3& T_MI = truth.T_MI;
@@ -294,8 +292,7 @@ TEST(ImuTrackTest, EndsOfRunsHaveTheCovarianceOfAllThatActsThere) {
       for (Eigen::Index j = 0; j < C.cols(); ++j) {
         const int row = columns[static_cast<size_t>(i)], column = columns[static_cast<size_t>(j)];
         ASSERT_TRUE(row >= 0 && column >= 0);
-        EXPECT_NEAR(C(i, j),
-                    inverse(row, column),
+        EXPECT_NEAR(C(i, j), inverse(row, column),
                     1e-5 * std::sqrt(inverse(row, row) * inverse(column, column)))
             << i << " " << j;
       }

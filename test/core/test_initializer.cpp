@@ -4,8 +4,8 @@
 #include <cmath>
 
 #include "faults.h"
-#include "imu_pose_calib/core/initializer.h"
-#include "imu_pose_calib/core/simulator.h"
+#include "imu_pose_calib/core/start/initializer.h"
+#include "imu_pose_calib/simulation/simulator.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -38,8 +38,7 @@ double TrueShift(const ConditionedData& data, const SimulatorOptions& options) {
   return 1e-9 * static_cast<double>(shift_ns - (data.pose_epoch_ns - data.imus[0].epoch_ns));
 }
 
-void ExpectCloseToTruth(const Start& start,
-                        const ConditionedData& data,
+void ExpectCloseToTruth(const Start& start, const ConditionedData& data,
                         const SimulatorOptions& options) {
   EXPECT_NEAR(start.time_shift, TrueShift(data, options), 5e-3);
   EXPECT_LT(start.q_MI.angularDistance(options.T_MI.q), 2.0 * kDegree);
@@ -51,8 +50,7 @@ void ExpectCloseToTruth(const Start& start,
   EXPECT_LT((start.accel_bias - options.accel_bias).norm(), 0.2);
 }
 
-Start InitialiseOn(const SessionData& recording,
-                   const SimulatorOptions& truth,
+Start InitialiseOn(const SessionData& recording, const SimulatorOptions& truth,
                    const CalibrationOptions& options = CalibrationOptions()) {
   const Fitted fitted(recording, options);
   const Start start = Initialise(options, fitted.trajectory, fitted.data, 0);
@@ -153,11 +151,11 @@ TEST(Initialise, SearchesOneSecondAroundAGuess) {
   const Fitted fitted(Simulate(options), CalibrationOptions());
   const double truth = TrueShift(fitted.data, options);
   for (const double guess : {truth - 0.7, truth + 0.7, truth + 4.0, truth - 4.0}) {
-    const auto shifts = FindTimeShifts(
-        fitted.trajectory, fitted.data.poses, fitted.data.imus[0].gyro, 5.0, guess, 6);
+    const auto shifts = FindTimeShifts(fitted.trajectory, fitted.data.poses,
+                                       fitted.data.imus[0].gyro, 5.0, guess, 6);
     for (const double shift : shifts) EXPECT_NEAR(shift, guess, 1.0 + 0.01);
-    const bool found = std::any_of(
-        shifts.begin(), shifts.end(), [&](double s) { return std::abs(s - truth) < 5e-3; });
+    const bool found = std::any_of(shifts.begin(), shifts.end(),
+                                   [&](double s) { return std::abs(s - truth) < 5e-3; });
     EXPECT_EQ(found, std::abs(guess - truth) < 1.0) << "guess " << guess;
   }
   CalibrationOptions calibration;
@@ -203,8 +201,8 @@ TEST(RemoveFlippedSegments, TakesNoGuessOfAnotherImu) {
 TEST(FindTimeShifts, ReturnsTheBestFirstAndNoTwoNeighbours) {
   const SimulatorOptions options = Recording(15.0, 16);
   const Fitted fitted(Simulate(options), CalibrationOptions());
-  const auto shifts = FindTimeShifts(
-      fitted.trajectory, fitted.data.poses, fitted.data.imus[0].gyro, 5.0, std::nullopt, 4);
+  const auto shifts = FindTimeShifts(fitted.trajectory, fitted.data.poses, fitted.data.imus[0].gyro,
+                                     5.0, std::nullopt, 4);
   ASSERT_EQ(shifts.size(), 4u);
   EXPECT_NEAR(shifts[0], TrueShift(fitted.data, options), 3e-3);  // bins of 10 ms
   for (size_t i = 0; i < shifts.size(); ++i)
@@ -214,8 +212,8 @@ TEST(FindTimeShifts, ReturnsTheBestFirstAndNoTwoNeighbours) {
 TEST(FindTimeShifts, OffersNoOverlapBelowTheMinimum) {
   const Fitted fitted(Simulate(Recording(15.0, 17)), CalibrationOptions());
   const auto find = [&](double overlap) {
-    return FindTimeShifts(
-        fitted.trajectory, fitted.data.poses, fitted.data.imus[0].gyro, overlap, std::nullopt, 50);
+    return FindTimeShifts(fitted.trajectory, fitted.data.poses, fitted.data.imus[0].gyro, overlap,
+                          std::nullopt, 50);
   };
   for (const double shift : find(12.0)) EXPECT_LT(std::abs(shift), 3.1);
   double largest = 0.0;

@@ -4,12 +4,12 @@
 #include <cmath>
 #include <random>
 
+#include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/calibration/joint_solver.h"
+#include "imu_pose_calib/core/calibration/solution.h"
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/joint_solver.h"
-#include "imu_pose_calib/core/preparation.h"
-#include "imu_pose_calib/core/simulator.h"
-#include "imu_pose_calib/core/so3.h"
-#include "imu_pose_calib/core/solution.h"
+#include "imu_pose_calib/core/start/preparation.h"
+#include "imu_pose_calib/simulation/simulator.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -151,11 +151,9 @@ TEST(JointCalibration, EstimatesScaleAndMisalignment) {
   EXPECT_LT(Normalised(result, truth).cwiseAbs().maxCoeff(), 4.5);
   for (int i = 0; i < 3; ++i) {
     for (int j = 0; j < 3; ++j) {
-      EXPECT_NEAR(result.imus[0].gyro_matrix(i, j),
-                  truth.gyro_matrix(i, j),
+      EXPECT_NEAR(result.imus[0].gyro_matrix(i, j), truth.gyro_matrix(i, j),
                   4.5 * result.imus[0].gyro_matrix_std(i, j) + 1e-12);
-      EXPECT_NEAR(result.imus[0].accel_matrix(i, j),
-                  truth.accel_matrix(i, j),
+      EXPECT_NEAR(result.imus[0].accel_matrix(i, j), truth.accel_matrix(i, j),
                   4.5 * result.imus[0].accel_matrix_std(i, j));
     }
   }
@@ -213,8 +211,7 @@ TEST(JointCalibration, EstimatesClockDrift) {
   options.estimate_clock_drift = true;
   const Calibration result = Calibrate(options, data);
   EXPECT_LT(Normalised(result, truth).cwiseAbs().maxCoeff(), 4.5);
-  EXPECT_NEAR(result.sessions[0].imus[0].clock_drift,
-              truth.clock_drift,
+  EXPECT_NEAR(result.sessions[0].imus[0].clock_drift, truth.clock_drift,
               4.5 * result.sessions[0].imus[0].clock_drift_std);
   EXPECT_LT(result.sessions[0].imus[0].clock_drift_std, 5e-6);
 }
@@ -329,11 +326,8 @@ TEST(JointCalibration, FindsNoSmoothingWhereThereIsNone) {
 }
 
 /// One error for each pose, of `std_dev` per axis, that lasts for about `correlation_s`.
-std::vector<Eigen::Vector3d> LastingErrors(double std_dev,
-                                           double correlation_s,
-                                           double rate_hz,
-                                           uint32_t seed,
-                                           size_t count) {
+std::vector<Eigen::Vector3d> LastingErrors(double std_dev, double correlation_s, double rate_hz,
+                                           uint32_t seed, size_t count) {
   std::mt19937 random(seed);
   std::normal_distribution<double> normal(0.0, std_dev);
   const double keep = std::exp(-1.0 / (correlation_s * rate_hz));
@@ -366,10 +360,7 @@ TEST(JointCalibration, PosesThatErrForLongerThanASampleDoNotWeakenTheMotion) {
 }
 
 /// Adds errors to the rotations that last for about `correlation_s`.
-void AddSlowErrors(double rotation_std,
-                   double correlation_s,
-                   double rate_hz,
-                   uint32_t seed,
+void AddSlowErrors(double rotation_std, double correlation_s, double rate_hz, uint32_t seed,
                    SessionData* data) {
   const auto errors = LastingErrors(rotation_std, correlation_s, rate_hz, seed, data->poses.size());
   for (size_t i = 0; i < errors.size(); ++i)
@@ -460,8 +451,7 @@ TEST(JointCalibration, KeepsWhatIsFixed) {
     EXPECT_EQ(result.imus[0].T_MI.p, truth.T_MI.p);
     EXPECT_TRUE(result.imus[0].covariance.isZero(0.0));
     EXPECT_NE(result.sessions[0].imus[0].time_shift, truth.time_shift_s);
-    EXPECT_NEAR(result.sessions[0].imus[0].time_shift,
-                truth.time_shift_s,
+    EXPECT_NEAR(result.sessions[0].imus[0].time_shift, truth.time_shift_s,
                 5.0 * result.sessions[0].imus[0].time_shift_std);
 
     fixed = options;
@@ -489,8 +479,7 @@ TEST(JointCalibration, AKnownLeverArmMakesATurnAboutOneAxisEnough) {
   options.estimate_rotation = options.estimate_translation = false;
   const Calibration result = Calibrate(options, Simulate(truth));
   EXPECT_TRUE(result.IsUsable()) << result.message;
-  EXPECT_NEAR(result.sessions[0].imus[0].time_shift,
-              truth.time_shift_s,
+  EXPECT_NEAR(result.sessions[0].imus[0].time_shift, truth.time_shift_s,
               5.0 * result.sessions[0].imus[0].time_shift_std);
 }
 

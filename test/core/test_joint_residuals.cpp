@@ -10,16 +10,16 @@ namespace {
 TEST_F(JointResiduals, PositionJacobian) {
   for (const double shift : {0.0213, 0.021, 0.005}) {  // at, near and beyond the span of the sample
     time_shift_ = shift;
-    ExpectJacobiansMatch(
-        CreateJointPositionResidual(Poses(), Motions(PoseClocks())), PoseBlocks(&d_), -1);
+    ExpectJacobiansMatch(CreateJointPositionResidual(Poses(), Motions(PoseClocks())),
+                         PoseBlocks(&d_), -1);
   }
 }
 
 TEST_F(JointResiduals, RotationJacobian) {
   for (const double shift : {0.0213, 0.021, 0.005}) {
     time_shift_ = shift;
-    ExpectJacobiansMatch(
-        CreateJointRotationResidual(Poses(), Motions(PoseClocks())), PoseBlocks(&phi_), -1);
+    ExpectJacobiansMatch(CreateJointRotationResidual(Poses(), Motions(PoseClocks())),
+                         PoseBlocks(&phi_), -1);
   }
 }
 
@@ -27,8 +27,7 @@ TEST_F(JointResiduals, GyroJacobian) {
   for (const double delay : {0.0008, 0.0011, 0.017}) {
     accel_delay_ = delay;
     ExpectJacobiansMatch(CreateJointGyroResidual(Gyro(Imu()), Motions(GyroClocks())),
-                         GyroBlocks(GyroClocks()),
-                         kSplineOrder);
+                         GyroBlocks(GyroClocks()), kSplineOrder);
   }
 }
 
@@ -36,22 +35,19 @@ TEST_F(JointResiduals, JacobianOfAnotherGyro) {
   for (const double shift : {0.0117, 0.012, 0.028}) {
     other_time_shift_ = shift;
     ExpectJacobiansMatch(CreateJointGyroResidual(Gyro(Imu()), Motions(OtherGyroClocks())),
-                         GyroBlocks(OtherGyroClocks()),
-                         kSplineOrder);
+                         GyroBlocks(OtherGyroClocks()), kSplineOrder);
   }
 }
 
 TEST_F(JointResiduals, AccelJacobian) {
   ExpectJacobiansMatch(CreateJointAccelResidual(With(Imu(), Jerks()), R_MA_, Motions({})),
-                       AccelBlocks({}),
-                       2 * kSplineOrder);
+                       AccelBlocks({}), 2 * kSplineOrder);
 }
 
 TEST_F(JointResiduals, JacobianOfAnotherAccel) {
   ExpectJacobiansMatch(
       CreateJointAccelResidual(With(Imu(), Jerks()), R_MA_, Motions(OtherAccelClocks())),
-      AccelBlocks(OtherAccelClocks()),
-      2 * kSplineOrder);
+      AccelBlocks(OtherAccelClocks()), 2 * kSplineOrder);
 }
 
 TEST_F(JointResiduals, JacobianOfAnotherAccelThatHasMoved) {
@@ -120,8 +116,8 @@ TEST_F(JointResiduals, MovedPositionsAreThoseFurtherAlongTheTrajectory) {
     both.moved = Evaluate(CreateJointPositionResidual(samples, clocks), PoseBlocks(&d_));
     return both;
   };
-  ExpectOrder(
-      evaluate, 3, [](size_t k) { return k == kSplineOrder || k == kSplineOrder + 1 ? 1 : 2; });
+  ExpectOrder(evaluate, 3,
+              [](size_t k) { return k == kSplineOrder || k == kSplineOrder + 1 ? 1 : 2; });
 }
 
 TEST_F(JointResiduals, MovedRotationsAreThoseFurtherAlongTheTrajectory) {
@@ -154,8 +150,8 @@ TEST_F(JointResiduals, MovedRatesAreThoseFurtherAlongTheTrajectory) {
   // The slope of a motion of first order is constant.
   const auto jacobian_order = [](size_t k) { return k < kSplineOrder + 4 ? 2 : 1; };
   ExpectImuOrder(GyroClocks(), GyroBlocks(GyroClocks()), &GyroMove, 2, jacobian_order, create);
-  ExpectImuOrder(
-      OtherGyroClocks(), GyroBlocks(OtherGyroClocks()), &OtherGyroMove, 2, jacobian_order, create);
+  ExpectImuOrder(OtherGyroClocks(), GyroBlocks(OtherGyroClocks()), &OtherGyroMove, 2,
+                 jacobian_order, create);
 }
 
 TEST_F(JointResiduals, MovedForcesAreThoseFurtherAlongTheTrajectory) {
@@ -163,12 +159,8 @@ TEST_F(JointResiduals, MovedForcesAreThoseFurtherAlongTheTrajectory) {
     return CreateJointAccelResidual(With(samples, jerks), R_MA_, clocks);
   };
   ExpectImuOrder(
-      OtherAccelClocks(),
-      AccelBlocks(OtherAccelClocks()),
-      &OtherAccelMove,
-      2,
-      [](size_t k) { return k < 2 * kSplineOrder + 6 ? 2 : 1; },
-      create);
+      OtherAccelClocks(), AccelBlocks(OtherAccelClocks()), &OtherAccelMove, 2,
+      [](size_t k) { return k < 2 * kSplineOrder + 6 ? 2 : 1; }, create);
 }
 
 TEST_F(JointResiduals, VanishWhereTheCorrectedTrajectoryIsMeasured) {
@@ -218,10 +210,7 @@ TEST_F(JointResiduals, VanishWhereTheCorrectedTrajectoryIsMeasured) {
   const std::vector<JointPoseSample> pose{Pose(
       at,
       Eigen::Quaterniond(R_WM) * Exp<double>(lag) * Exp<double>(0.65 * error_0_ + 0.35 * error_1_),
-      at.gp.p_WM + Correction(d_, t) + c * (at.gp.a_W + Correction(d_, t, 2)),
-      -0.5,
-      1.0,
-      1.0)};
+      at.gp.p_WM + Correction(d_, t) + c * (at.gp.a_W + Correction(d_, t, 2)), -0.5, 1.0, 1.0)};
   const ClockMotions clocks = Motions(PoseClocks());
   EXPECT_LT(residual(CreateJointPositionResidual(pose, clocks), PoseBlocks(&d_)), 1e-12);
   EXPECT_LT(residual(CreateJointRotationResidual(pose, clocks), PoseBlocks(&phi_)), 1e-12);

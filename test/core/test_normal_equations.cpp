@@ -16,8 +16,8 @@
 #include <utility>
 #include <vector>
 
-#include "imu_pose_calib/core/least_squares.h"
-#include "imu_pose_calib/core/normal_equations.h"
+#include "imu_pose_calib/core/calibration/least_squares.h"
+#include "imu_pose_calib/core/solver/normal_equations.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -52,8 +52,7 @@ class NormalEquationsTest : public testing::Test {
     g_ = vector();
     for (Eigen::Vector3d& point : points_) point = vector();
     border_ = {problem_.AddParameters(q_.coeffs().data(), 4, BlockKind::kUnitQuaternion),
-               problem_.AddParameters(g_.data(), 3),
-               problem_.AddParameters(&s_, 1)};
+               problem_.AddParameters(g_.data(), 3), problem_.AddParameters(&s_, 1)};
     ceres_.AddParameterBlock(q_.coeffs().data(), 4);
     ceres_.AddParameterBlock(g_.data(), 3);
 #if IMU_POSE_CALIB_CERES_HAS_MANIFOLDS
@@ -67,12 +66,12 @@ class NormalEquationsTest : public testing::Test {
         return std::make_unique<ceres::AutoDiffCostFunction<Curved, 3, 4, 3, 1, 3, 3>>(
             new Curved(curved));
       };
-      const std::vector<double*> parameters = {
-          q_.coeffs().data(), g_.data(), &s_, points_[k].data(), points_[k + 1].data()};
+      const std::vector<double*> parameters = {q_.coeffs().data(), g_.data(), &s_,
+                                               points_[k].data(), points_[k + 1].data()};
       const bool is_robust = k % 3 == 0;
       Add(problem_.AddResidualsOf(parameters, create(), is_robust ? 0.7 : 0.0),
-          ceres_.AddResidualBlock(
-              create().release(), is_robust ? new ceres::CauchyLoss(0.7) : nullptr, parameters),
+          ceres_.AddResidualBlock(create().release(),
+                                  is_robust ? new ceres::CauchyLoss(0.7) : nullptr, parameters),
           k);
     }
     const auto prior = [] {
@@ -81,8 +80,7 @@ class NormalEquationsTest : public testing::Test {
     };
     for (size_t k = 0; k < points_.size(); ++k)
       Add(problem_.AddResidualsOf({points_[k].data()}, prior()),
-          ceres_.AddResidualBlock(prior().release(), nullptr, points_[k].data()),
-          k);
+          ceres_.AddResidualBlock(prior().release(), nullptr, points_[k].data()), k);
     problem_.SetHeld(points_[5].data(), true);
     for (Eigen::Vector3d& point : points_)
       if (problem_.IsEstimated(point.data())) inner_.push_back(problem_.Find(point.data()));
@@ -96,9 +94,8 @@ class NormalEquationsTest : public testing::Test {
   }
 
   static EliminatedWindows Eliminate(const NormalEquations& equations, double max_factor_mb) {
-    return {equations.elimination(), VectorXd::Ones(2), max_factor_mb, 2, [&](size_t window) {
-              return equations.Assemble(window, {});
-            }};
+    return {equations.elimination(), VectorXd::Ones(2), max_factor_mb, 2,
+            [&](size_t window) { return equations.Assemble(window, {}); }};
   }
   static Reduced Reduce(const NormalEquations& equations) {
     return Eliminate(equations, 0.0).ReduceAll({});
@@ -212,12 +209,10 @@ TEST(ExactColumn, IsTheSecondDerivativeThatGaussNewtonLeavesOut) {
   double aw = 0.0, ww = 0.0;  // sum of r d^2 r / da dw and r d^2 r / dw^2
   for (int i = 0; i < 20; ++i) {
     const double t = 0.1 * i, y = normal(random);
-    all.push_back(
-        {problem.AddResidualsOf(
-             {&a, &w},
-             std::make_unique<ceres::AutoDiffCostFunction<Wave, 1, 1, 1>>(new Wave{t, y})),
-         0,
-         t});
+    all.push_back({problem.AddResidualsOf(
+                       {&a, &w}, std::make_unique<ceres::AutoDiffCostFunction<Wave, 1, 1, 1>>(
+                                     new Wave{t, y})),
+                   0, t});
     const double r = y - a * std::sin(w * t);
     aw -= r * t * std::cos(w * t);
     ww += r * a * t * t * std::sin(w * t);
@@ -245,8 +240,7 @@ struct Valley {
 /// A solve of residuals of its own.
 class SolveTest : public testing::Test {
  protected:
-  void Add(std::unique_ptr<ceres::CostFunction> cost,
-           double* parameters,
+  void Add(std::unique_ptr<ceres::CostFunction> cost, double* parameters,
            double cauchy_scale = 0.0) {
     if (!least_squares_) {
       sessions_.resize(1);

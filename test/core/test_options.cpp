@@ -7,8 +7,8 @@
 #include <utility>
 #include <vector>
 
-#include "imu_pose_calib/core/options.h"
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/core/base/options.h"
+#include "imu_pose_calib/core/base/types.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {

@@ -6,9 +6,9 @@
 #include <random>
 #include <set>
 
-#include "imu_pose_calib/core/pose_trajectory.h"
-#include "imu_pose_calib/core/simulator.h"
-#include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/trajectory/pose_trajectory.h"
+#include "imu_pose_calib/simulation/simulator.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -181,8 +181,7 @@ TEST(PoseTrajectory, JetsCarryTheSlopeOfTheValues) {
               fitted.trajectory.Evaluate(time, &moved);
               return of(moved);
             },
-            t,
-            1e-4);
+            t, 1e-4);
         for (int i = 0; i < static_cast<int>(value.size()); ++i) {
           EXPECT_EQ(jet[i].a, value[i]);
           EXPECT_NEAR(jet[i].v[0], numeric[i], 1e-5 * std::max(1.0, numeric.norm())) << t;
@@ -190,9 +189,8 @@ TEST(PoseTrajectory, JetsCarryTheSlopeOfTheValues) {
         }
       };
       using State = MarkerState<double>;
-      expect_slope(jets.q_WM.coeffs(), state.q_WM.coeffs(), [](const State& s) {
-        return Eigen::Vector4d(s.q_WM.coeffs());
-      });
+      expect_slope(jets.q_WM.coeffs(), state.q_WM.coeffs(),
+                   [](const State& s) { return Eigen::Vector4d(s.q_WM.coeffs()); });
       expect_slope(jets.omega_M, state.omega_M, [](const State& s) { return s.omega_M; });
       expect_slope(jets.alpha_M, state.alpha_M, [](const State& s) { return s.alpha_M; });
       expect_slope(jets.a_W, state.a_W, [](const State& s) { return s.a_W; });

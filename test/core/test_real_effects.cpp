@@ -6,8 +6,8 @@
 #include <random>
 #include <vector>
 
-#include "imu_pose_calib/core/simulator.h"
-#include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/simulation/simulator.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -91,19 +91,11 @@ TEST(RealEffects, EachChangesWhatItSaysAndNothingElse) {
       {"a", {"accel-filter", "size-effect", "gravity"}},
       {"ga", {"scale-misalignment", "temperature-drift", "clock-drift"}},
       {"p",
-       {"pose-exposure",
-        "pose-scale",
-        "slow-errors",
-        "marker-offset",
-        "fused-poses",
+       {"pose-exposure", "pose-scale", "slow-errors", "marker-offset", "fused-poses",
         "pose-updates"}},
       {"P", {"pose-jitter", "pose-latency", "pose-burst", "pose-stamp-step", "pose-clock-step"}},
       {"I",
-       {"imu-jitter",
-        "imu-latency",
-        "imu-burst",
-        "imu-stamp-step",
-        "imu-wander",
+       {"imu-jitter", "imu-latency", "imu-burst", "imu-stamp-step", "imu-wander",
         "imu-clock-step"}},
       {"P-", {"pose-drops"}},
       {"I-", {"imu-drops"}}};
@@ -120,21 +112,21 @@ TEST(RealEffects, EachChangesWhatItSaysAndNothingElse) {
     const SessionData data = Simulate(options);
     const std::string& touched = touched_by.at(effect.name);
     const auto is = [&](char what) { return touched.find(what) != std::string::npos; };
-    const auto expect =
-        [&](const auto& with, const auto& without, char value, char stamp, const auto& same) {
-          if (is(stamp) && is('-')) {
-            EXPECT_LT(with.size(), without.size());
-            return;
-          }
-          ASSERT_EQ(with.size(), without.size());
-          bool same_values = true, same_stamps = true;
-          for (size_t k = 0; k < with.size(); ++k) {
-            same_values &= same(with[k], without[k]);
-            same_stamps &= with[k].t_ns == without[k].t_ns;
-          }
-          EXPECT_EQ(same_values, !is(value)) << value;
-          EXPECT_EQ(same_stamps, !is(stamp)) << stamp;
-        };
+    const auto expect = [&](const auto& with, const auto& without, char value, char stamp,
+                            const auto& same) {
+      if (is(stamp) && is('-')) {
+        EXPECT_LT(with.size(), without.size());
+        return;
+      }
+      ASSERT_EQ(with.size(), without.size());
+      bool same_values = true, same_stamps = true;
+      for (size_t k = 0; k < with.size(); ++k) {
+        same_values &= same(with[k], without[k]);
+        same_stamps &= with[k].t_ns == without[k].t_ns;
+      }
+      EXPECT_EQ(same_values, !is(value)) << value;
+      EXPECT_EQ(same_stamps, !is(stamp)) << stamp;
+    };
     const auto same_pose = [](const PoseSample& a, const PoseSample& b) {
       return a.p_WM == b.p_WM && a.q_WM.coeffs() == b.q_WM.coeffs();
     };

@@ -5,11 +5,11 @@
 #include <memory>
 #include <vector>
 
-#include "imu_pose_calib/core/estimate.h"
-#include "imu_pose_calib/core/manifolds.h"
-#include "imu_pose_calib/core/residuals.h"
-#include "imu_pose_calib/core/simulator.h"
-#include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/calibration/estimate.h"
+#include "imu_pose_calib/core/calibration/residuals.h"
+#include "imu_pose_calib/core/solver/manifolds.h"
+#include "imu_pose_calib/simulation/simulator.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -56,13 +56,8 @@ class Residuals : public ::testing::Test {
     return {q_MI.coeffs().data(), knot_0.data(), knot_1.data(), &time_shift};
   }
   std::vector<double*> AccelBlocks() {
-    return {q_MI.coeffs().data(),
-            p_MI.data(),
-            g_W.data(),
-            knot_0.data(),
-            knot_1.data(),
-            &time_shift,
-            &accel_delay};
+    return {q_MI.coeffs().data(), p_MI.data(), g_W.data(),  knot_0.data(),
+            knot_1.data(),        &time_shift, &accel_delay};
   }
   static GyroResidual Gyro(size_t i, double sigma) {
     return {trajectory_, data_->imus[0].gyro[i].t, data_->imus[0].gyro[i].value, 0.3, sigma};
@@ -116,9 +111,7 @@ void ExpectGradientsAgree(const ceres::CostFunction& cost,
 
 /// Norm of the change of a residual when coordinate i of a block moves by `step`.
 template <typename Residual>
-double Change(const Residual& residual,
-              const std::vector<double*>& blocks,
-              double* coordinate,
+double Change(const Residual& residual, const std::vector<double*>& blocks, double* coordinate,
               double step) {
   const std::unique_ptr<ceres::CostFunction> cost(residual.Create());
   const double saved = *coordinate;
@@ -199,8 +192,8 @@ TEST_F(Residuals, GyroHasExactDerivatives) {
 
 TEST_F(Residuals, AccelHasExactDerivatives) {
   const QuaternionManifold quaternion;
-  const std::vector<const Manifold*> manifolds = {
-      &quaternion, nullptr, nullptr, nullptr, nullptr, nullptr, nullptr};
+  const std::vector<const Manifold*> manifolds = {&quaternion, nullptr, nullptr, nullptr,
+                                                  nullptr,     nullptr, nullptr};
   knot_1 << 0.1, 0.2, -0.3;
   for (size_t i = 250; i < 1350; i += 193) {  // far from the ends: numeric steps start long
     SCOPED_TRACE(i);
@@ -213,8 +206,8 @@ TEST_F(Residuals, DerivativesByTimeAreTheSlopesAndOpposite) {
   const std::unique_ptr<ceres::CostFunction> cost(Accel(800, 1.0).Create());
   std::vector<double*> blocks = AccelBlocks();
   Vector3d r, by_shift, by_delay;
-  double* jacobians[] = {
-      nullptr, nullptr, nullptr, nullptr, nullptr, by_shift.data(), by_delay.data()};
+  double* jacobians[] = {nullptr, nullptr,         nullptr,        nullptr,
+                         nullptr, by_shift.data(), by_delay.data()};
   ASSERT_TRUE(cost->Evaluate(blocks.data(), r.data(), jacobians));
   const auto at_shift = [&](double shift) {
     blocks[5] = &shift;

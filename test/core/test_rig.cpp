@@ -1,9 +1,9 @@
 #include <Eigen/Cholesky>
 
 #include "dense_inverse.h"
+#include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/so3.h"
-#include "imu_pose_calib/core/trajectory.h"
+#include "imu_pose_calib/core/ground_truth/trajectory.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -181,15 +181,15 @@ TEST_F(SolutionTest, TrajectoriesAreWithinTheirSigmas) {
   double nees_marker = 0.0, nees_imu = 0.0, count = 0.0;
   for (double t = 1.0; t < 19.0; t += 0.1) {
     const TrueState s = truth.At(t);
-    const auto add =
-        [&](const BodyState& x, const BodyCovariance& C, const Rigid3& T_MB, double* nees) {
-          const Eigen::Matrix3d R_WB = s.R_WM * T_MB.q.toRotationMatrix();
-          Eigen::Matrix<double, 12, 1> e;
-          e << Log(Eigen::Quaterniond(Eigen::Quaterniond(R_WB).conjugate() * x.q_WB)),
-              x.p_WB - s.p_WM - s.R_WM * T_MB.p, x.omega_B - T_MB.q.conjugate() * s.omega_M,
-              x.v_W - s.v_W - s.R_WM * s.omega_M.cross(T_MB.p);
-          *nees += e.dot(C.topLeftCorner<12, 12>().llt().solve(e)) / 12.0;
-        };
+    const auto add = [&](const BodyState& x, const BodyCovariance& C, const Rigid3& T_MB,
+                         double* nees) {
+      const Eigen::Matrix3d R_WB = s.R_WM * T_MB.q.toRotationMatrix();
+      Eigen::Matrix<double, 12, 1> e;
+      e << Log(Eigen::Quaterniond(Eigen::Quaterniond(R_WB).conjugate() * x.q_WB)),
+          x.p_WB - s.p_WM - s.R_WM * T_MB.p, x.omega_B - T_MB.q.conjugate() * s.omega_M,
+          x.v_W - s.v_W - s.R_WM * s.omega_M.cross(T_MB.p);
+      *nees += e.dot(C.topLeftCorner<12, 12>().llt().solve(e)) / 12.0;
+    };
     add(*trajectory.Marker(t), *trajectory.MarkerCovariance(t), {}, &nees_marker);
     add(*trajectory.Imu(0, t), *trajectory.ImuCovariance(0, t), truth_->T_MI, &nees_imu);
     count += 1.0;
@@ -251,8 +251,8 @@ TEST_F(SolutionTest, CovarianceIsABlockOfTheInverse) {
 TEST_F(SolutionTest, KeepsTheResidualsOfEverySensor) {
   const Solution& solution = *result_->solution;
   ASSERT_EQ(solution.residuals.size(), 4u);
-  const double noise[] = {
-      truth_->position_std, truth_->rotation_std, truth_->gyro_std, truth_->accel_std};
+  const double noise[] = {truth_->position_std, truth_->rotation_std, truth_->gyro_std,
+                          truth_->accel_std};
   for (size_t k = 0; k < 4; ++k) {
     const SensorResiduals& sensor = solution.residuals[k];
     ASSERT_EQ(sensor.t.size(), sensor.residual.size());

@@ -6,7 +6,7 @@
 #include <unsupported/Eigen/MatrixFunctions>
 #include <vector>
 
-#include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/core/base/so3.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -17,23 +17,9 @@ using Eigen::Quaterniond;
 using Eigen::Vector3d;
 
 constexpr int kAxes = 50;  // random ones, at each angle
-const double kAngles[] = {0.0,
-                          1e-12,
-                          1e-5,
-                          0.999e-4,
-                          1.001e-4,
-                          1e-3,
-                          0.0999,
-                          0.1001,
-                          1.0,
-                          2.0,
-                          3.0,
-                          M_PI - 1e-6,
-                          M_PI,
-                          M_PI + 0.1,
-                          4.0,
-                          2.0 * M_PI - 0.1,
-                          7.0};
+const double kAngles[] = {
+    0.0, 1e-12, 1e-5,        0.999e-4, 1.001e-4,   1e-3, 0.0999,           0.1001, 1.0,
+    2.0, 3.0,   M_PI - 1e-6, M_PI,     M_PI + 0.1, 4.0,  2.0 * M_PI - 0.1, 7.0};
 
 /// Calls check(r) at every angle about many axes.
 template <typename Check>
@@ -154,8 +140,7 @@ Jet3 Seed(const Vector3d& x) {
 
 /// Values and derivatives of any matrix of Jets, one row per coefficient.
 template <typename Derived>
-void Split(const Eigen::DenseBase<Derived>& jets,
-           Eigen::VectorXd* value,
+void Split(const Eigen::DenseBase<Derived>& jets, Eigen::VectorXd* value,
            Eigen::MatrixXd* derivative) {
   value->resize(jets.size());
   derivative->resize(jets.size(), 3);
@@ -168,9 +153,7 @@ void Split(const Eigen::DenseBase<Derived>& jets,
 
 /// Expects value and derivative of a function of Jets to be those of the function of doubles.
 template <typename OfJets, typename OfDoubles>
-void ExpectSameDerivative(const OfJets& jets,
-                          const OfDoubles& doubles,
-                          const Vector3d& x,
+void ExpectSameDerivative(const OfJets& jets, const OfDoubles& doubles, const Vector3d& x,
                           double tolerance) {
   Eigen::VectorXd value;
   Eigen::MatrixXd derivative;
@@ -185,8 +168,7 @@ TEST(So3OfJets, ExpHasTheSlopeOfItsValues) {
   ForEachVector(10, [](const Vector3d& r) {
     ExpectSameDerivative(
         [](const Jet3& x) { return Exp(x).coeffs(); },
-        [](const Eigen::VectorXd& x) -> Eigen::VectorXd { return Exp(Vector3d(x)).coeffs(); },
-        r,
+        [](const Eigen::VectorXd& x) -> Eigen::VectorXd { return Exp(Vector3d(x)).coeffs(); }, r,
         1e-10);
   });
 }
@@ -220,15 +202,11 @@ TEST(So3OfJets, RightJacobianAndItsRateHaveTheSlopeOfTheirValues) {
   std::mt19937 random(12);
   ForEachVector(12, [&random](const Vector3d& r) {
     ExpectSameDerivative([](const Jet3& x) { return RightJacobian(x); },
-                         [](const Vector3d& x) { return Flat(RightJacobian(x)); },
-                         r,
-                         1e-9);
+                         [](const Vector3d& x) { return Flat(RightJacobian(x)); }, r, 1e-9);
     const Vector3d r_dot = 2.0 * RandomAxis(&random);
     ExpectSameDerivative(
         [&](const Jet3& x) { return RightJacobianRate(x, Jet3(r_dot.cast<Jet>())); },
-        [&](const Vector3d& x) { return Flat(RightJacobianRate(x, r_dot)); },
-        r,
-        1e-7);
+        [&](const Vector3d& x) { return Flat(RightJacobianRate(x, r_dot)); }, r, 1e-7);
   });
 }
 

@@ -9,10 +9,10 @@
 
 #include "faults.h"
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/conditioning.h"
-#include "imu_pose_calib/core/preparation.h"
-#include "imu_pose_calib/core/simulator.h"
-#include "imu_pose_calib/core/stamp_recovery.h"
+#include "imu_pose_calib/core/data/conditioning.h"
+#include "imu_pose_calib/core/data/stamp_recovery.h"
+#include "imu_pose_calib/core/start/preparation.h"
+#include "imu_pose_calib/simulation/simulator.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -374,8 +374,7 @@ Outcome CalibrateOnce(const SimulatorOptions& truth, const SessionData& data) {
   EXPECT_EQ(result.status, Status::kOk) << result.message;
   const ImuSession& imu = result.sessions[0].imus[0];
   const auto count = [](const StreamReport& report) { return report.stamps_recovered ? 1 : 0; };
-  return {(result.imus[0].T_MI.p - truth.T_MI.p).norm(),
-          result.imus[0].Std().head<3>().norm(),
+  return {(result.imus[0].T_MI.p - truth.T_MI.p).norm(), result.imus[0].Std().head<3>().norm(),
           count(result.sessions[0].poses) + count(imu.gyro) + count(imu.accel)};
 }
 
@@ -430,24 +429,16 @@ const Recording kRecordings[] = {
     {"Cut4ms200Hz", 200.0, 1, CutPoses(4)},
     {"Cut10ms120Hz", 120.0, 1, CutPoses(10)},
     {"Cut10ms200Hz", 200.0, 1, CutPoses(10)},
-    {"ImuInBursts",
-     100.0,
-     2,
+    {"ImuInBursts", 100.0, 2,
      [](SessionData* d) { ChangeImu(d, [](const StampList& t) { return InBursts(t, 8); }); }},
-    {"ImuArrival",
-     100.0,
-     2,
+    {"ImuArrival", 100.0, 2,
      [](SessionData* d) {
        std::mt19937 random(13);
        ChangeImu(d, [&](const StampList& t) { return Arrival(t, 2e-3, &random); });
      }},
-    {"ImuCut4ms",
-     100.0,
-     2,
+    {"ImuCut4ms", 100.0, 2,
      [](SessionData* d) { ChangeImu(d, [](const StampList& t) { return Cut(t, 4'000'000); }); }},
-    {"AllThatArrives",
-     100.0,
-     3,
+    {"AllThatArrives", 100.0, 3,
      [](SessionData* d) {
        LatePoses(d);
        std::mt19937 random(14);
@@ -457,9 +448,7 @@ const Recording kRecordings[] = {
      }},
 };
 
-INSTANTIATE_TEST_SUITE_P(Calibrate,
-                         UnevenStamps,
-                         ::testing::ValuesIn(kRecordings),
+INSTANTIATE_TEST_SUITE_P(Calibrate, UnevenStamps, ::testing::ValuesIn(kRecordings),
                          [](const auto& test) { return std::string(test.param.name); });
 
 }  // namespace

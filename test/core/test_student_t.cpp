@@ -4,7 +4,7 @@
 #include <random>
 #include <vector>
 
-#include "imu_pose_calib/core/student_t.h"
+#include "imu_pose_calib/core/base/student_t.h"
 
 namespace imu_pose_calib {
 namespace {

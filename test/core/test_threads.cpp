@@ -3,8 +3,8 @@
 #include <ctime>
 
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/simulator.h"
-#include "imu_pose_calib/core/trajectory.h"
+#include "imu_pose_calib/core/ground_truth/trajectory.h"
+#include "imu_pose_calib/simulation/simulator.h"
 
 namespace imu_pose_calib {
 namespace {

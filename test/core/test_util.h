@@ -9,8 +9,8 @@
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/core/options.h"
-#include "imu_pose_calib/core/simulator.h"
+#include "imu_pose_calib/core/base/options.h"
+#include "imu_pose_calib/simulation/simulator.h"
 
 /// What several of the core tests need.
 namespace imu_pose_calib {

@@ -13,10 +13,8 @@
 namespace imu_pose_calib {
 
 /// Text of the file with that ending.
-inline std::string FileOf(const StoredResult& stored,
-                          const std::string& name,
-                          const std::string& ending,
-                          const ExportOptions& options = {}) {
+inline std::string FileOf(const StoredResult& stored, const std::string& name,
+                          const std::string& ending, const ExportOptions& options = {}) {
   for (const ExportFile& file : Export(stored, name, options))
     if (file.ending == ending) return file.text;
   ADD_FAILURE() << name << " has no " << ending;
@@ -46,10 +44,7 @@ inline void ExpectStamp(double pose_to_imu, const StoredResult& stored) {
 }
 
 /// Densities times the root of the rates are the sigmas of the result.
-inline void ExpectNoise(double gyro,
-                        double gyro_walk,
-                        double accel,
-                        double accel_walk,
+inline void ExpectNoise(double gyro, double gyro_walk, double accel, double accel_walk,
                         size_t imu = 0) {
   const double k = static_cast<double>(imu) + 1.0;
   EXPECT_NEAR(gyro * std::sqrt(200.0), 0.0021 * k, 1e-12);
@@ -62,8 +57,7 @@ inline void ExpectNoise(const YAML::Node& node, size_t imu = 0) {
   ExpectNoise(node["gyroscope_noise_density"].as<double>(),
               node["gyroscope_random_walk"].as<double>(),
               node["accelerometer_noise_density"].as<double>(),
-              node["accelerometer_random_walk"].as<double>(),
-              imu);
+              node["accelerometer_random_walk"].as<double>(), imu);
 }
 
 }  // namespace imu_pose_calib

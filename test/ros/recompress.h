@@ -8,8 +8,7 @@
 namespace imu_pose_calib {
 
 /// Writes the messages of a bag anew with a compression and small chunks.
-inline void Recompress(const std::string& from,
-                       const std::string& to,
+inline void Recompress(const std::string& from, const std::string& to,
                        rosbag::CompressionType compression) {
   rosbag::Bag in(from), out(to, rosbag::bagmode::Write);
   out.setCompression(compression);

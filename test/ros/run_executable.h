@@ -19,15 +19,13 @@ class ExecutableTest : public TempDirTest {
     const std::string command = "cd '" + dir_.string() + "' && '" + path.string() + "' " +
                                 arguments + " > out.txt 2> err.txt";
     const int status = std::system(command.c_str());
-    return {WIFEXITED(status) ? WEXITSTATUS(status) : -1,
-            ReadText(Path("out.txt")),
+    return {WIFEXITED(status) ? WEXITSTATUS(status) : -1, ReadText(Path("out.txt")),
             ReadText(Path("err.txt"))};
   }
   Outcome Calibrate(const std::string& arguments) const { return Run("calibrate_bag", arguments); }
 
   /// Expects exit status, one line on stderr with every part, and no result.
-  void ExpectFailure(const std::string& arguments,
-                     int status,
+  void ExpectFailure(const std::string& arguments, int status,
                      const std::vector<std::string>& parts) const {
     const Outcome outcome = Calibrate(arguments);
     EXPECT_EQ(outcome.status, status) << outcome.err;

@@ -1,6 +1,6 @@
 #pragma once
 
-#include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/stored_result.h"
 

@@ -94,8 +94,7 @@ class AggregateTest : public ExecutableTest {
     EXPECT_LT(farthest, 0.07);
   }
 
-  void ExpectRefusal(const std::string& arguments,
-                     int status,
+  void ExpectRefusal(const std::string& arguments, int status,
                      const std::vector<std::string>& parts) const {
     const Outcome outcome = Aggregate(arguments);
     EXPECT_EQ(outcome.status, status) << outcome.err;
@@ -178,8 +177,7 @@ TEST_F(AggregateTest, CloudsInGapsAreLeftOut) {
   SimulatorOptions options = Options();
   Simulate(options, [&](SessionData* data) {
     auto& poses = data->poses;
-    poses.erase(std::remove_if(poses.begin(),
-                               poses.end(),
+    poses.erase(std::remove_if(poses.begin(), poses.end(),
                                [&](const PoseSample& pose) {
                                  const double t =
                                      1e-9 * static_cast<double>(pose.t_ns - options.start_ns);
@@ -237,8 +235,7 @@ TEST_F(AggregateTest, ClocksDaysApartAndKnownCalibration) {
   const YAML::Node second = YAML::LoadFile(Path("b.calibration.yaml"));
   for (size_t i = 0; i < 3; ++i)
     EXPECT_NEAR(second["transform"]["translation"][i].as<double>(),
-                first["transform"]["translation"][i].as<double>(),
-                1e-9);
+                first["transform"]["translation"][i].as<double>(), 1e-9);
   EXPECT_NEAR(second["time_shift"].as<double>(), 0.1, 1e-3);
   ASSERT_TRUE(std::filesystem::exists(Path("sim.calibration.yaml")));
 }
@@ -308,22 +305,21 @@ TEST_F(AggregateTest, DamagedClouds) {
   SimulatorOptions options = Options();
   options.duration_s = 10.0;
   const SimulatedLidar lidar(options);
-  const auto refused =
-      [&](size_t place, const auto& damage, const std::vector<std::string>& parts) {
-        WriteBag(Path("sim.bag"), imu_pose_calib::Simulate(options), {});
-        {
-          rosbag::Bag bag(Path("sim.bag"), rosbag::bagmode::Append);
-          for (size_t k = 0; k < lidar.Count(); ++k) {
-            sensor_msgs::PointCloud2 cloud = lidar.Cloud(k);
-            if (k == place) damage(&cloud);
-            bag.write("/points", FromNanoseconds(lidar.Stamp(k)), cloud);
-          }
-        }
-        ExpectRefusal("sim.bag --imu-sensor lidar.yaml", 1, parts);
-      };
+  const auto refused = [&](size_t place, const auto& damage,
+                           const std::vector<std::string>& parts) {
+    WriteBag(Path("sim.bag"), imu_pose_calib::Simulate(options), {});
+    {
+      rosbag::Bag bag(Path("sim.bag"), rosbag::bagmode::Append);
+      for (size_t k = 0; k < lidar.Count(); ++k) {
+        sensor_msgs::PointCloud2 cloud = lidar.Cloud(k);
+        if (k == place) damage(&cloud);
+        bag.write("/points", FromNanoseconds(lidar.Stamp(k)), cloud);
+      }
+    }
+    ExpectRefusal("sim.bag --imu-sensor lidar.yaml", 1, parts);
+  };
   Write("lidar.yaml", LidarYaml());
-  refused(0,
-          [](auto* c) { c->data.resize(1000); },
+  refused(0, [](auto* c) { c->data.resize(1000); },
           {"/points", "1599999999.98", "size of data = 1000"});
   refused(30, [](auto* c) { c->width = 0xffffffffu; }, {"'/points'", "size of data", "width"});
   refused(30, [](auto* c) { c->fields.clear(); }, {"'/points'", "'x'"});

@@ -65,8 +65,7 @@ Msg Stamped(double t, const std::string& frame) {
 
 /// A message that is written to x.bag.
 template <typename Msg>
-std::function<void(const Directory&)> Message(const std::string& topic,
-                                              double record_time,
+std::function<void(const Directory&)> Message(const std::string& topic, double record_time,
                                               const Msg& msg) {
   return [=](const Directory& dir) {
     rosbag::Bag bag((dir / "x.bag").string(), rosbag::bagmode::Append);
@@ -322,8 +321,7 @@ const std::vector<BadInput> kTopics = {
      {"imu_topic '/imu' is geometry_msgs/TransformStamped and sensor_msgs/Imu, must be"}},
     {"VectorsOfUnknownMeaning",
      [](const Directory& dir) {
-       WriteBag((dir / "x.bag").string(),
-                Simulate(ShortSimulation()),
+       WriteBag((dir / "x.bag").string(), Simulate(ShortSimulation()),
                 {false, "PoseStamped", "Vector3Stamped"});
      },
      "x.bag",

@@ -129,8 +129,8 @@ TEST_F(BagReaderTest, ReadsLongBagsInParts) {
   request.start_s = 1.5;
   request.duration_s = 40.0;
   const Recording part = ReadBag(request);
-  EXPECT_NEAR(
-      static_cast<double>(part.data.imus[0].gyro.size()), 40.0 * simulator.gyro_rate_hz, 2.0);
+  EXPECT_NEAR(static_cast<double>(part.data.imus[0].gyro.size()), 40.0 * simulator.gyro_rate_hz,
+              2.0);
   // Damaged beyond the first part.
   std::fstream file(Path("recording.bag"), std::ios::in | std::ios::out | std::ios::binary);
   file.seekp(static_cast<std::streamoff>(

@@ -104,10 +104,8 @@ TEST_F(BagTopicsTest, RefusesABagWithoutImuOrPoses) {
 
 TEST_F(BagTopicsTest, RefusesToChooseBetweenPoseTopics) {
   Record().Add("/imu", Imu(0.1, 9.8)).Add("/p1", Pose()).Add("/p2", Transform("rig"));
-  ExpectRefusal(Request(),
-                {"/p1 (geometry_msgs/PoseStamped, 1)",
-                 "/p2 (geometry_msgs/TransformStamped, 1)",
-                 "choose with pose_topic"});
+  ExpectRefusal(Request(), {"/p1 (geometry_msgs/PoseStamped, 1)",
+                            "/p2 (geometry_msgs/TransformStamped, 1)", "choose with pose_topic"});
 }
 
 TEST_F(BagTopicsTest, RefusesToChooseBetweenImus) {

@@ -164,9 +164,8 @@ TEST(LiveLaunch, ForgetsTheParametersOfAnEarlierLaunch) {
 TEST(CalibrateNode, CalibratesFromTextFiles) {
   const std::string text = Directory() + "/text", output = text + ".result.yaml";
   std::filesystem::remove(output);
-  const Outcome outcome = RunNode("text",
-                                  "_exit:=true _output:='" + output + "' _poses:='" + text +
-                                      ".poses.txt' _imu:='" + text + ".imu.csv'");
+  const Outcome outcome = RunNode("text", "_exit:=true _output:='" + output + "' _poses:='" + text +
+                                              ".poses.txt' _imu:='" + text + ".imu.csv'");
   EXPECT_EQ(outcome.status, 0) << outcome.err;
   EXPECT_EQ(YAML::LoadFile(output)["data"]["pose_topic"].as<std::string>(), text + ".poses.txt");
 }
@@ -188,9 +187,8 @@ TEST(CalibrateLaunch, TakesTextFilesInPlaceOfTheSample) {
 TEST(CalibrateNode, LeavesWhenWrittenWithExit) {
   const std::string output = Directory() + "/exit.result.yaml";
   std::filesystem::remove(output);
-  const Outcome outcome = RunNode("leaving",
-                                  "_exit:=true _export:='evo tf' _output:='" + output +
-                                      "' _bag:='" + Directory() + "/launch.bag'");
+  const Outcome outcome = RunNode("leaving", "_exit:=true _export:='evo tf' _output:='" + output +
+                                                 "' _bag:='" + Directory() + "/launch.bag'");
   EXPECT_EQ(outcome.status, 0) << outcome.err;
   EXPECT_TRUE(std::filesystem::exists(output));
   EXPECT_TRUE(std::filesystem::exists(Directory() + "/exit.result.evo.json"));
@@ -207,10 +205,9 @@ TEST(CalibrateNode, ReadsTfFromSeveralBags) {
   WriteBag(Directory() + "/tf.bag", poses, {false, "tf"});
   const std::string output = Directory() + "/tf.result.yaml";
   std::filesystem::remove(output);
-  const Outcome outcome =
-      RunNode("several",
-              "_exit:=true _tf_parent:=world _tf_child:=marker _record_time:=false _output:='" +
-                  output + "' _bag:='" + bags + "'");
+  const Outcome outcome = RunNode(
+      "several", "_exit:=true _tf_parent:=world _tf_child:=marker _record_time:=false _output:='" +
+                     output + "' _bag:='" + bags + "'");
   EXPECT_EQ(outcome.status, 0) << outcome.err;
   EXPECT_EQ(YAML::LoadFile(output)["data"]["bag"].as<std::string>(), bags);
 }

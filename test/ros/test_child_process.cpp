@@ -3,7 +3,7 @@
 #include <csignal>
 #include <new>
 
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/child_process.h"
 #include "test_util.h"
 

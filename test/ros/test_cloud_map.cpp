@@ -1,7 +1,7 @@
 #include <cmath>
 #include <random>
 
-#include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/ros/clouds/cloud_map.h"
 #include "imu_pose_calib/ros/clouds/simulated_lidar.h"
 #include "test_util.h"
@@ -20,11 +20,8 @@ std::optional<Rigid3> Moving(int64_t stamp_ns) {
 
 TEST(CloudMotion, PlacesEachPointAtItsOwnTime) {
   const CloudMotion motion(Moving, kBegin, kBegin + 99'700'000);
-  for (const int64_t after : {int64_t{0},
-                              int64_t{1'000'000},
-                              int64_t{33'333'333},
-                              int64_t{99'400'000},
-                              int64_t{99'700'000}}) {
+  for (const int64_t after : {int64_t{0}, int64_t{1'000'000}, int64_t{33'333'333},
+                              int64_t{99'400'000}, int64_t{99'700'000}}) {
     const double t = 1e-9 * static_cast<double>(after), angle = 2.0 * t;
     const auto p = motion.Place(kBegin + after, {4.0f, 0.0f, 1.0f});
     ASSERT_TRUE(p);

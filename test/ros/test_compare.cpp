@@ -5,7 +5,7 @@
 #include <boost/algorithm/string/replace.hpp>
 
 #include "export_parsers.h"
-#include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/ros/exports/exports.h"
 #include "imu_pose_calib/ros/io/transform_file.h"
 #include "run_executable.h"
@@ -21,10 +21,8 @@ class CompareTest : public ExecutableTest {
   }
 
   /// A result file whose transform and clock are off the example's.
-  void WriteResult(const std::string& name,
-                   const Eigen::Vector3d& moved = Eigen::Vector3d::Zero(),
-                   const Eigen::Vector3d& turned = Eigen::Vector3d::Zero(),
-                   double shifted = 0.0,
+  void WriteResult(const std::string& name, const Eigen::Vector3d& moved = Eigen::Vector3d::Zero(),
+                   const Eigen::Vector3d& turned = Eigen::Vector3d::Zero(), double shifted = 0.0,
                    const std::string& bag = "") const {
     Calibration result = ExampleResult(ImuModel::kCalibrated, 1);
     Rigid3& T_MI = result.imus[0].T_MI;
@@ -64,8 +62,7 @@ TEST_F(CompareTest, TwoThatAgree) {
   WriteResult("a.yaml");
   WriteResult("b.yaml", {0.001, 0.0, 0.0}, {0.0, 0.0004, 0.0});
   ExpectAgree(Compare("a.yaml b.yaml"),
-              {"most apart: rotation y, 0.02292 deg, 1.4 sigma (bound: 5)",
-               "result 1: a.yaml",
+              {"most apart: rotation y, 0.02292 deg, 1.4 sigma (bound: 5)", "result 1: a.yaml",
                "weak: sigma of p_MI is 12 mm",
                "translation x                1.0000 mm      1.4142 mm   0.7 sigma",
                "together: 1.000 mm, 0.0229 deg; chi-square 2.5 with 7 degrees of freedom",
@@ -100,8 +97,7 @@ TEST_F(CompareTest, ManyGiveATableOfRepeatability) {
   WriteResult("odd.yaml", Eigen::Vector3d::Zero(), {0.005, 0.0, 0.0});
   ExpectDiffer(Compare("r0.yaml odd.yaml r2.yaml r3.yaml"),
                {"more scatter than the sigmas say: rotation 14.4 times\n",
-                "result 2, rotation x, 0.2865 deg",
-                "result 2             0.333 mm   0.2865 deg"});
+                "result 2, rotation x, 0.2865 deg", "result 2             0.333 mm   0.2865 deg"});
 }
 
 // --- References ---
@@ -109,16 +105,8 @@ TEST_F(CompareTest, ManyGiveATableOfRepeatability) {
 /// x y z qx qy qz qw
 std::string Numbers(const Rigid3& T) {
   char text[200];
-  std::snprintf(text,
-                sizeof(text),
-                "%.12f %.12f %.12f %.12f %.12f %.12f %.12f",
-                T.p.x(),
-                T.p.y(),
-                T.p.z(),
-                T.q.x(),
-                T.q.y(),
-                T.q.z(),
-                T.q.w());
+  std::snprintf(text, sizeof(text), "%.12f %.12f %.12f %.12f %.12f %.12f %.12f", T.p.x(), T.p.y(),
+                T.p.z(), T.q.x(), T.q.y(), T.q.z(), T.q.w());
   return text;
 }
 
@@ -146,9 +134,8 @@ TEST_F(CompareTest, ReferenceFiles) {
                            "\nqy: " + n[4] + "\nqz: " + n[5] + "\nqw: " + n[6] + "\n";
   Write("keys.yaml", keys);
   Write("handeye.yaml", "transformation: {" + boost::replace_all_copy(keys, "\n", ", ") + "}\n");
-  Write("lists.yaml",
-        "translation: [" + n[0] + ", " + n[1] + ", " + n[2] + "]\nrotation: [" + n[3] + ", " +
-            n[4] + ", " + n[5] + ", " + n[6] + "]\n");
+  Write("lists.yaml", "translation: [" + n[0] + ", " + n[1] + ", " + n[2] + "]\nrotation: [" +
+                          n[3] + ", " + n[4] + ", " + n[5] + ", " + n[6] + "]\n");
   std::ostringstream matrix;
   matrix.precision(15);
   matrix << "matrix:\n";

@@ -7,8 +7,8 @@ namespace imu_pose_calib {
 namespace {
 
 const char* const kCoreFolders[] = {"include/imu_pose_calib/core", "src/core", "test/core"};
-const char* const kForbidden[] =
-    {"ros/", "rosbag/", "_msgs/", "yaml-cpp", "<iostream>", "<fstream>", "std::cout", "std::cerr"};
+const char* const kForbidden[] = {"ros/",       "rosbag/",   "_msgs/",    "yaml-cpp",
+                                  "<iostream>", "<fstream>", "std::cout", "std::cerr"};
 
 /// Line numbers and words of `text` that a core file must not contain.
 std::string Violations(const std::string& text) {

@@ -7,7 +7,7 @@
 #include <set>
 #include <thread>
 
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/evaluation/experiments.h"
 #include "imu_pose_calib/ros/evaluation/sequences.h"
 #include "imu_pose_calib/ros/evaluation/tables.h"
@@ -215,11 +215,8 @@ class EvaluateTest : public ExecutableTest {
   }
   std::vector<std::string> Tables(const std::string& out) const {
     std::vector<std::string> tables;
-    for (const char* name : {"evaluation.md",
-                             "cells.csv",
-                             "trials.csv",
-                             "excitation_simulation.svg",
-                             "excitation_simulation.png"}) {
+    for (const char* name : {"evaluation.md", "cells.csv", "trials.csv",
+                             "excitation_simulation.svg", "excitation_simulation.png"}) {
       tables.push_back(ReadText(Path(out + "/" + name)));
       EXPECT_FALSE(tables.back().empty()) << name;
     }
@@ -377,12 +374,11 @@ TEST_F(EvaluateTest, AuditsWhatADatasetPublishes) {
   const SimulatorOptions truth;
   std::filesystem::create_directories(dir_ / "data");
   for (const char* name : {"V1", "V2"})
-    ASSERT_EQ(
-        Run("simulate_bag",
-            std::string("data/") + name + " --format asl --duration 20 --time-shift 0 --seed " +
-                (name[1] + std::string("0")))
-            .status,
-        0);
+    ASSERT_EQ(Run("simulate_bag", std::string("data/") + name +
+                                      " --format asl --duration 20 --time-shift 0 --seed " +
+                                      (name[1] + std::string("0")))
+                  .status,
+              0);
   Rigid3 wrong = truth.T_MI.Inverse();
   wrong.p.z() += 0.02;
   Write("data/V1/mocap0/sensor.yaml", SensorYaml(truth.T_MI.Inverse()));

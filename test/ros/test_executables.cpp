@@ -7,7 +7,7 @@
 #include <limits>
 #include <sstream>
 
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/bag_writer.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "run_executable.h"
@@ -34,8 +34,8 @@ Eigen::Vector3d Errors(const YAML::Node& result, const YAML::Node& truth) {
     return Eigen::Vector3d(node[0].as<double>(), node[1].as<double>(), node[2].as<double>());
   };
   const auto quaternion = [](const YAML::Node& node) {
-    return Eigen::Quaterniond(
-        node[3].as<double>(), node[0].as<double>(), node[1].as<double>(), node[2].as<double>());
+    return Eigen::Quaterniond(node[3].as<double>(), node[0].as<double>(), node[1].as<double>(),
+                              node[2].as<double>());
   };
   const YAML::Node transform = result["transform"];
   return {(vector(transform["translation"]) - vector(truth["translation"])).norm(),
@@ -100,25 +100,19 @@ TEST_F(CalibrateBagTest, PartsOfTheSampleAgreeWithinTheirSigmas) {
     return YAML::LoadFile(Path("x.yaml"));
   };
   const YAML::Node first = part("--duration 44"), second = part("--start 40");
-  const auto compare = [](const YAML::Node& a,
-                          const YAML::Node& a_std,
-                          const YAML::Node& b,
+  const auto compare = [](const YAML::Node& a, const YAML::Node& a_std, const YAML::Node& b,
                           const YAML::Node& b_std) {
     EXPECT_LT(std::abs(a.as<double>() - b.as<double>()),
               4.0 * std::hypot(a_std.as<double>(), b_std.as<double>()));
     EXPECT_LT(a_std.as<double>(), 3e-4);
   };
-  compare(first["accel_delay"],
-          first["accel_delay_std"],
-          second["accel_delay"],
+  compare(first["accel_delay"], first["accel_delay_std"], second["accel_delay"],
           second["accel_delay_std"]);
   // Where the one ends and the other begins; the clocks drift.
   const YAML::Node end = first["clock"], begin = second["clock"];
   ASSERT_NEAR(end["t"][end["t"].size() - 1].as<double>(), begin["t"][0].as<double>(), 5.0);
-  compare(end["offset"][end["offset"].size() - 1],
-          end["std"][end["std"].size() - 1],
-          begin["offset"][0],
-          begin["std"][0]);
+  compare(end["offset"][end["offset"].size() - 1], end["std"][end["std"].size() - 1],
+          begin["offset"][0], begin["std"][0]);
 }
 
 TEST_F(CalibrateBagTest, TriesTheOutputBeforeTheSolve) {
@@ -228,9 +222,8 @@ double Difference(const YAML::Node& a, const YAML::Node& b) {
   double largest = 0.0;
   for (const char* key : {"translation", "rotation"})
     for (size_t i = 0; i < a["transform"][key].size(); ++i)
-      largest = std::max(
-          largest,
-          std::abs(a["transform"][key][i].as<double>() - b["transform"][key][i].as<double>()));
+      largest = std::max(largest, std::abs(a["transform"][key][i].as<double>() -
+                                           b["transform"][key][i].as<double>()));
   for (const char* key : {"time_shift", "accel_delay"})
     largest = std::max(largest, std::abs(a[key].as<double>() - b[key].as<double>()));
   return largest;

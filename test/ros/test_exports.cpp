@@ -27,12 +27,11 @@ TEST(Exports, EveryFileStatesEquationsClocksAndVerdict) {
   const StoredResult stored = Example(ImuModel::kScaleMisalignment, 2);
   for (const std::string& name : ExportNames())
     for (const ExportFile& file : Export(stored, name)) {
-      for (const char* part : {"x_marker = R x_imu + p",
-                               "t_pose = t_imu + time_shift, time_shift = 0.0437 s",
-                               "t_pose = t_accel + time_shift - accel_delay",
-                               "subtract it from the stamps of accelerometer samples",
-                               "weak: sigma of p_MI is 12 mm",
-                               "from my.calibration.yaml by imu_pose_calib"})
+      for (const char* part :
+           {"x_marker = R x_imu + p", "t_pose = t_imu + time_shift, time_shift = 0.0437 s",
+            "t_pose = t_accel + time_shift - accel_delay",
+            "subtract it from the stamps of accelerometer samples", "weak: sigma of p_MI is 12 mm",
+            "from my.calibration.yaml by imu_pose_calib"})
         EXPECT_TRUE(Contains(file.text, part)) << part << " is missing in " << file.text;
       const bool all = Contains(file.text, "all 2 of the rig");
       EXPECT_NE(all, Contains(file.text, "the first of 2")) << file.text;
@@ -86,10 +85,8 @@ TEST(Vicon2Gt, MapsAsTheResult) {
   ExpectSame(ToMatrix(RowMajor(lists.at("R_BtoI"), 3), Eigen::Vector3d(p.at(0), p.at(1), p.at(2))),
              T_MI(stored).inverse());
   ExpectStamp(params.at("toff_imu_to_vicon"), stored);
-  ExpectNoise(params.at("gyroscope_noise_density"),
-              params.at("gyroscope_random_walk"),
-              params.at("accelerometer_noise_density"),
-              params.at("accelerometer_random_walk"));
+  ExpectNoise(params.at("gyroscope_noise_density"), params.at("gyroscope_random_walk"),
+              params.at("accelerometer_noise_density"), params.at("accelerometer_random_walk"));
   EXPECT_EQ(lists.at("vicon_sigmas"),
             (std::vector<double>{0.0034, 0.0034, 0.0034, 0.0012, 0.0012, 0.0012}));
   EXPECT_NEAR(params.at("gravity_magnitude"), stored.result.sessions[0].g_W.norm(), 1e-12);
@@ -145,10 +142,8 @@ TEST(LioSam, MapsAsTheResult) {
     ExpectSame(ToMatrix(RowMajor(yaml[key].as<std::vector<double>>(), 3),
                         ToVector(yaml["extrinsicTrans"])),
                T_MI(stored));
-  ExpectNoise(yaml["imuGyrNoise"].as<double>(),
-              yaml["imuGyrBiasN"].as<double>(),
-              yaml["imuAccNoise"].as<double>(),
-              yaml["imuAccBiasN"].as<double>());
+  ExpectNoise(yaml["imuGyrNoise"].as<double>(), yaml["imuGyrBiasN"].as<double>(),
+              yaml["imuAccNoise"].as<double>(), yaml["imuAccBiasN"].as<double>());
   EXPECT_NEAR(yaml["imuGravity"].as<double>(), stored.result.sessions[0].g_W.norm(), 1e-12);
 }
 
@@ -163,15 +158,14 @@ TEST(FastLio, MapsAsTheResult) {
              T_MI(stored).inverse());
   const double t_imu = 12.5;
   EXPECT_NEAR(t_imu - yaml["common"]["time_offset_lidar_to_imu"].as<double>(),
-              t_imu + TimeShift(stored),
-              1e-12);
+              t_imu + TimeShift(stored), 1e-12);
   EXPECT_NEAR(mapping["gyr_cov"].as<double>(), 0.0021 * 0.0021, 1e-15);
   EXPECT_NEAR(mapping["acc_cov"].as<double>(), 0.043 * 0.043, 1e-15);
   const double dt_g = 1.0 / 200.0, dt_a = 1.0 / 250.0, second = 1.0;
-  EXPECT_NEAR(
-      mapping["b_gyr_cov"].as<double>() * dt_g * dt_g * (second / dt_g), 3e-5 * 3e-5, 1e-15);
-  EXPECT_NEAR(
-      mapping["b_acc_cov"].as<double>() * dt_a * dt_a * (second / dt_a), 7e-4 * 7e-4, 1e-15);
+  EXPECT_NEAR(mapping["b_gyr_cov"].as<double>() * dt_g * dt_g * (second / dt_g), 3e-5 * 3e-5,
+              1e-15);
+  EXPECT_NEAR(mapping["b_acc_cov"].as<double>() * dt_a * dt_a * (second / dt_a), 7e-4 * 7e-4,
+              1e-15);
 }
 
 /// Lines of vehicle, component, name, value and type between tabs.
@@ -257,9 +251,8 @@ TEST_F(ExportFiles, StandNextToTheResult) {
   const std::vector<std::string> paths = WriteExports(stored, {"evo", "urdf"}, &outputs);
   EXPECT_FALSE(std::filesystem::exists(paths[0]));
   outputs.Commit();
-  EXPECT_EQ(
-      paths,
-      std::vector<std::string>({Path("my.calibration.evo.json"), Path("my.calibration.urdf")}));
+  EXPECT_EQ(paths, std::vector<std::string>(
+                       {Path("my.calibration.evo.json"), Path("my.calibration.urdf")}));
   EXPECT_EQ(ReadText(paths[0]), FileOf(stored, "evo", "evo.json"));
   EXPECT_EQ(WriteExports(stored, {"tf"}, &outputs, Path("a/b")),  // made
             std::vector<std::string>({Path("a/b/my.calibration.tf.launch")}));

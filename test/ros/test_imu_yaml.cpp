@@ -1,4 +1,4 @@
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
 #include "test_util.h"
 

@@ -42,16 +42,14 @@ class Player {
 };
 
 Process Bridge(const std::string& style, const Arguments& options = {}) {
-  return Process(Concatenate({IMU_POSE_CALIB_BIN_DIR "/replay_bridge",
-                              "__name:=" + style,
-                              "_input:=/mocap/pose",
-                              "_style:=" + style},
+  return Process(Concatenate({IMU_POSE_CALIB_BIN_DIR "/replay_bridge", "__name:=" + style,
+                              "_input:=/mocap/pose", "_style:=" + style},
                              options));
 }
 
 bool AnyContains(const std::set<std::string>& texts, const std::string& part) {
-  return std::any_of(
-      texts.begin(), texts.end(), [&](const auto& text) { return Contains(text, part); });
+  return std::any_of(texts.begin(), texts.end(),
+                     [&](const auto& text) { return Contains(text, part); });
 }
 
 Rigid3 ToRigid3(const geometry_msgs::Transform& transform) {
@@ -114,11 +112,8 @@ TEST_F(Live, CalibratesTwoImusTogether) {
   options.duration_s = 30.0;
   const std::string bag = Path("two.bag");
   WriteBag(bag, Simulate(options, 2), BagFormat());
-  Node node("two",
-            {"_imu_topic:=/imu /imu1",
-             "_pose_topic:=/mocap/pose",
-             "_imu_frame:=two_imu0 two_imu1",
-             "_min_duration:=8"});
+  Node node("two", {"_imu_topic:=/imu /imu1", "_pose_topic:=/mocap/pose",
+                    "_imu_frame:=two_imu0 two_imu1", "_min_duration:=8"});
   Player player(bag, {"--clock", "--rate=1", "--delay=2"});
   ASSERT_TRUE(WaitFor([&] { return node.result && node.result->imus.size() == 2; })) << node.status;
   ExpectTruth(node, truth_.time_shift_s);
@@ -142,11 +137,8 @@ TEST_F(Live, AgreesWithOfflineOnTheSample) {
   request.output = Path("offline.yaml");
   const Calibration offline = CalibrateOffline(request).result;
 
-  Node node("sample",
-            {"_imu_topic:=/imu",
-             "_pose_topic:=/vicon/rig/rig",
-             "_window:=100",
-             "_output:=" + Path("live.yaml")});
+  Node node("sample", {"_imu_topic:=/imu", "_pose_topic:=/vicon/rig/rig", "_window:=100",
+                       "_output:=" + Path("live.yaml")});
   const Process bridge = Bridge("vicon_bridge", {"_latency:=0", "_jitter:=0"});
   Player player(sample, {"--clock", "--rate=4", "--delay=2"});
   ASSERT_TRUE(WaitFor([&] {
@@ -176,15 +168,11 @@ TEST_F(Live, AgreesWithOfflineOnTheSample) {
 TEST_F(Live, CalibratesFromEveryBridge) {
   const std::string bag = Simulated(60.0);
   Node vicon("vicon", {"_imu_topic:=/imu", "_pose_topic:=/vicon/rig/rig", "_imu_frame:=imu_1"});
-  Node vrpn("vrpn",
-            {"_imu_topic:=/imu",
-             "_pose_topic:=/vrpn_client_node/rig/pose",
-             "_marker_frame:=rig",
-             "_imu_frame:=imu_2"});
+  Node vrpn("vrpn", {"_imu_topic:=/imu", "_pose_topic:=/vrpn_client_node/rig/pose",
+                     "_marker_frame:=rig", "_imu_frame:=imu_2"});
   // from tf, where this bridge puts the body as well
-  Node optitrack(
-      "optitrack",
-      {"_imu_topic:=/imu", "_tf_parent:=world", "_tf_child:=rig/base_link", "_imu_frame:=imu_3"});
+  Node optitrack("optitrack", {"_imu_topic:=/imu", "_tf_parent:=world", "_tf_child:=rig/base_link",
+                               "_imu_frame:=imu_3"});
   const Process vicon_bridge =
       Bridge("vicon_bridge", {"_latency:=0.002", "_loss_start:=20", "_loss_duration:=5"});
   const Process vrpn_bridge =
@@ -260,11 +248,9 @@ TEST_F(Live, WaitsForTopicsAndStartsAnewWhenAsked) {
   std::set<std::string> markers;
   const std::vector<ros::Subscriber> subscribers = {
       node_.subscribe<geometry_msgs::PoseStamped>(
-          node.prefix() + "imu_pose",
-          100,
+          node.prefix() + "imu_pose", 100,
           [&](const geometry_msgs::PoseStamped::ConstPtr& msg) { pose = *msg; }),
-      node_.subscribe<nav_msgs::Path>(node.prefix() + "imu_path",
-                                      10,
+      node_.subscribe<nav_msgs::Path>(node.prefix() + "imu_path", 10,
                                       [&](const nav_msgs::Path::ConstPtr& msg) { path = *msg; }),
       node_.subscribe<visualization_msgs::MarkerArray>(
           node.prefix() + "markers", 10, [&](const visualization_msgs::MarkerArray::ConstPtr& msg) {

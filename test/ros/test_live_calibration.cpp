@@ -6,8 +6,8 @@
 #include <limits>
 
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/simulator.h"
 #include "imu_pose_calib/ros/live/live_calibration.h"
+#include "imu_pose_calib/simulation/simulator.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {

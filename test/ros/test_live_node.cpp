@@ -9,8 +9,8 @@
 #include <algorithm>
 #include <map>
 
-#include "imu_pose_calib/core/simulator.h"
 #include "imu_pose_calib/ros/io/conversions.h"
+#include "imu_pose_calib/simulation/simulator.h"
 #include "live_util.h"
 
 namespace imu_pose_calib {

@@ -12,8 +12,8 @@
 #include <thread>
 #include <vector>
 
-#include "imu_pose_calib/core/simulator.h"
 #include "imu_pose_calib/ros/live/live_solver.h"
+#include "imu_pose_calib/simulation/simulator.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -65,8 +65,7 @@ class LiveSolverTest : public ::testing::Test {
   LiveCalibration live_{LiveOptions()};
   int64_t count_ = 0;
   std::atomic<int> begun_{0}, allowed_{0}, results_{0};
-  LiveSolver solver_{&mutex_,
-                     &live_,
+  LiveSolver solver_{&mutex_, &live_,
                      [this](const SessionData& data) {
                        const int number = ++begun_;
                        while (allowed_ < number) std::this_thread::sleep_for(milliseconds(1));
@@ -131,8 +130,7 @@ TEST(LiveSolver, WorksForManyThreads) {
   int tag = 1;  // of the data; grows with each reset
   std::atomic<int> results{0}, verdicts{0};
   LiveSolver solver(
-      &mutex,
-      &live,
+      &mutex, &live,
       [](const SessionData& data) {
         std::this_thread::sleep_for(milliseconds(2));
         return Tagged(data);

@@ -58,9 +58,8 @@ class View {
     double outside = 0.0;
     for (const double x : {-0.5, 0.5})
       for (const double y : {-0.5, 0.5})
-        outside = std::max(
-            outside,
-            Outside(Eigen::Vector3d(p.x, p.y, p.z) + x * width * right_ + y * height * up_));
+        outside = std::max(outside, Outside(Eigen::Vector3d(p.x, p.y, p.z) + x * width * right_ +
+                                            y * height * up_));
     return outside;
   }
 

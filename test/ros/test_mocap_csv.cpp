@@ -50,8 +50,7 @@ MocapPoses Read(const std::string& text, const std::string& body) {
   return ReadMocapCsv(in, "x.csv", body);
 }
 
-void ExpectRefusal(const std::string& text,
-                   const std::string& body,
+void ExpectRefusal(const std::string& text, const std::string& body,
                    const std::vector<std::string>& parts) {
   std::istringstream in(text);
   ExpectError<InputError>([&] { ReadMocapCsv(in, "x.csv", body); }, parts);
@@ -121,8 +120,8 @@ TEST(MotiveTest, RefusesNamingThePlace) {
   const std::string text = Quaternions();
   ExpectRefusal(text, "", {"'x.csv'", "several bodies: rig, wand; choose with body"});
   ExpectRefusal(text, "drone", {"no body 'drone'; it has: rig, wand"});
-  ExpectRefusal(
-      With(text, "-3000", "oops"), "rig", {"line 8 column 9 is 'oops', must be a number"});
+  ExpectRefusal(With(text, "-3000", "oops"), "rig",
+                {"line 8 column 9 is 'oops', must be a number"});
   ExpectRefusal(With(text, "0.016667,0,", "0.016667,,"), "rig", {"line 10 column 3 is empty"});
   ExpectRefusal(With(text, "0.008333", "x"), "rig", {"line 9 column 2 is 'x'"});
   ExpectRefusal(With(text, "Millimeters", "Feet"), "rig", {"line 1", "Length Units 'Feet'"});
@@ -146,8 +145,7 @@ std::string Vicon(const std::string& axes, const std::string& units, const std::
 }
 
 TEST(ViconTest, ReadsHelicalAngles) {
-  const std::string text = Vicon("RX,RY,RZ,TX,TY,TZ",
-                                 "deg,deg,deg,mm,mm,mm",
+  const std::string text = Vicon("RX,RY,RZ,TX,TY,TZ", "deg,deg,deg,mm,mm,mm",
                                  "1,0,0,0,90,1000,2000,3000,0,0,0,0,0,0\n2,0,,,,,,,0,0,0,4,5,6\n"
                                  "3,0,60,60,60,1000,2000,3000,0,0,0,0,0,0\n");
   const MocapPoses rig = Read(text, "rig");
@@ -180,11 +178,10 @@ TEST(ViconTest, ReadsQuaternions) {
 TEST(ViconTest, RefusesNamingThePlace) {
   const std::string text =
       Vicon("RX,RY,RZ,TX,TY,TZ", "deg,deg,deg,mm,mm,mm", "1,0,0,0,0,1,2,3,0,0,0,0,0,0\n");
-  ExpectRefusal(
-      With(text, "Segments\n200", "Segments\nfast"), "rig", {"line 9 column 1 is 'fast'"});
+  ExpectRefusal(With(text, "Segments\n200", "Segments\nfast"), "rig",
+                {"line 9 column 1 is 'fast'"});
   ExpectRefusal(With(text, "Segments", "Other"), "rig", {"no part Segments or Objects"});
-  ExpectRefusal(With(text, "1,0,0,0,0,1,2,3", "1,0,0,0,0,1,two,3"),
-                "rig",
+  ExpectRefusal(With(text, "1,0,0,0,0,1,2,3", "1,0,0,0,0,1,two,3"), "rig",
                 {"line 13 column 7 is 'two', must be a number"});
   ExpectRefusal(With(text, "1,0,0,0,0,1,2,3", "1,4,0,0,0,1,2,3"), "rig", {"column 2 is '4'"});
   ExpectRefusal(With(text, "deg,deg,deg,mm", "grad,deg,deg,mm"), "rig", {"line 12", "'grad'"});
@@ -232,8 +229,7 @@ TEST_F(MocapFileTest, CalibratesFromAWorldWithYUp) {
   EXPECT_LT(g_Y.y(), -9.7);
   const double start = 1717160523.456 - 1e-9 * static_cast<double>(data.poses[0].t_ns);
   EXPECT_NEAR(turned.result.sessions[0].imus[0].time_shift,
-              expected.sessions[0].imus[0].time_shift + start,
-              1e-5);
+              expected.sessions[0].imus[0].time_shift + start, 1e-5);
 
   request.text.poses = Path("x.poses.txt");
   ExpectError<InputError>([&] { CalibrateOffline(request); },

@@ -183,11 +183,8 @@ TEST_F(OutputsTest, NamesWhatAnEarlierRunLeftBeside) {
   ASSERT_EQ(outcome.status, 0) << outcome.err;
   const size_t place = outcome.out.find("older, of another run: ");
   ASSERT_NE(place, std::string::npos) << outcome.out;
-  for (const char* name : {"x.calibration.report.html",
-                           "x.calibration.tf.launch",
-                           "x.calibration.urdf",
-                           "x.calibration.kalibr.imu0.yaml",
-                           "x.tum"}) {
+  for (const char* name : {"x.calibration.report.html", "x.calibration.tf.launch",
+                           "x.calibration.urdf", "x.calibration.kalibr.imu0.yaml", "x.tum"}) {
     EXPECT_TRUE(Contains(outcome.out.substr(place), name)) << name << outcome.out;
     EXPECT_FALSE(Contains(ReadText(Path(name)), RunId())) << name;
   }
@@ -220,9 +217,8 @@ TEST_F(OutputsTest, UsageErrorsTouchNothing) {
   EXPECT_FALSE(Contains(Calibrate("x.bag --config bad.yaml").err, "did you mean"));
   const std::string text = Calibrate("x.bag --imu-topic /nope").err;
   EXPECT_TRUE(std::regex_search(
-      text,
-      std::regex("still there, of an earlier run: .*x\\.calibration\\.tf\\.launch, .*"
-                 "x\\.tum \\(20\\d\\d-\\d\\d-\\d\\d \\d\\d:\\d\\d UTC\\)")))
+      text, std::regex("still there, of an earlier run: .*x\\.calibration\\.tf\\.launch, .*"
+                       "x\\.tum \\(20\\d\\d-\\d\\d-\\d\\d \\d\\d:\\d\\d UTC\\)")))
       << text;
 }
 
@@ -256,9 +252,9 @@ TEST_F(OutputsTest, InterruptsTouchNothingOrComeLate) {
     const std::string delay = std::to_string(0.02 + 0.09 * moment);
     SCOPED_TRACE(signal + " after " + delay + " s");
     const std::string old_id = RunId();
-    const Outcome outcome = Run("/usr/bin/env",
-                                "TMPDIR='" + Path("tmp") + "' timeout -s " + signal + " " + delay +
-                                    " " + IMU_POSE_CALIB_BIN_DIR + "/calibrate_bag x.bag " + kAll);
+    const Outcome outcome =
+        Run("/usr/bin/env", "TMPDIR='" + Path("tmp") + "' timeout -s " + signal + " " + delay +
+                                " " + IMU_POSE_CALIB_BIN_DIR + "/calibrate_bag x.bag " + kAll);
     const auto after = Contents(dir_);
     if (RunId() == old_id) {
       ++interrupted;
@@ -283,11 +279,10 @@ TEST_F(OutputsTest, ADiskThatIsFullTouchesNothing) {
     SCOPED_TRACE(options);
     const std::string blocks(options, std::strchr(options, ' '));
     // The shell's own output goes through a pipe, which has no such bound.
-    const Outcome outcome =
-        Run("/bin/bash",
-            "-c 'trap \"\" XFSZ; (ulimit -f " + blocks + "; exec " + IMU_POSE_CALIB_BIN_DIR +
-                "/calibrate_bag x.bag --export tf --trajectory" + std::strchr(options, ' ') +
-                ") 2>&1 | cat; exit ${PIPESTATUS[0]}'");
+    const Outcome outcome = Run(
+        "/bin/bash", "-c 'trap \"\" XFSZ; (ulimit -f " + blocks + "; exec " +
+                         IMU_POSE_CALIB_BIN_DIR + "/calibrate_bag x.bag --export tf --trajectory" +
+                         std::strchr(options, ' ') + ") 2>&1 | cat; exit ${PIPESTATUS[0]}'");
     EXPECT_EQ(outcome.status, 1);
     EXPECT_TRUE(Contains(outcome.out, "cannot be written: ")) << outcome.out;
     EXPECT_TRUE(Contains(outcome.out, "run_id: ")) << outcome.out;  // the result is not lost
@@ -317,13 +312,10 @@ TEST_F(OutputsTest, OutputsOntoLinksAreWrittenThrough) {
 TEST_F(OutputsTest, SayOnAScreenWhatMattersMost) {
   const Outcome brief = Calibrate(std::string("x.bag ") + kAll);
   EXPECT_LE(std::count(brief.out.begin(), brief.out.end(), '\n'), 25) << brief.out;
-  for (const char* part : {"OK: ",
-                           "translation [mm]",
-                           "dropped: no samples",
-                           "static_transform_publisher",
-                           "Written to x.calibration.yaml",
-                           "x.calibration.report.html",
-                           "note: the imu axes of kalibr are those of the accelerometer, by 0."})
+  for (const char* part :
+       {"OK: ", "translation [mm]", "dropped: no samples", "static_transform_publisher",
+        "Written to x.calibration.yaml", "x.calibration.report.html",
+        "note: the imu axes of kalibr are those of the accelerometer, by 0."})
     EXPECT_TRUE(Contains(brief.out, part)) << part << "\n" << brief.out;
   const Outcome verbose = Calibrate(std::string("x.bag --verbose ") + kAll);
   EXPECT_TRUE(Contains(verbose.out, "Gravity and mean biases")) << verbose.out;

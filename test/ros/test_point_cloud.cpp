@@ -22,8 +22,7 @@ std::vector<TestField> Xyz() {
 }
 
 /// Two clouds, 0.1 s apart, whose points have these times.
-std::vector<PointCloud2> Timed(const std::string& name,
-                               uint8_t type,
+std::vector<PointCloud2> Timed(const std::string& name, uint8_t type,
                                const std::function<std::vector<double>(double stamp_s)>& times) {
   std::vector<PointCloud2> clouds;
   for (const double stamp : {kStamp, kStamp + 0.1}) {
@@ -105,12 +104,11 @@ TEST(PointTime, IsRefusedWhereItCannotBeTold) {
 }
 
 TEST(ReadCloud, ReadsEveryTypeAndPadding) {
-  PointCloud2 cloud = MakeCloud(kStamp,
-                                {{"intensity", PointField::UINT8, {7.0, 255.0}},
-                                 {"z", PointField::FLOAT64, {0.5, 0.25}},
-                                 {"ring", PointField::UINT16, {1.0, 2.0}},
-                                 {"x", PointField::FLOAT32, {1.0, std::nan("")}},
-                                 {"y", PointField::FLOAT32, {-1.0, -2.0}}});
+  PointCloud2 cloud = MakeCloud(kStamp, {{"intensity", PointField::UINT8, {7.0, 255.0}},
+                                         {"z", PointField::FLOAT64, {0.5, 0.25}},
+                                         {"ring", PointField::UINT16, {1.0, 2.0}},
+                                         {"x", PointField::FLOAT32, {1.0, std::nan("")}},
+                                         {"y", PointField::FLOAT32, {-1.0, -2.0}}});
   EXPECT_TRUE(HasIntensity(cloud));
   // The same as two rows of one point each with three bytes behind.
   cloud.height = 2;

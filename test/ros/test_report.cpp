@@ -7,12 +7,12 @@
 #include <regex>
 
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/information_growth.h"
 #include "imu_pose_calib/ros/io/bag_writer.h"
 #include "imu_pose_calib/ros/io/numpy_table.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/offline/report.h"
 #include "imu_pose_calib/ros/offline/summary.h"
+#include "imu_pose_calib/simulation/information_growth.h"
 #include "run_executable.h"
 
 namespace imu_pose_calib {
@@ -28,8 +28,7 @@ std::vector<std::vector<double>> ReadNumpy(const std::string& path) {
   const std::string header = text.substr(10, size);
   EXPECT_EQ(header.back(), '\n');
   std::smatch found;
-  if (!std::regex_search(header,
-                         found,
+  if (!std::regex_search(header, found,
                          std::regex(R"(\{'descr': '<f([48])', 'fortran_order': False, )"
                                     R"('shape': \((\d+), (\d+)\), \} *\n)"))) {
     ADD_FAILURE() << header;
@@ -337,14 +336,13 @@ TEST_F(ReportTest, ShowsWhyARecordingIsRefused) {
 
 TEST_F(ReportTest, IsRefusedBeforeTheSolve) {
   WriteBag(Path("x.bag"), Simulate(Handheld()), {});
-  ExpectFailure("x.bag --report no/such/r.html",
-                1,
+  ExpectFailure("x.bag --report no/such/r.html", 1,
                 {"report 'no/such/r.html' cannot be written: No such file or directory"});
   ExpectFailure("x.bag --report r.txt", 1, {"report 'r.txt' must end in .html or .pdf"});
   ExpectFailure("x.bag --output r.html --report r.html", 1, {"report and output are both"});
   Write("c.html", "knot_spacing_s: 0.03\n");
-  ExpectFailure(
-      "x.bag --config c.html --report c.html", 1, {"report 'c.html' would replace the config"});
+  ExpectFailure("x.bag --config c.html --report c.html", 1,
+                {"report 'c.html' would replace the config"});
 }
 
 /// Without a Python that has matplotlib: PYTHONPATH holds one that cannot be imported.
@@ -398,15 +396,11 @@ TEST(Progress, TellsOfEveryStageFromBeginningToEnd) {
           EXPECT_NE(iterations, std::optional<int>(0));
         }
       });
-  EXPECT_EQ(stages,
-            (std::vector<std::string>{"begin data and start",
-                                      "end data and start",
-                                      "begin knot spacing",
-                                      "end knot spacing",
-                                      "begin trajectory and calibration",
-                                      "end trajectory and calibration",
-                                      "begin sigmas and verdict",
-                                      "end sigmas and verdict"}));
+  EXPECT_EQ(stages, (std::vector<std::string>{
+                        "begin data and start", "end data and start", "begin knot spacing",
+                        "end knot spacing", "begin trajectory and calibration",
+                        "end trajectory and calibration", "begin sigmas and verdict",
+                        "end sigmas and verdict"}));
 }
 
 }  // namespace

@@ -171,10 +171,9 @@ TEST(ResultYaml, HoldsDataAndOptions) {
 TEST(ResultYaml, StatesTheEquations) {
   const std::string text = ToYaml(MakeResult(), {MakeInfo()}, CalibrationOptions());
   EXPECT_EQ(text.compare(0, std::string(kResultHeader).size(), kResultHeader), 0);
-  for (const char* equation : {"x_marker = R x_imu + p",
-                               "t_pose = t_imu + time_shift",
-                               "t_imu = t_pose - time_shift",
-                               "t_pose = t_accel + time_shift - accel_delay"})
+  for (const char* equation :
+       {"x_marker = R x_imu + p", "t_pose = t_imu + time_shift", "t_imu = t_pose - time_shift",
+        "t_pose = t_accel + time_shift - accel_delay"})
     EXPECT_TRUE(Contains(text, equation)) << equation;
 }
 

@@ -34,16 +34,9 @@ TEST_F(ScaleTest, TablesTwoBuildsInTurn) {
   for (std::string line; std::getline(lines, line);)
     if (!Contains(line, "|---")) rows.push_back(Cells(line));
   ASSERT_EQ(rows.size(), 4) << outcome.out;
-  const Row columns = {"recording",
-                       "build",
-                       "real [s]",
-                       "user [s]",
-                       "memory [MB]",
-                       "real per s [ms]",
-                       "user per s [ms]",
-                       "memory per s [MB]",
-                       "p off [sigma]",
-                       "apart [sigma]"};
+  const Row columns = {"recording",     "build",           "real [s]",        "user [s]",
+                       "memory [MB]",   "real per s [ms]", "user per s [ms]", "memory per s [MB]",
+                       "p off [sigma]", "apart [sigma]"};
   EXPECT_EQ(rows[0], columns);
   for (const Row& row : rows) ASSERT_EQ(row.size(), columns.size()) << outcome.out;
   for (const Row& build : {rows[1], rows[2]}) {

@@ -87,8 +87,7 @@ TEST(StoredResult, HoldsSessions) {
 }
 
 /// A result in which one text is replaced.
-void ExpectRefused(const std::string& from,
-                   const std::string& to,
+void ExpectRefused(const std::string& from, const std::string& to,
                    const std::vector<std::string>& parts) {
   std::string yaml = ExampleYaml(ImuModel::kCalibrated, 2);
   ASSERT_TRUE(Contains(yaml, from)) << from;

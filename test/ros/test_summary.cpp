@@ -56,25 +56,18 @@ RecordingInfo MakeInfo() {
 TEST(Summary, SaysWhatAPersonNeeds) {
   const std::string text = Summary(MakeResult(), {MakeInfo()});
   EXPECT_EQ(text.compare(0, 6, "WEAK: "), 0) << text;
-  for (const char* part : {"/imu/gyro",
-                           "/imu/accel",
-                           "/mocap/pose: 22562 at 300.0 Hz over 75.2 s",
-                           "stamps: recovered",
-                           "3.10 ms; dropped 18 not finite",
-                           "1234 outlier",
-                           "x_marker = R x_imu + p",
-                           "[-1050.100, -203.400, -300.000] mm",
-                           "-1050.100, -203.400, -300.000 1.000, 2.000, 3.000    weak",
-                           "[-0.500000, 0.500000, -0.500000, 0.500000] (x, y, z, w)",
-                           "-90.000, -0.000, -90.000      0.5730, 1.7189, 1.1459 ok",
-                           "x_imu = R x_marker + p",
-                           "t_pose = t_imu + time_shift",
-                           "t_imu = t_pose - time_shift",
-                           "-1034771.5066412 s            1.2500 ms              ok",
-                           "t_pose = t_accel + time_shift - accel_delay",
-                           "-3.7000 ms                    0.0200 ms              ok",
-                           "[-0.10000, -0.20000, -9.80000] m/s^2",
-                           "warning: the position residuals"})
+  for (const char* part :
+       {"/imu/gyro", "/imu/accel", "/mocap/pose: 22562 at 300.0 Hz over 75.2 s",
+        "stamps: recovered", "3.10 ms; dropped 18 not finite", "1234 outlier",
+        "x_marker = R x_imu + p", "[-1050.100, -203.400, -300.000] mm",
+        "-1050.100, -203.400, -300.000 1.000, 2.000, 3.000    weak",
+        "[-0.500000, 0.500000, -0.500000, 0.500000] (x, y, z, w)",
+        "-90.000, -0.000, -90.000      0.5730, 1.7189, 1.1459 ok", "x_imu = R x_marker + p",
+        "t_pose = t_imu + time_shift", "t_imu = t_pose - time_shift",
+        "-1034771.5066412 s            1.2500 ms              ok",
+        "t_pose = t_accel + time_shift - accel_delay",
+        "-3.7000 ms                    0.0200 ms              ok",
+        "[-0.10000, -0.20000, -9.80000] m/s^2", "warning: the position residuals"})
     EXPECT_TRUE(Contains(text, part)) << "'" << part << "' is missing in\n" << text;
 }
 
@@ -116,8 +109,8 @@ TEST(Summary, VerdictsOfRowsFollowTheirOwnBounds) {
 
 TEST(Summary, BriefHasAsManyWarningsAsFit) {
   Calibration result = MakeResult();
-  result.warnings = {
-      std::string(100, 'a') + " " + std::string(40, 'b'), "short", "third", "fourth"};
+  result.warnings = {std::string(100, 'a') + " " + std::string(40, 'b'), "short", "third",
+                     "fourth"};
   const auto brief = [&](size_t lines) {
     const std::string text = Brief(result, {MakeInfo()}, lines);
     EXPECT_LE(std::count(text.begin(), text.end(), '\n'), std::max<int64_t>(16, lines));
@@ -249,18 +242,12 @@ TEST(Summary, ShowsADataCheckAtAGlance) {
   info.imus[0].gyro_latency = Latency{-1034771.5, 2.5e-3};
   const std::string text = Summary(check, info);
   EXPECT_EQ(text.compare(0, 8, "USABLE: "), 0) << text;
-  for (const char* part : {"22562   300.0  0.00 ms 250.00 ms",
-                           "12.5",
-                           "-12.0 days 2.50 ms",
-                           "/mocap/pose, /imu/gyro, /imu/accel",
-                           "dropped 321 flipped; stamps are multiples of 10 ms",
-                           "stamps: recovered,",
-                           "gyro: stamps: uneven, as recorded",
-                           "about -1034771.5066 s (-12.0 days); 65.1 s in common",
-                           "-48.2 +- 1.3 ppm",
-                           "explain 99.4 %",
-                           "[0.82, 0.57, 0.88] rad/s",
-                           "warning: a warning"})
+  for (const char* part :
+       {"22562   300.0  0.00 ms 250.00 ms", "12.5", "-12.0 days 2.50 ms",
+        "/mocap/pose, /imu/gyro, /imu/accel", "dropped 321 flipped; stamps are multiples of 10 ms",
+        "stamps: recovered,", "gyro: stamps: uneven, as recorded",
+        "about -1034771.5066 s (-12.0 days); 65.1 s in common", "-48.2 +- 1.3 ppm",
+        "explain 99.4 %", "[0.82, 0.57, 0.88] rad/s", "warning: a warning"})
     EXPECT_TRUE(Contains(text, part)) << "'" << part << "' is missing in\n" << text;
   std::istringstream lines(text);
   for (std::string line; std::getline(lines, line);) EXPECT_LE(line.size(), 80u) << line;

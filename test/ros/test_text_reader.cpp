@@ -175,11 +175,9 @@ TEST_F(TextFiles, RefusesSeveralCandidatesUntilOneIsNamed) {
   std::filesystem::create_directories(Path("a/vicon0"));
   std::filesystem::create_directories(Path("a/imu1"));
   std::filesystem::copy(Path("a/mocap0/data.csv"), Path("a/vicon0/data.csv"));
-  ExpectRefusal(Folder("a"),
-                {"several files of poses",
-                 "a/mocap0/data.csv, ",
-                 "a/vicon0/data.csv; choose with "
-                 "poses"});
+  ExpectRefusal(Folder("a"), {"several files of poses", "a/mocap0/data.csv, ",
+                              "a/vicon0/data.csv; choose with "
+                              "poses"});
   TextRequest request = Folder("a");
   request.poses = Path("a/vicon0/data.csv");
   ExpectData(ReadText(request).data);

@@ -49,17 +49,14 @@ TEST(PoseTable, HasTumOrderWithoutHeader) {
 }
 
 TEST(PoseTable, TakesAnySeparatorWithBlanksAround) {
-  for (const char* line : {"1.5,1,2,3,0.1,0.2,0.3,0.9",
-                           "1.5;1;2;3;0.1;0.2;0.3;0.9",
-                           "1.5\t1\t2\t3\t0.1\t0.2\t0.3\t0.9",
-                           "  1.5   1 2\t 3 0.1 0.2 0.3 0.9  ",
+  for (const char* line : {"1.5,1,2,3,0.1,0.2,0.3,0.9", "1.5;1;2;3;0.1;0.2;0.3;0.9",
+                           "1.5\t1\t2\t3\t0.1\t0.2\t0.3\t0.9", "  1.5   1 2\t 3 0.1 0.2 0.3 0.9  ",
                            " 1.5 , 1, 2 ,3,0.1,0.2,0.3,\t0.9\r"})
     ExpectPose(Poses(line).at(0), 1'500'000'000);
 }
 
 TEST(PoseTable, FollowsTheHeaderInAnyOrder) {
-  for (const char* header : {"qw,qz,qy,qx,z,y,x,time",
-                             "#qw,qz,qy,qx,z,y,x,time",
+  for (const char* header : {"qw,qz,qy,qx,z,y,x,time", "#qw,qz,qy,qx,z,y,x,time",
                              "# Q_W, Q_Z, Q_Y, Q_X, pos_z, pos_y, pos_x, Timestamp [s]",
                              "# poses of the marker\n# qw,qz,qy,qx,z,y,x,t\n# as exported"})
     ExpectPose(Poses(std::string(header) + "\n0.9,0.3,0.2,0.1,3,2,1,1.5\n").at(0), 1'500'000'000);

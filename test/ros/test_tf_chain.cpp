@@ -11,11 +11,8 @@ namespace {
 
 constexpr double kCache = 100.0;  // [s]
 
-geometry_msgs::TransformStamped Link(const std::string& parent,
-                                     const std::string& child,
-                                     double t,
-                                     double x,
-                                     double angle = 0.0) {
+geometry_msgs::TransformStamped Link(const std::string& parent, const std::string& child, double t,
+                                     double x, double angle = 0.0) {
   geometry_msgs::TransformStamped link;
   link.header.stamp = ros::Time(t);
   link.header.frame_id = parent;

@@ -14,7 +14,7 @@
 #include <cmath>
 #include <map>
 
-#include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/ros/io/bag_writer.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/trajectory_writer.h"
@@ -49,10 +49,9 @@ std::vector<std::string> Lines(const std::string& path) {
 /// Those of a file of TUM or of ov_eval that are no comments.
 std::vector<std::string> States(const std::string& path) {
   std::vector<std::string> lines = Lines(path);
-  lines.erase(
-      std::remove_if(
-          lines.begin(), lines.end(), [](const std::string& line) { return line[0] == '#'; }),
-      lines.end());
+  lines.erase(std::remove_if(lines.begin(), lines.end(),
+                             [](const std::string& line) { return line[0] == '#'; }),
+              lines.end());
   return lines;
 }
 
@@ -102,9 +101,7 @@ class TrajectoryTest : public ExecutableTest {
     return Calibrate("x.bag --output x.yaml --trajectory " + arguments);
   }
   /// The state of the IMU at a stamp of its clock is the truth to within 3 mm and 3 mrad.
-  void ExpectTrue(int64_t stamp_ns,
-                  const Eigen::Vector3d& p,
-                  const Eigen::Quaterniond& q,
+  void ExpectTrue(int64_t stamp_ns, const Eigen::Vector3d& p, const Eigen::Quaterniond& q,
                   const Eigen::Vector3d* v = nullptr) {
     const TrueState s = trajectory_.At(1e-9 * static_cast<double>(stamp_ns - truth_.start_ns) +
                                        truth_.time_shift_s);
@@ -179,8 +176,8 @@ TEST_F(TrajectoryTest, OvEvalHasCovariances) {
     const Row row = Split(line, ' ');
     ASSERT_EQ(row.size(), 20u) << line;
     const int64_t stamp = FromSeconds(row[0]);
-    ExpectTrue(
-        stamp, Vector(row, 1), {Number(row[7]), Number(row[4]), Number(row[5]), Number(row[6])});
+    ExpectTrue(stamp, Vector(row, 1),
+               {Number(row[7]), Number(row[4]), Number(row[5]), Number(row[6])});
     for (const size_t first : {size_t{8}, size_t{14}}) {
       // 11 12 13 22 23 33
       Eigen::Matrix3d C;
@@ -221,10 +218,8 @@ TEST_F(TrajectoryTest, EurocHasOneHeaderAndSeventeenColumns) {
     ASSERT_EQ(row.size(), 17u) << line;
     ASSERT_EQ(row[0].find_first_not_of("0123456789"), std::string::npos) << row[0];
     const Eigen::Vector3d v = Vector(row, 8);
-    ExpectTrue(std::stoll(row[0]),
-               Vector(row, 1),
-               {Number(row[4]), Number(row[5]), Number(row[6]), Number(row[7])},
-               &v);
+    ExpectTrue(std::stoll(row[0]), Vector(row, 1),
+               {Number(row[4]), Number(row[5]), Number(row[6]), Number(row[7])}, &v);
     ASSERT_LT((Vector(row, 11) - truth_.gyro_bias).norm(), 2e-3);
     ASSERT_LT((Vector(row, 14) - truth_.accel_bias).norm(), 0.1);
   }
@@ -246,8 +241,7 @@ TEST_F(TrajectoryTest, AslFolderIsADataset) {
     if (sigma[16] == "1") ++carried;
     if (k % 100 != 0) continue;
     // On the clock of the poses.
-    ExpectTrue(std::stoll(state[0]) - 100'500'000'000,
-               Vector(state, 1),
+    ExpectTrue(std::stoll(state[0]) - 100'500'000'000, Vector(state, 1),
                {Number(state[4]), Number(state[5]), Number(state[6]), Number(state[7])});
   }
   EXPECT_NEAR(static_cast<double>(carried), 208.0, 10.0);
@@ -297,14 +291,14 @@ TEST_F(TrajectoryTest, BagHasOdometryPathAndTf) {
       EXPECT_EQ(o->header.frame_id, "world");
       EXPECT_EQ(o->child_frame_id, "body_ground_truth");
       const PoseSample pose = ToPoseSample(o->header.stamp, o->pose);
-      const Eigen::Vector3d v_I(
-          o->twist.twist.linear.x, o->twist.twist.linear.y, o->twist.twist.linear.z);
+      const Eigen::Vector3d v_I(o->twist.twist.linear.x, o->twist.twist.linear.y,
+                                o->twist.twist.linear.z);
       const Eigen::Vector3d v_W = pose.q_WM * v_I;  // twist is in the child's frame
       ExpectTrue(pose.t_ns, pose.p_WM, pose.q_WM, &v_W);
       const TrueState s = trajectory_.At(1e-9 * static_cast<double>(pose.t_ns - truth_.start_ns) +
                                          truth_.time_shift_s);
-      const Eigen::Vector3d omega(
-          o->twist.twist.angular.x, o->twist.twist.angular.y, o->twist.twist.angular.z);
+      const Eigen::Vector3d omega(o->twist.twist.angular.x, o->twist.twist.angular.y,
+                                  o->twist.twist.angular.z);
       EXPECT_LT((omega - truth_.T_MI.q.conjugate() * s.omega_M).norm(), 0.05);
       for (size_t i = 0; i < 36; ++i) {
         if (i % 7 == 0) {
@@ -353,8 +347,7 @@ TEST_F(TrajectoryTest, SeveralImusAndSessionsHaveAFileEach) {
     EXPECT_GT(States(Path(name)).size(), 130u) << name;
   for (const std::string& line : States(Path("t_session1_imu0.tum"))) {
     const Row row = Split(line, ' ');
-    ExpectTrue(FromSeconds(row[0]),
-               Vector(row, 1),
+    ExpectTrue(FromSeconds(row[0]), Vector(row, 1),
                {Number(row[7]), Number(row[4]), Number(row[5]), Number(row[6])});
   }
 }
@@ -367,11 +360,9 @@ TEST_F(TrajectoryTest, RefusesBeforeItCalibrates) {
   ExpectFailure("x.bag --trajectory-rate 5", 1, {"trajectory"});
   ExpectFailure("x.bag --trajectory none/t.tum", 1, {"there is no folder 'none'"});
   ExpectFailure("x.bag --trajectory x.bag", 1, {"trajectory 'x.bag' would replace the bag"});
-  ExpectFailure("x.bag --trajectory x.calibration.yaml --trajectory-format tum",
-                1,
+  ExpectFailure("x.bag --trajectory x.calibration.yaml --trajectory-format tum", 1,
                 {"trajectory and output are both"});
-  ExpectFailure("x.bag --method gp --trajectory t.txt --trajectory-format ov_eval",
-                1,
+  ExpectFailure("x.bag --method gp --trajectory t.txt --trajectory-format ov_eval", 1,
                 {"ov_eval", "method joint"});
   std::filesystem::create_directory(Path("folder.tum"));
   ExpectFailure("x.bag --trajectory folder.tum --trajectory-format tum", 1, {"is a folder"});

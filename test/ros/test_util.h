@@ -12,7 +12,7 @@
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/core/simulator.h"
+#include "imu_pose_calib/simulation/simulator.h"
 
 namespace imu_pose_calib {
 

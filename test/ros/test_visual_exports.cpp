@@ -149,10 +149,8 @@ TEST(OrbSlam3, MapsAsTheResult) {
   const std::string text = FileOf(stored, "orbslam3", "orbslam3.yaml");
   const YAML::Node yaml = OpenCvYaml(text);
   ExpectSame(DataMatrix(yaml["IMU.T_b_c1"], "f"), T_MI(stored).inverse());
-  ExpectNoise(yaml["IMU.NoiseGyro"].as<double>(),
-              yaml["IMU.GyroWalk"].as<double>(),
-              yaml["IMU.NoiseAcc"].as<double>(),
-              yaml["IMU.AccWalk"].as<double>());
+  ExpectNoise(yaml["IMU.NoiseGyro"].as<double>(), yaml["IMU.GyroWalk"].as<double>(),
+              yaml["IMU.NoiseAcc"].as<double>(), yaml["IMU.AccWalk"].as<double>());
   EXPECT_EQ(yaml["IMU.Frequency"].as<double>(), 200.0);
   EXPECT_TRUE(Contains(text, "There is no key for time_shift: add it to the stamps of the imu"));
 }
@@ -166,11 +164,8 @@ TEST(Kimera, MapsAsTheResult) {
   EXPECT_EQ(imu["rate_hz"].as<int>(), 200);
   ExpectNoise(imu);
   EXPECT_NEAR(ToVector(imu["n_gravity"]).z(), -stored.result.sessions[0].g_W.norm(), 1e-12);
-  for (const char* key : {"imu_preintegration_type",
-                          "imu_bias_init_sigma",
-                          "imu_integration_sigma",
-                          "do_imu_rate_time_alignment",
-                          "time_alignment_window_size_s",
+  for (const char* key : {"imu_preintegration_type", "imu_bias_init_sigma", "imu_integration_sigma",
+                          "do_imu_rate_time_alignment", "time_alignment_window_size_s",
                           "time_alignment_variance_threshold_scaling"})
     EXPECT_TRUE(imu[key]) << key;
   const YAML::Node camera = OpenCvYaml(FileOf(stored, "kimera", "kimera.LeftCameraParams.yaml"));
@@ -264,10 +259,8 @@ TEST(Basalt, CalibrationMapsReadingsAsTheResult) {
               1e-9);
     EXPECT_LT((mocap.T_imu_marker.Matrix().inverse() - T_MI(stored)).col(3).norm(), 1e-9);
     for (size_t i = 0; i < 3; ++i)
-      ExpectNoise(calibration.gyro_noise_std.at(i),
-                  calibration.gyro_bias_std.at(i),
-                  calibration.accel_noise_std.at(i),
-                  calibration.accel_bias_std.at(i));
+      ExpectNoise(calibration.gyro_noise_std.at(i), calibration.gyro_bias_std.at(i),
+                  calibration.accel_noise_std.at(i), calibration.accel_bias_std.at(i));
     EXPECT_EQ(calibration.imu_update_rate, 200.0);
     EXPECT_TRUE(calibration.T_imu_cam.empty());
   }

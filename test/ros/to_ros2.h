@@ -21,11 +21,8 @@ bool WriteAs(const rosbag::MessageInstance& message, Ros2Writer* writer) {
 
 /// Writes the messages of a bag of ROS 1 as one of ROS 2, from the message `first` on and every
 /// `step`.
-inline void ToRos2(const std::string& from,
-                   const std::string& to,
-                   const Ros2Format& format,
-                   int first = 0,
-                   int step = 1) {
+inline void ToRos2(const std::string& from, const std::string& to, const Ros2Format& format,
+                   int first = 0, int step = 1) {
   rosbag::Bag in(from);
   Ros2Writer out(to, format);
   int k = 0;

@@ -5,9 +5,9 @@
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/core/options.h"
-#include "imu_pose_calib/core/result.h"
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/core/base/options.h"
+#include "imu_pose_calib/core/base/result.h"
+#include "imu_pose_calib/core/base/types.h"
 
 namespace imu_pose_calib {
 
@@ -22,8 +22,7 @@ using Progress = std::function<void(const std::string& stage, std::optional<int>
 /// Throws InputError for options out of range and DataError for data that cannot be used (too few
 /// samples, wrong units, no overlap, no motion). A motion that leaves part of the calibration
 /// undetermined gives status kDegenerate.
-Calibration Calibrate(const CalibrationOptions& options,
-                      std::vector<SessionData> sessions,
+Calibration Calibrate(const CalibrationOptions& options, std::vector<SessionData> sessions,
                       const Progress& progress = {});
 
 /// The same of a single recording.

@@ -111,8 +111,7 @@ BagTopic ChooseClouds(const Bags& bags, const std::string& name) {
 class Clouds {
  public:
   explicit Clouds(const AggregateRequest& request)
-      : bags_(request.recording.bag.paths,
-              request.recording.bag.start_s,
+      : bags_(request.recording.bag.paths, request.recording.bag.start_s,
               request.recording.bag.duration_s),
         topic_(ChooseClouds(bags_, request.cloud_topic)) {
     std::vector<sensor_msgs::PointCloud2> first;
@@ -192,10 +191,8 @@ struct Aggregate {
 /// Puts clouds together, the last of the variants as the map.
 class Aggregator {
  public:
-  Aggregator(const AggregateRequest& request,
-             const std::vector<SensorPoses>& variants,
-             size_t about_points,
-             Aggregate* aggregate)
+  Aggregator(const AggregateRequest& request, const std::vector<SensorPoses>& variants,
+             size_t about_points, Aggregate* aggregate)
       : request_(request),
         variants_(variants),
         stride_(about_points / kSharpnessPoints + 1),
@@ -241,8 +238,8 @@ class Aggregator {
     std::vector<std::vector<Eigen::Vector3f>> maps;
     std::vector<size_t> compared;
     for (size_t v = 0; v < samples_.size(); ++v) {
-      const auto count = std::count_if(
-          samples_[v].begin(), samples_[v].end(), [](const auto& p) { return p.allFinite(); });
+      const auto count = std::count_if(samples_[v].begin(), samples_[v].end(),
+                                       [](const auto& p) { return p.allFinite(); });
       aggregate_.share.push_back(static_cast<double>(count) /
                                  static_cast<double>(std::max<size_t>(1, samples_[v].size())));
       if (v + 1 < samples_.size() && aggregate_.share.back() < 0.5) continue;
@@ -317,32 +314,22 @@ void CheckPlaced(const AggregateRequest& request, const SessionData& data, const
   throw DataError(
       Format("no point of the %zu clouds of '%s', stamped %.3f to %.3f s, is within the trajectory "
              "and min_range to max_range; cloud_clock is %s stamped %.3f to %.3f s",
-             a.clouds,
-             a.topic.c_str(),
-             a.begin_s,
-             a.end_s,
+             a.clouds, a.topic.c_str(), a.begin_s, a.end_s,
              on_imu_clock ? "imu, which is" : "poses, which are",
-             1e-9 * static_cast<double>(first_ns),
-             1e-9 * static_cast<double>(last_ns)));
+             1e-9 * static_cast<double>(first_ns), 1e-9 * static_cast<double>(last_ns)));
 }
 
-std::string Describe(const AggregateRequest& request,
-                     const std::vector<SensorPoses>& variants,
+std::string Describe(const AggregateRequest& request, const std::vector<SensorPoses>& variants,
                      const Aggregate& a) {
-  std::string text = Wrap("clouds     ",
-                          Format("%zu of %s, %zu points, on the clock of the %s",
-                                 a.clouds,
-                                 a.topic.c_str(),
-                                 a.points,
-                                 request.cloud_clock == "poses" ? "poses" : "imu"));
-  text += Wrap("times      ",
-               a.time.field.empty()
-                   ? "all points of a cloud at its stamp: they tell no times of their own"
-                   : Format("field '%s', in %s: %.1f to %.1f ms after the stamp",
-                            a.time.field.c_str(),
-                            a.time.unit.c_str(),
-                            1e3 * a.least_s,
-                            1e3 * a.most_s));
+  std::string text = Wrap("clouds     ", Format("%zu of %s, %zu points, on the clock of the %s",
+                                                a.clouds, a.topic.c_str(), a.points,
+                                                request.cloud_clock == "poses" ? "poses" : "imu"));
+  text +=
+      Wrap("times      ",
+           a.time.field.empty()
+               ? "all points of a cloud at its stamp: they tell no times of their own"
+               : Format("field '%s', in %s: %.1f to %.1f ms after the stamp", a.time.field.c_str(),
+                        a.time.unit.c_str(), 1e3 * a.least_s, 1e3 * a.most_s));
   const size_t not_placed = a.points - a.placed;
   const double share =
       static_cast<double>(not_placed) / static_cast<double>(std::max<size_t>(1, a.points));
@@ -350,11 +337,7 @@ std::string Describe(const AggregateRequest& request,
       Wrap("left out   ",
            Format("%zu clouds, %zu points (%.1f %%) without trajectory; %zu nearer than %g m or "
                   "beyond %g m",
-                  a.left_out,
-                  not_placed,
-                  100.0 * share,
-                  a.out_of_range,
-                  request.min_range_m,
+                  a.left_out, not_placed, 100.0 * share, a.out_of_range, request.min_range_m,
                   request.max_range_m));
   text += Wrap("map        ",
                Format("%zu points, means of cubes of %g m", a.map.size(), request.voxel_m));
@@ -366,8 +349,7 @@ std::string Describe(const AggregateRequest& request,
             ? Format(" %.0f %% of points within the poses\n", 100 * a.share[v])
             : Format(" %12.3f %16.1f\n", a.sharpness[v].entropy, 1e3 * a.sharpness[v].thickness);
   }
-  return text + Format("  (within %g m around the same %zu points in each)\n",
-                       request.radius_m,
+  return text + Format("  (within %g m around the same %zu points in each)\n", request.radius_m,
                        a.sharpness.back().places);
 }
 

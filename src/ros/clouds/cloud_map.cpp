@@ -8,8 +8,8 @@
 #include <memory>
 #include <string>
 
-#include "imu_pose_calib/core/median.h"
-#include "imu_pose_calib/core/trajectory.h"
+#include "imu_pose_calib/core/base/median.h"
+#include "imu_pose_calib/core/ground_truth/trajectory.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -24,8 +24,7 @@ constexpr double kLeastVariance = 1e-12;  // [m^2] of points in a plane
 /// The poses as they were recorded, linear between them but for gaps.
 class RecordedPoses {
  public:
-  RecordedPoses(const CalibrationOptions& options,
-                double rate_hz,
+  RecordedPoses(const CalibrationOptions& options, double rate_hz,
                 const std::vector<PoseSample>& recorded)
       : max_gap_ns_(std::llround(
             1e9 * (options.max_gap_s > 0.0 ? options.max_gap_s : std::max(0.1, 5.0 / rate_hz)))) {
@@ -37,16 +36,14 @@ class RecordedPoses {
       poses_.push_back(pose);
       poses_.back().q_WM.normalize();
     }
-    std::stable_sort(poses_.begin(), poses_.end(), [](const PoseSample& a, const PoseSample& b) {
-      return a.t_ns < b.t_ns;
-    });
+    std::stable_sort(poses_.begin(), poses_.end(),
+                     [](const PoseSample& a, const PoseSample& b) { return a.t_ns < b.t_ns; });
   }
 
   std::optional<Rigid3> At(int64_t t_ns) const {
     const auto after =
-        std::upper_bound(poses_.begin(), poses_.end(), t_ns, [](int64_t t, const PoseSample& pose) {
-          return t < pose.t_ns;
-        });
+        std::upper_bound(poses_.begin(), poses_.end(), t_ns,
+                         [](int64_t t, const PoseSample& pose) { return t < pose.t_ns; });
     if (after == poses_.begin() || after == poses_.end()) return std::nullopt;
     const PoseSample& before = *std::prev(after);
     const int64_t period = after->t_ns - before.t_ns;
@@ -118,8 +115,7 @@ class Neighbours {
 
 /// One point of each cube, spread over the map; at most kPlaces.
 std::vector<size_t> Spread(const std::vector<Eigen::Vector3f>& points,
-                           const std::vector<size_t>& used,
-                           double size) {
+                           const std::vector<size_t>& used, double size) {
   std::map<Cube, size_t> first;
   for (const size_t k : used) first.emplace(CubeOf(points[k].cast<double>(), size), k);
   std::vector<size_t> places;
@@ -151,8 +147,7 @@ Eigen::Quaterniond ToRightAngles(const Eigen::Quaterniond& q) {
   return Eigen::Quaterniond(best);
 }
 
-std::vector<SensorPoses> PosesWithAndWithout(const SensorMount& sensor,
-                                             bool is_on_imu_clock,
+std::vector<SensorPoses> PosesWithAndWithout(const SensorMount& sensor, bool is_on_imu_clock,
                                              const OfflineResult& offline) {
   const Rigid3 T_MI = offline.result.imus[0].T_MI;
   const Rigid3 T_MS = sensor.is_on_imu ? T_MI * sensor.T : sensor.T;
@@ -282,9 +277,8 @@ std::vector<Sharpness> CompareSharpness(const std::vector<std::vector<Eigen::Vec
     Sharpness sharpness;
     std::vector<double> distances;
     for (size_t i = 0; i < places.size(); ++i) {
-      if (!std::all_of(covariances.begin(), covariances.end(), [i](const auto& c) {
-            return c[i].has_value();
-          }))
+      if (!std::all_of(covariances.begin(), covariances.end(),
+                       [i](const auto& c) { return c[i].has_value(); }))
         continue;
       const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver(*own[i], Eigen::EigenvaluesOnly);
       const Eigen::Array3d variance = solver.eigenvalues().array().max(kLeastVariance);

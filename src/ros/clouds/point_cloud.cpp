@@ -8,8 +8,8 @@
 #include <limits>
 #include <optional>
 
-#include "imu_pose_calib/core/median.h"
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/core/base/median.h"
+#include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
@@ -19,14 +19,8 @@ using sensor_msgs::PointCloud2;
 using sensor_msgs::PointField;
 
 /// Names that drivers give to the times of points.
-const char* const kTimeNames[] = {"t",
-                                  "time",
-                                  "timestamp",
-                                  "time_stamp",
-                                  "offset_time",
-                                  "time_offset",
-                                  "point_time_offset",
-                                  "rel_time"};
+const char* const kTimeNames[] = {"t",           "time",        "timestamp",         "time_stamp",
+                                  "offset_time", "time_offset", "point_time_offset", "rel_time"};
 
 struct Unit {
   const char* name;
@@ -53,14 +47,11 @@ struct Type {
   size_t size;  ///< [bytes]
   double (*value)(const uint8_t* data);
 };
-constexpr Type kTypes[] = {{PointField::INT8, 1, ValueAs<int8_t>},
-                           {PointField::UINT8, 1, ValueAs<uint8_t>},
-                           {PointField::INT16, 2, ValueAs<int16_t>},
-                           {PointField::UINT16, 2, ValueAs<uint16_t>},
-                           {PointField::INT32, 4, ValueAs<int32_t>},
-                           {PointField::UINT32, 4, ValueAs<uint32_t>},
-                           {PointField::FLOAT32, 4, ValueAs<float>},
-                           {PointField::FLOAT64, 8, ValueAs<double>}};
+constexpr Type kTypes[] = {
+    {PointField::INT8, 1, ValueAs<int8_t>},   {PointField::UINT8, 1, ValueAs<uint8_t>},
+    {PointField::INT16, 2, ValueAs<int16_t>}, {PointField::UINT16, 2, ValueAs<uint16_t>},
+    {PointField::INT32, 4, ValueAs<int32_t>}, {PointField::UINT32, 4, ValueAs<uint32_t>},
+    {PointField::FLOAT32, 4, ValueAs<float>}, {PointField::FLOAT64, 8, ValueAs<double>}};
 
 std::string Text(double value) { return Format("%.10g", value); }
 
@@ -91,9 +82,8 @@ class CheckedCloud {
   std::optional<Field> Find(const std::string& name) const {
     for (const PointField& field : cloud_.fields) {
       if (field.name != name) continue;
-      const auto type = std::find_if(std::begin(kTypes), std::end(kTypes), [&](const Type& t) {
-        return t.number == field.datatype;
-      });
+      const auto type = std::find_if(std::begin(kTypes), std::end(kTypes),
+                                     [&](const Type& t) { return t.number == field.datatype; });
       if (type == std::end(kTypes))
         throw InputError("datatype of field '" + name + "' = " + std::to_string(field.datatype) +
                          " must be 1 to 8");
@@ -234,8 +224,8 @@ PointTime FindPointTime(const std::vector<PointCloud2>& clouds, const std::strin
 
 std::vector<CloudPoint> ReadCloud(const PointCloud2& message, const PointTime& time) {
   const CheckedCloud cloud(message);
-  const CheckedCloud::Field xyz[] = {
-      cloud.Coordinate("x"), cloud.Coordinate("y"), cloud.Coordinate("z")};
+  const CheckedCloud::Field xyz[] = {cloud.Coordinate("x"), cloud.Coordinate("y"),
+                                     cloud.Coordinate("z")};
   const auto intensity = cloud.Find("intensity");
   const auto own_time =
       time.field.empty() ? std::optional<CheckedCloud::Field>() : cloud.Find(time.field);
@@ -271,16 +261,14 @@ std::string ToPcd(const std::vector<MapPoint>& points, bool has_intensity) {
   pcd += has_intensity ? "FIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\n"
                        : "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n";
   pcd += Format("WIDTH %zu\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS %zu\nDATA binary\n",
-                points.size(),
-                points.size());
+                points.size(), points.size());
   const size_t size = (has_intensity ? 4 : 3) * sizeof(float);
   pcd.reserve(pcd.size() + size * points.size());
   for (const MapPoint& point : points) pcd.append(reinterpret_cast<const char*>(&point), size);
   return pcd;
 }
 
-PointCloud2 NewCloud(const std::string& frame,
-                     const std::vector<const char*>& names,
+PointCloud2 NewCloud(const std::string& frame, const std::vector<const char*>& names,
                      size_t points) {
   PointCloud2 cloud;
   cloud.header.frame_id = frame;

@@ -7,7 +7,7 @@
 #include <cmath>
 #include <limits>
 
-#include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/ros/clouds/point_cloud.h"
 #include "imu_pose_calib/ros/exports/export_text.h"
 #include "imu_pose_calib/ros/io/conversions.h"
@@ -103,8 +103,8 @@ sensor_msgs::PointCloud2 SimulatedLidar::Cloud(size_t k) const {
     for (size_t i = 0; i < kRings; ++i, ++x, ++intensity, ++t) {
       const double up =
           kLowest + (kHighest - kLowest) * static_cast<double>(i) / double{kRings - 1};
-      const Eigen::Vector3d ray_L(
-          std::cos(up) * std::cos(azimuth), std::cos(up) * std::sin(azimuth), std::sin(up));
+      const Eigen::Vector3d ray_L(std::cos(up) * std::cos(azimuth),
+                                  std::cos(up) * std::sin(azimuth), std::sin(up));
       const SimulatedRoom::Hit hit = SimulatedRoom::Cast(T_WL.p, T_WL.q * ray_L);
       const Eigen::Vector3f p_L = ((hit.range + noise(random)) * ray_L).cast<float>();
       for (int j = 0; j < 3; ++j) x[static_cast<size_t>(j)] = p_L[j];

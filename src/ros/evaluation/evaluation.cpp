@@ -67,9 +67,7 @@ class Evaluation {
     const size_t all = references.size() + tasks.size();
     if (missing > 0 && request_.is_merge)
       throw InputError(Format("%zu of %zu trials are missing in '%s'; run them, and merge again",
-                              missing,
-                              all,
-                              request_.runner.folder.c_str()));
+                              missing, all, request_.runner.folder.c_str()));
     if (request_.runner.parts > 1)  // others may be at it, too
       return Format("%zu of %zu trials are done; --merge makes the tables\n", all - missing, all);
     return WriteTables();
@@ -104,12 +102,11 @@ class Evaluation {
     for (size_t i = 0; i < sources.size(); ++i) {
       const Source& source = sources[i];
       const std::string name = std::filesystem::path(source.path).stem();
-      axis.values.push_back(
-          {request_.rig.empty()
-               ? Format(
-                     "%s %g-%g s", name.c_str(), source.start_s, source.start_s + source.duration_s)
-               : name,
-           static_cast<double>(i)});
+      axis.values.push_back({request_.rig.empty()
+                                 ? Format("%s %g-%g s", name.c_str(), source.start_s,
+                                          source.start_s + source.duration_s)
+                                 : name,
+                             static_cast<double>(i)});
     }
     return axis;
   }
@@ -133,8 +130,7 @@ class Evaluation {
     return {trial.name, Describe(trial.what), [this, what = trial.what] {
               static const SessionData kNoBag;
               const bool is_bag = what.base == Base::kBag;
-              return ToYaml(RunTrial(what,
-                                     is_bag ? Bag(what.source) : kNoBag,
+              return ToYaml(RunTrial(what, is_bag ? Bag(what.source) : kNoBag,
                                      is_bag && what.is_guessed ? Reference(what) : TrialOutcome()));
             }};
   }
@@ -219,8 +215,8 @@ class Evaluation {
         const TrialOutcome truth = Reference(trial.what);
         cell.errors.push_back(ErrorsOf(outcome, truth.T_MI, truth.time_shift, truth.accel_delay));
       } else {
-        cell.errors.push_back(ErrorsOf(
-            outcome, outcome.true_T_MI, outcome.true_time_shift, outcome.true_accel_delay));
+        cell.errors.push_back(ErrorsOf(outcome, outcome.true_T_MI, outcome.true_time_shift,
+                                       outcome.true_accel_delay));
       }
       cell.outcomes.push_back(outcome);
     }
@@ -232,11 +228,10 @@ class Evaluation {
         "# Evaluation of imu_pose_calib %s\n\n"
         "Root mean squares of the errors over the usable trials; %zu trials a cell in the tables "
         "of the paper. `gp` is the method of the paper, `joint` the default.\n\n",
-        kVersion,
-        request_.trials);
+        kVersion, request_.trials);
     const auto has = [&](Base base) {
-      return std::any_of(
-          plans_.begin(), plans_.end(), [base](const Plan& plan) { return plan.base == base; });
+      return std::any_of(plans_.begin(), plans_.end(),
+                         [base](const Plan& plan) { return plan.base == base; });
     };
     const std::string used =
         request_.bag.duration_s > 0.0 ? Format("%g s", request_.bag.duration_s) : "all";
@@ -244,8 +239,7 @@ class Evaluation {
       text += Format(
           "**sample**: %s, %s from %g s on. Noise is added to what was recorded, and errors are "
           "those against what the same method says of the recording as it is, as in the paper.\n\n",
-          std::filesystem::path(request_.bag.path).filename().c_str(),
-          used.c_str(),
+          std::filesystem::path(request_.bag.path).filename().c_str(), used.c_str(),
           request_.bag.start_s);
     if (has(Base::kSimulation))
       text +=
@@ -308,14 +302,11 @@ class Evaluation {
             std::sort(values->begin(), values->end());
             return (*values)[values->size() / 2];
           };
-          text += Format("| %s | %s | %s | %s | %.2f | %.2f | %.0f |\n",
-                         plan.experiment.name.c_str(),
-                         ToString(plan.base),
-                         boost::join(cell.labels, ", ").c_str(),
-                         trials == &cell.gp ? "gp" : "joint",
-                         median(&wall),
-                         median(&cpu),
-                         *std::max_element(memory.begin(), memory.end()));
+          text +=
+              Format("| %s | %s | %s | %s | %.2f | %.2f | %.0f |\n", plan.experiment.name.c_str(),
+                     ToString(plan.base), boost::join(cell.labels, ", ").c_str(),
+                     trials == &cell.gp ? "gp" : "joint", median(&wall), median(&cpu),
+                     *std::max_element(memory.begin(), memory.end()));
         }
       }
     }

@@ -66,21 +66,13 @@ Experiment ImuNoise() {
   Experiment noise = Noise("imu_noise", "Noise of the IMU");
   noise.remark = "White noise added to accelerometer [m/s^2] and gyroscope [rad/s].";
   noise.printed_in = "Tables 2 and 3";
-  noise.printed = {{0.0012, 0.050},
-                   {0.0053, 0.043},
-                   {0.0129, 0.049},
-                   {0.0011, 0.498},
-                   {0.0060, 0.654},
-                   {0.0102, 0.638},
-                   {0.0012, 1.776},
-                   {0.0055, 1.865},
-                   {0.0115, 1.850}};
-  noise.axes = {{"accel [m/s^2]",
-                 Values({0.001, 0.01, 0.1}),
+  noise.printed = {{0.0012, 0.050}, {0.0053, 0.043}, {0.0129, 0.049},
+                   {0.0011, 0.498}, {0.0060, 0.654}, {0.0102, 0.638},
+                   {0.0012, 1.776}, {0.0055, 1.865}, {0.0115, 1.850}};
+  noise.axes = {{"accel [m/s^2]", Values({0.001, 0.01, 0.1}),
                  [](double value, Case* trial) { trial->imu_noise.accel = value; }},
-                {"gyro [rad/s]", Values({0.001, 0.005, 0.01}), [](double value, Case* trial) {
-                   trial->imu_noise.gyro = value;
-                 }}};
+                {"gyro [rad/s]", Values({0.001, 0.005, 0.01}),
+                 [](double value, Case* trial) { trial->imu_noise.gyro = value; }}};
   return noise;
 }
 
@@ -88,21 +80,12 @@ Experiment PoseNoise() {
   Experiment noise = Noise("pose_noise", "Noise of the poses");
   noise.remark = "White noise added to positions [m] and rotations [rad].";
   noise.printed_in = "Tables 4 and 5";
-  noise.printed = {{0.011, 3.38},
-                   {0.065, 3.07},
-                   {0.118, 4.08},
-                   {0.011, 12.4},
-                   {0.056, 11.7},
-                   {0.135, 13.8},
-                   {0.011, 16.7},
-                   {0.064, 21.7},
-                   {0.125, 23.5}};
-  noise.axes = {{"position [m]",
-                 Values({0.001, 0.005, 0.01}),
+  noise.printed = {{0.011, 3.38}, {0.065, 3.07}, {0.118, 4.08}, {0.011, 12.4}, {0.056, 11.7},
+                   {0.135, 13.8}, {0.011, 16.7}, {0.064, 21.7}, {0.125, 23.5}};
+  noise.axes = {{"position [m]", Values({0.001, 0.005, 0.01}),
                  [](double value, Case* trial) { trial->pose_noise.position = value; }},
-                {"rotation [rad]", Values({0.001, 0.005, 0.01}), [](double value, Case* trial) {
-                   trial->pose_noise.rotation = value;
-                 }}};
+                {"rotation [rad]", Values({0.001, 0.005, 0.01}),
+                 [](double value, Case* trial) { trial->pose_noise.rotation = value; }}};
   return noise;
 }
 
@@ -122,9 +105,7 @@ Experiment RepeatabilityExperiment() {
 }
 
 /// An experiment with one axis, on short simulated recordings.
-Experiment OneAxis(const std::string& name,
-                   const std::string& title,
-                   const std::string& remark,
+Experiment OneAxis(const std::string& name, const std::string& title, const std::string& remark,
                    const Axis& axis) {
   Experiment experiment;
   experiment.name = name;
@@ -177,63 +158,40 @@ std::vector<Experiment> Experiments() {
       ImuNoise(),
       PoseNoise(),
       RepeatabilityExperiment(),
-      OneAxis("time_shift",
-              "Time shift",
+      OneAxis("time_shift", "Time shift",
               "True shift between the clocks, which nothing tells the calibration.",
-              {"time shift [s]",
-               Values({0.0, 0.02, 1.5, 3600.0, 1e6}),
+              {"time shift [s]", Values({0.0, 0.02, 1.5, 3600.0, 1e6}),
                simulator([](double value, Options* o) { o->time_shift_s = value; })}),
-      OneAxis("accel_delay",
-              "Delay of the accelerometer",
+      OneAxis("accel_delay", "Delay of the accelerometer",
               "True delay of the accelerometer's samples against the gyroscope's.",
-              {"delay [ms]",
-               Values({-5.0, 0.0, 5.0, 20.0, 45.0}, 1e-3),
+              {"delay [ms]", Values({-5.0, 0.0, 5.0, 20.0, 45.0}, 1e-3),
                simulator([](double value, Options* o) { o->accel_delay_s = value; })}),
-      OneAxis("duration",
-              "Duration",
-              "Poses have to span 5 s.",
-              {"duration [s]",
-               Values({5.1, 10.0, 20.0, 40.0, 80.0, 120.0}),
+      OneAxis("duration", "Duration", "Poses have to span 5 s.",
+              {"duration [s]", Values({5.1, 10.0, 20.0, 40.0, 80.0, 120.0}),
                simulator([](double value, Options* o) { o->duration_s = value; })}),
-      OneAxis("pose_rate",
-              "Rate of the poses",
-              "",
-              {"rate [Hz]",
-               Values({5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 300.0}),
+      OneAxis("pose_rate", "Rate of the poses", "",
+              {"rate [Hz]", Values({5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 300.0}),
                simulator([](double value, Options* o) { o->pose_rate_hz = value; })}),
-      OneAxis("excitation",
-              "Excitation",
+      OneAxis("excitation", "Excitation",
               "Motions of the simulator, from many full turns to the hovering of a drone.",
               {"motion", MotionValues(), simulator([](double value, Options* o) {
                  o->motion = static_cast<Motion>(value);
                })}),
-      OneAxis("lever_arm",
-              "Lever arm",
-              "Distance between marker and IMU.",
-              {"distance [m]",
-               Values({0.01, 0.03, 0.1, 0.3, 1.0}),
+      OneAxis("lever_arm", "Lever arm", "Distance between marker and IMU.",
+              {"distance [m]", Values({0.01, 0.03, 0.1, 0.3, 1.0}),
                simulator(
                    [](double value, Options* o) { o->T_MI.p = value * o->T_MI.p.normalized(); })}),
-      OneAxis("dropouts",
-              "Dropouts of the poses",
+      OneAxis("dropouts", "Dropouts of the poses",
               "Share of the time that is lost, in gaps of 1 s.",
-              {"lost [%]",
-               Values({0.0, 5.0, 10.0, 30.0, 50.0}),
+              {"lost [%]", Values({0.0, 5.0, 10.0, 30.0, 50.0}),
                [](double value, Case* trial) { trial->lost = value; }}),
-      OneAxis("outliers",
-              "Outliers of the poses",
-              "Poses that are 10 cm and 20 deg astray.",
-              {"outliers [%]",
-               Values({0.0, 0.1, 1.0, 5.0}),
+      OneAxis("outliers", "Outliers of the poses", "Poses that are 10 cm and 20 deg astray.",
+              {"outliers [%]", Values({0.0, 0.1, 1.0, 5.0}),
                [](double value, Case* trial) { trial->outliers = value; }}),
-      OneAxis("recordings",
-              "Number of recordings",
-              "Recordings of one rig, calibrated together.",
-              {"recordings",
-               Values({1.0, 2.0, 4.0}),
+      OneAxis("recordings", "Number of recordings", "Recordings of one rig, calibrated together.",
+              {"recordings", Values({1.0, 2.0, 4.0}),
                [](double value, Case* trial) { trial->recordings = static_cast<size_t>(value); }}),
-      OneAxis("effects",
-              "What real recordings have",
+      OneAxis("effects", "What real recordings have",
               "Each effect of the simulator alone, at its usual strength. The bound knows nothing "
               "of them.",
               {"effect", EffectValues(), SetEffect}),
@@ -263,10 +221,7 @@ std::vector<Cell> Cells(const Experiment& experiment) {
   return cells;
 }
 
-std::vector<Trial> Trials(const Experiment& experiment,
-                          const Cell& cell,
-                          Base base,
-                          Method method,
+std::vector<Trial> Trials(const Experiment& experiment, const Cell& cell, Base base, Method method,
                           size_t trials) {
   Case what = experiment.base;
   what.base = base;
@@ -280,12 +235,8 @@ std::vector<Trial> Trials(const Experiment& experiment,
   std::vector<Trial> all;
   for (size_t i = 1; i <= count; ++i) {
     what.index = static_cast<uint32_t>(i);
-    all.push_back({Format("%s/%s/%s/%s/%03zu",
-                          experiment.name.c_str(),
-                          ToString(base),
-                          cell.name.c_str(),
-                          ToString(method),
-                          i),
+    all.push_back({Format("%s/%s/%s/%s/%03zu", experiment.name.c_str(), ToString(base),
+                          cell.name.c_str(), ToString(method), i),
                    what});
   }
   return all;

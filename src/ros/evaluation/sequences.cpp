@@ -9,8 +9,8 @@
 #include <filesystem>
 #include <fstream>
 
-#include "imu_pose_calib/core/comparison.h"
-#include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/verdict/comparison.h"
 #include "imu_pose_calib/ros/evaluation/tables.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
@@ -41,18 +41,15 @@ constexpr Dataset kDatasets[] = {
      "TUM-VI (Schubert et al., IROS 2018): https://cvg.cit.tum.de/data/datasets/"
      "visual-inertial-dataset, CC BY 4.0. Sequences in EuRoC's format, or bags; poses are "
      "published as those of the IMU, on its clock",
-     true,
-     true},
+     true, true},
     {"euroc",
      "EuRoC MAV (Burri et al., IJRR 2016): https://doi.org/10.3929/ethz-b-000690084, in copyright, "
      "non-commercial use permitted. T_BS in sensor.yaml is the published calibration",
-     true,
-     false},
+     true, false},
     {"broad",
      "BROAD (Laidig et al., Data 6(7):72, 2021): https://github.com/dlaidig/broad, CC BY 4.0. "
      "First, convert_broad.py FOLDER_OF_MAT_OR_HDF5 FOLDER. No calibration is published",
-     false,
-     false},
+     false, false},
 };
 
 const Dataset& Find(const std::string& name) {
@@ -79,8 +76,7 @@ std::string NameOf(const fs::path& path, const std::string& folder) {
   return name == "." ? fs::absolute(path).lexically_normal().filename().string() : name;
 }
 
-Sequence BagSequence(const fs::path& path,
-                     const std::string& folder,
+Sequence BagSequence(const fs::path& path, const std::string& folder,
                      const OfflineRequest& common) {
   Sequence sequence;
   sequence.name = NameOf(fs::path(path).replace_extension(""), folder);
@@ -117,11 +113,8 @@ bool HasPoses(const fs::path& file) {
 }
 
 /// The sources of poses of an ASL dataset whose IMU is in `imu`: .../imu0/data.csv.
-void AddAsl(const Dataset& dataset,
-            const fs::path& imu,
-            const std::string& folder,
-            const OfflineRequest& common,
-            std::vector<Sequence>* sequences) {
+void AddAsl(const Dataset& dataset, const fs::path& imu, const std::string& folder,
+            const OfflineRequest& common, std::vector<Sequence>* sequences) {
   const fs::path sensors = imu.parent_path().parent_path();
   const fs::path root = sensors.filename() == "mav0" ? sensors.parent_path() : sensors;
   std::vector<fs::path> sources;
@@ -182,8 +175,7 @@ std::string Calibrate(const OfflineRequest& request) {
   return ToYaml(outcome);
 }
 
-std::vector<Task> ToTasks(const std::vector<Sequence>& sequences,
-                          bool with_report,
+std::vector<Task> ToTasks(const std::vector<Sequence>& sequences, bool with_report,
                           const std::string& folder) {
   std::vector<Task> tasks;
   for (const Sequence& sequence : sequences) {
@@ -216,12 +208,8 @@ std::string Table(const std::vector<Calibrated>& calibrations) {
     text += List(1e3 * o.T_MI.p, "%.2f") + " | " + List(1e3 * std.head<3>(), "%.2f") + " | " +
             List(kDegrees * Log(o.T_MI.q), "%.3f") + " | " +
             List(kDegrees * std.tail<3>(), "%.3f") +
-            Format(" | %.6f | %.6f | %.3f | %.3f | %zu |\n",
-                   o.time_shift,
-                   o.time_shift_std,
-                   1e3 * o.accel_delay,
-                   1e3 * o.accel_delay_std,
-                   o.warnings);
+            Format(" | %.6f | %.6f | %.3f | %.3f | %zu |\n", o.time_shift, o.time_shift_std,
+                   1e3 * o.accel_delay, 1e3 * o.accel_delay_std, o.warnings);
   }
   return text + "\n";
 }
@@ -244,13 +232,10 @@ std::string Csv(const std::vector<Calibrated>& calibrations) {
 }
 
 std::string ScatterTable(const std::vector<Comparable>& calibrations) {
-  const Repeatability repeat = Repeat(calibrations,
-                                      {ComparedQuantity::kTranslation,
-                                       ComparedQuantity::kRotation,
-                                       ComparedQuantity::kAccelDelay,
-                                       ComparedQuantity::kTimeShift});
-  std::string text = Format("Scatter of %zu: mean p %s mm, R %s deg.\n\n",
-                            calibrations.size(),
+  const Repeatability repeat =
+      Repeat(calibrations, {ComparedQuantity::kTranslation, ComparedQuantity::kRotation,
+                            ComparedQuantity::kAccelDelay, ComparedQuantity::kTimeShift});
+  std::string text = Format("Scatter of %zu: mean p %s mm, R %s deg.\n\n", calibrations.size(),
                             List(1e3 * repeat.mean.T_MI.p, "%.2f").c_str(),
                             List(kDegrees * Log(repeat.mean.T_MI.q), "%.3f").c_str()) +
                      "| | standard deviation | sigma, rms | chi² / dof |\n|---|---|---|---|\n";
@@ -265,12 +250,8 @@ std::string ScatterTable(const std::vector<Comparable>& calibrations) {
     const char* unit = is_angle                                             ? "deg"
                        : scatter.quantity == ComparedQuantity::kTranslation ? "mm"
                                                                             : "ms";
-    text += Format("| %s [%s] | %s | %s | %.1f / %d |\n",
-                   ToString(scatter.quantity),
-                   unit,
-                   list(scatter.deviation).c_str(),
-                   list(scatter.sigma).c_str(),
-                   scatter.chi2,
+    text += Format("| %s [%s] | %s | %s | %.1f / %d |\n", ToString(scatter.quantity), unit,
+                   list(scatter.deviation).c_str(), list(scatter.sigma).c_str(), scatter.chi2,
                    scatter.dof);
   }
   return text + "\n";
@@ -332,8 +313,7 @@ std::string DatasetTables(const std::vector<Calibrated>& calibrations) {
 }
 
 /// A page of all bags of a batch that have a result; empty without any.
-std::string WriteFleet(const std::vector<Calibrated>& calibrations,
-                       const std::string& title,
+std::string WriteFleet(const std::vector<Calibrated>& calibrations, const std::string& title,
                        const std::string& folder) {
   std::vector<StoredResult> results;
   for (const auto& [sequence, outcome] : calibrations)
@@ -343,15 +323,10 @@ std::string WriteFleet(const std::vector<Calibrated>& calibrations,
   const std::string path = folder + "/sequences.report.html";
   const std::vector<ComparedQuantity> quantities = {
       ComparedQuantity::kTranslation, ComparedQuantity::kRotation, ComparedQuantity::kAccelDelay};
-  WriteComparison({results,
-                   0,
-                   quantities,
-                   std::nullopt,
-                   "compared",
+  WriteComparison({results, 0, quantities, std::nullopt, "compared",
                    title + Format(": %zu of %zu recordings have a result; those of one rig and IMU "
                                   "should agree",
-                                  results.size(),
-                                  calibrations.size())},
+                                  results.size(), calibrations.size())},
                   path);
   return "Written to " + path + "\n";
 }
@@ -368,8 +343,7 @@ std::vector<Sequence> FindBags(const std::string& folder, const OfflineRequest& 
   return sequences;
 }
 
-std::vector<Sequence> FindDataset(const std::string& name,
-                                  const std::string& folder,
+std::vector<Sequence> FindDataset(const std::string& name, const std::string& folder,
                                   const OfflineRequest& common) {
   const Dataset& dataset = Find(name);
   std::vector<Sequence> sequences;
@@ -385,16 +359,13 @@ std::vector<Sequence> FindDataset(const std::string& name,
   if (sequences.empty())
     throw InputError("there is no sequence of '" + name + "' below '" + folder + "'. " +
                      dataset.title);
-  std::stable_sort(sequences.begin(), sequences.end(), [](const Sequence& a, const Sequence& b) {
-    return a.group < b.group;
-  });
+  std::stable_sort(sequences.begin(), sequences.end(),
+                   [](const Sequence& a, const Sequence& b) { return a.group < b.group; });
   return sequences;
 }
 
-SequencesOutcome RunSequences(const std::vector<Sequence>& sequences,
-                              const std::string& title,
-                              bool is_dataset,
-                              const RunnerOptions& runner) {
+SequencesOutcome RunSequences(const std::vector<Sequence>& sequences, const std::string& title,
+                              bool is_dataset, const RunnerOptions& runner) {
   const std::vector<Task> tasks = ToTasks(sequences, !is_dataset, runner.folder);
   RunTasks(tasks, runner);
   SequencesOutcome result;

@@ -6,8 +6,8 @@
 #include <functional>
 #include <iterator>
 
-#include "imu_pose_calib/core/comparison.h"
-#include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/verdict/comparison.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
@@ -131,11 +131,9 @@ std::string Refusals(const Results& results) {
       const auto first =
           std::find_if_not(outcomes.begin(), outcomes.end(), std::mem_fn(&TrialOutcome::IsUsable));
       if (first == outcomes.end()) continue;
-      text += Format("- %s, %s: %s: %s\n",
-                     boost::join(cell.labels, ", ").c_str(),
-                     method,
-                     first->verdict.c_str(),
-                     first->reason.substr(0, first->reason.find('\n')).c_str());
+      text +=
+          Format("- %s, %s: %s: %s\n", boost::join(cell.labels, ", ").c_str(), method,
+                 first->verdict.c_str(), first->reason.substr(0, first->reason.find('\n')).c_str());
     }
   }
   return text.empty() ? "" : "The first that was not usable of each:\n\n" + text + "\n";
@@ -150,14 +148,11 @@ std::string Heading(const Results& results) {
 
 Row DifferenceRow(const std::string& name, const Comparison& comparison) {
   const Difference* worst = comparison.Worst();
-  return {
-      name,
-      Number(comparison.angle * kDegrees),
-      Number(comparison.distance * 1e3),
-      comparison.dof > 0 ? Format("%.1f / %d", comparison.chi2, comparison.dof) : "",
-      worst == nullptr
-          ? ""
-          : Format("%s %c, %.1f", ToString(worst->quantity), "xyz"[worst->axis], worst -> sigmas)};
+  return {name, Number(comparison.angle * kDegrees), Number(comparison.distance * 1e3),
+          comparison.dof > 0 ? Format("%.1f / %d", comparison.chi2, comparison.dof) : "",
+          worst == nullptr ? ""
+                           : Format("%s %c, %.1f", ToString(worst->quantity), "xyz"[worst->axis],
+                                    worst -> sigmas)};
 }
 
 /// A usable calibration of a recording.
@@ -185,21 +180,13 @@ std::string ResultTable(const std::vector<Named>& calibrations) {
   std::vector<Row> rows;
   for (const auto& [name, o] : calibrations) {
     const Vector6d std = o.covariance.diagonal().cwiseSqrt();
-    rows.push_back({name,
-                    List(1e3 * o.T_MI.p, "%.3f"),
-                    List(1e3 * std.head<3>(), "%.3f"),
-                    List(kDegrees * Log(o.T_MI.q), "%.4f"),
-                    List(kDegrees * std.tail<3>(), "%.4f"),
+    rows.push_back({name, List(1e3 * o.T_MI.p, "%.3f"), List(1e3 * std.head<3>(), "%.3f"),
+                    List(kDegrees * Log(o.T_MI.q), "%.4f"), List(kDegrees * std.tail<3>(), "%.4f"),
                     Format("%.4f ± %.4f", 1e3 * o.accel_delay, 1e3 * o.accel_delay_std),
                     o.verdict});
   }
-  return MarkdownTable({"recording",
-                        "p [mm]",
-                        "sigma",
-                        "R as a rotation vector [deg]",
-                        "sigma",
-                        "accel delay [ms]",
-                        "verdict"},
+  return MarkdownTable({"recording", "p [mm]", "sigma", "R as a rotation vector [deg]", "sigma",
+                        "accel delay [ms]", "verdict"},
                        rows);
 }
 
@@ -212,12 +199,11 @@ std::string PairTable(const std::vector<Named>& calibrations) {
   std::vector<Row> rows;
   for (auto a = calibrations.begin(); a != calibrations.end(); ++a)
     for (auto b = std::next(a); b != calibrations.end(); ++b)
-      rows.push_back(DifferenceRow(b->name + " less " + a->name,
-                                   Compare(a->outcome,
-                                           b->outcome,
-                                           {ComparedQuantity::kTranslation,
-                                            ComparedQuantity::kRotation,
-                                            ComparedQuantity::kAccelDelay})));
+      rows.push_back(
+          DifferenceRow(b->name + " less " + a->name,
+                        Compare(a->outcome, b->outcome,
+                                {ComparedQuantity::kTranslation, ComparedQuantity::kRotation,
+                                 ComparedQuantity::kAccelDelay})));
   return DifferenceTable("pair", rows);
 }
 
@@ -237,10 +223,8 @@ std::string Exact(double value) { return Format("%.9g", value); }
 
 /// The columns by which rows of CSV files tell cells and methods.
 Row CsvRow(const Results& results, const CellResults& cell, const char* method) {
-  return {results.experiment->name,
-          ToString(results.base),
-          "\"" + boost::join(cell.labels, ";") + "\"",
-          method};
+  return {results.experiment->name, ToString(results.base),
+          "\"" + boost::join(cell.labels, ";") + "\"", method};
 }
 
 void AppendExact(const ErrorNorms& norms, Row* row) {
@@ -268,10 +252,8 @@ CellSummary Summarize(const CellOutcomes& cell) {
       ++sum.successes;
     add(error, &sum.error);
     const Vector6d variance = outcome.covariance.diagonal();
-    add({std::sqrt(variance.head<3>().sum()),
-         std::sqrt(variance.tail<3>().sum()),
-         outcome.time_shift_std,
-         outcome.accel_delay_std},
+    add({std::sqrt(variance.head<3>().sum()), std::sqrt(variance.tail<3>().sum()),
+         outcome.time_shift_std, outcome.accel_delay_std},
         &sum.sigma);
     add(outcome.bounds.as_joint, &sum.bound);
     add(outcome.bounds.least, &sum.least);
@@ -303,10 +285,8 @@ std::string Section(const Results& results) {
             ", of another recording.\n\n";
   return text + ErrorTable(results, kShown[0], kShown[1]) +
          ErrorTable(results, kShown[2], kShown[3]) + CountTable(results) + Refusals(results) +
-         Format("![%s](%s_%s.png)\n\n",
-                results.experiment->title.c_str(),
-                results.experiment->name.c_str(),
-                ToString(results.base));
+         Format("![%s](%s_%s.png)\n\n", results.experiment->title.c_str(),
+                results.experiment->name.c_str(), ToString(results.base));
 }
 
 std::string ComparedSection(const Results& results, const std::optional<Rigid3>& chained_T_MI) {
@@ -338,11 +318,9 @@ std::string CellsCsv(const Results& results, bool with_header) {
         row.push_back(std::to_string(count));
       for (const ErrorNorms& norms : {sum.error, sum.sigma, sum.bound, sum.least})
         AppendExact(norms, &row);
-      row.insert(row.end(),
-                 {Exact(sum.chi2),
-                  Exact(sum.model_chi2),
-                  printed.empty() ? "" : Exact(printed[c].rotation),
-                  printed.empty() ? "" : Exact(printed[c].translation)});
+      row.insert(row.end(), {Exact(sum.chi2), Exact(sum.model_chi2),
+                             printed.empty() ? "" : Exact(printed[c].rotation),
+                             printed.empty() ? "" : Exact(printed[c].translation)});
       text += boost::join(row, ",") + "\n";
     }
   }

@@ -13,7 +13,7 @@
 #include <fstream>
 #include <iterator>
 
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/child_process.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"
@@ -94,13 +94,8 @@ class ProgressBar {
       left = ", " + Left(spent * static_cast<double>(count_ - done) / static_cast<double>(done)) +
              " left";
     if (done == count_) left = ", " + Left(spent);
-    std::fprintf(stderr,
-                 "\r[%-30s] %zu of %zu %s%s\033[K",
-                 bar.c_str(),
-                 done,
-                 count_,
-                 title_.c_str(),
-                 left.c_str());
+    std::fprintf(stderr, "\r[%-30s] %zu of %zu %s%s\033[K", bar.c_str(), done, count_,
+                 title_.c_str(), left.c_str());
     std::fflush(stderr);
   }
 
@@ -159,11 +154,10 @@ class Children {
       Store(options_.folder, task, kFailed + std::string(": it died or took too long\n"));
     const std::string file =
         Format("%s/usage_%zu_%zu.csv", options_.folder.c_str(), options_.part + 1, options_.parts);
-    std::ofstream(file, std::ios::app) << Format("\"%s\",%.3f,%.3f,%.1f\n",
-                                                 task.name.c_str(),
-                                                 Seconds(Clock::now() - child.begin),
-                                                 Seconds(used.ru_utime) + Seconds(used.ru_stime),
-                                                 static_cast<double>(used.ru_maxrss) / 1024.0);
+    std::ofstream(file, std::ios::app)
+        << Format("\"%s\",%.3f,%.3f,%.1f\n", task.name.c_str(), Seconds(Clock::now() - child.begin),
+                  Seconds(used.ru_utime) + Seconds(used.ru_stime),
+                  static_cast<double>(used.ru_maxrss) / 1024.0);
   }
 
  private:
@@ -187,8 +181,7 @@ class Children {
 
 std::string DescribeFile(const std::string& path) {
   std::error_code ignored;
-  return Format("%s (%ju bytes of %lld)",
-                path.c_str(),
+  return Format("%s (%ju bytes of %lld)", path.c_str(),
                 static_cast<uintmax_t>(std::filesystem::file_size(path, ignored)),
                 static_cast<long long>(
                     std::filesystem::last_write_time(path, ignored).time_since_epoch().count()));
@@ -225,10 +218,7 @@ std::map<std::string, Usage> LoadUsage(const std::string& folder) {
       const size_t end = line.rfind('"');
       Usage usage{};
       if (end == std::string::npos || end < 1 ||
-          std::sscanf(line.c_str() + end + 1,
-                      ",%lf,%lf,%lf",
-                      &usage.wall_s,
-                      &usage.cpu_s,
+          std::sscanf(line.c_str() + end + 1, ",%lf,%lf,%lf", &usage.wall_s, &usage.cpu_s,
                       &usage.memory_mb) != 3)
         continue;  // cut off when a process was killed
       found[line.substr(1, end - 1)] = usage;

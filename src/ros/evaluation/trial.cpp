@@ -11,9 +11,9 @@
 #include <utility>
 #include <vector>
 
+#include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/calibration/solution.h"
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/so3.h"
-#include "imu_pose_calib/core/solution.h"
 #include "imu_pose_calib/ros/evaluation/task_runner.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"
@@ -30,8 +30,8 @@ constexpr double kGap = 1.0;                                                 // 
 /// Random numbers of one use in one trial.
 enum class Use : uint32_t { kNoise, kGuess, kRig, kOutliers };
 std::mt19937 RandomOf(Use use, uint32_t index, size_t recording = 0) {
-  std::seed_seq sequence{
-      7001u, static_cast<uint32_t>(use), index, static_cast<uint32_t>(recording)};
+  std::seed_seq sequence{7001u, static_cast<uint32_t>(use), index,
+                         static_cast<uint32_t>(recording)};
   return std::mt19937(sequence);
 }
 
@@ -183,14 +183,11 @@ std::string Describe(const Case& trial) {
   return text.str();
 }
 
-Errors ErrorsOf(const TrialOutcome& outcome,
-                const Rigid3& true_T_MI,
-                double true_time_shift,
+Errors ErrorsOf(const TrialOutcome& outcome, const Rigid3& true_T_MI, double true_time_shift,
                 double true_accel_delay) {
   return {outcome.T_MI.p - true_T_MI.p,
           Log(Eigen::Quaterniond(true_T_MI.q.conjugate() * outcome.T_MI.q)),
-          outcome.time_shift - true_time_shift,
-          outcome.accel_delay - true_accel_delay};
+          outcome.time_shift - true_time_shift, outcome.accel_delay - true_accel_delay};
 }
 
 void Take(const Calibration& result, TrialOutcome* outcome) {

@@ -150,8 +150,7 @@ NoiseDensity Noise(const StoredResult& stored, size_t imu) {
   return {Density(session.noise.gyro, session.gyro.rate_hz, "gyroscope"),
           stored.options.gyro_bias_walk,
           Density(session.noise.accel, session.accel.rate_hz, "accelerometer"),
-          stored.options.accel_bias_walk,
-          session.gyro.rate_hz};
+          stored.options.accel_bias_walk, session.gyro.rate_hz};
 }
 
 std::string NoiseKeys(const NoiseDensity& noise, const std::string& indent) {

@@ -18,27 +18,16 @@ struct NamedExporter {
 };
 
 constexpr NamedExporter kExporters[] = {
-    {"kalibr", ExportKalibr},
-    {"openvins", ExportOpenVins},
-    {"vins", ExportVins},
-    {"orbslam3", ExportOrbSlam3},
-    {"kimera", ExportKimera},
-    {"euroc", ExportEuroc},
-    {"basalt", ExportBasalt},
-    {"vicon2gt", ExportVicon2Gt},
-    {"mocap2gt", ExportMocap2Gt},
-    {"liosam", ExportLioSam},
-    {"fastlio", ExportFastLio},
-    {"px4", ExportPx4},
-    {"evo", ExportEvo},
-    {"urdf", ExportUrdf},
-    {"tf", ExportTf},
+    {"kalibr", ExportKalibr},     {"openvins", ExportOpenVins}, {"vins", ExportVins},
+    {"orbslam3", ExportOrbSlam3}, {"kimera", ExportKimera},     {"euroc", ExportEuroc},
+    {"basalt", ExportBasalt},     {"vicon2gt", ExportVicon2Gt}, {"mocap2gt", ExportMocap2Gt},
+    {"liosam", ExportLioSam},     {"fastlio", ExportFastLio},   {"px4", ExportPx4},
+    {"evo", ExportEvo},           {"urdf", ExportUrdf},         {"tf", ExportTf},
     {"ros2", ExportRos2},
 };
 
 const NamedExporter* Find(const std::string& name) {
-  const auto* found = std::find_if(std::begin(kExporters),
-                                   std::end(kExporters),
+  const auto* found = std::find_if(std::begin(kExporters), std::end(kExporters),
                                    [&](const NamedExporter& known) { return known.name == name; });
   return found == std::end(kExporters) ? nullptr : found;
 }
@@ -72,17 +61,14 @@ std::vector<std::string> ParseExports(const std::string& list) {
   return names;
 }
 
-std::vector<ExportFile> Export(const StoredResult& stored,
-                               const std::string& name,
+std::vector<ExportFile> Export(const StoredResult& stored, const std::string& name,
                                const ExportOptions& options) {
   return Find(ParseExports(name).at(0))->exporter(stored, options);
 }
 
 std::vector<std::string> WriteExports(const StoredResult& stored,
-                                      const std::vector<std::string>& names,
-                                      OutputFiles* outputs,
-                                      const std::string& folder,
-                                      const ExportOptions& options) {
+                                      const std::vector<std::string>& names, OutputFiles* outputs,
+                                      const std::string& folder, const ExportOptions& options) {
   std::filesystem::path stem = Stem(stored.path);
   if (!folder.empty()) {
     stem = folder / stem.filename();

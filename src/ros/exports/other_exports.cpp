@@ -9,11 +9,8 @@ namespace imu_pose_calib {
 namespace {
 
 /// A sensor.yaml of EuRoC.
-std::string SensorYaml(const StoredResult& stored,
-                       const Lines& more,
-                       bool all_imus,
-                       const std::string& type,
-                       const Rigid3& T_BS) {
+std::string SensorYaml(const StoredResult& stored, const Lines& more, bool all_imus,
+                       const std::string& type, const Rigid3& T_BS) {
   return "%YAML:1.0\n" + YamlComment(Head(stored, "EuRoC sensor.yaml", all_imus, more)) +
          "sensor_type: " + type + "\ncomment: \"imu_pose_calib\"\nT_BS:\n  cols: 4\n  rows: 4\n" +
          "  data: " + Block(T_BS.Matrix(), "    ") + "\n";
@@ -34,8 +31,7 @@ Eigen::Vector3d RollPitchYaw(const Eigen::Quaterniond& q) {
   const double roll = std::atan2(R(2, 1), R(2, 2));
   // With a pitch of a right angle any roll will do, if the others are those of what is left.
   const Eigen::Matrix3d yaw_pitch = R * Eigen::AngleAxisd(-roll, Eigen::Vector3d::UnitX());
-  return {roll,
-          std::atan2(-yaw_pitch(2, 0), yaw_pitch(2, 2)),
+  return {roll, std::atan2(-yaw_pitch(2, 0), yaw_pitch(2, 2)),
           std::atan2(-yaw_pitch(0, 1), yaw_pitch(1, 1))};
 }
 
@@ -50,10 +46,8 @@ std::string Spaced(const Eigen::VectorXd& values) {
 /// Nodes that publish the transforms. `executable`: the key that names what they run; `arguments`
 /// gives those of a transform.
 template <typename Arguments>
-std::string PublishersText(const Lines& head,
-                           const std::vector<StaticTransform>& transforms,
-                           const std::string& executable,
-                           Arguments arguments) {
+std::string PublishersText(const Lines& head, const std::vector<StaticTransform>& transforms,
+                           const std::string& executable, Arguments arguments) {
   std::string text = XmlComment(head) + "<launch>\n";
   for (size_t i = 0; i < transforms.size(); ++i)
     text += "  <node pkg=\"tf2_ros\" " + executable +
@@ -80,13 +74,9 @@ std::vector<ExportFile> ExportEuroc(const StoredResult& stored, const ExportOpti
     const NoiseDensity noise = Noise(stored, i);
     const std::string name = "imu" + std::to_string(i);
     const Lines of_imu = {"To be mav0/" + name + "/sensor.yaml. Body B = imu0, S = " + name + ":",
-                          "T_BS: x_B = T_BS x_S",
-                          kNoiseRemark};
+                          "T_BS: x_B = T_BS x_S", kNoiseRemark};
     files.push_back({"euroc." + name + ".sensor.yaml",
-                     SensorYaml(stored,
-                                of_imu,
-                                true,
-                                "imu",
+                     SensorYaml(stored, of_imu, true, "imu",
                                 i == 0 ? Rigid3() : T_MI.Inverse() * stored.result.imus[i].T_MI) +
                          "rate_hz: " + std::to_string(std::lround(noise.rate_hz)) + "\n" +
                          NoiseKeys(noise, "")});
@@ -287,9 +277,8 @@ std::vector<ExportFile> ExportRos2(const StoredResult& stored, const ExportOptio
     return text + "--frame-id " + XmlText(transform.parent) + " --child-frame-id " +
            XmlText(transform.child);
   };
-  return {{"ros2.launch.xml",
-           PublishersText(
-               Head(stored, "ROS 2 tf", true, more), ImuTransforms(stored), "exec", arguments)}};
+  return {{"ros2.launch.xml", PublishersText(Head(stored, "ROS 2 tf", true, more),
+                                             ImuTransforms(stored), "exec", arguments)}};
 }
 
 }  // namespace imu_pose_calib

@@ -74,8 +74,7 @@ std::string KalibrImu(const StoredResult& stored, size_t imu, const Rigid3& T_MA
 ExportFile KalibrImus(const StoredResult& stored) {
   const AccelAxes first = ToAccelAxes(stored.result.imus[0]);
   const Lines more =
-      Lines{"T_i_b: x_imuN = T_i_b x_imu0",
-            "time_offset: t_imu0 = t_imuN + time_offset",
+      Lines{"T_i_b: x_imuN = T_i_b x_imu0", "time_offset: t_imu0 = t_imuN + time_offset",
             "accelerometer: measured = accelerometers.M f + b",
             "gyroscope: measured = gyroscopes.M C_gyro_i w + A f + b; A is not estimated",
             kNoiseRemark} +
@@ -155,8 +154,7 @@ ExportFile BasaltImu(const StoredResult& stored) {
   const Lines more =
       Lines{"The imu's part of calibration.json; the cameras are yours to add.",
             "calib_accel_bias: b(3), S(6); calib_gyro_bias: b(3), S(9); S by columns",
-            "calibrated = measured + S measured - b; *_std are densities",
-            kNoiseRemark} +
+            "calibrated = measured + S measured - b; *_std are densities", kNoiseRemark} +
       AxesRemark(axes);
   return {"basalt.calibration.json",
           CerealJson(value, Head(stored, "basalt calibration.json", false, more))};
@@ -235,8 +233,7 @@ std::vector<ExportFile> ExportOrbSlam3(const StoredResult& stored, const ExportO
   const Lines more = {
       "The pose sensor plays camera 1:",
       "IMU.T_b_c1: x_imu = IMU.T_b_c1 x_cam, so cam = marker and the inverse of T_marker_imu",
-      "There is no key for time_shift: add it to the stamps of the imu beforehand.",
-      kNoiseRemark};
+      "There is no key for time_shift: add it to the stamps of the imu beforehand.", kNoiseRemark};
   const std::string text = OpenCvMatrix("IMU.T_b_c1", stored.result.imus[0].T_MI.Inverse(), "f") +
                            "IMU.NoiseGyro: " + YamlNumber(noise.gyro) +
                            "  # [rad/s/sqrt(Hz)]\nIMU.NoiseAcc: " + YamlNumber(noise.accel) +

@@ -14,7 +14,7 @@
 #include <utility>
 #include <vector>
 
-#include "imu_pose_calib/core/median.h"
+#include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/ros/io/bags.h"
 #include "imu_pose_calib/ros/io/child_process.h"
 #include "imu_pose_calib/ros/io/conversions.h"
@@ -94,8 +94,7 @@ bool IsMissing(const Bags& bags, const BagRequest& request, const std::string& n
 /// The topics of each IMU; nameless for one that is missing.
 std::vector<ImuTopics> ChooseImus(const Bags& bags, const BagRequest& request) {
   std::vector<ImuTopics> imus;
-  if (IsPair({"imu_topic", request.imu_topic},
-             {"gyro_topic", request.gyro_topic},
+  if (IsPair({"imu_topic", request.imu_topic}, {"gyro_topic", request.gyro_topic},
              {"accel_topic", request.accel_topic})) {
     const std::vector<std::string> gyros = SplitNames(request.gyro_topic);
     const std::vector<std::string> accels = SplitNames(request.accel_topic);
@@ -114,9 +113,8 @@ std::vector<ImuTopics> ChooseImus(const Bags& bags, const BagRequest& request) {
   }
   if (!request.imu_topic.empty()) {
     for (const std::string& name : SplitNames(request.imu_topic)) {
-      if (std::any_of(imus.begin(), imus.end(), [&](const ImuTopics& imu) {
-            return imu.gyro.name == name;
-          }))
+      if (std::any_of(imus.begin(), imus.end(),
+                      [&](const ImuTopics& imu) { return imu.gyro.name == name; }))
         throw InputError("imu_topic '" + name + "' is given twice");
       const bool is_missing = IsMissing(bags, request, name);
       const BagTopic topic = is_missing ? BagTopic() : NamedImu(bags, "imu_topic", name);
@@ -227,8 +225,7 @@ struct Stream {
   }
 
   /// Hands over samples that have stamps.
-  void Finish(const std::string& topic,
-              std::optional<Latency>* latency,
+  void Finish(const std::string& topic, std::optional<Latency>* latency,
               std::vector<Sample>* finished) && {
     const bool has_stamps =
         std::any_of(samples.begin(), samples.end(), [](const Sample& s) { return s.t_ns != 0; });
@@ -381,8 +378,7 @@ void ReadTf(const Bags& bags, const BagRequest& request, Recording* recording) {
 Recording Read(const BagRequest& given) {
   const Bags bags(given.paths, given.start_s, given.duration_s);
   const BagRequest request = FindTf(bags, given);
-  const bool tf = IsPair({"pose_topic", request.pose_topic},
-                         {"tf_parent", request.tf_parent},
+  const bool tf = IsPair({"pose_topic", request.pose_topic}, {"tf_parent", request.tf_parent},
                          {"tf_child", request.tf_child});
   if (tf && !request.body.empty())
     throw InputError("body '" + request.body + "' does not go with poses from tf");

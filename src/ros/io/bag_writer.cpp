@@ -22,10 +22,8 @@ namespace {
 constexpr int64_t kDay = 86'400'000'000'000;  // [ns]
 const char kPoseTopic[] = "/mocap/pose";
 
-geometry_msgs::TransformStamped ToLink(int64_t t_ns,
-                                       const std::string& parent,
-                                       const std::string& child,
-                                       const Rigid3& T) {
+geometry_msgs::TransformStamped ToLink(int64_t t_ns, const std::string& parent,
+                                       const std::string& child, const Rigid3& T) {
   return ToTransformStamped(MakeHeader(FromNanoseconds(t_ns), parent), child, T);
 }
 
@@ -121,8 +119,7 @@ geometry_msgs::Vector3Stamped ToVector(const ImuSample& sample) {
 }
 
 /// An Imu message of one or both samples; what is missing is marked as the message defines it.
-sensor_msgs::Imu ToImu(const ImuSample* gyro,
-                       const ImuSample* accel,
+sensor_msgs::Imu ToImu(const ImuSample* gyro, const ImuSample* accel,
                        const std::string& frame = "imu") {
   sensor_msgs::Imu msg;
   msg.header = MakeHeader(FromNanoseconds((gyro ? gyro : accel)->t_ns), frame);
@@ -157,10 +154,7 @@ struct Record {
 /// Appends the messages `to_msg(k)` of the samples, recorded at their stamps plus `offset` [ns],
 /// but never before the sample ahead of them.
 template <typename Sample, typename ToMsg>
-void Add(const std::string& topic,
-         const std::vector<Sample>& samples,
-         int64_t offset,
-         ToMsg to_msg,
+void Add(const std::string& topic, const std::vector<Sample>& samples, int64_t offset, ToMsg to_msg,
          std::vector<Record>* records) {
   int64_t arrival = std::numeric_limits<int64_t>::min();
   for (size_t k = 0; k < samples.size(); ++k) {
@@ -201,8 +195,7 @@ void AddFurtherImus(const SessionData& data, int64_t offset, std::vector<Record>
   }
 }
 
-void Write(const std::string& path,
-           const std::vector<Record>& records,
+void Write(const std::string& path, const std::vector<Record>& records,
            const std::optional<Ros2Format>& ros2) {
   if (ros2) {
     Ros2Writer writer(path, *ros2);
@@ -224,15 +217,12 @@ void Write(const std::string& path,
 Ros2Writer::Ros2Writer(const std::string& path, const Ros2Format& format)
     : format_(format), storage_(format.is_mcap ? CreateMcap(path, format) : CreateSqlite(path)) {}
 
-void Ros2Writer::Add(const std::string& topic,
-                     const std::string& ros1_type,
-                     const std::string& ros1_definition,
-                     int64_t t_ns,
-                     const std::string& data) {
+void Ros2Writer::Add(const std::string& topic, const std::string& ros1_type,
+                     const std::string& ros1_definition, int64_t t_ns, const std::string& data) {
   const auto [known, is_new] = topics_.emplace(topic, static_cast<uint32_t>(topics_.size()));
   if (is_new)
-    storage_->AddTopic(
-        topic, boost::replace_first_copy(ros1_type, "/", "/msg/"), Ros2Definition(ros1_definition));
+    storage_->AddTopic(topic, boost::replace_first_copy(ros1_type, "/", "/msg/"),
+                       Ros2Definition(ros1_definition));
   storage_->Write(known->second, t_ns, format_.compress_messages ? CompressZstd(data) : data);
 }
 
@@ -316,9 +306,8 @@ void WriteBag(const std::string& path, const SessionData& data, const BagFormat&
     Add("/imu", data.imus[0].gyro, offset, imu, &records);
   }
   AddFurtherImus(data, offset, &records);
-  std::stable_sort(records.begin(), records.end(), [](const Record& a, const Record& b) {
-    return a.t_ns < b.t_ns;
-  });
+  std::stable_sort(records.begin(), records.end(),
+                   [](const Record& a, const Record& b) { return a.t_ns < b.t_ns; });
   Write(path, records, format.ros2);
 }
 

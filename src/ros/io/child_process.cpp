@@ -16,7 +16,7 @@
 #include <system_error>
 #include <vector>
 
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/core/base/types.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -107,10 +107,8 @@ class Child {
 // What the first byte of the child's answer says of the others.
 constexpr char kResult = 'r', kInputError = 'e';
 
-[[noreturn]] void RunChild(const std::function<std::string()>& run,
-                           const ChildLimits& limits,
-                           pid_t parent,
-                           int output) {
+[[noreturn]] void RunChild(const std::function<std::string()>& run, const ChildLimits& limits,
+                           pid_t parent, int output) {
   ConfineChild(parent, limits);
   Silence();
   try {
@@ -172,8 +170,8 @@ int RunProgram(const std::vector<std::string>& command, const std::string& error
   posix_spawn_file_actions_init(&files);
   posix_spawn_file_actions_addopen(&files, STDIN_FILENO, "/dev/null", O_RDONLY, 0);
   posix_spawn_file_actions_addopen(&files, STDOUT_FILENO, "/dev/null", O_WRONLY, 0);
-  posix_spawn_file_actions_addopen(
-      &files, STDERR_FILENO, errors.c_str(), O_WRONLY | O_CREAT | O_TRUNC, 0600);
+  posix_spawn_file_actions_addopen(&files, STDERR_FILENO, errors.c_str(),
+                                   O_WRONLY | O_CREAT | O_TRUNC, 0600);
   posix_spawnattr_t attributes;
   posix_spawnattr_init(&attributes);
   sigset_t none;

@@ -15,7 +15,7 @@
 #include <functional>
 #include <memory>
 
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/core/base/types.h"
 
 namespace imu_pose_calib {
 namespace {

@@ -20,8 +20,7 @@ Value FromMsg(const Msg& msg) {
 
 /// A pose or a transform, by its two parts.
 template <typename Vector>
-PoseSample ToPoseSample(const ros::Time& stamp,
-                        const geometry_msgs::Quaternion& q,
+PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::Quaternion& q,
                         const Vector& p) {
   return {ToNanoseconds(stamp), FromMsg<Eigen::Quaterniond>(q), FromMsg<Eigen::Vector3d>(p), {}};
 }
@@ -77,8 +76,7 @@ std_msgs::Header MakeHeader(const ros::Time& stamp, const std::string& frame) {
 }
 
 geometry_msgs::TransformStamped ToTransformStamped(const std_msgs::Header& header,
-                                                   const std::string& child,
-                                                   const Rigid3& T) {
+                                                   const std::string& child, const Rigid3& T) {
   geometry_msgs::TransformStamped msg;
   msg.header = header;
   msg.child_frame_id = child;
@@ -149,13 +147,12 @@ std::vector<geometry_msgs::TransformStamped> ToTransforms(const Calibration& res
                                                           const ros::Time& stamp) {
   std::vector<geometry_msgs::TransformStamped> transforms;
   for (size_t i = 0; i < result.imus.size(); ++i)
-    transforms.push_back(ToTransformStamped(
-        MakeHeader(stamp, info.marker_frame), info.imus[i].imu_frame, result.imus[i].T_MI));
+    transforms.push_back(ToTransformStamped(MakeHeader(stamp, info.marker_frame),
+                                            info.imus[i].imu_frame, result.imus[i].T_MI));
   return transforms;
 }
 
-CalibrationResult ToMsg(const Calibration& result,
-                        const RecordingInfo& info,
+CalibrationResult ToMsg(const Calibration& result, const RecordingInfo& info,
                         const ros::Time& stamp) {
   static_assert(static_cast<int>(Status::kOk) == CalibrationResult::STATUS_OK &&
                 static_cast<int>(Status::kWeak) == CalibrationResult::STATUS_WEAK &&

@@ -10,7 +10,7 @@
 #include <map>
 #include <utility>
 
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/compression.h"
 #include "imu_pose_calib/ros/io/ros2_file.h"
 
@@ -231,11 +231,8 @@ class McapFile : public Ros2File {
         if (time > uint64_t{std::numeric_limits<int64_t>::max()})
           throw InputError("a message is recorded at " + std::to_string(time) + " ns");
         const std::string_view data = fields.left();
-        entries_.push_back({static_cast<int64_t>(time),
-                            channel->second,
-                            chunk,
-                            static_cast<uint64_t>(data.data() - bytes.data()),
-                            data.size()});
+        entries_.push_back({static_cast<int64_t>(time), channel->second, chunk,
+                            static_cast<uint64_t>(data.data() - bytes.data()), data.size()});
         return;
       }
       default:
@@ -316,8 +313,7 @@ class McapStorage : public Ros2Storage {
     Put(FieldWriter().String("ros2").String("imu_pose_calib").Record(kHeader));
   }
 
-  void AddTopic(const std::string& name,
-                const std::string& type,
+  void AddTopic(const std::string& name, const std::string& type,
                 const std::string& definition) override {
     const auto id = static_cast<uint16_t>(counts_.size() + 1);
     const std::string records =

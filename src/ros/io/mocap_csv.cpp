@@ -10,7 +10,7 @@
 #include <map>
 #include <optional>
 
-#include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/ros/io/printable.h"
 
 namespace imu_pose_calib {
@@ -43,8 +43,7 @@ class Lines {
   [[noreturn]] void FailHere(const std::string& text) const {
     Fail("line " + std::to_string(number_) + " " + text);
   }
-  [[noreturn]] void FailCell(size_t column,
-                             const std::string& text,
+  [[noreturn]] void FailCell(size_t column, const std::string& text,
                              const std::string& expected) const {
     FailHere("column " + std::to_string(column + 1) + " is " +
              (text.empty() ? "empty" : "'" + text.substr(0, 60) + "'") + ", must be " + expected);
@@ -71,8 +70,8 @@ class Lines {
 };
 
 bool IsBlank(const Cells& cells) {
-  return std::all_of(
-      cells.begin(), cells.end(), [](const std::string& cell) { return cell.empty(); });
+  return std::all_of(cells.begin(), cells.end(),
+                     [](const std::string& cell) { return cell.empty(); });
 }
 
 /// Metres in a unit of length; 0: unknown.
@@ -107,9 +106,7 @@ Eigen::Quaterniond Rotation(const BodyColumns& columns, const Cells& cells, cons
 }
 
 /// The pose in a line; none where the body was not seen.
-std::optional<PoseSample> Pose(const BodyColumns& columns,
-                               double t_s,
-                               const Cells& cells,
+std::optional<PoseSample> Pose(const BodyColumns& columns, double t_s, const Cells& cells,
                                const Lines& lines) {
   const auto is_empty = [&](size_t column) { return Lines::Cell(cells, column).empty(); };
   if (std::all_of(columns.rotation.begin(), columns.rotation.end(), is_empty) &&
@@ -125,8 +122,7 @@ std::optional<PoseSample> Pose(const BodyColumns& columns,
 }
 
 /// The body that is wanted of those that there are.
-std::string ChooseBody(std::vector<std::string> names,
-                       const std::string& wanted,
+std::string ChooseBody(std::vector<std::string> names, const std::string& wanted,
                        const Lines& lines) {
   std::sort(names.begin(), names.end());
   names.erase(std::unique(names.begin(), names.end()), names.end());
@@ -146,15 +142,9 @@ double ParseStart(const std::string& text, const Lines& lines) {
   std::tm time{};
   double seconds = 0.0;
   char half[3] = "";
-  const int count = std::sscanf(text.c_str(),
-                                "%4d-%2d-%2d %2d.%2d.%lf %2s",
-                                &time.tm_year,
-                                &time.tm_mon,
-                                &time.tm_mday,
-                                &time.tm_hour,
-                                &time.tm_min,
-                                &seconds,
-                                half);
+  const int count =
+      std::sscanf(text.c_str(), "%4d-%2d-%2d %2d.%2d.%lf %2s", &time.tm_year, &time.tm_mon,
+                  &time.tm_mday, &time.tm_hour, &time.tm_min, &seconds, half);
   const std::string part = half;
   const bool is_day = time.tm_year >= 1970 && time.tm_year < 2100 && time.tm_mon >= 1 &&
                       time.tm_mon <= 12 && time.tm_mday >= 1 && time.tm_mday <= 31;
@@ -171,10 +161,8 @@ double ParseStart(const std::string& text, const Lines& lines) {
 }
 
 /// The columns of a body by the rows above "Frame": its names, what it is, and its axes.
-BodyColumns MotiveColumns(const std::map<std::string, Cells>& rows,
-                          const Cells& axes,
-                          const std::string& body,
-                          const std::string& rotation_type,
+BodyColumns MotiveColumns(const std::map<std::string, Cells>& rows, const Cells& axes,
+                          const std::string& body, const std::string& rotation_type,
                           const Lines& lines) {
   const bool is_quaternion = rotation_type == "Quaternion";
   BodyColumns columns;
@@ -225,8 +213,8 @@ MocapPoses ReadMotive(const Cells& first, Lines* lines, const std::string& body)
   for (;;) {
     if (!lines->Next(&cells)) lines->Fail("has no row that begins with Frame");
     if (cells[0] == "Frame") break;
-    const auto cell = std::find_if(
-        cells.begin(), cells.end(), [](const std::string& text) { return !text.empty(); });
+    const auto cell = std::find_if(cells.begin(), cells.end(),
+                                   [](const std::string& text) { return !text.empty(); });
     if (cell == cells.end()) continue;
     rows[*cell == "Rotation" || *cell == "Position" ? "kind" : *cell] = cells;
   }
@@ -330,8 +318,8 @@ MocapPoses ReadVicon(const Cells& first, Lines* lines, const std::string& body) 
 bool IsMotive(const Cells& first) { return first[0] == "Format Version"; }
 
 bool IsVicon(const Cells& first) {
-  static const std::array<const char*, 6> kParts = {
-      "Segments", "Objects", "Trajectories", "Devices", "Model Outputs", "Joints"};
+  static const std::array<const char*, 6> kParts = {"Segments", "Objects",       "Trajectories",
+                                                    "Devices",  "Model Outputs", "Joints"};
   return std::count(kParts.begin(), kParts.end(), first[0]) > 0 &&
          IsBlank({first.begin() + 1, first.end()});
 }

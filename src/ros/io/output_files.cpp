@@ -21,7 +21,7 @@
 #include <random>
 #include <set>
 
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/yaml_file.h"
 
 namespace imu_pose_calib {
@@ -214,8 +214,8 @@ void OutputFiles::MakeFolder(const std::string& path) {
 }
 
 bool OutputFiles::Holds(const std::string& path) const {
-  return std::any_of(
-      files_.begin(), files_.end(), [&](const File& file) { return IsSame(file.target, path); });
+  return std::any_of(files_.begin(), files_.end(),
+                     [&](const File& file) { return IsSame(file.target, path); });
 }
 
 void OutputFiles::Replace(File* file) {

@@ -22,10 +22,8 @@ void serialize(Archive& archive, PoseStd& std_dev) {
 
 template <typename Archive>
 void serialize(Archive& archive, PoseSample& pose) {
-  archive(pose.t_ns,
-          cereal::binary_data(pose.q_WM.coeffs().data(), 4 * sizeof(double)),
-          cereal::binary_data(pose.p_WM.data(), 3 * sizeof(double)),
-          pose.stated_std);
+  archive(pose.t_ns, cereal::binary_data(pose.q_WM.coeffs().data(), 4 * sizeof(double)),
+          cereal::binary_data(pose.p_WM.data(), 3 * sizeof(double)), pose.stated_std);
 }
 
 /// As they are in memory: both ends are of one program.
@@ -51,11 +49,7 @@ void serialize(Archive& archive, Latency& latency) {
 
 template <typename Archive>
 void serialize(Archive& archive, ImuInfo& imu) {
-  archive(imu.imu_topic,
-          imu.gyro_topic,
-          imu.accel_topic,
-          imu.imu_frame,
-          imu.gyro_latency,
+  archive(imu.imu_topic, imu.gyro_topic, imu.accel_topic, imu.imu_frame, imu.gyro_latency,
           imu.accel_latency);
 }
 
@@ -97,8 +91,7 @@ std::vector<std::string> SplitNames(const std::string& text) {
   return names;
 }
 
-void NameFrames(const std::string& marker_frame,
-                const std::string& imu_frame,
+void NameFrames(const std::string& marker_frame, const std::string& imu_frame,
                 RecordingInfo* info) {
   info->marker_frame = FrameName(marker_frame, info->marker_frame);
   const std::vector<std::string> names = SplitNames(imu_frame);

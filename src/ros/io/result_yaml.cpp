@@ -145,9 +145,7 @@ void PutRejected(const char* key, const StreamReport& report, Writer* out) {
 
 /// `key: {poses, gyro, accel}` of one member of the reports.
 template <typename T>
-void PutPerStream(const char* key,
-                  const SessionCalibration& session,
-                  T StreamReport::*member,
+void PutPerStream(const char* key, const SessionCalibration& session, T StreamReport::*member,
                   Writer* out) {
   out->FlowMap(key, [&] {
     out->Put("poses", session.poses.*member);
@@ -386,10 +384,8 @@ std::string YamlNumber(double value) {
   return text;
 }
 
-std::string ToYaml(const Calibration& result,
-                   const std::vector<RecordingInfo>& infos,
-                   const CalibrationOptions& options,
-                   const RunInfo& run) {
+std::string ToYaml(const Calibration& result, const std::vector<RecordingInfo>& infos,
+                   const CalibrationOptions& options, const RunInfo& run) {
   const RecordingInfo& info = infos.front();
   Writer out;
   out.Map("imu_pose_calib", [&] {

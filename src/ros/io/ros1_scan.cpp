@@ -121,9 +121,8 @@ class Ros1Scan : public MessageSource {
  public:
   explicit Ros1Scan(const std::vector<std::string>& paths) {
     for (const std::string& path : paths) Scan(path);
-    std::stable_sort(messages_.begin(), messages_.end(), [](const Message& a, const Message& b) {
-      return a.t_ns < b.t_ns;
-    });
+    std::stable_sort(messages_.begin(), messages_.end(),
+                     [](const Message& a, const Message& b) { return a.t_ns < b.t_ns; });
   }
 
   bool IsEmpty() const { return messages_.empty(); }
@@ -153,19 +152,14 @@ class Ros1Scan : public MessageSource {
     return counts;
   }
 
-  void ForEach(const std::vector<std::string>& topics,
-               const ros::Time& start,
-               const ros::Time& end,
+  void ForEach(const std::vector<std::string>& topics, const ros::Time& start, const ros::Time& end,
                const std::function<bool(const BagMessage&)>& use) const override {
     Visit(start, end, [&](const Message& message) {
       const Connection& connection = Of(message);
       if (std::count(topics.begin(), topics.end(), connection.topic) == 0) return true;
       const std::string& records = Records(message);
-      return use({connection.topic,
-                  connection.type,
-                  FromNanoseconds(message.t_ns),
-                  std::string_view(records).substr(message.at, message.size),
-                  &connection.md5sum});
+      return use({connection.topic, connection.type, FromNanoseconds(message.t_ns),
+                  std::string_view(records).substr(message.at, message.size), &connection.md5sum});
     });
   }
 
@@ -232,19 +226,16 @@ class Ros1Scan : public MessageSource {
         const auto text = [](const Fields& fields, std::string_view name) {
           return fields.count(name) > 0 ? std::string(fields.at(name)) : std::string();
         };
-        file->connections[id] = {
-            text(record.fields, "topic"), text(about, "type"), text(about, "md5sum")};
+        file->connections[id] = {text(record.fields, "topic"), text(about, "type"),
+                                 text(about, "md5sum")};
       }
       if (record.Kind() != kMessage) continue;
       if (file->connections.count(id) == 0) return false;
       const auto at = static_cast<size_t>(record.data.data() - file->records.data());
       messages_.push_back({1'000'000'000 * static_cast<int64_t>(record.Number("time")) +
                                record.Number("time", sizeof(uint32_t)),
-                           place,
-                           static_cast<uint32_t>(files_.size()),
-                           id,
-                           static_cast<uint32_t>(at),
-                           static_cast<uint32_t>(record.data.size())});
+                           place, static_cast<uint32_t>(files_.size()), id,
+                           static_cast<uint32_t>(at), static_cast<uint32_t>(record.data.size())});
     }
     return rest.empty();
   }
@@ -269,10 +260,8 @@ class Ros1Scan : public MessageSource {
   /// Calls `use(message)` in the order of recording while it is true.
   template <typename Use>
   void Visit(const ros::Time& start, const ros::Time& end, Use use) const {
-    const auto first = std::lower_bound(
-        messages_.begin(), messages_.end(), ToNanoseconds(start), [](const Message& m, int64_t t) {
-          return m.t_ns < t;
-        });
+    const auto first = std::lower_bound(messages_.begin(), messages_.end(), ToNanoseconds(start),
+                                        [](const Message& m, int64_t t) { return m.t_ns < t; });
     for (auto m = first; m != messages_.end() && m->t_ns <= ToNanoseconds(end); ++m)
       if (!use(*m)) return;
   }

@@ -122,9 +122,7 @@ class Ros1Source : public MessageSource {
   /// The bags are unfolded by all cores: parts that follow the one in hand by others that have
   /// opened them, too, once that one has shown that more than its beginning is wanted, and that
   /// messages are small enough to be held.
-  void ForEach(const std::vector<std::string>& topics,
-               const ros::Time& start,
-               const ros::Time& end,
+  void ForEach(const std::vector<std::string>& topics, const ros::Time& start, const ros::Time& end,
                const std::function<bool(const BagMessage&)>& use) const override {
     const unsigned cores = std::clamp(std::thread::hardware_concurrency(), 1u, kMostCores);
     helpers_.resize(cores - 1);
@@ -170,8 +168,7 @@ class Ros1Source : public MessageSource {
   }
 
  private:
-  std::unique_ptr<rosbag::View> View(const std::vector<std::string>& topics,
-                                     const ros::Time& start,
+  std::unique_ptr<rosbag::View> View(const std::vector<std::string>& topics, const ros::Time& start,
                                      const ros::Time& end) const {
     auto view = std::make_unique<rosbag::View>();
     if (topics.empty()) return view;

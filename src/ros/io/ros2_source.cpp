@@ -26,9 +26,8 @@ bool EndsWith(const std::string& text, const std::string& ending) {
 }
 
 bool HasBagEnding(const fs::path& path) {
-  return std::any_of(kEndings.begin(), kEndings.end(), [&](const std::string& ending) {
-    return EndsWith(path.filename(), ending);
-  });
+  return std::any_of(kEndings.begin(), kEndings.end(),
+                     [&](const std::string& ending) { return EndsWith(path.filename(), ending); });
 }
 
 /// Files of a bag in a folder, by name.
@@ -86,9 +85,8 @@ class Ros2Source : public MessageSource {
   explicit Ros2Source(const std::vector<std::string>& paths) {
     for (const std::string& path : paths)
       for (const fs::path& file : BagFiles(path)) Open(file);
-    std::stable_sort(index_.begin(), index_.end(), [](const Place& a, const Place& b) {
-      return a.entry.t_ns < b.entry.t_ns;
-    });
+    std::stable_sort(index_.begin(), index_.end(),
+                     [](const Place& a, const Place& b) { return a.entry.t_ns < b.entry.t_ns; });
   }
 
   std::map<std::string, std::set<std::string>> Types() const override {
@@ -115,9 +113,7 @@ class Ros2Source : public MessageSource {
     return counts;
   }
 
-  void ForEach(const std::vector<std::string>& topics,
-               const ros::Time& start,
-               const ros::Time& end,
+  void ForEach(const std::vector<std::string>& topics, const ros::Time& start, const ros::Time& end,
                const std::function<bool(const BagMessage&)>& use) const override {
     std::string unfolded;
     const auto is_wanted = [&topics](const Ros2File::Topic& topic) {
@@ -189,10 +185,9 @@ class Ros2Source : public MessageSource {
         wanted.back().push_back(is_wanted(topic));
     }
     const int64_t begin_ns = ToNanoseconds(start), end_ns = ToNanoseconds(end);
-    const auto first = std::lower_bound(
-        index_.begin(), index_.end(), begin_ns, [](const Place& place, int64_t t_ns) {
-          return place.entry.t_ns < t_ns;
-        });
+    const auto first =
+        std::lower_bound(index_.begin(), index_.end(), begin_ns,
+                         [](const Place& place, int64_t t_ns) { return place.entry.t_ns < t_ns; });
     for (auto place = first; place != index_.end() && place->entry.t_ns <= end_ns; ++place)
       if (wanted[place->file][place->entry.topic] && !use(*place)) return;
   }

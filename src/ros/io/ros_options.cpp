@@ -5,8 +5,8 @@
 #include <sstream>
 #include <vector>
 
-#include "imu_pose_calib/core/result.h"
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/core/base/result.h"
+#include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/yaml_file.h"
@@ -51,13 +51,11 @@ void Read(const YAML::Node& node, Method* field) {
   *field = ParseMethod(ReadScalar<std::string>(node, "a string"));
 }
 void Read(const YAML::Node& node, ImuModel* field) {
-  *field = ReadName(node,
-                    {ImuModel::kCalibrated, ImuModel::kScaleMisalignment},
+  *field = ReadName(node, {ImuModel::kCalibrated, ImuModel::kScaleMisalignment},
                     "calibrated or scale_misalignment");
 }
 void Read(const YAML::Node& node, StampRecovery* field) {
-  *field = ReadName(node,
-                    {StampRecovery::kAuto, StampRecovery::kAlways, StampRecovery::kNever},
+  *field = ReadName(node, {StampRecovery::kAuto, StampRecovery::kAlways, StampRecovery::kNever},
                     "auto, always or never");
 }
 void Read(const YAML::Node& node, Eigen::Vector3d* field) {

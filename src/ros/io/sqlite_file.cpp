@@ -3,7 +3,7 @@
 #include <filesystem>
 #include <map>
 
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/ros2_file.h"
 
 namespace imu_pose_calib {
@@ -150,11 +150,8 @@ class SqliteFile final : public Ros2File, private Database {
       if (topic == ids_.end())
         Fail("a message is of topic " + std::to_string(Integer(messages.get(), 1)) +
              ", which is unknown");
-      entries_.push_back({Integer(messages.get(), 2),
-                          topic->second,
-                          0,
-                          static_cast<uint64_t>(Integer(messages.get(), 0)),
-                          0});
+      entries_.push_back({Integer(messages.get(), 2), topic->second, 0,
+                          static_cast<uint64_t>(Integer(messages.get(), 0)), 0});
     }
   }
 

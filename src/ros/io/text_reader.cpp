@@ -35,9 +35,7 @@ std::vector<std::string> SplitFiles(const std::string& text) {
 using HasHeader = bool (*)(std::istream&, const std::string& name);
 
 /// SENSOR/data.csv of the folder that has the header.
-std::string FindTable(const std::string& folder,
-                      HasHeader has_header,
-                      const std::string& what,
+std::string FindTable(const std::string& folder, HasHeader has_header, const std::string& what,
                       const std::string& fields) {
   namespace fs = std::filesystem;
   std::vector<std::string> tables;
@@ -74,9 +72,8 @@ struct Span {
 template <typename Sample>
 Span FindSpan(const std::vector<Sample>& samples) {
   const auto [first, last] =
-      std::minmax_element(samples.begin(), samples.end(), [](const Sample& a, const Sample& b) {
-        return a.t_ns < b.t_ns;
-      });
+      std::minmax_element(samples.begin(), samples.end(),
+                          [](const Sample& a, const Sample& b) { return a.t_ns < b.t_ns; });
   return {first->t_ns, last->t_ns};
 }
 
@@ -96,8 +93,7 @@ void Cut(double start_s, double duration_s, const Span& whole, std::vector<Sampl
   int64_t end = whole.end;
   if (duration_s > 0.0 && start_s + duration_s < length_s)
     end = begin + std::llround(1e9 * duration_s);
-  samples->erase(std::remove_if(samples->begin(),
-                                samples->end(),
+  samples->erase(std::remove_if(samples->begin(), samples->end(),
                                 [&](const Sample& s) { return s.t_ns < begin || s.t_ns > end; }),
                  samples->end());
 }

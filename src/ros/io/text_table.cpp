@@ -171,9 +171,8 @@ std::vector<size_t> Find(const Column& column, const std::vector<HeaderField>& h
 bool IsHeader(const Columns& columns, const std::string& comment) {
   const std::vector<HeaderField> header = SplitHeader(comment);
   return !Find(columns[0], header).empty() &&
-         std::any_of(columns.begin() + 1, columns.end(), [&](const Column& column) {
-           return !Find(column, header).empty();
-         });
+         std::any_of(columns.begin() + 1, columns.end(),
+                     [&](const Column& column) { return !Find(column, header).empty(); });
 }
 
 /// Where the columns are in a line, and what the file calls them.
@@ -298,8 +297,7 @@ class TableReader {
   }
 
   /// Refuses the value of a column of the current line.
-  [[noreturn]] void FailValue(size_t column,
-                              const std::string& text,
+  [[noreturn]] void FailValue(size_t column, const std::string& text,
                               const std::string& expected) const {
     lines_.FailHere("column " + layout_->names[column] + " is " +
                     (text.empty() ? "empty" : Quote(text)) + ", must be " + expected);
@@ -316,8 +314,7 @@ class TableReader {
     }
     const auto scale = static_cast<double>(Nanoseconds(unit));
     if (!(std::abs(*rough) <= kMaxStampNs / scale))
-      FailValue(0,
-                text,
+      FailValue(0, text,
                 "within " + YamlNumber(kMaxStampNs / scale) + " " + unit +
                     " of 0; a header may name its unit: 'timestamp [ns]'");
     using Decimal = boost::multiprecision::cpp_dec_float_50;
@@ -357,8 +354,7 @@ Eigen::Vector3d Vector(const std::vector<double>& values, size_t begin) {
   return {values[begin], values[begin + 1], values[begin + 2]};
 }
 
-std::vector<ImuSample> ReadSensorTable(const Columns& columns,
-                                       std::istream& in,
+std::vector<ImuSample> ReadSensorTable(const Columns& columns, std::istream& in,
                                        const std::string& name) {
   std::vector<ImuSample> samples;
   TableReader(columns, in, name).ForEach([&](int64_t t_ns, const std::vector<double>& values) {
@@ -371,8 +367,8 @@ bool StartsWithHeader(const Columns& columns, std::istream& in, const std::strin
   std::string line;
   if (!Lines(in, name).Next(&line)) return false;
   const std::vector<HeaderField> header = SplitHeader(line);
-  return std::all_of(
-      columns.begin(), columns.end(), [&](const Column& c) { return !Find(c, header).empty(); });
+  return std::all_of(columns.begin(), columns.end(),
+                     [&](const Column& c) { return !Find(c, header).empty(); });
 }
 
 }  // namespace

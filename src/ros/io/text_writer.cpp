@@ -22,12 +22,8 @@ void TextTable::Append(double value) {
 std::string SecondsText(int64_t t_ns) {
   constexpr int64_t kNanosecondsPerSecond = 1'000'000'000;
   char text[32];
-  std::snprintf(text,
-                sizeof(text),
-                "%s%lld.%09lld",
-                t_ns < 0 ? "-" : "",
-                std::llabs(t_ns / kNanosecondsPerSecond),
-                std::llabs(t_ns % kNanosecondsPerSecond));
+  std::snprintf(text, sizeof(text), "%s%lld.%09lld", t_ns < 0 ? "-" : "",
+                std::llabs(t_ns / kNanosecondsPerSecond), std::llabs(t_ns % kNanosecondsPerSecond));
   return text;
 }
 

@@ -151,10 +151,9 @@ std::optional<std::vector<std::string>> TfChain::Chain() const {
     down.pop_back();
   }
   up.insert(up.end(), down.begin(), down.end());
-  up.erase(
-      std::remove_if(
-          up.begin(), up.end(), [&](const std::string& frame) { return links_.at(frame).fixed; }),
-      up.end());
+  up.erase(std::remove_if(up.begin(), up.end(),
+                          [&](const std::string& frame) { return links_.at(frame).fixed; }),
+           up.end());
   return up;
 }
 
@@ -179,9 +178,8 @@ void TfChain::Check() const {
       throw InputError("'" + Printable(frame) + "', which is between " + pair +
                        ", has no usable transform: stamp 0, not finite, or a quaternion that is "
                        "not of unit length");
-  if (std::none_of(chain->begin(), chain->end(), [&](const std::string& frame) {
-        return links_.at(frame).moves;
-      }))
+  if (std::none_of(chain->begin(), chain->end(),
+                   [&](const std::string& frame) { return links_.at(frame).moves; }))
     throw InputError(pair + " do not move against each other");
 }
 

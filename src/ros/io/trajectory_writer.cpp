@@ -66,24 +66,15 @@ TrajectoryCount ForEachState(const TrajectoryOutput& output, Visit visit) {
 constexpr int kDigits = 12;
 
 void AddEuroc(int64_t stamp_ns, const ImuState& x, TextTable* table) {
-  table->AddRow(std::to_string(stamp_ns),
-                x.p_WI,
-                x.q_WI.w(),
-                x.q_WI.vec(),
-                x.v_W,
-                x.biases.gyro,
+  table->AddRow(std::to_string(stamp_ns), x.p_WI, x.q_WI.w(), x.q_WI.vec(), x.v_W, x.biases.gyro,
                 x.biases.accel);
 }
 
 void AddSigmas(int64_t stamp_ns, const ImuState& x, TextTable* table) {
   const Eigen::VectorXd sigma = x.covariance.diagonal().cwiseMax(0.0).cwiseSqrt();
   const Eigen::VectorXd bias_sigma = x.bias_covariance.diagonal().cwiseMax(0.0).cwiseSqrt();
-  table->AddRow(std::to_string(stamp_ns),
-                sigma.segment<3>(3),
-                sigma.segment<3>(0),
-                sigma.segment<3>(9),
-                bias_sigma,
-                x.is_carried ? 1.0 : 0.0);
+  table->AddRow(std::to_string(stamp_ns), sigma.segment<3>(3), sigma.segment<3>(0),
+                sigma.segment<3>(9), bias_sigma, x.is_carried ? 1.0 : 0.0);
 }
 
 /// Row by row.
@@ -138,8 +129,7 @@ std::filesystem::path Mav0(const std::string& folder) {
   return std::filesystem::path(folder) / "mav0";
 }
 
-TrajectoryCount WriteAsl(const std::string& path,
-                         const TrajectoryOutput& output,
+TrajectoryCount WriteAsl(const std::string& path, const TrajectoryOutput& output,
                          OutputFiles* outputs) {
   const std::filesystem::path truth = Mav0(path) / kTruth, imu = Mav0(path) / "imu0";
   outputs->MakeFolder(truth);
@@ -165,10 +155,8 @@ TrajectoryCount WriteAsl(const std::string& path,
   return count;
 }
 
-TrajectoryCount WriteText(const std::string& path,
-                          TrajectoryFormat format,
-                          const TrajectoryOutput& output,
-                          OutputFiles* outputs) {
+TrajectoryCount WriteText(const std::string& path, TrajectoryFormat format,
+                          const TrajectoryOutput& output, OutputFiles* outputs) {
   const bool is_euroc = format == TrajectoryFormat::kEuroc;
   const bool with_covariance = format == TrajectoryFormat::kOvEval;
   TextTable table("", is_euroc ? ',' : ' ', kDigits);
@@ -176,10 +164,7 @@ TrajectoryCount WriteText(const std::string& path,
     if (is_euroc) return AddEuroc(stamp_ns, x, &table);
     const std::string stamp = SecondsText(stamp_ns);
     if (!with_covariance) return table.AddRow(stamp, x.p_WI, x.q_WI.coeffs());
-    table.AddRow(stamp,
-                 x.p_WI,
-                 x.q_WI.coeffs(),
-                 UpperTriangle(x.covariance.block<3, 3>(0, 0)),
+    table.AddRow(stamp, x.p_WI, x.q_WI.coeffs(), UpperTriangle(x.covariance.block<3, 3>(0, 0)),
                  UpperTriangle(x.covariance.block<3, 3>(3, 3)));
   });
   // Readers of the dataset's file take its first line for the header, and all others for states.
@@ -203,8 +188,7 @@ void Fill(const Eigen::Matrix<double, 6, 6>& C, Covariance* covariance) {
   Eigen::Map<RowMajor>(covariance->data()) = C;
 }
 
-nav_msgs::Odometry ToOdometry(const std_msgs::Header& header,
-                              const std::string& child,
+nav_msgs::Odometry ToOdometry(const std_msgs::Header& header, const std::string& child,
                               const ImuState& x) {
   const Eigen::Matrix3d R = x.q_WI.toRotationMatrix();
   const Eigen::Vector3d v_I = R.transpose() * x.v_W;
@@ -226,8 +210,7 @@ nav_msgs::Odometry ToOdometry(const std_msgs::Header& header,
   return msg;
 }
 
-TrajectoryCount FillBag(const TrajectoryOutput& output,
-                        const std::string& run_id,
+TrajectoryCount FillBag(const TrajectoryOutput& output, const std::string& run_id,
                         rosbag::Bag* bag) {
   const std::string child = output.imu_frame + "_ground_truth";
   nav_msgs::Path track;
@@ -268,8 +251,7 @@ TrajectoryCount FillBag(const TrajectoryOutput& output,
   return count;
 }
 
-TrajectoryCount WriteBag(const std::string& path,
-                         const TrajectoryOutput& output,
+TrajectoryCount WriteBag(const std::string& path, const TrajectoryOutput& output,
                          OutputFiles* outputs) {
   auto bag = std::make_unique<rosbag::Bag>(outputs->Draft(path), rosbag::bagmode::Write);
   try {
@@ -326,10 +308,8 @@ void CheckAslFolder(const std::string& path) {
                      "' holds another dataset (mav0), which would be replaced; choose another");
 }
 
-TrajectoryCount WriteTrajectory(const std::string& path,
-                                TrajectoryFormat format,
-                                const TrajectoryOutput& output,
-                                OutputFiles* outputs) {
+TrajectoryCount WriteTrajectory(const std::string& path, TrajectoryFormat format,
+                                const TrajectoryOutput& output, OutputFiles* outputs) {
   if (format == TrajectoryFormat::kOvEval && !output.has_covariance)
     throw InputError(
         "trajectory_format ov_eval has covariances, which only method joint gives; use it, or tum");

@@ -26,20 +26,14 @@ class DepthLimit : public YAML::EventHandler {
   void OnDocumentEnd() override {}
   void OnNull(const YAML::Mark&, YAML::anchor_t) override {}
   void OnAlias(const YAML::Mark&, YAML::anchor_t) override {}
-  void OnScalar(const YAML::Mark&,
-                const std::string&,
-                YAML::anchor_t,
+  void OnScalar(const YAML::Mark&, const std::string&, YAML::anchor_t,
                 const std::string&) override {}
-  void OnSequenceStart(const YAML::Mark& mark,
-                       const std::string&,
-                       YAML::anchor_t,
+  void OnSequenceStart(const YAML::Mark& mark, const std::string&, YAML::anchor_t,
                        YAML::EmitterStyle::value) override {
     Enter(mark);
   }
   void OnSequenceEnd() override { --depth_; }
-  void OnMapStart(const YAML::Mark& mark,
-                  const std::string&,
-                  YAML::anchor_t,
+  void OnMapStart(const YAML::Mark& mark, const std::string&, YAML::anchor_t,
                   YAML::EmitterStyle::value) override {
     Enter(mark);
   }
@@ -101,10 +95,9 @@ std::string DidYouMean(const std::string& name, const std::vector<std::string>& 
     const size_t place = name.size() < 3 ? std::string::npos : other.find(name);
     return place == std::string::npos ? EditDistance(name, other) : std::min<size_t>(place, 1);
   };
-  const auto nearest =
-      std::min_element(names.begin(), names.end(), [&](const std::string& a, const std::string& b) {
-        return distance(a) < distance(b);
-      });
+  const auto nearest = std::min_element(
+      names.begin(), names.end(),
+      [&](const std::string& a, const std::string& b) { return distance(a) < distance(b); });
   const size_t farthest = std::max<size_t>(1, name.size() / 3);
   const bool is_near = nearest != names.end() && distance(*nearest) <= farthest;
   return is_near ? "; did you mean '" + *nearest + "'?" : "";

@@ -5,8 +5,8 @@
 #include <cmath>
 #include <sstream>
 
-#include "imu_pose_calib/core/conditioning.h"
-#include "imu_pose_calib/core/so3.h"
+#include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/data/conditioning.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -71,12 +71,8 @@ bool Agree(const LiveOptions& options, const Calibration& a, const Calibration& 
 
 /// As people say them.
 std::string Text(const LargestStd& std_dev) {
-  return Text(1e3 * std_dev.translation,
-              " mm, ",
-              kDegrees * std_dev.rotation,
-              " deg, ",
-              1e3 * std_dev.time_shift,
-              " ms");
+  return Text(1e3 * std_dev.translation, " mm, ", kDegrees * std_dev.rotation, " deg, ",
+              1e3 * std_dev.time_shift, " ms");
 }
 
 std::string Sigmas(const Calibration& result) { return "sigma " + Text(MaxStd(result)); }
@@ -101,8 +97,8 @@ void LiveOptions::Validate() const {
 }
 
 const char* ToString(Phase phase) {
-  constexpr const char* kNames[] = {
-      "waiting", "collecting", "solving", "converged", "degraded", "saved"};
+  constexpr const char* kNames[] = {"waiting",   "collecting", "solving",
+                                    "converged", "degraded",   "saved"};
   return kNames[static_cast<size_t>(phase)];
 }
 
@@ -139,8 +135,7 @@ StreamStatus LiveCalibration::Stream<Sample>::Status() const {
   return status;
 }
 
-LiveCalibration::LiveCalibration(const LiveOptions& options,
-                                 const CalibrationOptions& calibration,
+LiveCalibration::LiveCalibration(const LiveOptions& options, const CalibrationOptions& calibration,
                                  size_t imus)
     : options_(options), calibration_(calibration) {
   options_.Validate();
@@ -152,8 +147,7 @@ LiveCalibration::LiveCalibration(const LiveOptions& options,
 
 /// Empty, or how the clock of the stream has jumped.
 template <typename Sample>
-std::string LiveCalibration::FindJump(const Sample& sample,
-                                      double now,
+std::string LiveCalibration::FindJump(const Sample& sample, double now,
                                       const Stream<Sample>& stream) const {
   if (stream.samples.empty()) return "";
   const double waited = now - stream.arrival;
@@ -350,8 +344,7 @@ std::string LiveCalibration::LostStreams(double now) const {
   check(poses_);
   if (lost.empty() && now - pose_changed_ > options_.lost_timeout)
     lost.push_back(Text("the marker is lost: the poses repeat or are invalid for ",
-                        std::round(10.0 * (now - pose_changed_)) / 10.0,
-                        " s"));
+                        std::round(10.0 * (now - pose_changed_)) / 10.0, " s"));
   for (const Imu& imu : imus_) {
     check(imu.gyro);
     check(imu.accel);
@@ -371,12 +364,11 @@ std::string LiveCalibration::Advice() const {
   if (!result_) return "keep moving";
   if (Score(options_, *result_) > 1.0)
     return "keep moving: " + Sigmas(*result_) + "; target " +
-           Text(LargestStd{options_.target_rotation_std,
-                           options_.target_translation_std,
+           Text(LargestStd{options_.target_rotation_std, options_.target_translation_std,
                            options_.target_time_shift_std});
   if (last_.size() < kStableSolves)
-    return Text(
-        "keep moving: ", last_.size(), " of ", kStableSolves, " solves done; ", Sigmas(*result_));
+    return Text("keep moving: ", last_.size(), " of ", kStableSolves, " solves done; ",
+                Sigmas(*result_));
   return "keep moving until three solves agree; " + Sigmas(*result_);
 }
 

@@ -29,11 +29,8 @@ std::string LookAt(const TfChain& chain) {
 
 }  // namespace
 
-LiveInput::LiveInput(const ros::NodeHandle& node,
-                     const LiveSettings& settings,
-                     std::mutex* mutex,
-                     LiveCalibration* live,
-                     const std::function<void(const PoseSample&)>& on_pose)
+LiveInput::LiveInput(const ros::NodeHandle& node, const LiveSettings& settings, std::mutex* mutex,
+                     LiveCalibration* live, const std::function<void(const PoseSample&)>& on_pose)
     : node_(node), settings_(settings), mutex_(mutex), live_(live), on_pose_(on_pose) {
   const std::vector<std::string> split = {kImuType, kVectorType};
   const bool is_split = !settings_.gyro_topic.empty();
@@ -55,9 +52,7 @@ LiveInput::LiveInput(const ros::NodeHandle& node,
     }
   }
   if (settings_.tf_parent.empty()) {
-    AddSource("pose_topic",
-              settings_.pose_topic,
-              PoseTypeNames(),
+    AddSource("pose_topic", settings_.pose_topic, PoseTypeNames(),
               [this](const TopicSource::Message& message) { OnPose(message); });
   } else {
     chain_.emplace(settings_.tf_parent, settings_.tf_child, kTfCache);
@@ -67,8 +62,7 @@ LiveInput::LiveInput(const ros::NodeHandle& node,
   using TfEvent = ros::MessageEvent<const tf2_msgs::TFMessage>;
   for (const bool fixed : {false, true})
     tf_.push_back(node_.subscribe<tf2_msgs::TFMessage>(
-        fixed ? "/tf_static" : "/tf",
-        0,
+        fixed ? "/tf_static" : "/tf", 0,
         boost::function<void(const TfEvent&)>(
             [this, fixed](const TfEvent& event) { OnTransforms(event, fixed); })));
   thread_ = std::thread([this] { AskMaster(); });
@@ -83,21 +77,17 @@ LiveInput::~LiveInput() {
   thread_.join();
 }
 
-void LiveInput::AddSource(const std::string& parameter,
-                          const std::string& topic,
-                          const std::vector<std::string>& types,
-                          const TopicSource::Callback& add) {
-  sources_.emplace_back(
-      node_, parameter, topic, types, [this, add](const TopicSource::Message& message) {
-        const std::lock_guard<std::mutex> lock(*mutex_);
-        ForgetAfterReset();
-        add(message);
-      });
+void LiveInput::AddSource(const std::string& parameter, const std::string& topic,
+                          const std::vector<std::string>& types, const TopicSource::Callback& add) {
+  sources_.emplace_back(node_, parameter, topic, types,
+                        [this, add](const TopicSource::Message& message) {
+                          const std::lock_guard<std::mutex> lock(*mutex_);
+                          ForgetAfterReset();
+                          add(message);
+                        });
 }
 
-void LiveInput::OnImu(const TopicSource::Message& message,
-                      size_t imu,
-                      bool is_gyro,
+void LiveInput::OnImu(const TopicSource::Message& message, size_t imu, bool is_gyro,
                       bool is_accel) {
   const auto& [gyro, accel, frame] =
       ReadImuContent(message.getMessage()->getDataType(), *message.getMessage());

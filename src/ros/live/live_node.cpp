@@ -79,19 +79,14 @@ class LiveNode {
 LiveNode::LiveNode(const ros::NodeHandle& node)
     : node_(node),
       settings_(ReadLiveSettings(node)),
-      live_(settings_.live,
-            settings_.calibration,
+      live_(settings_.live, settings_.calibration,
             SplitNames(settings_.gyro_topic.empty() ? settings_.imu_topic : settings_.gyro_topic)
                 .size()),
       output_(node, &live_),
-      input_(node,
-             settings_,
-             &mutex_,
-             &live_,
+      input_(node, settings_, &mutex_, &live_,
              [this](const PoseSample& pose) { output_.PublishPose(pose, input_.Info()); }),
       solver_(
-          &mutex_,
-          &live_,
+          &mutex_, &live_,
           [this](const SessionData& data) { return Calibrate(settings_.calibration, data); },
           [this] {
             const auto [frame, parent] = input_.OtherParent();
@@ -116,9 +111,8 @@ bool LiveNode::IsBusy() {
 /// Writes the best result and freezes it. Returns what was done.
 std::string LiveNode::Save() {
   OutputFiles outputs;
-  outputs.Write(
-      settings_.output,
-      ToYaml(*live_.result(), {input_.Info()}, settings_.calibration, {outputs.run_id()}));
+  outputs.Write(settings_.output, ToYaml(*live_.result(), {input_.Info()}, settings_.calibration,
+                                         {outputs.run_id()}));
   outputs.Commit();
   std::string message = "saved to " + settings_.output + "; call reset to start anew";
   live_.Freeze(message);
@@ -243,13 +237,12 @@ LiveSettings ReadLiveSettings(const ros::NodeHandle& node) {
   settings.gyro_topic = text("gyro_topic");
   settings.accel_topic = text("accel_topic");
   settings.pose_topic = text("pose_topic");
-  const bool is_split = IsPair({"imu_topic", settings.imu_topic},
-                               {"gyro_topic", settings.gyro_topic},
-                               {"accel_topic", settings.accel_topic});
+  const bool is_split =
+      IsPair({"imu_topic", settings.imu_topic}, {"gyro_topic", settings.gyro_topic},
+             {"accel_topic", settings.accel_topic});
   settings.tf_parent = text("tf_parent");
   settings.tf_child = text("tf_child");
-  IsPair({"pose_topic", settings.pose_topic},
-         {"tf_parent", settings.tf_parent},
+  IsPair({"pose_topic", settings.pose_topic}, {"tf_parent", settings.tf_parent},
          {"tf_child", settings.tf_child});
   settings.marker_frame = text("marker_frame");
   settings.imu_frame = text("imu_frame");

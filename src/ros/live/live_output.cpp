@@ -21,8 +21,7 @@ namespace {
 using diagnostic_msgs::DiagnosticStatus;
 
 /// T_WI at the pose T_WM.
-geometry_msgs::PoseStamped ToImuPose(const PoseSample& pose,
-                                     const Rigid3& T_MI,
+geometry_msgs::PoseStamped ToImuPose(const PoseSample& pose, const Rigid3& T_MI,
                                      const std::string& world_frame) {
   const Eigen::Quaterniond q_WM = pose.q_WM.normalized();
   geometry_msgs::PoseStamped msg;
@@ -98,21 +97,15 @@ class Drawing {
     return &array_.markers.back();
   }
 
-  void Arrow(const std::string& name,
-             const Eigen::Vector3d& from,
-             const Eigen::Vector3d& to,
-             double width,
-             const Color& color) {
+  void Arrow(const std::string& name, const Eigen::Vector3d& from, const Eigen::Vector3d& to,
+             double width, const Color& color) {
     Marker* marker = Add(name, Marker::ARROW, color);
     marker->points = {ToPointMsg(from), ToPointMsg(to)};
     marker->scale = ToVector3Msg({width, 2.0 * width, 0.0});
   }
 
-  void Label(const std::string& name,
-             const Eigen::Vector3d& at,
-             double height,
-             const std::string& text,
-             const Color& color = kWhite) {
+  void Label(const std::string& name, const Eigen::Vector3d& at, double height,
+             const std::string& text, const Color& color = kWhite) {
     Marker* marker = Add(name, Marker::TEXT_VIEW_FACING, color);
     marker->pose.position = ToPointMsg(at);
     marker->scale.z = height;
@@ -121,10 +114,7 @@ class Drawing {
 
   void Frame(const std::string& name, const Rigid3& T_WX, double length) {
     for (int axis = 0; axis < 3; ++axis)
-      Arrow(name,
-            T_WX.p,
-            T_WX.p + T_WX.q * (length * Eigen::Vector3d::Unit(axis)),
-            0.06 * length,
+      Arrow(name, T_WX.p, T_WX.p + T_WX.q * (length * Eigen::Vector3d::Unit(axis)), 0.06 * length,
             kAxisColors[axis]);
     Label(name, T_WX.p + T_WX.q * Eigen::Vector3d(1.1 * length, 0.0, 0.0), 0.05, name);
   }
@@ -138,10 +128,7 @@ class Drawing {
 
 Rigid3 ToRigid3(const PoseSample& pose) { return {pose.q_WM.normalized(), pose.p_WM}; }
 
-void DrawPath(const std::string& name,
-              const Scene& scene,
-              const Rigid3& T_MX,
-              const Color& color,
+void DrawPath(const std::string& name, const Scene& scene, const Rigid3& T_MX, const Color& color,
               Drawing* drawing) {
   std::vector<geometry_msgs::Point> points;
   for (const PoseSample& pose : scene.path)
@@ -171,11 +158,8 @@ void DrawLeverArm(const ImuCalibration& imu, const Rigid3& T_WM, Drawing* drawin
   ellipsoid->scale = ToVector3Msg(size);
 }
 
-void DrawBar(const std::string& label,
-             double share,
-             const Color& color,
-             const Eigen::Vector3d& left,
-             Drawing* drawing) {
+void DrawBar(const std::string& label, double share, const Color& color,
+             const Eigen::Vector3d& left, Drawing* drawing) {
   const double filled = std::max(0.002, share * kBarLength);
   const auto box = [&](double from, double length, double depth, const Color& c, float alpha) {
     Marker* marker = drawing->Add("bars", Marker::CUBE, c, alpha);
@@ -234,25 +218,17 @@ void DrawPanel(const Scene& scene, const Eigen::Vector3d& middle, Drawing* drawi
   const Phase phase = scene.status.phase;
   const bool is_good = phase == Phase::kConverged || phase == Phase::kSaved;
   const bool is_bad = phase == Phase::kDegraded || phase == Phase::kWaiting;
-  drawing->Label("verdict",
-                 middle + Eigen::Vector3d(0.0, 0.0, 4.6 * kLine),
-                 0.12,
-                 ToString(phase),
+  drawing->Label("verdict", middle + Eigen::Vector3d(0.0, 0.0, 4.6 * kLine), 0.12, ToString(phase),
                  is_good  ? kGood
                  : is_bad ? kBad
                           : kWhite);
-  drawing->Label("verdict",
-                 middle + Eigen::Vector3d(0.0, 0.0, 2.2 * kLine),
-                 0.05,
+  drawing->Label("verdict", middle + Eigen::Vector3d(0.0, 0.0, 2.2 * kLine), 0.05,
                  InLines(scene.status.message));
   if (!scene.result) return;
-  drawing->Label("verdict",
-                 middle + Eigen::Vector3d(1.4 * kBarLength, 0.0, -2.5 * kLine),
-                 0.06,
+  drawing->Label("verdict", middle + Eigen::Vector3d(1.4 * kBarLength, 0.0, -2.5 * kLine), 0.06,
                  Format("p = [%s] mm\ntime shift = %.4f s\nellipsoid: sigma x %.0f",
                         List(1e3 * scene.result->imus[0].T_MI.p, "%.1f").c_str(),
-                        scene.result->sessions[0].imus[0].time_shift,
-                        kSigmaScale),
+                        scene.result->sessions[0].imus[0].time_shift, kSigmaScale),
                  kImu);
 }
 
@@ -344,11 +320,9 @@ void LiveOutput::Diagnose(diagnostic_updater::DiagnosticStatusWrapper& wrapper) 
 
 void LiveOutput::PublishMarkers(const LiveView& view) {
   if (marker_publisher_.getNumSubscribers() == 0) return;
-  const Scene scene{view.info.world_frame,
-                    view.status,
+  const Scene scene{view.info.world_frame, view.status,
                     live_->result() ? &*live_->result() : nullptr,
-                    live_->pose() ? &*live_->pose() : nullptr,
-                    live_->path()};
+                    live_->pose() ? &*live_->pose() : nullptr, live_->path()};
   marker_publisher_.publish(Draw(scene, view.stamp));
 }
 
@@ -367,8 +341,7 @@ void LiveOutput::PublishPose(const PoseSample& pose, const RecordingInfo& info) 
   pose_publisher_.publish(ToImuPose(pose, live_->result()->imus[0].T_MI, info.world_frame));
 }
 
-void LiveOutput::PublishResult(const RecordingInfo& info,
-                               const std::string& foreign_frame,
+void LiveOutput::PublishResult(const RecordingInfo& info, const std::string& foreign_frame,
                                const std::string& other_parent) {
   const ros::Time now = ros::Time::now();
   result_publisher_.publish(ToMsg(*live_->result(), info, now));
@@ -386,9 +359,7 @@ void LiveOutput::PublishResult(const RecordingInfo& info,
   broadcaster_.sendTransform(transforms);
   if (!other_parent.empty())
     ROS_WARN("tf has two parents of '%s': '%s' from elsewhere and '%s' from here; set imu_frame",
-             foreign_frame.c_str(),
-             other_parent.c_str(),
-             info.marker_frame.c_str());
+             foreign_frame.c_str(), other_parent.c_str(), info.marker_frame.c_str());
 }
 
 }  // namespace imu_pose_calib

@@ -13,9 +13,7 @@ const LiveSolver::Verdict kForgotten = {false,
 
 }  // namespace
 
-LiveSolver::LiveSolver(std::mutex* mutex,
-                       LiveCalibration* live,
-                       const Solve& solve,
+LiveSolver::LiveSolver(std::mutex* mutex, LiveCalibration* live, const Solve& solve,
                        const std::function<void()>& on_result)
     : mutex_(mutex), live_(live), solve_(solve), on_result_(on_result), thread_([this] {
         Run();

@@ -18,10 +18,8 @@ bool IsOurs(const std::string& topic) { return boost::algorithm::ends_with(topic
 
 }  // namespace
 
-TopicSource::TopicSource(const ros::NodeHandle& node,
-                         const std::string& parameter,
-                         const std::string& topic,
-                         const std::vector<std::string>& types,
+TopicSource::TopicSource(const ros::NodeHandle& node, const std::string& parameter,
+                         const std::string& topic, const std::vector<std::string>& types,
                          const Callback& callback)
     : node_(node),
       parameter_(parameter),
@@ -39,8 +37,7 @@ void TopicSource::Subscribe(const std::string& topic) {
   subscriber_ = node_.subscribe<topic_tools::ShapeShifter>(
       topic,
       0,  // a queue without bound
-      Callback([this](const Message& message) { OnMessage(message); }),
-      ros::VoidConstPtr(),
+      Callback([this](const Message& message) { OnMessage(message); }), ros::VoidConstPtr(),
       ros::TransportHints().tcpNoDelay());
 }
 
@@ -102,9 +99,8 @@ std::string TopicSource::Find(const ros::master::V_TopicInfo& published, std::st
 std::string TopicSource::Inspect(const ros::master::V_TopicInfo& published) const {
   const std::lock_guard<std::mutex> lock(mutex_);
   if (!problem_.empty()) return topic_ + " " + problem_;
-  const auto info = std::find_if(published.begin(), published.end(), [&](const auto& candidate) {
-    return candidate.name == topic_;
-  });
+  const auto info = std::find_if(published.begin(), published.end(),
+                                 [&](const auto& candidate) { return candidate.name == topic_; });
   const int seconds = static_cast<int>((ros::SteadyTime::now() - start_).toSec());
   const std::string waited = " for " + std::to_string(seconds) + " s";
   if (info == published.end())

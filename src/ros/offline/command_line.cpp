@@ -7,7 +7,7 @@
 #include <iostream>
 #include <memory>
 
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/offline/offline.h"
 
 namespace imu_pose_calib {
@@ -43,11 +43,8 @@ class ProgressLines {
 
 }  // namespace
 
-void ParseCommandLine(int argc,
-                      char** argv,
-                      boost::program_options::options_description options,
-                      const char* name,
-                      const boost::program_options::value_semantic* unnamed,
+void ParseCommandLine(int argc, char** argv, boost::program_options::options_description options,
+                      const char* name, const boost::program_options::value_semantic* unnamed,
                       int count) {
   namespace po = boost::program_options;
   po::positional_options_description positional;

@@ -17,9 +17,7 @@ Comparable ToComparable(const StoredResult& stored, size_t imu) {
     throw InputError("--imu " + std::to_string(imu) + ": '" + stored.path + "' has " +
                      std::to_string(stored.result.imus.size()) + " imus, from 0");
   const ImuCalibration& calibration = stored.result.imus[imu];
-  return {calibration.T_MI,
-          calibration.covariance,
-          calibration.accel_delay,
+  return {calibration.T_MI, calibration.covariance, calibration.accel_delay,
           calibration.accel_delay_std};
 }
 
@@ -119,8 +117,7 @@ void WriteComparison(const ComparisonInput& input, const std::string& path) {
     if (calibrations.size() > 1) node["from_others"] = Describe(repeatability.from_others[i]);
     if (input.reference)
       node["from_reference"] =
-          Describe(Compare(*input.reference,
-                           calibrations[i],
+          Describe(Compare(*input.reference, calibrations[i],
                            {ComparedQuantity::kTranslation, ComparedQuantity::kRotation}));
     head["results"].push_back(node);
   }

@@ -4,7 +4,7 @@
 #include <filesystem>
 #include <memory>
 
-#include "imu_pose_calib/core/imu_track.h"
+#include "imu_pose_calib/core/ground_truth/imu_track.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/text_writer.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"
@@ -54,10 +54,8 @@ std::string Describe(const TrajectoryCount& count, const std::vector<TrackGap>& 
     }
   }
   if (carried > 0)
-    text += Format(", %zu of them by the imu alone in %s of up to %.2f s",
-                   count.carried,
-                   Gaps(carried).c_str(),
-                   longest);
+    text += Format(", %zu of them by the imu alone in %s of up to %.2f s", count.carried,
+                   Gaps(carried).c_str(), longest);
   if (gaps.size() > carried)
     text += Format(", %s left out (%.1f s)", Gaps(gaps.size() - carried).c_str(), left_out);
   if (count.is_marked) return text;
@@ -69,10 +67,8 @@ std::string Describe(const TrajectoryCount& count, const std::vector<TrackGap>& 
 
 }  // namespace
 
-std::vector<TrajectoryTarget> PlanTrajectories(const TrajectoryRequest& request,
-                                               Method method,
-                                               size_t sessions,
-                                               size_t imus) {
+std::vector<TrajectoryTarget> PlanTrajectories(const TrajectoryRequest& request, Method method,
+                                               size_t sessions, size_t imus) {
   if (request.path.empty()) {
     if (!request.format.empty() || !request.clock.empty() || request.rate_hz != 0.0)
       throw InputError(
@@ -125,26 +121,16 @@ std::vector<std::string> WriteTrajectories(const TrajectoryRequest& request,
        PlanTrajectories(request, result.method, infos.size(), result.imus.size())) {
     const ImuSession& imu = result.sessions[target.session].imus[target.imu];
     if (!imu.is_present) continue;
-    const ImuTrack track(result.solution,
-                         target.session,
-                         target.imu,
-                         covariance,
-                         ParseClock(request.clock),
-                         request.max_gap_s);
+    const ImuTrack track(result.solution, target.session, target.imu, covariance,
+                         ParseClock(request.clock), request.max_gap_s);
     const RecordingInfo& info = infos[target.session];
-    const TrajectoryCount count = WriteTrajectory(target.path,
-                                                  target.format,
-                                                  {track.Instants(request.rate_hz),
-                                                   [&](double t) { return track.At(t); },
-                                                   track.has_covariance(),
-                                                   [&] { return track.Samples(); },
-                                                   info.world_frame,
-                                                   info.imus[target.imu].imu_frame,
-                                                   imu.noise,
-                                                   imu.gyro.rate_hz,
-                                                   options.gyro_bias_walk,
-                                                   options.accel_bias_walk},
-                                                  outputs);
+    const TrajectoryCount count =
+        WriteTrajectory(target.path, target.format,
+                        {track.Instants(request.rate_hz), [&](double t) { return track.At(t); },
+                         track.has_covariance(), [&] { return track.Samples(); }, info.world_frame,
+                         info.imus[target.imu].imu_frame, imu.noise, imu.gyro.rate_hz,
+                         options.gyro_bias_walk, options.accel_bias_walk},
+                        outputs);
     lines.push_back(target.path + ": " + Describe(count, track.gaps()));
   }
   return lines;

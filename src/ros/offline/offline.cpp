@@ -8,7 +8,7 @@
 #include <system_error>
 #include <utility>
 
-#include "imu_pose_calib/core/preparation.h"
+#include "imu_pose_calib/core/start/preparation.h"
 #include "imu_pose_calib/ros/exports/exports.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/message_source.h"
@@ -131,10 +131,9 @@ void CheckOutput(const Given& output, const OfflineRequest& request) {
 
 /// Throws InputError when a trajectory cannot be written, or would replace something else.
 void PlanTrajectories(const std::vector<OfflineRequest>& sessions, OfflineResult* offline) {
-  for (const TrajectoryTarget& target : PlanTrajectories(offline->trajectory,
-                                                         offline->options.method,
-                                                         sessions.size(),
-                                                         offline->sessions.front().imus.size()))
+  for (const TrajectoryTarget& target :
+       PlanTrajectories(offline->trajectory, offline->options.method, sessions.size(),
+                        offline->sessions.front().imus.size()))
     for (const std::string& file : TrajectoryFiles(target.path, target.format)) {
       for (const OfflineRequest& session : sessions) CheckOutput({"trajectory", file}, session);
       offline->outputs->Plan("trajectory", file, target.format == TrajectoryFormat::kAsl);
@@ -161,14 +160,9 @@ std::string RefusedPath(const std::string& report) {
   if (offline.report.empty()) throw DataError(reason);
   const std::string path = RefusedPath(offline.report);
   try {
-    offline.outputs->Write(path,
-                           DrawReport({offline.options,
-                                       offline.sessions,
-                                       offline.infos,
-                                       offline.result,
-                                       reason,
-                                       offline.outputs->run_id()},
-                                      path));
+    offline.outputs->Write(path, DrawReport({offline.options, offline.sessions, offline.infos,
+                                             offline.result, reason, offline.outputs->run_id()},
+                                            path));
     offline.outputs->Commit();
   } catch (const std::exception& error) {
     throw DataError(reason + "; no report: " + error.what());
@@ -303,9 +297,9 @@ void RunOffline(const OfflineRequest& given, const Progress& progress, OfflineRe
   if (progress) progress("recording", 0);
   try {
     const bool is_kept = given.keep_data || !offline->report.empty();
-    offline->result = Calibrate(offline->options,
-                                is_kept ? offline->sessions : std::exchange(offline->sessions, {}),
-                                progress);
+    offline->result =
+        Calibrate(offline->options,
+                  is_kept ? offline->sessions : std::exchange(offline->sessions, {}), progress);
   } catch (const DataError& error) {
     Refuse(*offline, error.what());
   }
@@ -322,11 +316,7 @@ std::string WriteReport(OfflineResult* offline, const Progress& progress) {
   if (progress) progress("report", std::nullopt);
   std::string page;
   try {
-    page = DrawReport({offline->options,
-                       offline->sessions,
-                       offline->infos,
-                       offline->result,
-                       "",
+    page = DrawReport({offline->options, offline->sessions, offline->infos, offline->result, "",
                        offline->outputs->run_id()},
                       offline->report);
   } catch (const std::exception& error) {
@@ -343,10 +333,9 @@ std::string WriteReport(OfflineResult* offline, const Progress& progress) {
 std::vector<std::string> OtherFiles(const OfflineResult& offline) {
   std::vector<std::string> files;
   if (!offline.report.empty()) files.push_back(offline.report);
-  for (const TrajectoryTarget& target : PlanTrajectories(offline.trajectory,
-                                                         offline.result.method,
-                                                         offline.infos.size(),
-                                                         offline.result.imus.size()))
+  for (const TrajectoryTarget& target :
+       PlanTrajectories(offline.trajectory, offline.result.method, offline.infos.size(),
+                        offline.result.imus.size()))
     if (offline.result.sessions[target.session].imus[target.imu].is_present)
       files.push_back(target.path);
   const std::filesystem::path folder =
@@ -397,8 +386,8 @@ std::vector<std::string> SplitBags(const std::string& text) {
 std::string WriteResult(OfflineResult* offline, const Progress& progress) {
   OutputFiles* outputs = offline->outputs.get();
   std::vector<std::string>& written = offline->written;
-  const std::string yaml = ToYaml(
-      offline->result, offline->infos, offline->options, {outputs->run_id(), OtherFiles(*offline)});
+  const std::string yaml = ToYaml(offline->result, offline->infos, offline->options,
+                                  {outputs->run_id(), OtherFiles(*offline)});
   std::string no_report;
   try {
     outputs->Write(offline->output, yaml);
@@ -409,8 +398,8 @@ std::string WriteResult(OfflineResult* offline, const Progress& progress) {
         written.push_back(path);
       offline->export_note = ExportNote(stored, offline->exports);
     }
-    for (const std::string& line : WriteTrajectories(
-             offline->trajectory, offline->result, offline->infos, offline->options, outputs))
+    for (const std::string& line : WriteTrajectories(offline->trajectory, offline->result,
+                                                     offline->infos, offline->options, outputs))
       written.push_back(line);
     no_report = WriteReport(offline, progress);
     outputs->Commit();

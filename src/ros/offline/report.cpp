@@ -14,8 +14,8 @@
 #include <optional>
 #include <sstream>
 
-#include "imu_pose_calib/core/preparation.h"
-#include "imu_pose_calib/core/stamp_recovery.h"
+#include "imu_pose_calib/core/data/stamp_recovery.h"
+#include "imu_pose_calib/core/start/preparation.h"
 #include "imu_pose_calib/ros/io/child_process.h"
 #include "imu_pose_calib/ros/io/printable.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
@@ -31,11 +31,8 @@ constexpr char kReportHeader[] = "<!DOCTYPE html><!-- imu_pose_calib: report of 
 
 // --- The numbers ---
 
-YAML::Node Describe(const char* role,
-                    size_t imu,
-                    const std::string& topic,
-                    const StreamCheck& check,
-                    const StreamReport& report,
+YAML::Node Describe(const char* role, size_t imu, const std::string& topic,
+                    const StreamCheck& check, const StreamReport& report,
                     const std::optional<Latency>& latency) {
   YAML::Node node;
   node["role"] = role;
@@ -57,8 +54,7 @@ YAML::Node Describe(const char* role,
 }
 
 /// Recorded signals on their own clocks, for data that were not solved.
-void WriteRecorded(const CalibrationOptions& options,
-                   const SessionData& session,
+void WriteRecorded(const CalibrationOptions& options, const SessionData& session,
                    const std::string& prefix) {
   const auto since_first = [](const auto& samples) {
     return [first = samples.empty() ? 0 : samples.front().t_ns](int64_t t_ns) {
@@ -93,15 +89,14 @@ YAML::Node Streams(const DataCheck& check, const RecordingInfo& info) {
     const ImuInfo& source = info.imus[i];
     streams.push_back(
         Describe("gyro", i, source.GyroSource(), imu.gyro, imu.gyro_report, source.gyro_latency));
-    streams.push_back(Describe(
-        "accel", i, source.AccelSource(), imu.accel, imu.accel_report, source.accel_latency));
+    streams.push_back(Describe("accel", i, source.AccelSource(), imu.accel, imu.accel_report,
+                               source.accel_latency));
   }
   return streams;
 }
 
 /// The check of a session that was solved: its streams as recorded, and what the solve used.
-DataCheck CheckSolved(const CalibrationOptions& options,
-                      const SessionData& recorded,
+DataCheck CheckSolved(const CalibrationOptions& options, const SessionData& recorded,
                       const SessionCalibration& solved) {
   SessionData session = recorded;
   const SessionStamps stamps = RecoverStamps(options.recover_stamps, &session);
@@ -114,8 +109,7 @@ DataCheck CheckSolved(const CalibrationOptions& options,
   return check;
 }
 
-YAML::Node WriteSession(const ReportInput& input,
-                        size_t s,
+YAML::Node WriteSession(const ReportInput& input, size_t s,
                         const std::shared_ptr<const TrajectoryCovariance>& covariance,
                         const std::string& folder) {
   const SessionData& recorded = input.sessions[s];
@@ -180,8 +174,7 @@ void WriteHead(const YAML::Node& report, const std::string& folder) {
   WriteFile(folder + "/report.yaml", out.c_str());
 }
 
-std::string DrawPage(const std::string& path,
-                     const std::string& run_id,
+std::string DrawPage(const std::string& path, const std::string& run_id,
                      const std::function<void(const std::string&)>& write) {
   const std::filesystem::path script =
       std::filesystem::read_symlink("/proc/self/exe").parent_path() / "report.py";
@@ -223,8 +216,8 @@ void WriteReportData(const ReportInput& input, const std::string& folder) {
 }
 
 std::string DrawReport(const ReportInput& input, const std::string& path) {
-  return DrawPage(
-      path, input.run_id, [&](const std::string& folder) { WriteReportData(input, folder); });
+  return DrawPage(path, input.run_id,
+                  [&](const std::string& folder) { WriteReportData(input, folder); });
 }
 
 void CheckReportName(const std::string& path) {

@@ -8,12 +8,12 @@
 #include <optional>
 #include <utility>
 
-#include "imu_pose_calib/core/information_growth.h"
-#include "imu_pose_calib/core/intrinsics.h"
-#include "imu_pose_calib/core/median.h"
-#include "imu_pose_calib/core/so3.h"
-#include "imu_pose_calib/core/trajectory.h"
+#include "imu_pose_calib/core/base/intrinsics.h"
+#include "imu_pose_calib/core/base/median.h"
+#include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/ground_truth/trajectory.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/simulation/information_growth.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -37,8 +37,7 @@ constexpr const char* kNames[] = {"position", "rotation", "gyro", "accel"};
 /// The series of one session that was solved.
 class SolvedSession {
  public:
-  SolvedSession(const ReportInput& input,
-                size_t session,
+  SolvedSession(const ReportInput& input, size_t session,
                 const std::shared_ptr<const TrajectoryCovariance>& covariance)
       : input_(input),
         s_(session),
@@ -104,8 +103,8 @@ class SolvedSession {
         motion.AddRow(t, Nothing<6>());
         continue;
       }
-      motion.AddRow(
-          t, state->p_WB, Eigen::Vector3d(trajectory_.Imu(estimate_.FirstImu(), t)->p_WB));
+      motion.AddRow(t, state->p_WB,
+                    Eigen::Vector3d(trajectory_.Imu(estimate_.FirstImu(), t)->p_WB));
       const Vector6d now = (Vector6d() << state->omega_B, state->a_W).finished();
       sum += now;
       sum2 += now.cwiseAbs2();
@@ -139,12 +138,10 @@ class SolvedSession {
 
   /// All of one IMU.
   void WriteImu(const std::string& prefix, size_t imu, const ImuData& recorded) const {
-    const auto measured = [&](const std::string& file,
-                              const std::vector<ImuSample>& samples,
-                              double unit,
-                              double delay) {
-      WriteTimes(
-          file + "_t.npy", samples, [&](int64_t t_ns) { return ImuSampleTime(imu, delay, t_ns); });
+    const auto measured = [&](const std::string& file, const std::vector<ImuSample>& samples,
+                              double unit, double delay) {
+      WriteTimes(file + "_t.npy", samples,
+                 [&](int64_t t_ns) { return ImuSampleTime(imu, delay, t_ns); });
       WriteValues(file + ".npy", samples, unit);
     };
     const double accel_delay = solution_.estimate.imus[imu].accel_delay;
@@ -224,9 +221,7 @@ class SolvedSession {
       }
       table.Write(file);
     };
-    write(prefix + "_predicted.npy",
-          begin,
-          (end - begin) / static_cast<double>(kOverview),
+    write(prefix + "_predicted.npy", begin, (end - begin) / static_cast<double>(kOverview),
           kOverview);
     constexpr double kLook = 0.05;  // [s]
     double liveliest = begin, most = -1.0;
@@ -241,9 +236,7 @@ class SolvedSession {
       if (usual > most) liveliest = t;
       most = std::max(most, usual);
     }
-    write(prefix + "_zoom.npy",
-          liveliest,
-          kZoomStep,
+    write(prefix + "_zoom.npy", liveliest, kZoomStep,
           static_cast<size_t>(std::lround(kZoom / kZoomStep)) + 1);
   }
 
@@ -267,9 +260,7 @@ class SolvedSession {
     const Eigen::Matrix3d gyro_inverse = GyroMatrix(rig.gyro_intrinsics).inverse();
     const Eigen::Matrix3d accel_inverse = AccelMatrix(rig.accel_intrinsics).inverse();
     size_t g = 0, a = 0;
-    const auto interpolate = [&](const std::vector<ImuSample>& samples,
-                                 double delay,
-                                 double t,
+    const auto interpolate = [&](const std::vector<ImuSample>& samples, double delay, double t,
                                  size_t* next) -> Eigen::Vector3d {
       const auto time = [&](size_t k) { return ImuSampleTime(imu, delay, samples[k].t_ns); };
       while (*next < samples.size() && !(time(*next) > t)) ++*next;
@@ -289,13 +280,8 @@ class SolvedSession {
           input_.options.accel_unit * interpolate(recorded.accel, rig.accel_delay, t, &a);
       const double t_imu = own.ImuTime(t);
       table.AddRow(
-          t,
-          state.omega_M.norm(),
-          (gyro_inverse * (gyro - Bias(own.gyro_bias, t_imu))).norm(),
-          joint->a_W,
-          joint->q_WB.coeffs(),
-          joint->omega_B,
-          joint->alpha_B,
+          t, state.omega_M.norm(), (gyro_inverse * (gyro - Bias(own.gyro_bias, t_imu))).norm(),
+          joint->a_W, joint->q_WB.coeffs(), joint->omega_B, joint->alpha_B,
           Eigen::Vector3d(rig.q_MI * (accel_inverse * (accel - Bias(own.accel_bias, t_imu)))));
     }
     table.Write(prefix + "_grid.npy");
@@ -344,11 +330,9 @@ void WriteValues(const std::string& file, const std::vector<ImuSample>& samples,
   values.Write(file);
 }
 
-void WriteSolvedSession(const ReportInput& input,
-                        size_t s,
+void WriteSolvedSession(const ReportInput& input, size_t s,
                         const std::shared_ptr<const TrajectoryCovariance>& covariance,
-                        const std::string& prefix,
-                        YAML::Node* node) {
+                        const std::string& prefix, YAML::Node* node) {
   const SessionData& recorded = input.sessions[s];
   const SolvedSession solved(input, s, covariance);
   const SessionCalibration& session = input.result.sessions[s];
@@ -360,9 +344,8 @@ void WriteSolvedSession(const ReportInput& input,
   (*node)["sensors"] = solved.WriteResiduals(prefix);
   (*node)["excitation"] = solved.WriteMotion(prefix);
   solved.WriteErrorBounds(prefix);
-  WriteTimes(prefix + "_poses_stamps.npy", recorded.poses, [&](int64_t t_ns) {
-    return solved.PoseTime(t_ns);
-  });
+  WriteTimes(prefix + "_poses_stamps.npy", recorded.poses,
+             [&](int64_t t_ns) { return solved.PoseTime(t_ns); });
   for (size_t i = 0; i < recorded.imus.size(); ++i)
     if (session.imus[i].is_present)
       solved.WriteImu(prefix + "_i" + std::to_string(i), i, recorded.imus[i]);

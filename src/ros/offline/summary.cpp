@@ -6,7 +6,7 @@
 #include <numeric>
 #include <optional>
 
-#include "imu_pose_calib/core/options.h"
+#include "imu_pose_calib/core/base/options.h"
 #include "imu_pose_calib/ros/io/printable.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"
 
@@ -24,20 +24,17 @@ std::string Verdict(const std::string& verdict, const std::string& message) {
 
 /// What the covariances of the poses say, a line.
 std::string Stated(const char* indent, const PoseStd& stated) {
-  return Format("%stheir covariances say %.3g mm and %.3g deg per axis\n",
-                indent,
-                1e3 * stated.position,
-                kDegrees * stated.rotation);
+  return Format("%stheir covariances say %.3g mm and %.3g deg per axis\n", indent,
+                1e3 * stated.position, kDegrees * stated.rotation);
 }
 
 std::string Stream(const char* label, const std::string& topic, const StreamReport& report) {
   const std::string recovered =
       report.stamps_recovered ? "; stamps: recovered, jitter " + Time(report.stamp_jitter_s) : "";
-  return Wrap(
-      label,
-      topic +
-          Format(": %zu at %.1f Hz over %.1f s", report.used, report.rate_hz, report.duration_s) +
-          recovered + Dropped(report));
+  return Wrap(label, topic +
+                         Format(": %zu at %.1f Hz over %.1f s", report.used, report.rate_hz,
+                                report.duration_s) +
+                         recovered + Dropped(report));
 }
 
 std::string Data(const SessionCalibration& session, const RecordingInfo& info) {
@@ -51,10 +48,8 @@ std::string Data(const SessionCalibration& session, const RecordingInfo& info) {
   }
   if (!info.imu_yaml.empty()) text += Wrap("  noise  ", info.imu_yaml);
   if (session.gaps + session.jumps > 0)
-    text += Format("  %zu gaps and %zu jumps in the poses leave %zu segments\n",
-                   session.gaps,
-                   session.jumps,
-                   session.segments);
+    text += Format("  %zu gaps and %zu jumps in the poses leave %zu segments\n", session.gaps,
+                   session.jumps, session.segments);
   return text;
 }
 
@@ -101,8 +96,7 @@ std::optional<Eigen::Vector3d> RollPitchYawStd(const ImuCalibration& imu) {
 /// Whether the result is in doubt for a reason that no sigma shows.
 bool IsDoubted(const Calibration& result) {
   return result.status != Status::kOk &&
-         std::all_of(result.observability.begin(),
-                     result.observability.end(),
+         std::all_of(result.observability.begin(), result.observability.end(),
                      [](const Observability& o) { return o.status == Status::kOk; });
 }
 
@@ -126,15 +120,10 @@ std::string DriftVerdict(const Calibration& result) {
   return IsDoubted(result) ? "in doubt" : ToString(Status::kOk);
 }
 
-std::string Row(const std::string& name,
-                const std::string& value,
-                const std::string& sigma,
+std::string Row(const std::string& name, const std::string& value, const std::string& sigma,
                 const std::string& verdict) {
-  return Format("  %-16s %-29s %-22s %s\n",
-                name.c_str(),
-                value.c_str(),
-                verdict == "fixed" ? "" : sigma.c_str(),
-                verdict.c_str());
+  return Format("  %-16s %-29s %-22s %s\n", name.c_str(), value.c_str(),
+                verdict == "fixed" ? "" : sigma.c_str(), verdict.c_str());
 }
 
 /// What was dropped of all streams: "; gyro: 2 outlier".
@@ -177,41 +166,29 @@ std::string Table(const Calibration& result) {
   const ImuSession& clock = result.sessions[0].imus[0];
   const Vector6d sigma = imu.Std();
   std::string text = "\n" + Row("imu in marker", "value", "sigma", "verdict");
-  text += Row("translation [mm]",
-              List(1e3 * imu.T_MI.p, "%.3f"),
-              List(1e3 * sigma.head<3>(), "%.3f"),
-              RowVerdict(result, "p_MI"));
+  text += Row("translation [mm]", List(1e3 * imu.T_MI.p, "%.3f"),
+              List(1e3 * sigma.head<3>(), "%.3f"), RowVerdict(result, "p_MI"));
   const std::optional<Eigen::Vector3d> rpy_sigma = RollPitchYawStd(imu);
-  text += Row("rpy [deg]",
-              List(RollPitchYaw(imu.T_MI.q), "%.3f"),
-              List(kDegrees * rpy_sigma.value_or(sigma.tail<3>()), "%.4f"),
-              RowVerdict(result, "R_MI"));
+  text +=
+      Row("rpy [deg]", List(RollPitchYaw(imu.T_MI.q), "%.3f"),
+          List(kDegrees * rpy_sigma.value_or(sigma.tail<3>()), "%.4f"), RowVerdict(result, "R_MI"));
   if (!rpy_sigma)
     text += "    pitch near 90 deg: roll and yaw turn about one axis; sigma about imu x, y, z\n";
-  text += Row("time shift",
-              Format("%.7f s", clock.time_shift),
-              Format("%.4f ms", 1e3 * clock.time_shift_std),
-              RowVerdict(result, "time_shift"));
-  text += Row("accel delay",
-              Format("%.4f ms", 1e3 * imu.accel_delay),
-              Format("%.4f ms", 1e3 * imu.accel_delay_std),
-              RowVerdict(result, "accel_delay"));
+  text += Row("time shift", Format("%.7f s", clock.time_shift),
+              Format("%.4f ms", 1e3 * clock.time_shift_std), RowVerdict(result, "time_shift"));
+  text += Row("accel delay", Format("%.4f ms", 1e3 * imu.accel_delay),
+              Format("%.4f ms", 1e3 * imu.accel_delay_std), RowVerdict(result, "accel_delay"));
   if (clock.clock_drift_std > 0.0)
-    text += Row("clock drift",
-                Format("%.2f ppm", 1e6 * clock.clock_drift),
-                Format("%.2f ppm", 1e6 * clock.clock_drift_std),
-                DriftVerdict(result));
+    text += Row("clock drift", Format("%.2f ppm", 1e6 * clock.clock_drift),
+                Format("%.2f ppm", 1e6 * clock.clock_drift_std), DriftVerdict(result));
   return text;
 }
 
 /// With several IMUs: one row for each, and their transforms to the first.
 std::string ImuTable(const Calibration& result, const RecordingInfo& info) {
   const auto row = [](const std::string& name, const Rigid3& T, const Vector6d& sigma) {
-    return Format("  %-6s %26s %7.3f %25s %9.4f\n",
-                  name.c_str(),
-                  List(1e3 * T.p, "%.3f").c_str(),
-                  1e3 * sigma.head<3>().maxCoeff(),
-                  List(RollPitchYaw(T.q), "%.3f").c_str(),
+    return Format("  %-6s %26s %7.3f %25s %9.4f\n", name.c_str(), List(1e3 * T.p, "%.3f").c_str(),
+                  1e3 * sigma.head<3>().maxCoeff(), List(RollPitchYaw(T.q), "%.3f").c_str(),
                   kDegrees * sigma.tail<3>().maxCoeff());
   };
   const std::string units =
@@ -226,8 +203,7 @@ std::string ImuTable(const Calibration& result, const RecordingInfo& info) {
   for (size_t i = 0; i < result.imus.size(); ++i)
     text += Wrap("  imu" + std::to_string(i) + ": ",
                  info.imus[i].imu_frame + ", " + info.imus[i].GyroSource() +
-                     Format(", accel delay %.4f +- %.4f ms",
-                            1e3 * result.imus[i].accel_delay,
+                     Format(", accel delay %.4f +- %.4f ms", 1e3 * result.imus[i].accel_delay,
                             1e3 * result.imus[i].accel_delay_std));
   return text;
 }
@@ -241,33 +217,26 @@ std::string SessionTable(const Calibration& result, const std::vector<RecordingI
     if (result.sessions.size() > 1) {
       text += Wrap("  " + std::to_string(s + 1) + "  ", infos[s].Source());
       text += Format("     at most %s: %.1f sigma (chi-square %.1f of %d)\n",
-                     session.agreement.worst.c_str(),
-                     session.agreement.sigmas,
-                     session.agreement.chi2,
-                     session.agreement.dof);
+                     session.agreement.worst.c_str(), session.agreement.sigmas,
+                     session.agreement.chi2, session.agreement.dof);
     }
     for (size_t i = 0; i < session.imus.size(); ++i)
       if (session.imus[i].is_present)
-        text += Format("     time shift of imu%zu  %.7f s +- %.4f ms\n",
-                       i,
-                       session.imus[i].time_shift,
-                       1e3 * session.imus[i].time_shift_std);
+        text += Format("     time shift of imu%zu  %.7f s +- %.4f ms\n", i,
+                       session.imus[i].time_shift, 1e3 * session.imus[i].time_shift_std);
   }
   return text;
 }
 
 /// One line instead of the table of the sessions.
 std::string MostApart(const Calibration& result) {
-  const auto most = std::max_element(result.sessions.begin(),
-                                     result.sessions.end(),
+  const auto most = std::max_element(result.sessions.begin(), result.sessions.end(),
                                      [](const SessionCalibration& a, const SessionCalibration& b) {
                                        return a.agreement.sigmas < b.agreement.sigmas;
                                      });
   return Format("\n  %zu sessions; farthest from the others: session %d, %s, %.1f sigma\n",
-                result.sessions.size(),
-                static_cast<int>(most - result.sessions.begin()) + 1,
-                most->agreement.worst.c_str(),
-                most->agreement.sigmas);
+                result.sessions.size(), static_cast<int>(most - result.sessions.begin()) + 1,
+                most->agreement.worst.c_str(), most->agreement.sigmas);
 }
 
 std::string Transform(const Calibration& result) {
@@ -325,22 +294,18 @@ std::string Clocks(const Calibration& result) {
   if (std::abs(smoothing) > kCertain * result.pose_smoothing_std) {
     const double root = std::sqrt(std::abs(smoothing));
     text += Format("%s smoothed over %.1f ms (sigma %.1f ms) more than the %s: accounted for\n",
-                   smoothing > 0.0 ? "Poses" : "Imu",
-                   1e3 * root,
-                   0.5e3 * result.pose_smoothing_std / root,
-                   smoothing > 0.0 ? "imu" : "poses");
+                   smoothing > 0.0 ? "Poses" : "Imu", 1e3 * root,
+                   0.5e3 * result.pose_smoothing_std / root, smoothing > 0.0 ? "imu" : "poses");
   }
   const double excess = result.position_smoothing;
   if (std::abs(excess) > kCertain * result.position_smoothing_std)
     text += Format("%s of the poses averages over %.1f ms more than their %s: accounted for\n",
-                   excess > 0.0 ? "Position" : "Rotation",
-                   1e3 * std::sqrt(std::abs(excess)),
+                   excess > 0.0 ? "Position" : "Rotation", 1e3 * std::sqrt(std::abs(excess)),
                    excess > 0.0 ? "rotation" : "position");
   if (std::abs(result.pose_scale - 1.0) > kCertain * result.pose_scale_std)
     text += Format("Positions are too %s by %.2f %% (sigma %.2f %%): accounted for\n",
                    result.pose_scale > 1.0 ? "large" : "small",
-                   100.0 * std::abs(result.pose_scale - 1.0),
-                   100.0 * result.pose_scale_std);
+                   100.0 * std::abs(result.pose_scale - 1.0), 100.0 * result.pose_scale_std);
   return text;
 }
 
@@ -402,34 +367,21 @@ std::string Warnings(const Calibration& result) {
   return text.empty() ? "" : "\n" + text;
 }
 
-std::string StaticTransform(const Rigid3& T,
-                            const std::string& marker_frame,
+std::string StaticTransform(const Rigid3& T, const std::string& marker_frame,
                             const std::string& imu_frame) {
   return "\nrosrun tf2_ros static_transform_publisher \\\n" +
-         Format("  %.6f %.6f %.6f %.8f %.8f %.8f %.8f \\\n",
-                T.p.x(),
-                T.p.y(),
-                T.p.z(),
-                T.q.x(),
-                T.q.y(),
-                T.q.z(),
-                T.q.w()) +
+         Format("  %.6f %.6f %.6f %.8f %.8f %.8f %.8f \\\n", T.p.x(), T.p.y(), T.p.z(), T.q.x(),
+                T.q.y(), T.q.z(), T.q.w()) +
          "  " + marker_frame + " " + imu_frame + "\n";
 }
 
 // --- Of a check of the data ---
 
-std::string StreamRow(const char* label,
-                      const StreamCheck& stream,
+std::string StreamRow(const char* label, const StreamCheck& stream,
                       const std::optional<Latency>& latency) {
-  return Format("  %-6s%8zu%8.1f%9s%10s%8.1f%9.1f",
-                label,
-                stream.count,
-                stream.rate_hz,
-                Time(stream.jitter_s).c_str(),
-                Time(stream.longest_gap_s).c_str(),
-                100.0 * stream.missing,
-                100.0 * stream.repeated) +
+  return Format("  %-6s%8zu%8.1f%9s%10s%8.1f%9.1f", label, stream.count, stream.rate_hz,
+                Time(stream.jitter_s).c_str(), Time(stream.longest_gap_s).c_str(),
+                100.0 * stream.missing, 100.0 * stream.repeated) +
          (latency
               ? Format("%12s%8s", Time(latency->median_s).c_str(), Time(latency->spread_s).c_str())
               : "") +
@@ -501,8 +453,7 @@ std::string Matches(const DataCheck& check) {
 
 std::string Rest(const ImuCheck& imu) {
   return imu.rest_s > 0.0 ? Format("  at rest      %.1f s; the accelerometer shows %.2f m/s^2\n",
-                                   imu.rest_s,
-                                   imu.rest_norm)
+                                   imu.rest_s, imu.rest_norm)
                           : "  at rest      never, so the accelerometer's norm is unchecked\n";
 }
 
@@ -531,8 +482,7 @@ std::string Summary(const Calibration& result, const std::vector<RecordingInfo>&
   return text;
 }
 
-std::string Brief(const Calibration& result,
-                  const std::vector<RecordingInfo>& recordings,
+std::string Brief(const Calibration& result, const std::vector<RecordingInfo>& recordings,
                   size_t lines) {
   std::vector<RecordingInfo> infos;
   for (const RecordingInfo& recording : recordings) infos.push_back(WithPrintableNames(recording));

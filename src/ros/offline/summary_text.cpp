@@ -71,8 +71,8 @@ std::string Dropped(const StreamReport& report) {
 }
 
 RecordingInfo WithPrintableNames(RecordingInfo info) {
-  std::vector<std::string*> names = {
-      &info.bag, &info.pose_topic, &info.marker_frame, &info.imu_yaml};
+  std::vector<std::string*> names = {&info.bag, &info.pose_topic, &info.marker_frame,
+                                     &info.imu_yaml};
   for (ImuInfo& imu : info.imus)
     names.insert(names.end(), {&imu.imu_topic, &imu.gyro_topic, &imu.accel_topic, &imu.imu_frame});
   for (std::string* name : names) *name = Printable(*name);

@@ -24,25 +24,21 @@ po::options_description Describe(CommandLine* line) {
   OfflineRequest& recording = request.recording;
   po::options_description options("Options");
   auto add = options.add_options();
-  add("imu-sensor",
-      Value(&request.imu_sensor, "T"),
+  add("imu-sensor", Value(&request.imu_sensor, "T"),
       "T_imu_sensor (x_imu = T x_sensor): \"x y z qx qy qz qw\" [m], or a YAML or JSON file");
   add("marker-sensor", Value(&request.marker_sensor, "T"), "T_marker_sensor, instead of it");
   add("cloud-topic", Value(&request.cloud_topic), "PointCloud2; default: the one in the bag");
   add("cloud-clock", Value(&request.cloud_clock), "clock of its stamps: imu (default) or poses");
-  add("point-time",
-      ValueOrDefault(&request.point_time, "UNIT"),
+  add("point-time", ValueOrDefault(&request.point_time, "UNIT"),
       "unit of the points' own times: s, ms, us, ns; none: they have none");
   add("output", Value(&request.output, "FILE"), "map; default: BAG.map.pcd next to the bag");
   add("voxel", ValueOrDefault(&request.voxel_m, "M"), "one point of the map for each such cube");
   add("min-range", ValueOrDefault(&request.min_range_m, "M"), "nearer points are left out");
   add("max-range", ValueOrDefault(&request.max_range_m, "M"), "farther points are left out");
   add("radius", ValueOrDefault(&request.radius_m, "M"), "around a point, to judge sharpness");
-  add("uncalibrated",
-      Value(&request.uncalibrated, "FILE"),
+  add("uncalibrated", Value(&request.uncalibrated, "FILE"),
       "also write the map of the poses as recorded, without any calibration");
-  add("guess",
-      Value(&request.guess, "T"),
+  add("guess", Value(&request.guess, "T"),
       "its T_marker_imu; default: nearest right angles, no lever arm");
   add("publish", po::bool_switch(&line->publish), "stay as a ROS node: ~map, ~uncalibrated");
   add("quiet", po::bool_switch(&line->quiet), "print errors only");
@@ -50,8 +46,7 @@ po::options_description Describe(CommandLine* line) {
 
   po::options_description calibration("Calibration, as calibrate_bag has it");
   auto more = calibration.add_options();
-  more("calibration",
-       Value(&recording.calibration, "FILE"),
+  more("calibration", Value(&recording.calibration, "FILE"),
        "result of another recording: its T_marker_imu is kept");
   more("imu-topic", Value(&recording.bag.imu_topic), "sensor_msgs/Imu");
   more("pose-topic", Value(&recording.bag.pose_topic), "poses of the marker");
@@ -94,8 +89,8 @@ void Publish(const AggregateOutcome& outcome) {
 
 void Run(int argc, char** argv) {
   CommandLine line;
-  ParseCommandLine(
-      argc, argv, Describe(&line), "bag", Value(&line.request.recording.bag.paths), -1);
+  ParseCommandLine(argc, argv, Describe(&line), "bag", Value(&line.request.recording.bag.paths),
+                   -1);
   if (line.help) return PrintHelp();
   line.request.keep_uncalibrated = line.publish;
   auto guard = std::make_unique<InterruptGuard>();

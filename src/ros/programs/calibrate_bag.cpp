@@ -56,40 +56,31 @@ po::options_description DescribeOthers(OfflineRequest* given) {
   OfflineRequest& request = *given;
   po::options_description options("Other options");
   auto add = options.add_options();
-  add("gyro-topic",
-      Repeated(&request.bag.gyro_topic),
+  add("gyro-topic", Repeated(&request.bag.gyro_topic),
       "gyroscope of a split IMU: sensor_msgs/Imu or geometry_msgs/Vector3Stamped");
   add("accel-topic", Repeated(&request.bag.accel_topic), "accelerometer of a split IMU");
   add("tf-parent", Value(&request.bag.tf_parent), "poses from tf: the fixed frame");
   add("tf-child", Value(&request.bag.tf_child), "poses from tf: the marker");
-  add("poses",
-      Value(&request.text.poses),
+  add("poses", Value(&request.text.poses),
       "text file of the poses, instead of those of a bag: CSV, TUM, export of Motive or Vicon");
   add("imu", Repeated(&request.text.imu), "text file of the IMU; again for each further one");
   add("gyro", Repeated(&request.text.gyro), "text file of the gyroscope of a split IMU");
   add("accel", Repeated(&request.text.accel), "text file of the accelerometer of a split IMU");
   add("method", Value(&request.method), "joint (default) or gp");
-  add("trajectory-format",
-      Value(&request.trajectory.format),
+  add("trajectory-format", Value(&request.trajectory.format),
       "tum, ov_eval, euroc, asl or bag; default: by the suffix");
-  add("trajectory-rate",
-      Value(&request.trajectory.rate_hz, "HZ"),
+  add("trajectory-rate", Value(&request.trajectory.rate_hz, "HZ"),
       "states per second; default: at the samples of the IMU");
-  add("trajectory-clock",
-      Value(&request.trajectory.clock),
+  add("trajectory-clock", Value(&request.trajectory.clock),
       "clock of its stamps: imu (default) or poses");
-  add("trajectory-gaps",
-      Value(&request.trajectory.max_gap_s, "S"),
+  add("trajectory-gaps", Value(&request.trajectory.max_gap_s, "S"),
       "longest gap of the poses that the IMU bridges (default 2); others are left out");
-  add("record-time",
-      po::bool_switch(&request.bag.record_time),
+  add("record-time", po::bool_switch(&request.bag.record_time),
       "times of recording instead of the header stamps");
   add("marker-frame", Value(&request.marker_frame), "name of the marker frame in the result");
-  add("imu-frame",
-      Repeated(&request.imu_frame),
+  add("imu-frame", Repeated(&request.imu_frame),
       "name of the imu frame in the result; again for each further IMU");
-  add("one-recording",
-      po::bool_switch(&request.one_recording),
+  add("one-recording", po::bool_switch(&request.one_recording),
       "all bags are one recording, also those that do not continue each other");
   return options;
 }

@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/core/comparison.h"
+#include "imu_pose_calib/core/verdict/comparison.h"
 #include "imu_pose_calib/ros/exports/export_text.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/stored_result.h"
@@ -138,16 +138,13 @@ std::string Table(const Comparison& comparison, const std::string& title) {
   for (const Difference& component : comparison.components) {
     const Unit unit = UnitOf(component.quantity);
     const std::string judged = component.sigma > 0.0 ? Format("%.1f sigma", component.sigmas) : "-";
-    text += Row("  %-24s %10s %-3s %10s %-3s %10s",
-                Name(component.quantity, component.axis).c_str(),
-                Fixed(component.value * unit.factor).c_str(),
-                unit.name,
-                Fixed(component.sigma * unit.factor).c_str(),
-                unit.name,
-                judged.c_str());
+    text +=
+        Row("  %-24s %10s %-3s %10s %-3s %10s", Name(component.quantity, component.axis).c_str(),
+            Fixed(component.value * unit.factor).c_str(), unit.name,
+            Fixed(component.sigma * unit.factor).c_str(), unit.name, judged.c_str());
   }
-  text += Format(
-      "  together: %.3f mm, %.4f deg", comparison.distance * 1e3, comparison.angle * 180.0 / M_PI);
+  text += Format("  together: %.3f mm, %.4f deg", comparison.distance * 1e3,
+                 comparison.angle * 180.0 / M_PI);
   if (comparison.dof > 0)
     text += Format("; chi-square %.1f with %d degrees of freedom", comparison.chi2, comparison.dof);
   return text + "\n";
@@ -163,12 +160,8 @@ std::string MeanText(const Comparable& mean, ComparedQuantity quantity, int axis
 }
 
 std::string ScatterTable(const Repeatability& repeatability) {
-  std::string text = Row("\n  %-16s %14s %12s %12s      %s",
-                         "repeatability",
-                         "mean",
-                         "scatter",
-                         "sigma",
-                         "chi2 / dof");
+  std::string text = Row("\n  %-16s %14s %12s %12s      %s", "repeatability", "mean", "scatter",
+                         "sigma", "chi2 / dof");
   for (const Scatter& scatter : repeatability.scatters) {
     const Unit unit = UnitOf(scatter.quantity);
     for (int axis = 0; axis < scatter.deviation.size(); ++axis) {
@@ -176,13 +169,10 @@ std::string ScatterTable(const Repeatability& repeatability) {
           axis > 0 || scatter.dof == 0
               ? ""
               : Format("%.1f / %d = %.2f", scatter.chi2, scatter.dof, scatter.chi2 / scatter.dof);
-      text += Row("  %-16s %14s %12s %12s %-4s %s",
-                  Name(scatter.quantity, axis).c_str(),
+      text += Row("  %-16s %14s %12s %12s %-4s %s", Name(scatter.quantity, axis).c_str(),
                   MeanText(repeatability.mean, scatter.quantity, axis).c_str(),
                   Fixed(scatter.deviation[axis] * unit.factor).c_str(),
-                  Fixed(scatter.sigma[axis] * unit.factor).c_str(),
-                  unit.name,
-                  chi2.c_str());
+                  Fixed(scatter.sigma[axis] * unit.factor).c_str(), unit.name, chi2.c_str());
     }
   }
   Eigen::Vector4d q = repeatability.mean.T_MI.q.coeffs();
@@ -212,11 +202,8 @@ std::string Rows(const std::vector<Comparison>& comparisons, const std::string& 
   for (size_t i = 0; i < comparisons.size(); ++i) {
     Worst worst;
     worst.Add(comparisons[i], "");
-    text += Format("  result %-9zu %9.3f mm %8.4f deg   %s\n",
-                   i + 1,
-                   comparisons[i].distance * 1e3,
-                   comparisons[i].angle * 180.0 / M_PI,
-                   worst.text.c_str());
+    text += Format("  result %-9zu %9.3f mm %8.4f deg   %s\n", i + 1, comparisons[i].distance * 1e3,
+                   comparisons[i].angle * 180.0 / M_PI, worst.text.c_str());
   }
   return text;
 }
@@ -244,17 +231,14 @@ Matrix6d Covariance(const std::string& text) {
 }
 
 /// Writes marker -> imu of the result, and imu -> each camera of the chain.
-std::vector<std::string> WriteChain(const CommandLine& line,
-                                    const StoredResult& stored,
+std::vector<std::string> WriteChain(const CommandLine& line, const StoredResult& stored,
                                     const std::vector<ChainCamera>& cameras) {
   std::vector<StaticTransform> transforms = {ImuTransforms(stored)[line.imu]};
   const std::string imu = transforms.front().child;
   for (const ChainCamera& camera : cameras)
     transforms.push_back({imu, camera.name, camera.T_cam_imu.Inverse()});
   const Lines head =
-      Head(stored,
-           "marker -> imu -> cameras",
-           true,
+      Head(stored, "marker -> imu -> cameras", true,
            {"cameras: x_cam = T_cam_imu x_imu of " + line.chain[1] + "; published is its inverse"});
   std::vector<std::string> paths = {line.chain_output + ".urdf", line.chain_output + ".tf.launch"};
   WriteFile(paths[0], UrdfText(head, transforms));
@@ -296,8 +280,7 @@ void Check(const CommandLine& line) {
 
 /// Compares two results, or each of more with the mean of the others.
 std::string CompareResults(const std::vector<Comparable>& calibrations,
-                           const std::vector<ComparedQuantity>& quantities,
-                           Worst* worst) {
+                           const std::vector<ComparedQuantity>& quantities, Worst* worst) {
   if (calibrations.size() < 2) return "";
   if (calibrations.size() == 2) {
     const Comparison comparison = Compare(calibrations[0], calibrations[1], quantities);
@@ -313,10 +296,8 @@ std::string CompareResults(const std::vector<Comparable>& calibrations,
 
 /// Compares each result with the reference.
 std::string CompareWithReference(const std::vector<Comparable>& calibrations,
-                                 const Comparable& reference,
-                                 const std::string& name,
-                                 const std::vector<ComparedQuantity>& quantities,
-                                 Worst* worst) {
+                                 const Comparable& reference, const std::string& name,
+                                 const std::vector<ComparedQuantity>& quantities, Worst* worst) {
   std::vector<Comparison> comparisons;
   for (size_t i = 0; i < calibrations.size(); ++i) {
     comparisons.push_back(Compare(reference, calibrations[i], quantities));
@@ -370,9 +351,7 @@ void CompareAll(const CommandLine& line) {
       (agrees ? "AGREE" : "DIFFER") + verdict + "\n" + DependenceRemark(results, line.imu) + text;
   if (!line.report.empty()) {
     WriteComparison(
-        {results,
-         line.imu,
-         quantities,
+        {results, line.imu, quantities,
          name.empty() ? std::nullopt : std::optional<Comparable>(reference),
          agrees ? "agree" : "differ",
          (agrees ? "most apart: " : "") + worst.text + Format(" (bound: %.0f)", kAgreementBound)},
@@ -389,23 +368,18 @@ void CompareAll(const CommandLine& line) {
 po::options_description Describe(CommandLine* line) {
   po::options_description options("Options");
   auto add = options.add_options();
-  add("reference",
-      Value(&line->reference, "T"),
+  add("reference", Value(&line->reference, "T"),
       "T_marker_imu to compare with: \"x y z qx qy qz qw\" [m], or a YAML or JSON file");
-  add("chain",
-      Value(&line->chain, "T CAMCHAIN")->multitoken(),
+  add("chain", Value(&line->chain, "T CAMCHAIN")->multitoken(),
       "the same as T_marker_cam (x_marker = T x_cam), numbers or file, and Kalibr's "
       "camchain-imucam.yaml: T_marker_imu = T_marker_cam T_cam_imu");
   add("cam", ValueOrDefault(&line->camera, "NAME"), "camera of the chain that T_marker_cam is of");
-  add("reference-std",
-      ValueOrDefault(&line->reference_std, "\"MM DEG\""),
+  add("reference-std", ValueOrDefault(&line->reference_std, "\"MM DEG\""),
       "sigma of reference or chain, per axis");
-  add("chain-output",
-      Value(&line->chain_output, "PREFIX"),
+  add("chain-output", Value(&line->chain_output, "PREFIX"),
       "write marker -> imu (result) -> cameras (chain): PREFIX.urdf, PREFIX.tf.launch");
   add("imu", ValueOrDefault(&line->imu, "N"), "which of several imus, from 0");
-  add("same-clocks",
-      po::bool_switch(&line->same_clocks),
+  add("same-clocks", po::bool_switch(&line->same_clocks),
       "compare the time shifts of different recordings, too");
   add("report", Value(&line->report), "page with figures: FILE.html or FILE.pdf");
   add("quiet", po::bool_switch(&line->quiet), "print errors only");

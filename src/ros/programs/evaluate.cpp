@@ -37,20 +37,16 @@ po::options_description Describe(CommandLine* line) {
   add("bag", Value(&request.bag.path), "recording to add noise to, no simulation; default: both");
   add("simulate", po::bool_switch(&line->simulate), "simulated recordings only; with --bag: both");
   add("start", Value(&request.bag.start_s, "S")->default_value(0), "seconds of the bag to skip");
-  add("duration",
-      Value(&request.bag.duration_s, "S")->default_value(40),
+  add("duration", Value(&request.bag.duration_s, "S")->default_value(40),
       "seconds of the bag to use; 0: all");
   add("experiments", Value(&line->experiments), "names with commas between; default: all");
   add("list", po::bool_switch(&line->list), "print the names of the experiments");
-  add("trials",
-      ValueOrDefault(&request.trials, "N"),
+  add("trials", ValueOrDefault(&request.trials, "N"),
       "of each cell of the paper's tables; others have a part or a multiple of it");
   add("rig", Value(&request.rig)->multitoken(), "bags of one rig to compare with each other");
-  add("chain",
-      Value(&request.chain)->multitoken(),
+  add("chain", Value(&request.chain)->multitoken(),
       "T_marker_camera and T_camera_imu, to compare the rig with: \"x y z qx qy qz qw\" or files");
-  add("batch",
-      Value(&line->batch, "DIR"),
+  add("batch", Value(&line->batch, "DIR"),
       "instead of experiments: calibrate every bag below DIR, with a report of each");
   add("dataset", Value(&line->dataset), "instead: a public dataset, tum-vi, euroc or broad");
   add("data", Value(&line->data, "DIR"), "where it is");
@@ -61,11 +57,9 @@ po::options_description Describe(CommandLine* line) {
   add("config", Value(&line->sequences.config), "YAML of options, for a batch or a dataset");
   add("method", Value(&line->sequences.method), "joint (default) or gp, for a batch or a dataset");
   add("jobs", Value(&request.runner.jobs, "J"), "trials at a time; default: one per processor");
-  add("out",
-      Value(&request.runner.folder, "DIR")->default_value("evaluation"),
+  add("out", Value(&request.runner.folder, "DIR")->default_value("evaluation"),
       "trials, tables and figures; what is there is not run again");
-  add("print-jobs",
-      Value(&line->print_jobs, "K"),
+  add("print-jobs", Value(&line->print_jobs, "K"),
       "print K commands that share the trials, and run nothing");
   add("job", Value(&line->job), "I/K: only the I-th of K shares of the trials");
   add("merge", po::bool_switch(&request.is_merge), "tables only: all trials must be there");
@@ -134,11 +128,9 @@ void RunRecordings(const CommandLine& line) {
                                               : FindBags(line.batch, line.sequences);
   RunnerOptions runner = line.request.runner;
   runner.title = "recordings";
-  const SequencesOutcome outcome =
-      RunSequences(sequences,
-                   is_dataset ? DatasetTitle(line.dataset) : "Calibration of " + line.batch,
-                   is_dataset,
-                   runner);
+  const SequencesOutcome outcome = RunSequences(
+      sequences, is_dataset ? DatasetTitle(line.dataset) : "Calibration of " + line.batch,
+      is_dataset, runner);
   if (!runner.quiet && outcome.missing > 0)
     std::cout << outcome.missing << " recordings of the other jobs are missing\n";
   if (!runner.quiet) std::cout << outcome.text;

@@ -22,11 +22,9 @@ po::options_description Describe(CommandLine* line) {
   po::options_description options("Options");
   auto add = options.add_options();
   add("export", Value(&line->exports, "LIST"), "programs, separated by commas; all: every one");
-  add("output-dir",
-      Value(&line->output_dir, "DIR"),
+  add("output-dir", Value(&line->output_dir, "DIR"),
       "folder for the files, made when missing; default: that of the result");
-  add("body-imu",
-      Value(&line->body_imu, "\"QX QY QZ QW\""),
+  add("body-imu", Value(&line->body_imu, "\"QX QY QZ QW\""),
       "px4: from imu axes to the body's forward, right, down; default: they are the same");
   add("quiet", po::bool_switch(&line->quiet), "print errors only");
   add("help", po::bool_switch(&line->help), "print this text");

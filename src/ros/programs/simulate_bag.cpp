@@ -4,7 +4,6 @@
 #include <iostream>
 #include <sstream>
 
-#include "imu_pose_calib/core/simulator.h"
 #include "imu_pose_calib/ros/clouds/simulated_lidar.h"
 #include "imu_pose_calib/ros/io/bag_writer.h"
 #include "imu_pose_calib/ros/io/output_files.h"
@@ -12,6 +11,7 @@
 #include "imu_pose_calib/ros/io/text_writer.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
 #include "imu_pose_calib/ros/offline/ground_truth.h"
+#include "imu_pose_calib/simulation/simulator.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -31,51 +31,42 @@ po::options_description Describe(CommandLine* line) {
   SimulatorOptions& simulator = line->simulator;
   po::options_description options("Options");
   auto add = options.add_options();
-  add("motion",
-      ValueOrDefault(&line->motion, "TEXT"),
+  add("motion", ValueOrDefault(&line->motion, "TEXT"),
       "handheld, tumble, arm, drone, planar, hinge or static");
   add("duration", ValueOrDefault(&simulator.duration_s, "S"), "length");
   add("seed", ValueOrDefault(&simulator.seed, "N"), "motion, noise and biases follow from it");
   add("pose-rate", ValueOrDefault(&simulator.pose_rate_hz, "HZ"), "poses");
   add("imu-rate", ValueOrDefault(&line->imu_rate_hz, "HZ"), "gyroscope and accelerometer");
-  add("imus",
-      ValueOrDefault(&line->imus, "N"),
+  add("imus", ValueOrDefault(&line->imus, "N"),
       "on the body, with clocks of their own: /imu, /imu1, ...");
   add("position-std", ValueOrDefault(&simulator.position_std, "M"), "noise per axis");
   add("rotation-std", ValueOrDefault(&simulator.rotation_std, "RAD"), "noise per axis");
   add("gyro-std", ValueOrDefault(&simulator.gyro_std, "RAD/S"), "noise per sample");
   add("accel-std", ValueOrDefault(&simulator.accel_std, "M/S^2"), "noise per sample");
   add("time-shift", ValueOrDefault(&simulator.time_shift_s, "S"), "t_pose = t_imu + time_shift");
-  add("accel-delay",
-      ValueOrDefault(&simulator.accel_delay_s, "S"),
+  add("accel-delay", ValueOrDefault(&simulator.accel_delay_s, "S"),
       "t_pose = t_accel + time_shift - accel_delay");
-  add("format",
-      ValueOrDefault(&line->format_name, "TEXT"),
+  add("format", ValueOrDefault(&line->format_name, "TEXT"),
       "bag; mcap, db3: of ROS 2; asl: folder OUTPUT/ like EuRoC; text: OUTPUT.poses.txt and "
       "OUTPUT.imu.csv");
-  add("split",
-      po::bool_switch(&line->format.split_imu),
+  add("split", po::bool_switch(&line->format.split_imu),
       "gyroscope and accelerometer on two topics, or in two files");
-  add("pose-type",
-      ValueOrDefault(&line->format.pose_type, "TEXT"),
+  add("pose-type", ValueOrDefault(&line->format.pose_type, "TEXT"),
       "PoseStamped, TransformStamped, PoseWithCovarianceStamped, Odometry or tf (world to marker "
       "through six joints)");
-  add("imu-type",
-      ValueOrDefault(&line->format.imu_type, "TEXT"),
+  add("imu-type", ValueOrDefault(&line->format.imu_type, "TEXT"),
       "Imu or Vector3Stamped (/imu/gyro and /imu/accel)");
-  add("truth",
-      Value(&line->truth, "FILE"),
+  add("truth", Value(&line->truth, "FILE"),
       "where the IMU truly was, on its clock: .tum, .csv (EuRoC), .bag, or a folder (ASL)");
-  add("lidar",
-      po::bool_switch(&line->lidar),
+  add("lidar", po::bool_switch(&line->lidar),
       "a spinning lidar in a room, /points, on the IMU's clock; where it sits: OUTPUT.lidar.yaml");
   add("help", po::bool_switch(&line->help), "print this text");
   po::options_description effects("Effects that real recordings have; 0: none");
   for (const EffectOption& effect : EffectOptions()) {
     std::ostringstream text;
     text << effect.text << "; usual: " << effect.usual;
-    effects.add_options()(
-        effect.name, ValueOrDefault(&effect.strength(&simulator), effect.unit), text.str().c_str());
+    effects.add_options()(effect.name, ValueOrDefault(&effect.strength(&simulator), effect.unit),
+                          text.str().c_str());
   }
   options.add(effects);
   return options;
@@ -164,9 +155,7 @@ ImuState TrueImuState(const SimulatorOptions& options, const TrueState& marker) 
 }
 
 /// The true trajectory of one IMU at the rate of its gyroscope, without its delay.
-void WriteTruth(const TrajectoryTarget& target,
-                const SimulatorOptions& options,
-                const ImuData& imu,
+void WriteTruth(const TrajectoryTarget& target, const SimulatorOptions& options, const ImuData& imu,
                 OutputFiles* outputs) {
   const TrueTrajectory trajectory(options);
   const int64_t first_ns = options.start_ns - std::llround(1e9 * options.time_shift_s);
@@ -187,8 +176,7 @@ void WriteTruth(const TrajectoryTarget& target,
       both.push_back({imu.gyro[k].t_ns, imu.gyro[k].value, imu.accel[k].value});
     return both;
   };
-  WriteTrajectory(target.path,
-                  target.format,
+  WriteTrajectory(target.path, target.format,
                   {instants,
                    [&](double t) { return TrueImuState(options, trajectory.At(t)); },
                    false,
@@ -237,10 +225,8 @@ void Run(int argc, char** argv) {
   OutputFiles outputs;
   outputs.Write(prefix + ".truth.yaml", TruthYaml(simulator));
   for (const TrajectoryTarget& target : targets)
-    WriteTruth(target,
-               target.imu == 0 ? simulator : FurtherImu(simulator, target.imu),
-               data.imus[target.imu],
-               &outputs);
+    WriteTruth(target, target.imu == 0 ? simulator : FurtherImu(simulator, target.imu),
+               data.imus[target.imu], &outputs);
   outputs.Commit();
   if (line.lidar) {
     AppendLidar(line.output, simulator);

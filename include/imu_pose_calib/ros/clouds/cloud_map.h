@@ -11,7 +11,7 @@
 #include <utility>
 #include <vector>
 
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/clouds/point_cloud.h"
 #include "imu_pose_calib/ros/offline/offline.h"
 
@@ -24,9 +24,8 @@ using SensorPoseAt = std::function<std::optional<Rigid3>(int64_t stamp_ns)>;
 template <typename Sample>
 std::pair<int64_t, int64_t> SpanOf(const std::vector<Sample>& samples) {
   const auto [first, last] =
-      std::minmax_element(samples.begin(), samples.end(), [](const Sample& a, const Sample& b) {
-        return a.t_ns < b.t_ns;
-      });
+      std::minmax_element(samples.begin(), samples.end(),
+                          [](const Sample& a, const Sample& b) { return a.t_ns < b.t_ns; });
   return {first->t_ns, last->t_ns};
 }
 
@@ -47,8 +46,7 @@ struct SensorPoses {
 /// What the first IMU and the poses of the first session tell of the sensor: first without a
 /// calibration, then without one part of it at a time, and last with all of it. Clouds are stamped
 /// by the clock of the IMU or of the poses. The data must still be in `offline`.
-std::vector<SensorPoses> PosesWithAndWithout(const SensorMount& sensor,
-                                             bool is_on_imu_clock,
+std::vector<SensorPoses> PosesWithAndWithout(const SensorMount& sensor, bool is_on_imu_clock,
                                              const OfflineResult& offline);
 
 /// The rotation nearest to `q` that turns axes into axes: what anybody sees who looks at a sensor.

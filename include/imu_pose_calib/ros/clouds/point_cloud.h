@@ -47,8 +47,7 @@ std::string ToPcd(const std::vector<MapPoint>& points, bool has_intensity);
 
 /// A cloud of `points` in one row, for all of whose fields there are four bytes: a float, but for t
 /// [ns], which is unsigned.
-sensor_msgs::PointCloud2 NewCloud(const std::string& frame,
-                                  const std::vector<const char*>& names,
+sensor_msgs::PointCloud2 NewCloud(const std::string& frame, const std::vector<const char*>& names,
                                   size_t points);
 
 /// The same as a message without a stamp.

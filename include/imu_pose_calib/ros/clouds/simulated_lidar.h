@@ -4,7 +4,7 @@
 
 #include <string>
 
-#include "imu_pose_calib/core/simulator.h"
+#include "imu_pose_calib/simulation/simulator.h"
 
 namespace imu_pose_calib {
 

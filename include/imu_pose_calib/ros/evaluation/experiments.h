@@ -56,10 +56,7 @@ struct Trial {
 };
 
 /// The trials of a cell.
-std::vector<Trial> Trials(const Experiment& experiment,
-                          const Cell& cell,
-                          Base base,
-                          Method method,
+std::vector<Trial> Trials(const Experiment& experiment, const Cell& cell, Base base, Method method,
                           size_t trials);
 
 }  // namespace imu_pose_calib

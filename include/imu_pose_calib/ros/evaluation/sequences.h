@@ -25,8 +25,7 @@ std::vector<Sequence> FindBags(const std::string& folder, const OfflineRequest& 
 /// Sequences of a public dataset, "tum-vi", "euroc" or "broad", below a folder: ASL datasets, each
 /// with all of its sources of poses, and bags. Throws InputError when there are none, saying where
 /// to get them.
-std::vector<Sequence> FindDataset(const std::string& dataset,
-                                  const std::string& folder,
+std::vector<Sequence> FindDataset(const std::string& dataset, const std::string& folder,
                                   const OfflineRequest& common);
 
 /// Calibrates those that are not yet done, and writes into the folder of the runner a result file
@@ -38,10 +37,8 @@ struct SequencesOutcome {
   std::vector<std::string> failed;  ///< names of those without a result
   size_t missing = 0;               ///< that other jobs have not run yet
 };
-SequencesOutcome RunSequences(const std::vector<Sequence>& sequences,
-                              const std::string& title,
-                              bool is_dataset,
-                              const RunnerOptions& runner);
+SequencesOutcome RunSequences(const std::vector<Sequence>& sequences, const std::string& title,
+                              bool is_dataset, const RunnerOptions& runner);
 
 /// Of what a dataset is and where it comes from, for the table.
 std::string DatasetTitle(const std::string& dataset);

@@ -2,12 +2,12 @@
 
 #include <string>
 
-#include "imu_pose_calib/core/comparison.h"
-#include "imu_pose_calib/core/error_bound.h"
-#include "imu_pose_calib/core/options.h"
-#include "imu_pose_calib/core/result.h"
-#include "imu_pose_calib/core/simulator.h"
+#include "imu_pose_calib/core/base/options.h"
+#include "imu_pose_calib/core/base/result.h"
+#include "imu_pose_calib/core/verdict/comparison.h"
 #include "imu_pose_calib/ros/io/recording.h"
+#include "imu_pose_calib/simulation/error_bound.h"
+#include "imu_pose_calib/simulation/simulator.h"
 
 namespace imu_pose_calib {
 
@@ -90,9 +90,7 @@ struct Errors {
     return {translation.norm(), rotation.norm(), std::abs(time_shift), std::abs(accel_delay)};
   }
 };
-Errors ErrorsOf(const TrialOutcome& outcome,
-                const Rigid3& true_T_MI,
-                double true_time_shift,
+Errors ErrorsOf(const TrialOutcome& outcome, const Rigid3& true_T_MI, double true_time_shift,
                 double true_accel_delay);
 
 }  // namespace imu_pose_calib

@@ -29,15 +29,13 @@ std::vector<std::string> ParseExports(const std::string& list);
 
 /// The files of one program, doc/exports.md. Each states the equations of transform and clocks in
 /// this package's terms and what its own keys mean.
-std::vector<ExportFile> Export(const StoredResult& stored,
-                               const std::string& name,
+std::vector<ExportFile> Export(const StoredResult& stored, const std::string& name,
                                const ExportOptions& options = {});
 
 /// Writes the files of all `names` to `outputs`, next to the result, or into `folder` if that is
 /// not empty: my.calibration.kalibr.imu0.yaml for my.calibration.yaml. Returns their paths.
 std::vector<std::string> WriteExports(const StoredResult& stored,
-                                      const std::vector<std::string>& names,
-                                      OutputFiles* outputs,
+                                      const std::vector<std::string>& names, OutputFiles* outputs,
                                       const std::string& folder = "",
                                       const ExportOptions& options = {});
 

@@ -8,10 +8,10 @@
 #include <optional>
 #include <string>
 
-#include "imu_pose_calib/core/simulator.h"
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/cdr.h"
 #include "imu_pose_calib/ros/io/ros2_file.h"
+#include "imu_pose_calib/simulation/simulator.h"
 
 namespace imu_pose_calib {
 
@@ -23,22 +23,16 @@ class Ros2Writer {
 
   template <typename Msg>
   void Write(const std::string& topic, int64_t t_ns, const Msg& msg) {
-    Add(topic,
-        ros::message_traits::DataType<Msg>::value(),
-        ros::message_traits::Definition<Msg>::value(),
-        t_ns,
-        ToCdr(msg));
+    Add(topic, ros::message_traits::DataType<Msg>::value(),
+        ros::message_traits::Definition<Msg>::value(), t_ns, ToCdr(msg));
   }
 
   /// Completes the file.
   void Close() { storage_->Close(); }
 
  private:
-  void Add(const std::string& topic,
-           const std::string& ros1_type,
-           const std::string& ros1_definition,
-           int64_t t_ns,
-           const std::string& data);
+  void Add(const std::string& topic, const std::string& ros1_type,
+           const std::string& ros1_definition, int64_t t_ns, const std::string& data);
 
   Ros2Format format_;
   std::unique_ptr<Ros2Storage> storage_;

@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/message_source.h"
 

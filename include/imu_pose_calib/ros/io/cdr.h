@@ -14,7 +14,7 @@
 #include <type_traits>
 #include <vector>
 
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/core/base/types.h"
 
 namespace imu_pose_calib {
 

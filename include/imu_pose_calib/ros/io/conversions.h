@@ -18,8 +18,8 @@
 #include <vector>
 
 #include "imu_pose_calib/CalibrationResult.h"
-#include "imu_pose_calib/core/result.h"
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/core/base/result.h"
+#include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/recording.h"
 
 namespace imu_pose_calib {
@@ -36,8 +36,7 @@ geometry_msgs::Transform ToTransformMsg(const Rigid3& T);
 geometry_msgs::Pose ToPoseMsg(const Rigid3& T);
 std_msgs::Header MakeHeader(const ros::Time& stamp, const std::string& frame);
 geometry_msgs::TransformStamped ToTransformStamped(const std_msgs::Header& header,
-                                                   const std::string& child,
-                                                   const Rigid3& T);
+                                                   const std::string& child, const Rigid3& T);
 
 PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::Pose& pose);
 PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::PoseWithCovariance& pose);
@@ -77,8 +76,7 @@ std::string FrameName(const std::string& frame, const std::string& fallback);
 std::vector<geometry_msgs::TransformStamped> ToTransforms(const Calibration& result,
                                                           const RecordingInfo& info,
                                                           const ros::Time& stamp);
-CalibrationResult ToMsg(const Calibration& result,
-                        const RecordingInfo& info,
+CalibrationResult ToMsg(const Calibration& result, const RecordingInfo& info,
                         const ros::Time& stamp);
 
 /// A message type that holds one pose, and how to read it from a `Source` with instantiate<Msg>().

@@ -13,7 +13,7 @@
 #include <string_view>
 #include <vector>
 
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/cdr.h"
 
 namespace imu_pose_calib {
@@ -61,8 +61,7 @@ class MessageSource {
                                                  const ros::Time& end) const = 0;
   /// Calls `use(message)` for the messages of these topics in the order of recording while it is
   /// true.
-  virtual void ForEach(const std::vector<std::string>& topics,
-                       const ros::Time& start,
+  virtual void ForEach(const std::vector<std::string>& topics, const ros::Time& start,
                        const ros::Time& end,
                        const std::function<bool(const BagMessage&)>& use) const = 0;
   /// What is to be said of the bags, as that one is cut off.

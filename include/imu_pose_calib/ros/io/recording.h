@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/core/base/types.h"
 
 namespace imu_pose_calib {
 

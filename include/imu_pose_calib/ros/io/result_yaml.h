@@ -3,8 +3,8 @@
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/core/options.h"
-#include "imu_pose_calib/core/result.h"
+#include "imu_pose_calib/core/base/options.h"
+#include "imu_pose_calib/core/base/result.h"
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/recording.h"
 
@@ -27,10 +27,8 @@ struct RunInfo {
 /// comment at the top states the equations of transform and clocks. With several IMUs or sessions
 /// these are of the first; `imus`, `between_imus` and `sessions` hold all. `infos`: of each
 /// session.
-std::string ToYaml(const Calibration& result,
-                   const std::vector<RecordingInfo>& infos,
-                   const CalibrationOptions& options,
-                   const RunInfo& run = {});
+std::string ToYaml(const Calibration& result, const std::vector<RecordingInfo>& infos,
+                   const CalibrationOptions& options, const RunInfo& run = {});
 
 /// Shortest text that reads back as `value` and that YAML 1.1 and 1.2 both take for a float.
 std::string YamlNumber(double value);

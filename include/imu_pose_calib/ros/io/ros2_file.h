@@ -61,8 +61,7 @@ class Ros2Storage {
  public:
   virtual ~Ros2Storage() = default;
   /// Announces a topic, which gets the next number from 0 on.
-  virtual void AddTopic(const std::string& name,
-                        const std::string& type,
+  virtual void AddTopic(const std::string& name, const std::string& type,
                         const std::string& definition) = 0;
   virtual void Write(uint32_t topic, int64_t t_ns, const std::string& data) = 0;
   virtual void Close() = 0;

@@ -3,7 +3,7 @@
 #include <string>
 #include <utility>
 
-#include "imu_pose_calib/core/options.h"
+#include "imu_pose_calib/core/base/options.h"
 
 namespace imu_pose_calib {
 

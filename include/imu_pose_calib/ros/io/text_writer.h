@@ -3,7 +3,7 @@
 #include <Eigen/Core>
 #include <string>
 
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/core/base/types.h"
 
 namespace imu_pose_calib {
 

@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/core/imu_track.h"
+#include "imu_pose_calib/core/ground_truth/imu_track.h"
 #include "imu_pose_calib/ros/io/output_files.h"
 
 namespace imu_pose_calib {
@@ -50,10 +50,8 @@ struct TrajectoryCount {
 /// Gives `outputs` a file, or a folder for kAsl; each names the run where its format has a place
 /// for that, and which states are carried. Throws InputError when it cannot be written, or when the
 /// format needs covariances that there are none of.
-TrajectoryCount WriteTrajectory(const std::string& path,
-                                TrajectoryFormat format,
-                                const TrajectoryOutput& output,
-                                OutputFiles* outputs);
+TrajectoryCount WriteTrajectory(const std::string& path, TrajectoryFormat format,
+                                const TrajectoryOutput& output, OutputFiles* outputs);
 
 /// The files that WriteTrajectory() would write at `path`.
 std::vector<std::string> TrajectoryFiles(const std::string& path, TrajectoryFormat format);

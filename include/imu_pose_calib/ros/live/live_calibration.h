@@ -6,8 +6,8 @@
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/core/result.h"
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/core/base/result.h"
+#include "imu_pose_calib/core/base/types.h"
 
 namespace imu_pose_calib {
 

@@ -32,11 +32,8 @@ namespace imu_pose_calib {
 class LiveInput {
  public:
   /// `on_pose` is called, with the mutex held, for each valid pose.
-  LiveInput(const ros::NodeHandle& node,
-            const LiveSettings& settings,
-            std::mutex* mutex,
-            LiveCalibration* live,
-            const std::function<void(const PoseSample&)>& on_pose);
+  LiveInput(const ros::NodeHandle& node, const LiveSettings& settings, std::mutex* mutex,
+            LiveCalibration* live, const std::function<void(const PoseSample&)>& on_pose);
   /// Waits for the master, should it just be asked. The mutex is not held.
   ~LiveInput();
   LiveInput(const LiveInput&) = delete;
@@ -60,10 +57,8 @@ class LiveInput {
   bool IsLooking() const { return is_looking_; }
 
  private:
-  void AddSource(const std::string& parameter,
-                 const std::string& topic,
-                 const std::vector<std::string>& types,
-                 const TopicSource::Callback& add);
+  void AddSource(const std::string& parameter, const std::string& topic,
+                 const std::vector<std::string>& types, const TopicSource::Callback& add);
   /// A message of the gyroscope or the accelerometer of an IMU, or of both.
   void OnImu(const TopicSource::Message& message, size_t imu, bool is_gyro, bool is_accel);
   void OnPose(const TopicSource::Message& message);

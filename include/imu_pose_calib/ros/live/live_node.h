@@ -6,8 +6,8 @@
 
 #include <string>
 
-#include "imu_pose_calib/core/options.h"
-#include "imu_pose_calib/core/types.h"
+#include "imu_pose_calib/core/base/options.h"
+#include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/live/live_calibration.h"
 
 namespace imu_pose_calib {

@@ -47,8 +47,7 @@ class LiveOutput {
   /// The IMU where the marker is in `pose`, once there is a result.
   void PublishPose(const PoseSample& pose, const RecordingInfo& info);
   /// The result, and as a static transform. `other_parent`: of the imu frame in tf; empty: none.
-  void PublishResult(const RecordingInfo& info,
-                     const std::string& foreign_frame,
+  void PublishResult(const RecordingInfo& info, const std::string& foreign_frame,
                      const std::string& other_parent);
 
  private:

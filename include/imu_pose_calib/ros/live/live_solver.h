@@ -24,9 +24,7 @@ class LiveSolver {
   };
 
   /// `on_result` is called, with the mutex held, when there is another result to use.
-  LiveSolver(std::mutex* mutex,
-             LiveCalibration* live,
-             const Solve& solve,
+  LiveSolver(std::mutex* mutex, LiveCalibration* live, const Solve& solve,
              const std::function<void()>& on_result);
   /// Waits for the solve that is running. The mutex is not held.
   ~LiveSolver();

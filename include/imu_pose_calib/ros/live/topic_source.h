@@ -21,11 +21,8 @@ class TopicSource {
   using Callback = boost::function<void(const Message&)>;
 
   /// `parameter` is what names the topic; `callback` gets the messages of the types given.
-  TopicSource(const ros::NodeHandle& node,
-              const std::string& parameter,
-              const std::string& topic,
-              const std::vector<std::string>& types,
-              const Callback& callback);
+  TopicSource(const ros::NodeHandle& node, const std::string& parameter, const std::string& topic,
+              const std::vector<std::string>& types, const Callback& callback);
 
   /// Empty until it is named or found.
   std::string topic() const;

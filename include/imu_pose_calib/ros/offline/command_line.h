@@ -25,9 +25,7 @@ boost::program_options::typed_value<T>* ValueOrDefault(T* field, const char* uni
 
 /// Reads a command line into what `options` refer to. Arguments without a name, at most `count` of
 /// them (-1: any number), go to the option `name`, which is `unnamed`. Names must be spelled out.
-void ParseCommandLine(int argc,
-                      char** argv,
-                      boost::program_options::options_description options,
+void ParseCommandLine(int argc, char** argv, boost::program_options::options_description options,
                       const char* name = "",
                       const boost::program_options::value_semantic* unnamed = nullptr,
                       int count = 0);

@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/core/comparison.h"
+#include "imu_pose_calib/core/verdict/comparison.h"
 #include "imu_pose_calib/ros/io/stored_result.h"
 
 namespace imu_pose_calib {

@@ -3,8 +3,8 @@
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/core/options.h"
-#include "imu_pose_calib/core/result.h"
+#include "imu_pose_calib/core/base/options.h"
+#include "imu_pose_calib/core/base/result.h"
 #include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/io/trajectory_writer.h"
 
@@ -29,17 +29,14 @@ struct TrajectoryTarget {
 /// One for each IMU in each session: `path` itself for a single one, else path_session1_imu0 with
 /// the suffix of `path`, `_session` and `_imu` as far as there are several.
 /// Throws InputError when the request cannot be fulfilled.
-std::vector<TrajectoryTarget> PlanTrajectories(const TrajectoryRequest& request,
-                                               Method method,
-                                               size_t sessions,
-                                               size_t imus);
+std::vector<TrajectoryTarget> PlanTrajectories(const TrajectoryRequest& request, Method method,
+                                               size_t sessions, size_t imus);
 
 /// Gives `outputs` the trajectories of those IMUs that the sessions have, and returns a line on
 /// each, with more where the format cannot say which states the IMU alone has carried.
 std::vector<std::string> WriteTrajectories(const TrajectoryRequest& request,
                                            const Calibration& result,
                                            const std::vector<RecordingInfo>& infos,
-                                           const CalibrationOptions& options,
-                                           OutputFiles* outputs);
+                                           const CalibrationOptions& options, OutputFiles* outputs);
 
 }  // namespace imu_pose_calib

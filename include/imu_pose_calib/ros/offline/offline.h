@@ -5,9 +5,9 @@
 #include <string>
 #include <vector>
 
+#include "imu_pose_calib/core/base/result.h"
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/data_check.h"
-#include "imu_pose_calib/core/result.h"
+#include "imu_pose_calib/core/start/data_check.h"
 #include "imu_pose_calib/ros/io/bag_reader.h"
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/recording.h"

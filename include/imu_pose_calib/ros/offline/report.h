@@ -3,8 +3,8 @@
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/core/options.h"
-#include "imu_pose_calib/core/result.h"
+#include "imu_pose_calib/core/base/options.h"
+#include "imu_pose_calib/core/base/result.h"
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/recording.h"
 

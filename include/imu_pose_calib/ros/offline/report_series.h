@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/core/trajectory.h"
+#include "imu_pose_calib/core/ground_truth/trajectory.h"
 #include "imu_pose_calib/ros/io/numpy_table.h"
 #include "imu_pose_calib/ros/offline/report.h"
 
@@ -26,8 +26,7 @@ void WriteHead(const YAML::Node& head, const std::string& folder);
 
 /// Draws the page for `path` as DrawReport() does, of the numbers that `write` puts into a folder.
 /// run_id: empty when none is told.
-std::string DrawPage(const std::string& path,
-                     const std::string& run_id,
+std::string DrawPage(const std::string& path, const std::string& run_id,
                      const std::function<void(const std::string&)>& write);
 
 /// Writes the time of each sample, in order of arrival; `time` gives that of a stamp.
@@ -43,10 +42,8 @@ void WriteValues(const std::string& file, const std::vector<ImuSample>& samples,
 
 /// Writes the series of a session that was solved to files whose names begin with `prefix`, and
 /// what is said of them to `node`. `covariance`: null when it was not kept.
-void WriteSolvedSession(const ReportInput& input,
-                        size_t session,
+void WriteSolvedSession(const ReportInput& input, size_t session,
                         const std::shared_ptr<const TrajectoryCovariance>& covariance,
-                        const std::string& prefix,
-                        YAML::Node* node);
+                        const std::string& prefix, YAML::Node* node);
 
 }  // namespace imu_pose_calib

@@ -3,8 +3,8 @@
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/core/data_check.h"
-#include "imu_pose_calib/core/result.h"
+#include "imu_pose_calib/core/base/result.h"
+#include "imu_pose_calib/core/start/data_check.h"
 #include "imu_pose_calib/ros/io/recording.h"
 
 namespace imu_pose_calib {

@@ -2,7 +2,7 @@
 
 #include <string>
 
-#include "imu_pose_calib/core/result.h"
+#include "imu_pose_calib/core/base/result.h"
 #include "imu_pose_calib/ros/io/recording.h"
 
 namespace imu_pose_calib {

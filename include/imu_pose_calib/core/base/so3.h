@@ -1,0 +1,129 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+#include <cmath>
+
+/// The rotation group, once. All functions take any scalar (double, ceres::Jet) and branch to a
+/// Taylor series on the squared angle, so that values and derivatives are exact at zero.
+namespace imu_pose_calib {
+
+/// Hat(a) b = a x b.
+template <typename T>
+Eigen::Matrix<T, 3, 3> Hat(const Eigen::Matrix<T, 3, 1>& a) {
+  Eigen::Matrix<T, 3, 3> A;
+  A << T(0), -a.z(), a.y(),  //
+      a.z(), T(0), -a.x(),   //
+      -a.y(), a.x(), T(0);
+  return A;
+}
+
+/// Rotation by the vector r [rad] as a unit quaternion.
+template <typename T>
+Eigen::Quaternion<T> Exp(const Eigen::Matrix<T, 3, 1>& r) {
+  using std::cos;
+  using std::sin;
+  using std::sqrt;
+  const T s = r.squaredNorm();
+  if (s < T(1e-8)) {
+    Eigen::Quaternion<T> q;
+    q.w() = T(1) - s / T(8);
+    q.vec() = (T(0.5) - s / T(48)) * r;
+    return q;
+  }
+  const T angle = sqrt(s);
+  Eigen::Quaternion<T> q;
+  q.w() = cos(angle / T(2));
+  q.vec() = (sin(angle / T(2)) / angle) * r;
+  return q;
+}
+
+/// Rotation vector [rad] of the unit quaternion q, norm at most pi. Log(Exp(r)) = r for |r| < pi.
+template <typename T>
+Eigen::Matrix<T, 3, 1> Log(const Eigen::Quaternion<T>& q) {
+  using std::atan2;
+  using std::sqrt;
+  const T sign = q.w() < T(0) ? T(-1) : T(1);
+  const T w = sign * q.w();
+  const Eigen::Matrix<T, 3, 1> v = sign * q.vec();
+  const T s = v.squaredNorm();
+  if (s < T(1e-8)) return (T(2) / w) * (T(1) - s / (T(3) * w * w)) * v;
+  const T norm = sqrt(s);
+  return (T(2) * atan2(norm, w) / norm) * v;
+}
+
+namespace internal {
+
+/// b = (1 - cos x) / x^2 and c = (x - sin x) / x^3 (j_1 and j_2 of doc/math.md) with their first
+/// and second derivatives by s = x^2.
+template <typename T>
+struct JacobianTerms {
+  T b, c, db, dc, ddb, ddc;
+
+  explicit JacobianTerms(const T& s) {
+    using std::cos;
+    using std::sin;
+    using std::sqrt;
+    if (s < T(1e-2)) {
+      b = T(1. / 2) - s * (T(1. / 24) - s * (T(1. / 720) - s * T(1. / 40320)));
+      c = T(1. / 6) - s * (T(1. / 120) - s * (T(1. / 5040) - s * T(1. / 362880)));
+      db = -T(1. / 24) + s * (T(2. / 720) - s * (T(3. / 40320) - s * T(4. / 3628800)));
+      dc = -T(1. / 120) + s * (T(2. / 5040) - s * (T(3. / 362880) - s * T(4. / 39916800)));
+      ddb = T(2. / 720) - s * (T(6. / 40320) - s * T(12. / 3628800));
+      ddc = T(2. / 5040) - s * (T(6. / 362880) - s * T(12. / 39916800));
+      return;
+    }
+    const T x = sqrt(s);
+    const T one_minus_cos = T(1) - cos(x);
+    const T x_minus_sin = x - sin(x);
+    b = one_minus_cos / s;
+    c = x_minus_sin / (s * x);
+    db = (x * sin(x) / T(2) - one_minus_cos) / (s * s);
+    dc = (x * one_minus_cos - T(3) * x_minus_sin) / (T(2) * s * s * x);
+    ddb = ((c - b) / T(2) - T(4) * db) / (T(2) * s);
+    ddc = (db - T(5) * dc) / (T(2) * s);
+  }
+};
+
+}  // namespace internal
+
+/// Right Jacobian: Exp(r + d) = Exp(r) Exp(J_r(r) d) to first order in d. For R = Exp(r) the body
+/// rate is omega = J_r(r) r'.
+template <typename T>
+Eigen::Matrix<T, 3, 3> RightJacobian(const Eigen::Matrix<T, 3, 1>& r) {
+  const internal::JacobianTerms<T> j(r.squaredNorm());
+  const Eigen::Matrix<T, 3, 3> H = Hat(r);
+  return Eigen::Matrix<T, 3, 3>::Identity() - j.b * H + j.c * H * H;
+}
+
+/// Time derivative of RightJacobian(r) when r changes at the rate r_dot. For R = Exp(r) the body
+/// angular acceleration is alpha = J_r(r) r'' + (d/dt J_r(r)) r'.
+template <typename T>
+Eigen::Matrix<T, 3, 3> RightJacobianRate(const Eigen::Matrix<T, 3, 1>& r,
+                                         const Eigen::Matrix<T, 3, 1>& r_dot) {
+  const internal::JacobianTerms<T> j(r.squaredNorm());
+  const T s_dot = T(2) * r.dot(r_dot);
+  const Eigen::Matrix<T, 3, 3> H = Hat(r);
+  const Eigen::Matrix<T, 3, 3> D = Hat(r_dot);
+  return -s_dot * j.db * H - j.b * D + s_dot * j.dc * H * H + j.c * (D * H + H * D);
+}
+
+/// u = J_r(phi) phi' and its time derivative, as cross products: with m = phi x phi',
+///   u     = phi' - b m + c phi x m
+///   du/dt = J_r(phi) phi'' - b' m + c' phi x m + c phi' x m.
+template <typename T>
+void CorrectionRate(const Eigen::Matrix<T, 3, 1>& phi, const Eigen::Matrix<T, 3, 1>& phi1,
+                    const Eigen::Matrix<T, 3, 1>& phi2, Eigen::Matrix<T, 3, 1>* u,
+                    Eigen::Matrix<T, 3, 1>* u_dot) {
+  using Vector3 = Eigen::Matrix<T, 3, 1>;
+  const internal::JacobianTerms<T> j(phi.squaredNorm());
+  const T s_dot = T(2) * phi.dot(phi1);
+  const Vector3 m = phi.cross(phi1);
+  const Vector3 n = phi.cross(phi2);
+  const Vector3 phi_m = phi.cross(m);
+  *u = phi1 - j.b * m + j.c * phi_m;
+  *u_dot = phi2 - j.b * n + j.c * phi.cross(n) - s_dot * j.db * m + s_dot * j.dc * phi_m +
+           j.c * phi1.cross(m);
+}
+
+}  // namespace imu_pose_calib

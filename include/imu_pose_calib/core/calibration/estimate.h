@@ -1,0 +1,130 @@
+#pragma once
+
+#include <memory>
+#include <utility>
+#include <vector>
+
+#include "imu_pose_calib/core/base/options.h"
+#include "imu_pose_calib/core/data/conditioning.h"
+#include "imu_pose_calib/core/start/preparation.h"
+#include "imu_pose_calib/core/trajectory/pose_trajectory.h"
+
+namespace imu_pose_calib {
+
+/// A bias of a sensor that changes linearly between knots.
+struct BiasKnots {
+  std::vector<double> t;                ///< [s] clock of the sensor, increasing, at least two
+  std::vector<Eigen::Vector3d> values;  ///< in I, of poses in M
+
+  BiasKnots() = default;
+  /// Knots every `interval_s` over the samples, or one at every sample when 0.
+  BiasKnots(const std::vector<TimedSample>& samples, double interval_s,
+            const Eigen::Vector3d& initial);
+  /// Zeros at knots about `interval_s` apart.
+  BiasKnots(double begin, double end, double interval_s);
+
+  /// Index of the knot before t (not the last one) and the fraction of the way to the next.
+  std::pair<size_t, double> Locate(double t) const;
+  Eigen::Vector3d Mean() const;
+};
+
+/// What the rotations of poses err by for seconds [rad], doc/math.md, S4, "Slow errors": an
+/// Ornstein-Uhlenbeck process of each axis.
+struct SlowErrors {
+  static constexpr double kTime = 1.0;  ///< [s] in which an error falls to 1/e
+  BiasKnots knots;
+  double std = 0.0;  ///< at an instant
+
+  SlowErrors() = default;
+  /// None, with a sigma to start from, of poses in that time [s].
+  SlowErrors(double begin, double end);
+
+  /// Share of an error at knot k that is left at the next one.
+  double Kept(size_t k) const;
+  /// Two-sided power spectral density [rad^2/Hz] at (2 pi frequency)^2.
+  double Density(double omega2) const;
+};
+
+/// An IMU of the rig.
+struct ImuEstimate {
+  Eigen::Quaterniond q_MI = Eigen::Quaterniond::Identity();
+  Eigen::Vector3d p_MI = Eigen::Vector3d::Zero();  ///< [m]
+  double accel_delay = 0.0;                        ///< [s]
+  double accel_smoothing = 0.0;                    ///< [s^2] see ImuCalibration
+  Vector6d gyro_intrinsics = Vector6d::Zero();     ///< of GyroMatrix()
+  Vector9d accel_intrinsics = Vector9d::Zero();    ///< of AccelMatrix()
+  Vector6d accel_positions = Vector6d::Zero();     ///< [m] of AccelPositions()
+};
+
+/// An IMU in a session; times as in Start.
+struct ImuSessionEstimate : ClockLine {
+  bool is_present = false;
+  ClockWalk walk;  ///< of the clock, beyond the line
+  BiasKnots gyro_bias, accel_bias;
+
+  /// As those of the line, with the walk.
+  double PoseTime(double t) const { return ClockLine::PoseTime(t) + walk.At(t); }
+  double ImuTime(double t_M) const;
+};
+
+struct SessionEstimate {
+  Eigen::Vector3d g_W = Eigen::Vector3d::Zero();  ///< [m/s^2]
+  std::vector<ImuSessionEstimate> imus;           ///< in the order of the rig
+  SlowErrors rotation_errors;
+
+  size_t FirstImu() const;
+};
+
+/// State of the solve but for the trajectories: the rig, and its sessions.
+struct Estimate {
+  // Of the source of the poses, see Calibration:
+  double pose_smoothing = 0.0, position_smoothing = 0.0;  ///< [s^2]
+  double pose_scale = 1.0;
+  std::vector<ImuEstimate> imus;
+  std::vector<SessionEstimate> sessions;
+
+  Estimate() = default;
+  /// One session where S2 leaves it.
+  Estimate(const PreparedSession& session, double bias_knot_interval_s);
+};
+
+/// Parameters of a calibration, those of the IMUs and clocks first.
+enum class ParameterKind {
+  kTranslation,        ///< p_MI [m] in M
+  kRotation,           ///< [rad] about the imu axes, R_MI Exp(dtheta)
+  kTimeShift,          ///< [s] of an IMU in a session
+  kAccelDelay,         ///< [s]
+  kClockDrift,         ///< [s/s] of an IMU in a session
+  kPoseSmoothing,      ///< [s^2]
+  kPositionSmoothing,  ///< [s^2]
+  kPoseScale,          ///< [1]
+  kAccelSmoothing,     ///< [s^2]
+  kGyroIntrinsics,     ///< 6, of GyroMatrix()
+  kAccelIntrinsics,    ///< 9, of AccelMatrix()
+  kAccelPositions,     ///< 6 [m], of AccelPositions()
+  kGravity,            ///< [m/s^2] of a session
+  kGyroBias,           ///< [rad/s] of an IMU in a session, mean
+  kAccelBias,          ///< [m/s^2] of an IMU in a session, mean
+};
+
+/// One parameter and where it stands in the estimate; `imu` and `session` as far as they apply.
+struct Parameter {
+  ParameterKind kind;
+  size_t imu, session;
+  int size;      ///< degrees of freedom
+  double* data;  ///< in the estimate; a mean: null
+};
+
+/// Worth a remark to the user who holds it where it does not belong.
+bool IsHint(ParameterKind kind);
+
+/// Of the source of the poses, which IMUs and sessions share.
+bool IsOfPoses(ParameterKind kind);
+
+/// What is calibrated: all but gravity and biases, of every IMU that is present, in a fixed order.
+std::vector<Parameter> CalibrationParameters(Estimate* estimate);
+
+/// Whether the options want it estimated.
+bool IsEstimated(const CalibrationOptions& options, ParameterKind kind);
+
+}  // namespace imu_pose_calib

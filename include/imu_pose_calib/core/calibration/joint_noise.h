@@ -1,0 +1,30 @@
+#pragma once
+
+#include <vector>
+
+#include "imu_pose_calib/core/calibration/correction_splines.h"
+#include "imu_pose_calib/core/calibration/least_squares.h"
+
+namespace imu_pose_calib {
+
+/// Sets the share of each sensor's degrees of freedom that a session's splines use up, and how its
+/// noise within the band is seen, doc/math.md, S4, "Degrees of freedom" and "Noise".
+void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares* joint);
+
+/// Whether the poses tell more of a session's positions than the accelerometers, in the mean over
+/// the band of the splines.
+bool DoPosesLead(const CorrectionSplines& splines, size_t session, const LeastSquares& joint);
+
+/// Sets the information that the trajectories feign, doc/math.md Eq. (18).
+void FeignInformation(const std::vector<CorrectionSplines>& splines, LeastSquares* joint);
+
+/// Robust weights of the samples by the last residuals and the spread of `models`, doc/math.md, S4,
+/// "Noise".
+void UpdateWeights(const LeastSquares& joint, const std::vector<CorrectionSplines>& splines,
+                   std::vector<SensorModel>* models);
+
+/// Sets the noise of the sensors and the sigma of the rotations' slow errors of each session to
+/// what the spectra of the residuals show, doc/math.md, S4, "Noise" and "Slow errors".
+void FitNoise(LeastSquares* joint, std::vector<SensorStatistics>* statistics);
+
+}  // namespace imu_pose_calib

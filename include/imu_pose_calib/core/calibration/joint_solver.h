@@ -1,0 +1,49 @@
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "imu_pose_calib/core/calibration/least_squares.h"
+#include "imu_pose_calib/core/calibration/solution.h"
+
+namespace imu_pose_calib {
+
+/// Which sensors a problem of stage S3 holds.
+enum class GpSensors { kGyro, kGyroAndAccel };
+
+/// Stage S3: the calibration against the fixed trajectories of S1, doc/math.md. Throws DataError
+/// when no sample falls on a trajectory.
+std::unique_ptr<LeastSquares> BuildGpProblem(const CalibrationOptions& options,
+                                             const std::vector<PreparedSession>& sessions,
+                                             const std::vector<SensorModel>& models,
+                                             GpSensors sensors, Estimate* estimate);
+
+/// Stage S3 as a whole: rotation, gyro bias and time shift on the gyroscope; then everything on
+/// both sensors, twice: each time with the noise that the residuals before show. Moves `estimate`.
+Solution SolveAgainstTrajectory(const CalibrationOptions& options,
+                                const std::vector<PreparedSession>& sessions, Estimate* estimate);
+
+/// Where the joint solve of a session starts from beside the estimate.
+struct JointStart {
+  double knot_spacing_s;
+  PreparedSession session;    ///< with what the splines can follow
+  std::vector<double> noise;  ///< of the sensors, in the order of InitialModels()
+  double liveliness;  ///< [rad^2/s^4] mean square of alpha_M of the seconds that were looked at
+};
+
+/// Knot spacing of one session: options.knot_spacing_s, or refined on the liveliest seconds of the
+/// log until the IMU residuals stop shrinking or a denser one does not converge (doc/math.md, S4,
+/// "Knot spacing"). The noise is what these residuals show, and `estimate` moves to the calibration
+/// of these seconds.
+JointStart ChooseKnotSpacing(const CalibrationOptions& options, const PreparedSession& session,
+                             Estimate* estimate);
+
+/// Stage S4 as a whole at the knot spacings and noise of each session; `sessions` are those of the
+/// starts: passes of least squares with the noise and the robust weights that the residuals
+/// before show, until the noise found agrees with the noise assumed (doc/math.md, S4, "Passes").
+/// Moves `estimate`.
+Solution SolveJointly(const CalibrationOptions& options,
+                      const std::vector<PreparedSession>& sessions,
+                      const std::vector<JointStart>& starts, Estimate* estimate);
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,215 @@
+#pragma once
+
+#include <optional>
+#include <vector>
+
+#include "imu_pose_calib/core/base/options.h"
+#include "imu_pose_calib/core/base/student_t.h"
+#include "imu_pose_calib/core/calibration/estimate.h"
+#include "imu_pose_calib/core/solver/normal_equations.h"
+
+namespace imu_pose_calib {
+
+enum class Quantity { kPosition, kRotation, kGyro, kAccel };
+
+/// What a solve assumes of one sensor in one session.
+struct SensorModel {
+  Quantity quantity;
+  size_t session, imu;          ///< imu: of gyroscope and accelerometer
+  double rate_hz;               ///< of its samples
+  double noise;                 ///< sigma per sample and axis [m, rad, rad/s, m/s^2], in the band
+  StudentT spread;              ///< of samples, in the same unit: what outliers are measured by
+  std::vector<double> weights;  ///< robust (0..1], of each sample of the data
+
+  /// Two-sided power spectral density of the noise [unit^2/Hz].
+  double Density() const { return noise * noise / rate_hz; }
+};
+
+/// The sensors of all sessions, with the noise to start from and all weights 1: position and
+/// rotation of a session, then gyroscope and accelerometer of each of its IMUs. Noise of poses as
+/// the GP's likelihood says, of IMUs by the options' densities, sigma = density sqrt(rate).
+std::vector<SensorModel> InitialModels(const CalibrationOptions& options,
+                                       const std::vector<PreparedSession>& sessions);
+
+/// Power spectral density of residuals [unit^2/Hz, two-sided], the mean of axes and of spans of
+/// kSpan, at multiples of 1 / kSpan from kFirst on.
+struct NoiseSpectrum {
+  static constexpr double kSpan = 4.0;  ///< [s]
+  static constexpr int kFirst = 2;      ///< what is slower is the bias
+
+  std::vector<double> density;  ///< empty: not known
+  double count = 0.0;           ///< of periodograms that each is the mean of
+
+  static double Frequency(size_t k) { return (static_cast<double>(k) + kFirst) / kSpan; }
+};
+
+/// What the residuals of a sensor say after a solve.
+struct SensorStatistics {
+  double noise;            ///< per axis, less what the trajectory's own variance explains
+  double rms;              ///< per axis, of all samples used
+  StudentT spread;         ///< of the samples
+  NoiseSpectrum spectrum;  ///< of residuals without their rest, weighed by the spread
+};
+
+/// A sample in a problem.
+struct ProblemSample {
+  double t;                         ///< [s] pose clock
+  uint32_t index;                   ///< in the data
+  float sigma;                      ///< residual * sigma has the sensor's unit
+  float trajectory_variance = 0.0;  ///< share of sigma^2
+};
+
+/// Residual blocks of a sensor, three rows in sigma for each sample. Their rows, one after the
+/// other, are those of `samples`.
+struct SensorBlocks {
+  const SensorModel* model;
+  int first_block = 0;          ///< of the residual blocks, the others follow
+  std::vector<double> block_t;  ///< [s] pose clock, of each block's first sample
+  std::vector<ProblemSample> samples;
+  /// Share of the samples' degrees of freedom that the trajectory uses up by following them [0..1].
+  double fitted = 0.0;
+  double band = 0.0;  ///< [Hz] up to which residuals have a spectrum
+  /// Of each sample, in the sensor's unit and over its scale, as of the last FindStatistics().
+  std::vector<Eigen::Vector3d> residuals;
+
+  /// A residual block of the samples that come next, the first at t.
+  void Add(int block, double t);
+};
+
+/// Bias walks and priors.
+struct PriorBlock {
+  int block;  ///< of residuals
+  size_t session;
+  double t;  ///< [s] pose clock
+};
+
+/// Residuals of the samples of a sensor, measured less model, with the noise that weighs them.
+struct SensorResiduals {
+  Quantity quantity;
+  size_t session, imu;
+  double noise;                           ///< sigma of a sample of weight 1 [m, rad, rad/s, m/s^2]
+  std::vector<double> t;                  ///< [s] pose clock after the epoch of the session's poses
+  std::vector<Eigen::Vector3d> residual;  ///< unit of `noise`; position in W, others in M or I
+  std::vector<double> weight;             ///< robust (0..1]
+};
+
+/// Tolerance of the passes of a solve after which noise or weights still change.
+constexpr double kRoughTolerance = 1e-3;
+
+/// Expected squared norm of the error of ([alpha]x + [omega]x [omega]x) e for a unit vector e, when
+/// alpha and omega have the given variances per axis: what a lever arm makes of their errors.
+inline double LeverArmCoefficientVariance(double alpha_variance, double omega_variance,
+                                          double omega2) {
+  return 2.0 * alpha_variance + 4.0 * omega_variance * omega2;
+}
+
+/// Of parameter blocks of a problem, one after the other.
+struct GaussNewtonStep {
+  std::vector<int> blocks;
+  Eigen::VectorXd x;
+  double cost = 0.0;      ///< where it begins
+  double decrease = 0.0;  ///< of the cost, if the residuals were linear; NaN when there is no step
+};
+
+/// Time blocks of the sessions, one after the other: what acts in one of them only is eliminated
+/// there, and scores are summed up in each.
+class Windows {
+ public:
+  Windows(const CalibrationOptions& options, const std::vector<PreparedSession>& sessions,
+          const Estimate& estimate);
+
+  int count() const { return static_cast<int>(places_.size()); }
+  /// Window of an instant t [s, pose clock].
+  int Of(size_t session, double t) const;
+  struct Place {
+    size_t session, half;  ///< half: of the session, 0 or 1
+  };
+  const Place& PlaceOf(int window) const { return places_[static_cast<size_t>(window)]; }
+  int Count(size_t session) const { return spans_[session].count; }
+
+ private:
+  struct Span {
+    double begin = 0.0, end = 0.0;
+    int first = 0, count = 0;
+  };
+  std::vector<Span> spans_;
+  std::vector<Place> places_;
+  double length_s_;
+};
+
+/// A least squares problem over all sessions: what the two solves, against fixed trajectories and
+/// jointly with them, have in common. Refers to everything it is given; Solve() moves `estimate`.
+struct LeastSquares {
+  const CalibrationOptions& options;
+  const std::vector<PreparedSession>& sessions;
+  Estimate* const estimate;
+
+  const Windows windows;
+  Problem problem;
+  std::vector<SensorBlocks> sensors;  ///< in the order of the models
+  std::vector<PriorBlock> priors;
+  std::vector<int> trajectory_blocks;  ///< parameters of the trajectories, when estimated
+  /// Information on the p_MI of each IMU [1/m^2] that the trajectory's own errors feign: they move
+  /// the lever arm's coefficients as a motion would.
+  std::vector<double> feigned_information;
+
+  LeastSquares(const CalibrationOptions& options, const std::vector<PreparedSession>& sessions,
+               const std::vector<SensorModel>& models, Estimate* estimate);
+
+  SensorBlocks* Find(Quantity quantity, size_t session, size_t imu = 0);
+  /// Parameter blocks with their manifolds, constant where the options fix them: rotation and time
+  /// shifts; translation, gravity and accel_delay.
+  void AddGyroParameters();
+  void AddAccelParameters();
+  void AddBiasWalk(double walk, size_t session, size_t imu, BiasKnots* knots);
+  /// The parameters of this kind, of one IMU or of all; when they are estimated, with independent
+  /// priors around `expected`.
+  void AddOptional(ParameterKind kind, const Eigen::VectorXd& sigmas, double expected = 0.0,
+                   std::optional<size_t> imu = std::nullopt);
+
+  /// What is known beforehand of a parameter that is there, in the middle of a session.
+  void AddPrior(std::unique_ptr<const ceres::CostFunction> prior, const double* data,
+                size_t session);
+
+  void AddClockWalk(size_t session, size_t imu);
+  void AddRotationErrors(size_t session);
+
+  /// Bias knots of all sessions.
+  std::vector<int> BiasBlocks() const;
+  /// Knots of clocks and of slow errors of all sessions that are estimated.
+  std::vector<int> SlowBlocks() const;
+  /// All residual blocks.
+  std::vector<Equation> Equations() const;
+
+  /// Gauss-Newton steps, damped when they fail. Returns their number. Throws DataError when the
+  /// cost does not converge to what it is at the minimum, but for a share `function_tolerance`.
+  int Solve(double function_tolerance);
+  /// Nothing when it does not converge: it is where the last step left it.
+  std::optional<int> TrySolve(double function_tolerance);
+  void Move(const GaussNewtonStep& step);
+  /// Of each sensor.
+  std::vector<SensorStatistics> FindStatistics();
+  /// Residuals of each sensor where the estimate stands.
+  std::vector<SensorResiduals> TakeResiduals();
+  /// Noise of a sample relative to the usual one of its sensor, and what was recorded less what the
+  /// residual compares, in the sensor's unit.
+  double Scale(const SensorModel& model, size_t index) const;
+  const Eigen::Vector3d& Rest(const SensorModel& model, size_t index) const;
+
+ private:
+  /// What steps are found from.
+  NormalEquations StepEquations() const;
+  /// Of residuals that start at `rows`, where the samples have that spread.
+  NoiseSpectrum FindSpectrum(const SensorBlocks& sensor, const float* rows,
+                             const StudentT& spread) const;
+
+  std::vector<float> rows_;  ///< residuals where the estimate stands; empty: not known
+};
+
+/// The DataError of a solve that did not converge.
+[[noreturn]] void ThrowNotConverged(const CalibrationOptions& options);
+
+/// The sample can be compared: t_M [s, pose clock] is inside of a segment and not at its very end.
+bool IsOnTrajectory(const PoseTrajectory& trajectory, double t_M);
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,71 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <memory>
+#include <vector>
+
+#include "imu_pose_calib/core/calibration/least_squares.h"
+
+namespace imu_pose_calib {
+
+/// A parameter and the place of its first component in the vectors and matrices of Marginals.
+struct PlacedParameter {
+  Parameter parameter;
+  int place;
+  bool is_estimated;  ///< else it has variance 0 and perhaps a hint
+};
+
+/// What a session says alone of the parameters that act in it.
+struct SessionMarginals {
+  std::vector<int> places;         ///< in Marginals
+  Eigen::VectorXd difference;      ///< its own estimate less the common one
+  Eigen::VectorXd model_variance;  ///< of its own estimate
+  Eigen::MatrixXd covariance;      ///< the same, enlarged by Enlargement()
+};
+
+/// Marginal uncertainty of calibration, gravity and biases after a solve.
+struct Marginals {
+  std::vector<PlacedParameter> parameters;
+  Eigen::MatrixXd model;   ///< H^-1: right when residuals are independent
+  Eigen::MatrixXd robust;  ///< sandwich over time blocks: right when they are not
+  /// See LeastSquares.
+  std::vector<double> feigned_information;
+
+  /// What the second halves of the sessions say less what the first halves say, and the largest of
+  /// these differences in sigma.
+  Eigen::VectorXd halves_difference;
+  double halves_sigmas = 0.0;
+
+  /// Parameters that are not estimated: where they would move if they were, and the sigma of that;
+  /// else 0.
+  Eigen::VectorXd hint, hint_std;
+
+  std::vector<SessionMarginals> sessions;  ///< none when there is only one
+
+  /// The Gauss-Newton step that remains, of the parameter blocks in the order of H: what is
+  /// calibrated, what could have been (no step), gravity of each session, then of each session the
+  /// bias knots, gyroscope and accelerometer of each IMU, knots of the clocks, then of each session
+  /// those of the slow errors, and the control points.
+  GaussNewtonStep step;
+  std::shared_ptr<const Elimination> elimination;
+  /// Of H; of the border H itself, less what the rest takes. Empty when it would take more than
+  /// CalibrationOptions::max_factor_mb.
+  Panels factor;
+
+  int held_begin = 0, held_end = 0;  ///< columns of H of parameters that are not estimated
+  int trajectory_begin = 0;          ///< first column of H of the control points
+
+  /// First column of H of what is calibrated; -1 when it is not.
+  int FindColumn(ParameterKind kind, size_t imu) const;
+  /// Place of a parameter; -1 when there is none.
+  int Find(ParameterKind kind, size_t imu = 0, size_t session = 0) const;
+};
+
+/// By how much the robust sigma exceeds the model's, at least 1: factors of rows and columns of the
+/// covariance that is reported.
+Eigen::VectorXd Enlargement(const Eigen::MatrixXd& model, const Eigen::MatrixXd& robust);
+
+/// Stage S5 where a solve has ended, doc/math.md, "Covariance" and "What one more step tells".
+Marginals FindMarginals(LeastSquares* solved);
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,17 @@
+#pragma once
+
+#include "imu_pose_calib/core/base/options.h"
+#include "imu_pose_calib/core/data/conditioning.h"
+
+namespace imu_pose_calib {
+
+/// Cuts the poses into segments at gaps; runs that are too short are dropped and counted.
+void SplitAtGaps(const CalibrationOptions& options, ConditionedData* data);
+
+/// Cuts the segments where a pose cannot follow from the one before it (swapped marker labels, a
+/// tracker that finds itself anew) and counts the jumps. Runs between jumps that are too short for
+/// a segment are dropped and count as outliers. Single spikes must be gone already.
+/// Throws DataError when no run is left.
+void SplitAtJumps(const CalibrationOptions& options, ConditionedData* data);
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,41 @@
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "imu_pose_calib/core/base/options.h"
+#include "imu_pose_calib/core/base/types.h"
+
+namespace imu_pose_calib {
+
+/// What is known and was done about the stamps of a stream.
+struct StreamStamps {
+  bool even = true;        ///< as recorded
+  bool recovered = false;  ///< they are now those of the source's own clock
+  double jitter_s = 0.0;   ///< rms of recorded less recovered stamp, about its mean
+};
+
+/// The same of a session.
+struct SessionStamps {
+  StreamStamps poses;
+  std::vector<std::pair<StreamStamps, StreamStamps>> imus;  ///< gyroscope, accelerometer
+};
+
+/// Whether stamps [ns] are even within what matters little, but for some that are missing.
+bool AreEven(std::vector<int64_t> stamps_ns);
+
+/// Stamps of the clock of a source that samples evenly, but for missing frames, from those recorded
+/// in order of arrival, with which they agree on average (doc/math.md, "Clock of the stamps").
+/// Where the clock breaks another one begins; stretches too short for one stay as recorded. Nothing
+/// when counting periods does not explain the stamps.
+std::optional<std::vector<int64_t>> RecoverClock(const std::vector<int64_t>& recorded_ns);
+
+/// Gives the samples of `session`, in order of arrival, the stamps of their sources' own clocks
+/// (RecoverClock()) where the mode says so; kAuto: where the recorded ones are uneven and the
+/// samples follow each other more smoothly at the recovered ones. Sensors of an IMU that share
+/// their stamps keep doing so. Stamps that are not believed (JudgeStamps()) stay.
+SessionStamps RecoverStamps(StampRecovery mode, SessionData* session);
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,93 @@
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "imu_pose_calib/core/ground_truth/trajectory.h"
+
+namespace imu_pose_calib {
+
+/// State of an IMU that was integrated from its own samples.
+struct CarriedState {
+  double t;  ///< [s] pose clock
+  Eigen::Quaterniond q_WI;
+  Eigen::Vector3d p_WI;     ///< [m]
+  Eigen::Vector3d v_W;      ///< [m/s]
+  Eigen::Vector3d omega_I;  ///< [rad/s]
+  /// Of the rotation [rad, about the axes of I: R_WI Exp(dtheta)], p_WI and v_W.
+  Eigen::Matrix<double, 9, 9> covariance;
+};
+
+/// State of an IMU at one instant: ground truth.
+struct ImuState {
+  Eigen::Quaterniond q_WI;
+  Eigen::Vector3d p_WI;     ///< [m]
+  Eigen::Vector3d omega_I;  ///< [rad/s]
+  Eigen::Vector3d v_W;      ///< [m/s]
+  ImuBiases biases;
+  bool is_carried = false;  ///< by the IMU alone, across a gap of the poses
+  /// Of the rotation [rad, about the axes of I: R_WI Exp(dtheta)], p_WI, omega_I and v_W.
+  Eigen::Matrix<double, 12, 12> covariance;
+  Matrix6d bias_covariance;  ///< gyroscope, accelerometer
+};
+
+/// Whose stamps go with the states.
+enum class TrackClock { kImu, kPoses };
+
+/// What happens between two runs of poses.
+struct TrackGap {
+  double begin, end;                  ///< [s] pose clock
+  std::vector<CarriedState> carried;  ///< empty: left out
+};
+
+/// The motion of one IMU in one session, from its first to its last sample. Stamps are of one of
+/// the clocks.
+class ImuTrack {
+ public:
+  /// Gaps of the poses of up to `max_gap_s` are carried by the IMU where that is possible, see
+  /// doc/trajectory.md; longer ones are left out, and all of them with method `gp`.
+  ImuTrack(const std::shared_ptr<const Solution>& solution, size_t session, size_t imu,
+           const std::shared_ptr<const TrajectoryCovariance>& covariance, TrackClock clock,
+           double max_gap_s);
+
+  struct Instant {
+    int64_t stamp_ns;  ///< on the clock of the track
+    double t;          ///< [s] pose clock, after the epoch of the session's poses
+  };
+  /// Of the samples of the gyroscope or, for a rate > 0 [Hz], evenly from the first of them to the
+  /// last one.
+  std::vector<Instant> Instants(double rate_hz) const;
+
+  /// Nothing where poses or IMU have a gap that is left out. Covariances are 0 with method `gp`,
+  /// and hold the error of the IMU's clock when that is the clock of the track.
+  std::optional<ImuState> At(double t) const;
+  bool has_covariance() const { return !solution_->splines.empty(); }
+
+  const std::vector<TrackGap>& gaps() const { return gaps_; }
+
+  /// A recorded sample of both sensors for the same instant, in I.
+  struct Sample {
+    int64_t stamp_ns;
+    Eigen::Vector3d gyro;   ///< [rad/s]
+    Eigen::Vector3d accel;  ///< [m/s^2]
+  };
+  /// At the stamps of the gyroscope; the accelerometer less its delay, linear between its samples.
+  std::vector<Sample> Samples() const;
+
+ private:
+  const ConditionedImu& Recorded() const { return solution_->imus[session_][imu_]; }
+  const ImuSessionEstimate& Clock() const {
+    return solution_->estimate.sessions[session_].imus[imu_];
+  }
+  int64_t Stamp(double t_imu) const;
+
+  std::shared_ptr<const Solution> solution_;
+  size_t session_, imu_;
+  TrackClock clock_;
+  SessionTrajectory trajectory_;
+  double gyro_noise_ = 0.0;  ///< [rad/s]
+  std::vector<TrackGap> gaps_;
+};
+
+}  // namespace imu_pose_calib

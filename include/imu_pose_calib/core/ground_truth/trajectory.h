@@ -1,0 +1,124 @@
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "imu_pose_calib/core/calibration/solution.h"
+
+namespace imu_pose_calib {
+
+/// Covariance of parameters that act at one instant, from the normal equations of a joint solve;
+/// what is held is without error. Making it takes about as long as a pass of the solve.
+class TrajectoryCovariance {
+ public:
+  /// Throws DataError when the trajectory is not determined.
+  explicit TrajectoryCovariance(const std::shared_ptr<const Solution>& solution);
+
+  /// Columns of the parameters, one for each degree of freedom; -1 for what is held.
+  using Columns = std::vector<int>;
+  /// Those of all parts, in order.
+  static Columns Joined(const std::vector<Columns>& parts);
+  /// The kSplineOrder control points of d from `first` on, then those of phi.
+  Columns ControlPoints(size_t session, size_t first) const;
+  /// What is calibrated, `size` degrees of freedom. q_MI turns on the left by twice the step.
+  Columns Calibrated(ParameterKind kind, size_t imu, int size) const;
+  /// time_shift and clock_drift, and the knots of the clock's walk around t [s, IMU clock]: 4.
+  Columns Clock(size_t session, size_t imu, double t) const;
+  Columns Gravity(size_t session) const;
+  /// The bias knots `knot` and `knot` + 1 of one sensor.
+  Columns BiasKnotPair(size_t session, size_t imu, bool is_accel, size_t knot) const;
+
+  /// Covariance of parameters that share a residual, and at the ends of runs of all that act there:
+  /// control points, the bias knots around them and what is calibrated. Of others it has zeros.
+  Eigen::MatrixXd At(const Columns& columns) const;
+
+ private:
+  Columns Kept(int first, int count) const;
+
+  std::shared_ptr<const Solution> solution_;
+  // First columns, of each session:
+  std::vector<int> d_, gravity_;
+  std::vector<std::vector<int>> gyro_knots_, accel_knots_, clock_knots_;  ///< of each IMU
+  Panels inverse_;  ///< elements of H^-1, what is held being known
+};
+
+/// Motion of a body B at one instant: of the marker or of an IMU.
+struct BodyState {
+  Eigen::Quaterniond q_WB;
+  Eigen::Vector3d p_WB;     ///< [m]
+  Eigen::Vector3d omega_B;  ///< [rad/s]
+  Eigen::Vector3d v_W;      ///< [m/s]
+  Eigen::Vector3d alpha_B;  ///< [rad/s^2]
+  Eigen::Vector3d a_W;      ///< [m/s^2]
+};
+
+/// Covariance of the rotation [rad, about the axes of B: R_WB Exp(dtheta)] and of the other members
+/// of BodyState, in their order, 3 each.
+using BodyCovariance = Eigen::Matrix<double, 18, 18>;
+
+/// Biases of an IMU at one instant, in I: measured = M true + bias.
+struct ImuBiases {
+  Eigen::Vector3d gyro;   ///< [rad/s]
+  Eigen::Vector3d accel;  ///< [m/s^2]
+};
+
+/// The trajectory of one session as solved: with method `joint` by all sensors together, with `gp`
+/// that of S1. Not for several threads at a time.
+class SessionTrajectory {
+ public:
+  /// The covariance is made when it is asked for, unless it is given: sessions can share it.
+  SessionTrajectory(const std::shared_ptr<const Solution>& solution, size_t session,
+                    const std::shared_ptr<const TrajectoryCovariance>& covariance = nullptr);
+
+  /// Stamp [ns, pose clock] at which t = 0.
+  int64_t epoch_ns() const { return solution_->pose_epochs_ns[session_]; }
+
+  /// Derivative of BodyState, in the order of BodyCovariance, by the coordinates of the control
+  /// points of d and phi that act at t, p_MB, and the rotation of R_MB on the left by twice a step.
+  using StateJacobian = Eigen::Matrix<double, 18, 6 * kSplineOrder + 6>;
+  /// Motion at t [s], and its derivative unless `J` is null; nothing where poses or IMUs have a
+  /// gap.
+  std::optional<BodyState> Marker(double t) const { return Evaluate({}, t, nullptr); }
+  std::optional<BodyState> Imu(size_t imu, double t, StateJacobian* J = nullptr) const;
+  /// Where the clock of the IMU shows the time that goes with t; the session must have that IMU.
+  ImuBiases Biases(size_t imu, double t) const;
+
+  /// By the model's noise, calibration included; nothing where there is no motion, and with method
+  /// `gp`. The first call takes about as long as a pass of the solve.
+  std::optional<BodyCovariance> MarkerCovariance(double t) const {
+    return CovarianceOf(-1, false, t);
+  }
+  std::optional<BodyCovariance> ImuCovariance(size_t imu, double t) const {
+    return CovarianceOf(static_cast<int>(imu), false, t);
+  }
+  /// The same where the clock of the IMU shows the time that goes with t: errors of the clock count
+  /// too, except in accelerations.
+  std::optional<BodyCovariance> ImuCovarianceOnItsClock(size_t imu, double t) const {
+    return CovarianceOf(static_cast<int>(imu), true, t);
+  }
+  /// Variance of the instant t that goes with a time on the clock of the IMU [s^2]; 0 with `gp`.
+  double ClockVariance(size_t imu, double t) const;
+  /// Of gyroscope and accelerometer, 3 each, also where the motion has a gap.
+  std::optional<Matrix6d> BiasCovariance(size_t imu, double t) const;
+  /// Null with method `gp`.
+  std::shared_ptr<const TrajectoryCovariance> covariance() const;
+
+ private:
+  std::optional<BodyState> Evaluate(const Rigid3& T_MB, double t, StateJacobian* J) const;
+  /// Of an IMU, or of the marker for -1.
+  std::optional<BodyCovariance> CovarianceOf(int imu, bool is_on_its_clock, double t) const;
+
+  std::shared_ptr<const Solution> solution_;
+  size_t session_;
+  mutable std::shared_ptr<const TrajectoryCovariance> covariance_;
+  /// Of the control points from `first` on and an IMU: samples come in order.
+  struct Inputs {
+    size_t first, clock_knot;
+    int imu;
+    Eigen::MatrixXd C;
+  };
+  mutable std::optional<Inputs> last_inputs_;
+};
+
+}  // namespace imu_pose_calib

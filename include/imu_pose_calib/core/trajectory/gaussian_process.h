@@ -1,0 +1,94 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <memory>
+#include <utility>
+#include <vector>
+
+namespace imu_pose_calib {
+
+/// Square-exponential kernel k(t, t') = signal_std^2 exp(-(t - t')^2 / (2 lengthscale_s^2)) and the
+/// white noise of the measurements.
+struct GpHyperparameters {
+  double lengthscale_s = 0.0;
+  double signal_std = 0.0;  ///< unit of the values
+  double noise_std = 0.0;   ///< unit of the values
+};
+
+/// Measurements of up to four outputs: row i of `y` is taken at t[i]. t increases.
+struct GpData {
+  Eigen::VectorXd t;  ///< [s]
+  Eigen::MatrixXd y;  ///< N x D, D <= 4
+  /// Noise of each over GpHyperparameters::noise_std; empty: 1. Of WindowedGp.
+  Eigen::VectorXd noise_scale = Eigen::VectorXd();
+};
+
+/// Gaussian process regression with one 1-D input and D independent outputs that share their
+/// hyperparameters, at a cost linear in duration (doc/math.md, "Windowed GP").
+///
+/// The kernel is written as an integral over Gaussian bumps and the integral as a sum on a grid of
+/// 0.4 length scales, which is exact to 1e-13. That turns regression into least squares on bump
+/// weights. The timeline is cut into windows; each is fitted with margins so wide that its core
+/// agrees with the GP of the whole log.
+class WindowedGp {
+ public:
+  /// Column k holds the k-th time derivative, k = 0..3; one row per output.
+  using Derivatives = Eigen::Matrix<double, Eigen::Dynamic, 4, Eigen::ColMajor, 4, 4>;
+  using Values = Eigen::Matrix<double, Eigen::Dynamic, 1, Eigen::ColMajor, 4, 1>;
+
+  /// Windows are fitted on up to `threads` threads; there are variances only `with_variance`.
+  WindowedGp(const GpData& data, const GpHyperparameters& hyperparameters, int threads = 1,
+             bool with_variance = true);
+  /// `before` without the measurements at the instants `removed` [s], neither the first nor the
+  /// last: windows that they do not reach stay as they are.
+  WindowedGp(const WindowedGp& before, const GpData& data, const std::vector<double>& removed,
+             int threads);
+
+  double begin() const { return begin_; }  ///< first measurement [s]
+  double end() const { return end_; }      ///< last measurement [s]
+  double core() const { return core_; }    ///< length of a window's core [s]
+  /// Whether what Evaluate() and Variance() say at t depends on a measurement at `other` [s].
+  bool Reaches(double t, double other) const;
+
+  /// Posterior mean at t and its first three derivatives (paper Eqs. 3 and 6). Outside of
+  /// [begin, end] it tends to the prior mean, zero.
+  Derivatives Evaluate(double t) const;
+  /// Evaluate(t).col(0) and Variance(t)[0] (unless null) alone, at a third of the cost.
+  Values Value(double t, double* variance = nullptr) const;
+
+  /// Posterior variance of the value and of the first and second derivative, the same for each
+  /// output (paper Eqs. 4 and 7).
+  Eigen::Vector3d Variance(double t) const;
+
+ private:
+  struct Window {
+    double first_center;         ///< [s] centre of the bump of row 0
+    Eigen::MatrixXd weights;     ///< bumps x D
+    Eigen::MatrixXd covariance;  ///< of the weights of one output, see VarianceOf()
+  };
+  size_t IndexAt(double t) const;
+  const Window& At(double t) const { return *windows_[IndexAt(t)]; }
+  /// The measurements that a window is fitted to [s].
+  std::pair<double, double> Span(size_t window) const;
+  std::shared_ptr<const Window> Fit(const GpData& data, size_t window) const;
+
+  GpHyperparameters hyperparameters_;
+  bool with_variance_;
+  double begin_, end_, core_;
+  std::vector<std::shared_ptr<const Window>> windows_;
+};
+
+/// log p(y | t, hyperparameters), summed over the outputs; `gradient` (if not null) receives its
+/// derivatives by (log lengthscale, log signal_std, log noise_std).
+double LogMarginalLikelihood(const GpData& data, const GpHyperparameters& hyperparameters,
+                             Eigen::Vector3d* gradient);
+
+/// Hyperparameters that maximise the marginal likelihood of all of `data`. Values of `fixed` that
+/// are not zero are kept; a noise without a length scale is the least: with less than the data
+/// show, the length scale would follow the noise. `before`: those of nearly the same data, if
+/// known. Each of the data is taken by one of up to `threads` threads.
+GpHyperparameters FitHyperparameters(const std::vector<GpData>& data,
+                                     const GpHyperparameters& fixed,
+                                     const GpHyperparameters& before = {}, int threads = 1);
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,142 @@
+#include "imu_pose_calib/core/calibration/band.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "imu_pose_calib/core/base/parallel.h"
+#include "imu_pose_calib/core/base/so3.h"
+
+namespace imu_pose_calib {
+namespace {
+
+/// Length scale of a smoother times the frequency of which it lets half pass: of half of that it
+/// takes 6e-6, of a third more it lets 4e-6 pass.
+constexpr double kSharpness = 0.9;
+
+/// Of the band, what the trajectory that splines correct has at most: of noise that they take out
+/// of it again, they leave images about the frequency of the knots, strong ones near the band's
+/// end.
+constexpr double kBase = 0.5;
+
+/// Length scales from the end of a run within which samples stay as they are: what lies beyond is
+/// missing in their means.
+constexpr double kEdge = 2.0;
+/// Periods between samples, of a gap.
+constexpr double kMaxGapPeriods = 5.5;
+
+/// Noise of the GP that lets half of `cutoff` [Hz] pass: there, the spectra of its signal and of
+/// its noise meet.
+double NoiseOf(const GpHyperparameters& h, double rate_hz, double cutoff) {
+  const double x = 2.0 * M_PI * cutoff * h.lengthscale_s;
+  const double density = h.signal_std * h.signal_std * h.lengthscale_s * std::sqrt(2.0 * M_PI) *
+                         std::exp(-0.5 * x * x);
+  return std::sqrt(density * rate_hz);
+}
+
+/// Moves the cut-off of a smoother down; false when it is as low already.
+bool LowerCutoff(double rate_hz, double cutoff, GpHyperparameters* h) {
+  if (h->noise_std >= NoiseOf(*h, rate_hz, cutoff)) return false;
+  h->lengthscale_s = std::max(h->lengthscale_s, kSharpness / cutoff);
+  h->noise_std = NoiseOf(*h, rate_hz, cutoff);
+  return true;
+}
+
+/// The samples of a run without a gap; `noise_scale` of each, empty: they are alike.
+void Smooth(double rate_hz, double cutoff, int threads, TimedSample* begin, TimedSample* end,
+            const Eigen::VectorXd& noise_scale = Eigen::VectorXd()) {
+  const auto n = static_cast<Eigen::Index>(end - begin);
+  GpData data{Eigen::VectorXd(n), Eigen::MatrixXd(n, 3), noise_scale};
+  for (Eigen::Index i = 0; i < n; ++i) {
+    data.t[i] = begin[i].t;
+    data.y.row(i) = begin[i].value;
+  }
+  const Eigen::RowVector3d mean = data.y.colwise().mean();
+  data.y.rowwise() -= mean;
+  GpHyperparameters h{kSharpness / cutoff, 1.0, 0.0};  // only the ratio of the two matters
+  h.noise_std = NoiseOf(h, rate_hz, cutoff);
+  const double edge = kEdge * h.lengthscale_s;
+  if (data.t[n - 1] - data.t[0] < 2.0 * edge) return;
+  const WindowedGp gp(data, h, threads, false);
+  InPortions(threads, static_cast<size_t>(n), [&](size_t i) {
+    TimedSample& sample = begin[i];
+    if (sample.t - data.t[0] < edge || data.t[n - 1] - sample.t < edge) return;
+    const Eigen::Vector3d smooth = mean.transpose() + gp.Value(sample.t);
+    sample.rest += sample.value - smooth;
+    sample.value = smooth;
+  });
+}
+
+void Smooth(double rate_hz, double cutoff, int threads, std::vector<TimedSample>* samples) {
+  const double max_gap = kMaxGapPeriods / rate_hz;
+  TimedSample* const end = samples->data() + samples->size();
+  TimedSample* begin = samples->data();
+  for (TimedSample* s = begin; s != end; ++s) {
+    if (s + 1 != end && (s + 1)->t - s->t <= max_gap) continue;
+    Smooth(rate_hz, cutoff, threads, begin, s + 1);
+    begin = s + 1;
+  }
+}
+
+/// Smooths the errors of the poses about the session's trajectory. `error` [m or rad] of a pose,
+/// `move` it to another error, `scale` of its noise.
+template <typename Error, typename Move>
+void SmoothErrors(double cutoff, int threads, const Error& error, const Move& move,
+                  double TimedPose::*scale, PreparedSession* session) {
+  for (const IndexRange& segment : session->data.segments) {
+    TimedPose* const poses = session->data.poses.data() + segment.begin;
+    std::vector<Rigid3> T_WM(segment.size());
+    std::vector<TimedSample> errors(segment.size());
+    Eigen::VectorXd scales(segment.size());
+    InPortions(threads, segment.size(), [&](size_t i) {
+      T_WM[i] = session->trajectory->PoseAt(poses[i].t);
+      errors[i] = {poses[i].t, error(T_WM[i], poses[i])};
+      scales[static_cast<Eigen::Index>(i)] = poses[i].*scale;
+    });
+    Smooth(session->data.pose_report.rate_hz, cutoff, threads, errors.data(),
+           errors.data() + errors.size(), scales);
+    for (size_t i = 0; i < segment.size(); ++i) move(T_WM[i], errors[i], &poses[i]);
+  }
+}
+
+}  // namespace
+
+PreparedSession LimitBand(const PreparedSession& session, double cutoff, int threads) {
+  PreparedSession limited = session;
+  for (ConditionedImu& imu : limited.data.imus) {
+    if (!imu.IsPresent()) continue;
+    Smooth(imu.gyro_report.rate_hz, cutoff, threads, &imu.gyro);
+    Smooth(imu.accel_report.rate_hz, cutoff, threads, &imu.accel);
+  }
+  const double rate_hz = session.data.pose_report.rate_hz;
+  GpHyperparameters position = session.trajectory->position_hyperparameters();
+  GpHyperparameters rotation = session.trajectory->rotation_hyperparameters();
+  const bool is_position_lower = LowerCutoff(rate_hz, kBase * cutoff, &position);
+  const bool is_rotation_lower = LowerCutoff(rate_hz, kBase * cutoff, &rotation);
+  if (is_position_lower || is_rotation_lower)
+    limited.trajectory = std::make_shared<const PoseTrajectory>(
+        session.data.poses, session.data.segments, position, rotation, threads);
+  SmoothErrors(
+      cutoff, threads,
+      [](const Rigid3& T_WM, const TimedPose& pose) -> Eigen::Vector3d {
+        return pose.p_WM - T_WM.p;
+      },
+      [](const Rigid3& T_WM, const TimedSample& smooth, TimedPose* pose) {
+        pose->position_rest = smooth.rest;
+        pose->p_WM = T_WM.p + smooth.value;
+      },
+      &TimedPose::position_scale, &limited);
+  SmoothErrors(
+      cutoff, threads,
+      [](const Rigid3& T_WM, const TimedPose& pose) {
+        return Log(Eigen::Quaterniond(T_WM.q.conjugate() * pose.q_WM));
+      },
+      [](const Rigid3& T_WM, const TimedSample& smooth, TimedPose* pose) {
+        const Eigen::Quaterniond q_WM = T_WM.q * Exp(smooth.value);
+        pose->rotation_rest = Log(Eigen::Quaterniond(q_WM.conjugate() * pose->q_WM));
+        pose->q_WM = q_WM;
+      },
+      &TimedPose::rotation_scale, &limited);
+  return limited;
+}
+
+}  // namespace imu_pose_calib

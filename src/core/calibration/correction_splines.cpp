@@ -1,0 +1,117 @@
+#include "imu_pose_calib/core/calibration/correction_splines.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr size_t kMinSpans = 4;  // shorter runs say little and are left out
+/// Samples of an IMU further apart than this, and so many periods, are a gap [s].
+constexpr double kMaxImuGap = 0.1, kMaxImuGapPeriods = 5.0;
+
+/// Instants without a gap [s, pose clock].
+struct Interval {
+  double begin, end;
+};
+
+/// Where both sensors of an IMU have samples, by the clocks as they stand.
+std::vector<Interval> Covered(const ConditionedImu& samples, const ImuSessionEstimate& clock,
+                              double accel_delay) {
+  const auto runs = [&](const std::vector<TimedSample>& sensor, double rate_hz, double delay) {
+    const double max_gap = std::max(kMaxImuGap, kMaxImuGapPeriods / rate_hz);
+    std::vector<Interval> intervals;
+    for (size_t i = 0; i < sensor.size(); ++i) {
+      const double t = clock.PoseTime(sensor[i].t - delay);
+      if (i == 0 || sensor[i].t - sensor[i - 1].t > max_gap) intervals.push_back({t, t});
+      intervals.back().end = t;
+    }
+    return intervals;
+  };
+  const auto gyro = runs(samples.gyro, samples.gyro_report.rate_hz, 0.0);
+  const auto accel = runs(samples.accel, samples.accel_report.rate_hz, accel_delay);
+  std::vector<Interval> both;
+  for (const Interval& g : gyro)
+    for (const Interval& a : accel)
+      if (std::min(g.end, a.end) > std::max(g.begin, a.begin))
+        both.push_back({std::max(g.begin, a.begin), std::min(g.end, a.end)});
+  return both;
+}
+
+/// Union of intervals, in order.
+std::vector<Interval> Join(std::vector<Interval> intervals) {
+  std::sort(intervals.begin(), intervals.end(),
+            [](const Interval& a, const Interval& b) { return a.begin < b.begin; });
+  std::vector<Interval> joined;
+  for (const Interval& interval : intervals) {
+    if (joined.empty() || interval.begin > joined.back().end)
+      joined.push_back(interval);
+    else
+      joined.back().end = std::max(joined.back().end, interval.end);
+  }
+  return joined;
+}
+
+}  // namespace
+
+CorrectionSplines::CorrectionSplines(const ConditionedData& data, const Estimate& estimate,
+                                     size_t session, double spacing_s)
+    : spacing_(spacing_s) {
+  std::vector<Interval> covered;
+  for (size_t i = 0; i < data.imus.size(); ++i) {
+    if (!data.imus[i].IsPresent()) continue;
+    const auto own =
+        Covered(data.imus[i], estimate.sessions[session].imus[i], estimate.imus[i].accel_delay);
+    covered.insert(covered.end(), own.begin(), own.end());
+  }
+  size_t points = 0;
+  for (const IndexRange& segment : data.segments) {
+    for (const Interval& interval : Join(covered)) {
+      const double begin = std::max(interval.begin, data.poses[segment.begin].t);
+      const double end = std::min(interval.end, data.poses[segment.end - 1].t);
+      if (end - begin < static_cast<double>(kMinSpans) * spacing_s) continue;
+      const auto spans = static_cast<size_t>(std::round((end - begin) / spacing_s));
+      ranges_.push_back({begin, end, (end - begin) / static_cast<double>(spans), points, spans});
+      points += spans + kSplineOrder - 1;
+    }
+  }
+  if (ranges_.empty()) throw DataError("poses and IMU samples have no run without a gap in common");
+  d.assign(points, Eigen::Vector3d::Zero());
+  phi.assign(points, Eigen::Vector3d::Zero());
+}
+
+const CorrectionSplines::Range* CorrectionSplines::Find(double t) const {
+  const auto after =
+      std::upper_bound(ranges_.begin(), ranges_.end(), t,
+                       [](double value, const Range& range) { return value < range.begin; });
+  if (after == ranges_.begin()) return nullptr;
+  const Range& range = *std::prev(after);
+  return t <= range.end ? &range : nullptr;
+}
+
+std::optional<SplinePlace> CorrectionSplines::Locate(double t) const {
+  const Range* range = Find(t);
+  if (range == nullptr) return std::nullopt;
+  const double x = (t - range->begin) / range->spacing;
+  const size_t span = std::min(range->spans - 1, static_cast<size_t>(x));
+  return SplinePlace{range->first + span, x - static_cast<double>(span), range->spacing};
+}
+
+std::vector<CorrectionSplines::Run> CorrectionSplines::Runs() const {
+  std::vector<Run> runs;
+  for (const Range& range : ranges_)
+    runs.push_back({range.begin, range.end, range.first, range.spans + kSplineOrder - 1});
+  return runs;
+}
+
+void CorrectionSplines::Follow(const ClockLine& before, const ClockLine& after,
+                               double delay_growth) {
+  const auto follow = [&](double t) { return after.PoseTime(before.ImuTime(t) - delay_growth); };
+  for (Range& range : ranges_) {
+    range.begin = follow(range.begin);
+    range.end = follow(range.end);
+    range.spacing = (range.end - range.begin) / static_cast<double>(range.spans);
+  }
+}
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,293 @@
+#include "imu_pose_calib/core/calibration/joint_noise.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <numeric>
+
+#include "imu_pose_calib/core/calibration/band.h"
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr int kSteps = 200;  // of integrals over frequency
+/// Share of the band and of the poses' frequencies in which residuals are whole.
+constexpr double kWhole = 0.8;
+/// Periodograms that the expectation is worth that noise is as white as the samples' spread, give
+/// or take a factor of e in the density; and by which it holds back what is far below.
+constexpr double kWhiteness = 30.0, kLeastWhiteness = 1.0;
+constexpr int kRounds = 300;            // of the likelihood's ascent
+constexpr double kLongestStride = 3.0;  // of a pass, in the sigma of slow errors that it finds
+/// Bounds of that sigma [rad]: nothing beside the noise of poses, with which H stays regular; and
+/// beyond what is an error.
+constexpr double kLeastRotationError = 1e-5, kMostRotationError = 0.1;
+
+bool IsOfPoses(Quantity quantity) {
+  return quantity == Quantity::kPosition || quantity == Quantity::kRotation;
+}
+
+bool IsLinear(Quantity quantity) {
+  return quantity == Quantity::kPosition || quantity == Quantity::kAccel;
+}
+
+/// Densities of the noise that sensors of one kind have together in a session, as they tell of the
+/// same motion.
+class JointDensities {
+ public:
+  JointDensities(const LeastSquares& joint, size_t session) {
+    for (const SensorBlocks& sensor : joint.sensors)
+      if (sensor.model->session == session)
+        information_[static_cast<size_t>(sensor.model->quantity)] += 1.0 / sensor.model->Density();
+  }
+  double operator[](Quantity quantity) const {
+    return 1.0 / information_[static_cast<size_t>(quantity)];
+  }
+
+ private:
+  std::array<double, 4> information_{};
+};
+
+/// Mean squared residual of the samples within `reach` [s] of each, which are in order of time.
+std::vector<double> MeanSquareAround(const SensorBlocks& sensor, double reach) {
+  const std::vector<ProblemSample>& samples = sensor.samples;
+  std::vector<double> means;
+  size_t begin = 0, end = 0;
+  double sum = 0.0;
+  for (const ProblemSample& sample : samples) {
+    for (; end < samples.size() && samples[end].t <= sample.t + reach; ++end)
+      sum += sensor.residuals[end].squaredNorm();
+    for (; samples[begin].t < sample.t - reach; ++begin)
+      sum -= sensor.residuals[begin].squaredNorm();
+    means.push_back(sum / static_cast<double>(end - begin));
+  }
+  return means;
+}
+
+/// Densities of what poses and IMUs err by, of positions or rotations, at a frequency.
+struct Errors {
+  double poses, imus;
+};
+
+Errors ErrorsAt(const JointDensities& S, Quantity quantity, double omega2) {
+  return IsLinear(quantity)
+             ? Errors{S[Quantity::kPosition], S[Quantity::kAccel] / (omega2 * omega2)}
+             : Errors{S[Quantity::kRotation], S[Quantity::kGyro] / omega2};
+}
+
+double Omega2(double frequency) { return std::pow(2.0 * M_PI * frequency, 2); }
+
+/// In the mean over the spline's band [Hz].
+double ImuShare(const JointDensities& S, Quantity quantity, double band) {
+  double sum = 0.0;
+  for (int k = 0; k < kSteps; ++k) {
+    const Errors errors = ErrorsAt(S, quantity, Omega2((k + 0.5) / kSteps * band));
+    sum += errors.poses / (errors.poses + errors.imus);
+  }
+  return sum / kSteps;
+}
+
+/// A sensor's share of the share of its kind.
+double OwnShare(const JointDensities& S, const SensorModel& model, double imus) {
+  return IsOfPoses(model.quantity) ? 1.0 - imus : imus * S[model.quantity] / model.Density();
+}
+
+/// Power spectral densities of the noise of sensors that tell of the same motion, by maximum
+/// likelihood of the spectra of their residuals, doc/math.md, S4, "Noise".
+class NoiseFit {
+ public:
+  /// A noise that is expected to be `white`, and may not exceed `most`.
+  void Add(double white, double most) {
+    white_.push_back(white);
+    most_.push_back(most);
+  }
+  struct Part {
+    size_t noise;
+    double share;
+  };
+  /// A density found in so many periodograms, that is the sum of shares of noises.
+  void Observe(double count, double density, const std::vector<Part>& parts) {
+    observations_.push_back({count, density, parts});
+  }
+
+  std::vector<double> Solve() const {
+    std::vector<double> x = white_;
+    for (int round = 0; round < kRounds; ++round) {
+      std::vector<double> found(x.size(), 0.0), expected(x.size(), 0.0);
+      for (const Observation& o : observations_) {
+        double sum = 0.0;
+        for (const Part& part : o.parts) sum += part.share * x[part.noise];
+        for (const Part& part : o.parts) {
+          found[part.noise] += o.count * part.share * o.density / (sum * sum);
+          expected[part.noise] += o.count * part.share / sum;
+        }
+      }
+      for (size_t k = 0; k < x.size(); ++k) {
+        const double apart = std::log(white_[k] / x[k]);
+        const double pull = kWhiteness * apart / (1.0 + apart * apart);
+        found[k] += (kWhiteness + kLeastWhiteness * white_[k] / x[k] + std::max(0.0, pull)) / x[k];
+        expected[k] += (kWhiteness + kLeastWhiteness + std::max(0.0, -pull)) / x[k];
+        x[k] = std::min(most_[k], x[k] * std::sqrt(found[k] / expected[k]));
+      }
+    }
+    return x;
+  }
+
+ private:
+  struct Observation {
+    double count, density;
+    std::vector<Part> parts;
+  };
+  std::vector<double> white_, most_;
+  std::vector<Observation> observations_;
+};
+
+/// Sets the noise of the sensors of positions and accelerations, or of rotations and turn rates, of
+/// a session.
+void FitNoiseOf(bool is_linear, size_t session, const LeastSquares& joint,
+                std::vector<SensorStatistics>* statistics) {
+  std::vector<size_t> sensors;  // the poses first
+  for (size_t k = 0; k < joint.sensors.size(); ++k)
+    if (joint.sensors[k].model->session == session &&
+        IsLinear(joint.sensors[k].model->quantity) == is_linear)
+      sensors.push_back(k);
+  const SlowErrors& errors = joint.estimate->sessions[session].rotation_errors;
+  NoiseFit fit;
+  for (const size_t k : sensors) {
+    const SensorModel& model = *joint.sensors[k].model;
+    const double expected = std::pow((*statistics)[k].spread.scale, 2) / model.rate_hz;
+    // What errs slowly in an IMU is its bias.
+    fit.Add(expected,
+            IsOfPoses(model.quantity) ? std::numeric_limits<double>::infinity() : expected);
+  }
+  const double white = joint.sensors[sensors[0]].model->Density();  // of the poses
+  for (size_t a = 0; a < sensors.size(); ++a) {
+    const NoiseSpectrum& spectrum = (*statistics)[sensors[a]].spectrum;
+    for (size_t f = 0; f < spectrum.density.size(); ++f) {
+      const double omega2 = Omega2(NoiseSpectrum::Frequency(f));
+      const double gain = is_linear ? omega2 * omega2 : omega2;  // of an IMU, squared
+      const double poses = white + (is_linear ? 0.0 : errors.Density(omega2));
+      if (poses > 2.0 * white) continue;
+      std::vector<double> share{1.0 / poses};  // of each sensor
+      for (size_t b = 1; b < sensors.size(); ++b)
+        share.push_back(gain / joint.sensors[sensors[b]].model->Density());
+      const double all = std::accumulate(share.begin(), share.end(), 0.0);
+      for (double& own : share) own /= all;
+      if (share[a] > 0.5) continue;  // the others' residuals tell more
+      std::vector<NoiseFit::Part> parts;
+      for (size_t b = 0; b < sensors.size(); ++b) {
+        double part = std::pow(a == b ? 1.0 - share[b] : share[b], 2);
+        if (a != b) part *= (a == 0 ? 1.0 : gain) / (b == 0 ? 1.0 : gain);
+        if (b == 0) part *= poses / white;               // slow errors beside it
+        if (a == 0) part *= std::pow(white / poses, 2);  // they take up the rest
+        parts.push_back({b, part});
+      }
+      fit.Observe(spectrum.count, spectrum.density[f], parts);
+    }
+  }
+  const std::vector<double> x = fit.Solve();
+  for (size_t a = 0; a < sensors.size(); ++a)
+    (*statistics)[sensors[a]].noise = std::sqrt(x[a] * joint.sensors[sensors[a]].model->rate_hz);
+}
+
+/// Sets the sigma of the rotations' slow errors of each session to what is found of them,
+/// doc/math.md, S4, "Slow errors".
+void UpdateRotationErrors(LeastSquares* joint) {
+  for (size_t s = 0; s < joint->sessions.size(); ++s) {
+    SlowErrors& errors = joint->estimate->sessions[s].rotation_errors;
+    const JointDensities S(*joint, s);
+    const double interval = errors.knots.t[1] - errors.knots.t[0];
+    double increments2 = 0.0, share = 0.0;
+    for (size_t k = 0; k + 1 < errors.knots.t.size(); ++k)
+      increments2 +=
+          (errors.knots.values[k + 1] - errors.Kept(k) * errors.knots.values[k]).squaredNorm() /
+          (1.0 - errors.Kept(k) * errors.Kept(k));
+    for (int k = 0; k < kSteps; ++k) {
+      const double omega2 = Omega2(0.5 * (k + 0.5) / kSteps / interval);
+      const double own = errors.Density(omega2);
+      share += own / (own + S[Quantity::kRotation] + S[Quantity::kGyro] / omega2) / kSteps;
+    }
+    const double variance =
+        increments2 / (3.0 * static_cast<double>(errors.knots.t.size() - 1) * share);
+    // A pass moves it by the share that is found, on its way to where it stays.
+    const double stride = std::min(1.0 / share, kLongestStride);
+    errors.std *= std::pow(std::sqrt(variance) / errors.std, stride);
+    errors.std = std::clamp(errors.std, kLeastRotationError, kMostRotationError);
+  }
+}
+
+}  // namespace
+
+void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares* joint) {
+  const double band = Band(splines.spacing());
+  // As many as there is noise in that band.
+  const double points = static_cast<double>(splines.d.size()) * 2.0 * band * splines.spacing();
+  const JointDensities S(*joint, session);
+  for (SensorBlocks& sensor : joint->sensors) {
+    const SensorModel& model = *sensor.model;
+    if (model.session != session) continue;
+    const double share = OwnShare(S, model, ImuShare(S, model.quantity, band));
+    sensor.band =
+        kWhole * std::min(band, 0.5 * joint->Find(Quantity::kPosition, session)->model->rate_hz);
+    sensor.fitted = share * points / std::max(1.0, static_cast<double>(sensor.samples.size()));
+  }
+}
+
+bool DoPosesLead(const CorrectionSplines& splines, size_t session, const LeastSquares& joint) {
+  const JointDensities S(joint, session);
+  return ImuShare(S, Quantity::kAccel, Band(splines.spacing())) < 0.5;
+}
+
+void FeignInformation(const std::vector<CorrectionSplines>& splines, LeastSquares* joint) {
+  constexpr size_t kEnough = 2000;  // samples, of which the mean is taken
+  for (const SensorBlocks& sensor : joint->sensors) {
+    if (sensor.model->quantity != Quantity::kAccel) continue;
+    const size_t session = sensor.model->session;
+    const PoseTrajectory& trajectory = *joint->sessions[session].trajectory;
+    const JointDensities S(*joint, session);
+    double turn2 = 0.0, seen = 0.0;
+    for (size_t i = 0; i < sensor.samples.size(); i += 1 + sensor.samples.size() / kEnough) {
+      MarkerRotation<double> marker;
+      if (!trajectory.EvaluateRotation(sensor.samples[i].t, &marker)) continue;
+      turn2 += marker.omega_M.squaredNorm();
+      seen += 1.0;
+    }
+    if (seen == 0.0) continue;
+    const double band = Band(splines[session].spacing()), step = band / kSteps;  // [Hz]
+    double density = 0.0;  // information per second
+    for (int k = 0; k < kSteps; ++k) {
+      const double w2 = Omega2((k + 0.5) * step);
+      const double omega =
+          1.0 / (1.0 / S[Quantity::kGyro] +
+                 1.0 / (w2 * S[Quantity::kRotation]));  // poses and gyroscope add up
+      const double lever = LeverArmCoefficientVariance(w2 * omega, omega, turn2 / seen);
+      density += 2.0 * step * lever / (sensor.model->Density() + w2 * w2 * S[Quantity::kPosition]);
+    }
+    joint->feigned_information[sensor.model->imu] +=
+        static_cast<double>(sensor.samples.size()) / sensor.model->rate_hz * density;
+  }
+}
+
+void UpdateWeights(const LeastSquares& joint, const std::vector<CorrectionSplines>& splines,
+                   std::vector<SensorModel>* models) {
+  for (size_t k = 0; k < models->size(); ++k) {
+    SensorModel& model = (*models)[k];
+    const SensorBlocks& sensor = joint.sensors[k];
+    // Where knots do not follow the motion, residuals of an IMU swing through zero and none of them
+    // is right.
+    const double reach =
+        IsOfPoses(model.quantity) ? 0.0 : 0.5 * kSplineOrder * splines[model.session].spacing();
+    const std::vector<double> around = MeanSquareAround(sensor, reach);
+    for (size_t i = 0; i < sensor.samples.size(); ++i)
+      model.weights[sensor.samples[i].index] =
+          model.spread.Weight(std::max(around[i], sensor.residuals[i].squaredNorm()));
+  }
+}
+
+void FitNoise(LeastSquares* joint, std::vector<SensorStatistics>* statistics) {
+  for (size_t s = 0; s < joint->sessions.size(); ++s)
+    for (const bool is_linear : {true, false}) FitNoiseOf(is_linear, s, *joint, statistics);
+  UpdateRotationErrors(joint);
+}
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,353 @@
+#include "imu_pose_calib/core/calibration/joint_solver.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <memory>
+#include <optional>
+#include <utility>
+
+#include "imu_pose_calib/core/calibration/band.h"
+#include "imu_pose_calib/core/calibration/joint_noise.h"
+#include "imu_pose_calib/core/calibration/joint_problem.h"
+
+namespace imu_pose_calib {
+namespace {
+
+/// Passes end when no noise changes by more than this factor, or with the last of so many.
+constexpr double kSettled = 1.02;
+constexpr int kMaxPasses = 40;
+
+constexpr double kStep = 0.02;              // [s] between the instants looked at
+constexpr double kExcerpt = 8.0;            // [s] on which the knot spacing is chosen
+constexpr double kCoarsestKnots = 0.12;     // [s]
+constexpr double kMinSamplesPerKnot = 4.0;  // IMU samples
+/// Share of those seconds that knots must cover, more than the ends of two runs can be too short
+/// for; and share of the samples of each sensor that they must hold.
+constexpr double kLeastFollowed = 0.15, kLeastCovered = 0.1;
+/// Of gyro times accel residual, that knots twice as dense have to leave at most.
+constexpr double kShrinkage = 0.985;
+/// Of the knot spacing at which noise hides what is left of the motion.
+constexpr double kReserve = M_SQRT1_2;
+
+/// The session without what splines of this spacing cannot follow.
+PreparedSession Correctable(const CalibrationOptions& options, const PreparedSession& session,
+                            double spacing) {
+  return LimitBand(session, Band(spacing), options.Threads());
+}
+
+/// Samples of the log from `begin` to `end` [s, pose clock].
+PreparedSession Excerpt(const PreparedSession& session, const SessionEstimate& estimate,
+                        double begin, double end) {
+  PreparedSession excerpt{{}, session.trajectory, session.starts, session.pose_noise};
+  const ConditionedData& data = session.data;
+  excerpt.data.pose_epoch_ns = data.pose_epoch_ns;
+  excerpt.data.pose_report = data.pose_report;
+  excerpt.data.imus = data.imus;
+  for (size_t i = 0; i < data.imus.size(); ++i) {
+    const auto crop = [&](std::vector<TimedSample>* samples) {
+      const auto is_outside = [&](const TimedSample& s) {
+        const double t = estimate.imus[i].PoseTime(s.t);
+        return t < begin || t > end;
+      };
+      samples->erase(std::remove_if(samples->begin(), samples->end(), is_outside), samples->end());
+    };
+    ConditionedImu& imu = excerpt.data.imus[i];
+    crop(&imu.gyro);
+    crop(&imu.accel);
+    if (imu.gyro.empty() || imu.accel.empty()) imu = ConditionedImu();
+  }
+  for (const IndexRange& segment : data.segments) {
+    std::vector<TimedPose>& poses = excerpt.data.poses;
+    const size_t first = poses.size();
+    for (size_t i = segment.begin; i < segment.end; ++i)
+      if (data.poses[i].t >= begin && data.poses[i].t <= end) poses.push_back(data.poses[i]);
+    if (poses.size() >= first + 2) excerpt.data.segments.push_back({first, poses.size()});
+  }
+  return excerpt;
+}
+
+/// Whether both sensors of every IMU have samples for most of the time from `begin` to `end` [s,
+/// pose clock].
+bool IsCovered(const PreparedSession& session, const SessionEstimate& estimate, double begin,
+               double end) {
+  for (size_t i = 0; i < session.data.imus.size(); ++i) {
+    const ConditionedImu& imu = session.data.imus[i];
+    if (!imu.IsPresent()) continue;
+    const double from = estimate.imus[i].ImuTime(begin), to = estimate.imus[i].ImuTime(end);
+    const auto is_covered = [&](const std::vector<TimedSample>& samples, double rate_hz) {
+      const auto before = [](const TimedSample& s, double t) { return s.t < t; };
+      const auto first = std::lower_bound(samples.begin(), samples.end(), from, before);
+      const auto last = std::lower_bound(first, samples.end(), to, before);
+      return static_cast<double>(last - first) > kLeastCovered * (to - from) * rate_hz;
+    };
+    if (!is_covered(imu.gyro, imu.gyro_report.rate_hz) ||
+        !is_covered(imu.accel, imu.accel_report.rate_hz))
+      return false;
+  }
+  return true;
+}
+
+struct LivelySpan {
+  double begin = 0.0, end = 0.0;  ///< [s] pose clock
+  double liveliness = -1.0;       ///< see JointStart; negative: there is none
+};
+
+/// The `duration_s` of the log in which the marker turns most, as far as `knots` cover it.
+LivelySpan FindLiveliest(const PreparedSession& session, const SessionEstimate& estimate,
+                         const CorrectionSplines& knots, double duration_s) {
+  double first = session.data.poses.front().t, last = session.data.poses.back().t;
+  for (size_t i = 0; i < session.data.imus.size(); ++i) {
+    const ConditionedImu& imu = session.data.imus[i];
+    if (!imu.IsPresent()) continue;
+    first = std::max(first, estimate.imus[i].PoseTime(imu.gyro.front().t));
+    last = std::min(last, estimate.imus[i].PoseTime(imu.gyro.back().t));
+  }
+  LivelySpan best{first, first + duration_s};
+  for (double t = first; t + 0.5 * duration_s < last; t += 0.5 * duration_s) {
+    double sum = 0.0, followed = 0.0;
+    for (double s = t; s < std::min(last, t + duration_s); s += kStep) {
+      MarkerRotation<double> marker;
+      if (!knots.Locate(s) || !session.trajectory->EvaluateRotation(s, &marker)) continue;
+      sum += marker.alpha_M.squaredNorm();
+      followed += kStep / duration_s;
+    }
+    const double liveliness = kStep / duration_s * sum;
+    if (liveliness <= best.liveliness || followed < kLeastFollowed ||
+        !IsCovered(session, estimate, t, std::min(last, t + duration_s)))
+      continue;
+    best = {t, t + duration_s, liveliness};
+  }
+  return best;
+}
+
+/// S4 at given knot spacings: trajectories and calibration in passes of least squares, each with
+/// the noise and the robust weights that the residuals of the one before show.
+class JointSolver {
+ public:
+  JointSolver(const CalibrationOptions& options, const std::vector<PreparedSession>& sessions,
+              const std::vector<double>& knot_spacings_s, const std::vector<double>& noise,
+              Estimate* estimate)
+      : options_(options),
+        sessions_(sessions),
+        estimate_(estimate),
+        models_(InitialModels(options, sessions)) {
+    for (size_t k = 0; k < noise.size(); ++k) models_[k].noise = noise[k];
+    for (size_t s = 0; s < sessions.size(); ++s) {
+      splines_.emplace_back(sessions[s].data, *estimate, s, knot_spacings_s[s]);
+      const std::vector<TimedPose>& poses = sessions[s].data.poses;
+      estimate->sessions[s].rotation_errors = SlowErrors(poses.front().t, poses.back().t);
+    }
+  }
+
+  const std::vector<SensorModel>& models() const { return models_; }
+
+  /// A plain and a robust pass. What IMUs leave, over all of them: it shrinks while knots become
+  /// denser for a reason.
+  double FindNoise() {
+    Pass();
+    NextPass();
+    if (!has_converged_) ThrowNotConverged(options_);
+    double residual = 1.0, imus = 0.0;
+    for (size_t k = 0; k < models_.size(); ++k) {
+      const Quantity quantity = models_[k].quantity;
+      if (quantity == Quantity::kGyro || quantity == Quantity::kAccel)
+        residual *= statistics_[k].spread.scale;
+      if (quantity == Quantity::kGyro) imus += 1.0;
+    }
+    return std::pow(residual, 1.0 / imus);
+  }
+
+  /// Of each sensor, as the last residuals show it.
+  std::vector<double> Noise() const {
+    std::vector<double> noise;
+    for (const SensorStatistics& sensor : statistics_) noise.push_back(sensor.noise);
+    return noise;
+  }
+
+  /// Starts close to the solution: residuals about the calibration of the start tell what is an
+  /// outlier before it can move the calibration.
+  Solution Solve() {
+    Pass(true);
+    holds_sizes_ = false;
+    Solution solution;
+    solution.has_settled = false;
+    for (int pass = 1; pass < kMaxPasses && !solution.has_settled; ++pass)
+      solution.has_settled = NextPass() < kSettled && has_converged_;
+    if (!has_converged_) ThrowNotConverged(options_);
+    SetNoise();
+    Build();
+    FeignInformation(splines_, problem_.get());
+    solution.marginals = FindMarginals(problem_.get());
+    solution.statistics = statistics_;
+    // Of everything: trajectories, gravity and biases too.
+    FollowClocks([&] { problem_->Move(solution.marginals.step); });
+    solution.residuals = problem_->TakeResiduals();
+    problem_.reset();
+    solution.models = std::move(models_);
+    solution.splines = std::move(splines_);
+    solution.iterations = iterations_;
+    return solution;
+  }
+
+ private:
+  /// A problem with the noise and the weights that are set; at first, all weights are 1.
+  void Build() {
+    problem_.reset();  // never two of them at a time
+    problem_ = BuildJointProblem(options_, sessions_, models_, estimate_, &splines_);
+    if (holds_position_smoothing_) problem_->problem.SetHeld(&estimate_->position_smoothing, true);
+    for (ImuEstimate& imu : estimate_->imus)
+      if (holds_sizes_) problem_->problem.SetHeld(imu.accel_positions.data(), true);
+  }
+
+  void Pass(bool holds_calibration = false) {
+    Build();
+    if (holds_calibration) HoldCalibration(problem_.get());
+    FollowClocks([&] {
+      const std::optional<int> iterations = problem_->TrySolve(kRoughTolerance);
+      has_converged_ = iterations.has_value();
+      iterations_ += iterations.value_or(options_.max_iterations);
+    });
+    statistics_ = problem_->FindStatistics();
+    FitNoise(problem_.get(), &statistics_);
+    // No source averages rotations over longer than positions: other errors look like that.
+    if (estimate_->position_smoothing < 0.0) {
+      estimate_->position_smoothing = 0.0;
+      holds_position_smoothing_ = true;
+    }
+  }
+
+  /// The splines go along with the clocks that `move` moves, as they did in the problem.
+  template <typename MoveClocks>
+  void FollowClocks(const MoveClocks& move) {
+    const Estimate before = *estimate_;
+    move();
+    for (size_t s = 0; s < splines_.size(); ++s) {
+      if (splines_[s].is_with_poses) continue;
+      const size_t imu = before.sessions[s].FirstImu();
+      splines_[s].Follow(before.sessions[s].imus[imu], estimate_->sessions[s].imus[imu],
+                         estimate_->imus[imu].accel_delay - before.imus[imu].accel_delay);
+    }
+  }
+
+  /// A pass with the noise and the weights that the last residuals show; the largest factor by
+  /// which the noise of a sensor that is found changes.
+  double NextPass() {
+    const std::vector<double> before = Noise();
+    SetNoise();
+    Pass();
+    const std::vector<double> after = Noise();
+    double change = 1.0;
+    for (size_t k = 0; k < after.size(); ++k)
+      change = std::max({change, before[k] / after[k], after[k] / before[k]});
+    return change;
+  }
+
+  void SetNoise() {
+    for (size_t k = 0; k < models_.size(); ++k) {
+      models_[k].noise = statistics_[k].noise;
+      models_[k].spread = statistics_[k].spread;
+    }
+    UpdateWeights(*problem_, splines_, &models_);
+  }
+
+  const CalibrationOptions& options_;
+  const std::vector<PreparedSession>& sessions_;
+  Estimate* const estimate_;
+  std::vector<SensorModel> models_;
+  std::vector<CorrectionSplines> splines_;
+  std::unique_ptr<LeastSquares> problem_;
+  std::vector<SensorStatistics> statistics_;  ///< of the last pass
+  bool holds_position_smoothing_ = false;     ///< at 0
+  /// At 0: before residuals have weights, motion that knots do not follow would move them by
+  /// metres.
+  bool holds_sizes_ = true;
+  /// In the last pass: another one starts closer to the solution, and may.
+  bool has_converged_ = false;
+  int iterations_ = 0;
+};
+
+/// An excerpt solved at one knot spacing.
+struct Trial {
+  std::vector<PreparedSession> sessions;
+  Estimate estimate;
+  JointSolver solver;
+  double residual;
+
+  Trial(const CalibrationOptions& options, const PreparedSession& excerpt, double spacing,
+        const Estimate& start)
+      : sessions{Correctable(options, excerpt, spacing)},
+        estimate(start),
+        solver(options, sessions, {spacing}, {}, &estimate),
+        residual(solver.FindNoise()) {}
+};
+
+/// A trial that is worth having only if it comes to an end: nothing where it does not.
+std::unique_ptr<Trial> TryDenser(const CalibrationOptions& options, const PreparedSession& excerpt,
+                                 double spacing, const Estimate& start) {
+  try {
+    return std::make_unique<Trial>(options, excerpt, spacing, start);
+  } catch (const DataError&) {
+    return nullptr;
+  }
+}
+
+}  // namespace
+
+JointStart ChooseKnotSpacing(const CalibrationOptions& options, const PreparedSession& session,
+                             Estimate* estimate) {
+  const bool is_given = options.knot_spacing_s > 0.0;
+  double spacing = is_given ? options.knot_spacing_s : kCoarsestKnots;
+  const LivelySpan lively =
+      FindLiveliest(session, estimate->sessions[0],
+                    CorrectionSplines(session.data, *estimate, 0, spacing), kExcerpt);
+  if (lively.liveliness < 0.0)
+    throw DataError("there are no seconds in which poses and the samples of every imu are there");
+  const PreparedSession excerpt = Excerpt(session, estimate->sessions[0], lively.begin, lively.end);
+  auto best = std::make_unique<Trial>(options, excerpt, spacing, *estimate);
+  double slowest = std::numeric_limits<double>::infinity();
+  for (const SensorModel& model : best->solver.models())
+    if (model.quantity == Quantity::kGyro || model.quantity == Quantity::kAccel)
+      slowest = std::min(slowest, model.rate_hz);
+  const double finest = kMinSamplesPerKnot / slowest;
+  while (!is_given && 0.5 * spacing >= finest) {
+    auto denser = TryDenser(options, excerpt, 0.5 * spacing, *estimate);
+    if (!denser || !(denser->residual <= kShrinkage * best->residual)) break;
+    best = std::move(denser);
+    spacing *= 0.5;
+  }
+  // Motion that the knots do not follow feigns a lever arm long before the noise shows it.
+  if (!is_given && kReserve * spacing >= finest) {
+    if (auto denser = TryDenser(options, excerpt, kReserve * spacing, *estimate)) {
+      best = std::move(denser);
+      spacing *= kReserve;
+    }
+  }
+  const std::vector<double> noise = best->solver.Noise();
+  const SessionEstimate start = estimate->sessions[0];
+  *estimate = best->estimate;
+  // Seconds do not tell where the samples of hours are: S2 does.
+  for (size_t i = 0; i < start.imus.size(); ++i) {
+    const double reach = session.data.poses.back().t - session.data.poses.front().t;
+    ImuSessionEstimate& clock = estimate->sessions[0].imus[i];
+    if (std::abs(clock.clock_drift - start.imus[i].clock_drift) * reach <= spacing &&
+        clock.walk.IsLine())
+      continue;
+    static_cast<ClockLine&>(clock) = start.imus[i];
+    clock.walk = start.imus[i].walk;
+  }
+  return {spacing, Correctable(options, session, spacing), noise, lively.liveliness};
+}
+
+Solution SolveJointly(const CalibrationOptions& options,
+                      const std::vector<PreparedSession>& sessions,
+                      const std::vector<JointStart>& starts, Estimate* estimate) {
+  std::vector<double> spacings, noise;
+  for (const JointStart& start : starts) {
+    spacings.push_back(start.knot_spacing_s);
+    noise.insert(noise.end(), start.noise.begin(), start.noise.end());
+  }
+  return JointSolver(options, sessions, spacings, noise, estimate).Solve();
+}
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,494 @@
+#include "imu_pose_calib/core/calibration/least_squares.h"
+
+#include <ceres/normal_prior.h>
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+#include <complex>
+#include <limits>
+#include <numeric>
+#include <string>
+#include <utility>
+
+#include "imu_pose_calib/core/base/median.h"
+#include "imu_pose_calib/core/base/parallel.h"
+#include "imu_pose_calib/core/calibration/residuals.h"
+
+namespace imu_pose_calib {
+namespace {
+
+/// Sigma of the delays of ordinary IMUs.
+constexpr double kDelayPrior = 0.02;  // [s]
+/// Samples closer than this to the end of a segment are left out, so that the time shift can move.
+constexpr double kEdge = 0.02;  // [s]
+/// Residuals of a sensor that the trajectory follows more closely say little about its noise.
+constexpr double kLeastRedundancy = 0.1;
+/// Spans that a spectrum is the mean of, evenly over the session, at most; and share of the usual
+/// samples that each has at least.
+constexpr size_t kSpans = 100;
+constexpr double kLeastFull = 0.5;
+
+/// Windows of all sessions by default, and their least length [s].
+constexpr double kWindows = 24.0;
+constexpr double kShortestWindow = 2.0;
+constexpr double kRounding = 1e-6;
+/// Of them, that a step has, others being joined: enough for all cores.
+constexpr int kStepWindows = 8;
+
+/// Share of the diagonal of H that is added to it after a step that does not reduce the cost by a
+/// share kLeastGain of what it should (Levenberg-Marquardt); less than this is none.
+constexpr double kLeastDamping = 1e-12, kLeastGain = 1e-3;
+/// Relative to the parameters.
+constexpr double kLeastStep = 1e-8;
+
+/// Of the poses that are left, between the first and the last one of segments [Hz].
+double MeanRate(const ConditionedData& data) {
+  double steps = 0.0, duration = 0.0;
+  for (const IndexRange& segment : data.segments) {
+    if (segment.size() < 2) continue;
+    steps += static_cast<double>(segment.size() - 1);
+    duration += data.poses[segment.end - 1].t - data.poses[segment.begin].t;
+  }
+  return duration > 0.0 ? steps / duration : data.pose_report.rate_hz;
+}
+
+double Norm(const std::vector<double>& x) {
+  return Eigen::Map<const Eigen::VectorXd>(x.data(), static_cast<Eigen::Index>(x.size())).norm();
+}
+
+GaussNewtonStep FindStep(const NormalEquations& equations, double damping, double max_factor_mb,
+                         int threads) {
+  const Elimination& elimination = *equations.elimination();
+  const auto damp = [damping](int, auto diagonal) { diagonal *= 1.0 + damping; };
+  const auto assemble = [&](size_t w, double* cost) {
+    Panels own = equations.Assemble(w, {}, cost);
+    elimination.VisitDiagonal(damp, &own);
+    return own;
+  };
+  std::vector<double> costs(static_cast<size_t>(elimination.windows()), 0.0);
+  const Eigen::VectorXd weights = Eigen::VectorXd::Ones(elimination.windows());
+  EliminatedWindows windows(equations.elimination(), weights, max_factor_mb, threads,
+                            [&](size_t w) { return assemble(w, &costs[w]); });
+  Reduced reduced = windows.ReduceAll({});
+  for (Eigen::Index k = 0; k < reduced.H.rows(); ++k)
+    if (reduced.H(k, k) == 0.0) reduced.H(k, k) = 1.0;  // nothing acts on it: it stays
+  GaussNewtonStep step{equations.blocks(), Eigen::VectorXd::Zero(elimination.columns()),
+                       std::accumulate(costs.begin(), costs.end(), 0.0), std::nan("")};
+  const Eigen::LLT<Eigen::MatrixXd> llt(reduced.H);
+  if (!reduced.H.allFinite() || llt.info() != Eigen::Success) return step;
+  const Eigen::VectorXd b = reduced.B * weights;
+  step.x.head(b.size()) = -llt.solve(b);
+  step.decrease = 0.5 * (reduced.inner.sum() - b.dot(step.x.head(b.size())));
+  windows.SubstituteBack([&](size_t w) { return assemble(w, nullptr); }, &step.x);
+  return step;
+}
+
+}  // namespace
+
+void ThrowNotConverged(const CalibrationOptions& options) {
+  throw DataError("the solve did not converge within max_iterations = " +
+                  std::to_string(options.max_iterations));
+}
+
+std::vector<SensorModel> InitialModels(const CalibrationOptions& options,
+                                       const std::vector<PreparedSession>& sessions) {
+  std::vector<SensorModel> models;
+  for (size_t s = 0; s < sessions.size(); ++s) {
+    const ConditionedData& data = sessions[s].data;
+    const auto add = [&](Quantity quantity, size_t imu, double rate_hz, double noise, size_t size) {
+      models.push_back(
+          {quantity, s, imu, rate_hz, noise, {noise, 0.0}, std::vector<double>(size, 1.0)});
+    };
+    const double rate_hz = MeanRate(data);
+    const size_t poses = data.poses.size();
+    add(Quantity::kPosition, 0, rate_hz, sessions[s].pose_noise.position, poses);
+    add(Quantity::kRotation, 0, rate_hz, sessions[s].pose_noise.rotation, poses);
+    for (size_t i = 0; i < data.imus.size(); ++i) {
+      const ConditionedImu& imu = data.imus[i];
+      if (!imu.IsPresent()) continue;
+      const auto add_imu = [&](Quantity quantity, double density, double rate, size_t size) {
+        add(quantity, i, rate, density * std::sqrt(rate), size);
+      };
+      add_imu(Quantity::kGyro, options.gyro_noise_density, imu.gyro_report.rate_hz,
+              imu.gyro.size());
+      add_imu(Quantity::kAccel, options.accel_noise_density, imu.accel_report.rate_hz,
+              imu.accel.size());
+    }
+  }
+  return models;
+}
+
+Windows::Windows(const CalibrationOptions& options, const std::vector<PreparedSession>& sessions,
+                 const Estimate& estimate) {
+  double total = 0.0;
+  for (size_t s = 0; s < estimate.sessions.size(); ++s) {
+    const SessionEstimate& session = estimate.sessions[s];
+    double begin = std::numeric_limits<double>::infinity(), end = -begin;
+    for (size_t i = 0; i < session.imus.size(); ++i) {
+      if (!session.imus[i].is_present) continue;
+      const ConditionedImu& imu = sessions[s].data.imus[i];
+      begin = std::min(begin,
+                       session.imus[i].PoseTime(std::min(imu.gyro.front().t, imu.accel.front().t)));
+      end =
+          std::max(end, session.imus[i].PoseTime(std::max(imu.gyro.back().t, imu.accel.back().t)));
+    }
+    if (begin > end) begin = end = 0.0;
+    spans_.push_back({begin, end, 0, 0});
+    total += end - begin;
+  }
+  length_s_ = options.covariance_block_s > 0.0 ? options.covariance_block_s
+                                               : std::max(kShortestWindow, total / kWindows);
+  for (size_t s = 0; s < spans_.size(); ++s) {
+    Span& span = spans_[s];
+    span.first = count();
+    // Not by rounding: a last window of nothing, a middle on either side, as for what is of the
+    // middle.
+    const double windows = (span.end - span.begin) / length_s_;
+    span.count = std::max(1, static_cast<int>(std::ceil(windows - kRounding)));
+    const int middle = static_cast<int>(0.5 * windows + kRounding);
+    for (int k = 0; k < span.count; ++k) places_.push_back({s, k < middle ? 0u : 1u});
+  }
+}
+
+int Windows::Of(size_t session, double t) const {
+  const Span& span = spans_[session];
+  const int window = static_cast<int>(std::max(0.0, t - span.begin) / length_s_ + kRounding);
+  return span.first + std::min(window, span.count - 1);
+}
+
+void SensorBlocks::Add(int block, double t) {
+  if (block_t.empty()) first_block = block;
+  block_t.push_back(t);
+}
+
+LeastSquares::LeastSquares(const CalibrationOptions& options,
+                           const std::vector<PreparedSession>& sessions,
+                           const std::vector<SensorModel>& models, Estimate* estimate)
+    : options(options),
+      sessions(sessions),
+      estimate(estimate),
+      windows(options, sessions, *estimate),
+      feigned_information(estimate->imus.size(), 0.0) {
+  for (const SensorModel& model : models) {
+    sensors.emplace_back();
+    sensors.back().model = &model;
+  }
+}
+
+SensorBlocks* LeastSquares::Find(Quantity quantity, size_t session, size_t imu) {
+  for (SensorBlocks& sensor : sensors)
+    if (sensor.model->quantity == quantity && sensor.model->session == session &&
+        sensor.model->imu == imu)
+      return &sensor;
+  return nullptr;
+}
+
+void LeastSquares::AddGyroParameters() {
+  for (const Parameter& p : CalibrationParameters(estimate)) {
+    if (p.kind != ParameterKind::kRotation && p.kind != ParameterKind::kTimeShift) continue;
+    const bool is_rotation = p.kind == ParameterKind::kRotation;
+    problem.AddParameters(p.data, is_rotation ? 4 : 1,
+                          is_rotation ? BlockKind::kUnitQuaternion : BlockKind::kVector);
+    problem.SetHeld(p.data, !IsEstimated(options, p.kind));
+  }
+}
+
+void LeastSquares::AddAccelParameters() {
+  for (const Parameter& p : CalibrationParameters(estimate)) {
+    if (p.kind != ParameterKind::kTranslation) continue;
+    problem.AddParameters(p.data, p.size);
+    problem.SetHeld(p.data, !IsEstimated(options, p.kind));
+  }
+  AddOptional(ParameterKind::kAccelDelay, Eigen::VectorXd::Constant(1, kDelayPrior),
+              options.accel_delay);
+  for (size_t s = 0; s < sessions.size(); ++s) {
+    double* const g_W = estimate->sessions[s].g_W.data();
+    problem.AddParameters(g_W, 3);
+    problem.SetHeld(g_W, !options.estimate_gravity);
+    if (options.estimate_gravity)
+      AddPrior(GravityPrior{options.GravityMagnitude(), options.GravityStd()}.Create(), g_W, s);
+  }
+}
+
+void LeastSquares::AddBiasWalk(double walk, size_t session, size_t imu, BiasKnots* knots) {
+  const ImuSessionEstimate& clock = estimate->sessions[session].imus[imu];
+  for (size_t k = 0; k + 1 < knots->t.size(); ++k) {
+    const double sigma = walk * std::sqrt(knots->t[k + 1] - knots->t[k]);
+    const std::vector<double*> values = {knots->values[k].data(), knots->values[k + 1].data()};
+    priors.push_back({problem.AddResidualsOf(values, BiasWalkResidual{sigma}.Create()), session,
+                      clock.PoseTime(knots->t[k])});
+  }
+}
+
+void LeastSquares::AddClockWalk(size_t session, size_t imu) {
+  ImuSessionEstimate& clock = estimate->sessions[session].imus[imu];
+  for (size_t k = 0; k + 1 < clock.walk.t.size(); ++k)
+    priors.push_back({problem.AddResidualsOf({&clock.walk.offset[k], &clock.walk.offset[k + 1]},
+                                             WalkResidual<1>{clock.walk.std[k]}.Create()),
+                      session, clock.PoseTime(clock.walk.t[k])});
+}
+
+void LeastSquares::AddRotationErrors(size_t session) {
+  SlowErrors& errors = estimate->sessions[session].rotation_errors;
+  BiasKnots& knots = errors.knots;
+  const auto add = [&](std::unique_ptr<const ceres::CostFunction> cost,
+                       const std::vector<double*>& values, double t) {
+    priors.push_back({problem.AddResidualsOf(values, std::move(cost)), session, t});
+  };
+  add(std::make_unique<const ceres::NormalPrior>(Eigen::Matrix3d::Identity() / errors.std,
+                                                 Eigen::Vector3d::Zero()),
+      {knots.values[0].data()}, knots.t[0]);
+  for (size_t k = 0; k + 1 < knots.t.size(); ++k) {
+    const double kept = errors.Kept(k);
+    add(DecayResidual{kept, errors.std * std::sqrt(1.0 - kept * kept)}.Create(),
+        {knots.values[k].data(), knots.values[k + 1].data()}, knots.t[k]);
+  }
+}
+
+void LeastSquares::AddOptional(ParameterKind kind, const Eigen::VectorXd& sigmas, double expected,
+                               std::optional<size_t> imu) {
+  for (const Parameter& p : CalibrationParameters(estimate)) {
+    if (p.kind != kind || (imu && p.imu != *imu)) continue;
+    problem.AddParameters(p.data, p.size);
+    problem.SetHeld(p.data, !IsEstimated(options, kind));
+    if (!IsEstimated(options, kind)) continue;
+    auto prior = std::make_unique<const ceres::NormalPrior>(
+        sigmas.cwiseInverse().asDiagonal(), Eigen::VectorXd::Constant(p.size, expected));
+    AddPrior(std::move(prior), p.data, p.session);
+  }
+}
+
+void LeastSquares::AddPrior(std::unique_ptr<const ceres::CostFunction> prior, const double* data,
+                            size_t session) {
+  const ImuSessionEstimate& clock =
+      estimate->sessions[session].imus[estimate->sessions[session].FirstImu()];
+  priors.push_back({problem.AddResiduals(std::move(prior), {problem.Find(data)}), session,
+                    clock.PoseTime(clock.clock_reference)});
+}
+
+double LeastSquares::Scale(const SensorModel& model, size_t index) const {
+  const std::vector<TimedPose>& poses = sessions[model.session].data.poses;
+  if (model.quantity == Quantity::kPosition) return poses[index].position_scale;
+  return model.quantity == Quantity::kRotation ? poses[index].rotation_scale : 1.0;
+}
+
+const Eigen::Vector3d& LeastSquares::Rest(const SensorModel& model, size_t index) const {
+  const ConditionedData& data = sessions[model.session].data;
+  switch (model.quantity) {
+    case Quantity::kPosition:
+      return data.poses[index].position_rest;
+    case Quantity::kRotation:
+      return data.poses[index].rotation_rest;
+    case Quantity::kGyro:
+      return data.imus[model.imu].gyro[index].rest;
+    case Quantity::kAccel:
+      break;
+  }
+  return data.imus[model.imu].accel[index].rest;
+}
+
+std::vector<int> LeastSquares::BiasBlocks() const {
+  std::vector<int> blocks;
+  for (SessionEstimate& session : estimate->sessions)
+    for (ImuSessionEstimate& imu : session.imus)
+      for (BiasKnots* knots : {&imu.gyro_bias, &imu.accel_bias})
+        for (Eigen::Vector3d& value : knots->values)
+          if (const int block = problem.Find(value.data()); block >= 0) blocks.push_back(block);
+  return blocks;
+}
+
+std::vector<int> LeastSquares::SlowBlocks() const {
+  std::vector<int> blocks;
+  for (SessionEstimate& session : estimate->sessions)
+    for (ImuSessionEstimate& imu : session.imus)
+      for (double& offset : imu.walk.offset)
+        if (problem.IsEstimated(&offset)) blocks.push_back(problem.Find(&offset));
+  for (SessionEstimate& session : estimate->sessions)
+    for (Eigen::Vector3d& value : session.rotation_errors.knots.values)
+      if (problem.IsEstimated(value.data())) blocks.push_back(problem.Find(value.data()));
+  return blocks;
+}
+
+std::vector<Equation> LeastSquares::Equations() const {
+  std::vector<Equation> equations;
+  const auto add = [&](int block, size_t session, double t) {
+    equations.push_back({block, session, t, windows.Of(session, t)});
+  };
+  for (const SensorBlocks& sensor : sensors)
+    for (size_t i = 0; i < sensor.block_t.size(); ++i)
+      add(sensor.first_block + static_cast<int>(i), sensor.model->session, sensor.block_t[i]);
+  for (const PriorBlock& prior : priors) add(prior.block, prior.session, prior.t);
+  return equations;
+}
+
+NormalEquations LeastSquares::StepEquations() const {
+  std::vector<int> border, inner = BiasBlocks();
+  const auto add_border = [&](const double* data) {
+    if (problem.IsEstimated(data)) border.push_back(problem.Find(data));
+  };
+  for (const Parameter& p : CalibrationParameters(estimate)) add_border(p.data);
+  for (SessionEstimate& session : estimate->sessions) add_border(session.g_W.data());
+  for (const std::vector<int>& blocks : {SlowBlocks(), trajectory_blocks})
+    inner.insert(inner.end(), blocks.begin(), blocks.end());
+  std::vector<Equation> all = Equations();
+  const int joined = std::max(1, windows.count() / kStepWindows);
+  for (Equation& equation : all) equation.window /= joined;
+  const int count = (windows.count() - 1) / joined + 1;
+  return {problem, border, inner, std::move(all), static_cast<size_t>(count)};
+}
+
+std::optional<int> LeastSquares::TrySolve(double function_tolerance) {
+  const NormalEquations equations = StepEquations();
+  double damping = 0.0, growth = 2.0;
+  for (int iteration = 1; iteration <= options.max_iterations; ++iteration) {
+    const GaussNewtonStep step =
+        FindStep(equations, damping, options.max_factor_mb, options.Threads());
+    const std::vector<double> before = problem.Move(step.blocks, step.x);
+    double found = 0.0;
+    if (!problem.Evaluate(options.Threads(), &rows_, &found)) found = std::nan("");
+    const double cost = step.cost, change = cost - found;
+    const bool is_accepted = change > kLeastGain * step.decrease;
+    if (!is_accepted) {
+      problem.Restore(step.blocks, before);
+      rows_.clear();
+    }
+    // No change to speak of; or all of what the linear model foresaw, at its minimum.
+    const bool is_full = damping == 0.0;
+    if (std::isfinite(step.decrease) && (is_accepted || is_full) &&
+        (std::abs(change) <= function_tolerance * cost ||
+         step.x.norm() <= kLeastStep * (Norm(before) + kLeastStep) ||
+         (is_accepted && is_full &&
+          std::abs(change - step.decrease) <= function_tolerance * found)))
+      return iteration;
+    if (is_accepted) {
+      damping = damping / 3.0 < kLeastDamping ? 0.0 : damping / 3.0;
+      growth = 2.0;
+    } else {
+      damping = std::max(kLeastDamping, damping * growth);
+      growth *= 2.0;
+    }
+  }
+  return std::nullopt;
+}
+
+int LeastSquares::Solve(double function_tolerance) {
+  const std::optional<int> iterations = TrySolve(function_tolerance);
+  if (!iterations) ThrowNotConverged(options);
+  return *iterations;
+}
+
+void LeastSquares::Move(const GaussNewtonStep& step) {
+  problem.Move(step.blocks, step.x);
+  rows_.clear();
+}
+
+NoiseSpectrum LeastSquares::FindSpectrum(const SensorBlocks& sensor, const float* rows,
+                                         const StudentT& spread) const {
+  const SensorModel& model = *sensor.model;
+  const std::vector<ProblemSample>& samples = sensor.samples;
+  const int bins = static_cast<int>(sensor.band * NoiseSpectrum::kSpan) - NoiseSpectrum::kFirst + 1;
+  if (bins < 1) return {};
+  const double first_t = samples.front().t;
+  const auto spans = static_cast<size_t>((samples.back().t - first_t) / NoiseSpectrum::kSpan);
+  const size_t stride = 1 + spans / kSpans;
+  NoiseSpectrum spectrum{std::vector<double>(static_cast<size_t>(bins), 0.0)};
+  size_t i = 0;
+  for (size_t span = 0; span < spans; span += stride) {
+    const double begin = first_t + static_cast<double>(span) * NoiseSpectrum::kSpan;
+    Eigen::Matrix3Xcd sums = Eigen::Matrix3Xcd::Zero(3, bins);
+    double window2 = 0.0, count = 0.0;
+    while (i < samples.size() && samples[i].t < begin) ++i;
+    for (; i < samples.size() && samples[i].t < begin + NoiseSpectrum::kSpan; ++i) {
+      const double angle = 2.0 * M_PI * (samples[i].t - begin) / NoiseSpectrum::kSpan;
+      const double window = 1.0 - std::cos(angle);  // Hann's
+      const double weight = spread.Weight(sensor.residuals[i].squaredNorm());
+      const Eigen::Vector3d r = window * std::sqrt(weight) * samples[i].sigma /
+                                Scale(model, samples[i].index) *
+                                Eigen::Map<const Eigen::Vector3f>(rows + 3 * i).cast<double>();
+      const std::complex<double> turn = std::polar(1.0, angle);
+      std::complex<double> phase = std::polar(1.0, NoiseSpectrum::kFirst * angle);
+      for (int k = 0; k < bins; ++k, phase *= turn) sums.col(k) += phase * r;
+      window2 += window * window;
+      count += 1.0;
+    }
+    if (count < kLeastFull * NoiseSpectrum::kSpan * model.rate_hz) continue;
+    for (int k = 0; k < bins; ++k)
+      spectrum.density[static_cast<size_t>(k)] +=
+          sums.col(k).squaredNorm() / (3.0 * window2 * model.rate_hz);
+    spectrum.count += 1.0;
+  }
+  if (spectrum.count == 0.0) return {};
+  for (double& density : spectrum.density) density /= spectrum.count;
+  spectrum.count *= 3.0;
+  return spectrum;
+}
+
+std::vector<SensorStatistics> LeastSquares::FindStatistics() {
+  double cost = 0.0;
+  if (rows_.empty() && !problem.Evaluate(options.Threads(), &rows_, &cost))
+    throw DataError("the residuals cannot be evaluated where the solve ended");
+  std::vector<SensorStatistics> statistics(sensors.size());
+  InParallel(options.Threads(), sensors.size(), [&](size_t k) {
+    SensorBlocks& sensor = sensors[k];
+    sensor.residuals.clear();
+    if (sensor.samples.empty()) {
+      statistics[k] = {sensor.model->noise, 0.0, sensor.model->spread, {}};
+      return;
+    }
+    const float* const rows = &rows_[problem.residuals(sensor.first_block).first_row];
+    const float* r_sigma = rows;
+    std::vector<float> variances;
+    variances.reserve(sensor.samples.size());
+    sensor.residuals.reserve(sensor.samples.size());
+    double sum2 = 0.0;
+    for (const ProblemSample& sample : sensor.samples) {
+      const double scale = Scale(*sensor.model, sample.index);
+      const Eigen::Vector3d r =
+          (sample.sigma * Eigen::Map<const Eigen::Vector3f>(r_sigma).cast<double>() +
+           Rest(*sensor.model, sample.index)) /
+          scale;
+      r_sigma += 3;
+      variances.push_back(sample.trajectory_variance);
+      sensor.residuals.push_back(r);
+      sum2 += scale * scale * r.squaredNorm();
+    }
+    const double count = 3.0 * static_cast<double>(sensor.samples.size());
+    const double redundancy = std::max(kLeastRedundancy, 1.0 - sensor.fitted);
+    StudentT spread = FitStudentT(sensor.residuals);
+    spread.scale /= std::sqrt(redundancy);
+    const double spread2 = spread.scale * spread.scale;
+    // The trajectory's share is known only roughly: it never explains the residuals alone.
+    const double own2 = std::max(spread2 - Median(std::move(variances)), 0.01 * spread2);
+    statistics[k] = {std::sqrt(own2), std::sqrt(sum2 / count), spread,
+                     FindSpectrum(sensor, rows, spread)};
+  });
+  rows_ = {};
+  return statistics;
+}
+
+std::vector<SensorResiduals> LeastSquares::TakeResiduals() {
+  FindStatistics();
+  std::vector<SensorResiduals> all;
+  for (SensorBlocks& sensor : sensors) {
+    const SensorModel& model = *sensor.model;
+    SensorResiduals own{
+        model.quantity, model.session, model.imu, model.noise, {}, std::move(sensor.residuals), {}};
+    own.t.reserve(sensor.samples.size());
+    own.weight.reserve(sensor.samples.size());
+    for (size_t i = 0; i < sensor.samples.size(); ++i) {
+      own.t.push_back(sensor.samples[i].t);
+      const size_t index = sensor.samples[i].index;
+      own.residual[i] *= Scale(model, index);
+      own.weight.push_back(model.weights[index]);
+    }
+    all.push_back(std::move(own));
+  }
+  return all;
+}
+
+bool IsOnTrajectory(const PoseTrajectory& trajectory, double t_M) {
+  return trajectory.Covers(t_M - kEdge, t_M + kEdge);
+}
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,444 @@
+#include "imu_pose_calib/core/data/conditioning.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+#include <limits>
+#include <sstream>
+#include <string>
+#include <utility>
+
+#include "imu_pose_calib/core/base/median.h"
+#include "imu_pose_calib/core/data/segments.h"
+
+namespace imu_pose_calib {
+namespace {
+
+/// A spike: off the median of the samples this near by so many times the median step between the
+/// samples of the log and of those not so near, and by so many times the spread of those near.
+constexpr size_t kSpikeReach = 3, kStepReach = 10;
+constexpr double kSpikeSteps = 10.0, kSpikeSpreads = 5.0;
+/// Stated noises are believed to differ by this factor from the median at most.
+constexpr double kMaxNoiseScale = 10.0;
+/// Median specific force of a moving body, in units of gravity.
+constexpr double kMinForce = 0.4, kMaxForce = 10.0;
+
+/// A clipped axis: at least so many samples at the limit, so many of them in a row, and more than
+/// within so much below it.
+constexpr size_t kMinClipped = 5, kMinClippedRun = 3;
+constexpr double kBelowClip = 0.02;
+/// Both limits of a sensor and those of its axes agree within this.
+constexpr double kSameLimit = 0.05;
+
+bool IsFinite(const PoseSample& s) { return s.p_WM.allFinite() && s.q_WM.coeffs().allFinite(); }
+bool IsFinite(const ImuSample& s) { return s.value.allFinite(); }
+
+bool HasRotation(const PoseSample& s) { return s.q_WM.norm() > 1e-3; }
+bool HasRotation(const ImuSample&) { return true; }
+
+template <typename... Args>
+[[noreturn]] void Refuse(const Args&... args) {
+  std::ostringstream text;
+  (text << ... << args);
+  throw DataError(text.str());
+}
+
+/// Throws when `bad` of `total` samples exceed the allowed share.
+void CheckShare(const std::string& stream, const std::string& defect, size_t bad, size_t total,
+                double max_fraction) {
+  if (static_cast<double>(bad) <= max_fraction * static_cast<double>(total)) return;
+  Refuse(stream, ": ", bad, " of ", total, " samples ", defect, " (bound: ", 100.0 * max_fraction,
+         " %)");
+}
+
+/// Usable samples in strictly increasing time, each with a value of its own.
+template <typename Sample>
+std::vector<Sample> Clean(const std::string& stream, double max_bad_fraction,
+                          const std::vector<Sample>& samples, StreamReport* report) {
+  report->received = samples.size();
+  if (samples.empty()) Refuse("no ", stream, " samples");
+
+  std::vector<Sample> kept;
+  kept.reserve(samples.size());
+  const std::vector<StampFault> faults = JudgeStamps(Stamps(samples));
+  size_t astray = 0, ahead = 0;
+  for (size_t i = 0; i < samples.size(); ++i) {
+    const Sample& s = samples[i];
+    if (!IsFinite(s)) {
+      ++report->not_finite;
+    } else if (!HasRotation(s)) {
+      ++report->zero_quaternion;
+    } else if (faults[i] == StampFault::kAstray) {
+      ++astray;
+    } else if (faults[i] == StampFault::kAhead) {
+      ++ahead;
+    } else if (faults[i] == StampFault::kReversed) {
+      ++report->reversed_stamp;
+    } else {
+      kept.push_back(s);
+    }
+  }
+  const auto check = [&](size_t bad, const char* defect) {
+    CheckShare(stream, defect, bad, samples.size(), max_bad_fraction);
+  };
+  check(report->not_finite, "are not finite: look at the driver");
+  check(report->zero_quaternion, "have a zero quaternion: look at the driver");
+  check(astray,
+        "are stamped hours from most others: its clock jumped; cut the recording at the jump");
+  check(ahead, "are stamped more than 1 s ahead of those around them: look at the driver");
+  check(report->reversed_stamp,
+        "are stamped more than 1 s before a sample that arrived earlier: its clock jumped back; "
+        "cut the recording at the jump");
+  report->reversed_stamp += astray + ahead;
+
+  if (kept.empty()) Refuse("none of the ", samples.size(), " ", stream, " samples is usable");
+
+  std::stable_sort(kept.begin(), kept.end(),
+                   [](const Sample& a, const Sample& b) { return a.t_ns < b.t_ns; });
+  size_t last = 0;
+  for (size_t i = 1; i < kept.size(); ++i) {
+    if (kept[i].t_ns == kept[last].t_ns) {
+      ++report->duplicate_stamp;
+    } else if (SameValue(kept[i], kept[last])) {
+      ++report->repeated_value;
+    } else {
+      kept[++last] = kept[i];
+    }
+  }
+  kept.resize(last + 1);
+  return kept;
+}
+
+/// The recording in SI units, with the poses of the marker in the world.
+SessionData Convert(const CalibrationOptions& options, SessionData session) {
+  for (PoseSample& s : session.poses) s = ToMarkerPose(options, s);
+  for (ImuData& imu : session.imus) {
+    for (ImuSample& s : imu.gyro) s.value *= options.gyro_unit;
+    for (ImuSample& s : imu.accel) s.value *= options.accel_unit;
+  }
+  return session;
+}
+
+/// Throws when a sensor or one of its axes never changes: it is not read.
+void CheckAlive(const std::string& stream, const std::vector<ImuSample>& samples, size_t received) {
+  const Eigen::Vector3d& first = samples.front().value;
+  if (samples.size() == 1 && received > 1)
+    Refuse(stream, ": all ", received, " samples are ", first.isZero(0.0) ? "zero" : "the same",
+           ": the sensor is not read; look at its driver and record again");
+  for (int axis = 0; axis < 3 && samples.size() > 1; ++axis) {
+    const auto is_same = [&](const ImuSample& s) { return s.value[axis] == first[axis]; };
+    if (!std::all_of(samples.begin(), samples.end(), is_same)) continue;
+    Refuse(stream, ": its ", "xyz"[axis], " axis is always ", first[axis],
+           "; look at its driver and record again with all three axes");
+  }
+}
+
+/// Throws when the source gives only half of the pose.
+void CheckAlive(const std::vector<PoseSample>& poses) {
+  if (poses.size() < 2) return;
+  const auto is_there = [&](const PoseSample& s) { return s.p_WM == poses.front().p_WM; };
+  const auto is_so = [&](const PoseSample& s) {
+    return s.q_WM.coeffs() == poses.front().q_WM.coeffs();
+  };
+  if (std::all_of(poses.begin(), poses.end(), is_there))
+    Refuse("pose: the position never changes; use a source that gives positions too");
+  if (std::all_of(poses.begin(), poses.end(), is_so))
+    Refuse("pose: the orientation never changes; use a source that gives orientations too");
+}
+
+/// Marks the samples at the end of the sensor's range on one side (+1, -1) of one axis. The end
+/// shows as a pile of samples at the largest magnitude `peak` of the sensor; a motion that is
+/// within the range passes its largest value quickly.
+void MarkClipped(const std::vector<ImuSample>& samples, int axis, double side, double peak,
+                 std::vector<bool>* clipped) {
+  double limit = 0.0;
+  for (const ImuSample& s : samples) limit = std::max(limit, side * s.value[axis]);
+  if (limit < (1.0 - kSameLimit) * peak) return;
+  const auto is_at = [&](size_t i) { return side * samples[i].value[axis] > limit * (1.0 - 1e-6); };
+  size_t at = 0, below = 0, run = 0, longest_run = 0;
+  for (size_t i = 0; i < samples.size(); ++i) {
+    run = is_at(i) ? run + 1 : 0;
+    longest_run = std::max(longest_run, run);
+    if (is_at(i))
+      ++at;
+    else if (side * samples[i].value[axis] > limit * (1.0 - kBelowClip))
+      ++below;
+  }
+  if (at < kMinClipped || longest_run < kMinClippedRun || at <= below) return;
+  for (size_t i = 0; i < samples.size(); ++i)
+    if (is_at(i)) (*clipped)[i] = true;
+}
+
+/// Samples that are at the end of the sensor's range on any axis leave and are counted.
+void RemoveSaturated(const std::string& stream, double max_bad_fraction,
+                     std::vector<ImuSample>* samples, StreamReport* report) {
+  double peak = 0.0;
+  for (const ImuSample& s : *samples) peak = std::max(peak, s.value.cwiseAbs().maxCoeff());
+  std::vector<bool> clipped(samples->size(), false);
+  for (int axis = 0; axis < 3; ++axis)
+    for (const double side : {-1.0, 1.0}) MarkClipped(*samples, axis, side, peak, &clipped);
+  std::vector<ImuSample> kept;
+  for (size_t i = 0; i < samples->size(); ++i)
+    if (!clipped[i]) kept.push_back((*samples)[i]);
+  report->saturated = samples->size() - kept.size();
+  std::ostringstream defect;
+  defect << "are at the end of the sensor's range (" << peak
+         << "): choose a larger range or move more gently";
+  CheckShare(stream, defect.str(), report->saturated, samples->size(), max_bad_fraction);
+  if (kept.empty()) Refuse(stream, ": all ", samples->size(), " samples ", defect.str());
+  *samples = std::move(kept);
+}
+
+/// Distances of the samples of a range from their median by component.
+std::vector<double> FromMiddle(const std::vector<ImuSample>& samples, IndexRange range) {
+  Eigen::Vector3d middle;
+  for (int axis = 0; axis < 3; ++axis) {
+    std::vector<double> values;
+    for (size_t k = range.begin; k < range.end; ++k) values.push_back(samples[k].value[axis]);
+    middle[axis] = Median(std::move(values));
+  }
+  std::vector<double> distances(range.size());
+  for (size_t k = 0; k < range.size(); ++k)
+    distances[k] = (samples[range.begin + k].value - middle).norm();
+  return distances;
+}
+
+/// Spikes leave and are counted: up to three samples in a row, off their neighbours by many times
+/// the usual step and the spread of these neighbours: that of a hard knock is wide. A closed form
+/// cannot bear them, and robust weights would not believe the motion around them either.
+void RemoveSpikes(std::vector<ImuSample>* spiky, StreamReport* report) {
+  if (spiky->size() < 2) return;
+  const std::vector<ImuSample> samples = std::exchange(*spiky, {});
+  const auto around = [&](size_t i, size_t reach) {
+    return IndexRange{i - std::min(i, reach), std::min(i + reach + 1, samples.size())};
+  };
+  const auto usual_step = [&](IndexRange range) {
+    std::vector<double> steps;
+    for (size_t i = range.begin + 1; i < range.end; ++i)
+      steps.push_back((samples[i].value - samples[i - 1].value).norm());
+    return Median(std::move(steps));
+  };
+  const double least = kSpikeSteps * usual_step({0, samples.size()});
+  for (size_t i = 0; i < samples.size(); ++i) {
+    const IndexRange near = around(i, kSpikeReach);
+    // No further off the middle than off the furthest of them, by component.
+    Eigen::Vector3d furthest = Eigen::Vector3d::Zero();
+    for (size_t k = near.begin; k < near.end; ++k)
+      furthest = furthest.cwiseMax((samples[k].value - samples[i].value).cwiseAbs());
+    if (furthest.norm() > least) {
+      const std::vector<double> distances = FromMiddle(samples, near);
+      const double off = distances[i - near.begin];
+      if (off > std::max(least, kSpikeSteps * usual_step(around(i, kStepReach))) &&
+          off > kSpikeSpreads * Median(distances))
+        continue;
+    }
+    spiky->push_back(samples[i]);
+  }
+  report->outlier = samples.size() - spiky->size();
+}
+
+void CheckDuration(const std::string& stream, const StreamReport& report, double min_s) {
+  if (report.duration_s >= min_s) return;
+  std::ostringstream dropped;
+  const auto add = [&](size_t count, const char* reason) {
+    if (count > 0) dropped << ", " << count << " " << reason;
+  };
+  add(report.not_finite, "not finite");
+  add(report.repeated_value, "repeated");
+  add(report.reversed_stamp, "stamped backwards");
+  add(report.duplicate_stamp, "of a duplicate stamp");
+  Refuse(stream, ": ", report.used, " of ", report.received, " samples are usable and span ",
+         report.duration_s, " s (bound: at least ", min_s, " s", dropped.str(), "); ",
+         2 * report.used < report.received ? "look at the driver and record again"
+                                           : "record 30 s or more");
+}
+
+double Seconds(int64_t t_ns, int64_t epoch_ns) {
+  return 1e-9 * static_cast<double>(t_ns - epoch_ns);
+}
+
+std::vector<TimedSample> ToSeconds(const std::vector<ImuSample>& samples, int64_t epoch_ns) {
+  std::vector<TimedSample> timed;
+  timed.reserve(samples.size());
+  for (const ImuSample& s : samples)
+    timed.push_back({Seconds(s.t_ns, epoch_ns), s.value, {0, 0, 0}});
+  return timed;
+}
+
+/// Unit quaternions, neighbours in the same hemisphere.
+std::vector<TimedPose> ToSeconds(const std::vector<PoseSample>& samples, int64_t epoch_ns) {
+  std::vector<TimedPose> timed;
+  timed.reserve(samples.size());
+  for (const PoseSample& s : samples) {
+    Eigen::Quaterniond q = s.q_WM.normalized();
+    if (!timed.empty() && q.dot(timed.back().q_WM) < 0.0) q.coeffs() *= -1.0;
+    timed.push_back({Seconds(s.t_ns, epoch_ns), q, s.p_WM, 1.0, 1.0, {0, 0, 0}, {0, 0, 0}});
+  }
+  return timed;
+}
+
+/// Noise of each pose relative to the median, when all poses state theirs.
+void ScaleNoise(const std::vector<PoseSample>& samples, std::vector<TimedPose>* poses) {
+  const auto scale = [&](double PoseStd::*stated, double TimedPose::*result) {
+    std::vector<double> sigmas;
+    for (const PoseSample& s : samples) sigmas.push_back(s.stated_std.*stated);
+    if (*std::min_element(sigmas.begin(), sigmas.end()) <= 0.0) return;
+    const double median = Median(sigmas);
+    for (size_t i = 0; i < sigmas.size(); ++i)
+      (*poses)[i].*result = std::clamp(sigmas[i] / median, 1.0 / kMaxNoiseScale, kMaxNoiseScale);
+  };
+  scale(&PoseStd::position, &TimedPose::position_scale);
+  scale(&PoseStd::rotation, &TimedPose::rotation_scale);
+}
+
+/// The median specific force of a moving body is near gravity.
+void CheckAccelerometerUnit(const std::string& stream, const std::vector<TimedSample>& accel,
+                            double gravity) {
+  std::vector<double> norms;
+  for (const TimedSample& s : accel) norms.push_back(s.value.norm());
+  const double median = Median(std::move(norms));
+  if (median > kMinForce * gravity && median < kMaxForce * gravity) return;
+  std::ostringstream text;
+  text << stream << ": median norm " << median << " (bound: " << kMinForce * gravity << " to "
+       << kMaxForce * gravity << " m/s^2); ";
+  if (median > 0.7 && median < 1.5)
+    throw OptionNeeded(text.str() +
+                       "it looks like g: set accel_unit: 9.80665 (or gravity is "
+                       "removed: record the raw accelerometer)");
+  if (median > 700.0 && median < 1500.0)
+    throw OptionNeeded(text.str() + "it looks like mg: set accel_unit: 0.00980665");
+  if (median < kMinForce * gravity)
+    throw DataError(text.str() + "gravity seems to be removed: record the raw accelerometer");
+  throw OptionNeeded(text.str() + "set accel_unit, the unit of the accelerometer in m/s^2");
+}
+
+/// `of`: see OfImu().
+ConditionedImu ConditionImu(const CalibrationOptions& options, const std::string& of,
+                            const ImuData& data) {
+  ConditionedImu imu;
+  const auto clean = [&](const std::string& stream, const std::vector<ImuSample>& samples,
+                         StreamReport* report) {
+    auto kept = Clean(stream, options.max_bad_fraction, samples, report);
+    CheckAlive(stream, kept, report->received);
+    RemoveSaturated(stream, options.max_bad_fraction, &kept, report);
+    RemoveSpikes(&kept, report);
+    return kept;
+  };
+  const auto gyro = clean("gyroscope" + of, data.gyro, &imu.gyro_report);
+  const auto accel = clean("accelerometer" + of, data.accel, &imu.accel_report);
+  imu.epoch_ns = std::min(gyro.front().t_ns, accel.front().t_ns);
+  imu.gyro = ToSeconds(gyro, imu.epoch_ns);
+  imu.accel = ToSeconds(accel, imu.epoch_ns);
+  Summarise(imu.gyro, &imu.gyro_report);
+  Summarise(imu.accel, &imu.accel_report);
+  CheckDuration("gyroscope" + of, imu.gyro_report, options.min_overlap_s);
+  CheckDuration("accelerometer" + of, imu.accel_report, options.min_overlap_s);
+  CheckAccelerometerUnit("accelerometer" + of, imu.accel, options.GravityMagnitude());
+  return imu;
+}
+
+}  // namespace
+
+bool IsStampedAhead(const std::vector<int64_t>& stamps_ns, size_t i) {
+  constexpr size_t kNear = 9;
+  const auto earlier = [&](size_t begin, size_t end) {
+    size_t count = 0;
+    for (size_t k = begin; k < end; ++k)
+      if (stamps_ns[k] < stamps_ns[i] - kMaxReorderNs) ++count;
+    return count;
+  };
+  const size_t before = std::min(i, kNear), after = std::min(stamps_ns.size() - 1 - i, kNear);
+  return 2 * earlier(i + 1, i + 1 + after) > after && 2 * earlier(i - before, i) >= before;
+}
+
+std::vector<StampFault> JudgeStamps(const std::vector<int64_t>& stamps_ns) {
+  std::vector<StampFault> faults(stamps_ns.size(), StampFault::kNone);
+  if (stamps_ns.empty()) return faults;
+  std::vector<int64_t> sorted = stamps_ns;
+  const auto middle = sorted.begin() + static_cast<ptrdiff_t>(sorted.size() / 2);
+  std::nth_element(sorted.begin(), middle, sorted.end());
+  int64_t latest = std::numeric_limits<int64_t>::min() + kMaxReorderNs;
+  for (size_t i = 0; i < stamps_ns.size(); ++i) {
+    if (std::abs(stamps_ns[i] - *middle) > kMaxAstrayNs)
+      faults[i] = StampFault::kAstray;
+    else if (IsStampedAhead(stamps_ns, i))
+      faults[i] = StampFault::kAhead;
+    else if (stamps_ns[i] < latest - kMaxReorderNs)
+      faults[i] = StampFault::kReversed;
+    else
+      latest = std::max(latest, stamps_ns[i]);
+  }
+  return faults;
+}
+
+PoseSample ToMarkerPose(const CalibrationOptions& options, PoseSample recorded) {
+  recorded.p_WM *= options.position_unit;
+  if (!options.invert_poses) return recorded;
+  recorded.q_WM = recorded.q_WM.conjugate();
+  recorded.p_WM = -(recorded.q_WM.normalized() * recorded.p_WM);
+  return recorded;
+}
+
+bool SameValue(const PoseSample& a, const PoseSample& b) {
+  return a.p_WM == b.p_WM && a.q_WM.coeffs() == b.q_WM.coeffs();
+}
+bool SameValue(const ImuSample& a, const ImuSample& b) { return a.value == b.value; }
+
+size_t ConditionedData::FirstImu() const {
+  const auto is_present = [](const ConditionedImu& imu) { return imu.IsPresent(); };
+  return static_cast<size_t>(std::find_if(imus.begin(), imus.end(), is_present) - imus.begin());
+}
+
+std::string OfImu(size_t imu, size_t count) {
+  return count == 1 ? "" : " of imu" + std::to_string(imu);
+}
+
+std::string OfSession(size_t session, size_t count) {
+  return count == 1 ? "" : " in session " + std::to_string(session + 1);
+}
+
+ConditionedData ConditionData(const CalibrationOptions& options, const SessionData& recorded) {
+  SessionData session = recorded;
+  const SessionStamps stamps = RecoverStamps(options.recover_stamps, &session);
+  return ConditionData(options, session, stamps);
+}
+
+ConditionedData ConditionData(const CalibrationOptions& options, const SessionData& recorded,
+                              const SessionStamps& stamps) {
+  const SessionData session = Convert(options, recorded);
+  ConditionedData out;
+  const auto report = [](const StreamStamps& of, StreamReport* stream) {
+    stream->stamps_recovered = of.recovered;
+    stream->stamp_jitter_s = of.jitter_s;
+  };
+  report(stamps.poses, &out.pose_report);
+  const double max_bad = options.max_bad_fraction;
+  auto poses = Clean("pose", max_bad, session.poses, &out.pose_report);
+  CheckAlive(poses);
+  out.pose_report.between_updates = KeepOneOf(FindUpdatePeriod(poses), &poses);
+  out.pose_epoch_ns = poses.front().t_ns;
+  out.poses = ToSeconds(poses, out.pose_epoch_ns);
+  ScaleNoise(poses, &out.poses);
+  Summarise(out.poses, &out.pose_report);
+  CheckDuration("pose", out.pose_report, options.min_overlap_s);
+  const bool has_imu = std::any_of(session.imus.begin(), session.imus.end(),
+                                   [](const ImuData& imu) { return !imu.IsEmpty(); });
+  for (size_t i = 0; i < session.imus.size(); ++i) {
+    const bool is_missing = has_imu && session.imus[i].IsEmpty();
+    out.imus.push_back(is_missing
+                           ? ConditionedImu()
+                           : ConditionImu(options, OfImu(i, session.imus.size()), session.imus[i]));
+    report(stamps.imus[i].first, &out.imus[i].gyro_report);
+    report(stamps.imus[i].second, &out.imus[i].accel_report);
+  }
+  if (out.imus.empty()) Refuse("the session has no imu");
+
+  SplitAtGaps(options, &out);
+  Summarise(out.poses, &out.pose_report);
+  if (out.segments.empty())
+    Refuse("pose: no run without a gap is as long as min_segment_s = ", options.min_segment_s,
+           " s (", out.gaps, " gaps in ", out.pose_report.received, " poses)");
+  return out;
+}
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,92 @@
+#include <algorithm>
+#include <cmath>
+
+#include "imu_pose_calib/core/base/median.h"
+#include "imu_pose_calib/core/data/conditioning.h"
+
+namespace imu_pose_calib {
+namespace {
+
+/// Third differences over a quantile of theirs, of jumps: white noise never does that. A jump shows
+/// in three of them.
+constexpr double kJump = 10.0, kQuantile = 0.2;
+constexpr size_t kLeastJumps = 50;
+constexpr size_t kShortest = 5, kLongest = 25;  // poses from one measurement to the next
+/// Of the distances between jumps: share that is a multiple of the period, give or take one pose;
+/// share that is the period itself.
+constexpr double kLeastRegular = 0.85, kLeastSingle = 0.1;
+
+/// Norms of third differences of the position [m]: 0 for motion without a jump.
+std::vector<double> ThirdDifferences(const std::vector<PoseSample>& poses) {
+  std::vector<double> norms;
+  for (size_t i = 3; i < poses.size(); ++i)
+    norms.push_back(
+        (poses[i].p_WM - poses[i - 3].p_WM - 3.0 * (poses[i - 1].p_WM - poses[i - 2].p_WM)).norm());
+  return norms;
+}
+
+/// Distances between the beginnings of runs of values above `bound`.
+std::vector<size_t> Distances(const std::vector<double>& values, double bound) {
+  std::vector<size_t> distances;
+  size_t last = 0, last_run = 0;
+  bool is_first = true;
+  for (size_t i = 0; i < values.size(); ++i) {
+    if (values[i] <= bound) continue;
+    if (is_first || i > last + 1) {
+      if (!is_first) distances.push_back(i - last_run);
+      last_run = i;
+    }
+    last = i;
+    is_first = false;
+  }
+  return distances;
+}
+
+}  // namespace
+
+size_t FindUpdatePeriod(const std::vector<PoseSample>& poses) {
+  const std::vector<double> norms = ThirdDifferences(poses);
+  if (norms.empty()) return 1;
+  std::vector<double> sorted = norms;
+  std::sort(sorted.begin(), sorted.end());
+  const double usual = sorted[static_cast<size_t>(kQuantile * static_cast<double>(sorted.size()))];
+  const std::vector<size_t> distances = Distances(norms, kJump * usual);
+  if (distances.size() < kLeastJumps) return 1;
+  const auto share = [&](const auto& is_counted) {
+    return static_cast<double>(std::count_if(distances.begin(), distances.end(), is_counted)) /
+           static_cast<double>(distances.size());
+  };
+  size_t period = 1;
+  double single = kLeastSingle;
+  for (size_t k = kShortest; k <= kLongest; ++k) {
+    const double is_this = share([k](size_t d) { return d == k; });
+    if (is_this <= single) continue;
+    single = is_this;
+    period = k;
+  }
+  const double regular =
+      share([period](size_t d) { return d + 1 >= period && (d + 1) % period <= 2; });
+  return regular > kLeastRegular ? period : 1;
+}
+
+size_t KeepOneOf(size_t period, std::vector<PoseSample>* poses) {
+  const size_t before = poses->size();
+  if (period < 2 || before < 2) return 0;
+  const double step = MedianStep(Stamps(*poses));
+  const auto first = static_cast<double>(poses->front().t_ns);
+  long long last = -1;
+  const auto is_between = [&](const PoseSample& pose) {
+    const double count = std::round((static_cast<double>(pose.t_ns) - first) / step);
+    const auto interval = static_cast<long long>(count) / static_cast<long long>(period);
+    if (interval == last) return true;
+    last = interval;
+    return false;
+  };
+  std::vector<PoseSample> kept;
+  for (const PoseSample& pose : *poses)
+    if (!is_between(pose)) kept.push_back(pose);
+  poses->swap(kept);
+  return before - poses->size();
+}
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,174 @@
+#include "imu_pose_calib/core/data/segments.h"
+
+#include <algorithm>
+#include <cmath>
+#include <sstream>
+#include <utility>
+
+#include "imu_pose_calib/core/base/median.h"
+#include "imu_pose_calib/core/base/so3.h"
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr size_t kMinSegmentPoses = 8;
+/// A jump between two poses: times the median of the log and of so many poses on either side, and
+/// times what the IMU's largest samples make possible.
+constexpr double kJumpThreshold = 20.0;
+constexpr size_t kJumpRadius = 10;
+constexpr double kForceFactor = 3.0, kRateFactor = 2.0;
+constexpr int kJumpRounds = 5;
+
+/// Longest time between two poses of a segment [s].
+double MaxGap(const CalibrationOptions& options, const ConditionedData& data) {
+  return options.max_gap_s > 0.0 ? options.max_gap_s
+                                 : std::max(0.1, 5.0 / data.pose_report.rate_hz);
+}
+
+bool IsLongEnough(const std::vector<TimedPose>& poses, IndexRange run, double min_segment_s) {
+  return run.size() >= kMinSegmentPoses &&
+         poses[run.end - 1].t - poses[run.begin].t >= min_segment_s;
+}
+
+/// How far pose i is from where pose i - 1 leads with the mean velocity of the steps before and
+/// after: (position [m], rotation [rad]).
+Eigen::Vector2d Jump(const std::vector<TimedPose>& poses, size_t i) {
+  const TimedPose &a = poses[i - 2], &b = poses[i - 1], &c = poses[i], &d = poses[i + 1];
+  const double dt = c.t - b.t, dt_before = b.t - a.t, dt_after = d.t - c.t;
+  const Eigen::Vector3d step =
+      0.5 * dt * ((b.p_WM - a.p_WM) / dt_before + (d.p_WM - c.p_WM) / dt_after);
+  const auto turn = [](const TimedPose& from, const TimedPose& to) {
+    return Log(Eigen::Quaterniond(from.q_WM.conjugate() * to.q_WM));
+  };
+  const Eigen::Quaterniond half_before = Exp<double>(0.5 * dt / dt_before * turn(a, b));
+  const Eigen::Quaterniond half_after = Exp<double>(0.5 * dt / dt_after * turn(c, d));
+  return {(c.p_WM - b.p_WM - step).norm(),
+          (b.q_WM * half_before * half_after).angularDistance(c.q_WM)};
+}
+
+/// What the IMU says the body can do at most.
+struct MotionBound {
+  double rate = 0.0;   ///< [rad/s]
+  double force = 0.0;  ///< [m/s^2]
+
+  explicit MotionBound(const ConditionedData& data) {
+    for (const ConditionedImu& imu : data.imus) {
+      for (const TimedSample& s : imu.gyro) rate = std::max(rate, s.value.norm());
+      for (const TimedSample& s : imu.accel) force = std::max(force, s.value.norm());
+    }
+  }
+};
+
+/// Poses that cannot follow from the one before: off by many times what is usual in the log and
+/// nearby, and by more than the IMU allows.
+std::vector<size_t> FindJumps(const ConditionedData& data, const MotionBound& bound) {
+  const std::vector<TimedPose>& poses = data.poses;
+  std::vector<Eigen::Vector2d> jumps(poses.size(), Eigen::Vector2d::Zero());
+  for (const IndexRange& s : data.segments)
+    for (size_t i = s.begin + 2; i + 1 < s.end; ++i) jumps[i] = Jump(poses, i);
+  const auto usual = [&](size_t begin, size_t end) {
+    Eigen::Vector2d median;
+    for (int kind = 0; kind < 2; ++kind) {
+      std::vector<double> values;
+      for (size_t i = begin; i < end; ++i) values.push_back(jumps[i][kind]);
+      median[kind] = Median(std::move(values));
+    }
+    return median;
+  };
+  const Eigen::Vector2d usual_in_log = usual(0, poses.size());
+  std::vector<size_t> found;
+  for (const IndexRange& s : data.segments) {
+    for (size_t i = s.begin + 2; i + 1 < s.end; ++i) {
+      const double dt = poses[i].t - poses[i - 1].t;
+      const Eigen::Vector2d possible(kForceFactor * bound.force * dt * dt,
+                                     kRateFactor * bound.rate * dt);
+      const double periods = std::max(1.0, dt * data.pose_report.rate_hz);
+      const Eigen::Vector2d least = possible.cwiseMax(kJumpThreshold * periods * usual_in_log);
+      if ((jumps[i].array() <= least.array()).all()) continue;
+      const Eigen::Vector2d usual_nearby =
+          usual(std::max(s.begin, i - std::min(i, kJumpRadius)), std::min(s.end, i + kJumpRadius));
+      const Eigen::Vector2d limit = least.cwiseMax(kJumpThreshold * periods * usual_nearby);
+      for (int kind = 0; kind < 2; ++kind) {
+        // A jump shows in the steps on either side too, by half.
+        const bool is_largest =
+            jumps[i][kind] > 0.75 * std::max(jumps[i - 1][kind], jumps[i + 1][kind]);
+        if (jumps[i][kind] <= limit[kind] || !is_largest) continue;
+        found.push_back(i);
+        break;
+      }
+    }
+  }
+  return found;
+}
+
+/// Cuts the segments at `jumps`. What remains on both sides of a run that was too short is joined
+/// again where it is close enough.
+void CutSegments(const std::vector<size_t>& jumps, double max_gap, double min_segment_s,
+                 ConditionedData* data) {
+  const std::vector<TimedPose> poses = std::move(data->poses);
+  const std::vector<IndexRange> segments = std::move(data->segments);
+  data->poses.clear();
+  data->segments.clear();
+  auto jump = jumps.begin();
+  for (const IndexRange& segment : segments) {
+    size_t last_end = segment.begin;  // of the run kept last
+    for (size_t begin = segment.begin; begin < segment.end;) {
+      while (jump != jumps.end() && *jump <= begin) ++jump;
+      const size_t end = jump != jumps.end() && *jump < segment.end ? *jump : segment.end;
+      const IndexRange run{begin, end};
+      begin = end;
+      if (!IsLongEnough(poses, run, min_segment_s)) {
+        data->pose_report.outlier += run.size();
+        continue;
+      }
+      const bool joins = last_end > segment.begin && last_end < run.begin &&
+                         poses[run.begin].t - poses[last_end - 1].t <= max_gap;
+      if (!joins) data->segments.push_back({data->poses.size(), data->poses.size()});
+      if (last_end > segment.begin && !joins) ++(last_end == run.begin ? data->jumps : data->gaps);
+      data->poses.insert(data->poses.end(), poses.begin() + static_cast<ptrdiff_t>(run.begin),
+                         poses.begin() + static_cast<ptrdiff_t>(run.end));
+      data->segments.back().end = data->poses.size();
+      last_end = run.end;
+    }
+  }
+}
+
+}  // namespace
+
+void SplitAtGaps(const CalibrationOptions& options, ConditionedData* data) {
+  const double max_gap = MaxGap(options, *data);
+  std::vector<TimedPose> kept;
+  size_t begin = 0;
+  for (size_t i = 1; i <= data->poses.size(); ++i) {
+    const bool end = i == data->poses.size();
+    if (!end && data->poses[i].t - data->poses[i - 1].t <= max_gap) continue;
+    if (!end) ++data->gaps;
+    if (IsLongEnough(data->poses, {begin, i}, options.min_segment_s)) {
+      data->segments.push_back({kept.size(), kept.size() + i - begin});
+      kept.insert(kept.end(), data->poses.begin() + static_cast<ptrdiff_t>(begin),
+                  data->poses.begin() + static_cast<ptrdiff_t>(i));
+    } else {
+      data->pose_report.in_short_segment += i - begin;
+    }
+    begin = i;
+  }
+  data->poses = std::move(kept);
+}
+
+void SplitAtJumps(const CalibrationOptions& options, ConditionedData* data) {
+  const MotionBound bound(*data);
+  const double max_gap = MaxGap(options, *data);
+  for (int round = 0; round < kJumpRounds; ++round) {
+    const std::vector<size_t> jumps = FindJumps(*data, bound);
+    if (jumps.empty()) break;
+    CutSegments(jumps, max_gap, options.min_segment_s, data);
+    if (!data->segments.empty()) continue;
+    std::ostringstream text;
+    text << "pose: it jumps so often that no run is as long as min_segment_s = "
+         << options.min_segment_s << " s; look at the tracker's rigid body and record again";
+    throw DataError(text.str());
+  }
+  Summarise(data->poses, &data->pose_report);
+}
+
+}  // namespace imu_pose_calib

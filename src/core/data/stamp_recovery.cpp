@@ -1,0 +1,210 @@
+#include "imu_pose_calib/core/data/stamp_recovery.h"
+
+#include <Eigen/Core>
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+
+#include "imu_pose_calib/core/base/median.h"
+#include "imu_pose_calib/core/data/conditioning.h"
+
+namespace imu_pose_calib {
+namespace {
+
+/// Even stamps: rms jitter in periods, and shares of the steps over missing frames, and over more
+/// than so many periods.
+constexpr double kEven = 0.02;
+constexpr double kMaxMissing = 0.1, kMaxPauses = 0.02;
+constexpr double kLongStep = 20.0;
+
+constexpr double kBunch = 0.2;           // of a period, within which no source samples again
+constexpr double kSmootherSigmas = 4.0;  // by which the recovered stamps win the vote
+
+/// Values of one kind, one vector a sample: positions, rotations, rates, ...
+using Channel = std::vector<Eigen::Vector4d>;
+
+/// Samples in order of arrival. The channels share the stamps.
+struct Stream {
+  std::vector<int64_t> t_ns;
+  std::vector<Channel> channels;
+
+  bool IsSame(size_t i, size_t k) const {
+    return t_ns[i] == t_ns[k] &&
+           std::all_of(channels.begin(), channels.end(),
+                       [&](const Channel& channel) { return channel[i] == channel[k]; });
+  }
+};
+
+Stream ToStream(const std::vector<PoseSample>& samples) {
+  Stream stream{Stamps(samples), std::vector<Channel>(2)};
+  Channel &positions = stream.channels[0], &rotations = stream.channels[1];
+  for (const PoseSample& s : samples) {
+    const Eigen::Vector4d q = s.q_WM.coeffs();
+    const bool is_opposite = !rotations.empty() && rotations.back().dot(q) < 0.0;
+    rotations.push_back(is_opposite ? Eigen::Vector4d(-q) : q);
+    positions.emplace_back(s.p_WM.x(), s.p_WM.y(), s.p_WM.z(), 0.0);
+  }
+  return stream;
+}
+
+Stream ToStream(const std::vector<ImuSample>& samples) {
+  Stream stream{Stamps(samples), std::vector<Channel>(1)};
+  for (const ImuSample& s : samples)
+    stream.channels[0].emplace_back(s.value.x(), s.value.y(), s.value.z(), 0.0);
+  return stream;
+}
+
+/// Error of the cubic through two samples on either side of sample i at the times t, over what it
+/// makes of their noise.
+double Roughness(const Channel& channel, size_t i, const std::array<double, 5>& t) {
+  Eigen::Vector4d error = channel[i];
+  double gain = 1.0;
+  for (const size_t j : {0u, 1u, 3u, 4u}) {
+    double w = 1.0;
+    for (const size_t k : {0u, 1u, 3u, 4u})
+      if (k != j) w *= (t[2] - t[k]) / (t[j] - t[k]);
+    error -= w * channel[i + j - 2];
+    gain += w * w;
+  }
+  return error.squaredNorm() / gain;
+}
+
+/// Whether the samples follow each other more smoothly at the stamps `recovered` [ns] than at their
+/// own, by vote of those at which it matters. New values in no time are not smooth.
+bool IsSmoother(const Stream& stream, const std::vector<int64_t>& recovered) {
+  const double period = MedianStep(recovered);
+  double votes = 0.0, lead = 0.0;
+  for (size_t i = 2; i + 2 < recovered.size(); ++i) {
+    std::array<double, 5> a, b;
+    bool is_bunched = false, matters = false;
+    for (size_t k = 0; k < 5; ++k) {
+      a[k] = static_cast<double>(stream.t_ns[i + k - 2] - stream.t_ns[i - 2]);
+      b[k] = static_cast<double>(recovered[i + k - 2] - recovered[i - 2]);
+      for (size_t j = 0; j < k; ++j)
+        is_bunched = is_bunched || std::abs(a[j] - a[k]) < kBunch * period;
+    }
+    for (size_t k = 1; k < 4; ++k)  // more than a change of rate
+      matters = matters || std::abs(a[k] * b[4] - b[k] * a[4]) > kEven * period * std::abs(a[4]);
+    if ((!is_bunched && !matters) || b[4] > kLongStep * period) continue;
+    for (const Channel& channel : stream.channels) {
+      bool is_new = true;
+      for (size_t k = i - 1; k <= i + 2; ++k) is_new = is_new && channel[k] != channel[k - 1];
+      const double before =
+          is_bunched ? std::numeric_limits<double>::max() : Roughness(channel, i, a);
+      const double after = Roughness(channel, i, b);
+      if (!is_new || !std::isfinite(before) || !std::isfinite(after)) continue;
+      votes += 1.0;
+      lead += after < before ? 1.0 : -1.0;
+    }
+  }
+  return lead > kSmootherSigmas * std::sqrt(3.0 * votes);  // neighbours vote alike
+}
+
+/// What is done about the stamps of a stream; `t_ns` becomes the new ones.
+StreamStamps Recover(StampRecovery mode, const Stream& recorded, std::vector<int64_t>* t_ns) {
+  StreamStamps result;
+  *t_ns = recorded.t_ns;
+  const std::vector<StampFault> faults = JudgeStamps(*t_ns);
+  // The same message twice is one frame.
+  Stream stream{{}, std::vector<Channel>(recorded.channels.size())};
+  std::vector<size_t> places(t_ns->size(), 0);  // in `stream`
+  for (size_t i = 0, last = 0; i < t_ns->size(); ++i) {
+    if (faults[i] != StampFault::kNone) continue;
+    if (stream.t_ns.empty() || !recorded.IsSame(last, i)) {
+      stream.t_ns.push_back((*t_ns)[i]);
+      for (size_t c = 0; c < stream.channels.size(); ++c)
+        stream.channels[c].push_back(recorded.channels[c][i]);
+    }
+    last = i;
+    places[i] = stream.t_ns.size() - 1;
+  }
+  result.even = AreEven(stream.t_ns);
+  const bool is_auto = mode == StampRecovery::kAuto;
+  if (mode == StampRecovery::kNever || (is_auto && result.even)) return result;
+  const auto recovered = RecoverClock(stream.t_ns);
+  if (!recovered) return result;
+  double sum = 0.0, sum2 = 0.0;
+  for (size_t k = 0; k < recovered->size(); ++k) {
+    const double off = 1e-9 * static_cast<double>(stream.t_ns[k] - (*recovered)[k]);
+    sum += off;
+    sum2 += off * off;
+  }
+  const auto n = static_cast<double>(recovered->size());
+  const double jitter = std::sqrt(std::max(0.0, sum2 / n - sum * sum / (n * n)));
+  result.even = jitter < 1e-9 * kEven * MedianStep(*recovered);
+  if (is_auto && (result.even || !IsSmoother(stream, *recovered))) return result;
+  for (size_t i = 0; i < t_ns->size(); ++i)
+    if (faults[i] == StampFault::kNone) (*t_ns)[i] = (*recovered)[places[i]];
+  result.recovered = true;
+  result.jitter_s = jitter;
+  return result;
+}
+
+template <typename Sample>
+void SetStamps(const std::vector<int64_t>& t_ns, std::vector<Sample>* samples) {
+  for (size_t i = 0; i < t_ns.size(); ++i) (*samples)[i].t_ns = t_ns[i];
+}
+
+template <typename Sample>
+StreamStamps Recover(StampRecovery mode, std::vector<Sample>* samples) {
+  std::vector<int64_t> t_ns;
+  const StreamStamps stamps = Recover(mode, ToStream(*samples), &t_ns);
+  SetStamps(t_ns, samples);
+  return stamps;
+}
+
+}  // namespace
+
+bool AreEven(std::vector<int64_t> stamps_ns) {
+  if (stamps_ns.size() < 3) return true;
+  std::sort(stamps_ns.begin(), stamps_ns.end());
+  std::vector<double> steps, advances;
+  for (size_t i = 1; i < stamps_ns.size(); ++i) {
+    steps.push_back(static_cast<double>(stamps_ns[i] - stamps_ns[i - 1]));
+    if (steps.back() > 0.0) advances.push_back(steps.back());
+  }
+  if (advances.empty()) return false;
+  double period = Median(std::move(advances));
+  const auto frames = [&](double step) { return std::max(1.0, std::round(step / period)); };
+  double time = 0.0, count = 0.0;
+  for (const double step : steps) {
+    if (frames(step) > kLongStep) continue;
+    time += step;
+    count += frames(step);
+  }
+  period = time / count;
+  double off2 = 0.0, short_steps = 0.0, missing = 0.0;
+  for (const double step : steps) {
+    if (frames(step) > kLongStep) continue;
+    off2 += std::pow(step - period * frames(step), 2);
+    short_steps += 1.0;
+    missing += frames(step) > 1.0 ? 1.0 : 0.0;
+  }
+  // Steps over two periods may be of cut stamps, long ones lie between bursts.
+  return short_steps > (1.0 - kMaxPauses) * static_cast<double>(steps.size()) &&
+         missing < kMaxMissing * short_steps &&
+         off2 < 2.0 * std::pow(kEven * period, 2) * short_steps;
+}
+
+SessionStamps RecoverStamps(StampRecovery mode, SessionData* session) {
+  SessionStamps stamps;
+  stamps.poses = Recover(mode, &session->poses);
+  for (ImuData& imu : session->imus) {
+    Stream both = ToStream(imu.gyro), accel = ToStream(imu.accel);
+    if (both.t_ns != accel.t_ns) {
+      const StreamStamps gyro = Recover(mode, &imu.gyro);
+      stamps.imus.emplace_back(gyro, Recover(mode, &imu.accel));
+      continue;
+    }
+    both.channels.push_back(std::move(accel.channels[0]));
+    std::vector<int64_t> t_ns;
+    const StreamStamps of_both = Recover(mode, both, &t_ns);
+    SetStamps(t_ns, &imu.gyro);
+    SetStamps(t_ns, &imu.accel);
+    stamps.imus.emplace_back(of_both, of_both);
+  }
+  return stamps;
+}
+
+}  // namespace imu_pose_calib

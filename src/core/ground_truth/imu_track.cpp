@@ -1,0 +1,421 @@
+#include "imu_pose_calib/core/ground_truth/imu_track.h"
+
+#include <Eigen/Cholesky>
+#include <Eigen/LU>
+#include <algorithm>
+#include <cmath>
+
+#include "imu_pose_calib/core/base/intrinsics.h"
+#include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/solver/manifolds.h"
+
+namespace imu_pose_calib {
+namespace {
+
+using Eigen::Matrix3d;
+using Eigen::MatrixXd;
+using Eigen::Vector3d;
+using Matrix9d = Eigen::Matrix<double, 9, 9>;
+
+constexpr double kTrimStep = 1e-4;  // [s] at the ends of runs
+/// Samples further apart are not interpolated between.
+constexpr double kMaxPeriods = 2.5;
+/// Of the squared distance of both ways in sigma, 9 degrees of freedom: by chance once in 1e7.
+constexpr double kMaxDistance2 = 50.0;
+
+// Places in the error of what is constant across the gap; biases as they are at one of its ends.
+constexpr int kMount = 0;                      // p_MI and q_MI, as Ceres turns it
+constexpr int kGyroMatrix = kMount + 6;        // of GyroMatrix()
+constexpr int kAccelMatrix = kGyroMatrix + 6;  // of AccelMatrix()
+constexpr int kScale = kAccelMatrix + 9;       // pose_scale
+constexpr int kGravity = kScale + 1;
+constexpr int kGyroBias = kGravity + 3;
+constexpr int kAccelBias = kGyroBias + 3;
+constexpr int kConstants = kAccelBias + 3;
+using ByConstants = Eigen::Matrix<double, 9, kConstants>;
+
+/// One end of a run: covariance of rotation, position and velocity of the IMU there, of the
+/// constants, and of both.
+struct RunEnd {
+  BodyState state;
+  Matrix9d own;
+  ByConstants cross;
+  Eigen::Matrix<double, kConstants, kConstants> constants;
+};
+
+RunEnd FindRunEnd(const Solution& solution, const SessionTrajectory& trajectory, size_t session,
+                  size_t imu, double t) {
+  const TrajectoryCovariance& covariance = *trajectory.covariance();
+  const ImuSessionEstimate& biases = solution.estimate.sessions[session].imus[imu];
+  const auto [gyro_knot, gyro_u] = biases.gyro_bias.Locate(biases.ImuTime(t));
+  const auto [accel_knot, accel_u] = biases.accel_bias.Locate(biases.ImuTime(t));
+  constexpr int kPoints = 6 * kSplineOrder;  // coordinates of the control points
+  const auto columns = TrajectoryCovariance::Joined(
+      {covariance.ControlPoints(session, solution.splines[session].Locate(t).value().first),
+       covariance.Calibrated(ParameterKind::kTranslation, imu, 3),
+       covariance.Calibrated(ParameterKind::kRotation, imu, 3),
+       covariance.Calibrated(ParameterKind::kGyroIntrinsics, imu, 6),
+       covariance.Calibrated(ParameterKind::kAccelIntrinsics, imu, 9),
+       covariance.Calibrated(ParameterKind::kPoseScale, imu, 1), covariance.Gravity(session),
+       covariance.BiasKnotPair(session, imu, false, gyro_knot),
+       covariance.BiasKnotPair(session, imu, true, accel_knot)});
+
+  RunEnd end;
+  SessionTrajectory::StateJacobian J;
+  end.state = trajectory.Imu(imu, t, &J).value();
+  MatrixXd A = MatrixXd::Zero(9 + kConstants, static_cast<Eigen::Index>(columns.size()));
+  A.block(0, 0, 6, J.cols()) = J.topRows<6>();
+  A.block(6, 0, 3, J.cols()) = J.middleRows<3>(9);
+  A.block<kGyroBias, kGyroBias>(9, kPoints).setIdentity();
+  const auto knots = [&A](int place, int column, double u) {
+    A.block<3, 3>(9 + place, kPoints + column) = (1.0 - u) * Matrix3d::Identity();
+    A.block<3, 3>(9 + place, kPoints + column + 3) = u * Matrix3d::Identity();
+  };
+  knots(kGyroBias, kGyroBias, gyro_u);
+  knots(kAccelBias, kGyroBias + 6, accel_u);
+  const MatrixXd C = A * covariance.At(columns) * A.transpose();
+  end.own = C.topLeftCorner<9, 9>();
+  end.cross = C.topRightCorner<9, kConstants>();
+  end.constants = C.bottomRightCorner<kConstants, kConstants>();
+  return end;
+}
+
+/// cross constants^-1, where what is held has no part.
+ByConstants Regression(const RunEnd& end) {
+  Eigen::Matrix<double, kConstants, 1> inverse_std;
+  for (int i = 0; i < kConstants; ++i)
+    inverse_std[i] = end.constants(i, i) > 0.0 ? 1.0 / std::sqrt(end.constants(i, i)) : 0.0;
+  MatrixXd correlation = inverse_std.asDiagonal() * end.constants * inverse_std.asDiagonal();
+  for (int i = 0; i < kConstants; ++i) correlation(i, i) = 1.0;
+  const MatrixXd scaled = end.cross * inverse_std.asDiagonal();
+  return correlation.ldlt().solve(scaled.transpose()).transpose() * inverse_std.asDiagonal();
+}
+
+/// What the IMU measures at one instant: rate and specific force in I.
+struct Measured {
+  Vector3d omega, f;
+};
+
+/// A state on the way, and where its error comes from.
+struct Carried {
+  CarriedState state;
+  Matrix9d by_start = Matrix9d::Identity();        ///< derivative by that of the first state
+  ByConstants by_constants = ByConstants::Zero();  ///< derivative by that of the constants
+  Matrix9d noise = Matrix9d::Zero();               ///< covariance that the samples since add
+
+  Eigen::Matrix<double, 9, 9 + kConstants> ByBoth() const {
+    Eigen::Matrix<double, 9, 9 + kConstants> A;
+    A << by_start, by_constants;
+    return A;
+  }
+};
+
+/// Integration along the gap and how its errors grow.
+class Integrator {
+ public:
+  Integrator(const Solution& solution, size_t session, size_t imu)
+      : g_W_(solution.estimate.sessions[session].g_W), scale_(solution.estimate.pose_scale) {
+    for (const SensorModel& model : solution.models) {
+      if (model.session != session || model.imu != imu) continue;
+      if (model.quantity == Quantity::kGyro) gyro_density_ = model.Density();
+      if (model.quantity == Quantity::kAccel) accel_density_ = model.Density();
+    }
+    const ImuEstimate& rig = solution.estimate.imus[imu];
+    inverse_M_g_ = GyroMatrix(rig.gyro_intrinsics).inverse();
+    inverse_M_a_ = AccelMatrix(rig.accel_intrinsics).inverse();
+  }
+
+  /// From recorded values less biases.
+  Measured Correct(const Vector3d& gyro, const Vector3d& accel) const {
+    return {inverse_M_g_ * gyro, inverse_M_a_ * accel};
+  }
+
+  /// Moves the state on by `dt`.
+  void Step(const Measured& a, const Measured& b, double dt, Carried* carried) const {
+    CarriedState* x = &carried->state;
+    // To third order for rates that change linearly.
+    const Vector3d turn = 0.5 * dt * (a.omega + b.omega) + dt * dt / 12.0 * a.omega.cross(b.omega);
+    const Eigen::Quaterniond after = (x->q_WI * Exp<double>(turn)).normalized();
+    const Vector3d a_W = scale_ * (x->q_WI * a.f + g_W_), b_W = scale_ * (after * b.f + g_W_);
+
+    const Matrix3d R = (x->q_WI * Exp<double>(0.5 * turn)).toRotationMatrix();
+    const Vector3d omega = 0.5 * (a.omega + b.omega), f = 0.5 * (a.f + b.f);
+    const Matrix3d accel_by_turn = -scale_ * R * Hat(f);
+    Matrix9d F = Matrix9d::Identity();
+    F.block<3, 3>(0, 0) = Exp<double>(-turn).toRotationMatrix();
+    F.block<3, 3>(3, 0) = 0.5 * dt * dt * accel_by_turn;
+    F.block<3, 3>(3, 6) = dt * Matrix3d::Identity();
+    F.block<3, 3>(6, 0) = dt * accel_by_turn;
+
+    ByConstants G = ByConstants::Zero();
+    Eigen::Matrix<double, 3, 6> by_M_g = Eigen::Matrix<double, 3, 6>::Zero();
+    by_M_g.block<1, 1>(0, 0) = omega.head<1>().transpose();
+    by_M_g.block<1, 2>(1, 1) = omega.head<2>().transpose();
+    by_M_g.block<1, 3>(2, 3) = omega.transpose();
+    G.block<3, 6>(0, kGyroMatrix) = -dt * inverse_M_g_ * by_M_g;
+    G.block<3, 3>(0, kGyroBias) = -dt * inverse_M_g_;
+    Eigen::Matrix<double, 3, kConstants> accel = Eigen::Matrix<double, 3, kConstants>::Zero();
+    Eigen::Matrix<double, 3, 9> by_M_a = Eigen::Matrix<double, 3, 9>::Zero();
+    for (int row = 0; row < 3; ++row) by_M_a.block<1, 3>(row, 3 * row) = f.transpose();
+    accel.middleCols<9>(kAccelMatrix) = -scale_ * R * inverse_M_a_ * by_M_a;
+    accel.middleCols<3>(kAccelBias) = -scale_ * R * inverse_M_a_;
+    accel.col(kScale) = R * f + g_W_;
+    accel.middleCols<3>(kGravity) = scale_ * Matrix3d::Identity();
+    G.middleRows<3>(3) = 0.5 * dt * dt * accel;
+    G.middleRows<3>(6) = dt * accel;
+
+    Matrix9d Q = Matrix9d::Zero();
+    Q.block<3, 3>(0, 0) = gyro_density_ * dt * Matrix3d::Identity();
+    Q.block<3, 3>(3, 3) = accel_density_ * dt * dt * dt / 3.0 * Matrix3d::Identity();
+    Q.block<3, 3>(3, 6) = Q.block<3, 3>(6, 3) =
+        accel_density_ * dt * dt / 2.0 * Matrix3d::Identity();
+    Q.block<3, 3>(6, 6) = accel_density_ * dt * Matrix3d::Identity();
+
+    x->t += dt;
+    x->p_WI += dt * x->v_W + dt * dt / 6.0 * (2.0 * a_W + b_W);
+    x->v_W += 0.5 * dt * (a_W + b_W);
+    x->q_WI = after;
+    x->omega_I = b.omega;
+    carried->by_start = F * carried->by_start;
+    carried->by_constants = F * carried->by_constants + G;
+    carried->noise = F * carried->noise * F.transpose() + Q;
+  }
+
+ private:
+  Vector3d g_W_;
+  double scale_;
+  double gyro_density_ = 0.0, accel_density_ = 0.0;  ///< [(rad/s)^2/Hz], [(m/s^2)^2/Hz]
+  Matrix3d inverse_M_g_, inverse_M_a_;
+};
+
+/// A sensor as recorded at t [s, IMU clock], linear between samples; nothing where some are
+/// missing.
+std::optional<Vector3d> RecordedAt(const std::vector<TimedSample>& samples, double rate_hz,
+                                   double t) {
+  const auto after =
+      std::lower_bound(samples.begin(), samples.end(), t,
+                       [](const TimedSample& s, double value) { return s.t < value; });
+  if (after == samples.begin() || after == samples.end()) return std::nullopt;
+  const TimedSample &a = *std::prev(after), &b = *after;
+  if (b.t - a.t > kMaxPeriods / rate_hz) return std::nullopt;
+  const double u = (t - a.t) / (b.t - a.t);
+  return (1.0 - u) * (a.value + a.rest) + u * (b.value + b.rest);
+}
+
+/// The motion of an IMU from `begin` to `end` [s, pose clock], between two runs of a joint solve's
+/// trajectory: integrated from the state in which the first run ends, and adjusted to meet the one
+/// in which the second begins, each by its covariance (doc/trajectory.md). States at both ends and
+/// at the samples of the gyroscope in between; none when the IMU has a gap, too, or when the two
+/// runs are further apart than their sigmas and the IMU's noise explain.
+std::vector<CarriedState> CarryAcrossGap(const Solution& solution,
+                                         const SessionTrajectory& trajectory, size_t session,
+                                         size_t imu, double begin, double end) {
+  const ConditionedImu& samples = solution.imus[session][imu];
+  const ImuSessionEstimate& clock = solution.estimate.sessions[session].imus[imu];
+  const double delay = solution.estimate.imus[imu].accel_delay;
+  std::vector<double> instants = {begin};
+  for (const TimedSample& s : samples.gyro) {
+    const double t = clock.PoseTime(s.t);
+    if (t > begin && t < end) instants.push_back(t);
+  }
+  instants.push_back(end);
+
+  const Integrator integrator(solution, session, imu);
+  std::vector<Measured> measured;
+  for (const double t : instants) {
+    const double t_imu = clock.ImuTime(t);
+    const auto gyro = RecordedAt(samples.gyro, samples.gyro_report.rate_hz, t_imu);
+    const auto accel = RecordedAt(samples.accel, samples.accel_report.rate_hz, t_imu + delay);
+    if (!gyro || !accel) return {};
+    const ImuBiases biases = trajectory.Biases(imu, t);
+    measured.push_back(integrator.Correct(*gyro - biases.gyro, *accel - biases.accel));
+  }
+
+  const RunEnd first = FindRunEnd(solution, trajectory, session, imu, begin);
+  const RunEnd last = FindRunEnd(solution, trajectory, session, imu, end);
+  const BodyState& start = first.state;
+  std::vector<Carried> way(instants.size());
+  way[0].state = {begin, start.q_WB, start.p_WB, start.v_W, start.omega_B, Matrix9d::Zero()};
+  for (size_t j = 1; j < way.size(); ++j) {
+    way[j] = way[j - 1];
+    integrator.Step(measured[j - 1], measured[j], instants[j] - instants[j - 1], &way[j]);
+  }
+
+  // Apart from the constants, both ends err independently: beyond the constants' part the last
+  // state has errors of its own, `rest`.
+  const ByConstants gain = Regression(last);
+  const Matrix9d rest = last.own - gain * last.cross.transpose();
+  MatrixXd P(9 + kConstants, 9 + kConstants);  // of the first state and the constants
+  P << first.own, first.cross, first.cross.transpose(), first.constants;
+  const Carried& there = way.back();
+  Eigen::Matrix<double, 9, 9 + kConstants> h = there.ByBoth();
+  h.rightCols<kConstants>() -= gain;
+  const Matrix9d S = h * P * h.transpose() + there.noise + rest;
+  Eigen::Matrix<double, 9, 1> distance;
+  distance << Log(Eigen::Quaterniond(there.state.q_WI.conjugate() * last.state.q_WB)),
+      last.state.p_WB - there.state.p_WI, last.state.v_W - there.state.v_W;
+  const Eigen::LDLT<Matrix9d> S_inverse(S);
+  if (!(distance.dot(S_inverse.solve(distance)) < kMaxDistance2)) return {};
+
+  std::vector<CarriedState> states;
+  for (const Carried& here : way) {
+    const auto A = here.ByBoth();
+    // What errs until here turns up at the end as much as the steps from here on carry it.
+    const Matrix9d rest_of_way = there.by_start * here.by_start.inverse();
+    const Matrix9d with_distance = A * P * h.transpose() + here.noise * rest_of_way.transpose();
+    const Matrix9d K = S_inverse.solve(with_distance.transpose()).transpose();
+    states.push_back(here.state);
+    CarriedState& x = states.back();
+    const Eigen::Matrix<double, 9, 1> error = K * distance;
+    x.q_WI = (x.q_WI * Exp<double>(error.head<3>())).normalized();
+    x.p_WI += error.segment<3>(3);
+    x.v_W += error.tail<3>();
+    x.covariance = A * P * A.transpose() + here.noise - K * S * K.transpose();
+  }
+  return states;
+}
+
+/// Between two states that follow each other.
+CarriedState Interpolate(const CarriedState& a, const CarriedState& b, double t) {
+  const double dt = b.t - a.t, u = (t - a.t) / dt, v = 1.0 - u;
+  CarriedState x;
+  x.t = t;
+  x.q_WI = a.q_WI.slerp(u, b.q_WI);
+  // The cubic that has both positions and velocities.
+  x.p_WI = v * v * (1.0 + 2.0 * u) * a.p_WI + u * u * (1.0 + 2.0 * v) * b.p_WI +
+           dt * u * v * (v * a.v_W - u * b.v_W);
+  x.v_W = v * a.v_W + u * b.v_W;
+  x.omega_I = v * a.omega_I + u * b.omega_I;
+  x.covariance = v * a.covariance + u * b.covariance;
+  return x;
+}
+
+/// The part of a run in which samples of the IMU tell of the motion: at its very ends, poses alone
+/// leave the velocity undetermined. Of a run without such a part, nothing.
+void Trim(const PoseTrajectory& trajectory, CorrectionSplines::Run* run) {
+  while (!IsOnTrajectory(trajectory, run->begin) && run->begin < run->end) run->begin += kTrimStep;
+  while (!IsOnTrajectory(trajectory, run->end) && run->begin < run->end) run->end -= kTrimStep;
+}
+
+/// The runs that are left when they are trimmed.
+std::vector<CorrectionSplines::Run> TrimmedRuns(const PoseTrajectory& trajectory,
+                                                const CorrectionSplines& splines) {
+  std::vector<CorrectionSplines::Run> runs;
+  for (CorrectionSplines::Run run : splines.Runs()) {
+    Trim(trajectory, &run);
+    if (run.begin < run.end) runs.push_back(run);
+  }
+  return runs;
+}
+
+}  // namespace
+
+ImuTrack::ImuTrack(const std::shared_ptr<const Solution>& solution, size_t session, size_t imu,
+                   const std::shared_ptr<const TrajectoryCovariance>& covariance, TrackClock clock,
+                   double max_gap_s)
+    : solution_(solution),
+      session_(session),
+      imu_(imu),
+      clock_(clock),
+      trajectory_(solution, session, covariance) {
+  for (const SensorModel& model : solution->models)
+    if (model.quantity == Quantity::kGyro && model.session == session && model.imu == imu)
+      gyro_noise_ = model.noise;
+  if (!has_covariance()) return;
+  const std::vector<CorrectionSplines::Run> runs =
+      TrimmedRuns(*solution->trajectories[session], solution->splines[session]);
+  for (size_t k = 0; k + 1 < runs.size(); ++k) {
+    gaps_.push_back({runs[k].end, runs[k + 1].begin, {}});
+    TrackGap& gap = gaps_.back();
+    if (gap.end - gap.begin <= max_gap_s)
+      gap.carried = CarryAcrossGap(*solution, trajectory_, session, imu, gap.begin, gap.end);
+  }
+}
+
+int64_t ImuTrack::Stamp(double t_imu) const {
+  if (clock_ == TrackClock::kImu) return Recorded().epoch_ns + std::llround(1e9 * t_imu);
+  return trajectory_.epoch_ns() + std::llround(1e9 * Clock().PoseTime(t_imu));
+}
+
+std::vector<ImuTrack::Instant> ImuTrack::Instants(double rate_hz) const {
+  std::vector<Instant> instants;
+  const std::vector<TimedSample>& gyro = Recorded().gyro;
+  if (rate_hz == 0.0) {
+    for (const TimedSample& s : gyro) instants.push_back({Stamp(s.t), Clock().PoseTime(s.t)});
+    return instants;
+  }
+  const int64_t first = Stamp(gyro.front().t), last = Stamp(gyro.back().t);
+  for (int64_t k = 0;; ++k) {
+    const int64_t stamp = first + std::llround(1e9 * static_cast<double>(k) / rate_hz);
+    if (stamp > last) return instants;
+    const auto seconds = [stamp](int64_t epoch) {
+      return 1e-9 * static_cast<double>(stamp - epoch);
+    };
+    instants.push_back({stamp, clock_ == TrackClock::kPoses
+                                   ? seconds(trajectory_.epoch_ns())
+                                   : Clock().PoseTime(seconds(Recorded().epoch_ns))});
+  }
+}
+
+std::optional<ImuState> ImuTrack::At(double t) const {
+  ImuState state;
+  state.covariance.setZero();
+  state.bias_covariance.setZero();
+  Vector3d acceleration = Vector3d::Zero();  // while carried
+  const auto next_gap =
+      std::upper_bound(gaps_.begin(), gaps_.end(), t,
+                       [](double value, const TrackGap& gap) { return value <= gap.begin; });
+  if (next_gap != gaps_.begin() && t < std::prev(next_gap)->end) {
+    const std::vector<CarriedState>& carried = std::prev(next_gap)->carried;
+    if (carried.empty()) return std::nullopt;
+    const auto after =
+        std::upper_bound(carried.begin() + 1, carried.end() - 1, t,
+                         [](double value, const CarriedState& x) { return value < x.t; });
+    const CarriedState x = Interpolate(*std::prev(after), *after, t);
+    acceleration = (after->v_W - std::prev(after)->v_W) / (after->t - std::prev(after)->t);
+    state.q_WI = x.q_WI;
+    state.p_WI = x.p_WI;
+    state.omega_I = x.omega_I;
+    state.v_W = x.v_W;
+    state.is_carried = true;
+    const int place[] = {0, 3, 9};
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j < 3; ++j)
+        state.covariance.block<3, 3>(place[i], place[j]) = x.covariance.block<3, 3>(3 * i, 3 * j);
+  } else if (const auto body = IsOnTrajectory(*solution_->trajectories[session_], t)
+                                   ? trajectory_.Imu(imu_, t)
+                                   : std::nullopt) {
+    state.q_WI = body->q_WB;
+    state.p_WI = body->p_WB;
+    state.omega_I = body->omega_B;
+    state.v_W = body->v_W;
+    const auto C = clock_ == TrackClock::kImu ? trajectory_.ImuCovarianceOnItsClock(imu_, t)
+                                              : trajectory_.ImuCovariance(imu_, t);
+    if (C) state.covariance = C->topLeftCorner<12, 12>();
+  } else {
+    return std::nullopt;
+  }
+  state.biases = trajectory_.Biases(imu_, t);
+  if (const auto C = trajectory_.BiasCovariance(imu_, t)) state.bias_covariance = *C;
+  if (!state.is_carried) return state;
+  state.covariance.block<3, 3>(6, 6) = gyro_noise_ * gyro_noise_ * Matrix3d::Identity() +
+                                       state.bias_covariance.topLeftCorner<3, 3>();
+  if (clock_ == TrackClock::kImu) {
+    Eigen::Matrix<double, 12, 1> rate = Eigen::Matrix<double, 12, 1>::Zero();
+    rate << state.omega_I, state.v_W, Vector3d::Zero(), acceleration;
+    state.covariance += trajectory_.ClockVariance(imu_, t) * rate * rate.transpose();
+  }
+  return state;
+}
+
+std::vector<ImuTrack::Sample> ImuTrack::Samples() const {
+  const double delay = solution_->estimate.imus[imu_].accel_delay;
+  std::vector<Sample> samples;
+  for (const TimedSample& s : Recorded().gyro) {
+    const auto accel = RecordedAt(Recorded().accel, Recorded().accel_report.rate_hz, s.t + delay);
+    if (accel) samples.push_back({Stamp(s.t), s.value + s.rest, *accel});
+  }
+  return samples;
+}
+
+}  // namespace imu_pose_calib

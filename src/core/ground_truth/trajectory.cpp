@@ -1,0 +1,317 @@
+#include "imu_pose_calib/core/ground_truth/trajectory.h"
+
+#include <ceres/jet.h>
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <numeric>
+
+#include "imu_pose_calib/core/base/so3.h"
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr int kPoints = 3 * kSplineOrder;  // coordinates of the control points that act at once
+/// Of the state: control points of d, of phi, p_MB and R_MB.
+constexpr int kInputs = 2 * kPoints + 6;
+using Jet = ceres::Jet<double, kInputs>;
+template <typename T>
+using Vector3 = Eigen::Matrix<T, 3, 1>;
+
+/// State of B on M where the splines of the control points correct the GP's motion.
+template <typename T>
+void CorrectedState(const MarkerState<double>& gp, const SplineWeights& weights,
+                    T const* const* d_points, T const* const* phi_points,
+                    const Eigen::Quaternion<T>& q_MB, const Vector3<T>& p_MB,
+                    Eigen::Quaternion<T>* q_WB, Vector3<T>* rest) {
+  const Eigen::Matrix<T, 3, 4> d = EvaluateSpline<T>(d_points, weights);
+  const Eigen::Matrix<T, 3, 4> phi = EvaluateSpline<T>(phi_points, weights);
+  Vector3<T> u, u_dot;
+  CorrectionRate<T>(phi.col(0), phi.col(1), phi.col(2), &u, &u_dot);
+  const Eigen::Quaternion<T> E = Exp<T>(phi.col(0));
+  const Vector3<T> omega_E = E.conjugate() * Vector3<T>(gp.omega_M.cast<T>());
+  const Vector3<T> omega = omega_E + u;
+  const Vector3<T> alpha =
+      E.conjugate() * Vector3<T>(gp.alpha_M.cast<T>()) - u.cross(omega_E) + u_dot;
+  const Eigen::Quaternion<T> q_WM = gp.q_WM.cast<T>() * E;
+  *q_WB = q_WM * q_MB;
+  rest[0] = gp.p_WM.cast<T>() + d.col(0) + q_WM * p_MB;
+  rest[1] = q_MB.conjugate() * omega;
+  rest[2] = gp.v_W.cast<T>() + d.col(1) + q_WM * Vector3<T>(omega.cross(p_MB));
+  rest[3] = q_MB.conjugate() * alpha;
+  rest[4] = gp.a_W.cast<T>() + d.col(2) +
+            q_WM * Vector3<T>(alpha.cross(p_MB) + omega.cross(omega.cross(p_MB)));
+}
+
+/// Derivative of the pose clock's time at t [s, IMU clock] by TrajectoryCovariance::Clock().
+Eigen::RowVector4d ByClock(const ImuSessionEstimate& clock, double t) {
+  Eigen::RowVector4d J(1.0, t - clock.clock_reference, 0.0, 0.0);
+  if (clock.walk.IsLine()) return J;
+  const double u = clock.walk.Locate(t).second;
+  J.tail<2>() << 1.0 - u, u;
+  return J;
+}
+
+}  // namespace
+
+TrajectoryCovariance::TrajectoryCovariance(const std::shared_ptr<const Solution>& solution)
+    : solution_(solution) {
+  const Marginals& m = solution->marginals;
+  if (m.factor.empty())
+    throw InputError(
+        "the covariance of the trajectory was not kept: it needs a larger max_factor_mb");
+  int column = m.held_end;
+  for (size_t s = 0; s < solution->estimate.sessions.size(); ++s) {
+    const bool has_gravity = m.Find(ParameterKind::kGravity, 0, s) >= 0;
+    gravity_.push_back(has_gravity ? column : -1);
+    if (has_gravity) column += 3;
+  }
+  for (const SessionEstimate& session : solution->estimate.sessions) {
+    gyro_knots_.emplace_back();
+    accel_knots_.emplace_back();
+    for (const ImuSessionEstimate& imu : session.imus) {
+      gyro_knots_.back().push_back(column);
+      column += 3 * static_cast<int>(imu.gyro_bias.values.size());
+      accel_knots_.back().push_back(column);
+      column += 3 * static_cast<int>(imu.accel_bias.values.size());
+    }
+  }
+  for (const SessionEstimate& session : solution->estimate.sessions) {
+    clock_knots_.emplace_back();
+    for (const ImuSessionEstimate& imu : session.imus) {
+      clock_knots_.back().push_back(column);
+      if (!imu.walk.IsLine()) column += static_cast<int>(imu.walk.t.size()) - 1;
+    }
+  }
+  for (const SessionEstimate& session : solution->estimate.sessions)
+    column += 3 * static_cast<int>(session.rotation_errors.knots.values.size());
+  for (const CorrectionSplines& splines : solution->splines) {
+    d_.push_back(column);
+    column += 6 * static_cast<int>(splines.d.size());
+  }
+
+  Eigen::MatrixXd border = m.factor.rbegin()->second.H;
+  const int held = m.held_end - m.held_begin;
+  border.middleRows(m.held_begin, held).setZero();
+  border.middleCols(m.held_begin, held).setZero();
+  border.diagonal().segment(m.held_begin, held).setOnes();
+  const Eigen::LLT<Eigen::MatrixXd> llt(border);
+  if (!border.allFinite() || llt.info() != Eigen::Success)
+    throw DataError("the trajectory is not determined");
+  border = llt.solve(Eigen::MatrixXd::Identity(border.rows(), border.cols()));
+  border.diagonal().segment(m.held_begin, held).setZero();
+  inverse_ = m.factor;
+  m.elimination->Invert(border, &inverse_);
+}
+
+TrajectoryCovariance::Columns TrajectoryCovariance::Joined(const std::vector<Columns>& parts) {
+  Columns all;
+  for (const Columns& part : parts) all.insert(all.end(), part.begin(), part.end());
+  return all;
+}
+
+TrajectoryCovariance::Columns TrajectoryCovariance::Kept(int first, int count) const {
+  const Marginals& m = solution_->marginals;
+  Columns columns(static_cast<size_t>(count), -1);
+  if (first < 0 || (first >= m.held_begin && first < m.held_end)) return columns;
+  std::iota(columns.begin(), columns.end(), first);
+  return columns;
+}
+
+TrajectoryCovariance::Columns TrajectoryCovariance::ControlPoints(size_t session,
+                                                                  size_t first) const {
+  const int d = d_[session] + 3 * static_cast<int>(first);
+  const int phi = d + 3 * static_cast<int>(solution_->splines[session].d.size());
+  return Joined({Kept(d, 3 * kSplineOrder), Kept(phi, 3 * kSplineOrder)});
+}
+
+TrajectoryCovariance::Columns TrajectoryCovariance::Calibrated(ParameterKind kind, size_t imu,
+                                                               int size) const {
+  return Kept(solution_->marginals.FindColumn(kind, IsOfPoses(kind) ? 0 : imu), size);
+}
+
+TrajectoryCovariance::Columns TrajectoryCovariance::Clock(size_t session, size_t imu,
+                                                          double t) const {
+  Columns clock(4, -1);
+  int column = 0;
+  for (const PlacedParameter& p : solution_->marginals.parameters) {
+    if (!p.is_estimated) continue;
+    if (p.parameter.imu == imu && p.parameter.session == session) {
+      if (p.parameter.kind == ParameterKind::kTimeShift) clock[0] = Kept(column, 1)[0];
+      if (p.parameter.kind == ParameterKind::kClockDrift) clock[1] = Kept(column, 1)[0];
+    }
+    column += p.parameter.size;
+  }
+  const ClockWalk& walk = solution_->estimate.sessions[session].imus[imu].walk;
+  if (walk.IsLine()) return clock;
+  const size_t knot = walk.Locate(t).first;
+  for (size_t k = knot; k < knot + 2; ++k)  // that at the reference is not estimated
+    if (k != walk.reference)
+      clock[2 + k - knot] =
+          clock_knots_[session][imu] + static_cast<int>(k) - (k > walk.reference ? 1 : 0);
+  return clock;
+}
+
+TrajectoryCovariance::Columns TrajectoryCovariance::Gravity(size_t session) const {
+  return Kept(gravity_[session], 3);
+}
+
+TrajectoryCovariance::Columns TrajectoryCovariance::BiasKnotPair(size_t session, size_t imu,
+                                                                 bool is_accel, size_t knot) const {
+  const auto& knots = is_accel ? accel_knots_ : gyro_knots_;
+  return Kept(knots[session][imu] + 3 * static_cast<int>(knot), 6);
+}
+
+Eigen::MatrixXd TrajectoryCovariance::At(const Columns& columns) const {
+  const auto size = static_cast<Eigen::Index>(columns.size());
+  Eigen::MatrixXd C = Eigen::MatrixXd::Zero(size, size);
+  for (Eigen::Index i = 0; i < size; ++i)
+    for (Eigen::Index j = 0; j <= i; ++j) {
+      const int row = columns[static_cast<size_t>(i)], column = columns[static_cast<size_t>(j)];
+      if (row >= 0 && column >= 0)
+        C(i, j) = C(j, i) = solution_->marginals.elimination->At(inverse_, row, column);
+    }
+  return C;
+}
+
+SessionTrajectory::SessionTrajectory(const std::shared_ptr<const Solution>& solution,
+                                     size_t session,
+                                     const std::shared_ptr<const TrajectoryCovariance>& covariance)
+    : solution_(solution), session_(session), covariance_(covariance) {}
+
+std::optional<BodyState> SessionTrajectory::Evaluate(const Rigid3& T_MB, double t,
+                                                     StateJacobian* J) const {
+  MarkerState<double> gp;
+  if (!solution_->trajectories[session_]->Evaluate(t, &gp)) return std::nullopt;
+  // Without splines, zero corrections.
+  SplinePlace place{0, 0.0, 1.0};
+  const Eigen::Vector3d zero = Eigen::Vector3d::Zero();
+  const double *d[kSplineOrder], *phi[kSplineOrder];
+  std::fill(d, d + kSplineOrder, zero.data());
+  std::fill(phi, phi + kSplineOrder, zero.data());
+  if (!solution_->splines.empty()) {
+    const CorrectionSplines& splines = solution_->splines[session_];
+    const auto found = splines.Locate(t);
+    if (!found) return std::nullopt;
+    place = *found;
+    for (size_t j = 0; j < kSplineOrder; ++j) {
+      d[j] = splines.d[place.first + j].data();
+      phi[j] = splines.phi[place.first + j].data();
+    }
+  }
+  const SplineWeights weights = CubicWeights(place.u, place.spacing);
+  BodyState state;
+  Eigen::Vector3d rest[5];
+  CorrectedState<double>(gp, weights, d, phi, T_MB.q, T_MB.p, &state.q_WB, rest);
+  state.p_WB = rest[0];
+  state.omega_B = rest[1];
+  state.v_W = rest[2];
+  state.alpha_B = rest[3];
+  state.a_W = rest[4];
+  if (J == nullptr) return state;
+
+  Vector3<Jet> jets[2 * kSplineOrder], p_MB, turn, rest_jets[5];
+  const Jet* jet_points[2 * kSplineOrder];
+  for (int j = 0; j < 2 * kSplineOrder; ++j) {
+    for (int i = 0; i < 3; ++i)
+      jets[j][i] = Jet(j < kSplineOrder ? d[j][i] : phi[j - kSplineOrder][i], 3 * j + i);
+    jet_points[j] = jets[j].data();
+  }
+  for (int i = 0; i < 3; ++i) {
+    p_MB[i] = Jet(T_MB.p[i], 2 * kPoints + i);
+    turn[i] = Jet(0.0, 2 * kPoints + 3 + i);
+  }
+  // As Ceres turns it: on the left and by twice the step.
+  const Eigen::Quaternion<Jet> q_MB = Exp<Jet>(Vector3<Jet>(turn * Jet(2.0))) * T_MB.q.cast<Jet>();
+  Eigen::Quaternion<Jet> q_WB;
+  CorrectedState<Jet>(gp, weights, jet_points, jet_points + kSplineOrder, q_MB, p_MB, &q_WB,
+                      rest_jets);
+  const Vector3<Jet> theta = Log(Eigen::Quaternion<Jet>(state.q_WB.conjugate().cast<Jet>() * q_WB));
+  for (int i = 0; i < 3; ++i) {
+    J->row(i) = theta[i].v;
+    for (int k = 0; k < 5; ++k) J->row(3 * (k + 1) + i) = rest_jets[k][i].v;
+  }
+  return state;
+}
+
+std::shared_ptr<const TrajectoryCovariance> SessionTrajectory::covariance() const {
+  if (!covariance_ && !solution_->splines.empty())
+    covariance_ = std::make_shared<const TrajectoryCovariance>(solution_);
+  return covariance_;
+}
+
+std::optional<BodyCovariance> SessionTrajectory::CovarianceOf(int imu, bool is_on_its_clock,
+                                                              double t) const {
+  if (solution_->splines.empty()) return std::nullopt;
+  StateJacobian J;
+  const auto state = imu < 0 ? Evaluate({}, t, &J) : Imu(static_cast<size_t>(imu), t, &J);
+  if (!state) return std::nullopt;
+  const size_t first = solution_->splines[session_].Locate(t)->first;
+  const ImuSessionEstimate* const clock =
+      imu < 0 ? nullptr : &solution_->estimate.sessions[session_].imus[static_cast<size_t>(imu)];
+  const double t_imu = clock == nullptr ? t : clock->ImuTime(t);
+  const size_t knot =
+      clock == nullptr || clock->walk.IsLine() ? 0 : clock->walk.Locate(t_imu).first;
+  if (!last_inputs_ || last_inputs_->first != first || last_inputs_->imu != imu ||
+      last_inputs_->clock_knot != knot) {
+    const auto own = covariance();
+    TrajectoryCovariance::Columns columns = own->ControlPoints(session_, first);
+    const auto i = static_cast<size_t>(imu);
+    if (imu >= 0)
+      columns = TrajectoryCovariance::Joined(
+          {columns, own->Calibrated(ParameterKind::kTranslation, i, 3),
+           own->Calibrated(ParameterKind::kRotation, i, 3), own->Clock(session_, i, t_imu)});
+    last_inputs_ = Inputs{first, knot, imu, own->At(columns)};
+  }
+  const Eigen::MatrixXd& C = last_inputs_->C;
+  if (imu < 0) return BodyCovariance(J.leftCols(C.cols()) * C * J.leftCols(C.cols()).transpose());
+  Eigen::Matrix<double, 18, kInputs + 4> with_clock;
+  with_clock << J, Eigen::Matrix<double, 18, 4>::Zero();
+  if (is_on_its_clock) {
+    Eigen::Matrix<double, 18, 1> rate = Eigen::Matrix<double, 18, 1>::Zero();
+    rate.head<12>() << state->omega_B, state->v_W, state->alpha_B, state->a_W;
+    with_clock.rightCols<4>() = rate * ByClock(*clock, t_imu);
+  }
+  return BodyCovariance(with_clock * C * with_clock.transpose());
+}
+
+double SessionTrajectory::ClockVariance(size_t imu, double t) const {
+  const auto own = covariance();
+  if (!own) return 0.0;
+  const ImuSessionEstimate& clock = solution_->estimate.sessions[session_].imus[imu];
+  const double t_imu = clock.ImuTime(t);
+  const Eigen::RowVector4d J = ByClock(clock, t_imu);
+  return J * own->At(own->Clock(session_, imu, t_imu)) * J.transpose();
+}
+
+std::optional<BodyState> SessionTrajectory::Imu(size_t imu, double t, StateJacobian* J) const {
+  const ImuEstimate& rig = solution_->estimate.imus[imu];
+  return Evaluate({rig.q_MI, rig.p_MI}, t, J);
+}
+
+ImuBiases SessionTrajectory::Biases(size_t imu, double t) const {
+  const ImuSessionEstimate& own = solution_->estimate.sessions[session_].imus[imu];
+  const auto at = [&](const BiasKnots& knots) -> Eigen::Vector3d {
+    const auto [k, u] = knots.Locate(own.ImuTime(t));
+    return (1.0 - u) * knots.values[k] + u * knots.values[k + 1];
+  };
+  return {at(own.gyro_bias), at(own.accel_bias)};
+}
+
+std::optional<Matrix6d> SessionTrajectory::BiasCovariance(size_t imu, double t) const {
+  const auto own = covariance();
+  if (!own) return std::nullopt;
+  const ImuSessionEstimate& biases = solution_->estimate.sessions[session_].imus[imu];
+  std::vector<TrajectoryCovariance::Columns> knots;
+  Eigen::Matrix<double, 6, 12> J = Eigen::Matrix<double, 6, 12>::Zero();
+  for (const bool is_accel : {false, true}) {
+    const auto [k, u] = (is_accel ? biases.accel_bias : biases.gyro_bias).Locate(biases.ImuTime(t));
+    knots.push_back(own->BiasKnotPair(session_, imu, is_accel, k));
+    const int i = is_accel ? 3 : 0;
+    J.block<3, 3>(i, 2 * i) = (1.0 - u) * Eigen::Matrix3d::Identity();
+    J.block<3, 3>(i, 2 * i + 3) = u * Eigen::Matrix3d::Identity();
+  }
+  return Matrix6d(J * own->At(TrajectoryCovariance::Joined(knots)) * J.transpose());
+}
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,139 @@
+#include "imu_pose_calib/core/solver/covariance.h"
+
+#include <Eigen/Cholesky>
+#include <Eigen/LU>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr Eigen::Index kFewestClusters = 6;  // that tell a variance
+
+/// By how much the variance grows when clusters, columns of z in units of the model, are merged two
+/// by two, and again while enough of them remain: errors slower than a cluster do that. Less one
+/// sigma of what independent clusters scatter, and at least 1.
+double SlowErrors(Eigen::MatrixXd z, double fitted) {
+  const double parameters = static_cast<double>(z.rows()), clusters = static_cast<double>(z.cols());
+  const double variance = z.squaredNorm();
+  double growth = 1.0;
+  for (double share = fitted; z.cols() >= 2 * kFewestClusters;) {
+    const Eigen::Index count = (z.cols() + 1) / 2;
+    Eigen::MatrixXd merged = Eigen::MatrixXd::Zero(z.rows(), count);
+    for (Eigen::Index w = 0; w < z.cols(); ++w) merged.col(w / 2) += z.col(w);
+    z = merged;
+    share =
+        std::min(kLargestFittedShare, 2.0 * share);  // the fit sets as many of fewer scores to 0
+    const double scatter =
+        std::sqrt(2.0 / parameters * (1.0 / static_cast<double>(count) - 1.0 / clusters));
+    growth =
+        std::max(growth, z.squaredNorm() / variance * (1.0 - fitted) / (1.0 - share) - scatter);
+  }
+  return growth;
+}
+
+}  // namespace
+
+MarginalEstimate EstimateBorder(const Reduced& reduced, const std::vector<int>& columns,
+                                const std::vector<int>& clusters) {
+  const auto count = static_cast<Eigen::Index>(columns.size());
+  const auto scores = static_cast<Eigen::Index>(clusters.size());
+  Reduced kept{Eigen::MatrixXd(count, count), Eigen::MatrixXd(count, scores + count), {}};
+  for (Eigen::Index i = 0; i < count; ++i) {
+    const int row = columns[static_cast<size_t>(i)];
+    for (Eigen::Index j = 0; j < count; ++j)
+      kept.H(i, j) = reduced.H(row, columns[static_cast<size_t>(j)]);
+    for (Eigen::Index w = 0; w < scores; ++w)
+      kept.B(i, w) = reduced.B(row, clusters[static_cast<size_t>(w)]);
+  }
+  kept.B.rightCols(count).setIdentity();
+  kept.inner = Eigen::MatrixXd::Zero(kept.B.cols(), kept.B.cols());
+  return EstimateMarginals(kept.Products(), static_cast<int>(scores), static_cast<int>(count), {})
+      .gauss_newton;
+}
+
+MarginalEstimates EstimateMarginals(const Eigen::MatrixXd& products, int clusters, int functionals,
+                                    const std::vector<int>& exact) {
+  if (!products.allFinite()) {
+    const MarginalEstimate unknown = {
+        Eigen::MatrixXd::Constant(functionals, functionals,
+                                  std::numeric_limits<double>::infinity()),
+        Eigen::MatrixXd::Zero(functionals, clusters)};
+    return {unknown, unknown};
+  }
+  const auto of = [&](const Eigen::MatrixXd& rows) {
+    return MarginalEstimate{rows.middleCols(clusters, functionals), -rows.leftCols(clusters)};
+  };
+  const MarginalEstimate gauss_newton = of(products.middleRows(clusters, functionals));
+  MarginalEstimates result{gauss_newton, gauss_newton};
+  if (exact.empty()) return result;
+
+  // Exact columns add sum_k e_k c_k^T + c_k e_k^T = U W U^T: Woodbury, with rows U of the products.
+  const auto count = static_cast<Eigen::Index>(exact.size());
+  Eigen::MatrixXd W = Eigen::MatrixXd::Zero(2 * count, 2 * count);  // its own inverse
+  std::vector<Eigen::Index> U;
+  for (Eigen::Index k = 0; k < count; ++k) {
+    U.push_back(clusters + exact[static_cast<size_t>(k)]);
+    U.push_back(clusters + functionals + k);
+    W(2 * k, 2 * k + 1) = W(2 * k + 1, 2 * k) = 1.0;
+  }
+  Eigen::MatrixXd rows_U(2 * count, products.cols()), block_UU(2 * count, 2 * count);
+  for (Eigen::Index k = 0; k < 2 * count; ++k)
+    rows_U.row(k) = products.row(U[static_cast<size_t>(k)]);
+  for (Eigen::Index k = 0; k < 2 * count; ++k)
+    block_UU.col(k) = rows_U.col(U[static_cast<size_t>(k)]);
+  const MarginalEstimate better = of(products.middleRows(clusters, functionals) -
+                                     rows_U.middleCols(clusters, functionals).transpose() *
+                                         (W + block_UU).partialPivLu().solve(rows_U));
+  if (better.covariance.llt().info() == Eigen::Success) result.exact = better;
+  return result;
+}
+
+MarginalEstimate GivenOthers(const MarginalEstimate& estimate, int count) {
+  const auto others = estimate.covariance.rows() - count;
+  if (others == 0) return estimate;
+  const Eigen::MatrixXd& C = estimate.covariance;
+  const Eigen::MatrixXd gain = C.bottomRightCorner(others, others)
+                                   .ldlt()
+                                   .solve(C.bottomLeftCorner(others, count))
+                                   .transpose();
+  return {C.topLeftCorner(count, count) - gain * C.bottomLeftCorner(others, count),
+          estimate.influence.topRows(count) - gain * estimate.influence.bottomRows(others)};
+}
+
+MarginalEstimate Select(const MarginalEstimate& estimate, const std::vector<int>& places) {
+  const auto count = static_cast<Eigen::Index>(places.size());
+  MarginalEstimate selected{Eigen::MatrixXd(count, count),
+                            Eigen::MatrixXd(count, estimate.influence.cols())};
+  for (Eigen::Index i = 0; i < count; ++i) {
+    const int place = places[static_cast<size_t>(i)];
+    selected.influence.row(i) = estimate.influence.row(place);
+    for (Eigen::Index j = 0; j < count; ++j)
+      selected.covariance(i, j) = estimate.covariance(place, places[static_cast<size_t>(j)]);
+  }
+  return selected;
+}
+
+Eigen::MatrixXd ClusterRobustCovariance(const MarginalEstimate& estimate, double fitted) {
+  const Eigen::MatrixXd& model = estimate.covariance;
+  if (!model.allFinite()) return model;
+  const Eigen::MatrixXd L = model.llt().matrixL();
+  // In units of the model's covariance: S = sum_w z_w z_w^T, the model is the identity.
+  const Eigen::MatrixXd z =
+      L.triangularView<Eigen::Lower>().solve(estimate.influence) / std::sqrt(1.0 - fitted);
+  const Eigen::MatrixXd S = z * z.transpose();
+  const Eigen::MatrixXd target =
+      S.trace() / static_cast<double>(S.rows()) * Eigen::MatrixXd::Identity(S.rows(), S.cols());
+  // Ledoit and Wolf: how much of the distance to the target is the scatter of the clusters?
+  const auto clusters = static_cast<double>(z.cols());
+  double scatter = 0.0;
+  for (Eigen::Index w = 0; w < z.cols(); ++w)
+    scatter += (clusters * z.col(w) * z.col(w).transpose() - S).squaredNorm();
+  scatter /= clusters * clusters;
+  const double distance = (S - target).squaredNorm();
+  const double shrinkage = distance > scatter ? scatter / distance : 1.0;
+  return SlowErrors(z, fitted) * L * (shrinkage * target + (1.0 - shrinkage) * S) * L.transpose();
+}
+
+}  // namespace imu_pose_calib

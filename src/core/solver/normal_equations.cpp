@@ -1,0 +1,320 @@
+#include "imu_pose_calib/core/solver/normal_equations.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+#include <utility>
+
+#include "imu_pose_calib/core/base/dense.h"
+#include "imu_pose_calib/core/base/parallel.h"
+#include "imu_pose_calib/core/base/types.h"
+
+namespace imu_pose_calib {
+namespace {
+
+using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+
+/// Whether two columns of J are each other's negative, by the lower triangle of J^T J: parameters
+/// that move the same samples along the trajectory, one on and one back.
+bool AreOpposite(const Eigen::Map<Eigen::MatrixXd>& product, Eigen::Index a, Eigen::Index b) {
+  constexpr double kRounding = 1e-13;
+  const double norm2 = product(a, a), inner = product(std::max(a, b), std::min(a, b));
+  return std::abs(product(b, b) - norm2) < kRounding * norm2 &&
+         std::abs(inner + norm2) < kRounding * norm2;
+}
+
+}  // namespace
+
+/// One residual block at a time, weighted by its loss; its columns in the order of elimination.
+class NormalEquations::Linearisation {
+ public:
+  explicit Linearisation(const NormalEquations& equations) : equations_(equations) {
+    for (const int block : equations.curved_)
+      plus_.push_back(equations.problem_.PlusJacobian(block));
+  }
+
+  void Start(const Equation& equation) {
+    const Problem& problem = equations_.problem_;
+    residuals_ = &problem.residuals(equation.block);
+    blocks_ = problem.BlocksOf(*residuals_);
+    const std::vector<int32_t>& sizes = residuals_->cost->parameter_block_sizes();
+    const int rows = residuals_->rows();
+    parameters_.resize(sizes.size());
+    terms_.clear();
+    Eigen::Index columns = 0, ambient = 0, dense = 0;
+    for (size_t k = 0; k < sizes.size(); ++k) {
+      parameters_[k] = problem.data(blocks_[k]);
+      const Place& at = equations_.places_[static_cast<size_t>(blocks_[k])];
+      if (at.place < 0) continue;
+      terms_.push_back({at.place, k, sizes[k], at.size, at.curved});
+      columns += at.size;
+      if (!residuals_->IsSampled())
+        dense += rows * sizes[k];
+      else if (at.curved >= 0)
+        ambient += sizes[k];
+    }
+    std::sort(terms_.begin(), terms_.end(),
+              [](const Term& a, const Term& b) { return a.place < b.place; });
+    places.clear();
+    for (const Term& term : terms_) places.push_back(term.place);
+    rows_ = rows;
+    columns_ = columns;
+    // Rows of J, beside them those of curved blocks as they come.
+    stride_ = columns + ambient;
+    r_.resize(std::max(r_.size(), static_cast<size_t>(rows)));
+    values_.resize(std::max(values_.size(), static_cast<size_t>(rows * stride_ + dense)));
+    jacobians_.assign(sizes.size(), nullptr);
+    double *next = values_.data(), *next_ambient = next + columns;
+    double* next_dense = next + rows * stride_;
+    for (const Term& term : terms_) {
+      double*& own = jacobians_[term.parameter];
+      if (!residuals_->IsSampled()) {
+        own = std::exchange(next_dense, next_dense + rows * term.size);
+      } else if (term.curved >= 0) {
+        own = std::exchange(next_ambient, next_ambient + term.size);
+      } else {
+        own = next;
+      }
+      next += term.columns;
+    }
+  }
+
+  /// Fills J and r; false where they are not defined.
+  bool Evaluate() {
+    const auto stride = static_cast<int>(stride_);
+    if (!residuals_->Evaluate(parameters_.data(), r_.data(), jacobians_.data(), stride))
+      return false;
+    auto J = this->J();
+    auto r = this->r();
+    Eigen::Index column = 0;
+    for (const Term& term : terms_) {
+      const bool is_sampled = residuals_->IsSampled();
+      const Eigen::Map<const RowMajor, 0, Eigen::OuterStride<>> own(
+          jacobians_[term.parameter], rows_, term.size, is_sampled ? stride_ : term.size);
+      if (term.curved >= 0)
+        J.middleCols(column, term.columns) = own * plus_[static_cast<size_t>(term.curved)];
+      else if (!is_sampled)
+        J.middleCols(column, term.size) = own;
+      column += term.columns;
+    }
+    const double squared_norm = r.squaredNorm();
+    cost = residuals_->Cost(squared_norm);
+    // Concave beyond its scale, the loss weighs as Ceres has it there: rho'' is left out.
+    const double weight = residuals_->Weight(squared_norm);
+    if (weight != 1.0) {
+      J *= std::sqrt(weight);
+      r *= std::sqrt(weight);
+    }
+    return r.allFinite() && J.allFinite();
+  }
+
+  /// The same with a parameter of the residuals moved by `step`.
+  bool EvaluateMoved(int block, double step) {
+    double*& at = parameters_[Parameter(block)];
+    double* const here = at;
+    double moved = *here + step;
+    at = &moved;
+    const bool is_defined = Evaluate();
+    at = here;
+    return is_defined;
+  }
+
+  /// J^T r, by the rows of J as they are stored.
+  Eigen::VectorXd Score() {
+    Eigen::VectorXd score = Eigen::VectorXd::Zero(columns_);
+    for (Eigen::Index i = 0; i < rows_; ++i) score += r()[i] * J().row(i).transpose();
+    return score;
+  }
+
+  /// Column of a parameter in J; -1 when the residuals do not have it.
+  Eigen::Index Column(int block) const {
+    Eigen::Index column = 0;
+    for (const Term& term : terms_) {
+      if (blocks_[term.parameter] == block) return column;
+      column += term.columns;
+    }
+    return -1;
+  }
+
+  Eigen::Map<Eigen::VectorXd> r() { return {r_.data(), rows_}; }
+  Eigen::Map<RowMajor, 0, Eigen::OuterStride<>> J() {
+    return {values_.data(), rows_, columns_, Eigen::OuterStride<>(stride_)};
+  }
+
+  std::vector<int> places;
+  double cost = 0.0;
+
+ private:
+  struct Term {
+    int place;
+    size_t parameter;  ///< of the cost function
+    int size, columns, curved;
+  };
+  size_t Parameter(int block) const {
+    return static_cast<size_t>(std::find(blocks_, blocks_ + parameters_.size(), block) - blocks_);
+  }
+
+  const NormalEquations& equations_;
+  std::vector<Eigen::MatrixXd> plus_;  ///< derivatives of curved blocks by their steps
+  const Problem::Residuals* residuals_ = nullptr;
+  const int* blocks_ = nullptr;
+  std::vector<double*> parameters_, jacobians_;
+  std::vector<Term> terms_;
+  Eigen::Index rows_ = 0, columns_ = 0, stride_ = 0;
+  std::vector<double> r_, values_;
+};
+
+NormalEquations::NormalEquations(const Problem& problem, const std::vector<int>& border,
+                                 const std::vector<int>& inner, std::vector<Equation> equations,
+                                 size_t windows)
+    : problem_(problem), blocks_(border), equations_(std::move(equations)) {
+  blocks_.insert(blocks_.end(), inner.begin(), inner.end());
+  const auto is_before = [](const Equation& a, const Equation& b) {
+    return a.session != b.session ? a.session < b.session : a.t < b.t;
+  };
+  // Those of a sensor are in order of time already.
+  const auto begin = equations_.begin(), end = equations_.end();
+  for (auto next = std::is_sorted_until(begin, end, is_before); next != end;) {
+    const auto sorted = std::exchange(next, std::is_sorted_until(next, end, is_before));
+    std::inplace_merge(begin, sorted, next, is_before);
+  }
+  places_.resize(problem.blocks());
+  std::vector<int> sizes;
+  for (size_t b = 0; b < blocks_.size(); ++b) {
+    const int block = blocks_[b];
+    sizes.push_back(problem.TangentSize(block));
+    Place& own = places_[static_cast<size_t>(block)];
+    own = {static_cast<int>(b), sizes.back(), -1};
+    if (problem.kind(block) == BlockKind::kVector) continue;
+    own.curved = static_cast<int>(curved_.size());
+    curved_.push_back(block);
+  }
+  std::vector<std::vector<int>> residuals(equations_.size());
+  for (size_t k = 0; k < equations_.size(); ++k) {
+    while (first_of_window_.size() <= static_cast<size_t>(equations_[k].window))
+      first_of_window_.push_back(k);
+    const Problem::Residuals& own = problem.residuals(equations_[k].block);
+    const int* blocks = problem.BlocksOf(own);
+    const size_t count = own.cost->parameter_block_sizes().size();
+    residuals[k].reserve(count);
+    for (size_t i = 0; i < count; ++i) {
+      const int place = places_[static_cast<size_t>(blocks[i])].place;
+      if (place >= 0) residuals[k].push_back(place);
+    }
+  }
+  first_of_window_.resize(windows, equations_.size());
+  elimination_ =
+      std::make_shared<const Elimination>(sizes, border.size(), residuals, first_of_window_);
+  for (const int block : blocks_) {
+    int& place = places_[static_cast<size_t>(block)].place;
+    place = elimination_->place(place);
+  }
+}
+
+Panels NormalEquations::Assemble(size_t window, const std::vector<ExactColumn>& exact,
+                                 double* cost) const {
+  Panels panels;
+  Linearisation at(*this);
+  std::vector<double> memory;
+  Eigen::VectorXd score;
+  const size_t end =
+      window + 1 < first_of_window_.size() ? first_of_window_[window + 1] : equations_.size();
+  for (size_t k = first_of_window_[window]; k < end; ++k) {
+    at.Start(equations_[k]);
+    if (!at.Evaluate()) throw DataError("the residuals cannot be differentiated");
+    if (cost != nullptr) *cost += at.cost;
+    if (at.places.empty()) continue;  // of what is held
+    const Eigen::Index columns = at.J().cols();
+    memory.assign(static_cast<size_t>(columns * columns), 0.0);
+    Eigen::Map<Eigen::MatrixXd> product(memory.data(), columns, columns);
+    AddProduct(1.0, at.J().transpose(), at.J().transpose(), true, product);
+    score = at.Score();
+    elimination_->Add(at.places, product, &panels);
+    elimination_->AddRhs(at.places, static_cast<int>(window), score, &panels);
+    Eigen::VectorXd excess;  // of the exact column over that of J^T J
+    Eigen::Index of = -1;
+    for (const ExactColumn& parameter : exact) {
+      const Eigen::Index column = at.Column(parameter.block);
+      if (column < 0 || product(column, column) == 0.0) continue;
+      if (of >= 0 && AreOpposite(product, of, column)) {
+        excess = -excess;
+      } else {
+        Eigen::VectorXd linear(columns);  // that of J^T J
+        linear << product.row(column).head(column).transpose(),
+            product.col(column).tail(columns - column);
+        of = -1;
+        if (!at.EvaluateMoved(parameter.block, parameter.step)) continue;
+        excess = (at.Score() - score) / parameter.step - linear;
+        for (const ExactColumn& other : exact)
+          if (const Eigen::Index k = at.Column(other.block); k >= 0) excess[k] *= 0.5;
+      }
+      of = column;
+      elimination_->AddRhs(at.places, parameter.rhs, excess, &panels);
+    }
+  }
+  return panels;
+}
+
+EliminatedWindows::EliminatedWindows(std::shared_ptr<const Elimination> elimination,
+                                     const Eigen::VectorXd& weights, double max_factor_mb,
+                                     int threads, const Assemble& assemble)
+    : elimination_(std::move(elimination)),
+      weights_(weights),
+      keeps_(elimination_->factor_mb() <= max_factor_mb),
+      threads_(threads),
+      factors_(static_cast<size_t>(elimination_->windows())),
+      shared_(factors_.size()),
+      rests_(factors_.size()) {
+  InParallel(threads, factors_.size(), [&](size_t w) {
+    Panels own = assemble(w);
+    rests_[w] = elimination_->EliminateWindow(static_cast<int>(w), weights_, keeps_, &own);
+    shared_[w] = elimination_->TakeShared(&own);
+    if (keeps_) factors_[w] = std::move(own);
+  });
+}
+
+Reduced EliminatedWindows::Reduce(const std::vector<int>& windows, bool keeps,
+                                  Panels* shared) const {
+  std::vector<const Rest*> rests;
+  for (const int w : windows) {
+    rests.push_back(&rests_[static_cast<size_t>(w)]);
+    Elimination::Merge(shared_[static_cast<size_t>(w)], shared);
+  }
+  return elimination_->Reduce(rests, weights_, keeps, shared);
+}
+
+Reduced EliminatedWindows::Reduce(const std::vector<int>& windows) const {
+  Panels shared;
+  return Reduce(windows, false, &shared);
+}
+
+Reduced EliminatedWindows::ReduceAll(Panels shared) {
+  shared_factor_ = std::move(shared);
+  return Reduce(Counted(rests_.size()), true, &shared_factor_);
+}
+
+void EliminatedWindows::SubstituteBack(const Assemble& assemble, Eigen::VectorXd* x) const {
+  elimination_->SubstituteBack(shared_factor_, x);
+  InParallel(threads_, factors_.size(), [&](size_t w) {
+    if (keeps_) return elimination_->SubstituteBack(factors_[w], x);
+    Panels own = assemble(w);
+    elimination_->EliminateWindow(static_cast<int>(w), weights_, true, &own);
+    elimination_->TakeShared(&own);
+    elimination_->SubstituteBack(own, x);
+  });
+}
+
+Panels EliminatedWindows::TakeFactor() {
+  if (!keeps_) return {};
+  Panels factor = std::move(shared_factor_);
+  for (Panels& own : factors_) factor.merge(own);
+  return factor;
+}
+
+std::vector<int> Counted(size_t count) {
+  std::vector<int> numbers(count);
+  std::iota(numbers.begin(), numbers.end(), 0);
+  return numbers;
+}
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,397 @@
+#include "imu_pose_calib/core/start/data_check.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+#include <numeric>
+#include <utility>
+
+#include "imu_pose_calib/core/base/median.h"
+#include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/base/text.h"
+#include "imu_pose_calib/core/start/excitation.h"
+
+namespace imu_pose_calib {
+namespace {
+
+// Bounds of the warnings, as shares of a stream unless a unit is given.
+constexpr double kMaxJitter = 0.3;  // of a period
+constexpr double kMaxBunched = 0.1, kMostBunched = 0.8;
+constexpr double kMaxMissingImu = 0.05, kMaxMissingPoses = 0.3;
+constexpr double kMaxRepeatedImu = 0.3, kMaxRepeatedPoses = 0.1;
+constexpr double kMaxDropped = 0.01;  // not finite, zero, reversed
+constexpr double kMaxOutliers = 0.03;
+constexpr double kMinOverlap = 10.0;   // [s]
+constexpr double kMinExplained = 0.8;  // of the gyroscope's variance
+constexpr double kMaxGravityError = 0.05;
+constexpr double kMaxDriftEffect = 5e-4;  // [s] over the recording
+constexpr double kDriftSigmas = 5.0;
+
+constexpr double kBunch = 0.25;       // of a period
+constexpr double kMinCut = 5e-4;      // [s]
+constexpr double kRestWindow = 0.25;  // [s]
+constexpr double kRestRate = 0.05;    // [rad/s] rms
+constexpr double kRestForce = 0.15;   // [m/s^2] rms about the mean
+constexpr double kMinRest = 0.9;      // [s]
+constexpr double kMotionStep = 0.02;  // [s]
+constexpr double kPause = 1.0;        // [s] longer than between bunches
+constexpr double kDriftBlock = 2.0;   // [s] of samples whose errors may be correlated
+constexpr size_t kDriftSamples = 8000;
+
+std::string Percent(double share) { return Number(100.0 * share, "%.4g %%"); }
+
+template <typename Sample>
+StreamCheck CheckStream(const std::vector<Sample>& samples) {
+  StreamCheck check;
+  check.count = samples.size();
+  if (samples.size() < 2) return check;
+  size_t repeated = 0, run = 0, longest_run = 0;
+  const std::vector<int64_t> recorded = Stamps(samples);
+  std::vector<int64_t> stamps;
+  for (size_t i = 0; i < samples.size(); ++i) {
+    if (!IsStampedAhead(recorded, i)) stamps.push_back(recorded[i]);
+    if (i == 0) continue;
+    run = SameValue(samples[i], samples[i - 1]) ? run + 1 : 0;
+    repeated += run > 0 ? 1 : 0;
+    longest_run = std::max(longest_run, run);
+  }
+  const auto n = static_cast<double>(samples.size());
+  check.repeated = static_cast<double>(repeated) / n;
+
+  std::sort(stamps.begin(), stamps.end());
+  const int64_t median = stamps[stamps.size() / 2];
+  const auto is_astray = [&](int64_t t_ns) { return std::abs(t_ns - median) > kMaxAstrayNs; };
+  stamps.erase(std::remove_if(stamps.begin(), stamps.end(), is_astray), stamps.end());
+  if (stamps.size() < 2) return check;
+  check.duration_s = 1e-9 * static_cast<double>(stamps.back() - stamps.front());
+  std::vector<double> periods;
+  for (size_t i = 1; i < stamps.size(); ++i)
+    periods.push_back(1e-9 * static_cast<double>(stamps[i] - stamps[i - 1]));
+  check.longest_gap_s = *std::max_element(periods.begin(), periods.end());
+  double period = Median(periods);
+  // Of samples that come in bunches, the median period is that inside of a bunch. Pauses are none.
+  double mean = 0.0, count = 0.0;
+  for (const double p : periods) {
+    mean += p < kPause ? p : 0.0;
+    count += p < kPause ? 1.0 : 0.0;
+  }
+  mean /= std::max(1.0, count);
+  if (period < kBunch * mean) period = mean;
+  if (period <= 0.0) return check;
+  check.rate_hz = 1.0 / period;
+  check.longest_freeze_s = period * static_cast<double>(longest_run);
+  double bunched = 0.0, duplicates = 0.0;
+  for (const double p : periods) {
+    if (p == 0.0)
+      duplicates += 1.0;
+    else if (p < kBunch * period)
+      bunched += 1.0;
+  }
+  for (double& p : periods) p -= period;
+  check.jitter_s = RobustSigma(std::move(periods));
+  check.bunched = bunched / n;
+  check.missing = std::max(0.0, 1.0 - (n - duplicates) / (check.duration_s / period + 1.0));
+  return check;
+}
+
+/// Largest unit [s] of which all differences of the stamps are multiples, to a microsecond; 0 when
+/// it is finer than what matters.
+double CutOf(const std::vector<int64_t>& stamps_ns) {
+  int64_t unit_us = 0;
+  for (size_t i = 1; i < stamps_ns.size(); ++i)
+    unit_us = std::gcd(unit_us, (std::abs(stamps_ns[i] - stamps_ns[i - 1]) + 500) / 1000);
+  const double cut = 1e-6 * static_cast<double>(unit_us);
+  return cut >= kMinCut ? cut : 0.0;
+}
+
+/// The same of a stream whose stamps were looked at, and perhaps replaced, in `samples`.
+template <typename Sample>
+StreamCheck CheckStream(const std::vector<Sample>& recorded, const std::vector<Sample>& samples,
+                        const StreamStamps& stamps) {
+  StreamCheck check = CheckStream(samples);
+  if (stamps.recovered) {
+    const StreamCheck before = CheckStream(recorded);
+    check.jitter_s = before.jitter_s;
+    check.bunched = before.bunched;
+  }
+  if (!stamps.even) check.cut_s = CutOf(Stamps(recorded));
+  check.stamps = stamps;
+  return check;
+}
+
+void WarnOfStamps(const std::string& stream, const StreamCheck& check, double max_missing,
+                  double max_repeated, std::vector<std::string>* warnings) {
+  const auto warn = [&](const std::string& text) { warnings->push_back(stream + ": " + text); };
+  if (check.stamps.recovered) {
+    // The stamps in use are even.
+  } else if (check.bunched > kMaxBunched) {
+    warn(Percent(check.bunched) +
+         " of the samples are stamped in bunches (bound: " + Percent(kMaxBunched) +
+         "), as by time of arrival, and used as recorded; use stamps of the sensor's own clock");
+  } else if (check.cut_s > 0.0) {
+    warn("the stamps are multiples of " + Number(1e3 * check.cut_s) +
+         " ms, not even, and used as recorded; use stamps of the sensor's own clock");
+  } else if (check.jitter_s * check.rate_hz > kMaxJitter) {
+    warn("the stamps jitter by " + Number(1e3 * check.jitter_s) +
+         " ms (bound: " + Number(kMaxJitter) + " of the period of " + Number(1e3 / check.rate_hz) +
+         " ms) and are used as recorded; use stamps of the sensor's own clock");
+  }
+  if (check.missing > max_missing)
+    warn(Percent(check.missing) + " of the samples are missing (bound: " + Percent(max_missing) +
+         "), the longest gap is " + Number(check.longest_gap_s) +
+         " s; look for lost packets or a hidden marker");
+  if (check.repeated > max_repeated)
+    warn(Percent(check.repeated) +
+         " of the samples repeat the value before (bound: " + Percent(max_repeated) +
+         "), for up to " + Number(check.longest_freeze_s) + " s; they are not used");
+}
+
+void WarnOfDrops(const std::string& stream, const StreamReport& r,
+                 std::vector<std::string>* warnings) {
+  const auto warn = [&](const std::string& text) { warnings->push_back(stream + ": " + text); };
+  const double n = std::max(1.0, static_cast<double>(r.received));
+  const size_t bad = r.not_finite + r.zero_quaternion + r.reversed_stamp;
+  if (static_cast<double>(bad) > kMaxDropped * n)
+    warn(std::to_string(bad) + " of " + std::to_string(r.received) +
+         " samples are not finite, zero or stamped backwards; they are not used");
+  if (r.saturated > 0)
+    warn(std::to_string(r.saturated) +
+         " samples at the end of the sensor's range are not used; choose a larger range or move "
+         "more gently");
+  if (static_cast<double>(r.outlier) > kMaxOutliers * n)
+    warn(Percent(static_cast<double>(r.outlier) / n) +
+         " are outliers (bound: " + Percent(kMaxOutliers) + "); they are not used");
+  if (r.between_updates > 0)
+    warn("they jump or bend " + Number(r.rate_hz) +
+         " times a second and are made up in between (fused with an imu, or interpolated): one is "
+         "used of each such interval; record what the tracker measures");
+  if (r.flipped > 0)
+    warn(std::to_string(r.flipped) +
+         " poses that turn against the gyroscope are not used: swapped labels? Place the markers "
+         "less symmetrically");
+}
+
+/// Mean norm of the accelerometer while neither sensor shows motion, and how long that was.
+void FindRest(const ConditionedImu& data, const Eigen::Vector3d& gyro_bias, ImuCheck* check) {
+  double sum = 0.0, count = 0.0;
+  size_t a = 0, g = 0;
+  const double end = std::min(data.gyro.back().t, data.accel.back().t);
+  const double begin = std::min(data.gyro.front().t, data.accel.front().t);
+  for (double t = begin; t + kRestWindow < end; t += kRestWindow) {
+    double rate2 = 0.0, gyros = 0.0, norm = 0.0, norm2 = 0.0, accels = 0.0;
+    for (; g < data.gyro.size() && data.gyro[g].t < t + kRestWindow; ++g, gyros += 1.0)
+      rate2 += (data.gyro[g].value - gyro_bias).squaredNorm();
+    for (; a < data.accel.size() && data.accel[a].t < t + kRestWindow; ++a, accels += 1.0) {
+      norm += data.accel[a].value.norm();
+      norm2 += data.accel[a].value.squaredNorm();
+    }
+    if (gyros < 3.0 || accels < 3.0 || rate2 / gyros > kRestRate * kRestRate) continue;
+    const double mean = norm / accels;
+    if (norm2 / accels - mean * mean > kRestForce * kRestForce) continue;
+    check->rest_s += kRestWindow;
+    sum += norm;
+    count += accels;
+  }
+  check->rest_norm = count > 0.0 ? sum / count : 0.0;
+}
+
+/// Median per axis.
+Eigen::Vector3d MedianRate(const std::vector<TimedSample>& gyro) {
+  Eigen::Vector3d median;
+  for (int axis = 0; axis < 3; ++axis) {
+    std::vector<double> values;
+    for (const TimedSample& s : gyro) values.push_back(s.value[axis]);
+    median[axis] = Median(std::move(values));
+  }
+  return median;
+}
+
+/// Share of the gyroscope's variance that the poses explain, and growth of the time shift: linear
+/// least squares for small changes of R_MI, bias, shift and drift on the gyroscope, with a
+/// covariance from blocks of time.
+void MeasureDrift(const ConditionedImu& data, const PoseTrajectory& trajectory, const Start& start,
+                  ImuCheck* check) {
+  using Matrix8d = Eigen::Matrix<double, 8, 8>;
+  using Vector8d = Eigen::Matrix<double, 8, 1>;
+  struct Row {
+    double t;
+    Eigen::Matrix<double, 3, 8> J;
+    Eigen::Vector3d r;
+  };
+  std::vector<Row> rows;
+  const Eigen::Matrix3d R_IM = start.q_MI.conjugate().toRotationMatrix();
+  const double middle = 0.5 * data.gyro.back().t;
+  Matrix8d H = Matrix8d::Zero();
+  Vector8d b = Vector8d::Zero();
+  double motion = 0.0;
+  const size_t stride = std::max<size_t>(1, data.gyro.size() / kDriftSamples);
+  for (size_t i = 0; i < data.gyro.size(); i += stride) {
+    const TimedSample& s = data.gyro[i];
+    MarkerRotation<double> marker;
+    if (!trajectory.EvaluateRotation(s.t + start.time_shift, &marker)) continue;
+    const Eigen::Vector3d omega_I = R_IM * marker.omega_M, alpha_I = R_IM * marker.alpha_M;
+    Row row{s.t, {}, s.value - start.gyro_bias - omega_I};
+    row.J << Hat(omega_I), Eigen::Matrix3d::Identity(), alpha_I, (s.t - middle) * alpha_I;
+    H.noalias() += row.J.transpose() * row.J;
+    b.noalias() += row.J.transpose() * row.r;
+    motion += (s.value - start.gyro_bias).squaredNorm();
+    rows.push_back(row);
+  }
+  if (rows.size() < 100) return;
+  const Eigen::LDLT<Matrix8d> ldlt(H);
+  const Vector8d x = ldlt.solve(b);
+  Matrix8d scatter = Matrix8d::Zero();
+  double residual = 0.0;
+  for (size_t i = 0; i < rows.size();) {
+    Vector8d score = Vector8d::Zero();
+    const double end = rows[i].t + kDriftBlock;
+    for (; i < rows.size() && rows[i].t < end; ++i) {
+      const Eigen::Vector3d r = rows[i].r - rows[i].J * x;
+      residual += r.squaredNorm();
+      score += rows[i].J.transpose() * r;
+    }
+    scatter += score * score.transpose();
+  }
+  check->explained = 1.0 - residual / motion;
+  check->time_shift += x[6];
+  check->drift_ppm = 1e6 * x[7];
+  const Matrix8d covariance = ldlt.solve(ldlt.solve(scatter).transpose());
+  check->drift_ppm_std = 1e6 * std::sqrt(std::max(0.0, covariance(7, 7)));
+}
+
+double Overlap(const ConditionedData& data, const ConditionedImu& imu, double time_shift) {
+  const double begin = std::max(0.0, imu.gyro.front().t + time_shift);
+  const double end = std::min(data.poses.back().t, imu.gyro.back().t + time_shift);
+  return std::max(0.0, end - begin);
+}
+
+}  // namespace
+
+DataCheck CheckStreams(const SessionData& recorded, const SessionData& session,
+                       const SessionStamps& stamps) {
+  DataCheck check;
+  check.poses = CheckStream(recorded.poses, session.poses, stamps.poses);
+  WarnOfStamps("pose", check.poses, kMaxMissingPoses, kMaxRepeatedPoses, &check.warnings);
+  check.imus.resize(session.imus.size());
+  for (size_t i = 0; i < session.imus.size(); ++i) {
+    ImuCheck& imu = check.imus[i];
+    const ImuData &before = recorded.imus[i], &after = session.imus[i];
+    imu.gyro = CheckStream(before.gyro, after.gyro, stamps.imus[i].first);
+    imu.accel = CheckStream(before.accel, after.accel, stamps.imus[i].second);
+    const std::string of = OfImu(i, session.imus.size());
+    WarnOfStamps("gyroscope" + of, imu.gyro, kMaxMissingImu, kMaxRepeatedImu, &check.warnings);
+    WarnOfStamps("accelerometer" + of, imu.accel, kMaxMissingImu, kMaxRepeatedImu, &check.warnings);
+  }
+  return check;
+}
+
+void RefuseBunches(const DataCheck& check) {
+  const auto refuse = [](const std::string& stream, const StreamCheck& of) {
+    if (of.stamps.recovered || of.bunched <= kMostBunched) return;
+    const auto percent = [](double share) { return Number(100.0 * share, "%.3g %%"); };
+    throw DataError(stream + ": " + percent(of.bunched) +
+                    " of the samples are stamped in bunches (bound: " + percent(kMostBunched) +
+                    "), as by time of arrival, and no even clock fits them; record stamps of the "
+                    "sensor's own clock");
+  };
+  refuse("pose", check.poses);
+  for (size_t i = 0; i < check.imus.size(); ++i) {
+    const std::string of = OfImu(i, check.imus.size());
+    refuse("gyroscope" + of, check.imus[i].gyro);
+    refuse("accelerometer" + of, check.imus[i].accel);
+  }
+}
+
+void CheckMotion(const CalibrationOptions& options, const ConditionedData& data,
+                 const PoseTrajectory& trajectory, DataCheck* check) {
+  check->poses_report = data.pose_report;
+  check->segments = data.segments.size();
+  check->gaps = data.gaps;
+  check->jumps = data.jumps;
+  WarnOfDrops("pose", data.pose_report, &check->warnings);
+  for (size_t i = 0; i < data.imus.size(); ++i) {
+    const std::string of = OfImu(i, data.imus.size());
+    check->imus[i].gyro_report = data.imus[i].gyro_report;
+    check->imus[i].accel_report = data.imus[i].accel_report;
+    WarnOfDrops("gyroscope" + of, data.imus[i].gyro_report, &check->warnings);
+    WarnOfDrops("accelerometer" + of, data.imus[i].accel_report, &check->warnings);
+  }
+  if (data.jumps > 0 && data.pose_report.flipped == 0)
+    check->warnings.push_back(
+        "pose: " + std::to_string(data.jumps) +
+        " jumps; the poses are cut there, but they must all be in one frame W up to a turn about "
+        "gravity and a move");
+
+  Eigen::Matrix<double, 6, 1> sum = Eigen::Matrix<double, 6, 1>::Zero(), sum2 = sum;
+  double count = 1e-9;
+  for (double t = 0.0; t <= data.poses.back().t; t += kMotionStep) {
+    MarkerState<double> state;
+    if (!trajectory.Evaluate(t, &state)) continue;
+    Eigen::Matrix<double, 6, 1> x;
+    x << state.omega_M, state.a_W;
+    sum += x;
+    sum2 += x.cwiseAbs2();
+    count += 1.0;
+  }
+  const Eigen::Matrix<double, 6, 1> rms =
+      (sum2 / count - (sum / count).cwiseAbs2()).cwiseMax(0.0).cwiseSqrt();
+  check->turns_M = rms.head<3>();
+  check->moves_W = rms.tail<3>();
+
+  const double g = options.GravityMagnitude();
+  for (size_t i = 0; i < data.imus.size(); ++i) {
+    if (!data.imus[i].IsPresent()) continue;
+    ImuCheck& imu = check->imus[i];
+    FindRest(data.imus[i], MedianRate(data.imus[i].gyro), &imu);
+    if (imu.rest_s >= kMinRest && std::abs(imu.rest_norm - g) > kMaxGravityError * g)
+      check->warnings.push_back(
+          "accelerometer" + OfImu(i, data.imus.size()) + ": its norm at rest is " +
+          Number(imu.rest_norm) + " m/s^2 (bound: within " + Percent(kMaxGravityError) +
+          " of gravity_magnitude = " + Number(g) + "); check its scale and biases");
+  }
+}
+
+void CheckMatch(const ConditionedData& data, const PoseTrajectory& trajectory, const Start& start,
+                size_t imu, DataCheck* check) {
+  const ConditionedImu& samples = data.imus[imu];
+  ImuCheck& match = check->imus[imu];
+  match.is_matched = true;
+  match.time_shift =
+      start.time_shift + 1e-9 * static_cast<double>(data.pose_epoch_ns - samples.epoch_ns);
+  match.overlap_s = Overlap(data, samples, start.time_shift);
+  MeasureDrift(samples, trajectory, start, &match);
+  const std::string of = OfImu(imu, data.imus.size());
+  if (match.overlap_s < kMinOverlap)
+    check->warnings.push_back("poses and IMU" + of + " have only " + Number(match.overlap_s) +
+                              " s in common (bound: " + Number(kMinOverlap) +
+                              " s); record 30 s or more");
+  if (match.explained < kMinExplained)
+    check->warnings.push_back("the poses explain only " + Percent(match.explained) +
+                              " of the variance of the gyroscope" + of +
+                              " (bound: " + Percent(kMinExplained) +
+                              "): a loose mount, or poses that are slow, filtered or rare");
+}
+
+void WarnOfDrift(const CalibrationOptions& options, DataCheck* check) {
+  for (size_t i = 0; i < check->imus.size(); ++i) {
+    const ImuCheck& imu = check->imus[i];
+    const double effect = 1e-6 * std::abs(imu.drift_ppm) * imu.overlap_s;
+    const std::string of = OfImu(i, check->imus.size());
+    if (options.estimate_clock_drift || effect <= kMaxDriftEffect ||
+        std::abs(imu.drift_ppm) <= kDriftSigmas * imu.drift_ppm_std)
+      continue;
+    check->warnings.push_back("the clocks" + (of.empty() ? "" : of + " and the poses") +
+                              " drift against each other by " + Number(imu.drift_ppm) + " +- " +
+                              Number(imu.drift_ppm_std) + " ppm, " + Number(1e3 * effect) +
+                              " ms over the recording (bound: " + Number(1e3 * kMaxDriftEffect) +
+                              " ms): set estimate_clock_drift: true");
+  }
+}
+
+const char* ToString(DataVerdict verdict) {
+  constexpr const char* kNames[] = {"good", "usable", "record again"};
+  return kNames[static_cast<int>(verdict)];
+}
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,377 @@
+#include "imu_pose_calib/core/start/initializer.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <sstream>
+
+#include "imu_pose_calib/core/base/parallel.h"
+#include "imu_pose_calib/core/base/so3.h"
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr int kCandidates = 6;                 // correlation peaks tried on all three axes
+constexpr double kMinExplained = 0.5;          // of the gyro's variance
+constexpr double kSurelyExplained = 0.95;      // nobody asks for another reading of the poses
+constexpr double kMaxUnexplainedOther = 0.2;   // of the gyro's variance, by another reading
+constexpr double kMaxUnexplainedRatio = 0.25;  // of another reading over the one as given
+constexpr double kFlipped = 0.2;           // unexplained share of the motion of a flipped segment
+constexpr double kFlipFactor = 25.0;       // its mean square residual over that of the others
+constexpr size_t kMinPairs = 50;           // gyro samples of a segment that proposes a rotation
+constexpr double kMinAgreement = 0.6;      // of the log, on one rotation
+constexpr double kMinProposal = 0.3;       // of the log, for a rotation to be taken seriously
+constexpr double kMinSignalToNoise = 3.0;  // power of the marker's acceleration
+constexpr double kUnitBound = 5.0;         // scale of the positions, either way
+constexpr double kLeastExplained = 0.3;    // by positions in another unit
+constexpr double kDelaySearch = 0.1;       // [s]
+constexpr double kDelayStep = 0.01;        // [s] of a first search
+constexpr double kDelayResolution = 1e-4;  // [s]
+constexpr size_t kCoarse = 4;              // of the samples, one in so many for the first search
+constexpr double kAccelBiasPrior = 1.0;    // [m/s^2] keeps bias and gravity apart at small turns
+
+/// Throws when inverted poses explain the gyroscope far better. Quaternions whose w comes first,
+/// read as if it came last, turn like inverted ones: up to fixed rotations of W and M the two are
+/// the same.
+void CheckPoseReading(const CalibrationOptions& options, const PoseTrajectory& trajectory,
+                      const std::vector<TimedSample>& gyro, const std::vector<double>& time_shifts,
+                      const RateAlignment& as_given) {
+  if (as_given.explained > kSurelyExplained) return;
+  double explained = 0.0;
+  for (const double shift : time_shifts)
+    explained = std::max(explained, AlignRates(PairRates(trajectory, gyro, shift, true)).explained);
+  if (1.0 - explained > kMaxUnexplainedOther ||
+      1.0 - explained > kMaxUnexplainedRatio * (1.0 - as_given.explained))
+    return;
+  std::ostringstream text;
+  text.precision(3);
+  text << "the turn rates of poses and gyroscope agree only when the poses are inverted (explains "
+       << 100.0 * explained << " % of the gyroscope's variance, as given "
+       << 100.0 * std::max(0.0, as_given.explained)
+       << " %): if they are the world seen from the marker, set invert_poses: "
+       << (options.invert_poses ? "false" : "true")
+       << "; if the source writes quaternions as w, x, y, z, let it write x, y, z, w";
+  throw OptionNeeded(text.str());
+}
+
+std::string RateMismatch(const RateAlignment& best) {
+  std::ostringstream text;
+  text << "the turn rates of poses and gyroscope agree at no time shift (best explains "
+       << 100.0 * std::max(0.0, best.explained)
+       << " % of the gyroscope's variance, bound: " << 100.0 * kMinExplained
+       << " %): do both recordings overlap, and are both of the same rigid body?";
+  return text.str();
+}
+
+void CheckGyroUnit(const RateAlignment& alignment) {
+  if (alignment.scale > 0.5 && alignment.scale < 2.0) return;
+  std::ostringstream text;
+  text << "gyroscope: its rates are " << alignment.scale << " times the marker's (bound: 0.5 to 2)";
+  if (alignment.scale > 40.0 && alignment.scale < 80.0)
+    text << "; it looks like deg/s: set gyro_unit: 0.0174532925";
+  else
+    text << "; set gyro_unit, the unit of the gyroscope in rad/s";
+  throw OptionNeeded(text.str());
+}
+
+/// Time shifts of an IMU that the correlation of the turn rates proposes; a guess is of the first.
+std::vector<double> CandidateShifts(const CalibrationOptions& options,
+                                    const PoseTrajectory& trajectory, const ConditionedData& data,
+                                    size_t imu) {
+  const ConditionedImu& samples = data.imus[imu];
+  std::optional<double> guess;
+  // t_pose - t_imu of absolute stamps, here of relative ones.
+  if (options.initial_time_shift && imu == 0)
+    guess = *options.initial_time_shift -
+            1e-9 * static_cast<double>(data.pose_epoch_ns - samples.epoch_ns);
+  if (guess && !options.estimate_time_shift) return {*guess};
+  return FindTimeShifts(trajectory, data.poses, samples.gyro, options.min_overlap_s, guess,
+                        kCandidates, options.Threads());
+}
+
+/// Gyro samples on one segment of the trajectory.
+using SegmentRates = std::vector<RatePair>;
+
+/// Which segments turn as the gyroscope does under one alignment.
+struct RotationAgreement {
+  std::vector<bool> flipped;  ///< per segment
+  double agreeing = 0.0;      ///< share of the gyro samples on the others
+  double explained = 0.0;     ///< share of the gyro's variance on them
+  double cost = std::numeric_limits<double>::infinity();
+};
+
+RotationAgreement Judge(const std::vector<SegmentRates>& segments, const RateAlignment& alignment) {
+  RotationAgreement result;
+  result.cost = 0.0;
+  double unexplained = 0.0, total = 1e-12, agreeing = 0.0, count = 1e-12;
+  for (const SegmentRates& pairs : segments) {
+    double residual = 0.0, motion = 0.0;
+    for (const RatePair& pair : pairs) {
+      residual += alignment.Residual(pair).squaredNorm();
+      motion += (pair.gyro_I - alignment.gyro_bias).squaredNorm();
+    }
+    const auto n = static_cast<double>(pairs.size());
+    count += n;
+    result.cost += std::min(residual, kFlipped * motion);
+    result.flipped.push_back(residual > kFlipped * motion);
+    if (result.flipped.back()) continue;
+    agreeing += n;
+    unexplained += residual;
+    total += motion;
+  }
+  result.agreeing = agreeing / count;
+  result.explained = 1.0 - unexplained / total;
+  // Where the marker hardly turns, noise is all there is: nothing can be said.
+  const double usual = unexplained / std::max(agreeing, 1.0);
+  for (size_t k = 0; k < segments.size(); ++k) {
+    double residual = 0.0;
+    for (const RatePair& pair : segments[k]) residual += alignment.Residual(pair).squaredNorm();
+    if (residual < kFlipFactor * usual * static_cast<double>(segments[k].size()))
+      result.flipped[k] = false;
+  }
+  return result;
+}
+
+/// The alignment that most of the motion agrees on, of those of all segments and of each one.
+RotationAgreement FindAgreement(const std::vector<SegmentRates>& segments) {
+  SegmentRates all;
+  for (const SegmentRates& pairs : segments) all.insert(all.end(), pairs.begin(), pairs.end());
+  RotationAgreement best = Judge(segments, AlignRates(all));
+  const auto improve = [&](const SegmentRates& pairs) {
+    if (pairs.size() < kMinPairs) return;
+    const RotationAgreement candidate = Judge(segments, AlignRates(pairs));
+    if (candidate.cost < best.cost) best = candidate;
+  };
+  for (const SegmentRates& pairs : segments) improve(pairs);
+  SegmentRates agreeing;
+  for (size_t k = 0; k < segments.size(); ++k)
+    if (!best.flipped[k]) agreeing.insert(agreeing.end(), segments[k].begin(), segments[k].end());
+  improve(agreeing);
+  return best;
+}
+
+/// Gyro samples by the segment of the trajectory that they fall on.
+std::vector<SegmentRates> PairRatesBySegment(const PoseTrajectory& trajectory,
+                                             const ConditionedData& data, const ConditionedImu& imu,
+                                             double time_shift) {
+  std::vector<SegmentRates> segments(data.segments.size());
+  for (const RatePair& pair : PairRates(trajectory, imu.gyro, time_shift)) {
+    size_t k = 0;
+    while (data.poses[data.segments[k].end - 1].t < pair.t) ++k;
+    segments[k].push_back(pair);
+  }
+  return segments;
+}
+
+/// Gravity is estimated without knowing its magnitude: another one means another unit or none.
+void CheckGravity(double estimated, double expected) {
+  if (estimated > 0.5 * expected && estimated < 2.0 * expected) return;
+  std::ostringstream text;
+  text << "accelerometer: it shows a gravity of " << estimated
+       << " m/s^2 (bound: " << 0.5 * expected << " to " << 2.0 * expected << " m/s^2); ";
+  if (estimated < 0.5 * expected) text << "is gravity removed? Record the raw accelerometer";
+  if (estimated > 2.0 * expected) text << "is its unit m/s^2?";
+  throw DataError(text.str());
+}
+
+/// Normal equations of the accelerometer for x = (p_MI, g_W, R_MI b_a, s) at a given delay:
+///   R_MI f = ([alpha]x + [omega]x [omega]x) p_MI - R_WM^T g_W + R_MI b_a + s R_WM^T a_W,
+/// where s is 1 when positions and accelerometer are in the same unit of length.
+struct LeverArmEquations {
+  using Matrix10d = Eigen::Matrix<double, 10, 10>;
+  using Vector10d = Eigen::Matrix<double, 10, 1>;
+  Matrix10d A = Matrix10d::Zero();
+  Vector10d b = Vector10d::Zero();
+  double sum = 0.0, count = 0.0;
+
+  LeverArmEquations(const PoseTrajectory& trajectory, const std::vector<TimedSample>& accel,
+                    const Start& start, double delay, size_t stride) {
+    const Eigen::Matrix3d R_MI = start.q_MI.toRotationMatrix();
+    A.diagonal().segment<3>(6).setConstant(1.0 / (kAccelBiasPrior * kAccelBiasPrior));
+    for (size_t i = 0; i < accel.size(); i += stride) {
+      MarkerState<double> state;
+      if (!trajectory.Evaluate(accel[i].t + start.time_shift - delay, &state)) continue;
+      const Eigen::Matrix3d R_MW = state.q_WM.conjugate().toRotationMatrix();
+      const Eigen::Matrix3d W = Hat(state.omega_M);
+      Eigen::Matrix<double, 3, 10> J;
+      J << Hat(state.alpha_M) + W * W, -R_MW, Eigen::Matrix3d::Identity(), R_MW * state.a_W;
+      const Eigen::Vector3d y = R_MI * accel[i].value;
+      A.noalias() += J.transpose() * J;
+      b.noalias() += J.transpose() * y;
+      sum += y.squaredNorm();
+      count += 1.0;
+    }
+  }
+
+  /// (p_MI, g_W, R_MI b_a) with s = 1, and the mean squared residual.
+  Eigen::Matrix<double, 9, 1> Solve(double* residual) const {
+    const Eigen::Matrix<double, 9, 1> b9 = b.head<9>() - A.col(9).head<9>();
+    Eigen::Matrix<double, 9, 1> x = A.topLeftCorner<9, 9>().ldlt().solve(b9);
+    *residual = count > 0.0 ? (sum - 2.0 * b[9] + A(9, 9) - b9.dot(x)) / count
+                            : std::numeric_limits<double>::infinity();
+    return x;
+  }
+
+  /// s when it is free, and its share of what the other unknowns leave of the accelerometer.
+  double PositionScale(double* explained) const {
+    const Eigen::LDLT<Matrix10d> ldlt = A.ldlt();
+    const Vector10d x = ldlt.solve(b);
+    const double gain = x[9] * x[9] / ldlt.solve(Vector10d::Unit(9))[9];
+    *explained = gain / (gain + sum - b.dot(x));
+    return x[9];
+  }
+};
+
+/// Variance per axis of the marker's acceleration [(m/s^2)^2].
+double MeanAccelVariance(const PoseTrajectory& trajectory, const std::vector<TimedSample>& accel,
+                         double time_shift) {
+  double sum = 0.0, count = 1e-9;
+  for (size_t i = 0; i < accel.size(); i += 10 * Stride(accel.size())) {
+    const double t = accel[i].t + time_shift;
+    if (!trajectory.Contains(t)) continue;
+    sum += trajectory.Variance(t).accel;
+    count += 1.0;
+  }
+  return sum / count;
+}
+
+/// Positions in another unit than metres do not fit the accelerometer. Nothing is said when they
+/// hardly move: `mean_variance` [(m/s^2)^2] of the marker's acceleration per axis.
+void CheckPositionUnit(const LeverArmEquations& equations, double mean_variance) {
+  const double mean_square = equations.A(9, 9) / std::max(1.0, equations.count);
+  if (mean_square < 3.0 * kMinSignalToNoise * mean_variance) return;
+  double explained = 0.0;
+  const double scale = equations.PositionScale(&explained);
+  if (scale > 1.0 / kUnitBound && scale < kUnitBound) return;
+  // Accelerations that are mostly errors of the poses match nothing, in no unit.
+  if (explained < kLeastExplained) return;
+  std::ostringstream text;
+  text.precision(3);
+  text << "pose: the marker's acceleration has to be multiplied by " << scale
+       << " to match the accelerometer (bound: " << 1.0 / kUnitBound << " to " << kUnitBound
+       << "); ";
+  if (scale > 2e-4 && scale < 4e-3)
+    text << "positions look like millimetres: set position_unit: 1.0e-3";
+  else if (scale > 6e-3 && scale < 2e-2)
+    text << "positions look like centimetres: set position_unit: 1.0e-2";
+  else
+    text << "are positions in metres and of the body that carries the IMU? Else set position_unit";
+  throw OptionNeeded(text.str());
+}
+
+}  // namespace
+
+void RemoveFlippedSegments(const CalibrationOptions& options, PoseTrajectory* trajectory,
+                           ConditionedData* data) {
+  if (data->segments.size() < 2) return;
+  const size_t first = data->FirstImu();
+  const ConditionedImu& imu = data->imus[first];
+  const std::vector<double> shifts = CandidateShifts(options, *trajectory, *data, first);
+  std::vector<RotationAgreement> agreements(shifts.size());
+  InParallel(options.Threads(), shifts.size(), [&](size_t k) {
+    agreements[k] = FindAgreement(PairRatesBySegment(*trajectory, *data, imu, shifts[k]));
+  });
+  RotationAgreement best;
+  for (const RotationAgreement& agreement : agreements) {
+    if (agreement.explained * agreement.agreeing > best.explained * best.agreeing) best = agreement;
+  }
+  if (best.agreeing < kMinProposal || best.explained < kMinExplained) return;  // S2 says why
+  if (best.agreeing < kMinAgreement) {
+    std::ostringstream text;
+    text.precision(2);
+    text << "pose: the marker's frame flips: only " << 100.0 * best.agreeing
+         << " % of the recording turn as the gyroscope does with one rotation R_MI (bound: "
+         << 100.0 * kMinAgreement << " %); place the markers less symmetrically and record again";
+    throw DataError(text.str());
+  }
+  if (std::find(best.flipped.begin(), best.flipped.end(), true) == best.flipped.end()) return;
+  std::vector<TimedPose> poses;
+  std::vector<IndexRange> segments;
+  for (size_t k = 0; k < best.flipped.size(); ++k) {
+    const IndexRange s = data->segments[k];
+    if (best.flipped[k]) {
+      data->pose_report.flipped += s.size();
+      continue;
+    }
+    segments.push_back({poses.size(), poses.size() + s.size()});
+    poses.insert(poses.end(), data->poses.begin() + static_cast<ptrdiff_t>(s.begin),
+                 data->poses.begin() + static_cast<ptrdiff_t>(s.end));
+  }
+  data->poses = std::move(poses);
+  data->segments = std::move(segments);
+  data->pose_report.used = data->poses.size();
+  *trajectory = PoseTrajectory(data->poses, data->segments, trajectory->position_hyperparameters(),
+                               trajectory->rotation_hyperparameters(), options.Threads());
+}
+
+void FitLeverArm(const PoseTrajectory& trajectory, const std::vector<TimedSample>& accel,
+                 double gravity_magnitude, bool estimate_delay, int threads, Start* start) {
+  const size_t stride = Stride(accel.size());
+  double lowest = std::numeric_limits<double>::infinity(), best_delay = start->accel_delay;
+  const auto attempt = [&](const std::vector<double>& delays, size_t of_samples) {
+    std::vector<double> residuals(delays.size());
+    InParallel(threads, delays.size(), [&](size_t k) {
+      LeverArmEquations(trajectory, accel, *start, delays[k], of_samples).Solve(&residuals[k]);
+    });
+    for (size_t k = 0; k < delays.size(); ++k) {
+      if (residuals[k] >= lowest) continue;
+      lowest = residuals[k];
+      best_delay = delays[k];
+    }
+  };
+  if (estimate_delay) {
+    const int steps = static_cast<int>(std::round(kDelaySearch / kDelayStep));
+    std::vector<double> delays = {best_delay};
+    for (int k = -steps; k <= steps; ++k)
+      if (k != 0) delays.push_back(start->accel_delay + k * kDelayStep);
+    attempt(delays, kCoarse * stride);
+    lowest = std::numeric_limits<double>::infinity();  // of fewer samples
+    attempt({best_delay}, stride);
+    for (double step = 0.5 * kDelayStep; step > kDelayResolution; step *= 0.5)
+      attempt({best_delay - step, best_delay + step}, stride);
+  }
+  const LeverArmEquations equations(trajectory, accel, *start, best_delay, stride);
+  const Eigen::Matrix<double, 9, 1> best = equations.Solve(&lowest);
+  CheckPositionUnit(equations, MeanAccelVariance(trajectory, accel, start->time_shift));
+  start->accel_delay = best_delay;
+  start->p_MI = best.head<3>();
+  CheckGravity(best.segment<3>(3).norm(), gravity_magnitude);
+  start->g_W = gravity_magnitude * best.segment<3>(3).normalized();
+  start->accel_bias = start->q_MI.conjugate() * best.tail<3>();
+}
+
+Start Initialise(const CalibrationOptions& options, const PoseTrajectory& trajectory,
+                 const ConditionedData& data, size_t imu) {
+  const ConditionedImu& samples = data.imus[imu];
+  const std::vector<double> shifts = CandidateShifts(options, trajectory, data, imu);
+  Start start;
+  RateAlignment best;
+  double most = -1.0;
+  std::vector<RateAlignment> alignments(shifts.size());
+  InParallel(options.Threads(), shifts.size(),
+             [&](size_t k) { alignments[k] = AlignRates(trajectory, samples.gyro, shifts[k]); });
+  for (size_t k = 0; k < shifts.size(); ++k) {
+    const RateAlignment& alignment = alignments[k];
+    const double evidence = Evidence(std::sqrt(std::max(0.0, alignment.explained)),
+                                     static_cast<double>(alignment.count));
+    if (evidence <= most) continue;
+    most = evidence;
+    best = alignment;
+    start.time_shift = shifts[k];
+  }
+  CheckPoseReading(options, trajectory, samples.gyro, shifts, best);
+  if (best.explained < kMinExplained) throw DataError(RateMismatch(best));
+  CheckGyroUnit(best);
+  // What is estimated starts where the data put it, which no guess can better.
+  start.q_MI = options.estimate_rotation ? best.q_MI : options.initial_rotation->normalized();
+  start.gyro_bias = best.gyro_bias;
+  start.accel_delay = options.accel_delay;
+  FitLeverArm(trajectory, samples.accel, options.GravityMagnitude(), options.estimate_accel_delay,
+              options.Threads(), &start);
+  if (!options.estimate_translation) start.p_MI = *options.initial_translation;
+  if (options.initial_gravity) start.g_W = *options.initial_gravity;
+  return start;
+}
+
+}  // namespace imu_pose_calib

@@ -1,0 +1,117 @@
+#include "imu_pose_calib/core/start/preparation.h"
+
+#include <cmath>
+#include <string>
+
+#include "imu_pose_calib/core/base/text.h"
+#include "imu_pose_calib/core/start/excitation.h"
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr double kSureDrift = 5.0;  // [sigma]
+
+/// S2 of one IMU; initial values are those of the first. What it throws names the IMU when there
+/// are several.
+Start StartOf(CalibrationOptions options, const PreparedSession& session, size_t imu) {
+  if (imu > 0) {
+    options.initial_time_shift.reset();
+    options.initial_rotation.reset();
+    options.initial_translation.reset();
+  }
+  const std::string of = OfImu(imu, session.data.imus.size());
+  try {
+    return Initialise(options, *session.trajectory, session.data, imu);
+  } catch (const OptionNeeded& error) {
+    throw OptionNeeded(error.what() + of);
+  } catch (const DataError& error) {
+    throw DataError(error.what() + of);
+  }
+}
+
+/// What the clock does beyond its line, and the lever arm's start with it.
+void FindWalk(const CalibrationOptions& options, const ConditionedImu& imu,
+              const PoseTrajectory& trajectory, Start* start) {
+  ClockLine line{start->time_shift, start->clock_drift, imu.MiddleOfGyro()};
+  start->walk = FitClockWalk(trajectory, imu.gyro, &line);
+  if (start->walk.IsLine()) return;
+  start->time_shift = line.time_shift;
+  std::vector<TimedSample> accel = imu.accel;
+  for (TimedSample& s : accel) s.t += start->walk.At(s.t);
+  const Eigen::Vector3d g_W = start->g_W, p_MI = start->p_MI;
+  FitLeverArm(trajectory, accel, options.GravityMagnitude(), options.estimate_accel_delay,
+              options.Threads(), start);
+  if (!options.estimate_translation) start->p_MI = p_MI;
+  if (options.initial_gravity) start->g_W = g_W;
+}
+
+}  // namespace
+
+void CheckSingle(const CalibrationOptions& options, size_t imus, size_t sessions) {
+  const auto refuse = [](const char* option, const char* what) {
+    throw InputError(std::string(option) + " = false needs a single " + what +
+                     ": one value is given, but there are several");
+  };
+  if (imus > 1 && !options.estimate_rotation) refuse("estimate_rotation", "imu");
+  if (imus > 1 && !options.estimate_translation) refuse("estimate_translation", "imu");
+  if (imus > 1 && !options.estimate_accel_delay) refuse("estimate_accel_delay", "imu");
+  if (imus * sessions > 1 && !options.estimate_time_shift)
+    refuse("estimate_time_shift", "imu and recording");
+  if (sessions > 1 && !options.estimate_gravity) refuse("estimate_gravity", "recording");
+}
+
+PreparedSession Prepare(const CalibrationOptions& options, const SessionData& recorded,
+                        DataCheck* check) {
+  SessionData session = recorded;
+  const SessionStamps stamps = RecoverStamps(options.recover_stamps, &session);
+  *check = CheckStreams(recorded, session, stamps);
+  RefuseBunches(*check);
+  PreparedSession prepared;
+  prepared.data = ConditionData(options, session, stamps);
+  PoseTrajectory trajectory = FitTrajectory(options, &prepared.data);
+  RemoveFlippedSegments(options, &trajectory, &prepared.data);
+  prepared.pose_noise = {trajectory.position_hyperparameters().noise_std,
+                         trajectory.rotation_hyperparameters().noise_std};
+  prepared.trajectory = std::make_shared<const PoseTrajectory>(std::move(trajectory));
+  CheckMotion(options, prepared.data, *prepared.trajectory, check);
+  // With a known lever arm or rotation a turn about one axis may do: the covariance will tell.
+  if (options.estimate_translation && options.estimate_rotation)
+    CheckTurns(MeasureTurns(*prepared.trajectory, prepared.data));
+  for (size_t i = 0; i < prepared.data.imus.size(); ++i) {
+    const bool is_present = prepared.data.imus[i].IsPresent();
+    prepared.starts.push_back(is_present ? StartOf(options, prepared, i) : Start());
+    if (!is_present) continue;
+    CheckMatch(prepared.data, *prepared.trajectory, prepared.starts[i], i, check);
+    const ImuCheck& match = check->imus[i];
+    if (options.method == Method::kJoint && options.estimate_clock_drift &&
+        std::abs(match.drift_ppm) > kSureDrift * match.drift_ppm_std)
+      prepared.starts[i].clock_drift = 1e-6 * match.drift_ppm;
+    if (options.method == Method::kJoint && options.estimate_clock_walk &&
+        options.estimate_time_shift)
+      FindWalk(options, prepared.data.imus[i], *prepared.trajectory, &prepared.starts[i]);
+  }
+  return prepared;
+}
+
+DataCheck CheckData(const CalibrationOptions& options, const SessionData& session) {
+  options.Validate();
+  CheckSingle(options, session.imus.size(), 1);
+  DataCheck check;
+  try {
+    Prepare(options, session, &check);
+    WarnOfDrift(options, &check);
+  } catch (const OptionNeeded& error) {
+    check.verdict = DataVerdict::kUsable;
+    check.message = error.what();
+    return check;
+  } catch (const DataError& error) {
+    check.verdict = DataVerdict::kRecordAgain;
+    check.message = error.what();
+    return check;
+  }
+  check.verdict = check.warnings.empty() ? DataVerdict::kGood : DataVerdict::kUsable;
+  check.message = check.warnings.empty() ? "nothing to remark" : "see the warnings below";
+  return check;
+}
+
+}  // namespace imu_pose_calib

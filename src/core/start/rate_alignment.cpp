@@ -1,0 +1,210 @@
+#include <Eigen/SVD>
+#include <algorithm>
+#include <cmath>
+#include <complex>
+#include <unsupported/Eigen/FFT>
+#include <utility>
+
+#include "imu_pose_calib/core/base/parallel.h"
+#include "imu_pose_calib/core/start/initializer.h"
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr double kBin = 0.01;              // [s] of the correlated signals
+constexpr double kGuessWindow = 1.0;       // [s] searched around a given time shift
+constexpr double kMinPeakDistance = 0.15;  // [s] between correlation peaks
+constexpr size_t kMaxSamples = 4000;       // per closed-form fit: more does not change a start
+
+/// A signal in bins of kBin; bins without a sample have weight 0.
+struct Signal {
+  std::vector<double> value, weight;
+
+  explicit Signal(size_t bins) : value(bins, 0.0), weight(bins, 0.0) {}
+  void Add(size_t bin, double x) {
+    value[bin] += x;
+    weight[bin] += 1.0;
+  }
+  void Average() {
+    for (size_t i = 0; i < value.size(); ++i) {
+      if (weight[i] == 0.0) continue;
+      value[i] /= weight[i];
+      weight[i] = 1.0;
+    }
+  }
+  std::vector<double> Power(int exponent) const {
+    std::vector<double> x(weight);
+    for (size_t i = 0; i < x.size(); ++i) x[i] *= std::pow(value[i], exponent);
+    return x;
+  }
+};
+
+/// Pearson correlation of two masked signals at every lag, by FFT.
+class MaskedCorrelation {
+ public:
+  MaskedCorrelation(const Signal& x, const Signal& y, int threads)
+      : bins_(x.value.size() + y.value.size()) {
+    size_ = 1;
+    while (size_ < bins_) size_ *= 2;
+    std::vector<std::complex<double>> X[3], Y[3];
+    InParallel(threads, 6, [&](size_t k) {
+      const int exponent = static_cast<int>(k / 2);
+      (k % 2 == 0 ? X : Y)[exponent] = Spectrum((k % 2 == 0 ? x : y).Power(exponent));
+    });
+    struct {
+      std::vector<double>* of;
+      int x, y;
+    } const sums[] = {{&n_, 0, 0}, {&x_, 1, 0},  {&xx_, 2, 0},
+                      {&y_, 0, 1}, {&yy_, 0, 2}, {&xy_, 1, 1}};
+    InParallel(threads, 6, [&](size_t k) { *sums[k].of = Correlate(X[sums[k].x], Y[sums[k].y]); });
+  }
+
+  /// Common bins when y is moved by `lag` bins.
+  double Count(ptrdiff_t lag) const { return std::round(n_[Wrap(lag)]); }
+
+  double At(ptrdiff_t lag) const {
+    const size_t i = Wrap(lag);
+    const double n = n_[i];
+    const double vx = xx_[i] - x_[i] * x_[i] / n;
+    const double vy = yy_[i] - y_[i] * y_[i] / n;
+    if (vx <= 1e-9 * xx_[i] || vy <= 1e-9 * yy_[i]) return 0.0;
+    return (xy_[i] - x_[i] * y_[i] / n) / std::sqrt(vx * vy);
+  }
+
+ private:
+  std::vector<std::complex<double>> Spectrum(std::vector<double> x) const {
+    x.resize(size_, 0.0);
+    std::vector<std::complex<double>> X;
+    Eigen::FFT<double>().fwd(X, x);
+    return X;
+  }
+  static std::vector<double> Correlate(const std::vector<std::complex<double>>& X,
+                                       const std::vector<std::complex<double>>& Y) {
+    std::vector<std::complex<double>> Z(X.size());
+    for (size_t i = 0; i < X.size(); ++i) Z[i] = X[i] * std::conj(Y[i]);
+    std::vector<double> z;
+    Eigen::FFT<double>().inv(z, Z);
+    return z;
+  }
+  size_t Wrap(ptrdiff_t lag) const {
+    return static_cast<size_t>(lag < 0 ? lag + static_cast<ptrdiff_t>(size_) : lag);
+  }
+
+  size_t bins_, size_;
+  std::vector<double> n_, x_, xx_, y_, yy_, xy_;
+};
+
+}  // namespace
+
+size_t Stride(size_t size) { return std::max<size_t>(1, size / kMaxSamples); }
+
+double Evidence(double correlation, double n) {
+  const double r = std::clamp(correlation, 0.0, 0.9999);
+  return -0.5 * n * std::log(1.0 - r * r);
+}
+
+std::vector<RatePair> PairRates(const PoseTrajectory& trajectory,
+                                const std::vector<TimedSample>& gyro, double time_shift,
+                                bool inverted) {
+  std::vector<RatePair> pairs;
+  for (size_t i = 0; i < gyro.size(); i += Stride(gyro.size())) {
+    const double t = gyro[i].t + time_shift;
+    MarkerRotation<double> marker;
+    if (!trajectory.EvaluateRotation(t, &marker)) continue;
+    if (inverted) marker.omega_M = -(marker.q_WM * marker.omega_M);
+    pairs.push_back({t, marker.omega_M, gyro[i].value});
+  }
+  return pairs;
+}
+
+RateAlignment AlignRates(const std::vector<RatePair>& pairs) {
+  RateAlignment alignment;
+  alignment.count = pairs.size();
+  if (pairs.size() < 10) return alignment;
+  Eigen::Vector3d mean_M = Eigen::Vector3d::Zero(), mean_I = Eigen::Vector3d::Zero();
+  for (const RatePair& pair : pairs) {
+    mean_M += pair.omega_M / static_cast<double>(pairs.size());
+    mean_I += pair.gyro_I / static_cast<double>(pairs.size());
+  }
+  Eigen::Matrix3d H = Eigen::Matrix3d::Zero();
+  double sum_M = 0.0, sum_I = 0.0;
+  for (const RatePair& pair : pairs) {
+    H += (pair.omega_M - mean_M) * (pair.gyro_I - mean_I).transpose();
+    sum_M += (pair.omega_M - mean_M).squaredNorm();
+    sum_I += (pair.gyro_I - mean_I).squaredNorm();
+  }
+  const Eigen::JacobiSVD<Eigen::Matrix3d> svd(H, Eigen::ComputeFullU | Eigen::ComputeFullV);
+  const Eigen::Vector3d signs(1.0, 1.0, (svd.matrixU() * svd.matrixV()).determinant());
+  const Eigen::Matrix3d R_MI = svd.matrixU() * signs.asDiagonal() * svd.matrixV().transpose();
+  alignment.q_MI = Eigen::Quaterniond(R_MI);
+  alignment.gyro_bias = mean_I - R_MI.transpose() * mean_M;
+  alignment.scale = std::sqrt(sum_I / std::max(sum_M, 1e-12));
+  // |gyro - R^T omega|^2 with the gyro scaled to the marker's size: 1 - correlation^2.
+  const double correlation =
+      (R_MI.transpose() * H).trace() / std::sqrt(std::max(sum_M * sum_I, 1e-24));
+  alignment.explained = correlation * std::abs(correlation);
+  return alignment;
+}
+
+Eigen::Vector3d RateAlignment::Residual(const RatePair& pair) const {
+  return pair.gyro_I - gyro_bias - q_MI.conjugate() * pair.omega_M;
+}
+
+std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
+                                   const std::vector<TimedPose>& poses,
+                                   const std::vector<TimedSample>& gyro, double min_overlap_s,
+                                   const std::optional<double>& guess, int count, int threads) {
+  const auto bins = [](double duration) { return static_cast<size_t>(duration / kBin) + 1; };
+  Signal marker(bins(poses.back().t));
+  InPortions(threads, marker.value.size(), [&](size_t i) {
+    MarkerRotation<double> rotation;
+    if (trajectory.EvaluateRotation((static_cast<double>(i) + 0.5) * kBin, &rotation))
+      marker.Add(i, rotation.omega_M.norm());
+  });
+  const double gyro_begin = gyro.front().t;
+  Signal imu(bins(gyro.back().t - gyro_begin));
+  for (const TimedSample& s : gyro)
+    imu.Add(static_cast<size_t>((s.t - gyro_begin) / kBin), s.value.norm());
+  imu.Average();
+
+  const MaskedCorrelation correlation(marker, imu, threads);
+  const auto shift = [&](double lag) { return lag * kBin - gyro_begin; };
+  const auto score = [&](ptrdiff_t lag) {
+    if (correlation.Count(lag) * kBin < min_overlap_s) return 0.0;
+    if (guess && std::abs(shift(static_cast<double>(lag)) - *guess) > kGuessWindow) return 0.0;
+    return Evidence(correlation.At(lag), correlation.Count(lag));
+  };
+
+  std::vector<std::pair<double, ptrdiff_t>> peaks;
+  const auto first = 1 - static_cast<ptrdiff_t>(imu.value.size());
+  const auto last = static_cast<ptrdiff_t>(marker.value.size()) - 1;
+  for (ptrdiff_t lag = first; lag <= last; ++lag) {
+    const double s = score(lag);
+    if (s > 0.0 && (lag == first || s >= score(lag - 1)) && (lag == last || s > score(lag + 1)))
+      peaks.emplace_back(s, lag);
+  }
+  std::sort(peaks.rbegin(), peaks.rend());
+
+  std::vector<double> shifts;
+  for (const auto& [evidence, lag] : peaks) {
+    if (static_cast<int>(shifts.size()) == count) break;
+    double offset = 0.0;  // vertex of the parabola through the peak and its neighbours
+    if (lag > first && lag < last) {
+      const double a = correlation.At(lag - 1), b = correlation.At(lag),
+                   c = correlation.At(lag + 1);
+      if (2.0 * b - a - c > 1e-12)
+        offset = std::clamp(0.5 * (c - a) / (2.0 * b - a - c), -0.5, 0.5);
+    }
+    const double candidate = shift(static_cast<double>(lag) + offset);
+    const auto is_near = [&](double s) { return std::abs(s - candidate) < kMinPeakDistance; };
+    if (std::none_of(shifts.begin(), shifts.end(), is_near)) shifts.push_back(candidate);
+  }
+  return shifts;
+}
+
+RateAlignment AlignRates(const PoseTrajectory& trajectory, const std::vector<TimedSample>& gyro,
+                         double time_shift) {
+  return AlignRates(PairRates(trajectory, gyro, time_shift));
+}
+
+}  // namespace imu_pose_calib

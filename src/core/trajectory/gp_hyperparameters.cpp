@@ -1,0 +1,177 @@
+#include <ceres/gradient_problem.h>
+#include <ceres/gradient_problem_solver.h>
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include "imu_pose_calib/core/base/median.h"
+#include "imu_pose_calib/core/base/parallel.h"
+#include "imu_pose_calib/core/trajectory/gaussian_process.h"
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr double kMaxSignalToNoise = 1e5;  // keeps the normal equations well conditioned
+
+/// Of every `stride`-th of the data; x: logarithms of the hyperparameters, by which `gradient`
+/// (unless null) is.
+double SumOfLikelihoods(const std::vector<GpData>& data, size_t stride, const Eigen::Vector3d& x,
+                        int threads, Eigen::Vector3d* gradient) {
+  const GpHyperparameters h{std::exp(x[0]), std::exp(x[1]), std::exp(x[2])};
+  const size_t count = (data.size() + stride - 1) / stride;
+  std::vector<double> likelihoods(count);
+  std::vector<Eigen::Vector3d> gradients(count);
+  InParallel(threads, count, [&](size_t k) {
+    likelihoods[k] =
+        LogMarginalLikelihood(data[k * stride], h, gradient != nullptr ? &gradients[k] : nullptr);
+  });
+  if (gradient != nullptr) {
+    gradient->setZero();
+    for (const Eigen::Vector3d& g : gradients) *gradient += g;
+  }
+  return std::accumulate(likelihoods.begin(), likelihoods.end(), 0.0);
+}
+
+/// Negative log marginal likelihood in the logarithms of the three hyperparameters, with soft walls
+/// that keep them where the data can tell them.
+class MarginalLikelihoodCost : public ceres::FirstOrderFunction {
+ public:
+  MarginalLikelihoodCost(const std::vector<GpData>& data, const GpHyperparameters& fixed,
+                         const Eigen::Vector3d& low, const Eigen::Vector3d& high, int threads)
+      : data_(data),
+        is_free_(fixed.lengthscale_s == 0.0, fixed.signal_std == 0.0, fixed.noise_std == 0.0),
+        low_(low),
+        high_(high),
+        threads_(threads) {
+    for (const GpData& d : data) count_ += static_cast<double>(d.y.size());
+  }
+
+  bool Evaluate(const double* x, double* cost, double* gradient) const override {
+    const Eigen::Map<const Eigen::Vector3d> logs(x);
+    const Eigen::Vector3d clamped = logs.cwiseMax(low_ - kSlack).cwiseMin(high_ + kSlack);
+    if (clamped != logs) return false;
+    Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+    *cost = -SumOfLikelihoods(data_, 1, logs, threads_, gradient != nullptr ? &sum : nullptr);
+    const Eigen::Vector3d below = (low_ - logs).cwiseMax(0.0);
+    const Eigen::Vector3d above = (logs - high_).cwiseMax(0.0);
+    const double ratio = std::max(0.0, x[1] - x[2] - std::log(kMaxSignalToNoise));
+    const double wall = 10.0 * count_;
+    *cost += wall * (below.squaredNorm() + above.squaredNorm() + ratio * ratio);
+    sum = 2.0 * wall * (above - below + Eigen::Vector3d(0.0, ratio, -ratio)) - sum;
+    *cost /= count_;
+    for (int k = 0; gradient != nullptr && k < 3; ++k)
+      gradient[k] = is_free_[k] ? sum[k] / count_ : 0.0;
+    return std::isfinite(*cost);
+  }
+  int NumParameters() const override { return 3; }
+
+ private:
+  const Eigen::Vector3d kSlack = Eigen::Vector3d::Constant(0.3);
+  const std::vector<GpData>& data_;
+  const Eigen::Array<bool, 3, 1> is_free_;
+  const Eigen::Vector3d low_, high_;
+  const int threads_;
+  double count_ = 0.0;
+};
+
+/// Moments of the data from which the search starts.
+struct Moments {
+  double period, duration, signal, rate, noise;
+
+  explicit Moments(const std::vector<GpData>& data) {
+    double sum2 = 0.0, count = 0.0;
+    std::vector<double> periods, rates, second_differences;
+    duration = 0.0;
+    for (const GpData& d : data) {
+      const auto n = d.t.size();
+      sum2 += d.y.squaredNorm();
+      count += static_cast<double>(d.y.size());
+      duration = std::max(duration, d.t[n - 1] - d.t[0]);
+      Eigen::Index lag = 0;  // a rate over 50 ms is not all noise
+      for (Eigen::Index i = 1; i < n; ++i) {
+        periods.push_back(d.t[i] - d.t[i - 1]);
+        while (d.t[i] - d.t[lag] > 0.05 && lag + 1 < i) ++lag;
+        rates.push_back((d.y.row(i) - d.y.row(lag)).squaredNorm() / std::pow(d.t[i] - d.t[lag], 2) /
+                        static_cast<double>(d.y.cols()));
+        if (i < 2) continue;
+        for (Eigen::Index k = 0; k < d.y.cols(); ++k)
+          second_differences.push_back(std::abs(d.y(i, k) - 2.0 * d.y(i - 1, k) + d.y(i - 2, k)));
+      }
+    }
+    period = Median(periods);
+    signal = std::sqrt(sum2 / count);
+    rate = std::sqrt(Median(rates));
+    noise = Median(second_differences) / 0.6745 / std::sqrt(6.0);
+  }
+};
+
+/// The start of which a few of the data are the likeliest: the likelihood has a second maximum
+/// where the noise is followed as a signal.
+Eigen::Vector3d FindBest(const std::vector<GpData>& data,
+                         const std::vector<Eigen::Vector3d>& starts, int threads) {
+  std::vector<double> likelihoods(starts.size());
+  if (starts.size() > 1)
+    InParallel(threads, starts.size(), [&](size_t k) {
+      likelihoods[k] = SumOfLikelihoods(data, 1 + data.size() / 4, starts[k], 1, nullptr);
+    });
+  const auto most = std::max_element(likelihoods.begin(), likelihoods.end());
+  return starts[static_cast<size_t>(most - likelihoods.begin())];
+}
+
+}  // namespace
+
+GpHyperparameters FitHyperparameters(const std::vector<GpData>& data,
+                                     const GpHyperparameters& fixed,
+                                     const GpHyperparameters& before, int threads) {
+  if (fixed.lengthscale_s > 0.0 && fixed.signal_std > 0.0 && fixed.noise_std > 0.0) return fixed;
+  if (fixed.lengthscale_s == 0.0 && fixed.noise_std > 0.0) {
+    const GpHyperparameters fitted =
+        FitHyperparameters(data, {fixed.lengthscale_s, fixed.signal_std, 0.0}, before, threads);
+    if (fitted.noise_std > fixed.noise_std) return fitted;
+  }
+  const Moments moments(data);
+  const double signal = std::max(moments.signal, 1e-6);
+  const double noise = std::clamp(moments.noise, 1e-5 * signal, signal);
+  const Eigen::Vector3d low =
+      Eigen::Vector3d(2.0 * moments.period, 1e-2 * signal, 2e-6 * signal).array().log();
+  const Eigen::Vector3d high =
+      Eigen::Vector3d(std::max(moments.duration, 4.0 * moments.period), 1e3 * signal, 3.0 * signal)
+          .array()
+          .log();
+  Eigen::Vector3d x(std::log(signal / std::max(moments.rate, 1e-6)), std::log(signal),
+                    std::log(noise));
+  x = x.cwiseMax(low).cwiseMin(high);
+  const auto fix = [&fixed](Eigen::Vector3d* logs) {
+    if (fixed.lengthscale_s > 0.0) (*logs)[0] = std::log(fixed.lengthscale_s);
+    if (fixed.signal_std > 0.0) (*logs)[1] = std::log(fixed.signal_std);
+    if (fixed.noise_std > 0.0) (*logs)[2] = std::log(fixed.noise_std);
+  };
+  fix(&x);
+  std::vector<Eigen::Vector3d> starts;
+  for (double step = -3.5; step <= 1.0 && fixed.lengthscale_s == 0.0; step += 0.5)
+    if (x[0] + step >= low[0] && x[0] + step <= high[0])
+      starts.emplace_back(x[0] + step, x[1], x[2]);
+  if (starts.empty()) starts.push_back(x);
+  if (before.lengthscale_s > 0.0) {
+    Eigen::Vector3d there(before.lengthscale_s, before.signal_std, before.noise_std);
+    there = there.array().log().matrix().cwiseMax(low).cwiseMin(high).eval();
+    fix(&there);
+    starts.push_back(there);
+  }
+  x = FindBest(data, starts, threads);
+
+  ceres::GradientProblem problem(
+      new MarginalLikelihoodCost(data, fixed, low.cwiseMin(x), high.cwiseMax(x), threads));
+  ceres::GradientProblemSolver::Options options;
+  options.logging_type = ceres::SILENT;
+  options.line_search_direction_type = ceres::BFGS;
+  options.max_num_iterations = 60;
+  options.function_tolerance = 1e-7;
+  options.gradient_tolerance = 1e-5;
+  ceres::GradientProblemSolver::Summary summary;
+  ceres::Solve(options, problem, x.data(), &summary);
+  return {std::exp(x[0]), std::exp(x[1]), std::exp(x[2])};
+}
+
+}  // namespace imu_pose_calib

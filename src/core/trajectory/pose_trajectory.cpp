@@ -1,0 +1,401 @@
+#include "imu_pose_calib/core/trajectory/pose_trajectory.h"
+
+#include <algorithm>
+#include <cmath>
+#include <optional>
+#include <utility>
+
+#include "imu_pose_calib/core/base/median.h"
+#include "imu_pose_calib/core/base/parallel.h"
+#include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/data/segments.h"
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr double kMedianOfChi3 = 1.5382;  // median norm of a standard normal 3-vector
+constexpr int kLikelihoodChunks = 16;
+constexpr size_t kChunkPoses = 250;
+constexpr int kMaxRounds = 12;
+constexpr int kMaxRefits = 3;
+constexpr int kSpikeRounds = 3;
+constexpr double kSpikeThreshold = 2.0;  // times the outlier threshold
+constexpr double kSpikeRadius = 10.5;    // poses on either side
+
+GpHyperparameters Scaled(const GpHyperparameters& h, double factor) {
+  return {h.lengthscale_s, factor * h.signal_std, factor * h.noise_std};
+}
+
+GpData PositionData(const std::vector<TimedPose>& poses, IndexRange range,
+                    const Eigen::Vector3d& origin_W) {
+  const auto n = static_cast<Eigen::Index>(range.size());
+  GpData data{Eigen::VectorXd(n), Eigen::MatrixXd(n, 3)};
+  for (Eigen::Index i = 0; i < n; ++i) {
+    const TimedPose& pose = poses[range.begin + static_cast<size_t>(i)];
+    data.t[i] = pose.t;
+    data.y.row(i) = pose.p_WM - origin_W;
+  }
+  return data;
+}
+
+GpData QuaternionData(const std::vector<TimedPose>& poses, IndexRange range) {
+  const auto n = static_cast<Eigen::Index>(range.size());
+  GpData data{Eigen::VectorXd(n), Eigen::MatrixXd(n, 4)};
+  for (Eigen::Index i = 0; i < n; ++i) {
+    const TimedPose& pose = poses[range.begin + static_cast<size_t>(i)];
+    data.t[i] = pose.t;
+    data.y.row(i) = pose.q_WM.coeffs();
+  }
+  return data;
+}
+
+Eigen::Vector3d MeanPosition(const std::vector<TimedPose>& poses) {
+  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+  for (const TimedPose& pose : poses) sum += pose.p_WM;
+  return sum / static_cast<double>(poses.size());
+}
+
+/// Up to kLikelihoodChunks pieces of up to kChunkPoses poses, spread over the log.
+std::vector<IndexRange> Chunks(const std::vector<IndexRange>& segments) {
+  std::vector<IndexRange> chunks;
+  for (const IndexRange& s : segments) {
+    const size_t count = (s.size() + kChunkPoses - 1) / kChunkPoses;
+    for (size_t k = 0; k < count; ++k)
+      chunks.push_back({s.begin + k * s.size() / count, s.begin + (k + 1) * s.size() / count});
+  }
+  std::vector<IndexRange> spread;
+  const size_t wanted = std::min<size_t>(chunks.size(), kLikelihoodChunks);
+  for (size_t k = 0; k < wanted; ++k) spread.push_back(chunks[k * chunks.size() / wanted]);
+  return spread;
+}
+
+GpHyperparameters FitPosition(const CalibrationOptions& o, const ConditionedData& data,
+                              const GpHyperparameters& before) {
+  const Eigen::Vector3d origin_W = MeanPosition(data.poses);
+  std::vector<GpData> chunks;
+  for (const IndexRange& range : Chunks(data.segments))
+    chunks.push_back(PositionData(data.poses, range, origin_W));
+  return FitHyperparameters(chunks,
+                            {o.position_lengthscale_s, o.position_signal_std, o.position_noise_std},
+                            before, o.Threads());
+}
+
+/// In [rad]. Rotation noise moves a unit quaternion by half the angle and in three of its four
+/// dimensions only, so the noise per component that the likelihood sees is sigma/2 sqrt(3/4).
+GpHyperparameters FitRotation(const CalibrationOptions& o, const ConditionedData& data,
+                              const GpHyperparameters& before) {
+  std::vector<GpData> chunks;
+  for (const IndexRange& range : Chunks(data.segments))
+    chunks.push_back(QuaternionData(data.poses, range));
+  const double noise_ratio = 0.5 * std::sqrt(0.75);
+  const GpHyperparameters h = FitHyperparameters(
+      chunks,
+      {o.rotation_lengthscale_s, 0.5 * o.rotation_signal_std, noise_ratio * o.rotation_noise_std},
+      {before.lengthscale_s, 0.5 * before.signal_std, noise_ratio * before.noise_std}, o.Threads());
+  return {h.lengthscale_s, 2.0 * h.signal_std, h.noise_std / noise_ratio};
+}
+
+/// Finds the norm of the leave-one-out residual in sigma, per pose: (position, rotation). Only
+/// where poses at `removed` [s] were before, unless there are none.
+void LeaveOneOut(const PoseTrajectory& trajectory, const std::vector<TimedPose>& poses,
+                 const std::vector<double>& removed, int threads,
+                 std::vector<Eigen::Vector2d>* normalised) {
+  const double position_noise2 = std::pow(trajectory.position_hyperparameters().noise_std, 2);
+  const double rotation_noise2 = std::pow(trajectory.rotation_hyperparameters().noise_std, 2);
+  // r_loo = r / (1 - h) with variance noise^2 / (1 - h), h = posterior variance / noise^2
+  const auto normalise = [](double residual, double variance, double noise2) {
+    return residual / std::sqrt(std::max(noise2 - variance, 1e-3 * noise2));
+  };
+  normalised->resize(poses.size());
+  InPortions(threads, poses.size(), [&](size_t i) {
+    const TimedPose& pose = poses[i];
+    if (!removed.empty() && !trajectory.Reaches(pose.t, removed)) return;
+    Eigen::Vector2d variance;
+    const Rigid3 smooth = trajectory.PoseAt(pose.t, &variance);
+    const double position = (pose.p_WM - smooth.p).norm();
+    const double rotation = Log(Eigen::Quaterniond(smooth.q.conjugate() * pose.q_WM)).norm();
+    (*normalised)[i] << normalise(position, variance[0], position_noise2),
+        normalise(rotation, variance[1], rotation_noise2);
+  });
+}
+
+/// Believes in noise that differs between poses only as far as the residuals bear it out: on
+/// logarithmic scales they must grow with it, at least at half the rate.
+void CheckNoiseScales(const std::vector<Eigen::Vector2d>& residuals,
+                      std::vector<TimedPose>* poses) {
+  const auto check = [&](int kind, double TimedPose::*scale) {
+    const auto count = static_cast<double>(poses->size());
+    double mean = 0.0, covariance = 0.0, variance = 0.0;
+    for (const TimedPose& pose : *poses) mean += std::log(pose.*scale) / count;
+    for (size_t i = 0; i < poses->size(); ++i) {
+      const double x = std::log((*poses)[i].*scale) - mean;
+      covariance += x * std::log(std::max(residuals[i][kind], 1e-9));
+      variance += x * x;
+    }
+    if (covariance > 0.5 * variance) return;
+    for (TimedPose& pose : *poses) pose.*scale = 1.0;
+  };
+  check(0, &TimedPose::position_scale);
+  check(1, &TimedPose::rotation_scale);
+}
+
+/// Indices of the poses whose residual exceeds `threshold` robust sigma, of the log and of the
+/// poses within `radius_s`, and is the largest there. An outlier drags its neighbours along, so
+/// those are judged again without it; where the motion is livelier than the GP, all residuals are
+/// large and none is an outlier.
+std::vector<size_t> FindOutliers(const std::vector<Eigen::Vector2d>& residuals,
+                                 const std::vector<TimedPose>& poses, double threshold,
+                                 double radius_s) {
+  const auto range = [&](size_t i) {
+    IndexRange near{i, i + 1};
+    while (near.begin > 0 && poses[i].t - poses[near.begin - 1].t < radius_s) --near.begin;
+    while (near.end < poses.size() && poses[near.end].t - poses[i].t < radius_s) ++near.end;
+    return near;
+  };
+  const auto median = [&](IndexRange part, int kind) {
+    std::vector<double> values;
+    for (size_t i = part.begin; i < part.end; ++i) values.push_back(residuals[i][kind]);
+    return std::max(Median(std::move(values)) / kMedianOfChi3, 1e-9);
+  };
+  std::vector<size_t> outliers;
+  for (int kind = 0; kind < 2; ++kind) {
+    const double scale = median({0, poses.size()}, kind);
+    for (size_t i = 0; i < poses.size(); ++i) {
+      const double residual = residuals[i][kind];
+      if (residual <= threshold * scale) continue;
+      const IndexRange near = range(i);
+      if (residual <= threshold * median(near, kind)) continue;
+      bool largest = true;
+      for (size_t j = near.begin; j < near.end; ++j)
+        largest = largest && (j < i ? residuals[j][kind] <= residual
+                                    : j == i || residuals[j][kind] < residual);
+      if (largest) outliers.push_back(i);
+    }
+  }
+  std::sort(outliers.begin(), outliers.end());
+  outliers.erase(std::unique(outliers.begin(), outliers.end()), outliers.end());
+  return outliers;
+}
+
+/// Removes the poses at `indices` (increasing).
+void RemovePoses(const std::vector<size_t>& indices, ConditionedData* data) {
+  std::vector<size_t> removed_before(data->poses.size() + 1, 0);
+  std::vector<TimedPose> kept;
+  size_t next = 0;
+  for (size_t i = 0; i < data->poses.size(); ++i) {
+    removed_before[i] = next;
+    if (next < indices.size() && indices[next] == i) {
+      ++next;
+    } else {
+      kept.push_back(data->poses[i]);
+    }
+  }
+  removed_before.back() = next;
+  for (IndexRange& s : data->segments) {
+    s.begin -= removed_before[s.begin];
+    s.end -= removed_before[s.end];
+  }
+  const auto is_short = [](const IndexRange& s) { return s.size() < 2; };
+  data->segments.erase(std::remove_if(data->segments.begin(), data->segments.end(), is_short),
+                       data->segments.end());
+  data->poses = std::move(kept);
+  data->pose_report.outlier += indices.size();
+  data->pose_report.used = data->poses.size();
+}
+
+/// Distance of each pose from the middle of its neighbours: (position [m], rotation [rad]).
+std::vector<Eigen::Vector2d> DistanceFromNeighbours(const std::vector<TimedPose>& poses,
+                                                    const std::vector<IndexRange>& segments) {
+  std::vector<Eigen::Vector2d> distances(poses.size(), Eigen::Vector2d::Zero());
+  for (const IndexRange& segment : segments) {
+    for (size_t i = segment.begin + 1; i + 1 < segment.end; ++i) {
+      const double u = (poses[i].t - poses[i - 1].t) / (poses[i + 1].t - poses[i - 1].t);
+      const Eigen::Vector3d p = (1.0 - u) * poses[i - 1].p_WM + u * poses[i + 1].p_WM;
+      const Eigen::Quaterniond q = poses[i - 1].q_WM.slerp(u, poses[i + 1].q_WM);
+      distances[i] << (poses[i].p_WM - p).norm(), poses[i].q_WM.angularDistance(q);
+    }
+  }
+  return distances;
+}
+
+/// Removes single poses far off their neighbours before a likelihood sees them: they would make it
+/// believe in noise, or in motion at the rate of the samples, and cost it a long search.
+void RemoveSpikes(double threshold, ConditionedData* data) {
+  for (int round = 0; round < kSpikeRounds; ++round) {
+    const std::vector<Eigen::Vector2d> distances =
+        DistanceFromNeighbours(data->poses, data->segments);
+    std::vector<size_t> spikes = FindOutliers(distances, data->poses, kSpikeThreshold * threshold,
+                                              kSpikeRadius / data->pose_report.rate_hz);
+    // On either side of a jump the distances are alike; next to a spike they are half of its own.
+    const auto is_at_jump = [&](size_t i) {
+      const Eigen::Vector2d next = distances[i - 1].cwiseMax(distances[i + 1]);
+      return (distances[i].array() < 1.5 * next.array()).all();
+    };
+    spikes.erase(std::remove_if(spikes.begin(), spikes.end(), is_at_jump), spikes.end());
+    if (spikes.empty()) return;
+    RemovePoses(spikes, data);
+  }
+}
+
+/// How the quaternion before projection turns, given with its derivatives in columns, and, unless
+/// null, the time derivative of that (of q_WM: of its coefficients).
+void FindRotation(const WindowedGp::Derivatives& q, MarkerRotation<double>* rotation,
+                  MarkerRotation<double>* rate) {
+  const auto quaternion = [&q](int derivative) {
+    return Eigen::Quaterniond(Eigen::Vector4d(q.col(derivative)));
+  };
+  // With A = q^-1 q', B = q^-1 q'', C = q^-1 q''': omega = 2 Im A, A' = B - A^2, B' = C - A B,
+  // whatever the norm of q does.
+  const Eigen::Quaterniond q_inv = quaternion(0).inverse();
+  const Eigen::Quaterniond A = q_inv * quaternion(1);
+  const Eigen::Quaterniond B = q_inv * quaternion(2);
+  rotation->q_WM = quaternion(0).normalized();
+  rotation->omega_M = 2.0 * A.vec();
+  rotation->alpha_M = 2.0 * (B.vec() - (A * A).vec());
+  if (rate == nullptr) return;
+  const Eigen::Quaterniond C = q_inv * quaternion(3);
+  const Eigen::Quaterniond half_omega(0.0, A.x(), A.y(), A.z());
+  rate->q_WM = rotation->q_WM * half_omega;
+  rate->omega_M = rotation->alpha_M;
+  rate->alpha_M = 2.0 * (C.vec() - 2.0 * (A * B).vec() - (B * A).vec() + 2.0 * (A * A * A).vec());
+}
+
+}  // namespace
+
+PoseTrajectory::PoseTrajectory(const std::vector<TimedPose>& poses,
+                               const std::vector<IndexRange>& segments,
+                               const GpHyperparameters& position, const GpHyperparameters& rotation,
+                               int threads)
+    : position_(position), rotation_(rotation), origin_W_(MeanPosition(poses)) {
+  for (const IndexRange& range : segments)
+    segments_.push_back(
+        {WindowedGp(PositionData(poses, range, origin_W_), position_, threads),
+         WindowedGp(QuaternionData(poses, range), Scaled(rotation_, 0.5), threads)});
+}
+
+PoseTrajectory PoseTrajectory::Without(const std::vector<double>& removed,
+                                       const std::vector<TimedPose>& poses,
+                                       const std::vector<IndexRange>& segments, int threads) const {
+  PoseTrajectory without = *this;
+  without.segments_.clear();
+  for (const IndexRange& range : segments) {
+    const GpData position = PositionData(poses, range, origin_W_);
+    const GpData quaternion = QuaternionData(poses, range);
+    const double begin = poses[range.begin].t, end = poses[range.end - 1].t;
+    const Segment* own = Find(begin);
+    if (own != nullptr && own->position.begin() == begin && own->position.end() == end)
+      without.segments_.push_back({WindowedGp(own->position, position, removed, threads),
+                                   WindowedGp(own->quaternion, quaternion, removed, threads)});
+    else
+      without.segments_.push_back({WindowedGp(position, position_, threads),
+                                   WindowedGp(quaternion, Scaled(rotation_, 0.5), threads)});
+  }
+  return without;
+}
+
+bool PoseTrajectory::Reaches(double t, const std::vector<double>& others) const {
+  const Segment* segment = Find(t);
+  return std::any_of(others.begin(), others.end(), [&](double other) {
+    return segment->position.Reaches(t, other) || segment->quaternion.Reaches(t, other);
+  });
+}
+
+const PoseTrajectory::Segment* PoseTrajectory::Find(double t) const {
+  const auto after = std::upper_bound(
+      segments_.begin(), segments_.end(), t,
+      [](double value, const Segment& segment) { return value < segment.position.begin(); });
+  if (after == segments_.begin()) return nullptr;
+  const Segment& segment = *std::prev(after);
+  return t <= segment.position.end() ? &segment : nullptr;
+}
+
+bool PoseTrajectory::Covers(double begin, double end) const {
+  const Segment* segment = Find(begin);
+  return segment != nullptr && end <= segment->position.end();
+}
+
+bool PoseTrajectory::Evaluate(double t, MarkerState<double>* state,
+                              MarkerState<double>* rate) const {
+  const Segment* segment = Find(t);
+  if (segment == nullptr) return false;
+  const WindowedGp::Derivatives p = segment->position.Evaluate(t);
+  FindRotation(segment->quaternion.Evaluate(t), state, rate);
+  state->p_WM = origin_W_ + Eigen::Vector3d(p.col(0));
+  state->v_W = p.col(1);
+  state->a_W = p.col(2);
+  if (rate == nullptr) return true;
+  rate->p_WM = state->v_W;
+  rate->v_W = state->a_W;
+  rate->a_W = p.col(3);
+  return true;
+}
+
+bool PoseTrajectory::EvaluateRotation(double t, MarkerRotation<double>* rotation) const {
+  const Segment* segment = Find(t);
+  if (segment == nullptr) return false;
+  FindRotation(segment->quaternion.Evaluate(t), rotation, nullptr);
+  return true;
+}
+
+MarkerVariance PoseTrajectory::Variance(double t) const {
+  const Segment* segment = Find(t);
+  const Eigen::Vector3d p = segment->position.Variance(t);
+  const Eigen::Vector3d q = 4.0 * segment->quaternion.Variance(t);  // an angle is twice its half
+  return {q[0], q[1], q[2], p[2]};
+}
+
+Rigid3 PoseTrajectory::PoseAt(double t, Eigen::Vector2d* variance) const {
+  const Segment* segment = Find(t);
+  const Eigen::Vector4d q =
+      segment->quaternion.Value(t, variance != nullptr ? &variance->y() : nullptr);
+  const Eigen::Vector3d p =
+      segment->position.Value(t, variance != nullptr ? &variance->x() : nullptr);
+  if (variance != nullptr) variance->y() *= 4.0;  // an angle is twice its half
+  return {Eigen::Quaterniond(q).normalized(), origin_W_ + p};
+}
+
+PoseTrajectory FitTrajectory(const CalibrationOptions& options, ConditionedData* data) {
+  RemoveSpikes(options.outlier_threshold, data);
+  SplitAtJumps(options, data);
+  const int threads = options.Threads();
+  GpHyperparameters position, rotation;
+  std::optional<PoseTrajectory> trajectory;
+  std::vector<Eigen::Vector2d> residuals;
+  std::vector<double> removed;  // [s] since the last round
+  bool refit = true;
+  int refits = 0;
+  bool stale = false;  // poses left since the hyperparameters were fitted
+  for (int round = 1;; ++round) {
+    if (refit) {
+      position = FitPosition(options, *data, position);
+      rotation = FitRotation(options, *data, rotation);
+      ++refits;
+      stale = false;
+      removed.clear();
+      trajectory.emplace(data->poses, data->segments, position, rotation, threads);
+    } else {
+      trajectory = trajectory->Without(removed, data->poses, data->segments, threads);
+    }
+    LeaveOneOut(*trajectory, data->poses, removed, threads, &residuals);
+    const std::vector<size_t> outliers =
+        FindOutliers(residuals, data->poses, options.outlier_threshold,
+                     std::min(position.lengthscale_s, rotation.lengthscale_s));
+    const bool may_refit = refits < kMaxRefits;
+    if (round == kMaxRounds || (outliers.empty() && !(stale && may_refit))) {
+      CheckNoiseScales(residuals, &data->poses);
+      return std::move(*trajectory);
+    }
+    // Gross outliers inflate the likelihood's noise: ask again when none is left, or while they are
+    // so many that they hide each other.
+    refit = may_refit && (outliers.empty() || outliers.size() > data->poses.size() / 1000);
+    stale = stale || !outliers.empty();
+    removed.clear();
+    for (size_t k = outliers.size(); k-- > 0;) {
+      removed.insert(removed.begin(), data->poses[outliers[k]].t);
+      residuals.erase(residuals.begin() + static_cast<ptrdiff_t>(outliers[k]));
+    }
+    RemovePoses(outliers, data);
+  }
+}
+
+}  // namespace imu_pose_calib

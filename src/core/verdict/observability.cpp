@@ -1,0 +1,281 @@
+#include "imu_pose_calib/core/verdict/observability.h"
+
+#include <Eigen/Eigenvalues>
+#include <Eigen/LU>
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "imu_pose_calib/core/base/intrinsics.h"
+#include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/base/text.h"
+#include "imu_pose_calib/core/start/excitation.h"
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr double kDegenerateFactor = 10.0;  // times the weak threshold
+
+// What is worth a warning:
+constexpr double kCertain = 3.0;            // sigma of a hint
+constexpr double kCorrelated = 3.0;         // clusters' sigma over the model's
+constexpr double kNotableDrift = 1e-4;      // [s] over the recording
+constexpr double kNotableSmoothing = 1e-5;  // [s^2]
+constexpr double kNotableScale = 5e-3;      // [1]
+constexpr double kNotableDelay = 10e-3;     // [s]
+
+/// Covariance of p_MI once the information that the trajectory's errors feign is taken away; huge
+/// where nothing remains.
+Eigen::Matrix3d HonestLeverArm(const Eigen::Matrix3d& covariance, double feigned_information) {
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(
+      Eigen::Matrix3d(covariance.inverse() - feigned_information * Eigen::Matrix3d::Identity()));
+  const Eigen::Matrix3d& V = eigen.eigenvectors();
+  return V * eigen.eigenvalues().cwiseMax(1e-12).cwiseInverse().asDiagonal() * V.transpose();
+}
+
+/// Principal directions of a 3x3 covariance, each with its sigma. None when it is not estimated.
+void AddDirections(const Eigen::Matrix3d& C, const std::string& name, const std::string& frame,
+                   const std::string& unit, std::vector<Observability>* spectrum) {
+  if (C.isZero(0.0)) return;
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(C);
+  for (int k = 0; k < 3; ++k)
+    spectrum->push_back({name + DescribeAxis(eigen.eigenvectors().col(k), frame),
+                         std::sqrt(std::max(0.0, eigen.eigenvalues()[k])), unit, Status::kNotRun});
+}
+
+/// " of imu1", " of imu1 in session 2" (the first is 1), or less when there is only one.
+std::string Of(const Parameter& p, const Calibration& result, bool in_session) {
+  return OfImu(p.imu, result.imus.size()) +
+         (in_session ? OfSession(p.session, result.sessions.size()) : "");
+}
+
+double WeakThreshold(const CalibrationOptions& options, const std::string& unit) {
+  if (unit == "m") return options.weak_translation_std;
+  if (unit == "rad") return options.weak_rotation_std;
+  return options.weak_time_shift_std;
+}
+
+/// Each direction with its verdict, the worst first.
+std::vector<Observability> Spectrum(const CalibrationOptions& options, const Marginals& marginals,
+                                    const Eigen::MatrixXd& C, const Calibration& result) {
+  std::vector<Observability> spectrum;
+  for (const PlacedParameter& p : marginals.parameters) {
+    const int k = p.place;
+    const ParameterKind kind = p.parameter.kind;
+    if (!p.is_estimated || !(C(k, k) > 0.0)) continue;
+    const std::string of = Of(p.parameter, result, kind == ParameterKind::kTimeShift);
+    const auto add_time = [&](const char* name) {
+      spectrum.push_back({name + of, std::sqrt(C(k, k)), "s", Status::kNotRun});
+    };
+    if (kind == ParameterKind::kTranslation)
+      AddDirections(C.block<3, 3>(k, k), "p_MI" + of + " along ", "marker", "m", &spectrum);
+    if (kind == ParameterKind::kRotation)
+      AddDirections(C.block<3, 3>(k, k), "R_MI" + of + " about ", "imu", "rad", &spectrum);
+    if (kind == ParameterKind::kTimeShift) add_time("time_shift");
+    if (kind == ParameterKind::kAccelDelay) add_time("accel_delay");
+  }
+  const auto badness = [&](const Observability& o) {
+    return o.std / WeakThreshold(options, o.unit);
+  };
+  for (Observability& o : spectrum)
+    o.status = badness(o) <= 1.0                 ? Status::kOk
+               : badness(o) <= kDegenerateFactor ? Status::kWeak
+                                                 : Status::kDegenerate;
+  std::stable_sort(
+      spectrum.begin(), spectrum.end(),
+      [&](const Observability& a, const Observability& b) { return badness(a) > badness(b); });
+  return spectrum;
+}
+
+bool IsKey(ParameterKind kind) { return kind <= ParameterKind::kAccelDelay; }
+
+/// Largest factor by which the clusters' sigma exceeds the model's.
+double Correlation(const Marginals& m) {
+  double ratio = 0.0;
+  for (const PlacedParameter& p : m.parameters)
+    for (int i = p.place; IsKey(p.parameter.kind) && i < p.place + p.parameter.size; ++i)
+      if (m.model(i, i) > 0.0) ratio = std::max(ratio, std::sqrt(m.robust(i, i) / m.model(i, i)));
+  return ratio;
+}
+
+/// The hint of largest size for parameters of this kind that is certain, and whose it is; 0 when
+/// none is.
+double CertainHint(const Marginals& m, ParameterKind kind, Parameter* whose) {
+  double largest = 0.0;
+  for (const PlacedParameter& p : m.parameters) {
+    if (p.parameter.kind != kind) continue;
+    for (int i = p.place; i < p.place + p.parameter.size; ++i) {
+      if (std::abs(m.hint[i]) <= kCertain * m.hint_std[i] ||
+          std::abs(m.hint[i]) <= std::abs(largest))
+        continue;
+      largest = m.hint[i];
+      *whose = p.parameter;
+    }
+  }
+  return largest;
+}
+
+/// Sigmas of one parameter, but for p_MI and R_MI, which go together.
+void ReportParameter(const PlacedParameter& p, const Eigen::MatrixXd& C, Calibration* result) {
+  const Eigen::VectorXd std_dev =
+      C.diagonal().segment(p.place, p.parameter.size).cwiseMax(0.0).cwiseSqrt();
+  const ParameterKind kind = p.parameter.kind;
+  ImuCalibration& imu = result->imus[p.parameter.imu];
+  SessionCalibration& session = result->sessions[p.parameter.session];
+  ImuSession& own = session.imus[p.parameter.imu];
+  const std::pair<ParameterKind, double*> scalars[] = {
+      {ParameterKind::kTimeShift, &own.time_shift_std},
+      {ParameterKind::kAccelDelay, &imu.accel_delay_std},
+      {ParameterKind::kClockDrift, &own.clock_drift_std},
+      {ParameterKind::kPoseSmoothing, &result->pose_smoothing_std},
+      {ParameterKind::kPositionSmoothing, &result->position_smoothing_std},
+      {ParameterKind::kPoseScale, &result->pose_scale_std},
+      {ParameterKind::kAccelSmoothing, &imu.accel_smoothing_std}};
+  for (const auto& [of, scalar] : scalars)
+    if (of == kind) *scalar = std_dev[0];
+  const std::pair<ParameterKind, Eigen::Vector3d*> vectors[] = {
+      {ParameterKind::kGravity, &session.g_W_std},
+      {ParameterKind::kGyroBias, &own.gyro_bias_std},
+      {ParameterKind::kAccelBias, &own.accel_bias_std}};
+  for (const auto& [of, vector] : vectors)
+    if (of == kind) *vector = std_dev;
+  if (kind == ParameterKind::kGyroIntrinsics)
+    imu.gyro_matrix_std = GyroMatrix(Vector6d(std_dev)) - Eigen::Matrix3d::Identity();
+  if (kind == ParameterKind::kAccelIntrinsics)
+    imu.accel_matrix_std = AccelMatrix(Vector9d(std_dev)) - Eigen::Matrix3d::Identity();
+  if (kind == ParameterKind::kAccelPositions)
+    imu.accel_positions_std = AccelPositions(Vector6d(std_dev)).cwiseAbs();
+}
+
+/// Rows of (p_MI, R_MI) of each IMU in C; zero rows for what is not estimated.
+Eigen::MatrixXd PoseRows(const Marginals& marginals, size_t imus) {
+  Eigen::MatrixXd S =
+      Eigen::MatrixXd::Zero(6 * static_cast<Eigen::Index>(imus), marginals.model.rows());
+  for (size_t i = 0; i < imus; ++i) {
+    const auto row = 6 * static_cast<Eigen::Index>(i);
+    const int p = marginals.Find(ParameterKind::kTranslation, i);
+    const int R = marginals.Find(ParameterKind::kRotation, i);
+    if (p >= 0) S.block<3, 3>(row, p).setIdentity();
+    if (R >= 0) S.block<3, 3>(row + 3, R).setIdentity();
+  }
+  return S;
+}
+
+/// Covariance of each T_MI, and the transforms between the IMUs with theirs.
+void ReportTransforms(const Eigen::MatrixXd& C, const Marginals& marginals, Calibration* result) {
+  const Eigen::MatrixXd S = PoseRows(marginals, result->imus.size());
+  const Eigen::MatrixXd poses = S * C * S.transpose();
+  const Eigen::MatrixXd model = S * marginals.model * S.transpose();
+  const Rigid3& first = result->imus[0].T_MI;
+  result->between_imus.clear();
+  for (size_t i = 0; i < result->imus.size(); ++i) {
+    const auto row = 6 * static_cast<Eigen::Index>(i);
+    result->imus[i].covariance = poses.block<6, 6>(row, row);
+    result->imus[i].model_covariance = model.block<6, 6>(row, row);
+    if (i == 0) continue;
+    BetweenImus between{0, i, first.Inverse() * result->imus[i].T_MI, {}};
+    // p = R_0^T (p_i - p_0), R = R_0^T R_i, with R_0 Exp(theta_0) and R_i Exp(theta_i).
+    const Eigen::Matrix3d R_0M = first.q.conjugate().toRotationMatrix();
+    Eigen::Matrix<double, 6, 12> J = Eigen::Matrix<double, 6, 12>::Zero();
+    J.block<3, 3>(0, 0) = -R_0M;
+    J.block<3, 3>(0, 3) = Hat(between.T.p);
+    J.block<3, 3>(0, 6) = R_0M;
+    J.block<3, 3>(3, 3) = -between.T.q.conjugate().toRotationMatrix();
+    J.block<3, 3>(3, 9).setIdentity();
+    Eigen::Matrix<double, 12, 12> both;
+    both << poses.topLeftCorner<6, 6>(), poses.block<6, 6>(0, row), poses.block<6, 6>(row, 0),
+        poses.block<6, 6>(row, row);
+    between.covariance = J * both * J.transpose();
+    result->between_imus.push_back(between);
+  }
+}
+
+}  // namespace
+
+void GradeResult(const CalibrationOptions& options, const Marginals& marginals,
+                 Calibration* result) {
+  if (!marginals.model.allFinite() || !marginals.robust.allFinite()) {
+    result->status = Status::kDegenerate;
+    result->message = std::string("the data do not determine all parameters; ") + kTurnAdvice;
+    result->unobservable = {result->message};
+    return;
+  }
+  const Eigen::VectorXd enlargement = Enlargement(marginals.model, marginals.robust);
+  const auto larger = enlargement.asDiagonal();
+  const Eigen::MatrixXd C = larger * marginals.model * larger;
+  for (const PlacedParameter& p : marginals.parameters)
+    if (p.is_estimated) ReportParameter(p, C, result);
+  ReportTransforms(C, marginals, result);
+
+  const auto take_halves = [&](ParameterKind kind, int size, double* difference) {
+    const int place = marginals.Find(kind);
+    if (place >= 0) std::copy_n(&marginals.halves_difference[place], size, difference);
+  };
+  take_halves(ParameterKind::kTranslation, 3, result->split_half.translation.data());
+  take_halves(ParameterKind::kRotation, 3, result->split_half.rotation.data());
+  take_halves(ParameterKind::kTimeShift, 1, &result->split_half.time_shift);
+  result->split_half.sigmas = marginals.halves_sigmas;
+
+  Eigen::MatrixXd honest = marginals.model;
+  for (const PlacedParameter& p : marginals.parameters)
+    if (p.is_estimated && p.parameter.kind == ParameterKind::kTranslation)
+      honest.block<3, 3>(p.place, p.place) =
+          HonestLeverArm(marginals.model.block<3, 3>(p.place, p.place),
+                         marginals.feigned_information[p.parameter.imu]);
+  result->observability = Spectrum(options, marginals, larger * honest * larger, *result);
+  result->status = Status::kOk;
+  result->message = "every sigma is within its bound";
+  if (result->observability.empty() || result->observability.front().status == Status::kOk) return;
+  const Observability& worst = result->observability.front();
+  result->status = worst.status;
+  const bool is_degenerate = worst.status == Status::kDegenerate;
+  const double bound =
+      (is_degenerate ? kDegenerateFactor : 1.0) * WeakThreshold(options, worst.unit);
+  result->message = (is_degenerate ? "the motion does not determine " : "sigma of ") +
+                    worst.direction + (is_degenerate ? ": sigma " : " is ") +
+                    InWords(worst.std, worst.unit) + " (bound: " + InWords(bound, worst.unit) +
+                    "); record longer, and turn faster about at least two axes";
+  for (const Observability& o : result->observability)
+    if (o.status == Status::kDegenerate)
+      result->unobservable.push_back(o.direction + ": turn faster, and about a second axis");
+}
+
+void WarnOfMisfit(const Marginals& marginals, Calibration* result) {
+  const auto warn = [result](const std::string& text) { result->warnings.push_back(text); };
+  const double correlation = Correlation(marginals);
+  if (correlation > kCorrelated)
+    warn("the residuals are not independent noise: sigmas are up to " +
+         Number(correlation, "%.1f") + " times as large as with it");
+  Parameter whose{};
+  const double drift = CertainHint(marginals, ParameterKind::kClockDrift, &whose);
+  const double drifted =
+      std::abs(drift) * result->sessions[whose.session].imus[whose.imu].gyro.duration_s;
+  if (drifted > kNotableDrift)
+    warn("the clocks" + Of(whose, *result, true) + " drift by " + Number(1e6 * drift, "%+.1f") +
+         " ppm (" + InWords(drifted, "s") + " over the recording): set estimate_clock_drift: true");
+  const double smoothing = CertainHint(marginals, ParameterKind::kPoseSmoothing, &whose);
+  if (std::abs(smoothing) > kNotableSmoothing)
+    warn(std::string(smoothing > 0.0 ? "the poses are smoothed more than the imu's data"
+                                     : "the imu's data are smoothed more than the poses") +
+         ", over " + InWords(std::sqrt(std::abs(smoothing)), "s") +
+         ": set estimate_pose_smoothing: true");
+  const std::pair<const char*, ParameterKind> scales[] = {
+      {"gyroscope", ParameterKind::kGyroIntrinsics},
+      {"accelerometer", ParameterKind::kAccelIntrinsics}};
+  for (const auto& [sensor, kind] : scales) {
+    const double error = CertainHint(marginals, kind, &whose);
+    if (std::abs(error) > kNotableScale)
+      warn("the " + std::string(sensor) + "'s scale or alignment" + Of(whose, *result, false) +
+           " seems off by " + Number(100.0 * std::abs(error), "%.1f") +
+           " %: try imu_model: scale_misalignment");
+  }
+  for (size_t i = 0; i < result->imus.size(); ++i) {
+    const double delay = result->imus[i].accel_delay;
+    if (std::abs(delay) > kNotableDelay)
+      warn("the accelerometer's data" + OfImu(i, result->imus.size()) + " are " +
+           InWords(std::abs(delay), "s") + (delay > 0.0 ? " later" : " earlier") +
+           " than the gyroscope's of the same stamp: check the imu's filters and driver");
+  }
+}
+
+}  // namespace imu_pose_calib

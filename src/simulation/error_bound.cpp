@@ -1,0 +1,295 @@
+#include "imu_pose_calib/simulation/error_bound.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+
+#include "imu_pose_calib/core/base/intrinsics.h"
+#include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/base/spline.h"
+
+namespace imu_pose_calib {
+namespace {
+
+using Eigen::Matrix3d;
+using Eigen::MatrixXd;
+using Eigen::Vector3d;
+
+// Places of what the recordings share.
+constexpr int kTranslation = 0, kRotation = 3, kDelay = 6, kGyroMatrix = 7, kAccelMatrix = 13,
+              kAccelSmoothing = 22, kPoseSmoothing = 23, kPositionSmoothing = 24, kPoseScale = 25,
+              kAccelPositions = 26, kShared = 32;
+// Places of what a recording has of its own, after these; biases at knots follow.
+constexpr int kTimeShift = kShared, kDrift = kShared + 1, kGravity = kShared + 2,
+              kMagnitude = kShared + 4, kBiases = kShared + 5;
+
+// Sigmas of the priors, as in joint_problem.cpp.
+constexpr double kScalePrior = 0.01, kAlignmentPrior = M_PI / 360.0, kDriftPrior = 1e-4,
+                 kSmoothingPrior = 1e-3, kAccelSmoothingPrior = 5e-5, kPoseScalePrior = 1e-3,
+                 kMagnitudePrior = 0.03, kSizePrior = 2e-3;
+constexpr double kKnown = 1e-12;  // sigma of what is known
+
+constexpr double kBiasKnots = 5.0;  // [s]
+constexpr double kStep = 1e-3;      // [s] of differences in time
+constexpr int kPoint = 6;           // of a control point: d, then phi
+constexpr int kWindow = kSplineOrder * kPoint;
+
+double Seconds(int64_t ns) { return 1e-9 * static_cast<double>(ns); }
+
+/// Derivatives of three measured values by the trajectory's corrections, at one instant, and by the
+/// other parameters.
+struct Derivatives {
+  Matrix3d d = Matrix3d::Zero(), ddd = Matrix3d::Zero();  ///< by d and d''
+  Matrix3d phi = Matrix3d::Zero(), dphi = Matrix3d::Zero(), ddphi = Matrix3d::Zero();
+  std::vector<int> places;
+  Eigen::Matrix3Xd others;
+
+  void Add(int place, const Eigen::Matrix3Xd& columns) {
+    const Eigen::Index before = others.cols();
+    others.conservativeResize(3, before + columns.cols());
+    others.rightCols(columns.cols()) = columns;
+    for (int i = 0; i < columns.cols(); ++i) places.push_back(place + i);
+  }
+};
+
+/// Information of one recording on everything but its trajectory, which is eliminated.
+class RecordingInformation {
+ public:
+  RecordingInformation(const SimulatorOptions& truth, const SessionData& data, double knots_s)
+      : truth_(truth),
+        trajectory_(truth),
+        first_imu_ns_(truth.start_ns - std::llround(1e9 * truth.time_shift_s)),
+        bias_knots_(2 + static_cast<int>(truth.duration_s / kBiasKnots)),
+        spans_(std::max(1, static_cast<int>(std::ceil(truth.duration_s / knots_s)))),
+        spacing_(truth.duration_s / spans_),
+        size_(kBiases + 6 * bias_knots_),
+        band_(static_cast<size_t>(spans_) + kSplineOrder - 1, MatrixXd::Zero(kPoint, kWindow)),
+        mixed_(MatrixXd::Zero(kPoint * (spans_ + kSplineOrder - 1), size_)),
+        others_(MatrixXd::Zero(size_, size_)) {
+    R_IM_ = truth.T_MI.q.toRotationMatrix().transpose();
+    for (const PoseSample& pose : data.poses) AddPose(Seconds(pose.t_ns - truth.start_ns));
+    for (const ImuSample& gyro : data.imus[0].gyro) AddGyro(Seconds(gyro.t_ns - first_imu_ns_));
+    for (const ImuSample& accel : data.imus[0].accel) AddAccel(Seconds(accel.t_ns - first_imu_ns_));
+    AddWalks();
+  }
+
+  MatrixXd Eliminate() {
+    const int points = static_cast<int>(band_.size());
+    for (int k = 0; k < points; ++k) {
+      const int width = kPoint * std::min(kSplineOrder, points - k);
+      MatrixXd& row = band_[static_cast<size_t>(k)];
+      // Points that no sample sees are held by this.
+      const Eigen::LLT<MatrixXd> pivot(row.leftCols(kPoint) +
+                                       1e-6 * MatrixXd::Identity(kPoint, kPoint));
+      const MatrixXd next = row.middleCols(kPoint, width - kPoint);
+      const MatrixXd mixed = mixed_.middleRows(kPoint * k, kPoint);
+      const MatrixXd solved_next = pivot.solve(next), solved_mixed = pivot.solve(mixed);
+      for (int j = 1; j < width / kPoint; ++j) {
+        const auto left = next.middleCols(kPoint * (j - 1), kPoint).transpose();
+        const int rest = width - kPoint * j;
+        band_[static_cast<size_t>(k) + static_cast<size_t>(j)].leftCols(rest) -=
+            left * solved_next.rightCols(rest);
+        mixed_.middleRows(kPoint * (k + j), kPoint) -= left * solved_mixed;
+      }
+      others_ -= mixed.transpose() * solved_mixed;
+    }
+    return others_;
+  }
+
+ private:
+  void AddPose(double t) {
+    const TrueState s = trajectory_.At(t);
+    Derivatives position, rotation;
+    position.d.setIdentity();
+    position.Add(kPoseSmoothing, 0.5 * s.a_W);
+    position.Add(kPositionSmoothing, 0.5 * s.a_W);
+    position.Add(kPoseScale, s.p_WM);
+    rotation.phi.setIdentity();
+    rotation.Add(kPoseSmoothing, 0.5 * s.alpha_M);
+    Add(t, position, truth_.position_std);
+    Add(t, rotation, truth_.rotation_std);
+  }
+
+  void AddGyro(double t) {
+    const TrueState s = trajectory_.At(t);
+    const Vector3d omega_I = R_IM_ * s.omega_M, alpha_I = R_IM_ * s.alpha_M;
+    Derivatives gyro;
+    gyro.phi = R_IM_ * Hat(s.omega_M);
+    gyro.dphi = R_IM_;
+    gyro.Add(kRotation, Hat(omega_I));
+    gyro.Add(kTimeShift, alpha_I);
+    gyro.Add(kDrift, (t - 0.5 * truth_.duration_s) * alpha_I);
+    Eigen::Matrix<double, 3, 6> matrix = Eigen::Matrix<double, 3, 6>::Zero();
+    for (int row = 0, k = 0; row < 3; ++row)
+      for (int column = 0; column <= row; ++column) matrix(row, k++) = omega_I[column];
+    gyro.Add(kGyroMatrix, matrix);
+    AddBias(t, 0, &gyro);
+    Add(t, gyro, truth_.gyro_std);
+  }
+
+  Vector3d ForceI(double t) const {
+    const TrueState s = trajectory_.At(t);
+    const Vector3d& p = truth_.T_MI.p;
+    return R_IM_ * (s.R_WM.transpose() * (s.a_W - truth_.g_W) + s.alpha_M.cross(p) +
+                    s.omega_M.cross(s.omega_M.cross(p)));
+  }
+
+  void AddAccel(double stamp) {
+    const double t = stamp - truth_.accel_delay_s;
+    const TrueState s = trajectory_.At(t);
+    const Vector3d& p = truth_.T_MI.p;
+    const Vector3d force = ForceI(t), after = ForceI(t + kStep), before = ForceI(t - kStep);
+    const Vector3d rate = (after - before) / (2.0 * kStep);
+    const Matrix3d R_MW = s.R_WM.transpose(), omega = Hat(s.omega_M);
+    // By omega_M, of which phi makes [omega] phi + phi', and by alpha_M.
+    const Matrix3d by_omega = -Hat<double>(s.omega_M.cross(p)) - omega * Hat(p);
+    const Matrix3d by_alpha = -Hat(p);
+    Derivatives accel;
+    accel.ddd = R_IM_ * R_MW;
+    accel.phi = R_IM_ * (Hat<double>(R_MW * (s.a_W - truth_.g_W)) + by_omega * omega +
+                         by_alpha * Hat(s.alpha_M));
+    accel.dphi = R_IM_ * (by_omega + by_alpha * omega);
+    accel.ddphi = R_IM_ * by_alpha;
+    accel.Add(kTranslation, R_IM_ * (Hat(s.alpha_M) + omega * omega));
+    accel.Add(kRotation, Hat(force));
+    accel.Add(kDelay, -rate);
+    accel.Add(kTimeShift, rate);
+    accel.Add(kDrift, (t - 0.5 * truth_.duration_s) * rate);
+    accel.Add(kAccelSmoothing, (after - 2.0 * force + before) / (2.0 * kStep * kStep));
+    Eigen::Matrix<double, 3, 9> matrix = Eigen::Matrix<double, 3, 9>::Zero();
+    for (int row = 0; row < 3; ++row) matrix.block<1, 3>(row, 3 * row) = force.transpose();
+    accel.Add(kAccelMatrix, matrix);
+    // Row: axis; column: component of its place in I.
+    const Matrix3d by_place = R_IM_ * (Hat(s.alpha_M) + omega * omega) * R_IM_.transpose();
+    Eigen::Matrix<double, 3, 6> places;
+    for (int k = 0; k < 6; ++k)
+      places.col(k) =
+          by_place.cwiseProduct(AccelPositions(Vector6d::Unit(k)).transpose()).rowwise().sum();
+    accel.Add(kAccelPositions, places);
+    const Vector3d up = truth_.g_W.normalized(), u = up.unitOrthogonal();
+    Matrix3d axes;
+    axes << u, up.cross(u), up;
+    accel.Add(kGravity, -R_IM_ * R_MW * axes);
+    AddBias(stamp, 3, &accel);
+    Add(t, accel, truth_.accel_std);
+  }
+
+  void AddBias(double t, int first, Derivatives* derivatives) const {
+    const double place = std::clamp(t / kBiasKnots, 0.0, bias_knots_ - 1.001);
+    const int knot = static_cast<int>(place);
+    const double share = place - knot;
+    derivatives->Add(kBiases + 6 * knot + first, (1.0 - share) * Matrix3d::Identity());
+    derivatives->Add(kBiases + 6 * (knot + 1) + first, share * Matrix3d::Identity());
+  }
+
+  void AddWalks() {
+    for (int i = 0; i < 6 * (bias_knots_ - 1); ++i) {
+      const double walk = i % 6 < 3 ? truth_.gyro_bias_walk : truth_.accel_bias_walk;
+      const double information = 1.0 / (walk * walk * kBiasKnots);
+      const int a = kBiases + i, b = a + 6;
+      others_(a, a) += information;
+      others_(b, b) += information;
+      others_(a, b) -= information;
+      others_(b, a) -= information;
+    }
+  }
+
+  void Add(double t, const Derivatives& by, double sigma) {
+    const double place = t / spacing_;
+    if (place < 0.0 || place > spans_) return;  // the spline ends with the poses
+    const int first = std::min(static_cast<int>(place), spans_ - 1);
+    const SplineWeights w = CubicWeights(place - first, spacing_);
+    Eigen::Matrix<double, 3, kWindow> window;
+    for (int j = 0; j < kSplineOrder; ++j) {
+      window.middleCols<3>(kPoint * j) = w(0, j) * by.d + w(2, j) * by.ddd;
+      window.middleCols<3>(kPoint * j + 3) =
+          w(0, j) * by.phi + w(1, j) * by.dphi + w(2, j) * by.ddphi;
+    }
+    window /= sigma;
+    const Eigen::Matrix3Xd others = by.others / sigma;
+    const MatrixXd own = window.transpose() * window, mixed = window.transpose() * others,
+                   rest = others.transpose() * others;
+    for (int j = 0; j < kSplineOrder; ++j)
+      band_[static_cast<size_t>(first) + static_cast<size_t>(j)].leftCols(kWindow - kPoint * j) +=
+          own.block(kPoint * j, kPoint * j, kPoint, kWindow - kPoint * j);
+    for (size_t i = 0; i < by.places.size(); ++i) {
+      const auto column = static_cast<Eigen::Index>(i);
+      mixed_.col(by.places[i]).segment(kPoint * first, kWindow) += mixed.col(column);
+      for (size_t k = 0; k < by.places.size(); ++k)
+        others_(by.places[i], by.places[k]) += rest(column, static_cast<Eigen::Index>(k));
+    }
+  }
+
+  const SimulatorOptions& truth_;
+  const TrueTrajectory trajectory_;
+  const int64_t first_imu_ns_;
+  const int bias_knots_, spans_;
+  const double spacing_;
+  const int size_;
+  Matrix3d R_IM_;
+  std::vector<MatrixXd> band_;  ///< information of each control point with itself and the next ones
+  MatrixXd mixed_, others_;
+};
+
+/// Adds what is known beforehand: all of it, or as much as the priors of the joint solve say.
+/// `recordings`: place of the own parameters of each.
+void AddPriors(bool is_known, const std::vector<int>& recordings, MatrixXd* information) {
+  const auto add = [&](int place, double sigma) {
+    const double used = is_known ? kKnown : sigma;
+    (*information)(place, place) += 1.0 / (used * used);
+  };
+  for (const int own : recordings) {
+    add(own + kDrift - kShared, kDriftPrior);
+    add(own + kMagnitude - kShared, kMagnitudePrior);
+  }
+  for (int row = 0, k = kGyroMatrix; row < 3; ++row)
+    for (int column = 0; column <= row; ++column)
+      add(k++, row == column ? kScalePrior : kAlignmentPrior);
+  for (int k = 0; k < 9; ++k) add(kAccelMatrix + k, k % 4 == 0 ? kScalePrior : kAlignmentPrior);
+  add(kAccelSmoothing, kAccelSmoothingPrior);
+  add(kPoseSmoothing, kSmoothingPrior);
+  add(kPositionSmoothing, kSmoothingPrior);
+  add(kPoseScale, kPoseScalePrior);
+  for (int k = 0; k < 6; ++k) add(kAccelPositions + k, kSizePrior);
+}
+
+ErrorNorms Bound(const MatrixXd& information) {
+  // To one scale: the units are far apart.
+  const Eigen::VectorXd scale = information.diagonal().cwiseSqrt().cwiseInverse();
+  const MatrixXd scaled = scale.asDiagonal() * information * scale.asDiagonal();
+  const Eigen::VectorXd variance =
+      scaled.llt().solve(MatrixXd::Identity(scaled.rows(), scaled.cols())).diagonal().array() *
+      scale.array().square();
+  return {std::sqrt(variance.segment<3>(kTranslation).sum()),
+          std::sqrt(variance.segment<3>(kRotation).sum()), std::sqrt(variance[kTimeShift]),
+          std::sqrt(variance[kDelay])};
+}
+
+}  // namespace
+
+ErrorBounds FindErrorBounds(const std::vector<SimulatorOptions>& truths,
+                            const std::vector<SessionData>& recordings, double knots_s) {
+  MatrixXd information = MatrixXd::Zero(kShared, kShared);
+  std::vector<int> places;
+  for (size_t s = 0; s < truths.size(); ++s) {
+    const MatrixXd one = RecordingInformation(truths[s], recordings[s], knots_s).Eliminate();
+    const Eigen::Index own = one.rows() - kShared, before = information.rows();
+    MatrixXd all = MatrixXd::Zero(before + own, before + own);
+    all.topLeftCorner(before, before) = information;
+    all.topLeftCorner<kShared, kShared>() += one.topLeftCorner<kShared, kShared>();
+    all.bottomRightCorner(own, own) = one.bottomRightCorner(own, own);
+    all.topRightCorner(kShared, own) = one.topRightCorner(kShared, own);
+    all.bottomLeftCorner(own, kShared) = one.bottomLeftCorner(own, kShared);
+    information.swap(all);
+    places.push_back(static_cast<int>(before));
+  }
+  ErrorBounds bounds;
+  MatrixXd known = information;
+  AddPriors(true, places, &known);
+  bounds.least = Bound(known);
+  AddPriors(false, places, &information);
+  bounds.as_joint = Bound(information);
+  return bounds;
+}
+
+}  // namespace imu_pose_calib

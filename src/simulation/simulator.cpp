@@ -1,0 +1,265 @@
+#include "imu_pose_calib/simulation/simulator.h"
+
+#include <cmath>
+#include <random>
+
+#include "imu_pose_calib/core/base/so3.h"
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr double kWarmUp = 120.0;      // [s]
+constexpr double kAccelWarmUp = 10.0;  // [m/s^2] of the accelerometer's bias per rad/s of the other
+
+/// Seed of the IMU's noise.
+uint32_t ImuSeed(const SimulatorOptions& options) {
+  return options.noise_seed == 0 ? options.seed : options.noise_seed;
+}
+
+size_t Count(const SimulatorOptions& options, double rate_hz) {
+  return static_cast<size_t>(std::floor(options.duration_s * rate_hz));
+}
+
+int64_t FirstImuStamp(const SimulatorOptions& options) {
+  return options.start_ns - std::llround(1e9 * options.time_shift_s);
+}
+
+std::vector<int64_t> PoseStamps(const SimulatorOptions& options) {
+  return Stamps(options.start_ns, options.pose_rate_hz, Count(options, options.pose_rate_hz),
+                options.effects.pose_stream, RandomOf(RandomEffect::kPoseStamps, options.seed));
+}
+
+/// The same for gyroscope and accelerometer at the same rate: they come in one message.
+std::vector<int64_t> ImuStamps(const SimulatorOptions& options, double rate_hz) {
+  return Stamps(FirstImuStamp(options), rate_hz, Count(options, rate_hz),
+                options.effects.imu_stream, RandomOf(RandomEffect::kImuStamps, ImuSeed(options)));
+}
+
+/// Brownian bias: steps of `walk` sqrt(period). `warm_up`: its change as the sensor gets warm.
+std::vector<ImuSample> SampleSensor(const std::vector<Eigen::Vector3d>& exact, double rate_hz,
+                                    double noise, double walk, Eigen::Vector3d bias,
+                                    const Eigen::Vector3d& warm_up, std::mt19937* random) {
+  std::vector<ImuSample> samples(exact.size());
+  for (size_t k = 0; k < exact.size(); ++k) {
+    const double warmth = -std::expm1(-static_cast<double>(k) / (rate_hz * kWarmUp));
+    samples[k].value = exact[k] + bias + Gaussian(random, noise) + warmth * warm_up;
+    bias += Gaussian(random, walk / std::sqrt(rate_hz));
+  }
+  return samples;
+}
+
+/// Mean of the pose from t - exposure_s / 2 to t + exposure_s / 2: Gauss-Legendre, three points.
+Rigid3 MeanPose(const TrueTrajectory& trajectory, double t, double exposure_s) {
+  const TrueState middle = trajectory.At(t);
+  if (exposure_s == 0.0) return {Eigen::Quaterniond(middle.R_WM), middle.p_WM};
+  Eigen::Vector3d p = 8.0 / 18.0 * middle.p_WM, turn = Eigen::Vector3d::Zero();
+  for (const double side : {-0.5, 0.5}) {
+    const TrueState state = trajectory.At(t + side * std::sqrt(0.6) * exposure_s);
+    p += 5.0 / 18.0 * state.p_WM;
+    turn += 5.0 / 18.0 * Log(Eigen::Quaterniond(middle.R_WM.transpose() * state.R_WM));
+  }
+  return {Eigen::Quaterniond(middle.R_WM) * Exp(turn), p};
+}
+
+/// Pose clock [s] at `s` after the first sample of the IMU.
+double PoseTime(const SimulatorOptions& options, double s) {
+  return s + options.clock_drift * (s - 0.5 * options.duration_s);
+}
+
+std::vector<PoseSample> Poses(const SimulatorOptions& options, const TrueTrajectory& trajectory,
+                              std::mt19937* random) {
+  const RealEffects& effects = options.effects;
+  const size_t count = Count(options, options.pose_rate_hz);
+  std::mt19937 slow = RandomOf(RandomEffect::kSlowErrors, options.seed);
+  const auto slow_error = [&] {
+    return SlowError(effects.slow_errors, options.pose_rate_hz, count, std::mt19937(slow()));
+  };
+  const std::vector<Eigen::Vector3d> slow_p = slow_error(), slow_r = slow_error();
+  std::mt19937 direction = RandomOf(RandomEffect::kMarkerOffset, options.seed);
+  const Eigen::Vector3d origin_M = effects.marker_offset * RandomDirection(&direction);
+
+  const bool is_carried_on = effects.pose_updates > 0.0;
+  const double noise = is_carried_on ? 0.0 : 1.0;
+
+  std::vector<PoseSample> poses(count);
+  for (size_t k = 0; k < count; ++k) {
+    const double t = static_cast<double>(k) / options.pose_rate_hz;
+    const Rigid3 mean = MeanPose(trajectory, t, options.pose_exposure_s);
+    const Eigen::Quaterniond error =
+        Exp<double>(noise * Gaussian(random, options.rotation_std) + slow_r[k]);
+    poses[k].q_WM = mean.q * error;
+    poses[k].p_WM = (1.0 + effects.pose_scale) * mean.p +
+                    noise * Gaussian(random, options.position_std) + slow_p[k] +
+                    mean.q * (error * origin_M - origin_M);
+  }
+  if (!is_carried_on) return poses;
+  std::vector<Eigen::Vector3d> positions;
+  for (const PoseSample& pose : poses) positions.push_back(pose.p_WM);
+  const std::vector<Eigen::Vector3d> errors =
+      CarriedOn(effects.pose_updates, options.pose_rate_hz, positions,
+                RandomOf(RandomEffect::kPoseUpdates, options.seed));
+  for (size_t k = 0; k < count; ++k) poses[k].p_WM += errors[k];
+  return poses;
+}
+
+/// What one IMU does to the truth, beside filters, noise and delays.
+struct Flaws {
+  Eigen::Matrix3d gyro_matrix, accel_matrix, g_sensitivity;
+  Eigen::Matrix3d axes_I;  ///< [m] column i: where the accelerometer's axis i is
+  Eigen::Vector3d gyro_warm_up, accel_warm_up;
+
+  explicit Flaws(const SimulatorOptions& options) {
+    const RealEffects& effects = options.effects;
+    const auto random_of = [&](RandomEffect effect) { return RandomOf(effect, ImuSeed(options)); };
+    const auto matrix = [](double sigma, std::mt19937* random) {
+      Eigen::Matrix3d m;
+      for (int i = 0; i < 3; ++i) m.row(i) = Gaussian(random, sigma);
+      return m;
+    };
+    std::mt19937 random = random_of(RandomEffect::kIntrinsics);
+    const Eigen::Matrix3d I = Eigen::Matrix3d::Identity();
+    const Eigen::Matrix3d gyro = matrix(effects.scale_misalignment, &random);
+    gyro_matrix = options.gyro_matrix * (I + Eigen::Matrix3d(gyro.triangularView<Eigen::Lower>()));
+    accel_matrix = options.accel_matrix * (I + matrix(effects.scale_misalignment, &random));
+    random = random_of(RandomEffect::kGSensitivity);
+    g_sensitivity = matrix(effects.g_sensitivity, &random);
+    random = random_of(RandomEffect::kSizeEffect);
+    for (int i = 0; i < 9; ++i)
+      axes_I(i) = effects.size_effect * std::uniform_real_distribution<double>(-0.5, 0.5)(random);
+    for (int i = 0; i < 3; ++i) axes_I.row(i).array() -= 0.5 * (axes_I.row(i).sum() - axes_I(i, i));
+    random = random_of(RandomEffect::kTemperature);
+    gyro_warm_up = effects.temperature_drift * RandomDirection(&random);
+    accel_warm_up = kAccelWarmUp * effects.temperature_drift * RandomDirection(&random);
+  }
+};
+
+ImuData Imu(const SimulatorOptions& options, const TrueTrajectory& trajectory,
+            std::mt19937* random) {
+  const Flaws flaws(options);
+  const Eigen::Matrix3d R_IM = options.T_MI.q.toRotationMatrix().transpose();
+  const Eigen::Matrix3d gyro_R_IM = flaws.gyro_matrix * R_IM;
+  const Eigen::Matrix3d accel_R_IM = flaws.accel_matrix * R_IM;
+  const Eigen::Vector3d g_W = options.g_W + options.effects.gravity * options.g_W.normalized();
+  const auto force_M = [&](const TrueState& s, const Eigen::Vector3d& p) -> Eigen::Vector3d {
+    return s.R_WM.transpose() * (s.a_W - g_W) + s.alpha_M.cross(p) +
+           s.omega_M.cross(s.omega_M.cross(p));
+  };
+  const auto gyro = [&](double t) -> Eigen::Vector3d {
+    const TrueState s = trajectory.At(PoseTime(options, t));
+    return gyro_R_IM * s.omega_M + flaws.g_sensitivity * (R_IM * force_M(s, options.T_MI.p));
+  };
+  const auto accel = [&](double t) -> Eigen::Vector3d {
+    const TrueState s = trajectory.At(PoseTime(options, t - options.accel_delay_s));
+    const Eigen::Vector3d force = force_M(s, options.T_MI.p);
+    Eigen::Vector3d by_size;
+    for (int i = 0; i < 3; ++i) {
+      const Eigen::Vector3d axis_M = options.T_MI.p + options.T_MI.q * flaws.axes_I.col(i);
+      by_size[i] = R_IM.row(i).dot(force_M(s, axis_M) - force);
+    }
+    return accel_R_IM * force + flaws.accel_matrix * by_size;
+  };
+  const auto sample = [&](const auto& signal, double rate_hz, double cutoff_hz) {
+    return Sampled(signal, rate_hz, Count(options, rate_hz), cutoff_hz);
+  };
+
+  ImuData data;
+  data.gyro = SampleSensor(sample(gyro, options.gyro_rate_hz, options.effects.gyro_filter_hz),
+                           options.gyro_rate_hz, options.gyro_std, options.gyro_bias_walk,
+                           options.gyro_bias, flaws.gyro_warm_up, random);
+  data.accel = SampleSensor(sample(accel, options.accel_rate_hz, options.effects.accel_filter_hz),
+                            options.accel_rate_hz, options.accel_std, options.accel_bias_walk,
+                            options.accel_bias, flaws.accel_warm_up, random);
+  return data;
+}
+
+/// Poses fused with the IMU by one who knows T_MI, the clocks and the gyroscope's first bias.
+std::vector<PoseSample> FusedPoses(const SimulatorOptions& options, const SessionData& data) {
+  std::vector<double> t_pose, t_omega;
+  std::vector<Eigen::Vector3d> omega_M;
+  for (size_t k = 0; k < data.poses.size(); ++k)
+    t_pose.push_back(static_cast<double>(k) / options.pose_rate_hz);
+  const double delay = FilterDelay(options.effects.gyro_filter_hz);
+  for (size_t k = 0; k < data.imus[0].gyro.size(); ++k) {
+    t_omega.push_back(PoseTime(options, static_cast<double>(k) / options.gyro_rate_hz - delay));
+    omega_M.push_back(options.T_MI.q * (data.imus[0].gyro[k].value - options.gyro_bias));
+  }
+  return Fused(data.poses, t_pose, omega_M, t_omega, options.effects.fused_poses_s);
+}
+
+/// [s] by which a clock is ahead, `t` [s] after the first sample.
+double Ahead(const StreamEffects& effects, double t, double duration_s) {
+  constexpr double kPeriod = 60.0, kStepAt = 0.45;
+  return effects.wander_s * std::sin(2.0 * M_PI * t / kPeriod) +
+         (t > kStepAt * duration_s ? effects.clock_step_s : 0.0);
+}
+
+/// Stamps by that clock.
+template <typename Sample>
+void Warp(const StreamEffects& effects, int64_t first_ns, double duration_s,
+          std::vector<Sample>* samples) {
+  for (Sample& s : *samples)
+    s.t_ns += std::llround(
+        1e9 * Ahead(effects, 1e-9 * static_cast<double>(s.t_ns - first_ns), duration_s));
+}
+
+}  // namespace
+
+TrueClock::TrueClock(const SimulatorOptions& options) {
+  const int64_t first_ns = FirstImuStamp(options);
+  const auto delay = [&](double rate_hz, double cutoff_hz) {
+    return FilterDelay(cutoff_hz) + MeanLateness(ImuStamps(options, rate_hz), first_ns, rate_hz);
+  };
+  const double gyro = delay(options.gyro_rate_hz, options.effects.gyro_filter_hz);
+  const double accel = delay(options.accel_rate_hz, options.effects.accel_filter_hz);
+  time_shift_s = options.time_shift_s - gyro +
+                 MeanLateness(PoseStamps(options), options.start_ns, options.pose_rate_hz);
+  accel_delay_s = options.accel_delay_s + accel - gyro;
+  time_shift_s += Wander(options, 0.5 * options.duration_s);
+}
+
+double Wander(const SimulatorOptions& options, double t) {
+  return Ahead(options.effects.pose_stream, t, options.duration_s) -
+         Ahead(options.effects.imu_stream, t, options.duration_s);
+}
+
+SessionData Simulate(const SimulatorOptions& options) {
+  const TrueTrajectory trajectory(options);
+  std::mt19937 random(ImuSeed(options) + 1000003u);
+  SessionData data;
+  data.poses = Poses(options, trajectory, &random);
+  data.imus[0] = Imu(options, trajectory, &random);
+  const RealEffects& effects = options.effects;
+  if (effects.fused_poses_s > 0.0) data.poses = FusedPoses(options, data);
+
+  Deliver(PoseStamps(options), effects.pose_stream.drops,
+          RandomOf(RandomEffect::kPoseDrops, options.seed), &data.poses);
+  const auto deliver_imu = [&](double rate_hz, std::vector<ImuSample>* samples) {
+    Deliver(ImuStamps(options, rate_hz), effects.imu_stream.drops,
+            RandomOf(RandomEffect::kImuDrops, ImuSeed(options)), samples);
+  };
+  deliver_imu(options.gyro_rate_hz, &data.imus[0].gyro);
+  deliver_imu(options.accel_rate_hz, &data.imus[0].accel);
+  Warp(effects.pose_stream, options.start_ns, options.duration_s, &data.poses);
+  for (std::vector<ImuSample>* samples : {&data.imus[0].gyro, &data.imus[0].accel})
+    Warp(effects.imu_stream, FirstImuStamp(options), options.duration_s, samples);
+  return data;
+}
+
+SimulatorOptions FurtherImu(SimulatorOptions first, size_t imu) {
+  if (imu == 0) return first;
+  const auto k = static_cast<double>(imu);
+  first.noise_seed = first.seed + 5000u * static_cast<uint32_t>(imu);
+  first.T_MI.p.x() += 0.2 * k;
+  first.T_MI.q = first.T_MI.q * Exp<double>(Eigen::Vector3d(0.4, 1.1, -0.7) * k);
+  first.time_shift_s -= 3.7 * k;
+  first.accel_delay_s -= 3e-3 * k;
+  return first;
+}
+
+SessionData Simulate(const SimulatorOptions& options, size_t imus) {
+  SessionData data = Simulate(options);
+  for (size_t i = 1; i < imus; ++i) data.imus.push_back(Simulate(FurtherImu(options, i)).imus[0]);
+  return data;
+}
+
+}  // namespace imu_pose_calib
