@@ -95,6 +95,10 @@ bool IsOfPoses(ParameterKind kind) {
          kind == ParameterKind::kPoseScale;
 }
 
+bool IsOfSession(ParameterKind kind) {
+  return kind == ParameterKind::kTimeShift || kind == ParameterKind::kClockDrift;
+}
+
 bool IsHint(ParameterKind kind) {
   return kind == ParameterKind::kClockDrift || kind == ParameterKind::kPoseSmoothing ||
          kind == ParameterKind::kGyroIntrinsics || kind == ParameterKind::kAccelIntrinsics;

@@ -1,5 +1,6 @@
 #include <cmath>
 
+#include "imu_pose_calib/core/calibration/find_marginals.h"
 #include "imu_pose_calib/core/calibration/joint_solver.h"
 #include "imu_pose_calib/core/calibration/residuals.h"
 

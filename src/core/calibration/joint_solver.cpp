@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "imu_pose_calib/core/calibration/band.h"
+#include "imu_pose_calib/core/calibration/find_marginals.h"
 #include "imu_pose_calib/core/calibration/joint_noise.h"
 #include "imu_pose_calib/core/calibration/joint_problem.h"
 

@@ -9,7 +9,9 @@
 #include <utility>
 
 #include "imu_pose_calib/core/base/median.h"
+#include "imu_pose_calib/core/data/pose_updates.h"
 #include "imu_pose_calib/core/data/segments.h"
+#include "imu_pose_calib/core/data/stamps.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -339,62 +341,12 @@ ConditionedImu ConditionImu(const CalibrationOptions& options, const std::string
 
 }  // namespace
 
-bool IsStampedAhead(const std::vector<int64_t>& stamps_ns, size_t i) {
-  constexpr size_t kNear = 9;
-  const auto earlier = [&](size_t begin, size_t end) {
-    size_t count = 0;
-    for (size_t k = begin; k < end; ++k)
-      if (stamps_ns[k] < stamps_ns[i] - kMaxReorderNs) ++count;
-    return count;
-  };
-  const size_t before = std::min(i, kNear), after = std::min(stamps_ns.size() - 1 - i, kNear);
-  return 2 * earlier(i + 1, i + 1 + after) > after && 2 * earlier(i - before, i) >= before;
-}
-
-std::vector<StampFault> JudgeStamps(const std::vector<int64_t>& stamps_ns) {
-  std::vector<StampFault> faults(stamps_ns.size(), StampFault::kNone);
-  if (stamps_ns.empty()) return faults;
-  std::vector<int64_t> sorted = stamps_ns;
-  const auto middle = sorted.begin() + static_cast<ptrdiff_t>(sorted.size() / 2);
-  std::nth_element(sorted.begin(), middle, sorted.end());
-  int64_t latest = std::numeric_limits<int64_t>::min() + kMaxReorderNs;
-  for (size_t i = 0; i < stamps_ns.size(); ++i) {
-    if (std::abs(stamps_ns[i] - *middle) > kMaxAstrayNs)
-      faults[i] = StampFault::kAstray;
-    else if (IsStampedAhead(stamps_ns, i))
-      faults[i] = StampFault::kAhead;
-    else if (stamps_ns[i] < latest - kMaxReorderNs)
-      faults[i] = StampFault::kReversed;
-    else
-      latest = std::max(latest, stamps_ns[i]);
-  }
-  return faults;
-}
-
 PoseSample ToMarkerPose(const CalibrationOptions& options, PoseSample recorded) {
   recorded.p_WM *= options.position_unit;
   if (!options.invert_poses) return recorded;
   recorded.q_WM = recorded.q_WM.conjugate();
   recorded.p_WM = -(recorded.q_WM.normalized() * recorded.p_WM);
   return recorded;
-}
-
-bool SameValue(const PoseSample& a, const PoseSample& b) {
-  return a.p_WM == b.p_WM && a.q_WM.coeffs() == b.q_WM.coeffs();
-}
-bool SameValue(const ImuSample& a, const ImuSample& b) { return a.value == b.value; }
-
-size_t ConditionedData::FirstImu() const {
-  const auto is_present = [](const ConditionedImu& imu) { return imu.IsPresent(); };
-  return static_cast<size_t>(std::find_if(imus.begin(), imus.end(), is_present) - imus.begin());
-}
-
-std::string OfImu(size_t imu, size_t count) {
-  return count == 1 ? "" : " of imu" + std::to_string(imu);
-}
-
-std::string OfSession(size_t session, size_t count) {
-  return count == 1 ? "" : " in session " + std::to_string(session + 1);
 }
 
 ConditionedData ConditionData(const CalibrationOptions& options, const SessionData& recorded) {

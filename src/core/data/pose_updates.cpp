@@ -1,8 +1,10 @@
+#include "imu_pose_calib/core/data/pose_updates.h"
+
 #include <algorithm>
 #include <cmath>
 
 #include "imu_pose_calib/core/base/median.h"
-#include "imu_pose_calib/core/data/conditioning.h"
+#include "imu_pose_calib/core/data/stamps.h"
 
 namespace imu_pose_calib {
 namespace {

@@ -6,7 +6,7 @@
 #include <limits>
 
 #include "imu_pose_calib/core/base/median.h"
-#include "imu_pose_calib/core/start/initializer.h"
+#include "imu_pose_calib/core/start/rate_alignment.h"
 
 namespace imu_pose_calib {
 namespace {

@@ -10,6 +10,7 @@
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/base/text.h"
+#include "imu_pose_calib/core/data/stamps.h"
 #include "imu_pose_calib/core/start/excitation.h"
 
 namespace imu_pose_calib {

@@ -1,3 +1,5 @@
+#include "imu_pose_calib/core/start/rate_alignment.h"
+
 #include <Eigen/SVD>
 #include <algorithm>
 #include <cmath>
@@ -6,7 +8,6 @@
 #include <utility>
 
 #include "imu_pose_calib/core/base/parallel.h"
-#include "imu_pose_calib/core/start/initializer.h"
 
 namespace imu_pose_calib {
 namespace {

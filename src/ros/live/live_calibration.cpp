@@ -7,6 +7,7 @@
 
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/data/conditioning.h"
+#include "imu_pose_calib/core/data/stamps.h"
 
 namespace imu_pose_calib {
 namespace {

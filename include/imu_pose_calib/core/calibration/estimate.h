@@ -121,6 +121,9 @@ bool IsHint(ParameterKind kind);
 /// Of the source of the poses, which IMUs and sessions share.
 bool IsOfPoses(ParameterKind kind);
 
+/// Of an IMU in one session alone.
+bool IsOfSession(ParameterKind kind);
+
 /// What is calibrated: all but gravity and biases, of every IMU that is present, in a fixed order.
 std::vector<Parameter> CalibrationParameters(Estimate* estimate);
 

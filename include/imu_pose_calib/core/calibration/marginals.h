@@ -65,7 +65,4 @@ struct Marginals {
 /// covariance that is reported.
 Eigen::VectorXd Enlargement(const Eigen::MatrixXd& model, const Eigen::MatrixXd& robust);
 
-/// Stage S5 where a solve has ended, doc/math.md, "Covariance" and "What one more step tells".
-Marginals FindMarginals(LeastSquares* solved);
-
 }  // namespace imu_pose_calib

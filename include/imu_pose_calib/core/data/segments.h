@@ -1,7 +1,7 @@
 #pragma once
 
 #include "imu_pose_calib/core/base/options.h"
-#include "imu_pose_calib/core/data/conditioning.h"
+#include "imu_pose_calib/core/data/conditioned_data.h"
 
 namespace imu_pose_calib {
 

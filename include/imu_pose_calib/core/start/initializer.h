@@ -6,6 +6,7 @@
 #include "imu_pose_calib/core/base/options.h"
 #include "imu_pose_calib/core/data/conditioning.h"
 #include "imu_pose_calib/core/start/clock_walk.h"
+#include "imu_pose_calib/core/start/rate_alignment.h"
 #include "imu_pose_calib/core/trajectory/pose_trajectory.h"
 
 namespace imu_pose_calib {
@@ -44,49 +45,5 @@ void FitLeverArm(const PoseTrajectory& trajectory, const std::vector<TimedSample
 /// better when the poses are inverted.
 Start Initialise(const CalibrationOptions& options, const PoseTrajectory& trajectory,
                  const ConditionedData& data, size_t imu);
-
-// --- What it is made of ---
-
-/// Time shifts at which |omega_M| and |gyro| correlate best, the best first, at most `count`.
-/// Every overlap of at least `min_overlap_s` is searched, or those within 1 s of `guess`.
-std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
-                                   const std::vector<TimedPose>& poses,
-                                   const std::vector<TimedSample>& gyro, double min_overlap_s,
-                                   const std::optional<double>& guess, int count, int threads = 1);
-
-/// log likelihood ratio of a correlation over n bins: long and close overlaps win.
-double Evidence(double correlation, double n);
-
-/// Every so many of `size` samples are enough for a closed-form fit.
-size_t Stride(size_t size);
-
-/// The rates of marker and gyroscope at one instant.
-struct RatePair {
-  double t;  ///< [s] pose clock
-  Eigen::Vector3d omega_M, gyro_I;
-};
-
-/// The gyro samples that fall on the trajectory. `inverted`: the rates of the world seen from the
-/// marker.
-std::vector<RatePair> PairRates(const PoseTrajectory& trajectory,
-                                const std::vector<TimedSample>& gyro, double time_shift,
-                                bool inverted = false);
-
-/// Rotation, gyro bias and fit of the rates at a given time shift.
-struct RateAlignment {
-  Eigen::Quaterniond q_MI = Eigen::Quaterniond::Identity();
-  Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();  ///< [rad/s] in I
-  double scale = 0.0;      ///< rms of the gyro's rates over the marker's: 1 when both are rad/s
-  double explained = 0.0;  ///< share of the gyro's variance that the marker's rates explain
-  size_t count = 0;        ///< gyro samples that fall on the trajectory
-
-  /// Of the gyroscope [rad/s].
-  Eigen::Vector3d Residual(const RatePair& pair) const;
-};
-
-/// SVD solution of Wahba's problem on mean-free rates, omega_M = R_MI (gyro - bias).
-RateAlignment AlignRates(const std::vector<RatePair>& pairs);
-RateAlignment AlignRates(const PoseTrajectory& trajectory, const std::vector<TimedSample>& gyro,
-                         double time_shift);
 
 }  // namespace imu_pose_calib
