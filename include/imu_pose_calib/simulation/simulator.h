@@ -1,5 +1,9 @@
 #pragma once
 
+/// Room simulation: recordings with exact truth, for tests, simulate_bag and evaluate.
+/// In: options and effects that real recordings have. Out: SessionData, the truth, the Cramér-Rao
+/// bound of what can be known. Nothing that calibrates needs it.
+
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 #include <cstdint>

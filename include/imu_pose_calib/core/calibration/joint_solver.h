@@ -1,5 +1,10 @@
 #pragma once
 
+/// Room core/calibration: the model, and the minimum of its cost (S3, S4).
+/// In: PreparedSession of each session and options. Out: Solution: the estimate, noise and weights
+/// of the sensors, correction splines of the trajectory, and the marginals of what is calibrated.
+/// Throws DataError when the last pass does not converge.
+
 #include <memory>
 #include <vector>
 

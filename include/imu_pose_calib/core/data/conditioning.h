@@ -1,5 +1,10 @@
 #pragma once
 
+/// Room core/data: a recording becomes data that the next stages can rely on (S0).
+/// In: samples of poses and IMUs in the order in which they arrived, and options.
+/// Out: ConditionedData in SI units, strictly increasing time, cut at gaps and jumps; every dropped
+/// sample is counted. Throws DataError for what cannot be used. Knows nothing of trajectories.
+
 #include "imu_pose_calib/core/base/options.h"
 #include "imu_pose_calib/core/data/conditioned_data.h"
 #include "imu_pose_calib/core/data/stamp_recovery.h"

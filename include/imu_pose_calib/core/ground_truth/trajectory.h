@@ -1,5 +1,9 @@
 #pragma once
 
+/// Room core/ground_truth: where the IMU was.
+/// In: a Solution. Out: pose, velocity, rates and biases of an IMU at any time with sigmas; gaps of
+/// the poses are bridged by the IMU. Changes no estimate.
+
 #include <memory>
 #include <optional>
 #include <vector>

@@ -1,5 +1,10 @@
 #pragma once
 
+/// Room core/start: what the solve starts from, in closed form (S2), and what a recording is worth.
+/// In: a session and options. Out: PreparedSession, with a Start for each IMU (time shift,
+/// rotation, lever arm, gravity, walk of the clock), and DataCheck with all remarks. Throws
+/// DataError when poses and IMU do not match, DegenerateMotion when turns do not suffice.
+
 #include <memory>
 #include <vector>
 

@@ -1,5 +1,10 @@
 #pragma once
 
+/// Room core/trajectory: a continuous trajectory through the poses alone (S1).
+/// In: ConditionedData. Out: PoseTrajectory, a Gaussian process of position and rotation of each
+/// segment with its derivatives and variance; outliers leave the data and are counted.
+/// Knows nothing of IMUs.
+
 #include <ceres/jet.h>
 
 #include <vector>

@@ -1,5 +1,9 @@
 #pragma once
 
+/// Room core/verdict: how sure the result is, in numbers and words (S5).
+/// In: Marginals and prepared sessions. Out: sigmas, observability, status, message and warnings of
+/// a Calibration, agreement of halves and sessions. Changes no estimate.
+
 #include <string>
 
 #include "imu_pose_calib/core/base/options.h"
