@@ -178,12 +178,12 @@ catkin_build() {
     -DPYTHON_EXECUTABLE=/usr/bin/python3 -DPython3_EXECUTABLE=/usr/bin/python3 "${arguments[@]}"
 }
 
-# Everything up to a built workspace.
+# setup [TARGET...]: everything up to a built workspace.
 setup() {
   install_packages
   load_ros
   create_workspace
-  step "build" build catkin_build
+  step "build" build catkin_build "$@"
 }
 
 if [[ ${BASH_SOURCE[0]} == "$0" ]]; then
