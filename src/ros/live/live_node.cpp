@@ -11,6 +11,7 @@
 #include <mutex>
 
 #include "imu_pose_calib/core/calibrator.h"
+#include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
 #include "imu_pose_calib/ros/live/live_calibration.h"
