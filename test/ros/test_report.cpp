@@ -9,7 +9,7 @@
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/ros/io/bag_writer.h"
 #include "imu_pose_calib/ros/io/numpy_table.h"
-#include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/offline/report.h"
 #include "imu_pose_calib/ros/offline/summary.h"
 #include "imu_pose_calib/simulation/information_growth.h"

@@ -1,7 +1,9 @@
 #include <yaml-cpp/yaml.h>
 
+#include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
+#include "imu_pose_calib/ros/io/yaml_text.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {

@@ -12,8 +12,9 @@
 #include "imu_pose_calib/ros/clouds/cloud_map.h"
 #include "imu_pose_calib/ros/io/bags.h"
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/transform_file.h"
+#include "imu_pose_calib/ros/io/yaml_text.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {

@@ -10,7 +10,7 @@
 #include "imu_pose_calib/ros/evaluation/tables.h"
 #include "imu_pose_calib/ros/io/bag_reader.h"
 #include "imu_pose_calib/ros/io/child_process.h"
-#include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/transform_file.h"
 #include "imu_pose_calib/ros/io/yaml_file.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"

@@ -8,7 +8,7 @@
 #include <filesystem>
 
 #include "imu_pose_calib/ros/io/printable.h"
-#include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/io/yaml_text.h"
 
 namespace imu_pose_calib {
 namespace {

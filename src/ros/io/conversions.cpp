@@ -137,11 +137,6 @@ ImuSample ToAccelSample(const sensor_msgs::Imu& msg) {
   return ToSample(msg.header.stamp, msg.linear_acceleration);
 }
 
-std::string FrameName(const std::string& frame, const std::string& fallback) {
-  const size_t first = frame.find_first_not_of('/');
-  return first == std::string::npos ? fallback : frame.substr(first);
-}
-
 std::vector<geometry_msgs::TransformStamped> ToTransforms(const Calibration& result,
                                                           const RecordingInfo& info,
                                                           const ros::Time& stamp) {

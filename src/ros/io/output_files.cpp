@@ -25,6 +25,9 @@
 #include "imu_pose_calib/ros/io/yaml_file.h"
 
 namespace imu_pose_calib {
+
+const char kVersion[] = IMU_POSE_CALIB_VERSION;
+
 namespace {
 
 namespace fs = std::filesystem;

@@ -8,8 +8,6 @@
 #include <map>
 #include <sstream>
 
-#include "imu_pose_calib/ros/io/conversions.h"
-
 namespace imu_pose_calib {
 
 // Cereal prescribes the name of serialize().
@@ -89,6 +87,11 @@ std::vector<std::string> SplitNames(const std::string& text) {
   std::vector<std::string> names{std::istream_iterator<std::string>(words), {}};
   if (names.empty()) names.emplace_back();
   return names;
+}
+
+std::string FrameName(const std::string& frame, const std::string& fallback) {
+  const size_t first = frame.find_first_not_of('/');
+  return first == std::string::npos ? fallback : frame.substr(first);
 }
 
 void NameFrames(const std::string& marker_frame, const std::string& imu_frame,

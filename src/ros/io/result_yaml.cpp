@@ -2,17 +2,15 @@
 
 #include <yaml-cpp/yaml.h>
 
-#include <algorithm>
-#include <cmath>
 #include <cstdio>
-#include <cstdlib>
 #include <ctime>
 
+#include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
+#include "imu_pose_calib/ros/io/yaml_text.h"
 
 namespace imu_pose_calib {
 
-const char kVersion[] = IMU_POSE_CALIB_VERSION;
 const char kResultHeader[] = "# imu_pose_calib: calibration of an IMU on a tracked body";
 
 namespace {
@@ -369,20 +367,6 @@ void PutData(const SessionCalibration& session, const RecordingInfo& info, Write
 }
 
 }  // namespace
-
-std::string YamlNumber(double value) {
-  if (std::isnan(value)) return ".nan";
-  if (std::isinf(value)) return value > 0 ? ".inf" : "-.inf";
-  char buffer[32];
-  for (int digits = 15; digits <= 17; ++digits) {
-    std::snprintf(buffer, sizeof(buffer), "%.*g", digits, value);
-    if (std::strtod(buffer, nullptr) == value) break;
-  }
-  // YAML 1.1 takes "1" for an integer and "1e-05" for a string.
-  std::string text = buffer;
-  if (text.find('.') == std::string::npos) text.insert(std::min(text.find('e'), text.size()), ".0");
-  return text;
-}
 
 std::string ToYaml(const Calibration& result, const std::vector<RecordingInfo>& infos,
                    const CalibrationOptions& options, const RunInfo& run) {

@@ -8,8 +8,8 @@
 #include "imu_pose_calib/core/base/result.h"
 #include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/recording.h"
-#include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/yaml_file.h"
+#include "imu_pose_calib/ros/io/yaml_text.h"
 
 namespace imu_pose_calib {
 namespace {

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/yaml_file.h"
 
 namespace imu_pose_calib {

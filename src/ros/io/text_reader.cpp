@@ -12,8 +12,8 @@
 
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/mocap_csv.h"
-#include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/text_table.h"
+#include "imu_pose_calib/ros/io/yaml_text.h"
 
 namespace imu_pose_calib {
 namespace {

@@ -10,7 +10,7 @@
 #include <stdexcept>
 #include <utility>
 
-#include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/io/yaml_text.h"
 
 namespace imu_pose_calib {
 namespace {

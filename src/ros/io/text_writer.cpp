@@ -5,7 +5,7 @@
 #include <filesystem>
 
 #include "imu_pose_calib/ros/io/bag_writer.h"
-#include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/io/output_files.h"
 
 namespace imu_pose_calib {
 

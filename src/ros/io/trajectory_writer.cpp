@@ -15,8 +15,8 @@
 #include <sstream>
 
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/text_writer.h"
+#include "imu_pose_calib/ros/io/yaml_text.h"
 
 namespace imu_pose_calib {
 namespace {

@@ -7,7 +7,7 @@
 #include <map>
 
 #include "imu_pose_calib/ros/io/printable.h"
-#include "imu_pose_calib/ros/offline/report_series.h"
+#include "imu_pose_calib/ros/offline/report.h"
 
 namespace imu_pose_calib {
 namespace {

@@ -1,7 +1,5 @@
 #include "imu_pose_calib/ros/offline/report.h"
 
-#include <yaml-cpp/yaml.h>
-
 #include <algorithm>
 #include <boost/algorithm/string/replace.hpp>
 #include <cstdint>
@@ -9,7 +7,6 @@
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
-#include <functional>
 #include <memory>
 #include <optional>
 #include <sstream>
@@ -20,7 +17,6 @@
 #include "imu_pose_calib/ros/io/printable.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
-#include "imu_pose_calib/ros/offline/report_series.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {

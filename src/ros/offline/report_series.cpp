@@ -12,7 +12,7 @@
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/ground_truth/trajectory.h"
-#include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/io/yaml_text.h"
 #include "imu_pose_calib/simulation/information_growth.h"
 
 namespace imu_pose_calib {

@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
 #include "imu_pose_calib/ros/offline/offline.h"
 #include "imu_pose_calib/ros/offline/summary.h"

@@ -16,6 +16,7 @@
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/printable.h"
 #include "imu_pose_calib/ros/live/live_node.h"
+#include "imu_pose_calib/ros/live/live_settings.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
 #include "imu_pose_calib/ros/offline/offline.h"
 

@@ -10,7 +10,7 @@
 #include <random>
 
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/live/live_node.h"
+#include "imu_pose_calib/ros/live/live_settings.h"
 #include "imu_pose_calib/ros/live/topic_source.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
 

@@ -69,9 +69,6 @@ ImuSample ToImuSample(const geometry_msgs::Vector3Stamped& msg);  ///< [rad/s] o
 ImuSample ToGyroSample(const sensor_msgs::Imu& msg);              ///< [rad/s]
 ImuSample ToAccelSample(const sensor_msgs::Imu& msg);             ///< [m/s^2]
 
-/// `frame` without leading slash, or `fallback` when it is empty.
-std::string FrameName(const std::string& frame, const std::string& fallback);
-
 /// T_marker_imu of each IMU as a tf: parent marker, child imu.
 std::vector<geometry_msgs::TransformStamped> ToTransforms(const Calibration& result,
                                                           const RecordingInfo& info,

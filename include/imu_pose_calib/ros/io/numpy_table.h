@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/io/output_files.h"
 
 namespace imu_pose_calib {
 

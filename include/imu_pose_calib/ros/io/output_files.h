@@ -9,6 +9,9 @@
 
 namespace imu_pose_calib {
 
+/// Version of the package, "1.2.3".
+extern const char kVersion[];
+
 /// The files of one run, which appear together or not at all: each is written beside its place and
 /// renamed by Commit(). Without it they are gone in the end, and what was there is as it was. A
 /// link stays, and what it leads to is replaced. Errors are InputErrors that name path and reason.

@@ -69,6 +69,9 @@ void CheckSpan(double start_s, double duration_s);
 /// The names that one text holds with white space between them; at least one, which may be empty.
 std::vector<std::string> SplitNames(const std::string& text);
 
+/// `frame` without leading slash, or `fallback` when it is empty.
+std::string FrameName(const std::string& frame, const std::string& fallback);
+
 /// Sets frames that are named by the user, `imu_frame` with white space between those of several
 /// IMUs; empty names keep those of the recording. IMUs that it calls alike get numbers.
 void NameFrames(const std::string& marker_frame, const std::string& imu_frame, RecordingInfo* info);

@@ -5,13 +5,9 @@
 
 #include "imu_pose_calib/core/base/options.h"
 #include "imu_pose_calib/core/base/result.h"
-#include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/recording.h"
 
 namespace imu_pose_calib {
-
-/// Version of the package, "1.2.3".
-extern const char kVersion[];
 
 /// First line of every result file; tells our files from others.
 extern const char kResultHeader[];
@@ -29,8 +25,5 @@ struct RunInfo {
 /// session.
 std::string ToYaml(const Calibration& result, const std::vector<RecordingInfo>& infos,
                    const CalibrationOptions& options, const RunInfo& run = {});
-
-/// Shortest text that reads back as `value` and that YAML 1.1 and 1.2 both take for a float.
-std::string YamlNumber(double value);
 
 }  // namespace imu_pose_calib

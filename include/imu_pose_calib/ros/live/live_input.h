@@ -18,7 +18,7 @@
 #include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/io/tf_chain.h"
 #include "imu_pose_calib/ros/live/live_calibration.h"
-#include "imu_pose_calib/ros/live/live_node.h"
+#include "imu_pose_calib/ros/live/live_settings.h"
 #include "imu_pose_calib/ros/live/topic_source.h"
 
 namespace imu_pose_calib {

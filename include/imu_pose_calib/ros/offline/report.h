@@ -1,25 +1,13 @@
 #pragma once
 
-#include <string>
-#include <vector>
+#include <yaml-cpp/yaml.h>
 
-#include "imu_pose_calib/core/base/options.h"
-#include "imu_pose_calib/core/base/result.h"
-#include "imu_pose_calib/ros/io/output_files.h"
-#include "imu_pose_calib/ros/io/recording.h"
+#include <functional>
+#include <string>
+
+#include "imu_pose_calib/ros/offline/report_series.h"
 
 namespace imu_pose_calib {
-
-/// What a report tells of.
-struct ReportInput {
-  const CalibrationOptions& options;
-  const std::vector<SessionData>& sessions;  ///< as recorded
-  const std::vector<RecordingInfo>& infos;   ///< of each session
-  /// Without a solution: the data were refused before the solve.
-  const Calibration& result;
-  std::string refusal;      ///< why there is no result; empty: there is one
-  std::string run_id = {};  ///< see OutputFiles
-};
 
 /// Puts the numbers that scripts/report.py draws into a folder:
 ///
@@ -36,6 +24,17 @@ void WriteReportData(const ReportInput& input, const std::string& folder);
 /// file, or as PDF when `path` ends in ".pdf", which it returns. Throws InputError
 /// with the reason when it cannot be drawn or written.
 std::string DrawReport(const ReportInput& input, const std::string& path);
+
+/// What every page tells of its making: version, command, folder.
+YAML::Node ReportHead();
+
+/// Writes the head of a page, report.yaml, to a folder.
+void WriteHead(const YAML::Node& head, const std::string& folder);
+
+/// Draws the page for `path` as DrawReport() does, of the numbers that `write` puts into a folder.
+/// run_id: empty when none is told.
+std::string DrawPage(const std::string& path, const std::string& run_id,
+                     const std::function<void(const std::string&)>& write);
 
 /// Throws InputError for a report that is of no kind that can be drawn; none is one that can.
 void CheckReportName(const std::string& path);

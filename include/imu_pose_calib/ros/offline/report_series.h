@@ -3,31 +3,32 @@
 #include <yaml-cpp/yaml.h>
 
 #include <Eigen/Core>
-#include <functional>
 #include <memory>
 #include <string>
 #include <vector>
 
+#include "imu_pose_calib/core/base/options.h"
+#include "imu_pose_calib/core/base/result.h"
 #include "imu_pose_calib/core/ground_truth/trajectory.h"
 #include "imu_pose_calib/ros/io/numpy_table.h"
-#include "imu_pose_calib/ros/offline/report.h"
+#include "imu_pose_calib/ros/io/recording.h"
 
 namespace imu_pose_calib {
+
+/// What a report tells of.
+struct ReportInput {
+  const CalibrationOptions& options;
+  const std::vector<SessionData>& sessions;  ///< as recorded
+  const std::vector<RecordingInfo>& infos;   ///< of each session
+  /// Without a solution: the data were refused before the solve.
+  const Calibration& result;
+  std::string refusal;      ///< why there is no result; empty: there is one
+  std::string run_id = {};  ///< see OutputFiles
+};
 
 /// Numbers that every reader of YAML takes for numbers.
 YAML::Node YamlValue(double value);
 YAML::Node YamlList(const Eigen::VectorXd& values);
-
-/// What every page tells of its making: version, command, folder.
-YAML::Node ReportHead();
-
-/// Writes the head of a page, report.yaml, to a folder.
-void WriteHead(const YAML::Node& head, const std::string& folder);
-
-/// Draws the page for `path` as DrawReport() does, of the numbers that `write` puts into a folder.
-/// run_id: empty when none is told.
-std::string DrawPage(const std::string& path, const std::string& run_id,
-                     const std::function<void(const std::string&)>& write);
 
 /// Writes the time of each sample, in order of arrival; `time` gives that of a stamp.
 template <typename Sample, typename Time>
