@@ -21,7 +21,7 @@ def read_units():
             unit = str(path.relative_to(folder).with_suffix(""))
             units[unit] |= set(INCLUDE.findall(path.read_text())) - {unit}
     # Messages are generated and have no unit.
-    return {unit: {i for i in includes if i in units} for unit, includes in units.items()}
+    return {unit: includes & units.keys() for unit, includes in units.items()}
 
 
 def room_of(unit):
@@ -35,33 +35,28 @@ def read_rooms(units):
     return rooms
 
 
+def reachable(graph, starts):
+    """All nodes on paths that begin with one of the starts."""
+    seen, stack = set(), list(starts)
+    while stack:
+        node = stack.pop()
+        if node not in seen:
+            seen.add(node)
+            stack.extend(graph.get(node, ()))
+    return seen
+
+
 def find_cycles(graph):
     """Groups of nodes that reach each other."""
-
-    def reachable(start):
-        seen, stack = set(), [start]
-        while stack:
-            for other in graph.get(stack.pop(), ()):
-                if other not in seen:
-                    seen.add(other)
-                    stack.append(other)
-        return seen
-
-    reach = {node: reachable(node) for node in graph}
-    return sorted({tuple(sorted(o for o in reach[n] if n in reach.get(o, ()))) for n in graph if n in reach[n]})
+    reach = {node: reachable(graph, others) for node, others in graph.items()}
+    return sorted({tuple(sorted(o for o in reach[n] if n in reach[o])) for n in graph if n in reach[n]})
 
 
 def direct_arrows(graph):
     """Arrows that no longer path implies."""
     for room in sorted(graph):
         for other in sorted(graph[room]):
-            others, stack = set(), [o for o in graph[room] if o != other]
-            while stack:
-                node = stack.pop()
-                if node not in others:
-                    others.add(node)
-                    stack.extend(graph.get(node, ()))
-            if other not in others:
+            if other not in reachable(graph, graph[room] - {other}):
                 yield room, other
 
 

@@ -5,6 +5,7 @@
 
 #include "faults.h"
 #include "imu_pose_calib/core/start/initializer.h"
+#include "imu_pose_calib/core/start/rate_alignment.h"
 #include "imu_pose_calib/simulation/simulator.h"
 #include "test_util.h"
 

@@ -40,7 +40,7 @@ TEST(Core, WouldBeCaughtUsingRos) {
   EXPECT_EQ(Violations("#include <Eigen/Core>\n"), "");
 }
 
-/// scripts/include_graph.py on this repository, or on a copy of the folder.
+/// scripts/include_graph.py on this repository, or on a small tree of its own.
 class IncludeGraph : public ExecutableTest {};
 
 const std::string kScript = "scripts/include_graph.py";

@@ -2,7 +2,8 @@
 
 /// Room simulation: recordings with exact truth, for tests, simulate_bag and evaluate.
 /// In: options and effects that real recordings have. Out: SessionData, the truth, the Cramér-Rao
-/// bound of what can be known. Nothing that calibrates needs it.
+/// bound of what can be known; and how information grows within a recording, for the report.
+/// Calibrate() needs none of it.
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>

@@ -1,5 +1,7 @@
 #include "imu_pose_calib/core/data/conditioned_data.h"
 
+#include <algorithm>
+
 namespace imu_pose_calib {
 
 size_t ConditionedData::FirstImu() const {

@@ -4,8 +4,6 @@
 #include <cstdlib>
 #include <limits>
 
-#include "imu_pose_calib/core/base/median.h"
-
 namespace imu_pose_calib {
 
 bool IsStampedAhead(const std::vector<int64_t>& stamps_ns, size_t i) {

@@ -8,6 +8,7 @@
 
 #include "imu_pose_calib/core/base/parallel.h"
 #include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/start/rate_alignment.h"
 
 namespace imu_pose_calib {
 namespace {

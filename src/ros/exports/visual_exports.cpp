@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "imu_pose_calib/ros/exports/export_text.h"
+#include "imu_pose_calib/ros/exports/exporters.h"
 #include "imu_pose_calib/ros/io/yaml_text.h"
 
 namespace imu_pose_calib {

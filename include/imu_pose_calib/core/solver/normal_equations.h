@@ -3,9 +3,8 @@
 /// Room core/solver: large sparse least squares whose unknowns follow each other in time.
 /// In: cost functions of Ceres on parameter blocks, put in order of time and cut into windows.
 /// Out: normal equations of each window, their elimination into the few parameters all windows
-/// share, steps, marginal covariance. An hour has 10^6 unknowns: windows are assembled, eliminated
-/// and forgotten one by one, in memory and time that grow with the recording; ceres::Problem holds
-/// all of it at once. Knows nothing of IMUs.
+/// share, steps, marginal covariance. Windows are assembled, eliminated and forgotten one by one,
+/// which is what lets a recording of hours fit in memory. Knows nothing of IMUs.
 
 #include <functional>
 #include <memory>

@@ -1,12 +1,10 @@
 #pragma once
 
-#include <optional>
 #include <vector>
 
 #include "imu_pose_calib/core/base/options.h"
-#include "imu_pose_calib/core/data/conditioning.h"
+#include "imu_pose_calib/core/data/conditioned_data.h"
 #include "imu_pose_calib/core/start/clock_walk.h"
-#include "imu_pose_calib/core/start/rate_alignment.h"
 #include "imu_pose_calib/core/trajectory/pose_trajectory.h"
 
 namespace imu_pose_calib {

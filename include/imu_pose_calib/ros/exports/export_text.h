@@ -4,11 +4,11 @@
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/ros/exports/exports.h"
+#include "imu_pose_calib/ros/io/stored_result.h"
 
 namespace imu_pose_calib {
 
-// Pieces of the files that exports.h writes.
+// Pieces of the files that exporters.h gives.
 
 using Lines = std::vector<std::string>;
 
@@ -94,12 +94,5 @@ std::string LaunchText(const Lines& head, const std::vector<StaticTransform>& tr
 
 /// marker -> imu of every IMU.
 std::vector<StaticTransform> ImuTransforms(const StoredResult& stored);
-
-/// Gives the files of one program, which state what their keys mean.
-using Exporter = std::vector<ExportFile>(const StoredResult& stored, const ExportOptions& options);
-
-Exporter ExportKalibr, ExportOpenVins, ExportVins, ExportOrbSlam3, ExportKimera, ExportBasalt;
-Exporter ExportEuroc, ExportVicon2Gt, ExportMocap2Gt, ExportLioSam, ExportFastLio, ExportPx4;
-Exporter ExportEvo, ExportUrdf, ExportTf, ExportRos2;
 
 }  // namespace imu_pose_calib

@@ -3,22 +3,11 @@
 #include <string>
 #include <vector>
 
+#include "imu_pose_calib/ros/exports/exporters.h"
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/stored_result.h"
 
 namespace imu_pose_calib {
-
-/// What a consumer needs beyond the result.
-struct ExportOptions {
-  /// px4: imu axes to the autopilot's body axes forward, right, down: v_body = q v_imu.
-  Eigen::Quaterniond q_body_imu = Eigen::Quaterniond::Identity();
-};
-
-/// One file of an export.
-struct ExportFile {
-  std::string ending;  ///< "kalibr.imu0.yaml", what follows the name of the result and a dot
-  std::string text;
-};
 
 /// The programs that a result can be exported to.
 std::vector<std::string> ExportNames();
