@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 #include <string>
 #include <utility>
 
@@ -189,13 +190,13 @@ void ReportClocks(const std::shared_ptr<const Solution>& solution, Calibration* 
   }
 }
 
-/// S4: each session finds its knot spacing, noise and clocks alone; the rig starts from the
-/// liveliest session that has the IMU.
+/// S4: each session finds its knot spacing, noise and clocks alone; the rig starts from the most
+/// excited session that has the IMU.
 Solution SolveTogether(const CalibrationOptions& options, std::vector<PreparedSession>* prepared,
                        const Progress& progress, Estimate* estimate, Calibration* result) {
   std::vector<PreparedSession>& sessions = *prepared;
   std::vector<JointStart> starts;
-  std::vector<double> liveliest(estimate->imus.size(), -1.0);
+  std::vector<double> largest_excitation(estimate->imus.size(), -1.0);
   for (size_t s = 0; s < sessions.size(); ++s) {
     const Stage knots(progress, InSession(s, sessions.size()) + "knot spacing");
     Estimate own(sessions[s], options.bias_knot_interval_s);
@@ -205,8 +206,9 @@ Solution SolveTogether(const CalibrationOptions& options, std::vector<PreparedSe
     result->sessions[s].knot_spacing_s = starts[s].knot_spacing_s;
     estimate->sessions[s] = own.sessions[0];
     for (size_t i = 0; i < own.imus.size(); ++i) {
-      if (!own.sessions[0].imus[i].is_present || starts[s].liveliness <= liveliest[i]) continue;
-      liveliest[i] = starts[s].liveliness;
+      if (!own.sessions[0].imus[i].is_present || starts[s].excitation <= largest_excitation[i])
+        continue;
+      largest_excitation[i] = starts[s].excitation;
       estimate->imus[i] = own.imus[i];
       if (i > 0) continue;
       estimate->pose_smoothing = own.pose_smoothing;
@@ -218,6 +220,48 @@ Solution SolveTogether(const CalibrationOptions& options, std::vector<PreparedSe
   Solution solution = SolveJointly(options, sessions, starts, estimate);
   solve.End(solution.iterations);
   return solution;
+}
+
+/// Session s, ready to be calibrated, with what its data are in `result`. Nothing when its motion
+/// is degenerate, which is the result then. Its data go: those of a long recording are a lot.
+/// Throws DataError or OptionNeeded that name the session.
+std::optional<PreparedSession> PrepareSession(const CalibrationOptions& options, SessionData* data,
+                                              size_t s, Calibration* result) {
+  const std::string in_session = InSession(s, result->sessions.size());
+  DataCheck check;
+  const auto report = [&] {
+    ReportData(check, &result->sessions[s]);
+    for (const std::string& warning : check.warnings)
+      result->warnings.push_back(in_session + warning);
+  };
+  try {
+    PreparedSession session = Prepare(options, *data, &check);
+    *data = SessionData();
+    report();
+    result->sessions[s].position_lengthscale_s =
+        session.trajectory->position_hyperparameters().lengthscale_s;
+    result->sessions[s].rotation_lengthscale_s =
+        session.trajectory->rotation_hyperparameters().lengthscale_s;
+    return session;
+  } catch (const DegenerateMotion& error) {
+    report();
+    result->status = Status::kDegenerate;
+    result->message = in_session + error.what();
+    result->unobservable = {in_session + error.unobservable};
+    return std::nullopt;
+  } catch (const OptionNeeded& error) {
+    throw OptionNeeded(in_session + error.what());
+  } catch (const DataError& error) {
+    throw DataError(in_session + error.what());
+  }
+}
+
+/// Adds the start of a session, and of the IMUs it has.
+void AddStart(const Estimate& start, Estimate* estimate) {
+  estimate->sessions.push_back(start.sessions[0]);
+  estimate->imus.resize(start.imus.size());
+  for (size_t i = 0; i < start.imus.size(); ++i)
+    if (start.sessions[0].imus[i].is_present) estimate->imus[i] = start.imus[i];
 }
 
 }  // namespace
@@ -235,39 +279,13 @@ Calibration Calibrate(const CalibrationOptions& options, std::vector<SessionData
   std::vector<PreparedSession> sessions;
   Estimate estimate;
   for (size_t s = 0; s < data.size(); ++s) {
-    DataCheck check;
-    const std::string in_session = InSession(s, data.size());
-    const Stage preparation(progress, in_session + "data and start");
-    const auto report = [&] {
-      ReportData(check, &result.sessions[s]);
-      for (const std::string& warning : check.warnings)
-        result.warnings.push_back(in_session + warning);
-    };
-    try {
-      sessions.push_back(Prepare(WithoutStart(options, s == 0), data[s], &check));
-      data[s] = SessionData();  // of a long recording, a lot
-      report();
-    } catch (const DegenerateMotion& error) {
-      report();
-      result.status = Status::kDegenerate;
-      result.message = in_session + error.what();
-      result.unobservable = {in_session + error.unobservable};
-      return result;
-    } catch (const OptionNeeded& error) {
-      throw OptionNeeded(in_session + error.what());
-    } catch (const DataError& error) {
-      throw DataError(in_session + error.what());
-    }
+    const Stage preparation(progress, InSession(s, data.size()) + "data and start");
+    std::optional<PreparedSession> session =
+        PrepareSession(WithoutStart(options, s == 0), &data[s], s, &result);
+    if (!session) return result;
+    sessions.push_back(std::move(*session));
     preparation.End();
-    const Estimate own(sessions[s], options.bias_knot_interval_s);
-    estimate.sessions.push_back(own.sessions[0]);
-    estimate.imus.resize(own.imus.size());
-    for (size_t i = 0; i < own.imus.size(); ++i)
-      if (own.sessions[0].imus[i].is_present) estimate.imus[i] = own.imus[i];
-    result.sessions[s].position_lengthscale_s =
-        sessions[s].trajectory->position_hyperparameters().lengthscale_s;
-    result.sessions[s].rotation_lengthscale_s =
-        sessions[s].trajectory->rotation_hyperparameters().lengthscale_s;
+    AddStart(Estimate(sessions[s], options.bias_knot_interval_s), &estimate);
   }
 
   Solution solution;
@@ -291,7 +309,7 @@ Calibration Calibrate(const CalibrationOptions& options, std::vector<SessionData
     result.warnings.push_back(
         "the noise of the sensors has not settled: the result may move by parts of its sigma");
   DoubtResult(sessions, &result);
-  JudgeAgreement(&result);
+  TestSessionAgreement(&result);
   solution.estimate = std::move(estimate);
   for (PreparedSession& session : sessions) {
     solution.trajectories.push_back(session.trajectory);

@@ -104,8 +104,8 @@ std::vector<CorrectionSplines::Run> CorrectionSplines::Runs() const {
   return runs;
 }
 
-void CorrectionSplines::Follow(const ClockLine& before, const ClockLine& after,
-                               double delay_growth) {
+void CorrectionSplines::MoveWithClock(const ClockLine& before, const ClockLine& after,
+                                      double delay_growth) {
   const auto follow = [&](double t) { return after.PoseTime(before.ImuTime(t) - delay_growth); };
   for (Range& range : ranges_) {
     range.begin = follow(range.begin);

@@ -161,7 +161,7 @@ Marginals FindMarginals(LeastSquares* solved) {
           ? RobustCovariance(GivenOthers(estimates.exact, functionals.estimated()), ordering,
                              *solved->estimate, fitted)
           : marginal.covariance);
-  result.feigned_information = solved->feigned_information;
+  result.spurious_information = solved->spurious_information;
   const std::vector<int> calibrated = Counted(static_cast<size_t>(ordering.estimated));
   CompareHalves(problem.EstimateOf(problem.halves()[0], calibrated),
                 problem.EstimateOf(problem.halves()[1], calibrated), functionals, fitted, &result);

@@ -65,7 +65,7 @@ void AddAccel(size_t session, size_t imu, LeastSquares* gp) {
     const double variance =
         v.accel + (arm2 * lever + 2.0 * v.rotation * s.value.squaredNorm()) / 3.0;
     const double sigma = std::sqrt(noise * noise + shared * variance);
-    gp->feigned_information[imu] += lever / (sigma * sigma);
+    gp->spurious_information[imu] += lever / (sigma * sigma);
     const auto [k, u] = clock.accel_bias.Locate(s.t);
     const AccelResidual residual{&trajectory, s.t, s.value, u, sigma};
     sensor->samples.push_back(

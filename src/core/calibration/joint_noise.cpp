@@ -238,7 +238,7 @@ bool DoPosesLead(const CorrectionSplines& splines, size_t session, const LeastSq
   return ImuShare(S, Quantity::kAccel, Band(splines.spacing())) < 0.5;
 }
 
-void FeignInformation(const std::vector<CorrectionSplines>& splines, LeastSquares* joint) {
+void AddSpuriousInformation(const std::vector<CorrectionSplines>& splines, LeastSquares* joint) {
   constexpr size_t kEnough = 2000;  // samples, of which the mean is taken
   for (const SensorBlocks& sensor : joint->sensors) {
     if (sensor.model->quantity != Quantity::kAccel) continue;
@@ -263,7 +263,7 @@ void FeignInformation(const std::vector<CorrectionSplines>& splines, LeastSquare
       const double lever = LeverArmCoefficientVariance(w2 * omega, omega, turn2 / seen);
       density += 2.0 * step * lever / (sensor.model->Density() + w2 * w2 * S[Quantity::kPosition]);
     }
-    joint->feigned_information[sensor.model->imu] +=
+    joint->spurious_information[sensor.model->imu] +=
         static_cast<double>(sensor.samples.size()) / sensor.model->rate_hz * density;
   }
 }

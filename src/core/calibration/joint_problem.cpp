@@ -74,6 +74,18 @@ int AddKnots(std::vector<Value>* values, Problem* problem) {
   return first;
 }
 
+/// The poses `kept` as samples of their position or rotation, with its noise, the pose's own
+/// `scale` of it and the weight.
+void AddSamples(const std::vector<TimedPose>& poses, const std::vector<size_t>& kept,
+                double TimedPose::*scale, SensorBlocks* sensor) {
+  const SensorModel& model = *sensor->model;
+  sensor->samples.reserve(kept.size());
+  for (const size_t i : kept)
+    sensor->samples.push_back(
+        {poses[i].t, static_cast<uint32_t>(i),
+         static_cast<float>(model.noise * poses[i].*scale / std::sqrt(model.weights[i]))});
+}
+
 /// Calls add(begin, end, run) for samples that are alike.
 template <typename Add>
 void ForRuns(const std::vector<Run>& runs, const Add& add) {
@@ -224,16 +236,8 @@ void SessionBuilder::AddPoses() {
   const int position_smoothing = problem.Find(&joint_->estimate->position_smoothing);
   SensorBlocks* const position = joint_->Find(Quantity::kPosition, session_);
   SensorBlocks* const rotation = joint_->Find(Quantity::kRotation, session_);
-  const auto place = [&](double TimedPose::*scale, SensorBlocks* sensor) {
-    const SensorModel& model = *sensor->model;
-    sensor->samples.reserve(kept.size());
-    for (const size_t i : kept)
-      sensor->samples.push_back(
-          {poses[i].t, static_cast<uint32_t>(i),
-           static_cast<float>(model.noise * poses[i].*scale / std::sqrt(model.weights[i]))});
-  };
-  place(&TimedPose::position_scale, position);
-  place(&TimedPose::rotation_scale, rotation);
+  AddSamples(poses, kept, &TimedPose::position_scale, position);
+  AddSamples(poses, kept, &TimedPose::rotation_scale, rotation);
   const auto samples =
       Collect<JointPoseSample>(joint_->options, kept.size(), [=, &poses, &errors](size_t k) {
         const ProblemSample& at = position->samples[k];

@@ -89,14 +89,14 @@ bool IsCovered(const PreparedSession& session, const SessionEstimate& estimate, 
   return true;
 }
 
-struct LivelySpan {
+struct ExcitedSpan {
   double begin = 0.0, end = 0.0;  ///< [s] pose clock
-  double liveliness = -1.0;       ///< see JointStart; negative: there is none
+  double excitation = -1.0;       ///< see JointStart; negative: there is none
 };
 
 /// The `duration_s` of the log in which the marker turns most, as far as `knots` cover it.
-LivelySpan FindLiveliest(const PreparedSession& session, const SessionEstimate& estimate,
-                         const CorrectionSplines& knots, double duration_s) {
+ExcitedSpan FindLiveliest(const PreparedSession& session, const SessionEstimate& estimate,
+                          const CorrectionSplines& knots, double duration_s) {
   double first = session.data.poses.front().t, last = session.data.poses.back().t;
   for (size_t i = 0; i < session.data.imus.size(); ++i) {
     const ConditionedImu& imu = session.data.imus[i];
@@ -104,7 +104,7 @@ LivelySpan FindLiveliest(const PreparedSession& session, const SessionEstimate& 
     first = std::max(first, estimate.imus[i].PoseTime(imu.gyro.front().t));
     last = std::min(last, estimate.imus[i].PoseTime(imu.gyro.back().t));
   }
-  LivelySpan best{first, first + duration_s};
+  ExcitedSpan best{first, first + duration_s};
   for (double t = first; t + 0.5 * duration_s < last; t += 0.5 * duration_s) {
     double sum = 0.0, followed = 0.0;
     for (double s = t; s < std::min(last, t + duration_s); s += kStep) {
@@ -113,11 +113,11 @@ LivelySpan FindLiveliest(const PreparedSession& session, const SessionEstimate& 
       sum += marker.alpha_M.squaredNorm();
       followed += kStep / duration_s;
     }
-    const double liveliness = kStep / duration_s * sum;
-    if (liveliness <= best.liveliness || followed < kLeastFollowed ||
+    const double excitation = kStep / duration_s * sum;
+    if (excitation <= best.excitation || followed < kLeastFollowed ||
         !IsCovered(session, estimate, t, std::min(last, t + duration_s)))
       continue;
-    best = {t, t + duration_s, liveliness};
+    best = {t, t + duration_s, excitation};
   }
   return best;
 }
@@ -178,7 +178,7 @@ class JointSolver {
     if (!has_converged_) ThrowNotConverged(options_);
     SetNoise();
     Build();
-    FeignInformation(splines_, problem_.get());
+    AddSpuriousInformation(splines_, problem_.get());
     solution.marginals = FindMarginals(problem_.get());
     solution.statistics = statistics_;
     // Of everything: trajectories, gravity and biases too.
@@ -226,8 +226,8 @@ class JointSolver {
     for (size_t s = 0; s < splines_.size(); ++s) {
       if (splines_[s].is_with_poses) continue;
       const size_t imu = before.sessions[s].FirstImu();
-      splines_[s].Follow(before.sessions[s].imus[imu], estimate_->sessions[s].imus[imu],
-                         estimate_->imus[imu].accel_delay - before.imus[imu].accel_delay);
+      splines_[s].MoveWithClock(before.sessions[s].imus[imu], estimate_->sessions[s].imus[imu],
+                                estimate_->imus[imu].accel_delay - before.imus[imu].accel_delay);
     }
   }
 
@@ -299,12 +299,12 @@ JointStart ChooseKnotSpacing(const CalibrationOptions& options, const PreparedSe
                              Estimate* estimate) {
   const bool is_given = options.knot_spacing_s > 0.0;
   double spacing = is_given ? options.knot_spacing_s : kCoarsestKnots;
-  const LivelySpan lively =
+  const ExcitedSpan span =
       FindLiveliest(session, estimate->sessions[0],
                     CorrectionSplines(session.data, *estimate, 0, spacing), kExcerpt);
-  if (lively.liveliness < 0.0)
+  if (span.excitation < 0.0)
     throw DataError("there are no seconds in which poses and the samples of every imu are there");
-  const PreparedSession excerpt = Excerpt(session, estimate->sessions[0], lively.begin, lively.end);
+  const PreparedSession excerpt = Excerpt(session, estimate->sessions[0], span.begin, span.end);
   auto best = std::make_unique<Trial>(options, excerpt, spacing, *estimate);
   double slowest = std::numeric_limits<double>::infinity();
   for (const SensorModel& model : best->solver.models())
@@ -317,7 +317,7 @@ JointStart ChooseKnotSpacing(const CalibrationOptions& options, const PreparedSe
     best = std::move(denser);
     spacing *= 0.5;
   }
-  // Motion that the knots do not follow feigns a lever arm long before the noise shows it.
+  // Motion that the knots do not follow mimics a lever arm long before the noise shows it.
   if (!is_given && kReserve * spacing >= finest) {
     if (auto denser = TryDenser(options, excerpt, kReserve * spacing, *estimate)) {
       best = std::move(denser);
@@ -337,7 +337,7 @@ JointStart ChooseKnotSpacing(const CalibrationOptions& options, const PreparedSe
     static_cast<ClockLine&>(clock) = start.imus[i];
     clock.walk = start.imus[i].walk;
   }
-  return {spacing, Correctable(options, session, spacing), noise, lively.liveliness};
+  return {spacing, Correctable(options, session, spacing), noise, span.excitation};
 }
 
 Solution SolveJointly(const CalibrationOptions& options,

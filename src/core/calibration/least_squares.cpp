@@ -169,7 +169,7 @@ LeastSquares::LeastSquares(const CalibrationOptions& options,
       sessions(sessions),
       estimate(estimate),
       windows(options, sessions, *estimate),
-      feigned_information(estimate->imus.size(), 0.0) {
+      spurious_information(estimate->imus.size(), 0.0) {
   for (const SensorModel& model : models) {
     sensors.emplace_back();
     sensors.back().model = &model;
@@ -273,7 +273,8 @@ double LeastSquares::Scale(const SensorModel& model, size_t index) const {
   return model.quantity == Quantity::kRotation ? poses[index].rotation_scale : 1.0;
 }
 
-const Eigen::Vector3d& LeastSquares::Rest(const SensorModel& model, size_t index) const {
+const Eigen::Vector3d& LeastSquares::HighPassResidual(const SensorModel& model,
+                                                      size_t index) const {
   const ConditionedData& data = sessions[model.session].data;
   switch (model.quantity) {
     case Quantity::kPosition:
@@ -446,7 +447,7 @@ std::vector<SensorStatistics> LeastSquares::FindStatistics() {
       const double scale = Scale(*sensor.model, sample.index);
       const Eigen::Vector3d r =
           (sample.sigma * Eigen::Map<const Eigen::Vector3f>(r_sigma).cast<double>() +
-           Rest(*sensor.model, sample.index)) /
+           HighPassResidual(*sensor.model, sample.index)) /
           scale;
       r_sigma += 3;
       variances.push_back(sample.trajectory_variance);

@@ -81,14 +81,37 @@ double JumpCost(const Period& period) {
   return std::max(kMinJumpCost, kJumpScatters * period.scatter);
 }
 
+/// What the latency is before the first frame [periods].
+double FirstLatency(const std::vector<double>& t, double period) {
+  std::vector<double> first;
+  for (size_t i = 0; i < std::min(kWindow, t.size()); ++i)
+    first.push_back(t[i] / period - static_cast<double>(i));
+  return Median(std::move(first));
+}
+
+/// Frames of the samples from 0, from the last state of the best path back: (missing frames, place
+/// among the states of the sample before) of the states of all samples, which begin at `begins`.
+std::vector<int64_t> TraceBack(const std::vector<std::pair<int, int>>& path,
+                               const std::vector<size_t>& begins, size_t best) {
+  std::vector<int64_t> frames(begins.size());
+  for (size_t i = begins.size(); i-- > 0;) {
+    const auto& [missing, from] = path[begins[i] + best];
+    frames[i] = static_cast<int64_t>(i) + missing;
+    best = static_cast<size_t>(from);
+  }
+  const int64_t first = frames.front();
+  for (int64_t& frame : frames) frame -= first;
+  return frames;
+}
+
 /// The frames n_i of stamps t_i that minimise
 ///   sum_i cost(t_i / period - n_i - level_i) + jump_cost (number of n_i > n_(i-1) + 1)
-/// by dynamic programming over the number of missing frames; returns the sum. The level follows the
+/// by a Viterbi search over the number of missing frames; returns the sum. The level follows the
 /// latency with a memory of so many samples, or stays at 0 when that is 0. Latencies beyond the
 /// reach of the cost [periods] cost the same.
 template <typename Cost>
-double Count(const std::vector<double>& t, double period, size_t memory, double jump_cost,
-             const Cost& cost, FrameCount* count) {
+double FindFrames(const std::vector<double>& t, double period, size_t memory, double jump_cost,
+                  const Cost& cost, FrameCount* count) {
   struct State {
     int missing;
     double cost, level;
@@ -96,12 +119,7 @@ double Count(const std::vector<double>& t, double period, size_t memory, double 
   };
   const auto latency = [&](size_t i) { return t[i] / period - static_cast<double>(i); };
   const double gain = memory > 0 ? 1.0 / static_cast<double>(memory) : 0.0;
-  double level = 0.0;
-  if (memory > 0) {
-    std::vector<double> first;
-    for (size_t i = 0; i < std::min(kWindow, t.size()); ++i) first.push_back(latency(i));
-    level = Median(std::move(first));
-  }
+  const double level = memory > 0 ? FirstLatency(t, period) : 0.0;
   std::vector<State> states, next;  // by missing frames
   for (int m = -kStart; m <= kStart; ++m) states.push_back({m, 0.0, level, 0});
   std::vector<std::pair<int, int>> path;  // (missing, from) of the states of all samples
@@ -147,16 +165,8 @@ double Count(const std::vector<double>& t, double period, size_t memory, double 
       path.emplace_back(state.missing, state.from);
     }
   }
-  const double sum = states[best].cost;
-  count->frames.resize(t.size());
-  for (size_t i = t.size(); i-- > 0;) {
-    const auto& [missing, from] = path[begins[i] + best];
-    count->frames[i] = static_cast<int64_t>(i) + missing;
-    best = static_cast<size_t>(from);
-  }
-  const int64_t first = count->frames.front();
-  for (int64_t& frame : count->frames) frame -= first;
-  return sum;
+  count->frames = TraceBack(path, begins, best);
+  return states[best].cost;
 }
 
 /// The middle of `t`, at most `count` of them.
@@ -175,7 +185,7 @@ Period FindPeriod(const std::vector<double>& t, const Period& start, const Searc
     // The same latency [s] costs the same with every period.
     FrameCount count;
     const double cost =
-        Count(t, f * start.seconds, search.memory, JumpCost(start), CostOf(start, f), &count);
+        FindFrames(t, f * start.seconds, search.memory, JumpCost(start), CostOf(start, f), &count);
     if (cost >= least) continue;
     least = cost;
     best.seconds = f * start.seconds;
@@ -218,7 +228,7 @@ Period FindPeriod(const std::vector<double>& t) {
 /// Counts frames. A frame is taken for missing where the stamps stay later for good.
 FrameCount CountFrames(const std::vector<double>& t, const Period& period) {
   FrameCount count;
-  Count(t, period.seconds, kMemory, JumpCost(period), CostOf(period, 1.0), &count);
+  FindFrames(t, period.seconds, kMemory, JumpCost(period), CostOf(period, 1.0), &count);
   return count;
 }
 
@@ -239,7 +249,7 @@ FrameCount CountAgain(const FrameCount& count, const std::vector<double>& latenc
     t[i] = period.seconds * static_cast<double>(count.frames[i]) + latency[i];
   const double jump_cost = std::log(n / static_cast<double>(1 + count.Jumps()));
   FrameCount again;
-  Count(t, period.seconds, 0, jump_cost, cost, &again);
+  FindFrames(t, period.seconds, 0, jump_cost, cost, &again);
   return again;
 }
 

@@ -202,6 +202,25 @@ std::optional<Vector3d> RecordedAt(const std::vector<TimedSample>& samples, doub
   return (1.0 - u) * (a.value + a.rest) + u * (b.value + b.rest);
 }
 
+/// Turn rates and accelerations at the instants [s, pose clock]; none when the IMU has a gap there.
+std::vector<Measured> MeasuredAt(const Solution& solution, const SessionTrajectory& trajectory,
+                                 size_t session, size_t imu, const Integrator& integrator,
+                                 const std::vector<double>& instants) {
+  const ConditionedImu& samples = solution.imus[session][imu];
+  const ImuSessionEstimate& clock = solution.estimate.sessions[session].imus[imu];
+  const double delay = solution.estimate.imus[imu].accel_delay;
+  std::vector<Measured> measured;
+  for (const double t : instants) {
+    const double t_imu = clock.ImuTime(t);
+    const auto gyro = RecordedAt(samples.gyro, samples.gyro_report.rate_hz, t_imu);
+    const auto accel = RecordedAt(samples.accel, samples.accel_report.rate_hz, t_imu + delay);
+    if (!gyro || !accel) return {};
+    const ImuBiases biases = trajectory.Biases(imu, t);
+    measured.push_back(integrator.Correct(*gyro - biases.gyro, *accel - biases.accel));
+  }
+  return measured;
+}
+
 /// The motion of an IMU from `begin` to `end` [s, pose clock], between two runs of a joint solve's
 /// trajectory: integrated from the state in which the first run ends, and adjusted to meet the one
 /// in which the second begins, each by its covariance (doc/trajectory.md). States at both ends and
@@ -212,7 +231,6 @@ std::vector<CarriedState> CarryAcrossGap(const Solution& solution,
                                          size_t imu, double begin, double end) {
   const ConditionedImu& samples = solution.imus[session][imu];
   const ImuSessionEstimate& clock = solution.estimate.sessions[session].imus[imu];
-  const double delay = solution.estimate.imus[imu].accel_delay;
   std::vector<double> instants = {begin};
   for (const TimedSample& s : samples.gyro) {
     const double t = clock.PoseTime(s.t);
@@ -221,15 +239,9 @@ std::vector<CarriedState> CarryAcrossGap(const Solution& solution,
   instants.push_back(end);
 
   const Integrator integrator(solution, session, imu);
-  std::vector<Measured> measured;
-  for (const double t : instants) {
-    const double t_imu = clock.ImuTime(t);
-    const auto gyro = RecordedAt(samples.gyro, samples.gyro_report.rate_hz, t_imu);
-    const auto accel = RecordedAt(samples.accel, samples.accel_report.rate_hz, t_imu + delay);
-    if (!gyro || !accel) return {};
-    const ImuBiases biases = trajectory.Biases(imu, t);
-    measured.push_back(integrator.Correct(*gyro - biases.gyro, *accel - biases.accel));
-  }
+  const std::vector<Measured> measured =
+      MeasuredAt(solution, trajectory, session, imu, integrator, instants);
+  if (measured.empty()) return {};
 
   const RunEnd first = FindRunEnd(solution, trajectory, session, imu, begin);
   const RunEnd last = FindRunEnd(solution, trajectory, session, imu, end);

@@ -32,10 +32,18 @@ Elimination::Elimination(const std::vector<int>& sizes, size_t border,
                          const std::vector<std::vector<int>>& residuals,
                          const std::vector<size_t>& first_of_window)
     : place_(sizes.size()), block_at_(sizes.size()) {
+  const std::vector<int> window = OrderBlocks(border, residuals, first_of_window);
+  FormPanels(sizes, border, window, static_cast<int>(first_of_window.size()));
+  FindRows(residuals);
+}
+
+std::vector<int> Elimination::OrderBlocks(size_t border,
+                                          const std::vector<std::vector<int>>& residuals,
+                                          const std::vector<size_t>& first_of_window) {
   // Blocks by window and the last residual that has them; what none has stays beside its neighbour.
   const auto windows = static_cast<int>(first_of_window.size());
-  std::vector<size_t> last(sizes.size(), 0);
-  std::vector<int> window(sizes.size(), -1);
+  std::vector<size_t> last(place_.size(), 0);
+  std::vector<int> window(place_.size(), -1);
   for (size_t r = 0, w = 0; r < residuals.size(); ++r) {
     while (w + 1 < first_of_window.size() && r >= first_of_window[w + 1]) ++w;
     for (const int block : residuals[r]) {
@@ -44,7 +52,7 @@ Elimination::Elimination(const std::vector<int>& sizes, size_t border,
       own = own < 0 || own == static_cast<int>(w) ? static_cast<int>(w) : windows;
     }
   }
-  for (size_t b = border; b < sizes.size(); ++b) {
+  for (size_t b = border; b < place_.size(); ++b) {
     if (window[b] >= 0) continue;
     window[b] = b > border ? window[b - 1] : 0;
     last[b] = b > border ? last[b - 1] : 0;
@@ -57,7 +65,11 @@ Elimination::Elimination(const std::vector<int>& sizes, size_t border,
     return std::make_pair(window[Index(a)], last[Index(a)]) <
            std::make_pair(window[Index(b)], last[Index(b)]);
   });
+  return window;
+}
 
+void Elimination::FormPanels(const std::vector<int>& sizes, size_t border,
+                             const std::vector<int>& window, int windows) {
   const size_t inner = sizes.size() - border;
   for (size_t k = 0; k < sizes.size(); ++k) {
     const int block = block_at_[k];
@@ -88,8 +100,10 @@ Elimination::Elimination(const std::vector<int>& sizes, size_t border,
     for (int k = 0; k < sizes[b]; ++k) place_of_column_.emplace_back(place_[b], k);
     columns_ += sizes[b];
   }
+}
 
-  std::vector<int> places, seen_by(sizes.size(), -1);  // panel that had it last
+void Elimination::FindRows(const std::vector<std::vector<int>>& residuals) {
+  std::vector<int> places, seen_by(place_.size(), -1);  // panel that had it last
   for (const std::vector<int>& blocks : residuals) {
     if (blocks.empty()) continue;
     places.clear();

@@ -117,7 +117,7 @@ LocalOffsets FindLocal(const std::vector<Sample>& samples, const ClockWalk& walk
   prior.tail<9>().setConstant(std::pow(sigma / kTurnError, 2));
   std::vector<Information> H(walk.t.size(), prior.asDiagonal());
   std::vector<Vector> b(walk.t.size(), Vector::Zero());
-  std::vector<double> feigned(walk.t.size(), 0.0);  // information that is the noise of the growth
+  std::vector<double> spurious(walk.t.size(), 0.0);  // information that is the noise of the growth
   const double growth_noise2 = 1.5 * std::pow(sigma / kReach, 2);
   for (const Sample& s : samples) {
     const auto knot = static_cast<size_t>(std::round((s.t - walk.t[0]) / kInterval));
@@ -128,15 +128,15 @@ LocalOffsets FindLocal(const std::vector<Sample>& samples, const ClockWalk& walk
     for (int axis = 0; axis < 3; ++axis) J.block<1, 3>(axis, 4 + 3 * axis) = s.omega.transpose();
     H[knot].noalias() += weight * J.transpose() * J;
     b[knot].noalias() += weight * J.transpose() * s.r;
-    feigned[knot] += weight * growth_noise2;
+    spurious[knot] += weight * growth_noise2;
   }
   LocalOffsets local;
   for (size_t k = 0; k < walk.t.size(); ++k) {
     local.z.push_back(walk.offset[k]);
     local.variance.push_back(std::numeric_limits<double>::infinity());
-    if (feigned[k] == 0.0) continue;
+    if (spurious[k] == 0.0) continue;
     const Eigen::LDLT<Information> ldlt(H[k]);
-    const double information = 1.0 / ldlt.solve(Vector::Unit(0))[0] - feigned[k];
+    const double information = 1.0 / ldlt.solve(Vector::Unit(0))[0] - spurious[k];
     if (information <= 0.0) continue;
     local.z[k] += ldlt.solve(b[k])[0];
     local.variance[k] = sigma * sigma / information;
@@ -144,69 +144,87 @@ LocalOffsets FindLocal(const std::vector<Sample>& samples, const ClockWalk& walk
   return local;
 }
 
-/// Kalman filter and smoother.
-Walk Smooth(const LocalOffsets& local, const Tails& tails, const Model& model) {
-  using Eigen::Matrix3d;
-  using Eigen::Vector3d;
-  const size_t n = local.z.size();
+/// States of the knots: offset, slow error in sigmas of the white noise, drift.
+struct Filtered {
+  Eigen::Matrix3d F = Eigen::Matrix3d::Identity();  ///< from one knot to the next
+  std::vector<Eigen::Vector3d> x, predicted_x;
+  std::vector<Eigen::Matrix3d> P, predicted_P;
+  double sum = 0.0, log_variance = 0.0, count = 0.0;  ///< of the innovations
+};
+
+/// A local offset is that of its state, with the slow error.
+Eigen::Vector3d OffsetRow(const LocalOffsets& local, size_t k) {
+  return {1.0, std::sqrt(local.variance[k]), 0.0};
+}
+
+/// Kalman filter.
+Filtered Filter(const LocalOffsets& local, const Tails& tails, const Model& model) {
   const double kept = std::exp(-kInterval / kSlowErrors);
-  // Offset, slow error in sigmas of the white noise, drift.
-  Matrix3d F = Matrix3d::Identity();
-  F(0, 2) = kInterval;
-  F(1, 1) = kept;
-  std::vector<Vector3d> x(n), x_before(n);
-  std::vector<Matrix3d> P(n), predicted(n);
-  double sum = 0.0, log_variance = 0.0, count = 0.0;
-  for (size_t k = 0; k < n; ++k) {
-    if (k == 0) {
-      x_before[0].setZero();
-      predicted[0] = Vector3d(kUnknown * kUnknown, model.slow2, kDrift * kDrift).asDiagonal();
-    } else {
-      x_before[k] = F * x[k - 1];
-      predicted[k] = F * P[k - 1] * F.transpose();
-      predicted[k](0, 0) += model.density2 * kInterval * tails.increments[k - 1];
-      predicted[k](1, 1) += model.slow2 * (1.0 - kept * kept);
+  Filtered f;
+  f.F(0, 2) = kInterval;
+  f.F(1, 1) = kept;
+  for (size_t k = 0; k < local.z.size(); ++k) {
+    Eigen::Vector3d x = Eigen::Vector3d::Zero();
+    Eigen::Matrix3d P =
+        Eigen::Vector3d(kUnknown * kUnknown, model.slow2, kDrift * kDrift).asDiagonal();
+    if (k > 0) {
+      x = f.F * f.x.back();
+      P = f.F * f.P.back() * f.F.transpose();
+      P(0, 0) += model.density2 * kInterval * tails.increments[k - 1];
+      P(1, 1) += model.slow2 * (1.0 - kept * kept);
     }
-    x[k] = x_before[k];
-    P[k] = predicted[k];
-    if (!std::isfinite(local.variance[k])) continue;
-    const Vector3d H(1.0, std::sqrt(local.variance[k]), 0.0);
-    const double innovation = local.z[k] - H.dot(x_before[k]);
-    const double variance = H.dot(predicted[k] * H) + local.variance[k] * tails.offsets[k];
-    if (variance < 0.1 * kUnknown * kUnknown) {
-      sum += innovation * innovation / variance;
-      log_variance += std::log(variance);
-      count += 1.0;
+    f.predicted_x.push_back(x);
+    f.predicted_P.push_back(P);
+    if (std::isfinite(local.variance[k])) {
+      const Eigen::Vector3d H = OffsetRow(local, k);
+      const double innovation = local.z[k] - H.dot(x);
+      const double variance = H.dot(P * H) + local.variance[k] * tails.offsets[k];
+      if (variance < 0.1 * kUnknown * kUnknown) {
+        f.sum += innovation * innovation / variance;
+        f.log_variance += std::log(variance);
+        f.count += 1.0;
+      }
+      const Eigen::Vector3d gain = P * H / variance;
+      x += gain * innovation;
+      P -= gain * gain.transpose() * variance;
     }
-    const Vector3d gain = predicted[k] * H / variance;
-    x[k] += gain * innovation;
-    P[k] -= gain * gain.transpose() * variance;
+    f.x.push_back(x);
+    f.P.push_back(P);
   }
+  return f;
+}
+
+/// Kalman filter and Rauch-Tung-Striebel smoother.
+Walk Smooth(const LocalOffsets& local, const Tails& tails, const Model& model) {
+  Filtered f = Filter(local, tails, model);
   Walk walk;
   walk.model = model;
-  if (count < 1.0) return walk;
-  walk.scale2 = sum / count;
-  walk.log_likelihood = -0.5 * (count * std::log(walk.scale2) + log_variance);
+  if (f.count < 1.0) return walk;
+  walk.scale2 = f.sum / f.count;
+  walk.log_likelihood = -0.5 * (f.count * std::log(walk.scale2) + f.log_variance);
+  const size_t n = local.z.size();
   walk.offset.resize(n);
   walk.increment2.resize(n - 1);
   walk.error2.assign(n, 1.0);
   for (size_t k = n; k-- > 0;) {
+    Eigen::Vector3d& x = f.x[k];
+    Eigen::Matrix3d& P = f.P[k];
     if (k + 1 < n) {
-      const Matrix3d gain =
-          P[k] * F.transpose() * predicted[k + 1].ldlt().solve(Matrix3d::Identity());
-      const Matrix3d after = P[k + 1];
-      x[k] += gain * (x[k + 1] - x_before[k + 1]);
-      P[k] += gain * (after - predicted[k + 1]) * gain.transpose();
-      const double increment = x[k + 1][0] - x[k][0] - kInterval * x[k][2];
-      const double variance = after(0, 0) + P[k](0, 0) - 2.0 * (gain * after)(0, 0);
+      const Eigen::Matrix3d gain =
+          P * f.F.transpose() * f.predicted_P[k + 1].ldlt().solve(Eigen::Matrix3d::Identity());
+      const Eigen::Matrix3d& after = f.P[k + 1];
+      x += gain * (f.x[k + 1] - f.predicted_x[k + 1]);
+      P += gain * (after - f.predicted_P[k + 1]) * gain.transpose();
+      const double increment = f.x[k + 1][0] - x[0] - kInterval * x[2];
+      const double variance = after(0, 0) + P(0, 0) - 2.0 * (gain * after)(0, 0);
       walk.increment2[k] = (increment * increment / walk.scale2 + std::max(0.0, variance)) /
                            (model.density2 * kInterval);
     }
-    walk.offset[k] = x[k][0];
+    walk.offset[k] = x[0];
     if (!std::isfinite(local.variance[k])) continue;
-    const Vector3d H(1.0, std::sqrt(local.variance[k]), 0.0);
+    const Eigen::Vector3d H = OffsetRow(local, k);
     walk.error2[k] =
-        (std::pow(local.z[k] - H.dot(x[k]), 2) / walk.scale2 + H.dot(P[k] * H)) / local.variance[k];
+        (std::pow(local.z[k] - H.dot(x), 2) / walk.scale2 + H.dot(P * H)) / local.variance[k];
   }
   return walk;
 }

@@ -276,7 +276,7 @@ Marginals CompareSessions(Marginals marginals, Calibration* result) {
   return marginals;
 }
 
-void JudgeAgreement(Calibration* result) {
+void TestSessionAgreement(Calibration* result) {
   if (result->sessions.size() < 2 || !result->IsUsable()) return;
   size_t worst = 0;
   for (size_t s = 1; s < result->sessions.size(); ++s)

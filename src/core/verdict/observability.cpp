@@ -24,11 +24,12 @@ constexpr double kNotableSmoothing = 1e-5;  // [s^2]
 constexpr double kNotableScale = 5e-3;      // [1]
 constexpr double kNotableDelay = 10e-3;     // [s]
 
-/// Covariance of p_MI once the information that the trajectory's errors feign is taken away; huge
-/// where nothing remains.
-Eigen::Matrix3d HonestLeverArm(const Eigen::Matrix3d& covariance, double feigned_information) {
+/// Covariance of p_MI once the information that comes from the trajectory's errors alone is taken
+/// away; huge where nothing remains.
+Eigen::Matrix3d WithoutSpuriousInformation(const Eigen::Matrix3d& covariance,
+                                           double spurious_information) {
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(
-      Eigen::Matrix3d(covariance.inverse() - feigned_information * Eigen::Matrix3d::Identity()));
+      Eigen::Matrix3d(covariance.inverse() - spurious_information * Eigen::Matrix3d::Identity()));
   const Eigen::Matrix3d& V = eigen.eigenvectors();
   return V * eigen.eigenvalues().cwiseMax(1e-12).cwiseInverse().asDiagonal() * V.transpose();
 }
@@ -220,8 +221,8 @@ void GradeResult(const CalibrationOptions& options, const Marginals& marginals,
   for (const PlacedParameter& p : marginals.parameters)
     if (p.is_estimated && p.parameter.kind == ParameterKind::kTranslation)
       honest.block<3, 3>(p.place, p.place) =
-          HonestLeverArm(marginals.model.block<3, 3>(p.place, p.place),
-                         marginals.feigned_information[p.parameter.imu]);
+          WithoutSpuriousInformation(marginals.model.block<3, 3>(p.place, p.place),
+                                     marginals.spurious_information[p.parameter.imu]);
   result->observability = Spectrum(options, marginals, larger * honest * larger, *result);
   result->status = Status::kOk;
   result->message = "every sigma is within its bound";

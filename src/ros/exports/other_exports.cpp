@@ -37,6 +37,15 @@ Eigen::Vector3d RollPitchYaw(const Eigen::Quaterniond& q) {
 }
 
 /// "1.0 2.0 3.0"
+/// The shortest rotation that turns z to `up`, (0, 0, -1) by half a turn about x. Eigen's
+/// FromTwoVectors() takes as long to compile as the rest of this file.
+Eigen::Quaterniond RotationFromVertical(const Eigen::Vector3d& up) {
+  const Eigen::Vector3d z = up.normalized();
+  const double s = std::sqrt(2.0 * (1.0 + z.z()));
+  if (s < 1e-8) return Eigen::Quaterniond(0.0, 1.0, 0.0, 0.0);
+  return Eigen::Quaterniond(0.5 * s, -z.y() / s, z.x() / s, 0.0);
+}
+
 std::string Spaced(const Eigen::VectorXd& values) {
   std::string text;
   for (Eigen::Index i = 0; i < values.size(); ++i)
@@ -114,7 +123,7 @@ std::vector<ExportFile> ExportMocap2Gt(const StoredResult& stored, const ExportO
   const Rigid3& T_MI = stored.result.imus[0].T_MI;
   const SessionCalibration& session = stored.result.sessions[0];
   const NoiseDensity noise = Noise(stored, 0);
-  const auto q_WG = Eigen::Quaterniond::FromTwoVectors(Eigen::Vector3d::UnitZ(), -session.g_W);
+  const Eigen::Quaterniond q_WG = RotationFromVertical(-session.g_W);
   const auto keys = [&](const std::string& ending) {
     return "p_MI" + ending + ": " + List(T_MI.p) + "\nq_MI" + ending + ": " +
            List(T_MI.q.coeffs()) + "\nq_WG" + ending + ": " + List(q_WG.coeffs()) + "\ntoff_MI" +

@@ -22,7 +22,7 @@ class CorrectionSplines {
   std::optional<SplinePlace> Locate(double t) const;
   /// The splines go along when the line of the clock that maps to t changes: from `before` to
   /// `after`, which are of the same IMU in the same session.
-  void Follow(const ClockLine& before, const ClockLine& after, double delay_growth);
+  void MoveWithClock(const ClockLine& before, const ClockLine& after, double delay_growth);
 
   /// The runs, in order: instants t [s, pose clock] and control points.
   struct Run {

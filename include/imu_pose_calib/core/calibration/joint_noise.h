@@ -16,7 +16,7 @@ void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares
 bool DoPosesLead(const CorrectionSplines& splines, size_t session, const LeastSquares& joint);
 
 /// Sets the information that the trajectories feign, doc/math.md Eq. (18).
-void FeignInformation(const std::vector<CorrectionSplines>& splines, LeastSquares* joint);
+void AddSpuriousInformation(const std::vector<CorrectionSplines>& splines, LeastSquares* joint);
 
 /// Robust weights of the samples by the last residuals and the spread of `models`, doc/math.md, S4,
 /// "Noise".

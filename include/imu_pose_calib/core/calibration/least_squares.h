@@ -151,7 +151,7 @@ struct LeastSquares {
   std::vector<int> trajectory_blocks;  ///< parameters of the trajectories, when estimated
   /// Information on the p_MI of each IMU [1/m^2] that the trajectory's own errors feign: they move
   /// the lever arm's coefficients as a motion would.
-  std::vector<double> feigned_information;
+  std::vector<double> spurious_information;
 
   LeastSquares(const CalibrationOptions& options, const std::vector<PreparedSession>& sessions,
                const std::vector<SensorModel>& models, Estimate* estimate);
@@ -194,7 +194,7 @@ struct LeastSquares {
   /// Noise of a sample relative to the usual one of its sensor, and what was recorded less what the
   /// residual compares, in the sensor's unit.
   double Scale(const SensorModel& model, size_t index) const;
-  const Eigen::Vector3d& Rest(const SensorModel& model, size_t index) const;
+  const Eigen::Vector3d& HighPassResidual(const SensorModel& model, size_t index) const;
 
  private:
   /// What steps are found from.

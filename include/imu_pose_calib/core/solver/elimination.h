@@ -112,6 +112,14 @@ class Elimination {
     int columns = 0, height = 0;
     std::vector<int> rows, row_offset;  ///< blocks below
   };
+  /// By window and the last residual that has them, the border last; returns the window of each.
+  std::vector<int> OrderBlocks(size_t border, const std::vector<std::vector<int>>& residuals,
+                               const std::vector<size_t>& first_of_window);
+  /// Of blocks in that order.
+  void FormPanels(const std::vector<int>& sizes, size_t border, const std::vector<int>& window,
+                  int windows);
+  /// The blocks below each panel: of its residuals, and of what is eliminated before.
+  void FindRows(const std::vector<std::vector<int>>& residuals);
   void EliminatePanels(int begin, int end, const Eigen::VectorXd& weights, bool keeps,
                        Panels* panels, Rest* rest) const;
   /// H and B of a panel with what waits for it.

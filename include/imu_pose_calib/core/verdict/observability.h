@@ -38,6 +38,6 @@ Marginals CompareSessions(Marginals marginals, Calibration* result);
 
 /// After the grading: sessions that disagree make an `ok` result `weak`, and the message names the
 /// one that stands out.
-void JudgeAgreement(Calibration* result);
+void TestSessionAgreement(Calibration* result);
 
 }  // namespace imu_pose_calib
