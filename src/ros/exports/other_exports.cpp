@@ -43,7 +43,7 @@ Eigen::Quaterniond RotationFromVertical(const Eigen::Vector3d& up) {
   const Eigen::Vector3d z = up.normalized();
   const double s = std::sqrt(2.0 * (1.0 + z.z()));
   if (s < 1e-8) return Eigen::Quaterniond(0.0, 1.0, 0.0, 0.0);
-  return Eigen::Quaterniond(0.5 * s, -z.y() / s, z.x() / s, 0.0);
+  return Eigen::Quaterniond(0.5 * s, -z.y() * (1.0 / s), z.x() * (1.0 / s), 0.0);
 }
 
 std::string Spaced(const Eigen::VectorXd& values) {
