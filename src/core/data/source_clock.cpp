@@ -81,7 +81,7 @@ double JumpCost(const Period& period) {
   return std::max(kMinJumpCost, kJumpScatters * period.scatter);
 }
 
-/// What the latency is before the first frame [periods].
+/// Median latency of the first samples [periods].
 double FirstLatency(const std::vector<double>& t, double period) {
   std::vector<double> first;
   for (size_t i = 0; i < std::min(kWindow, t.size()); ++i)

@@ -36,7 +36,6 @@ Eigen::Vector3d RollPitchYaw(const Eigen::Quaterniond& q) {
           std::atan2(-yaw_pitch(0, 1), yaw_pitch(1, 1))};
 }
 
-/// "1.0 2.0 3.0"
 /// The shortest rotation that turns z to `up`, (0, 0, -1) by half a turn about x. Eigen's
 /// FromTwoVectors() takes as long to compile as the rest of this file.
 Eigen::Quaterniond RotationFromVertical(const Eigen::Vector3d& up) {
@@ -46,6 +45,7 @@ Eigen::Quaterniond RotationFromVertical(const Eigen::Vector3d& up) {
   return Eigen::Quaterniond(0.5 * s, -z.y() * (1.0 / s), z.x() * (1.0 / s), 0.0);
 }
 
+/// "1.0 2.0 3.0"
 std::string Spaced(const Eigen::VectorXd& values) {
   std::string text;
   for (Eigen::Index i = 0; i < values.size(); ++i)

@@ -15,7 +15,7 @@ void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares
 /// the band of the splines.
 bool DoPosesLead(const CorrectionSplines& splines, size_t session, const LeastSquares& joint);
 
-/// Sets the information that the trajectories feign, doc/math.md Eq. (18).
+/// Adds the information that is the noise of the trajectories, doc/math.md Eq. (18).
 void AddSpuriousInformation(const std::vector<CorrectionSplines>& splines, LeastSquares* joint);
 
 /// Robust weights of the samples by the last residuals and the spread of `models`, doc/math.md, S4,

@@ -36,10 +36,10 @@ struct JointStart {
   double excitation;  ///< [rad^2/s^4] mean square of alpha_M of the seconds that were looked at
 };
 
-/// Knot spacing of one session: options.knot_spacing_s, or refined on the most excited
-/// seconds of the log until the IMU residuals stop shrinking or a denser one does not converge
-/// (doc/math.md, S4, "Knot spacing"). The noise is what these residuals show, and `estimate` moves
-/// to the calibration of these seconds.
+/// Knot spacing of one session: options.knot_spacing_s, or refined on the most excited seconds of
+/// the log until the IMU residuals stop shrinking or a denser one does not converge (doc/math.md,
+/// S4, "Knot spacing"). The noise is what these residuals show, and `estimate` moves to the
+/// calibration of these seconds.
 JointStart ChooseKnotSpacing(const CalibrationOptions& options, const PreparedSession& session,
                              Estimate* estimate);
 

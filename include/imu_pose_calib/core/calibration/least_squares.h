@@ -149,7 +149,7 @@ struct LeastSquares {
   std::vector<SensorBlocks> sensors;  ///< in the order of the models
   std::vector<PriorBlock> priors;
   std::vector<int> trajectory_blocks;  ///< parameters of the trajectories, when estimated
-  /// Information on the p_MI of each IMU [1/m^2] that the trajectory's own errors feign: they move
+  /// Information on the p_MI of each IMU [1/m^2] that is the trajectory's own errors: they move
   /// the lever arm's coefficients as a motion would.
   std::vector<double> spurious_information;
 
