@@ -14,8 +14,9 @@ namespace imu_pose_calib {
 
 /// Text of the file with that ending.
 inline std::string FileOf(const StoredResult& stored, const std::string& name,
-                          const std::string& ending, const ExportOptions& options = {}) {
-  for (const ExportFile& file : Export(stored, name, options))
+                          const std::string& ending,
+                          const Eigen::Quaterniond& q_body_imu = Eigen::Quaterniond::Identity()) {
+  for (const ExportFile& file : Export(stored, name, q_body_imu))
     if (file.ending == ending) return file.text;
   ADD_FAILURE() << name << " has no " << ending;
   return "";

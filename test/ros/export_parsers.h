@@ -6,9 +6,7 @@
 #include <yaml-cpp/yaml.h>
 
 #include <Eigen/Geometry>
-#include <boost/algorithm/string/predicate.hpp>
-#include <boost/property_tree/json_parser.hpp>
-#include <boost/property_tree/xml_parser.hpp>
+#include <cereal/external/rapidxml/rapidxml.hpp>
 #include <map>
 #include <sstream>
 #include <string>
@@ -84,18 +82,43 @@ inline std::vector<std::string> Words(const std::string& text) {
   return words;
 }
 
-inline boost::property_tree::ptree Xml(const std::string& text) {
-  boost::property_tree::ptree tree;
-  std::istringstream in(text);
-  boost::property_tree::read_xml(in, tree);
-  return tree;
+/// An element of XML.
+struct Element {
+  std::string name, text;
+  std::map<std::string, std::string> attributes;
+  std::vector<Element> children;
+
+  std::string operator[](const char* attribute) const { return attributes.at(attribute); }
+  /// The only child of that name.
+  const Element& Child(const std::string& child) const {
+    const Element* found = nullptr;
+    for (const Element& element : children) {
+      if (element.name != child) continue;
+      EXPECT_EQ(found, nullptr) << child;
+      found = &element;
+    }
+    if (!found) throw std::runtime_error("no element " + child + " in " + name);
+    return *found;
+  }
+};
+
+inline Element ToElement(const cereal::rapidxml::xml_node<>& node) {
+  Element element = {node.name(), node.value(), {}, {}};
+  for (const auto* a = node.first_attribute(); a; a = a->next_attribute())
+    element.attributes[a->name()] = a->value();
+  for (const auto* child = node.first_node(); child; child = child->next_sibling())
+    if (child->type() == cereal::rapidxml::node_element)
+      element.children.push_back(ToElement(*child));
+  return element;
 }
 
-inline boost::property_tree::ptree Json(const std::string& text) {
-  boost::property_tree::ptree tree;
-  std::istringstream in(text);
-  boost::property_tree::read_json(in, tree);
-  return tree;
+/// The root of an XML text, which must be called `name`. Throws when it is not well-formed.
+inline Element Xml(std::string text, const std::string& name) {
+  cereal::rapidxml::xml_document<> document;
+  document.parse<cereal::rapidxml::parse_validate_closing_tags>(text.data());
+  EXPECT_EQ(document.first_node()->name(), name);
+  EXPECT_EQ(document.first_node()->next_sibling(), nullptr);
+  return ToElement(*document.first_node());
 }
 
 /// A transform between two frames, x_parent = T x_child.
@@ -107,17 +130,15 @@ struct Link {
 /// The fixed joints of a robot description: R = Rz(y) Ry(p) Rx(r) of `rpy`.
 inline std::vector<Link> UrdfLinks(const std::string& text) {
   std::vector<Link> links;
-  const boost::property_tree::ptree tree = Xml(text), &robot = tree.get_child("robot");
-  for (const auto& [name, joint] : robot) {
-    if (name != "joint") continue;
-    EXPECT_EQ(joint.get<std::string>("<xmlattr>.type"), "fixed");
-    const auto xyz = Doubles(joint.get<std::string>("origin.<xmlattr>.xyz"));
-    const auto rpy = Doubles(joint.get<std::string>("origin.<xmlattr>.rpy"));
+  for (const Element& joint : Xml(text, "robot").children) {
+    if (joint.name != "joint") continue;
+    EXPECT_EQ(joint["type"], "fixed");
+    const auto xyz = Doubles(joint.Child("origin")["xyz"]);
+    const auto rpy = Doubles(joint.Child("origin")["rpy"]);
     const Eigen::Quaterniond q = Eigen::AngleAxisd(rpy.at(2), Eigen::Vector3d::UnitZ()) *
                                  Eigen::AngleAxisd(rpy.at(1), Eigen::Vector3d::UnitY()) *
                                  Eigen::AngleAxisd(rpy.at(0), Eigen::Vector3d::UnitX());
-    links.push_back({joint.get<std::string>("parent.<xmlattr>.link"),
-                     joint.get<std::string>("child.<xmlattr>.link"),
+    links.push_back({joint.Child("parent")["link"], joint.Child("child")["link"],
                      ToMatrix(q.toRotationMatrix(), {xyz.at(0), xyz.at(1), xyz.at(2)})});
   }
   return links;
@@ -126,12 +147,11 @@ inline std::vector<Link> UrdfLinks(const std::string& text) {
 /// The static_transform_publishers of a launch file of ROS 1: x y z qx qy qz qw parent child.
 inline std::vector<Link> LaunchLinks(const std::string& text) {
   std::vector<Link> links;
-  const boost::property_tree::ptree tree = Xml(text), &launch = tree.get_child("launch");
-  for (const auto& [name, node] : launch) {
-    if (name != "node") continue;
-    EXPECT_EQ(node.get<std::string>("<xmlattr>.pkg"), "tf2_ros");
-    EXPECT_EQ(node.get<std::string>("<xmlattr>.type"), "static_transform_publisher");
-    const std::string arguments = node.get<std::string>("<xmlattr>.args");
+  for (const Element& node : Xml(text, "launch").children) {
+    if (node.name != "node") continue;
+    EXPECT_EQ(node["pkg"], "tf2_ros");
+    EXPECT_EQ(node["type"], "static_transform_publisher");
+    const std::string arguments = node["args"];
     const std::vector<std::string> words = Words(arguments);
     EXPECT_EQ(words.size(), 9u) << arguments;
     links.push_back({words.at(7), words.at(8), ToMatrix(Doubles(arguments))});
@@ -142,11 +162,10 @@ inline std::vector<Link> LaunchLinks(const std::string& text) {
 /// Those of ROS 2: --x and so on, each with its value.
 inline std::vector<Link> Ros2Links(const std::string& text) {
   std::vector<Link> links;
-  const boost::property_tree::ptree tree = Xml(text), &launch = tree.get_child("launch");
-  for (const auto& [name, node] : launch) {
-    if (name != "node") continue;
-    EXPECT_EQ(node.get<std::string>("<xmlattr>.exec"), "static_transform_publisher");
-    const std::vector<std::string> words = Words(node.get<std::string>("<xmlattr>.args"));
+  for (const Element& node : Xml(text, "launch").children) {
+    if (node.name != "node") continue;
+    EXPECT_EQ(node["exec"], "static_transform_publisher");
+    const std::vector<std::string> words = Words(node["args"]);
     std::map<std::string, std::string> options;
     for (size_t i = 0; i + 1 < words.size(); i += 2) options[words[i]] = words[i + 1];
     EXPECT_EQ(options.size(), 9u);

@@ -274,10 +274,9 @@ TEST_F(CompareTest, UnknownExportsAreRefusedBeforeAnythingIsDone) {
 TEST_F(CompareTest, Px4TakesTheAxesOfTheBody) {
   WriteResult("a.yaml");
   ASSERT_EQ(Run("export_calibration", "a.yaml --export px4 --body-imu '1 0 0 0'").status, 0);
-  ExportOptions options;
-  options.q_body_imu = Eigen::Quaterniond(0.0, 1.0, 0.0, 0.0);
+  const Eigen::Quaterniond q_body_imu(0.0, 1.0, 0.0, 0.0);
   EXPECT_EQ(ReadText(Path("a.px4.params")),
-            Export(LoadResult(Path("a.yaml")), "px4", options)[0].text);
+            Export(LoadResult(Path("a.yaml")), "px4", q_body_imu)[0].text);
   EXPECT_EQ(Run("export_calibration", "a.yaml --export px4 --body-imu '1 0 0'").status, 1);
 }
 

@@ -172,7 +172,7 @@ TEST(Kimera, MapsAsTheResult) {
   ExpectSame(DataMatrix(camera["T_BS"]), T_MI(stored).inverse());
 }
 
-// --- basalt, read by the library that basalt reads with ---
+// --- JSON, read by the library that basalt reads with ---
 
 struct BasaltPose {
   double px, py, pz, qx, qy, qz, qw;
@@ -218,6 +218,31 @@ T FromCereal(const std::string& text) {
   T value;
   archive(value);
   return value;
+}
+
+// evo: poses times the transform from the right; t_offset is added to their stamps.
+struct EvoTransform {
+  double x, y, z, qx, qy, qz, qw;
+  std::vector<std::string> comment;
+  template <typename Archive>
+  void serialize(Archive& ar) {  // NOLINT(readability-identifier-naming): cereal's name
+    ar(CEREAL_NVP(x), CEREAL_NVP(y), CEREAL_NVP(z));
+    ar(CEREAL_NVP(qx), CEREAL_NVP(qy), CEREAL_NVP(qz), CEREAL_NVP(qw), CEREAL_NVP(comment));
+  }
+};
+
+TEST(Evo, MapsAsTheResult) {
+  const StoredResult stored = Example();
+  const auto evo = FromCereal<EvoTransform>(FileOf(stored, "evo", "evo.json"));
+  ExpectSame(ToMatrix({evo.x, evo.y, evo.z, evo.qx, evo.qy, evo.qz, evo.qw}), T_MI(stored));
+  size_t offsets = 0;
+  for (const std::string& line : evo.comment) {
+    const size_t offset = line.find("--t_offset ");
+    if (offset == std::string::npos) continue;
+    ExpectStamp(std::stod(line.substr(offset + 11)), stored);
+    ++offsets;
+  }
+  EXPECT_EQ(offsets, 1u);
 }
 
 TEST(Basalt, MocapCalibrationMapsAsTheResult) {

@@ -9,8 +9,8 @@
 
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/ros/clouds/point_cloud.h"
-#include "imu_pose_calib/ros/exports/export_text.h"
 #include "imu_pose_calib/ros/io/conversions.h"
+#include "imu_pose_calib/ros/io/yaml_text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -132,8 +132,14 @@ void AppendLidar(const std::string& path, const SimulatorOptions& options) {
 
 std::string LidarYaml() {
   const Rigid3 T_IL = SimulatedLidar::T_IL();
-  return "# T_imu_lidar: x_imu = R x_lidar + p\nrotation: " + List(T_IL.q.coeffs()) +
-         "\ntranslation: " + List(T_IL.p) + "\n";
+  const auto list = [](const Eigen::VectorXd& values) {
+    std::string text;
+    for (Eigen::Index i = 0; i < values.size(); ++i)
+      text += (i == 0 ? "[" : ", ") + YamlNumber(values[i]);
+    return text + "]";
+  };
+  return "# T_imu_lidar: x_imu = R x_lidar + p\nrotation: " + list(T_IL.q.coeffs()) +
+         "\ntranslation: " + list(T_IL.p) + "\n";
 }
 
 }  // namespace imu_pose_calib

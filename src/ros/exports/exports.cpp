@@ -1,82 +1,435 @@
 #include "imu_pose_calib/ros/exports/exports.h"
 
+#include <Eigen/LU>
+#include <Eigen/QR>
 #include <algorithm>
 #include <boost/algorithm/string/join.hpp>
+#include <boost/algorithm/string/predicate.hpp>
+#include <boost/algorithm/string/replace.hpp>
 #include <cmath>
 #include <filesystem>
-#include <iterator>
+#include <map>
+#include <optional>
 #include <sstream>
 
-#include "imu_pose_calib/ros/exports/export_text.h"
+#include "imu_pose_calib/ros/io/printable.h"
+#include "imu_pose_calib/ros/io/yaml_text.h"
 
 namespace imu_pose_calib {
 namespace {
 
-struct NamedExporter {
-  const char* name;
-  Exporter* exporter;
+// --- Templates ---
+
+struct Template {
+  const char* name;  ///< ExportFile::ending, with imuN when there is a file for each IMU
+  const char* text;
 };
 
-constexpr NamedExporter kExporters[] = {
-    {"kalibr", ExportKalibr},     {"openvins", ExportOpenVins}, {"vins", ExportVins},
-    {"orbslam3", ExportOrbSlam3}, {"kimera", ExportKimera},     {"euroc", ExportEuroc},
-    {"basalt", ExportBasalt},     {"vicon2gt", ExportVicon2Gt}, {"mocap2gt", ExportMocap2Gt},
-    {"liosam", ExportLioSam},     {"fastlio", ExportFastLio},   {"px4", ExportPx4},
-    {"evo", ExportEvo},           {"urdf", ExportUrdf},         {"tf", ExportTf},
-    {"ros2", ExportRos2},
+/// In the order in which the files are written.
+constexpr Template kTemplates[] = {
+#include "export_templates.inc"  // what is in exports/, see CMakeLists.txt
 };
 
-const NamedExporter* Find(const std::string& name) {
-  const auto* found = std::find_if(std::begin(kExporters), std::end(kExporters),
-                                   [&](const NamedExporter& known) { return known.name == name; });
-  return found == std::end(kExporters) ? nullptr : found;
+/// {head} in a comment.
+constexpr char kHead[] = R"(from {file} by imu_pose_calib {version}{run_id}
+status:    {status}: {message}
+transform: x_marker = R x_imu + p, R and p are T_marker_imu; marker '{marker}', imu '{imu}'
+clocks:    t_pose = t_imu + time_shift, time_shift = {time_shift} s, sigma {time_shift_std} s
+           at t_imu = {clock_reference} s; it grows by {clock_drift} s/s, which nothing below holds
+           of session 1 of {sessions}; the others have clocks of their own
+           The clocks differ by more than 1 s, which many programs take for an error: shift the stamps first.{if far}
+           t_pose = t_accel + time_shift - accel_delay, accel_delay = {accel_delay} s: no key below holds it;
+           subtract it from the stamps of accelerometer samples
+imus:      all {all_imus} of the rig; the clocks above are of the first
+imus:      the first of {one_of_imus}; the others do not fit in)";
+
+/// {axes} in the comment of a model whose accelerometer matrix is triangular.
+constexpr char kAxes[] =
+    R"(axes:      the imu's axes here are those of the accelerometer, since its matrix is lower{if turned}
+           triangular: turned by {turned_deg} deg from the imu axes of the result)";
+
+constexpr char kEach[] = "{each imu}\n", kEnd[] = "{end}\n";
+
+/// What stands for a name in braces. Without a text, the line that has the name is left out.
+using Values = std::map<std::string, std::optional<std::string>>;
+
+/// `text` with its values. Braces of JSON are no names: a quote or nothing follows. The further
+/// lines of a value are indented like the first.
+std::string Fill(const std::string& text, const Values& values) {
+  std::string filled;
+  std::istringstream lines(text);
+  for (std::string line; std::getline(lines, line);) {
+    const std::string next_line = "\n" + line.substr(0, line.find_first_not_of(' '));
+    bool is_there = true;
+    for (size_t begin = 0; (begin = line.find('{', begin)) != std::string::npos;) {
+      const size_t end = line.find_first_of("\"}", ++begin);
+      if (end == std::string::npos || line[end] == '"') continue;
+      const std::optional<std::string>& value = values.at(line.substr(begin, end - begin));
+      const std::string put = boost::replace_all_copy(value.value_or(""), "\n", next_line);
+      line.replace(begin - 1, end + 2 - begin, put);
+      begin += put.size() - 1;
+      is_there = is_there && value;
+    }
+    if (is_there) filled += line + "\n";
+  }
+  return filled;
 }
 
-/// The result's path without .yaml.
-std::filesystem::path Stem(const std::filesystem::path& result) {
-  const bool is_yaml = result.extension() == ".yaml" || result.extension() == ".yml";
-  return is_yaml ? std::filesystem::path(result).replace_extension() : result;
+std::string Escaped(const std::string& text,
+                    const std::vector<std::pair<const char*, const char*>>& marks) {
+  std::string escaped = Printable(text);
+  for (const auto& [mark, escape] : marks) boost::replace_all(escaped, mark, escape);
+  return escaped;
+}
+
+/// For YAML and JSON.
+std::string Quoted(const std::string& text) {
+  return "\"" + Escaped(text, {{"\\", "\\\\"}, {"\"", "\\\""}}) + "\"";
+}
+
+/// The lines of a comment as they stand in YAML, XML or JSON that begins like `body`.
+std::string Comment(const std::string& text, const std::string& body) {
+  const bool is_xml = body[0] == '<', is_json = boost::starts_with(body, "{\n");
+  std::vector<std::string> comment;
+  std::istringstream lines(text);
+  for (std::string line; std::getline(lines, line);) {
+    if (is_xml) boost::replace_all(line, "--", "- -");  // "--" must not stand in a comment
+    if (is_xml && line.back() == '-') line += " ";
+    comment.push_back(is_xml ? line : is_json ? Quoted(line) : "# " + line);
+  }
+  return boost::join(comment, is_json ? ",\n" : "\n");
+}
+
+/// The text of a file. `imus`: values of each IMU in it, the first of which count outside of what
+/// is there for each. `comment`: instead of that in the template, if it is not empty.
+std::string Render(const Template& file, const Values& head, const std::vector<Values>& imus,
+                   std::string comment = "") {
+  std::string own_comment, body;
+  std::istringstream lines(file.text);
+  for (std::string line; std::getline(lines, line);)
+    (line[0] == '#' ? own_comment += line.substr(2) : body += line) += "\n";
+  if (comment.empty()) comment = own_comment;
+  boost::replace_all(comment, "{head}", kHead);
+  boost::replace_all(comment, "{axes}", kAxes);
+  Values values = imus.front();
+  values.insert(head.begin(), head.end());
+  values["comment"] = Comment(Fill(comment, values), body);
+
+  const size_t each = body.find(kEach), end = body.find(kEnd);
+  if (each == std::string::npos) return Fill(body, values);
+  const size_t begin = each + std::size(kEach) - 1;
+  std::string text = Fill(body.substr(0, each), values);
+  for (const Values& imu : imus) text += Fill(body.substr(begin, end - begin), imu);
+  return text + Fill(body.substr(end + std::size(kEnd) - 1), values);
+}
+
+// --- Values ---
+
+/// A value that may be missing.
+std::optional<std::string> If(bool is_there, const std::string& text = "") {
+  return is_there ? std::optional<std::string>(text) : std::nullopt;
+}
+
+/// A number for people, four digits.
+std::string Short(double value) {
+  char text[32];
+  std::snprintf(text, sizeof(text), "%.4g", value);
+  return text;
+}
+
+/// A matrix as {name}: a list, row by row; {name rows}: a list for each row; {name block}: one list
+/// with a line for each row; {name words}: no list; {name.0}, ...: each number.
+void Put(const std::string& name, const Eigen::MatrixXd& matrix, Values* values) {
+  std::vector<std::string> rows, words;
+  for (Eigen::Index i = 0; i < matrix.rows(); ++i) {
+    std::string& row = rows.emplace_back();
+    for (Eigen::Index j = 0; j < matrix.cols(); ++j) {
+      row += (j == 0 ? "" : ", ") + YamlNumber(matrix(i, j) + 0.0);  // -0.0 is 0.0 then
+      (*values)[name + "." + std::to_string(words.size())] = YamlNumber(matrix(i, j));
+      words.push_back(YamlNumber(matrix(i, j)));
+    }
+  }
+  (*values)[name] = "[" + boost::join(rows, ", ") + "]";
+  (*values)[name + " rows"] = "- [" + boost::join(rows, "]\n- [") + "]";
+  (*values)[name + " block"] = "[" + boost::join(rows, ",\n  ") + "]";
+  (*values)[name + " words"] = boost::join(words, " ");
+}
+
+/// A transform of `frames`.
+void Put(const std::string& frames, const Rigid3& T, Values* values) {
+  Put("p_" + frames, T.p, values);
+  Put("q_" + frames, T.q.coeffs(), values);
+  Put("R_" + frames, T.q.toRotationMatrix(), values);
+  Put("T_" + frames, T.Matrix(), values);
+}
+
+/// R = Rz(yaw) Ry(pitch) Rx(roll), as (roll, pitch, yaw) [rad].
+Eigen::Vector3d RollPitchYaw(const Eigen::Quaterniond& q) {
+  const Eigen::Matrix3d R = q.toRotationMatrix();
+  const double roll = std::atan2(R(2, 1), R(2, 2));
+  // With a pitch of a right angle any roll will do, if the others are those of what is left.
+  const Eigen::Matrix3d yaw_pitch = R * Eigen::AngleAxisd(-roll, Eigen::Vector3d::UnitX());
+  return {roll, std::atan2(-yaw_pitch(2, 0), yaw_pitch(2, 2)),
+          std::atan2(-yaw_pitch(0, 1), yaw_pitch(1, 1))};
+}
+
+/// The place `n` of what tf is to publish: x_parent = T_PC x_child.
+Values LinkValues(size_t n, const std::string& parent, const std::string& child,
+                  const Rigid3& T_PC) {
+  const auto xml = [](const std::string& text) {
+    return Escaped(text, {{"&", "&amp;"}, {"<", "&lt;"}, {">", "&gt;"}, {"\"", "&quot;"}});
+  };
+  Values values = {{"n", std::to_string(n)}, {"parent", xml(parent)}, {"child", xml(child)}};
+  Put("PC", T_PC, &values);
+  Put("rpy_PC", RollPitchYaw(T_PC.q), &values);
+  return values;
+}
+
+/// Of kHead. `has_all_imus`: the file holds every IMU of a rig.
+Values HeadValues(const StoredResult& stored, bool has_all_imus) {
+  const ImuSession& clock = stored.Clock(0);
+  const size_t imus = stored.result.imus.size(), sessions = stored.result.sessions.size();
+  return {{"file", Printable(std::filesystem::path(stored.path).filename().string())},
+          {"version", Printable(stored.version)},
+          {"run_id", stored.run_id.empty() ? "" : ", run_id: " + Printable(stored.run_id)},
+          {"status", ToString(stored.result.status)},
+          {"message", Printable(stored.result.message)},
+          {"marker", Printable(stored.infos.front().marker_frame)},
+          {"imu", Printable(stored.Info(0).imu_frame)},
+          {"time_shift", YamlNumber(clock.time_shift)},
+          {"time_shift_std", Short(clock.time_shift_std)},
+          {"clock_reference", YamlNumber(clock.clock_reference)},
+          {"clock_drift", If(clock.clock_drift != 0.0, Short(clock.clock_drift))},
+          {"sessions", If(sessions > 1, std::to_string(sessions))},
+          {"if far", If(std::abs(clock.time_shift) > 1.0)},
+          {"accel_delay", Short(stored.result.imus[0].accel_delay)},
+          {"all_imus", If(imus > 1 && has_all_imus, std::to_string(imus))},
+          {"one_of_imus", If(imus > 1 && !has_all_imus, std::to_string(imus))}};
+}
+
+/// A matrix as L Q, lower triangle with a positive diagonal times rotation.
+struct LowerTimesRotation {
+  Eigen::Matrix3d L, Q;
+};
+LowerTimesRotation SplitLower(const Eigen::Matrix3d& M) {
+  // M^T = Q^T L^T
+  const Eigen::HouseholderQR<Eigen::Matrix3d> qr(M.transpose());
+  const Eigen::Matrix3d upper = qr.matrixQR().triangularView<Eigen::Upper>();
+  const Eigen::Vector3d signs =
+      upper.diagonal().unaryExpr([](double d) { return d < 0.0 ? -1.0 : 1.0; });
+  const Eigen::Matrix3d Q_transposed = qr.householderQ();
+  return {(signs.asDiagonal() * upper).transpose(), signs.asDiagonal() * Q_transposed.transpose()};
+}
+
+/// The IMU as models see it whose accelerometer matrix is triangular: in axes A along the
+/// accelerometer's, with the origin of I.
+struct AccelAxes {
+  Rigid3 T_MA;
+  LowerTimesRotation accel;  ///< measured = L Q f_I + bias = L f_A + bias
+  LowerTimesRotation gyro;   ///< measured = L Q omega_A + bias
+  double angle_deg;          ///< by which A is turned from I
+};
+AccelAxes ToAccelAxes(const ImuCalibration& imu) {
+  const LowerTimesRotation accel = SplitLower(imu.accel_matrix);
+  const Eigen::Quaterniond q_IA(Eigen::Matrix3d(accel.Q.transpose()));
+  return {{(imu.T_MI.q * q_IA).normalized(), imu.T_MI.p},
+          accel,
+          SplitLower(imu.gyro_matrix * accel.Q.transpose()),
+          q_IA.angularDistance(Eigen::Quaterniond::Identity()) * 180.0 / M_PI};
+}
+
+/// Of the programs that know scale and misalignment.
+void PutModels(const StoredResult& stored, size_t imu, Values* values) {
+  const ImuCalibration& calibration = stored.result.imus[imu];
+  const ImuSession& session = stored.Clock(imu);
+  const auto& [T_MA, accel, gyro, angle_deg] = ToAccelAxes(calibration);
+  const bool is_scaled = stored.result.imu_model == ImuModel::kScaleMisalignment;
+  values->insert({{"if turned", If(angle_deg != 0.0)},
+                  {"turned_deg", If(angle_deg != 0.0, Short(angle_deg))},
+                  {"but_axes", angle_deg == 0.0 ? "" : " but for the axes below"},
+                  {"if scaled", If(is_scaled)},
+                  {"kalibr_model", is_scaled ? "scale-misalignment" : "calibrated"}});
+  Put("MA", T_MA, values);
+  Put("AM", T_MA.Inverse(), values);
+  Put("AA0", T_MA.Inverse() * ToAccelAxes(stored.result.imus[0]).T_MA, values);
+  Put("L_accel", accel.L, values);
+  Put("Q_accel", accel.Q, values);
+  Put("L_gyro_A", gyro.L, values);
+  Put("Q_gyro_A", gyro.Q, values);
+  const LowerTimesRotation gyro_I = SplitLower(calibration.gyro_matrix);
+  Put("L_gyro_I", gyro_I.L, values);
+  Put("Q_gyro_I", gyro_I.Q, values);
+
+  // basalt: calibrated = (1 + S) measured - b, so 1 + S = M^-1
+  const Eigen::Matrix3d M_a = accel.L.inverse(), S_a = M_a - Eigen::Matrix3d::Identity();
+  const Eigen::Matrix3d M_g = (gyro.L * gyro.Q).inverse();
+  const Eigen::Matrix3d S_g = M_g - Eigen::Matrix3d::Identity();
+  Eigen::Matrix<double, 9, 1> accel_bias;
+  accel_bias << M_a * session.accel_bias, S_a.col(0), S_a(1, 1), S_a(2, 1), S_a(2, 2);
+  Eigen::Matrix<double, 12, 1> gyro_bias;
+  gyro_bias << M_g * session.gyro_bias, S_g.col(0), S_g.col(1), S_g.col(2);
+  Put("basalt_accel_bias", accel_bias, values);
+  Put("basalt_gyro_bias", gyro_bias, values);
+}
+
+/// White noise of a sensor, and the walk of its bias.
+void PutNoise(const std::string& sensor, const std::string& name, double sigma, double rate_hz,
+              double walk, Values* values) {
+  if (!(sigma > 0.0 && rate_hz > 0.0))
+    throw InputError("the result has no noise and rate of the " + name +
+                     ", which must be positive: " + YamlNumber(sigma) + " at " +
+                     YamlNumber(rate_hz) + " Hz");
+  const double sample_walk = walk * std::sqrt(rate_hz);
+  values->insert({{sensor + "_std", YamlNumber(sigma)},
+                  {sensor + "_variance", YamlNumber(sigma * sigma)},
+                  {sensor + "_density", YamlNumber(sigma / std::sqrt(rate_hz))},
+                  {sensor + "_walk", YamlNumber(walk)},
+                  {sensor + "_sample_walk", YamlNumber(sample_walk)},
+                  {sensor + "_sample_walk_variance", YamlNumber(sample_walk * sample_walk)}});
+}
+
+/// t_imu0 - t_imuN of one instant, in a session that has both. 0 when there is none.
+double OffsetToFirst(const StoredResult& stored, size_t imu) {
+  for (const SessionCalibration& session : stored.result.sessions)
+    if (session.imus[0].is_present && session.imus[imu].is_present)
+      return session.imus[imu].time_shift - session.imus[0].time_shift;
+  return 0.0;
+}
+
+/// The shortest rotation that turns z to `up`, (0, 0, -1) by half a turn about x. Eigen's
+/// FromTwoVectors() takes as long to compile as the rest of this file.
+Eigen::Quaterniond RotationFromVertical(const Eigen::Vector3d& up) {
+  const Eigen::Vector3d z = up.normalized();
+  const double s = std::sqrt(2.0 * (1.0 + z.z()));
+  if (s < 1e-8) return Eigen::Quaterniond(0.0, 1.0, 0.0, 0.0);
+  return Eigen::Quaterniond(0.5 * s, -z.y() * (1.0 / s), z.x() * (1.0 / s), 0.0);
+}
+
+/// Of px4: body axes B with the origin of the imu.
+void PutBody(const Eigen::Quaterniond& q_BI, const Rigid3& T_IM, double time_shift,
+             Values* values) {
+  const double delay_ms = 1e3 * time_shift;
+  const bool fits = delay_ms >= 0.0 && delay_ms <= 300.0;
+  const bool is_imu = q_BI.isApprox(Eigen::Quaterniond::Identity());
+  Put("BM", Rigid3{q_BI * T_IM.q, q_BI * T_IM.p}, values);
+  Put("q_BI", q_BI.coeffs(), values);
+  values->insert({{"axes_are_taken", is_imu ? ": the imu's axes are taken for the body's;" : ""},
+                  {"delay_ms", If(fits, YamlNumber(delay_ms))},
+                  {"unfit_delay_ms", If(!fits, Short(delay_ms))}});
+}
+
+/// All that `file` may name of an IMU: T of marker M, imu I, first imu I0, accelerometer's axes A.
+Values ImuValues(const StoredResult& stored, size_t imu, const Template& file,
+                 const Eigen::Quaterniond& q_body_imu) {
+  const SessionCalibration& session = stored.result.sessions[0];
+  const ImuSession& clock = stored.Clock(imu);
+  const Rigid3& T_MI = stored.result.imus[imu].T_MI;
+  Values values =
+      LinkValues(imu, stored.infos.front().marker_frame, stored.Info(imu).imu_frame, T_MI);
+  values.insert({{"pose_topic", Quoted(stored.infos.front().pose_topic)},
+                 {"gyro_topic", Quoted(stored.Info(imu).GyroSource())},
+                 {"rate", YamlNumber(clock.gyro.rate_hz)},
+                 {"whole_rate", std::to_string(std::lround(clock.gyro.rate_hz))},
+                 {"-time_shift", YamlNumber(-clock.time_shift)},
+                 {"-time_shift_ns", std::to_string(std::llround(-1e9L * clock.time_shift))},
+                 {"time_offset", YamlNumber(OffsetToFirst(stored, imu))},
+                 {"gravity", YamlNumber(session.g_W.norm())},
+                 {"position_std", YamlNumber(session.noise.position)},
+                 {"rotation_std", YamlNumber(session.noise.rotation)}});
+  Put("MI", T_MI, &values);
+  Put("IM", T_MI.Inverse(), &values);
+  Put("I0I", imu == 0 ? Rigid3() : stored.result.imus[0].T_MI.Inverse() * T_MI, &values);
+  Put("q_WG", RotationFromVertical(-session.g_W).coeffs(), &values);
+  PutBody(q_body_imu, T_MI.Inverse(), clock.time_shift, &values);
+  PutModels(stored, imu, &values);
+  if (boost::contains(file.text, "{accel_")) {
+    PutNoise("gyro", "gyroscope", clock.noise.gyro, clock.gyro.rate_hz,
+             stored.options.gyro_bias_walk, &values);
+    PutNoise("accel", "accelerometer", clock.noise.accel, clock.accel.rate_hz,
+             stored.options.accel_bias_walk, &values);
+  }
+  return values;
+}
+
+std::string ProgramOf(const Template& file) {
+  const std::string name = file.name;
+  return name.substr(0, name.find('.'));
 }
 
 }  // namespace
 
 std::vector<std::string> ExportNames() {
   std::vector<std::string> names;
-  for (const NamedExporter& known : kExporters) names.emplace_back(known.name);
+  for (const Template& file : kTemplates)
+    if (names.empty() || names.back() != ProgramOf(file)) names.push_back(ProgramOf(file));
   return names;
 }
 
 std::vector<std::string> ParseExports(const std::string& list) {
-  std::string spaced = list;
-  std::replace(spaced.begin(), spaced.end(), ',', ' ');
-  std::istringstream words(spaced);
+  const std::vector<std::string> known = ExportNames();
+  std::istringstream words(boost::replace_all_copy(list, ",", " "));
   std::vector<std::string> names;
   for (std::string word; words >> word;) {
-    if (word == "all") return ExportNames();
-    if (!Find(word))
+    if (word == "all") return known;
+    if (std::find(known.begin(), known.end(), word) == known.end())
       throw InputError("export '" + word + "' is unknown; must be among " +
-                       boost::join(ExportNames(), ", ") + ", or all");
+                       boost::join(known, ", ") + ", or all");
     if (std::find(names.begin(), names.end(), word) == names.end()) names.push_back(word);
   }
   return names;
 }
 
 std::vector<ExportFile> Export(const StoredResult& stored, const std::string& name,
-                               const ExportOptions& options) {
-  return Find(ParseExports(name).at(0))->exporter(stored, options);
+                               const Eigen::Quaterniond& q_body_imu) {
+  std::vector<ExportFile> files;
+  for (const Template& file : kTemplates) {
+    if (ProgramOf(file) != name) continue;
+    const bool is_of_one = boost::contains(file.name, "imuN");
+    const bool has_all = is_of_one || boost::contains(file.text, kEach);
+    const Values head = HeadValues(stored, has_all);
+    std::vector<Values> imus;
+    for (size_t i = 0; i < (has_all ? stored.result.imus.size() : 1); ++i)
+      imus.push_back(ImuValues(stored, i, file, q_body_imu));
+    if (!is_of_one) files.push_back({file.name, Render(file, head, imus)});
+    for (size_t i = 0; is_of_one && i < imus.size(); ++i)
+      files.push_back({boost::replace_all_copy<std::string>(file.name, "N", std::to_string(i)),
+                       Render(file, head, {imus[i]})});
+  }
+  return files;
+}
+
+std::vector<ExportFile> ExportChain(const StoredResult& stored, size_t imu,
+                                    const std::vector<ChainCamera>& cameras,
+                                    const std::string& source) {
+  constexpr char kComment[] = R"(marker -> imu -> cameras, {head}
+cameras: x_cam = T_cam_imu x_imu of {source}; published is its inverse)";
+  Values head = HeadValues(stored, true);
+  head["source"] = Printable(source);
+  const std::string& frame = stored.Info(imu).imu_frame;
+  std::vector<Values> links = {
+      LinkValues(0, stored.infos.front().marker_frame, frame, stored.result.imus[imu].T_MI)};
+  for (const auto& [name, T_cam_imu] : cameras)
+    links.push_back(LinkValues(links.size(), frame, name, T_cam_imu.Inverse()));
+  std::vector<ExportFile> files;
+  for (const Template& file : kTemplates)
+    if (ProgramOf(file) == "urdf" || ProgramOf(file) == "tf")
+      files.push_back({file.name, Render(file, head, links, kComment)});
+  return files;
 }
 
 std::vector<std::string> WriteExports(const StoredResult& stored,
                                       const std::vector<std::string>& names, OutputFiles* outputs,
-                                      const std::string& folder, const ExportOptions& options) {
-  std::filesystem::path stem = Stem(stored.path);
+                                      const std::string& folder,
+                                      const Eigen::Quaterniond& q_body_imu) {
+  std::filesystem::path stem = stored.path;
+  if (stem.extension() == ".yaml" || stem.extension() == ".yml") stem.replace_extension();
   if (!folder.empty()) {
     stem = folder / stem.filename();
     outputs->MakeFolder(folder);
   }
   std::vector<std::string> paths;
   for (const std::string& name : names)
-    for (const ExportFile& file : Export(stored, name, options)) {
+    for (const ExportFile& file : Export(stored, name, q_body_imu)) {
       paths.push_back(stem.string() + "." + file.ending);
       outputs->Write(paths.back(), file.text);
     }
@@ -84,18 +437,16 @@ std::vector<std::string> WriteExports(const StoredResult& stored,
 }
 
 std::string ExportNote(const StoredResult& stored, const std::vector<std::string>& names) {
+  const double angle_deg = ToAccelAxes(stored.result.imus[0]).angle_deg;
   std::vector<std::string> turned;
-  for (const std::string& name : names) {
-    const std::vector<ExportFile> files = Export(stored, name);
-    if (std::any_of(files.begin(), files.end(), [](const ExportFile& file) {
-          return file.text.find(kTurnedAxes) != std::string::npos;
-        }))
-      turned.push_back(name);
-  }
-  if (turned.empty()) return "";
+  std::copy_if(names.begin(), names.end(), std::back_inserter(turned), [](const std::string& name) {
+    return std::any_of(std::begin(kTemplates), std::end(kTemplates), [&](const Template& file) {
+      return ProgramOf(file) == name && boost::contains(file.text, "{axes}");
+    });
+  });
+  if (turned.empty() || angle_deg == 0.0) return "";
   return "the imu axes of " + boost::join(turned, ", ") + " are those of the accelerometer, by " +
-         Short(ToAccelAxes(stored.result.imus[0]).angle_rad * 180.0 / M_PI) +
-         " deg off those of T_marker_imu: the files say so, too";
+         Short(angle_deg) + " deg off those of T_marker_imu: the files say so, too";
 }
 
 }  // namespace imu_pose_calib

@@ -12,15 +12,6 @@
 namespace imu_pose_calib {
 namespace {
 
-Comparable ToComparable(const StoredResult& stored, size_t imu) {
-  if (imu >= stored.result.imus.size())
-    throw InputError("--imu " + std::to_string(imu) + ": '" + stored.path + "' has " +
-                     std::to_string(stored.result.imus.size()) + " imus, from 0");
-  const ImuCalibration& calibration = stored.result.imus[imu];
-  return {calibration.T_MI, calibration.covariance, calibration.accel_delay,
-          calibration.accel_delay_std};
-}
-
 YAML::Node Describe(const Comparable& calibration) {
   YAML::Node node;
   node["translation"] = YamlList(calibration.T_MI.p);
@@ -65,34 +56,38 @@ YAML::Node Describe(const Scatter& scatter) {
 }
 
 /// One result, on its own.
-YAML::Node Describe(const StoredResult& stored, size_t imu) {
+YAML::Node Describe(const StoredResult& stored, const ImuStd& noise) {
   YAML::Node node;
   node["path"] = Printable(stored.path);
   node["source"] = Printable(stored.infos.front().Source());
   node["status"] = ToString(stored.result.status);
-  const ImuSession& clock = stored.Clock(imu);
-  const SessionCalibration& session = stored.result.sessions.front();
-  node["noise"]["gyro"] = YamlValue(clock.noise.gyro);
-  node["noise"]["accel"] = YamlValue(clock.noise.accel);
-  node["noise"]["position"] = YamlValue(session.noise.position);
-  node["noise"]["rotation"] = YamlValue(session.noise.rotation);
+  const PoseStd& pose_noise = stored.result.sessions.front().noise;
+  node["noise"]["gyro"] = YamlValue(noise.gyro);
+  node["noise"]["accel"] = YamlValue(noise.accel);
+  node["noise"]["position"] = YamlValue(pose_noise.position);
+  node["noise"]["rotation"] = YamlValue(pose_noise.rotation);
   return node;
 }
 
 }  // namespace
 
 std::vector<Comparable> ToComparables(const std::vector<StoredResult>& results, size_t imu) {
-  std::vector<Comparable> calibrations;
   double reference = 0.0;
   for (const StoredResult& stored : results) {
-    calibrations.push_back(ToComparable(stored, imu));
+    if (imu >= stored.result.imus.size())
+      throw InputError("--imu " + std::to_string(imu) + ": '" + stored.path + "' has " +
+                       std::to_string(stored.result.imus.size()) + " imus, from 0");
     reference += stored.Clock(imu).clock_reference / static_cast<double>(results.size());
   }
-  for (size_t i = 0; i < results.size(); ++i) {
-    const ImuSession& clock = results[i].Clock(imu);
+  std::vector<Comparable> calibrations;
+  for (const StoredResult& stored : results) {
+    const ImuCalibration& calibration = stored.result.imus[imu];
+    const ImuSession& clock = stored.Clock(imu);
     const double away = reference - clock.clock_reference;
-    calibrations[i].time_shift = clock.time_shift + clock.clock_drift * away;
-    calibrations[i].time_shift_std = std::hypot(clock.time_shift_std, clock.clock_drift_std * away);
+    calibrations.push_back({calibration.T_MI, calibration.covariance, calibration.accel_delay,
+                            calibration.accel_delay_std,
+                            clock.time_shift + clock.clock_drift * away,
+                            std::hypot(clock.time_shift_std, clock.clock_drift_std * away)});
   }
   return calibrations;
 }
@@ -102,17 +97,15 @@ void WriteComparison(const ComparisonInput& input, const std::string& path) {
   YAML::Node head = ReportHead();
   head["status"] = input.status;
   head["message"] = Printable(input.message);
-  Comparable mean = input.reference.value_or(calibrations.front());
   Repeatability repeatability;
-  if (calibrations.size() > 1) {
-    repeatability = Repeat(calibrations, input.quantities);
-    mean = repeatability.mean;
-  }
-  head["mean"] = Describe(mean);
+  repeatability.mean = input.reference.value_or(calibrations.front());
+  if (calibrations.size() > 1) repeatability = Repeat(calibrations, input.quantities);
+  head["mean"] = Describe(repeatability.mean);
   for (const Scatter& scatter : repeatability.scatters)
     head["scatters"].push_back(Describe(scatter));
   for (size_t i = 0; i < calibrations.size(); ++i) {
-    YAML::Node node = Describe(input.results[i], input.imu);
+    const StoredResult& stored = input.results[i];
+    YAML::Node node = Describe(stored, stored.Clock(input.imu).noise);
     node["calibration"] = Describe(calibrations[i]);
     if (calibrations.size() > 1) node["from_others"] = Describe(repeatability.from_others[i]);
     if (input.reference)
