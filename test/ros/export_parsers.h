@@ -6,6 +6,7 @@
 #include <yaml-cpp/yaml.h>
 
 #include <Eigen/Geometry>
+#include <cereal/access.hpp>  // which the next needs
 #include <cereal/external/rapidxml/rapidxml.hpp>
 #include <map>
 #include <sstream>

@@ -221,22 +221,17 @@ T FromCereal(const std::string& text) {
 }
 
 // evo: poses times the transform from the right; t_offset is added to their stamps.
-struct EvoTransform {
-  double x, y, z, qx, qy, qz, qw;
-  std::vector<std::string> comment;
-  template <typename Archive>
-  void serialize(Archive& ar) {  // NOLINT(readability-identifier-naming): cereal's name
-    ar(CEREAL_NVP(x), CEREAL_NVP(y), CEREAL_NVP(z));
-    ar(CEREAL_NVP(qx), CEREAL_NVP(qy), CEREAL_NVP(qz), CEREAL_NVP(qw), CEREAL_NVP(comment));
-  }
-};
-
 TEST(Evo, MapsAsTheResult) {
   const StoredResult stored = Example();
-  const auto evo = FromCereal<EvoTransform>(FileOf(stored, "evo", "evo.json"));
-  ExpectSame(ToMatrix({evo.x, evo.y, evo.z, evo.qx, evo.qy, evo.qz, evo.qw}), T_MI(stored));
+  std::istringstream in(FileOf(stored, "evo", "evo.json"));
+  cereal::JSONInputArchive archive(in);
+  double x, y, z, qx, qy, qz, qw;
+  std::vector<std::string> comment;
+  archive(CEREAL_NVP(x), CEREAL_NVP(y), CEREAL_NVP(z));
+  archive(CEREAL_NVP(qx), CEREAL_NVP(qy), CEREAL_NVP(qz), CEREAL_NVP(qw), CEREAL_NVP(comment));
+  ExpectSame(ToMatrix({x, y, z, qx, qy, qz, qw}), T_MI(stored));
   size_t offsets = 0;
-  for (const std::string& line : evo.comment) {
+  for (const std::string& line : comment) {
     const size_t offset = line.find("--t_offset ");
     if (offset == std::string::npos) continue;
     ExpectStamp(std::stod(line.substr(offset + 11)), stored);
