@@ -13,25 +13,16 @@ namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
-/// Throws unless low <= value <= high. NaN fails.
-void CheckRange(const char* field, double value, double low, double high) {
-  if (value >= low && value <= high) return;
+/// Throws unless low <= value <= high, or 0 where that has a meaning of its own. NaN fails.
+void CheckRange(const char* field, double value, double low, double high, bool or_zero = false) {
+  if ((value >= low && value <= high) || (or_zero && value == 0.0)) return;
   std::ostringstream text;
-  text << "option " << field << " = " << value << " is out of range: ";
-  if (high == kInfinity) {
-    text << "must be at least " << low;
-  } else {
-    text << "must be within [" << low << ", " << high << "]";
-  }
-  throw InputError(text.str());
-}
-
-/// The same of a value whose 0 has a meaning of its own, apart from the range.
-void CheckZeroOrRange(const char* field, double value, double low, double high) {
-  if (value == 0.0 || (value >= low && value <= high)) return;
-  std::ostringstream text;
-  text << "option " << field << " = " << value << " is out of range: must be 0 or within [" << low
-       << ", " << high << "]";
+  text << "option " << field << " = " << value << " is out of range: must be "
+       << (or_zero ? "0 or " : "");
+  if (high == kInfinity)
+    text << "at least " << low;
+  else
+    text << "within [" << low << ", " << high << "]";
   throw InputError(text.str());
 }
 
@@ -74,11 +65,11 @@ void CalibrationOptions::Validate() const {
   CheckRange("accel_noise_density", accel_noise_density, 1e-9, 1e3);
   CheckRange("gyro_bias_walk", gyro_bias_walk, 1e-12, 1e3);
   CheckRange("accel_bias_walk", accel_bias_walk, 1e-12, 1e3);
-  CheckZeroOrRange("bias_knot_interval_s", bias_knot_interval_s, 1e-2, 1e9);
-  CheckZeroOrRange("position_lengthscale_s", position_lengthscale_s, 1e-3, 1e3);
+  CheckRange("bias_knot_interval_s", bias_knot_interval_s, 1e-2, 1e9, true);
+  CheckRange("position_lengthscale_s", position_lengthscale_s, 1e-3, 1e3, true);
   CheckRange("position_signal_std", position_signal_std, 0.0, 1e9);
   CheckRange("position_noise_std", position_noise_std, 0.0, 1e3);
-  CheckZeroOrRange("rotation_lengthscale_s", rotation_lengthscale_s, 1e-3, 1e3);
+  CheckRange("rotation_lengthscale_s", rotation_lengthscale_s, 1e-3, 1e3, true);
   CheckRange("rotation_signal_std", rotation_signal_std, 0.0, 1e3);
   CheckRange("rotation_noise_std", rotation_noise_std, 0.0, 1e3);
   CheckRange("outlier_threshold", outlier_threshold, 3.0, kInfinity);
@@ -94,7 +85,7 @@ void CalibrationOptions::Validate() const {
   CheckGiven("gravity", estimate_gravity, initial_gravity.has_value());
   if (!estimate_time_shift && !estimate_rotation && !estimate_translation && !estimate_accel_delay)
     throw InputError("options estimate_* leave nothing to estimate: set at least one to true");
-  CheckZeroOrRange("knot_spacing_s", knot_spacing_s, 1e-3, 10.0);
+  CheckRange("knot_spacing_s", knot_spacing_s, 1e-3, 10.0, true);
   CheckRange("accel_delay", accel_delay, -0.5, 0.5);
   CheckRange("gravity_magnitude", gravity_magnitude, 0.1, 100.0);
   CheckRange("gravity_magnitude_std", gravity_magnitude_std, 1e-9, 10.0);
@@ -103,7 +94,7 @@ void CalibrationOptions::Validate() const {
   CheckRange("max_iterations", max_iterations, 1, 10000);
   CheckRange("max_factor_mb", max_factor_mb, 0.0, 1e6);
   CheckRange("num_threads", num_threads, 0, 1024);
-  CheckZeroOrRange("covariance_block_s", covariance_block_s, 0.1, 1e6);
+  CheckRange("covariance_block_s", covariance_block_s, 0.1, 1e6, true);
   CheckRange("weak_rotation_std", weak_rotation_std, 1e-9, 1.0);
   CheckRange("weak_translation_std", weak_translation_std, 1e-9, 10.0);
   CheckRange("weak_time_shift_std", weak_time_shift_std, 1e-9, 1.0);

@@ -64,19 +64,16 @@ std::vector<Sample> Clean(const std::string& stream, double max_bad_fraction,
   size_t astray = 0, ahead = 0;
   for (size_t i = 0; i < samples.size(); ++i) {
     const Sample& s = samples[i];
-    if (!IsFinite(s)) {
-      ++report->not_finite;
-    } else if (!HasRotation(s)) {
-      ++report->zero_quaternion;
-    } else if (faults[i] == StampFault::kAstray) {
-      ++astray;
-    } else if (faults[i] == StampFault::kAhead) {
-      ++ahead;
-    } else if (faults[i] == StampFault::kReversed) {
-      ++report->reversed_stamp;
-    } else {
+    size_t* const count = !IsFinite(s)                         ? &report->not_finite
+                          : !HasRotation(s)                    ? &report->zero_quaternion
+                          : faults[i] == StampFault::kAstray   ? &astray
+                          : faults[i] == StampFault::kAhead    ? &ahead
+                          : faults[i] == StampFault::kReversed ? &report->reversed_stamp
+                                                               : nullptr;
+    if (count)
+      ++*count;
+    else
       kept.push_back(s);
-    }
   }
   const auto check = [&](size_t bad, const char* defect) {
     CheckShare(stream, defect, bad, samples.size(), max_bad_fraction);

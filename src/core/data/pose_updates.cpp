@@ -30,16 +30,12 @@ std::vector<double> ThirdDifferences(const std::vector<PoseSample>& poses) {
 /// Distances between the beginnings of runs of values above `bound`.
 std::vector<size_t> Distances(const std::vector<double>& values, double bound) {
   std::vector<size_t> distances;
-  size_t last = 0, last_run = 0;
-  bool is_first = true;
-  for (size_t i = 0; i < values.size(); ++i) {
-    if (values[i] <= bound) continue;
-    if (is_first || i > last + 1) {
-      if (!is_first) distances.push_back(i - last_run);
-      last_run = i;
-    }
+  size_t begin = 0, last = 0;  // of a run, counted from 1
+  for (size_t i = 1; i <= values.size(); ++i) {
+    if (values[i - 1] <= bound) continue;
+    if (begin > 0 && i > last + 1) distances.push_back(i - begin);
+    if (begin == 0 || i > last + 1) begin = i;
     last = i;
-    is_first = false;
   }
   return distances;
 }

@@ -105,10 +105,8 @@ std::vector<size_t> FindJumps(const ConditionedData& data, const MotionBound& bo
 /// again where it is close enough.
 void CutSegments(const std::vector<size_t>& jumps, double max_gap, double min_segment_s,
                  ConditionedData* data) {
-  const std::vector<TimedPose> poses = std::move(data->poses);
-  const std::vector<IndexRange> segments = std::move(data->segments);
-  data->poses.clear();
-  data->segments.clear();
+  const std::vector<TimedPose> poses = std::exchange(data->poses, {});
+  const std::vector<IndexRange> segments = std::exchange(data->segments, {});
   auto jump = jumps.begin();
   for (const IndexRange& segment : segments) {
     size_t last_end = segment.begin;  // of the run kept last
@@ -123,11 +121,8 @@ void CutSegments(const std::vector<size_t>& jumps, double max_gap, double min_se
       }
       const bool joins = last_end > segment.begin && last_end < run.begin &&
                          poses[run.begin].t - poses[last_end - 1].t <= max_gap;
-      if (!joins) data->segments.push_back({data->poses.size(), data->poses.size()});
       if (last_end > segment.begin && !joins) ++(last_end == run.begin ? data->jumps : data->gaps);
-      data->poses.insert(data->poses.end(), poses.begin() + static_cast<ptrdiff_t>(run.begin),
-                         poses.begin() + static_cast<ptrdiff_t>(run.end));
-      data->segments.back().end = data->poses.size();
+      AppendRun(poses, run, joins, data);
       last_end = run.end;
     }
   }
@@ -135,24 +130,27 @@ void CutSegments(const std::vector<size_t>& jumps, double max_gap, double min_se
 
 }  // namespace
 
+void AppendRun(const std::vector<TimedPose>& poses, IndexRange run, bool joins,
+               ConditionedData* data) {
+  if (!joins) data->segments.push_back({data->poses.size(), data->poses.size()});
+  data->poses.insert(data->poses.end(), poses.begin() + static_cast<ptrdiff_t>(run.begin),
+                     poses.begin() + static_cast<ptrdiff_t>(run.end));
+  data->segments.back().end = data->poses.size();
+}
+
 void SplitAtGaps(const CalibrationOptions& options, ConditionedData* data) {
   const double max_gap = MaxGap(options, *data);
-  std::vector<TimedPose> kept;
-  size_t begin = 0;
-  for (size_t i = 1; i <= data->poses.size(); ++i) {
-    const bool end = i == data->poses.size();
-    if (!end && data->poses[i].t - data->poses[i - 1].t <= max_gap) continue;
+  const std::vector<TimedPose> poses = std::exchange(data->poses, {});
+  for (size_t begin = 0, i = 1; i <= poses.size(); ++i) {
+    const bool end = i == poses.size();
+    if (!end && poses[i].t - poses[i - 1].t <= max_gap) continue;
     if (!end) ++data->gaps;
-    if (IsLongEnough(data->poses, {begin, i}, options.min_segment_s)) {
-      data->segments.push_back({kept.size(), kept.size() + i - begin});
-      kept.insert(kept.end(), data->poses.begin() + static_cast<ptrdiff_t>(begin),
-                  data->poses.begin() + static_cast<ptrdiff_t>(i));
-    } else {
+    if (IsLongEnough(poses, {begin, i}, options.min_segment_s))
+      AppendRun(poses, {begin, i}, false, data);
+    else
       data->pose_report.in_short_segment += i - begin;
-    }
     begin = i;
   }
-  data->poses = std::move(kept);
 }
 
 void SplitAtJumps(const CalibrationOptions& options, ConditionedData* data) {

@@ -7,6 +7,7 @@
 #include <limits>
 
 #include "imu_pose_calib/core/base/median.h"
+#include "imu_pose_calib/core/data/source_clock.h"
 #include "imu_pose_calib/core/data/stamps.h"
 
 namespace imu_pose_calib {
@@ -101,56 +102,52 @@ bool IsSmoother(const Stream& stream, const std::vector<int64_t>& recovered) {
   return lead > kSmootherSigmas * std::sqrt(3.0 * votes);  // neighbours vote alike
 }
 
-/// What is done about the stamps of a stream; `t_ns` becomes the new ones.
-StreamStamps Recover(StampRecovery mode, const Stream& recorded, std::vector<int64_t>* t_ns) {
+/// What is done about the stamps of a stream, which become the new ones.
+StreamStamps Recover(StampRecovery mode, Stream* stream) {
   StreamStamps result;
-  *t_ns = recorded.t_ns;
-  const std::vector<StampFault> faults = JudgeStamps(*t_ns);
+  const std::vector<StampFault> faults = JudgeStamps(stream->t_ns);
   // The same message twice is one frame.
-  Stream stream{{}, std::vector<Channel>(recorded.channels.size())};
-  std::vector<size_t> places(t_ns->size(), 0);  // in `stream`
-  for (size_t i = 0, last = 0; i < t_ns->size(); ++i) {
+  Stream frames{{}, std::vector<Channel>(stream->channels.size())};
+  std::vector<size_t> places(stream->t_ns.size(), 0);  // in `frames`
+  for (size_t i = 0, last = 0; i < places.size(); ++i) {
     if (faults[i] != StampFault::kNone) continue;
-    if (stream.t_ns.empty() || !recorded.IsSame(last, i)) {
-      stream.t_ns.push_back((*t_ns)[i]);
-      for (size_t c = 0; c < stream.channels.size(); ++c)
-        stream.channels[c].push_back(recorded.channels[c][i]);
+    if (frames.t_ns.empty() || !stream->IsSame(last, i)) {
+      frames.t_ns.push_back(stream->t_ns[i]);
+      for (size_t c = 0; c < frames.channels.size(); ++c)
+        frames.channels[c].push_back(stream->channels[c][i]);
     }
     last = i;
-    places[i] = stream.t_ns.size() - 1;
+    places[i] = frames.t_ns.size() - 1;
   }
-  result.even = AreEven(stream.t_ns);
+  result.even = AreEven(frames.t_ns);
   const bool is_auto = mode == StampRecovery::kAuto;
   if (mode == StampRecovery::kNever || (is_auto && result.even)) return result;
-  const auto recovered = RecoverClock(stream.t_ns);
+  const auto recovered = RecoverClock(frames.t_ns);
   if (!recovered) return result;
-  double sum = 0.0, sum2 = 0.0;
-  for (size_t k = 0; k < recovered->size(); ++k) {
-    const double off = 1e-9 * static_cast<double>(stream.t_ns[k] - (*recovered)[k]);
-    sum += off;
-    sum2 += off * off;
-  }
-  const auto n = static_cast<double>(recovered->size());
-  const double jitter = std::sqrt(std::max(0.0, sum2 / n - sum * sum / (n * n)));
+  Eigen::ArrayXd off(static_cast<Eigen::Index>(recovered->size()));
+  for (size_t k = 0; k < recovered->size(); ++k)
+    off[static_cast<Eigen::Index>(k)] =
+        1e-9 * static_cast<double>(frames.t_ns[k] - (*recovered)[k]);
+  const double jitter = std::sqrt((off - off.mean()).square().mean());
   result.even = jitter < 1e-9 * kEven * MedianStep(*recovered);
-  if (is_auto && (result.even || !IsSmoother(stream, *recovered))) return result;
-  for (size_t i = 0; i < t_ns->size(); ++i)
-    if (faults[i] == StampFault::kNone) (*t_ns)[i] = (*recovered)[places[i]];
+  if (is_auto && (result.even || !IsSmoother(frames, *recovered))) return result;
+  for (size_t i = 0; i < places.size(); ++i)
+    if (faults[i] == StampFault::kNone) stream->t_ns[i] = (*recovered)[places[i]];
   result.recovered = true;
   result.jitter_s = jitter;
   return result;
 }
 
 template <typename Sample>
-void SetStamps(const std::vector<int64_t>& t_ns, std::vector<Sample>* samples) {
-  for (size_t i = 0; i < t_ns.size(); ++i) (*samples)[i].t_ns = t_ns[i];
+void SetStamps(const Stream& stream, std::vector<Sample>* samples) {
+  for (size_t i = 0; i < samples->size(); ++i) (*samples)[i].t_ns = stream.t_ns[i];
 }
 
 template <typename Sample>
 StreamStamps Recover(StampRecovery mode, std::vector<Sample>* samples) {
-  std::vector<int64_t> t_ns;
-  const StreamStamps stamps = Recover(mode, ToStream(*samples), &t_ns);
-  SetStamps(t_ns, samples);
+  Stream stream = ToStream(*samples);
+  const StreamStamps stamps = Recover(mode, &stream);
+  SetStamps(stream, samples);
   return stamps;
 }
 
@@ -167,24 +164,24 @@ bool AreEven(std::vector<int64_t> stamps_ns) {
   if (advances.empty()) return false;
   double period = Median(std::move(advances));
   const auto frames = [&](double step) { return std::max(1.0, std::round(step / period)); };
+  const auto is_long = [&](double step) { return frames(step) > kLongStep; };
+  const auto all = static_cast<double>(steps.size());
+  steps.erase(std::remove_if(steps.begin(), steps.end(), is_long), steps.end());
   double time = 0.0, count = 0.0;
   for (const double step : steps) {
-    if (frames(step) > kLongStep) continue;
     time += step;
     count += frames(step);
   }
   period = time / count;
-  double off2 = 0.0, short_steps = 0.0, missing = 0.0;
+  double off2 = 0.0, missing = 0.0;
   for (const double step : steps) {
-    if (frames(step) > kLongStep) continue;
     off2 += std::pow(step - period * frames(step), 2);
-    short_steps += 1.0;
     missing += frames(step) > 1.0 ? 1.0 : 0.0;
   }
   // Steps over two periods may be of cut stamps, long ones lie between bursts.
-  return short_steps > (1.0 - kMaxPauses) * static_cast<double>(steps.size()) &&
-         missing < kMaxMissing * short_steps &&
-         off2 < 2.0 * std::pow(kEven * period, 2) * short_steps;
+  const auto n = static_cast<double>(steps.size());
+  return n > (1.0 - kMaxPauses) * all && missing < kMaxMissing * n &&
+         off2 < 2.0 * std::pow(kEven * period, 2) * n;
 }
 
 SessionStamps RecoverStamps(StampRecovery mode, SessionData* session) {
@@ -198,10 +195,9 @@ SessionStamps RecoverStamps(StampRecovery mode, SessionData* session) {
       continue;
     }
     both.channels.push_back(std::move(accel.channels[0]));
-    std::vector<int64_t> t_ns;
-    const StreamStamps of_both = Recover(mode, both, &t_ns);
-    SetStamps(t_ns, &imu.gyro);
-    SetStamps(t_ns, &imu.accel);
+    const StreamStamps of_both = Recover(mode, &both);
+    SetStamps(both, &imu.gyro);
+    SetStamps(both, &imu.accel);
     stamps.imus.emplace_back(of_both, of_both);
   }
   return stamps;

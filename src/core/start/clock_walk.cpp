@@ -3,7 +3,9 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <limits>
+#include <utility>
 
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/start/rate_alignment.h"
@@ -229,27 +231,22 @@ Walk Smooth(const LocalOffsets& local, const Tails& tails, const Model& model) {
   return walk;
 }
 
-/// The likeliest walk, or the likeliest without one.
-Walk FindWalk(const LocalOffsets& local, bool walks, Tails* tails) {
+/// The likeliest walk of these densities [s/sqrt(s)]; 0: of none.
+Walk FindWalk(const LocalOffsets& local, const std::vector<double>& densities, Tails* tails) {
   Walk best;
-  std::vector<double> slow2;
-  for (const double slow : kSlow) slow2.push_back(slow * slow);
+  std::vector<double> slow(std::begin(kSlow), std::end(kSlow));
   for (int iteration = 0; iteration < kReweightings; ++iteration) {
     best = Walk();
-    for (int k = 0; k < (walks ? kDensities : 1); ++k) {
-      const double density =
-          walks ? kLeastDensity * std::pow(kMostDensity / kLeastDensity, k / (kDensities - 1.0))
-                : 0.0;
-      for (const double slow : slow2) {
-        const Walk walk = Smooth(local, *tails, {density * density, slow});
-        if (walk.log_likelihood > best.log_likelihood) best = walk;
+    for (const double density : densities)
+      for (const double sigmas : slow) {
+        Walk walk = Smooth(local, *tails, {density * density, sigmas * sigmas});
+        if (walk.log_likelihood > best.log_likelihood) best = std::move(walk);
       }
-    }
     if (best.offset.empty()) return best;
-    slow2 = {best.model.slow2};
+    slow = {std::sqrt(best.model.slow2)};
     for (size_t k = 0; k < tails->offsets.size(); ++k)
       tails->offsets[k] = 0.5 * (1.0 + best.error2[k]);
-    for (size_t k = 0; walks && k < tails->increments.size(); ++k)
+    for (size_t k = 0; best.model.density2 > 0.0 && k < tails->increments.size(); ++k)
       tails->increments[k] = 0.5 * (1.0 + best.increment2[k]);
   }
   // Of what the variances are that were found along, by Cauchy's distribution.
@@ -344,28 +341,31 @@ double ClockWalk::At(double instant) const {
 ClockWalk FitClockWalk(const PoseTrajectory& trajectory, const std::vector<TimedSample>& gyro,
                        ClockLine* line) {
   const auto knots = [&](double t) {
-    return std::ceil(std::abs(t - line->clock_reference) / kInterval);
+    return static_cast<size_t>(std::ceil(std::abs(t - line->clock_reference) / kInterval));
   };
   ClockWalk walk;
-  walk.reference = static_cast<size_t>(knots(gyro.front().t));
-  const size_t count = walk.reference + static_cast<size_t>(knots(gyro.back().t)) + 1;
+  walk.reference = knots(gyro.front().t);
+  const size_t count = walk.reference + knots(gyro.back().t) + 1;
+  if (count < 5) return {};
   for (size_t k = 0; k < count; ++k)
     walk.t.push_back(line->clock_reference +
                      kInterval * (static_cast<double>(k) - static_cast<double>(walk.reference)));
   walk.offset.assign(count, 0.0);
-  if (count < 5) return {};
-  const Tails none{std::vector<double>(count - 1, 1.0), std::vector<double>(count, 1.0)};
-  Tails tails = none;
+  std::vector<double> densities;
+  for (int k = 0; k < kDensities; ++k)
+    densities.push_back(kLeastDensity *
+                        std::pow(kMostDensity / kLeastDensity, k / (kDensities - 1.0)));
+  Tails tails{std::vector<double>(count - 1, 1.0), std::vector<double>(count, 1.0)};
+  Tails of_line = tails;
   Walk found;
   Comparison compared;
   for (int round = 0; round < kRounds; ++round) {
     compared = Compare(trajectory, gyro, *line, walk);
     const LocalOffsets local = FindLocal(compared.samples, walk);
-    found = FindWalk(local, true, &tails);
+    found = FindWalk(local, densities, &tails);
     if (found.offset.empty()) return {};
-    Tails of_line = none;
     if (round == 0 &&
-        found.log_likelihood < FindWalk(local, false, &of_line).log_likelihood + kEvidence)
+        found.log_likelihood < FindWalk(local, {0.0}, &of_line).log_likelihood + kEvidence)
       return {};
     walk.offset = found.offset;
   }

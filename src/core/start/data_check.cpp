@@ -49,9 +49,11 @@ StreamCheck CheckStream(const std::vector<Sample>& samples) {
   if (samples.size() < 2) return check;
   size_t repeated = 0, run = 0, longest_run = 0;
   const std::vector<int64_t> recorded = Stamps(samples);
+  const std::vector<StampFault> faults = JudgeStamps(recorded);
   std::vector<int64_t> stamps;
   for (size_t i = 0; i < samples.size(); ++i) {
-    if (!IsStampedAhead(recorded, i)) stamps.push_back(recorded[i]);
+    if (faults[i] != StampFault::kAstray && faults[i] != StampFault::kAhead)
+      stamps.push_back(recorded[i]);
     if (i == 0) continue;
     run = SameValue(samples[i], samples[i - 1]) ? run + 1 : 0;
     repeated += run > 0 ? 1 : 0;
@@ -61,9 +63,6 @@ StreamCheck CheckStream(const std::vector<Sample>& samples) {
   check.repeated = static_cast<double>(repeated) / n;
 
   std::sort(stamps.begin(), stamps.end());
-  const int64_t median = stamps[stamps.size() / 2];
-  const auto is_astray = [&](int64_t t_ns) { return std::abs(t_ns - median) > kMaxAstrayNs; };
-  stamps.erase(std::remove_if(stamps.begin(), stamps.end(), is_astray), stamps.end());
   if (stamps.size() < 2) return check;
   check.duration_s = 1e-9 * static_cast<double>(stamps.back() - stamps.front());
   std::vector<double> periods;
@@ -261,6 +260,18 @@ void MeasureDrift(const ConditionedImu& data, const PoseTrajectory& trajectory, 
   check->drift_ppm_std = 1e6 * std::sqrt(std::max(0.0, covariance(7, 7)));
 }
 
+/// act(name, check, report) of all streams.
+template <typename Act>
+void ForEachStream(const DataCheck& check, const Act& act) {
+  act("pose", check.poses, check.poses_report);
+  for (size_t i = 0; i < check.imus.size(); ++i) {
+    const ImuCheck& imu = check.imus[i];
+    const std::string of = OfImu(i, check.imus.size());
+    act("gyroscope" + of, imu.gyro, imu.gyro_report);
+    act("accelerometer" + of, imu.accel, imu.accel_report);
+  }
+}
+
 double Overlap(const ConditionedData& data, const ConditionedImu& imu, double time_shift) {
   const double begin = std::max(0.0, imu.gyro.front().t + time_shift);
   const double end = std::min(data.poses.back().t, imu.gyro.back().t + time_shift);
@@ -273,35 +284,29 @@ DataCheck CheckStreams(const SessionData& recorded, const SessionData& session,
                        const SessionStamps& stamps) {
   DataCheck check;
   check.poses = CheckStream(recorded.poses, session.poses, stamps.poses);
-  WarnOfStamps("pose", check.poses, kMaxMissingPoses, kMaxRepeatedPoses, &check.warnings);
   check.imus.resize(session.imus.size());
   for (size_t i = 0; i < session.imus.size(); ++i) {
-    ImuCheck& imu = check.imus[i];
     const ImuData &before = recorded.imus[i], &after = session.imus[i];
-    imu.gyro = CheckStream(before.gyro, after.gyro, stamps.imus[i].first);
-    imu.accel = CheckStream(before.accel, after.accel, stamps.imus[i].second);
-    const std::string of = OfImu(i, session.imus.size());
-    WarnOfStamps("gyroscope" + of, imu.gyro, kMaxMissingImu, kMaxRepeatedImu, &check.warnings);
-    WarnOfStamps("accelerometer" + of, imu.accel, kMaxMissingImu, kMaxRepeatedImu, &check.warnings);
+    check.imus[i].gyro = CheckStream(before.gyro, after.gyro, stamps.imus[i].first);
+    check.imus[i].accel = CheckStream(before.accel, after.accel, stamps.imus[i].second);
   }
+  ForEachStream(check, [&](const std::string& name, const StreamCheck& of, const StreamReport&) {
+    const bool is_pose = &of == &check.poses;
+    WarnOfStamps(name, of, is_pose ? kMaxMissingPoses : kMaxMissingImu,
+                 is_pose ? kMaxRepeatedPoses : kMaxRepeatedImu, &check.warnings);
+  });
   return check;
 }
 
 void RefuseBunches(const DataCheck& check) {
-  const auto refuse = [](const std::string& stream, const StreamCheck& of) {
+  ForEachStream(check, [](const std::string& name, const StreamCheck& of, const StreamReport&) {
     if (of.stamps.recovered || of.bunched <= kMostBunched) return;
     const auto percent = [](double share) { return Number(100.0 * share, "%.3g %%"); };
-    throw DataError(stream + ": " + percent(of.bunched) +
+    throw DataError(name + ": " + percent(of.bunched) +
                     " of the samples are stamped in bunches (bound: " + percent(kMostBunched) +
                     "), as by time of arrival, and no even clock fits them; record stamps of the "
                     "sensor's own clock");
-  };
-  refuse("pose", check.poses);
-  for (size_t i = 0; i < check.imus.size(); ++i) {
-    const std::string of = OfImu(i, check.imus.size());
-    refuse("gyroscope" + of, check.imus[i].gyro);
-    refuse("accelerometer" + of, check.imus[i].accel);
-  }
+  });
 }
 
 void CheckMotion(const CalibrationOptions& options, const ConditionedData& data,
@@ -310,33 +315,31 @@ void CheckMotion(const CalibrationOptions& options, const ConditionedData& data,
   check->segments = data.segments.size();
   check->gaps = data.gaps;
   check->jumps = data.jumps;
-  WarnOfDrops("pose", data.pose_report, &check->warnings);
   for (size_t i = 0; i < data.imus.size(); ++i) {
-    const std::string of = OfImu(i, data.imus.size());
     check->imus[i].gyro_report = data.imus[i].gyro_report;
     check->imus[i].accel_report = data.imus[i].accel_report;
-    WarnOfDrops("gyroscope" + of, data.imus[i].gyro_report, &check->warnings);
-    WarnOfDrops("accelerometer" + of, data.imus[i].accel_report, &check->warnings);
   }
+  ForEachStream(*check, [&](const std::string& name, const StreamCheck&, const StreamReport& r) {
+    WarnOfDrops(name, r, &check->warnings);
+  });
   if (data.jumps > 0 && data.pose_report.flipped == 0)
     check->warnings.push_back(
         "pose: " + std::to_string(data.jumps) +
         " jumps; the poses are cut there, but they must all be in one frame W up to a turn about "
         "gravity and a move");
 
-  Eigen::Matrix<double, 6, 1> sum = Eigen::Matrix<double, 6, 1>::Zero(), sum2 = sum;
+  Vector6d sum = Vector6d::Zero(), sum2 = sum;
   double count = 1e-9;
   for (double t = 0.0; t <= data.poses.back().t; t += kMotionStep) {
     MarkerState<double> state;
     if (!trajectory.Evaluate(t, &state)) continue;
-    Eigen::Matrix<double, 6, 1> x;
+    Vector6d x;
     x << state.omega_M, state.a_W;
     sum += x;
     sum2 += x.cwiseAbs2();
     count += 1.0;
   }
-  const Eigen::Matrix<double, 6, 1> rms =
-      (sum2 / count - (sum / count).cwiseAbs2()).cwiseMax(0.0).cwiseSqrt();
+  const Vector6d rms = (sum2 / count - (sum / count).cwiseAbs2()).cwiseMax(0.0).cwiseSqrt();
   check->turns_M = rms.head<3>();
   check->moves_W = rms.tail<3>();
 

@@ -5,9 +5,11 @@
 #include <cmath>
 #include <limits>
 #include <sstream>
+#include <utility>
 
 #include "imu_pose_calib/core/base/parallel.h"
 #include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/data/segments.h"
 #include "imu_pose_calib/core/start/rate_alignment.h"
 
 namespace imu_pose_calib {
@@ -106,6 +108,7 @@ RotationAgreement Judge(const std::vector<SegmentRates>& segments, const RateAli
   RotationAgreement result;
   result.cost = 0.0;
   double unexplained = 0.0, total = 1e-12, agreeing = 0.0, count = 1e-12;
+  std::vector<double> residuals;
   for (const SegmentRates& pairs : segments) {
     double residual = 0.0, motion = 0.0;
     for (const RatePair& pair : pairs) {
@@ -116,6 +119,7 @@ RotationAgreement Judge(const std::vector<SegmentRates>& segments, const RateAli
     count += n;
     result.cost += std::min(residual, kFlipped * motion);
     result.flipped.push_back(residual > kFlipped * motion);
+    residuals.push_back(residual);
     if (result.flipped.back()) continue;
     agreeing += n;
     unexplained += residual;
@@ -125,12 +129,9 @@ RotationAgreement Judge(const std::vector<SegmentRates>& segments, const RateAli
   result.explained = 1.0 - unexplained / total;
   // Where the marker hardly turns, noise is all there is: nothing can be said.
   const double usual = unexplained / std::max(agreeing, 1.0);
-  for (size_t k = 0; k < segments.size(); ++k) {
-    double residual = 0.0;
-    for (const RatePair& pair : segments[k]) residual += alignment.Residual(pair).squaredNorm();
-    if (residual < kFlipFactor * usual * static_cast<double>(segments[k].size()))
+  for (size_t k = 0; k < segments.size(); ++k)
+    if (residuals[k] < kFlipFactor * usual * static_cast<double>(segments[k].size()))
       result.flipped[k] = false;
-  }
   return result;
 }
 
@@ -287,20 +288,14 @@ void RemoveFlippedSegments(const CalibrationOptions& options, PoseTrajectory* tr
     throw DataError(text.str());
   }
   if (std::find(best.flipped.begin(), best.flipped.end(), true) == best.flipped.end()) return;
-  std::vector<TimedPose> poses;
-  std::vector<IndexRange> segments;
-  for (size_t k = 0; k < best.flipped.size(); ++k) {
-    const IndexRange s = data->segments[k];
-    if (best.flipped[k]) {
-      data->pose_report.flipped += s.size();
-      continue;
-    }
-    segments.push_back({poses.size(), poses.size() + s.size()});
-    poses.insert(poses.end(), data->poses.begin() + static_cast<ptrdiff_t>(s.begin),
-                 data->poses.begin() + static_cast<ptrdiff_t>(s.end));
+  const std::vector<TimedPose> poses = std::exchange(data->poses, {});
+  const std::vector<IndexRange> segments = std::exchange(data->segments, {});
+  for (size_t k = 0; k < segments.size(); ++k) {
+    if (best.flipped[k])
+      data->pose_report.flipped += segments[k].size();
+    else
+      AppendRun(poses, segments[k], false, data);
   }
-  data->poses = std::move(poses);
-  data->segments = std::move(segments);
   data->pose_report.used = data->poses.size();
   *trajectory = PoseTrajectory(data->poses, data->segments, trajectory->position_hyperparameters(),
                                trajectory->rotation_hyperparameters(), options.Threads());

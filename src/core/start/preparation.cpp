@@ -100,12 +100,9 @@ DataCheck CheckData(const CalibrationOptions& options, const SessionData& sessio
   try {
     Prepare(options, session, &check);
     WarnOfDrift(options, &check);
-  } catch (const OptionNeeded& error) {
-    check.verdict = DataVerdict::kUsable;
-    check.message = error.what();
-    return check;
   } catch (const DataError& error) {
-    check.verdict = DataVerdict::kRecordAgain;
+    const bool needs_option = dynamic_cast<const OptionNeeded*>(&error) != nullptr;
+    check.verdict = needs_option ? DataVerdict::kUsable : DataVerdict::kRecordAgain;
     check.message = error.what();
     return check;
   }

@@ -2,6 +2,7 @@
 
 #include <Eigen/SVD>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <complex>
 #include <unsupported/Eigen/FFT>
@@ -19,45 +20,45 @@ constexpr size_t kMaxSamples = 4000;       // per closed-form fit: more does not
 
 /// A signal in bins of kBin; bins without a sample have weight 0.
 struct Signal {
-  std::vector<double> value, weight;
+  Eigen::ArrayXd value, weight;
 
-  explicit Signal(size_t bins) : value(bins, 0.0), weight(bins, 0.0) {}
+  explicit Signal(size_t bins)
+      : value(Eigen::ArrayXd::Zero(static_cast<Eigen::Index>(bins))), weight(value) {}
   void Add(size_t bin, double x) {
-    value[bin] += x;
-    weight[bin] += 1.0;
+    value[static_cast<Eigen::Index>(bin)] += x;
+    weight[static_cast<Eigen::Index>(bin)] += 1.0;
   }
   void Average() {
-    for (size_t i = 0; i < value.size(); ++i) {
-      if (weight[i] == 0.0) continue;
-      value[i] /= weight[i];
-      weight[i] = 1.0;
-    }
+    value /= weight.max(1.0);
+    weight = weight.min(1.0);
   }
-  std::vector<double> Power(int exponent) const {
-    std::vector<double> x(weight);
-    for (size_t i = 0; i < x.size(); ++i) x[i] *= std::pow(value[i], exponent);
-    return x;
-  }
+  size_t size() const { return static_cast<size_t>(value.size()); }
 };
 
 /// Pearson correlation of two masked signals at every lag, by FFT.
 class MaskedCorrelation {
  public:
-  MaskedCorrelation(const Signal& x, const Signal& y, int threads)
-      : bins_(x.value.size() + y.value.size()) {
-    size_ = 1;
-    while (size_ < bins_) size_ *= 2;
-    std::vector<std::complex<double>> X[3], Y[3];
+  MaskedCorrelation(const Signal& x, const Signal& y, int threads) {
+    size_t size = 1;
+    while (size < x.size() + y.size()) size *= 2;
+    std::array<std::vector<std::complex<double>>, 3> X, Y;  // of weights, values, their squares
     InParallel(threads, 6, [&](size_t k) {
-      const int exponent = static_cast<int>(k / 2);
-      (k % 2 == 0 ? X : Y)[exponent] = Spectrum((k % 2 == 0 ? x : y).Power(exponent));
+      const Signal& signal = k % 2 == 0 ? x : y;
+      const Eigen::ArrayXd power = signal.weight * signal.value.pow(static_cast<int>(k / 2));
+      std::vector<double> padded(power.data(), power.data() + power.size());
+      padded.resize(size, 0.0);
+      Eigen::FFT<double>().fwd((k % 2 == 0 ? X : Y)[k / 2], padded);
     });
     struct {
       std::vector<double>* of;
-      int x, y;
+      size_t x, y;
     } const sums[] = {{&n_, 0, 0}, {&x_, 1, 0},  {&xx_, 2, 0},
                       {&y_, 0, 1}, {&yy_, 0, 2}, {&xy_, 1, 1}};
-    InParallel(threads, 6, [&](size_t k) { *sums[k].of = Correlate(X[sums[k].x], Y[sums[k].y]); });
+    InParallel(threads, 6, [&](size_t k) {
+      std::vector<std::complex<double>> Z = X[sums[k].x];
+      for (size_t i = 0; i < size; ++i) Z[i] *= std::conj(Y[sums[k].y][i]);
+      Eigen::FFT<double>().inv(*sums[k].of, Z);
+    });
   }
 
   /// Common bins when y is moved by `lag` bins.
@@ -73,25 +74,8 @@ class MaskedCorrelation {
   }
 
  private:
-  std::vector<std::complex<double>> Spectrum(std::vector<double> x) const {
-    x.resize(size_, 0.0);
-    std::vector<std::complex<double>> X;
-    Eigen::FFT<double>().fwd(X, x);
-    return X;
-  }
-  static std::vector<double> Correlate(const std::vector<std::complex<double>>& X,
-                                       const std::vector<std::complex<double>>& Y) {
-    std::vector<std::complex<double>> Z(X.size());
-    for (size_t i = 0; i < X.size(); ++i) Z[i] = X[i] * std::conj(Y[i]);
-    std::vector<double> z;
-    Eigen::FFT<double>().inv(z, Z);
-    return z;
-  }
-  size_t Wrap(ptrdiff_t lag) const {
-    return static_cast<size_t>(lag < 0 ? lag + static_cast<ptrdiff_t>(size_) : lag);
-  }
+  size_t Wrap(ptrdiff_t lag) const { return static_cast<size_t>(lag) % n_.size(); }
 
-  size_t bins_, size_;
   std::vector<double> n_, x_, xx_, y_, yy_, xy_;
 };
 
@@ -157,7 +141,7 @@ std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
                                    const std::optional<double>& guess, int count, int threads) {
   const auto bins = [](double duration) { return static_cast<size_t>(duration / kBin) + 1; };
   Signal marker(bins(poses.back().t));
-  InPortions(threads, marker.value.size(), [&](size_t i) {
+  InPortions(threads, marker.size(), [&](size_t i) {
     MarkerRotation<double> rotation;
     if (trajectory.EvaluateRotation((static_cast<double>(i) + 0.5) * kBin, &rotation))
       marker.Add(i, rotation.omega_M.norm());
@@ -177,8 +161,8 @@ std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
   };
 
   std::vector<std::pair<double, ptrdiff_t>> peaks;
-  const auto first = 1 - static_cast<ptrdiff_t>(imu.value.size());
-  const auto last = static_cast<ptrdiff_t>(marker.value.size()) - 1;
+  const auto first = 1 - static_cast<ptrdiff_t>(imu.size());
+  const auto last = static_cast<ptrdiff_t>(marker.size()) - 1;
   for (ptrdiff_t lag = first; lag <= last; ++lag) {
     const double s = score(lag);
     if (s > 0.0 && (lag == first || s >= score(lag - 1)) && (lag == last || s > score(lag + 1)))

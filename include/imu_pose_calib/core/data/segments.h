@@ -1,9 +1,15 @@
 #pragma once
 
+#include <vector>
+
 #include "imu_pose_calib/core/base/options.h"
 #include "imu_pose_calib/core/data/conditioned_data.h"
 
 namespace imu_pose_calib {
+
+/// Adds a run of `poses` to the data: to their last segment, or as another one.
+void AppendRun(const std::vector<TimedPose>& poses, IndexRange run, bool joins,
+               ConditionedData* data);
 
 /// Cuts the poses into segments at gaps; runs that are too short are dropped and counted.
 void SplitAtGaps(const CalibrationOptions& options, ConditionedData* data);
