@@ -55,6 +55,10 @@ std::mt19937 RandomOf(RandomEffect effect, uint32_t seed) {
   return std::mt19937(sequence);
 }
 
+double Uniform(std::mt19937* random, double low, double high) {
+  return std::uniform_real_distribution<double>(low, high)(*random);
+}
+
 Vector3d Gaussian(std::mt19937* random, double sigma) {
   std::normal_distribution<double> normal(0.0, sigma);
   Vector3d v;
@@ -63,6 +67,10 @@ Vector3d Gaussian(std::mt19937* random, double sigma) {
 }
 
 Vector3d RandomDirection(std::mt19937* random) { return Gaussian(random, 1.0).normalized(); }
+
+double PoseTime(const SimulatorOptions& options, double s) {
+  return s + options.clock_drift * (s - 0.5 * options.duration_s);
+}
 
 double FilterDelay(double cutoff_hz) { return cutoff_hz > 0.0 ? 0.5 / (M_PI * cutoff_hz) : 0.0; }
 
@@ -122,31 +130,38 @@ std::vector<Vector3d> CarriedOn(double sigma, double rate_hz, const std::vector<
   return errors;
 }
 
-std::vector<PoseSample> Fused(const std::vector<PoseSample>& poses,
-                              const std::vector<double>& t_pose,
-                              const std::vector<Vector3d>& omega_M,
-                              const std::vector<double>& t_omega, double span_s) {
+std::vector<PoseSample> FusedPoses(const SimulatorOptions& options, const SessionData& data) {
+  std::vector<double> t_pose, t_omega;
+  std::vector<Vector3d> omega_M;
+  const double delay = FilterDelay(options.effects.gyro_filter_hz);
+  for (size_t k = 0; k < data.imus[0].gyro.size(); ++k) {
+    t_omega.push_back(PoseTime(options, static_cast<double>(k) / options.gyro_rate_hz - delay));
+    omega_M.push_back(options.T_MI.q * (data.imus[0].gyro[k].value - options.gyro_bias));
+  }
   const TurnSinceStart turn(omega_M, t_omega);
-  std::vector<Quaterniond> start;  // each rotation, carried to the start
-  for (size_t k = 0; k < poses.size(); ++k)
-    start.push_back(poses[k].q_WM * turn.At(t_pose[k]).conjugate());
+  std::vector<Quaterniond> turns, start;  // each rotation, carried to the start
+  for (size_t k = 0; k < data.poses.size(); ++k) {
+    t_pose.push_back(static_cast<double>(k) / options.pose_rate_hz);
+    turns.push_back(turn.At(t_pose[k]));
+    start.push_back(data.poses[k].q_WM * turns[k].conjugate());
+  }
 
-  const double sigma = span_s / std::sqrt(12.0);  // that of a mean over span_s
-  std::vector<PoseSample> fused = poses;
+  const double sigma = options.effects.fused_poses_s / std::sqrt(12.0);  // that of a mean
+  std::vector<PoseSample> fused = data.poses;
   size_t begin = 0;
-  for (size_t k = 0; k < poses.size(); ++k) {
+  for (size_t k = 0; k < fused.size(); ++k) {
     while (t_pose[begin] < t_pose[k] - kFusedReach * sigma) ++begin;
     double sum = 0.0;
     Vector3d p = Vector3d::Zero(), r = Vector3d::Zero();
-    for (size_t j = begin; j < poses.size() && t_pose[j] <= t_pose[k] + kFusedReach * sigma; ++j) {
+    for (size_t j = begin; j < fused.size() && t_pose[j] <= t_pose[k] + kFusedReach * sigma; ++j) {
       const double distance = (t_pose[j] - t_pose[k]) / sigma;
       const double weight = std::exp(-0.5 * distance * distance);
       sum += weight;
-      p += weight * poses[j].p_WM;
+      p += weight * data.poses[j].p_WM;
       r += weight * Log(Quaterniond(start[k].conjugate() * start[j]));
     }
     fused[k].p_WM = p / sum;
-    fused[k].q_WM = start[k] * Exp<double>(r / sum) * turn.At(t_pose[k]);
+    fused[k].q_WM = start[k] * Exp<double>(r / sum) * turns[k];
   }
   return fused;
 }

@@ -21,6 +21,23 @@ Comparable ToComparable(const StoredResult& stored, size_t imu) {
           calibration.accel_delay_std};
 }
 
+/// One result, on its own.
+YAML::Node Describe(const StoredResult& stored, size_t imu) {
+  YAML::Node node;
+  node["path"] = Printable(stored.path);
+  node["source"] = Printable(stored.infos.front().Source());
+  node["status"] = ToString(stored.result.status);
+  const ImuSession& clock = stored.Clock(imu);
+  const SessionCalibration& session = stored.result.sessions.front();
+  node["noise"]["gyro"] = YamlValue(clock.noise.gyro);
+  node["noise"]["accel"] = YamlValue(clock.noise.accel);
+  node["noise"]["position"] = YamlValue(session.noise.position);
+  node["noise"]["rotation"] = YamlValue(session.noise.rotation);
+  return node;
+}
+
+}  // namespace
+
 YAML::Node Describe(const Comparable& calibration) {
   YAML::Node node;
   node["translation"] = YamlList(calibration.T_MI.p);
@@ -34,7 +51,6 @@ YAML::Node Describe(const Comparable& calibration) {
   return node;
 }
 
-/// A comparison, its worst component, and the most sigmas of each quantity.
 YAML::Node Describe(const Comparison& comparison) {
   YAML::Node node;
   node["distance"] = YamlValue(comparison.distance);
@@ -63,23 +79,6 @@ YAML::Node Describe(const Scatter& scatter) {
   node["dof"] = scatter.dof;
   return node;
 }
-
-/// One result, on its own.
-YAML::Node Describe(const StoredResult& stored, size_t imu) {
-  YAML::Node node;
-  node["path"] = Printable(stored.path);
-  node["source"] = Printable(stored.infos.front().Source());
-  node["status"] = ToString(stored.result.status);
-  const ImuSession& clock = stored.Clock(imu);
-  const SessionCalibration& session = stored.result.sessions.front();
-  node["noise"]["gyro"] = YamlValue(clock.noise.gyro);
-  node["noise"]["accel"] = YamlValue(clock.noise.accel);
-  node["noise"]["position"] = YamlValue(session.noise.position);
-  node["noise"]["rotation"] = YamlValue(session.noise.rotation);
-  return node;
-}
-
-}  // namespace
 
 std::vector<Comparable> ToComparables(const std::vector<StoredResult>& results, size_t imu) {
   std::vector<Comparable> calibrations;

@@ -62,10 +62,10 @@ po::options_description Describe(CommandLine* line) {
       "a spinning lidar in a room, /points, on the IMU's clock; where it sits: OUTPUT.lidar.yaml");
   add("help", po::bool_switch(&line->help), "print this text");
   po::options_description effects("Effects that real recordings have; 0: none");
-  for (const EffectOption& effect : EffectOptions()) {
+  for (const Effect& effect : Effects(&simulator)) {
     std::ostringstream text;
     text << effect.text << "; usual: " << effect.usual;
-    effects.add_options()(effect.name, ValueOrDefault(&effect.strength(&simulator), effect.unit),
+    effects.add_options()(effect.name, ValueOrDefault(effect.strength, effect.unit),
                           text.str().c_str());
   }
   options.add(effects);
@@ -104,8 +104,8 @@ SimulatorOptions Simulator(const CommandLine& line) {
   CheckNotNegative("--rotation-std", simulator.rotation_std);
   CheckNotNegative("--gyro-std", simulator.gyro_std);
   CheckNotNegative("--accel-std", simulator.accel_std);
-  for (const EffectOption& effect : EffectOptions()) {
-    const double strength = effect.strength(&simulator);
+  for (const Effect& effect : Effects(&simulator)) {
+    const double strength = *effect.strength;
     if (!(strength >= effect.least && strength <= effect.most))
       throw InputError(std::string("--") + effect.name + " = " + YamlNumber(strength) +
                        " must be within " + YamlNumber(effect.least) + " and " +
