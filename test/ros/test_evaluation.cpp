@@ -382,25 +382,25 @@ TEST_F(EvaluateTest, AuditsWhatADatasetPublishes) {
 
   // Without one, TUM-VI's poses are said to be those of the IMU.
   std::filesystem::remove(dir_ / "data/V1/mocap0/sensor.yaml");
-  const std::vector<Sequence> found = FindDataset("tum-vi", Path("data"), {});
+  const std::vector<Sequence> found = FindSequences("tum-vi", Path("data"), {});
   ASSERT_EQ(found.size(), 2u);
   EXPECT_EQ(found[0].name, "V1/mocap0");
   ASSERT_TRUE(found[0].published_T_MI);
   EXPECT_EQ(found[0].published_T_MI->p.norm(), 0.0);
-  EXPECT_FALSE(FindDataset("broad", Path("data"), {})[0].published_T_MI);
+  EXPECT_FALSE(FindSequences("broad", Path("data"), {})[0].published_T_MI);
 }
 
 TEST_F(EvaluateTest, ADatasetMayBeBags) {
   std::filesystem::create_directories(dir_ / "data/rooms");
   Write("data/rooms/room1.bag", "");
-  const std::vector<Sequence> bags = FindDataset("tum-vi", Path("data"), {});
+  const std::vector<Sequence> bags = FindSequences("tum-vi", Path("data"), {});
   ASSERT_EQ(bags.size(), 1u);
   EXPECT_EQ(bags[0].name, "rooms/room1");
   EXPECT_EQ(bags[0].group, "rooms/bags");
   EXPECT_EQ(bags[0].request.bag.imu_topic, "/imu0");
   OfflineRequest chosen;
   chosen.bag.imu_topic = "/imu1";
-  EXPECT_EQ(FindDataset("euroc", Path("data"), chosen)[0].request.bag.imu_topic, "/imu1");
+  EXPECT_EQ(FindSequences("euroc", Path("data"), chosen)[0].request.bag.imu_topic, "/imu1");
 }
 
 }  // namespace

@@ -59,31 +59,10 @@ const Dataset& Find(const std::string& name) {
   throw InputError("dataset '" + name + "' is unknown; must be tum-vi, euroc or broad");
 }
 
-/// All paths below a folder, in order.
-std::vector<fs::path> Below(const std::string& folder) {
-  if (!fs::is_directory(folder))
-    throw InputError("'" + folder + "' is not a folder with recordings");
-  std::vector<fs::path> paths;
-  const auto options = fs::directory_options::skip_permission_denied;
-  for (const auto& entry : fs::recursive_directory_iterator(folder, options))
-    paths.push_back(entry.path());
-  std::sort(paths.begin(), paths.end());
-  return paths;
-}
-
 /// Path below `folder`, as a name; links are what they are called.
 std::string NameOf(const fs::path& path, const std::string& folder) {
   const std::string name = path.lexically_relative(folder);
   return name == "." ? fs::absolute(path).lexically_normal().filename().string() : name;
-}
-
-Sequence BagSequence(const fs::path& path, const std::string& folder,
-                     const OfflineRequest& common) {
-  Sequence sequence;
-  sequence.name = NameOf(fs::path(path).replace_extension(""), folder);
-  sequence.request = common;
-  sequence.request.bag.paths = {path};
-  return sequence;
 }
 
 /// The folder that a sequence is in, below `folder`: of one session, perhaps.
@@ -170,17 +149,8 @@ std::string Calibrate(const OfflineRequest& request) {
   return ToYaml(outcome);
 }
 
-std::vector<Task> ToTasks(const std::vector<Sequence>& sequences, bool with_report,
-                          const std::string& folder) {
-  std::vector<Task> tasks;
-  for (const Sequence& sequence : sequences) {
-    OfflineRequest request = sequence.request;
-    request.output = folder + "/" + sequence.name + ".calibration.yaml";
-    if (with_report) request.report = ReportPath(request);
-    fs::create_directories(fs::path(request.output).parent_path());
-    tasks.push_back({sequence.name, Describe(request), [request] { return Calibrate(request); }});
-  }
-  return tasks;
+std::string ResultOf(const Sequence& sequence, const std::string& folder) {
+  return folder + "/" + sequence.name + ".calibration.yaml";
 }
 
 struct Calibrated {
@@ -236,8 +206,7 @@ std::string WriteFleet(const std::vector<Calibrated>& calibrations, const std::s
                        const std::string& folder) {
   std::vector<StoredResult> results;
   for (const auto& [sequence, outcome] : calibrations)
-    if (outcome.IsUsable())
-      results.push_back(LoadResult(folder + "/" + sequence->name + ".calibration.yaml"));
+    if (outcome.IsUsable()) results.push_back(LoadResult(ResultOf(*sequence, folder)));
   if (results.empty()) return "";
   const std::string path = folder + "/sequences.report.html";
   const std::vector<ComparedQuantity> quantities = {
@@ -254,30 +223,32 @@ std::string WriteFleet(const std::vector<Calibrated>& calibrations, const std::s
 
 std::string DatasetTitle(const std::string& dataset) { return Find(dataset).title; }
 
-std::vector<Sequence> FindBags(const std::string& folder, const OfflineRequest& common) {
+std::vector<Sequence> FindSequences(const std::string& name, const std::string& folder,
+                                    const OfflineRequest& common) {
+  const Dataset* dataset = name.empty() ? nullptr : &Find(name);
+  if (!fs::is_directory(folder))
+    throw InputError("'" + folder + "' is not a folder with recordings");
+  std::vector<fs::path> paths;
+  const auto options = fs::directory_options::skip_permission_denied;
+  for (const auto& entry : fs::recursive_directory_iterator(folder, options))
+    paths.push_back(entry.path());
+  std::sort(paths.begin(), paths.end());
   std::vector<Sequence> sequences;
-  for (const fs::path& path : Below(folder))
-    if (path.extension() == ".bag") sequences.push_back(BagSequence(path, folder, common));
-  if (sequences.empty()) throw InputError("there is no *.bag in '" + folder + "'");
-  return sequences;
-}
-
-std::vector<Sequence> FindDataset(const std::string& name, const std::string& folder,
-                                  const OfflineRequest& common) {
-  const Dataset& dataset = Find(name);
-  std::vector<Sequence> sequences;
-  for (const fs::path& path : Below(folder)) {
-    if (path.filename() == "data.csv" && path.parent_path().filename() == "imu0")
-      AddAsl(dataset, path, folder, common, &sequences);
+  for (const fs::path& path : paths) {
+    if (dataset && path.filename() == "data.csv" && path.parent_path().filename() == "imu0")
+      AddAsl(*dataset, path, folder, common, &sequences);
     if (path.extension() != ".bag") continue;
-    Sequence sequence = BagSequence(path, folder, common);
-    sequence.group = GroupOf(path, folder) + "bags";
-    if (dataset.is_imu0 && common.bag.imu_topic.empty()) sequence.request.bag.imu_topic = "/imu0";
+    Sequence sequence{NameOf(fs::path(path).replace_extension(""), folder), "", common, {}};
+    sequence.request.bag.paths = {path};
+    if (dataset) sequence.group = GroupOf(path, folder) + "bags";
+    if (dataset && dataset->is_imu0 && common.bag.imu_topic.empty())
+      sequence.request.bag.imu_topic = "/imu0";
     sequences.push_back(sequence);
   }
   if (sequences.empty())
-    throw InputError("there is no sequence of '" + name + "' below '" + folder + "'. " +
-                     dataset.title);
+    throw InputError(dataset ? "there is no sequence of '" + name + "' below '" + folder + "'. " +
+                                   dataset->title
+                             : "there is no *.bag in '" + folder + "'");
   std::stable_sort(sequences.begin(), sequences.end(),
                    [](const Sequence& a, const Sequence& b) { return a.group < b.group; });
   return sequences;
@@ -285,7 +256,14 @@ std::vector<Sequence> FindDataset(const std::string& name, const std::string& fo
 
 SequencesOutcome RunSequences(const std::vector<Sequence>& sequences, const std::string& title,
                               bool is_dataset, const RunnerOptions& runner) {
-  const std::vector<Task> tasks = ToTasks(sequences, !is_dataset, runner.folder);
+  std::vector<Task> tasks;
+  for (const Sequence& sequence : sequences) {
+    OfflineRequest request = sequence.request;
+    request.output = ResultOf(sequence, runner.folder);
+    if (!is_dataset) request.report = ReportPath(request);
+    fs::create_directories(fs::path(request.output).parent_path());
+    tasks.push_back({sequence.name, Describe(request), [request] { return Calibrate(request); }});
+  }
   RunTasks(tasks, runner);
   SequencesOutcome result;
   std::vector<Calibrated> calibrations;

@@ -81,9 +81,9 @@ class Runner {
     running_.erase(pid);
     const int exit_status = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
     if (exit_status == kInputErrorStatus) {
-      std::ifstream in(ErrorPath(*task));
-      std::filesystem::remove(ErrorPath(*task));
-      throw InputError(Rest(in));
+      const std::string error = FinishedTask(options_.folder, Error(*task)).value();
+      std::filesystem::remove(ResultPath(options_.folder, *task));
+      throw InputError(error);
     }
     if (exit_status != EXIT_SUCCESS)
       Store(*task, kFailed + std::string(": it died or took too long\n"));
@@ -121,10 +121,8 @@ class Runner {
     Clock::time_point begin;
   };
 
-  /// A name beside that of the result, for what is not one.
-  std::string ErrorPath(const Task& task) const {
-    return ResultPath(options_.folder, task).string() + ".error";
-  }
+  /// What stands in place of the result after an InputError.
+  static Task Error(const Task& task) { return {task.name, "input error", {}}; }
 
   void Store(const Task& task, const std::string& result) const {
     WriteFile(ResultPath(options_.folder, task), "# " + task.description + "\n" + result);
@@ -137,7 +135,7 @@ class Runner {
       try {
         Store(task, task.run());
       } catch (const InputError& error) {
-        std::ofstream(ErrorPath(task)) << error.what();
+        Store(Error(task), error.what());
         _exit(kInputErrorStatus);
       } catch (const std::exception& error) {
         Store(task, kFailed + std::string(": ") + error.what() + "\n");
