@@ -68,6 +68,10 @@ Vector3d Gaussian(std::mt19937* random, double sigma) {
 
 Vector3d RandomDirection(std::mt19937* random) { return Gaussian(random, 1.0).normalized(); }
 
+size_t Count(double duration_s, double rate_hz) {
+  return static_cast<size_t>(std::floor(duration_s * rate_hz));
+}
+
 double PoseTime(const SimulatorOptions& options, double s) {
   return s + options.clock_drift * (s - 0.5 * options.duration_s);
 }
@@ -166,12 +170,19 @@ std::vector<PoseSample> FusedPoses(const SimulatorOptions& options, const Sessio
   return fused;
 }
 
-std::vector<int64_t> Stamps(int64_t first_ns, double rate_hz, size_t count,
-                            const StreamEffects& effects, std::mt19937 random) {
+double Ahead(const StreamEffects& effects, double t, double duration_s) {
+  constexpr double kPeriod = 60.0, kStepAt = 0.45;
+  return effects.wander_s * std::sin(2.0 * M_PI * t / kPeriod) +
+         (t > kStepAt * duration_s ? effects.clock_step_s : 0.0);
+}
+
+std::vector<int64_t> Stream::Stamps() const {
+  const size_t count = Count(duration_s, rate_hz);
   std::vector<int64_t> stamps(count);
   for (size_t k = 0; k < count; ++k) stamps[k] = Nominal(first_ns, rate_hz, k);
   const auto group = static_cast<size_t>(std::max(1.0, std::round(effects.burst)));
   if (effects.jitter_s > 0.0 || effects.latency_s > 0.0 || group > 1) {
+    std::mt19937 random = stamp_random;
     int64_t delay = 0, last = std::numeric_limits<int64_t>::min();
     for (size_t k = 0; k < count; ++k) {
       if (k % group == 0) {
@@ -190,7 +201,8 @@ std::vector<int64_t> Stamps(int64_t first_ns, double rate_hz, size_t count,
   return stamps;
 }
 
-double MeanLateness(const std::vector<int64_t>& stamps, int64_t first_ns, double rate_hz) {
+double Stream::MeanLateness() const {
+  const std::vector<int64_t> stamps = Stamps();
   double sum = 0.0;
   for (size_t k = 0; k < stamps.size(); ++k)
     sum += 1e-9 * static_cast<double>(stamps[k] - Nominal(first_ns, rate_hz, k));

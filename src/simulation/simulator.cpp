@@ -16,47 +16,6 @@ uint32_t ImuSeed(const SimulatorOptions& options) {
   return options.noise_seed == 0 ? options.seed : options.noise_seed;
 }
 
-size_t Count(double duration_s, double rate_hz) {
-  return static_cast<size_t>(std::floor(duration_s * rate_hz));
-}
-
-/// [s] by which a clock is ahead, `t` [s] after the first sample.
-double Ahead(const StreamEffects& effects, double t, double duration_s) {
-  constexpr double kPeriod = 60.0, kStepAt = 0.45;
-  return effects.wander_s * std::sin(2.0 * M_PI * t / kPeriod) +
-         (t > kStepAt * duration_s ? effects.clock_step_s : 0.0);
-}
-
-/// Samples that are taken at first_ns + 1e9 k / rate_hz, on their way to the recording.
-struct Stream {
-  const StreamEffects& effects;
-  int64_t first_ns;
-  double rate_hz, duration_s;
-  std::mt19937 stamp_random, drop_random;
-
-  std::vector<int64_t> Stamps() const {
-    return imu_pose_calib::Stamps(first_ns, rate_hz, Count(duration_s, rate_hz), effects,
-                                  stamp_random);
-  }
-  double Lateness() const { return MeanLateness(Stamps(), first_ns, rate_hz); }
-
-  /// Gives the samples their stamps and leaves some of them out.
-  template <typename Sample>
-  void Deliver(std::vector<Sample>* samples) const {
-    const std::vector<int64_t> stamps = Stamps();
-    std::mt19937 random = drop_random;
-    std::bernoulli_distribution is_lost(0.01 * effects.drops);
-    std::vector<Sample> delivered;
-    for (size_t k = 0; k < samples->size(); ++k) {
-      if (is_lost(random)) continue;
-      delivered.push_back((*samples)[k]);
-      const double t = 1e-9 * static_cast<double>(stamps[k] - first_ns);
-      delivered.back().t_ns = stamps[k] + std::llround(1e9 * Ahead(effects, t, duration_s));
-    }
-    samples->swap(delivered);
-  }
-};
-
 Stream PoseStream(const SimulatorOptions& options) {
   return {options.effects.pose_stream,
           options.start_ns,
@@ -225,11 +184,11 @@ SessionData SimulateOne(const SimulatorOptions& options) {
 
 TrueClock::TrueClock(const SimulatorOptions& options) {
   const auto delay = [&](double rate_hz, double cutoff_hz) {
-    return FilterDelay(cutoff_hz) + ImuStream(options, rate_hz).Lateness();
+    return FilterDelay(cutoff_hz) + ImuStream(options, rate_hz).MeanLateness();
   };
   const double gyro = delay(options.gyro_rate_hz, options.effects.gyro_filter_hz);
   const double accel = delay(options.accel_rate_hz, options.effects.accel_filter_hz);
-  time_shift_s = options.time_shift_s - gyro + PoseStream(options).Lateness();
+  time_shift_s = options.time_shift_s - gyro + PoseStream(options).MeanLateness();
   accel_delay_s = options.accel_delay_s + accel - gyro;
   time_shift_s += Wander(options, 0.5 * options.duration_s);
 }

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <cmath>
 #include <cstdint>
 #include <functional>
 #include <random>
@@ -36,6 +37,8 @@ Eigen::Vector3d Gaussian(std::mt19937* random, double sigma);
 /// Uniform direction.
 Eigen::Vector3d RandomDirection(std::mt19937* random);
 
+/// Samples of a recording at a rate.
+size_t Count(double duration_s, double rate_hz);
 /// Pose clock [s] at `s` after the first sample of the IMU.
 double PoseTime(const SimulatorOptions& options, double s);
 
@@ -58,10 +61,36 @@ std::vector<Eigen::Vector3d> CarriedOn(double sigma, double rate_hz,
 /// gyroscope's first bias. `data`: before samples are lost.
 std::vector<PoseSample> FusedPoses(const SimulatorOptions& options, const SessionData& data);
 
-/// Stamps of samples that are taken at first_ns + 1e9 k / rate_hz. They never go back.
-std::vector<int64_t> Stamps(int64_t first_ns, double rate_hz, size_t count,
-                            const StreamEffects& effects, std::mt19937 random);
-/// [s] by how much these stamps are late, on average.
-double MeanLateness(const std::vector<int64_t>& stamps, int64_t first_ns, double rate_hz);
+/// [s] by which the clock of a stream is ahead, `t` [s] after the first sample.
+double Ahead(const StreamEffects& effects, double t, double duration_s);
+
+/// Samples that are taken at first_ns + 1e9 k / rate_hz, on their way to the recording.
+struct Stream {
+  const StreamEffects& effects;
+  int64_t first_ns;
+  double rate_hz, duration_s;
+  std::mt19937 stamp_random, drop_random;
+
+  /// Stamps by a clock that is never ahead. They never go back.
+  std::vector<int64_t> Stamps() const;
+  /// [s] by how much these are late, on average.
+  double MeanLateness() const;
+
+  /// Gives the samples their stamps and leaves some of them out.
+  template <typename Sample>
+  void Deliver(std::vector<Sample>* samples) const {
+    const std::vector<int64_t> stamps = Stamps();
+    std::mt19937 random = drop_random;
+    std::bernoulli_distribution is_lost(0.01 * effects.drops);
+    std::vector<Sample> delivered;
+    for (size_t k = 0; k < samples->size(); ++k) {
+      if (is_lost(random)) continue;
+      delivered.push_back((*samples)[k]);
+      const double t = 1e-9 * static_cast<double>(stamps[k] - first_ns);
+      delivered.back().t_ns = stamps[k] + std::llround(1e9 * Ahead(effects, t, duration_s));
+    }
+    samples->swap(delivered);
+  }
+};
 
 }  // namespace imu_pose_calib
