@@ -303,6 +303,11 @@ def evaluation(head, trials, folder):
 
 # --- Batches and datasets ---
 
+def narrow_table(header, rows):
+    """With one blank in an empty cell."""
+    return table(header, rows).replace('|  ', '| ')
+
+
 def is_usable(result):
     return result['verdict'] in ('ok', 'weak')
 
@@ -320,8 +325,8 @@ def sequence_table(results):
         else:
             row += [r['reason'].replace('|', '/')] + [''] * 8
         rows.append(row)
-    return table(['recording', 'verdict', 'p [mm]', 'sigma', 'R, rotation vector [deg]', 'sigma', 'time shift [s]', 'sigma',
-                  'accel delay [ms]', 'sigma', 'warnings'], rows)
+    return narrow_table(['recording', 'verdict', 'p [mm]', 'sigma', 'R, rotation vector [deg]', 'sigma', 'time shift [s]',
+                         'sigma', 'accel delay [ms]', 'sigma', 'warnings'], rows)
 
 
 def scatter_table(count, scatter):
@@ -333,7 +338,7 @@ def scatter_table(count, scatter):
                      listed(s['sigma'], '%.3f', factor), '%.1f / %s' % (float(s['chi2']), s['dof'])])
     return ('Scatter of %d: mean p %s mm, R %s deg.\n\n'
             % (count, listed(scatter['mean'], '%.2f', 1e3), listed(scatter['rotation_vector'], '%.3f', DEGREES)) +
-            table(['', 'standard deviation', 'sigma, rms', 'chi² / dof'], rows))
+            narrow_table(['', 'standard deviation', 'sigma, rms', 'chi² / dof'], rows))
 
 
 def audit_table(audit, bound):

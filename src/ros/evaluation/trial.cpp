@@ -91,6 +91,7 @@ void Lose(double lost, SessionData* data) {
 
 /// What one calibration and its trial have in common.
 void Judge(const Calibration& result, const Errors& e, TrialOutcome* outcome) {
+  using Covariance = Eigen::Matrix<double, 8, 8>;
   const Marginals& marginals = result.solution->marginals;
   Eigen::MatrixXd select = Eigen::MatrixXd::Zero(8, marginals.model.cols());
   Eigen::Index row = 0;
@@ -99,9 +100,9 @@ void Judge(const Calibration& result, const Errors& e, TrialOutcome* outcome) {
                                    {ParameterKind::kTimeShift, 1},
                                    {ParameterKind::kAccelDelay, 1}})
     for (int i = 0; i < size; ++i) select(row++, marginals.Find(kind) + i) = 1.0;
-  const Eigen::MatrixXd model = select * marginals.model * select.transpose();
+  const Covariance model = select * marginals.model * select.transpose();
   const Eigen::VectorXd larger = select * Enlargement(marginals.model, marginals.robust);
-  const Eigen::MatrixXd reported = larger.asDiagonal() * model * larger.asDiagonal();
+  const Covariance reported = larger.asDiagonal() * model * larger.asDiagonal();
   outcome->chi2 = e.dot(reported.llt().solve(e));
   outcome->model_chi2 = e.dot(model.llt().solve(e));
 }
