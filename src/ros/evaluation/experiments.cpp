@@ -80,9 +80,7 @@ std::string FileName(std::string label) {
   return label.substr(0, label.find("_["));
 }
 
-}  // namespace
-
-std::vector<Experiment> Experiments() {
+std::vector<Experiment> OfThePaper() {
   const std::vector<Base> both = {Base::kBag, Base::kSimulation};
   const std::vector<double> stds = {0.001, 0.005, 0.01};
   return {
@@ -110,6 +108,11 @@ std::vector<Experiment> Experiments() {
         {"rotation [rad]", Values(stds),
          [](double value, Case* trial) { trial->pose_noise.rotation = value; }}}},
       {"repeatability", "Repeatability", 30, OneRig(), {}, both, true},
+  };
+}
+
+std::vector<Experiment> OfOneAxis() {
+  return {
       OneAxis("time_shift", "Time shift",
               {"time shift [s]", Values({0.0, 0.02, 1.5, 3600.0, 1e6}),
                Set(&SimulatorOptions::time_shift_s)}),
@@ -150,6 +153,14 @@ std::vector<Experiment> Experiments() {
                  *effect.strength = effect.usual;
                }}),
   };
+}
+
+}  // namespace
+
+std::vector<Experiment> Experiments() {
+  std::vector<Experiment> all = OfThePaper();
+  for (const Experiment& experiment : OfOneAxis()) all.push_back(experiment);
+  return all;
 }
 
 std::vector<Cell> Cells(const Experiment& experiment) {
