@@ -13,7 +13,10 @@ import math
 import os
 import sys
 
-import yaml
+try:
+    import yaml
+except ImportError as error:
+    sys.exit('%s: apt install python3-yaml' % error)
 
 DEGREES = 180.0 / math.pi
 DOF = 8  # of chi2
