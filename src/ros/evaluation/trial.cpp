@@ -16,7 +16,6 @@
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/ros/evaluation/task_runner.h"
 #include "imu_pose_calib/ros/io/output_files.h"
-#include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/yaml_text.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"
 

@@ -3,6 +3,7 @@
 #include <yaml-cpp/yaml.h>
 
 #include <string>
+#include <vector>
 
 #include "imu_pose_calib/core/verdict/comparison.h"
 #include "imu_pose_calib/ros/evaluation/trial.h"
