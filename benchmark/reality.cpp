@@ -24,6 +24,7 @@
 #include <sstream>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "imu_pose_calib/core/base/so3.h"
@@ -154,10 +155,10 @@ std::string Shortened(const std::string& text, size_t size) {
 }
 
 /// "vibration 2, imu-burst 5".
-std::string Effects(SimulatorOptions options) {
+std::string Named(SimulatorOptions options) {
   std::string text;
-  for (const EffectOption& effect : EffectOptions()) {
-    const double strength = effect.strength(&options);
+  for (const Effect& effect : Effects(&options)) {
+    const double strength = *effect.strength;
     if (strength == 0.0) continue;
     char number[32];
     std::snprintf(number, sizeof(number), " %.2g", strength);
@@ -231,10 +232,11 @@ void CompareEffects(unsigned seeds) {
     truth.motion = motion;
     PrintRow(ToString(motion), truth, seeds);
   }
-  for (const EffectOption& effect : EffectOptions()) {
-    SimulatorOptions truth = Baseline();
-    effect.strength(&truth) = effect.usual;
-    PrintRow(Effects(truth), truth, seeds);
+  SimulatorOptions truth = Baseline();
+  for (const Effect& effect : Effects(&truth)) {
+    *effect.strength = effect.usual;
+    PrintRow(Named(truth), truth, seeds);
+    *effect.strength = 0.0;
   }
 }
 
@@ -267,12 +269,12 @@ SimulatorOptions Mixture(uint32_t seed) {
   truth.accel_bias = Gaussian(&random, 0.1);
   truth.time_shift_s = uniform(-1.0, 1.0) * log_uniform(1e-2, 1e4);
   truth.accel_delay_s = uniform(-3e-3, 5e-3);
-  for (const EffectOption& effect : EffectOptions()) {
+  for (const Effect& effect : Effects(&truth)) {
     const bool is_there = uniform(0.0, 1.0) < kShare, is_negative = uniform(0.0, 1.0) < 0.5;
     double strength = effect.usual * log_uniform(kLeast, kMost);
     if (effect.least < 0.0 && is_negative) strength = -strength;
     if (effect.unit == std::string("N")) strength = std::max(2.0, std::round(strength));
-    if (is_there) effect.strength(&truth) = strength;
+    if (is_there) *effect.strength = strength;
   }
   return truth;
 }
@@ -285,7 +287,7 @@ std::string Describe(const SimulatorOptions& truth) {
       ToString(truth.motion), truth.duration_s, truth.pose_rate_hz, truth.gyro_rate_hz,
       1e3 * truth.position_std, 1e3 * truth.rotation_std, truth.gyro_std, truth.accel_std,
       truth.T_MI.p.norm());
-  return text + Effects(truth);
+  return text + Named(truth);
 }
 
 void RunCampaign(size_t count, uint32_t first) {
@@ -324,14 +326,16 @@ void LookAt(uint32_t seed) {
   const SimulatorOptions mixture = Mixture(seed);
   std::vector<std::string> names = {"as it is", "without effects"};
   std::vector<SimulatorOptions> truths = {mixture, mixture};
-  for (const EffectOption& effect : EffectOptions()) {
-    effect.strength(&truths[1]) = 0.0;
-    SimulatorOptions without = mixture;
-    if (effect.strength(&without) == 0.0) continue;
-    effect.strength(&without) = 0.0;
-    truths.push_back(without);
-    names.push_back(std::string("- ") + effect.name);
+  SimulatorOptions without = mixture;
+  for (const Effect& effect : Effects(&without)) {
+    const double strength = std::exchange(*effect.strength, 0.0);
+    if (strength != 0.0) {
+      truths.push_back(without);
+      names.push_back(std::string("- ") + effect.name);
+    }
+    *effect.strength = strength;
   }
+  for (const Effect& effect : Effects(&truths[1])) *effect.strength = 0.0;
   const std::vector<Outcome> outcomes = RunAll(truths);
   std::printf("%s\n%s\n%s", Describe(mixture).c_str(), outcomes[0].reason.c_str(),
               outcomes[0].warnings.c_str());

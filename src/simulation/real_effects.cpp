@@ -55,6 +55,10 @@ std::mt19937 RandomOf(RandomEffect effect, uint32_t seed) {
   return std::mt19937(sequence);
 }
 
+double Uniform(std::mt19937* random, double low, double high) {
+  return std::uniform_real_distribution<double>(low, high)(*random);
+}
+
 Vector3d Gaussian(std::mt19937* random, double sigma) {
   std::normal_distribution<double> normal(0.0, sigma);
   Vector3d v;
@@ -63,6 +67,14 @@ Vector3d Gaussian(std::mt19937* random, double sigma) {
 }
 
 Vector3d RandomDirection(std::mt19937* random) { return Gaussian(random, 1.0).normalized(); }
+
+size_t Count(double duration_s, double rate_hz) {
+  return static_cast<size_t>(std::floor(duration_s * rate_hz));
+}
+
+double PoseTime(const SimulatorOptions& options, double s) {
+  return s + options.clock_drift * (s - 0.5 * options.duration_s);
+}
 
 double FilterDelay(double cutoff_hz) { return cutoff_hz > 0.0 ? 0.5 / (M_PI * cutoff_hz) : 0.0; }
 
@@ -122,41 +134,55 @@ std::vector<Vector3d> CarriedOn(double sigma, double rate_hz, const std::vector<
   return errors;
 }
 
-std::vector<PoseSample> Fused(const std::vector<PoseSample>& poses,
-                              const std::vector<double>& t_pose,
-                              const std::vector<Vector3d>& omega_M,
-                              const std::vector<double>& t_omega, double span_s) {
+std::vector<PoseSample> FusedPoses(const SimulatorOptions& options, const SessionData& data) {
+  std::vector<double> t_pose, t_omega;
+  std::vector<Vector3d> omega_M;
+  const double delay = FilterDelay(options.effects.gyro_filter_hz);
+  for (size_t k = 0; k < data.imus[0].gyro.size(); ++k) {
+    t_omega.push_back(PoseTime(options, static_cast<double>(k) / options.gyro_rate_hz - delay));
+    omega_M.push_back(options.T_MI.q * (data.imus[0].gyro[k].value - options.gyro_bias));
+  }
   const TurnSinceStart turn(omega_M, t_omega);
-  std::vector<Quaterniond> start;  // each rotation, carried to the start
-  for (size_t k = 0; k < poses.size(); ++k)
-    start.push_back(poses[k].q_WM * turn.At(t_pose[k]).conjugate());
+  std::vector<Quaterniond> turns, start;  // each rotation, carried to the start
+  for (size_t k = 0; k < data.poses.size(); ++k) {
+    t_pose.push_back(static_cast<double>(k) / options.pose_rate_hz);
+    turns.push_back(turn.At(t_pose[k]));
+    start.push_back(data.poses[k].q_WM * turns[k].conjugate());
+  }
 
-  const double sigma = span_s / std::sqrt(12.0);  // that of a mean over span_s
-  std::vector<PoseSample> fused = poses;
+  const double sigma = options.effects.fused_poses_s / std::sqrt(12.0);  // that of a mean
+  std::vector<PoseSample> fused = data.poses;
   size_t begin = 0;
-  for (size_t k = 0; k < poses.size(); ++k) {
+  for (size_t k = 0; k < fused.size(); ++k) {
     while (t_pose[begin] < t_pose[k] - kFusedReach * sigma) ++begin;
     double sum = 0.0;
     Vector3d p = Vector3d::Zero(), r = Vector3d::Zero();
-    for (size_t j = begin; j < poses.size() && t_pose[j] <= t_pose[k] + kFusedReach * sigma; ++j) {
+    for (size_t j = begin; j < fused.size() && t_pose[j] <= t_pose[k] + kFusedReach * sigma; ++j) {
       const double distance = (t_pose[j] - t_pose[k]) / sigma;
       const double weight = std::exp(-0.5 * distance * distance);
       sum += weight;
-      p += weight * poses[j].p_WM;
+      p += weight * data.poses[j].p_WM;
       r += weight * Log(Quaterniond(start[k].conjugate() * start[j]));
     }
     fused[k].p_WM = p / sum;
-    fused[k].q_WM = start[k] * Exp<double>(r / sum) * turn.At(t_pose[k]);
+    fused[k].q_WM = start[k] * Exp<double>(r / sum) * turns[k];
   }
   return fused;
 }
 
-std::vector<int64_t> Stamps(int64_t first_ns, double rate_hz, size_t count,
-                            const StreamEffects& effects, std::mt19937 random) {
+double Ahead(const StreamEffects& effects, double t, double duration_s) {
+  constexpr double kPeriod = 60.0, kStepAt = 0.45;
+  return effects.wander_s * std::sin(2.0 * M_PI * t / kPeriod) +
+         (t > kStepAt * duration_s ? effects.clock_step_s : 0.0);
+}
+
+std::vector<int64_t> Stream::Stamps() const {
+  const size_t count = Count(duration_s, rate_hz);
   std::vector<int64_t> stamps(count);
   for (size_t k = 0; k < count; ++k) stamps[k] = Nominal(first_ns, rate_hz, k);
   const auto group = static_cast<size_t>(std::max(1.0, std::round(effects.burst)));
   if (effects.jitter_s > 0.0 || effects.latency_s > 0.0 || group > 1) {
+    std::mt19937 random = stamp_random;
     int64_t delay = 0, last = std::numeric_limits<int64_t>::min();
     for (size_t k = 0; k < count; ++k) {
       if (k % group == 0) {
@@ -175,7 +201,8 @@ std::vector<int64_t> Stamps(int64_t first_ns, double rate_hz, size_t count,
   return stamps;
 }
 
-double MeanLateness(const std::vector<int64_t>& stamps, int64_t first_ns, double rate_hz) {
+double Stream::MeanLateness() const {
+  const std::vector<int64_t> stamps = Stamps();
   double sum = 0.0;
   for (size_t k = 0; k < stamps.size(); ++k)
     sum += 1e-9 * static_cast<double>(stamps[k] - Nominal(first_ns, rate_hz, k));

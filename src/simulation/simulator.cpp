@@ -16,23 +16,23 @@ uint32_t ImuSeed(const SimulatorOptions& options) {
   return options.noise_seed == 0 ? options.seed : options.noise_seed;
 }
 
-size_t Count(const SimulatorOptions& options, double rate_hz) {
-  return static_cast<size_t>(std::floor(options.duration_s * rate_hz));
-}
-
-int64_t FirstImuStamp(const SimulatorOptions& options) {
-  return options.start_ns - std::llround(1e9 * options.time_shift_s);
-}
-
-std::vector<int64_t> PoseStamps(const SimulatorOptions& options) {
-  return Stamps(options.start_ns, options.pose_rate_hz, Count(options, options.pose_rate_hz),
-                options.effects.pose_stream, RandomOf(RandomEffect::kPoseStamps, options.seed));
+Stream PoseStream(const SimulatorOptions& options) {
+  return {options.effects.pose_stream,
+          options.start_ns,
+          options.pose_rate_hz,
+          options.duration_s,
+          RandomOf(RandomEffect::kPoseStamps, options.seed),
+          RandomOf(RandomEffect::kPoseDrops, options.seed)};
 }
 
 /// The same for gyroscope and accelerometer at the same rate: they come in one message.
-std::vector<int64_t> ImuStamps(const SimulatorOptions& options, double rate_hz) {
-  return Stamps(FirstImuStamp(options), rate_hz, Count(options, rate_hz),
-                options.effects.imu_stream, RandomOf(RandomEffect::kImuStamps, ImuSeed(options)));
+Stream ImuStream(const SimulatorOptions& options, double rate_hz) {
+  return {options.effects.imu_stream,
+          options.start_ns - std::llround(1e9 * options.time_shift_s),
+          rate_hz,
+          options.duration_s,
+          RandomOf(RandomEffect::kImuStamps, ImuSeed(options)),
+          RandomOf(RandomEffect::kImuDrops, ImuSeed(options))};
 }
 
 /// Brownian bias: steps of `walk` sqrt(period). `warm_up`: its change as the sensor gets warm.
@@ -61,15 +61,10 @@ Rigid3 MeanPose(const TrueTrajectory& trajectory, double t, double exposure_s) {
   return {Eigen::Quaterniond(middle.R_WM) * Exp(turn), p};
 }
 
-/// Pose clock [s] at `s` after the first sample of the IMU.
-double PoseTime(const SimulatorOptions& options, double s) {
-  return s + options.clock_drift * (s - 0.5 * options.duration_s);
-}
-
 std::vector<PoseSample> Poses(const SimulatorOptions& options, const TrueTrajectory& trajectory,
                               std::mt19937* random) {
   const RealEffects& effects = options.effects;
-  const size_t count = Count(options, options.pose_rate_hz);
+  const size_t count = Count(options.duration_s, options.pose_rate_hz);
   std::mt19937 slow = RandomOf(RandomEffect::kSlowErrors, options.seed);
   const auto slow_error = [&] {
     return SlowError(effects.slow_errors, options.pose_rate_hz, count, std::mt19937(slow()));
@@ -124,8 +119,7 @@ struct Flaws {
     random = random_of(RandomEffect::kGSensitivity);
     g_sensitivity = matrix(effects.g_sensitivity, &random);
     random = random_of(RandomEffect::kSizeEffect);
-    for (int i = 0; i < 9; ++i)
-      axes_I(i) = effects.size_effect * std::uniform_real_distribution<double>(-0.5, 0.5)(random);
+    for (int i = 0; i < 9; ++i) axes_I(i) = effects.size_effect * Uniform(&random, -0.5, 0.5);
     for (int i = 0; i < 3; ++i) axes_I.row(i).array() -= 0.5 * (axes_I.row(i).sum() - axes_I(i, i));
     random = random_of(RandomEffect::kTemperature);
     gyro_warm_up = effects.temperature_drift * RandomDirection(&random);
@@ -159,7 +153,7 @@ ImuData Imu(const SimulatorOptions& options, const TrueTrajectory& trajectory,
     return accel_R_IM * force + flaws.accel_matrix * by_size;
   };
   const auto sample = [&](const auto& signal, double rate_hz, double cutoff_hz) {
-    return Sampled(signal, rate_hz, Count(options, rate_hz), cutoff_hz);
+    return Sampled(signal, rate_hz, Count(options.duration_s, rate_hz), cutoff_hz);
   };
 
   ImuData data;
@@ -172,47 +166,29 @@ ImuData Imu(const SimulatorOptions& options, const TrueTrajectory& trajectory,
   return data;
 }
 
-/// Poses fused with the IMU by one who knows T_MI, the clocks and the gyroscope's first bias.
-std::vector<PoseSample> FusedPoses(const SimulatorOptions& options, const SessionData& data) {
-  std::vector<double> t_pose, t_omega;
-  std::vector<Eigen::Vector3d> omega_M;
-  for (size_t k = 0; k < data.poses.size(); ++k)
-    t_pose.push_back(static_cast<double>(k) / options.pose_rate_hz);
-  const double delay = FilterDelay(options.effects.gyro_filter_hz);
-  for (size_t k = 0; k < data.imus[0].gyro.size(); ++k) {
-    t_omega.push_back(PoseTime(options, static_cast<double>(k) / options.gyro_rate_hz - delay));
-    omega_M.push_back(options.T_MI.q * (data.imus[0].gyro[k].value - options.gyro_bias));
-  }
-  return Fused(data.poses, t_pose, omega_M, t_omega, options.effects.fused_poses_s);
-}
-
-/// [s] by which a clock is ahead, `t` [s] after the first sample.
-double Ahead(const StreamEffects& effects, double t, double duration_s) {
-  constexpr double kPeriod = 60.0, kStepAt = 0.45;
-  return effects.wander_s * std::sin(2.0 * M_PI * t / kPeriod) +
-         (t > kStepAt * duration_s ? effects.clock_step_s : 0.0);
-}
-
-/// Stamps by that clock.
-template <typename Sample>
-void Warp(const StreamEffects& effects, int64_t first_ns, double duration_s,
-          std::vector<Sample>* samples) {
-  for (Sample& s : *samples)
-    s.t_ns += std::llround(
-        1e9 * Ahead(effects, 1e-9 * static_cast<double>(s.t_ns - first_ns), duration_s));
+/// Poses and the samples of one IMU.
+SessionData SimulateOne(const SimulatorOptions& options) {
+  const TrueTrajectory trajectory(options);
+  std::mt19937 random(ImuSeed(options) + 1000003u);
+  SessionData data;
+  data.poses = Poses(options, trajectory, &random);
+  data.imus[0] = Imu(options, trajectory, &random);
+  if (options.effects.fused_poses_s > 0.0) data.poses = FusedPoses(options, data);
+  PoseStream(options).Deliver(&data.poses);
+  ImuStream(options, options.gyro_rate_hz).Deliver(&data.imus[0].gyro);
+  ImuStream(options, options.accel_rate_hz).Deliver(&data.imus[0].accel);
+  return data;
 }
 
 }  // namespace
 
 TrueClock::TrueClock(const SimulatorOptions& options) {
-  const int64_t first_ns = FirstImuStamp(options);
   const auto delay = [&](double rate_hz, double cutoff_hz) {
-    return FilterDelay(cutoff_hz) + MeanLateness(ImuStamps(options, rate_hz), first_ns, rate_hz);
+    return FilterDelay(cutoff_hz) + ImuStream(options, rate_hz).MeanLateness();
   };
   const double gyro = delay(options.gyro_rate_hz, options.effects.gyro_filter_hz);
   const double accel = delay(options.accel_rate_hz, options.effects.accel_filter_hz);
-  time_shift_s = options.time_shift_s - gyro +
-                 MeanLateness(PoseStamps(options), options.start_ns, options.pose_rate_hz);
+  time_shift_s = options.time_shift_s - gyro + PoseStream(options).MeanLateness();
   accel_delay_s = options.accel_delay_s + accel - gyro;
   time_shift_s += Wander(options, 0.5 * options.duration_s);
 }
@@ -220,29 +196,6 @@ TrueClock::TrueClock(const SimulatorOptions& options) {
 double Wander(const SimulatorOptions& options, double t) {
   return Ahead(options.effects.pose_stream, t, options.duration_s) -
          Ahead(options.effects.imu_stream, t, options.duration_s);
-}
-
-SessionData Simulate(const SimulatorOptions& options) {
-  const TrueTrajectory trajectory(options);
-  std::mt19937 random(ImuSeed(options) + 1000003u);
-  SessionData data;
-  data.poses = Poses(options, trajectory, &random);
-  data.imus[0] = Imu(options, trajectory, &random);
-  const RealEffects& effects = options.effects;
-  if (effects.fused_poses_s > 0.0) data.poses = FusedPoses(options, data);
-
-  Deliver(PoseStamps(options), effects.pose_stream.drops,
-          RandomOf(RandomEffect::kPoseDrops, options.seed), &data.poses);
-  const auto deliver_imu = [&](double rate_hz, std::vector<ImuSample>* samples) {
-    Deliver(ImuStamps(options, rate_hz), effects.imu_stream.drops,
-            RandomOf(RandomEffect::kImuDrops, ImuSeed(options)), samples);
-  };
-  deliver_imu(options.gyro_rate_hz, &data.imus[0].gyro);
-  deliver_imu(options.accel_rate_hz, &data.imus[0].accel);
-  Warp(effects.pose_stream, options.start_ns, options.duration_s, &data.poses);
-  for (std::vector<ImuSample>* samples : {&data.imus[0].gyro, &data.imus[0].accel})
-    Warp(effects.imu_stream, FirstImuStamp(options), options.duration_s, samples);
-  return data;
 }
 
 SimulatorOptions FurtherImu(SimulatorOptions first, size_t imu) {
@@ -257,8 +210,9 @@ SimulatorOptions FurtherImu(SimulatorOptions first, size_t imu) {
 }
 
 SessionData Simulate(const SimulatorOptions& options, size_t imus) {
-  SessionData data = Simulate(options);
-  for (size_t i = 1; i < imus; ++i) data.imus.push_back(Simulate(FurtherImu(options, i)).imus[0]);
+  SessionData data = SimulateOne(options);
+  for (size_t i = 1; i < imus; ++i)
+    data.imus.push_back(SimulateOne(FurtherImu(options, i)).imus[0]);
   return data;
 }
 

@@ -1,9 +1,11 @@
+#include "imu_pose_calib/simulation/true_trajectory.h"
+
 #include <algorithm>
 #include <cmath>
 #include <random>
 
 #include "imu_pose_calib/core/base/so3.h"
-#include "imu_pose_calib/simulation/simulator.h"
+#include "imu_pose_calib/simulation/real_effects.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -20,10 +22,6 @@ constexpr double kShakeLever = 0.2;   // [m] from what turns to what that accele
 constexpr double kShockTime = 5e-3;   // [s]
 constexpr double kShockPeriod = 2.0;  // [s] from one to the next, on average
 constexpr double kMargin = 1.0;       // [s] that filters and clocks may need beyond the poses
-
-double Uniform(std::mt19937* random, double low, double high) {
-  return std::uniform_real_distribution<double>(low, high)(*random);
-}
 
 Vector3d UniformVector(std::mt19937* random, double size) {
   Vector3d v;
@@ -145,12 +143,6 @@ struct BodyRate {
 };
 
 }  // namespace
-
-const char* ToString(Motion motion) {
-  constexpr const char* kNames[] = {"handheld", "tumble", "arm",   "drone",
-                                    "planar",   "hinge",  "static"};
-  return kNames[static_cast<int>(motion)];
-}
 
 TrueTrajectory::TrueTrajectory(const SimulatorOptions& options) {
   std::mt19937 random(options.seed);

@@ -103,13 +103,14 @@ TEST(RealEffects, EachChangesWhatItSaysAndNothingElse) {
   for (const auto& [touched, names] : kEffects)
     for (const std::string& name : names) touched_by[name] = touched;
   const SessionData plain = Simulate(Recording(4.0));
-  ASSERT_EQ(EffectOptions().size(), touched_by.size());
-  for (const EffectOption& effect : EffectOptions()) {
+  SimulatorOptions options = Recording(4.0);
+  ASSERT_EQ(Effects(&options).size(), touched_by.size());
+  for (const Effect& effect : Effects(&options)) {
     SCOPED_TRACE(effect.name);
-    SimulatorOptions options = Recording(4.0);
-    EXPECT_EQ(effect.strength(&options), 0.0);
-    effect.strength(&options) = effect.usual;
+    EXPECT_EQ(*effect.strength, 0.0);
+    *effect.strength = effect.usual;
     const SessionData data = Simulate(options);
+    *effect.strength = 0.0;
     const std::string& touched = touched_by.at(effect.name);
     const auto is = [&](char what) { return touched.find(what) != std::string::npos; };
     const auto expect = [&](const auto& with, const auto& without, char value, char stamp,
@@ -150,8 +151,8 @@ TEST(Shakes, DerivativesOfTheBodyAreExact) {
     SCOPED_TRACE(name);
     SimulatorOptions options = Recording(20.0);
     options.motion = Motion::kTumble;
-    for (const EffectOption& effect : EffectOptions())
-      if (effect.name == std::string(name)) effect.strength(&options) = effect.usual;
+    for (const Effect& effect : Effects(&options))
+      if (effect.name == std::string(name)) *effect.strength = effect.usual;
     const TrueTrajectory trajectory(options);
     for (double t = 0.1; t < 20.0; t += 0.0737) {
       const auto rate = [&](Vector3d TrueState::*member) {

@@ -156,15 +156,15 @@ TEST(FusedPoses, FollowTheGyroscopeInRotationAndAreSmoothInPosition) {
 
 constexpr double kRate = 200.0;
 
-std::vector<int64_t> StampsOf(const StreamEffects& effects, size_t count = 20000) {
-  return Stamps(0, kRate, count, effects, std::mt19937(3));
+Stream StreamOf(const StreamEffects& effects, double duration_s = 100.0) {
+  return {effects, 0, kRate, duration_s, std::mt19937(3), std::mt19937(4)};
 }
 
 TEST(Stamps, JitterHasItsSigma) {
   StreamEffects effects;
   effects.jitter_s = 0.3e-3;
   double squares = 0.0, sum = 0.0;
-  for (const double late : LatenessOf(StampsOf(effects), kRate)) {
+  for (const double late : LatenessOf(StreamOf(effects).Stamps(), kRate)) {
     squares += late * late / 20000.0;
     sum += late / 20000.0;
   }
@@ -175,7 +175,7 @@ TEST(Stamps, JitterHasItsSigma) {
 TEST(Stamps, LatencyIsExponentialAndKeepsTheOrder) {
   StreamEffects effects;
   effects.latency_s = 1e-3;
-  const std::vector<int64_t> stamps = StampsOf(effects);
+  const std::vector<int64_t> stamps = StreamOf(effects).Stamps();
   for (size_t k = 1; k < stamps.size(); ++k) ASSERT_GT(stamps[k], stamps[k - 1]);
   int beyond = 0;
   for (const double late : LatenessOf(stamps, kRate)) {
@@ -183,13 +183,13 @@ TEST(Stamps, LatencyIsExponentialAndKeepsTheOrder) {
     beyond += late > 1e-3 ? 1 : 0;
   }
   EXPECT_NEAR(beyond / 20000.0, std::exp(-1.0), 0.01);
-  EXPECT_NEAR(MeanLateness(stamps, 0, kRate), 1e-3, 0.03e-3);
+  EXPECT_NEAR(StreamOf(effects).MeanLateness(), 1e-3, 0.03e-3);
 }
 
 TEST(Stamps, BurstsComeWhenTheLastSampleIsThere) {
   StreamEffects effects;
   effects.burst = 4.0;
-  const std::vector<int64_t> stamps = StampsOf(effects, 10);
+  const std::vector<int64_t> stamps = StreamOf(effects, 0.05).Stamps();
   ASSERT_EQ(stamps.size(), 10u);
   for (const size_t first : {0u, 4u}) {
     EXPECT_EQ(stamps[first], 5'000'000 * static_cast<int64_t>(first + 3));
@@ -202,9 +202,12 @@ TEST(Stamps, CutAreMultiplesOfTheStep) {
   StreamEffects effects;
   effects.step_s = 4e-3;
   effects.jitter_s = 1e-3;
-  const std::vector<int64_t> cut = Stamps(-7, kRate, 1000, effects, std::mt19937(3));
+  Stream stream = StreamOf(effects, 5.0);
+  stream.first_ns = -7;
+  const std::vector<int64_t> cut = stream.Stamps();
   effects.step_s = 0.0;
-  const std::vector<int64_t> whole = Stamps(-7, kRate, 1000, effects, std::mt19937(3));
+  const std::vector<int64_t> whole = stream.Stamps();
+  ASSERT_EQ(cut.size(), 1000u);
   for (size_t k = 0; k < cut.size(); ++k) {
     EXPECT_EQ(cut[k] % 4'000'000, 0);
     EXPECT_LE(cut[k], whole[k]);

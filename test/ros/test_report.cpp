@@ -12,7 +12,7 @@
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/offline/report.h"
 #include "imu_pose_calib/ros/offline/summary.h"
-#include "imu_pose_calib/simulation/information_growth.h"
+#include "imu_pose_calib/simulation/information.h"
 #include "run_executable.h"
 
 namespace imu_pose_calib {

@@ -3,16 +3,18 @@
 #include <algorithm>
 #include <boost/algorithm/string/join.hpp>
 #include <filesystem>
+#include <iomanip>
 #include <map>
 #include <optional>
+#include <sstream>
 
 #include "imu_pose_calib/ros/evaluation/experiments.h"
 #include "imu_pose_calib/ros/evaluation/tables.h"
 #include "imu_pose_calib/ros/io/bag_reader.h"
-#include "imu_pose_calib/ros/io/child_process.h"
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/transform_file.h"
 #include "imu_pose_calib/ros/io/yaml_file.h"
+#include "imu_pose_calib/ros/offline/report_series.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
@@ -21,23 +23,58 @@ namespace {
 constexpr int kParts = 3;             // of a bag that is compared with itself
 constexpr double kPartDuration = 25;  // [s]
 
-/// The trials of one cell.
-struct CellTrials {
-  std::vector<std::string> labels;
-  std::vector<Trial> gp, joint;
-};
-
 /// An experiment on one base.
 struct Plan {
   Experiment experiment;
   Base base;
-  std::vector<CellTrials> cells;
+  std::vector<Trial> trials;
+
+  /// Whether noise is added to a bag, so that its result without is the truth.
+  bool HasReference() const { return base == Base::kBag && !experiment.is_compared; }
 };
+
+std::vector<Experiment> Choose(const std::vector<std::string>& wanted) {
+  std::vector<Experiment> all = Experiments();
+  if (wanted.empty()) return all;
+  std::vector<std::string> names;
+  for (const Experiment& experiment : all) names.push_back(experiment.name);
+  std::vector<Experiment> chosen;
+  for (const std::string& name : wanted) {
+    const auto found = std::find(names.begin(), names.end(), name);
+    if (found == names.end())
+      throw InputError("there is no experiment '" + name + "'" + DidYouMean(name, names) +
+                       " There are: " + boost::join(names, ", "));
+    chosen.push_back(all[static_cast<size_t>(found - names.begin())]);
+  }
+  return chosen;
+}
+
+/// One trial for scripts/evaluation_tables.py: where it belongs, what became of it, and norms of
+/// its errors, sigmas and bounds.
+std::string CsvRow(size_t plan, const Trial& trial, const TrialOutcome& o,
+                   const Comparable& truth) {
+  const Vector6d variance = o.covariance.diagonal();
+  const ErrorNorms sigma = {std::sqrt(variance.head<3>().sum()),
+                            std::sqrt(variance.tail<3>().sum()), o.time_shift_std,
+                            o.accel_delay_std};
+  std::ostringstream row;
+  row.precision(17);
+  row << plan << "," << trial.cell << "," << ToString(trial.what.method) << ",\"" << trial.name
+      << "\"," << o.verdict << ","
+      << std::quoted(o.reason.substr(0, o.reason.find('\n')), '"', '"');
+  for (const ErrorNorms& norms :
+       {NormsOf(ErrorsOf(o, truth)), sigma, o.bounds.as_joint, o.bounds.least})
+    row << "," << norms.rotation << "," << norms.translation << "," << norms.time_shift << ","
+        << norms.accel_delay;
+  row << "," << o.chi2 << "," << o.model_chi2 << "," << o.guess_angle << "," << o.guess_distance
+      << "\n";
+  return row.str();
+}
 
 class Evaluation {
  public:
   explicit Evaluation(const EvaluationRequest& request) : request_(request) {
-    for (const Experiment& experiment : Chosen())
+    for (const Experiment& experiment : Choose(request.experiments))
       for (const Base base : experiment.bases)
         if (std::count(request.bases.begin(), request.bases.end(), base) > 0)
           plans_.push_back(MakePlan(experiment, base));
@@ -46,13 +83,17 @@ class Evaluation {
     if (!request.chain.empty()) {
       if (request.chain.size() != 2)
         throw InputError("--chain takes two transforms: T_marker_camera and T_camera_imu");
-      chained_T_MI_ =
+      chained_ = Comparable();
+      chained_->T_MI =
           ReadTransform("--chain", request.chain[0]) * ReadTransform("--chain", request.chain[1]);
     }
   }
 
   std::string Run() {
-    const std::vector<Task> references = References(), tasks = Tasks();
+    const std::vector<Task> references = References();
+    std::vector<Task> tasks;
+    for (const Plan& plan : plans_)
+      for (const Trial& trial : plan.trials) tasks.push_back(ToTask(trial));
     if (!request_.is_merge) {
       // Once, before the processes of the trials begin.
       if (Missing(references) + Missing(tasks) > 0) ReadBags();
@@ -70,60 +111,38 @@ class Evaluation {
                               missing, all, request_.runner.folder.c_str()));
     if (request_.runner.parts > 1)  // others may be at it, too
       return Format("%zu of %zu trials are done; --merge makes the tables\n", all - missing, all);
-    return WriteTables();
+    WriteTables();
+    return "tables and figures are in '" + request_.runner.folder + "': evaluation.md\n";
   }
 
  private:
-  std::vector<Experiment> Chosen() const {
-    std::vector<Experiment> all = Experiments();
-    if (request_.experiments.empty()) return all;
-    std::vector<std::string> names;
-    for (const Experiment& experiment : all) names.push_back(experiment.name);
-    std::vector<Experiment> chosen;
-    for (const std::string& name : request_.experiments) {
-      const auto found = std::find(names.begin(), names.end(), name);
-      if (found == names.end())
-        throw InputError("there is no experiment '" + name + "'" + DidYouMean(name, names) +
-                         " There are: " + boost::join(names, ", "));
-      chosen.push_back(all[static_cast<size_t>(found - names.begin())]);
-    }
-    return chosen;
-  }
-
   /// What is compared with each other: the bags of the rig, or parts of one.
   Axis Recordings() const {
+    Axis axis{"recording", {}, {}};
     std::vector<Source> sources;
-    for (const std::string& path : request_.rig) sources.push_back({path});
+    const auto add = [&](const Source& source, const std::string& part) {
+      axis.values.push_back({std::filesystem::path(source.path).stem().string() + part,
+                             static_cast<double>(sources.size())});
+      sources.push_back(source);
+    };
+    for (const std::string& path : request_.rig) add({path}, "");
     for (int i = 0; i < kParts && request_.rig.empty(); ++i)
-      sources.push_back({request_.bag.path, kPartDuration * i, kPartDuration});
-    Axis axis{"recording", {}, [sources](double value, Case* trial) {
-                trial->source = sources[static_cast<size_t>(value)];
-              }};
-    for (size_t i = 0; i < sources.size(); ++i) {
-      const Source& source = sources[i];
-      const std::string name = std::filesystem::path(source.path).stem();
-      axis.values.push_back({request_.rig.empty()
-                                 ? Format("%s %g-%g s", name.c_str(), source.start_s,
-                                          source.start_s + source.duration_s)
-                                 : name,
-                             static_cast<double>(i)});
-    }
+      add({request_.bag.path, kPartDuration * i, kPartDuration},
+          Format(" %g-%g s", kPartDuration * i, kPartDuration * (i + 1)));
+    axis.set = [sources](double value, Case* trial) {
+      trial->source = sources[static_cast<size_t>(value)];
+    };
     return axis;
   }
 
-  Plan MakePlan(const Experiment& experiment, Base base) const {
-    Plan plan{experiment, base, {}};
-    Source source = request_.bag;
-    const double enough = experiment.base.source.duration_s;
+  Plan MakePlan(Experiment experiment, Base base) const {
+    Source& source = experiment.base.source;
+    const double enough = source.duration_s;
+    source = request_.bag;
     if (enough > 0.0 && (source.duration_s == 0.0 || source.duration_s > enough))
       source.duration_s = enough;
-    plan.experiment.base.source = source;
-    if (experiment.is_compared && base == Base::kBag) plan.experiment.axes = {Recordings()};
-    for (const Cell& cell : Cells(plan.experiment))
-      plan.cells.push_back({cell.labels,
-                            Trials(plan.experiment, cell, base, Method::kGp, request_.trials),
-                            Trials(plan.experiment, cell, base, Method::kJoint, request_.trials)});
-    return plan;
+    if (experiment.is_compared && base == Base::kBag) experiment.axes = {Recordings()};
+    return {experiment, base, Trials(experiment, base, request_.trials)};
   }
 
   Task ToTask(const Trial& trial) const {
@@ -148,10 +167,16 @@ class Evaluation {
     return bags_[key] = ReadBag(request).data;
   }
 
+  void ReadBags() const {
+    for (const Plan& plan : plans_)
+      for (const Trial& trial : plan.trials)
+        if (plan.base == Base::kBag) Bag(trial.what.source);
+  }
+
   /// The bag of a trial as it is.
   Task ReferenceTask(Method method, const Source& source) const {
-    Trial trial;
-    trial.name = Format("reference/sample/duration_%g/%s", source.duration_s, ToString(method));
+    Trial trial{
+        Format("reference/sample/duration_%g/%s", source.duration_s, ToString(method)), 0, {}};
     trial.what.base = Base::kBag;
     trial.what.method = method;
     trial.what.source = source;
@@ -160,13 +185,12 @@ class Evaluation {
 
   std::vector<Task> References() const {
     std::map<std::string, Task> references;
-    for (const Plan& plan : plans_) {
-      if (plan.base != Base::kBag || plan.experiment.is_compared) continue;
-      for (const Method method : {Method::kGp, Method::kJoint}) {
-        const Task task = ReferenceTask(method, plan.experiment.base.source);
-        references.emplace(task.name, task);
-      }
-    }
+    for (const Plan& plan : plans_)
+      for (const Method method : {Method::kGp, Method::kJoint})
+        if (plan.HasReference()) {
+          const Task task = ReferenceTask(method, plan.experiment.base.source);
+          references.emplace(task.name, task);
+        }
     std::vector<Task> tasks;
     for (const auto& [name, task] : references) tasks.push_back(task);
     return tasks;
@@ -183,150 +207,83 @@ class Evaluation {
     return outcome;
   }
 
-  std::vector<Task> Tasks() const {
-    std::vector<Task> tasks;
-    for (const Plan& plan : plans_)
-      for (const auto method : {&CellTrials::gp, &CellTrials::joint})
-        for (const CellTrials& cell : plan.cells)
-          for (const Trial& trial : cell.*method) tasks.push_back(ToTask(trial));
-    return tasks;
-  }
-
   size_t Missing(const std::vector<Task>& tasks) const {
     return static_cast<size_t>(std::count_if(tasks.begin(), tasks.end(), [&](const Task& task) {
       return !FinishedTask(request_.runner.folder, task);
     }));
   }
 
-  void ReadBags() const {
-    for (const Plan& plan : plans_)
-      if (plan.base == Base::kBag)
-        for (const CellTrials& cell : plan.cells)
-          for (const Trial& trial : cell.joint) Bag(trial.what.source);
+  TrialOutcome Outcome(const Trial& trial) const {
+    return ParseOutcome(FinishedTask(request_.runner.folder, ToTask(trial)).value());
   }
 
-  /// What trials of a plan came to, with errors against the truth or the reference.
-  CellOutcomes Load(const Plan& plan, const std::vector<Trial>& trials) const {
-    CellOutcomes cell;
-    for (const Trial& trial : trials) {
-      const TrialOutcome outcome =
-          ParseOutcome(FinishedTask(request_.runner.folder, ToTask(trial)).value());
-      if (plan.base == Base::kBag && !plan.experiment.is_compared) {
-        const TrialOutcome truth = Reference(trial.what);
-        cell.errors.push_back(ErrorsOf(outcome, truth.T_MI, truth.time_shift, truth.accel_delay));
-      } else {
-        cell.errors.push_back(ErrorsOf(outcome, outcome.true_T_MI, outcome.true_time_shift,
-                                       outcome.true_accel_delay));
+  /// The usable calibrations of a method, every pair of them, and each less the chained one.
+  YAML::Node Compared(const Plan& plan, Method method) const {
+    std::vector<std::pair<std::string, TrialOutcome>> usable;
+    for (const Trial& trial : plan.trials) {
+      const TrialOutcome outcome = Outcome(trial);
+      if (trial.what.method != method || !outcome.IsUsable()) continue;
+      const std::vector<std::string> labels = Cells(plan.experiment)[trial.cell].labels;
+      usable.emplace_back(
+          labels.empty() ? Format("recording %u", trial.what.index) : boost::join(labels, ", "),
+          outcome);
+    }
+    YAML::Node node;
+    for (size_t a = 0; a < usable.size(); ++a) {
+      const auto& [name, outcome] = usable[a];
+      node["results"].push_back(Describe(name, outcome));
+      for (size_t b = a + 1; b < usable.size(); ++b)
+        node["pairs"].push_back(
+            Describe(usable[b].first + " less " + name,
+                     Compare(outcome, usable[b].second,
+                             {ComparedQuantity::kTranslation, ComparedQuantity::kRotation,
+                              ComparedQuantity::kAccelDelay})));
+      if (chained_ && plan.base == Base::kBag)
+        node["chain"].push_back(
+            Describe(name, Compare(*chained_, outcome,
+                                   {ComparedQuantity::kTranslation, ComparedQuantity::kRotation})));
+    }
+    return node;
+  }
+
+  void WriteTables() const {
+    static const CalibrationOptions kBounds;
+    YAML::Node input;
+    input["version"] = kVersion;
+    input["trials"] = request_.trials;
+    input["bag"] = std::filesystem::path(request_.bag.path).filename().string();
+    input["start"] = Format("%g", request_.bag.start_s);
+    input["used"] = request_.bag.duration_s > 0.0 ? Format("%g s", request_.bag.duration_s) : "all";
+    input["within"] = YamlList(Eigen::Vector3d(
+        kBounds.weak_rotation_std, kBounds.weak_translation_std, kBounds.weak_time_shift_std));
+    std::string rows;
+    for (size_t p = 0; p < plans_.size(); ++p) {
+      const Plan& plan = plans_[p];
+      YAML::Node node;
+      node["name"] = plan.experiment.name;
+      node["title"] = plan.experiment.title;
+      node["base"] = ToString(plan.base);
+      for (const Axis& axis : plan.experiment.axes) node["axes"].push_back(axis.name);
+      for (const Cell& cell : Cells(plan.experiment)) node["cells"].push_back(cell.labels);
+      for (const Method method : {Method::kGp, Method::kJoint})
+        if (plan.experiment.is_compared)
+          node["compared"][ToString(method)] = Compared(plan, method);
+      for (const Trial& trial : plan.trials) {
+        const TrialOutcome outcome = Outcome(trial);
+        rows +=
+            CsvRow(p, trial, outcome, plan.HasReference() ? Reference(trial.what) : outcome.truth);
       }
-      cell.outcomes.push_back(outcome);
+      input["plans"].push_back(node);
     }
-    return cell;
-  }
-
-  std::string Introduction() const {
-    std::string text = Format(
-        "# Evaluation of imu_pose_calib %s\n\n"
-        "Root mean squares of the errors over the usable trials; %zu trials a cell in the tables "
-        "of the paper. `gp` is the method of the paper, `joint` the default.\n\n",
-        kVersion, request_.trials);
-    const auto has = [&](Base base) {
-      return std::any_of(plans_.begin(), plans_.end(),
-                         [base](const Plan& plan) { return plan.base == base; });
-    };
-    const std::string used =
-        request_.bag.duration_s > 0.0 ? Format("%g s", request_.bag.duration_s) : "all";
-    if (has(Base::kBag))
-      text += Format(
-          "**sample**: %s, %s from %g s on. Noise is added to what was recorded, and errors are "
-          "those against what the same method says of the recording as it is, as in the paper.\n\n",
-          std::filesystem::path(request_.bag.path).filename().c_str(), used.c_str(),
-          request_.bag.start_s);
-    if (has(Base::kSimulation))
-      text +=
-          "**simulation**: errors are those against the truth, another motion in every trial; "
-          "recordings of 40 s in the tables of the paper, of 20 s where nothing else is said. "
-          "*bound* is the Cramér-Rao bound for what `joint` estimates, of which it knows as much "
-          "as its priors say; cells.csv also has it with all else known (*least*). chi² is the "
-          "error squared by the covariance that is reported, over its 8 degrees of freedom, *of "
-          "the model* by that of independent residuals; *band* holds 95 % of such means when the "
-          "sigmas are right.\n\n";
-    return text +
-           "*Within bounds*: usable, and less than 10 mm, 0.01 rad and 2 ms off. Time and memory: "
-           "usage.md.\n\n";
-  }
-
-  std::string WriteTables() const {
-    const std::filesystem::path folder = request_.runner.folder;
-    std::string text = Introduction(), cells, trials;
-    for (const Plan& plan : plans_) {
-      Results results{&plan.experiment, plan.base, {}};
-      for (const auto& [labels, gp, joint] : plan.cells)
-        results.cells.push_back({labels, Load(plan, gp), Load(plan, joint)});
-      text +=
-          plan.experiment.is_compared ? ComparedSection(results, chained_T_MI_) : Section(results);
-      if (plan.experiment.is_compared) continue;
-      trials += TrialsCsv(results, trials.empty());
-      cells += CellsCsv(results, cells.empty());
-    }
-    WriteFile(folder / "evaluation.md", text);
-    WriteFile(folder / "cells.csv", cells);
-    WriteFile(folder / "trials.csv", trials);
-    WriteFile(folder / "usage.md", UsageTable());
-    Draw();
-    return "tables and figures are in '" + request_.runner.folder + "': evaluation.md\n";
-  }
-
-  /// Median and largest of each experiment, base and method.
-  std::string UsageTable() const {
-    const std::map<std::string, Usage> used = LoadUsage(request_.runner.folder);
-    std::string text =
-        "# Time and memory\n\nMedians over the trials; their recording is simulated or has its "
-        "noise added in the same process, which takes a part of it.\n\n"
-        "| experiment | base | cell | method | time [s] | processor [s] | memory, most [MB] |\n"
-        "|---|---|---|---|---|---|---|\n";
-    double all = 0.0;
-    for (const Plan& plan : plans_) {
-      for (const CellTrials& cell : plan.cells) {
-        for (const auto* trials : {&cell.gp, &cell.joint}) {
-          std::vector<double> wall, cpu, memory;
-          for (const Trial& trial : *trials) {
-            const auto found = used.find(trial.name);
-            if (found == used.end()) continue;
-            wall.push_back(found->second.wall_s);
-            cpu.push_back(found->second.cpu_s);
-            memory.push_back(found->second.memory_mb);
-            all += found->second.cpu_s;
-          }
-          if (wall.empty()) continue;
-          const auto median = [](std::vector<double>* values) {
-            std::sort(values->begin(), values->end());
-            return (*values)[values->size() / 2];
-          };
-          text +=
-              Format("| %s | %s | %s | %s | %.2f | %.2f | %.0f |\n", plan.experiment.name.c_str(),
-                     ToString(plan.base), boost::join(cell.labels, ", ").c_str(),
-                     trials == &cell.gp ? "gp" : "joint", median(&wall), median(&cpu),
-                     *std::max_element(memory.begin(), memory.end()));
-        }
-      }
-    }
-    return text + Format("\nAll trials: %.0f min of a processor.\n", all / 60.0);
-  }
-
-  void Draw() const {
-    const std::filesystem::path script =
-        std::filesystem::read_symlink("/proc/self/exe").parent_path() / "evaluation_figures.py";
-    const std::string errors = request_.runner.folder + "/figures.log";
-    if (!std::filesystem::exists(script))
-      throw InputError("the figures cannot be drawn: there is no " + script.string());
-    if (RunProgram({script, request_.runner.folder}, errors) != 0)
-      throw InputError("the figures cannot be drawn; see '" + errors + "'");
-    std::filesystem::remove(errors);
+    const std::string& folder = request_.runner.folder;
+    MakeTables(input, rows, folder);
+    RunScript("evaluation_figures.py", {folder}, "the figures cannot be drawn",
+              folder + "/figures.log");
   }
 
   const EvaluationRequest& request_;
   std::vector<Plan> plans_;
-  std::optional<Rigid3> chained_T_MI_;
+  std::optional<Comparable> chained_;
   mutable std::map<std::string, SessionData> bags_;
 };
 

@@ -3,23 +3,20 @@
 #include <yaml-cpp/yaml.h>
 
 #include <algorithm>
-#include <boost/algorithm/string/join.hpp>
 #include <boost/algorithm/string/replace.hpp>
-#include <cmath>
 #include <filesystem>
 #include <fstream>
+#include <iterator>
 
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/verdict/comparison.h"
 #include "imu_pose_calib/ros/evaluation/tables.h"
 #include "imu_pose_calib/ros/io/output_files.h"
-#include "imu_pose_calib/ros/io/result_yaml.h"
-#include "imu_pose_calib/ros/io/ros_options.h"
 #include "imu_pose_calib/ros/io/stored_result.h"
 #include "imu_pose_calib/ros/io/text_table.h"
 #include "imu_pose_calib/ros/io/yaml_file.h"
-#include "imu_pose_calib/ros/io/yaml_text.h"
 #include "imu_pose_calib/ros/offline/comparison_report.h"
+#include "imu_pose_calib/ros/offline/report_series.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
@@ -27,7 +24,9 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr double kDegrees = 180.0 / M_PI;
+const std::vector<ComparedQuantity> kCompared = {
+    ComparedQuantity::kTranslation, ComparedQuantity::kRotation, ComparedQuantity::kAccelDelay,
+    ComparedQuantity::kTimeShift};
 
 // --- Where the sequences of public datasets are, and what is published of them ---
 
@@ -60,31 +59,10 @@ const Dataset& Find(const std::string& name) {
   throw InputError("dataset '" + name + "' is unknown; must be tum-vi, euroc or broad");
 }
 
-/// All paths below a folder, in order.
-std::vector<fs::path> Below(const std::string& folder) {
-  if (!fs::is_directory(folder))
-    throw InputError("'" + folder + "' is not a folder with recordings");
-  std::vector<fs::path> paths;
-  const auto options = fs::directory_options::skip_permission_denied;
-  for (const auto& entry : fs::recursive_directory_iterator(folder, options))
-    paths.push_back(entry.path());
-  std::sort(paths.begin(), paths.end());
-  return paths;
-}
-
 /// Path below `folder`, as a name; links are what they are called.
 std::string NameOf(const fs::path& path, const std::string& folder) {
   const std::string name = path.lexically_relative(folder);
   return name == "." ? fs::absolute(path).lexically_normal().filename().string() : name;
-}
-
-Sequence BagSequence(const fs::path& path, const std::string& folder,
-                     const OfflineRequest& common) {
-  Sequence sequence;
-  sequence.name = NameOf(fs::path(path).replace_extension(""), folder);
-  sequence.request = common;
-  sequence.request.bag.paths = {path};
-  return sequence;
 }
 
 /// The folder that a sequence is in, below `folder`: of one session, perhaps.
@@ -109,19 +87,17 @@ std::optional<Rigid3> SensorPose(const fs::path& data) {
   }
 }
 
-bool HasPoses(const fs::path& file) {
-  std::ifstream in(file);
-  return in && HasPoseHeader(in, file);
-}
-
 /// The sources of poses of an ASL dataset whose IMU is in `imu`: .../imu0/data.csv.
 void AddAsl(const Dataset& dataset, const fs::path& imu, const std::string& folder,
             const OfflineRequest& common, std::vector<Sequence>* sequences) {
   const fs::path sensors = imu.parent_path().parent_path();
   const fs::path root = sensors.filename() == "mav0" ? sensors.parent_path() : sensors;
   std::vector<fs::path> sources;
-  for (const auto& entry : fs::directory_iterator(sensors))
-    if (HasPoses(entry.path() / "data.csv")) sources.push_back(entry.path());
+  for (const auto& entry : fs::directory_iterator(sensors)) {
+    const fs::path file = entry.path() / "data.csv";
+    std::ifstream in(file);
+    if (in && HasPoseHeader(in, file)) sources.push_back(entry.path());
+  }
   std::sort(sources.begin(), sources.end());
   for (const fs::path& source : sources) {
     Sequence sequence;
@@ -142,20 +118,16 @@ void AddAsl(const Dataset& dataset, const fs::path& imu, const std::string& fold
 
 // --- Calibration and tables ---
 
-std::vector<std::string> Inputs(const OfflineRequest& request) {
-  std::vector<std::string> paths = request.bag.paths;
-  for (const std::string* path :
-       {&request.text.poses, &request.text.imu, &request.config, &request.imu_yaml})
-    if (!path->empty()) paths.push_back(*path);
-  return paths;
-}
-
 /// All that the result follows from, on one line.
 std::string Describe(const OfflineRequest& request) {
   std::string text = kVersion + (" " + request.method) + " " + request.bag.imu_topic + " " +
                      request.bag.pose_topic + " " + request.bag.tf_parent + " " +
                      request.bag.tf_child;
-  for (const std::string& path : Inputs(request)) text += "; " + DescribeFile(path);
+  std::vector<std::string> paths = request.bag.paths;
+  for (const std::string* path :
+       {&request.text.poses, &request.text.imu, &request.config, &request.imu_yaml})
+    if (!path->empty()) paths.push_back(*path);
+  for (const std::string& path : paths) text += "; " + DescribeFile(path);
   return boost::replace_all_copy(text, "\n", " ");
 }
 
@@ -177,17 +149,8 @@ std::string Calibrate(const OfflineRequest& request) {
   return ToYaml(outcome);
 }
 
-std::vector<Task> ToTasks(const std::vector<Sequence>& sequences, bool with_report,
-                          const std::string& folder) {
-  std::vector<Task> tasks;
-  for (const Sequence& sequence : sequences) {
-    OfflineRequest request = sequence.request;
-    request.output = folder + "/" + sequence.name + ".calibration.yaml";
-    if (with_report) request.report = ReportPath(request);
-    fs::create_directories(fs::path(request.output).parent_path());
-    tasks.push_back({sequence.name, Describe(request), [request] { return Calibrate(request); }});
-  }
-  return tasks;
+std::string ResultOf(const Sequence& sequence, const std::string& folder) {
+  return folder + "/" + sequence.name + ".calibration.yaml";
 }
 
 struct Calibrated {
@@ -195,123 +158,47 @@ struct Calibrated {
   TrialOutcome outcome;
 };
 
-std::string Table(const std::vector<Calibrated>& calibrations) {
-  std::string text =
-      "| recording | verdict | p [mm] | sigma | R, rotation vector [deg] | sigma | time shift [s] "
-      "| sigma | accel delay [ms] | sigma | warnings |\n"
-      "|---|---|---|---|---|---|---|---|---|---|---|\n";
-  for (const auto& [sequence, o] : calibrations) {
-    text += "| " + sequence->name + " | " + o.verdict + " | ";
-    if (!o.IsUsable()) {
-      text += boost::replace_all_copy(o.reason, "|", "/") + " | | | | | | | | |\n";
-      continue;
-    }
-    const Vector6d std = o.covariance.diagonal().cwiseSqrt();
-    text += List(1e3 * o.T_MI.p, "%.2f") + " | " + List(1e3 * std.head<3>(), "%.2f") + " | " +
-            List(kDegrees * Log(o.T_MI.q), "%.3f") + " | " +
-            List(kDegrees * std.tail<3>(), "%.3f") +
-            Format(" | %.6f | %.6f | %.3f | %.3f | %zu |\n", o.time_shift, o.time_shift_std,
-                   1e3 * o.accel_delay, 1e3 * o.accel_delay_std, o.warnings);
+/// How the usable calibrations of a group scatter, and how they differ from what is published.
+YAML::Node Judge(const std::vector<Calibrated>& group) {
+  YAML::Node node;
+  std::vector<Comparable> usable;
+  for (const auto& [sequence, outcome] : group) {
+    if (!outcome.IsUsable()) continue;
+    usable.push_back(outcome);
+    if (!sequence->published_T_MI) continue;
+    Comparable published;
+    published.T_MI = *sequence->published_T_MI;
+    YAML::Node audit = Describe(sequence->name, Compare(published, outcome, kCompared));
+    audit["time_shift"] = YamlValue(outcome.time_shift);
+    node["audit"].push_back(audit);
   }
-  return text + "\n";
+  if (usable.size() < 2) return node;
+  const Repeatability repeat = Repeat(usable, kCompared);
+  node["scatter"]["mean"] = YamlList(repeat.mean.T_MI.p);
+  node["scatter"]["rotation_vector"] = YamlList(Log(repeat.mean.T_MI.q));
+  for (const Scatter& scatter : repeat.scatters)
+    node["scatter"]["rows"].push_back(Describe(scatter));
+  return node;
 }
 
-std::string Csv(const std::vector<Calibrated>& calibrations) {
-  std::string text =
-      "recording,verdict,x,y,z,x_std,y_std,z_std,qx,qy,qz,qw,rx_std,ry_std,rz_std,time_shift,"
-      "time_shift_std,accel_delay,accel_delay_std,warnings,reason\n";
-  for (const auto& [sequence, o] : calibrations) {
-    Eigen::VectorXd numbers(17);
-    const Vector6d std = o.covariance.diagonal().cwiseSqrt();
-    numbers << o.T_MI.p, std.head<3>(), o.T_MI.q.coeffs(), std.tail<3>(), o.time_shift,
-        o.time_shift_std, o.accel_delay, o.accel_delay_std;
-    text += "\"" + sequence->name + "\"," + o.verdict;
-    for (Eigen::Index k = 0; k < numbers.size(); ++k)
-      text += o.IsUsable() ? "," + YamlNumber(numbers[k]) : ",";
-    text += Format(",%zu,\"", o.warnings) + boost::replace_all_copy(o.reason, "\"", "'") + "\"\n";
-  }
-  return text;
-}
-
-std::string ScatterTable(const std::vector<Comparable>& calibrations) {
-  const Repeatability repeat =
-      Repeat(calibrations, {ComparedQuantity::kTranslation, ComparedQuantity::kRotation,
-                            ComparedQuantity::kAccelDelay, ComparedQuantity::kTimeShift});
-  std::string text = Format("Scatter of %zu: mean p %s mm, R %s deg.\n\n", calibrations.size(),
-                            List(1e3 * repeat.mean.T_MI.p, "%.2f").c_str(),
-                            List(kDegrees * Log(repeat.mean.T_MI.q), "%.3f").c_str()) +
-                     "| | standard deviation | sigma, rms | chi² / dof |\n|---|---|---|---|\n";
-  for (const Scatter& scatter : repeat.scatters) {
-    const bool is_angle = scatter.quantity == ComparedQuantity::kRotation;
-    const auto list = [&](const Eigen::VectorXd& values) {
-      std::vector<std::string> words;
-      for (Eigen::Index k = 0; k < values.size(); ++k)
-        words.push_back(Format("%.3f", values[k] * (is_angle ? kDegrees : 1e3)));
-      return boost::join(words, ", ");
-    };
-    const char* unit = is_angle                                             ? "deg"
-                       : scatter.quantity == ComparedQuantity::kTranslation ? "mm"
-                                                                            : "ms";
-    text += Format("| %s [%s] | %s | %s | %.1f / %d |\n", ToString(scatter.quantity), unit,
-                   list(scatter.deviation).c_str(), list(scatter.sigma).c_str(), scatter.chi2,
-                   scatter.dof);
-  }
-  return text + "\n";
-}
-
-std::string AuditRow(const std::string& name, const Comparable& found, const Rigid3& published) {
-  Comparable given;
-  given.T_MI = published;
-  std::vector<std::string> cells = {name};
-  bool agrees = true;
-  const auto add = [&](ComparedQuantity quantity, double value, int digits) {
-    const Comparison comparison = Compare(given, found, {quantity});
-    const Difference* worst = comparison.Worst();
-    const double sigmas = worst == nullptr ? 0.0 : worst->sigmas;
-    agrees = agrees && sigmas <= kAgreementBound;
-    cells.push_back(Format("%.*f (%.1f)", digits, value, sigmas));
-  };
-  const Comparison all = Compare(given, found, {ComparedQuantity::kTranslation});
-  add(ComparedQuantity::kTranslation, 1e3 * all.distance, 2);
-  add(ComparedQuantity::kRotation, kDegrees * all.angle, 3);
-  const bool is_frame = agrees;
-  agrees = true;
-  add(ComparedQuantity::kTimeShift, 1e3 * found.time_shift, 3);
-  cells.emplace_back(is_frame ? "yes" : "no");
-  cells.emplace_back(agrees ? "yes" : "no");
-  return "| " + boost::join(cells, " | ") + " |\n";
-}
-
-/// Tables of each group of a dataset.
-std::string DatasetTables(const std::vector<Calibrated>& calibrations) {
-  std::string text;
+/// What scripts/evaluation_tables.py makes the tables of.
+YAML::Node DescribeAll(const std::vector<Calibrated>& calibrations, const std::string& title,
+                       bool is_dataset) {
+  YAML::Node input;
+  input["title"] = title;
+  input["bound"] = YamlValue(kAgreementBound);
   for (auto begin = calibrations.begin(), end = begin; begin != calibrations.end(); begin = end) {
     const std::string& group = begin->sequence->group;
     end = std::find_if(begin, calibrations.end(), [&](const Calibrated& calibrated) {
       return calibrated.sequence->group != group;
     });
-    text += "## " + group + "\n\n" + Table({begin, end});
-    std::vector<Comparable> usable;
-    std::string audit;
-    for (auto it = begin; it != end; ++it) {
-      const auto& [sequence, outcome] = *it;
-      if (!outcome.IsUsable()) continue;
-      usable.push_back(outcome);
-      if (sequence->published_T_MI)
-        audit += AuditRow(sequence->name, outcome, *sequence->published_T_MI);
-    }
-    if (usable.size() > 1) text += ScatterTable(usable);
-    if (audit.empty()) continue;
-    text +=
-        Format(
-            "Less what is published, in brackets the largest component in its sigma; *yes* is "
-            "within %g sigma. The clocks are said to be one.\n\n"
-            "| recording | p [mm] | R [deg] | time shift [ms] | frame as published? | clock of the "
-            "IMU? |\n|---|---|---|---|---|---|\n",
-            kAgreementBound) +
-        audit + "\n";
+    YAML::Node node = is_dataset ? Judge({begin, end}) : YAML::Node();
+    node["name"] = group;
+    for (auto it = begin; it != end; ++it)
+      node["results"].push_back(Describe(it->sequence->name, it->outcome));
+    input["groups"].push_back(node);
   }
-  return text;
+  return input;
 }
 
 /// A page of all bags of a batch that have a result; empty without any.
@@ -319,8 +206,7 @@ std::string WriteFleet(const std::vector<Calibrated>& calibrations, const std::s
                        const std::string& folder) {
   std::vector<StoredResult> results;
   for (const auto& [sequence, outcome] : calibrations)
-    if (outcome.IsUsable())
-      results.push_back(LoadResult(folder + "/" + sequence->name + ".calibration.yaml"));
+    if (outcome.IsUsable()) results.push_back(LoadResult(ResultOf(*sequence, folder)));
   if (results.empty()) return "";
   const std::string path = folder + "/sequences.report.html";
   const std::vector<ComparedQuantity> quantities = {
@@ -337,30 +223,32 @@ std::string WriteFleet(const std::vector<Calibrated>& calibrations, const std::s
 
 std::string DatasetTitle(const std::string& dataset) { return Find(dataset).title; }
 
-std::vector<Sequence> FindBags(const std::string& folder, const OfflineRequest& common) {
+std::vector<Sequence> FindSequences(const std::string& name, const std::string& folder,
+                                    const OfflineRequest& common) {
+  const Dataset* dataset = name.empty() ? nullptr : &Find(name);
+  if (!fs::is_directory(folder))
+    throw InputError("'" + folder + "' is not a folder with recordings");
+  std::vector<fs::path> paths;
+  const auto options = fs::directory_options::skip_permission_denied;
+  for (const auto& entry : fs::recursive_directory_iterator(folder, options))
+    paths.push_back(entry.path());
+  std::sort(paths.begin(), paths.end());
   std::vector<Sequence> sequences;
-  for (const fs::path& path : Below(folder))
-    if (path.extension() == ".bag") sequences.push_back(BagSequence(path, folder, common));
-  if (sequences.empty()) throw InputError("there is no *.bag in '" + folder + "'");
-  return sequences;
-}
-
-std::vector<Sequence> FindDataset(const std::string& name, const std::string& folder,
-                                  const OfflineRequest& common) {
-  const Dataset& dataset = Find(name);
-  std::vector<Sequence> sequences;
-  for (const fs::path& path : Below(folder)) {
-    if (path.filename() == "data.csv" && path.parent_path().filename() == "imu0")
-      AddAsl(dataset, path, folder, common, &sequences);
+  for (const fs::path& path : paths) {
+    if (dataset && path.filename() == "data.csv" && path.parent_path().filename() == "imu0")
+      AddAsl(*dataset, path, folder, common, &sequences);
     if (path.extension() != ".bag") continue;
-    Sequence sequence = BagSequence(path, folder, common);
-    sequence.group = GroupOf(path, folder) + "bags";
-    if (dataset.is_imu0 && common.bag.imu_topic.empty()) sequence.request.bag.imu_topic = "/imu0";
+    Sequence sequence{NameOf(fs::path(path).replace_extension(""), folder), "", common, {}};
+    sequence.request.bag.paths = {path};
+    if (dataset) sequence.group = GroupOf(path, folder) + "bags";
+    if (dataset && dataset->is_imu0 && common.bag.imu_topic.empty())
+      sequence.request.bag.imu_topic = "/imu0";
     sequences.push_back(sequence);
   }
   if (sequences.empty())
-    throw InputError("there is no sequence of '" + name + "' below '" + folder + "'. " +
-                     dataset.title);
+    throw InputError(dataset ? "there is no sequence of '" + name + "' below '" + folder + "'. " +
+                                   dataset->title
+                             : "there is no *.bag in '" + folder + "'");
   std::stable_sort(sequences.begin(), sequences.end(),
                    [](const Sequence& a, const Sequence& b) { return a.group < b.group; });
   return sequences;
@@ -368,7 +256,14 @@ std::vector<Sequence> FindDataset(const std::string& name, const std::string& fo
 
 SequencesOutcome RunSequences(const std::vector<Sequence>& sequences, const std::string& title,
                               bool is_dataset, const RunnerOptions& runner) {
-  const std::vector<Task> tasks = ToTasks(sequences, !is_dataset, runner.folder);
+  std::vector<Task> tasks;
+  for (const Sequence& sequence : sequences) {
+    OfflineRequest request = sequence.request;
+    request.output = ResultOf(sequence, runner.folder);
+    if (!is_dataset) request.report = ReportPath(request);
+    fs::create_directories(fs::path(request.output).parent_path());
+    tasks.push_back({sequence.name, Describe(request), [request] { return Calibrate(request); }});
+  }
   RunTasks(tasks, runner);
   SequencesOutcome result;
   std::vector<Calibrated> calibrations;
@@ -382,10 +277,9 @@ SequencesOutcome RunSequences(const std::vector<Sequence>& sequences, const std:
     if (!calibrations.back().outcome.IsUsable()) result.failed.push_back(sequences[i].name);
   }
   if (result.missing > 0) return result;
-  result.text =
-      "# " + title + "\n\n" + (is_dataset ? DatasetTables(calibrations) : Table(calibrations));
-  WriteFile(runner.folder + "/sequences.md", result.text);
-  WriteFile(runner.folder + "/sequences.csv", Csv(calibrations));
+  MakeTables(DescribeAll(calibrations, title, is_dataset), "", runner.folder);
+  std::ifstream table(runner.folder + "/sequences.md");
+  result.text = {std::istreambuf_iterator<char>(table), {}};
   if (!is_dataset) result.text += WriteFleet(calibrations, title, runner.folder);
   return result;
 }

@@ -16,7 +16,6 @@
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/ros/evaluation/task_runner.h"
 #include "imu_pose_calib/ros/io/output_files.h"
-#include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/yaml_text.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"
 
@@ -35,10 +34,6 @@ std::mt19937 RandomOf(Use use, uint32_t index, size_t recording = 0) {
   std::seed_seq sequence{7001u, static_cast<uint32_t>(use), index,
                          static_cast<uint32_t>(recording)};
   return std::mt19937(sequence);
-}
-
-double Uniform(std::mt19937* random, double low, double high) {
-  return std::uniform_real_distribution<double>(low, high)(*random);
 }
 
 /// A transform up to 180 deg and 1 m from none.
@@ -94,27 +89,19 @@ void Lose(double lost, SessionData* data) {
 }
 
 /// What one calibration and its trial have in common.
-void Judge(const Calibration& result, const Errors& errors, TrialOutcome* outcome) {
+void Judge(const Calibration& result, const Errors& e, TrialOutcome* outcome) {
+  using Covariance = Eigen::Matrix<double, 8, 8>;
   const Marginals& marginals = result.solution->marginals;
-  std::vector<int> places;
-  const auto add = [&](ParameterKind kind, int size) {
-    for (int i = 0; i < size; ++i) places.push_back(marginals.Find(kind) + i);
-  };
-  add(ParameterKind::kTranslation, 3);
-  add(ParameterKind::kRotation, 3);
-  add(ParameterKind::kTimeShift, 1);
-  add(ParameterKind::kAccelDelay, 1);
-  Eigen::Matrix<double, 8, 1> e;
-  e << errors.translation, errors.rotation, errors.time_shift, errors.accel_delay;
-  const Eigen::VectorXd larger = Enlargement(marginals.model, marginals.robust);
-  Eigen::Matrix<double, 8, 8> model, reported;
-  for (int i = 0; i < 8; ++i) {
-    for (int k = 0; k < 8; ++k) {
-      const int row = places[static_cast<size_t>(i)], column = places[static_cast<size_t>(k)];
-      model(i, k) = marginals.model(row, column);
-      reported(i, k) = larger[row] * model(i, k) * larger[column];
-    }
-  }
+  Eigen::MatrixXd select = Eigen::MatrixXd::Zero(8, marginals.model.cols());
+  Eigen::Index row = 0;
+  for (const auto& [kind, size] : {std::pair{ParameterKind::kTranslation, 3},
+                                   {ParameterKind::kRotation, 3},
+                                   {ParameterKind::kTimeShift, 1},
+                                   {ParameterKind::kAccelDelay, 1}})
+    for (int i = 0; i < size; ++i) select(row++, marginals.Find(kind) + i) = 1.0;
+  const Covariance model = select * marginals.model * select.transpose();
+  const Eigen::VectorXd larger = select * Enlargement(marginals.model, marginals.robust);
+  const Covariance reported = larger.asDiagonal() * model * larger.asDiagonal();
   outcome->chi2 = e.dot(reported.llt().solve(e));
   outcome->model_chi2 = e.dot(model.llt().solve(e));
 }
@@ -145,8 +132,8 @@ std::vector<std::pair<const char*, Numbers>> ListsOf(TrialOutcome* o) {
   return {{"T_MI", NumbersOf(&o->T_MI)},
           {"covariance", covariance},
           {"clocks", {&o->time_shift, &o->time_shift_std, &o->accel_delay, &o->accel_delay_std}},
-          {"true_T_MI", NumbersOf(&o->true_T_MI)},
-          {"true_clocks", {&o->true_time_shift, &o->true_accel_delay}},
+          {"true_T_MI", NumbersOf(&o->truth.T_MI)},
+          {"true_clocks", {&o->truth.time_shift, &o->truth.accel_delay}},
           {"chi2", {&o->chi2, &o->model_chi2}},
           {"least", NumbersOf(&o->bounds.least)},
           {"as_joint", NumbersOf(&o->bounds.as_joint)},
@@ -174,8 +161,8 @@ std::string Describe(const Case& trial) {
          << " " << s.accel_bias_walk << ", T_MI "
          << List({p.x(), p.y(), p.z(), q.x(), q.y(), q.z(), q.w()}) << ", " << s.time_shift_s << " "
          << s.accel_delay_s << " s";
-    for (const EffectOption& effect : EffectOptions())
-      if (effect.strength(&s) != 0.0) text << ", " << effect.name << " " << effect.strength(&s);
+    for (const Effect& effect : Effects(&s))
+      if (*effect.strength != 0.0) text << ", " << effect.name << " " << *effect.strength;
     text << "; recordings " << trial.recordings << (trial.is_random_rig ? " random" : "")
          << (trial.is_one_rig ? " one rig" : "");
   }
@@ -185,11 +172,17 @@ std::string Describe(const Case& trial) {
   return text.str();
 }
 
-Errors ErrorsOf(const TrialOutcome& outcome, const Rigid3& true_T_MI, double true_time_shift,
-                double true_accel_delay) {
-  return {outcome.T_MI.p - true_T_MI.p,
-          Log(Eigen::Quaterniond(true_T_MI.q.conjugate() * outcome.T_MI.q)),
-          outcome.time_shift - true_time_shift, outcome.accel_delay - true_accel_delay};
+Errors ErrorsOf(const Comparable& estimate, const Comparable& truth) {
+  Errors errors;
+  errors << estimate.T_MI.p - truth.T_MI.p,
+      Log(Eigen::Quaterniond(truth.T_MI.q.conjugate() * estimate.T_MI.q)),
+      estimate.time_shift - truth.time_shift, estimate.accel_delay - truth.accel_delay;
+  return errors;
+}
+
+ErrorNorms NormsOf(const Errors& errors) {
+  const Eigen::Vector3d translation = errors.head<3>(), rotation = errors.segment<3>(3);
+  return {translation.norm(), rotation.norm(), std::abs(errors[6]), std::abs(errors[7])};
 }
 
 void Take(const Calibration& result, TrialOutcome* outcome) {
@@ -217,9 +210,9 @@ TrialOutcome RunTrial(const Case& trial, const SessionData& bag, const TrialOutc
     recordings.clear();
     for (const SimulatorOptions& truth : truths) recordings.push_back(Simulate(truth));
     const TrueClock clock(truths[0]);
-    outcome.true_T_MI = truths[0].T_MI;
-    outcome.true_time_shift = clock.time_shift_s;
-    outcome.true_accel_delay = clock.accel_delay_s;
+    outcome.truth.T_MI = truths[0].T_MI;
+    outcome.truth.time_shift = clock.time_shift_s;
+    outcome.truth.accel_delay = clock.accel_delay_s;
   }
   for (size_t s = 0; s < recordings.size(); ++s) {
     std::mt19937 noise = RandomOf(Use::kNoise, trial.index, s);
@@ -244,7 +237,7 @@ TrialOutcome RunTrial(const Case& trial, const SessionData& bag, const TrialOutc
   if (trial.is_guessed) {
     std::mt19937 random = RandomOf(Use::kGuess, trial.index);
     const Rigid3 away = RandomTransform(&random);
-    const Rigid3& truth = is_simulated ? outcome.true_T_MI : reference.T_MI;
+    const Rigid3& truth = is_simulated ? outcome.truth.T_MI : reference.T_MI;
     options.initial_rotation = truth.q * away.q;
     options.initial_translation = truth.p + away.p;
     outcome.guess_angle = Eigen::Quaterniond::Identity().angularDistance(away.q);
@@ -254,9 +247,7 @@ TrialOutcome RunTrial(const Case& trial, const SessionData& bag, const TrialOutc
     const Calibration result = Calibrate(options, recordings);
     Take(result, &outcome);
     if (result.IsUsable() && is_simulated)
-      Judge(result,
-            ErrorsOf(outcome, outcome.true_T_MI, outcome.true_time_shift, outcome.true_accel_delay),
-            &outcome);
+      Judge(result, ErrorsOf(outcome, outcome.truth), &outcome);
   } catch (const DataError& error) {
     outcome.verdict = "refused";
     outcome.reason = error.what();

@@ -12,6 +12,22 @@
 namespace imu_pose_calib {
 namespace {
 
+/// One result, on its own.
+YAML::Node Describe(const StoredResult& stored, const ImuStd& noise) {
+  YAML::Node node;
+  node["path"] = Printable(stored.path);
+  node["source"] = Printable(stored.infos.front().Source());
+  node["status"] = ToString(stored.result.status);
+  const PoseStd& pose_noise = stored.result.sessions.front().noise;
+  node["noise"]["gyro"] = YamlValue(noise.gyro);
+  node["noise"]["accel"] = YamlValue(noise.accel);
+  node["noise"]["position"] = YamlValue(pose_noise.position);
+  node["noise"]["rotation"] = YamlValue(pose_noise.rotation);
+  return node;
+}
+
+}  // namespace
+
 YAML::Node Describe(const Comparable& calibration) {
   YAML::Node node;
   node["translation"] = YamlList(calibration.T_MI.p);
@@ -25,7 +41,6 @@ YAML::Node Describe(const Comparable& calibration) {
   return node;
 }
 
-/// A comparison, its worst component, and the most sigmas of each quantity.
 YAML::Node Describe(const Comparison& comparison) {
   YAML::Node node;
   node["distance"] = YamlValue(comparison.distance);
@@ -54,22 +69,6 @@ YAML::Node Describe(const Scatter& scatter) {
   node["dof"] = scatter.dof;
   return node;
 }
-
-/// One result, on its own.
-YAML::Node Describe(const StoredResult& stored, const ImuStd& noise) {
-  YAML::Node node;
-  node["path"] = Printable(stored.path);
-  node["source"] = Printable(stored.infos.front().Source());
-  node["status"] = ToString(stored.result.status);
-  const PoseStd& pose_noise = stored.result.sessions.front().noise;
-  node["noise"]["gyro"] = YamlValue(noise.gyro);
-  node["noise"]["accel"] = YamlValue(noise.accel);
-  node["noise"]["position"] = YamlValue(pose_noise.position);
-  node["noise"]["rotation"] = YamlValue(pose_noise.rotation);
-  return node;
-}
-
-}  // namespace
 
 std::vector<Comparable> ToComparables(const std::vector<StoredResult>& results, size_t imu) {
   double reference = 0.0;

@@ -13,7 +13,7 @@
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/ground_truth/trajectory.h"
 #include "imu_pose_calib/ros/io/yaml_text.h"
-#include "imu_pose_calib/simulation/information_growth.h"
+#include "imu_pose_calib/simulation/information.h"
 
 namespace imu_pose_calib {
 namespace {

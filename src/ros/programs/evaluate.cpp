@@ -5,9 +5,11 @@
 
 #include <boost/algorithm/string/classification.hpp>
 #include <boost/algorithm/string/join.hpp>
+#include <boost/algorithm/string/replace.hpp>
 #include <boost/algorithm/string/split.hpp>
 #include <cstdio>
 #include <iostream>
+#include <regex>
 #include <string>
 #include <thread>
 #include <vector>
@@ -98,18 +100,14 @@ void Complete(CommandLine* line) {
 void PrintJobs(int argc, char** argv, size_t jobs) {
   for (size_t i = 1; i <= jobs; ++i) {
     for (int k = 0; k < argc; ++k) {
-      std::string word = argv[k];
-      if (word == "--print-jobs") {
-        ++k;
-        continue;
-      }
-      if (word.rfind("--print-jobs=", 0) == 0) continue;
-      std::string quoted = "'";
-      for (const char c : word) quoted += c == '\'' ? "'\\''" : std::string(1, c);
-      const bool is_plain = word.find_first_not_of(
-                                "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789"
-                                "_-./,=:") == std::string::npos;
-      std::cout << (is_plain && !word.empty() ? word : quoted + "'") << " ";
+      const std::string word = argv[k];
+      if (word == "--print-jobs") ++k;
+      if (word.rfind("--print-jobs", 0) == 0) continue;
+      static const std::regex kPlain("[A-Za-z0-9_./,=:-]+");
+      if (std::regex_match(word, kPlain))
+        std::cout << word << " ";
+      else
+        std::cout << "'" << boost::replace_all_copy(word, "'", "'\\''") << "' ";
     }
     std::cout << "--job " << i << "/" << jobs << "\n";
   }
@@ -123,9 +121,8 @@ void RunRecordings(const CommandLine& line) {
   if (is_dataset && line.data.empty())
     throw InputError("--dataset needs --data DIR, the folder that it is in. " +
                      DatasetTitle(line.dataset));
-  const std::vector<Sequence> sequences = is_dataset
-                                              ? FindDataset(line.dataset, line.data, line.sequences)
-                                              : FindBags(line.batch, line.sequences);
+  const std::vector<Sequence> sequences =
+      FindSequences(line.dataset, is_dataset ? line.data : line.batch, line.sequences);
   RunnerOptions runner = line.request.runner;
   runner.title = "recordings";
   const SequencesOutcome outcome = RunSequences(

@@ -3,6 +3,7 @@
 #include <cmath>
 #include <iostream>
 #include <sstream>
+#include <utility>
 
 #include "imu_pose_calib/ros/clouds/simulated_lidar.h"
 #include "imu_pose_calib/ros/io/bag_writer.h"
@@ -62,10 +63,10 @@ po::options_description Describe(CommandLine* line) {
       "a spinning lidar in a room, /points, on the IMU's clock; where it sits: OUTPUT.lidar.yaml");
   add("help", po::bool_switch(&line->help), "print this text");
   po::options_description effects("Effects that real recordings have; 0: none");
-  for (const EffectOption& effect : EffectOptions()) {
+  for (const Effect& effect : Effects(&simulator)) {
     std::ostringstream text;
     text << effect.text << "; usual: " << effect.usual;
-    effects.add_options()(effect.name, ValueOrDefault(&effect.strength(&simulator), effect.unit),
+    effects.add_options()(effect.name, ValueOrDefault(effect.strength, effect.unit),
                           text.str().c_str());
   }
   options.add(effects);
@@ -79,14 +80,8 @@ Motion ParseMotion(const std::string& name) {
                    "' is unknown; must be handheld, tumble, arm, drone, planar, hinge or static");
 }
 
-void CheckPositive(const char* option, double value) {
-  if (!(value > 0.0))
-    throw InputError(std::string(option) + " = " + YamlNumber(value) + " must be positive");
-}
-
-void CheckNotNegative(const char* option, double value) {
-  if (!(value >= 0.0))
-    throw InputError(std::string(option) + " = " + YamlNumber(value) + " must not be negative");
+void Check(const std::string& option, double value, bool is_good, const std::string& condition) {
+  if (!is_good) throw InputError("--" + option + " = " + YamlNumber(value) + " " + condition);
 }
 
 /// Completes and checks what the command line has filled in.
@@ -94,22 +89,21 @@ SimulatorOptions Simulator(const CommandLine& line) {
   SimulatorOptions simulator = line.simulator;
   simulator.motion = ParseMotion(line.motion);
   simulator.gyro_rate_hz = simulator.accel_rate_hz = line.imu_rate_hz;
-  CheckPositive("--duration", simulator.duration_s);
-  CheckPositive("--pose-rate", simulator.pose_rate_hz);
-  CheckPositive("--imu-rate", line.imu_rate_hz);
-  if (!(std::abs(simulator.time_shift_s) <= 1e9))
-    throw InputError("--time-shift = " + YamlNumber(simulator.time_shift_s) +
-                     " does not fit the stamps; must be within 1e9 s");
-  CheckNotNegative("--position-std", simulator.position_std);
-  CheckNotNegative("--rotation-std", simulator.rotation_std);
-  CheckNotNegative("--gyro-std", simulator.gyro_std);
-  CheckNotNegative("--accel-std", simulator.accel_std);
-  for (const EffectOption& effect : EffectOptions()) {
-    const double strength = effect.strength(&simulator);
-    if (!(strength >= effect.least && strength <= effect.most))
-      throw InputError(std::string("--") + effect.name + " = " + YamlNumber(strength) +
-                       " must be within " + YamlNumber(effect.least) + " and " +
-                       YamlNumber(effect.most));
+  for (const auto& [option, value] : {std::pair{"duration", simulator.duration_s},
+                                      {"pose-rate", simulator.pose_rate_hz},
+                                      {"imu-rate", line.imu_rate_hz}})
+    Check(option, value, value > 0.0, "must be positive");
+  Check("time-shift", simulator.time_shift_s, std::abs(simulator.time_shift_s) <= 1e9,
+        "does not fit the stamps; must be within 1e9 s");
+  for (const auto& [option, value] : {std::pair{"position-std", simulator.position_std},
+                                      {"rotation-std", simulator.rotation_std},
+                                      {"gyro-std", simulator.gyro_std},
+                                      {"accel-std", simulator.accel_std}})
+    Check(option, value, value >= 0.0, "must not be negative");
+  for (const Effect& effect : Effects(&simulator)) {
+    const double strength = *effect.strength;
+    Check(effect.name, strength, strength >= effect.least && strength <= effect.most,
+          "must be within " + YamlNumber(effect.least) + " and " + YamlNumber(effect.most));
   }
   return simulator;
 }

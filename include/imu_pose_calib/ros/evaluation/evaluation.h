@@ -21,10 +21,11 @@ struct EvaluationRequest {
   bool is_merge = false;  ///< all trials have run
 };
 
-/// Runs the trials that are missing, and, as soon as those of all parts are there, writes into the
-/// folder: evaluation.md, cells.csv, trials.csv and figures, which follow from the trials alone,
-/// and usage.md, the time and memory that they took. Returns the text that says what was done.
-/// Throws InputError when something cannot be used as given, or when merged trials are missing.
+/// Runs the trials that are missing, and, as soon as those of all parts are there, has the scripts
+/// write into the folder: evaluation.md, cells.csv, trials.csv and figures, which follow from the
+/// trials alone, and usage.md, the time and memory that they took. Returns the text that says what
+/// was done. Throws InputError when something cannot be used as given, when merged trials are
+/// missing, or when a script fails.
 std::string Evaluate(const EvaluationRequest& request);
 
 }  // namespace imu_pose_calib

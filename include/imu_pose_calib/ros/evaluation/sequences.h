@@ -18,15 +18,11 @@ struct Sequence {
   std::optional<Rigid3> published_T_MI;
 };
 
-/// The *.bag of a folder and of the folders in it. `common`: how to read and calibrate each.
-/// Throws InputError when there are none.
-std::vector<Sequence> FindBags(const std::string& folder, const OfflineRequest& common);
-
-/// Sequences of a public dataset, "tum-vi", "euroc" or "broad", below a folder: ASL datasets, each
-/// with all of its sources of poses, and bags. Throws InputError when there are none, saying where
-/// to get them.
-std::vector<Sequence> FindDataset(const std::string& dataset, const std::string& folder,
-                                  const OfflineRequest& common);
+/// The *.bag of a folder and of the folders in it, and with a public `dataset`, "tum-vi", "euroc"
+/// or "broad", its ASL datasets, each with all of its sources of poses. `common`: how to read and
+/// calibrate each. Throws InputError when there are none, saying where to get them.
+std::vector<Sequence> FindSequences(const std::string& dataset, const std::string& folder,
+                                    const OfflineRequest& common);
 
 /// Calibrates those that are not yet done, and writes into the folder of the runner a result file
 /// of each, NAME.calibration.yaml, and the table sequences.md and sequences.csv; `title`: of the

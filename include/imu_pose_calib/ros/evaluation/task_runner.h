@@ -1,7 +1,6 @@
 #pragma once
 
 #include <functional>
-#include <map>
 #include <optional>
 #include <string>
 #include <vector>
@@ -31,22 +30,15 @@ std::optional<std::string> FinishedTask(const std::string& folder, const Task& t
 
 /// Runs those tasks of the part that have no stored result, each in a process of its own, which may
 /// die or take too long: its result is then kFailed and the reason. A result is there as a whole or
-/// not at all, so that what was done is kept when this process is killed. Time and memory of each
-/// are added to folder/usage_PART_PARTS.csv. On a terminal, shows how much is done and the time
-/// left. Throws the first InputError of a task, when the others at work have ended.
+/// not at all, so that what was done is kept when this process is killed. Name, time [s], time of
+/// the processor [s] and memory [MB] of each are added to folder/usage_PART_PARTS.csv. On a
+/// terminal, shows how much is done and the time left. Throws the first InputError of a task, when
+/// the others at work have ended.
 ///
 /// Forks: call it from a process without other threads.
 void RunTasks(const std::vector<Task>& tasks, const RunnerOptions& options);
 
 /// First word of the result of a task that had none.
-extern const char kFailed[];
-
-/// Time and memory that a task took.
-struct Usage {
-  double wall_s, cpu_s, memory_mb;
-};
-
-/// By the names of the tasks, of all parts; of a task that ran more than once, the last.
-std::map<std::string, Usage> LoadUsage(const std::string& folder);
+constexpr char kFailed[] = "failed";
 
 }  // namespace imu_pose_calib

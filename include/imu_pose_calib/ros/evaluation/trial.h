@@ -6,7 +6,7 @@
 #include "imu_pose_calib/core/base/result.h"
 #include "imu_pose_calib/core/verdict/comparison.h"
 #include "imu_pose_calib/ros/io/recording.h"
-#include "imu_pose_calib/simulation/error_bound.h"
+#include "imu_pose_calib/simulation/information.h"
 #include "imu_pose_calib/simulation/simulator.h"
 
 namespace imu_pose_calib {
@@ -58,8 +58,7 @@ struct TrialOutcome : Comparable {
   size_t warnings = 0;  ///< of usable results
 
   // Of simulations:
-  Rigid3 true_T_MI;
-  double true_time_shift = 0.0, true_accel_delay = 0.0;
+  Comparable truth;
   /// Error squared by the covariance of (p_MI, R_MI, time_shift, accel_delay): chi-square of 8
   /// degrees of freedom. Model: as if the residuals were independent.
   double chi2 = 0.0, model_chi2 = 0.0;
@@ -80,17 +79,10 @@ TrialOutcome ParseOutcome(const std::string& text);
 /// Runs a trial. `bag`: what its source holds; `reference`: what the bag alone says, for guesses.
 TrialOutcome RunTrial(const Case& trial, const SessionData& bag, const TrialOutcome& reference);
 
-/// Estimate less truth.
-struct Errors {
-  Eigen::Vector3d translation;  ///< [m] in M
-  Eigen::Vector3d rotation;     ///< [rad] about the imu axes
-  double time_shift, accel_delay;
-
-  ErrorNorms Norms() const {
-    return {translation.norm(), rotation.norm(), std::abs(time_shift), std::abs(accel_delay)};
-  }
-};
-Errors ErrorsOf(const TrialOutcome& outcome, const Rigid3& true_T_MI, double true_time_shift,
-                double true_accel_delay);
+/// Estimate less truth: p_MI [m] in M, rotation [rad] about the imu axes, time shift and accel
+/// delay [s].
+using Errors = Eigen::Matrix<double, 8, 1>;
+Errors ErrorsOf(const Comparable& estimate, const Comparable& truth);
+ErrorNorms NormsOf(const Errors& errors);
 
 }  // namespace imu_pose_calib

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <yaml-cpp/yaml.h>
+
 #include <optional>
 #include <string>
 #include <vector>
@@ -12,6 +14,12 @@ namespace imu_pose_calib {
 /// Results of one IMU as they are compared, with time shifts at the mean of the instants at which
 /// they hold. Throws InputError when a result has no such IMU.
 std::vector<Comparable> ToComparables(const std::vector<StoredResult>& results, size_t imu);
+
+// As scripts take them.
+YAML::Node Describe(const Comparable& calibration);
+/// Its worst component, too, and the most sigmas of each quantity.
+YAML::Node Describe(const Comparison& comparison);
+YAML::Node Describe(const Scatter& scatter);
 
 /// What a page of results beside each other tells of.
 struct ComparisonInput {
