@@ -9,8 +9,8 @@
 #include <string>
 
 #include "imu_pose_calib/core/base/types.h"
+#include "imu_pose_calib/ros/io/bag_file.h"
 #include "imu_pose_calib/ros/io/cdr.h"
-#include "imu_pose_calib/ros/io/ros2_file.h"
 #include "imu_pose_calib/simulation/simulator.h"
 
 namespace imu_pose_calib {

@@ -1,18 +1,25 @@
 #pragma once
 
+/// Files of bags: what they hold and, of ROS 2, how they are written.
+
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
 
 namespace imu_pose_calib {
 
-/// A file of a ROS 2 bag: what topics it has, where the messages are, and the bytes of each.
-class Ros2File {
+class InputFile;
+
+/// A file of a bag: what topics it has, where the messages are, and the bytes of each.
+class BagFile {
  public:
   struct Topic {
-    std::string name, type, encoding;  ///< "/imu", "sensor_msgs/msg/Imu", "cdr"
+    std::string name;
+    std::string type;                   ///< as ROS 1 names it: "sensor_msgs/Imu"
+    std::optional<std::string> md5sum;  ///< of the type's definition; none: of ROS 2
   };
   /// A message, and where the reader finds it.
   struct Entry {
@@ -22,30 +29,46 @@ class Ros2File {
     uint64_t at = 0, size = 0;
   };
 
-  virtual ~Ros2File() = default;
+  virtual ~BagFile() = default;
   const std::vector<Topic>& topics() const { return topics_; }
   const std::vector<Entry>& entries() const { return entries_; }  ///< in the order of the file
   /// What is to be said of the file; empty: nothing.
   const std::string& note() const { return note_; }
+  /// What is wrong with the file, for when there are no messages at all.
+  const std::string& problem() const { return problem_; }
   /// The bytes of a message, until the next call. Throws InputError when they cannot be had.
   virtual std::string_view Read(const Entry& entry) = 0;
 
  protected:
   std::vector<Topic> topics_;
   std::vector<Entry> entries_;
-  std::string note_;
+  std::string note_, problem_;
 };
+
+/// A bag of ROS 1. What is cut off, or has no index, is read as far as it is whole, and `note()`
+/// says so. Throws InputError with the reason and the remedy.
+std::unique_ptr<BagFile> OpenRos1(const std::string& path);
+
+/// The same without use of the index; `problem` is thrown when the file is damaged otherwise.
+std::unique_ptr<BagFile> ScanRos1(const std::string& path, const std::string& problem);
+
+/// A file of a bag of ROS 2, by its first bytes: mcap or a database of SQLite (.db3), whole or
+/// compressed by zstd. Throws InputError naming the file.
+std::unique_ptr<BagFile> OpenRos2(const std::string& path);
 
 /// Whether these are the first bytes of an mcap file, or of a database of SQLite.
 bool IsMcap(std::string_view bytes);
 bool IsSqlite(std::string_view bytes);
 
-/// An mcap file that lies in memory. A file that is cut off is read up to there, and `note()` says
-/// so. Throws InputError, with `name` and the place in the file, when it is damaged otherwise.
-std::unique_ptr<Ros2File> OpenMcap(std::string_view bytes, const std::string& name);
+/// An mcap file. One that is cut off is read up to there, and `note()` says so. Throws InputError
+/// with `name` and the place in the file when it is damaged otherwise.
+std::unique_ptr<BagFile> OpenMcap(std::unique_ptr<InputFile> input, const std::string& name);
 
 /// The database of rosbag2 (.db3) at `path`. Throws InputError with `name` and SQLite's words.
-std::unique_ptr<Ros2File> OpenSqlite(const std::string& path, const std::string& name);
+std::unique_ptr<BagFile> OpenSqlite(const std::string& path, const std::string& name);
+
+/// "sensor_msgs/Imu" for "sensor_msgs/msg/Imu", with what it is encoded in unless that is "cdr".
+std::string Ros1Type(std::string type, const std::string& encoding);
 
 /// How a bag of ROS 2 is stored.
 struct Ros2Format {
