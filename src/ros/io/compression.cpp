@@ -111,23 +111,6 @@ std::string DecompressBz2(std::string_view bytes, uint64_t size) {
   return contents;
 }
 
-std::string CompressZstd(std::string_view bytes) {
-  std::string frame(ZSTD_compressBound(bytes.size()), '\0');
-  const size_t size = ZSTD_compress(frame.data(), frame.size(), bytes.data(), bytes.size(), 1);
-  if (ZSTD_isError(size)) throw InputError(std::string("zstd: ") + ZSTD_getErrorName(size));
-  frame.resize(size);
-  return frame;
-}
-
-std::string CompressLz4(std::string_view bytes) {
-  std::string frame(LZ4F_compressFrameBound(bytes.size(), nullptr), '\0');
-  const size_t size =
-      LZ4F_compressFrame(frame.data(), frame.size(), bytes.data(), bytes.size(), nullptr);
-  if (LZ4F_isError(size)) throw InputError(std::string("lz4: ") + LZ4F_getErrorName(size));
-  frame.resize(size);
-  return frame;
-}
-
 InputFile::InputFile(const std::string& path) : path_(path) {
   Map();
   if (!IsZstd(bytes())) return;

@@ -152,33 +152,27 @@ class McapFile : public RecordFile {
 
 // --- Writing ---
 
-/// The fields of a record.
-class FieldWriter {
- public:
-  template <typename T>
-  FieldWriter& Number(T value) {
-    for (size_t k = 0; k < sizeof(T); ++k)
-      text_ += static_cast<char>(static_cast<uint64_t>(value) >> (8 * k) & 0xff);
-    return *this;
-  }
-  FieldWriter& Bytes(const std::string& bytes) {
-    text_ += bytes;
-    return *this;
-  }
-  FieldWriter& String(const std::string& text) {
-    return Number(static_cast<uint32_t>(text.size())).Bytes(text);
-  }
+template <typename T>
+void Append(std::string* to, T number) {
+  for (size_t k = 0; k < sizeof(T); ++k)
+    *to += static_cast<char>(static_cast<uint64_t>(number) >> (8 * k) & 0xff);
+}
+/// After its length.
+void Append(std::string* to, const std::string& text) {
+  Append(to, static_cast<uint32_t>(text.size()));
+  *to += text;
+}
 
-  /// A record of these fields.
-  std::string Record(uint8_t opcode) const {
-    return FieldWriter().Number(opcode).Number(uint64_t{text_.size()}).Bytes(text_).text_;
-  }
+template <typename... Fields>
+std::string Pack(const Fields&... fields) {
+  std::string packed;
+  (Append(&packed, fields), ...);
+  return packed;
+}
 
-  const std::string& text() const { return text_; }
-
- private:
-  std::string text_;
-};
+std::string PackRecord(Opcode opcode, const std::string& content) {
+  return Pack(uint8_t{opcode}, uint64_t{content.size()}) + content;
+}
 
 /// First and last time of messages [ns]; 0 without any.
 struct Span {
@@ -193,69 +187,60 @@ struct Span {
 
 class McapStorage : public Ros2Storage {
  public:
-  McapStorage(const std::string& path, const Ros2Format& format)
-      : path_(path), format_(format), file_(path, std::ios::binary | std::ios::trunc) {
+  explicit McapStorage(const std::string& path)
+      : path_(path), file_(path, std::ios::binary | std::ios::trunc) {
     Put(kMagic);
-    Put(FieldWriter().String("ros2").String("imu_pose_calib").Record(kHeader));
+    Put(PackRecord(kHeader, Pack(std::string("ros2"), std::string("imu_pose_calib"))));
   }
 
   void AddTopic(const std::string& name, const std::string& type,
                 const std::string& definition) override {
     counts_.push_back(0);
     const auto id = static_cast<uint16_t>(counts_.size());
+    const std::string encoding = "cdr", metadata;
     const std::string records =
-        FieldWriter().Number(id).String(type).String("ros2msg").String(definition).Record(kSchema) +
-        FieldWriter().Number(id).Number(id).String(name).String("cdr").String("").Record(kChannel);
+        PackRecord(kSchema, Pack(id, type, std::string("ros2msg"), definition)) +
+        PackRecord(kChannel, Pack(id, id, name, encoding, metadata));
     topics_ += records;
-    PutInChunk(records);
+    chunk_ += records;
   }
 
   void Write(uint32_t topic, int64_t t_ns, const std::string& data) override {
     const auto time = static_cast<uint64_t>(t_ns);
     const auto channel = static_cast<uint16_t>(topic + 1);
-    index_[channel].Number(time).Number(uint64_t{chunk_.size()});
+    const auto sequence = static_cast<uint32_t>(counts_[topic]++);
+    index_[channel] += Pack(time, uint64_t{chunk_.size()});
     span_.Add(time);
     chunk_span_.Add(time);
-    PutInChunk(FieldWriter()
-                   .Number(channel)
-                   .Number(static_cast<uint32_t>(counts_[topic]++))
-                   .Number(time)
-                   .Number(time)
-                   .Bytes(data)
-                   .Record(kMessage));
-    if (chunk_.size() >= format_.chunk_size) PutChunk();
+    chunk_ += PackRecord(kMessage, Pack(channel, sequence, time, time) + data);
+    if (chunk_.size() >= kChunkSize) PutChunk();
   }
 
   void Close() override {
     PutChunk();
-    Put(FieldWriter().Number(uint32_t{0}).Record(kDataEnd));  // no checksum
-    const uint64_t summary = at_;
+    const uint32_t no_checksum = 0, attachments = 0, metadata = 0;
+    Put(PackRecord(kDataEnd, Pack(no_checksum)));
+    const uint64_t summary = at_, no_offsets = 0;
     Put(topics_);
-    FieldWriter counts;
+    std::string counts;
     uint64_t messages = 0;
     for (size_t k = 0; k < counts_.size(); ++k) {
-      counts.Number(static_cast<uint16_t>(k + 1)).Number(counts_[k]);
+      counts += Pack(static_cast<uint16_t>(k + 1), counts_[k]);
       messages += counts_[k];
     }
-    Put(FieldWriter()
-            .Number(messages)
-            .Number(static_cast<uint16_t>(counts_.size()))
-            .Number(static_cast<uint32_t>(counts_.size()))
-            .Number(uint32_t{0})  // attachments
-            .Number(uint32_t{0})  // metadata
-            .Number(chunks_)
-            .Number(span_.begin())
-            .Number(span_.end)
-            .String(counts.text())
-            .Record(kStatistics));
+    const auto topics = static_cast<uint16_t>(counts_.size());
+    Put(PackRecord(kStatistics, Pack(messages, topics, uint32_t{topics}, attachments, metadata,
+                                     chunks_, span_.begin(), span_.end, counts)));
     Put(chunk_indexes_);
-    Put(FieldWriter().Number(summary).Number(uint64_t{0}).Number(uint32_t{0}).Record(kFooter));
+    Put(PackRecord(kFooter, Pack(summary, no_offsets, no_checksum)));
     Put(kMagic);
     file_.close();
     CheckFile();
   }
 
  private:
+  static constexpr size_t kChunkSize = 786'432;  ///< [bytes] that end a chunk
+
   void CheckFile() const {
     if (!file_) throw InputError("cannot write bag '" + path_ + "': " + std::strerror(errno));
   }
@@ -266,48 +251,23 @@ class McapStorage : public Ros2Storage {
     at_ += bytes.size();
   }
 
-  void PutInChunk(const std::string& records) {
-    if (format_.chunk_compression != "none")
-      chunk_ += records;
-    else
-      Put(records);
-  }
-
-  /// Writes the chunk with the indexes of its messages.
+  /// Writes the chunk, which is not compressed, with the indexes of its messages.
   void PutChunk() {
     if (chunk_.empty()) return;
-    const std::string& compression = format_.chunk_compression;
-    const std::string stored = compression == "lz4"    ? CompressLz4(chunk_)
-                               : compression == "zstd" ? CompressZstd(chunk_)
-                                                       : chunk_;
-    const std::string record = FieldWriter()
-                                   .Number(chunk_span_.begin())
-                                   .Number(chunk_span_.end)
-                                   .Number(uint64_t{chunk_.size()})
-                                   .Number(Crc32(chunk_))
-                                   .String(compression)
-                                   .Number(uint64_t{stored.size()})
-                                   .Bytes(stored)
-                                   .Record(kChunk);
-    const uint64_t chunk_at = at_;
+    const uint64_t begin = chunk_span_.begin(), end = chunk_span_.end, size = chunk_.size();
+    const std::string compression;
+    const std::string record =
+        PackRecord(kChunk, Pack(begin, end, size, Crc32(chunk_), compression, size) + chunk_);
+    const uint64_t chunk_at = at_, indexes_at = at_ + record.size();
     Put(record);
-    const uint64_t indexes_at = at_;
-    FieldWriter offsets;
+    std::string offsets;
     for (const auto& [channel, entries] : index_) {
-      offsets.Number(channel).Number(at_);
-      Put(FieldWriter().Number(channel).String(entries.text()).Record(kMessageIndex));
+      offsets += Pack(channel, at_);
+      Put(PackRecord(kMessageIndex, Pack(channel, entries)));
     }
-    chunk_indexes_ += FieldWriter()
-                          .Number(chunk_span_.begin())
-                          .Number(chunk_span_.end)
-                          .Number(chunk_at)
-                          .Number(uint64_t{record.size()})
-                          .String(offsets.text())
-                          .Number(at_ - indexes_at)
-                          .String(compression)
-                          .Number(uint64_t{stored.size()})
-                          .Number(uint64_t{chunk_.size()})
-                          .Record(kChunkIndex);
+    chunk_indexes_ +=
+        PackRecord(kChunkIndex, Pack(begin, end, chunk_at, uint64_t{record.size()}, offsets,
+                                     at_ - indexes_at, compression, size, size));
     ++chunks_;
     chunk_.clear();
     index_.clear();
@@ -315,11 +275,10 @@ class McapStorage : public Ros2Storage {
   }
 
   std::string path_;
-  Ros2Format format_;
   std::ofstream file_;
   uint64_t at_ = 0;
   std::string topics_, chunk_, chunk_indexes_;  ///< records
-  std::map<uint16_t, FieldWriter> index_;       ///< of the chunk, of each channel
+  std::map<uint16_t, std::string> index_;       ///< of the chunk, of each channel
   std::vector<uint64_t> counts_;                ///< messages of each topic
   Span span_, chunk_span_;
   uint32_t chunks_ = 0;
@@ -333,8 +292,8 @@ std::unique_ptr<BagFile> OpenMcap(std::unique_ptr<InputFile> input, const std::s
   return std::make_unique<McapFile>(std::move(input), name);
 }
 
-std::unique_ptr<Ros2Storage> CreateMcap(const std::string& path, const Ros2Format& format) {
-  return std::make_unique<McapStorage>(path, format);
+std::unique_ptr<Ros2Storage> CreateMcap(const std::string& path) {
+  return std::make_unique<McapStorage>(path);
 }
 
 }  // namespace imu_pose_calib

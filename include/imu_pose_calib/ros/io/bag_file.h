@@ -71,13 +71,7 @@ std::unique_ptr<BagFile> OpenSqlite(const std::string& path, const std::string& 
 std::string Ros1Type(std::string type, const std::string& encoding);
 
 /// How a bag of ROS 2 is stored.
-struct Ros2Format {
-  bool is_mcap = true;  ///< false: a database of SQLite, .db3
-  /// Of the chunks of an mcap file: "", "lz4" or "zstd"; "none": there are no chunks.
-  std::string chunk_compression;
-  bool compress_messages = false;  ///< each message by zstd
-  size_t chunk_size = 786'432;     ///< [bytes] that end a chunk
-};
+enum class Ros2Format { kMcap, kSqlite };
 
 /// Where encoded messages go.
 class Ros2Storage {
@@ -91,7 +85,7 @@ class Ros2Storage {
 };
 
 /// Both throw InputError with `path` when it cannot be written; so do their members.
-std::unique_ptr<Ros2Storage> CreateMcap(const std::string& path, const Ros2Format& format);
+std::unique_ptr<Ros2Storage> CreateMcap(const std::string& path);
 std::unique_ptr<Ros2Storage> CreateSqlite(const std::string& path);
 
 }  // namespace imu_pose_calib

@@ -23,10 +23,6 @@ std::string DecompressLz4(std::string_view bytes, uint64_t max_size);
 /// The same of bz2, filled up to `size`.
 std::string DecompressBz2(std::string_view bytes, uint64_t size);
 
-/// One frame.
-std::string CompressZstd(std::string_view bytes);
-std::string CompressLz4(std::string_view bytes);
-
 /// A file to read from, as if all of it were in memory. What is compressed by zstd as a whole is
 /// first unfolded into a temporary file.
 class InputFile {
