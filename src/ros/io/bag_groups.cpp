@@ -2,7 +2,6 @@
 #include <map>
 #include <sstream>
 
-#include "imu_pose_calib/ros/io/bag_paths.h"
 #include "imu_pose_calib/ros/io/bag_reader.h"
 #include "imu_pose_calib/ros/io/bags.h"
 

@@ -12,7 +12,6 @@
 #include <vector>
 
 #include "imu_pose_calib/core/base/median.h"
-#include "imu_pose_calib/ros/io/bag_paths.h"
 #include "imu_pose_calib/ros/io/bags.h"
 #include "imu_pose_calib/ros/io/child_process.h"
 #include "imu_pose_calib/ros/io/conversions.h"

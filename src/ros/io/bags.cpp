@@ -5,7 +5,6 @@
 #include <map>
 #include <sstream>
 
-#include "imu_pose_calib/ros/io/bag_paths.h"
 #include "imu_pose_calib/ros/io/compression.h"
 #include "imu_pose_calib/ros/io/recording.h"
 

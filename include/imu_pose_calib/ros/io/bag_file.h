@@ -1,6 +1,6 @@
 #pragma once
 
-/// Files of bags: what they hold and, of ROS 2, how they are written.
+/// Files of bags: which there are, what they hold and, of ROS 2, how they are written.
 
 #include <cstdint>
 #include <memory>
@@ -87,5 +87,25 @@ class Ros2Storage {
 /// Both throw InputError with `path` when it cannot be written; so do their members.
 std::unique_ptr<Ros2Storage> CreateMcap(const std::string& path);
 std::unique_ptr<Ros2Storage> CreateSqlite(const std::string& path);
+
+/// Whether there is a bag of ROS 2 at `path`: an .mcap or .db3 file, whole or compressed by zstd,
+/// or a folder that holds one or a metadata.yaml.
+bool IsRos2Bag(const std::string& path);
+
+/// The files that hold the messages of a bag: itself or, of a folder, what its metadata.yaml names
+/// or, without one, all that there are. Throws InputError when that names what is not there.
+std::vector<std::string> MessageFiles(const std::string& path);
+
+/// These and, of a folder, the metadata.yaml: all that is read.
+std::vector<std::string> FilesOfBag(const std::string& path);
+
+/// The bag's path without the ending that files of its kind have.
+std::string WithoutBagEnding(const std::string& path);
+
+/// "A.bag, B.bag" for error messages.
+std::string FileNames(const std::vector<std::string>& paths);
+
+/// Throws InputError when one of these is not there, or is given twice.
+void CheckBagsExist(const std::vector<std::string>& paths);
 
 }  // namespace imu_pose_calib
