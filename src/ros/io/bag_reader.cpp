@@ -104,8 +104,7 @@ std::vector<ImuTopics> ChooseImus(const Bags& bags, const BagRequest& request) {
                      "; give as many of both, in the same order");
   // Other sessions of the rig have what is missing here.
   const auto may_be_missing = [&](const std::string& name) {
-    const auto is_it = [&](const BagTopic& topic) { return topic.name == name; };
-    return request.may_lack_imus && bags.Select(is_it).empty();
+    return request.may_lack_imus && !Has(bags, [&](const BagTopic& t) { return t.name == name; });
   };
   std::vector<ImuTopics> imus(gyros.size());
   for (size_t i = 0; i < gyros.size(); ++i) {
@@ -248,16 +247,20 @@ std::optional<PoseStd> MedianStd(const std::vector<PoseSample>& poses) {
   return PoseStd{Median(position), Median(rotation)};
 }
 
-/// The body of a topic of several that a request names, or the only one.
+/// The body of a topic of several that a request names, or the only one; of a topic of one nothing.
 std::string ChooseBody(const Bags& bags, const BagTopic& topic, const std::string& name) {
+  const std::string field = "pose_topic '" + topic.name + "'";
+  if (!topic.IsBodies() && !name.empty())
+    throw InputError("body '" + name + "' is given, but " + field + " is " + topic.type +
+                     ", which holds one body");
+  if (!topic.IsBodies()) return "";
   std::set<std::string> names;
   bags.ForEach({topic.name}, [&](const BagMessage& message) {
     for (const FramedPose& body : ReadBodies(message)) names.insert(body.marker_frame);
     return true;
   });
-  const std::string list =
-      "pose_topic '" + topic.name + "' has the bodies: " + boost::join(names, ", ");
-  if (names.empty()) throw InputError("pose_topic '" + topic.name + "' has no bodies");
+  const std::string list = field + " has the bodies: " + boost::join(names, ", ");
+  if (names.empty()) throw InputError(field + " has no bodies");
   if (name.empty() && names.size() > 1) throw InputError(list + "; choose with body");
   if (!name.empty() && names.count(name) == 0)
     throw InputError("body '" + name + "' is missing: " + list);
@@ -265,49 +268,35 @@ std::string ChooseBody(const Bags& bags, const BagTopic& topic, const std::strin
 }
 
 /// Takes the poses of one body out of messages of a topic.
-class PoseReader {
- public:
-  PoseReader(const Bags& bags, BagTopic topic, const BagRequest& request)
-      : topic_(std::move(topic)), record_time_(request.record_time) {
-    if (topic_.IsBodies())
-      body_ = ChooseBody(bags, topic_, request.body);
-    else if (!request.body.empty())
-      throw InputError("body '" + request.body + "' is given, but pose_topic '" + topic_.name +
-                       "' is " + topic_.type + ", which holds one body");
-  }
+struct PoseReader {
+  BagTopic topic;
+  std::string body;  ///< of a topic of several
+  FramedPose first;
+  Stream<PoseSample> poses;
 
-  const std::string& Topic() const { return topic_.name; }
-
-  void Add(const BagMessage& message) {
-    if (message.topic != topic_.name) return;
-    if (!topic_.IsBodies()) return Add(message, ReadPose(topic_.type, message));
+  void Add(const BagMessage& message, bool record_time) {
+    if (message.topic != topic.name) return;
+    if (!topic.IsBodies()) return Add(message, ReadPose(topic.type, message), record_time);
     for (const FramedPose& framed : ReadBodies(message))
-      if (framed.marker_frame == body_) Add(message, framed);
+      if (framed.marker_frame == body) Add(message, framed, record_time);
   }
 
-  void Finish(Recording* recording) {
-    poses_.Finish(topic_.name, &recording->info.pose_latency, &recording->data.poses);
-    recording->info.pose_topic = topic_.name;
-    recording->info.world_frame = FrameName(first_.world_frame, "world");
-    recording->info.marker_frame = FrameName(first_.marker_frame, "marker");
-    recording->info.stated_pose_std = MedianStd(recording->data.poses);
-  }
-
- private:
-  void Add(const BagMessage& message, const FramedPose& framed) {
-    if (poses_.samples.empty()) first_ = framed;
-    if (framed.world_frame != first_.world_frame || framed.marker_frame != first_.marker_frame)
-      throw InputError("pose_topic '" + topic_.name + "' mixes poses of several frames: '" +
-                       first_.world_frame + "' -> '" + first_.marker_frame + "' and '" +
+  void Add(const BagMessage& message, const FramedPose& framed, bool record_time) {
+    if (poses.samples.empty()) first = framed;
+    if (framed.world_frame != first.world_frame || framed.marker_frame != first.marker_frame)
+      throw InputError("pose_topic '" + topic.name + "' mixes poses of several frames: '" +
+                       first.world_frame + "' -> '" + first.marker_frame + "' and '" +
                        framed.world_frame + "' -> '" + framed.marker_frame + "'");
-    poses_.Add(message, framed.pose, record_time_);
+    poses.Add(message, framed.pose, record_time);
   }
 
-  BagTopic topic_;
-  bool record_time_;
-  std::string body_;  ///< of a topic of several
-  FramedPose first_;
-  Stream<PoseSample> poses_;
+  void Finish(RecordingInfo* info, std::vector<PoseSample>* finished) {
+    poses.Finish(topic.name, &info->pose_latency, finished);
+    info->pose_topic = topic.name;
+    info->world_frame = FrameName(first.world_frame, "world");
+    info->marker_frame = FrameName(first.marker_frame, "marker");
+    info->stated_pose_std = MedianStd(*finished);
+  }
 };
 
 void ReadTf(const Bags& bags, const BagRequest& request, Recording* recording) {
@@ -340,36 +329,37 @@ Recording Read(const BagRequest& given) {
                          {"tf_child", request.tf_child});
   if (tf && !request.body.empty())
     throw InputError("body '" + request.body + "' does not go with poses from tf");
-  std::vector<ImuTopics> imus;
-  if (request.imus) imus = ChooseImus(bags, request);
-  std::optional<PoseReader> pose_reader;
-  if (request.poses && !tf)
-    pose_reader.emplace(bags, ChoosePose(bags, request.pose_topic), request);
-  for (const ImuTopics& imu : imus) CheckContent(bags, imu);
+  // Nameless topics are not read: of an IMU that is missing, of poses from elsewhere.
+  PoseReader poses;
+  std::vector<ImuReader> imus;
+  if (request.imus)
+    for (ImuTopics& topics : ChooseImus(bags, request)) imus.emplace_back().topics = topics;
+  if (request.poses && !tf) {
+    poses.topic = ChoosePose(bags, request.pose_topic);
+    poses.body = ChooseBody(bags, poses.topic, request.body);
+  }
+  std::set<std::string> topics = {poses.topic.name};
+  for (const ImuReader& imu : imus) {
+    CheckContent(bags, imu.topics);
+    topics.insert({imu.topics.gyro.name, imu.topics.accel.name});
+  }
+  topics.erase("");
+  // All in one pass: what is compressed is unfolded once.
+  bags.ForEach(topics, [&](const BagMessage& message) {
+    for (ImuReader& imu : imus) imu.Add(message, request.record_time);
+    poses.Add(message, request.record_time);
+    return true;
+  });
 
   Recording recording;
   recording.info.bag = boost::join(request.paths, " ");
   recording.info.notes = bags.Notes();
   recording.info.imus.resize(imus.size());
   recording.data.imus.resize(imus.size());
-  // All in one pass: what is compressed is unfolded once.
-  std::set<std::string> topics;
-  std::vector<ImuReader> imu_readers;
-  for (const ImuTopics& imu : imus) {
-    imu_readers.emplace_back().topics = imu;
-    topics.insert({imu.gyro.name, imu.accel.name});
-  }
-  if (pose_reader) topics.insert(pose_reader->Topic());
-  topics.erase("");  // of an IMU that is missing
-  bags.ForEach(topics, [&](const BagMessage& message) {
-    for (ImuReader& reader : imu_readers) reader.Add(message, request.record_time);
-    if (pose_reader) pose_reader->Add(message);
-    return true;
-  });
   for (size_t i = 0; i < imus.size(); ++i)
-    if (!imus[i].gyro.name.empty())
-      imu_readers[i].Finish(&recording.info.imus[i], &recording.data.imus[i]);
-  if (pose_reader) pose_reader->Finish(&recording);
+    if (!imus[i].topics.gyro.name.empty())
+      imus[i].Finish(&recording.info.imus[i], &recording.data.imus[i]);
+  if (!poses.topic.name.empty()) poses.Finish(&recording.info, &recording.data.poses);
   if (tf) ReadTf(bags, request, &recording);
   return recording;
 }

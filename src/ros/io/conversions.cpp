@@ -32,7 +32,7 @@ ImuSample ToSample(const ros::Time& stamp, const geometry_msgs::Vector3& v) {
 }  // namespace
 
 int64_t ToNanoseconds(const ros::Time& stamp) {
-  return kNanosecondsPerSecond * static_cast<int64_t>(stamp.sec) + static_cast<int64_t>(stamp.nsec);
+  return kNanosecondsPerSecond * int64_t{stamp.sec} + int64_t{stamp.nsec};
 }
 
 ros::Time FromNanoseconds(int64_t t_ns) {

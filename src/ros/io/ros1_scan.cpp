@@ -77,12 +77,10 @@ class Ros1Scan : public RecordFile {
     problem_ = problem;
     FieldReader reader(bytes().substr(std::min(kMagicSize, bytes().size())));
     std::string_view rest = reader.left();  // from the end of the last record that is whole
-    bool is_open = false;                   // a chunk that is still written has no size yet
     try {
       while (!rest.empty()) {
         const Record record(&reader);
-        is_open = record.kind == kChunk && record.data.empty();
-        if (is_open) break;
+        if (record.kind == kChunk && record.data.empty()) break;  // still written, without size
         if (record.kind == kChunk) ReadChunk(record);
         rest = reader.left();
       }
