@@ -75,8 +75,6 @@ void CdrOutput::next(const ros::Time& stamp) {
   next(stamp.nsec);
 }
 
-std::string CdrOutput::Message() const {
-  return std::string("\0\1\0\0", kHeaderSize) + fields_;
-}
+std::string CdrOutput::Message() const { return std::string("\0\1\0\0", kHeaderSize) + fields_; }
 
 }  // namespace imu_pose_calib

@@ -101,10 +101,10 @@ std::string DecompressBz2(std::string_view bytes, uint64_t size) {
   std::string contents(size, '\0');
   rosbag::ChunkedFile none;
   try {
-    rosbag::BZ2Stream(&none).decompress(
-        reinterpret_cast<uint8_t*>(contents.data()), static_cast<unsigned>(size),
-        reinterpret_cast<uint8_t*>(const_cast<char*>(bytes.data())),
-        static_cast<unsigned>(bytes.size()));
+    rosbag::BZ2Stream(&none).decompress(reinterpret_cast<uint8_t*>(contents.data()),
+                                        static_cast<unsigned>(size),
+                                        reinterpret_cast<uint8_t*>(const_cast<char*>(bytes.data())),
+                                        static_cast<unsigned>(bytes.size()));
   } catch (const rosbag::BagException& error) {
     throw InputError(std::string("bz2: ") + error.what());
   }
