@@ -1,15 +1,14 @@
-// Any bytes are a bag of ROS 2, whose messages can be read or are no such messages, or an
-// InputError.
+// Any bytes are a bag of ROS 2, or one of ROS 1 without an index, whose messages can be read or are
+// no such messages, or an InputError.
 
 #include <tf2_msgs/TFMessage.h>
 #include <unistd.h>
 
-#include <cstdio>
 #include <cstdlib>
+#include <fstream>
 
 #include "imu_pose_calib/ros/io/bags.h"
 #include "imu_pose_calib/ros/io/compression.h"
-#include "imu_pose_calib/ros/io/ros2_file.h"
 
 namespace {
 
@@ -33,14 +32,10 @@ void ReadMessage(std::string_view data) {
     Try([&] { ReadBodies(BagMessage{topic, type, ros::Time(1), data}); });
 }
 
-void ReadMessages(Ros2File* file) {
-  for (const Ros2File::Entry& entry : file->entries()) Try([&] { ReadMessage(file->Read(entry)); });
-}
-
-/// In memory, where SQLite can open it.
-const std::string& DatabasePath() {
+/// In memory.
+const std::string& BagPath() {
   static const std::string path = "/dev/shm/fuzz_ros2_bag." + std::to_string(getpid());
-  static const int at_exit = std::atexit([] { unlink(DatabasePath().c_str()); });
+  static const int at_exit = std::atexit([] { unlink(BagPath().c_str()); });
   static_cast<void>(at_exit);
   return path;
 }
@@ -49,16 +44,14 @@ const std::string& DatabasePath() {
 
 extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   const std::string_view bytes(reinterpret_cast<const char*>(data), size);
-  if (IsSqlite(bytes)) {
-    std::FILE* file = std::fopen(DatabasePath().c_str(), "wb");
-    std::fwrite(data, 1, size, file);
-    std::fclose(file);
-    Try([&] { ReadMessages(OpenSqlite(DatabasePath(), "x").get()); });
-  } else if (IsZstd(bytes)) {
-    Try([&] { ReadMessage(DecompressZstd(bytes, 1 << 24)); });
-  } else {
-    Try([&] { ReadMessages(OpenMcap(bytes, "x").get()); });
-    ReadMessage(bytes);
-  }
+  std::ofstream(BagPath(), std::ios::binary) << bytes;
+  Try([&] {
+    const bool is_ros1 = size > 0 && data[0] == '#';
+    const auto file = is_ros1 ? ScanRos1(BagPath(), "x") : OpenRos2(BagPath());
+    for (const BagFile::Entry& entry : file->entries())
+      Try([&] { ReadMessage(file->Read(entry)); });
+  });
+  if (IsZstd(bytes)) Try([&] { ReadMessage(DecompressZstd(bytes, 1 << 24)); });
+  ReadMessage(bytes);
   return 0;
 }

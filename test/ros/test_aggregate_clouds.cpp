@@ -281,9 +281,7 @@ TEST_F(AggregateTest, BagsOfRos2GiveTheSameMap) {
   options.duration_s = 8.0;
   Simulate(options);
   ASSERT_EQ(Aggregate("sim.bag --imu-sensor lidar.yaml --output a.pcd").status, 0);
-  Ros2Format format;
-  format.chunk_compression = "zstd";
-  ToRos2(Path("sim.bag"), Path("sim.mcap"), format);
+  ToRos2(Path("sim.bag"), Path("sim.mcap"), {"mcap", "zstd"});
   const Outcome outcome = Aggregate("sim.mcap --imu-sensor lidar.yaml --output b.pcd");
   ASSERT_EQ(outcome.status, 0) << outcome.err;
   EXPECT_GT(ReadText(Path("a.pcd")).size(), 100'000u);

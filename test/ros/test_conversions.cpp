@@ -43,30 +43,35 @@ TEST(Samples, KeepValuesAndOrder) {
 TEST(Samples, TellGyroscopeFromAccelerometer) {
   sensor_msgs::Imu msg;
   msg.header.stamp = ros::Time(7, 8);
+  msg.header.frame_id = "i";
   msg.angular_velocity.x = 1.0;
   msg.angular_velocity.z = 3.0;
   msg.linear_acceleration.y = 5.0;
-  EXPECT_EQ(ToGyroSample(msg).t_ns, 7000000008);
-  EXPECT_EQ(ToGyroSample(msg).value, Eigen::Vector3d(1.0, 0.0, 3.0));
-  EXPECT_EQ(ToAccelSample(msg).value, Eigen::Vector3d(0.0, 5.0, 0.0));
+  const ImuContent content = ToImuContent(msg);  // covariances all zero: unknown
+  EXPECT_EQ(content.gyro->t_ns, 7000000008);
+  EXPECT_EQ(content.gyro->value, Eigen::Vector3d(1.0, 0.0, 3.0));
+  EXPECT_EQ(content.accel->value, Eigen::Vector3d(0.0, 5.0, 0.0));
+  EXPECT_EQ(content.frame, "i");
 }
 
 TEST(Samples, AreMissingWhenTheirCovarianceStartsWithMinusOne) {
   sensor_msgs::Imu msg;
-  EXPECT_TRUE(IsGiven(msg.angular_velocity_covariance));  // all zero: unknown
   msg.angular_velocity_covariance[0] = -1.0;
-  EXPECT_FALSE(IsGiven(msg.angular_velocity_covariance));
-  EXPECT_TRUE(IsGiven(msg.linear_acceleration_covariance));
   msg.linear_acceleration_covariance[4] = -1.0;
-  EXPECT_TRUE(IsGiven(msg.linear_acceleration_covariance));
+  EXPECT_FALSE(ToImuContent(msg).gyro);
+  EXPECT_TRUE(ToImuContent(msg).accel);
+  msg.linear_acceleration_covariance[0] = -1.0;
+  EXPECT_FALSE(ToImuContent(msg).accel);
 }
 
-TEST(Samples, OfVectors) {
+TEST(Samples, OfVectorsMayBeOfEitherSensor) {
   geometry_msgs::Vector3Stamped msg;
   msg.header.stamp = ros::Time(7, 8);
   msg.vector.y = 2.0;
-  EXPECT_EQ(ToImuSample(msg).t_ns, 7000000008);
-  EXPECT_EQ(ToImuSample(msg).value, Eigen::Vector3d(0.0, 2.0, 0.0));
+  const ImuContent content = ToImuContent(msg);
+  EXPECT_EQ(content.gyro->t_ns, 7000000008);
+  EXPECT_EQ(content.gyro->value, Eigen::Vector3d(0.0, 2.0, 0.0));
+  EXPECT_EQ(content.accel->value, Eigen::Vector3d(0.0, 2.0, 0.0));
 }
 
 TEST(Samples, StatedStdNeedsACovarianceThatMakesSense) {

@@ -4,7 +4,6 @@
 
 #include "imu_pose_calib/ros/io/bag_reader.h"
 #include "imu_pose_calib/ros/io/bag_writer.h"
-#include "imu_pose_calib/ros/io/compression.h"
 #include "imu_pose_calib/ros/offline/offline.h"
 #include "run_executable.h"
 #include "to_ros2.h"
@@ -45,7 +44,7 @@ class Ros2BagTest : public ExecutableTest {
 
   /// Writes x.bag as a file of ROS 2.
   std::string Convert(const Ros2Way& way, const std::string& prefix = "x.") const {
-    ToRos2(Path("x.bag"), Path(prefix + way.ending), way.format);
+    ToRos2(Path("x.bag"), Path(prefix + way.ending), way);
     return Path(prefix + way.ending);
   }
   void WriteBytes(const std::string& name, const std::string& bytes) const {
@@ -58,8 +57,8 @@ class Ros2BagTest : public ExecutableTest {
   /// A folder "bag" whose two files hold every second message each, and a metadata.yaml.
   void WriteFolder(const Ros2Way& way, const std::string& names) const {
     std::filesystem::create_directory(Path("bag"));
-    ToRos2(Path("x.bag"), Path("bag/bag_0." + way.ending), way.format, 0, 2);
-    ToRos2(Path("x.bag"), Path("bag/bag_1." + way.ending), way.format, 1, 2);
+    ToRos2(Path("x.bag"), Path("bag/bag_0." + way.ending), way, 0, 2);
+    ToRos2(Path("x.bag"), Path("bag/bag_1." + way.ending), way, 1, 2);
     WriteBytes("bag/metadata.yaml",
                "rosbag2_bagfile_information:\n  version: 5\n  storage_identifier: mcap\n"
                "  relative_file_paths: " +
@@ -72,9 +71,9 @@ TEST_F(Ros2BagTest, SampleIsTheSameInEveryFormat) {
   EXPECT_GT(expected.size(), 1'000'000u);
   for (const Ros2Way& way : Ros2Ways()) {
     const std::string path = Path("sample." + way.ending);
-    ToRos2(kSample, path, way.format);
+    ToRos2(kSample, path, way);
     EXPECT_TRUE(Bits(Read(path)) == expected) << way.ending;
-    if (!way.format.chunk_compression.empty() || way.format.compress_messages) continue;
+    if (!way.chunk_compression.empty() || way.compress_messages) continue;
     WriteBytes("whole.zstd", CompressZstd(ReadText(path)));
     EXPECT_TRUE(Bits(Read(Path("whole.zstd"))) == expected) << way.ending << " in zstd";
   }
@@ -163,7 +162,7 @@ TEST_F(Ros2BagTest, RefusesMetadataThatDoNotFit) {
 
 TEST_F(Ros2BagTest, ACutOffMcapIsReadAsFarAsItIsWhole) {
   for (const Ros2Way& way : Ros2Ways()) {
-    if (!way.format.is_mcap) continue;
+    if (!way.IsMcap()) continue;
     const std::string path = Convert(way), bytes = ReadText(path);
     WriteBytes("cut.mcap", bytes.substr(0, bytes.size() * 6 / 10));
     const Recording cut = Read(Path("cut.mcap")), whole = Read(Path("x.bag"));
@@ -180,9 +179,7 @@ TEST_F(Ros2BagTest, ACutOffMcapIsReadAsFarAsItIsWhole) {
 }
 
 TEST_F(Ros2BagTest, RefusesDamage) {
-  Ros2Format format;
-  format.chunk_compression = "zstd";
-  const std::string path = Convert({"mcap", format});
+  const std::string path = Convert({"mcap", "zstd"});
   const std::string whole = ReadText(path);
   // In the middle of the first chunk's frame.
   std::string bytes = whole;
@@ -287,7 +284,7 @@ TEST_F(Ros2BagTest, BagsOfBothKindsAreNoOneRecording) {
 TEST_F(Ros2BagTest, OneBodyOfSeveralIsChosenByName) {
   const SessionData data = Simulate(ShortSimulation());
   const auto write = [&](bool with_wand) {
-    const auto storage = CreateMcap(Path("bodies.mcap"), {});
+    const auto storage = CreateMcap(Path("bodies.mcap"));
     storage->AddTopic("/imu", "sensor_msgs/msg/Imu", "");
     storage->AddTopic("/poses", "motion_capture_tracking_interfaces/msg/NamedPoseArray", "");
     for (const ImuSample& sample : data.imus[0].gyro) {
@@ -333,7 +330,7 @@ TEST_F(Ros2BagTest, OneBodyOfSeveralIsChosenByName) {
 }
 
 TEST_F(Ros2BagTest, TopicsInAnotherEncodingFitNoRole) {
-  std::string bytes = ReadText(Convert({"none.mcap", Ros2Ways()[1].format}));
+  std::string bytes = ReadText(Convert({"none.mcap", "none"}));
   // The channels are written twice: among the messages and in the summary.
   for (size_t at = 0; (at = bytes.find(std::string("\3\0\0\0cdr", 7), at)) != std::string::npos;)
     bytes.replace(at + 4, 3, "xml");

@@ -17,9 +17,9 @@ namespace {
 void ReadAll(const std::string& path) {
   const Bags bags({path}, 0.0, 0.0);
   for (const BagTopic& topic : bags.topics()) {
-    bags.ForEach(topic, [&](const BagMessage& message) {
+    bags.ForEach({topic.name}, [&](const BagMessage& message) {
       if (topic.IsImu()) ReadImuContent(topic.type, message);
-      if (const auto* type = FindPoseType<BagMessage>(topic.type)) type->read(message);
+      if (IsPoseType(topic.type)) ReadPose(topic.type, message);
       if (topic.IsTf()) message.instantiate<tf2_msgs::TFMessage>();
       return true;
     });
@@ -37,7 +37,7 @@ TEST_P(Ros2DamageTest, IsReadOrRefused) {
   int refused = 0, read = 0;
   for (const char* pose_type : {"PoseStamped", "tf"}) {
     WriteBag(Path("x.bag"), Simulate(options), {false, pose_type});
-    ToRos2(Path("x.bag"), Path("whole"), way.format);
+    ToRos2(Path("x.bag"), Path("whole"), way);
     const std::string whole = ReadText(Path("whole"));
     ReadAll(Path("whole"));
     std::mt19937 random(7);

@@ -116,7 +116,7 @@ class Clouds {
               request.recording.bag.duration_s),
         topic_(ChooseClouds(bags_, request.cloud_topic)) {
     std::vector<sensor_msgs::PointCloud2> first;
-    bags_.ForEach(topic_, [&](const BagMessage& message) {
+    bags_.ForEach({topic_.name}, [&](const BagMessage& message) {
       const auto cloud = message.instantiate<sensor_msgs::PointCloud2>();
       if (!cloud->data.empty()) first.push_back(*cloud);
       return first.size() < kFirstClouds;
@@ -133,7 +133,7 @@ class Clouds {
   /// Calls `use(stamp_ns, points)` for each.
   template <typename Use>
   void ForEach(Use use) const {
-    bags_.ForEach(topic_, [&](const BagMessage& message) {
+    bags_.ForEach({topic_.name}, [&](const BagMessage& message) {
       const auto cloud = message.instantiate<sensor_msgs::PointCloud2>();
       Named(*cloud, [&] {
         if (cloud->header.stamp.isZero()) throw InputError("its stamp must be set");

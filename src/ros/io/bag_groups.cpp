@@ -1,7 +1,5 @@
 #include <algorithm>
-#include <filesystem>
 #include <map>
-#include <set>
 #include <sstream>
 
 #include "imu_pose_calib/ros/io/bag_reader.h"
@@ -15,11 +13,10 @@ constexpr double kMaxPause = 2.0, kMaxOverlap = 0.5;
 
 /// When a bag was recorded and what it holds of poses and IMUs.
 struct BagSpan {
-  std::string path;
   double begin_s, end_s;
   std::vector<std::string> topics;
 
-  explicit BagSpan(const std::string& bag_path) : path(bag_path) {
+  explicit BagSpan(const std::string& path) {
     const Bags bag({path}, 0.0, 0.0);
     begin_s = bag.begin_s();
     end_s = begin_s + bag.duration_s();
@@ -33,7 +30,7 @@ struct BagSpan {
     const double pause = std::max(begin_s, other.begin_s) - std::min(end_s, other.end_s);
     if (pause > kMaxPause) return false;
     const auto is_shared = [&](const std::string& topic) {
-      return std::find(other.topics.begin(), other.topics.end(), topic) != other.topics.end();
+      return std::count(other.topics.begin(), other.topics.end(), topic) > 0;
     };
     return pause > -kMaxOverlap || std::none_of(topics.begin(), topics.end(), is_shared);
   }
@@ -43,17 +40,14 @@ struct BagSpan {
 
 std::vector<std::vector<std::string>> GroupBags(const std::vector<std::string>& paths) {
   if (paths.size() < 2) return {paths};
-  std::set<std::filesystem::path> known;
-  for (const std::string& path : paths)
-    if (std::filesystem::exists(path) && !known.insert(std::filesystem::canonical(path)).second)
-      throw InputError("bag '" + path + "' is given twice");
+  CheckBagsExist(paths);
   BagRequest request;
   request.paths = paths;
-  // A line for each bag: the number of its recording.
-  const std::string numbers = ReadApart(request, [&paths] {
+  // Of each bag the number of its recording.
+  std::istringstream numbers(ReadApart(request, [&paths] {
     std::vector<BagSpan> spans;
     std::vector<size_t> group;
-    std::string text;
+    std::ostringstream text;
     for (const std::string& path : paths) {
       const BagSpan span(path);
       size_t own = spans.size();
@@ -61,15 +55,14 @@ std::vector<std::vector<std::string>> GroupBags(const std::vector<std::string>& 
         if (span.Continues(spans[k])) own = std::min(own, group[k]);
       spans.push_back(span);
       group.push_back(own);
-      text += std::to_string(own) + "\n";
+      text << own << " ";
     }
-    return text;
-  });
-  std::istringstream lines(numbers);
+    return text.str();
+  }));
   std::map<size_t, std::vector<std::string>> groups;
   size_t number = 0;
   for (const std::string& path : paths)
-    if (lines >> number) groups[number].push_back(path);
+    if (numbers >> number) groups[number].push_back(path);
   std::vector<std::vector<std::string>> recordings;
   for (const auto& [first, bags] : groups) recordings.push_back(bags);
   return recordings;

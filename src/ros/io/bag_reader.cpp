@@ -1,13 +1,10 @@
 #include "imu_pose_calib/ros/io/bag_reader.h"
 
-#include <console_bridge/console.h>
-
 #include <algorithm>
 #include <boost/algorithm/string/join.hpp>
 #include <cmath>
 #include <filesystem>
 #include <functional>
-#include <memory>
 #include <optional>
 #include <set>
 #include <tuple>
@@ -24,9 +21,13 @@
 namespace imu_pose_calib {
 namespace {
 
-std::string PoseTypeList() { return boost::join(PoseTypeNames(), " or "); }
-
 // --- Which topics ---
+
+/// Whether `is_it` of any topic.
+template <typename IsIt>
+bool Has(const Bags& bags, IsIt is_it) {
+  return !bags.Select(is_it).empty();
+}
 
 /// Whether the messages of a topic carry gyroscope and accelerometer samples that are not always
 /// exactly zero.
@@ -36,7 +37,7 @@ struct ImuSensors {
 
 ImuSensors FindSensors(const Bags& bags, const BagTopic& topic) {
   ImuSensors sensors;
-  bags.ForEach(topic, [&](const BagMessage& message) {
+  bags.ForEach({topic.name}, [&](const BagMessage& message) {
     const ImuContent content = ReadImuContent(message.type, message);
     if (content.gyro && !content.gyro->value.isZero(0.0)) sensors.gyro = true;
     if (content.accel && !content.accel->value.isZero(0.0)) sensors.accel = true;
@@ -64,7 +65,7 @@ ImuTopics FindImu(const Bags& bags) {
       bags.Select([](const BagTopic& t) { return t.count > 0 && t.IsImu(); });
   if (candidates.empty()) {
     const bool has_vectors =
-        !bags.Select([](const BagTopic& t) { return t.count > 0 && t.IsVector(); }).empty();
+        Has(bags, [](const BagTopic& t) { return t.count > 0 && t.IsVector(); });
     throw InputError(std::string("no topic of type ") + kImuType + " in " + bags.Contents() +
                      (has_vectors ? std::string("; say which ") + kVectorType +
                                         " is which with gyro_topic and accel_topic"
@@ -85,47 +86,36 @@ ImuTopics FindImu(const Bags& bags) {
   return {gyros[0], accels[0]};
 }
 
-/// Whether the bags lack a topic that other sessions of the rig have.
-bool IsMissing(const Bags& bags, const BagRequest& request, const std::string& name) {
-  const auto is_it = [&name](const BagTopic& topic) { return topic.name == name; };
-  return request.may_lack_imus && bags.Select(is_it).empty();
-}
-
 /// The topics of each IMU; nameless for one that is missing.
 std::vector<ImuTopics> ChooseImus(const Bags& bags, const BagRequest& request) {
-  std::vector<ImuTopics> imus;
-  if (IsPair({"imu_topic", request.imu_topic}, {"gyro_topic", request.gyro_topic},
-             {"accel_topic", request.accel_topic})) {
-    const std::vector<std::string> gyros = SplitNames(request.gyro_topic);
-    const std::vector<std::string> accels = SplitNames(request.accel_topic);
-    if (gyros.size() != accels.size())
-      throw InputError("gyro_topic names " + std::to_string(gyros.size()) +
-                       " topics and accel_topic " + std::to_string(accels.size()) +
-                       "; give as many of both, in the same order");
-    for (size_t i = 0; i < gyros.size(); ++i) {
-      const bool is_missing =
-          IsMissing(bags, request, gyros[i]) && IsMissing(bags, request, accels[i]);
-      imus.push_back(is_missing ? ImuTopics()
-                                : ImuTopics{NamedImu(bags, "gyro_topic", gyros[i]),
-                                            NamedImu(bags, "accel_topic", accels[i])});
-    }
-    return imus;
+  const bool is_split = IsPair({"imu_topic", request.imu_topic}, {"gyro_topic", request.gyro_topic},
+                               {"accel_topic", request.accel_topic});
+  if (!is_split && request.imu_topic.empty()) {
+    for (const BagTopic& topic : bags.topics())
+      if (topic.IsImu() && topic.count > 0 && topic.name == request.usual_imu_topic)
+        return {{topic, topic}};
+    return {FindImu(bags)};
   }
-  if (!request.imu_topic.empty()) {
-    for (const std::string& name : SplitNames(request.imu_topic)) {
-      if (std::any_of(imus.begin(), imus.end(),
-                      [&](const ImuTopics& imu) { return imu.gyro.name == name; }))
-        throw InputError("imu_topic '" + name + "' is given twice");
-      const bool is_missing = IsMissing(bags, request, name);
-      const BagTopic topic = is_missing ? BagTopic() : NamedImu(bags, "imu_topic", name);
-      imus.push_back({topic, topic});
-    }
-    return imus;
+  const auto gyros = SplitNames(is_split ? request.gyro_topic : request.imu_topic);
+  const auto accels = is_split ? SplitNames(request.accel_topic) : gyros;
+  if (gyros.size() != accels.size())
+    throw InputError("gyro_topic names " + std::to_string(gyros.size()) +
+                     " topics and accel_topic " + std::to_string(accels.size()) +
+                     "; give as many of both, in the same order");
+  // Other sessions of the rig have what is missing here.
+  const auto may_be_missing = [&](const std::string& name) {
+    return request.may_lack_imus && !Has(bags, [&](const BagTopic& t) { return t.name == name; });
+  };
+  std::vector<ImuTopics> imus(gyros.size());
+  for (size_t i = 0; i < gyros.size(); ++i) {
+    if (!is_split &&
+        std::count(gyros.begin(), gyros.begin() + static_cast<int64_t>(i), gyros[i]) > 0)
+      throw InputError("imu_topic '" + gyros[i] + "' is given twice");
+    if (may_be_missing(gyros[i]) && may_be_missing(accels[i])) continue;
+    imus[i] = {NamedImu(bags, is_split ? "gyro_topic" : "imu_topic", gyros[i]),
+               NamedImu(bags, is_split ? "accel_topic" : "imu_topic", accels[i])};
   }
-  for (const BagTopic& topic : bags.topics())
-    if (topic.IsImu() && topic.count > 0 && topic.name == request.usual_imu_topic)
-      return {{topic, topic}};
-  return {FindImu(bags)};
+  return imus;
 }
 
 /// A topic without the data that are to come from it is a mistake in the topics, not bad data.
@@ -141,31 +131,30 @@ void CheckContent(const Bags& bags, const ImuTopics& imu) {
     fail(imu.accel, "linear acceleration");
 }
 
-/// The frames of tf, without a chain.
-std::unique_ptr<TfChain> TfLinks(const Bags& bags) {
-  auto links = std::make_unique<TfChain>("", "", 0.0);
+/// All links of tf, for no chain.
+void AddTf(const Bags& bags, TfChain* links) {
   bags.ForEachTf([&](const BagMessage& message, bool fixed) {
     links->Add(*message.instantiate<tf2_msgs::TFMessage>(), fixed);
   });
-  return links;
 }
 
 /// What poses could come from when there is no pose topic.
 std::string TfHint(const Bags& bags) {
-  if (bags.Select([](const BagTopic& t) { return t.IsTf(); }).empty()) return "";
-  return "; for poses from tf give tf_parent and tf_child, its frames are: " +
-         TfLinks(bags)->Links();
+  if (!Has(bags, [](const BagTopic& t) { return t.IsTf(); })) return "";
+  TfChain links("", "", 0.0);
+  AddTf(bags, &links);
+  return "; for poses from tf give tf_parent and tf_child, its frames are: " + links.Links();
 }
 
 /// A single pair of frames that tf has poses between is taken by itself when there are no others.
 BagRequest FindTf(const Bags& bags, BagRequest request) {
   const bool is_open = request.poses && request.pose_topic.empty() && request.tf_parent.empty() &&
                        request.tf_child.empty() && request.body.empty();
-  if (!is_open || bags.Select([](const BagTopic& t) { return t.IsTf(); }).empty() ||
-      !bags.Select([](const BagTopic& t) { return t.count > 0 && t.IsPose(); }).empty())
+  if (!is_open || Has(bags, [](const BagTopic& t) { return t.count > 0 && t.IsPose(); }))
     return request;
-  const auto pair = TfLinks(bags)->SinglePair();
-  if (pair) std::tie(request.tf_parent, request.tf_child) = *pair;
+  TfChain links("", "", 0.0);
+  AddTf(bags, &links);
+  if (const auto pair = links.SinglePair()) std::tie(request.tf_parent, request.tf_child) = *pair;
   return request;
 }
 
@@ -177,14 +166,14 @@ BagTopic ChoosePose(const Bags& bags, const std::string& name) {
                        TfHint(bags));
     if (!topic.IsPose())
       throw InputError("pose_topic '" + name + "' is " + topic.type + ", must be " +
-                       PoseTypeList());
+                       boost::join(PoseTypeNames(), " or "));
     return topic;
   }
   const std::vector<BagTopic> candidates =
       bags.Select([](const BagTopic& t) { return t.count > 0 && t.IsPose(); });
   if (candidates.empty())
-    throw InputError("no topic of type " + PoseTypeList() + " in " + bags.Contents() +
-                     TfHint(bags));
+    throw InputError("no topic of type " + boost::join(PoseTypeNames(), " or ") + " in " +
+                     bags.Contents() + TfHint(bags));
   if (candidates.size() > 1)
     throw InputError("several pose topics: " + Describe(candidates) + "; choose with pose_topic");
   return candidates[0];
@@ -192,87 +181,58 @@ BagTopic ChoosePose(const Bags& bags, const std::string& name) {
 
 // --- Samples ---
 
-/// Record time minus header stamp [s] of the messages of one stream.
-class Delays {
- public:
-  void Add(const BagMessage& message, int64_t stamp_ns) {
-    delays_s_.push_back(1e-9 * static_cast<double>(ToNanoseconds(message.time) - stamp_ns));
-  }
-
-  std::optional<Latency> Summarise() && {
-    if (delays_s_.empty()) return std::nullopt;
-    Latency latency;
-    latency.median_s = Median(delays_s_);
-    for (double& delay : delays_s_) delay = std::abs(delay - latency.median_s);
-    latency.spread_s = kMadToSigma * Median(std::move(delays_s_));
-    return latency;
-  }
-
- private:
-  std::vector<double> delays_s_;
-};
-
-/// The samples of one stream.
+/// The samples of one stream, and by how much each is recorded after its stamp.
 template <typename Sample>
 struct Stream {
   std::vector<Sample> samples;
-  Delays delays;
+  std::vector<double> delays_s;
 
   void Add(const BagMessage& message, Sample sample, bool record_time) {
-    delays.Add(message, sample.t_ns);
-    if (record_time) sample.t_ns = ToNanoseconds(message.time);
+    const int64_t recorded_ns = ToNanoseconds(message.time);
+    delays_s.push_back(1e-9 * static_cast<double>(recorded_ns - sample.t_ns));
+    if (record_time) sample.t_ns = recorded_ns;
     samples.push_back(sample);
   }
 
   /// Hands over samples that have stamps.
   void Finish(const std::string& topic, std::optional<Latency>* latency,
-              std::vector<Sample>* finished) && {
-    const bool has_stamps =
-        std::any_of(samples.begin(), samples.end(), [](const Sample& s) { return s.t_ns != 0; });
-    if (!samples.empty() && !has_stamps)
+              std::vector<Sample>* finished) {
+    if (samples.empty()) return;
+    if (std::all_of(samples.begin(), samples.end(), [](const Sample& s) { return s.t_ns == 0; }))
       throw InputError("'" + topic +
                        "' has no header stamps (all are 0); record_time takes the times of "
                        "recording instead, which are less exact");
-    *latency = std::move(delays).Summarise();
+    const double median_s = Median(delays_s);
+    for (double& delay : delays_s) delay = std::abs(delay - median_s);
+    *latency = Latency{median_s, kMadToSigma * Median(std::move(delays_s))};
     *finished = std::move(samples);
   }
 };
 
 /// Takes the samples of one IMU out of messages.
-class ImuReader {
- public:
-  ImuReader(ImuTopics topics, bool record_time)
-      : topics_(std::move(topics)), record_time_(record_time) {}
+struct ImuReader {
+  ImuTopics topics;
+  std::string frame;
+  Stream<ImuSample> gyros, accels;
 
-  std::set<std::string> Topics() const { return {topics_.gyro.name, topics_.accel.name}; }
-
-  void Add(const BagMessage& message) {
-    const bool gyro = message.topic == topics_.gyro.name;
-    const bool accel = message.topic == topics_.accel.name;
+  void Add(const BagMessage& message, bool record_time) {
+    const bool gyro = message.topic == topics.gyro.name;
+    const bool accel = message.topic == topics.accel.name;
     if (!gyro && !accel) return;
     const ImuContent content = ReadImuContent(message.type, message);
-    if (gyro) frame_ = content.frame;
-    if (gyro && content.gyro) gyro_.Add(message, *content.gyro, record_time_);
-    if (accel && content.accel) accel_.Add(message, *content.accel, record_time_);
+    if (gyro) frame = content.frame;
+    if (gyro && content.gyro) gyros.Add(message, *content.gyro, record_time);
+    if (accel && content.accel) accels.Add(message, *content.accel, record_time);
   }
 
-  void Finish(ImuInfo* info, ImuData* data) && {
-    std::move(gyro_).Finish(topics_.gyro.name, &info->gyro_latency, &data->gyro);
-    std::move(accel_).Finish(topics_.accel.name, &info->accel_latency, &data->accel);
-    if (topics_.gyro.name != topics_.accel.name) {
-      info->gyro_topic = topics_.gyro.name;
-      info->accel_topic = topics_.accel.name;
-    } else {
-      info->imu_topic = topics_.gyro.name;
-    }
-    info->imu_frame = FrameName(frame_, "imu");
+  void Finish(ImuInfo* info, ImuData* data) {
+    gyros.Finish(topics.gyro.name, &info->gyro_latency, &data->gyro);
+    accels.Finish(topics.accel.name, &info->accel_latency, &data->accel);
+    const bool is_split = topics.gyro.name != topics.accel.name;
+    (is_split ? info->gyro_topic : info->imu_topic) = topics.gyro.name;
+    if (is_split) info->accel_topic = topics.accel.name;
+    info->imu_frame = FrameName(frame, "imu");
   }
-
- private:
-  ImuTopics topics_;
-  bool record_time_;
-  std::string frame_;
-  Stream<ImuSample> gyro_, accel_;
 };
 
 /// Median of each sigma that is stated; no value when none is.
@@ -287,16 +247,20 @@ std::optional<PoseStd> MedianStd(const std::vector<PoseSample>& poses) {
   return PoseStd{Median(position), Median(rotation)};
 }
 
-/// The body of a topic of several that a request names, or the only one.
+/// The body of a topic of several that a request names, or the only one; of a topic of one nothing.
 std::string ChooseBody(const Bags& bags, const BagTopic& topic, const std::string& name) {
+  const std::string field = "pose_topic '" + topic.name + "'";
+  if (!topic.IsBodies() && !name.empty())
+    throw InputError("body '" + name + "' is given, but " + field + " is " + topic.type +
+                     ", which holds one body");
+  if (!topic.IsBodies()) return "";
   std::set<std::string> names;
-  bags.ForEach(topic, [&](const BagMessage& message) {
+  bags.ForEach({topic.name}, [&](const BagMessage& message) {
     for (const FramedPose& body : ReadBodies(message)) names.insert(body.marker_frame);
     return true;
   });
-  const std::string list =
-      "pose_topic '" + topic.name + "' has the bodies: " + boost::join(names, ", ");
-  if (names.empty()) throw InputError("pose_topic '" + topic.name + "' has no bodies");
+  const std::string list = field + " has the bodies: " + boost::join(names, ", ");
+  if (names.empty()) throw InputError(field + " has no bodies");
   if (name.empty() && names.size() > 1) throw InputError(list + "; choose with body");
   if (!name.empty() && names.count(name) == 0)
     throw InputError("body '" + name + "' is missing: " + list);
@@ -304,75 +268,58 @@ std::string ChooseBody(const Bags& bags, const BagTopic& topic, const std::strin
 }
 
 /// Takes the poses of one body out of messages of a topic.
-class PoseReader {
- public:
-  PoseReader(const Bags& bags, BagTopic topic, const BagRequest& request)
-      : topic_(std::move(topic)), record_time_(request.record_time) {
-    if (topic_.IsBodies())
-      body_ = ChooseBody(bags, topic_, request.body);
-    else if (!request.body.empty())
-      throw InputError("body '" + request.body + "' is given, but pose_topic '" + topic_.name +
-                       "' is " + topic_.type + ", which holds one body");
-  }
+struct PoseReader {
+  BagTopic topic;
+  std::string body;  ///< of a topic of several
+  FramedPose first;
+  Stream<PoseSample> poses;
 
-  const std::string& Topic() const { return topic_.name; }
-
-  void Add(const BagMessage& message) {
-    if (message.topic != topic_.name) return;
-    if (!topic_.IsBodies())
-      return Add(message, FindPoseType<BagMessage>(topic_.type)->read(message));
+  void Add(const BagMessage& message, bool record_time) {
+    if (message.topic != topic.name) return;
+    if (!topic.IsBodies()) return Add(message, ReadPose(topic.type, message), record_time);
     for (const FramedPose& framed : ReadBodies(message))
-      if (framed.marker_frame == body_) Add(message, framed);
+      if (framed.marker_frame == body) Add(message, framed, record_time);
   }
 
-  void Finish(Recording* recording) && {
-    std::move(poses_).Finish(topic_.name, &recording->info.pose_latency, &recording->data.poses);
-    recording->info.pose_topic = topic_.name;
-    recording->info.world_frame = FrameName(first_.world_frame, "world");
-    recording->info.marker_frame = FrameName(first_.marker_frame, "marker");
-    recording->info.stated_pose_std = MedianStd(recording->data.poses);
-  }
-
- private:
-  void Add(const BagMessage& message, const FramedPose& framed) {
-    if (poses_.samples.empty()) first_ = framed;
-    if (framed.world_frame != first_.world_frame || framed.marker_frame != first_.marker_frame)
-      throw InputError("pose_topic '" + topic_.name + "' mixes poses of several frames: '" +
-                       first_.world_frame + "' -> '" + first_.marker_frame + "' and '" +
+  void Add(const BagMessage& message, const FramedPose& framed, bool record_time) {
+    if (poses.samples.empty()) first = framed;
+    if (framed.world_frame != first.world_frame || framed.marker_frame != first.marker_frame)
+      throw InputError("pose_topic '" + topic.name + "' mixes poses of several frames: '" +
+                       first.world_frame + "' -> '" + first.marker_frame + "' and '" +
                        framed.world_frame + "' -> '" + framed.marker_frame + "'");
-    poses_.Add(message, framed.pose, record_time_);
+    poses.Add(message, framed.pose, record_time);
   }
 
-  BagTopic topic_;
-  bool record_time_;
-  std::string body_;  ///< of a topic of several
-  FramedPose first_;
-  Stream<PoseSample> poses_;
+  void Finish(RecordingInfo* info, std::vector<PoseSample>* finished) {
+    poses.Finish(topic.name, &info->pose_latency, finished);
+    info->pose_topic = topic.name;
+    info->world_frame = FrameName(first.world_frame, "world");
+    info->marker_frame = FrameName(first.marker_frame, "marker");
+    info->stated_pose_std = MedianStd(*finished);
+  }
 };
 
 void ReadTf(const Bags& bags, const BagRequest& request, Recording* recording) {
-  std::vector<PoseSample>& poses = recording->data.poses;
-  Delays delays;
+  Stream<PoseSample> poses;
   TfChain chain(request.tf_parent, request.tf_child, bags.duration_s());
   bags.ForEachTf([&](const BagMessage& message, bool fixed) {
     const auto msg = message.instantiate<tf2_msgs::TFMessage>();
     if (request.record_time)
       for (auto& transform : msg->transforms) transform.header.stamp = message.time;
     chain.Add(*msg, fixed);
-    for (const PoseSample& pose : chain.TakePoses()) {
-      if (!request.record_time) delays.Add(message, pose.t_ns);
-      poses.push_back(pose);
-    }
+    for (const PoseSample& pose : chain.TakePoses()) poses.Add(message, pose, false);
   });
-  if (poses.empty()) {
+  if (poses.samples.empty()) {
     chain.Check();
     throw InputError("at no stamp are all links between tf_parent '" + request.tf_parent +
                      "' and tf_child '" + request.tf_child + "' known");
   }
-  recording->info.pose_topic = "/tf";
-  recording->info.pose_latency = std::move(delays).Summarise();
-  recording->info.world_frame = FrameName(request.tf_parent, "");
-  recording->info.marker_frame = FrameName(request.tf_child, "");
+  RecordingInfo& info = recording->info;
+  info.pose_topic = "/tf";
+  poses.Finish(info.pose_topic, &info.pose_latency, &recording->data.poses);
+  if (request.record_time) info.pose_latency.reset();  // of no meaning
+  info.world_frame = FrameName(request.tf_parent, "");
+  info.marker_frame = FrameName(request.tf_child, "");
 }
 
 Recording Read(const BagRequest& given) {
@@ -382,33 +329,37 @@ Recording Read(const BagRequest& given) {
                          {"tf_child", request.tf_child});
   if (tf && !request.body.empty())
     throw InputError("body '" + request.body + "' does not go with poses from tf");
-  std::vector<ImuTopics> imus;
-  if (request.imus) imus = ChooseImus(bags, request);
-  std::optional<PoseReader> pose_reader;
-  if (request.poses && !tf)
-    pose_reader.emplace(bags, ChoosePose(bags, request.pose_topic), request);
-  for (const ImuTopics& imu : imus) CheckContent(bags, imu);
+  // Nameless topics are not read: of an IMU that is missing, of poses from elsewhere.
+  PoseReader poses;
+  std::vector<ImuReader> imus;
+  if (request.imus)
+    for (ImuTopics& topics : ChooseImus(bags, request)) imus.emplace_back().topics = topics;
+  if (request.poses && !tf) {
+    poses.topic = ChoosePose(bags, request.pose_topic);
+    poses.body = ChooseBody(bags, poses.topic, request.body);
+  }
+  std::set<std::string> topics = {poses.topic.name};
+  for (const ImuReader& imu : imus) {
+    CheckContent(bags, imu.topics);
+    topics.insert({imu.topics.gyro.name, imu.topics.accel.name});
+  }
+  topics.erase("");
+  // All in one pass: what is compressed is unfolded once.
+  bags.ForEach(topics, [&](const BagMessage& message) {
+    for (ImuReader& imu : imus) imu.Add(message, request.record_time);
+    poses.Add(message, request.record_time);
+    return true;
+  });
 
   Recording recording;
   recording.info.bag = boost::join(request.paths, " ");
   recording.info.notes = bags.Notes();
   recording.info.imus.resize(imus.size());
   recording.data.imus.resize(imus.size());
-  // All in one pass: what is compressed is unfolded once.
-  std::set<std::string> topics;
-  std::vector<ImuReader> imu_readers;
-  for (const ImuTopics& imu : imus)
-    topics.merge(imu_readers.emplace_back(imu, request.record_time).Topics());
-  if (pose_reader) topics.insert(pose_reader->Topic());
-  topics.erase("");  // of an IMU that is missing
-  bags.ForEach(topics, [&](const BagMessage& message) {
-    for (ImuReader& reader : imu_readers) reader.Add(message);
-    if (pose_reader) pose_reader->Add(message);
-  });
   for (size_t i = 0; i < imus.size(); ++i)
-    if (!imus[i].gyro.name.empty())
-      std::move(imu_readers[i]).Finish(&recording.info.imus[i], &recording.data.imus[i]);
-  if (pose_reader) std::move(*pose_reader).Finish(&recording);
+    if (!imus[i].topics.gyro.name.empty())
+      imus[i].Finish(&recording.info.imus[i], &recording.data.imus[i]);
+  if (!poses.topic.name.empty()) poses.Finish(&recording.info, &recording.data.poses);
   if (tf) ReadTf(bags, request, &recording);
   return recording;
 }
@@ -422,41 +373,24 @@ Recording Read(const BagRequest& given) {
                              (reindex.empty() ? "" : "; run: rosbag reindex" + reindex)));
 }
 
-/// What `read` returns, or an InputError that says what is wrong with the bags.
-template <typename Read>
-auto OrFail(const BagRequest& request, const Read& read) {
-  try {
-    return read();
-  } catch (const InputError& error) {  // with names of topics, types and frames as in the bag
-    throw InputError(Printable(error.what()));
-  } catch (const std::runtime_error& error) {  // rosbag, deserialisation, times out of range
-    FailDamaged(request, error.what());
-  }
-}
-
-/// Keeps rosbag and tf2 from printing: what they find is reported by exceptions.
-class Silence {
- public:
-  Silence() { console_bridge::noOutputHandler(); }
-  ~Silence() { console_bridge::restorePreviousOutputHandler(); }
-};
-
-uint64_t SizeOf(const std::string& path) {
-  std::error_code error;
-  const auto size = std::filesystem::file_size(path, error);
-  return error ? 0 : size;
-}
-
 }  // namespace
 
 std::string ReadApart(const BagRequest& request, const std::function<std::string()>& read) {
-  const Silence silence;
   uint64_t bytes = 0;
+  std::error_code ignored;
   for (const std::string& path : request.paths)
-    for (const std::string& file : FilesOfBag(path)) bytes += SizeOf(file);
+    for (const std::string& file : FilesOfBag(path))
+      if (std::filesystem::is_regular_file(file, ignored))
+        bytes += std::filesystem::file_size(file);
   const auto run = [&] {
     setenv("ROS_CACHE_TIMEOUT", "-1", 0);  // no search of all packages for plugins of rosbag
-    return OrFail(request, read);
+    try {
+      return read();
+    } catch (const InputError& error) {  // with names of topics, types and frames as in the bag
+      throw InputError(Printable(error.what()));
+    } catch (const std::runtime_error& error) {  // rosbag, deserialisation, times out of range
+      FailDamaged(request, error.what());
+    }
   };
   // Far above what any bag of this size needs, the time also when it comes over a slow network.
   auto answer =

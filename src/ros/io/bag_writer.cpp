@@ -12,7 +12,6 @@
 #include <sstream>
 #include <vector>
 
-#include "imu_pose_calib/ros/io/compression.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/yaml_text.h"
 
@@ -214,8 +213,8 @@ void Write(const std::string& path, const std::vector<Record>& records,
 
 }  // namespace
 
-Ros2Writer::Ros2Writer(const std::string& path, const Ros2Format& format)
-    : format_(format), storage_(format.is_mcap ? CreateMcap(path, format) : CreateSqlite(path)) {}
+Ros2Writer::Ros2Writer(const std::string& path, Ros2Format format)
+    : storage_(format == Ros2Format::kMcap ? CreateMcap(path) : CreateSqlite(path)) {}
 
 void Ros2Writer::Add(const std::string& topic, const std::string& ros1_type,
                      const std::string& ros1_definition, int64_t t_ns, const std::string& data) {
@@ -223,7 +222,7 @@ void Ros2Writer::Add(const std::string& topic, const std::string& ros1_type,
   if (is_new)
     storage_->AddTopic(topic, boost::replace_first_copy(ros1_type, "/", "/msg/"),
                        Ros2Definition(ros1_definition));
-  storage_->Write(known->second, t_ns, format_.compress_messages ? CompressZstd(data) : data);
+  storage_->Write(known->second, t_ns, data);
 }
 
 std::string Ros2Definition(const std::string& ros1_definition) {

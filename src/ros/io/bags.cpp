@@ -2,12 +2,10 @@
 
 #include <algorithm>
 #include <boost/algorithm/string/predicate.hpp>
-#include <filesystem>
 #include <map>
-#include <set>
 #include <sstream>
-#include <tuple>
 
+#include "imu_pose_calib/ros/io/compression.h"
 #include "imu_pose_calib/ros/io/recording.h"
 
 namespace imu_pose_calib {
@@ -16,15 +14,21 @@ namespace {
 constexpr char kRigidBodies[] = "mocap4r2_msgs/RigidBodies";
 constexpr char kNamedPoses[] = "motion_capture_tracking_interfaces/NamedPoseArray";
 
+template <typename T>
+T Next(CdrInput* input) {
+  T value;
+  input->next(value);
+  return value;
+}
+
 /// Reads over the markers of a body.
 void SkipMarkers(CdrInput* input) {
   const uint32_t markers = input->Count();
   for (uint32_t k = 0; k < markers; ++k) {
-    input->Number<int8_t>();   // kind of the number
-    input->Number<int32_t>();  // number
-    input->String();
-    geometry_msgs::Point position;
-    input->next(position);
+    Next<int8_t>(input);   // kind of the number
+    Next<int32_t>(input);  // number
+    Next<std::string>(input);
+    Next<geometry_msgs::Point>(input);
   }
 }
 
@@ -36,32 +40,33 @@ std::string Seconds(double value) {
 
 }  // namespace
 
-bool BagTopic::IsImu() const { return type == kImuType; }
+void BagMessage::Decode(const std::function<void(std::string_view)>& decode) const {
+  if (md5sum) return;
+  try {
+    decode(data);
+  } catch (const InputError& error) {
+    throw InputError("topic '" + topic + "', message recorded at " +
+                     std::to_string(ToNanoseconds(time)) + " ns is no " + type + ": " +
+                     error.what());
+  }
+}
 
-bool BagTopic::IsVector() const { return type == kVectorType; }
-
-bool BagTopic::IsPose() const { return IsBodies() || FindPoseType<BagMessage>(type) != nullptr; }
+bool BagTopic::IsPose() const { return IsBodies() || IsPoseType(type); }
 
 bool BagTopic::IsBodies() const { return type == kRigidBodies || type == kNamedPoses; }
-
-bool BagTopic::IsTf() const { return type == "tf2_msgs/TFMessage" || type == "tf/tfMessage"; }
-
-bool BagTopic::IsFixedTf() const { return IsTf() && boost::ends_with(name, "tf_static"); }
 
 std::vector<FramedPose> ReadBodies(const BagMessage& message) {
   const bool has_markers = message.type == kRigidBodies;
   std::vector<FramedPose> bodies;
   message.Decode([&](std::string_view data) {
     CdrInput input(data);
-    std_msgs::Header header;
-    input.next(header);
-    if (has_markers) input.Number<uint32_t>();  // frame
+    const auto header = Next<std_msgs::Header>(&input);
+    if (has_markers) Next<uint32_t>(&input);  // frame
     const uint32_t count = input.Count();
     for (uint32_t k = 0; k < count; ++k) {
-      const std::string name = input.String();
+      const auto name = Next<std::string>(&input);
       if (has_markers) SkipMarkers(&input);
-      geometry_msgs::Pose pose;
-      input.next(pose);
+      const auto pose = Next<geometry_msgs::Pose>(&input);
       bodies.push_back({ToPoseSample(header.stamp, pose), header.frame_id, name});
     }
     input.Finish();
@@ -77,26 +82,22 @@ std::string Describe(const std::vector<BagTopic>& topics) {
   return text;
 }
 
-std::string FileNames(const std::vector<std::string>& paths) {
-  std::string names;
-  for (const std::filesystem::path path : paths)  // a folder may end with a slash
-    names += (names.empty() ? "" : ", ") +
-             (path.has_filename() ? path : path.parent_path()).filename().string();
-  return names;
-}
-
 Bags::Bags(const std::vector<std::string>& paths, double start_s, double duration_s)
     : paths_(paths) {
-  std::set<std::filesystem::path> known;
-  for (const std::string& path : paths_) {
-    if (!std::filesystem::exists(path)) throw InputError("bag '" + path + "' does not exist");
-    if (!known.insert(std::filesystem::canonical(path)).second)
-      throw InputError("bag '" + path + "' is given twice");
-  }
+  CheckBagsExist(paths_);
   const auto ros2 = std::count_if(paths_.begin(), paths_.end(), IsRos2Bag);
   if (ros2 != 0 && ros2 != static_cast<int64_t>(paths_.size()))
     throw InputError("bags of ROS 1 and of ROS 2 cannot be one recording: " + FileNames(paths_));
-  source_ = ros2 == 0 ? OpenRos1(paths_) : OpenRos2(paths_);
+  for (const std::string& path : paths_) {
+    if (ros2 == 0)
+      files_.push_back(OpenRos1(path));
+    else
+      for (const std::string& file : MessageFiles(path)) files_.push_back(OpenRos2(file));
+  }
+  for (const auto& file : files_)
+    for (const BagFile::Entry& entry : file->entries()) index_.push_back({entry, file.get()});
+  std::stable_sort(index_.begin(), index_.end(),
+                   [](const Place& a, const Place& b) { return a.entry.t_ns < b.entry.t_ns; });
   SetSpan(start_s, duration_s);
   ListTopics();
 }
@@ -115,11 +116,68 @@ const BagTopic& Bags::Find(const std::string& field, const std::string& name) co
 
 std::string Bags::Contents() const { return FileNames(paths_) + "; it has: " + Describe(topics_); }
 
+std::vector<std::string> Bags::Notes() const {
+  std::vector<std::string> notes;
+  for (const auto& file : files_)
+    if (!file->note().empty()) notes.push_back(file->note());
+  return notes;
+}
+
+void Bags::ForEach(const std::set<std::string>& topics,
+                   const std::function<bool(const BagMessage&)>& use) const {
+  ForEach(topics, start_, end_, use);
+}
+
+void Bags::ForEachTf(const std::function<void(const BagMessage&, bool)>& use) const {
+  for (const bool fixed : {true, false}) {
+    std::set<std::string> names;
+    for (const BagTopic& topic : topics_)
+      if (topic.IsTf() && boost::ends_with(topic.name, "tf_static") == fixed)
+        names.insert(topic.name);
+    ForEach(names, fixed ? begin_ : start_, fixed ? bag_end_ : end_,
+            [&](const BagMessage& message) {
+              use(message, fixed);
+              return true;
+            });
+  }
+}
+
+void Bags::ForEach(const std::set<std::string>& topics, const ros::Time& start,
+                   const ros::Time& end, const std::function<bool(const BagMessage&)>& use) const {
+  std::string unfolded;
+  const auto [first, last] = Range(start, end);
+  for (const Place* place = first; place != last; ++place) {
+    const BagFile::Topic& topic = place->file->topics()[place->entry.topic];
+    if (topics.count(topic.name) == 0) continue;
+    BagMessage message{topic.name, topic.type, FromNanoseconds(place->entry.t_ns),
+                       place->file->Read(place->entry), topic.md5sum ? &*topic.md5sum : nullptr};
+    if (!message.md5sum && IsZstd(message.data)) {  // CDR begins with 0
+      message.Decode(
+          [&](std::string_view data) { unfolded = DecompressZstd(data, kMaxBlockSize); });
+      message.data = unfolded;
+    }
+    if (!use(message)) return;
+  }
+}
+
+std::pair<const Bags::Place*, const Bags::Place*> Bags::Range(const ros::Time& start,
+                                                              const ros::Time& end) const {
+  const auto upto = [&](auto is_before) {
+    return std::partition_point(index_.data(), index_.data() + index_.size(), is_before);
+  };
+  return {upto([&](const Place& place) { return place.entry.t_ns < ToNanoseconds(start); }),
+          upto([&](const Place& place) { return place.entry.t_ns <= ToNanoseconds(end); })};
+}
+
 void Bags::SetSpan(double start_s, double duration_s) {
   CheckSpan(start_s, duration_s);
-  const auto span = source_->Span();
-  if (!span) throw InputError("bag '" + FileNames(paths_) + "' holds no messages");
-  std::tie(begin_, bag_end_) = *span;
+  if (index_.empty()) {
+    for (const auto& file : files_)
+      if (!file->problem().empty()) throw InputError(file->problem());
+    throw InputError("bag '" + FileNames(paths_) + "' holds no messages");
+  }
+  begin_ = FromNanoseconds(index_.front().entry.t_ns);
+  bag_end_ = FromNanoseconds(index_.back().entry.t_ns);
   const double length_s = (bag_end_ - begin_).toSec();
   if (start_s > length_s)
     throw InputError("start = " + Seconds(start_s) + " is beyond the end of the bag, which lasts " +
@@ -131,13 +189,16 @@ void Bags::SetSpan(double start_s, double duration_s) {
 }
 
 void Bags::ListTopics() {
-  std::map<std::string, uint32_t> counts = source_->Counts(start_, end_);
-  for (const auto& [name, types] : source_->Types()) {
-    BagTopic topic{name, *types.begin()};
-    if (types.size() > 1) topic.type += " and " + *types.rbegin();  // fits no role
-    topic.count = counts[name];
-    topics_.push_back(topic);
-  }
+  std::map<std::string, std::set<std::string>> types;
+  for (const auto& file : files_)
+    for (const BagFile::Topic& topic : file->topics()) types[topic.name].insert(topic.type);
+  std::map<std::string, uint32_t> counts;
+  const auto [first, last] = Range(start_, end_);
+  for (const Place* place = first; place != last; ++place)
+    ++counts[place->file->topics()[place->entry.topic].name];
+  for (const auto& [name, its] : types)  // more than one type fits no role
+    topics_.push_back(
+        {name, *its.begin() + (its.size() > 1 ? " and " + *its.rbegin() : ""), counts[name]});
 }
 
 }  // namespace imu_pose_calib

@@ -1,16 +1,18 @@
 #include "imu_pose_calib/ros/io/cdr.h"
 
 #include <cstdio>
+#include <limits>
 
 namespace imu_pose_calib {
 namespace {
 
-constexpr int64_t kMaxSeconds = std::numeric_limits<int32_t>::max();
+constexpr size_t kHeaderSize = 4;
+constexpr bool kHostIsLittleEndian = __BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__;
 
 }  // namespace
 
 CdrInput::CdrInput(std::string_view message) {
-  if (message.size() < cdr::kHeaderSize)
+  if (message.size() < kHeaderSize)
     throw InputError("it has " + std::to_string(message.size()) + " bytes, too few for CDR");
   const auto kind = static_cast<unsigned char>(message[1]);
   if (message[0] != 0 || kind > 1) {
@@ -20,31 +22,29 @@ CdrInput::CdrInput(std::string_view message) {
     throw InputError(std::string("its encoding is ") + text + (is_xcdr2 ? " (XCDR2)" : "") +
                      ", must be 00 00 or 00 01 (CDR)");
   }
-  is_little_endian_ = kind == 1;
-  fields_ = message.substr(cdr::kHeaderSize);
+  is_swapped_ = (kind == 1) != kHostIsLittleEndian;
+  fields_ = message.substr(kHeaderSize);
 }
 
-std::string CdrInput::String() {
+void CdrInput::next(std::string& text) {
   const uint32_t size = Count();
-  if (size == 0) return "";  // written so by some, without the closing 0
-  const char* text = Take(0, size);
-  if (text[size - 1] != '\0') throw InputError("a text in it does not end with 0");
-  return {text, size - 1};
+  const char* from = Take(1, size);
+  if (size > 0 && from[size - 1] != '\0') throw InputError("a text in it does not end with 0");
+  text.assign(from, size > 0 ? size - 1 : 0);  // an empty one is written without the 0 by some
 }
 
-ros::Time CdrInput::Stamp() {
-  const auto seconds = Number<int32_t>();
-  const auto nanoseconds = Number<uint32_t>();
+void CdrInput::next(ros::Time& stamp) {
+  int32_t seconds = 0;
+  next(seconds);
+  next(stamp.nsec);
   if (seconds < 0)
     throw InputError("a stamp in it is " + std::to_string(seconds) + " s, must not be negative");
-  ros::Time stamp;
   stamp.sec = static_cast<uint32_t>(seconds);
-  stamp.nsec = nanoseconds;
-  return stamp;
 }
 
 uint32_t CdrInput::Count(size_t least) {
-  const auto count = Number<uint32_t>();
+  uint32_t count = 0;
+  next(count);
   const size_t left = fields_.size() - at_;
   if (count > left / least)
     throw InputError("a length in it is " + std::to_string(count) + ", but only " +
@@ -57,17 +57,16 @@ void CdrInput::Finish() const {
   if (left > 3) throw InputError(std::to_string(left) + " bytes of it are left over");
 }
 
-const char* CdrInput::Take(size_t skip, size_t size) {
-  const size_t left = fields_.size() - at_;
-  if (left < skip || left - skip < size)
-    throw InputError("its " + std::to_string(cdr::kHeaderSize + fields_.size()) +
-                     " bytes are too few");
-  const char* from = fields_.data() + at_ + skip;
-  at_ += skip + size;
-  return from;
+const char* CdrInput::Take(size_t alignment, size_t size) {
+  const size_t begin = (at_ + alignment - 1) / alignment * alignment;
+  if (begin > fields_.size() || fields_.size() - begin < size)
+    throw InputError("its " + std::to_string(kHeaderSize + fields_.size()) + " bytes are too few");
+  at_ = begin + size;
+  return fields_.data() + begin;
 }
 
-void CdrOutput::Stamp(const ros::Time& stamp) {
+void CdrOutput::next(const ros::Time& stamp) {
+  constexpr int64_t kMaxSeconds = std::numeric_limits<int32_t>::max();
   if (stamp.sec > kMaxSeconds)
     throw InputError("stamp " + std::to_string(stamp.sec) +
                      " s does not fit a message of ROS 2: must be at most " +
@@ -75,5 +74,7 @@ void CdrOutput::Stamp(const ros::Time& stamp) {
   next(static_cast<int32_t>(stamp.sec));
   next(stamp.nsec);
 }
+
+std::string CdrOutput::Message() const { return std::string("\0\1\0\0", kHeaderSize) + fields_; }
 
 }  // namespace imu_pose_calib

@@ -1,8 +1,8 @@
 #include "imu_pose_calib/ros/io/child_process.h"
 
 #include <fcntl.h>
-#include <poll.h>
 #include <spawn.h>
+#include <sys/mman.h>
 #include <sys/prctl.h>
 #include <sys/resource.h>
 #include <sys/wait.h>
@@ -10,16 +10,19 @@
 
 #include <algorithm>
 #include <cerrno>
-#include <chrono>
 #include <csignal>
+#include <cstdio>
 #include <cstdlib>
+#include <memory>
 #include <system_error>
-#include <vector>
 
 #include "imu_pose_calib/core/base/types.h"
 
 namespace imu_pose_calib {
 namespace {
+
+/// Exit status of a child that has answered; others have not.
+enum Answer : int { kResult = 81, kInputError = 82 };
 
 void Limit(decltype(RLIMIT_CPU) resource, uint64_t value) {
   rlimit limit{};
@@ -28,126 +31,58 @@ void Limit(decltype(RLIMIT_CPU) resource, uint64_t value) {
   setrlimit(resource, &limit);
 }
 
-void Silence() {
-  const int null = open("/dev/null", O_WRONLY);
-  dup2(null, STDOUT_FILENO);
-  dup2(null, STDERR_FILENO);
-}
-
-void WriteAll(int file, const std::string& text) {
-  for (size_t done = 0; done < text.size();) {
-    const ssize_t written = write(file, text.data() + done, text.size() - done);
-    if (written < 0 && errno != EINTR) _exit(EXIT_FAILURE);
-    if (written > 0) done += static_cast<size_t>(written);
-  }
-}
-
 [[noreturn]] void Fail(const char* what) {
   throw std::system_error(errno, std::generic_category(), what);
 }
 
-using Clock = std::chrono::steady_clock;
-
-/// Waits until there is something to read, or the end of it. False when it is too late.
-bool WaitFor(int file, Clock::time_point deadline) {
-  for (;;) {
-    const auto left = std::chrono::ceil<std::chrono::milliseconds>(deadline - Clock::now());
-    if (left.count() <= 0) return false;
-    constexpr int64_t kMaxWait = 3'600'000;  // [ms] poll() takes an int
-    pollfd wanted{file, POLLIN, 0};
-    const int ready = poll(&wanted, 1, static_cast<int>(std::min<int64_t>(left.count(), kMaxWait)));
-    if (ready > 0) return true;
-    if (ready < 0 && errno != EINTR) Fail("cannot wait for a process");
-  }
+/// The exit status of a child; -1 when it did not end by itself.
+int Wait(pid_t pid) {
+  int status = 0;
+  while (waitpid(pid, &status, 0) < 0)
+    if (errno != EINTR) Fail("cannot wait for a process");
+  return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
 }
 
-/// All that comes before the deadline.
-std::string ReadAll(int file, Clock::time_point deadline) {
-  std::string text;
-  std::vector<char> buffer(1 << 16);
-  while (WaitFor(file, deadline)) {
-    const ssize_t count = read(file, buffer.data(), buffer.size());
-    if (count == 0) return text;
-    if (count > 0) text.append(buffer.data(), static_cast<size_t>(count));
-    if (count < 0 && errno != EINTR) Fail("cannot read from a process");
-  }
-  return {};
-}
-
-/// A running child and the end of the pipe that its answer comes from. None is left behind: what
-/// still runs in the end is killed.
-class Child {
- public:
-  Child(pid_t pid, int output) : pid_(pid), output_(output) {}
-  Child(const Child&) = delete;
-  Child& operator=(const Child&) = delete;
-  ~Child() {
-    close(output_);
-    if (pid_ <= 0) return;
-    kill(pid_, SIGKILL);
-    Wait();
-  }
-
-  int output() const { return output_; }
-
-  /// Whether it ended well.
-  bool Wait() {
-    int status = 0;
-    while (waitpid(pid_, &status, 0) < 0)
-      if (errno != EINTR) return false;
-    pid_ = 0;
-    return WIFEXITED(status) && WEXITSTATUS(status) == EXIT_SUCCESS;
-  }
-
- private:
-  pid_t pid_;  ///< 0: has ended
-  int output_;
-};
-
-// What the first byte of the child's answer says of the others.
-constexpr char kResult = 'r', kInputError = 'e';
-
-[[noreturn]] void RunChild(const std::function<std::string()>& run, const ChildLimits& limits,
-                           pid_t parent, int output) {
-  ConfineChild(parent, limits);
-  Silence();
+[[noreturn]] void RunChild(const std::function<std::string()>& run, std::FILE* output) {
+  const int null = open("/dev/null", O_WRONLY);
+  dup2(null, STDOUT_FILENO);
+  dup2(null, STDERR_FILENO);
+  const auto answer = [output](const std::string& text, Answer status) {
+    const bool is_written = std::fwrite(text.data(), 1, text.size(), output) == text.size();
+    _exit(is_written && std::fflush(output) == 0 ? int{status} : EXIT_FAILURE);
+  };
   try {
-    const std::string result = run();
-    WriteAll(output, {kResult});
-    WriteAll(output, result);
+    answer(run(), kResult);
   } catch (const InputError& error) {
-    WriteAll(output, kInputError + std::string(error.what()));
+    answer(error.what(), kInputError);
   } catch (...) {
-    _exit(EXIT_FAILURE);
   }
-  _exit(EXIT_SUCCESS);
+  _exit(EXIT_FAILURE);
 }
 
 }  // namespace
 
 std::optional<std::string> RunApart(const std::function<std::string()>& run,
                                     const ChildLimits& limits) {
-  int ends[2];
-  if (pipe2(ends, O_CLOEXEC) < 0) Fail("cannot make a pipe");
+  // A file in memory holds the answer, however long it is.
+  const std::unique_ptr<std::FILE, int (*)(std::FILE*)> file(
+      fdopen(memfd_create("answer", MFD_CLOEXEC), "w+b"), std::fclose);
+  if (!file) Fail("cannot hold the answer of a process");
   const pid_t parent = getpid();
   const pid_t pid = fork();
+  if (pid < 0) Fail("cannot start a process");
   if (pid == 0) {
-    // With this end open here too, a write to a parent that is gone would wait for ever.
-    close(ends[0]);
-    RunChild(run, limits, parent, ends[1]);
+    ConfineChild(parent, limits);
+    RunChild(run, file.get());
   }
-  close(ends[1]);
-  if (pid < 0) {
-    close(ends[0]);
-    Fail("cannot start a process");
-  }
-  Child child(pid, ends[0]);
-  const auto deadline = Clock::now() + std::chrono::seconds(limits.wall_s);
-  std::string answer = ReadAll(child.output(), deadline);
-  // No answer: it is late, or ended before it had one.
-  if (answer.empty() || !child.Wait()) return std::nullopt;
-  if (answer.front() == kInputError) throw InputError(answer.substr(1));
-  answer.erase(0, 1);
+  const int status = Wait(pid);
+  if (status != kResult && status != kInputError) return std::nullopt;
+  std::fseek(file.get(), 0, SEEK_END);
+  std::string answer(static_cast<size_t>(std::ftell(file.get())), '\0');
+  std::rewind(file.get());
+  if (std::fread(answer.data(), 1, answer.size(), file.get()) != answer.size())
+    Fail("cannot read from a process");
+  if (status == kInputError) throw InputError(answer);
   return answer;
 }
 
@@ -160,6 +95,8 @@ void ConfineChild(pid_t parent, const ChildLimits& limits) {
 #ifndef __SANITIZE_ADDRESS__  // its shadow memory is larger than any limit
   Limit(RLIMIT_AS, limits.memory);
 #endif
+  std::signal(SIGALRM, SIG_DFL);
+  alarm(static_cast<unsigned>(limits.wall_s));
 }
 
 int RunProgram(const std::vector<std::string>& command, const std::string& errors) {
@@ -186,10 +123,7 @@ int RunProgram(const std::vector<std::string>& command, const std::string& error
   if (failure != 0)
     throw InputError("'" + command[0] +
                      "' cannot be run: " + std::generic_category().message(failure));
-  int status = 0;
-  while (waitpid(pid, &status, 0) < 0)
-    if (errno != EINTR) Fail("cannot wait for a process");
-  return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+  return Wait(pid);
 }
 
 }  // namespace imu_pose_calib

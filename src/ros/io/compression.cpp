@@ -1,17 +1,16 @@
 #include "imu_pose_calib/ros/io/compression.h"
 
-#include <fcntl.h>
 #include <lz4frame.h>
-#include <sys/mman.h>
-#include <sys/stat.h>
-#include <unistd.h>
+#include <rosbag/chunked_file.h>
+#include <rosbag/stream.h>
 #include <zstd.h>
 
 #include <algorithm>
+#include <boost/interprocess/file_mapping.hpp>
 #include <cerrno>
-#include <cstdlib>
 #include <cstring>
 #include <filesystem>
+#include <fstream>
 #include <functional>
 #include <memory>
 
@@ -22,20 +21,23 @@ namespace {
 
 constexpr size_t kStep = 1 << 17;  // [bytes] unfolded at a time
 
-[[noreturn]] void FailTooLarge(uint64_t max_size) {
-  throw InputError("unfolds to more than " + std::to_string(max_size) + " bytes");
+void CheckSize(uint64_t size, uint64_t max_size) {
+  if (size > max_size)
+    throw InputError("unfolds to more than " + std::to_string(max_size) + " bytes");
 }
 
 /// Unfolds zstd frames, calling `use` with a piece at a time.
-void Unzstd(std::string_view bytes, const std::function<void(std::string_view)>& use) {
+void Unzstd(std::string_view bytes, uint64_t max_size,
+            const std::function<void(std::string_view)>& use) {
   const std::unique_ptr<ZSTD_DStream, size_t (*)(ZSTD_DStream*)> stream(ZSTD_createDStream(),
                                                                         ZSTD_freeDStream);
   std::string piece(kStep, '\0');
   ZSTD_inBuffer in{bytes.data(), bytes.size(), 0};
-  for (;;) {
+  for (uint64_t size = 0;;) {
     ZSTD_outBuffer out{piece.data(), piece.size(), 0};
     const size_t left = ZSTD_decompressStream(stream.get(), &out, &in);
     if (ZSTD_isError(left)) throw InputError(std::string("zstd: ") + ZSTD_getErrorName(left));
+    CheckSize(size += out.pos, max_size);
     use(std::string_view(piece).substr(0, out.pos));
     if (in.pos < in.size || out.pos == out.size) continue;  // more to come
     if (left != 0) throw InputError("zstd: it is cut off");
@@ -43,24 +45,19 @@ void Unzstd(std::string_view bytes, const std::function<void(std::string_view)>&
   }
 }
 
-[[noreturn]] void Fail(const std::string& path, const std::string& what) {
-  throw InputError("'" + path + "' " + what + ": " + std::strerror(errno));
-}
-
-/// Writes what a file of zstd frames unfolds to into the open file.
-void UnzstdInto(int file, std::string_view bytes, const std::string& path) {
-  const uint64_t max_size = kMaxBlockSize + 100 * bytes.size();
-  uint64_t size = 0;
-  const auto write_all = [&](std::string_view piece) {
-    size += piece.size();
-    if (size > max_size) FailTooLarge(max_size);
-    while (!piece.empty()) {
-      const ssize_t written = write(file, piece.data(), piece.size());
-      if (written < 0 && errno != EINTR) Fail(path, "cannot be unfolded into a temporary file");
-      if (written > 0) piece.remove_prefix(static_cast<size_t>(written));
-    }
+void UnzstdInto(const std::string& path, std::string_view bytes) {
+  std::ofstream file(path, std::ios::binary);
+  const auto check = [&] {
+    if (!file)
+      throw InputError(std::string("cannot be unfolded into a temporary file: ") +
+                       std::strerror(errno));
   };
-  Unzstd(bytes, write_all);
+  Unzstd(bytes, kMaxBlockSize + 100 * bytes.size(), [&](std::string_view piece) {
+    file << piece;
+    check();
+  });
+  file.close();
+  check();
 }
 
 }  // namespace
@@ -73,15 +70,11 @@ std::string DecompressZstd(std::string_view bytes, uint64_t max_size) {
   const uint64_t stated = ZSTD_getFrameContentSize(bytes.data(), bytes.size());
   if (stated <= std::min<uint64_t>(kStep, max_size)) {
     contents.resize(stated);
-    const size_t size =
-        ZSTD_decompress(contents.data(), contents.size(), bytes.data(), bytes.size());
+    const size_t size = ZSTD_decompress(contents.data(), stated, bytes.data(), bytes.size());
     if (size == stated) return contents;
     contents.clear();  // damaged, or several frames
   }
-  Unzstd(bytes, [&](std::string_view piece) {
-    if (piece.size() > max_size - contents.size()) FailTooLarge(max_size);
-    contents.append(piece);
-  });
+  Unzstd(bytes, max_size, [&](std::string_view piece) { contents.append(piece); });
   return contents;
 }
 
@@ -97,84 +90,48 @@ std::string DecompressLz4(std::string_view bytes, uint64_t max_size) {
     hint = LZ4F_decompress(context.get(), piece.data(), &out, bytes.data(), &in, nullptr);
     if (LZ4F_isError(hint)) throw InputError(std::string("lz4: ") + LZ4F_getErrorName(hint));
     bytes.remove_prefix(in);
-    if (out > max_size - contents.size()) FailTooLarge(max_size);
+    CheckSize(contents.size() + out, max_size);
     contents.append(piece, 0, out);
     if (in == 0 && out == 0 && hint != 0) throw InputError("lz4: it is cut off");
   }
   return contents;
 }
 
-std::string CompressZstd(std::string_view bytes) {
-  std::string frame(ZSTD_compressBound(bytes.size()), '\0');
-  const size_t size = ZSTD_compress(frame.data(), frame.size(), bytes.data(), bytes.size(), 1);
-  if (ZSTD_isError(size)) throw InputError(std::string("zstd: ") + ZSTD_getErrorName(size));
-  frame.resize(size);
-  return frame;
-}
-
-std::string CompressLz4(std::string_view bytes) {
-  std::string frame(LZ4F_compressFrameBound(bytes.size(), nullptr), '\0');
-  const size_t size =
-      LZ4F_compressFrame(frame.data(), frame.size(), bytes.data(), bytes.size(), nullptr);
-  if (LZ4F_isError(size)) throw InputError(std::string("lz4: ") + LZ4F_getErrorName(size));
-  frame.resize(size);
-  return frame;
-}
-
-namespace {
-
-/// A file in memory; nothing for an empty one.
-std::string_view Map(const std::string& path) {
-  const int file = open(path.c_str(), O_RDONLY | O_CLOEXEC);
-  if (file < 0) Fail(path, "cannot be read");
-  struct stat status {};
-  fstat(file, &status);
-  const auto size = static_cast<size_t>(status.st_size);
-  void* bytes = size == 0 ? nullptr : mmap(nullptr, size, PROT_READ, MAP_PRIVATE, file, 0);
-  const int error = errno;
-  close(file);
-  errno = error;
-  if (bytes == MAP_FAILED) Fail(path, "cannot be read");
-  return {static_cast<const char*>(bytes), size};
-}
-
-void Unmap(std::string_view bytes) {
-  if (!bytes.empty()) munmap(const_cast<char*>(bytes.data()), bytes.size());
-}
-
-}  // namespace
-
-InputFile::InputFile(const std::string& path) : path_(path), bytes_(Map(path)) {
-  if (!IsZstd(bytes_)) return;
-  const std::string_view frames = bytes_;
-  bytes_ = {};
-  temporary_ = (std::filesystem::temp_directory_path() / "imu_pose_calib_XXXXXX").string();
-  const int file = mkstemp(temporary_.data());
+std::string DecompressBz2(std::string_view bytes, uint64_t size) {
+  std::string contents(size, '\0');
+  rosbag::ChunkedFile none;
   try {
-    if (file < 0) Fail(temporary_, "cannot be written");
-    UnzstdInto(file, frames, path);
+    rosbag::BZ2Stream(&none).decompress(reinterpret_cast<uint8_t*>(contents.data()),
+                                        static_cast<unsigned>(size),
+                                        reinterpret_cast<uint8_t*>(const_cast<char*>(bytes.data())),
+                                        static_cast<unsigned>(bytes.size()));
+  } catch (const rosbag::BagException& error) {
+    throw InputError(std::string("bz2: ") + error.what());
+  }
+  return contents;
+}
+
+InputFile::InputFile(const std::string& path) : path_(path) {
+  Map();
+  if (!IsZstd(bytes())) return;
+  folder_.emplace();
+  path_ = folder_->path() / "unfolded";
+  try {
+    UnzstdInto(path_, bytes());
   } catch (const InputError& error) {
-    Unmap(frames);
-    if (file >= 0) {
-      close(file);
-      unlink(temporary_.c_str());
-    }
     throw InputError("'" + path + "': " + error.what());
   }
-  close(file);
-  Unmap(frames);
-  path_ = temporary_;
-  bytes_ = Map(path_);
+  Map();
 }
 
-InputFile::~InputFile() {
-  Unmap(bytes_);
-  RemoveTemporary();
-}
-
-void InputFile::RemoveTemporary() {
-  if (!temporary_.empty()) unlink(temporary_.c_str());
-  temporary_.clear();
+void InputFile::Map() {
+  namespace ipc = boost::interprocess;
+  try {
+    const ipc::file_mapping file(path_.c_str(), ipc::read_only);
+    if (std::filesystem::file_size(path_) > 0) region_ = ipc::mapped_region(file, ipc::read_only);
+  } catch (const std::exception& error) {
+    throw InputError("'" + path_ + "' cannot be read: " + error.what());
+  }
 }
 
 }  // namespace imu_pose_calib

@@ -32,7 +32,7 @@ ImuSample ToSample(const ros::Time& stamp, const geometry_msgs::Vector3& v) {
 }  // namespace
 
 int64_t ToNanoseconds(const ros::Time& stamp) {
-  return kNanosecondsPerSecond * static_cast<int64_t>(stamp.sec) + static_cast<int64_t>(stamp.nsec);
+  return kNanosecondsPerSecond * int64_t{stamp.sec} + int64_t{stamp.nsec};
 }
 
 ros::Time FromNanoseconds(int64_t t_ns) {
@@ -121,20 +121,19 @@ PoseStd ToPoseStd(const geometry_msgs::PoseWithCovariance& pose) {
   return {std::sqrt(variance.head<3>().mean()), std::sqrt(variance.tail<3>().mean())};
 }
 
-bool IsGiven(const sensor_msgs::Imu::_angular_velocity_covariance_type& covariance) {
-  return covariance[0] != -1.0;
+ImuContent ToImuContent(const geometry_msgs::Vector3Stamped& msg) {
+  const ImuSample sample = ToSample(msg.header.stamp, msg.vector);
+  return {sample, sample, msg.header.frame_id};
 }
 
-ImuSample ToImuSample(const geometry_msgs::Vector3Stamped& msg) {
-  return ToSample(msg.header.stamp, msg.vector);
-}
-
-ImuSample ToGyroSample(const sensor_msgs::Imu& msg) {
-  return ToSample(msg.header.stamp, msg.angular_velocity);
-}
-
-ImuSample ToAccelSample(const sensor_msgs::Imu& msg) {
-  return ToSample(msg.header.stamp, msg.linear_acceleration);
+ImuContent ToImuContent(const sensor_msgs::Imu& msg) {
+  ImuContent content{{}, {}, msg.header.frame_id};
+  // By definition of the message the covariance of what it does not give starts with -1.
+  if (msg.angular_velocity_covariance[0] != -1.0)
+    content.gyro = ToSample(msg.header.stamp, msg.angular_velocity);
+  if (msg.linear_acceleration_covariance[0] != -1.0)
+    content.accel = ToSample(msg.header.stamp, msg.linear_acceleration);
+  return content;
 }
 
 std::vector<geometry_msgs::TransformStamped> ToTransforms(const Calibration& result,
@@ -186,16 +185,15 @@ CalibrationResult ToMsg(const Calibration& result, const RecordingInfo& info,
   return msg;
 }
 
-std::vector<std::string> PoseTypeNames() {
-  std::vector<std::string> names;
-  for (const auto& type : PoseTypes<topic_tools::ShapeShifter>()) names.emplace_back(type.name);
-  return names;
+const std::vector<std::string>& PoseTypeNames() {
+  static const std::vector<std::string> kNames = {
+      "geometry_msgs/PoseStamped", "geometry_msgs/TransformStamped",
+      "geometry_msgs/PoseWithCovarianceStamped", "nav_msgs/Odometry"};
+  return kNames;
 }
 
-FramedPose ToFramedPose(const topic_tools::ShapeShifter& msg) {
-  const auto* type = FindPoseType<topic_tools::ShapeShifter>(msg.getDataType());
-  if (type == nullptr) throw InputError(msg.getDataType() + " holds no pose");
-  return type->read(msg);
+bool IsPoseType(const std::string& type) {
+  return std::count(PoseTypeNames().begin(), PoseTypeNames().end(), type) > 0;
 }
 
 }  // namespace imu_pose_calib

@@ -34,19 +34,15 @@ void TfChain::Add(const tf2_msgs::TFMessage& message, bool fixed) {
     if (transform.header.frame_id.empty() || transform.child_frame_id.empty() ||
         transform.header.frame_id == transform.child_frame_id)
       continue;  // no link
-    if (fixed)
-      AddFixed(transform);
-    else
+    if (!fixed) {
       AddMoving(transform);
+    } else if (IsUsable(transform.transform)) {
+      Link& link = links_[transform.child_frame_id];
+      link.parent = transform.header.frame_id;
+      link.fixed = true;
+      buffer_.setTransform(transform, "", true);
+    }
   }
-}
-
-void TfChain::AddFixed(const geometry_msgs::TransformStamped& transform) {
-  if (!IsUsable(transform.transform)) return;
-  Link& link = links_[transform.child_frame_id];
-  link.parent = transform.header.frame_id;
-  link.fixed = true;
-  buffer_.setTransform(transform, "", true);
 }
 
 void TfChain::AddMoving(const geometry_msgs::TransformStamped& transform) {
@@ -72,13 +68,10 @@ void TfChain::AddMoving(const geometry_msgs::TransformStamped& transform) {
     link.last = std::max(link.last, stamp);
     buffer_.setTransform(transform, "");
   }
-  Prune(&link);
-}
-
-void TfChain::Prune(Link* link) const {
-  auto& updates = link->updates;
+  // Nothing is known of updates further from the last usable one than the cache.
+  auto& updates = link.updates;
   const auto after_last = [&](const auto& update) {
-    return ToNanoseconds(update.first) - ToNanoseconds(link->last);
+    return ToNanoseconds(update.first) - ToNanoseconds(link.last);
   };
   while (!updates.empty() && after_last(*updates.begin()) < -cache_ns_)
     updates.erase(updates.begin());
@@ -107,23 +100,18 @@ std::vector<PoseSample> TfChain::TakePoses() {
   std::vector<PoseSample> poses;
   for (const auto& [stamp, usable] : due) {
     if (stamp < begin) continue;
-    poses.push_back(PoseAt(stamp, usable));
     last_taken_ = std::max(last_taken_, stamp);
+    PoseSample& pose = poses.emplace_back();
+    pose.t_ns = ToNanoseconds(stamp);
+    pose.p_WM.setConstant(std::numeric_limits<double>::quiet_NaN());
+    try {
+      if (usable)
+        pose = ToPoseSample(stamp, buffer_.lookupTransform(parent_, child_, stamp).transform);
+    } catch (const tf2::TransformException&) {
+      // a frame has changed its parent meanwhile
+    }
   }
   return poses;
-}
-
-PoseSample TfChain::PoseAt(const ros::Time& stamp, bool usable) const {
-  PoseSample pose;
-  try {
-    if (usable)
-      return ToPoseSample(stamp, buffer_.lookupTransform(parent_, child_, stamp).transform);
-  } catch (const tf2::TransformException&) {
-    // a frame has changed its parent meanwhile
-  }
-  pose.t_ns = ToNanoseconds(stamp);
-  pose.p_WM.setConstant(std::numeric_limits<double>::quiet_NaN());
-  return pose;
 }
 
 size_t TfChain::Pending() const {

@@ -100,7 +100,7 @@ void LiveInput::OnImu(const TopicSource::Message& message, size_t imu, bool is_g
 }
 
 void LiveInput::OnPose(const TopicSource::Message& message) {
-  const FramedPose framed = ToFramedPose(*message.getMessage());
+  const FramedPose framed = ReadPose(message.getMessage()->getDataType(), *message.getMessage());
   const std::string world_frame = FrameName(framed.world_frame, "world");
   const std::string marker_frame = FrameName(framed.marker_frame, "marker");
   if (world_frame_.empty()) {

@@ -10,8 +10,8 @@
 
 #include "imu_pose_calib/core/start/preparation.h"
 #include "imu_pose_calib/ros/exports/exports.h"
+#include "imu_pose_calib/ros/io/bag_file.h"
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/io/message_source.h"
 #include "imu_pose_calib/ros/io/printable.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/ros_options.h"

@@ -54,10 +54,11 @@ class ReplayBridge {
         jitter_(Param<double>(node, "jitter", 0.0001, "a number")),
         loss_start_(Param<double>(node, "loss_start", 0.0, "a number")),
         loss_duration_(Param<double>(node, "loss_duration", 0.0, "a number")),
-        input_(node, "input", Param<std::string>(node, "input", "/mocap/pose", "a string"),
-               PoseTypeNames(), [this](const TopicSource::Message& message) {
-                 Republish(ToFramedPose(*message.getMessage()).pose);
-               }) {
+        input_(
+            node, "input", Param<std::string>(node, "input", "/mocap/pose", "a string"),
+            PoseTypeNames(), [this](const TopicSource::Message& message) {
+              Republish(ReadPose(message.getMessage()->getDataType(), *message.getMessage()).pose);
+            }) {
     const auto body = Param<std::string>(node, "body", "rig", "a string");
     const std::string topic = ForBody(style_.topic, body);
     frame_ = ForBody(style_.frame, body);

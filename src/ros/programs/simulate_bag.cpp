@@ -209,10 +209,8 @@ void Run(int argc, char** argv) {
   const std::vector<TrajectoryTarget> targets =
       PlanTrajectories(truth, Method::kJoint, 1, line.imus);
   const SessionData data = Simulate(simulator, line.imus);
-  if (line.format_name != "bag") {
-    line.format.ros2.emplace();
-    line.format.ros2->is_mcap = line.format_name == "mcap";
-  }
+  if (line.format_name == "mcap") line.format.ros2 = Ros2Format::kMcap;
+  if (line.format_name == "db3") line.format.ros2 = Ros2Format::kSqlite;
   if (IsBag(line)) WriteBag(line.output, data, line.format);
   if (line.format_name == "asl") WriteAslFolder(prefix, data);
   if (line.format_name == "text") WriteTables(prefix, data, line.format.split_imu);

@@ -9,8 +9,8 @@
 #include <string>
 
 #include "imu_pose_calib/core/base/types.h"
+#include "imu_pose_calib/ros/io/bag_file.h"
 #include "imu_pose_calib/ros/io/cdr.h"
-#include "imu_pose_calib/ros/io/ros2_file.h"
 #include "imu_pose_calib/simulation/simulator.h"
 
 namespace imu_pose_calib {
@@ -19,7 +19,7 @@ namespace imu_pose_calib {
 class Ros2Writer {
  public:
   /// Throws InputError when the file cannot be written; so do the others.
-  Ros2Writer(const std::string& path, const Ros2Format& format);
+  Ros2Writer(const std::string& path, Ros2Format format);
 
   template <typename Msg>
   void Write(const std::string& topic, int64_t t_ns, const Msg& msg) {
@@ -34,7 +34,6 @@ class Ros2Writer {
   void Add(const std::string& topic, const std::string& ros1_type,
            const std::string& ros1_definition, int64_t t_ns, const std::string& data);
 
-  Ros2Format format_;
   std::unique_ptr<Ros2Storage> storage_;
   std::map<std::string, uint32_t> topics_;
 };

@@ -1,27 +1,61 @@
 #pragma once
 
+#include <ros/message_traits.h>
+#include <ros/serialization.h>
+
+#include <functional>
 #include <memory>
 #include <set>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "imu_pose_calib/core/base/types.h"
+#include "imu_pose_calib/ros/io/bag_file.h"
+#include "imu_pose_calib/ros/io/cdr.h"
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/io/message_source.h"
 
 namespace imu_pose_calib {
+
+/// A message of a bag of ROS 1 or ROS 2 as it was recorded, as long as the bag hands it out.
+struct BagMessage {
+  const std::string& topic;
+  const std::string& type;              ///< as ROS 1 names it: "sensor_msgs/Imu"
+  ros::Time time;                       ///< of recording
+  std::string_view data;                ///< of ROS 2: CDR
+  const std::string* md5sum = nullptr;  ///< of the type's definition; null: of ROS 2
+
+  /// The message. Throws InputError when its type is defined differently here.
+  template <typename Msg>
+  std::unique_ptr<Msg> instantiate() const {  // NOLINT(readability-identifier-naming)
+    auto msg = std::make_unique<Msg>();
+    if (md5sum && *md5sum == ros::message_traits::MD5Sum<Msg>::value()) {
+      auto* bytes = reinterpret_cast<uint8_t*>(const_cast<char*>(data.data()));
+      ros::serialization::IStream stream(bytes, static_cast<uint32_t>(data.size()));
+      ros::serialization::deserialize(stream, *msg);
+    } else if (!md5sum && type == ros::message_traits::DataType<Msg>::value()) {
+      Decode([&](std::string_view cdr) { *msg = FromCdr<Msg>(cdr); });
+    } else {
+      throw InputError("topic '" + topic + "' has another definition of " + type +
+                       " than this computer");
+    }
+    return msg;
+  }
+
+  /// Runs `decode` on the CDR of a message of ROS 2, with errors that name it; nothing for ROS 1.
+  void Decode(const std::function<void(std::string_view)>& decode) const;
+};
 
 /// A topic of a recording and the messages of it within the span used.
 struct BagTopic {
   std::string name, type;
   uint32_t count = 0;
 
-  bool IsImu() const;
-  bool IsVector() const;
+  bool IsImu() const { return type == kImuType; }
+  bool IsVector() const { return type == kVectorType; }
   bool IsPose() const;
   bool IsBodies() const;  ///< poses of several bodies in each message
-  bool IsTf() const;
-  bool IsFixedTf() const;
+  bool IsTf() const { return type == "tf2_msgs/TFMessage" || type == "tf/tfMessage"; }
 };
 
 /// The poses in a message of ROS 2 that holds those of several bodies, by name
@@ -31,9 +65,6 @@ std::vector<FramedPose> ReadBodies(const BagMessage& message);
 
 /// "NAME (TYPE, COUNT), ..." for error messages.
 std::string Describe(const std::vector<BagTopic>& topics);
-
-/// "A.bag, B.bag" for error messages.
-std::string FileNames(const std::vector<std::string>& paths);
 
 /// Open bags of ROS 1, or of ROS 2, as one recording, limited to a span of record time.
 class Bags {
@@ -46,37 +77,14 @@ class Bags {
   double begin_s() const { return begin_.toSec(); }  ///< first record time
   double duration_s() const { return (end_ - begin_).toSec(); }
 
-  /// Calls `use(message)` for the messages of a topic in the order of recording while it is true.
-  template <typename Use>
-  void ForEach(const BagTopic& topic, Use use) const {
-    source_->ForEach({topic.name}, start_, end_, use);
-  }
-
-  /// Calls `use(message)` for the messages of these topics in the order of recording.
-  template <typename Use>
-  void ForEach(const std::set<std::string>& topics, Use use) const {
-    source_->ForEach({topics.begin(), topics.end()}, start_, end_, [&](const BagMessage& message) {
-      use(message);
-      return true;
-    });
-  }
+  /// Calls `use(message)` for the messages of these topics in the order of recording while it is
+  /// true.
+  void ForEach(const std::set<std::string>& topics,
+               const std::function<bool(const BagMessage&)>& use) const;
 
   /// Calls `use(message, fixed)` for the tf messages: first all fixed ones of the whole bags, which
   /// are sent once, then the others in the order of recording.
-  template <typename Use>
-  void ForEachTf(Use use) const {
-    const auto visit = [&](bool fixed, const ros::Time& start, const ros::Time& end) {
-      std::vector<std::string> names;
-      for (const BagTopic& topic : topics_)
-        if (topic.IsTf() && topic.IsFixedTf() == fixed) names.push_back(topic.name);
-      source_->ForEach(names, start, end, [&](const BagMessage& message) {
-        use(message, fixed);
-        return true;
-      });
-    };
-    visit(true, begin_, bag_end_);
-    visit(false, start_, end_);
-  }
+  void ForEachTf(const std::function<void(const BagMessage&, bool)>& use) const;
 
   /// The topic that `field` of a request names; InputError when the bags do not have it.
   const BagTopic& Find(const std::string& field, const std::string& name) const;
@@ -93,14 +101,24 @@ class Bags {
   std::string Contents() const;
 
   /// What is to be said of the bags, as that one is cut off.
-  std::vector<std::string> Notes() const { return source_->Notes(); }
+  std::vector<std::string> Notes() const;
 
  private:
+  struct Place {
+    BagFile::Entry entry;
+    BagFile* file;
+  };
+
   void SetSpan(double start_s, double duration_s);
   void ListTopics();
+  /// The messages of all topics from `start` to `end`.
+  std::pair<const Place*, const Place*> Range(const ros::Time& start, const ros::Time& end) const;
+  void ForEach(const std::set<std::string>& topics, const ros::Time& start, const ros::Time& end,
+               const std::function<bool(const BagMessage&)>& use) const;
 
   std::vector<std::string> paths_;
-  std::unique_ptr<MessageSource> source_;
+  std::vector<std::unique_ptr<BagFile>> files_;
+  std::vector<Place> index_;   ///< in the order of recording
   ros::Time begin_, bag_end_;  ///< record time of the first and last message
   ros::Time start_, end_;      ///< record time, the span to use
   std::vector<BagTopic> topics_;

@@ -13,7 +13,7 @@ namespace imu_pose_calib {
 /// What a child process may use up.
 struct ChildLimits {
   uint64_t cpu_s;   ///< processor time [s]
-  uint64_t wall_s;  ///< time from start to end [s]
+  uint64_t wall_s;  ///< time from start to end [s]; 0: any
   uint64_t memory;  ///< address space [bytes]
 };
 
@@ -28,7 +28,7 @@ std::optional<std::string> RunApart(const std::function<std::string()>& run,
                                     const ChildLimits& limits);
 
 /// To be called in a fork of the process `parent`: lets it end with that, and limits what it uses
-/// up but for the time from start to end.
+/// up.
 void ConfineChild(pid_t parent, const ChildLimits& limits);
 
 /// Runs a program, a path and its arguments, without input and output and with stderr in the file

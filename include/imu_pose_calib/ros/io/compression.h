@@ -1,8 +1,12 @@
 #pragma once
 
+#include <boost/interprocess/mapped_region.hpp>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <string_view>
+
+#include "imu_pose_calib/ros/io/output_files.h"
 
 namespace imu_pose_calib {
 
@@ -16,10 +20,8 @@ bool IsZstd(std::string_view bytes);
 /// InputError with the reason, without a name.
 std::string DecompressZstd(std::string_view bytes, uint64_t max_size);
 std::string DecompressLz4(std::string_view bytes, uint64_t max_size);
-
-/// One frame.
-std::string CompressZstd(std::string_view bytes);
-std::string CompressLz4(std::string_view bytes);
+/// The same of bz2, filled up to `size`.
+std::string DecompressBz2(std::string_view bytes, uint64_t size);
 
 /// A file to read from, as if all of it were in memory. What is compressed by zstd as a whole is
 /// first unfolded into a temporary file.
@@ -27,20 +29,21 @@ class InputFile {
  public:
   /// Throws InputError naming the file.
   explicit InputFile(const std::string& path);
-  InputFile(const InputFile&) = delete;
-  InputFile& operator=(const InputFile&) = delete;
-  ~InputFile();
 
-  std::string_view bytes() const { return bytes_; }
+  std::string_view bytes() const {
+    return {static_cast<const char*>(region_.get_address()), region_.get_size()};
+  }
   /// Where the bytes are: the path given, or that of the temporary file.
   const std::string& path() const { return path_; }
-  /// Lets go of the name of the temporary file, if there is one, so that none is left behind
-  /// whatever becomes of this process. At the latest this is done when the object goes.
-  void RemoveTemporary();
+  /// So that none is left behind whatever becomes of this process; the bytes stay.
+  void RemoveTemporary() { folder_.reset(); }
 
  private:
-  std::string path_, temporary_;
-  std::string_view bytes_;
+  void Map();
+
+  std::string path_;
+  std::optional<TemporaryFolder> folder_;
+  boost::interprocess::mapped_region region_;
 };
 
 }  // namespace imu_pose_calib

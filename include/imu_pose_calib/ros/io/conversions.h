@@ -10,9 +10,7 @@
 #include <nav_msgs/Odometry.h>
 #include <ros/time.h>
 #include <sensor_msgs/Imu.h>
-#include <topic_tools/shape_shifter.h>
 
-#include <array>
 #include <optional>
 #include <string>
 #include <vector>
@@ -61,14 +59,6 @@ FramedPose ToFramedPose(const nav_msgs::Odometry& msg);
 /// written.
 PoseStd ToPoseStd(const geometry_msgs::PoseWithCovariance& pose);
 
-/// Whether a message gives the vector that this covariance belongs to (angular_velocity or
-/// linear_acceleration): sensor_msgs/Imu lets the covariance of what is missing start with -1.
-bool IsGiven(const sensor_msgs::Imu::_angular_velocity_covariance_type& covariance);
-
-ImuSample ToImuSample(const geometry_msgs::Vector3Stamped& msg);  ///< [rad/s] or [m/s^2]
-ImuSample ToGyroSample(const sensor_msgs::Imu& msg);              ///< [rad/s]
-ImuSample ToAccelSample(const sensor_msgs::Imu& msg);             ///< [m/s^2]
-
 /// T_marker_imu of each IMU as a tf: parent marker, child imu.
 std::vector<geometry_msgs::TransformStamped> ToTransforms(const Calibration& result,
                                                           const RecordingInfo& info,
@@ -76,63 +66,36 @@ std::vector<geometry_msgs::TransformStamped> ToTransforms(const Calibration& res
 CalibrationResult ToMsg(const Calibration& result, const RecordingInfo& info,
                         const ros::Time& stamp);
 
-/// A message type that holds one pose, and how to read it from a `Source` with instantiate<Msg>().
+/// Types of the messages that hold one pose.
+const std::vector<std::string>& PoseTypeNames();
+bool IsPoseType(const std::string& type);
+
+/// The pose of a message of one of these types, from a `Source` with instantiate<Msg>().
 template <typename Source>
-struct PoseType {
-  const char* name;
-  FramedPose (*read)(const Source&);
-};
-
-template <typename Msg, typename Source>
-PoseType<Source> MakePoseType() {
-  return {ros::message_traits::DataType<Msg>::value(),
-          [](const Source& source) { return ToFramedPose(*source.template instantiate<Msg>()); }};
+FramedPose ReadPose(const std::string& type, const Source& source) {
+  if (type == "geometry_msgs/PoseStamped")
+    return ToFramedPose(*source.template instantiate<geometry_msgs::PoseStamped>());
+  if (type == "geometry_msgs/TransformStamped")
+    return ToFramedPose(*source.template instantiate<geometry_msgs::TransformStamped>());
+  if (type == "geometry_msgs/PoseWithCovarianceStamped")
+    return ToFramedPose(*source.template instantiate<geometry_msgs::PoseWithCovarianceStamped>());
+  return ToFramedPose(*source.template instantiate<nav_msgs::Odometry>());
 }
-
-template <typename Source>
-const std::array<PoseType<Source>, 4>& PoseTypes() {
-  static const std::array<PoseType<Source>, 4> kTypes = {
-      MakePoseType<geometry_msgs::PoseStamped, Source>(),
-      MakePoseType<geometry_msgs::TransformStamped, Source>(),
-      MakePoseType<geometry_msgs::PoseWithCovarianceStamped, Source>(),
-      MakePoseType<nav_msgs::Odometry, Source>()};
-  return kTypes;
-}
-
-/// The type of that name; null when it holds no pose.
-template <typename Source>
-const PoseType<Source>* FindPoseType(const std::string& name) {
-  for (const PoseType<Source>& type : PoseTypes<Source>())
-    if (name == type.name) return &type;
-  return nullptr;
-}
-
-std::vector<std::string> PoseTypeNames();
 
 /// What a message of an IMU gives; a vector may be of either sensor.
 struct ImuContent {
   std::optional<ImuSample> gyro, accel;
   std::string frame;  ///< as in the message
 };
+ImuContent ToImuContent(const geometry_msgs::Vector3Stamped& msg);
+ImuContent ToImuContent(const sensor_msgs::Imu& msg);
 
 /// Reads a message of `type`, kImuType or kVectorType, from a `Source` with instantiate<Msg>().
 template <typename Source>
 ImuContent ReadImuContent(const std::string& type, const Source& source) {
-  ImuContent content;
-  if (type == kVectorType) {
-    const auto vector = source.template instantiate<geometry_msgs::Vector3Stamped>();
-    content.gyro = content.accel = ToImuSample(*vector);
-    content.frame = vector->header.frame_id;
-  } else {
-    const auto imu = source.template instantiate<sensor_msgs::Imu>();
-    if (IsGiven(imu->angular_velocity_covariance)) content.gyro = ToGyroSample(*imu);
-    if (IsGiven(imu->linear_acceleration_covariance)) content.accel = ToAccelSample(*imu);
-    content.frame = imu->header.frame_id;
-  }
-  return content;
+  if (type == kVectorType)
+    return ToImuContent(*source.template instantiate<geometry_msgs::Vector3Stamped>());
+  return ToImuContent(*source.template instantiate<sensor_msgs::Imu>());
 }
-
-/// The pose of a message of one of these types. Throws ros::Exception when its definition differs.
-FramedPose ToFramedPose(const topic_tools::ShapeShifter& msg);
 
 }  // namespace imu_pose_calib

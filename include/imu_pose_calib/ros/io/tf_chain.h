@@ -55,11 +55,7 @@ class TfChain {
     std::map<ros::Time, bool> updates;
   };
 
-  void AddFixed(const geometry_msgs::TransformStamped& transform);
   void AddMoving(const geometry_msgs::TransformStamped& transform);
-  /// Forgets updates further from the last usable one than the cache: nothing is known of them.
-  void Prune(Link* link) const;
-  PoseSample PoseAt(const ros::Time& stamp, bool usable) const;
   /// The frame and those above it, up to the root.
   std::vector<std::string> Ancestry(std::string frame) const;
   /// Keys of the links between the two frames that are not fixed; no value when the frames are not
