@@ -30,6 +30,7 @@ constexpr double kGridStep = 0.005;    // [s]
 constexpr double kLongestGrid = 60.0;  // [s]
 constexpr double kZoom = 1.0;          // [s]
 constexpr double kZoomStep = 0.002;    // [s] of what is predicted
+constexpr size_t kZoomCount = 501;     // of them in a zoom
 constexpr double kAverage = 0.002;     // [s] around an instant, for what is averaged about it
 constexpr double kDerivative = 0.001;  // [s] the same, for derivatives by the time shift
 constexpr double kEdge = 0.1;          // [s] so close to gaps, the trajectory is not believed
@@ -41,13 +42,16 @@ using TimeOf = std::function<double(int64_t t_ns)>;  // [s]
 
 double Seconds(int64_t ns) { return 1e-9 * static_cast<double>(ns); }
 
-/// `count` instants [s], and others around each of them.
-std::vector<double> Instants(double begin, double step, size_t count,
+/// An instant in each of `count` equal parts of a span [s], `place` (0..1) within it, and others
+/// around each.
+std::vector<double> Instants(double begin, double end, size_t count, double place,
                              const std::vector<double>& around = {0.0}) {
   std::vector<double> instants;
   for (size_t k = 0; k < count; ++k)
     for (const double away : around)
-      instants.push_back(begin + step * static_cast<double>(k) + away);
+      instants.push_back(
+          begin + (static_cast<double>(k) + place) / static_cast<double>(count) * (end - begin) +
+          away);
   return instants;
 }
 
@@ -87,10 +91,9 @@ class SolvedSession {
       const SensorResiduals& found = solution_.residuals[k];
       if (found.session != s_) continue;
       const std::string quantity = kNames[static_cast<size_t>(found.quantity)];
-      const bool is_of_imu =
-          found.quantity == Quantity::kGyro || found.quantity == Quantity::kAccel;
+      const bool is_of_poses = found.quantity <= Quantity::kRotation;
       const std::string file =
-          prefix_ + (is_of_imu ? "_i" + std::to_string(found.imu) : "") + "_" + quantity;
+          prefix_ + (is_of_poses ? "" : "_i" + std::to_string(found.imu)) + "_" + quantity;
       NumpyTable<double> t(1);
       NumpyTable<float> rows(4);
       for (size_t i = 0; i < found.t.size(); ++i) {
@@ -114,13 +117,9 @@ class SolvedSession {
   /// Motion from `begin` to `end` [s], and the sigmas of the trajectory of the marker: position in
   /// W [m], rotation about the marker's axes [rad].
   void WriteMotion(double begin, double end) const {
-    const auto evenly = [&](size_t count) {
-      const double step = (end - begin) / static_cast<double>(count);
-      return Instants(begin + 0.5 * step, step, count);
-    };
-    WriteStates("motion", evenly(kOverview));
+    WriteStates("motion", Instants(begin, end, kOverview, 0.5));
     NumpyTable<double> sigmas(7);
-    for (const double t : evenly(has_covariance_ ? kErrorBounds : 0)) {
+    for (const double t : Instants(begin, end, has_covariance_ ? kErrorBounds : 0, 0.5)) {
       Vector6d variance = Nothing<6>();
       if (const auto covariance = trajectory_.MarkerCovariance(t))
         variance << covariance->diagonal().segment<3>(3), covariance->diagonal().head<3>();
@@ -133,15 +132,12 @@ class SolvedSession {
   void WriteImu(size_t imu) const {
     const std::string name = "i" + std::to_string(imu) + "_";
     const auto [begin, end] = Covered(imu);
-    const auto step = [length = end - begin](size_t count) {
-      return length / static_cast<double>(count);
-    };
+    const double zoom = FindLiveliest(begin, end);
     const std::vector<double> average = {-kAverage, 0.0, kAverage};
-    WriteStates(name + "predicted", Instants(begin, step(kOverview), kOverview, average));
+    WriteStates(name + "predicted", Instants(begin, end, kOverview, 0.0, average));
     WriteStates(name + "zoom",
-                Instants(FindLiveliest(begin, end), kZoomStep,
-                         static_cast<size_t>(std::lround(kZoom / kZoomStep)) + 1, average));
-    WriteStates(name + "growth", Instants(begin + 0.5 * step(kGrowth), step(kGrowth), kGrowth,
+                Instants(zoom, zoom + kZoomCount * kZoomStep, kZoomCount, 0.0, average));
+    WriteStates(name + "growth", Instants(begin, end, kGrowth, 0.5,
                                           {-kEdge, -kDerivative, 0.0, kDerivative, kEdge}));
     WriteGrid(name + "grid", begin, end);
     WriteBiases(name + "gyro_bias", imu, estimate_.imus[imu].gyro_bias, 0);

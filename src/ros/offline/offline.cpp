@@ -31,11 +31,9 @@ bool IsFolder(const std::string& path) {
   return std::filesystem::is_directory(path, ignored);
 }
 
-bool NamesImu(const TextRequest& text) {
-  return !(text.imu.empty() && text.gyro.empty() && text.accel.empty());
+bool NamesFiles(const TextRequest& text) {
+  return !(text.poses.empty() && text.imu.empty() && text.gyro.empty() && text.accel.empty());
 }
-
-bool NamesFiles(const TextRequest& text) { return !text.poses.empty() || NamesImu(text); }
 
 bool NamesImu(const BagRequest& bag) {
   return !(bag.imu_topic.empty() && bag.gyro_topic.empty() && bag.accel_topic.empty());
