@@ -6,9 +6,11 @@ from collections import namedtuple
 import numpy as np
 from report_axes import sensor
 
-# Of the marker: time [s], position [m], rotation matrix, turn rate and its derivative about its axes, acceleration [m/s^2].
+# Of the marker: time [s], position [m], rotation matrix, turn rate about its axes [rad/s] and its derivative,
+# acceleration [m/s^2].
 Motion = namedtuple('Motion', 't p_WM R_WM omega alpha a_W')
-GRAVITY_PRIOR, PRIOR = 1e-3, 10.0  # sigmas of what is known before: gravity's magnitude [m/s^2]; everything, in its unit
+# Sigmas of what is known before: of gravity's magnitude [m/s^2], and of everything, in its unit.
+GRAVITY_PRIOR, PRIOR = 1e-3, 10.0
 
 
 def rotations(q):
@@ -160,7 +162,7 @@ def growth(report, s, imu):
     down = gravity / np.linalg.norm(gravity)
     H[:, 8:11, 8:11] += np.outer(down, down) / GRAVITY_PRIOR ** 2
     sigmas = np.sqrt(np.maximum(0, np.linalg.inv(H)[:, range(8), range(8)]))
-    transform = imu_result(report, imu)['transform']
-    final = np.r_[transform['translation_std'], transform['rotation_std'], clock_result(report, s, imu)['time_shift_std'],
-                  imu_result(report, imu)['accel_delay_std']]
+    found = imu_result(report, imu)
+    final = np.r_[found['transform']['translation_std'], found['transform']['rotation_std'],
+                  clock_result(report, s, imu)['time_shift_std'], found['accel_delay_std']]
     return np.c_[np.arange(1, 41) / 40, sigmas * final / sigmas[-1]]
