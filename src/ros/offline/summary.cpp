@@ -26,10 +26,6 @@ std::string Verdict(const std::string& verdict, const std::string& message) {
   return Wrap(boost::to_upper_copy(verdict) + ": ", message);
 }
 
-std::string Vector(const Eigen::Vector3d& v, const char* number) {
-  return "[" + List(v, number) + "]";
-}
-
 /// What the covariances of the poses say, a line.
 std::string Stated(const char* indent, const std::optional<PoseStd>& stated) {
   if (!stated) return "";
@@ -276,9 +272,8 @@ std::string Data(const Calibration& result, const std::vector<RecordingInfo>& in
 
 std::string Transform(const Rigid3& T) {
   const auto rows = [](const Rigid3& x) {
-    return "  p = " + Vector(1e3 * x.p, "%.3f") + " mm\n" +
-           Format("  R = [%.6f, %.6f, %.6f, %.6f] (x, y, z, w)\n", x.q.x(), x.q.y(), x.q.z(),
-                  x.q.w());
+    return Format("  p = [%s] mm\n  R = [%.6f, %.6f, %.6f, %.6f] (x, y, z, w)\n",
+                  List(1e3 * x.p, "%.3f").c_str(), x.q.x(), x.q.y(), x.q.z(), x.q.w());
   };
   return "\nT_marker_imu, the imu seen from the marker: x_marker = R x_imu + p\n" + rows(T) +
          "  sigma of p along the marker axes, of R about the imu axes\n"
@@ -343,8 +338,8 @@ std::string Clocks(const Calibration& result) {
 std::string Matrix(const char* name, const Eigen::Matrix3d& M, const Eigen::Matrix3d& sigma) {
   std::string text;
   for (int row = 0; row < 3; ++row)
-    text += Format("  %-12s", row == 0 ? name : "") + Vector(M.row(row), "%9.5f") + " +- " +
-            Vector(sigma.row(row), "%.5f") + "\n";
+    text += Format("  %-12s[%s] +- [%s]\n", row == 0 ? name : "", List(M.row(row), "%9.5f").c_str(),
+                   List(sigma.row(row), "%.5f").c_str());
   return text;
 }
 
@@ -352,15 +347,14 @@ std::string Imu(const Calibration& result) {
   const ImuCalibration& imu = result.imus[0];
   const SessionCalibration& session = result.sessions[0];
   std::string text =
-      "\nGravity and mean biases\n"
-      "  gravity    = " +
-      Vector(session.g_W, "%.5f") +
-      " m/s^2 in the world frame\n"
-      "  gyro bias  = " +
-      Vector(session.imus[0].gyro_bias, "%.6f") +
-      " rad/s in the imu frame\n"
-      "  accel bias = " +
-      Vector(session.imus[0].accel_bias, "%.5f") + " m/s^2 in the imu frame\n";
+      Format(R"(
+Gravity and mean biases
+  gravity    = [%s] m/s^2 in the world frame
+  gyro bias  = [%s] rad/s in the imu frame
+  accel bias = [%s] m/s^2 in the imu frame
+)",
+             List(session.g_W, "%.5f").c_str(), List(session.imus[0].gyro_bias, "%.6f").c_str(),
+             List(session.imus[0].accel_bias, "%.5f").c_str());
   if (result.imu_model != ImuModel::kCalibrated)
     text += "\nScale and misalignment: measured = M true + bias\n" +
             Matrix("gyro M =", imu.gyro_matrix, imu.gyro_matrix_std) +
@@ -373,17 +367,18 @@ std::string Imu(const Calibration& result) {
 }
 
 std::string Residuals(const Calibration& result) {
-  const auto row = [](const char* name, double rms, double noise, const char* unit) {
-    return Format("  %-9s rms %.3g %s, noise %.3g %s\n", name, rms, unit, noise, unit);
-  };
   const SessionCalibration& session = result.sessions[0];
   const ImuSession& imu = session.imus[0];
-  std::string text =
-      "\nResiduals per axis, and the noise estimated from them\n" +
-      row("gyro", imu.rms.gyro, imu.noise.gyro, "rad/s") +
-      row("accel", imu.rms.accel, imu.noise.accel, "m/s^2") +
-      row("position", 1e3 * session.rms.position, 1e3 * session.noise.position, "mm") +
-      row("rotation", kDegrees * session.rms.rotation, kDegrees * session.noise.rotation, "deg");
+  std::string text = Format(R"(
+Residuals per axis, and the noise estimated from them
+  gyro      rms %.3g rad/s, noise %.3g rad/s
+  accel     rms %.3g m/s^2, noise %.3g m/s^2
+  position  rms %.3g mm, noise %.3g mm
+  rotation  rms %.3g deg, noise %.3g deg
+)",
+                            imu.rms.gyro, imu.noise.gyro, imu.rms.accel, imu.noise.accel,
+                            1e3 * session.rms.position, 1e3 * session.noise.position,
+                            kDegrees * session.rms.rotation, kDegrees * session.noise.rotation);
   if (session.rotation_error_std > 0.0)
     text += Format("  rotations of the poses err for seconds by %.3g deg\n",
                    kDegrees * session.rotation_error_std);
@@ -460,9 +455,10 @@ std::string Matches(const DataCheck& check) {
 
 std::string Excitation(const DataCheck& check) {
   if (check.turns_M.isZero(0.0)) return "";
-  std::string text = "  turns        " + Vector(check.turns_M, "%.2f") +
-                     " rad/s rms about marker x, y, z\n" + "  moves        " +
-                     Vector(check.moves_W, "%.2f") + " m/s^2 rms along world x, y, z\n";
+  std::string text = Format(
+      "  turns        [%s] rad/s rms about marker x, y, z\n"
+      "  moves        [%s] m/s^2 rms along world x, y, z\n",
+      List(check.turns_M, "%.2f").c_str(), List(check.moves_W, "%.2f").c_str());
   for (const ImuCheck& imu : check.imus)
     text += imu.rest_s > 0.0 ? Format("  at rest      %.1f s; the accelerometer shows %.2f m/s^2\n",
                                       imu.rest_s, imu.rest_norm)
