@@ -11,6 +11,7 @@ from report_axes import sensor
 Motion = namedtuple('Motion', 't p_WM R_WM omega alpha a_W')
 # Sigmas of what is known before: of gravity's magnitude [m/s^2], and of everything, in its unit.
 GRAVITY_PRIOR, PRIOR = 1e-3, 10.0
+SHARES = 40  # of the data, up to which the information grows
 
 
 def rotations(q):
@@ -158,11 +159,11 @@ def growth(report, s, imu):
         # Of the samples that an instant stands for.
         weight = (now.t[1] - now.t[0]) * found['rate_hz'] / found['noise_found'] ** 2
         H = H + weight * np.einsum('nki,nkj->nij', rows, rows)
-    H = H.reshape(40, -1, 17, 17).sum(axis=1).cumsum(axis=0) + np.eye(17) / PRIOR ** 2
+    H = H.reshape(SHARES, -1, 17, 17).sum(axis=1).cumsum(axis=0) + np.eye(17) / PRIOR ** 2
     down = gravity / np.linalg.norm(gravity)
     H[:, 8:11, 8:11] += np.outer(down, down) / GRAVITY_PRIOR ** 2
     sigmas = np.sqrt(np.maximum(0, np.linalg.inv(H)[:, range(8), range(8)]))
     found = imu_result(report, imu)
     final = np.r_[found['transform']['translation_std'], found['transform']['rotation_std'],
                   clock_result(report, s, imu)['time_shift_std'], found['accel_delay_std']]
-    return np.c_[np.arange(1, 41) / 40, sigmas * final / sigmas[-1]]
+    return np.c_[np.arange(1, SHARES + 1) / SHARES, sigmas * final / sigmas[-1]]

@@ -246,7 +246,7 @@ void RunOffline(const Progress& progress, OfflineResult* offline) {
     offline->sessions.push_back(std::move(recording.data));
   }
   offline->trajectories = PlanTrajectories(given.trajectory, offline->options.method,
-                                           requests.size(), offline->infos[0].imus.size());
+                                           requests.size(), offline->sessions[0].imus.size());
   for (const TrajectoryTarget& target : offline->trajectories)
     for (const std::string& file : TrajectoryFiles(target.path, target.format))
       PlanOutput({"trajectory", file}, requests, outputs, target.format == TrajectoryFormat::kAsl);
