@@ -1,4 +1,4 @@
-"""What the figures of report.py are made with: the series of report.h, axes, colours."""
+"""What the figures of report.py are made with: the series of calibration_report.h, axes, colours."""
 
 import html
 import io
@@ -189,9 +189,7 @@ def runs_of(mask):
 
 def stamps(report, s, stream, imu):
     """Recorded stamps [s] in order of arrival."""
-    if stream == 'poses':
-        return report.times('s%d_poses_stamps' % s)
-    return report.times('s%d_i%d_%s_%s' % (s, imu, stream, 't' if report.head['solved'] else 'stamps'))
+    return report.times('s%d_poses_t' % s if stream == 'poses' else 's%d_i%d_%s_t' % (s, imu, stream))
 
 
 # --- Figures in HTML ---

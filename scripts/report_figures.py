@@ -2,6 +2,7 @@
 
 import numpy as np
 import report_axes
+import report_series as series
 import report_verdicts as verdicts
 from mpl_toolkits.mplot3d import Axes3D  # noqa: F401  (registers the projection)
 from report_axes import (AXES, BLUE, DEGREES, DOTS, ORANGE, PURPLE, QUANTITIES, RED, SKY, axes_of, draw_series,
@@ -12,12 +13,10 @@ from report_axes import (AXES, BLUE, DEGREES, DOTS, ORANGE, PURPLE, QUANTITIES, 
 
 def signals(report, s, imu):
     figure, axes = axes_of(2, 2, 1.75, widths=(1.35, 1))
-    zoom, whole = report.rows('s%d_i%d_zoom' % (s, imu)), report.rows('s%d_i%d_predicted' % (s, imu))
+    zoom, whole = (series.predicted(report, s, imu, name) for name in ('zoom', 'predicted'))
     for row, (name, column) in enumerate((('gyro', 1), ('accel', 4))):
         title, unit, _ = QUANTITIES[name]
-        t, values = report.times('s%d_i%d_%s_t' % (s, imu, name)), report.rows('s%d_i%d_%s' % (s, imu, name))
-        order = np.argsort(t, kind='stable')
-        t, values = t[order], values[order].astype(float)
+        t, values = series.recorded(report, s, imu, name)
         ax = axes[row, 0]
         span = (whole[0, 0], whole[-1, 0])
         bins = 250
@@ -159,13 +158,12 @@ def spectra(report, s, imu):
 
 
 def time_shift(report, s, imu):
-    grid = report.rows('s%d_i%d_grid' % (s, imu))
-    grid = grid[np.isfinite(grid).all(axis=1)]
-    if len(grid) < 400:
+    *rates, motion, _ = series.grid(report, s, imu)
+    if len(motion.t) < 400:
         return None
-    step = grid[1, 0] - grid[0, 0]
-    poses, gyro = (x - x.mean() for x in (grid[:, 1], grid[:, 2]))
-    fine, size = 8, 1 << int(np.ceil(np.log2(2 * len(grid))))
+    step = motion.t[1] - motion.t[0]
+    poses, gyro = (x - x.mean() for x in rates)
+    fine, size = 8, 1 << int(np.ceil(np.log2(2 * len(poses))))
     cross = np.fft.rfft(poses, size) * np.conj(np.fft.rfft(gyro, size))
     correlation = fine * np.fft.irfft(cross, fine * size) / np.sqrt(np.sum(poses ** 2) * np.sum(gyro ** 2))
     lag = np.fft.fftfreq(fine * size, 1 / (fine * size)) * step / fine
@@ -183,7 +181,7 @@ def time_shift(report, s, imu):
     axes[0, 0].set_title('which repetition of the motion')
     axes[0, 1].set_title('close to the result')
     note(axes[0, 1], 'peak %.3f at %.2f ms' % (correlation.max(), 1e3 * middle), x=0.03, y=0.2)
-    return figure, verdicts.time_shift(grid, lag, correlation)
+    return figure, verdicts.time_shift(gyro, step, lag, correlation)
 
 
 def stamp_figure(report, s, imu):
@@ -261,7 +259,7 @@ def error_bounds(report, s):
 
 
 def excitation(report, s):
-    found = report.head['sessions'][s]['excitation']
+    found = dict(zip(('turns', 'moves'), series.excitation(report, s)))
     directions = report.result['quality']['observability']
     figure, axes = axes_of(1, 3, 1.9, widths=(1, 1, 3), gap=0.62)
     for ax in axes.flat:
@@ -298,7 +296,7 @@ def excitation(report, s):
 
 
 def growth(report, s, imu):
-    table = report.rows('s%d_i%d_growth' % (s, imu))
+    table = series.growth(report, s, imu)
     figure, axes = axes_of(1, 3, 1.7, gap=0.7)
     for ax, title, unit, columns in ((axes[0, 0], 'translation', 'mm', ((1, 'x'), (2, 'y'), (3, 'z'))),
                                      (axes[0, 1], 'rotation', 'deg', ((4, 'x'), (5, 'y'), (6, 'z'))),
@@ -321,26 +319,23 @@ def growth(report, s, imu):
 
 def p_by_band(report, s, imu):
     """p_MI from the second derivative of the recorded positions and the accelerometer, band by band."""
-    grid = report.rows('s%d_i%d_grid' % (s, imu))
-    grid = grid[np.isfinite(grid).all(axis=1)]
-    if len(grid) < 1000:
+    _, _, motion, force = series.grid(report, s, imu)
+    size = len(motion.t)
+    if size < 1000:
         return []
-    step = grid[1, 0] - grid[0, 0]
-    size = len(grid)
+    step = motion.t[1] - motion.t[0]
     frequency = np.fft.rfftfreq(size, step)
     # The motion of the poses alone: of the solve, and what it leaves of them.
-    a_W = grid[:, 3:6]
+    a_W = motion.a_W
     t, r, weight = residuals(report, s, 'position', imu)
     good = weight > 0.5
     if good.sum() > 10:
-        left = np.stack([np.interp(grid[:, 0], t[good], r[good, k]) for k in range(3)], axis=1)
+        left = np.stack([np.interp(motion.t, t[good], r[good, k]) for k in range(3)], axis=1)
         omega2 = (2 * np.pi * frequency[:, None]) ** 2
         a_W = a_W - np.fft.irfft(omega2 * np.fft.rfft(left, axis=0), size, axis=0)
-    R = rotations(grid[:, 6:10])
-    specific = np.einsum('nji,nj->ni', R, a_W / report.result['pose_scale'] - report.head['sessions'][s]['gravity'])
-    rest = grid[:, 16:19] - specific
-    omega, alpha = hats(grid[:, 10:13]), hats(grid[:, 13:16])
-    lever = alpha + omega @ omega
+    gravity = np.array(report.head['sessions'][s]['gravity'])
+    rest = force - series.specific_force(motion, a_W / report.result['pose_scale'], gravity, np.zeros(3))
+    lever = series.lever(motion)
     window = np.hanning(size)
     R_f = np.fft.rfft(window[:, None] * (rest - rest.mean(axis=0)), axis=0)
     L_f = np.fft.rfft(window[:, None, None] * (lever - lever.mean(axis=0)), axis=0)
@@ -363,19 +358,6 @@ def p_by_band(report, s, imu):
     return [band for band in bands if band[2].max() <= 30 * least]
 
 
-def rotations(q):
-    x, y, z, w = q.T
-    return np.stack([np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], axis=1),
-                     np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], axis=1),
-                     np.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], axis=1)], axis=1)
-
-
-def hats(v):
-    x, y, z = v.T
-    o = np.zeros_like(x)
-    return np.stack([np.stack([o, -z, y], axis=1), np.stack([z, o, -x], axis=1), np.stack([-y, x, o], axis=1)], axis=1)
-
-
 def p_figure(report, s, imu):
     """The lever arm as parts of the data tell it: bands of frequency, and sessions alone."""
     groups = [('by band of frequency, up to a minute', p_by_band(report, s, imu))]
@@ -387,7 +369,7 @@ def p_figure(report, s, imu):
     groups = [group for group in groups if group[1]]
     if not groups:
         return None
-    transform = imu_result(report, imu)['transform']
+    transform = series.imu_result(report, imu)['transform']
     p, sigma = np.array(transform['translation']), np.array(transform['translation_std'])
     figure, axes = axes_of(3, len(groups), 0.95, share=True)
     for column, (title, values) in enumerate(groups):
@@ -416,12 +398,8 @@ def p_figure(report, s, imu):
     return figure, verdicts.lever_arm(groups, p, sigma)
 
 
-def imu_result(report, imu):
-    return report.result['imus'][imu] if 'imus' in report.result else report.result
-
-
 def trajectory(report, s):
-    motion = report.rows('s%d_motion' % s)
+    motion = series.session_motion(report, s)
     known = motion[np.isfinite(motion).all(axis=1)]
     if len(known) < 10:
         return None
@@ -465,7 +443,7 @@ def fill_box(ax, points):
 def recorded(report, s, imu):
     """What the streams hold, as recorded: each on its own clock."""
     figure, axes = axes_of(4, 1, 1.15)
-    t, poses = report.times('s%d_poses_stamps' % s), report.rows('s%d_poses' % s).astype(float)
+    t, poses = report.times('s%d_poses_t' % s), report.rows('s%d_poses' % s).astype(float)
     order = np.argsort(t, kind='stable')
     t, poses = t[order], poses[order]
     draw_axes(axes[0, 0], t, poses[:, :3] - np.nanmean(poses[:, :3], axis=0) if len(poses) else poses[:, :3],
@@ -475,14 +453,14 @@ def recorded(report, s, imu):
     for ax, name in ((axes[2, 0], 'gyro'), (axes[3, 0], 'accel')):
         file = 's%d_i%d_%s' % (s, imu, name)
         title, unit, _ = QUANTITIES[name]
-        draw_axes(ax, report.times(file + '_stamps'), report.rows(file).astype(float), title, unit)
+        draw_axes(ax, report.times(file + '_t'), report.rows(file).astype(float), title, unit)
     axes[3, 0].set_xlabel("time since the stream's first stamp [s]")
     return figure, verdicts.recorded(rates, report.rows('s%d_i%d_gyro' % (s, imu)).astype(float))
 
 
 def missing(report, s):
     """How fast and how far the marker turned about the axes of most, second and least turning, and what is asked."""
-    t, poses = report.times('s%d_poses_stamps' % s), report.rows('s%d_poses' % s).astype(float)
+    t, poses = report.times('s%d_poses_t' % s), report.rows('s%d_poses' % s).astype(float)
     order = np.argsort(t, kind='stable')
     t, rates = turn_rates(t[order], poses[order, 3:7])
     if len(rates) < 10:

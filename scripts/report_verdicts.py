@@ -162,16 +162,15 @@ def spectra(report, s, imu, spectrum):
                    'sigmas are from the residuals as they are, correlated')
 
 
-def time_shift(grid, lag, correlation):
-    """`grid`: of report.h; the correlation is in order of `lag` [s]."""
+def time_shift(gyro, step, lag, correlation):
+    """`gyro`: how fast it turns, less the mean, every `step` [s]; the correlation is in order of `lag` [s]."""
     top = np.argmax(correlation)
     left = top - np.argmax(correlation[top::-1] < 0.5 * correlation[top])
     right = top + np.argmax(correlation[top:] < 0.5 * correlation[top])
-    near = np.abs(lag) < 0.25 * len(grid) * (grid[1, 0] - grid[0, 0])
+    near = np.abs(lag) < 0.25 * len(gyro) * step
     near[left:right + 1] = False
     next_best = correlation[near].max() if near.any() else 0
-    x = grid[:, 2] - grid[:, 2].mean()
-    samples = len(x) * np.sqrt(np.sum(np.diff(x) ** 2) / np.sum(x ** 2)) / np.pi  # independent ones
+    samples = len(gyro) * np.sqrt(np.sum(np.diff(gyro) ** 2) / np.sum(gyro ** 2)) / np.pi  # independent ones
     ratio = (1 - max(next_best, 0) ** 2) / max(1e-9, 1 - min(correlation[top], 1) ** 2)
     sigmas = np.sqrt(samples * max(0, np.log(ratio)))
     if level(abs(lag[top]), PEAK_OFFSET) != GOOD:

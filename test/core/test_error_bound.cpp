@@ -4,7 +4,7 @@
 
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/simulation/information.h"
+#include "imu_pose_calib/simulation/error_bound.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {

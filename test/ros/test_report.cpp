@@ -3,56 +3,18 @@
 #include <yaml-cpp/yaml.h>
 
 #include <array>
-#include <cstring>
 #include <regex>
 
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/ros/io/bag_writer.h"
 #include "imu_pose_calib/ros/io/numpy_table.h"
 #include "imu_pose_calib/ros/io/output_files.h"
-#include "imu_pose_calib/ros/offline/report.h"
+#include "imu_pose_calib/ros/offline/calibration_report.h"
 #include "imu_pose_calib/ros/offline/summary.h"
-#include "imu_pose_calib/simulation/information.h"
 #include "run_executable.h"
 
 namespace imu_pose_calib {
 namespace {
-
-/// A NumPy file as https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html has it.
-std::vector<std::vector<double>> ReadNumpy(const std::string& path) {
-  const std::string text = ReadText(path);
-  EXPECT_EQ(text.compare(0, 8, std::string("\x93NUMPY\x01\x00", 8)), 0) << path;
-  const size_t size =
-      static_cast<unsigned char>(text[8]) + 256u * static_cast<unsigned char>(text[9]);
-  EXPECT_EQ((10 + size) % 64, 0u) << path;
-  const std::string header = text.substr(10, size);
-  EXPECT_EQ(header.back(), '\n');
-  std::smatch found;
-  if (!std::regex_search(header, found,
-                         std::regex(R"(\{'descr': '<f([48])', 'fortran_order': False, )"
-                                    R"('shape': \((\d+), (\d+)\), \} *\n)"))) {
-    ADD_FAILURE() << header;
-    return {};
-  }
-  const size_t bytes = std::stoul(found[1]), rows = std::stoul(found[2]),
-               columns = std::stoul(found[3]);
-  EXPECT_EQ(text.size(), 10 + size + rows * columns * bytes) << path;
-  std::vector<std::vector<double>> table(rows, std::vector<double>(columns));
-  const char* next = text.data() + 10 + size;
-  for (auto& row : table)
-    for (double& value : row) {
-      float single = 0.0f;
-      if (bytes == 8) std::memcpy(&value, next, 8);
-      if (bytes == 4) std::memcpy(&single, next, 4);
-      if (bytes == 4) value = single;
-      next += bytes;
-    }
-  return table;
-}
-
-Eigen::Vector3d VectorAt(const std::vector<double>& row, size_t column) {
-  return {row[column], row[column + 1], row[column + 2]};
-}
 
 class ReportTest : public ExecutableTest {
  protected:
@@ -95,15 +57,50 @@ TEST_F(ReportTest, NumpyReadsTheTables) {
   table.AddRow(1.0 / 3.0, Eigen::Vector3d(1, -2, 3e300));
   table.AddRow(-0.5, Eigen::Vector3d(4, 5, 6));
   table.Write(Path("x.npy"));
-  EXPECT_EQ(ReadNumpy(Path("x.npy")),
-            (std::vector<std::vector<double>>{{1.0 / 3.0, 1, -2, 3e300}, {-0.5, 4, 5, 6}}));
+  EXPECT_EQ(ReadText(Path("x.npy")).size() % 64, 0u);  // header and rows
   NumpyTable<float> singles(1);
   singles.Write(Path("y.npy"));
-  EXPECT_TRUE(ReadNumpy(Path("y.npy")).empty());
+  const Outcome outcome = Run("/usr/bin/python3", Write("check.py", R"(
+import numpy as np
+x, y = np.load('x.npy'), np.load('y.npy')
+assert x.dtype == np.float64 and x.tolist() == [[1 / 3, 1, -2, 3e300], [-0.5, 4, 5, 6]]
+assert y.dtype == np.float32 and y.shape == (0, 1)
+)"));
+  EXPECT_EQ(outcome.status, 0) << outcome.err;
 }
 
-/// Measured samples are predicted from the trajectory to their noise, and that is what the
-/// residuals of the solve are.
+/// What the scripts predict from the motion of the solve: measured samples to their noise, which is
+/// what the residuals of the solve are. And sigmas that shrink to those of the result: of an even
+/// motion, four times the data tell twice as exactly, roughly.
+constexpr char kCheckSeries[] = R"(
+import sys
+sys.path.insert(0, sys.argv[1])
+import numpy as np
+import report_series as series
+from report_axes import Report, residuals
+
+report = Report('.')
+zoom = series.predicted(report, 0, 0, 'zoom')
+assert len(zoom) == 501
+for name, columns, sigma in (('gyro', slice(1, 4), float(sys.argv[2])), ('accel', slice(4, 7), float(sys.argv[3]))):
+    t, values = series.recorded(report, 0, 0, name)
+    used, r, _ = residuals(report, 0, name, 0)
+    near = (t >= zoom[0, 0]) & (t < zoom[-1, 0])
+    assert near.sum() > 196
+    rest = values[near] - series.each_axis(t[near], zoom[:, 0], zoom[:, columns])
+    k = np.searchsorted(used, t[near] - 1e-4)
+    assert np.abs(used[k] - t[near]).max() < 1e-5
+    assert np.linalg.norm(r[k] - rest, axis=1).max() < 0.3 * sigma
+    assert abs(np.sqrt(np.mean(rest ** 2)) / sigma - 1) < 0.15
+
+growth = series.growth(report, 0, 0)
+transform = report.result['transform']
+assert growth[-1, 0] == 1
+assert np.allclose(growth[-1, 1:7], transform['translation_std'] + transform['rotation_std'], 1e-9, 0)
+assert np.diff(growth[:, 1:], axis=0).max() <= 1e-12
+assert 1.4 < growth[9, 1] / growth[-1, 1] < 4
+)";
+
 TEST_F(ReportTest, MeasuredLessPredictedAreTheResiduals) {
   SimulatorOptions truth = Handheld();
   truth.time_shift_s = -1000.5;
@@ -112,39 +109,12 @@ TEST_F(ReportTest, MeasuredLessPredictedAreTheResiduals) {
   const CalibrationOptions options;
   const Calibration result = imu_pose_calib::Calibrate(options, sessions);
   ASSERT_TRUE(result.IsUsable()) << result.message;
-  WriteReportData({options, sessions, std::vector<RecordingInfo>(1), result, ""}, dir_.string());
-
-  const auto zoom = ReadNumpy(Path("s0_i0_zoom.npy"));
-  ASSERT_EQ(zoom.size(), 501u);
-  for (const auto& [sensor, column, sigma] :
-       {std::tuple("gyro", 1, truth.gyro_std), std::tuple("accel", 4, truth.accel_std)}) {
-    SCOPED_TRACE(sensor);
-    const std::string file = std::string("s0_i0_") + sensor;
-    const auto t = ReadNumpy(Path(file + "_t.npy")), values = ReadNumpy(Path(file + ".npy"));
-    const auto used = ReadNumpy(Path(file + "_residual_t.npy"));
-    const auto residuals = ReadNumpy(Path(file + "_residual.npy"));
-    ASSERT_EQ(t.size(), sessions[0].imus[0].gyro.size());
-    ASSERT_EQ(used.size(), residuals.size());
-    double sum2 = 0.0, count = 0.0;
-    for (size_t i = 0, k = 0; i < t.size(); ++i) {
-      const double place = (t[i][0] - zoom[0][0]) / (zoom[1][0] - zoom[0][0]);
-      if (place < 0.0 || place >= 500.0) continue;
-      const auto before = static_cast<size_t>(place);
-      const double u = place - static_cast<double>(before);
-      const Eigen::Vector3d predicted =
-          (1.0 - u) * VectorAt(zoom[before], static_cast<size_t>(column)) +
-          u * VectorAt(zoom[before + 1], static_cast<size_t>(column));
-      const Eigen::Vector3d rest = VectorAt(values[i], 0) - predicted;
-      while (k < used.size() && used[k][0] < t[i][0] - 1e-4) ++k;
-      ASSERT_LT(k, used.size());
-      EXPECT_NEAR(used[k][0], t[i][0], 1e-5);
-      EXPECT_LT((VectorAt(residuals[k], 0) - rest).norm(), 0.3 * sigma) << t[i][0];
-      sum2 += rest.squaredNorm() / (sigma * sigma);
-      count += 3.0;
-    }
-    EXPECT_GT(count, 590.0);
-    EXPECT_NEAR(std::sqrt(sum2 / count), 1.0, 0.15);
-  }
+  WriteReportData({options, sessions, std::vector<RecordingInfo>(1), result}, {}, dir_.string());
+  const Outcome outcome =
+      Run("/usr/bin/python3",
+          Write("check.py", kCheckSeries) + " " IMU_POSE_CALIB_SOURCE_DIR "/scripts " +
+              std::to_string(truth.gyro_std) + " " + std::to_string(truth.accel_std));
+  EXPECT_EQ(outcome.status, 0) << outcome.err;
 
   const YAML::Node report = YAML::LoadFile(Path("report.yaml"));
   EXPECT_EQ(report["status"].as<std::string>(), "ok");
@@ -153,22 +123,6 @@ TEST_F(ReportTest, MeasuredLessPredictedAreTheResiduals) {
   EXPECT_NEAR(report["sessions"][0]["sensors"][2]["rms"].as<double>(), truth.gyro_std, 1e-3);
   EXPECT_EQ(YAML::LoadFile(Path("result.yaml"))["time_shift"].as<double>(),
             result.sessions[0].imus[0].time_shift);
-}
-
-TEST_F(ReportTest, SigmasShrinkToThoseOfTheResult) {
-  const std::vector<SessionData> sessions = {Simulate(Handheld())};
-  const Calibration result = imu_pose_calib::Calibrate({}, sessions);
-  const SessionTrajectory trajectory(result.solution, 0);
-  const InformationGrowth growth = GrowInformation(result, 0, 0, trajectory, 1.0, 11.0);
-  ASSERT_EQ(growth.share.back(), 1.0);
-  const Vector6d std_dev = result.imus[0].Std();
-  EXPECT_LT((growth.std.back().head<6>() - std_dev).norm(), 1e-9 * std_dev.norm());
-  for (size_t k = 1; k < growth.std.size(); ++k)
-    EXPECT_LE((growth.std[k] - growth.std[k - 1]).maxCoeff(), 1e-12) << k;
-  // Of an even motion, four times the data tell twice as exactly, roughly.
-  const double ratio = growth.std[growth.std.size() / 4 - 1][0] / std_dev[0];
-  EXPECT_GT(ratio, 1.4);
-  EXPECT_LT(ratio, 4.0);
 }
 
 TEST_F(ReportTest, DrawsEverythingIntoOnePage) {

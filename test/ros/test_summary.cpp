@@ -73,7 +73,7 @@ TEST(Summary, SaysWhatAPersonNeeds) {
 
 /// The row of the table that begins with `name`.
 std::string RowOf(const Calibration& result, const std::string& name) {
-  std::istringstream lines(Brief(result, {MakeInfo()}, 20));
+  std::istringstream lines(Summary(result, {MakeInfo()}, 20));
   for (std::string line; std::getline(lines, line);)
     if (Contains(line, "  " + name)) return line;
   return "";
@@ -112,7 +112,7 @@ TEST(Summary, BriefHasAsManyWarningsAsFit) {
   result.warnings = {std::string(100, 'a') + " " + std::string(40, 'b'), "short", "third",
                      "fourth"};
   const auto brief = [&](size_t lines) {
-    const std::string text = Brief(result, {MakeInfo()}, lines);
+    const std::string text = Summary(result, {MakeInfo()}, lines);
     EXPECT_LE(std::count(text.begin(), text.end(), '\n'), std::max<int64_t>(16, lines));
     return text;
   };
@@ -134,7 +134,7 @@ TEST(Summary, SigmasOfAnglesAreThoseOfTheAngles) {
   EXPECT_TRUE(Contains(RowOf(result, "rpy"), "0.2066, 0.0057, 0.2292")) << RowOf(result, "rpy");
   imu.T_MI.q = Eigen::AngleAxisd(M_PI / 2.0 - 1e-3, Eigen::Vector3d::UnitY());
   EXPECT_TRUE(Contains(RowOf(result, "rpy"), "0.0573, 0.0057, 0.1146"));
-  EXPECT_TRUE(Contains(Brief(result, {MakeInfo()}, 20), "pitch near 90 deg"));
+  EXPECT_TRUE(Contains(Summary(result, {MakeInfo()}, 20), "pitch near 90 deg"));
 }
 
 TEST(Summary, ShowsNamesWithoutControlCharacters) {

@@ -385,7 +385,7 @@ AggregateOutcome AggregateClouds(const AggregateRequest& given, const Progress& 
     outcome.written.push_back(request.uncalibrated);
   }
   WriteResult(&offline);
-  outcome.written.push_back(offline.output);
+  outcome.written.push_back(offline.request.output);
   outcome.world_frame = offline.infos[0].world_frame;
   outcome.map = std::move(aggregate.map);
   outcome.uncalibrated = std::move(aggregate.uncalibrated);

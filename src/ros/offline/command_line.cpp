@@ -11,37 +11,6 @@
 #include "imu_pose_calib/ros/offline/offline.h"
 
 namespace imu_pose_calib {
-namespace {
-
-class ProgressLines {
- public:
-  ProgressLines() = default;
-  ProgressLines(const ProgressLines&) = delete;
-  ProgressLines& operator=(const ProgressLines&) = delete;
-  ~ProgressLines() {
-    if (is_open_) std::fputs("\n", stderr);
-  }
-
-  /// See Progress.
-  void Show(const std::string& stage, std::optional<int> iterations) {
-    is_open_ = !iterations;
-    if (!iterations) {
-      begin_ = std::chrono::steady_clock::now();
-      std::fprintf(stderr, "%-30s", stage.c_str());
-      return;
-    }
-    const std::chrono::duration<double> time = std::chrono::steady_clock::now() - begin_;
-    std::fprintf(stderr, "%6.1f s", time.count());
-    if (*iterations > 0) std::fprintf(stderr, "  %d iterations", *iterations);
-    std::fputs("\n", stderr);
-  }
-
- private:
-  bool is_open_ = false;  ///< the last line has no end
-  std::chrono::steady_clock::time_point begin_;
-};
-
-}  // namespace
 
 void ParseCommandLine(int argc, char** argv, boost::program_options::options_description options,
                       const char* name, const boost::program_options::value_semantic* unnamed,
@@ -85,9 +54,23 @@ int RunCommand(const std::string& name, const std::function<void()>& run) {
 
 Progress ShowProgress(bool quiet) {
   if (quiet || isatty(STDERR_FILENO) != 1) return {};
-  const auto lines = std::make_shared<ProgressLines>();
-  return [lines](const std::string& stage, std::optional<int> iterations) {
-    lines->Show(stage, iterations);
+  struct Line {
+    bool is_open = false;
+    std::chrono::steady_clock::time_point begin;
+    ~Line() { std::fputs(is_open ? "\n" : "", stderr); }
+  };
+  const auto line = std::make_shared<Line>();
+  return [line](const std::string& stage, std::optional<int> iterations) {
+    line->is_open = !iterations;
+    if (!iterations) {
+      line->begin = std::chrono::steady_clock::now();
+      std::fprintf(stderr, "%-30s", stage.c_str());
+      return;
+    }
+    const std::chrono::duration<double> time = std::chrono::steady_clock::now() - line->begin;
+    std::fprintf(stderr, "%6.1f s", time.count());
+    if (*iterations > 0) std::fprintf(stderr, "  %d iterations", *iterations);
+    std::fputs("\n", stderr);
   };
 }
 

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <map>
 
+#include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/printable.h"
 #include "imu_pose_calib/ros/offline/report.h"
 

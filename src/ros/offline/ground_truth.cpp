@@ -109,19 +109,17 @@ std::vector<TrajectoryTarget> PlanTrajectories(const TrajectoryRequest& request,
 }
 
 std::vector<std::string> WriteTrajectories(const TrajectoryRequest& request,
+                                           const std::vector<TrajectoryTarget>& targets,
                                            const Calibration& result,
                                            const std::vector<RecordingInfo>& infos,
                                            const CalibrationOptions& options,
                                            OutputFiles* outputs) {
   std::vector<std::string> lines;
-  if (request.path.empty()) return lines;
   std::shared_ptr<const TrajectoryCovariance> covariance;
-  if (result.method == Method::kJoint)
+  if (!targets.empty() && result.method == Method::kJoint)
     covariance = std::make_shared<const TrajectoryCovariance>(result.solution);
-  for (const TrajectoryTarget& target :
-       PlanTrajectories(request, result.method, infos.size(), result.imus.size())) {
+  for (const TrajectoryTarget& target : targets) {
     const ImuSession& imu = result.sessions[target.session].imus[target.imu];
-    if (!imu.is_present) continue;
     const ImuTrack track(result.solution, target.session, target.imu, covariance,
                          ParseClock(request.clock), request.max_gap_s);
     const RecordingInfo& info = infos[target.session];

@@ -35,22 +35,23 @@ bool NamesFiles(const TextRequest& text) {
   return !(text.poses.empty() && text.imu.empty() && text.gyro.empty() && text.accel.empty());
 }
 
-/// Whether it is a folder of text files, not a bag of ROS 2.
-bool IsTextFolder(const std::string& path) { return IsFolder(path) && !IsRos2Bag(path); }
-
-/// Whether the recordings are in text files alone.
-bool IsText(const OfflineRequest& request) {
-  const std::vector<std::string>& paths = request.bag.paths;
-  return std::all_of(paths.begin(), paths.end(), IsTextFolder);
+bool NamesImu(const BagRequest& bag) {
+  return !(bag.imu_topic.empty() && bag.gyro_topic.empty() && bag.accel_topic.empty());
 }
 
-/// Whether either the poses or the IMUs are in text files, and what is missing there in bags.
-bool IsMixed(const OfflineRequest& request) { return NamesFiles(request.text) && !IsText(request); }
+bool NamesPoses(const BagRequest& bag) {
+  return !(bag.pose_topic.empty() && bag.tf_parent.empty() && bag.tf_child.empty());
+}
 
-/// A request for a session of which one part is in text files.
-OfflineRequest FindMixed(OfflineRequest request) {
-  BagRequest& bag = request.bag;
-  TextRequest& text = request.text;
+void CheckGiven(const OfflineRequest& request) {
+  if (request.bag.paths.empty() && !NamesFiles(request.text))
+    throw InputError("no recording is given: a bag, a folder, or the files poses and imu");
+}
+
+/// For a session of which one part is in text files, and the other in bags.
+void SplitParts(OfflineRequest* request) {
+  BagRequest& bag = request->bag;
+  TextRequest& text = request->text;
   const std::string bags = "the bag '" + bag.paths.front() + "'";
   const bool is_split = IsPair({"imu", text.imu}, {"gyro", text.gyro}, {"accel", text.accel});
   bag.poses = text.poses.empty();
@@ -58,129 +59,79 @@ OfflineRequest FindMixed(OfflineRequest request) {
   if (!bag.poses && !bag.imus)
     throw InputError("poses and imu name text files for all that there is to read; leave out " +
                      bags);
-  if (!bag.poses && !(bag.pose_topic.empty() && bag.tf_parent.empty() && bag.tf_child.empty()))
+  if (!bag.poses && NamesPoses(bag))
     throw InputError("poses names a text file; it does not go with pose_topic or tf of " + bags);
-  if (!bag.imus && !(bag.imu_topic.empty() && bag.gyro_topic.empty() && bag.accel_topic.empty()))
+  if (!bag.imus && NamesImu(bag))
     throw InputError("imu, gyro and accel name text files; they do not go with topics of " + bags);
   if (!bag.poses) std::swap(text.body, bag.body);
   text.start_s = std::exchange(bag.start_s, 0.0);
   text.duration_s = std::exchange(bag.duration_s, 0.0);
-  return request;
 }
 
-/// A request for the text files of one session with every file named.
-OfflineRequest FindText(OfflineRequest request) {
-  const BagRequest& bag = request.bag;
-  TextRequest& text = request.text;
-  if (!(bag.imu_topic.empty() && bag.pose_topic.empty() && bag.gyro_topic.empty() &&
-        bag.accel_topic.empty() && bag.tf_parent.empty() && bag.tf_child.empty()))
+/// For a session in text files alone, of a folder or named: names every file, and no bag.
+void NameFiles(OfflineRequest* request) {
+  BagRequest& bag = request->bag;
+  TextRequest& text = request->text;
+  if (NamesImu(bag) || NamesPoses(bag))
     throw InputError("text files have no topics and no tf; choose with poses, imu, gyro and accel");
   if (bag.record_time)
     throw InputError("text files have no times of recording; leave out record_time");
   if (!bag.paths.empty()) text.folder = bag.paths[0];
+  bag.paths.clear();
   text.body = bag.body;
   text.start_s = bag.start_s;
   text.duration_s = bag.duration_s;
   text = FindFiles(text);
   const std::filesystem::path imu = text.imu.empty() ? text.gyro : text.imu;
   const std::string noise = imu.parent_path() / "sensor.yaml";
-  if (request.imu_yaml.empty() && request.config.empty() && std::filesystem::exists(noise))
-    request.imu_yaml = noise;
-  return request;
+  if (request->imu_yaml.empty() && request->config.empty() && std::filesystem::exists(noise))
+    request->imu_yaml = noise;
 }
 
-/// Of the first IMU; clocks, gravity and biases are each recording's own.
-void KeepCalibration(const Calibration& known, CalibrationOptions* options) {
-  options->initial_rotation = known.imus[0].T_MI.q;
-  options->initial_translation = known.imus[0].T_MI.p;
-  options->accel_delay = known.imus[0].accel_delay;
-  options->estimate_rotation = options->estimate_translation = false;
-  options->estimate_accel_delay = false;
-}
-
-CalibrationOptions Options(const OfflineRequest& request) {
-  CalibrationOptions options;
-  if (!request.config.empty()) options = LoadOptions(request.config);
-  if (!request.imu_yaml.empty()) LoadImuYaml(request.imu_yaml).CopyNoise(&options);
-  if (!request.method.empty()) options.method = ParseMethod(request.method);
-  if (!request.calibration.empty())
-    KeepCalibration(LoadResult(request.calibration).result, &options);
-  return options;
-}
-
-/// Throws InputError when a file to write would replace what is read.
-void CheckOutput(const Given& output, const OfflineRequest& request) {
-  const TextRequest& text = request.text;
-  std::vector<Given> inputs = {{"poses", text.poses},
-                               {"imu", text.imu},
-                               {"gyro", text.gyro},
-                               {"accel", text.accel},
-                               {"config", request.config},
-                               {"imu_yaml", request.imu_yaml},
-                               {"calibration", request.calibration}};
-  std::vector<std::string> bags;
-  for (const std::string& path : request.bag.paths)
-    for (const std::string& file : FilesOfBag(path)) bags.push_back(file);
-  for (const std::string& file : bags) inputs.push_back({"bag", file});
-  std::error_code ignored;
-  for (const Given& input : inputs)
-    if (std::filesystem::equivalent(output.value, input.value, ignored))
-      throw InputError(std::string(output.name) + " '" + output.value + "' would replace the " +
-                       input.name + " '" + input.value + "'; choose another");
-}
-
-/// Throws InputError when a trajectory cannot be written, or would replace something else.
-void PlanTrajectories(const std::vector<OfflineRequest>& sessions, OfflineResult* offline) {
-  for (const TrajectoryTarget& target :
-       PlanTrajectories(offline->trajectory, offline->options.method, sessions.size(),
-                        offline->sessions.front().imus.size()))
-    for (const std::string& file : TrajectoryFiles(target.path, target.format)) {
-      for (const OfflineRequest& session : sessions) CheckOutput({"trajectory", file}, session);
-      offline->outputs->Plan("trajectory", file, target.format == TrajectoryFormat::kAsl);
-    }
-}
-
-/// The same of the report, and for one that is of no kind that can be drawn.
-void PlanReport(OfflineResult* offline) {
-  if (offline->report.empty()) return;
-  CheckReportName(offline->report);
-  offline->outputs->Plan("report", offline->report);
-}
-
-/// Where the report of refused data goes: beside the one of an earlier run, which stays.
-std::string RefusedPath(const std::string& report) {
-  if (!std::filesystem::exists(report)) return report;
-  const std::filesystem::path path = report;
-  return std::filesystem::path(path).replace_extension(".refused" + path.extension().string());
-}
-
-/// Draws why the data were refused. That they were is what to report in the first place: a failure
-/// is added to it.
-[[noreturn]] void Refuse(const OfflineResult& offline, const std::string& reason) {
-  if (offline.report.empty()) throw DataError(reason);
-  const std::string path = RefusedPath(offline.report);
-  try {
-    offline.outputs->Write(path, DrawReport({offline.options, offline.sessions, offline.infos,
-                                             offline.result, reason, offline.outputs->run_id()},
-                                            path));
-    offline.outputs->Commit();
-  } catch (const std::exception& error) {
-    throw DataError(reason + "; no report: " + error.what());
+/// One request for each session.
+std::vector<OfflineRequest> SplitSessions(const OfflineRequest& given) {
+  const std::vector<std::string>& paths = given.bag.paths;
+  const bool is_text = std::all_of(paths.begin(), paths.end(), [](const std::string& path) {
+    return IsFolder(path) && !IsRos2Bag(path);
+  });
+  const bool is_mixed = !is_text && NamesFiles(given.text);
+  std::vector<std::vector<std::string>> groups = {paths};
+  if (is_text && paths.size() > 1) {
+    groups.clear();
+    for (const std::string& folder : paths) groups.push_back({folder});
+  } else if (!is_text && !is_mixed && !given.one_recording) {
+    groups = GroupBags(paths);
   }
-  throw DataError(reason + "; report: " + path);
+  std::vector<OfflineRequest> sessions(groups.size(), given);
+  for (size_t s = 0; s < groups.size(); ++s) {
+    sessions[s].bag.paths = groups[s];
+    sessions[s].bag.may_lack_imus = groups.size() > 1;
+    if (is_mixed) SplitParts(&sessions[s]);
+    if (is_text) NameFiles(&sessions[s]);
+  }
+  return sessions;
 }
 
-/// What a failure says of earlier runs, whose files it leaves as they are.
-std::string StillThere(const OfflineResult& offline) {
-  return offline.earlier.empty()
-             ? ""
-             : "; still there, of an earlier run: " + WithTimes(offline.earlier);
-}
-
-Recording ReadBags(const OfflineRequest& request) {
+Recording ReadRecording(const OfflineRequest& request) {
+  const TextRequest& text = request.text;
+  if (request.bag.paths.empty()) return ReadText(text);
   BagRequest bag = request.bag;
   if (!request.imu_yaml.empty()) bag.usual_imu_topic = LoadImuYaml(request.imu_yaml).rostopic;
-  return ReadBag(bag);
+  Recording recording = ReadBag(bag);
+  if (bag.poses && bag.imus) return recording;
+  Recording files = ReadFiles(text);
+  if (bag.poses) {
+    recording.info.imus = std::move(files.info.imus);
+    recording.data.imus = std::move(files.data.imus);
+  } else {
+    recording.info.pose_topic = files.info.pose_topic;
+    recording.info.world_frame = files.info.world_frame;
+    recording.info.marker_frame = files.info.marker_frame;
+    recording.data.poses = std::move(files.data.poses);
+  }
+  // Bags and text files have no span of record time in common: the stamps of the samples count.
+  CutSpan(text.start_s, text.duration_s, &recording.data);
+  return recording;
 }
 
 /// Names the frames as the request says.
@@ -196,56 +147,13 @@ void NameFrames(const OfflineRequest& request, RecordingInfo* info) {
                        "', which leaves no transform between them; give one of them another name");
 }
 
-/// One request for each session.
-std::vector<OfflineRequest> SplitSessions(const OfflineRequest& request) {
-  if (IsMixed(request)) return {FindMixed(request)};
-  const bool is_text = IsText(request);
-  std::vector<std::vector<std::string>> groups;
-  if (request.bag.paths.size() < 2 || (request.one_recording && !is_text))
-    groups.push_back(request.bag.paths);
-  else if (is_text)
-    for (const std::string& folder : request.bag.paths) groups.push_back({folder});
-  else
-    groups = GroupBags(request.bag.paths);
-  std::vector<OfflineRequest> sessions;
-  for (const auto& paths : groups) {
-    sessions.push_back(request);
-    sessions.back().bag.paths = paths;
-    sessions.back().bag.may_lack_imus = groups.size() > 1;
-    if (is_text) sessions.back() = FindText(sessions.back());
-  }
-  return sessions;
-}
-
-/// Bags and text files have no span of record time in common: the stamps of the samples count.
-Recording ReadMixed(const OfflineRequest& request) {
-  Recording recording = ReadBags(request);
-  Recording files = ReadFiles(request.text);
-  if (request.bag.poses) {
-    recording.info.imus = std::move(files.info.imus);
-    recording.data.imus = std::move(files.data.imus);
-  } else {
-    recording.info.pose_topic = files.info.pose_topic;
-    recording.info.world_frame = files.info.world_frame;
-    recording.info.marker_frame = files.info.marker_frame;
-    recording.data.poses = std::move(files.data.poses);
-  }
-  CutSpan(request.text.start_s, request.text.duration_s, &recording.data);
-  return recording;
-}
-
-Recording ReadRecording(const OfflineRequest& request) {
-  Recording recording = IsMixed(request)  ? ReadMixed(request)
-                        : IsText(request) ? ReadText(request.text)
-                                          : ReadBags(request);
-  recording.info.imu_yaml = request.imu_yaml;
-  return recording;
-}
-
 /// The recordings of one rig, and the frames of its IMUs the same in all of them.
 std::vector<Recording> ReadRecordings(const std::vector<OfflineRequest>& sessions) {
   std::vector<Recording> recordings;
-  for (const OfflineRequest& session : sessions) recordings.push_back(ReadRecording(session));
+  for (const OfflineRequest& session : sessions) {
+    recordings.push_back(ReadRecording(session));
+    recordings.back().info.imu_yaml = session.imu_yaml;
+  }
   RecordingInfo& first = recordings.front().info;
   for (Recording& recording : recordings) {
     for (size_t i = 0; i < recording.info.imus.size() && i < first.imus.size(); ++i) {
@@ -259,44 +167,93 @@ std::vector<Recording> ReadRecordings(const std::vector<OfflineRequest>& session
   return recordings;
 }
 
-void CheckGiven(const OfflineRequest& request) {
-  if (request.bag.paths.empty() && !NamesFiles(request.text))
-    throw InputError("no recording is given: a bag, a folder, or the files poses and imu");
+CalibrationOptions Options(const OfflineRequest& request) {
+  CalibrationOptions options;
+  if (!request.config.empty()) options = LoadOptions(request.config);
+  if (!request.imu_yaml.empty()) LoadImuYaml(request.imu_yaml).CopyNoise(&options);
+  if (!request.method.empty()) options.method = ParseMethod(request.method);
+  if (request.calibration.empty()) return options;
+  // Clocks, gravity and biases are each recording's own.
+  const ImuCalibration known = LoadResult(request.calibration).result.imus[0];
+  options.initial_rotation = known.T_MI.q;
+  options.initial_translation = known.T_MI.p;
+  options.accel_delay = known.accel_delay;
+  options.estimate_rotation = options.estimate_translation = false;
+  options.estimate_accel_delay = false;
+  return options;
 }
 
-/// What comes before it takes long: the requests of each session, and all outputs tried.
-std::vector<OfflineRequest> Plan(const OfflineRequest& given, OfflineResult* offline) {
-  offline->exports = ParseExports(given.exports);
-  for (const std::string& path : given.bag.paths)
-    if (!std::filesystem::exists(path)) throw InputError("bag '" + path + "' does not exist");
-  CheckOutput({"output", offline->output}, given);  // an old result may be given as the config
-  CheckOutput({"report", offline->report}, given);
-  std::vector<OfflineRequest> requests = SplitSessions(given);
-  for (const OfflineRequest& request : requests) {  // now with the files that were found
-    CheckOutput({"output", offline->output}, request);
-    CheckOutput({"report", offline->report}, request);
+/// Throws InputError when a file cannot be written, or would replace what is read.
+void PlanOutput(const Given& output, const std::vector<OfflineRequest>& sessions,
+                OutputFiles* outputs, bool may_make_folders = false) {
+  for (const OfflineRequest& request : sessions) {
+    const TextRequest& text = request.text;
+    std::vector<std::pair<const char*, std::string>> inputs = {
+        {"poses", text.poses},
+        {"imu", text.imu},
+        {"gyro", text.gyro},
+        {"accel", text.accel},
+        {"config", request.config},
+        {"imu_yaml", request.imu_yaml},
+        {"calibration", request.calibration}};
+    for (const std::string& path : request.bag.paths)
+      for (const std::string& file : FilesOfBag(path)) inputs.emplace_back("bag", file);
+    std::error_code ignored;
+    for (const auto& [name, path] : inputs)
+      if (std::filesystem::equivalent(output.value, path, ignored))
+        throw InputError(std::string(output.name) + " '" + output.value + "' would replace the " +
+                         name + " '" + path + "'; choose another");
   }
-  offline->options = Options(requests.front());
-  if (!given.trajectory.path.empty()) offline->options.max_factor_mb = kUnbounded;
-  // Before it takes long; of how many IMUs is not known yet.
-  PlanTrajectories(offline->trajectory, offline->options.method, requests.size(), 1);
-  offline->outputs->Plan("output", offline->output);
-  PlanReport(offline);
-  return requests;
+  outputs->Plan(output.name, output.value, may_make_folders);
+}
+
+/// Draws why the data were refused, beside the report of an earlier run, which stays. That they
+/// were is what to report in the first place: a failure is added to it.
+[[noreturn]] void Refuse(const OfflineResult& offline, const std::string& reason) {
+  std::filesystem::path report = offline.request.report;
+  if (report.empty()) throw DataError(reason);
+  if (std::filesystem::exists(report))
+    report.replace_extension(".refused" + report.extension().string());
+  try {
+    OutputFiles* outputs = offline.outputs.get();
+    outputs->Write(report, DrawReport(offline, {reason, outputs->run_id()}, report));
+    outputs->Commit();
+  } catch (const std::exception& error) {
+    throw DataError(reason + "; no report: " + error.what());
+  }
+  throw DataError(reason + "; report: " + report.string());
 }
 
 /// See CalibrateOffline().
-void RunOffline(const OfflineRequest& given, const Progress& progress, OfflineResult* offline) {
-  const std::vector<OfflineRequest> requests = Plan(given, offline);
+void RunOffline(const Progress& progress, OfflineResult* offline) {
+  const OfflineRequest& given = offline->request;
+  ParseExports(given.exports);
+  for (const std::string& path : given.bag.paths)
+    if (!std::filesystem::exists(path)) throw InputError("bag '" + path + "' does not exist");
+  const std::vector<OfflineRequest> requests = SplitSessions(given);
+  offline->options = Options(requests.front());
+  if (!given.trajectory.path.empty()) offline->options.max_factor_mb = kUnbounded;
+  // Before it takes long; of how many IMUs is not known yet.
+  PlanTrajectories(given.trajectory, offline->options.method, requests.size(), 1);
+  CheckReportName(given.report);
+  OutputFiles* outputs = offline->outputs.get();
+  PlanOutput({"output", given.output}, requests, outputs);
+  if (!given.report.empty()) PlanOutput({"report", given.report}, requests, outputs);
+
   if (progress) progress("recording", std::nullopt);
   for (Recording& recording : ReadRecordings(requests)) {
     offline->infos.push_back(recording.info);
     offline->sessions.push_back(std::move(recording.data));
   }
-  PlanTrajectories(requests, offline);
+  offline->trajectories = PlanTrajectories(given.trajectory, offline->options.method,
+                                           requests.size(), offline->sessions[0].imus.size());
+  for (const TrajectoryTarget& target : offline->trajectories)
+    for (const std::string& file : TrajectoryFiles(target.path, target.format))
+      PlanOutput({"trajectory", file}, requests, outputs, target.format == TrajectoryFormat::kAsl);
   if (progress) progress("recording", 0);
+
+  const bool is_kept = given.keep_data || !given.report.empty();
   try {
-    const bool is_kept = given.keep_data || !offline->report.empty();
     offline->result =
         Calibrate(offline->options,
                   is_kept ? offline->sessions : std::exchange(offline->sessions, {}), progress);
@@ -307,41 +264,44 @@ void RunOffline(const OfflineRequest& given, const Progress& progress, OfflineRe
   for (const RecordingInfo& info : offline->infos)
     warnings.insert(warnings.begin(), info.notes.begin(), info.notes.end());
   if (!offline->result.IsUsable()) Refuse(*offline, offline->result.message);
+  const auto is_missing = [&](const TrajectoryTarget& target) {
+    return !offline->result.sessions[target.session].imus[target.imu].is_present;
+  };
+  std::vector<TrajectoryTarget>& targets = offline->trajectories;
+  targets.erase(std::remove_if(targets.begin(), targets.end(), is_missing), targets.end());
 }
 
 /// Gives the outputs the report, if one is wanted, and lets go of the recorded data. Returns why
 /// there is none.
 std::string WriteReport(OfflineResult* offline, const Progress& progress) {
-  if (offline->report.empty()) return "";
+  const std::string& path = offline->request.report;
+  if (path.empty()) return "";
   if (progress) progress("report", std::nullopt);
   std::string page;
   try {
-    page = DrawReport({offline->options, offline->sessions, offline->infos, offline->result, "",
-                       offline->outputs->run_id()},
-                      offline->report);
+    page = DrawReport(*offline, {"", offline->outputs->run_id()}, path);
   } catch (const std::exception& error) {
-    return error.what();
+    return "no report: " + std::string(error.what()) + "; the result is in '" +
+           offline->request.output + "'";
   }
-  offline->outputs->Write(offline->report, page);
+  offline->outputs->Write(path, page);
   offline->sessions = {};
-  offline->written.push_back(offline->report);
+  offline->written.push_back(path);
   if (progress) progress("report", 0);
   return "";
 }
 
 /// What the run writes under names that do not follow from that of the result, from its folder.
 std::vector<std::string> OtherFiles(const OfflineResult& offline) {
+  const auto normal = [](const std::filesystem::path& path) {
+    return std::filesystem::absolute(path).lexically_normal();
+  };
   std::vector<std::string> files;
-  if (!offline.report.empty()) files.push_back(offline.report);
-  for (const TrajectoryTarget& target :
-       PlanTrajectories(offline.trajectory, offline.result.method, offline.infos.size(),
-                        offline.result.imus.size()))
-    if (offline.result.sessions[target.session].imus[target.imu].is_present)
-      files.push_back(target.path);
-  const std::filesystem::path folder =
-      std::filesystem::absolute(offline.output).lexically_normal().parent_path();
-  for (std::string& file : files)
-    file = std::filesystem::absolute(file).lexically_normal().lexically_proximate(folder);
+  const auto add = [&](const std::string& path) {
+    files.push_back(normal(path).lexically_proximate(normal(offline.request.output).parent_path()));
+  };
+  if (!offline.request.report.empty()) add(offline.request.report);
+  for (const TrajectoryTarget& target : offline.trajectories) add(target.path);
   return files;
 }
 
@@ -363,16 +323,19 @@ std::string ReportPath(const OfflineRequest& request) {
 OfflineResult CalibrateOffline(const OfflineRequest& given, const Progress& progress) {
   CheckGiven(given);
   OfflineResult offline;
-  offline.output = OutputPath(given);
-  offline.report = given.report;
-  offline.trajectory = given.trajectory;
-  offline.earlier = FindEarlier(offline.output);
+  offline.request = given;
+  offline.request.output = OutputPath(given);
+  offline.earlier = FindEarlier(offline.request.output);
+  const auto still_there = [&]() -> std::string {
+    if (offline.earlier.empty()) return "";
+    return "; still there, of an earlier run: " + WithTimes(offline.earlier);
+  };
   try {
-    RunOffline(given, progress, &offline);
+    RunOffline(progress, &offline);
   } catch (const DataError& error) {
-    throw DataError(error.what() + StillThere(offline));
+    throw DataError(error.what() + still_there());
   } catch (const InputError& error) {
-    throw InputError(error.what() + StillThere(offline));
+    throw InputError(error.what() + still_there());
   }
   return offline;
 }
@@ -384,32 +347,32 @@ std::vector<std::string> SplitBags(const std::string& text) {
 }
 
 std::string WriteResult(OfflineResult* offline, const Progress& progress) {
+  const OfflineRequest& request = offline->request;
   OutputFiles* outputs = offline->outputs.get();
   std::vector<std::string>& written = offline->written;
+  const auto add = [&written](const std::vector<std::string>& lines) {
+    written.insert(written.end(), lines.begin(), lines.end());
+  };
   const std::string yaml = ToYaml(offline->result, offline->infos, offline->options,
                                   {outputs->run_id(), OtherFiles(*offline)});
-  std::string no_report;
   try {
-    outputs->Write(offline->output, yaml);
-    written.push_back(offline->output);
-    if (!offline->exports.empty()) {
-      const StoredResult stored = ParseResult(yaml, offline->output);
-      for (const std::string& path : WriteExports(stored, offline->exports, outputs))
-        written.push_back(path);
-      offline->export_note = ExportNote(stored, offline->exports);
+    outputs->Write(request.output, yaml);
+    add({request.output});
+    if (!request.exports.empty()) {
+      const StoredResult stored = ParseResult(yaml, request.output);
+      const std::vector<std::string> names = ParseExports(request.exports);
+      add(WriteExports(stored, names, outputs));
+      offline->export_note = ExportNote(stored, names);
     }
-    for (const std::string& line : WriteTrajectories(offline->trajectory, offline->result,
-                                                     offline->infos, offline->options, outputs))
-      written.push_back(line);
-    no_report = WriteReport(offline, progress);
+    add(WriteTrajectories(request.trajectory, offline->trajectories, offline->result,
+                          offline->infos, offline->options, outputs));
+    const std::string failure = WriteReport(offline, progress);
     outputs->Commit();
+    return failure;
   } catch (const InputError&) {
     std::cout << yaml << std::flush;
     throw;
   }
-  if (!no_report.empty())
-    no_report = "no report: " + no_report + "; the result is in '" + offline->output + "'";
-  return no_report;
 }
 
 std::string Describe(const OfflineResult& offline, bool is_verbose) {
@@ -429,7 +392,7 @@ std::string Describe(const OfflineResult& offline, bool is_verbose) {
   if (!older.empty()) files += Wrap("  older, of another run: ", Printable(WithTimes(older)));
   if (is_verbose) return Summary(offline.result, offline.infos) + files;
   const auto lines = static_cast<size_t>(std::count(files.begin(), files.end(), '\n'));
-  return Brief(offline.result, offline.infos, kScreen - std::min(kScreen, lines)) + files;
+  return Summary(offline.result, offline.infos, kScreen - std::min(kScreen, lines)) + files;
 }
 
 std::vector<OfflineCheck> CheckOffline(const OfflineRequest& given) {

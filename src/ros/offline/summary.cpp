@@ -2,8 +2,8 @@
 
 #include <algorithm>
 #include <boost/algorithm/string/case_conv.hpp>
+#include <cctype>
 #include <cmath>
-#include <numeric>
 #include <optional>
 
 #include "imu_pose_calib/core/base/options.h"
@@ -17,57 +17,32 @@ constexpr double kCertain = 3.0;        // sigma
 constexpr double kNotableFreeze = 0.1;  // [s]
 constexpr double kDegrees = 180.0 / 3.14159265358979323846;
 
+size_t CountLines(const std::string& text) {
+  return static_cast<size_t>(std::count(text.begin(), text.end(), '\n'));
+}
+
 /// "OK: the reason".
 std::string Verdict(const std::string& verdict, const std::string& message) {
   return Wrap(boost::to_upper_copy(verdict) + ": ", message);
 }
 
 /// What the covariances of the poses say, a line.
-std::string Stated(const char* indent, const PoseStd& stated) {
+std::string Stated(const char* indent, const std::optional<PoseStd>& stated) {
+  if (!stated) return "";
   return Format("%stheir covariances say %.3g mm and %.3g deg per axis\n", indent,
-                1e3 * stated.position, kDegrees * stated.rotation);
+                1e3 * stated->position, kDegrees * stated->rotation);
 }
 
-std::string Stream(const char* label, const std::string& topic, const StreamReport& report) {
-  const std::string recovered =
-      report.stamps_recovered ? "; stamps: recovered, jitter " + Time(report.stamp_jitter_s) : "";
-  return Wrap(label, topic +
-                         Format(": %zu at %.1f Hz over %.1f s", report.used, report.rate_hz,
-                                report.duration_s) +
-                         recovered + Dropped(report));
+std::string AndDropped(const StreamReport& report) {
+  const std::string dropped = Dropped(report);
+  return dropped.empty() ? "" : "; dropped " + dropped;
 }
 
-std::string Data(const SessionCalibration& session, const RecordingInfo& info) {
-  std::string text = Stream("  poses  ", info.pose_topic, session.poses);
-  if (info.stated_pose_std) text += Stated("         ", *info.stated_pose_std);
-  for (size_t i = 0; i < session.imus.size(); ++i) {
-    const ImuSession& imu = session.imus[i];
-    if (!imu.is_present) continue;
-    text += Stream("  gyro   ", info.imus[i].GyroSource(), imu.gyro);
-    text += Stream("  accel  ", info.imus[i].AccelSource(), imu.accel);
-  }
-  if (!info.imu_yaml.empty()) text += Wrap("  noise  ", info.imu_yaml);
-  if (session.gaps + session.jumps > 0)
-    text += Format("  %zu gaps and %zu jumps in the poses leave %zu segments\n", session.gaps,
-                   session.jumps, session.segments);
-  return text;
+std::string Recovered(bool is_recovered, double jitter_s) {
+  return is_recovered ? "; stamps: recovered, jitter " + Time(jitter_s) : "";
 }
 
-std::string Data(const Calibration& result, const std::vector<RecordingInfo>& infos) {
-  std::string text;
-  for (size_t s = 0; s < result.sessions.size(); ++s) {
-    const bool is_single = result.sessions.size() == 1;
-    text += is_single
-                ? "\nData\n"
-                : "\n" + Wrap("Data of session " + std::to_string(s + 1) + ": ", infos[s].Source());
-    text += Data(result.sessions[s], infos[s]);
-  }
-  return text;
-}
-
-std::string Vector(const Eigen::Vector3d& v, const char* number) {
-  return "[" + List(v, number) + "]";
-}
+// --- Of a result: what a person wants to know first ---
 
 /// Roll, pitch, yaw about the fixed axes, as tf prints them [deg].
 Eigen::Vector3d RollPitchYaw(const Eigen::Quaterniond& q) {
@@ -93,18 +68,19 @@ std::optional<Eigen::Vector3d> RollPitchYawStd(const ImuCalibration& imu) {
       .cwiseSqrt();
 }
 
-/// Whether the result is in doubt for a reason that no sigma shows.
-bool IsDoubted(const Calibration& result) {
-  return result.status != Status::kOk &&
-         std::all_of(result.observability.begin(), result.observability.end(),
-                     [](const Observability& o) { return o.status == Status::kOk; });
+/// A verdict, unless the result is in doubt for a reason that no sigma shows.
+std::string UnlessDoubted(const Calibration& result, Status verdict) {
+  const bool is_doubted =
+      result.status != Status::kOk &&
+      std::all_of(result.observability.begin(), result.observability.end(),
+                  [](const Observability& o) { return o.status == Status::kOk; });
+  return is_doubted ? "in doubt" : ToString(verdict);
 }
 
 /// Worst verdict of the directions whose name begins with `name`; "fixed" when there are none.
-std::string RowVerdict(const Calibration& result, const std::string& name) {
+std::string VerdictOf(const Calibration& result, const std::string& name) {
   for (const Observability& o : result.observability)  // the worst first
-    if (o.direction.compare(0, name.size(), name) == 0)
-      return IsDoubted(result) ? "in doubt" : ToString(o.status);
+    if (o.direction.compare(0, name.size(), name) == 0) return UnlessDoubted(result, o.status);
   return "fixed";
 }
 
@@ -117,109 +93,75 @@ std::string DriftVerdict(const Calibration& result) {
   const double away = 0.5 * clock.gyro.duration_s;
   if (clock.clock_drift_std * away > CalibrationOptions().weak_time_shift_std)
     return ToString(Status::kWeak);
-  return IsDoubted(result) ? "in doubt" : ToString(Status::kOk);
+  return UnlessDoubted(result, Status::kOk);
 }
 
-std::string Row(const std::string& name, const std::string& value, const std::string& sigma,
-                const std::string& verdict) {
-  return Format("  %-16s %-29s %-22s %s\n", name.c_str(), value.c_str(),
-                verdict == "fixed" ? "" : sigma.c_str(), verdict.c_str());
-}
-
-/// What was dropped of all streams: "; gyro: 2 outlier".
-std::string AllDropped(const SessionCalibration& session, const std::string& of) {
-  std::string text;
-  const auto add = [&](const std::string& stream, const StreamReport& report) {
-    const std::string dropped = Dropped(report);
-    if (!dropped.empty())
-      text += "; " + stream + of + dropped.substr(std::string("; dropped").size());
-  };
-  add("poses", session.poses);
-  for (size_t i = 0; i < session.imus.size(); ++i) {
-    const std::string imu = OfImu(i, session.imus.size());
-    add("gyro" + imu, session.imus[i].gyro);
-    add("accel" + imu, session.imus[i].accel);
-  }
-  return text;
-}
-
-/// So many lines at most of the warnings, with the number of those left out.
-std::string FirstWarnings(const Calibration& result, size_t lines) {
-  std::string text;
-  size_t used = 0, shown = 0;
-  for (; shown < result.warnings.size(); ++shown) {
-    const std::string warning = Wrap("  warning: ", Printable(result.warnings[shown]));
-    const auto size = static_cast<size_t>(std::count(warning.begin(), warning.end(), '\n'));
-    const bool is_last = shown + 1 == result.warnings.size();
-    if (used + size + (is_last ? 0 : 1) > lines) break;
-    text += warning;
-    used += size;
-  }
-  const size_t more = result.warnings.size() - shown;
-  if (more > 0) text += Format("  %zu %swarnings: --verbose\n", more, shown > 0 ? "more " : "");
-  return text;
-}
-
-/// What a person wants to know first.
+/// Of a single IMU.
 std::string Table(const Calibration& result) {
   const ImuCalibration& imu = result.imus[0];
   const ImuSession& clock = result.sessions[0].imus[0];
   const Vector6d sigma = imu.Std();
-  std::string text = "\n" + Row("imu in marker", "value", "sigma", "verdict");
-  text += Row("translation [mm]", List(1e3 * imu.T_MI.p, "%.3f"),
-              List(1e3 * sigma.head<3>(), "%.3f"), RowVerdict(result, "p_MI"));
   const std::optional<Eigen::Vector3d> rpy_sigma = RollPitchYawStd(imu);
+  const auto row = [](const char* name, const std::string& value, const std::string& std_dev,
+                      const std::string& verdict) {
+    return Format("  %-16s %-29s %-22s %s\n", name, value.c_str(),
+                  verdict == "fixed" ? "" : std_dev.c_str(), verdict.c_str());
+  };
+  std::string text = "\n" + row("imu in marker", "value", "sigma", "verdict");
+  text += row("translation [mm]", List(1e3 * imu.T_MI.p, "%.3f"),
+              List(1e3 * sigma.head<3>(), "%.3f"), VerdictOf(result, "p_MI"));
   text +=
-      Row("rpy [deg]", List(RollPitchYaw(imu.T_MI.q), "%.3f"),
-          List(kDegrees * rpy_sigma.value_or(sigma.tail<3>()), "%.4f"), RowVerdict(result, "R_MI"));
+      row("rpy [deg]", List(RollPitchYaw(imu.T_MI.q), "%.3f"),
+          List(kDegrees * rpy_sigma.value_or(sigma.tail<3>()), "%.4f"), VerdictOf(result, "R_MI"));
   if (!rpy_sigma)
     text += "    pitch near 90 deg: roll and yaw turn about one axis; sigma about imu x, y, z\n";
-  text += Row("time shift", Format("%.7f s", clock.time_shift),
-              Format("%.4f ms", 1e3 * clock.time_shift_std), RowVerdict(result, "time_shift"));
-  text += Row("accel delay", Format("%.4f ms", 1e3 * imu.accel_delay),
-              Format("%.4f ms", 1e3 * imu.accel_delay_std), RowVerdict(result, "accel_delay"));
+  text += row("time shift", Format("%.7f s", clock.time_shift),
+              Format("%.4f ms", 1e3 * clock.time_shift_std), VerdictOf(result, "time_shift"));
+  text += row("accel delay", Format("%.4f ms", 1e3 * imu.accel_delay),
+              Format("%.4f ms", 1e3 * imu.accel_delay_std), VerdictOf(result, "accel_delay"));
   if (clock.clock_drift_std > 0.0)
-    text += Row("clock drift", Format("%.2f ppm", 1e6 * clock.clock_drift),
+    text += row("clock drift", Format("%.2f ppm", 1e6 * clock.clock_drift),
                 Format("%.2f ppm", 1e6 * clock.clock_drift_std), DriftVerdict(result));
   return text;
 }
 
-/// With several IMUs: one row for each, and their transforms to the first.
+/// Of several IMUs: one row for each, and their transforms to the first.
 std::string ImuTable(const Calibration& result, const RecordingInfo& info) {
-  const auto row = [](const std::string& name, const Rigid3& T, const Vector6d& sigma) {
-    return Format("  %-6s %26s %7.3f %25s %9.4f\n", name.c_str(), List(1e3 * T.p, "%.3f").c_str(),
+  const auto head = [](const char* frame) {
+    return Format("  %-9s%24s %7s %25s %9s\n", frame, "translation [mm]", "sigma", "rpy [deg]",
+                  "sigma");
+  };
+  const auto row = [](size_t imu, const Rigid3& T, const Vector6d& sigma) {
+    return Format("  imu%-3zu %26s %7.3f %25s %9.4f\n", imu, List(1e3 * T.p, "%.3f").c_str(),
                   1e3 * sigma.head<3>().maxCoeff(), List(RollPitchYaw(T.q), "%.3f").c_str(),
                   kDegrees * sigma.tail<3>().maxCoeff());
   };
-  const std::string units =
-      Format("%26s %7s %25s %9s\n", "translation [mm]", "sigma", "rpy [deg]", "sigma");
-  std::string text = "\n  in marker" + units.substr(2);
+  std::string text = "\n" + head("in marker");
   for (size_t i = 0; i < result.imus.size(); ++i)
-    text += row("imu" + std::to_string(i), result.imus[i].T_MI, result.imus[i].Std());
-  text += "  in imu0  " + units.substr(2);
+    text += row(i, result.imus[i].T_MI, result.imus[i].Std());
+  text += head("in imu0");
   for (const BetweenImus& between : result.between_imus)
-    text += row("imu" + std::to_string(between.second), between.T, between.Std());
+    text += row(between.second, between.T, between.Std());
   text += "  sigma: the largest, of translations and about the axes of the imu\n";
   for (size_t i = 0; i < result.imus.size(); ++i)
-    text += Wrap("  imu" + std::to_string(i) + ": ",
+    text += Wrap(Format("  imu%zu: ", i),
                  info.imus[i].imu_frame + ", " + info.imus[i].GyroSource() +
                      Format(", accel delay %.4f +- %.4f ms", 1e3 * result.imus[i].accel_delay,
                             1e3 * result.imus[i].accel_delay_std));
   return text;
 }
 
-/// With several sessions or IMUs: which is which, the clocks, and what a session says alone.
+/// Of several sessions or IMUs: which is which, the clocks, and what a session says alone.
 std::string SessionTable(const Calibration& result, const std::vector<RecordingInfo>& infos) {
-  std::string text = "\n  session, what it says alone less all others\n";
-  if (result.sessions.size() == 1) text = "\n";
+  const bool is_single = result.sessions.size() == 1;
+  std::string text = is_single ? "\n" : "\n  session, what it says alone less all others\n";
   for (size_t s = 0; s < result.sessions.size(); ++s) {
     const SessionCalibration& session = result.sessions[s];
-    if (result.sessions.size() > 1) {
-      text += Wrap("  " + std::to_string(s + 1) + "  ", infos[s].Source());
-      text += Format("     at most %s: %.1f sigma (chi-square %.1f of %d)\n",
+    if (!is_single)
+      text += Wrap(Format("  %zu  ", s + 1), infos[s].Source()) +
+              Format("     at most %s: %.1f sigma (chi-square %.1f of %d)\n",
                      session.agreement.worst.c_str(), session.agreement.sigmas,
                      session.agreement.chi2, session.agreement.dof);
-    }
     for (size_t i = 0; i < session.imus.size(); ++i)
       if (session.imus[i].is_present)
         text += Format("     time shift of imu%zu  %.7f s +- %.4f ms\n", i,
@@ -234,130 +176,60 @@ std::string MostApart(const Calibration& result) {
                                      [](const SessionCalibration& a, const SessionCalibration& b) {
                                        return a.agreement.sigmas < b.agreement.sigmas;
                                      });
-  return Format("\n  %zu sessions; farthest from the others: session %d, %s, %.1f sigma\n",
-                result.sessions.size(), static_cast<int>(most - result.sessions.begin()) + 1,
+  return Format("\n  %zu sessions; farthest from the others: session %td, %s, %.1f sigma\n",
+                result.sessions.size(), most - result.sessions.begin() + 1,
                 most->agreement.worst.c_str(), most->agreement.sigmas);
 }
 
-std::string Transform(const Calibration& result) {
-  const auto rows = [](const Rigid3& T) {
-    return "  p = " + Vector(1e3 * T.p, "%.3f") +
-           " mm\n  R = " + Format("[%.6f, %.6f, %.6f, %.6f]", T.q.x(), T.q.y(), T.q.z(), T.q.w()) +
-           " (x, y, z, w)\n";
-  };
-  const Rigid3& T = result.imus[0].T_MI;
-  return "\nT_marker_imu, the imu seen from the marker: x_marker = R x_imu + p\n" + rows(T) +
-         "  sigma of p along the marker axes, of R about the imu axes\n"
-         "T_imu_marker, its inverse: x_imu = R x_marker + p\n" +
-         rows(T.Inverse());
-}
-
-/// How far a clock is off a line, and where it steps.
-std::string Wander(const ClockOffsets& clock) {
-  if (!clock.wanders) return "";
-  const auto count = static_cast<double>(clock.t.size());
-  const auto mean = [&](const std::vector<double>& x) {
-    return std::accumulate(x.begin(), x.end(), 0.0) / count;
-  };
-  const double t = mean(clock.t), offset = mean(clock.offset);
-  double tt = 0.0, ty = 0.0, off = 0.0;
-  for (size_t k = 0; k < clock.t.size(); ++k) {
-    tt += std::pow(clock.t[k] - t, 2);
-    ty += (clock.t[k] - t) * (clock.offset[k] - offset);
-  }
-  for (size_t k = 0; k < clock.t.size(); ++k)
-    off = std::max(off, std::abs(clock.offset[k] - offset - ty / tt * (clock.t[k] - t)));
-  std::string text =
-      Format("        time_shift wanders: up to %.2f ms off a line; over time: clock in the file\n",
-             1e3 * off);
-  for (const ClockOffsets::Step& step : clock.steps)
-    text +=
-        Format("        time_shift steps by %+.2f ms at t_imu = %.3f s\n", 1e3 * step.size, step.t);
-  return text;
-}
-
-std::string Clocks(const Calibration& result) {
-  std::string text =
-      "Clocks: t_pose = t_imu + time_shift      (inverse: t_imu = t_pose - time_shift)\n";
-  text += "        t_pose = t_accel + time_shift - accel_delay\n";
-  if (result.sessions[0].imus[0].clock_drift_std > 0.0)
-    text += Format("        time_shift holds at t_imu = %.3f s and grows by clock drift\n",
-                   result.sessions[0].imus[0].clock_reference);
-  text += Wander(result.sessions[0].imus[0].clock);
-  const double averaging = result.imus[0].accel_smoothing;
-  if (std::abs(averaging) > kCertain * result.imus[0].accel_smoothing_std)
-    text += Format("%s averages over %.1f ms more than the %s: accounted for\n",
-                   averaging > 0.0 ? "Accelerometer" : "Gyroscope",
-                   1e3 * std::sqrt(std::abs(averaging)),
-                   averaging > 0.0 ? "gyroscope" : "accelerometer");
-  const double smoothing = result.pose_smoothing;
-  if (std::abs(smoothing) > kCertain * result.pose_smoothing_std) {
-    const double root = std::sqrt(std::abs(smoothing));
-    text += Format("%s smoothed over %.1f ms (sigma %.1f ms) more than the %s: accounted for\n",
-                   smoothing > 0.0 ? "Poses" : "Imu", 1e3 * root,
-                   0.5e3 * result.pose_smoothing_std / root, smoothing > 0.0 ? "imu" : "poses");
-  }
-  const double excess = result.position_smoothing;
-  if (std::abs(excess) > kCertain * result.position_smoothing_std)
-    text += Format("%s of the poses averages over %.1f ms more than their %s: accounted for\n",
-                   excess > 0.0 ? "Position" : "Rotation", 1e3 * std::sqrt(std::abs(excess)),
-                   excess > 0.0 ? "rotation" : "position");
-  if (std::abs(result.pose_scale - 1.0) > kCertain * result.pose_scale_std)
-    text += Format("Positions are too %s by %.2f %% (sigma %.2f %%): accounted for\n",
-                   result.pose_scale > 1.0 ? "large" : "small",
-                   100.0 * std::abs(result.pose_scale - 1.0), 100.0 * result.pose_scale_std);
-  return text;
-}
-
-std::string Matrix(const char* name, const Eigen::Matrix3d& M, const Eigen::Matrix3d& sigma) {
+/// What was dropped of all streams.
+std::string AllDropped(const std::vector<SessionCalibration>& sessions) {
   std::string text;
-  for (int row = 0; row < 3; ++row)
-    text += Format("  %-12s", row == 0 ? name : "") + Vector(M.row(row), "%9.5f") + " +- " +
-            Vector(sigma.row(row), "%.5f") + "\n";
-  return text;
-}
-
-std::string Imu(const Calibration& result) {
-  const ImuCalibration& imu = result.imus[0];
-  const SessionCalibration& session = result.sessions[0];
-  std::string text = "\nGravity and mean biases\n";
-  text += "  gravity    = " + Vector(session.g_W, "%.5f") + " m/s^2 in the world frame\n";
-  text +=
-      "  gyro bias  = " + Vector(session.imus[0].gyro_bias, "%.6f") + " rad/s in the imu frame\n";
-  text +=
-      "  accel bias = " + Vector(session.imus[0].accel_bias, "%.5f") + " m/s^2 in the imu frame\n";
-  if (result.imu_model != ImuModel::kCalibrated) {
-    text += "\nScale and misalignment: measured = M true + bias\n";
-    text += Matrix("gyro M =", imu.gyro_matrix, imu.gyro_matrix_std);
-    text += Matrix("accel M =", imu.accel_matrix, imu.accel_matrix_std);
-  }
-  if (!imu.accel_positions_std.isZero(0.0)) {
-    text += "\nSize effect: places of the accelerometer's axes in the imu frame [m]\n";
-    text +=
-        Matrix("axes xyz =", imu.accel_positions.transpose(), imu.accel_positions_std.transpose());
-  }
-  return text;
-}
-
-std::string Residuals(const Calibration& result) {
-  const auto row = [](const char* name, double rms, double noise, const char* unit) {
-    return Format("  %-9s rms %.3g %s, noise %.3g %s\n", name, rms, unit, noise, unit);
+  const auto add = [&](const std::string& stream, const StreamReport& report) {
+    const std::string dropped = Dropped(report);
+    if (!dropped.empty()) text += (text.empty() ? "" : "; ") + stream + " " + dropped;
   };
-  const SessionCalibration& session = result.sessions[0];
-  const ImuStd &imu_rms = session.imus[0].rms, &imu_noise = session.imus[0].noise;
-  const PoseStd &rms = session.rms, &noise = session.noise;
-  return "\nResiduals per axis, and the noise estimated from them\n" +
-         row("gyro", imu_rms.gyro, imu_noise.gyro, "rad/s") +
-         row("accel", imu_rms.accel, imu_noise.accel, "m/s^2") +
-         row("position", 1e3 * rms.position, 1e3 * noise.position, "mm") +
-         row("rotation", kDegrees * rms.rotation, kDegrees * noise.rotation, "deg") +
-         (session.rotation_error_std > 0.0
-              ? Format("  rotations of the poses err for seconds by %.3g deg\n",
-                       kDegrees * session.rotation_error_std)
-              : std::string()) +
-         Format("  the halves of the recording differ by up to %.1f sigma\n",
-                result.split_half.sigmas);
+  for (size_t s = 0; s < sessions.size(); ++s) {
+    const std::string of = OfSession(s, sessions.size());
+    add("poses" + of, sessions[s].poses);
+    for (size_t i = 0; i < sessions[s].imus.size(); ++i) {
+      const std::string imu = OfImu(i, sessions[s].imus.size()) + of;
+      add("gyro" + imu, sessions[s].imus[i].gyro);
+      add("accel" + imu, sessions[s].imus[i].accel);
+    }
+  }
+  return "\n" + Wrap("  dropped: ", text.empty() ? "no samples" : text);
 }
+
+/// So many lines at most of the warnings, with the number of those left out.
+std::string FirstWarnings(const Calibration& result, size_t lines) {
+  std::string text;
+  size_t used = 0, shown = 0;
+  for (; shown < result.warnings.size(); ++shown) {
+    const std::string warning = Wrap("  warning: ", Printable(result.warnings[shown]));
+    const size_t more = shown + 1 == result.warnings.size() ? 0 : 1;
+    used += CountLines(warning);
+    if (used + more > lines) break;
+    text += warning;
+  }
+  const size_t more = result.warnings.size() - shown;
+  if (more > 0) text += Format("  %zu %swarnings: --verbose\n", more, shown > 0 ? "more " : "");
+  return text;
+}
+
+/// Commands that publish the transforms.
+std::string StaticTransforms(const Calibration& result, const RecordingInfo& info) {
+  std::string text;
+  for (size_t i = 0; i < result.imus.size(); ++i) {
+    const Rigid3& T = result.imus[i].T_MI;
+    text += "\nrosrun tf2_ros static_transform_publisher \\\n" +
+            Format("  %.6f %.6f %.6f %.8f %.8f %.8f %.8f \\\n", T.p.x(), T.p.y(), T.p.z(), T.q.x(),
+                   T.q.y(), T.q.z(), T.q.w()) +
+            "  " + info.marker_frame + " " + info.imus[i].imu_frame + "\n";
+  }
+  return text;
+}
+
+// --- Of a result: all the rest ---
 
 std::string Warnings(const Calibration& result) {
   std::string text;
@@ -367,141 +239,254 @@ std::string Warnings(const Calibration& result) {
   return text.empty() ? "" : "\n" + text;
 }
 
-std::string StaticTransform(const Rigid3& T, const std::string& marker_frame,
-                            const std::string& imu_frame) {
-  return "\nrosrun tf2_ros static_transform_publisher \\\n" +
-         Format("  %.6f %.6f %.6f %.8f %.8f %.8f %.8f \\\n", T.p.x(), T.p.y(), T.p.z(), T.q.x(),
-                T.q.y(), T.q.z(), T.q.w()) +
-         "  " + marker_frame + " " + imu_frame + "\n";
+std::string Data(const Calibration& result, const std::vector<RecordingInfo>& infos) {
+  std::string text;
+  const auto add = [&text](const char* label, const std::string& topic,
+                           const StreamReport& report) {
+    text += Wrap(
+        label,
+        topic +
+            Format(": %zu at %.1f Hz over %.1f s", report.used, report.rate_hz, report.duration_s) +
+            Recovered(report.stamps_recovered, report.stamp_jitter_s) + AndDropped(report));
+  };
+  for (size_t s = 0; s < result.sessions.size(); ++s) {
+    const SessionCalibration& session = result.sessions[s];
+    const RecordingInfo& info = infos[s];
+    text += "\n";
+    text +=
+        infos.size() == 1 ? "Data\n" : Wrap(Format("Data of session %zu: ", s + 1), info.Source());
+    add("  poses  ", info.pose_topic, session.poses);
+    text += Stated("         ", info.stated_pose_std);
+    for (size_t i = 0; i < session.imus.size(); ++i) {
+      if (!session.imus[i].is_present) continue;
+      add("  gyro   ", info.imus[i].GyroSource(), session.imus[i].gyro);
+      add("  accel  ", info.imus[i].AccelSource(), session.imus[i].accel);
+    }
+    if (!info.imu_yaml.empty()) text += Wrap("  noise  ", info.imu_yaml);
+    if (session.gaps + session.jumps > 0)
+      text += Format("  %zu gaps and %zu jumps in the poses leave %zu segments\n", session.gaps,
+                     session.jumps, session.segments);
+  }
+  return text;
+}
+
+std::string Transform(const Rigid3& T) {
+  const auto rows = [](const Rigid3& x) {
+    return Format("  p = [%s] mm\n  R = [%.6f, %.6f, %.6f, %.6f] (x, y, z, w)\n",
+                  List(1e3 * x.p, "%.3f").c_str(), x.q.x(), x.q.y(), x.q.z(), x.q.w());
+  };
+  return "\nT_marker_imu, the imu seen from the marker: x_marker = R x_imu + p\n" + rows(T) +
+         "  sigma of p along the marker axes, of R about the imu axes\n"
+         "T_imu_marker, its inverse: x_imu = R x_marker + p\n" +
+         rows(T.Inverse());
+}
+
+/// How far a clock is off a line, and where it steps.
+std::string Wander(const ClockOffsets& clock) {
+  if (!clock.wanders) return "";
+  const auto size = static_cast<Eigen::Index>(clock.t.size());
+  Eigen::ArrayXd t = Eigen::Map<const Eigen::ArrayXd>(clock.t.data(), size);
+  Eigen::ArrayXd offset = Eigen::Map<const Eigen::ArrayXd>(clock.offset.data(), size);
+  t -= t.mean();
+  offset -= offset.mean();
+  const double slope = (t * offset).sum() / t.square().sum();
+  std::string text =
+      Format("        time_shift wanders: up to %.2f ms off a line; over time: clock in the file\n",
+             1e3 * (offset - slope * t).abs().maxCoeff());
+  for (const ClockOffsets::Step& step : clock.steps)
+    text +=
+        Format("        time_shift steps by %+.2f ms at t_imu = %.3f s\n", 1e3 * step.size, step.t);
+  return text;
+}
+
+/// A remark when one of two certainly averages its samples over a longer time; `excess` [s^2]: the
+/// variance of that time. `form` is given the time and its sigma [ms].
+std::string Averages(double excess, double std_dev, std::string what, std::string other,
+                     const char* form) {
+  if (!(std::abs(excess) > kCertain * std_dev)) return "";
+  if (excess < 0.0) what.swap(other);
+  what.front() = static_cast<char>(std::toupper(what.front()));
+  const double time = std::sqrt(std::abs(excess));
+  return what + Format(form, 1e3 * time, 0.5e3 * std_dev / time) +  // NOLINT
+         other + ": accounted for\n";
+}
+
+std::string Clocks(const Calibration& result) {
+  const ImuCalibration& imu = result.imus[0];
+  const ImuSession& clock = result.sessions[0].imus[0];
+  std::string text =
+      "Clocks: t_pose = t_imu + time_shift      (inverse: t_imu = t_pose - time_shift)\n"
+      "        t_pose = t_accel + time_shift - accel_delay\n";
+  if (clock.clock_drift_std > 0.0)
+    text += Format("        time_shift holds at t_imu = %.3f s and grows by clock drift\n",
+                   clock.clock_reference);
+  text += Wander(clock.clock);
+  text += Averages(imu.accel_smoothing, imu.accel_smoothing_std, "accelerometer", "gyroscope",
+                   " averages over %.1f ms more than the ");
+  text += Averages(result.pose_smoothing, result.pose_smoothing_std, "poses", "imu",
+                   " smoothed over %.1f ms (sigma %.1f ms) more than the ");
+  text += Averages(result.position_smoothing, result.position_smoothing_std, "position", "rotation",
+                   " of the poses averages over %.1f ms more than their ");
+  const double too_large = result.pose_scale - 1.0;
+  if (std::abs(too_large) > kCertain * result.pose_scale_std)
+    text += Format("Positions are too %s by %.2f %% (sigma %.2f %%): accounted for\n",
+                   too_large > 0.0 ? "large" : "small", 100.0 * std::abs(too_large),
+                   100.0 * result.pose_scale_std);
+  return text;
+}
+
+std::string Matrix(const char* name, const Eigen::Matrix3d& M, const Eigen::Matrix3d& sigma) {
+  std::string text;
+  for (int row = 0; row < 3; ++row)
+    text += Format("  %-12s[%s] +- [%s]\n", row == 0 ? name : "", List(M.row(row), "%9.5f").c_str(),
+                   List(sigma.row(row), "%.5f").c_str());
+  return text;
+}
+
+std::string Imu(const Calibration& result) {
+  const ImuCalibration& imu = result.imus[0];
+  const SessionCalibration& session = result.sessions[0];
+  std::string text =
+      Format(R"(
+Gravity and mean biases
+  gravity    = [%s] m/s^2 in the world frame
+  gyro bias  = [%s] rad/s in the imu frame
+  accel bias = [%s] m/s^2 in the imu frame
+)",
+             List(session.g_W, "%.5f").c_str(), List(session.imus[0].gyro_bias, "%.6f").c_str(),
+             List(session.imus[0].accel_bias, "%.5f").c_str());
+  if (result.imu_model != ImuModel::kCalibrated)
+    text += "\nScale and misalignment: measured = M true + bias\n" +
+            Matrix("gyro M =", imu.gyro_matrix, imu.gyro_matrix_std) +
+            Matrix("accel M =", imu.accel_matrix, imu.accel_matrix_std);
+  if (!imu.accel_positions_std.isZero(0.0))
+    text +=
+        "\nSize effect: places of the accelerometer's axes in the imu frame [m]\n" +
+        Matrix("axes xyz =", imu.accel_positions.transpose(), imu.accel_positions_std.transpose());
+  return text;
+}
+
+std::string Residuals(const Calibration& result) {
+  const SessionCalibration& session = result.sessions[0];
+  const ImuSession& imu = session.imus[0];
+  std::string text = Format(R"(
+Residuals per axis, and the noise estimated from them
+  gyro      rms %.3g rad/s, noise %.3g rad/s
+  accel     rms %.3g m/s^2, noise %.3g m/s^2
+  position  rms %.3g mm, noise %.3g mm
+  rotation  rms %.3g deg, noise %.3g deg
+)",
+                            imu.rms.gyro, imu.noise.gyro, imu.rms.accel, imu.noise.accel,
+                            1e3 * session.rms.position, 1e3 * session.noise.position,
+                            kDegrees * session.rms.rotation, kDegrees * session.noise.rotation);
+  if (session.rotation_error_std > 0.0)
+    text += Format("  rotations of the poses err for seconds by %.3g deg\n",
+                   kDegrees * session.rotation_error_std);
+  return text + Format("  the halves of the recording differ by up to %.1f sigma\n",
+                       result.split_half.sigmas);
 }
 
 // --- Of a check of the data ---
 
-std::string StreamRow(const char* label, const StreamCheck& stream,
-                      const std::optional<Latency>& latency) {
-  return Format("  %-6s%8zu%8.1f%9s%10s%8.1f%9.1f", label, stream.count, stream.rate_hz,
-                Time(stream.jitter_s).c_str(), Time(stream.longest_gap_s).c_str(),
-                100.0 * stream.missing, 100.0 * stream.repeated) +
-         (latency
-              ? Format("%12s%8s", Time(latency->median_s).c_str(), Time(latency->spread_s).c_str())
-              : "") +
-         "\n";
+std::string Row(const CheckedStream& stream) {
+  const StreamCheck& check = stream.check;
+  std::string text =
+      Format("  %-6s%8zu%8.1f%9s%10s%8.1f%9.1f", stream.role.c_str(), check.count, check.rate_hz,
+             Time(check.jitter_s).c_str(), Time(check.longest_gap_s).c_str(), 100.0 * check.missing,
+             100.0 * check.repeated);
+  if (stream.latency)
+    text += Format("%12s%8s", Time(stream.latency->median_s).c_str(),
+                   Time(stream.latency->spread_s).c_str());
+  return text + "\n";
 }
 
 /// What the table does not show of a stream.
-std::string Remarks(const char* label, const StreamCheck& stream, const StreamReport& report) {
-  std::string text = Dropped(report);
-  if (stream.longest_freeze_s > kNotableFreeze)
-    text += "; no new value for up to " + Time(stream.longest_freeze_s);
-  if (stream.cut_s > 0.0) text += Format("; stamps are multiples of %g ms", 1e3 * stream.cut_s);
-  if (stream.stamps.recovered)
-    text += "; stamps: recovered, jitter " + Time(stream.stamps.jitter_s);
-  else if (!stream.stamps.even)
-    text += "; stamps: uneven, as recorded";
-  if (stream.bunched > 0.0) text += Format("; %.1f %% stamped in bunches", 100.0 * stream.bunched);
-  return text.empty() ? "" : Wrap(label, text.substr(2));
+std::string Remarks(const CheckedStream& stream) {
+  const StreamCheck& check = stream.check;
+  std::string text = AndDropped(stream.report);
+  if (check.longest_freeze_s > kNotableFreeze)
+    text += "; no new value for up to " + Time(check.longest_freeze_s);
+  if (check.cut_s > 0.0) text += Format("; stamps are multiples of %g ms", 1e3 * check.cut_s);
+  text += Recovered(check.stamps.recovered, check.stamps.jitter_s);
+  if (!check.stamps.recovered && !check.stamps.even) text += "; stamps: uneven, as recorded";
+  if (check.bunched > 0.0) text += Format("; %.1f %% stamped in bunches", 100.0 * check.bunched);
+  return text.empty() ? "" : Wrap("  " + stream.role + ": ", text.substr(2));
 }
 
 std::string Streams(const DataCheck& check, const RecordingInfo& info) {
-  bool has_latency = info.pose_latency.has_value();
-  for (const ImuInfo& imu : info.imus)
-    has_latency = has_latency || imu.gyro_latency || imu.accel_latency;
+  const std::vector<CheckedStream> streams = CheckedStreams(check, info);
+  const bool has_latency =
+      std::any_of(streams.begin(), streams.end(),
+                  [](const CheckedStream& stream) { return stream.latency.has_value(); });
   std::string text = "\n         samples      Hz   jitter   max gap missing repeated";
   text += has_latency ? "     latency  spread\n" : "\n";
   text += "                                                %        %";
   text += has_latency ? "   (record - header)\n" : "\n";
-  text += StreamRow("poses", check.poses, info.pose_latency);
-  std::string topics = info.pose_topic,
-              remarks = Remarks("  poses: ", check.poses, check.poses_report);
-  for (size_t i = 0; i < check.imus.size(); ++i) {
-    const ImuCheck& imu = check.imus[i];
-    text += StreamRow("gyro", imu.gyro, info.imus[i].gyro_latency) +
-            StreamRow("accel", imu.accel, info.imus[i].accel_latency);
-    topics += ", " + info.imus[i].GyroSource();
-    if (info.imus[i].imu_topic.empty()) topics += ", " + info.imus[i].accel_topic;
-    remarks += Remarks("  gyro: ", imu.gyro, imu.gyro_report) +
-               Remarks("  accel: ", imu.accel, imu.accel_report);
+  std::string topics, remarks;
+  for (const CheckedStream& stream : streams) {
+    text += Row(stream);
+    remarks += Remarks(stream);
+    if (stream.role != "accel" || info.imus[stream.imu].imu_topic.empty())
+      topics += (topics.empty() ? "" : ", ") + stream.topic;
   }
-  text += Wrap(info.bag.empty() ? "  files: " : "  topics: ", topics);
-  if (info.stated_pose_std) text += Stated("  poses: ", *info.stated_pose_std);
-  text += remarks;
+  text += Wrap(info.bag.empty() ? "  files: " : "  topics: ", topics) +
+          Stated("  poses: ", info.stated_pose_std) + remarks;
   if (check.gaps + check.jumps > 0)
     text += Format("  gaps in the poses: %zu, jumps: %zu\n", check.gaps, check.jumps);
-  return text;
-}
-
-std::string Match(const ImuCheck& imu) {
-  if (!imu.is_matched) return "";
-  return Format("  time shift   about %.4f s", imu.time_shift) +
-         (std::abs(imu.time_shift) < 600.0 ? "" : " (" + Time(imu.time_shift) + ")") +
-         Format("; %.1f s in common\n", imu.overlap_s) +
-         Format("  clock drift  %.1f +- %.1f ppm\n", imu.drift_ppm, imu.drift_ppm_std) +
-         Format("  same motion  the poses explain %.1f %% of the gyroscope's variance\n",
-                100.0 * imu.explained);
+  return text + "\n";
 }
 
 /// What each IMU shows, under its name when there are several.
 std::string Matches(const DataCheck& check) {
   std::string text;
   for (size_t i = 0; i < check.imus.size(); ++i) {
-    const std::string match = Match(check.imus[i]);
-    if (check.imus.size() > 1 && !match.empty()) text += "  imu" + std::to_string(i) + "\n";
-    text += match;
+    const ImuCheck& imu = check.imus[i];
+    if (!imu.is_matched) continue;
+    if (check.imus.size() > 1) text += Format("  imu%zu\n", i);
+    text += Format("  time shift   about %.4f s", imu.time_shift);
+    if (!(std::abs(imu.time_shift) < 600.0)) text += " (" + Time(imu.time_shift) + ")";
+    text += Format("; %.1f s in common\n", imu.overlap_s) +
+            Format("  clock drift  %.1f +- %.1f ppm\n", imu.drift_ppm, imu.drift_ppm_std) +
+            Format("  same motion  the poses explain %.1f %% of the gyroscope's variance\n",
+                   100.0 * imu.explained);
   }
   return text;
 }
 
-std::string Rest(const ImuCheck& imu) {
-  return imu.rest_s > 0.0 ? Format("  at rest      %.1f s; the accelerometer shows %.2f m/s^2\n",
-                                   imu.rest_s, imu.rest_norm)
-                          : "  at rest      never, so the accelerometer's norm is unchecked\n";
-}
-
 std::string Excitation(const DataCheck& check) {
-  std::string text = "  turns        " + Vector(check.turns_M, "%.2f") +
-                     " rad/s rms about marker x, y, z\n" + "  moves        " +
-                     Vector(check.moves_W, "%.2f") + " m/s^2 rms along world x, y, z\n";
-  for (const ImuCheck& imu : check.imus) text += Rest(imu);
+  if (check.turns_M.isZero(0.0)) return "";
+  std::string text = Format(
+      "  turns        [%s] rad/s rms about marker x, y, z\n"
+      "  moves        [%s] m/s^2 rms along world x, y, z\n",
+      List(check.turns_M, "%.2f").c_str(), List(check.moves_W, "%.2f").c_str());
+  for (const ImuCheck& imu : check.imus)
+    text += imu.rest_s > 0.0 ? Format("  at rest      %.1f s; the accelerometer shows %.2f m/s^2\n",
+                                      imu.rest_s, imu.rest_norm)
+                             : "  at rest      never, so the accelerometer's norm is unchecked\n";
   return text;
 }
 
 }  // namespace
 
-std::string Summary(const Calibration& result, const std::vector<RecordingInfo>& recordings) {
+std::string Summary(const Calibration& result, const std::vector<RecordingInfo>& recordings,
+                    std::optional<size_t> lines) {
   std::vector<RecordingInfo> infos;
   for (const RecordingInfo& recording : recordings) infos.push_back(WithPrintableNames(recording));
   std::string text = Verdict(ToString(result.status), result.message);
   if (!result.IsUsable()) return text + Data(result, infos) + Warnings(result);
-  const bool is_single = result.imus.size() == 1 && result.sessions.size() == 1;
-  text += result.imus.size() == 1 ? Table(result) : ImuTable(result, infos.front());
-  if (!is_single) text += SessionTable(result, infos);
-  text += Warnings(result) + Data(result, infos) + Transform(result) + Clocks(result) +
-          Imu(result) + Residuals(result);
-  for (size_t i = 0; i < result.imus.size(); ++i)
-    text += StaticTransform(result.imus[i].T_MI, infos[0].marker_frame, infos[0].imus[i].imu_frame);
-  return text;
-}
-
-std::string Brief(const Calibration& result, const std::vector<RecordingInfo>& recordings,
-                  size_t lines) {
-  std::vector<RecordingInfo> infos;
-  for (const RecordingInfo& recording : recordings) infos.push_back(WithPrintableNames(recording));
-  std::string text = Verdict(ToString(result.status), result.message);
-  text += result.imus.size() == 1 ? Table(result) : ImuTable(result, infos.front());
-  if (result.sessions.size() > 1)
+  const bool is_rig = result.imus.size() > 1;
+  text += is_rig ? ImuTable(result, infos[0]) : Table(result);
+  if (lines && infos.size() > 1)
     text += MostApart(result);
-  else if (result.imus.size() > 1)
+  else if (is_rig || infos.size() > 1)
     text += SessionTable(result, infos);
-  std::string dropped;
-  for (size_t s = 0; s < result.sessions.size(); ++s)
-    dropped += AllDropped(result.sessions[s], OfSession(s, result.sessions.size()));
-  text += "\n" + Wrap("  dropped: ", dropped.empty() ? "no samples" : dropped.substr(2));
-  std::string tf;
-  for (size_t i = 0; i < result.imus.size(); ++i)
-    tf += StaticTransform(result.imus[i].T_MI, infos[0].marker_frame, infos[0].imus[i].imu_frame);
-  const auto used = static_cast<size_t>(std::count(text.begin(), text.end(), '\n') +
-                                        std::count(tf.begin(), tf.end(), '\n'));
-  return text + FirstWarnings(result, lines > used ? lines - used : 0) + tf;
+  const std::string tf = StaticTransforms(result, infos[0]);
+  if (!lines)
+    return text + Warnings(result) + Data(result, infos) + Transform(result.imus[0].T_MI) +
+           Clocks(result) + Imu(result) + Residuals(result) + tf;
+  text += AllDropped(result.sessions);
+  const size_t used = CountLines(text) + CountLines(tf);
+  return text + FirstWarnings(result, *lines > used ? *lines - used : 0) + tf;
 }
 
 std::string WrittenTo(const std::vector<std::string>& paths) {
@@ -513,9 +498,8 @@ std::string WrittenTo(const std::vector<std::string>& paths) {
 
 std::string Summary(const DataCheck& check, const RecordingInfo& recording) {
   const RecordingInfo info = WithPrintableNames(recording);
-  std::string text = Verdict(ToString(check.verdict), check.message) + Streams(check, info) + "\n" +
-                     Matches(check);
-  if (!check.turns_M.isZero(0.0)) text += Excitation(check);
+  std::string text = Verdict(ToString(check.verdict), check.message) + Streams(check, info) +
+                     Matches(check) + Excitation(check);
   for (const std::string& warning : check.warnings) text += Wrap("  warning: ", warning);
   return text;
 }

@@ -4,6 +4,7 @@
 #include <cstdarg>
 #include <cstdio>
 #include <sstream>
+#include <utility>
 
 #include "imu_pose_calib/ros/io/printable.h"
 
@@ -53,21 +54,20 @@ std::string List(const Eigen::Vector3d& v, const char* number) {
 }
 
 std::string Dropped(const StreamReport& report) {
-  std::string reasons;
-  const auto add = [&](size_t count, const char* reason) {
-    if (count > 0) reasons += (reasons.empty() ? "" : ", ") + std::to_string(count) + " " + reason;
-  };
-  add(report.not_finite, "not finite");
-  add(report.zero_quaternion, "zero quaternion");
-  add(report.reversed_stamp, "reversed stamp");
-  add(report.duplicate_stamp, "duplicate stamp");
-  add(report.repeated_value, "repeated value");
-  add(report.saturated, "saturated");
-  add(report.outlier, "outlier");
-  add(report.flipped, "flipped");
-  add(report.in_short_segment, "between gaps");
-  add(report.between_updates, "between updates");
-  return reasons.empty() ? "" : "; dropped " + reasons;
+  const std::pair<size_t, const char*> reasons[] = {{report.not_finite, "not finite"},
+                                                    {report.zero_quaternion, "zero quaternion"},
+                                                    {report.reversed_stamp, "reversed stamp"},
+                                                    {report.duplicate_stamp, "duplicate stamp"},
+                                                    {report.repeated_value, "repeated value"},
+                                                    {report.saturated, "saturated"},
+                                                    {report.outlier, "outlier"},
+                                                    {report.flipped, "flipped"},
+                                                    {report.in_short_segment, "between gaps"},
+                                                    {report.between_updates, "between updates"}};
+  std::string text;
+  for (const auto& [count, reason] : reasons)
+    if (count > 0) text += (text.empty() ? "" : ", ") + std::to_string(count) + " " + reason;
+  return text;
 }
 
 RecordingInfo WithPrintableNames(RecordingInfo info) {
@@ -77,6 +77,20 @@ RecordingInfo WithPrintableNames(RecordingInfo info) {
     names.insert(names.end(), {&imu.imu_topic, &imu.gyro_topic, &imu.accel_topic, &imu.imu_frame});
   for (std::string* name : names) *name = Printable(*name);
   return info;
+}
+
+std::vector<CheckedStream> CheckedStreams(const DataCheck& check, const RecordingInfo& info) {
+  std::vector<CheckedStream> streams = {
+      {"poses", 0, info.pose_topic, check.poses, check.poses_report, info.pose_latency}};
+  for (size_t i = 0; i < check.imus.size(); ++i) {
+    const ImuCheck& imu = check.imus[i];
+    const ImuInfo& source = info.imus[i];
+    streams.push_back(
+        {"gyro", i, source.GyroSource(), imu.gyro, imu.gyro_report, source.gyro_latency});
+    streams.push_back(
+        {"accel", i, source.AccelSource(), imu.accel, imu.accel_report, source.accel_latency});
+  }
+  return streams;
 }
 
 }  // namespace imu_pose_calib

@@ -6,7 +6,7 @@
 #include "imu_pose_calib/core/base/result.h"
 #include "imu_pose_calib/core/verdict/comparison.h"
 #include "imu_pose_calib/ros/io/recording.h"
-#include "imu_pose_calib/simulation/information.h"
+#include "imu_pose_calib/simulation/error_bound.h"
 #include "imu_pose_calib/simulation/simulator.h"
 
 namespace imu_pose_calib {

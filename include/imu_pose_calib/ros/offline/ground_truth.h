@@ -32,9 +32,10 @@ struct TrajectoryTarget {
 std::vector<TrajectoryTarget> PlanTrajectories(const TrajectoryRequest& request, Method method,
                                                size_t sessions, size_t imus);
 
-/// Gives `outputs` the trajectories of those IMUs that the sessions have, and returns a line on
-/// each, with more where the format cannot say which states the IMU alone has carried.
+/// Gives `outputs` the trajectories of IMUs that the sessions have, and returns a line on each,
+/// with more where the format cannot say which states the IMU alone has carried.
 std::vector<std::string> WriteTrajectories(const TrajectoryRequest& request,
+                                           const std::vector<TrajectoryTarget>& targets,
                                            const Calibration& result,
                                            const std::vector<RecordingInfo>& infos,
                                            const CalibrationOptions& options, OutputFiles* outputs);

@@ -5,13 +5,12 @@
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/core/base/result.h"
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/start/data_check.h"
 #include "imu_pose_calib/ros/io/bag_reader.h"
 #include "imu_pose_calib/ros/io/output_files.h"
-#include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/io/text_reader.h"
+#include "imu_pose_calib/ros/offline/calibration_report.h"
 #include "imu_pose_calib/ros/offline/ground_truth.h"
 
 namespace imu_pose_calib {
@@ -42,22 +41,15 @@ struct OfflineRequest {
   bool keep_data = false;  ///< leaves OfflineResult::sessions also without a report
 };
 
-/// A usable calibration and what to do with it.
-struct OfflineResult {
-  Calibration result;
-  std::vector<RecordingInfo> infos;  ///< of each session
-  std::string output;                ///< path of the result file, not written yet
-  CalibrationOptions options;        ///< as used
-  std::vector<std::string> exports;  ///< programs to export it to
-  TrajectoryRequest trajectory;
+/// A usable calibration and what to do with it. No sessions when no report is wanted, nor
+/// keep_data.
+struct OfflineResult : CalibrationRun {
+  OfflineRequest request;  ///< with the path of the output, which is not written yet
+  std::vector<TrajectoryTarget> trajectories;  ///< ground truth of each IMU in each session
   std::vector<std::string> written;  ///< files that were written, with what is to be said of them
   std::string export_note;           ///< what is to be said of the exports
   std::vector<std::string> earlier;  ///< files that were there before, see FindEarlier()
   std::unique_ptr<OutputFiles> outputs = std::make_unique<OutputFiles>();
-
-  // What a report is made of; no sessions when none is wanted, nor keep_data.
-  std::string report;  ///< path
-  std::vector<SessionData> sessions;
 };
 
 /// Where the result goes: x.calibration.yaml for x.bag, the first of the bags, or for a file x.csv

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -12,12 +13,10 @@ namespace imu_pose_calib {
 /// The result as a person reads it in a terminal, at most 80 columns wide (names excepted):
 /// verdict, data, T_marker_imu and its inverse, clocks, biases, residuals and warnings, each number
 /// with its unit, each equation with its direction; last a command that publishes the transform.
-/// With several IMUs or sessions, a table of each. `infos`: of each session.
-std::string Summary(const Calibration& result, const std::vector<RecordingInfo>& infos);
-
-/// The same in brief: verdict, table, what was dropped, the warnings that fit into so many lines,
-/// tf.
-std::string Brief(const Calibration& result, const std::vector<RecordingInfo>& infos, size_t lines);
+/// With several IMUs or sessions, a table of each. `infos`: of each session. With `lines`, only
+/// verdict, table, what was dropped, the warnings that fit into so many lines, and the command.
+std::string Summary(const Calibration& result, const std::vector<RecordingInfo>& infos,
+                    std::optional<size_t> lines = std::nullopt);
 
 /// The end of a summary: the files that were written.
 std::string WrittenTo(const std::vector<std::string>& paths);

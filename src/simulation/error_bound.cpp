@@ -1,7 +1,6 @@
-#include "imu_pose_calib/simulation/information.h"
+#include "imu_pose_calib/simulation/error_bound.h"
 
 #include <Eigen/Cholesky>
-#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 
@@ -17,37 +16,6 @@ using Eigen::Matrix3d;
 using Eigen::MatrixXd;
 using Eigen::Vector3d;
 
-constexpr double kStep = 1e-3;  // [s] of differences in time
-
-// --- One sample of an ideal IMU, by the calibration ---
-
-/// Derivatives by p_MI (3), R_MI (3, about the imu axes), time_shift, accel_delay and gravity (3).
-constexpr int kReported = 8, kGravityColumn = 8, kCalibration = 11;
-using Rows = Eigen::Matrix<double, 3, kCalibration>;
-
-/// By p_MI, as seen in M, of the acceleration of the IMU.
-Matrix3d LeverArm(const Vector3d& omega_M, const Vector3d& alpha_M) {
-  return Hat(alpha_M) + Hat(omega_M) * Hat(omega_M);
-}
-
-Rows GyroRows(const Vector3d& omega_I, const Vector3d& alpha_I) {
-  Rows rows = Rows::Zero();
-  rows.middleCols<3>(3) = Hat(omega_I);
-  rows.col(6) = alpha_I;
-  return rows;
-}
-
-/// `force_I`: what the accelerometer feels [m/s^2], and its rate; `R_IG`: from the axes in which
-/// gravity is.
-Rows AccelRows(const Matrix3d& R_IM, const Matrix3d& lever_arm_M, const Vector3d& force_I,
-               const Vector3d& rate_I, const Matrix3d& R_IG) {
-  Rows rows;
-  rows << R_IM * lever_arm_M, Hat(force_I), rate_I, -rate_I, -R_IG;
-  return rows;
-}
-
-// --- Error bounds ---
-
 // Places of what the recordings share.
 constexpr int kTranslation = 0, kRotation = 3, kDelay = 6, kGyroMatrix = 7, kAccelMatrix = 13,
               kAccelSmoothing = 22, kPoseSmoothing = 23, kPositionSmoothing = 24, kPoseScale = 25,
@@ -55,9 +23,6 @@ constexpr int kTranslation = 0, kRotation = 3, kDelay = 6, kGyroMatrix = 7, kAcc
 // Places of what a recording has of its own, after these; biases at knots follow.
 constexpr int kTimeShift = kShared, kDrift = kShared + 1, kGravity = kShared + 2,
               kMagnitude = kShared + 4, kBiases = kShared + 5;
-/// Places of the columns of Rows.
-constexpr int kPlaces[kCalibration] = {
-    0, 1, 2, 3, 4, 5, kTimeShift, kDelay, kGravity, kGravity + 1, kMagnitude};
 
 // Sigmas of the priors, as in joint_problem.cpp.
 constexpr double kScalePrior = 0.01, kAlignmentPrior = M_PI / 360.0, kDriftPrior = 1e-4,
@@ -66,6 +31,7 @@ constexpr double kScalePrior = 0.01, kAlignmentPrior = M_PI / 360.0, kDriftPrior
 constexpr double kKnown = 1e-12;  // sigma of what is known
 
 constexpr double kBiasKnots = 5.0;  // [s]
+constexpr double kStep = 1e-3;      // [s] of differences in time
 constexpr int kPoint = 6;           // of a control point: d, then phi
 constexpr int kWindow = kSplineOrder * kPoint;
 
@@ -85,10 +51,6 @@ struct Derivatives {
     others.rightCols(columns.cols()) = columns;
     for (int i = 0; i < columns.cols(); ++i) places.push_back(place + i);
   }
-  void Add(const Rows& rows) {
-    for (int i = 0; i < kCalibration; ++i)
-      if (!rows.col(i).isZero(0.0)) Add(kPlaces[i], rows.col(i));
-  }
 };
 
 /// Information of one recording on everything but its trajectory, which is eliminated.
@@ -97,17 +59,18 @@ class RecordingInformation {
   RecordingInformation(const SimulatorOptions& truth, const SessionData& data, double knots_s)
       : truth_(truth),
         trajectory_(truth),
-        R_IM_(truth.T_MI.q.toRotationMatrix().transpose()),
+        first_imu_ns_(truth.start_ns - std::llround(1e9 * truth.time_shift_s)),
         bias_knots_(2 + static_cast<int>(truth.duration_s / kBiasKnots)),
         spans_(std::max(1, static_cast<int>(std::ceil(truth.duration_s / knots_s)))),
         spacing_(truth.duration_s / spans_),
+        size_(kBiases + 6 * bias_knots_),
         band_(static_cast<size_t>(spans_) + kSplineOrder - 1, MatrixXd::Zero(kPoint, kWindow)),
-        others_(MatrixXd::Zero(kBiases + 6 * bias_knots_, kBiases + 6 * bias_knots_)),
-        mixed_(MatrixXd::Zero(kPoint * (spans_ + kSplineOrder - 1), others_.cols())) {
-    const int64_t first_imu_ns = truth.start_ns - std::llround(1e9 * truth.time_shift_s);
+        mixed_(MatrixXd::Zero(kPoint * (spans_ + kSplineOrder - 1), size_)),
+        others_(MatrixXd::Zero(size_, size_)) {
+    R_IM_ = truth.T_MI.q.toRotationMatrix().transpose();
     for (const PoseSample& pose : data.poses) AddPose(Seconds(pose.t_ns - truth.start_ns));
-    for (const ImuSample& gyro : data.imus[0].gyro) AddGyro(Seconds(gyro.t_ns - first_imu_ns));
-    for (const ImuSample& accel : data.imus[0].accel) AddAccel(Seconds(accel.t_ns - first_imu_ns));
+    for (const ImuSample& gyro : data.imus[0].gyro) AddGyro(Seconds(gyro.t_ns - first_imu_ns_));
+    for (const ImuSample& accel : data.imus[0].accel) AddAccel(Seconds(accel.t_ns - first_imu_ns_));
     AddWalks();
   }
 
@@ -154,7 +117,8 @@ class RecordingInformation {
     Derivatives gyro;
     gyro.phi = R_IM_ * Hat(s.omega_M);
     gyro.dphi = R_IM_;
-    gyro.Add(GyroRows(omega_I, alpha_I));
+    gyro.Add(kRotation, Hat(omega_I));
+    gyro.Add(kTimeShift, alpha_I);
     gyro.Add(kDrift, (t - 0.5 * truth_.duration_s) * alpha_I);
     Eigen::Matrix<double, 3, 6> matrix = Eigen::Matrix<double, 3, 6>::Zero();
     for (int row = 0, k = 0; row < 3; ++row)
@@ -180,29 +144,33 @@ class RecordingInformation {
     const Matrix3d R_MW = s.R_WM.transpose(), omega = Hat(s.omega_M);
     // By omega_M, of which phi makes [omega] phi + phi', and by alpha_M.
     const Matrix3d by_omega = -Hat<double>(s.omega_M.cross(p)) - omega * Hat(p);
-    const Matrix3d by_alpha = -Hat(p), lever_arm = LeverArm(s.omega_M, s.alpha_M);
+    const Matrix3d by_alpha = -Hat(p);
     Derivatives accel;
     accel.ddd = R_IM_ * R_MW;
     accel.phi = R_IM_ * (Hat<double>(R_MW * (s.a_W - truth_.g_W)) + by_omega * omega +
                          by_alpha * Hat(s.alpha_M));
     accel.dphi = R_IM_ * (by_omega + by_alpha * omega);
     accel.ddphi = R_IM_ * by_alpha;
-    const Vector3d up = truth_.g_W.normalized(), u = up.unitOrthogonal();
-    Matrix3d axes;
-    axes << u, up.cross(u), up;
-    accel.Add(AccelRows(R_IM_, lever_arm, force, rate, R_IM_ * R_MW * axes));
+    accel.Add(kTranslation, R_IM_ * (Hat(s.alpha_M) + omega * omega));
+    accel.Add(kRotation, Hat(force));
+    accel.Add(kDelay, -rate);
+    accel.Add(kTimeShift, rate);
     accel.Add(kDrift, (t - 0.5 * truth_.duration_s) * rate);
     accel.Add(kAccelSmoothing, (after - 2.0 * force + before) / (2.0 * kStep * kStep));
     Eigen::Matrix<double, 3, 9> matrix = Eigen::Matrix<double, 3, 9>::Zero();
     for (int row = 0; row < 3; ++row) matrix.block<1, 3>(row, 3 * row) = force.transpose();
     accel.Add(kAccelMatrix, matrix);
     // Row: axis; column: component of its place in I.
-    const Matrix3d by_place = R_IM_ * lever_arm * R_IM_.transpose();
+    const Matrix3d by_place = R_IM_ * (Hat(s.alpha_M) + omega * omega) * R_IM_.transpose();
     Eigen::Matrix<double, 3, 6> places;
     for (int k = 0; k < 6; ++k)
       places.col(k) =
           by_place.cwiseProduct(AccelPositions(Vector6d::Unit(k)).transpose()).rowwise().sum();
     accel.Add(kAccelPositions, places);
+    const Vector3d up = truth_.g_W.normalized(), u = up.unitOrthogonal();
+    Matrix3d axes;
+    axes << u, up.cross(u), up;
+    accel.Add(kGravity, -R_IM_ * R_MW * axes);
     AddBias(stamp, 3, &accel);
     Add(t, accel, truth_.accel_std);
   }
@@ -255,11 +223,13 @@ class RecordingInformation {
 
   const SimulatorOptions& truth_;
   const TrueTrajectory trajectory_;
-  const Matrix3d R_IM_;
+  const int64_t first_imu_ns_;
   const int bias_knots_, spans_;
   const double spacing_;
+  const int size_;
+  Matrix3d R_IM_;
   std::vector<MatrixXd> band_;  ///< information of each control point with itself and the next ones
-  MatrixXd others_, mixed_;
+  MatrixXd mixed_, others_;
 };
 
 /// Adds what is known beforehand: all of it, or as much as the priors of the joint solve say.
@@ -296,42 +266,6 @@ ErrorNorms Bound(const MatrixXd& information) {
           std::sqrt(variance[kDelay])};
 }
 
-// --- Growth within a session ---
-
-constexpr int kShares = 40, kInstantsPerShare = 100;
-constexpr double kEdge = 0.1;  // [s] close to gaps, the trajectory is not believed
-/// Sigmas of what is known before: of gravity's magnitude [m/s^2], and of everything, in its unit.
-constexpr double kGravityPrior = 1e-3, kPrior = 10.0;
-
-// Parameters: those of Rows, biases of the gyroscope (3) and the accelerometer (3).
-constexpr int kParameters = kCalibration + 6;
-using Information = Eigen::Matrix<double, kParameters, kParameters>;
-
-/// f_I [m/s^2] that an ideal accelerometer feels.
-Vector3d SpecificForceOf(const BodyState& imu, const Vector3d& g_W) {
-  return imu.q_WB.conjugate() * (imu.a_W - g_W);
-}
-
-/// What a gyroscope and an accelerometer sample of these weights tell. Nothing in a gap.
-void AddInstant(const SessionTrajectory& trajectory, size_t imu, const Matrix3d& R_IM,
-                const Vector3d& g_W, double t, double gyro_weight, double accel_weight,
-                Information* H) {
-  const auto marker = trajectory.Marker(t);
-  const auto before = trajectory.Imu(imu, t - kStep), now = trajectory.Imu(imu, t),
-             after = trajectory.Imu(imu, t + kStep);
-  if (!marker || !before || !now || !after || !trajectory.Marker(t - kEdge) ||
-      !trajectory.Marker(t + kEdge))
-    return;
-  const Vector3d rate =
-      0.5 / kStep * (SpecificForceOf(*after, g_W) - SpecificForceOf(*before, g_W));
-  Eigen::Matrix<double, 3, kParameters> gyro, accel;
-  gyro << GyroRows(now->omega_B, now->alpha_B), Matrix3d::Identity(), Matrix3d::Zero();
-  accel << AccelRows(R_IM, LeverArm(marker->omega_B, marker->alpha_B), SpecificForceOf(*now, g_W),
-                     rate, now->q_WB.conjugate().toRotationMatrix()),
-      Matrix3d::Zero(), Matrix3d::Identity();
-  *H += gyro_weight * gyro.transpose() * gyro + accel_weight * accel.transpose() * accel;
-}
-
 }  // namespace
 
 ErrorBounds FindErrorBounds(const std::vector<SimulatorOptions>& truths,
@@ -341,11 +275,13 @@ ErrorBounds FindErrorBounds(const std::vector<SimulatorOptions>& truths,
   for (size_t s = 0; s < truths.size(); ++s) {
     const MatrixXd one = RecordingInformation(truths[s], recordings[s], knots_s).Eliminate();
     const Eigen::Index own = one.rows() - kShared, before = information.rows();
-    information.conservativeResizeLike(MatrixXd::Zero(before + own, before + own));
-    information.topLeftCorner<kShared, kShared>() += one.topLeftCorner<kShared, kShared>();
-    information.bottomRightCorner(own, own) = one.bottomRightCorner(own, own);
-    information.topRightCorner(kShared, own) = one.topRightCorner(kShared, own);
-    information.bottomLeftCorner(own, kShared) = one.bottomLeftCorner(own, kShared);
+    MatrixXd all = MatrixXd::Zero(before + own, before + own);
+    all.topLeftCorner(before, before) = information;
+    all.topLeftCorner<kShared, kShared>() += one.topLeftCorner<kShared, kShared>();
+    all.bottomRightCorner(own, own) = one.bottomRightCorner(own, own);
+    all.topRightCorner(kShared, own) = one.topRightCorner(kShared, own);
+    all.bottomLeftCorner(own, kShared) = one.bottomLeftCorner(own, kShared);
+    information.swap(all);
     places.push_back(static_cast<int>(before));
   }
   ErrorBounds bounds;
@@ -355,35 +291,6 @@ ErrorBounds FindErrorBounds(const std::vector<SimulatorOptions>& truths,
   AddPriors(false, places, &information);
   bounds.as_joint = Bound(information);
   return bounds;
-}
-
-InformationGrowth GrowInformation(const Calibration& result, size_t session, size_t imu,
-                                  const SessionTrajectory& trajectory, double begin, double end) {
-  const ImuSession& own = result.sessions[session].imus[imu];
-  const Vector3d& g_W = result.sessions[session].g_W;
-  Eigen::Matrix<double, kReported, 1> final_std;
-  final_std << result.imus[imu].Std(), own.time_shift_std, result.imus[imu].accel_delay_std;
-  const Matrix3d R_IM = result.imus[imu].T_MI.q.toRotationMatrix().transpose();
-
-  Information H = Information::Identity() / (kPrior * kPrior);
-  const Vector3d down = g_W.normalized();
-  H.block<3, 3>(kGravityColumn, kGravityColumn) +=
-      down * down.transpose() / (kGravityPrior * kGravityPrior);
-  const double step = (end - begin) / (kShares * kInstantsPerShare);
-  // Of the samples that an instant stands for.
-  const double gyro_weight = step * own.gyro.rate_hz / std::pow(own.noise.gyro, 2);
-  const double accel_weight = step * own.accel.rate_hz / std::pow(own.noise.accel, 2);
-  InformationGrowth growth;
-  for (int k = 0; k < kShares; ++k) {
-    for (int i = 0; i < kInstantsPerShare; ++i)
-      AddInstant(trajectory, imu, R_IM, g_W, begin + step * (k * kInstantsPerShare + i + 0.5),
-                 gyro_weight, accel_weight, &H);
-    growth.share.push_back((k + 1.0) / kShares);
-    growth.std.emplace_back(H.inverse().diagonal().head<kReported>().cwiseMax(0.0).cwiseSqrt());
-  }
-  const Eigen::Matrix<double, kReported, 1> scale = final_std.cwiseQuotient(growth.std.back());
-  for (auto& std_dev : growth.std) std_dev = std_dev.cwiseProduct(scale);
-  return growth;
 }
 
 }  // namespace imu_pose_calib

@@ -1,0 +1,365 @@
+#include "imu_pose_calib/ros/offline/calibration_report.h"
+
+#include <yaml-cpp/yaml.h>
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <limits>
+#include <memory>
+#include <utility>
+
+#include "imu_pose_calib/core/base/median.h"
+#include "imu_pose_calib/core/data/stamp_recovery.h"
+#include "imu_pose_calib/core/ground_truth/trajectory.h"
+#include "imu_pose_calib/core/start/preparation.h"
+#include "imu_pose_calib/ros/io/numpy_table.h"
+#include "imu_pose_calib/ros/io/printable.h"
+#include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/io/ros_options.h"
+#include "imu_pose_calib/ros/offline/report.h"
+#include "imu_pose_calib/ros/offline/summary_text.h"
+
+namespace imu_pose_calib {
+namespace {
+
+constexpr size_t kOverview = 6000;     // instants over the whole recording
+constexpr size_t kErrorBounds = 400;   // the same, with covariance
+constexpr size_t kGrowth = 4000;       // the same, for the growth of the information
+constexpr double kGridStep = 0.005;    // [s]
+constexpr double kLongestGrid = 60.0;  // [s]
+constexpr double kZoom = 1.0;          // [s]
+constexpr double kZoomStep = 0.002;    // [s] of what is predicted
+constexpr size_t kZoomCount = 501;     // of them in a zoom
+constexpr double kAverage = 0.002;     // [s] around an instant, for what is averaged about it
+constexpr double kDerivative = 0.001;  // [s] the same, for derivatives by the time shift
+constexpr double kEdge = 0.1;          // [s] so close to gaps, the trajectory is not believed
+
+// In the order of Quantity.
+constexpr const char* kNames[] = {"position", "rotation", "gyro", "accel"};
+
+using TimeOf = std::function<double(int64_t t_ns)>;  // [s]
+
+double Seconds(int64_t ns) { return 1e-9 * static_cast<double>(ns); }
+
+/// An instant in each of `count` equal parts of a span [s], `place` (0..1) within it, and others
+/// around each.
+std::vector<double> Instants(double begin, double end, size_t count, double place,
+                             const std::vector<double>& around = {0.0}) {
+  std::vector<double> instants;
+  for (size_t k = 0; k < count; ++k)
+    for (const double away : around)
+      instants.push_back(
+          begin + (static_cast<double>(k) + place) / static_cast<double>(count) * (end - begin) +
+          away);
+  return instants;
+}
+
+template <int size>
+Eigen::Matrix<double, size, 1> Nothing() {
+  return Eigen::Matrix<double, size, 1>::Constant(std::numeric_limits<double>::quiet_NaN());
+}
+
+/// The series of one session that was solved; names of files begin with `prefix`.
+class SolvedSession {
+ public:
+  SolvedSession(const CalibrationRun& run, size_t session,
+                const std::shared_ptr<const TrajectoryCovariance>& covariance, std::string prefix)
+      : s_(session),
+        solution_(*run.result.solution),
+        estimate_(solution_.estimate.sessions[session]),
+        has_covariance_(covariance != nullptr),
+        trajectory_(run.result.solution, session, covariance),
+        prefix_(std::move(prefix)) {}
+
+  TimeOf PoseTimes() const {
+    return [this](int64_t t_ns) { return Seconds(t_ns - trajectory_.epoch_ns()); };
+  }
+  /// Of the gyroscope, or of the accelerometer, whose samples are late.
+  TimeOf ImuTimes(size_t imu, bool is_accel) const {
+    const double delay = is_accel ? solution_.estimate.imus[imu].accel_delay : 0.0;
+    return [this, imu, delay](int64_t t_ns) {
+      const double t = Seconds(t_ns - solution_.imus[s_][imu].epoch_ns);
+      return estimate_.imus[imu].PoseTime(t - delay);
+    };
+  }
+
+  /// Residuals of the sensors of the session, and what is said of them.
+  YAML::Node WriteResiduals() const {
+    YAML::Node sensors(YAML::NodeType::Sequence);
+    for (size_t k = 0; k < solution_.residuals.size(); ++k) {
+      const SensorResiduals& found = solution_.residuals[k];
+      if (found.session != s_) continue;
+      const std::string quantity = kNames[static_cast<size_t>(found.quantity)];
+      const bool is_of_poses = found.quantity <= Quantity::kRotation;
+      const std::string file =
+          prefix_ + (is_of_poses ? "" : "_i" + std::to_string(found.imu)) + "_" + quantity;
+      NumpyTable<double> t(1);
+      NumpyTable<float> rows(4);
+      for (size_t i = 0; i < found.t.size(); ++i) {
+        t.AddRow(found.t[i]);
+        rows.AddRow(found.residual[i], found.weight[i]);
+      }
+      t.Write(file + "_residual_t.npy");
+      rows.Write(file + "_residual.npy");
+      YAML::Node node;
+      node["quantity"] = quantity;
+      node["imu"] = found.imu;
+      node["noise"] = YamlValue(found.noise);
+      node["noise_found"] = YamlValue(solution_.statistics[k].noise);
+      node["rms"] = YamlValue(solution_.statistics[k].rms);
+      node["rate_hz"] = YamlValue(solution_.models[k].rate_hz);
+      sensors.push_back(node);
+    }
+    return sensors;
+  }
+
+  /// Motion from `begin` to `end` [s], and the sigmas of the trajectory of the marker: position in
+  /// W [m], rotation about the marker's axes [rad].
+  void WriteMotion(double begin, double end) const {
+    WriteStates("motion", Instants(begin, end, kOverview, 0.5));
+    NumpyTable<double> sigmas(7);
+    for (const double t : Instants(begin, end, has_covariance_ ? kErrorBounds : 0, 0.5)) {
+      Vector6d variance = Nothing<6>();
+      if (const auto covariance = trajectory_.MarkerCovariance(t))
+        variance << covariance->diagonal().segment<3>(3), covariance->diagonal().head<3>();
+      sigmas.AddRow(t, Vector6d(variance.cwiseSqrt()));
+    }
+    sigmas.Write(prefix_ + "_error_bounds.npy");
+  }
+
+  /// The motion where it says what the samples of an IMU should be, and its biases.
+  void WriteImu(size_t imu) const {
+    const std::string name = "i" + std::to_string(imu) + "_";
+    const auto [begin, end] = Covered(imu);
+    const double zoom = FindLiveliest(begin, end);
+    const std::vector<double> average = {-kAverage, 0.0, kAverage};
+    WriteStates(name + "predicted", Instants(begin, end, kOverview, 0.0, average));
+    WriteStates(name + "zoom",
+                Instants(zoom, zoom + kZoomCount * kZoomStep, kZoomCount, 0.0, average));
+    WriteStates(name + "growth", Instants(begin, end, kGrowth, 0.5,
+                                          {-kEdge, -kDerivative, 0.0, kDerivative, kEdge}));
+    WriteGrid(name + "grid", begin, end);
+    WriteBiases(name + "gyro_bias", imu, estimate_.imus[imu].gyro_bias, 0);
+    WriteBiases(name + "accel_bias", imu, estimate_.imus[imu].accel_bias, 3);
+  }
+
+ private:
+  /// Rows of t, p_WM, q_WM (x, y, z, w), omega_M, alpha_M, a_W; in gaps without numbers.
+  void WriteStates(const std::string& name, const std::vector<double>& instants) const {
+    NumpyTable<double> table(17);
+    for (const double t : instants) {
+      if (const auto state = trajectory_.Marker(t))
+        table.AddRow(t, state->p_WB, state->q_WB.coeffs(), state->omega_B, state->alpha_B,
+                     state->a_W);
+      else
+        table.AddRow(t, Nothing<16>());
+    }
+    table.Write(prefix_ + "_" + name + ".npy");
+  }
+
+  /// What the gyroscope's samples cover [s].
+  std::pair<double, double> Covered(size_t imu) const {
+    for (const SensorResiduals& sensor : solution_.residuals)
+      if (sensor.session == s_ && sensor.imu == imu && sensor.quantity == Quantity::kGyro &&
+          !sensor.t.empty())
+        return {sensor.t.front(), sensor.t.back()};
+    return {0.0, 0.0};
+  }
+
+  /// Where the second begins in which the marker turns most.
+  double FindLiveliest(double begin, double end) const {
+    constexpr double kLook = 0.05;  // [s]
+    double liveliest = begin, most = -1.0;
+    for (double t = begin; t + kZoom < end; t += 0.5 * kZoom) {
+      std::vector<double> rates;
+      for (double u = t; u < t + kZoom; u += kLook)
+        if (const auto state = trajectory_.Marker(u)) rates.push_back(state->omega_B.norm());
+      if (rates.empty()) continue;
+      const double usual = Median(std::move(rates));  // not that of a shock
+      if (usual > most) liveliest = t;
+      most = std::max(most, usual);
+    }
+    return liveliest;
+  }
+
+  /// Evenly over the longest run without a gap, for at most kLongestGrid, and how fast the poses
+  /// alone turn there [rad/s].
+  void WriteGrid(const std::string& name, double begin, double end) const {
+    constexpr double kLook = 0.02;  // [s]
+    double from = begin, to = begin, run = begin;
+    for (double t = begin; t <= end && to - from < kLongestGrid; t += kLook) {
+      if (!trajectory_.Marker(t)) run = t + kLook;
+      if (t - run > to - from) {
+        from = run;
+        to = t;
+      }
+    }
+    std::vector<double> instants;
+    NumpyTable<double> rates(1);
+    MarkerState<double> poses;
+    for (double t = from; t < to && solution_.trajectories[s_]->Evaluate(t, &poses);
+         t += kGridStep) {
+      instants.push_back(t);
+      rates.AddRow(poses.omega_M.norm());
+    }
+    WriteStates(name, instants);
+    rates.Write(prefix_ + "_" + name + "_rates.npy");
+  }
+
+  /// Values at the knots, and their sigmas, which begin at `first` of the covariance.
+  void WriteBiases(const std::string& name, size_t imu, const BiasKnots& knots,
+                   Eigen::Index first) const {
+    NumpyTable<double> table(7);
+    for (size_t k = 0; k < knots.t.size(); ++k) {
+      const double t = estimate_.imus[imu].PoseTime(knots.t[k]);
+      Eigen::Vector3d sigma = Nothing<3>();
+      if (has_covariance_)
+        if (const auto covariance = trajectory_.BiasCovariance(imu, t))
+          sigma = covariance->diagonal().segment<3>(first).cwiseSqrt();
+      table.AddRow(t, knots.values[k], sigma);
+    }
+    table.Write(prefix_ + "_" + name + ".npy");
+  }
+
+  const size_t s_;
+  const Solution& solution_;
+  const SessionEstimate& estimate_;
+  const bool has_covariance_;
+  const SessionTrajectory trajectory_;
+  const std::string prefix_;
+};
+
+/// Samples in order of arrival: their times [s], without `time` after the first, and what `value`
+/// gives of each.
+template <typename Sample, typename Value>
+void WriteStream(const std::string& file, const std::vector<Sample>& samples, const TimeOf& time,
+                 size_t columns, Value value) {
+  NumpyTable<double> times(1);
+  NumpyTable<float> values(columns);
+  for (const Sample& sample : samples) {
+    times.AddRow(time ? time(sample.t_ns) : Seconds(sample.t_ns - samples.front().t_ns));
+    values.AddRow(value(sample));
+  }
+  times.Write(file + "_t.npy");
+  values.Write(file + ".npy");
+}
+
+/// What was recorded, in SI units. `solved`: null before a solve.
+void WriteRecorded(const CalibrationOptions& options, const SessionData& session,
+                   const SolvedSession* solved, const std::string& prefix) {
+  WriteStream(prefix + "_poses", session.poses, solved ? solved->PoseTimes() : nullptr, 7,
+              [&](const PoseSample& sample) {
+                const PoseSample pose = ToMarkerPose(options, sample);
+                Eigen::Matrix<double, 7, 1> row;
+                row << pose.p_WM, pose.q_WM.coeffs();
+                return row;
+              });
+  for (size_t i = 0; i < session.imus.size(); ++i) {
+    const auto write = [&](const std::vector<ImuSample>& samples, double unit, bool is_accel) {
+      const std::string sensor = is_accel ? "_accel" : "_gyro";
+      WriteStream(prefix + "_i" + std::to_string(i) + sensor, samples,
+                  solved ? solved->ImuTimes(i, is_accel) : nullptr, 3,
+                  [unit](const ImuSample& s) { return Eigen::Vector3d(unit * s.value); });
+    };
+    if (session.imus[i].IsEmpty()) continue;
+    write(session.imus[i].gyro, options.gyro_unit, false);
+    write(session.imus[i].accel, options.accel_unit, true);
+  }
+}
+
+YAML::Node ToYaml(const CheckedStream& stream) {
+  YAML::Node node;
+  node["role"] = stream.role;
+  node["imu"] = stream.imu;
+  node["topic"] = stream.topic;
+  node["count"] = stream.check.count;
+  node["used"] = stream.report.used;
+  node["rate_hz"] = YamlValue(stream.check.rate_hz);
+  node["jitter_s"] = YamlValue(stream.check.jitter_s);
+  node["longest_gap_s"] = YamlValue(stream.check.longest_gap_s);
+  node["missing"] = YamlValue(stream.check.missing);
+  node["repeated"] = YamlValue(stream.check.repeated);
+  node["recovered"] = stream.check.stamps.recovered;
+  node["dropped"] = Dropped(stream.report);
+  if (stream.latency)
+    node["latency"] = YamlList(Eigen::Vector2d(stream.latency->median_s, stream.latency->spread_s));
+  return node;
+}
+
+/// The check of a session that was solved: its streams as recorded, and what the solve used.
+DataCheck CheckSolved(const CalibrationOptions& options, const SessionData& recorded,
+                      const SessionCalibration& solved) {
+  SessionData session = recorded;
+  const SessionStamps stamps = RecoverStamps(options.recover_stamps, &session);
+  DataCheck check = CheckStreams(recorded, session, stamps);
+  check.poses_report = solved.poses;
+  for (size_t i = 0; i < solved.imus.size(); ++i) {
+    check.imus[i].gyro_report = solved.imus[i].gyro;
+    check.imus[i].accel_report = solved.imus[i].accel;
+  }
+  return check;
+}
+
+YAML::Node WriteSession(const CalibrationRun& run, size_t s,
+                        const std::shared_ptr<const TrajectoryCovariance>& covariance,
+                        const std::string& prefix) {
+  const SessionData& recorded = run.sessions[s];
+  const RecordingInfo info = WithPrintableNames(run.infos[s]);
+  std::unique_ptr<const SolvedSession> solved;
+  if (run.result.solution)
+    solved = std::make_unique<const SolvedSession>(run, s, covariance, prefix);
+  WriteRecorded(run.options, recorded, solved.get(), prefix);
+  const DataCheck check = solved ? CheckSolved(run.options, recorded, run.result.sessions[s])
+                                 : CheckData(run.options, recorded);
+  YAML::Node node;
+  node["source"] = info.Source();
+  for (const CheckedStream& stream : CheckedStreams(check, info))
+    if (stream.role == "poses" || !recorded.imus[stream.imu].IsEmpty())
+      node["streams"].push_back(ToYaml(stream));
+  node["imus"] = YAML::Node(YAML::NodeType::Sequence);
+  for (size_t i = 0; i < recorded.imus.size(); ++i)
+    if (!recorded.imus[i].IsEmpty()) node["imus"].push_back(i);
+  for (const std::string& warning : check.warnings) node["warnings"].push_back(warning);
+  if (!solved) return node;
+  const SessionCalibration& session = run.result.sessions[s];
+  node["gaps"] = session.gaps;
+  node["jumps"] = session.jumps;
+  node["knot_spacing_s"] = YamlValue(session.knot_spacing_s);
+  node["gravity"] = YamlList(session.g_W);
+  node["sensors"] = solved->WriteResiduals();
+  const TimeOf time = solved->PoseTimes();
+  solved->WriteMotion(time(recorded.poses.front().t_ns), time(recorded.poses.back().t_ns));
+  for (size_t i = 0; i < recorded.imus.size(); ++i)
+    if (session.imus[i].is_present) solved->WriteImu(i);
+  return node;
+}
+
+}  // namespace
+
+void WriteReportData(const CalibrationRun& run, const ReportText& text, const std::string& folder) {
+  const Calibration& result = run.result;
+  const bool is_refused = !text.refusal.empty();
+  std::shared_ptr<const TrajectoryCovariance> covariance;
+  if (result.solution && !result.solution->marginals.factor.empty())
+    covariance = std::make_shared<const TrajectoryCovariance>(result.solution);
+  YAML::Node report = ReportHead();
+  report["run_id"] = text.run_id;
+  report["status"] = is_refused ? "refused" : ToString(result.status);
+  report["message"] = Printable(is_refused ? text.refusal : result.message);
+  report["solved"] = result.solution != nullptr;
+  report["options"] = YAML::Load(ToYaml(run.options));
+  for (size_t s = 0; s < run.sessions.size(); ++s)
+    report["sessions"].push_back(
+        WriteSession(run, s, covariance, folder + "/s" + std::to_string(s)));
+  WriteHead(report, folder);
+  if (result.solution)
+    WriteFile(folder + "/result.yaml", ToYaml(result, run.infos, run.options, {text.run_id}));
+}
+
+std::string DrawReport(const CalibrationRun& run, const ReportText& text, const std::string& path) {
+  return DrawPage(path, text.run_id,
+                  [&](const std::string& folder) { WriteReportData(run, text, folder); });
+}
+
+}  // namespace imu_pose_calib
