@@ -38,6 +38,13 @@ TEST(Exports, EveryFileStatesEquationsClocksAndVerdict) {
     }
 }
 
+TEST(Exports, HaveEveryTemplate) {
+  size_t files = 0;
+  for (const std::string& name : ExportNames()) files += Export(Example(), name).size();
+  const std::filesystem::directory_iterator templates(IMU_POSE_CALIB_SOURCE_DIR "/exports"), end;
+  EXPECT_EQ(files, std::distance(templates, end));
+}
+
 TEST(Exports, SayNothingOfWhatThereIsNot) {
   StoredResult stored = Example();
   stored.result.sessions[0].imus[0].clock_drift = 0.0;
