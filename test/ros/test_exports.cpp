@@ -1,5 +1,5 @@
 // What is exported maps points and stamps as the result does; names and files of exports.
-// Visual-inertial programs: test_visual_exports.cpp.
+// Visual-inertial programs and JSON: test_visual_exports.cpp.
 
 #include <cmath>
 
