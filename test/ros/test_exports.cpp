@@ -1,5 +1,5 @@
 // What is exported maps points and stamps as the result does; names and files of exports.
-// Visual-inertial programs: test_visual_exports.cpp.
+// Visual-inertial programs and JSON: test_visual_exports.cpp.
 
 #include <cmath>
 
@@ -36,6 +36,13 @@ TEST(Exports, EveryFileStatesEquationsClocksAndVerdict) {
       EXPECT_NE(all, Contains(file.text, "the first of 2")) << file.text;
       EXPECT_EQ(file.ending.compare(0, name.size(), name), 0) << file.ending;
     }
+}
+
+TEST(Exports, HaveEveryTemplate) {
+  size_t files = 0;
+  for (const std::string& name : ExportNames()) files += Export(Example(), name).size();
+  const std::filesystem::directory_iterator templates(IMU_POSE_CALIB_SOURCE_DIR "/exports"), end;
+  EXPECT_EQ(files, std::distance(templates, end));
 }
 
 TEST(Exports, SayNothingOfWhatThereIsNot) {

@@ -87,7 +87,7 @@ std::string Quoted(const std::string& text) {
   return "\"" + Escaped(text, {{"\\", "\\\\"}, {"\"", "\\\""}}) + "\"";
 }
 
-/// The lines of a comment as they stand in YAML, XML or JSON that begins like `body`.
+/// The printable lines of a comment as they stand in YAML, XML or JSON that begins like `body`.
 std::string Comment(const std::string& text, const std::string& body) {
   const bool is_xml = body[0] == '<', is_json = boost::starts_with(body, "{\n");
   std::vector<std::string> comment;
@@ -155,7 +155,7 @@ void Put(const std::string& name, const Eigen::MatrixXd& matrix, Values* values)
   (*values)[name + " words"] = boost::join(words, " ");
 }
 
-/// A transform of `frames`.
+/// A transform between two frames: "MI" for T_MI.
 void Put(const std::string& frames, const Rigid3& T, Values* values) {
   Put("p_" + frames, T.p, values);
   Put("q_" + frames, T.q.coeffs(), values);
@@ -185,7 +185,7 @@ Values LinkValues(size_t n, const std::string& parent, const std::string& child,
   return values;
 }
 
-/// Of kHead. `has_all_imus`: the file holds every IMU of a rig.
+/// Of kHead, printable. `has_all_imus`: the file holds every IMU of a rig.
 Values HeadValues(const StoredResult& stored, bool has_all_imus) {
   const ImuSession& clock = stored.Clock(0);
   const size_t imus = stored.result.imus.size(), sessions = stored.result.sessions.size();
@@ -296,6 +296,14 @@ double OffsetToFirst(const StoredResult& stored, size_t imu) {
   return 0.0;
 }
 
+/// The whole number of nanoseconds nearest to `seconds`.
+int64_t Nanoseconds(double seconds) {
+  const double whole = std::floor(seconds);
+  if (!(std::abs(whole) < 9e9))
+    throw InputError("time_shift = " + YamlNumber(seconds) + " s does not fit nanoseconds");
+  return std::llround(whole) * 1'000'000'000 + std::llround((seconds - whole) * 1e9);
+}
+
 /// The shortest rotation that turns z to `up`, (0, 0, -1) by half a turn about x. Eigen's
 /// FromTwoVectors() takes as long to compile as the rest of this file.
 Eigen::Quaterniond RotationFromVertical(const Eigen::Vector3d& up) {
@@ -318,7 +326,8 @@ void PutBody(const Eigen::Quaterniond& q_BI, const Rigid3& T_IM, double time_shi
                   {"unfit_delay_ms", If(!fits, Short(delay_ms))}});
 }
 
-/// All that `file` may name of an IMU: T of marker M, imu I, first imu I0, accelerometer's axes A.
+/// All that `file` may name of an IMU. Frames: marker M, imu I, first imu I0, accelerometer's axes
+/// A.
 Values ImuValues(const StoredResult& stored, size_t imu, const Template& file,
                  const Eigen::Quaterniond& q_body_imu) {
   const SessionCalibration& session = stored.result.sessions[0];
@@ -331,7 +340,7 @@ Values ImuValues(const StoredResult& stored, size_t imu, const Template& file,
                  {"rate", YamlNumber(clock.gyro.rate_hz)},
                  {"whole_rate", std::to_string(std::lround(clock.gyro.rate_hz))},
                  {"-time_shift", YamlNumber(-clock.time_shift)},
-                 {"-time_shift_ns", std::to_string(std::llround(-1e9L * clock.time_shift))},
+                 {"-time_shift_ns", std::to_string(Nanoseconds(-clock.time_shift))},
                  {"time_offset", YamlNumber(OffsetToFirst(stored, imu))},
                  {"gravity", YamlNumber(session.g_W.norm())},
                  {"position_std", YamlNumber(session.noise.position)},
@@ -342,7 +351,7 @@ Values ImuValues(const StoredResult& stored, size_t imu, const Template& file,
   Put("q_WG", RotationFromVertical(-session.g_W).coeffs(), &values);
   PutBody(q_body_imu, T_MI.Inverse(), clock.time_shift, &values);
   PutModels(stored, imu, &values);
-  if (boost::contains(file.text, "{accel_")) {
+  if (boost::contains(file.text, "{accel_")) {  // else a result without noise will do
     PutNoise("gyro", "gyroscope", clock.noise.gyro, clock.gyro.rate_hz,
              stored.options.gyro_bias_walk, &values);
     PutNoise("accel", "accelerometer", clock.noise.accel, clock.accel.rate_hz,
