@@ -15,7 +15,6 @@
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
-#include "imu_pose_calib/ros/io/stored_result.h"
 #include "imu_pose_calib/ros/io/text_table.h"
 #include "imu_pose_calib/ros/io/yaml_file.h"
 #include "imu_pose_calib/ros/io/yaml_text.h"

@@ -1,12 +1,13 @@
 #include "imu_pose_calib/ros/io/result_yaml.h"
 
-#include <yaml-cpp/yaml.h>
-
+#include <algorithm>
+#include <cmath>
 #include <cstdio>
 #include <ctime>
 
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
+#include "imu_pose_calib/ros/io/yaml_file.h"
 #include "imu_pose_calib/ros/io/yaml_text.h"
 
 namespace imu_pose_calib {
@@ -31,42 +32,79 @@ const char kEquations[] = R"(
 
 )";
 
-/// Writes the values of a map with their keys.
-class Writer {
+/// A result file that is written or read, by one description of its keys below. Errors of reading
+/// name the key: "transform: rotation is missing".
+class ResultFile {
  public:
-  Writer() { out_ << YAML::BeginMap; }
+  /// To write.
+  ResultFile() { out_ << YAML::BeginMap; }
+  /// To read.
+  explicit ResultFile(const YAML::Node& root) : maps_{{root, ""}} {}
 
-  template <typename Value>
-  void Put(const char* key, const Value& value) {
+  bool reads() const { return !maps_.empty(); }
+
+  template <typename T>
+  void Value(const std::string& key, T& value) {
+    if (reads())
+      Read(key, Child(key), &value);
+    else
+      Note(key, value);
+  }
+  /// What is not read back.
+  template <typename T>
+  void Note(const std::string& key, const T& value) {
+    if (reads()) return;
     Key(key);
     Write(value);
   }
-  template <typename Value>
-  void PutWithStd(const std::string& key, const Value& value, const Value& std_dev) {
-    Put(key.c_str(), value);
-    Put((key + "_std").c_str(), std_dev);
+  /// The same of all that `fill` describes.
+  template <typename Fill>
+  void Notes(Fill fill) {
+    if (!reads()) fill();
+  }
+  template <typename T>
+  void WithStd(const std::string& key, T& value, T& std_dev) {
+    Value(key, value);
+    Value(key + "_std", std_dev);
+  }
+  /// A value that is written on a condition. Whether there is one.
+  bool Optional(const std::string& key, bool is_written, std::string* value) {
+    const bool is_there = reads() ? static_cast<bool>(maps_.back().node[key]) : is_written;
+    if (is_there) Value(key, *value);
+    return is_there;
   }
 
-  /// A map over several lines; `fill` puts what is in it.
+  /// A map over several lines or in one, YAML::Flow.
   template <typename Fill>
-  void Map(const char* key, Fill fill) {
-    Key(key);
-    FillMap(YAML::Block, fill);
+  void Map(const std::string& key, Fill fill, YAML::EMITTER_MANIP style = YAML::Block) {
+    if (!reads()) {
+      Key(key);
+      return WriteMap(style, fill);
+    }
+    const YAML::Node map = Child(key);
+    if (!map.IsMap()) Fail(key, "must be a map");
+    ReadMap(map, key, fill);
   }
-  /// A map in one line.
-  template <typename Fill>
-  void FlowMap(const char* key, Fill fill) {
-    Key(key);
-    FillMap(YAML::Flow, fill);
-  }
-  /// A list of maps in this style; `fill(k)` puts what is in one.
-  template <typename Fill>
-  void Maps(const char* key, YAML::EMITTER_MANIP style, size_t count, Fill fill) {
-    Key(key);
-    if (count == 0) out_ << YAML::Flow;
-    out_ << YAML::BeginSeq;
-    for (size_t k = 0; k < count; ++k) FillMap(style, [&] { fill(k); });
-    out_ << YAML::EndSeq;
+  /// A list of maps, one for each element; `fill(k)` describes what is in one. Elements that there
+  /// are not yet are added.
+  template <typename T, typename Fill>
+  void Maps(const std::string& key, std::vector<T>* elements, Fill fill,
+            YAML::EMITTER_MANIP style = YAML::Block) {
+    size_t k = 0;
+    const auto fill_next = [&] { fill(k++); };
+    if (!reads()) {
+      Key(key);
+      out_ << (elements->empty() ? YAML::Flow : YAML::Block) << YAML::BeginSeq;
+      while (k < elements->size()) WriteMap(style, fill_next);
+      out_ << YAML::EndSeq;
+      return;
+    }
+    for (const YAML::Node& map : Child(key)) {
+      if (!map.IsMap()) Fail(key, "must be a list of maps");
+      if (k == elements->size()) elements->emplace_back();
+      ReadMap(map, key + ": " + std::to_string(k), fill_next);
+    }
+    if (k == 0) Fail(key, "is empty");
   }
 
   std::string Finish() {
@@ -74,11 +112,16 @@ class Writer {
     return out_.c_str();
   }
 
- private:
-  void Key(const char* key) { out_ << YAML::Key << key << YAML::Value; }
+  [[noreturn]] void Fail(const std::string& key, const std::string& what) const {
+    throw InputError(maps_.back().name + key + " " + what);
+  }
 
+ private:
+  // --- Writing ---
+
+  void Key(const std::string& key) { out_ << YAML::Key << key << YAML::Value; }
   template <typename Fill>
-  void FillMap(YAML::EMITTER_MANIP style, Fill fill) {
+  void WriteMap(YAML::EMITTER_MANIP style, Fill fill) {
     out_ << style << YAML::BeginMap;
     fill();
     out_ << YAML::EndMap;
@@ -87,18 +130,16 @@ class Writer {
   void Write(double value) { out_ << YamlNumber(value); }
   void Write(size_t value) { out_ << value; }
   void Write(bool value) { out_ << value; }
-  void Write(const char* value) { out_ << YAML::DoubleQuoted << value; }
-  void Write(const std::string& value) { out_ << YAML::DoubleQuoted << value; }
   void Write(const YAML::Node& value) { out_ << value; }
-  void Write(const std::vector<std::string>& values) {
-    if (values.empty()) out_ << YAML::Flow;
-    out_ << YAML::BeginSeq;
-    for (const std::string& value : values) Write(value);
-    out_ << YAML::EndSeq;
-  }
+  void Write(const std::string& value) { out_ << YAML::DoubleQuoted << value; }
+  void Write(const char* value) { Write(std::string(value)); }
+  void Write(const Eigen::Quaterniond& q) { Write(q.coeffs()); }
   void Write(const std::vector<double>& values) {
-    out_ << YAML::Flow << YAML::BeginSeq;
-    for (const double value : values) Write(value);
+    Write(Eigen::VectorXd::Map(values.data(), static_cast<Eigen::Index>(values.size())));
+  }
+  void Write(const std::vector<std::string>& values) {
+    out_ << (values.empty() ? YAML::Flow : YAML::Block) << YAML::BeginSeq;
+    for (const std::string& value : values) Write(value);
     out_ << YAML::EndSeq;
   }
   /// A vector in one line, a matrix with a line for each row.
@@ -114,255 +155,386 @@ class Writer {
     out_ << YAML::EndSeq;
   }
 
+  // --- Reading ---
+
+  YAML::Node Child(const std::string& key) const {
+    const YAML::Node child = maps_.back().node[key];
+    if (!child) Fail(key, "is missing");
+    return child;
+  }
+  template <typename Fill>
+  void ReadMap(const YAML::Node& map, const std::string& key, Fill fill) {
+    maps_.push_back({map, maps_.back().name + key + ": "});
+    fill();
+    maps_.pop_back();
+  }
+
+  template <typename Number>
+  void Read(const std::string& key, const YAML::Node& node, Number* value) const {
+    if (!node.IsScalar() || !YAML::convert<Number>::decode(node, *value) || !std::isfinite(*value))
+      Fail(key, "must hold finite numbers");
+  }
+  void Read(const std::string& key, const YAML::Node& node, std::string* value) const {
+    if (!node.IsScalar()) Fail(key, "must be a string");
+    *value = node.Scalar();
+  }
+  void Read(const std::string& key, const YAML::Node& node, Eigen::Quaterniond* value) const {
+    Read(key, node, &value->coeffs());
+    if (std::abs(value->norm() - 1.0) > 1e-6) Fail(key, "must be a unit quaternion");
+    value->normalize();
+  }
+  /// A list of numbers, or of rows.
+  template <int kRows, int kColumns>
+  void Read(const std::string& key, const YAML::Node& rows,
+            Eigen::Matrix<double, kRows, kColumns>* value) const {
+    constexpr bool kIsVector = kColumns == 1;
+    const auto check = [&](const YAML::Node& list, size_t size, const char* what) {
+      if (!list.IsSequence() || list.size() != size)
+        Fail(key, (kIsVector ? "must be a list of " : "must have ") + std::to_string(size) + what);
+    };
+    check(rows, kRows, kIsVector ? " numbers" : " rows");
+    for (int i = 0; i < kRows; ++i) {
+      if (!kIsVector) check(rows[i], kColumns, " columns");
+      for (int j = 0; j < kColumns; ++j)
+        Read(key, kIsVector ? rows[i] : rows[i][j], &(*value)(i, j));
+    }
+  }
+
+  struct OpenMap {
+    YAML::Node node;
+    std::string name;  ///< how errors begin
+  };
+
   YAML::Emitter out_;
+  std::vector<OpenMap> maps_;  ///< what is being read, and what it is in; empty: to write
 };
 
-std::string UtcNow() {
-  const std::time_t now = std::time(nullptr);
-  char text[32];
-  std::strftime(text, sizeof(text), "%Y-%m-%dT%H:%M:%SZ", std::gmtime(&now));
-  return text;
+// --- Keys ---
+
+void Pose(Rigid3& T, ResultFile* file) {
+  file->Value("translation", T.p);
+  file->Value("rotation", T.q);
+  file->Note("matrix", T.Matrix());
+}
+
+/// A transform of `estimate`, which states its covariance and sigmas.
+template <typename Estimate>
+void UncertainPose(Rigid3& T, Estimate& estimate, ResultFile* file) {
+  file->Map("transform", [&] {
+    Pose(T, file);
+    file->Note("translation_std", estimate.Std().template head<3>());
+    file->Note("rotation_std", estimate.Std().template tail<3>());
+    file->Value("covariance", estimate.covariance);
+  });
+}
+
+void Transforms(ImuCalibration& imu, ResultFile* file) {
+  UncertainPose(imu.T_MI, imu, file);
+  file->Notes([&] {
+    Rigid3 T_IM = imu.T_MI.Inverse();
+    file->Map("inverse_transform", [&] { Pose(T_IM, file); });
+  });
+}
+
+void AccelDelay(ImuCalibration& imu, ResultFile* file) {
+  file->WithStd("accel_delay", imu.accel_delay, imu.accel_delay_std);
+  file->Notes(
+      [&] { file->WithStd("accel_smoothing", imu.accel_smoothing, imu.accel_smoothing_std); });
+}
+
+void Clock(ImuSession& imu, ResultFile* file) {
+  imu.is_present = true;
+  file->WithStd("clock_drift", imu.clock_drift, imu.clock_drift_std);
+  file->Value("clock_reference", imu.clock_reference);
+  file->Notes([&] {
+    file->Map("clock", [&] {
+      ClockOffsets& clock = imu.clock;
+      file->Note("t", clock.t);
+      file->Note("offset", clock.offset);
+      file->Note("std", clock.std);
+      const auto step = [&](size_t k) {
+        file->Note("t", clock.steps[k].t);
+        file->Note("size", clock.steps[k].size);
+      };
+      file->Maps("steps", &clock.steps, step, YAML::Flow);
+    });
+  });
+}
+
+void Intrinsics(const char* key, ImuModel* model, ImuCalibration& imu, ResultFile* file) {
+  file->Map(key, [&] {
+    std::string name = ToString(*model);
+    file->Value("model", name);
+    *model = name == ToString(ImuModel::kCalibrated) ? ImuModel::kCalibrated
+                                                     : ImuModel::kScaleMisalignment;
+    file->Value("gyro_matrix", imu.gyro_matrix);
+    file->Note("gyro_matrix_std", imu.gyro_matrix_std);
+    file->Value("accel_matrix", imu.accel_matrix);
+    file->Note("accel_matrix_std", imu.accel_matrix_std);
+    Eigen::Matrix3d places = imu.accel_positions.transpose();
+    file->Value("accel_positions", places);
+    imu.accel_positions = places.transpose();
+    file->Note("accel_positions_std", imu.accel_positions_std.transpose());
+  });
+}
+
+void Biases(ImuSession& imu, ResultFile* file) {
+  file->Map("biases", [&] {
+    file->Value("gyro", imu.gyro_bias);
+    file->Value("accel", imu.accel_bias);
+    file->Note("gyro_std", imu.gyro_bias_std);
+    file->Note("accel_std", imu.accel_bias_std);
+  });
+}
+
+void Gravity(SessionCalibration& session, ResultFile* file) {
+  file->Map("gravity", [&] {
+    file->Value("vector", session.g_W);
+    file->Note("std", session.g_W_std);
+    file->Note("magnitude", session.g_W.norm());
+  });
+}
+
+void ImuNoise(ImuSession& imu, ResultFile* file) {
+  file->Value("gyro_std", imu.noise.gyro);
+  file->Value("accel_std", imu.noise.accel);
 }
 
 std::string ImuName(size_t imu) { return "imu" + std::to_string(imu); }
 
-void PutRejected(const char* key, const StreamReport& report, Writer* out) {
-  out->FlowMap(key, [&] {
-    out->Put("not_finite", report.not_finite);
-    out->Put("zero_quaternion", report.zero_quaternion);
-    out->Put("reversed_stamp", report.reversed_stamp);
-    out->Put("duplicate_stamp", report.duplicate_stamp);
-    out->Put("repeated_value", report.repeated_value);
-    out->Put("saturated", report.saturated);
-    out->Put("outlier", report.outlier);
-    out->Put("flipped", report.flipped);
-    out->Put("in_short_segment", report.in_short_segment);
-    out->Put("between_updates", report.between_updates);
+Status ToUsable(const std::string& name, const ResultFile& file) {
+  for (const Status status : {Status::kOk, Status::kWeak})
+    if (name == ToString(status)) return status;
+  file.Fail("status", "is '" + name + "'; only a result that is ok or weak can be used");
+}
+
+/// Run, frames, and the estimate of the first IMU in the first session.
+void Estimate(const RunInfo& run, StoredResult* stored, ResultFile* file) {
+  Calibration& result = stored->result;
+  SessionCalibration& session = result.sessions[0];
+  RecordingInfo& info = stored->infos[0];
+  file->Map("imu_pose_calib", [&] {
+    file->Value("version", stored->version);
+    file->Note("method", ToString(result.method));
+    std::string status = ToString(result.status);
+    file->Value("status", status);
+    if (file->reads()) result.status = ToUsable(status, *file);
+    file->Value("message", result.message);
+    file->Note("date", UtcText(std::time(nullptr), "%Y-%m-%dT%H:%M:%SZ"));
+    file->Optional("run_id", !stored->run_id.empty(), &stored->run_id);
+    if (!run.files.empty()) file->Note("files", run.files);
+  });
+  file->Map("frames", [&] {
+    file->Value("world", info.world_frame);
+    file->Value("marker", info.marker_frame);
+    file->Value("imu", info.imus[0].imu_frame);
+  });
+  Transforms(result.imus[0], file);
+  file->WithStd("time_shift", session.imus[0].time_shift, session.imus[0].time_shift_std);
+  AccelDelay(result.imus[0], file);
+  Clock(session.imus[0], file);
+  file->Notes([&] {
+    file->WithStd("pose_smoothing", result.pose_smoothing, result.pose_smoothing_std);
+    file->WithStd("position_smoothing", result.position_smoothing, result.position_smoothing_std);
+    file->WithStd("pose_scale", result.pose_scale, result.pose_scale_std);
+  });
+  Gravity(session, file);
+  Biases(session.imus[0], file);
+  Intrinsics("imu", &result.imu_model, result.imus[0], file);
+}
+
+/// All IMUs; their names.
+std::vector<std::string> Imus(StoredResult* stored, ResultFile* file) {
+  Calibration& result = stored->result;
+  std::vector<ImuInfo>& infos = stored->infos[0].imus;
+  std::vector<std::string> names;
+  if (file->reads()) infos.clear();
+  file->Maps("imus", &result.imus, [&](size_t i) {
+    if (file->reads()) infos.emplace_back();
+    names.push_back(ImuName(i));
+    file->Value("name", names[i]);
+    std::string topic = infos[i].GyroSource();
+    file->Value("topic", topic);
+    const bool is_split =
+        file->Optional("accel_topic", infos[i].imu_topic.empty(), &infos[i].accel_topic);
+    (is_split ? infos[i].gyro_topic : infos[i].imu_topic) = topic;
+    file->Value("frame", infos[i].imu_frame);
+    Transforms(result.imus[i], file);
+    AccelDelay(result.imus[i], file);
+    Intrinsics("intrinsics", &result.imu_model, result.imus[i], file);
+  });
+  file->Notes([&] {
+    file->Maps("between_imus", &result.between_imus, [&](size_t k) {
+      BetweenImus& between = result.between_imus[k];
+      file->Note("first", ImuName(between.first));
+      file->Note("second", ImuName(between.second));
+      UncertainPose(between.T, between, file);
+    });
+  });
+  return names;
+}
+
+/// What a session says alone, and how that agrees with the others.
+void Own(SessionCalibration& session, ResultFile* file) {
+  file->Map("own", [&] {
+    OwnEstimate& own = session.own;
+    file->Note("imu", ImuName(own.imu));
+    file->Note("translation", own.T_MI.p);
+    file->Note("translation_std", own.std.head<3>());
+    file->Note("rotation", own.T_MI.q);
+    file->Note("rotation_std", own.std.tail<3>());
+    file->WithStd("time_shift", own.time_shift, own.time_shift_std);
+    file->WithStd("accel_delay", own.accel_delay, own.accel_delay_std);
+  });
+  char sigmas[32];
+  std::snprintf(sigmas, sizeof(sigmas), ", %.1f sigma", session.agreement.sigmas);
+  file->Map("agreement", [&] {
+    file->Note("chi2", session.agreement.chi2);
+    file->Note("dof", static_cast<size_t>(session.agreement.dof));
+    file->Note("worst", session.agreement.worst + sigmas);
+  });
+}
+
+/// All sessions, with what is of their IMUs, which are called by their names.
+void Sessions(const std::vector<std::string>& names, StoredResult* stored, ResultFile* file) {
+  std::vector<SessionCalibration>& sessions = stored->result.sessions;
+  file->Maps("sessions", &sessions, [&](size_t s) {
+    SessionCalibration& session = sessions[s];
+    if (file->reads()) {
+      session.imus.assign(names.size(), {});
+      if (s > 0) stored->infos.push_back(stored->infos.front());
+    }
+    RecordingInfo& info = stored->infos[s];
+    std::string source = info.Source();
+    file->Value("source", source);
+    if (file->reads()) info.bag = source;
+    file->Value("world", info.world_frame);
+    std::vector<size_t> present;  // places
+    for (size_t i = 0; i < session.imus.size(); ++i)
+      if (session.imus[i].is_present) present.push_back(i);
+    file->Maps("imus", &present, [&](size_t k) {
+      std::string name = ImuName(present[k]);
+      file->Value("name", name);
+      if (file->reads()) {
+        present[k] = std::find(names.begin(), names.end(), name) - names.begin();
+        if (present[k] == names.size()) file->Fail("name", "is not among the imus");
+      }
+      ImuSession& imu = session.imus[present[k]];
+      file->WithStd("time_shift", imu.time_shift, imu.time_shift_std);
+      Clock(imu, file);
+      Biases(imu, file);
+      file->Map("noise", [&] { ImuNoise(imu, file); });
+      file->Map("rates", [&] {
+        file->Value("gyro", imu.gyro.rate_hz);
+        file->Value("accel", imu.accel.rate_hz);
+      });
+    });
+    Gravity(session, file);
+    if (!file->reads() && sessions.size() > 1) Own(session, file);
+  });
+}
+
+/// Of the first session.
+void Noise(SessionCalibration& session, ResultFile* file) {
+  file->Map("noise", [&] {
+    file->Value("position_std", session.noise.position);
+    file->Value("rotation_std", session.noise.rotation);
+    file->Note("rotation_error_std", session.rotation_error_std);
+    ImuNoise(session.imus[0], file);
+  });
+}
+
+void Quality(Calibration& result, ResultFile* file) {
+  SessionCalibration& session = result.sessions[0];
+  file->Map("quality", [&] {
+    file->Note("gyro_rms", session.imus[0].rms.gyro);
+    file->Note("accel_rms", session.imus[0].rms.accel);
+    file->Note("position_rms", session.rms.position);
+    file->Note("rotation_rms", session.rms.rotation);
+    const auto direction = [&](size_t k) {
+      const Observability& o = result.observability[k];
+      file->Note("direction", o.direction);
+      file->Note("std", o.std);
+      file->Note("unit", o.unit);
+      file->Note("status", ToString(o.status));
+    };
+    file->Maps("observability", &result.observability, direction, YAML::Flow);
+    file->Map("split_half", [&] {
+      file->Note("translation", result.split_half.translation);
+      file->Note("rotation", result.split_half.rotation);
+      file->Note("time_shift", result.split_half.time_shift);
+      file->Note("sigmas", result.split_half.sigmas);
+    });
+    file->Note("warnings", result.warnings);
+  });
+  file->Map("trajectory", [&] {
+    file->Note("position_lengthscale_s", session.position_lengthscale_s);
+    file->Note("rotation_lengthscale_s", session.rotation_lengthscale_s);
+    file->Note("knot_spacing_s", session.knot_spacing_s);
+    file->Note("segments", session.segments);
   });
 }
 
 /// `key: {poses, gyro, accel}` of one member of the reports.
 template <typename T>
-void PutPerStream(const char* key, const SessionCalibration& session, T StreamReport::*member,
-                  Writer* out) {
-  out->FlowMap(key, [&] {
-    out->Put("poses", session.poses.*member);
-    out->Put("gyro", session.imus[0].gyro.*member);
-    out->Put("accel", session.imus[0].accel.*member);
+void PerStream(const char* key, SessionCalibration& session, T StreamReport::*member,
+               ResultFile* file) {
+  const auto streams = [&] {
+    file->Value("poses", session.poses.*member);
+    file->Value("gyro", session.imus[0].gyro.*member);
+    file->Value("accel", session.imus[0].accel.*member);
+  };
+  file->Map(key, streams, YAML::Flow);
+}
+
+void Rejected(const char* key, const StreamReport& report, ResultFile* file) {
+  const auto counts = [&] {
+    file->Note("not_finite", report.not_finite);
+    file->Note("zero_quaternion", report.zero_quaternion);
+    file->Note("reversed_stamp", report.reversed_stamp);
+    file->Note("duplicate_stamp", report.duplicate_stamp);
+    file->Note("repeated_value", report.repeated_value);
+    file->Note("saturated", report.saturated);
+    file->Note("outlier", report.outlier);
+    file->Note("flipped", report.flipped);
+    file->Note("in_short_segment", report.in_short_segment);
+    file->Note("between_updates", report.between_updates);
+  };
+  file->Map(key, counts, YAML::Flow);
+}
+
+void DataCounts(SessionCalibration& session, ResultFile* file) {
+  PerStream("stamps_recovered", session, &StreamReport::stamps_recovered, file);
+  PerStream("stamp_jitter", session, &StreamReport::stamp_jitter_s, file);
+  file->Map("rejected", [&] {
+    Rejected("poses", session.poses, file);
+    Rejected("gyro", session.imus[0].gyro, file);
+    Rejected("accel", session.imus[0].accel, file);
   });
+  file->Note("gaps", session.gaps);
+  file->Note("jumps", session.jumps);
 }
 
-void PutTransform(const Rigid3& T, Writer* out) {
-  out->Put("translation", T.p);
-  out->Put("rotation", T.q.coeffs());
-  out->Put("matrix", T.Matrix());
-}
-
-/// A transform of `estimate`, which states its covariance and sigmas.
-template <typename Estimate>
-void PutUncertainTransform(const Rigid3& T, const Estimate& estimate, Writer* out) {
-  out->Map("transform", [&] {
-    PutTransform(T, out);
-    out->Put("translation_std", estimate.Std().template head<3>());
-    out->Put("rotation_std", estimate.Std().template tail<3>());
-    out->Put("covariance", estimate.covariance);
-  });
-}
-
-void PutTransforms(const ImuCalibration& imu, Writer* out) {
-  PutUncertainTransform(imu.T_MI, imu, out);
-  out->Map("inverse_transform", [&] { PutTransform(imu.T_MI.Inverse(), out); });
-}
-
-void PutAccelDelay(const ImuCalibration& imu, Writer* out) {
-  out->PutWithStd("accel_delay", imu.accel_delay, imu.accel_delay_std);
-  out->PutWithStd("accel_smoothing", imu.accel_smoothing, imu.accel_smoothing_std);
-}
-
-void PutClockDrift(const ImuSession& imu, Writer* out) {
-  out->PutWithStd("clock_drift", imu.clock_drift, imu.clock_drift_std);
-  out->Put("clock_reference", imu.clock_reference);
-  out->Map("clock", [&] {
-    out->Put("t", imu.clock.t);
-    out->Put("offset", imu.clock.offset);
-    out->Put("std", imu.clock.std);
-    out->Maps("steps", YAML::Flow, imu.clock.steps.size(), [&](size_t k) {
-      out->Put("t", imu.clock.steps[k].t);
-      out->Put("size", imu.clock.steps[k].size);
-    });
-  });
-}
-
-void PutIntrinsics(const char* key, ImuModel model, const ImuCalibration& imu, Writer* out) {
-  out->Map(key, [&] {
-    out->Put("model", ToString(model));
-    out->PutWithStd("gyro_matrix", imu.gyro_matrix, imu.gyro_matrix_std);
-    out->PutWithStd("accel_matrix", imu.accel_matrix, imu.accel_matrix_std);
-    out->Put("accel_positions", imu.accel_positions.transpose());
-    out->Put("accel_positions_std", imu.accel_positions_std.transpose());
-  });
-}
-
-void PutBiases(const ImuSession& imu, Writer* out) {
-  out->Map("biases", [&] {
-    out->Put("gyro", imu.gyro_bias);
-    out->Put("accel", imu.accel_bias);
-    out->Put("gyro_std", imu.gyro_bias_std);
-    out->Put("accel_std", imu.accel_bias_std);
-  });
-}
-
-void PutGravity(const SessionCalibration& session, Writer* out) {
-  out->Map("gravity", [&] {
-    out->Put("vector", session.g_W);
-    out->Put("std", session.g_W_std);
-    out->Put("magnitude", session.g_W.norm());
-  });
-}
-
-void PutImuNoise(const ImuSession& imu, Writer* out) {
-  out->Put("gyro_std", imu.noise.gyro);
-  out->Put("accel_std", imu.noise.accel);
-}
-
-void PutImus(const Calibration& result, const RecordingInfo& info, Writer* out) {
-  out->Maps("imus", YAML::Block, result.imus.size(), [&](size_t i) {
-    out->Put("name", ImuName(i));
-    out->Put("topic", info.imus[i].GyroSource());
-    if (info.imus[i].imu_topic.empty()) out->Put("accel_topic", info.imus[i].accel_topic);
-    out->Put("frame", info.imus[i].imu_frame);
-    PutTransforms(result.imus[i], out);
-    PutAccelDelay(result.imus[i], out);
-    PutIntrinsics("intrinsics", result.imu_model, result.imus[i], out);
-  });
-  out->Maps("between_imus", YAML::Block, result.between_imus.size(), [&](size_t k) {
-    const BetweenImus& between = result.between_imus[k];
-    out->Put("first", ImuName(between.first));
-    out->Put("second", ImuName(between.second));
-    PutUncertainTransform(between.T, between, out);
-  });
-}
-
-void PutOwn(const SessionCalibration& session, Writer* out) {
-  out->Map("own", [&] {
-    const OwnEstimate& own = session.own;
-    out->Put("imu", ImuName(own.imu));
-    out->Put("translation", own.T_MI.p);
-    out->Put("translation_std", own.std.head<3>());
-    out->Put("rotation", own.T_MI.q.coeffs());
-    out->Put("rotation_std", own.std.tail<3>());
-    out->PutWithStd("time_shift", own.time_shift, own.time_shift_std);
-    out->PutWithStd("accel_delay", own.accel_delay, own.accel_delay_std);
-  });
-  char sigmas[32];
-  std::snprintf(sigmas, sizeof(sigmas), ", %.1f sigma", session.agreement.sigmas);
-  out->Map("agreement", [&] {
-    out->Put("chi2", session.agreement.chi2);
-    out->Put("dof", static_cast<size_t>(session.agreement.dof));
-    out->Put("worst", session.agreement.worst + sigmas);
-  });
-}
-
-void PutSessions(const Calibration& result, const std::vector<RecordingInfo>& infos, Writer* out) {
-  out->Maps("sessions", YAML::Block, result.sessions.size(), [&](size_t s) {
-    const SessionCalibration& session = result.sessions[s];
-    out->Put("source", infos[s].Source());
-    out->Put("world", infos[s].world_frame);
-    std::vector<size_t> present;
-    for (size_t i = 0; i < session.imus.size(); ++i)
-      if (session.imus[i].is_present) present.push_back(i);
-    out->Maps("imus", YAML::Block, present.size(), [&](size_t k) {
-      const ImuSession& imu = session.imus[present[k]];
-      out->Put("name", ImuName(present[k]));
-      out->PutWithStd("time_shift", imu.time_shift, imu.time_shift_std);
-      PutClockDrift(imu, out);
-      PutBiases(imu, out);
-      out->Map("noise", [&] { PutImuNoise(imu, out); });
-      out->Map("rates", [&] {
-        out->Put("gyro", imu.gyro.rate_hz);
-        out->Put("accel", imu.accel.rate_hz);
-      });
-    });
-    PutGravity(session, out);
-    if (result.sessions.size() > 1) PutOwn(session, out);
-  });
-}
-
-void PutEstimate(const Calibration& result, Writer* out) {
-  const ImuSession& imu = result.sessions[0].imus[0];
-  PutTransforms(result.imus[0], out);
-  out->PutWithStd("time_shift", imu.time_shift, imu.time_shift_std);
-  PutAccelDelay(result.imus[0], out);
-  PutClockDrift(imu, out);
-  out->PutWithStd("pose_smoothing", result.pose_smoothing, result.pose_smoothing_std);
-  out->PutWithStd("position_smoothing", result.position_smoothing, result.position_smoothing_std);
-  out->PutWithStd("pose_scale", result.pose_scale, result.pose_scale_std);
-  PutGravity(result.sessions[0], out);
-  PutBiases(imu, out);
-  PutIntrinsics("imu", result.imu_model, result.imus[0], out);
-}
-
-void PutQuality(const Calibration& result, Writer* out) {
-  const SessionCalibration& session = result.sessions[0];
-  out->Map("noise", [&] {
-    out->Put("position_std", session.noise.position);
-    out->Put("rotation_std", session.noise.rotation);
-    out->Put("rotation_error_std", session.rotation_error_std);
-    PutImuNoise(session.imus[0], out);
-  });
-  out->Map("quality", [&] {
-    out->Put("gyro_rms", session.imus[0].rms.gyro);
-    out->Put("accel_rms", session.imus[0].rms.accel);
-    out->Put("position_rms", session.rms.position);
-    out->Put("rotation_rms", session.rms.rotation);
-    out->Maps("observability", YAML::Flow, result.observability.size(), [&](size_t k) {
-      const Observability& o = result.observability[k];
-      out->Put("direction", o.direction);
-      out->Put("std", o.std);
-      out->Put("unit", o.unit);
-      out->Put("status", ToString(o.status));
-    });
-    out->Map("split_half", [&] {
-      out->Put("translation", result.split_half.translation);
-      out->Put("rotation", result.split_half.rotation);
-      out->Put("time_shift", result.split_half.time_shift);
-      out->Put("sigmas", result.split_half.sigmas);
-    });
-    out->Put("warnings", result.warnings);
-  });
-  out->Map("trajectory", [&] {
-    out->Put("position_lengthscale_s", session.position_lengthscale_s);
-    out->Put("rotation_lengthscale_s", session.rotation_lengthscale_s);
-    out->Put("knot_spacing_s", session.knot_spacing_s);
-    out->Put("segments", session.segments);
-  });
-}
-
-void PutData(const SessionCalibration& session, const RecordingInfo& info, Writer* out) {
-  out->Map("data", [&] {
-    out->Put("bag", info.bag);
-    out->Put("imu_topic", info.imus[0].imu_topic);
-    out->Put("gyro_topic", info.imus[0].gyro_topic);
-    out->Put("accel_topic", info.imus[0].accel_topic);
-    out->Put("pose_topic", info.pose_topic);
-    out->Put("imu_yaml", info.imu_yaml);
-    if (info.stated_pose_std)
-      out->FlowMap("stated_pose_std", [&] {
-        out->Put("position", info.stated_pose_std->position);
-        out->Put("rotation", info.stated_pose_std->rotation);
-      });
-    out->Put("duration", session.poses.duration_s);
-    PutPerStream("counts", session, &StreamReport::used, out);
-    PutPerStream("rates", session, &StreamReport::rate_hz, out);
-    PutPerStream("stamps_recovered", session, &StreamReport::stamps_recovered, out);
-    PutPerStream("stamp_jitter", session, &StreamReport::stamp_jitter_s, out);
-    out->Map("rejected", [&] {
-      PutRejected("poses", session.poses, out);
-      PutRejected("gyro", session.imus[0].gyro, out);
-      PutRejected("accel", session.imus[0].accel, out);
-    });
-    out->Put("gaps", session.gaps);
-    out->Put("jumps", session.jumps);
+/// The recording of the first session.
+void Data(SessionCalibration& session, RecordingInfo& info, ResultFile* file) {
+  file->Map("data", [&] {
+    file->Value("bag", info.bag);
+    file->Value("imu_topic", info.imus[0].imu_topic);
+    file->Value("gyro_topic", info.imus[0].gyro_topic);
+    file->Value("accel_topic", info.imus[0].accel_topic);
+    file->Value("pose_topic", info.pose_topic);
+    file->Note("imu_yaml", info.imu_yaml);
+    if (const auto& stated = info.stated_pose_std; stated) {
+      const auto sigmas = [&] {
+        file->Note("position", stated->position);
+        file->Note("rotation", stated->rotation);
+      };
+      file->Map("stated_pose_std", sigmas, YAML::Flow);
+    }
+    file->Value("duration", session.poses.duration_s);
+    file->Notes([&] { PerStream("counts", session, &StreamReport::used, file); });
+    PerStream("rates", session, &StreamReport::rate_hz, file);
+    file->Notes([&] { DataCounts(session, file); });
   });
 }
 
@@ -370,31 +542,48 @@ void PutData(const SessionCalibration& session, const RecordingInfo& info, Write
 
 std::string ToYaml(const Calibration& result, const std::vector<RecordingInfo>& infos,
                    const CalibrationOptions& options, const RunInfo& run) {
-  const RecordingInfo& info = infos.front();
-  Writer out;
-  out.Map("imu_pose_calib", [&] {
-    out.Put("version", kVersion);
-    out.Put("method", ToString(result.method));
-    out.Put("status", ToString(result.status));
-    out.Put("message", result.message);
-    out.Put("date", UtcNow());
-    if (!run.id.empty()) out.Put("run_id", run.id);
-    if (!run.files.empty()) out.Put("files", run.files);
-  });
-  out.Map("frames", [&] {
-    out.Put("world", info.world_frame);
-    out.Put("marker", info.marker_frame);
-    out.Put("imu", info.imus[0].imu_frame);
-  });
-  PutEstimate(result, &out);
-  if (result.imus.size() > 1 || result.sessions.size() > 1) {
-    PutImus(result, info, &out);
-    PutSessions(result, infos, &out);
-  }
-  PutQuality(result, &out);
-  PutData(result.sessions[0], info, &out);
-  out.Put("options", YAML::Load(ToYaml(options)));
+  StoredResult stored{"", kVersion, run.id, result, infos, {}};
+  SessionCalibration& first = stored.result.sessions[0];
+  ResultFile out;
+  Estimate(run, &stored, &out);
+  if (result.imus.size() > 1 || result.sessions.size() > 1)
+    Sessions(Imus(&stored, &out), &stored, &out);
+  Noise(first, &out);
+  Quality(stored.result, &out);
+  Data(first, stored.infos[0], &out);
+  out.Note("options", YAML::Load(ToYaml(options)));
   return kResultHeader + std::string(kEquations) + out.Finish() + "\n";
+}
+
+const ImuSession& StoredResult::Clock(size_t imu) const {
+  for (const SessionCalibration& session : result.sessions)
+    if (session.imus[imu].is_present) return session.imus[imu];
+  throw InputError("imus: " + std::to_string(imu) + " is in no session");
+}
+
+StoredResult ParseResult(const std::string& yaml, const std::string& path) {
+  const YAML::Node root = ParseYaml(yaml);
+  if (!root.IsMap() || !root["imu_pose_calib"])
+    throw InputError("is not a result of calibrate_bag: it has no key imu_pose_calib");
+  StoredResult stored;
+  stored.path = path;
+  stored.infos.resize(1);
+  SessionCalibration& first = stored.result.sessions[0];
+  ResultFile file(root);
+  Estimate({}, &stored, &file);
+  Noise(first, &file);
+  Data(first, stored.infos[0], &file);
+  if (root["sessions"]) Sessions(Imus(&stored, &file), &stored, &file);
+  file.Map("options", [&] {
+    file.Value("gyro_bias_walk", stored.options.gyro_bias_walk);
+    file.Value("accel_bias_walk", stored.options.accel_bias_walk);
+  });
+  return stored;
+}
+
+StoredResult LoadResult(const std::string& path) {
+  const auto parse = [&path](const std::string& yaml) { return ParseResult(yaml, path); };
+  return LoadYaml("result", path, parse);
 }
 
 }  // namespace imu_pose_calib

@@ -5,6 +5,7 @@
 #include <sstream>
 #include <vector>
 
+#include "imu_pose_calib/core/base/option_fields.h"
 #include "imu_pose_calib/core/base/result.h"
 #include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/recording.h"
@@ -91,22 +92,19 @@ std::string Text(const std::optional<T>& value) {
   return value ? Text(*value) : "~";
 }
 
-std::string DidYouMeanKey(const std::string& key) {
-  std::vector<std::string> names;
-  VisitFields(CalibrationOptions(),
-              [&](const char* name, const auto&) { names.emplace_back(name); });
-  return DidYouMean(key, names);
-}
-
 /// Sets the field called `key`.
 void ReadField(const std::string& key, const YAML::Node& value, CalibrationOptions* options) {
+  std::vector<std::string> others;
   bool found = false;
-  VisitFields(*options, [&](const std::string& name, auto& field) {
-    if (name != key) return;
-    found = true;
-    Read(value, &field);
+  VisitFields(*options, [&](const std::string& name, auto& field, const Bound&) {
+    if (name == key) {
+      found = true;
+      Read(value, &field);
+    } else {
+      others.push_back(name);
+    }
   });
-  if (!found) throw InputError("there is no option '" + key + "'" + DidYouMeanKey(key));
+  if (!found) throw InputError("there is no option '" + key + "'" + DidYouMean(key, others));
 }
 
 void ReadMap(const YAML::Node& map, CalibrationOptions* options) {
@@ -209,7 +207,7 @@ CalibrationOptions LoadOptions(const std::string& yaml_path) {
 
 std::string ToYaml(const CalibrationOptions& options) {
   std::ostringstream text;
-  VisitFields(options, [&](const char* name, const auto& field) {
+  VisitFields(options, [&](const char* name, const auto& field, const Bound&) {
     text << name << ": " << Text(field) << "\n";
   });
   return text.str();

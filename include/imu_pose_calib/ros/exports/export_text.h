@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/ros/io/stored_result.h"
+#include "imu_pose_calib/ros/io/result_yaml.h"
 
 namespace imu_pose_calib {
 

@@ -5,7 +5,7 @@
 
 #include "imu_pose_calib/ros/exports/exporters.h"
 #include "imu_pose_calib/ros/io/output_files.h"
-#include "imu_pose_calib/ros/io/stored_result.h"
+#include "imu_pose_calib/ros/io/result_yaml.h"
 
 namespace imu_pose_calib {
 
