@@ -1,6 +1,7 @@
 #include "imu_pose_calib/ros/io/result_yaml.h"
 
 #include <algorithm>
+#include <boost/algorithm/string.hpp>
 #include <cmath>
 #include <cstdio>
 #include <ctime>
@@ -32,99 +33,97 @@ const char kEquations[] = R"(
 
 )";
 
-/// A result file that is written or read, by one description of its keys below. Errors of reading
-/// name the key: "transform: rotation is missing".
+/// A result file that is written or read, by one description of its keys below. A key is named by
+/// its path, "sessions.0.gravity.vector": numbers count the elements of a list, and "/" stands for
+/// "." where a map is in one line. Errors of reading name it: "transform: rotation is missing".
 class ResultFile {
  public:
   /// To write.
   ResultFile() { out_ << YAML::BeginMap; }
   /// To read.
-  explicit ResultFile(const YAML::Node& root) : maps_{{root, ""}} {}
+  explicit ResultFile(const YAML::Node& root) : reads_(true), root_(root) {}
 
-  bool reads() const { return !maps_.empty(); }
+  bool reads() const { return reads_; }
 
   template <typename T>
-  void Value(const std::string& key, T& value) {
-    if (reads())
-      Read(key, Child(key), &value);
+  void Value(const std::string& path, T& value) {
+    if (reads_)
+      Read(path, Find(path), &value);
     else
-      Note(key, value);
+      Note(path, value);
   }
   /// What is not read back.
   template <typename T>
-  void Note(const std::string& key, const T& value) {
-    if (reads()) return;
-    Key(key);
+  void Note(const std::string& path, const T& value) {
+    if (reads_) return;
+    Open(path);
     Write(value);
   }
-  /// The same of all that `fill` describes.
-  template <typename Fill>
-  void Notes(Fill fill) {
-    if (!reads()) fill();
+  template <typename T>
+  void WithStd(const std::string& path, T& value, T& std_dev) {
+    Value(path, value);
+    Value(path + "_std", std_dev);
   }
   template <typename T>
-  void WithStd(const std::string& key, T& value, T& std_dev) {
-    Value(key, value);
-    Value(key + "_std", std_dev);
+  void NoteWithStd(const std::string& path, const T& value, const T& std_dev) {
+    Note(path, value);
+    Note(path + "_std", std_dev);
   }
-  /// A value that is written on a condition. Whether there is one.
-  bool Optional(const std::string& key, bool is_written, std::string* value) {
-    const bool is_there = reads() ? static_cast<bool>(maps_.back().node[key]) : is_written;
-    if (is_there) Value(key, *value);
+  /// A text that is written on a condition. Whether there is one.
+  bool Optional(const std::string& path, bool is_written, std::string* value) {
+    const bool is_there = reads_ ? Get(path).IsDefined() : is_written;
+    if (is_there) Value(path, *value);
     return is_there;
   }
-
-  /// A map over several lines or in one, YAML::Flow.
-  template <typename Fill>
-  void Map(const std::string& key, Fill fill, YAML::EMITTER_MANIP style = YAML::Block) {
-    if (!reads()) {
-      Key(key);
-      return WriteMap(style, fill);
+  /// The number of elements of a list of maps, which is `count` when it is written; before them.
+  size_t Count(const std::string& path, size_t count) {
+    if (!reads_) {
+      if (count == 0) Note(path, std::vector<std::string>());
+      return count;
     }
-    const YAML::Node map = Child(key);
-    if (!map.IsMap()) Fail(key, "must be a map");
-    ReadMap(map, key, fill);
-  }
-  /// A list of maps, one for each element; `fill(k)` describes what is in one. Elements that there
-  /// are not yet are added.
-  template <typename T, typename Fill>
-  void Maps(const std::string& key, std::vector<T>* elements, Fill fill,
-            YAML::EMITTER_MANIP style = YAML::Block) {
-    size_t k = 0;
-    const auto fill_next = [&] { fill(k++); };
-    if (!reads()) {
-      Key(key);
-      out_ << (elements->empty() ? YAML::Flow : YAML::Block) << YAML::BeginSeq;
-      while (k < elements->size()) WriteMap(style, fill_next);
-      out_ << YAML::EndSeq;
-      return;
-    }
-    for (const YAML::Node& map : Child(key)) {
-      if (!map.IsMap()) Fail(key, "must be a list of maps");
-      if (k == elements->size()) elements->emplace_back();
-      ReadMap(map, key + ": " + std::to_string(k), fill_next);
-    }
-    if (k == 0) Fail(key, "is empty");
+    const YAML::Node list = Find(path);
+    for (const YAML::Node& map : list)
+      if (!map.IsMap()) Fail(path, "must be a list of maps");
+    if (list.size() == 0) Fail(path, "is empty");
+    return list.size();
   }
 
   std::string Finish() {
+    Close(0);
     out_ << YAML::EndMap;
     return out_.c_str();
   }
 
-  [[noreturn]] void Fail(const std::string& key, const std::string& what) const {
-    throw InputError(maps_.back().name + key + " " + what);
+  [[noreturn]] static void Fail(const std::string& path, const std::string& what) {
+    throw InputError(boost::join(Split(path), ": ") + " " + what);
   }
 
  private:
+  static std::vector<std::string> Split(const std::string& path) {
+    std::vector<std::string> parts;
+    return boost::split(parts, path, boost::is_any_of("./"));
+  }
+  static bool IsIndex(const std::string& part) { return boost::all(part, boost::is_digit()); }
+
   // --- Writing ---
 
-  void Key(const std::string& key) { out_ << YAML::Key << key << YAML::Value; }
-  template <typename Fill>
-  void WriteMap(YAML::EMITTER_MANIP style, Fill fill) {
-    out_ << style << YAML::BeginMap;
-    fill();
-    out_ << YAML::EndMap;
+  /// Opens the maps and lists that lead to the key, and closes those that do not.
+  void Open(const std::string& path) {
+    const std::vector<std::string> parts = Split(path);
+    size_t k = 0;
+    while (k < open_.size() && k + 1 < parts.size() && open_[k].first == parts[k]) ++k;
+    Close(k);
+    for (; k < parts.size(); ++k) {
+      if (!IsIndex(parts[k])) out_ << YAML::Key << parts[k] << YAML::Value;
+      if (k + 1 == parts.size()) return;
+      const bool is_list = IsIndex(parts[k + 1]);
+      const bool is_line = k + 2 == parts.size() && boost::contains(path, "/");
+      out_ << (is_line ? YAML::Flow : YAML::Block) << (is_list ? YAML::BeginSeq : YAML::BeginMap);
+      open_.emplace_back(parts[k], is_list ? YAML::EndSeq : YAML::EndMap);
+    }
+  }
+  void Close(size_t left) {
+    for (; open_.size() > left; open_.pop_back()) out_ << open_.back().second;
   }
 
   void Write(double value) { out_ << YamlNumber(value); }
@@ -157,385 +156,345 @@ class ResultFile {
 
   // --- Reading ---
 
-  YAML::Node Child(const std::string& key) const {
-    const YAML::Node child = maps_.back().node[key];
-    if (!child) Fail(key, "is missing");
-    return child;
+  /// What is at the path, perhaps nothing.
+  YAML::Node Get(const std::string& path) const {
+    YAML::Node found = root_;
+    std::string name;
+    for (const std::string& part : Split(path)) {
+      const YAML::Node node = found;  // const, so that it gets no new keys
+      if (!name.empty() && !node.IsDefined()) Fail(name, "is missing");
+      if (!IsIndex(part) && !node.IsMap()) Fail(name, "must be a map");
+      found.reset(IsIndex(part) ? node[std::stoul(part)] : node[part]);
+      name += (name.empty() ? "" : ".") + part;
+    }
+    return found;
   }
-  template <typename Fill>
-  void ReadMap(const YAML::Node& map, const std::string& key, Fill fill) {
-    maps_.push_back({map, maps_.back().name + key + ": "});
-    fill();
-    maps_.pop_back();
+  YAML::Node Find(const std::string& path) const {
+    const YAML::Node node = Get(path);
+    if (!node.IsDefined()) Fail(path, "is missing");
+    return node;
   }
 
-  template <typename Number>
-  void Read(const std::string& key, const YAML::Node& node, Number* value) const {
-    if (!node.IsScalar() || !YAML::convert<Number>::decode(node, *value) || !std::isfinite(*value))
-      Fail(key, "must hold finite numbers");
+  static void Read(const std::string& path, const YAML::Node& node, double* value) {
+    if (!node.IsScalar() || !YAML::convert<double>::decode(node, *value) || !std::isfinite(*value))
+      Fail(path, "must hold finite numbers");
   }
-  void Read(const std::string& key, const YAML::Node& node, std::string* value) const {
-    if (!node.IsScalar()) Fail(key, "must be a string");
+  static void Read(const std::string& path, const YAML::Node& node, std::string* value) {
+    if (!node.IsScalar()) Fail(path, "must be a string");
     *value = node.Scalar();
   }
-  void Read(const std::string& key, const YAML::Node& node, Eigen::Quaterniond* value) const {
-    Read(key, node, &value->coeffs());
-    if (std::abs(value->norm() - 1.0) > 1e-6) Fail(key, "must be a unit quaternion");
+  static void Read(const std::string& path, const YAML::Node& node, Eigen::Quaterniond* value) {
+    Read(path, node, &value->coeffs());
+    if (std::abs(value->norm() - 1.0) > 1e-6) Fail(path, "must be a unit quaternion");
     value->normalize();
   }
   /// A list of numbers, or of rows.
   template <int kRows, int kColumns>
-  void Read(const std::string& key, const YAML::Node& rows,
-            Eigen::Matrix<double, kRows, kColumns>* value) const {
+  static void Read(const std::string& path, const YAML::Node& rows,
+                   Eigen::Matrix<double, kRows, kColumns>* value) {
     constexpr bool kIsVector = kColumns == 1;
     const auto check = [&](const YAML::Node& list, size_t size, const char* what) {
       if (!list.IsSequence() || list.size() != size)
-        Fail(key, (kIsVector ? "must be a list of " : "must have ") + std::to_string(size) + what);
+        Fail(path, (kIsVector ? "must be a list of " : "must have ") + std::to_string(size) + what);
     };
     check(rows, kRows, kIsVector ? " numbers" : " rows");
     for (int i = 0; i < kRows; ++i) {
       if (!kIsVector) check(rows[i], kColumns, " columns");
       for (int j = 0; j < kColumns; ++j)
-        Read(key, kIsVector ? rows[i] : rows[i][j], &(*value)(i, j));
+        Read(path, kIsVector ? rows[i] : rows[i][j], &(*value)(i, j));
     }
   }
 
-  struct OpenMap {
-    YAML::Node node;
-    std::string name;  ///< how errors begin
-  };
-
   YAML::Emitter out_;
-  std::vector<OpenMap> maps_;  ///< what is being read, and what it is in; empty: to write
+  std::vector<std::pair<std::string, YAML::EMITTER_MANIP>> open_;  ///< and how each is closed
+  bool reads_ = false;
+  YAML::Node root_;
 };
 
-// --- Keys ---
+// --- Keys; `at` is the path of what they are in, with a point at its end ---
 
-void Pose(Rigid3& T, ResultFile* file) {
-  file->Value("translation", T.p);
-  file->Value("rotation", T.q);
-  file->Note("matrix", T.Matrix());
+std::string ImuName(size_t imu) { return "imu" + std::to_string(imu); }
+
+void Transform(const std::string& at, Rigid3& T, ResultFile* file) {
+  file->Value(at + "translation", T.p);
+  file->Value(at + "rotation", T.q);
+  file->Note(at + "matrix", T.Matrix());
 }
 
 /// A transform of `estimate`, which states its covariance and sigmas.
 template <typename Estimate>
-void UncertainPose(Rigid3& T, Estimate& estimate, ResultFile* file) {
-  file->Map("transform", [&] {
-    Pose(T, file);
-    file->Note("translation_std", estimate.Std().template head<3>());
-    file->Note("rotation_std", estimate.Std().template tail<3>());
-    file->Value("covariance", estimate.covariance);
-  });
+void UncertainTransform(const std::string& at, Rigid3& T, Estimate& estimate, ResultFile* file) {
+  Transform(at + "transform.", T, file);
+  file->Note(at + "transform.translation_std", estimate.Std().template head<3>());
+  file->Note(at + "transform.rotation_std", estimate.Std().template tail<3>());
+  file->Value(at + "transform.covariance", estimate.covariance);
 }
 
-void Transforms(ImuCalibration& imu, ResultFile* file) {
-  UncertainPose(imu.T_MI, imu, file);
-  file->Notes([&] {
-    Rigid3 T_IM = imu.T_MI.Inverse();
-    file->Map("inverse_transform", [&] { Pose(T_IM, file); });
-  });
+void Transforms(const std::string& at, ImuCalibration& imu, ResultFile* file) {
+  UncertainTransform(at, imu.T_MI, imu, file);
+  Rigid3 T_IM = imu.T_MI.Inverse();
+  if (!file->reads()) Transform(at + "inverse_transform.", T_IM, file);
 }
 
-void AccelDelay(ImuCalibration& imu, ResultFile* file) {
-  file->WithStd("accel_delay", imu.accel_delay, imu.accel_delay_std);
-  file->Notes(
-      [&] { file->WithStd("accel_smoothing", imu.accel_smoothing, imu.accel_smoothing_std); });
+void AccelDelay(const std::string& at, ImuCalibration& imu, ResultFile* file) {
+  file->WithStd(at + "accel_delay", imu.accel_delay, imu.accel_delay_std);
+  file->NoteWithStd(at + "accel_smoothing", imu.accel_smoothing, imu.accel_smoothing_std);
 }
 
-void Clock(ImuSession& imu, ResultFile* file) {
-  imu.is_present = true;
-  file->WithStd("clock_drift", imu.clock_drift, imu.clock_drift_std);
-  file->Value("clock_reference", imu.clock_reference);
-  file->Notes([&] {
-    file->Map("clock", [&] {
-      ClockOffsets& clock = imu.clock;
-      file->Note("t", clock.t);
-      file->Note("offset", clock.offset);
-      file->Note("std", clock.std);
-      const auto step = [&](size_t k) {
-        file->Note("t", clock.steps[k].t);
-        file->Note("size", clock.steps[k].size);
-      };
-      file->Maps("steps", &clock.steps, step, YAML::Flow);
-    });
-  });
+void Clock(const std::string& at, ImuSession& imu, ResultFile* file) {
+  file->WithStd(at + "clock_drift", imu.clock_drift, imu.clock_drift_std);
+  file->Value(at + "clock_reference", imu.clock_reference);
+  if (file->reads()) return;
+  file->Note(at + "clock.t", imu.clock.t);
+  file->Note(at + "clock.offset", imu.clock.offset);
+  file->Note(at + "clock.std", imu.clock.std);
+  for (size_t k = 0; k < file->Count(at + "clock.steps", imu.clock.steps.size()); ++k) {
+    const std::string step = at + "clock.steps." + std::to_string(k) + "/";
+    file->Note(step + "t", imu.clock.steps[k].t);
+    file->Note(step + "size", imu.clock.steps[k].size);
+  }
 }
 
-void Intrinsics(const char* key, ImuModel* model, ImuCalibration& imu, ResultFile* file) {
-  file->Map(key, [&] {
-    std::string name = ToString(*model);
-    file->Value("model", name);
-    *model = name == ToString(ImuModel::kCalibrated) ? ImuModel::kCalibrated
-                                                     : ImuModel::kScaleMisalignment;
-    file->Value("gyro_matrix", imu.gyro_matrix);
-    file->Note("gyro_matrix_std", imu.gyro_matrix_std);
-    file->Value("accel_matrix", imu.accel_matrix);
-    file->Note("accel_matrix_std", imu.accel_matrix_std);
-    Eigen::Matrix3d places = imu.accel_positions.transpose();
-    file->Value("accel_positions", places);
-    imu.accel_positions = places.transpose();
-    file->Note("accel_positions_std", imu.accel_positions_std.transpose());
-  });
+void Gravity(const std::string& at, SessionCalibration& session, ResultFile* file) {
+  file->Value(at + "gravity.vector", session.g_W);
+  file->Note(at + "gravity.std", session.g_W_std);
+  file->Note(at + "gravity.magnitude", session.g_W.norm());
 }
 
-void Biases(ImuSession& imu, ResultFile* file) {
-  file->Map("biases", [&] {
-    file->Value("gyro", imu.gyro_bias);
-    file->Value("accel", imu.accel_bias);
-    file->Note("gyro_std", imu.gyro_bias_std);
-    file->Note("accel_std", imu.accel_bias_std);
-  });
+void Biases(const std::string& at, ImuSession& imu, ResultFile* file) {
+  file->Value(at + "biases.gyro", imu.gyro_bias);
+  file->Value(at + "biases.accel", imu.accel_bias);
+  file->Note(at + "biases.gyro_std", imu.gyro_bias_std);
+  file->Note(at + "biases.accel_std", imu.accel_bias_std);
 }
 
-void Gravity(SessionCalibration& session, ResultFile* file) {
-  file->Map("gravity", [&] {
-    file->Value("vector", session.g_W);
-    file->Note("std", session.g_W_std);
-    file->Note("magnitude", session.g_W.norm());
-  });
+void Intrinsics(const std::string& at, ImuModel* model, ImuCalibration& imu, ResultFile* file) {
+  std::string name = ToString(*model);
+  file->Value(at + "model", name);
+  *model = name == ToString(ImuModel::kCalibrated) ? ImuModel::kCalibrated
+                                                   : ImuModel::kScaleMisalignment;
+  file->Value(at + "gyro_matrix", imu.gyro_matrix);
+  file->Note(at + "gyro_matrix_std", imu.gyro_matrix_std);
+  file->Value(at + "accel_matrix", imu.accel_matrix);
+  file->Note(at + "accel_matrix_std", imu.accel_matrix_std);
+  Eigen::Matrix3d places = imu.accel_positions.transpose();
+  file->Value(at + "accel_positions", places);
+  imu.accel_positions = places.transpose();
+  file->Note(at + "accel_positions_std", imu.accel_positions_std.transpose());
 }
 
-void ImuNoise(ImuSession& imu, ResultFile* file) {
-  file->Value("gyro_std", imu.noise.gyro);
-  file->Value("accel_std", imu.noise.accel);
+void Noise(const std::string& at, ImuSession& imu, ResultFile* file) {
+  file->Value(at + "noise.gyro_std", imu.noise.gyro);
+  file->Value(at + "noise.accel_std", imu.noise.accel);
 }
 
-std::string ImuName(size_t imu) { return "imu" + std::to_string(imu); }
-
-Status ToUsable(const std::string& name, const ResultFile& file) {
+Status ToUsable(const std::string& name) {
   for (const Status status : {Status::kOk, Status::kWeak})
     if (name == ToString(status)) return status;
-  file.Fail("status", "is '" + name + "'; only a result that is ok or weak can be used");
+  ResultFile::Fail("imu_pose_calib.status",
+                   "is '" + name + "'; only a result that is ok or weak can be used");
 }
 
 /// Run, frames, and the estimate of the first IMU in the first session.
-void Estimate(const RunInfo& run, StoredResult* stored, ResultFile* file) {
+void First(const RunInfo& run, StoredResult* stored, ResultFile* file) {
   Calibration& result = stored->result;
   SessionCalibration& session = result.sessions[0];
-  RecordingInfo& info = stored->infos[0];
-  file->Map("imu_pose_calib", [&] {
-    file->Value("version", stored->version);
-    file->Note("method", ToString(result.method));
-    std::string status = ToString(result.status);
-    file->Value("status", status);
-    if (file->reads()) result.status = ToUsable(status, *file);
-    file->Value("message", result.message);
-    file->Note("date", UtcText(std::time(nullptr), "%Y-%m-%dT%H:%M:%SZ"));
-    file->Optional("run_id", !stored->run_id.empty(), &stored->run_id);
-    if (!run.files.empty()) file->Note("files", run.files);
-  });
-  file->Map("frames", [&] {
-    file->Value("world", info.world_frame);
-    file->Value("marker", info.marker_frame);
-    file->Value("imu", info.imus[0].imu_frame);
-  });
-  Transforms(result.imus[0], file);
-  file->WithStd("time_shift", session.imus[0].time_shift, session.imus[0].time_shift_std);
-  AccelDelay(result.imus[0], file);
-  Clock(session.imus[0], file);
-  file->Notes([&] {
-    file->WithStd("pose_smoothing", result.pose_smoothing, result.pose_smoothing_std);
-    file->WithStd("position_smoothing", result.position_smoothing, result.position_smoothing_std);
-    file->WithStd("pose_scale", result.pose_scale, result.pose_scale_std);
-  });
-  Gravity(session, file);
-  Biases(session.imus[0], file);
-  Intrinsics("imu", &result.imu_model, result.imus[0], file);
+  ImuSession& imu = session.imus[0];
+  std::string status = ToString(result.status);
+  file->Value("imu_pose_calib.version", stored->version);
+  file->Note("imu_pose_calib.method", ToString(result.method));
+  file->Value("imu_pose_calib.status", status);
+  if (file->reads()) result.status = ToUsable(status);
+  file->Value("imu_pose_calib.message", result.message);
+  file->Note("imu_pose_calib.date", UtcText(std::time(nullptr), "%Y-%m-%dT%H:%M:%SZ"));
+  file->Optional("imu_pose_calib.run_id", !stored->run_id.empty(), &stored->run_id);
+  if (!run.files.empty()) file->Note("imu_pose_calib.files", run.files);
+  file->Value("frames.world", stored->infos[0].world_frame);
+  file->Value("frames.marker", stored->infos[0].marker_frame);
+  file->Value("frames.imu", stored->infos[0].imus[0].imu_frame);
+  Transforms("", result.imus[0], file);
+  imu.is_present = true;
+  file->WithStd("time_shift", imu.time_shift, imu.time_shift_std);
+  AccelDelay("", result.imus[0], file);
+  Clock("", imu, file);
+  file->NoteWithStd("pose_smoothing", result.pose_smoothing, result.pose_smoothing_std);
+  file->NoteWithStd("position_smoothing", result.position_smoothing, result.position_smoothing_std);
+  file->NoteWithStd("pose_scale", result.pose_scale, result.pose_scale_std);
+  Gravity("", session, file);
+  Biases("", imu, file);
+  Intrinsics("imu.", &result.imu_model, result.imus[0], file);
 }
 
 /// All IMUs; their names.
 std::vector<std::string> Imus(StoredResult* stored, ResultFile* file) {
   Calibration& result = stored->result;
-  std::vector<ImuInfo>& infos = stored->infos[0].imus;
-  std::vector<std::string> names;
-  if (file->reads()) infos.clear();
-  file->Maps("imus", &result.imus, [&](size_t i) {
-    if (file->reads()) infos.emplace_back();
-    names.push_back(ImuName(i));
-    file->Value("name", names[i]);
-    std::string topic = infos[i].GyroSource();
-    file->Value("topic", topic);
+  std::vector<std::string> names(file->Count("imus", result.imus.size()));
+  if (file->reads()) stored->infos[0].imus.assign(names.size(), {});
+  result.imus.resize(names.size());
+  for (size_t i = 0; i < names.size(); ++i) {
+    const std::string at = "imus." + std::to_string(i) + ".";
+    ImuInfo& info = stored->infos[0].imus[i];
+    names[i] = ImuName(i);
+    file->Value(at + "name", names[i]);
+    std::string topic = info.GyroSource();
+    file->Value(at + "topic", topic);
     const bool is_split =
-        file->Optional("accel_topic", infos[i].imu_topic.empty(), &infos[i].accel_topic);
-    (is_split ? infos[i].gyro_topic : infos[i].imu_topic) = topic;
-    file->Value("frame", infos[i].imu_frame);
-    Transforms(result.imus[i], file);
-    AccelDelay(result.imus[i], file);
-    Intrinsics("intrinsics", &result.imu_model, result.imus[i], file);
-  });
-  file->Notes([&] {
-    file->Maps("between_imus", &result.between_imus, [&](size_t k) {
-      BetweenImus& between = result.between_imus[k];
-      file->Note("first", ImuName(between.first));
-      file->Note("second", ImuName(between.second));
-      UncertainPose(between.T, between, file);
-    });
-  });
+        file->Optional(at + "accel_topic", info.imu_topic.empty(), &info.accel_topic);
+    (is_split ? info.gyro_topic : info.imu_topic) = topic;
+    file->Value(at + "frame", info.imu_frame);
+    Transforms(at, result.imus[i], file);
+    AccelDelay(at, result.imus[i], file);
+    Intrinsics(at + "intrinsics.", &result.imu_model, result.imus[i], file);
+  }
+  if (file->reads()) return names;
+  for (size_t k = 0; k < file->Count("between_imus", result.between_imus.size()); ++k) {
+    const std::string at = "between_imus." + std::to_string(k) + ".";
+    BetweenImus& between = result.between_imus[k];
+    file->Note(at + "first", ImuName(between.first));
+    file->Note(at + "second", ImuName(between.second));
+    UncertainTransform(at, between.T, between, file);
+  }
   return names;
 }
 
 /// What a session says alone, and how that agrees with the others.
-void Own(SessionCalibration& session, ResultFile* file) {
-  file->Map("own", [&] {
-    OwnEstimate& own = session.own;
-    file->Note("imu", ImuName(own.imu));
-    file->Note("translation", own.T_MI.p);
-    file->Note("translation_std", own.std.head<3>());
-    file->Note("rotation", own.T_MI.q);
-    file->Note("rotation_std", own.std.tail<3>());
-    file->WithStd("time_shift", own.time_shift, own.time_shift_std);
-    file->WithStd("accel_delay", own.accel_delay, own.accel_delay_std);
-  });
+void Own(const std::string& at, const SessionCalibration& session, ResultFile* file) {
+  const OwnEstimate& own = session.own;
+  file->Note(at + "own.imu", ImuName(own.imu));
+  file->Note(at + "own.translation", own.T_MI.p);
+  file->Note(at + "own.translation_std", own.std.head<3>());
+  file->Note(at + "own.rotation", own.T_MI.q);
+  file->Note(at + "own.rotation_std", own.std.tail<3>());
+  file->NoteWithStd(at + "own.time_shift", own.time_shift, own.time_shift_std);
+  file->NoteWithStd(at + "own.accel_delay", own.accel_delay, own.accel_delay_std);
   char sigmas[32];
   std::snprintf(sigmas, sizeof(sigmas), ", %.1f sigma", session.agreement.sigmas);
-  file->Map("agreement", [&] {
-    file->Note("chi2", session.agreement.chi2);
-    file->Note("dof", static_cast<size_t>(session.agreement.dof));
-    file->Note("worst", session.agreement.worst + sigmas);
-  });
+  file->Note(at + "agreement.chi2", session.agreement.chi2);
+  file->Note(at + "agreement.dof", static_cast<size_t>(session.agreement.dof));
+  file->Note(at + "agreement.worst", session.agreement.worst + sigmas);
 }
 
-/// All sessions, with what is of their IMUs, which are called by their names.
+/// The IMUs of a session, which are called by their names.
+void SessionImus(const std::string& session_at, const std::vector<std::string>& names,
+                 SessionCalibration* session, ResultFile* file) {
+  std::vector<size_t> present;  // places; to be read
+  for (size_t i = 0; i < session->imus.size(); ++i)
+    if (session->imus[i].is_present) present.push_back(i);
+  present.resize(file->Count(session_at + "imus", present.size()));
+  if (file->reads()) session->imus.assign(names.size(), {});
+  for (size_t k = 0; k < present.size(); ++k) {
+    const std::string at = session_at + "imus." + std::to_string(k) + ".";
+    std::string name = ImuName(present[k]);
+    file->Value(at + "name", name);
+    const auto place = std::find(names.begin(), names.end(), name) - names.begin();
+    if (place == static_cast<std::ptrdiff_t>(names.size()))
+      ResultFile::Fail(at + "name", "is not among the imus");
+    ImuSession& imu = session->imus[static_cast<size_t>(place)];
+    imu.is_present = true;
+    file->WithStd(at + "time_shift", imu.time_shift, imu.time_shift_std);
+    Clock(at, imu, file);
+    Biases(at, imu, file);
+    Noise(at, imu, file);
+    file->Value(at + "rates.gyro", imu.gyro.rate_hz);
+    file->Value(at + "rates.accel", imu.accel.rate_hz);
+  }
+}
+
 void Sessions(const std::vector<std::string>& names, StoredResult* stored, ResultFile* file) {
   std::vector<SessionCalibration>& sessions = stored->result.sessions;
-  file->Maps("sessions", &sessions, [&](size_t s) {
-    SessionCalibration& session = sessions[s];
-    if (file->reads()) {
-      session.imus.assign(names.size(), {});
-      if (s > 0) stored->infos.push_back(stored->infos.front());
-    }
+  sessions.resize(file->Count("sessions", sessions.size()));
+  for (size_t s = 0; s < sessions.size(); ++s) {
+    const std::string at = "sessions." + std::to_string(s) + ".";
+    if (s == stored->infos.size()) stored->infos.push_back(stored->infos.front());
     RecordingInfo& info = stored->infos[s];
     std::string source = info.Source();
-    file->Value("source", source);
+    file->Value(at + "source", source);
     if (file->reads()) info.bag = source;
-    file->Value("world", info.world_frame);
-    std::vector<size_t> present;  // places
-    for (size_t i = 0; i < session.imus.size(); ++i)
-      if (session.imus[i].is_present) present.push_back(i);
-    file->Maps("imus", &present, [&](size_t k) {
-      std::string name = ImuName(present[k]);
-      file->Value("name", name);
-      if (file->reads()) {
-        present[k] = std::find(names.begin(), names.end(), name) - names.begin();
-        if (present[k] == names.size()) file->Fail("name", "is not among the imus");
-      }
-      ImuSession& imu = session.imus[present[k]];
-      file->WithStd("time_shift", imu.time_shift, imu.time_shift_std);
-      Clock(imu, file);
-      Biases(imu, file);
-      file->Map("noise", [&] { ImuNoise(imu, file); });
-      file->Map("rates", [&] {
-        file->Value("gyro", imu.gyro.rate_hz);
-        file->Value("accel", imu.accel.rate_hz);
-      });
-    });
-    Gravity(session, file);
-    if (!file->reads() && sessions.size() > 1) Own(session, file);
-  });
+    file->Value(at + "world", info.world_frame);
+    SessionImus(at, names, &sessions[s], file);
+    Gravity(at, sessions[s], file);
+    if (sessions.size() > 1) Own(at, sessions[s], file);
+  }
 }
 
-/// Of the first session.
-void Noise(SessionCalibration& session, ResultFile* file) {
-  file->Map("noise", [&] {
-    file->Value("position_std", session.noise.position);
-    file->Value("rotation_std", session.noise.rotation);
-    file->Note("rotation_error_std", session.rotation_error_std);
-    ImuNoise(session.imus[0], file);
-  });
-}
-
+/// Noise, quality and trajectory.
 void Quality(Calibration& result, ResultFile* file) {
   SessionCalibration& session = result.sessions[0];
-  file->Map("quality", [&] {
-    file->Note("gyro_rms", session.imus[0].rms.gyro);
-    file->Note("accel_rms", session.imus[0].rms.accel);
-    file->Note("position_rms", session.rms.position);
-    file->Note("rotation_rms", session.rms.rotation);
-    const auto direction = [&](size_t k) {
-      const Observability& o = result.observability[k];
-      file->Note("direction", o.direction);
-      file->Note("std", o.std);
-      file->Note("unit", o.unit);
-      file->Note("status", ToString(o.status));
-    };
-    file->Maps("observability", &result.observability, direction, YAML::Flow);
-    file->Map("split_half", [&] {
-      file->Note("translation", result.split_half.translation);
-      file->Note("rotation", result.split_half.rotation);
-      file->Note("time_shift", result.split_half.time_shift);
-      file->Note("sigmas", result.split_half.sigmas);
-    });
-    file->Note("warnings", result.warnings);
-  });
-  file->Map("trajectory", [&] {
-    file->Note("position_lengthscale_s", session.position_lengthscale_s);
-    file->Note("rotation_lengthscale_s", session.rotation_lengthscale_s);
-    file->Note("knot_spacing_s", session.knot_spacing_s);
-    file->Note("segments", session.segments);
-  });
+  file->Value("noise.position_std", session.noise.position);
+  file->Value("noise.rotation_std", session.noise.rotation);
+  file->Note("noise.rotation_error_std", session.rotation_error_std);
+  Noise("", session.imus[0], file);
+  if (file->reads()) return;
+  file->Note("quality.gyro_rms", session.imus[0].rms.gyro);
+  file->Note("quality.accel_rms", session.imus[0].rms.accel);
+  file->Note("quality.position_rms", session.rms.position);
+  file->Note("quality.rotation_rms", session.rms.rotation);
+  for (size_t k = 0; k < file->Count("quality.observability", result.observability.size()); ++k) {
+    const std::string at = "quality.observability." + std::to_string(k) + "/";
+    const Observability& o = result.observability[k];
+    file->Note(at + "direction", o.direction);
+    file->Note(at + "std", o.std);
+    file->Note(at + "unit", o.unit);
+    file->Note(at + "status", ToString(o.status));
+  }
+  file->Note("quality.split_half.translation", result.split_half.translation);
+  file->Note("quality.split_half.rotation", result.split_half.rotation);
+  file->Note("quality.split_half.time_shift", result.split_half.time_shift);
+  file->Note("quality.split_half.sigmas", result.split_half.sigmas);
+  file->Note("quality.warnings", result.warnings);
+  file->Note("trajectory.position_lengthscale_s", session.position_lengthscale_s);
+  file->Note("trajectory.rotation_lengthscale_s", session.rotation_lengthscale_s);
+  file->Note("trajectory.knot_spacing_s", session.knot_spacing_s);
+  file->Note("trajectory.segments", session.segments);
 }
 
-/// `key: {poses, gyro, accel}` of one member of the reports.
+/// One member of the reports.
 template <typename T>
-void PerStream(const char* key, SessionCalibration& session, T StreamReport::*member,
-               ResultFile* file) {
-  const auto streams = [&] {
-    file->Value("poses", session.poses.*member);
-    file->Value("gyro", session.imus[0].gyro.*member);
-    file->Value("accel", session.imus[0].accel.*member);
-  };
-  file->Map(key, streams, YAML::Flow);
+void NotePerStream(const std::string& at, const SessionCalibration& session,
+                   T StreamReport::*member, ResultFile* file) {
+  file->Note(at + "/poses", session.poses.*member);
+  file->Note(at + "/gyro", session.imus[0].gyro.*member);
+  file->Note(at + "/accel", session.imus[0].accel.*member);
 }
 
-void Rejected(const char* key, const StreamReport& report, ResultFile* file) {
-  const auto counts = [&] {
-    file->Note("not_finite", report.not_finite);
-    file->Note("zero_quaternion", report.zero_quaternion);
-    file->Note("reversed_stamp", report.reversed_stamp);
-    file->Note("duplicate_stamp", report.duplicate_stamp);
-    file->Note("repeated_value", report.repeated_value);
-    file->Note("saturated", report.saturated);
-    file->Note("outlier", report.outlier);
-    file->Note("flipped", report.flipped);
-    file->Note("in_short_segment", report.in_short_segment);
-    file->Note("between_updates", report.between_updates);
-  };
-  file->Map(key, counts, YAML::Flow);
-}
-
-void DataCounts(SessionCalibration& session, ResultFile* file) {
-  PerStream("stamps_recovered", session, &StreamReport::stamps_recovered, file);
-  PerStream("stamp_jitter", session, &StreamReport::stamp_jitter_s, file);
-  file->Map("rejected", [&] {
-    Rejected("poses", session.poses, file);
-    Rejected("gyro", session.imus[0].gyro, file);
-    Rejected("accel", session.imus[0].accel, file);
-  });
-  file->Note("gaps", session.gaps);
-  file->Note("jumps", session.jumps);
+void Rejected(const std::string& at, const StreamReport& report, ResultFile* file) {
+  file->Note(at + "/not_finite", report.not_finite);
+  file->Note(at + "/zero_quaternion", report.zero_quaternion);
+  file->Note(at + "/reversed_stamp", report.reversed_stamp);
+  file->Note(at + "/duplicate_stamp", report.duplicate_stamp);
+  file->Note(at + "/repeated_value", report.repeated_value);
+  file->Note(at + "/saturated", report.saturated);
+  file->Note(at + "/outlier", report.outlier);
+  file->Note(at + "/flipped", report.flipped);
+  file->Note(at + "/in_short_segment", report.in_short_segment);
+  file->Note(at + "/between_updates", report.between_updates);
 }
 
 /// The recording of the first session.
 void Data(SessionCalibration& session, RecordingInfo& info, ResultFile* file) {
-  file->Map("data", [&] {
-    file->Value("bag", info.bag);
-    file->Value("imu_topic", info.imus[0].imu_topic);
-    file->Value("gyro_topic", info.imus[0].gyro_topic);
-    file->Value("accel_topic", info.imus[0].accel_topic);
-    file->Value("pose_topic", info.pose_topic);
-    file->Note("imu_yaml", info.imu_yaml);
-    if (const auto& stated = info.stated_pose_std; stated) {
-      const auto sigmas = [&] {
-        file->Note("position", stated->position);
-        file->Note("rotation", stated->rotation);
-      };
-      file->Map("stated_pose_std", sigmas, YAML::Flow);
-    }
-    file->Value("duration", session.poses.duration_s);
-    file->Notes([&] { PerStream("counts", session, &StreamReport::used, file); });
-    PerStream("rates", session, &StreamReport::rate_hz, file);
-    file->Notes([&] { DataCounts(session, file); });
-  });
+  ImuSession& imu = session.imus[0];
+  file->Value("data.bag", info.bag);
+  file->Value("data.imu_topic", info.imus[0].imu_topic);
+  file->Value("data.gyro_topic", info.imus[0].gyro_topic);
+  file->Value("data.accel_topic", info.imus[0].accel_topic);
+  file->Value("data.pose_topic", info.pose_topic);
+  file->Note("data.imu_yaml", info.imu_yaml);
+  if (info.stated_pose_std) {
+    file->Note("data.stated_pose_std/position", info.stated_pose_std->position);
+    file->Note("data.stated_pose_std/rotation", info.stated_pose_std->rotation);
+  }
+  file->Value("data.duration", session.poses.duration_s);
+  NotePerStream("data.counts", session, &StreamReport::used, file);
+  file->Value("data.rates/poses", session.poses.rate_hz);
+  file->Value("data.rates/gyro", imu.gyro.rate_hz);
+  file->Value("data.rates/accel", imu.accel.rate_hz);
+  NotePerStream("data.stamps_recovered", session, &StreamReport::stamps_recovered, file);
+  NotePerStream("data.stamp_jitter", session, &StreamReport::stamp_jitter_s, file);
+  Rejected("data.rejected.poses", session.poses, file);
+  Rejected("data.rejected.gyro", imu.gyro, file);
+  Rejected("data.rejected.accel", imu.accel, file);
+  file->Note("data.gaps", session.gaps);
+  file->Note("data.jumps", session.jumps);
 }
 
 }  // namespace
@@ -543,16 +502,14 @@ void Data(SessionCalibration& session, RecordingInfo& info, ResultFile* file) {
 std::string ToYaml(const Calibration& result, const std::vector<RecordingInfo>& infos,
                    const CalibrationOptions& options, const RunInfo& run) {
   StoredResult stored{"", kVersion, run.id, result, infos, {}};
-  SessionCalibration& first = stored.result.sessions[0];
-  ResultFile out;
-  Estimate(run, &stored, &out);
+  ResultFile file;
+  First(run, &stored, &file);
   if (result.imus.size() > 1 || result.sessions.size() > 1)
-    Sessions(Imus(&stored, &out), &stored, &out);
-  Noise(first, &out);
-  Quality(stored.result, &out);
-  Data(first, stored.infos[0], &out);
-  out.Note("options", YAML::Load(ToYaml(options)));
-  return kResultHeader + std::string(kEquations) + out.Finish() + "\n";
+    Sessions(Imus(&stored, &file), &stored, &file);
+  Quality(stored.result, &file);
+  Data(stored.result.sessions[0], stored.infos[0], &file);
+  file.Note("options", YAML::Load(ToYaml(options)));
+  return kResultHeader + std::string(kEquations) + file.Finish() + "\n";
 }
 
 const ImuSession& StoredResult::Clock(size_t imu) const {
@@ -568,16 +525,13 @@ StoredResult ParseResult(const std::string& yaml, const std::string& path) {
   StoredResult stored;
   stored.path = path;
   stored.infos.resize(1);
-  SessionCalibration& first = stored.result.sessions[0];
   ResultFile file(root);
-  Estimate({}, &stored, &file);
-  Noise(first, &file);
-  Data(first, stored.infos[0], &file);
+  First({}, &stored, &file);
+  Quality(stored.result, &file);
+  Data(stored.result.sessions[0], stored.infos[0], &file);
   if (root["sessions"]) Sessions(Imus(&stored, &file), &stored, &file);
-  file.Map("options", [&] {
-    file.Value("gyro_bias_walk", stored.options.gyro_bias_walk);
-    file.Value("accel_bias_walk", stored.options.accel_bias_walk);
-  });
+  file.Value("options.gyro_bias_walk", stored.options.gyro_bias_walk);
+  file.Value("options.accel_bias_walk", stored.options.accel_bias_walk);
   return stored;
 }
 
