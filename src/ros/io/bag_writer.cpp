@@ -74,8 +74,8 @@ geometry_msgs::TransformStamped ToLink(int64_t t_ns, size_t joint, const Rigid3&
       MakeHeader(FromNanoseconds(t_ns), joint == 0 ? "world" : name(joint - 1)), name(joint), T);
 }
 
-/// Pose k on /tf. All joints but the last turn evenly, by 0.1 rad/s, so that interpolation between the messages
-/// that hold one of them, every fifth, gives the poses exactly.
+/// Pose k on /tf. All joints but the last turn evenly, by 0.1 rad/s, so that interpolation between
+/// the messages that hold one of them, every fifth, gives the poses exactly.
 tf2_msgs::TFMessage ToTf(size_t k, const std::vector<PoseSample>& poses) {
   const PoseSample& pose = poses[k];
   const double angle = 1e-10 * static_cast<double>(pose.t_ns - poses.front().t_ns);
@@ -282,23 +282,17 @@ void WriteBag(const std::string& path, const SessionData& data, const BagFormat&
 
 std::string TruthYaml(const SimulatorOptions& options) {
   const TrueClock clock(options);
+  const Eigen::Vector3d g_W = options.g_W + options.effects.gravity * options.g_W.normalized();
   std::ostringstream text;
-  const auto list = [&](const char* key, const auto& values) {
-    text << key << ": [";
-    for (Eigen::Index i = 0; i < values.size(); ++i)
-      text << (i == 0 ? "" : ", ") << YamlNumber(values[i]);
-    text << "]\n";
-  };
-  text << "# T_marker_imu: x_marker = R x_imu + p\n";
-  list("rotation", options.T_MI.q.coeffs());
-  list("translation", options.T_MI.p);
-  text << "# t_pose = t_imu + time_shift, t_pose = t_accel + time_shift - accel_delay\n"
+  text << "# T_marker_imu: x_marker = R x_imu + p\n"
+       << "rotation: " << YamlNumbers(options.T_MI.q.coeffs()) << "\n"
+       << "translation: " << YamlNumbers(options.T_MI.p) << "\n"
+       << "# t_pose = t_imu + time_shift, t_pose = t_accel + time_shift - accel_delay\n"
        << "time_shift: " << YamlNumber(clock.time_shift_s) << "\n"
-       << "accel_delay: " << YamlNumber(clock.accel_delay_s) << "\n";
-  list("gravity", (options.g_W + options.effects.gravity * options.g_W.normalized()).eval());
-  text << "# at the start\n";
-  list("gyro_bias", options.gyro_bias);
-  list("accel_bias", options.accel_bias);
+       << "accel_delay: " << YamlNumber(clock.accel_delay_s) << "\n"
+       << "gravity: " << YamlNumbers(g_W) << "\n# at the start\n"
+       << "gyro_bias: " << YamlNumbers(options.gyro_bias) << "\n"
+       << "accel_bias: " << YamlNumbers(options.accel_bias) << "\n";
   return text.str();
 }
 

@@ -71,22 +71,14 @@ void Read(const YAML::Node& node, std::optional<T>* field) {
   if (!node.IsNull()) Read(node, &field->emplace());
 }
 
-template <typename Vector>
-std::string NumbersText(const Vector& values) {
-  std::string text;
-  for (Eigen::Index i = 0; i < values.size(); ++i)
-    text += (i == 0 ? "[" : ", ") + YamlNumber(values[i]);
-  return text + "]";
-}
-
 std::string Text(double value) { return YamlNumber(value); }
 std::string Text(int value) { return std::to_string(value); }
 std::string Text(bool value) { return value ? "true" : "false"; }
 std::string Text(Method value) { return ToString(value); }
 std::string Text(ImuModel value) { return ToString(value); }
 std::string Text(StampRecovery value) { return ToString(value); }
-std::string Text(const Eigen::Vector3d& value) { return NumbersText(value); }
-std::string Text(const Eigen::Quaterniond& value) { return NumbersText(value.coeffs()); }
+std::string Text(const Eigen::Vector3d& value) { return YamlNumbers(value); }
+std::string Text(const Eigen::Quaterniond& value) { return YamlNumbers(value.coeffs()); }
 template <typename T>
 std::string Text(const std::optional<T>& value) {
   return value ? Text(*value) : "~";
