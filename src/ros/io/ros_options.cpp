@@ -155,15 +155,23 @@ double ReadNumber(const YAML::Node& imu, const char* key, double low, double hig
   return value;
 }
 
+struct NoiseKey {
+  const char* name;
+  double CalibrationOptions::*field;
+  double low;  ///< bound, as of the field
+};
+constexpr NoiseKey kNoiseKeys[] = {
+    {"gyroscope_noise_density", &CalibrationOptions::gyro_noise_density, 1e-9},
+    {"gyroscope_random_walk", &CalibrationOptions::gyro_bias_walk, 1e-12},
+    {"accelerometer_noise_density", &CalibrationOptions::accel_noise_density, 1e-9},
+    {"accelerometer_random_walk", &CalibrationOptions::accel_bias_walk, 1e-12}};
+
 ImuYaml ReadImu(const YAML::Node& imu) {
   CheckKeys(imu);
   ImuYaml yaml;
-  // The bounds of CalibrationOptions.
-  yaml.gyroscope_noise_density = ReadNumber(imu, "gyroscope_noise_density", 1e-9, 1e3);
-  yaml.gyroscope_random_walk = ReadNumber(imu, "gyroscope_random_walk", 1e-12, 1e3);
-  yaml.accelerometer_noise_density = ReadNumber(imu, "accelerometer_noise_density", 1e-9, 1e3);
-  yaml.accelerometer_random_walk = ReadNumber(imu, "accelerometer_random_walk", 1e-12, 1e3);
-  if (imu["update_rate"]) yaml.update_rate = ReadNumber(imu, "update_rate", 1e-3, 1e6);
+  for (const NoiseKey& key : kNoiseKeys)
+    yaml.noise.*key.field = ReadNumber(imu, key.name, key.low, 1e3);
+  if (imu["update_rate"]) ReadNumber(imu, "update_rate", 1e-3, 1e6);
   if (imu["rostopic"]) {
     if (!imu["rostopic"].IsScalar()) throw InputError("rostopic must be a string");
     yaml.rostopic = imu["rostopic"].Scalar();
@@ -206,10 +214,7 @@ std::string ToYaml(const CalibrationOptions& options) {
 }
 
 void ImuYaml::CopyNoise(CalibrationOptions* options) const {
-  options->gyro_noise_density = gyroscope_noise_density;
-  options->gyro_bias_walk = gyroscope_random_walk;
-  options->accel_noise_density = accelerometer_noise_density;
-  options->accel_bias_walk = accelerometer_random_walk;
+  for (const NoiseKey& key : kNoiseKeys) options->*key.field = noise.*key.field;
 }
 
 ImuYaml ParseImuYaml(const std::string& yaml) { return ReadImu(FindImu(ParseYaml(yaml))); }

@@ -22,14 +22,10 @@ CalibrationOptions LoadOptions(const std::string& yaml_path);
 /// The same map for every field, one `key: value` a line; ParseOptions() reads it back exactly.
 std::string ToYaml(const CalibrationOptions& options);
 
-/// IMU noise as Kalibr's imu.yaml states it. The units are those of CalibrationOptions.
+/// What Kalibr's imu.yaml states of an IMU.
 struct ImuYaml {
-  double gyroscope_noise_density = 0.0;      ///< [rad/s/sqrt(Hz)]
-  double gyroscope_random_walk = 0.0;        ///< [rad/s^2/sqrt(Hz)]
-  double accelerometer_noise_density = 0.0;  ///< [m/s^2/sqrt(Hz)]
-  double accelerometer_random_walk = 0.0;    ///< [m/s^3/sqrt(Hz)]
-  double update_rate = 0.0;                  ///< [Hz] 0: not given
-  std::string rostopic;                      ///< empty: not given
+  CalibrationOptions noise;  ///< densities and walks, which have the same units there
+  std::string rostopic;      ///< empty: not given
 
   void CopyNoise(CalibrationOptions* options) const;
 };
