@@ -14,6 +14,7 @@
 #include <memory>
 #include <set>
 
+#include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/text_writer.h"
 #include "imu_pose_calib/ros/io/yaml_text.h"
@@ -216,7 +217,7 @@ nav_msgs::Odometry ToOdometry(const std_msgs::Header& header, const std::string&
   Eigen::Matrix<double, 6, 12> pose = Eigen::Matrix<double, 6, 12>::Zero(), twist = pose;
   pose.block<3, 3>(0, 3).setIdentity();
   pose.block<3, 3>(3, 0) = R;
-  twist.block<3, 3>(0, 0) << 0.0, -v_I.z(), v_I.y(), v_I.z(), 0.0, -v_I.x(), -v_I.y(), v_I.x(), 0.0;
+  twist.block<3, 3>(0, 0) = Hat(v_I);
   twist.block<3, 3>(0, 9) = R.transpose();
   twist.block<3, 3>(3, 6).setIdentity();
   Fill(pose * x.covariance * pose.transpose(), &msg.pose.covariance);

@@ -23,7 +23,7 @@ std::string YamlNumber(double value) {
 
 std::string SecondsText(int64_t t_ns) {
   const std::lldiv_t parts = std::lldiv(t_ns, 1'000'000'000);
-  char text[32];
+  char text[48];
   std::snprintf(text, sizeof(text), "%s%lld.%09lld", t_ns < 0 ? "-" : "", std::llabs(parts.quot),
                 std::llabs(parts.rem));
   return text;
