@@ -210,31 +210,32 @@ void OutputFiles::MakeFolder(const std::string& path) {
 }
 
 bool OutputFiles::Holds(const std::string& path) const {
-  return std::any_of(written_.begin(), written_.end(),
-                     [&](const std::string& target) { return IsSame(target, path); });
+  return std::any_of(files_.begin(), files_.end(),
+                     [&](const File& file) { return IsSame(file.target, path); });
 }
 
 void OutputFiles::Commit() {
   const std::lock_guard<std::mutex> lock(All().mutex);
-  auto file = files_.begin();
+  const auto is_new = [](const File& file) { return !file.draft.empty(); };
+  const auto first = std::find_if(files_.begin(), files_.end(), is_new);
+  auto file = first;
   try {
     for (; file != files_.end(); ++file) Exchange(file->draft, file->target);
   } catch (const fs::filesystem_error& failure) {
     const std::string path = file->path;
-    while (file != files_.begin()) {
+    while (file != first) {
       --file;
       Exchange(file->draft, file->target);
     }
     Fail("output", path, failure.code().value());
   }
-  for (const File& done : files_) {
-    std::remove(done.draft.c_str());  // what was there before
-    All().paths.erase(done.draft);
-    written_.push_back(done.target);
+  for (file = first; file != files_.end(); ++file) {
+    std::remove(file->draft.c_str());  // what was there before
+    All().paths.erase(file->draft);
+    file->draft.clear();
   }
   for (const std::string& folder : folders_) All().paths.erase(folder);
   for (const std::string& path : obsolete_) std::remove(path.c_str());
-  files_.clear();
   folders_.clear();
   obsolete_.clear();
 }

@@ -158,16 +158,16 @@ class ResultFile {
 
   /// What is at the path, perhaps nothing.
   YAML::Node Get(const std::string& path) const {
-    YAML::Node found = root_;
+    std::vector<YAML::Node> nodes{root_};
     std::string name;
     for (const std::string& part : Split(path)) {
-      const YAML::Node node = found;  // const, so that it gets no new keys
+      const YAML::Node& node = nodes.back();  // const, so that it gets no new keys
       if (!name.empty() && !node.IsDefined()) Fail(name, "is missing");
       if (!IsIndex(part) && !node.IsMap()) Fail(name, "must be a map");
-      found.reset(IsIndex(part) ? node[std::stoul(part)] : node[part]);
+      nodes.push_back(IsIndex(part) ? node[std::stoul(part)] : node[part]);
       name += (name.empty() ? "" : ".") + part;
     }
-    return found;
+    return nodes.back();
   }
   YAML::Node Find(const std::string& path) const {
     const YAML::Node node = Get(path);

@@ -40,12 +40,13 @@ class OutputFiles {
   void Remove(const std::string& path) { obsolete_.push_back(path); }
 
   void Commit();
-  /// Whether Commit() has written the file.
+  /// Whether the file is written by this run.
   bool Holds(const std::string& path) const;
 
  private:
   struct File {
-    std::string path, target, draft;
+    std::string path, target;
+    std::string draft;  ///< empty: committed
   };
   struct Planned {
     std::string field, target;
@@ -54,7 +55,6 @@ class OutputFiles {
   std::string run_id_;
   std::vector<Planned> planned_;
   std::vector<File> files_;
-  std::vector<std::string> written_;  ///< targets, committed
   std::vector<std::string> folders_;  ///< new ones, the outer first
   std::vector<std::string> obsolete_;
 };
