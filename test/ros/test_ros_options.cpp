@@ -1,6 +1,5 @@
 #include <yaml-cpp/yaml.h>
 
-#include "imu_pose_calib/core/base/option_fields.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
 #include "test_util.h"
 

@@ -6,7 +6,6 @@
 #include <thread>
 #include <type_traits>
 
-#include "imu_pose_calib/core/base/option_fields.h"
 #include "imu_pose_calib/core/base/types.h"
 
 namespace imu_pose_calib {

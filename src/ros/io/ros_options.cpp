@@ -5,7 +5,6 @@
 #include <sstream>
 #include <vector>
 
-#include "imu_pose_calib/core/base/option_fields.h"
 #include "imu_pose_calib/core/base/result.h"
 #include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/recording.h"
