@@ -2,7 +2,6 @@
 
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
-#include "imu_pose_calib/ros/io/stored_result.h"
 
 namespace imu_pose_calib {
 

@@ -20,21 +20,19 @@ class ImuYamlTest : public TempDirTest {
   }
 };
 
-TEST_F(ImuYamlTest, ReadsNoiseTopicAndRate) {
+TEST_F(ImuYamlTest, ReadsNoiseAndTopic) {
   const ImuYaml yaml = LoadImuYaml(
       Write("imu.yaml", "# data sheet\n" + kNoise + "rostopic: /imu0\nupdate_rate: 200.0\n"));
-  EXPECT_EQ(yaml.accelerometer_noise_density, 0.02);
-  EXPECT_EQ(yaml.accelerometer_random_walk, 0.003);
-  EXPECT_EQ(yaml.gyroscope_noise_density, 0.0004);
-  EXPECT_EQ(yaml.gyroscope_random_walk, 5e-5);
+  EXPECT_EQ(yaml.noise.accel_noise_density, 0.02);
+  EXPECT_EQ(yaml.noise.accel_bias_walk, 0.003);
+  EXPECT_EQ(yaml.noise.gyro_noise_density, 0.0004);
+  EXPECT_EQ(yaml.noise.gyro_bias_walk, 5e-5);
   EXPECT_EQ(yaml.rostopic, "/imu0");
-  EXPECT_EQ(yaml.update_rate, 200.0);
 }
 
 TEST_F(ImuYamlTest, TopicAndRateMayBeMissing) {
   const ImuYaml yaml = LoadImuYaml(Write("imu.yaml", kNoise));
   EXPECT_EQ(yaml.rostopic, "");
-  EXPECT_EQ(yaml.update_rate, 0.0);
 }
 
 TEST_F(ImuYamlTest, ReadsTheResultOfKalibr) {
@@ -53,7 +51,7 @@ TEST_F(ImuYamlTest, ReadsTheResultOfKalibr) {
                                          "  rostopic: /imu0\n"
                                          "  time_offset: 0.0\n"
                                          "  update_rate: 200.0\n"));
-  EXPECT_EQ(yaml.gyroscope_noise_density, 0.0004);
+  EXPECT_EQ(yaml.noise.gyro_noise_density, 0.0004);
   EXPECT_EQ(yaml.rostopic, "/imu0");
 }
 

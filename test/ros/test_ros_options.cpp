@@ -20,7 +20,9 @@ class OptionsFile : public TempDirTest {
 
 std::vector<std::string> FieldNames() {
   std::vector<std::string> names;
-  VisitFields(CalibrationOptions(), [&](const char* name, const auto&) { names.push_back(name); });
+  VisitFields(CalibrationOptions(), [&](const char* name, const auto& /*field*/, const Bound&) {
+    names.push_back(name);
+  });
   return names;
 }
 
@@ -36,7 +38,7 @@ TEST(DefaultYaml, VisitsEveryFieldOfTheStruct) {
   size_t visited = 0;
   const CalibrationOptions options;
   const char* end = reinterpret_cast<const char*>(&options);
-  VisitFields(options, [&](const char* name, const auto& field) {
+  VisitFields(options, [&](const char* name, const auto& field, const Bound&) {
     const char* begin = reinterpret_cast<const char*>(&field);
     EXPECT_GE(begin, end) << name << " is out of order";
     // Only padding may lie between two fields.

@@ -1,7 +1,7 @@
 #include <boost/algorithm/string/replace.hpp>
 
 #include "imu_pose_calib/ros/io/output_files.h"
-#include "imu_pose_calib/ros/io/stored_result.h"
+#include "imu_pose_calib/ros/io/result_yaml.h"
 #include "stored_example.h"
 #include "test_util.h"
 

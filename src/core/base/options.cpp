@@ -2,28 +2,35 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <sstream>
 #include <thread>
+#include <type_traits>
 
 #include "imu_pose_calib/core/base/types.h"
 
 namespace imu_pose_calib {
 namespace {
 
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
-
-/// Throws unless low <= value <= high, or 0 where that has a meaning of its own. NaN fails.
-void CheckRange(const char* field, double value, double low, double high, bool or_zero = false) {
-  if ((value >= low && value <= high) || (or_zero && value == 0.0)) return;
+/// Throws unless the value is within the bound. NaN fails.
+void Check(const std::string& field, double value, const Bound& bound) {
+  if ((value >= bound.low && value <= bound.high) || (bound.or_zero && value == 0.0)) return;
   std::ostringstream text;
-  text << "option " << field << " = " << value << " is out of range: must be "
-       << (or_zero ? "0 or " : "");
-  if (high == kInfinity)
-    text << "at least " << low;
+  text << "option " << field << " = " << value << " is out of range: must be ";
+  if (std::isinf(bound.high))
+    text << "at least " << bound.low;
   else
-    text << "within [" << low << ", " << high << "]";
+    text << (bound.or_zero ? "0 or " : "") << "within [" << bound.low << ", " << bound.high << "]";
   throw InputError(text.str());
+}
+void Check(const std::string& field, const Eigen::Vector3d& value, const Bound& bound) {
+  Check("norm of " + field, value.norm(), bound);
+}
+void Check(const std::string& field, const Eigen::Quaterniond& value, const Bound& bound) {
+  Check("norm of " + field, value.norm(), bound);
+}
+template <typename T>
+void Check(const std::string& field, const std::optional<T>& value, const Bound& bound) {
+  if (value) Check(field, *value, bound);
 }
 
 /// A value that is not to be estimated must be given.
@@ -54,50 +61,15 @@ int CalibrationOptions::Threads() const {
 }
 
 void CalibrationOptions::Validate() const {
-  CheckRange("position_unit", position_unit, 1e-9, 1e9);
-  CheckRange("gyro_unit", gyro_unit, 1e-9, 1e9);
-  CheckRange("accel_unit", accel_unit, 1e-9, 1e9);
-  CheckRange("max_gap_s", max_gap_s, 0.0, 1e3);
-  CheckRange("min_segment_s", min_segment_s, 0.0, 1e3);
-  CheckRange("min_overlap_s", min_overlap_s, 1.0, 1e6);
-  CheckRange("max_bad_fraction", max_bad_fraction, 0.0, 1.0);
-  CheckRange("gyro_noise_density", gyro_noise_density, 1e-9, 1e3);
-  CheckRange("accel_noise_density", accel_noise_density, 1e-9, 1e3);
-  CheckRange("gyro_bias_walk", gyro_bias_walk, 1e-12, 1e3);
-  CheckRange("accel_bias_walk", accel_bias_walk, 1e-12, 1e3);
-  CheckRange("bias_knot_interval_s", bias_knot_interval_s, 1e-2, 1e9, true);
-  CheckRange("position_lengthscale_s", position_lengthscale_s, 1e-3, 1e3, true);
-  CheckRange("position_signal_std", position_signal_std, 0.0, 1e9);
-  CheckRange("position_noise_std", position_noise_std, 0.0, 1e3);
-  CheckRange("rotation_lengthscale_s", rotation_lengthscale_s, 1e-3, 1e3, true);
-  CheckRange("rotation_signal_std", rotation_signal_std, 0.0, 1e3);
-  CheckRange("rotation_noise_std", rotation_noise_std, 0.0, 1e3);
-  CheckRange("outlier_threshold", outlier_threshold, 3.0, kInfinity);
-  if (initial_time_shift) CheckRange("initial_time_shift", *initial_time_shift, -1e10, 1e10);
-  if (initial_rotation)
-    CheckRange("norm of initial_rotation", initial_rotation->norm(), 0.99, 1.01);
-  if (initial_translation)
-    CheckRange("norm of initial_translation", initial_translation->norm(), 0.0, 1e3);
-  if (initial_gravity) CheckRange("norm of initial_gravity", initial_gravity->norm(), 0.1, 100.0);
+  VisitFields(*this, [](const char* name, const auto& field, const Bound& bound) {
+    if constexpr (!std::is_enum_v<std::decay_t<decltype(field)>>) Check(name, field, bound);
+  });
   CheckGiven("time_shift", estimate_time_shift, initial_time_shift.has_value());
   CheckGiven("rotation", estimate_rotation, initial_rotation.has_value());
   CheckGiven("translation", estimate_translation, initial_translation.has_value());
   CheckGiven("gravity", estimate_gravity, initial_gravity.has_value());
   if (!estimate_time_shift && !estimate_rotation && !estimate_translation && !estimate_accel_delay)
     throw InputError("options estimate_* leave nothing to estimate: set at least one to true");
-  CheckRange("knot_spacing_s", knot_spacing_s, 1e-3, 10.0, true);
-  CheckRange("accel_delay", accel_delay, -0.5, 0.5);
-  CheckRange("gravity_magnitude", gravity_magnitude, 0.1, 100.0);
-  CheckRange("gravity_magnitude_std", gravity_magnitude_std, 1e-9, 10.0);
-  if (latitude) CheckRange("latitude", *latitude, -90.0, 90.0);
-  CheckRange("robust_loss_scale", robust_loss_scale, 1.0, kInfinity);
-  CheckRange("max_iterations", max_iterations, 1, 10000);
-  CheckRange("max_factor_mb", max_factor_mb, 0.0, 1e6);
-  CheckRange("num_threads", num_threads, 0, 1024);
-  CheckRange("covariance_block_s", covariance_block_s, 0.1, 1e6, true);
-  CheckRange("weak_rotation_std", weak_rotation_std, 1e-9, 1.0);
-  CheckRange("weak_translation_std", weak_translation_std, 1e-9, 10.0);
-  CheckRange("weak_time_shift_std", weak_time_shift_std, 1e-9, 1.0);
 }
 
 }  // namespace imu_pose_calib

@@ -14,7 +14,7 @@
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/transform_file.h"
 #include "imu_pose_calib/ros/io/yaml_file.h"
-#include "imu_pose_calib/ros/offline/report_series.h"
+#include "imu_pose_calib/ros/offline/report.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {

@@ -6,7 +6,7 @@
 #include "imu_pose_calib/ros/io/child_process.h"
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/offline/comparison_report.h"
-#include "imu_pose_calib/ros/offline/report_series.h"
+#include "imu_pose_calib/ros/offline/report.h"
 
 namespace imu_pose_calib {
 

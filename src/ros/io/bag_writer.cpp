@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <boost/algorithm/string.hpp>
-#include <cmath>
 #include <cstdlib>
 #include <functional>
 #include <limits>
@@ -19,36 +18,44 @@ namespace imu_pose_calib {
 namespace {
 
 constexpr int64_t kDay = 86'400'000'000'000;  // [ns]
-const char kPoseTopic[] = "/mocap/pose";
 
-geometry_msgs::TransformStamped ToLink(int64_t t_ns, const std::string& parent,
-                                       const std::string& child, const Rigid3& T) {
-  return ToTransformStamped(MakeHeader(FromNanoseconds(t_ns), parent), child, T);
-}
+// --- Messages ---
 
-geometry_msgs::TransformStamped ToTransform(const PoseSample& pose) {
-  return ToLink(pose.t_ns, "world", "marker", {pose.q_WM, pose.p_WM});
-}
-
-geometry_msgs::PoseStamped ToPoseStamped(const PoseSample& pose) {
-  geometry_msgs::PoseStamped msg;
-  msg.header = MakeHeader(FromNanoseconds(pose.t_ns), "world");
-  msg.pose = ToPoseMsg({pose.q_WM, pose.p_WM});
+template <typename Msg>
+Msg Stamped(int64_t t_ns, const std::string& frame) {
+  Msg msg;
+  msg.header = MakeHeader(FromNanoseconds(t_ns), frame);
   return msg;
 }
 
-geometry_msgs::PoseWithCovarianceStamped ToPoseWithCovariance(const PoseSample& pose) {
-  geometry_msgs::PoseWithCovarianceStamped msg;
-  msg.header = MakeHeader(FromNanoseconds(pose.t_ns), "world");
-  msg.pose.pose = ToPoseMsg({pose.q_WM, pose.p_WM});
+void SetPose(const Rigid3& T, geometry_msgs::PoseStamped* msg) { msg->pose = ToPoseMsg(T); }
+void SetPose(const Rigid3& T, geometry_msgs::PoseWithCovarianceStamped* msg) {
+  msg->pose.pose = ToPoseMsg(T);
+}
+void SetPose(const Rigid3& T, geometry_msgs::TransformStamped* msg) {
+  msg->child_frame_id = "marker";
+  msg->transform = ToTransformMsg(T);
+}
+void SetPose(const Rigid3& T, nav_msgs::Odometry* msg) {
+  msg->child_frame_id = "marker";
+  msg->pose.pose = ToPoseMsg(T);
+}
+
+geometry_msgs::Vector3Stamped ToVector(const ImuSample& sample) {
+  auto msg = Stamped<geometry_msgs::Vector3Stamped>(sample.t_ns, "imu");
+  msg.vector = ToVector3Msg(sample.value);
   return msg;
 }
 
-nav_msgs::Odometry ToOdometry(const PoseSample& pose) {
-  nav_msgs::Odometry msg;
-  msg.header = MakeHeader(FromNanoseconds(pose.t_ns), "world");
-  msg.child_frame_id = "marker";
-  msg.pose.pose = ToPoseMsg({pose.q_WM, pose.p_WM});
+/// An Imu message of one or both samples; what is missing is marked as the message defines it.
+sensor_msgs::Imu ToImu(const ImuSample* gyro, const ImuSample* accel,
+                       const std::string& frame = "imu") {
+  auto msg = Stamped<sensor_msgs::Imu>((gyro ? gyro : accel)->t_ns, frame);
+  msg.orientation_covariance[0] = -1.0;
+  msg.angular_velocity_covariance[0] = gyro ? 0.0 : -1.0;
+  msg.linear_acceleration_covariance[0] = accel ? 0.0 : -1.0;
+  if (gyro) msg.angular_velocity = ToVector3Msg(gyro->value);
+  if (accel) msg.linear_acceleration = ToVector3Msg(accel->value);
   return msg;
 }
 
@@ -58,77 +65,34 @@ constexpr size_t kJoints = 6;  ///< links base -> joint1 -> ... -> joint5 -> mar
 
 Rigid3 BaseInWorld() { return {Eigen::Quaterniond(0.8, 0.0, 0.0, 0.6), {1.0, -0.5, 0.2}}; }
 
-std::string JointName(size_t joint) {
-  if (joint == 0) return "base";
-  return joint == kJoints ? "marker" : "joint" + std::to_string(joint);
-}
-
-/// Whether joint 1..6 is in the message of pose k of n.
-bool IsSent(size_t joint, size_t k, size_t n) {
-  return joint == kJoints || k % (kJoints - 1) == joint - 1 || k == 0 || k == n - 1;
-}
-
-/// Transform of joint 1..5 at pose k. Its angle changes evenly between the messages that hold it,
-/// so that interpolation gives the poses exactly.
-Rigid3 JointAt(size_t joint, size_t k, const std::vector<PoseSample>& poses) {
-  const auto angle = [&](size_t i) {
-    return 0.4 * std::sin(0.01 * static_cast<double>(i) + static_cast<double>(joint));
+geometry_msgs::TransformStamped ToLink(int64_t t_ns, size_t joint, const Rigid3& T) {
+  const auto name = [](size_t k) {
+    return k == 0 ? "base" : k == kJoints ? "marker" : "joint" + std::to_string(k);
   };
-  size_t before = k, after = k;
-  while (!IsSent(joint, before, poses.size())) --before;
-  while (!IsSent(joint, after, poses.size())) ++after;
-  double value = angle(before);
-  if (after > before) {
-    const auto seconds = [&](size_t i) {
-      return 1e-9 * static_cast<double>(poses[i].t_ns - poses[before].t_ns);
-    };
-    value += (angle(after) - value) * seconds(k) / seconds(after);
-  }
-  const Eigen::Vector3d axis = Eigen::Vector3d::Unit(static_cast<Eigen::Index>(joint % 3));
-  return {Eigen::Quaterniond(Eigen::AngleAxisd(value, axis)), {0.1, 0.0, 0.2}};
+  return ToTransformStamped(
+      MakeHeader(FromNanoseconds(t_ns), joint == 0 ? "world" : name(joint - 1)), name(joint), T);
 }
 
+/// Pose k on /tf. All joints but the last turn evenly, by 0.1 rad/s, so that interpolation between
+/// the messages that hold one of them, every fifth, gives the poses exactly.
 tf2_msgs::TFMessage ToTf(size_t k, const std::vector<PoseSample>& poses) {
   const PoseSample& pose = poses[k];
+  const double angle = 1e-10 * static_cast<double>(pose.t_ns - poses.front().t_ns);
   tf2_msgs::TFMessage msg;
   Rigid3 arm = BaseInWorld();
   for (size_t joint = 1; joint < kJoints; ++joint) {
-    const Rigid3 T = JointAt(joint, k, poses);
+    const Eigen::Vector3d axis = Eigen::Vector3d::Unit(static_cast<Eigen::Index>(joint % 3));
+    const Rigid3 T = {Eigen::Quaterniond(Eigen::AngleAxisd(angle, axis)), {0.1, 0.0, 0.2}};
     arm = arm * T;
-    if (IsSent(joint, k, poses.size()))
-      msg.transforms.push_back(ToLink(pose.t_ns, JointName(joint - 1), JointName(joint), T));
+    if (k % (kJoints - 1) == joint - 1 || k == 0 || k == poses.size() - 1)
+      msg.transforms.push_back(ToLink(pose.t_ns, joint, T));
   }
-  // the last joint is free
-  const Rigid3 T = arm.Inverse() * Rigid3{pose.q_WM, pose.p_WM};
-  msg.transforms.push_back(ToLink(pose.t_ns, JointName(kJoints - 1), JointName(kJoints), T));
+  msg.transforms.push_back(  // the last joint is free
+      ToLink(pose.t_ns, kJoints, arm.Inverse() * Rigid3{pose.q_WM, pose.p_WM}));
   return msg;
 }
 
-tf2_msgs::TFMessage ToFixedTf(int64_t t_ns) {
-  tf2_msgs::TFMessage msg;
-  msg.transforms = {ToLink(t_ns, "world", JointName(0), BaseInWorld())};
-  return msg;
-}
-
-geometry_msgs::Vector3Stamped ToVector(const ImuSample& sample) {
-  geometry_msgs::Vector3Stamped msg;
-  msg.header = MakeHeader(FromNanoseconds(sample.t_ns), "imu");
-  msg.vector = ToVector3Msg(sample.value);
-  return msg;
-}
-
-/// An Imu message of one or both samples; what is missing is marked as the message defines it.
-sensor_msgs::Imu ToImu(const ImuSample* gyro, const ImuSample* accel,
-                       const std::string& frame = "imu") {
-  sensor_msgs::Imu msg;
-  msg.header = MakeHeader(FromNanoseconds((gyro ? gyro : accel)->t_ns), frame);
-  msg.orientation_covariance[0] = -1.0;
-  msg.angular_velocity_covariance[0] = gyro ? 0.0 : -1.0;
-  msg.linear_acceleration_covariance[0] = accel ? 0.0 : -1.0;
-  if (gyro) msg.angular_velocity = ToVector3Msg(gyro->value);
-  if (accel) msg.linear_acceleration = ToVector3Msg(accel->value);
-  return msg;
-}
+// --- Bags ---
 
 /// A bag of ROS 1 or ROS 2 that is being written.
 struct Sink {
@@ -164,6 +128,62 @@ void Add(const std::string& topic, const std::vector<Sample>& samples, int64_t o
   }
 }
 
+template <typename Msg>
+void AddPosesAs(const std::vector<PoseSample>& poses, std::vector<Record>* records) {
+  const auto to_msg = [&poses](size_t k) {
+    auto msg = Stamped<Msg>(poses[k].t_ns, "world");
+    SetPose({poses[k].q_WM, poses[k].p_WM}, &msg);
+    return msg;
+  };
+  Add("/mocap/pose", poses, 0, to_msg, records);
+}
+
+void AddPoses(const std::string& type, const std::vector<PoseSample>& poses,
+              std::vector<Record>* records) {
+  using namespace geometry_msgs;  // NOLINT(google-build-using-namespace)
+  if (type == "PoseStamped") return AddPosesAs<PoseStamped>(poses, records);
+  if (type == "TransformStamped") return AddPosesAs<TransformStamped>(poses, records);
+  if (type == "PoseWithCovarianceStamped")
+    return AddPosesAs<PoseWithCovarianceStamped>(poses, records);
+  if (type == "Odometry") return AddPosesAs<nav_msgs::Odometry>(poses, records);
+  if (type != "tf")
+    throw InputError("pose type '" + type +
+                     "' is unknown; must be PoseStamped, TransformStamped, "
+                     "PoseWithCovarianceStamped, Odometry or tf");
+  const auto fixed = [&poses](size_t k) {
+    tf2_msgs::TFMessage msg;
+    msg.transforms = {ToLink(poses[k].t_ns, 0, BaseInWorld())};
+    return msg;
+  };
+  const size_t once = std::min<size_t>(poses.size(), 1);
+  Add("/tf_static", std::vector<PoseSample>(poses.begin(), poses.begin() + once), 0, fixed,
+      records);
+  Add(
+      "/tf", poses, 0, [&poses](size_t k) { return ToTf(k, poses); }, records);
+}
+
+/// The first IMU.
+void AddImu(const BagFormat& format, const ImuData& imu, int64_t offset,
+            std::vector<Record>* records) {
+  const std::vector<ImuSample>&gyro = imu.gyro, &accel = imu.accel;
+  const auto add_split = [&](auto gyro_msg, auto accel_msg) {
+    Add("/imu/gyro", gyro, offset, gyro_msg, records);
+    Add("/imu/accel", accel, offset, accel_msg, records);
+  };
+  if (format.imu_type == "Vector3Stamped")
+    return add_split([&gyro](size_t k) { return ToVector(gyro[k]); },
+                     [&accel](size_t k) { return ToVector(accel[k]); });
+  if (format.imu_type != "Imu")
+    throw InputError("imu type '" + format.imu_type + "' is unknown; must be Imu or " +
+                     "Vector3Stamped");
+  if (format.split_imu)
+    return add_split([&gyro](size_t k) { return ToImu(&gyro[k], nullptr); },
+                     [&accel](size_t k) { return ToImu(nullptr, &accel[k]); });
+  CheckSameStamps(imu);
+  Add(
+      "/imu", gyro, offset, [&](size_t k) { return ToImu(&gyro[k], &accel[k]); }, records);
+}
+
 /// The gyroscope of the first IMU that has samples of it; without any when there is none.
 const std::vector<ImuSample>& FirstGyro(const SessionData& data) {
   for (const ImuData& imu : data.imus)
@@ -179,52 +199,7 @@ int64_t RecordOffset(const SessionData& data) {
   return std::abs(offset) > kDay ? offset : 0;
 }
 
-/// All but the first; of those without samples, nothing.
-void AddFurtherImus(const SessionData& data, int64_t offset, std::vector<Record>* records) {
-  for (size_t i = 1; i < data.imus.size(); ++i) {
-    const ImuData& imu = data.imus[i];
-    CheckSameStamps(imu);
-    if (imu.IsEmpty()) continue;
-    const std::string name = "imu" + std::to_string(i);
-    const auto further = [&imu, name](size_t k) {
-      return ToImu(&imu.gyro[k], &imu.accel[k], name);
-    };
-    const int64_t own_offset = offset + FirstGyro(data).front().t_ns - imu.gyro.front().t_ns;
-    Add("/" + name, imu.gyro, own_offset, further, records);
-  }
-}
-
-void Write(const std::string& path, const std::vector<Record>& records,
-           const std::optional<Ros2Format>& ros2) {
-  if (ros2) {
-    Ros2Writer writer(path, *ros2);
-    Sink sink{nullptr, &writer};
-    for (const Record& record : records) record.write(&sink, record.t_ns);
-    return writer.Close();
-  }
-  try {
-    rosbag::Bag bag(path, rosbag::bagmode::Write);
-    Sink sink{&bag, nullptr};
-    for (const Record& record : records) record.write(&sink, record.t_ns);
-  } catch (const rosbag::BagException& error) {
-    throw InputError("cannot write bag '" + path + "': " + error.what());
-  }
-}
-
-}  // namespace
-
-Ros2Writer::Ros2Writer(const std::string& path, Ros2Format format)
-    : storage_(format == Ros2Format::kMcap ? CreateMcap(path) : CreateSqlite(path)) {}
-
-void Ros2Writer::Add(const std::string& topic, const std::string& ros1_type,
-                     const std::string& ros1_definition, int64_t t_ns, const std::string& data) {
-  const auto [known, is_new] = topics_.emplace(topic, static_cast<uint32_t>(topics_.size()));
-  if (is_new)
-    storage_->AddTopic(topic, boost::replace_first_copy(ros1_type, "/", "/msg/"),
-                       Ros2Definition(ros1_definition));
-  storage_->Write(known->second, t_ns, data);
-}
-
+/// A definition of a message as ROS 2 has it, without comments.
 std::string Ros2Definition(const std::string& ros1_definition) {
   std::istringstream lines(ros1_definition);
   std::string line, separator, text;
@@ -245,6 +220,20 @@ std::string Ros2Definition(const std::string& ros1_definition) {
   return text;
 }
 
+}  // namespace
+
+Ros2Writer::Ros2Writer(const std::string& path, Ros2Format format)
+    : storage_(format == Ros2Format::kMcap ? CreateMcap(path) : CreateSqlite(path)) {}
+
+void Ros2Writer::Add(const std::string& topic, const std::string& ros1_type,
+                     const std::string& ros1_definition, int64_t t_ns, const std::string& data) {
+  const auto [known, is_new] = topics_.emplace(topic, static_cast<uint32_t>(topics_.size()));
+  if (is_new)
+    storage_->AddTopic(topic, boost::replace_first_copy(ros1_type, "/", "/msg/"),
+                       Ros2Definition(ros1_definition));
+  storage_->Write(known->second, t_ns, data);
+}
+
 void CheckSameStamps(const ImuData& imu) {
   const std::vector<ImuSample>&gyro = imu.gyro, &accel = imu.accel;
   if (gyro.size() != accel.size())
@@ -252,83 +241,57 @@ void CheckSameStamps(const ImuData& imu) {
         "an IMU on one topic or in one file needs as many gyroscope as accelerometer samples, "
         "not " +
         std::to_string(gyro.size()) + " and " + std::to_string(accel.size()));
-  for (size_t k = 0; k < gyro.size(); ++k)
-    if (gyro[k].t_ns != accel[k].t_ns)
-      throw InputError(
-          "an IMU on one topic or in one file needs the same stamps for gyroscope and "
-          "accelerometer");
+  const auto is_same = [](const ImuSample& a, const ImuSample& b) { return a.t_ns == b.t_ns; };
+  if (!std::equal(gyro.begin(), gyro.end(), accel.begin(), is_same))
+    throw InputError(
+        "an IMU on one topic or in one file needs the same stamps for gyroscope and accelerometer");
 }
 
 void WriteBag(const std::string& path, const SessionData& data, const BagFormat& format) {
-  const auto pose = [&](size_t k) { return ToPoseStamped(data.poses[k]); };
-  const auto transform = [&](size_t k) { return ToTransform(data.poses[k]); };
-  const auto covariance = [&](size_t k) { return ToPoseWithCovariance(data.poses[k]); };
-  const auto odometry = [&](size_t k) { return ToOdometry(data.poses[k]); };
-  const auto tf = [&](size_t k) { return ToTf(k, data.poses); };
-  const auto fixed_tf = [&](size_t k) { return ToFixedTf(data.poses[k].t_ns); };
-  const auto imu = [&](size_t k) { return ToImu(&data.imus[0].gyro[k], &data.imus[0].accel[k]); };
-  const auto gyro_vector = [&](size_t k) { return ToVector(data.imus[0].gyro[k]); };
-  const auto accel_vector = [&](size_t k) { return ToVector(data.imus[0].accel[k]); };
-  const auto gyro = [&](size_t k) { return ToImu(&data.imus[0].gyro[k], nullptr); };
-  const auto accel = [&](size_t k) { return ToImu(nullptr, &data.imus[0].accel[k]); };
-
   std::vector<Record> records;
-  if (format.pose_type == "PoseStamped") {
-    Add(kPoseTopic, data.poses, 0, pose, &records);
-  } else if (format.pose_type == "TransformStamped") {
-    Add(kPoseTopic, data.poses, 0, transform, &records);
-  } else if (format.pose_type == "PoseWithCovarianceStamped") {
-    Add(kPoseTopic, data.poses, 0, covariance, &records);
-  } else if (format.pose_type == "Odometry") {
-    Add(kPoseTopic, data.poses, 0, odometry, &records);
-  } else if (format.pose_type == "tf") {
-    if (!data.poses.empty())
-      Add("/tf_static", std::vector<PoseSample>{data.poses.front()}, 0, fixed_tf, &records);
-    Add("/tf", data.poses, 0, tf, &records);
-  } else {
-    throw InputError("pose type '" + format.pose_type +
-                     "' is unknown; must be PoseStamped, TransformStamped, "
-                     "PoseWithCovarianceStamped, Odometry or tf");
-  }
+  AddPoses(format.pose_type, data.poses, &records);
   const int64_t offset = RecordOffset(data);
-  if (format.imu_type == "Vector3Stamped") {
-    Add("/imu/gyro", data.imus[0].gyro, offset, gyro_vector, &records);
-    Add("/imu/accel", data.imus[0].accel, offset, accel_vector, &records);
-  } else if (format.imu_type != "Imu") {
-    throw InputError("imu type '" + format.imu_type + "' is unknown; must be Imu or " +
-                     "Vector3Stamped");
-  } else if (format.split_imu) {
-    Add("/imu/gyro", data.imus[0].gyro, offset, gyro, &records);
-    Add("/imu/accel", data.imus[0].accel, offset, accel, &records);
-  } else {
-    CheckSameStamps(data.imus[0]);
-    Add("/imu", data.imus[0].gyro, offset, imu, &records);
+  AddImu(format, data.imus[0], offset, &records);
+  for (size_t i = 1; i < data.imus.size(); ++i) {
+    const ImuData& imu = data.imus[i];
+    CheckSameStamps(imu);
+    if (imu.IsEmpty()) continue;
+    const std::string name = "imu" + std::to_string(i);
+    const int64_t own_offset = offset + FirstGyro(data).front().t_ns - imu.gyro.front().t_ns;
+    const auto to_msg = [&imu, name](size_t k) { return ToImu(&imu.gyro[k], &imu.accel[k], name); };
+    Add("/" + name, imu.gyro, own_offset, to_msg, &records);
   }
-  AddFurtherImus(data, offset, &records);
   std::stable_sort(records.begin(), records.end(),
                    [](const Record& a, const Record& b) { return a.t_ns < b.t_ns; });
-  Write(path, records, format.ros2);
+  const auto write_all = [&](Sink sink) {
+    for (const Record& record : records) record.write(&sink, record.t_ns);
+  };
+  if (format.ros2) {
+    Ros2Writer writer(path, *format.ros2);
+    write_all({nullptr, &writer});
+    return writer.Close();
+  }
+  try {
+    rosbag::Bag bag(path, rosbag::bagmode::Write);
+    write_all({&bag, nullptr});
+  } catch (const rosbag::BagException& error) {
+    throw InputError("cannot write bag '" + path + "': " + error.what());
+  }
 }
 
 std::string TruthYaml(const SimulatorOptions& options) {
   const TrueClock clock(options);
+  const Eigen::Vector3d g_W = options.g_W + options.effects.gravity * options.g_W.normalized();
   std::ostringstream text;
-  const auto list = [&](const char* key, const auto& values) {
-    text << key << ": [";
-    for (Eigen::Index i = 0; i < values.size(); ++i)
-      text << (i == 0 ? "" : ", ") << YamlNumber(values[i]);
-    text << "]\n";
-  };
-  text << "# T_marker_imu: x_marker = R x_imu + p\n";
-  list("rotation", options.T_MI.q.coeffs());
-  list("translation", options.T_MI.p);
-  text << "# t_pose = t_imu + time_shift, t_pose = t_accel + time_shift - accel_delay\n"
+  text << "# T_marker_imu: x_marker = R x_imu + p\n"
+       << "rotation: " << YamlNumbers(options.T_MI.q.coeffs()) << "\n"
+       << "translation: " << YamlNumbers(options.T_MI.p) << "\n"
+       << "# t_pose = t_imu + time_shift, t_pose = t_accel + time_shift - accel_delay\n"
        << "time_shift: " << YamlNumber(clock.time_shift_s) << "\n"
-       << "accel_delay: " << YamlNumber(clock.accel_delay_s) << "\n";
-  list("gravity", (options.g_W + options.effects.gravity * options.g_W.normalized()).eval());
-  text << "# at the start\n";
-  list("gyro_bias", options.gyro_bias);
-  list("accel_bias", options.accel_bias);
+       << "accel_delay: " << YamlNumber(clock.accel_delay_s) << "\n"
+       << "gravity: " << YamlNumbers(g_W) << "\n# at the start\n"
+       << "gyro_bias: " << YamlNumbers(options.gyro_bias) << "\n"
+       << "accel_bias: " << YamlNumbers(options.accel_bias) << "\n";
   return text.str();
 }
 

@@ -1,17 +1,14 @@
 #include "imu_pose_calib/ros/io/mocap_csv.h"
 
 #include <algorithm>
-#include <array>
 #include <boost/algorithm/string.hpp>
-#include <boost/lexical_cast/try_lexical_convert.hpp>
 #include <cmath>
-#include <cstdio>
+#include <cstring>
 #include <ctime>
 #include <map>
-#include <optional>
 
 #include "imu_pose_calib/core/base/so3.h"
-#include "imu_pose_calib/ros/io/printable.h"
+#include "imu_pose_calib/ros/io/text_table.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -20,29 +17,38 @@ using Cells = std::vector<std::string>;
 
 constexpr double kDegree = 3.14159265358979323846 / 180.0;
 constexpr double kMaxTime = 4e9;  // [s]
+/// First lines of an export of Vicon.
+const Cells kViconParts{"Segments", "Objects",       "Trajectories",
+                        "Devices",  "Model Outputs", "Joints"};
+
+constexpr size_t kTooLong = size_t{1} << 20;  // bytes of a line
+
+/// The cells of a line, without blanks and quotes around them.
+Cells Split(const std::string& line) {
+  Cells cells;
+  boost::split(cells, line, boost::is_any_of(","));
+  for (std::string& cell : cells) boost::trim_if(cell, boost::is_any_of(" \t\r\""));
+  return cells;
+}
+
+/// Empty where the line is too short.
+std::string Cell(const Cells& cells, size_t column) {
+  return column < cells.size() ? cells[column] : "";
+}
 
 /// The lines of a table.
-class Lines {
+class CellLines : public TextLines {
  public:
-  Lines(std::istream& in, std::string name) : in_(in), name_(std::move(name)) {}
+  using TextLines::TextLines;
 
-  /// The cells of the next line, without blanks and quotes around them. False at the end.
+  /// The cells of the next line. False at the end.
   bool Next(Cells* cells) {
     std::string line;
-    if (!std::getline(in_, line)) return false;
-    ++number_;
-    if (number_ == 1 && boost::starts_with(line, "\xEF\xBB\xBF")) line.erase(0, 3);
-    boost::split(*cells, line, boost::is_any_of(","));
-    for (std::string& cell : *cells) boost::trim_if(cell, boost::is_any_of(" \t\r\""));
+    if (!TextLines::Next(&line)) return false;
+    *cells = Split(line);
     return true;
   }
 
-  [[noreturn]] void Fail(const std::string& text) const {
-    throw InputError("'" + name_ + "': " + Printable(text));
-  }
-  [[noreturn]] void FailHere(const std::string& text) const {
-    Fail("line " + std::to_string(number_) + " " + text);
-  }
   [[noreturn]] void FailCell(size_t column, const std::string& text,
                              const std::string& expected) const {
     FailHere("column " + std::to_string(column + 1) + " is " +
@@ -50,23 +56,11 @@ class Lines {
   }
 
   double Number(const Cells& cells, size_t column) const {
-    const std::string& text = Cell(cells, column);
-    double value = 0.0;
-    if (!boost::conversion::try_lexical_convert(text, value) || !std::isfinite(value))
-      FailCell(column, text, "a number");
-    return value;
+    const std::string text = Cell(cells, column);
+    const std::optional<double> value = ParseNumber(text);
+    if (!value || !std::isfinite(*value)) FailCell(column, text, "a number");
+    return *value;
   }
-
-  /// Empty where the line is too short.
-  static const std::string& Cell(const Cells& cells, size_t column) {
-    static const std::string kEmpty;
-    return column < cells.size() ? cells[column] : kEmpty;
-  }
-
- private:
-  std::istream& in_;
-  std::string name_;
-  size_t number_ = 0;
 };
 
 bool IsBlank(const Cells& cells) {
@@ -91,39 +85,37 @@ struct BodyColumns {
   double position_unit = 1.0;  ///< [m]
 };
 
-Eigen::Quaterniond Rotation(const BodyColumns& columns, const Cells& cells, const Lines& lines) {
-  std::vector<double> v;
-  for (const size_t column : columns.rotation) v.push_back(lines.Number(cells, column));
+Eigen::Quaterniond Rotation(const BodyColumns& columns, const std::vector<double>& v) {
   if (v.size() == 4) return {v[3], v[0], v[1], v[2]};
-  for (double& angle : v) angle *= columns.rotation_unit;
-  if (columns.order.empty()) return Exp(Eigen::Vector3d(v[0], v[1], v[2]));
+  const Eigen::Vector3d angles = columns.rotation_unit * Eigen::Vector3d(v[0], v[1], v[2]);
+  if (columns.order.empty()) return Exp(angles);
   Eigen::Quaterniond q = Eigen::Quaterniond::Identity();
   for (const char name : columns.order) {
     const int axis = name - 'X';
-    q = q * Eigen::AngleAxisd(v[static_cast<size_t>(axis)], Eigen::Vector3d::Unit(axis));
+    q = q * Eigen::AngleAxisd(angles[axis], Eigen::Vector3d::Unit(axis));
   }
   return q;
 }
 
-/// The pose in a line; none where the body was not seen.
-std::optional<PoseSample> Pose(const BodyColumns& columns, double t_s, const Cells& cells,
-                               const Lines& lines) {
-  const auto is_empty = [&](size_t column) { return Lines::Cell(cells, column).empty(); };
+/// Adds the pose in a line, unless the body was not seen there.
+void AddPose(const BodyColumns& columns, double t_s, const Cells& cells, const CellLines& lines,
+             std::vector<PoseSample>* poses) {
+  const auto is_empty = [&](size_t column) { return Cell(cells, column).empty(); };
   if (std::all_of(columns.rotation.begin(), columns.rotation.end(), is_empty) &&
       std::all_of(columns.position.begin(), columns.position.end(), is_empty))
-    return std::nullopt;
-  PoseSample pose;
-  pose.t_ns = std::llround(1e9 * t_s);
-  pose.q_WM = Rotation(columns, cells, lines);
-  for (int i = 0; i < 3; ++i)
-    pose.p_WM[i] =
-        columns.position_unit * lines.Number(cells, columns.position[static_cast<size_t>(i)]);
-  return pose;
+    return;
+  std::vector<double> rotation, position;
+  for (const size_t column : columns.rotation) rotation.push_back(lines.Number(cells, column));
+  for (const size_t column : columns.position) position.push_back(lines.Number(cells, column));
+  poses->push_back({std::llround(1e9 * t_s),
+                    Rotation(columns, rotation),
+                    columns.position_unit * Eigen::Vector3d::Map(position.data()),
+                    {}});
 }
 
 /// The body that is wanted of those that there are.
 std::string ChooseBody(std::vector<std::string> names, const std::string& wanted,
-                       const Lines& lines) {
+                       const CellLines& lines) {
   std::sort(names.begin(), names.end());
   names.erase(std::unique(names.begin(), names.end()), names.end());
   const std::string list = boost::join(names, ", ");
@@ -138,35 +130,28 @@ std::string ChooseBody(std::vector<std::string> names, const std::string& wanted
 // --- Motive ---
 
 /// Seconds since 1970 of "2024-05-31 01.02.03.456 PM", as if it were UTC.
-double ParseStart(const std::string& text, const Lines& lines) {
+double ParseStart(const std::string& text, const CellLines& lines) {
+  const bool is_pm = boost::ends_with(text, " PM");
+  const bool is_half = is_pm || boost::ends_with(text, " AM");
   std::tm time{};
-  double seconds = 0.0;
-  char half[3] = "";
-  const int count =
-      std::sscanf(text.c_str(), "%4d-%2d-%2d %2d.%2d.%lf %2s", &time.tm_year, &time.tm_mon,
-                  &time.tm_mday, &time.tm_hour, &time.tm_min, &seconds, half);
-  const std::string part = half;
-  const bool is_day = time.tm_year >= 1970 && time.tm_year < 2100 && time.tm_mon >= 1 &&
-                      time.tm_mon <= 12 && time.tm_mday >= 1 && time.tm_mday <= 31;
-  const bool is_time = time.tm_hour >= (count == 7 ? 1 : 0) &&
-                       time.tm_hour <= (count == 7 ? 12 : 23) && time.tm_min >= 0 &&
-                       time.tm_min < 60 && seconds >= 0.0 && seconds < 61.0;
-  if (count < 6 || !is_day || !is_time || (count == 7 && part != "AM" && part != "PM"))
+  const char* rest = strptime(text.c_str(), is_half ? "%Y-%m-%d %I.%M." : "%Y-%m-%d %H.%M.", &time);
+  const size_t size = rest == nullptr ? 0 : std::strlen(rest) - (is_half ? 3 : 0);
+  const std::optional<double> seconds = ParseNumber(std::string(rest ? rest : "", size));
+  if (!(seconds && *seconds >= 0.0 && *seconds < 61.0) || time.tm_year < 70 || time.tm_year >= 200)
     lines.Fail("Capture Start Time is '" + text.substr(0, 60) +
                "', must be like '2024-05-31 01.02.03.456 PM'");
-  if (count == 7) time.tm_hour = time.tm_hour % 12 + (part == "PM" ? 12 : 0);
-  time.tm_year -= 1900;
-  time.tm_mon -= 1;
-  return static_cast<double>(timegm(&time)) + seconds;
+  if (is_pm) time.tm_hour += 12;
+  return static_cast<double>(timegm(&time)) + *seconds;
 }
 
-/// The columns of a body by the rows above "Frame": its names, what it is, and its axes.
-BodyColumns MotiveColumns(const std::map<std::string, Cells>& rows, const Cells& axes,
-                          const std::string& body, const std::string& rotation_type,
-                          const Lines& lines) {
+/// The rows above the row of axes, which begins with Frame: what a column belongs to.
+using MotiveHeader = std::map<std::string, Cells>;
+
+/// The columns of a body.
+BodyColumns MotiveColumns(MotiveHeader& header, const Cells& axes, const std::string& body,
+                          const std::string& rotation_type, const CellLines& lines) {
   const bool is_quaternion = rotation_type == "Quaternion";
   BodyColumns columns;
-  const std::string wanted = is_quaternion ? "XYZW" : "XYZ";
   if (!is_quaternion) {
     std::string sorted = rotation_type;
     std::sort(sorted.begin(), sorted.end());
@@ -178,62 +163,58 @@ BodyColumns MotiveColumns(const std::map<std::string, Cells>& rows, const Cells&
   }
   const auto find = [&](const std::string& kind, const std::string& names) {
     std::vector<size_t> found;
-    for (const char axis : names) {
+    for (const char axis : names)
       for (size_t k = 2; k < axes.size(); ++k)
-        if (Lines::Cell(rows.at("Type"), k) == "Rigid Body" &&
-            Lines::Cell(rows.at("Name"), k) == body && Lines::Cell(rows.at("kind"), k) == kind &&
-            axes[k] == std::string(1, axis))
+        if (Cell(header["Type"], k) == "Rigid Body" && Cell(header["Name"], k) == body &&
+            Cell(header["Rotation"], k) == kind && axes[k] == std::string(1, axis))
           found.push_back(k);
-    }
     if (found.size() != names.size())
       lines.FailHere("does not name the columns " + names + " of the " + kind + " of '" + body +
                      "'");
     return found;
   };
-  columns.rotation = find("Rotation", wanted);
+  columns.rotation = find("Rotation", is_quaternion ? "XYZW" : "XYZ");
   columns.position = find("Position", "XYZ");
   return columns;
 }
 
-MocapPoses ReadMotive(const Cells& first, Lines* lines, const std::string& body) {
+MocapPoses ReadMotive(CellLines lines, const std::string& body) {
+  Cells cells;
+  lines.Next(&cells);
   std::map<std::string, std::string> settings;
-  for (size_t k = 0; k + 1 < first.size(); k += 2) settings[first[k]] = first[k + 1];
+  for (size_t k = 0; k + 1 < cells.size(); k += 2) settings[cells[k]] = cells[k + 1];
   const double metres = Metres(settings["Length Units"]);
   if (metres == 0.0)
-    lines->FailHere("has the Length Units '" + settings["Length Units"].substr(0, 60) +
-                    "', must be Meters, Centimeters or Millimeters");
-  const std::string space = settings["Coordinate Space"];
+    lines.FailHere("has the Length Units '" + settings["Length Units"].substr(0, 60) +
+                   "', must be Meters, Centimeters or Millimeters");
+  const std::string &space = settings["Coordinate Space"], &start = settings["Capture Start Time"];
   if (!space.empty() && space != "Global")
-    lines->FailHere("has the Coordinate Space '" + space.substr(0, 60) + "', must be Global");
-  const std::string& start = settings["Capture Start Time"];
-  const double start_s = start.empty() ? 0.0 : ParseStart(start, *lines);
+    lines.FailHere("has the Coordinate Space '" + space.substr(0, 60) + "', must be Global");
+  const double start_s = start.empty() ? 0.0 : ParseStart(start, lines);
 
-  std::map<std::string, Cells> rows;  // of the header
-  Cells cells;
+  MotiveHeader header;  // by the first cell that is not empty
   for (;;) {
-    if (!lines->Next(&cells)) lines->Fail("has no row that begins with Frame");
+    if (!lines.Next(&cells)) lines.Fail("has no row that begins with Frame");
     if (cells[0] == "Frame") break;
     const auto cell = std::find_if(cells.begin(), cells.end(),
                                    [](const std::string& text) { return !text.empty(); });
-    if (cell == cells.end()) continue;
-    rows[*cell == "Rotation" || *cell == "Position" ? "kind" : *cell] = cells;
+    if (cell != cells.end()) header[*cell == "Position" ? "Rotation" : *cell] = cells;
   }
-  for (const char* row : {"Type", "Name", "kind"})
-    if (rows.count(row) == 0)
-      lines->Fail("has no row of " + std::string(row == std::string("kind") ? "Rotation" : row) +
-                  " above the row that begins with Frame");
+  for (const char* row : {"Type", "Name", "Rotation"})
+    if (header.count(row) == 0)
+      lines.Fail("has no row of " + std::string(row) + " above the row that begins with Frame");
   std::vector<std::string> names;
   for (size_t k = 2; k < cells.size(); ++k)
-    if (Lines::Cell(rows["Type"], k) == "Rigid Body") names.push_back(Lines::Cell(rows["Name"], k));
+    if (Cell(header["Type"], k) == "Rigid Body") names.push_back(Cell(header["Name"], k));
   MocapPoses mocap;
-  mocap.body = ChooseBody(names, body, *lines);
-  BodyColumns columns = MotiveColumns(rows, cells, mocap.body, settings["Rotation Type"], *lines);
+  mocap.body = ChooseBody(names, body, lines);
+  BodyColumns columns = MotiveColumns(header, cells, mocap.body, settings["Rotation Type"], lines);
   columns.position_unit = metres;
-  while (lines->Next(&cells)) {
+  while (lines.Next(&cells)) {
     if (IsBlank(cells)) continue;
-    const double t_s = lines->Number(cells, 1);
-    if (!(std::abs(t_s) < kMaxTime)) lines->FailCell(1, cells[1], "a time in seconds");
-    if (const auto pose = Pose(columns, t_s, cells, *lines)) mocap.poses.push_back(*pose);
+    const double t_s = lines.Number(cells, 1);
+    if (!(std::abs(t_s) < kMaxTime)) lines.FailCell(1, cells[1], "a time in seconds");
+    AddPose(columns, t_s, cells, lines, &mocap.poses);
   }
   // Apart, as a sum in seconds would not be exact.
   for (PoseSample& pose : mocap.poses) pose.t_ns += std::llround(1e3 * start_s) * 1'000'000;
@@ -251,15 +232,16 @@ std::string ViconName(std::string cell) {
   return cell;
 }
 
-BodyColumns ViconColumns(const Cells& axes, const Cells& units, size_t begin, const Lines& lines) {
+BodyColumns ViconColumns(const Cells& axes, const Cells& units, size_t begin,
+                         const CellLines& lines) {
   const auto find = [&](const std::string& axis) {
-    for (size_t k = begin; k < std::min(axes.size(), begin + 7); ++k)
-      if (axes[k] == axis) return k;
-    return axes.size();
+    size_t k = begin;
+    while (k < begin + 7 && Cell(axes, k) != axis) ++k;
+    return k;
   };
   const auto need = [&](const std::string& axis) {
     const size_t k = find(axis);
-    if (k == axes.size())
+    if (k == begin + 7)
       lines.FailHere("names no column " + axis + " from column " + std::to_string(begin + 1) +
                      " on, where the body begins");
     return k;
@@ -268,79 +250,68 @@ BodyColumns ViconColumns(const Cells& axes, const Cells& units, size_t begin, co
   columns.rotation = {need("RX"), need("RY"), need("RZ")};
   columns.position = {need("TX"), need("TY"), need("TZ")};
   const size_t w = find("RW");
-  const std::string& length = Lines::Cell(units, columns.position[0]);
+  const std::string length = Cell(units, columns.position[0]);
   columns.position_unit = Metres(length);
   if (columns.position_unit == 0.0) lines.FailCell(columns.position[0], length, "mm, cm or m");
   if (w < columns.position[0]) {
     columns.rotation.push_back(w);
     return columns;
   }
-  const std::string& angle = Lines::Cell(units, columns.rotation[0]);
+  const std::string angle = Cell(units, columns.rotation[0]);
   if (angle != "deg" && angle != "rad") lines.FailCell(columns.rotation[0], angle, "deg or rad");
   if (angle == "deg") columns.rotation_unit = kDegree;
   return columns;
 }
 
-MocapPoses ReadVicon(const Cells& first, Lines* lines, const std::string& body) {
-  Cells cells = first, names, axes, units;
-  while (cells[0] != "Segments" && cells[0] != "Objects")
-    if (!lines->Next(&cells)) lines->Fail("has no part Segments or Objects, which hold poses");
+MocapPoses ReadVicon(CellLines lines, const std::string& body) {
+  Cells cells, names, axes, units;
+  do {
+    if (!lines.Next(&cells)) lines.Fail("has no part Segments or Objects, which hold poses");
+  } while (cells[0] != "Segments" && cells[0] != "Objects");
   const auto next = [&](Cells* row, const char* what) {
-    if (!lines->Next(row)) lines->Fail(std::string("ends before ") + what);
+    if (!lines.Next(row)) lines.Fail(std::string("ends before ") + what);
   };
   next(&cells, "the rate");
-  const double rate_hz = lines->Number(cells, 0);
-  if (!(rate_hz >= 1e-3 && rate_hz <= 1e6)) lines->FailCell(0, cells[0], "a rate [Hz]");
+  const double rate_hz = lines.Number(cells, 0);
+  if (!(rate_hz >= 1e-3 && rate_hz <= 1e6)) lines.FailCell(0, cells[0], "a rate [Hz]");
   next(&names, "the names of the bodies");
   next(&axes, "the names of the columns");
-  if (axes[0] != "Frame") lines->FailCell(0, axes[0], "Frame");
+  if (axes[0] != "Frame") lines.FailCell(0, axes[0], "Frame");
   next(&units, "the units");
 
   std::vector<std::string> bodies;
-  for (const std::string& name : names)
-    if (!name.empty()) bodies.push_back(ViconName(name));
+  for (std::string& name : names) {
+    name = ViconName(name);
+    if (!name.empty()) bodies.push_back(name);
+  }
   MocapPoses mocap;
-  mocap.body = ChooseBody(bodies, ViconName(body), *lines);
-  size_t begin = 0;
-  while (ViconName(names[begin]) != mocap.body) ++begin;
-  const BodyColumns columns = ViconColumns(axes, units, begin, *lines);
-  while (lines->Next(&cells) && !IsBlank(cells)) {  // another part may follow
-    const double frame = lines->Number(cells, 0);
-    if (!(std::abs(frame / rate_hz) < kMaxTime)) lines->FailCell(0, cells[0], "a frame");
-    if (const std::string& sub = Lines::Cell(cells, 1); sub != "0" && !sub.empty())
-      lines->FailCell(1, sub, "0: poses have no sub frames");
-    if (const auto pose = Pose(columns, frame / rate_hz, cells, *lines))
-      mocap.poses.push_back(*pose);
+  mocap.body = ChooseBody(bodies, ViconName(body), lines);
+  const auto begin = std::find(names.begin(), names.end(), mocap.body) - names.begin();
+  const BodyColumns columns = ViconColumns(axes, units, static_cast<size_t>(begin), lines);
+  while (lines.Next(&cells) && !IsBlank(cells)) {  // another part may follow
+    const double frame = lines.Number(cells, 0);
+    if (!(std::abs(frame / rate_hz) < kMaxTime)) lines.FailCell(0, cells[0], "a frame");
+    if (const std::string sub = Cell(cells, 1); sub != "0" && !sub.empty())
+      lines.FailCell(1, sub, "0: poses have no sub frames");
+    AddPose(columns, frame / rate_hz, cells, lines, &mocap.poses);
   }
   return mocap;
 }
 
-bool IsMotive(const Cells& first) { return first[0] == "Format Version"; }
-
-bool IsVicon(const Cells& first) {
-  static const std::array<const char*, 6> kParts = {"Segments", "Objects",       "Trajectories",
-                                                    "Devices",  "Model Outputs", "Joints"};
-  return std::count(kParts.begin(), kParts.end(), first[0]) > 0 &&
-         IsBlank({first.begin() + 1, first.end()});
-}
-
 }  // namespace
 
-bool IsMocapCsv(std::istream& in) {
-  Cells first;
-  const bool is_one = Lines(in, "").Next(&first) && (IsMotive(first) || IsVicon(first));
+std::optional<MocapPoses> ReadMocapCsv(std::istream& in, const std::string& name,
+                                       const std::string& body) {
+  std::string line;
+  TextLines(in, name).Next(&line);
   in.clear();
   in.seekg(0);
-  return is_one;
-}
-
-MocapPoses ReadMocapCsv(std::istream& in, const std::string& name, const std::string& body) {
-  Lines lines(in, name);
-  Cells first;
-  if (!lines.Next(&first) || !(IsMotive(first) || IsVicon(first)))
-    lines.Fail("is no CSV of Motive or Vicon");
-  MocapPoses mocap =
-      IsMotive(first) ? ReadMotive(first, &lines, body) : ReadVicon(first, &lines, body);
+  const Cells first = Split(line);
+  const bool is_vicon = std::count(kViconParts.begin(), kViconParts.end(), first[0]) > 0 &&
+                        IsBlank({first.begin() + 1, first.end()});
+  if (!is_vicon && first[0] != "Format Version") return std::nullopt;
+  CellLines lines(in, name, kTooLong);
+  MocapPoses mocap = is_vicon ? ReadVicon(lines, body) : ReadMotive(lines, body);
   if (mocap.poses.empty()) lines.Fail("holds no pose of '" + mocap.body + "'");
   return mocap;
 }

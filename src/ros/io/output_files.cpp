@@ -1,20 +1,13 @@
 #include "imu_pose_calib/ros/io/output_files.h"
 
-#include <poll.h>
-#include <sys/eventfd.h>
-#include <sys/signalfd.h>
+#include <fcntl.h>
 #include <sys/stat.h>
-#include <unistd.h>
-#include <yaml-cpp/yaml.h>
 
 #include <algorithm>
 #include <cerrno>
-#include <csignal>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
-#include <ctime>
-#include <filesystem>
 #include <fstream>
 #include <map>
 #include <mutex>
@@ -23,6 +16,7 @@
 
 #include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/yaml_file.h"
+#include "imu_pose_calib/ros/io/yaml_text.h"
 
 namespace imu_pose_calib {
 
@@ -71,15 +65,36 @@ std::string Target(const std::string& field, const std::string& path) {
 
 /// Makes a new file beside the target, not through a link that somebody has laid; unlike one of
 /// mkstemp() it has the permissions that the umask leaves it.
-std::FILE* MakeDraft(const std::string& target, std::string* draft) {
+std::string MakeDraft(const std::string& field, const std::string& path,
+                      const std::string& target) {
   const std::lock_guard<std::mutex> lock(All().mutex);
-  std::FILE* file = nullptr;
-  do {
-    *draft = Beside(target, ".tmp");
-    file = std::fopen(draft->c_str(), "wx");
-  } while (!file && errno == EEXIST);
-  if (file) All().paths.insert(*draft);
-  return file;
+  for (;;) {
+    const std::string draft = Beside(target, ".tmp");
+    if (std::FILE* file = std::fopen(draft.c_str(), "wx")) {
+      std::fclose(file);
+      All().paths.insert(draft);
+      return draft;
+    }
+    if (errno != EEXIST) Fail(field, path, errno);
+  }
+}
+
+/// Lets two names change their files; where one has none, it gets that of the other. In between,
+/// the place of `target` is never empty where the file system can do that.
+void Exchange(const std::string& draft, const std::string& target) {
+  if (fs::is_directory(target))
+    throw fs::filesystem_error("", std::make_error_code(std::errc::is_a_directory));
+  if (!fs::exists(target)) return fs::rename(draft, target);
+  if (!fs::exists(draft)) return fs::rename(target, draft);
+  if (renameat2(AT_FDCWD, draft.c_str(), AT_FDCWD, target.c_str(), RENAME_EXCHANGE) == 0) return;
+  const std::string aside = Beside(target, ".old");
+  std::error_code error;
+  fs::create_hard_link(target, aside, error);
+  if (error) fs::rename(target, aside);  // without second names
+  fs::rename(draft, target, error);
+  fs::rename(aside, error ? target : draft);
+  fs::remove(aside);  // it is still there when both were names of one file
+  if (error) throw fs::filesystem_error("", error);
 }
 
 void RemoveTemporary(const std::string& path) {
@@ -95,42 +110,31 @@ bool IsSame(const std::string& a, const std::string& b) {
          fs::weakly_canonical(fs::absolute(b), error);
 }
 
-std::string UtcText(std::time_t time, const char* format) {
-  std::tm utc{};
-  gmtime_r(&time, &utc);
-  char text[32];
-  std::strftime(text, sizeof(text), format, &utc);
-  return text;
-}
-
 /// Whether the beginning or the end of a file names this package.
 bool IsOurs(const fs::path& path) {
   std::ifstream file(path, std::ios::binary);
-  std::string text(4096, '\0');
-  const auto read = [&] {
-    file.read(text.data(), static_cast<std::streamsize>(text.size()));
-    const bool found = text.find("imu_pose_calib") != std::string::npos;
+  const auto next_names_us = [&](size_t size) {
+    std::string text(size, '\0');
+    file.read(text.data(), static_cast<std::streamsize>(size));
     file.clear();
-    return found;
+    return text.find("imu_pose_calib") != std::string::npos;
   };
-  if (read()) return true;
-  text.assign(256, '\0');
-  file.seekg(-static_cast<std::streamoff>(text.size()), std::ios::end);
-  return read();
+  if (next_names_us(4096)) return true;
+  file.seekg(-256, std::ios::end);
+  return next_names_us(256);
 }
 
-/// What a result says that its run wrote elsewhere, see RunInfo.
+/// What a result says that its run wrote elsewhere, see RunInfo; nothing when it is none of ours.
 std::vector<std::string> ListedIn(const std::string& result) {
   constexpr size_t kMaxSize = 10'000'000;
-  std::vector<std::string> files;
   try {
-    for (const YAML::Node& file :
-         ParseYaml(ReadYamlFile(result, kMaxSize))["imu_pose_calib"]["files"])
-      files.push_back(fs::path(result).parent_path() / file.as<std::string>());
+    const YAML::Node root = ParseYaml(ReadYamlFile(result, kMaxSize));
+    auto files = root["imu_pose_calib"]["files"].as<std::vector<std::string>>();
+    for (std::string& file : files) file = fs::path(result).parent_path() / file;
+    return files;
   } catch (const std::exception&) {
-    files.clear();  // no result of ours
+    return {};
   }
-  return files;
 }
 
 }  // namespace
@@ -161,35 +165,24 @@ void OutputFiles::Plan(const std::string& field, const std::string& path, bool m
   planned_.push_back({field, target});
   fs::path folder = fs::absolute(target).parent_path();
   while (may_make_folders && !fs::exists(folder)) folder = folder.parent_path();
-  std::string draft;
-  std::FILE* file = MakeDraft((folder / fs::path(target).filename()).string(), &draft);
-  if (!file) Fail(field, path, errno);
-  std::fclose(file);
-  RemoveTemporary(draft);
-}
-
-std::FILE* OutputFiles::Open(const std::string& path) {
-  File made{path, Target("output", path), ""};
-  std::FILE* file = MakeDraft(made.target, &made.draft);
-  if (!file) Fail("output", path, errno);
-  files_.push_back(made);
-  return file;
+  RemoveTemporary(MakeDraft(field, path, folder / fs::path(target).filename()));
 }
 
 std::string OutputFiles::Draft(const std::string& path) {
-  std::fclose(Open(path));
+  const std::string target = Target("output", path);
+  files_.push_back({path, target, MakeDraft("output", path, target)});
   return files_.back().draft;
 }
 
 void OutputFiles::Write(const std::string& path, const std::string& text) {
-  std::FILE* file = Open(path);
-  const bool is_whole = std::fwrite(text.data(), 1, text.size(), file) == text.size();
+  std::ofstream file(Draft(path), std::ios::binary);
+  errno = 0;
+  file.write(text.data(), static_cast<std::streamsize>(text.size()));
+  file.close();
+  if (file) return;
   const int reason = errno;
-  const bool is_closed = std::fclose(file) == 0;
-  if (is_whole && is_closed) return;
-  const int late_reason = errno;
   Drop(path);
-  Fail("output", path, is_whole ? late_reason : reason);
+  Fail("output", path, reason);
 }
 
 void OutputFiles::Drop(const std::string& path) {
@@ -221,47 +214,29 @@ bool OutputFiles::Holds(const std::string& path) const {
                      [&](const File& file) { return IsSame(file.target, path); });
 }
 
-void OutputFiles::Replace(File* file) {
-  std::error_code ignored;
-  if (fs::is_directory(file->target, ignored)) Fail("output", file->path, EISDIR);
-  // With a second name for what is there, the place is never empty; some file systems have no
-  // second names.
-  const std::string old = Beside(file->target, ".old");
-  if (link(file->target.c_str(), old.c_str()) == 0 ||
-      (errno != ENOENT && std::rename(file->target.c_str(), old.c_str()) == 0))
-    file->old = old;
-  else if (errno != ENOENT)
-    Fail("output", file->path, errno);
-  if (std::rename(file->draft.c_str(), file->target.c_str()) != 0)
-    Fail("output", file->path, errno);
-}
-
-void OutputFiles::Restore(const File& file) {
-  if (file.old.empty()) {
-    std::remove(file.target.c_str());
-  } else {
-    std::rename(file.old.c_str(), file.target.c_str());
-    std::remove(file.old.c_str());  // two names of one file stay both
-  }
-}
-
 void OutputFiles::Commit() {
   const std::lock_guard<std::mutex> lock(All().mutex);
-  size_t done = 0;
+  const auto is_new = [](const File& file) { return !file.draft.empty(); };
+  const auto first = std::find_if(files_.begin(), files_.end(), is_new);
+  auto file = first;
   try {
-    for (; done < files_.size(); ++done) Replace(&files_[done]);
-  } catch (const InputError&) {
-    if (!files_[done].old.empty()) Restore(files_[done]);
-    while (done-- > 0) Restore(files_[done]);
-    throw;
+    for (; file != files_.end(); ++file) Exchange(file->draft, file->target);
+  } catch (const fs::filesystem_error& failure) {
+    const std::string path = file->path;
+    while (file != first) {
+      --file;
+      Exchange(file->draft, file->target);
+    }
+    Fail("output", path, failure.code().value());
   }
-  for (const File& file : files_) {
-    if (!file.old.empty()) std::remove(file.old.c_str());
-    All().paths.erase(file.draft);
+  for (file = first; file != files_.end(); ++file) {
+    std::remove(file->draft.c_str());  // what was there before
+    All().paths.erase(file->draft);
+    file->draft.clear();
   }
   for (const std::string& folder : folders_) All().paths.erase(folder);
-  folders_.clear();
   for (const std::string& path : obsolete_) std::remove(path.c_str());
+  folders_.clear();
   obsolete_.clear();
 }
 
@@ -272,6 +247,9 @@ void WriteFile(const std::string& path, const std::string& text) {
 }
 
 // --- Temporary files and interrupts ---
+
+/// Tells the thread that waits for interrupts to end.
+const int kEnd = SIGRTMIN;
 
 TemporaryFolder::TemporaryFolder() {
   std::string name = (fs::temp_directory_path() / "imu_pose_calib_XXXXXX").string();
@@ -284,48 +262,35 @@ TemporaryFolder::TemporaryFolder() {
 
 TemporaryFolder::~TemporaryFolder() { RemoveTemporary(path_); }
 
-struct InterruptGuard::State {
-  sigset_t signals{}, before{};
-  int arrived = -1, end = -1;
-};
-
-InterruptGuard::InterruptGuard() : state_(std::make_unique<State>()) {
-  sigemptyset(&state_->signals);
+InterruptGuard::InterruptGuard() {
+  sigemptyset(&waited_for_);
+  sigaddset(&waited_for_, kEnd);
   for (const int signal : {SIGINT, SIGTERM, SIGHUP}) {
     struct sigaction action {};
     sigaction(signal, nullptr, &action);
-    if (action.sa_handler != SIG_IGN) sigaddset(&state_->signals, signal);  // nohup, &
+    if (action.sa_handler != SIG_IGN) sigaddset(&waited_for_, signal);  // nohup, &
   }
-  pthread_sigmask(SIG_BLOCK, &state_->signals, &state_->before);
-  state_->arrived = signalfd(-1, &state_->signals, SFD_CLOEXEC);
-  state_->end = eventfd(0, EFD_CLOEXEC);
+  pthread_sigmask(SIG_BLOCK, &waited_for_, &before_);
   thread_ = std::thread([this] {
-    pollfd files[] = {{state_->end, POLLIN, 0}, {state_->arrived, POLLIN, 0}};
-    while (poll(files, 2, -1) < 0 && errno == EINTR) {
-    }
-    signalfd_siginfo info{};
-    if ((files[1].revents & POLLIN) == 0 ||
-        read(state_->arrived, &info, sizeof(info)) != sizeof(info))
-      return;
+    int signal = 0;
+    sigwait(&waited_for_, &signal);
+    if (signal == kEnd) return;
     const std::lock_guard<std::mutex> lock(All().mutex);
     std::error_code ignored;
     // The inner ones first. A folder may be written to meanwhile.
     for (auto path = All().paths.rbegin(); path != All().paths.rend(); ++path)
       for (int trial = 0; trial < 100 && fs::exists(*path, ignored); ++trial)
         fs::remove_all(*path, ignored);
-    const auto signal = static_cast<int>(info.ssi_signo);
     std::signal(signal, SIG_DFL);
-    pthread_sigmask(SIG_UNBLOCK, &state_->signals, nullptr);
+    pthread_sigmask(SIG_UNBLOCK, &waited_for_, nullptr);
     raise(signal);
   });
 }
 
 InterruptGuard::~InterruptGuard() {
-  const uint64_t one = 1;
-  if (write(state_->end, &one, sizeof(one)) == sizeof(one)) thread_.join();
-  close(state_->end);
-  close(state_->arrived);
-  pthread_sigmask(SIG_SETMASK, &state_->before, nullptr);
+  pthread_kill(thread_.native_handle(), kEnd);
+  thread_.join();
+  pthread_sigmask(SIG_SETMASK, &before_, nullptr);
 }
 
 // --- Earlier runs ---
@@ -344,10 +309,9 @@ std::vector<std::string> FindEarlier(const std::string& output) {
     if (is_named && entry.is_regular_file(ignored) && IsOurs(entry.path()))
       files.push_back(folder / name);
   }
-  for (const std::string& file : ListedIn(output)) files.push_back(file);
+  for (const std::string& file : ListedIn(output))
+    if (fs::exists(file, ignored)) files.push_back(file);
   std::sort(files.begin(), files.end());
-  const auto is_gone = [&](const std::string& file) { return !fs::exists(file, ignored); };
-  files.erase(std::remove_if(files.begin(), files.end(), is_gone), files.end());
   files.erase(std::unique(files.begin(), files.end(), IsSame), files.end());
   return files;
 }

@@ -1,12 +1,14 @@
 #include "imu_pose_calib/ros/io/result_yaml.h"
 
-#include <yaml-cpp/yaml.h>
-
+#include <algorithm>
+#include <boost/algorithm/string.hpp>
+#include <cmath>
 #include <cstdio>
 #include <ctime>
 
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
+#include "imu_pose_calib/ros/io/yaml_file.h"
 #include "imu_pose_calib/ros/io/yaml_text.h"
 
 namespace imu_pose_calib {
@@ -31,74 +33,112 @@ const char kEquations[] = R"(
 
 )";
 
-/// Writes the values of a map with their keys.
-class Writer {
+/// A result file that is written or read, by one description of its keys below. A key is named by
+/// its path, "sessions.0.gravity.vector": numbers count the elements of a list, and "/" stands for
+/// "." where a map is in one line. Errors of reading name it: "transform: rotation is missing".
+class ResultFile {
  public:
-  Writer() { out_ << YAML::BeginMap; }
+  /// To write.
+  ResultFile() { out_ << YAML::BeginMap; }
+  /// To read.
+  explicit ResultFile(const YAML::Node& root) : reads_(true), root_(root) {}
 
-  template <typename Value>
-  void Put(const char* key, const Value& value) {
-    Key(key);
+  bool reads() const { return reads_; }
+
+  template <typename T>
+  void Value(const std::string& path, T& value) {
+    if (reads_)
+      Read(path, Find(path), &value);
+    else
+      Note(path, value);
+  }
+  /// What is not read back.
+  template <typename T>
+  void Note(const std::string& path, const T& value) {
+    if (reads_) return;
+    Open(path);
     Write(value);
   }
-  template <typename Value>
-  void PutWithStd(const std::string& key, const Value& value, const Value& std_dev) {
-    Put(key.c_str(), value);
-    Put((key + "_std").c_str(), std_dev);
+  template <typename T>
+  void WithStd(const std::string& path, T& value, T& std_dev) {
+    Value(path, value);
+    Value(path + "_std", std_dev);
   }
-
-  /// A map over several lines; `fill` puts what is in it.
-  template <typename Fill>
-  void Map(const char* key, Fill fill) {
-    Key(key);
-    FillMap(YAML::Block, fill);
+  template <typename T>
+  void NoteWithStd(const std::string& path, const T& value, const T& std_dev) {
+    Note(path, value);
+    Note(path + "_std", std_dev);
   }
-  /// A map in one line.
-  template <typename Fill>
-  void FlowMap(const char* key, Fill fill) {
-    Key(key);
-    FillMap(YAML::Flow, fill);
+  /// A text that is written on a condition. Whether there is one.
+  bool Optional(const std::string& path, bool is_written, std::string* value) {
+    const bool is_there = reads_ ? Get(path).IsDefined() : is_written;
+    if (is_there) Value(path, *value);
+    return is_there;
   }
-  /// A list of maps in this style; `fill(k)` puts what is in one.
-  template <typename Fill>
-  void Maps(const char* key, YAML::EMITTER_MANIP style, size_t count, Fill fill) {
-    Key(key);
-    if (count == 0) out_ << YAML::Flow;
-    out_ << YAML::BeginSeq;
-    for (size_t k = 0; k < count; ++k) FillMap(style, [&] { fill(k); });
-    out_ << YAML::EndSeq;
+  /// The number of elements of a list of maps, which is `count` when it is written; before them.
+  size_t Count(const std::string& path, size_t count) {
+    if (!reads_) {
+      if (count == 0) Note(path, std::vector<std::string>());
+      return count;
+    }
+    const YAML::Node list = Find(path);
+    for (const YAML::Node& map : list)
+      if (!map.IsMap()) Fail(path, "must be a list of maps");
+    if (list.size() == 0) Fail(path, "is empty");
+    return list.size();
   }
 
   std::string Finish() {
+    Close(0);
     out_ << YAML::EndMap;
     return out_.c_str();
   }
 
- private:
-  void Key(const char* key) { out_ << YAML::Key << key << YAML::Value; }
+  [[noreturn]] static void Fail(const std::string& path, const std::string& what) {
+    throw InputError(boost::join(Split(path), ": ") + " " + what);
+  }
 
-  template <typename Fill>
-  void FillMap(YAML::EMITTER_MANIP style, Fill fill) {
-    out_ << style << YAML::BeginMap;
-    fill();
-    out_ << YAML::EndMap;
+ private:
+  static std::vector<std::string> Split(const std::string& path) {
+    std::vector<std::string> parts;
+    return boost::split(parts, path, boost::is_any_of("./"));
+  }
+  static bool IsIndex(const std::string& part) { return boost::all(part, boost::is_digit()); }
+
+  // --- Writing ---
+
+  /// Opens the maps and lists that lead to the key, and closes those that do not.
+  void Open(const std::string& path) {
+    const std::vector<std::string> parts = Split(path);
+    size_t k = 0;
+    while (k < open_.size() && k + 1 < parts.size() && open_[k].first == parts[k]) ++k;
+    Close(k);
+    for (; k < parts.size(); ++k) {
+      if (!IsIndex(parts[k])) out_ << YAML::Key << parts[k] << YAML::Value;
+      if (k + 1 == parts.size()) return;
+      const bool is_list = IsIndex(parts[k + 1]);
+      const bool is_line = k + 2 == parts.size() && boost::contains(path, "/");
+      out_ << (is_line ? YAML::Flow : YAML::Block) << (is_list ? YAML::BeginSeq : YAML::BeginMap);
+      open_.emplace_back(parts[k], is_list ? YAML::EndSeq : YAML::EndMap);
+    }
+  }
+  void Close(size_t left) {
+    for (; open_.size() > left; open_.pop_back()) out_ << open_.back().second;
   }
 
   void Write(double value) { out_ << YamlNumber(value); }
   void Write(size_t value) { out_ << value; }
   void Write(bool value) { out_ << value; }
-  void Write(const char* value) { out_ << YAML::DoubleQuoted << value; }
-  void Write(const std::string& value) { out_ << YAML::DoubleQuoted << value; }
   void Write(const YAML::Node& value) { out_ << value; }
-  void Write(const std::vector<std::string>& values) {
-    if (values.empty()) out_ << YAML::Flow;
-    out_ << YAML::BeginSeq;
-    for (const std::string& value : values) Write(value);
-    out_ << YAML::EndSeq;
-  }
+  void Write(const std::string& value) { out_ << YAML::DoubleQuoted << value; }
+  void Write(const char* value) { Write(std::string(value)); }
+  void Write(const Eigen::Quaterniond& q) { Write(q.coeffs()); }
   void Write(const std::vector<double>& values) {
-    out_ << YAML::Flow << YAML::BeginSeq;
-    for (const double value : values) Write(value);
+    Write(Eigen::VectorXd::Map(values.data(), static_cast<Eigen::Index>(values.size())));
+  }
+  void Write(const std::vector<std::string>& values) {
+    out_ << (values.empty() ? YAML::Flow : YAML::Block) << YAML::BeginSeq;
+    for (const std::string& value : values) Write(value);
     out_ << YAML::EndSeq;
   }
   /// A vector in one line, a matrix with a line for each row.
@@ -114,287 +154,390 @@ class Writer {
     out_ << YAML::EndSeq;
   }
 
+  // --- Reading ---
+
+  /// What is at the path, perhaps nothing.
+  YAML::Node Get(const std::string& path) const {
+    std::vector<YAML::Node> nodes{root_};
+    std::string name;
+    for (const std::string& part : Split(path)) {
+      const YAML::Node& node = nodes.back();  // const, so that it gets no new keys
+      if (!name.empty() && !node.IsDefined()) Fail(name, "is missing");
+      if (!IsIndex(part) && !node.IsMap()) Fail(name, "must be a map");
+      nodes.push_back(IsIndex(part) ? node[std::stoul(part)] : node[part]);
+      name += (name.empty() ? "" : ".") + part;
+    }
+    return nodes.back();
+  }
+  YAML::Node Find(const std::string& path) const {
+    const YAML::Node node = Get(path);
+    if (!node.IsDefined()) Fail(path, "is missing");
+    return node;
+  }
+
+  static void Read(const std::string& path, const YAML::Node& node, double* value) {
+    if (!node.IsScalar() || !YAML::convert<double>::decode(node, *value) || !std::isfinite(*value))
+      Fail(path, "must hold finite numbers");
+  }
+  static void Read(const std::string& path, const YAML::Node& node, std::string* value) {
+    if (!node.IsScalar()) Fail(path, "must be a string");
+    *value = node.Scalar();
+  }
+  static void Read(const std::string& path, const YAML::Node& node, Eigen::Quaterniond* value) {
+    Read(path, node, &value->coeffs());
+    if (std::abs(value->norm() - 1.0) > 1e-6) Fail(path, "must be a unit quaternion");
+    value->normalize();
+  }
+  /// A list of numbers, or of rows.
+  template <int kRows, int kColumns>
+  static void Read(const std::string& path, const YAML::Node& rows,
+                   Eigen::Matrix<double, kRows, kColumns>* value) {
+    constexpr bool kIsVector = kColumns == 1;
+    const auto check = [&](const YAML::Node& list, size_t size, const char* what) {
+      if (!list.IsSequence() || list.size() != size)
+        Fail(path, (kIsVector ? "must be a list of " : "must have ") + std::to_string(size) + what);
+    };
+    check(rows, kRows, kIsVector ? " numbers" : " rows");
+    for (int i = 0; i < kRows; ++i) {
+      if (!kIsVector) check(rows[i], kColumns, " columns");
+      for (int j = 0; j < kColumns; ++j)
+        Read(path, kIsVector ? rows[i] : rows[i][j], &(*value)(i, j));
+    }
+  }
+
   YAML::Emitter out_;
+  std::vector<std::pair<std::string, YAML::EMITTER_MANIP>> open_;  ///< and how each is closed
+  bool reads_ = false;
+  YAML::Node root_;
 };
 
-std::string UtcNow() {
-  const std::time_t now = std::time(nullptr);
-  char text[32];
-  std::strftime(text, sizeof(text), "%Y-%m-%dT%H:%M:%SZ", std::gmtime(&now));
-  return text;
-}
+// --- Keys; `at` is the path of what they are in, with a point at its end ---
 
 std::string ImuName(size_t imu) { return "imu" + std::to_string(imu); }
 
-void PutRejected(const char* key, const StreamReport& report, Writer* out) {
-  out->FlowMap(key, [&] {
-    out->Put("not_finite", report.not_finite);
-    out->Put("zero_quaternion", report.zero_quaternion);
-    out->Put("reversed_stamp", report.reversed_stamp);
-    out->Put("duplicate_stamp", report.duplicate_stamp);
-    out->Put("repeated_value", report.repeated_value);
-    out->Put("saturated", report.saturated);
-    out->Put("outlier", report.outlier);
-    out->Put("flipped", report.flipped);
-    out->Put("in_short_segment", report.in_short_segment);
-    out->Put("between_updates", report.between_updates);
-  });
-}
-
-/// `key: {poses, gyro, accel}` of one member of the reports.
-template <typename T>
-void PutPerStream(const char* key, const SessionCalibration& session, T StreamReport::*member,
-                  Writer* out) {
-  out->FlowMap(key, [&] {
-    out->Put("poses", session.poses.*member);
-    out->Put("gyro", session.imus[0].gyro.*member);
-    out->Put("accel", session.imus[0].accel.*member);
-  });
-}
-
-void PutTransform(const Rigid3& T, Writer* out) {
-  out->Put("translation", T.p);
-  out->Put("rotation", T.q.coeffs());
-  out->Put("matrix", T.Matrix());
+void Transform(const std::string& at, Rigid3& T, ResultFile* file) {
+  file->Value(at + "translation", T.p);
+  file->Value(at + "rotation", T.q);
+  file->Note(at + "matrix", T.Matrix());
 }
 
 /// A transform of `estimate`, which states its covariance and sigmas.
 template <typename Estimate>
-void PutUncertainTransform(const Rigid3& T, const Estimate& estimate, Writer* out) {
-  out->Map("transform", [&] {
-    PutTransform(T, out);
-    out->Put("translation_std", estimate.Std().template head<3>());
-    out->Put("rotation_std", estimate.Std().template tail<3>());
-    out->Put("covariance", estimate.covariance);
-  });
+void UncertainTransform(const std::string& at, Rigid3& T, Estimate& estimate, ResultFile* file) {
+  Transform(at + "transform.", T, file);
+  file->Note(at + "transform.translation_std", estimate.Std().template head<3>());
+  file->Note(at + "transform.rotation_std", estimate.Std().template tail<3>());
+  file->Value(at + "transform.covariance", estimate.covariance);
 }
 
-void PutTransforms(const ImuCalibration& imu, Writer* out) {
-  PutUncertainTransform(imu.T_MI, imu, out);
-  out->Map("inverse_transform", [&] { PutTransform(imu.T_MI.Inverse(), out); });
+void Transforms(const std::string& at, ImuCalibration& imu, ResultFile* file) {
+  UncertainTransform(at, imu.T_MI, imu, file);
+  Rigid3 T_IM = imu.T_MI.Inverse();
+  if (!file->reads()) Transform(at + "inverse_transform.", T_IM, file);
 }
 
-void PutAccelDelay(const ImuCalibration& imu, Writer* out) {
-  out->PutWithStd("accel_delay", imu.accel_delay, imu.accel_delay_std);
-  out->PutWithStd("accel_smoothing", imu.accel_smoothing, imu.accel_smoothing_std);
+void AccelDelay(const std::string& at, ImuCalibration& imu, ResultFile* file) {
+  file->WithStd(at + "accel_delay", imu.accel_delay, imu.accel_delay_std);
+  file->NoteWithStd(at + "accel_smoothing", imu.accel_smoothing, imu.accel_smoothing_std);
 }
 
-void PutClockDrift(const ImuSession& imu, Writer* out) {
-  out->PutWithStd("clock_drift", imu.clock_drift, imu.clock_drift_std);
-  out->Put("clock_reference", imu.clock_reference);
-  out->Map("clock", [&] {
-    out->Put("t", imu.clock.t);
-    out->Put("offset", imu.clock.offset);
-    out->Put("std", imu.clock.std);
-    out->Maps("steps", YAML::Flow, imu.clock.steps.size(), [&](size_t k) {
-      out->Put("t", imu.clock.steps[k].t);
-      out->Put("size", imu.clock.steps[k].size);
-    });
-  });
+void Clock(const std::string& at, ImuSession& imu, ResultFile* file) {
+  file->WithStd(at + "clock_drift", imu.clock_drift, imu.clock_drift_std);
+  file->Value(at + "clock_reference", imu.clock_reference);
+  if (file->reads()) return;
+  file->Note(at + "clock.t", imu.clock.t);
+  file->Note(at + "clock.offset", imu.clock.offset);
+  file->Note(at + "clock.std", imu.clock.std);
+  for (size_t k = 0; k < file->Count(at + "clock.steps", imu.clock.steps.size()); ++k) {
+    const std::string step = at + "clock.steps." + std::to_string(k) + "/";
+    file->Note(step + "t", imu.clock.steps[k].t);
+    file->Note(step + "size", imu.clock.steps[k].size);
+  }
 }
 
-void PutIntrinsics(const char* key, ImuModel model, const ImuCalibration& imu, Writer* out) {
-  out->Map(key, [&] {
-    out->Put("model", ToString(model));
-    out->PutWithStd("gyro_matrix", imu.gyro_matrix, imu.gyro_matrix_std);
-    out->PutWithStd("accel_matrix", imu.accel_matrix, imu.accel_matrix_std);
-    out->Put("accel_positions", imu.accel_positions.transpose());
-    out->Put("accel_positions_std", imu.accel_positions_std.transpose());
-  });
+void Gravity(const std::string& at, SessionCalibration& session, ResultFile* file) {
+  file->Value(at + "gravity.vector", session.g_W);
+  file->Note(at + "gravity.std", session.g_W_std);
+  file->Note(at + "gravity.magnitude", session.g_W.norm());
 }
 
-void PutBiases(const ImuSession& imu, Writer* out) {
-  out->Map("biases", [&] {
-    out->Put("gyro", imu.gyro_bias);
-    out->Put("accel", imu.accel_bias);
-    out->Put("gyro_std", imu.gyro_bias_std);
-    out->Put("accel_std", imu.accel_bias_std);
-  });
+void Biases(const std::string& at, ImuSession& imu, ResultFile* file) {
+  file->Value(at + "biases.gyro", imu.gyro_bias);
+  file->Value(at + "biases.accel", imu.accel_bias);
+  file->Note(at + "biases.gyro_std", imu.gyro_bias_std);
+  file->Note(at + "biases.accel_std", imu.accel_bias_std);
 }
 
-void PutGravity(const SessionCalibration& session, Writer* out) {
-  out->Map("gravity", [&] {
-    out->Put("vector", session.g_W);
-    out->Put("std", session.g_W_std);
-    out->Put("magnitude", session.g_W.norm());
-  });
+void Intrinsics(const std::string& at, ImuModel* model, ImuCalibration& imu, ResultFile* file) {
+  std::string name = ToString(*model);
+  file->Value(at + "model", name);
+  *model = name == ToString(ImuModel::kCalibrated) ? ImuModel::kCalibrated
+                                                   : ImuModel::kScaleMisalignment;
+  file->Value(at + "gyro_matrix", imu.gyro_matrix);
+  file->Note(at + "gyro_matrix_std", imu.gyro_matrix_std);
+  file->Value(at + "accel_matrix", imu.accel_matrix);
+  file->Note(at + "accel_matrix_std", imu.accel_matrix_std);
+  Eigen::Matrix3d places = imu.accel_positions.transpose();
+  file->Value(at + "accel_positions", places);
+  imu.accel_positions = places.transpose();
+  file->Note(at + "accel_positions_std", imu.accel_positions_std.transpose());
 }
 
-void PutImuNoise(const ImuSession& imu, Writer* out) {
-  out->Put("gyro_std", imu.noise.gyro);
-  out->Put("accel_std", imu.noise.accel);
+void Noise(const std::string& at, ImuSession& imu, ResultFile* file) {
+  file->Value(at + "noise.gyro_std", imu.noise.gyro);
+  file->Value(at + "noise.accel_std", imu.noise.accel);
 }
 
-void PutImus(const Calibration& result, const RecordingInfo& info, Writer* out) {
-  out->Maps("imus", YAML::Block, result.imus.size(), [&](size_t i) {
-    out->Put("name", ImuName(i));
-    out->Put("topic", info.imus[i].GyroSource());
-    if (info.imus[i].imu_topic.empty()) out->Put("accel_topic", info.imus[i].accel_topic);
-    out->Put("frame", info.imus[i].imu_frame);
-    PutTransforms(result.imus[i], out);
-    PutAccelDelay(result.imus[i], out);
-    PutIntrinsics("intrinsics", result.imu_model, result.imus[i], out);
-  });
-  out->Maps("between_imus", YAML::Block, result.between_imus.size(), [&](size_t k) {
-    const BetweenImus& between = result.between_imus[k];
-    out->Put("first", ImuName(between.first));
-    out->Put("second", ImuName(between.second));
-    PutUncertainTransform(between.T, between, out);
-  });
+Status ToUsable(const std::string& name) {
+  for (const Status status : {Status::kOk, Status::kWeak})
+    if (name == ToString(status)) return status;
+  ResultFile::Fail("imu_pose_calib.status",
+                   "is '" + name + "'; only a result that is ok or weak can be used");
 }
 
-void PutOwn(const SessionCalibration& session, Writer* out) {
-  out->Map("own", [&] {
-    const OwnEstimate& own = session.own;
-    out->Put("imu", ImuName(own.imu));
-    out->Put("translation", own.T_MI.p);
-    out->Put("translation_std", own.std.head<3>());
-    out->Put("rotation", own.T_MI.q.coeffs());
-    out->Put("rotation_std", own.std.tail<3>());
-    out->PutWithStd("time_shift", own.time_shift, own.time_shift_std);
-    out->PutWithStd("accel_delay", own.accel_delay, own.accel_delay_std);
-  });
+/// Run, frames, and the estimate of the first IMU in the first session.
+void First(const RunInfo& run, StoredResult* stored, ResultFile* file) {
+  Calibration& result = stored->result;
+  SessionCalibration& session = result.sessions[0];
+  ImuSession& imu = session.imus[0];
+  std::string status = ToString(result.status);
+  file->Value("imu_pose_calib.version", stored->version);
+  file->Note("imu_pose_calib.method", ToString(result.method));
+  file->Value("imu_pose_calib.status", status);
+  if (file->reads()) result.status = ToUsable(status);
+  file->Value("imu_pose_calib.message", result.message);
+  file->Note("imu_pose_calib.date", UtcText(std::time(nullptr), "%Y-%m-%dT%H:%M:%SZ"));
+  file->Optional("imu_pose_calib.run_id", !stored->run_id.empty(), &stored->run_id);
+  if (!run.files.empty()) file->Note("imu_pose_calib.files", run.files);
+  file->Value("frames.world", stored->infos[0].world_frame);
+  file->Value("frames.marker", stored->infos[0].marker_frame);
+  file->Value("frames.imu", stored->infos[0].imus[0].imu_frame);
+  Transforms("", result.imus[0], file);
+  imu.is_present = true;
+  file->WithStd("time_shift", imu.time_shift, imu.time_shift_std);
+  AccelDelay("", result.imus[0], file);
+  Clock("", imu, file);
+  file->NoteWithStd("pose_smoothing", result.pose_smoothing, result.pose_smoothing_std);
+  file->NoteWithStd("position_smoothing", result.position_smoothing, result.position_smoothing_std);
+  file->NoteWithStd("pose_scale", result.pose_scale, result.pose_scale_std);
+  Gravity("", session, file);
+  Biases("", imu, file);
+  Intrinsics("imu.", &result.imu_model, result.imus[0], file);
+}
+
+/// All IMUs; their names.
+std::vector<std::string> Imus(StoredResult* stored, ResultFile* file) {
+  Calibration& result = stored->result;
+  std::vector<std::string> names(file->Count("imus", result.imus.size()));
+  if (file->reads()) stored->infos[0].imus.assign(names.size(), {});
+  result.imus.resize(names.size());
+  for (size_t i = 0; i < names.size(); ++i) {
+    const std::string at = "imus." + std::to_string(i) + ".";
+    ImuInfo& info = stored->infos[0].imus[i];
+    names[i] = ImuName(i);
+    file->Value(at + "name", names[i]);
+    std::string topic = info.GyroSource();
+    file->Value(at + "topic", topic);
+    const bool is_split =
+        file->Optional(at + "accel_topic", info.imu_topic.empty(), &info.accel_topic);
+    (is_split ? info.gyro_topic : info.imu_topic) = topic;
+    file->Value(at + "frame", info.imu_frame);
+    Transforms(at, result.imus[i], file);
+    AccelDelay(at, result.imus[i], file);
+    Intrinsics(at + "intrinsics.", &result.imu_model, result.imus[i], file);
+  }
+  if (file->reads()) return names;
+  for (size_t k = 0; k < file->Count("between_imus", result.between_imus.size()); ++k) {
+    const std::string at = "between_imus." + std::to_string(k) + ".";
+    BetweenImus& between = result.between_imus[k];
+    file->Note(at + "first", ImuName(between.first));
+    file->Note(at + "second", ImuName(between.second));
+    UncertainTransform(at, between.T, between, file);
+  }
+  return names;
+}
+
+/// What a session says alone, and how that agrees with the others.
+void Own(const std::string& at, const SessionCalibration& session, ResultFile* file) {
+  const OwnEstimate& own = session.own;
+  file->Note(at + "own.imu", ImuName(own.imu));
+  file->Note(at + "own.translation", own.T_MI.p);
+  file->Note(at + "own.translation_std", own.std.head<3>());
+  file->Note(at + "own.rotation", own.T_MI.q);
+  file->Note(at + "own.rotation_std", own.std.tail<3>());
+  file->NoteWithStd(at + "own.time_shift", own.time_shift, own.time_shift_std);
+  file->NoteWithStd(at + "own.accel_delay", own.accel_delay, own.accel_delay_std);
   char sigmas[32];
   std::snprintf(sigmas, sizeof(sigmas), ", %.1f sigma", session.agreement.sigmas);
-  out->Map("agreement", [&] {
-    out->Put("chi2", session.agreement.chi2);
-    out->Put("dof", static_cast<size_t>(session.agreement.dof));
-    out->Put("worst", session.agreement.worst + sigmas);
-  });
+  file->Note(at + "agreement.chi2", session.agreement.chi2);
+  file->Note(at + "agreement.dof", static_cast<size_t>(session.agreement.dof));
+  file->Note(at + "agreement.worst", session.agreement.worst + sigmas);
 }
 
-void PutSessions(const Calibration& result, const std::vector<RecordingInfo>& infos, Writer* out) {
-  out->Maps("sessions", YAML::Block, result.sessions.size(), [&](size_t s) {
-    const SessionCalibration& session = result.sessions[s];
-    out->Put("source", infos[s].Source());
-    out->Put("world", infos[s].world_frame);
-    std::vector<size_t> present;
-    for (size_t i = 0; i < session.imus.size(); ++i)
-      if (session.imus[i].is_present) present.push_back(i);
-    out->Maps("imus", YAML::Block, present.size(), [&](size_t k) {
-      const ImuSession& imu = session.imus[present[k]];
-      out->Put("name", ImuName(present[k]));
-      out->PutWithStd("time_shift", imu.time_shift, imu.time_shift_std);
-      PutClockDrift(imu, out);
-      PutBiases(imu, out);
-      out->Map("noise", [&] { PutImuNoise(imu, out); });
-      out->Map("rates", [&] {
-        out->Put("gyro", imu.gyro.rate_hz);
-        out->Put("accel", imu.accel.rate_hz);
-      });
-    });
-    PutGravity(session, out);
-    if (result.sessions.size() > 1) PutOwn(session, out);
-  });
+/// The IMUs of a session, which are called by their names.
+void SessionImus(const std::string& session_at, const std::vector<std::string>& names,
+                 SessionCalibration* session, ResultFile* file) {
+  std::vector<size_t> present;  // places; to be read
+  for (size_t i = 0; i < session->imus.size(); ++i)
+    if (session->imus[i].is_present) present.push_back(i);
+  present.resize(file->Count(session_at + "imus", present.size()));
+  if (file->reads()) session->imus.assign(names.size(), {});
+  for (size_t k = 0; k < present.size(); ++k) {
+    const std::string at = session_at + "imus." + std::to_string(k) + ".";
+    std::string name = ImuName(present[k]);
+    file->Value(at + "name", name);
+    const auto place = std::find(names.begin(), names.end(), name) - names.begin();
+    if (place == static_cast<std::ptrdiff_t>(names.size()))
+      ResultFile::Fail(at + "name", "is not among the imus");
+    ImuSession& imu = session->imus[static_cast<size_t>(place)];
+    imu.is_present = true;
+    file->WithStd(at + "time_shift", imu.time_shift, imu.time_shift_std);
+    Clock(at, imu, file);
+    Biases(at, imu, file);
+    Noise(at, imu, file);
+    file->Value(at + "rates.gyro", imu.gyro.rate_hz);
+    file->Value(at + "rates.accel", imu.accel.rate_hz);
+  }
 }
 
-void PutEstimate(const Calibration& result, Writer* out) {
-  const ImuSession& imu = result.sessions[0].imus[0];
-  PutTransforms(result.imus[0], out);
-  out->PutWithStd("time_shift", imu.time_shift, imu.time_shift_std);
-  PutAccelDelay(result.imus[0], out);
-  PutClockDrift(imu, out);
-  out->PutWithStd("pose_smoothing", result.pose_smoothing, result.pose_smoothing_std);
-  out->PutWithStd("position_smoothing", result.position_smoothing, result.position_smoothing_std);
-  out->PutWithStd("pose_scale", result.pose_scale, result.pose_scale_std);
-  PutGravity(result.sessions[0], out);
-  PutBiases(imu, out);
-  PutIntrinsics("imu", result.imu_model, result.imus[0], out);
+void Sessions(const std::vector<std::string>& names, StoredResult* stored, ResultFile* file) {
+  std::vector<SessionCalibration>& sessions = stored->result.sessions;
+  sessions.resize(file->Count("sessions", sessions.size()));
+  for (size_t s = 0; s < sessions.size(); ++s) {
+    const std::string at = "sessions." + std::to_string(s) + ".";
+    if (s == stored->infos.size()) stored->infos.push_back(stored->infos.front());
+    RecordingInfo& info = stored->infos[s];
+    std::string source = info.Source();
+    file->Value(at + "source", source);
+    if (file->reads()) info.bag = source;
+    file->Value(at + "world", info.world_frame);
+    SessionImus(at, names, &sessions[s], file);
+    Gravity(at, sessions[s], file);
+    if (sessions.size() > 1) Own(at, sessions[s], file);
+  }
 }
 
-void PutQuality(const Calibration& result, Writer* out) {
-  const SessionCalibration& session = result.sessions[0];
-  out->Map("noise", [&] {
-    out->Put("position_std", session.noise.position);
-    out->Put("rotation_std", session.noise.rotation);
-    out->Put("rotation_error_std", session.rotation_error_std);
-    PutImuNoise(session.imus[0], out);
-  });
-  out->Map("quality", [&] {
-    out->Put("gyro_rms", session.imus[0].rms.gyro);
-    out->Put("accel_rms", session.imus[0].rms.accel);
-    out->Put("position_rms", session.rms.position);
-    out->Put("rotation_rms", session.rms.rotation);
-    out->Maps("observability", YAML::Flow, result.observability.size(), [&](size_t k) {
-      const Observability& o = result.observability[k];
-      out->Put("direction", o.direction);
-      out->Put("std", o.std);
-      out->Put("unit", o.unit);
-      out->Put("status", ToString(o.status));
-    });
-    out->Map("split_half", [&] {
-      out->Put("translation", result.split_half.translation);
-      out->Put("rotation", result.split_half.rotation);
-      out->Put("time_shift", result.split_half.time_shift);
-      out->Put("sigmas", result.split_half.sigmas);
-    });
-    out->Put("warnings", result.warnings);
-  });
-  out->Map("trajectory", [&] {
-    out->Put("position_lengthscale_s", session.position_lengthscale_s);
-    out->Put("rotation_lengthscale_s", session.rotation_lengthscale_s);
-    out->Put("knot_spacing_s", session.knot_spacing_s);
-    out->Put("segments", session.segments);
-  });
+/// Noise, quality and trajectory.
+void Quality(Calibration& result, ResultFile* file) {
+  SessionCalibration& session = result.sessions[0];
+  file->Value("noise.position_std", session.noise.position);
+  file->Value("noise.rotation_std", session.noise.rotation);
+  file->Note("noise.rotation_error_std", session.rotation_error_std);
+  Noise("", session.imus[0], file);
+  if (file->reads()) return;
+  file->Note("quality.gyro_rms", session.imus[0].rms.gyro);
+  file->Note("quality.accel_rms", session.imus[0].rms.accel);
+  file->Note("quality.position_rms", session.rms.position);
+  file->Note("quality.rotation_rms", session.rms.rotation);
+  for (size_t k = 0; k < file->Count("quality.observability", result.observability.size()); ++k) {
+    const std::string at = "quality.observability." + std::to_string(k) + "/";
+    const Observability& o = result.observability[k];
+    file->Note(at + "direction", o.direction);
+    file->Note(at + "std", o.std);
+    file->Note(at + "unit", o.unit);
+    file->Note(at + "status", ToString(o.status));
+  }
+  file->Note("quality.split_half.translation", result.split_half.translation);
+  file->Note("quality.split_half.rotation", result.split_half.rotation);
+  file->Note("quality.split_half.time_shift", result.split_half.time_shift);
+  file->Note("quality.split_half.sigmas", result.split_half.sigmas);
+  file->Note("quality.warnings", result.warnings);
+  file->Note("trajectory.position_lengthscale_s", session.position_lengthscale_s);
+  file->Note("trajectory.rotation_lengthscale_s", session.rotation_lengthscale_s);
+  file->Note("trajectory.knot_spacing_s", session.knot_spacing_s);
+  file->Note("trajectory.segments", session.segments);
 }
 
-void PutData(const SessionCalibration& session, const RecordingInfo& info, Writer* out) {
-  out->Map("data", [&] {
-    out->Put("bag", info.bag);
-    out->Put("imu_topic", info.imus[0].imu_topic);
-    out->Put("gyro_topic", info.imus[0].gyro_topic);
-    out->Put("accel_topic", info.imus[0].accel_topic);
-    out->Put("pose_topic", info.pose_topic);
-    out->Put("imu_yaml", info.imu_yaml);
-    if (info.stated_pose_std)
-      out->FlowMap("stated_pose_std", [&] {
-        out->Put("position", info.stated_pose_std->position);
-        out->Put("rotation", info.stated_pose_std->rotation);
-      });
-    out->Put("duration", session.poses.duration_s);
-    PutPerStream("counts", session, &StreamReport::used, out);
-    PutPerStream("rates", session, &StreamReport::rate_hz, out);
-    PutPerStream("stamps_recovered", session, &StreamReport::stamps_recovered, out);
-    PutPerStream("stamp_jitter", session, &StreamReport::stamp_jitter_s, out);
-    out->Map("rejected", [&] {
-      PutRejected("poses", session.poses, out);
-      PutRejected("gyro", session.imus[0].gyro, out);
-      PutRejected("accel", session.imus[0].accel, out);
-    });
-    out->Put("gaps", session.gaps);
-    out->Put("jumps", session.jumps);
-  });
+/// One member of the reports.
+template <typename T>
+void NotePerStream(const std::string& at, const SessionCalibration& session,
+                   T StreamReport::*member, ResultFile* file) {
+  file->Note(at + "/poses", session.poses.*member);
+  file->Note(at + "/gyro", session.imus[0].gyro.*member);
+  file->Note(at + "/accel", session.imus[0].accel.*member);
+}
+
+void Rejected(const std::string& at, const StreamReport& report, ResultFile* file) {
+  file->Note(at + "/not_finite", report.not_finite);
+  file->Note(at + "/zero_quaternion", report.zero_quaternion);
+  file->Note(at + "/reversed_stamp", report.reversed_stamp);
+  file->Note(at + "/duplicate_stamp", report.duplicate_stamp);
+  file->Note(at + "/repeated_value", report.repeated_value);
+  file->Note(at + "/saturated", report.saturated);
+  file->Note(at + "/outlier", report.outlier);
+  file->Note(at + "/flipped", report.flipped);
+  file->Note(at + "/in_short_segment", report.in_short_segment);
+  file->Note(at + "/between_updates", report.between_updates);
+}
+
+/// The recording of the first session.
+void Data(SessionCalibration& session, RecordingInfo& info, ResultFile* file) {
+  ImuSession& imu = session.imus[0];
+  file->Value("data.bag", info.bag);
+  file->Value("data.imu_topic", info.imus[0].imu_topic);
+  file->Value("data.gyro_topic", info.imus[0].gyro_topic);
+  file->Value("data.accel_topic", info.imus[0].accel_topic);
+  file->Value("data.pose_topic", info.pose_topic);
+  file->Note("data.imu_yaml", info.imu_yaml);
+  if (info.stated_pose_std) {
+    file->Note("data.stated_pose_std/position", info.stated_pose_std->position);
+    file->Note("data.stated_pose_std/rotation", info.stated_pose_std->rotation);
+  }
+  file->Value("data.duration", session.poses.duration_s);
+  NotePerStream("data.counts", session, &StreamReport::used, file);
+  file->Value("data.rates/poses", session.poses.rate_hz);
+  file->Value("data.rates/gyro", imu.gyro.rate_hz);
+  file->Value("data.rates/accel", imu.accel.rate_hz);
+  NotePerStream("data.stamps_recovered", session, &StreamReport::stamps_recovered, file);
+  NotePerStream("data.stamp_jitter", session, &StreamReport::stamp_jitter_s, file);
+  Rejected("data.rejected.poses", session.poses, file);
+  Rejected("data.rejected.gyro", imu.gyro, file);
+  Rejected("data.rejected.accel", imu.accel, file);
+  file->Note("data.gaps", session.gaps);
+  file->Note("data.jumps", session.jumps);
 }
 
 }  // namespace
 
 std::string ToYaml(const Calibration& result, const std::vector<RecordingInfo>& infos,
                    const CalibrationOptions& options, const RunInfo& run) {
-  const RecordingInfo& info = infos.front();
-  Writer out;
-  out.Map("imu_pose_calib", [&] {
-    out.Put("version", kVersion);
-    out.Put("method", ToString(result.method));
-    out.Put("status", ToString(result.status));
-    out.Put("message", result.message);
-    out.Put("date", UtcNow());
-    if (!run.id.empty()) out.Put("run_id", run.id);
-    if (!run.files.empty()) out.Put("files", run.files);
-  });
-  out.Map("frames", [&] {
-    out.Put("world", info.world_frame);
-    out.Put("marker", info.marker_frame);
-    out.Put("imu", info.imus[0].imu_frame);
-  });
-  PutEstimate(result, &out);
-  if (result.imus.size() > 1 || result.sessions.size() > 1) {
-    PutImus(result, info, &out);
-    PutSessions(result, infos, &out);
-  }
-  PutQuality(result, &out);
-  PutData(result.sessions[0], info, &out);
-  out.Put("options", YAML::Load(ToYaml(options)));
-  return kResultHeader + std::string(kEquations) + out.Finish() + "\n";
+  StoredResult stored{"", kVersion, run.id, result, infos, {}};
+  ResultFile file;
+  First(run, &stored, &file);
+  if (result.imus.size() > 1 || result.sessions.size() > 1)
+    Sessions(Imus(&stored, &file), &stored, &file);
+  Quality(stored.result, &file);
+  Data(stored.result.sessions[0], stored.infos[0], &file);
+  file.Note("options", YAML::Load(ToYaml(options)));
+  return kResultHeader + std::string(kEquations) + file.Finish() + "\n";
+}
+
+const ImuSession& StoredResult::Clock(size_t imu) const {
+  for (const SessionCalibration& session : result.sessions)
+    if (session.imus[imu].is_present) return session.imus[imu];
+  throw InputError("imus: " + std::to_string(imu) + " is in no session");
+}
+
+StoredResult ParseResult(const std::string& yaml, const std::string& path) {
+  const YAML::Node root = ParseYaml(yaml);
+  if (!root.IsMap() || !root["imu_pose_calib"])
+    throw InputError("is not a result of calibrate_bag: it has no key imu_pose_calib");
+  StoredResult stored;
+  stored.path = path;
+  stored.infos.resize(1);
+  ResultFile file(root);
+  First({}, &stored, &file);
+  Quality(stored.result, &file);
+  Data(stored.result.sessions[0], stored.infos[0], &file);
+  if (root["sessions"]) Sessions(Imus(&stored, &file), &stored, &file);
+  file.Value("options.gyro_bias_walk", stored.options.gyro_bias_walk);
+  file.Value("options.accel_bias_walk", stored.options.accel_bias_walk);
+  return stored;
+}
+
+StoredResult LoadResult(const std::string& path) {
+  const auto parse = [&path](const std::string& yaml) { return ParseResult(yaml, path); };
+  return LoadYaml("result", path, parse);
 }
 
 }  // namespace imu_pose_calib

@@ -70,43 +70,32 @@ void Read(const YAML::Node& node, std::optional<T>* field) {
   if (!node.IsNull()) Read(node, &field->emplace());
 }
 
-template <typename Vector>
-std::string NumbersText(const Vector& values) {
-  std::string text;
-  for (Eigen::Index i = 0; i < values.size(); ++i)
-    text += (i == 0 ? "[" : ", ") + YamlNumber(values[i]);
-  return text + "]";
-}
-
 std::string Text(double value) { return YamlNumber(value); }
 std::string Text(int value) { return std::to_string(value); }
 std::string Text(bool value) { return value ? "true" : "false"; }
 std::string Text(Method value) { return ToString(value); }
 std::string Text(ImuModel value) { return ToString(value); }
 std::string Text(StampRecovery value) { return ToString(value); }
-std::string Text(const Eigen::Vector3d& value) { return NumbersText(value); }
-std::string Text(const Eigen::Quaterniond& value) { return NumbersText(value.coeffs()); }
+std::string Text(const Eigen::Vector3d& value) { return YamlNumbers(value); }
+std::string Text(const Eigen::Quaterniond& value) { return YamlNumbers(value.coeffs()); }
 template <typename T>
 std::string Text(const std::optional<T>& value) {
   return value ? Text(*value) : "~";
 }
 
-std::string DidYouMeanKey(const std::string& key) {
-  std::vector<std::string> names;
-  VisitFields(CalibrationOptions(),
-              [&](const char* name, const auto&) { names.emplace_back(name); });
-  return DidYouMean(key, names);
-}
-
 /// Sets the field called `key`.
 void ReadField(const std::string& key, const YAML::Node& value, CalibrationOptions* options) {
+  std::vector<std::string> others;
   bool found = false;
-  VisitFields(*options, [&](const std::string& name, auto& field) {
-    if (name != key) return;
-    found = true;
-    Read(value, &field);
+  VisitFields(*options, [&](const std::string& name, auto& field, const Bound&) {
+    if (name == key) {
+      found = true;
+      Read(value, &field);
+    } else {
+      others.push_back(name);
+    }
   });
-  if (!found) throw InputError("there is no option '" + key + "'" + DidYouMeanKey(key));
+  if (!found) throw InputError("there is no option '" + key + "'" + DidYouMean(key, others));
 }
 
 void ReadMap(const YAML::Node& map, CalibrationOptions* options) {
@@ -165,15 +154,23 @@ double ReadNumber(const YAML::Node& imu, const char* key, double low, double hig
   return value;
 }
 
+struct NoiseKey {
+  const char* name;
+  double CalibrationOptions::*field;
+  double low;  ///< bound, as of the field
+};
+constexpr NoiseKey kNoiseKeys[] = {
+    {"gyroscope_noise_density", &CalibrationOptions::gyro_noise_density, 1e-9},
+    {"gyroscope_random_walk", &CalibrationOptions::gyro_bias_walk, 1e-12},
+    {"accelerometer_noise_density", &CalibrationOptions::accel_noise_density, 1e-9},
+    {"accelerometer_random_walk", &CalibrationOptions::accel_bias_walk, 1e-12}};
+
 ImuYaml ReadImu(const YAML::Node& imu) {
   CheckKeys(imu);
   ImuYaml yaml;
-  // The bounds of CalibrationOptions.
-  yaml.gyroscope_noise_density = ReadNumber(imu, "gyroscope_noise_density", 1e-9, 1e3);
-  yaml.gyroscope_random_walk = ReadNumber(imu, "gyroscope_random_walk", 1e-12, 1e3);
-  yaml.accelerometer_noise_density = ReadNumber(imu, "accelerometer_noise_density", 1e-9, 1e3);
-  yaml.accelerometer_random_walk = ReadNumber(imu, "accelerometer_random_walk", 1e-12, 1e3);
-  if (imu["update_rate"]) yaml.update_rate = ReadNumber(imu, "update_rate", 1e-3, 1e6);
+  for (const NoiseKey& key : kNoiseKeys)
+    yaml.noise.*key.field = ReadNumber(imu, key.name, key.low, 1e3);
+  if (imu["update_rate"]) ReadNumber(imu, "update_rate", 1e-3, 1e6);
   if (imu["rostopic"]) {
     if (!imu["rostopic"].IsScalar()) throw InputError("rostopic must be a string");
     yaml.rostopic = imu["rostopic"].Scalar();
@@ -209,17 +206,14 @@ CalibrationOptions LoadOptions(const std::string& yaml_path) {
 
 std::string ToYaml(const CalibrationOptions& options) {
   std::ostringstream text;
-  VisitFields(options, [&](const char* name, const auto& field) {
+  VisitFields(options, [&](const char* name, const auto& field, const Bound&) {
     text << name << ": " << Text(field) << "\n";
   });
   return text.str();
 }
 
 void ImuYaml::CopyNoise(CalibrationOptions* options) const {
-  options->gyro_noise_density = gyroscope_noise_density;
-  options->gyro_bias_walk = gyroscope_random_walk;
-  options->accel_noise_density = accelerometer_noise_density;
-  options->accel_bias_walk = accelerometer_random_walk;
+  for (const NoiseKey& key : kNoiseKeys) options->*key.field = noise.*key.field;
 }
 
 ImuYaml ParseImuYaml(const std::string& yaml) { return ReadImu(FindImu(ParseYaml(yaml))); }

@@ -7,6 +7,7 @@
 #include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <limits>
 #include <utility>
 #include <vector>
 
@@ -66,19 +67,18 @@ std::string FindTable(const std::string& folder, HasHeader has_header, const std
 
 /// Closed interval of stamps [ns].
 struct Span {
-  int64_t begin, end;
+  int64_t begin = std::numeric_limits<int64_t>::max(), end = std::numeric_limits<int64_t>::min();
 };
-
-template <typename Sample>
-Span FindSpan(const std::vector<Sample>& samples) {
-  const auto [first, last] =
-      std::minmax_element(samples.begin(), samples.end(),
-                          [](const Sample& a, const Sample& b) { return a.t_ns < b.t_ns; });
-  return {first->t_ns, last->t_ns};
-}
 
 Span Union(const Span& a, const Span& b) {
   return {std::min(a.begin, b.begin), std::max(a.end, b.end)};
+}
+
+template <typename Sample>
+Span FindSpan(const std::vector<Sample>& samples) {
+  Span span;
+  for (const Sample& sample : samples) span = Union(span, {sample.t_ns, sample.t_ns});
+  return span;
 }
 
 /// Keeps the samples from `start_s` after the begin of `whole` on, for `duration_s`.
@@ -90,20 +90,17 @@ void Cut(double start_s, double duration_s, const Span& whole, std::vector<Sampl
                      " s is beyond the end of the recording, which lasts " + YamlNumber(length_s) +
                      " s");
   const int64_t begin = whole.begin + std::llround(1e9 * start_s);
-  int64_t end = whole.end;
-  if (duration_s > 0.0 && start_s + duration_s < length_s)
-    end = begin + std::llround(1e9 * duration_s);
-  samples->erase(std::remove_if(samples->begin(), samples->end(),
-                                [&](const Sample& s) { return s.t_ns < begin || s.t_ns > end; }),
-                 samples->end());
+  const bool ends_before = duration_s > 0.0 && start_s + duration_s < length_s;
+  const int64_t end = ends_before ? begin + std::llround(1e9 * duration_s) : whole.end;
+  const auto is_out = [&](const Sample& s) { return s.t_ns < begin || s.t_ns > end; };
+  samples->erase(std::remove_if(samples->begin(), samples->end(), is_out), samples->end());
 }
 
 void ReadPoses(const TextRequest& files, Recording* recording) {
   std::ifstream poses = Open(files.poses);
-  if (IsMocapCsv(poses)) {
-    MocapPoses mocap = ReadMocapCsv(poses, files.poses, files.body);
-    recording->data.poses = std::move(mocap.poses);
-    recording->info.marker_frame = FrameName(mocap.body, "marker");
+  if (std::optional<MocapPoses> mocap = ReadMocapCsv(poses, files.poses, files.body)) {
+    recording->data.poses = std::move(mocap->poses);
+    recording->info.marker_frame = FrameName(mocap->body, "marker");
     return;
   }
   if (!files.body.empty())
@@ -154,35 +151,29 @@ Recording ReadFiles(const TextRequest& files) {
   recording.info.pose_topic = files.poses;
   recording.info.world_frame = "world";
   recording.info.marker_frame = "marker";
-
+  recording.info.imus.clear();
   if (!files.poses.empty()) ReadPoses(files, &recording);
-  if (files.imu.empty() && files.gyro.empty()) {
-    recording.info.imus.clear();
-    return recording;
-  }
-  SessionData& data = recording.data;
+  if (files.imu.empty() && files.gyro.empty()) return recording;
+
   const bool is_split = files.imu.empty();
   const std::vector<std::string> gyros = SplitFiles(is_split ? files.gyro : files.imu);
   const std::vector<std::string> accels = SplitFiles(is_split ? files.accel : files.imu);
   if (gyros.size() != accels.size())
     throw InputError("gyro and accel name different numbers of files: " +
                      std::to_string(gyros.size()) + " and " + std::to_string(accels.size()));
-  data.imus.resize(gyros.size());
-  recording.info.imus.resize(gyros.size());
+  recording.data.imus.resize(gyros.size());
   for (size_t i = 0; i < gyros.size(); ++i) {
-    ImuInfo& info = recording.info.imus[i];
-    info.imu_frame = "imu";
+    ImuData& imu = recording.data.imus[i];
     std::ifstream gyro = Open(gyros[i]);
-    if (!is_split) {
-      info.imu_topic = gyros[i];
-      ReadImuTable(gyro, gyros[i], &data.imus[i]);
-      continue;
+    if (is_split) {
+      recording.info.imus.push_back({"", gyros[i], accels[i], "imu", {}, {}});
+      imu.gyro = ReadGyroTable(gyro, gyros[i]);
+      std::ifstream accel = Open(accels[i]);
+      imu.accel = ReadAccelTable(accel, accels[i]);
+    } else {
+      recording.info.imus.push_back({gyros[i], "", "", "imu", {}, {}});
+      ReadImuTable(gyro, gyros[i], &imu);
     }
-    info.gyro_topic = gyros[i];
-    info.accel_topic = accels[i];
-    data.imus[i].gyro = ReadGyroTable(gyro, gyros[i]);
-    std::ifstream accel = Open(accels[i]);
-    data.imus[i].accel = ReadAccelTable(accel, accels[i]);
   }
   return recording;
 }

@@ -1,13 +1,33 @@
 #include "imu_pose_calib/ros/io/text_writer.h"
 
 #include <cstdio>
-#include <cstdlib>
-#include <filesystem>
 
 #include "imu_pose_calib/ros/io/bag_writer.h"
 #include "imu_pose_calib/ros/io/output_files.h"
+#include "imu_pose_calib/ros/io/yaml_text.h"
 
 namespace imu_pose_calib {
+namespace {
+
+using StampText = std::string (*)(int64_t t_ns);
+
+std::string NanosecondsText(int64_t t_ns) { return std::to_string(t_ns); }
+
+std::string ImuTable(const std::string& header, StampText stamp, const ImuData& imu) {
+  CheckSameStamps(imu);
+  TextTable table(header, ',');
+  for (size_t k = 0; k < imu.gyro.size(); ++k)
+    table.AddRow(stamp(imu.gyro[k].t_ns), imu.gyro[k].value, imu.accel[k].value);
+  return table.text();
+}
+
+std::string SensorTable(const std::string& header, const std::vector<ImuSample>& samples) {
+  TextTable table(header, ',');
+  for (const ImuSample& sample : samples) table.AddRow(SecondsText(sample.t_ns), sample.value);
+  return table.text();
+}
+
+}  // namespace
 
 const char kAslImuHeader[] =
     "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
@@ -19,55 +39,35 @@ void TextTable::Append(double value) {
   text_ += number;
 }
 
-std::string SecondsText(int64_t t_ns) {
-  constexpr int64_t kNanosecondsPerSecond = 1'000'000'000;
-  char text[32];
-  std::snprintf(text, sizeof(text), "%s%lld.%09lld", t_ns < 0 ? "-" : "",
-                std::llabs(t_ns / kNanosecondsPerSecond), std::llabs(t_ns % kNanosecondsPerSecond));
-  return text;
-}
-
 void WriteAslFolder(const std::string& folder, const SessionData& data) {
-  CheckSameStamps(data.imus[0]);
-  std::error_code error;
-  for (const char* sensor : {"mocap0", "imu0"})
-    if (!error) std::filesystem::create_directories(std::filesystem::path(folder) / sensor, error);
-  if (error) throw InputError("folder '" + folder + "' cannot be made: " + error.message());
-
+  OutputFiles files;
+  const std::string imu = ImuTable(kAslImuHeader, NanosecondsText, data.imus[0]);
   TextTable poses(
       "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],"
       "q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []\n",
       ',');
   for (const PoseSample& pose : data.poses)
-    poses.AddRow(std::to_string(pose.t_ns), pose.p_WM, pose.q_WM.w(), pose.q_WM.vec());
-  WriteFile(folder + "/mocap0/data.csv", poses.text());
-  TextTable samples(kAslImuHeader, ',');
-  const ImuData& imu = data.imus[0];
-  for (size_t k = 0; k < imu.gyro.size(); ++k)
-    samples.AddRow(std::to_string(imu.gyro[k].t_ns), imu.gyro[k].value, imu.accel[k].value);
-  WriteFile(folder + "/imu0/data.csv", samples.text());
+    poses.AddRow(NanosecondsText(pose.t_ns), pose.p_WM, pose.q_WM.w(), pose.q_WM.vec());
+  for (const char* sensor : {"", "/mocap0", "/imu0"}) files.MakeFolder(folder + sensor);
+  files.Write(folder + "/mocap0/data.csv", poses.text());
+  files.Write(folder + "/imu0/data.csv", imu);
+  files.Commit();
 }
 
 void WriteTables(const std::string& prefix, const SessionData& data, bool split_imu) {
+  OutputFiles files;
+  const ImuData& imu = data.imus[0];
   TextTable poses("# timestamp tx ty tz qx qy qz qw\n", ' ');
   for (const PoseSample& pose : data.poses)
     poses.AddRow(SecondsText(pose.t_ns), pose.p_WM, pose.q_WM.coeffs());
-  WriteFile(prefix + ".poses.txt", poses.text());
-  const ImuData& imu = data.imus[0];
-  if (!split_imu) {
-    CheckSameStamps(data.imus[0]);
-    TextTable samples("timestamp,gx,gy,gz,ax,ay,az\n", ',');
-    for (size_t k = 0; k < imu.gyro.size(); ++k)
-      samples.AddRow(SecondsText(imu.gyro[k].t_ns), imu.gyro[k].value, imu.accel[k].value);
-    WriteFile(prefix + ".imu.csv", samples.text());
-    return;
+  files.Write(prefix + ".poses.txt", poses.text());
+  if (split_imu) {
+    files.Write(prefix + ".gyro.csv", SensorTable("timestamp,gx,gy,gz\n", imu.gyro));
+    files.Write(prefix + ".accel.csv", SensorTable("timestamp,ax,ay,az\n", imu.accel));
+  } else {
+    files.Write(prefix + ".imu.csv", ImuTable("timestamp,gx,gy,gz,ax,ay,az\n", SecondsText, imu));
   }
-  TextTable gyro("timestamp,gx,gy,gz\n", ',');
-  for (const ImuSample& sample : imu.gyro) gyro.AddRow(SecondsText(sample.t_ns), sample.value);
-  WriteFile(prefix + ".gyro.csv", gyro.text());
-  TextTable accel("timestamp,ax,ay,az\n", ',');
-  for (const ImuSample& sample : imu.accel) accel.AddRow(SecondsText(sample.t_ns), sample.value);
-  WriteFile(prefix + ".accel.csv", accel.text());
+  files.Commit();
 }
 
 }  // namespace imu_pose_calib

@@ -12,8 +12,9 @@
 #include <fstream>
 #include <iterator>
 #include <memory>
-#include <sstream>
+#include <set>
 
+#include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/text_writer.h"
 #include "imu_pose_calib/ros/io/yaml_text.h"
@@ -24,6 +25,17 @@ namespace {
 /// In the sensor.yaml of a folder that may be written again.
 const char kAuthor[] = "comment: ground truth by imu_pose_calib";
 const char kTruth[] = "state_groundtruth_estimate0";
+
+struct Format {
+  TrajectoryFormat value;
+  const char* name;
+  std::set<std::string> suffixes;  ///< that stand for it
+};
+const Format kFormats[] = {{TrajectoryFormat::kAsl, "asl", {""}},
+                           {TrajectoryFormat::kTum, "tum", {".tum", ".txt"}},
+                           {TrajectoryFormat::kEuroc, "euroc", {".csv"}},
+                           {TrajectoryFormat::kBag, "bag", {".bag"}},
+                           {TrajectoryFormat::kOvEval, "ov_eval", {}}};
 
 /// The header of the original, with its blanks: readers compare the cells.
 const char kEurocHeader[] =
@@ -62,8 +74,7 @@ TrajectoryCount ForEachState(const TrajectoryOutput& output, Visit visit) {
   return count;
 }
 
-/// Digits of the numbers in a text.
-constexpr int kDigits = 12;
+constexpr int kDigits = 12;  ///< of the numbers in a text
 
 void AddEuroc(int64_t stamp_ns, const ImuState& x, TextTable* table) {
   table->AddRow(std::to_string(stamp_ns), x.p_WI, x.q_WI.w(), x.q_WI.vec(), x.v_W, x.biases.gyro,
@@ -98,31 +109,35 @@ std::string Carried(const TrajectoryCount& count) {
   return text;
 }
 
-std::string SensorYaml(const OutputFiles& outputs, const char* type, const std::string& rest) {
-  std::ostringstream text;
-  text << "%YAML:1.0\n"
-       << Origin(outputs) << "sensor_type: " << type << "\n"
-       << kAuthor << "\n\n# Sensor S in the body B, x_B = T_BS x_S: B is the IMU.\nT_BS:\n"
-       << "  cols: 4\n  rows: 4\n  data: [1.0, 0.0, 0.0, 0.0,\n         0.0, 1.0, 0.0, 0.0,\n"
-       << "         0.0, 0.0, 1.0, 0.0,\n         0.0, 0.0, 0.0, 1.0]\n"
-       << rest;
-  return text.str();
+std::string SensorYaml(const OutputFiles& outputs, const std::string& type,
+                       const std::string& rest) {
+  return "%YAML:1.0\n" + Origin(outputs) + "sensor_type: " + type + "\n" + kAuthor + R"(
+
+# Sensor S in the body B, x_B = T_BS x_S: B is the IMU.
+T_BS:
+  cols: 4
+  rows: 4
+  data: [1.0, 0.0, 0.0, 0.0,
+         0.0, 1.0, 0.0, 0.0,
+         0.0, 0.0, 1.0, 0.0,
+         0.0, 0.0, 0.0, 1.0]
+)" + rest;
 }
 
 std::string ImuSensorYaml(const TrajectoryOutput& output, const OutputFiles& outputs) {
-  std::ostringstream text;
-  const auto add = [&text](const char* key, double value, const char* unit) {
-    text << key << ": " << YamlNumber(value) << "  # " << unit << "\n";
+  const auto line = [](const char* key, double value, const char* unit) {
+    return key + (": " + YamlNumber(value)) + "  # " + unit + "\n";
   };
   const double root = std::sqrt(output.imu_rate_hz);
-  add("rate_hz", output.imu_rate_hz, "Hz");
-  text << "\n# White noise as the residuals of the calibration show it; random walk as it "
-          "assumed.\n";
-  add("gyroscope_noise_density", output.noise.gyro / root, "[ rad / s / sqrt(Hz) ]");
-  add("gyroscope_random_walk", output.gyro_bias_walk, "[ rad / s^2 / sqrt(Hz) ]");
-  add("accelerometer_noise_density", output.noise.accel / root, "[ m / s^2 / sqrt(Hz) ]");
-  add("accelerometer_random_walk", output.accel_bias_walk, "[ m / s^3 / sqrt(Hz) ]");
-  return SensorYaml(outputs, "imu", text.str());
+  return SensorYaml(
+      outputs, "imu",
+      line("rate_hz", output.imu_rate_hz, "Hz") +
+          "\n# White noise as the residuals of the calibration show it; random walk as it "
+          "assumed.\n" +
+          line("gyroscope_noise_density", output.noise.gyro / root, "[ rad / s / sqrt(Hz) ]") +
+          line("gyroscope_random_walk", output.gyro_bias_walk, "[ rad / s^2 / sqrt(Hz) ]") +
+          line("accelerometer_noise_density", output.noise.accel / root, "[ m / s^2 / sqrt(Hz) ]") +
+          line("accelerometer_random_walk", output.accel_bias_walk, "[ m / s^3 / sqrt(Hz) ]"));
 }
 
 std::filesystem::path Mav0(const std::string& folder) {
@@ -202,7 +217,7 @@ nav_msgs::Odometry ToOdometry(const std_msgs::Header& header, const std::string&
   Eigen::Matrix<double, 6, 12> pose = Eigen::Matrix<double, 6, 12>::Zero(), twist = pose;
   pose.block<3, 3>(0, 3).setIdentity();
   pose.block<3, 3>(3, 0) = R;
-  twist.block<3, 3>(0, 0) << 0.0, -v_I.z(), v_I.y(), v_I.z(), 0.0, -v_I.x(), -v_I.y(), v_I.x(), 0.0;
+  twist.block<3, 3>(0, 0) = Hat(v_I);
   twist.block<3, 3>(0, 9) = R.transpose();
   twist.block<3, 3>(3, 6).setIdentity();
   Fill(pose * x.covariance * pose.transpose(), &msg.pose.covariance);
@@ -253,34 +268,27 @@ TrajectoryCount FillBag(const TrajectoryOutput& output, const std::string& run_i
 
 TrajectoryCount WriteBag(const std::string& path, const TrajectoryOutput& output,
                          OutputFiles* outputs) {
-  auto bag = std::make_unique<rosbag::Bag>(outputs->Draft(path), rosbag::bagmode::Write);
+  std::unique_ptr<rosbag::Bag> bag;
   try {
+    bag = std::make_unique<rosbag::Bag>(outputs->Draft(path), rosbag::bagmode::Write);
     return FillBag(output, outputs->run_id(), bag.get());
-  } catch (const rosbag::BagException&) {
+  } catch (const rosbag::BagException& error) {
     // On a full disk its destructor, which writes the rest, would end the process: it is kept.
     static auto* unfinished = new std::vector<std::unique_ptr<rosbag::Bag>>;
     unfinished->push_back(std::move(bag));
-    throw;
+    outputs->Drop(path);
+    throw InputError("trajectory '" + path + "' cannot be written: " + error.what());
   }
 }
 
 }  // namespace
 
 TrajectoryFormat ParseTrajectoryFormat(const std::string& name, const std::string& path) {
-  const auto is = [&](const char* format, std::initializer_list<const char*> suffixes) {
-    if (!name.empty()) return name == format;
-    const std::string extension = std::filesystem::path(path).extension();
-    for (const char* suffix : suffixes)
-      if (extension == suffix) return true;
-    return false;
-  };
   std::error_code ignored;
-  const bool is_folder = std::filesystem::is_directory(path, ignored);
-  if (is("asl", {""}) || (name.empty() && is_folder)) return TrajectoryFormat::kAsl;
-  if (is("tum", {".tum", ".txt"})) return TrajectoryFormat::kTum;
-  if (is("euroc", {".csv"})) return TrajectoryFormat::kEuroc;
-  if (is("bag", {".bag"})) return TrajectoryFormat::kBag;
-  if (is("ov_eval", {})) return TrajectoryFormat::kOvEval;
+  if (name.empty() && std::filesystem::is_directory(path, ignored)) return TrajectoryFormat::kAsl;
+  const std::string suffix = std::filesystem::path(path).extension();
+  for (const Format& format : kFormats)
+    if (name.empty() ? format.suffixes.count(suffix) > 0 : name == format.name) return format.value;
   if (name.empty())
     throw InputError("the suffix of trajectory '" + path +
                      "' tells no format: must be .tum, .txt, .csv, .bag or none for a folder; or "
@@ -291,11 +299,9 @@ TrajectoryFormat ParseTrajectoryFormat(const std::string& name, const std::strin
 
 std::vector<std::string> TrajectoryFiles(const std::string& path, TrajectoryFormat format) {
   if (format != TrajectoryFormat::kAsl) return {path};
-  std::vector<std::string> files;
-  for (const char* name : {"data.csv", "sigma.csv", "sensor.yaml"})
-    files.push_back(Mav0(path) / kTruth / name);
-  for (const char* name : {"data.csv", "sensor.yaml"}) files.push_back(Mav0(path) / "imu0" / name);
-  return files;
+  const std::filesystem::path truth = Mav0(path) / kTruth, imu = Mav0(path) / "imu0";
+  return {truth / "data.csv", truth / "sigma.csv", truth / "sensor.yaml", imu / "data.csv",
+          imu / "sensor.yaml"};
 }
 
 void CheckAslFolder(const std::string& path) {
@@ -310,17 +316,9 @@ void CheckAslFolder(const std::string& path) {
 
 TrajectoryCount WriteTrajectory(const std::string& path, TrajectoryFormat format,
                                 const TrajectoryOutput& output, OutputFiles* outputs) {
-  if (format == TrajectoryFormat::kOvEval && !output.has_covariance)
-    throw InputError(
-        "trajectory_format ov_eval has covariances, which only method joint gives; use it, or tum");
   if (format == TrajectoryFormat::kAsl) return WriteAsl(path, output, outputs);
-  if (format != TrajectoryFormat::kBag) return WriteText(path, format, output, outputs);
-  try {
-    return WriteBag(path, output, outputs);
-  } catch (const rosbag::BagException& error) {
-    outputs->Drop(path);
-    throw InputError("trajectory '" + path + "' cannot be written: " + error.what());
-  }
+  if (format == TrajectoryFormat::kBag) return WriteBag(path, output, outputs);
+  return WriteText(path, format, output, outputs);
 }
 
 }  // namespace imu_pose_calib

@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <sstream>
 
+#include "imu_pose_calib/ros/io/text_table.h"
 #include "imu_pose_calib/ros/io/yaml_file.h"
 
 namespace imu_pose_calib {
@@ -105,10 +106,10 @@ Eigen::VectorXd ParseNumbers(const std::string& name, const std::string& text, E
   std::istringstream words(spaced);
   std::vector<double> values;
   for (std::string word; words >> word;) {
-    char* end = nullptr;
-    values.push_back(std::strtod(word.c_str(), &end));
-    if (end == word.c_str() || *end != '\0' || !std::isfinite(values.back()))
+    const std::optional<double> value = ParseNumber(word);
+    if (!value || !std::isfinite(*value))
       throw InputError(name + " '" + text + "': '" + word + "' is not a finite number");
+    values.push_back(*value);
   }
   if (static_cast<Eigen::Index>(values.size()) != count)
     throw InputError(name + " '" + text + "' must be " + std::to_string(count) + " numbers, not " +

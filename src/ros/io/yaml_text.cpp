@@ -21,4 +21,19 @@ std::string YamlNumber(double value) {
   return text;
 }
 
+std::string SecondsText(int64_t t_ns) {
+  const std::lldiv_t parts = std::lldiv(t_ns, 1'000'000'000);
+  char text[48];
+  std::snprintf(text, sizeof(text), "%s%lld.%09lld", t_ns < 0 ? "-" : "", std::llabs(parts.quot),
+                std::llabs(parts.rem));
+  return text;
+}
+
+std::string UtcText(std::time_t time, const char* format) {
+  std::tm utc{};
+  char text[32];
+  std::strftime(text, sizeof(text), format, gmtime_r(&time, &utc));
+  return text;
+}
+
 }  // namespace imu_pose_calib

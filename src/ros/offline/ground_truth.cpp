@@ -6,7 +6,6 @@
 
 #include "imu_pose_calib/core/ground_truth/imu_track.h"
 #include "imu_pose_calib/ros/io/output_files.h"
-#include "imu_pose_calib/ros/io/text_writer.h"
 #include "imu_pose_calib/ros/io/yaml_text.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"
 

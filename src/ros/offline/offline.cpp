@@ -15,7 +15,6 @@
 #include "imu_pose_calib/ros/io/printable.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
-#include "imu_pose_calib/ros/io/stored_result.h"
 #include "imu_pose_calib/ros/offline/report.h"
 #include "imu_pose_calib/ros/offline/summary.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"

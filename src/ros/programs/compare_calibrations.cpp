@@ -11,7 +11,7 @@
 #include "imu_pose_calib/core/verdict/comparison.h"
 #include "imu_pose_calib/ros/exports/exports.h"
 #include "imu_pose_calib/ros/io/output_files.h"
-#include "imu_pose_calib/ros/io/stored_result.h"
+#include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/transform_file.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
 #include "imu_pose_calib/ros/offline/comparison_report.h"

@@ -10,7 +10,7 @@
 #include <vector>
 
 #include "imu_pose_calib/ros/io/output_files.h"
-#include "imu_pose_calib/ros/io/stored_result.h"
+#include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/transform_file.h"
 
 namespace imu_pose_calib {

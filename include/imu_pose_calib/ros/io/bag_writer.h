@@ -38,9 +38,6 @@ class Ros2Writer {
   std::map<std::string, uint32_t> topics_;
 };
 
-/// A definition of a message as ROS 2 has it, without comments.
-std::string Ros2Definition(const std::string& ros1_definition);
-
 /// Shape of a written bag.
 struct BagFormat {
   /// Gyroscope and accelerometer on /imu/gyro and /imu/accel instead of both on /imu.

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <istream>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -15,9 +16,6 @@ struct MocapPoses {
   std::string body;  ///< its name
 };
 
-/// Whether it is such a table, by its first line; the stream is at its start again then.
-bool IsMocapCsv(std::istream& in);
-
 /// Reads a CSV export of OptiTrack's Motive (format 1.2 and later, with its header) or of Vicon's
 /// Nexus or Tracker ("Segments" or "Objects"). `body` names the rigid body; empty: the only one.
 ///
@@ -28,7 +26,10 @@ bool IsMocapCsv(std::istream& in);
 /// Stamps of Motive: "Capture Start Time" as if it were UTC, if given, plus the time of the row;
 /// of Vicon: frame / rate. Rows without values of the body are left out: gaps.
 ///
-/// Throws InputError starting with `name`, with line and column, when the text is anything else.
-MocapPoses ReadMocapCsv(std::istream& in, const std::string& name, const std::string& body);
+/// Nothing when the first line is not that of such an export; the stream is at its start then.
+/// Throws InputError starting with `name`, with line and column, when what follows is not as it
+/// must be.
+std::optional<MocapPoses> ReadMocapCsv(std::istream& in, const std::string& name,
+                                       const std::string& body);
 
 }  // namespace imu_pose_calib

@@ -1,8 +1,7 @@
 #pragma once
 
-#include <cstdio>
+#include <csignal>
 #include <filesystem>
-#include <memory>
 #include <string>
 #include <thread>
 #include <vector>
@@ -13,8 +12,9 @@ namespace imu_pose_calib {
 extern const char kVersion[];
 
 /// The files of one run, which appear together or not at all: each is written beside its place and
-/// renamed by Commit(). Without it they are gone in the end, and what was there is as it was. A
-/// link stays, and what it leads to is replaced. Errors are InputErrors that name path and reason.
+/// changes places with what is there by Commit(). Without it they are gone in the end, and what was
+/// there is as it was. A link stays, and what it leads to is replaced. Errors are InputErrors that
+/// name path and reason.
 class OutputFiles {
  public:
   OutputFiles();
@@ -39,22 +39,18 @@ class OutputFiles {
   /// Commit() removes the file, if it is there.
   void Remove(const std::string& path) { obsolete_.push_back(path); }
 
+  void Commit();
   /// Whether the file is written by this run.
   bool Holds(const std::string& path) const;
-  void Commit();
 
  private:
   struct File {
-    std::string path, target, draft;
-    std::string old = {};  ///< what Commit() replaces, until it is done
+    std::string path, target;
+    std::string draft;  ///< empty: committed
   };
   struct Planned {
     std::string field, target;
   };
-
-  std::FILE* Open(const std::string& path);
-  static void Replace(File* file);
-  static void Restore(const File& file);
 
   std::string run_id_;
   std::vector<Planned> planned_;
@@ -90,8 +86,7 @@ class InterruptGuard {
   ~InterruptGuard();
 
  private:
-  struct State;
-  std::unique_ptr<State> state_;
+  sigset_t waited_for_{}, before_{};
   std::thread thread_;
 };
 

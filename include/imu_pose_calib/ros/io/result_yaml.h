@@ -26,4 +26,29 @@ struct RunInfo {
 std::string ToYaml(const Calibration& result, const std::vector<RecordingInfo>& infos,
                    const CalibrationOptions& options, const RunInfo& run = {});
 
+/// What a result file says of the rig, read back; only what is named here is set.
+struct StoredResult {
+  std::string path;     ///< of the file, as given
+  std::string version;  ///< of the package that wrote it
+  std::string run_id;   ///< of the run that wrote it; empty: of none that has one
+  /// Status, message, IMU model; transform, accel_delay and matrices of each IMU; of each session
+  /// gravity, and of its IMUs clock, biases, noise and rates; noise, rate and duration of the poses
+  /// of the first session.
+  Calibration result;
+  /// Frames, recording and topics of each session.
+  std::vector<RecordingInfo> infos;
+  CalibrationOptions options;  ///< gyro_bias_walk, accel_bias_walk
+
+  /// The IMU in the first session that has it.
+  const ImuSession& Clock(size_t imu) const;
+  const ImuInfo& Info(size_t imu) const { return infos.front().imus[imu]; }
+};
+
+/// Reads the text of a result file, which ToYaml() writes. Throws InputError naming the key that is
+/// missing or unfit.
+StoredResult ParseResult(const std::string& yaml, const std::string& path);
+
+/// The same of the file at `path`, which the error names too.
+StoredResult LoadResult(const std::string& path);
+
 }  // namespace imu_pose_calib

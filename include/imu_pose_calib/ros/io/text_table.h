@@ -1,12 +1,36 @@
 #pragma once
 
 #include <istream>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "imu_pose_calib/core/base/types.h"
 
 namespace imu_pose_calib {
+
+/// The lines of a text with their numbers, without blanks at both ends.
+class TextLines {
+ public:
+  /// `name` begins all errors; a line must be shorter than `too_long` bytes.
+  TextLines(std::istream& in, std::string name, size_t too_long = 16384);
+
+  /// The next line. False at the end; throws InputError when it is no text or too long.
+  bool Next(std::string* line);
+  size_t number() const { return number_; }
+
+  [[noreturn]] void Fail(const std::string& text) const;
+  [[noreturn]] void FailAt(size_t number, const std::string& text) const;
+  [[noreturn]] void FailHere(const std::string& text) const { FailAt(number_, text); }
+
+ private:
+  std::istream& in_;
+  std::string name_, buffer_;
+  size_t number_ = 0;
+};
+
+/// The whole text as a number, which may be nan or inf.
+std::optional<double> ParseNumber(const std::string& text);
 
 /// One table of samples, a line each. Columns are separated by semicolons, else commas, else
 /// blanks; empty lines and lines that start with # are skipped.

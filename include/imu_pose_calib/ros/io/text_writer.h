@@ -39,9 +39,6 @@ class TextTable {
 /// Of the samples of an IMU in an ASL dataset.
 extern const char kAslImuHeader[];
 
-/// Decimal seconds, exact: "-12.000000345".
-std::string SecondsText(int64_t t_ns);
-
 // Both write stamps and values so that ReadText() gets back the very same data, and throw
 // InputError when a file cannot be written or when one file is to hold gyroscope and accelerometer
 // samples of different stamps.

@@ -48,8 +48,8 @@ struct TrajectoryCount {
 };
 
 /// Gives `outputs` a file, or a folder for kAsl; each names the run where its format has a place
-/// for that, and which states are carried. Throws InputError when it cannot be written, or when the
-/// format needs covariances that there are none of.
+/// for that, and which states are carried. kOvEval needs covariances. Throws InputError when it
+/// cannot be written.
 TrajectoryCount WriteTrajectory(const std::string& path, TrajectoryFormat format,
                                 const TrajectoryOutput& output, OutputFiles* outputs);
 

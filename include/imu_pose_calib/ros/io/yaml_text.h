@@ -1,10 +1,26 @@
 #pragma once
 
+#include <cstdint>
+#include <ctime>
 #include <string>
 
 namespace imu_pose_calib {
 
 /// Shortest text that reads back as `value` and that YAML 1.1 and 1.2 both take for a float.
 std::string YamlNumber(double value);
+
+/// "[1.0, 2.5]", of a vector of Eigen.
+template <typename Vector>
+std::string YamlNumbers(const Vector& values) {
+  std::string text;
+  for (int i = 0; i < values.size(); ++i) text += (i == 0 ? "[" : ", ") + YamlNumber(values[i]);
+  return text + "]";
+}
+
+/// Decimal seconds, exact: "-12.000000345".
+std::string SecondsText(int64_t t_ns);
+
+/// A time as UTC, in a format of strftime().
+std::string UtcText(std::time_t time, const char* format);
 
 }  // namespace imu_pose_calib

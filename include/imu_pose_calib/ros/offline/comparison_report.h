@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "imu_pose_calib/core/verdict/comparison.h"
-#include "imu_pose_calib/ros/io/stored_result.h"
+#include "imu_pose_calib/ros/io/result_yaml.h"
 
 namespace imu_pose_calib {
 
