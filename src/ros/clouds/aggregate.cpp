@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cereal/archives/binary.hpp>
+#include <cereal/types/array.hpp>
 #include <cereal/types/string.hpp>
 #include <cereal/types/vector.hpp>
 #include <filesystem>
@@ -9,6 +10,7 @@
 #include <sstream>
 #include <utility>
 
+#include "imu_pose_calib/core/data/stamps.h"
 #include "imu_pose_calib/ros/clouds/cloud_map.h"
 #include "imu_pose_calib/ros/io/bags.h"
 #include "imu_pose_calib/ros/io/conversions.h"
@@ -18,22 +20,13 @@
 #include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
-
-template <typename Archive>
-void serialize(Archive& archive, MapPoint& point) {  // NOLINT(readability-identifier-naming)
-  archive(point.x, point.y, point.z, point.intensity);
-}
-
-template <typename Archive>
-void serialize(Archive& archive, Sharpness& sharpness) {  // NOLINT(readability-identifier-naming)
-  archive(sharpness.entropy, sharpness.thickness, sharpness.places);
-}
-
 namespace {
 
 constexpr char kCloudType[] = "sensor_msgs/PointCloud2";
 constexpr size_t kFirstClouds = 5;            // that tell how points tell their times
 constexpr size_t kSharpnessPoints = 200'000;  // about, by which sharpness is judged
+
+double Seconds(int64_t ns) { return 1e-9 * static_cast<double>(ns); }
 
 void CheckRange(const char* name, double value, double least, double most) {
   if (!(value >= least && value <= most))
@@ -85,6 +78,7 @@ SensorMount Mount(const AggregateRequest& request) {
   sensor.T = sensor.is_on_imu ? ReadTransform("imu_sensor", request.imu_sensor)
                               : ReadTransform("marker_sensor", request.marker_sensor);
   if (!request.guess.empty()) sensor.guessed_T_MI = ReadTransform("guess", request.guess);
+  sensor.is_on_imu_clock = request.cloud_clock != "poses";
   return sensor;
 }
 
@@ -170,22 +164,14 @@ class Clouds {
 
 /// What the child hands over.
 struct Aggregate {
-  std::string topic;
-  PointTime time;
-  double begin_s = 0.0, end_s = 0.0;   ///< stamps of the first and last cloud
-  double least_s = 0.0, most_s = 0.0;  ///< from the stamp of a cloud to those of its points
-  size_t clouds = 0, left_out = 0;     ///< the latter all without trajectory
-  size_t points = 0, placed = 0, out_of_range = 0;
+  std::string refusal;  ///< why there is no map
+  std::string text;     ///< what a person wants to know of the map
   bool has_intensity = false;
   std::vector<MapPoint> map, uncalibrated;
-  std::vector<double> share;         ///< of the points that each variant places
-  std::vector<Sharpness> sharpness;  ///< of each variant; without meaning for shares below a half
 
   template <typename Archive>
   void serialize(Archive& archive) {  // NOLINT(readability-identifier-naming): cereal's name
-    archive(topic, time.field, time.unit, begin_s, end_s, least_s, most_s, clouds, left_out);
-    archive(points, placed, out_of_range, has_intensity, map, uncalibrated);
-    archive(share, sharpness);
+    archive(refusal, text, has_intensity, map, uncalibrated);
   }
 };
 
@@ -193,15 +179,32 @@ struct Aggregate {
 class Aggregator {
  public:
   Aggregator(const AggregateRequest& request, const std::vector<SensorPoses>& variants,
-             size_t about_points, Aggregate* aggregate)
+             const Clouds& clouds)
       : request_(request),
         variants_(variants),
-        stride_(about_points / kSharpnessPoints + 1),
-        aggregate_(*aggregate),
+        clouds_(clouds),
+        stride_(clouds.Points() / kSharpnessPoints + 1),
         map_(request.voxel_m),
         uncalibrated_(request.voxel_m),
-        samples_(variants.size()) {}
+        samples_(variants.size()) {
+    clouds.ForEach(
+        [this](int64_t stamp_ns, const std::vector<CloudPoint>& points) { Add(stamp_ns, points); });
+  }
 
+  /// To be called once.
+  Aggregate Finish(const SessionData& data) {
+    Aggregate aggregate;
+    if (placed_ == 0)
+      aggregate.refusal = Refusal(data);
+    else
+      aggregate.text = Counts() + SharpnessTable();
+    aggregate.has_intensity = clouds_.has_intensity();
+    aggregate.map = map_.Points();
+    aggregate.uncalibrated = uncalibrated_.Points();
+    return aggregate;
+  }
+
+ private:
   void Add(int64_t stamp_ns, const std::vector<CloudPoint>& points) {
     int64_t first = 0, last = 0;  // after the stamp
     for (const CloudPoint& point : points) {
@@ -212,49 +215,25 @@ class Aggregator {
     for (const SensorPoses& variant : variants_)
       motions.emplace_back(variant.pose, stamp_ns + first, stamp_ns + last);
 
-    const size_t placed_before = aggregate_.placed, points_before = aggregate_.points;
+    const size_t placed_before = placed_, points_before = points_;
     for (const CloudPoint& point : points) {
       if (!point.p_S.allFinite()) continue;
       const auto range = static_cast<double>(point.p_S.norm());
       if (range == 0.0) continue;  // how many drivers write that nothing was seen
-      if (range < request_.min_range_m || range > request_.max_range_m) {
-        ++aggregate_.out_of_range;
-        continue;
-      }
-      Place(motions, stamp_ns + point.time_after_ns, point);
+      if (range < request_.min_range_m || range > request_.max_range_m)
+        ++out_of_range_;
+      else
+        Place(motions, stamp_ns + point.time_after_ns, point);
     }
-    const double stamp_s = 1e-9 * static_cast<double>(stamp_ns);
-    if (aggregate_.clouds++ == 0) aggregate_.begin_s = stamp_s;
-    aggregate_.end_s = stamp_s;
-    if (aggregate_.points > points_before && aggregate_.placed == placed_before)
-      ++aggregate_.left_out;
-    aggregate_.least_s = std::min(aggregate_.least_s, 1e-9 * static_cast<double>(first));
-    aggregate_.most_s = std::max(aggregate_.most_s, 1e-9 * static_cast<double>(last));
+    if (points_ > points_before && placed_ == placed_before) ++left_out_;
+    if (clouds_seen_++ == 0) begin_ns_ = stamp_ns;
+    end_ns_ = stamp_ns;
+    least_ns_ = std::min(least_ns_, first);
+    most_ns_ = std::max(most_ns_, last);
   }
 
-  void Finish() {
-    aggregate_.map = map_.Points();
-    aggregate_.uncalibrated = uncalibrated_.Points();
-    // A variant that places less than half of the points is not worth to be compared.
-    std::vector<std::vector<Eigen::Vector3f>> maps;
-    std::vector<size_t> compared;
-    for (size_t v = 0; v < samples_.size(); ++v) {
-      const auto count = std::count_if(samples_[v].begin(), samples_[v].end(),
-                                       [](const auto& p) { return p.allFinite(); });
-      aggregate_.share.push_back(static_cast<double>(count) /
-                                 static_cast<double>(std::max<size_t>(1, samples_[v].size())));
-      if (v + 1 < samples_.size() && aggregate_.share.back() < 0.5) continue;
-      compared.push_back(v);
-      maps.push_back(std::move(samples_[v]));
-    }
-    aggregate_.sharpness.resize(samples_.size());
-    const std::vector<Sharpness> sharpness = CompareSharpness(maps, request_.radius_m);
-    for (size_t i = 0; i < compared.size(); ++i) aggregate_.sharpness[compared[i]] = sharpness[i];
-  }
-
- private:
   void Place(const std::vector<CloudMotion>& motions, int64_t t_ns, const CloudPoint& point) {
-    const bool is_sample = aggregate_.points++ % stride_ == 0;
+    const bool is_sample = points_++ % stride_ == 0;
     for (size_t v = 0; v < motions.size(); ++v) {
       const bool is_map = v + 1 == motions.size();
       const bool is_uncalibrated = v == 0 && request_.keep_uncalibrated;
@@ -268,90 +247,99 @@ class Aggregator {
       if (is_uncalibrated) uncalibrated_.Add(*p_W, point.intensity);
       if (!is_map) continue;
       map_.Add(*p_W, point.intensity);
-      ++aggregate_.placed;
+      ++placed_;
     }
+  }
+
+  std::string Refusal(const SessionData& data) const {
+    const bool on_imu_clock = request_.cloud_clock != "poses";
+    const std::vector<int64_t> stamps =
+        on_imu_clock ? Stamps(data.imus[0].gyro) : Stamps(data.poses);
+    const auto [first, last] = std::minmax_element(stamps.begin(), stamps.end());
+    return Format(
+        "no point of the %zu clouds of '%s', stamped %.3f to %.3f s, is within the trajectory and "
+        "min_range to max_range; cloud_clock is %s stamped %.3f to %.3f s",
+        clouds_seen_, clouds_.topic().name.c_str(), Seconds(begin_ns_), Seconds(end_ns_),
+        on_imu_clock ? "imu, which is" : "poses, which are", Seconds(*first), Seconds(*last));
+  }
+
+  std::string Counts() const {
+    const PointTime& time = clouds_.time();
+    const size_t not_placed = points_ - placed_;
+    return Wrap("clouds     ", Format("%zu of %s, %zu points, on the clock of the %s", clouds_seen_,
+                                      clouds_.topic().name.c_str(), points_,
+                                      request_.cloud_clock == "poses" ? "poses" : "imu")) +
+           Wrap("times      ",
+                time.field.empty()
+                    ? "all points of a cloud at its stamp: they tell no times of their own"
+                    : Format("field '%s', in %s: %.1f to %.1f ms after the stamp",
+                             time.field.c_str(), time.unit.c_str(), 1e3 * Seconds(least_ns_),
+                             1e3 * Seconds(most_ns_))) +
+           Wrap("left out   ",
+                Format("%zu clouds, %zu points (%.1f %%) without trajectory; %zu nearer than %g m "
+                       "or beyond %g m",
+                       left_out_, not_placed,
+                       100.0 * (static_cast<double>(not_placed) / static_cast<double>(points_)),
+                       out_of_range_, request_.min_range_m, request_.max_range_m)) +
+           Wrap("map        ",
+                Format("%zu points, means of cubes of %g m", map_.size(), request_.voxel_m));
+  }
+
+  std::string SharpnessTable() {
+    std::vector<double> shares;  // of the points that each variant places
+    std::vector<std::vector<Eigen::Vector3f>> maps;
+    // A variant that places less than half of the points is not worth to be compared.
+    const auto is_compared = [&](size_t v) {
+      return v + 1 == variants_.size() || shares[v] >= 0.5;
+    };
+    for (size_t v = 0; v < variants_.size(); ++v) {
+      const auto count = std::count_if(samples_[v].begin(), samples_[v].end(),
+                                       [](const auto& p) { return p.allFinite(); });
+      shares.push_back(static_cast<double>(count) / static_cast<double>(samples_[v].size()));
+      if (is_compared(v)) maps.push_back(std::move(samples_[v]));
+    }
+    const std::vector<Sharpness> sharpness = CompareSharpness(maps, request_.radius_m);
+    auto row = sharpness.begin();
+    std::string text =
+        Format("\n  %-38s %12s %16s\n", "sharpness, better below", "map entropy", "planes [mm]");
+    for (size_t v = 0; v < variants_.size(); ++v) {
+      text += Format("  %-38s", variants_[v].name.c_str());
+      if (is_compared(v)) {
+        text += Format(" %12.3f %16.1f\n", row->entropy, 1e3 * row->thickness);
+        ++row;
+      } else {
+        text += Format(" %.0f %% of points within the poses\n", 100 * shares[v]);
+      }
+    }
+    return text + Format("  (within %g m around the same %zu points in each)\n", request_.radius_m,
+                         sharpness.back().places);
   }
 
   const AggregateRequest& request_;
   const std::vector<SensorPoses>& variants_;
-  size_t stride_;
-  Aggregate& aggregate_;
+  const Clouds& clouds_;
+  const size_t stride_;
+
+  int64_t begin_ns_ = 0, end_ns_ = 0;      ///< stamps of the first and last cloud
+  int64_t least_ns_ = 0, most_ns_ = 0;     ///< from the stamp of a cloud to those of its points
+  size_t clouds_seen_ = 0, left_out_ = 0;  ///< the latter all without trajectory
+  size_t points_ = 0, placed_ = 0, out_of_range_ = 0;
   VoxelMap map_, uncalibrated_;
   /// Every stride-th point by each variant; not finite: not placed.
   std::vector<std::vector<Eigen::Vector3f>> samples_;
 };
 
-Aggregate AggregateApart(const AggregateRequest& request,
-                         const std::vector<SensorPoses>& variants) {
-  const std::string bytes = ReadApart(request.recording.bag, [&] {
+Aggregate AggregateApart(const AggregateRequest& request, const std::vector<SensorPoses>& variants,
+                         const SessionData& data) {
+  std::stringstream stream(ReadApart(request.recording.bag, [&] {
+    std::ostringstream bytes;
     const Clouds clouds(request);
-    Aggregate aggregate;
-    aggregate.topic = clouds.topic().name;
-    aggregate.time = clouds.time();
-    aggregate.has_intensity = clouds.has_intensity();
-    Aggregator aggregator(request, variants, clouds.Points(), &aggregate);
-    clouds.ForEach([&](int64_t stamp_ns, const std::vector<CloudPoint>& points) {
-      aggregator.Add(stamp_ns, points);
-    });
-    aggregator.Finish();
-    std::ostringstream stream;
-    cereal::BinaryOutputArchive archive(stream);
-    archive(aggregate);
-    return std::move(stream).str();
-  });
-  std::istringstream stream(bytes);
+    cereal::BinaryOutputArchive{bytes}(Aggregator(request, variants, clouds).Finish(data));
+    return std::move(bytes).str();
+  }));
   Aggregate aggregate;
-  cereal::BinaryInputArchive archive(stream);
-  archive(aggregate);
+  cereal::BinaryInputArchive{stream}(aggregate);
   return aggregate;
-}
-
-// --- What is said of it ---
-
-void CheckPlaced(const AggregateRequest& request, const SessionData& data, const Aggregate& a) {
-  if (a.placed > 0) return;
-  const bool on_imu_clock = request.cloud_clock != "poses";
-  const auto [first_ns, last_ns] = on_imu_clock ? SpanOf(data.imus[0].gyro) : SpanOf(data.poses);
-  throw DataError(
-      Format("no point of the %zu clouds of '%s', stamped %.3f to %.3f s, is within the trajectory "
-             "and min_range to max_range; cloud_clock is %s stamped %.3f to %.3f s",
-             a.clouds, a.topic.c_str(), a.begin_s, a.end_s,
-             on_imu_clock ? "imu, which is" : "poses, which are",
-             1e-9 * static_cast<double>(first_ns), 1e-9 * static_cast<double>(last_ns)));
-}
-
-std::string Describe(const AggregateRequest& request, const std::vector<SensorPoses>& variants,
-                     const Aggregate& a) {
-  std::string text = Wrap("clouds     ", Format("%zu of %s, %zu points, on the clock of the %s",
-                                                a.clouds, a.topic.c_str(), a.points,
-                                                request.cloud_clock == "poses" ? "poses" : "imu"));
-  text +=
-      Wrap("times      ",
-           a.time.field.empty()
-               ? "all points of a cloud at its stamp: they tell no times of their own"
-               : Format("field '%s', in %s: %.1f to %.1f ms after the stamp", a.time.field.c_str(),
-                        a.time.unit.c_str(), 1e3 * a.least_s, 1e3 * a.most_s));
-  const size_t not_placed = a.points - a.placed;
-  const double share =
-      static_cast<double>(not_placed) / static_cast<double>(std::max<size_t>(1, a.points));
-  text +=
-      Wrap("left out   ",
-           Format("%zu clouds, %zu points (%.1f %%) without trajectory; %zu nearer than %g m or "
-                  "beyond %g m",
-                  a.left_out, not_placed, 100.0 * share, a.out_of_range, request.min_range_m,
-                  request.max_range_m));
-  text += Wrap("map        ",
-               Format("%zu points, means of cubes of %g m", a.map.size(), request.voxel_m));
-  text += Format("\n  %-38s %12s %16s\n", "sharpness, better below", "map entropy", "planes [mm]");
-  for (size_t v = 0; v < variants.size(); ++v) {
-    text += Format("  %-38s", variants[v].name.c_str());
-    text +=
-        a.share[v] < 0.5 && v + 1 < variants.size()
-            ? Format(" %.0f %% of points within the poses\n", 100 * a.share[v])
-            : Format(" %12.3f %16.1f\n", a.sharpness[v].entropy, 1e3 * a.sharpness[v].thickness);
-  }
-  return text + Format("  (within %g m around the same %zu points in each)\n", request.radius_m,
-                       a.sharpness.back().places);
 }
 
 }  // namespace
@@ -361,31 +349,28 @@ AggregateOutcome AggregateClouds(const AggregateRequest& given, const Progress& 
   const SensorMount sensor = Mount(request);
   // Before it takes long:
   ReadApart(request.recording.bag, [&] { return Clouds(request).topic().name; });
-
   {
     OutputFiles tried;
     tried.Plan("output", request.output);
     if (!request.uncalibrated.empty()) tried.Plan("uncalibrated", request.uncalibrated);
   }
   OfflineResult offline = CalibrateOffline(request.recording, progress);
-  const std::vector<SensorPoses> variants =
-      PosesWithAndWithout(sensor, request.cloud_clock != "poses", offline);
+  const std::vector<SensorPoses> variants = PosesWithAndWithout(sensor, offline);
   if (progress) progress("clouds", std::nullopt);
-  Aggregate aggregate = AggregateApart(request, variants);
+  Aggregate aggregate = AggregateApart(request, variants, offline.sessions[0]);
   if (progress) progress("clouds", 0);
-  CheckPlaced(request, offline.sessions[0], aggregate);
+  if (!aggregate.refusal.empty()) throw DataError(aggregate.refusal);
 
   AggregateOutcome outcome;
-  outcome.text = Describe(request, variants, aggregate);
-  offline.outputs->Write(request.output, ToPcd(aggregate.map, aggregate.has_intensity));
-  outcome.written.push_back(request.output);
-  if (!request.uncalibrated.empty()) {
-    offline.outputs->Write(request.uncalibrated,
-                           ToPcd(aggregate.uncalibrated, aggregate.has_intensity));
-    outcome.written.push_back(request.uncalibrated);
-  }
+  const auto write = [&](const std::string& path, const std::vector<MapPoint>& map) {
+    offline.outputs->Write(path, ToPcd(map, aggregate.has_intensity));
+    outcome.written.push_back(path);
+  };
+  write(request.output, aggregate.map);
+  if (!request.uncalibrated.empty()) write(request.uncalibrated, aggregate.uncalibrated);
   WriteResult(&offline);
   outcome.written.push_back(offline.output);
+  outcome.text = std::move(aggregate.text);
   outcome.world_frame = offline.infos[0].world_frame;
   outcome.map = std::move(aggregate.map);
   outcome.uncalibrated = std::move(aggregate.uncalibrated);
