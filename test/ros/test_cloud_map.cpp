@@ -63,12 +63,12 @@ TEST(VoxelMap, HoldsTheMeanOfEachCube) {
   map.Add({-0.01, 0.02, 0.03}, 5.0f);
   std::vector<MapPoint> points = map.Points();
   ASSERT_EQ(points.size(), 2u);
-  if (points[0].x < 0.0f) std::swap(points[0], points[1]);
-  EXPECT_FLOAT_EQ(points[0].x, 0.03f);
-  EXPECT_FLOAT_EQ(points[0].y, 0.03f);
-  EXPECT_FLOAT_EQ(points[0].z, 0.06f);
-  EXPECT_FLOAT_EQ(points[0].intensity, 15.0f);
-  EXPECT_FLOAT_EQ(points[1].x, -0.01f);
+  if (points[0][0] < 0.0f) std::swap(points[0], points[1]);
+  EXPECT_FLOAT_EQ(points[0][0], 0.03f);
+  EXPECT_FLOAT_EQ(points[0][1], 0.03f);
+  EXPECT_FLOAT_EQ(points[0][2], 0.06f);
+  EXPECT_FLOAT_EQ(points[0][3], 15.0f);
+  EXPECT_FLOAT_EQ(points[1][0], -0.01f);
 }
 
 TEST(VoxelMap, IsBounded) {

@@ -8,7 +8,7 @@
 #include <deque>
 #include <sstream>
 
-#include "imu_pose_calib/ros/live/live_output.h"
+#include "imu_pose_calib/ros/live/markers.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -76,13 +76,13 @@ visualization_msgs::MarkerArray DrawMotionAround(const Eigen::Vector3d& center) 
                     Eigen::Quaterniond::Identity(),
                     center + Eigen::Vector3d::Constant(d),
                     {}});
-  LiveStatus status;
-  status.phase = Phase::kConverged;
+  CalibrationStatus status;
+  status.phase = CalibrationStatus::CONVERGED;
   status.message = "sigma 0.176 mm, 0.0381 deg, 0.106 ms; call save to keep it and then some more";
   Calibration result;
   result.status = Status::kOk;
   const PoseSample pose = path[1];
-  return Draw({"world", status, &result, &pose, path}, ros::Time(1.0));
+  return Draw({"world", status, &result, &pose, path});
 }
 
 TEST(Markers, WindowFitsOnASmallScreen) {
