@@ -20,6 +20,13 @@
 #include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
+
+/// What a child process hands over.
+template <typename Archive>
+void serialize(Archive& archive, AggregateOutcome& o) {  // NOLINT(readability-identifier-naming)
+  archive(o.text, o.map, o.uncalibrated, o.has_intensity);
+}
+
 namespace {
 
 constexpr char kCloudType[] = "sensor_msgs/PointCloud2";
@@ -162,46 +169,27 @@ class Clouds {
   size_t size_ = 0;
 };
 
-/// What the child hands over.
-struct Aggregate {
-  std::string refusal;  ///< why there is no map
-  std::string text;     ///< what a person wants to know of the map
-  bool has_intensity = false;
-  std::vector<MapPoint> map, uncalibrated;
-
-  template <typename Archive>
-  void serialize(Archive& archive) {  // NOLINT(readability-identifier-naming): cereal's name
-    archive(refusal, text, has_intensity, map, uncalibrated);
-  }
-};
-
 /// Puts clouds together, the last of the variants as the map.
 class Aggregator {
  public:
   Aggregator(const AggregateRequest& request, const std::vector<SensorPoses>& variants,
              const Clouds& clouds)
-      : request_(request),
-        variants_(variants),
-        clouds_(clouds),
-        stride_(clouds.Points() / kSharpnessPoints + 1),
-        map_(request.voxel_m),
-        uncalibrated_(request.voxel_m),
-        samples_(variants.size()) {
+      : request_(request), clouds_(clouds), stride_(clouds.Points() / kSharpnessPoints + 1) {
+    for (const SensorPoses& poses : variants) variants_.push_back({poses, {}, {}});
+    variants_.back().map.emplace(request.voxel_m);
+    if (request.keep_uncalibrated) variants_.front().map.emplace(request.voxel_m);
     clouds.ForEach(
         [this](int64_t stamp_ns, const std::vector<CloudPoint>& points) { Add(stamp_ns, points); });
   }
 
-  /// To be called once.
-  Aggregate Finish(const SessionData& data) {
-    Aggregate aggregate;
-    if (placed_ == 0)
-      aggregate.refusal = Refusal(data);
-    else
-      aggregate.text = Counts() + SharpnessTable();
-    aggregate.has_intensity = clouds_.has_intensity();
-    aggregate.map = map_.Points();
-    aggregate.uncalibrated = uncalibrated_.Points();
-    return aggregate;
+  /// Map and text, which says why if there is no map.
+  AggregateOutcome Finish(const SessionData& data) const {
+    AggregateOutcome outcome;
+    outcome.text = placed_ > 0 ? Counts() + SharpnessTable() : Refusal(data);
+    outcome.map = variants_.back().map->Points();
+    if (variants_.front().map) outcome.uncalibrated = variants_.front().map->Points();
+    outcome.has_intensity = clouds_.has_intensity();
+    return outcome;
   }
 
  private:
@@ -212,8 +200,8 @@ class Aggregator {
       last = std::max(last, point.time_after_ns);
     }
     std::vector<CloudMotion> motions;
-    for (const SensorPoses& variant : variants_)
-      motions.emplace_back(variant.pose, stamp_ns + first, stamp_ns + last);
+    for (const Variant& variant : variants_)
+      motions.emplace_back(variant.poses.pose, stamp_ns + first, stamp_ns + last);
 
     const size_t placed_before = placed_, points_before = points_;
     for (const CloudPoint& point : points) {
@@ -235,19 +223,15 @@ class Aggregator {
   void Place(const std::vector<CloudMotion>& motions, int64_t t_ns, const CloudPoint& point) {
     const bool is_sample = points_++ % stride_ == 0;
     for (size_t v = 0; v < motions.size(); ++v) {
-      const bool is_map = v + 1 == motions.size();
-      const bool is_uncalibrated = v == 0 && request_.keep_uncalibrated;
-      if (!is_map && !is_uncalibrated && !is_sample) continue;
+      Variant& variant = variants_[v];
+      if (!variant.map && !is_sample) continue;
       const auto p_W = motions[v].Place(t_ns, point.p_S);
       if (is_sample)
-        samples_[v].push_back(
+        variant.samples.push_back(
             p_W ? Eigen::Vector3f(p_W->cast<float>())
                 : Eigen::Vector3f::Constant(std::numeric_limits<float>::quiet_NaN()));
-      if (!p_W) continue;
-      if (is_uncalibrated) uncalibrated_.Add(*p_W, point.intensity);
-      if (!is_map) continue;
-      map_.Add(*p_W, point.intensity);
-      ++placed_;
+      if (p_W && variant.map) variant.map->Add(*p_W, point.intensity);
+      if (p_W && v + 1 == motions.size()) ++placed_;
     }
   }
 
@@ -281,42 +265,49 @@ class Aggregator {
                        left_out_, not_placed,
                        100.0 * (static_cast<double>(not_placed) / static_cast<double>(points_)),
                        out_of_range_, request_.min_range_m, request_.max_range_m)) +
-           Wrap("map        ",
-                Format("%zu points, means of cubes of %g m", map_.size(), request_.voxel_m));
+           Wrap("map        ", Format("%zu points, means of cubes of %g m",
+                                      variants_.back().map->size(), request_.voxel_m));
   }
 
-  std::string SharpnessTable() {
-    std::vector<double> shares;  // of the points that each variant places
+  std::string SharpnessTable() const {
     std::vector<std::vector<Eigen::Vector3f>> maps;
-    // A variant that places less than half of the points is not worth to be compared.
-    const auto is_compared = [&](size_t v) {
-      return v + 1 == variants_.size() || shares[v] >= 0.5;
-    };
-    for (size_t v = 0; v < variants_.size(); ++v) {
-      const auto count = std::count_if(samples_[v].begin(), samples_[v].end(),
-                                       [](const auto& p) { return p.allFinite(); });
-      shares.push_back(static_cast<double>(count) / static_cast<double>(samples_[v].size()));
-      if (is_compared(v)) maps.push_back(std::move(samples_[v]));
-    }
+    for (const Variant& variant : variants_)
+      if (IsCompared(variant)) maps.push_back(variant.samples);
     const std::vector<Sharpness> sharpness = CompareSharpness(maps, request_.radius_m);
     auto row = sharpness.begin();
     std::string text =
         Format("\n  %-38s %12s %16s\n", "sharpness, better below", "map entropy", "planes [mm]");
-    for (size_t v = 0; v < variants_.size(); ++v) {
-      text += Format("  %-38s", variants_[v].name.c_str());
-      if (is_compared(v)) {
+    for (const Variant& variant : variants_) {
+      text += Format("  %-38s", variant.poses.name.c_str());
+      if (IsCompared(variant)) {
         text += Format(" %12.3f %16.1f\n", row->entropy, 1e3 * row->thickness);
         ++row;
       } else {
-        text += Format(" %.0f %% of points within the poses\n", 100 * shares[v]);
+        text += Format(" %.0f %% of points within the poses\n", 100 * variant.Share());
       }
     }
     return text + Format("  (within %g m around the same %zu points in each)\n", request_.radius_m,
                          sharpness.back().places);
   }
 
+  struct Variant {
+    SensorPoses poses;
+    std::optional<VoxelMap> map;
+    std::vector<Eigen::Vector3f> samples;  ///< every stride-th point; not finite: not placed
+
+    /// Of the points that it places.
+    double Share() const {
+      const auto placed = std::count_if(samples.begin(), samples.end(),
+                                        [](const auto& p) { return p.allFinite(); });
+      return static_cast<double>(placed) / static_cast<double>(samples.size());
+    }
+  };
+  /// One that places less than half of the points is not worth to be compared.
+  bool IsCompared(const Variant& variant) const {
+    return variant.Share() >= 0.5 || &variant == &variants_.back();
+  }
+
   const AggregateRequest& request_;
-  const std::vector<SensorPoses>& variants_;
   const Clouds& clouds_;
   const size_t stride_;
 
@@ -324,22 +315,21 @@ class Aggregator {
   int64_t least_ns_ = 0, most_ns_ = 0;     ///< from the stamp of a cloud to those of its points
   size_t clouds_seen_ = 0, left_out_ = 0;  ///< the latter all without trajectory
   size_t points_ = 0, placed_ = 0, out_of_range_ = 0;
-  VoxelMap map_, uncalibrated_;
-  /// Every stride-th point by each variant; not finite: not placed.
-  std::vector<std::vector<Eigen::Vector3f>> samples_;
+  std::vector<Variant> variants_;
 };
 
-Aggregate AggregateApart(const AggregateRequest& request, const std::vector<SensorPoses>& variants,
-                         const SessionData& data) {
+/// In a child process.
+AggregateOutcome Aggregate(const AggregateRequest& request,
+                           const std::vector<SensorPoses>& variants, const SessionData& data) {
   std::stringstream stream(ReadApart(request.recording.bag, [&] {
     std::ostringstream bytes;
     const Clouds clouds(request);
     cereal::BinaryOutputArchive{bytes}(Aggregator(request, variants, clouds).Finish(data));
     return std::move(bytes).str();
   }));
-  Aggregate aggregate;
-  cereal::BinaryInputArchive{stream}(aggregate);
-  return aggregate;
+  AggregateOutcome outcome;
+  cereal::BinaryInputArchive{stream}(outcome);
+  return outcome;
 }
 
 }  // namespace
@@ -357,23 +347,20 @@ AggregateOutcome AggregateClouds(const AggregateRequest& given, const Progress& 
   OfflineResult offline = CalibrateOffline(request.recording, progress);
   const std::vector<SensorPoses> variants = PosesWithAndWithout(sensor, offline);
   if (progress) progress("clouds", std::nullopt);
-  Aggregate aggregate = AggregateApart(request, variants, offline.sessions[0]);
+  AggregateOutcome outcome = Aggregate(request, variants, offline.sessions[0]);
   if (progress) progress("clouds", 0);
-  if (!aggregate.refusal.empty()) throw DataError(aggregate.refusal);
+  if (outcome.map.empty()) throw DataError(outcome.text);
 
-  AggregateOutcome outcome;
-  const auto write = [&](const std::string& path, const std::vector<MapPoint>& map) {
-    offline.outputs->Write(path, ToPcd(map, aggregate.has_intensity));
-    outcome.written.push_back(path);
-  };
-  write(request.output, aggregate.map);
-  if (!request.uncalibrated.empty()) write(request.uncalibrated, aggregate.uncalibrated);
+  outcome.world_frame = offline.infos[0].world_frame;
+  outcome.written = {request.output};
+  offline.outputs->Write(request.output, ToPcd(outcome.map, outcome.has_intensity));
+  if (!request.uncalibrated.empty()) {
+    outcome.written.push_back(request.uncalibrated);
+    offline.outputs->Write(request.uncalibrated,
+                           ToPcd(outcome.uncalibrated, outcome.has_intensity));
+  }
   WriteResult(&offline);
   outcome.written.push_back(offline.output);
-  outcome.text = std::move(aggregate.text);
-  outcome.world_frame = offline.infos[0].world_frame;
-  outcome.map = std::move(aggregate.map);
-  outcome.uncalibrated = std::move(aggregate.uncalibrated);
   return outcome;
 }
 

@@ -225,8 +225,7 @@ void VoxelMap::Add(const Eigen::Vector3d& p_W, float intensity) {
     throw InputError("a point is more than " + std::to_string(static_cast<int>(kFarthest)) +
                      " m from the origin of the poses");
   Sum& sum = cubes_[CubeOf(p_W, size_)];
-  sum.p_W += p_W;
-  sum.intensity += static_cast<double>(intensity);
+  sum.values += Eigen::Vector4d(p_W.x(), p_W.y(), p_W.z(), static_cast<double>(intensity));
   ++sum.count;
   if (cubes_.size() > most_)
     throw InputError("the map has more than " + std::to_string(most_) +
@@ -237,9 +236,8 @@ std::vector<MapPoint> VoxelMap::Points() const {
   std::vector<MapPoint> points;
   points.reserve(cubes_.size());
   for (const auto& [cube, sum] : cubes_) {
-    const auto n = static_cast<double>(sum.count);
-    const Eigen::Vector3f p = (sum.p_W / n).cast<float>();
-    points.push_back({p.x(), p.y(), p.z(), static_cast<float>(sum.intensity / n)});
+    const Eigen::Vector4f mean = (sum.values / static_cast<double>(sum.count)).cast<float>();
+    points.push_back({mean[0], mean[1], mean[2], mean[3]});
   }
   return points;
 }

@@ -105,29 +105,18 @@ std::string Text(const Sizes& std_dev) {
 std::string Sigmas(const Calibration& result) { return "sigma " + Text(LargestStd(result)); }
 
 /// Six lines as "rotation    x [######----]  60 %".
-std::vector<std::string> Bars(const Excitation& excitation) {
+std::vector<std::string> Bars(const Vector6d& excitation) {
   std::vector<std::string> bars;
-  for (const auto& [motion, shares] : {std::pair("rotation", excitation.rotation),
-                                       std::pair("translation", excitation.translation)})
-    for (int axis = 0; axis < 3; ++axis) {
-      std::string bar(10, '-');
-      std::fill_n(bar.begin(), static_cast<int>(std::floor(10.0 * shares[axis])), '#');
-      bars.push_back(
-          Format("%-11s %c [%s] %3.0f %%", motion, kAxes[axis], bar.c_str(), 100.0 * shares[axis]));
-    }
+  for (int i = 0; i < 6; ++i) {
+    std::string bar(10, '-');
+    std::fill_n(bar.begin(), static_cast<int>(std::floor(10.0 * excitation[i])), '#');
+    bars.push_back(Format("%-11s %c [%s] %3.0f %%", i < 3 ? "rotation" : "translation",
+                          kAxes[i % 3], bar.c_str(), 100.0 * excitation[i]));
+  }
   return bars;
 }
 
 }  // namespace
-
-void LiveOptions::Validate() const {
-  for (const auto& [name, member] : kLiveOptions)
-    if (const double value = this->*member; !(value > 0.0 && std::isfinite(value)))
-      throw InputError(Format("%s = %.3g must be positive", name, value));
-  if (min_duration >= window)
-    throw InputError(
-        Format("min_duration = %.3g must be below window = %.3g", min_duration, window));
-}
 
 template <typename Sample>
 double LiveCalibration::Stream<Sample>::Duration() const {
@@ -154,7 +143,12 @@ StreamStatus LiveCalibration::Stream<Sample>::Status() const {
 LiveCalibration::LiveCalibration(const LiveOptions& options, const CalibrationOptions& calibration,
                                  size_t imus)
     : options_(options), calibration_(calibration) {
-  options_.Validate();
+  for (const auto& [name, member] : kLiveOptions)
+    if (const double value = options_.*member; !(value > 0.0 && std::isfinite(value)))
+      throw InputError(Format("%s = %.3g must be positive", name, value));
+  if (options_.min_duration >= options_.window)
+    throw InputError(Format("min_duration = %.3g must be below window = %.3g",
+                            options_.min_duration, options_.window));
   for (size_t i = 0; i < imus; ++i) {
     sensors_.push_back({"gyroscope" + OfImu(i, imus), {}});
     sensors_.push_back({"accelerometer" + OfImu(i, imus), {}});
@@ -195,22 +189,24 @@ bool LiveCalibration::AddPose(const PoseSample& recorded, double now) {
   return true;
 }
 
-Excitation LiveCalibration::Excited() const {
-  Excitation total;  // squared rates in the marker frame, times the time between two poses
+Vector6d LiveCalibration::Excitation() const {
+  Vector6d total = Vector6d::Zero();  // squared rates in M, times the time between two poses
   const PoseSample* from = nullptr;
   for (const PoseSample& pose : known_.path) {
     const double dt = from ? Seconds(pose.t_ns - from->t_ns) : kMaxMotionStep;
     if (dt >= 0.0 && dt < kMinMotionStep) continue;
     if (dt >= kMinMotionStep && dt < kMaxMotionStep) {
       const Eigen::Quaterniond q_MW = from->q_WM.normalized().conjugate();
-      const Eigen::Vector3d moved = q_MW * (pose.p_WM - from->p_WM);
-      total.rotation += Log(Eigen::Quaterniond(q_MW * pose.q_WM.normalized())).cwiseAbs2() / dt;
-      total.translation += moved.cwiseAbs2() / dt;
+      Vector6d motion;
+      motion << Log(Eigen::Quaterniond(q_MW * pose.q_WM.normalized())),
+          q_MW * (pose.p_WM - from->p_WM);
+      total += motion.cwiseAbs2() / dt;
     }
     from = &pose;
   }
-  return {(total.rotation / kEnoughRotation).cwiseMin(1.0),
-          (total.translation / kEnoughTranslation).cwiseMin(1.0)};
+  total.head<3>() /= kEnoughRotation;
+  total.tail<3>() /= kEnoughTranslation;
+  return total.cwiseMin(1.0);
 }
 
 // --- Solves ---
@@ -221,7 +217,7 @@ bool LiveCalibration::WantsSolve() const {
   for (const auto& stream : sensors_) shortest = std::min(shortest, stream.Duration());
   if (shortest < options_.min_duration) return false;
   // Two axes determine everything; the solve itself tells how well.
-  Eigen::Vector3d rotation = Excited().rotation;
+  Eigen::Vector3d rotation = Excitation().head<3>();
   std::sort(rotation.data(), rotation.data() + 3);
   if (rotation[1] < 1.0) return false;
   const double fresh = Seconds(poses_.samples.back().t_ns - known_.solved_until_ns);
@@ -310,12 +306,12 @@ std::string LiveCalibration::LostStreams(double now) const {
 }
 
 std::string LiveCalibration::Advice() const {
-  const Excitation excitation = Excited();
+  const Vector6d excitation = Excitation();
   Eigen::Index axis = 0;
-  if (excitation.rotation.minCoeff(&axis) < 1.0)
+  if (excitation.head<3>().minCoeff(&axis) < 1.0)
     return Format("rotate about the marker's %c axis", kAxes[axis]);
   if (!known_.failure.empty()) return "no result yet: " + known_.failure;
-  if (excitation.translation.minCoeff(&axis) < 1.0)
+  if (excitation.tail<3>().minCoeff(&axis) < 1.0)
     return Format("move along the marker's %c axis", kAxes[axis]);
   if (!known_.result) return "keep moving";
   const std::string sigmas = Sigmas(*known_.result);
@@ -363,9 +359,9 @@ CalibrationStatus LiveCalibration::Status(double now) const {
   status.pose_count = poses.received;
   status.gyro_count = gyro.received;
   status.accel_count = accel.received;
-  const Excitation excitation = Excited();
-  status.rotation_excitation = ToVector3Msg(excitation.rotation);
-  status.translation_excitation = ToVector3Msg(excitation.translation);
+  const Vector6d excitation = Excitation();
+  status.rotation_excitation = ToVector3Msg(excitation.head<3>());
+  status.translation_excitation = ToVector3Msg(excitation.tail<3>());
   status.bars = Bars(excitation);
   status.solves = static_cast<uint32_t>(known_.solves);
   if (!known_.result) return status;

@@ -93,18 +93,19 @@ class LiveNode {
   bool IsBusy();
 
  private:
-  void Tick();
-  std::string Save();
-  void AutoSave();
-  bool OnCalibrate(Trigger::Request&, Trigger::Response& response);
-  bool OnSave(Trigger::Request&, Trigger::Response& response);
-  bool OnReset(Trigger::Request&, Trigger::Response& response);
+  using Verdict = LiveSolver::Verdict;
+  void Serve(const std::string& name, Verdict (LiveNode::*answer)());
+  // What the services do, each on a thread of its own:
+  Verdict Calibrate();
+  Verdict Save();
+  Verdict Reset();
 
+  void Tick();
+  Verdict WriteResult();
   void UpdateStatus();
   void Diagnose(diagnostic_updater::DiagnosticStatusWrapper& wrapper);
   void PublishPose(const PoseSample& pose);
   void PublishPath();
-  void PublishMarkers();
   void PublishResult();
 
   ros::NodeHandle node_;
@@ -144,18 +145,18 @@ LiveNode::LiveNode(const ros::NodeHandle& node, const OfflineRequest& request)
              [this](const PoseSample& pose) { PublishPose(pose); }),
       solver_(
           &mutex_, &live_,
-          [this](const SessionData& data) { return Calibrate(settings_.calibration, data); },
+          [this](const SessionData& data) {
+            return imu_pose_calib::Calibrate(settings_.calibration, data);
+          },
           [this] { PublishResult(); }) {
   diagnostics_.setHardwareID("none");
   diagnostics_.add("calibration", this, &LiveNode::Diagnose);
   timer_ = node_.createWallTimer(ros::WallDuration(kTickPeriod),
                                  [this](const ros::WallTimerEvent&) { Tick(); });
 
-  ros::NodeHandle services = node_;
-  services.setCallbackQueue(&service_queue_);
-  services_ = {services.advertiseService("calibrate", &LiveNode::OnCalibrate, this),
-               services.advertiseService("save", &LiveNode::OnSave, this),
-               services.advertiseService("reset", &LiveNode::OnReset, this)};
+  Serve("calibrate", &LiveNode::Calibrate);
+  Serve("save", &LiveNode::Save);
+  Serve("reset", &LiveNode::Reset);
   service_spinner_.start();
 }
 
@@ -164,74 +165,64 @@ bool LiveNode::IsBusy() {
   return live_.IsSolving() || input_.IsLooking();
 }
 
-/// Writes the best result and freezes it. Returns what was done.
-std::string LiveNode::Save() {
-  const std::string& path = settings_.request.output;
-  OutputFiles outputs;
-  outputs.Write(
-      path, ToYaml(*live_.result(), {input_.Info()}, settings_.calibration, {outputs.run_id()}));
-  outputs.Commit();
-  std::string message = "saved to " + path + "; call reset to start anew";
-  live_.Freeze(message);
-  save_error_.clear();
-  std::cout << Summary(*live_.result(), {input_.Info()}) << std::flush;
-  return message;
-}
-
-void LiveNode::AutoSave() {
-  try {
-    Save();
-  } catch (const InputError& error) {
-    save_error_ = OneLine(error);
-    ROS_ERROR("%s", save_error_.c_str());
-  }
-  UpdateStatus();
-}
-
 // --- Services ---
 
-/// Waits for the solve on a thread of its own, while messages come in.
-bool LiveNode::OnCalibrate(Trigger::Request&, Trigger::Response& response) {
+void LiveNode::Serve(const std::string& name, Verdict (LiveNode::*answer)()) {
+  ros::NodeHandle node = node_;
+  node.setCallbackQueue(&service_queue_);
+  services_.push_back(node.advertiseService<Trigger::Request, Trigger::Response>(
+      name, [=](Trigger::Request&, Trigger::Response& response) {
+        const auto [success, message] = (this->*answer)();
+        response.success = success;
+        response.message = message;
+        return true;
+      }));
+}
+
+/// Waits for the solve, while messages come in.
+LiveSolver::Verdict LiveNode::Calibrate() {
   {
     const std::lock_guard<std::mutex> lock(mutex_);
     // Not the one of the last tick, which may be from before a reset.
     const CalibrationStatus status = live_.Status(ros::Time::now().toSec());
-    if (status.phase == CalibrationStatus::SAVED || status.phase == CalibrationStatus::WAITING) {
-      response.message = (status.phase == status_.phase ? status_ : status).message;
-      return true;
-    }
+    if (status.phase == CalibrationStatus::SAVED || status.phase == CalibrationStatus::WAITING)
+      return {false, (status.phase == status_.phase ? status_ : status).message};
   }
-  const LiveSolver::Verdict verdict = solver_.Calibrate();
-  response.success = verdict.success;
-  response.message = verdict.message;
-  return true;
+  return solver_.Calibrate();
 }
 
-bool LiveNode::OnSave(Trigger::Request&, Trigger::Response& response) {
+LiveSolver::Verdict LiveNode::Save() {
   const std::lock_guard<std::mutex> lock(mutex_);
-  if (!live_.result()) {
-    response.message = "there is no result to save; " + status_.message;
-    return true;
-  }
-  try {
-    response.message = Save();
-    response.success = true;
-  } catch (const InputError& error) {
-    response.message = OneLine(error);
-  }
-  return true;
+  if (!live_.result()) return {false, "there is no result to save; " + status_.message};
+  return WriteResult();
 }
 
-bool LiveNode::OnReset(Trigger::Request&, Trigger::Response& response) {
+LiveSolver::Verdict LiveNode::Reset() {
   const std::lock_guard<std::mutex> lock(mutex_);
-  response.success = true;
-  response.message = live_.result()
-                         ? "started anew; tf keeps the last result until there is another"
-                         : "started anew";
+  const bool has_result = live_.result().has_value();
   live_.Reset("", ros::Time::now().toSec());
   input_.ForgetAfterReset();
   save_error_.clear();
-  return true;
+  return {true, has_result ? "started anew; tf keeps the last result until there is another"
+                           : "started anew"};
+}
+
+/// Writes the best result and freezes it. Says what was done, or why it could not be.
+LiveSolver::Verdict LiveNode::WriteResult() {
+  const std::string& path = settings_.request.output;
+  try {
+    OutputFiles outputs;
+    outputs.Write(
+        path, ToYaml(*live_.result(), {input_.Info()}, settings_.calibration, {outputs.run_id()}));
+    outputs.Commit();
+  } catch (const InputError& error) {
+    return {false, OneLine(error)};
+  }
+  const std::string message = "saved to " + path + "; call reset to start anew";
+  live_.Freeze(message);
+  save_error_.clear();
+  std::cout << Summary(*live_.result(), {input_.Info()}) << std::flush;
+  return {true, message};
 }
 
 // --- Status ---
@@ -241,14 +232,20 @@ void LiveNode::Tick() {
   if (live_.WantsSolve()) solver_.Start();
   const uint8_t last_phase = status_.phase;
   UpdateStatus();
-  if (status_.phase == CalibrationStatus::CONVERGED && settings_.auto_save && save_error_.empty())
-    AutoSave();
+  if (status_.phase == CalibrationStatus::CONVERGED && settings_.auto_save && save_error_.empty()) {
+    if (const Verdict saved = WriteResult(); !saved.success) {
+      save_error_ = saved.message;
+      ROS_ERROR("%s", save_error_.c_str());
+    }
+    UpdateStatus();
+  }
   // The first time when there has been a look at the topics.
   if (status_.phase != last_phase || ticks_ == kTicksPerStatus)
     ROS_INFO("%s: %s", status_.phase_text.c_str(), status_.message.c_str());
   if (ticks_ % kTicksPerStatus == 0) status_publisher_.publish(status_);
   if (ticks_ % kTicksPerDiagnostics == 0) diagnostics_.force_update();
-  PublishMarkers();
+  if (marker_publisher_.getNumSubscribers() > 0)
+    marker_publisher_.publish(Draw(live_, status_, input_.Info().world_frame));
   if (ticks_ % kTicksPerStatus == 0) PublishPath();
   ++ticks_;
 }
@@ -308,13 +305,6 @@ void LiveNode::PublishPath() {
   for (const PoseSample& pose : live_.path())
     path.poses.push_back(ToImuPose(pose, live_.result()->imus[0].T_MI, path.header.frame_id));
   path_publisher_.publish(path);
-}
-
-void LiveNode::PublishMarkers() {
-  if (marker_publisher_.getNumSubscribers() == 0) return;
-  marker_publisher_.publish(
-      Draw({input_.Info().world_frame, status_, live_.result() ? &*live_.result() : nullptr,
-            live_.pose() ? &*live_.pose() : nullptr, live_.path()}));
 }
 
 /// As a message, and as static transforms.

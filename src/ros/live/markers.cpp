@@ -3,6 +3,7 @@
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -138,7 +139,7 @@ Eigen::Vector3d PanelPosition(const std::deque<PoseSample>& path) {
 }
 
 /// Bars, verdict and result, `middle` being that of the first bar.
-void DrawPanel(const CalibrationStatus& status, const Calibration* result,
+void DrawPanel(const CalibrationStatus& status, const std::optional<Calibration>& result,
                const Eigen::Vector3d& middle, Drawing* drawing) {
   Eigen::Vector3d left = middle - Eigen::Vector3d(0.5 * kBarLength, 0.0, 0.0);
   for (const auto& [motion, excitation] : {std::pair("turn ", status.rotation_excitation),
@@ -172,23 +173,25 @@ void DrawPanel(const CalibrationStatus& status, const Calibration* result,
 
 }  // namespace
 
-MarkerArray Draw(const Scene& scene) {
-  Drawing drawing(MakeHeader(scene.status.header.stamp, scene.world_frame));
+MarkerArray Draw(const LiveCalibration& live, const CalibrationStatus& status,
+                 const std::string& world_frame) {
+  const auto& result = live.result();
+  Drawing drawing(MakeHeader(status.header.stamp, world_frame));
   drawing.Frame("world", Rigid3(), 0.3);
-  DrawPanel(scene.status, scene.result, PanelPosition(scene.path), &drawing);
-  if (!scene.pose) return drawing.Take();
+  DrawPanel(status, result, PanelPosition(live.path()), &drawing);
+  if (!live.pose()) return drawing.Take();
 
-  const Rigid3 T_WM = ToRigid3(*scene.pose);
+  const Rigid3 T_WM = ToRigid3(*live.pose());
   drawing.Frame("marker", T_WM, 0.2);
-  DrawPath("marker path", scene.path, Rigid3(), kMarker, &drawing);
-  if (!scene.result) return drawing.Take();
-  for (const ImuCalibration& imu : scene.result->imus) {
+  DrawPath("marker path", live.path(), Rigid3(), kMarker, &drawing);
+  if (!result) return drawing.Take();
+  for (const ImuCalibration& imu : result->imus) {
     drawing.Frame("imu", T_WM * imu.T_MI, 0.12);
-    DrawPath("imu path", scene.path, imu.T_MI, kImuPath, &drawing);
+    DrawPath("imu path", live.path(), imu.T_MI, kImuPath, &drawing);
     DrawLeverArm(imu, T_WM, &drawing);
   }
   const Eigen::Vector3d top = T_WM.p + Eigen::Vector3d(-0.3, 0.0, 0.0);
-  drawing.Arrow("gravity", top, top + 0.03 * scene.result->sessions[0].g_W, 0.012, kWhite);
+  drawing.Arrow("gravity", top, top + 0.03 * result->sessions[0].g_W, 0.012, kWhite);
   drawing.Label("gravity", top, 0.04, "gravity");
   return drawing.Take();
 }

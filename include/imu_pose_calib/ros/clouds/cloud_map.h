@@ -77,8 +77,7 @@ class VoxelMap {
     size_t operator()(const Cube& cube) const;
   };
   struct Sum {
-    Eigen::Vector3d p_W = Eigen::Vector3d::Zero();
-    double intensity = 0.0;
+    Eigen::Vector4d values = Eigen::Vector4d::Zero();  ///< as in MapPoint
     size_t count = 0;
   };
 

@@ -23,9 +23,6 @@ struct LiveOptions {
   double target_rotation_std = 2e-3;     ///< [rad]
   double target_translation_std = 5e-4;  ///< [m]
   double target_time_shift_std = 5e-4;   ///< [s]
-
-  /// Throws InputError naming parameter, value and bound when a value is out of range.
-  void Validate() const;
 };
 
 /// All of them, by their names.
@@ -37,13 +34,6 @@ constexpr std::pair<const char*, double LiveOptions::*> kLiveOptions[] = {
     {"target_rotation_std", &LiveOptions::target_rotation_std},
     {"target_translation_std", &LiveOptions::target_translation_std},
     {"target_time_shift_std", &LiveOptions::target_time_shift_std}};
-
-/// Motion along the marker axes from 0 to 1, which is enough for a calibration: 3 s of turning at
-/// 1 rad/s rms and of moving at 0.3 m/s rms, or slower and longer.
-struct Excitation {
-  Eigen::Vector3d rotation = Eigen::Vector3d::Zero();
-  Eigen::Vector3d translation = Eigen::Vector3d::Zero();
-};
 
 struct StreamStatus {
   size_t received = 0;      ///< since construction
@@ -62,7 +52,7 @@ struct StreamStatus {
 class LiveCalibration {
  public:
   /// `calibration` tells how the poses are to be understood: unit and direction. `imus`: how many
-  /// there are on the body.
+  /// there are on the body. Throws InputError naming an option out of range, value and bound.
   explicit LiveCalibration(const LiveOptions& options,
                            const CalibrationOptions& calibration = CalibrationOptions(),
                            size_t imus = 1);
@@ -102,7 +92,9 @@ class LiveCalibration {
   CalibrationStatus Status(double now) const;
   /// Poses, gyroscope and accelerometer; of several IMUs, the slowest.
   std::array<StreamStatus, 3> Streams() const;
-  Excitation Excited() const;
+  /// Turning about the marker axes, then motion along them, from 0 to 1, which is enough for a
+  /// calibration: 3 s at 1 rad/s rms and 0.3 m/s rms, or slower and longer.
+  Vector6d Excitation() const;
   /// The result to use, of those since the last reset.
   const std::optional<Calibration>& result() const { return known_.result; }
   /// Newest valid pose T_WM [m].
