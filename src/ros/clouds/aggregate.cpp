@@ -110,63 +110,55 @@ BagTopic ChooseClouds(const Bags& bags, const std::string& name) {
 }
 
 /// The clouds of a recording.
-class Clouds {
- public:
+struct Clouds {
+  Bags bags;
+  BagTopic topic;
+  PointTime time = {};
+  bool has_intensity = false;
+  size_t points = 0;  ///< about how many there are in all
+
   explicit Clouds(const AggregateRequest& request)
-      : bags_(request.recording.bag.paths, request.recording.bag.start_s,
-              request.recording.bag.duration_s),
-        topic_(ChooseClouds(bags_, request.cloud_topic)) {
+      : bags(request.recording.bag.paths, request.recording.bag.start_s,
+             request.recording.bag.duration_s),
+        topic(ChooseClouds(bags, request.cloud_topic)) {
     std::vector<sensor_msgs::PointCloud2> first;
-    bags_.ForEach(topic_, [&](const BagMessage& message) {
+    bags.ForEach(topic, [&](const BagMessage& message) {
       const auto cloud = message.instantiate<sensor_msgs::PointCloud2>();
       if (!cloud->data.empty()) first.push_back(*cloud);
       return first.size() < kFirstClouds;
     });
     if (first.empty())
-      throw InputError("cloud_topic '" + topic_.name + "' has no points in any cloud");
+      throw InputError("cloud_topic '" + topic.name + "' has no points in any cloud");
     Named(first.front(), [&] {
-      time_ = FindPointTime(first, request.point_time);
-      size_ = ReadCloud(first.front(), time_).size();
-      has_intensity_ = HasIntensity(first.front());
+      time = FindPointTime(first, request.point_time);
+      points = ReadCloud(first.front(), time).size() * topic.count;
+      has_intensity = HasIntensity(first.front());
     });
   }
 
   /// Calls `use(stamp_ns, points)` for each.
   template <typename Use>
   void ForEach(Use use) const {
-    bags_.ForEach(topic_, [&](const BagMessage& message) {
+    bags.ForEach(topic, [&](const BagMessage& message) {
       const auto cloud = message.instantiate<sensor_msgs::PointCloud2>();
       Named(*cloud, [&] {
         if (cloud->header.stamp.isZero()) throw InputError("its stamp must be set");
-        use(ToNanoseconds(cloud->header.stamp), ReadCloud(*cloud, time_));
+        use(ToNanoseconds(cloud->header.stamp), ReadCloud(*cloud, time));
       });
       return true;
     });
   }
 
-  const BagTopic& topic() const { return topic_; }
-  const PointTime& time() const { return time_; }
-  bool has_intensity() const { return has_intensity_; }
-  /// About how many points there are.
-  size_t Points() const { return size_ * topic_.count; }
-
- private:
   /// Runs `run`; errors name topic and cloud.
   template <typename Run>
   void Named(const sensor_msgs::PointCloud2& cloud, Run run) const {
     try {
       run();
     } catch (const InputError& error) {
-      throw InputError("cloud_topic '" + topic_.name + "', cloud stamped " +
+      throw InputError("cloud_topic '" + topic.name + "', cloud stamped " +
                        Format("%.9f", cloud.header.stamp.toSec()) + ": " + error.what());
     }
   }
-
-  Bags bags_;
-  BagTopic topic_;
-  PointTime time_;
-  bool has_intensity_ = false;
-  size_t size_ = 0;
 };
 
 /// Puts clouds together, the last of the variants as the map.
@@ -174,7 +166,7 @@ class Aggregator {
  public:
   Aggregator(const AggregateRequest& request, const std::vector<SensorPoses>& variants,
              const Clouds& clouds)
-      : request_(request), clouds_(clouds), stride_(clouds.Points() / kSharpnessPoints + 1) {
+      : request_(request), clouds_(clouds), stride_(clouds.points / kSharpnessPoints + 1) {
     for (const SensorPoses& poses : variants) variants_.push_back({poses, {}, {}});
     variants_.back().map.emplace(request.voxel_m);
     if (request.keep_uncalibrated) variants_.front().map.emplace(request.voxel_m);
@@ -188,7 +180,7 @@ class Aggregator {
     outcome.text = placed_ > 0 ? Counts() + SharpnessTable() : Refusal(data);
     outcome.map = variants_.back().map->Points();
     if (variants_.front().map) outcome.uncalibrated = variants_.front().map->Points();
-    outcome.has_intensity = clouds_.has_intensity();
+    outcome.has_intensity = clouds_.has_intensity;
     return outcome;
   }
 
@@ -243,15 +235,15 @@ class Aggregator {
     return Format(
         "no point of the %zu clouds of '%s', stamped %.3f to %.3f s, is within the trajectory and "
         "min_range to max_range; cloud_clock is %s stamped %.3f to %.3f s",
-        clouds_seen_, clouds_.topic().name.c_str(), Seconds(begin_ns_), Seconds(end_ns_),
+        clouds_seen_, clouds_.topic.name.c_str(), Seconds(begin_ns_), Seconds(end_ns_),
         on_imu_clock ? "imu, which is" : "poses, which are", Seconds(*first), Seconds(*last));
   }
 
   std::string Counts() const {
-    const PointTime& time = clouds_.time();
+    const PointTime& time = clouds_.time;
     const size_t not_placed = points_ - placed_;
     return Wrap("clouds     ", Format("%zu of %s, %zu points, on the clock of the %s", clouds_seen_,
-                                      clouds_.topic().name.c_str(), points_,
+                                      clouds_.topic.name.c_str(), points_,
                                       request_.cloud_clock == "poses" ? "poses" : "imu")) +
            Wrap("times      ",
                 time.field.empty()
@@ -338,7 +330,7 @@ AggregateOutcome AggregateClouds(const AggregateRequest& given, const Progress& 
   const AggregateRequest request = Checked(given);
   const SensorMount sensor = Mount(request);
   // Before it takes long:
-  ReadApart(request.recording.bag, [&] { return Clouds(request).topic().name; });
+  ReadApart(request.recording.bag, [&] { return Clouds(request).topic.name; });
   {
     OutputFiles tried;
     tried.Plan("output", request.output);

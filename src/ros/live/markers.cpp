@@ -3,7 +3,6 @@
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
-#include <optional>
 #include <utility>
 #include <vector>
 
@@ -114,18 +113,6 @@ void DrawLeverArm(const ImuCalibration& imu, const Rigid3& T_WM, Drawing* drawin
                {T_WM.q * Eigen::Quaterniond(axes), p_WI});
 }
 
-void DrawBar(const std::string& label, double share, const Color& color,
-             const Eigen::Vector3d& left, Drawing* drawing) {
-  const double filled = std::max(0.002, share * kBarLength);
-  const auto box = [&](double from, double length, double depth, const Color& c) {
-    drawing->Add("bars", Marker::CUBE, c, {length, depth, kBarHeight},
-                 {{}, left + Eigen::Vector3d(from + 0.5 * length, 0.0, 0.0)});
-  };
-  box(0.0, filled, 0.02, color);
-  box(filled, kBarLength - filled + 0.001, 0.01, kGray);
-  drawing->Label("bars", left - Eigen::Vector3d(0.13, 0.0, 0.0), 0.06, label);
-}
-
 /// Where the first bar goes: above the poses or, where the view of rviz/calibration.rviz would not
 /// show it any more, below them.
 Eigen::Vector3d PanelPosition(const std::deque<PoseSample>& path) {
@@ -138,18 +125,22 @@ Eigen::Vector3d PanelPosition(const std::deque<PoseSample>& path) {
   return position;
 }
 
-/// Bars, verdict and result, `middle` being that of the first bar.
-void DrawPanel(const CalibrationStatus& status, const std::optional<Calibration>& result,
-               const Eigen::Vector3d& middle, Drawing* drawing) {
-  Eigen::Vector3d left = middle - Eigen::Vector3d(0.5 * kBarLength, 0.0, 0.0);
-  for (const auto& [motion, excitation] : {std::pair("turn ", status.rotation_excitation),
-                                           std::pair("move ", status.translation_excitation)}) {
-    const double shares[] = {excitation.x, excitation.y, excitation.z};
-    for (int axis = 0; axis < 3; ++axis) {
-      DrawBar(motion + std::string(1, "xyz"[axis]), shares[axis], kAxisColors[axis], left, drawing);
-      left.z() -= kLine;
-    }
-    left.z() -= 0.4 * kLine;
+/// Bars, verdict and result.
+void DrawPanel(const LiveCalibration& live, const CalibrationStatus& status, Drawing* drawing) {
+  const Eigen::Vector3d middle = PanelPosition(live.path());  // of the first bar
+  const Vector6d shares = live.Excitation();
+  for (int i = 0; i < 6; ++i) {
+    const Eigen::Vector3d left =
+        middle - Eigen::Vector3d(0.5 * kBarLength, 0.0, (i < 3 ? i : i + 0.4) * kLine);
+    const double filled = std::max(0.002, shares[i] * kBarLength);
+    const auto box = [&](double from, double length, double depth, const Color& color) {
+      drawing->Add("bars", Marker::CUBE, color, {length, depth, kBarHeight},
+                   {{}, left + Eigen::Vector3d(from + 0.5 * length, 0.0, 0.0)});
+    };
+    box(0.0, filled, 0.02, kAxisColors[i % 3]);
+    box(filled, kBarLength - filled + 0.001, 0.01, kGray);
+    drawing->Label("bars", left - Eigen::Vector3d(0.13, 0.0, 0.0), 0.06,
+                   Format("%s %c", i < 3 ? "turn" : "move", "xyz"[i % 3]));
   }
 
   const auto is = [&](uint8_t a, uint8_t b) { return status.phase == a || status.phase == b; };
@@ -163,11 +154,11 @@ void DrawPanel(const CalibrationStatus& status, const std::optional<Calibration>
   std::string message = Wrap("", status.message, 48);
   message.pop_back();  // the end of the last line
   drawing->Label("verdict", above(0.0, 2.2 * kLine), 0.05, message);
-  if (!result) return;
+  if (!live.result()) return;
   drawing->Label("verdict", above(1.4 * kBarLength, -2.5 * kLine), 0.06,
                  Format("p = [%s] mm\ntime shift = %.4f s\nellipsoid: sigma x %.0f",
-                        List(1e3 * result->imus[0].T_MI.p, "%.1f").c_str(),
-                        result->sessions[0].imus[0].time_shift, kSigmaScale),
+                        List(1e3 * live.result()->imus[0].T_MI.p, "%.1f").c_str(),
+                        live.result()->sessions[0].imus[0].time_shift, kSigmaScale),
                  kImu);
 }
 
@@ -178,7 +169,7 @@ MarkerArray Draw(const LiveCalibration& live, const CalibrationStatus& status,
   const auto& result = live.result();
   Drawing drawing(MakeHeader(status.header.stamp, world_frame));
   drawing.Frame("world", Rigid3(), 0.3);
-  DrawPanel(status, result, PanelPosition(live.path()), &drawing);
+  DrawPanel(live, status, &drawing);
   if (!live.pose()) return drawing.Take();
 
   const Rigid3 T_WM = ToRigid3(*live.pose());
