@@ -175,6 +175,9 @@ bool LiveCalibration::Add(const Sample& sample, double now, Stream<Sample>* stre
   return true;
 }
 
+// For AddGyro() and AddAccel(), which are inline.
+template bool LiveCalibration::Add(const ImuSample&, double, Stream<ImuSample>*);
+
 bool LiveCalibration::AddPose(const PoseSample& recorded, double now) {
   if (!Add(recorded, now, &poses_)) return false;
   const PoseSample pose = ToMarkerPose(calibration_, recorded);
