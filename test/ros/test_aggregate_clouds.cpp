@@ -145,8 +145,7 @@ TEST_F(AggregateTest, TheMapIsAsSharpAsThroughTheTruePoses) {
   request.bag.paths = {Path("sim.bag")};
   request.keep_data = true;
   const OfflineResult offline = CalibrateOffline(request);
-  std::vector<SensorPoses> all =
-      PosesWithAndWithout({true, SimulatedLidar::T_IL(), std::nullopt}, true, offline);
+  std::vector<SensorPoses> all = PosesWithAndWithout({true, SimulatedLidar::T_IL()}, offline);
   ASSERT_EQ(all.size(), 5u);
   const SimulatedLidar lidar(options);
   all.push_back({"truth", [&](int64_t stamp_ns) { return lidar.PoseAt(stamp_ns); }});

@@ -63,12 +63,12 @@ TEST(VoxelMap, HoldsTheMeanOfEachCube) {
   map.Add({-0.01, 0.02, 0.03}, 5.0f);
   std::vector<MapPoint> points = map.Points();
   ASSERT_EQ(points.size(), 2u);
-  if (points[0].x < 0.0f) std::swap(points[0], points[1]);
-  EXPECT_FLOAT_EQ(points[0].x, 0.03f);
-  EXPECT_FLOAT_EQ(points[0].y, 0.03f);
-  EXPECT_FLOAT_EQ(points[0].z, 0.06f);
-  EXPECT_FLOAT_EQ(points[0].intensity, 15.0f);
-  EXPECT_FLOAT_EQ(points[1].x, -0.01f);
+  if (points[0][0] < 0.0f) std::swap(points[0], points[1]);
+  EXPECT_FLOAT_EQ(points[0][0], 0.03f);
+  EXPECT_FLOAT_EQ(points[0][1], 0.03f);
+  EXPECT_FLOAT_EQ(points[0][2], 0.06f);
+  EXPECT_FLOAT_EQ(points[0][3], 15.0f);
+  EXPECT_FLOAT_EQ(points[1][0], -0.01f);
 }
 
 TEST(VoxelMap, IsBounded) {
@@ -120,10 +120,10 @@ TEST(SensorPoses, RightAngles) {
 
 // --- The simulated lidar ---
 
-TEST(SimulatedRoom, RangesByHand) {
+TEST(CastRay, RangesByHand) {
   const Eigen::Vector3d center(0.0, 0.0, 0.0);
   const auto hit = [](const Eigen::Vector3d& from, const Eigen::Vector3d& along) {
-    return SimulatedRoom::Cast(from, along.normalized());
+    return CastRay(from, along.normalized());
   };
   // Walls at x = -3 and 3.4, y = -2.5 and 2.9, z = -1.6 and 1.5.
   EXPECT_DOUBLE_EQ(hit(center, -Eigen::Vector3d::UnitX()).range, 3.0);
@@ -163,7 +163,7 @@ TEST(SimulatedLidar, PointsAreOnTheRoomThroughTheTruePoses) {
     const Rigid3 T_WL =
         Rigid3{Eigen::Quaterniond(body.R_WM), body.p_WM} * options.T_MI * SimulatedLidar::T_IL();
     const Eigen::Vector3d p_L = point.p_S.cast<double>();
-    const double error = SimulatedRoom::Cast(T_WL.p, T_WL.q * p_L.normalized()).range - p_L.norm();
+    const double error = CastRay(T_WL.p, T_WL.q * p_L.normalized()).range - p_L.norm();
     squares += error * error;
   }
   EXPECT_NEAR(std::sqrt(squares / static_cast<double>(points.size())), 0.01, 5e-4);

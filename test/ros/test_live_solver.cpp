@@ -110,7 +110,7 @@ TEST_F(LiveSolverTest, AnswersWithTheErrorOfASolve) {
   EXPECT_FALSE(verdict.success);
   EXPECT_EQ(verdict.message, "no poses");
   const std::lock_guard<std::mutex> lock(mutex_);
-  EXPECT_FALSE(solver_.IsSolving());
+  EXPECT_FALSE(live_.IsSolving());
   EXPECT_EQ(solver_.SolveTime(), 0.0);
   EXPECT_GT(solver_.last_solve_time(), 0.0);
 }
@@ -169,7 +169,7 @@ TEST(LiveSolver, WorksForManyThreads) {
   repeat(milliseconds(3), [&] {
     const std::lock_guard<std::mutex> lock(mutex);
     if (!live.IsFrozen()) solver.Start();
-    const LiveStatus status = live.Status(1.0);
+    const CalibrationStatus status = live.Status(1.0);
     EXPECT_FALSE(status.message.empty());
     EXPECT_GE(solver.SolveTime(), 0.0);
   });

@@ -5,10 +5,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <deque>
 #include <sstream>
 
-#include "imu_pose_calib/ros/live/live_output.h"
+#include "imu_pose_calib/ros/live/markers.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -70,19 +69,21 @@ class View {
 
 /// What is drawn for motion within 0.4 m of `center`.
 visualization_msgs::MarkerArray DrawMotionAround(const Eigen::Vector3d& center) {
-  std::deque<PoseSample> path;
+  LiveCalibration live((LiveOptions()));
   for (const double d : {-0.4, 0.0, 0.4})
-    path.push_back({1 + static_cast<int64_t>(1e9 * (1.0 + d)),
-                    Eigen::Quaterniond::Identity(),
-                    center + Eigen::Vector3d::Constant(d),
-                    {}});
-  LiveStatus status;
-  status.phase = Phase::kConverged;
-  status.message = "sigma 0.176 mm, 0.0381 deg, 0.106 ms; call save to keep it and then some more";
+    live.AddPose({1 + static_cast<int64_t>(1e9 * (1.0 + d)),
+                  Eigen::Quaterniond::Identity(),
+                  center + Eigen::Vector3d::Constant(d),
+                  {}},
+                 1.0 + d);
   Calibration result;
   result.status = Status::kOk;
-  const PoseSample pose = path[1];
-  return Draw({"world", status, &result, &pose, path}, ros::Time(1.0));
+  live.BeginSolve();
+  live.EndSolve(result);
+  CalibrationStatus status;
+  status.phase = CalibrationStatus::CONVERGED;
+  status.message = "sigma 0.176 mm, 0.0381 deg, 0.106 ms; call save to keep it and then some more";
+  return Draw(live, status, "world");
 }
 
 TEST(Markers, WindowFitsOnASmallScreen) {

@@ -9,6 +9,8 @@
 #include <string>
 
 #include "imu_pose_calib/core/base/median.h"
+#include "imu_pose_calib/core/data/conditioning.h"
+#include "imu_pose_calib/core/data/stamps.h"
 #include "imu_pose_calib/core/ground_truth/trajectory.h"
 
 namespace imu_pose_calib {
@@ -30,49 +32,43 @@ class RecordedPoses {
             1e9 * (options.max_gap_s > 0.0 ? options.max_gap_s : std::max(0.1, 5.0 / rate_hz)))) {
     for (const PoseSample& sample : recorded) {
       const PoseSample pose = ToMarkerPose(options, sample);
-      const bool is_usable = pose.p_WM.allFinite() && pose.q_WM.coeffs().allFinite() &&
-                             pose.q_WM.norm() > 0.0 && pose.t_ns > 0;
-      if (!is_usable) continue;
-      poses_.push_back(pose);
-      poses_.back().q_WM.normalize();
+      if (pose.p_WM.allFinite() && pose.q_WM.coeffs().allFinite() && pose.q_WM.norm() > 0.0 &&
+          pose.t_ns > 0)
+        poses_[pose.t_ns] = {pose.q_WM.normalized(), pose.p_WM};
     }
-    std::stable_sort(poses_.begin(), poses_.end(),
-                     [](const PoseSample& a, const PoseSample& b) { return a.t_ns < b.t_ns; });
   }
 
   std::optional<Rigid3> At(int64_t t_ns) const {
-    const auto after =
-        std::upper_bound(poses_.begin(), poses_.end(), t_ns,
-                         [](int64_t t, const PoseSample& pose) { return t < pose.t_ns; });
+    const auto after = poses_.upper_bound(t_ns);
     if (after == poses_.begin() || after == poses_.end()) return std::nullopt;
-    const PoseSample& before = *std::prev(after);
-    const int64_t period = after->t_ns - before.t_ns;
+    const auto& [begin_ns, before] = *std::prev(after);
+    const int64_t period = after->first - begin_ns;
     if (period > max_gap_ns_) return std::nullopt;
-    const double u = static_cast<double>(t_ns - before.t_ns) / static_cast<double>(period);
-    return Rigid3{before.q_WM.slerp(u, after->q_WM), (1.0 - u) * before.p_WM + u * after->p_WM};
+    const double u = static_cast<double>(t_ns - begin_ns) / static_cast<double>(period);
+    return Rigid3{before.q.slerp(u, after->second.q), (1.0 - u) * before.p + u * after->second.p};
   }
 
  private:
   int64_t max_gap_ns_;
-  std::vector<PoseSample> poses_;
+  std::map<int64_t, Rigid3> poses_;
 };
 
 /// What one takes for the time shift [ns] without a calibration: 0 where the stamps could be of one
 /// clock, else what lets samples of both arrive together.
 int64_t ShiftByArrival(const RecordingInfo& info, const SessionData& data) {
-  const auto [pose_begin, pose_end] = SpanOf(data.poses);
-  const auto [imu_begin, imu_end] = SpanOf(data.imus[0].gyro);
-  const int64_t common = std::min(pose_end, imu_end) - std::max(pose_begin, imu_begin);
-  const bool is_one_clock = common > std::min(pose_end - pose_begin, imu_end - imu_begin) / 2;
+  std::vector<int64_t> poses = Stamps(data.poses), gyro = Stamps(data.imus[0].gyro);
+  const auto [pose_begin, pose_end] = std::minmax_element(poses.begin(), poses.end());
+  const auto [imu_begin, imu_end] = std::minmax_element(gyro.begin(), gyro.end());
+  const int64_t common = std::min(*pose_end, *imu_end) - std::max(*pose_begin, *imu_begin);
+  const bool is_one_clock = common > std::min(*pose_end - *pose_begin, *imu_end - *imu_begin) / 2;
   if (is_one_clock || !info.imus[0].gyro_latency || !info.pose_latency) return 0;
   return std::llround(1e9 * (info.imus[0].gyro_latency->median_s - info.pose_latency->median_s));
 }
 
 Cube CubeOf(const Eigen::Vector3d& p, double size) {
-  Cube cube;
-  for (int i = 0; i < 3; ++i)
-    cube[static_cast<size_t>(i)] = static_cast<int64_t>(std::floor(p[i] / size));
-  return cube;
+  const Eigen::Array3d place = (p.array() / size).floor();
+  return {static_cast<int64_t>(place.x()), static_cast<int64_t>(place.y()),
+          static_cast<int64_t>(place.z())};
 }
 
 /// Points by the cubes that they are in.
@@ -83,8 +79,9 @@ class Neighbours {
     for (const size_t k : used) cubes_[CubeOf(points[k].cast<double>(), r)].push_back(k);
   }
 
-  /// Covariance [m^2] of the points around point k; nothing when there are too few.
-  std::optional<Eigen::Matrix3d> CovarianceAround(size_t k) const {
+  /// Variances [m^2] of the points around point k along the principal axes; nothing when there are
+  /// too few.
+  std::optional<Eigen::Array3d> VariancesAround(size_t k) const {
     const Eigen::Vector3d center = points_[k].cast<double>();
     const Cube middle = CubeOf(center, radius_);
     Eigen::Vector3d sum = Eigen::Vector3d::Zero();
@@ -104,7 +101,9 @@ class Neighbours {
     }
     if (count < kLeastPoints) return std::nullopt;
     const auto n = static_cast<double>(count);
-    return Eigen::Matrix3d((squares - sum * sum.transpose() / n) / (n - 1.0));
+    const Eigen::Matrix3d covariance = (squares - sum * sum.transpose() / n) / (n - 1.0);
+    const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver(covariance, Eigen::EigenvaluesOnly);
+    return solver.eigenvalues().array().max(kLeastVariance);
   }
 
  private:
@@ -147,58 +146,44 @@ Eigen::Quaterniond ToRightAngles(const Eigen::Quaterniond& q) {
   return Eigen::Quaterniond(best);
 }
 
-std::vector<SensorPoses> PosesWithAndWithout(const SensorMount& sensor, bool is_on_imu_clock,
+std::vector<SensorPoses> PosesWithAndWithout(const SensorMount& sensor,
                                              const OfflineResult& offline) {
   const Rigid3 T_MI = offline.result.imus[0].T_MI;
-  const Rigid3 T_MS = sensor.is_on_imu ? T_MI * sensor.T : sensor.T;
-
   const Rigid3 guess =
       sensor.guessed_T_MI.value_or(Rigid3{ToRightAngles(T_MI.q), Eigen::Vector3d::Zero()});
+  const Rigid3 T_MS = sensor.is_on_imu ? T_MI * sensor.T : sensor.T;
   const Rigid3 guessed_T_MS = sensor.is_on_imu ? guess * sensor.T : sensor.T;
 
-  // Times are of the pose clock, after its epoch [s].
-  using PoseAt = std::function<std::optional<Rigid3>(double t)>;
-  using TimeOf = std::function<double(int64_t stamp_ns)>;
   const std::shared_ptr<const Solution> solution = offline.result.solution;
   const auto track = std::make_shared<const SessionTrajectory>(solution, 0);
-  const PoseAt trajectory = [=](double t) -> std::optional<Rigid3> {
-    const auto body = track->Marker(t);
-    if (!body) return std::nullopt;
-    return Rigid3{body->q_WB, body->p_WB};
-  };
-  const int64_t epoch_ns = track->epoch_ns();
-  const SessionData& data = offline.sessions[0];
-  const auto poses = std::make_shared<const RecordedPoses>(
-      offline.options, offline.result.sessions[0].poses.rate_hz, data.poses);
-  const PoseAt recorded = [=](double t) { return poses->At(epoch_ns + std::llround(1e9 * t)); };
-
+  const auto recorded = std::make_shared<const RecordedPoses>(
+      offline.options, offline.result.sessions[0].poses.rate_hz, offline.sessions[0].poses);
+  const int64_t epoch_ns = track->epoch_ns(), imu_epoch_ns = solution->imus[0][0].epoch_ns;
   const ImuSessionEstimate clock = solution->estimate.sessions[0].imus[0];
-  const int64_t imu_epoch_ns = solution->imus[0][0].epoch_ns;
-  const auto after = [](int64_t stamp_ns, int64_t begin_ns) {
-    return 1e-9 * static_cast<double>(stamp_ns - begin_ns);
-  };
-  const TimeOf calibrated_time = [=](int64_t stamp_ns) {
-    return is_on_imu_clock ? clock.PoseTime(after(stamp_ns, imu_epoch_ns))
-                           : after(stamp_ns, epoch_ns);
-  };
-  const int64_t shift_ns = is_on_imu_clock ? ShiftByArrival(offline.infos[0], data) : 0;
-  const TimeOf plain_time = [=](int64_t stamp_ns) { return after(stamp_ns + shift_ns, epoch_ns); };
+  const bool on_imu_clock = sensor.is_on_imu_clock;
+  const int64_t shift_ns = on_imu_clock ? ShiftByArrival(offline.infos[0], offline.sessions[0]) : 0;
 
-  const auto make = [](const PoseAt& pose, const Rigid3& T_MS_used, const TimeOf& time) {
-    return [=](int64_t stamp_ns) -> std::optional<Rigid3> {
-      const auto T_WM = pose(time(stamp_ns));
-      if (!T_WM) return std::nullopt;
-      return *T_WM * T_MS_used;
+  const auto make = [=](const char* name, bool is_solved, const Rigid3& T_MS_used,
+                        bool is_clocked) {
+    const auto pose = [=](int64_t stamp_ns) -> std::optional<Rigid3> {
+      // On the pose clock, after its epoch [s].
+      const double t = is_clocked && on_imu_clock
+                           ? clock.PoseTime(1e-9 * static_cast<double>(stamp_ns - imu_epoch_ns))
+                           : 1e-9 * static_cast<double>(stamp_ns + shift_ns - epoch_ns);
+      if (!is_solved) {
+        const auto T_WM = recorded->At(epoch_ns + std::llround(1e9 * t));
+        return T_WM ? std::optional(*T_WM * T_MS_used) : std::nullopt;
+      }
+      const auto body = track->Marker(t);
+      return body ? std::optional(Rigid3{body->q_WB, body->p_WB} * T_MS_used) : std::nullopt;
     };
+    return SensorPoses{name, pose};
   };
-  std::vector<SensorPoses> all;
-  all.push_back({"without calibration", make(recorded, guessed_T_MS, plain_time)});
-  if (sensor.is_on_imu)
-    all.push_back({"all but T_marker_imu", make(trajectory, guessed_T_MS, calibrated_time)});
-  if (is_on_imu_clock)
-    all.push_back({"all but the time shift", make(trajectory, T_MS, plain_time)});
-  all.push_back({"all but the trajectory", make(recorded, T_MS, calibrated_time)});
-  all.push_back({"calibrated", make(trajectory, T_MS, calibrated_time)});
+  std::vector<SensorPoses> all = {make("without calibration", false, guessed_T_MS, false)};
+  if (sensor.is_on_imu) all.push_back(make("all but T_marker_imu", true, guessed_T_MS, true));
+  if (on_imu_clock) all.push_back(make("all but the time shift", true, T_MS, false));
+  all.push_back(make("all but the trajectory", false, T_MS, true));
+  all.push_back(make("calibrated", true, T_MS, true));
   return all;
 }
 
@@ -240,8 +225,7 @@ void VoxelMap::Add(const Eigen::Vector3d& p_W, float intensity) {
     throw InputError("a point is more than " + std::to_string(static_cast<int>(kFarthest)) +
                      " m from the origin of the poses");
   Sum& sum = cubes_[CubeOf(p_W, size_)];
-  sum.p_W += p_W;
-  sum.intensity += static_cast<double>(intensity);
+  sum.values += Eigen::Vector4d(p_W.x(), p_W.y(), p_W.z(), static_cast<double>(intensity));
   ++sum.count;
   if (cubes_.size() > most_)
     throw InputError("the map has more than " + std::to_string(most_) +
@@ -252,9 +236,8 @@ std::vector<MapPoint> VoxelMap::Points() const {
   std::vector<MapPoint> points;
   points.reserve(cubes_.size());
   for (const auto& [cube, sum] : cubes_) {
-    const auto n = static_cast<double>(sum.count);
-    const Eigen::Vector3f p = (sum.p_W / n).cast<float>();
-    points.push_back({p.x(), p.y(), p.z(), static_cast<float>(sum.intensity / n)});
+    const Eigen::Vector4f mean = (sum.values / static_cast<double>(sum.count)).cast<float>();
+    points.push_back({mean[0], mean[1], mean[2], mean[3]});
   }
   return points;
 }
@@ -266,33 +249,27 @@ std::vector<Sharpness> CompareSharpness(const std::vector<std::vector<Eigen::Vec
     if (std::all_of(maps.begin(), maps.end(), [k](const auto& map) { return map[k].allFinite(); }))
       used.push_back(k);
   const std::vector<size_t> places = Spread(maps.back(), used, 0.5 * radius);
-  std::vector<std::vector<std::optional<Eigen::Matrix3d>>> covariances;
-  for (const auto& map : maps) {
-    const Neighbours neighbours(map, used, radius);
-    covariances.emplace_back();
-    for (const size_t k : places) covariances.back().push_back(neighbours.CovarianceAround(k));
-  }
-  std::vector<Sharpness> all;
-  for (const auto& own : covariances) {
-    Sharpness sharpness;
-    std::vector<double> distances;
-    for (size_t i = 0; i < places.size(); ++i) {
-      if (!std::all_of(covariances.begin(), covariances.end(),
-                       [i](const auto& c) { return c[i].has_value(); }))
-        continue;
-      const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver(*own[i], Eigen::EigenvaluesOnly);
-      const Eigen::Array3d variance = solver.eigenvalues().array().max(kLeastVariance);
-      sharpness.entropy += 0.5 * (2.0 * M_PI * M_E * variance).log().sum();
-      distances.push_back(std::sqrt(variance.minCoeff()));
+  std::vector<Neighbours> neighbours;
+  for (const auto& map : maps) neighbours.emplace_back(map, used, radius);
+  std::vector<Sharpness> sharpness(maps.size());
+  std::vector<std::vector<double>> distances(maps.size());
+  for (const size_t k : places) {
+    std::vector<Eigen::Array3d> variances;
+    for (const Neighbours& own : neighbours)
+      if (const auto around = own.VariancesAround(k)) variances.push_back(*around);
+    if (variances.size() < maps.size()) continue;
+    for (size_t m = 0; m < maps.size(); ++m) {
+      sharpness[m].entropy += 0.5 * (2.0 * M_PI * M_E * variances[m]).log().sum();
+      distances[m].push_back(std::sqrt(variances[m].minCoeff()));
     }
-    sharpness.places = distances.size();
-    if (!distances.empty()) {
-      sharpness.entropy /= static_cast<double>(distances.size());
-      sharpness.thickness = Median(std::move(distances));
-    }
-    all.push_back(sharpness);
   }
-  return all;
+  for (size_t m = 0; m < maps.size(); ++m) {
+    sharpness[m].places = distances[m].size();
+    if (distances[m].empty()) continue;
+    sharpness[m].entropy /= static_cast<double>(distances[m].size());
+    sharpness[m].thickness = Median(std::move(distances[m]));
+  }
+  return sharpness;
 }
 
 }  // namespace imu_pose_calib

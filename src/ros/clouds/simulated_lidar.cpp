@@ -3,12 +3,12 @@
 #include <rosbag/bag.h>
 #include <sensor_msgs/point_cloud2_iterator.h>
 
-#include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
+#include <vector>
 
 #include "imu_pose_calib/core/base/so3.h"
-#include "imu_pose_calib/ros/clouds/point_cloud.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/yaml_text.h"
 
@@ -20,47 +20,27 @@ constexpr double kLowest = -M_PI / 8, kHighest = M_PI / 8;  // [rad] elevation o
 constexpr int64_t kTurnNs = 100'000'000;
 constexpr double kRangeStd = 0.01;  // [m]
 
-struct Box {
-  Eigen::Vector3d lower, upper;  ///< [m] in W
-};
-
-/// The room, whose walls are seen from inside, and what stands in it.
+/// The room, whose walls are seen from inside, and what stands in it: corners [m] in W.
+using Box = std::pair<Eigen::Array3d, Eigen::Array3d>;
 const std::vector<Box> kBoxes = {{{-3.0, -2.5, -1.6}, {3.4, 2.9, 1.5}},
                                  {{1.6, -2.5, -1.6}, {2.6, -1.5, 1.5}},
                                  {{-3.0, 1.4, -1.6}, {-1.2, 2.9, -0.6}},
                                  {{2.2, 1.0, -0.5}, {3.4, 2.0, 0.3}},
                                  {{-2.4, -2.2, 0.6}, {-1.6, -1.2, 1.5}}};
 
-/// Where a ray enters a box and where it leaves it; nothing is between when it misses.
-struct Span {
-  double enter = -std::numeric_limits<double>::infinity();
-  double leave = std::numeric_limits<double>::infinity();
-};
-
-Span Through(const Box& box, const Eigen::Vector3d& origin, const Eigen::Vector3d& direction) {
-  Span span;
-  for (int i = 0; i < 3; ++i) {
-    if (direction[i] == 0.0) {
-      if (origin[i] < box.lower[i] || origin[i] > box.upper[i]) return {1.0, 0.0};
-      continue;
-    }
-    const double a = (box.lower[i] - origin[i]) / direction[i];
-    const double b = (box.upper[i] - origin[i]) / direction[i];
-    span.enter = std::max(span.enter, std::min(a, b));
-    span.leave = std::min(span.leave, std::max(a, b));
-  }
-  return span;
-}
-
 }  // namespace
 
-SimulatedRoom::Hit SimulatedRoom::Cast(const Eigen::Vector3d& origin_W,
-                                       const Eigen::Vector3d& direction_W) {
-  Hit hit{Through(kBoxes[0], origin_W, direction_W).leave, 0};
-  for (size_t k = 1; k < kBoxes.size(); ++k) {
-    const Span span = Through(kBoxes[k], origin_W, direction_W);
-    if (span.enter > 0.0 && span.enter < span.leave && span.enter < hit.range)
-      hit = {span.enter, static_cast<int>(k)};
+RayHit CastRay(const Eigen::Vector3d& origin_W, const Eigen::Vector3d& direction_W) {
+  RayHit hit{std::numeric_limits<double>::infinity(), 0};
+  for (size_t k = 0; k < kBoxes.size(); ++k) {
+    // Infinite along axes that the ray is perpendicular to.
+    const Eigen::Array3d a = (kBoxes[k].first - origin_W.array()) / direction_W.array();
+    const Eigen::Array3d b = (kBoxes[k].second - origin_W.array()) / direction_W.array();
+    const double enter = a.min(b).maxCoeff(), leave = a.max(b).minCoeff();
+    if (k == 0)
+      hit.range = leave;
+    else if (enter > 0.0 && enter < leave && enter < hit.range)
+      hit = {enter, static_cast<int>(k)};
   }
   return hit;
 }
@@ -88,9 +68,15 @@ Rigid3 SimulatedLidar::PoseAt(int64_t stamp_ns) const {
 }
 
 sensor_msgs::PointCloud2 SimulatedLidar::Cloud(size_t k) const {
-  sensor_msgs::PointCloud2 cloud =
-      NewCloud("lidar", {"x", "y", "z", "intensity", "t"}, kRings * kColumns);
-  cloud.header.stamp = FromNanoseconds(Stamp(k));
+  using sensor_msgs::PointField;
+  sensor_msgs::PointCloud2 cloud;
+  cloud.header = MakeHeader(FromNanoseconds(Stamp(k)), "lidar");
+  cloud.is_dense = 1u;
+  sensor_msgs::PointCloud2Modifier modifier(cloud);
+  modifier.setPointCloud2Fields(5, "x", 1, PointField::FLOAT32, "y", 1, PointField::FLOAT32, "z", 1,
+                                PointField::FLOAT32, "intensity", 1, PointField::FLOAT32, "t", 1,
+                                PointField::UINT32);
+  modifier.resize(kRings * kColumns);
   sensor_msgs::PointCloud2Iterator<float> x(cloud, "x"), intensity(cloud, "intensity");
   sensor_msgs::PointCloud2Iterator<uint32_t> t(cloud, "t");
 
@@ -105,7 +91,7 @@ sensor_msgs::PointCloud2 SimulatedLidar::Cloud(size_t k) const {
           kLowest + (kHighest - kLowest) * static_cast<double>(i) / double{kRings - 1};
       const Eigen::Vector3d ray_L(std::cos(up) * std::cos(azimuth),
                                   std::cos(up) * std::sin(azimuth), std::sin(up));
-      const SimulatedRoom::Hit hit = SimulatedRoom::Cast(T_WL.p, T_WL.q * ray_L);
+      const RayHit hit = CastRay(T_WL.p, T_WL.q * ray_L);
       const Eigen::Vector3f p_L = ((hit.range + noise(random)) * ray_L).cast<float>();
       for (int j = 0; j < 3; ++j) x[static_cast<size_t>(j)] = p_L[j];
       *intensity = static_cast<float>(20 + 40 * hit.surface);

@@ -3,16 +3,16 @@
 #include <algorithm>
 #include <boost/algorithm/string/join.hpp>
 #include <cmath>
-#include <sstream>
+#include <tuple>
 
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/data/conditioning.h"
 #include "imu_pose_calib/core/data/stamps.h"
+#include "imu_pose_calib/ros/io/conversions.h"
+#include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
 namespace {
-
-constexpr double kDegrees = 180.0 / 3.14159265358979323846;
 
 /// Bound on the memory of a stream, whatever its rate.
 constexpr size_t kMaxSamples = 500'000;
@@ -35,26 +35,54 @@ constexpr double kMuchWorse = 1.2;
 constexpr double kRateSpan = 2.0;    // [s]
 constexpr double kNoticeSpan = 5.0;  // [s]
 
-double Seconds(int64_t ns) { return 1e-9 * static_cast<double>(ns); }
+constexpr char kAxes[] = "xyz";
+/// By the constants of CalibrationStatus.
+constexpr const char* kPhases[] = {"waiting",   "collecting", "solving",
+                                   "converged", "degraded",   "saved"};
 
-template <typename... Args>
-std::string Text(const Args&... args) {
-  std::ostringstream text;
-  text.precision(3);
-  (text << ... << args);
-  return text.str();
-}
+double Seconds(int64_t ns) { return 1e-9 * static_cast<double>(ns); }
 
 bool IsValid(const PoseSample& pose) {
   return pose.p_WM.allFinite() && pose.q_WM.coeffs().allFinite() && pose.q_WM.norm() > 1e-3;
 }
 
+/// Empty, or how the clock of the stream has jumped.
+template <typename Sample, typename Stream>
+std::string FindJump(const Sample& sample, double now, const Stream& stream) {
+  if (stream.samples.empty()) return "";
+  const double waited = now - stream.arrival;
+  if (waited < -kMaxReorder)
+    return Format("time went back by %.3g s (a recording that starts again?)", -waited);
+  const double step = Seconds(sample.t_ns - stream.samples.back().t_ns);
+  if (step < -kMaxReorder)
+    return Format("the stamps of the %s went back by %.3g s", stream.name.c_str(), -step);
+  if (step > kMaxReorder + kMaxPlayRate * std::max(waited, 0.0))
+    return Format("the stamps of the %s jumped ahead by %.3g s", stream.name.c_str(), step);
+  return "";
+}
+
+/// Of translation [m], rotation [rad] and time shift [s].
+using Sizes = Eigen::Array3d;
+
+Sizes Targets(const LiveOptions& options) {
+  return {options.target_translation_std, options.target_rotation_std,
+          options.target_time_shift_std};
+}
+
+/// Largest sigma over IMUs and axes.
+Sizes LargestStd(const Calibration& result) {
+  Sizes largest = Sizes::Zero();
+  for (size_t i = 0; i < result.imus.size(); ++i) {
+    const Vector6d std_dev = result.imus[i].Std();
+    largest = largest.max(Sizes(std_dev.head<3>().maxCoeff(), std_dev.tail<3>().maxCoeff(),
+                                result.sessions[0].imus[i].time_shift_std));
+  }
+  return largest;
+}
+
 /// Largest ratio of sigma and target.
 double Score(const LiveOptions& options, const Calibration& result) {
-  const LargestStd std_dev = MaxStd(result);
-  return std::max({std_dev.rotation / options.target_rotation_std,
-                   std_dev.translation / options.target_translation_std,
-                   std_dev.time_shift / options.target_time_shift_std});
+  return (LargestStd(result) / Targets(options)).maxCoeff();
 }
 
 /// Within two targets of each other.
@@ -62,57 +90,33 @@ bool Agree(const LiveOptions& options, const Calibration& a, const Calibration& 
   for (size_t i = 0; i < a.imus.size(); ++i) {
     const Rigid3 &one = a.imus[i].T_MI, &other = b.imus[i].T_MI;
     const double shift = a.sessions[0].imus[i].time_shift - b.sessions[0].imus[i].time_shift;
-    if (one.q.angularDistance(other.q) > 2.0 * options.target_rotation_std ||
-        (one.p - other.p).norm() > 2.0 * options.target_translation_std ||
-        std::abs(shift) > 2.0 * options.target_time_shift_std)
-      return false;
+    const Sizes apart((one.p - other.p).norm(), one.q.angularDistance(other.q), std::abs(shift));
+    if ((apart > 2.0 * Targets(options)).any()) return false;
   }
   return true;
 }
 
 /// As people say them.
-std::string Text(const LargestStd& std_dev) {
-  return Text(1e3 * std_dev.translation, " mm, ", kDegrees * std_dev.rotation, " deg, ",
-              1e3 * std_dev.time_shift, " ms");
+std::string Text(const Sizes& std_dev) {
+  return Format("%.3g mm, %.3g deg, %.3g ms", 1e3 * std_dev[0], 180.0 / M_PI * std_dev[1],
+                1e3 * std_dev[2]);
 }
 
-std::string Sigmas(const Calibration& result) { return "sigma " + Text(MaxStd(result)); }
+std::string Sigmas(const Calibration& result) { return "sigma " + Text(LargestStd(result)); }
+
+/// Six lines as "rotation    x [######----]  60 %".
+std::vector<std::string> Bars(const Vector6d& excitation) {
+  std::vector<std::string> bars;
+  for (int i = 0; i < 6; ++i) {
+    std::string bar(10, '-');
+    std::fill_n(bar.begin(), static_cast<int>(std::floor(10.0 * excitation[i])), '#');
+    bars.push_back(Format("%-11s %c [%s] %3.0f %%", i < 3 ? "rotation" : "translation",
+                          kAxes[i % 3], bar.c_str(), 100.0 * excitation[i]));
+  }
+  return bars;
+}
 
 }  // namespace
-
-const std::array<LiveOptions::Field, 7> LiveOptions::kFields = {
-    {{"window", &LiveOptions::window},
-     {"min_duration", &LiveOptions::min_duration},
-     {"solve_interval", &LiveOptions::solve_interval},
-     {"lost_timeout", &LiveOptions::lost_timeout},
-     {"target_rotation_std", &LiveOptions::target_rotation_std},
-     {"target_translation_std", &LiveOptions::target_translation_std},
-     {"target_time_shift_std", &LiveOptions::target_time_shift_std}}};
-
-void LiveOptions::Validate() const {
-  for (const auto& [name, member] : kFields)
-    if (const double value = this->*member; !(value > 0.0 && std::isfinite(value)))
-      throw InputError(Text(name, " = ", value, " must be positive"));
-  if (min_duration >= window)
-    throw InputError(Text("min_duration = ", min_duration, " must be below window = ", window));
-}
-
-const char* ToString(Phase phase) {
-  constexpr const char* kNames[] = {"waiting",   "collecting", "solving",
-                                    "converged", "degraded",   "saved"};
-  return kNames[static_cast<size_t>(phase)];
-}
-
-LargestStd MaxStd(const Calibration& result) {
-  LargestStd largest{0.0, 0.0, 0.0};
-  for (size_t i = 0; i < result.imus.size(); ++i) {
-    const Vector6d std_dev = result.imus[i].Std();
-    largest.rotation = std::max(largest.rotation, std_dev.tail<3>().maxCoeff());
-    largest.translation = std::max(largest.translation, std_dev.head<3>().maxCoeff());
-    largest.time_shift = std::max(largest.time_shift, result.sessions[0].imus[i].time_shift_std);
-  }
-  return largest;
-}
 
 template <typename Sample>
 double LiveCalibration::Stream<Sample>::Duration() const {
@@ -125,8 +129,8 @@ StreamStatus LiveCalibration::Stream<Sample>::Status() const {
   status.received = received;
   status.buffered_s = Duration();
   if (samples.empty()) return status;
-  status.delay_s = arrival - Seconds(samples.back().t_ns);
   const int64_t newest = samples.back().t_ns;
+  status.delay_s = arrival - Seconds(newest);
   const auto recent = std::find_if(samples.rbegin(), samples.rend(), [&](const Sample& sample) {
     return Seconds(newest - sample.t_ns) > kRateSpan;
   });
@@ -139,28 +143,19 @@ StreamStatus LiveCalibration::Stream<Sample>::Status() const {
 LiveCalibration::LiveCalibration(const LiveOptions& options, const CalibrationOptions& calibration,
                                  size_t imus)
     : options_(options), calibration_(calibration) {
-  options_.Validate();
-  for (size_t i = 0; i < imus; ++i)
-    imus_.push_back({{"gyroscope" + OfImu(i, imus), {}}, {"accelerometer" + OfImu(i, imus), {}}});
+  for (const auto& [name, member] : kLiveOptions)
+    if (const double value = options_.*member; !(value > 0.0 && std::isfinite(value)))
+      throw InputError(Format("%s = %.3g must be positive", name, value));
+  if (options_.min_duration >= options_.window)
+    throw InputError(Format("min_duration = %.3g must be below window = %.3g",
+                            options_.min_duration, options_.window));
+  for (size_t i = 0; i < imus; ++i) {
+    sensors_.push_back({"gyroscope" + OfImu(i, imus), {}});
+    sensors_.push_back({"accelerometer" + OfImu(i, imus), {}});
+  }
 }
 
 // --- Samples ---
-
-/// Empty, or how the clock of the stream has jumped.
-template <typename Sample>
-std::string LiveCalibration::FindJump(const Sample& sample, double now,
-                                      const Stream<Sample>& stream) const {
-  if (stream.samples.empty()) return "";
-  const double waited = now - stream.arrival;
-  if (waited < -kMaxReorder)
-    return Text("time went back by ", -waited, " s (a recording that starts again?)");
-  const double step = Seconds(sample.t_ns - stream.samples.back().t_ns);
-  if (step < -kMaxReorder)
-    return Text("the stamps of the ", stream.name, " went back by ", -step, " s");
-  if (step > kMaxReorder + kMaxPlayRate * std::max(waited, 0.0))
-    return Text("the stamps of the ", stream.name, " jumped ahead by ", step, " s");
-  return "";
-}
 
 /// False when the sample has no stamp and was dropped.
 template <typename Sample>
@@ -180,144 +175,112 @@ bool LiveCalibration::Add(const Sample& sample, double now, Stream<Sample>* stre
   return true;
 }
 
+// For AddGyro() and AddAccel(), which are inline.
+template bool LiveCalibration::Add(const ImuSample&, double, Stream<ImuSample>*);
+
 bool LiveCalibration::AddPose(const PoseSample& recorded, double now) {
   if (!Add(recorded, now, &poses_)) return false;
   const PoseSample pose = ToMarkerPose(calibration_, recorded);
-  if (!IsValid(pose) || (pose_ && SameValue(pose, *pose_))) return false;
-  pose_ = pose;
+  if (!IsValid(pose) || (known_.pose && SameValue(pose, *known_.pose))) return false;
+  known_.pose = pose;
   pose_changed_ = now;
-  MeasureMotion(pose);
-  ExtendPath(pose);
+  auto& path = known_.path;
+  const auto age = [&](const PoseSample& old) { return Seconds(pose.t_ns - old.t_ns); };
+  while (!path.empty() && (age(path.front()) > options_.window || age(path.front()) < 0.0))
+    path.pop_front();
+  if (path.empty() || std::abs(age(path.back())) > kPathStep) path.push_back(pose);
   return true;
 }
 
-void LiveCalibration::AddGyro(const ImuSample& sample, double now, size_t imu) {
-  Add(sample, now, &imus_[imu].gyro);
-}
-
-void LiveCalibration::AddAccel(const ImuSample& sample, double now, size_t imu) {
-  Add(sample, now, &imus_[imu].accel);
-}
-
-void LiveCalibration::MeasureMotion(const PoseSample& pose) {
-  const double dt = motion_from_ ? Seconds(pose.t_ns - motion_from_->t_ns) : kMaxMotionStep;
-  if (dt >= 0.0 && dt < kMinMotionStep) return;
-  if (dt >= kMinMotionStep && dt < kMaxMotionStep) {
-    const Eigen::Quaterniond q_MW = motion_from_->q_WM.normalized().conjugate();
-    const Eigen::Vector3d turned = Log(Eigen::Quaterniond(q_MW * pose.q_WM.normalized()));
-    const Eigen::Vector3d moved = q_MW * (pose.p_WM - motion_from_->p_WM);
-    motion_.push_back({pose.t_ns, turned.cwiseAbs2() / dt, moved.cwiseAbs2() / dt});
-    total_.rotation += motion_.back().rotation;
-    total_.translation += motion_.back().translation;
+Vector6d LiveCalibration::Excitation() const {
+  Vector6d total = Vector6d::Zero();  // squared rates in M, times the time between two poses
+  const PoseSample* from = nullptr;
+  for (const PoseSample& pose : known_.path) {
+    const double dt = from ? Seconds(pose.t_ns - from->t_ns) : kMaxMotionStep;
+    if (dt >= 0.0 && dt < kMinMotionStep) continue;
+    if (dt >= kMinMotionStep && dt < kMaxMotionStep) {
+      const Eigen::Quaterniond q_MW = from->q_WM.normalized().conjugate();
+      Vector6d motion;
+      motion << Log(Eigen::Quaterniond(q_MW * pose.q_WM.normalized())),
+          q_MW * (pose.p_WM - from->p_WM);
+      total += motion.cwiseAbs2() / dt;
+    }
+    from = &pose;
   }
-  motion_from_ = pose;
-  while (!motion_.empty() && Seconds(pose.t_ns - motion_.front().t_ns) > options_.window) {
-    total_.rotation -= motion_.front().rotation;
-    total_.translation -= motion_.front().translation;
-    motion_.pop_front();
-  }
-}
-
-void LiveCalibration::ExtendPath(const PoseSample& pose) {
-  const auto seconds_since = [&](const PoseSample& old) { return Seconds(pose.t_ns - old.t_ns); };
-  const auto is_outside = [&](const PoseSample& old) {
-    return seconds_since(old) > options_.window || seconds_since(old) < 0.0;
-  };
-  while (!path_.empty() && is_outside(path_.front())) path_.pop_front();
-  if (path_.empty() || std::abs(seconds_since(path_.back())) > kPathStep) path_.push_back(pose);
-}
-
-Excitation LiveCalibration::Excited() const {
-  const auto share = [](const Eigen::Vector3d& motion, double enough) -> Eigen::Vector3d {
-    return (motion / enough).cwiseMax(0.0).cwiseMin(1.0);
-  };
-  return {share(total_.rotation, kEnoughRotation), share(total_.translation, kEnoughTranslation)};
+  total.head<3>() /= kEnoughRotation;
+  total.tail<3>() /= kEnoughTranslation;
+  return total.cwiseMin(1.0);
 }
 
 // --- Solves ---
 
 bool LiveCalibration::WantsSolve() const {
-  if (is_solving_ || IsFrozen()) return false;
+  if (IsSolving() || IsFrozen()) return false;
   double shortest = poses_.Duration();
-  for (const Imu& imu : imus_)
-    shortest = std::min({shortest, imu.gyro.Duration(), imu.accel.Duration()});
+  for (const auto& stream : sensors_) shortest = std::min(shortest, stream.Duration());
   if (shortest < options_.min_duration) return false;
   // Two axes determine everything; the solve itself tells how well.
-  Eigen::Vector3d rotation = Excited().rotation;
+  Eigen::Vector3d rotation = Excitation().head<3>();
   std::sort(rotation.data(), rotation.data() + 3);
   if (rotation[1] < 1.0) return false;
-  const double fresh = Seconds(poses_.samples.back().t_ns - solved_until_ns_);
+  const double fresh = Seconds(poses_.samples.back().t_ns - known_.solved_until_ns);
   return fresh >= (IsConverged() ? 0.5 * options_.window : options_.solve_interval);
 }
 
 SessionData LiveCalibration::BeginSolve() {
-  is_solving_ = true;
-  is_stale_ = false;
-  solved_until_ns_ = poses_.samples.empty() ? 0 : poses_.samples.back().t_ns;
+  solving_ = resets_;
+  known_.solved_until_ns = poses_.samples.empty() ? 0 : poses_.samples.back().t_ns;
   const auto copy = [](const auto& samples) { return std::vector(samples.begin(), samples.end()); };
   SessionData data{copy(poses_.samples), {}};
-  for (const Imu& imu : imus_)
-    data.imus.push_back({copy(imu.gyro.samples), copy(imu.accel.samples)});
+  for (size_t k = 0; k < sensors_.size(); k += 2)
+    data.imus.push_back({copy(sensors_[k].samples), copy(sensors_[k + 1].samples)});
   return data;
 }
 
 bool LiveCalibration::EndSolve(const Calibration& result) {
-  is_solving_ = false;
-  if (is_stale_ || IsFrozen()) return false;
+  const bool counts = !IsStale() && !IsFrozen();
+  solving_.reset();
+  if (!counts) return false;
   if (!result.IsUsable()) {
     FailSolve(result.message);
     return false;
   }
-  ++solves_;
-  failure_.clear();
-  last_.push_back(result);
-  if (last_.size() > kStableSolves) last_.pop_front();
+  ++known_.solves;
+  known_.failure.clear();
+  known_.last.push_back(result);
+  if (known_.last.size() > kStableSolves) known_.last.pop_front();
   const double score = Score(options_, result);
-  if (result_ && score > kMuchWorse * best_score_) return false;
-  best_score_ = result_ ? std::min(best_score_, score) : score;
-  result_ = result;
+  if (known_.result && score > kMuchWorse * known_.best_score) return false;
+  known_.best_score = known_.result ? std::min(known_.best_score, score) : score;
+  known_.result = result;
   return true;
 }
 
 void LiveCalibration::FailSolve(const std::string& reason) {
-  is_solving_ = false;
-  if (is_stale_) return;
-  ++solves_;
-  failure_ = reason;
-  last_.clear();
+  const bool is_stale = IsStale();
+  solving_.reset();
+  if (is_stale) return;
+  ++known_.solves;
+  known_.failure = reason;
+  known_.last.clear();
 }
 
 void LiveCalibration::Reset(const std::string& reason, double now) {
   poses_.samples.clear();
-  for (Imu& imu : imus_) {
-    imu.gyro.samples.clear();
-    imu.accel.samples.clear();
-  }
-  pose_.reset();
-  path_.clear();
-  motion_.clear();
-  total_ = Motion();
-  motion_from_.reset();
-  is_stale_ = is_solving_;
-  solved_until_ns_ = 0;
-  solves_ = 0;
-  failure_.clear();
-  last_.clear();
-  result_.reset();
-  frozen_.clear();
+  for (auto& stream : sensors_) stream.samples.clear();
+  known_ = Knowledge();
   ++resets_;
   notice_ = reason.empty() ? "" : reason + "; started anew";
   notice_time_ = now;
 }
 
-void LiveCalibration::Freeze(const std::string& message) { frozen_ = message; }
-
 // --- Status ---
 
 bool LiveCalibration::IsConverged() const {
-  return result_ && Score(options_, *result_) <= 1.0 && last_.size() == kStableSolves &&
-         Agree(options_, last_[0], last_[1]) && Agree(options_, last_[1], last_[2]) &&
-         Agree(options_, last_[0], last_[2]);
+  const auto& last = known_.last;
+  return known_.result && Score(options_, *known_.result) <= 1.0 && last.size() == kStableSolves &&
+         Agree(options_, last[0], last[1]) && Agree(options_, last[1], last[2]) &&
+         Agree(options_, last[0], last[2]);
 }
 
 std::string LiveCalibration::MissingStreams() const {
@@ -328,80 +291,89 @@ std::string LiveCalibration::MissingStreams() const {
                         (stream.unstamped > 0 ? " with header stamps (all are 0)" : ""));
   };
   check(poses_);
-  for (const Imu& imu : imus_) {
-    check(imu.gyro);
-    check(imu.accel);
-  }
+  for (const auto& stream : sensors_) check(stream);
   return boost::join(missing, ", ");
 }
 
 std::string LiveCalibration::LostStreams(double now) const {
   std::vector<std::string> lost;
-  const auto check = [&](const auto& stream) {
-    const double silent = now - stream.arrival;
+  const auto check = [&](double since, const std::string& what) {
+    const double silent = now - since;
     if (silent > options_.lost_timeout)
-      lost.push_back(Text("no ", stream.name, " for ", std::round(10.0 * silent) / 10.0, " s"));
+      lost.push_back(Format("%s for %.3g s", what.c_str(), std::round(10.0 * silent) / 10.0));
   };
-  check(poses_);
-  if (lost.empty() && now - pose_changed_ > options_.lost_timeout)
-    lost.push_back(Text("the marker is lost: the poses repeat or are invalid for ",
-                        std::round(10.0 * (now - pose_changed_)) / 10.0, " s"));
-  for (const Imu& imu : imus_) {
-    check(imu.gyro);
-    check(imu.accel);
-  }
+  check(poses_.arrival, "no poses");
+  if (lost.empty()) check(pose_changed_, "the marker is lost: the poses repeat or are invalid");
+  for (const auto& stream : sensors_) check(stream.arrival, "no " + stream.name);
   return boost::join(lost, ", ");
 }
 
 std::string LiveCalibration::Advice() const {
-  const Excitation excitation = Excited();
-  constexpr const char* kAxes[] = {"x", "y", "z"};
+  const Vector6d excitation = Excitation();
   Eigen::Index axis = 0;
-  if (excitation.rotation.minCoeff(&axis) < 1.0)
-    return Text("rotate about the marker's ", kAxes[axis], " axis");
-  if (!failure_.empty()) return "no result yet: " + failure_;
-  if (excitation.translation.minCoeff(&axis) < 1.0)
-    return Text("move along the marker's ", kAxes[axis], " axis");
-  if (!result_) return "keep moving";
-  if (Score(options_, *result_) > 1.0)
-    return "keep moving: " + Sigmas(*result_) + "; target " +
-           Text(LargestStd{options_.target_rotation_std, options_.target_translation_std,
-                           options_.target_time_shift_std});
-  if (last_.size() < kStableSolves)
-    return Text("keep moving: ", last_.size(), " of ", kStableSolves, " solves done; ",
-                Sigmas(*result_));
-  return "keep moving until three solves agree; " + Sigmas(*result_);
+  if (excitation.head<3>().minCoeff(&axis) < 1.0)
+    return Format("rotate about the marker's %c axis", kAxes[axis]);
+  if (!known_.failure.empty()) return "no result yet: " + known_.failure;
+  if (excitation.tail<3>().minCoeff(&axis) < 1.0)
+    return Format("move along the marker's %c axis", kAxes[axis]);
+  if (!known_.result) return "keep moving";
+  const std::string sigmas = Sigmas(*known_.result);
+  if (Score(options_, *known_.result) > 1.0)
+    return "keep moving: " + sigmas + "; target " + Text(Targets(options_));
+  if (known_.last.size() < kStableSolves)
+    return Format("keep moving: %zu of %zu solves done; ", known_.last.size(), kStableSolves) +
+           sigmas;
+  return "keep moving until three solves agree; " + sigmas;
 }
 
-LiveStatus LiveCalibration::Status(double now) const {
-  LiveStatus status;
-  status.poses = poses_.Status();
-  const auto slower = [](const StreamStatus& a, const StreamStatus& b) {
-    return a.rate_hz < b.rate_hz || a.buffered_s < b.buffered_s;
-  };
-  for (size_t i = 0; i < imus_.size(); ++i) {
-    const StreamStatus gyro = imus_[i].gyro.Status(), accel = imus_[i].accel.Status();
-    if (i == 0 || slower(gyro, status.gyro)) status.gyro = gyro;
-    if (i == 0 || slower(accel, status.accel)) status.accel = accel;
+std::array<StreamStatus, 3> LiveCalibration::Streams() const {
+  std::array<StreamStatus, 3> streams{poses_.Status(), sensors_[0].Status(), sensors_[1].Status()};
+  for (size_t k = 2; k < sensors_.size(); ++k) {
+    const StreamStatus other = sensors_[k].Status();
+    StreamStatus& slowest = streams[1 + k % 2];
+    if (other.rate_hz < slowest.rate_hz || other.buffered_s < slowest.buffered_s) slowest = other;
   }
-  status.excitation = Excited();
-  status.solves = solves_;
+  return streams;
+}
 
-  const auto say = [&](Phase phase, const std::string& message) {
-    status.phase = phase;
-    status.message = message;
-    return status;
-  };
-  if (IsFrozen()) return say(Phase::kSaved, frozen_);
+std::pair<uint8_t, std::string> LiveCalibration::PhaseAndMessage(double now) const {
+  if (IsFrozen()) return {CalibrationStatus::SAVED, known_.frozen};
   const double noticed = now - notice_time_;
   if (!notice_.empty() && noticed >= 0.0 && noticed < kNoticeSpan)
-    return say(Phase::kDegraded, notice_);
+    return {CalibrationStatus::DEGRADED, notice_};
   if (const std::string missing = MissingStreams(); !missing.empty())
-    return say(Phase::kWaiting, "waiting for " + missing);
-  if (const std::string lost = LostStreams(now); !lost.empty()) return say(Phase::kDegraded, lost);
-  if (IsConverged()) return say(Phase::kConverged, Sigmas(*result_) + "; call save to keep it");
-  if (is_solving_) return say(Phase::kSolving, Advice());
-  return say(Phase::kCollecting, Advice());
+    return {CalibrationStatus::WAITING, "waiting for " + missing};
+  if (const std::string lost = LostStreams(now); !lost.empty())
+    return {CalibrationStatus::DEGRADED, lost};
+  if (IsConverged())
+    return {CalibrationStatus::CONVERGED, Sigmas(*known_.result) + "; call save to keep it"};
+  return {IsSolving() ? CalibrationStatus::SOLVING : CalibrationStatus::COLLECTING, Advice()};
+}
+
+CalibrationStatus LiveCalibration::Status(double now) const {
+  CalibrationStatus status;
+  std::tie(status.phase, status.message) = PhaseAndMessage(now);
+  status.phase_text = kPhases[status.phase];
+  const auto [poses, gyro, accel] = Streams();
+  status.buffered = std::min({poses.buffered_s, gyro.buffered_s, accel.buffered_s});
+  status.pose_rate = poses.rate_hz;
+  status.gyro_rate = gyro.rate_hz;
+  status.accel_rate = accel.rate_hz;
+  status.pose_count = poses.received;
+  status.gyro_count = gyro.received;
+  status.accel_count = accel.received;
+  const Vector6d excitation = Excitation();
+  status.rotation_excitation = ToVector3Msg(excitation.head<3>());
+  status.translation_excitation = ToVector3Msg(excitation.tail<3>());
+  status.bars = Bars(excitation);
+  status.solves = static_cast<uint32_t>(known_.solves);
+  if (!known_.result) return status;
+  const Sizes std_dev = LargestStd(*known_.result);
+  status.translation_std = std_dev[0];
+  status.rotation_std = std_dev[1];
+  status.time_shift_std = std_dev[2];
+  status.warnings = known_.result->warnings;
+  return status;
 }
 
 }  // namespace imu_pose_calib

@@ -12,11 +12,6 @@ constexpr double kTfCache = 10.0;
 /// After this the master counts as away [s].
 constexpr double kMasterTimeout = 2.0;
 
-void Append(const std::string& sentence, std::string* text) {
-  if (sentence.empty()) return;
-  *text += (text->empty() ? "" : "; ") + sentence;
-}
-
 /// Why no poses come from tf.
 std::string LookAt(const TfChain& chain) {
   try {
@@ -29,62 +24,48 @@ std::string LookAt(const TfChain& chain) {
 
 }  // namespace
 
-LiveInput::LiveInput(const ros::NodeHandle& node, const LiveSettings& settings, std::mutex* mutex,
+LiveInput::LiveInput(const ros::NodeHandle& node, const OfflineRequest& request, std::mutex* mutex,
                      LiveCalibration* live, const std::function<void(const PoseSample&)>& on_pose)
-    : node_(node), settings_(settings), mutex_(mutex), live_(live), on_pose_(on_pose) {
-  const std::vector<std::string> split = {kImuType, kVectorType};
-  const bool is_split = !settings_.gyro_topic.empty();
+    : node_(node), request_(request), mutex_(mutex), live_(live), on_pose_(on_pose) {
+  const BagRequest& topics = request_.bag;
+  const bool is_split = !topics.gyro_topic.empty();
   const std::vector<std::string> gyros =
-      SplitNames(is_split ? settings_.gyro_topic : settings_.imu_topic);
-  const std::vector<std::string> accels = SplitNames(settings_.accel_topic);
+      SplitNames(is_split ? topics.gyro_topic : topics.imu_topic);
+  const std::vector<std::string> accels = SplitNames(topics.accel_topic);
   for (size_t i = 0; i < gyros.size(); ++i) {
-    const auto listen = [this, i](bool is_gyro, bool is_accel) {
-      return [=](const TopicSource::Message& m) { OnImu(m, i, is_gyro, is_accel); };
+    const auto listen = [&](const char* parameter, const std::string& topic, bool gyro,
+                            bool accel) {
+      std::vector<std::string> types = {kImuType};
+      if (is_split) types.emplace_back(kVectorType);
+      return AddSource(parameter, topic, types, [=](const TopicSource::Message& message) {
+        OnImu(message, i, gyro, accel);
+      });
     };
-    if (is_split) {
-      AddSource("gyro_topic", gyros[i], split, listen(true, false));
-      const TopicSource* gyro = &sources_.back();
-      AddSource("accel_topic", accels[i], split, listen(false, true));
-      imus_.push_back({gyro, &sources_.back(), ""});
-    } else {
-      AddSource("imu_topic", gyros[i], {kImuType}, listen(true, true));
-      imus_.push_back({&sources_.back(), &sources_.back(), ""});
-    }
+    const TopicSource* gyro =
+        listen(is_split ? "gyro_topic" : "imu_topic", gyros[i], true, !is_split);
+    imus_.push_back({gyro, is_split ? listen("accel_topic", accels[i], false, true) : gyro});
   }
-  if (settings_.tf_parent.empty()) {
-    AddSource("pose_topic", settings_.pose_topic, PoseTypeNames(),
+  if (topics.tf_parent.empty())
+    AddSource("pose_topic", topics.pose_topic, PoseTypeNames(),
               [this](const TopicSource::Message& message) { OnPose(message); });
-  } else {
-    chain_.emplace(settings_.tf_parent, settings_.tf_child, kTfCache);
-    world_frame_ = FrameName(settings_.tf_parent, "");
-    marker_frame_ = FrameName(settings_.tf_child, "");
-  }
-  using TfEvent = ros::MessageEvent<const tf2_msgs::TFMessage>;
+  else
+    chain_.emplace(topics.tf_parent, topics.tf_child, kTfCache);
   for (const bool fixed : {false, true})
     tf_.push_back(node_.subscribe<tf2_msgs::TFMessage>(
         fixed ? "/tf_static" : "/tf", 0,
         boost::function<void(const TfEvent&)>(
             [this, fixed](const TfEvent& event) { OnTransforms(event, fixed); })));
-  thread_ = std::thread([this] { AskMaster(); });
 }
 
-LiveInput::~LiveInput() {
-  {
-    const std::lock_guard<std::mutex> lock(*mutex_);
-    is_ending_ = true;
-  }
-  changed_.notify_all();
-  thread_.join();
-}
-
-void LiveInput::AddSource(const std::string& parameter, const std::string& topic,
-                          const std::vector<std::string>& types, const TopicSource::Callback& add) {
-  sources_.emplace_back(node_, parameter, topic, types,
-                        [this, add](const TopicSource::Message& message) {
-                          const std::lock_guard<std::mutex> lock(*mutex_);
-                          ForgetAfterReset();
-                          add(message);
-                        });
+const TopicSource* LiveInput::AddSource(const std::string& parameter, const std::string& topic,
+                                        const std::vector<std::string>& types,
+                                        const TopicSource::Callback& add) {
+  return &sources_.emplace_back(node_, parameter, topic, types,
+                                [this, add](const TopicSource::Message& message) {
+                                  const std::lock_guard<std::mutex> lock(*mutex_);
+                                  ForgetAfterReset();
+                                  add(message);
+                                });
 }
 
 void LiveInput::OnImu(const TopicSource::Message& message, size_t imu, bool is_gyro,
@@ -113,20 +94,17 @@ void LiveInput::OnPose(const TopicSource::Message& message) {
     ++foreign_poses_;
 }
 
-void LiveInput::OnTransforms(const ros::MessageEvent<const tf2_msgs::TFMessage>& event,
-                             bool fixed) {
+void LiveInput::OnTransforms(const TfEvent& event, bool fixed) {
+  if (event.getPublisherName() == ros::this_node::getName()) return;
   const std::lock_guard<std::mutex> lock(*mutex_);
   ForgetAfterReset();
-  const tf2_msgs::TFMessage& message = *event.getMessage();
-  if (event.getPublisherName() != ros::this_node::getName())
-    for (const geometry_msgs::TransformStamped& transform : message.transforms)
-      (fixed ? fixed_parents_ : parents_)[FrameName(transform.child_frame_id, "")] =
-          FrameName(transform.header.frame_id, "");
+  for (geometry_msgs::TransformStamped link : event.getMessage()->transforms) {
+    link.header.frame_id = FrameName(link.header.frame_id, "");
+    link.child_frame_id = FrameName(link.child_frame_id, "");
+    (fixed ? fixed_links_ : links_)[link.child_frame_id] = link;
+  }
   if (!chain_) return;
-  if (fixed)
-    for (const auto& transform : message.transforms)
-      fixed_links_[transform.child_frame_id] = transform;
-  chain_->Add(message, fixed);
+  chain_->Add(*event.getMessage(), fixed);
   for (const PoseSample& pose : chain_->TakePoses()) AddPose(pose, ros::Time::now());
 }
 
@@ -136,16 +114,14 @@ void LiveInput::ForgetAfterReset() {
   // Only the static transforms stay: they are not sent again.
   for (Imu& imu : imus_) imu.frame.clear();
   foreign_poses_ = 0;
-  parents_.clear();
-  if (!chain_) {
-    world_frame_.clear();
-    marker_frame_.clear();
-    return;
-  }
-  chain_.emplace(settings_.tf_parent, settings_.tf_child, kTfCache);
-  tf2_msgs::TFMessage links;
-  for (const auto& [child, transform] : fixed_links_) links.transforms.push_back(transform);
-  chain_->Add(links, true);
+  links_.clear();
+  world_frame_.clear();
+  marker_frame_.clear();
+  if (!chain_) return;
+  chain_.emplace(request_.bag.tf_parent, request_.bag.tf_child, kTfCache);
+  tf2_msgs::TFMessage fixed;
+  for (const auto& [child, link] : fixed_links_) fixed.transforms.push_back(link);
+  chain_->Add(fixed, true);
 }
 
 void LiveInput::AddPose(const PoseSample& recorded, const ros::Time& now) {
@@ -154,34 +130,30 @@ void LiveInput::AddPose(const PoseSample& recorded, const ros::Time& now) {
 
 RecordingInfo LiveInput::Info() const {
   RecordingInfo info;
-  info.world_frame = FrameName(world_frame_, "world");
-  info.marker_frame = FrameName(marker_frame_, "marker");
+  info.world_frame = FrameName(chain_ ? request_.bag.tf_parent : world_frame_, "world");
+  info.marker_frame = FrameName(chain_ ? request_.bag.tf_child : marker_frame_, "marker");
   info.pose_topic = chain_ ? "/tf" : sources_.back().topic();
   info.imus.resize(imus_.size());
   for (size_t i = 0; i < imus_.size(); ++i) {
-    info.imus[i].imu_frame = FrameName(imus_[i].frame, "imu");
-    if (imus_[i].gyro == imus_[i].accel) {
-      info.imus[i].imu_topic = imus_[i].gyro->topic();
-    } else {
-      info.imus[i].gyro_topic = imus_[i].gyro->topic();
-      info.imus[i].accel_topic = imus_[i].accel->topic();
-    }
+    const Imu& imu = imus_[i];
+    info.imus[i].imu_frame = FrameName(imu.frame, "imu");
+    const bool is_split = imu.gyro != imu.accel;
+    (is_split ? info.imus[i].gyro_topic : info.imus[i].imu_topic) = imu.gyro->topic();
+    if (is_split) info.imus[i].accel_topic = imu.accel->topic();
   }
-  info.imu_yaml = settings_.imu_yaml;
-  NameFrames(settings_.marker_frame, settings_.imu_frame, &info);
+  info.imu_yaml = request_.imu_yaml;
+  NameFrames(request_.marker_frame, request_.imu_frame, &info);
   return info;
 }
 
-LiveInput::ForeignLink LiveInput::OtherParent() const {
+const geometry_msgs::TransformStamped* LiveInput::OtherParent() const {
   const RecordingInfo info = Info();
-  for (const auto* parents : {&fixed_parents_, &parents_}) {
-    for (const ImuInfo& imu : info.imus) {
-      const auto link = parents->find(imu.imu_frame);
-      if (link != parents->end() && link->second != info.marker_frame)
-        return {imu.imu_frame, link->second};
-    }
-  }
-  return {};
+  for (const Links* links : {&fixed_links_, &links_})
+    for (const ImuInfo& imu : info.imus)
+      if (const auto link = links->find(imu.imu_frame);
+          link != links->end() && link->second.header.frame_id != info.marker_frame)
+        return &link->second;
+  return nullptr;
 }
 
 std::string LiveInput::Dropped() const {
@@ -190,47 +162,42 @@ std::string LiveInput::Dropped() const {
          marker_frame_ + " were dropped";
 }
 
-/// Looks whenever it is asked for.
-void LiveInput::AskMaster() {
-  std::unique_lock<std::mutex> lock(*mutex_);
-  while (true) {
-    changed_.wait(lock, [&] { return is_looking_ || is_ending_; });
-    if (is_ending_) return;
-    lock.unlock();
-    ros::master::V_TopicInfo published;
-    const bool answers = ros::master::getTopics(published);
-    if (answers)
-      for (TopicSource& source : sources_)
-        if (!source.HasData()) source.Look(published);
-    lock.lock();
-    is_looking_ = false;
-    master_answers_ = answers;
-  }
+bool LiveInput::IsLooking() const {
+  return look_.valid() && look_.wait_for(std::chrono::seconds(0)) != std::future_status::ready;
 }
 
 std::string LiveInput::Look() {
   const ros::SteadyTime now = ros::SteadyTime::now();
-  const bool hangs = is_looking_ && (now - look_start_).toSec() > kMasterTimeout;
-  if (!is_looking_) {
-    is_looking_ = true;
+  const bool hangs = IsLooking() && (now - look_start_).toSec() > kMasterTimeout;
+  if (!IsLooking()) {
+    if (look_.valid()) master_answers_ = look_.get();
     look_start_ = now;
-    changed_.notify_all();
+    look_ = std::async(std::launch::async, [this] {
+      ros::master::V_TopicInfo published;
+      if (!ros::master::getTopics(published)) return false;
+      for (TopicSource& source : sources_)
+        if (!source.HasData()) source.Look(published);
+      return true;
+    });
   }
   std::string problems;
+  const auto say = [&](const std::string& sentence) {
+    if (!sentence.empty()) problems += (problems.empty() ? "" : "; ") + sentence;
+  };
   if (hangs || !master_answers_) {
-    problems = "the ROS master does not answer";
+    say("the ROS master does not answer");
   } else {
     for (const TopicSource& source : sources_)
-      if (!source.HasData()) Append(source.State(), &problems);
+      if (!source.HasData()) say(source.State());
   }
-  const auto lacks = [&](const TopicSource& source, const char* sensor) {
-    Append(source.topic() + " gives no " + sensor + ": its covariance starts with -1", &problems);
+  const auto lacks = [&](const TopicSource& source, const std::string& sensor) {
+    say(source.topic() + " gives no " + sensor + ": its covariance starts with -1");
   };
   for (const Imu& imu : imus_) {
     if (imu.lacks_gyro) lacks(*imu.gyro, "gyroscope");
     if (imu.lacks_accel) lacks(*imu.accel, "accelerometer");
   }
-  if (chain_ && !live_->pose()) Append(LookAt(*chain_), &problems);
+  if (chain_ && !live_->pose()) say(LookAt(*chain_));
   return problems;
 }
 

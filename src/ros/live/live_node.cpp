@@ -1,34 +1,85 @@
 #include "imu_pose_calib/ros/live/live_node.h"
 
+#include <diagnostic_updater/diagnostic_updater.h>
+#include <geometry_msgs/PoseStamped.h>
+#include <nav_msgs/Path.h>
 #include <ros/callback_queue.h>
 #include <ros/ros.h>
 #include <std_srvs/Trigger.h>
+#include <tf2_ros/static_transform_broadcaster.h>
 
 #include <cstdio>
 #include <cstdlib>
+#include <filesystem>
 #include <iostream>
 #include <mutex>
 
-#include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/ros/io/output_files.h"
+#include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
-#include "imu_pose_calib/ros/live/live_calibration.h"
+#include "imu_pose_calib/ros/io/ros_options.h"
 #include "imu_pose_calib/ros/live/live_input.h"
-#include "imu_pose_calib/ros/live/live_output.h"
-#include "imu_pose_calib/ros/live/live_settings.h"
 #include "imu_pose_calib/ros/live/live_solver.h"
-#include "imu_pose_calib/ros/offline/offline.h"
+#include "imu_pose_calib/ros/live/markers.h"
+#include "imu_pose_calib/ros/live/parameter.h"
 #include "imu_pose_calib/ros/offline/summary.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
 namespace {
 
-using Trigger = std_srvs::Trigger;
+using std_srvs::Trigger;
 
 constexpr double kTickPeriod = 0.1;  // [s]
 constexpr int kTicksPerStatus = 5;
 constexpr int kTicksPerDiagnostics = 10;
+
+struct LiveSettings {
+  OfflineRequest request;
+  size_t imus = 0;
+  bool auto_save = false;
+  CalibrationOptions calibration;
+  LiveOptions live;
+};
+
+LiveSettings ReadSettings(const OfflineRequest& given) {
+  LiveSettings settings;
+  settings.request = given;
+  OfflineRequest& request = settings.request;
+  BagRequest& topics = request.bag;
+  const bool is_split = IsPair({"imu_topic", topics.imu_topic}, {"gyro_topic", topics.gyro_topic},
+                               {"accel_topic", topics.accel_topic});
+  IsPair({"pose_topic", topics.pose_topic}, {"tf_parent", topics.tf_parent},
+         {"tf_child", topics.tf_child});
+  settings.imus = SplitNames(is_split ? topics.gyro_topic : topics.imu_topic).size();
+  for (const auto& [name, value] :
+       {Given{"imu_frame", request.imu_frame}, Given{"accel_topic", topics.accel_topic}})
+    if (const size_t count = SplitNames(value).size(); !value.empty() && count != settings.imus)
+      throw InputError(Format("%s has %zu names for %zu imus", name, count, settings.imus));
+
+  request.output = std::filesystem::absolute(
+      request.output.empty() ? "imu_pose_calib.calibration.yaml" : request.output);
+  settings.auto_save = Parameter("auto_save", false);
+
+  if (!request.config.empty()) settings.calibration = LoadOptions(request.config);
+  if (!request.imu_yaml.empty()) {
+    const ImuYaml imu = LoadImuYaml(request.imu_yaml);
+    imu.CopyNoise(&settings.calibration);
+    if (topics.imu_topic.empty() && !is_split) topics.imu_topic = imu.rostopic;
+  }
+  if (!request.method.empty()) settings.calibration.method = ParseMethod(request.method);
+  for (const auto& [name, field] : kLiveOptions)
+    settings.live.*field = Parameter(name, settings.live.*field);
+  return settings;
+}
+
+/// T_WI at the pose T_WM.
+geometry_msgs::PoseStamped ToImuPose(const PoseSample& pose, const Rigid3& T_MI,
+                                     const std::string& world_frame) {
+  geometry_msgs::PoseStamped msg;
+  msg.header = MakeHeader(FromNanoseconds(pose.t_ns), world_frame);
+  msg.pose = ToPoseMsg(Rigid3{pose.q_WM.normalized(), pose.p_WM} * T_MI);
+  return msg;
+}
 
 /// A LiveCalibration with what listens, solves and publishes around it; its services and status.
 ///
@@ -37,35 +88,45 @@ constexpr int kTicksPerDiagnostics = 10;
 /// Nobody holds the mutex while waiting for a solve or for the master.
 class LiveNode {
  public:
-  explicit LiveNode(const ros::NodeHandle& node);
+  LiveNode(const ros::NodeHandle& node, const OfflineRequest& request);
   /// A solve is running, or the master is being asked.
   bool IsBusy();
 
  private:
-  void Tick();
-  std::string Save();
-  void AutoSave();
-  bool OnCalibrate(Trigger::Request&, Trigger::Response& response);
-  bool OnSave(Trigger::Request&, Trigger::Response& response);
-  bool OnReset(Trigger::Request&, Trigger::Response& response);
+  using Verdict = LiveSolver::Verdict;
+  void Serve(const std::string& name, Verdict (LiveNode::*answer)());
+  // What the services do, each on a thread of its own:
+  Verdict Calibrate();
+  Verdict Save();
+  Verdict Reset();
 
-  std::string Progress() const;
+  void Tick();
+  Verdict WriteResult();
   void UpdateStatus();
+  void Diagnose(diagnostic_updater::DiagnosticStatusWrapper& wrapper);
+  void PublishPose(const PoseSample& pose);
+  void PublishPath();
+  void PublishResult();
 
   ros::NodeHandle node_;
   const LiveSettings settings_;
+  ros::Publisher status_publisher_ = node_.advertise<CalibrationStatus>("status", 10),
+                 result_publisher_ = node_.advertise<CalibrationResult>("result", 1, true),
+                 pose_publisher_ = node_.advertise<geometry_msgs::PoseStamped>("imu_pose", 100),
+                 path_publisher_ = node_.advertise<nav_msgs::Path>("imu_path", 1),
+                 marker_publisher_ = node_.advertise<visualization_msgs::MarkerArray>("markers", 1);
+  tf2_ros::StaticTransformBroadcaster broadcaster_;
+  diagnostic_updater::Updater diagnostics_{ros::NodeHandle(), node_};
 
-  std::mutex mutex_;  ///< of everything below
+  std::mutex mutex_;  ///< of everything below, and of publishing
   LiveCalibration live_;
-  LiveOutput output_;
   LiveInput input_;
   LiveSolver solver_;
 
   std::string save_error_;  ///< of an automatic save
-  LiveStatus status_;
+  CalibrationStatus status_;
   std::string waiting_for_;  ///< which topics, and why
   int ticks_ = 0;
-  ros::Time now_;  ///< of the last tick
   ros::SteadyTime clock_moved_ = ros::SteadyTime::now();
   ros::WallTimer timer_;
 
@@ -76,105 +137,92 @@ class LiveNode {
   ros::AsyncSpinner service_spinner_{3, &service_queue_};
 };
 
-LiveNode::LiveNode(const ros::NodeHandle& node)
+LiveNode::LiveNode(const ros::NodeHandle& node, const OfflineRequest& request)
     : node_(node),
-      settings_(ReadLiveSettings(node)),
-      live_(settings_.live, settings_.calibration,
-            SplitNames(settings_.gyro_topic.empty() ? settings_.imu_topic : settings_.gyro_topic)
-                .size()),
-      output_(node, &live_),
-      input_(node, settings_, &mutex_, &live_,
-             [this](const PoseSample& pose) { output_.PublishPose(pose, input_.Info()); }),
+      settings_(ReadSettings(request)),
+      live_(settings_.live, settings_.calibration, settings_.imus),
+      input_(node, settings_.request, &mutex_, &live_,
+             [this](const PoseSample& pose) { PublishPose(pose); }),
       solver_(
           &mutex_, &live_,
-          [this](const SessionData& data) { return Calibrate(settings_.calibration, data); },
-          [this] {
-            const auto [frame, parent] = input_.OtherParent();
-            output_.PublishResult(input_.Info(), frame, parent);
-          }) {
+          [this](const SessionData& data) {
+            return imu_pose_calib::Calibrate(settings_.calibration, data);
+          },
+          [this] { PublishResult(); }) {
+  diagnostics_.setHardwareID("none");
+  diagnostics_.add("calibration", this, &LiveNode::Diagnose);
   timer_ = node_.createWallTimer(ros::WallDuration(kTickPeriod),
                                  [this](const ros::WallTimerEvent&) { Tick(); });
 
-  ros::NodeHandle services = node_;
-  services.setCallbackQueue(&service_queue_);
-  services_ = {services.advertiseService("calibrate", &LiveNode::OnCalibrate, this),
-               services.advertiseService("save", &LiveNode::OnSave, this),
-               services.advertiseService("reset", &LiveNode::OnReset, this)};
+  Serve("calibrate", &LiveNode::Calibrate);
+  Serve("save", &LiveNode::Save);
+  Serve("reset", &LiveNode::Reset);
   service_spinner_.start();
 }
 
 bool LiveNode::IsBusy() {
   const std::lock_guard<std::mutex> lock(mutex_);
-  return solver_.IsSolving() || input_.IsLooking();
-}
-
-/// Writes the best result and freezes it. Returns what was done.
-std::string LiveNode::Save() {
-  OutputFiles outputs;
-  outputs.Write(settings_.output, ToYaml(*live_.result(), {input_.Info()}, settings_.calibration,
-                                         {outputs.run_id()}));
-  outputs.Commit();
-  std::string message = "saved to " + settings_.output + "; call reset to start anew";
-  live_.Freeze(message);
-  save_error_.clear();
-  std::cout << Summary(*live_.result(), {input_.Info()}) << std::flush;
-  return message;
-}
-
-void LiveNode::AutoSave() {
-  try {
-    Save();
-  } catch (const InputError& error) {
-    save_error_ = OneLine(error);
-    ROS_ERROR("%s", save_error_.c_str());
-  }
-  UpdateStatus();
+  return live_.IsSolving() || input_.IsLooking();
 }
 
 // --- Services ---
 
-/// Waits for the solve on a thread of its own, while messages come in.
-bool LiveNode::OnCalibrate(Trigger::Request&, Trigger::Response& response) {
+void LiveNode::Serve(const std::string& name, Verdict (LiveNode::*answer)()) {
+  ros::NodeHandle node = node_;
+  node.setCallbackQueue(&service_queue_);
+  services_.push_back(node.advertiseService<Trigger::Request, Trigger::Response>(
+      name, [=](Trigger::Request&, Trigger::Response& response) {
+        const auto [success, message] = (this->*answer)();
+        response.success = success;
+        response.message = message;
+        return true;
+      }));
+}
+
+/// Waits for the solve, while messages come in.
+LiveSolver::Verdict LiveNode::Calibrate() {
   {
     const std::lock_guard<std::mutex> lock(mutex_);
     // Not the one of the last tick, which may be from before a reset.
-    const LiveStatus status = live_.Status(ros::Time::now().toSec());
-    if (status.phase == Phase::kSaved || status.phase == Phase::kWaiting) {
-      response.message = status.phase == status_.phase ? status_.message : status.message;
-      return true;
-    }
+    const CalibrationStatus status = live_.Status(ros::Time::now().toSec());
+    if (status.phase == CalibrationStatus::SAVED || status.phase == CalibrationStatus::WAITING)
+      return {false, (status.phase == status_.phase ? status_ : status).message};
   }
-  const LiveSolver::Verdict verdict = solver_.Calibrate();
-  response.success = verdict.success;
-  response.message = verdict.message;
-  return true;
+  return solver_.Calibrate();
 }
 
-bool LiveNode::OnSave(Trigger::Request&, Trigger::Response& response) {
+LiveSolver::Verdict LiveNode::Save() {
   const std::lock_guard<std::mutex> lock(mutex_);
-  if (!live_.result()) {
-    response.message = "there is no result to save; " + status_.message;
-    return true;
-  }
-  try {
-    response.message = Save();
-    response.success = true;
-  } catch (const InputError& error) {
-    response.message = OneLine(error);
-  }
-  return true;
+  if (!live_.result()) return {false, "there is no result to save; " + status_.message};
+  return WriteResult();
 }
 
-bool LiveNode::OnReset(Trigger::Request&, Trigger::Response& response) {
+LiveSolver::Verdict LiveNode::Reset() {
   const std::lock_guard<std::mutex> lock(mutex_);
-  response.success = true;
-  response.message = live_.result()
-                         ? "started anew; tf keeps the last result until there is another"
-                         : "started anew";
+  const bool has_result = live_.result().has_value();
   live_.Reset("", ros::Time::now().toSec());
   input_.ForgetAfterReset();
   save_error_.clear();
-  return true;
+  return {true, has_result ? "started anew; tf keeps the last result until there is another"
+                           : "started anew"};
+}
+
+/// Writes the best result and freezes it. Says what was done, or why it could not be.
+LiveSolver::Verdict LiveNode::WriteResult() {
+  const std::string& path = settings_.request.output;
+  try {
+    OutputFiles outputs;
+    outputs.Write(
+        path, ToYaml(*live_.result(), {input_.Info()}, settings_.calibration, {outputs.run_id()}));
+    outputs.Commit();
+  } catch (const InputError& error) {
+    return {false, OneLine(error)};
+  }
+  const std::string message = "saved to " + path + "; call reset to start anew";
+  live_.Freeze(message);
+  save_error_.clear();
+  std::cout << Summary(*live_.result(), {input_.Info()}) << std::flush;
+  return {true, message};
 }
 
 // --- Status ---
@@ -182,54 +230,110 @@ bool LiveNode::OnReset(Trigger::Request&, Trigger::Response& response) {
 void LiveNode::Tick() {
   const std::lock_guard<std::mutex> lock(mutex_);
   if (live_.WantsSolve()) solver_.Start();
-  const Phase last_phase = status_.phase;
+  const uint8_t last_phase = status_.phase;
   UpdateStatus();
-  if (status_.phase == Phase::kConverged && settings_.auto_save && save_error_.empty()) AutoSave();
+  if (status_.phase == CalibrationStatus::CONVERGED && settings_.auto_save && save_error_.empty()) {
+    if (const Verdict saved = WriteResult(); !saved.success) {
+      save_error_ = saved.message;
+      ROS_ERROR("%s", save_error_.c_str());
+    }
+    UpdateStatus();
+  }
   // The first time when there has been a look at the topics.
   if (status_.phase != last_phase || ticks_ == kTicksPerStatus)
-    ROS_INFO("%s: %s", ToString(status_.phase), status_.message.c_str());
-  const LiveView view{status_, input_.Info(), solver_.SolveTime(), now_};
-  if (ticks_ % kTicksPerStatus == 0) output_.PublishStatus(view);
-  if (ticks_ % kTicksPerDiagnostics == 0) output_.PublishDiagnostics(status_);
-  output_.PublishMarkers(view);
-  if (ticks_ % kTicksPerStatus == 0) output_.PublishPath(view);
+    ROS_INFO("%s: %s", status_.phase_text.c_str(), status_.message.c_str());
+  if (ticks_ % kTicksPerStatus == 0) status_publisher_.publish(status_);
+  if (ticks_ % kTicksPerDiagnostics == 0) diagnostics_.force_update();
+  if (marker_publisher_.getNumSubscribers() > 0)
+    marker_publisher_.publish(Draw(live_, status_, input_.Info().world_frame));
+  if (ticks_ % kTicksPerStatus == 0) PublishPath();
   ++ticks_;
-}
-
-/// "3 s of about 4 s: "
-std::string LiveNode::Progress() const {
-  const double seconds = solver_.SolveTime(), last = solver_.last_solve_time();
-  return last > 0.0 ? Format("%.0f s of about %.0f s: ", seconds, last)
-                    : Format("%.0f s so far: ", seconds);
 }
 
 void LiveNode::UpdateStatus() {
   const ros::Time now = ros::Time::now();
-  if (now != now_) clock_moved_ = ros::SteadyTime::now();
-  now_ = now;
+  if (now != status_.header.stamp) clock_moved_ = ros::SteadyTime::now();
   status_ = live_.Status(now.toSec());
-  if (status_.phase == Phase::kSolving) status_.message = Progress() + status_.message;
-  if (const auto other = input_.OtherParent(); live_.result() && !other.parent.empty())
-    status_.message +=
-        "; tf has another parent of " + other.imu_frame + ", " + other.parent + ": set imu_frame";
-  if (!save_error_.empty()) status_.message += "; " + save_error_;
-  if (const std::string dropped = input_.Dropped(); !dropped.empty())
-    status_.message += "; " + dropped;
-  if (status_.phase == Phase::kWaiting) {
+  status_.header.stamp = now;
+  status_.solve_time = solver_.SolveTime();
+  std::string& message = status_.message;
+  if (status_.phase == CalibrationStatus::SOLVING) {
+    const double last = solver_.last_solve_time();
+    const std::string of = last > 0.0 ? Format("of about %.0f s", last) : "so far";
+    message = Format("%.0f s %s: ", status_.solve_time, of.c_str()) + message;
+  }
+  if (const auto* link = input_.OtherParent(); live_.result() && link)
+    message += "; tf has another parent of " + link->child_frame_id + ", " + link->header.frame_id +
+               ": set imu_frame";
+  if (!save_error_.empty()) message += "; " + save_error_;
+  if (const std::string dropped = input_.Dropped(); !dropped.empty()) message += "; " + dropped;
+  if (status_.phase == CalibrationStatus::WAITING) {
     if (ticks_ % kTicksPerStatus == 0) waiting_for_ = input_.Look();
-    if (!waiting_for_.empty()) status_.message = waiting_for_;
+    if (!waiting_for_.empty()) message = waiting_for_;
   } else {
     waiting_for_.clear();
   }
   if ((ros::SteadyTime::now() - clock_moved_).toSec() > 1.0)
-    status_.message +=
+    message +=
         now.isZero() ? "; use_sim_time is set, but there is no /clock" : "; /clock stands still";
+}
+
+void LiveNode::Diagnose(diagnostic_updater::DiagnosticStatusWrapper& wrapper) {
+  const bool is_bad =
+      status_.phase == CalibrationStatus::WAITING || status_.phase == CalibrationStatus::DEGRADED;
+  wrapper.summary(is_bad ? wrapper.WARN : wrapper.OK, status_.phase_text + ": " + status_.message);
+  const std::array<StreamStatus, 3> streams = live_.Streams();
+  for (size_t k = 0; k < streams.size(); ++k) {
+    const std::string name = std::array{"pose", "gyro", "accel"}[k];
+    wrapper.addf(name + " rate", "%.1f Hz", streams[k].rate_hz);
+    wrapper.addf(name + " delay", "%.4f s", streams[k].delay_s);
+    wrapper.add(name + " received", streams[k].received);
+  }
+  wrapper.add("verdict", live_.result() ? live_.result()->message : "none yet");
+  for (const std::string& warning : status_.warnings) wrapper.add("warning", warning);
+}
+
+void LiveNode::PublishPose(const PoseSample& pose) {
+  if (!live_.result() || pose_publisher_.getNumSubscribers() == 0) return;
+  pose_publisher_.publish(ToImuPose(pose, live_.result()->imus[0].T_MI, input_.Info().world_frame));
+}
+
+void LiveNode::PublishPath() {
+  if (!live_.result() || path_publisher_.getNumSubscribers() == 0) return;
+  nav_msgs::Path path;
+  path.header = MakeHeader(status_.header.stamp, input_.Info().world_frame);
+  for (const PoseSample& pose : live_.path())
+    path.poses.push_back(ToImuPose(pose, live_.result()->imus[0].T_MI, path.header.frame_id));
+  path_publisher_.publish(path);
+}
+
+/// As a message, and as static transforms.
+void LiveNode::PublishResult() {
+  const RecordingInfo info = input_.Info();
+  const ros::Time now = ros::Time::now();
+  result_publisher_.publish(ToMsg(*live_.result(), info, now));
+  std::vector<geometry_msgs::TransformStamped> transforms;
+  for (const auto& transform : ToTransforms(*live_.result(), info, now)) {
+    if (transform.child_frame_id != info.marker_frame) {
+      transforms.push_back(transform);
+      continue;
+    }
+    ROS_ERROR(
+        "No transform is published: the marker and the imu frame are both called '%s'; set "
+        "marker_frame or imu_frame",
+        info.marker_frame.c_str());
+  }
+  broadcaster_.sendTransform(transforms);
+  if (const auto* link = input_.OtherParent())
+    ROS_WARN("tf has two parents of '%s': '%s' from elsewhere and '%s' from here; set imu_frame",
+             link->child_frame_id.c_str(), link->header.frame_id.c_str(),
+             info.marker_frame.c_str());
 }
 
 }  // namespace
 
-void RunLive(const ros::NodeHandle& node) {
-  LiveNode live(node);
+void RunLive(const ros::NodeHandle& node, const OfflineRequest& request) {
+  LiveNode live(node, request);
   ros::spin();
   if (!live.IsBusy()) return;
   // Neither can be interrupted, and nobody waits for them any more.

@@ -10,8 +10,6 @@
 
 namespace imu_pose_calib {
 
-constexpr size_t kColumns = 80;
-
 std::string Format(const char* format, ...) {
   va_list arguments, again;
   va_start(arguments, format);
@@ -23,13 +21,13 @@ std::string Format(const char* format, ...) {
   return text;
 }
 
-std::string Wrap(const std::string& label, const std::string& text) {
+std::string Wrap(const std::string& label, const std::string& text, size_t columns) {
   std::istringstream words(text);
   std::string wrapped, line = label, word;
   const std::string indent(label.size(), ' ');
   bool is_empty = true;
   while (words >> word) {
-    if (!is_empty && line.size() + 1 + word.size() > kColumns) {
+    if (!is_empty && line.size() + 1 + word.size() > columns) {
       wrapped += line + "\n";
       line = indent;
       is_empty = true;

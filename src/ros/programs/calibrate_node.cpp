@@ -10,15 +10,14 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/printable.h"
 #include "imu_pose_calib/ros/live/live_node.h"
-#include "imu_pose_calib/ros/live/live_settings.h"
+#include "imu_pose_calib/ros/live/parameter.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
-#include "imu_pose_calib/ros/offline/offline.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -36,54 +35,49 @@ std::vector<std::string> ParametersOf(int argc, char** argv) {
   return names;
 }
 
-struct OfflineJob {
+struct Job {
   OfflineRequest request;
-  bool exit, verbose;
+  bool exit = false, verbose = false;
 };
 
-OfflineJob ReadJob() {
-  const auto text = [](const char* name) {
-    return Param<std::string>(std::string("~") + name, "", "a string");
-  };
-  const auto number = [](const char* name, double fallback = 0.0) {
-    return Param<double>(std::string("~") + name, fallback, "a number");
-  };
-  const auto flag = [](const char* name) {
-    return Param<bool>(std::string("~") + name, false, "true or false");
-  };
-  OfflineJob job;
-  job.exit = flag("exit");
-  job.verbose = flag("verbose");
+Job ReadJob() {
+  Job job;
   OfflineRequest& request = job.request;
-  request.bag.paths = SplitBags(text("bag"));
-  request.bag.body = text("body");
-  request.bag.imu_topic = text("imu_topic");
-  request.bag.pose_topic = text("pose_topic");
-  request.bag.gyro_topic = text("gyro_topic");
-  request.bag.accel_topic = text("accel_topic");
-  request.bag.tf_parent = text("tf_parent");
-  request.bag.tf_child = text("tf_child");
-  request.bag.start_s = number("start");
-  request.bag.duration_s = number("duration");
-  request.one_recording = flag("one_recording");
-  request.bag.record_time = flag("record_time");
-  request.text.poses = text("poses");
-  request.text.imu = text("imu");
-  request.text.gyro = text("gyro");
-  request.text.accel = text("accel");
-  request.imu_yaml = text("imu_yaml");
-  request.config = text("config");
-  request.method = text("method");
-  request.output = text("output");
-  request.exports = text("export");
-  if (flag("report")) request.report = ReportPath(request);
-  request.marker_frame = text("marker_frame");
-  request.imu_frame = text("imu_frame");
-  request.trajectory.path = text("trajectory");
-  request.trajectory.format = text("trajectory_format");
-  request.trajectory.clock = text("trajectory_clock");
-  request.trajectory.rate_hz = number("trajectory_rate");
-  request.trajectory.max_gap_s = number("trajectory_gaps", request.trajectory.max_gap_s);
+  std::string bags;
+  const std::pair<const char*, std::string*> texts[] = {
+      {"bag", &bags},
+      {"body", &request.bag.body},
+      {"imu_topic", &request.bag.imu_topic},
+      {"pose_topic", &request.bag.pose_topic},
+      {"gyro_topic", &request.bag.gyro_topic},
+      {"accel_topic", &request.bag.accel_topic},
+      {"tf_parent", &request.bag.tf_parent},
+      {"tf_child", &request.bag.tf_child},
+      {"poses", &request.text.poses},
+      {"imu", &request.text.imu},
+      {"gyro", &request.text.gyro},
+      {"accel", &request.text.accel},
+      {"imu_yaml", &request.imu_yaml},
+      {"config", &request.config},
+      {"method", &request.method},
+      {"output", &request.output},
+      {"export", &request.exports},
+      {"marker_frame", &request.marker_frame},
+      {"imu_frame", &request.imu_frame},
+      {"trajectory", &request.trajectory.path},
+      {"trajectory_format", &request.trajectory.format},
+      {"trajectory_clock", &request.trajectory.clock}};
+  for (const auto& [name, field] : texts) *field = Parameter(name, *field);
+  request.bag.start_s = Parameter("start", request.bag.start_s);
+  request.bag.duration_s = Parameter("duration", request.bag.duration_s);
+  request.trajectory.rate_hz = Parameter("trajectory_rate", request.trajectory.rate_hz);
+  request.trajectory.max_gap_s = Parameter("trajectory_gaps", request.trajectory.max_gap_s);
+  request.one_recording = Parameter("one_recording", request.one_recording);
+  request.bag.record_time = Parameter("record_time", request.bag.record_time);
+  job.exit = Parameter("exit", job.exit);
+  job.verbose = Parameter("verbose", job.verbose);
+  request.bag.paths = SplitBags(bags);
+  if (Parameter("report", false)) request.report = ReportPath(request);
   return job;
 }
 
@@ -91,18 +85,11 @@ OfflineJob ReadJob() {
 /// has put them on the parameter server, which keeps them, and the next run would calibrate the
 /// same bag again. Parameters that somebody else has set stay: roslaunch sets them once, also for
 /// the runs after a respawn, and clears those of an earlier launch (clear_params).
-OfflineJob TakeJob(const std::vector<std::string>& given) {
-  const auto forget = [&given] {
+Job TakeJob(const std::vector<std::string>& given) {
+  const std::shared_ptr<void> forget(nullptr, [&given](void*) {  // also after an error
     for (const std::string& name : given) ros::param::del(name);
-  };
-  try {
-    OfflineJob job = ReadJob();
-    forget();
-    return job;
-  } catch (const InputError&) {
-    forget();
-    throw;
-  }
+  });
+  return ReadJob();
 }
 
 /// Publishes the result and the static transform until the node is shut down.
@@ -118,7 +105,7 @@ void Offer(const OfflineResult& offline, ros::NodeHandle* node) {
 /// The node joins the graph, with its first handle, when there is something to offer. Until then
 /// the process has no threads of ROS, which could hold a lock while ReadBag() forks, and an
 /// interrupt ends it at once.
-void RunOffline(const OfflineJob& job, std::optional<ros::NodeHandle>* node) {
+void RunOffline(const Job& job, std::optional<ros::NodeHandle>* node) {
   std::signal(SIGINT, SIG_DFL);  // as later in the graph, also when a shell has it ignored
   auto guard = std::make_unique<InterruptGuard>();
   OfflineResult offline = CalibrateOffline(job.request, ShowProgress(false));
@@ -134,7 +121,7 @@ void Run(const std::vector<std::string>& given, std::optional<ros::NodeHandle>* 
   if (ros::param::has("~bag") || ros::param::has("~poses")) {
     RunOffline(TakeJob(given), node);
   } else {
-    RunLive(node->emplace("~"));
+    RunLive(node->emplace("~"), ReadJob().request);
   }
 }
 

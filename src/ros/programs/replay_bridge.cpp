@@ -6,11 +6,12 @@
 #include <tf2_ros/transform_broadcaster.h>
 
 #include <algorithm>
+#include <boost/algorithm/string/replace.hpp>
 #include <optional>
 #include <random>
 
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/live/live_settings.h"
+#include "imu_pose_calib/ros/live/parameter.h"
 #include "imu_pose_calib/ros/live/topic_source.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
 
@@ -40,34 +41,25 @@ const Style& FindStyle(const std::string& name) {
   throw InputError("style '" + name + "' does not exist; available: " + names);
 }
 
-std::string ForBody(std::string text, const std::string& body) {
-  for (size_t at = 0; (at = text.find("BODY", at)) != std::string::npos; at += body.size())
-    text.replace(at, 4, body);
-  return text;
-}
-
 class ReplayBridge {
  public:
   explicit ReplayBridge(const ros::NodeHandle& node)
-      : style_(FindStyle(Param<std::string>(node, "style", "vicon_bridge", "a string"))),
-        latency_(Param<double>(node, "latency", 0.004, "a number")),
-        jitter_(Param<double>(node, "jitter", 0.0001, "a number")),
-        loss_start_(Param<double>(node, "loss_start", 0.0, "a number")),
-        loss_duration_(Param<double>(node, "loss_duration", 0.0, "a number")),
-        input_(
-            node, "input", Param<std::string>(node, "input", "/mocap/pose", "a string"),
-            PoseTypeNames(), [this](const TopicSource::Message& message) {
+      : input_(
+            node, "input", Parameter<std::string>("input", "/mocap/pose"), PoseTypeNames(),
+            [this](const TopicSource::Message& message) {
               Republish(ReadPose(message.getMessage()->getDataType(), *message.getMessage()).pose);
             }) {
-    const auto body = Param<std::string>(node, "body", "rig", "a string");
-    const std::string topic = ForBody(style_.topic, body);
-    frame_ = ForBody(style_.frame, body);
     ros::NodeHandle root;
+    const std::string topic = ForBody(style_.topic);
     publisher_ = style_.transform ? root.advertise<geometry_msgs::TransformStamped>(topic, 1000)
                                   : root.advertise<geometry_msgs::PoseStamped>(topic, 1000);
   }
 
  private:
+  std::string ForBody(const char* text) const {
+    return boost::replace_all_copy<std::string>(text, "BODY", body_);
+  }
+
   void Republish(PoseSample pose) {
     const int64_t captured = pose.t_ns;
     if (!first_ || captured < *first_) first_ = captured;  // the bag starts again
@@ -81,31 +73,31 @@ class ReplayBridge {
 
   /// Bridges stamp what they get when they get it.
   ros::Time ArrivalTime(int64_t captured_ns) {
-    const double jitter = jitter_ > 0.0 ? jitter_ * exponential_(random_) : 0.0;
-    return FromNanoseconds(captured_ns + static_cast<int64_t>(1e9 * (latency_ + jitter)));
+    return FromNanoseconds(
+        captured_ns + static_cast<int64_t>(1e9 * (latency_ + jitter_ * exponential_(random_))));
   }
 
   void Publish(const PoseSample& pose, const ros::Time& stamp) {
-    geometry_msgs::TransformStamped transform;
-    transform.header.stamp = stamp;
-    transform.header.frame_id = "world";
-    transform.child_frame_id = frame_;
-    transform.transform = ToTransformMsg({pose.q_WM, pose.p_WM});
+    const Rigid3 T_WM{pose.q_WM, pose.p_WM};
+    const auto transform = ToTransformStamped(MakeHeader(stamp, "world"), frame_, T_WM);
     broadcaster_.sendTransform(transform);
     if (style_.transform) return publisher_.publish(transform);
 
     geometry_msgs::PoseStamped msg;
     msg.header = transform.header;
-    msg.pose.position = ToPointMsg(pose.p_WM);
-    msg.pose.orientation = transform.transform.rotation;
+    msg.pose = ToPoseMsg(T_WM);
     publisher_.publish(msg);
   }
 
-  const Style& style_;
-  const double latency_;                     ///< [s]
-  const double jitter_;                      ///< [s] mean of what comes on top
-  const double loss_start_, loss_duration_;  ///< [s] of the body, after the first pose
-  std::string frame_;
+  const std::string body_ = Parameter<std::string>("body", "rig");
+  const Style& style_ = FindStyle(Parameter<std::string>("style", "vicon_bridge"));
+  const std::string frame_ = ForBody(style_.frame);
+  const double latency_ = Parameter("latency", 0.004);  ///< [s]
+  /// [s] mean of what comes on top
+  const double jitter_ = std::max(0.0, Parameter("jitter", 0.0001));
+  /// [s] of the body, after the first pose
+  const double loss_start_ = Parameter("loss_start", 0.0);
+  const double loss_duration_ = Parameter("loss_duration", 0.0);
   std::optional<int64_t> first_;  ///< stamp of the first pose
   std::optional<PoseSample> seen_;
   std::mt19937 random_{1};

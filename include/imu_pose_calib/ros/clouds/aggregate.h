@@ -29,10 +29,11 @@ struct AggregateRequest {
 };
 
 struct AggregateOutcome {
-  std::string text;                  ///< what a person wants to know of the map
+  std::string text;                         ///< what a person wants to know of the map
+  std::vector<MapPoint> map, uncalibrated;  ///< the latter only when it is wanted
+  bool has_intensity = false;
   std::vector<std::string> written;  ///< files
   std::string world_frame;
-  std::vector<MapPoint> map, uncalibrated;  ///< the latter only when it is wanted
 };
 
 /// Calibrates, and puts the clouds together through the trajectory of the solve, each point at its

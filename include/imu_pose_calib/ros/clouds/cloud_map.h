@@ -1,14 +1,12 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <functional>
 #include <optional>
 #include <string>
 #include <unordered_map>
-#include <utility>
 #include <vector>
 
 #include "imu_pose_calib/core/base/types.h"
@@ -20,21 +18,13 @@ namespace imu_pose_calib {
 /// T_WS, the pose of a sensor S, at a stamp of its clouds; nothing where it is not known.
 using SensorPoseAt = std::function<std::optional<Rigid3>(int64_t stamp_ns)>;
 
-/// First and last stamp.
-template <typename Sample>
-std::pair<int64_t, int64_t> SpanOf(const std::vector<Sample>& samples) {
-  const auto [first, last] =
-      std::minmax_element(samples.begin(), samples.end(),
-                          [](const Sample& a, const Sample& b) { return a.t_ns < b.t_ns; });
-  return {first->t_ns, last->t_ns};
-}
-
-/// Where a sensor S sits on the body.
+/// Where a sensor S sits on the body, and whose clock stamps it.
 struct SensorMount {
   bool is_on_imu = true;
   Rigid3 T;  ///< T_IS, or T_MS
   /// T_MI of who has no calibration; default: the nearest right angles, and no lever arm.
-  std::optional<Rigid3> guessed_T_MI;
+  std::optional<Rigid3> guessed_T_MI = {};
+  bool is_on_imu_clock = true;  ///< else that of the poses
 };
 
 /// The poses of a sensor, and what they are made with.
@@ -44,9 +34,9 @@ struct SensorPoses {
 };
 
 /// What the first IMU and the poses of the first session tell of the sensor: first without a
-/// calibration, then without one part of it at a time, and last with all of it. Clouds are stamped
-/// by the clock of the IMU or of the poses. The data must still be in `offline`.
-std::vector<SensorPoses> PosesWithAndWithout(const SensorMount& sensor, bool is_on_imu_clock,
+/// calibration, then without one part of it at a time, and last with all of it. The data must still
+/// be in `offline`.
+std::vector<SensorPoses> PosesWithAndWithout(const SensorMount& sensor,
                                              const OfflineResult& offline);
 
 /// The rotation nearest to `q` that turns axes into axes: what anybody sees who looks at a sensor.
@@ -79,6 +69,7 @@ class VoxelMap {
   /// Throws InputError when there are more cubes than memory is meant for.
   void Add(const Eigen::Vector3d& p_W, float intensity);
 
+  size_t size() const { return cubes_.size(); }
   std::vector<MapPoint> Points() const;
 
  private:
@@ -86,8 +77,7 @@ class VoxelMap {
     size_t operator()(const Cube& cube) const;
   };
   struct Sum {
-    Eigen::Vector3d p_W = Eigen::Vector3d::Zero();
-    double intensity = 0.0;
+    Eigen::Vector4d values = Eigen::Vector4d::Zero();  ///< as in MapPoint
     size_t count = 0;
   };
 

@@ -3,6 +3,7 @@
 #include <sensor_msgs/PointCloud2.h>
 
 #include <Eigen/Core>
+#include <array>
 #include <cstdint>
 #include <string>
 #include <vector>
@@ -36,19 +37,11 @@ std::vector<CloudPoint> ReadCloud(const sensor_msgs::PointCloud2& cloud, const P
 
 bool HasIntensity(const sensor_msgs::PointCloud2& cloud);
 
-/// A point of a map.
-struct MapPoint {
-  float x, y, z;  ///< [m] in W
-  float intensity;
-};
+/// A point of a map: x, y, z [m] in W, and intensity.
+using MapPoint = std::array<float, 4>;
 
 /// As a binary file of the Point Cloud Library, version 0.7.
 std::string ToPcd(const std::vector<MapPoint>& points, bool has_intensity);
-
-/// A cloud of `points` in one row, for all of whose fields there are four bytes: a float, but for t
-/// [ns], which is unsigned.
-sensor_msgs::PointCloud2 NewCloud(const std::string& frame, const std::vector<const char*>& names,
-                                  size_t points);
 
 /// The same as a message without a stamp.
 sensor_msgs::PointCloud2 ToMessage(const std::vector<MapPoint>& points, const std::string& frame);

@@ -8,20 +8,16 @@
 
 namespace imu_pose_calib {
 
-/// A closed room with boxes in it, all along the axes of W.
-class SimulatedRoom {
- public:
-  /// What a ray meets first.
-  struct Hit {
-    double range;  ///< [m]
-    int surface;   ///< 0: the room, 1...: the boxes
-  };
-  /// From inside of the room, along a unit vector.
-  static Hit Cast(const Eigen::Vector3d& origin_W, const Eigen::Vector3d& direction_W);
+/// What a ray meets first in a closed room with boxes in it, all along the axes of W.
+struct RayHit {
+  double range;  ///< [m]
+  int surface;   ///< 0: the room, 1...: the boxes
 };
+/// From inside of the room, along a unit vector.
+RayHit CastRay(const Eigen::Vector3d& origin_W, const Eigen::Vector3d& direction_W);
 
-/// A lidar L on the body of a simulated recording: 16 rings of 360 points, ten turns a second, on
-/// the IMU's clock.
+/// A lidar L on the body of a simulated recording in that room: 16 rings of 360 points, ten turns a
+/// second, on the IMU's clock.
 class SimulatedLidar {
  public:
   explicit SimulatedLidar(const SimulatorOptions& options)

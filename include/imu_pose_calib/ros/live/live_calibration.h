@@ -4,8 +4,10 @@
 #include <deque>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
+#include "imu_pose_calib/CalibrationStatus.h"
 #include "imu_pose_calib/core/base/result.h"
 #include "imu_pose_calib/core/base/types.h"
 
@@ -21,30 +23,17 @@ struct LiveOptions {
   double target_rotation_std = 2e-3;     ///< [rad]
   double target_translation_std = 5e-4;  ///< [m]
   double target_time_shift_std = 5e-4;   ///< [s]
-
-  /// All of them, by their names.
-  struct Field {
-    const char* name;
-    double LiveOptions::*value;
-  };
-  static const std::array<Field, 7> kFields;
-
-  /// Throws InputError naming parameter, value and bound when a value is out of range.
-  void Validate() const;
 };
 
-/// What a live calibration is doing; see msg/CalibrationStatus.msg.
-enum class Phase { kWaiting, kCollecting, kSolving, kConverged, kDegraded, kSaved };
-
-/// "waiting", "collecting", ...
-const char* ToString(Phase phase);
-
-/// Motion along the marker axes from 0 to 1, which is enough for a calibration: 3 s of turning at
-/// 1 rad/s rms and of moving at 0.3 m/s rms, or slower and longer.
-struct Excitation {
-  Eigen::Vector3d rotation = Eigen::Vector3d::Zero();
-  Eigen::Vector3d translation = Eigen::Vector3d::Zero();
-};
+/// All of them, by their names.
+constexpr std::pair<const char*, double LiveOptions::*> kLiveOptions[] = {
+    {"window", &LiveOptions::window},
+    {"min_duration", &LiveOptions::min_duration},
+    {"solve_interval", &LiveOptions::solve_interval},
+    {"lost_timeout", &LiveOptions::lost_timeout},
+    {"target_rotation_std", &LiveOptions::target_rotation_std},
+    {"target_translation_std", &LiveOptions::target_translation_std},
+    {"target_time_shift_std", &LiveOptions::target_time_shift_std}};
 
 struct StreamStatus {
   size_t received = 0;      ///< since construction
@@ -53,22 +42,8 @@ struct StreamStatus {
   double delay_s = 0.0;     ///< arrival - stamp of the last sample [s]
 };
 
-struct LiveStatus {
-  Phase phase = Phase::kWaiting;
-  std::string message;              ///< one sentence for people
-  StreamStatus poses, gyro, accel;  ///< of several IMUs, the slowest
-  Excitation excitation;
-  size_t solves = 0;  ///< since the last reset
-};
-
-/// Largest sigma over the axes.
-struct LargestStd {
-  double rotation, translation, time_shift;  ///< [rad] [m] [s]
-};
-LargestStd MaxStd(const Calibration& result);
-
 /// Keeps the newest samples, tells when a solve is worthwhile and what to move next, and judges the
-/// results. Knows no ROS, no threads and no clock: the caller says when something happens (`now`
+/// results. Knows no nodes, no threads and no clock: the caller says when something happens (`now`
 /// [s]) and solves.
 ///
 ///   live.AddPose(pose, now);  // and AddGyro(), AddAccel(), as samples arrive
@@ -77,7 +52,7 @@ LargestStd MaxStd(const Calibration& result);
 class LiveCalibration {
  public:
   /// `calibration` tells how the poses are to be understood: unit and direction. `imus`: how many
-  /// there are on the body.
+  /// there are on the body. Throws InputError naming an option out of range, value and bound.
   explicit LiveCalibration(const LiveOptions& options,
                            const CalibrationOptions& calibration = CalibrationOptions(),
                            size_t imus = 1);
@@ -86,8 +61,12 @@ class LiveCalibration {
   /// the old data and result belong to another clock.
   /// True when the pose is valid and differs from the one before.
   bool AddPose(const PoseSample& recorded, double now);
-  void AddGyro(const ImuSample& sample, double now, size_t imu = 0);
-  void AddAccel(const ImuSample& sample, double now, size_t imu = 0);
+  void AddGyro(const ImuSample& sample, double now, size_t imu = 0) {
+    Add(sample, now, &sensors_[2 * imu]);
+  }
+  void AddAccel(const ImuSample& sample, double now, size_t imu = 0) {
+    Add(sample, now, &sensors_[2 * imu + 1]);
+  }
 
   /// There is enough motion, enough of it is new, and no solve is running.
   bool WantsSolve() const;
@@ -97,23 +76,31 @@ class LiveCalibration {
   /// A result of data from before a reset is ignored.
   bool EndSolve(const Calibration& result);
   void FailSolve(const std::string& reason);
+  bool IsSolving() const { return solving_.has_value(); }
+  /// A solve is running whose data have been forgotten.
+  bool IsStale() const { return solving_ && *solving_ != resets_; }
 
   /// Forgets data and results; a reason that is not empty is shown for a while.
   void Reset(const std::string& reason, double now);
-  /// No more solves and no more resets but Reset(); `message` tells where the result was saved.
-  void Freeze(const std::string& message);
-
-  bool IsFrozen() const { return !frozen_.empty(); }
   /// Counts the resets, asked for or not.
   size_t resets() const { return resets_; }
+  /// No more solves and no more resets but Reset(); `message` tells where the result was saved.
+  void Freeze(const std::string& message) { known_.frozen = message; }
+  bool IsFrozen() const { return !known_.frozen.empty(); }
 
-  LiveStatus Status(double now) const;
+  /// All but the stamp and the time of the running solve.
+  CalibrationStatus Status(double now) const;
+  /// Poses, gyroscope and accelerometer; of several IMUs, the slowest.
+  std::array<StreamStatus, 3> Streams() const;
+  /// Turning about the marker axes, then motion along them, from 0 to 1, which is enough for a
+  /// calibration: 3 s at 1 rad/s rms and 0.3 m/s rms, or slower and longer.
+  Vector6d Excitation() const;
   /// The result to use, of those since the last reset.
-  const std::optional<Calibration>& result() const { return result_; }
+  const std::optional<Calibration>& result() const { return known_.result; }
   /// Newest valid pose T_WM [m].
-  const std::optional<PoseSample>& pose() const { return pose_; }
+  const std::optional<PoseSample>& pose() const { return known_.pose; }
   /// Valid poses of the window, thinned out.
-  const std::deque<PoseSample>& path() const { return path_; }
+  const std::deque<PoseSample>& path() const { return known_.path; }
 
  private:
   template <typename Sample>
@@ -126,54 +113,39 @@ class LiveCalibration {
     StreamStatus Status() const;
     double Duration() const;  ///< [s]
   };
-  struct Imu {
-    Stream<ImuSample> gyro, accel;
-  };
-  /// Squared rates in the marker frame, times the time between two poses.
-  struct Motion {
-    int64_t t_ns = 0;
-    Eigen::Vector3d rotation = Eigen::Vector3d::Zero();     ///< [rad^2/s]
-    Eigen::Vector3d translation = Eigen::Vector3d::Zero();  ///< [m^2/s]
+  /// What a reset forgets beside the samples.
+  struct Knowledge {
+    std::optional<PoseSample> pose;
+    std::deque<PoseSample> path;
+    int64_t solved_until_ns = 0;  ///< newest pose of the last solve; 0: none
+    size_t solves = 0;
+    std::string failure;           ///< of the last solve
+    std::deque<Calibration> last;  ///< results of the last solves, at most three
+    std::optional<Calibration> result;
+    double best_score = 0.0;  ///< of the results so far; 1: all targets just reached
+    std::string frozen;
   };
 
   template <typename Sample>
   bool Add(const Sample& sample, double now, Stream<Sample>* stream);
-  template <typename Sample>
-  std::string FindJump(const Sample& sample, double now, const Stream<Sample>& stream) const;
-  void MeasureMotion(const PoseSample& pose);
-  void ExtendPath(const PoseSample& pose);
-  Excitation Excited() const;
 
   bool IsConverged() const;
   std::string MissingStreams() const;
   std::string LostStreams(double now) const;
   std::string Advice() const;
+  std::pair<uint8_t, std::string> PhaseAndMessage(double now) const;
 
   const LiveOptions options_;
   const CalibrationOptions calibration_;
   Stream<PoseSample> poses_{"poses", {}};
-  std::vector<Imu> imus_;
-
-  std::optional<PoseSample> pose_;
-  std::deque<PoseSample> path_;
-  double pose_changed_ = 0.0;  ///< `now` of the last pose that was valid and new [s]
-
-  std::deque<Motion> motion_;
-  Motion total_;  ///< sum of motion_
-  std::optional<PoseSample> motion_from_;
-
-  bool is_solving_ = false, is_stale_ = false;
-  int64_t solved_until_ns_ = 0;  ///< newest pose of the last solve; 0: none
-  size_t solves_ = 0;
-  std::string failure_;           ///< of the last solve
-  std::deque<Calibration> last_;  ///< results of the last solves, at most three
-  std::optional<Calibration> result_;
-  double best_score_ = 0.0;  ///< of the results so far; 1: all targets just reached
+  std::vector<Stream<ImuSample>> sensors_;  ///< gyroscope and accelerometer of each IMU in turn
+  double pose_changed_ = 0.0;               ///< `now` of the last pose that was valid and new [s]
+  Knowledge known_;
 
   size_t resets_ = 0;
-  std::string notice_;  ///< reason of the last reset
+  std::optional<size_t> solving_;  ///< resets_ as the running solve began
+  std::string notice_;             ///< reason of the last reset
   double notice_time_ = 0.0;
-  std::string frozen_;
 };
 
 }  // namespace imu_pose_calib

@@ -5,21 +5,20 @@
 #include <ros/node_handle.h>
 #include <tf2_msgs/TFMessage.h>
 
-#include <condition_variable>
 #include <functional>
+#include <future>
 #include <list>
 #include <map>
 #include <mutex>
 #include <optional>
 #include <string>
-#include <thread>
 #include <vector>
 
 #include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/io/tf_chain.h"
 #include "imu_pose_calib/ros/live/live_calibration.h"
-#include "imu_pose_calib/ros/live/live_settings.h"
 #include "imu_pose_calib/ros/live/topic_source.h"
+#include "imu_pose_calib/ros/offline/offline.h"
 
 namespace imu_pose_calib {
 
@@ -28,14 +27,13 @@ namespace imu_pose_calib {
 ///
 /// `mutex` guards the LiveCalibration and this. The callbacks of the topics lock it; everything
 /// public is called with it held. The master is asked on a thread of its own and without the mutex,
-/// since it may be away.
+/// since it may be away: the end of the object waits for that.
 class LiveInput {
  public:
-  /// `on_pose` is called, with the mutex held, for each valid pose.
-  LiveInput(const ros::NodeHandle& node, const LiveSettings& settings, std::mutex* mutex,
+  /// Topics, tf and frames are those of `request`. `on_pose` is called, with the mutex held, for
+  /// each valid pose.
+  LiveInput(const ros::NodeHandle& node, const OfflineRequest& request, std::mutex* mutex,
             LiveCalibration* live, const std::function<void(const PoseSample&)>& on_pose);
-  /// Waits for the master, should it just be asked. The mutex is not held.
-  ~LiveInput();
   LiveInput(const LiveInput&) = delete;
   LiveInput& operator=(const LiveInput&) = delete;
 
@@ -44,58 +42,52 @@ class LiveInput {
   void ForgetAfterReset();
   /// Topics, and frames as they are published.
   RecordingInfo Info() const;
-  /// An imu frame that has another parent in tf, from elsewhere, and that parent; empty: none.
-  struct ForeignLink {
-    std::string imu_frame, parent;
-  };
-  ForeignLink OtherParent() const;
+  /// A link in tf, from elsewhere, of an imu frame to another parent than the marker; null: none.
+  const geometry_msgs::TransformStamped* OtherParent() const;
   /// What was dropped, as a sentence; empty: nothing.
   std::string Dropped() const;
   /// Has the topics looked for that have brought nothing yet, and says what was the matter with
   /// them last time.
   std::string Look();
-  bool IsLooking() const { return is_looking_; }
+  bool IsLooking() const;
 
  private:
-  void AddSource(const std::string& parameter, const std::string& topic,
-                 const std::vector<std::string>& types, const TopicSource::Callback& add);
+  using TfEvent = ros::MessageEvent<const tf2_msgs::TFMessage>;
+  using Links = std::map<std::string, geometry_msgs::TransformStamped>;  ///< by child
+
+  const TopicSource* AddSource(const std::string& parameter, const std::string& topic,
+                               const std::vector<std::string>& types,
+                               const TopicSource::Callback& add);
   /// A message of the gyroscope or the accelerometer of an IMU, or of both.
   void OnImu(const TopicSource::Message& message, size_t imu, bool is_gyro, bool is_accel);
   void OnPose(const TopicSource::Message& message);
-  void OnTransforms(const ros::MessageEvent<const tf2_msgs::TFMessage>& event, bool fixed);
+  void OnTransforms(const TfEvent& event, bool fixed);
   void AddPose(const PoseSample& recorded, const ros::Time& now);
-  void AskMaster();
 
   ros::NodeHandle node_;
-  const LiveSettings settings_;
+  const OfflineRequest request_;
   std::mutex* const mutex_;
   LiveCalibration* const live_;
   const std::function<void(const PoseSample&)> on_pose_;
 
-  std::optional<TfChain> chain_;  ///< when poses come from tf
-  /// Of /tf_static by child, for a new chain after a reset.
-  std::map<std::string, geometry_msgs::TransformStamped> fixed_links_;
+  std::optional<TfChain> chain_;            ///< when poses come from tf
   std::string world_frame_, marker_frame_;  ///< of the messages
   struct Imu {
     const TopicSource *gyro, *accel;               ///< the same of an IMU on one topic
-    std::string frame;                             ///< of the messages
+    std::string frame = "";                        ///< of the messages
     bool lacks_gyro = false, lacks_accel = false;  ///< as the last message says
   };
   std::vector<Imu> imus_;
-  size_t foreign_poses_ = 0;  ///< of other frames, dropped
-  /// In tf by child, as others than this node say; of /tf_static and of /tf.
-  std::map<std::string, std::string> fixed_parents_, parents_;
-  size_t resets_ = 0;  ///< of live_, to which all of this belongs
+  size_t foreign_poses_ = 0;   ///< of other frames, dropped
+  Links fixed_links_, links_;  ///< of /tf_static and of /tf, as others than this node say
+  size_t resets_ = 0;          ///< of live_, to which all of this belongs
 
   std::list<TopicSource> sources_;
   std::vector<ros::Subscriber> tf_;
 
-  std::condition_variable changed_;  ///< one of the following
-  bool is_ending_ = false;
-  bool is_looking_ = false;
   ros::SteadyTime look_start_;
   bool master_answers_ = true;
-  std::thread thread_;  ///< the last member: it uses others
+  std::future<bool> look_;  ///< whether the master answers; the last member: it uses others
 };
 
 }  // namespace imu_pose_calib
