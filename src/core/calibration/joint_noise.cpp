@@ -35,10 +35,10 @@ bool IsLinear(Quantity quantity) {
 /// same motion.
 class JointDensities {
  public:
-  JointDensities(const LeastSquares& joint, size_t session) {
-    for (const SensorBlocks& sensor : joint.sensors)
-      if (sensor.model->session == session)
-        information_[static_cast<size_t>(sensor.model->quantity)] += 1.0 / sensor.model->Density();
+  JointDensities(const std::vector<SensorModel>& models, size_t session) {
+    for (const SensorModel& model : models)
+      if (model.session == session)
+        information_[static_cast<size_t>(model.quantity)] += 1.0 / model.Density();
   }
   double operator[](Quantity quantity) const {
     return 1.0 / information_[static_cast<size_t>(quantity)];
@@ -195,7 +195,7 @@ void FitNoiseOf(bool is_linear, size_t session, const LeastSquares& joint,
 void UpdateRotationErrors(LeastSquares* joint) {
   for (size_t s = 0; s < joint->sessions.size(); ++s) {
     SlowErrors& errors = joint->estimate->sessions[s].rotation_errors;
-    const JointDensities S(*joint, s);
+    const JointDensities S(joint->models, s);
     const double interval = errors.knots.t[1] - errors.knots.t[0];
     double increments2 = 0.0, share = 0.0;
     for (size_t k = 0; k + 1 < errors.knots.t.size(); ++k)
@@ -222,7 +222,7 @@ void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares
   const double band = Band(splines.spacing());
   // As many as there is noise in that band.
   const double points = static_cast<double>(splines.d.size()) * 2.0 * band * splines.spacing();
-  const JointDensities S(*joint, session);
+  const JointDensities S(joint->models, session);
   for (SensorBlocks& sensor : joint->sensors) {
     const SensorModel& model = *sensor.model;
     if (model.session != session) continue;
@@ -233,8 +233,9 @@ void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares
   }
 }
 
-bool DoPosesLead(const CorrectionSplines& splines, size_t session, const LeastSquares& joint) {
-  const JointDensities S(joint, session);
+bool DoPosesLead(const CorrectionSplines& splines, size_t session,
+                 const std::vector<SensorModel>& models) {
+  const JointDensities S(models, session);
   return ImuShare(S, Quantity::kAccel, Band(splines.spacing())) < 0.5;
 }
 
@@ -244,7 +245,7 @@ void AddSpuriousInformation(const std::vector<CorrectionSplines>& splines, Least
     if (sensor.model->quantity != Quantity::kAccel) continue;
     const size_t session = sensor.model->session;
     const PoseTrajectory& trajectory = *joint->sessions[session].trajectory;
-    const JointDensities S(*joint, session);
+    const JointDensities S(joint->models, session);
     double turn2 = 0.0, seen = 0.0;
     for (size_t i = 0; i < sensor.samples.size(); i += 1 + sensor.samples.size() / kEnough) {
       MarkerRotation<double> marker;
