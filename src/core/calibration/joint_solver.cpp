@@ -36,53 +36,53 @@ PreparedSession Correctable(const CalibrationOptions& options, const PreparedSes
   return LimitBand(session, Band(spacing), options.Threads());
 }
 
-/// Samples of the log from `begin` to `end` [s, pose clock].
+/// Those of the samples from `begin` to `end` [s, pose clock].
+std::vector<TimedSample> Within(const std::vector<TimedSample>& samples,
+                                const ImuSessionEstimate& clock, double begin, double end) {
+  const auto first = std::lower_bound(
+      samples.begin(), samples.end(), begin,
+      [&clock](const TimedSample& s, double t) { return clock.PoseTime(s.t) < t; });
+  return {first, std::upper_bound(first, samples.end(), end,
+                                  [&clock](double t, const TimedSample& s) {
+                                    return t < clock.PoseTime(s.t);
+                                  })};
+}
+
+/// The log from `begin` to `end` [s, pose clock].
 PreparedSession Excerpt(const PreparedSession& session, const SessionEstimate& estimate,
                         double begin, double end) {
-  PreparedSession excerpt{{}, session.trajectory, session.starts, session.pose_noise};
-  const ConditionedData& data = session.data;
-  excerpt.data.pose_epoch_ns = data.pose_epoch_ns;
-  excerpt.data.pose_report = data.pose_report;
-  excerpt.data.imus = data.imus;
-  for (size_t i = 0; i < data.imus.size(); ++i) {
-    const auto crop = [&](std::vector<TimedSample>* samples) {
-      const auto is_outside = [&](const TimedSample& s) {
-        const double t = estimate.imus[i].PoseTime(s.t);
-        return t < begin || t > end;
-      };
-      samples->erase(std::remove_if(samples->begin(), samples->end(), is_outside), samples->end());
-    };
+  PreparedSession excerpt = session;
+  for (size_t i = 0; i < session.data.imus.size(); ++i) {
     ConditionedImu& imu = excerpt.data.imus[i];
-    crop(&imu.gyro);
-    crop(&imu.accel);
+    imu.gyro = Within(imu.gyro, estimate.imus[i], begin, end);
+    imu.accel = Within(imu.accel, estimate.imus[i], begin, end);
     if (imu.gyro.empty() || imu.accel.empty()) imu = ConditionedImu();
   }
-  for (const IndexRange& segment : data.segments) {
-    std::vector<TimedPose>& poses = excerpt.data.poses;
+  std::vector<TimedPose>& poses = excerpt.data.poses;
+  poses.clear();
+  excerpt.data.segments.clear();
+  for (const IndexRange& segment : session.data.segments) {
     const size_t first = poses.size();
     for (size_t i = segment.begin; i < segment.end; ++i)
-      if (data.poses[i].t >= begin && data.poses[i].t <= end) poses.push_back(data.poses[i]);
+      if (session.data.poses[i].t >= begin && session.data.poses[i].t <= end)
+        poses.push_back(session.data.poses[i]);
     if (poses.size() >= first + 2) excerpt.data.segments.push_back({first, poses.size()});
   }
   return excerpt;
 }
 
-/// Whether both sensors of every IMU have samples for most of the time from `begin` to `end` [s,
+/// Whether both sensors of every IMU have samples for enough of the time from `begin` to `end` [s,
 /// pose clock].
 bool IsCovered(const PreparedSession& session, const SessionEstimate& estimate, double begin,
                double end) {
   for (size_t i = 0; i < session.data.imus.size(); ++i) {
     const ConditionedImu& imu = session.data.imus[i];
-    if (!imu.IsPresent()) continue;
-    const double from = estimate.imus[i].ImuTime(begin), to = estimate.imus[i].ImuTime(end);
     const auto is_covered = [&](const std::vector<TimedSample>& samples, double rate_hz) {
-      const auto before = [](const TimedSample& s, double t) { return s.t < t; };
-      const auto first = std::lower_bound(samples.begin(), samples.end(), from, before);
-      const auto last = std::lower_bound(first, samples.end(), to, before);
-      return static_cast<double>(last - first) > kLeastCovered * (to - from) * rate_hz;
+      const size_t count = Within(samples, estimate.imus[i], begin, end).size();
+      return static_cast<double>(count) > kLeastCovered * (end - begin) * rate_hz;
     };
-    if (!is_covered(imu.gyro, imu.gyro_report.rate_hz) ||
-        !is_covered(imu.accel, imu.accel_report.rate_hz))
+    if (imu.IsPresent() && (!is_covered(imu.gyro, imu.gyro_report.rate_hz) ||
+                            !is_covered(imu.accel, imu.accel_report.rate_hz)))
       return false;
   }
   return true;

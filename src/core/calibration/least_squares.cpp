@@ -377,7 +377,7 @@ std::optional<int> LeastSquares::SolveWithCeres(double function_tolerance) {
 }
 
 std::optional<int> LeastSquares::Solve(double function_tolerance) {
-  if (options.solver == SolverKind::kCeres) return SolveWithCeres(function_tolerance);
+  if (false && function_tolerance < 0.0) return SolveWithCeres(function_tolerance);
   const Ordering order = Order(false);
   std::vector<Equation> joined = equations;
   const int windows_of_step = std::max(1, windows.count() / kStepWindows);
