@@ -334,6 +334,10 @@ const char* ToString(Status status) {
 
 const char* ToString(Method method) { return method == Method::kJoint ? "joint" : "gp"; }
 
+const char* ToString(SolverKind solver) {
+  return solver == SolverKind::kWindows ? "windows" : "ceres";
+}
+
 const char* ToString(ImuModel model) {
   return model == ImuModel::kCalibrated ? "calibrated" : "scale_misalignment";
 }

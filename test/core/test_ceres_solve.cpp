@@ -61,9 +61,9 @@ TEST(CeresSolve, ReachesTheMinimumOfTheOwnSolver) {
     Eigen::VectorXd difference = Eigen::Map<const Eigen::VectorXd>(all[k].data, size) -
                                  Eigen::Map<const Eigen::VectorXd>(same[k].data, size);
     if (placed.parameter.kind == ParameterKind::kRotation)
-      difference = Log(Eigen::Quaterniond(
-          Eigen::Map<const Eigen::Quaterniond>(all[k].data).conjugate() *
-          Eigen::Map<const Eigen::Quaterniond>(same[k].data)));
+      difference =
+          Log(Eigen::Quaterniond(Eigen::Map<const Eigen::Quaterniond>(all[k].data).conjugate() *
+                                 Eigen::Map<const Eigen::Quaterniond>(same[k].data)));
     const Eigen::VectorXd sigma =
         marginals.model.diagonal().segment(placed.place, size).cwiseSqrt();
     EXPECT_LT(difference.cwiseQuotient(sigma).cwiseAbs().maxCoeff(), 1e-3)

@@ -51,8 +51,8 @@ class NormalEquationsTest : public testing::Test {
     q_ = Eigen::Quaterniond(0.5, -0.1, 0.7, 0.3).normalized();
     g_ = vector();
     for (Eigen::Vector3d& point : points_) point = vector();
-    border_ = {problem_.AddParameters(q_.coeffs().data(), 4),
-               problem_.AddParameters(g_.data(), 3), problem_.AddParameters(&s_, 1)};
+    border_ = {problem_.AddParameters(q_.coeffs().data(), 4), problem_.AddParameters(g_.data(), 3),
+               problem_.AddParameters(&s_, 1)};
     ceres_.AddParameterBlock(q_.coeffs().data(), 4);
     ceres_.AddParameterBlock(g_.data(), 3);
 #if IMU_POSE_CALIB_CERES_HAS_MANIFOLDS

@@ -126,8 +126,7 @@ PreparedSession LimitBand(const PreparedSession& session, double cutoff, int thr
   if (is_position_lower || is_rotation_lower)
     limited.trajectory = std::make_shared<const PoseTrajectory>(
         session.data.poses, session.data.segments, position, rotation, threads);
-  for (const bool is_rotation : {false, true})
-    SmoothErrors(is_rotation, cutoff, threads, &limited);
+  for (const bool is_rotation : {false, true}) SmoothErrors(is_rotation, cutoff, threads, &limited);
   return limited;
 }
 

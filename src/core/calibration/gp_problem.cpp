@@ -29,8 +29,7 @@ void AddSensor(Quantity quantity, size_t session, size_t imu, LeastSquares* gp) 
   const double noise = sensor->model->noise;
   // Consecutive samples that share one error of the trajectory tell together no more about it than
   // one, so its variance counts that many times in each sample's weight.
-  const double shared = 1.0 + kCorrelation *
-                                  trajectory.rotation_hyperparameters().lengthscale_s *
+  const double shared = 1.0 + kCorrelation * trajectory.rotation_hyperparameters().lengthscale_s *
                                   sensor->model->rate_hz;
   const double arm2 = rig.p_MI.squaredNorm();
   for (size_t i = 0; i < samples.size(); ++i) {
@@ -55,8 +54,7 @@ void AddSensor(Quantity quantity, size_t session, size_t imu, LeastSquares* gp) 
     double *const knot_0 = knots.values[k].data(), *const knot_1 = knots.values[k + 1].data();
     std::vector<double*> blocks = {q_MI, knot_0, knot_1, &clock.time_shift};
     if (is_accel)
-      blocks = {q_MI,   rig.p_MI.data(),   g_W,             knot_0,
-                knot_1, &clock.time_shift, &rig.accel_delay};
+      blocks = {q_MI, rig.p_MI.data(), g_W, knot_0, knot_1, &clock.time_shift, &rig.accel_delay};
     auto residual = is_accel ? AccelResidual{&trajectory, s.t, s.value, u, sigma}.Create()
                              : GyroResidual{&trajectory, s.t, s.value, u, sigma}.Create();
     gp->Add(gp->problem.AddResidualsOf(blocks, std::move(residual), gp->options.robust_loss_scale),

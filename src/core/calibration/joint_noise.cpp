@@ -131,8 +131,8 @@ void FitNoiseOf(bool is_linear, size_t session, const LeastSquares& joint,
     const SensorModel& model = *joint.sensors[k].model;
     const double expected = std::pow((*statistics)[k].spread.scale, 2) / model.rate_hz;
     // What errs slowly in an IMU is its bias.
-    noises.push_back({expected, IsOfPoses(model.quantity) ? std::numeric_limits<double>::infinity()
-                                                          : expected});
+    noises.push_back(
+        {expected, IsOfPoses(model.quantity) ? std::numeric_limits<double>::infinity() : expected});
   }
   const double white = joint.sensors[sensors[0]].model->Density();  // of the poses
   for (size_t a = 0; a < sensors.size(); ++a) {
@@ -238,7 +238,8 @@ void AddSpuriousInformation(const std::vector<CorrectionSplines>& splines, Least
           1.0 / (1.0 / S.at(Quantity::kGyro) +
                  1.0 / (w2 * S.at(Quantity::kRotation)));  // poses and gyroscope add up
       const double lever = LeverArmCoefficientVariance(w2 * omega, omega, turn2 / seen);
-      density += 2.0 * step * lever / (sensor.model->Density() + w2 * w2 * S.at(Quantity::kPosition));
+      density +=
+          2.0 * step * lever / (sensor.model->Density() + w2 * w2 * S.at(Quantity::kPosition));
     }
     joint->spurious_information[sensor.model->imu] +=
         static_cast<double>(sensor.samples.size()) / sensor.model->rate_hz * density;

@@ -90,8 +90,8 @@ class SessionBuilder {
         prepared_(joint->sessions[session]),
         estimate_(joint->estimate->sessions[session]),
         first_imu_(estimate_.FirstImu()),
-        places_(std::make_shared<const Places>(Places{
-            prepared_.trajectory, *splines, estimate_.imus[first_imu_], estimate_.g_W})) {}
+        places_(std::make_shared<const Places>(
+            Places{prepared_.trajectory, *splines, estimate_.imus[first_imu_], estimate_.g_W})) {}
 
   void AddPoses();
   void AddGyro(size_t imu);
@@ -182,8 +182,7 @@ void SessionBuilder::AddBlocks(const std::shared_ptr<const SampledCost>& cost,
     blocks.insert(blocks.end(), shared.begin(), shared.end());
     if (first_walk >= 0)
       blocks.insert(blocks.end(), {first_walk + run.walk, first_walk + run.walk + 1});
-    joint_->Add(problem.AddResiduals(cost, begin, end, blocks), session_,
-                sensor->samples[begin].t);
+    joint_->Add(problem.AddResiduals(cost, begin, end, blocks), session_, sensor->samples[begin].t);
   }
 }
 
@@ -201,8 +200,7 @@ void SessionBuilder::AddPoses() {
     for (SensorBlocks* const sensor : {position, rotation}) {
       const SensorModel& model = *sensor->model;
       const double sigma = model.noise * joint_->Scale(model, i) / std::sqrt(model.weights[i]);
-      sensor->samples.push_back(
-          {poses[i].t, static_cast<uint32_t>(i), static_cast<float>(sigma)});
+      sensor->samples.push_back({poses[i].t, static_cast<uint32_t>(i), static_cast<float>(sigma)});
     }
   }
   const auto samples = Collect<JointPoseSample>(
@@ -300,9 +298,8 @@ void SessionBuilder::AddAccel(size_t imu) {
       rig.accel_smoothing != 0.0 || joint_->problem.IsEstimated(&rig.accel_smoothing);
   AddImu<JointAccelSample>(
       imu, Quantity::kAccel, {&splines_->d, &splines_->phi},
-      {rig.q_MI.coeffs().data(), rig.accel_intrinsics.data(), rig.p_MI.data(),
-       estimate_.g_W.data(), &rig.accel_smoothing, &joint_->estimate->pose_scale,
-       rig.accel_positions.data()},
+      {rig.q_MI.coeffs().data(), rig.accel_intrinsics.data(), rig.p_MI.data(), estimate_.g_W.data(),
+       &rig.accel_smoothing, &joint_->estimate->pose_scale, rig.accel_positions.data()},
       [with_curvature, p_MI = Eigen::Vector3d(rig.p_MI)](const Places& places, double t_M,
                                                          JointAccelSample* sample) {
         MarkerState<double> rate;

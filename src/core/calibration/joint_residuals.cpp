@@ -199,8 +199,7 @@ class BatchResidual : public SampledCost {
     if (!has_walk_) return dt;
     // Along both: the splines follow the line of a clock alone.
     const double u = sample.walk_u;
-    const double step =
-        (1.0 - u) * *blocks[walk_knot_] + u * *blocks[walk_knot_ + 1] - sample.walk;
+    const double step = (1.0 - u) * *blocks[walk_knot_] + u * *blocks[walk_knot_ + 1] - sample.walk;
     return {dt.on_gp + step, dt.on_spline + step};
   }
 

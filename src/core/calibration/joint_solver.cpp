@@ -42,10 +42,10 @@ std::vector<TimedSample> Within(const std::vector<TimedSample>& samples,
   const auto first = std::lower_bound(
       samples.begin(), samples.end(), begin,
       [&clock](const TimedSample& s, double t) { return clock.PoseTime(s.t) < t; });
-  return {first, std::upper_bound(first, samples.end(), end,
-                                  [&clock](double t, const TimedSample& s) {
-                                    return t < clock.PoseTime(s.t);
-                                  })};
+  return {first,
+          std::upper_bound(first, samples.end(), end, [&clock](double t, const TimedSample& s) {
+            return t < clock.PoseTime(s.t);
+          })};
 }
 
 /// The log from `begin` to `end` [s, pose clock].
@@ -180,8 +180,8 @@ class JointSolver {
       has_converged = Pass();
       double change = 1.0;
       for (size_t k = 0; k < before.size(); ++k)
-        change = std::max(
-            {change, before[k] / statistics_[k].noise, statistics_[k].noise / before[k]});
+        change =
+            std::max({change, before[k] / statistics_[k].noise, statistics_[k].noise / before[k]});
       solution.has_settled = change < kSettled && has_converged;
     }
     if (!has_converged) ThrowNotConverged(options_);

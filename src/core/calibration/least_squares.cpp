@@ -298,9 +298,9 @@ void LeastSquares::AddClockWalk(size_t session, size_t imu) {
 void LeastSquares::AddRotationErrors(size_t session) {
   SlowErrors& errors = estimate->sessions[session].rotation_errors;
   BiasKnots& knots = errors.knots;
-  Add(problem.AddResidualsOf({knots.values[0].data()},
-                             std::make_unique<const ceres::NormalPrior>(
-                                 Eigen::Matrix3d::Identity() / errors.std, Eigen::Vector3d::Zero())),
+  Add(problem.AddResidualsOf({knots.values[0].data()}, std::make_unique<const ceres::NormalPrior>(
+                                                           Eigen::Matrix3d::Identity() / errors.std,
+                                                           Eigen::Vector3d::Zero())),
       session, knots.t[0]);
   for (size_t k = 0; k + 1 < knots.t.size(); ++k) {
     const double kept = errors.Kept(k);
@@ -377,7 +377,7 @@ std::optional<int> LeastSquares::SolveWithCeres(double function_tolerance) {
 }
 
 std::optional<int> LeastSquares::Solve(double function_tolerance) {
-  if (false && function_tolerance < 0.0) return SolveWithCeres(function_tolerance);
+  if (options.solver == SolverKind::kCeres) return SolveWithCeres(function_tolerance);
   const Ordering order = Order(false);
   std::vector<Equation> joined = equations;
   const int windows_of_step = std::max(1, windows.count() / kStepWindows);

@@ -155,8 +155,8 @@ ReducedProblem::ReducedProblem(const Ordering& order, const Functionals& functio
   Eigen::VectorXd weights = Eigen::VectorXd::Zero(windows_ + functionals.count() +
                                                   static_cast<Eigen::Index>(exact.size()));
   weights.head(windows_).setOnes();
-  eliminated_.emplace(elimination_, weights, solved.options.max_factor_mb,
-                      solved.options.Threads(), [&](size_t w) {
+  eliminated_.emplace(elimination_, weights, solved.options.max_factor_mb, solved.options.Threads(),
+                      [&](size_t w) {
                         Panels own = Assemble(w, exact);
                         AddMeans(static_cast<int>(w), &own);
                         return own;
@@ -331,8 +331,8 @@ void CompareHalves(const MarginalEstimate& first, const MarginalEstimate& second
 }
 
 /// Where parameters that are held would move to.
-void FindHints(const ReducedProblem& problem, const Ordering& order,
-               const Functionals& functionals, double fitted, Marginals* result) {
+void FindHints(const ReducedProblem& problem, const Ordering& order, const Functionals& functionals,
+               double fitted, Marginals* result) {
   std::vector<int> border, leading;  // all but mean biases; of these, without gravity
   for (const int column : functionals.columns) {
     if (column < 0) continue;
@@ -400,11 +400,11 @@ Marginals FindMarginals(LeastSquares* solved) {
   const double fitted = FittedShare(order, *solved);
   const MarginalEstimate marginal = GivenOthers(estimates.gauss_newton, functionals.estimated);
   result.model = functionals.Spread(marginal.covariance);
-  result.robust = functionals.Spread(
-      result.model.allFinite()
-          ? RobustCovariance(GivenOthers(estimates.exact, functionals.estimated), order, estimate,
-                             fitted)
-          : marginal.covariance);
+  result.robust =
+      functionals.Spread(result.model.allFinite()
+                             ? RobustCovariance(GivenOthers(estimates.exact, functionals.estimated),
+                                                order, estimate, fitted)
+                             : marginal.covariance);
   result.spurious_information = solved->spurious_information;
   const std::vector<int> calibrated = Counted(static_cast<size_t>(order.estimated));
   CompareHalves(problem.EstimateOf(problem.halves()[0], calibrated),

@@ -103,6 +103,7 @@ CalibrationOptions Options(const OfflineRequest& request) {
   if (!request.config.empty()) options = LoadOptions(request.config);
   if (!request.imu_yaml.empty()) LoadImuYaml(request.imu_yaml).CopyNoise(&options);
   if (!request.method.empty()) options.method = ParseMethod(request.method);
+  if (!request.solver.empty()) options.solver = ParseSolver(request.solver);
   if (!request.calibration.empty())
     KeepCalibration(LoadResult(request.calibration).result, &options);
   return options;

@@ -55,9 +55,9 @@ class Samples {
 /// solution.
 struct JointSample {
   SplinePlace place;
-  double reference_time;               ///< clock of the first IMU
-  double own_time = 0.0;               ///< of an IMU: its own clock
-  double walk_u = 0.0, walk = 0.0;     ///< 0..1 between the knots of that; [s] where it stands
+  double reference_time;            ///< clock of the first IMU
+  double own_time = 0.0;            ///< of an IMU: its own clock
+  double walk_u = 0.0, walk = 0.0;  ///< 0..1 between the knots of that; [s] where it stands
 };
 
 /// A pose of the marker, less the GP.

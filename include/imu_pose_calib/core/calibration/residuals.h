@@ -73,7 +73,9 @@ struct AccelResidual {
     return true;
   }
 
-  std::unique_ptr<ceres::CostFunction> Create() const { return AutoDiff<3, 4, 3, 3, 3, 3, 1, 1>(*this); }
+  std::unique_ptr<ceres::CostFunction> Create() const {
+    return AutoDiff<3, 4, 3, 3, 3, 3, 1, 1>(*this);
+  }
 };
 
 /// Magnitude of gravity that is known beforehand: r = (|g_W| - magnitude) / sigma, both [m/s^2].
@@ -90,9 +92,9 @@ struct GravityPrior {
   std::unique_ptr<ceres::CostFunction> Create() const { return AutoDiff<1, 3>(*this); }
 };
 
-/// Between two knots: r = (knot_1 - kept knot_0) / sigma. Brownian motion: all is kept, sigma = walk
-/// sqrt(time between the knots); an Ornstein-Uhlenbeck process keeps a share of knot_0. Blocks:
-/// knot_0 (kSize) | knot_1 (kSize). Residual: kSize.
+/// Between two knots: r = (knot_1 - kept knot_0) / sigma. Brownian motion: all is kept, sigma =
+/// walk sqrt(time between the knots); an Ornstein-Uhlenbeck process keeps a share of knot_0.
+/// Blocks: knot_0 (kSize) | knot_1 (kSize). Residual: kSize.
 template <int kSize>
 struct WalkResidual {
   double sigma;  ///< of what is new, in the unit of the knots

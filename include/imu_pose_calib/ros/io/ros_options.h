@@ -13,6 +13,7 @@ template <typename Options, typename Visitor>
 void VisitFields(Options&& options, Visitor&& visit) {
 #define IMU_POSE_CALIB_VISIT(field) visit(#field, options.field)
   IMU_POSE_CALIB_VISIT(method);
+  IMU_POSE_CALIB_VISIT(solver);
   IMU_POSE_CALIB_VISIT(position_unit);
   IMU_POSE_CALIB_VISIT(gyro_unit);
   IMU_POSE_CALIB_VISIT(accel_unit);
@@ -66,8 +67,9 @@ void VisitFields(Options&& options, Visitor&& visit) {
 #undef IMU_POSE_CALIB_VISIT
 }
 
-/// Method of that name; InputError listing the names when there is none.
+/// Method or solver of that name; InputError listing the names when there is none.
 Method ParseMethod(const std::string& name);
+SolverKind ParseSolver(const std::string& name);
 
 /// Options of a YAML text: a map whose keys are field names of CalibrationOptions. Fields without a
 /// key keep their default; `~` means "not given" for the optional ones. Rotations are [x, y, z, w],
