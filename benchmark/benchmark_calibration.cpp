@@ -8,7 +8,7 @@
 #include <map>
 #include <vector>
 
-#include "imu_pose_calib/core/calibration/find_marginals.h"
+#include "imu_pose_calib/core/calibration/gp_problem.h"
 #include "imu_pose_calib/core/calibration/joint_problem.h"
 #include "imu_pose_calib/core/calibration/joint_solver.h"
 #include "imu_pose_calib/core/calibration/marginals.h"

@@ -8,6 +8,7 @@
 
 #include "imu_pose_calib/core/base/intrinsics.h"
 #include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/calibration/gp_problem.h"
 #include "imu_pose_calib/core/calibration/joint_solver.h"
 #include "imu_pose_calib/core/ground_truth/trajectory.h"
 #include "imu_pose_calib/core/start/excitation.h"
@@ -332,6 +333,10 @@ const char* ToString(Status status) {
 }
 
 const char* ToString(Method method) { return method == Method::kJoint ? "joint" : "gp"; }
+
+const char* ToString(SolverKind solver) {
+  return solver == SolverKind::kWindows ? "windows" : "ceres";
+}
 
 const char* ToString(ImuModel model) {
   return model == ImuModel::kCalibrated ? "calibrated" : "scale_misalignment";

@@ -13,19 +13,12 @@
 #include "imu_pose_calib/core/base/intrinsics.h"
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/calibration/joint_residuals.h"
-#include "imu_pose_calib/core/solver/manifolds.h"
 #include "imu_pose_calib/simulation/simulator.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
 
 using Eigen::Vector3d;
-
-#if IMU_POSE_CALIB_CERES_HAS_MANIFOLDS
-using Manifold = ceres::Manifold;
-#else
-using Manifold = ceres::LocalParameterization;
-#endif
 
 /// Random blocks of a residual: control points of a lively correction, then the given parameters.
 class JointResiduals : public ::testing::Test {
@@ -62,12 +55,11 @@ class JointResiduals : public ::testing::Test {
   static JointPoseSample Pose(const TrajectoryPoint& at, const Eigen::Quaterniond& q_WM,
                               const Vector3d& p_WM, double reference_time, double position_sigma,
                               double rotation_sigma) {
-    return {at.place,
+    return {{at.place, reference_time},
             at.gp.q_WM.conjugate() * q_WM,
             p_WM - at.gp.p_WM,
             at.gp.alpha_M,
             at.gp.a_W,
-            reference_time,
             position_sigma,
             rotation_sigma,
             0.35};
@@ -75,10 +67,9 @@ class JointResiduals : public ::testing::Test {
   static JointAccelSample Imu(const TrajectoryPoint& at, const Vector3d& value, double bias_u,
                               double own_time, double reference_time, double sigma) {
     const MarkerState<double>& gp = at.gp;
-    return {{at.place, gp.omega_M, gp.alpha_M, value, bias_u, own_time, reference_time, sigma},
+    return {{{at.place, reference_time, own_time}, gp.omega_M, gp.alpha_M, value, bias_u, sigma},
             gp.q_WM,
-            gp.a_W,
-            {}};
+            gp.a_W};
   }
 
   /// Two poses of one span, close to the trajectory.
@@ -101,6 +92,10 @@ class JointResiduals : public ::testing::Test {
     next.omega_M += Random(0.1);
     return {sample, next};
   }
+  /// Derivatives of the GP's motion, as JointAccelSample has them.
+  struct MarkerJerk {
+    Vector3d alpha_rate, jerk_W, f_curvature = Vector3d::Zero();
+  };
   std::vector<MarkerJerk> Jerks() {
     return {{Random(40.0), Random(30.0), Random(300.0)},
             {Random(40.0), Random(30.0), Random(300.0)}};
@@ -111,7 +106,11 @@ class JointResiduals : public ::testing::Test {
   }
   static std::vector<JointAccelSample> With(std::vector<JointAccelSample> samples,
                                             const std::vector<MarkerJerk>& jerks) {
-    for (size_t i = 0; i < samples.size(); ++i) samples[i].jerk = jerks[i];
+    for (size_t i = 0; i < samples.size(); ++i) {
+      samples[i].alpha_rate = jerks[i].alpha_rate;
+      samples[i].jerk_W = jerks[i].jerk_W;
+      samples[i].f_curvature = jerks[i].f_curvature;
+    }
     return samples;
   }
 
@@ -153,20 +152,17 @@ class JointResiduals : public ::testing::Test {
 
   std::vector<double*> PoseBlocks(std::vector<Vector3d>* spline) {
     std::vector<double*> blocks = Points({spline});
-    blocks.push_back(&pose_smoothing_);
-    if (spline == &d_) {
-      blocks.push_back(&position_smoothing_);
-    } else {
-      blocks.push_back(error_0_.data());
-      blocks.push_back(error_1_.data());
-    }
+    if (spline == &d_)
+      blocks.insert(blocks.end(), {&pose_smoothing_, &position_smoothing_});
+    else
+      blocks.insert(blocks.end(), {error_0_.data(), error_1_.data(), &pose_smoothing_});
     return With(blocks, PoseClocks());
   }
 
   std::vector<double*> GyroBlocks(const std::vector<Clock>& clocks) {
     std::vector<double*> blocks = Points({&phi_});
     for (double* block :
-         {q_MI_.coeffs().data(), gyro_intrinsics_.data(), knot_0_.data(), knot_1_.data()})
+         {knot_0_.data(), knot_1_.data(), q_MI_.coeffs().data(), gyro_intrinsics_.data()})
       blocks.push_back(block);
     return With(blocks, clocks);
   }
@@ -174,8 +170,8 @@ class JointResiduals : public ::testing::Test {
   std::vector<double*> AccelBlocks(const std::vector<Clock>& clocks) {
     std::vector<double*> blocks = Points({&d_, &phi_});
     for (double* block :
-         {q_MI_.coeffs().data(), p_MI_.data(), g_W_.data(), accel_intrinsics_.data(),
-          knot_0_.data(), knot_1_.data(), &accel_smoothing_, &pose_scale_, accel_positions_.data()})
+         {knot_0_.data(), knot_1_.data(), q_MI_.coeffs().data(), accel_intrinsics_.data(),
+          p_MI_.data(), g_W_.data(), &accel_smoothing_, &pose_scale_, accel_positions_.data()})
       blocks.push_back(block);
     return With(blocks, clocks);
   }
@@ -251,15 +247,7 @@ class JointResiduals : public ::testing::Test {
     for (size_t k = 0; k < values.size(); ++k) {
       Eigen::MatrixXd J = Eigen::Map<const RowMajor>(values[k].data(), cost->num_residuals(),
                                                      cost->parameter_block_sizes()[k]);
-      if (J.cols() == 4) {  // the quaternion: in its tangent space
-        RowMajor plus(4, 3);
-#if IMU_POSE_CALIB_CERES_HAS_MANIFOLDS
-        QuaternionManifold().PlusJacobian(blocks[k], plus.data());
-#else
-        QuaternionManifold().ComputeJacobian(blocks[k], plus.data());
-#endif
-        J = (J * plus).eval();
-      }
+      if (J.cols() == 4) J = (J * PlusJacobian(blocks[k])).eval();  // in its tangent space
       out.jacobians.push_back(J);
     }
     return out;
@@ -327,11 +315,12 @@ class JointResiduals : public ::testing::Test {
 
   /// Analytic Jacobians against numeric ones, in the tangent space.
   static void ExpectJacobiansMatch(const std::unique_ptr<ceres::CostFunction>& cost,
-                                   const std::vector<double*>& blocks, int quaternion) {
+                                   const std::vector<double*>& blocks) {
     ASSERT_EQ(cost->parameter_block_sizes().size(), blocks.size());
     QuaternionManifold manifold;
-    std::vector<const Manifold*> manifolds(blocks.size(), nullptr);
-    if (quaternion >= 0) manifolds[static_cast<size_t>(quaternion)] = &manifold;
+    std::vector<const Manifold*> manifolds;
+    for (const int size : cost->parameter_block_sizes())
+      manifolds.push_back(size == 4 ? &manifold : nullptr);
     ceres::NumericDiffOptions options;
     options.ridders_relative_initial_step_size = 1e-4;  // times 32 at first: stays near the span
     const ceres::GradientChecker checker(cost.get(), &manifolds, options);

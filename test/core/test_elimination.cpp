@@ -145,17 +145,6 @@ TEST_P(EliminationTest, InvertsAtItsPlaces) {
       }
 }
 
-TEST_P(EliminationTest, TellsWhatActs) {
-  RandomEquations& e = equations_;
-  std::vector<std::vector<int>> residuals = {{0, 3}, {3, 4}};
-  const Elimination elimination({1, 2, 1, 1, 1}, 3, residuals, {0});
-  Panels panels;
-  elimination.Add({elimination.place(3), elimination.place(0)}, MatrixXd::Ones(2, 2), &panels);
-  EXPECT_TRUE(elimination.ActsInside(0, panels));
-  EXPECT_FALSE(elimination.ActsInside(1, panels));
-  EXPECT_TRUE(e.elimination->ActsInside(0, e.windows.back()));
-}
-
 INSTANTIATE_TEST_SUITE_P(Sessions, EliminationTest, testing::Values(1, 3));
 
 TEST(Elimination, OfAPartLeavesOutWhatActsElsewhere) {

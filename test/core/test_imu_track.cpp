@@ -274,7 +274,7 @@ TEST(ImuTrackTest, EndsOfRunsHaveTheCovarianceOfAllThatActsThere) {
   for (const bool is_end : {false, true}) {
     const double t = is_end ? run.end : run.begin;
     TrajectoryCovariance::Columns columns =
-        covariance.ControlPoints(0, is_end ? run.first + run.points - kSplineOrder : run.first);
+        covariance.ControlPoints(0, is_end ? run.first + run.spans - 1 : run.first);
     const auto add = [&columns](const TrajectoryCovariance::Columns& more) {
       columns.insert(columns.end(), more.begin(), more.end());
     };

@@ -8,7 +8,7 @@
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/calibration/estimate.h"
 #include "imu_pose_calib/core/calibration/residuals.h"
-#include "imu_pose_calib/core/solver/manifolds.h"
+#include "imu_pose_calib/core/solver/problem.h"
 #include "imu_pose_calib/simulation/simulator.h"
 #include "test_util.h"
 
@@ -17,12 +17,6 @@ namespace {
 
 using Eigen::Quaterniond;
 using Eigen::Vector3d;
-
-#if IMU_POSE_CALIB_CERES_HAS_MANIFOLDS
-using Manifold = ceres::Manifold;
-#else
-using Manifold = ceres::LocalParameterization;
-#endif
 
 /// Noise-free recording of 8 s with its trajectory; the clocks are 0.02 s apart.
 class Residuals : public ::testing::Test {
@@ -237,8 +231,8 @@ TEST_F(Residuals, FailOutsideOfTheTrajectory) {
   EXPECT_FALSE(accel->Evaluate(AccelBlocks().data(), r.data(), nullptr));
 }
 
-TEST(BiasWalkResidual, IsTheStepInSigmaWithExactDerivatives) {
-  const std::unique_ptr<ceres::CostFunction> cost(BiasWalkResidual{0.2}.Create());
+TEST(WalkResidual, IsTheStepInSigmaWithExactDerivatives) {
+  const std::unique_ptr<ceres::CostFunction> cost(WalkResidual<3>{0.2}.Create());
   Vector3d knot_0(1.0, 2.0, 3.0), knot_1(1.1, 1.8, 3.0), r;
   const std::vector<double*> blocks = {knot_0.data(), knot_1.data()};
   ASSERT_TRUE(cost->Evaluate(blocks.data(), r.data(), nullptr));
@@ -247,8 +241,8 @@ TEST(BiasWalkResidual, IsTheStepInSigmaWithExactDerivatives) {
   ExpectGradientsAgree(*cost, &manifolds, blocks);
 }
 
-TEST(DecayResidual, IsWhatIsNewInSigmaWithExactDerivatives) {
-  const std::unique_ptr<ceres::CostFunction> cost(DecayResidual{0.8, 0.2}.Create());
+TEST(WalkResidual, OfADecayIsWhatIsNewInSigmaWithExactDerivatives) {
+  const std::unique_ptr<ceres::CostFunction> cost(WalkResidual<3>{0.2, 0.8}.Create());
   const Eigen::Vector3d knot_0(1.0, 2.0, 3.0), knot_1(1.2, 1.5, 3.3);
   const double* knots[] = {knot_0.data(), knot_1.data()};
   Eigen::Vector3d residual;

@@ -55,6 +55,7 @@ TEST(DefaultYaml, VisitsEveryFieldOfTheStruct) {
 TEST_F(OptionsFile, SetsWhatItNamesOnly) {
   const CalibrationOptions options = Load(
       "method: gp\n"
+      "solver: ceres\n"
       "gyro_noise_density: 1e-3\n"
       "estimate_accel_delay: false\n"
       "recover_stamps: always\n"
@@ -63,6 +64,7 @@ TEST_F(OptionsFile, SetsWhatItNamesOnly) {
       "initial_rotation: [0, 0, 0.6, 0.8]\n"
       "initial_translation: [1, 2.5, -3]\n");
   EXPECT_EQ(options.gyro_noise_density, 1e-3);
+  EXPECT_EQ(options.solver, SolverKind::kCeres);
   EXPECT_FALSE(options.estimate_accel_delay);
   EXPECT_EQ(options.recover_stamps, StampRecovery::kAlways);
   EXPECT_EQ(options.max_iterations, 7);
@@ -105,6 +107,7 @@ TEST_F(OptionsFile, RefusesWrongTypes) {
   ExpectRefusal("initial_translation: [0, 0, up]\n", {"initial_translation", "[x, y, z]", "up"});
   ExpectRefusal("method: joint2\n", {"joint2", "available: joint, gp"});
   ExpectRefusal("method: [gp]\n", {"method", "a string"});
+  ExpectRefusal("solver: eigen\n", {"eigen", "available: windows, ceres"});
   ExpectRefusal("recover_stamps: yes\n", {"recover_stamps", "auto, always or never", "yes"});
 }
 

@@ -77,24 +77,35 @@ void Smooth(double rate_hz, double cutoff, int threads, std::vector<TimedSample>
   }
 }
 
-/// Smooths the errors of the poses about the session's trajectory. `error` [m or rad] of a pose,
-/// `move` it to another error, `scale` of its noise.
-template <typename Error, typename Move>
-void SmoothErrors(double cutoff, int threads, const Error& error, const Move& move,
-                  double TimedPose::*scale, PreparedSession* session) {
+/// Smooths the errors of the poses' positions [m] or rotations [rad] about the session's
+/// trajectory.
+void SmoothErrors(bool is_rotation, double cutoff, int threads, PreparedSession* session) {
   for (const IndexRange& segment : session->data.segments) {
     TimedPose* const poses = session->data.poses.data() + segment.begin;
     std::vector<Rigid3> T_WM(segment.size());
     std::vector<TimedSample> errors(segment.size());
     Eigen::VectorXd scales(segment.size());
     InPortions(threads, segment.size(), [&](size_t i) {
-      T_WM[i] = session->trajectory->PoseAt(poses[i].t);
-      errors[i] = {poses[i].t, error(T_WM[i], poses[i])};
-      scales[static_cast<Eigen::Index>(i)] = poses[i].*scale;
+      const TimedPose& pose = poses[i];
+      T_WM[i] = session->trajectory->PoseAt(pose.t);
+      errors[i].t = pose.t;
+      errors[i].value = is_rotation ? Log(Eigen::Quaterniond(T_WM[i].q.conjugate() * pose.q_WM))
+                                    : Eigen::Vector3d(pose.p_WM - T_WM[i].p);
+      scales[static_cast<Eigen::Index>(i)] =
+          is_rotation ? pose.rotation_scale : pose.position_scale;
     });
     Smooth(session->data.pose_report.rate_hz, cutoff, threads, errors.data(),
            errors.data() + errors.size(), scales);
-    for (size_t i = 0; i < segment.size(); ++i) move(T_WM[i], errors[i], &poses[i]);
+    for (size_t i = 0; i < segment.size(); ++i) {
+      if (is_rotation) {
+        const Eigen::Quaterniond q_WM = T_WM[i].q * Exp(errors[i].value);
+        poses[i].rotation_rest = Log(Eigen::Quaterniond(q_WM.conjugate() * poses[i].q_WM));
+        poses[i].q_WM = q_WM;
+      } else {
+        poses[i].position_rest = errors[i].rest;
+        poses[i].p_WM = T_WM[i].p + errors[i].value;
+      }
+    }
   }
 }
 
@@ -115,27 +126,7 @@ PreparedSession LimitBand(const PreparedSession& session, double cutoff, int thr
   if (is_position_lower || is_rotation_lower)
     limited.trajectory = std::make_shared<const PoseTrajectory>(
         session.data.poses, session.data.segments, position, rotation, threads);
-  SmoothErrors(
-      cutoff, threads,
-      [](const Rigid3& T_WM, const TimedPose& pose) -> Eigen::Vector3d {
-        return pose.p_WM - T_WM.p;
-      },
-      [](const Rigid3& T_WM, const TimedSample& smooth, TimedPose* pose) {
-        pose->position_rest = smooth.rest;
-        pose->p_WM = T_WM.p + smooth.value;
-      },
-      &TimedPose::position_scale, &limited);
-  SmoothErrors(
-      cutoff, threads,
-      [](const Rigid3& T_WM, const TimedPose& pose) {
-        return Log(Eigen::Quaterniond(T_WM.q.conjugate() * pose.q_WM));
-      },
-      [](const Rigid3& T_WM, const TimedSample& smooth, TimedPose* pose) {
-        const Eigen::Quaterniond q_WM = T_WM.q * Exp(smooth.value);
-        pose->rotation_rest = Log(Eigen::Quaterniond(q_WM.conjugate() * pose->q_WM));
-        pose->q_WM = q_WM;
-      },
-      &TimedPose::rotation_scale, &limited);
+  for (const bool is_rotation : {false, true}) SmoothErrors(is_rotation, cutoff, threads, &limited);
   return limited;
 }
 

@@ -56,7 +56,8 @@ std::vector<Interval> Join(std::vector<Interval> intervals) {
 
 CorrectionSplines::CorrectionSplines(const ConditionedData& data, const Estimate& estimate,
                                      size_t session, double spacing_s)
-    : spacing_(spacing_s) {
+    : session_(session), spacing_(spacing_s) {
+  FollowClock(estimate);
   std::vector<Interval> covered;
   for (size_t i = 0; i < data.imus.size(); ++i) {
     if (!data.imus[i].IsPresent()) continue;
@@ -71,47 +72,39 @@ CorrectionSplines::CorrectionSplines(const ConditionedData& data, const Estimate
       const double end = std::min(interval.end, data.poses[segment.end - 1].t);
       if (end - begin < static_cast<double>(kMinSpans) * spacing_s) continue;
       const auto spans = static_cast<size_t>(std::round((end - begin) / spacing_s));
-      ranges_.push_back({begin, end, (end - begin) / static_cast<double>(spans), points, spans});
+      runs_.push_back({begin, end, (end - begin) / static_cast<double>(spans), points, spans});
       points += spans + kSplineOrder - 1;
     }
   }
-  if (ranges_.empty()) throw DataError("poses and IMU samples have no run without a gap in common");
+  if (runs_.empty()) throw DataError("poses and IMU samples have no run without a gap in common");
   d.assign(points, Eigen::Vector3d::Zero());
   phi.assign(points, Eigen::Vector3d::Zero());
 }
 
-const CorrectionSplines::Range* CorrectionSplines::Find(double t) const {
-  const auto after =
-      std::upper_bound(ranges_.begin(), ranges_.end(), t,
-                       [](double value, const Range& range) { return value < range.begin; });
-  if (after == ranges_.begin()) return nullptr;
-  const Range& range = *std::prev(after);
-  return t <= range.end ? &range : nullptr;
-}
-
 std::optional<SplinePlace> CorrectionSplines::Locate(double t) const {
-  const Range* range = Find(t);
-  if (range == nullptr) return std::nullopt;
-  const double x = (t - range->begin) / range->spacing;
-  const size_t span = std::min(range->spans - 1, static_cast<size_t>(x));
-  return SplinePlace{range->first + span, x - static_cast<double>(span), range->spacing};
+  const auto after =
+      std::upper_bound(runs_.begin(), runs_.end(), t,
+                       [](double value, const Run& run) { return value < run.begin; });
+  if (after == runs_.begin() || t > std::prev(after)->end) return std::nullopt;
+  const Run& run = *std::prev(after);
+  const double x = (t - run.begin) / run.spacing;
+  const size_t span = std::min(run.spans - 1, static_cast<size_t>(x));
+  return SplinePlace{run.first + span, x - static_cast<double>(span), run.spacing};
 }
 
-std::vector<CorrectionSplines::Run> CorrectionSplines::Runs() const {
-  std::vector<Run> runs;
-  for (const Range& range : ranges_)
-    runs.push_back({range.begin, range.end, range.first, range.spans + kSplineOrder - 1});
-  return runs;
-}
-
-void CorrectionSplines::MoveWithClock(const ClockLine& before, const ClockLine& after,
-                                      double delay_growth) {
-  const auto follow = [&](double t) { return after.PoseTime(before.ImuTime(t) - delay_growth); };
-  for (Range& range : ranges_) {
-    range.begin = follow(range.begin);
-    range.end = follow(range.end);
-    range.spacing = (range.end - range.begin) / static_cast<double>(range.spans);
+void CorrectionSplines::FollowClock(const Estimate& estimate) {
+  const size_t imu = estimate.sessions[session_].FirstImu();
+  const ClockLine& clock = estimate.sessions[session_].imus[imu];
+  const double growth = estimate.imus[imu].accel_delay - accel_delay_;
+  const auto follow = [&](double t) { return clock.PoseTime(clock_.ImuTime(t) - growth); };
+  for (Run& run : runs_) {
+    if (is_with_poses) break;
+    run.begin = follow(run.begin);
+    run.end = follow(run.end);
+    run.spacing = (run.end - run.begin) / static_cast<double>(run.spans);
   }
+  clock_ = clock;
+  accel_delay_ = estimate.imus[imu].accel_delay;
 }
 
 }  // namespace imu_pose_calib

@@ -1,7 +1,10 @@
-#include <cmath>
+#include "imu_pose_calib/core/calibration/gp_problem.h"
 
-#include "imu_pose_calib/core/calibration/find_marginals.h"
-#include "imu_pose_calib/core/calibration/joint_solver.h"
+#include <cmath>
+#include <memory>
+#include <string>
+#include <utility>
+
 #include "imu_pose_calib/core/calibration/residuals.h"
 
 namespace imu_pose_calib {
@@ -9,126 +12,102 @@ namespace {
 
 /// The trajectory's errors stay about the same for this many length scales.
 constexpr double kCorrelation = 0.5;
-constexpr double kGpTolerance = 1e-8;
+constexpr double kGpTolerance = 1e-10;
 
-/// Number of consecutive samples that share one error of the trajectory: together they tell no more
-/// about it than one, so its variance counts that many times in each sample's weight.
-double SharedSamples(const PoseTrajectory& trajectory, double rate_hz) {
-  return 1.0 + kCorrelation * trajectory.rotation_hyperparameters().lengthscale_s * rate_hz;
-}
-
-void AddGyro(size_t session, size_t imu, LeastSquares* gp) {
+void AddSensor(Quantity quantity, size_t session, size_t imu, LeastSquares* gp) {
+  const bool is_accel = quantity == Quantity::kAccel;
   const ConditionedImu& data = gp->sessions[session].data.imus[imu];
-  const PoseTrajectory& trajectory = *gp->sessions[session].trajectory;
-  ImuSessionEstimate& clock = gp->estimate->sessions[session].imus[imu];
-  SensorBlocks* sensor = gp->Find(Quantity::kGyro, session, imu);
-  const double noise = sensor->model->noise;
-  const double shared = SharedSamples(trajectory, sensor->model->rate_hz);
-  for (size_t i = 0; i < data.gyro.size(); ++i) {
-    const TimedSample& s = data.gyro[i];
-    const double t_M = s.t + clock.time_shift;
-    if (!IsOnTrajectory(trajectory, t_M)) continue;
-    const double variance = trajectory.Variance(t_M).omega;
-    const double sigma = std::sqrt(noise * noise + shared * variance);
-    const auto [k, u] = clock.gyro_bias.Locate(s.t);
-    const GyroResidual residual{&trajectory, s.t, s.value, u, sigma};
-    sensor->samples.push_back(
-        {t_M, static_cast<uint32_t>(i), static_cast<float>(sigma), static_cast<float>(variance)});
-    sensor->Add(gp->problem.AddResidualsOf(
-                    {gp->estimate->imus[imu].q_MI.coeffs().data(), clock.gyro_bias.values[k].data(),
-                     clock.gyro_bias.values[k + 1].data(), &clock.time_shift},
-                    residual.Create(), gp->options.robust_loss_scale),
-                t_M);
-  }
-  if (sensor->samples.empty()) throw DataError("no gyroscope sample falls on the trajectory");
-}
-
-void AddAccel(size_t session, size_t imu, LeastSquares* gp) {
-  const ConditionedImu& data = gp->sessions[session].data.imus[imu];
+  const std::vector<TimedSample>& samples = is_accel ? data.accel : data.gyro;
   const PoseTrajectory& trajectory = *gp->sessions[session].trajectory;
   ImuEstimate& rig = gp->estimate->imus[imu];
+  double* const q_MI = rig.q_MI.coeffs().data();
+  double* const g_W = gp->estimate->sessions[session].g_W.data();
   ImuSessionEstimate& clock = gp->estimate->sessions[session].imus[imu];
-  SensorBlocks* sensor = gp->Find(Quantity::kAccel, session, imu);
+  BiasKnots& knots = is_accel ? clock.accel_bias : clock.gyro_bias;
+  SensorBlocks* const sensor = gp->Find(quantity, session, imu);
+  sensor->first_row = gp->problem.rows();
   const double noise = sensor->model->noise;
-  const double shared = SharedSamples(trajectory, sensor->model->rate_hz);
+  // Consecutive samples that share one error of the trajectory tell together no more about it than
+  // one, so its variance counts that many times in each sample's weight.
+  const double shared = 1.0 + kCorrelation * trajectory.rotation_hyperparameters().lengthscale_s *
+                                  sensor->model->rate_hz;
   const double arm2 = rig.p_MI.squaredNorm();
-  for (size_t i = 0; i < data.accel.size(); ++i) {
-    const TimedSample& s = data.accel[i];
-    const double t_M = s.t + clock.time_shift - rig.accel_delay;
+  for (size_t i = 0; i < samples.size(); ++i) {
+    const TimedSample& s = samples[i];
+    const double t_M = s.t + clock.time_shift - (is_accel ? rig.accel_delay : 0.0);
     if (!IsOnTrajectory(trajectory, t_M)) continue;
-    MarkerState<double> state;
-    trajectory.Evaluate(t_M, &state);
-    // Errors of alpha and omega reach the accelerometer through the lever arm, errors of rotation
-    // turn the specific force; all three axes share them.
     const MarkerVariance v = trajectory.Variance(t_M);
-    const double lever = LeverArmCoefficientVariance(v.alpha, v.omega, state.omega_M.squaredNorm());
-    const double variance =
-        v.accel + (arm2 * lever + 2.0 * v.rotation * s.value.squaredNorm()) / 3.0;
+    double variance = v.omega, lever = 0.0;
+    if (is_accel) {
+      // Errors of alpha and omega reach the accelerometer through the lever arm, errors of rotation
+      // turn the specific force; all three axes share them.
+      MarkerState<double> state;
+      trajectory.Evaluate(t_M, &state);
+      lever = LeverArmCoefficientVariance(v.alpha, v.omega, state.omega_M.squaredNorm());
+      variance = v.accel + (arm2 * lever + 2.0 * v.rotation * s.value.squaredNorm()) / 3.0;
+    }
     const double sigma = std::sqrt(noise * noise + shared * variance);
     gp->spurious_information[imu] += lever / (sigma * sigma);
-    const auto [k, u] = clock.accel_bias.Locate(s.t);
-    const AccelResidual residual{&trajectory, s.t, s.value, u, sigma};
     sensor->samples.push_back(
         {t_M, static_cast<uint32_t>(i), static_cast<float>(sigma), static_cast<float>(variance)});
-    sensor->Add(gp->problem.AddResidualsOf(
-                    {rig.q_MI.coeffs().data(), rig.p_MI.data(),
-                     gp->estimate->sessions[session].g_W.data(), clock.accel_bias.values[k].data(),
-                     clock.accel_bias.values[k + 1].data(), &clock.time_shift, &rig.accel_delay},
-                    residual.Create(), gp->options.robust_loss_scale),
-                t_M);
+    const auto [k, u] = knots.Locate(s.t);
+    double *const knot_0 = knots.values[k].data(), *const knot_1 = knots.values[k + 1].data();
+    std::vector<double*> blocks = {q_MI, knot_0, knot_1, &clock.time_shift};
+    if (is_accel)
+      blocks = {q_MI, rig.p_MI.data(), g_W, knot_0, knot_1, &clock.time_shift, &rig.accel_delay};
+    auto residual = is_accel ? AccelResidual{&trajectory, s.t, s.value, u, sigma}.Create()
+                             : GyroResidual{&trajectory, s.t, s.value, u, sigma}.Create();
+    gp->Add(gp->problem.AddResidualsOf(blocks, std::move(residual), gp->options.robust_loss_scale),
+            session, t_M);
   }
-  if (sensor->samples.empty()) throw DataError("no accelerometer sample falls on the trajectory");
+  if (sensor->samples.empty())
+    throw DataError(std::string("no ") + (is_accel ? "accelerometer" : "gyroscope") +
+                    " sample falls on the trajectory");
+  gp->AddBiasWalk(is_accel ? gp->options.accel_bias_walk : gp->options.gyro_bias_walk, session, imu,
+                  &knots);
 }
 
-}  // namespace
-
+/// Of the gyroscopes alone, or of all sensors.
 std::unique_ptr<LeastSquares> BuildGpProblem(const CalibrationOptions& options,
                                              const std::vector<PreparedSession>& sessions,
                                              const std::vector<SensorModel>& models,
-                                             GpSensors sensors, Estimate* estimate) {
+                                             bool with_accel, Estimate* estimate) {
   auto gp = std::make_unique<LeastSquares>(options, sessions, models, estimate);
-  gp->AddGyroParameters();
-  if (sensors == GpSensors::kGyroAndAccel) gp->AddAccelParameters();
+  gp->AddCalibration(false);
+  if (!with_accel)
+    for (ImuEstimate& imu : estimate->imus) gp->problem.SetHeld(&imu.accel_delay, true);
   for (size_t s = 0; s < sessions.size(); ++s) {
     for (size_t i = 0; i < estimate->imus.size(); ++i) {
-      ImuSessionEstimate& clock = estimate->sessions[s].imus[i];
-      if (!clock.is_present) continue;
-      AddGyro(s, i, gp.get());
-      gp->AddBiasWalk(options.gyro_bias_walk, s, i, &clock.gyro_bias);
-      if (sensors == GpSensors::kGyro) continue;
-      AddAccel(s, i, gp.get());
-      gp->AddBiasWalk(options.accel_bias_walk, s, i, &clock.accel_bias);
+      if (!estimate->sessions[s].imus[i].is_present) continue;
+      AddSensor(Quantity::kGyro, s, i, gp.get());
+      if (with_accel) AddSensor(Quantity::kAccel, s, i, gp.get());
     }
+    if (!with_accel) gp->problem.SetHeld(estimate->sessions[s].g_W.data(), true);
   }
   return gp;
 }
 
+}  // namespace
+
 Solution SolveAgainstTrajectory(const CalibrationOptions& options,
                                 const std::vector<PreparedSession>& sessions, Estimate* estimate) {
-  std::vector<SensorModel> models = InitialModels(options, sessions);
-  std::vector<SensorStatistics> statistics;
-  std::unique_ptr<LeastSquares> gp;
-  int iterations = 0;
-  const auto solve = [&](GpSensors sensors, double tolerance) {
-    gp = BuildGpProblem(options, sessions, models, sensors, estimate);
-    iterations += gp->Solve(tolerance);
-    statistics = gp->FindStatistics();
-  };
-  const auto update_noise = [&] {
-    for (size_t k = 0; k < models.size(); ++k) models[k].noise = statistics[k].noise;
-  };
-  solve(GpSensors::kGyro, kRoughTolerance);
-  update_noise();
-  solve(GpSensors::kGyroAndAccel, kRoughTolerance);
-  update_noise();
-  solve(GpSensors::kGyroAndAccel, kGpTolerance);
   Solution solution;
-  solution.statistics = std::move(statistics);
+  solution.models = InitialModels(options, sessions);
+  std::unique_ptr<LeastSquares> gp;
+  const auto solve = [&](bool with_accel, double tolerance) {
+    for (size_t k = 0; k < solution.statistics.size(); ++k)
+      solution.models[k].noise = solution.statistics[k].noise;
+    gp = BuildGpProblem(options, sessions, solution.models, with_accel, estimate);
+    const std::optional<int> iterations = gp->SolveWithCeres(tolerance);
+    if (!iterations) ThrowNotConverged(options);
+    solution.iterations += *iterations;
+    solution.statistics = gp->FindStatistics();
+  };
+  solve(false, kRoughTolerance);
+  solve(true, kRoughTolerance);
+  solve(true, kGpTolerance);
   solution.marginals = FindMarginals(gp.get());
   solution.residuals = gp->TakeResiduals();
-  gp.reset();
-  solution.models = std::move(models);
-  solution.iterations = iterations;
   return solution;
 }
 

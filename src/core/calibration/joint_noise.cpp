@@ -1,9 +1,9 @@
 #include "imu_pose_calib/core/calibration/joint_noise.h"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <limits>
+#include <map>
 #include <numeric>
 
 #include "imu_pose_calib/core/calibration/band.h"
@@ -33,20 +33,15 @@ bool IsLinear(Quantity quantity) {
 
 /// Densities of the noise that sensors of one kind have together in a session, as they tell of the
 /// same motion.
-class JointDensities {
- public:
-  JointDensities(const LeastSquares& joint, size_t session) {
-    for (const SensorBlocks& sensor : joint.sensors)
-      if (sensor.model->session == session)
-        information_[static_cast<size_t>(sensor.model->quantity)] += 1.0 / sensor.model->Density();
-  }
-  double operator[](Quantity quantity) const {
-    return 1.0 / information_[static_cast<size_t>(quantity)];
-  }
+using Densities = std::map<Quantity, double>;
 
- private:
-  std::array<double, 4> information_{};
-};
+Densities JointDensities(const std::vector<SensorModel>& models, size_t session) {
+  Densities S;
+  for (const SensorModel& model : models)
+    if (model.session == session) S[model.quantity] += 1.0 / model.Density();
+  for (auto& [quantity, density] : S) density = 1.0 / density;
+  return S;
+}
 
 /// Mean squared residual of the samples within `reach` [s] of each, which are in order of time.
 std::vector<double> MeanSquareAround(const SensorBlocks& sensor, double reach) {
@@ -64,83 +59,61 @@ std::vector<double> MeanSquareAround(const SensorBlocks& sensor, double reach) {
   return means;
 }
 
-/// Densities of what poses and IMUs err by, of positions or rotations, at a frequency.
-struct Errors {
-  double poses, imus;
-};
-
-Errors ErrorsAt(const JointDensities& S, Quantity quantity, double omega2) {
-  return IsLinear(quantity)
-             ? Errors{S[Quantity::kPosition], S[Quantity::kAccel] / (omega2 * omega2)}
-             : Errors{S[Quantity::kRotation], S[Quantity::kGyro] / omega2};
-}
-
 double Omega2(double frequency) { return std::pow(2.0 * M_PI * frequency, 2); }
 
-/// In the mean over the spline's band [Hz].
-double ImuShare(const JointDensities& S, Quantity quantity, double band) {
+/// Share of IMUs in what tells of positions or rotations, in the mean over the spline's band [Hz].
+double ImuShare(const Densities& S, Quantity quantity, double band) {
+  const bool is_linear = IsLinear(quantity);
+  const double of_poses = S.at(is_linear ? Quantity::kPosition : Quantity::kRotation);
+  const double of_imus = S.at(is_linear ? Quantity::kAccel : Quantity::kGyro);
   double sum = 0.0;
   for (int k = 0; k < kSteps; ++k) {
-    const Errors errors = ErrorsAt(S, quantity, Omega2((k + 0.5) / kSteps * band));
-    sum += errors.poses / (errors.poses + errors.imus);
+    const double omega2 = Omega2((k + 0.5) / kSteps * band);
+    sum += of_poses / (of_poses + of_imus / (is_linear ? omega2 * omega2 : omega2));
   }
   return sum / kSteps;
 }
 
-/// A sensor's share of the share of its kind.
-double OwnShare(const JointDensities& S, const SensorModel& model, double imus) {
-  return IsOfPoses(model.quantity) ? 1.0 - imus : imus * S[model.quantity] / model.Density();
-}
-
-/// Power spectral densities of the noise of sensors that tell of the same motion, by maximum
-/// likelihood of the spectra of their residuals, doc/math.md, S4, "Noise".
-class NoiseFit {
- public:
-  /// A noise that is expected to be `white`, and may not exceed `most`.
-  void Add(double white, double most) {
-    white_.push_back(white);
-    most_.push_back(most);
-  }
+/// A noise that is found.
+struct Noise {
+  double white, most;  ///< as it is expected, and its bound
+};
+/// A density found in `count` periodograms, that is the sum of shares of noises.
+struct Observation {
+  double count, density;
   struct Part {
     size_t noise;
     double share;
   };
-  /// A density found in so many periodograms, that is the sum of shares of noises.
-  void Observe(double count, double density, const std::vector<Part>& parts) {
-    observations_.push_back({count, density, parts});
-  }
+  std::vector<Part> parts;
+};
 
-  std::vector<double> Solve() const {
-    std::vector<double> x = white_;
-    for (int round = 0; round < kRounds; ++round) {
-      std::vector<double> found(x.size(), 0.0), expected(x.size(), 0.0);
-      for (const Observation& o : observations_) {
-        double sum = 0.0;
-        for (const Part& part : o.parts) sum += part.share * x[part.noise];
-        for (const Part& part : o.parts) {
-          found[part.noise] += o.count * part.share * o.density / (sum * sum);
-          expected[part.noise] += o.count * part.share / sum;
-        }
-      }
-      for (size_t k = 0; k < x.size(); ++k) {
-        const double apart = std::log(white_[k] / x[k]);
-        const double pull = kWhiteness * apart / (1.0 + apart * apart);
-        found[k] += (kWhiteness + kLeastWhiteness * white_[k] / x[k] + std::max(0.0, pull)) / x[k];
-        expected[k] += (kWhiteness + kLeastWhiteness + std::max(0.0, -pull)) / x[k];
-        x[k] = std::min(most_[k], x[k] * std::sqrt(found[k] / expected[k]));
+/// Power spectral densities of the noise of sensors that tell of the same motion, by maximum
+/// likelihood of the spectra of their residuals, doc/math.md, S4, "Noise".
+std::vector<double> FitDensities(const std::vector<Noise>& noises,
+                                 const std::vector<Observation>& observations) {
+  std::vector<double> x;
+  for (const Noise& noise : noises) x.push_back(noise.white);
+  for (int round = 0; round < kRounds; ++round) {
+    std::vector<double> found(x.size(), 0.0), expected(x.size(), 0.0);
+    for (const Observation& o : observations) {
+      double sum = 0.0;
+      for (const Observation::Part& part : o.parts) sum += part.share * x[part.noise];
+      for (const Observation::Part& part : o.parts) {
+        found[part.noise] += o.count * part.share * o.density / (sum * sum);
+        expected[part.noise] += o.count * part.share / sum;
       }
     }
-    return x;
+    for (size_t k = 0; k < x.size(); ++k) {
+      const double white = noises[k].white, apart = std::log(white / x[k]);
+      const double pull = kWhiteness * apart / (1.0 + apart * apart);
+      found[k] += (kWhiteness + kLeastWhiteness * white / x[k] + std::max(0.0, pull)) / x[k];
+      expected[k] += (kWhiteness + kLeastWhiteness + std::max(0.0, -pull)) / x[k];
+      x[k] = std::min(noises[k].most, x[k] * std::sqrt(found[k] / expected[k]));
+    }
   }
-
- private:
-  struct Observation {
-    double count, density;
-    std::vector<Part> parts;
-  };
-  std::vector<double> white_, most_;
-  std::vector<Observation> observations_;
-};
+  return x;
+}
 
 /// Sets the noise of the sensors of positions and accelerations, or of rotations and turn rates, of
 /// a session.
@@ -152,13 +125,14 @@ void FitNoiseOf(bool is_linear, size_t session, const LeastSquares& joint,
         IsLinear(joint.sensors[k].model->quantity) == is_linear)
       sensors.push_back(k);
   const SlowErrors& errors = joint.estimate->sessions[session].rotation_errors;
-  NoiseFit fit;
+  std::vector<Noise> noises;
+  std::vector<Observation> observations;
   for (const size_t k : sensors) {
     const SensorModel& model = *joint.sensors[k].model;
     const double expected = std::pow((*statistics)[k].spread.scale, 2) / model.rate_hz;
     // What errs slowly in an IMU is its bias.
-    fit.Add(expected,
-            IsOfPoses(model.quantity) ? std::numeric_limits<double>::infinity() : expected);
+    noises.push_back(
+        {expected, IsOfPoses(model.quantity) ? std::numeric_limits<double>::infinity() : expected});
   }
   const double white = joint.sensors[sensors[0]].model->Density();  // of the poses
   for (size_t a = 0; a < sensors.size(); ++a) {
@@ -174,18 +148,17 @@ void FitNoiseOf(bool is_linear, size_t session, const LeastSquares& joint,
       const double all = std::accumulate(share.begin(), share.end(), 0.0);
       for (double& own : share) own /= all;
       if (share[a] > 0.5) continue;  // the others' residuals tell more
-      std::vector<NoiseFit::Part> parts;
+      observations.push_back({spectrum.count, spectrum.density[f], {}});
       for (size_t b = 0; b < sensors.size(); ++b) {
         double part = std::pow(a == b ? 1.0 - share[b] : share[b], 2);
         if (a != b) part *= (a == 0 ? 1.0 : gain) / (b == 0 ? 1.0 : gain);
         if (b == 0) part *= poses / white;               // slow errors beside it
         if (a == 0) part *= std::pow(white / poses, 2);  // they take up the rest
-        parts.push_back({b, part});
+        observations.back().parts.push_back({b, part});
       }
-      fit.Observe(spectrum.count, spectrum.density[f], parts);
     }
   }
-  const std::vector<double> x = fit.Solve();
+  const std::vector<double> x = FitDensities(noises, observations);
   for (size_t a = 0; a < sensors.size(); ++a)
     (*statistics)[sensors[a]].noise = std::sqrt(x[a] * joint.sensors[sensors[a]].model->rate_hz);
 }
@@ -195,7 +168,7 @@ void FitNoiseOf(bool is_linear, size_t session, const LeastSquares& joint,
 void UpdateRotationErrors(LeastSquares* joint) {
   for (size_t s = 0; s < joint->sessions.size(); ++s) {
     SlowErrors& errors = joint->estimate->sessions[s].rotation_errors;
-    const JointDensities S(*joint, s);
+    const Densities S = JointDensities(joint->models, s);
     const double interval = errors.knots.t[1] - errors.knots.t[0];
     double increments2 = 0.0, share = 0.0;
     for (size_t k = 0; k + 1 < errors.knots.t.size(); ++k)
@@ -205,7 +178,7 @@ void UpdateRotationErrors(LeastSquares* joint) {
     for (int k = 0; k < kSteps; ++k) {
       const double omega2 = Omega2(0.5 * (k + 0.5) / kSteps / interval);
       const double own = errors.Density(omega2);
-      share += own / (own + S[Quantity::kRotation] + S[Quantity::kGyro] / omega2) / kSteps;
+      share += own / (own + S.at(Quantity::kRotation) + S.at(Quantity::kGyro) / omega2) / kSteps;
     }
     const double variance =
         increments2 / (3.0 * static_cast<double>(errors.knots.t.size() - 1) * share);
@@ -222,19 +195,23 @@ void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares
   const double band = Band(splines.spacing());
   // As many as there is noise in that band.
   const double points = static_cast<double>(splines.d.size()) * 2.0 * band * splines.spacing();
-  const JointDensities S(*joint, session);
+  const Densities S = JointDensities(joint->models, session);
   for (SensorBlocks& sensor : joint->sensors) {
     const SensorModel& model = *sensor.model;
     if (model.session != session) continue;
-    const double share = OwnShare(S, model, ImuShare(S, model.quantity, band));
+    const double imus = ImuShare(S, model.quantity, band);
+    const double share = IsOfPoses(model.quantity)
+                             ? 1.0 - imus
+                             : imus * S.at(model.quantity) / model.Density();  // of all IMUs'
     sensor.band =
         kWhole * std::min(band, 0.5 * joint->Find(Quantity::kPosition, session)->model->rate_hz);
     sensor.fitted = share * points / std::max(1.0, static_cast<double>(sensor.samples.size()));
   }
 }
 
-bool DoPosesLead(const CorrectionSplines& splines, size_t session, const LeastSquares& joint) {
-  const JointDensities S(joint, session);
+bool DoPosesLead(const CorrectionSplines& splines, size_t session,
+                 const std::vector<SensorModel>& models) {
+  const Densities S = JointDensities(models, session);
   return ImuShare(S, Quantity::kAccel, Band(splines.spacing())) < 0.5;
 }
 
@@ -244,7 +221,7 @@ void AddSpuriousInformation(const std::vector<CorrectionSplines>& splines, Least
     if (sensor.model->quantity != Quantity::kAccel) continue;
     const size_t session = sensor.model->session;
     const PoseTrajectory& trajectory = *joint->sessions[session].trajectory;
-    const JointDensities S(*joint, session);
+    const Densities S = JointDensities(joint->models, session);
     double turn2 = 0.0, seen = 0.0;
     for (size_t i = 0; i < sensor.samples.size(); i += 1 + sensor.samples.size() / kEnough) {
       MarkerRotation<double> marker;
@@ -258,10 +235,11 @@ void AddSpuriousInformation(const std::vector<CorrectionSplines>& splines, Least
     for (int k = 0; k < kSteps; ++k) {
       const double w2 = Omega2((k + 0.5) * step);
       const double omega =
-          1.0 / (1.0 / S[Quantity::kGyro] +
-                 1.0 / (w2 * S[Quantity::kRotation]));  // poses and gyroscope add up
+          1.0 / (1.0 / S.at(Quantity::kGyro) +
+                 1.0 / (w2 * S.at(Quantity::kRotation)));  // poses and gyroscope add up
       const double lever = LeverArmCoefficientVariance(w2 * omega, omega, turn2 / seen);
-      density += 2.0 * step * lever / (sensor.model->Density() + w2 * w2 * S[Quantity::kPosition]);
+      density +=
+          2.0 * step * lever / (sensor.model->Density() + w2 * w2 * S.at(Quantity::kPosition));
     }
     joint->spurious_information[sensor.model->imu] +=
         static_cast<double>(sensor.samples.size()) / sensor.model->rate_hz * density;

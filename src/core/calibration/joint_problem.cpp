@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
-#include <initializer_list>
 #include <optional>
 #include <utility>
 
@@ -14,29 +13,8 @@
 namespace imu_pose_calib {
 namespace {
 
-// Sigmas of ordinary clocks, trackers and IMUs.
-constexpr double kSmoothingPrior = 1e-3;  // [s^2]
-constexpr double kPoseScalePrior = 1e-3;  // [1]
-// A filter that spreads samples over time delays them, too. Where the delay is small, so is the
-// smoothing, and errors of the poses would take its place.
-// For a filter of first order, the squared delay; for a plain delay, nothing.
-constexpr double kSmoothingPerDelay2 = 0.5, kSmoothingSpread = 1.0;
-constexpr double kLeastFilterDelay = 0.01;        // [s]
-constexpr double kScalePrior = 0.01;              // [1] diagonal of K_g and K_a
-constexpr double kAlignmentPrior = M_PI / 360.0;  // [rad] their other elements: 0.5 deg
-constexpr double kSizePrior = 2e-3;               // [m] places of the accelerometer's axes
-
 constexpr double kCurvatureStep = 0.01;  // [s] of differences
 constexpr double kSensors = 3.0;         // of one IMU and the poses, that share what may be kept
-
-/// Of the elements of a matrix in rows, or of its lower triangle.
-Eigen::VectorXd IntrinsicsPrior(bool is_triangle) {
-  std::vector<double> sigmas;
-  for (int row = 0; row < 3; ++row)
-    for (int column = 0; column < (is_triangle ? row + 1 : 3); ++column)
-      sigmas.push_back(row == column ? kScalePrior : kAlignmentPrior);
-  return Eigen::Map<Eigen::VectorXd>(sigmas.data(), static_cast<Eigen::Index>(sigmas.size()));
-}
 
 /// What make(i) returns for i = 0 .. count - 1, on all threads: kept unless that is too much.
 template <typename Sample>
@@ -58,41 +36,16 @@ struct Run {
   }
 };
 
-int AddKnot(double* value, Problem* problem) { return problem->AddParameters(value, 1); }
-int AddKnot(Eigen::Vector3d* value, Problem* problem) {
-  return problem->AddParameters(value->data(), 3);
-}
+using Vector3ds = std::vector<Eigen::Vector3d>;
 
-/// Blocks of knots; the number of the first, which the others follow, -1 when there are none.
-template <typename Value>
-int AddKnots(std::vector<Value>* values, Problem* problem) {
-  int first = -1;
-  for (Value& value : *values) {
-    const int block = AddKnot(&value, problem);
-    if (first < 0) first = block;
-  }
-  return first;
+/// Blocks of knots; the number of the first, which the others follow.
+int AddKnots(Vector3ds* values, Problem* problem) {
+  for (Eigen::Vector3d& value : *values) problem->AddParameters(value.data(), 3);
+  return problem->Find(values->front().data());
 }
-
-/// The poses `kept` as samples of their position or rotation, with its noise, the pose's own
-/// `scale` of it and the weight.
-void AddSamples(const std::vector<TimedPose>& poses, const std::vector<size_t>& kept,
-                double TimedPose::*scale, SensorBlocks* sensor) {
-  const SensorModel& model = *sensor->model;
-  sensor->samples.reserve(kept.size());
-  for (const size_t i : kept)
-    sensor->samples.push_back(
-        {poses[i].t, static_cast<uint32_t>(i),
-         static_cast<float>(model.noise * poses[i].*scale / std::sqrt(model.weights[i]))});
-}
-
-/// Calls add(begin, end, run) for samples that are alike.
-template <typename Add>
-void ForRuns(const std::vector<Run>& runs, const Add& add) {
-  for (size_t begin = 0, end = 0; begin < runs.size(); begin = end) {
-    while (end < runs.size() && runs[end] == runs[begin]) ++end;
-    add(begin, end, runs[begin]);
-  }
+int AddKnots(std::vector<double>* values, Problem* problem) {
+  for (double& value : *values) problem->AddParameters(&value, 1);
+  return problem->Find(&values->front());
 }
 
 /// Where the samples of a session are while its clocks stand as they did when the problem was made.
@@ -130,68 +83,66 @@ struct Places {
 /// Adds the residual blocks of one session.
 class SessionBuilder {
  public:
-  /// `d`, `phi`: blocks of the first control points; the others follow.
-  SessionBuilder(size_t session, int d, int phi, CorrectionSplines* splines, LeastSquares* joint);
+  SessionBuilder(size_t session, CorrectionSplines* splines, LeastSquares* joint)
+      : session_(session),
+        splines_(splines),
+        joint_(joint),
+        prepared_(joint->sessions[session]),
+        estimate_(joint->estimate->sessions[session]),
+        first_imu_(estimate_.FirstImu()),
+        places_(std::make_shared<const Places>(
+            Places{prepared_.trajectory, *splines, estimate_.imus[first_imu_], estimate_.g_W})) {}
 
   void AddPoses();
   void AddGyro(size_t imu);
   void AddAccel(size_t imu);
 
  private:
-  /// Clocks, as blocks of parameters and how samples move with them.
+  /// How samples move with clocks.
   struct Clocks {
-    std::vector<int> blocks;
+    std::vector<double*> parameters;
     ClockMotions motions;
   };
-  /// How the samples of an IMU's sensor move along the trajectory, of which the splines go along
-  /// with the accelerometer of the reference IMU; of poses when `imu` is null.
-  Clocks FindClocks(const size_t* imu, bool is_accel);
+  /// Of an IMU's sensor along the trajectory, of which the splines go along with the accelerometer
+  /// of the first IMU; of poses when `imu` is null.
+  Clocks FindClocks(const size_t* imu, bool is_accel) const;
   /// IMU samples of stamp t at the instant t - delay. `complete(places, t_M, &sample)` does what is
-  /// of the sensor, `create(samples)` makes its cost function, `blocks(first, knot)` are the blocks
-  /// of a residual, given the first control point's index and the first bias knot's block.
-  template <typename Sample, typename Complete, typename Create, typename BlocksOf>
-  void AddImu(size_t imu, Quantity quantity, const std::vector<TimedSample>& data, double delay,
-              BiasKnots* knots, const Complete& complete, const Create& create,
-              const BlocksOf& blocks);
+  /// of the sensor, `create(samples, motions, has_walk)` makes its cost function, whose blocks of
+  /// control points and of parameters after the knots are `points` and `others`.
+  template <typename Sample, typename Complete, typename Create>
+  void AddImu(size_t imu, Quantity quantity, const std::vector<Vector3ds*>& points,
+              std::vector<double*> others, const Complete& complete, const Create& create);
+  /// Residual blocks of samples, the blocks of parameters in the order of joint_residuals.h;
+  /// `knots` and `walk` may be null.
+  void AddBlocks(const std::shared_ptr<const SampledCost>& cost, const std::vector<Run>& runs,
+                 const std::vector<Vector3ds*>& points, Vector3ds* knots,
+                 const std::vector<double*>& others, std::vector<double>* walk,
+                 SensorBlocks* sensor);
+
   const size_t session_;
-  const int d_, phi_;
   CorrectionSplines* const splines_;
   LeastSquares* const joint_;
   const PreparedSession& prepared_;
   SessionEstimate& estimate_;
   const size_t first_imu_;
-  ImuSessionEstimate& reference_;  ///< clock of the first IMU
   const std::shared_ptr<const Places> places_;
 };
 
-SessionBuilder::SessionBuilder(size_t session, int d, int phi, CorrectionSplines* splines,
-                               LeastSquares* joint)
-    : session_(session),
-      d_(d),
-      phi_(phi),
-      splines_(splines),
-      joint_(joint),
-      prepared_(joint->sessions[session]),
-      estimate_(joint->estimate->sessions[session]),
-      first_imu_(estimate_.FirstImu()),
-      reference_(estimate_.imus[first_imu_]),
-      places_(std::make_shared<const Places>(
-          Places{prepared_.trajectory, *splines, reference_, estimate_.g_W})) {}
-
-SessionBuilder::Clocks SessionBuilder::FindClocks(const size_t* imu, bool is_accel) {
-  std::vector<int> blocks;
+SessionBuilder::Clocks SessionBuilder::FindClocks(const size_t* imu, bool is_accel) const {
+  Clocks clocks;
   std::vector<ClockMotion> motions;
   const auto add = [&](double* parameter, double on_gp, double on_spline, auto factor) {
-    blocks.push_back(joint_->problem.Find(parameter));
+    clocks.parameters.push_back(parameter);
     motions.push_back({*parameter, on_gp, on_spline, factor});
   };
   // On the GP a sample of the IMU moves as its own clocks do; on the splines, unless they stay with
   // the poses, by what that exceeds the move of the reference accelerometer.
+  ImuSessionEstimate& reference = estimate_.imus[first_imu_];
   const bool is_with_poses = splines_->is_with_poses;
   const bool is_reference = !is_with_poses && imu != nullptr && *imu == first_imu_;
   if (!is_reference && !is_with_poses) {
-    add(&reference_.time_shift, 0.0, -1.0, ClockMotion::kOne);
-    add(&reference_.clock_drift, 0.0, -1.0, ClockMotion::kReferenceTime);
+    add(&reference.time_shift, 0.0, -1.0, ClockMotion::kOne);
+    add(&reference.clock_drift, 0.0, -1.0, ClockMotion::kReferenceTime);
   }
   if (!is_with_poses && (!is_reference || !is_accel))
     add(&joint_->estimate->imus[first_imu_].accel_delay, 0.0, 1.0, ClockMotion::kOne);
@@ -202,99 +153,107 @@ SessionBuilder::Clocks SessionBuilder::FindClocks(const size_t* imu, bool is_acc
     if (is_accel)
       add(&joint_->estimate->imus[*imu].accel_delay, -1.0, -on_spline, ClockMotion::kOne);
   }
-  return {blocks, std::make_shared<const std::vector<ClockMotion>>(motions)};
+  clocks.motions = std::make_shared<const std::vector<ClockMotion>>(motions);
+  return clocks;
 }
 
-/// The blocks of a residual: those of the control points from the places on, of `shared`, and of
-/// the clocks.
-std::vector<int> Blocks(std::initializer_list<int> splines, std::initializer_list<int> shared,
-                        const std::vector<int>& clocks) {
+void SessionBuilder::AddBlocks(const std::shared_ptr<const SampledCost>& cost,
+                               const std::vector<Run>& runs, const std::vector<Vector3ds*>& points,
+                               Vector3ds* knots, const std::vector<double*>& others,
+                               std::vector<double>* walk, SensorBlocks* sensor) {
+  Problem& problem = joint_->problem;
+  std::vector<int> shared;
+  for (double* const parameter : others) shared.push_back(problem.Find(parameter));
+  std::vector<int> first_points;
+  for (Vector3ds* const spline : points)
+    first_points.push_back(problem.Find(spline->front().data()));
+  const int first_knot = knots == nullptr ? -1 : AddKnots(knots, &problem);
+  const int first_walk = walk == nullptr ? -1 : AddKnots(walk, &problem);
+  sensor->first_row = problem.rows();
   std::vector<int> blocks;
-  for (const int first : splines)
-    for (int j = 0; j < kSplineOrder; ++j) blocks.push_back(first + j);
-  blocks.insert(blocks.end(), shared);
-  blocks.insert(blocks.end(), clocks.begin(), clocks.end());
-  return blocks;
+  for (size_t begin = 0, end = 0; begin < runs.size(); begin = end) {
+    const Run& run = runs[begin];
+    while (end < runs.size() && runs[end] == run) ++end;
+    blocks.clear();
+    for (const int first : first_points)
+      for (int j = 0; j < kSplineOrder; ++j) blocks.push_back(first + run.first + j);
+    if (first_knot >= 0)
+      blocks.insert(blocks.end(), {first_knot + run.knot, first_knot + run.knot + 1});
+    blocks.insert(blocks.end(), shared.begin(), shared.end());
+    if (first_walk >= 0)
+      blocks.insert(blocks.end(), {first_walk + run.walk, first_walk + run.walk + 1});
+    joint_->Add(problem.AddResiduals(cost, begin, end, blocks), session_, sensor->samples[begin].t);
+  }
 }
 
 void SessionBuilder::AddPoses() {
   const Clocks clocks = FindClocks(nullptr, false);
-  Problem& problem = joint_->problem;
   BiasKnots& errors = estimate_.rotation_errors.knots;
-  const int first_error = AddKnots(&errors.values, &problem);
   const std::vector<TimedPose>& poses = prepared_.data.poses;
-  const std::shared_ptr<const Places> places = places_;
-  std::vector<size_t> kept;
+  SensorBlocks* const position = joint_->Find(Quantity::kPosition, session_);
+  SensorBlocks* const rotation = joint_->Find(Quantity::kRotation, session_);
   std::vector<Run> runs;
   for (size_t i = 0; i < poses.size(); ++i) {
     const auto span = places_->FindSpan(poses[i].t);
     if (!span) continue;
-    kept.push_back(i);
     runs.push_back({*span, static_cast<int>(errors.Locate(poses[i].t).first)});
+    for (SensorBlocks* const sensor : {position, rotation}) {
+      const SensorModel& model = *sensor->model;
+      const double sigma = model.noise * joint_->Scale(model, i) / std::sqrt(model.weights[i]);
+      sensor->samples.push_back({poses[i].t, static_cast<uint32_t>(i), static_cast<float>(sigma)});
+    }
   }
-  const int pose_smoothing = problem.Find(&joint_->estimate->pose_smoothing);
-  const int position_smoothing = problem.Find(&joint_->estimate->position_smoothing);
-  SensorBlocks* const position = joint_->Find(Quantity::kPosition, session_);
-  SensorBlocks* const rotation = joint_->Find(Quantity::kRotation, session_);
-  AddSamples(poses, kept, &TimedPose::position_scale, position);
-  AddSamples(poses, kept, &TimedPose::rotation_scale, rotation);
-  const auto samples =
-      Collect<JointPoseSample>(joint_->options, kept.size(), [=, &poses, &errors](size_t k) {
+  const auto samples = Collect<JointPoseSample>(
+      joint_->options, runs.size(), [=, places = places_, &poses, &errors](size_t k) {
         const ProblemSample& at = position->samples[k];
         const TimedPose& pose = poses[at.index];
         const MarkerState<double> gp = places->At(at.t);
-        return JointPoseSample{*places->splines.Locate(at.t),
+        return JointPoseSample{{*places->splines.Locate(at.t), places->ReferenceTime(at.t)},
                                gp.q_WM.conjugate() * pose.q_WM,
                                pose.p_WM - gp.p_WM,
                                gp.alpha_M,
                                gp.a_W,
-                               places->ReferenceTime(at.t),
                                at.sigma,
                                rotation->samples[k].sigma,
                                errors.Locate(at.t).second};
       });
-  const auto add = [&](std::shared_ptr<const SampledCost> cost, auto blocks, SensorBlocks* sensor) {
-    ForRuns(runs, [&](size_t begin, size_t end, const Run& run) {
-      sensor->Add(problem.AddResiduals(cost, begin, end, blocks(run)), poses[kept[begin]].t);
-    });
-  };
-  add(
-      CreateJointPositionResidual(samples, clocks.motions),
-      [&](const Run& run) {
-        return Blocks({d_ + run.first}, {pose_smoothing, position_smoothing}, clocks.blocks);
-      },
-      position);
-  add(
-      CreateJointRotationResidual(samples, clocks.motions),
-      [&](const Run& run) {
-        const int knot = first_error + run.knot;
-        return Blocks({phi_ + run.first}, {pose_smoothing, knot, knot + 1}, clocks.blocks);
-      },
-      rotation);
+  Estimate& all = *joint_->estimate;
+  std::vector<double*> others = {&all.pose_smoothing, &all.position_smoothing};
+  others.insert(others.end(), clocks.parameters.begin(), clocks.parameters.end());
+  AddBlocks(CreateJointPositionResidual(samples, clocks.motions), runs, {&splines_->d}, nullptr,
+            others, nullptr, position);
+  others.erase(others.begin() + 1);
+  AddBlocks(CreateJointRotationResidual(samples, clocks.motions), runs, {&splines_->phi},
+            &errors.values, others, nullptr, rotation);
 }
 
-template <typename Sample, typename Complete, typename Create, typename BlocksOf>
-void SessionBuilder::AddImu(size_t imu, Quantity quantity, const std::vector<TimedSample>& data,
-                            double delay, BiasKnots* knots, const Complete& complete,
-                            const Create& create, const BlocksOf& blocks) {
-  const ImuSessionEstimate clock = estimate_.imus[imu];
-  SensorBlocks* sensor = joint_->Find(quantity, session_, imu);
+template <typename Sample, typename Complete, typename Create>
+void SessionBuilder::AddImu(size_t imu, Quantity quantity, const std::vector<Vector3ds*>& points,
+                            std::vector<double*> others, const Complete& complete,
+                            const Create& create) {
+  const bool is_accel = quantity == Quantity::kAccel;
+  const ConditionedImu& recorded = prepared_.data.imus[imu];
+  const std::vector<TimedSample>& data = is_accel ? recorded.accel : recorded.gyro;
+  ImuSessionEstimate& own = estimate_.imus[imu];
+  BiasKnots* const knots = is_accel ? &own.accel_bias : &own.gyro_bias;
+  const double delay = is_accel ? joint_->estimate->imus[imu].accel_delay : 0.0;
+  const ClockWalk walk = own.walk;
+  SensorBlocks* const sensor = joint_->Find(quantity, session_, imu);
   const SensorModel& model = *sensor->model;
   std::vector<Run> runs;
   sensor->samples.reserve(data.size());
   for (size_t i = 0; i < data.size(); ++i) {
-    const double t_M = clock.PoseTime(data[i].t - delay);
+    const double t_M = own.PoseTime(data[i].t - delay);
     const auto span = places_->FindSpan(t_M);
     if (!span || !IsOnTrajectory(*prepared_.trajectory, t_M)) continue;
     runs.push_back({*span, static_cast<int>(knots->Locate(data[i].t).first)});
-    if (!clock.walk.IsLine())
-      runs.back().walk = static_cast<int>(clock.walk.Locate(data[i].t - delay).first);
+    if (!walk.IsLine()) runs.back().walk = static_cast<int>(walk.Locate(data[i].t - delay).first);
     sensor->samples.push_back({t_M, static_cast<uint32_t>(i),
                                static_cast<float>(model.noise / std::sqrt(model.weights[i]))});
   }
-  const double own_reference = delay + clock.clock_reference;
+  const double own_reference = delay + own.clock_reference;
   const std::function<Sample(size_t)> make = [places = places_, sensor, knots, own_reference,
-                                              complete, walk = clock.walk, delay, &data](size_t k) {
+                                              complete, walk, delay, &data](size_t k) {
     const ProblemSample& at = sensor->samples[k];
     const TimedSample& measured = data[at.index];
     Sample sample;
@@ -311,58 +270,36 @@ void SessionBuilder::AddImu(size_t imu, Quantity quantity, const std::vector<Tim
     complete(*places, at.t, &sample);
     return sample;
   };
-  const int first_knot = AddKnots(&knots->values, &joint_->problem);
-  ClockWalk& walk = estimate_.imus[imu].walk;
-  const int first_walk = AddKnots(&walk.offset, &joint_->problem);
-  if (!walk.IsLine()) joint_->problem.SetHeld(&walk.offset[walk.reference], true);
-  const std::shared_ptr<const SampledCost> cost =
-      create(Collect(joint_->options, runs.size(), make));
-  ForRuns(runs, [&](size_t begin, size_t end, const Run& run) {
-    std::vector<int> all = blocks(run.first, first_knot + run.knot);
-    if (!walk.IsLine()) all.insert(all.end(), {first_walk + run.walk, first_walk + run.walk + 1});
-    sensor->Add(joint_->problem.AddResiduals(cost, begin, end, all), sensor->samples[begin].t);
-  });
+  const Clocks clocks = FindClocks(&imu, is_accel);
+  others.insert(others.end(), clocks.parameters.begin(), clocks.parameters.end());
+  AddBlocks(create(Collect(joint_->options, runs.size(), make), clocks.motions, !walk.IsLine()),
+            runs, points, &knots->values, others, walk.IsLine() ? nullptr : &own.walk.offset,
+            sensor);
+  if (!walk.IsLine()) joint_->problem.SetHeld(&own.walk.offset[walk.reference], true);
 }
 
 void SessionBuilder::AddGyro(size_t imu) {
-  const Clocks clocks = FindClocks(&imu, false);
-  const Problem& problem = joint_->problem;
   ImuEstimate& rig = joint_->estimate->imus[imu];
-  const int q_MI = problem.Find(rig.q_MI.coeffs().data());
-  const int intrinsics = problem.Find(rig.gyro_intrinsics.data());
   AddImu<JointImuSample>(
-      imu, Quantity::kGyro, prepared_.data.imus[imu].gyro, 0.0, &estimate_.imus[imu].gyro_bias,
+      imu, Quantity::kGyro, {&splines_->phi},
+      {rig.q_MI.coeffs().data(), rig.gyro_intrinsics.data()},
       [](const Places& places, double t_M, JointImuSample* sample) {
         MarkerRotation<double> gp;
         places.trajectory->EvaluateRotation(t_M, &gp);
         sample->omega_M = gp.omega_M;
         sample->alpha_M = gp.alpha_M;
       },
-      [&](Samples<JointImuSample> samples) {
-        return CreateJointGyroResidual(std::move(samples), clocks.motions,
-                                       !estimate_.imus[imu].walk.IsLine());
-      },
-      [&](int first, int knot) {
-        return Blocks({phi_ + first}, {q_MI, intrinsics, knot, knot + 1}, clocks.blocks);
-      });
+      &CreateJointGyroResidual);
 }
 
 void SessionBuilder::AddAccel(size_t imu) {
-  const Clocks clocks = FindClocks(&imu, true);
-  const Problem& problem = joint_->problem;
   ImuEstimate& rig = joint_->estimate->imus[imu];
   const bool with_curvature =
-      rig.accel_smoothing != 0.0 || problem.IsEstimated(&rig.accel_smoothing);
-  const int q_MI = problem.Find(rig.q_MI.coeffs().data());
-  const int p_MI = problem.Find(rig.p_MI.data());
-  const int g_W = problem.Find(estimate_.g_W.data());
-  const int intrinsics = problem.Find(rig.accel_intrinsics.data());
-  const int smoothing = problem.Find(&rig.accel_smoothing);
-  const int scale = problem.Find(&joint_->estimate->pose_scale);
-  const int positions = problem.Find(rig.accel_positions.data());
+      rig.accel_smoothing != 0.0 || joint_->problem.IsEstimated(&rig.accel_smoothing);
   AddImu<JointAccelSample>(
-      imu, Quantity::kAccel, prepared_.data.imus[imu].accel, rig.accel_delay,
-      &estimate_.imus[imu].accel_bias,
+      imu, Quantity::kAccel, {&splines_->d, &splines_->phi},
+      {rig.q_MI.coeffs().data(), rig.accel_intrinsics.data(), rig.p_MI.data(), estimate_.g_W.data(),
+       &rig.accel_smoothing, &joint_->estimate->pose_scale, rig.accel_positions.data()},
       [with_curvature, p_MI = Eigen::Vector3d(rig.p_MI)](const Places& places, double t_M,
                                                          JointAccelSample* sample) {
         MarkerState<double> rate;
@@ -371,17 +308,13 @@ void SessionBuilder::AddAccel(size_t imu) {
         sample->omega_M = gp.omega_M;
         sample->alpha_M = gp.alpha_M;
         sample->a_W = gp.a_W;
-        sample->jerk = {rate.alpha_M, rate.a_W};
-        if (with_curvature) sample->jerk.f_curvature = places.ForceCurvature(gp, t_M, p_MI);
+        sample->alpha_rate = rate.alpha_M;
+        sample->jerk_W = rate.a_W;
+        if (with_curvature) sample->f_curvature = places.ForceCurvature(gp, t_M, p_MI);
       },
-      [&](Samples<JointAccelSample> samples) {
-        return CreateJointAccelResidual(std::move(samples), rig.q_MI.toRotationMatrix(),
-                                        clocks.motions, !estimate_.imus[imu].walk.IsLine());
-      },
-      [&](int first, int knot) {
-        return Blocks({d_ + first, phi_ + first},
-                      {q_MI, p_MI, g_W, intrinsics, knot, knot + 1, smoothing, scale, positions},
-                      clocks.blocks);
+      [&](Samples<JointAccelSample> samples, const ClockMotions& motions, bool has_walk) {
+        return CreateJointAccelResidual(std::move(samples), rig.q_MI.toRotationMatrix(), motions,
+                                        has_walk);
       });
 }
 
@@ -394,38 +327,12 @@ std::unique_ptr<LeastSquares> BuildJointProblem(const CalibrationOptions& option
                                                 std::vector<CorrectionSplines>* splines) {
   auto joint = std::make_unique<LeastSquares>(options, sessions, models, estimate);
   for (CorrectionSplines& own : *splines)
-    for (auto* points : {&own.d, &own.phi})
+    for (Vector3ds* const points : {&own.d, &own.phi})
       for (Eigen::Vector3d& point : *points)
         joint->trajectory_blocks.push_back(joint->problem.AddParameters(point.data(), 3));
-  joint->AddGyroParameters();
-  joint->AddAccelParameters();
-  const auto one = [](double sigma) { return Eigen::VectorXd::Constant(1, sigma).eval(); };
-  joint->AddOptional(ParameterKind::kClockDrift, one(kDriftPrior));
-  joint->AddOptional(ParameterKind::kPoseSmoothing, one(kSmoothingPrior));
-  joint->AddOptional(ParameterKind::kPositionSmoothing, one(kSmoothingPrior));
-  joint->AddOptional(ParameterKind::kPoseScale, one(kPoseScalePrior), 1.0);
-  for (size_t i = 0; i < estimate->imus.size(); ++i) {
-    double delay = 0.0;
-    for (const PreparedSession& session : sessions)
-      if (session.data.imus[i].IsPresent() &&
-          std::abs(session.starts[i].accel_delay) > std::abs(delay))
-        delay = session.starts[i].accel_delay;
-    joint->AddOptional(ParameterKind::kAccelSmoothing,
-                       one(kSmoothingSpread * std::max(delay * delay, 1e-12)),
-                       kSmoothingPerDelay2 * delay * std::abs(delay), i);
-    if (std::abs(delay) <= kLeastFilterDelay)
-      joint->problem.SetHeld(&estimate->imus[i].accel_smoothing, true);
-  }
-  joint->AddOptional(ParameterKind::kGyroIntrinsics, IntrinsicsPrior(true));
-  joint->AddOptional(ParameterKind::kAccelIntrinsics, IntrinsicsPrior(false));
-  joint->AddOptional(ParameterKind::kAccelPositions, Eigen::VectorXd::Constant(6, kSizePrior));
+  joint->AddCalibration(true);
   for (size_t s = 0; s < sessions.size(); ++s) {
-    (*splines)[s].is_with_poses = DoPosesLead((*splines)[s], s, *joint);
-    const auto first = [&](const std::vector<Eigen::Vector3d>& points) {
-      return joint->problem.Find(points.front().data());
-    };
-    SessionBuilder builder(s, first((*splines)[s].d), first((*splines)[s].phi), &(*splines)[s],
-                           joint.get());
+    SessionBuilder builder(s, &(*splines)[s], joint.get());
     builder.AddPoses();
     joint->AddRotationErrors(s);
     for (size_t i = 0; i < estimate->imus.size(); ++i) {

@@ -96,118 +96,115 @@ bool IsNearSpan(double u) { return u > -2.0 && u < 3.0; }
 struct JacobianRows {
   double** blocks;         ///< null: of none
   Eigen::Index first_row;  ///< of them
-  int stride;              ///< see SampledCost
 };
 
 template <int Columns, typename Matrix>
 void SetRows(const JacobianRows& rows, int block, const Matrix& J) {
   if (rows.blocks[block] == nullptr) return;
-  const Eigen::Index stride = rows.stride > 0 ? rows.stride : Columns;
-  double* const own = rows.blocks[block] + rows.first_row * stride;
-  if constexpr (Columns == 1) {
-    Eigen::Map<Vector3d, 0, Eigen::InnerStride<>>(own, Eigen::InnerStride<>(stride)) = J;
-  } else {
-    using Rows = Eigen::Matrix<double, 3, Columns, Eigen::RowMajor>;
-    Eigen::Map<Rows, 0, Eigen::OuterStride<>>(own, Eigen::OuterStride<>(stride)) = J;
-  }
+  constexpr int kOptions = Columns == 1 ? Eigen::ColMajor : Eigen::RowMajor;
+  Eigen::Map<Eigen::Matrix<double, 3, Columns, kOptions>>(rows.blocks[block] +
+                                                          rows.first_row * Columns) = J;
 }
 
-double Factor(const ClockMotion& clock, double own_time, double reference_time) {
+/// Of two knots that act with these factors.
+void SetKnotRows(const JacobianRows& rows, int knot, double factor_0, double factor_1) {
+  SetRows<3>(rows, knot, factor_0 * Matrix3d::Identity());
+  SetRows<3>(rows, knot + 1, factor_1 * Matrix3d::Identity());
+}
+
+double Factor(const ClockMotion& clock, const JointSample& s) {
   switch (clock.factor) {
     case ClockMotion::kOwnTime:
-      return own_time;
+      return s.own_time;
     case ClockMotion::kReferenceTime:
-      return reference_time;
+      return s.reference_time;
     case ClockMotion::kOne:
       break;
   }
   return 1.0;
 }
-double Factor(const ClockMotion& clock, const JointPoseSample& s) {
-  return Factor(clock, 0.0, s.reference_time);
+
+/// x less what is linear between two knots.
+Vector3d LessKnots(const Vector3d& x, double u, double const* const* knots) {
+  const Eigen::Map<const Vector3d> knot_0(knots[0]), knot_1(knots[1]);
+  return x - (1.0 - u) * knot_0 - u * knot_1;
 }
-double Factor(const ClockMotion& clock, const JointImuSample& s) {
-  return Factor(clock, s.own_time, s.reference_time);
-}
 
-double WalkShare(const JointPoseSample&) { return 0.0; }
-double WalkShare(const JointImuSample& s) { return s.walk_u; }
-double WalkValue(const JointPoseSample&) { return 0.0; }
-double WalkValue(const JointImuSample& s) { return s.walk; }
-
-/// How far a sample has moved [s].
-struct Move {
-  double on_gp = 0.0, on_spline = 0.0;
-};
-
-/// Residuals of samples, evaluated one by one. Blocks of the clocks come last.
+/// Residuals of samples, evaluated one by one.
 template <typename Sample>
 class BatchResidual : public SampledCost {
  public:
-  BatchResidual(Samples<Sample> samples, std::initializer_list<int> other_blocks, int splines,
+  /// Sizes of the blocks between splines and clocks.
+  BatchResidual(Samples<Sample> samples, int splines, std::initializer_list<int> others,
                 const ClockMotions& clocks, bool has_walk = false)
       : has_walk_(has_walk),
-        first_clock_(static_cast<size_t>(splines) * kSplineOrder + other_blocks.size()),
+        first_clock_(splines * kSplineOrder + static_cast<int>(others.size())),
+        walk_knot_(first_clock_ + static_cast<int>(clocks->size())),
         samples_(std::move(samples)),
         clocks_(clocks) {
     set_num_residuals(3 * static_cast<int>(samples_.size()));
     std::vector<int>* sizes = mutable_parameter_block_sizes();
     sizes->assign(static_cast<size_t>(splines) * kSplineOrder, 3);
-    sizes->insert(sizes->end(), other_blocks);
+    sizes->insert(sizes->end(), others);
     sizes->insert(sizes->end(), clocks_->size() + (has_walk ? 2 : 0), 1);
   }
 
   bool EvaluatePart(size_t begin, size_t end, double const* const* blocks, double* residual,
-                    double** jacobians, int stride) const override {
-    JacobianRows rows{jacobians, 0, stride};
-    for (size_t i = begin; i < end; ++i, residual += 3, rows.first_row += 3)
-      if (!EvaluateSample(samples_[i], blocks, residual, rows)) return false;
+                    double** jacobians) const override {
+    JacobianRows rows{jacobians, 0};
+    for (size_t i = begin; i < end; ++i, residual += 3, rows.first_row += 3) {
+      const Sample sample = samples_[i];
+      const Move dt = FindMove(sample, blocks);
+      const double u = sample.place.u + dt.on_spline / sample.place.spacing;
+      if (!IsNearSpan(u)) return false;
+      EvaluateSample(sample, dt.on_gp, CubicWeights(u, sample.place.spacing), blocks, residual,
+                     rows);
+    }
     return true;
   }
 
  protected:
-  /// Three residuals and rows of the Jacobians.
-  virtual bool EvaluateSample(const Sample& sample, double const* const* blocks, double* residual,
+  /// Three residuals, and rows of the Jacobians if they are wanted, of a sample that has moved by
+  /// `t` [s] along the GP.
+  virtual void EvaluateSample(const Sample& sample, double t, const SplineWeights& weights,
+                              double const* const* blocks, double* residual,
                               const JacobianRows& jacobians) const = 0;
-
-  Move FindMove(const Sample& sample, double const* const* blocks) const {
-    Move dt;
-    for (size_t k = 0; k < clocks_->size(); ++k) {
-      const ClockMotion& clock = (*clocks_)[k];
-      const double step = Factor(clock, sample) * (*blocks[first_clock_ + k] - clock.value);
-      dt.on_gp += clock.on_gp * step;
-      dt.on_spline += clock.on_spline * step;
-    }
-    if (has_walk_) {
-      // Along both: the splines follow the line of a clock alone.
-      const size_t knot = first_clock_ + clocks_->size();
-      const double u = WalkShare(sample);
-      const double step = (1.0 - u) * *blocks[knot] + u * *blocks[knot + 1] - WalkValue(sample);
-      dt.on_gp += step;
-      dt.on_spline += step;
-    }
-    return dt;
-  }
 
   /// Columns of the clocks from the derivatives of the residual along GP and splines.
   void SetClockRows(const Sample& sample, const Vector3d& r_gp, const Vector3d& r_spline,
                     const JacobianRows& jacobians) const {
-    for (size_t k = 0; k < clocks_->size(); ++k) {
-      const ClockMotion& clock = (*clocks_)[k];
+    int block = first_clock_;
+    for (const ClockMotion& clock : *clocks_)
       SetRows<1>(
-          jacobians, static_cast<int>(first_clock_ + k),
+          jacobians, block++,
           Vector3d(Factor(clock, sample) * (clock.on_gp * r_gp + clock.on_spline * r_spline)));
-    }
     if (!has_walk_) return;
-    const int knot = static_cast<int>(first_clock_ + clocks_->size());
-    const double u = WalkShare(sample);
-    SetRows<1>(jacobians, knot, Vector3d((1.0 - u) * (r_gp + r_spline)));
-    SetRows<1>(jacobians, knot + 1, Vector3d(u * (r_gp + r_spline)));
+    SetRows<1>(jacobians, walk_knot_, Vector3d((1.0 - sample.walk_u) * (r_gp + r_spline)));
+    SetRows<1>(jacobians, walk_knot_ + 1, Vector3d(sample.walk_u * (r_gp + r_spline)));
   }
 
  private:
+  /// How far a sample has moved [s].
+  struct Move {
+    double on_gp = 0.0, on_spline = 0.0;
+  };
+  Move FindMove(const Sample& sample, double const* const* blocks) const {
+    Move dt;
+    int block = first_clock_;
+    for (const ClockMotion& clock : *clocks_) {
+      const double step = Factor(clock, sample) * (*blocks[block++] - clock.value);
+      dt.on_gp += clock.on_gp * step;
+      dt.on_spline += clock.on_spline * step;
+    }
+    if (!has_walk_) return dt;
+    // Along both: the splines follow the line of a clock alone.
+    const double u = sample.walk_u;
+    const double step = (1.0 - u) * *blocks[walk_knot_] + u * *blocks[walk_knot_ + 1] - sample.walk;
+    return {dt.on_gp + step, dt.on_spline + step};
+  }
+
   const bool has_walk_;
-  const size_t first_clock_;
+  const int first_clock_, walk_knot_;
   const Samples<Sample> samples_;
   const ClockMotions clocks_;
 };
@@ -215,93 +212,79 @@ class BatchResidual : public SampledCost {
 class JointPositionResidual : public BatchResidual<JointPoseSample> {
  public:
   JointPositionResidual(Samples<JointPoseSample> samples, const ClockMotions& clocks)
-      : BatchResidual(std::move(samples), {1, 1}, 1, clocks) {}
+      : BatchResidual(std::move(samples), 1, {1, 1}, clocks) {}
 
  protected:
-  bool EvaluateSample(const JointPoseSample& s, double const* const* blocks, double* residual,
+  void EvaluateSample(const JointPoseSample& s, double, const SplineWeights& weights,
+                      double const* const* blocks, double* residual,
                       const JacobianRows& jacobians) const override {
-    const double u = s.place.u + FindMove(s, blocks).on_spline / s.place.spacing;
-    if (!IsNearSpan(u)) return false;
-    const SplineWeights weights = CubicWeights(u, s.place.spacing);
     const Eigen::Matrix<double, 3, 4> d = EvaluateSpline(blocks, weights);
     const double c = 0.5 * (*blocks[kSplineOrder] + *blocks[kSplineOrder + 1]);
     const Vector3d a_W = s.a_W + d.col(2);
     AsVector(residual) = (s.p_error - d.col(0) - c * a_W) / s.position_sigma;
-    if (jacobians.blocks == nullptr) return true;
+    if (jacobians.blocks == nullptr) return;
     for (int j = 0; j < kSplineOrder; ++j)
       SetRows<3>(jacobians, j,
                  -(weights(0, j) + c * weights(2, j)) / s.position_sigma * Matrix3d::Identity());
     SetClockRows(s, Vector3d::Zero(), -(d.col(1) + c * d.col(3)) / s.position_sigma, jacobians);
     for (const int smoothing : {kSplineOrder, kSplineOrder + 1})
       SetRows<1>(jacobians, smoothing, -0.5 / s.position_sigma * a_W);
-    return true;
   }
 };
 
 class JointRotationResidual : public BatchResidual<JointPoseSample> {
  public:
   JointRotationResidual(Samples<JointPoseSample> samples, const ClockMotions& clocks)
-      : BatchResidual(std::move(samples), {1, 3, 3}, 1, clocks) {}
+      : BatchResidual(std::move(samples), 1, {3, 3, 1}, clocks) {}
 
  protected:
-  bool EvaluateSample(const JointPoseSample& s, double const* const* blocks, double* residual,
+  void EvaluateSample(const JointPoseSample& s, double, const SplineWeights& weights,
+                      double const* const* blocks, double* residual,
                       const JacobianRows& jacobians) const override {
-    const double u = s.place.u + FindMove(s, blocks).on_spline / s.place.spacing;
-    if (!IsNearSpan(u)) return false;
-    const SplineWeights weights = CubicWeights(u, s.place.spacing);
+    const int n = kSplineOrder;
     const Eigen::Matrix<double, 3, 4> phi = EvaluateSpline(blocks, weights);
     const Eigen::Quaterniond E_inv = Exp<double>(-phi.col(0));
-    const double c = 0.5 * *blocks[kSplineOrder];
+    const double c = 0.5 * *blocks[n + 2];
     const Vector3d alpha = s.alpha_M + phi.col(2);
     const Eigen::Quaterniond lag_inv = Exp<double>(-c * alpha);
     const Vector3d error = Log(Eigen::Quaterniond(lag_inv * E_inv * s.q_error));
-    const Eigen::Map<const Vector3d> knot_0(blocks[kSplineOrder + 1]),
-        knot_1(blocks[kSplineOrder + 2]);
-    AsVector(residual) =
-        (error - (1.0 - s.error_u) * knot_0 - s.error_u * knot_1) / s.rotation_sigma;
-    if (jacobians.blocks == nullptr) return true;
+    AsVector(residual) = LessKnots(error, s.error_u, blocks + n) / s.rotation_sigma;
+    if (jacobians.blocks == nullptr) return;
     // Log(Exp(-delta) Exp(error)) = error - J_l(error)^-1 delta with J_l(x) = J_r(-x); delta is
     // J_r(c alpha) d(c alpha), and before that J_r(phi) dphi.
     const Matrix3d A = -RightJacobian<double>(-error).inverse() / s.rotation_sigma;
     const Matrix3d A_lag = A * RightJacobian<double>(c * alpha);
     const Matrix3d A_phi = A * lag_inv.toRotationMatrix();
     const Matrix3d J = RightJacobian<double>(phi.col(0));
-    for (int j = 0; j < kSplineOrder; ++j)
+    for (int j = 0; j < n; ++j)
       SetRows<3>(jacobians, j, weights(0, j) * A_phi * J + weights(2, j) * c * A_lag);
-    SetRows<1>(jacobians, kSplineOrder, 0.5 * A_lag * alpha);
-    const Matrix3d by_error = -Matrix3d::Identity() / s.rotation_sigma;
-    SetRows<3>(jacobians, kSplineOrder + 1, (1.0 - s.error_u) * by_error);
-    SetRows<3>(jacobians, kSplineOrder + 2, s.error_u * by_error);
+    const double by_error = -1.0 / s.rotation_sigma;
+    SetKnotRows(jacobians, n, (1.0 - s.error_u) * by_error, s.error_u * by_error);
+    SetRows<1>(jacobians, n + 2, 0.5 * A_lag * alpha);
     const Vector3d r_spline = A_phi * J * phi.col(1) + c * A_lag * phi.col(3);
     SetClockRows(s, Vector3d::Zero(), r_spline, jacobians);
-    return true;
   }
 };
 
 class JointGyroResidual : public BatchResidual<JointImuSample> {
  public:
   JointGyroResidual(Samples<JointImuSample> samples, const ClockMotions& clocks, bool has_walk)
-      : BatchResidual(std::move(samples), {4, 6, 3, 3}, 1, clocks, has_walk) {}
+      : BatchResidual(std::move(samples), 1, {3, 3, 4, 6}, clocks, has_walk) {}
 
  protected:
-  bool EvaluateSample(const JointImuSample& s, double const* const* blocks, double* residual,
+  void EvaluateSample(const JointImuSample& s, double t, const SplineWeights& weights,
+                      double const* const* blocks, double* residual,
                       const JacobianRows& jacobians) const override {
     const int n = kSplineOrder;
-    const Eigen::Map<const Eigen::Quaterniond> q_MI(blocks[n]);
-    const Matrix3d K_g = GyroMatrix(Eigen::Map<const Vector6d>(blocks[n + 1]));
-    const Eigen::Map<const Vector3d> knot_0(blocks[n + 2]), knot_1(blocks[n + 3]);
-    const Move dt = FindMove(s, blocks);
-    const double u = s.place.u + dt.on_spline / s.place.spacing;
-    if (!IsNearSpan(u)) return false;
-    const SplineWeights weights = CubicWeights(u, s.place.spacing);
-    const Vector3d omega_gp = s.omega_M + dt.on_gp * s.alpha_M;
+    const Eigen::Map<const Eigen::Quaterniond> q_MI(blocks[n + 2]);
+    const Matrix3d K_g = GyroMatrix(Eigen::Map<const Vector6d>(blocks[n + 3]));
+    const Vector3d omega_gp = s.omega_M + t * s.alpha_M;
     const CorrectedRotation x(
         omega_gp, s.alpha_M, EvaluateSpline(blocks, weights),
         jacobians.blocks != nullptr ? CorrectedRotation::kOfOmega : CorrectedRotation::kNone);
     const Vector3d omega_I = q_MI.conjugate() * x.omega;
-    AsVector(residual) =
-        (s.value - (1.0 - s.bias_u) * knot_0 - s.bias_u * knot_1 - K_g * omega_I) / s.sigma;
-    if (jacobians.blocks == nullptr) return true;
+    AsVector(residual) = (LessKnots(s.value, s.bias_u, blocks + n) - K_g * omega_I) / s.sigma;
+    if (jacobians.blocks == nullptr) return;
 
     // d r / d omega_M
     const Matrix3d A = -K_g * q_MI.conjugate().toRotationMatrix() / s.sigma;
@@ -309,18 +292,16 @@ class JointGyroResidual : public BatchResidual<JointImuSample> {
     const Matrix3d r_phi1 = A * x.J;
     for (int j = 0; j < n; ++j)
       SetRows<3>(jacobians, j, weights(0, j) * r_phi + weights(1, j) * r_phi1);
-    SetRows<4>(jacobians, n, -K_g * InverseRotationJacobian(q_MI, omega_I) / s.sigma);
-    if (jacobians.blocks[n + 1] != nullptr) {
+    SetKnotRows(jacobians, n, -(1.0 - s.bias_u) / s.sigma, -s.bias_u / s.sigma);
+    SetRows<4>(jacobians, n + 2, -K_g * InverseRotationJacobian(q_MI, omega_I) / s.sigma);
+    if (jacobians.blocks[n + 3] != nullptr) {
       Eigen::Matrix<double, 3, 6> r_M = Eigen::Matrix<double, 3, 6>::Zero();
       r_M.block<1, 1>(0, 0) = omega_I.head<1>();
       r_M.block<1, 2>(1, 1) = omega_I.head<2>().transpose();
       r_M.block<1, 3>(2, 3) = omega_I.transpose();
-      SetRows<6>(jacobians, n + 1, -r_M / s.sigma);
+      SetRows<6>(jacobians, n + 3, -r_M / s.sigma);
     }
-    SetRows<3>(jacobians, n + 2, -(1.0 - s.bias_u) / s.sigma * Matrix3d::Identity());
-    SetRows<3>(jacobians, n + 3, -s.bias_u / s.sigma * Matrix3d::Identity());
     SetClockRows(s, A * x.omega_gp, A * x.omega_spline, jacobians);
-    return true;
   }
 };
 
@@ -328,26 +309,20 @@ class JointAccelResidual : public BatchResidual<JointAccelSample> {
  public:
   JointAccelResidual(Samples<JointAccelSample> samples, const Matrix3d& R_MA,
                      const ClockMotions& clocks, bool has_walk)
-      : BatchResidual(std::move(samples), {4, 3, 3, 9, 3, 3, 1, 1, 6}, 2, clocks, has_walk),
+      : BatchResidual(std::move(samples), 2, {3, 3, 4, 9, 3, 3, 1, 1, 6}, clocks, has_walk),
         R_MA_(R_MA) {}
 
  protected:
-  bool EvaluateSample(const JointAccelSample& s, double const* const* blocks, double* residual,
+  void EvaluateSample(const JointAccelSample& s, double t, const SplineWeights& weights,
+                      double const* const* blocks, double* residual,
                       const JacobianRows& jacobians) const override {
     const int n = 2 * kSplineOrder;
-    const Eigen::Map<const Eigen::Quaterniond> q_MI(blocks[n]);
-    const Eigen::Map<const Vector3d> p(blocks[n + 1]), g(blocks[n + 2]);
+    const Eigen::Map<const Eigen::Quaterniond> q_MI(blocks[n + 2]);
     const Matrix3d K_a = AccelMatrix(Eigen::Map<const Vector9d>(blocks[n + 3]));
-    const Eigen::Map<const Vector3d> knot_0(blocks[n + 4]), knot_1(blocks[n + 5]);
-    const Move dt = FindMove(s, blocks);
-    const double u = s.place.u + dt.on_spline / s.place.spacing;
-    if (!IsNearSpan(u)) return false;
-    const SplineWeights weights = CubicWeights(u, s.place.spacing);
-    const MarkerJerk& jerk = s.jerk;
-    const double t = dt.on_gp;
+    const Eigen::Map<const Vector3d> p(blocks[n + 4]), g(blocks[n + 5]);
     const Eigen::Quaterniond q_gp = s.q_WM * Exp<double>(t * (s.omega_M + 0.5 * t * s.alpha_M));
-    const Vector3d omega_gp = s.omega_M + t * (s.alpha_M + 0.5 * t * jerk.alpha_rate);
-    const Vector3d alpha_gp = s.alpha_M + t * jerk.alpha_rate;
+    const Vector3d omega_gp = s.omega_M + t * (s.alpha_M + 0.5 * t * s.alpha_rate);
+    const Vector3d alpha_gp = s.alpha_M + t * s.alpha_rate;
     const Eigen::Matrix<double, 3, 4> phi = EvaluateSpline(blocks + kSplineOrder, weights);
     const CorrectedRotation x(
         omega_gp, alpha_gp, phi,
@@ -355,10 +330,10 @@ class JointAccelResidual : public BatchResidual<JointAccelSample> {
     const Eigen::Quaterniond q_WM = q_gp * x.E;
     const Eigen::Matrix<double, 3, 4> d = EvaluateSpline(blocks, weights);
     const double scale = *blocks[n + 7];
-    const Vector3d a_W = (s.a_W + t * jerk.jerk_W + d.col(2)) / scale;
+    const Vector3d a_W = (s.a_W + t * s.jerk_W + d.col(2)) / scale;
     const Vector3d f_body = q_WM.conjugate() * (a_W - g);  // R_WM^T (a_W - g_W)
     const Vector3d f_M = f_body + x.alpha.cross(p) + x.omega.cross(x.omega.cross(p)) +
-                         0.5 * *blocks[n + 6] * jerk.f_curvature;
+                         0.5 * *blocks[n + 6] * s.f_curvature;
     const Matrix3d R_IM = q_MI.conjugate().toRotationMatrix();
     const Matrix3d W = Hat(x.omega);
     const Matrix3d K = Hat(x.alpha) + W * W;  // acceleration by the lever arm
@@ -366,9 +341,8 @@ class JointAccelResidual : public BatchResidual<JointAccelSample> {
     const bool have_arms = !arms.isZero(0.0);
     Vector3d f_I = R_IM * f_M;
     if (have_arms) f_I += (R_IM * K).cwiseProduct(arms.transpose()).rowwise().sum();
-    AsVector(residual) =
-        (s.value - (1.0 - s.bias_u) * knot_0 - s.bias_u * knot_1 - K_a * f_I) / s.sigma;
-    if (jacobians.blocks == nullptr) return true;
+    AsVector(residual) = (LessKnots(s.value, s.bias_u, blocks + n) - K_a * f_I) / s.sigma;
+    if (jacobians.blocks == nullptr) return;
 
     const Matrix3d r_I = -K_a / s.sigma;  // d r / d f_I
     const Matrix3d A = r_I * R_IM;        // d r / d f_M
@@ -397,21 +371,20 @@ class JointAccelResidual : public BatchResidual<JointAccelSample> {
       SetRows<3>(jacobians, kSplineOrder + j,
                  weights(0, j) * r_phi + weights(1, j) * r_phi1 + weights(2, j) * r_phi2);
     }
-    SetRows<4>(jacobians, n, r_I * f_q);
-    SetRows<3>(jacobians, n + 1, A * K);
-    SetRows<3>(jacobians, n + 2, -r_a);
+    SetKnotRows(jacobians, n, -(1.0 - s.bias_u) / s.sigma, -s.bias_u / s.sigma);
+    SetRows<4>(jacobians, n + 2, r_I * f_q);
     if (jacobians.blocks[n + 3] != nullptr) {
       Eigen::Matrix<double, 3, 9> r_M = Eigen::Matrix<double, 3, 9>::Zero();
       for (int row = 0; row < 3; ++row) r_M.block<1, 3>(row, 3 * row) = f_I.transpose();
       SetRows<9>(jacobians, n + 3, -r_M / s.sigma);
     }
-    SetRows<3>(jacobians, n + 4, -(1.0 - s.bias_u) / s.sigma * Matrix3d::Identity());
-    SetRows<3>(jacobians, n + 5, -s.bias_u / s.sigma * Matrix3d::Identity());
-    SetRows<1>(jacobians, n + 6, 0.5 * A * jerk.f_curvature);
+    SetRows<3>(jacobians, n + 4, A * K);
+    SetRows<3>(jacobians, n + 5, -r_a);
+    SetRows<1>(jacobians, n + 6, 0.5 * A * s.f_curvature);
     SetRows<1>(jacobians, n + 7, -1.0 / scale * r_a * a_W);
     const Matrix3d E_inv = Exp<double>(-phi.col(0)).toRotationMatrix();
-    const Vector3d r_gp = A * (1.0 / scale * R_MW * jerk.jerk_W - (x.omega - x.u).cross(f_body)) +
-                          r_omega * x.omega_gp + r_alpha * (x.alpha_gp + E_inv * jerk.alpha_rate);
+    const Vector3d r_gp = A * (1.0 / scale * R_MW * s.jerk_W - (x.omega - x.u).cross(f_body)) +
+                          r_omega * x.omega_gp + r_alpha * (x.alpha_gp + E_inv * s.alpha_rate);
     const Vector3d r_spline = A * (1.0 / scale * R_MW * d.col(3) - x.u.cross(f_body)) +
                               r_omega * x.omega_spline + r_alpha * x.alpha_spline;
     SetClockRows(s, r_gp, r_spline, jacobians);
@@ -424,7 +397,6 @@ class JointAccelResidual : public BatchResidual<JointAccelSample> {
             f_r.cwiseProduct(AccelPositions(Vector6d::Unit(k)).transpose()).rowwise().sum();
       SetRows<6>(jacobians, n + 8, r_I * f_places);
     }
-    return true;
   }
 
  private:

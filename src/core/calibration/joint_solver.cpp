@@ -8,7 +8,6 @@
 #include <utility>
 
 #include "imu_pose_calib/core/calibration/band.h"
-#include "imu_pose_calib/core/calibration/find_marginals.h"
 #include "imu_pose_calib/core/calibration/joint_noise.h"
 #include "imu_pose_calib/core/calibration/joint_problem.h"
 
@@ -37,53 +36,53 @@ PreparedSession Correctable(const CalibrationOptions& options, const PreparedSes
   return LimitBand(session, Band(spacing), options.Threads());
 }
 
-/// Samples of the log from `begin` to `end` [s, pose clock].
+/// Those of the samples from `begin` to `end` [s, pose clock].
+std::vector<TimedSample> Within(const std::vector<TimedSample>& samples,
+                                const ImuSessionEstimate& clock, double begin, double end) {
+  const auto first = std::lower_bound(
+      samples.begin(), samples.end(), begin,
+      [&clock](const TimedSample& s, double t) { return clock.PoseTime(s.t) < t; });
+  return {first,
+          std::upper_bound(first, samples.end(), end, [&clock](double t, const TimedSample& s) {
+            return t < clock.PoseTime(s.t);
+          })};
+}
+
+/// The log from `begin` to `end` [s, pose clock].
 PreparedSession Excerpt(const PreparedSession& session, const SessionEstimate& estimate,
                         double begin, double end) {
-  PreparedSession excerpt{{}, session.trajectory, session.starts, session.pose_noise};
-  const ConditionedData& data = session.data;
-  excerpt.data.pose_epoch_ns = data.pose_epoch_ns;
-  excerpt.data.pose_report = data.pose_report;
-  excerpt.data.imus = data.imus;
-  for (size_t i = 0; i < data.imus.size(); ++i) {
-    const auto crop = [&](std::vector<TimedSample>* samples) {
-      const auto is_outside = [&](const TimedSample& s) {
-        const double t = estimate.imus[i].PoseTime(s.t);
-        return t < begin || t > end;
-      };
-      samples->erase(std::remove_if(samples->begin(), samples->end(), is_outside), samples->end());
-    };
+  PreparedSession excerpt = session;
+  for (size_t i = 0; i < session.data.imus.size(); ++i) {
     ConditionedImu& imu = excerpt.data.imus[i];
-    crop(&imu.gyro);
-    crop(&imu.accel);
+    imu.gyro = Within(imu.gyro, estimate.imus[i], begin, end);
+    imu.accel = Within(imu.accel, estimate.imus[i], begin, end);
     if (imu.gyro.empty() || imu.accel.empty()) imu = ConditionedImu();
   }
-  for (const IndexRange& segment : data.segments) {
-    std::vector<TimedPose>& poses = excerpt.data.poses;
+  std::vector<TimedPose>& poses = excerpt.data.poses;
+  poses.clear();
+  excerpt.data.segments.clear();
+  for (const IndexRange& segment : session.data.segments) {
     const size_t first = poses.size();
     for (size_t i = segment.begin; i < segment.end; ++i)
-      if (data.poses[i].t >= begin && data.poses[i].t <= end) poses.push_back(data.poses[i]);
+      if (session.data.poses[i].t >= begin && session.data.poses[i].t <= end)
+        poses.push_back(session.data.poses[i]);
     if (poses.size() >= first + 2) excerpt.data.segments.push_back({first, poses.size()});
   }
   return excerpt;
 }
 
-/// Whether both sensors of every IMU have samples for most of the time from `begin` to `end` [s,
+/// Whether both sensors of every IMU have samples for enough of the time from `begin` to `end` [s,
 /// pose clock].
 bool IsCovered(const PreparedSession& session, const SessionEstimate& estimate, double begin,
                double end) {
   for (size_t i = 0; i < session.data.imus.size(); ++i) {
     const ConditionedImu& imu = session.data.imus[i];
-    if (!imu.IsPresent()) continue;
-    const double from = estimate.imus[i].ImuTime(begin), to = estimate.imus[i].ImuTime(end);
     const auto is_covered = [&](const std::vector<TimedSample>& samples, double rate_hz) {
-      const auto before = [](const TimedSample& s, double t) { return s.t < t; };
-      const auto first = std::lower_bound(samples.begin(), samples.end(), from, before);
-      const auto last = std::lower_bound(first, samples.end(), to, before);
-      return static_cast<double>(last - first) > kLeastCovered * (to - from) * rate_hz;
+      const size_t count = Within(samples, estimate.imus[i], begin, end).size();
+      return static_cast<double>(count) > kLeastCovered * (end - begin) * rate_hz;
     };
-    if (!is_covered(imu.gyro, imu.gyro_report.rate_hz) ||
-        !is_covered(imu.accel, imu.accel_report.rate_hz))
+    if (imu.IsPresent() && (!is_covered(imu.gyro, imu.gyro_report.rate_hz) ||
+                            !is_covered(imu.accel, imu.accel_report.rate_hz)))
       return false;
   }
   return true;
@@ -139,6 +138,8 @@ class JointSolver {
       const std::vector<TimedPose>& poses = sessions[s].data.poses;
       estimate->sessions[s].rotation_errors = SlowErrors(poses.front().t, poses.back().t);
     }
+    // Before residuals have weights, motion that knots do not follow would move it by metres.
+    for (ImuEstimate& imu : estimate->imus) held_.push_back(imu.accel_positions.data());
   }
 
   const std::vector<SensorModel>& models() const { return models_; }
@@ -147,8 +148,8 @@ class JointSolver {
   /// denser for a reason.
   double FindNoise() {
     Pass();
-    NextPass();
-    if (!has_converged_) ThrowNotConverged(options_);
+    SetNoise();
+    if (!Pass()) ThrowNotConverged(options_);
     double residual = 1.0, imus = 0.0;
     for (size_t k = 0; k < models_.size(); ++k) {
       const Quantity quantity = models_[k].quantity;
@@ -169,20 +170,29 @@ class JointSolver {
   /// Starts close to the solution: residuals about the calibration of the start tell what is an
   /// outlier before it can move the calibration.
   Solution Solve() {
-    Pass(true);
-    holds_sizes_ = false;
+    bool has_converged = Pass(true);
+    held_.clear();
     Solution solution;
     solution.has_settled = false;
-    for (int pass = 1; pass < kMaxPasses && !solution.has_settled; ++pass)
-      solution.has_settled = NextPass() < kSettled && has_converged_;
-    if (!has_converged_) ThrowNotConverged(options_);
+    for (int pass = 1; pass < kMaxPasses && !solution.has_settled; ++pass) {
+      const std::vector<double> before = Noise();
+      SetNoise();
+      has_converged = Pass();
+      double change = 1.0;
+      for (size_t k = 0; k < before.size(); ++k)
+        change =
+            std::max({change, before[k] / statistics_[k].noise, statistics_[k].noise / before[k]});
+      solution.has_settled = change < kSettled && has_converged;
+    }
+    if (!has_converged) ThrowNotConverged(options_);
     SetNoise();
     Build();
     AddSpuriousInformation(splines_, problem_.get());
     solution.marginals = FindMarginals(problem_.get());
     solution.statistics = statistics_;
     // Of everything: trajectories, gravity and biases too.
-    FollowClocks([&] { problem_->Move(solution.marginals.step); });
+    problem_->Move(solution.marginals.step);
+    for (CorrectionSplines& splines : splines_) splines.FollowClock(*estimate_);
     solution.residuals = problem_->TakeResiduals();
     problem_.reset();
     solution.models = std::move(models_);
@@ -195,55 +205,30 @@ class JointSolver {
   /// A problem with the noise and the weights that are set; at first, all weights are 1.
   void Build() {
     problem_.reset();  // never two of them at a time
+    for (size_t s = 0; s < splines_.size(); ++s)
+      splines_[s].is_with_poses = DoPosesLead(splines_[s], s, models_);
     problem_ = BuildJointProblem(options_, sessions_, models_, estimate_, &splines_);
-    if (holds_position_smoothing_) problem_->problem.SetHeld(&estimate_->position_smoothing, true);
-    for (ImuEstimate& imu : estimate_->imus)
-      if (holds_sizes_) problem_->problem.SetHeld(imu.accel_positions.data(), true);
+    for (const double* parameter : held_) problem_->problem.SetHeld(parameter, true);
   }
 
-  void Pass(bool holds_calibration = false) {
+  /// Whether it has converged: if not, another one starts closer to the solution, and may.
+  bool Pass(bool holds_calibration = false) {
     Build();
     if (holds_calibration) HoldCalibration(problem_.get());
-    FollowClocks([&] {
-      const std::optional<int> iterations = problem_->TrySolve(kRoughTolerance);
-      has_converged_ = iterations.has_value();
-      iterations_ += iterations.value_or(options_.max_iterations);
-    });
+    const std::optional<int> iterations = problem_->Solve(kRoughTolerance);
+    for (CorrectionSplines& splines : splines_) splines.FollowClock(*estimate_);
+    iterations_ += iterations.value_or(options_.max_iterations);
     statistics_ = problem_->FindStatistics();
     FitNoise(problem_.get(), &statistics_);
     // No source averages rotations over longer than positions: other errors look like that.
     if (estimate_->position_smoothing < 0.0) {
       estimate_->position_smoothing = 0.0;
-      holds_position_smoothing_ = true;
+      held_.push_back(&estimate_->position_smoothing);
     }
+    return iterations.has_value();
   }
 
-  /// The splines go along with the clocks that `move` moves, as they did in the problem.
-  template <typename MoveClocks>
-  void FollowClocks(const MoveClocks& move) {
-    const Estimate before = *estimate_;
-    move();
-    for (size_t s = 0; s < splines_.size(); ++s) {
-      if (splines_[s].is_with_poses) continue;
-      const size_t imu = before.sessions[s].FirstImu();
-      splines_[s].MoveWithClock(before.sessions[s].imus[imu], estimate_->sessions[s].imus[imu],
-                                estimate_->imus[imu].accel_delay - before.imus[imu].accel_delay);
-    }
-  }
-
-  /// A pass with the noise and the weights that the last residuals show; the largest factor by
-  /// which the noise of a sensor that is found changes.
-  double NextPass() {
-    const std::vector<double> before = Noise();
-    SetNoise();
-    Pass();
-    const std::vector<double> after = Noise();
-    double change = 1.0;
-    for (size_t k = 0; k < after.size(); ++k)
-      change = std::max({change, before[k] / after[k], after[k] / before[k]});
-    return change;
-  }
-
+  /// As the last residuals show it.
   void SetNoise() {
     for (size_t k = 0; k < models_.size(); ++k) {
       models_[k].noise = statistics_[k].noise;
@@ -259,12 +244,7 @@ class JointSolver {
   std::vector<CorrectionSplines> splines_;
   std::unique_ptr<LeastSquares> problem_;
   std::vector<SensorStatistics> statistics_;  ///< of the last pass
-  bool holds_position_smoothing_ = false;     ///< at 0
-  /// At 0: before residuals have weights, motion that knots do not follow would move them by
-  /// metres.
-  bool holds_sizes_ = true;
-  /// In the last pass: another one starts closer to the solution, and may.
-  bool has_converged_ = false;
+  std::vector<const double*> held_;           ///< parameters, where they stand
   int iterations_ = 0;
 };
 

@@ -18,8 +18,19 @@
 namespace imu_pose_calib {
 namespace {
 
-/// Sigma of the delays of ordinary IMUs.
-constexpr double kDelayPrior = 0.02;  // [s]
+// Sigmas of ordinary clocks, trackers and IMUs.
+constexpr double kDelayPrior = 0.02;              // [s]
+constexpr double kSmoothingPrior = 1e-3;          // [s^2]
+constexpr double kPoseScalePrior = 1e-3;          // [1]
+constexpr double kScalePrior = 0.01;              // [1] diagonal of K_g and K_a
+constexpr double kAlignmentPrior = M_PI / 360.0;  // [rad] their other elements: 0.5 deg
+constexpr double kSizePrior = 2e-3;               // [m] places of the accelerometer's axes
+// A filter that spreads samples over time delays them, too. Where the delay is small, so is the
+// smoothing, and errors of the poses would take its place.
+// For a filter of first order, the squared delay; for a plain delay, nothing.
+constexpr double kSmoothingPerDelay2 = 0.5, kSmoothingSpread = 1.0;
+constexpr double kLeastFilterDelay = 0.01;  // [s]
+
 /// Samples closer than this to the end of a segment are left out, so that the time shift can move.
 constexpr double kEdge = 0.02;  // [s]
 /// Residuals of a sensor that the trajectory follows more closely say little about its noise.
@@ -51,6 +62,58 @@ double MeanRate(const ConditionedData& data) {
     duration += data.poses[segment.end - 1].t - data.poses[segment.begin].t;
   }
   return duration > 0.0 ? steps / duration : data.pose_report.rate_hz;
+}
+
+/// What is known of a parameter beforehand.
+struct Prior {
+  Eigen::VectorXd sigmas;  ///< of each component, independent; empty: nothing
+  double expected = 0.0;
+  bool is_held = false;
+};
+
+/// Of the elements of a matrix in rows, or of its lower triangle.
+Eigen::VectorXd IntrinsicsPrior(bool is_triangle) {
+  std::vector<double> sigmas;
+  for (int row = 0; row < 3; ++row)
+    for (int column = 0; column < (is_triangle ? row + 1 : 3); ++column)
+      sigmas.push_back(row == column ? kScalePrior : kAlignmentPrior);
+  return Eigen::Map<Eigen::VectorXd>(sigmas.data(), static_cast<Eigen::Index>(sigmas.size()));
+}
+
+Prior SmoothingPrior(const std::vector<PreparedSession>& sessions, size_t imu) {
+  double delay = 0.0;
+  for (const PreparedSession& session : sessions)
+    if (session.data.imus[imu].IsPresent() &&
+        std::abs(session.starts[imu].accel_delay) > std::abs(delay))
+      delay = session.starts[imu].accel_delay;
+  return {Eigen::VectorXd::Constant(1, kSmoothingSpread * std::max(delay * delay, 1e-12)),
+          kSmoothingPerDelay2 * delay * std::abs(delay), std::abs(delay) <= kLeastFilterDelay};
+}
+
+Prior PriorOf(const Parameter& p, const LeastSquares& solve) {
+  const auto alike = [&](double sigma, double expected = 0.0) {
+    return Prior{Eigen::VectorXd::Constant(p.size, sigma), expected};
+  };
+  switch (p.kind) {
+    case ParameterKind::kAccelDelay:
+      return alike(kDelayPrior, solve.options.accel_delay);
+    case ParameterKind::kClockDrift:
+      return alike(kDriftPrior);
+    case ParameterKind::kPoseSmoothing:
+    case ParameterKind::kPositionSmoothing:
+      return alike(kSmoothingPrior);
+    case ParameterKind::kPoseScale:
+      return alike(kPoseScalePrior, 1.0);
+    case ParameterKind::kAccelSmoothing:
+      return SmoothingPrior(solve.sessions, p.imu);
+    case ParameterKind::kGyroIntrinsics:
+    case ParameterKind::kAccelIntrinsics:
+      return {IntrinsicsPrior(p.kind == ParameterKind::kGyroIntrinsics)};
+    case ParameterKind::kAccelPositions:
+      return alike(kSizePrior);
+    default:
+      return {};
+  }
 }
 
 double Norm(const std::vector<double>& x) {
@@ -157,16 +220,12 @@ int Windows::Of(size_t session, double t) const {
   return span.first + std::min(window, span.count - 1);
 }
 
-void SensorBlocks::Add(int block, double t) {
-  if (block_t.empty()) first_block = block;
-  block_t.push_back(t);
-}
-
 LeastSquares::LeastSquares(const CalibrationOptions& options,
                            const std::vector<PreparedSession>& sessions,
                            const std::vector<SensorModel>& models, Estimate* estimate)
     : options(options),
       sessions(sessions),
+      models(models),
       estimate(estimate),
       windows(options, sessions, *estimate),
       spurious_information(estimate->imus.size(), 0.0) {
@@ -184,24 +243,31 @@ SensorBlocks* LeastSquares::Find(Quantity quantity, size_t session, size_t imu) 
   return nullptr;
 }
 
-void LeastSquares::AddGyroParameters() {
-  for (const Parameter& p : CalibrationParameters(estimate)) {
-    if (p.kind != ParameterKind::kRotation && p.kind != ParameterKind::kTimeShift) continue;
-    const bool is_rotation = p.kind == ParameterKind::kRotation;
-    problem.AddParameters(p.data, is_rotation ? 4 : 1,
-                          is_rotation ? BlockKind::kUnitQuaternion : BlockKind::kVector);
-    problem.SetHeld(p.data, !IsEstimated(options, p.kind));
-  }
+void LeastSquares::Add(int block, size_t session, double t) {
+  equations.push_back({block, session, t, windows.Of(session, t)});
 }
 
-void LeastSquares::AddAccelParameters() {
+void LeastSquares::AddPrior(std::unique_ptr<const ceres::CostFunction> prior, double* data,
+                            size_t session) {
+  const ImuSessionEstimate& clock =
+      estimate->sessions[session].imus[estimate->sessions[session].FirstImu()];
+  Add(problem.AddResidualsOf({data}, std::move(prior)), session,
+      clock.PoseTime(clock.clock_reference));
+}
+
+void LeastSquares::AddCalibration(bool is_joint) {
   for (const Parameter& p : CalibrationParameters(estimate)) {
-    if (p.kind != ParameterKind::kTranslation) continue;
-    problem.AddParameters(p.data, p.size);
-    problem.SetHeld(p.data, !IsEstimated(options, p.kind));
+    if (!is_joint && p.kind > ParameterKind::kAccelDelay) continue;
+    problem.AddParameters(p.data, p.kind == ParameterKind::kRotation ? 4 : p.size);
+    const Prior prior = PriorOf(p, *this);
+    const bool is_held = prior.is_held || !IsEstimated(options, p.kind);
+    problem.SetHeld(p.data, is_held);
+    if (is_held || prior.sigmas.size() == 0) continue;
+    AddPrior(std::make_unique<const ceres::NormalPrior>(
+                 prior.sigmas.cwiseInverse().asDiagonal(),
+                 Eigen::VectorXd::Constant(p.size, prior.expected)),
+             p.data, p.session);
   }
-  AddOptional(ParameterKind::kAccelDelay, Eigen::VectorXd::Constant(1, kDelayPrior),
-              options.accel_delay);
   for (size_t s = 0; s < sessions.size(); ++s) {
     double* const g_W = estimate->sessions[s].g_W.data();
     problem.AddParameters(g_W, 3);
@@ -215,56 +281,34 @@ void LeastSquares::AddBiasWalk(double walk, size_t session, size_t imu, BiasKnot
   const ImuSessionEstimate& clock = estimate->sessions[session].imus[imu];
   for (size_t k = 0; k + 1 < knots->t.size(); ++k) {
     const double sigma = walk * std::sqrt(knots->t[k + 1] - knots->t[k]);
-    const std::vector<double*> values = {knots->values[k].data(), knots->values[k + 1].data()};
-    priors.push_back({problem.AddResidualsOf(values, BiasWalkResidual{sigma}.Create()), session,
-                      clock.PoseTime(knots->t[k])});
+    Add(problem.AddResidualsOf({knots->values[k].data(), knots->values[k + 1].data()},
+                               WalkResidual<3>{sigma}.Create()),
+        session, clock.PoseTime(knots->t[k]));
   }
 }
 
 void LeastSquares::AddClockWalk(size_t session, size_t imu) {
   ImuSessionEstimate& clock = estimate->sessions[session].imus[imu];
   for (size_t k = 0; k + 1 < clock.walk.t.size(); ++k)
-    priors.push_back({problem.AddResidualsOf({&clock.walk.offset[k], &clock.walk.offset[k + 1]},
-                                             WalkResidual<1>{clock.walk.std[k]}.Create()),
-                      session, clock.PoseTime(clock.walk.t[k])});
+    Add(problem.AddResidualsOf({&clock.walk.offset[k], &clock.walk.offset[k + 1]},
+                               WalkResidual<1>{clock.walk.std[k]}.Create()),
+        session, clock.PoseTime(clock.walk.t[k]));
 }
 
 void LeastSquares::AddRotationErrors(size_t session) {
   SlowErrors& errors = estimate->sessions[session].rotation_errors;
   BiasKnots& knots = errors.knots;
-  const auto add = [&](std::unique_ptr<const ceres::CostFunction> cost,
-                       const std::vector<double*>& values, double t) {
-    priors.push_back({problem.AddResidualsOf(values, std::move(cost)), session, t});
-  };
-  add(std::make_unique<const ceres::NormalPrior>(Eigen::Matrix3d::Identity() / errors.std,
-                                                 Eigen::Vector3d::Zero()),
-      {knots.values[0].data()}, knots.t[0]);
+  Add(problem.AddResidualsOf({knots.values[0].data()}, std::make_unique<const ceres::NormalPrior>(
+                                                           Eigen::Matrix3d::Identity() / errors.std,
+                                                           Eigen::Vector3d::Zero())),
+      session, knots.t[0]);
   for (size_t k = 0; k + 1 < knots.t.size(); ++k) {
     const double kept = errors.Kept(k);
-    add(DecayResidual{kept, errors.std * std::sqrt(1.0 - kept * kept)}.Create(),
-        {knots.values[k].data(), knots.values[k + 1].data()}, knots.t[k]);
+    const WalkResidual<3> decay{errors.std * std::sqrt(1.0 - kept * kept), kept};
+    Add(problem.AddResidualsOf({knots.values[k].data(), knots.values[k + 1].data()},
+                               decay.Create()),
+        session, knots.t[k]);
   }
-}
-
-void LeastSquares::AddOptional(ParameterKind kind, const Eigen::VectorXd& sigmas, double expected,
-                               std::optional<size_t> imu) {
-  for (const Parameter& p : CalibrationParameters(estimate)) {
-    if (p.kind != kind || (imu && p.imu != *imu)) continue;
-    problem.AddParameters(p.data, p.size);
-    problem.SetHeld(p.data, !IsEstimated(options, kind));
-    if (!IsEstimated(options, kind)) continue;
-    auto prior = std::make_unique<const ceres::NormalPrior>(
-        sigmas.cwiseInverse().asDiagonal(), Eigen::VectorXd::Constant(p.size, expected));
-    AddPrior(std::move(prior), p.data, p.session);
-  }
-}
-
-void LeastSquares::AddPrior(std::unique_ptr<const ceres::CostFunction> prior, const double* data,
-                            size_t session) {
-  const ImuSessionEstimate& clock =
-      estimate->sessions[session].imus[estimate->sessions[session].FirstImu()];
-  priors.push_back({problem.AddResiduals(std::move(prior), {problem.Find(data)}), session,
-                    clock.PoseTime(clock.clock_reference)});
 }
 
 double LeastSquares::Scale(const SensorModel& model, size_t index) const {
@@ -289,62 +333,62 @@ const Eigen::Vector3d& LeastSquares::HighPassResidual(const SensorModel& model,
   return data.imus[model.imu].accel[index].rest;
 }
 
-std::vector<int> LeastSquares::BiasBlocks() const {
-  std::vector<int> blocks;
-  for (SessionEstimate& session : estimate->sessions)
-    for (ImuSessionEstimate& imu : session.imus)
-      for (BiasKnots* knots : {&imu.gyro_bias, &imu.accel_bias})
-        for (Eigen::Vector3d& value : knots->values)
-          if (const int block = problem.Find(value.data()); block >= 0) blocks.push_back(block);
-  return blocks;
-}
-
-std::vector<int> LeastSquares::SlowBlocks() const {
-  std::vector<int> blocks;
-  for (SessionEstimate& session : estimate->sessions)
-    for (ImuSessionEstimate& imu : session.imus)
-      for (double& offset : imu.walk.offset)
-        if (problem.IsEstimated(&offset)) blocks.push_back(problem.Find(&offset));
-  for (SessionEstimate& session : estimate->sessions)
-    for (Eigen::Vector3d& value : session.rotation_errors.knots.values)
-      if (problem.IsEstimated(value.data())) blocks.push_back(problem.Find(value.data()));
-  return blocks;
-}
-
-std::vector<Equation> LeastSquares::Equations() const {
-  std::vector<Equation> equations;
-  const auto add = [&](int block, size_t session, double t) {
-    equations.push_back({block, session, t, windows.Of(session, t)});
+Ordering LeastSquares::Order(bool with_hints) const {
+  Ordering order;
+  const auto add = [&](const double* data, std::vector<int>* blocks) {
+    if (!problem.IsEstimated(data)) return;
+    blocks->push_back(problem.Find(data));
+    order.columns += problem.TangentSize(blocks->back());
   };
-  for (const SensorBlocks& sensor : sensors)
-    for (size_t i = 0; i < sensor.block_t.size(); ++i)
-      add(sensor.first_block + static_cast<int>(i), sensor.model->session, sensor.block_t[i]);
-  for (const PriorBlock& prior : priors) add(prior.block, prior.session, prior.t);
-  return equations;
+  for (const Parameter& p : CalibrationParameters(estimate)) {
+    add(p.data, &order.border);
+    if (problem.IsEstimated(p.data))
+      order.calibrated.push_back(p);
+    else if (with_hints && problem.Find(p.data) >= 0 && IsHint(p.kind))
+      order.hints.push_back(p);
+  }
+  order.estimated = order.columns;
+  for (const Parameter& p : order.hints) {
+    order.border.push_back(problem.Find(p.data));
+    order.columns += p.size;
+  }
+  order.gravity = order.columns;
+  for (const SessionEstimate& session : estimate->sessions) add(session.g_W.data(), &order.border);
+  order.biases = order.columns;
+  for (const SessionEstimate& session : estimate->sessions)
+    for (const ImuSessionEstimate& imu : session.imus)
+      for (const BiasKnots* knots : {&imu.gyro_bias, &imu.accel_bias})
+        for (const Eigen::Vector3d& value : knots->values) add(value.data(), &order.inner);
+  order.walks = order.columns;
+  for (const SessionEstimate& session : estimate->sessions)
+    for (const ImuSessionEstimate& imu : session.imus)
+      for (const double& offset : imu.walk.offset) add(&offset, &order.inner);
+  for (const SessionEstimate& session : estimate->sessions)
+    for (const Eigen::Vector3d& value : session.rotation_errors.knots.values)
+      add(value.data(), &order.inner);
+  order.trajectory = order.columns;
+  for (const int block : trajectory_blocks) add(problem.data(block), &order.inner);
+  return order;
 }
 
-NormalEquations LeastSquares::StepEquations() const {
-  std::vector<int> border, inner = BiasBlocks();
-  const auto add_border = [&](const double* data) {
-    if (problem.IsEstimated(data)) border.push_back(problem.Find(data));
-  };
-  for (const Parameter& p : CalibrationParameters(estimate)) add_border(p.data);
-  for (SessionEstimate& session : estimate->sessions) add_border(session.g_W.data());
-  for (const std::vector<int>& blocks : {SlowBlocks(), trajectory_blocks})
-    inner.insert(inner.end(), blocks.begin(), blocks.end());
-  std::vector<Equation> all = Equations();
-  const int joined = std::max(1, windows.count() / kStepWindows);
-  for (Equation& equation : all) equation.window /= joined;
-  const int count = (windows.count() - 1) / joined + 1;
-  return {problem, border, inner, std::move(all), static_cast<size_t>(count)};
+std::optional<int> LeastSquares::SolveWithCeres(double function_tolerance) {
+  rows_.clear();
+  return problem.SolveWithCeres(function_tolerance, options.max_iterations, options.Threads());
 }
 
-std::optional<int> LeastSquares::TrySolve(double function_tolerance) {
-  const NormalEquations equations = StepEquations();
+std::optional<int> LeastSquares::Solve(double function_tolerance) {
+  if (options.solver == SolverKind::kCeres) return SolveWithCeres(function_tolerance);
+  const Ordering order = Order(false);
+  std::vector<Equation> joined = equations;
+  const int windows_of_step = std::max(1, windows.count() / kStepWindows);
+  for (Equation& equation : joined) equation.window /= windows_of_step;
+  const int count = (windows.count() - 1) / windows_of_step + 1;
+  const NormalEquations normal(problem, order.border, order.inner, std::move(joined),
+                               static_cast<size_t>(count));
   double damping = 0.0, growth = 2.0;
   for (int iteration = 1; iteration <= options.max_iterations; ++iteration) {
     const GaussNewtonStep step =
-        FindStep(equations, damping, options.max_factor_mb, options.Threads());
+        FindStep(normal, damping, options.max_factor_mb, options.Threads());
     const std::vector<double> before = problem.Move(step.blocks, step.x);
     double found = 0.0;
     if (!problem.Evaluate(options.Threads(), &rows_, &found)) found = std::nan("");
@@ -371,12 +415,6 @@ std::optional<int> LeastSquares::TrySolve(double function_tolerance) {
     }
   }
   return std::nullopt;
-}
-
-int LeastSquares::Solve(double function_tolerance) {
-  const std::optional<int> iterations = TrySolve(function_tolerance);
-  if (!iterations) ThrowNotConverged(options);
-  return *iterations;
 }
 
 void LeastSquares::Move(const GaussNewtonStep& step) {
@@ -437,7 +475,7 @@ std::vector<SensorStatistics> LeastSquares::FindStatistics() {
       statistics[k] = {sensor.model->noise, 0.0, sensor.model->spread, {}};
       return;
     }
-    const float* const rows = &rows_[problem.residuals(sensor.first_block).first_row];
+    const float* const rows = &rows_[sensor.first_row];
     const float* r_sigma = rows;
     std::vector<float> variances;
     variances.reserve(sensor.samples.size());

@@ -1,9 +1,425 @@
 #include "imu_pose_calib/core/calibration/marginals.h"
 
+#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
+#include <optional>
+#include <utility>
+
+#include "imu_pose_calib/core/solver/covariance.h"
 
 namespace imu_pose_calib {
+namespace {
+
+/// On each coordinate of the trajectory's corrections [1/m^2, 1/rad^2]: nothing beside any sample.
+constexpr double kWeakInformation = 1.0;
+/// Beyond which the change of the gradient is looked for [s].
+constexpr double kClockStep = 1e-6;
+
+/// Whether the session has the IMU that the parameter is of, or any session's.
+bool ActsIn(const Estimate& estimate, const Parameter& p, size_t session) {
+  if (IsOfPoses(p.kind)) return true;
+  return estimate.sessions[session].imus[p.imu].is_present &&
+         (!IsOfSession(p.kind) || p.session == session);
+}
+
+/// What is reported, as functionals L of the parameters and back: what is calibrated with gravity
+/// and mean biases, then what could have been. Turned to the units of the report by `basis`.
+struct Functionals {
+  std::vector<int> columns;  ///< of each functional in H; -1: a mean
+  struct Mean {
+    int functional;
+    size_t knots;  ///< of a bias, which follow those of the mean before
+  };
+  std::vector<Mean> means;
+  int estimated = 0;      ///< of them, gravity and biases included
+  Eigen::MatrixXd basis;  ///< rows: what is reported; columns: functionals
+
+  int count() const { return static_cast<int>(columns.size()); }
+
+  /// Also lists the parameters in the result.
+  Functionals(const Ordering& order, const LeastSquares& solved, Marginals* result) {
+    const auto place = [&](const Parameter& p, bool is_estimated, int column) {
+      result->parameters.push_back({p, count(), is_estimated});
+      for (int k = 0; k < p.size; ++k) columns.push_back(column < 0 ? -1 : column + k);
+      return column + p.size;
+    };
+    int column = 0, gravity = order.gravity;
+    for (const Parameter& p : order.calibrated) column = place(p, true, column);
+    for (size_t s = 0; s < solved.estimate->sessions.size(); ++s) {
+      if (solved.options.estimate_gravity)
+        gravity = place({ParameterKind::kGravity, 0, s, 3, nullptr}, true, gravity);
+      const std::vector<ImuSessionEstimate>& imus = solved.estimate->sessions[s].imus;
+      for (size_t i = 0; i < imus.size(); ++i) {
+        if (!imus[i].is_present) continue;
+        means.push_back({count(), imus[i].gyro_bias.values.size()});
+        place({ParameterKind::kGyroBias, i, s, 3, nullptr}, true, -1);
+        means.push_back({count(), imus[i].accel_bias.values.size()});
+        place({ParameterKind::kAccelBias, i, s, 3, nullptr}, true, -1);
+      }
+    }
+    estimated = count();
+    for (const Parameter& p : order.hints) column = place(p, false, column);
+    // Ceres turns q_MI on the left by twice the step: to a rotation about the imu axes.
+    basis = Eigen::MatrixXd::Identity(count(), count());
+    for (const PlacedParameter& p : result->parameters)
+      if (p.parameter.kind == ParameterKind::kRotation)
+        basis.block<3, 3>(p.place, p.place) =
+            2.0 * solved.estimate->imus[p.parameter.imu].q_MI.toRotationMatrix().transpose();
+  }
+
+  /// Covariance of functionals to what is reported; those beyond the ones given are 0.
+  Eigen::MatrixXd Spread(const Eigen::MatrixXd& C) const {
+    const Eigen::MatrixXd T = basis.leftCols(C.rows());
+    return T * C * T.transpose();
+  }
+  Eigen::VectorXd SpreadVector(const Eigen::VectorXd& x) const {
+    return basis.leftCols(x.size()) * x;
+  }
+};
+
+/// H and scores of the whole problem and of parts of it, when all but the border is eliminated.
+/// Right-hand sides: scores of the clusters, which are the windows, functionals, exact columns of
+/// the clocks.
+class ReducedProblem {
+ public:
+  ReducedProblem(const Ordering& order, const Functionals& functionals, const LeastSquares& solved);
+
+  /// Of the functionals.
+  MarginalEstimates Estimate() const {
+    return EstimateMarginals(all_.Products(), windows_, functionals_.count(), clocks_);
+  }
+  /// Of columns of the border, the others being known.
+  MarginalEstimate EstimateOf(const std::vector<int>& columns) const {
+    return EstimateBorder(all_, columns, Counted(static_cast<size_t>(windows_)));
+  }
+  /// Part of the residuals: a half of every session, or a session.
+  struct Part {
+    Reduced reduced;
+    std::vector<int> windows;
+  };
+  /// Of columns of what is calibrated by a part, all else that is calibrated or could be being
+  /// known.
+  MarginalEstimate EstimateOf(const Part& part, const std::vector<int>& columns) const;
+  /// As if what is held was known to be right.
+  GaussNewtonStep FindStep() const;
+  /// Of H, as far as it is kept; then it is gone.
+  Panels TakeFactor();
+  const std::shared_ptr<const Elimination>& elimination() const { return elimination_; }
+
+  const std::vector<Part>& halves() const { return halves_; }
+  const std::vector<Part>& sessions() const { return sessions_; }
+
+ private:
+  /// H and scores of a window.
+  Panels Assemble(size_t window, const std::vector<ExactColumn>& exact) const;
+  /// What is known beforehand of the border counts in every part, not only where it stands.
+  void AddPriors(Part* part) const;
+  /// The means of bias knots that are in one window, or are shared.
+  void AddMeans(int window, Panels* panels) const;
+
+  const LeastSquares& solved_;
+  const Ordering& order_;
+  const Functionals& functionals_;
+  const int windows_;
+  const NormalEquations equations_;
+  const std::shared_ptr<const Elimination> elimination_;
+  std::vector<int> clocks_;  ///< columns of clocks, of which H gets the exact ones
+  std::vector<Part> halves_, sessions_;
+  Reduced all_;
+  std::optional<EliminatedWindows> eliminated_;
+};
+
+ReducedProblem::ReducedProblem(const Ordering& order, const Functionals& functionals,
+                               const LeastSquares& solved)
+    : solved_(solved),
+      order_(order),
+      functionals_(functionals),
+      windows_(solved.windows.count()),
+      equations_(solved.problem, order.border, order.inner, solved.equations,
+                 static_cast<size_t>(windows_)),
+      elimination_(equations_.elimination()),
+      halves_(2),
+      sessions_(solved.sessions.size()) {
+  int column = 0;
+  std::vector<ExactColumn> exact;
+  for (const Parameter& p : order.calibrated) {
+    if (p.kind == ParameterKind::kTimeShift || p.kind == ParameterKind::kAccelDelay) {
+      clocks_.push_back(column);
+      exact.push_back({solved.problem.Find(p.data), kClockStep,
+                       windows_ + functionals.count() + static_cast<int>(exact.size())});
+    }
+    column += p.size;
+  }
+  // The gradient is the sum of the scores.
+  Eigen::VectorXd weights = Eigen::VectorXd::Zero(windows_ + functionals.count() +
+                                                  static_cast<Eigen::Index>(exact.size()));
+  weights.head(windows_).setOnes();
+  eliminated_.emplace(elimination_, weights, solved.options.max_factor_mb, solved.options.Threads(),
+                      [&](size_t w) {
+                        Panels own = Assemble(w, exact);
+                        AddMeans(static_cast<int>(w), &own);
+                        return own;
+                      });
+  for (int w = 0; w < windows_; ++w) {
+    const Windows::Place at = solved.windows.PlaceOf(w);
+    halves_[at.half].windows.push_back(w);
+    sessions_[at.session].windows.push_back(w);
+  }
+  for (std::vector<Part>* parts : {&halves_, &sessions_}) {
+    for (Part& part : *parts) {
+      part.reduced = eliminated_->Reduce(part.windows);
+      AddPriors(&part);
+    }
+  }
+  Panels means;
+  AddMeans(windows_, &means);
+  all_ = eliminated_->ReduceAll(std::move(means));
+  for (int f = 0; f < functionals.count(); ++f)
+    if (const int own = functionals.columns[static_cast<size_t>(f)]; own >= 0)
+      all_.B(own, windows_ + f) = 1.0;
+}
+
+MarginalEstimate ReducedProblem::EstimateOf(const Part& part,
+                                            const std::vector<int>& columns) const {
+  std::vector<int> kept = columns;
+  for (int column = order_.gravity; column < order_.biases; ++column)
+    if (part.reduced.H(column, column) != 0.0) kept.push_back(column);
+  return Select(EstimateBorder(part.reduced, kept, part.windows), Counted(columns.size()));
+}
+
+GaussNewtonStep ReducedProblem::FindStep() const {
+  std::vector<int> kept;
+  for (int column = 0; column < order_.biases; ++column)
+    if (column < order_.estimated || column >= order_.gravity) kept.push_back(column);
+  const MarginalEstimate border = EstimateOf(kept);
+  GaussNewtonStep result{equations_.blocks(), Eigen::VectorXd::Zero(order_.columns)};
+  if (!border.covariance.allFinite()) return result;
+  const Eigen::VectorXd step = border.Step();
+  for (size_t k = 0; k < kept.size(); ++k) result.x[kept[k]] = step[static_cast<Eigen::Index>(k)];
+  eliminated_->SubstituteBack([this](size_t w) { return Assemble(w, {}); }, &result.x);
+  return result;
+}
+
+Panels ReducedProblem::TakeFactor() {
+  Panels factor = eliminated_->TakeFactor();
+  if (!factor.empty()) factor.rbegin()->second = {all_.H, {}};
+  return factor;
+}
+
+void ReducedProblem::AddPriors(Part* part) const {
+  const Problem& problem = solved_.problem;
+  for (const Equation& equation : solved_.equations) {
+    const Problem::Residuals& residuals = problem.residuals(equation.block);
+    if (residuals.blocks() > 1 ||
+        std::binary_search(part->windows.begin(), part->windows.end(), equation.window))
+      continue;
+    const int block = *problem.BlocksOf(residuals);
+    int column = 0;
+    auto place = order_.border.begin();
+    for (; place != order_.border.end() && *place != block; ++place)
+      column += problem.TangentSize(*place);
+    if (place == order_.border.end() || part->reduced.H(column, column) == 0.0)
+      continue;  // held, or of another session
+    const int size = problem.TangentSize(block);
+    Eigen::VectorXd r(residuals.rows());
+    Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> J(r.size(), size);
+    const double* parameters[] = {problem.data(block)};
+    double* jacobians[] = {J.data()};
+    residuals.Evaluate(parameters, r.data(), jacobians);
+    part->reduced.H.block(column, column, size, size) += J.transpose() * J;
+    const Eigen::VectorXd share = J.transpose() * r / static_cast<double>(part->windows.size());
+    for (const int w : part->windows) part->reduced.B.col(w).segment(column, size) += share;
+  }
+}
+
+Panels ReducedProblem::Assemble(size_t window, const std::vector<ExactColumn>& exact) const {
+  Panels panels = equations_.Assemble(window, exact);
+  const int first_point = static_cast<int>(order_.border.size() + order_.inner.size()) -
+                          static_cast<int>(solved_.trajectory_blocks.size());
+  elimination_->VisitDiagonal(
+      [&](int block, auto diagonal) {
+        if (block >= first_point) diagonal.array() += 0.5 * kWeakInformation;
+      },
+      &panels);
+  return panels;
+}
+
+void ReducedProblem::AddMeans(int window, Panels* panels) const {
+  auto block = static_cast<int>(order_.border.size());
+  for (const Functionals::Mean& mean : functionals_.means)
+    for (size_t k = 0; k < mean.knots; ++k, ++block)
+      for (int axis = 0; axis < 3 && elimination_->WindowOf(block) == window; ++axis)
+        elimination_->AddRhs({elimination_->place(block)}, windows_ + mean.functional + axis,
+                             Eigen::Vector3d::Unit(axis) / static_cast<double>(mean.knots), panels);
+}
+
+/// Share of the scores' degrees of freedom that the fit used up. Scores have as many dimensions per
+/// cluster as there are parameters that act in it; the fit sets as many of them to 0 as it has
+/// parameters.
+double FittedShare(const Ordering& order, const LeastSquares& solved) {
+  double dimensions = 0.0;
+  for (size_t s = 0; s < solved.sessions.size(); ++s) {
+    int local = solved.options.estimate_gravity ? 3 : 0;
+    for (const ImuSessionEstimate& imu : solved.estimate->sessions[s].imus)
+      if (imu.is_present) local += 6;
+    for (const Parameter& p : order.calibrated)
+      if (ActsIn(*solved.estimate, p, s)) local += p.size;
+    dimensions += static_cast<double>(local * solved.windows.Count(s));
+  }
+  const int shared = order.walks - order.gravity;  // knots of clocks act in one cluster
+  return std::min(kLargestFittedShare, static_cast<double>(order.estimated + shared) / dimensions);
+}
+
+/// A step that remains moves all clusters alike: that is no scatter.
+Eigen::MatrixXd Sandwich(MarginalEstimate estimate, double fitted) {
+  estimate.influence.colwise() -= estimate.influence.rowwise().mean().eval();
+  return ClusterRobustCovariance(estimate, fitted);
+}
+
+/// The larger of model and sandwich.
+Eigen::VectorXd LargerStd(const MarginalEstimate& estimate, double fitted) {
+  return estimate.covariance.diagonal().cwiseMax(Sandwich(estimate, fitted).diagonal()).cwiseSqrt();
+}
+
+/// Columns of what is calibrated and acts in a session; of one IMU, with what is of the poses, or
+/// of all for -1.
+std::vector<int> Acting(const Ordering& order, const Estimate& estimate, size_t session, int imu) {
+  std::vector<int> columns;
+  int column = 0;
+  for (const Parameter& p : order.calibrated) {
+    const bool is_of_imu = imu < 0 || IsOfPoses(p.kind) || p.imu == static_cast<size_t>(imu);
+    for (int k = 0; k < p.size; ++k, ++column)
+      if (is_of_imu && ActsIn(estimate, p, session)) columns.push_back(column);
+  }
+  return columns;
+}
+
+/// The sandwich needs more clusters than parameters, so it is formed of each IMU with one session's
+/// clock at a time; gravity and biases stand for themselves.
+Eigen::MatrixXd RobustCovariance(const MarginalEstimate& exact, const Ordering& order,
+                                 const Estimate& estimate, double fitted) {
+  Eigen::MatrixXd robust = Eigen::MatrixXd::Zero(exact.covariance.rows(), exact.covariance.cols());
+  const auto add = [&](const std::vector<int>& places) {
+    const Eigen::MatrixXd C = Sandwich(Select(exact, places), fitted);
+    for (size_t i = 0; i < places.size(); ++i)
+      for (size_t j = 0; j < places.size(); ++j) {
+        double& value = robust(places[i], places[j]);
+        const double other = C(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j));
+        if (value == 0.0 || (i == j && other > value)) value = other;
+      }
+  };
+  for (size_t s = 0; s < estimate.sessions.size(); ++s)
+    for (size_t imu = 0; imu < estimate.imus.size(); ++imu)
+      if (estimate.sessions[s].imus[imu].is_present)
+        if (const auto own = Acting(order, estimate, s, static_cast<int>(imu)); !own.empty())
+          add(own);
+  for (int place = order.estimated; place < robust.rows(); ++place) add({place});
+  return robust;
+}
+
+/// What the second halves say less what the first halves say.
+void CompareHalves(const MarginalEstimate& first, const MarginalEstimate& second,
+                   const Functionals& functionals, double fitted, Marginals* result) {
+  const Eigen::VectorXd difference = second.Step() - first.Step();
+  const Eigen::VectorXd difference_std =
+      (LargerStd(first, fitted).cwiseAbs2() + LargerStd(second, fitted).cwiseAbs2()).cwiseSqrt();
+  result->halves_difference = functionals.SpreadVector(difference);
+  const double largest =
+      difference.size() > 0 ? difference.cwiseQuotient(difference_std).cwiseAbs().maxCoeff() : 0.0;
+  result->halves_sigmas = std::isfinite(largest) ? largest : 0.0;
+}
+
+/// Where parameters that are held would move to.
+void FindHints(const ReducedProblem& problem, const Ordering& order, const Functionals& functionals,
+               double fitted, Marginals* result) {
+  std::vector<int> border, leading;  // all but mean biases; of these, without gravity
+  for (const int column : functionals.columns) {
+    if (column < 0) continue;
+    if (column < order.gravity) leading.push_back(static_cast<int>(border.size()));
+    border.push_back(column);
+  }
+  const MarginalEstimate all = problem.EstimateOf(border);
+  // A parameter that is missing makes blocks differ slowly, as drift does: that is no scatter.
+  MarginalEstimate neighbours = Select(all, leading);
+  const Eigen::MatrixXd influence = neighbours.influence;
+  neighbours.influence =
+      (influence.rightCols(influence.cols() - 1) - influence.leftCols(influence.cols() - 1)) /
+      std::sqrt(2.0);
+  const Eigen::VectorXd std_dev = LargerStd(neighbours, fitted);
+  const Eigen::VectorXd step = all.Step();
+  result->hint = Eigen::VectorXd::Zero(functionals.count());
+  result->hint_std = Eigen::VectorXd::Zero(functionals.count());
+  // Held parameters are reported as they are, and last.
+  const auto held = functionals.count() - functionals.estimated;
+  result->hint.tail(held) = step.tail(held);
+  result->hint_std.tail(held) = std_dev.tail(held);
+}
+
+/// What each session says alone.
+void FindSessions(const ReducedProblem& problem, const Ordering& order, const Estimate& estimate,
+                  const Functionals& functionals, double fitted, const Eigen::VectorXd& step,
+                  Marginals* result) {
+  const size_t count = problem.sessions().size();
+  if (count < 2 || result->parameters.empty()) return;
+  for (size_t s = 0; s < count; ++s) {
+    const std::vector<int> acting = Acting(order, estimate, s, -1);
+    const MarginalEstimate own = problem.EstimateOf(problem.sessions()[s], acting);
+    SessionMarginals session;
+    session.places = acting;  // what is calibrated is reported first
+    const auto size = static_cast<Eigen::Index>(acting.size());
+    Eigen::MatrixXd kept(size, size);
+    Eigen::VectorXd common(size);
+    for (Eigen::Index k = 0; k < size; ++k) {
+      common[k] = step[acting[static_cast<size_t>(k)]];
+      for (Eigen::Index j = 0; j < size; ++j)
+        kept(k, j) =
+            functionals.basis(acting[static_cast<size_t>(k)], acting[static_cast<size_t>(j)]);
+    }
+    session.difference = kept * own.Step() - common;
+    const Eigen::MatrixXd robust =
+        own.covariance.allFinite() ? Sandwich(own, fitted) : own.covariance;
+    const Eigen::MatrixXd model = kept * own.covariance * kept.transpose();
+    const Eigen::VectorXd larger = Enlargement(model, kept * robust * kept.transpose());
+    session.model_variance = model.diagonal();
+    session.covariance = larger.asDiagonal() * model * larger.asDiagonal();
+    result->sessions.push_back(session);
+  }
+}
+
+}  // namespace
+
+Marginals FindMarginals(LeastSquares* solved) {
+  Marginals result;
+  const Ordering order = solved->Order(true);
+  const Functionals functionals(order, *solved, &result);
+  ReducedProblem problem(order, functionals, *solved);
+  const MarginalEstimates estimates = problem.Estimate();
+  const Estimate& estimate = *solved->estimate;
+
+  const double fitted = FittedShare(order, *solved);
+  const MarginalEstimate marginal = GivenOthers(estimates.gauss_newton, functionals.estimated);
+  result.model = functionals.Spread(marginal.covariance);
+  result.robust =
+      functionals.Spread(result.model.allFinite()
+                             ? RobustCovariance(GivenOthers(estimates.exact, functionals.estimated),
+                                                order, estimate, fitted)
+                             : marginal.covariance);
+  result.spurious_information = solved->spurious_information;
+  const std::vector<int> calibrated = Counted(static_cast<size_t>(order.estimated));
+  CompareHalves(problem.EstimateOf(problem.halves()[0], calibrated),
+                problem.EstimateOf(problem.halves()[1], calibrated), functionals, fitted, &result);
+  FindHints(problem, order, functionals, fitted, &result);
+  FindSessions(problem, order, estimate, functionals, fitted,
+               functionals.SpreadVector(marginal.Step()), &result);
+  result.step = problem.FindStep();
+  result.elimination = problem.elimination();
+  result.factor = problem.TakeFactor();
+  result.held_begin = order.estimated;
+  result.held_end = order.gravity;
+  result.trajectory_begin = order.trajectory;
+  return result;
+}
 
 int Marginals::Find(ParameterKind kind, size_t imu, size_t session) const {
   const bool is_of_imu = kind != ParameterKind::kGravity && !IsOfPoses(kind);

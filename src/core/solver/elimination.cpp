@@ -228,14 +228,6 @@ void Elimination::Merge(const Panels& from, Panels* to) {
   }
 }
 
-bool Elimination::ActsInside(int block, const Panels& panels) const {
-  const int k = place(block);
-  return std::any_of(panels.begin(), panels.end(), [&](const auto& entry) {
-    const int row = entry.first == border_panel() ? -1 : Offset(k, entry.first);
-    return row >= 0 && !entry.second.H.middleRows(row, size_[Index(k)]).isZero(0.0);
-  });
-}
-
 void Elimination::Gather(int p, const Panel& own, Rest* rest, Eigen::MatrixXd* H,
                          Eigen::MatrixXd* B) const {
   const Shape& shape = shapes_[Index(p)];

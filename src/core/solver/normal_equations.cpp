@@ -16,7 +16,7 @@ using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::Ro
 
 /// Whether two columns of J are each other's negative, by the lower triangle of J^T J: parameters
 /// that move the same samples along the trajectory, one on and one back.
-bool AreOpposite(const Eigen::Map<Eigen::MatrixXd>& product, Eigen::Index a, Eigen::Index b) {
+bool AreOpposite(const Eigen::MatrixXd& product, Eigen::Index a, Eigen::Index b) {
   constexpr double kRounding = 1e-13;
   const double norm2 = product(a, a), inner = product(std::max(a, b), std::min(a, b));
   return std::abs(product(b, b) - norm2) < kRounding * norm2 &&
@@ -28,10 +28,7 @@ bool AreOpposite(const Eigen::Map<Eigen::MatrixXd>& product, Eigen::Index a, Eig
 /// One residual block at a time, weighted by its loss; its columns in the order of elimination.
 class NormalEquations::Linearisation {
  public:
-  explicit Linearisation(const NormalEquations& equations) : equations_(equations) {
-    for (const int block : equations.curved_)
-      plus_.push_back(equations.problem_.PlusJacobian(block));
-  }
+  explicit Linearisation(const NormalEquations& equations) : equations_(equations) {}
 
   void Start(const Equation& equation) {
     const Problem& problem = equations_.problem_;
@@ -40,61 +37,40 @@ class NormalEquations::Linearisation {
     const std::vector<int32_t>& sizes = residuals_->cost->parameter_block_sizes();
     const int rows = residuals_->rows();
     parameters_.resize(sizes.size());
+    jacobians_.assign(sizes.size(), nullptr);
     terms_.clear();
-    Eigen::Index columns = 0, ambient = 0, dense = 0;
+    int columns = 0, ambient = 0;
     for (size_t k = 0; k < sizes.size(); ++k) {
       parameters_[k] = problem.data(blocks_[k]);
-      const Place& at = equations_.places_[static_cast<size_t>(blocks_[k])];
-      if (at.place < 0) continue;
-      terms_.push_back({at.place, k, sizes[k], at.size, at.curved});
-      columns += at.size;
-      if (!residuals_->IsSampled())
-        dense += rows * sizes[k];
-      else if (at.curved >= 0)
-        ambient += sizes[k];
+      const int place = equations_.place_[static_cast<size_t>(blocks_[k])];
+      if (place < 0) continue;
+      terms_.push_back({place, k, sizes[k], problem.TangentSize(blocks_[k])});
+      columns += terms_.back().columns;
+      ambient += sizes[k];
     }
     std::sort(terms_.begin(), terms_.end(),
               [](const Term& a, const Term& b) { return a.place < b.place; });
     places.clear();
-    for (const Term& term : terms_) places.push_back(term.place);
-    rows_ = rows;
-    columns_ = columns;
-    // Rows of J, beside them those of curved blocks as they come.
-    stride_ = columns + ambient;
-    r_.resize(std::max(r_.size(), static_cast<size_t>(rows)));
-    values_.resize(std::max(values_.size(), static_cast<size_t>(rows * stride_ + dense)));
-    jacobians_.assign(sizes.size(), nullptr);
-    double *next = values_.data(), *next_ambient = next + columns;
-    double* next_dense = next + rows * stride_;
+    r.resize(rows);
+    J.resize(rows, columns);
+    values_.resize(std::max(values_.size(), static_cast<size_t>(rows * ambient)));
+    double* next = values_.data();
     for (const Term& term : terms_) {
-      double*& own = jacobians_[term.parameter];
-      if (!residuals_->IsSampled()) {
-        own = std::exchange(next_dense, next_dense + rows * term.size);
-      } else if (term.curved >= 0) {
-        own = std::exchange(next_ambient, next_ambient + term.size);
-      } else {
-        own = next;
-      }
-      next += term.columns;
+      places.push_back(term.place);
+      jacobians_[term.parameter] = std::exchange(next, next + rows * term.size);
     }
   }
 
   /// Fills J and r; false where they are not defined.
   bool Evaluate() {
-    const auto stride = static_cast<int>(stride_);
-    if (!residuals_->Evaluate(parameters_.data(), r_.data(), jacobians_.data(), stride))
-      return false;
-    auto J = this->J();
-    auto r = this->r();
+    if (!residuals_->Evaluate(parameters_.data(), r.data(), jacobians_.data())) return false;
     Eigen::Index column = 0;
     for (const Term& term : terms_) {
-      const bool is_sampled = residuals_->IsSampled();
-      const Eigen::Map<const RowMajor, 0, Eigen::OuterStride<>> own(
-          jacobians_[term.parameter], rows_, term.size, is_sampled ? stride_ : term.size);
-      if (term.curved >= 0)
-        J.middleCols(column, term.columns) = own * plus_[static_cast<size_t>(term.curved)];
-      else if (!is_sampled)
-        J.middleCols(column, term.size) = own;
+      const Eigen::Map<const RowMajor> own(jacobians_[term.parameter], r.size(), term.size);
+      if (term.columns < term.size)
+        J.middleCols(column, term.columns) = own * PlusJacobian(parameters_[term.parameter]);
+      else
+        J.middleCols(column, term.columns) = own;
       column += term.columns;
     }
     const double squared_norm = r.squaredNorm();
@@ -110,7 +86,8 @@ class NormalEquations::Linearisation {
 
   /// The same with a parameter of the residuals moved by `step`.
   bool EvaluateMoved(int block, double step) {
-    double*& at = parameters_[Parameter(block)];
+    double*& at = parameters_[static_cast<size_t>(
+        std::find(blocks_, blocks_ + parameters_.size(), block) - blocks_)];
     double* const here = at;
     double moved = *here + step;
     at = &moved;
@@ -120,9 +97,9 @@ class NormalEquations::Linearisation {
   }
 
   /// J^T r, by the rows of J as they are stored.
-  Eigen::VectorXd Score() {
-    Eigen::VectorXd score = Eigen::VectorXd::Zero(columns_);
-    for (Eigen::Index i = 0; i < rows_; ++i) score += r()[i] * J().row(i).transpose();
+  Eigen::VectorXd Score() const {
+    Eigen::VectorXd score = Eigen::VectorXd::Zero(J.cols());
+    for (Eigen::Index i = 0; i < J.rows(); ++i) score += r[i] * J.row(i).transpose();
     return score;
   }
 
@@ -136,32 +113,24 @@ class NormalEquations::Linearisation {
     return -1;
   }
 
-  Eigen::Map<Eigen::VectorXd> r() { return {r_.data(), rows_}; }
-  Eigen::Map<RowMajor, 0, Eigen::OuterStride<>> J() {
-    return {values_.data(), rows_, columns_, Eigen::OuterStride<>(stride_)};
-  }
-
   std::vector<int> places;
+  Eigen::VectorXd r;
+  RowMajor J;
   double cost = 0.0;
 
  private:
   struct Term {
     int place;
     size_t parameter;  ///< of the cost function
-    int size, columns, curved;
+    int size, columns;
   };
-  size_t Parameter(int block) const {
-    return static_cast<size_t>(std::find(blocks_, blocks_ + parameters_.size(), block) - blocks_);
-  }
 
   const NormalEquations& equations_;
-  std::vector<Eigen::MatrixXd> plus_;  ///< derivatives of curved blocks by their steps
   const Problem::Residuals* residuals_ = nullptr;
   const int* blocks_ = nullptr;
   std::vector<double*> parameters_, jacobians_;
   std::vector<Term> terms_;
-  Eigen::Index rows_ = 0, columns_ = 0, stride_ = 0;
-  std::vector<double> r_, values_;
+  std::vector<double> values_;  ///< of the Jacobians as the cost function has them
 };
 
 NormalEquations::NormalEquations(const Problem& problem, const std::vector<int>& border,
@@ -178,44 +147,33 @@ NormalEquations::NormalEquations(const Problem& problem, const std::vector<int>&
     const auto sorted = std::exchange(next, std::is_sorted_until(next, end, is_before));
     std::inplace_merge(begin, sorted, next, is_before);
   }
-  places_.resize(problem.blocks());
-  std::vector<int> sizes;
-  for (size_t b = 0; b < blocks_.size(); ++b) {
-    const int block = blocks_[b];
+  std::vector<int> number(problem.blocks(), -1), sizes;  // among those that are estimated
+  for (const int block : blocks_) {
+    number[static_cast<size_t>(block)] = static_cast<int>(sizes.size());
     sizes.push_back(problem.TangentSize(block));
-    Place& own = places_[static_cast<size_t>(block)];
-    own = {static_cast<int>(b), sizes.back(), -1};
-    if (problem.kind(block) == BlockKind::kVector) continue;
-    own.curved = static_cast<int>(curved_.size());
-    curved_.push_back(block);
   }
   std::vector<std::vector<int>> residuals(equations_.size());
   for (size_t k = 0; k < equations_.size(); ++k) {
     while (first_of_window_.size() <= static_cast<size_t>(equations_[k].window))
       first_of_window_.push_back(k);
     const Problem::Residuals& own = problem.residuals(equations_[k].block);
-    const int* blocks = problem.BlocksOf(own);
-    const size_t count = own.cost->parameter_block_sizes().size();
-    residuals[k].reserve(count);
-    for (size_t i = 0; i < count; ++i) {
-      const int place = places_[static_cast<size_t>(blocks[i])].place;
-      if (place >= 0) residuals[k].push_back(place);
+    residuals[k].reserve(own.blocks());
+    for (size_t i = 0; i < own.blocks(); ++i) {
+      const int block = number[static_cast<size_t>(problem.BlocksOf(own)[i])];
+      if (block >= 0) residuals[k].push_back(block);
     }
   }
   first_of_window_.resize(windows, equations_.size());
   elimination_ =
       std::make_shared<const Elimination>(sizes, border.size(), residuals, first_of_window_);
-  for (const int block : blocks_) {
-    int& place = places_[static_cast<size_t>(block)].place;
-    place = elimination_->place(place);
-  }
+  for (const int block : number) place_.push_back(block < 0 ? -1 : elimination_->place(block));
 }
 
 Panels NormalEquations::Assemble(size_t window, const std::vector<ExactColumn>& exact,
                                  double* cost) const {
   Panels panels;
   Linearisation at(*this);
-  std::vector<double> memory;
+  Eigen::MatrixXd product;
   Eigen::VectorXd score;
   const size_t end =
       window + 1 < first_of_window_.size() ? first_of_window_[window + 1] : equations_.size();
@@ -224,10 +182,9 @@ Panels NormalEquations::Assemble(size_t window, const std::vector<ExactColumn>& 
     if (!at.Evaluate()) throw DataError("the residuals cannot be differentiated");
     if (cost != nullptr) *cost += at.cost;
     if (at.places.empty()) continue;  // of what is held
-    const Eigen::Index columns = at.J().cols();
-    memory.assign(static_cast<size_t>(columns * columns), 0.0);
-    Eigen::Map<Eigen::MatrixXd> product(memory.data(), columns, columns);
-    AddProduct(1.0, at.J().transpose(), at.J().transpose(), true, product);
+    const Eigen::Index columns = at.J.cols();
+    product.setZero(columns, columns);
+    AddProduct(1.0, at.J.transpose(), at.J.transpose(), true, product);
     score = at.Score();
     elimination_->Add(at.places, product, &panels);
     elimination_->AddRhs(at.places, static_cast<int>(window), score, &panels);

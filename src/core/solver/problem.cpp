@@ -1,5 +1,9 @@
 #include "imu_pose_calib/core/solver/problem.h"
 
+#include <ceres/loss_function.h>
+#include <ceres/problem.h>
+#include <ceres/solver.h>
+
 #include <algorithm>
 #include <cmath>
 #include <utility>
@@ -11,12 +15,40 @@ namespace {
 
 /// Residual blocks that a thread takes at a time.
 constexpr size_t kPortion = 512;
+/// Beside the tolerance of the cost, those of Ceres that shall not end a solve before it.
+constexpr double kNoTolerance = 1e-16;
+
+/// A residual block for a ceres::Problem.
+class CeresResiduals : public ceres::CostFunction {
+ public:
+  explicit CeresResiduals(const Problem::Residuals& residuals) : residuals_(residuals) {
+    set_num_residuals(residuals.rows());
+    *mutable_parameter_block_sizes() = residuals.cost->parameter_block_sizes();
+  }
+  bool Evaluate(double const* const* parameters, double* residuals,
+                double** jacobians) const override {
+    return residuals_.Evaluate(parameters, residuals, jacobians);
+  }
+
+ private:
+  const Problem::Residuals& residuals_;
+};
 
 }  // namespace
 
-int Problem::AddParameters(double* data, int size, BlockKind kind) {
+Eigen::MatrixXd PlusJacobian(const double* quaternion) {
+  Eigen::Matrix<double, 4, 3, Eigen::RowMajor> J;
+#if IMU_POSE_CALIB_CERES_HAS_MANIFOLDS
+  QuaternionManifold().PlusJacobian(quaternion, J.data());
+#else
+  QuaternionManifold().ComputeJacobian(quaternion, J.data());
+#endif
+  return J;
+}
+
+int Problem::AddParameters(double* data, int size) {
   const auto [place, is_new] = number_.try_emplace(data, static_cast<int>(parameters_.size()));
-  if (is_new) parameters_.push_back({data, size, kind, false});
+  if (is_new) parameters_.push_back({data, size, false});
   return place->second;
 }
 
@@ -34,14 +66,6 @@ bool Problem::IsEstimated(const double* data) const {
   return block >= 0 && !At(block).is_held;
 }
 
-int Problem::TangentSize(int block) const {
-  return imu_pose_calib::TangentSize(At(block).kind, At(block).size);
-}
-
-Eigen::MatrixXd Problem::PlusJacobian(int block) const {
-  return imu_pose_calib::PlusJacobian(At(block).data);
-}
-
 std::vector<double> Problem::Move(const std::vector<int>& blocks,
                                   const Eigen::VectorXd& step) const {
   std::vector<double> before;
@@ -49,7 +73,12 @@ std::vector<double> Problem::Move(const std::vector<int>& blocks,
   for (const int block : blocks) {
     const ParameterBlock& own = At(block);
     before.insert(before.end(), own.data, own.data + own.size);
-    MoveBlock(own.kind, own.size, next, own.data);
+    const double* const from = &before[before.size() - static_cast<size_t>(own.size)];
+    if (own.IsQuaternion())
+      QuaternionManifold().Plus(from, next, own.data);
+    else
+      Eigen::Map<Eigen::VectorXd>(own.data, own.size) +=
+          Eigen::Map<const Eigen::VectorXd>(next, own.size);
     next += TangentSize(block);
   }
   return before;
@@ -92,10 +121,10 @@ int Problem::AddResidualsOf(const std::vector<double*>& parameters,
 }
 
 bool Problem::Residuals::Evaluate(double const* const* parameters, double* residuals,
-                                  double** jacobians, int stride) const {
+                                  double** jacobians) const {
   if (end == 0) return cost->Evaluate(parameters, residuals, jacobians);
   return static_cast<const SampledCost*>(cost)->EvaluatePart(begin, end, parameters, residuals,
-                                                             jacobians, stride);
+                                                             jacobians);
 }
 
 double Problem::Residuals::Weight(double squared_norm) const {
@@ -107,6 +136,12 @@ double Problem::Residuals::Cost(double squared_norm) const {
   return 0.5 * (scale2 == 0.0 ? squared_norm : scale2 * std::log1p(squared_norm / scale2));
 }
 
+void Problem::FindData(const Residuals& residuals, std::vector<double*>* parameters) const {
+  parameters->clear();
+  for (size_t i = 0; i < residuals.blocks(); ++i)
+    parameters->push_back(data(BlocksOf(residuals)[i]));
+}
+
 bool Problem::Evaluate(int threads, std::vector<float>* rows, double* cost) const {
   rows->resize(rows_);
   const size_t portions = (residuals_.size() + kPortion - 1) / kPortion;
@@ -116,10 +151,7 @@ bool Problem::Evaluate(int threads, std::vector<float>* rows, double* cost) cons
     Eigen::VectorXd r;
     for (size_t k = p * kPortion; k < std::min(residuals_.size(), (p + 1) * kPortion); ++k) {
       const Residuals& own = residuals_[k];
-      const int* blocks = BlocksOf(own);
-      parameters.clear();
-      for (size_t i = 0; i < own.cost->parameter_block_sizes().size(); ++i)
-        parameters.push_back(data(blocks[i]));
+      FindData(own, &parameters);
       r.resize(own.rows());
       if (!own.Evaluate(parameters.data(), r.data(), nullptr)) {
         costs[p] = std::nan("");
@@ -132,6 +164,37 @@ bool Problem::Evaluate(int threads, std::vector<float>* rows, double* cost) cons
   *cost = 0.0;
   for (const double portion : costs) *cost += portion;
   return std::isfinite(*cost);
+}
+
+std::optional<int> Problem::SolveWithCeres(double function_tolerance, int max_iterations,
+                                           int threads) const {
+  ceres::Problem problem;
+  for (const ParameterBlock& block : parameters_) {
+    problem.AddParameterBlock(block.data, block.size);
+    if (block.is_held) problem.SetParameterBlockConstant(block.data);
+    if (!block.IsQuaternion()) continue;
+#if IMU_POSE_CALIB_CERES_HAS_MANIFOLDS
+    problem.SetManifold(block.data, new QuaternionManifold);
+#else
+    problem.SetParameterization(block.data, new QuaternionManifold);
+#endif
+  }
+  std::vector<double*> parameters;
+  for (const Residuals& own : residuals_) {
+    FindData(own, &parameters);
+    problem.AddResidualBlock(
+        new CeresResiduals(own),
+        own.cauchy_scale > 0.0 ? new ceres::CauchyLoss(own.cauchy_scale) : nullptr, parameters);
+  }
+  ceres::Solver::Options options;
+  options.max_num_iterations = max_iterations;
+  options.num_threads = threads;
+  options.function_tolerance = function_tolerance;
+  options.gradient_tolerance = kNoTolerance;
+  ceres::Solver::Summary summary;
+  ceres::Solve(options, &problem, &summary);
+  if (summary.termination_type != ceres::CONVERGENCE) return std::nullopt;
+  return static_cast<int>(summary.iterations.size()) - 1;
 }
 
 }  // namespace imu_pose_calib

@@ -14,8 +14,6 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr Method kMethods[] = {Method::kJoint, Method::kGp};
-
 /// The value of a key is not of the type of its field.
 struct TypeError {
   std::string expected;
@@ -50,6 +48,9 @@ void Read(const YAML::Node& node, bool* field) { *field = ReadScalar<bool>(node,
 void Read(const YAML::Node& node, Method* field) {
   *field = ParseMethod(ReadScalar<std::string>(node, "a string"));
 }
+void Read(const YAML::Node& node, SolverKind* field) {
+  *field = ParseSolver(ReadScalar<std::string>(node, "a string"));
+}
 void Read(const YAML::Node& node, ImuModel* field) {
   *field = ReadName(node, {ImuModel::kCalibrated, ImuModel::kScaleMisalignment},
                     "calibrated or scale_misalignment");
@@ -74,6 +75,7 @@ std::string Text(double value) { return YamlNumber(value); }
 std::string Text(int value) { return std::to_string(value); }
 std::string Text(bool value) { return value ? "true" : "false"; }
 std::string Text(Method value) { return ToString(value); }
+std::string Text(SolverKind value) { return ToString(value); }
 std::string Text(ImuModel value) { return ToString(value); }
 std::string Text(StampRecovery value) { return ToString(value); }
 std::string Text(const Eigen::Vector3d& value) { return YamlNumbers(value); }
@@ -178,15 +180,25 @@ ImuYaml ReadImu(const YAML::Node& imu) {
   return yaml;
 }
 
+template <typename Enum>
+Enum ParseName(const std::string& what, const std::string& name,
+               std::initializer_list<Enum> values) {
+  std::string known;
+  for (const Enum value : values) {
+    if (name == ToString(value)) return value;
+    known += (known.empty() ? "" : ", ") + std::string(ToString(value));
+  }
+  throw InputError(what + " '" + name + "' does not exist; available: " + known);
+}
+
 }  // namespace
 
 Method ParseMethod(const std::string& name) {
-  std::string known;
-  for (const Method method : kMethods) {
-    if (name == ToString(method)) return method;
-    known += (known.empty() ? "" : ", ") + std::string(ToString(method));
-  }
-  throw InputError("method '" + name + "' does not exist; available: " + known);
+  return ParseName("method", name, {Method::kJoint, Method::kGp});
+}
+
+SolverKind ParseSolver(const std::string& name) {
+  return ParseName("solver", name, {SolverKind::kWindows, SolverKind::kCeres});
 }
 
 CalibrationOptions ParseOptions(const std::string& yaml) {

@@ -171,6 +171,7 @@ CalibrationOptions Options(const OfflineRequest& request) {
   if (!request.config.empty()) options = LoadOptions(request.config);
   if (!request.imu_yaml.empty()) LoadImuYaml(request.imu_yaml).CopyNoise(&options);
   if (!request.method.empty()) options.method = ParseMethod(request.method);
+  if (!request.solver.empty()) options.solver = ParseSolver(request.solver);
   if (request.calibration.empty()) return options;
   // Clocks, gravity and biases are each recording's own.
   const ImuCalibration known = LoadResult(request.calibration).result.imus[0];

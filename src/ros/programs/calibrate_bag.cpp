@@ -67,6 +67,7 @@ po::options_description DescribeOthers(OfflineRequest* given) {
   add("gyro", Repeated(&request.text.gyro), "text file of the gyroscope of a split IMU");
   add("accel", Repeated(&request.text.accel), "text file of the accelerometer of a split IMU");
   add("method", Value(&request.method), "joint (default) or gp");
+  add("solver", Value(&request.solver), "of method joint: windows (default) or ceres");
   add("trajectory-format", Value(&request.trajectory.format),
       "tum, ov_eval, euroc, asl or bag; default: by the suffix");
   add("trajectory-rate", Value(&request.trajectory.rate_hz, "HZ"),

@@ -13,6 +13,12 @@ enum class Method {
   kGp,     ///< Gaussian-process trajectory held fixed, calibration fitted to it (doc/math.md, S3)
 };
 
+/// What takes the steps of the joint solve.
+enum class SolverKind {
+  kWindows,  ///< the own one, window by window of time (core/solver)
+  kCeres,    ///< ceres::Solve on the same residuals: slower, for comparison
+};
+
 /// What is estimated of the IMU beside its biases.
 enum class ImuModel {
   kCalibrated,         ///< nothing: measured = true + bias + noise
@@ -33,6 +39,8 @@ constexpr double kDriftPrior = 1e-4;
 /// same defaults, are the keys of config/default.yaml.
 struct CalibrationOptions {
   Method method = Method::kJoint;
+  /// Of the joint solve; method gp is solved by Ceres.
+  SolverKind solver = SolverKind::kWindows;
 
   // --- Data (S0) ---
 
@@ -130,7 +138,6 @@ struct CalibrationOptions {
   /// Joint solve: time between the knots of the trajectory's correction [s]. 0: refined until the
   /// residuals stop shrinking.
   double knot_spacing_s = 0.0;
-
   /// Cauchy scale of the robust loss of method gp, in sigma of a 3-vector residual. The joint solve
   /// finds from the data how heavy the tails of the noise are.
   double robust_loss_scale = 5.0;
@@ -178,6 +185,7 @@ template <typename Options, typename Visitor>
 void VisitFields(Options&& options, Visitor&& visit) {
 #define IMU_POSE_CALIB_FIELD(field) #field, options.field
   visit(IMU_POSE_CALIB_FIELD(method), Bound{});
+  visit(IMU_POSE_CALIB_FIELD(solver), Bound{});
   visit(IMU_POSE_CALIB_FIELD(position_unit), Bound{1e-9, 1e9});
   visit(IMU_POSE_CALIB_FIELD(gyro_unit), Bound{1e-9, 1e9});
   visit(IMU_POSE_CALIB_FIELD(accel_unit), Bound{1e-9, 1e9});

@@ -209,6 +209,8 @@ struct Calibration {
 const char* ToString(Status status);
 /// "joint", "gp".
 const char* ToString(Method method);
+/// "windows", "ceres".
+const char* ToString(SolverKind solver);
 /// "calibrated", "scale_misalignment".
 const char* ToString(ImuModel model);
 /// "auto", "always", "never".

@@ -20,37 +20,32 @@ class CorrectionSplines {
 
   /// Place of t; nothing when no spline covers it.
   std::optional<SplinePlace> Locate(double t) const;
-  /// The splines go along when the line of the clock that maps to t changes: from `before` to
-  /// `after`, which are of the same IMU in the same session.
-  void MoveWithClock(const ClockLine& before, const ClockLine& after, double delay_growth);
+  /// The splines go along with the accelerometer of the first IMU, by how the line of its clock
+  /// has changed since the last time, unless they are with the poses.
+  void FollowClock(const Estimate& estimate);
 
-  /// The runs, in order: instants t [s, pose clock] and control points.
+  /// Instants t [s, pose clock] and control points, of which there are `spans` + kSplineOrder - 1.
   struct Run {
-    double begin, end;
-    size_t first, points;
+    double begin, end, spacing;  ///< [s]
+    size_t first, spans;
   };
-  std::vector<Run> Runs() const;
+  const std::vector<Run>& Runs() const { return runs_; }
 
   /// About the time between knots [s].
   double spacing() const { return spacing_; }
 
-  /// While the clocks move, the splines stay with the poses; else they go along with the
-  /// accelerometer of the first IMU.
-  bool is_with_poses = false;
+  bool is_with_poses = false;  ///< while the clocks move
 
   std::vector<Eigen::Vector3d> d;    ///< control points [m] in W
   std::vector<Eigen::Vector3d> phi;  ///< control points [rad] in M
 
  private:
-  struct Range {
-    double begin, end;  ///< t [s]
-    double spacing;     ///< [s]
-    size_t first;       ///< control point
-    size_t spans;
-  };
-  const Range* Find(double t) const;
+  size_t session_;
   double spacing_;
-  std::vector<Range> ranges_;
+  std::vector<Run> runs_;
+  // Of the first IMU when the splines went along last:
+  ClockLine clock_;
+  double accel_delay_ = 0.0;
 };
 
 }  // namespace imu_pose_calib

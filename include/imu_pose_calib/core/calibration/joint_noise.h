@@ -13,7 +13,8 @@ void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares
 
 /// Whether the poses tell more of a session's positions than the accelerometers, in the mean over
 /// the band of the splines.
-bool DoPosesLead(const CorrectionSplines& splines, size_t session, const LeastSquares& joint);
+bool DoPosesLead(const CorrectionSplines& splines, size_t session,
+                 const std::vector<SensorModel>& models);
 
 /// Adds the information that is the noise of the trajectories, doc/math.md Eq. (18).
 void AddSpuriousInformation(const std::vector<CorrectionSplines>& splines, LeastSquares* joint);

@@ -14,8 +14,8 @@ namespace imu_pose_calib {
 /// Residuals of the joint solve, doc/math.md Eqs. (9)-(14), with analytic Jacobians: one cost
 /// function for all samples of a sensor, three rows in sigma for each. A residual block takes
 /// consecutive ones that share all parameters: that keeps the normal equations to a few dense
-/// products. `phi` and `d` stand for kSplineOrder control
-/// points each, blocks of 3.
+/// products. Blocks are in this order: `d` and `phi`, kSplineOrder control points (3) each; two
+/// knots (3) of what changes slowly; the others; clocks (1); with a walk, two of its knots (1).
 ///
 /// While the clocks are estimated, IMU samples move along the GP, which stays with the poses; the
 /// splines go along with the accelerometer of the session's first IMU, since it sees their highest
@@ -49,16 +49,22 @@ class Samples {
   std::function<Sample(size_t)> make_;
 };
 
-/// A pose of the marker where the trajectory has it while the clocks are where they stood when the
-/// problem was made: place on the splines, and what it is less the GP. Samples move along the GP to
-/// first or second order, and by little: the last pass starts close to the solution.
-struct JointPoseSample {
+/// Where a sample is on the splines while the clocks are where they stood when the problem was
+/// made, and its instant on clocks [s], after the one at which their shift holds. Samples move
+/// along the GP to first or second order, and by little: the last pass starts close to the
+/// solution.
+struct JointSample {
   SplinePlace place;
-  Eigen::Quaterniond q_error;    ///< R_gp^T R_meas
-  Eigen::Vector3d p_error;       ///< [m] p_meas - p_gp in W
-  Eigen::Vector3d alpha_M, a_W;  ///< [rad/s^2], [m/s^2] of the GP
-  /// [s] clock of the first IMU, after the instant at which its shift holds
-  double reference_time;
+  double reference_time;            ///< clock of the first IMU
+  double own_time = 0.0;            ///< of an IMU: its own clock
+  double walk_u = 0.0, walk = 0.0;  ///< 0..1 between the knots of that; [s] where it stands
+};
+
+/// A pose of the marker, less the GP.
+struct JointPoseSample : JointSample {
+  Eigen::Quaterniond q_error;             ///< R_gp^T R_meas
+  Eigen::Vector3d p_error;                ///< [m] p_meas - p_gp in W
+  Eigen::Vector3d alpha_M, a_W;           ///< [rad/s^2], [m/s^2] of the GP
   double position_sigma, rotation_sigma;  ///< [m], [rad]
   double error_u;                         ///< 0..1 between the knots of the slow errors
 };
@@ -69,47 +75,39 @@ std::unique_ptr<SampledCost> CreateJointPositionResidual(Samples<JointPoseSample
                                                          const ClockMotions& clocks);
 
 /// r = (Log(Exp(s/2 (alpha_gp + phi''(t)))^T Exp(phi(t))^T R_gp(t)^T R_meas) - e(t)) / sigma, in M,
-/// e: slow error. Blocks: phi | pose_smoothing (1) | knot_0 of e (3) | knot_1 (3) | clocks.
+/// e: slow error. Blocks: phi | knots of e | pose_smoothing (1) | clocks.
 std::unique_ptr<SampledCost> CreateJointRotationResidual(Samples<JointPoseSample> samples,
                                                          const ClockMotions& clocks);
 
 /// A sample of the gyroscope, and what accelerometers have, too.
-struct JointImuSample {
-  SplinePlace place;
+struct JointImuSample : JointSample {
   Eigen::Vector3d omega_M, alpha_M;  ///< [rad/s], [rad/s^2] of the GP
   Eigen::Vector3d value;             ///< gyroscope [rad/s] or accelerometer [m/s^2] in I
   double bias_u;                     ///< 0..1 between the bias knots
-  double own_time, reference_time;   ///< [s] as in JointPoseSample, on its own IMU's clock too
   double sigma;                      ///< unit of value
-  double walk_u = 0.0, walk = 0.0;   ///< 0..1 between the knots of the clock; [s] where it stands
 };
 
 /// r = (w - b_g - K_g R_MI^T omega_M(t)) / sigma, in I.
-/// Blocks: phi | q_MI (4, xyzw) | K_g (6, see GyroMatrix()) | bias knot_0 (3) | knot_1 (3) |
-/// clocks | with a walk: its knots (1), (1).
+/// Blocks: phi | knots of b_g | q_MI (4, xyzw) | K_g (6, see GyroMatrix()) | clocks | walk.
 std::unique_ptr<SampledCost> CreateJointGyroResidual(Samples<JointImuSample> samples,
                                                      const ClockMotions& clocks,
                                                      bool has_walk = false);
 
-/// Derivatives of the GP's motion, along which accelerometers move and over which they average.
-struct MarkerJerk {
+/// A sample of the accelerometer, with derivatives of the GP's motion, along which it moves and
+/// over which it averages.
+struct JointAccelSample : JointImuSample {
+  Eigen::Quaterniond q_WM;                                ///< of the GP
+  Eigen::Vector3d a_W;                                    ///< [m/s^2] of the GP
   Eigen::Vector3d alpha_rate = Eigen::Vector3d::Zero();   ///< [rad/s^3] in M
   Eigen::Vector3d jerk_W = Eigen::Vector3d::Zero();       ///< [m/s^3]
   Eigen::Vector3d f_curvature = Eigen::Vector3d::Zero();  ///< [m/s^4] f_M'', components in M
 };
 
-/// A sample of the accelerometer.
-struct JointAccelSample : JointImuSample {
-  Eigen::Quaterniond q_WM;  ///< of the GP
-  Eigen::Vector3d a_W;      ///< [m/s^2] of the GP
-  MarkerJerk jerk;
-};
-
 /// r = (f - b_a - K_a R_MI^T (f_M(t) + s/2 f_M'')) / sigma, in I, s: accel_smoothing, with
 /// f_M = R_WM^T (a_W / k - g_W) + alpha_M x p + omega_M x (omega_M x p), k: pose_scale. For axis i
 /// p is p_MI + R_MA r_i with r_i of AccelPositions() and R_MA about R_MI: it does not move.
-/// Blocks: d | phi | q_MI (4) | p_MI (3) | g_W (3) | K_a (9, see AccelMatrix()) | knot_0 (3) |
-/// knot_1 (3) | accel_smoothing (1) | pose_scale (1) | r (6) | clocks | walk as above.
+/// Blocks: d | phi | knots of b_a | q_MI (4) | K_a (9, see AccelMatrix()) | p_MI (3) | g_W (3) |
+/// accel_smoothing (1) | pose_scale (1) | r (6) | clocks | walk.
 std::unique_ptr<SampledCost> CreateJointAccelResidual(Samples<JointAccelSample> samples,
                                                       const Eigen::Matrix3d& R_MA,
                                                       const ClockMotions& clocks,

@@ -59,28 +59,17 @@ struct ProblemSample {
   float trajectory_variance = 0.0;  ///< share of sigma^2
 };
 
-/// Residual blocks of a sensor, three rows in sigma for each sample. Their rows, one after the
-/// other, are those of `samples`.
+/// The samples of a sensor in a problem, whose residual blocks follow each other: three rows in
+/// sigma for each sample.
 struct SensorBlocks {
   const SensorModel* model;
-  int first_block = 0;          ///< of the residual blocks, the others follow
-  std::vector<double> block_t;  ///< [s] pose clock, of each block's first sample
+  size_t first_row = 0;  ///< of the problem's
   std::vector<ProblemSample> samples;
   /// Share of the samples' degrees of freedom that the trajectory uses up by following them [0..1].
   double fitted = 0.0;
   double band = 0.0;  ///< [Hz] up to which residuals have a spectrum
   /// Of each sample, in the sensor's unit and over its scale, as of the last FindStatistics().
   std::vector<Eigen::Vector3d> residuals;
-
-  /// A residual block of the samples that come next, the first at t.
-  void Add(int block, double t);
-};
-
-/// Bias walks and priors.
-struct PriorBlock {
-  int block;  ///< of residuals
-  size_t session;
-  double t;  ///< [s] pose clock
 };
 
 /// Residuals of the samples of a sensor, measured less model, with the noise that weighs them.
@@ -137,17 +126,30 @@ class Windows {
   double length_s_;
 };
 
+/// Parameters of a solve in the order of H, and the first column of each kind.
+struct Ordering {
+  std::vector<int> border, inner;  ///< blocks
+  int columns = 0;
+  std::vector<Parameter> calibrated;  ///< from column 0 on
+  int estimated = 0;                  ///< columns of what is calibrated
+  std::vector<Parameter> hints;       ///< held, then
+  int gravity = 0, biases = 0;        ///< of each session; biases: no longer border
+  int walks = 0;                      ///< of clocks, and slow errors
+  int trajectory = 0;
+};
+
 /// A least squares problem over all sessions: what the two solves, against fixed trajectories and
 /// jointly with them, have in common. Refers to everything it is given; Solve() moves `estimate`.
 struct LeastSquares {
   const CalibrationOptions& options;
   const std::vector<PreparedSession>& sessions;
+  const std::vector<SensorModel>& models;
   Estimate* const estimate;
 
   const Windows windows;
   Problem problem;
-  std::vector<SensorBlocks> sensors;  ///< in the order of the models
-  std::vector<PriorBlock> priors;
+  std::vector<Equation> equations;     ///< all residual blocks
+  std::vector<SensorBlocks> sensors;   ///< in the order of the models
   std::vector<int> trajectory_blocks;  ///< parameters of the trajectories, when estimated
   /// Information on the p_MI of each IMU [1/m^2] that is the trajectory's own errors: they move
   /// the lever arm's coefficients as a motion would.
@@ -157,35 +159,23 @@ struct LeastSquares {
                const std::vector<SensorModel>& models, Estimate* estimate);
 
   SensorBlocks* Find(Quantity quantity, size_t session, size_t imu = 0);
-  /// Parameter blocks with their manifolds, constant where the options fix them: rotation and time
-  /// shifts; translation, gravity and accel_delay.
-  void AddGyroParameters();
-  void AddAccelParameters();
+  /// A residual block at t [s, pose clock].
+  void Add(int block, size_t session, double t);
+  /// What is calibrated, as far as a fixed trajectory tells of it or all, and gravity: held where
+  /// the options fix it, else with what is known of it beforehand.
+  void AddCalibration(bool is_joint);
   void AddBiasWalk(double walk, size_t session, size_t imu, BiasKnots* knots);
-  /// The parameters of this kind, of one IMU or of all; when they are estimated, with independent
-  /// priors around `expected`.
-  void AddOptional(ParameterKind kind, const Eigen::VectorXd& sigmas, double expected = 0.0,
-                   std::optional<size_t> imu = std::nullopt);
-
-  /// What is known beforehand of a parameter that is there, in the middle of a session.
-  void AddPrior(std::unique_ptr<const ceres::CostFunction> prior, const double* data,
-                size_t session);
-
   void AddClockWalk(size_t session, size_t imu);
   void AddRotationErrors(size_t session);
 
-  /// Bias knots of all sessions.
-  std::vector<int> BiasBlocks() const;
-  /// Knots of clocks and of slow errors of all sessions that are estimated.
-  std::vector<int> SlowBlocks() const;
-  /// All residual blocks.
-  std::vector<Equation> Equations() const;
+  /// `with_hints`: with parameters that are held though they could be worth a remark.
+  Ordering Order(bool with_hints) const;
 
-  /// Gauss-Newton steps, damped when they fail. Returns their number. Throws DataError when the
-  /// cost does not converge to what it is at the minimum, but for a share `function_tolerance`.
-  int Solve(double function_tolerance);
-  /// Nothing when it does not converge: it is where the last step left it.
-  std::optional<int> TrySolve(double function_tolerance);
+  /// Gauss-Newton steps, damped when they fail, or Ceres, by the options. Returns their number;
+  /// nothing when the cost does not converge to what it is at the minimum, but for a share
+  /// `function_tolerance`: then the estimate is where the last step left it.
+  std::optional<int> Solve(double function_tolerance);
+  std::optional<int> SolveWithCeres(double function_tolerance);
   void Move(const GaussNewtonStep& step);
   /// Of each sensor.
   std::vector<SensorStatistics> FindStatistics();
@@ -197,8 +187,8 @@ struct LeastSquares {
   const Eigen::Vector3d& HighPassResidual(const SensorModel& model, size_t index) const;
 
  private:
-  /// What steps are found from.
-  NormalEquations StepEquations() const;
+  /// What is known beforehand of a block of parameters that is there, in the middle of a session.
+  void AddPrior(std::unique_ptr<const ceres::CostFunction> prior, double* data, size_t session);
   /// Of residuals that start at `rows`, where the samples have that spread.
   NoiseSpectrum FindSpectrum(const SensorBlocks& sensor, const float* rows,
                              const StudentT& spread) const;

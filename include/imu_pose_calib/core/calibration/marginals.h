@@ -61,6 +61,9 @@ struct Marginals {
   int Find(ParameterKind kind, size_t imu = 0, size_t session = 0) const;
 };
 
+/// Stage S5 where a solve has ended, doc/math.md, "Covariance" and "What one more step tells".
+Marginals FindMarginals(LeastSquares* solved);
+
 /// By how much the robust sigma exceeds the model's, at least 1: factors of rows and columns of the
 /// covariance that is reported.
 Eigen::VectorXd Enlargement(const Eigen::MatrixXd& model, const Eigen::MatrixXd& robust);

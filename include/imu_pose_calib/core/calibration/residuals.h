@@ -8,6 +8,12 @@
 
 namespace imu_pose_calib {
 
+/// A cost function that copies `residual`; sizes: of the residual, and of its blocks.
+template <int... sizes, typename Residual>
+std::unique_ptr<ceres::CostFunction> AutoDiff(const Residual& residual) {
+  return std::make_unique<ceres::AutoDiffCostFunction<Residual, sizes...>>(new Residual(residual));
+}
+
 /// One gyroscope sample against the trajectory, doc/math.md Eq. (1).
 ///   r = (w - b_g - R_MI^T omega_M(t + time_shift)) / sigma,  b_g = (1 - u) knot_0 + u knot_1
 /// Blocks: q_MI (4, xyzw) | knot_0 (3, rad/s) | knot_1 (3) | time_shift (1, s).
@@ -33,10 +39,7 @@ struct GyroResidual {
     return true;
   }
 
-  std::unique_ptr<ceres::CostFunction> Create() const {
-    return std::make_unique<ceres::AutoDiffCostFunction<GyroResidual, 3, 4, 3, 3, 1>>(
-        new GyroResidual(*this));
-  }
+  std::unique_ptr<ceres::CostFunction> Create() const { return AutoDiff<3, 4, 3, 3, 1>(*this); }
 };
 
 /// One accelerometer sample against the trajectory, doc/math.md Eq. (2), at
@@ -71,8 +74,7 @@ struct AccelResidual {
   }
 
   std::unique_ptr<ceres::CostFunction> Create() const {
-    return std::make_unique<ceres::AutoDiffCostFunction<AccelResidual, 3, 4, 3, 3, 3, 3, 1, 1>>(
-        new AccelResidual(*this));
+    return AutoDiff<3, 4, 3, 3, 3, 3, 1, 1>(*this);
   }
 };
 
@@ -87,47 +89,25 @@ struct GravityPrior {
     return true;
   }
 
-  std::unique_ptr<ceres::CostFunction> Create() const {
-    return std::make_unique<ceres::AutoDiffCostFunction<GravityPrior, 1, 3>>(
-        new GravityPrior(*this));
-  }
+  std::unique_ptr<ceres::CostFunction> Create() const { return AutoDiff<1, 3>(*this); }
 };
 
-/// Brownian motion between two knots: r = (knot_1 - knot_0) / sigma, of a bias with
-/// sigma = walk sqrt(time between the knots). Blocks: knot_0 (kSize) | knot_1 (kSize). Residual:
-/// kSize.
+/// Between two knots: r = (knot_1 - kept knot_0) / sigma. Brownian motion: all is kept, sigma =
+/// walk sqrt(time between the knots); an Ornstein-Uhlenbeck process keeps a share of knot_0.
+/// Blocks: knot_0 (kSize) | knot_1 (kSize). Residual: kSize.
 template <int kSize>
 struct WalkResidual {
-  double sigma;
-
-  template <typename T>
-  bool operator()(const T* knot_0, const T* knot_1, T* residual) const {
-    for (int i = 0; i < kSize; ++i) residual[i] = (knot_1[i] - knot_0[i]) / T(sigma);
-    return true;
-  }
-
-  std::unique_ptr<ceres::CostFunction> Create() const {
-    return std::make_unique<ceres::AutoDiffCostFunction<WalkResidual, kSize, kSize, kSize>>(
-        new WalkResidual(*this));
-  }
-};
-using BiasWalkResidual = WalkResidual<3>;
-
-/// Ornstein-Uhlenbeck process between two knots: r = (knot_1 - kept knot_0) / sigma. Blocks: knot_0
-/// (3) | knot_1 (3). Residual: 3.
-struct DecayResidual {
-  double kept;   ///< share that is left of knot_0
   double sigma;  ///< of what is new, in the unit of the knots
+  double kept = 1.0;
 
   template <typename T>
   bool operator()(const T* knot_0, const T* knot_1, T* residual) const {
-    for (int i = 0; i < 3; ++i) residual[i] = (knot_1[i] - T(kept) * knot_0[i]) / T(sigma);
+    for (int i = 0; i < kSize; ++i) residual[i] = (knot_1[i] - T(kept) * knot_0[i]) / T(sigma);
     return true;
   }
 
   std::unique_ptr<ceres::CostFunction> Create() const {
-    return std::make_unique<ceres::AutoDiffCostFunction<DecayResidual, 3, 3, 3>>(
-        new DecayResidual(*this));
+    return AutoDiff<kSize, kSize, kSize>(*this);
   }
 };
 

@@ -74,8 +74,6 @@ class Elimination {
   void AddRhs(const std::vector<int>& places, int number,
               const Eigen::Ref<const Eigen::VectorXd>& rhs, Panels* panels) const;
   static void Merge(const Panels& from, Panels* to);
-  /// Whether anything beside the border acts together with a block of the border.
-  bool ActsInside(int block, const Panels& panels) const;
   /// Calls visit(block, diagonal of H) for all blocks in `panels`.
   template <typename Visit>
   void VisitDiagonal(const Visit& visit, Panels* panels) const {

@@ -3,8 +3,14 @@
 /// Room core/solver: large sparse least squares whose unknowns follow each other in time.
 /// In: cost functions of Ceres on parameter blocks, put in order of time and cut into windows.
 /// Out: normal equations of each window, their elimination into the few parameters all windows
-/// share, steps, marginal covariance. Windows are assembled, eliminated and forgotten one by one,
-/// which is what lets a recording of hours fit in memory. Knows nothing of IMUs.
+/// share, steps, marginal covariance. Knows nothing of IMUs.
+///
+/// Why beside ceres::Problem, which Problem::SolveWithCeres() makes of the same blocks: windows are
+/// assembled, eliminated and forgotten one by one, so a recording of hours fits in memory, where
+/// Ceres holds the Jacobian and the factor of all of it; order and structure are known beforehand
+/// and panels are dense, which is several times faster; and the same elimination, with the scores
+/// of the windows as right-hand sides, gives the covariances of whole, halves and sessions, robust
+/// ones too, and of the trajectory, for which ceres::Covariance would need the whole Jacobian.
 
 #include <functional>
 #include <memory>
@@ -49,17 +55,13 @@ class NormalEquations {
 
  private:
   class Linearisation;
-  struct Place {
-    int place = -1, size = 0;  ///< place -1: it is held
-    int curved = -1;           ///< which of those that are no vectors; -1: none
-  };
 
   const Problem& problem_;
-  std::vector<int> blocks_, curved_;  ///< of these, no vectors
+  std::vector<int> blocks_;
   std::vector<Equation> equations_;
   std::vector<size_t> first_of_window_;
   std::shared_ptr<const Elimination> elimination_;
-  std::vector<Place> places_;  ///< of each block of the problem
+  std::vector<int> place_;  ///< of each block of the problem; -1: it is held
 };
 
 /// The windows of normal equations when their own columns are eliminated.

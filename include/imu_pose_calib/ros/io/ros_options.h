@@ -6,8 +6,9 @@
 
 namespace imu_pose_calib {
 
-/// Method of that name; InputError listing the names when there is none.
+/// Method or solver of that name; InputError listing the names when there is none.
 Method ParseMethod(const std::string& name);
+SolverKind ParseSolver(const std::string& name);
 
 /// Options of a YAML text: a map whose keys are field names of CalibrationOptions. Fields without a
 /// key keep their default; `~` means "not given" for the optional ones. Rotations are [x, y, z, w],

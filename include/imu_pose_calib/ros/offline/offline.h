@@ -30,6 +30,7 @@ struct OfflineRequest {
   /// beside a text file of the IMU, if there is one.
   std::string imu_yaml;
   std::string method;        ///< name of a Method; wins over `config`
+  std::string solver;        ///< name of a SolverKind; wins over `config`
   std::string output;        ///< result YAML; default: see OutputPath()
   std::string report;        ///< HTML or PDF; default: none
   std::string marker_frame;  ///< replaces the name found in the bag
