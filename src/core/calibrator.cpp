@@ -13,7 +13,9 @@
 #include "imu_pose_calib/core/ground_truth/trajectory.h"
 #include "imu_pose_calib/core/start/excitation.h"
 #include "imu_pose_calib/core/start/preparation.h"
+#include "imu_pose_calib/core/verdict/doubts.h"
 #include "imu_pose_calib/core/verdict/observability.h"
+#include "imu_pose_calib/core/verdict/session_agreement.h"
 
 namespace imu_pose_calib {
 namespace {

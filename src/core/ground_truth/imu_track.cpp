@@ -14,7 +14,6 @@ namespace {
 using Eigen::Matrix3d;
 using Eigen::MatrixXd;
 using Eigen::Vector3d;
-using Matrix9d = Eigen::Matrix<double, 9, 9>;
 
 constexpr double kTrimStep = 1e-4;  // [s] at the ends of runs
 /// Samples further apart are not interpolated between.
@@ -31,15 +30,13 @@ constexpr int kGravity = kScale + 1;
 constexpr int kGyroBias = kGravity + 3;
 constexpr int kAccelBias = kGyroBias + 3;
 constexpr int kConstants = kAccelBias + 3;
-using ByConstants = Eigen::Matrix<double, 9, kConstants>;
 
-/// One end of a run: covariance of rotation, position and velocity of the IMU there, of the
-/// constants, and of both.
+/// One end of a run: covariance of rotation, position and velocity of the IMU there (9 x 9), of
+/// both it and the constants (9 x kConstants), and of these. Matrices have no sizes at compile
+/// time: half a minute of that for what takes milliseconds.
 struct RunEnd {
   BodyState state;
-  Matrix9d own;
-  ByConstants cross;
-  Eigen::Matrix<double, kConstants, kConstants> constants;
+  MatrixXd own, cross, constants;
 };
 
 RunEnd FindRunEnd(const Solution& solution, const SessionTrajectory& trajectory, size_t session,
@@ -65,23 +62,23 @@ RunEnd FindRunEnd(const Solution& solution, const SessionTrajectory& trajectory,
   MatrixXd A = MatrixXd::Zero(9 + kConstants, static_cast<Eigen::Index>(columns.size()));
   A.block(0, 0, 6, J.cols()) = J.topRows<6>();
   A.block(6, 0, 3, J.cols()) = J.middleRows<3>(9);
-  A.block<kGyroBias, kGyroBias>(9, kPoints).setIdentity();
+  A.block(9, kPoints, kGyroBias, kGyroBias).setIdentity();
   const auto knots = [&A](int place, int column, double u) {
-    A.block<3, 3>(9 + place, kPoints + column) = (1.0 - u) * Matrix3d::Identity();
-    A.block<3, 3>(9 + place, kPoints + column + 3) = u * Matrix3d::Identity();
+    A.block<3, 3>(9 + place, kPoints + column).diagonal().setConstant(1.0 - u);
+    A.block<3, 3>(9 + place, kPoints + column + 3).diagonal().setConstant(u);
   };
   knots(kGyroBias, kGyroBias, gyro_u);
   knots(kAccelBias, kGyroBias + 6, accel_u);
   const MatrixXd C = A * covariance.At(columns) * A.transpose();
-  end.own = C.topLeftCorner<9, 9>();
-  end.cross = C.topRightCorner<9, kConstants>();
-  end.constants = C.bottomRightCorner<kConstants, kConstants>();
+  end.own = C.topLeftCorner(9, 9);
+  end.cross = C.topRightCorner(9, kConstants);
+  end.constants = C.bottomRightCorner(kConstants, kConstants);
   return end;
 }
 
 /// cross constants^-1, where what is held has no part.
-ByConstants Regression(const RunEnd& end) {
-  Eigen::Matrix<double, kConstants, 1> inverse_std;
+MatrixXd Regression(const RunEnd& end) {
+  Eigen::VectorXd inverse_std(kConstants);
   for (int i = 0; i < kConstants; ++i)
     inverse_std[i] = end.constants(i, i) > 0.0 ? 1.0 / std::sqrt(end.constants(i, i)) : 0.0;
   MatrixXd correlation = inverse_std.asDiagonal() * end.constants * inverse_std.asDiagonal();
@@ -98,15 +95,11 @@ struct Measured {
 /// A state on the way, and where its error comes from.
 struct Carried {
   CarriedState state;
-  Matrix9d by_start = Matrix9d::Identity();        ///< derivative by that of the first state
-  ByConstants by_constants = ByConstants::Zero();  ///< derivative by that of the constants
-  Matrix9d noise = Matrix9d::Zero();               ///< covariance that the samples since add
+  MatrixXd by_both = MatrixXd::Identity(9, 9 + kConstants);  ///< derivative by the first state's
+                                                             ///< error and that of the constants
+  MatrixXd noise = MatrixXd::Zero(9, 9);  ///< covariance that the samples since add
 
-  Eigen::Matrix<double, 9, 9 + kConstants> ByBoth() const {
-    Eigen::Matrix<double, 9, 9 + kConstants> A;
-    A << by_start, by_constants;
-    return A;
-  }
+  auto by_start() const { return by_both.leftCols(9); }
 };
 
 /// Integration along the gap and how its errors grow.
@@ -140,43 +133,47 @@ class Integrator {
     const Matrix3d R = (x->q_WI * Exp<double>(0.5 * turn)).toRotationMatrix();
     const Vector3d omega = 0.5 * (a.omega + b.omega), f = 0.5 * (a.f + b.f);
     const Matrix3d accel_by_turn = -scale_ * R * Hat(f);
-    Matrix9d F = Matrix9d::Identity();
+    MatrixXd F = MatrixXd::Identity(9, 9);
     F.block<3, 3>(0, 0) = Exp<double>(-turn).toRotationMatrix();
     F.block<3, 3>(3, 0) = 0.5 * dt * dt * accel_by_turn;
-    F.block<3, 3>(3, 6) = dt * Matrix3d::Identity();
+    F.block<3, 3>(3, 6).diagonal().setConstant(dt);
     F.block<3, 3>(6, 0) = dt * accel_by_turn;
 
-    ByConstants G = ByConstants::Zero();
-    Eigen::Matrix<double, 3, 6> by_M_g = Eigen::Matrix<double, 3, 6>::Zero();
-    by_M_g.block<1, 1>(0, 0) = omega.head<1>().transpose();
-    by_M_g.block<1, 2>(1, 1) = omega.head<2>().transpose();
-    by_M_g.block<1, 3>(2, 3) = omega.transpose();
-    G.block<3, 6>(0, kGyroMatrix) = -dt * inverse_M_g_ * by_M_g;
+    MatrixXd G = MatrixXd::Zero(9, kConstants);
+    MatrixXd by_M_g = MatrixXd::Zero(3, 6);
+    by_M_g.block(0, 0, 1, 1) = omega.head(1).transpose();
+    by_M_g.block(1, 1, 1, 2) = omega.head(2).transpose();
+    by_M_g.block(2, 3, 1, 3) = omega.transpose();
+    G.block(0, kGyroMatrix, 3, 6) = -dt * inverse_M_g_ * by_M_g;
     G.block<3, 3>(0, kGyroBias) = -dt * inverse_M_g_;
-    Eigen::Matrix<double, 3, kConstants> accel = Eigen::Matrix<double, 3, kConstants>::Zero();
-    Eigen::Matrix<double, 3, 9> by_M_a = Eigen::Matrix<double, 3, 9>::Zero();
-    for (int row = 0; row < 3; ++row) by_M_a.block<1, 3>(row, 3 * row) = f.transpose();
-    accel.middleCols<9>(kAccelMatrix) = -scale_ * R * inverse_M_a_ * by_M_a;
-    accel.middleCols<3>(kAccelBias) = -scale_ * R * inverse_M_a_;
+    MatrixXd accel = MatrixXd::Zero(3, kConstants);
+    MatrixXd by_M_a = MatrixXd::Zero(3, 9);
+    for (int row = 0; row < 3; ++row) by_M_a.block(row, 3 * row, 1, 3) = f.transpose();
+    const Matrix3d by_accel = -scale_ * R * inverse_M_a_;
+    accel.middleCols(kAccelMatrix, 9) = by_accel * by_M_a;
+    accel.block<3, 3>(0, kAccelBias) = by_accel;
     accel.col(kScale) = R * f + g_W_;
-    accel.middleCols<3>(kGravity) = scale_ * Matrix3d::Identity();
-    G.middleRows<3>(3) = 0.5 * dt * dt * accel;
-    G.middleRows<3>(6) = dt * accel;
+    accel.block<3, 3>(0, kGravity).diagonal().setConstant(scale_);
+    G.middleRows(3, 3) = 0.5 * dt * dt * accel;
+    G.middleRows(6, 3) = dt * accel;
 
-    Matrix9d Q = Matrix9d::Zero();
-    Q.block<3, 3>(0, 0) = gyro_density_ * dt * Matrix3d::Identity();
-    Q.block<3, 3>(3, 3) = accel_density_ * dt * dt * dt / 3.0 * Matrix3d::Identity();
-    Q.block<3, 3>(3, 6) = Q.block<3, 3>(6, 3) =
-        accel_density_ * dt * dt / 2.0 * Matrix3d::Identity();
-    Q.block<3, 3>(6, 6) = accel_density_ * dt * Matrix3d::Identity();
+    MatrixXd Q = MatrixXd::Zero(9, 9);
+    const auto add_noise = [&Q](int row, int column, double variance) {
+      Q.block<3, 3>(row, column).diagonal().setConstant(variance);
+    };
+    add_noise(0, 0, gyro_density_ * dt);
+    add_noise(3, 3, accel_density_ * dt * dt * dt / 3.0);
+    add_noise(3, 6, accel_density_ * dt * dt / 2.0);
+    add_noise(6, 3, accel_density_ * dt * dt / 2.0);
+    add_noise(6, 6, accel_density_ * dt);
 
     x->t += dt;
     x->p_WI += dt * x->v_W + dt * dt / 6.0 * (2.0 * a_W + b_W);
     x->v_W += 0.5 * dt * (a_W + b_W);
     x->q_WI = after;
     x->omega_I = b.omega;
-    carried->by_start = F * carried->by_start;
-    carried->by_constants = F * carried->by_constants + G;
+    carried->by_both = F * carried->by_both;
+    carried->by_both.rightCols(kConstants) += G;
     carried->noise = F * carried->noise * F.transpose() + Q;
   }
 
@@ -246,7 +243,7 @@ std::vector<CarriedState> CarryAcrossGap(const Solution& solution,
   const RunEnd last = FindRunEnd(solution, trajectory, session, imu, end);
   const BodyState& start = first.state;
   std::vector<Carried> way(instants.size());
-  way[0].state = {begin, start.q_WB, start.p_WB, start.v_W, start.omega_B, Matrix9d::Zero()};
+  way[0].state = {begin, start.q_WB, start.p_WB, start.v_W, start.omega_B, {}};
   for (size_t j = 1; j < way.size(); ++j) {
     way[j] = way[j - 1];
     integrator.Step(measured[j - 1], measured[j], instants[j] - instants[j - 1], &way[j]);
@@ -254,30 +251,30 @@ std::vector<CarriedState> CarryAcrossGap(const Solution& solution,
 
   // Apart from the constants, both ends err independently: beyond the constants' part the last
   // state has errors of its own, `rest`.
-  const ByConstants gain = Regression(last);
-  const Matrix9d rest = last.own - gain * last.cross.transpose();
+  const MatrixXd gain = Regression(last);
+  const MatrixXd rest = last.own - gain * last.cross.transpose();
   MatrixXd P(9 + kConstants, 9 + kConstants);  // of the first state and the constants
   P << first.own, first.cross, first.cross.transpose(), first.constants;
   const Carried& there = way.back();
-  Eigen::Matrix<double, 9, 9 + kConstants> h = there.ByBoth();
-  h.rightCols<kConstants>() -= gain;
-  const Matrix9d S = h * P * h.transpose() + there.noise + rest;
-  Eigen::Matrix<double, 9, 1> distance;
+  MatrixXd h = there.by_both;
+  h.rightCols(kConstants) -= gain;
+  const MatrixXd S = h * P * h.transpose() + there.noise + rest;
+  Eigen::VectorXd distance(9);
   distance << Log(Eigen::Quaterniond(there.state.q_WI.conjugate() * last.state.q_WB)),
       last.state.p_WB - there.state.p_WI, last.state.v_W - there.state.v_W;
-  const Eigen::LDLT<Matrix9d> S_inverse(S);
+  const Eigen::LDLT<MatrixXd> S_inverse(S);
   if (!(distance.dot(S_inverse.solve(distance)) < kMaxDistance2)) return {};
 
   std::vector<CarriedState> states;
   for (const Carried& here : way) {
-    const auto A = here.ByBoth();
+    const MatrixXd& A = here.by_both;
     // What errs until here turns up at the end as much as the steps from here on carry it.
-    const Matrix9d rest_of_way = there.by_start * here.by_start.inverse();
-    const Matrix9d with_distance = A * P * h.transpose() + here.noise * rest_of_way.transpose();
-    const Matrix9d K = S_inverse.solve(with_distance.transpose()).transpose();
+    const MatrixXd rest_of_way = there.by_start() * here.by_start().partialPivLu().inverse();
+    const MatrixXd with_distance = A * P * h.transpose() + here.noise * rest_of_way.transpose();
+    const MatrixXd K = S_inverse.solve(with_distance.transpose()).transpose();
     states.push_back(here.state);
     CarriedState& x = states.back();
-    const Eigen::Matrix<double, 9, 1> error = K * distance;
+    const Eigen::VectorXd error = K * distance;
     x.q_WI = (x.q_WI * Exp<double>(error.head<3>())).normalized();
     x.p_WI += error.segment<3>(3);
     x.v_W += error.tail<3>();
