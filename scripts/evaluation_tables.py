@@ -4,7 +4,7 @@
 evaluation_tables.py INPUT FOLDER
 
 INPUT is what evaluate hands over: input.yaml, and trials.csv with a row for each trial of an evaluation. Writes
-evaluation.md, cells.csv, trials.csv and usage.md into FOLDER, or of a batch or a dataset sequences.md and sequences.csv.
+evaluation.md, cells.csv, trials.csv and usage.md into FOLDER; of a batch or a dataset sequences.md and sequences.csv.
 """
 
 import csv
@@ -27,8 +27,8 @@ NORMS = ('error', 'sigma', 'bound', 'least')  # of trials.csv, each with the qua
 LOADER = getattr(yaml, 'CBaseLoader', yaml.BaseLoader)  # all scalars are texts, numbers as evaluate writes them
 
 REMARKS = {
-    'guess': 'Figure 3 of the paper: guesses up to 180 deg and 1 m off, and none. Recordings of 20 s; in simulation the '
-             'transform itself is as random, and the clocks are up to an hour apart.',
+    'guess': 'Figure 3 of the paper: guesses up to 180 deg and 1 m off, and none. Recordings of 20 s; in simulation '
+             'the transform itself is as random, and the clocks are up to an hour apart.',
     'imu_noise': 'White noise added to accelerometer [m/s^2] and gyroscope [rad/s].',
     'pose_noise': 'White noise added to positions [m] and rotations [rad].',
     'repeatability': 'Recordings of one rig, each calibrated alone and compared with every other: what Table 1 of the '
@@ -184,7 +184,8 @@ def refusals(plan):
 
 
 def result_table(results):
-    return table(['recording', 'p [mm]', 'sigma', 'R as a rotation vector [deg]', 'sigma', 'accel delay [ms]', 'verdict'],
+    return table(['recording', 'p [mm]', 'sigma', 'R as a rotation vector [deg]', 'sigma', 'accel delay [ms]',
+                  'verdict'],
                  [[r['name'], listed(r['translation'], '%.3f', 1e3), listed(r['std'][:3], '%.3f', 1e3),
                    listed(r['rotation_vector'], '%.4f', DEGREES), listed(r['std'][3:], '%.4f', DEGREES),
                    '%.4f ± %.4f' % tuple(1e3 * float(x) for x in r['accel_delay']), r['verdict']] for r in results])
@@ -220,20 +221,20 @@ def section(plan):
 
 def introduction(head, bases):
     text = ('# Evaluation of imu_pose_calib %s\n\n'
-            'Root mean squares of the errors over the usable trials; %s trials a cell in the tables of the paper. `gp` is '
-            'the method of the paper, `joint` the default.\n\n' % (head['version'], head['trials']))
+            'Root mean squares of the errors over the usable trials; %s trials a cell in the tables of the paper. '
+            '`gp` is the method of the paper, `joint` the default.\n\n' % (head['version'], head['trials']))
     if 'sample' in bases:
-        text += ('**sample**: %s, %s from %s s on. Noise is added to what was recorded, and errors are those against what '
-                 'the same method says of the recording as it is, as in the paper.\n\n'
+        text += ('**sample**: %s, %s from %s s on. Noise is added to what was recorded, and errors are those against '
+                 'what the same method says of the recording as it is, as in the paper.\n\n'
                  % (head['bag'], head['used'], head['start']))
     if 'simulation' in bases:
-        text += ('**simulation**: errors are those against the truth, another motion in every trial; recordings of 40 s in '
-                 'the tables of the paper, of 20 s where nothing else is said. *bound* is the Cramér-Rao bound for what '
-                 '`joint` estimates, of which it knows as much as its priors say; cells.csv also has it with all else '
-                 'known (*least*). chi² is the error squared by the covariance that is reported, over its 8 degrees of '
-                 'freedom, *of the model* by that of independent residuals; *band* holds 95 % of such means when the '
-                 'sigmas are right.\n\n')
-    return text + ('*Within bounds*: usable, and less than 10 mm, 0.01 rad and 2 ms off. Time and memory: usage.md.\n\n')
+        text += ('**simulation**: errors are those against the truth, another motion in every trial; recordings of '
+                 '40 s in the tables of the paper, of 20 s where nothing else is said. *bound* is the Cramér-Rao '
+                 'bound for what `joint` estimates, of which it knows as much as its priors say; cells.csv also has '
+                 'it with all else known (*least*). chi² is the error squared by the covariance that is reported, '
+                 'over its 8 degrees of freedom, *of the model* by that of independent residuals; *band* holds 95 % '
+                 'of such means when the sigmas are right.\n\n')
+    return text + '*Within bounds*: usable, and less than 10 mm, 0.01 rad and 2 ms off. Time and memory: usage.md.\n\n'
 
 
 def exact(value):
@@ -276,8 +277,12 @@ def usage(plans, folder):
     used = {}
     for path in sorted(glob.glob(os.path.join(glob.escape(folder), 'usage_*.csv'))):
         with open(path, newline='', encoding='utf-8') as file:
-            # A line may be cut off, when a process was killed.
-            used.update((row[0], [float(text) for text in row[1:]]) for row in csv.reader(file) if len(row) == 4 and row[3])
+            for row in csv.reader(file):
+                try:
+                    name, wall, cpu, memory = row
+                    used[name] = float(wall), float(cpu), float(memory)
+                except ValueError:
+                    pass  # cut off when a process was killed
     rows, processor = [], 0.0
     for plan in plans:
         for labels, cell in zip(plan.labels, plan.trials):
@@ -288,8 +293,8 @@ def usage(plans, folder):
                     processor += sum(cpu)
                     rows.append([plan.name, plan.base, ', '.join(labels), method, '%.2f' % wall[len(wall) // 2],
                                  '%.2f' % cpu[len(cpu) // 2], '%.0f' % memory[-1]])
-    return ('# Time and memory\n\nMedians over the trials; their recording is simulated or has its noise added in the same '
-            'process, which takes a part of it.\n\n' +
+    return ('# Time and memory\n\nMedians over the trials; their recording is simulated or has its noise added in the '
+            'same process, which takes a part of it.\n\n' +
             table(['experiment', 'base', 'cell', 'method', 'time [s]', 'processor [s]', 'memory, most [MB]'], rows) +
             'All trials: %.0f min of a processor.\n' % (processor / 60.0))
 
@@ -328,8 +333,8 @@ def sequence_table(results):
         else:
             row += [r['reason'].replace('|', '/')] + [''] * 8
         rows.append(row)
-    return narrow_table(['recording', 'verdict', 'p [mm]', 'sigma', 'R, rotation vector [deg]', 'sigma', 'time shift [s]',
-                         'sigma', 'accel delay [ms]', 'sigma', 'warnings'], rows)
+    return narrow_table(['recording', 'verdict', 'p [mm]', 'sigma', 'R, rotation vector [deg]', 'sigma',
+                         'time shift [s]', 'sigma', 'accel delay [ms]', 'sigma', 'warnings'], rows)
 
 
 def scatter_table(count, scatter):
@@ -354,9 +359,10 @@ def audit_table(audit, bound):
                      '%.3f (%.1f)' % (DEGREES * float(a['angle']), most['rotation']),
                      '%.3f (%.1f)' % (1e3 * float(a['time_shift']), most['time shift']),
                      'yes' if is_frame else 'no', 'yes' if most['time shift'] <= bound else 'no'])
-    return ('Less what is published, in brackets the largest component in its sigma; *yes* is within %g sigma. The clocks '
-            'are said to be one.\n\n' % bound +
-            table(['recording', 'p [mm]', 'R [deg]', 'time shift [ms]', 'frame as published?', 'clock of the IMU?'], rows))
+    return ('Less what is published, in brackets the largest component in its sigma; *yes* is within %g sigma. The '
+            'clocks are said to be one.\n\n' % bound +
+            table(['recording', 'p [mm]', 'R [deg]', 'time shift [ms]', 'frame as published?', 'clock of the IMU?'],
+                  rows))
 
 
 def sequences_csv(results):
