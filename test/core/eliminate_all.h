@@ -12,11 +12,9 @@ inline Reduced EliminateAll(const Elimination& elimination, const Eigen::VectorX
                             bool keeps, std::vector<Panels>* windows, Panels* shared) {
   std::vector<Rest> rests;
   std::vector<const Rest*> parts;
-  for (size_t w = 0; w < windows->size(); ++w) {
-    Panels& own = (*windows)[w];
-    rests.push_back(elimination.EliminateWindow(static_cast<int>(w), weights, keeps, &own));
-    Elimination::Merge(elimination.TakeShared(&own), shared);
-  }
+  for (size_t w = 0; w < windows->size(); ++w)
+    rests.push_back(
+        elimination.EliminateWindow(static_cast<int>(w), weights, keeps, &(*windows)[w]));
   for (const Rest& rest : rests) parts.push_back(&rest);
   return elimination.Reduce(parts, weights, keeps, shared);
 }

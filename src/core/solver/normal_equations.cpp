@@ -220,12 +220,10 @@ EliminatedWindows::EliminatedWindows(std::shared_ptr<const Elimination> eliminat
       keeps_(elimination_->factor_mb() <= max_factor_mb),
       threads_(threads),
       factors_(static_cast<size_t>(elimination_->windows())),
-      shared_(factors_.size()),
       rests_(factors_.size()) {
   InParallel(threads, factors_.size(), [&](size_t w) {
     Panels own = assemble(w);
     rests_[w] = elimination_->EliminateWindow(static_cast<int>(w), weights_, keeps_, &own);
-    shared_[w] = elimination_->TakeShared(&own);
     if (keeps_) factors_[w] = std::move(own);
   });
 }
@@ -233,10 +231,7 @@ EliminatedWindows::EliminatedWindows(std::shared_ptr<const Elimination> eliminat
 Reduced EliminatedWindows::Reduce(const std::vector<int>& windows, bool keeps,
                                   Panels* shared) const {
   std::vector<const Rest*> rests;
-  for (const int w : windows) {
-    rests.push_back(&rests_[static_cast<size_t>(w)]);
-    Elimination::Merge(shared_[static_cast<size_t>(w)], shared);
-  }
+  for (const int w : windows) rests.push_back(&rests_[static_cast<size_t>(w)]);
   return elimination_->Reduce(rests, weights_, keeps, shared);
 }
 
@@ -256,7 +251,6 @@ void EliminatedWindows::SubstituteBack(const Assemble& assemble, Eigen::VectorXd
     if (keeps_) return elimination_->SubstituteBack(factors_[w], x);
     Panels own = assemble(w);
     elimination_->EliminateWindow(static_cast<int>(w), weights_, true, &own);
-    elimination_->TakeShared(&own);
     elimination_->SubstituteBack(own, x);
   });
 }

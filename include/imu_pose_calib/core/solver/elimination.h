@@ -2,7 +2,6 @@
 
 #include <Eigen/Core>
 #include <map>
-#include <memory>
 #include <utility>
 #include <vector>
 
@@ -28,18 +27,11 @@ struct Reduced {
   Eigen::MatrixXd Products() const;
 };
 
-/// Rows of H and of right-hand sides, by place, that columns which are eliminated take from later
-/// ones.
-struct Update {
-  std::vector<int> rows, numbers;
-  Eigen::MatrixXd H, B;
-};
-
 /// What is left when the columns of a window are eliminated.
 struct Rest {
-  std::map<int, std::vector<std::shared_ptr<const Update>>> waiting;  ///< by panel
-  std::vector<int> numbers;                                           ///< of right-hand sides
-  Eigen::MatrixXd inner;                                              ///< as in Reduced, of these
+  Panels shared;             ///< columns that windows share, border included
+  std::vector<int> numbers;  ///< of right-hand sides
+  Eigen::MatrixXd inner;     ///< as in Reduced, of these
   bool is_singular = false;
 };
 
@@ -62,17 +54,19 @@ class Elimination {
   int WindowOf(int block) const;
 
   double factor_mb() const;  ///< of the whole factor [MB]
-  int columns() const { return columns_; }
+  int columns() const { return static_cast<int>(place_of_column_.size()); }
   int border_columns() const { return shapes_.back().columns; }
 
   /// Of a block in the order of elimination.
   int place(int block) const { return place_[static_cast<size_t>(block)]; }
-  /// Adds J^T J (its lower triangle) of a residual of which J has the blocks at these places, which
-  /// increase; and a right-hand side of them.
+  /// Adds a symmetric matrix (its lower triangle) with rows at these places, which increase, as
+  /// J^T J of a residual; and a right-hand side of them. Without `creates`, panels that are not
+  /// there are left out.
   void Add(const std::vector<int>& places, const Eigen::Ref<const Eigen::MatrixXd>& product,
-           Panels* panels) const;
+           Panels* panels, bool creates = true) const;
   void AddRhs(const std::vector<int>& places, int number,
-              const Eigen::Ref<const Eigen::VectorXd>& rhs, Panels* panels) const;
+              const Eigen::Ref<const Eigen::VectorXd>& rhs, Panels* panels,
+              bool creates = true) const;
   static void Merge(const Panels& from, Panels* to);
   /// Calls visit(block, diagonal of H) for all blocks in `panels`.
   template <typename Visit>
@@ -80,20 +74,16 @@ class Elimination {
     for (auto& [p, panel] : *panels) {
       const Shape& shape = shapes_[static_cast<size_t>(p)];
       for (int k = shape.first; k < shape.end; ++k)
-        visit(block_at_[static_cast<size_t>(k)],
-              panel.H.diagonal().segment(offset_[static_cast<size_t>(k)],
-                                         size_[static_cast<size_t>(k)]));
+        visit(At(k).number, panel.H.diagonal().segment(At(k).offset, At(k).size));
     }
   }
 
-  /// Eliminates the columns of a window, given all that acts there. Columns in which nothing acts
-  /// are left out. With `keeps`, the panels take the factor and, as their only right-hand side, the
-  /// combination `weights`, one for each right-hand side.
+  /// Eliminates the columns of a window, given all that acts there, of which what is shared goes to
+  /// the rest. Columns in which nothing acts are left out. With `keeps`, the panels take, as their
+  /// only right-hand side, the combination `weights`, one for each right-hand side.
   Rest EliminateWindow(int window, const Eigen::VectorXd& weights, bool keeps,
                        Panels* panels) const;
-  /// Takes the panels that windows share, border included.
-  Panels TakeShared(Panels* window) const;
-  /// The same with what windows share, given the sum of that.
+  /// The same of what windows share, and of what else acts there.
   Reduced Reduce(const std::vector<const Rest*>& windows, const Eigen::VectorXd& weights,
                  bool keeps, Panels* shared) const;
   /// -H^-1 b, where b was kept, when those of later columns are known: the rows of `panels`.
@@ -105,6 +95,11 @@ class Elimination {
   double At(const Panels& panels, int row, int column) const;
 
  private:
+  struct Block {
+    int number, size, panel;
+    int offset;      ///< in the panel
+    int column = 0;  ///< of H
+  };
   struct Shape {
     int first = 0, end = 0;  ///< blocks of its columns, by place, as all that follow
     int columns = 0, height = 0;
@@ -112,29 +107,26 @@ class Elimination {
   };
   /// By window and the last residual that has them, the border last; returns the window of each.
   std::vector<int> OrderBlocks(size_t border, const std::vector<std::vector<int>>& residuals,
-                               const std::vector<size_t>& first_of_window);
+                               const std::vector<size_t>& first_of_window, std::vector<int>* order);
   /// Of blocks in that order.
-  void FormPanels(const std::vector<int>& sizes, size_t border, const std::vector<int>& window,
-                  int windows);
+  void FormPanels(const std::vector<int>& sizes, size_t border, const std::vector<int>& order,
+                  const std::vector<int>& window, int windows);
   /// The blocks below each panel: of its residuals, and of what is eliminated before.
   void FindRows(const std::vector<std::vector<int>>& residuals);
   void EliminatePanels(int begin, int end, const Eigen::VectorXd& weights, bool keeps,
                        Panels* panels, Rest* rest) const;
-  /// H and B of a panel with what waits for it.
-  void Gather(int panel, const Panel& own, Rest* rest, Eigen::MatrixXd* H,
-              Eigen::MatrixXd* B) const;
   int border_panel() const { return static_cast<int>(shapes_.size()) - 1; }
-  Panel* Touch(int panel, Panels* panels) const;
+  const Block& At(int place) const { return blocks_[static_cast<size_t>(place)]; }
+  /// Null when it is not there and not created.
+  Panel* Find(int panel, bool creates, Panels* panels) const;
   /// First row of a block in a panel; -1 when it has none there.
-  int Offset(int block, int panel) const;
+  int Offset(int place, int panel) const;
 
-  int columns_ = 0;
   std::vector<Shape> shapes_;
-  std::vector<int> first_panel_;                       ///< of each window, and of what they share
-  std::vector<int> place_;                             ///< of each block
-  std::vector<int> block_at_, size_, panel_, offset_;  ///< by place
-  std::vector<int> first_column_;                      ///< by place
-  std::vector<std::pair<int, int>> place_of_column_;   ///< and which of the block's columns
+  std::vector<int> first_panel_;                      ///< of each window, and of what they share
+  std::vector<int> place_;                            ///< of each block
+  std::vector<Block> blocks_;                         ///< by place
+  std::vector<std::pair<int, int>> place_of_column_;  ///< and which of the block's columns
 };
 
 }  // namespace imu_pose_calib

@@ -93,7 +93,7 @@ class EliminatedWindows {
   Eigen::VectorXd weights_;
   bool keeps_;
   int threads_;
-  std::vector<Panels> factors_, shared_;  ///< of each window
+  std::vector<Panels> factors_;  ///< of each window
   std::vector<Rest> rests_;
   Panels shared_factor_;
 };
