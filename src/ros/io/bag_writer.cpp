@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <boost/algorithm/string.hpp>
+#include <cmath>
 #include <cstdlib>
 #include <functional>
 #include <limits>
@@ -73,19 +74,38 @@ geometry_msgs::TransformStamped ToLink(int64_t t_ns, size_t joint, const Rigid3&
       MakeHeader(FromNanoseconds(t_ns), joint == 0 ? "world" : name(joint - 1)), name(joint), T);
 }
 
-/// Pose k on /tf. All joints but the last turn evenly, by 0.1 rad/s, so that interpolation between
-/// the messages that hold one of them, every fifth, gives the poses exactly.
+/// Whether joint 1..6 is in the message of pose k of n.
+bool IsSent(size_t joint, size_t k, size_t n) {
+  return joint == kJoints || k % (kJoints - 1) == joint - 1 || k == 0 || k == n - 1;
+}
+
+/// Angle of joint 1..5 at pose k. It changes evenly between the messages that hold it, so that
+/// interpolation gives the poses exactly.
+double JointAngle(size_t joint, size_t k, const std::vector<PoseSample>& poses) {
+  size_t before = k, after = k;
+  while (!IsSent(joint, before, poses.size())) --before;
+  while (!IsSent(joint, after, poses.size())) ++after;
+  const auto angle = [&](size_t i) {
+    return 0.4 * std::sin(0.01 * static_cast<double>(i) + static_cast<double>(joint));
+  };
+  const auto seconds = [&](size_t i) {
+    return 1e-9 * static_cast<double>(poses[i].t_ns - poses[before].t_ns);
+  };
+  if (after == before) return angle(k);
+  return angle(before) + (angle(after) - angle(before)) * seconds(k) / seconds(after);
+}
+
+/// Pose k on /tf, with the last joint and those whose turn it is.
 tf2_msgs::TFMessage ToTf(size_t k, const std::vector<PoseSample>& poses) {
   const PoseSample& pose = poses[k];
-  const double angle = 1e-10 * static_cast<double>(pose.t_ns - poses.front().t_ns);
   tf2_msgs::TFMessage msg;
   Rigid3 arm = BaseInWorld();
   for (size_t joint = 1; joint < kJoints; ++joint) {
-    const Eigen::Vector3d axis = Eigen::Vector3d::Unit(static_cast<Eigen::Index>(joint % 3));
-    const Rigid3 T = {Eigen::Quaterniond(Eigen::AngleAxisd(angle, axis)), {0.1, 0.0, 0.2}};
+    const Eigen::AngleAxisd turn(JointAngle(joint, k, poses),
+                                 Eigen::Vector3d::Unit(static_cast<Eigen::Index>(joint % 3)));
+    const Rigid3 T = {Eigen::Quaterniond(turn), {0.1, 0.0, 0.2}};
     arm = arm * T;
-    if (k % (kJoints - 1) == joint - 1 || k == 0 || k == poses.size() - 1)
-      msg.transforms.push_back(ToLink(pose.t_ns, joint, T));
+    if (IsSent(joint, k, poses.size())) msg.transforms.push_back(ToLink(pose.t_ns, joint, T));
   }
   msg.transforms.push_back(  // the last joint is free
       ToLink(pose.t_ns, kJoints, arm.Inverse() * Rigid3{pose.q_WM, pose.p_WM}));
