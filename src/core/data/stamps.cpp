@@ -5,7 +5,15 @@
 #include <limits>
 
 namespace imu_pose_calib {
+namespace {
 
+constexpr int64_t kMaxAstrayNs = 6 * 3600 * int64_t{1'000'000'000};  // from the median
+/// A sample that arrives up to this much after a later-stamped one is sorted in.
+constexpr int64_t kMaxReorderNs = 1'000'000'000;
+
+/// Whether stamp i, in order of arrival, is by more than a second after most of those that come
+/// next, and after most of those before it as well. The last before a clock jumps back agree with
+/// those before them, the first after a pause with those that come next.
 bool IsStampedAhead(const std::vector<int64_t>& stamps_ns, size_t i) {
   constexpr size_t kNear = 9;
   const auto earlier = [&](size_t begin, size_t end) {
@@ -17,6 +25,8 @@ bool IsStampedAhead(const std::vector<int64_t>& stamps_ns, size_t i) {
   const size_t before = std::min(i, kNear), after = std::min(stamps_ns.size() - 1 - i, kNear);
   return 2 * earlier(i + 1, i + 1 + after) > after && 2 * earlier(i - before, i) >= before;
 }
+
+}  // namespace
 
 std::vector<StampFault> JudgeStamps(const std::vector<int64_t>& stamps_ns) {
   std::vector<StampFault> faults(stamps_ns.size(), StampFault::kNone);

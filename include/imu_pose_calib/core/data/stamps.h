@@ -7,21 +7,9 @@
 
 namespace imu_pose_calib {
 
-/// A sample stamped further from the median of its stream is astray (stamp 0, clock set meanwhile).
-constexpr int64_t kMaxAstrayNs = 6 * 3600 * int64_t{1'000'000'000};
-
-/// A sample that arrives up to this much after a later-stamped one is sorted in; beyond, one of the
-/// stamps is not believed.
-constexpr int64_t kMaxReorderNs = 1'000'000'000;
-
-/// Why a stamp is not believed: hours from the others; after most of what arrived around it, see
-/// IsStampedAhead(); more than a second before one that arrived earlier.
+/// Why a stamp is not believed: hours from the others (stamp 0, clock set meanwhile); more than a
+/// second after most of what arrived around it; more than a second before one that arrived earlier.
 enum class StampFault { kNone, kAstray, kAhead, kReversed };
-
-/// Whether stamp i, in order of arrival, is by more than a second after most of those that come
-/// next, and after most of those before it as well. The last before a clock jumps back agree with
-/// those before them, the first after a pause with those that come next.
-bool IsStampedAhead(const std::vector<int64_t>& stamps_ns, size_t i);
 
 /// The faults of stamps in order of arrival.
 std::vector<StampFault> JudgeStamps(const std::vector<int64_t>& stamps_ns);
