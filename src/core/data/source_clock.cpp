@@ -1,332 +1,485 @@
 #include "imu_pose_calib/core/data/source_clock.h"
 
+#include <Eigen/Core>
 #include <Eigen/SparseCholesky>
 #include <Eigen/SparseCore>
 #include <algorithm>
+#include <array>
 #include <cmath>
-#include <cstddef>
 #include <limits>
+#include <utility>
 
 #include "imu_pose_calib/core/base/median.h"
 
 namespace imu_pose_calib {
 namespace {
 
+constexpr size_t kWindow = 50;       // samples, whose median step is at least
+constexpr double kMinMedian = 0.25;  // of the mean one
+constexpr int kStart = 10;           // frames by which the first sample may be off the level
+constexpr double kBeam = 500.0;      // counts that cost so much more than the best are given up
+constexpr size_t kMemory = 500;      // [samples] of the level while frames are counted
+constexpr double kLongest = 8.0;     // latency [periods] beyond which it costs no more; or
+constexpr double kLongestScatters = 4.0;
+
+/// What missing frames cost, in periods of latency: more where the stamps scatter more.
+constexpr double kMinJumpCost = 2.0, kJumpScatters = 6.0;
+
+/// Numbers of the frames of samples that arrived in this order; the first is 0, each at least one
+/// more than the one before. The latency of sample i, at t_i [s], is t_i - period frames_i.
+struct FrameCount {
+  std::vector<int64_t> frames;
+
+  /// Samples before which frames are missing.
+  size_t Jumps() const {
+    size_t jumps = 0;
+    for (size_t i = 1; i < frames.size(); ++i) jumps += frames[i] - frames[i - 1] > 1 ? 1 : 0;
+    return jumps;
+  }
+};
+
+/// Period of a source [s] and the mean distance of its stamps from a line through a few of them, in
+/// periods.
+struct Period {
+  double seconds = 0.0;
+  double scatter = 0.0;
+};
+
+/// A search for the period: factors of the one assumed, and the memory of the level.
+struct Search {
+  double low, high, step;
+  size_t memory;
+};
+constexpr Search kCoarse{0.75, 1.02, 3e-3, 50}, kMiddle{0.98, 1.02, 1e-3, 200},
+    kFine{0.997, 1.003, 3e-4, kMemory};
+constexpr size_t kShortExcerpt = 4000, kExcerpt = 20000;
+
+/// Cost of a latency while its distribution is unknown.
+struct LatencyCost {
+  double factor, reach;
+
+  double operator()(double r) const { return factor * std::min(std::abs(r), reach); }
+};
+
+/// Cost by the distribution that latencies [periods] were found to have.
+struct FoundCost {
+  static constexpr double kBin = 0.1;
+  static constexpr size_t kBins = 600, kZero = 200;  // -20 to 40
+  static size_t Bin(double r) {
+    return static_cast<size_t>(std::clamp(kZero + std::floor(r / kBin), 1.0, kBins - 2.0));
+  }
+  double reach = kBin * (kBins - kZero);
+  std::array<double, kBins> table{};
+
+  double operator()(double r) const { return table[Bin(r)]; }
+};
+
+LatencyCost CostOf(const Period& period, double factor) {
+  return {factor, std::max(kLongest, kLongestScatters * period.scatter) / factor};
+}
+
+double JumpCost(const Period& period) {
+  return std::max(kMinJumpCost, kJumpScatters * period.scatter);
+}
+
+/// Median latency of the first samples [periods].
+double FirstLatency(const std::vector<double>& t, double period) {
+  std::vector<double> first;
+  for (size_t i = 0; i < std::min(kWindow, t.size()); ++i)
+    first.push_back(t[i] / period - static_cast<double>(i));
+  return Median(std::move(first));
+}
+
+/// Frames of the samples from 0, from the last state of the best path back: (missing frames, place
+/// among the states of the sample before) of the states of all samples, which begin at `begins`.
+std::vector<int64_t> TraceBack(const std::vector<std::pair<int, int>>& path,
+                               const std::vector<size_t>& begins, size_t best) {
+  std::vector<int64_t> frames(begins.size());
+  for (size_t i = begins.size(); i-- > 0;) {
+    const auto& [missing, from] = path[begins[i] + best];
+    frames[i] = static_cast<int64_t>(i) + missing;
+    best = static_cast<size_t>(from);
+  }
+  const int64_t first = frames.front();
+  for (int64_t& frame : frames) frame -= first;
+  return frames;
+}
+
+/// The frames n_i of stamps t_i that minimise
+///   sum_i cost(t_i / period - n_i - level_i) + jump_cost (number of n_i > n_(i-1) + 1)
+/// by a Viterbi search over the number of missing frames; returns the sum. The level follows the
+/// latency with a memory of so many samples, or stays at 0 when that is 0. Latencies beyond the
+/// reach of the cost [periods] cost the same.
+template <typename Cost>
+double FindFrames(const std::vector<double>& t, double period, size_t memory, double jump_cost,
+                  const Cost& cost, FrameCount* count) {
+  struct State {
+    int missing;
+    double cost, level;
+    int from;  // its place among the states of the sample before
+  };
+  const auto latency = [&](size_t i) { return t[i] / period - static_cast<double>(i); };
+  const double gain = memory > 0 ? 1.0 / static_cast<double>(memory) : 0.0;
+  const double level = memory > 0 ? FirstLatency(t, period) : 0.0;
+  std::vector<State> states, next;  // by missing frames
+  for (int m = -kStart; m <= kStart; ++m) states.push_back({m, 0.0, level, 0});
+  std::vector<std::pair<int, int>> path;  // (missing, from) of the states of all samples
+  std::vector<size_t> begins;             // of each sample
+  size_t best = kStart;
+  for (size_t i = 0; i < t.size(); ++i) {
+    const double x = latency(i);
+    // A jump is due when it brings the sample nearer to the level, else it may as well come later.
+    const double due = x - states[best].level;
+    int fresh = std::max(states.front().missing + 1,
+                         static_cast<int>(std::floor(std::max(due - cost.reach, -1e9))));
+    const int high = i > 0 ? static_cast<int>(std::ceil(due)) + 1 : fresh;
+    next.clear();
+    size_t source = 0;  // the best state with fewer missing frames
+    double below = std::numeric_limits<double>::infinity(), least = below;
+    for (size_t k = 0; k < states.size() || fresh < high;) {
+      const bool exists = k < states.size() && (fresh >= high || states[k].missing <= fresh);
+      const int m = exists ? states[k].missing : fresh;
+      fresh = std::max(fresh, m + 1);
+      const bool stays =
+          exists && (i == 0 || k == 0 || states[k].cost <= states[source].cost + jump_cost);
+      State state = states[stays ? k : source];
+      state.missing = m;
+      state.from = static_cast<int>(stays ? k : source);
+      if (!stays) state.cost += jump_cost;
+      if (exists && states[k].cost < states[source].cost) source = k;
+      if (exists) ++k;
+      const double r = x - m - state.level;
+      state.cost += cost(r);
+      state.level += gain * std::clamp(r, -1.0, 1.0);
+      // Another with fewer missing frames can still jump here.
+      if (i > 0 && state.cost >= below + jump_cost) continue;
+      below = std::min(below, state.cost);
+      next.push_back(state);
+    }
+    for (const State& state : next) least = std::min(least, state.cost);
+    states.clear();
+    begins.push_back(path.size());
+    for (const State& state : next) {
+      if (state.cost > least + kBeam) continue;
+      if (state.cost == least) best = states.size();
+      states.push_back(state);
+      path.emplace_back(state.missing, state.from);
+    }
+  }
+  count->frames = TraceBack(path, begins, best);
+  return states[best].cost;
+}
+
+/// The middle of `t`, at most `count` of them.
+std::vector<double> Excerpt(const std::vector<double>& t, size_t count) {
+  if (t.size() <= count) return t;
+  const auto begin = t.begin() + static_cast<ptrdiff_t>((t.size() - count) / 2);
+  return {begin, begin + static_cast<ptrdiff_t>(count)};
+}
+
+/// The period that is counted at the least cost. A false one costs a latency that the level cannot
+/// follow, or frames that miss.
+Period FindPeriod(const std::vector<double>& t, const Period& start, const Search& search) {
+  Period best = start;
+  double least = std::numeric_limits<double>::infinity();
+  for (double f = search.low; f <= search.high; f += search.step) {
+    // The same latency [s] costs the same with every period.
+    FrameCount count;
+    const double cost =
+        FindFrames(t, f * start.seconds, search.memory, JumpCost(start), CostOf(start, f), &count);
+    if (cost >= least) continue;
+    least = cost;
+    best.seconds = f * start.seconds;
+  }
+  return best;
+}
+
+/// Median over windows of the mean distance from a line [s].
+double Scatter(const std::vector<double>& t) {
+  const double middle = 0.5 * static_cast<double>(kWindow - 1);
+  std::vector<double> sizes;
+  for (size_t begin = 0; begin + kWindow <= t.size(); begin += kWindow) {
+    double mean = 0.0, slope = 0.0, scale = 0.0, size = 0.0;
+    for (size_t i = 0; i < kWindow; ++i) {
+      const double u = static_cast<double>(i) - middle;
+      mean += t[begin + i] / static_cast<double>(kWindow);
+      slope += u * t[begin + i];
+      scale += u * u;
+    }
+    for (size_t i = 0; i < kWindow; ++i)
+      size += std::abs(t[begin + i] - mean - slope / scale * (static_cast<double>(i) - middle));
+    sizes.push_back(size / static_cast<double>(kWindow));
+  }
+  return Median(std::move(sizes));
+}
+
+/// The period of at least 100 stamps [s], to about 1e-3; 0 when they hardly advance but for pauses.
+Period FindPeriod(const std::vector<double>& t) {
+  std::vector<double> means;
+  for (size_t i = kWindow; i < t.size(); ++i)
+    means.push_back((t[i] - t[i - kWindow]) / static_cast<double>(kWindow));
+  Period period{Median(std::move(means)), 0.0};
+  const double mean = (t.back() - t.front()) / static_cast<double>(t.size());
+  if (!(period.seconds > kMinMedian * mean)) return {};
+  period.scatter = Scatter(t) / period.seconds;
+  const std::vector<double> excerpt = Excerpt(t, kShortExcerpt);
+  return FindPeriod(excerpt, FindPeriod(excerpt, period, kCoarse), kMiddle);
+}
+
+/// Counts frames. A frame is taken for missing where the stamps stay later for good.
+FrameCount CountFrames(const std::vector<double>& t, const Period& period) {
+  FrameCount count;
+  FindFrames(t, period.seconds, kMemory, JumpCost(period), CostOf(period, 1.0), &count);
+  return count;
+}
+
+/// Counts them again by the distribution of the latencies [s] that the first count left about a
+/// clock: stamps that were cut, or by time of arrival, have a sharp edge.
+FrameCount CountAgain(const FrameCount& count, const std::vector<double>& latency,
+                      const Period& period) {
+  FoundCost cost;
+  for (const double r : latency) cost.table[FoundCost::Bin(r / period.seconds)] += 1.0;
+  const std::array<double, FoundCost::kBins> histogram = cost.table;
+  const auto n = static_cast<double>(latency.size());
+  for (size_t k = 1; k + 1 < histogram.size(); ++k) {
+    const double share = (histogram[k - 1] + 2.0 * histogram[k] + histogram[k + 1]) / (4.0 * n);
+    cost.table[k] = -std::log(share + 1e-5);
+  }
+  std::vector<double> t(latency.size());  // but for what the clock is off the period
+  for (size_t i = 0; i < t.size(); ++i)
+    t[i] = period.seconds * static_cast<double>(count.frames[i]) + latency[i];
+  const double jump_cost = std::log(n / static_cast<double>(1 + count.Jumps()));
+  FrameCount again;
+  FindFrames(t, period.seconds, 0, jump_cost, cost, &again);
+  return again;
+}
+
 constexpr double kMaxPause = 10.0;   // [s] across which frames are counted
 constexpr size_t kMinRun = 100;      // samples that make a clock, and
 constexpr double kMinRunTime = 5.0;  // [s]
 constexpr double kMinRecovered = 0.9;
 
-// Counting, by latencies in periods.
-constexpr size_t kWindow = 50;             // samples, whose median step is at least
-constexpr double kMinMedian = 0.25;        // of the mean one
-constexpr ptrdiff_t kHalfExcerpt = 10000;  // samples that a period is found from
-constexpr int kStart = 10;                 // frames by which the first may be off the level
-constexpr double kReach = 8.0;             // beyond which a latency costs no more
-constexpr double kBeam = 500.0;  // counts that cost so much more than the best are given up
-constexpr int kCounts = 5;
-constexpr double kMinJumpCost = 2.0, kJumpScatters = 6.0;
-
-// Clock.
 constexpr double kKnotSpacing = 10.0;  // [s]
 constexpr double kRateStep = 1e-5;     // sigma of the change of the rate at a knot
 constexpr double kHuber = 1.5;         // sigma
-constexpr int kRounds = 15;
-/// The quantile of latencies that are often small and sometimes long is used when its sigma is
-/// below so much of that of the mean; a density is bounded by that of so much of the sigma.
-constexpr double kQuantile = 0.05, kMaxQuantileStd = 0.7, kSharpest = 0.02;
+constexpr int kRounds = 15, kCounts = 2;
+/// A quantile is used when its sigma is below so much of that of the mean; a density is bounded by
+/// that of so much of the sigma.
+constexpr double kMaxQuantileStd = 0.7, kSharpest = 0.02;
 
-/// The clock breaks where the mean latency changes by more than a part of a period, and of its
-/// sigma, over so long [s].
+/// The clock breaks where the latency changes by more than a part of a period, and of its sigma,
+/// between two blocks: of so many samples, at least, and so long [s]. Not in most blocks, and on
+/// average not as often as this [s].
 constexpr double kMaxChange = 0.15, kMaxChangeSigmas = 0.6;
+constexpr size_t kBlock = 50;
 constexpr double kBlockTime = 2.0;
+constexpr double kMaxBroken = 0.5, kBreakInterval = 20.0;
 
-/// Frames miss so rarely that a period is so many sigma of the mean latency between. The latency of
-/// so many samples on either side is the same, within a part of a period and so many sigma.
-constexpr double kJumpSigmas = 4.0;
+/// Frames that miss: at most before this share of the samples, and so rarely that a period is so
+/// many sigma of the mean latency between. Where they are said to miss, the latency of so many
+/// samples on either side is the same, within a part of a period and so many sigma.
+constexpr double kMaxJumps = 0.3, kJumpSigmas = 4.0;
 constexpr size_t kNear = 5;
 constexpr double kMaxDrop = 0.05, kMaxDropSigmas = 2.0;
 
-/// Cost of latencies [periods], in bins.
-class Cost {
- public:
-  /// While their distribution is unknown.
-  Cost() {
-    for (size_t k = 0; k < table_.size(); ++k)
-      table_[k] = std::min(kReach, kBin * std::abs(static_cast<double>(k) - kZero));
-  }
-  /// By the distribution of these: stamps that were cut, or by time of arrival, have a sharp edge.
-  explicit Cost(const std::vector<double>& latency) {
-    std::vector<double> share(table_.size(), 0.0);
-    for (const double r : latency) share[Bin(r)] += 1.0 / static_cast<double>(latency.size());
-    for (size_t k = 1; k + 1 < share.size(); ++k)
-      table_[k] = -std::log(0.25 * share[k - 1] + 0.5 * share[k] + 0.25 * share[k + 1] + 1e-5);
-  }
-  double operator()(double latency) const { return table_[Bin(latency)]; }
-
- private:
-  static constexpr double kBin = 0.1, kZero = 200.0, kLast = 598.0;  // -20 to 40 periods
-  static size_t Bin(double r) {
-    return static_cast<size_t>(std::clamp(kZero + std::round(r / kBin), 1.0, kLast));
-  }
-  std::vector<double> table_ = std::vector<double>(600, 0.0);
-};
-
-/// Frames that miss before each sample, and the cost at which they are counted.
-struct Count {
-  std::vector<int> missing;
-  double cost = 0.0;
-
-  double Jumps() const {
-    double jumps = 0.0;
-    for (size_t i = 1; i < missing.size(); ++i) jumps += missing[i] > missing[i - 1] ? 1.0 : 0.0;
-    return jumps;
-  }
-};
-
-/// The m_i >= m_(i-1) that minimise
-///   sum_i cost(x_i - m_i - level_i) + jump_cost (number of m_i > m_(i-1))
-/// by a Viterbi search. x_i [periods] is the time of sample i less i; the level follows the latency
-/// of the best count by `gain`. So a frame is missing where the samples stay later for good.
-Count CountMissing(const std::vector<double>& x, const Cost& cost, double jump_cost, double level,
-                   double gain) {
-  int low = -kStart;  // missing frames of the first count that is kept; each other has one more
-  std::vector<double> costs(2 * kStart + 1, 0.0);
-  std::vector<int> sources;                 // missing frames before, of the counts at each sample
-  std::vector<ptrdiff_t> places(x.size());  // in `sources`, where none are missing
-  size_t best = 0;
-  for (size_t i = 0; i < x.size(); ++i) {
-    const double rest = x[i] - level - low;
-    const auto due = static_cast<size_t>(std::max(0.0, std::ceil(rest) + 1.0));
-    if (i > 0 && due >= costs.size())
-      costs.resize(due + 1, std::numeric_limits<double>::infinity());
-    places[i] = static_cast<ptrdiff_t>(sources.size()) - low;
-    size_t source = 0;
-    double least = std::numeric_limits<double>::infinity();  // of those with fewer, before
-    best = 0;
-    for (size_t k = 0; k < costs.size(); ++k) {
-      const double stays = costs[k];
-      const bool jumps = i > 0 && least + jump_cost < stays;
-      sources.push_back(low + static_cast<int>(jumps ? source : k));
-      costs[k] = (jumps ? least + jump_cost : stays) + cost(rest - static_cast<double>(k));
-      if (costs[k] < costs[best]) best = k;
-      if (stays >= least) continue;
-      least = stays;
-      source = k;
-    }
-    level += gain * std::clamp(rest - static_cast<double>(best), -1.0, 1.0);
-    // Those that can jump later as well go, and those that cost too much.
-    while (costs.size() > std::max(due, best) + 1 && costs.back() >= costs[best] + jump_cost)
-      costs.pop_back();
-    size_t first = 0;
-    while (costs[first] > costs[best] + kBeam) ++first;
-    costs.erase(costs.begin(), costs.begin() + static_cast<ptrdiff_t>(first));
-    best -= first;
-    low += static_cast<int>(first);
-  }
-  Count count{std::vector<int>(x.size()), costs[best]};
-  int missing = low + static_cast<int>(best);
-  for (size_t i = x.size(); i-- > 0;) {
-    count.missing[i] = missing;
-    missing = sources[static_cast<size_t>(places[i] + missing)];
-  }
-  return count;
-}
-
-/// t_i / period - i.
-std::vector<double> InPeriods(const std::vector<double>& t, double period) {
-  std::vector<double> x;
-  for (const double t_i : t) x.push_back(t_i / period - static_cast<double>(x.size()));
-  return x;
-}
-
-double FirstLevel(const std::vector<double>& x) {
-  return Median<double>({x.begin(), x.begin() + kWindow});
-}
-
-/// Median over windows of the mean distance from a line [s].
-double Scatter(const std::vector<double>& t) {
-  constexpr auto kSize = static_cast<Eigen::Index>(kWindow);
-  const Eigen::ArrayXd u = Eigen::ArrayXd::LinSpaced(kSize, -1.0, 1.0);
-  std::vector<double> sizes;
-  for (size_t begin = 0; begin + kWindow <= t.size(); begin += kWindow) {
-    const Eigen::Map<const Eigen::ArrayXd> window(t.data() + begin, kSize);
-    const double slope = (u * window).sum() / u.square().sum();
-    sizes.push_back((window - window.mean() - slope * u).abs().mean());
-  }
-  return Median(std::move(sizes));
-}
-
-/// Of a source [s], and what a missing frame costs: more where the stamps scatter more.
-struct Period {
-  double seconds, jump_cost;
-};
-
-/// The period that at least kMinRun stamps [s] are counted with at the least cost; a false one
-/// costs a latency that the level cannot follow, or frames that miss. 0 when they hardly advance
-/// but for pauses.
-Period FindPeriod(const std::vector<double>& t) {
-  std::vector<double> means;
-  for (size_t i = kWindow; i < t.size(); ++i)
-    means.push_back((t[i] - t[i - kWindow]) / static_cast<double>(kWindow));
-  const double usual = Median(std::move(means));
-  if (!(usual > kMinMedian * t.back() / static_cast<double>(t.size()))) return {0.0, 0.0};
-  Period period{usual, std::max(kMinJumpCost, kJumpScatters * Scatter(t) / usual)};
-  // `memory` of the level [samples].
-  const auto search = [&](double low, double high, double step, double memory, ptrdiff_t half) {
-    const auto middle = t.begin() + static_cast<ptrdiff_t>(t.size() / 2);
-    half = std::min(half, static_cast<ptrdiff_t>(t.size() / 2));
-    const std::vector<double> excerpt(middle - half, middle + half);
-    const double start = period.seconds;
-    double least = std::numeric_limits<double>::infinity();
-    for (double factor = low; factor <= high; factor += step) {
-      const std::vector<double> x = InPeriods(excerpt, factor * start);
-      // The same latency [s] costs the same with every period.
-      const double cost =
-          factor * CountMissing(x, Cost(), period.jump_cost, FirstLevel(x), 1.0 / memory).cost;
-      if (cost >= least) continue;
-      least = cost;
-      period.seconds = factor * start;
+/// Latency [s] of the stamps t [s] about a clock whose offset from period * frame is linear between
+/// knots: their mean, robust, or a quantile of them if it is not 0. Changes of the rate are few.
+std::vector<double> FitClock(const std::vector<double>& t, const FrameCount& count, double period,
+                             double quantile = 0.0) {
+  const auto n = static_cast<double>(count.frames.back());
+  const auto intervals = static_cast<int>(std::max(1.0, std::round(n * period / kKnotSpacing)));
+  const double spacing = n / intervals;  // in frames
+  const auto place = [&](size_t i) {
+    const double u = static_cast<double>(count.frames[i]) / spacing;
+    const int knot = std::min(static_cast<int>(u), intervals - 1);
+    return std::make_pair(knot, u - knot);
+  };
+  std::vector<double> y(t.size());
+  for (size_t i = 0; i < t.size(); ++i) y[i] = t[i] - period * static_cast<double>(count.frames[i]);
+  const double bend_sigma = kRateStep * spacing * period;
+  const auto weight = [](double r, double sigma) {
+    return std::min(1.0, kHuber * sigma / (std::abs(r) + 1e-12));
+  };
+  constexpr std::array<double, 3> kBend = {1.0, -2.0, 1.0};
+  const int size = intervals + 1;
+  Eigen::VectorXd c = Eigen::VectorXd::Constant(size, Median(y));
+  std::vector<double> r(t.size());
+  const auto update = [&] {
+    for (size_t i = 0; i < t.size(); ++i) {
+      const auto [knot, part] = place(i);
+      r[i] = y[i] - (1.0 - part) * c[knot] - part * c[knot + 1];
     }
   };
-  search(0.75, 1.06, 3e-3, 50.0, kHalfExcerpt / 5);
-  search(0.98, 1.02, 1e-3, 200.0, kHalfExcerpt / 5);
-  search(0.997, 1.003, 3e-4, 500.0, kHalfExcerpt);
-  return period;
-}
-
-/// Latency [s] of the stamps t [s] about a clock whose offset from period * frame is linear between
-/// knots and whose rate seldom changes: robust least squares, or a low quantile of them.
-std::vector<double> FitClock(const std::vector<double>& t, const std::vector<int>& missing,
-                             double period, bool is_low) {
-  const auto n = static_cast<Eigen::Index>(t.size());
-  const auto frames = static_cast<double>(n - 1 + missing.back() - missing.front());
-  const auto intervals =
-      static_cast<Eigen::Index>(std::max(1.0, std::round(frames * period / kKnotSpacing)));
-  const double spacing = frames / static_cast<double>(intervals);
-  const double bend_sigma = kRateStep * spacing * period;
-  Eigen::VectorXd y = Eigen::VectorXd::Zero(n + intervals - 1), w(y.size());
-  std::vector<Eigen::Triplet<double>> elements;
-  for (Eigen::Index i = 0; i < n; ++i) {
-    const auto k = static_cast<size_t>(i);
-    const auto frame = static_cast<double>(i + missing[k] - missing[0]);
-    const auto knot = std::min(static_cast<Eigen::Index>(frame / spacing), intervals - 1);
-    const double part = frame / spacing - static_cast<double>(knot);
-    y[i] = t[k] - period * frame;
-    elements.emplace_back(i, knot, 1.0 - part);
-    elements.emplace_back(i, knot + 1, part);
-  }
-  for (Eigen::Index knot = 0; knot + 1 < intervals; ++knot)
-    for (const int k : {0, 1, 2}) elements.emplace_back(n + knot, knot + k, k == 1 ? -2.0 : 1.0);
-  Eigen::SparseMatrix<double> J(y.size(), intervals + 1);
-  J.setFromTriplets(elements.begin(), elements.end());
-  Eigen::VectorXd r = y;
-  r.head(n).array() -= Median<double>({y.data(), y.data() + n});
+  update();
   for (int round = 0; round < kRounds; ++round) {
-    const double sigma = std::max(RobustSigma({r.data(), r.data() + n}), 1e-4 * period);
-    for (Eigen::Index i = 0; i < w.size(); ++i) {
-      const double size = i < n ? sigma : bend_sigma;
-      w[i] = std::pow(sigma / size, 2) * std::min(1.0, kHuber * size / (std::abs(r[i]) + 1e-12));
-      if (is_low && i < n)
-        w[i] = sigma * (r[i] > 0.0 ? kQuantile : 1.0 - kQuantile) /
-               std::max(std::abs(r[i]), kSharpest * sigma);
+    const double sigma = std::max(RobustSigma(r), 1e-4 * period);
+    std::vector<Eigen::Triplet<double>> H;
+    Eigen::VectorXd b = Eigen::VectorXd::Zero(size);
+    for (size_t i = 0; i < t.size(); ++i) {
+      const auto [knot, part] = place(i);
+      const std::array<double, 2> row = {1.0 - part, part};
+      const double w = quantile == 0.0 ? weight(r[i], sigma)
+                                       : (r[i] > 0.0 ? quantile : 1.0 - quantile) * sigma /
+                                             std::max(std::abs(r[i]), kSharpest * sigma);
+      for (int k = 0; k < 2; ++k) {
+        b[knot + k] += w * row[static_cast<size_t>(k)] * y[i];
+        for (int l = 0; l < 2; ++l)
+          H.emplace_back(knot + k, knot + l,
+                         w * row[static_cast<size_t>(k)] * row[static_cast<size_t>(l)]);
+      }
     }
-    const Eigen::SparseMatrix<double> H = J.transpose() * w.asDiagonal() * J;
-    const Eigen::VectorXd b = J.transpose() * w.cwiseProduct(y);
-    r = y - J * Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>>(H).solve(b);
+    for (int knot = 0; knot + 2 < size; ++knot) {
+      const double bend = c[knot] - 2.0 * c[knot + 1] + c[knot + 2];
+      const double w = weight(bend, bend_sigma) * std::pow(sigma / bend_sigma, 2);
+      for (int k = 0; k < 3; ++k)
+        for (int l = 0; l < 3; ++l)
+          H.emplace_back(knot + k, knot + l,
+                         w * kBend[static_cast<size_t>(k)] * kBend[static_cast<size_t>(l)]);
+    }
+    Eigen::SparseMatrix<double> matrix(size, size);
+    matrix.setFromTriplets(H.begin(), H.end());
+    c = Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>>(matrix).solve(b);
+    update();
   }
-  return {r.data(), r.data() + n};
+  return r;
 }
 
-/// Whether a low quantile of the latencies is known better than their mean, by their density there.
-bool IsLowBetter(std::vector<double> latency) {
+/// The quantile of the latencies that is known best, from the density there; 0 for the mean. Of
+/// latencies that are often small and sometimes long it is a low one.
+double BestQuantile(std::vector<double> latency) {
   const double sigma = RobustSigma(latency);
   std::sort(latency.begin(), latency.end());
   const auto at = [&](double quantile) {
-    return latency[static_cast<size_t>(quantile * static_cast<double>(latency.size()))];
+    return latency[static_cast<size_t>(quantile * static_cast<double>(latency.size() - 1))];
   };
-  const double slope = (at(1.8 * kQuantile) - at(0.2 * kQuantile)) / (1.6 * kQuantile);
-  return std::sqrt(kQuantile * (1.0 - kQuantile)) * slope < kMaxQuantileStd * sigma;
+  double best = 0.0, least = kMaxQuantileStd * sigma;
+  for (const double quantile : {0.05, 0.1, 0.25, 0.75, 0.9, 0.95}) {
+    const double reach = 0.8 * std::min(quantile, 1.0 - quantile);
+    const double slope = (at(quantile + reach) - at(quantile - reach)) / (2.0 * reach);
+    const double std = std::sqrt(quantile * (1.0 - quantile)) * std::max(slope, kSharpest * sigma);
+    if (std >= least) continue;
+    least = std;
+    best = quantile;
+  }
+  return best;
 }
 
-/// The sample from which on the latencies [periods] are others for good; 0: there is none.
-size_t FindBreak(const std::vector<double>& latency, double period_s) {
-  const double sigma = RobustSigma(latency), bound = std::max(0.5, 2.0 * sigma);
-  std::vector<double> sums = {0.0};
-  for (const double r : latency) sums.push_back(sums.back() + std::clamp(r, -bound, bound));
-  const double mean = sums.back() / static_cast<double>(latency.size());
-  const auto excursion = [&](size_t i) {
-    return std::abs(sums[i] - mean * static_cast<double>(i));
-  };
+/// Robust mean.
+double Location(const std::vector<double>& values) {
+  const double middle = Median(values);
+  std::vector<double> sizes;
+  for (const double value : values) sizes.push_back(value - middle);
+  const double bound = kHuber * RobustSigma(sizes);
+  double sum = 0.0;
+  for (const double value : sizes) sum += std::clamp(value, -bound, bound);
+  return middle + sum / static_cast<double>(values.size());
+}
+
+/// Share of the blocks of samples whose mean latency is not that of the block before.
+double ShareBroken(const std::vector<double>& latency, double period) {
+  const double sigma = RobustSigma(latency);
+  const double bound = std::max(0.5 * period, 2.0 * sigma);
+  const double limit = std::max(kMaxChange * period, kMaxChangeSigmas * sigma);
+  const size_t length = std::max(kBlock, static_cast<size_t>(kBlockTime / period));
+  double broken = 0.0, blocks = 0.0, before = 0.0;
+  for (size_t i = 0; i + length <= latency.size(); i += length, blocks += 1.0) {
+    double mean = 0.0;
+    for (size_t k = i; k < i + length; ++k)
+      mean += std::clamp(latency[k], -bound, bound) / static_cast<double>(length);
+    if (i > 0 && std::abs(mean - before) > limit) broken += 1.0;
+    before = mean;
+  }
+  return broken / std::max(blocks, 1.0);
+}
+
+/// The sample from which on the latency differs most from that before.
+size_t FindBreak(const std::vector<double>& latency, double period) {
+  const auto bounded = [&](double r) { return std::clamp(r, -period, period); };
+  double sum = 0.0, mean = 0.0, largest = -1.0;
+  for (const double r : latency) mean += bounded(r) / static_cast<double>(latency.size());
   size_t found = 0;
-  for (size_t i = 1; i < latency.size(); ++i)
-    if (excursion(i) > excursion(found)) found = i;
-  const size_t block = std::max(kWindow, static_cast<size_t>(kBlockTime / period_s));
-  const size_t before = std::min(found, block), after = std::min(latency.size() - found, block);
-  if (std::min(before, after) < kWindow) return 0;
-  const double change = (sums[found + after] - sums[found]) / static_cast<double>(after) -
-                        (sums[found] - sums[found - before]) / static_cast<double>(before);
-  return std::abs(change) > std::max(kMaxChange, kMaxChangeSigmas * sigma) ? found : 0;
+  for (size_t i = 0; i < latency.size(); ++i) {
+    if (i > 0 && std::abs(sum) > largest) {
+      largest = std::abs(sum);
+      found = i;
+    }
+    sum += bounded(latency[i]) - mean;
+  }
+  return found;
 }
 
-/// Whether the missing frames are there: few enough for the latencies [periods], and the stamps
-/// later by their periods all at once. An irregular source is followed by frames that are not.
-bool AreJumpsCredible(const Count& count, const std::vector<double>& latency) {
-  const double sigma = RobustSigma(latency), jumps = count.Jumps();
-  if (jumps * std::pow(kJumpSigmas * sigma, 2) > static_cast<double>(latency.size())) return false;
+/// Whether the missing frames are there: few enough for the jitter, and the stamps later by their
+/// periods all at once. An irregular source is followed by frames that are not.
+bool AreJumpsCredible(const FrameCount& count, const std::vector<double>& latency, double period) {
+  const auto jumps = static_cast<double>(count.Jumps()), n = static_cast<double>(latency.size());
+  const double sigma = RobustSigma(latency) / period;
+  if (jumps > kMaxJumps * n || jumps * std::pow(kJumpSigmas * sigma, 2) > n) return false;
   double rise = 0.0;
   for (size_t i = kNear; i + kNear <= latency.size(); ++i)
-    for (size_t k = 0; k < kNear && count.missing[i] > count.missing[i - 1]; ++k)
-      rise += (latency[i + k] - latency[i - 1 - k]) / static_cast<double>(kNear);
+    for (size_t k = 0; k < kNear && count.frames[i] - count.frames[i - 1] > 1; ++k)
+      rise += (latency[i + k] - latency[i - 1 - k]) / (period * static_cast<double>(kNear));
   return rise >= -kMaxDrop * jumps - kMaxDropSigmas * sigma * std::sqrt(jumps);
 }
 
-/// Replaces `size` stamps t [s] by those of a clock, or of several where it breaks. Returns how
-/// many.
-size_t RecoverRun(double* t, size_t size) {
-  if (size < kMinRun || t[size - 1] - t[0] < kMinRunTime) return 0;
-  std::vector<double> stamps(t, t + size);
-  for (double& stamp : stamps) stamp -= t[0];
-  const Period period = FindPeriod(stamps);
-  if (period.seconds == 0.0) return 0;
-  std::vector<double> x = InPeriods(stamps, period.seconds), latency;
-  Count count = CountMissing(x, Cost(), period.jump_cost, FirstLevel(x), 1.0 / 200.0);
-  bool is_low = false;
-  for (int round = 1;; ++round) {
-    latency = FitClock(stamps, count.missing, period.seconds, is_low);
-    for (double& r : latency) r /= period.seconds;
-    if (round == kCounts) break;
-    for (size_t i = 0; i < size; ++i) x[i] = count.missing[i] + latency[i];
-    const double jump_cost = std::log(static_cast<double>(size) / (1.0 + count.Jumps()));
-    count = CountMissing(x, Cost(latency), jump_cost, 0.0, 0.0);
-    is_low = IsLowBetter(latency);
+/// Replaces the stamps t [s] by those of a clock, or of one before and one after a break, of which
+/// there may be `breaks` more. Returns how many.
+size_t RecoverRun(Period period, int* breaks, std::vector<double>* t) {
+  if (t->size() < kMinRun || t->back() - t->front() < kMinRunTime) return 0;
+  period = FindPeriod(Excerpt(*t, kExcerpt), period, kFine);
+  FrameCount count = CountFrames(*t, period);
+  std::vector<double> latency = FitClock(*t, count, period.seconds);
+  for (int round = 0; round < kCounts; ++round) {
+    count = CountAgain(count, latency, period);
+    latency = FitClock(*t, count, period.seconds);
   }
-  if (const size_t middle = FindBreak(latency, period.seconds); middle > 0)
-    return RecoverRun(t, middle) + RecoverRun(t + middle, size - middle);
-  if (!AreJumpsCredible(count, latency)) return 0;
-  const auto values =
-      Eigen::Map<const Eigen::ArrayXd>(latency.data(), static_cast<Eigen::Index>(size));
-  for (size_t i = 0; i < size; ++i) t[i] -= period.seconds * (latency[i] - values.mean());
-  return size;
+  if (!AreJumpsCredible(count, latency, period.seconds)) return 0;
+  const double broken = ShareBroken(latency, period.seconds);
+  if (broken == 0.0) {
+    const double quantile = BestQuantile(latency);
+    if (quantile != 0.0) latency = FitClock(*t, count, period.seconds, quantile);
+    const double mean = Location(latency);
+    for (size_t i = 0; i < t->size(); ++i) (*t)[i] -= latency[i] - mean;
+    return t->size();
+  }
+  if (broken > kMaxBroken || --*breaks < 0) return 0;
+  const auto middle = t->begin() + static_cast<ptrdiff_t>(FindBreak(latency, period.seconds));
+  std::vector<double> before(t->begin(), middle), after(middle, t->end());
+  const size_t recovered = RecoverRun(period, breaks, &before) + RecoverRun(period, breaks, &after);
+  std::copy(before.begin(), before.end(), t->begin());
+  std::copy(after.begin(), after.end(), middle);
+  return recovered;
+}
+
+/// Runs of stamps [s] without a pause.
+std::vector<std::vector<double>> SplitAtPauses(const std::vector<int64_t>& t_ns) {
+  std::vector<std::vector<double>> runs;
+  for (size_t i = 0; i < t_ns.size(); ++i) {
+    if (i == 0 || 1e-9 * static_cast<double>(t_ns[i] - t_ns[i - 1]) > kMaxPause)
+      runs.emplace_back();
+    runs.back().push_back(1e-9 * static_cast<double>(t_ns[i] - t_ns.front()));
+  }
+  return runs;
 }
 
 }  // namespace
 
 std::optional<std::vector<int64_t>> RecoverClock(const std::vector<int64_t>& recorded_ns) {
-  std::vector<double> t;
-  for (const int64_t t_ns : recorded_ns)
-    t.push_back(1e-9 * static_cast<double>(t_ns - recorded_ns.front()));
+  if (recorded_ns.size() < kMinRun) return std::nullopt;
+  std::vector<std::vector<double>> runs = SplitAtPauses(recorded_ns);
+  const auto longest = std::max_element(
+      runs.begin(), runs.end(), [](const auto& a, const auto& b) { return a.size() < b.size(); });
+  if (longest->size() < kMinRun) return std::nullopt;
+  const Period period = FindPeriod(*longest);
+  if (period.seconds == 0.0) return std::nullopt;
   size_t recovered = 0;
-  for (size_t i = 1, begin = 0; i <= t.size(); ++i) {
-    if (i < t.size() && t[i] - t[i - 1] <= kMaxPause) continue;
-    recovered += RecoverRun(t.data() + begin, i - begin);
-    begin = i;
-  }
-  if (recovered == 0 ||
-      static_cast<double>(recovered) < kMinRecovered * static_cast<double>(t.size()))
-    return std::nullopt;
   std::vector<int64_t> stamps;
-  for (const double t_i : t) stamps.push_back(recorded_ns.front() + std::llround(1e9 * t_i));
+  for (std::vector<double>& run : runs) {
+    int breaks = 1 + static_cast<int>((run.back() - run.front()) / kBreakInterval);
+    recovered += RecoverRun(period, &breaks, &run);
+    for (const double t : run) stamps.push_back(recorded_ns.front() + std::llround(1e9 * t));
+  }
+  if (static_cast<double>(recovered) < kMinRecovered * static_cast<double>(stamps.size()))
+    return std::nullopt;
   return stamps;
 }
 
