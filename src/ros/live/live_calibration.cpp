@@ -175,9 +175,6 @@ bool LiveCalibration::Add(const Sample& sample, double now, Stream<Sample>* stre
   return true;
 }
 
-// For AddGyro() and AddAccel(), which are inline.
-template bool LiveCalibration::Add(const ImuSample&, double, Stream<ImuSample>*);
-
 bool LiveCalibration::AddPose(const PoseSample& recorded, double now) {
   if (!Add(recorded, now, &poses_)) return false;
   const PoseSample pose = ToMarkerPose(calibration_, recorded);
@@ -190,6 +187,14 @@ bool LiveCalibration::AddPose(const PoseSample& recorded, double now) {
     path.pop_front();
   if (path.empty() || std::abs(age(path.back())) > kPathStep) path.push_back(pose);
   return true;
+}
+
+void LiveCalibration::AddGyro(const ImuSample& sample, double now, size_t imu) {
+  Add(sample, now, &sensors_[2 * imu]);
+}
+
+void LiveCalibration::AddAccel(const ImuSample& sample, double now, size_t imu) {
+  Add(sample, now, &sensors_[2 * imu + 1]);
 }
 
 Vector6d LiveCalibration::Excitation() const {

@@ -61,12 +61,8 @@ class LiveCalibration {
   /// the old data and result belong to another clock.
   /// True when the pose is valid and differs from the one before.
   bool AddPose(const PoseSample& recorded, double now);
-  void AddGyro(const ImuSample& sample, double now, size_t imu = 0) {
-    Add(sample, now, &sensors_[2 * imu]);
-  }
-  void AddAccel(const ImuSample& sample, double now, size_t imu = 0) {
-    Add(sample, now, &sensors_[2 * imu + 1]);
-  }
+  void AddGyro(const ImuSample& sample, double now, size_t imu = 0);
+  void AddAccel(const ImuSample& sample, double now, size_t imu = 0);
 
   /// There is enough motion, enough of it is new, and no solve is running.
   bool WantsSolve() const;
