@@ -243,7 +243,7 @@ std::vector<CarriedState> CarryAcrossGap(const Solution& solution,
   const RunEnd last = FindRunEnd(solution, trajectory, session, imu, end);
   const BodyState& start = first.state;
   std::vector<Carried> way(instants.size());
-  way[0].state = {begin, start.q_WB, start.p_WB, start.v_W, start.omega_B, {}};
+  way[0].state = {begin, start.q_WB, start.p_WB, start.v_W, start.omega_B, MatrixXd::Zero(9, 9)};
   for (size_t j = 1; j < way.size(); ++j) {
     way[j] = way[j - 1];
     integrator.Step(measured[j - 1], measured[j], instants[j] - instants[j - 1], &way[j]);
