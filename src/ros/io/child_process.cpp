@@ -2,7 +2,6 @@
 
 #include <fcntl.h>
 #include <spawn.h>
-#include <sys/mman.h>
 #include <sys/prctl.h>
 #include <sys/resource.h>
 #include <sys/wait.h>
@@ -64,24 +63,30 @@ int Wait(pid_t pid) {
 
 std::optional<std::string> RunApart(const std::function<std::string()>& run,
                                     const ChildLimits& limits) {
-  // A file in memory holds the answer, however long it is.
-  const std::unique_ptr<std::FILE, int (*)(std::FILE*)> file(
-      fdopen(memfd_create("answer", MFD_CLOEXEC), "w+b"), std::fclose);
-  if (!file) Fail("cannot hold the answer of a process");
+  int ends[2];  // to read from and to write to
+  if (pipe2(ends, O_CLOEXEC) != 0) Fail("cannot hold the answer of a process");
   const pid_t parent = getpid();
   const pid_t pid = fork();
-  if (pid < 0) Fail("cannot start a process");
+  if (pid < 0) {
+    close(ends[0]);
+    close(ends[1]);
+    Fail("cannot start a process");
+  }
   if (pid == 0) {
+    close(ends[0]);
     ConfineChild(parent, limits);
-    RunChild(run, file.get());
+    RunChild(run, fdopen(ends[1], "w"));
+  }
+  close(ends[1]);
+  const std::unique_ptr<std::FILE, int (*)(std::FILE*)> input(fdopen(ends[0], "r"), std::fclose);
+  std::string answer;
+  char part[1 << 16];
+  while (const ssize_t size = read(ends[0], part, sizeof(part))) {
+    if (size > 0) answer.append(part, static_cast<size_t>(size));
+    if (size < 0 && errno != EINTR) Fail("cannot read from a process");
   }
   const int status = Wait(pid);
   if (status != kResult && status != kInputError) return std::nullopt;
-  std::fseek(file.get(), 0, SEEK_END);
-  std::string answer(static_cast<size_t>(std::ftell(file.get())), '\0');
-  std::rewind(file.get());
-  if (std::fread(answer.data(), 1, answer.size(), file.get()) != answer.size())
-    Fail("cannot read from a process");
   if (status == kInputError) throw InputError(answer);
   return answer;
 }
