@@ -97,7 +97,7 @@ class Runner {
 
   /// "[#####     ] 123 of 456 trials, 12 min left", on one line that is written again and again.
   void Show(size_t done) const {
-    if (!is_shown_) return;
+    if (!is_shown_ || count_ == 0) return;
     const auto time = [](double seconds) {
       if (seconds < 100.0) return Format("%.0f s", seconds);
       if (seconds < 6000.0) return Format("%.0f min", seconds / 60.0);

@@ -375,7 +375,7 @@ std::vector<std::string> ExportNames() {
 }
 
 std::vector<std::string> ParseExports(const std::string& list) {
-  const std::vector<std::string> known = ExportNames();
+  std::vector<std::string> known = ExportNames();
   std::istringstream words(boost::replace_all_copy(list, ",", " "));
   std::vector<std::string> names;
   for (std::string word; words >> word;) {
