@@ -277,8 +277,8 @@ class Evaluation {
     }
     const std::string& folder = request_.runner.folder;
     MakeTables(input, rows, folder);
-    RunScript("evaluation_figures.py", {folder}, "the figures cannot be drawn",
-              folder + "/figures.log");
+    RunScriptOrThrow("evaluation_figures.py", {folder}, folder + "/figures.log",
+                     "the figures cannot be drawn");
   }
 
   const EvaluationRequest& request_;

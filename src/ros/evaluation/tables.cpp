@@ -27,14 +27,10 @@ YAML::Node Describe(const std::string& name, const Comparison& comparison) {
   return node;
 }
 
-void RunScript(const std::string& script, const std::vector<std::string>& arguments,
-               const std::string& failure, const std::string& log) {
-  const std::filesystem::path path =
-      std::filesystem::read_symlink("/proc/self/exe").parent_path() / script;
-  if (!std::filesystem::exists(path)) throw InputError(failure + ": there is no " + path.string());
-  std::vector<std::string> command = {path};
-  command.insert(command.end(), arguments.begin(), arguments.end());
-  if (RunProgram(command, log) != 0) throw InputError(failure + "; see '" + log + "'");
+void RunScriptOrThrow(const std::string& script, const std::vector<std::string>& arguments,
+                      const std::string& log, const std::string& failure) {
+  if (!RunScript(script, arguments, log, failure))
+    throw InputError(failure + "; see '" + log + "'");
   std::filesystem::remove(log);
 }
 
@@ -44,8 +40,8 @@ void MakeTables(const YAML::Node& input, const std::string& trials, const std::s
   text << input;
   WriteFile(given.path() / "input.yaml", text.c_str());
   WriteFile(given.path() / "trials.csv", trials);
-  RunScript("evaluation_tables.py", {given.path(), folder}, "the tables cannot be made",
-            folder + "/tables.log");
+  RunScriptOrThrow("evaluation_tables.py", {given.path(), folder}, folder + "/tables.log",
+                   "the tables cannot be made");
 }
 
 }  // namespace imu_pose_calib

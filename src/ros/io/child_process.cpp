@@ -12,6 +12,7 @@
 #include <csignal>
 #include <cstdio>
 #include <cstdlib>
+#include <filesystem>
 #include <memory>
 #include <system_error>
 
@@ -129,6 +130,16 @@ int RunProgram(const std::vector<std::string>& command, const std::string& error
     throw InputError("'" + command[0] +
                      "' cannot be run: " + std::generic_category().message(failure));
   return Wait(pid);
+}
+
+bool RunScript(const std::string& script, const std::vector<std::string>& arguments,
+               const std::string& errors, const std::string& failure) {
+  const std::filesystem::path path =
+      std::filesystem::read_symlink("/proc/self/exe").parent_path() / script;
+  if (!std::filesystem::exists(path)) throw InputError(failure + ": there is no " + path.string());
+  std::vector<std::string> command = {path};
+  command.insert(command.end(), arguments.begin(), arguments.end());
+  return RunProgram(command, errors) == EXIT_SUCCESS;
 }
 
 }  // namespace imu_pose_calib

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <boost/algorithm/string/replace.hpp>
 #include <boost/algorithm/string/trim.hpp>
-#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <sstream>
@@ -60,17 +59,14 @@ void WriteHead(const YAML::Node& head, const std::string& folder) {
 
 std::string DrawPage(const std::string& path, const std::string& run_id,
                      const std::function<void(const std::string&)>& write) {
-  const std::filesystem::path script =
-      std::filesystem::read_symlink("/proc/self/exe").parent_path() / "report.py";
-  if (!std::filesystem::exists(script))
-    throw InputError("report '" + path + "' cannot be drawn: there is no " + script.string());
+  const std::string failure = "report '" + path + "' cannot be drawn";
   const TemporaryFolder folder;
   write(folder.path());
   const bool is_pdf = std::filesystem::path(path).extension() == ".pdf";
   const std::string drawn = folder.path() / (is_pdf ? "drawn.pdf" : "drawn.html");
   const std::string errors = folder.path() / "errors.txt";
-  if (RunProgram({script, folder.path(), drawn}, errors) != EXIT_SUCCESS)
-    throw InputError("report '" + path + "' cannot be drawn: " + LastLine(errors));
+  if (!RunScript("report.py", {folder.path(), drawn}, errors, failure))
+    throw InputError(failure + ": " + LastLine(errors));
   std::string run = "imu_pose_calib " + std::string(kVersion);
   if (!run_id.empty()) run += ", run_id: " + run_id;
   std::string page = ReadAll(drawn);

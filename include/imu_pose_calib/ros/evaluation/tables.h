@@ -18,9 +18,8 @@ YAML::Node Describe(const std::string& name, const Comparison& comparison);
 /// `trials`: rows of numbers of each trial of an evaluation.
 void MakeTables(const YAML::Node& input, const std::string& trials, const std::string& folder);
 
-/// Runs a script that is installed beside the executables. Throws InputError beginning
-/// with `failure` when it cannot be run or fails; its errors are then in the file `log`.
-void RunScript(const std::string& script, const std::vector<std::string>& arguments,
-               const std::string& failure, const std::string& log);
+/// RunScript(), also throwing when it fails; its errors are then in the file `log`.
+void RunScriptOrThrow(const std::string& script, const std::vector<std::string>& arguments,
+                      const std::string& log, const std::string& failure);
 
 }  // namespace imu_pose_calib

@@ -36,4 +36,9 @@ void ConfineChild(pid_t parent, const ChildLimits& limits);
 /// cannot be started.
 int RunProgram(const std::vector<std::string>& command, const std::string& errors);
 
+/// The same of a script that is installed beside the executables; whether it succeeded. Throws
+/// InputError, beginning with `failure`, when there is none.
+bool RunScript(const std::string& script, const std::vector<std::string>& arguments,
+               const std::string& errors, const std::string& failure);
+
 }  // namespace imu_pose_calib
