@@ -69,7 +69,7 @@ std::string MakeDraft(const std::string& field, const std::string& path,
                       const std::string& target) {
   const std::lock_guard<std::mutex> lock(All().mutex);
   for (;;) {
-    const std::string draft = Beside(target, ".tmp");
+    std::string draft = Beside(target, ".tmp");
     if (std::FILE* file = std::fopen(draft.c_str(), "wx")) {
       std::fclose(file);
       All().paths.insert(draft);
