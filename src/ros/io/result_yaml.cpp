@@ -101,7 +101,7 @@ class ResultFile {
  private:
   static std::vector<std::string> Split(const std::string& path) {
     std::vector<std::string> parts;
-    return boost::split(parts, path, boost::is_any_of("./"));
+    return boost::split(parts, path, [](char c) { return c == '.' || c == '/'; });
   }
   static bool IsIndex(const std::string& part) { return boost::all(part, boost::is_digit()); }
 
