@@ -366,7 +366,7 @@ std::string WriteResult(OfflineResult* offline, const Progress& progress) {
     }
     add(WriteTrajectories(request.trajectory, offline->trajectories, offline->result,
                           offline->infos, offline->options, outputs));
-    const std::string failure = WriteReport(offline, progress);
+    std::string failure = WriteReport(offline, progress);
     outputs->Commit();
     return failure;
   } catch (const InputError&) {
