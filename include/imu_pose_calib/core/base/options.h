@@ -133,6 +133,13 @@ struct CalibrationOptions {
   /// [deg] Then the sigma is that of unknown heights and anomalies, 0.003, or less if that is set.
   std::optional<double> latitude;
 
+  // --- Further pose sensors on the rig (doc/math.md, "Pose sensors") ---
+
+  /// They give T_SV, the world seen from the sensor, instead of T_VS.
+  bool invert_sensor_poses = false;
+  /// Their positions have a scale of their own, as those of a single camera.
+  bool estimate_sensor_scale = false;
+
   // --- Solve (S3, S4) ---
 
   /// Joint solve: time between the knots of the trajectory's correction [s]. 0: refined until the
@@ -227,6 +234,8 @@ void VisitFields(Options&& options, Visitor&& visit) {
   visit(IMU_POSE_CALIB_FIELD(gravity_magnitude), Bound{0.1, 100.0});
   visit(IMU_POSE_CALIB_FIELD(gravity_magnitude_std), Bound{1e-9, 10.0});
   visit(IMU_POSE_CALIB_FIELD(latitude), Bound{-90.0, 90.0});
+  visit(IMU_POSE_CALIB_FIELD(invert_sensor_poses), Bound{});
+  visit(IMU_POSE_CALIB_FIELD(estimate_sensor_scale), Bound{});
   visit(IMU_POSE_CALIB_FIELD(knot_spacing_s), Bound{1e-3, 10.0, true});
   visit(IMU_POSE_CALIB_FIELD(robust_loss_scale), Bound{1.0});
   visit(IMU_POSE_CALIB_FIELD(max_iterations), Bound{1, 10000});

@@ -124,6 +124,51 @@ struct ImuSession {
   StreamReport gyro, accel;
 };
 
+/// What belongs to a pose sensor in one session: p_VS = p_VW + scale R_VW (p_WM + R_WM p_MS).
+struct PoseSensorSession {
+  bool is_present = false;  ///< else nothing below is set
+
+  double time_shift = 0.0, time_shift_std = 0.0;    ///< [s] t_pose = t_sensor + time_shift
+  double clock_drift = 0.0, clock_drift_std = 0.0;  ///< [s/s] as ImuSession::clock_drift
+  double clock_reference = 0.0;                     ///< [s] sensor clock
+  double scale = 1.0, scale_std = 0.0;              ///< of its positions
+
+  PoseStd noise;  ///< white noise per pose, as estimated
+  PoseStd rms;    ///< of the residuals of the poses used
+  PoseStd drift;  ///< walk of V where the body is [m/sqrt(s)], [rad/sqrt(s)]
+
+  /// T_VW, linear between knots of one piece; a jump begins the next piece.
+  struct WorldKnot {
+    double t;  ///< [s] pose clock
+    Rigid3 T_VW;
+    bool begins_piece;
+  };
+  std::vector<WorldKnot> world;
+  /// Measured less predicted pose.
+  struct Residual {
+    double t;                  ///< [s] pose clock
+    Eigen::Vector3d position;  ///< [m] in V
+    Eigen::Vector3d rotation;  ///< [rad] in S
+    double position_weight, rotation_weight;  ///< robust (0..1]
+  };
+  std::vector<Residual> residuals;
+  StreamReport poses;
+};
+
+/// A further source of poses on the rig.
+struct PoseSensorCalibration {
+  Rigid3 T_MS;  ///< x_M = T_MS x_S
+  /// Covariance of (p_MS [m] in M, small rotation [rad] about the sensor's axes), and the same if
+  /// residuals were independent.
+  Matrix6d covariance = Matrix6d::Zero(), model_covariance = Matrix6d::Zero();
+  std::vector<PoseSensorSession> sessions;
+  std::vector<Observability> observability;  ///< the least certain direction first
+  Status status = Status::kNotRun;
+  std::string message;  ///< one sentence: the verdict and its reason
+
+  Vector6d Std() const { return covariance.diagonal().cwiseSqrt(); }
+};
+
 /// What a session says alone, of the first IMU that it has.
 struct OwnEstimate {
   size_t imu = 0;  ///< place of that IMU in the rig
@@ -178,8 +223,9 @@ struct Calibration {
   Method method = Method::kJoint;
   ImuModel imu_model = ImuModel::kCalibrated;
 
-  std::vector<ImuCalibration> imus = std::vector<ImuCalibration>(1);
+  std::vector<ImuCalibration> imus = std::vector<ImuCalibration>(1);  ///< none: of a rig without
   std::vector<BetweenImus> between_imus;  ///< from the first IMU to each other
+  std::vector<PoseSensorCalibration> pose_sensors;
   std::vector<SessionCalibration> sessions = std::vector<SessionCalibration>(1);
   /// [s^2] by how much the variance of the time over which a pose's rotation is averaged exceeds
   /// that of an IMU sample; 0 when not estimated.

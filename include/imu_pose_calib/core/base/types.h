@@ -3,7 +3,8 @@
 /// Frames, clocks and units of the whole package, stated once.
 ///
 ///   W  fixed frame of the pose source        M  marker: the body whose pose is recorded
-///   I  IMU
+///   I  IMU                                 S  further source of poses on the body (pose sensor)
+///   V  fixed frame of the poses of S, which may drift against W
 ///
 /// `R_XY` turns Y coordinates into X coordinates, `p_XY` is the origin of Y in X coordinates:
 ///   x_X = R_XY x_Y + p_XY.
@@ -76,12 +77,15 @@ struct ImuData {
   bool IsEmpty() const { return gyro.empty() && accel.empty(); }
 };
 
-/// One recording of a rig, which is a marker and the IMUs on its body, in the order in which it
-/// arrived. Integer stamps keep clocks that are days apart at full precision. The places in `imus`
-/// are those of the rig: the same in all its sessions, empty where a session lacks an IMU.
+/// One recording of a rig, which is a marker and the IMUs and pose sensors on its body, in the order
+/// in which it arrived. Integer stamps keep clocks that are days apart at full precision. The places
+/// in `imus` and `pose_sensors` are those of the rig: the same in all its sessions, empty where a
+/// session lacks one.
 struct SessionData {
   std::vector<PoseSample> poses;
   std::vector<ImuData> imus = std::vector<ImuData>(1);
+  /// T_VS of each pose sensor, in the members q_WM and p_WM, stamped by its own clock.
+  std::vector<std::vector<PoseSample>> pose_sensors;
 };
 
 /// The input or an option is unusable as given: the text names field, value and bound.

@@ -26,12 +26,19 @@ struct ImuInfo {
   const std::string& AccelSource() const { return imu_topic.empty() ? accel_topic : imu_topic; }
 };
 
+/// Where the poses of a pose sensor come from. All empty: the recording lacks it.
+struct PoseSensorInfo {
+  std::string topic;               ///< or path of a file
+  std::string frame, world_frame;  ///< S and V, without leading slash
+};
+
 /// Where a recording comes from and how its frames are called.
 struct RecordingInfo {
   /// Path of the bag, or paths with spaces between them. Empty: live topics, or text files, whose
   /// paths stand for the topics.
   std::string bag;
   std::vector<ImuInfo> imus = std::vector<ImuInfo>(1);
+  std::vector<PoseSensorInfo> pose_sensors;
   std::string pose_topic;
   /// Frame names without leading slash: fixed frame of the poses, marker.
   std::string world_frame, marker_frame;

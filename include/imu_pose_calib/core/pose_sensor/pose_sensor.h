@@ -1,0 +1,42 @@
+#pragma once
+
+/// Room core/pose_sensor: where a further source of poses sits on the body (doc/math.md, "Pose
+/// sensors").
+/// In: the marker's motion in each session, as solved or of the poses alone, and the poses T_VS of
+/// one sensor. Out: PoseSensorCalibration. Changes no other estimate.
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "imu_pose_calib/core/base/options.h"
+#include "imu_pose_calib/core/base/result.h"
+#include "imu_pose_calib/core/ground_truth/trajectory.h"
+
+namespace imu_pose_calib {
+
+/// The marker in one session.
+struct MarkerMotion {
+  int64_t epoch_ns;                             ///< [ns, pose clock] at which t = 0
+  double duration_s;                            ///< of its poses
+  std::shared_ptr<const PoseTrajectory> poses;  ///< of S1
+  std::function<std::optional<BodyState>(double t)> at;  ///< nothing where it is not known
+};
+
+/// Those of all sessions: by the solution, where there is one.
+std::vector<MarkerMotion> MarkerMotions(const std::shared_ptr<const Solution>& solution);
+
+/// Calibrates a pose sensor against the marker; `poses`: of each session, empty where it lacks the
+/// sensor. Throws DataError when the poses cannot be used or turn otherwise than the marker.
+PoseSensorCalibration CalibratePoseSensor(const CalibrationOptions& options,
+                                          const std::vector<MarkerMotion>& marker,
+                                          const std::vector<std::vector<PoseSample>>& poses);
+
+/// T_FS of a frame F of the body, an IMU or another sensor, with its covariance as that of
+/// BetweenImus, when the errors of both are independent.
+BetweenImus BetweenSensors(const Rigid3& T_MF, const Matrix6d& covariance_F, const Rigid3& T_MS,
+                           const Matrix6d& covariance_S);
+
+}  // namespace imu_pose_calib
