@@ -10,7 +10,7 @@
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/calibration/gp_problem.h"
 #include "imu_pose_calib/core/calibration/joint_solver.h"
-#include "imu_pose_calib/core/ground_truth/trajectory.h"
+#include "imu_pose_calib/core/pose_sensor/pose_sensor.h"
 #include "imu_pose_calib/core/start/excitation.h"
 #include "imu_pose_calib/core/start/preparation.h"
 #include "imu_pose_calib/core/verdict/doubts.h"
@@ -52,10 +52,11 @@ CalibrationOptions WithoutStart(CalibrationOptions options, bool is_first_sessio
 /// Throws InputError for what cannot be known of several IMUs or sessions.
 void CheckRig(const CalibrationOptions& options, const std::vector<SessionData>& sessions) {
   if (sessions.empty()) throw InputError("there is no session to calibrate from");
-  const size_t imus = sessions[0].imus.size();
+  const size_t imus = sessions[0].imus.size(), sensors = sessions[0].pose_sensors.size();
+  if (imus + sensors == 0) throw InputError("the rig has no imu and no pose sensor");
   for (const SessionData& session : sessions)
-    if (session.imus.size() != imus || imus == 0)
-      throw InputError("the sessions are not of one rig: their numbers of imus differ");
+    if (session.imus.size() != imus || session.pose_sensors.size() != sensors)
+      throw InputError("the sessions are not of one rig: their numbers of imus or sensors differ");
   for (size_t i = 0; i < imus && imus > 1; ++i)
     if (std::all_of(sessions.begin(), sessions.end(),
                     [i](const SessionData& session) { return session.imus[i].IsEmpty(); }))
@@ -267,6 +268,71 @@ void AddStart(const Estimate& start, Estimate* estimate) {
     if (start.sessions[0].imus[i].is_present) estimate->imus[i] = start.imus[i];
 }
 
+/// Pose sensor number `sensor` of all sessions. Data that cannot be used, or a motion that is not
+/// enough, are its status, not that of the rig.
+PoseSensorCalibration CalibrateSensor(const CalibrationOptions& options,
+                                      const std::vector<MarkerMotion>& motions,
+                                      const std::vector<std::vector<PoseSample>>& poses,
+                                      size_t sensor, Calibration* result) {
+  PoseSensorCalibration calibration;
+  try {
+    calibration = CalibratePoseSensor(options, motions, poses);
+  } catch (const DataError& error) {
+    calibration.sessions.resize(poses.size());
+    calibration.status = Status::kDegenerate;
+    calibration.message = error.what();
+  }
+  if (calibration.status != Status::kOk) {
+    if (result->status == Status::kOk) {
+      result->status = Status::kWeak;
+      result->message = "pose sensor " + std::to_string(sensor + 1) + ": " + calibration.message;
+    }
+    result->warnings.push_back("pose sensor " + std::to_string(sensor + 1) + ": " +
+                               calibration.message);
+  }
+  return calibration;
+}
+
+/// Pose sensors of the rig, on the marker's trajectories.
+void CalibrateSensors(const CalibrationOptions& options, const std::vector<MarkerMotion>& motions,
+                      const std::vector<std::vector<std::vector<PoseSample>>>& poses,
+                      Calibration* result) {
+  const size_t sensors = poses[0].size();
+  for (size_t k = 0; k < sensors; ++k) {
+    std::vector<std::vector<PoseSample>> own;
+    for (const auto& session : poses) own.push_back(session[k]);
+    result->pose_sensors.push_back(CalibrateSensor(options, motions, own, k, result));
+  }
+}
+
+/// A rig without IMUs: the trajectories are those of the poses alone.
+Calibration CalibrateSensorsAlone(const CalibrationOptions& options,
+                                  const std::vector<SessionData>& data, Calibration result) {
+  std::vector<MarkerMotion> motions;
+  std::vector<std::vector<std::vector<PoseSample>>> poses;
+  for (size_t s = 0; s < data.size(); ++s) {
+    ConditionedData conditioned = ConditionData(options, data[s]);
+    const auto trajectory =
+        std::make_shared<const PoseTrajectory>(FitTrajectory(options, &conditioned));
+    CheckTurns(MeasureTurns(*trajectory, conditioned));
+    SessionCalibration& session = result.sessions[s];
+    session.imus.clear();
+    session.poses = conditioned.pose_report;
+    session.segments = conditioned.segments.size();
+    session.gaps = conditioned.gaps;
+    session.jumps = conditioned.jumps;
+    motions.push_back(MarkerMotionOf(conditioned.pose_epoch_ns, trajectory));
+    poses.push_back(data[s].pose_sensors);
+  }
+  result.status = Status::kOk;
+  CalibrateSensors(options, motions, poses, &result);
+  if (result.status == Status::kOk) result.message = "every sigma is within its bound";
+  if (std::all_of(result.pose_sensors.begin(), result.pose_sensors.end(),
+                  [](const auto& sensor) { return sensor.status == Status::kDegenerate; }))
+    result.status = Status::kDegenerate;
+  return result;
+}
+
 }  // namespace
 
 Calibration Calibrate(const CalibrationOptions& options, std::vector<SessionData> data,
@@ -278,7 +344,10 @@ Calibration Calibrate(const CalibrationOptions& options, std::vector<SessionData
   result.imu_model = options.method == Method::kJoint ? options.imu_model : ImuModel::kCalibrated;
   result.imus.resize(data[0].imus.size());
   result.sessions.resize(data.size());
+  if (result.imus.empty()) return CalibrateSensorsAlone(options, data, std::move(result));
 
+  std::vector<std::vector<std::vector<PoseSample>>> sensor_poses;
+  for (SessionData& session : data) sensor_poses.push_back(std::move(session.pose_sensors));
   std::vector<PreparedSession> sessions;
   Estimate estimate;
   for (size_t s = 0; s < data.size(); ++s) {
@@ -322,6 +391,11 @@ Calibration Calibrate(const CalibrationOptions& options, std::vector<SessionData
   result.solution = std::make_shared<const Solution>(std::move(solution));
   ReportClocks(result.solution, &result);
   verdict.End();
+  if (!sensor_poses[0].empty() && result.IsUsable()) {
+    const Stage sensors(progress, "pose sensors");
+    CalibrateSensors(options, MarkerMotions(result.solution), sensor_poses, &result);
+    sensors.End();
+  }
   return result;
 }
 

@@ -180,6 +180,48 @@ SessionData SimulateOne(const SimulatorOptions& options) {
   return data;
 }
 
+/// T_VS as the sensor gives them. V drifts by steps of a walk that are as large as the way between
+/// two poses times sqrt(drift * 1 m / way), so that after 1 m it is off by `drift` metres, after n
+/// of them by sqrt(n) times that.
+std::vector<PoseSample> SensorPoses(const SimulatorOptions& options, size_t sensor) {
+  const SimulatedPoseSensor& own = options.pose_sensors[sensor];
+  const TrueTrajectory trajectory(options);
+  std::mt19937 random(ImuSeed(options) + 7919u * static_cast<uint32_t>(sensor + 1));
+  const size_t count = Count(options.duration_s, own.rate_hz);
+  std::bernoulli_distribution is_off(own.outliers);
+  std::vector<PoseSample> poses;
+  Rigid3 T_VW = own.T_VW;
+  Eigen::Vector3d last = Eigen::Vector3d::Zero();
+  for (size_t k = 0; k < count; ++k) {
+    const double s = static_cast<double>(k) / own.rate_hz;
+    const double t = s + own.clock_drift * (s - 0.5 * options.duration_s);  // pose clock
+    const TrueState state = trajectory.At(t);
+    const Eigen::Quaterniond q_WS = Eigen::Quaterniond(state.R_WM) * own.T_MS.q;
+    const Eigen::Vector3d p_WS = state.p_WM + state.R_WM * own.T_MS.p;
+    const double way = k == 0 ? 0.0 : (p_WS - last).norm();
+    last = p_WS;
+    Eigen::Vector3d shift = Gaussian(&random, own.drift * std::sqrt(way));
+    Eigen::Vector3d turn = Gaussian(&random, 0.1 * own.drift * std::sqrt(way));
+    const auto jumps = static_cast<size_t>(own.jumps) + 1;
+    if (k > 0 && k * jumps / count != (k - 1) * jumps / count) {
+      shift += 0.2 * RandomDirection(&random);
+      turn += 0.1 * RandomDirection(&random);
+    }
+    // V moves about where the sensor is.
+    const Eigen::Vector3d p_VS = T_VW.q * p_WS + T_VW.p;
+    T_VW.q = Exp<double>(turn) * T_VW.q;
+    T_VW.p = p_VS + shift - T_VW.q * p_WS;
+    const bool off = is_off(random);
+    PoseSample pose;
+    pose.t_ns = options.start_ns + std::llround(1e9 * (s - own.time_shift_s));
+    pose.p_WM =
+        own.scale * (T_VW.q * p_WS + T_VW.p) + Gaussian(&random, off ? 0.1 : own.position_std);
+    pose.q_WM = T_VW.q * q_WS * Exp<double>(Gaussian(&random, off ? 0.3 : own.rotation_std));
+    poses.push_back(pose);
+  }
+  return poses;
+}
+
 }  // namespace
 
 TrueClock::TrueClock(const SimulatorOptions& options) {
@@ -213,6 +255,8 @@ SessionData Simulate(const SimulatorOptions& options, size_t imus) {
   SessionData data = SimulateOne(options);
   for (size_t i = 1; i < imus; ++i)
     data.imus.push_back(SimulateOne(FurtherImu(options, i)).imus[0]);
+  for (size_t k = 0; k < options.pose_sensors.size(); ++k)
+    data.pose_sensors.push_back(SensorPoses(options, k));
   return data;
 }
 

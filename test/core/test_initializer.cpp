@@ -152,8 +152,7 @@ TEST(Initialise, SearchesOneSecondAroundAGuess) {
   const Fitted fitted(Simulate(options), CalibrationOptions());
   const double truth = TrueShift(fitted.data, options);
   for (const double guess : {truth - 0.7, truth + 0.7, truth + 4.0, truth - 4.0}) {
-    const auto shifts = FindTimeShifts(fitted.trajectory, fitted.data.poses,
-                                       fitted.data.imus[0].gyro, 5.0, guess, 6);
+    const auto shifts = FindTimeShifts(fitted.trajectory, fitted.data.imus[0].gyro, 5.0, guess, 6);
     for (const double shift : shifts) EXPECT_NEAR(shift, guess, 1.0 + 0.01);
     const bool found = std::any_of(shifts.begin(), shifts.end(),
                                    [&](double s) { return std::abs(s - truth) < 5e-3; });
@@ -202,8 +201,8 @@ TEST(RemoveFlippedSegments, TakesNoGuessOfAnotherImu) {
 TEST(FindTimeShifts, ReturnsTheBestFirstAndNoTwoNeighbours) {
   const SimulatorOptions options = Recording(15.0, 16);
   const Fitted fitted(Simulate(options), CalibrationOptions());
-  const auto shifts = FindTimeShifts(fitted.trajectory, fitted.data.poses, fitted.data.imus[0].gyro,
-                                     5.0, std::nullopt, 4);
+  const auto shifts =
+      FindTimeShifts(fitted.trajectory, fitted.data.imus[0].gyro, 5.0, std::nullopt, 4);
   ASSERT_EQ(shifts.size(), 4u);
   EXPECT_NEAR(shifts[0], TrueShift(fitted.data, options), 3e-3);  // bins of 10 ms
   for (size_t i = 0; i < shifts.size(); ++i)
@@ -213,8 +212,7 @@ TEST(FindTimeShifts, ReturnsTheBestFirstAndNoTwoNeighbours) {
 TEST(FindTimeShifts, OffersNoOverlapBelowTheMinimum) {
   const Fitted fitted(Simulate(Recording(15.0, 17)), CalibrationOptions());
   const auto find = [&](double overlap) {
-    return FindTimeShifts(fitted.trajectory, fitted.data.poses, fitted.data.imus[0].gyro, overlap,
-                          std::nullopt, 50);
+    return FindTimeShifts(fitted.trajectory, fitted.data.imus[0].gyro, overlap, std::nullopt, 50);
   };
   for (const double shift : find(12.0)) EXPECT_LT(std::abs(shift), 3.1);
   double largest = 0.0;

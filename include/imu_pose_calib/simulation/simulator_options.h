@@ -82,6 +82,21 @@ struct RealEffects {
   StreamEffects pose_stream, imu_stream;
 };
 
+/// A further source of poses on the body: T_VS with noise, a clock and a world of its own.
+struct SimulatedPoseSensor {
+  double rate_hz = 30.0;
+  double position_std = 5e-3;  ///< [m] per axis
+  double rotation_std = 5e-3;  ///< [rad] per axis
+  double outliers = 0.0;       ///< share of its poses that are off by some 0.1 m and 0.3 rad
+  Rigid3 T_MS{Eigen::Quaterniond(0.3, 0.5, -0.7, 0.4).normalized(), {0.1, -0.05, 0.15}};
+  Rigid3 T_VW{Eigen::Quaterniond(0.8, 0.2, 0.5, -0.3).normalized(), {1.0, -2.0, 0.5}};
+  double scale = 1.0;          ///< of its positions
+  double time_shift_s = 0.03;  ///< t_pose = t_sensor + time_shift_s
+  double clock_drift = 0.0;    ///< [s/s] growth of it, about mid-recording
+  double drift = 0.0;          ///< of V, share of the way [m] by direction; a tenth of it [rad]
+  int jumps = 0;               ///< of V by 0.2 m and 0.1 rad, evenly over the recording
+};
+
 /// A recording to simulate: truth, sensors and clocks.
 struct SimulatorOptions {
   Motion motion = Motion::kHandheld;
@@ -110,6 +125,8 @@ struct SimulatorOptions {
   Eigen::Vector3d g_W{0.0, 0.0, -9.80665};          ///< [m/s^2]
   Eigen::Vector3d gyro_bias{0.004, -0.003, 0.005};  ///< [rad/s] at the start
   Eigen::Vector3d accel_bias{0.03, 0.05, -0.04};    ///< [m/s^2] at the start
+
+  std::vector<SimulatedPoseSensor> pose_sensors;
 
   int64_t start_ns = 1'600'000'000'000'000'000;  ///< first pose stamp
 

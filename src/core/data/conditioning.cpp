@@ -378,7 +378,6 @@ ConditionedData ConditionData(const CalibrationOptions& options, const SessionDa
     report(stamps.imus[i].first, &out.imus[i].gyro_report);
     report(stamps.imus[i].second, &out.imus[i].accel_report);
   }
-  if (out.imus.empty()) Refuse("the session has no imu");
 
   SplitAtGaps(options, &out);
   Summarise(out.poses, &out.pose_report);

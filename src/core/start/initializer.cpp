@@ -89,8 +89,8 @@ std::vector<double> CandidateShifts(const CalibrationOptions& options,
     guess = *options.initial_time_shift -
             1e-9 * static_cast<double>(data.pose_epoch_ns - samples.epoch_ns);
   if (guess && !options.estimate_time_shift) return {*guess};
-  return FindTimeShifts(trajectory, data.poses, samples.gyro, options.min_overlap_s, guess,
-                        kCandidates, options.Threads());
+  return FindTimeShifts(trajectory, samples.gyro, options.min_overlap_s, guess, kCandidates,
+                        options.Threads());
 }
 
 /// Gyro samples on one segment of the trajectory.

@@ -136,11 +136,10 @@ Eigen::Vector3d RateAlignment::Residual(const RatePair& pair) const {
 }
 
 std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
-                                   const std::vector<TimedPose>& poses,
                                    const std::vector<TimedSample>& gyro, double min_overlap_s,
                                    const std::optional<double>& guess, int count, int threads) {
   const auto bins = [](double duration) { return static_cast<size_t>(duration / kBin) + 1; };
-  Signal marker(bins(poses.back().t));
+  Signal marker(bins(trajectory.End()));
   InPortions(threads, marker.size(), [&](size_t i) {
     MarkerRotation<double> rotation;
     if (trajectory.EvaluateRotation((static_cast<double>(i) + 0.5) * kBin, &rotation))

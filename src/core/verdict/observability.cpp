@@ -34,16 +34,6 @@ Eigen::Matrix3d WithoutSpuriousInformation(const Eigen::Matrix3d& covariance,
   return V * eigen.eigenvalues().cwiseMax(1e-12).cwiseInverse().asDiagonal() * V.transpose();
 }
 
-/// Principal directions of a 3x3 covariance, each with its sigma. None when it is not estimated.
-void AddDirections(const Eigen::Matrix3d& C, const std::string& name, const std::string& frame,
-                   const std::string& unit, std::vector<Observability>* spectrum) {
-  if (C.isZero(0.0)) return;
-  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(C);
-  for (int k = 0; k < 3; ++k)
-    spectrum->push_back({name + DescribeAxis(eigen.eigenvectors().col(k), frame),
-                         std::sqrt(std::max(0.0, eigen.eigenvalues()[k])), unit, Status::kNotRun});
-}
-
 /// " of imu1", " of imu1 in session 2" (the first is 1), or less when there is only one.
 std::string Of(const Parameter& p, const Calibration& result, bool in_session) {
   return OfImu(p.imu, result.imus.size()) +
@@ -56,9 +46,9 @@ double WeakThreshold(const CalibrationOptions& options, const std::string& unit)
   return options.weak_time_shift_std;
 }
 
-/// Each direction with its verdict, the worst first.
-std::vector<Observability> Spectrum(const CalibrationOptions& options, const Marginals& marginals,
-                                    const Eigen::MatrixXd& C, const Calibration& result) {
+/// What the verdict rests on.
+std::vector<Observability> Spectrum(const Marginals& marginals, const Eigen::MatrixXd& C,
+                                    const Calibration& result) {
   std::vector<Observability> spectrum;
   for (const PlacedParameter& p : marginals.parameters) {
     const int k = p.place;
@@ -75,16 +65,6 @@ std::vector<Observability> Spectrum(const CalibrationOptions& options, const Mar
     if (kind == ParameterKind::kTimeShift) add_time("time_shift");
     if (kind == ParameterKind::kAccelDelay) add_time("accel_delay");
   }
-  const auto badness = [&](const Observability& o) {
-    return o.std / WeakThreshold(options, o.unit);
-  };
-  for (Observability& o : spectrum)
-    o.status = badness(o) <= 1.0                 ? Status::kOk
-               : badness(o) <= kDegenerateFactor ? Status::kWeak
-                                                 : Status::kDegenerate;
-  std::stable_sort(
-      spectrum.begin(), spectrum.end(),
-      [&](const Observability& a, const Observability& b) { return badness(a) > badness(b); });
   return spectrum;
 }
 
@@ -193,6 +173,40 @@ void ReportTransforms(const Eigen::MatrixXd& C, const Marginals& marginals, Cali
 
 }  // namespace
 
+void AddDirections(const Eigen::Matrix3d& C, const std::string& name, const std::string& frame,
+                   const std::string& unit, std::vector<Observability>* spectrum) {
+  if (C.isZero(0.0)) return;
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(C);
+  for (int k = 0; k < 3; ++k)
+    spectrum->push_back({name + DescribeAxis(eigen.eigenvectors().col(k), frame),
+                         std::sqrt(std::max(0.0, eigen.eigenvalues()[k])), unit, Status::kNotRun});
+}
+
+Status GradeSpectrum(const CalibrationOptions& options, std::vector<Observability>* spectrum,
+                     std::string* message) {
+  const auto badness = [&](const Observability& o) {
+    return o.std / WeakThreshold(options, o.unit);
+  };
+  for (Observability& o : *spectrum)
+    o.status = badness(o) <= 1.0                 ? Status::kOk
+               : badness(o) <= kDegenerateFactor ? Status::kWeak
+                                                 : Status::kDegenerate;
+  std::stable_sort(
+      spectrum->begin(), spectrum->end(),
+      [&](const Observability& a, const Observability& b) { return badness(a) > badness(b); });
+  *message = "every sigma is within its bound";
+  if (spectrum->empty() || spectrum->front().status == Status::kOk) return Status::kOk;
+  const Observability& worst = spectrum->front();
+  const bool is_degenerate = worst.status == Status::kDegenerate;
+  const double bound =
+      (is_degenerate ? kDegenerateFactor : 1.0) * WeakThreshold(options, worst.unit);
+  *message = (is_degenerate ? "the motion does not determine " : "sigma of ") + worst.direction +
+             (is_degenerate ? ": sigma " : " is ") + InWords(worst.std, worst.unit) +
+             " (bound: " + InWords(bound, worst.unit) +
+             "); record longer, and turn faster about at least two axes";
+  return worst.status;
+}
+
 void GradeResult(const CalibrationOptions& options, const Marginals& marginals,
                  Calibration* result) {
   if (!marginals.model.allFinite() || !marginals.robust.allFinite()) {
@@ -223,19 +237,8 @@ void GradeResult(const CalibrationOptions& options, const Marginals& marginals,
       honest.block<3, 3>(p.place, p.place) =
           WithoutSpuriousInformation(marginals.model.block<3, 3>(p.place, p.place),
                                      marginals.spurious_information[p.parameter.imu]);
-  result->observability = Spectrum(options, marginals, larger * honest * larger, *result);
-  result->status = Status::kOk;
-  result->message = "every sigma is within its bound";
-  if (result->observability.empty() || result->observability.front().status == Status::kOk) return;
-  const Observability& worst = result->observability.front();
-  result->status = worst.status;
-  const bool is_degenerate = worst.status == Status::kDegenerate;
-  const double bound =
-      (is_degenerate ? kDegenerateFactor : 1.0) * WeakThreshold(options, worst.unit);
-  result->message = (is_degenerate ? "the motion does not determine " : "sigma of ") +
-                    worst.direction + (is_degenerate ? ": sigma " : " is ") +
-                    InWords(worst.std, worst.unit) + " (bound: " + InWords(bound, worst.unit) +
-                    "); record longer, and turn faster about at least two axes";
+  result->observability = Spectrum(marginals, larger * honest * larger, *result);
+  result->status = GradeSpectrum(options, &result->observability, &result->message);
   for (const Observability& o : result->observability)
     if (o.status == Status::kDegenerate)
       result->unobservable.push_back(o.direction + ": turn faster, and about a second axis");

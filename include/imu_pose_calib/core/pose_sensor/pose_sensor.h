@@ -19,14 +19,16 @@ namespace imu_pose_calib {
 
 /// The marker in one session.
 struct MarkerMotion {
-  int64_t epoch_ns;                             ///< [ns, pose clock] at which t = 0
-  double duration_s;                            ///< of its poses
-  std::shared_ptr<const PoseTrajectory> poses;  ///< of S1
+  int64_t epoch_ns;                                      ///< [ns, pose clock] at which t = 0
+  std::shared_ptr<const PoseTrajectory> poses;           ///< of S1
   std::function<std::optional<BodyState>(double t)> at;  ///< nothing where it is not known
 };
 
 /// Those of all sessions: by the solution, where there is one.
 std::vector<MarkerMotion> MarkerMotions(const std::shared_ptr<const Solution>& solution);
+/// By the poses alone.
+MarkerMotion MarkerMotionOf(int64_t epoch_ns,
+                            const std::shared_ptr<const PoseTrajectory>& trajectory);
 
 /// Calibrates a pose sensor against the marker; `poses`: of each session, empty where it lacks the
 /// sensor. Throws DataError when the poses cannot be used or turn otherwise than the marker.

@@ -10,7 +10,6 @@ namespace imu_pose_calib {
 /// Time shifts at which |omega_M| and |gyro| correlate best, the best first, at most `count`.
 /// Every overlap of at least `min_overlap_s` is searched, or those within 1 s of `guess`.
 std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
-                                   const std::vector<TimedPose>& poses,
                                    const std::vector<TimedSample>& gyro, double min_overlap_s,
                                    const std::optional<double>& guess, int count, int threads = 1);
 

@@ -72,6 +72,8 @@ class PoseTrajectory {
   /// The same of all instants from `begin` to `end` [s].
   bool Covers(double begin, double end) const;
 
+  double End() const { return segments_.back().position.end(); }  ///< last instant [s]
+
   /// Posterior mean of the motion at t [s] and, unless null, its time derivative (of q_WM: of its
   /// coefficients). False when t is not contained.
   bool Evaluate(double t, MarkerState<double>* state, MarkerState<double>* rate = nullptr) const;

@@ -4,11 +4,23 @@
 /// In: Marginals and prepared sessions. Out: sigmas, observability, status, message and warnings of
 /// a Calibration, agreement of halves and sessions. Changes no estimate.
 
+#include <string>
+#include <vector>
+
 #include "imu_pose_calib/core/base/options.h"
 #include "imu_pose_calib/core/base/result.h"
 #include "imu_pose_calib/core/calibration/marginals.h"
 
 namespace imu_pose_calib {
+
+/// Adds the principal directions of a 3x3 covariance, each with its sigma; none for 0.
+void AddDirections(const Eigen::Matrix3d& C, const std::string& name, const std::string& frame,
+                   const std::string& unit, std::vector<Observability>* spectrum);
+
+/// Gives each direction its status and sorts them, the worst first. Returns the status of all, and
+/// one sentence of it.
+Status GradeSpectrum(const CalibrationOptions& options, std::vector<Observability>* spectrum,
+                     std::string* message);
 
 /// Stage S5: fills covariances, sigmas, observability, split halves, status and message.
 void GradeResult(const CalibrationOptions& options, const Marginals& marginals,

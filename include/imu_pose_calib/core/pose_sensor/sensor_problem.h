@@ -1,0 +1,78 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <vector>
+
+#include "imu_pose_calib/core/data/conditioned_data.h"
+#include "imu_pose_calib/core/pose_sensor/pose_sensor.h"
+
+namespace imu_pose_calib {
+
+/// A pose of the sensor, and the marker's motion where the estimate of its clock puts it.
+struct SensorPose {
+  double t;                               ///< [s] sensor clock, after the session's epoch
+  BodyState marker;                       ///< at that instant
+  Rigid3 T_VS;                            ///< measured
+  double position_scale, rotation_scale;  ///< of its noise, as far as the source states it
+  double position_weight = 1.0, rotation_weight = 1.0;  ///< robust
+  size_t knot = 0;                                      ///< of V, before it
+  double u = 0.0;                                       ///< 0..1 from there to the next one
+};
+
+/// T_VW at an instant; linear up to the next knot, which is of the same piece unless it begins one.
+struct WorldKnot {
+  double t;  ///< [s] sensor clock
+  Rigid3 T_VW;
+  bool begins_piece;
+  Eigen::Vector3d p_WS;               ///< [m] where the sensor is: V drifts about it
+  Vector6d moved = Vector6d::Zero();  ///< of the solve: p_VW [m], and R_VW on the left [rad]
+};
+
+/// One session of a sensor, as estimated. t_M = t + time_shift + clock_drift (t - reference), both
+/// after their epochs.
+struct SensorSession {
+  const MarkerMotion* marker = nullptr;
+  ConditionedData data;  ///< without IMUs; no poses: the session lacks the sensor
+  double time_shift = 0.0, clock_drift = 0.0, reference = 0.0;  ///< [s], [s/s], [s]
+  double scale = 1.0;
+  PoseStd noise;  ///< per axis and pose
+  PoseStd drift;  ///< [m/sqrt(s)], [rad/sqrt(s)]
+  std::vector<SensorPose> samples;
+  std::vector<double> jumps;  ///< [s, sensor clock] between two poses
+  std::vector<WorldKnot> knots;
+};
+
+struct SensorEstimate {
+  Rigid3 T_MS;
+  std::vector<SensorSession> sessions;
+};
+
+/// Predicted pose of a sample, V in between its knots.
+Rigid3 PredictPose(const SensorEstimate& estimate, const SensorSession& session,
+                   const SensorPose& sample);
+
+/// Median of the T_VW that poses imply, component by component, where the sensor is at the middle
+/// one; `end` is one past the last.
+Rigid3 MedianWorld(const Rigid3& T_MS, double scale, const SensorPose* begin,
+                   const SensorPose* end);
+
+/// The poses that fall on the marker's trajectory, where the clock of the estimate puts them.
+void PlaceSamples(SensorSession* session);
+/// Knots of V as far apart as its drift allows, each the median of the poses around it.
+void PlaceKnots(const Rigid3& T_MS, SensorSession* session);
+
+/// Minimum of the cost of all sessions (doc/math.md, "Pose sensors"), by Ceres; noise, drift and
+/// weights are kept. False when it does not converge.
+bool SolveSensor(const CalibrationOptions& options, SensorEstimate* estimate);
+/// Weights of the poses, noise and drift from what is left; true when the noise is as before.
+bool FindNoise(SensorEstimate* estimate);
+
+/// Covariance of p_MS, of R_MS on the right, then of time shift, drift of the clock and scale of
+/// each session that has the sensor: H^-1, and the sandwich over time blocks.
+struct SensorCovariance {
+  Eigen::MatrixXd model, robust;
+};
+SensorCovariance FindSensorCovariance(const CalibrationOptions& options,
+                                      const SensorEstimate& estimate);
+
+}  // namespace imu_pose_calib

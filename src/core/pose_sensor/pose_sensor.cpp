@@ -1,0 +1,342 @@
+#include "imu_pose_calib/core/pose_sensor/pose_sensor.h"
+
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <cmath>
+#include <string>
+#include <utility>
+
+#include "imu_pose_calib/core/base/median.h"
+#include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/base/text.h"
+#include "imu_pose_calib/core/calibration/marginals.h"
+#include "imu_pose_calib/core/pose_sensor/sensor_problem.h"
+#include "imu_pose_calib/core/start/rate_alignment.h"
+#include "imu_pose_calib/core/verdict/observability.h"
+
+namespace imu_pose_calib {
+namespace {
+
+using Eigen::Matrix3d;
+using Eigen::Quaterniond;
+using Eigen::Vector3d;
+
+constexpr int kCandidates = 6;         // correlation peaks tried on all three axes
+constexpr double kMinExplained = 0.5;  // of the sensor's turn rates by the marker's
+constexpr double kLag = 1.0;           // [s] of the relative motions of the start
+constexpr int kReweightings = 10;
+constexpr double kForeignScale = 0.1;  // [1] that is no error of a metric sensor
+/// A jump: medians of so many poses before and after it differ by so many times the usual.
+constexpr ptrdiff_t kAround = 10;
+constexpr double kJump = 10.0;
+constexpr int kMaxRounds = 15;
+
+/// Rates of turn of the sensor at its poses [rad/s], in S.
+std::vector<TimedSample> TurnRates(const PoseTrajectory& trajectory, const ConditionedData& data) {
+  std::vector<TimedSample> rates;
+  for (const TimedPose& pose : data.poses) {
+    MarkerRotation<double> rotation;
+    if (trajectory.EvaluateRotation(pose.t, &rotation)) rates.push_back({pose.t, rotation.omega_M});
+  }
+  return rates;
+}
+
+/// The time shift and rotation by which the rates agree best, or of the worlds seen from the
+/// bodies.
+RateAlignment Align(const CalibrationOptions& options, const MarkerMotion& marker,
+                    const std::vector<TimedSample>& rates, bool is_inverted, double* time_shift) {
+  RateAlignment best;
+  for (const double shift : FindTimeShifts(*marker.poses, rates, options.min_overlap_s,
+                                           std::nullopt, kCandidates, options.Threads())) {
+    const RateAlignment found = AlignRates(PairRates(*marker.poses, rates, shift, is_inverted));
+    if (found.explained <= best.explained) continue;
+    best = found;
+    *time_shift = shift;
+  }
+  return best;
+}
+
+/// Conditions the poses of a session and finds its clock; returns how R_MS explains its rates.
+RateAlignment StartSession(const CalibrationOptions& given, const std::vector<PoseSample>& poses,
+                           SensorSession* session) {
+  CalibrationOptions options;
+  options.max_gap_s = given.max_gap_s;
+  options.min_segment_s = given.min_segment_s;
+  options.min_overlap_s = given.min_overlap_s;
+  options.max_bad_fraction = given.max_bad_fraction;
+  options.outlier_threshold = given.outlier_threshold;
+  options.recover_stamps = given.recover_stamps;
+  options.num_threads = given.num_threads;
+  options.invert_poses = given.invert_sensor_poses;
+  SessionData data;
+  data.poses = poses;
+  data.imus.clear();
+  session->data = ConditionData(options, data);
+  const PoseTrajectory trajectory = FitTrajectory(options, &session->data);
+  const auto& own = session->data.poses;
+  session->reference = 0.5 * (own.front().t + own.back().t);
+  session->noise = {trajectory.position_hyperparameters().noise_std,
+                    trajectory.rotation_hyperparameters().noise_std};
+  session->drift = session->noise;
+  const std::vector<TimedSample> rates = TurnRates(trajectory, session->data);
+  const RateAlignment best = Align(options, *session->marker, rates, false, &session->time_shift);
+  if (best.explained >= kMinExplained) return best;
+  double ignored = 0.0;
+  const double inverted = Align(options, *session->marker, rates, true, &ignored).explained;
+  const std::string agree = "the turn rates of the marker and the sensor agree ";
+  if (inverted >= kMinExplained)
+    throw OptionNeeded(agree +
+                       "only when the sensor's poses are inverted: set "
+                       "invert_sensor_poses: " +
+                       (given.invert_sensor_poses ? "false" : "true"));
+  throw DataError(agree + "at no time shift (best explains " +
+                  Number(100.0 * std::max(0.0, best.explained), "%.0f") +
+                  " % of them, bound: " + Number(100.0 * kMinExplained, "%.0f") +
+                  " %): do both recordings overlap, and are both of the same rigid body?");
+}
+
+/// p_MS and scale from relative motions (AX = XB) of the session: with V's rotation taken from the
+/// poses themselves, R_VW^T dp_VS / s = dp_WM + dR_WM p_MS is linear in 1 / s and p_MS. Returns the
+/// information on p_MS in its least certain direction.
+double FitTranslation(const Quaterniond& q_MS, SensorSession* session, Vector3d* p_MS) {
+  struct Equation {
+    Eigen::Matrix<double, 3, 4> A;
+    Vector3d b;
+  };
+  std::vector<Equation> equations;
+  const std::vector<SensorPose>& samples = session->samples;
+  size_t j = 0;
+  for (const SensorPose& first : samples) {
+    while (j < samples.size() && samples[j].t < first.t + kLag) ++j;
+    if (j == samples.size()) break;
+    const SensorPose& last = samples[j];
+    if (last.t > first.t + 2.0 * kLag) continue;
+    const auto world = [&](const SensorPose& s) {
+      return Quaterniond(s.T_VS.q * (s.marker.q_WB * q_MS).conjugate());
+    };
+    const Quaterniond q_VW = world(first).slerp(0.5, world(last));
+    Equation equation;
+    equation.A << q_VW.conjugate() * (last.T_VS.p - first.T_VS.p),
+        first.marker.q_WB.toRotationMatrix() - last.marker.q_WB.toRotationMatrix();
+    equation.b = last.marker.p_WB - first.marker.p_WB;
+    equations.push_back(equation);
+  }
+  Eigen::Vector4d x(1.0, 0.0, 0.0, 0.0);
+  Eigen::Matrix4d H;
+  std::vector<double> weights(equations.size(), 1.0);
+  for (int round = 0; round < kReweightings; ++round) {
+    H.setZero();
+    Eigen::Vector4d g = Eigen::Vector4d::Zero();
+    for (size_t i = 0; i < equations.size(); ++i) {
+      H += weights[i] * equations[i].A.transpose() * equations[i].A;
+      g += weights[i] * equations[i].A.transpose() * equations[i].b;
+    }
+    x = H.ldlt().solve(g);
+    std::vector<double> squares;
+    for (const Equation& e : equations) squares.push_back((e.A * x - e.b).squaredNorm());
+    if (squares.empty()) return 0.0;
+    const double typical = Median(squares);
+    for (size_t i = 0; i < squares.size(); ++i)
+      weights[i] = typical / (typical + squares[i] + 1e-18);
+  }
+  *p_MS = x.tail<3>();
+  session->scale = 1.0 / x[0];
+  return Eigen::SelfAdjointEigenSolver<Matrix3d>(Matrix3d(H.bottomRightCorner<3, 3>()))
+      .eigenvalues()[0];
+}
+
+/// Where V jumps: relocalisation. Compares where the poses before and after see the sensor.
+void FindJumps(const Rigid3& T_MS, SensorSession* session) {
+  const std::vector<SensorPose>& samples = session->samples;
+  const auto count = static_cast<ptrdiff_t>(samples.size());
+  std::vector<double> sizes[2];
+  for (ptrdiff_t i = kAround; i + kAround <= count; ++i) {
+    const Rigid3 before = MedianWorld(T_MS, session->scale, &samples[i - kAround], &samples[i]);
+    const Rigid3 after = MedianWorld(T_MS, session->scale, &samples[i], &samples[i] + kAround);
+    const Vector3d p_WS = samples[i].marker.p_WB + samples[i].marker.q_WB * T_MS.p;
+    const Vector3d p_VS = session->scale * p_WS;
+    sizes[0].push_back((after.p + after.q * p_VS - before.p - before.q * p_VS).norm());
+    sizes[1].push_back(after.q.angularDistance(before.q));
+  }
+  session->jumps.clear();
+  if (sizes[0].empty()) return;
+  const double usual[2] = {Median(sizes[0]), Median(sizes[1])};
+  std::vector<double> size;
+  for (size_t i = 0; i < sizes[0].size(); ++i)
+    size.push_back(std::max(sizes[0][i] / usual[0], sizes[1][i] / usual[1]));
+  for (ptrdiff_t i = 0; i < static_cast<ptrdiff_t>(size.size()); ++i) {
+    const auto begin = size.begin() + std::max<ptrdiff_t>(0, i - kAround);
+    const auto end = size.begin() + std::min<ptrdiff_t>(i + kAround, size.end() - size.begin());
+    if (size[i] > kJump && std::max_element(begin, end) == size.begin() + i)
+      session->jumps.push_back(0.5 * (samples[i + kAround - 1].t + samples[i + kAround].t));
+  }
+}
+
+/// Closed-form start of all sessions.
+SensorEstimate StartSensor(const CalibrationOptions& options,
+                           const std::vector<MarkerMotion>& marker,
+                           const std::vector<std::vector<PoseSample>>& poses) {
+  SensorEstimate estimate;
+  estimate.sessions.resize(marker.size());
+  double best = 0.0, most = -1.0;
+  for (size_t s = 0; s < marker.size(); ++s) {
+    SensorSession& session = estimate.sessions[s];
+    session.marker = &marker[s];
+    if (poses[s].empty()) continue;
+    const RateAlignment alignment = StartSession(options, poses[s], &session);
+    PlaceSamples(&session);
+    const double explained = alignment.explained * static_cast<double>(alignment.count);
+    if (explained <= best) continue;
+    best = explained;
+    estimate.T_MS.q = alignment.q_MI;
+  }
+  for (SensorSession& session : estimate.sessions) {
+    if (session.samples.empty()) continue;
+    Vector3d p_MS;
+    const double information = FitTranslation(estimate.T_MS.q, &session, &p_MS);
+    if (!options.estimate_sensor_scale && std::abs(session.scale - 1.0) > kForeignScale)
+      throw OptionNeeded("the sensor's positions are " + Number(session.scale, "%.3g") +
+                         " times those of the marker: set estimate_sensor_scale: true");
+    if (!options.estimate_sensor_scale) session.scale = 1.0;
+    if (information <= most) continue;
+    most = information;
+    estimate.T_MS.p = p_MS;
+  }
+  for (SensorSession& session : estimate.sessions) {
+    if (session.samples.empty()) continue;
+    FindJumps(estimate.T_MS, &session);
+    PlaceKnots(estimate.T_MS, &session);
+  }
+  return estimate;
+}
+
+void ReportSession(const SensorEstimate& estimate, const SensorSession& session,
+                   PoseSensorSession* result) {
+  const MarkerMotion& marker = *session.marker;
+  result->is_present = true;
+  result->poses = session.data.pose_report;
+  result->time_shift =
+      1e-9 * static_cast<double>(marker.epoch_ns - session.data.pose_epoch_ns) + session.time_shift;
+  result->clock_drift = session.clock_drift;
+  result->clock_reference =
+      1e-9 * static_cast<double>(session.data.pose_epoch_ns) + session.reference;
+  result->scale = session.scale;
+  result->noise = session.noise;
+  result->drift = session.drift;
+  const auto pose_time = [&](double t) {
+    return 1e-9 * static_cast<double>(marker.epoch_ns) + t + session.time_shift +
+           session.clock_drift * (t - session.reference);
+  };
+  for (const WorldKnot& knot : session.knots)
+    result->world.push_back({pose_time(knot.t), knot.T_VW, knot.begins_piece});
+  double position2 = 0.0, rotation2 = 0.0;
+  for (const SensorPose& sample : session.samples) {
+    const Rigid3 T_VS = PredictPose(estimate, session, sample);
+    result->residuals.push_back({pose_time(sample.t), sample.T_VS.p - T_VS.p,
+                                 Log(Quaterniond(T_VS.q.conjugate() * sample.T_VS.q)),
+                                 std::min(1.0, sample.position_weight),
+                                 std::min(1.0, sample.rotation_weight)});
+    position2 += result->residuals.back().position.squaredNorm();
+    rotation2 += result->residuals.back().rotation.squaredNorm();
+  }
+  const double count = 3.0 * static_cast<double>(session.samples.size());
+  result->rms = {std::sqrt(position2 / count), std::sqrt(rotation2 / count)};
+}
+
+void Report(const CalibrationOptions& options, const SensorEstimate& estimate,
+            PoseSensorCalibration* result) {
+  const SensorCovariance found = FindSensorCovariance(options, estimate);
+  result->T_MS = estimate.T_MS;
+  if (result->T_MS.q.w() < 0.0) result->T_MS.q.coeffs() *= -1.0;
+  result->sessions.resize(estimate.sessions.size());
+  if (!found.model.allFinite() || !found.robust.allFinite() ||
+      found.model.diagonal().minCoeff() <= 0.0) {
+    result->status = Status::kDegenerate;
+    result->message = "the data do not determine all parameters";
+    return;
+  }
+  const Eigen::VectorXd enlargement = Enlargement(found.model, found.robust);
+  const Eigen::MatrixXd C = enlargement.asDiagonal() * found.model * enlargement.asDiagonal();
+  result->model_covariance = found.model.topLeftCorner<6, 6>();
+  result->covariance = C.topLeftCorner<6, 6>();
+  AddDirections(C.block<3, 3>(0, 0), "p_MS along ", "marker", "m", &result->observability);
+  AddDirections(C.block<3, 3>(3, 3), "R_MS about ", "sensor", "rad", &result->observability);
+  Eigen::Index column = 6;
+  for (size_t s = 0; s < estimate.sessions.size(); ++s) {
+    if (estimate.sessions[s].samples.empty()) continue;
+    PoseSensorSession& session = result->sessions[s];
+    ReportSession(estimate, estimate.sessions[s], &session);
+    session.time_shift_std = std::sqrt(C(column, column));
+    session.clock_drift_std =
+        options.estimate_clock_drift ? std::sqrt(C(column + 1, column + 1)) : 0.0;
+    session.scale_std = std::sqrt(C(column + 2, column + 2));
+    column += 3;
+    result->observability.push_back({"time_shift" + OfSession(s, estimate.sessions.size()),
+                                     session.time_shift_std, "s", Status::kNotRun});
+  }
+  result->status = GradeSpectrum(options, &result->observability, &result->message);
+}
+
+}  // namespace
+
+std::vector<MarkerMotion> MarkerMotions(const std::shared_ptr<const Solution>& solution) {
+  std::vector<MarkerMotion> motions;
+  for (size_t s = 0; s < solution->trajectories.size(); ++s) {
+    const auto trajectory = std::make_shared<const SessionTrajectory>(solution, s);
+    motions.push_back({solution->pose_epochs_ns[s], solution->trajectories[s],
+                       [trajectory](double t) { return trajectory->Marker(t); }});
+  }
+  return motions;
+}
+
+MarkerMotion MarkerMotionOf(int64_t epoch_ns,
+                            const std::shared_ptr<const PoseTrajectory>& trajectory) {
+  const auto at = [trajectory](double t) -> std::optional<BodyState> {
+    MarkerState<double> state;
+    if (!trajectory->Evaluate(t, &state)) return std::nullopt;
+    return BodyState{state.q_WM, state.p_WM, state.omega_M, state.v_W, state.alpha_M, state.a_W};
+  };
+  return {epoch_ns, trajectory, at};
+}
+
+PoseSensorCalibration CalibratePoseSensor(const CalibrationOptions& options,
+                                          const std::vector<MarkerMotion>& marker,
+                                          const std::vector<std::vector<PoseSample>>& poses) {
+  SensorEstimate estimate = StartSensor(options, marker, poses);
+  bool has_settled = false;
+  for (int round = 0; round < kMaxRounds && !has_settled; ++round) {
+    const bool has_converged = SolveSensor(options, &estimate);
+    has_settled = FindNoise(&estimate) && has_converged;
+    for (SensorSession& session : estimate.sessions) {
+      if (session.samples.empty()) continue;
+      PlaceSamples(&session);
+      PlaceKnots(estimate.T_MS, &session);
+    }
+  }
+  const bool has_converged = SolveSensor(options, &estimate);
+  PoseSensorCalibration result;
+  Report(options, estimate, &result);
+  if (!(has_settled && has_converged) && result.status == Status::kOk) {
+    result.status = Status::kWeak;
+    result.message = "the solve has not settled: the result may move by parts of its sigma";
+  }
+  return result;
+}
+
+BetweenImus BetweenSensors(const Rigid3& T_MF, const Matrix6d& covariance_F, const Rigid3& T_MS,
+                           const Matrix6d& covariance_S) {
+  BetweenImus between{0, 0, T_MF.Inverse() * T_MS, {}};
+  const Matrix3d R_FM = T_MF.q.conjugate().toRotationMatrix();
+  Eigen::Matrix<double, 6, 6> of_F = Matrix6d::Zero(), of_S = Matrix6d::Zero();
+  of_F.block<3, 3>(0, 0) = -R_FM;
+  of_F.block<3, 3>(0, 3) = Hat(between.T.p);
+  of_F.block<3, 3>(3, 3) = -between.T.q.conjugate().toRotationMatrix();
+  of_S.block<3, 3>(0, 0) = R_FM;
+  of_S.block<3, 3>(3, 3).setIdentity();
+  between.covariance =
+      of_F * covariance_F * of_F.transpose() + of_S * covariance_S * of_S.transpose();
+  return between;
+}
+
+}  // namespace imu_pose_calib
