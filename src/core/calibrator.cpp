@@ -314,7 +314,14 @@ Calibration CalibrateSensorsAlone(const CalibrationOptions& options,
     ConditionedData conditioned = ConditionData(options, data[s]);
     const auto trajectory =
         std::make_shared<const PoseTrajectory>(FitTrajectory(options, &conditioned));
-    CheckTurns(MeasureTurns(*trajectory, conditioned));
+    try {
+      CheckTurns(MeasureTurns(*trajectory, conditioned));
+    } catch (const DegenerateMotion& error) {
+      result.status = Status::kDegenerate;
+      result.message = InSession(s, data.size()) + error.what();
+      result.unobservable = {InSession(s, data.size()) + error.unobservable};
+      return result;
+    }
     SessionCalibration& session = result.sessions[s];
     session.imus.clear();
     session.poses = conditioned.pose_report;

@@ -1,7 +1,5 @@
 #include "imu_pose_calib/core/pose_sensor/pose_sensor.h"
 
-#include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <string>
@@ -24,8 +22,6 @@ using Eigen::Vector3d;
 
 constexpr int kCandidates = 6;         // correlation peaks tried on all three axes
 constexpr double kMinExplained = 0.5;  // of the sensor's turn rates by the marker's
-constexpr double kLag = 1.0;           // [s] of the relative motions of the start
-constexpr int kReweightings = 10;
 constexpr double kForeignScale = 0.1;  // [1] that is no error of a metric sensor
 /// A jump: medians of so many poses before and after it differ by so many times the usual.
 constexpr ptrdiff_t kAround = 10;
@@ -96,56 +92,6 @@ RateAlignment StartSession(const CalibrationOptions& given, const std::vector<Po
                   " %): do both recordings overlap, and are both of the same rigid body?");
 }
 
-/// p_MS and scale from relative motions (AX = XB) of the session: with V's rotation taken from the
-/// poses themselves, R_VW^T dp_VS / s = dp_WM + dR_WM p_MS is linear in 1 / s and p_MS. Returns the
-/// information on p_MS in its least certain direction.
-double FitTranslation(const Quaterniond& q_MS, SensorSession* session, Vector3d* p_MS) {
-  struct Equation {
-    Eigen::Matrix<double, 3, 4> A;
-    Vector3d b;
-  };
-  std::vector<Equation> equations;
-  const std::vector<SensorPose>& samples = session->samples;
-  size_t j = 0;
-  for (const SensorPose& first : samples) {
-    while (j < samples.size() && samples[j].t < first.t + kLag) ++j;
-    if (j == samples.size()) break;
-    const SensorPose& last = samples[j];
-    if (last.t > first.t + 2.0 * kLag) continue;
-    const auto world = [&](const SensorPose& s) {
-      return Quaterniond(s.T_VS.q * (s.marker.q_WB * q_MS).conjugate());
-    };
-    const Quaterniond q_VW = world(first).slerp(0.5, world(last));
-    Equation equation;
-    equation.A << q_VW.conjugate() * (last.T_VS.p - first.T_VS.p),
-        first.marker.q_WB.toRotationMatrix() - last.marker.q_WB.toRotationMatrix();
-    equation.b = last.marker.p_WB - first.marker.p_WB;
-    equations.push_back(equation);
-  }
-  Eigen::Vector4d x(1.0, 0.0, 0.0, 0.0);
-  Eigen::Matrix4d H;
-  std::vector<double> weights(equations.size(), 1.0);
-  for (int round = 0; round < kReweightings; ++round) {
-    H.setZero();
-    Eigen::Vector4d g = Eigen::Vector4d::Zero();
-    for (size_t i = 0; i < equations.size(); ++i) {
-      H += weights[i] * equations[i].A.transpose() * equations[i].A;
-      g += weights[i] * equations[i].A.transpose() * equations[i].b;
-    }
-    x = H.ldlt().solve(g);
-    std::vector<double> squares;
-    for (const Equation& e : equations) squares.push_back((e.A * x - e.b).squaredNorm());
-    if (squares.empty()) return 0.0;
-    const double typical = Median(squares);
-    for (size_t i = 0; i < squares.size(); ++i)
-      weights[i] = typical / (typical + squares[i] + 1e-18);
-  }
-  *p_MS = x.tail<3>();
-  session->scale = 1.0 / x[0];
-  return Eigen::SelfAdjointEigenSolver<Matrix3d>(Matrix3d(H.bottomRightCorner<3, 3>()))
-      .eigenvalues()[0];
-}
-
 /// Where V jumps: relocalisation. Compares where the poses before and after see the sensor.
 void FindJumps(const Rigid3& T_MS, SensorSession* session) {
   const std::vector<SensorPose>& samples = session->samples;
@@ -173,13 +119,13 @@ void FindJumps(const Rigid3& T_MS, SensorSession* session) {
   }
 }
 
-/// Closed-form start of all sessions.
+/// Clocks and R_MS in closed form, all else by a first solve in which V may drift.
 SensorEstimate StartSensor(const CalibrationOptions& options,
                            const std::vector<MarkerMotion>& marker,
                            const std::vector<std::vector<PoseSample>>& poses) {
   SensorEstimate estimate;
   estimate.sessions.resize(marker.size());
-  double best = 0.0, most = -1.0;
+  double best = 0.0;
   for (size_t s = 0; s < marker.size(); ++s) {
     SensorSession& session = estimate.sessions[s];
     session.marker = &marker[s];
@@ -191,20 +137,14 @@ SensorEstimate StartSensor(const CalibrationOptions& options,
     best = explained;
     estimate.T_MS.q = alignment.q_MI;
   }
+  for (SensorSession& session : estimate.sessions) PlaceKnots(estimate.T_MS, &session);
+  CalibrationOptions free = options;
+  free.estimate_sensor_scale = true;
+  SolveSensor(free, &estimate);
   for (SensorSession& session : estimate.sessions) {
-    if (session.samples.empty()) continue;
-    Vector3d p_MS;
-    const double information = FitTranslation(estimate.T_MS.q, &session, &p_MS);
     if (!options.estimate_sensor_scale && std::abs(session.scale - 1.0) > kForeignScale)
       throw OptionNeeded("the sensor's positions are " + Number(session.scale, "%.3g") +
                          " times those of the marker: set estimate_sensor_scale: true");
-    if (!options.estimate_sensor_scale) session.scale = 1.0;
-    if (information <= most) continue;
-    most = information;
-    estimate.T_MS.p = p_MS;
-  }
-  for (SensorSession& session : estimate.sessions) {
-    if (session.samples.empty()) continue;
     FindJumps(estimate.T_MS, &session);
     PlaceKnots(estimate.T_MS, &session);
   }
@@ -309,7 +249,6 @@ PoseSensorCalibration CalibratePoseSensor(const CalibrationOptions& options,
     const bool has_converged = SolveSensor(options, &estimate);
     has_settled = FindNoise(&estimate) && has_converged;
     for (SensorSession& session : estimate.sessions) {
-      if (session.samples.empty()) continue;
       PlaceSamples(&session);
       PlaceKnots(estimate.T_MS, &session);
     }

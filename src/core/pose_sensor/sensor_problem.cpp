@@ -178,26 +178,24 @@ struct SensorProblem {
   }
 };
 
-/// Likelihood of series that are a walk of density q [1/s] in units of a sample's variance, which
-/// is found, beside white noise (local level model, by the Kalman filter).
-struct WalkLikelihood {
-  double log_likelihood, variance;
+/// A value of a series.
+struct TrackSample {
+  double t;
+  Vector3d value;
+  double variance;  ///< over that of a sample of weight 1
+  bool begins_piece;
 };
 
-/// A series in three axes.
-struct Track {
-  struct Sample {
-    double t;
-    Vector3d value;
-    double variance;  ///< relative
-    bool begins_piece;
-  };
-  std::vector<Sample> samples;
-
-  WalkLikelihood At(double q) const {
+/// Noise per sample, and density of the walk, of a series that is a walk beside white noise (local
+/// level model): the likeliest, by the Kalman filter.
+std::pair<double, double> FitWalk(const std::vector<TrackSample>& track) {
+  double best = -std::numeric_limits<double>::infinity();
+  std::pair<double, double> found;
+  for (double x = kLeastDrift; x <= kMostDrift; x += kDriftStep) {
+    const double q = std::exp(x);
     Vector3d mean = Vector3d::Zero();
-    double P = 0.0, t = 0.0, squares = 0.0, log_det = 0.0, count = 0.0;
-    for (const Sample& sample : samples) {
+    double P = 0.0, t = 0.0, squares = 0.0, log_det = 0.0, count = 1.0;
+    for (const TrackSample& sample : track) {
       P += q * (sample.t - t);
       t = sample.t;
       if (sample.begins_piece) {
@@ -213,23 +211,14 @@ struct Track {
       mean += P / F * innovation;
       P *= sample.variance / F;
     }
-    const double variance = std::max(squares / std::max(count, 1.0), 1e-24);
-    return {-0.5 * (log_det + count * std::log(variance)), variance};
+    const double variance = std::max(squares / count, 1e-24);
+    const double log_likelihood = -0.5 * (log_det + count * std::log(variance));
+    if (log_likelihood <= best) continue;
+    best = log_likelihood;
+    found = {std::sqrt(variance), std::sqrt(variance * q)};
   }
-
-  /// The likeliest noise per sample, and density of the walk.
-  std::pair<double, double> Fit() const {
-    double best = -std::numeric_limits<double>::infinity();
-    std::pair<double, double> found;
-    for (double x = kLeastDrift; x <= kMostDrift; x += kDriftStep) {
-      const WalkLikelihood at = At(std::exp(x));
-      if (at.log_likelihood <= best) continue;
-      best = at.log_likelihood;
-      found = {std::sqrt(at.variance), std::sqrt(at.variance * std::exp(x))};
-    }
-    return found;
-  }
-};
+  return found;
+}
 
 /// Residual of a sample in V, position [m] and rotation [rad].
 Vector6d ResidualInWorld(const SensorEstimate& estimate, const SensorSession& session,
@@ -271,7 +260,7 @@ void FindNoise(const SensorEstimate& estimate, SensorSession* session) {
           Log(Quaterniond(knot.T_VW.q * last.T_VW.q.conjugate()));
     moved.push_back(moved.back() + step);
   }
-  Track position, rotation;
+  std::vector<TrackSample> position, rotation;
   size_t piece = session->knots.size();
   for (size_t i = 0; i < residuals.size(); ++i) {
     const SensorPose& sample = session->samples[i];
@@ -279,15 +268,16 @@ void FindNoise(const SensorEstimate& estimate, SensorSession* session) {
     while (!session->knots[begin].begins_piece) --begin;
     const Vector6d value =
         residuals[i] + (1.0 - sample.u) * moved[sample.knot] + sample.u * moved[sample.knot + 1];
-    const auto add = [&](const Vector3d& x, double scale, double weight, Track* track) {
-      track->samples.push_back({sample.t, x, scale * scale / weight, begin != piece});
+    const auto add = [&](const Vector3d& x, double scale, double weight,
+                         std::vector<TrackSample>* track) {
+      track->push_back({sample.t, x, scale * scale / weight, begin != piece});
     };
     add(value.head<3>(), sample.position_scale, sample.position_weight, &position);
     add(value.tail<3>(), sample.rotation_scale, sample.rotation_weight, &rotation);
     piece = begin;
   }
-  std::tie(session->noise.position, session->drift.position) = position.Fit();
-  std::tie(session->noise.rotation, session->drift.rotation) = rotation.Fit();
+  std::tie(session->noise.position, session->drift.position) = FitWalk(position);
+  std::tie(session->noise.rotation, session->drift.rotation) = FitWalk(rotation);
   session->noise.position *= by_position;
   session->noise.rotation *= by_rotation;
 }
@@ -366,21 +356,17 @@ void PlaceKnots(const Rigid3& T_MS, SensorSession* session) {
     const size_t first_knot = session->knots.size();
     for (size_t k = 0; k <= intervals; ++k) {
       const double t = first + step * static_cast<double>(k);
-      const auto at = [&](double time) {
-        const auto found = std::lower_bound(
-            samples.begin() + static_cast<ptrdiff_t>(begin),
-            samples.begin() + static_cast<ptrdiff_t>(end), time,
-            [](const SensorPose& sample, double value) { return sample.t < value; });
-        return static_cast<size_t>(found - samples.begin());
-      };
-      const size_t middle = at(t);
-      const size_t from =
-          std::max(begin, std::min(at(t - 0.5 * step), middle - std::min(middle, kAround)));
-      const size_t to = std::min(end, std::max(at(t + 0.5 * step), middle + kAround));
-      const SensorPose& nearest = samples[std::min(middle, end - 1)];
+      const auto after =
+          std::lower_bound(samples.begin() + static_cast<ptrdiff_t>(begin),
+                           samples.begin() + static_cast<ptrdiff_t>(end - 1), t,
+                           [](const SensorPose& sample, double value) { return sample.t < value; });
+      const auto middle = static_cast<size_t>(after - samples.begin());
+      const size_t from = std::max(begin + kAround, middle) - kAround;
+      const SensorPose* const around = &samples[from];
       session->knots.push_back(
-          {t, MedianWorld(T_MS, session->scale, &samples[from], &samples[from] + (to - from)),
-           k == 0, nearest.marker.p_WB + nearest.marker.q_WB * T_MS.p});
+          {t,
+           MedianWorld(T_MS, session->scale, around, &samples[0] + std::min(end, middle + kAround)),
+           k == 0, after->marker.p_WB + after->marker.q_WB * T_MS.p});
     }
     for (size_t i = begin; i < end; ++i) {
       const double place = (samples[i].t - first) / step;
