@@ -5,30 +5,13 @@
 /// In: the marker's motion in each session, as solved or of the poses alone, and the poses T_VS of
 /// one sensor. Out: PoseSensorCalibration. Changes no other estimate.
 
-#include <cstdint>
-#include <functional>
-#include <memory>
-#include <optional>
 #include <vector>
 
 #include "imu_pose_calib/core/base/options.h"
 #include "imu_pose_calib/core/base/result.h"
-#include "imu_pose_calib/core/ground_truth/trajectory.h"
+#include "imu_pose_calib/core/pose_sensor/marker_motion.h"
 
 namespace imu_pose_calib {
-
-/// The marker in one session.
-struct MarkerMotion {
-  int64_t epoch_ns;                                      ///< [ns, pose clock] at which t = 0
-  std::shared_ptr<const PoseTrajectory> poses;           ///< of S1
-  std::function<std::optional<BodyState>(double t)> at;  ///< nothing where it is not known
-};
-
-/// Those of all sessions: by the solution, where there is one.
-std::vector<MarkerMotion> MarkerMotions(const std::shared_ptr<const Solution>& solution);
-/// By the poses alone.
-MarkerMotion MarkerMotionOf(int64_t epoch_ns,
-                            const std::shared_ptr<const PoseTrajectory>& trajectory);
 
 /// Calibrates a pose sensor against the marker; `poses`: of each session, empty where it lacks the
 /// sensor. Throws DataError when the poses cannot be used or turn otherwise than the marker.

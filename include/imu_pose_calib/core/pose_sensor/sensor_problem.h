@@ -3,8 +3,9 @@
 #include <Eigen/Core>
 #include <vector>
 
+#include "imu_pose_calib/core/base/options.h"
 #include "imu_pose_calib/core/data/conditioned_data.h"
-#include "imu_pose_calib/core/pose_sensor/pose_sensor.h"
+#include "imu_pose_calib/core/pose_sensor/marker_motion.h"
 
 namespace imu_pose_calib {
 

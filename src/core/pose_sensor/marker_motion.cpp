@@ -1,0 +1,25 @@
+#include "imu_pose_calib/core/pose_sensor/marker_motion.h"
+
+namespace imu_pose_calib {
+
+std::vector<MarkerMotion> MarkerMotions(const std::shared_ptr<const Solution>& solution) {
+  std::vector<MarkerMotion> motions;
+  for (size_t s = 0; s < solution->trajectories.size(); ++s) {
+    const auto trajectory = std::make_shared<const SessionTrajectory>(solution, s);
+    motions.push_back({solution->pose_epochs_ns[s], solution->trajectories[s],
+                       [trajectory](double t) { return trajectory->Marker(t); }});
+  }
+  return motions;
+}
+
+MarkerMotion MarkerMotionOf(int64_t epoch_ns,
+                            const std::shared_ptr<const PoseTrajectory>& trajectory) {
+  const auto at = [trajectory](double t) -> std::optional<BodyState> {
+    MarkerState<double> state;
+    if (!trajectory->Evaluate(t, &state)) return std::nullopt;
+    return BodyState{state.q_WM, state.p_WM, state.omega_M, state.v_W, state.alpha_M, state.a_W};
+  };
+  return {epoch_ns, trajectory, at};
+}
+
+}  // namespace imu_pose_calib
