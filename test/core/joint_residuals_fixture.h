@@ -53,23 +53,16 @@ class JointResiduals : public ::testing::Test {
     SplinePlace place;
   };
   static JointPoseSample Pose(const TrajectoryPoint& at, const Eigen::Quaterniond& q_WM,
-                              const Vector3d& p_WM, double reference_time, double position_sigma,
-                              double rotation_sigma) {
-    return {{at.place, reference_time},
-            at.gp.q_WM.conjugate() * q_WM,
-            p_WM - at.gp.p_WM,
-            at.gp.alpha_M,
-            at.gp.a_W,
-            position_sigma,
-            rotation_sigma,
-            0.35};
+                              const Vector3d& p_WM, double position_sigma, double rotation_sigma) {
+    return {{at.place},        at.gp.q_WM.conjugate() * q_WM,
+            p_WM - at.gp.p_WM, at.gp.alpha_M,
+            at.gp.a_W,         position_sigma,
+            rotation_sigma,    0.35};
   }
   static JointAccelSample Imu(const TrajectoryPoint& at, const Vector3d& value, double bias_u,
-                              double own_time, double reference_time, double sigma) {
+                              double own_time, double sigma) {
     const MarkerState<double>& gp = at.gp;
-    return {{{at.place, reference_time, own_time}, gp.omega_M, gp.alpha_M, value, bias_u, sigma},
-            gp.q_WM,
-            gp.a_W};
+    return {{{at.place, own_time}, gp.omega_M, gp.alpha_M, value, bias_u, sigma}, gp.q_WM, gp.a_W};
   }
 
   /// Two poses of one span, close to the trajectory.
@@ -79,15 +72,15 @@ class JointResiduals : public ::testing::Test {
       at_.place.u = u;
       const Eigen::Quaterniond q_WM = at_.gp.q_WM * Exp<double>(Random(0.5));
       const Vector3d p_WM = at_.gp.p_WM + Random(0.01);
-      poses.push_back(Pose(at_, q_WM, p_WM, -0.5, 0.01, 0.02));
+      poses.push_back(Pose(at_, q_WM, p_WM, 0.01, 0.02));
     }
     return poses;
   }
 
   /// Two IMU samples of one span.
   std::vector<JointAccelSample> Imu() {
-    const JointAccelSample sample = Imu(at_, Random(3.0), 0.3, 2.4, -0.5, 0.05);
-    JointAccelSample next = Imu(at_, Random(3.0), 0.4, 2.5, -0.4, 0.03);
+    const JointAccelSample sample = Imu(at_, Random(3.0), 0.3, 2.4, 0.05);
+    JointAccelSample next = Imu(at_, Random(3.0), 0.4, 2.5, 0.03);
     next.place.u += 0.2;
     next.omega_M += Random(0.1);
     return {sample, next};
@@ -119,25 +112,13 @@ class JointResiduals : public ::testing::Test {
     double* parameter;
     ClockMotion motion;
   };
-  std::vector<Clock> PoseClocks() {
-    return {{&time_shift_, {0.0213, 0.0, -1.0, ClockMotion::kOne}},
-            {&clock_drift_, {1e-6, 0.0, -1.0, ClockMotion::kReferenceTime}},
-            {&accel_delay_, {0.0008, 0.0, 1.0, ClockMotion::kOne}}};
-  }
   std::vector<Clock> GyroClocks() {
-    return {{&time_shift_, {0.0213, 1.0, 0.0, ClockMotion::kOne}},
-            {&clock_drift_, {1e-6, 1.0, 0.0, ClockMotion::kOwnTime}},
-            {&accel_delay_, {0.0008, 0.0, 1.0, ClockMotion::kOne}}};
+    return {{&time_shift_, {0.0213, 1.0, ClockMotion::kOne}},
+            {&clock_drift_, {1e-6, 1.0, ClockMotion::kOwnTime}}};
   }
-  std::vector<Clock> OtherGyroClocks() {
-    std::vector<Clock> clocks = PoseClocks();
-    clocks.push_back({&other_time_shift_, {0.0117, 1.0, 1.0, ClockMotion::kOne}});
-    clocks.push_back({&other_clock_drift_, {-2e-6, 1.0, 1.0, ClockMotion::kOwnTime}});
-    return clocks;
-  }
-  std::vector<Clock> OtherAccelClocks() {
-    std::vector<Clock> clocks = OtherGyroClocks();
-    clocks.push_back({&other_accel_delay_, {0.0005, -1.0, -1.0, ClockMotion::kOne}});
+  std::vector<Clock> AccelClocks() {
+    std::vector<Clock> clocks = GyroClocks();
+    clocks.push_back({&accel_delay_, {0.0008, -1.0, ClockMotion::kOne}});
     return clocks;
   }
   static ClockMotions Motions(const std::vector<Clock>& clocks) {
@@ -156,7 +137,7 @@ class JointResiduals : public ::testing::Test {
       blocks.insert(blocks.end(), {&pose_smoothing_, &position_smoothing_});
     else
       blocks.insert(blocks.end(), {error_0_.data(), error_1_.data(), &pose_smoothing_});
-    return With(blocks, PoseClocks());
+    return blocks;
   }
 
   std::vector<double*> GyroBlocks(const std::vector<Clock>& clocks) {
@@ -181,36 +162,18 @@ class JointResiduals : public ::testing::Test {
     time_shift_ = 0.0213 + 0.7 * scale;
     clock_drift_ = 1e-6 + 0.9 * scale;
     accel_delay_ = 0.0008 - 0.4 * scale;
-    other_time_shift_ = 0.0117 + 1.1 * scale;
-    other_clock_drift_ = -2e-6 + 0.8 * scale;
-    other_accel_delay_ = 0.0005 + 0.3 * scale;
   }
-  /// How far samples have moved then along GP and splines [s].
-  struct Moved {
-    double on_gp, on_spline;
-  };
-  static Moved PoseMove(double scale, double reference_time) {
-    return {0.0, scale * (-0.7 - 0.9 * reference_time - 0.4)};
-  }
-  static Moved GyroMove(double scale, double own_time, double) {
-    return {scale * (0.7 + 0.9 * own_time), -0.4 * scale};
-  }
-  static Moved OtherGyroMove(double scale, double own_time, double reference_time) {
-    const double own = scale * (1.1 + 0.8 * own_time);
-    return {own, PoseMove(scale, reference_time).on_spline + own};
-  }
-  static Moved OtherAccelMove(double scale, double own_time, double reference_time) {
-    const Moved gyro = OtherGyroMove(scale, own_time, reference_time);
-    return {gyro.on_gp - 0.3 * scale, gyro.on_spline - 0.3 * scale};
+  /// How far samples have moved then [s].
+  static double GyroMove(double scale, double own_time) { return scale * (0.7 + 0.9 * own_time); }
+  static double AccelMove(double scale, double own_time) {
+    return GyroMove(scale, own_time) + 0.4 * scale;
   }
 
   /// A motion that agrees with its derivatives, in place of the GP's.
-  TrajectoryPoint PointAt(double t) const { return PointAt(t, t); }
-  TrajectoryPoint PointAt(double t_gp, double t_spline) const {
-    const TrueState s = true_.At(t_gp);
+  TrajectoryPoint PointAt(double t) const {
+    const TrueState s = true_.At(t);
     const Eigen::Quaterniond q_WM(s.R_WM);
-    return {{q_WM, s.omega_M, s.alpha_M, s.p_WM, s.v_W, s.a_W},
-            {0, (t_spline - kSpan) / 0.03, 0.03}};
+    return {{q_WM, s.omega_M, s.alpha_M, s.p_WM, s.v_W, s.a_W}, {0, (t - kSpan) / 0.03, 0.03}};
   }
   MarkerJerk JerkAt(double t) const {
     return {NumericRate([&](double at) { return true_.At(at).alpha_M; }, t, 1e-3),
@@ -282,26 +245,23 @@ class JointResiduals : public ::testing::Test {
     }
   }
 
-  /// Samples of the true motion from kSpan on; `clocks` move them by `move(scale, own time,
-  /// reference time)`.
+  /// Samples of the true motion from kSpan on; `clocks` move them by `move(scale, own time)`.
   template <typename Create>
   void ExpectImuOrder(const std::vector<Clock>& clocks, const std::vector<double*>& blocks,
-                      Moved (*move)(double, double, double), int order,
+                      double (*move)(double, double), int order,
                       const std::function<int(size_t)>& jacobian_order, const Create& create) {
     const ClockMotions motions = Motions(clocks);
     const Vector3d value = Random(3.0);
     const auto evaluate = [&](double scale) {
       std::vector<JointAccelSample> samples, placed;
       std::vector<MarkerJerk> jerks, placed_jerks;
-      std::vector<std::pair<double, double>> times = {{2.4, -0.5}, {2.5, -0.4}};
-      for (const auto& [own, reference] : times) {
+      for (const double own : {2.4, 2.5}) {
         const double t = kSpan + 0.012 + 0.03 * (own - 2.4);
-        const Moved dt = move(scale, own, reference);
-        const TrajectoryPoint moved = PointAt(t + dt.on_gp, t + dt.on_spline);
-        samples.push_back(Imu(PointAt(t), value, 0.3, own, reference, 0.05));
-        placed.push_back(Imu(moved, value, 0.3, own, reference, 0.05));
+        const double moved = t + move(scale, own);
+        samples.push_back(Imu(PointAt(t), value, 0.3, own, 0.05));
+        placed.push_back(Imu(PointAt(moved), value, 0.3, own, 0.05));
         jerks.push_back(JerkAt(t));
-        placed_jerks.push_back(JerkAt(t + dt.on_gp));
+        placed_jerks.push_back(JerkAt(moved));
       }
       MoveClocks(0.0);
       MovedAndPlaced both;
@@ -348,9 +308,7 @@ class JointResiduals : public ::testing::Test {
   Vector6d gyro_intrinsics_ = (Vector6d() << 0.02, -0.01, 0.03, 0.01, 0.02, -0.02).finished();
   Vector9d accel_intrinsics_ =
       (Vector9d() << 0.01, 0.02, -0.03, 0.01, -0.02, 0.02, 0.03, -0.01, 0.02).finished();
-  /// Clocks of the session's first IMU, with which the trajectory goes along, and of another one.
   double time_shift_ = 0.0213, accel_delay_ = 0.0008, clock_drift_ = 1e-6;
-  double other_time_shift_ = 0.0117, other_accel_delay_ = 0.0005, other_clock_drift_ = -2e-6;
   double pose_smoothing_ = 3e-4, position_smoothing_ = -1e-4, accel_smoothing_ = 4e-4;
   double pose_scale_ = 1.03;
   /// More than any IMU has.

@@ -56,8 +56,7 @@ std::vector<Interval> Join(std::vector<Interval> intervals) {
 
 CorrectionSplines::CorrectionSplines(const ConditionedData& data, const Estimate& estimate,
                                      size_t session, double spacing_s)
-    : session_(session), spacing_(spacing_s) {
-  FollowClock(estimate);
+    : spacing_(spacing_s) {
   std::vector<Interval> covered;
   for (size_t i = 0; i < data.imus.size(); ++i) {
     if (!data.imus[i].IsPresent()) continue;
@@ -90,21 +89,6 @@ std::optional<SplinePlace> CorrectionSplines::Locate(double t) const {
   const double x = (t - run.begin) / run.spacing;
   const size_t span = std::min(run.spans - 1, static_cast<size_t>(x));
   return SplinePlace{run.first + span, x - static_cast<double>(span), run.spacing};
-}
-
-void CorrectionSplines::FollowClock(const Estimate& estimate) {
-  const size_t imu = estimate.sessions[session_].FirstImu();
-  const ClockLine& clock = estimate.sessions[session_].imus[imu];
-  const double growth = estimate.imus[imu].accel_delay - accel_delay_;
-  const auto follow = [&](double t) { return clock.PoseTime(clock_.ImuTime(t) - growth); };
-  for (Run& run : runs_) {
-    if (is_with_poses) break;
-    run.begin = follow(run.begin);
-    run.end = follow(run.end);
-    run.spacing = (run.end - run.begin) / static_cast<double>(run.spans);
-  }
-  clock_ = clock;
-  accel_delay_ = estimate.imus[imu].accel_delay;
 }
 
 }  // namespace imu_pose_calib

@@ -209,12 +209,6 @@ void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares
   }
 }
 
-bool DoPosesLead(const CorrectionSplines& splines, size_t session,
-                 const std::vector<SensorModel>& models) {
-  const Densities S = JointDensities(models, session);
-  return ImuShare(S, Quantity::kAccel, Band(splines.spacing())) < 0.5;
-}
-
 void AddSpuriousInformation(const std::vector<CorrectionSplines>& splines, LeastSquares* joint) {
   constexpr size_t kEnough = 2000;  // samples, of which the mean is taken
   for (const SensorBlocks& sensor : joint->sensors) {

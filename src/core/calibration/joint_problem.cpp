@@ -52,7 +52,6 @@ int AddKnots(std::vector<double>* values, Problem* problem) {
 struct Places {
   std::shared_ptr<const PoseTrajectory> trajectory;
   CorrectionSplines splines;
-  ClockLine reference;  ///< clock of the first IMU
   Eigen::Vector3d g_W;
 
   /// The GP at t [s] on the pose clock.
@@ -67,7 +66,6 @@ struct Places {
     if (!place || !trajectory->Contains(t)) return std::nullopt;
     return static_cast<int>(place->first);
   }
-  double ReferenceTime(double t) const { return reference.ImuTime(t) - reference.clock_reference; }
   /// f_M'' of the GP at t [s], where it moves as `middle`; [m/s^4], components in M.
   Eigen::Vector3d ForceCurvature(const MarkerState<double>& middle, double t,
                                  const Eigen::Vector3d& p_MI) const {
@@ -89,9 +87,9 @@ class SessionBuilder {
         joint_(joint),
         prepared_(joint->sessions[session]),
         estimate_(joint->estimate->sessions[session]),
-        first_imu_(estimate_.FirstImu()),
-        places_(std::make_shared<const Places>(
-            Places{prepared_.trajectory, *splines, estimate_.imus[first_imu_], estimate_.g_W})) {}
+        places_(
+            std::make_shared<const Places>(Places{prepared_.trajectory, *splines, estimate_.g_W})) {
+  }
 
   void AddPoses();
   void AddGyro(size_t imu);
@@ -103,9 +101,7 @@ class SessionBuilder {
     std::vector<double*> parameters;
     ClockMotions motions;
   };
-  /// Of an IMU's sensor along the trajectory, of which the splines go along with the accelerometer
-  /// of the first IMU; of poses when `imu` is null.
-  Clocks FindClocks(const size_t* imu, bool is_accel) const;
+  Clocks FindClocks(size_t imu, bool is_accel) const;
   /// IMU samples of stamp t at the instant t - delay. `complete(places, t_M, &sample)` does what is
   /// of the sensor, `create(samples, motions, has_walk)` makes its cost function, whose blocks of
   /// control points and of parameters after the knots are `points` and `others`.
@@ -124,35 +120,19 @@ class SessionBuilder {
   LeastSquares* const joint_;
   const PreparedSession& prepared_;
   SessionEstimate& estimate_;
-  const size_t first_imu_;
   const std::shared_ptr<const Places> places_;
 };
 
-SessionBuilder::Clocks SessionBuilder::FindClocks(const size_t* imu, bool is_accel) const {
+SessionBuilder::Clocks SessionBuilder::FindClocks(size_t imu, bool is_accel) const {
   Clocks clocks;
   std::vector<ClockMotion> motions;
-  const auto add = [&](double* parameter, double on_gp, double on_spline, auto factor) {
+  const auto add = [&](double* parameter, double sign, auto factor) {
     clocks.parameters.push_back(parameter);
-    motions.push_back({*parameter, on_gp, on_spline, factor});
+    motions.push_back({*parameter, sign, factor});
   };
-  // On the GP a sample of the IMU moves as its own clocks do; on the splines, unless they stay with
-  // the poses, by what that exceeds the move of the reference accelerometer.
-  ImuSessionEstimate& reference = estimate_.imus[first_imu_];
-  const bool is_with_poses = splines_->is_with_poses;
-  const bool is_reference = !is_with_poses && imu != nullptr && *imu == first_imu_;
-  if (!is_reference && !is_with_poses) {
-    add(&reference.time_shift, 0.0, -1.0, ClockMotion::kOne);
-    add(&reference.clock_drift, 0.0, -1.0, ClockMotion::kReferenceTime);
-  }
-  if (!is_with_poses && (!is_reference || !is_accel))
-    add(&joint_->estimate->imus[first_imu_].accel_delay, 0.0, 1.0, ClockMotion::kOne);
-  if (imu != nullptr) {
-    const double on_spline = is_reference ? 0.0 : 1.0;
-    add(&estimate_.imus[*imu].time_shift, 1.0, on_spline, ClockMotion::kOne);
-    add(&estimate_.imus[*imu].clock_drift, 1.0, on_spline, ClockMotion::kOwnTime);
-    if (is_accel)
-      add(&joint_->estimate->imus[*imu].accel_delay, -1.0, -on_spline, ClockMotion::kOne);
-  }
+  add(&estimate_.imus[imu].time_shift, 1.0, ClockMotion::kOne);
+  add(&estimate_.imus[imu].clock_drift, 1.0, ClockMotion::kOwnTime);
+  if (is_accel) add(&joint_->estimate->imus[imu].accel_delay, -1.0, ClockMotion::kOne);
   clocks.motions = std::make_shared<const std::vector<ClockMotion>>(motions);
   return clocks;
 }
@@ -187,7 +167,6 @@ void SessionBuilder::AddBlocks(const std::shared_ptr<const SampledCost>& cost,
 }
 
 void SessionBuilder::AddPoses() {
-  const Clocks clocks = FindClocks(nullptr, false);
   BiasKnots& errors = estimate_.rotation_errors.knots;
   const std::vector<TimedPose>& poses = prepared_.data.poses;
   SensorBlocks* const position = joint_->Find(Quantity::kPosition, session_);
@@ -208,7 +187,7 @@ void SessionBuilder::AddPoses() {
         const ProblemSample& at = position->samples[k];
         const TimedPose& pose = poses[at.index];
         const MarkerState<double> gp = places->At(at.t);
-        return JointPoseSample{{*places->splines.Locate(at.t), places->ReferenceTime(at.t)},
+        return JointPoseSample{{*places->splines.Locate(at.t)},
                                gp.q_WM.conjugate() * pose.q_WM,
                                pose.p_WM - gp.p_WM,
                                gp.alpha_M,
@@ -219,12 +198,11 @@ void SessionBuilder::AddPoses() {
       });
   Estimate& all = *joint_->estimate;
   std::vector<double*> others = {&all.pose_smoothing, &all.position_smoothing};
-  others.insert(others.end(), clocks.parameters.begin(), clocks.parameters.end());
-  AddBlocks(CreateJointPositionResidual(samples, clocks.motions), runs, {&splines_->d}, nullptr,
-            others, nullptr, position);
+  AddBlocks(CreateJointPositionResidual(samples), runs, {&splines_->d}, nullptr, others, nullptr,
+            position);
   others.erase(others.begin() + 1);
-  AddBlocks(CreateJointRotationResidual(samples, clocks.motions), runs, {&splines_->phi},
-            &errors.values, others, nullptr, rotation);
+  AddBlocks(CreateJointRotationResidual(samples), runs, {&splines_->phi}, &errors.values, others,
+            nullptr, rotation);
 }
 
 template <typename Sample, typename Complete, typename Create>
@@ -261,7 +239,6 @@ void SessionBuilder::AddImu(size_t imu, Quantity quantity, const std::vector<Vec
     sample.value = measured.value;
     sample.bias_u = knots->Locate(measured.t).second;
     sample.own_time = measured.t - own_reference;
-    sample.reference_time = places->ReferenceTime(at.t);
     sample.sigma = at.sigma;
     if (!walk.IsLine()) {
       sample.walk_u = walk.Locate(measured.t - delay).second;
@@ -270,7 +247,7 @@ void SessionBuilder::AddImu(size_t imu, Quantity quantity, const std::vector<Vec
     complete(*places, at.t, &sample);
     return sample;
   };
-  const Clocks clocks = FindClocks(&imu, is_accel);
+  const Clocks clocks = FindClocks(imu, is_accel);
   others.insert(others.end(), clocks.parameters.begin(), clocks.parameters.end());
   AddBlocks(create(Collect(joint_->options, runs.size(), make), clocks.motions, !walk.IsLine()),
             runs, points, &knots->values, others, walk.IsLine() ? nullptr : &own.walk.offset,
@@ -347,14 +324,6 @@ std::unique_ptr<LeastSquares> BuildJointProblem(const CalibrationOptions& option
     ShareFreedom((*splines)[s], s, joint.get());
   }
   return joint;
-}
-
-void HoldCalibration(LeastSquares* joint) {
-  for (const Parameter& p : CalibrationParameters(joint->estimate)) {
-    const bool is_clock =
-        p.kind == ParameterKind::kTimeShift || p.kind == ParameterKind::kClockDrift;
-    if (!is_clock || !joint->options.estimate_clock_drift) joint->problem.SetHeld(p.data, true);
-  }
 }
 
 }  // namespace imu_pose_calib

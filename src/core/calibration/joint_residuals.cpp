@@ -2,6 +2,7 @@
 
 #include <Eigen/LU>
 #include <initializer_list>
+#include <memory>
 #include <utility>
 
 #include "imu_pose_calib/core/base/intrinsics.h"
@@ -32,11 +33,10 @@ struct CorrectedRotation {
   Eigen::Quaterniond E;  // Exp(phi)
   Vector3d omega, alpha;
   // Only with derivatives:
-  Matrix3d J;                      // right Jacobian of phi; d omega / d phi', d alpha / d phi''
-  Matrix3d omega_phi;              // d omega / d phi
-  Matrix3d alpha_phi, alpha_phi1;  // d alpha / d phi, phi'
-  // Change with time of the splines, and of the GP's motion, of alpha but for its own change.
-  Vector3d u, omega_spline, alpha_spline, omega_gp, alpha_gp;
+  Matrix3d J;                       // right Jacobian of phi; d omega / d phi', d alpha / d phi''
+  Matrix3d omega_phi;               // d omega / d phi
+  Matrix3d alpha_phi, alpha_phi1;   // d alpha / d phi, phi'
+  Vector3d omega_rate, alpha_rate;  // by time; of alpha without what alpha_gp changes by
 
   /// Derivatives that are wanted: none, of omega, of both.
   enum Derivatives { kNone, kOfOmega, kOfBoth };
@@ -45,7 +45,7 @@ struct CorrectedRotation {
   CorrectedRotation(const Vector3d& omega_gp_M, const Vector3d& alpha_gp_M,
                     const Eigen::Matrix<double, 3, 4>& phi, Derivatives wanted)
       : E(Exp<double>(phi.col(0))) {
-    Vector3d u_dot;
+    Vector3d u, u_dot;
     CorrectionRate<double>(phi.col(0), phi.col(1), phi.col(2), &u, &u_dot);
     const Vector3d omega_E = E.conjugate() * omega_gp_M;  // E^T omega_gp
     const Vector3d alpha_E = E.conjugate() * alpha_gp_M;
@@ -68,8 +68,7 @@ struct CorrectedRotation {
     // d(E^T v)/d phi = Hat(E^T v) J
     const Matrix3d omega_E_J = Hat(omega_E) * J;
     omega_phi = omega_E_J + u_phi;
-    omega_spline = omega_phi * x + J * y;
-    omega_gp = alpha_E;
+    omega_rate = omega_phi * x + J * y + alpha_E;
     if (wanted == kOfOmega) return;
 
     // u' = J y + d(J x)/d w x, of which the second is 2 w.x (dc r - db p) + c x x p.
@@ -83,8 +82,7 @@ struct CorrectedRotation {
     const Matrix3d udot_phi1 = wx * (j.dc * WW - j.db * W) - j.b * X + j.c * (X * W + WX) + u_phi;
     alpha_phi = Hat(alpha_E) * J + Hat(omega_E) * u_phi - Hat(u) * omega_E_J + udot_phi;
     alpha_phi1 = omega_E_J + udot_phi1;
-    alpha_spline = alpha_phi * x + alpha_phi1 * y + J * phi.col(3);
-    alpha_gp = -u.cross(alpha_E);
+    alpha_rate = alpha_phi * x + alpha_phi1 * y + J * phi.col(3) - u.cross(alpha_E);
   }
 };
 
@@ -113,15 +111,7 @@ void SetKnotRows(const JacobianRows& rows, int knot, double factor_0, double fac
 }
 
 double Factor(const ClockMotion& clock, const JointSample& s) {
-  switch (clock.factor) {
-    case ClockMotion::kOwnTime:
-      return s.own_time;
-    case ClockMotion::kReferenceTime:
-      return s.reference_time;
-    case ClockMotion::kOne:
-      break;
-  }
-  return 1.0;
+  return clock.sign * (clock.factor == ClockMotion::kOwnTime ? s.own_time : 1.0);
 }
 
 /// x less what is linear between two knots.
@@ -136,7 +126,8 @@ class BatchResidual : public SampledCost {
  public:
   /// Sizes of the blocks between splines and clocks.
   BatchResidual(Samples<Sample> samples, int splines, std::initializer_list<int> others,
-                const ClockMotions& clocks, bool has_walk = false)
+                const ClockMotions& clocks = std::make_shared<const std::vector<ClockMotion>>(),
+                bool has_walk = false)
       : has_walk_(has_walk),
         first_clock_(splines * kSplineOrder + static_cast<int>(others.size())),
         walk_knot_(first_clock_ + static_cast<int>(clocks->size())),
@@ -154,11 +145,10 @@ class BatchResidual : public SampledCost {
     JacobianRows rows{jacobians, 0};
     for (size_t i = begin; i < end; ++i, residual += 3, rows.first_row += 3) {
       const Sample sample = samples_[i];
-      const Move dt = FindMove(sample, blocks);
-      const double u = sample.place.u + dt.on_spline / sample.place.spacing;
+      const double dt = FindMove(sample, blocks);
+      const double u = sample.place.u + dt / sample.place.spacing;
       if (!IsNearSpan(u)) return false;
-      EvaluateSample(sample, dt.on_gp, CubicWeights(u, sample.place.spacing), blocks, residual,
-                     rows);
+      EvaluateSample(sample, dt, CubicWeights(u, sample.place.spacing), blocks, residual, rows);
     }
     return true;
   }
@@ -170,37 +160,27 @@ class BatchResidual : public SampledCost {
                               double const* const* blocks, double* residual,
                               const JacobianRows& jacobians) const = 0;
 
-  /// Columns of the clocks from the derivatives of the residual along GP and splines.
-  void SetClockRows(const Sample& sample, const Vector3d& r_gp, const Vector3d& r_spline,
+  /// Columns of the clocks from the derivative of the residual by time.
+  void SetClockRows(const Sample& sample, const Vector3d& r_rate,
                     const JacobianRows& jacobians) const {
     int block = first_clock_;
     for (const ClockMotion& clock : *clocks_)
-      SetRows<1>(
-          jacobians, block++,
-          Vector3d(Factor(clock, sample) * (clock.on_gp * r_gp + clock.on_spline * r_spline)));
+      SetRows<1>(jacobians, block++, Vector3d(Factor(clock, sample) * r_rate));
     if (!has_walk_) return;
-    SetRows<1>(jacobians, walk_knot_, Vector3d((1.0 - sample.walk_u) * (r_gp + r_spline)));
-    SetRows<1>(jacobians, walk_knot_ + 1, Vector3d(sample.walk_u * (r_gp + r_spline)));
+    SetRows<1>(jacobians, walk_knot_, Vector3d((1.0 - sample.walk_u) * r_rate));
+    SetRows<1>(jacobians, walk_knot_ + 1, Vector3d(sample.walk_u * r_rate));
   }
 
  private:
   /// How far a sample has moved [s].
-  struct Move {
-    double on_gp = 0.0, on_spline = 0.0;
-  };
-  Move FindMove(const Sample& sample, double const* const* blocks) const {
-    Move dt;
+  double FindMove(const Sample& sample, double const* const* blocks) const {
+    double dt = 0.0;
     int block = first_clock_;
-    for (const ClockMotion& clock : *clocks_) {
-      const double step = Factor(clock, sample) * (*blocks[block++] - clock.value);
-      dt.on_gp += clock.on_gp * step;
-      dt.on_spline += clock.on_spline * step;
-    }
+    for (const ClockMotion& clock : *clocks_)
+      dt += Factor(clock, sample) * (*blocks[block++] - clock.value);
     if (!has_walk_) return dt;
-    // Along both: the splines follow the line of a clock alone.
     const double u = sample.walk_u;
-    const double step = (1.0 - u) * *blocks[walk_knot_] + u * *blocks[walk_knot_ + 1] - sample.walk;
-    return {dt.on_gp + step, dt.on_spline + step};
+    return dt + (1.0 - u) * *blocks[walk_knot_] + u * *blocks[walk_knot_ + 1] - sample.walk;
   }
 
   const bool has_walk_;
@@ -211,8 +191,8 @@ class BatchResidual : public SampledCost {
 
 class JointPositionResidual : public BatchResidual<JointPoseSample> {
  public:
-  JointPositionResidual(Samples<JointPoseSample> samples, const ClockMotions& clocks)
-      : BatchResidual(std::move(samples), 1, {1, 1}, clocks) {}
+  explicit JointPositionResidual(Samples<JointPoseSample> samples)
+      : BatchResidual(std::move(samples), 1, {1, 1}) {}
 
  protected:
   void EvaluateSample(const JointPoseSample& s, double, const SplineWeights& weights,
@@ -226,7 +206,6 @@ class JointPositionResidual : public BatchResidual<JointPoseSample> {
     for (int j = 0; j < kSplineOrder; ++j)
       SetRows<3>(jacobians, j,
                  -(weights(0, j) + c * weights(2, j)) / s.position_sigma * Matrix3d::Identity());
-    SetClockRows(s, Vector3d::Zero(), -(d.col(1) + c * d.col(3)) / s.position_sigma, jacobians);
     for (const int smoothing : {kSplineOrder, kSplineOrder + 1})
       SetRows<1>(jacobians, smoothing, -0.5 / s.position_sigma * a_W);
   }
@@ -234,8 +213,8 @@ class JointPositionResidual : public BatchResidual<JointPoseSample> {
 
 class JointRotationResidual : public BatchResidual<JointPoseSample> {
  public:
-  JointRotationResidual(Samples<JointPoseSample> samples, const ClockMotions& clocks)
-      : BatchResidual(std::move(samples), 1, {3, 3, 1}, clocks) {}
+  explicit JointRotationResidual(Samples<JointPoseSample> samples)
+      : BatchResidual(std::move(samples), 1, {3, 3, 1}) {}
 
  protected:
   void EvaluateSample(const JointPoseSample& s, double, const SplineWeights& weights,
@@ -261,8 +240,6 @@ class JointRotationResidual : public BatchResidual<JointPoseSample> {
     const double by_error = -1.0 / s.rotation_sigma;
     SetKnotRows(jacobians, n, (1.0 - s.error_u) * by_error, s.error_u * by_error);
     SetRows<1>(jacobians, n + 2, 0.5 * A_lag * alpha);
-    const Vector3d r_spline = A_phi * J * phi.col(1) + c * A_lag * phi.col(3);
-    SetClockRows(s, Vector3d::Zero(), r_spline, jacobians);
   }
 };
 
@@ -301,7 +278,7 @@ class JointGyroResidual : public BatchResidual<JointImuSample> {
       r_M.block<1, 3>(2, 3) = omega_I.transpose();
       SetRows<6>(jacobians, n + 3, -r_M / s.sigma);
     }
-    SetClockRows(s, A * x.omega_gp, A * x.omega_spline, jacobians);
+    SetClockRows(s, A * x.omega_rate, jacobians);
   }
 };
 
@@ -383,11 +360,10 @@ class JointAccelResidual : public BatchResidual<JointAccelSample> {
     SetRows<1>(jacobians, n + 6, 0.5 * A * s.f_curvature);
     SetRows<1>(jacobians, n + 7, -1.0 / scale * r_a * a_W);
     const Matrix3d E_inv = Exp<double>(-phi.col(0)).toRotationMatrix();
-    const Vector3d r_gp = A * (1.0 / scale * R_MW * s.jerk_W - (x.omega - x.u).cross(f_body)) +
-                          r_omega * x.omega_gp + r_alpha * (x.alpha_gp + E_inv * s.alpha_rate);
-    const Vector3d r_spline = A * (1.0 / scale * R_MW * d.col(3) - x.u.cross(f_body)) +
-                              r_omega * x.omega_spline + r_alpha * x.alpha_spline;
-    SetClockRows(s, r_gp, r_spline, jacobians);
+    const Vector3d r_rate =
+        A * (1.0 / scale * R_MW * (s.jerk_W + d.col(3)) - x.omega.cross(f_body)) +
+        r_omega * x.omega_rate + r_alpha * (x.alpha_rate + E_inv * s.alpha_rate);
+    SetClockRows(s, r_rate, jacobians);
     if (jacobians.blocks[n + 8] != nullptr) {
       // Row: axis; column: component of its place in I.
       const Matrix3d f_r = R_IM * K * R_MA_;
@@ -405,14 +381,12 @@ class JointAccelResidual : public BatchResidual<JointAccelSample> {
 
 }  // namespace
 
-std::unique_ptr<SampledCost> CreateJointPositionResidual(Samples<JointPoseSample> samples,
-                                                         const ClockMotions& clocks) {
-  return std::make_unique<JointPositionResidual>(std::move(samples), clocks);
+std::unique_ptr<SampledCost> CreateJointPositionResidual(Samples<JointPoseSample> samples) {
+  return std::make_unique<JointPositionResidual>(std::move(samples));
 }
 
-std::unique_ptr<SampledCost> CreateJointRotationResidual(Samples<JointPoseSample> samples,
-                                                         const ClockMotions& clocks) {
-  return std::make_unique<JointRotationResidual>(std::move(samples), clocks);
+std::unique_ptr<SampledCost> CreateJointRotationResidual(Samples<JointPoseSample> samples) {
+  return std::make_unique<JointRotationResidual>(std::move(samples));
 }
 
 std::unique_ptr<SampledCost> CreateJointGyroResidual(Samples<JointImuSample> samples,

@@ -138,8 +138,6 @@ class JointSolver {
       const std::vector<TimedPose>& poses = sessions[s].data.poses;
       estimate->sessions[s].rotation_errors = SlowErrors(poses.front().t, poses.back().t);
     }
-    // Before residuals have weights, motion that knots do not follow would move it by metres.
-    for (ImuEstimate& imu : estimate->imus) held_.push_back(imu.accel_positions.data());
   }
 
   const std::vector<SensorModel>& models() const { return models_; }
@@ -167,11 +165,9 @@ class JointSolver {
     return noise;
   }
 
-  /// Starts close to the solution: residuals about the calibration of the start tell what is an
-  /// outlier before it can move the calibration.
+  /// Starts close to the solution.
   Solution Solve() {
-    bool has_converged = Pass(true);
-    held_.clear();
+    bool has_converged = Pass();
     Solution solution;
     solution.has_settled = false;
     for (int pass = 1; pass < kMaxPasses && !solution.has_settled; ++pass) {
@@ -192,7 +188,6 @@ class JointSolver {
     solution.statistics = statistics_;
     // Of everything: trajectories, gravity and biases too.
     problem_->Move(solution.marginals.step);
-    for (CorrectionSplines& splines : splines_) splines.FollowClock(*estimate_);
     solution.residuals = problem_->TakeResiduals();
     problem_.reset();
     solution.models = std::move(models_);
@@ -205,18 +200,14 @@ class JointSolver {
   /// A problem with the noise and the weights that are set; at first, all weights are 1.
   void Build() {
     problem_.reset();  // never two of them at a time
-    for (size_t s = 0; s < splines_.size(); ++s)
-      splines_[s].is_with_poses = DoPosesLead(splines_[s], s, models_);
     problem_ = BuildJointProblem(options_, sessions_, models_, estimate_, &splines_);
     for (const double* parameter : held_) problem_->problem.SetHeld(parameter, true);
   }
 
   /// Whether it has converged: if not, another one starts closer to the solution, and may.
-  bool Pass(bool holds_calibration = false) {
+  bool Pass() {
     Build();
-    if (holds_calibration) HoldCalibration(problem_.get());
     const std::optional<int> iterations = problem_->Solve(kRoughTolerance);
-    for (CorrectionSplines& splines : splines_) splines.FollowClock(*estimate_);
     iterations_ += iterations.value_or(options_.max_iterations);
     statistics_ = problem_->FindStatistics();
     FitNoise(problem_.get(), &statistics_);

@@ -29,7 +29,6 @@ constexpr double kSizePrior = 2e-3;               // [m] places of the accelerom
 // smoothing, and errors of the poses would take its place.
 // For a filter of first order, the squared delay; for a plain delay, nothing.
 constexpr double kSmoothingPerDelay2 = 0.5, kSmoothingSpread = 1.0;
-constexpr double kLeastFilterDelay = 0.01;  // [s]
 
 /// Samples closer than this to the end of a segment are left out, so that the time shift can move.
 constexpr double kEdge = 0.02;  // [s]
@@ -68,7 +67,6 @@ double MeanRate(const ConditionedData& data) {
 struct Prior {
   Eigen::VectorXd sigmas;  ///< of each component, independent; empty: nothing
   double expected = 0.0;
-  bool is_held = false;
 };
 
 /// Of the elements of a matrix in rows, or of its lower triangle.
@@ -87,7 +85,7 @@ Prior SmoothingPrior(const std::vector<PreparedSession>& sessions, size_t imu) {
         std::abs(session.starts[imu].accel_delay) > std::abs(delay))
       delay = session.starts[imu].accel_delay;
   return {Eigen::VectorXd::Constant(1, kSmoothingSpread * std::max(delay * delay, 1e-12)),
-          kSmoothingPerDelay2 * delay * std::abs(delay), std::abs(delay) <= kLeastFilterDelay};
+          kSmoothingPerDelay2 * delay * std::abs(delay)};
 }
 
 Prior PriorOf(const Parameter& p, const LeastSquares& solve) {
@@ -260,7 +258,7 @@ void LeastSquares::AddCalibration(bool is_joint) {
     if (!is_joint && p.kind > ParameterKind::kAccelDelay) continue;
     problem.AddParameters(p.data, p.kind == ParameterKind::kRotation ? 4 : p.size);
     const Prior prior = PriorOf(p, *this);
-    const bool is_held = prior.is_held || !IsEstimated(options, p.kind);
+    const bool is_held = !IsEstimated(options, p.kind);
     problem.SetHeld(p.data, is_held);
     if (is_held || prior.sigmas.size() == 0) continue;
     AddPrior(std::make_unique<const ceres::NormalPrior>(

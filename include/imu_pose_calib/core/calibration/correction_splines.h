@@ -20,9 +20,6 @@ class CorrectionSplines {
 
   /// Place of t; nothing when no spline covers it.
   std::optional<SplinePlace> Locate(double t) const;
-  /// The splines go along with the accelerometer of the first IMU, by how the line of its clock
-  /// has changed since the last time, unless they are with the poses.
-  void FollowClock(const Estimate& estimate);
 
   /// Instants t [s, pose clock] and control points, of which there are `spans` + kSplineOrder - 1.
   struct Run {
@@ -34,18 +31,12 @@ class CorrectionSplines {
   /// About the time between knots [s].
   double spacing() const { return spacing_; }
 
-  bool is_with_poses = false;  ///< while the clocks move
-
   std::vector<Eigen::Vector3d> d;    ///< control points [m] in W
   std::vector<Eigen::Vector3d> phi;  ///< control points [rad] in M
 
  private:
-  size_t session_;
   double spacing_;
   std::vector<Run> runs_;
-  // Of the first IMU when the splines went along last:
-  ClockLine clock_;
-  double accel_delay_ = 0.0;
 };
 
 }  // namespace imu_pose_calib

@@ -11,11 +11,6 @@ namespace imu_pose_calib {
 /// noise within the band is seen, doc/math.md, S4, "Degrees of freedom" and "Noise".
 void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares* joint);
 
-/// Whether the poses tell more of a session's positions than the accelerometers, in the mean over
-/// the band of the splines.
-bool DoPosesLead(const CorrectionSplines& splines, size_t session,
-                 const std::vector<SensorModel>& models);
-
 /// Adds the information that is the noise of the trajectories, doc/math.md Eq. (18).
 void AddSpuriousInformation(const std::vector<CorrectionSplines>& splines, LeastSquares* joint);
 

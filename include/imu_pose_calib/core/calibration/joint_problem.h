@@ -16,7 +16,4 @@ std::unique_ptr<LeastSquares> BuildJointProblem(const CalibrationOptions& option
                                                 Estimate* estimate,
                                                 std::vector<CorrectionSplines>* splines);
 
-/// Keeps the calibration where it is; trajectories, biases and gravity are estimated.
-void HoldCalibration(LeastSquares* joint);
-
 }  // namespace imu_pose_calib

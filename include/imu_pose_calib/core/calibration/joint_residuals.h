@@ -15,19 +15,16 @@ namespace imu_pose_calib {
 /// function for all samples of a sensor, three rows in sigma for each. A residual block takes
 /// consecutive ones that share all parameters: that keeps the normal equations to a few dense
 /// products. Blocks are in this order: `d` and `phi`, kSplineOrder control points (3) each; two
-/// knots (3) of what changes slowly; the others; clocks (1); with a walk, two of its knots (1).
-///
-/// While the clocks are estimated, IMU samples move along the GP, which stays with the poses; the
-/// splines go along with the accelerometer of the session's first IMU, since it sees their highest
-/// derivatives, and all others move along them (doc/math.md, S4, "Clock of the trajectory").
+/// knots (3) of what changes slowly; the others; of an IMU clocks (1) and, with a walk, two of its
+/// knots (1), by which its samples move along the trajectory while they are estimated.
 
-/// How the samples of a block move along GP and splines with one clock parameter, a block of 1:
+/// How the samples of a block move with one clock parameter, a block of 1:
 /// dt = sign factor (parameter - value) [s].
 struct ClockMotion {
-  enum Factor { kOne, kOwnTime, kReferenceTime };
-  double value;             ///< for which the samples are at their places
-  double on_gp, on_spline;  ///< sign: -1, 0 or 1
-  Factor factor;            ///< 1, or a time of the sample as below
+  enum Factor { kOne, kOwnTime };
+  double value;   ///< for which the samples are at their places
+  double sign;    ///< -1 or 1
+  Factor factor;  ///< 1, or a time of the sample as below
 };
 using ClockMotions = std::shared_ptr<const std::vector<ClockMotion>>;
 
@@ -49,14 +46,12 @@ class Samples {
   std::function<Sample(size_t)> make_;
 };
 
-/// Where a sample is on the splines while the clocks are where they stood when the problem was
-/// made, and its instant on clocks [s], after the one at which their shift holds. Samples move
+/// Where a sample is while the clocks are where they stood when the problem was made. It moves
 /// along the GP to first or second order, and by little: the last pass starts close to the
 /// solution.
 struct JointSample {
   SplinePlace place;
-  double reference_time;            ///< clock of the first IMU
-  double own_time = 0.0;            ///< of an IMU: its own clock
+  double own_time = 0.0;            ///< [s] IMU clock, after the instant at which its shift holds
   double walk_u = 0.0, walk = 0.0;  ///< 0..1 between the knots of that; [s] where it stands
 };
 
@@ -70,14 +65,12 @@ struct JointPoseSample : JointSample {
 };
 
 /// r = (p_meas - p_gp(t) - d(t) - s/2 (a_gp + d''(t))) / sigma, in W, s: pose_smoothing +
-/// position_smoothing. Blocks: d | pose_smoothing (1) | position_smoothing (1) | clocks.
-std::unique_ptr<SampledCost> CreateJointPositionResidual(Samples<JointPoseSample> samples,
-                                                         const ClockMotions& clocks);
+/// position_smoothing. Blocks: d | pose_smoothing (1) | position_smoothing (1).
+std::unique_ptr<SampledCost> CreateJointPositionResidual(Samples<JointPoseSample> samples);
 
 /// r = (Log(Exp(s/2 (alpha_gp + phi''(t)))^T Exp(phi(t))^T R_gp(t)^T R_meas) - e(t)) / sigma, in M,
-/// e: slow error. Blocks: phi | knots of e | pose_smoothing (1) | clocks.
-std::unique_ptr<SampledCost> CreateJointRotationResidual(Samples<JointPoseSample> samples,
-                                                         const ClockMotions& clocks);
+/// e: slow error. Blocks: phi | knots of e | pose_smoothing (1).
+std::unique_ptr<SampledCost> CreateJointRotationResidual(Samples<JointPoseSample> samples);
 
 /// A sample of the gyroscope, and what accelerometers have, too.
 struct JointImuSample : JointSample {
