@@ -282,13 +282,13 @@ PoseSensorCalibration CalibrateSensor(const CalibrationOptions& options,
     calibration.status = Status::kDegenerate;
     calibration.message = error.what();
   }
+  const std::string name = "sensor" + std::to_string(sensor) + ": ";
   if (calibration.status != Status::kOk) {
     if (result->status == Status::kOk) {
       result->status = Status::kWeak;
-      result->message = "pose sensor " + std::to_string(sensor + 1) + ": " + calibration.message;
+      result->message = name + calibration.message;
     }
-    result->warnings.push_back("pose sensor " + std::to_string(sensor + 1) + ": " +
-                               calibration.message);
+    result->warnings.push_back(name + calibration.message);
   }
   return calibration;
 }

@@ -31,7 +31,7 @@ constexpr double kMetricScale = 2e-3;
 constexpr double kHeldDrift = 1e-12;  // [s/s] sigma of a clock's drift that is not estimated
 /// Squared drift over squared noise [1/s], its logarithm: what is searched, and how finely.
 constexpr double kLeastDrift = -16.0, kMostDrift = 10.0, kDriftStep = 0.25;
-/// Noise and drift have settled when they change by less.
+/// The noise has settled when it changes by a smaller share; the drift, by two steps of that.
 constexpr double kSettled = 0.02;
 constexpr double kTimeBlocks = 24.0;
 
@@ -407,11 +407,12 @@ bool FindNoise(SensorEstimate* estimate) {
   bool has_settled = true;
   for (SensorSession& session : estimate->sessions) {
     if (session.samples.empty()) continue;
-    const PoseStd before = session.noise;
+    const PoseStd noise = session.noise, drift = session.drift;
     FindNoise(*estimate, &session);
     for (double PoseStd::*kind : {&PoseStd::position, &PoseStd::rotation})
       has_settled = has_settled &&
-                    std::abs(session.noise.*kind - before.*kind) <= kSettled * session.noise.*kind;
+                    std::abs(std::log(session.noise.*kind / noise.*kind)) <= kSettled &&
+                    std::abs(std::log(session.drift.*kind / drift.*kind)) <= kDriftStep;
   }
   return has_settled;
 }

@@ -65,7 +65,7 @@ void PlaceKnots(const Rigid3& T_MS, SensorSession* session);
 /// Minimum of the cost of all sessions (doc/math.md, "Pose sensors"), by Ceres; noise, drift and
 /// weights are kept. False when it does not converge.
 bool SolveSensor(const CalibrationOptions& options, SensorEstimate* estimate);
-/// Weights of the poses, noise and drift from what is left; true when the noise is as before.
+/// Weights of the poses, noise and drift from what is left; true when they are as before.
 bool FindNoise(SensorEstimate* estimate);
 
 /// Covariance of p_MS, of R_MS on the right, then of time shift, drift of the clock and scale of
