@@ -236,7 +236,7 @@ SessionData LiveCalibration::BeginSolve() {
   solving_ = resets_;
   known_.solved_until_ns = poses_.samples.empty() ? 0 : poses_.samples.back().t_ns;
   const auto copy = [](const auto& samples) { return std::vector(samples.begin(), samples.end()); };
-  SessionData data{copy(poses_.samples), {}};
+  SessionData data{copy(poses_.samples), {}, {}};
   for (size_t k = 0; k < sensors_.size(); k += 2)
     data.imus.push_back({copy(sensors_[k].samples), copy(sensors_[k + 1].samples)});
   return data;

@@ -224,7 +224,10 @@ CalibrationOptions Options(const OfflineRequest& request) {
   if (!request.solver.empty()) options.solver = ParseSolver(request.solver);
   if (request.calibration.empty()) return options;
   // Clocks, gravity and biases are each recording's own.
-  const ImuCalibration known = LoadResult(request.calibration).result.imus[0];
+  const Calibration stored = LoadResult(request.calibration).result;
+  if (stored.imus.empty())
+    throw InputError("'" + request.calibration + "' holds no IMU, which calibration needs");
+  const ImuCalibration& known = stored.imus[0];
   options.initial_rotation = known.T_MI.q;
   options.initial_translation = known.T_MI.p;
   options.accel_delay = known.accel_delay;

@@ -74,7 +74,7 @@ std::optional<Eigen::Vector3d> RollPitchYawStd(const ImuCalibration& imu) {
 /// pose sensor.
 std::string UnlessDoubted(const Calibration& result, Status verdict) {
   const bool is_doubted =
-      result.status != Status::kOk && result.message.rfind("pose sensor", 0) != 0 &&
+      result.status != Status::kOk && result.message.rfind("sensor", 0) != 0 &&
       std::all_of(result.observability.begin(), result.observability.end(),
                   [](const Observability& o) { return o.status == Status::kOk; });
   return is_doubted ? "in doubt" : ToString(verdict);
