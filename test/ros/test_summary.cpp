@@ -258,7 +258,7 @@ TEST(Summary, ShowsNoNumbersOfAPoseSensorThatIsNotUsable) {
 TEST(Summary, RowsOfTheImuDoNotDependOnPoseSensors) {
   Calibration result = MakeResult();
   for (Observability& o : result.observability) o.status = Status::kOk;
-  result.message = "pose sensor 1: sigma of p_MS is 11 mm";
+  result.message = "sensor0: sigma of p_MS is 11 mm";
   EXPECT_TRUE(Contains(RowOf(result, "translation"), " ok"));
 }
 
