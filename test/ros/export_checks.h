@@ -14,9 +14,8 @@ namespace imu_pose_calib {
 
 /// Text of the file with that ending.
 inline std::string FileOf(const StoredResult& stored, const std::string& name,
-                          const std::string& ending,
-                          const Eigen::Quaterniond& q_body_imu = Eigen::Quaterniond::Identity()) {
-  for (const ExportFile& file : Export(stored, name, q_body_imu))
+                          const std::string& ending, const ExportChoice& choice = {}) {
+  for (const ExportFile& file : Export(stored, name, choice))
     if (file.ending == ending) return file.text;
   ADD_FAILURE() << name << " has no " << ending;
   return "";
@@ -42,6 +41,21 @@ inline void ExpectSame(const Eigen::Matrix4d& T_XY, const Eigen::Matrix4d& expec
 inline void ExpectStamp(double pose_to_imu, const StoredResult& stored) {
   const double t_imu = 12.5, t_pose = t_imu + TimeShift(stored);
   EXPECT_NEAR(t_pose + pose_to_imu, t_imu, 1e-12);
+}
+
+/// Of the pose sensor `k` of AddSensors(): x_S = T x_I.
+inline Eigen::Matrix4d T_SI(const StoredResult& stored, size_t k) {
+  return stored.result.pose_sensors[k].T_MS.Matrix().inverse() * T_MI(stored);
+}
+
+/// The stamp of the IMU for what pose sensor `k` stamps, from what a consumer adds to the stamp of
+/// the sensor; at the middle of the recording, by the drift of the sensor's clock.
+inline void ExpectSensorStamp(double sensor_to_imu, const StoredResult& stored, size_t k) {
+  const PoseSensorSession& sensor = stored.result.pose_sensors[k].sessions[0];
+  const double t_imu = stored.Clock(0).clock_reference, t_sensor = t_imu - sensor_to_imu;
+  const double t_pose =
+      t_sensor + sensor.time_shift + sensor.clock_drift * (t_sensor - sensor.clock_reference);
+  EXPECT_NEAR(t_pose, t_imu + TimeShift(stored), 1e-6);  // of doubles of this epoch
 }
 
 /// Densities times the root of the rates are the sigmas of the result.

@@ -60,6 +60,45 @@ inline RecordingInfo ExampleInfo(size_t imus) {
   return info;
 }
 
+/// A camera and a lidar, which the last of the sessions alone has.
+inline void AddSensors(Calibration* result, RecordingInfo* info) {
+  for (const double k : {1.0, 2.0}) {
+    PoseSensorCalibration& sensor = result->pose_sensors.emplace_back();
+    sensor.status = k == 1.0 ? Status::kOk : Status::kWeak;
+    sensor.message = k == 1.0 ? "every sigma is within its bound" : "sigma of p_MS is 11 mm";
+    sensor.T_MS = {Exp(Eigen::Vector3d(-0.5, 0.9 * k, 0.3)), {0.31, 0.07 * k, -0.19}};
+    sensor.covariance =
+        (Vector6d() << 4e-6, 1e-6, 16e-6, 4e-8, 1e-8, 25e-8).finished().asDiagonal();
+    sensor.covariance(0, 4) = sensor.covariance(4, 0) = 1e-8;
+    sensor.observability = {{"p_MS along marker z", 4e-3, "m", Status::kOk}};
+    sensor.sessions.resize(result->sessions.size());
+    PoseSensorSession& session = sensor.sessions.back();
+    session.is_present = true;
+    session.time_shift = -0.021 * k;
+    session.time_shift_std = 2e-4;
+    session.clock_drift = 3e-4;
+    session.clock_drift_std = 1e-6;
+    session.clock_reference = 1600000007.25;
+    session.scale = 1.0 + 0.25 * k;
+    session.scale_std = 3e-4;
+    session.noise = {0.0051, 0.0062};
+    session.rms = {0.0053, 0.0064};
+    session.drift = {0.0011, 0.0007};
+    const auto knot = [&](double t, bool begins) {
+      session.world.push_back({t, {Exp(Eigen::Vector3d(t, 0.2, 0.1)), {t, 2.0, 3.0}}, begins});
+    };
+    knot(0.5, true);
+    knot(1.5, false);
+    knot(2.5, true);
+    session.poses.used = 1790;
+    session.poses.outlier = 12;
+    session.poses.rate_hz = 30.0;
+    session.poses.duration_s = 59.5;
+    const std::string name = k == 1.0 ? "camera" : "lidar";
+    info->pose_sensors.push_back({"/" + name + "/pose", name + "_link", name + "_map"});
+  }
+}
+
 inline CalibrationOptions ExampleOptions() {
   CalibrationOptions options;
   options.gyro_bias_walk = 3e-5;
@@ -73,6 +112,18 @@ inline std::string ExampleYaml(ImuModel model = ImuModel::kCalibrated, size_t im
 
 inline StoredResult Example(ImuModel model = ImuModel::kCalibrated, size_t imus = 1) {
   return ParseResult(ExampleYaml(model, imus), "dir/my.calibration.yaml");
+}
+
+/// With the pose sensors.
+inline std::string SensorYaml(size_t imus = 1, ImuModel model = ImuModel::kCalibrated) {
+  Calibration result = ExampleResult(model, imus);
+  RecordingInfo info = ExampleInfo(imus);
+  AddSensors(&result, &info);
+  return ToYaml(result, {info}, ExampleOptions());
+}
+
+inline StoredResult SensorExample(size_t imus = 1, ImuModel model = ImuModel::kCalibrated) {
+  return ParseResult(SensorYaml(imus, model), "dir/my.calibration.yaml");
 }
 
 }  // namespace imu_pose_calib

@@ -135,6 +135,31 @@ TEST_F(ResultMessages, TransformGoesFromImuToMarker) {
   EXPECT_EQ(msg.transform.rotation.w, 0.5);
 }
 
+/// Also without an IMU, whose part of the result is empty then.
+TEST_F(ResultMessages, TransformsOfPoseSensorsFollow) {
+  result_.pose_sensors.resize(2);
+  result_.pose_sensors[0].status = Status::kDegenerate;
+  result_.pose_sensors[1].status = Status::kOk;
+  result_.pose_sensors[1].T_MS.p = {7.0, 8.0, 9.0};
+  info_.pose_sensors = {{"/a", "a", ""}, {"/b", "b", ""}};
+  auto transforms = ToTransforms(result_, info_, ros::Time(7, 8));
+  ASSERT_EQ(transforms.size(), 2u);
+  EXPECT_EQ(transforms[1].header.frame_id, "rig");
+  EXPECT_EQ(transforms[1].child_frame_id, "b");
+  EXPECT_EQ(transforms[1].transform.translation.y, 8.0);
+  EXPECT_EQ(ToMsg(result_, info_, ros::Time()).imus.size(), 1u);
+  result_.imus.clear();
+  result_.sessions[0].imus.clear();
+  info_.imus.clear();
+  transforms = ToTransforms(result_, info_, ros::Time(7, 8));
+  ASSERT_EQ(transforms.size(), 1u);
+  EXPECT_EQ(transforms[0].child_frame_id, "b");
+  const auto msg = ToMsg(result_, info_, ros::Time());
+  EXPECT_EQ(msg.message, "why");
+  EXPECT_EQ(msg.warnings, result_.warnings);
+  EXPECT_TRUE(msg.imus.empty());
+}
+
 TEST_F(ResultMessages, ResultKeepsEveryField) {
   const auto msg = ToMsg(result_, info_, ros::Time(7, 8));
   EXPECT_EQ(msg.header.stamp, ros::Time(7, 8));

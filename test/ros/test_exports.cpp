@@ -185,7 +185,7 @@ std::map<std::string, double> Px4Params(const std::string& text) {
 TEST(Px4, MapsAsTheResult) {
   StoredResult stored = Example();
   const Eigen::Quaterniond q_body_imu(0.0, 1.0, 0.0, 0.0);  // imu axes forward, left, up
-  const auto params = Px4Params(FileOf(stored, "px4", "px4.params", q_body_imu));
+  const auto params = Px4Params(FileOf(stored, "px4", "px4.params", {q_body_imu}));
   const Eigen::Vector4d p_IM = T_MI(stored).inverse().col(3);
   EXPECT_NEAR(params.at("EKF2_EV_POS_X"), p_IM.x(), 1e-12);
   EXPECT_NEAR(params.at("EKF2_EV_POS_Y"), -p_IM.y(), 1e-12);
@@ -202,20 +202,66 @@ TEST(Px4, MapsAsTheResult) {
   }
 }
 
+TEST(PoseSensors, PlayTheLidar) {
+  const StoredResult stored = SensorExample();
+  const ExportChoice lidar = {{}, 1};
+  const YAML::Node liosam = YAML::Load(FileOf(stored, "liosam", "liosam.yaml", lidar))["lio_sam"];
+  for (const char* key : {"extrinsicRot", "extrinsicRPY"})
+    ExpectSame(ToMatrix(RowMajor(liosam[key].as<std::vector<double>>(), 3),
+                        ToVector(liosam["extrinsicTrans"])),
+               T_SI(stored, 1));
+  const YAML::Node fastlio = YAML::Load(FileOf(stored, "fastlio", "fastlio.yaml", lidar));
+  ExpectSame(ToMatrix(RowMajor(fastlio["mapping"]["extrinsic_R"].as<std::vector<double>>(), 3),
+                      ToVector(fastlio["mapping"]["extrinsic_T"])),
+             T_SI(stored, 1).inverse());
+  // t_imu - offset is on the lidar's clock.
+  ExpectSensorStamp(fastlio["common"]["time_offset_lidar_to_imu"].as<double>(), stored, 1);
+}
+
+/// The marker plays when no sensor is usable; one without a session in common has no time shift.
+TEST(PoseSensors, ThatCannotPlay) {
+  StoredResult stored = SensorExample();
+  stored.result.pose_sensors[0].status = Status::kDegenerate;
+  EXPECT_TRUE(Contains(FileOf(stored, "vins", "vins.yaml"), "'lidar_link'"));
+  ExpectError<InputError>(
+      [&] {
+        Export(stored, "vins", {{}, 0});
+      },
+      {"pose sensor 0 is degenerate, must be ok or weak"});
+  ExpectError<InputError>(
+      [&] {
+        Export(stored, "vins", {{}, 2});
+      },
+      {"pose sensor 2 is not in the result, which has 2, from 0"});
+  ExpectError<InputError>([&] { Export(Example(), "vins", {{}, 0}); }, {"which has 0, from 0"});
+  stored.result.pose_sensors[1].sessions[0].is_present = false;
+  const YAML::Node vins = OpenCvYaml(FileOf(stored, "vins", "vins.yaml"));
+  EXPECT_FALSE(vins["td"]);
+  ExpectSame(DataMatrix(vins["body_T_cam0"], "d"), T_SI(stored, 1).inverse());
+  stored.result.pose_sensors[1].status = Status::kDegenerate;
+  EXPECT_EQ(FileOf(stored, "vins", "vins.yaml"), FileOf(Example(), "vins", "vins.yaml"));
+}
+
 // --- Frames ---
 
 void ExpectLinks(const std::vector<Link>& links, const StoredResult& stored) {
-  ASSERT_EQ(links.size(), stored.result.imus.size());
+  const size_t imus = stored.result.imus.size();
+  ASSERT_EQ(links.size(), imus + stored.result.pose_sensors.size());
   for (size_t i = 0; i < links.size(); ++i) {
     EXPECT_EQ(links[i].parent, "rig/marker");
+    if (i >= imus) {
+      EXPECT_EQ(links[i].child, i == imus ? "camera_link" : "lidar_link");
+      ExpectSame(links[i].T, stored.result.pose_sensors[i - imus].T_MS.Matrix());
+      continue;
+    }
     EXPECT_EQ(links[i].child, "imu_" + std::to_string(i) + "_link");
     ExpectSame(links[i].T, T_MI(stored, i));
   }
 }
 
 TEST(Frames, MapAsTheResult) {
-  for (const size_t imus : {1, 2}) {
-    const StoredResult stored = Example(ImuModel::kCalibrated, imus);
+  for (const StoredResult& stored :
+       {Example(), Example(ImuModel::kCalibrated, 2), SensorExample(2), SensorExample(0)}) {
     ExpectLinks(UrdfLinks(FileOf(stored, "urdf", "urdf")), stored);
     ExpectLinks(LaunchLinks(FileOf(stored, "tf", "tf.launch")), stored);
     ExpectLinks(Ros2Links(FileOf(stored, "ros2", "ros2.launch.xml")), stored);
@@ -258,6 +304,20 @@ TEST_F(ExportFiles, StandNextToTheResult) {
             std::vector<std::string>({Path("a/b/my.calibration.tf.launch")}));
   ExpectError<InputError>([&] { WriteExports(stored, {"tf"}, &outputs, paths[0] + "/c"); },
                           {"my.calibration.evo.json/c", "Not a directory"});
+}
+
+TEST_F(ExportFiles, WithoutAnImuAreThoseOfFrames) {
+  StoredResult stored = SensorExample(0);
+  stored.path = Path("r.yaml");
+  OutputFiles outputs;
+  EXPECT_EQ(WriteExports(stored, ExportNames(), &outputs).size(), 3u);
+  EXPECT_EQ(ExportNote(stored, ExportNames()), "");
+  for (const char* name : {"kalibr", "evo", "vicon2gt"})
+    ExpectError<InputError>([&] { WriteExports(stored, {name}, &outputs); },
+                            {"export '" + std::string(name) + "' needs an IMU", "has none"});
+  const std::string text = FileOf(stored, "urdf", "urdf");
+  EXPECT_TRUE(Contains(text, "all 2 of the rig, x_marker = R x_sensor + p")) << text;
+  EXPECT_FALSE(Contains(text, "imu = ") || Contains(text, "stamps of")) << text;
 }
 
 TEST_F(ExportFiles, AreNotWrittenWhenOneCannotBeMade) {

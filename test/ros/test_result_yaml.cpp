@@ -1,9 +1,12 @@
 #include <yaml-cpp/yaml.h>
 
+#include <functional>
+
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
 #include "imu_pose_calib/ros/io/yaml_text.h"
+#include "stored_example.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -177,6 +180,63 @@ TEST(ResultYaml, StatesTheEquations) {
        {"x_marker = R x_imu + p", "t_pose = t_imu + time_shift", "t_imu = t_pose - time_shift",
         "t_pose = t_accel + time_shift - accel_delay"})
     EXPECT_TRUE(Contains(text, equation)) << equation;
+}
+
+TEST(ResultYaml, HoldsWherePoseSensorsAre) {
+  const YAML::Node sensors = YAML::Load(SensorYaml(2))["pose_sensors"];
+  Calibration result = ExampleResult(ImuModel::kCalibrated, 2);
+  RecordingInfo info;
+  AddSensors(&result, &info);
+  ASSERT_EQ(sensors.size(), 2u);
+  for (size_t k = 0; k < 2; ++k) {
+    const PoseSensorCalibration& sensor = result.pose_sensors[k];
+    EXPECT_EQ(Matrix(sensors[k]["transform"]["matrix"]), sensor.T_MS.Matrix());
+    EXPECT_EQ(sensors[k]["transform"]["rotation_std"][2].as<double>(), 5e-4);
+    ASSERT_EQ(sensors[k]["to_imus"].size(), 2u);
+    for (size_t i = 0; i < 2; ++i) {  // x_I = T_IS x_S: both are the same point of the marker
+      const YAML::Node to_imu = sensors[k]["to_imus"][i];
+      EXPECT_EQ(to_imu["imu"].as<std::string>(), "imu" + std::to_string(i));
+      const Eigen::Vector4d x_S(0.4, -1.2, 2.7, 1.0);
+      const Eigen::Vector4d x_I = Matrix(to_imu["transform"]["matrix"]) * x_S;
+      EXPECT_LT((result.imus[i].T_MI.Matrix() * x_I - sensor.T_MS.Matrix() * x_S).norm(), 1e-12);
+      // No better than the sensor, whose rotation and that of the IMU add up about its axes.
+      for (size_t a = 0; a < 3; ++a) {
+        const double std_dev = to_imu["transform"]["rotation_std"][a].as<double>();
+        EXPECT_GT(std_dev, sensor.Std()[3 + static_cast<Eigen::Index>(a)]);
+        EXPECT_LT(std_dev, std::hypot(sensor.Std()[3 + static_cast<Eigen::Index>(a)], 3.1e-4));
+      }
+    }
+    const YAML::Node session = sensors[k]["sessions"][0];
+    EXPECT_EQ(session["pieces"].as<int>(), 2);
+    EXPECT_EQ(session["data"]["rejected"]["outlier"].as<int>(), 12);
+    EXPECT_EQ(sensors[k]["observability"][0]["status"].as<std::string>(), "ok");
+  }
+  EXPECT_TRUE(Contains(SensorYaml(), "x_marker = R x_sensor + p"));
+  EXPECT_FALSE(Contains(ExampleYaml(), "pose_sensors") || Contains(ExampleYaml(), "x_sensor"));
+}
+
+TEST(ResultYaml, WithoutAnImuHasNoKeysOfIt) {
+  const auto keys = [](const std::string& yaml) {
+    Strings names;
+    const std::function<void(const YAML::Node&)> add = [&](const YAML::Node& node) {
+      for (const auto& entry : node) {
+        if (node.IsMap()) names.push_back(entry.first.as<std::string>());
+        if (node.IsMap() && names.back() != "options") add(entry.second);
+        if (node.IsSequence() && !entry.IsScalar()) add(entry);
+      }
+    };
+    add(YAML::Load(yaml));
+    return names;
+  };
+  const Strings with = keys(SensorYaml(1)), without = keys(SensorYaml(0));
+  for (const char* key :
+       {"imu", "imu_topic", "inverse_transform", "gravity", "biases", "gyro_std", "accel_std",
+        "gyro_rms", "pose_smoothing", "to_imus", "split_half", "gyro", "accel_delay", "clock"}) {
+    EXPECT_EQ(std::count(without.begin(), without.end(), key), 0) << key;
+    EXPECT_GT(std::count(with.begin(), with.end(), key), 0) << key;
+  }
+  for (const char* key : {"pose_sensors", "position_std", "pose_topic", "time_shift"})
+    EXPECT_GT(std::count(without.begin(), without.end(), key), 0) << key;
 }
 
 TEST(YamlNumber, IsAFloatInEveryYaml) {

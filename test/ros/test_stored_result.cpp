@@ -87,10 +87,75 @@ TEST(StoredResult, HoldsSessions) {
   EXPECT_EQ(stored.Info(1).accel_topic, "/accel");
 }
 
+void ExpectSame(const PoseStd& read, const PoseStd& written) {
+  EXPECT_EQ(read.position, written.position);
+  EXPECT_EQ(read.rotation, written.rotation);
+}
+
+void ExpectSame(const PoseSensorSession& read, const PoseSensorSession& written) {
+  EXPECT_EQ(read.is_present, written.is_present);
+  EXPECT_EQ(read.time_shift, written.time_shift);
+  EXPECT_EQ(read.time_shift_std, written.time_shift_std);
+  EXPECT_EQ(read.clock_drift, written.clock_drift);
+  EXPECT_EQ(read.clock_drift_std, written.clock_drift_std);
+  EXPECT_EQ(read.clock_reference, written.clock_reference);
+  EXPECT_EQ(read.scale, written.scale);
+  EXPECT_EQ(read.scale_std, written.scale_std);
+  ExpectSame(read.noise, written.noise);
+  ExpectSame(read.rms, written.rms);
+  ExpectSame(read.drift, written.drift);
+  EXPECT_EQ(read.poses.used, written.poses.used);
+  EXPECT_EQ(read.poses.rate_hz, written.poses.rate_hz);
+  EXPECT_EQ(read.poses.duration_s, written.poses.duration_s);
+  ASSERT_EQ(read.world.size(), written.is_present ? 2u : 0u);  // where pieces begin
+  for (size_t k = 0; k < read.world.size(); ++k) {
+    EXPECT_EQ(read.world[k].t, written.world[2 * k].t);
+    EXPECT_TRUE(read.world[k].T_VW.Matrix().isApprox(written.world[2 * k].T_VW.Matrix(), 1e-15));
+    EXPECT_TRUE(read.world[k].begins_piece);
+  }
+}
+
+/// Also where there is no IMU, where a session lacks a sensor, and where one could not be used.
+TEST(StoredResult, HoldsPoseSensors) {
+  for (const size_t imus : {0, 1, 2})
+    for (const size_t sessions : {1, 2}) {
+      Calibration written = ExampleResult(ImuModel::kCalibrated, imus);
+      written.sessions.resize(sessions, written.sessions[0]);
+      std::vector<RecordingInfo> infos(sessions, ExampleInfo(imus));
+      AddSensors(&written, &infos[0]);
+      infos.back().pose_sensors = infos[0].pose_sensors;
+      PoseSensorCalibration& refused = written.pose_sensors.emplace_back();
+      refused.status = Status::kDegenerate;
+      refused.message = "turns otherwise than the marker";
+      refused.sessions.resize(sessions);
+      for (RecordingInfo& info : infos) info.pose_sensors.push_back({"/slam", "head", "map"});
+      const StoredResult stored = ParseResult(ToYaml(written, infos, ExampleOptions()), "r.yaml");
+      EXPECT_EQ(stored.result.imus.size(), imus);
+      EXPECT_EQ(stored.infos[0].imus.size(), imus);
+      ASSERT_EQ(stored.result.sessions.size(), sessions);
+      EXPECT_EQ(stored.result.sessions.back().imus.size(), imus);
+      ASSERT_EQ(stored.result.pose_sensors.size(), 3u);
+      for (size_t k = 0; k < 3; ++k) {
+        const PoseSensorCalibration &read = stored.result.pose_sensors[k],
+                                    &sensor = written.pose_sensors[k];
+        EXPECT_EQ(read.status, sensor.status);
+        EXPECT_EQ(read.message, sensor.message);
+        EXPECT_TRUE(read.T_MS.Matrix().isApprox(sensor.T_MS.Matrix(), 1e-15));
+        EXPECT_EQ(read.covariance, sensor.covariance);
+        ASSERT_EQ(read.sessions.size(), sessions);
+        for (size_t s = 0; s < sessions; ++s) ExpectSame(read.sessions[s], sensor.sessions[s]);
+        EXPECT_EQ(stored.infos[0].pose_sensors[k].topic, infos[0].pose_sensors[k].topic);
+        EXPECT_EQ(stored.infos[0].pose_sensors[k].frame, infos[0].pose_sensors[k].frame);
+        EXPECT_EQ(stored.infos[0].pose_sensors[k].world_frame,
+                  infos[0].pose_sensors[k].world_frame);
+      }
+    }
+}
+
 /// A result in which one text is replaced.
 void ExpectRefused(const std::string& from, const std::string& to,
                    const std::vector<std::string>& parts) {
-  std::string yaml = ExampleYaml(ImuModel::kCalibrated, 2);
+  std::string yaml = SensorYaml(2);
   ASSERT_TRUE(Contains(yaml, from)) << from;
   boost::replace_first(yaml, from, to);
   ExpectError<InputError>([&] { ParseResult(yaml, "r.yaml"); }, parts);
@@ -104,6 +169,9 @@ TEST(StoredResult, ErrorsNameTheKey) {
   ExpectRefused("translation: [", "translation: [1.0, ", {"transform: translation", "3 numbers"});
   ExpectRefused("rotation: [", "rotations: [", {"transform: rotation is missing"});
   ExpectRefused("name: \"imu1\"", "name: \"imu7\"", {"sessions: 0: imus: 1: name is not among"});
+  ExpectRefused("session: 1", "session: 2", {"session must be from 1 to 1"});
+  ExpectRefused("session: 1", "session: one", {"session must be a whole number"});
+  ExpectRefused("scale: 1.25", "scales: 1.25", {"pose_sensors: 0: sessions: 0: scale is missing"});
   ExpectRefused("gyro_bias_walk:", "walk:", {"options: gyro_bias_walk is missing"});
   ExpectError<InputError>([] { ParseResult("- 1\n", ""); }, {"no key imu_pose_calib"});
 }

@@ -1,6 +1,7 @@
 #include <sstream>
 
 #include "imu_pose_calib/ros/offline/summary.h"
+#include "stored_example.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -198,6 +199,67 @@ TEST(Summary, OffersACommandForTf) {
       "  -1.050100 -0.203400 -0.300000 -0.50000000 0.50000000 -0.50000000 0.50000000 \\\n"
       "  rig imu_link\n";
   EXPECT_TRUE(Contains(text, command)) << text;
+}
+
+/// As if there were no line breaks.
+std::string InOneLine(const std::string& text) {
+  std::istringstream words(text);
+  std::string line;
+  for (std::string word; words >> word;) line += word + " ";
+  return line;
+}
+
+TEST(Summary, ShowsPoseSensors) {
+  for (const size_t imus : {0, 1, 2})
+    for (const size_t sessions : {1, 2}) {
+      SCOPED_TRACE(testing::Message() << imus << " imus, " << sessions << " sessions");
+      Calibration result = ExampleResult(ImuModel::kCalibrated, imus);
+      result.sessions.resize(sessions, result.sessions[0]);
+      std::vector<RecordingInfo> infos(sessions, ExampleInfo(imus));
+      AddSensors(&result, &infos[0]);
+      infos.back().pose_sensors = infos[0].pose_sensors;
+      const std::string brief = Summary(result, infos, 25), all = Summary(result, infos);
+      for (const std::string& text : {brief, all}) {
+        for (const char* part :
+             {"sensor0 310.00, 70.00, -190.00 4.000", "  sensor0: camera_link, /camera/pose\n",
+              "OK: every sigma is", "WEAK: sigma of p_MS is 11 mm", "scale 1.25000 +- 0.00030;",
+              "time shift -0.0210000 s +- 0.2000 ms, clock drift 300.00 +- 1.00 ppm;",
+              "noise 5.1 mm, 0.355 deg;", "drift 1.1 mm, 0.0401 deg per sqrt(s); jumps: 1",
+              "rig/marker camera_link\n", "rig/marker lidar_link\n", "12 outlier"}) {
+          EXPECT_TRUE(Contains(InOneLine(text), InOneLine(part))) << part << " is missing in\n"
+                                                                  << text;
+        }
+        std::istringstream lines(text);
+        for (std::string line; std::getline(lines, line);) EXPECT_LE(line.size(), 80u) << line;
+        EXPECT_EQ(Contains(text, "imu"), imus > 0) << text;
+        EXPECT_EQ(Contains(text, "session 2: time shift"), sessions == 2) << text;
+      }
+      EXPECT_TRUE(Contains(all, "t_pose = t_sensor + time_shift"));
+      EXPECT_TRUE(Contains(all, "/lidar/pose: 1790 at 30.0 Hz over 59.5 s"));
+    }
+}
+
+TEST(Summary, ShowsNoNumbersOfAPoseSensorThatIsNotUsable) {
+  Calibration result = ExampleResult(ImuModel::kCalibrated, 1);
+  RecordingInfo info = ExampleInfo(1);
+  AddSensors(&result, &info);
+  result.pose_sensors.pop_back();
+  result.pose_sensors[0].status = Status::kDegenerate;
+  result.pose_sensors[0].message = "turns otherwise";
+  for (const std::string& text : {Summary(result, {info}), Summary(result, {info}, 25)}) {
+    EXPECT_TRUE(Contains(text, "  sensor0: camera_link, /camera/pose\n")) << text;
+    EXPECT_TRUE(Contains(text, "DEGENERATE: turns otherwise\n")) << text;
+    EXPECT_FALSE(Contains(text, "310.000") || Contains(text, "scale")) << text;
+    EXPECT_FALSE(Contains(text, "rig/marker camera_link")) << text;
+  }
+}
+
+/// A weak sensor does not put the IMU in doubt.
+TEST(Summary, RowsOfTheImuDoNotDependOnPoseSensors) {
+  Calibration result = MakeResult();
+  for (Observability& o : result.observability) o.status = Status::kOk;
+  result.message = "pose sensor 1: sigma of p_MS is 11 mm";
+  EXPECT_TRUE(Contains(RowOf(result, "translation"), " ok"));
 }
 
 TEST(Summary, ShowsWhatTheCovariancesOfThePosesSay) {

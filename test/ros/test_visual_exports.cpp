@@ -172,6 +172,51 @@ TEST(Kimera, MapsAsTheResult) {
   ExpectSame(DataMatrix(camera["T_BS"]), T_MI(stored).inverse());
 }
 
+// A pose sensor on the rig plays the camera instead of the marker.
+TEST(PoseSensors, PlayTheCamera) {
+  for (const size_t k : {0, 1}) {
+    const StoredResult stored = SensorExample(2);
+    const auto text = [&](const std::string& name, const std::string& ending) {
+      const std::string file =
+          FileOf(stored, name, name + "." + ending, k == 0 ? ExportChoice() : ExportChoice{{}, k});
+      EXPECT_TRUE(Contains(file, k == 0 ? "'camera_link', ok" : "'lidar_link', weak")) << file;
+      EXPECT_TRUE(Contains(file, std::to_string(k) + " of 2, counted from 0")) << file;
+      EXPECT_FALSE(Contains(file, "T_marker_imu^-1") || Contains(file, "no camera")) << file;
+      return file;
+    };
+    const YAML::Node kalibr = YAML::Load(text("kalibr", "camchain-imucam.yaml"))["cam0"];
+    ExpectSame(RowList(kalibr["T_cam_imu"]), T_SI(stored, k));
+    ExpectSensorStamp(kalibr["timeshift_cam_imu"].as<double>(), stored, k);
+    EXPECT_EQ(kalibr["rostopic"].as<std::string>(), k == 0 ? "/camera/pose" : "/lidar/pose");
+    const YAML::Node openvins = OpenCvYaml(text("openvins", "kalibr_imucam_chain.yaml"))["cam0"];
+    ExpectSame(RowList(openvins["T_imu_cam"]), T_SI(stored, k).inverse());
+    ExpectSensorStamp(openvins["timeshift_cam_imu"].as<double>(), stored, k);
+    const YAML::Node vins = OpenCvYaml(text("vins", "yaml"));
+    ExpectSame(DataMatrix(vins["body_T_cam0"], "d"), T_SI(stored, k).inverse());
+    ExpectSensorStamp(vins["td"].as<double>(), stored, k);
+    const std::string orbslam3 = text("orbslam3", "yaml");
+    ExpectSame(DataMatrix(OpenCvYaml(orbslam3)["IMU.T_b_c1"], "f"), T_SI(stored, k).inverse());
+    const std::string subtract = "There is no key for the clocks: subtract ";
+    ExpectSensorStamp(std::stod(orbslam3.substr(orbslam3.find(subtract) + subtract.size())), stored,
+                      k);
+    const YAML::Node camera = OpenCvYaml(text("kimera", "LeftCameraParams.yaml"));
+    ExpectSame(DataMatrix(camera["T_BS"]), T_SI(stored, k).inverse());
+    ExpectSensorStamp(OpenCvYaml(text("kimera", "ImuParams.yaml"))["imu_time_shift"].as<double>(),
+                      stored, k);
+  }
+}
+
+TEST(PoseSensors, AreInTheAxesOfTheAccelerometerAsTheImuOfKalibr) {
+  const StoredResult stored = SensorExample(1, ImuModel::kScaleMisalignment);
+  const Eigen::Matrix4d T_cam_imu = RowList(
+      YAML::Load(FileOf(stored, "kalibr", "kalibr.camchain-imucam.yaml"))["cam0"]["T_cam_imu"]);
+  const YAML::Node imu =
+      YAML::Load(FileOf(stored, "kalibr", "kalibr.results-imu.yaml"))["imu0"]["accelerometers"];
+  const Eigen::Matrix4d T_MS = stored.result.pose_sensors[0].T_MS.Matrix();
+  const Eigen::Matrix3d R_AM = (T_MS * T_cam_imu).inverse().topLeftCorner<3, 3>();
+  EXPECT_LT((RowList(imu["M"]) * R_AM * kForce_M - ExpectedReadings(stored).accel).norm(), 1e-9);
+}
+
 // --- JSON, read by the library that basalt reads with ---
 
 struct BasaltPose {

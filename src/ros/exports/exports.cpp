@@ -30,10 +30,12 @@ constexpr Template kTemplates[] = {
 #include "export_templates.inc"  // what is in exports/, see CMakeLists.txt
 };
 
-/// {head} in a comment.
+/// {head} in a comment: file, then what is said of its IMUs, if it has any, and of pose sensors.
 constexpr char kHead[] = R"(from {file} by imu_pose_calib {version}{run_id}
 status:    {status}: {message}
-transform: x_marker = R x_imu + p, R and p are T_marker_imu; marker '{marker}', imu '{imu}'
+)";
+constexpr char kImuHead[] =
+    R"(transform: x_marker = R x_imu + p, R and p are T_marker_imu; marker '{marker}', imu '{imu}'
 clocks:    t_pose = t_imu + time_shift, time_shift = {time_shift} s, sigma {time_shift_std} s
            at t_imu = {clock_reference} s; it grows by {clock_drift} s/s, which nothing below holds
            of session 1 of {sessions}; the others have clocks of their own
@@ -41,7 +43,8 @@ clocks:    t_pose = t_imu + time_shift, time_shift = {time_shift} s, sigma {time
            t_pose = t_accel + time_shift - accel_delay, accel_delay = {accel_delay} s: no key below holds it;
            subtract it from the stamps of accelerometer samples
 imus:      all {all_imus} of the rig; the clocks above are of the first
-imus:      the first of {one_of_imus}; the others do not fit in)";
+imus:      the first of {one_of_imus}; the others do not fit in
+)";
 
 /// {axes} in the comment of a model whose accelerometer matrix is triangular.
 constexpr char kAxes[] =
@@ -109,7 +112,8 @@ std::string Render(const Template& file, const Values& head, const std::vector<V
   for (std::string line; std::getline(lines, line);)
     (line[0] == '#' ? own_comment += line.substr(2) : body += line) += "\n";
   if (comment.empty()) comment = own_comment;
-  boost::replace_all(comment, "{head}", kHead);
+  const std::string imu_head = head.count("imu") > 0 ? kImuHead : "";
+  boost::replace_all(comment, "{head}", kHead + imu_head + "{sensors}");
   boost::replace_all(comment, "{axes}", kAxes);
   Values values = imus.front();
   values.insert(head.begin(), head.end());
@@ -185,26 +189,94 @@ Values LinkValues(size_t n, const std::string& parent, const std::string& child,
   return values;
 }
 
-/// Of kHead, printable. `has_all_imus`: the file holds every IMU of a rig.
+/// Of kHead and kImuHead, printable. `has_all_imus`: the file holds every IMU of a rig.
 Values HeadValues(const StoredResult& stored, bool has_all_imus) {
-  const ImuSession& clock = stored.Clock(0);
   const size_t imus = stored.result.imus.size(), sessions = stored.result.sessions.size();
-  return {{"file", Printable(std::filesystem::path(stored.path).filename().string())},
-          {"version", Printable(stored.version)},
-          {"run_id", stored.run_id.empty() ? "" : ", run_id: " + Printable(stored.run_id)},
-          {"status", ToString(stored.result.status)},
-          {"message", Printable(stored.result.message)},
-          {"marker", Printable(stored.infos.front().marker_frame)},
-          {"imu", Printable(stored.Info(0).imu_frame)},
-          {"time_shift", YamlNumber(clock.time_shift)},
-          {"time_shift_std", Short(clock.time_shift_std)},
-          {"clock_reference", YamlNumber(clock.clock_reference)},
-          {"clock_drift", If(clock.clock_drift != 0.0, Short(clock.clock_drift))},
-          {"sessions", If(sessions > 1, std::to_string(sessions))},
-          {"if far", If(std::abs(clock.time_shift) > 1.0)},
-          {"accel_delay", Short(stored.result.imus[0].accel_delay)},
-          {"all_imus", If(imus > 1 && has_all_imus, std::to_string(imus))},
-          {"one_of_imus", If(imus > 1 && !has_all_imus, std::to_string(imus))}};
+  Values values = {{"file", Printable(std::filesystem::path(stored.path).filename().string())},
+                   {"version", Printable(stored.version)},
+                   {"run_id", stored.run_id.empty() ? "" : ", run_id: " + Printable(stored.run_id)},
+                   {"status", ToString(stored.result.status)},
+                   {"message", Printable(stored.result.message)},
+                   {"marker", Printable(stored.infos.front().marker_frame)},
+                   {"if imu", If(imus > 0)}};
+  if (imus == 0) return values;
+  const ImuSession& clock = stored.Clock(0);
+  values.insert({{"imu", Printable(stored.Info(0).imu_frame)},
+                 {"time_shift", YamlNumber(clock.time_shift)},
+                 {"time_shift_std", Short(clock.time_shift_std)},
+                 {"clock_reference", YamlNumber(clock.clock_reference)},
+                 {"clock_drift", If(clock.clock_drift != 0.0, Short(clock.clock_drift))},
+                 {"sessions", If(sessions > 1, std::to_string(sessions))},
+                 {"if far", If(std::abs(clock.time_shift) > 1.0)},
+                 {"accel_delay", Short(stored.result.imus[0].accel_delay)},
+                 {"all_imus", If(imus > 1 && has_all_imus, std::to_string(imus))},
+                 {"one_of_imus", If(imus > 1 && !has_all_imus, std::to_string(imus))}});
+  return values;
+}
+
+/// A pose sensor in the first session that it shares with the IMU; null: there is none.
+struct Shared {
+  const PoseSensorSession* sensor = nullptr;
+  const ImuSession* imu = nullptr;
+
+  /// t_imu - t_sensor of one instant, that of the IMU's clock_reference [s].
+  double ImuLessSensor() const {
+    const double shift = sensor->time_shift - imu->time_shift, drift = sensor->clock_drift;
+    return shift + drift / (1.0 + drift) * (imu->clock_reference - sensor->clock_reference - shift);
+  }
+};
+Shared FindShared(const StoredResult& stored, size_t imu, size_t sensor) {
+  const std::vector<SessionCalibration>& sessions = stored.result.sessions;
+  for (size_t s = 0; s < sessions.size(); ++s) {
+    const PoseSensorSession& its = stored.result.pose_sensors[sensor].sessions[s];
+    if (its.is_present && sessions[s].imus[imu].is_present) return {&its, &sessions[s].imus[imu]};
+  }
+  return {};
+}
+
+/// {sensors} of a comment: of the pose sensor that plays a part in the file, or with `has_all` of
+/// all; nothing when it holds none.
+std::optional<std::string> SensorHead(const StoredResult& stored, std::optional<size_t> player,
+                                      bool has_all) {
+  const std::vector<PoseSensorCalibration>& sensors = stored.result.pose_sensors;
+  const auto usable = std::count_if(sensors.begin(), sensors.end(), IsUsable);
+  if (has_all && usable > 0)
+    return "sensors:   all " + std::to_string(usable) + " of the rig, x_marker = R x_sensor + p; " +
+           "clocks: t_pose = t_sensor + time_shift";
+  if (!player) return std::nullopt;
+  const PoseSensorCalibration& sensor = sensors[*player];
+  std::string text = "sensor:    x_marker = R x_sensor + p, sensor '" +
+                     Printable(stored.infos.front().pose_sensors[*player].frame) + "', " +
+                     ToString(sensor.status) + ": " + Printable(sensor.message);
+  const std::string next = "\n           ";
+  if (sensors.size() > 1)
+    text += next + "pose sensor " + std::to_string(*player) + " of " +
+            std::to_string(sensors.size()) + ", counted from 0; the others do not fit in";
+  const PoseSensorSession* session = FindShared(stored, 0, *player).sensor;
+  if (!session) return text;
+  text += next + "t_pose = t_sensor + time_shift, time_shift = " + YamlNumber(session->time_shift) +
+          " s, sigma " + Short(session->time_shift_std) + " s";
+  if (session->clock_drift != 0.0)
+    text += next + "at t_sensor = " + YamlNumber(session->clock_reference) + " s; it grows by " +
+            Short(session->clock_drift) + " s/s, which nothing below holds";
+  return text;
+}
+
+/// The pose sensor that plays a camera or lidar: the one that is asked for, else the first that is
+/// usable; none: the marker plays it.
+std::optional<size_t> FindPlayer(const StoredResult& stored, std::optional<size_t> asked) {
+  const std::vector<PoseSensorCalibration>& sensors = stored.result.pose_sensors;
+  const auto first = std::find_if(sensors.begin(), sensors.end(), IsUsable);
+  if (!asked && first == sensors.end()) return std::nullopt;
+  if (!asked) return static_cast<size_t>(first - sensors.begin());
+  const std::string name = "pose sensor " + std::to_string(*asked);
+  if (*asked >= sensors.size())
+    throw InputError(name + " is not in the result, which has " + std::to_string(sensors.size()) +
+                     ", from 0");
+  if (!IsUsable(sensors[*asked]))
+    throw InputError(name + " is " + ToString(sensors[*asked].status) +
+                     ", must be ok or weak: " + sensors[*asked].message);
+  return asked;
 }
 
 /// A matrix as L Q, lower triangle with a positive diagonal times rotation.
@@ -249,7 +321,6 @@ void PutModels(const StoredResult& stored, size_t imu, Values* values) {
                   {"but_axes", angle_deg == 0.0 ? "" : " but for the axes below"},
                   {"if scaled", If(is_scaled)},
                   {"kalibr_model", is_scaled ? "scale-misalignment" : "calibrated"}});
-  Put("MA", T_MA, values);
   Put("AM", T_MA.Inverse(), values);
   Put("AA0", T_MA.Inverse() * ToAccelAxes(stored.result.imus[0]).T_MA, values);
   Put("L_accel", accel.L, values);
@@ -326,17 +397,46 @@ void PutBody(const Eigen::Quaterniond& q_BI, const Rigid3& T_IM, double time_shi
                   {"unfit_delay_ms", If(!fits, Short(delay_ms))}});
 }
 
+/// Of the pose sensor S that plays a camera or lidar; without one the marker does.
+void PutPlayer(const StoredResult& stored, size_t imu, std::optional<size_t> player,
+               Values* values) {
+  const Rigid3& T_MI = stored.result.imus[imu].T_MI;
+  const Rigid3 T_MA = ToAccelAxes(stored.result.imus[imu]).T_MA;
+  const Rigid3 T_SM = player ? stored.result.pose_sensors[*player].T_MS.Inverse() : Rigid3();
+  const Rigid3 T_SI = player ? T_SM * T_MI : T_MI;
+  const RecordingInfo& info = stored.infos.front();
+  double shift = -stored.Clock(imu).time_shift;
+  bool has_shift = true;
+  if (player) {
+    const Shared shared = FindShared(stored, imu, *player);
+    has_shift = shared.sensor != nullptr;
+    if (has_shift) shift = shared.ImuLessSensor();
+  }
+  Put("SI", T_SI, values);
+  Put("IS", T_SI.Inverse(), values);
+  Put("SA", player ? T_SM * T_MA : T_MA, values);
+  const std::string text = YamlNumber(shift);
+  values->insert(
+      {{"player", player ? "sensor" : "marker"},
+       {"player_topic", Quoted(player ? info.pose_sensors[*player].topic : info.pose_topic)},
+       {"player_shift", If(has_shift, text)},
+       {"player_shift_has_no_key",
+        player ? "the clocks: subtract " + text + " s from the stamps of the imu beforehand."
+               : "time_shift: add it to the stamps of the imu beforehand."},
+       {"player_shift_is", player ? "time_shift of the sensor - that of the imu" : "-time_shift"},
+       {"why_left_out", player ? "They are not known" : "It is no camera"}});
+}
+
 /// All that `file` may name of an IMU. Frames: marker M, imu I, first imu I0, accelerometer's axes
 /// A.
 Values ImuValues(const StoredResult& stored, size_t imu, const Template& file,
-                 const Eigen::Quaterniond& q_body_imu) {
+                 const ExportChoice& choice) {
   const SessionCalibration& session = stored.result.sessions[0];
   const ImuSession& clock = stored.Clock(imu);
   const Rigid3& T_MI = stored.result.imus[imu].T_MI;
   Values values =
       LinkValues(imu, stored.infos.front().marker_frame, stored.Info(imu).imu_frame, T_MI);
-  values.insert({{"pose_topic", Quoted(stored.infos.front().pose_topic)},
-                 {"gyro_topic", Quoted(stored.Info(imu).GyroSource())},
+  values.insert({{"gyro_topic", Quoted(stored.Info(imu).GyroSource())},
                  {"rate", YamlNumber(clock.gyro.rate_hz)},
                  {"whole_rate", std::to_string(std::lround(clock.gyro.rate_hz))},
                  {"-time_shift", YamlNumber(-clock.time_shift)},
@@ -349,7 +449,8 @@ Values ImuValues(const StoredResult& stored, size_t imu, const Template& file,
   Put("IM", T_MI.Inverse(), &values);
   Put("I0I", imu == 0 ? Rigid3() : stored.result.imus[0].T_MI.Inverse() * T_MI, &values);
   Put("q_WG", RotationFromVertical(-session.g_W).coeffs(), &values);
-  PutBody(q_body_imu, T_MI.Inverse(), clock.time_shift, &values);
+  PutBody(choice.q_body_imu, T_MI.Inverse(), clock.time_shift, &values);
+  PutPlayer(stored, imu, choice.pose_sensor, &values);
   PutModels(stored, imu, &values);
   if (boost::contains(file.text, "{accel_")) {  // else a result without noise will do
     PutNoise("gyro", "gyroscope", clock.noise.gyro, clock.gyro.rate_hz,
@@ -363,6 +464,15 @@ Values ImuValues(const StoredResult& stored, size_t imu, const Template& file,
 std::string ProgramOf(const Template& file) {
   const std::string name = file.name;
   return name.substr(0, name.find('.'));
+}
+
+/// Whether a file is of the frames on the body, of sensors of any kind.
+bool IsOfFrames(const Template& file) { return boost::contains(file.text, "{child}"); }
+
+bool NeedsImu(const std::string& name) {
+  return std::any_of(std::begin(kTemplates), std::end(kTemplates), [&](const Template& file) {
+    return ProgramOf(file) == name && !IsOfFrames(file);
+  });
 }
 
 }  // namespace
@@ -389,16 +499,25 @@ std::vector<std::string> ParseExports(const std::string& list) {
 }
 
 std::vector<ExportFile> Export(const StoredResult& stored, const std::string& name,
-                               const Eigen::Quaterniond& q_body_imu) {
+                               const ExportChoice& given) {
+  if (stored.result.imus.empty() && NeedsImu(name))
+    throw InputError("export '" + name + "' needs an IMU, and the result has none");
+  const ExportChoice choice = {given.q_body_imu, FindPlayer(stored, given.pose_sensor)};
   std::vector<ExportFile> files;
   for (const Template& file : kTemplates) {
     if (ProgramOf(file) != name) continue;
     const bool is_of_one = boost::contains(file.name, "imuN");
     const bool has_all = is_of_one || boost::contains(file.text, kEach);
-    const Values head = HeadValues(stored, has_all);
-    std::vector<Values> imus;
-    for (size_t i = 0; i < (has_all ? stored.result.imus.size() : 1); ++i)
-      imus.push_back(ImuValues(stored, i, file, q_body_imu));
+    const bool has_player = boost::contains(file.text, "{player");
+    Values head = HeadValues(stored, has_all);
+    head["sensors"] =
+        SensorHead(stored, has_player ? choice.pose_sensor : std::nullopt, IsOfFrames(file));
+    std::vector<Values> imus;  // or frames
+    for (size_t i = 0; !IsOfFrames(file) && i < (has_all ? stored.result.imus.size() : 1); ++i)
+      imus.push_back(ImuValues(stored, i, file, choice));
+    if (IsOfFrames(file))
+      for (const auto& [frame, T_MF] : BodyFrames(stored.result, stored.infos.front()))
+        imus.push_back(LinkValues(imus.size(), stored.infos.front().marker_frame, frame, T_MF));
     if (!is_of_one) files.push_back({file.name, Render(file, head, imus)});
     for (size_t i = 0; is_of_one && i < imus.size(); ++i)
       files.push_back({boost::replace_all_copy<std::string>(file.name, "N", std::to_string(i)),
@@ -413,6 +532,7 @@ std::vector<ExportFile> ExportChain(const StoredResult& stored, size_t imu,
   constexpr char kComment[] = R"(marker -> imu -> cameras, {head}
 cameras: x_cam = T_cam_imu x_imu of {source}; published is its inverse)";
   Values head = HeadValues(stored, true);
+  head["sensors"] = std::nullopt;
   head["source"] = Printable(source);
   const std::string& frame = stored.Info(imu).imu_frame;
   std::vector<Values> links = {
@@ -428,24 +548,27 @@ cameras: x_cam = T_cam_imu x_imu of {source}; published is its inverse)";
 
 std::vector<std::string> WriteExports(const StoredResult& stored,
                                       const std::vector<std::string>& names, OutputFiles* outputs,
-                                      const std::string& folder,
-                                      const Eigen::Quaterniond& q_body_imu) {
+                                      const std::string& folder, const ExportChoice& choice) {
   std::filesystem::path stem = stored.path;
   if (stem.extension() == ".yaml" || stem.extension() == ".yml") stem.replace_extension();
   if (!folder.empty()) {
     stem = folder / stem.filename();
     outputs->MakeFolder(folder);
   }
+  const bool is_all = names == ExportNames();
   std::vector<std::string> paths;
-  for (const std::string& name : names)
-    for (const ExportFile& file : Export(stored, name, q_body_imu)) {
+  for (const std::string& name : names) {
+    if (is_all && stored.result.imus.empty() && NeedsImu(name)) continue;
+    for (const ExportFile& file : Export(stored, name, choice)) {
       paths.push_back(stem.string() + "." + file.ending);
       outputs->Write(paths.back(), file.text);
     }
+  }
   return paths;
 }
 
 std::string ExportNote(const StoredResult& stored, const std::vector<std::string>& names) {
+  if (stored.result.imus.empty()) return "";
   const double angle_deg = ToAccelAxes(stored.result.imus[0]).angle_deg;
   std::vector<std::string> turned;
   std::copy_if(names.begin(), names.end(), std::back_inserter(turned), [](const std::string& name) {

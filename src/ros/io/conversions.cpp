@@ -6,6 +6,8 @@
 #include <cmath>
 #include <limits>
 
+#include "imu_pose_calib/ros/io/result_yaml.h"
+
 namespace imu_pose_calib {
 namespace {
 
@@ -140,9 +142,8 @@ std::vector<geometry_msgs::TransformStamped> ToTransforms(const Calibration& res
                                                           const RecordingInfo& info,
                                                           const ros::Time& stamp) {
   std::vector<geometry_msgs::TransformStamped> transforms;
-  for (size_t i = 0; i < result.imus.size(); ++i)
-    transforms.push_back(ToTransformStamped(MakeHeader(stamp, info.marker_frame),
-                                            info.imus[i].imu_frame, result.imus[i].T_MI));
+  for (const auto& [name, T_MF] : BodyFrames(result, info))
+    transforms.push_back(ToTransformStamped(MakeHeader(stamp, info.marker_frame), name, T_MF));
   return transforms;
 }
 
@@ -151,15 +152,18 @@ CalibrationResult ToMsg(const Calibration& result, const RecordingInfo& info,
   static_assert(static_cast<int>(Status::kOk) == CalibrationResult::STATUS_OK &&
                 static_cast<int>(Status::kWeak) == CalibrationResult::STATUS_WEAK &&
                 static_cast<int>(Status::kDegenerate) == CalibrationResult::STATUS_DEGENERATE);
-  const ImuCalibration& imu = result.imus[0];
-  const ImuSession& session = result.sessions[0].imus[0];
   CalibrationResult msg;
   msg.header = MakeHeader(stamp, info.marker_frame);
-  msg.child_frame_id = info.imus[0].imu_frame;
   msg.status = static_cast<uint8_t>(result.status);
   msg.status_text = ToString(result.status);
   msg.method = ToString(result.method);
   msg.message = result.message;
+  msg.unobservable = result.unobservable;
+  msg.warnings = result.warnings;
+  if (result.imus.empty()) return msg;
+  const ImuCalibration& imu = result.imus[0];
+  const ImuSession& session = result.sessions[0].imus[0];
+  msg.child_frame_id = info.imus[0].imu_frame;
   msg.transform = ToTransformMsg(imu.T_MI);
   // Symmetric: row-major and column-major are the same.
   std::copy_n(imu.covariance.data(), msg.covariance.size(), msg.covariance.begin());
@@ -180,8 +184,7 @@ CalibrationResult ToMsg(const Calibration& result, const RecordingInfo& info,
   msg.gyro_bias = ToVector3Msg(session.gyro_bias);
   msg.accel_bias = ToVector3Msg(session.accel_bias);
   msg.imus = ToTransforms(result, info, stamp);
-  msg.unobservable = result.unobservable;
-  msg.warnings = result.warnings;
+  msg.imus.resize(result.imus.size());
   return msg;
 }
 

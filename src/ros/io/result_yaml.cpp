@@ -6,6 +6,7 @@
 #include <cstdio>
 #include <ctime>
 
+#include "imu_pose_calib/core/pose_sensor/pose_sensor.h"
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
 #include "imu_pose_calib/ros/io/yaml_file.h"
@@ -29,7 +30,16 @@ const char kEquations[] = R"(
 # scale:     positions of poses = pose_scale * true
 # imu:       measured = matrix * true + bias; row i of accel_positions: where the accelerometer's axis i is [m]
 # sigmas:    translation_std along the marker axes, rotation_std about the imu axes: R Exp(error)
-# Units: m, s, rad, m/s^2. Quaternions: x, y, z, w.
+)";
+
+const char kSensorEquations[] =
+    R"(# pose_sensors: x_marker = R x_sensor + p   t_pose = t_sensor + time_shift, as of an imu
+#            to_imus: x_imu = R x_sensor + p
+#            positions in the sensor's world: scale R p_world + p, R and p of `world`, here at the
+#            start t [s, clock of the poses] of each piece; they walk by drift [m, rad per sqrt(s)]
+)";
+
+const char kUnits[] = R"(# Units: m, s, rad, m/s^2. Quaternions: x, y, z, w.
 
 )";
 
@@ -76,7 +86,7 @@ class ResultFile {
     return is_there;
   }
   /// The number of elements of a list of maps, which is `count` when it is written; before them.
-  size_t Count(const std::string& path, size_t count) {
+  size_t Count(const std::string& path, size_t count, bool may_be_empty = false) {
     if (!reads_) {
       if (count == 0) Note(path, std::vector<std::string>());
       return count;
@@ -84,7 +94,7 @@ class ResultFile {
     const YAML::Node list = Find(path);
     for (const YAML::Node& map : list)
       if (!map.IsMap()) Fail(path, "must be a list of maps");
-    if (list.size() == 0) Fail(path, "is empty");
+    if (list.size() == 0 && !may_be_empty) Fail(path, "is empty");
     return list.size();
   }
 
@@ -178,6 +188,10 @@ class ResultFile {
   static void Read(const std::string& path, const YAML::Node& node, double* value) {
     if (!node.IsScalar() || !YAML::convert<double>::decode(node, *value) || !std::isfinite(*value))
       Fail(path, "must hold finite numbers");
+  }
+  static void Read(const std::string& path, const YAML::Node& node, size_t* value) {
+    if (!node.IsScalar() || !YAML::convert<size_t>::decode(node, *value))
+      Fail(path, "must be a whole number");
   }
   static void Read(const std::string& path, const YAML::Node& node, std::string* value) {
     if (!node.IsScalar()) Fail(path, "must be a string");
@@ -295,22 +309,11 @@ Status ToUsable(const std::string& name) {
                    "is '" + name + "'; only a result that is ok or weak can be used");
 }
 
-/// Run, frames, and the estimate of the first IMU in the first session.
-void First(const RunInfo& run, StoredResult* stored, ResultFile* file) {
+/// The estimate of the first IMU in the first session.
+void FirstImu(StoredResult* stored, ResultFile* file) {
   Calibration& result = stored->result;
   SessionCalibration& session = result.sessions[0];
   ImuSession& imu = session.imus[0];
-  std::string status = ToString(result.status);
-  file->Value("imu_pose_calib.version", stored->version);
-  file->Note("imu_pose_calib.method", ToString(result.method));
-  file->Value("imu_pose_calib.status", status);
-  if (file->reads()) result.status = ToUsable(status);
-  file->Value("imu_pose_calib.message", result.message);
-  file->Note("imu_pose_calib.date", UtcText(std::time(nullptr), "%Y-%m-%dT%H:%M:%SZ"));
-  file->Optional("imu_pose_calib.run_id", !stored->run_id.empty(), &stored->run_id);
-  if (!run.files.empty()) file->Note("imu_pose_calib.files", run.files);
-  file->Value("frames.world", stored->infos[0].world_frame);
-  file->Value("frames.marker", stored->infos[0].marker_frame);
   file->Value("frames.imu", stored->infos[0].imus[0].imu_frame);
   Transforms("", result.imus[0], file);
   imu.is_present = true;
@@ -325,9 +328,27 @@ void First(const RunInfo& run, StoredResult* stored, ResultFile* file) {
   Intrinsics("imu.", &result.imu_model, result.imus[0], file);
 }
 
+/// Run, frames, and the estimate of the first IMU, if there is one.
+void First(const RunInfo& run, StoredResult* stored, ResultFile* file) {
+  Calibration& result = stored->result;
+  std::string status = ToString(result.status);
+  file->Value("imu_pose_calib.version", stored->version);
+  file->Note("imu_pose_calib.method", ToString(result.method));
+  file->Value("imu_pose_calib.status", status);
+  if (file->reads()) result.status = ToUsable(status);
+  file->Value("imu_pose_calib.message", result.message);
+  file->Note("imu_pose_calib.date", UtcText(std::time(nullptr), "%Y-%m-%dT%H:%M:%SZ"));
+  file->Optional("imu_pose_calib.run_id", !stored->run_id.empty(), &stored->run_id);
+  if (!run.files.empty()) file->Note("imu_pose_calib.files", run.files);
+  file->Value("frames.world", stored->infos[0].world_frame);
+  file->Value("frames.marker", stored->infos[0].marker_frame);
+  if (!result.imus.empty()) FirstImu(stored, file);
+}
+
 /// All IMUs; their names.
 std::vector<std::string> Imus(StoredResult* stored, ResultFile* file) {
   Calibration& result = stored->result;
+  if (result.imus.empty()) return {};
   std::vector<std::string> names(file->Count("imus", result.imus.size()));
   if (file->reads()) stored->infos[0].imus.assign(names.size(), {});
   result.imus.resize(names.size());
@@ -377,6 +398,7 @@ void Own(const std::string& at, const SessionCalibration& session, ResultFile* f
 /// The IMUs of a session, which are called by their names.
 void SessionImus(const std::string& session_at, const std::vector<std::string>& names,
                  SessionCalibration* session, ResultFile* file) {
+  if (names.empty()) return session->imus.clear();
   std::vector<size_t> present;  // places; to be read
   for (size_t i = 0; i < session->imus.size(); ++i)
     if (session->imus[i].is_present) present.push_back(i);
@@ -412,49 +434,10 @@ void Sessions(const std::vector<std::string>& names, StoredResult* stored, Resul
     if (file->reads()) info.bag = source;
     file->Value(at + "world", info.world_frame);
     SessionImus(at, names, &sessions[s], file);
+    if (names.empty()) continue;
     Gravity(at, sessions[s], file);
     if (sessions.size() > 1) Own(at, sessions[s], file);
   }
-}
-
-/// Noise, quality and trajectory.
-void Quality(Calibration& result, ResultFile* file) {
-  SessionCalibration& session = result.sessions[0];
-  file->Value("noise.position_std", session.noise.position);
-  file->Value("noise.rotation_std", session.noise.rotation);
-  file->Note("noise.rotation_error_std", session.rotation_error_std);
-  Noise("", session.imus[0], file);
-  if (file->reads()) return;
-  file->Note("quality.gyro_rms", session.imus[0].rms.gyro);
-  file->Note("quality.accel_rms", session.imus[0].rms.accel);
-  file->Note("quality.position_rms", session.rms.position);
-  file->Note("quality.rotation_rms", session.rms.rotation);
-  for (size_t k = 0; k < file->Count("quality.observability", result.observability.size()); ++k) {
-    const std::string at = "quality.observability." + std::to_string(k) + "/";
-    const Observability& o = result.observability[k];
-    file->Note(at + "direction", o.direction);
-    file->Note(at + "std", o.std);
-    file->Note(at + "unit", o.unit);
-    file->Note(at + "status", ToString(o.status));
-  }
-  file->Note("quality.split_half.translation", result.split_half.translation);
-  file->Note("quality.split_half.rotation", result.split_half.rotation);
-  file->Note("quality.split_half.time_shift", result.split_half.time_shift);
-  file->Note("quality.split_half.sigmas", result.split_half.sigmas);
-  file->Note("quality.warnings", result.warnings);
-  file->Note("trajectory.position_lengthscale_s", session.position_lengthscale_s);
-  file->Note("trajectory.rotation_lengthscale_s", session.rotation_lengthscale_s);
-  file->Note("trajectory.knot_spacing_s", session.knot_spacing_s);
-  file->Note("trajectory.segments", session.segments);
-}
-
-/// One member of the reports.
-template <typename T>
-void NotePerStream(const std::string& at, const SessionCalibration& session,
-                   T StreamReport::*member, ResultFile* file) {
-  file->Note(at + "/poses", session.poses.*member);
-  file->Note(at + "/gyro", session.imus[0].gyro.*member);
-  file->Note(at + "/accel", session.imus[0].accel.*member);
 }
 
 void Rejected(const std::string& at, const StreamReport& report, ResultFile* file) {
@@ -470,29 +453,173 @@ void Rejected(const std::string& at, const StreamReport& report, ResultFile* fil
   file->Note(at + "/between_updates", report.between_updates);
 }
 
+void Spectrum(const std::string& path, const std::vector<Observability>& spectrum,
+              ResultFile* file) {
+  if (file->reads()) return;
+  for (size_t k = 0; k < file->Count(path, spectrum.size()); ++k) {
+    const std::string at = path + "." + std::to_string(k) + "/";
+    const Observability& o = spectrum[k];
+    file->Note(at + "direction", o.direction);
+    file->Note(at + "std", o.std);
+    file->Note(at + "unit", o.unit);
+    file->Note(at + "status", ToString(o.status));
+  }
+}
+
+void Poses(const std::string& at, PoseStd& std_dev, ResultFile* file) {
+  file->Value(at + "/position", std_dev.position);
+  file->Value(at + "/rotation", std_dev.rotation);
+}
+
+/// A pose sensor in one session.
+void SensorSession(const std::string& at, PoseSensorSession& sensor, ResultFile* file) {
+  sensor.is_present = true;
+  file->WithStd(at + "time_shift", sensor.time_shift, sensor.time_shift_std);
+  file->WithStd(at + "clock_drift", sensor.clock_drift, sensor.clock_drift_std);
+  file->Value(at + "clock_reference", sensor.clock_reference);
+  file->WithStd(at + "scale", sensor.scale, sensor.scale_std);
+  Poses(at + "noise", sensor.noise, file);
+  Poses(at + "rms", sensor.rms, file);
+  Poses(at + "drift", sensor.drift, file);
+  std::vector<PoseSensorSession::WorldKnot> pieces;
+  for (const PoseSensorSession::WorldKnot& knot : sensor.world)
+    if (pieces.empty() || knot.begins_piece) pieces.push_back(knot);
+  file->Note(at + "pieces", pieces.size());
+  pieces.resize(file->Count(at + "world", pieces.size(), true), {0.0, {}, true});
+  for (size_t k = 0; k < pieces.size(); ++k) {
+    const std::string piece = at + "world." + std::to_string(k) + ".";
+    file->Value(piece + "t", pieces[k].t);
+    file->Value(piece + "translation", pieces[k].T_VW.p);
+    file->Value(piece + "rotation", pieces[k].T_VW.q);
+  }
+  if (file->reads()) sensor.world = pieces;
+  StreamReport& poses = sensor.poses;
+  file->Value(at + "data.count", poses.used);
+  file->Value(at + "data.rate", poses.rate_hz);
+  file->Value(at + "data.duration", poses.duration_s);
+  file->Note(at + "data.stamps_recovered", poses.stamps_recovered);
+  file->Note(at + "data.stamp_jitter", poses.stamp_jitter_s);
+  Rejected(at + "data.rejected", poses, file);
+}
+
+/// The sessions that have the sensor, by their numbers from 1.
+void SensorSessions(const std::string& sensor_at, size_t count, PoseSensorCalibration& sensor,
+                    ResultFile* file) {
+  std::vector<size_t> numbers;  // to be read
+  sensor.sessions.resize(count);
+  for (size_t s = 0; s < count; ++s)
+    if (sensor.sessions[s].is_present) numbers.push_back(s + 1);
+  numbers.resize(file->Count(sensor_at + "sessions", numbers.size(), true));
+  for (size_t k = 0; k < numbers.size(); ++k) {
+    const std::string at = sensor_at + "sessions." + std::to_string(k) + ".";
+    file->Value(at + "session", numbers[k]);
+    if (numbers[k] < 1 || numbers[k] > count)
+      ResultFile::Fail(at + "session", "must be from 1 to " + std::to_string(count));
+    SensorSession(at, sensor.sessions[numbers[k] - 1], file);
+  }
+}
+
+void PoseSensors(StoredResult* stored, ResultFile* file) {
+  Calibration& result = stored->result;
+  result.pose_sensors.resize(file->Count("pose_sensors", result.pose_sensors.size()));
+  for (RecordingInfo& info : stored->infos) info.pose_sensors.resize(result.pose_sensors.size());
+  for (size_t k = 0; k < result.pose_sensors.size(); ++k) {
+    const std::string at = "pose_sensors." + std::to_string(k) + ".";
+    PoseSensorCalibration& sensor = result.pose_sensors[k];
+    PoseSensorInfo& info = stored->infos[0].pose_sensors[k];
+    for (const RecordingInfo& other : stored->infos)
+      if (info.topic.empty()) info = other.pose_sensors[k];
+    file->Value(at + "topic", info.topic);
+    file->Value(at + "frame", info.frame);
+    file->Value(at + "world_frame", info.world_frame);
+    std::string status = ToString(sensor.status);
+    file->Value(at + "status", status);
+    for (const Status known : {Status::kOk, Status::kWeak, Status::kDegenerate})
+      if (status == ToString(known)) sensor.status = known;
+    file->Value(at + "message", sensor.message);
+    UncertainTransform(at, sensor.T_MS, sensor, file);
+    for (size_t i = 0; i < result.imus.size() && !file->reads(); ++i) {
+      const std::string to_imu = at + "to_imus." + std::to_string(i) + ".";
+      BetweenImus between = BetweenSensors(result.imus[i].T_MI, result.imus[i].covariance,
+                                           sensor.T_MS, sensor.covariance);
+      file->Note(to_imu + "imu", ImuName(i));
+      UncertainTransform(to_imu, between.T, between, file);
+    }
+    SensorSessions(at, result.sessions.size(), sensor, file);
+    Spectrum(at + "observability", sensor.observability, file);
+  }
+}
+
+void ImuQuality(ImuSession& imu, ResultFile* file) {
+  Noise("", imu, file);
+  file->Note("quality.gyro_rms", imu.rms.gyro);
+  file->Note("quality.accel_rms", imu.rms.accel);
+}
+
+/// Noise, quality and trajectory.
+void Quality(Calibration& result, ResultFile* file) {
+  SessionCalibration& session = result.sessions[0];
+  const bool has_imu = !result.imus.empty();
+  file->Value("noise.position_std", session.noise.position);
+  file->Value("noise.rotation_std", session.noise.rotation);
+  file->Note("noise.rotation_error_std", session.rotation_error_std);
+  if (has_imu) ImuQuality(session.imus[0], file);
+  file->Note("quality.position_rms", session.rms.position);
+  file->Note("quality.rotation_rms", session.rms.rotation);
+  Spectrum("quality.observability", result.observability, file);
+  if (has_imu) {
+    file->Note("quality.split_half.translation", result.split_half.translation);
+    file->Note("quality.split_half.rotation", result.split_half.rotation);
+    file->Note("quality.split_half.time_shift", result.split_half.time_shift);
+    file->Note("quality.split_half.sigmas", result.split_half.sigmas);
+  }
+  file->Note("quality.warnings", result.warnings);
+  file->Note("trajectory.position_lengthscale_s", session.position_lengthscale_s);
+  file->Note("trajectory.rotation_lengthscale_s", session.rotation_lengthscale_s);
+  file->Note("trajectory.knot_spacing_s", session.knot_spacing_s);
+  file->Note("trajectory.segments", session.segments);
+}
+
+/// One member of the reports.
+template <typename T>
+void NotePerStream(const std::string& at, const SessionCalibration& session,
+                   T StreamReport::*member, bool has_imu, ResultFile* file) {
+  file->Note(at + "/poses", session.poses.*member);
+  if (!has_imu) return;
+  file->Note(at + "/gyro", session.imus[0].gyro.*member);
+  file->Note(at + "/accel", session.imus[0].accel.*member);
+}
+
 /// The recording of the first session.
-void Data(SessionCalibration& session, RecordingInfo& info, ResultFile* file) {
-  ImuSession& imu = session.imus[0];
+void Data(Calibration& result, RecordingInfo& info, ResultFile* file) {
+  SessionCalibration& session = result.sessions[0];
+  const bool has_imu = !result.imus.empty();
   file->Value("data.bag", info.bag);
-  file->Value("data.imu_topic", info.imus[0].imu_topic);
-  file->Value("data.gyro_topic", info.imus[0].gyro_topic);
-  file->Value("data.accel_topic", info.imus[0].accel_topic);
+  if (has_imu) {
+    file->Value("data.imu_topic", info.imus[0].imu_topic);
+    file->Value("data.gyro_topic", info.imus[0].gyro_topic);
+    file->Value("data.accel_topic", info.imus[0].accel_topic);
+  }
   file->Value("data.pose_topic", info.pose_topic);
-  file->Note("data.imu_yaml", info.imu_yaml);
+  if (has_imu) file->Note("data.imu_yaml", info.imu_yaml);
   if (info.stated_pose_std) {
     file->Note("data.stated_pose_std/position", info.stated_pose_std->position);
     file->Note("data.stated_pose_std/rotation", info.stated_pose_std->rotation);
   }
   file->Value("data.duration", session.poses.duration_s);
-  NotePerStream("data.counts", session, &StreamReport::used, file);
+  NotePerStream("data.counts", session, &StreamReport::used, has_imu, file);
   file->Value("data.rates/poses", session.poses.rate_hz);
-  file->Value("data.rates/gyro", imu.gyro.rate_hz);
-  file->Value("data.rates/accel", imu.accel.rate_hz);
-  NotePerStream("data.stamps_recovered", session, &StreamReport::stamps_recovered, file);
-  NotePerStream("data.stamp_jitter", session, &StreamReport::stamp_jitter_s, file);
+  if (has_imu) {
+    file->Value("data.rates/gyro", session.imus[0].gyro.rate_hz);
+    file->Value("data.rates/accel", session.imus[0].accel.rate_hz);
+  }
+  NotePerStream("data.stamps_recovered", session, &StreamReport::stamps_recovered, has_imu, file);
+  NotePerStream("data.stamp_jitter", session, &StreamReport::stamp_jitter_s, has_imu, file);
   Rejected("data.rejected.poses", session.poses, file);
-  Rejected("data.rejected.gyro", imu.gyro, file);
-  Rejected("data.rejected.accel", imu.accel, file);
+  if (has_imu) {
+    Rejected("data.rejected.gyro", session.imus[0].gyro, file);
+    Rejected("data.rejected.accel", session.imus[0].accel, file);
+  }
   file->Note("data.gaps", session.gaps);
   file->Note("data.jumps", session.jumps);
 }
@@ -506,10 +633,26 @@ std::string ToYaml(const Calibration& result, const std::vector<RecordingInfo>& 
   First(run, &stored, &file);
   if (result.imus.size() > 1 || result.sessions.size() > 1)
     Sessions(Imus(&stored, &file), &stored, &file);
+  if (!result.pose_sensors.empty()) PoseSensors(&stored, &file);
   Quality(stored.result, &file);
-  Data(stored.result.sessions[0], stored.infos[0], &file);
+  Data(stored.result, stored.infos[0], &file);
   file.Note("options", YAML::Load(ToYaml(options)));
-  return kResultHeader + std::string(kEquations) + file.Finish() + "\n";
+  return std::string(kResultHeader) + kEquations +
+         (result.pose_sensors.empty() ? "" : kSensorEquations) + kUnits + file.Finish() + "\n";
+}
+
+bool IsUsable(const PoseSensorCalibration& sensor) {
+  return sensor.status == Status::kOk || sensor.status == Status::kWeak;
+}
+
+std::vector<BodyFrame> BodyFrames(const Calibration& result, const RecordingInfo& info) {
+  std::vector<BodyFrame> frames;
+  for (size_t i = 0; i < result.imus.size(); ++i)
+    frames.push_back({info.imus[i].imu_frame, result.imus[i].T_MI});
+  for (size_t k = 0; k < result.pose_sensors.size(); ++k)
+    if (IsUsable(result.pose_sensors[k]))
+      frames.push_back({info.pose_sensors[k].frame, result.pose_sensors[k].T_MS});
+  return frames;
 }
 
 const ImuSession& StoredResult::Clock(size_t imu) const {
@@ -525,11 +668,18 @@ StoredResult ParseResult(const std::string& yaml, const std::string& path) {
   StoredResult stored;
   stored.path = path;
   stored.infos.resize(1);
+  const bool has_sensors = root["pose_sensors"].IsDefined();
+  if (has_sensors && !root["transform"]) {  // there is no IMU
+    stored.result.imus.clear();
+    stored.result.sessions[0].imus.clear();
+    stored.infos[0].imus.clear();
+  }
   ResultFile file(root);
   First({}, &stored, &file);
   Quality(stored.result, &file);
-  Data(stored.result.sessions[0], stored.infos[0], &file);
+  Data(stored.result, stored.infos[0], &file);
   if (root["sessions"]) Sessions(Imus(&stored, &file), &stored, &file);
+  if (has_sensors) PoseSensors(&stored, &file);
   file.Value("options.gyro_bias_walk", stored.options.gyro_bias_walk);
   file.Value("options.accel_bias_walk", stored.options.accel_bias_walk);
   return stored;

@@ -7,7 +7,9 @@
 #include <optional>
 
 #include "imu_pose_calib/core/base/options.h"
+#include "imu_pose_calib/core/pose_sensor/pose_sensor.h"
 #include "imu_pose_calib/ros/io/printable.h"
+#include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
@@ -68,10 +70,11 @@ std::optional<Eigen::Vector3d> RollPitchYawStd(const ImuCalibration& imu) {
       .cwiseSqrt();
 }
 
-/// A verdict, unless the result is in doubt for a reason that no sigma shows.
+/// A verdict, unless the result is in doubt for a reason that no sigma shows and that is not of a
+/// pose sensor.
 std::string UnlessDoubted(const Calibration& result, Status verdict) {
   const bool is_doubted =
-      result.status != Status::kOk &&
+      result.status != Status::kOk && result.message.rfind("pose sensor", 0) != 0 &&
       std::all_of(result.observability.begin(), result.observability.end(),
                   [](const Observability& o) { return o.status == Status::kOk; });
   return is_doubted ? "in doubt" : ToString(verdict);
@@ -125,23 +128,29 @@ std::string Table(const Calibration& result) {
   return text;
 }
 
+std::string TransformHead(const std::string& frame) {
+  return Format("  %-9s%24s %7s %25s %9s\n", frame.c_str(), "translation [mm]", "sigma",
+                "rpy [deg]", "sigma");
+}
+
+/// Of an IMU or a pose sensor; `number` prints what is in lists.
+std::string TransformRow(const char* sensor, size_t place, const Rigid3& T, const Vector6d& sigma,
+                         const char* number = "%.3f") {
+  const std::string name = sensor + std::to_string(place);
+  const int width = 32 - std::max(6, static_cast<int>(name.size()));
+  return Format("  %-6s %*s %7.3f %25s %9.4f\n", name.c_str(), width,
+                List(1e3 * T.p, number).c_str(), 1e3 * sigma.head<3>().maxCoeff(),
+                List(RollPitchYaw(T.q), number).c_str(), kDegrees * sigma.tail<3>().maxCoeff());
+}
+
 /// Of several IMUs: one row for each, and their transforms to the first.
 std::string ImuTable(const Calibration& result, const RecordingInfo& info) {
-  const auto head = [](const char* frame) {
-    return Format("  %-9s%24s %7s %25s %9s\n", frame, "translation [mm]", "sigma", "rpy [deg]",
-                  "sigma");
-  };
-  const auto row = [](size_t imu, const Rigid3& T, const Vector6d& sigma) {
-    return Format("  imu%-3zu %26s %7.3f %25s %9.4f\n", imu, List(1e3 * T.p, "%.3f").c_str(),
-                  1e3 * sigma.head<3>().maxCoeff(), List(RollPitchYaw(T.q), "%.3f").c_str(),
-                  kDegrees * sigma.tail<3>().maxCoeff());
-  };
-  std::string text = "\n" + head("in marker");
+  std::string text = "\n" + TransformHead("in marker");
   for (size_t i = 0; i < result.imus.size(); ++i)
-    text += row(i, result.imus[i].T_MI, result.imus[i].Std());
-  text += head("in imu0");
+    text += TransformRow("imu", i, result.imus[i].T_MI, result.imus[i].Std());
+  text += TransformHead("in imu0");
   for (const BetweenImus& between : result.between_imus)
-    text += row(between.second, between.T, between.Std());
+    text += TransformRow("imu", between.second, between.T, between.Std());
   text += "  sigma: the largest, of translations and about the axes of the imu\n";
   for (size_t i = 0; i < result.imus.size(); ++i)
     text += Wrap(Format("  imu%zu: ", i),
@@ -170,6 +179,61 @@ std::string SessionTable(const Calibration& result, const std::vector<RecordingI
   return text;
 }
 
+/// Clock, scale, noise and drift of a pose sensor in one session.
+std::string Describe(const PoseSensorSession& sensor) {
+  std::string text =
+      Format("time shift %.7f s +- %.4f ms", sensor.time_shift, 1e3 * sensor.time_shift_std);
+  if (sensor.clock_drift_std > 0.0)
+    text += Format(", clock drift %.2f +- %.2f ppm", 1e6 * sensor.clock_drift,
+                   1e6 * sensor.clock_drift_std);
+  if (sensor.scale_std > 0.0)
+    text += Format("; scale %.5f +- %.5f", sensor.scale, sensor.scale_std);
+  text += Format("; noise %.3g mm, %.3g deg; drift %.3g mm, %.3g deg per sqrt(s)",
+                 1e3 * sensor.noise.position, kDegrees * sensor.noise.rotation,
+                 1e3 * sensor.drift.position, kDegrees * sensor.drift.rotation);
+  const auto jumps = std::count_if(sensor.world.begin(), sensor.world.end(),
+                                   [](const auto& knot) { return knot.begins_piece; }) -
+                     1;
+  return text + (jumps > 0 ? Format("; jumps: %td", jumps) : "");
+}
+
+/// Of the pose sensors: where each is, its verdict, and what its poses are like. `is_brief`: in the
+/// first session that has it.
+std::string SensorTable(const Calibration& result, const RecordingInfo& info, bool is_brief) {
+  std::string rows, text;
+  const auto add = [&](const std::string& frame, const auto& row) {
+    rows += TransformHead(frame);
+    for (size_t k = 0; k < result.pose_sensors.size(); ++k)
+      if (IsUsable(result.pose_sensors[k])) rows += row(k, result.pose_sensors[k]);
+  };
+  add("in marker", [](size_t k, const PoseSensorCalibration& sensor) {
+    return TransformRow("sensor", k, sensor.T_MS, sensor.Std(), "%.2f");
+  });
+  for (size_t i = 0; i < result.imus.size() && !is_brief; ++i)
+    add(Format("in imu%zu", i), [&](size_t k, const PoseSensorCalibration& sensor) {
+      const BetweenImus between = BetweenSensors(result.imus[i].T_MI, result.imus[i].covariance,
+                                                 sensor.T_MS, sensor.covariance);
+      return TransformRow("sensor", k, between.T, between.Std(), "%.2f");
+    });
+  for (size_t k = 0; k < result.pose_sensors.size(); ++k) {
+    const PoseSensorCalibration& sensor = result.pose_sensors[k];
+    const PoseSensorInfo& names = info.pose_sensors[k];
+    const std::string label = Format("  sensor%zu: ", k), indent(label.size(), ' ');
+    text += Wrap(label, names.frame + ", " + names.topic) +
+            Wrap(indent, Verdict(ToString(sensor.status), sensor.message));
+    bool is_first = true;
+    for (size_t s = 0; s < sensor.sessions.size() && IsUsable(sensor); ++s) {
+      if (!sensor.sessions[s].is_present || (is_brief && !is_first)) continue;
+      text += Wrap(indent + (sensor.sessions.size() > 1 ? Format("session %zu: ", s + 1) : ""),
+                   Describe(sensor.sessions[s]));
+      is_first = false;
+    }
+  }
+  if (!is_brief) text += "  x_marker = R x_sensor + p, t_pose = t_sensor + time_shift\n";
+  return "\n" + rows + "  sigma: the largest, of translations and about the axes of the sensor\n" +
+         text;
+}
+
 /// One line instead of the table of the sessions.
 std::string MostApart(const Calibration& result) {
   const auto most = std::max_element(result.sessions.begin(), result.sessions.end(),
@@ -182,7 +246,8 @@ std::string MostApart(const Calibration& result) {
 }
 
 /// What was dropped of all streams.
-std::string AllDropped(const std::vector<SessionCalibration>& sessions) {
+std::string AllDropped(const Calibration& result) {
+  const std::vector<SessionCalibration>& sessions = result.sessions;
   std::string text;
   const auto add = [&](const std::string& stream, const StreamReport& report) {
     const std::string dropped = Dropped(report);
@@ -196,6 +261,9 @@ std::string AllDropped(const std::vector<SessionCalibration>& sessions) {
       add("gyro" + imu, sessions[s].imus[i].gyro);
       add("accel" + imu, sessions[s].imus[i].accel);
     }
+    for (size_t k = 0; k < result.pose_sensors.size(); ++k)
+      if (s < result.pose_sensors[k].sessions.size())
+        add("sensor" + std::to_string(k) + of, result.pose_sensors[k].sessions[s].poses);
   }
   return "\n" + Wrap("  dropped: ", text.empty() ? "no samples" : text);
 }
@@ -219,12 +287,11 @@ std::string FirstWarnings(const Calibration& result, size_t lines) {
 /// Commands that publish the transforms.
 std::string StaticTransforms(const Calibration& result, const RecordingInfo& info) {
   std::string text;
-  for (size_t i = 0; i < result.imus.size(); ++i) {
-    const Rigid3& T = result.imus[i].T_MI;
+  for (const auto& [name, T] : BodyFrames(result, info)) {
     text += "\nrosrun tf2_ros static_transform_publisher \\\n" +
             Format("  %.6f %.6f %.6f %.8f %.8f %.8f %.8f \\\n", T.p.x(), T.p.y(), T.p.z(), T.q.x(),
                    T.q.y(), T.q.z(), T.q.w()) +
-            "  " + info.marker_frame + " " + info.imus[i].imu_frame + "\n";
+            "  " + info.marker_frame + " " + name + "\n";
   }
   return text;
 }
@@ -261,6 +328,11 @@ std::string Data(const Calibration& result, const std::vector<RecordingInfo>& in
       if (!session.imus[i].is_present) continue;
       add("  gyro   ", info.imus[i].GyroSource(), session.imus[i].gyro);
       add("  accel  ", info.imus[i].AccelSource(), session.imus[i].accel);
+    }
+    for (size_t k = 0; k < result.pose_sensors.size(); ++k) {
+      const std::vector<PoseSensorSession>& sensor = result.pose_sensors[k].sessions;
+      if (s < sensor.size() && sensor[s].is_present)
+        add(Format("  sensor%zu  ", k).c_str(), info.pose_sensors[k].topic, sensor[s].poses);
     }
     if (!info.imu_yaml.empty()) text += Wrap("  noise  ", info.imu_yaml);
     if (session.gaps + session.jumps > 0)
@@ -474,17 +546,21 @@ std::string Summary(const Calibration& result, const std::vector<RecordingInfo>&
   for (const RecordingInfo& recording : recordings) infos.push_back(WithPrintableNames(recording));
   std::string text = Verdict(ToString(result.status), result.message);
   if (!result.IsUsable()) return text + Data(result, infos) + Warnings(result);
-  const bool is_rig = result.imus.size() > 1;
-  text += is_rig ? ImuTable(result, infos[0]) : Table(result);
-  if (lines && infos.size() > 1)
+  const bool is_rig = result.imus.size() > 1, has_imu = !result.imus.empty();
+  if (has_imu) text += is_rig ? ImuTable(result, infos[0]) : Table(result);
+  if (has_imu && lines && infos.size() > 1)
     text += MostApart(result);
-  else if (is_rig || infos.size() > 1)
+  else if (has_imu && (is_rig || infos.size() > 1))
     text += SessionTable(result, infos);
+  if (!result.pose_sensors.empty()) text += SensorTable(result, infos[0], lines.has_value());
   const std::string tf = StaticTransforms(result, infos[0]);
-  if (!lines)
-    return text + Warnings(result) + Data(result, infos) + Transform(result.imus[0].T_MI) +
-           Clocks(result) + Imu(result) + Residuals(result) + tf;
-  text += AllDropped(result.sessions);
+  if (!lines) {
+    text += Warnings(result) + Data(result, infos);
+    if (has_imu)
+      text += Transform(result.imus[0].T_MI) + Clocks(result) + Imu(result) + Residuals(result);
+    return text + tf;
+  }
+  text += AllDropped(result);
   const size_t used = CountLines(text) + CountLines(tf);
   return text + FirstWarnings(result, *lines > used ? *lines - used : 0) + tf;
 }

@@ -73,6 +73,8 @@ RecordingInfo WithPrintableNames(RecordingInfo info) {
                                      &info.imu_yaml};
   for (ImuInfo& imu : info.imus)
     names.insert(names.end(), {&imu.imu_topic, &imu.gyro_topic, &imu.accel_topic, &imu.imu_frame});
+  for (PoseSensorInfo& sensor : info.pose_sensors)
+    names.insert(names.end(), {&sensor.topic, &sensor.frame, &sensor.world_frame});
   for (std::string* name : names) *name = Printable(*name);
   return info;
 }

@@ -13,6 +13,7 @@ namespace {
 
 void Run(int argc, char** argv) {
   std::string result, exports, output_dir, body_imu;
+  ExportChoice choice;
   bool is_quiet = false, wants_help = false;
   boost::program_options::options_description options("Options");
   auto add = options.add_options();
@@ -21,6 +22,9 @@ void Run(int argc, char** argv) {
       "folder for the files, made when missing; default: that of the result");
   add("body-imu", Value(&body_imu, "\"QX QY QZ QW\""),
       "px4: from imu axes to the body's forward, right, down; default: they are the same");
+  const auto set_sensor = [&choice](size_t place) { choice.pose_sensor = place; };
+  add("pose-sensor", boost::program_options::value<size_t>()->value_name("N")->notifier(set_sensor),
+      "which of several pose sensors plays camera or lidar, from 0; default: the first usable one");
   add("quiet", boost::program_options::bool_switch(&is_quiet), "print errors only");
   add("help", boost::program_options::bool_switch(&wants_help), "print this text");
   ParseCommandLine(argc, argv, options, "result", Value(&result), 1);
@@ -34,13 +38,11 @@ void Run(int argc, char** argv) {
   if (result.empty()) throw InputError("give the result to export; see export_calibration --help");
   const std::vector<std::string> names = ParseExports(exports);
   if (names.empty()) throw InputError("--export must name " + known);
-  const Eigen::Quaterniond q_body_imu =
-      body_imu.empty() ? Eigen::Quaterniond::Identity() : ParseQuaternion("--body-imu", body_imu);
+  if (!body_imu.empty()) choice.q_body_imu = ParseQuaternion("--body-imu", body_imu);
   const StoredResult stored = LoadResult(result);
   const InterruptGuard guard;
   OutputFiles outputs;
-  const std::vector<std::string> paths =
-      WriteExports(stored, names, &outputs, output_dir, q_body_imu);
+  const std::vector<std::string> paths = WriteExports(stored, names, &outputs, output_dir, choice);
   outputs.Commit();
   for (const std::string& path : paths)
     if (!is_quiet) std::cout << "Written to " << path << "\n";

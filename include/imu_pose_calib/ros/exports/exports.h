@@ -3,9 +3,12 @@
 // Files of other programs. Each is a template of the folder exports/: its first lines, after "#",
 // are the comment, which stands where the rest says {comment}. Other names in braces are values
 // that exports.cpp computes from the result; what stands between {each imu} and {end} is there for
-// each IMU, a file whose name has imuN too. A line with a value that there is not is left out.
+// each IMU, a file whose name has imuN too; with {child} in it, for each frame on the body, pose
+// sensors too. A line with a value that there is not is left out. Frames of values: marker M, imu
+// I, pose sensor S that plays a camera or lidar, without one the marker.
 
 #include <Eigen/Geometry>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -27,12 +30,19 @@ std::vector<std::string> ExportNames();
 /// Throws InputError listing the known names for one that is not among them.
 std::vector<std::string> ParseExports(const std::string& list);
 
-/// The files of the program `name`, doc/exports.md. px4 needs q_body_imu: imu axes to the
-/// autopilot's body axes forward, right, down, v_body = q v_imu. Throws InputError when they need
-/// noise and rates that the result does not hold.
-std::vector<ExportFile> Export(
-    const StoredResult& stored, const std::string& name,
-    const Eigen::Quaterniond& q_body_imu = Eigen::Quaterniond::Identity());
+/// What a result leaves open.
+struct ExportChoice {
+  /// px4: imu axes to the autopilot's body axes forward, right, down, v_body = q v_imu.
+  Eigen::Quaterniond q_body_imu = Eigen::Quaterniond::Identity();
+  /// Place of the pose sensor that plays camera or lidar. Nothing: the first that is usable, or the
+  /// marker where there is none.
+  std::optional<size_t> pose_sensor = std::nullopt;
+};
+
+/// The files of the program `name`, doc/exports.md. Throws InputError when they need an IMU, a pose
+/// sensor, noise or rates that the result does not hold.
+std::vector<ExportFile> Export(const StoredResult& stored, const std::string& name,
+                               const ExportChoice& choice = {});
 
 /// marker -> imu of the result, and imu -> each camera of the chain in the file at `source`, as
 /// "urdf" and "tf.launch".
@@ -41,11 +51,12 @@ std::vector<ExportFile> ExportChain(const StoredResult& stored, size_t imu,
                                     const std::string& source);
 
 /// Writes the files of all `names` to `outputs`, next to the result, or into `folder` if that is
-/// not empty: my.calibration.kalibr.imu0.yaml for my.calibration.yaml. Returns their paths.
-std::vector<std::string> WriteExports(
-    const StoredResult& stored, const std::vector<std::string>& names, OutputFiles* outputs,
-    const std::string& folder = "",
-    const Eigen::Quaterniond& q_body_imu = Eigen::Quaterniond::Identity());
+/// not empty: my.calibration.kalibr.imu0.yaml for my.calibration.yaml. Returns their paths. Of all
+/// names those are left out that need an IMU which the result does not hold.
+std::vector<std::string> WriteExports(const StoredResult& stored,
+                                      const std::vector<std::string>& names, OutputFiles* outputs,
+                                      const std::string& folder = "",
+                                      const ExportChoice& choice = {});
 
 /// What a user of these exports should know before he compares them with the result; may be empty.
 std::string ExportNote(const StoredResult& stored, const std::vector<std::string>& names);

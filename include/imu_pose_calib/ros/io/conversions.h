@@ -59,10 +59,11 @@ FramedPose ToFramedPose(const nav_msgs::Odometry& msg);
 /// written.
 PoseStd ToPoseStd(const geometry_msgs::PoseWithCovariance& pose);
 
-/// T_marker_imu of each IMU as a tf: parent marker, child imu.
+/// BodyFrames() as tf: parent marker, child imu or sensor.
 std::vector<geometry_msgs::TransformStamped> ToTransforms(const Calibration& result,
                                                           const RecordingInfo& info,
                                                           const ros::Time& stamp);
+/// Without an IMU, its fields are 0. There are none of pose sensors.
 CalibrationResult ToMsg(const Calibration& result, const RecordingInfo& info,
                         const ros::Time& stamp);
 

@@ -21,10 +21,21 @@ struct RunInfo {
 
 /// Result file: T_marker_imu and its inverse, clocks, biases, noise, quality and the data used. A
 /// comment at the top states the equations of transform and clocks. With several IMUs or sessions
-/// these are of the first; `imus`, `between_imus` and `sessions` hold all. `infos`: of each
-/// session.
+/// these are of the first; `imus`, `between_imus` and `sessions` hold all. `pose_sensors`: only
+/// where there are any; without an IMU, its keys are left out. `infos`: of each session.
 std::string ToYaml(const Calibration& result, const std::vector<RecordingInfo>& infos,
                    const CalibrationOptions& options, const RunInfo& run = {});
+
+/// The numbers of a pose sensor may be used: status kOk or kWeak.
+bool IsUsable(const PoseSensorCalibration& sensor);
+
+/// A frame on the body: x_marker = T_MF x_frame.
+struct BodyFrame {
+  std::string name;
+  Rigid3 T_MF;
+};
+/// Those of each IMU, then of each pose sensor that is usable.
+std::vector<BodyFrame> BodyFrames(const Calibration& result, const RecordingInfo& info);
 
 /// What a result file says of the rig, read back; only what is named here is set.
 struct StoredResult {
@@ -33,9 +44,10 @@ struct StoredResult {
   std::string run_id;   ///< of the run that wrote it; empty: of none that has one
   /// Status, message, IMU model; transform, accel_delay and matrices of each IMU; of each session
   /// gravity, and of its IMUs clock, biases, noise and rates; noise, rate and duration of the poses
-  /// of the first session.
+  /// of the first session; of each pose sensor all but residuals, model_covariance and
+  /// observability, its `world` at the start of each piece.
   Calibration result;
-  /// Frames, recording and topics of each session.
+  /// Frames, recording and topics of each session; of pose sensors in the first alone.
   std::vector<RecordingInfo> infos;
   CalibrationOptions options;  ///< gyro_bias_walk, accel_bias_walk
 
