@@ -30,6 +30,8 @@ RECORDINGS = (
     "simulate_bag C.bag --imus 2 --duration 20 --seed 4",
     "simulate_bag V1_01_easy --format asl --duration 20; mkdir V1_01_easy/mav0; mv V1_01_easy/mocap0 V1_01_easy/mav0/vicon0; mv V1_01_easy/imu0 V1_01_easy/mav0",
     "simulate_bag sim --format text --duration 20",
+    "simulate_bag rig.bag --pose-sensor --duration 20",
+    "simulate_bag slam --format text --pose-sensor --duration 25; cp slam.pose_sensor.txt slam.txt",
     "simulate_bag split --format text --split --duration 20",
     "cp sim.poses.txt poses.txt; cp sim.imu.csv imu.csv; cp split.gyro.csv gyro.csv; cp split.accel.csv accel.csv",
     "calibrate_bag A.bag --imu-topic /imu --output A.yaml --quiet",

@@ -354,7 +354,7 @@ TEST_F(BagReaderTest, WriterLeavesOutAnImuWithoutSamples) {
       BagRequest request = Request();
       request.imu_topic = i == 0 ? "/imu" : "/imu" + std::to_string(i);
       const SessionData read = ReadBag(request).data;
-      ExpectSameSamples(read, {data.poses, {data.imus[i]}});
+      ExpectSameSamples(read, {data.poses, {data.imus[i]}, {}});
     }
   }
 }

@@ -323,6 +323,20 @@ TEST_F(Ros2BagTest, OneBodyOfSeveralIsChosenByName) {
   EXPECT_EQ(wand.data.poses[9].p_WM, data.poses[9].p_WM + Eigen::Vector3d(0, 0, 5));
   EXPECT_EQ(rig.info.marker_frame, "rig");
   EXPECT_EQ(rig.info.world_frame, "mocap");
+  // Another body of the same topic is a pose sensor.
+  BagRequest request;
+  request.paths = {Path("bodies.mcap")};
+  request.body = "rig";
+  request.pose_sensors = {"/poses:wand"};
+  const Recording both = ReadBag(request);
+  EXPECT_EQ(both.data.poses[9].p_WM, rig.data.poses[9].p_WM);
+  EXPECT_EQ(both.data.pose_sensors.at(0)[9].p_WM, wand.data.poses[9].p_WM);
+  EXPECT_EQ(both.info.pose_sensors.at(0).topic, "/poses:wand");
+  EXPECT_EQ(both.info.pose_sensors[0].frame, "wand");
+  request.pose_sensors = {"/poses:rig"};
+  ExpectError<InputError>([&] { ReadBag(request); }, {"pose_sensor '/poses:rig' is the marker"});
+  request.pose_sensors = {"/poses"};
+  ExpectError<InputError>([&] { ReadBag(request); }, {"choose with '/poses:BODY'"});
   write(false);
   EXPECT_EQ(Read(Path("bodies.mcap")).info.marker_frame, "rig");
   ExpectError<InputError>([&] { Read(Path("x.bag"), "rig"); },

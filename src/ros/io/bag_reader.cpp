@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <boost/algorithm/string/join.hpp>
+#include <boost/algorithm/string/predicate.hpp>
+#include <boost/algorithm/string/replace.hpp>
 #include <cmath>
 #include <filesystem>
 #include <functional>
@@ -94,6 +96,9 @@ std::vector<ImuTopics> ChooseImus(const Bags& bags, const BagRequest& request) {
     for (const BagTopic& topic : bags.topics())
       if (topic.IsImu() && topic.count > 0 && topic.name == request.usual_imu_topic)
         return {{topic, topic}};
+    if (!request.pose_sensors.empty() &&
+        !Has(bags, [](const BagTopic& t) { return t.count > 0 && t.IsImu(); }))
+      return {};
     return {FindImu(bags)};
   }
   const auto gyros = SplitNames(is_split ? request.gyro_topic : request.imu_topic);
@@ -104,7 +109,8 @@ std::vector<ImuTopics> ChooseImus(const Bags& bags, const BagRequest& request) {
                      "; give as many of both, in the same order");
   // Other sessions of the rig have what is missing here.
   const auto may_be_missing = [&](const std::string& name) {
-    return request.may_lack_imus && !Has(bags, [&](const BagTopic& t) { return t.name == name; });
+    return request.may_lack_sensors &&
+           !Has(bags, [&](const BagTopic& t) { return t.name == name; });
   };
   std::vector<ImuTopics> imus(gyros.size());
   for (size_t i = 0; i < gyros.size(); ++i) {
@@ -146,31 +152,64 @@ std::string TfHint(const Bags& bags) {
   return "; for poses from tf give tf_parent and tf_child, its frames are: " + links.Links();
 }
 
+/// Parent and child of poses from tf.
+using TfFrames = std::pair<std::string, std::string>;
+
+std::string NameOf(const TfFrames& frames) { return "tf:" + frames.first + ":" + frames.second; }
+
+/// Of a pose sensor tf:PARENT:CHILD; no value when it is a topic.
+std::optional<TfFrames> SplitTf(const std::string& name) {
+  if (!boost::starts_with(name, "tf:")) return std::nullopt;
+  const size_t colon = name.find(':', 3);
+  if (colon == std::string::npos)
+    throw InputError("pose_sensor '" + name + "' must be tf:PARENT:CHILD");
+  return TfFrames(FrameName(name.substr(3, colon - 3), ""), FrameName(name.substr(colon + 1), ""));
+}
+
+/// Whether a topic may have the poses of the marker: that of a pose sensor has, where it holds
+/// those of several bodies.
+bool MayBeMarker(const BagRequest& request, const BagTopic& topic) {
+  const auto is_it = [&](const std::string& name) { return SplitBody(name).first == topic.name; };
+  return topic.count > 0 && topic.IsPose() &&
+         (topic.IsBodies() ||
+          std::none_of(request.pose_sensors.begin(), request.pose_sensors.end(), is_it));
+}
+
 /// A single pair of frames that tf has poses between is taken by itself when there are no others.
 BagRequest FindTf(const Bags& bags, BagRequest request) {
   const bool is_open = request.poses && request.pose_topic.empty() && request.tf_parent.empty() &&
                        request.tf_child.empty() && request.body.empty();
-  if (!is_open || Has(bags, [](const BagTopic& t) { return t.count > 0 && t.IsPose(); }))
+  if (!is_open || Has(bags, [&](const BagTopic& t) { return MayBeMarker(request, t); }))
     return request;
   TfChain links("", "", 0.0);
   AddTf(bags, &links);
-  if (const auto pair = links.SinglePair()) std::tie(request.tf_parent, request.tf_child) = *pair;
+  const std::optional<TfFrames> pair = links.SinglePair();
+  const auto is_it = [&](const std::string& name) { return SplitTf(name) == pair; };
+  if (pair && std::none_of(request.pose_sensors.begin(), request.pose_sensors.end(), is_it))
+    std::tie(request.tf_parent, request.tf_child) = *pair;
   return request;
 }
 
-BagTopic ChoosePose(const Bags& bags, const std::string& name) {
+BagTopic NamedPose(const Bags& bags, const std::string& field, const std::string& name) {
+  const BagTopic& topic = bags.Find(field, name);
+  if (!topic.IsPose())
+    throw InputError(field + " '" + name + "' is " + topic.type + ", must be " +
+                     boost::join(PoseTypeNames(), " or ") +
+                     (topic.IsTf() ? ", or named tf:PARENT:CHILD" : ""));
+  return topic;
+}
+
+BagTopic ChoosePose(const Bags& bags, const BagRequest& request) {
+  const std::string& name = request.pose_topic;
   if (!name.empty()) {
     const BagTopic& topic = bags.Find("pose_topic", name);
     if (topic.IsTf())
       throw InputError("pose_topic '" + name + "' is " + topic.type + "; leave it empty" +
                        TfHint(bags));
-    if (!topic.IsPose())
-      throw InputError("pose_topic '" + name + "' is " + topic.type + ", must be " +
-                       boost::join(PoseTypeNames(), " or "));
-    return topic;
+    return NamedPose(bags, "pose_topic", name);
   }
   const std::vector<BagTopic> candidates =
-      bags.Select([](const BagTopic& t) { return t.count > 0 && t.IsPose(); });
+      bags.Select([&](const BagTopic& t) { return MayBeMarker(request, t); });
   if (candidates.empty())
     throw InputError("no topic of type " + boost::join(PoseTypeNames(), " or ") + " in " +
                      bags.Contents() + TfHint(bags));
@@ -248,8 +287,10 @@ std::optional<PoseStd> MedianStd(const std::vector<PoseSample>& poses) {
 }
 
 /// The body of a topic of several that a request names, or the only one; of a topic of one nothing.
-std::string ChooseBody(const Bags& bags, const BagTopic& topic, const std::string& name) {
-  const std::string field = "pose_topic '" + topic.name + "'";
+/// `role`: the field that names the topic; `how`: what names the body.
+std::string ChooseBody(const Bags& bags, const std::string& role, const BagTopic& topic,
+                       const std::string& name, const std::string& how) {
+  const std::string field = role + " '" + topic.name + "'";
   if (!topic.IsBodies() && !name.empty())
     throw InputError("body '" + name + "' is given, but " + field + " is " + topic.type +
                      ", which holds one body");
@@ -261,18 +302,22 @@ std::string ChooseBody(const Bags& bags, const BagTopic& topic, const std::strin
   });
   const std::string list = field + " has the bodies: " + boost::join(names, ", ");
   if (names.empty()) throw InputError(field + " has no bodies");
-  if (name.empty() && names.size() > 1) throw InputError(list + "; choose with body");
+  if (name.empty() && names.size() > 1) throw InputError(list + "; choose with " + how);
   if (!name.empty() && names.count(name) == 0)
     throw InputError("body '" + name + "' is missing: " + list);
   return name.empty() ? *names.begin() : name;
 }
 
-/// Takes the poses of one body out of messages of a topic.
+/// Takes the poses of one body out of messages of a topic, or from tf; neither: they are elsewhere.
 struct PoseReader {
+  std::string field;  ///< that names it
   BagTopic topic;
   std::string body;  ///< of a topic of several
+  std::optional<TfFrames> tf;
   FramedPose first;
   Stream<PoseSample> poses;
+
+  std::string Name() const { return tf ? NameOf(*tf) : JoinBody(topic.name, body); }
 
   void Add(const BagMessage& message, bool record_time) {
     if (message.topic != topic.name) return;
@@ -284,42 +329,86 @@ struct PoseReader {
   void Add(const BagMessage& message, const FramedPose& framed, bool record_time) {
     if (poses.samples.empty()) first = framed;
     if (framed.world_frame != first.world_frame || framed.marker_frame != first.marker_frame)
-      throw InputError("pose_topic '" + topic.name + "' mixes poses of several frames: '" +
+      throw InputError(field + " '" + topic.name + "' mixes poses of several frames: '" +
                        first.world_frame + "' -> '" + first.marker_frame + "' and '" +
                        framed.world_frame + "' -> '" + framed.marker_frame + "'");
     poses.Add(message, framed.pose, record_time);
   }
 
-  void Finish(RecordingInfo* info, std::vector<PoseSample>* finished) {
-    poses.Finish(topic.name, &info->pose_latency, finished);
-    info->pose_topic = topic.name;
+  /// As the marker.
+  void Finish(bool record_time, RecordingInfo* info, std::vector<PoseSample>* finished) {
+    info->pose_topic = tf ? "/tf" : topic.name;
+    poses.Finish(info->pose_topic, &info->pose_latency, finished);
+    if (tf && record_time) info->pose_latency.reset();  // of no meaning
     info->world_frame = FrameName(first.world_frame, "world");
     info->marker_frame = FrameName(first.marker_frame, "marker");
     info->stated_pose_std = MedianStd(*finished);
   }
+
+  /// As a pose sensor.
+  void Finish(PoseSensorInfo* info, std::vector<PoseSample>* finished) {
+    std::optional<Latency> unused;
+    poses.Finish(Name(), &unused, finished);
+    info->topic = Name();
+    const std::string frame = boost::replace_all_copy(FrameName(topic.name, ""), "/", "_");
+    info->frame = FrameName(first.marker_frame, frame);
+    info->world_frame = FrameName(first.world_frame, info->frame + "_world");
+  }
 };
 
-void ReadTf(const Bags& bags, const BagRequest& request, Recording* recording) {
-  Stream<PoseSample> poses;
-  TfChain chain(request.tf_parent, request.tf_child, bags.duration_s());
+/// The poses of a reader that has frames of tf. Without any it has none of these afterwards when it
+/// may lack them.
+void ReadTf(const Bags& bags, bool record_time, bool may_lack, PoseReader* reader) {
+  const auto [parent, child] = *reader->tf;
+  Stream<PoseSample>& poses = reader->poses;
+  TfChain chain(parent, child, bags.duration_s());
   bags.ForEachTf([&](const BagMessage& message, bool fixed) {
     const auto msg = message.instantiate<tf2_msgs::TFMessage>();
-    if (request.record_time)
+    if (record_time)
       for (auto& transform : msg->transforms) transform.header.stamp = message.time;
     chain.Add(*msg, fixed);
     for (const PoseSample& pose : chain.TakePoses()) poses.Add(message, pose, false);
   });
-  if (poses.samples.empty()) {
+  reader->first.world_frame = parent;
+  reader->first.marker_frame = child;
+  if (!poses.samples.empty()) return;
+  if (may_lack) return reader->tf.reset();
+  try {
     chain.Check();
-    throw InputError("at no stamp are all links between tf_parent '" + request.tf_parent +
-                     "' and tf_child '" + request.tf_child + "' known");
+    throw InputError("at no stamp are all links between tf_parent '" + parent + "' and tf_child '" +
+                     child + "' known");
+  } catch (const InputError& error) {
+    if (reader->field == "pose_topic") throw;
+    throw InputError(reader->field + " '" + reader->Name() + "': " + error.what());
   }
-  RecordingInfo& info = recording->info;
-  info.pose_topic = "/tf";
-  poses.Finish(info.pose_topic, &info.pose_latency, &recording->data.poses);
-  if (request.record_time) info.pose_latency.reset();  // of no meaning
-  info.world_frame = FrameName(request.tf_parent, "");
-  info.marker_frame = FrameName(request.tf_child, "");
+}
+
+PoseReader ChooseMarker(const Bags& bags, const BagRequest& request) {
+  PoseReader marker;
+  marker.field = "pose_topic";
+  if (!request.tf_parent.empty()) {
+    marker.tf = TfFrames(FrameName(request.tf_parent, ""), FrameName(request.tf_child, ""));
+  } else if (request.poses) {
+    marker.topic = ChoosePose(bags, request);
+    marker.body = ChooseBody(bags, marker.field, marker.topic, request.body, "body");
+  }
+  return marker;
+}
+
+/// A pose sensor that may be missing is nameless then.
+PoseReader ChoosePoseSensor(const Bags& bags, const BagRequest& request, const std::string& name) {
+  PoseReader sensor;
+  sensor.field = "pose_sensor";
+  sensor.tf = SplitTf(name);
+  if (sensor.tf || name.empty()) return sensor;
+  const auto [topic, body] = SplitBody(name);
+  const auto is_it = [&, &named = topic](const BagTopic& t) {
+    return t.count > 0 && t.name == named;
+  };
+  if (request.may_lack_sensors && !Has(bags, is_it)) return sensor;
+  sensor.topic = NamedPose(bags, sensor.field, topic);
+  sensor.body = ChooseBody(bags, sensor.field, sensor.topic, body, "'" + topic + ":BODY'");
+  return sensor;
 }
 
 Recording Read(const BagRequest& given) {
@@ -330,15 +419,20 @@ Recording Read(const BagRequest& given) {
   if (tf && !request.body.empty())
     throw InputError("body '" + request.body + "' does not go with poses from tf");
   // Nameless topics are not read: of an IMU that is missing, of poses from elsewhere.
-  PoseReader poses;
   std::vector<ImuReader> imus;
   if (request.imus)
     for (ImuTopics& topics : ChooseImus(bags, request)) imus.emplace_back().topics = topics;
-  if (request.poses && !tf) {
-    poses.topic = ChoosePose(bags, request.pose_topic);
-    poses.body = ChooseBody(bags, poses.topic, request.body);
+  std::vector<PoseReader> sensors;
+  for (const std::string& name : request.pose_sensors)
+    sensors.push_back(ChoosePoseSensor(bags, request, name));
+  PoseReader marker = ChooseMarker(bags, request);
+  std::set<std::string> topics = {marker.topic.name};
+  std::vector<std::string> names;
+  for (const PoseReader& sensor : sensors) {
+    topics.insert(sensor.topic.name);
+    names.push_back(sensor.Name());
   }
-  std::set<std::string> topics = {poses.topic.name};
+  CheckPoseSensors(marker.Name(), names);
   for (const ImuReader& imu : imus) {
     CheckContent(bags, imu.topics);
     topics.insert({imu.topics.gyro.name, imu.topics.accel.name});
@@ -347,7 +441,8 @@ Recording Read(const BagRequest& given) {
   // All in one pass: what is compressed is unfolded once.
   bags.ForEach(topics, [&](const BagMessage& message) {
     for (ImuReader& imu : imus) imu.Add(message, request.record_time);
-    poses.Add(message, request.record_time);
+    marker.Add(message, request.record_time);
+    for (PoseReader& sensor : sensors) sensor.Add(message, request.record_time);
     return true;
   });
 
@@ -359,8 +454,16 @@ Recording Read(const BagRequest& given) {
   for (size_t i = 0; i < imus.size(); ++i)
     if (!imus[i].topics.gyro.name.empty())
       imus[i].Finish(&recording.info.imus[i], &recording.data.imus[i]);
-  if (!poses.topic.name.empty()) poses.Finish(&recording.info, &recording.data.poses);
-  if (tf) ReadTf(bags, request, &recording);
+  if (marker.tf) ReadTf(bags, request.record_time, false, &marker);
+  if (!marker.Name().empty())
+    marker.Finish(request.record_time, &recording.info, &recording.data.poses);
+  recording.info.pose_sensors.resize(sensors.size());
+  recording.data.pose_sensors.resize(sensors.size());
+  for (size_t k = 0; k < sensors.size(); ++k) {
+    if (sensors[k].tf) ReadTf(bags, request.record_time, request.may_lack_sensors, &sensors[k]);
+    if (!sensors[k].Name().empty())
+      sensors[k].Finish(&recording.info.pose_sensors[k], &recording.data.pose_sensors[k]);
+  }
   return recording;
 }
 

@@ -9,6 +9,7 @@
 #include <cstdlib>
 #include <functional>
 #include <limits>
+#include <optional>
 #include <sstream>
 #include <vector>
 
@@ -149,13 +150,15 @@ void Add(const std::string& topic, const std::vector<Sample>& samples, int64_t o
 }
 
 template <typename Msg>
-void AddPosesAs(const std::vector<PoseSample>& poses, std::vector<Record>* records) {
-  const auto to_msg = [&poses](size_t k) {
-    auto msg = Stamped<Msg>(poses[k].t_ns, "world");
+void AddPosesAs(const std::vector<PoseSample>& poses, std::vector<Record>* records,
+                const std::string& topic = "/mocap/pose", const std::string& frame = "world",
+                int64_t offset = 0) {
+  const auto to_msg = [&poses, frame](size_t k) {
+    auto msg = Stamped<Msg>(poses[k].t_ns, frame);
     SetPose({poses[k].q_WM, poses[k].p_WM}, &msg);
     return msg;
   };
-  Add("/mocap/pose", poses, 0, to_msg, records);
+  Add(topic, poses, offset, to_msg, records);
 }
 
 void AddPoses(const std::string& type, const std::vector<PoseSample>& poses,
@@ -204,19 +207,28 @@ void AddImu(const BagFormat& format, const ImuData& imu, int64_t offset,
       "/imu", gyro, offset, [&](size_t k) { return ToImu(&gyro[k], &accel[k]); }, records);
 }
 
-/// The gyroscope of the first IMU that has samples of it; without any when there is none.
-const std::vector<ImuSample>& FirstGyro(const SessionData& data) {
+/// The first stamp of the gyroscope of the first IMU that has samples of it.
+std::optional<int64_t> FirstGyro(const SessionData& data) {
   for (const ImuData& imu : data.imus)
-    if (!imu.gyro.empty()) return imu.gyro;
-  return data.imus[0].gyro;
+    if (!imu.gyro.empty()) return imu.gyro.front().t_ns;
+  return std::nullopt;
 }
 
-/// What to add to the stamps of the first IMU to get record times.
-int64_t RecordOffset(const SessionData& data) {
-  const std::vector<ImuSample>& gyro = FirstGyro(data);
-  if (data.poses.empty() || gyro.empty()) return 0;
-  const int64_t offset = data.poses.front().t_ns - gyro.front().t_ns;
+/// What to add to stamps that begin with `first_ns` to get record times.
+int64_t RecordOffset(const SessionData& data, std::optional<int64_t> first_ns) {
+  if (data.poses.empty() || !first_ns) return 0;
+  const int64_t offset = data.poses.front().t_ns - *first_ns;
   return std::abs(offset) > kDay ? offset : 0;
+}
+
+void AddPoseSensors(const SessionData& data, std::vector<Record>* records) {
+  for (size_t k = 0; k < data.pose_sensors.size(); ++k) {
+    const std::vector<PoseSample>& poses = data.pose_sensors[k];
+    if (poses.empty()) continue;
+    const std::string name = "pose_sensor" + (k == 0 ? "" : std::to_string(k));
+    AddPosesAs<geometry_msgs::PoseStamped>(poses, records, "/" + name, name + "_world",
+                                           RecordOffset(data, poses.front().t_ns));
+  }
 }
 
 /// A definition of a message as ROS 2 has it, without comments.
@@ -270,14 +282,15 @@ void CheckSameStamps(const ImuData& imu) {
 void WriteBag(const std::string& path, const SessionData& data, const BagFormat& format) {
   std::vector<Record> records;
   AddPoses(format.pose_type, data.poses, &records);
-  const int64_t offset = RecordOffset(data);
-  AddImu(format, data.imus[0], offset, &records);
+  AddPoseSensors(data, &records);
+  const int64_t offset = RecordOffset(data, FirstGyro(data));
+  if (!data.imus.empty()) AddImu(format, data.imus[0], offset, &records);
   for (size_t i = 1; i < data.imus.size(); ++i) {
     const ImuData& imu = data.imus[i];
     CheckSameStamps(imu);
     if (imu.IsEmpty()) continue;
     const std::string name = "imu" + std::to_string(i);
-    const int64_t own_offset = offset + FirstGyro(data).front().t_ns - imu.gyro.front().t_ns;
+    const int64_t own_offset = offset + *FirstGyro(data) - imu.gyro.front().t_ns;
     const auto to_msg = [&imu, name](size_t k) { return ToImu(&imu.gyro[k], &imu.accel[k], name); };
     Add("/" + name, imu.gyro, own_offset, to_msg, &records);
   }
@@ -312,6 +325,11 @@ std::string TruthYaml(const SimulatorOptions& options) {
        << "gravity: " << YamlNumbers(g_W) << "\n# at the start\n"
        << "gyro_bias: " << YamlNumbers(options.gyro_bias) << "\n"
        << "accel_bias: " << YamlNumbers(options.accel_bias) << "\n";
+  for (const SimulatedPoseSensor& sensor : options.pose_sensors)
+    text << (&sensor == &options.pose_sensors[0] ? "# T_marker_sensor\npose_sensors:\n" : "")
+         << "  - {rotation: " << YamlNumbers(sensor.T_MS.q.coeffs())
+         << ", translation: " << YamlNumbers(sensor.T_MS.p)
+         << ", time_shift: " << YamlNumber(sensor.time_shift_s) << "}\n";
   return text.str();
 }
 

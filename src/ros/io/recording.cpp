@@ -4,8 +4,10 @@
 #include <cereal/types/optional.hpp>
 #include <cereal/types/string.hpp>
 #include <cereal/types/vector.hpp>
+#include <filesystem>
 #include <iterator>
 #include <map>
+#include <set>
 #include <sstream>
 
 namespace imu_pose_calib {
@@ -52,11 +54,16 @@ void serialize(Archive& archive, ImuInfo& imu) {
 }
 
 template <typename Archive>
+void serialize(Archive& archive, PoseSensorInfo& sensor) {
+  archive(sensor.topic, sensor.frame, sensor.world_frame);
+}
+
+template <typename Archive>
 void serialize(Archive& archive, Recording& recording) {
   RecordingInfo& info = recording.info;
   archive(info.bag, info.imus, info.pose_topic, info.world_frame, info.marker_frame, info.imu_yaml);
-  archive(info.notes, info.stated_pose_std, info.pose_latency);
-  archive(recording.data.poses, recording.data.imus);
+  archive(info.notes, info.stated_pose_std, info.pose_latency, info.pose_sensors);
+  archive(recording.data.poses, recording.data.imus, recording.data.pose_sensors);
 }
 // NOLINTEND(readability-identifier-naming)
 
@@ -89,6 +96,26 @@ std::vector<std::string> SplitNames(const std::string& text) {
   return names;
 }
 
+std::pair<std::string, std::string> SplitBody(const std::string& name) {
+  std::error_code ignored;
+  const size_t colon = name.rfind(':');
+  if (colon == std::string::npos || std::filesystem::exists(name, ignored)) return {name, ""};
+  return {name.substr(0, colon), name.substr(colon + 1)};
+}
+
+std::string JoinBody(const std::string& source, const std::string& body) {
+  return body.empty() ? source : source + ":" + body;
+}
+
+void CheckPoseSensors(const std::string& marker, const std::vector<std::string>& pose_sensors) {
+  std::set<std::string> known;
+  for (const std::string& name : pose_sensors) {
+    if (name.empty()) continue;
+    if (name == marker) throw InputError("pose_sensor '" + name + "' is the marker; choose others");
+    if (!known.insert(name).second) throw InputError("pose_sensor '" + name + "' is given twice");
+  }
+}
+
 std::string FrameName(const std::string& frame, const std::string& fallback) {
   const size_t first = frame.find_first_not_of('/');
   return first == std::string::npos ? fallback : frame.substr(first);
@@ -104,6 +131,12 @@ void NameFrames(const std::string& marker_frame, const std::string& imu_frame,
     std::string& frame = info->imus[i].imu_frame;
     if (uses[frame] > 1) frame = FrameName(frame, "imu") + std::to_string(i);
     if (i < names.size()) frame = FrameName(names[i], frame);
+  }
+  std::set<std::string> taken = {info->marker_frame};
+  for (const ImuInfo& imu : info->imus) taken.insert(imu.imu_frame);
+  for (size_t k = 0; k < info->pose_sensors.size(); ++k) {
+    std::string& frame = info->pose_sensors[k].frame;
+    if (!taken.insert(frame).second) frame += "_sensor" + std::to_string(k);
   }
 }
 

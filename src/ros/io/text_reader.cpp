@@ -7,6 +7,7 @@
 #include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <iterator>
 #include <limits>
 #include <utility>
 #include <vector>
@@ -33,11 +34,21 @@ std::vector<std::string> SplitFiles(const std::string& text) {
   return std::filesystem::exists(text) ? std::vector<std::string>{text} : SplitNames(text);
 }
 
+bool IsPoseSensor(const TextRequest& request, const std::string& path) {
+  std::error_code ignored;
+  return std::any_of(request.pose_sensors.begin(), request.pose_sensors.end(),
+                     [&](const std::string& name) {
+                       return std::filesystem::equivalent(SplitBody(name).first, path, ignored);
+                     });
+}
+
 using HasHeader = bool (*)(std::istream&, const std::string& name);
 
-/// SENSOR/data.csv of the folder that has the header.
-std::string FindTable(const std::string& folder, HasHeader has_header, const std::string& what,
+/// SENSOR/data.csv of the request's folder that has the header, and is no pose sensor. With pose
+/// sensors an IMU may be missing.
+std::string FindTable(const TextRequest& request, HasHeader has_header, const std::string& what,
                       const std::string& fields) {
+  const std::string& folder = request.folder;
   namespace fs = std::filesystem;
   std::vector<std::string> tables;
   try {
@@ -45,7 +56,7 @@ std::string FindTable(const std::string& folder, HasHeader has_header, const std
     const fs::path base = fs::is_directory(mav0) ? mav0 : fs::path(folder);
     for (const fs::directory_entry& sensor : fs::directory_iterator(base)) {
       const std::string path = (sensor.path() / "data.csv").string();
-      if (!fs::is_regular_file(path)) continue;
+      if (!fs::is_regular_file(path) || IsPoseSensor(request, path)) continue;
       std::ifstream file = Open(path);
       if (has_header(file, path)) tables.push_back(path);
     }
@@ -53,6 +64,7 @@ std::string FindTable(const std::string& folder, HasHeader has_header, const std
     throw InputError("folder '" + folder + "' cannot be read: " + error.code().message());
   }
   std::sort(tables.begin(), tables.end());
+  if (tables.empty() && has_header == HasImuHeader && !request.pose_sensors.empty()) return "";
   if (tables.empty())
     throw InputError("folder '" + folder +
                      "' has no SENSOR/data.csv whose header names the columns of " + what +
@@ -96,17 +108,39 @@ void Cut(double start_s, double duration_s, const Span& whole, std::vector<Sampl
   samples->erase(std::remove_if(samples->begin(), samples->end(), is_out), samples->end());
 }
 
-void ReadPoses(const TextRequest& files, Recording* recording) {
-  std::ifstream poses = Open(files.poses);
-  if (std::optional<MocapPoses> mocap = ReadMocapCsv(poses, files.poses, files.body)) {
-    recording->data.poses = std::move(mocap->poses);
-    recording->info.marker_frame = FrameName(mocap->body, "marker");
-    return;
-  }
-  if (!files.body.empty())
-    throw InputError("body '" + files.body + "' is given, but '" + files.poses +
+/// Poses of a file that holds one body, nameless then, or of one of several.
+MocapPoses ReadPoses(const std::string& path, const std::string& body) {
+  std::ifstream poses = Open(path);
+  if (std::optional<MocapPoses> mocap = ReadMocapCsv(poses, path, body)) return *std::move(mocap);
+  if (!body.empty())
+    throw InputError("body '" + body + "' is given, but '" + path +
                      "' is no CSV of Motive or Vicon and holds one body");
-  recording->data.poses = ReadPoseTable(poses, files.poses);
+  return {ReadPoseTable(poses, path), ""};
+}
+
+/// The marker, if its file is named, and the pose sensors.
+void ReadAllPoses(const TextRequest& files, Recording* recording) {
+  RecordingInfo& info = recording->info;
+  std::string marker_body;
+  if (!files.poses.empty()) {
+    MocapPoses marker = ReadPoses(files.poses, files.body);
+    recording->data.poses = std::move(marker.poses);
+    info.marker_frame = FrameName(marker.body, "marker");
+    marker_body = marker.body;
+  }
+  std::vector<std::string> names;
+  for (const std::string& name : files.pose_sensors) {
+    PoseSensorInfo& sensor = info.pose_sensors.emplace_back();
+    std::vector<PoseSample>& poses = recording->data.pose_sensors.emplace_back();
+    if (name.empty()) continue;
+    const auto [path, body] = SplitBody(name);
+    MocapPoses read = ReadPoses(path, body);
+    const std::string stem = std::filesystem::path(path).stem();
+    poses = std::move(read.poses);
+    sensor = {JoinBody(path, read.body), FrameName(read.body, stem), stem + "_world"};
+    names.push_back(sensor.topic);
+  }
+  CheckPoseSensors(JoinBody(files.poses, marker_body), names);
 }
 
 }  // namespace
@@ -116,13 +150,12 @@ TextRequest FindFiles(TextRequest request) {
       IsPair({"imu", request.imu}, {"gyro", request.gyro}, {"accel", request.accel});
   const bool has_imu = !request.imu.empty();
   if (!request.folder.empty()) {
-    if (request.poses.empty())
-      request.poses = FindTable(request.folder, HasPoseHeader, "poses", "poses");
+    if (request.poses.empty()) request.poses = FindTable(request, HasPoseHeader, "poses", "poses");
     if (!has_imu && !is_split)
-      request.imu = FindTable(request.folder, HasImuHeader, "an IMU", "imu, or gyro and accel");
+      request.imu = FindTable(request, HasImuHeader, "an IMU", "imu, or gyro and accel");
   }
   if (request.poses.empty()) throw InputError("poses is missing: the file of the poses");
-  if (request.imu.empty() && !is_split)
+  if (request.imu.empty() && !is_split && request.pose_sensors.empty())
     throw InputError("imu is missing: the file of the IMU (or gyro and accel)");
   return request;
 }
@@ -137,6 +170,18 @@ void CutSpan(double start_s, double duration_s, SessionData* data) {
     Cut(start_s, duration_s, imu, &samples.accel);
   }
   Cut(start_s, duration_s, poses, &data->poses);
+  if (start_s == 0.0 && duration_s == 0.0) return;
+  for (std::vector<PoseSample>& sensor : data->pose_sensors) CutToPoses(data->poses, &sensor);
+}
+
+void CutToPoses(const std::vector<PoseSample>& marker, std::vector<PoseSample>* pose_sensor) {
+  const Span span = FindSpan(marker);
+  const auto is_within = [&](const PoseSample& pose) {
+    return pose.t_ns >= span.begin && pose.t_ns <= span.end;
+  };
+  std::vector<PoseSample> within;
+  std::copy_if(pose_sensor->begin(), pose_sensor->end(), std::back_inserter(within), is_within);
+  if (!within.empty()) *pose_sensor = std::move(within);
 }
 
 Recording ReadText(const TextRequest& request) {
@@ -152,7 +197,8 @@ Recording ReadFiles(const TextRequest& files) {
   recording.info.world_frame = "world";
   recording.info.marker_frame = "marker";
   recording.info.imus.clear();
-  if (!files.poses.empty()) ReadPoses(files, &recording);
+  recording.data.imus.clear();
+  ReadAllPoses(files, &recording);
   if (files.imu.empty() && files.gyro.empty()) return recording;
 
   const bool is_split = files.imu.empty();

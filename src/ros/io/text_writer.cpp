@@ -27,6 +27,23 @@ std::string SensorTable(const std::string& header, const std::vector<ImuSample>&
   return table.text();
 }
 
+std::string AslPoses(const std::vector<PoseSample>& poses) {
+  TextTable table(
+      "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],"
+      "q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []\n",
+      ',');
+  for (const PoseSample& pose : poses)
+    table.AddRow(NanosecondsText(pose.t_ns), pose.p_WM, pose.q_WM.w(), pose.q_WM.vec());
+  return table.text();
+}
+
+std::string TumPoses(const std::vector<PoseSample>& poses) {
+  TextTable table("# timestamp tx ty tz qx qy qz qw\n", ' ');
+  for (const PoseSample& pose : poses)
+    table.AddRow(SecondsText(pose.t_ns), pose.p_WM, pose.q_WM.coeffs());
+  return table.text();
+}
+
 }  // namespace
 
 const char kAslImuHeader[] =
@@ -42,25 +59,24 @@ void TextTable::Append(double value) {
 void WriteAslFolder(const std::string& folder, const SessionData& data) {
   OutputFiles files;
   const std::string imu = ImuTable(kAslImuHeader, NanosecondsText, data.imus[0]);
-  TextTable poses(
-      "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],"
-      "q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []\n",
-      ',');
-  for (const PoseSample& pose : data.poses)
-    poses.AddRow(NanosecondsText(pose.t_ns), pose.p_WM, pose.q_WM.w(), pose.q_WM.vec());
   for (const char* sensor : {"", "/mocap0", "/imu0"}) files.MakeFolder(folder + sensor);
-  files.Write(folder + "/mocap0/data.csv", poses.text());
+  files.Write(folder + "/mocap0/data.csv", AslPoses(data.poses));
   files.Write(folder + "/imu0/data.csv", imu);
+  for (size_t k = 0; k < data.pose_sensors.size(); ++k) {
+    const std::string sensor = folder + "/pose_sensor" + std::to_string(k);
+    files.MakeFolder(sensor);
+    files.Write(sensor + "/data.csv", AslPoses(data.pose_sensors[k]));
+  }
   files.Commit();
 }
 
 void WriteTables(const std::string& prefix, const SessionData& data, bool split_imu) {
   OutputFiles files;
   const ImuData& imu = data.imus[0];
-  TextTable poses("# timestamp tx ty tz qx qy qz qw\n", ' ');
-  for (const PoseSample& pose : data.poses)
-    poses.AddRow(SecondsText(pose.t_ns), pose.p_WM, pose.q_WM.coeffs());
-  files.Write(prefix + ".poses.txt", poses.text());
+  files.Write(prefix + ".poses.txt", TumPoses(data.poses));
+  for (size_t k = 0; k < data.pose_sensors.size(); ++k)
+    files.Write(prefix + ".pose_sensor" + (k == 0 ? "" : std::to_string(k)) + ".txt",
+                TumPoses(data.pose_sensors[k]));
   if (split_imu) {
     files.Write(prefix + ".gyro.csv", SensorTable("timestamp,gx,gy,gz\n", imu.gyro));
     files.Write(prefix + ".accel.csv", SensorTable("timestamp,ax,ay,az\n", imu.accel));

@@ -75,6 +75,9 @@ void NameFiles(OfflineRequest* request) {
     throw InputError("text files have no topics and no tf; choose with poses, imu, gyro and accel");
   if (bag.record_time)
     throw InputError("text files have no times of recording; leave out record_time");
+  for (const std::string& name : bag.pose_sensors)
+    if (!name.empty())
+      throw InputError("pose_sensor '" + name + "' is no file, nor is there a bag");
   if (!bag.paths.empty()) text.folder = bag.paths[0];
   bag.paths.clear();
   text.body = bag.body;
@@ -83,8 +86,24 @@ void NameFiles(OfflineRequest* request) {
   text = FindFiles(text);
   const std::filesystem::path imu = text.imu.empty() ? text.gyro : text.imu;
   const std::string noise = imu.parent_path() / "sensor.yaml";
-  if (request->imu_yaml.empty() && request->config.empty() && std::filesystem::exists(noise))
+  if (request->imu_yaml.empty() && request->config.empty() && !imu.empty() &&
+      std::filesystem::exists(noise))
     request->imu_yaml = noise;
+}
+
+/// Shares the pose sensors out to text files and bags; a place that one has is nameless in the
+/// other.
+void SplitPoseSensors(size_t sessions, OfflineRequest* request) {
+  if (request->pose_sensors.empty()) return;
+  std::error_code ignored;
+  for (const std::string& name : SplitBags(request->pose_sensors)) {
+    const bool is_file = std::filesystem::is_regular_file(SplitBody(name).first, ignored);
+    if (is_file && sessions > 1)
+      throw InputError("pose_sensor '" + name + "' is a file, which goes with one recording, not " +
+                       std::to_string(sessions));
+    request->text.pose_sensors.push_back(is_file ? name : "");
+    request->bag.pose_sensors.push_back(is_file ? "" : name);
+  }
 }
 
 /// One request for each session.
@@ -104,7 +123,8 @@ std::vector<OfflineRequest> SplitSessions(const OfflineRequest& given) {
   std::vector<OfflineRequest> sessions(groups.size(), given);
   for (size_t s = 0; s < groups.size(); ++s) {
     sessions[s].bag.paths = groups[s];
-    sessions[s].bag.may_lack_imus = groups.size() > 1;
+    sessions[s].bag.may_lack_sensors = groups.size() > 1;
+    SplitPoseSensors(groups.size(), &sessions[s]);
     if (is_mixed) SplitParts(&sessions[s]);
     if (is_text) NameFiles(&sessions[s]);
   }
@@ -117,19 +137,26 @@ Recording ReadRecording(const OfflineRequest& request) {
   BagRequest bag = request.bag;
   if (!request.imu_yaml.empty()) bag.usual_imu_topic = LoadImuYaml(request.imu_yaml).rostopic;
   Recording recording = ReadBag(bag);
-  if (bag.poses && bag.imus) return recording;
   Recording files = ReadFiles(text);
-  if (bag.poses) {
+  if (!bag.imus) {
     recording.info.imus = std::move(files.info.imus);
     recording.data.imus = std::move(files.data.imus);
-  } else {
+  }
+  if (!bag.poses) {
     recording.info.pose_topic = files.info.pose_topic;
     recording.info.world_frame = files.info.world_frame;
     recording.info.marker_frame = files.info.marker_frame;
     recording.data.poses = std::move(files.data.poses);
   }
+  for (size_t k = 0; k < text.pose_sensors.size(); ++k) {
+    if (text.pose_sensors[k].empty()) continue;
+    std::vector<PoseSample>& poses = recording.data.pose_sensors[k];
+    recording.info.pose_sensors[k] = std::move(files.info.pose_sensors[k]);
+    poses = std::move(files.data.pose_sensors[k]);
+    if (bag.start_s + bag.duration_s > 0.0) CutToPoses(recording.data.poses, &poses);
+  }
   // Bags and text files have no span of record time in common: the stamps of the samples count.
-  CutSpan(text.start_s, text.duration_s, &recording.data);
+  if (!bag.poses || !bag.imus) CutSpan(text.start_s, text.duration_s, &recording.data);
   return recording;
 }
 
@@ -146,13 +173,36 @@ void NameFrames(const OfflineRequest& request, RecordingInfo* info) {
                        "', which leaves no transform between them; give one of them another name");
 }
 
-/// The recordings of one rig, and the frames of its IMUs the same in all of them.
+/// Where a recording has no IMU at all, and others have, gives it a place for each. Gives a pose
+/// sensor the frame that it has where it is first. Throws InputError when no recording has it.
+void CompleteRig(const OfflineRequest& request, std::vector<Recording>* recordings) {
+  size_t imus = 0;
+  for (const Recording& recording : *recordings) imus = std::max(imus, recording.data.imus.size());
+  for (Recording& recording : *recordings) {
+    if (!recording.data.imus.empty()) continue;
+    recording.info.imus.resize(imus);
+    recording.data.imus.resize(imus);
+  }
+  for (size_t k = 0; k < request.bag.pose_sensors.size(); ++k) {
+    const auto first = std::find_if(
+        recordings->begin(), recordings->end(),
+        [k](const Recording& recording) { return !recording.data.pose_sensors[k].empty(); });
+    if (first == recordings->end())
+      throw InputError("pose_sensor '" + request.bag.pose_sensors[k] +
+                       request.text.pose_sensors[k] + "' has no poses in any recording");
+    const std::string frame = first->info.pose_sensors[k].frame;
+    for (Recording& recording : *recordings) recording.info.pose_sensors[k].frame = frame;
+  }
+}
+
+/// The recordings of one rig, and the frames of its sensors the same in all of them.
 std::vector<Recording> ReadRecordings(const std::vector<OfflineRequest>& sessions) {
   std::vector<Recording> recordings;
   for (const OfflineRequest& session : sessions) {
     recordings.push_back(ReadRecording(session));
     recordings.back().info.imu_yaml = session.imu_yaml;
   }
+  CompleteRig(sessions.front(), &recordings);
   RecordingInfo& first = recordings.front().info;
   for (Recording& recording : recordings) {
     for (size_t i = 0; i < recording.info.imus.size() && i < first.imus.size(); ++i) {
@@ -198,6 +248,8 @@ void PlanOutput(const Given& output, const std::vector<OfflineRequest>& sessions
         {"calibration", request.calibration}};
     for (const std::string& path : request.bag.paths)
       for (const std::string& file : FilesOfBag(path)) inputs.emplace_back("bag", file);
+    for (const std::string& name : text.pose_sensors)
+      inputs.emplace_back("pose_sensor", SplitBody(name).first);
     std::error_code ignored;
     for (const auto& [name, path] : inputs)
       if (std::filesystem::equivalent(output.value, path, ignored))

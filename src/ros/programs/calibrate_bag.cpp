@@ -34,6 +34,8 @@ po::options_description DescribeCommon(CommandLine* line) {
   auto add = options.add_options();
   add("imu-topic", Repeated(&request.bag.imu_topic), "sensor_msgs/Imu; again for each further IMU");
   add("pose-topic", Value(&request.bag.pose_topic), "poses of the marker");
+  add("pose-sensor", Repeated(&request.pose_sensors),
+      "poses of a camera, SLAM, ...: TOPIC, FILE, or tf:PARENT:CHILD; again for each further one");
   add("body", Value(&request.bag.body), "rigid body, where poses are of several");
   add("imu-yaml", Value(&request.imu_yaml), "Kalibr's imu.yaml: noise and topic");
   add("config", Value(&request.config), "YAML of options, see config/default.yaml");
@@ -95,7 +97,8 @@ void PrintHelp(bool with_others) {
             << "       calibrate_bag --poses FILE --imu FILE [options] CSV, TUM, Motive, Vicon\n\n"
             << "Finds where an IMU sits on a tracked body, the marker: T_marker_imu (x_marker =\n"
             << "R x_imu + p), and time_shift (t_pose = t_imu + time_shift). Bags that do not\n"
-            << "continue each other are sessions of the same body. Topics are found by type.\n\n"
+            << "continue each other are sessions of the same body. Topics are found by type.\n"
+            << "So for each further source of poses on the body, with or without an IMU.\n\n"
             << DescribeCommon(&line) << "\n";
   if (with_others) std::cout << DescribeOthers(&line.request) << "\n";
   std::cout << "Examples:\n"
@@ -103,6 +106,7 @@ void PrintHelp(bool with_others) {
             << "  calibrate_bag my.bag --report my.html --export kalibr,ros2\n"
             << "  calibrate_bag rosbag2_folder --pose-topic /rigid_bodies --body drone\n"
             << "  calibrate_bag first.mcap second.mcap --imu-topic /imu0 --imu-topic /imu1\n"
+            << "  calibrate_bag my.bag --pose-topic /mocap/pose --pose-sensor /camera/pose\n"
             << "  calibrate_bag imu.bag --poses take.csv --body drone --output drone.yaml\n\n"
             << "Exit status: 0 calibrated, 1 bad usage or unreadable input, 2 data that cannot\n"
             << "be calibrated.\n";

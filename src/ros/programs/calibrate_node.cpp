@@ -49,6 +49,7 @@ Job ReadJob() {
       {"body", &request.bag.body},
       {"imu_topic", &request.bag.imu_topic},
       {"pose_topic", &request.bag.pose_topic},
+      {"pose_sensor", &request.pose_sensors},
       {"gyro_topic", &request.bag.gyro_topic},
       {"accel_topic", &request.bag.accel_topic},
       {"tf_parent", &request.bag.tf_parent},

@@ -25,7 +25,7 @@ struct CommandLine {
   double imu_rate_hz = 200.0;
   size_t imus = 1;
   BagFormat format;
-  bool lidar = false, help = false;
+  bool pose_sensor = false, lidar = false, help = false;
 };
 
 po::options_description Describe(CommandLine* line) {
@@ -59,6 +59,8 @@ po::options_description Describe(CommandLine* line) {
       "Imu or Vector3Stamped (/imu/gyro and /imu/accel)");
   add("truth", Value(&line->truth, "FILE"),
       "where the IMU truly was, on its clock: .tum, .csv (EuRoC), .bag, or a folder (ASL)");
+  add("pose-sensor", po::bool_switch(&line->pose_sensor),
+      "poses of a camera on the body in a world of its own, /pose_sensor");
   add("lidar", po::bool_switch(&line->lidar),
       "a spinning lidar in a room, /points, on the IMU's clock; where it sits: OUTPUT.lidar.yaml");
   add("help", po::bool_switch(&line->help), "print this text");
@@ -89,6 +91,7 @@ SimulatorOptions Simulator(const CommandLine& line) {
   SimulatorOptions simulator = line.simulator;
   simulator.motion = ParseMotion(line.motion);
   simulator.gyro_rate_hz = simulator.accel_rate_hz = line.imu_rate_hz;
+  if (line.pose_sensor) simulator.pose_sensors.emplace_back();
   for (const auto& [option, value] : {std::pair{"duration", simulator.duration_s},
                                       {"pose-rate", simulator.pose_rate_hz},
                                       {"imu-rate", line.imu_rate_hz}})

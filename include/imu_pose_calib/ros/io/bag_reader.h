@@ -24,8 +24,11 @@ struct BagRequest {
   bool record_time = false;  ///< Stamp with the record times instead of the header stamps.
   /// What to read; the other part is in text files. Its fields above are to be empty then.
   bool poses = true, imus = true;
-  /// An IMU that is named may be missing: another session of the rig has it.
-  bool may_lack_imus = false;
+  /// TOPIC, TOPIC:BODY where messages hold several, or tf:PARENT:CHILD. A nameless one is
+  /// elsewhere.
+  std::vector<std::string> pose_sensors;
+  /// An IMU or pose sensor that is named may be missing: another session of the rig has it.
+  bool may_lack_sensors = false;
   /// Taken when no IMU topic is given and the bags have it.
   std::string usual_imu_topic;
 };
@@ -36,7 +39,11 @@ struct BagRequest {
 /// nav_msgs/Odometry, or tf; of ROS 2 also messages that hold poses of several bodies by name).
 ///
 /// Time is the header stamp, at full precision. World frame: header.frame_id of the poses; marker
-/// frame: child_frame_id, else "marker"; imu frame: header.frame_id of the IMU, else "imu".
+/// frame: child_frame_id, else "marker"; imu frame: header.frame_id of the IMU, else "imu". Of a
+/// pose sensor the same as of the marker, else "camera_pose" and "camera_pose_world" for
+/// /camera/pose.
+///
+/// With a pose sensor there need not be an IMU.
 ///
 /// Bags are read in a child process: damage that crashes rosbag or lets it hang ends there. It is a
 /// fork, so call this before ros::start() (that is, before the first NodeHandle): see RunApart().

@@ -57,16 +57,18 @@ void CheckSameStamps(const ImuData& imu);
 
 /// Writes poses on /mocap/pose or /tf (frame world, child marker) and IMU samples (frame imu);
 /// further IMUs that have samples on /imu1 (frame imu1) and so on, as Imu, recorded as if they had
-/// all started together.
+/// all started together; pose sensors on /pose_sensor (frame pose_sensor_world), /pose_sensor1 and
+/// so on, as PoseStamped.
 /// Record times are header times; when the clocks start more than a day apart, the IMU's record
-/// times are moved to the pose clock as if both had started together.
+/// times, or a pose sensor's, are moved to the pose clock as if both had started together.
 ///
 /// Throws InputError when the file cannot be written, when a type is unknown, or when one
 /// topic is to hold gyroscope and accelerometer samples of different stamps.
 void WriteBag(const std::string& path, const SessionData& data, const BagFormat& format);
 
 /// Truth of a simulated bag as YAML: rotation [x, y, z, w] and translation of T_marker_imu,
-/// time_shift, accel_delay, gravity, gyro_bias, accel_bias.
+/// time_shift, accel_delay, gravity, gyro_bias, accel_bias; of pose sensors T_marker_sensor and
+/// time_shift.
 std::string TruthYaml(const SimulatorOptions& options);
 
 }  // namespace imu_pose_calib

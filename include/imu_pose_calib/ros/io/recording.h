@@ -2,6 +2,7 @@
 
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "imu_pose_calib/core/base/types.h"
@@ -28,7 +29,7 @@ struct ImuInfo {
 
 /// Where the poses of a pose sensor come from. All empty: the recording lacks it.
 struct PoseSensorInfo {
-  std::string topic;               ///< or path of a file
+  std::string topic;               ///< or path of a file, either with :BODY; or tf:PARENT:CHILD
   std::string frame, world_frame;  ///< S and V, without leading slash
 };
 
@@ -76,11 +77,21 @@ void CheckSpan(double start_s, double duration_s);
 /// The names that one text holds with white space between them; at least one, which may be empty.
 std::vector<std::string> SplitNames(const std::string& text);
 
+/// Source and body of a name SOURCE:BODY; of a name without, or that a file has, no body.
+std::pair<std::string, std::string> SplitBody(const std::string& name);
+
+/// SOURCE:BODY, or SOURCE when there is no body.
+std::string JoinBody(const std::string& source, const std::string& body);
+
+/// Throws InputError when a pose sensor is the marker, or is given twice; all as by JoinBody().
+void CheckPoseSensors(const std::string& marker, const std::vector<std::string>& pose_sensors);
+
 /// `frame` without leading slash, or `fallback` when it is empty.
 std::string FrameName(const std::string& frame, const std::string& fallback);
 
 /// Sets frames that are named by the user, `imu_frame` with white space between those of several
-/// IMUs; empty names keep those of the recording. IMUs that it calls alike get numbers.
+/// IMUs; empty names keep those of the recording. IMUs that it calls alike get numbers, and so do
+/// pose sensors that it calls as what is before them.
 void NameFrames(const std::string& marker_frame, const std::string& imu_frame, RecordingInfo* info);
 
 /// For handing a recording from one process to another of the same program.

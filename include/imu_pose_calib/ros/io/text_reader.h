@@ -1,6 +1,7 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include "imu_pose_calib/ros/io/recording.h"
 
@@ -16,8 +17,9 @@ struct TextRequest {
   std::string imu;    ///< several IMUs: white space between them, unless a file is called so
   /// Split IMU, both or none; not together with `imu`.
   std::string gyro, accel;
-  double start_s = 0.0;     ///< [s] after the first stamp; see ReadText()
-  double duration_s = 0.0;  ///< [s] 0: to the end
+  std::vector<std::string> pose_sensors;  ///< FILE as poses, or FILE:BODY; "": elsewhere
+  double start_s = 0.0;                   ///< [s] after the first stamp; see ReadText()
+  double duration_s = 0.0;                ///< [s] 0: to the end
 };
 
 /// The request with every file named. Throws InputError when it is incomplete or ambiguous, naming
@@ -31,11 +33,17 @@ Recording ReadFiles(const TextRequest& request);
 /// Keeps the samples from `start_s` on, for `duration_s` (0: to the end), as said at ReadText().
 void CutSpan(double start_s, double duration_s, SessionData* data);
 
+/// Keeps those poses of a pose sensor that are within the time of the marker's; all when none are,
+/// since its clock is another one then.
+void CutToPoses(const std::vector<PoseSample>& marker, std::vector<PoseSample>* pose_sensor);
+
 /// Reads a recording from text files. The frames are called world, marker and imu; the topics of
 /// the info are the paths of the files.
 ///
 /// `start_s` counts from the first stamp of all files when poses and IMU share a time span, else
-/// (clocks of different epochs) from the first stamp of each.
+/// (clocks of different epochs) from the first stamp of each. Pose sensors: see CutToPoses().
+///
+/// With a pose sensor there need not be an IMU.
 ///
 /// Throws InputError as FindFiles() and ReadFiles() do.
 Recording ReadText(const TextRequest& request);

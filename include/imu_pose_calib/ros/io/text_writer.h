@@ -43,11 +43,13 @@ extern const char kAslImuHeader[];
 // InputError when a file cannot be written or when one file is to hold gyroscope and accelerometer
 // samples of different stamps.
 
-/// ASL dataset (EuRoC) of poses and IMU: folder/mocap0/data.csv and folder/imu0/data.csv.
+/// ASL dataset (EuRoC) of poses and IMU: folder/mocap0/data.csv and folder/imu0/data.csv; pose
+/// sensors in pose_sensor0 and so on.
 void WriteAslFolder(const std::string& folder, const SessionData& data);
 
 /// Tables without any folder: prefix.poses.txt (TUM) and prefix.imu.csv, or for a split IMU
-/// prefix.gyro.csv and prefix.accel.csv.
+/// prefix.gyro.csv and prefix.accel.csv; pose sensors prefix.pose_sensor.txt, .pose_sensor1.txt and
+/// so on.
 void WriteTables(const std::string& prefix, const SessionData& data, bool split_imu);
 
 }  // namespace imu_pose_calib

@@ -25,6 +25,8 @@ struct OfflineRequest {
   /// Text files without any bag; those to choose of the folder; or either the poses or the IMUs,
   /// the others being in the bags, which are one session then. Only the names of files are used.
   TextRequest text;
+  /// With white space between them: files as poses, one session only, or see BagRequest.
+  std::string pose_sensors;
   std::string config;  ///< YAML of CalibrationOptions
   /// Kalibr's imu.yaml; its noise wins over `config`. Empty: without a `config`, the sensor.yaml
   /// beside a text file of the IMU, if there is one.
