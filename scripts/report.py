@@ -85,6 +85,11 @@ PER_SESSION = (
      'poses are missing or left out.',
      figures.error_bounds),
 )
+PER_SENSOR = (
+    'Residuals against the trajectory of the solve, and by how far the world of the sensor moves where the sensor is, '
+    'against where it was as its piece began. Errors are those of evo, aligned as the session begins. Good: an even '
+    'band within about three times the dashed noise, few red triangles, drift without steps. Bad: residuals that swing '
+    'with the motion (clock, mount, a filter), or drift that takes up jumps.')
 REFUSED = (
     ('missing', 'Motion: how fast and how far it turned',
      'About the axes of the marker about which it turned most, second and least. Good: every bar reaches the dashed '
@@ -111,6 +116,11 @@ def sections(report):
             wanted = wanted + own if head['solved'] else own + wanted
         for name, title, sentence, function, arguments, of in wanted:
             yield name + ('-%d' % (count + 1) if count else ''), title + of, sentence, function, arguments
+    pairs = [(s, x['sensor']) for s, session in enumerate(head['sessions']) for x in session.get('pose_sensors') or []]
+    for count, (s, k) in enumerate(pairs[:MOST_PAIRS]):
+        title = 'Pose sensor %d, %s' % (k, head['pose_sensors'][k]['frame']) + (
+            ', session %d' % (s + 1) if len(head['sessions']) > 1 else '')
+        yield 'pose_sensor' + ('-%d' % (count + 1) if count else ''), title, PER_SENSOR, figures.pose_sensor, (s, k)
 
 
 # --- Tables ---
@@ -125,7 +135,32 @@ def rpy(q):
             np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
 
 
+def sensor_rows(report):
+    for k, sensor in enumerate(report.head.get('pose_sensors') or []):
+        if sensor['status'] not in ('ok', 'weak'):
+            continue
+        yield ('translation of sensor%d [mm]' % k, triple(sensor['translation'], 1e3, '%.3f'),
+               triple(sensor['std'][:3], 1e3, '%.3f'), 'x, y, z in the marker frame')
+        yield ('quaternion of sensor%d' % k, triple(sensor['rotation'], 1, '%.6f'),
+               triple(sensor['std'][3:], DEGREES, '%.4f deg'), 'x, y, z, w; sigma about the sensor axes')
+        for s, session in enumerate(report.head['sessions']):
+            for x in session.get('pose_sensors') or []:
+                if x['sensor'] != k:
+                    continue
+                of = ' of sensor%d' % k + (', session %d' % (s + 1) if len(report.head['sessions']) > 1 else '')
+                yield ('time shift%s [s]' % of, '%.7f' % x['clock'][0], '%.7f' % x['clock'][1],
+                       't_pose = t_sensor + time_shift')
+                yield ('scale' + of, '%.5f' % x['scale'][0], '%.5f' % x['scale'][1],
+                       'positions of its poses = scale true')
+
+
 def result_rows(report):
+    if report.has_imu:
+        yield from imu_rows(report)
+    yield from sensor_rows(report)
+
+
+def imu_rows(report):
     result = report.result
     imus = result.get('imus') or [result]
     for k, imu in enumerate(imus):
@@ -238,7 +273,7 @@ def remark(report, verdict):
         return ''
     if not verdict.harmless:
         return verdict.why[0].upper() + verdict.why[1:]
-    return 'Harmless: ' + verdict.why if report.head['status'] == 'ok' and \
+    return 'Harmless: ' + verdict.why if report.head['status'] == 'ok' and report.has_imu and \
         report.result['quality']['split_half']['sigmas'] <= 5 else ''
 
 
@@ -255,9 +290,12 @@ def write_result(report, page):
     status = report.head['status']
     if status == 'refused':
         page.text('No result: the numbers below show why, and are not to be used.')
-    page.table('table', ('imu in marker', 'value', 'sigma' if len(report.head['sessions']) > 1 else
-                         'sigma of this recording', ''), result_rows(report))
-    page.text('x_marker = R x_imu + p. ' + repetition(report))
+    page.table('table', ('imu in marker' if report.has_imu else 'in marker', 'value',
+                         'sigma' if len(report.head['sessions']) > 1 else 'sigma of this recording', ''),
+               result_rows(report))
+    page.text(('x_marker = R x_imu + p. ' if report.has_imu else 'x_marker = R x_sensor + p. ') + repetition(report))
+    if not report.has_imu:
+        return
     page.heading('normalised', 'Residuals over the noise of the solve, x, y, z')
     page.table('residual_table', ('', 'noise', 'mean', 'median', 'standard deviation', 'within 3 spreads % (99.73)'),
                residual_rows(report))
@@ -268,11 +306,12 @@ def write_report(report, page):
     names = [str(session['source']) for session in head['sessions']]
     wanted = list(sections(report))
     drawn = page.draw(report, wanted)
-    page.title('Calibration of an IMU on a tracked body', ', '.join(names))
+    page.title('Calibration of %s on a tracked body' % (
+        'pose sensors' if report.result and not report.has_imu else 'an IMU'), ', '.join(names))
     page.verdict(head['status'], str(head['message']))
     judged = [(x[0], x[1], found[1], remark(report, found[1])) for x, found in zip(wanted, drawn)
               if found and found[1]]
-    if report.result:
+    if report.has_imu:
         agreement = report_verdicts.agreement(report)
         judged.insert(0, (*agreement, remark(report, agreement[2])))
     page.judged(sorted(judged, key=lambda x: (BAD, LOOK, GOOD).index(x[2].level)))
@@ -296,7 +335,7 @@ def write_report(report, page):
     pairs = sum(len(session['imus']) for session in head['sessions'])
     if pairs > MOST_PAIRS:
         page.text('%d more pairs of session and imu are without figures.' % (pairs - MOST_PAIRS))
-    if head['solved'] and not any(found for x, found in zip(wanted, drawn) if x[0].startswith('error_bounds')):
+    if report.has_imu and not any(found for x, found in zip(wanted, drawn) if x[0].startswith('error_bounds')):
         page.text('No error bounds of trajectory and biases: their covariance was not kept, see max_factor_mb.')
     page.heading('settings', 'Settings', True)
     page.settings([(k, 'not given' if v is None else str(v).lower() if isinstance(v, bool) else v)
@@ -312,7 +351,7 @@ def main():
         write_comparison(report, page, making_rows)
     else:
         pairs = sum(len(session['imus']) for session in report.head['sessions'])
-        report_axes.BINS = max(120, report_axes.BINS // min(pairs, MOST_PAIRS))
+        report_axes.BINS = max(120, report_axes.BINS // max(1, min(pairs, MOST_PAIRS)))
         write_report(report, page)
     page.write(path)
 

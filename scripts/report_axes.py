@@ -41,8 +41,9 @@ class Report:
         self.folder = folder
         self.head = self.yaml('report.yaml')
         self.result = self.yaml('result.yaml') if self.head.get('solved') else None
+        self.has_imu = bool(self.result) and 'transform' in self.result
         self.halves = ''  # what the halves of the recording say, each taken alone
-        if self.result:
+        if self.has_imu:
             sigmas = self.result['quality']['split_half']['sigmas']
             self.halves = 'the halves of the recording %s %.1f sigma (bound 5)' % (
                 'agree to' if sigmas <= 5 else 'differ by', sigmas)

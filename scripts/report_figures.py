@@ -42,6 +42,19 @@ def signals(report, s, imu):
     return figure, verdicts.signals(report, s, imu, spectrum)
 
 
+def draw_residuals(ax, t, r, weight, noise, limit):
+    """Of three axes, cut off at the limit; those of little weight are marked."""
+    for k, (axis, color) in enumerate(AXES):
+        draw_series(ax, t, np.clip(r[:, k], -limit, limit), color, axis, alpha=0.55)
+    for sign in (-1, 1):
+        ax.axhline(sign * noise, color='black', linestyle='--', linewidth=0.8, label='noise' if sign > 0 else None)
+    low = np.flatnonzero(weight < 0.5)
+    shown = low[np.linspace(0, low.size - 1, min(low.size, 300)).astype(int)] if low.size else low
+    worst = r[shown, np.argmax(np.abs(r[shown]), axis=1)] if low.size else r[shown, 0]
+    ax.plot(t[shown], np.clip(worst, -limit, limit), 'v', color=RED, markersize=3, linestyle='none',
+            label='weight < 1/2')
+
+
 def residual_series(report, s, imu):
     session = report.head['sessions'][s]
     figure, axes = axes_of(4, 1, 1.2, share=True)
@@ -51,19 +64,10 @@ def residual_series(report, s, imu):
         if t.size == 0:
             ax.set_title('%s: not part of this solve' % title)
             continue
-        r *= factor
         noise = factor * found['noise']
+        r *= factor
         limit = max(5 * noise, 1.3 * np.quantile(np.abs(r), 0.999))
-        for k, (axis, color) in enumerate(AXES):
-            draw_series(ax, t, np.clip(r[:, k], -limit, limit), color, axis, alpha=0.55)
-        for sign in (-1, 1):
-            ax.axhline(sign * noise, color='black', linestyle='--', linewidth=0.8,
-                       label='noise' if sign > 0 else None)
-        low = np.flatnonzero(weight < 0.5)
-        shown = low[np.linspace(0, low.size - 1, min(low.size, 300)).astype(int)] if low.size else low
-        worst = r[shown, np.argmax(np.abs(r[shown]), axis=1)] if low.size else r[shown, 0]
-        ax.plot(t[shown], np.clip(worst, -limit, limit), 'v', color=RED, markersize=3, linestyle='none',
-                label='weight < 1/2')
+        draw_residuals(ax, t, r, weight, noise, limit)
         stream = 'poses' if quantity in ('position', 'rotation') else quantity
         recorded = stamps(report, s, stream, imu)
         bins = int(np.clip((recorded[-1] - recorded[0]) / 0.25, 10, 500))
@@ -73,7 +77,7 @@ def residual_series(report, s, imu):
             ax.axvspan(edges[begin], edges[end], color='#bbbbbb', alpha=0.6, linewidth=0)
         ax.set(ylabel='[%s]' % unit, ylim=(-1.1 * limit, 1.1 * limit))
         ax.set_title('%s: rms %.3g, noise %.3g %s; %.2g %% weighed down' % (
-            title, factor * found['rms'], noise, unit, 100 * low.size / t.size))
+            title, factor * found['rms'], noise, unit, 100 * np.mean(weight < 0.5)))
         ax.margins(x=0.01)
     axes[-1, 0].set_xlabel('time [s]; grey: more than half of the samples left out')
     legend(axes[0, 0])
@@ -421,6 +425,36 @@ def trajectory(report, s):
         ax.tick_params(labelsize='x-small', pad=0)
         ax.legend(loc='lower right', bbox_to_anchor=(1.0, 0.855), ncol=3)
     return where.figure, verdicts.trajectory(report, s)
+
+
+# --- Figures of a session and a pose sensor ---
+
+def pose_sensor(report, s, k):
+    found, t, rows, world = series.pose_sensor(report, s, k)
+    figure, axes = axes_of(4, 1, 1.2, share=True)
+    begins = np.flatnonzero(world[:, 7])
+    for row, (quantity, unit, column) in enumerate((('position', 'mm', 0), ('rotation', 'mrad', 3))):
+        ax, weight, noise = axes[row, 0], rows[:, 6 + row], 1e3 * found['noise'][row]
+        limit = 6 * noise
+        draw_residuals(ax, t, 1e3 * rows[:, column:column + 3], weight, noise, limit)
+        ax.set(ylabel='[%s]' % unit, ylim=(-1.1 * limit, 1.1 * limit))
+        ax.set_title('%s: rms %.3g, noise %.3g %s; %.2g %% weighed down' % (
+            quantity, 1e3 * found['rms'][row], noise, unit, 100 * np.mean(weight < 0.5)))
+        ax = axes[2 + row, 0]
+        moved = np.insert(1e3 * world[:, 1 + column:4 + column], begins, np.nan, axis=0)  # no line from piece to piece
+        times = np.insert(world[:, 0], begins, np.nan)
+        for axis, (name, color) in enumerate(AXES):
+            ax.plot(times, moved[:, axis], color=color, label=name)
+        for begin in begins[1:]:
+            ax.axvline(world[begin, 0], color=RED, linestyle=':', label='jump' if begin == begins[1] else None)
+        ax.set_ylabel('[%s]' % unit)
+        ax.set_title('drift of the world in %s: %.2g %s/√s' % (quantity, 1e3 * found['drift'][row], unit))
+    for ax in axes[:, 0]:
+        ax.margins(x=0.01)
+    axes[-1, 0].set_xlabel('time [s]')
+    legend(axes[0, 0])
+    legend(axes[2, 0])
+    return figure, verdicts.pose_sensor(report, found, len(begins) - 1)
 
 
 def fill_box(ax, points):

@@ -135,6 +135,15 @@ def grid(report, s, imu):
     return rates[good], turning[good], Motion(*(x[good] for x in m)), force[good]
 
 
+def pose_sensor(report, s, k):
+    """What is said of a pose sensor in a session; times of its poses, rows of their residuals, and of how its world has
+    moved, see calibration_report.cpp."""
+    found = [x for x in report.head['sessions'][s]['pose_sensors'] if x['sensor'] == k][0]
+    name = 's%d_p%d_' % (s, k)
+    return (found, report.times(name + 'residual_t'), report.rows(name + 'residual').astype(float),
+            report.rows(name + 'world'))
+
+
 def growth(report, s, imu):
     """Rows of the share of the data, and of the sigmas of translation, rotation, time shift and accel delay by then:
     what the samples tell beside gravity and constant biases on a trajectory that is known, brought to the sigmas of

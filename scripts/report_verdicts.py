@@ -324,6 +324,15 @@ def trajectory(report, s):
         'poses are cut at jumps and used on both sides' if session['jumps'] else 'the others are enough')
 
 
+def pose_sensor(report, found, jumps):
+    sensor = report.head['pose_sensors'][found['sensor']]
+    pair = lambda name: '%.3g mm, %.3g mrad' % tuple(1e3 * x for x in found[name])
+    return Verdict({'ok': GOOD, 'weak': LOOK}.get(sensor['status'], BAD),
+                   '%s; noise %s; absolute error (ape) %s; relative error over 1 s (rpe) %s; jumps: %d' % (
+                       sensor['status'], pair('noise'), pair('absolute'), pair('relative'), jumps),
+                   'good: ok, bad: degenerate', sensor['message'], False)
+
+
 def error_bounds(report, s, table):
     session = report.head['sessions'][s]
     known = table[np.isfinite(table).all(axis=1)]

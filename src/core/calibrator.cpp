@@ -308,7 +308,9 @@ void CalibrateSensors(const CalibrationOptions& options, const std::vector<Marke
 /// A rig without IMUs: the trajectories are those of the poses alone.
 Calibration CalibrateSensorsAlone(const CalibrationOptions& options,
                                   const std::vector<SessionData>& data, Calibration result) {
-  std::vector<MarkerMotion> motions;
+  Solution solution;
+  solution.estimate.sessions.resize(data.size());
+  solution.imus.resize(data.size());
   std::vector<std::vector<std::vector<PoseSample>>> poses;
   for (size_t s = 0; s < data.size(); ++s) {
     ConditionedData conditioned = ConditionData(options, data[s]);
@@ -328,11 +330,13 @@ Calibration CalibrateSensorsAlone(const CalibrationOptions& options,
     session.segments = conditioned.segments.size();
     session.gaps = conditioned.gaps;
     session.jumps = conditioned.jumps;
-    motions.push_back(MarkerMotionOf(conditioned.pose_epoch_ns, trajectory));
+    solution.trajectories.push_back(trajectory);
+    solution.pose_epochs_ns.push_back(conditioned.pose_epoch_ns);
     poses.push_back(data[s].pose_sensors);
   }
+  result.solution = std::make_shared<const Solution>(std::move(solution));
   result.status = Status::kOk;
-  CalibrateSensors(options, motions, poses, &result);
+  CalibrateSensors(options, MarkerMotions(result.solution), poses, &result);
   if (result.status == Status::kOk) result.message = "every sigma is within its bound";
   if (std::all_of(result.pose_sensors.begin(), result.pose_sensors.end(),
                   [](const auto& sensor) { return sensor.status == Status::kDegenerate; }))

@@ -125,6 +125,39 @@ TEST_F(ReportTest, MeasuredLessPredictedAreTheResiduals) {
             result.sessions[0].imus[0].time_shift);
 }
 
+/// Pose sensors have figures and rows of their own, with an IMU and without.
+TEST_F(ReportTest, DrawsPoseSensors) {
+  SimulatorOptions truth = Handheld();
+  truth.duration_s = 20.0;
+  truth.pose_sensors.resize(2);
+  truth.pose_sensors[1].drift = 0.02;
+  truth.pose_sensors[1].jumps = 1;
+  RecordingInfo info;
+  info.pose_sensors = {{"/camera", "camera", "map"}, {"/odometry", "lidar", "odom"}};
+  for (const bool has_imu : {true, false}) {
+    std::vector<SessionData> sessions = {Simulate(truth)};
+    if (!has_imu) {
+      sessions[0].imus.clear();
+      info.imus.clear();
+    }
+    const Calibration result = imu_pose_calib::Calibrate({}, sessions);
+    ASSERT_TRUE(result.IsUsable()) << result.message;
+    const std::string page = DrawReport({{}, sessions, {info}, result}, {}, Path("r.html"));
+    EXPECT_EQ(HasSection(page, "signals"), has_imu);
+    EXPECT_TRUE(HasSection(page, "pose_sensor"));
+    EXPECT_TRUE(Contains(page, "Pose sensor 1, lidar"));
+    EXPECT_TRUE(Contains(page, "<td>translation of sensor0 [mm]</td>"));
+    const auto judged = Judged(page);
+    const auto line = std::find_if(judged.begin(), judged.end(),
+                                   [](const auto& it) { return it[1] == "pose_sensor-2"; });
+    ASSERT_NE(line, judged.end());
+    EXPECT_EQ((*line)[0], "good");
+    EXPECT_TRUE(Contains((*line)[2], "ok; noise ")) << (*line)[2];
+    EXPECT_TRUE(Contains((*line)[2], "; jumps: 1")) << (*line)[2];
+    ExpectSelfContained(page);
+  }
+}
+
 TEST_F(ReportTest, DrawsEverythingIntoOnePage) {
   WriteBag(Path("x.bag"), Simulate(Handheld()), {});
   const Outcome outcome = Calibrate("x.bag --report r.html");

@@ -15,9 +15,11 @@
 #include <map>
 
 #include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/ros/io/bag_writer.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/trajectory_writer.h"
+#include "imu_pose_calib/ros/offline/ground_truth.h"
 #include "run_executable.h"
 
 namespace imu_pose_calib {
@@ -427,6 +429,82 @@ TEST_F(TrajectoryTest, SimulationWritesTheTruth) {
   const Outcome refused = ExecutableTest::Run("simulate_bag", "new.bag --duration 3 --truth t.xyz");
   EXPECT_EQ(refused.status, 1);
   EXPECT_FALSE(std::filesystem::exists(Path("new.bag")));
+}
+
+/// The trajectory of a pose sensor, with an IMU and without.
+TEST_F(TrajectoryTest, OfAPoseSensorIsOnItsClock) {
+  SimulatorOptions truth = Truth();
+  truth.duration_s = 20.0;
+  truth.pose_sensors.resize(2);
+  truth.pose_sensors[1].time_shift_s = -30.5;
+  const SessionData data = Simulate(truth);
+  const TrueTrajectory trajectory(truth);
+  RecordingInfo info;
+  info.world_frame = "map";
+  info.pose_sensors = {{"/a", "camera", "a"}, {"/b", "lidar", "b"}};
+  for (const bool has_imu : {true, false}) {
+    SessionData recorded = data;
+    if (!has_imu) recorded.imus.clear();
+    const Calibration result = imu_pose_calib::Calibrate({}, recorded);
+    ASSERT_EQ(result.status, Status::kOk) << result.message;
+    TrajectoryRequest request;
+    request.path = Path(has_imu ? "with.tum" : "without.tum");
+    request.frame = "lidar";
+    const auto targets =
+        PlanTrajectories(request, Method::kJoint, 1, recorded.imus.size(), info.pose_sensors);
+    ASSERT_EQ(targets.size(), 1u);
+    EXPECT_TRUE(IsThere(targets[0], result));
+    OutputFiles outputs;
+    outputs.Plan("trajectory", targets[0].path, false);
+    const auto lines = WriteTrajectories(request, targets, result, {info}, {}, &outputs);
+    outputs.Commit();
+    EXPECT_EQ(Contains(lines[0], ", without sigmas"), !has_imu) << lines[0];
+    const std::vector<std::string> states = States(request.path);
+    ASSERT_GT(states.size() + 10, data.pose_sensors[1].size());
+    auto pose = data.pose_sensors[1].begin();
+    for (const std::string& line : states) {
+      const Row row = Split(line, ' ');
+      const int64_t stamp = FromSeconds(row[0]);
+      while (pose->t_ns < stamp) ++pose;
+      ASSERT_EQ(pose->t_ns, stamp);
+      const TrueState s = trajectory.At(1e-9 * static_cast<double>(stamp - truth.start_ns) - 30.5);
+      const Rigid3 T_WS = Rigid3{Eigen::Quaterniond(s.R_WM), s.p_WM} * truth.pose_sensors[1].T_MS;
+      ASSERT_LT((Vector(row, 1) - T_WS.p).norm(), 3e-3);
+      ASSERT_LT(T_WS.q.angularDistance(Eigen::Quaterniond(Number(row[7]), Number(row[4]),
+                                                          Number(row[5]), Number(row[6]))),
+                3e-3);
+    }
+  }
+}
+
+TEST_F(TrajectoryTest, PlansPoseSensors) {
+  const std::vector<PoseSensorInfo> two = {{"/a", "camera", "a"}, {"/b", "lidar", "b"}};
+  const auto plan = [&](const TrajectoryRequest& request, size_t imus) {
+    std::vector<std::string> names;
+    for (const TrajectoryTarget& target : PlanTrajectories(request, Method::kJoint, 1, imus, two))
+      names.push_back(target.path + (target.is_sensor ? " sensor" : " imu") +
+                      std::to_string(target.place));
+    return names;
+  };
+  const auto error = [&](const TrajectoryRequest& request, size_t imus) -> std::string {
+    try {
+      plan(request, imus);
+    } catch (const InputError& e) {
+      return e.what();
+    }
+    return "none";
+  };
+  using Names = std::vector<std::string>;
+  EXPECT_EQ(plan({"t.tum", "", "", ""}, 1), Names{"t.tum imu0"});
+  EXPECT_EQ(plan({"t.tum", "", "", "sensor1"}, 2), Names{"t.tum sensor1"});
+  EXPECT_EQ(plan({"t.tum", "", "", ""}, 0),
+            (Names{"t_sensor0.tum sensor0", "t_sensor1.tum sensor1"}));
+  EXPECT_EQ(error({"t.tum", "", "", "sensor"}, 1),
+            "trajectory_frame 'sensor' is no pose sensor of the recording; must be sensor0 "
+            "(camera), sensor1 (lidar)");
+  EXPECT_TRUE(Contains(error({"t.csv", "", "", "camera"}, 1), "a pose sensor has none"));
+  EXPECT_TRUE(Contains(error({"t.tum", "ov_eval", "", ""}, 0), "there are none without an imu"));
+  EXPECT_TRUE(Contains(error({"t.tum", "", "imu", "camera"}, 1), "trajectory_clock imu"));
 }
 
 }  // namespace

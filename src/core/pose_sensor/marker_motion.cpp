@@ -12,14 +12,4 @@ std::vector<MarkerMotion> MarkerMotions(const std::shared_ptr<const Solution>& s
   return motions;
 }
 
-MarkerMotion MarkerMotionOf(int64_t epoch_ns,
-                            const std::shared_ptr<const PoseTrajectory>& trajectory) {
-  const auto at = [trajectory](double t) -> std::optional<BodyState> {
-    MarkerState<double> state;
-    if (!trajectory->Evaluate(t, &state)) return std::nullopt;
-    return BodyState{state.q_WM, state.p_WM, state.omega_M, state.v_W, state.alpha_M, state.a_W};
-  };
-  return {epoch_ns, trajectory, at};
-}
-
 }  // namespace imu_pose_calib

@@ -176,7 +176,8 @@ void ReportSession(const SensorEstimate& estimate, const SensorSession& session,
     result->residuals.push_back({pose_time(sample.t), sample.T_VS.p - T_VS.p,
                                  Log(Quaterniond(T_VS.q.conjugate() * sample.T_VS.q)),
                                  std::min(1.0, sample.position_weight),
-                                 std::min(1.0, sample.rotation_weight)});
+                                 std::min(1.0, sample.rotation_weight),
+                                 session.data.pose_epoch_ns + std::llround(1e9 * sample.t)});
     position2 += result->residuals.back().position.squaredNorm();
     rotation2 += result->residuals.back().rotation.squaredNorm();
   }

@@ -10,8 +10,10 @@
 #include <utility>
 
 #include "imu_pose_calib/core/base/median.h"
+#include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/data/stamp_recovery.h"
 #include "imu_pose_calib/core/ground_truth/trajectory.h"
+#include "imu_pose_calib/core/pose_sensor/sensor_track.h"
 #include "imu_pose_calib/core/start/preparation.h"
 #include "imu_pose_calib/ros/io/numpy_table.h"
 #include "imu_pose_calib/ros/io/printable.h"
@@ -65,7 +67,8 @@ class SolvedSession {
  public:
   SolvedSession(const CalibrationRun& run, size_t session,
                 const std::shared_ptr<const TrajectoryCovariance>& covariance, std::string prefix)
-      : s_(session),
+      : run_(run),
+        s_(session),
         solution_(*run.result.solution),
         estimate_(solution_.estimate.sessions[session]),
         has_covariance_(covariance != nullptr),
@@ -142,6 +145,49 @@ class SolvedSession {
     WriteGrid(name + "grid", begin, end);
     WriteBiases(name + "gyro_bias", imu, estimate_.imus[imu].gyro_bias, 0);
     WriteBiases(name + "accel_bias", imu, estimate_.imus[imu].accel_bias, 3);
+  }
+
+  /// Residuals of a pose sensor and their weights; by how much V has moved where the sensor is
+  /// since its piece began [m, rad], in V, and whether one begins; what is said of it.
+  YAML::Node WriteSensor(size_t place, const PoseSensorCalibration& sensor) const {
+    const PoseSensorSession& own = sensor.sessions[s_];
+    const std::string file = prefix_ + "_p" + std::to_string(place);
+    const double epoch = Seconds(trajectory_.epoch_ns());
+    NumpyTable<double> t(1), world(8);
+    NumpyTable<float> rows(8);
+    for (const PoseSensorSession::Residual& r : own.residuals) {
+      t.AddRow(r.t - epoch);
+      rows.AddRow(r.position, r.rotation, r.position_weight, r.rotation_weight);
+    }
+    Rigid3 begin;
+    for (const PoseSensorSession::WorldKnot& knot : own.world) {
+      if (knot.begins_piece) begin = knot.T_VW;
+      Eigen::Vector3d moved = Nothing<3>();
+      if (const auto marker = trajectory_.Marker(knot.t - epoch)) {
+        const Eigen::Vector3d p_WS = marker->p_WB + marker->q_WB * sensor.T_MS.p;
+        moved = knot.T_VW.p - begin.p + own.scale * (knot.T_VW.q * p_WS - begin.q * p_WS);
+      }
+      world.AddRow(knot.t - epoch, moved,
+                   Log(Eigen::Quaterniond(knot.T_VW.q * begin.q.conjugate())),
+                   knot.begins_piece ? 1.0 : 0.0);
+    }
+    t.Write(file + "_residual_t.npy");
+    rows.Write(file + "_residual.npy");
+    world.Write(file + "_world.npy");
+    const SensorErrors errors = FindErrors(run_.result.solution, s_, sensor);
+    YAML::Node node;
+    node["sensor"] = place;
+    node["rate_hz"] = YamlValue(own.poses.rate_hz);
+    node["clock"] = YamlList(
+        Eigen::Vector4d(own.time_shift, own.time_shift_std, own.clock_drift, own.clock_drift_std));
+    node["scale"] = YamlList(Eigen::Vector2d(own.scale, own.scale_std));
+    for (const auto& [name, value] : {std::pair("noise", own.noise),
+                                      {"rms", own.rms},
+                                      {"drift", own.drift},
+                                      {"absolute", errors.absolute},
+                                      {"relative", errors.relative}})
+      node[name] = YamlList(Eigen::Vector2d(value.position, value.rotation));
+    return node;
   }
 
  private:
@@ -222,6 +268,7 @@ class SolvedSession {
     table.Write(prefix_ + "_" + name + ".npy");
   }
 
+  const CalibrationRun& run_;
   const size_t s_;
   const Solution& solution_;
   const SessionEstimate& estimate_;
@@ -332,6 +379,24 @@ YAML::Node WriteSession(const CalibrationRun& run, size_t s,
   solved->WriteMotion(time(recorded.poses.front().t_ns), time(recorded.poses.back().t_ns));
   for (size_t i = 0; i < recorded.imus.size(); ++i)
     if (session.imus[i].is_present) solved->WriteImu(i);
+  for (size_t k = 0; k < run.result.pose_sensors.size(); ++k) {
+    const PoseSensorCalibration& sensor = run.result.pose_sensors[k];
+    if (sensor.sessions[s].is_present)
+      node["pose_sensors"].push_back(solved->WriteSensor(k, sensor));
+  }
+  return node;
+}
+
+/// Where a pose sensor is, and its verdict.
+YAML::Node ToYaml(const PoseSensorCalibration& sensor, const PoseSensorInfo& info) {
+  YAML::Node node;
+  node["frame"] = Printable(info.frame);
+  node["topic"] = Printable(info.topic);
+  node["status"] = ToString(sensor.status);
+  node["message"] = Printable(sensor.message);
+  node["translation"] = YamlList(sensor.T_MS.p);
+  node["rotation"] = YamlList(sensor.T_MS.q.coeffs());
+  node["std"] = YamlList(sensor.Std());
   return node;
 }
 
@@ -349,6 +414,8 @@ void WriteReportData(const CalibrationRun& run, const ReportText& text, const st
   report["message"] = Printable(is_refused ? text.refusal : result.message);
   report["solved"] = result.solution != nullptr;
   report["options"] = YAML::Load(ToYaml(run.options));
+  for (size_t k = 0; k < result.pose_sensors.size(); ++k)
+    report["pose_sensors"].push_back(ToYaml(result.pose_sensors[k], run.infos[0].pose_sensors[k]));
   for (size_t s = 0; s < run.sessions.size(); ++s)
     report["sessions"].push_back(
         WriteSession(run, s, covariance, folder + "/s" + std::to_string(s)));

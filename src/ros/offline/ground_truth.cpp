@@ -5,6 +5,7 @@
 #include <memory>
 
 #include "imu_pose_calib/core/ground_truth/imu_track.h"
+#include "imu_pose_calib/core/pose_sensor/sensor_track.h"
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/yaml_text.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"
@@ -25,6 +26,36 @@ TrackClock ParseClock(const std::string& name) {
   if (name.empty() || name == "imu") return TrackClock::kImu;
   if (name == "poses") return TrackClock::kPoses;
   throw InputError("trajectory_clock '" + name + "' is unknown; must be imu or poses");
+}
+
+/// Places of the pose sensors whose trajectories are asked for. Throws InputError when there is no
+/// such sensor, or the format or clock is none for it.
+std::vector<size_t> FindSensors(const TrajectoryRequest& request, TrajectoryFormat format,
+                                bool has_imu, const std::vector<PoseSensorInfo>& sensors) {
+  if (request.frame.empty() && has_imu) return {};
+  std::vector<size_t> found;
+  std::string known;
+  for (size_t k = 0; k < sensors.size(); ++k) {
+    const std::string name = "sensor" + std::to_string(k);
+    known += (k == 0 ? "; must be " : ", ") + name + " (" + sensors[k].frame + ")";
+    if (request.frame.empty() || request.frame == name || request.frame == sensors[k].frame ||
+        (request.frame == "sensor" && sensors.size() == 1))
+      found.push_back(k);
+  }
+  if (found.empty())
+    throw InputError("trajectory_frame '" + request.frame + "' is no pose sensor of the recording" +
+                     known);
+  if (format == TrajectoryFormat::kEuroc || format == TrajectoryFormat::kAsl)
+    throw InputError(
+        "trajectory_format euroc and asl have biases, and a pose sensor has none; must be tum, "
+        "ov_eval or bag");
+  if (format == TrajectoryFormat::kOvEval && !has_imu)
+    throw InputError(
+        "trajectory_format ov_eval has covariances, and there are none without an imu; use tum");
+  if (request.clock == "imu")
+    throw InputError(
+        "trajectory_clock imu is none of a pose sensor; must be poses, or left out for its own");
+  return found;
 }
 
 /// `path` with `addition` before its suffix.
@@ -65,14 +96,38 @@ std::string Describe(const TrajectoryCount& count, const std::vector<TrackGap>& 
   return text;
 }
 
+/// Writes that of a pose sensor; returns what is to be said of it.
+std::string WriteSensor(const TrajectoryTarget& target, const SensorTrack& track, double rate_hz,
+                        const RecordingInfo& info, OutputFiles* outputs) {
+  const TrajectoryOutput output{track.Instants(rate_hz),
+                                [&](double t) { return track.At(t); },
+                                track.has_covariance(),
+                                {},
+                                info.world_frame,
+                                info.pose_sensors[target.place].frame,
+                                {},
+                                0.0,
+                                0.0,
+                                0.0};
+  const size_t states = WriteTrajectory(target.path, target.format, output, outputs).states;
+  const size_t left_out = output.instants.size() - states;
+  return std::to_string(states) + " states" +
+         (left_out > 0 ? ", " + std::to_string(left_out) + " in gaps of the poses left out" : "") +
+         (output.has_covariance ? "" : ", without sigmas");
+}
+
 }  // namespace
 
 std::vector<TrajectoryTarget> PlanTrajectories(const TrajectoryRequest& request, Method method,
-                                               size_t sessions, size_t imus) {
+                                               size_t sessions, size_t imus,
+                                               const std::vector<PoseSensorInfo>& sensors) {
   if (request.path.empty()) {
-    if (!request.format.empty() || !request.clock.empty() || request.rate_hz != 0.0)
+    if (!request.format.empty() || !request.clock.empty() || request.rate_hz != 0.0 ||
+        !request.frame.empty())
       throw InputError(
-          "trajectory_format, trajectory_clock and trajectory_rate need a file: give trajectory");
+          "trajectory_format, trajectory_clock, trajectory_frame and trajectory_rate need a file: "
+          "give "
+          "trajectory");
     return {};
   }
   const TrajectoryFormat format = ParseTrajectoryFormat(request.format, request.path);
@@ -82,12 +137,17 @@ std::vector<TrajectoryTarget> PlanTrajectories(const TrajectoryRequest& request,
   if (format == TrajectoryFormat::kOvEval && method != Method::kJoint)
     throw InputError(
         "trajectory_format ov_eval has covariances, which only method joint gives; use it, or tum");
+  const std::vector<size_t> chosen = FindSensors(request, format, imus > 0, sensors);
   std::vector<TrajectoryTarget> targets;
+  const size_t count = chosen.empty() ? imus : chosen.size();
   for (size_t s = 0; s < sessions; ++s)
-    for (size_t i = 0; i < imus; ++i) {
-      const std::string addition = (sessions > 1 ? "_session" + std::to_string(s + 1) : "") +
-                                   (imus > 1 ? "_imu" + std::to_string(i) : "");
-      targets.push_back({Insert(request.path, addition, format), format, s, i});
+    for (size_t k = 0; k < count; ++k) {
+      const size_t place = chosen.empty() ? k : chosen[k];
+      const std::string name = (chosen.empty() ? "_imu" : "_sensor") + std::to_string(place);
+      const std::string addition =
+          (sessions > 1 ? "_session" + std::to_string(s + 1) : "") + (count > 1 ? name : "");
+      targets.push_back(
+          {Insert(request.path, addition, format), format, s, place, !chosen.empty()});
     }
   for (const TrajectoryTarget& target : targets) {
     const std::filesystem::path folder = std::filesystem::path(target.path).parent_path();
@@ -107,6 +167,12 @@ std::vector<TrajectoryTarget> PlanTrajectories(const TrajectoryRequest& request,
   return targets;
 }
 
+bool IsThere(const TrajectoryTarget& target, const Calibration& result) {
+  if (!target.is_sensor) return result.sessions[target.session].imus[target.place].is_present;
+  const PoseSensorCalibration& sensor = result.pose_sensors[target.place];
+  return sensor.status != Status::kDegenerate && sensor.sessions[target.session].is_present;
+}
+
 std::vector<std::string> WriteTrajectories(const TrajectoryRequest& request,
                                            const std::vector<TrajectoryTarget>& targets,
                                            const Calibration& result,
@@ -115,18 +181,26 @@ std::vector<std::string> WriteTrajectories(const TrajectoryRequest& request,
                                            OutputFiles* outputs) {
   std::vector<std::string> lines;
   std::shared_ptr<const TrajectoryCovariance> covariance;
-  if (!targets.empty() && result.method == Method::kJoint)
+  if (!targets.empty() && !result.solution->splines.empty())
     covariance = std::make_shared<const TrajectoryCovariance>(result.solution);
+  const TrackClock clock = ParseClock(request.clock);
   for (const TrajectoryTarget& target : targets) {
-    const ImuSession& imu = result.sessions[target.session].imus[target.imu];
-    const ImuTrack track(result.solution, target.session, target.imu, covariance,
-                         ParseClock(request.clock), request.max_gap_s);
     const RecordingInfo& info = infos[target.session];
+    if (target.is_sensor) {
+      const SensorTrack track(result.solution, target.session, result.pose_sensors[target.place],
+                              covariance, clock);
+      lines.push_back(target.path + ": " +
+                      WriteSensor(target, track, request.rate_hz, info, outputs));
+      continue;
+    }
+    const ImuSession& imu = result.sessions[target.session].imus[target.place];
+    const ImuTrack track(result.solution, target.session, target.place, covariance, clock,
+                         request.max_gap_s);
     const TrajectoryCount count =
         WriteTrajectory(target.path, target.format,
                         {track.Instants(request.rate_hz), [&](double t) { return track.At(t); },
                          track.has_covariance(), [&] { return track.Samples(); }, info.world_frame,
-                         info.imus[target.imu].imu_frame, imu.noise, imu.gyro.rate_hz,
+                         info.imus[target.place].imu_frame, imu.noise, imu.gyro.rate_hz,
                          options.gyro_bias_walk, options.accel_bias_walk},
                         outputs);
     lines.push_back(target.path + ": " + Describe(count, track.gaps()));

@@ -288,8 +288,10 @@ void RunOffline(const Progress& progress, OfflineResult* offline) {
   const std::vector<OfflineRequest> requests = SplitSessions(given);
   offline->options = Options(requests.front());
   if (!given.trajectory.path.empty()) offline->options.max_factor_mb = kUnbounded;
-  // Before it takes long; of how many IMUs is not known yet.
-  PlanTrajectories(given.trajectory, offline->options.method, requests.size(), 1);
+  // Before it takes long; of which sensors is not known yet.
+  TrajectoryRequest of_any = given.trajectory;
+  of_any.frame.clear();
+  PlanTrajectories(of_any, offline->options.method, requests.size(), 1);
   CheckReportName(given.report);
   OutputFiles* outputs = offline->outputs.get();
   PlanOutput({"output", given.output}, requests, outputs);
@@ -300,10 +302,9 @@ void RunOffline(const Progress& progress, OfflineResult* offline) {
     offline->infos.push_back(recording.info);
     offline->sessions.push_back(std::move(recording.data));
   }
-  if (!given.trajectory.path.empty() && offline->sessions[0].imus.empty())
-    throw InputError("trajectory is that of an IMU, and the recording has none");
-  offline->trajectories = PlanTrajectories(given.trajectory, offline->options.method,
-                                           requests.size(), offline->sessions[0].imus.size());
+  offline->trajectories =
+      PlanTrajectories(given.trajectory, offline->options.method, requests.size(),
+                       offline->sessions[0].imus.size(), offline->infos[0].pose_sensors);
   for (const TrajectoryTarget& target : offline->trajectories)
     for (const std::string& file : TrajectoryFiles(target.path, target.format))
       PlanOutput({"trajectory", file}, requests, outputs, target.format == TrajectoryFormat::kAsl);
@@ -322,7 +323,7 @@ void RunOffline(const Progress& progress, OfflineResult* offline) {
     warnings.insert(warnings.begin(), info.notes.begin(), info.notes.end());
   if (!offline->result.IsUsable()) Refuse(*offline, offline->result.message);
   const auto is_missing = [&](const TrajectoryTarget& target) {
-    return !offline->result.sessions[target.session].imus[target.imu].is_present;
+    return !IsThere(target, offline->result);
   };
   std::vector<TrajectoryTarget>& targets = offline->trajectories;
   targets.erase(std::remove_if(targets.begin(), targets.end(), is_missing), targets.end());

@@ -72,6 +72,8 @@ po::options_description DescribeOthers(OfflineRequest* given) {
   add("solver", Value(&request.solver), "of method joint: windows (default) or ceres");
   add("trajectory-format", Value(&request.trajectory.format),
       "tum, ov_eval, euroc, asl or bag; default: by the suffix");
+  add("trajectory-frame", Value(&request.trajectory.frame, "NAME"),
+      "pose sensor whose trajectory it is, sensor0 or its frame; default: the IMUs");
   add("trajectory-rate", Value(&request.trajectory.rate_hz, "HZ"),
       "states per second; default: at the samples of the IMU");
   add("trajectory-clock", Value(&request.trajectory.clock),

@@ -67,7 +67,8 @@ Job ReadJob() {
       {"imu_frame", &request.imu_frame},
       {"trajectory", &request.trajectory.path},
       {"trajectory_format", &request.trajectory.format},
-      {"trajectory_clock", &request.trajectory.clock}};
+      {"trajectory_clock", &request.trajectory.clock},
+      {"trajectory_frame", &request.trajectory.frame}};
   for (const auto& [name, field] : texts) *field = Parameter(name, *field);
   request.bag.start_s = Parameter("start", request.bag.start_s);
   request.bag.duration_s = Parameter("duration", request.bag.duration_s);

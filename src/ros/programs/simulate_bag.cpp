@@ -220,8 +220,8 @@ void Run(int argc, char** argv) {
   OutputFiles outputs;
   outputs.Write(prefix + ".truth.yaml", TruthYaml(simulator));
   for (const TrajectoryTarget& target : targets)
-    WriteTruth(target, target.imu == 0 ? simulator : FurtherImu(simulator, target.imu),
-               data.imus[target.imu], &outputs);
+    WriteTruth(target, target.place == 0 ? simulator : FurtherImu(simulator, target.place),
+               data.imus[target.place], &outputs);
   outputs.Commit();
   if (line.lidar) {
     AppendLidar(line.output, simulator);

@@ -146,10 +146,11 @@ struct PoseSensorSession {
   std::vector<WorldKnot> world;
   /// Measured less predicted pose.
   struct Residual {
-    double t;                  ///< [s] pose clock
-    Eigen::Vector3d position;  ///< [m] in V
-    Eigen::Vector3d rotation;  ///< [rad] in S
+    double t;                                 ///< [s] pose clock
+    Eigen::Vector3d position;                 ///< [m] in V
+    Eigen::Vector3d rotation;                 ///< [rad] in S
     double position_weight, rotation_weight;  ///< robust (0..1]
+    int64_t stamp_ns = 0;                     ///< sensor clock
   };
   std::vector<Residual> residuals;
   StreamReport poses;

@@ -17,10 +17,7 @@ struct MarkerMotion {
   std::function<std::optional<BodyState>(double t)> at;  ///< nothing where it is not known
 };
 
-/// Those of all sessions: by the solution, where there is one.
+/// Those of all sessions.
 std::vector<MarkerMotion> MarkerMotions(const std::shared_ptr<const Solution>& solution);
-/// By the poses alone.
-MarkerMotion MarkerMotionOf(int64_t epoch_ns,
-                            const std::shared_ptr<const PoseTrajectory>& trajectory);
 
 }  // namespace imu_pose_calib

@@ -28,9 +28,10 @@ struct ReportText {
 ///
 ///   report.yaml         verdict, names, streams, sensors, and which sessions and IMUs there are
 ///   result.yaml         as the result file, after a solve
-///   sS_..., sS_iI_...   series of session S and of its IMU I, each a NumPy file of rows; times are
-///                       [s] on the clock of the session's poses, or without a solve after the
-///                       first stamp of the stream, everything else SI
+///   sS_..., sS_iI_...   series of session S and of its IMU I, or sS_pP_... of its pose sensor P,
+///                       each a NumPy file of rows; times are [s] on the clock of the session's
+///                       poses, or without a solve after the first stamp of the stream, everything
+///                       else SI
 ///
 /// Throws InputError when a file cannot be written.
 void WriteReportData(const CalibrationRun& run, const ReportText& text, const std::string& folder);

@@ -1,0 +1,172 @@
+#include "imu_pose_calib/core/pose_sensor/sensor_track.h"
+
+#include <algorithm>
+#include <cmath>
+#include <iterator>
+
+#include "imu_pose_calib/core/base/so3.h"
+
+namespace imu_pose_calib {
+namespace {
+
+using Eigen::Matrix3d;
+using Eigen::Quaterniond;
+using Eigen::Vector3d;
+
+constexpr double kApart = 1.0;  // [s] of relative poses
+
+double Seconds(int64_t ns) { return 1e-9 * static_cast<double>(ns); }
+
+/// T_VW at t [s, pose clock].
+Rigid3 WorldAt(const PoseSensorSession& session, double t) {
+  auto after = std::upper_bound(session.world.begin() + 1, session.world.end(), t,
+                                [](double value, const auto& knot) { return value < knot.t; });
+  if (after == session.world.end() || after->begins_piece) --after;  // the end of a piece
+  const auto &knot_0 = *std::prev(after), &knot_1 = *after;
+  const double u = (t - knot_0.t) / (knot_1.t - knot_0.t);
+  const Vector3d turn = Log(Quaterniond(knot_0.T_VW.q.conjugate() * knot_1.T_VW.q));
+  return {knot_0.T_VW.q * Exp<double>(u * turn), (1.0 - u) * knot_0.T_VW.p + u * knot_1.T_VW.p};
+}
+
+/// A pose of the sensor, aligned, and the true one.
+struct PosePair {
+  double t;  ///< [s] pose clock
+  Rigid3 measured, truth;
+};
+
+/// Mean squares of the translations and rotation angles of errors, as they come.
+struct MeanSquares {
+  double position = 0.0, rotation = 0.0;
+  size_t count = 0;
+
+  void Add(const Rigid3& error) {
+    position += error.p.squaredNorm();
+    rotation += Log(error.q).squaredNorm();
+    ++count;
+  }
+  PoseStd Rms() const {
+    const double n = static_cast<double>(std::max<size_t>(count, 1));
+    return {std::sqrt(position / n), std::sqrt(rotation / n)};
+  }
+};
+
+}  // namespace
+
+SensorTrack::SensorTrack(const std::shared_ptr<const Solution>& solution, size_t session,
+                         const PoseSensorCalibration& sensor,
+                         const std::shared_ptr<const TrajectoryCovariance>& covariance,
+                         TrackClock clock)
+    : sensor_(sensor),
+      session_(session),
+      clock_(clock),
+      trajectory_(solution, session, covariance) {}
+
+std::vector<ImuTrack::Instant> SensorTrack::Instants(double rate_hz) const {
+  const auto& poses = Own().residuals;
+  const int64_t epoch_ns = trajectory_.epoch_ns();
+  const auto time = [&](const auto& pose) { return pose.t - Seconds(epoch_ns); };
+  const auto stamp = [&](const auto& pose) {
+    return clock_ == TrackClock::kImu ? pose.stamp_ns : epoch_ns + std::llround(1e9 * time(pose));
+  };
+  std::vector<ImuTrack::Instant> instants;
+  if (rate_hz == 0.0) {
+    for (const auto& pose : poses) instants.push_back({stamp(pose), time(pose)});
+    return instants;
+  }
+  const double pace = clock_ == TrackClock::kImu ? 1.0 + Own().clock_drift : 1.0;
+  const int64_t first = stamp(poses.front()), last = stamp(poses.back());
+  for (int64_t k = 0;; ++k) {
+    const int64_t since = std::llround(1e9 * static_cast<double>(k) / rate_hz);
+    if (first + since > last) return instants;
+    instants.push_back({first + since, time(poses.front()) + pace * Seconds(since)});
+  }
+}
+
+std::optional<ImuState> SensorTrack::At(double t) const {
+  const auto marker = trajectory_.Marker(t);
+  if (!marker) return std::nullopt;
+  const Rigid3& T_MS = sensor_.T_MS;
+  ImuState state;
+  state.q_WI = marker->q_WB * T_MS.q;
+  state.p_WI = marker->p_WB + marker->q_WB * T_MS.p;
+  state.omega_I = T_MS.q.conjugate() * marker->omega_B;
+  state.v_W = marker->v_W + marker->q_WB * marker->omega_B.cross(T_MS.p);
+  state.biases = {Vector3d::Zero(), Vector3d::Zero()};
+  state.bias_covariance.setZero();
+  state.covariance.setZero();
+  if (const auto C = trajectory_.MarkerCovariance(t)) state.covariance = Covariance(t, *marker, *C);
+  return state;
+}
+
+Eigen::Matrix<double, 12, 12> SensorTrack::Covariance(double t, const BodyState& marker,
+                                                      const BodyCovariance& of_marker) const {
+  const Rigid3& T_MS = sensor_.T_MS;
+  const Matrix3d R_WM = marker.q_WB.toRotationMatrix();
+  const Matrix3d R_SM = T_MS.q.conjugate().toRotationMatrix();
+  const Vector3d spin = marker.omega_B.cross(T_MS.p);
+  // By the marker's rotation, p_WM, omega_M and v_W.
+  Eigen::Matrix<double, 12, 12> by_marker = Eigen::Matrix<double, 12, 12>::Zero();
+  by_marker.block<3, 3>(0, 0) = by_marker.block<3, 3>(6, 6) = R_SM;
+  by_marker.block<3, 3>(3, 0) = by_marker.block<3, 3>(9, 6) = -R_WM * Hat(T_MS.p);
+  by_marker.block<3, 3>(3, 3).setIdentity();
+  by_marker.block<3, 3>(9, 0) = -R_WM * Hat(spin);
+  by_marker.block<3, 3>(9, 9).setIdentity();
+  // By p_MS and the rotation of R_MS about the sensor's axes.
+  Eigen::Matrix<double, 12, 6> by_mount = Eigen::Matrix<double, 12, 6>::Zero();
+  by_mount.block<3, 3>(0, 3).setIdentity();
+  by_mount.block<3, 3>(3, 0) = R_WM;
+  by_mount.block<3, 3>(6, 3) = Hat(Vector3d(R_SM * marker.omega_B));
+  by_mount.block<3, 3>(9, 0) = R_WM * Hat(marker.omega_B);
+  Eigen::Matrix<double, 12, 12> C =
+      by_marker * of_marker.topLeftCorner<12, 12>() * by_marker.transpose() +
+      by_mount * sensor_.covariance * by_mount.transpose();
+  if (clock_ != TrackClock::kImu) return C;
+  Eigen::Matrix<double, 12, 1> rate;
+  rate << R_SM * marker.omega_B, marker.v_W + R_WM * spin, R_SM * marker.alpha_B,
+      marker.a_W + R_WM * (marker.alpha_B.cross(T_MS.p) + marker.omega_B.cross(spin));
+  const double since =
+      Seconds(trajectory_.epoch_ns()) + t - Own().time_shift - Own().clock_reference;
+  const double clock_std = std::hypot(Own().time_shift_std, since * Own().clock_drift_std);
+  C += clock_std * clock_std * rate * rate.transpose();
+  return C;
+}
+
+SensorErrors FindErrors(const PoseSensorSession& session,
+                        const std::function<std::optional<Rigid3>(double t)>& T_WS) {
+  std::vector<PosePair> pairs;
+  MeanSquares absolute, relative;
+  for (const PoseSensorSession::Residual& residual : session.residuals) {
+    const auto truth = T_WS(residual.t);
+    if (!truth) continue;
+    const Rigid3 T_VW = WorldAt(session, residual.t), &first = session.world.front().T_VW;
+    const Vector3d p_VS = T_VW.p + session.scale * (T_VW.q * truth->p) + residual.position;
+    const Quaterniond q_VS = T_VW.q * truth->q * Exp<double>(residual.rotation);
+    const Rigid3 measured{first.q.conjugate() * q_VS,
+                          first.q.conjugate() * (p_VS - first.p) / session.scale};
+    pairs.push_back({residual.t, measured, *truth});
+    absolute.Add(truth->Inverse() * measured);
+  }
+  const double half_period = 0.5 / session.poses.rate_hz;
+  auto last = pairs.begin();
+  for (auto first = last; first != pairs.end(); ++first) {
+    while (last != pairs.end() && last->t < first->t + kApart - half_period) ++last;
+    if (last == pairs.end()) break;
+    if (last->t > first->t + kApart + half_period) continue;
+    relative.Add((first->truth.Inverse() * last->truth).Inverse() *
+                 (first->measured.Inverse() * last->measured));
+  }
+  return {absolute.Rms(), relative.Rms(), absolute.count, relative.count};
+}
+
+SensorErrors FindErrors(const std::shared_ptr<const Solution>& solution, size_t session,
+                        const PoseSensorCalibration& sensor) {
+  const SessionTrajectory trajectory(solution, session);
+  const auto T_WS = [&](double t) -> std::optional<Rigid3> {
+    const auto marker = trajectory.Marker(t - Seconds(trajectory.epoch_ns()));
+    if (!marker) return std::nullopt;
+    return Rigid3{marker->q_WB, marker->p_WB} * sensor.T_MS;
+  };
+  return FindErrors(sensor.sessions[session], T_WS);
+}
+
+}  // namespace imu_pose_calib
