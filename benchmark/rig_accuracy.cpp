@@ -91,7 +91,7 @@ void CompareImus(int seeds, double duration_s) {
     const SimulatorOptions truth[2] = {Truth(seed, duration_s),
                                        FurtherImu(Truth(seed, duration_s), 1)};
     SessionData both = Simulate(truth[0], 2);
-    const SessionData second = {both.poses, {both.imus[1]}};
+    const SessionData second = {both.poses, {both.imus[1]}, {}};
     const Calibration rig = Calibrate({}, both);
     both.imus.pop_back();
     const Calibration single[2] = {Calibrate({}, both), Calibrate({}, second)};
