@@ -276,7 +276,7 @@ TEST_F(CompareTest, Px4TakesTheAxesOfTheBody) {
   ASSERT_EQ(Run("export_calibration", "a.yaml --export px4 --body-imu '1 0 0 0'").status, 0);
   const Eigen::Quaterniond q_body_imu(0.0, 1.0, 0.0, 0.0);
   EXPECT_EQ(ReadText(Path("a.px4.params")),
-            Export(LoadResult(Path("a.yaml")), "px4", q_body_imu)[0].text);
+            Export(LoadResult(Path("a.yaml")), "px4", {q_body_imu})[0].text);
   EXPECT_EQ(Run("export_calibration", "a.yaml --export px4 --body-imu '1 0 0'").status, 1);
 }
 

@@ -45,7 +45,7 @@ SessionData Cut(const SessionData& data, double from, double to) {
     }
     return kept;
   };
-  return {cut(data.poses), {{cut(data.imus[0].gyro), cut(data.imus[0].accel)}}};
+  return {cut(data.poses), {{cut(data.imus[0].gyro), cut(data.imus[0].accel)}}, {}};
 }
 
 SessionData Shift(SessionData data, double seconds) {

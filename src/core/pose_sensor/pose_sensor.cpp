@@ -22,19 +22,19 @@ using Eigen::Vector3d;
 
 constexpr int kCandidates = 6;         // correlation peaks tried on all three axes
 constexpr double kMinExplained = 0.5;  // of the sensor's turn rates by the marker's
+constexpr double kRatePeriod = 0.01;   // [s] of the turn rates that are compared
 constexpr double kForeignScale = 0.1;  // [1] that is no error of a metric sensor
 /// A jump: medians of so many poses before and after it differ by so many times the usual.
 constexpr ptrdiff_t kAround = 10;
 constexpr double kJump = 10.0;
 constexpr int kMaxRounds = 15;
 
-/// Rates of turn of the sensor at its poses [rad/s], in S.
-std::vector<TimedSample> TurnRates(const PoseTrajectory& trajectory, const ConditionedData& data) {
+/// Rates of turn of the sensor [rad/s], in S, as often as a gyroscope has them.
+std::vector<TimedSample> TurnRates(const PoseTrajectory& trajectory) {
   std::vector<TimedSample> rates;
-  for (const TimedPose& pose : data.poses) {
-    MarkerRotation<double> rotation;
-    if (trajectory.EvaluateRotation(pose.t, &rotation)) rates.push_back({pose.t, rotation.omega_M});
-  }
+  MarkerRotation<double> rotation;
+  for (double t = 0.0; t <= trajectory.End(); t += kRatePeriod)
+    if (trajectory.EvaluateRotation(t, &rotation)) rates.push_back({t, rotation.omega_M});
   return rates;
 }
 
@@ -75,7 +75,7 @@ RateAlignment StartSession(const CalibrationOptions& given, const std::vector<Po
   session->noise = {trajectory.position_hyperparameters().noise_std,
                     trajectory.rotation_hyperparameters().noise_std};
   session->drift = session->noise;
-  const std::vector<TimedSample> rates = TurnRates(trajectory, session->data);
+  const std::vector<TimedSample> rates = TurnRates(trajectory);
   const RateAlignment best = Align(options, *session->marker, rates, false, &session->time_shift);
   if (best.explained >= kMinExplained) return best;
   double ignored = 0.0;

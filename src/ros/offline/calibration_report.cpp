@@ -162,10 +162,12 @@ class SolvedSession {
     Rigid3 begin;
     for (const PoseSensorSession::WorldKnot& knot : own.world) {
       if (knot.begins_piece) begin = knot.T_VW;
-      Eigen::Vector3d moved = Nothing<3>();
+      Eigen::Vector3d moved = Eigen::Vector3d::Zero();
       if (const auto marker = trajectory_.Marker(knot.t - epoch)) {
         const Eigen::Vector3d p_WS = marker->p_WB + marker->q_WB * sensor.T_MS.p;
         moved = knot.T_VW.p - begin.p + own.scale * (knot.T_VW.q * p_WS - begin.q * p_WS);
+      } else if (!knot.begins_piece) {
+        moved = Nothing<3>();
       }
       world.AddRow(knot.t - epoch, moved,
                    Log(Eigen::Quaterniond(knot.T_VW.q * begin.q.conjugate())),
