@@ -2,6 +2,7 @@
 //
 //   reality [SEEDS = 10] [CAMPAIGN = 300] [FIRST = 1]
 //   reality --campaign-seed K
+//   reality --dump COUNT FIRST
 //
 // A row for each effect alone, at its usual strength, on SEEDS recordings; then a campaign of
 // recordings FIRST, FIRST + 1, ... that are random mixtures of motions, rates, noises and effects,
@@ -321,6 +322,33 @@ void RunCampaign(size_t count, uint32_t first) {
       verdicts["refused"], verdicts["failed"], Quantile(sigmas, 0.5), Quantile(sigmas, 0.9));
 }
 
+/// For benchmark/ablation.py: mixtures, then plain recordings of all motions that move, one a row:
+/// seed, verdict, errors of p [mm] and R [mrad], largest error [sigma], sigma of p [mm].
+void Dump(size_t count, uint32_t first) {
+  constexpr uint32_t kPlain = 1000000;
+  std::vector<SimulatorOptions> truths;
+  std::vector<uint32_t> seeds;
+  for (uint32_t i = 0; i < count; ++i) {
+    seeds.push_back(first + i);
+    truths.push_back(Mixture(first + i));
+  }
+  for (const Motion motion : {Motion::kHandheld, Motion::kTumble, Motion::kArm, Motion::kDrone}) {
+    for (uint32_t k = 0; k < 4; ++k) {
+      SimulatorOptions truth = Baseline();
+      truth.motion = motion;
+      truth.seed = 7001 + k;
+      if (k % 2 == 1) truth.position_std = truth.rotation_std = 5e-3;
+      seeds.push_back(kPlain + static_cast<uint32_t>(truths.size()));
+      truths.push_back(truth);
+    }
+  }
+  const std::vector<Outcome> outcomes = RunAll(truths);
+  for (size_t i = 0; i < outcomes.size(); ++i)
+    std::printf("%u %s %.6g %.6g %.4g %.6g\n", seeds[i], outcomes[i].verdict.c_str(),
+                1e3 * outcomes[i].p, 1e3 * outcomes[i].R, outcomes[i].sigmas,
+                1e3 * outcomes[i].p_std);
+}
+
 /// One mixture, and the same without each of its effects and without all.
 void LookAt(uint32_t seed) {
   const SimulatorOptions mixture = Mixture(seed);
@@ -349,6 +377,11 @@ void LookAt(uint32_t seed) {
 int main(int argc, char** argv) {
   if (argc == 3 && argv[1] == std::string("--campaign-seed")) {
     imu_pose_calib::LookAt(static_cast<uint32_t>(std::atoi(argv[2])));
+    return 0;
+  }
+  if (argc == 4 && argv[1] == std::string("--dump")) {
+    imu_pose_calib::Dump(static_cast<size_t>(std::atoi(argv[2])),
+                         static_cast<uint32_t>(std::atoi(argv[3])));
     return 0;
   }
   const int seeds = argc > 1 ? std::atoi(argv[1]) : 10;

@@ -1,0 +1,181 @@
+#!/usr/bin/env python3
+"""What each rule of the estimator is worth: the table of doc/math.md, "Ablation".
+
+  benchmark/ablation.py FOLDER [--mixtures 40] [--first 9001] [--rules NAME,...] [--group NAME=BAG[@START+DURATION],...]
+
+FOLDER becomes a copy of this repository in which each rule below can be switched off by the environment, is built there
+once (with its .catkin_ws), and run without one rule at a time: `reality --dump` on simulated mixtures and plain motions,
+and calibrate_bag on each group of recordings, or parts of them, of one mount, which must agree. Prints a table.
+A rule whose text is no longer in the source is an error: mend or delete its row.
+"""
+import argparse
+import math
+import os
+import pathlib
+import subprocess
+import sys
+
+import numpy
+import yaml
+
+ROOT = pathlib.Path(__file__).resolve().parent.parent
+SWITCH = "IMU_POSE_CALIB_ABLATED"
+HEADER = """#pragma once
+#include <cstdlib>
+#include <string>
+namespace imu_pose_calib {
+inline bool Ablated(const std::string& rule) {
+  const char* const ablated = std::getenv("%s");
+  return ablated != nullptr && ablated == rule;
+}
+}  // namespace imu_pose_calib
+""" % SWITCH
+
+C, T, D, S, V = ("src/core/%s/" % room for room in ("calibration", "trajectory", "data", "start", "verdict"))
+# Name: what it does, file, text, the same with the rule switched off where OFF stands.
+RULES = {
+    "smoothing sign": ("poses are not averaged over less time than rotations", C + "joint_solver.cpp",
+                       "if (estimate_->position_smoothing < 0.0) {", "if (!OFF && estimate_->position_smoothing < 0.0) {"),
+    "reserve": ("knots denser than the residuals ask for", C + "joint_solver.cpp",
+                "if (!is_given && kReserve * spacing", "if (!OFF && !is_given && kReserve * spacing"),
+    "clocks of S2": ("over hours clocks start from S2", C + "joint_solver.cpp",
+                     "        clock.walk.IsLine())\n", "        (clock.walk.IsLine() || OFF))\n"),
+    "spurious information": ("what the trajectory's noise tells of p is taken off", C + "joint_solver.cpp",
+                             "    AddSpuriousInformation(", "    if (!OFF) AddSpuriousInformation("),
+    "weights around": ("IMU samples weigh by those around, too", C + "joint_noise.cpp",
+                       "IsOfPoses(model.quantity) ? 0.0 : 0.5 *", "IsOfPoses(model.quantity) || OFF ? 0.0 : 0.5 *"),
+    "slow errors": ("the sigma of slow errors of rotations is found", C + "joint_noise.cpp",
+                    "  UpdateRotationErrors(joint);\n}",
+                    "  if (!OFF) return UpdateRotationErrors(joint);\n"
+                    "  for (auto& s : joint->estimate->sessions) s.rotation_errors.std = kLeastRotationError;\n}"),
+    "spectra": ("noise from the spectra of residuals", C + "joint_noise.cpp", "FitNoiseOf(is_linear, s, *joint, statistics);",
+                "if (!OFF) FitNoiseOf(is_linear, s, *joint, statistics);"),
+    "curvature": ("filter of the accelerometer", C + "joint_problem.cpp", "if (with_curvature) sample->f_curv",
+                  "if (with_curvature && !OFF) sample->f_curv"),
+    "band of poses": ("poses lose what is beyond the band of the IMU", C + "band.cpp",
+                      "const bool is_position_lower = LowerCutoff(", "const bool is_position_lower = !OFF && LowerCutoff("),
+    "trajectory's variance": ("outliers are measured by the noise alone", C + "least_squares.cpp",
+                              "    const double own2 = std::max(", "    const double own2 = OFF ? spread2 : std::max("),
+    "stated noise": ("noise that poses state is taken where it tells", T + "pose_trajectory.cpp",
+                     "    if (covariance > 0.5 * variance) return;", "    if (OFF || covariance > 0.5 * variance) return;"),
+    "spikes of poses": ("gross outliers leave before the GP", T + "pose_trajectory.cpp",
+                        "  RemoveSpikes(options.outlier_threshold, data);", "  if (!OFF) RemoveSpikes(options.outlier_threshold, data);"),
+    "refits": ("the GP's noise is found again without outliers", T + "pose_trajectory.cpp",
+               "const bool may_refit = refits < kMaxRefits;", "const bool may_refit = refits < (OFF ? 1 : kMaxRefits);"),
+    "local median": ("residuals are compared with those near", T + "pose_trajectory.cpp",
+                     "      if (residual <= threshold * median(near, kind)) continue;",
+                     "      if (!OFF && residual <= threshold * median(near, kind)) continue;"),
+    "largest": ("of outliers side by side the largest leaves", T + "pose_trajectory.cpp",
+                "      if (largest) outliers.push_back(i);", "      if (largest || OFF) outliers.push_back(i);"),
+    "several starts": ("length scales are sought from several starts", T + "gp_hyperparameters.cpp",
+                       "step <= 1.0 && fixed.lengthscale_s == 0.0", "step <= 1.0 && fixed.lengthscale_s == 0.0 && !OFF"),
+    "flipped": ("segments that turn against the gyroscope leave", S + "preparation.cpp",
+                "  RemoveFlippedSegments(options", "  if (!OFF) RemoveFlippedSegments(options"),
+    "drift of the start": ("a sure drift of the clocks starts the solve", S + "preparation.cpp",
+                           "    if (options.method == Method::kJoint && options.estimate_clock_drift &&",
+                           "    if (!OFF && options.method == Method::kJoint && options.estimate_clock_drift &&"),
+    "steps of clocks": ("the walk is cut at steps", S + "clock_walk.cpp", "  CutAtSteps(trajectory", "  if (!OFF) CutAtSteps(trajectory"),
+    "saturated": ("clipped samples leave", D + "conditioning.cpp", "    RemoveSaturated(stream", "    if (!OFF) RemoveSaturated(stream"),
+    "spikes of imus": ("lone wild samples leave", D + "conditioning.cpp", "    RemoveSpikes(&kept, report);", "    if (!OFF) RemoveSpikes(&kept, report);"),
+    "updates": ("poses that tell nothing new leave", D + "conditioning.cpp", "  out.pose_report.between_updates = KeepOneOf(",
+                "  if (!OFF) out.pose_report.between_updates = KeepOneOf("),
+    "halves": ("halves that disagree enlarge sigmas", V + "doubts.cpp", "  if (marginals.halves_sigmas <= kDisagreement) return marginals;",
+               "  if (OFF || marginals.halves_sigmas <= kDisagreement) return marginals;"),
+}
+
+
+def build(folder):
+    """The copy with switches."""
+    if not folder.exists():
+        subprocess.run(["git", "clone", "-q", str(ROOT), str(folder)], check=True)
+        (folder / "include/imu_pose_calib/core/base/ablated.h").write_text(HEADER)
+        for name, (_, path, text, switched) in RULES.items():
+            source = (folder / path).read_text()
+            if source.count(text) != 1:
+                sys.exit("error: rule '%s': its text is %d times in %s, must be once" % (name, source.count(text), path))
+            source = source.replace(text, switched.replace("OFF", 'Ablated("%s")' % name))
+            include = '#include "imu_pose_calib/core/base/ablated.h"\n'
+            if include not in source:
+                source = source.replace("#include", include + "#include", 1)
+            (folder / path).write_text(source)
+    subprocess.run([str(folder / "scripts/setup.sh")], check=True)
+    return folder / ".catkin_ws/devel/lib/imu_pose_calib"
+
+
+def simulated(programs, rule, options):
+    """{seed: (verdict, error of p [mm], largest error [sigma], sigma of p [mm])}"""
+    text = subprocess.run([str(programs / "reality"), "--dump", str(options.mixtures), str(options.first)],
+                          env={**os.environ, SWITCH: rule}, check=True, capture_output=True, text=True).stdout
+    rows = [line.split() for line in text.splitlines()]
+    return {int(r[0]): (r[1], float(r[2]), float(r[4]), float(r[5])) for r in rows}
+
+
+def recorded(programs, rule, bags, folder):
+    """Scatter of p [mm] and chi2 per degree of freedom of p and of R between calibrations of one mount."""
+    p, sigma, turns, turn_sigma, first = [], [], [], [], None
+    for k, bag in enumerate(bags):
+        path, _, span = bag.partition("@")
+        output = folder / ("%d.yaml" % k)
+        command = [str(programs / "calibrate_bag"), path, "--output", str(output), "--quiet"]
+        if span:
+            command += ["--start", span.split("+")[0], "--duration", span.split("+")[1]]
+        subprocess.run(command, env={**os.environ, SWITCH: rule}, capture_output=True, check=False)
+        transform = yaml.safe_load(output.read_text())["transform"]
+        output.unlink()
+        p.append(1e3 * numpy.array(transform["translation"]))
+        sigma.append(1e3 * numpy.array(transform["translation_std"]))
+        q, w = numpy.array(transform["rotation"][:3]), transform["rotation"][3]
+        first = first or (q, w)  # turns from there on: small
+        turn = first[1] * q - w * first[0] - numpy.cross(first[0], q)
+        turns.append(2.0 * turn / (first[1] * w + first[0] @ q))
+        turn_sigma.append(numpy.array(transform["rotation_std"]))
+
+    def chi2(x, s):
+        x, weight = numpy.array(x), 1.0 / numpy.array(s) ** 2
+        mean = (weight * x).sum(0) / weight.sum(0)
+        return (weight * (x - mean) ** 2).sum() / (3.0 * (len(x) - 1))
+
+    return numpy.linalg.norm(numpy.std(p, axis=0, ddof=1)), chi2(p, sigma), chi2(turns, turn_sigma)
+
+
+def rms(values):
+    return math.sqrt(sum(v * v for v in values) / len(values))
+
+
+def row(name, text, runs, base, groups, base_groups):
+    usable = [k for k in base if {base[k][0], runs[k][0]} <= {"ok", "weak"}]
+    ratio = rms([runs[k][1] / base[k][3] for k in usable]) / rms([base[k][1] / base[k][3] for k in usable])
+    wrong = sum(r[0] == "ok" and r[2] > 3.5 for r in runs.values())
+    cells = [name, text, "%d" % sum(r[0] == "ok" for r in runs.values()), "%d" % wrong, "%.2f" % ratio,
+             "%.2f" % rms([runs[k][2] for k in usable])]
+    for (sd, chi2_p, chi2_R), (base_sd, _, _) in zip(groups, base_groups):
+        cells += ["%.2f" % (sd / base_sd), "%.1f" % chi2_p, "%.1f" % chi2_R]
+    print("| " + " | ".join(cells) + " |", flush=True)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=pathlib.Path)
+    parser.add_argument("--mixtures", type=int, default=40)
+    parser.add_argument("--first", type=int, default=9001)
+    parser.add_argument("--rules", default=",".join(RULES))
+    parser.add_argument("--group", action="append", default=[])
+    options = parser.parse_args()
+    programs = build(options.folder.absolute())
+    groups = [g.partition("=") for g in options.group]
+    print("| rule | | ok | wrong and ok | rms p | rms sigma |" + "".join(" %s: sd | chi2 p | chi2 R |" % g[0] for g in groups))
+    print("|---|---|" + "---|" * (4 + 3 * len(groups)))
+
+    def run(rule):
+        return (simulated(programs, rule, options),
+                [recorded(programs, rule, g[2].split(","), options.folder) for g in groups])
+
+    base, base_groups = run("")
+    row("none", "as it is", base, base, base_groups, base_groups)
+    for name in options.rules.split(","):
+        runs, of_groups = run(name)
+        row(name, RULES[name][0], runs, base, of_groups, base_groups)
+
+
+if __name__ == "__main__":
+    main()
