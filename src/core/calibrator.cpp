@@ -11,6 +11,7 @@
 #include "imu_pose_calib/core/calibration/gp_problem.h"
 #include "imu_pose_calib/core/calibration/joint_solver.h"
 #include "imu_pose_calib/core/pose_sensor/pose_sensor.h"
+#include "imu_pose_calib/core/pose_sensor/sensor_track.h"
 #include "imu_pose_calib/core/start/excitation.h"
 #include "imu_pose_calib/core/start/preparation.h"
 #include "imu_pose_calib/core/verdict/doubts.h"
@@ -277,6 +278,9 @@ PoseSensorCalibration CalibrateSensor(const CalibrationOptions& options,
   PoseSensorCalibration calibration;
   try {
     calibration = CalibratePoseSensor(options, motions, poses);
+    for (size_t s = 0; s < poses.size(); ++s)
+      if (calibration.sessions[s].is_present)
+        calibration.sessions[s].errors = FindErrors(result->solution, s, calibration);
   } catch (const DataError& error) {
     calibration.sessions.resize(poses.size());
     calibration.status = Status::kDegenerate;

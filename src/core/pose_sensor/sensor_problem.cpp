@@ -287,8 +287,7 @@ void FindNoise(const SensorEstimate& estimate, SensorSession* session) {
 Rigid3 PredictPose(const SensorEstimate& estimate, const SensorSession& session,
                    const SensorPose& sample) {
   const WorldKnot &knot_0 = session.knots[sample.knot], &knot_1 = session.knots[sample.knot + 1];
-  const Vector3d between = Log(Quaterniond(knot_0.T_VW.q.conjugate() * knot_1.T_VW.q));
-  const Rigid3 T_VW{knot_0.T_VW.q * Exp<double>(sample.u * between),
+  const Rigid3 T_VW{knot_0.T_VW.q.slerp(sample.u, knot_1.T_VW.q),
                     (1.0 - sample.u) * knot_0.T_VW.p + sample.u * knot_1.T_VW.p};
   const BodyState& marker = sample.marker;
   const Vector3d p_WS = marker.p_WB + marker.q_WB * estimate.T_MS.p;

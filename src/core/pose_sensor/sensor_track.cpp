@@ -24,8 +24,7 @@ Rigid3 WorldAt(const PoseSensorSession& session, double t) {
   if (after == session.world.end() || after->begins_piece) --after;  // the end of a piece
   const auto &knot_0 = *std::prev(after), &knot_1 = *after;
   const double u = (t - knot_0.t) / (knot_1.t - knot_0.t);
-  const Vector3d turn = Log(Quaterniond(knot_0.T_VW.q.conjugate() * knot_1.T_VW.q));
-  return {knot_0.T_VW.q * Exp<double>(u * turn), (1.0 - u) * knot_0.T_VW.p + u * knot_1.T_VW.p};
+  return {knot_0.T_VW.q.slerp(u, knot_1.T_VW.q), (1.0 - u) * knot_0.T_VW.p + u * knot_1.T_VW.p};
 }
 
 /// A pose of the sensor, aligned, and the true one.

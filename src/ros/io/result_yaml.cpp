@@ -481,6 +481,8 @@ void SensorSession(const std::string& at, PoseSensorSession& sensor, ResultFile*
   Poses(at + "noise", sensor.noise, file);
   Poses(at + "rms", sensor.rms, file);
   Poses(at + "drift", sensor.drift, file);
+  Poses(at + "absolute_error", sensor.errors.absolute, file);
+  Poses(at + "relative_error", sensor.errors.relative, file);
   std::vector<PoseSensorSession::WorldKnot> pieces;
   for (const PoseSensorSession::WorldKnot& knot : sensor.world)
     if (pieces.empty() || knot.begins_piece) pieces.push_back(knot);

@@ -13,7 +13,6 @@
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/data/stamp_recovery.h"
 #include "imu_pose_calib/core/ground_truth/trajectory.h"
-#include "imu_pose_calib/core/pose_sensor/sensor_track.h"
 #include "imu_pose_calib/core/start/preparation.h"
 #include "imu_pose_calib/ros/io/numpy_table.h"
 #include "imu_pose_calib/ros/io/printable.h"
@@ -176,7 +175,7 @@ class SolvedSession {
     t.Write(file + "_residual_t.npy");
     rows.Write(file + "_residual.npy");
     world.Write(file + "_world.npy");
-    const SensorErrors errors = FindErrors(run_.result.solution, s_, sensor);
+    const SensorErrors& errors = sensor.sessions[s_].errors;
     YAML::Node node;
     node["sensor"] = place;
     node["rate_hz"] = YamlValue(own.poses.rate_hz);

@@ -191,6 +191,12 @@ std::string Describe(const PoseSensorSession& sensor) {
   text += Format("; noise %.3g mm, %.3g deg; drift %.3g mm, %.3g deg per sqrt(s)",
                  1e3 * sensor.noise.position, kDegrees * sensor.noise.rotation,
                  1e3 * sensor.drift.position, kDegrees * sensor.drift.rotation);
+  const SensorErrors& errors = sensor.errors;
+  if (errors.poses > 0)
+    text += Format(
+        "; its own trajectory errs by %.3g mm, %.3g deg (ATE), in 1 s by %.3g mm, %.3g deg (RPE)",
+        1e3 * errors.absolute.position, kDegrees * errors.absolute.rotation,
+        1e3 * errors.relative.position, kDegrees * errors.relative.rotation);
   const auto jumps = std::count_if(sensor.world.begin(), sensor.world.end(),
                                    [](const auto& knot) { return knot.begins_piece; }) -
                      1;

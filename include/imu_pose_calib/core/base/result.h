@@ -124,6 +124,14 @@ struct ImuSession {
   StreamReport gyro, accel;
 };
 
+/// Errors of the trajectory that a sensor gives: rms of the lengths of translations [m] and of the
+/// angles of rotations [rad], as evo defines them.
+struct SensorErrors {
+  PoseStd absolute;  ///< evo_ape, aligned by T_VW as the session begins and by the scale
+  PoseStd relative;  ///< evo_rpe of all pairs a second apart, to half a period
+  size_t poses = 0, pairs = 0;
+};
+
 /// What belongs to a pose sensor in one session: p_VS = p_VW + scale R_VW (p_WM + R_WM p_MS).
 struct PoseSensorSession {
   bool is_present = false;  ///< else nothing below is set
@@ -153,6 +161,7 @@ struct PoseSensorSession {
     int64_t stamp_ns = 0;                     ///< sensor clock
   };
   std::vector<Residual> residuals;
+  SensorErrors errors;
   StreamReport poses;
 };
 

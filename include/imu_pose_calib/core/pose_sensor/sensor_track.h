@@ -42,15 +42,7 @@ class SensorTrack {
   const SessionTrajectory trajectory_;
 };
 
-/// Errors of the trajectory that a sensor gives: rms of the lengths of translations [m] and of the
-/// angles of rotations [rad], as evo defines them.
-struct SensorErrors {
-  PoseStd absolute;  ///< evo_ape, aligned by T_VW as the session begins and by the scale
-  PoseStd relative;  ///< evo_rpe of all pairs a second apart, to half a period
-  size_t poses = 0, pairs = 0;
-};
-
-/// Those of the poses that were used; V's drift and jumps count as errors. `T_WS`: truth at t [s,
+/// Errors of the poses that were used; V's drift and jumps count as errors. `T_WS`: truth at t [s,
 /// pose clock]; poses where it is not known are left out.
 SensorErrors FindErrors(const PoseSensorSession& session,
                         const std::function<std::optional<Rigid3>(double t)>& T_WS);
