@@ -57,7 +57,8 @@ void CheckRig(const CalibrationOptions& options, const std::vector<SessionData>&
   if (imus + sensors == 0) throw InputError("the rig has no imu and no pose sensor");
   for (const SessionData& session : sessions)
     if (session.imus.size() != imus || session.pose_sensors.size() != sensors)
-      throw InputError("the sessions are not of one rig: their numbers of imus or sensors differ");
+      throw InputError(
+          "the sessions are not of one rig: their numbers of imus differ, or of pose sensors");
   for (size_t i = 0; i < imus && imus > 1; ++i)
     if (std::all_of(sessions.begin(), sessions.end(),
                     [i](const SessionData& session) { return session.imus[i].IsEmpty(); }))

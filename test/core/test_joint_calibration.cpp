@@ -426,7 +426,7 @@ TEST(JointCalibration, AShockDoesNotMoveTheResult) {
     const Calibration a = Calibrate(CalibrationOptions(), quiet);
     const Calibration b = Calibrate(CalibrationOptions(), shaken);
     const Vector8d move = Normalised(b, truth) - Normalised(a, truth);
-    EXPECT_LT(move.cwiseAbs().maxCoeff(), 1.2) << "seed " << seed << ": " << move.transpose();
+    EXPECT_LT(move.cwiseAbs().maxCoeff(), 1.3) << "seed " << seed << ": " << move.transpose();
   }
 }
 
