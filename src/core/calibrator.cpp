@@ -298,25 +298,27 @@ PoseSensorCalibration CalibrateSensor(const CalibrationOptions& options,
   return calibration;
 }
 
-/// Pose sensors of the rig, on the marker's trajectories.
-void CalibrateSensors(const CalibrationOptions& options, const std::vector<MarkerMotion>& motions,
-                      const std::vector<std::vector<std::vector<PoseSample>>>& poses,
-                      Calibration* result) {
-  const size_t sensors = poses[0].size();
-  for (size_t k = 0; k < sensors; ++k) {
-    std::vector<std::vector<PoseSample>> own;
-    for (const auto& session : poses) own.push_back(session[k]);
-    result->pose_sensors.push_back(CalibrateSensor(options, motions, own, k, result));
+/// Pose sensors of the rig, on the trajectories of the marker in `result`.
+void CalibrateSensors(const CalibrationOptions& options, const std::vector<SessionData>& data,
+                      const Progress& progress, Calibration* result) {
+  if (data[0].pose_sensors.empty() || !result->IsUsable()) return;
+  const Stage stage(progress, "pose sensors");
+  const std::vector<MarkerMotion> motions = MarkerMotions(result->solution);
+  for (size_t k = 0; k < data[0].pose_sensors.size(); ++k) {
+    std::vector<std::vector<PoseSample>> poses;
+    for (const SessionData& session : data) poses.push_back(session.pose_sensors[k]);
+    result->pose_sensors.push_back(CalibrateSensor(options, motions, poses, k, result));
   }
+  stage.End();
 }
 
 /// A rig without IMUs: the trajectories are those of the poses alone.
 Calibration CalibrateSensorsAlone(const CalibrationOptions& options,
-                                  const std::vector<SessionData>& data, Calibration result) {
+                                  const std::vector<SessionData>& data, const Progress& progress,
+                                  Calibration result) {
   Solution solution;
   solution.estimate.sessions.resize(data.size());
   solution.imus.resize(data.size());
-  std::vector<std::vector<std::vector<PoseSample>>> poses;
   for (size_t s = 0; s < data.size(); ++s) {
     ConditionedData conditioned = ConditionData(options, data[s]);
     const auto trajectory =
@@ -337,11 +339,10 @@ Calibration CalibrateSensorsAlone(const CalibrationOptions& options,
     session.jumps = conditioned.jumps;
     solution.trajectories.push_back(trajectory);
     solution.pose_epochs_ns.push_back(conditioned.pose_epoch_ns);
-    poses.push_back(data[s].pose_sensors);
   }
   result.solution = std::make_shared<const Solution>(std::move(solution));
   result.status = Status::kOk;
-  CalibrateSensors(options, MarkerMotions(result.solution), poses, &result);
+  CalibrateSensors(options, data, progress, &result);
   if (result.status == Status::kOk) result.message = "every sigma is within its bound";
   if (std::all_of(result.pose_sensors.begin(), result.pose_sensors.end(),
                   [](const auto& sensor) { return sensor.status == Status::kDegenerate; }))
@@ -360,10 +361,10 @@ Calibration Calibrate(const CalibrationOptions& options, std::vector<SessionData
   result.imu_model = options.method == Method::kJoint ? options.imu_model : ImuModel::kCalibrated;
   result.imus.resize(data[0].imus.size());
   result.sessions.resize(data.size());
-  if (result.imus.empty()) return CalibrateSensorsAlone(options, data, std::move(result));
+  if (result.imus.empty()) return CalibrateSensorsAlone(options, data, progress, std::move(result));
 
-  std::vector<std::vector<std::vector<PoseSample>>> sensor_poses;
-  for (SessionData& session : data) sensor_poses.push_back(std::move(session.pose_sensors));
+  std::vector<SessionData> of_sensors(data.size());
+  for (size_t s = 0; s < data.size(); ++s) of_sensors[s].pose_sensors.swap(data[s].pose_sensors);
   std::vector<PreparedSession> sessions;
   Estimate estimate;
   for (size_t s = 0; s < data.size(); ++s) {
@@ -407,11 +408,7 @@ Calibration Calibrate(const CalibrationOptions& options, std::vector<SessionData
   result.solution = std::make_shared<const Solution>(std::move(solution));
   ReportClocks(result.solution, &result);
   verdict.End();
-  if (!sensor_poses[0].empty() && result.IsUsable()) {
-    const Stage sensors(progress, "pose sensors");
-    CalibrateSensors(options, MarkerMotions(result.solution), sensor_poses, &result);
-    sensors.End();
-  }
+  CalibrateSensors(options, of_sensors, progress, &result);
   return result;
 }
 
