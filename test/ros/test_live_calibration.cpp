@@ -24,13 +24,16 @@ double Arrival(int64_t t_ns) { return 1e-9 * static_cast<double>(t_ns) + 0.01; }
 /// Adds the samples in the order in which they would arrive, `rate` times faster.
 void Feed(const SessionData& data, LiveCalibration* live, double rate = 1.0) {
   const double start = Arrival(data.poses.front().t_ns);
-  size_t gyro = 0, accel = 0;
+  size_t gyro = 0, accel = 0, sensor = 0;
   for (size_t k = 0; k < data.poses.size(); ++k) {
     const double now = start + (Arrival(data.poses[k].t_ns) - start) / rate;
     const auto due = [&](size_t count) { return count * (k + 1) / data.poses.size(); };
     live->AddPose(data.poses[k], now);
     while (gyro < due(data.imus[0].gyro.size())) live->AddGyro(data.imus[0].gyro[gyro++], now);
     while (accel < due(data.imus[0].accel.size())) live->AddAccel(data.imus[0].accel[accel++], now);
+    if (data.pose_sensors.empty()) continue;
+    const std::vector<PoseSample>& poses = data.pose_sensors[0];
+    while (sensor < due(poses.size())) live->AddSensorPose(poses[sensor++], now);
   }
 }
 
@@ -129,6 +132,107 @@ TEST(LiveCalibration, SolvesTheSameDataAsOffline) {
   const SessionData snapshot = live.BeginSolve();
   ASSERT_TRUE(live.EndSolve(Calibrate(options, snapshot)));
   EXPECT_LT((live.result()->imus[0].T_MI.p - SimulatorOptions().T_MI.p).norm(), 0.01);
+}
+
+/// With a camera, which is on a clock of its own.
+SimulatorOptions HandheldWithSensor(double duration_s) {
+  SimulatorOptions options = Handheld(duration_s);
+  options.pose_sensors.resize(1);
+  return options;
+}
+
+LiveCalibration WithSensor(const LiveOptions& options = LiveOptions()) {
+  return LiveCalibration(options, CalibrationOptions(), 1, {"/camera/pose"});
+}
+
+CalibrationOptions Gp() {
+  CalibrationOptions options;
+  options.method = Method::kGp;
+  return options;
+}
+
+TEST(LiveCalibration, FindsAPoseSensor) {
+  LiveCalibration live = WithSensor();
+  const SimulatorOptions options = HandheldWithSensor(15.0);
+  const SessionData data = Simulate(options);
+  Feed(data, &live);
+  ASSERT_TRUE(live.EndSolve(Calibrate(Gp(), live.BeginSolve())));
+  const PoseSensorCalibration& sensor = live.result()->pose_sensors.at(0);
+  EXPECT_EQ(sensor.status, Status::kOk) << sensor.message;
+  EXPECT_LT((sensor.T_MS.p - options.pose_sensors[0].T_MS.p).norm(), 0.01);
+  EXPECT_LT(sensor.T_MS.q.angularDistance(options.pose_sensors[0].T_MS.q), 0.01);
+  EXPECT_FALSE(Contains(live.Status(End(data)).message, "sensor")) << live.Status(End(data));
+}
+
+TEST(LiveCalibration, SaysThatAPoseSensorIsNotOk) {
+  LiveCalibration live = WithSensor();
+  const SessionData data = Simulate(HandheldWithSensor(15.0));
+  Feed(data, &live);
+  Calibration result = Result(1e-3);
+  result.pose_sensors.resize(1);
+  result.pose_sensors[0].status = Status::kDegenerate;
+  EndSolve(result, &live);
+  CalibrationStatus status = live.Status(End(data));
+  EXPECT_EQ(status.phase, CalibrationStatus::COLLECTING);
+  EXPECT_TRUE(Contains(status.message, "; sensor0 is degenerate")) << status;
+  status = live.Status(End(data) + 0.5 * LiveOptions().lost_timeout);
+  EXPECT_FALSE(Contains(status.message, "/camera/pose")) << status;
+  status = live.Status(End(data) + 2.0 * LiveOptions().lost_timeout);
+  EXPECT_TRUE(Contains(status.message, "; no poses of /camera/pose for 2.0 s")) << status;
+}
+
+/// One that has never sent anything, has lost its clock, or sent hardly anything.
+TEST(LiveCalibration, DoesNotNeedAPoseSensor) {
+  SessionData silent = Simulate(HandheldWithSensor(15.0));
+  silent.pose_sensors[0].clear();
+  SessionData unstamped = silent, brief = silent, broken = silent;
+  const SessionData data = Simulate(HandheldWithSensor(15.0));
+  unstamped.pose_sensors = brief.pose_sensors = broken.pose_sensors = data.pose_sensors;
+  for (PoseSample& pose : unstamped.pose_sensors[0]) pose.t_ns = 0;
+  for (PoseSample& pose : broken.pose_sensors[0]) pose.q_WM.coeffs().setZero();
+  brief.pose_sensors[0].resize(1);
+  for (const auto& [given, note] : {std::make_pair(&silent, "; no poses of /camera/pose"),
+                                    {&unstamped, "; no poses of /camera/pose with header stamps"},
+                                    {&brief, "; sensor0 is degenerate"},
+                                    {&broken, "; sensor0 is degenerate"}}) {
+    LiveCalibration live = WithSensor();
+    Feed(*given, &live);
+    ASSERT_TRUE(live.WantsSolve()) << note;
+    ASSERT_TRUE(live.EndSolve(Calibrate(Gp(), live.BeginSolve()))) << note;
+    EXPECT_LT((live.result()->imus[0].T_MI.p - SimulatorOptions().T_MI.p).norm(), 0.01) << note;
+    const CalibrationStatus status = live.Status(End(data));
+    EXPECT_EQ(status.phase, CalibrationStatus::COLLECTING) << status;
+    EXPECT_TRUE(Contains(status.message, note)) << status;
+  }
+}
+
+TEST(LiveCalibration, ForgetsOldPosesOfASensorThatIsSilent) {
+  LiveOptions options;
+  options.window = 20.0;
+  LiveCalibration live = WithSensor(options);
+  SessionData data = Simulate(HandheldWithSensor(50.0));
+  Feed(Cut(data, 0.0, 30.0), &live);
+  for (const PoseSample& pose : data.pose_sensors[0])
+    if (pose.t_ns < data.pose_sensors[0].front().t_ns + 30'000'000'000)
+      live.AddSensorPose(pose, Arrival(data.poses.front().t_ns) + 30.0);
+  EXPECT_NEAR(static_cast<double>(live.BeginSolve().pose_sensors.at(0).size()), 20.0 * 30.0, 2.0);
+  Feed(Cut(data, 30.0, 40.0), &live);
+  EXPECT_NEAR(static_cast<double>(live.BeginSolve().pose_sensors.at(0).size()), 10.0 * 30.0, 5.0);
+  Feed(Cut(data, 40.0, 50.0), &live);
+  EXPECT_LT(live.BeginSolve().pose_sensors.at(0).size(), 5u);
+}
+
+TEST(LiveCalibration, ForgetsOnlyThePosesOfASensorWhoseClockJumps) {
+  LiveCalibration live = WithSensor();
+  const SessionData data = Simulate(HandheldWithSensor(15.0));
+  Feed(data, &live);
+  PoseSample pose = data.pose_sensors[0].back();
+  pose.t_ns += 100'000'000'000;
+  live.AddSensorPose(pose, End(data));
+  EXPECT_EQ(live.BeginSolve().pose_sensors.at(0).size(), 1u);
+  EXPECT_NEAR(live.Streams()[0].buffered_s, 15.0, 0.1);
+  live.Reset("", End(data));
+  EXPECT_FALSE(live.HasSensorPoses(0));
 }
 
 TEST(LiveCalibration, UnderstandsThePosesAsTheSolverDoes) {

@@ -10,6 +10,7 @@
 #include <map>
 
 #include "imu_pose_calib/ros/io/conversions.h"
+#include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/simulation/simulator.h"
 #include "live_util.h"
 
@@ -22,6 +23,15 @@ SimulatorOptions Handheld(double duration_s) {
   SimulatorOptions options;
   options.duration_s = duration_s;
   return options;
+}
+
+geometry_msgs::PoseStamped ToPoseStamped(const PoseSample& sample, const std::string& frame) {
+  geometry_msgs::PoseStamped pose;
+  pose.header.stamp = FromNanoseconds(sample.t_ns);
+  pose.header.frame_id = frame;
+  pose.pose.position = ToPointMsg(sample.p_WM);
+  pose.pose.orientation = ToQuaternionMsg(sample.q_WM);
+  return pose;
 }
 
 /// Publishes the IMU and the poses for the node of a test, once that listens.
@@ -48,14 +58,7 @@ class Rig {
     imu.linear_acceleration = ToVector3Msg(accel.value);
     imu_.publish(imu);
   }
-  void PublishPose(const PoseSample& sample) {
-    geometry_msgs::PoseStamped pose;
-    pose.header.stamp = FromNanoseconds(sample.t_ns);
-    pose.header.frame_id = world_frame;
-    pose.pose.position = ToPointMsg(sample.p_WM);
-    pose.pose.orientation = ToQuaternionMsg(sample.q_WM);
-    poses_.publish(pose);
-  }
+  void PublishPose(const PoseSample& sample) { poses_.publish(ToPoseStamped(sample, world_frame)); }
 
  private:
   ros::NodeHandle node_;
@@ -76,6 +79,8 @@ tf2_msgs::TFMessage Link(const std::string& parent, const std::string& child) {
   message.transforms[0].transform.rotation.w = 1.0;
   return message;
 }
+
+using LiveNodeFiles = TempDirTest;
 
 void WaitUntilAllSaw(const ros::Publisher& publisher, uint32_t subscribers) {
   EXPECT_TRUE(WaitFor([&] { return publisher.getNumSubscribers() >= subscribers; }, kShort));
@@ -168,6 +173,41 @@ TEST(LiveNode, ForgetsFramesWithTheReset) {
   EXPECT_TRUE(WaitFor([&] { return node.status.solve_time == 0.0; }, kShort));
   EXPECT_FALSE(says("another parent")) << node.status;
   EXPECT_FALSE(says("were dropped")) << node.status;
+}
+
+/// The second of two has nothing to say; the marker is found among the other topics.
+TEST_F(LiveNodeFiles, OffersAPoseSensor) {
+  Rig rig("camera");
+  ros::NodeHandle handle;
+  ros::Publisher camera = handle.advertise<geometry_msgs::PoseStamped>("/camera/sensor", 0);
+  Node node("camera", {rig.parameters[0], "_method:=gp", "_output:=" + Path("result.yaml"),
+                       "_pose_sensor:=/camera/sensor /camera/silent"});
+  std::map<std::string, geometry_msgs::Transform> transforms;  // by child
+  const ros::Subscriber tf = handle.subscribe<tf2_msgs::TFMessage>(
+      "/tf_static", 100, [&](const tf2_msgs::TFMessage::ConstPtr& msg) {
+        for (const auto& link : msg->transforms) transforms[link.child_frame_id] = link.transform;
+      });
+  ASSERT_TRUE(WaitFor([&] { return camera.getNumSubscribers() > 0; }, kShort));
+  SimulatorOptions options = Handheld(15.0);
+  options.pose_sensors.resize(1);
+  const SessionData data = Simulate(options);
+  for (const PoseSample& pose : data.pose_sensors[0])
+    camera.publish(ToPoseStamped(pose, "camera_world"));
+  rig.Publish(data);
+  ASSERT_TRUE(node.WaitForResult()) << node.status;
+  ASSERT_TRUE(WaitFor([&] { return transforms.count("camera_sensor") > 0; }, kShort));
+  const geometry_msgs::Vector3& p = transforms["camera_sensor"].translation;
+  EXPECT_LT((Eigen::Vector3d(p.x, p.y, p.z) - options.pose_sensors[0].T_MS.p).norm(), 0.01);
+  EXPECT_EQ(transforms.count("camera_silent"), 0u);
+  EXPECT_TRUE(WaitFor([&] { return Contains(node.status.message, "/camera/silent (PoseStamped,"); },
+                      kShort))
+      << node.status;
+  EXPECT_TRUE(node.Call("save").success);
+  const StoredResult stored = LoadResult(Path("result.yaml"));
+  EXPECT_EQ(stored.infos[0].pose_sensors.at(0).topic, "/camera/sensor");
+  EXPECT_EQ(stored.infos[0].pose_sensors[0].world_frame, "camera_world");
+  EXPECT_EQ(stored.result.pose_sensors[0].status, Status::kOk);
+  EXPECT_EQ(stored.result.pose_sensors.at(1).status, Status::kDegenerate);
 }
 
 }  // namespace

@@ -123,6 +123,8 @@ void FindJumps(const Rigid3& T_MS, SensorSession* session) {
 SensorEstimate StartSensor(const CalibrationOptions& options,
                            const std::vector<MarkerMotion>& marker,
                            const std::vector<std::vector<PoseSample>>& poses) {
+  if (std::all_of(poses.begin(), poses.end(), [](const auto& session) { return session.empty(); }))
+    throw DataError("there are no poses");
   SensorEstimate estimate;
   estimate.sessions.resize(marker.size());
   double best = 0.0;

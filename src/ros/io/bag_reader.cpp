@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <boost/algorithm/string/join.hpp>
 #include <boost/algorithm/string/predicate.hpp>
-#include <boost/algorithm/string/replace.hpp>
 #include <cmath>
 #include <filesystem>
 #include <functional>
@@ -150,20 +149,6 @@ std::string TfHint(const Bags& bags) {
   TfChain links("", "", 0.0);
   AddTf(bags, &links);
   return "; for poses from tf give tf_parent and tf_child, its frames are: " + links.Links();
-}
-
-/// Parent and child of poses from tf.
-using TfFrames = std::pair<std::string, std::string>;
-
-std::string NameOf(const TfFrames& frames) { return "tf:" + frames.first + ":" + frames.second; }
-
-/// Of a pose sensor tf:PARENT:CHILD; no value when it is a topic.
-std::optional<TfFrames> SplitTf(const std::string& name) {
-  if (!boost::starts_with(name, "tf:")) return std::nullopt;
-  const size_t colon = name.find(':', 3);
-  if (colon == std::string::npos)
-    throw InputError("pose_sensor '" + name + "' must be tf:PARENT:CHILD");
-  return TfFrames(FrameName(name.substr(3, colon - 3), ""), FrameName(name.substr(colon + 1), ""));
 }
 
 /// Whether a topic may have the poses of the marker: that of a pose sensor has, where it holds
@@ -317,7 +302,7 @@ struct PoseReader {
   FramedPose first;
   Stream<PoseSample> poses;
 
-  std::string Name() const { return tf ? NameOf(*tf) : JoinBody(topic.name, body); }
+  std::string Name() const { return tf ? JoinTf(*tf) : JoinBody(topic.name, body); }
 
   void Add(const BagMessage& message, bool record_time) {
     if (message.topic != topic.name) return;
@@ -349,10 +334,7 @@ struct PoseReader {
   void Finish(PoseSensorInfo* info, std::vector<PoseSample>* finished) {
     std::optional<Latency> unused;
     poses.Finish(Name(), &unused, finished);
-    info->topic = Name();
-    const std::string frame = boost::replace_all_copy(FrameName(topic.name, ""), "/", "_");
-    info->frame = FrameName(first.marker_frame, frame);
-    info->world_frame = FrameName(first.world_frame, info->frame + "_world");
+    *info = NamePoseSensor(Name(), first.world_frame, first.marker_frame);
   }
 };
 

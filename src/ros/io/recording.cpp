@@ -1,5 +1,7 @@
 #include "imu_pose_calib/ros/io/recording.h"
 
+#include <boost/algorithm/string/predicate.hpp>
+#include <boost/algorithm/string/replace.hpp>
 #include <cereal/archives/binary.hpp>
 #include <cereal/types/optional.hpp>
 #include <cereal/types/string.hpp>
@@ -105,6 +107,26 @@ std::pair<std::string, std::string> SplitBody(const std::string& name) {
 
 std::string JoinBody(const std::string& source, const std::string& body) {
   return body.empty() ? source : source + ":" + body;
+}
+
+std::string JoinTf(const TfFrames& frames) { return "tf:" + frames.first + ":" + frames.second; }
+
+std::optional<TfFrames> SplitTf(const std::string& name) {
+  if (!boost::starts_with(name, "tf:")) return std::nullopt;
+  const size_t colon = name.find(':', 3);
+  if (colon == std::string::npos)
+    throw InputError("pose_sensor '" + name + "' must be tf:PARENT:CHILD");
+  return TfFrames(FrameName(name.substr(3, colon - 3), ""), FrameName(name.substr(colon + 1), ""));
+}
+
+PoseSensorInfo NamePoseSensor(const std::string& name, const std::string& world_frame,
+                              const std::string& frame) {
+  PoseSensorInfo info;
+  info.topic = name;
+  const std::string topic = FrameName(SplitBody(name).first, "");
+  info.frame = FrameName(frame, boost::replace_all_copy(topic, "/", "_"));
+  info.world_frame = FrameName(world_frame, info.frame + "_world");
+  return info;
 }
 
 void CheckPoseSensors(const std::string& marker, const std::vector<std::string>& pose_sensors) {

@@ -140,8 +140,21 @@ StreamStatus LiveCalibration::Stream<Sample>::Status() const {
   return status;
 }
 
+template <typename Sample>
+std::string LiveCalibration::Stream<Sample>::Missing() const {
+  if (!samples.empty()) return "";
+  return name + (unstamped > 0 ? " with header stamps (all are 0)" : "");
+}
+
+template <typename Sample>
+void LiveCalibration::Stream<Sample>::Trim(double window, double now) {
+  while (!samples.empty() &&
+         (samples.size() > kMaxSamples || Duration() + (now - arrival) > window))
+    samples.pop_front();
+}
+
 LiveCalibration::LiveCalibration(const LiveOptions& options, const CalibrationOptions& calibration,
-                                 size_t imus)
+                                 size_t imus, const std::vector<std::string>& pose_sensors)
     : options_(options), calibration_(calibration) {
   for (const auto& [name, member] : kLiveOptions)
     if (const double value = options_.*member; !(value > 0.0 && std::isfinite(value)))
@@ -153,30 +166,31 @@ LiveCalibration::LiveCalibration(const LiveOptions& options, const CalibrationOp
     sensors_.push_back({"gyroscope" + OfImu(i, imus), {}});
     sensors_.push_back({"accelerometer" + OfImu(i, imus), {}});
   }
+  for (const std::string& name : pose_sensors) pose_sensors_.push_back({"poses of " + name, {}});
 }
 
 // --- Samples ---
 
-/// False when the sample has no stamp and was dropped.
+/// False when the sample has no stamp and was dropped. `resets`: a jump of the clock starts anew.
 template <typename Sample>
-bool LiveCalibration::Add(const Sample& sample, double now, Stream<Sample>* stream) {
+bool LiveCalibration::Add(const Sample& sample, double now, Stream<Sample>* stream, bool resets) {
   if (sample.t_ns == 0) {
     ++stream->unstamped;
     return false;
   }
   const std::string jump = FindJump(sample, now, *stream);
-  if (!jump.empty() && !IsFrozen()) Reset(jump, now);
+  if (!jump.empty() && resets && !IsFrozen()) Reset(jump, now);
   if (!jump.empty()) stream->samples.clear();
   ++stream->received;
   stream->arrival = now;
-  auto& samples = stream->samples;
-  samples.push_back(sample);
-  while (samples.size() > kMaxSamples || stream->Duration() > options_.window) samples.pop_front();
+  stream->samples.push_back(sample);
+  stream->Trim(options_.window, now);
   return true;
 }
 
 bool LiveCalibration::AddPose(const PoseSample& recorded, double now) {
   if (!Add(recorded, now, &poses_)) return false;
+  for (auto& stream : pose_sensors_) stream.Trim(options_.window, now);  // of one that is silent
   const PoseSample pose = ToMarkerPose(calibration_, recorded);
   if (!IsValid(pose) || (known_.pose && SameValue(pose, *known_.pose))) return false;
   known_.pose = pose;
@@ -195,6 +209,15 @@ void LiveCalibration::AddGyro(const ImuSample& sample, double now, size_t imu) {
 
 void LiveCalibration::AddAccel(const ImuSample& sample, double now, size_t imu) {
   Add(sample, now, &sensors_[2 * imu + 1]);
+}
+
+void LiveCalibration::AddSensorPose(const PoseSample& recorded, double now, size_t sensor) {
+  Add(recorded, now, &pose_sensors_[sensor], /*resets=*/false);
+}
+
+bool LiveCalibration::LacksSensor() const {
+  return std::any_of(pose_sensors_.begin(), pose_sensors_.end(),
+                     [](const auto& stream) { return stream.samples.empty(); });
 }
 
 Vector6d LiveCalibration::Excitation() const {
@@ -239,6 +262,7 @@ SessionData LiveCalibration::BeginSolve() {
   SessionData data{copy(poses_.samples), {}, {}};
   for (size_t k = 0; k < sensors_.size(); k += 2)
     data.imus.push_back({copy(sensors_[k].samples), copy(sensors_[k + 1].samples)});
+  for (const auto& stream : pose_sensors_) data.pose_sensors.push_back(copy(stream.samples));
   return data;
 }
 
@@ -273,6 +297,7 @@ void LiveCalibration::FailSolve(const std::string& reason) {
 void LiveCalibration::Reset(const std::string& reason, double now) {
   poses_.samples.clear();
   for (auto& stream : sensors_) stream.samples.clear();
+  for (auto& stream : pose_sensors_) stream.samples.clear();
   known_ = Knowledge();
   ++resets_;
   notice_ = reason.empty() ? "" : reason + "; started anew";
@@ -291,9 +316,7 @@ bool LiveCalibration::IsConverged() const {
 std::string LiveCalibration::MissingStreams() const {
   std::vector<std::string> missing;
   const auto check = [&](const auto& stream) {
-    if (stream.samples.empty())
-      missing.push_back(stream.name +
-                        (stream.unstamped > 0 ? " with header stamps (all are 0)" : ""));
+    if (stream.samples.empty()) missing.push_back(stream.Missing());
   };
   check(poses_);
   for (const auto& stream : sensors_) check(stream);
@@ -311,6 +334,24 @@ std::string LiveCalibration::LostStreams(double now) const {
   if (lost.empty()) check(pose_changed_, "the marker is lost: the poses repeat or are invalid");
   for (const auto& stream : sensors_) check(stream.arrival, "no " + stream.name);
   return boost::join(lost, ", ");
+}
+
+/// What is the matter with pose sensors, each note after "; ".
+std::string LiveCalibration::SensorNotes(double now) const {
+  std::string notes;
+  for (size_t k = 0; k < pose_sensors_.size(); ++k) {
+    const Stream<PoseSample>& stream = pose_sensors_[k];
+    const double silent = now - stream.arrival;
+    if (stream.samples.empty())
+      notes += "; no " + stream.Missing();
+    else if (silent > options_.lost_timeout)
+      notes += Format("; no %s for %.1f s", stream.name.c_str(), silent);
+    if (!known_.result) continue;
+    const PoseSensorCalibration& sensor = known_.result->pose_sensors[k];
+    if (sensor.status != imu_pose_calib::Status::kOk)
+      notes += Format("; sensor%zu is %s", k, ToString(sensor.status));
+  }
+  return notes;
 }
 
 std::string LiveCalibration::Advice() const {
@@ -359,6 +400,7 @@ CalibrationStatus LiveCalibration::Status(double now) const {
   CalibrationStatus status;
   std::tie(status.phase, status.message) = PhaseAndMessage(now);
   status.phase_text = kPhases[status.phase];
+  if (!IsFrozen()) status.message += SensorNotes(now);
   const auto [poses, gyro, accel] = Streams();
   status.buffered = std::min({poses.buffered_s, gyro.buffered_s, accel.buffered_s});
   status.pose_rate = poses.rate_hz;

@@ -1,6 +1,8 @@
 #include "imu_pose_calib/ros/live/live_input.h"
 
+#include <algorithm>
 #include <boost/function.hpp>
+#include <iterator>
 
 #include "imu_pose_calib/ros/io/conversions.h"
 
@@ -45,11 +47,22 @@ LiveInput::LiveInput(const ros::NodeHandle& node, const OfflineRequest& request,
         listen(is_split ? "gyro_topic" : "imu_topic", gyros[i], true, !is_split);
     imus_.push_back({gyro, is_split ? listen("accel_topic", accels[i], false, true) : gyro});
   }
-  if (topics.tf_parent.empty())
-    AddSource("pose_topic", topics.pose_topic, PoseTypeNames(),
-              [this](const TopicSource::Message& message) { OnPose(message); });
-  else
-    chain_.emplace(topics.tf_parent, topics.tf_child, kTfCache);
+  const auto listen = [this](const char* parameter, const std::string& topic,
+                             const std::optional<TfFrames>& tf) {
+    const size_t source = poses_.size();
+    Poses& poses = poses_.emplace_back();
+    poses.name = topic;
+    poses.tf = tf;
+    if (!tf)
+      poses.topic = AddSource(
+          parameter, topic, PoseTypeNames(),
+          [this, source](const TopicSource::Message& message) { OnPose(message, source); });
+    poses.Forget({});
+  };
+  const TfFrames marker(FrameName(topics.tf_parent, ""), FrameName(topics.tf_child, ""));
+  listen("pose_topic", topics.pose_topic,
+         topics.tf_parent.empty() ? std::nullopt : std::optional(marker));
+  for (const std::string& name : topics.pose_sensors) listen("pose_sensor", name, SplitTf(name));
   for (const bool fixed : {false, true})
     tf_.push_back(node_.subscribe<tf2_msgs::TFMessage>(
         fixed ? "/tf_static" : "/tf", 0,
@@ -80,18 +93,21 @@ void LiveInput::OnImu(const TopicSource::Message& message, size_t imu, bool is_g
   if (is_accel && accel) live_->AddAccel(*accel, now, imu);
 }
 
-void LiveInput::OnPose(const TopicSource::Message& message) {
+void LiveInput::OnPose(const TopicSource::Message& message, size_t source) {
   const FramedPose framed = ReadPose(message.getMessage()->getDataType(), *message.getMessage());
-  const std::string world_frame = FrameName(framed.world_frame, "world");
-  const std::string marker_frame = FrameName(framed.marker_frame, "marker");
-  if (world_frame_.empty()) {
-    world_frame_ = world_frame;
-    marker_frame_ = marker_frame;
+  Poses& poses = poses_[source];
+  const PoseSensorInfo names =
+      source == 0 ? PoseSensorInfo{"", FrameName(framed.marker_frame, "marker"),
+                                   FrameName(framed.world_frame, "world")}
+                  : NamePoseSensor(poses.name, framed.world_frame, framed.marker_frame);
+  if (poses.world_frame.empty()) {
+    poses.world_frame = names.world_frame;
+    poses.frame = names.frame;
   }
-  if (world_frame == world_frame_ && marker_frame == marker_frame_)
-    AddPose(framed.pose, message.getReceiptTime());
+  if (names.world_frame == poses.world_frame && names.frame == poses.frame)
+    AddPose(framed.pose, message.getReceiptTime(), source);
   else
-    ++foreign_poses_;
+    ++poses.foreign;
 }
 
 void LiveInput::OnTransforms(const TfEvent& event, bool fixed) {
@@ -103,36 +119,48 @@ void LiveInput::OnTransforms(const TfEvent& event, bool fixed) {
     link.child_frame_id = FrameName(link.child_frame_id, "");
     (fixed ? fixed_links_ : links_)[link.child_frame_id] = link;
   }
-  if (!chain_) return;
-  chain_->Add(*event.getMessage(), fixed);
-  for (const PoseSample& pose : chain_->TakePoses()) AddPose(pose, ros::Time::now());
+  for (size_t k = 0; k < poses_.size(); ++k) {
+    if (!poses_[k].chain) continue;
+    poses_[k].chain->Add(*event.getMessage(), fixed);
+    for (const PoseSample& pose : poses_[k].chain->TakePoses()) AddPose(pose, ros::Time::now(), k);
+  }
 }
 
 void LiveInput::ForgetAfterReset() {
   if (resets_ == live_->resets()) return;
   resets_ = live_->resets();
-  // Only the static transforms stay: they are not sent again.
   for (Imu& imu : imus_) imu.frame.clear();
-  foreign_poses_ = 0;
+  for (Poses& poses : poses_) poses.Forget(fixed_links_);
   links_.clear();
-  world_frame_.clear();
-  marker_frame_.clear();
-  if (!chain_) return;
-  chain_.emplace(request_.bag.tf_parent, request_.bag.tf_child, kTfCache);
-  tf2_msgs::TFMessage fixed;
-  for (const auto& [child, link] : fixed_links_) fixed.transforms.push_back(link);
-  chain_->Add(fixed, true);
 }
 
-void LiveInput::AddPose(const PoseSample& recorded, const ros::Time& now) {
-  if (live_->AddPose(recorded, now.toSec())) on_pose_(*live_->pose());
+void LiveInput::Poses::Forget(const Links& fixed_links) {
+  foreign = 0;
+  world_frame = tf ? tf->first : "";
+  frame = tf ? tf->second : "";
+  if (!tf) return;
+  chain.emplace(tf->first, tf->second, kTfCache);
+  tf2_msgs::TFMessage fixed;
+  for (const auto& [child, link] : fixed_links) fixed.transforms.push_back(link);
+  chain->Add(fixed, true);
+}
+
+void LiveInput::AddPose(const PoseSample& recorded, const ros::Time& now, size_t source) {
+  if (source > 0)
+    live_->AddSensorPose(recorded, now.toSec(), source - 1);
+  else if (live_->AddPose(recorded, now.toSec()))
+    on_pose_(*live_->pose());
 }
 
 RecordingInfo LiveInput::Info() const {
   RecordingInfo info;
-  info.world_frame = FrameName(chain_ ? request_.bag.tf_parent : world_frame_, "world");
-  info.marker_frame = FrameName(chain_ ? request_.bag.tf_child : marker_frame_, "marker");
-  info.pose_topic = chain_ ? "/tf" : sources_.back().topic();
+  const Poses& marker = poses_.front();
+  info.world_frame = FrameName(marker.world_frame, "world");
+  info.marker_frame = FrameName(marker.frame, "marker");
+  info.pose_topic = marker.tf ? "/tf" : marker.topic->topic();
+  for (size_t k = 1; k < poses_.size(); ++k)
+    info.pose_sensors.push_back(
+        NamePoseSensor(poses_[k].name, poses_[k].world_frame, poses_[k].frame));
   info.imus.resize(imus_.size());
   for (size_t i = 0; i < imus_.size(); ++i) {
     const Imu& imu = imus_[i];
@@ -146,20 +174,31 @@ RecordingInfo LiveInput::Info() const {
   return info;
 }
 
-const geometry_msgs::TransformStamped* LiveInput::OtherParent() const {
-  const RecordingInfo info = Info();
+const geometry_msgs::TransformStamped* LiveInput::OtherParent(
+    const std::vector<std::string>& frames) const {
+  const std::string marker_frame = Info().marker_frame;
   for (const Links* links : {&fixed_links_, &links_})
-    for (const ImuInfo& imu : info.imus)
-      if (const auto link = links->find(imu.imu_frame);
-          link != links->end() && link->second.header.frame_id != info.marker_frame)
+    for (const std::string& frame : frames)
+      if (const auto link = links->find(frame);
+          link != links->end() && link->second.header.frame_id != marker_frame)
         return &link->second;
   return nullptr;
 }
 
+const geometry_msgs::TransformStamped* LiveInput::OtherParent() const {
+  std::vector<std::string> frames;
+  for (const ImuInfo& imu : Info().imus) frames.push_back(imu.imu_frame);
+  return OtherParent(frames);
+}
+
 std::string LiveInput::Dropped() const {
-  if (foreign_poses_ == 0) return "";
-  return std::to_string(foreign_poses_) + " poses of other frames than " + world_frame_ + " -> " +
-         marker_frame_ + " were dropped";
+  std::string text;
+  for (const Poses& poses : poses_)
+    if (poses.foreign > 0)
+      text += (text.empty() ? "" : "; ") + std::to_string(poses.foreign) +
+              " poses of other frames than " + poses.world_frame + " -> " + poses.frame +
+              " were dropped";
+  return text;
 }
 
 bool LiveInput::IsLooking() const {
@@ -175,8 +214,14 @@ std::string LiveInput::Look() {
     look_ = std::async(std::launch::async, [this] {
       ros::master::V_TopicInfo published;
       if (!ros::master::getTopics(published)) return false;
+      ros::master::V_TopicInfo others;  // where the marker may be found
+      const auto& sensors = request_.bag.pose_sensors;
+      std::copy_if(published.begin(), published.end(), std::back_inserter(others),
+                   [&](const ros::master::TopicInfo& topic) {
+                     return std::count(sensors.begin(), sensors.end(), topic.name) == 0;
+                   });
       for (TopicSource& source : sources_)
-        if (!source.HasData()) source.Look(published);
+        if (!source.HasData()) source.Look(&source == poses_.front().topic ? others : published);
       return true;
     });
   }
@@ -197,7 +242,10 @@ std::string LiveInput::Look() {
     if (imu.lacks_gyro) lacks(*imu.gyro, "gyroscope");
     if (imu.lacks_accel) lacks(*imu.accel, "accelerometer");
   }
-  if (chain_ && !live_->pose()) say(LookAt(*chain_));
+  if (poses_.front().chain && !live_->pose()) say(LookAt(*poses_.front().chain));
+  for (size_t k = 1; k < poses_.size(); ++k)
+    if (poses_[k].chain && !live_->HasSensorPoses(k - 1))
+      say(poses_[k].name + ": " + LookAt(*poses_[k].chain));
   return problems;
 }
 

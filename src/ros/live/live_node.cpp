@@ -41,6 +41,27 @@ struct LiveSettings {
   LiveOptions live;
 };
 
+/// The full names of the pose sensors.
+std::vector<std::string> PoseSensors(const OfflineRequest& request) {
+  const BagRequest& topics = request.bag;
+  std::vector<std::string> names;
+  for (const std::string& name : SplitNames(request.pose_sensors)) {
+    if (name.empty()) continue;
+    const auto tf = SplitTf(name);
+    std::string ignored;
+    if (!tf && (!ros::names::validate(name, ignored) || std::filesystem::is_regular_file(name)))
+      throw InputError("pose_sensor '" + name +
+                       "' must be a topic or tf:PARENT:CHILD; text files go with bags");
+    names.push_back(tf ? JoinTf(*tf) : ros::names::resolve(name));
+  }
+  std::string marker;
+  if (!topics.pose_topic.empty()) marker = ros::names::resolve(topics.pose_topic);
+  if (!topics.tf_parent.empty())
+    marker = JoinTf({FrameName(topics.tf_parent, ""), FrameName(topics.tf_child, "")});
+  CheckPoseSensors(marker, names);
+  return names;
+}
+
 LiveSettings ReadSettings(const OfflineRequest& given) {
   LiveSettings settings;
   settings.request = given;
@@ -50,6 +71,7 @@ LiveSettings ReadSettings(const OfflineRequest& given) {
                                {"accel_topic", topics.accel_topic});
   IsPair({"pose_topic", topics.pose_topic}, {"tf_parent", topics.tf_parent},
          {"tf_child", topics.tf_child});
+  topics.pose_sensors = PoseSensors(request);
   settings.imus = SplitNames(is_split ? topics.gyro_topic : topics.imu_topic).size();
   for (const auto& [name, value] :
        {Given{"imu_frame", request.imu_frame}, Given{"accel_topic", topics.accel_topic}})
@@ -140,7 +162,8 @@ class LiveNode {
 LiveNode::LiveNode(const ros::NodeHandle& node, const OfflineRequest& request)
     : node_(node),
       settings_(ReadSettings(request)),
-      live_(settings_.live, settings_.calibration, settings_.imus),
+      live_(settings_.live, settings_.calibration, settings_.imus,
+            settings_.request.bag.pose_sensors),
       input_(node, settings_.request, &mutex_, &live_,
              [this](const PoseSample& pose) { PublishPose(pose); }),
       solver_(
@@ -252,6 +275,7 @@ void LiveNode::Tick() {
 
 void LiveNode::UpdateStatus() {
   const ros::Time now = ros::Time::now();
+  const bool was_waiting = status_.phase == CalibrationStatus::WAITING;
   if (now != status_.header.stamp) clock_moved_ = ros::SteadyTime::now();
   status_ = live_.Status(now.toSec());
   status_.header.stamp = now;
@@ -267,9 +291,10 @@ void LiveNode::UpdateStatus() {
                ": set imu_frame";
   if (!save_error_.empty()) message += "; " + save_error_;
   if (const std::string dropped = input_.Dropped(); !dropped.empty()) message += "; " + dropped;
-  if (status_.phase == CalibrationStatus::WAITING) {
-    if (ticks_ % kTicksPerStatus == 0) waiting_for_ = input_.Look();
-    if (!waiting_for_.empty()) message = waiting_for_;
+  const bool is_waiting = status_.phase == CalibrationStatus::WAITING;
+  if (is_waiting || live_.LacksSensor()) {
+    if (ticks_ % kTicksPerStatus == 0 || is_waiting != was_waiting) waiting_for_ = input_.Look();
+    if (!waiting_for_.empty()) message = is_waiting ? waiting_for_ : message + "; " + waiting_for_;
   } else {
     waiting_for_.clear();
   }
@@ -313,7 +338,15 @@ void LiveNode::PublishResult() {
   const ros::Time now = ros::Time::now();
   result_publisher_.publish(ToMsg(*live_.result(), info, now));
   std::vector<geometry_msgs::TransformStamped> transforms;
-  for (const auto& transform : ToTransforms(*live_.result(), info, now)) {
+  const auto all = ToTransforms(*live_.result(), info, now);
+  for (size_t k = 0; k < all.size(); ++k) {
+    const geometry_msgs::TransformStamped& transform = all[k];
+    const bool is_sensor = k >= info.imus.size();  // may be in the tf of a robot, as one from tf is
+    if (const auto* link = input_.OtherParent({transform.child_frame_id}); is_sensor && link) {
+      ROS_WARN("No transform of '%s' is published: its parent in tf is '%s' already",
+               link->child_frame_id.c_str(), link->header.frame_id.c_str());
+      continue;
+    }
     if (transform.child_frame_id != info.marker_frame) {
       transforms.push_back(transform);
       continue;

@@ -83,7 +83,22 @@ std::pair<std::string, std::string> SplitBody(const std::string& name);
 /// SOURCE:BODY, or SOURCE when there is no body.
 std::string JoinBody(const std::string& source, const std::string& body);
 
-/// Throws InputError when a pose sensor is the marker, or is given twice; all as by JoinBody().
+/// Parent and child of poses from tf, without leading slash.
+using TfFrames = std::pair<std::string, std::string>;
+
+/// tf:PARENT:CHILD.
+std::string JoinTf(const TfFrames& frames);
+
+/// Of a pose sensor tf:PARENT:CHILD; no value when it is a topic.
+std::optional<TfFrames> SplitTf(const std::string& name);
+
+/// A pose sensor by its name and the frames of its messages. Those that are empty are called by the
+/// topic: "camera_pose" and "camera_pose_world" for /camera/pose.
+PoseSensorInfo NamePoseSensor(const std::string& name, const std::string& world_frame,
+                              const std::string& frame);
+
+/// Throws InputError when a pose sensor is the marker, or is given twice; all as by JoinBody() or
+/// JoinTf().
 void CheckPoseSensors(const std::string& marker, const std::vector<std::string>& pose_sensors);
 
 /// `frame` without leading slash, or `fallback` when it is empty.

@@ -52,10 +52,11 @@ struct StreamStatus {
 class LiveCalibration {
  public:
   /// `calibration` tells how the poses are to be understood: unit and direction. `imus`: how many
-  /// there are on the body. Throws InputError naming an option out of range, value and bound.
+  /// there are on the body. `pose_sensors`: their names. Throws InputError naming an option out of
+  /// range, value and bound.
   explicit LiveCalibration(const LiveOptions& options,
                            const CalibrationOptions& calibration = CalibrationOptions(),
-                           size_t imus = 1);
+                           size_t imus = 1, const std::vector<std::string>& pose_sensors = {});
 
   /// Samples in the order of arrival. A stamp that jumps, or `now` that goes back, starts anew:
   /// the old data and result belong to another clock.
@@ -63,6 +64,10 @@ class LiveCalibration {
   bool AddPose(const PoseSample& recorded, double now);
   void AddGyro(const ImuSample& sample, double now, size_t imu = 0);
   void AddAccel(const ImuSample& sample, double now, size_t imu = 0);
+  /// Nothing waits for a pose sensor; when its stamps jump, only its own poses are forgotten.
+  void AddSensorPose(const PoseSample& recorded, double now, size_t sensor = 0);
+  bool HasSensorPoses(size_t sensor) const { return !pose_sensors_[sensor].samples.empty(); }
+  bool LacksSensor() const;  ///< some have no poses
 
   /// There is enough motion, enough of it is new, and no solve is running.
   bool WantsSolve() const;
@@ -108,6 +113,10 @@ class LiveCalibration {
 
     StreamStatus Status() const;
     double Duration() const;  ///< [s]
+    /// Its name and what is the matter with its stamps; empty when there are samples.
+    std::string Missing() const;
+    /// Lets go of what is older than `window` [s], and of too many.
+    void Trim(double window, double now);
   };
   /// What a reset forgets beside the samples.
   struct Knowledge {
@@ -123,11 +132,12 @@ class LiveCalibration {
   };
 
   template <typename Sample>
-  bool Add(const Sample& sample, double now, Stream<Sample>* stream);
+  bool Add(const Sample& sample, double now, Stream<Sample>* stream, bool resets = true);
 
   bool IsConverged() const;
   std::string MissingStreams() const;
   std::string LostStreams(double now) const;
+  std::string SensorNotes(double now) const;
   std::string Advice() const;
   std::pair<uint8_t, std::string> PhaseAndMessage(double now) const;
 
@@ -135,7 +145,8 @@ class LiveCalibration {
   const CalibrationOptions calibration_;
   Stream<PoseSample> poses_{"poses", {}};
   std::vector<Stream<ImuSample>> sensors_;  ///< gyroscope and accelerometer of each IMU in turn
-  double pose_changed_ = 0.0;               ///< `now` of the last pose that was valid and new [s]
+  std::vector<Stream<PoseSample>> pose_sensors_;
+  double pose_changed_ = 0.0;  ///< `now` of the last pose that was valid and new [s]
   Knowledge known_;
 
   size_t resets_ = 0;

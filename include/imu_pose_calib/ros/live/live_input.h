@@ -5,6 +5,7 @@
 #include <ros/node_handle.h>
 #include <tf2_msgs/TFMessage.h>
 
+#include <deque>
 #include <functional>
 #include <future>
 #include <list>
@@ -44,6 +45,8 @@ class LiveInput {
   RecordingInfo Info() const;
   /// A link in tf, from elsewhere, of an imu frame to another parent than the marker; null: none.
   const geometry_msgs::TransformStamped* OtherParent() const;
+  /// The same of these frames.
+  const geometry_msgs::TransformStamped* OtherParent(const std::vector<std::string>& frames) const;
   /// What was dropped, as a sentence; empty: nothing.
   std::string Dropped() const;
   /// Has the topics looked for that have brought nothing yet, and says what was the matter with
@@ -60,9 +63,9 @@ class LiveInput {
                                const TopicSource::Callback& add);
   /// A message of the gyroscope or the accelerometer of an IMU, or of both.
   void OnImu(const TopicSource::Message& message, size_t imu, bool is_gyro, bool is_accel);
-  void OnPose(const TopicSource::Message& message);
+  void OnPose(const TopicSource::Message& message, size_t source);
   void OnTransforms(const TfEvent& event, bool fixed);
-  void AddPose(const PoseSample& recorded, const ros::Time& now);
+  void AddPose(const PoseSample& recorded, const ros::Time& now, size_t source);
 
   ros::NodeHandle node_;
   const OfflineRequest request_;
@@ -70,15 +73,25 @@ class LiveInput {
   LiveCalibration* const live_;
   const std::function<void(const PoseSample&)> on_pose_;
 
-  std::optional<TfChain> chain_;            ///< when poses come from tf
-  std::string world_frame_, marker_frame_;  ///< of the messages
+  /// Of the marker, or of a pose sensor.
+  struct Poses {
+    std::string name;  ///< of a pose sensor
+    std::optional<TfFrames> tf;
+    const TopicSource* topic = nullptr;  ///< unless they come from tf
+    std::optional<TfChain> chain;
+    std::string world_frame, frame;  ///< of the messages
+    size_t foreign = 0;              ///< of other frames, dropped
+
+    /// All but the static transforms: they are not sent again.
+    void Forget(const Links& fixed_links);
+  };
+  std::deque<Poses> poses_;  ///< the marker, then the pose sensors
   struct Imu {
     const TopicSource *gyro, *accel;               ///< the same of an IMU on one topic
     std::string frame = "";                        ///< of the messages
     bool lacks_gyro = false, lacks_accel = false;  ///< as the last message says
   };
   std::vector<Imu> imus_;
-  size_t foreign_poses_ = 0;   ///< of other frames, dropped
   Links fixed_links_, links_;  ///< of /tf_static and of /tf, as others than this node say
   size_t resets_ = 0;          ///< of live_, to which all of this belongs
 
