@@ -175,30 +175,38 @@ TEST(LiveNode, ForgetsFramesWithTheReset) {
   EXPECT_FALSE(says("were dropped")) << node.status;
 }
 
-/// The second of two has nothing to say; the marker is found among the other topics.
-TEST_F(LiveNodeFiles, OffersAPoseSensor) {
+/// The second of three has nothing to say, and the third has a place in tf already. The marker is
+/// found among the other topics.
+TEST_F(LiveNodeFiles, OffersPoseSensors) {
   Rig rig("camera");
   ros::NodeHandle handle;
   ros::Publisher camera = handle.advertise<geometry_msgs::PoseStamped>("/camera/sensor", 0);
   Node node("camera", {rig.parameters[0], "_method:=gp", "_output:=" + Path("result.yaml"),
-                       "_pose_sensor:=/camera/sensor /camera/silent"});
+                       "_pose_sensor:=/camera/sensor /camera/silent tf:map:camera"});
   std::map<std::string, geometry_msgs::Transform> transforms;  // by child
   const ros::Subscriber tf = handle.subscribe<tf2_msgs::TFMessage>(
       "/tf_static", 100, [&](const tf2_msgs::TFMessage::ConstPtr& msg) {
         for (const auto& link : msg->transforms) transforms[link.child_frame_id] = link.transform;
       });
-  ASSERT_TRUE(WaitFor([&] { return camera.getNumSubscribers() > 0; }, kShort));
+  ros::Publisher slam = handle.advertise<tf2_msgs::TFMessage>("/tf", 0);
+  ASSERT_TRUE(WaitFor(
+      [&] { return camera.getNumSubscribers() > 0 && slam.getNumSubscribers() > 0; }, kShort));
   SimulatorOptions options = Handheld(15.0);
   options.pose_sensors.resize(1);
   const SessionData data = Simulate(options);
-  for (const PoseSample& pose : data.pose_sensors[0])
+  for (const PoseSample& pose : data.pose_sensors[0]) {
     camera.publish(ToPoseStamped(pose, "camera_world"));
+    tf2_msgs::TFMessage link = Link("map", "camera");
+    link.transforms[0].header.stamp = FromNanoseconds(pose.t_ns);
+    link.transforms[0].transform = ToTransformMsg({pose.q_WM, pose.p_WM});
+    slam.publish(link);
+  }
   rig.Publish(data);
   ASSERT_TRUE(node.WaitForResult()) << node.status;
   ASSERT_TRUE(WaitFor([&] { return transforms.count("camera_sensor") > 0; }, kShort));
   const geometry_msgs::Vector3& p = transforms["camera_sensor"].translation;
   EXPECT_LT((Eigen::Vector3d(p.x, p.y, p.z) - options.pose_sensors[0].T_MS.p).norm(), 0.01);
-  EXPECT_EQ(transforms.count("camera_silent"), 0u);
+  EXPECT_EQ(transforms.count("camera_silent") + transforms.count("camera"), 0u);
   EXPECT_TRUE(WaitFor([&] { return Contains(node.status.message, "/camera/silent (PoseStamped,"); },
                       kShort))
       << node.status;
@@ -208,6 +216,8 @@ TEST_F(LiveNodeFiles, OffersAPoseSensor) {
   EXPECT_EQ(stored.infos[0].pose_sensors[0].world_frame, "camera_world");
   EXPECT_EQ(stored.result.pose_sensors[0].status, Status::kOk);
   EXPECT_EQ(stored.result.pose_sensors.at(1).status, Status::kDegenerate);
+  EXPECT_EQ(stored.result.pose_sensors.at(2).status, Status::kOk);
+  EXPECT_EQ(stored.infos[0].pose_sensors[2].frame, "camera");
 }
 
 }  // namespace

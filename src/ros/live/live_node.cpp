@@ -292,7 +292,7 @@ void LiveNode::UpdateStatus() {
   if (!save_error_.empty()) message += "; " + save_error_;
   if (const std::string dropped = input_.Dropped(); !dropped.empty()) message += "; " + dropped;
   const bool is_waiting = status_.phase == CalibrationStatus::WAITING;
-  if (is_waiting || live_.LacksSensor()) {
+  if (is_waiting || (live_.LacksSensor() && !live_.IsFrozen())) {
     if (ticks_ % kTicksPerStatus == 0 || is_waiting != was_waiting) waiting_for_ = input_.Look();
     if (!waiting_for_.empty()) message = is_waiting ? waiting_for_ : message + "; " + waiting_for_;
   } else {
