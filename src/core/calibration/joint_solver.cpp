@@ -2,8 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
-#include <cstdlib>
 #include <limits>
 #include <memory>
 #include <optional>
@@ -186,11 +184,10 @@ class JointSolver {
     SetNoise();
     Build();
     AddSpuriousInformation(splines_, problem_.get());
-    if (!std::getenv("LAST")) { const auto n = problem_->Solve(1e-9); if (std::getenv("SAY")) std::fprintf(stderr, "fine %d\n", n.value_or(-1)); }
     solution.marginals = FindMarginals(problem_.get());
     solution.statistics = statistics_;
     // Of everything: trajectories, gravity and biases too.
-    if (std::getenv("LAST")) problem_->Move(solution.marginals.step);
+    problem_->Move(solution.marginals.step);
     solution.residuals = problem_->TakeResiduals();
     problem_.reset();
     solution.models = std::move(models_);
