@@ -31,7 +31,8 @@ constexpr double kMetricScale = 2e-3;
 constexpr double kHeldDrift = 1e-12;  // [s/s] sigma of a clock's drift that is not estimated
 /// Squared drift over squared noise [1/s], its logarithm: what is searched, and how finely.
 constexpr double kLeastDrift = -16.0, kMostDrift = 10.0, kDriftStep = 0.25;
-/// The noise has settled when it changes by a smaller share; the drift, by two steps of that.
+/// Noise and drift have settled when what they are together, from one pose to the next and over a
+/// second, changes by a smaller share.
 constexpr double kSettled = 0.02;
 constexpr double kTimeBlocks = 24.0;
 
@@ -409,9 +410,11 @@ bool FindNoise(SensorEstimate* estimate) {
     const PoseStd noise = session.noise, drift = session.drift;
     FindNoise(*estimate, &session);
     for (double PoseStd::*kind : {&PoseStd::position, &PoseStd::rotation})
-      has_settled = has_settled &&
-                    std::abs(std::log(session.noise.*kind / noise.*kind)) <= kSettled &&
-                    std::abs(std::log(session.drift.*kind / drift.*kind)) <= kDriftStep;
+      for (const double t : {1.0 / session.data.pose_report.rate_hz, 1.0}) {
+        const double before = std::hypot(noise.*kind, drift.*kind * std::sqrt(t));
+        const double after = std::hypot(session.noise.*kind, session.drift.*kind * std::sqrt(t));
+        has_settled = has_settled && std::abs(std::log(after / before)) <= kSettled;
+      }
   }
   return has_settled;
 }

@@ -77,10 +77,10 @@ struct ImuData {
   bool IsEmpty() const { return gyro.empty() && accel.empty(); }
 };
 
-/// One recording of a rig, which is a marker and the IMUs and pose sensors on its body, in the order
-/// in which it arrived. Integer stamps keep clocks that are days apart at full precision. The places
-/// in `imus` and `pose_sensors` are those of the rig: the same in all its sessions, empty where a
-/// session lacks one.
+/// One recording of a rig, which is a marker and the IMUs and pose sensors on its body, in the
+/// order in which it arrived. Integer stamps keep clocks that are days apart at full precision. The
+/// places in `imus` and `pose_sensors` are those of the rig: the same in all its sessions, empty
+/// where a session lacks one.
 struct SessionData {
   std::vector<PoseSample> poses;
   std::vector<ImuData> imus = std::vector<ImuData>(1);
