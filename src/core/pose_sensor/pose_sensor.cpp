@@ -23,11 +23,13 @@ using Eigen::Vector3d;
 constexpr int kCandidates = 6;         // correlation peaks tried on all three axes
 constexpr double kMinExplained = 0.5;  // of the sensor's turn rates by the marker's
 constexpr double kRatePeriod = 0.01;   // [s] of the turn rates that are compared
+constexpr double kStiff = 0.1;         // [1/sqrt(s)] drift over noise at first
 constexpr double kAllDrift = 3.0;      // times the noise, from pose to pose
 constexpr double kForeignScale = 0.1;  // [1] that is no error of a metric sensor
 /// A jump: medians of so many poses before and after it differ by so many times the usual.
 constexpr ptrdiff_t kAround = 10;
 constexpr double kJump = 10.0;
+constexpr double kSettledClock = 1e-6;  // [s] that poses still move by, to first order, at the end
 constexpr int kMaxRounds = 15;
 
 /// Rates of turn of the sensor [rad/s], in S, as often as a gyroscope has them.
@@ -149,6 +151,8 @@ SensorEstimate StartSensor(const CalibrationOptions& options,
       throw OptionNeeded("the sensor's positions are " + Number(session.scale, "%.3g") +
                          " times those of the marker: set estimate_sensor_scale: true");
     FindJumps(estimate.T_MS, &session);
+    // A world that is too stiff shows its drift, one that is too loose takes up the motion.
+    session.drift = {kStiff * session.noise.position, kStiff * session.noise.rotation};
     PlaceKnots(estimate.T_MS, &session);
   }
   return estimate;
@@ -238,9 +242,13 @@ PoseSensorCalibration CalibratePoseSensor(const CalibrationOptions& options,
   SensorEstimate estimate = StartSensor(options, marker, poses);
   bool has_settled = false;
   for (int round = 0; round < kMaxRounds && !has_settled; ++round) {
+    const SensorEstimate before = estimate;
     const bool has_converged = SolveSensor(options, &estimate);
     has_settled = FindNoise(&estimate) && has_converged;
-    for (SensorSession& session : estimate.sessions) {
+    for (size_t s = 0; s < estimate.sessions.size(); ++s) {
+      SensorSession& session = estimate.sessions[s];
+      has_settled = has_settled &&
+                    std::abs(session.time_shift - before.sessions[s].time_shift) <= kSettledClock;
       PlaceSamples(&session);
       PlaceKnots(estimate.T_MS, &session);
     }

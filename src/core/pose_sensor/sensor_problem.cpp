@@ -2,6 +2,7 @@
 
 #include <ceres/ceres.h>
 
+#include <Eigen/Cholesky>
 #include <Eigen/Sparse>
 #include <Eigen/SparseCholesky>
 #include <algorithm>
@@ -26,6 +27,7 @@ using Eigen::Vector3d;
 /// the next; the poses around one that its start is the median of.
 constexpr double kLongestInterval = 1.0;
 constexpr size_t kAround = 5;
+constexpr size_t kPerKnot = 4;  // poses that tell outliers
 /// Of positions whose scale is not estimated as free [1]: boards and rooms are measured so well.
 constexpr double kMetricScale = 2e-3;
 constexpr double kHeldDrift = 1e-12;  // [s/s] sigma of a clock's drift that is not estimated
@@ -179,23 +181,28 @@ struct SensorProblem {
   }
 };
 
-/// A value of a series.
+/// A value of a series, and its derivatives by what is calibrated.
+constexpr int kCalibrated = 9;  // time shift, drift of the clock, scale, p_MS, turn of R_MS
+using TrackValue = Eigen::Matrix<double, 3, 1 + kCalibrated>;
 struct TrackSample {
   double t;
-  Vector3d value;
+  TrackValue value;
   double variance;  ///< over that of a sample of weight 1
   bool begins_piece;
 };
 
 /// Noise per sample, and density of the walk, of a series that is a walk beside white noise (local
-/// level model): the likeliest, by the Kalman filter.
+/// level model): the likeliest, by the Kalman filter, with the calibration that makes it likeliest:
+/// errors of the calibration move with the body and would pass for a walk.
 std::pair<double, double> FitWalk(const std::vector<TrackSample>& track) {
   double best = -std::numeric_limits<double>::infinity();
   std::pair<double, double> found;
   for (double x = kLeastDrift; x <= kMostDrift; x += kDriftStep) {
     const double q = std::exp(x);
-    Vector3d mean = Vector3d::Zero();
-    double P = 0.0, t = 0.0, squares = 0.0, log_det = 0.0, count = 1.0;
+    TrackValue mean = TrackValue::Zero();
+    Eigen::Matrix<double, 1 + kCalibrated, 1 + kCalibrated> products;
+    products.setZero();
+    double P = 0.0, t = 0.0, log_det = 0.0, count = 1.0;
     for (const TrackSample& sample : track) {
       P += q * (sample.t - t);
       t = sample.t;
@@ -205,13 +212,18 @@ std::pair<double, double> FitWalk(const std::vector<TrackSample>& track) {
         continue;
       }
       const double F = P + sample.variance;
-      const Vector3d innovation = sample.value - mean;
-      squares += innovation.squaredNorm() / F;
+      const TrackValue innovation = sample.value - mean;
+      products += innovation.transpose() * innovation / F;
       log_det += 3.0 * std::log(F);
       count += 3.0;
       mean += P / F * innovation;
       P *= sample.variance / F;
     }
+    Eigen::Matrix<double, kCalibrated, kCalibrated> H =
+        products.bottomRightCorner<kCalibrated, kCalibrated>();
+    H.diagonal().array() += 1e-12 * H.trace() + 1e-24;  // of what does not act
+    const Eigen::Matrix<double, kCalibrated, 1> g = products.bottomLeftCorner<kCalibrated, 1>();
+    const double squares = products(0, 0) - g.dot(H.ldlt().solve(g));
     const double variance = std::max(squares / count, 1e-24);
     const double log_likelihood = -0.5 * (log_det + count * std::log(variance));
     if (log_likelihood <= best) continue;
@@ -248,8 +260,12 @@ void FindNoise(const SensorEstimate& estimate, SensorSession* session) {
     positions.push_back(residuals.back().head<3>() / sample.position_scale);
     rotations.push_back(residuals.back().tail<3>() / sample.rotation_scale);
   }
-  const double by_position = SetWeights(positions, &SensorPose::position_weight, &session->samples);
-  const double by_rotation = SetWeights(rotations, &SensorPose::rotation_weight, &session->samples);
+  // Where each pose has a knot of its own, residuals are what that leaves and tell no outliers.
+  const bool has_freedom = kPerKnot * session->knots.size() < session->samples.size();
+  if (has_freedom) {
+    session->loss.position = SetWeights(positions, &SensorPose::position_weight, &session->samples);
+    session->loss.rotation = SetWeights(rotations, &SensorPose::rotation_weight, &session->samples);
+  }
   // What V has moved by since the first knot, where the sensor was, and the residual beyond that.
   std::vector<Vector6d> moved = {Vector6d::Zero()};
   for (size_t k = 1; k < session->knots.size(); ++k) {
@@ -269,18 +285,31 @@ void FindNoise(const SensorEstimate& estimate, SensorSession* session) {
     while (!session->knots[begin].begins_piece) --begin;
     const Vector6d value =
         residuals[i] + (1.0 - sample.u) * moved[sample.knot] + sample.u * moved[sample.knot + 1];
-    const auto add = [&](const Vector3d& x, double scale, double weight,
+    const BodyState& m = sample.marker;
+    const Rigid3 T_VS = PredictPose(estimate, *session, sample);
+    const Quaterniond q_VM = T_VS.q * estimate.T_MS.q.conjugate();
+    TrackValue of_position = TrackValue::Zero(), of_rotation = TrackValue::Zero();
+    of_position.col(0) = value.head<3>();
+    of_position.col(1) =
+        session->scale * (q_VM * (m.q_WB.conjugate() * m.v_W + m.omega_B.cross(estimate.T_MS.p)));
+    of_position.col(3) = q_VM * (m.q_WB.conjugate() * m.p_WB + estimate.T_MS.p);
+    of_position.block<3, 3>(0, 4) = q_VM.toRotationMatrix();
+    of_rotation.col(0) = value.tail<3>();
+    of_rotation.col(1) = q_VM * m.omega_B;
+    of_rotation.rightCols<3>() = T_VS.q.toRotationMatrix();
+    const auto add = [&](TrackValue x, double scale, double weight,
                          std::vector<TrackSample>* track) {
+      x.col(2) = (sample.t - session->reference) * x.col(1);
       track->push_back({sample.t, x, scale * scale / weight, begin != piece});
     };
-    add(value.head<3>(), sample.position_scale, sample.position_weight, &position);
-    add(value.tail<3>(), sample.rotation_scale, sample.rotation_weight, &rotation);
+    add(of_position, sample.position_scale, sample.position_weight, &position);
+    add(of_rotation, sample.rotation_scale, sample.rotation_weight, &rotation);
     piece = begin;
   }
   std::tie(session->noise.position, session->drift.position) = FitWalk(position);
   std::tie(session->noise.rotation, session->drift.rotation) = FitWalk(rotation);
-  session->noise.position *= by_position;
-  session->noise.rotation *= by_rotation;
+  session->noise.position *= session->loss.position;
+  session->noise.rotation *= session->loss.rotation;
 }
 
 }  // namespace

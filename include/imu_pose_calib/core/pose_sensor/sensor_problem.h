@@ -36,8 +36,9 @@ struct SensorSession {
   ConditionedData data;  ///< without IMUs; no poses: the session lacks the sensor
   double time_shift = 0.0, clock_drift = 0.0, reference = 0.0;  ///< [s], [s/s], [s]
   double scale = 1.0;
-  PoseStd noise;  ///< per axis and pose
-  PoseStd drift;  ///< [m/sqrt(s)], [rad/sqrt(s)]
+  PoseStd noise;           ///< per axis and pose
+  PoseStd drift;           ///< [m/sqrt(s)], [rad/sqrt(s)]
+  PoseStd loss{1.0, 1.0};  ///< factors of the noise by which weighted poses tell less
   std::vector<SensorPose> samples;
   std::vector<double> jumps;  ///< [s, sensor clock] between two poses
   std::vector<WorldKnot> knots;
