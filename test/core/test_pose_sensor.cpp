@@ -109,11 +109,23 @@ TEST(PoseSensor, FollowsAWorldThatDrifts) {
   SimulatorOptions truth = Truth();
   SimulatedPoseSensor& own = truth.pose_sensors[0];
   own.drift = 0.01;
-  own.position_std = own.rotation_std = 1e-3;
+  own.position_std = 2e-3;
+  own.rotation_std = 1e-3;
   const PoseSensorSession session = ExpectFound(truth, WithoutImu(truth)).sessions[0];
   EXPECT_GT(session.drift.position, 3e-3);
   EXPECT_LT(session.drift.position, 20e-3);
+  EXPECT_NEAR(session.noise.position, 2e-3, 0.2e-3);
   EXPECT_NEAR(session.noise.rotation, 1e-3, 0.1e-3);
+}
+
+TEST(PoseSensor, ThatIsAllDriftIsWeak) {
+  SimulatorOptions truth = Truth();
+  SimulatedPoseSensor& own = truth.pose_sensors[0];
+  own.drift = 0.02;
+  own.position_std = own.rotation_std = 2e-4;
+  const PoseSensorCalibration found = Calibrate({}, WithoutImu(truth)).pose_sensors.at(0);
+  EXPECT_EQ(found.status, Status::kWeak);
+  EXPECT_NE(found.message.find("more than its noise"), std::string::npos) << found.message;
 }
 
 TEST(PoseSensor, FindsAScale) {

@@ -24,7 +24,6 @@ constexpr int kCandidates = 6;         // correlation peaks tried on all three a
 constexpr double kMinExplained = 0.5;  // of the sensor's turn rates by the marker's
 constexpr double kRatePeriod = 0.01;   // [s] of the turn rates that are compared
 constexpr double kStiff = 0.1;         // [1/sqrt(s)] drift over noise at first
-constexpr double kAllDrift = 3.0;      // times the noise, from pose to pose
 constexpr double kForeignScale = 0.1;  // [1] that is no error of a metric sensor
 /// A jump: medians of so many poses before and after it differ by so many times the usual.
 constexpr ptrdiff_t kAround = 10;
@@ -158,12 +157,13 @@ SensorEstimate StartSensor(const CalibrationOptions& options,
   return estimate;
 }
 
-/// Whether there is hardly any noise beside the drift, as in estimates that are smoothed (VIO).
+/// Whether it drifts from pose to pose by more than its noise, as estimates that are smoothed
+/// (VIO).
 bool IsAllDrift(const SensorSession& session) {
   if (session.samples.empty()) return false;
   const double root = std::sqrt(1.0 / session.data.pose_report.rate_hz);
-  return session.drift.position * root > kAllDrift * session.noise.position ||
-         session.drift.rotation * root > kAllDrift * session.noise.rotation;
+  return session.drift.position * root > session.noise.position ||
+         session.drift.rotation * root > session.noise.rotation;
 }
 
 void ReportSession(const SensorEstimate& estimate, const SensorSession& session,
@@ -265,7 +265,7 @@ PoseSensorCalibration CalibratePoseSensor(const CalibrationOptions& options,
     doubt("the solve has not settled: the result may move by parts of its sigma");
   if (std::any_of(estimate.sessions.begin(), estimate.sessions.end(), IsAllDrift))
     doubt(
-        "from pose to pose it drifts by far more than its noise: what such a source errs by is no "
+        "from pose to pose it drifts by more than its noise: what such a source errs by is no "
         "walk, goes with the motion, and sigmas may be several times too small");
   return result;
 }
