@@ -78,7 +78,7 @@ RateAlignment StartSession(const CalibrationOptions& given, const std::vector<Po
                     trajectory.rotation_hyperparameters().noise_std};
   session->drift = session->noise;
   const std::vector<TimedSample> rates = TurnRates(trajectory);
-  const RateAlignment best = Align(options, *session->marker, rates, false, &session->time_shift);
+  RateAlignment best = Align(options, *session->marker, rates, false, &session->time_shift);
   if (best.explained >= kMinExplained) return best;
   double ignored = 0.0;
   const double inverted = Align(options, *session->marker, rates, true, &ignored).explained;
