@@ -302,12 +302,5 @@ TEST_F(PoseSensorInputTest, FramesOfTheRigDiffer) {
             (std::vector<std::string>{"base_sensor0", "camera", "camera_sensor2", "imu_sensor3"}));
 }
 
-TEST_F(PoseSensorInputTest, NoImuHasNoTrajectory) {
-  WriteBag(Path("a.bag"), WithoutImu(WithSensors()), {});
-  OfflineRequest request = Offline({"a.bag"}, "/pose_sensor /pose_sensor1");
-  request.trajectory.path = Path("x.tum");
-  ExpectError<InputError>([&] { CalibrateOffline(request); }, {"trajectory", "IMU"});
-}
-
 }  // namespace
 }  // namespace imu_pose_calib
