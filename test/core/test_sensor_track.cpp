@@ -220,7 +220,7 @@ TEST_F(SensorTrackTest, ErrorsAreThoseAgainstTheTruth) {
   SimulatorOptions truth = Truth();
   SimulatedPoseSensor& own = truth.pose_sensors[0];
   own.drift = 0.02;
-  own.position_std = own.rotation_std = 1e-3;
+  own.position_std = own.rotation_std = 4e-3;
   const Calibration result = Solve(truth, false);
   const PoseSensorCalibration& sensor = result.pose_sensors[0];
   const TrueTrajectory trajectory(truth);
