@@ -201,7 +201,7 @@ class JointSolver {
   void Build() {
     problem_.reset();  // never two of them at a time
     problem_ = BuildJointProblem(options_, sessions_, models_, estimate_, &splines_);
-    for (const double* parameter : held_) problem_->problem.SetHeld(parameter, true);
+    if (holds_position_smoothing_) problem_->problem.SetHeld(&estimate_->position_smoothing, true);
   }
 
   /// Whether it has converged: if not, another one starts closer to the solution, and may.
@@ -214,7 +214,7 @@ class JointSolver {
     // No source averages rotations over longer than positions: other errors look like that.
     if (estimate_->position_smoothing < 0.0) {
       estimate_->position_smoothing = 0.0;
-      held_.push_back(&estimate_->position_smoothing);
+      holds_position_smoothing_ = true;
     }
     return iterations.has_value();
   }
@@ -235,7 +235,7 @@ class JointSolver {
   std::vector<CorrectionSplines> splines_;
   std::unique_ptr<LeastSquares> problem_;
   std::vector<SensorStatistics> statistics_;  ///< of the last pass
-  std::vector<const double*> held_;           ///< parameters, where they stand
+  bool holds_position_smoothing_ = false;     ///< position_smoothing stays 0
   int iterations_ = 0;
 };
 
