@@ -180,9 +180,8 @@ SessionData SimulateOne(const SimulatorOptions& options) {
   return data;
 }
 
-/// T_VS as the sensor gives them. V drifts by steps of a walk that are as large as the way between
-/// two poses times sqrt(drift * 1 m / way), so that after 1 m it is off by `drift` metres, after n
-/// of them by sqrt(n) times that.
+/// T_VS as the sensor gives them. V drifts by a walk along the way: after 1 m it is off by `drift`
+/// metres per axis (sigma), after n metres by sqrt(n) times that.
 std::vector<PoseSample> SensorPoses(const SimulatorOptions& options, size_t sensor) {
   const SimulatedPoseSensor& own = options.pose_sensors[sensor];
   const TrueTrajectory trajectory(options);

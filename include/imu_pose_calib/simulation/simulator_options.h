@@ -93,7 +93,7 @@ struct SimulatedPoseSensor {
   double scale = 1.0;          ///< of its positions
   double time_shift_s = 0.03;  ///< t_pose = t_sensor + time_shift_s
   double clock_drift = 0.0;    ///< [s/s] growth of it, about mid-recording
-  double drift = 0.0;          ///< of V, share of the way [m] by direction; a tenth of it [rad]
+  double drift = 0.0;          ///< [m] sigma per axis of V's walk after 1 m; a tenth of it [rad]
   int jumps = 0;               ///< of V by 0.2 m and 0.1 rad, evenly over the recording
 };
 

@@ -16,7 +16,6 @@
 namespace imu_pose_calib {
 namespace {
 
-using Eigen::Matrix3d;
 using Eigen::Quaterniond;
 using Eigen::Vector3d;
 
@@ -200,9 +199,10 @@ void ReportSession(const SensorEstimate& estimate, const SensorSession& session,
   result->rms = {std::sqrt(position2 / count), std::sqrt(rotation2 / count)};
 }
 
-void Report(const CalibrationOptions& options, const SensorEstimate& estimate,
+void Report(const CalibrationOptions& options, SensorEstimate* solved,
             PoseSensorCalibration* result) {
-  const SensorCovariance found = FindSensorCovariance(options, estimate);
+  const SensorCovariance found = FindSensorCovariance(options, solved);
+  const SensorEstimate& estimate = *solved;
   result->T_MS = estimate.T_MS;
   if (result->T_MS.q.w() < 0.0) result->T_MS.q.coeffs() *= -1.0;
   result->sessions.resize(estimate.sessions.size());
@@ -242,20 +242,21 @@ PoseSensorCalibration CalibratePoseSensor(const CalibrationOptions& options,
   SensorEstimate estimate = StartSensor(options, marker, poses);
   bool has_settled = false;
   for (int round = 0; round < kMaxRounds && !has_settled; ++round) {
-    const SensorEstimate before = estimate;
+    std::vector<double> time_shifts;
+    for (const SensorSession& session : estimate.sessions)
+      time_shifts.push_back(session.time_shift);
     const bool has_converged = SolveSensor(options, &estimate);
     has_settled = FindNoise(&estimate) && has_converged;
     for (size_t s = 0; s < estimate.sessions.size(); ++s) {
       SensorSession& session = estimate.sessions[s];
-      has_settled = has_settled &&
-                    std::abs(session.time_shift - before.sessions[s].time_shift) <= kSettledClock;
+      has_settled = has_settled && std::abs(session.time_shift - time_shifts[s]) <= kSettledClock;
       PlaceSamples(&session);
       PlaceKnots(estimate.T_MS, &session);
     }
   }
   const bool has_converged = SolveSensor(options, &estimate);
   PoseSensorCalibration result;
-  Report(options, estimate, &result);
+  Report(options, &estimate, &result);
   const auto doubt = [&result](const char* message) {
     if (result.status != Status::kOk) return;
     result.status = Status::kWeak;
@@ -272,17 +273,10 @@ PoseSensorCalibration CalibratePoseSensor(const CalibrationOptions& options,
 
 BetweenImus BetweenSensors(const Rigid3& T_MF, const Matrix6d& covariance_F, const Rigid3& T_MS,
                            const Matrix6d& covariance_S) {
-  BetweenImus between{0, 0, T_MF.Inverse() * T_MS, {}};
-  const Matrix3d R_FM = T_MF.q.conjugate().toRotationMatrix();
-  Eigen::Matrix<double, 6, 6> of_F = Matrix6d::Zero(), of_S = Matrix6d::Zero();
-  of_F.block<3, 3>(0, 0) = -R_FM;
-  of_F.block<3, 3>(0, 3) = Hat(between.T.p);
-  of_F.block<3, 3>(3, 3) = -between.T.q.conjugate().toRotationMatrix();
-  of_S.block<3, 3>(0, 0) = R_FM;
-  of_S.block<3, 3>(3, 3).setIdentity();
-  between.covariance =
-      of_F * covariance_F * of_F.transpose() + of_S * covariance_S * of_S.transpose();
-  return between;
+  Eigen::Matrix<double, 12, 12> both = Eigen::Matrix<double, 12, 12>::Zero();
+  both.topLeftCorner<6, 6>() = covariance_F;
+  both.bottomRightCorner<6, 6>() = covariance_S;
+  return Between(T_MF, T_MS, both);
 }
 
 }  // namespace imu_pose_calib

@@ -233,15 +233,6 @@ std::pair<double, double> FitWalk(const std::vector<TrackSample>& track) {
   return found;
 }
 
-/// Residual of a sample in V, position [m] and rotation [rad].
-Vector6d ResidualInWorld(const SensorEstimate& estimate, const SensorSession& session,
-                         const SensorPose& sample) {
-  const Rigid3 T_VS = PredictPose(estimate, session, sample);
-  Vector6d r;
-  r << sample.T_VS.p - T_VS.p, Log(Quaterniond(sample.T_VS.q * T_VS.q.conjugate()));
-  return r;
-}
-
 /// Student's t distribution of residuals: their weights, and the factor by which it enlarges the
 /// noise of a sample of weight 1 in the information, Fisher's over that of the weighted squares.
 double SetWeights(const std::vector<Vector3d>& residuals, double SensorPose::*weight,
@@ -252,11 +243,33 @@ double SetWeights(const std::vector<Vector3d>& residuals, double SensorPose::*we
   return std::sqrt((spread.dof + 5.0) / (spread.dof + 3.0));
 }
 
+/// Derivatives of the position and the rotation in V of a sample, which is predicted to be at T_VS,
+/// by what is calibrated; the first columns are free.
+std::pair<TrackValue, TrackValue> ByCalibration(const SensorEstimate& estimate,
+                                                const SensorSession& session,
+                                                const SensorPose& sample, const Rigid3& T_VS) {
+  const BodyState& m = sample.marker;
+  const Quaterniond q_VM = T_VS.q * estimate.T_MS.q.conjugate();
+  TrackValue position = TrackValue::Zero(), rotation = TrackValue::Zero();
+  position.col(1) =
+      session.scale * (q_VM * (m.q_WB.conjugate() * m.v_W + m.omega_B.cross(estimate.T_MS.p)));
+  position.col(3) = q_VM * (m.q_WB.conjugate() * m.p_WB + estimate.T_MS.p);
+  position.block<3, 3>(0, 4) = q_VM.toRotationMatrix();
+  rotation.col(1) = q_VM * m.omega_B;
+  rotation.rightCols<3>() = T_VS.q.toRotationMatrix();
+  for (TrackValue* const value : {&position, &rotation})
+    value->col(2) = (sample.t - session.reference) * value->col(1);
+  return {position, rotation};
+}
+
 void FindNoise(const SensorEstimate& estimate, SensorSession* session) {
-  std::vector<Vector6d> residuals;
+  std::vector<Rigid3> predicted;
+  std::vector<Vector6d> residuals;  // in V: position [m], rotation [rad]
   std::vector<Vector3d> positions, rotations;
   for (const SensorPose& sample : session->samples) {
-    residuals.push_back(ResidualInWorld(estimate, *session, sample));
+    const Rigid3& T_VS = predicted.emplace_back(PredictPose(estimate, *session, sample));
+    residuals.emplace_back() << sample.T_VS.p - T_VS.p,
+        Log(Quaterniond(sample.T_VS.q * T_VS.q.conjugate()));
     positions.push_back(residuals.back().head<3>() / sample.position_scale);
     rotations.push_back(residuals.back().tail<3>() / sample.rotation_scale);
   }
@@ -266,8 +279,9 @@ void FindNoise(const SensorEstimate& estimate, SensorSession* session) {
     session->loss.position = SetWeights(positions, &SensorPose::position_weight, &session->samples);
     session->loss.rotation = SetWeights(rotations, &SensorPose::rotation_weight, &session->samples);
   }
-  // What V has moved by since the first knot, where the sensor was, and the residual beyond that.
+  // What V has moved by since the first knot, where the sensor was, and the piece of each knot.
   std::vector<Vector6d> moved = {Vector6d::Zero()};
+  std::vector<int> piece = {0};
   for (size_t k = 1; k < session->knots.size(); ++k) {
     const WorldKnot &last = session->knots[k - 1], &knot = session->knots[k];
     const Vector3d p_VS = session->scale * last.p_WS;
@@ -276,35 +290,23 @@ void FindNoise(const SensorEstimate& estimate, SensorSession* session) {
       step << knot.T_VW.p + knot.T_VW.q * p_VS - last.T_VW.p - last.T_VW.q * p_VS,
           Log(Quaterniond(knot.T_VW.q * last.T_VW.q.conjugate()));
     moved.push_back(moved.back() + step);
+    piece.push_back(piece.back() + (knot.begins_piece ? 1 : 0));
   }
   std::vector<TrackSample> position, rotation;
-  size_t piece = session->knots.size();
+  int last_piece = -1;
   for (size_t i = 0; i < residuals.size(); ++i) {
     const SensorPose& sample = session->samples[i];
-    size_t begin = sample.knot;
-    while (!session->knots[begin].begins_piece) --begin;
     const Vector6d value =
         residuals[i] + (1.0 - sample.u) * moved[sample.knot] + sample.u * moved[sample.knot + 1];
-    const BodyState& m = sample.marker;
-    const Rigid3 T_VS = PredictPose(estimate, *session, sample);
-    const Quaterniond q_VM = T_VS.q * estimate.T_MS.q.conjugate();
-    TrackValue of_position = TrackValue::Zero(), of_rotation = TrackValue::Zero();
+    auto [of_position, of_rotation] = ByCalibration(estimate, *session, sample, predicted[i]);
     of_position.col(0) = value.head<3>();
-    of_position.col(1) =
-        session->scale * (q_VM * (m.q_WB.conjugate() * m.v_W + m.omega_B.cross(estimate.T_MS.p)));
-    of_position.col(3) = q_VM * (m.q_WB.conjugate() * m.p_WB + estimate.T_MS.p);
-    of_position.block<3, 3>(0, 4) = q_VM.toRotationMatrix();
     of_rotation.col(0) = value.tail<3>();
-    of_rotation.col(1) = q_VM * m.omega_B;
-    of_rotation.rightCols<3>() = T_VS.q.toRotationMatrix();
-    const auto add = [&](TrackValue x, double scale, double weight,
-                         std::vector<TrackSample>* track) {
-      x.col(2) = (sample.t - session->reference) * x.col(1);
-      track->push_back({sample.t, x, scale * scale / weight, begin != piece});
-    };
-    add(of_position, sample.position_scale, sample.position_weight, &position);
-    add(of_rotation, sample.rotation_scale, sample.rotation_weight, &rotation);
-    piece = begin;
+    const bool begins_piece = piece[sample.knot] != std::exchange(last_piece, piece[sample.knot]);
+    const auto variance = [](double scale, double weight) { return scale * scale / weight; };
+    position.push_back({sample.t, of_position,
+                        variance(sample.position_scale, sample.position_weight), begins_piece});
+    rotation.push_back({sample.t, of_rotation,
+                        variance(sample.rotation_scale, sample.rotation_weight), begins_piece});
   }
   std::tie(session->noise.position, session->drift.position) = FitWalk(position);
   std::tie(session->noise.rotation, session->drift.rotation) = FitWalk(rotation);
@@ -448,10 +450,8 @@ bool FindNoise(SensorEstimate* estimate) {
   return has_settled;
 }
 
-SensorCovariance FindSensorCovariance(const CalibrationOptions& options,
-                                      const SensorEstimate& estimate) {
-  SensorEstimate copy = estimate;
-  SensorProblem sensor(options, &copy);
+SensorCovariance FindSensorCovariance(const CalibrationOptions& options, SensorEstimate* estimate) {
+  SensorProblem sensor(options, estimate);
   ceres::Problem::EvaluateOptions what;
   what.parameter_blocks = sensor.calibrated;
   what.parameter_blocks.insert(what.parameter_blocks.end(), sensor.knots.begin(),
@@ -471,7 +471,7 @@ SensorCovariance FindSensorCovariance(const CalibrationOptions& options,
   SensorCovariance found{X.topRows(calibrated), {}};
   // Scores of time blocks.
   double duration = 0.0;
-  for (const SensorSession& session : estimate.sessions)
+  for (const SensorSession& session : estimate->sessions)
     if (!session.samples.empty()) duration += session.samples.back().t - session.samples.front().t;
   const double block = std::max(duration / kTimeBlocks, 2.0);
   const Eigen::MatrixXd JX = columns * X;

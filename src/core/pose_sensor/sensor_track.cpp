@@ -82,47 +82,45 @@ std::vector<ImuTrack::Instant> SensorTrack::Instants(double rate_hz) const {
 }
 
 std::optional<ImuState> SensorTrack::At(double t) const {
-  const auto marker = trajectory_.Marker(t);
-  if (!marker) return std::nullopt;
-  const Rigid3& T_MS = sensor_.T_MS;
+  const auto sensor = trajectory_.Body(sensor_.T_MS, t);
+  if (!sensor) return std::nullopt;
   ImuState state;
-  state.q_WI = marker->q_WB * T_MS.q;
-  state.p_WI = marker->p_WB + marker->q_WB * T_MS.p;
-  state.omega_I = T_MS.q.conjugate() * marker->omega_B;
-  state.v_W = marker->v_W + marker->q_WB * marker->omega_B.cross(T_MS.p);
+  state.q_WI = sensor->q_WB;
+  state.p_WI = sensor->p_WB;
+  state.omega_I = sensor->omega_B;
+  state.v_W = sensor->v_W;
   state.biases = {Vector3d::Zero(), Vector3d::Zero()};
   state.bias_covariance.setZero();
   state.covariance.setZero();
-  if (const auto C = trajectory_.MarkerCovariance(t)) state.covariance = Covariance(t, *marker, *C);
+  if (const auto C = trajectory_.MarkerCovariance(t)) state.covariance = Covariance(t, *sensor, *C);
   return state;
 }
 
-Eigen::Matrix<double, 12, 12> SensorTrack::Covariance(double t, const BodyState& marker,
+Eigen::Matrix<double, 12, 12> SensorTrack::Covariance(double t, const BodyState& sensor,
                                                       const BodyCovariance& of_marker) const {
   const Rigid3& T_MS = sensor_.T_MS;
-  const Matrix3d R_WM = marker.q_WB.toRotationMatrix();
   const Matrix3d R_SM = T_MS.q.conjugate().toRotationMatrix();
-  const Vector3d spin = marker.omega_B.cross(T_MS.p);
+  const Matrix3d R_WM = sensor.q_WB.toRotationMatrix() * R_SM;
+  const Vector3d omega_M = T_MS.q * sensor.omega_B;
   // By the marker's rotation, p_WM, omega_M and v_W.
   Eigen::Matrix<double, 12, 12> by_marker = Eigen::Matrix<double, 12, 12>::Zero();
   by_marker.block<3, 3>(0, 0) = by_marker.block<3, 3>(6, 6) = R_SM;
   by_marker.block<3, 3>(3, 0) = by_marker.block<3, 3>(9, 6) = -R_WM * Hat(T_MS.p);
   by_marker.block<3, 3>(3, 3).setIdentity();
-  by_marker.block<3, 3>(9, 0) = -R_WM * Hat(spin);
+  by_marker.block<3, 3>(9, 0) = -R_WM * Hat<double>(omega_M.cross(T_MS.p));
   by_marker.block<3, 3>(9, 9).setIdentity();
   // By p_MS and the rotation of R_MS about the sensor's axes.
   Eigen::Matrix<double, 12, 6> by_mount = Eigen::Matrix<double, 12, 6>::Zero();
   by_mount.block<3, 3>(0, 3).setIdentity();
   by_mount.block<3, 3>(3, 0) = R_WM;
-  by_mount.block<3, 3>(6, 3) = Hat(Vector3d(R_SM * marker.omega_B));
-  by_mount.block<3, 3>(9, 0) = R_WM * Hat(marker.omega_B);
+  by_mount.block<3, 3>(6, 3) = Hat(sensor.omega_B);
+  by_mount.block<3, 3>(9, 0) = R_WM * Hat(omega_M);
   Eigen::Matrix<double, 12, 12> C =
       by_marker * of_marker.topLeftCorner<12, 12>() * by_marker.transpose() +
       by_mount * sensor_.covariance * by_mount.transpose();
   if (clock_ != TrackClock::kImu) return C;
   Eigen::Matrix<double, 12, 1> rate;
-  rate << R_SM * marker.omega_B, marker.v_W + R_WM * spin, R_SM * marker.alpha_B,
-      marker.a_W + R_WM * (marker.alpha_B.cross(T_MS.p) + marker.omega_B.cross(spin));
+  rate << sensor.omega_B, sensor.v_W, sensor.alpha_B, sensor.a_W;
   const double since =
       Seconds(trajectory_.epoch_ns()) + t - Own().time_shift - Own().clock_reference;
   const double clock_std = std::hypot(Own().time_shift_std, since * Own().clock_drift_std);
@@ -161,9 +159,9 @@ SensorErrors FindErrors(const std::shared_ptr<const Solution>& solution, size_t 
                         const PoseSensorCalibration& sensor) {
   const SessionTrajectory trajectory(solution, session);
   const auto T_WS = [&](double t) -> std::optional<Rigid3> {
-    const auto marker = trajectory.Marker(t - Seconds(trajectory.epoch_ns()));
-    if (!marker) return std::nullopt;
-    return Rigid3{marker->q_WB, marker->p_WB} * sensor.T_MS;
+    const auto body = trajectory.Body(sensor.T_MS, t - Seconds(trajectory.epoch_ns()));
+    if (!body) return std::nullopt;
+    return Rigid3{body->q_WB, body->p_WB};
   };
   return FindErrors(sensor.sessions[session], T_WS);
 }

@@ -154,24 +154,30 @@ void ReportTransforms(const Eigen::MatrixXd& C, const Marginals& marginals, Cali
     result->imus[i].covariance = poses.block<6, 6>(row, row);
     result->imus[i].model_covariance = model.block<6, 6>(row, row);
     if (i == 0) continue;
-    BetweenImus between{0, i, first.Inverse() * result->imus[i].T_MI, {}};
-    // p = R_0^T (p_i - p_0), R = R_0^T R_i, with R_0 Exp(theta_0) and R_i Exp(theta_i).
-    const Eigen::Matrix3d R_0M = first.q.conjugate().toRotationMatrix();
-    Eigen::Matrix<double, 6, 12> J = Eigen::Matrix<double, 6, 12>::Zero();
-    J.block<3, 3>(0, 0) = -R_0M;
-    J.block<3, 3>(0, 3) = Hat(between.T.p);
-    J.block<3, 3>(0, 6) = R_0M;
-    J.block<3, 3>(3, 3) = -between.T.q.conjugate().toRotationMatrix();
-    J.block<3, 3>(3, 9).setIdentity();
     Eigen::Matrix<double, 12, 12> both;
     both << poses.topLeftCorner<6, 6>(), poses.block<6, 6>(0, row), poses.block<6, 6>(row, 0),
         poses.block<6, 6>(row, row);
-    between.covariance = J * both * J.transpose();
-    result->between_imus.push_back(between);
+    result->between_imus.push_back(Between(first, result->imus[i].T_MI, both));
+    result->between_imus.back().second = i;
   }
 }
 
 }  // namespace
+
+BetweenImus Between(const Rigid3& T_MF, const Rigid3& T_MS,
+                    const Eigen::Matrix<double, 12, 12>& covariance) {
+  BetweenImus between{0, 0, T_MF.Inverse() * T_MS, {}};
+  // p = R_MF^T (p_MS - p_MF), R = R_MF^T R_MS, with R_MF Exp(theta_F) and R_MS Exp(theta_S).
+  const Eigen::Matrix3d R_FM = T_MF.q.conjugate().toRotationMatrix();
+  Eigen::Matrix<double, 6, 12> J = Eigen::Matrix<double, 6, 12>::Zero();
+  J.block<3, 3>(0, 0) = -R_FM;
+  J.block<3, 3>(0, 3) = Hat(between.T.p);
+  J.block<3, 3>(0, 6) = R_FM;
+  J.block<3, 3>(3, 3) = -between.T.q.conjugate().toRotationMatrix();
+  J.block<3, 3>(3, 9).setIdentity();
+  between.covariance = J * covariance * J.transpose();
+  return between;
+}
 
 void AddDirections(const Eigen::Matrix3d& C, const std::string& name, const std::string& frame,
                    const std::string& unit, std::vector<Observability>* spectrum) {

@@ -84,6 +84,10 @@ class SessionTrajectory {
   /// Motion at t [s], and its derivative unless `J` is null; nothing where poses or IMUs have a
   /// gap.
   std::optional<BodyState> Marker(double t) const { return Evaluate({}, t, nullptr); }
+  /// The same of another frame on the body.
+  std::optional<BodyState> Body(const Rigid3& T_MB, double t) const {
+    return Evaluate(T_MB, t, nullptr);
+  }
   std::optional<BodyState> Imu(size_t imu, double t, StateJacobian* J = nullptr) const;
   /// Where the clock of the IMU shows the time that goes with t; the session must have that IMU.
   ImuBiases Biases(size_t imu, double t) const;

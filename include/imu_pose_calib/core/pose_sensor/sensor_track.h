@@ -32,8 +32,8 @@ class SensorTrack {
 
  private:
   const PoseSensorSession& Own() const { return sensor_.sessions[session_]; }
-  /// Of T_MS and the clock beside that of the marker.
-  Eigen::Matrix<double, 12, 12> Covariance(double t, const BodyState& marker,
+  /// Of the sensor's motion, by that of the marker, T_MS and the clock.
+  Eigen::Matrix<double, 12, 12> Covariance(double t, const BodyState& sensor,
                                            const BodyCovariance& of_marker) const;
 
   const PoseSensorCalibration& sensor_;
