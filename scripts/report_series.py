@@ -115,6 +115,10 @@ def predicted(report, s, imu, name):
     step = 0.5 * (after.t - before.t)[:, None]
     # The mean over the time that the accelerometer averages longer than the gyroscope.
     more = 0.5 * imu_result(report, imu)['accel_smoothing'] / step ** 2 * (f[0] - 2 * f[1] + f[2])
+    # What a mount that gives way adds, by the acceleration of the IMU in the world.
+    f_W = [times(m.R_WM, x) for m, x in zip((before, now, after), f)]
+    swing = times(np.swapaxes(now.R_WM, 1, 2), f_W[0] - 2 * f_W[1] + f_W[2]) / step ** 2
+    more = more - imu_result(report, imu)['mount_compliance'] * swing
     mean = times(R_MI.T, f[1] + np.where(np.isfinite(more), more, 0))
     by_size = np.einsum('nij,ij->ni', R_MI.T @ lever(now) @ R_MI, places)
     return np.c_[now.t, times(gyro_matrix @ R_MI.T, now.omega) + bias(report, s, imu, 'gyro', now.t),

@@ -14,6 +14,7 @@ using Eigen::Vector3d;
 
 constexpr double kFilterStep = 5e-4;    // [s] at most, between which a filtered signal is linear
 constexpr double kSlowErrorTime = 3.0;  // [s]
+constexpr double kDampingRatio = 0.2;   // of a mount
 constexpr int64_t kTogether = 20'000;   // [ns] between the stamps of samples that come together
 // Of a filter that carries poses on: updates a second [Hz], scale error of its accelerometer, gains
 // of an update [1, 1/s].
@@ -100,6 +101,37 @@ std::vector<Vector3d> Sampled(const std::function<Vector3d(double)>& signal, dou
     samples.push_back(y);
   }
   return samples;
+}
+
+Resonance::Resonance(const std::function<Vector3d(double)>& signal, double resonance_hz,
+                     double begin, double end)
+    : begin_(begin - 1.0) {
+  // u'' = -x - omega^2 u - 2 zeta omega u' is how the IMU moves beside its place, for an x that is
+  // linear from one step to the next; it feels x + u''. Fourth-order Runge-Kutta.
+  const double omega = 2.0 * M_PI * resonance_hz;
+  const auto felt = [&](const Vector3d& u, const Vector3d& v) -> Vector3d {
+    return -omega * omega * u - 2.0 * kDampingRatio * omega * v;
+  };
+  const double h = kFilterStep;
+  Vector3d x = signal(begin_), u = -x / (omega * omega), v = Vector3d::Zero();
+  for (size_t k = 0; begin_ + static_cast<double>(k) * h <= end + h; ++k) {
+    values_.push_back(felt(u, v));
+    const Vector3d next = signal(begin_ + static_cast<double>(k + 1) * h), mean = 0.5 * (x + next);
+    const Vector3d v1 = v, a1 = felt(u, v) - x;
+    const Vector3d v2 = v + 0.5 * h * a1, a2 = felt(u + 0.5 * h * v1, v2) - mean;
+    const Vector3d v3 = v + 0.5 * h * a2, a3 = felt(u + 0.5 * h * v2, v3) - mean;
+    const Vector3d v4 = v + h * a3, a4 = felt(u + h * v3, v4) - next;
+    u += h / 6.0 * (v1 + 2.0 * v2 + 2.0 * v3 + v4);
+    v += h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4);
+    x = next;
+  }
+}
+
+Vector3d Resonance::At(double t) const {
+  const double place =
+      std::clamp((t - begin_) / kFilterStep, 0.0, static_cast<double>(values_.size()) - 1.001);
+  const auto k = static_cast<size_t>(place);
+  return values_[k] + (place - static_cast<double>(k)) * (values_[k + 1] - values_[k]);
 }
 
 std::vector<Vector3d> SlowError(double sigma, double rate_hz, size_t count, std::mt19937 random) {

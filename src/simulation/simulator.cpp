@@ -1,6 +1,7 @@
 #include "imu_pose_calib/simulation/simulator.h"
 
 #include <cmath>
+#include <optional>
 #include <random>
 
 #include "imu_pose_calib/core/base/so3.h"
@@ -142,13 +143,24 @@ ImuData Imu(const SimulatorOptions& options, const TrueTrajectory& trajectory,
     const TrueState s = trajectory.At(PoseTime(options, t));
     return gyro_R_IM * s.omega_M + flaws.g_sensitivity * (R_IM * force_M(s, options.T_MI.p));
   };
+  std::optional<Resonance> felt_W;
+  if (options.effects.mount_hz > 0.0) {
+    const auto force_W = [&](double t_M) -> Eigen::Vector3d {
+      const TrueState s = trajectory.At(t_M);
+      return s.R_WM * force_M(s, options.T_MI.p);
+    };
+    felt_W.emplace(force_W, options.effects.mount_hz, PoseTime(options, -1.0),
+                   PoseTime(options, options.duration_s + 1.0));
+  }
   const auto accel = [&](double t) -> Eigen::Vector3d {
-    const TrueState s = trajectory.At(PoseTime(options, t - options.accel_delay_s));
-    const Eigen::Vector3d force = force_M(s, options.T_MI.p);
+    const double t_M = PoseTime(options, t - options.accel_delay_s);
+    const TrueState s = trajectory.At(t_M);
+    const Eigen::Vector3d force =
+        felt_W ? s.R_WM.transpose() * felt_W->At(t_M) : force_M(s, options.T_MI.p);
     Eigen::Vector3d by_size;
     for (int i = 0; i < 3; ++i) {
       const Eigen::Vector3d axis_M = options.T_MI.p + options.T_MI.q * flaws.axes_I.col(i);
-      by_size[i] = R_IM.row(i).dot(force_M(s, axis_M) - force);
+      by_size[i] = R_IM.row(i).dot(force_M(s, axis_M) - force_M(s, options.T_MI.p));
     }
     return accel_R_IM * force + flaws.accel_matrix * by_size;
   };

@@ -62,6 +62,8 @@ std::vector<Effect> Effects(SimulatorOptions* options) {
       {"imu-stamp-step", &imu.step_s, 4e-3, 0.0, 10.0, "S", step},
       {"pose-drops", &pose.drops, 2.0, 0.0, 90.0, "%", drops},
       {"imu-drops", &imu.drops, 2.0, 0.0, 90.0, "%", drops},
+      {"soft-mount", &real.mount_hz, 25.0, 0.0, 1e5, "HZ",
+       "resonance of the spring that holds the imu"},
   };
 }
 

@@ -215,5 +215,26 @@ TEST(OrdinaryImus, AnAccelerometerThatAveragesLongerIsRecognised) {
   EXPECT_GT(Error(Calibrate(options, data), truth), 5.0);
 }
 
+TEST(OrdinaryImus, ASoftMountIsAccountedForAndNamed) {
+  SimulatorOptions truth;
+  truth.seed = 2;
+  truth.duration_s = 60.0;
+  for (const double resonance : {8.0, 12.0, 20.0, 40.0}) {
+    SCOPED_TRACE(resonance);
+    truth.effects.mount_hz = resonance;
+    const SessionData data = Simulate(truth);
+    const Calibration result = Calibrate(CalibrationOptions(), data);
+    EXPECT_LT(Error(result, truth), 3.0);
+    EXPECT_EQ(result.status, resonance < 15.0 ? Status::kWeak : Status::kOk) << result.message;
+    if (resonance > 15.0) continue;
+    EXPECT_NEAR(result.imus[0].mount_compliance, std::pow(2.0 * M_PI * resonance, -2.0),
+                3.0 * result.imus[0].mount_compliance_std + 4e-5);
+    EXPECT_NE(result.message.find("mount of the imu is soft"), std::string::npos) << result.message;
+    CalibrationOptions options;
+    options.estimate_mount_compliance = false;
+    EXPECT_GT(Error(Calibrate(options, data), truth), 3.0);
+  }
+}
+
 }  // namespace
 }  // namespace imu_pose_calib

@@ -40,6 +40,9 @@ TEST(Doubts, NoneWithoutAReason) {
   result.pose_scale = 1.011;
   result.pose_smoothing = -3.9e-3;
   result.imus[0].accel_smoothing = -1.1e-3;
+  result.imus[0].accel_delay = -0.047;  // a slow gyroscope
+  result.imus[0].accel_smoothing_std = 1e-5;
+  result.imus[0].mount_compliance = 9e-5;
   result.split_half.sigmas = 4.9;
   result.sessions[0].noise = {0.019, 0.039};
   result = Doubted(result);
@@ -57,6 +60,10 @@ TEST(Doubts, AreTheMessageOfAWeakResult) {
   smoothing.pose_smoothing = -5e-3;
   Calibration filter = Certain();
   filter.imus[0].accel_smoothing = 2e-3;
+  Calibration mount = Certain();
+  mount.imus[0].mount_compliance = 1.76e-4;
+  mount.imus[0].mount_compliance_std = 3e-5;
+  mount.sessions[0].g_W = {0.0, 0.0, -9.8};
   Calibration positions = Certain();
   positions.sessions[0].noise.position = 0.021;
   Calibration rotations = Certain();
@@ -66,6 +73,9 @@ TEST(Doubts, AreTheMessageOfAWeakResult) {
       {scale, "off in scale by -1.3 % (bound: 1.2 %)"},
       {smoothing, "the imu's data seem smoothed over 70.7 ms"},
       {filter, "the accelerometer averages over 44.7 ms more than the gyroscope (bound: 34.6 ms)"},
+      {mount,
+       "the mount of the imu is soft: it resonates at some 12 Hz (bound: 16 Hz) and gives way by "
+       "1.72 mm"},
       {positions, "the positions of the poses are off by 21 mm where they scatter by 2 mm"},
       {rotations,
        "the rotations of the poses are off by 2.35 deg where they scatter by 0.229 deg"}};

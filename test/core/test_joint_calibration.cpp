@@ -230,6 +230,7 @@ TEST(JointCalibration, KeepsTheKnotSpacingWhereADenserOneDoesNotConverge) {
   };
   SimulatorOptions truth = Recording(1e-4, 5);
   truth.motion = Motion::kArm;
+  truth.accel_delay_s = 0.0;
   const SessionData data = Simulate(truth);
   EXPECT_THROW(choose(data, 0.06), DataError);
   EXPECT_EQ(choose(data, 0.12), 0.12);

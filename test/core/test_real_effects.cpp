@@ -88,7 +88,7 @@ TEST(RealEffects, EachChangesWhatItSaysAndNothingElse) {
   const std::map<std::string, std::vector<std::string>> kEffects = {
       {"pga", {"vibration", "rocking", "shocks"}},
       {"g", {"gyro-filter", "g-sensitivity"}},
-      {"a", {"accel-filter", "size-effect", "gravity"}},
+      {"a", {"accel-filter", "size-effect", "gravity", "soft-mount"}},
       {"ga", {"scale-misalignment", "temperature-drift", "clock-drift"}},
       {"p",
        {"pose-exposure", "pose-scale", "slow-errors", "marker-offset", "fused-poses",

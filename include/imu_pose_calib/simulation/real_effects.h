@@ -48,6 +48,19 @@ std::vector<Eigen::Vector3d> Sampled(const std::function<Eigen::Vector3d(double)
 /// Delay [s] of that low-pass at low frequencies.
 double FilterDelay(double cutoff_hz);
 
+/// RealEffects::mount_hz: `signal` behind a damped resonance, from 1 s before `begin` [s]; it
+/// starts there with the force that the spring has at rest.
+class Resonance {
+ public:
+  Resonance(const std::function<Eigen::Vector3d(double)>& signal, double resonance_hz, double begin,
+            double end);
+  Eigen::Vector3d At(double t) const;
+
+ private:
+  double begin_;
+  std::vector<Eigen::Vector3d> values_;
+};
+
 /// Ornstein-Uhlenbeck process of 3 s.
 std::vector<Eigen::Vector3d> SlowError(double sigma, double rate_hz, size_t count,
                                        std::mt19937 random);

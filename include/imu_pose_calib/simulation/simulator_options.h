@@ -60,6 +60,9 @@ struct RealEffects {
   /// [m] largest distance per axis of I between the axes of the accelerometer. I's origin has the x
   /// of the middle of y and z, which is where turning accelerates along x, and so on.
   double size_effect = 0.0;
+  /// [Hz] resonance of the spring that holds the IMU, which moves but does not turn, with a damping
+  /// ratio of 0.2. T_MI is where it is without load.
+  double mount_hz = 0.0;
   double g_sensitivity = 0.0;  ///< [rad/s per m/s^2] sigma of gyroscope by specific force
   /// [rad/s] change of the gyroscope's bias by warming up, within minutes; of the accelerometer's
   /// ten times as much [m/s^2].

@@ -91,4 +91,19 @@ std::optional<SplinePlace> CorrectionSplines::Locate(double t) const {
   return SplinePlace{run.first + span, x - static_cast<double>(span), run.spacing};
 }
 
+std::optional<MarkerState<double>> CorrectionSplines::Correct(const PoseTrajectory& gp,
+                                                              double t) const {
+  const auto place = Locate(t);
+  MarkerState<double> state;
+  if (!place || !gp.Evaluate(t, &state)) return std::nullopt;
+  const double *d_points[kSplineOrder], *phi_points[kSplineOrder];
+  for (size_t j = 0; j < kSplineOrder; ++j) {
+    d_points[j] = d[place->first + j].data();
+    phi_points[j] = phi[place->first + j].data();
+  }
+  const SplineWeights weights = CubicWeights(place->u, place->spacing);
+  return Corrected<double>(state, EvaluateSpline<double>(d_points, weights),
+                           EvaluateSpline<double>(phi_points, weights));
+}
+
 }  // namespace imu_pose_calib

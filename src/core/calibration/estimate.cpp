@@ -126,6 +126,7 @@ std::vector<Parameter> CalibrationParameters(Estimate* estimate) {
   for (size_t i = 0; i < estimate->imus.size(); ++i) {
     ImuEstimate& imu = estimate->imus[i];
     parameters.push_back({ParameterKind::kAccelSmoothing, i, 0, 1, &imu.accel_smoothing});
+    parameters.push_back({ParameterKind::kMountCompliance, i, 0, 1, &imu.mount_compliance});
     parameters.push_back({ParameterKind::kGyroIntrinsics, i, 0, 6, imu.gyro_intrinsics.data()});
     parameters.push_back({ParameterKind::kAccelIntrinsics, i, 0, 9, imu.accel_intrinsics.data()});
     parameters.push_back({ParameterKind::kAccelPositions, i, 0, 6, imu.accel_positions.data()});
@@ -145,6 +146,7 @@ bool IsEstimated(const CalibrationOptions& options, ParameterKind kind) {
       {ParameterKind::kPositionSmoothing, &Options::estimate_pose_smoothing},
       {ParameterKind::kPoseScale, &Options::estimate_pose_scale},
       {ParameterKind::kAccelSmoothing, &Options::estimate_accel_smoothing},
+      {ParameterKind::kMountCompliance, &Options::estimate_mount_compliance},
       {ParameterKind::kAccelPositions, &Options::estimate_size_effect},
       {ParameterKind::kGravity, &Options::estimate_gravity}};
   if (kind == ParameterKind::kGyroIntrinsics || kind == ParameterKind::kAccelIntrinsics)

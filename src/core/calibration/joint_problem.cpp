@@ -13,8 +13,7 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr double kCurvatureStep = 0.01;  // [s] of differences
-constexpr double kSensors = 3.0;         // of one IMU and the poses, that share what may be kept
+constexpr double kSensors = 3.0;  // of one IMU and the poses, that share what may be kept
 
 /// What make(i) returns for i = 0 .. count - 1, on all threads: kept unless that is too much.
 template <typename Sample>
@@ -66,15 +65,21 @@ struct Places {
     if (!place || !trajectory->Contains(t)) return std::nullopt;
     return static_cast<int>(place->first);
   }
-  /// f_M'' of the GP at t [s], where it moves as `middle`; [m/s^4], components in M.
-  Eigen::Vector3d ForceCurvature(const MarkerState<double>& middle, double t,
-                                 const Eigen::Vector3d& p_MI) const {
-    if (!trajectory->Covers(t - kCurvatureStep, t + kCurvatureStep)) return Eigen::Vector3d::Zero();
-    const auto force = [&](const MarkerState<double>& state) {
-      return SpecificForce(state, g_W, p_MI);
-    };
-    return (force(At(t - kCurvatureStep)) - 2.0 * force(middle) + force(At(t + kCurvatureStep))) /
-           (kCurvatureStep * kCurvatureStep);
+  /// Second derivatives of f_M at t [s] by differences over the spacing of the knots: they do not
+  /// see the images of the splines, which are about the knots' frequency.
+  void SetForceCurvature(double t, const Eigen::Vector3d& p_MI, JointAccelSample* sample) const {
+    const double step = splines.spacing();
+    const auto before = splines.Correct(*trajectory, t - step),
+               middle = splines.Correct(*trajectory, t),
+               after = splines.Correct(*trajectory, t + step);
+    if (!before || !middle || !after) return;
+    const Eigen::Vector3d f_0 = SpecificForce(*before, g_W, p_MI),
+                          f_1 = SpecificForce(*middle, g_W, p_MI),
+                          f_2 = SpecificForce(*after, g_W, p_MI);
+    const Eigen::Vector3d curvature_W =
+        before->q_WM * f_0 - 2.0 * (middle->q_WM * f_1) + after->q_WM * f_2;
+    sample->f_curvature = (f_0 - 2.0 * f_1 + f_2) / (step * step);
+    sample->f_swing = middle->q_WM.conjugate() * curvature_W / (step * step);
   }
 };
 
@@ -271,12 +276,15 @@ void SessionBuilder::AddGyro(size_t imu) {
 
 void SessionBuilder::AddAccel(size_t imu) {
   ImuEstimate& rig = joint_->estimate->imus[imu];
-  const bool with_curvature =
-      rig.accel_smoothing != 0.0 || joint_->problem.IsEstimated(&rig.accel_smoothing);
+  const auto is_used = [&](const double& parameter) {
+    return parameter != 0.0 || joint_->problem.IsEstimated(&parameter);
+  };
+  const bool with_curvature = is_used(rig.accel_smoothing) || is_used(rig.mount_compliance);
   AddImu<JointAccelSample>(
       imu, Quantity::kAccel, {&splines_->d, &splines_->phi},
       {rig.q_MI.coeffs().data(), rig.accel_intrinsics.data(), rig.p_MI.data(), estimate_.g_W.data(),
-       &rig.accel_smoothing, &joint_->estimate->pose_scale, rig.accel_positions.data()},
+       &rig.accel_smoothing, &rig.mount_compliance, &joint_->estimate->pose_scale,
+       rig.accel_positions.data()},
       [with_curvature, p_MI = Eigen::Vector3d(rig.p_MI)](const Places& places, double t_M,
                                                          JointAccelSample* sample) {
         MarkerState<double> rate;
@@ -287,7 +295,7 @@ void SessionBuilder::AddAccel(size_t imu) {
         sample->a_W = gp.a_W;
         sample->alpha_rate = rate.alpha_M;
         sample->jerk_W = rate.a_W;
-        if (with_curvature) sample->f_curvature = places.ForceCurvature(gp, t_M, p_MI);
+        if (with_curvature) places.SetForceCurvature(t_M, p_MI, sample);
       },
       [&](Samples<JointAccelSample> samples, const ClockMotions& motions, bool has_walk) {
         return CreateJointAccelResidual(std::move(samples), rig.q_MI.toRotationMatrix(), motions,

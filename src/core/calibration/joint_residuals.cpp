@@ -286,7 +286,7 @@ class JointAccelResidual : public BatchResidual<JointAccelSample> {
  public:
   JointAccelResidual(Samples<JointAccelSample> samples, const Matrix3d& R_MA,
                      const ClockMotions& clocks, bool has_walk)
-      : BatchResidual(std::move(samples), 2, {3, 3, 4, 9, 3, 3, 1, 1, 6}, clocks, has_walk),
+      : BatchResidual(std::move(samples), 2, {3, 3, 4, 9, 3, 3, 1, 1, 1, 6}, clocks, has_walk),
         R_MA_(R_MA) {}
 
  protected:
@@ -306,15 +306,15 @@ class JointAccelResidual : public BatchResidual<JointAccelSample> {
         jacobians.blocks != nullptr ? CorrectedRotation::kOfBoth : CorrectedRotation::kNone);
     const Eigen::Quaterniond q_WM = q_gp * x.E;
     const Eigen::Matrix<double, 3, 4> d = EvaluateSpline(blocks, weights);
-    const double scale = *blocks[n + 7];
+    const double scale = *blocks[n + 8];
     const Vector3d a_W = (s.a_W + t * s.jerk_W + d.col(2)) / scale;
     const Vector3d f_body = q_WM.conjugate() * (a_W - g);  // R_WM^T (a_W - g_W)
     const Vector3d f_M = f_body + x.alpha.cross(p) + x.omega.cross(x.omega.cross(p)) +
-                         0.5 * *blocks[n + 6] * s.f_curvature;
+                         0.5 * *blocks[n + 6] * s.f_curvature - *blocks[n + 7] * s.f_swing;
     const Matrix3d R_IM = q_MI.conjugate().toRotationMatrix();
     const Matrix3d W = Hat(x.omega);
     const Matrix3d K = Hat(x.alpha) + W * W;  // acceleration by the lever arm
-    const Matrix3d arms = R_MA_ * AccelPositions(Eigen::Map<const Vector6d>(blocks[n + 8]));
+    const Matrix3d arms = R_MA_ * AccelPositions(Eigen::Map<const Vector6d>(blocks[n + 9]));
     const bool have_arms = !arms.isZero(0.0);
     Vector3d f_I = R_IM * f_M;
     if (have_arms) f_I += (R_IM * K).cwiseProduct(arms.transpose()).rowwise().sum();
@@ -358,20 +358,21 @@ class JointAccelResidual : public BatchResidual<JointAccelSample> {
     SetRows<3>(jacobians, n + 4, A * K);
     SetRows<3>(jacobians, n + 5, -r_a);
     SetRows<1>(jacobians, n + 6, 0.5 * A * s.f_curvature);
-    SetRows<1>(jacobians, n + 7, -1.0 / scale * r_a * a_W);
+    SetRows<1>(jacobians, n + 7, -A * s.f_swing);
+    SetRows<1>(jacobians, n + 8, -1.0 / scale * r_a * a_W);
     const Matrix3d E_inv = Exp<double>(-phi.col(0)).toRotationMatrix();
     const Vector3d r_rate =
         A * (1.0 / scale * R_MW * (s.jerk_W + d.col(3)) - x.omega.cross(f_body)) +
         r_omega * x.omega_rate + r_alpha * (x.alpha_rate + E_inv * s.alpha_rate);
     SetClockRows(s, r_rate, jacobians);
-    if (jacobians.blocks[n + 8] != nullptr) {
+    if (jacobians.blocks[n + 9] != nullptr) {
       // Row: axis; column: component of its place in I.
       const Matrix3d f_r = R_IM * K * R_MA_;
       Eigen::Matrix<double, 3, 6> f_places;
       for (int k = 0; k < 6; ++k)
         f_places.col(k) =
             f_r.cwiseProduct(AccelPositions(Vector6d::Unit(k)).transpose()).rowwise().sum();
-      SetRows<6>(jacobians, n + 8, r_I * f_places);
+      SetRows<6>(jacobians, n + 9, r_I * f_places);
     }
   }
 

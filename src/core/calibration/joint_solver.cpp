@@ -201,7 +201,7 @@ class JointSolver {
   void Build() {
     problem_.reset();  // never two of them at a time
     problem_ = BuildJointProblem(options_, sessions_, models_, estimate_, &splines_);
-    if (holds_position_smoothing_) problem_->problem.SetHeld(&estimate_->position_smoothing, true);
+    for (const double* parameter : at_bound_) problem_->problem.SetHeld(parameter, true);
   }
 
   /// Whether it has converged: if not, another one starts closer to the solution, and may.
@@ -211,12 +211,18 @@ class JointSolver {
     iterations_ += iterations.value_or(options_.max_iterations);
     statistics_ = problem_->FindStatistics();
     FitNoise(problem_.get(), &statistics_);
-    // No source averages rotations over longer than positions: other errors look like that.
-    if (estimate_->position_smoothing < 0.0) {
-      estimate_->position_smoothing = 0.0;
-      holds_position_smoothing_ = true;
-    }
+    // No source averages rotations over longer than positions, and no mount gives way upwards:
+    // other errors look like that.
+    HoldAtZero(&estimate_->position_smoothing);
+    for (ImuEstimate& imu : estimate_->imus) HoldAtZero(&imu.mount_compliance);
     return iterations.has_value();
+  }
+
+  /// Unless it is positive.
+  void HoldAtZero(double* parameter) {
+    if (*parameter >= 0.0) return;
+    *parameter = 0.0;
+    at_bound_.push_back(parameter);
   }
 
   /// As the last residuals show it.
@@ -235,7 +241,7 @@ class JointSolver {
   std::vector<CorrectionSplines> splines_;
   std::unique_ptr<LeastSquares> problem_;
   std::vector<SensorStatistics> statistics_;  ///< of the last pass
-  bool holds_position_smoothing_ = false;     ///< position_smoothing stays 0
+  std::vector<const double*> at_bound_;       ///< parameters that stay 0
   int iterations_ = 0;
 };
 

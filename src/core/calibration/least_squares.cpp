@@ -21,6 +21,7 @@ namespace {
 // Sigmas of ordinary clocks, trackers and IMUs.
 constexpr double kDelayPrior = 0.02;              // [s]
 constexpr double kSmoothingPrior = 1e-3;          // [s^2]
+constexpr double kCompliancePrior = 2e-4;         // [s^2] of mounts that resonate at 11 Hz
 constexpr double kPoseScalePrior = 1e-3;          // [1]
 constexpr double kScalePrior = 0.01;              // [1] diagonal of K_g and K_a
 constexpr double kAlignmentPrior = M_PI / 360.0;  // [rad] their other elements: 0.5 deg
@@ -67,6 +68,7 @@ double MeanRate(const ConditionedData& data) {
 struct Prior {
   Eigen::VectorXd sigmas;  ///< of each component, independent; empty: nothing
   double expected = 0.0;
+  double below = 0.0;  ///< unless 0: the sigma of a scalar that is less than expected
 };
 
 /// Of the elements of a matrix in rows, or of its lower triangle.
@@ -85,7 +87,7 @@ Prior SmoothingPrior(const std::vector<PreparedSession>& sessions, size_t imu) {
         std::abs(session.starts[imu].accel_delay) > std::abs(delay))
       delay = session.starts[imu].accel_delay;
   return {Eigen::VectorXd::Constant(1, kSmoothingSpread * std::max(delay * delay, 1e-12)),
-          kSmoothingPerDelay2 * delay * std::abs(delay)};
+          kSmoothingPerDelay2 * delay * std::abs(delay), 2.0 * kCompliancePrior};
 }
 
 Prior PriorOf(const Parameter& p, const LeastSquares& solve) {
@@ -104,6 +106,8 @@ Prior PriorOf(const Parameter& p, const LeastSquares& solve) {
       return alike(kPoseScalePrior, 1.0);
     case ParameterKind::kAccelSmoothing:
       return SmoothingPrior(solve.sessions, p.imu);
+    case ParameterKind::kMountCompliance:
+      return alike(kCompliancePrior);
     case ParameterKind::kGyroIntrinsics:
     case ParameterKind::kAccelIntrinsics:
       return {IntrinsicsPrior(p.kind == ParameterKind::kGyroIntrinsics)};
@@ -261,10 +265,14 @@ void LeastSquares::AddCalibration(bool is_joint) {
     const bool is_held = !IsEstimated(options, p.kind);
     problem.SetHeld(p.data, is_held);
     if (is_held || prior.sigmas.size() == 0) continue;
-    AddPrior(std::make_unique<const ceres::NormalPrior>(
-                 prior.sigmas.cwiseInverse().asDiagonal(),
-                 Eigen::VectorXd::Constant(p.size, prior.expected)),
-             p.data, p.session);
+    if (prior.below > 0.0)
+      AddPrior(SplitNormalPrior{prior.expected, prior.below, prior.sigmas[0]}.Create(), p.data,
+               p.session);
+    else
+      AddPrior(std::make_unique<const ceres::NormalPrior>(
+                   prior.sigmas.cwiseInverse().asDiagonal(),
+                   Eigen::VectorXd::Constant(p.size, prior.expected)),
+               p.data, p.session);
   }
   for (size_t s = 0; s < sessions.size(); ++s) {
     double* const g_W = estimate->sessions[s].g_W.data();

@@ -26,21 +26,14 @@ void CorrectedState(const MarkerState<double>& gp, const SplineWeights& weights,
                     Eigen::Quaternion<T>* q_WB, Vector3<T>* rest) {
   const Eigen::Matrix<T, 3, 4> d = EvaluateSpline<T>(d_points, weights);
   const Eigen::Matrix<T, 3, 4> phi = EvaluateSpline<T>(phi_points, weights);
-  Vector3<T> u, u_dot;
-  CorrectionRate<T>(phi.col(0), phi.col(1), phi.col(2), &u, &u_dot);
-  const Eigen::Quaternion<T> E = Exp<T>(phi.col(0));
-  const Vector3<T> omega_E = E.conjugate() * Vector3<T>(gp.omega_M.cast<T>());
-  const Vector3<T> omega = omega_E + u;
-  const Vector3<T> alpha =
-      E.conjugate() * Vector3<T>(gp.alpha_M.cast<T>()) - u.cross(omega_E) + u_dot;
-  const Eigen::Quaternion<T> q_WM = gp.q_WM.cast<T>() * E;
-  *q_WB = q_WM * q_MB;
-  rest[0] = gp.p_WM.cast<T>() + d.col(0) + q_WM * p_MB;
-  rest[1] = q_MB.conjugate() * omega;
-  rest[2] = gp.v_W.cast<T>() + d.col(1) + q_WM * Vector3<T>(omega.cross(p_MB));
-  rest[3] = q_MB.conjugate() * alpha;
-  rest[4] = gp.a_W.cast<T>() + d.col(2) +
-            q_WM * Vector3<T>(alpha.cross(p_MB) + omega.cross(omega.cross(p_MB)));
+  const MarkerState<T> M = Corrected<T>(gp, d, phi);
+  *q_WB = M.q_WM * q_MB;
+  rest[0] = M.p_WM + M.q_WM * p_MB;
+  rest[1] = q_MB.conjugate() * M.omega_M;
+  rest[2] = M.v_W + M.q_WM * Vector3<T>(M.omega_M.cross(p_MB));
+  rest[3] = q_MB.conjugate() * M.alpha_M;
+  rest[4] =
+      M.a_W + M.q_WM * Vector3<T>(M.alpha_M.cross(p_MB) + M.omega_M.cross(M.omega_M.cross(p_MB)));
 }
 
 /// Derivative of the pose clock's time at t [s, IMU clock] by TrajectoryCovariance::Clock().

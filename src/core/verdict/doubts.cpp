@@ -10,6 +10,7 @@
 namespace imu_pose_calib {
 namespace {
 
+constexpr double kCertain = 3.0;       // sigma of what is there
 constexpr double kDisagreement = 5.0;  // sigma between the halves
 /// Noise of poses in the solve over that of S1, which is at least the second of these.
 constexpr double kIgnored = 10.0;
@@ -21,6 +22,7 @@ constexpr double kMostScale = 0.012;     // [1]
 constexpr double kMostSmoothing = 4e-3;  // [s^2]
 /// From which on the second moment is not enough to describe an accelerometer's filter.
 constexpr double kMostAccelSmoothing = 1.2e-3;  // [s^2]
+constexpr double kMostCompliance = 1e-4;        // [s^2] of a mount: 1 mm by its weight, 16 Hz
 
 void DoubtHalves(const Calibration& result, std::vector<std::string>* doubts) {
   if (result.split_half.sigmas <= kDisagreement) return;
@@ -79,6 +81,19 @@ void DoubtFilters(const Calibration& result, std::vector<std::string>* doubts) {
   }
 }
 
+void DoubtMounts(const Calibration& result, std::vector<std::string>* doubts) {
+  for (size_t i = 0; i < result.imus.size(); ++i) {
+    const auto [compliance, sigma] = result.imus[i].Compliance();
+    if (compliance <= kMostCompliance || compliance <= kCertain * sigma) continue;
+    doubts->push_back(
+        "the mount of the imu" + OfImu(i, result.imus.size()) + " is soft: it resonates at some " +
+        Number(0.5 / (M_PI * std::sqrt(compliance)), "%.0f") +
+        " Hz (bound: " + Number(0.5 / (M_PI * std::sqrt(kMostCompliance)), "%.0f") +
+        " Hz) and gives way by " + InWords(result.sessions[0].g_W.norm() * compliance, "m") +
+        " to the imu's weight; the result is that without load. Fasten the imu");
+  }
+}
+
 /// Noise of samples as their second differences show it, which hold little of the motion.
 double OwnNoise(const std::vector<TimedSample>& samples) {
   std::vector<double> differences;
@@ -132,6 +147,7 @@ void DoubtResult(const std::vector<PreparedSession>& sessions, Calibration* resu
   DoubtNoise(sessions, *result, &doubts);
   DoubtPoseSource(*result, &doubts);
   DoubtFilters(*result, &doubts);
+  DoubtMounts(*result, &doubts);
   DoubtSmoothing(sessions, *result, &doubts);
   if (doubts.empty()) return;
   if (result->status == Status::kWeak) doubts.push_back(result->message);

@@ -27,6 +27,7 @@ const char kEquations[] = R"(
 # smoothing: samples are means over time; pose_smoothing [s^2] is the variance of that time of
 #            rotations of poses, accel_smoothing that of the accelerometer, less that of the
 #            gyroscope; position_smoothing that of positions, less that of rotations
+# mount:     specific force f moves the imu by mount_compliance [s^2] * f; transform is without load
 # scale:     positions of poses = pose_scale * true
 # imu:       measured = matrix * true + bias; row i of accel_positions: where the accelerometer's axis i is [m]
 # sigmas:    translation_std along the marker axes, rotation_std about the imu axes: R Exp(error)
@@ -253,6 +254,7 @@ void Transforms(const std::string& at, ImuCalibration& imu, ResultFile* file) {
 void AccelDelay(const std::string& at, ImuCalibration& imu, ResultFile* file) {
   file->WithStd(at + "accel_delay", imu.accel_delay, imu.accel_delay_std);
   file->NoteWithStd(at + "accel_smoothing", imu.accel_smoothing, imu.accel_smoothing_std);
+  file->NoteWithStd(at + "mount_compliance", imu.mount_compliance, imu.mount_compliance_std);
 }
 
 void Clock(const std::string& at, ImuSession& imu, ResultFile* file) {

@@ -401,6 +401,12 @@ std::string Clocks(const Calibration& result) {
   text += Wander(clock.clock);
   text += Averages(imu.accel_smoothing, imu.accel_smoothing_std, "accelerometer", "gyroscope",
                    " averages over %.1f ms more than the ");
+  if (const auto [compliance, sigma] = imu.Compliance(); compliance > kCertain * sigma) {
+    const double gravity = result.sessions[0].g_W.norm();
+    text += Format(
+        "The mount of the imu gives way by %.2f mm (sigma %.2f mm) to its weight: accounted for\n",
+        1e3 * gravity * compliance, 1e3 * gravity * sigma);
+  }
   text += Averages(result.pose_smoothing, result.pose_smoothing_std, "poses", "imu",
                    " smoothed over %.1f ms (sigma %.1f ms) more than the ");
   text += Averages(result.position_smoothing, result.position_smoothing_std, "position", "rotation",

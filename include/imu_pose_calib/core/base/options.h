@@ -118,6 +118,8 @@ struct CalibrationOptions {
   bool estimate_pose_scale = true;
   /// How much more than the gyroscope the accelerometer averages over time. Joint solve only.
   bool estimate_accel_smoothing = true;
+  /// How far specific force moves the IMU on its mount. Joint solve only.
+  bool estimate_mount_compliance = true;
   /// Linear growth of the time shift, usually within 100 ppm. Joint solve only.
   bool estimate_clock_drift = true;
   /// What the time shift does beyond that: a walk, where the gyroscope shows one. Joint solve only.
@@ -227,6 +229,7 @@ void VisitFields(Options&& options, Visitor&& visit) {
   visit(IMU_POSE_CALIB_FIELD(estimate_pose_smoothing), Bound{});
   visit(IMU_POSE_CALIB_FIELD(estimate_pose_scale), Bound{});
   visit(IMU_POSE_CALIB_FIELD(estimate_accel_smoothing), Bound{});
+  visit(IMU_POSE_CALIB_FIELD(estimate_mount_compliance), Bound{});
   visit(IMU_POSE_CALIB_FIELD(estimate_clock_drift), Bound{});
   visit(IMU_POSE_CALIB_FIELD(estimate_clock_walk), Bound{});
   visit(IMU_POSE_CALIB_FIELD(imu_model), Bound{});

@@ -1,7 +1,9 @@
 #pragma once
 
+#include <cmath>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "imu_pose_calib/core/base/options.h"
@@ -67,6 +69,18 @@ struct ImuCalibration {
   /// [s^2] by how much the variance of the time over which the accelerometer averages exceeds that
   /// of the gyroscope; 0 when not estimated.
   double accel_smoothing = 0.0, accel_smoothing_std = 0.0;
+  /// [s^2] by how far specific force moves the IMU on its mount, [m] per [m/s^2]: the inverse
+  /// square of the mount's resonance [rad/s]. T_MI is without load. 0 when not estimated.
+  double mount_compliance = 0.0, mount_compliance_std = 0.0;
+  /// The same by all that shows it, with its sigma: an accelerometer that amplifies fast motion
+  /// along its own axes, where its delay does not explain that, rests on something soft, too.
+  std::pair<double, double> Compliance() const {
+    const double amplified = accel_delay * std::abs(accel_delay) / 4.0 - accel_smoothing / 2.0;
+    if (accel_smoothing_std == 0.0 || amplified <= 0.0)
+      return {mount_compliance, mount_compliance_std};
+    return {mount_compliance + amplified,
+            std::hypot(mount_compliance_std, accel_smoothing_std / 2)};
+  }
 
   /// Scale and misalignment: measured = M true + bias, in I. Identity when not estimated.
   Eigen::Matrix3d gyro_matrix = Eigen::Matrix3d::Identity();

@@ -3,10 +3,32 @@
 #include <optional>
 #include <vector>
 
+#include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/base/spline.h"
 #include "imu_pose_calib/core/calibration/estimate.h"
+#include "imu_pose_calib/core/trajectory/pose_trajectory.h"
 
 namespace imu_pose_calib {
+
+/// The GP's motion with corrections d and phi, of which there are values and time derivatives in
+/// the columns.
+template <typename T>
+MarkerState<T> Corrected(const MarkerState<double>& gp, const Eigen::Matrix<T, 3, 4>& d,
+                         const Eigen::Matrix<T, 3, 4>& phi) {
+  using Vector3 = Eigen::Matrix<T, 3, 1>;
+  Vector3 u, u_dot;
+  CorrectionRate<T>(phi.col(0), phi.col(1), phi.col(2), &u, &u_dot);
+  const Eigen::Quaternion<T> E = Exp<T>(phi.col(0));
+  const Vector3 omega_E = E.conjugate() * Vector3(gp.omega_M.cast<T>());
+  MarkerState<T> state;
+  state.q_WM = gp.q_WM.cast<T>() * E;
+  state.omega_M = omega_E + u;
+  state.alpha_M = E.conjugate() * Vector3(gp.alpha_M.cast<T>()) - u.cross(omega_E) + u_dot;
+  state.p_WM = gp.p_WM.cast<T>() + d.col(0);
+  state.v_W = gp.v_W.cast<T>() + d.col(1);
+  state.a_W = gp.a_W.cast<T>() + d.col(2);
+  return state;
+}
 
 /// Corrections of a session's trajectory of S1 by uniform cubic B-splines over t [s, pose clock],
 /// one per run in which there are poses and samples of an IMU without a gap:
@@ -20,6 +42,9 @@ class CorrectionSplines {
 
   /// Place of t; nothing when no spline covers it.
   std::optional<SplinePlace> Locate(double t) const;
+
+  /// The GP's motion at t as it is corrected; nothing where it is not.
+  std::optional<MarkerState<double>> Correct(const PoseTrajectory& gp, double t) const;
 
   /// Instants t [s, pose clock] and control points, of which there are `spans` + kSplineOrder - 1.
   struct Run {

@@ -51,6 +51,7 @@ struct ImuEstimate {
   Eigen::Vector3d p_MI = Eigen::Vector3d::Zero();  ///< [m]
   double accel_delay = 0.0;                        ///< [s]
   double accel_smoothing = 0.0;                    ///< [s^2] see ImuCalibration
+  double mount_compliance = 0.0;                   ///< [s^2] see ImuCalibration
   Vector6d gyro_intrinsics = Vector6d::Zero();     ///< of GyroMatrix()
   Vector9d accel_intrinsics = Vector9d::Zero();    ///< of AccelMatrix()
   Vector6d accel_positions = Vector6d::Zero();     ///< [m] of AccelPositions()
@@ -99,6 +100,7 @@ enum class ParameterKind {
   kPositionSmoothing,  ///< [s^2]
   kPoseScale,          ///< [1]
   kAccelSmoothing,     ///< [s^2]
+  kMountCompliance,    ///< [s^2]
   kGyroIntrinsics,     ///< 6, of GyroMatrix()
   kAccelIntrinsics,    ///< 9, of AccelMatrix()
   kAccelPositions,     ///< 6 [m], of AccelPositions()

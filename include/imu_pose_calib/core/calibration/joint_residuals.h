@@ -94,13 +94,15 @@ struct JointAccelSample : JointImuSample {
   Eigen::Vector3d alpha_rate = Eigen::Vector3d::Zero();   ///< [rad/s^3] in M
   Eigen::Vector3d jerk_W = Eigen::Vector3d::Zero();       ///< [m/s^3]
   Eigen::Vector3d f_curvature = Eigen::Vector3d::Zero();  ///< [m/s^4] f_M'', components in M
+  Eigen::Vector3d f_swing = Eigen::Vector3d::Zero();      ///< [m/s^4] R_WM^T (R_WM f_M)''
 };
 
-/// r = (f - b_a - K_a R_MI^T (f_M(t) + s/2 f_M'')) / sigma, in I, s: accel_smoothing, with
+/// r = (f - b_a - K_a R_MI^T (f_M(t) + s/2 f_M'' - c R_WM^T (R_WM f_M)'')) / sigma, in I, s:
+/// accel_smoothing, c: mount_compliance, with
 /// f_M = R_WM^T (a_W / k - g_W) + alpha_M x p + omega_M x (omega_M x p), k: pose_scale. For axis i
 /// p is p_MI + R_MA r_i with r_i of AccelPositions() and R_MA about R_MI: it does not move.
 /// Blocks: d | phi | knots of b_a | q_MI (4) | K_a (9, see AccelMatrix()) | p_MI (3) | g_W (3) |
-/// accel_smoothing (1) | pose_scale (1) | r (6) | clocks | walk.
+/// accel_smoothing (1) | mount_compliance (1) | pose_scale (1) | r (6) | clocks | walk.
 std::unique_ptr<SampledCost> CreateJointAccelResidual(Samples<JointAccelSample> samples,
                                                       const Eigen::Matrix3d& R_MA,
                                                       const ClockMotions& clocks,
