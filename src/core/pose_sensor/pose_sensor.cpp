@@ -8,7 +8,6 @@
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/base/text.h"
-#include "imu_pose_calib/core/calibration/marginals.h"
 #include "imu_pose_calib/core/pose_sensor/sensor_problem.h"
 #include "imu_pose_calib/core/start/rate_alignment.h"
 #include "imu_pose_calib/core/verdict/observability.h"
@@ -23,7 +22,8 @@ constexpr int kCandidates = 6;         // correlation peaks tried on all three a
 constexpr double kMinExplained = 0.5;  // of the sensor's turn rates by the marker's
 constexpr double kRatePeriod = 0.01;   // [s] of the turn rates that are compared
 constexpr double kStiff = 0.1;         // [1/sqrt(s)] drift over noise at first
-constexpr double kForeignScale = 0.1;  // [1] that is no error of a metric sensor
+constexpr double kForeignScale = 0.1;  // [1] that is no error of a metric sensor,
+constexpr double kSurely = 3.0;        // sigmas off
 /// A jump: medians of so many poses before and after it differ by so many times the usual.
 constexpr ptrdiff_t kAround = 10;
 constexpr double kJump = 10.0;
@@ -39,15 +39,19 @@ std::vector<TimedSample> TurnRates(const PoseTrajectory& trajectory) {
   return rates;
 }
 
-/// The time shift and rotation by which the rates agree best, or of the worlds seen from the
-/// bodies.
+/// The time shift and rotation by which the rates agree with most evidence, or of the worlds seen
+/// from the bodies.
 RateAlignment Align(const CalibrationOptions& options, const MarkerMotion& marker,
                     const std::vector<TimedSample>& rates, bool is_inverted, double* time_shift) {
   RateAlignment best;
+  double most = -1.0;
   for (const double shift : FindTimeShifts(*marker.poses, rates, options.min_overlap_s,
                                            std::nullopt, kCandidates, options.Threads())) {
     const RateAlignment found = AlignRates(PairRates(*marker.poses, rates, shift, is_inverted));
-    if (found.explained <= best.explained) continue;
+    const double evidence =
+        Evidence(std::sqrt(std::max(0.0, found.explained)), static_cast<double>(found.count));
+    if (evidence <= most) continue;
+    most = evidence;
     best = found;
     *time_shift = shift;
   }
@@ -120,6 +124,21 @@ void FindJumps(const Rigid3& T_MS, SensorSession* session) {
   }
 }
 
+/// Refuses a free scale that is surely not that of a metric sensor.
+void CheckScale(const CalibrationOptions& options, SensorEstimate* estimate) {
+  const Eigen::MatrixXd covariance = FindSensorCovariance(options, estimate).covariance;
+  Eigen::Index scale = 8;
+  for (const SensorSession& session : estimate->sessions) {
+    if (session.samples.empty()) continue;
+    const double sigma = std::sqrt(covariance(scale, scale)), off = std::abs(session.scale - 1.0);
+    if (off > kForeignScale && off > kSurely * sigma)
+      throw OptionNeeded("the sensor's positions are " + Number(session.scale, "%.3g") + " +- " +
+                         Number(sigma, "%.2g") +
+                         " times those of the marker: set estimate_sensor_scale: true");
+    scale += 3;
+  }
+}
+
 /// Clocks and R_MS in closed form, all else by a first solve in which V may drift.
 SensorEstimate StartSensor(const CalibrationOptions& options,
                            const std::vector<MarkerMotion>& marker,
@@ -144,10 +163,8 @@ SensorEstimate StartSensor(const CalibrationOptions& options,
   CalibrationOptions free = options;
   free.estimate_sensor_scale = true;
   SolveSensor(free, &estimate);
+  if (!options.estimate_sensor_scale) CheckScale(free, &estimate);
   for (SensorSession& session : estimate.sessions) {
-    if (!options.estimate_sensor_scale && std::abs(session.scale - 1.0) > kForeignScale)
-      throw OptionNeeded("the sensor's positions are " + Number(session.scale, "%.3g") +
-                         " times those of the marker: set estimate_sensor_scale: true");
     FindJumps(estimate.T_MS, &session);
     // A world that is too stiff shows its drift, one that is too loose takes up the motion.
     session.drift = {kStiff * session.noise.position, kStiff * session.noise.rotation};
@@ -206,14 +223,12 @@ void Report(const CalibrationOptions& options, SensorEstimate* solved,
   result->T_MS = estimate.T_MS;
   if (result->T_MS.q.w() < 0.0) result->T_MS.q.coeffs() *= -1.0;
   result->sessions.resize(estimate.sessions.size());
-  if (!found.model.allFinite() || !found.robust.allFinite() ||
-      found.model.diagonal().minCoeff() <= 0.0) {
+  const Eigen::MatrixXd& C = found.covariance;
+  if (!C.allFinite() || found.model.diagonal().minCoeff() <= 0.0) {
     result->status = Status::kDegenerate;
     result->message = "the data do not determine all parameters";
     return;
   }
-  const Eigen::VectorXd enlargement = Enlargement(found.model, found.robust);
-  const Eigen::MatrixXd C = enlargement.asDiagonal() * found.model * enlargement.asDiagonal();
   result->model_covariance = found.model.topLeftCorner<6, 6>();
   result->covariance = C.topLeftCorner<6, 6>();
   AddDirections(C.block<3, 3>(0, 0), "p_MS along ", "marker", "m", &result->observability);

@@ -15,6 +15,7 @@
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/base/student_t.h"
+#include "imu_pose_calib/core/calibration/marginals.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -468,7 +469,6 @@ SensorCovariance FindSensorCovariance(const CalibrationOptions& options, SensorE
   const Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>> factor(H);
   const auto calibrated = 6 + 3 * static_cast<Eigen::Index>(sensor.calibrated.size() - 2) / 2;
   const Eigen::MatrixXd X = factor.solve(Eigen::MatrixXd::Identity(H.rows(), calibrated));
-  SensorCovariance found{X.topRows(calibrated), {}};
   // Scores of time blocks.
   double duration = 0.0;
   for (const SensorSession& session : estimate->sessions)
@@ -488,9 +488,11 @@ SensorCovariance FindSensorCovariance(const CalibrationOptions& options, SensorE
     for (const Eigen::Index end = row + rows; row < end; ++row)
       score += residuals[static_cast<size_t>(row)] * JX.row(row).transpose();
   }
-  found.robust = Eigen::MatrixXd::Zero(calibrated, calibrated);
-  for (const auto& [place, score] : scores) found.robust += score * score.transpose();
-  return found;
+  const Eigen::MatrixXd model = X.topRows(calibrated);
+  Eigen::MatrixXd robust = Eigen::MatrixXd::Zero(calibrated, calibrated);
+  for (const auto& [place, score] : scores) robust += score * score.transpose();
+  const Eigen::VectorXd enlargement = Enlargement(model, robust);
+  return {model, enlargement.asDiagonal() * model * enlargement.asDiagonal()};
 }
 
 }  // namespace imu_pose_calib

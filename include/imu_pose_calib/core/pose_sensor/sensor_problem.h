@@ -70,9 +70,10 @@ bool SolveSensor(const CalibrationOptions& options, SensorEstimate* estimate);
 bool FindNoise(SensorEstimate* estimate);
 
 /// Covariance of p_MS, of R_MS on the right, then of time shift, drift of the clock and scale of
-/// each session that has the sensor: H^-1, and the sandwich over time blocks. The estimate stays.
+/// each session that has the sensor: H^-1, and enlarged by the sandwich over time blocks. The
+/// estimate stays.
 struct SensorCovariance {
-  Eigen::MatrixXd model, robust;
+  Eigen::MatrixXd model, covariance;
 };
 SensorCovariance FindSensorCovariance(const CalibrationOptions& options, SensorEstimate* estimate);
 
