@@ -41,13 +41,13 @@ std::vector<TimedSample> TurnRates(const PoseTrajectory& trajectory) {
 
 /// The time shift and rotation by which the rates agree with most evidence, or of the worlds seen
 /// from the bodies.
-RateAlignment Align(const CalibrationOptions& options, const MarkerMotion& marker,
+RateAlignment Align(const CalibrationOptions& options, const PoseTrajectory& marker,
                     const std::vector<TimedSample>& rates, bool is_inverted, double* time_shift) {
   RateAlignment best;
   double most = -1.0;
-  for (const double shift : FindTimeShifts(*marker.poses, rates, options.min_overlap_s,
-                                           std::nullopt, kCandidates, options.Threads())) {
-    const RateAlignment found = AlignRates(PairRates(*marker.poses, rates, shift, is_inverted));
+  for (const double shift : FindTimeShifts(marker, rates, options.min_overlap_s, std::nullopt,
+                                           kCandidates, options.Threads())) {
+    const RateAlignment found = AlignRates(PairRates(marker, rates, shift, is_inverted));
     const double evidence =
         Evidence(std::sqrt(std::max(0.0, found.explained)), static_cast<double>(found.count));
     if (evidence <= most) continue;
@@ -59,8 +59,8 @@ RateAlignment Align(const CalibrationOptions& options, const MarkerMotion& marke
 }
 
 /// Conditions the poses of a session and finds its clock; returns how R_MS explains its rates.
-RateAlignment StartSession(const CalibrationOptions& given, const std::vector<PoseSample>& poses,
-                           SensorSession* session) {
+RateAlignment StartSession(const CalibrationOptions& given, const PoseTrajectory& marker,
+                           const std::vector<PoseSample>& poses, SensorSession* session) {
   CalibrationOptions options;
   options.max_gap_s = given.max_gap_s;
   options.min_segment_s = given.min_segment_s;
@@ -81,10 +81,10 @@ RateAlignment StartSession(const CalibrationOptions& given, const std::vector<Po
                     trajectory.rotation_hyperparameters().noise_std};
   session->drift = session->noise;
   const std::vector<TimedSample> rates = TurnRates(trajectory);
-  RateAlignment best = Align(options, *session->marker, rates, false, &session->time_shift);
+  RateAlignment best = Align(options, marker, rates, false, &session->time_shift);
   if (best.explained >= kMinExplained) return best;
   double ignored = 0.0;
-  const double inverted = Align(options, *session->marker, rates, true, &ignored).explained;
+  const double inverted = Align(options, marker, rates, true, &ignored).explained;
   const std::string agree = "the turn rates of the marker and the sensor agree ";
   if (inverted >= kMinExplained)
     throw OptionNeeded(agree +
@@ -103,12 +103,12 @@ void FindJumps(const Rigid3& T_MS, SensorSession* session) {
   const auto count = static_cast<ptrdiff_t>(samples.size());
   std::vector<double> sizes[2];
   for (ptrdiff_t i = kAround; i + kAround <= count; ++i) {
-    const Rigid3 before = MedianWorld(T_MS, session->scale, &samples[i - kAround], &samples[i]);
-    const Rigid3 after = MedianWorld(T_MS, session->scale, &samples[i], &samples[i] + kAround);
-    const Vector3d p_WS = samples[i].marker.p_WB + samples[i].marker.q_WB * T_MS.p;
-    const Vector3d p_VS = session->scale * p_WS;
-    sizes[0].push_back((after.p + after.q * p_VS - before.p - before.q * p_VS).norm());
-    sizes[1].push_back(after.q.angularDistance(before.q));
+    const SensorPose* const sample = &samples[0] + i;
+    const Vector6d step = WorldStep(MedianWorld(T_MS, session->scale, sample - kAround, sample),
+                                    MedianWorld(T_MS, session->scale, sample, sample + kAround),
+                                    session->scale * sample->p_WS(T_MS));
+    sizes[0].push_back(step.head<3>().norm());
+    sizes[1].push_back(step.tail<3>().norm());
   }
   session->jumps.clear();
   if (sizes[0].empty()) return;
@@ -141,18 +141,19 @@ void CheckScale(const CalibrationOptions& options, SensorEstimate* estimate) {
 
 /// Clocks and R_MS in closed form, all else by a first solve in which V may drift.
 SensorEstimate StartSensor(const CalibrationOptions& options,
-                           const std::vector<MarkerMotion>& marker,
+                           const std::shared_ptr<const Solution>& solution,
                            const std::vector<std::vector<PoseSample>>& poses) {
   if (std::all_of(poses.begin(), poses.end(), [](const auto& session) { return session.empty(); }))
     throw DataError("there are no poses");
   SensorEstimate estimate;
-  estimate.sessions.resize(marker.size());
+  estimate.sessions.resize(poses.size());
   double best = 0.0;
-  for (size_t s = 0; s < marker.size(); ++s) {
+  for (size_t s = 0; s < poses.size(); ++s) {
     SensorSession& session = estimate.sessions[s];
-    session.marker = &marker[s];
+    session.marker = std::make_shared<const SessionTrajectory>(solution, s);
     if (poses[s].empty()) continue;
-    const RateAlignment alignment = StartSession(options, poses[s], &session);
+    const RateAlignment alignment =
+        StartSession(options, *solution->trajectories[s], poses[s], &session);
     PlaceSamples(&session);
     const double explained = alignment.explained * static_cast<double>(alignment.count);
     if (explained <= best) continue;
@@ -184,36 +185,31 @@ bool IsAllDrift(const SensorSession& session) {
 
 void ReportSession(const SensorEstimate& estimate, const SensorSession& session,
                    PoseSensorSession* result) {
-  const MarkerMotion& marker = *session.marker;
+  const int64_t marker_ns = session.marker->epoch_ns(), sensor_ns = session.data.pose_epoch_ns;
   result->is_present = true;
   result->poses = session.data.pose_report;
-  result->time_shift =
-      1e-9 * static_cast<double>(marker.epoch_ns - session.data.pose_epoch_ns) + session.time_shift;
+  result->time_shift = 1e-9 * static_cast<double>(marker_ns - sensor_ns) + session.time_shift;
   result->clock_drift = session.clock_drift;
-  result->clock_reference =
-      1e-9 * static_cast<double>(session.data.pose_epoch_ns) + session.reference;
+  result->clock_reference = 1e-9 * static_cast<double>(sensor_ns) + session.reference;
   result->scale = session.scale;
   result->noise = session.noise;
   result->drift = session.drift;
   const auto pose_time = [&](double t) {
-    return 1e-9 * static_cast<double>(marker.epoch_ns) + t + session.time_shift +
+    return 1e-9 * static_cast<double>(marker_ns) + t + session.time_shift +
            session.clock_drift * (t - session.reference);
   };
   for (const WorldKnot& knot : session.knots)
     result->world.push_back({pose_time(knot.t), knot.T_VW, knot.begins_piece});
-  double position2 = 0.0, rotation2 = 0.0;
+  Vector6d squares = Vector6d::Zero();
   for (const SensorPose& sample : session.samples) {
-    const Rigid3 T_VS = PredictPose(estimate, session, sample);
-    result->residuals.push_back({pose_time(sample.t), sample.T_VS.p - T_VS.p,
-                                 Log(Quaterniond(T_VS.q.conjugate() * sample.T_VS.q)),
-                                 std::min(1.0, sample.position_weight),
-                                 std::min(1.0, sample.rotation_weight),
-                                 session.data.pose_epoch_ns + std::llround(1e9 * sample.t)});
-    position2 += result->residuals.back().position.squaredNorm();
-    rotation2 += result->residuals.back().rotation.squaredNorm();
+    const Vector6d residual = FindResidual(estimate, session, sample);
+    result->residuals.push_back({pose_time(sample.t), residual.head<3>(), residual.tail<3>(),
+                                 std::min(1.0, sample.weight.position),
+                                 std::min(1.0, sample.weight.rotation),
+                                 sensor_ns + std::llround(1e9 * sample.t)});
+    squares += residual.cwiseAbs2() / static_cast<double>(session.samples.size());
   }
-  const double count = 3.0 * static_cast<double>(session.samples.size());
-  result->rms = {std::sqrt(position2 / count), std::sqrt(rotation2 / count)};
+  result->rms = {std::sqrt(squares.head<3>().mean()), std::sqrt(squares.tail<3>().mean())};
 }
 
 void Report(const CalibrationOptions& options, SensorEstimate* solved,
@@ -252,9 +248,9 @@ void Report(const CalibrationOptions& options, SensorEstimate* solved,
 }  // namespace
 
 PoseSensorCalibration CalibratePoseSensor(const CalibrationOptions& options,
-                                          const std::vector<MarkerMotion>& marker,
+                                          const std::shared_ptr<const Solution>& solution,
                                           const std::vector<std::vector<PoseSample>>& poses) {
-  SensorEstimate estimate = StartSensor(options, marker, poses);
+  SensorEstimate estimate = StartSensor(options, solution, poses);
   bool has_settled = false;
   for (int round = 0; round < kMaxRounds && !has_settled; ++round) {
     std::vector<double> time_shifts;

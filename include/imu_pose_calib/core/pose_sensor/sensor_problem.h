@@ -1,23 +1,27 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <memory>
 #include <vector>
 
 #include "imu_pose_calib/core/base/options.h"
 #include "imu_pose_calib/core/data/conditioned_data.h"
-#include "imu_pose_calib/core/pose_sensor/marker_motion.h"
+#include "imu_pose_calib/core/ground_truth/trajectory.h"
 
 namespace imu_pose_calib {
 
 /// A pose of the sensor, and the marker's motion where the estimate of its clock puts it.
 struct SensorPose {
-  double t;                               ///< [s] sensor clock, after the session's epoch
-  BodyState marker;                       ///< at that instant
-  Rigid3 T_VS;                            ///< measured
-  double position_scale, rotation_scale;  ///< of its noise, as far as the source states it
-  double position_weight = 1.0, rotation_weight = 1.0;  ///< robust
-  size_t knot = 0;                                      ///< of V, before it
-  double u = 0.0;                                       ///< 0..1 from there to the next one
+  double t;                   ///< [s] sensor clock, after the session's epoch
+  BodyState marker;           ///< at that instant
+  Rigid3 T_VS;                ///< measured
+  PoseStd scale;              ///< of its noise, as far as the source states it
+  PoseStd weight{1.0, 1.0};   ///< robust
+  size_t knot = 0;            ///< of V, before it
+  double u = 0.0;             ///< 0..1 from there to the next one
+  bool begins_piece = false;  ///< of V
+
+  Eigen::Vector3d p_WS(const Rigid3& T_MS) const { return marker.p_WB + marker.q_WB * T_MS.p; }
 };
 
 /// T_VW at an instant; linear up to the next knot, which is of the same piece unless it begins one.
@@ -32,7 +36,7 @@ struct WorldKnot {
 /// One session of a sensor, as estimated. t_M = t + time_shift + clock_drift (t - reference), both
 /// after their epochs.
 struct SensorSession {
-  const MarkerMotion* marker = nullptr;
+  std::shared_ptr<const SessionTrajectory> marker;
   ConditionedData data;  ///< without IMUs; no poses: the session lacks the sensor
   double time_shift = 0.0, clock_drift = 0.0, reference = 0.0;  ///< [s], [s/s], [s]
   double scale = 1.0;
@@ -49,9 +53,12 @@ struct SensorEstimate {
   std::vector<SensorSession> sessions;
 };
 
-/// Predicted pose of a sample, V in between its knots.
-Rigid3 PredictPose(const SensorEstimate& estimate, const SensorSession& session,
-                   const SensorPose& sample);
+/// Measured pose less the predicted one: position in V [m], rotation in S [rad].
+Vector6d FindResidual(const SensorEstimate& estimate, const SensorSession& session,
+                      const SensorPose& sample);
+
+/// By how much the step from one T_VW to another moves what is at p_V [m], and turns it [rad].
+Vector6d WorldStep(const Rigid3& from, const Rigid3& to, const Eigen::Vector3d& p_V);
 
 /// Median of the T_VW that poses imply, component by component, where the sensor is at the middle
 /// one; `end` is one past the last.
