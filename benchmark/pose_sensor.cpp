@@ -181,10 +181,8 @@ void Run(const Case& it, int seeds, double seconds) {
     const SimulatedPoseSensor& own = truth.pose_sensors[0];
     const PoseSensorSession& session = sensor.sessions[0];
     weak += sensor.status != Status::kOk;
-    if (sensor.status == Status::kDegenerate) {
-      std::printf("  seed %d: %s\n", seed, sensor.message.c_str());
-      continue;
-    }
+    if (sensor.status != Status::kOk) std::printf("  seed %d: %s\n", seed, sensor.message.c_str());
+    if (sensor.status == Status::kDegenerate) continue;
     ++count;
     track.Add(truth, result);
     Vector6d error;

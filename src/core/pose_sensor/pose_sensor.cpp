@@ -261,7 +261,6 @@ PoseSensorCalibration CalibratePoseSensor(const CalibrationOptions& options,
     for (size_t s = 0; s < estimate.sessions.size(); ++s) {
       SensorSession& session = estimate.sessions[s];
       has_settled = has_settled && std::abs(session.time_shift - time_shifts[s]) <= kSettledClock;
-      PlaceSamples(&session);
       PlaceKnots(estimate.T_MS, &session);
     }
   }

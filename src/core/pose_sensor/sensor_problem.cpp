@@ -280,6 +280,20 @@ void FindNoise(const SensorEstimate& estimate, SensorSession* session) {
   }
 }
 
+/// Samples among the knots.
+void LocateSamples(SensorSession* session) {
+  const std::vector<WorldKnot>& knots = session->knots;
+  auto last = knots.begin();
+  for (SensorPose& sample : session->samples) {
+    const auto after = KnotAfter(knots, sample.t), before = std::prev(after);
+    sample.knot = static_cast<size_t>(before - knots.begin());
+    sample.u = (sample.t - before->t) / (after->t - before->t);
+    sample.begins_piece =
+        std::any_of(last, after, [](const WorldKnot& knot) { return knot.begins_piece; });
+    last = after;
+  }
+}
+
 }  // namespace
 
 Vector6d FindResidual(const SensorEstimate& estimate, const SensorSession& session,
@@ -327,10 +341,11 @@ void PlaceSamples(SensorSession* session) {
                                 {pose.position_scale, pose.rotation_scale},
                                 weights.try_emplace(pose.t, PoseStd{1.0, 1.0}).first->second});
   }
+  if (!session->knots.empty()) LocateSamples(session);
 }
 
 void PlaceKnots(const Rigid3& T_MS, SensorSession* session) {
-  std::vector<SensorPose>& samples = session->samples;
+  const std::vector<SensorPose>& samples = session->samples;
   double interval = kLongestInterval;
   for (const auto kind : kKinds)
     if (session->drift.*kind > 0.0)
@@ -345,7 +360,6 @@ void PlaceKnots(const Rigid3& T_MS, SensorSession* session) {
     const double length = std::max(samples[end - 1].t - first, 1e-3);
     const auto intervals = static_cast<size_t>(std::ceil(length / interval));
     const double step = length / static_cast<double>(intervals);
-    const size_t first_knot = session->knots.size();
     for (size_t k = 0; k <= intervals; ++k) {
       const double t = first + step * static_cast<double>(k);
       const auto after =
@@ -358,14 +372,8 @@ void PlaceKnots(const Rigid3& T_MS, SensorSession* session) {
       session->knots.push_back(
           {t, MedianWorld(T_MS, session->scale, from, to), k == 0, after->p_WS(T_MS)});
     }
-    for (size_t i = begin; i < end; ++i) {
-      const double place = (samples[i].t - first) / step;
-      const size_t k = std::min(static_cast<size_t>(place), intervals - 1);
-      samples[i].knot = first_knot + k;
-      samples[i].u = place - static_cast<double>(k);
-      samples[i].begins_piece = i == begin;
-    }
   }
+  LocateSamples(session);
 }
 
 bool SolveSensor(const CalibrationOptions& options, SensorEstimate* estimate) {
@@ -375,6 +383,7 @@ bool SolveSensor(const CalibrationOptions& options, SensorEstimate* estimate) {
   solver.num_threads = options.Threads();
   solver.max_num_iterations = options.max_iterations;
   solver.function_tolerance = 1e-9;
+  solver.initial_trust_region_radius = 1e12;  // a stiff world moves as a whole at once
   solver.logging_type = ceres::SILENT;
   ceres::Solver::Summary summary;
   ceres::Solve(solver, &sensor.problem, &summary);
@@ -391,6 +400,7 @@ bool SolveSensor(const CalibrationOptions& options, SensorEstimate* estimate) {
       knot.T_VW = {q.normalized(), p};
       knot.moved.setZero();
     }
+    PlaceSamples(&session);
   }
   return summary.termination_type == ceres::CONVERGENCE;
 }

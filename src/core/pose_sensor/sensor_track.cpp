@@ -5,6 +5,7 @@
 #include <iterator>
 
 #include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/pose_sensor/sensor_problem.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -19,11 +20,8 @@ double Seconds(int64_t ns) { return 1e-9 * static_cast<double>(ns); }
 
 /// T_VW at t [s, pose clock].
 Rigid3 WorldAt(const PoseSensorSession& session, double t) {
-  auto after = std::upper_bound(session.world.begin() + 1, session.world.end(), t,
-                                [](double value, const auto& knot) { return value < knot.t; });
-  if (after == session.world.end() || after->begins_piece) --after;  // the end of a piece
-  const auto &knot_0 = *std::prev(after), &knot_1 = *after;
-  return Interpolate(knot_0.T_VW, knot_1.T_VW, (t - knot_0.t) / (knot_1.t - knot_0.t));
+  const auto after = KnotAfter(session.world, t), before = std::prev(after);
+  return Interpolate(before->T_VW, after->T_VW, (t - before->t) / (after->t - before->t));
 }
 
 /// A pose of the sensor, aligned, and the true one.

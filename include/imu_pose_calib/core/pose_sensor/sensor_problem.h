@@ -1,6 +1,8 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <algorithm>
+#include <iterator>
 #include <memory>
 #include <vector>
 
@@ -32,6 +34,15 @@ struct WorldKnot {
   Eigen::Vector3d p_WS;               ///< [m] where the sensor is: V drifts about it
   Vector6d moved = Vector6d::Zero();  ///< of the solve: p_VW [m], and R_VW on the left [rad]
 };
+
+/// The later one of the two knots that V at t is between.
+template <typename Knots>
+auto KnotAfter(const Knots& knots, double t) {
+  const auto after =
+      std::upper_bound(knots.begin() + 1, knots.end(), t,
+                       [](double value, const auto& knot) { return value < knot.t; });
+  return after == knots.end() || after->begins_piece ? std::prev(after) : after;
+}
 
 /// One session of a sensor, as estimated. t_M = t + time_shift + clock_drift (t - reference), both
 /// after their epochs.
@@ -65,13 +76,14 @@ Vector6d WorldStep(const Rigid3& from, const Rigid3& to, const Eigen::Vector3d& 
 Rigid3 MedianWorld(const Rigid3& T_MS, double scale, const SensorPose* begin,
                    const SensorPose* end);
 
-/// The poses that fall on the marker's trajectory, where the clock of the estimate puts them.
+/// The poses that fall on the marker's trajectory, where the clock of the estimate puts them, among
+/// the knots if there are any.
 void PlaceSamples(SensorSession* session);
 /// Knots of V as far apart as its drift allows, each the median of the poses around it.
 void PlaceKnots(const Rigid3& T_MS, SensorSession* session);
 
 /// Minimum of the cost of all sessions (doc/math.md, "Pose sensors"), by Ceres; noise, drift and
-/// weights are kept. False when it does not converge.
+/// weights are kept, poses placed anew. False when it does not converge.
 bool SolveSensor(const CalibrationOptions& options, SensorEstimate* estimate);
 /// Weights of the poses, noise and drift from what is left; true when they are as before.
 bool FindNoise(SensorEstimate* estimate);
