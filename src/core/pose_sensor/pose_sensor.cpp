@@ -75,7 +75,14 @@ RateAlignment StartSession(const CalibrationOptions& given, const PoseTrajectory
   data.imus.clear();
   session->data = ConditionData(options, data);
   const PoseTrajectory trajectory = FitTrajectory(options, &session->data);
-  const auto& own = session->data.poses;
+  const std::vector<TimedPose>& own = session->data.poses;
+  session->samples.resize(own.size());
+  for (size_t i = 0; i < own.size(); ++i) {
+    SensorPose& sample = session->samples[i];
+    sample.t = own[i].t;
+    sample.T_VS = {own[i].q_WM, own[i].p_WM};
+    sample.scale = {own[i].position_scale, own[i].rotation_scale};
+  }
   session->reference = 0.5 * (own.front().t + own.back().t);
   session->noise = {trajectory.position_hyperparameters().noise_std,
                     trajectory.rotation_hyperparameters().noise_std};

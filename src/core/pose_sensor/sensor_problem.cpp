@@ -328,19 +328,15 @@ Rigid3 MedianWorld(const Rigid3& T_MS, double scale, const SensorPose* begin,
 }
 
 void PlaceSamples(SensorSession* session) {
-  std::map<double, PoseStd> weights;
-  for (const SensorPose& sample : session->samples) weights[sample.t] = sample.weight;
-  session->samples.clear();
-  for (const TimedPose& pose : session->data.poses) {
+  std::vector<SensorPose> placed;
+  for (SensorPose& sample : session->samples) {
     const auto state = session->marker->Marker(
-        pose.t + session->time_shift + session->clock_drift * (pose.t - session->reference));
+        sample.t + session->time_shift + session->clock_drift * (sample.t - session->reference));
     if (!state) continue;
-    session->samples.push_back({pose.t,
-                                *state,
-                                {pose.q_WM, pose.p_WM},
-                                {pose.position_scale, pose.rotation_scale},
-                                weights.try_emplace(pose.t, PoseStd{1.0, 1.0}).first->second});
+    sample.marker = *state;
+    placed.push_back(sample);
   }
+  session->samples = std::move(placed);
   if (!session->knots.empty()) LocateSamples(session);
 }
 

@@ -15,10 +15,10 @@ namespace imu_pose_calib {
 /// A pose of the sensor, and the marker's motion where the estimate of its clock puts it.
 struct SensorPose {
   double t;                   ///< [s] sensor clock, after the session's epoch
-  BodyState marker;           ///< at that instant
   Rigid3 T_VS;                ///< measured
   PoseStd scale;              ///< of its noise, as far as the source states it
   PoseStd weight{1.0, 1.0};   ///< robust
+  BodyState marker;           ///< at that instant
   size_t knot = 0;            ///< of V, before it
   double u = 0.0;             ///< 0..1 from there to the next one
   bool begins_piece = false;  ///< of V
@@ -76,8 +76,9 @@ Vector6d WorldStep(const Rigid3& from, const Rigid3& to, const Eigen::Vector3d& 
 Rigid3 MedianWorld(const Rigid3& T_MS, double scale, const SensorPose* begin,
                    const SensorPose* end);
 
-/// The poses that fall on the marker's trajectory, where the clock of the estimate puts them, among
-/// the knots if there are any.
+/// Puts the poses where the clock of the estimate says, among the knots if there are any. Those
+/// that fall off the marker's trajectory are left out for good: what is solved for must not come
+/// and go.
 void PlaceSamples(SensorSession* session);
 /// Knots of V as far apart as its drift allows, each the median of the poses around it.
 void PlaceKnots(const Rigid3& T_MS, SensorSession* session);
