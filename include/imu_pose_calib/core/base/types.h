@@ -43,9 +43,9 @@ inline Rigid3 operator*(const Rigid3& T_XY, const Rigid3& T_YZ) {
   return {T_XY.q * T_YZ.q, T_XY.q * T_YZ.p + T_XY.p};
 }
 
-/// From T_0 at u = 0 to T_1 at u = 1, at the same speed throughout.
-inline Rigid3 Interpolate(const Rigid3& T_0, const Rigid3& T_1, double u) {
-  return {T_0.q.slerp(u, T_1.q), (1.0 - u) * T_0.p + u * T_1.p};
+/// `from` at u = 0, `to` at u = 1, and at the same speed between them.
+inline Rigid3 Interpolate(const Rigid3& from, const Rigid3& to, double u) {
+  return {from.q.slerp(u, to.q), (1.0 - u) * from.p + u * to.p};
 }
 
 /// Sigma of a pose, per axis.
