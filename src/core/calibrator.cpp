@@ -274,12 +274,11 @@ void AddStart(const Estimate& start, Estimate* estimate) {
 /// Pose sensor number `sensor` of all sessions. Data that cannot be used, or a motion that is not
 /// enough, are its status, not that of the rig.
 PoseSensorCalibration CalibrateSensor(const CalibrationOptions& options,
-                                      const std::vector<MarkerMotion>& motions,
                                       const std::vector<std::vector<PoseSample>>& poses,
                                       size_t sensor, Calibration* result) {
   PoseSensorCalibration calibration;
   try {
-    calibration = CalibratePoseSensor(options, motions, poses);
+    calibration = CalibratePoseSensor(options, result->solution, poses);
     for (size_t s = 0; s < poses.size(); ++s)
       if (calibration.sessions[s].is_present)
         calibration.sessions[s].errors = FindErrors(result->solution, s, calibration);
@@ -304,11 +303,10 @@ void CalibrateSensors(const CalibrationOptions& options, const std::vector<Sessi
                       const Progress& progress, Calibration* result) {
   if (data[0].pose_sensors.empty() || !result->IsUsable()) return;
   const Stage stage(progress, "pose sensors");
-  const std::vector<MarkerMotion> motions = MarkerMotions(result->solution);
   for (size_t k = 0; k < data[0].pose_sensors.size(); ++k) {
     std::vector<std::vector<PoseSample>> poses;
     for (const SessionData& session : data) poses.push_back(session.pose_sensors[k]);
-    result->pose_sensors.push_back(CalibrateSensor(options, motions, poses, k, result));
+    result->pose_sensors.push_back(CalibrateSensor(options, poses, k, result));
   }
   stage.End();
 }

@@ -82,6 +82,18 @@ TEST(PoseTable, ReadsAslGroundTruthWithItsExtraColumns) {
   ExpectPose(poses[0], 1'403'715'524'912'143'104);
 }
 
+TEST(PoseTable, ReadsTrajectoriesOfOpenVins) {
+  const std::string header = "# timestamp(s) tx ty tz qx qy qz qw",
+                    sigmas = " Pr11 Pr12 Pr13 Pr22 Pr23 Pr33 Pt11 Pt12 Pt13 Pt22 Pt23 Pt33",
+                    line = "1413394881.55555 1 2 3 0.1 0.2 0.3 0.9";
+  ExpectPose(Poses(header + "\n" + line).at(0), 1'413'394'881'555'550'000);
+  ExpectPose(Poses(header + sigmas + "\n" + line + " 7 7 7 7 7 7 8 8 8 8 8 8").at(0),
+             1'413'394'881'555'550'000);
+  // Its states are no poses: the rotation comes first.
+  ExpectBadPoses("# timestamp(s) q p v bg ba\n1.5 0.1 0.2 0.3 0.9 1 2 3 4 4 4 5 5 5 6 6 6\n",
+                 {"line 2 ", "17 columns"});
+}
+
 TEST(PoseTable, SkipsByteOrderMarkCommentsAndEmptyLines) {
   const auto poses = Poses(
       "\xEF\xBB\xBFtime [s] x [m] y [m] z [m] qx qy qz qw\n\n"

@@ -234,10 +234,10 @@ std::shared_ptr<const TrajectoryCovariance> SessionTrajectory::covariance() cons
 }
 
 std::optional<BodyCovariance> SessionTrajectory::CovarianceOf(int imu, bool is_on_its_clock,
-                                                              double t) const {
+                                                              double t, const Rigid3& T_MB) const {
   if (solution_->splines.empty()) return std::nullopt;
   StateJacobian J;
-  const auto state = imu < 0 ? Evaluate({}, t, &J) : Imu(static_cast<size_t>(imu), t, &J);
+  const auto state = imu < 0 ? Evaluate(T_MB, t, &J) : Imu(static_cast<size_t>(imu), t, &J);
   if (!state) return std::nullopt;
   const size_t first = solution_->splines[session_].Locate(t)->first;
   const ImuSessionEstimate* const clock =

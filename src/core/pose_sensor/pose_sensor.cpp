@@ -8,7 +8,6 @@
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/base/text.h"
-#include "imu_pose_calib/core/calibration/marginals.h"
 #include "imu_pose_calib/core/pose_sensor/sensor_problem.h"
 #include "imu_pose_calib/core/start/rate_alignment.h"
 #include "imu_pose_calib/core/verdict/observability.h"
@@ -23,7 +22,8 @@ constexpr int kCandidates = 6;         // correlation peaks tried on all three a
 constexpr double kMinExplained = 0.5;  // of the sensor's turn rates by the marker's
 constexpr double kRatePeriod = 0.01;   // [s] of the turn rates that are compared
 constexpr double kStiff = 0.1;         // [1/sqrt(s)] drift over noise at first
-constexpr double kForeignScale = 0.1;  // [1] that is no error of a metric sensor
+constexpr double kForeignScale = 0.1;  // [1] that is no error of a metric sensor,
+constexpr double kSurely = 3.0;        // sigmas off
 /// A jump: medians of so many poses before and after it differ by so many times the usual.
 constexpr ptrdiff_t kAround = 10;
 constexpr double kJump = 10.0;
@@ -39,15 +39,19 @@ std::vector<TimedSample> TurnRates(const PoseTrajectory& trajectory) {
   return rates;
 }
 
-/// The time shift and rotation by which the rates agree best, or of the worlds seen from the
-/// bodies.
-RateAlignment Align(const CalibrationOptions& options, const MarkerMotion& marker,
+/// The time shift and rotation by which the rates agree with most evidence, or of the worlds seen
+/// from the bodies.
+RateAlignment Align(const CalibrationOptions& options, const PoseTrajectory& marker,
                     const std::vector<TimedSample>& rates, bool is_inverted, double* time_shift) {
   RateAlignment best;
-  for (const double shift : FindTimeShifts(*marker.poses, rates, options.min_overlap_s,
-                                           std::nullopt, kCandidates, options.Threads())) {
-    const RateAlignment found = AlignRates(PairRates(*marker.poses, rates, shift, is_inverted));
-    if (found.explained <= best.explained) continue;
+  double most = -1.0;
+  for (const double shift : FindTimeShifts(marker, rates, options.min_overlap_s, std::nullopt,
+                                           kCandidates, options.Threads())) {
+    const RateAlignment found = AlignRates(PairRates(marker, rates, shift, is_inverted));
+    const double evidence =
+        Evidence(std::sqrt(std::max(0.0, found.explained)), static_cast<double>(found.count));
+    if (evidence <= most) continue;
+    most = evidence;
     best = found;
     *time_shift = shift;
   }
@@ -55,8 +59,8 @@ RateAlignment Align(const CalibrationOptions& options, const MarkerMotion& marke
 }
 
 /// Conditions the poses of a session and finds its clock; returns how R_MS explains its rates.
-RateAlignment StartSession(const CalibrationOptions& given, const std::vector<PoseSample>& poses,
-                           SensorSession* session) {
+RateAlignment StartSession(const CalibrationOptions& given, const PoseTrajectory& marker,
+                           const std::vector<PoseSample>& poses, SensorSession* session) {
   CalibrationOptions options;
   options.max_gap_s = given.max_gap_s;
   options.min_segment_s = given.min_segment_s;
@@ -71,16 +75,23 @@ RateAlignment StartSession(const CalibrationOptions& given, const std::vector<Po
   data.imus.clear();
   session->data = ConditionData(options, data);
   const PoseTrajectory trajectory = FitTrajectory(options, &session->data);
-  const auto& own = session->data.poses;
+  const std::vector<TimedPose>& own = session->data.poses;
+  session->samples.resize(own.size());
+  for (size_t i = 0; i < own.size(); ++i) {
+    SensorPose& sample = session->samples[i];
+    sample.t = own[i].t;
+    sample.T_VS = {own[i].q_WM, own[i].p_WM};
+    sample.scale = {own[i].position_scale, own[i].rotation_scale};
+  }
   session->reference = 0.5 * (own.front().t + own.back().t);
   session->noise = {trajectory.position_hyperparameters().noise_std,
                     trajectory.rotation_hyperparameters().noise_std};
   session->drift = session->noise;
   const std::vector<TimedSample> rates = TurnRates(trajectory);
-  RateAlignment best = Align(options, *session->marker, rates, false, &session->time_shift);
+  RateAlignment best = Align(options, marker, rates, false, &session->time_shift);
   if (best.explained >= kMinExplained) return best;
   double ignored = 0.0;
-  const double inverted = Align(options, *session->marker, rates, true, &ignored).explained;
+  const double inverted = Align(options, marker, rates, true, &ignored).explained;
   const std::string agree = "the turn rates of the marker and the sensor agree ";
   if (inverted >= kMinExplained)
     throw OptionNeeded(agree +
@@ -99,12 +110,12 @@ void FindJumps(const Rigid3& T_MS, SensorSession* session) {
   const auto count = static_cast<ptrdiff_t>(samples.size());
   std::vector<double> sizes[2];
   for (ptrdiff_t i = kAround; i + kAround <= count; ++i) {
-    const Rigid3 before = MedianWorld(T_MS, session->scale, &samples[i - kAround], &samples[i]);
-    const Rigid3 after = MedianWorld(T_MS, session->scale, &samples[i], &samples[i] + kAround);
-    const Vector3d p_WS = samples[i].marker.p_WB + samples[i].marker.q_WB * T_MS.p;
-    const Vector3d p_VS = session->scale * p_WS;
-    sizes[0].push_back((after.p + after.q * p_VS - before.p - before.q * p_VS).norm());
-    sizes[1].push_back(after.q.angularDistance(before.q));
+    const SensorPose* const sample = &samples[0] + i;
+    const Vector6d step = WorldStep(MedianWorld(T_MS, session->scale, sample - kAround, sample),
+                                    MedianWorld(T_MS, session->scale, sample, sample + kAround),
+                                    session->scale * sample->p_WS(T_MS));
+    sizes[0].push_back(step.head<3>().norm());
+    sizes[1].push_back(step.tail<3>().norm());
   }
   session->jumps.clear();
   if (sizes[0].empty()) return;
@@ -120,20 +131,36 @@ void FindJumps(const Rigid3& T_MS, SensorSession* session) {
   }
 }
 
+/// Refuses a free scale that is surely not that of a metric sensor.
+void CheckScale(const CalibrationOptions& options, SensorEstimate* estimate) {
+  const Eigen::MatrixXd covariance = FindSensorCovariance(options, estimate).covariance;
+  Eigen::Index scale = 8;
+  for (const SensorSession& session : estimate->sessions) {
+    if (session.samples.empty()) continue;
+    const double sigma = std::sqrt(covariance(scale, scale)), off = std::abs(session.scale - 1.0);
+    if (off > kForeignScale && off > kSurely * sigma)
+      throw OptionNeeded("the sensor's positions are " + Number(session.scale, "%.3g") + " +- " +
+                         Number(sigma, "%.2g") +
+                         " times those of the marker: set estimate_sensor_scale: true");
+    scale += 3;
+  }
+}
+
 /// Clocks and R_MS in closed form, all else by a first solve in which V may drift.
 SensorEstimate StartSensor(const CalibrationOptions& options,
-                           const std::vector<MarkerMotion>& marker,
+                           const std::shared_ptr<const Solution>& solution,
                            const std::vector<std::vector<PoseSample>>& poses) {
   if (std::all_of(poses.begin(), poses.end(), [](const auto& session) { return session.empty(); }))
     throw DataError("there are no poses");
   SensorEstimate estimate;
-  estimate.sessions.resize(marker.size());
+  estimate.sessions.resize(poses.size());
   double best = 0.0;
-  for (size_t s = 0; s < marker.size(); ++s) {
+  for (size_t s = 0; s < poses.size(); ++s) {
     SensorSession& session = estimate.sessions[s];
-    session.marker = &marker[s];
+    session.marker = std::make_shared<const SessionTrajectory>(solution, s);
     if (poses[s].empty()) continue;
-    const RateAlignment alignment = StartSession(options, poses[s], &session);
+    const RateAlignment alignment =
+        StartSession(options, *solution->trajectories[s], poses[s], &session);
     PlaceSamples(&session);
     const double explained = alignment.explained * static_cast<double>(alignment.count);
     if (explained <= best) continue;
@@ -144,10 +171,8 @@ SensorEstimate StartSensor(const CalibrationOptions& options,
   CalibrationOptions free = options;
   free.estimate_sensor_scale = true;
   SolveSensor(free, &estimate);
+  if (!options.estimate_sensor_scale) CheckScale(free, &estimate);
   for (SensorSession& session : estimate.sessions) {
-    if (!options.estimate_sensor_scale && std::abs(session.scale - 1.0) > kForeignScale)
-      throw OptionNeeded("the sensor's positions are " + Number(session.scale, "%.3g") +
-                         " times those of the marker: set estimate_sensor_scale: true");
     FindJumps(estimate.T_MS, &session);
     // A world that is too stiff shows its drift, one that is too loose takes up the motion.
     session.drift = {kStiff * session.noise.position, kStiff * session.noise.rotation};
@@ -167,36 +192,31 @@ bool IsAllDrift(const SensorSession& session) {
 
 void ReportSession(const SensorEstimate& estimate, const SensorSession& session,
                    PoseSensorSession* result) {
-  const MarkerMotion& marker = *session.marker;
+  const int64_t marker_ns = session.marker->epoch_ns(), sensor_ns = session.data.pose_epoch_ns;
   result->is_present = true;
   result->poses = session.data.pose_report;
-  result->time_shift =
-      1e-9 * static_cast<double>(marker.epoch_ns - session.data.pose_epoch_ns) + session.time_shift;
+  result->time_shift = 1e-9 * static_cast<double>(marker_ns - sensor_ns) + session.time_shift;
   result->clock_drift = session.clock_drift;
-  result->clock_reference =
-      1e-9 * static_cast<double>(session.data.pose_epoch_ns) + session.reference;
+  result->clock_reference = 1e-9 * static_cast<double>(sensor_ns) + session.reference;
   result->scale = session.scale;
   result->noise = session.noise;
   result->drift = session.drift;
   const auto pose_time = [&](double t) {
-    return 1e-9 * static_cast<double>(marker.epoch_ns) + t + session.time_shift +
+    return 1e-9 * static_cast<double>(marker_ns) + t + session.time_shift +
            session.clock_drift * (t - session.reference);
   };
   for (const WorldKnot& knot : session.knots)
     result->world.push_back({pose_time(knot.t), knot.T_VW, knot.begins_piece});
-  double position2 = 0.0, rotation2 = 0.0;
+  Vector6d squares = Vector6d::Zero();
   for (const SensorPose& sample : session.samples) {
-    const Rigid3 T_VS = PredictPose(estimate, session, sample);
-    result->residuals.push_back({pose_time(sample.t), sample.T_VS.p - T_VS.p,
-                                 Log(Quaterniond(T_VS.q.conjugate() * sample.T_VS.q)),
-                                 std::min(1.0, sample.position_weight),
-                                 std::min(1.0, sample.rotation_weight),
-                                 session.data.pose_epoch_ns + std::llround(1e9 * sample.t)});
-    position2 += result->residuals.back().position.squaredNorm();
-    rotation2 += result->residuals.back().rotation.squaredNorm();
+    const Vector6d residual = FindResidual(estimate, session, sample);
+    result->residuals.push_back({pose_time(sample.t), residual.head<3>(), residual.tail<3>(),
+                                 std::min(1.0, sample.weight.position),
+                                 std::min(1.0, sample.weight.rotation),
+                                 sensor_ns + std::llround(1e9 * sample.t)});
+    squares += residual.cwiseAbs2() / static_cast<double>(session.samples.size());
   }
-  const double count = 3.0 * static_cast<double>(session.samples.size());
-  result->rms = {std::sqrt(position2 / count), std::sqrt(rotation2 / count)};
+  result->rms = {std::sqrt(squares.head<3>().mean()), std::sqrt(squares.tail<3>().mean())};
 }
 
 void Report(const CalibrationOptions& options, SensorEstimate* solved,
@@ -206,14 +226,12 @@ void Report(const CalibrationOptions& options, SensorEstimate* solved,
   result->T_MS = estimate.T_MS;
   if (result->T_MS.q.w() < 0.0) result->T_MS.q.coeffs() *= -1.0;
   result->sessions.resize(estimate.sessions.size());
-  if (!found.model.allFinite() || !found.robust.allFinite() ||
-      found.model.diagonal().minCoeff() <= 0.0) {
+  const Eigen::MatrixXd& C = found.covariance;
+  if (!C.allFinite() || found.model.diagonal().minCoeff() <= 0.0) {
     result->status = Status::kDegenerate;
     result->message = "the data do not determine all parameters";
     return;
   }
-  const Eigen::VectorXd enlargement = Enlargement(found.model, found.robust);
-  const Eigen::MatrixXd C = enlargement.asDiagonal() * found.model * enlargement.asDiagonal();
   result->model_covariance = found.model.topLeftCorner<6, 6>();
   result->covariance = C.topLeftCorner<6, 6>();
   AddDirections(C.block<3, 3>(0, 0), "p_MS along ", "marker", "m", &result->observability);
@@ -237,9 +255,9 @@ void Report(const CalibrationOptions& options, SensorEstimate* solved,
 }  // namespace
 
 PoseSensorCalibration CalibratePoseSensor(const CalibrationOptions& options,
-                                          const std::vector<MarkerMotion>& marker,
+                                          const std::shared_ptr<const Solution>& solution,
                                           const std::vector<std::vector<PoseSample>>& poses) {
-  SensorEstimate estimate = StartSensor(options, marker, poses);
+  SensorEstimate estimate = StartSensor(options, solution, poses);
   bool has_settled = false;
   for (int round = 0; round < kMaxRounds && !has_settled; ++round) {
     std::vector<double> time_shifts;
@@ -250,7 +268,6 @@ PoseSensorCalibration CalibratePoseSensor(const CalibrationOptions& options,
     for (size_t s = 0; s < estimate.sessions.size(); ++s) {
       SensorSession& session = estimate.sessions[s];
       has_settled = has_settled && std::abs(session.time_shift - time_shifts[s]) <= kSettledClock;
-      PlaceSamples(&session);
       PlaceKnots(estimate.T_MS, &session);
     }
   }

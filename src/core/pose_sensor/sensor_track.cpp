@@ -5,6 +5,7 @@
 #include <iterator>
 
 #include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/pose_sensor/sensor_problem.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -19,12 +20,8 @@ double Seconds(int64_t ns) { return 1e-9 * static_cast<double>(ns); }
 
 /// T_VW at t [s, pose clock].
 Rigid3 WorldAt(const PoseSensorSession& session, double t) {
-  auto after = std::upper_bound(session.world.begin() + 1, session.world.end(), t,
-                                [](double value, const auto& knot) { return value < knot.t; });
-  if (after == session.world.end() || after->begins_piece) --after;  // the end of a piece
-  const auto &knot_0 = *std::prev(after), &knot_1 = *after;
-  const double u = (t - knot_0.t) / (knot_1.t - knot_0.t);
-  return {knot_0.T_VW.q.slerp(u, knot_1.T_VW.q), (1.0 - u) * knot_0.T_VW.p + u * knot_1.T_VW.p};
+  const auto after = KnotAfter(session.world, t), before = std::prev(after);
+  return Interpolate(before->T_VW, after->T_VW, (t - before->t) / (after->t - before->t));
 }
 
 /// A pose of the sensor, aligned, and the true one.
@@ -33,21 +30,15 @@ struct PosePair {
   Rigid3 measured, truth;
 };
 
-/// Mean squares of the translations and rotation angles of errors, as they come.
-struct MeanSquares {
-  double position = 0.0, rotation = 0.0;
-  size_t count = 0;
-
-  void Add(const Rigid3& error) {
-    position += error.p.squaredNorm();
-    rotation += Log(error.q).squaredNorm();
-    ++count;
+PoseStd Rms(const std::vector<Rigid3>& errors) {
+  PoseStd squares;
+  for (const Rigid3& error : errors) {
+    squares.position += error.p.squaredNorm();
+    squares.rotation += Log(error.q).squaredNorm();
   }
-  PoseStd Rms() const {
-    const double n = static_cast<double>(std::max<size_t>(count, 1));
-    return {std::sqrt(position / n), std::sqrt(rotation / n)};
-  }
-};
+  const double n = std::max(1.0, static_cast<double>(errors.size()));
+  return {std::sqrt(squares.position / n), std::sqrt(squares.rotation / n)};
+}
 
 }  // namespace
 
@@ -92,32 +83,21 @@ std::optional<ImuState> SensorTrack::At(double t) const {
   state.biases = {Vector3d::Zero(), Vector3d::Zero()};
   state.bias_covariance.setZero();
   state.covariance.setZero();
-  if (const auto C = trajectory_.MarkerCovariance(t)) state.covariance = Covariance(t, *sensor, *C);
+  if (const auto C = trajectory_.MarkerCovariance(t, sensor_.T_MS))
+    state.covariance = C->topLeftCorner<12, 12>() + OfMountAndClock(t, *sensor);
   return state;
 }
 
-Eigen::Matrix<double, 12, 12> SensorTrack::Covariance(double t, const BodyState& sensor,
-                                                      const BodyCovariance& of_marker) const {
-  const Rigid3& T_MS = sensor_.T_MS;
-  const Matrix3d R_SM = T_MS.q.conjugate().toRotationMatrix();
-  const Matrix3d R_WM = sensor.q_WB.toRotationMatrix() * R_SM;
-  const Vector3d omega_M = T_MS.q * sensor.omega_B;
-  // By the marker's rotation, p_WM, omega_M and v_W.
-  Eigen::Matrix<double, 12, 12> by_marker = Eigen::Matrix<double, 12, 12>::Zero();
-  by_marker.block<3, 3>(0, 0) = by_marker.block<3, 3>(6, 6) = R_SM;
-  by_marker.block<3, 3>(3, 0) = by_marker.block<3, 3>(9, 6) = -R_WM * Hat(T_MS.p);
-  by_marker.block<3, 3>(3, 3).setIdentity();
-  by_marker.block<3, 3>(9, 0) = -R_WM * Hat<double>(omega_M.cross(T_MS.p));
-  by_marker.block<3, 3>(9, 9).setIdentity();
+Eigen::Matrix<double, 12, 12> SensorTrack::OfMountAndClock(double t,
+                                                           const BodyState& sensor) const {
+  const Matrix3d R_WM = (sensor.q_WB * sensor_.T_MS.q.conjugate()).toRotationMatrix();
   // By p_MS and the rotation of R_MS about the sensor's axes.
   Eigen::Matrix<double, 12, 6> by_mount = Eigen::Matrix<double, 12, 6>::Zero();
   by_mount.block<3, 3>(0, 3).setIdentity();
   by_mount.block<3, 3>(3, 0) = R_WM;
   by_mount.block<3, 3>(6, 3) = Hat(sensor.omega_B);
-  by_mount.block<3, 3>(9, 0) = R_WM * Hat(omega_M);
-  Eigen::Matrix<double, 12, 12> C =
-      by_marker * of_marker.topLeftCorner<12, 12>() * by_marker.transpose() +
-      by_mount * sensor_.covariance * by_mount.transpose();
+  by_mount.block<3, 3>(9, 0) = R_WM * Hat<double>(sensor_.T_MS.q * sensor.omega_B);
+  Eigen::Matrix<double, 12, 12> C = by_mount * sensor_.covariance * by_mount.transpose();
   if (clock_ != TrackClock::kImu) return C;
   Eigen::Matrix<double, 12, 1> rate;
   rate << sensor.omega_B, sensor.v_W, sensor.alpha_B, sensor.a_W;
@@ -131,7 +111,7 @@ Eigen::Matrix<double, 12, 12> SensorTrack::Covariance(double t, const BodyState&
 SensorErrors FindErrors(const PoseSensorSession& session,
                         const std::function<std::optional<Rigid3>(double t)>& T_WS) {
   std::vector<PosePair> pairs;
-  MeanSquares absolute, relative;
+  std::vector<Rigid3> absolute, relative;
   for (const PoseSensorSession::Residual& residual : session.residuals) {
     const auto truth = T_WS(residual.t);
     if (!truth) continue;
@@ -141,7 +121,7 @@ SensorErrors FindErrors(const PoseSensorSession& session,
     const Rigid3 measured{first.q.conjugate() * q_VS,
                           first.q.conjugate() * (p_VS - first.p) / session.scale};
     pairs.push_back({residual.t, measured, *truth});
-    absolute.Add(truth->Inverse() * measured);
+    absolute.push_back(truth->Inverse() * measured);
   }
   const double half_period = 0.5 / session.poses.rate_hz;
   auto last = pairs.begin();
@@ -149,10 +129,10 @@ SensorErrors FindErrors(const PoseSensorSession& session,
     while (last != pairs.end() && last->t < first->t + kApart - half_period) ++last;
     if (last == pairs.end()) break;
     if (last->t > first->t + kApart + half_period) continue;
-    relative.Add((first->truth.Inverse() * last->truth).Inverse() *
-                 (first->measured.Inverse() * last->measured));
+    relative.push_back((first->truth.Inverse() * last->truth).Inverse() *
+                       (first->measured.Inverse() * last->measured));
   }
-  return {absolute.Rms(), relative.Rms(), absolute.count, relative.count};
+  return {Rms(absolute), Rms(relative), absolute.size(), relative.size()};
 }
 
 SensorErrors FindErrors(const std::shared_ptr<const Solution>& solution, size_t session,

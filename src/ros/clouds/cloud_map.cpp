@@ -45,7 +45,7 @@ class RecordedPoses {
     const int64_t period = after->first - begin_ns;
     if (period > max_gap_ns_) return std::nullopt;
     const double u = static_cast<double>(t_ns - begin_ns) / static_cast<double>(period);
-    return Rigid3{before.q.slerp(u, after->second.q), (1.0 - u) * before.p + u * after->second.p};
+    return Interpolate(before, after->second, u);
   }
 
  private:

@@ -80,7 +80,7 @@ Strings Split(const std::string& line) {
 const std::map<std::string, int64_t> kNanoseconds{
     {"s", 1'000'000'000}, {"ms", 1'000'000}, {"us", 1'000}, {"ns", 1}};
 
-/// A line that may be a header, with the columns as it gives them: "timestamp [ns]".
+/// A line that may be a header, with the columns as it gives them: "timestamp [ns]", or "(ns)".
 struct Header {
   struct Field {
     std::string name, unit;
@@ -94,7 +94,8 @@ struct Header {
     // Blanks may separate columns, but not a name from its unit.
     std::string joined;
     bool in_unit = false;
-    for (const char c : boost::trim_left_copy_if(line, boost::is_any_of("# \t"))) {
+    for (const char given : boost::trim_left_copy_if(line, boost::is_any_of("# \t"))) {
+      const char c = given == '(' ? '[' : given == ')' ? ']' : given;
       if (c == '[') boost::trim_right(joined);
       in_unit = c == '[' || (in_unit && c != ']');
       if (!in_unit || !boost::is_space()(c)) joined += c;

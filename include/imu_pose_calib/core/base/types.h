@@ -43,6 +43,11 @@ inline Rigid3 operator*(const Rigid3& T_XY, const Rigid3& T_YZ) {
   return {T_XY.q * T_YZ.q, T_XY.q * T_YZ.p + T_XY.p};
 }
 
+/// `from` at u = 0, `to` at u = 1, and at the same speed between them.
+inline Rigid3 Interpolate(const Rigid3& from, const Rigid3& to, double u) {
+  return {from.q.slerp(u, to.q), (1.0 - u) * from.p + u * to.p};
+}
+
 /// Sigma of a pose, per axis.
 struct PoseStd {
   double position = 0.0;  ///< [m]

@@ -93,9 +93,10 @@ class SessionTrajectory {
   ImuBiases Biases(size_t imu, double t) const;
 
   /// By the model's noise, calibration included; nothing where there is no motion, and with method
-  /// `gp`. The first call takes about as long as a pass of the solve.
-  std::optional<BodyCovariance> MarkerCovariance(double t) const {
-    return CovarianceOf(-1, false, t);
+  /// `gp`. The first call takes about as long as a pass of the solve. `T_MB`: of a frame whose
+  /// place is known.
+  std::optional<BodyCovariance> MarkerCovariance(double t, const Rigid3& T_MB = {}) const {
+    return CovarianceOf(-1, false, t, T_MB);
   }
   std::optional<BodyCovariance> ImuCovariance(size_t imu, double t) const {
     return CovarianceOf(static_cast<int>(imu), false, t);
@@ -114,8 +115,9 @@ class SessionTrajectory {
 
  private:
   std::optional<BodyState> Evaluate(const Rigid3& T_MB, double t, StateJacobian* J) const;
-  /// Of an IMU, or of the marker for -1.
-  std::optional<BodyCovariance> CovarianceOf(int imu, bool is_on_its_clock, double t) const;
+  /// Of an IMU, or of T_MB for -1.
+  std::optional<BodyCovariance> CovarianceOf(int imu, bool is_on_its_clock, double t,
+                                             const Rigid3& T_MB = {}) const;
 
   std::shared_ptr<const Solution> solution_;
   size_t session_;

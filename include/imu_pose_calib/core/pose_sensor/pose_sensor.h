@@ -5,18 +5,20 @@
 /// In: the marker's motion in each session, as solved or of the poses alone, and the poses T_VS of
 /// one sensor. Out: PoseSensorCalibration. Changes no other estimate.
 
+#include <memory>
 #include <vector>
 
 #include "imu_pose_calib/core/base/options.h"
 #include "imu_pose_calib/core/base/result.h"
-#include "imu_pose_calib/core/pose_sensor/marker_motion.h"
+#include "imu_pose_calib/core/calibration/solution.h"
 
 namespace imu_pose_calib {
 
-/// Calibrates a pose sensor against the marker; `poses`: of each session, empty where it lacks the
-/// sensor. Throws DataError when the poses cannot be used or turn otherwise than the marker.
+/// Calibrates a pose sensor against the marker of the solution; `poses`: of each session, empty
+/// where it lacks the sensor. Throws DataError when the poses cannot be used or turn otherwise than
+/// the marker.
 PoseSensorCalibration CalibratePoseSensor(const CalibrationOptions& options,
-                                          const std::vector<MarkerMotion>& marker,
+                                          const std::shared_ptr<const Solution>& solution,
                                           const std::vector<std::vector<PoseSample>>& poses);
 
 /// T_FS of a frame F of the body, an IMU or another sensor, with its covariance as that of

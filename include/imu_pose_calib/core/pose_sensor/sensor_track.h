@@ -32,9 +32,8 @@ class SensorTrack {
 
  private:
   const PoseSensorSession& Own() const { return sensor_.sessions[session_]; }
-  /// Of the sensor's motion, by that of the marker, T_MS and the clock.
-  Eigen::Matrix<double, 12, 12> Covariance(double t, const BodyState& sensor,
-                                           const BodyCovariance& of_marker) const;
+  /// What errors of T_MS and the clock add to that of the sensor's motion.
+  Eigen::Matrix<double, 12, 12> OfMountAndClock(double t, const BodyState& sensor) const;
 
   const PoseSensorCalibration& sensor_;
   const size_t session_;

@@ -40,9 +40,9 @@ std::optional<double> ParseNumber(const std::string& text);
 /// for an IMU, timestamp and three values for one of its sensors. Values are in SI units; nan is a
 /// lost sample.
 ///
-/// The header may give the unit of the stamps, as in "timestamp [ns]": s, ms, us or ns. Without a
-/// unit they are seconds; but whole numbers above 1e15 are nanoseconds. They are read as decimal
-/// numbers, exact to the nanosecond.
+/// The header may give the unit of the stamps, as in "timestamp [ns]" or "timestamp(s)": s, ms,
+/// us or ns. Without a unit they are seconds; but whole numbers above 1e15 are nanoseconds. They
+/// are read as decimal numbers, exact to the nanosecond.
 ///
 /// Throws InputError starting with `name` when the text is anything else.
 std::vector<PoseSample> ReadPoseTable(std::istream& in, const std::string& name);
