@@ -14,6 +14,7 @@
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/transform_file.h"
 #include "imu_pose_calib/ros/io/yaml_file.h"
+#include "imu_pose_calib/ros/offline/comparison_report.h"
 #include "imu_pose_calib/ros/offline/report.h"
 #include "imu_pose_calib/ros/offline/summary_text.h"
 
@@ -239,9 +240,7 @@ class Evaluation {
                              {ComparedQuantity::kTranslation, ComparedQuantity::kRotation,
                               ComparedQuantity::kAccelDelay})));
       if (chained_ && plan.base == Base::kBag)
-        node["chain"].push_back(
-            Describe(name, Compare(*chained_, outcome,
-                                   {ComparedQuantity::kTranslation, ComparedQuantity::kRotation})));
+        node["chain"].push_back(Describe(name, Compare(*chained_, outcome, kTransform)));
     }
     return node;
   }

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <filesystem>
 #include <functional>
+#include <memory>
 #include <optional>
 #include <set>
 #include <tuple>
@@ -16,7 +17,7 @@
 #include "imu_pose_calib/ros/io/bags.h"
 #include "imu_pose_calib/ros/io/child_process.h"
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/io/printable.h"
+#include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/tf_chain.h"
 
 namespace imu_pose_calib {
@@ -45,15 +46,6 @@ ImuSensors FindSensors(const Bags& bags, const BagTopic& topic) {
     return !(sensors.gyro && sensors.accel);
   });
   return sensors;
-}
-
-BagTopic NamedImu(const Bags& bags, const std::string& field, const std::string& name) {
-  const BagTopic& topic = bags.Find(field, name);
-  const bool may_be_vector = field != "imu_topic";
-  if (!topic.IsImu() && !(may_be_vector && topic.IsVector()))
-    throw InputError(field + " '" + name + "' is " + topic.type + ", must be " + kImuType +
-                     (may_be_vector ? std::string(" or ") + kVectorType : ""));
-  return topic;
 }
 
 /// The topics of gyroscope and accelerometer; the same for an IMU on one topic.
@@ -111,14 +103,16 @@ std::vector<ImuTopics> ChooseImus(const Bags& bags, const BagRequest& request) {
     return request.may_lack_sensors &&
            !Has(bags, [&](const BagTopic& t) { return t.name == name; });
   };
+  std::vector<std::string> types = {kImuType};
+  if (is_split) types.emplace_back(kVectorType);
   std::vector<ImuTopics> imus(gyros.size());
   for (size_t i = 0; i < gyros.size(); ++i) {
     if (!is_split &&
         std::count(gyros.begin(), gyros.begin() + static_cast<int64_t>(i), gyros[i]) > 0)
       throw InputError("imu_topic '" + gyros[i] + "' is given twice");
     if (may_be_missing(gyros[i]) && may_be_missing(accels[i])) continue;
-    imus[i] = {NamedImu(bags, is_split ? "gyro_topic" : "imu_topic", gyros[i]),
-               NamedImu(bags, is_split ? "accel_topic" : "imu_topic", accels[i])};
+    imus[i] = {bags.Find(is_split ? "gyro_topic" : "imu_topic", gyros[i], types),
+               bags.Find(is_split ? "accel_topic" : "imu_topic", accels[i], types)};
   }
   return imus;
 }
@@ -137,18 +131,19 @@ void CheckContent(const Bags& bags, const ImuTopics& imu) {
 }
 
 /// All links of tf, for no chain.
-void AddTf(const Bags& bags, TfChain* links) {
+std::unique_ptr<const TfChain> ReadLinks(const Bags& bags) {
+  auto links = std::make_unique<TfChain>("", "", 0.0);
   bags.ForEachTf([&](const BagMessage& message, bool fixed) {
     links->Add(*message.instantiate<tf2_msgs::TFMessage>(), fixed);
   });
+  return links;
 }
 
 /// What poses could come from when there is no pose topic.
 std::string TfHint(const Bags& bags) {
   if (!Has(bags, [](const BagTopic& t) { return t.IsTf(); })) return "";
-  TfChain links("", "", 0.0);
-  AddTf(bags, &links);
-  return "; for poses from tf give tf_parent and tf_child, its frames are: " + links.Links();
+  return "; for poses from tf give tf_parent and tf_child, its frames are: " +
+         ReadLinks(bags)->Links();
 }
 
 /// Whether a topic may have the poses of the marker: that of a pose sensor has, where it holds
@@ -166,9 +161,7 @@ BagRequest FindTf(const Bags& bags, BagRequest request) {
                        request.tf_child.empty() && request.body.empty();
   if (!is_open || Has(bags, [&](const BagTopic& t) { return MayBeMarker(request, t); }))
     return request;
-  TfChain links("", "", 0.0);
-  AddTf(bags, &links);
-  const std::optional<TfFrames> pair = links.SinglePair();
+  const std::optional<TfFrames> pair = ReadLinks(bags)->SinglePair();
   const auto is_it = [&](const std::string& name) { return SplitTf(name) == pair; };
   if (pair && std::none_of(request.pose_sensors.begin(), request.pose_sensors.end(), is_it))
     std::tie(request.tf_parent, request.tf_child) = *pair;
@@ -213,7 +206,7 @@ struct Stream {
 
   void Add(const BagMessage& message, Sample sample, bool record_time) {
     const int64_t recorded_ns = ToNanoseconds(message.time);
-    delays_s.push_back(1e-9 * static_cast<double>(recorded_ns - sample.t_ns));
+    delays_s.push_back(Seconds(recorded_ns - sample.t_ns));
     if (record_time) sample.t_ns = recorded_ns;
     samples.push_back(sample);
   }

@@ -3,14 +3,13 @@
 #include <algorithm>
 #include <boost/algorithm/string.hpp>
 #include <cmath>
-#include <cstdio>
 #include <ctime>
 
 #include "imu_pose_calib/core/pose_sensor/pose_sensor.h"
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
+#include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/yaml_file.h"
-#include "imu_pose_calib/ros/io/yaml_text.h"
 
 namespace imu_pose_calib {
 
@@ -388,11 +387,10 @@ void Own(const std::string& at, const SessionCalibration& session, ResultFile* f
   file->Note(at + "own.rotation_std", own.std.tail<3>());
   file->NoteWithStd(at + "own.time_shift", own.time_shift, own.time_shift_std);
   file->NoteWithStd(at + "own.accel_delay", own.accel_delay, own.accel_delay_std);
-  char sigmas[32];
-  std::snprintf(sigmas, sizeof(sigmas), ", %.1f sigma", session.agreement.sigmas);
   file->Note(at + "agreement.chi2", session.agreement.chi2);
   file->Note(at + "agreement.dof", static_cast<size_t>(session.agreement.dof));
-  file->Note(at + "agreement.worst", session.agreement.worst + sigmas);
+  file->Note(at + "agreement.worst",
+             session.agreement.worst + Format(", %.1f sigma", session.agreement.sigmas));
 }
 
 /// The IMUs of a session, which are called by their names.
@@ -441,16 +439,7 @@ void Sessions(const std::vector<std::string>& names, StoredResult* stored, Resul
 }
 
 void Rejected(const std::string& at, const StreamReport& report, ResultFile* file) {
-  file->Note(at + "/not_finite", report.not_finite);
-  file->Note(at + "/zero_quaternion", report.zero_quaternion);
-  file->Note(at + "/reversed_stamp", report.reversed_stamp);
-  file->Note(at + "/duplicate_stamp", report.duplicate_stamp);
-  file->Note(at + "/repeated_value", report.repeated_value);
-  file->Note(at + "/saturated", report.saturated);
-  file->Note(at + "/outlier", report.outlier);
-  file->Note(at + "/flipped", report.flipped);
-  file->Note(at + "/in_short_segment", report.in_short_segment);
-  file->Note(at + "/between_updates", report.between_updates);
+  for (const auto& [key, words, count] : kDropReasons) file->Note(at + "/" + key, report.*count);
 }
 
 void Spectrum(const std::string& path, const std::vector<Observability>& spectrum,
@@ -604,10 +593,7 @@ void Data(Calibration& result, RecordingInfo& info, ResultFile* file) {
   }
   file->Value("data.pose_topic", info.pose_topic);
   if (has_imu) file->Note("data.imu_yaml", info.imu_yaml);
-  if (info.stated_pose_std) {
-    file->Note("data.stated_pose_std/position", info.stated_pose_std->position);
-    file->Note("data.stated_pose_std/rotation", info.stated_pose_std->rotation);
-  }
+  if (info.stated_pose_std) Poses("data.stated_pose_std", *info.stated_pose_std, file);
   file->Value("data.duration", session.poses.duration_s);
   NotePerStream("data.counts", session, &StreamReport::used, has_imu, file);
   file->Value("data.rates/poses", session.poses.rate_hz);

@@ -82,13 +82,9 @@ LiveSettings ReadSettings(const OfflineRequest& given) {
       request.output.empty() ? "imu_pose_calib.calibration.yaml" : request.output);
   settings.auto_save = Parameter("auto_save", false);
 
-  if (!request.config.empty()) settings.calibration = LoadOptions(request.config);
-  if (!request.imu_yaml.empty()) {
-    const ImuYaml imu = LoadImuYaml(request.imu_yaml);
-    imu.CopyNoise(&settings.calibration);
-    if (topics.imu_topic.empty() && !is_split) topics.imu_topic = imu.rostopic;
-  }
-  if (!request.method.empty()) settings.calibration.method = ParseMethod(request.method);
+  settings.calibration = Options(request);
+  if (!request.imu_yaml.empty() && topics.imu_topic.empty() && !is_split)
+    topics.imu_topic = LoadImuYaml(request.imu_yaml).rostopic;
   for (const auto& [name, field] : kLiveOptions)
     settings.live.*field = Parameter(name, settings.live.*field);
   return settings;

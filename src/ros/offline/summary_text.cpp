@@ -1,25 +1,11 @@
 #include "imu_pose_calib/ros/offline/summary_text.h"
 
 #include <cmath>
-#include <cstdarg>
-#include <cstdio>
 #include <sstream>
-#include <utility>
 
-#include "imu_pose_calib/ros/io/printable.h"
+#include "imu_pose_calib/ros/io/result_yaml.h"
 
 namespace imu_pose_calib {
-
-std::string Format(const char* format, ...) {
-  va_list arguments, again;
-  va_start(arguments, format);
-  va_copy(again, arguments);
-  std::string text(static_cast<size_t>(std::vsnprintf(nullptr, 0, format, arguments)), ' ');
-  std::vsnprintf(text.data(), text.size() + 1, format, again);
-  va_end(again);
-  va_end(arguments);
-  return text;
-}
 
 std::string Wrap(const std::string& label, const std::string& text, size_t columns) {
   std::istringstream words(text);
@@ -52,19 +38,10 @@ std::string List(const Eigen::Vector3d& v, const char* number) {
 }
 
 std::string Dropped(const StreamReport& report) {
-  const std::pair<size_t, const char*> reasons[] = {{report.not_finite, "not finite"},
-                                                    {report.zero_quaternion, "zero quaternion"},
-                                                    {report.reversed_stamp, "reversed stamp"},
-                                                    {report.duplicate_stamp, "duplicate stamp"},
-                                                    {report.repeated_value, "repeated value"},
-                                                    {report.saturated, "saturated"},
-                                                    {report.outlier, "outlier"},
-                                                    {report.flipped, "flipped"},
-                                                    {report.in_short_segment, "between gaps"},
-                                                    {report.between_updates, "between updates"}};
   std::string text;
-  for (const auto& [count, reason] : reasons)
-    if (count > 0) text += (text.empty() ? "" : ", ") + std::to_string(count) + " " + reason;
+  for (const auto& [key, words, count] : kDropReasons)
+    if (report.*count > 0)
+      text += (text.empty() ? "" : ", ") + std::to_string(report.*count) + " " + words;
   return text;
 }
 

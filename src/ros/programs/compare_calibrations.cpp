@@ -24,8 +24,6 @@ namespace {
 using Results = std::vector<StoredResult>;
 using Quantities = std::vector<ComparedQuantity>;
 
-const Quantities kTransform = {ComparedQuantity::kTranslation, ComparedQuantity::kRotation};
-
 struct CommandLine {
   std::vector<std::string> results, chain;
   std::string reference, camera = "cam0", reference_std = "0 0", chain_output, report;

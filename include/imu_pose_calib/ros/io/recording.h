@@ -77,6 +77,9 @@ void CheckSpan(double start_s, double duration_s);
 /// The names that one text holds with white space between them; at least one, which may be empty.
 std::vector<std::string> SplitNames(const std::string& text);
 
+/// Paths likewise, or the one of a file of that name; none when the text is empty.
+std::vector<std::string> SplitPaths(const std::string& text);
+
 /// Source and body of a name SOURCE:BODY; of a name without, or that a file has, no body.
 std::pair<std::string, std::string> SplitBody(const std::string& name);
 

@@ -7,13 +7,12 @@
 #include "imu_pose_calib/core/base/result.h"
 #include "imu_pose_calib/core/start/data_check.h"
 #include "imu_pose_calib/ros/io/recording.h"
+#include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
 
 // Pieces of text that summaries and reports share.
 
-/// As printf.
-[[gnu::format(printf, 1, 2)]] std::string Format(const char* format, ...);
 /// `text` in lines of at most `columns`, the first behind `label`, the others indented like it.
 std::string Wrap(const std::string& label, const std::string& text, size_t columns = 80);
 /// A time as people say it: "3.10 ms", "2.5 s", "-2.00 h", "12.0 days".

@@ -6,6 +6,16 @@
 
 namespace imu_pose_calib {
 
+/// As printf.
+[[gnu::format(printf, 1, 2)]] std::string Format(const char* format, ...);
+
+/// Of nanoseconds.
+inline double Seconds(int64_t ns) { return 1e-9 * static_cast<double>(ns); }
+
+/// `text` from a file, safe to show in a terminal: control characters and bytes that are no UTF-8
+/// are written as \\x1b. What is printable stays as it is, so that doing it twice does no harm.
+std::string Printable(const std::string& text);
+
 /// Shortest text that reads back as `value` and that YAML 1.1 and 1.2 both take for a float.
 std::string YamlNumber(double value);
 
