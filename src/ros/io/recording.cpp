@@ -164,6 +164,17 @@ void NameFrames(const std::string& marker_frame, const std::string& imu_frame,
   }
 }
 
+RecordingInfo WithPrintableNames(RecordingInfo info) {
+  std::vector<std::string*> names = {&info.bag, &info.pose_topic, &info.marker_frame,
+                                     &info.imu_yaml};
+  for (ImuInfo& imu : info.imus)
+    names.insert(names.end(), {&imu.imu_topic, &imu.gyro_topic, &imu.accel_topic, &imu.imu_frame});
+  for (PoseSensorInfo& sensor : info.pose_sensors)
+    names.insert(names.end(), {&sensor.topic, &sensor.frame, &sensor.world_frame});
+  for (std::string* name : names) *name = Printable(*name);
+  return info;
+}
+
 std::string ToBytes(const Recording& recording) {
   std::ostringstream stream;
   cereal::BinaryOutputArchive archive(stream);

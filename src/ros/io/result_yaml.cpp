@@ -541,12 +541,6 @@ void PoseSensors(StoredResult* stored, ResultFile* file) {
   }
 }
 
-void ImuQuality(ImuSession& imu, ResultFile* file) {
-  Noise("", imu, file);
-  file->Note("quality.gyro_rms", imu.rms.gyro);
-  file->Note("quality.accel_rms", imu.rms.accel);
-}
-
 /// Noise, quality and trajectory.
 void Quality(Calibration& result, ResultFile* file) {
   SessionCalibration& session = result.sessions[0];
@@ -554,7 +548,11 @@ void Quality(Calibration& result, ResultFile* file) {
   file->Value("noise.position_std", session.noise.position);
   file->Value("noise.rotation_std", session.noise.rotation);
   file->Note("noise.rotation_error_std", session.rotation_error_std);
-  if (has_imu) ImuQuality(session.imus[0], file);
+  if (has_imu) {
+    Noise("", session.imus[0], file);
+    file->Note("quality.gyro_rms", session.imus[0].rms.gyro);
+    file->Note("quality.accel_rms", session.imus[0].rms.accel);
+  }
   file->Note("quality.position_rms", session.rms.position);
   file->Note("quality.rotation_rms", session.rms.rotation);
   Spectrum("quality.observability", result.observability, file);
@@ -627,6 +625,14 @@ std::string ToYaml(const Calibration& result, const std::vector<RecordingInfo>& 
   file.Note("options", YAML::Load(ToYaml(options)));
   return std::string(kResultHeader) + kEquations +
          (result.pose_sensors.empty() ? "" : kSensorEquations) + kUnits + file.Finish() + "\n";
+}
+
+std::string Dropped(const StreamReport& report) {
+  std::string text;
+  for (const auto& [key, words, count] : kDropReasons)
+    if (report.*count > 0)
+      text += (text.empty() ? "" : ", ") + std::to_string(report.*count) + " " + words;
+  return text;
 }
 
 bool IsUsable(const PoseSensorCalibration& sensor) {

@@ -6,6 +6,7 @@
 #include <cstdarg>
 #include <cstdio>
 #include <cstdlib>
+#include <sstream>
 
 namespace imu_pose_calib {
 namespace {
@@ -29,6 +30,36 @@ std::string Format(const char* format, ...) {
   va_end(again);
   va_end(arguments);
   return text;
+}
+
+std::string Wrap(const std::string& label, const std::string& text, size_t columns) {
+  std::istringstream words(text);
+  std::string wrapped, line = label, word;
+  const std::string indent(label.size(), ' ');
+  bool is_empty = true;
+  while (words >> word) {
+    if (!is_empty && line.size() + 1 + word.size() > columns) {
+      wrapped += line + "\n";
+      line = indent;
+      is_empty = true;
+    }
+    line += (is_empty ? "" : " ") + word;
+    is_empty = false;
+  }
+  return wrapped + line + "\n";
+}
+
+std::string Time(double seconds) {
+  const double size = std::abs(seconds);
+  if (size < 1.0) return Format("%.2f ms", 1e3 * seconds);
+  if (size < 600.0) return Format("%.1f s", seconds);
+  if (size < 36.0 * 3600.0) return Format("%.2f h", seconds / 3600.0);
+  return Format("%.1f days", seconds / 86400.0);
+}
+
+std::string List(const Eigen::Vector3d& v, const char* number) {
+  const std::string format = std::string(number) + ", " + number + ", " + number;
+  return Format(format.c_str(), v.x(), v.y(), v.z());  // NOLINT
 }
 
 std::string Printable(const std::string& text) {

@@ -19,7 +19,7 @@
 #include "imu_pose_calib/ros/io/ros_options.h"
 #include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/offline/report.h"
-#include "imu_pose_calib/ros/offline/summary_text.h"
+#include "imu_pose_calib/ros/offline/summary.h"
 
 namespace imu_pose_calib {
 namespace {

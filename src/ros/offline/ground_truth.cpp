@@ -8,7 +8,6 @@
 #include "imu_pose_calib/core/pose_sensor/sensor_track.h"
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/text.h"
-#include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
 namespace {

@@ -11,7 +11,6 @@
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/transform_file.h"
-#include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -570,6 +569,20 @@ std::string WrittenTo(const std::vector<std::string>& paths) {
   for (const std::string& path : paths)
     text += (text.empty() ? "\nWritten to " : "           ") + Printable(path) + "\n";
   return text;
+}
+
+std::vector<CheckedStream> CheckedStreams(const DataCheck& check, const RecordingInfo& info) {
+  std::vector<CheckedStream> streams = {
+      {"poses", 0, info.pose_topic, check.poses, check.poses_report, info.pose_latency}};
+  for (size_t i = 0; i < check.imus.size(); ++i) {
+    const ImuCheck& imu = check.imus[i];
+    const ImuInfo& source = info.imus[i];
+    streams.push_back(
+        {"gyro", i, source.GyroSource(), imu.gyro, imu.gyro_report, source.gyro_latency});
+    streams.push_back(
+        {"accel", i, source.AccelSource(), imu.accel, imu.accel_report, source.accel_latency});
+  }
+  return streams;
 }
 
 std::string Summary(const DataCheck& check, const RecordingInfo& recording) {

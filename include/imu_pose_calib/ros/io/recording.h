@@ -112,6 +112,9 @@ std::string FrameName(const std::string& frame, const std::string& fallback);
 /// pose sensors that it calls as what is before them.
 void NameFrames(const std::string& marker_frame, const std::string& imu_frame, RecordingInfo* info);
 
+/// The names as they can be shown.
+RecordingInfo WithPrintableNames(RecordingInfo info);
+
 /// For handing a recording from one process to another of the same program.
 std::string ToBytes(const Recording& recording);
 Recording FromBytes(const std::string& bytes);

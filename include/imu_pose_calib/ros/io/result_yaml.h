@@ -27,6 +27,9 @@ constexpr DropReason kDropReasons[] = {
     {"in_short_segment", "between gaps", &StreamReport::in_short_segment},
     {"between_updates", "between updates", &StreamReport::between_updates}};
 
+/// "2 outlier, 3 flipped": the samples that were dropped; empty: none.
+std::string Dropped(const StreamReport& report);
+
 /// First line of every result file; tells our files from others.
 extern const char kResultHeader[];
 

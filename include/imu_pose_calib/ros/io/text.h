@@ -1,5 +1,6 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <cstdint>
 #include <ctime>
 #include <string>
@@ -8,6 +9,13 @@ namespace imu_pose_calib {
 
 /// As printf.
 [[gnu::format(printf, 1, 2)]] std::string Format(const char* format, ...);
+
+/// `text` in lines of at most `columns`, the first behind `label`, the others indented like it.
+std::string Wrap(const std::string& label, const std::string& text, size_t columns = 80);
+/// A time as people say it: "3.10 ms", "2.5 s", "-2.00 h", "12.0 days".
+std::string Time(double seconds);
+/// "x, y, z", each as printf prints it by `number`.
+std::string List(const Eigen::Vector3d& v, const char* number);
 
 /// Of nanoseconds.
 inline double Seconds(int64_t ns) { return 1e-9 * static_cast<double>(ns); }
