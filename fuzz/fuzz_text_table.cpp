@@ -18,8 +18,8 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   ImuData imu;
   read([&](std::istream& in) { ReadPoseTable(in, "poses"); });
   read([&](std::istream& in) { ReadImuTable(in, "imu", &imu); });
-  read([&](std::istream& in) { ReadGyroTable(in, "gyro"); });
-  read([&](std::istream& in) { ReadAccelTable(in, "accel"); });
+  read([&](std::istream& in) { ReadSensorTable(in, "gyro", false); });
+  read([&](std::istream& in) { ReadSensorTable(in, "accel", true); });
   read([&](std::istream& in) { ReadMocapCsv(in, "mocap", ""); });
   read([&](std::istream& in) { HasPoseHeader(in, "poses"); });
   return 0;

@@ -17,7 +17,7 @@ try:
     import report_axes
     import report_figures as figures
     import report_verdicts
-    from report_axes import DEGREES, QUANTITIES, Report, residuals, sensor
+    from report_axes import DEGREES, QUANTITIES, Report, numbers, of_session, residuals, sensor
     from report_comparison import write_comparison
     from report_pages import Html, Pdf
     from report_verdicts import BAD, GOOD, LOOK, within
@@ -108,26 +108,20 @@ def sections(report):
     pairs = [(s, imu) for s, session in enumerate(head['sessions']) for imu in session['imus']]
     for count, (s, imu) in enumerate(pairs[:MOST_PAIRS]):
         session = head['sessions'][s]
-        of_session = ', session %d' % (s + 1) if len(head['sessions']) > 1 else ''
-        of_imu = of_session + (', imu%d' % imu if len(session['imus']) > 1 else '')
+        of_imu = of_session(report, s) + (', imu%d' % imu if len(session['imus']) > 1 else '')
         wanted = [(*x, (s, imu), of_imu) for x in (PER_IMU if head['solved'] else REFUSED[1:])]
         if imu == session['imus'][0]:
-            own = [(*x, (s,), of_session) for x in (PER_SESSION if head['solved'] else REFUSED[:1])]
+            own = [(*x, (s,), of_session(report, s)) for x in (PER_SESSION if head['solved'] else REFUSED[:1])]
             wanted = wanted + own if head['solved'] else own + wanted
         for name, title, sentence, function, arguments, of in wanted:
             yield name + ('-%d' % (count + 1) if count else ''), title + of, sentence, function, arguments
     pairs = [(s, x['sensor']) for s, session in enumerate(head['sessions']) for x in session.get('pose_sensors') or []]
     for count, (s, k) in enumerate(pairs[:MOST_PAIRS]):
-        title = 'Pose sensor %d, %s' % (k, head['pose_sensors'][k]['frame']) + (
-            ', session %d' % (s + 1) if len(head['sessions']) > 1 else '')
+        title = 'Pose sensor %d, %s' % (k, head['pose_sensors'][k]['frame']) + of_session(report, s)
         yield 'pose_sensor' + ('-%d' % (count + 1) if count else ''), title, PER_SENSOR, figures.pose_sensor, (s, k)
 
 
 # --- Tables ---
-
-def triple(values, factor, form):
-    return ', '.join(form % (factor * value) for value in values)
-
 
 def rpy(q):
     x, y, z, w = q
@@ -139,15 +133,15 @@ def sensor_rows(report):
     for k, sensor in enumerate(report.head.get('pose_sensors') or []):
         if sensor['status'] not in ('ok', 'weak'):
             continue
-        yield ('translation of sensor%d [mm]' % k, triple(sensor['translation'], 1e3, '%.3f'),
-               triple(sensor['std'][:3], 1e3, '%.3f'), 'x, y, z in the marker frame')
-        yield ('quaternion of sensor%d' % k, triple(sensor['rotation'], 1, '%.6f'),
-               triple(sensor['std'][3:], DEGREES, '%.4f deg'), 'x, y, z, w; sigma about the sensor axes')
+        yield ('translation of sensor%d [mm]' % k, numbers(sensor['translation'], 1e3, '%.3f'),
+               numbers(sensor['std'][:3], 1e3, '%.3f'), 'x, y, z in the marker frame')
+        yield ('quaternion of sensor%d' % k, numbers(sensor['rotation'], 1, '%.6f'),
+               numbers(sensor['std'][3:], DEGREES, '%.4f deg'), 'x, y, z, w; sigma about the sensor axes')
         for s, session in enumerate(report.head['sessions']):
             for x in session.get('pose_sensors') or []:
                 if x['sensor'] != k:
                     continue
-                of = ' of sensor%d' % k + (', session %d' % (s + 1) if len(report.head['sessions']) > 1 else '')
+                of = ' of sensor%d' % k + of_session(report, s)
                 yield ('time shift%s [s]' % of, '%.7f' % x['clock'][0], '%.7f' % x['clock'][1],
                        't_pose = t_sensor + time_shift')
                 yield ('scale' + of, '%.5f' % x['scale'][0], '%.5f' % x['scale'][1],
@@ -166,15 +160,15 @@ def imu_rows(report):
     for k, imu in enumerate(imus):
         name = ' of imu%d' % k if len(imus) > 1 else ''
         transform, inverse = imu['transform'], imu['inverse_transform']
-        yield ('translation%s [mm]' % name, triple(transform['translation'], 1e3, '%.3f'),
-               triple(transform['translation_std'], 1e3, '%.3f'), 'x, y, z in the marker frame')
-        yield ('quaternion%s' % name, triple(transform['rotation'], 1, '%.6f'),
-               triple(transform['rotation_std'], DEGREES, '%.4f deg'), 'x, y, z, w; sigma about the imu axes')
+        yield ('translation%s [mm]' % name, numbers(transform['translation'], 1e3, '%.3f'),
+               numbers(transform['translation_std'], 1e3, '%.3f'), 'x, y, z in the marker frame')
+        yield ('quaternion%s' % name, numbers(transform['rotation'], 1, '%.6f'),
+               numbers(transform['rotation_std'], DEGREES, '%.4f deg'), 'x, y, z, w; sigma about the imu axes')
         angles = rpy(transform['rotation'])
-        yield ('roll, pitch, yaw%s [deg]' % name, triple(angles, DEGREES, '%.3f'), '', 'the same rotation'
+        yield ('roll, pitch, yaw%s [deg]' % name, numbers(angles, DEGREES, '%.3f'), '', 'the same rotation'
                if abs(angles[1]) * DEGREES < 85 else 'the same; near 90 deg of pitch only the quaternion is of use')
-        yield ('inverse%s [mm]' % name, triple(inverse['translation'], 1e3, '%.3f'), '',
-               'marker in imu; quaternion ' + triple(inverse['rotation'], 1, '%.6f'))
+        yield ('inverse%s [mm]' % name, numbers(inverse['translation'], 1e3, '%.3f'), '',
+               'marker in imu; quaternion ' + numbers(inverse['rotation'], 1, '%.6f'))
         yield ('accel delay%s [ms]' % name, '%.4f' % (1e3 * imu['accel_delay']),
                '%.4f' % (1e3 * imu['accel_delay_std']), 't_pose = t_accel + time_shift - accel_delay')
     clocks = [(s, imu) for s, session in enumerate(result['sessions']) for imu in session['imus']] \
@@ -194,19 +188,19 @@ def imu_rows(report):
                 ('accel_positions', 'accel axes [mm]', 1e3, '%.2f', 'where the axes x; y; z are in the imu frame')):
             if np.any(np.array(model.get(key + '_std', 0)) > 0):
                 yield (title + (' of imu%d' % k if len(imus) > 1 else ''),
-                       *('; '.join(triple(row, factor, form) for row in model[name]) for name in (key, key + '_std')),
+                       *('; '.join(numbers(row, factor, form) for row in model[name]) for name in (key, key + '_std')),
                        sentence)
     for x in result.get('between_imus') or []:
         transform, name = x['transform'], '%s in %s' % (x['second'], x['first'])
-        yield ('translation, %s [mm]' % name, triple(transform['translation'], 1e3, '%.3f'),
-               triple(transform['translation_std'], 1e3, '%.3f'), 'x_%s = R x_%s + p' % (x['first'], x['second']))
-        yield ('quaternion, %s' % name, triple(transform['rotation'], 1, '%.6f'),
-               triple(transform['rotation_std'], DEGREES, '%.4f deg'), 'sigma about the axes of ' + x['second'])
+        yield ('translation, %s [mm]' % name, numbers(transform['translation'], 1e3, '%.3f'),
+               numbers(transform['translation_std'], 1e3, '%.3f'), 'x_%s = R x_%s + p' % (x['first'], x['second']))
+        yield ('quaternion, %s' % name, numbers(transform['rotation'], 1, '%.6f'),
+               numbers(transform['rotation_std'], DEGREES, '%.4f deg'), 'sigma about the axes of ' + x['second'])
     if result['pose_scale_std'] > 0:
         yield ('pose scale', '%.5f' % result['pose_scale'], '%.5f' % result['pose_scale_std'],
                'positions of poses = pose_scale true')
-    yield ('gravity [m/s²]', triple(result['gravity']['vector'], 1, '%.4f'),
-           triple(result['gravity']['std'], 1, '%.4f'), 'in the world frame')
+    yield ('gravity [m/s²]', numbers(result['gravity']['vector'], 1, '%.4f'),
+           numbers(result['gravity']['std'], 1, '%.4f'), 'in the world frame')
 
 
 def residual_rows(report):
@@ -219,17 +213,17 @@ def residual_rows(report):
                     continue
                 noise = sensor(session, quantity, imu)['noise']
                 name = title + (' of imu%d' % imu if len(session['imus']) > 1 else '')
-                yield (name + (', session %d' % (s + 1) if len(report.head['sessions']) > 1 else ''),
-                       '%.3g %s' % (factor * noise, unit), triple(r.mean(axis=0) / noise, 1, '%.3f'),
-                       triple(np.median(r, axis=0) / noise, 1, '%.3f'), triple(r.std(axis=0) / noise, 1, '%.2f'),
-                       triple(within(report, s, quantity, imu), 100, '%.2f'))
+                yield (name + of_session(report, s),
+                       '%.3g %s' % (factor * noise, unit), numbers(r.mean(axis=0) / noise, 1, '%.3f'),
+                       numbers(np.median(r, axis=0) / noise, 1, '%.3f'), numbers(r.std(axis=0) / noise, 1, '%.2f'),
+                       numbers(within(report, s, quantity, imu), 100, '%.2f'))
 
 
 def stream_rows(report):
     for s, session in enumerate(report.head['sessions']):
         for x in session['streams']:
             name = x['role'] + (' of imu%d' % x['imu'] if len(session['imus']) > 1 and x['role'] != 'poses' else '')
-            name += ', session %d' % (s + 1) if len(report.head['sessions']) > 1 else ''
+            name += of_session(report, s)
             latency = '%.1f ± %.1f ms' % tuple(1e3 * v for v in x['latency']) \
                 if 'latency' in x and abs(x['latency'][0]) < 60 else ''
             used = x['used'] if report.head['solved'] else '-'

@@ -166,6 +166,15 @@ def runs(t, rate):
     return list(zip(np.r_[0, cuts], np.r_[cuts, t.size]))
 
 
+def numbers(values, factor, form):
+    return ', '.join(form % (factor * value) for value in values)
+
+
+def of_session(report, s):
+    """What the name of something ends with that is of one session of several."""
+    return ', session %d' % (s + 1) if len(report.head['sessions']) > 1 else ''
+
+
 def sensor(session, quantity, imu):
     for found in session['sensors']:
         if found['quantity'] == quantity and (quantity in ('position', 'rotation') or found['imu'] == imu):

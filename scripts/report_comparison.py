@@ -3,7 +3,7 @@
 import os
 
 import numpy as np
-from report_axes import BLUE, DEGREES, QUANTITIES, RED, axes_of
+from report_axes import BLUE, DEGREES, QUANTITIES, RED, axes_of, numbers
 from report_verdicts import AGREEMENT, BAD, GOOD, LOOK, NOISE, Verdict, chi_square, level, ranges
 
 UNITS = {'translation': ('mm', 1e3), 'rotation': ('deg', DEGREES), 'accel delay': ('ms', 1e3),
@@ -106,10 +106,6 @@ FIGURES = (
      'are the same.', clocks, ()),
     ('noise', 'Noise of the solve', 'Good: bars of one height.', noises, ()),
 )
-
-
-def numbers(values, factor, form):
-    return ', '.join(form % (factor * value) for value in values)
 
 
 def result_rows(results):

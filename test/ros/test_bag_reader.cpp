@@ -196,10 +196,10 @@ TEST_F(BagReaderTest, StampsTfWithRecordTimes) {
 }
 
 TEST_F(BagReaderTest, OneTextNamesSeveralBags) {
-  EXPECT_EQ(SplitBags("a.bag  b.bag"), (std::vector<std::string>{"a.bag", "b.bag"}));
-  EXPECT_EQ(SplitBags(""), std::vector<std::string>());
+  EXPECT_EQ(SplitPaths("a.bag  b.bag"), (std::vector<std::string>{"a.bag", "b.bag"}));
+  EXPECT_EQ(SplitPaths(""), std::vector<std::string>());
   Write("my own.bag", "");
-  EXPECT_EQ(SplitBags(Path("my own.bag")), std::vector<std::string>{Path("my own.bag")});
+  EXPECT_EQ(SplitPaths(Path("my own.bag")), std::vector<std::string>{Path("my own.bag")});
 }
 
 TEST_F(BagReaderTest, KeepsNanosecondsAndFrames) {

@@ -12,7 +12,7 @@
 #include "imu_pose_calib/ros/evaluation/sequences.h"
 #include "imu_pose_calib/ros/evaluation/task_runner.h"
 #include "imu_pose_calib/ros/evaluation/trial.h"
-#include "imu_pose_calib/ros/offline/summary_text.h"
+#include "imu_pose_calib/ros/io/text.h"
 #include "run_executable.h"
 
 namespace imu_pose_calib {

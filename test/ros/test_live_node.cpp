@@ -29,8 +29,7 @@ geometry_msgs::PoseStamped ToPoseStamped(const PoseSample& sample, const std::st
   geometry_msgs::PoseStamped pose;
   pose.header.stamp = FromNanoseconds(sample.t_ns);
   pose.header.frame_id = frame;
-  pose.pose.position = ToPointMsg(sample.p_WM);
-  pose.pose.orientation = ToQuaternionMsg(sample.q_WM);
+  pose.pose = ToPoseMsg({sample.q_WM, sample.p_WM});
   return pose;
 }
 

@@ -1,4 +1,4 @@
-#include "imu_pose_calib/ros/io/printable.h"
+#include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/offline/offline.h"
 #include "test_util.h"
 

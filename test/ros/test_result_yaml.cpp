@@ -5,7 +5,7 @@
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
-#include "imu_pose_calib/ros/io/yaml_text.h"
+#include "imu_pose_calib/ros/io/text.h"
 #include "stored_example.h"
 #include "test_util.h"
 

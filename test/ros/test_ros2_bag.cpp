@@ -303,9 +303,8 @@ TEST_F(Ros2BagTest, OneBodyOfSeveralIsChosenByName) {
       output.next(uint32_t{with_wand ? 2u : 1u});
       for (const char* name : {"rig", "wand"}) {
         if (!with_wand && std::string(name) == "wand") continue;
-        geometry_msgs::Pose pose;
-        pose.position = ToPointMsg(sample.p_WM + Eigen::Vector3d(0, 0, name[0] == 'r' ? 0 : 5));
-        pose.orientation = ToQuaternionMsg(sample.q_WM);
+        const geometry_msgs::Pose pose =
+            ToPoseMsg({sample.q_WM, sample.p_WM + Eigen::Vector3d(0, 0, name[0] == 'r' ? 0 : 5)});
         output.next(std::string(name));
         output.next(pose);
       }

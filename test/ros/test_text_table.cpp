@@ -21,7 +21,7 @@ ImuData Imu(const std::string& text) {
 
 std::vector<ImuSample> Gyro(const std::string& text) {
   std::istringstream in(text);
-  return ReadGyroTable(in, "g.csv");
+  return ReadSensorTable(in, "g.csv", /*is_accel=*/false);
 }
 
 void ExpectBadPoses(const std::string& text, std::vector<std::string> parts) {

@@ -15,9 +15,8 @@
 #include "imu_pose_calib/ros/io/bags.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/output_files.h"
+#include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/transform_file.h"
-#include "imu_pose_calib/ros/io/yaml_text.h"
-#include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
 
@@ -33,8 +32,6 @@ constexpr char kCloudType[] = "sensor_msgs/PointCloud2";
 constexpr size_t kFirstClouds = 5;            // that tell how points tell their times
 constexpr size_t kSharpnessPoints = 200'000;  // about, by which sharpness is judged
 
-double Seconds(int64_t ns) { return 1e-9 * static_cast<double>(ns); }
-
 void CheckRange(const char* name, double value, double least, double most) {
   if (!(value >= least && value <= most))
     throw InputError(std::string(name) + " = " + YamlNumber(value) + " must be within " +
@@ -45,10 +42,7 @@ void CheckPcd(const char* name, const std::string& path) {
   const std::filesystem::path file = path;
   if (file.extension() != ".pcd" || file.stem().empty())
     throw InputError(std::string(name) + " '" + path + "' must end in .pcd");
-  std::error_code ignored;
-  if (file.has_parent_path() && !std::filesystem::is_directory(file.parent_path(), ignored))
-    throw InputError(std::string(name) + " '" + path + "' cannot be written: there is no folder '" +
-                     file.parent_path().string() + "'");
+  CheckFolderOf(name, path);
 }
 
 /// The request with its defaults.
@@ -93,12 +87,7 @@ SensorMount Mount(const AggregateRequest& request) {
 
 /// The topic of the clouds.
 BagTopic ChooseClouds(const Bags& bags, const std::string& name) {
-  if (!name.empty()) {
-    const BagTopic& topic = bags.Find("cloud_topic", name);
-    if (topic.type != kCloudType)
-      throw InputError("cloud_topic '" + name + "' is " + topic.type + ", must be " + kCloudType);
-    return topic;
-  }
+  if (!name.empty()) return bags.Find("cloud_topic", name, {kCloudType});
   const std::vector<BagTopic> candidates =
       bags.Select([](const BagTopic& t) { return t.count > 0 && t.type == kCloudType; });
   if (candidates.empty())

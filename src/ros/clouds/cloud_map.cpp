@@ -12,6 +12,7 @@
 #include "imu_pose_calib/core/data/conditioning.h"
 #include "imu_pose_calib/core/data/stamps.h"
 #include "imu_pose_calib/core/ground_truth/trajectory.h"
+#include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -167,9 +168,8 @@ std::vector<SensorPoses> PosesWithAndWithout(const SensorMount& sensor,
                         bool is_clocked) {
     const auto pose = [=](int64_t stamp_ns) -> std::optional<Rigid3> {
       // On the pose clock, after its epoch [s].
-      const double t = is_clocked && on_imu_clock
-                           ? clock.PoseTime(1e-9 * static_cast<double>(stamp_ns - imu_epoch_ns))
-                           : 1e-9 * static_cast<double>(stamp_ns + shift_ns - epoch_ns);
+      const double t = is_clocked && on_imu_clock ? clock.PoseTime(Seconds(stamp_ns - imu_epoch_ns))
+                                                  : Seconds(stamp_ns + shift_ns - epoch_ns);
       if (!is_solved) {
         const auto T_WM = recorded->At(epoch_ns + std::llround(1e9 * t));
         return T_WM ? std::optional(*T_WM * T_MS_used) : std::nullopt;

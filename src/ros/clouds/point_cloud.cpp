@@ -10,7 +10,7 @@
 
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/base/types.h"
-#include "imu_pose_calib/ros/offline/summary_text.h"
+#include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
 namespace {

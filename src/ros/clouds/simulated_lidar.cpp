@@ -10,7 +10,7 @@
 
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/io/yaml_text.h"
+#include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -51,7 +51,7 @@ Rigid3 SimulatedLidar::T_IL() {
 }
 
 size_t SimulatedLidar::Count() const {
-  return static_cast<size_t>(options_.duration_s / (1e-9 * static_cast<double>(kTurnNs)));
+  return static_cast<size_t>(options_.duration_s / Seconds(kTurnNs));
 }
 
 int64_t SimulatedLidar::Stamp(size_t k) const {
@@ -60,7 +60,7 @@ int64_t SimulatedLidar::Stamp(size_t k) const {
 }
 
 Rigid3 SimulatedLidar::PoseAt(int64_t stamp_ns) const {
-  const double s = 1e-9 * static_cast<double>(stamp_ns - Stamp(0));
+  const double s = Seconds(stamp_ns - Stamp(0));
   // Like the IMU's samples: the time shift holds at mid-recording.
   const double t = s + options_.clock_drift * (s - 0.5 * options_.duration_s);
   const TrueState body = trajectory_.At(t);
@@ -118,14 +118,8 @@ void AppendLidar(const std::string& path, const SimulatorOptions& options) {
 
 std::string LidarYaml() {
   const Rigid3 T_IL = SimulatedLidar::T_IL();
-  const auto list = [](const Eigen::VectorXd& values) {
-    std::string text;
-    for (Eigen::Index i = 0; i < values.size(); ++i)
-      text += (i == 0 ? "[" : ", ") + YamlNumber(values[i]);
-    return text + "]";
-  };
-  return "# T_imu_lidar: x_imu = R x_lidar + p\nrotation: " + list(T_IL.q.coeffs()) +
-         "\ntranslation: " + list(T_IL.p) + "\n";
+  return "# T_imu_lidar: x_imu = R x_lidar + p\nrotation: " + YamlNumbers(T_IL.q.coeffs()) +
+         "\ntranslation: " + YamlNumbers(T_IL.p) + "\n";
 }
 
 }  // namespace imu_pose_calib

@@ -12,10 +12,11 @@
 #include "imu_pose_calib/ros/evaluation/tables.h"
 #include "imu_pose_calib/ros/io/bag_reader.h"
 #include "imu_pose_calib/ros/io/output_files.h"
+#include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/transform_file.h"
 #include "imu_pose_calib/ros/io/yaml_file.h"
+#include "imu_pose_calib/ros/offline/comparison_report.h"
 #include "imu_pose_calib/ros/offline/report.h"
-#include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -239,9 +240,7 @@ class Evaluation {
                              {ComparedQuantity::kTranslation, ComparedQuantity::kRotation,
                               ComparedQuantity::kAccelDelay})));
       if (chained_ && plan.base == Base::kBag)
-        node["chain"].push_back(
-            Describe(name, Compare(*chained_, outcome,
-                                   {ComparedQuantity::kTranslation, ComparedQuantity::kRotation})));
+        node["chain"].push_back(Describe(name, Compare(*chained_, outcome, kTransform)));
     }
     return node;
   }

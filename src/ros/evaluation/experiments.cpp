@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-#include "imu_pose_calib/ros/offline/summary_text.h"
+#include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
 namespace {

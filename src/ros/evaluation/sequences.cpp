@@ -14,11 +14,11 @@
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
+#include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/text_table.h"
 #include "imu_pose_calib/ros/io/yaml_file.h"
 #include "imu_pose_calib/ros/offline/comparison_report.h"
 #include "imu_pose_calib/ros/offline/report.h"
-#include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
 namespace {

@@ -36,9 +36,7 @@ void RunScriptOrThrow(const std::string& script, const std::vector<std::string>&
 
 void MakeTables(const YAML::Node& input, const std::string& trials, const std::string& folder) {
   const TemporaryFolder given;
-  YAML::Emitter text;
-  text << input;
-  WriteFile(given.path() / "input.yaml", text.c_str());
+  WriteYaml(input, given.path() / "input.yaml");
   WriteFile(given.path() / "trials.csv", trials);
   RunScriptOrThrow("evaluation_tables.py", {given.path(), folder}, folder + "/tables.log",
                    "the tables cannot be made");

@@ -17,7 +17,7 @@
 #include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/child_process.h"
 #include "imu_pose_calib/ros/io/output_files.h"
-#include "imu_pose_calib/ros/offline/summary_text.h"
+#include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -37,9 +37,6 @@ double Seconds(const timeval& time) {
 std::filesystem::path ResultPath(const std::string& folder, const Task& task) {
   return std::filesystem::path(folder) / "trials" / (task.name + ".yaml");
 }
-
-/// What is left of a file.
-std::string Rest(std::ifstream& in) { return {std::istreambuf_iterator<char>(in), {}}; }
 
 /// The tasks of one call of RunTasks().
 class Runner {
@@ -167,7 +164,7 @@ std::optional<std::string> FinishedTask(const std::string& folder, const Task& t
   std::ifstream in(ResultPath(folder, task));
   std::string description;
   if (!std::getline(in, description) || description != "# " + task.description) return std::nullopt;
-  return Rest(in);
+  return std::string(std::istreambuf_iterator<char>(in), {});
 }
 
 void RunTasks(const std::vector<Task>& tasks, const RunnerOptions& options) {

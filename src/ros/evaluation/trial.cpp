@@ -4,7 +4,6 @@
 
 #include <Eigen/Cholesky>
 #include <algorithm>
-#include <boost/algorithm/string/join.hpp>
 #include <cmath>
 #include <random>
 #include <sstream>
@@ -16,8 +15,7 @@
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/ros/evaluation/task_runner.h"
 #include "imu_pose_calib/ros/io/output_files.h"
-#include "imu_pose_calib/ros/io/yaml_text.h"
-#include "imu_pose_calib/ros/offline/summary_text.h"
+#include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -81,7 +79,7 @@ void Lose(double lost, SessionData* data) {
   const double period = kGap * 100.0 / lost;
   const int64_t first_ns = data->poses.front().t_ns;
   const auto is_lost = [&](const PoseSample& pose) {
-    const double t = 1e-9 * static_cast<double>(pose.t_ns - first_ns);
+    const double t = Seconds(pose.t_ns - first_ns);
     return std::fmod(t, period) >= period - kGap;
   };
   auto& poses = data->poses;
@@ -107,12 +105,6 @@ void Judge(const Calibration& result, const Errors& e, TrialOutcome* outcome) {
 }
 
 // --- YAML ---
-
-std::string List(const std::vector<double>& values) {
-  std::vector<std::string> words;
-  for (const double value : values) words.push_back(YamlNumber(value));
-  return "[" + boost::join(words, ", ") + "]";
-}
 
 using Numbers = std::vector<double*>;
 
@@ -153,14 +145,14 @@ std::string Describe(const Case& trial) {
          << trial.source.duration_s;
   } else {
     SimulatorOptions s = trial.simulator;
-    const auto& [q, p] = s.T_MI;
+    Eigen::Matrix<double, 7, 1> T_MI;
+    T_MI << s.T_MI.p, s.T_MI.q.coeffs();
     text << " " << ToString(s.motion) << " " << s.duration_s << " s, " << s.pose_rate_hz << " "
          << s.gyro_rate_hz << " " << s.accel_rate_hz << " Hz, " << s.position_std << " "
          << s.rotation_std << " " << s.gyro_std << " " << s.accel_std << ", bias "
          << s.gyro_bias.transpose() << " " << s.gyro_bias_walk << " " << s.accel_bias.transpose()
-         << " " << s.accel_bias_walk << ", T_MI "
-         << List({p.x(), p.y(), p.z(), q.x(), q.y(), q.z(), q.w()}) << ", " << s.time_shift_s << " "
-         << s.accel_delay_s << " s";
+         << " " << s.accel_bias_walk << ", T_MI " << YamlNumbers(T_MI) << ", " << s.time_shift_s
+         << " " << s.accel_delay_s << " s";
     for (const Effect& effect : Effects(&s))
       if (*effect.strength != 0.0) text << ", " << effect.name << " " << *effect.strength;
     text << "; recordings " << trial.recordings << (trial.is_random_rig ? " random" : "")
@@ -261,9 +253,9 @@ std::string ToYaml(TrialOutcome outcome) {
   std::string text = "verdict: " + outcome.verdict + "\nreason: " + reason.c_str() +
                      "\nwarnings: " + std::to_string(outcome.warnings) + "\n";
   for (const auto& [key, numbers] : ListsOf(&outcome)) {
-    std::vector<double> values;
-    for (const double* number : numbers) values.push_back(*number);
-    text += key + (": " + List(values)) + "\n";
+    Eigen::VectorXd values(static_cast<Eigen::Index>(numbers.size()));
+    for (size_t i = 0; i < numbers.size(); ++i) values[static_cast<Eigen::Index>(i)] = *numbers[i];
+    text += key + (": " + YamlNumbers(values)) + "\n";
   }
   return text;
 }

@@ -12,8 +12,8 @@
 #include <optional>
 #include <sstream>
 
-#include "imu_pose_calib/ros/io/printable.h"
-#include "imu_pose_calib/ros/io/yaml_text.h"
+#include "imu_pose_calib/core/base/text.h"
+#include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -29,27 +29,11 @@ struct Template {
 constexpr Template kTemplates[] = {
 #include "export_templates.inc"  // what is in exports/, see CMakeLists.txt
 };
-
-/// {head} in a comment: file, then what is said of its IMUs, if it has any, and of pose sensors.
-constexpr char kHead[] = R"(from {file} by imu_pose_calib {version}{run_id}
-status:    {status}: {message}
-)";
-constexpr char kImuHead[] =
-    R"(transform: x_marker = R x_imu + p, R and p are T_marker_imu; marker '{marker}', imu '{imu}'
-clocks:    t_pose = t_imu + time_shift, time_shift = {time_shift} s, sigma {time_shift_std} s
-           at t_imu = {clock_reference} s; it grows by {clock_drift} s/s, which nothing below holds
-           of session 1 of {sessions}; the others have clocks of their own
-           The clocks differ by more than 1 s, which many programs take for an error: shift the stamps first.{if far}
-           t_pose = t_accel + time_shift - accel_delay, accel_delay = {accel_delay} s: no key below holds it;
-           subtract it from the stamps of accelerometer samples
-imus:      all {all_imus} of the rig; the clocks above are of the first
-imus:      the first of {one_of_imus}; the others do not fit in
-)";
-
-/// {axes} in the comment of a model whose accelerometer matrix is triangular.
-constexpr char kAxes[] =
-    R"(axes:      the imu's axes here are those of the accelerometer, since its matrix is lower{if turned}
-           triangular: turned by {turned_deg} deg from the imu axes of the result)";
+/// What comments have in common: {head}, of the result and what the file is of, and {axes}, of a
+/// model whose accelerometer matrix is triangular.
+constexpr Template kParts[] = {
+#include "export_parts.inc"
+};
 
 constexpr char kEach[] = "{each imu}\n", kEnd[] = "{end}\n";
 
@@ -112,9 +96,8 @@ std::string Render(const Template& file, const Values& head, const std::vector<V
   for (std::string line; std::getline(lines, line);)
     (line[0] == '#' ? own_comment += line.substr(2) : body += line) += "\n";
   if (comment.empty()) comment = own_comment;
-  const std::string imu_head = head.count("imu") > 0 ? kImuHead : "";
-  boost::replace_all(comment, "{head}", kHead + imu_head + "{sensors}");
-  boost::replace_all(comment, "{axes}", kAxes);
+  for (const auto& [name, text] : kParts)
+    boost::replace_all(comment, "{" + std::string(name) + "}", text);
   Values values = imus.front();
   values.insert(head.begin(), head.end());
   values["comment"] = Comment(Fill(comment, values), body);
@@ -132,13 +115,6 @@ std::string Render(const Template& file, const Values& head, const std::vector<V
 /// A value that may be missing.
 std::optional<std::string> If(bool is_there, const std::string& text = "") {
   return is_there ? std::optional<std::string>(text) : std::nullopt;
-}
-
-/// A number for people, four digits.
-std::string Short(double value) {
-  char text[32];
-  std::snprintf(text, sizeof(text), "%.4g", value);
-  return text;
 }
 
 /// A matrix as {name}: a list, row by row; {name rows}: a list for each row; {name block}: one list
@@ -167,16 +143,6 @@ void Put(const std::string& frames, const Rigid3& T, Values* values) {
   Put("T_" + frames, T.Matrix(), values);
 }
 
-/// R = Rz(yaw) Ry(pitch) Rx(roll), as (roll, pitch, yaw) [rad].
-Eigen::Vector3d RollPitchYaw(const Eigen::Quaterniond& q) {
-  const Eigen::Matrix3d R = q.toRotationMatrix();
-  const double roll = std::atan2(R(2, 1), R(2, 2));
-  // With a pitch of a right angle any roll will do, if the others are those of what is left.
-  const Eigen::Matrix3d yaw_pitch = R * Eigen::AngleAxisd(-roll, Eigen::Vector3d::UnitX());
-  return {roll, std::atan2(-yaw_pitch(2, 0), yaw_pitch(2, 2)),
-          std::atan2(-yaw_pitch(0, 1), yaw_pitch(1, 1))};
-}
-
 /// The place `n` of what tf is to publish: x_parent = T_PC x_child.
 Values LinkValues(size_t n, const std::string& parent, const std::string& child,
                   const Rigid3& T_PC) {
@@ -186,31 +152,6 @@ Values LinkValues(size_t n, const std::string& parent, const std::string& child,
   Values values = {{"n", std::to_string(n)}, {"parent", xml(parent)}, {"child", xml(child)}};
   Put("PC", T_PC, &values);
   Put("rpy_PC", RollPitchYaw(T_PC.q), &values);
-  return values;
-}
-
-/// Of kHead and kImuHead, printable. `has_all_imus`: the file holds every IMU of a rig.
-Values HeadValues(const StoredResult& stored, bool has_all_imus) {
-  const size_t imus = stored.result.imus.size(), sessions = stored.result.sessions.size();
-  Values values = {{"file", Printable(std::filesystem::path(stored.path).filename().string())},
-                   {"version", Printable(stored.version)},
-                   {"run_id", stored.run_id.empty() ? "" : ", run_id: " + Printable(stored.run_id)},
-                   {"status", ToString(stored.result.status)},
-                   {"message", Printable(stored.result.message)},
-                   {"marker", Printable(stored.infos.front().marker_frame)},
-                   {"if imu", If(imus > 0)}};
-  if (imus == 0) return values;
-  const ImuSession& clock = stored.Clock(0);
-  values.insert({{"imu", Printable(stored.Info(0).imu_frame)},
-                 {"time_shift", YamlNumber(clock.time_shift)},
-                 {"time_shift_std", Short(clock.time_shift_std)},
-                 {"clock_reference", YamlNumber(clock.clock_reference)},
-                 {"clock_drift", If(clock.clock_drift != 0.0, Short(clock.clock_drift))},
-                 {"sessions", If(sessions > 1, std::to_string(sessions))},
-                 {"if far", If(std::abs(clock.time_shift) > 1.0)},
-                 {"accel_delay", Short(stored.result.imus[0].accel_delay)},
-                 {"all_imus", If(imus > 1 && has_all_imus, std::to_string(imus))},
-                 {"one_of_imus", If(imus > 1 && !has_all_imus, std::to_string(imus))}});
   return values;
 }
 
@@ -234,32 +175,50 @@ Shared FindShared(const StoredResult& stored, size_t imu, size_t sensor) {
   return {};
 }
 
-/// {sensors} of a comment: of the pose sensor that plays a part in the file, or with `has_all` of
-/// all; nothing when it holds none.
-std::optional<std::string> SensorHead(const StoredResult& stored, std::optional<size_t> player,
-                                      bool has_all) {
-  const std::vector<PoseSensorCalibration>& sensors = stored.result.pose_sensors;
+/// Of the head of a comment, printable. `has_all_imus`, `has_all_sensors`: the file holds every one
+/// of the rig; `player`: the pose sensor that plays a part in it.
+Values HeadValues(const StoredResult& stored, bool has_all_imus, bool has_all_sensors,
+                  std::optional<size_t> player) {
+  const Calibration& result = stored.result;
+  const size_t imus = result.imus.size(), sessions = result.sessions.size();
+  const std::vector<PoseSensorCalibration>& sensors = result.pose_sensors;
+  const bool has_imu = imus > 0;
+  const ImuSession imu = has_imu ? stored.Clock(0) : ImuSession();
   const auto usable = std::count_if(sensors.begin(), sensors.end(), IsUsable);
-  if (has_all && usable > 0)
-    return "sensors:   all " + std::to_string(usable) + " of the rig, x_marker = R x_sensor + p; " +
-           "clocks: t_pose = t_sensor + time_shift";
-  if (!player) return std::nullopt;
-  const PoseSensorCalibration& sensor = sensors[*player];
-  std::string text = "sensor:    x_marker = R x_sensor + p, sensor '" +
-                     Printable(stored.infos.front().pose_sensors[*player].frame) + "', " +
-                     ToString(sensor.status) + ": " + Printable(sensor.message);
-  const std::string next = "\n           ";
-  if (sensors.size() > 1)
-    text += next + "pose sensor " + std::to_string(*player) + " of " +
-            std::to_string(sensors.size()) + ", counted from 0; the others do not fit in";
-  const PoseSensorSession* session = FindShared(stored, 0, *player).sensor;
-  if (!session) return text;
-  text += next + "t_pose = t_sensor + time_shift, time_shift = " + YamlNumber(session->time_shift) +
-          " s, sigma " + Short(session->time_shift_std) + " s";
-  if (session->clock_drift != 0.0)
-    text += next + "at t_sensor = " + YamlNumber(session->clock_reference) + " s; it grows by " +
-            Short(session->clock_drift) + " s/s, which nothing below holds";
-  return text;
+  const PoseSensorCalibration sensor = player ? sensors[*player] : PoseSensorCalibration();
+  const PoseSensorSession* clock = player ? FindShared(stored, 0, *player).sensor : nullptr;
+  const PoseSensorSession its = clock ? *clock : PoseSensorSession();
+  const RecordingInfo& info = stored.infos.front();
+  const std::string run_id = stored.run_id.empty() ? "" : ", run_id: " + Printable(stored.run_id);
+  return {
+      {"file", Printable(std::filesystem::path(stored.path).filename().string())},
+      {"version", Printable(stored.version)},
+      {"run_id", run_id},
+      {"status", ToString(result.status)},
+      {"message", Printable(result.message)},
+      {"marker", Printable(info.marker_frame)},
+      {"if imu", If(has_imu)},
+      {"imu", If(has_imu, has_imu ? Printable(info.imus[0].imu_frame) : "")},
+      {"time_shift", If(has_imu, YamlNumber(imu.time_shift))},
+      {"time_shift_std", If(has_imu, Number(imu.time_shift_std))},
+      {"clock_reference", If(has_imu, YamlNumber(imu.clock_reference))},
+      {"clock_drift", If(imu.clock_drift != 0.0, Number(imu.clock_drift))},
+      {"sessions", If(has_imu && sessions > 1, std::to_string(sessions))},
+      {"if far", If(std::abs(imu.time_shift) > 1.0)},
+      {"accel_delay", If(has_imu, has_imu ? Number(result.imus[0].accel_delay) : "")},
+      {"all_imus", If(imus > 1 && has_all_imus, std::to_string(imus))},
+      {"one_of_imus", If(imus > 1 && !has_all_imus, std::to_string(imus))},
+      {"all_sensors", If(has_all_sensors && usable > 0, std::to_string(usable))},
+      {"sensor", If(player.has_value(), player ? Printable(info.pose_sensors[*player].frame) : "")},
+      {"sensor_status", ToString(sensor.status)},
+      {"sensor_message", Printable(sensor.message)},
+      {"one_of_sensors",
+       If(player.has_value() && sensors.size() > 1,
+          std::to_string(player.value_or(0)) + " of " + std::to_string(sensors.size()))},
+      {"sensor_shift", If(clock != nullptr, YamlNumber(its.time_shift))},
+      {"sensor_shift_std", Number(its.time_shift_std)},
+      {"sensor_reference", YamlNumber(its.clock_reference)},
+      {"sensor_drift", If(its.clock_drift != 0.0, Number(its.clock_drift))}};
 }
 
 /// The pose sensor that plays a camera or lidar: the one that is asked for, else the first that is
@@ -317,7 +276,7 @@ void PutModels(const StoredResult& stored, size_t imu, Values* values) {
   const auto& [T_MA, accel, gyro, angle_deg] = ToAccelAxes(calibration);
   const bool is_scaled = stored.result.imu_model == ImuModel::kScaleMisalignment;
   values->insert({{"if turned", If(angle_deg != 0.0)},
-                  {"turned_deg", If(angle_deg != 0.0, Short(angle_deg))},
+                  {"turned_deg", If(angle_deg != 0.0, Number(angle_deg))},
                   {"but_axes", angle_deg == 0.0 ? "" : " but for the axes below"},
                   {"if scaled", If(is_scaled)},
                   {"kalibr_model", is_scaled ? "scale-misalignment" : "calibrated"}});
@@ -394,7 +353,7 @@ void PutBody(const Eigen::Quaterniond& q_BI, const Rigid3& T_IM, double time_shi
   Put("q_BI", q_BI.coeffs(), values);
   values->insert({{"axes_are_taken", is_imu ? ": the imu's axes are taken for the body's;" : ""},
                   {"delay_ms", If(fits, YamlNumber(delay_ms))},
-                  {"unfit_delay_ms", If(!fits, Short(delay_ms))}});
+                  {"unfit_delay_ms", If(!fits, Number(delay_ms))}});
 }
 
 /// Of the pose sensor S that plays a camera or lidar; without one the marker does.
@@ -509,9 +468,8 @@ std::vector<ExportFile> Export(const StoredResult& stored, const std::string& na
     const bool is_of_one = boost::contains(file.name, "imuN");
     const bool has_all = is_of_one || boost::contains(file.text, kEach);
     const bool has_player = boost::contains(file.text, "{player");
-    Values head = HeadValues(stored, has_all);
-    head["sensors"] =
-        SensorHead(stored, has_player ? choice.pose_sensor : std::nullopt, IsOfFrames(file));
+    const Values head = HeadValues(stored, has_all, IsOfFrames(file),
+                                   has_player ? choice.pose_sensor : std::nullopt);
     std::vector<Values> imus;  // or frames
     for (size_t i = 0; !IsOfFrames(file) && i < (has_all ? stored.result.imus.size() : 1); ++i)
       imus.push_back(ImuValues(stored, i, file, choice));
@@ -531,8 +489,7 @@ std::vector<ExportFile> ExportChain(const StoredResult& stored, size_t imu,
                                     const std::string& source) {
   constexpr char kComment[] = R"(marker -> imu -> cameras, {head}
 cameras: x_cam = T_cam_imu x_imu of {source}; published is its inverse)";
-  Values head = HeadValues(stored, true);
-  head["sensors"] = std::nullopt;
+  Values head = HeadValues(stored, true, false, std::nullopt);
   head["source"] = Printable(source);
   const std::string& frame = stored.Info(imu).imu_frame;
   std::vector<Values> links = {
@@ -578,7 +535,7 @@ std::string ExportNote(const StoredResult& stored, const std::vector<std::string
   });
   if (turned.empty() || angle_deg == 0.0) return "";
   return "the imu axes of " + boost::join(turned, ", ") + " are those of the accelerometer, by " +
-         Short(angle_deg) + " deg off those of T_marker_imu: the files say so, too";
+         Number(angle_deg) + " deg off those of T_marker_imu: the files say so, too";
 }
 
 }  // namespace imu_pose_calib

@@ -2,12 +2,14 @@
 
 #include <algorithm>
 #include <boost/algorithm/string/join.hpp>
-#include <boost/algorithm/string/predicate.hpp>
 #include <cmath>
 #include <filesystem>
 #include <functional>
+#include <map>
+#include <memory>
 #include <optional>
 #include <set>
+#include <sstream>
 #include <tuple>
 #include <utility>
 #include <vector>
@@ -16,7 +18,7 @@
 #include "imu_pose_calib/ros/io/bags.h"
 #include "imu_pose_calib/ros/io/child_process.h"
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/io/printable.h"
+#include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/tf_chain.h"
 
 namespace imu_pose_calib {
@@ -45,15 +47,6 @@ ImuSensors FindSensors(const Bags& bags, const BagTopic& topic) {
     return !(sensors.gyro && sensors.accel);
   });
   return sensors;
-}
-
-BagTopic NamedImu(const Bags& bags, const std::string& field, const std::string& name) {
-  const BagTopic& topic = bags.Find(field, name);
-  const bool may_be_vector = field != "imu_topic";
-  if (!topic.IsImu() && !(may_be_vector && topic.IsVector()))
-    throw InputError(field + " '" + name + "' is " + topic.type + ", must be " + kImuType +
-                     (may_be_vector ? std::string(" or ") + kVectorType : ""));
-  return topic;
 }
 
 /// The topics of gyroscope and accelerometer; the same for an IMU on one topic.
@@ -111,14 +104,16 @@ std::vector<ImuTopics> ChooseImus(const Bags& bags, const BagRequest& request) {
     return request.may_lack_sensors &&
            !Has(bags, [&](const BagTopic& t) { return t.name == name; });
   };
+  std::vector<std::string> types = {kImuType};
+  if (is_split) types.emplace_back(kVectorType);
   std::vector<ImuTopics> imus(gyros.size());
   for (size_t i = 0; i < gyros.size(); ++i) {
     if (!is_split &&
         std::count(gyros.begin(), gyros.begin() + static_cast<int64_t>(i), gyros[i]) > 0)
       throw InputError("imu_topic '" + gyros[i] + "' is given twice");
     if (may_be_missing(gyros[i]) && may_be_missing(accels[i])) continue;
-    imus[i] = {NamedImu(bags, is_split ? "gyro_topic" : "imu_topic", gyros[i]),
-               NamedImu(bags, is_split ? "accel_topic" : "imu_topic", accels[i])};
+    imus[i] = {bags.Find(is_split ? "gyro_topic" : "imu_topic", gyros[i], types),
+               bags.Find(is_split ? "accel_topic" : "imu_topic", accels[i], types)};
   }
   return imus;
 }
@@ -137,18 +132,19 @@ void CheckContent(const Bags& bags, const ImuTopics& imu) {
 }
 
 /// All links of tf, for no chain.
-void AddTf(const Bags& bags, TfChain* links) {
+std::unique_ptr<const TfChain> ReadLinks(const Bags& bags) {
+  auto links = std::make_unique<TfChain>("", "", 0.0);
   bags.ForEachTf([&](const BagMessage& message, bool fixed) {
     links->Add(*message.instantiate<tf2_msgs::TFMessage>(), fixed);
   });
+  return links;
 }
 
 /// What poses could come from when there is no pose topic.
 std::string TfHint(const Bags& bags) {
   if (!Has(bags, [](const BagTopic& t) { return t.IsTf(); })) return "";
-  TfChain links("", "", 0.0);
-  AddTf(bags, &links);
-  return "; for poses from tf give tf_parent and tf_child, its frames are: " + links.Links();
+  return "; for poses from tf give tf_parent and tf_child, its frames are: " +
+         ReadLinks(bags)->Links();
 }
 
 /// Whether a topic may have the poses of the marker: that of a pose sensor has, where it holds
@@ -166,9 +162,7 @@ BagRequest FindTf(const Bags& bags, BagRequest request) {
                        request.tf_child.empty() && request.body.empty();
   if (!is_open || Has(bags, [&](const BagTopic& t) { return MayBeMarker(request, t); }))
     return request;
-  TfChain links("", "", 0.0);
-  AddTf(bags, &links);
-  const std::optional<TfFrames> pair = links.SinglePair();
+  const std::optional<TfFrames> pair = ReadLinks(bags)->SinglePair();
   const auto is_it = [&](const std::string& name) { return SplitTf(name) == pair; };
   if (pair && std::none_of(request.pose_sensors.begin(), request.pose_sensors.end(), is_it))
     std::tie(request.tf_parent, request.tf_child) = *pair;
@@ -213,7 +207,7 @@ struct Stream {
 
   void Add(const BagMessage& message, Sample sample, bool record_time) {
     const int64_t recorded_ns = ToNanoseconds(message.time);
-    delays_s.push_back(1e-9 * static_cast<double>(recorded_ns - sample.t_ns));
+    delays_s.push_back(Seconds(recorded_ns - sample.t_ns));
     if (record_time) sample.t_ns = recorded_ns;
     samples.push_back(sample);
   }
@@ -449,6 +443,38 @@ Recording Read(const BagRequest& given) {
   return recording;
 }
 
+// --- Which bags are one recording ---
+
+/// Bags of one recording follow each other by no more than this, or overlap by as little [s].
+constexpr double kMaxPause = 2.0, kMaxOverlap = 0.5;
+
+/// When a bag was recorded and what it holds of poses and IMUs.
+struct BagSpan {
+  double begin_s, end_s;
+  std::vector<std::string> topics;
+
+  explicit BagSpan(const std::string& path) {
+    const Bags bag({path}, 0.0, 0.0);
+    begin_s = bag.begin_s();
+    end_s = begin_s + bag.duration_s();
+    for (const BagTopic& topic : bag.topics())
+      if (topic.IsImu() || topic.IsVector() || topic.IsPose()) topics.push_back(topic.name);
+  }
+
+  /// Whether both are of one recording: one goes on where the other ends, or they hold other topics
+  /// of the same time.
+  bool Continues(const BagSpan& other) const {
+    const double pause = std::max(begin_s, other.begin_s) - std::min(end_s, other.end_s);
+    if (pause > kMaxPause) return false;
+    const auto is_shared = [&](const std::string& topic) {
+      return std::count(other.topics.begin(), other.topics.end(), topic) > 0;
+    };
+    return pause > -kMaxOverlap || std::none_of(topics.begin(), topics.end(), is_shared);
+  }
+};
+
+// --- Apart ---
+
 /// "'A.bag', 'B.bag' ..." and what to run, for damage that the reader does not pin down.
 [[noreturn]] void FailDamaged(const BagRequest& request, const std::string& reason) {
   std::string reindex;
@@ -486,6 +512,36 @@ std::string ReadApart(const BagRequest& request, const std::function<std::string
 
 Recording ReadBag(const BagRequest& request) {
   return FromBytes(ReadApart(request, [&] { return ToBytes(Read(request)); }));
+}
+
+std::vector<std::vector<std::string>> GroupBags(const std::vector<std::string>& paths) {
+  if (paths.size() < 2) return {paths};
+  CheckBagsExist(paths);
+  BagRequest request;
+  request.paths = paths;
+  // Of each bag the number of its recording.
+  std::istringstream numbers(ReadApart(request, [&paths] {
+    std::vector<BagSpan> spans;
+    std::vector<size_t> group;
+    std::ostringstream text;
+    for (const std::string& path : paths) {
+      const BagSpan span(path);
+      size_t own = spans.size();
+      for (size_t k = 0; k < spans.size(); ++k)
+        if (span.Continues(spans[k])) own = std::min(own, group[k]);
+      spans.push_back(span);
+      group.push_back(own);
+      text << own << " ";
+    }
+    return text.str();
+  }));
+  std::map<size_t, std::vector<std::string>> groups;
+  size_t number = 0;
+  for (const std::string& path : paths)
+    if (numbers >> number) groups[number].push_back(path);
+  std::vector<std::vector<std::string>> recordings;
+  for (const auto& [first, bags] : groups) recordings.push_back(bags);
+  return recordings;
 }
 
 }  // namespace imu_pose_calib

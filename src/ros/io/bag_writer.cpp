@@ -9,12 +9,14 @@
 #include <cstdlib>
 #include <functional>
 #include <limits>
+#include <map>
 #include <optional>
 #include <sstream>
 #include <vector>
 
+#include "imu_pose_calib/ros/io/cdr.h"
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/io/yaml_text.h"
+#include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -89,9 +91,7 @@ double JointAngle(size_t joint, size_t k, const std::vector<PoseSample>& poses) 
   const auto angle = [&](size_t i) {
     return 0.4 * std::sin(0.01 * static_cast<double>(i) + static_cast<double>(joint));
   };
-  const auto seconds = [&](size_t i) {
-    return 1e-9 * static_cast<double>(poses[i].t_ns - poses[before].t_ns);
-  };
+  const auto seconds = [&](size_t i) { return Seconds(poses[i].t_ns - poses[before].t_ns); };
   if (after == before) return angle(k);
   return angle(before) + (angle(after) - angle(before)) * seconds(k) / seconds(after);
 }
@@ -115,17 +115,42 @@ tf2_msgs::TFMessage ToTf(size_t k, const std::vector<PoseSample>& poses) {
 
 // --- Bags ---
 
+/// A definition of a message as ROS 2 has it, without comments.
+std::string Ros2Definition(const std::string& ros1_definition) {
+  std::istringstream lines(ros1_definition);
+  std::string line, separator, text;
+  bool has_time = false;
+  while (std::getline(lines, line)) {
+    line.resize(std::min(line.find('#'), line.size()));
+    boost::trim(line);
+    if (line.empty() || line == "uint32 seq") continue;  // a field of ROS 1's Header alone
+    if (boost::starts_with(line, "====")) separator = line;
+    if (boost::starts_with(line, "Header ")) line = "std_msgs/" + line;
+    if (boost::starts_with(line, "time ")) {
+      line = "builtin_interfaces/Time" + line.substr(4);
+      has_time = true;
+    }
+    text += line + "\n";
+  }
+  if (has_time) text += separator + "\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n";
+  return text;
+}
+
 /// A bag of ROS 1 or ROS 2 that is being written.
 struct Sink {
   rosbag::Bag* ros1;
-  Ros2Writer* ros2;
+  Ros2Storage* ros2;
+  std::map<std::string, uint32_t> topics = {};  ///< of ROS 2, by their names
 
   template <typename Msg>
   void Write(const std::string& topic, int64_t t_ns, const Msg& msg) {
-    if (ros1)
-      ros1->write(topic, FromNanoseconds(t_ns), msg);
-    else
-      ros2->Write(topic, t_ns, msg);
+    if (ros1) return ros1->write(topic, FromNanoseconds(t_ns), msg);
+    const auto [known, is_new] = topics.emplace(topic, static_cast<uint32_t>(topics.size()));
+    const std::string type = ros::message_traits::DataType<Msg>::value();
+    if (is_new)
+      ros2->AddTopic(topic, boost::replace_first_copy(type, "/", "/msg/"),
+                     Ros2Definition(ros::message_traits::Definition<Msg>::value()));
+    ros2->Write(known->second, t_ns, ToCdr(msg));
   }
 };
 
@@ -231,40 +256,7 @@ void AddPoseSensors(const SessionData& data, std::vector<Record>* records) {
   }
 }
 
-/// A definition of a message as ROS 2 has it, without comments.
-std::string Ros2Definition(const std::string& ros1_definition) {
-  std::istringstream lines(ros1_definition);
-  std::string line, separator, text;
-  bool has_time = false;
-  while (std::getline(lines, line)) {
-    line.resize(std::min(line.find('#'), line.size()));
-    boost::trim(line);
-    if (line.empty() || line == "uint32 seq") continue;  // a field of ROS 1's Header alone
-    if (boost::starts_with(line, "====")) separator = line;
-    if (boost::starts_with(line, "Header ")) line = "std_msgs/" + line;
-    if (boost::starts_with(line, "time ")) {
-      line = "builtin_interfaces/Time" + line.substr(4);
-      has_time = true;
-    }
-    text += line + "\n";
-  }
-  if (has_time) text += separator + "\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n";
-  return text;
-}
-
 }  // namespace
-
-Ros2Writer::Ros2Writer(const std::string& path, Ros2Format format)
-    : storage_(format == Ros2Format::kMcap ? CreateMcap(path) : CreateSqlite(path)) {}
-
-void Ros2Writer::Add(const std::string& topic, const std::string& ros1_type,
-                     const std::string& ros1_definition, int64_t t_ns, const std::string& data) {
-  const auto [known, is_new] = topics_.emplace(topic, static_cast<uint32_t>(topics_.size()));
-  if (is_new)
-    storage_->AddTopic(topic, boost::replace_first_copy(ros1_type, "/", "/msg/"),
-                       Ros2Definition(ros1_definition));
-  storage_->Write(known->second, t_ns, data);
-}
 
 void CheckSameStamps(const ImuData& imu) {
   const std::vector<ImuSample>&gyro = imu.gyro, &accel = imu.accel;
@@ -300,9 +292,9 @@ void WriteBag(const std::string& path, const SessionData& data, const BagFormat&
     for (const Record& record : records) record.write(&sink, record.t_ns);
   };
   if (format.ros2) {
-    Ros2Writer writer(path, *format.ros2);
-    write_all({nullptr, &writer});
-    return writer.Close();
+    const auto storage = *format.ros2 == Ros2Format::kMcap ? CreateMcap(path) : CreateSqlite(path);
+    write_all({nullptr, storage.get()});
+    return storage->Close();
   }
   try {
     rosbag::Bag bag(path, rosbag::bagmode::Write);

@@ -1,12 +1,13 @@
 #include "imu_pose_calib/ros/io/bags.h"
 
 #include <algorithm>
+#include <boost/algorithm/string/join.hpp>
 #include <boost/algorithm/string/predicate.hpp>
 #include <map>
-#include <sstream>
 
 #include "imu_pose_calib/ros/io/compression.h"
 #include "imu_pose_calib/ros/io/recording.h"
+#include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -32,11 +33,7 @@ void SkipMarkers(CdrInput* input) {
   }
 }
 
-std::string Seconds(double value) {
-  std::ostringstream text;
-  text << value << " s";
-  return text.str();
-}
+std::string InSeconds(double value) { return Format("%g s", value); }
 
 }  // namespace
 
@@ -107,11 +104,20 @@ const BagTopic& Bags::Find(const std::string& field, const std::string& name) co
     if (topic.name != name) continue;
     if (topic.count == 0)
       throw InputError(field + " '" + name + "' has no messages within the span used (" +
-                       Seconds((start_ - begin_).toSec()) + " to " + Seconds(duration_s()) +
+                       InSeconds((start_ - begin_).toSec()) + " to " + InSeconds(duration_s()) +
                        " after the start)");
     return topic;
   }
   throw InputError(field + " '" + name + "' is not in " + Contents());
+}
+
+const BagTopic& Bags::Find(const std::string& field, const std::string& name,
+                           const std::vector<std::string>& types) const {
+  const BagTopic& topic = Find(field, name);
+  if (std::count(types.begin(), types.end(), topic.type) == 0)
+    throw InputError(field + " '" + name + "' is " + topic.type + ", must be " +
+                     boost::join(types, " or "));
+  return topic;
 }
 
 std::string Bags::Contents() const { return FileNames(paths_) + "; it has: " + Describe(topics_); }
@@ -180,8 +186,8 @@ void Bags::SetSpan(double start_s, double duration_s) {
   bag_end_ = FromNanoseconds(index_.back().entry.t_ns);
   const double length_s = (bag_end_ - begin_).toSec();
   if (start_s > length_s)
-    throw InputError("start = " + Seconds(start_s) + " is beyond the end of the bag, which lasts " +
-                     Seconds(length_s));
+    throw InputError("start = " + InSeconds(start_s) +
+                     " is beyond the end of the bag, which lasts " + InSeconds(length_s));
   start_ = begin_ + ros::Duration(start_s);
   end_ = bag_end_;
   if (duration_s > 0.0 && start_s + duration_s < length_s)

@@ -1,7 +1,8 @@
 #include "imu_pose_calib/ros/io/cdr.h"
 
-#include <cstdio>
 #include <limits>
+
+#include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -16,11 +17,10 @@ CdrInput::CdrInput(std::string_view message) {
     throw InputError("it has " + std::to_string(message.size()) + " bytes, too few for CDR");
   const auto kind = static_cast<unsigned char>(message[1]);
   if (message[0] != 0 || kind > 1) {
-    char text[8];
-    std::snprintf(text, sizeof(text), "%02x %02x", static_cast<unsigned char>(message[0]), kind);
     const bool is_xcdr2 = message[0] == 0 && kind >= 6 && kind <= 11;
-    throw InputError(std::string("its encoding is ") + text + (is_xcdr2 ? " (XCDR2)" : "") +
-                     ", must be 00 00 or 00 01 (CDR)");
+    throw InputError(Format("its encoding is %02x %02x%s, must be 00 00 or 00 01 (CDR)",
+                            static_cast<unsigned char>(message[0]), kind,
+                            is_xcdr2 ? " (XCDR2)" : ""));
   }
   is_swapped_ = (kind == 1) != kHostIsLittleEndian;
   fields_ = message.substr(kHeaderSize);

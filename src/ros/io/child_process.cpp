@@ -60,6 +60,35 @@ int Wait(pid_t pid) {
   _exit(EXIT_FAILURE);
 }
 
+/// Runs a program, a path and its arguments; returns its exit status, -1 when it did not end by
+/// itself.
+int RunProgram(const std::vector<std::string>& command, const std::string& errors) {
+  std::vector<char*> arguments;
+  for (const std::string& word : command) arguments.push_back(const_cast<char*>(word.c_str()));
+  arguments.push_back(nullptr);
+  posix_spawn_file_actions_t files;
+  posix_spawn_file_actions_init(&files);
+  posix_spawn_file_actions_addopen(&files, STDIN_FILENO, "/dev/null", O_RDONLY, 0);
+  posix_spawn_file_actions_addopen(&files, STDOUT_FILENO, "/dev/null", O_WRONLY, 0);
+  posix_spawn_file_actions_addopen(&files, STDERR_FILENO, errors.c_str(),
+                                   O_WRONLY | O_CREAT | O_TRUNC, 0600);
+  posix_spawnattr_t attributes;
+  posix_spawnattr_init(&attributes);
+  sigset_t none;
+  sigemptyset(&none);
+  posix_spawnattr_setsigmask(&attributes, &none);  // not what InterruptGuard blocks here
+  posix_spawnattr_setflags(&attributes, POSIX_SPAWN_SETSIGMASK);
+  pid_t pid = 0;
+  const int failure =
+      posix_spawn(&pid, arguments[0], &files, &attributes, arguments.data(), environ);
+  posix_spawnattr_destroy(&attributes);
+  posix_spawn_file_actions_destroy(&files);
+  if (failure != 0)
+    throw InputError("'" + command[0] +
+                     "' cannot be run: " + std::generic_category().message(failure));
+  return Wait(pid);
+}
+
 }  // namespace
 
 std::optional<std::string> RunApart(const std::function<std::string()>& run,
@@ -103,33 +132,6 @@ void ConfineChild(pid_t parent, const ChildLimits& limits) {
 #endif
   std::signal(SIGALRM, SIG_DFL);
   alarm(static_cast<unsigned>(limits.wall_s));
-}
-
-int RunProgram(const std::vector<std::string>& command, const std::string& errors) {
-  std::vector<char*> arguments;
-  for (const std::string& word : command) arguments.push_back(const_cast<char*>(word.c_str()));
-  arguments.push_back(nullptr);
-  posix_spawn_file_actions_t files;
-  posix_spawn_file_actions_init(&files);
-  posix_spawn_file_actions_addopen(&files, STDIN_FILENO, "/dev/null", O_RDONLY, 0);
-  posix_spawn_file_actions_addopen(&files, STDOUT_FILENO, "/dev/null", O_WRONLY, 0);
-  posix_spawn_file_actions_addopen(&files, STDERR_FILENO, errors.c_str(),
-                                   O_WRONLY | O_CREAT | O_TRUNC, 0600);
-  posix_spawnattr_t attributes;
-  posix_spawnattr_init(&attributes);
-  sigset_t none;
-  sigemptyset(&none);
-  posix_spawnattr_setsigmask(&attributes, &none);  // not what InterruptGuard blocks here
-  posix_spawnattr_setflags(&attributes, POSIX_SPAWN_SETSIGMASK);
-  pid_t pid = 0;
-  const int failure =
-      posix_spawn(&pid, arguments[0], &files, &attributes, arguments.data(), environ);
-  posix_spawnattr_destroy(&attributes);
-  posix_spawn_file_actions_destroy(&files);
-  if (failure != 0)
-    throw InputError("'" + command[0] +
-                     "' cannot be run: " + std::generic_category().message(failure));
-  return Wait(pid);
 }
 
 bool RunScript(const std::string& script, const std::vector<std::string>& arguments,

@@ -54,19 +54,17 @@ geometry_msgs::Vector3 ToVector3Msg(const Eigen::Vector3d& v) {
   return tf2::toMsg(v, msg);
 }
 
-geometry_msgs::Quaternion ToQuaternionMsg(const Eigen::Quaterniond& q) { return tf2::toMsg(q); }
-
 geometry_msgs::Transform ToTransformMsg(const Rigid3& T) {
   geometry_msgs::Transform msg;
   msg.translation = ToVector3Msg(T.p);
-  msg.rotation = ToQuaternionMsg(T.q);
+  msg.rotation = tf2::toMsg(T.q);
   return msg;
 }
 
 geometry_msgs::Pose ToPoseMsg(const Rigid3& T) {
   geometry_msgs::Pose msg;
   msg.position = ToPointMsg(T.p);
-  msg.orientation = ToQuaternionMsg(T.q);
+  msg.orientation = tf2::toMsg(T.q);
   return msg;
 }
 

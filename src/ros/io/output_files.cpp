@@ -15,8 +15,8 @@
 #include <set>
 
 #include "imu_pose_calib/core/base/types.h"
+#include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/yaml_file.h"
-#include "imu_pose_calib/ros/io/yaml_text.h"
 
 namespace imu_pose_calib {
 
@@ -142,9 +142,7 @@ std::vector<std::string> ListedIn(const std::string& result) {
 // --- OutputFiles ---
 
 OutputFiles::OutputFiles() {
-  char random[16];
-  std::snprintf(random, sizeof(random), "-%08x", std::random_device()());
-  run_id_ = UtcText(std::time(nullptr), "%Y%m%dT%H%M%S") + random;
+  run_id_ = UtcText(std::time(nullptr), "%Y%m%dT%H%M%S") + Format("-%08x", std::random_device()());
 }
 
 OutputFiles::~OutputFiles() {
@@ -244,6 +242,14 @@ void WriteFile(const std::string& path, const std::string& text) {
   OutputFiles files;
   files.Write(path, text);
   files.Commit();
+}
+
+void CheckFolderOf(const std::string& field, const std::string& path) {
+  const fs::path folder = fs::path(path).parent_path();
+  std::error_code ignored;
+  if (!folder.empty() && !fs::is_directory(folder, ignored))
+    throw InputError(field + " '" + path + "' cannot be written: there is no folder '" +
+                     folder.string() + "'");
 }
 
 // --- Temporary files and interrupts ---

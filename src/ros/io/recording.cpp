@@ -12,6 +12,8 @@
 #include <set>
 #include <sstream>
 
+#include "imu_pose_calib/ros/io/text.h"
+
 namespace imu_pose_calib {
 
 // Cereal prescribes the name of serialize().
@@ -81,14 +83,9 @@ bool IsPair(const Given& one, const Given& first, const Given& second) {
 }
 
 void CheckSpan(double start_s, double duration_s) {
-  const auto check = [](const char* field, double value, const char* hint) {
-    if (value >= 0.0) return;
-    std::ostringstream text;
-    text << field << " = " << value << " s must be at least 0 s" << hint;
-    throw InputError(text.str());
-  };
-  check("start", start_s, "");
-  check("duration", duration_s, " (0: all)");
+  if (!(start_s >= 0.0)) throw InputError(Format("start = %g s must be at least 0 s", start_s));
+  if (!(duration_s >= 0.0))
+    throw InputError(Format("duration = %g s must be at least 0 s (0: all)", duration_s));
 }
 
 std::vector<std::string> SplitNames(const std::string& text) {
@@ -96,6 +93,11 @@ std::vector<std::string> SplitNames(const std::string& text) {
   std::vector<std::string> names{std::istream_iterator<std::string>(words), {}};
   if (names.empty()) names.emplace_back();
   return names;
+}
+
+std::vector<std::string> SplitPaths(const std::string& text) {
+  if (text.empty()) return {};
+  return std::filesystem::exists(text) ? std::vector<std::string>{text} : SplitNames(text);
 }
 
 std::pair<std::string, std::string> SplitBody(const std::string& name) {
@@ -160,6 +162,17 @@ void NameFrames(const std::string& marker_frame, const std::string& imu_frame,
     std::string& frame = info->pose_sensors[k].frame;
     if (!taken.insert(frame).second) frame += "_sensor" + std::to_string(k);
   }
+}
+
+RecordingInfo WithPrintableNames(RecordingInfo info) {
+  std::vector<std::string*> names = {&info.bag, &info.pose_topic, &info.marker_frame,
+                                     &info.imu_yaml};
+  for (ImuInfo& imu : info.imus)
+    names.insert(names.end(), {&imu.imu_topic, &imu.gyro_topic, &imu.accel_topic, &imu.imu_frame});
+  for (PoseSensorInfo& sensor : info.pose_sensors)
+    names.insert(names.end(), {&sensor.topic, &sensor.frame, &sensor.world_frame});
+  for (std::string* name : names) *name = Printable(*name);
+  return info;
 }
 
 std::string ToBytes(const Recording& recording) {

@@ -3,14 +3,13 @@
 #include <algorithm>
 #include <boost/algorithm/string.hpp>
 #include <cmath>
-#include <cstdio>
 #include <ctime>
 
 #include "imu_pose_calib/core/pose_sensor/pose_sensor.h"
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
+#include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/yaml_file.h"
-#include "imu_pose_calib/ros/io/yaml_text.h"
 
 namespace imu_pose_calib {
 
@@ -390,11 +389,10 @@ void Own(const std::string& at, const SessionCalibration& session, ResultFile* f
   file->Note(at + "own.rotation_std", own.std.tail<3>());
   file->NoteWithStd(at + "own.time_shift", own.time_shift, own.time_shift_std);
   file->NoteWithStd(at + "own.accel_delay", own.accel_delay, own.accel_delay_std);
-  char sigmas[32];
-  std::snprintf(sigmas, sizeof(sigmas), ", %.1f sigma", session.agreement.sigmas);
   file->Note(at + "agreement.chi2", session.agreement.chi2);
   file->Note(at + "agreement.dof", static_cast<size_t>(session.agreement.dof));
-  file->Note(at + "agreement.worst", session.agreement.worst + sigmas);
+  file->Note(at + "agreement.worst",
+             session.agreement.worst + Format(", %.1f sigma", session.agreement.sigmas));
 }
 
 /// The IMUs of a session, which are called by their names.
@@ -443,16 +441,7 @@ void Sessions(const std::vector<std::string>& names, StoredResult* stored, Resul
 }
 
 void Rejected(const std::string& at, const StreamReport& report, ResultFile* file) {
-  file->Note(at + "/not_finite", report.not_finite);
-  file->Note(at + "/zero_quaternion", report.zero_quaternion);
-  file->Note(at + "/reversed_stamp", report.reversed_stamp);
-  file->Note(at + "/duplicate_stamp", report.duplicate_stamp);
-  file->Note(at + "/repeated_value", report.repeated_value);
-  file->Note(at + "/saturated", report.saturated);
-  file->Note(at + "/outlier", report.outlier);
-  file->Note(at + "/flipped", report.flipped);
-  file->Note(at + "/in_short_segment", report.in_short_segment);
-  file->Note(at + "/between_updates", report.between_updates);
+  for (const auto& [key, words, count] : kDropReasons) file->Note(at + "/" + key, report.*count);
 }
 
 void Spectrum(const std::string& path, const std::vector<Observability>& spectrum,
@@ -554,12 +543,6 @@ void PoseSensors(StoredResult* stored, ResultFile* file) {
   }
 }
 
-void ImuQuality(ImuSession& imu, ResultFile* file) {
-  Noise("", imu, file);
-  file->Note("quality.gyro_rms", imu.rms.gyro);
-  file->Note("quality.accel_rms", imu.rms.accel);
-}
-
 /// Noise, quality and trajectory.
 void Quality(Calibration& result, ResultFile* file) {
   SessionCalibration& session = result.sessions[0];
@@ -567,7 +550,11 @@ void Quality(Calibration& result, ResultFile* file) {
   file->Value("noise.position_std", session.noise.position);
   file->Value("noise.rotation_std", session.noise.rotation);
   file->Note("noise.rotation_error_std", session.rotation_error_std);
-  if (has_imu) ImuQuality(session.imus[0], file);
+  if (has_imu) {
+    Noise("", session.imus[0], file);
+    file->Note("quality.gyro_rms", session.imus[0].rms.gyro);
+    file->Note("quality.accel_rms", session.imus[0].rms.accel);
+  }
   file->Note("quality.position_rms", session.rms.position);
   file->Note("quality.rotation_rms", session.rms.rotation);
   Spectrum("quality.observability", result.observability, file);
@@ -606,10 +593,7 @@ void Data(Calibration& result, RecordingInfo& info, ResultFile* file) {
   }
   file->Value("data.pose_topic", info.pose_topic);
   if (has_imu) file->Note("data.imu_yaml", info.imu_yaml);
-  if (info.stated_pose_std) {
-    file->Note("data.stated_pose_std/position", info.stated_pose_std->position);
-    file->Note("data.stated_pose_std/rotation", info.stated_pose_std->rotation);
-  }
+  if (info.stated_pose_std) Poses("data.stated_pose_std", *info.stated_pose_std, file);
   file->Value("data.duration", session.poses.duration_s);
   NotePerStream("data.counts", session, &StreamReport::used, has_imu, file);
   file->Value("data.rates/poses", session.poses.rate_hz);
@@ -643,6 +627,14 @@ std::string ToYaml(const Calibration& result, const std::vector<RecordingInfo>& 
   file.Note("options", YAML::Load(ToYaml(options)));
   return std::string(kResultHeader) + kEquations +
          (result.pose_sensors.empty() ? "" : kSensorEquations) + kUnits + file.Finish() + "\n";
+}
+
+std::string Dropped(const StreamReport& report) {
+  std::string text;
+  for (const auto& [key, words, count] : kDropReasons)
+    if (report.*count > 0)
+      text += (text.empty() ? "" : ", ") + std::to_string(report.*count) + " " + words;
+  return text;
 }
 
 bool IsUsable(const PoseSensorCalibration& sensor) {

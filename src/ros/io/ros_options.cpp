@@ -8,8 +8,8 @@
 #include "imu_pose_calib/core/base/result.h"
 #include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/recording.h"
+#include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/yaml_file.h"
-#include "imu_pose_calib/ros/io/yaml_text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -74,12 +74,12 @@ void Read(const YAML::Node& node, std::optional<T>* field) {
 std::string Text(double value) { return YamlNumber(value); }
 std::string Text(int value) { return std::to_string(value); }
 std::string Text(bool value) { return value ? "true" : "false"; }
-std::string Text(Method value) { return ToString(value); }
-std::string Text(SolverKind value) { return ToString(value); }
-std::string Text(ImuModel value) { return ToString(value); }
-std::string Text(StampRecovery value) { return ToString(value); }
 std::string Text(const Eigen::Vector3d& value) { return YamlNumbers(value); }
 std::string Text(const Eigen::Quaterniond& value) { return YamlNumbers(value.coeffs()); }
+template <typename Enum>
+std::string Text(Enum value) {
+  return ToString(value);
+}
 template <typename T>
 std::string Text(const std::optional<T>& value) {
   return value ? Text(*value) : "~";

@@ -14,8 +14,8 @@
 
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/mocap_csv.h"
+#include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/text_table.h"
-#include "imu_pose_calib/ros/io/yaml_text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -27,11 +27,6 @@ std::ifstream Open(const std::string& path) {
   std::ifstream file(path);
   if (!file) throw InputError("'" + path + "' cannot be read: " + std::strerror(errno));
   return file;
-}
-
-/// Names of files with white space between them, or the name of one that has some in it.
-std::vector<std::string> SplitFiles(const std::string& text) {
-  return std::filesystem::exists(text) ? std::vector<std::string>{text} : SplitNames(text);
 }
 
 bool IsPoseSensor(const TextRequest& request, const std::string& path) {
@@ -96,7 +91,7 @@ Span FindSpan(const std::vector<Sample>& samples) {
 /// Keeps the samples from `start_s` after the begin of `whole` on, for `duration_s`.
 template <typename Sample>
 void Cut(double start_s, double duration_s, const Span& whole, std::vector<Sample>* samples) {
-  const double length_s = 1e-9 * static_cast<double>(whole.end - whole.begin);
+  const double length_s = Seconds(whole.end - whole.begin);
   if (start_s > length_s)
     throw InputError("start = " + YamlNumber(start_s) +
                      " s is beyond the end of the recording, which lasts " + YamlNumber(length_s) +
@@ -202,8 +197,8 @@ Recording ReadFiles(const TextRequest& files) {
   if (files.imu.empty() && files.gyro.empty()) return recording;
 
   const bool is_split = files.imu.empty();
-  const std::vector<std::string> gyros = SplitFiles(is_split ? files.gyro : files.imu);
-  const std::vector<std::string> accels = SplitFiles(is_split ? files.accel : files.imu);
+  const std::vector<std::string> gyros = SplitPaths(is_split ? files.gyro : files.imu);
+  const std::vector<std::string> accels = SplitPaths(is_split ? files.accel : files.imu);
   if (gyros.size() != accels.size())
     throw InputError("gyro and accel name different numbers of files: " +
                      std::to_string(gyros.size()) + " and " + std::to_string(accels.size()));
@@ -213,9 +208,9 @@ Recording ReadFiles(const TextRequest& files) {
     std::ifstream gyro = Open(gyros[i]);
     if (is_split) {
       recording.info.imus.push_back({"", gyros[i], accels[i], "imu", {}, {}});
-      imu.gyro = ReadGyroTable(gyro, gyros[i]);
+      imu.gyro = ReadSensorTable(gyro, gyros[i], false);
       std::ifstream accel = Open(accels[i]);
-      imu.accel = ReadAccelTable(accel, accels[i]);
+      imu.accel = ReadSensorTable(accel, accels[i], true);
     } else {
       recording.info.imus.push_back({gyros[i], "", "", "imu", {}, {}});
       ReadImuTable(gyro, gyros[i], &imu);

@@ -9,8 +9,7 @@
 #include <stdexcept>
 #include <utility>
 
-#include "imu_pose_calib/ros/io/printable.h"
-#include "imu_pose_calib/ros/io/yaml_text.h"
+#include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -267,8 +266,7 @@ class TableReader {
   /// Whole stamps a second or more apart are hardly seconds.
   void CheckUnit() const {
     if (!layout_->time_unit.empty() || !may_lack_unit_ || count_ < 2) return;
-    const double period_s =
-        1e-9 * static_cast<double>(last_ns_ - first_ns_) / static_cast<double>(count_ - 1);
+    const double period_s = Seconds(last_ns_ - first_ns_) / static_cast<double>(count_ - 1);
     if (period_s >= 1.0)
       lines_.Fail("as seconds, the stamps are " + YamlNumber(period_s) +
                   " s apart; name their unit in a header: 'timestamp [us]'");
@@ -285,17 +283,6 @@ class TableReader {
 
 Eigen::Vector3d Vector(const std::vector<double>& values, size_t begin) {
   return {values[begin], values[begin + 1], values[begin + 2]};
-}
-
-std::vector<ImuSample> ReadSensorTable(Strings prefixes, std::istream& in,
-                                       const std::string& name) {
-  prefixes.emplace_back("");  // a file of one sensor may call its columns x, y, z
-  std::vector<ImuSample> samples;
-  TableReader(MakeColumns({{"xyz", prefixes}}), in, name)
-      .ForEach([&](int64_t t_ns, const std::vector<double>& values) {
-        samples.push_back({t_ns, Vector(values, 0)});
-      });
-  return samples;
 }
 
 bool StartsWithHeader(const Columns& columns, std::istream& in, const std::string& name) {
@@ -363,12 +350,15 @@ void ReadImuTable(std::istream& in, const std::string& name, ImuData* data) {
   });
 }
 
-std::vector<ImuSample> ReadGyroTable(std::istream& in, const std::string& name) {
-  return ReadSensorTable(kGyroPrefixes, in, name);
-}
-
-std::vector<ImuSample> ReadAccelTable(std::istream& in, const std::string& name) {
-  return ReadSensorTable(kAccelPrefixes, in, name);
+std::vector<ImuSample> ReadSensorTable(std::istream& in, const std::string& name, bool is_accel) {
+  Strings prefixes = is_accel ? kAccelPrefixes : kGyroPrefixes;
+  prefixes.emplace_back("");  // a file of one sensor may call its columns x, y, z
+  std::vector<ImuSample> samples;
+  TableReader(MakeColumns({{"xyz", prefixes}}), in, name)
+      .ForEach([&](int64_t t_ns, const std::vector<double>& values) {
+        samples.push_back({t_ns, Vector(values, 0)});
+      });
+  return samples;
 }
 
 }  // namespace imu_pose_calib

@@ -16,8 +16,8 @@
 
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/ros/io/conversions.h"
+#include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/text_writer.h"
-#include "imu_pose_calib/ros/io/yaml_text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -26,16 +26,16 @@ namespace {
 const char kAuthor[] = "comment: ground truth by imu_pose_calib";
 const char kTruth[] = "state_groundtruth_estimate0";
 
-struct Format {
+struct NamedFormat {
   TrajectoryFormat value;
   const char* name;
   std::set<std::string> suffixes;  ///< that stand for it
 };
-const Format kFormats[] = {{TrajectoryFormat::kAsl, "asl", {""}},
-                           {TrajectoryFormat::kTum, "tum", {".tum", ".txt"}},
-                           {TrajectoryFormat::kEuroc, "euroc", {".csv"}},
-                           {TrajectoryFormat::kBag, "bag", {".bag"}},
-                           {TrajectoryFormat::kOvEval, "ov_eval", {}}};
+const NamedFormat kFormats[] = {{TrajectoryFormat::kAsl, "asl", {""}},
+                                {TrajectoryFormat::kTum, "tum", {".tum", ".txt"}},
+                                {TrajectoryFormat::kEuroc, "euroc", {".csv"}},
+                                {TrajectoryFormat::kBag, "bag", {".bag"}},
+                                {TrajectoryFormat::kOvEval, "ov_eval", {}}};
 
 /// The header of the original, with its blanks: readers compare the cells.
 const char kEurocHeader[] =
@@ -287,7 +287,7 @@ TrajectoryFormat ParseTrajectoryFormat(const std::string& name, const std::strin
   std::error_code ignored;
   if (name.empty() && std::filesystem::is_directory(path, ignored)) return TrajectoryFormat::kAsl;
   const std::string suffix = std::filesystem::path(path).extension();
-  for (const Format& format : kFormats)
+  for (const NamedFormat& format : kFormats)
     if (name.empty() ? format.suffixes.count(suffix) > 0 : name == format.name) return format.value;
   if (name.empty())
     throw InputError("the suffix of trajectory '" + path +

@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <sstream>
 
+#include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/text_table.h"
 #include "imu_pose_calib/ros/io/yaml_file.h"
 
@@ -31,11 +32,9 @@ Eigen::VectorXd Numbers(const YAML::Node& list, Eigen::Index count, const std::s
 
 /// From x, y, z, w.
 Eigen::Quaterniond ToQuaternion(const Eigen::Vector4d& xyzw, const std::string& what) {
-  if (std::abs(xyzw.norm() - 1.0) > 0.01) {
-    std::ostringstream norm;
-    norm << xyzw.norm();
-    throw InputError(what + " must be a unit quaternion x, y, z, w; its norm is " + norm.str());
-  }
+  if (std::abs(xyzw.norm() - 1.0) > 0.01)
+    throw InputError(what + " must be a unit quaternion x, y, z, w; its norm is " +
+                     Format("%g", xyzw.norm()));
   return Eigen::Quaterniond(xyzw).normalized();
 }
 
@@ -128,6 +127,15 @@ Rigid3 ReadTransform(const std::string& name, const std::string& text) {
     return LoadYaml(name, text, ParseTransform);
   const Eigen::VectorXd values = ParseNumbers(name, text, 7);
   return {ToQuaternion(values.tail<4>(), name + " '" + text + "': qx qy qz qw"), values.head<3>()};
+}
+
+Eigen::Vector3d RollPitchYaw(const Eigen::Quaterniond& q) {
+  const Eigen::Matrix3d R = q.toRotationMatrix();
+  const double roll = std::atan2(R(2, 1), R(2, 2));
+  // With a pitch of a right angle any roll will do, if the others are those of what is left.
+  const Eigen::Matrix3d yaw_pitch = R * Eigen::AngleAxisd(-roll, Eigen::Vector3d::UnitX());
+  return {roll, std::atan2(-yaw_pitch(2, 0), yaw_pitch(2, 2)),
+          std::atan2(-yaw_pitch(0, 1), yaw_pitch(1, 1))};
 }
 
 std::vector<ChainCamera> LoadCameraChain(const std::string& path) {

@@ -9,7 +9,7 @@
 #include "imu_pose_calib/core/data/conditioning.h"
 #include "imu_pose_calib/core/data/stamps.h"
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/offline/summary_text.h"
+#include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -39,8 +39,6 @@ constexpr char kAxes[] = "xyz";
 /// By the constants of CalibrationStatus.
 constexpr const char* kPhases[] = {"waiting",   "collecting", "solving",
                                    "converged", "degraded",   "saved"};
-
-double Seconds(int64_t ns) { return 1e-9 * static_cast<double>(ns); }
 
 bool IsValid(const PoseSample& pose) {
   return pose.p_WM.allFinite() && pose.q_WM.coeffs().allFinite() && pose.q_WM.norm() > 1e-3;
@@ -119,11 +117,6 @@ std::vector<std::string> Bars(const Vector6d& excitation) {
 }  // namespace
 
 template <typename Sample>
-double LiveCalibration::Stream<Sample>::Duration() const {
-  return samples.empty() ? 0.0 : Seconds(samples.back().t_ns - samples.front().t_ns);
-}
-
-template <typename Sample>
 StreamStatus LiveCalibration::Stream<Sample>::Status() const {
   StreamStatus status;
   status.received = received;
@@ -138,12 +131,6 @@ StreamStatus LiveCalibration::Stream<Sample>::Status() const {
   const double span = Seconds(newest - std::prev(recent)->t_ns);
   if (span > 0.0) status.rate_hz = static_cast<double>(count - 1) / span;
   return status;
-}
-
-template <typename Sample>
-std::string LiveCalibration::Stream<Sample>::Missing() const {
-  if (!samples.empty()) return "";
-  return name + (unstamped > 0 ? " with header stamps (all are 0)" : "");
 }
 
 template <typename Sample>

@@ -17,12 +17,12 @@
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
+#include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/live/live_input.h"
 #include "imu_pose_calib/ros/live/live_solver.h"
 #include "imu_pose_calib/ros/live/markers.h"
 #include "imu_pose_calib/ros/live/parameter.h"
 #include "imu_pose_calib/ros/offline/summary.h"
-#include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -82,13 +82,9 @@ LiveSettings ReadSettings(const OfflineRequest& given) {
       request.output.empty() ? "imu_pose_calib.calibration.yaml" : request.output);
   settings.auto_save = Parameter("auto_save", false);
 
-  if (!request.config.empty()) settings.calibration = LoadOptions(request.config);
-  if (!request.imu_yaml.empty()) {
-    const ImuYaml imu = LoadImuYaml(request.imu_yaml);
-    imu.CopyNoise(&settings.calibration);
-    if (topics.imu_topic.empty() && !is_split) topics.imu_topic = imu.rostopic;
-  }
-  if (!request.method.empty()) settings.calibration.method = ParseMethod(request.method);
+  settings.calibration = Options(request);
+  if (!request.imu_yaml.empty() && topics.imu_topic.empty() && !is_split)
+    topics.imu_topic = LoadImuYaml(request.imu_yaml).rostopic;
   for (const auto& [name, field] : kLiveOptions)
     settings.live.*field = Parameter(name, settings.live.*field);
   return settings;
@@ -110,25 +106,218 @@ geometry_msgs::PoseStamped ToImuPose(const PoseSample& pose, const Rigid3& T_MI,
 /// Nobody holds the mutex while waiting for a solve or for the master.
 class LiveNode {
  public:
-  LiveNode(const ros::NodeHandle& node, const OfflineRequest& request);
+  LiveNode(const ros::NodeHandle& node, const OfflineRequest& request)
+      : node_(node),
+        settings_(ReadSettings(request)),
+        live_(settings_.live, settings_.calibration, settings_.imus,
+              settings_.request.bag.pose_sensors),
+        input_(node, settings_.request, &mutex_, &live_,
+               [this](const PoseSample& pose) { PublishPose(pose); }),
+        solver_(
+            &mutex_, &live_,
+            [this](const SessionData& data) {
+              return imu_pose_calib::Calibrate(settings_.calibration, data);
+            },
+            [this] { PublishResult(); }) {
+    diagnostics_.setHardwareID("none");
+    diagnostics_.add("calibration", this, &LiveNode::Diagnose);
+    timer_ = node_.createWallTimer(ros::WallDuration(kTickPeriod),
+                                   [this](const ros::WallTimerEvent&) { Tick(); });
+
+    Serve("calibrate", &LiveNode::Calibrate);
+    Serve("save", &LiveNode::Save);
+    Serve("reset", &LiveNode::Reset);
+    service_spinner_.start();
+  }
+
   /// A solve is running, or the master is being asked.
-  bool IsBusy();
+  bool IsBusy() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return live_.IsSolving() || input_.IsLooking();
+  }
 
  private:
   using Verdict = LiveSolver::Verdict;
-  void Serve(const std::string& name, Verdict (LiveNode::*answer)());
-  // What the services do, each on a thread of its own:
-  Verdict Calibrate();
-  Verdict Save();
-  Verdict Reset();
 
-  void Tick();
-  Verdict WriteResult();
-  void UpdateStatus();
-  void Diagnose(diagnostic_updater::DiagnosticStatusWrapper& wrapper);
-  void PublishPose(const PoseSample& pose);
-  void PublishPath();
-  void PublishResult();
+  // --- Services ---
+
+  void Serve(const std::string& name, Verdict (LiveNode::*answer)()) {
+    ros::NodeHandle node = node_;
+    node.setCallbackQueue(&service_queue_);
+    services_.push_back(node.advertiseService<Trigger::Request, Trigger::Response>(
+        name, [=](Trigger::Request&, Trigger::Response& response) {
+          const auto [success, message] = (this->*answer)();
+          response.success = success;
+          response.message = message;
+          return true;
+        }));
+  }
+
+  /// Waits for the solve, while messages come in.
+  Verdict Calibrate() {
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      // Not the one of the last tick, which may be from before a reset.
+      const CalibrationStatus status = live_.Status(ros::Time::now().toSec());
+      if (status.phase == CalibrationStatus::SAVED || status.phase == CalibrationStatus::WAITING)
+        return {false, (status.phase == status_.phase ? status_ : status).message};
+    }
+    return solver_.Calibrate();
+  }
+
+  Verdict Save() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (!live_.result()) return {false, "there is no result to save; " + status_.message};
+    return WriteResult();
+  }
+
+  Verdict Reset() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    const bool has_result = live_.result().has_value();
+    live_.Reset("", ros::Time::now().toSec());
+    input_.ForgetAfterReset();
+    save_error_.clear();
+    return {true, has_result ? "started anew; tf keeps the last result until there is another"
+                             : "started anew"};
+  }
+
+  /// Writes the best result and freezes it. Says what was done, or why it could not be.
+  Verdict WriteResult() {
+    const std::string& path = settings_.request.output;
+    try {
+      OutputFiles outputs;
+      outputs.Write(path, ToYaml(*live_.result(), {input_.Info()}, settings_.calibration,
+                                 {outputs.run_id()}));
+      outputs.Commit();
+    } catch (const InputError& error) {
+      return {false, OneLine(error)};
+    }
+    const std::string message = "saved to " + path + "; call reset to start anew";
+    live_.Freeze(message);
+    save_error_.clear();
+    std::cout << Summary(*live_.result(), {input_.Info()}) << std::flush;
+    return {true, message};
+  }
+
+  // --- Status ---
+
+  void Tick() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (live_.WantsSolve()) solver_.Start();
+    const uint8_t last_phase = status_.phase;
+    UpdateStatus();
+    if (status_.phase == CalibrationStatus::CONVERGED && settings_.auto_save &&
+        save_error_.empty()) {
+      if (const Verdict saved = WriteResult(); !saved.success) {
+        save_error_ = saved.message;
+        ROS_ERROR("%s", save_error_.c_str());
+      }
+      UpdateStatus();
+    }
+    // The first time when there has been a look at the topics.
+    if (status_.phase != last_phase || ticks_ == kTicksPerStatus)
+      ROS_INFO("%s: %s", status_.phase_text.c_str(), status_.message.c_str());
+    if (ticks_ % kTicksPerStatus == 0) status_publisher_.publish(status_);
+    if (ticks_ % kTicksPerDiagnostics == 0) diagnostics_.force_update();
+    if (marker_publisher_.getNumSubscribers() > 0)
+      marker_publisher_.publish(Draw(live_, status_, input_.Info().world_frame));
+    if (ticks_ % kTicksPerStatus == 0) PublishPath();
+    ++ticks_;
+  }
+
+  void UpdateStatus() {
+    const ros::Time now = ros::Time::now();
+    const bool was_waiting = status_.phase == CalibrationStatus::WAITING;
+    if (now != status_.header.stamp) clock_moved_ = ros::SteadyTime::now();
+    status_ = live_.Status(now.toSec());
+    status_.header.stamp = now;
+    status_.solve_time = solver_.SolveTime();
+    std::string& message = status_.message;
+    if (status_.phase == CalibrationStatus::SOLVING) {
+      const double last = solver_.last_solve_time();
+      const std::string of = last > 0.0 ? Format("of about %.0f s", last) : "so far";
+      message = Format("%.0f s %s: ", status_.solve_time, of.c_str()) + message;
+    }
+    if (const auto* link = input_.OtherParent(); live_.result() && link)
+      message += "; tf has another parent of " + link->child_frame_id + ", " +
+                 link->header.frame_id + ": set imu_frame";
+    if (!save_error_.empty()) message += "; " + save_error_;
+    if (const std::string dropped = input_.Dropped(); !dropped.empty()) message += "; " + dropped;
+    const bool is_waiting = status_.phase == CalibrationStatus::WAITING;
+    if (is_waiting || (live_.LacksSensor() && !live_.IsFrozen())) {
+      if (ticks_ % kTicksPerStatus == 0 || is_waiting != was_waiting) waiting_for_ = input_.Look();
+      if (!waiting_for_.empty())
+        message = is_waiting ? waiting_for_ : message + "; " + waiting_for_;
+    } else {
+      waiting_for_.clear();
+    }
+    if ((ros::SteadyTime::now() - clock_moved_).toSec() > 1.0)
+      message +=
+          now.isZero() ? "; use_sim_time is set, but there is no /clock" : "; /clock stands still";
+  }
+
+  void Diagnose(diagnostic_updater::DiagnosticStatusWrapper& wrapper) {
+    const bool is_bad =
+        status_.phase == CalibrationStatus::WAITING || status_.phase == CalibrationStatus::DEGRADED;
+    wrapper.summary(is_bad ? wrapper.WARN : wrapper.OK,
+                    status_.phase_text + ": " + status_.message);
+    const std::array<StreamStatus, 3> streams = live_.Streams();
+    for (size_t k = 0; k < streams.size(); ++k) {
+      const std::string name = std::array{"pose", "gyro", "accel"}[k];
+      wrapper.addf(name + " rate", "%.1f Hz", streams[k].rate_hz);
+      wrapper.addf(name + " delay", "%.4f s", streams[k].delay_s);
+      wrapper.add(name + " received", streams[k].received);
+    }
+    wrapper.add("verdict", live_.result() ? live_.result()->message : "none yet");
+    for (const std::string& warning : status_.warnings) wrapper.add("warning", warning);
+  }
+
+  void PublishPose(const PoseSample& pose) {
+    if (!live_.result() || pose_publisher_.getNumSubscribers() == 0) return;
+    pose_publisher_.publish(
+        ToImuPose(pose, live_.result()->imus[0].T_MI, input_.Info().world_frame));
+  }
+
+  void PublishPath() {
+    if (!live_.result() || path_publisher_.getNumSubscribers() == 0) return;
+    nav_msgs::Path path;
+    path.header = MakeHeader(status_.header.stamp, input_.Info().world_frame);
+    for (const PoseSample& pose : live_.path())
+      path.poses.push_back(ToImuPose(pose, live_.result()->imus[0].T_MI, path.header.frame_id));
+    path_publisher_.publish(path);
+  }
+
+  /// As a message, and as static transforms.
+  void PublishResult() {
+    const RecordingInfo info = input_.Info();
+    const ros::Time now = ros::Time::now();
+    result_publisher_.publish(ToMsg(*live_.result(), info, now));
+    std::vector<geometry_msgs::TransformStamped> transforms;
+    const auto all = ToTransforms(*live_.result(), info, now);
+    for (size_t k = 0; k < all.size(); ++k) {
+      const geometry_msgs::TransformStamped& transform = all[k];
+      const bool is_sensor =
+          k >= info.imus.size();  // may be in the tf of a robot, as one from tf is
+      if (const auto* link = input_.OtherParent({transform.child_frame_id}); is_sensor && link) {
+        ROS_WARN("No transform of '%s' is published: its parent in tf is '%s' already",
+                 link->child_frame_id.c_str(), link->header.frame_id.c_str());
+        continue;
+      }
+      if (transform.child_frame_id != info.marker_frame) {
+        transforms.push_back(transform);
+        continue;
+      }
+      ROS_ERROR(
+          "No transform is published: the marker and the imu frame are both called '%s'; set "
+          "marker_frame or imu_frame",
+          info.marker_frame.c_str());
+    }
+    broadcaster_.sendTransform(transforms);
+    if (const auto* link = input_.OtherParent())
+      ROS_WARN("tf has two parents of '%s': '%s' from elsewhere and '%s' from here; set imu_frame",
+               link->child_frame_id.c_str(), link->header.frame_id.c_str(),
+               info.marker_frame.c_str());
+  }
 
   ros::NodeHandle node_;
   const LiveSettings settings_;
@@ -158,210 +347,6 @@ class LiveNode {
   /// a service may wait for.
   ros::AsyncSpinner service_spinner_{3, &service_queue_};
 };
-
-LiveNode::LiveNode(const ros::NodeHandle& node, const OfflineRequest& request)
-    : node_(node),
-      settings_(ReadSettings(request)),
-      live_(settings_.live, settings_.calibration, settings_.imus,
-            settings_.request.bag.pose_sensors),
-      input_(node, settings_.request, &mutex_, &live_,
-             [this](const PoseSample& pose) { PublishPose(pose); }),
-      solver_(
-          &mutex_, &live_,
-          [this](const SessionData& data) {
-            return imu_pose_calib::Calibrate(settings_.calibration, data);
-          },
-          [this] { PublishResult(); }) {
-  diagnostics_.setHardwareID("none");
-  diagnostics_.add("calibration", this, &LiveNode::Diagnose);
-  timer_ = node_.createWallTimer(ros::WallDuration(kTickPeriod),
-                                 [this](const ros::WallTimerEvent&) { Tick(); });
-
-  Serve("calibrate", &LiveNode::Calibrate);
-  Serve("save", &LiveNode::Save);
-  Serve("reset", &LiveNode::Reset);
-  service_spinner_.start();
-}
-
-bool LiveNode::IsBusy() {
-  const std::lock_guard<std::mutex> lock(mutex_);
-  return live_.IsSolving() || input_.IsLooking();
-}
-
-// --- Services ---
-
-void LiveNode::Serve(const std::string& name, Verdict (LiveNode::*answer)()) {
-  ros::NodeHandle node = node_;
-  node.setCallbackQueue(&service_queue_);
-  services_.push_back(node.advertiseService<Trigger::Request, Trigger::Response>(
-      name, [=](Trigger::Request&, Trigger::Response& response) {
-        const auto [success, message] = (this->*answer)();
-        response.success = success;
-        response.message = message;
-        return true;
-      }));
-}
-
-/// Waits for the solve, while messages come in.
-LiveSolver::Verdict LiveNode::Calibrate() {
-  {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    // Not the one of the last tick, which may be from before a reset.
-    const CalibrationStatus status = live_.Status(ros::Time::now().toSec());
-    if (status.phase == CalibrationStatus::SAVED || status.phase == CalibrationStatus::WAITING)
-      return {false, (status.phase == status_.phase ? status_ : status).message};
-  }
-  return solver_.Calibrate();
-}
-
-LiveSolver::Verdict LiveNode::Save() {
-  const std::lock_guard<std::mutex> lock(mutex_);
-  if (!live_.result()) return {false, "there is no result to save; " + status_.message};
-  return WriteResult();
-}
-
-LiveSolver::Verdict LiveNode::Reset() {
-  const std::lock_guard<std::mutex> lock(mutex_);
-  const bool has_result = live_.result().has_value();
-  live_.Reset("", ros::Time::now().toSec());
-  input_.ForgetAfterReset();
-  save_error_.clear();
-  return {true, has_result ? "started anew; tf keeps the last result until there is another"
-                           : "started anew"};
-}
-
-/// Writes the best result and freezes it. Says what was done, or why it could not be.
-LiveSolver::Verdict LiveNode::WriteResult() {
-  const std::string& path = settings_.request.output;
-  try {
-    OutputFiles outputs;
-    outputs.Write(
-        path, ToYaml(*live_.result(), {input_.Info()}, settings_.calibration, {outputs.run_id()}));
-    outputs.Commit();
-  } catch (const InputError& error) {
-    return {false, OneLine(error)};
-  }
-  const std::string message = "saved to " + path + "; call reset to start anew";
-  live_.Freeze(message);
-  save_error_.clear();
-  std::cout << Summary(*live_.result(), {input_.Info()}) << std::flush;
-  return {true, message};
-}
-
-// --- Status ---
-
-void LiveNode::Tick() {
-  const std::lock_guard<std::mutex> lock(mutex_);
-  if (live_.WantsSolve()) solver_.Start();
-  const uint8_t last_phase = status_.phase;
-  UpdateStatus();
-  if (status_.phase == CalibrationStatus::CONVERGED && settings_.auto_save && save_error_.empty()) {
-    if (const Verdict saved = WriteResult(); !saved.success) {
-      save_error_ = saved.message;
-      ROS_ERROR("%s", save_error_.c_str());
-    }
-    UpdateStatus();
-  }
-  // The first time when there has been a look at the topics.
-  if (status_.phase != last_phase || ticks_ == kTicksPerStatus)
-    ROS_INFO("%s: %s", status_.phase_text.c_str(), status_.message.c_str());
-  if (ticks_ % kTicksPerStatus == 0) status_publisher_.publish(status_);
-  if (ticks_ % kTicksPerDiagnostics == 0) diagnostics_.force_update();
-  if (marker_publisher_.getNumSubscribers() > 0)
-    marker_publisher_.publish(Draw(live_, status_, input_.Info().world_frame));
-  if (ticks_ % kTicksPerStatus == 0) PublishPath();
-  ++ticks_;
-}
-
-void LiveNode::UpdateStatus() {
-  const ros::Time now = ros::Time::now();
-  const bool was_waiting = status_.phase == CalibrationStatus::WAITING;
-  if (now != status_.header.stamp) clock_moved_ = ros::SteadyTime::now();
-  status_ = live_.Status(now.toSec());
-  status_.header.stamp = now;
-  status_.solve_time = solver_.SolveTime();
-  std::string& message = status_.message;
-  if (status_.phase == CalibrationStatus::SOLVING) {
-    const double last = solver_.last_solve_time();
-    const std::string of = last > 0.0 ? Format("of about %.0f s", last) : "so far";
-    message = Format("%.0f s %s: ", status_.solve_time, of.c_str()) + message;
-  }
-  if (const auto* link = input_.OtherParent(); live_.result() && link)
-    message += "; tf has another parent of " + link->child_frame_id + ", " + link->header.frame_id +
-               ": set imu_frame";
-  if (!save_error_.empty()) message += "; " + save_error_;
-  if (const std::string dropped = input_.Dropped(); !dropped.empty()) message += "; " + dropped;
-  const bool is_waiting = status_.phase == CalibrationStatus::WAITING;
-  if (is_waiting || (live_.LacksSensor() && !live_.IsFrozen())) {
-    if (ticks_ % kTicksPerStatus == 0 || is_waiting != was_waiting) waiting_for_ = input_.Look();
-    if (!waiting_for_.empty()) message = is_waiting ? waiting_for_ : message + "; " + waiting_for_;
-  } else {
-    waiting_for_.clear();
-  }
-  if ((ros::SteadyTime::now() - clock_moved_).toSec() > 1.0)
-    message +=
-        now.isZero() ? "; use_sim_time is set, but there is no /clock" : "; /clock stands still";
-}
-
-void LiveNode::Diagnose(diagnostic_updater::DiagnosticStatusWrapper& wrapper) {
-  const bool is_bad =
-      status_.phase == CalibrationStatus::WAITING || status_.phase == CalibrationStatus::DEGRADED;
-  wrapper.summary(is_bad ? wrapper.WARN : wrapper.OK, status_.phase_text + ": " + status_.message);
-  const std::array<StreamStatus, 3> streams = live_.Streams();
-  for (size_t k = 0; k < streams.size(); ++k) {
-    const std::string name = std::array{"pose", "gyro", "accel"}[k];
-    wrapper.addf(name + " rate", "%.1f Hz", streams[k].rate_hz);
-    wrapper.addf(name + " delay", "%.4f s", streams[k].delay_s);
-    wrapper.add(name + " received", streams[k].received);
-  }
-  wrapper.add("verdict", live_.result() ? live_.result()->message : "none yet");
-  for (const std::string& warning : status_.warnings) wrapper.add("warning", warning);
-}
-
-void LiveNode::PublishPose(const PoseSample& pose) {
-  if (!live_.result() || pose_publisher_.getNumSubscribers() == 0) return;
-  pose_publisher_.publish(ToImuPose(pose, live_.result()->imus[0].T_MI, input_.Info().world_frame));
-}
-
-void LiveNode::PublishPath() {
-  if (!live_.result() || path_publisher_.getNumSubscribers() == 0) return;
-  nav_msgs::Path path;
-  path.header = MakeHeader(status_.header.stamp, input_.Info().world_frame);
-  for (const PoseSample& pose : live_.path())
-    path.poses.push_back(ToImuPose(pose, live_.result()->imus[0].T_MI, path.header.frame_id));
-  path_publisher_.publish(path);
-}
-
-/// As a message, and as static transforms.
-void LiveNode::PublishResult() {
-  const RecordingInfo info = input_.Info();
-  const ros::Time now = ros::Time::now();
-  result_publisher_.publish(ToMsg(*live_.result(), info, now));
-  std::vector<geometry_msgs::TransformStamped> transforms;
-  const auto all = ToTransforms(*live_.result(), info, now);
-  for (size_t k = 0; k < all.size(); ++k) {
-    const geometry_msgs::TransformStamped& transform = all[k];
-    const bool is_sensor = k >= info.imus.size();  // may be in the tf of a robot, as one from tf is
-    if (const auto* link = input_.OtherParent({transform.child_frame_id}); is_sensor && link) {
-      ROS_WARN("No transform of '%s' is published: its parent in tf is '%s' already",
-               link->child_frame_id.c_str(), link->header.frame_id.c_str());
-      continue;
-    }
-    if (transform.child_frame_id != info.marker_frame) {
-      transforms.push_back(transform);
-      continue;
-    }
-    ROS_ERROR(
-        "No transform is published: the marker and the imu frame are both called '%s'; set "
-        "marker_frame or imu_frame",
-        info.marker_frame.c_str());
-  }
-  broadcaster_.sendTransform(transforms);
-  if (const auto* link = input_.OtherParent())
-    ROS_WARN("tf has two parents of '%s': '%s' from elsewhere and '%s' from here; set imu_frame",
-             link->child_frame_id.c_str(), link->header.frame_id.c_str(),
-             info.marker_frame.c_str());
-}
 
 }  // namespace
 

@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/offline/summary_text.h"
+#include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -92,7 +92,7 @@ void DrawPath(const std::string& name, const std::deque<PoseSample>& path, const
               const Color& color, Drawing* drawing) {
   std::vector<geometry_msgs::Point> points;
   for (const PoseSample& pose : path)
-    if (1e-9 * static_cast<double>(path.back().t_ns - pose.t_ns) < kPathSpan)
+    if (Seconds(path.back().t_ns - pose.t_ns) < kPathSpan)
       points.push_back(ToPointMsg((ToRigid3(pose) * T_MX).p));
   if (points.size() < 2) return;  // rviz takes no shorter line
   drawing->Add(name, Marker::LINE_STRIP, color, {0.004, 0.0, 0.0})->points = points;

@@ -3,7 +3,6 @@
 #include <yaml-cpp/yaml.h>
 
 #include <algorithm>
-#include <cmath>
 #include <functional>
 #include <limits>
 #include <memory>
@@ -15,11 +14,11 @@
 #include "imu_pose_calib/core/ground_truth/trajectory.h"
 #include "imu_pose_calib/core/start/preparation.h"
 #include "imu_pose_calib/ros/io/numpy_table.h"
-#include "imu_pose_calib/ros/io/printable.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
+#include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/offline/report.h"
-#include "imu_pose_calib/ros/offline/summary_text.h"
+#include "imu_pose_calib/ros/offline/summary.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -40,8 +39,6 @@ constexpr double kEdge = 0.1;          // [s] so close to gaps, the trajectory i
 constexpr const char* kNames[] = {"position", "rotation", "gyro", "accel"};
 
 using TimeOf = std::function<double(int64_t t_ns)>;  // [s]
-
-double Seconds(int64_t ns) { return 1e-9 * static_cast<double>(ns); }
 
 /// An instant in each of `count` equal parts of a span [s], `place` (0..1) within it, and others
 /// around each.
@@ -420,7 +417,7 @@ void WriteReportData(const CalibrationRun& run, const ReportText& text, const st
   for (size_t s = 0; s < run.sessions.size(); ++s)
     report["sessions"].push_back(
         WriteSession(run, s, covariance, folder + "/s" + std::to_string(s)));
-  WriteHead(report, folder);
+  WriteYaml(report, folder + "/report.yaml");
   if (result.solution)
     WriteFile(folder + "/result.yaml", ToYaml(result, run.infos, run.options, {text.run_id}));
 }

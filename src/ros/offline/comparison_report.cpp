@@ -7,7 +7,7 @@
 #include <map>
 
 #include "imu_pose_calib/ros/io/output_files.h"
-#include "imu_pose_calib/ros/io/printable.h"
+#include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/offline/report.h"
 
 namespace imu_pose_calib {
@@ -28,6 +28,9 @@ YAML::Node Describe(const StoredResult& stored, const ImuStd& noise) {
 }
 
 }  // namespace
+
+const std::vector<ComparedQuantity> kTransform = {ComparedQuantity::kTranslation,
+                                                  ComparedQuantity::kRotation};
 
 YAML::Node Describe(const Comparable& calibration) {
   YAML::Node node;
@@ -109,13 +112,13 @@ void WriteComparison(const ComparisonInput& input, const std::string& path) {
     node["calibration"] = Describe(calibrations[i]);
     if (calibrations.size() > 1) node["from_others"] = Describe(repeatability.from_others[i]);
     if (input.reference)
-      node["from_reference"] =
-          Describe(Compare(*input.reference, calibrations[i],
-                           {ComparedQuantity::kTranslation, ComparedQuantity::kRotation}));
+      node["from_reference"] = Describe(Compare(*input.reference, calibrations[i], kTransform));
     head["results"].push_back(node);
   }
   if (input.reference) head["reference"] = Describe(*input.reference);
-  WriteFile(path, DrawPage(path, "", [&](const std::string& folder) { WriteHead(head, folder); }));
+  WriteFile(path, DrawPage(path, "", [&](const std::string& folder) {
+              WriteYaml(head, folder + "/report.yaml");
+            }));
 }
 
 }  // namespace imu_pose_calib

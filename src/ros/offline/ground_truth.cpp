@@ -7,8 +7,7 @@
 #include "imu_pose_calib/core/ground_truth/imu_track.h"
 #include "imu_pose_calib/core/pose_sensor/sensor_track.h"
 #include "imu_pose_calib/ros/io/output_files.h"
-#include "imu_pose_calib/ros/io/yaml_text.h"
-#include "imu_pose_calib/ros/offline/summary_text.h"
+#include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -99,16 +98,9 @@ std::string Describe(const TrajectoryCount& count, const std::vector<TrackGap>& 
 /// Writes that of a pose sensor; returns what is to be said of it.
 std::string WriteSensor(const TrajectoryTarget& target, const SensorTrack& track, double rate_hz,
                         const RecordingInfo& info, OutputFiles* outputs) {
-  const TrajectoryOutput output{track.Instants(rate_hz),
-                                [&](double t) { return track.At(t); },
-                                track.has_covariance(),
-                                {},
-                                info.world_frame,
-                                info.pose_sensors[target.place].frame,
-                                {},
-                                0.0,
-                                0.0,
-                                0.0};
+  const TrajectoryOutput output{track.Instants(rate_hz), [&](double t) { return track.At(t); },
+                                track.has_covariance(), info.world_frame,
+                                info.pose_sensors[target.place].frame};
   const size_t states = WriteTrajectory(target.path, target.format, output, outputs).states;
   const size_t left_out = output.instants.size() - states;
   return std::to_string(states) + " states" +
@@ -150,11 +142,8 @@ std::vector<TrajectoryTarget> PlanTrajectories(const TrajectoryRequest& request,
           {Insert(request.path, addition, format), format, s, place, !chosen.empty()});
     }
   for (const TrajectoryTarget& target : targets) {
-    const std::filesystem::path folder = std::filesystem::path(target.path).parent_path();
+    CheckFolderOf("trajectory", target.path);
     std::error_code ignored;
-    if (!folder.empty() && !std::filesystem::is_directory(folder, ignored))
-      throw InputError("trajectory '" + target.path + "' cannot be written: there is no folder '" +
-                       folder.string() + "'");
     const bool is_folder = std::filesystem::is_directory(target.path, ignored);
     if (format == TrajectoryFormat::kAsl) {
       if (!is_folder && std::filesystem::exists(target.path, ignored))
@@ -196,13 +185,13 @@ std::vector<std::string> WriteTrajectories(const TrajectoryRequest& request,
     const ImuSession& imu = result.sessions[target.session].imus[target.place];
     const ImuTrack track(result.solution, target.session, target.place, covariance, clock,
                          request.max_gap_s);
-    const TrajectoryCount count =
-        WriteTrajectory(target.path, target.format,
-                        {track.Instants(request.rate_hz), [&](double t) { return track.At(t); },
-                         track.has_covariance(), [&] { return track.Samples(); }, info.world_frame,
-                         info.imus[target.place].imu_frame, imu.noise, imu.gyro.rate_hz,
-                         options.gyro_bias_walk, options.accel_bias_walk},
-                        outputs);
+    const TrajectoryCount count = WriteTrajectory(
+        target.path, target.format,
+        {track.Instants(request.rate_hz), [&](double t) { return track.At(t); },
+         track.has_covariance(), info.world_frame, info.imus[target.place].imu_frame,
+         [&] { return track.Samples(); }, imu.noise, imu.gyro.rate_hz, options.gyro_bias_walk,
+         options.accel_bias_walk},
+        outputs);
     lines.push_back(target.path + ": " + Describe(count, track.gaps()));
   }
   return lines;

@@ -3,8 +3,6 @@
 #include <algorithm>
 #include <filesystem>
 #include <iostream>
-#include <iterator>
-#include <sstream>
 #include <system_error>
 #include <utility>
 
@@ -12,12 +10,11 @@
 #include "imu_pose_calib/ros/exports/exports.h"
 #include "imu_pose_calib/ros/io/bag_file.h"
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/io/printable.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
+#include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/offline/report.h"
 #include "imu_pose_calib/ros/offline/summary.h"
-#include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -96,7 +93,7 @@ void NameFiles(OfflineRequest* request) {
 void SplitPoseSensors(size_t sessions, OfflineRequest* request) {
   if (request->pose_sensors.empty()) return;
   std::error_code ignored;
-  for (const std::string& name : SplitBags(request->pose_sensors)) {
+  for (const std::string& name : SplitPaths(request->pose_sensors)) {
     const bool is_file = std::filesystem::is_regular_file(SplitBody(name).first, ignored);
     if (is_file && sessions > 1)
       throw InputError("pose_sensor '" + name + "' is a file, which goes with one recording, not " +
@@ -214,26 +211,6 @@ std::vector<Recording> ReadRecordings(const std::vector<OfflineRequest>& session
   }
   for (Recording& recording : recordings) NameFrames(sessions.front(), &recording.info);
   return recordings;
-}
-
-CalibrationOptions Options(const OfflineRequest& request) {
-  CalibrationOptions options;
-  if (!request.config.empty()) options = LoadOptions(request.config);
-  if (!request.imu_yaml.empty()) LoadImuYaml(request.imu_yaml).CopyNoise(&options);
-  if (!request.method.empty()) options.method = ParseMethod(request.method);
-  if (!request.solver.empty()) options.solver = ParseSolver(request.solver);
-  if (request.calibration.empty()) return options;
-  // Clocks, gravity and biases are each recording's own.
-  const Calibration stored = LoadResult(request.calibration).result;
-  if (stored.imus.empty())
-    throw InputError("'" + request.calibration + "' holds no IMU, which calibration needs");
-  const ImuCalibration& known = stored.imus[0];
-  options.initial_rotation = known.T_MI.q;
-  options.initial_translation = known.T_MI.p;
-  options.accel_delay = known.accel_delay;
-  options.estimate_rotation = options.estimate_translation = false;
-  options.estimate_accel_delay = false;
-  return options;
 }
 
 /// Throws InputError when a file cannot be written, or would replace what is read.
@@ -365,6 +342,26 @@ std::vector<std::string> OtherFiles(const OfflineResult& offline) {
 
 }  // namespace
 
+CalibrationOptions Options(const OfflineRequest& request) {
+  CalibrationOptions options;
+  if (!request.config.empty()) options = LoadOptions(request.config);
+  if (!request.imu_yaml.empty()) LoadImuYaml(request.imu_yaml).CopyNoise(&options);
+  if (!request.method.empty()) options.method = ParseMethod(request.method);
+  if (!request.solver.empty()) options.solver = ParseSolver(request.solver);
+  if (request.calibration.empty()) return options;
+  // Clocks, gravity and biases are each recording's own.
+  const Calibration stored = LoadResult(request.calibration).result;
+  if (stored.imus.empty())
+    throw InputError("'" + request.calibration + "' holds no IMU, which calibration needs");
+  const ImuCalibration& known = stored.imus[0];
+  options.initial_rotation = known.T_MI.q;
+  options.initial_translation = known.T_MI.p;
+  options.accel_delay = known.accel_delay;
+  options.estimate_rotation = options.estimate_translation = false;
+  options.estimate_accel_delay = false;
+  return options;
+}
+
 std::string OutputPath(const OfflineRequest& request) {
   if (!request.output.empty()) return request.output;
   if (request.bag.paths.empty())
@@ -396,12 +393,6 @@ OfflineResult CalibrateOffline(const OfflineRequest& given, const Progress& prog
     throw InputError(error.what() + still_there());
   }
   return offline;
-}
-
-std::vector<std::string> SplitBags(const std::string& text) {
-  if (std::filesystem::exists(text)) return {text};
-  std::istringstream words(text);
-  return {std::istream_iterator<std::string>(words), {}};
 }
 
 std::string WriteResult(OfflineResult* offline, const Progress& progress) {

@@ -10,8 +10,7 @@
 #include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/child_process.h"
 #include "imu_pose_calib/ros/io/output_files.h"
-#include "imu_pose_calib/ros/io/printable.h"
-#include "imu_pose_calib/ros/io/yaml_text.h"
+#include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -51,10 +50,10 @@ YAML::Node ReportHead() {
   return head;
 }
 
-void WriteHead(const YAML::Node& head, const std::string& folder) {
+void WriteYaml(const YAML::Node& node, const std::string& path) {
   YAML::Emitter out;
-  out << head;
-  WriteFile(folder + "/report.yaml", out.c_str());
+  out << node;
+  WriteFile(path, out.c_str());
 }
 
 std::string DrawPage(const std::string& path, const std::string& run_id,

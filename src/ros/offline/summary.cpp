@@ -8,9 +8,9 @@
 
 #include "imu_pose_calib/core/base/options.h"
 #include "imu_pose_calib/core/pose_sensor/pose_sensor.h"
-#include "imu_pose_calib/ros/io/printable.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
-#include "imu_pose_calib/ros/offline/summary_text.h"
+#include "imu_pose_calib/ros/io/text.h"
+#include "imu_pose_calib/ros/io/transform_file.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -46,19 +46,11 @@ std::string Recovered(bool is_recovered, double jitter_s) {
 
 // --- Of a result: what a person wants to know first ---
 
-/// Roll, pitch, yaw about the fixed axes, as tf prints them [deg].
-Eigen::Vector3d RollPitchYaw(const Eigen::Quaterniond& q) {
-  const Eigen::Matrix3d R = q.toRotationMatrix();
-  return kDegrees * Eigen::Vector3d(std::atan2(R(2, 1), R(2, 2)),
-                                    std::asin(std::clamp(-R(2, 0), -1.0, 1.0)),
-                                    std::atan2(R(1, 0), R(0, 0)));
-}
-
 /// Sigmas of roll, pitch and yaw [rad]: about the imu axes, R Exp(dtheta) turns by
 /// E (droll, dpitch, dyaw). Nothing where the pitch leaves the other two undetermined.
 std::optional<Eigen::Vector3d> RollPitchYawStd(const ImuCalibration& imu) {
   constexpr double kNearLock = 0.1;  // cosine of the pitch, 6 deg
-  const Eigen::Vector3d rpy = RollPitchYaw(imu.T_MI.q) / kDegrees;
+  const Eigen::Vector3d rpy = RollPitchYaw(imu.T_MI.q);
   const double sr = std::sin(rpy.x()), cr = std::cos(rpy.x());
   const double sp = std::sin(rpy.y()), cp = std::cos(rpy.y());
   if (cp < kNearLock) return std::nullopt;
@@ -114,7 +106,7 @@ std::string Table(const Calibration& result) {
   text += row("translation [mm]", List(1e3 * imu.T_MI.p, "%.3f"),
               List(1e3 * sigma.head<3>(), "%.3f"), VerdictOf(result, "p_MI"));
   text +=
-      row("rpy [deg]", List(RollPitchYaw(imu.T_MI.q), "%.3f"),
+      row("rpy [deg]", List(kDegrees * RollPitchYaw(imu.T_MI.q), "%.3f"),
           List(kDegrees * rpy_sigma.value_or(sigma.tail<3>()), "%.4f"), VerdictOf(result, "R_MI"));
   if (!rpy_sigma)
     text += "    pitch near 90 deg: roll and yaw turn about one axis; sigma about imu x, y, z\n";
@@ -140,7 +132,8 @@ std::string TransformRow(const char* sensor, size_t place, const Rigid3& T, cons
   const int width = 32 - std::max(6, static_cast<int>(name.size()));
   return Format("  %-6s %*s %7.3f %25s %9.4f\n", name.c_str(), width,
                 List(1e3 * T.p, number).c_str(), 1e3 * sigma.head<3>().maxCoeff(),
-                List(RollPitchYaw(T.q), number).c_str(), kDegrees * sigma.tail<3>().maxCoeff());
+                List(kDegrees * RollPitchYaw(T.q), number).c_str(),
+                kDegrees * sigma.tail<3>().maxCoeff());
 }
 
 /// Of several IMUs: one row for each, and their transforms to the first.
@@ -582,6 +575,20 @@ std::string WrittenTo(const std::vector<std::string>& paths) {
   for (const std::string& path : paths)
     text += (text.empty() ? "\nWritten to " : "           ") + Printable(path) + "\n";
   return text;
+}
+
+std::vector<CheckedStream> CheckedStreams(const DataCheck& check, const RecordingInfo& info) {
+  std::vector<CheckedStream> streams = {
+      {"poses", 0, info.pose_topic, check.poses, check.poses_report, info.pose_latency}};
+  for (size_t i = 0; i < check.imus.size(); ++i) {
+    const ImuCheck& imu = check.imus[i];
+    const ImuInfo& source = info.imus[i];
+    streams.push_back(
+        {"gyro", i, source.GyroSource(), imu.gyro, imu.gyro_report, source.gyro_latency});
+    streams.push_back(
+        {"accel", i, source.AccelSource(), imu.accel, imu.accel_report, source.accel_latency});
+  }
+  return streams;
 }
 
 std::string Summary(const DataCheck& check, const RecordingInfo& recording) {

@@ -64,12 +64,11 @@ po::options_description Describe(CommandLine* line) {
   return options;
 }
 
-void PrintHelp() {
-  CommandLine line;
+void PrintHelp(const po::options_description& options) {
   std::cout << "Usage: aggregate_clouds BAG [BAG...] --imu-sensor T [options]\n\n"
             << "Calibrates as calibrate_bag does, and writes one map of all point clouds, each\n"
             << "point placed by the trajectory at its own time.\n\n"
-            << Describe(&line)
+            << options
             << "\nExit status: 0 written, 1 bad usage or unreadable input, 2 data that cannot be\n"
             << "calibrated, or no cloud within the trajectory.\n";
 }
@@ -89,9 +88,9 @@ void Publish(const AggregateOutcome& outcome) {
 
 void Run(int argc, char** argv) {
   CommandLine line;
-  ParseCommandLine(argc, argv, Describe(&line), "bag", Value(&line.request.recording.bag.paths),
-                   -1);
-  if (line.help) return PrintHelp();
+  const po::options_description options = Describe(&line);
+  ParseCommandLine(argc, argv, options, "bag", Value(&line.request.recording.bag.paths), -1);
+  if (line.help) return PrintHelp(options);
   line.request.keep_uncalibrated = line.publish;
   auto guard = std::make_unique<InterruptGuard>();
   const AggregateOutcome outcome = AggregateClouds(line.request, ShowProgress(line.quiet));

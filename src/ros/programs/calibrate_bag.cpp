@@ -90,17 +90,15 @@ po::options_description DescribeOthers(OfflineRequest* given) {
   return options;
 }
 
-void PrintHelp(bool with_others) {
-  CommandLine line;
+void PrintHelp(const std::vector<po::options_description>& options) {
   std::cout << "Usage: calibrate_bag BAG [BAG ...] [options]          .bag, .mcap, .db3, folder\n"
             << "       calibrate_bag FOLDER [options]                  ASL dataset (EuRoC)\n"
             << "       calibrate_bag --poses FILE --imu FILE [options] CSV, TUM, Motive, Vicon\n\n"
             << "Finds where an IMU sits on a tracked body, the marker: T_marker_imu (x_marker =\n"
             << "R x_imu + p), and time_shift (t_pose = t_imu + time_shift). Bags that do not\n"
             << "continue each other are sessions of the same body. Topics are found by type.\n"
-            << "So for each further source of poses on the body, with or without an IMU.\n\n"
-            << DescribeCommon(&line) << "\n";
-  if (with_others) std::cout << DescribeOthers(&line.request) << "\n";
+            << "So for each further source of poses on the body, with or without an IMU.\n\n";
+  for (const po::options_description& group : options) std::cout << group << "\n";
   std::cout << "Examples:\n"
             << "  calibrate_bag my.bag --check\n"
             << "  calibrate_bag my.bag --report my.html --export kalibr,ros2\n"
@@ -123,10 +121,13 @@ void Check(const CommandLine& line) {
 
 void Run(int argc, char** argv) {
   CommandLine line;
+  const po::options_description common = DescribeCommon(&line);
+  const po::options_description others = DescribeOthers(&line.request);
   po::options_description all;
-  all.add(DescribeCommon(&line)).add(DescribeOthers(&line.request));
+  all.add(common).add(others);
   ParseCommandLine(argc, argv, all, "bag", Value(&line.request.bag.paths), -1);
-  if (line.help || line.help_all) return PrintHelp(line.help_all);
+  if (line.help_all) return PrintHelp({common, others});
+  if (line.help) return PrintHelp({common});
   if (line.version) {
     std::cout << "imu_pose_calib " << kVersion << "\n";
     return;

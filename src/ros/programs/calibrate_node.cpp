@@ -14,7 +14,7 @@
 #include <vector>
 
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/io/printable.h"
+#include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/live/live_node.h"
 #include "imu_pose_calib/ros/live/parameter.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
@@ -78,7 +78,7 @@ Job ReadJob() {
   request.bag.record_time = Parameter("record_time", request.bag.record_time);
   job.exit = Parameter("exit", job.exit);
   job.verbose = Parameter("verbose", job.verbose);
-  request.bag.paths = SplitBags(bags);
+  request.bag.paths = SplitPaths(bags);
   if (Parameter("report", false)) request.report = ReportPath(request);
   return job;
 }

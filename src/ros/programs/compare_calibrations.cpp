@@ -12,19 +12,17 @@
 #include "imu_pose_calib/ros/exports/exports.h"
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/transform_file.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
 #include "imu_pose_calib/ros/offline/comparison_report.h"
 #include "imu_pose_calib/ros/offline/report.h"
-#include "imu_pose_calib/ros/offline/summary_text.h"
 
 namespace imu_pose_calib {
 namespace {
 
 using Results = std::vector<StoredResult>;
 using Quantities = std::vector<ComparedQuantity>;
-
-const Quantities kTransform = {ComparedQuantity::kTranslation, ComparedQuantity::kRotation};
 
 struct CommandLine {
   std::vector<std::string> results, chain;

@@ -140,14 +140,14 @@ void RunRecordings(const CommandLine& line) {
 void Run(int argc, char** argv) {
   CommandLine line;
   line.request.runner.jobs = 0;
-  ParseCommandLine(argc, argv, Describe(&line));
+  const po::options_description options = Describe(&line);
+  ParseCommandLine(argc, argv, options);
   if (line.help) {
-    CommandLine defaults;
     std::cout << "Usage: evaluate [options]\n\n"
               << "Reruns the experiments of the paper and others with both methods, on a recording "
                  "to\nwhich noise is added and on simulated ones. Can be interrupted at any time: "
                  "run it\nagain, and it goes on.\n\n"
-              << Describe(&defaults);
+              << options;
     return;
   }
   if (line.list) {

@@ -11,6 +11,7 @@
 #include <random>
 
 #include "imu_pose_calib/ros/io/conversions.h"
+#include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/live/parameter.h"
 #include "imu_pose_calib/ros/live/topic_source.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
@@ -63,7 +64,7 @@ class ReplayBridge {
   void Republish(PoseSample pose) {
     const int64_t captured = pose.t_ns;
     if (!first_ || captured < *first_) first_ = captured;  // the bag starts again
-    const double elapsed = 1e-9 * static_cast<double>(captured - *first_);
+    const double elapsed = Seconds(captured - *first_);
     const bool is_lost = elapsed >= loss_start_ && elapsed < loss_start_ + loss_duration_;
     if (is_lost && !(style_.repeats && seen_)) return;
     if (is_lost) pose = *seen_;

@@ -2,14 +2,13 @@
 
 #include <cmath>
 #include <iostream>
-#include <sstream>
 #include <utility>
 
 #include "imu_pose_calib/ros/clouds/simulated_lidar.h"
 #include "imu_pose_calib/ros/io/bag_writer.h"
 #include "imu_pose_calib/ros/io/output_files.h"
+#include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/text_writer.h"
-#include "imu_pose_calib/ros/io/yaml_text.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
 #include "imu_pose_calib/ros/offline/ground_truth.h"
 #include "imu_pose_calib/simulation/simulator.h"
@@ -66,10 +65,8 @@ po::options_description Describe(CommandLine* line) {
   add("help", po::bool_switch(&line->help), "print this text");
   po::options_description effects("Effects that real recordings have; 0: none");
   for (const Effect& effect : Effects(&simulator)) {
-    std::ostringstream text;
-    text << effect.text << "; usual: " << effect.usual;
     effects.add_options()(effect.name, ValueOrDefault(effect.strength, effect.unit),
-                          text.str().c_str());
+                          (effect.text + Format("; usual: %g", effect.usual)).c_str());
   }
   options.add(effects);
   return options;
@@ -177,9 +174,9 @@ void WriteTruth(const TrajectoryTarget& target, const SimulatorOptions& options,
                   {instants,
                    [&](double t) { return TrueImuState(options, trajectory.At(t)); },
                    false,
-                   samples,
                    "world",
                    "imu",
+                   samples,
                    {options.gyro_std, options.accel_std},
                    options.gyro_rate_hz,
                    options.gyro_bias_walk,
@@ -187,19 +184,19 @@ void WriteTruth(const TrajectoryTarget& target, const SimulatorOptions& options,
                   outputs);
 }
 
-void PrintHelp() {
-  CommandLine line;
+void PrintHelp(const po::options_description& options) {
   std::cout << "Usage: simulate_bag OUTPUT.bag [options]\n"
             << "       simulate_bag OUTPUT.mcap --format mcap [options]      bag of ROS 2, or db3\n"
             << "       simulate_bag OUTPUT --format asl|text [options]\n\n"
             << "Writes a simulated recording and, beside it, its truth: OUTPUT.truth.yaml.\n\n"
-            << Describe(&line);
+            << options;
 }
 
 void Run(int argc, char** argv) {
   CommandLine line;
-  ParseCommandLine(argc, argv, Describe(&line), "output", Value(&line.output), 1);
-  if (line.help) return PrintHelp();
+  const po::options_description options = Describe(&line);
+  ParseCommandLine(argc, argv, options, "output", Value(&line.output), 1);
+  if (line.help) return PrintHelp(options);
   const std::string prefix = Prefix(line);
   const SimulatorOptions simulator = Simulator(line);
   if (line.imus < 1 || line.imus > 9 || (line.imus > 1 && !IsBag(line)))

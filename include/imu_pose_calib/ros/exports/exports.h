@@ -1,11 +1,12 @@
 #pragma once
 
 // Files of other programs. Each is a template of the folder exports/: its first lines, after "#",
-// are the comment, which stands where the rest says {comment}. Other names in braces are values
-// that exports.cpp computes from the result; what stands between {each imu} and {end} is there for
-// each IMU, a file whose name has imuN too; with {child} in it, for each frame on the body, pose
-// sensors too. A line with a value that there is not is left out. Frames of values: marker M, imu
-// I, pose sensor S that plays a camera or lidar, without one the marker.
+// are the comment, which stands where the rest says {comment}; in it, {head} and {axes} are the
+// files of these names. Other names in braces are values that exports.cpp computes from the result;
+// what stands between {each imu} and {end} is there for each IMU, a file whose name has imuN too;
+// with {child} in it, for each frame on the body, pose sensors too. A line with a value that there
+// is not is left out. Frames of values: marker M, imu I, pose sensor S that plays a camera or
+// lidar, without one the marker.
 
 #include <Eigen/Geometry>
 #include <optional>

@@ -49,9 +49,6 @@ class BagFile {
 /// says so. Throws InputError with the reason and the remedy.
 std::unique_ptr<BagFile> OpenRos1(const std::string& path);
 
-/// The same without use of the index; `problem` is thrown when the file is damaged otherwise.
-std::unique_ptr<BagFile> ScanRos1(const std::string& path, const std::string& problem);
-
 /// A file of a bag of ROS 2, by its first bytes: mcap or a database of SQLite (.db3), whole or
 /// compressed by zstd. Throws InputError naming the file.
 std::unique_ptr<BagFile> OpenRos2(const std::string& path);

@@ -1,42 +1,13 @@
 #pragma once
 
-#include <ros/message_traits.h>
-
-#include <cstdint>
-#include <map>
-#include <memory>
 #include <optional>
 #include <string>
 
 #include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/bag_file.h"
-#include "imu_pose_calib/ros/io/cdr.h"
 #include "imu_pose_calib/simulation/simulator.h"
 
 namespace imu_pose_calib {
-
-/// Writes one file of a bag of ROS 2.
-class Ros2Writer {
- public:
-  /// Throws InputError when the file cannot be written; so do the others.
-  Ros2Writer(const std::string& path, Ros2Format format);
-
-  template <typename Msg>
-  void Write(const std::string& topic, int64_t t_ns, const Msg& msg) {
-    Add(topic, ros::message_traits::DataType<Msg>::value(),
-        ros::message_traits::Definition<Msg>::value(), t_ns, ToCdr(msg));
-  }
-
-  /// Completes the file.
-  void Close() { storage_->Close(); }
-
- private:
-  void Add(const std::string& topic, const std::string& ros1_type,
-           const std::string& ros1_definition, int64_t t_ns, const std::string& data);
-
-  std::unique_ptr<Ros2Storage> storage_;
-  std::map<std::string, uint32_t> topics_;
-};
 
 /// Shape of a written bag.
 struct BagFormat {

@@ -86,8 +86,11 @@ class Bags {
   /// are sent once, then the others in the order of recording.
   void ForEachTf(const std::function<void(const BagMessage&, bool)>& use) const;
 
-  /// The topic that `field` of a request names; InputError when the bags do not have it.
+  /// The topic that `field` of a request names; InputError when the bags do not have it, or when it
+  /// is of none of these types.
   const BagTopic& Find(const std::string& field, const std::string& name) const;
+  const BagTopic& Find(const std::string& field, const std::string& name,
+                       const std::vector<std::string>& types) const;
 
   template <typename Wanted>
   std::vector<BagTopic> Select(Wanted wanted) const {

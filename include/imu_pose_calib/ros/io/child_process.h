@@ -31,13 +31,9 @@ std::optional<std::string> RunApart(const std::function<std::string()>& run,
 /// up.
 void ConfineChild(pid_t parent, const ChildLimits& limits);
 
-/// Runs a program, a path and its arguments, without input and output and with stderr in the file
-/// `errors`; returns its exit status, -1 when it did not end by itself. Throws InputError when it
-/// cannot be started.
-int RunProgram(const std::vector<std::string>& command, const std::string& errors);
-
-/// The same of a script that is installed beside the executables; whether it succeeded. Throws
-/// InputError, beginning with `failure`, when there is none.
+/// Runs a script that is installed beside the executables, without input and output and with stderr
+/// in the file `errors`; whether it succeeded. Throws InputError when it cannot be started,
+/// beginning with `failure` when there is none.
 bool RunScript(const std::string& script, const std::vector<std::string>& arguments,
                const std::string& errors, const std::string& failure);
 

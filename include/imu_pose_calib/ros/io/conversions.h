@@ -29,7 +29,6 @@ ros::Time FromNanoseconds(int64_t t_ns);
 
 geometry_msgs::Point ToPointMsg(const Eigen::Vector3d& p);
 geometry_msgs::Vector3 ToVector3Msg(const Eigen::Vector3d& v);
-geometry_msgs::Quaternion ToQuaternionMsg(const Eigen::Quaterniond& q);
 geometry_msgs::Transform ToTransformMsg(const Rigid3& T);
 geometry_msgs::Pose ToPoseMsg(const Rigid3& T);
 std_msgs::Header MakeHeader(const ros::Time& stamp, const std::string& frame);

@@ -62,6 +62,9 @@ class OutputFiles {
 /// Replaces the file at `path` in one step.
 void WriteFile(const std::string& path, const std::string& text);
 
+/// Throws InputError when the folder that the file at `path` is to be in is missing.
+void CheckFolderOf(const std::string& field, const std::string& path);
+
 /// A folder for temporary files, removed in the end.
 class TemporaryFolder {
  public:

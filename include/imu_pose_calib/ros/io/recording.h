@@ -77,6 +77,9 @@ void CheckSpan(double start_s, double duration_s);
 /// The names that one text holds with white space between them; at least one, which may be empty.
 std::vector<std::string> SplitNames(const std::string& text);
 
+/// Paths likewise, or the one of a file of that name; none when the text is empty.
+std::vector<std::string> SplitPaths(const std::string& text);
+
 /// Source and body of a name SOURCE:BODY; of a name without, or that a file has, no body.
 std::pair<std::string, std::string> SplitBody(const std::string& name);
 
@@ -108,6 +111,9 @@ std::string FrameName(const std::string& frame, const std::string& fallback);
 /// IMUs; empty names keep those of the recording. IMUs that it calls alike get numbers, and so do
 /// pose sensors that it calls as what is before them.
 void NameFrames(const std::string& marker_frame, const std::string& imu_frame, RecordingInfo* info);
+
+/// The names as they can be shown.
+RecordingInfo WithPrintableNames(RecordingInfo info);
 
 /// For handing a recording from one process to another of the same program.
 std::string ToBytes(const Recording& recording);

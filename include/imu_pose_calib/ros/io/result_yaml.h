@@ -9,6 +9,27 @@
 
 namespace imu_pose_calib {
 
+/// Why samples are dropped.
+struct DropReason {
+  const char* key;    ///< of result files
+  const char* words;  ///< for people
+  size_t StreamReport::*count;
+};
+constexpr DropReason kDropReasons[] = {
+    {"not_finite", "not finite", &StreamReport::not_finite},
+    {"zero_quaternion", "zero quaternion", &StreamReport::zero_quaternion},
+    {"reversed_stamp", "reversed stamp", &StreamReport::reversed_stamp},
+    {"duplicate_stamp", "duplicate stamp", &StreamReport::duplicate_stamp},
+    {"repeated_value", "repeated value", &StreamReport::repeated_value},
+    {"saturated", "saturated", &StreamReport::saturated},
+    {"outlier", "outlier", &StreamReport::outlier},
+    {"flipped", "flipped", &StreamReport::flipped},
+    {"in_short_segment", "between gaps", &StreamReport::in_short_segment},
+    {"between_updates", "between updates", &StreamReport::between_updates}};
+
+/// "2 outlier, 3 flipped": the samples that were dropped; empty: none.
+std::string Dropped(const StreamReport& report);
+
 /// First line of every result file; tells our files from others.
 extern const char kResultHeader[];
 

@@ -47,8 +47,7 @@ std::optional<double> ParseNumber(const std::string& text);
 /// Throws InputError starting with `name` when the text is anything else.
 std::vector<PoseSample> ReadPoseTable(std::istream& in, const std::string& name);
 void ReadImuTable(std::istream& in, const std::string& name, ImuData* data);
-std::vector<ImuSample> ReadGyroTable(std::istream& in, const std::string& name);
-std::vector<ImuSample> ReadAccelTable(std::istream& in, const std::string& name);
+std::vector<ImuSample> ReadSensorTable(std::istream& in, const std::string& name, bool is_accel);
 
 /// Whether the first line is a header with all columns of poses, or of an IMU.
 bool HasPoseHeader(std::istream& in, const std::string& name);

@@ -28,11 +28,13 @@ struct TrajectoryOutput {
   std::vector<ImuTrack::Instant> instants;
   std::function<std::optional<ImuState>(double t)> state;  ///< see ImuTrack::At()
   bool has_covariance;
-  std::function<std::vector<ImuTrack::Sample>()> samples;
   std::string world_frame, imu_frame;  ///< names
-  ImuStd noise;                        ///< white noise per sample of the IMU
-  double imu_rate_hz;
-  double gyro_bias_walk, accel_bias_walk;  ///< [rad/s^2/sqrt(Hz)], [m/s^3/sqrt(Hz)]
+
+  // For kAsl:
+  std::function<std::vector<ImuTrack::Sample>()> samples = {};
+  ImuStd noise = {};  ///< white noise per sample of the IMU
+  double imu_rate_hz = 0.0;
+  double gyro_bias_walk = 0.0, accel_bias_walk = 0.0;  ///< [rad/s^2/sqrt(Hz)], [m/s^3/sqrt(Hz)]
 };
 
 /// What was written.

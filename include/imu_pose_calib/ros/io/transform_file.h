@@ -22,6 +22,9 @@ Eigen::Quaterniond ParseQuaternion(const std::string& name, const std::string& t
 ///   matrix                        four rows of four numbers, at the top.
 Rigid3 ReadTransform(const std::string& name, const std::string& text);
 
+/// R = Rz(yaw) Ry(pitch) Rx(roll), as (roll, pitch, yaw) [rad].
+Eigen::Vector3d RollPitchYaw(const Eigen::Quaterniond& q);
+
 /// A camera of a chain: x_cam = T x_imu.
 struct ChainCamera {
   std::string name;  ///< "cam0"

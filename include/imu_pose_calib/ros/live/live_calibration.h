@@ -10,6 +10,7 @@
 #include "imu_pose_calib/CalibrationStatus.h"
 #include "imu_pose_calib/core/base/result.h"
 #include "imu_pose_calib/core/base/types.h"
+#include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
 
@@ -112,9 +113,14 @@ class LiveCalibration {
     double arrival = 0.0;  ///< `now` of the last sample [s]
 
     StreamStatus Status() const;
-    double Duration() const;  ///< [s]
-    /// Its name and what is the matter with its stamps; empty when there are samples.
-    std::string Missing() const;
+    /// [s]
+    double Duration() const {
+      return samples.empty() ? 0.0 : Seconds(samples.back().t_ns - samples.front().t_ns);
+    }
+    /// Its name and what is the matter with its stamps.
+    std::string Missing() const {
+      return name + (unstamped > 0 ? " with header stamps (all are 0)" : "");
+    }
     /// Lets go of what is older than `window` [s], and of too many.
     void Trim(double window, double now);
   };

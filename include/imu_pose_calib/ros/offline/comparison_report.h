@@ -11,6 +11,9 @@
 
 namespace imu_pose_calib {
 
+/// What is compared with a transform alone.
+extern const std::vector<ComparedQuantity> kTransform;
+
 /// Results of one IMU as they are compared, with time shifts at the mean of the instants at which
 /// they hold. Throws InputError when a result has no such IMU.
 std::vector<Comparable> ToComparables(const std::vector<StoredResult>& results, size_t imu);

@@ -55,6 +55,9 @@ struct OfflineResult : CalibrationRun {
   std::unique_ptr<OutputFiles> outputs = std::make_unique<OutputFiles>();
 };
 
+/// Options as the request names them: `config`, then what wins over it.
+CalibrationOptions Options(const OfflineRequest& request);
+
 /// Where the result goes: x.calibration.yaml for x.bag, the first of the bags, or for a file x.csv
 /// of poses; calibration.yaml in a folder.
 std::string OutputPath(const OfflineRequest& request);
@@ -70,9 +73,6 @@ std::string ReportPath(const OfflineRequest& request);
 /// Throws InputError when something cannot be used as given, DataError when no calibration can come
 /// from the data: so the result is always usable.
 OfflineResult CalibrateOffline(const OfflineRequest& request, const Progress& progress = {});
-
-/// The bags that one text names: a file of that name, or else names with white space between them.
-std::vector<std::string> SplitBags(const std::string& text);
 
 /// Writes, as far as the request asks for them, the result, what it is to be exported to, the
 /// ground truth and the report, all at once; `outputs` may hold more. When a file cannot be

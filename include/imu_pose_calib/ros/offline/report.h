@@ -17,8 +17,7 @@ YAML::Node YamlList(const Eigen::VectorXd& values);
 /// What every page tells of its making: version, command, folder.
 YAML::Node ReportHead();
 
-/// Writes the head of a page, report.yaml, to a folder.
-void WriteHead(const YAML::Node& head, const std::string& folder);
+void WriteYaml(const YAML::Node& node, const std::string& path);
 
 /// A page that scripts/report.py, which is installed beside the executables, draws of the numbers
 /// that `write` puts into a folder: one HTML file, or PDF when `path` ends in ".pdf". `run_id`:

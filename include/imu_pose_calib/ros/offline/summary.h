@@ -25,4 +25,17 @@ std::string WrittenTo(const std::vector<std::string>& paths);
 /// excitation and warnings.
 std::string Summary(const DataCheck& check, const RecordingInfo& info);
 
+/// A stream of a recording and what its check found.
+struct CheckedStream {
+  std::string role;  ///< "poses", "gyro" or "accel"
+  size_t imu;        ///< place in the rig
+  std::string topic;
+  const StreamCheck& check;
+  const StreamReport& report;
+  const std::optional<Latency>& latency;
+};
+
+/// The poses, then two of each IMU of the rig. Refers to what it is given.
+std::vector<CheckedStream> CheckedStreams(const DataCheck& check, const RecordingInfo& info);
+
 }  // namespace imu_pose_calib
