@@ -202,6 +202,11 @@ class JointSolver {
     problem_.reset();  // never two of them at a time
     problem_ = BuildJointProblem(options_, sessions_, models_, estimate_, &splines_);
     for (const double* parameter : at_bound_) problem_->problem.SetHeld(parameter, true);
+    // Second derivatives are those of the trajectory as the pass before has corrected it.
+    if (iterations_ > 0) return;
+    for (const ImuEstimate& imu : estimate_->imus)
+      for (const double* parameter : {&imu.accel_smoothing, &imu.mount_compliance})
+        problem_->problem.SetHeld(parameter, true);
   }
 
   /// Whether it has converged: if not, another one starts closer to the solution, and may.
