@@ -32,10 +32,11 @@ struct Trial {
 Trial Run(const SimulatorOptions& truth) {
   const CalibrationOptions options;
   DataCheck check;
-  const std::vector<PreparedSession> sessions = {Prepare(options, Simulate(truth), &check)};
+  std::vector<PreparedSession> sessions = {Prepare(options, Simulate(truth), &check)};
   Estimate estimate(sessions[0], options.bias_knot_interval_s);
   const JointStart start = ChooseKnotSpacing(options, sessions[0], &estimate);
-  const Solution solution = SolveJointly(options, {start.session}, {start}, &estimate);
+  sessions[0] = start.session;
+  const Solution solution = SolveJointly(options, {start}, &sessions, &estimate);
   const ConditionedData& data = sessions[0].data;
   const double epochs = 1e-9 * static_cast<double>(data.pose_epoch_ns - data.imus[0].epoch_ns);
   const ImuEstimate& imu = estimate.imus[0];

@@ -147,11 +147,11 @@ BENCHMARK(KnotSpacing)->Apply(Cases);
 void JointSolve(benchmark::State& state) {
   const CalibrationOptions options = Options(state);
   const Prepared& prepared = PreparedRecording(state);
-  const std::vector<PreparedSession> sessions = {prepared.start.session};
   const std::vector<JointStart> starts = {prepared.start};
   for (auto _ : state) {
     Estimate estimate = prepared.estimate;
-    benchmark::DoNotOptimize(SolveJointly(options, sessions, starts, &estimate));
+    std::vector<PreparedSession> sessions = {prepared.start.session};
+    benchmark::DoNotOptimize(SolveJointly(options, starts, &sessions, &estimate));
   }
 }
 BENCHMARK(JointSolve)->Apply(Cases);

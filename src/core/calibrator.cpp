@@ -224,7 +224,7 @@ Solution SolveTogether(const CalibrationOptions& options, std::vector<PreparedSe
     }
   }
   const Stage solve(progress, "trajectory and calibration");
-  Solution solution = SolveJointly(options, sessions, starts, estimate);
+  Solution solution = SolveJointly(options, starts, &sessions, estimate);
   solve.End(solution.iterations);
   return solution;
 }

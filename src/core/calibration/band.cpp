@@ -130,4 +130,18 @@ PreparedSession LimitBand(const PreparedSession& session, double cutoff, int thr
   return limited;
 }
 
+std::shared_ptr<const PoseTrajectory> SmoothTrajectory(const PreparedSession& session,
+                                                       std::vector<TimedPose> poses, double cutoff,
+                                                       int threads) {
+  for (TimedPose& pose : poses) pose.position_scale = pose.rotation_scale = 1.0;
+  const auto smoother = [&](GpHyperparameters h) {
+    h.lengthscale_s = kSharpness / (kBase * cutoff);
+    h.noise_std = NoiseOf(h, session.data.pose_report.rate_hz, kBase * cutoff);
+    return h;
+  };
+  return std::make_shared<const PoseTrajectory>(
+      poses, session.data.segments, smoother(session.trajectory->position_hyperparameters()),
+      smoother(session.trajectory->rotation_hyperparameters()), threads);
+}
+
 }  // namespace imu_pose_calib

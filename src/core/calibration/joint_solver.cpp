@@ -125,17 +125,17 @@ ExcitedSpan FindLiveliest(const PreparedSession& session, const SessionEstimate&
 /// the noise and the robust weights that the residuals of the one before show.
 class JointSolver {
  public:
-  JointSolver(const CalibrationOptions& options, const std::vector<PreparedSession>& sessions,
+  JointSolver(const CalibrationOptions& options, std::vector<PreparedSession>* sessions,
               const std::vector<double>& knot_spacings_s, const std::vector<double>& noise,
               Estimate* estimate)
       : options_(options),
         sessions_(sessions),
         estimate_(estimate),
-        models_(InitialModels(options, sessions)) {
+        models_(InitialModels(options, *sessions)) {
     for (size_t k = 0; k < noise.size(); ++k) models_[k].noise = noise[k];
-    for (size_t s = 0; s < sessions.size(); ++s) {
-      splines_.emplace_back(sessions[s].data, *estimate, s, knot_spacings_s[s]);
-      const std::vector<TimedPose>& poses = sessions[s].data.poses;
+    for (size_t s = 0; s < sessions->size(); ++s) {
+      splines_.emplace_back((*sessions)[s].data, *estimate, s, knot_spacings_s[s]);
+      const std::vector<TimedPose>& poses = (*sessions)[s].data.poses;
       estimate->sessions[s].rotation_errors = SlowErrors(poses.front().t, poses.back().t);
     }
   }
@@ -173,6 +173,7 @@ class JointSolver {
     for (int pass = 1; pass < kMaxPasses && !solution.has_settled; ++pass) {
       const std::vector<double> before = Noise();
       SetNoise();
+      if (pass == 1) MoveTrajectories();
       has_converged = Pass();
       double change = 1.0;
       for (size_t k = 0; k < before.size(); ++k)
@@ -200,7 +201,7 @@ class JointSolver {
   /// A problem with the noise and the weights that are set; at first, all weights are 1.
   void Build() {
     problem_.reset();  // never two of them at a time
-    problem_ = BuildJointProblem(options_, sessions_, models_, estimate_, &splines_);
+    problem_ = BuildJointProblem(options_, *sessions_, models_, estimate_, &splines_);
     for (const double* parameter : at_bound_) problem_->problem.SetHeld(parameter, true);
     // Second derivatives are those of the trajectory as the pass before has corrected it.
     if (iterations_ > 0) return;
@@ -230,6 +231,29 @@ class JointSolver {
     at_bound_.push_back(parameter);
   }
 
+  /// To the solution, as far as they can hold it; the splines begin anew.
+  void MoveTrajectories() {
+    for (size_t s = 0; s < sessions_->size(); ++s) {
+      PreparedSession& session = (*sessions_)[s];
+      CorrectionSplines& splines = splines_[s];
+      std::vector<TimedPose> poses = session.data.poses;
+      for (TimedPose& pose : poses) {
+        if (const auto corrected = splines.Correct(*session.trajectory, pose.t)) {
+          pose.q_WM = corrected->q_WM;
+          pose.p_WM = corrected->p_WM;
+        } else {
+          const Rigid3 T_WM = session.trajectory->PoseAt(pose.t);
+          pose.q_WM = T_WM.q;
+          pose.p_WM = T_WM.p;
+        }
+      }
+      session.trajectory =
+          SmoothTrajectory(session, std::move(poses), Band(splines.spacing()), options_.Threads());
+      std::fill(splines.d.begin(), splines.d.end(), Eigen::Vector3d::Zero());
+      std::fill(splines.phi.begin(), splines.phi.end(), Eigen::Vector3d::Zero());
+    }
+  }
+
   /// As the last residuals show it.
   void SetNoise() {
     for (size_t k = 0; k < models_.size(); ++k) {
@@ -240,7 +264,7 @@ class JointSolver {
   }
 
   const CalibrationOptions& options_;
-  const std::vector<PreparedSession>& sessions_;
+  std::vector<PreparedSession>* const sessions_;
   Estimate* const estimate_;
   std::vector<SensorModel> models_;
   std::vector<CorrectionSplines> splines_;
@@ -261,7 +285,7 @@ struct Trial {
         const Estimate& start)
       : sessions{Correctable(options, excerpt, spacing)},
         estimate(start),
-        solver(options, sessions, {spacing}, {}, &estimate),
+        solver(options, &sessions, {spacing}, {}, &estimate),
         residual(solver.FindNoise()) {}
 };
 
@@ -322,9 +346,8 @@ JointStart ChooseKnotSpacing(const CalibrationOptions& options, const PreparedSe
   return {spacing, Correctable(options, session, spacing), noise, span.excitation};
 }
 
-Solution SolveJointly(const CalibrationOptions& options,
-                      const std::vector<PreparedSession>& sessions,
-                      const std::vector<JointStart>& starts, Estimate* estimate) {
+Solution SolveJointly(const CalibrationOptions& options, const std::vector<JointStart>& starts,
+                      std::vector<PreparedSession>* sessions, Estimate* estimate) {
   std::vector<double> spacings, noise;
   for (const JointStart& start : starts) {
     spacings.push_back(start.knot_spacing_s);

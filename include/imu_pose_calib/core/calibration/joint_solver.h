@@ -29,9 +29,8 @@ JointStart ChooseKnotSpacing(const CalibrationOptions& options, const PreparedSe
 /// Stage S4 as a whole at the knot spacings and noise of each session; `sessions` are those of the
 /// starts: passes of least squares with the noise and the robust weights that the residuals
 /// before show, until the noise found agrees with the noise assumed (doc/math.md, S4, "Passes").
-/// Moves `estimate`.
-Solution SolveJointly(const CalibrationOptions& options,
-                      const std::vector<PreparedSession>& sessions,
-                      const std::vector<JointStart>& starts, Estimate* estimate);
+/// Moves `estimate` and the trajectories of the sessions.
+Solution SolveJointly(const CalibrationOptions& options, const std::vector<JointStart>& starts,
+                      std::vector<PreparedSession>* sessions, Estimate* estimate);
 
 }  // namespace imu_pose_calib
