@@ -342,6 +342,25 @@ std::vector<Eigen::Vector3d> LastingErrors(double std_dev, double correlation_s,
   return errors;
 }
 
+TEST(JointCalibration, AHoveringDroneIsNotBentByNoisyPoses) {
+  // S1 smooths away much of how it swings.
+  double square = 0.0;
+  for (const uint32_t seed : {7002u, 7005u}) {
+    SimulatorOptions truth;
+    truth.motion = Motion::kDrone;
+    truth.duration_s = 60.0;
+    truth.seed = seed;
+    truth.position_std = truth.rotation_std = 5e-3;
+    const Calibration result = Calibrate({}, Simulate(truth));
+    const Eigen::Vector3d errors =
+        (result.imus[0].T_MI.p - truth.T_MI.p).cwiseQuotient(result.imus[0].Std().head<3>());
+    EXPECT_LT(errors.cwiseAbs().maxCoeff(), 3.0) << seed;
+    EXPECT_NEAR(result.sessions[0].g_W.norm(), 9.80665, 0.04) << seed;
+    square += errors.squaredNorm() / 6.0;
+  }
+  EXPECT_LT(square, 2.0);
+}
+
 TEST(JointCalibration, PosesThatErrForLongerThanASampleDoNotWeakenTheMotion) {
   // S1 takes errors of 30 ms for motion. What the splines do not take out of it again would be
   // noise of the accelerometer's, and with that the poses' accelerations would be believed too
