@@ -203,8 +203,8 @@ class JointSolver {
     problem_.reset();  // never two of them at a time
     problem_ = BuildJointProblem(options_, *sessions_, models_, estimate_, &splines_);
     for (const double* parameter : at_bound_) problem_->problem.SetHeld(parameter, true);
-    // Second derivatives are those of the trajectory as the pass before has corrected it.
-    if (iterations_ > 0) return;
+    // Second derivatives of a trajectory that is not corrected hold the noise of the poses.
+    if (are_moved_) return;
     for (const ImuEstimate& imu : estimate_->imus)
       for (const double* parameter : {&imu.accel_smoothing, &imu.mount_compliance})
         problem_->problem.SetHeld(parameter, true);
@@ -233,6 +233,7 @@ class JointSolver {
 
   /// To the solution, as far as they can hold it; the splines begin anew.
   void MoveTrajectories() {
+    are_moved_ = true;
     for (size_t s = 0; s < sessions_->size(); ++s) {
       PreparedSession& session = (*sessions_)[s];
       CorrectionSplines& splines = splines_[s];
@@ -271,6 +272,7 @@ class JointSolver {
   std::unique_ptr<LeastSquares> problem_;
   std::vector<SensorStatistics> statistics_;  ///< of the last pass
   std::vector<const double*> at_bound_;       ///< parameters that stay 0
+  bool are_moved_ = false;                    ///< trajectories
   int iterations_ = 0;
 };
 
