@@ -10,7 +10,7 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr double kCertain = 3.0;       // sigma of what is there
+constexpr double kCertain = 2.0;       // sigma of what is there
 constexpr double kDisagreement = 5.0;  // sigma between the halves
 /// Noise of poses in the solve over that of S1, which is at least the second of these.
 constexpr double kIgnored = 10.0;
@@ -22,7 +22,7 @@ constexpr double kMostScale = 0.012;     // [1]
 constexpr double kMostSmoothing = 4e-3;  // [s^2]
 /// From which on the second moment is not enough to describe an accelerometer's filter.
 constexpr double kMostAccelSmoothing = 1.2e-3;  // [s^2]
-constexpr double kMostCompliance = 1e-4;        // [s^2] of a mount: 1 mm by its weight, 16 Hz
+constexpr double kMostCompliance = 6.33e-5;     // [s^2] of a mount: 20 Hz, 0.6 mm by its weight
 
 void DoubtHalves(const Calibration& result, std::vector<std::string>* doubts) {
   if (result.split_half.sigmas <= kDisagreement) return;
