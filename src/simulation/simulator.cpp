@@ -155,12 +155,12 @@ ImuData Imu(const SimulatorOptions& options, const TrueTrajectory& trajectory,
   const auto accel = [&](double t) -> Eigen::Vector3d {
     const double t_M = PoseTime(options, t - options.accel_delay_s);
     const TrueState s = trajectory.At(t_M);
-    const Eigen::Vector3d force =
-        felt_W ? s.R_WM.transpose() * felt_W->At(t_M) : force_M(s, options.T_MI.p);
+    const Eigen::Vector3d at_origin = force_M(s, options.T_MI.p);
+    const Eigen::Vector3d force = felt_W ? s.R_WM.transpose() * felt_W->At(t_M) : at_origin;
     Eigen::Vector3d by_size;
     for (int i = 0; i < 3; ++i) {
       const Eigen::Vector3d axis_M = options.T_MI.p + options.T_MI.q * flaws.axes_I.col(i);
-      by_size[i] = R_IM.row(i).dot(force_M(s, axis_M) - force_M(s, options.T_MI.p));
+      by_size[i] = R_IM.row(i).dot(force_M(s, axis_M) - at_origin);
     }
     return accel_R_IM * force + flaws.accel_matrix * by_size;
   };
