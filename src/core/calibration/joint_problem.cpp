@@ -309,13 +309,15 @@ std::unique_ptr<LeastSquares> BuildJointProblem(const CalibrationOptions& option
                                                 const std::vector<PreparedSession>& sessions,
                                                 const std::vector<SensorModel>& models,
                                                 Estimate* estimate,
-                                                std::vector<CorrectionSplines>* splines) {
+                                                std::vector<CorrectionSplines>* splines,
+                                                const std::vector<const double*>& held) {
   auto joint = std::make_unique<LeastSquares>(options, sessions, models, estimate);
   for (CorrectionSplines& own : *splines)
     for (Vector3ds* const points : {&own.d, &own.phi})
       for (Eigen::Vector3d& point : *points)
         joint->trajectory_blocks.push_back(joint->problem.AddParameters(point.data(), 3));
   joint->AddCalibration(true);
+  for (const double* parameter : held) joint->problem.SetHeld(parameter, true);
   for (size_t s = 0; s < sessions.size(); ++s) {
     SessionBuilder builder(s, &(*splines)[s], joint.get());
     builder.AddPoses();

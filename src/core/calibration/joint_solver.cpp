@@ -201,13 +201,12 @@ class JointSolver {
   /// A problem with the noise and the weights that are set; at first, all weights are 1.
   void Build() {
     problem_.reset();  // never two of them at a time
-    problem_ = BuildJointProblem(options_, *sessions_, models_, estimate_, &splines_);
-    for (const double* parameter : at_bound_) problem_->problem.SetHeld(parameter, true);
+    std::vector<const double*> held = at_bound_;
     // Second derivatives of a trajectory that is not corrected hold the noise of the poses.
-    if (are_moved_) return;
-    for (const ImuEstimate& imu : estimate_->imus)
-      for (const double* parameter : {&imu.accel_smoothing, &imu.mount_compliance})
-        problem_->problem.SetHeld(parameter, true);
+    if (!are_moved_)
+      for (const ImuEstimate& imu : estimate_->imus)
+        held.insert(held.end(), {&imu.accel_smoothing, &imu.mount_compliance});
+    problem_ = BuildJointProblem(options_, *sessions_, models_, estimate_, &splines_, held);
   }
 
   /// Whether it has converged: if not, another one starts closer to the solution, and may.
