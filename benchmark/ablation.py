@@ -35,7 +35,7 @@ C, T, D, S, V = ("src/core/%s/" % room for room in ("calibration", "trajectory",
 # Name: what it does, file, text, the same with the rule switched off where OFF stands.
 RULES = {
     "smoothing sign": ("poses are not averaged over less time than rotations", C + "joint_solver.cpp",
-                       "if (estimate_->position_smoothing < 0.0) {", "if (!OFF && estimate_->position_smoothing < 0.0) {"),
+                       "    HoldAtZero(&estimate_->position_smoothing);", "    if (!OFF) HoldAtZero(&estimate_->position_smoothing);"),
     "reserve": ("knots denser than the residuals ask for", C + "joint_solver.cpp",
                 "if (!is_given && kReserve * spacing", "if (!OFF && !is_given && kReserve * spacing"),
     "clocks of S2": ("over hours clocks start from S2", C + "joint_solver.cpp",
@@ -50,8 +50,6 @@ RULES = {
                     "  for (auto& s : joint->estimate->sessions) s.rotation_errors.std = kLeastRotationError;\n}"),
     "spectra": ("noise from the spectra of residuals", C + "joint_noise.cpp", "FitNoiseOf(is_linear, s, *joint, statistics);",
                 "if (!OFF) FitNoiseOf(is_linear, s, *joint, statistics);"),
-    "curvature": ("filter of the accelerometer", C + "joint_problem.cpp", "if (with_curvature) sample->f_curv",
-                  "if (with_curvature && !OFF) sample->f_curv"),
     "band of poses": ("poses lose what is beyond the band of the IMU", C + "band.cpp",
                       "const bool is_position_lower = LowerCutoff(", "const bool is_position_lower = !OFF && LowerCutoff("),
     "trajectory's variance": ("outliers are measured by the noise alone", C + "least_squares.cpp",
@@ -79,6 +77,33 @@ RULES = {
     "spikes of imus": ("lone wild samples leave", D + "conditioning.cpp", "    RemoveSpikes(&kept, report);", "    if (!OFF) RemoveSpikes(&kept, report);"),
     "updates": ("poses that tell nothing new leave", D + "conditioning.cpp", "  out.pose_report.between_updates = KeepOneOf(",
                 "  if (!OFF) out.pose_report.between_updates = KeepOneOf("),
+    "breaks": ("a clock that steps is cut there", D + "source_clock.cpp", "  if (broken == 0.0) {", "  if (broken == 0.0 || OFF) {"),
+    "quantile": ("of latencies the quantile known best", D + "source_clock.cpp", "const double quantile = BestQuantile(latency);",
+                 "const double quantile = OFF ? 0.0 : BestQuantile(latency);"),
+    "second count": ("frames are counted again by the latencies found", D + "source_clock.cpp", "round < kCounts; ++round",
+                     "round < (OFF ? 0 : kCounts); ++round"),
+    "credible": ("missing frames must be credible", D + "source_clock.cpp", "  if (!AreJumpsCredible(", "  if (!OFF && !AreJumpsCredible("),
+    "coarse period": ("the period is searched widely", D + "source_clock.cpp", "FindPeriod(excerpt, FindPeriod(excerpt, period, kCoarse), kMiddle)",
+                      "FindPeriod(excerpt, OFF ? period : FindPeriod(excerpt, period, kCoarse), kMiddle)"),
+    "fine period": ("and finely", D + "source_clock.cpp", "  period = FindPeriod(Excerpt(*t, kExcerpt), period, kFine);",
+                    "  if (!OFF) period = FindPeriod(Excerpt(*t, kExcerpt), period, kFine);"),
+    "vote": ("recovered stamps must make samples smoother", D + "stamp_recovery.cpp", "!IsSmoother(frames, *recovered)",
+             "(!OFF && !IsSmoother(frames, *recovered))"),
+    "stamps": ("even clocks are recovered", D + "stamp_recovery.cpp", "  if (mode == StampRecovery::kNever ||", "  if (OFF || mode == StampRecovery::kNever ||"),
+    "local steps": ("spikes are measured by the steps around, too", D + "conditioning.cpp",
+                    "kSpikeSteps * usual_step(around(i, kStepReach))", "(OFF ? 0.0 : kSpikeSteps * usual_step(around(i, kStepReach)))"),
+    "slow errors of walks": ("local offsets may err slowly", S + "clock_walk.cpp", "std::vector<double> slow(std::begin(kSlow), std::end(kSlow));",
+                             "std::vector<double> slow(std::begin(kSlow), OFF ? std::begin(kSlow) + 1 : std::end(kSlow));"),
+    "tails of walks": ("increments and offsets have heavy tails", S + "clock_walk.cpp", "iteration < kReweightings",
+                       "iteration < (OFF ? 1 : kReweightings)"),
+    "rounds of walks": ("walks are found again about the one before", S + "clock_walk.cpp", "round < kRounds; ++round",
+                        "round < (OFF ? 1 : kRounds); ++round"),
+    "moved": ("trajectories move to the first solution", C + "joint_solver.cpp", "      if (pass == 1) MoveTrajectories();",
+              "      if (pass == 1 && OFF) are_moved_ = true; else if (pass == 1) MoveTrajectories();"),
+    "mount at zero": ("no mount gives way upwards", C + "joint_solver.cpp", "for (ImuEstimate& imu : estimate_->imus) HoldAtZero(",
+                      "for (ImuEstimate& imu : estimate_->imus) if (!OFF) HoldAtZero("),
+    "excerpt": ("noise starts from that of the excerpt", C + "joint_solver.cpp", "k < noise.size(); ++k) models_[k].noise",
+                "!OFF && k < noise.size(); ++k) models_[k].noise"),
     "halves": ("halves that disagree enlarge sigmas", V + "doubts.cpp", "  if (marginals.halves_sigmas <= kDisagreement) return marginals;",
                "  if (OFF || marginals.halves_sigmas <= kDisagreement) return marginals;"),
 }
@@ -106,6 +131,7 @@ def simulated(programs, rule, options):
     """{seed: (verdict, error of p [mm], largest error [sigma], sigma of p [mm])}"""
     text = subprocess.run([str(programs / "reality"), "--dump", str(options.mixtures), str(options.first)],
                           env={**os.environ, SWITCH: rule}, check=True, capture_output=True, text=True).stdout
+    (options.folder / ("dump of " + (rule or "all"))).write_text(text)
     rows = [line.split() for line in text.splitlines()]
     return {int(r[0]): (r[1], float(r[2]), float(r[4]), float(r[5])) for r in rows}
 
@@ -143,11 +169,14 @@ def rms(values):
 
 
 def row(name, text, runs, base, groups, base_groups):
-    usable = [k for k in base if {base[k][0], runs[k][0]} <= {"ok", "weak"}]
-    ratio = rms([runs[k][1] / base[k][3] for k in usable]) / rms([base[k][1] / base[k][3] for k in usable])
-    wrong = sum(r[0] == "ok" and r[2] > 3.5 for r in runs.values())
-    cells = [name, text, "%d" % sum(r[0] == "ok" for r in runs.values()), "%d" % wrong, "%.2f" % ratio,
-             "%.2f" % rms([runs[k][2] for k in usable])]
+    """Of mixtures, of plain recordings and of each effect alone: ratio of the error of p, rms over the sigmas of the
+    estimator as it is, and rms of the largest error by its own sigma."""
+    cells = [name, text, "%d" % sum(r[0] == "ok" for r in runs.values()),
+             "%d" % sum(r[0] == "ok" and r[2] > 3.5 for r in runs.values())]
+    for kind in range(3):
+        usable = [k for k in base if k // 1000000 == kind and {base[k][0], runs[k][0]} <= {"ok", "weak"}]
+        ratio = rms([runs[k][1] / base[k][3] for k in usable]) / rms([base[k][1] / base[k][3] for k in usable])
+        cells += ["%.2f" % ratio, "%.2f" % rms([runs[k][2] for k in usable])]
     for (sd, chi2_p, chi2_R), (base_sd, _, _) in zip(groups, base_groups):
         cells += ["%.2f" % (sd / base_sd), "%.1f" % chi2_p, "%.1f" % chi2_R]
     print("| " + " | ".join(cells) + " |", flush=True)
@@ -163,8 +192,10 @@ def main():
     options = parser.parse_args()
     programs = build(options.folder.absolute())
     groups = [g.partition("=") for g in options.group]
-    print("| rule | | ok | wrong and ok | rms p | rms sigma |" + "".join(" %s: sd | chi2 p | chi2 R |" % g[0] for g in groups))
-    print("|---|---|" + "---|" * (4 + 3 * len(groups)))
+    print("| without | | ok | wrong and ok |" +
+          "".join(" %s: rms p | rms sigma |" % kind for kind in ("mixtures", "plain", "effects")) +
+          "".join(" %s: sd | chi2 p | chi2 R |" % g[0] for g in groups))
+    print("|---|---|" + "---|" * (8 + 3 * len(groups)))
 
     def run(rule):
         return (simulated(programs, rule, options),

@@ -322,10 +322,10 @@ void RunCampaign(size_t count, uint32_t first) {
       verdicts["refused"], verdicts["failed"], Quantile(sigmas, 0.5), Quantile(sigmas, 0.9));
 }
 
-/// For benchmark/ablation.py: mixtures, then plain recordings of all motions that move, one a row:
-/// seed, verdict, errors of p [mm] and R [mrad], largest error [sigma], sigma of p [mm].
+/// For benchmark/ablation.py: mixtures, plain recordings of all motions that move, and each effect
+/// alone, one a row: seed, verdict, errors of p [mm] and R [mrad], largest error [sigma], sigma of p [mm].
 void Dump(size_t count, uint32_t first) {
-  constexpr uint32_t kPlain = 1000000;
+  constexpr uint32_t kPlain = 1000000, kAlone = 2000000;
   std::vector<SimulatorOptions> truths;
   std::vector<uint32_t> seeds;
   for (uint32_t i = 0; i < count; ++i) {
@@ -341,6 +341,17 @@ void Dump(size_t count, uint32_t first) {
       seeds.push_back(kPlain + static_cast<uint32_t>(truths.size()));
       truths.push_back(truth);
     }
+  }
+  // Each effect alone, at its usual strength and at twice of it.
+  SimulatorOptions alone = Baseline();
+  for (const Effect& effect : Effects(&alone)) {
+    for (const double times : {1.0, 2.0}) {
+      *effect.strength = times * effect.usual;
+      alone.seed = 7001 + static_cast<uint32_t>(truths.size());
+      seeds.push_back(kAlone + static_cast<uint32_t>(truths.size()));
+      truths.push_back(alone);
+    }
+    *effect.strength = 0.0;
   }
   const std::vector<Outcome> outcomes = RunAll(truths);
   for (size_t i = 0; i < outcomes.size(); ++i)
