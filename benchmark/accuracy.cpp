@@ -12,6 +12,7 @@
 
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/calibration/joint_solver.h"
+#include "imu_pose_calib/core/calibration/knot_spacing.h"
 #include "imu_pose_calib/core/start/preparation.h"
 #include "imu_pose_calib/simulation/simulator.h"
 
@@ -34,9 +35,8 @@ Trial Run(const SimulatorOptions& truth) {
   DataCheck check;
   std::vector<PreparedSession> sessions = {Prepare(options, Simulate(truth), &check)};
   Estimate estimate(sessions[0], options.bias_knot_interval_s);
-  const JointStart start = ChooseKnotSpacing(options, sessions[0], &estimate);
-  sessions[0] = start.session;
-  const Solution solution = SolveJointly(options, {start}, &sessions, &estimate);
+  const double spacing = ChooseKnotSpacing(options, sessions[0].data);
+  const Solution solution = SolveJointly(options, {spacing}, &sessions, &estimate);
   const ConditionedData& data = sessions[0].data;
   const double epochs = 1e-9 * static_cast<double>(data.pose_epoch_ns - data.imus[0].epoch_ns);
   const ImuEstimate& imu = estimate.imus[0];

@@ -8,9 +8,11 @@
 #include <map>
 #include <vector>
 
+#include "imu_pose_calib/core/calibration/band.h"
 #include "imu_pose_calib/core/calibration/gp_problem.h"
 #include "imu_pose_calib/core/calibration/joint_problem.h"
 #include "imu_pose_calib/core/calibration/joint_solver.h"
+#include "imu_pose_calib/core/calibration/knot_spacing.h"
 #include "imu_pose_calib/core/calibration/marginals.h"
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/data/conditioning.h"
@@ -43,7 +45,7 @@ CalibrationOptions Options(const benchmark::State& state, Method method = Method
 struct Prepared {
   std::vector<PreparedSession> sessions;
   Estimate estimate;
-  JointStart start;
+  double knot_spacing_s;
 };
 const Prepared& PreparedRecording(const benchmark::State& state) {
   static std::map<int64_t, Prepared> cache;
@@ -54,7 +56,7 @@ const Prepared& PreparedRecording(const benchmark::State& state) {
   Prepared made;
   made.sessions = {Prepare(options, Recording(state), &check)};
   made.estimate = Estimate(made.sessions[0], options.bias_knot_interval_s);
-  made.start = ChooseKnotSpacing(options, made.sessions[0], &made.estimate);
+  made.knot_spacing_s = ChooseKnotSpacing(options, made.sessions[0].data);
   return cache.emplace(state.range(0), std::move(made)).first->second;
 }
 
@@ -136,10 +138,7 @@ BENCHMARK(GpSolve)->Apply(Cases);
 void KnotSpacing(benchmark::State& state) {
   const CalibrationOptions options = Options(state);
   const PreparedSession& session = PreparedRecording(state).sessions[0];
-  for (auto _ : state) {
-    Estimate estimate(session, options.bias_knot_interval_s);
-    benchmark::DoNotOptimize(ChooseKnotSpacing(options, session, &estimate));
-  }
+  for (auto _ : state) benchmark::DoNotOptimize(ChooseKnotSpacing(options, session.data));
 }
 BENCHMARK(KnotSpacing)->Apply(Cases);
 
@@ -147,11 +146,11 @@ BENCHMARK(KnotSpacing)->Apply(Cases);
 void JointSolve(benchmark::State& state) {
   const CalibrationOptions options = Options(state);
   const Prepared& prepared = PreparedRecording(state);
-  const std::vector<JointStart> starts = {prepared.start};
   for (auto _ : state) {
     Estimate estimate = prepared.estimate;
-    std::vector<PreparedSession> sessions = {prepared.start.session};
-    benchmark::DoNotOptimize(SolveJointly(options, starts, &sessions, &estimate));
+    std::vector<PreparedSession> sessions = prepared.sessions;
+    benchmark::DoNotOptimize(
+        SolveJointly(options, {prepared.knot_spacing_s}, &sessions, &estimate));
   }
 }
 BENCHMARK(JointSolve)->Apply(Cases);
@@ -160,13 +159,13 @@ BENCHMARK(JointSolve)->Apply(Cases);
 void JointMarginals(benchmark::State& state) {
   const CalibrationOptions options = Options(state);
   const Prepared& prepared = PreparedRecording(state);
-  const JointStart& start = prepared.start;
-  const std::vector<PreparedSession> sessions = {start.session};
+  const double spacing = prepared.knot_spacing_s;
+  const std::vector<PreparedSession> sessions = {
+      LimitBand(prepared.sessions[0], Band(spacing), options.Threads())};
   Estimate estimate = prepared.estimate;
-  std::vector<SensorModel> models = InitialModels(options, sessions);
-  for (size_t k = 0; k < models.size(); ++k) models[k].noise = start.noise[k];
+  const std::vector<SensorModel> models = InitialModels(options, sessions);
   std::vector<CorrectionSplines> splines = {
-      CorrectionSplines(start.session.data, estimate, 0, start.knot_spacing_s)};
+      CorrectionSplines(sessions[0].data, estimate, 0, spacing)};
   const auto joint = BuildJointProblem(options, sessions, models, &estimate, &splines);
   joint->Solve(kRoughTolerance);
   for (auto _ : state) benchmark::DoNotOptimize(FindMarginals(joint.get()));

@@ -323,7 +323,8 @@ void RunCampaign(size_t count, uint32_t first) {
 }
 
 /// For benchmark/ablation.py: mixtures, plain recordings of all motions that move, and each effect
-/// alone, one a row: seed, verdict, errors of p [mm] and R [mrad], largest error [sigma], sigma of p [mm].
+/// alone, one a row: seed, verdict, errors of p [mm] and R [mrad], largest error [sigma], sigma of
+/// p [mm].
 void Dump(size_t count, uint32_t first) {
   constexpr uint32_t kPlain = 1000000, kAlone = 2000000;
   std::vector<SimulatorOptions> truths;

@@ -10,6 +10,7 @@
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/calibration/gp_problem.h"
 #include "imu_pose_calib/core/calibration/joint_solver.h"
+#include "imu_pose_calib/core/calibration/knot_spacing.h"
 #include "imu_pose_calib/core/pose_sensor/pose_sensor.h"
 #include "imu_pose_calib/core/pose_sensor/sensor_track.h"
 #include "imu_pose_calib/core/start/excitation.h"
@@ -197,34 +198,16 @@ void ReportClocks(const std::shared_ptr<const Solution>& solution, Calibration* 
   }
 }
 
-/// S4: each session finds its knot spacing, noise and clocks alone; the rig starts from the most
-/// excited session that has the IMU.
-Solution SolveTogether(const CalibrationOptions& options, std::vector<PreparedSession>* prepared,
+/// S4.
+Solution SolveTogether(const CalibrationOptions& options, std::vector<PreparedSession>* sessions,
                        const Progress& progress, Estimate* estimate, Calibration* result) {
-  std::vector<PreparedSession>& sessions = *prepared;
-  std::vector<JointStart> starts;
-  std::vector<double> largest_excitation(estimate->imus.size(), -1.0);
-  for (size_t s = 0; s < sessions.size(); ++s) {
-    const Stage knots(progress, InSession(s, sessions.size()) + "knot spacing");
-    Estimate own(sessions[s], options.bias_knot_interval_s);
-    starts.push_back(ChooseKnotSpacing(options, sessions[s], &own));
-    knots.End();
-    sessions[s] = std::move(starts[s].session);
-    result->sessions[s].knot_spacing_s = starts[s].knot_spacing_s;
-    estimate->sessions[s] = own.sessions[0];
-    for (size_t i = 0; i < own.imus.size(); ++i) {
-      if (!own.sessions[0].imus[i].is_present || starts[s].excitation <= largest_excitation[i])
-        continue;
-      largest_excitation[i] = starts[s].excitation;
-      estimate->imus[i] = own.imus[i];
-      if (i > 0) continue;
-      estimate->pose_smoothing = own.pose_smoothing;
-      estimate->position_smoothing = own.position_smoothing;
-      estimate->pose_scale = own.pose_scale;
-    }
-  }
   const Stage solve(progress, "trajectory and calibration");
-  Solution solution = SolveJointly(options, starts, &sessions, estimate);
+  std::vector<double> spacings;
+  for (size_t s = 0; s < sessions->size(); ++s) {
+    spacings.push_back(ChooseKnotSpacing(options, (*sessions)[s].data));
+    result->sessions[s].knot_spacing_s = spacings[s];
+  }
+  Solution solution = SolveJointly(options, spacings, sessions, estimate);
   solve.End(solution.iterations);
   return solution;
 }

@@ -6,8 +6,9 @@
 #include <vector>
 
 #include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/calibration/band.h"
 #include "imu_pose_calib/core/calibration/joint_problem.h"
-#include "imu_pose_calib/core/calibration/joint_solver.h"
+#include "imu_pose_calib/core/calibration/knot_spacing.h"
 #include "imu_pose_calib/core/calibration/marginals.h"
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/start/preparation.h"
@@ -28,11 +29,10 @@ struct Joint {
     DataCheck check;
     const PreparedSession prepared = Prepare(options, data, &check);
     estimate = Estimate(prepared, options.bias_knot_interval_s);
-    JointStart start = ChooseKnotSpacing(options, prepared, &estimate);
-    sessions = {start.session};
+    const double spacing = ChooseKnotSpacing(options, prepared.data);
+    sessions = {LimitBand(prepared, Band(spacing), options.Threads())};
     models = InitialModels(options, sessions);
-    for (size_t k = 0; k < models.size(); ++k) models[k].noise = start.noise[k];
-    splines.emplace_back(sessions[0].data, estimate, 0, start.knot_spacing_s);
+    splines.emplace_back(sessions[0].data, estimate, 0, spacing);
     problem = BuildJointProblem(options, sessions, models, &estimate, &splines);
   }
 };
@@ -46,7 +46,7 @@ TEST(CeresSolve, ReachesTheMinimumOfTheOwnSolver) {
   const SessionData data = Simulate(truth, 2);
   const CalibrationOptions options;
   Joint own(options, data), by_ceres(options, data);
-  ASSERT_TRUE(own.problem->Solve(1e-11));
+  ASSERT_TRUE(own.problem->Solve(1e-11).has_converged);
   ASSERT_TRUE(by_ceres.problem->SolveWithCeres(1e-13));
 
   const Marginals marginals = FindMarginals(own.problem.get());

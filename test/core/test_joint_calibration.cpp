@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <random>
+#include <utility>
 
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/calibration/joint_solver.h"
@@ -216,27 +217,6 @@ TEST(JointCalibration, EstimatesClockDrift) {
   EXPECT_LT(result.sessions[0].imus[0].clock_drift_std, 5e-6);
 }
 
-/// Seconds, on which the knot spacing is chosen, tell the drift to some ppm: after hours, samples
-/// would be spans away from where they are.
-TEST(JointCalibration, KeepsTheKnotSpacingWhereADenserOneDoesNotConverge) {
-  CalibrationOptions options;
-  options.max_iterations = 1;
-  const auto choose = [&options](const SessionData& data, double given) {
-    options.knot_spacing_s = given;
-    DataCheck check;
-    const PreparedSession session = Prepare(options, data, &check);
-    Estimate estimate(session, options.bias_knot_interval_s);
-    return ChooseKnotSpacing(options, session, &estimate).knot_spacing_s;
-  };
-  SimulatorOptions truth = Recording(1e-4, 5);
-  truth.motion = Motion::kArm;
-  truth.accel_delay_s = 0.0;
-  const SessionData data = Simulate(truth);
-  EXPECT_THROW(choose(data, 0.06), DataError);
-  EXPECT_EQ(choose(data, 0.12), 0.12);
-  EXPECT_GT(choose(data, 0.0), 0.06);
-}
-
 TEST(JointCalibration, StartsFromTheClocksOfTheWholeRecording) {
   SimulatorOptions truth = Recording(5e-3, 23);
   truth.duration_s = 40.0;
@@ -345,18 +325,19 @@ std::vector<Eigen::Vector3d> LastingErrors(double std_dev, double correlation_s,
 TEST(JointCalibration, AHoveringDroneIsNotBentByNoisyPoses) {
   // S1 smooths away much of how it swings.
   double square = 0.0;
-  for (const uint32_t seed : {7002u, 7005u}) {
+  for (const auto& [seed, noise] :
+       {std::pair{7002u, 5e-3}, {7005u, 5e-3}, {5u, 1e-2}, {6u, 1e-2}}) {
     SimulatorOptions truth;
     truth.motion = Motion::kDrone;
     truth.duration_s = 60.0;
     truth.seed = seed;
-    truth.position_std = truth.rotation_std = 5e-3;
+    truth.position_std = truth.rotation_std = noise;
     const Calibration result = Calibrate({}, Simulate(truth));
     const Eigen::Vector3d errors =
         (result.imus[0].T_MI.p - truth.T_MI.p).cwiseQuotient(result.imus[0].Std().head<3>());
     EXPECT_LT(errors.cwiseAbs().maxCoeff(), 3.0) << seed;
     EXPECT_NEAR(result.sessions[0].g_W.norm(), 9.80665, 0.04) << seed;
-    square += errors.squaredNorm() / 6.0;
+    square += errors.squaredNorm() / 12.0;
   }
   EXPECT_LT(square, 2.0);
 }

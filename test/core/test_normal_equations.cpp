@@ -263,7 +263,9 @@ class SolveTest : public testing::Test {
 TEST_F(SolveTest, IsDampedWhereAFullStepClimbs) {
   double x[] = {-1.2, 1.0};
   Add(std::make_unique<ceres::AutoDiffCostFunction<Valley, 2, 2>>(new Valley), x);
-  EXPECT_GT(least_squares_->Solve(1e-12).value(), 2);
+  const SolveSummary summary = least_squares_->Solve(1e-12);
+  EXPECT_TRUE(summary.has_converged);
+  EXPECT_GT(summary.iterations, 2);
   EXPECT_NEAR(x[0], 1.0, 1e-6);
   EXPECT_NEAR(x[1], 1.0, 1e-6);
 }
@@ -272,7 +274,7 @@ TEST_F(SolveTest, ReturnsNothingWhenItDoesNotConverge) {
   double x[] = {-1.2, 1.0};
   options_.max_iterations = 3;
   Add(std::make_unique<ceres::AutoDiffCostFunction<Valley, 2, 2>>(new Valley), x);
-  EXPECT_FALSE(least_squares_->Solve(1e-12));
+  EXPECT_FALSE(least_squares_->Solve(1e-12).has_converged);
   EXPECT_FALSE(least_squares_->SolveWithCeres(1e-12));
 }
 

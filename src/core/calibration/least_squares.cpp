@@ -122,6 +122,20 @@ double Norm(const std::vector<double>& x) {
   return Eigen::Map<const Eigen::VectorXd>(x.data(), static_cast<Eigen::Index>(x.size())).norm();
 }
 
+/// The largest move of T_MI, a time shift or an accel delay, in its sigma.
+double LargestMove(const Ordering& order, const GaussNewtonStep& step) {
+  double largest = 0.0;
+  Eigen::Index column = 0;
+  for (const Parameter& p : order.calibrated) {
+    if (p.kind <= ParameterKind::kAccelDelay && step.std.size() > 0)
+      largest = std::max(largest, step.x.segment(column, p.size)
+                                      .cwiseQuotient(step.std.segment(column, p.size))
+                                      .lpNorm<Eigen::Infinity>());
+    column += p.size;
+  }
+  return largest;
+}
+
 GaussNewtonStep FindStep(const NormalEquations& equations, double damping, double max_factor_mb,
                          int threads) {
   const Elimination& elimination = *equations.elimination();
@@ -145,6 +159,7 @@ GaussNewtonStep FindStep(const NormalEquations& equations, double damping, doubl
   const Eigen::VectorXd b = reduced.B * weights;
   step.x.head(b.size()) = -llt.solve(b);
   step.decrease = 0.5 * (reduced.inner.sum() - b.dot(step.x.head(b.size())));
+  step.std = llt.solve(Eigen::MatrixXd::Identity(b.size(), b.size())).diagonal().cwiseSqrt();
   windows.SubstituteBack([&](size_t w) { return assemble(w, nullptr); }, &step.x);
   return step;
 }
@@ -382,8 +397,7 @@ std::optional<int> LeastSquares::SolveWithCeres(double function_tolerance) {
   return problem.SolveWithCeres(function_tolerance, options.max_iterations, options.Threads());
 }
 
-std::optional<int> LeastSquares::Solve(double function_tolerance) {
-  if (options.solver == SolverKind::kCeres) return SolveWithCeres(function_tolerance);
+SolveSummary LeastSquares::Solve(double function_tolerance) {
   const Ordering order = Order(false);
   std::vector<Equation> joined = equations;
   const int windows_of_step = std::max(1, windows.count() / kStepWindows);
@@ -391,10 +405,15 @@ std::optional<int> LeastSquares::Solve(double function_tolerance) {
   const int count = (windows.count() - 1) / windows_of_step + 1;
   const NormalEquations normal(problem, order.border, order.inner, std::move(joined),
                                static_cast<size_t>(count));
-  double damping = 0.0, growth = 2.0;
+  double damping = 0.0, growth = 2.0, first = 0.0;
   for (int iteration = 1; iteration <= options.max_iterations; ++iteration) {
     const GaussNewtonStep step =
         FindStep(normal, damping, options.max_factor_mb, options.Threads());
+    if (iteration == 1) first = LargestMove(order, step);
+    if (options.solver == SolverKind::kCeres) {
+      const std::optional<int> iterations = SolveWithCeres(function_tolerance);
+      return {iterations.has_value(), iterations.value_or(options.max_iterations), first};
+    }
     const std::vector<double> before = problem.Move(step.blocks, step.x);
     double found = 0.0;
     if (!problem.Evaluate(options.Threads(), &rows_, &found)) found = std::nan("");
@@ -411,7 +430,7 @@ std::optional<int> LeastSquares::Solve(double function_tolerance) {
          step.x.norm() <= kLeastStep * (Norm(before) + kLeastStep) ||
          (is_accepted && is_full &&
           std::abs(change - step.decrease) <= function_tolerance * found)))
-      return iteration;
+      return {true, iteration, first};
     if (is_accepted) {
       damping = damping / 3.0 < kLeastDamping ? 0.0 : damping / 3.0;
       growth = 2.0;
@@ -420,12 +439,7 @@ std::optional<int> LeastSquares::Solve(double function_tolerance) {
       growth *= 2.0;
     }
   }
-  return std::nullopt;
-}
-
-void LeastSquares::Move(const GaussNewtonStep& step) {
-  problem.Move(step.blocks, step.x);
-  rows_.clear();
+  return {false, options.max_iterations, first};
 }
 
 NoiseSpectrum LeastSquares::FindSpectrum(const SensorBlocks& sensor, const float* rows,

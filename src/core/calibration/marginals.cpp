@@ -102,7 +102,6 @@ class ReducedProblem {
   /// known.
   MarginalEstimate EstimateOf(const Part& part, const std::vector<int>& columns) const;
   /// As if what is held was known to be right.
-  GaussNewtonStep FindStep() const;
   /// Of H, as far as it is kept; then it is gone.
   Panels TakeFactor();
   const std::shared_ptr<const Elimination>& elimination() const { return elimination_; }
@@ -186,19 +185,6 @@ MarginalEstimate ReducedProblem::EstimateOf(const Part& part,
   for (int column = order_.gravity; column < order_.biases; ++column)
     if (part.reduced.H(column, column) != 0.0) kept.push_back(column);
   return Select(EstimateBorder(part.reduced, kept, part.windows), Counted(columns.size()));
-}
-
-GaussNewtonStep ReducedProblem::FindStep() const {
-  std::vector<int> kept;
-  for (int column = 0; column < order_.biases; ++column)
-    if (column < order_.estimated || column >= order_.gravity) kept.push_back(column);
-  const MarginalEstimate border = EstimateOf(kept);
-  GaussNewtonStep result{equations_.blocks(), Eigen::VectorXd::Zero(order_.columns)};
-  if (!border.covariance.allFinite()) return result;
-  const Eigen::VectorXd step = border.Step();
-  for (size_t k = 0; k < kept.size(); ++k) result.x[kept[k]] = step[static_cast<Eigen::Index>(k)];
-  eliminated_->SubstituteBack([this](size_t w) { return Assemble(w, {}); }, &result.x);
-  return result;
 }
 
 Panels ReducedProblem::TakeFactor() {
@@ -412,7 +398,6 @@ Marginals FindMarginals(LeastSquares* solved) {
   FindHints(problem, order, functionals, fitted, &result);
   FindSessions(problem, order, estimate, functionals, fitted,
                functionals.SpreadVector(marginal.Step()), &result);
-  result.step = problem.FindStep();
   result.elimination = problem.elimination();
   result.factor = problem.TakeFactor();
   result.held_begin = order.estimated;

@@ -267,14 +267,6 @@ constexpr int kRounds = 15, kCounts = 2;
 /// that of so much of the sigma.
 constexpr double kMaxQuantileStd = 0.7, kSharpest = 0.02;
 
-/// The clock breaks where the latency changes by more than a part of a period, and of its sigma,
-/// between two blocks: of so many samples, at least, and so long [s]. Not in most blocks, and on
-/// average not as often as this [s].
-constexpr double kMaxChange = 0.15, kMaxChangeSigmas = 0.6;
-constexpr size_t kBlock = 50;
-constexpr double kBlockTime = 2.0;
-constexpr double kMaxBroken = 0.5, kBreakInterval = 20.0;
-
 /// Frames that miss: at most before this share of the samples, and so rarely that a period is so
 /// many sigma of the mean latency between. Where they are said to miss, the latency of so many
 /// samples on either side is the same, within a part of a period and so many sigma.
@@ -375,39 +367,6 @@ double Location(const std::vector<double>& values) {
   return middle + sum / static_cast<double>(values.size());
 }
 
-/// Share of the blocks of samples whose mean latency is not that of the block before.
-double ShareBroken(const std::vector<double>& latency, double period) {
-  const double sigma = RobustSigma(latency);
-  const double bound = std::max(0.5 * period, 2.0 * sigma);
-  const double limit = std::max(kMaxChange * period, kMaxChangeSigmas * sigma);
-  const size_t length = std::max(kBlock, static_cast<size_t>(kBlockTime / period));
-  double broken = 0.0, blocks = 0.0, before = 0.0;
-  for (size_t i = 0; i + length <= latency.size(); i += length, blocks += 1.0) {
-    double mean = 0.0;
-    for (size_t k = i; k < i + length; ++k)
-      mean += std::clamp(latency[k], -bound, bound) / static_cast<double>(length);
-    if (i > 0 && std::abs(mean - before) > limit) broken += 1.0;
-    before = mean;
-  }
-  return broken / std::max(blocks, 1.0);
-}
-
-/// The sample from which on the latency differs most from that before.
-size_t FindBreak(const std::vector<double>& latency, double period) {
-  const auto bounded = [&](double r) { return std::clamp(r, -period, period); };
-  double sum = 0.0, mean = 0.0, largest = -1.0;
-  for (const double r : latency) mean += bounded(r) / static_cast<double>(latency.size());
-  size_t found = 0;
-  for (size_t i = 0; i < latency.size(); ++i) {
-    if (i > 0 && std::abs(sum) > largest) {
-      largest = std::abs(sum);
-      found = i;
-    }
-    sum += bounded(latency[i]) - mean;
-  }
-  return found;
-}
-
 /// Whether the missing frames are there: few enough for the jitter, and the stamps later by their
 /// periods all at once. An irregular source is followed by frames that are not.
 bool AreJumpsCredible(const FrameCount& count, const std::vector<double>& latency, double period) {
@@ -421,10 +380,9 @@ bool AreJumpsCredible(const FrameCount& count, const std::vector<double>& latenc
   return rise >= -kMaxDrop * jumps - kMaxDropSigmas * sigma * std::sqrt(jumps);
 }
 
-/// Replaces the stamps t [s] by those of a clock, or of one before and one after a break, of which
-/// there may be `breaks` more. Returns how many.
-size_t RecoverRun(Period period, int* breaks, std::vector<double>* t) {
-  if (t->size() < kMinRun || t->back() - t->front() < kMinRunTime) return 0;
+/// Replaces the stamps t [s] by those of an even clock; false when there is none.
+bool RecoverRun(Period period, std::vector<double>* t) {
+  if (t->size() < kMinRun || t->back() - t->front() < kMinRunTime) return false;
   period = FindPeriod(Excerpt(*t, kExcerpt), period, kFine);
   FrameCount count = CountFrames(*t, period);
   std::vector<double> latency = FitClock(*t, count, period.seconds);
@@ -432,22 +390,12 @@ size_t RecoverRun(Period period, int* breaks, std::vector<double>* t) {
     count = CountAgain(count, latency, period);
     latency = FitClock(*t, count, period.seconds);
   }
-  if (!AreJumpsCredible(count, latency, period.seconds)) return 0;
-  const double broken = ShareBroken(latency, period.seconds);
-  if (broken == 0.0) {
-    const double quantile = BestQuantile(latency);
-    if (quantile != 0.0) latency = FitClock(*t, count, period.seconds, quantile);
-    const double mean = Location(latency);
-    for (size_t i = 0; i < t->size(); ++i) (*t)[i] -= latency[i] - mean;
-    return t->size();
-  }
-  if (broken > kMaxBroken || --*breaks < 0) return 0;
-  const auto middle = t->begin() + static_cast<ptrdiff_t>(FindBreak(latency, period.seconds));
-  std::vector<double> before(t->begin(), middle), after(middle, t->end());
-  const size_t recovered = RecoverRun(period, breaks, &before) + RecoverRun(period, breaks, &after);
-  std::copy(before.begin(), before.end(), t->begin());
-  std::copy(after.begin(), after.end(), middle);
-  return recovered;
+  if (!AreJumpsCredible(count, latency, period.seconds)) return false;
+  const double quantile = BestQuantile(latency);
+  if (quantile != 0.0) latency = FitClock(*t, count, period.seconds, quantile);
+  const double mean = Location(latency);
+  for (size_t i = 0; i < t->size(); ++i) (*t)[i] -= latency[i] - mean;
+  return true;
 }
 
 /// Runs of stamps [s] without a pause.
@@ -474,8 +422,7 @@ std::optional<std::vector<int64_t>> RecoverClock(const std::vector<int64_t>& rec
   size_t recovered = 0;
   std::vector<int64_t> stamps;
   for (std::vector<double>& run : runs) {
-    int breaks = 1 + static_cast<int>((run.back() - run.front()) / kBreakInterval);
-    recovered += RecoverRun(period, &breaks, &run);
+    if (RecoverRun(period, &run)) recovered += run.size();
     for (const double t : run) stamps.push_back(recorded_ns.front() + std::llround(1e9 * t));
   }
   if (static_cast<double>(recovered) < kMinRecovered * static_cast<double>(stamps.size()))

@@ -24,11 +24,8 @@ constexpr double kEvidence = 10.0;  // log likelihood by which a walk must beat 
 // Densities that are tried [s/sqrt(s)], evenly in the logarithm.
 constexpr double kLeastDensity = 1e-7, kMostDensity = 1e-2;
 constexpr int kDensities = 25;
-constexpr double kUnknown = 1.0;  // [s] sigma of the first offset
-constexpr double kDrift = 1e-4;   // [s/s] of the drift that is left
-// Errors of the poses that last [s], and how strong, in sigmas, they may be.
-constexpr double kSlowErrors = 3.0;
-constexpr double kSlow[] = {0.0, 0.5, 1.0, 2.0, 4.0};
+constexpr double kUnknown = 1.0;     // [s] sigma of the first offset
+constexpr double kDrift = 1e-4;      // [s/s] of the drift that is left
 constexpr int kRounds = 4;           // each about the clock of the one before
 constexpr int kReweightings = 20;    // of increments and offsets
 constexpr double kStep = 4.0;        // times the usual increment: a step
@@ -47,12 +44,6 @@ struct LocalOffsets {
   std::vector<double> z, variance;  ///< [s], [s^2]; infinite where there is no motion
 };
 
-/// What the offsets that samples tell are made of: the walk, white noise, and errors of the poses
-/// that last for seconds, `slow2` times as strong as the white noise.
-struct Model {
-  double density2, slow2;
-};
-
 /// Variances of increments and of local offsets as multiples of the usual ones: both have Cauchy's
 /// distribution, so that a step is one increment, and a mistake of the poses one offset.
 struct Tails {
@@ -63,7 +54,7 @@ struct Tails {
 struct Walk {
   double log_likelihood = -std::numeric_limits<double>::infinity();
   double scale2 = 1.0;             ///< that factor
-  Model model = {0.0, 0.0};        ///< density in units of scale2
+  double density2 = 0.0;           ///< in units of scale2
   std::vector<double> offset;      ///< [s] smoothed
   std::vector<double> increment2;  ///< expected squares of the increments less the drift, and of
   std::vector<double> error2;      ///< the local offsets' errors, in usual variances
@@ -146,47 +137,37 @@ LocalOffsets FindLocal(const std::vector<Sample>& samples, const ClockWalk& walk
   return local;
 }
 
-/// States of the knots: offset, slow error in sigmas of the white noise, drift.
+/// States of the knots: offset and drift.
 struct Filtered {
-  Eigen::Matrix3d F = Eigen::Matrix3d::Identity();  ///< from one knot to the next
-  std::vector<Eigen::Vector3d> x, predicted_x;
-  std::vector<Eigen::Matrix3d> P, predicted_P;
+  Eigen::Matrix2d F = Eigen::Matrix2d::Identity();  ///< from one knot to the next
+  std::vector<Eigen::Vector2d> x, predicted_x;
+  std::vector<Eigen::Matrix2d> P, predicted_P;
   double sum = 0.0, log_variance = 0.0, count = 0.0;  ///< of the innovations
 };
 
-/// A local offset is that of its state, with the slow error.
-Eigen::Vector3d OffsetRow(const LocalOffsets& local, size_t k) {
-  return {1.0, std::sqrt(local.variance[k]), 0.0};
-}
-
 /// Kalman filter.
-Filtered Filter(const LocalOffsets& local, const Tails& tails, const Model& model) {
-  const double kept = std::exp(-kInterval / kSlowErrors);
+Filtered Filter(const LocalOffsets& local, const Tails& tails, double density2) {
   Filtered f;
-  f.F(0, 2) = kInterval;
-  f.F(1, 1) = kept;
+  f.F(0, 1) = kInterval;
   for (size_t k = 0; k < local.z.size(); ++k) {
-    Eigen::Vector3d x = Eigen::Vector3d::Zero();
-    Eigen::Matrix3d P =
-        Eigen::Vector3d(kUnknown * kUnknown, model.slow2, kDrift * kDrift).asDiagonal();
+    Eigen::Vector2d x = Eigen::Vector2d::Zero();
+    Eigen::Matrix2d P = Eigen::Vector2d(kUnknown * kUnknown, kDrift * kDrift).asDiagonal();
     if (k > 0) {
       x = f.F * f.x.back();
       P = f.F * f.P.back() * f.F.transpose();
-      P(0, 0) += model.density2 * kInterval * tails.increments[k - 1];
-      P(1, 1) += model.slow2 * (1.0 - kept * kept);
+      P(0, 0) += density2 * kInterval * tails.increments[k - 1];
     }
     f.predicted_x.push_back(x);
     f.predicted_P.push_back(P);
     if (std::isfinite(local.variance[k])) {
-      const Eigen::Vector3d H = OffsetRow(local, k);
-      const double innovation = local.z[k] - H.dot(x);
-      const double variance = H.dot(P * H) + local.variance[k] * tails.offsets[k];
+      const double innovation = local.z[k] - x[0];
+      const double variance = P(0, 0) + local.variance[k] * tails.offsets[k];
       if (variance < 0.1 * kUnknown * kUnknown) {
         f.sum += innovation * innovation / variance;
         f.log_variance += std::log(variance);
         f.count += 1.0;
       }
-      const Eigen::Vector3d gain = P * H / variance;
+      const Eigen::Vector2d gain = P.col(0) / variance;
       x += gain * innovation;
       P -= gain * gain.transpose() * variance;
     }
@@ -197,10 +178,10 @@ Filtered Filter(const LocalOffsets& local, const Tails& tails, const Model& mode
 }
 
 /// Kalman filter and Rauch-Tung-Striebel smoother.
-Walk Smooth(const LocalOffsets& local, const Tails& tails, const Model& model) {
-  Filtered f = Filter(local, tails, model);
+Walk Smooth(const LocalOffsets& local, const Tails& tails, double density2) {
+  Filtered f = Filter(local, tails, density2);
   Walk walk;
-  walk.model = model;
+  walk.density2 = density2;
   if (f.count < 1.0) return walk;
   walk.scale2 = f.sum / f.count;
   walk.log_likelihood = -0.5 * (f.count * std::log(walk.scale2) + f.log_variance);
@@ -209,24 +190,22 @@ Walk Smooth(const LocalOffsets& local, const Tails& tails, const Model& model) {
   walk.increment2.resize(n - 1);
   walk.error2.assign(n, 1.0);
   for (size_t k = n; k-- > 0;) {
-    Eigen::Vector3d& x = f.x[k];
-    Eigen::Matrix3d& P = f.P[k];
+    Eigen::Vector2d& x = f.x[k];
+    Eigen::Matrix2d& P = f.P[k];
     if (k + 1 < n) {
-      const Eigen::Matrix3d gain =
-          P * f.F.transpose() * f.predicted_P[k + 1].ldlt().solve(Eigen::Matrix3d::Identity());
-      const Eigen::Matrix3d& after = f.P[k + 1];
+      const Eigen::Matrix2d gain =
+          P * f.F.transpose() * f.predicted_P[k + 1].ldlt().solve(Eigen::Matrix2d::Identity());
+      const Eigen::Matrix2d& after = f.P[k + 1];
       x += gain * (f.x[k + 1] - f.predicted_x[k + 1]);
       P += gain * (after - f.predicted_P[k + 1]) * gain.transpose();
-      const double increment = f.x[k + 1][0] - x[0] - kInterval * x[2];
+      const double increment = f.x[k + 1][0] - x[0] - kInterval * x[1];
       const double variance = after(0, 0) + P(0, 0) - 2.0 * (gain * after)(0, 0);
-      walk.increment2[k] = (increment * increment / walk.scale2 + std::max(0.0, variance)) /
-                           (model.density2 * kInterval);
+      walk.increment2[k] =
+          (increment * increment / walk.scale2 + std::max(0.0, variance)) / (density2 * kInterval);
     }
     walk.offset[k] = x[0];
     if (!std::isfinite(local.variance[k])) continue;
-    const Eigen::Vector3d H = OffsetRow(local, k);
-    walk.error2[k] =
-        (std::pow(local.z[k] - H.dot(x), 2) / walk.scale2 + H.dot(P * H)) / local.variance[k];
+    walk.error2[k] = (std::pow(local.z[k] - x[0], 2) / walk.scale2 + P(0, 0)) / local.variance[k];
   }
   return walk;
 }
@@ -234,19 +213,16 @@ Walk Smooth(const LocalOffsets& local, const Tails& tails, const Model& model) {
 /// The likeliest walk of these densities [s/sqrt(s)]; 0: of none.
 Walk FindWalk(const LocalOffsets& local, const std::vector<double>& densities, Tails* tails) {
   Walk best;
-  std::vector<double> slow(std::begin(kSlow), std::end(kSlow));
   for (int iteration = 0; iteration < kReweightings; ++iteration) {
     best = Walk();
-    for (const double density : densities)
-      for (const double sigmas : slow) {
-        Walk walk = Smooth(local, *tails, {density * density, sigmas * sigmas});
-        if (walk.log_likelihood > best.log_likelihood) best = std::move(walk);
-      }
+    for (const double density : densities) {
+      Walk walk = Smooth(local, *tails, density * density);
+      if (walk.log_likelihood > best.log_likelihood) best = std::move(walk);
+    }
     if (best.offset.empty()) return best;
-    slow = {std::sqrt(best.model.slow2)};
     for (size_t k = 0; k < tails->offsets.size(); ++k)
       tails->offsets[k] = 0.5 * (1.0 + best.error2[k]);
-    for (size_t k = 0; best.model.density2 > 0.0 && k < tails->increments.size(); ++k)
+    for (size_t k = 0; best.density2 > 0.0 && k < tails->increments.size(); ++k)
       tails->increments[k] = 0.5 * (1.0 + best.increment2[k]);
   }
   // Of what the variances are that were found along, by Cauchy's distribution.
@@ -369,7 +345,7 @@ ClockWalk FitClockWalk(const PoseTrajectory& trajectory, const std::vector<Timed
       return {};
     walk.offset = found.offset;
   }
-  const double usual = std::sqrt(found.scale2 * found.model.density2 * kInterval);
+  const double usual = std::sqrt(found.scale2 * found.density2 * kInterval);
   for (size_t k = 0; k + 1 < count; ++k) walk.std.push_back(usual * std::sqrt(tails.increments[k]));
   CutAtSteps(trajectory, gyro, *line, compared.alignment, tails.increments, usual, &walk);
   const double shift = walk.offset[walk.reference];

@@ -98,6 +98,15 @@ struct GaussNewtonStep {
   Eigen::VectorXd x;
   double cost = 0.0;      ///< where it begins
   double decrease = 0.0;  ///< of the cost, if the residuals were linear; NaN when there is no step
+  Eigen::VectorXd std = Eigen::VectorXd();  ///< sigmas of what acts everywhere
+};
+
+struct SolveSummary {
+  bool has_converged;  ///< to the minimum's cost, but for the tolerance
+  int iterations;
+  /// Largest move by the first Gauss-Newton step of T_MI, a time shift or an accel delay, in its
+  /// sigma: how far from the minimum the solve began.
+  double first_step;
 };
 
 /// Time blocks of the sessions, one after the other: what acts in one of them only is eliminated
@@ -171,12 +180,11 @@ struct LeastSquares {
   /// `with_hints`: with parameters that are held though they could be worth a remark.
   Ordering Order(bool with_hints) const;
 
-  /// Gauss-Newton steps, damped when they fail, or Ceres, by the options. Returns their number;
-  /// nothing when the cost does not converge to what it is at the minimum, but for a share
-  /// `function_tolerance`: then the estimate is where the last step left it.
-  std::optional<int> Solve(double function_tolerance);
+  /// Gauss-Newton steps, damped when they fail, or Ceres, by the options, until the cost is that of
+  /// the minimum but for a share `function_tolerance`; else the estimate is where the last step
+  /// left it.
+  SolveSummary Solve(double function_tolerance);
   std::optional<int> SolveWithCeres(double function_tolerance);
-  void Move(const GaussNewtonStep& step);
   /// Of each sensor.
   std::vector<SensorStatistics> FindStatistics();
   /// Residuals of each sensor where the estimate stands.

@@ -42,11 +42,9 @@ struct Marginals {
 
   std::vector<SessionMarginals> sessions;  ///< none when there is only one
 
-  /// The Gauss-Newton step that remains, of the parameter blocks in the order of H: what is
-  /// calibrated, what could have been (no step), gravity of each session, then of each session the
-  /// bias knots, gyroscope and accelerometer of each IMU, knots of the clocks, then of each session
-  /// those of the slow errors, and the control points.
-  GaussNewtonStep step;
+  /// Of H: what is calibrated, what could have been, gravity of each session, then of each session
+  /// the bias knots, gyroscope and accelerometer of each IMU, knots of the clocks, then of each
+  /// session those of the slow errors, and the control points.
   std::shared_ptr<const Elimination> elimination;
   /// Of H; of the border H itself, less what the rest takes. Empty when it would take more than
   /// CalibrationOptions::max_factor_mb.
