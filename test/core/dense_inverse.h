@@ -20,7 +20,8 @@ inline Eigen::MatrixXd DenseInverse(const Marginals& m) {
   for (const PlacedParameter& p : m.parameters)
     if (p.parameter.kind == ParameterKind::kGravity) size.push_back(3);
   const size_t border = size.size();
-  size.resize(m.step.blocks.size(), 3);
+  const int inner_columns = m.elimination->columns() - std::accumulate(size.begin(), size.end(), 0);
+  size.resize(border + static_cast<size_t>(inner_columns) / 3, 3);
   std::vector<int> first(size.size(), 0), order(size.size());
   std::partial_sum(size.begin(), size.end() - 1, first.begin() + 1);
   std::iota(order.begin(), order.end(), 0);
