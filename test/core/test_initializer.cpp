@@ -226,17 +226,20 @@ TEST(AlignRates, RecoversRotationAndBiasAtTheTrueShift) {
   options.gyro_bias << 0.1, -0.05, 0.2;
   const Fitted fitted(Simulate(options), CalibrationOptions());
   const double truth = TrueShift(fitted.data, options);
-  const RateAlignment at_truth = AlignRates(fitted.trajectory, fitted.data.imus[0].gyro, truth);
+  const RateAlignment at_truth =
+      AlignRates(fitted.trajectory, fitted.data.imus[0].gyro, {truth}, false, 1);
   EXPECT_LT(at_truth.q_MI.angularDistance(options.T_MI.q), 0.1 * kDegree);
   EXPECT_LT((at_truth.gyro_bias - options.gyro_bias).norm(), 2e-3);
   EXPECT_NEAR(at_truth.scale, 1.0, 1e-2);
   EXPECT_GT(at_truth.explained, 0.99);
   EXPECT_NEAR(static_cast<double>(at_truth.count), 3000.0, 20.0);
 
-  const RateAlignment off = AlignRates(fitted.trajectory, fitted.data.imus[0].gyro, truth + 3.0);
+  const RateAlignment off =
+      AlignRates(fitted.trajectory, fitted.data.imus[0].gyro, {truth + 3.0}, false, 1);
   EXPECT_LT(off.explained, 0.5);
   EXPECT_NEAR(static_cast<double>(off.count), 2400.0, 20.0);
-  EXPECT_EQ(AlignRates(fitted.trajectory, fitted.data.imus[0].gyro, truth + 20.0).count, 0u);
+  EXPECT_EQ(AlignRates(fitted.trajectory, fitted.data.imus[0].gyro, {truth + 20.0}, false, 1).count,
+            0u);
 }
 
 TEST(FitLeverArm, RecoversLeverArmGravityAndBiasAtTheTrueRotationAndShift) {

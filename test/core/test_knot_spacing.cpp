@@ -48,7 +48,8 @@ TEST(KnotSpacing, IsThatOfTheLivelySeconds) {
   lively.motion = Motion::kStatic;
   lively.duration_s = 600.0;
   const SessionData rest = Simulate(lively);
-  const int64_t behind_ns = data.imus[0].gyro.back().t_ns + 5'000'000 - rest.imus[0].gyro[0].t_ns;
+  const int64_t behind_ns =
+      data.imus[0].gyro.back().t_ns + 3'000'000'000 - rest.imus[0].gyro[0].t_ns;
   const auto append = [behind_ns](const auto& from, auto* to) {
     for (auto sample : from) {
       sample.t_ns += behind_ns;

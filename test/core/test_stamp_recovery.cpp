@@ -160,16 +160,6 @@ TEST(RecoverClock, FollowsAClockThatIsSlewed) {
   ExpectRecovered(Arrival(truth, 3e-3, &random), truth, 2e-4);
 }
 
-TEST(RecoverClock, BeginsAnotherWhereTheClockSteps) {
-  StampList truth = Even(100.0, 40.0, 20.0);
-  for (size_t i = 2000; i < truth.size(); ++i) truth[i] += 35'000'000;  // 3.5 periods
-  std::mt19937 random(5);
-  const auto recovered = RecoverClock(Arrival(truth, 2e-3, &random));
-  ASSERT_TRUE(recovered.has_value());
-  EXPECT_LT(ErrorOf(*recovered, truth).share_off_1ms, 0.002);
-  EXPECT_NEAR(static_cast<double>((*recovered)[2100] - (*recovered)[1900]), 2035e6, 0.5e6);
-}
-
 TEST(RecoverClock, LeavesAnIrregularSourceAlone) {
   std::mt19937 random(6);
   const auto source = [&](const std::function<double()>& interval_s) {

@@ -358,7 +358,8 @@ TEST_F(ReportTest, TellsOfItsStagesOnATerminal) {
     return ReadText(Path("tty.txt"));
   };
   const std::string lines = run("--report r.html");
-  for (const char* stage : {"recording  ", "data and start  ", "knot spacing  ", "report  "})
+  for (const char* stage :
+       {"recording  ", "data and start  ", "trajectory and calibration", "report  "})
     EXPECT_TRUE(Contains(lines, stage)) << stage << "\n" << lines;
   EXPECT_TRUE(std::regex_search(
       lines, std::regex(R"(trajectory and calibration +\d+\.\d s  \d+ iterations)")))
@@ -384,10 +385,9 @@ TEST(Progress, TellsOfEveryStageFromBeginningToEnd) {
         }
       });
   EXPECT_EQ(stages, (std::vector<std::string>{
-                        "begin data and start", "end data and start", "begin knot spacing",
-                        "end knot spacing", "begin trajectory and calibration",
-                        "end trajectory and calibration", "begin sigmas and verdict",
-                        "end sigmas and verdict"}));
+                        "begin data and start", "end data and start",
+                        "begin trajectory and calibration", "end trajectory and calibration",
+                        "begin sigmas and verdict", "end sigmas and verdict"}));
 }
 
 }  // namespace

@@ -1,6 +1,7 @@
 #include "imu_pose_calib/core/calibration/joint_problem.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <functional>
 #include <optional>
@@ -65,21 +66,28 @@ struct Places {
     if (!place || !trajectory->Contains(t)) return std::nullopt;
     return static_cast<int>(place->first);
   }
-  /// Second derivatives of f_M at t [s] by differences over the spacing of the knots: they do not
-  /// see the images of the splines, which are about the knots' frequency.
-  void SetForceCurvature(double t, const Eigen::Vector3d& p_MI, JointAccelSample* sample) const {
-    const double step = splines.spacing();
-    const auto before = splines.Correct(*trajectory, t - step),
-               middle = splines.Correct(*trajectory, t),
-               after = splines.Correct(*trajectory, t + step);
-    if (!before || !middle || !after) return;
-    const Eigen::Vector3d f_0 = SpecificForce(*before, g_W, p_MI),
-                          f_1 = SpecificForce(*middle, g_W, p_MI),
-                          f_2 = SpecificForce(*after, g_W, p_MI);
-    const Eigen::Vector3d curvature_W =
-        before->q_WM * f_0 - 2.0 * (middle->q_WM * f_1) + after->q_WM * f_2;
-    sample->f_curvature = (f_0 - 2.0 * f_1 + f_2) / (step * step);
-    sample->f_swing = middle->q_WM.conjugate() * curvature_W / (step * step);
+  /// Second derivatives of f_M at t [s]. Of a spring of this compliance they are those of the force
+  /// that the IMU feels on it, which exceeds F = R_WM f_M by -compliance F'' and so on.
+  void SetForceDerivatives(double t, const Eigen::Vector3d& p_MI, double compliance,
+                           JointAccelSample* sample) const {
+    constexpr int kPoints = 5;
+    const double step = splines.spacing();  // images of the splines are about its frequency
+    std::array<Eigen::Vector3d, kPoints> f, F;
+    Eigen::Quaterniond q_MW;
+    for (size_t k = 0; k < kPoints; ++k) {
+      MarkerState<double> state;
+      if (!trajectory->Evaluate(t + (static_cast<double>(k) - 2.0) * step, &state)) return;
+      f[k] = SpecificForce(state, g_W, p_MI);
+      F[k] = state.q_WM * f[k];
+      if (k == kPoints / 2) q_MW = state.q_WM.conjugate();
+    }
+    const auto second = [step](const std::array<Eigen::Vector3d, kPoints>& x) -> Eigen::Vector3d {
+      return (16.0 * (x[1] + x[3]) - x[0] - x[4] - 30.0 * x[2]) / (12.0 * step * step);
+    };
+    const Eigen::Vector3d fourth =
+        (F[0] + F[4] - 4.0 * (F[1] + F[3]) + 6.0 * F[2]) / std::pow(step, 4);
+    sample->f_curvature = second(f);
+    sample->f_swing = q_MW * (second(F) - compliance * fourth);
   }
 };
 
@@ -285,8 +293,8 @@ void SessionBuilder::AddAccel(size_t imu) {
       {rig.q_MI.coeffs().data(), rig.accel_intrinsics.data(), rig.p_MI.data(), estimate_.g_W.data(),
        &rig.accel_smoothing, &rig.mount_compliance, &joint_->estimate->pose_scale,
        rig.accel_positions.data()},
-      [with_curvature, p_MI = Eigen::Vector3d(rig.p_MI)](const Places& places, double t_M,
-                                                         JointAccelSample* sample) {
+      [with_curvature, p_MI = Eigen::Vector3d(rig.p_MI), compliance = rig.mount_compliance](
+          const Places& places, double t_M, JointAccelSample* sample) {
         MarkerState<double> rate;
         const MarkerState<double> gp = places.At(t_M, &rate);
         sample->q_WM = gp.q_WM;
@@ -295,7 +303,7 @@ void SessionBuilder::AddAccel(size_t imu) {
         sample->a_W = gp.a_W;
         sample->alpha_rate = rate.alpha_M;
         sample->jerk_W = rate.a_W;
-        if (with_curvature) places.SetForceCurvature(t_M, p_MI, sample);
+        if (with_curvature) places.SetForceDerivatives(t_M, p_MI, compliance, sample);
       },
       [&](Samples<JointAccelSample> samples, const ClockMotions& motions, bool has_walk) {
         return CreateJointAccelResidual(std::move(samples), rig.q_MI.toRotationMatrix(), motions,

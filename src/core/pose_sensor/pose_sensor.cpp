@@ -39,25 +39,6 @@ std::vector<TimedSample> TurnRates(const PoseTrajectory& trajectory) {
   return rates;
 }
 
-/// The time shift and rotation by which the rates agree with most evidence, or of the worlds seen
-/// from the bodies.
-RateAlignment Align(const CalibrationOptions& options, const PoseTrajectory& marker,
-                    const std::vector<TimedSample>& rates, bool is_inverted, double* time_shift) {
-  RateAlignment best;
-  double most = -1.0;
-  for (const double shift : FindTimeShifts(marker, rates, options.min_overlap_s, std::nullopt,
-                                           kCandidates, options.Threads())) {
-    const RateAlignment found = AlignRates(PairRates(marker, rates, shift, is_inverted));
-    const double evidence =
-        Evidence(std::sqrt(std::max(0.0, found.explained)), static_cast<double>(found.count));
-    if (evidence <= most) continue;
-    most = evidence;
-    best = found;
-    *time_shift = shift;
-  }
-  return best;
-}
-
 /// Conditions the poses of a session and finds its clock; returns how R_MS explains its rates.
 RateAlignment StartSession(const CalibrationOptions& given, const PoseTrajectory& marker,
                            const std::vector<PoseSample>& poses, SensorSession* session) {
@@ -88,10 +69,12 @@ RateAlignment StartSession(const CalibrationOptions& given, const PoseTrajectory
                     trajectory.rotation_hyperparameters().noise_std};
   session->drift = session->noise;
   const std::vector<TimedSample> rates = TurnRates(trajectory);
-  RateAlignment best = Align(options, marker, rates, false, &session->time_shift);
+  const std::vector<double> shifts = FindTimeShifts(marker, rates, options.min_overlap_s,
+                                                    std::nullopt, kCandidates, options.Threads());
+  const RateAlignment best = AlignRates(marker, rates, shifts, false, options.Threads());
+  session->time_shift = best.time_shift;
   if (best.explained >= kMinExplained) return best;
-  double ignored = 0.0;
-  const double inverted = Align(options, marker, rates, true, &ignored).explained;
+  const double inverted = AlignRates(marker, rates, shifts, true, options.Threads()).explained;
   const std::string agree = "the turn rates of the marker and the sensor agree ";
   if (inverted >= kMinExplained)
     throw OptionNeeded(agree +

@@ -41,9 +41,8 @@ void CheckPoseReading(const CalibrationOptions& options, const PoseTrajectory& t
                       const std::vector<TimedSample>& gyro, const std::vector<double>& time_shifts,
                       const RateAlignment& as_given) {
   if (as_given.explained > kSurelyExplained) return;
-  double explained = 0.0;
-  for (const double shift : time_shifts)
-    explained = std::max(explained, AlignRates(PairRates(trajectory, gyro, shift, true)).explained);
+  const double explained =
+      AlignRates(trajectory, gyro, time_shifts, true, options.Threads()).explained;
   if (1.0 - explained > kMaxUnexplainedOther ||
       1.0 - explained > kMaxUnexplainedRatio * (1.0 - as_given.explained))
     return;
@@ -341,24 +340,12 @@ Start Initialise(const CalibrationOptions& options, const PoseTrajectory& trajec
                  const ConditionedData& data, size_t imu) {
   const ConditionedImu& samples = data.imus[imu];
   const std::vector<double> shifts = CandidateShifts(options, trajectory, data, imu);
-  Start start;
-  RateAlignment best;
-  double most = -1.0;
-  std::vector<RateAlignment> alignments(shifts.size());
-  InParallel(options.Threads(), shifts.size(),
-             [&](size_t k) { alignments[k] = AlignRates(trajectory, samples.gyro, shifts[k]); });
-  for (size_t k = 0; k < shifts.size(); ++k) {
-    const RateAlignment& alignment = alignments[k];
-    const double evidence = Evidence(std::sqrt(std::max(0.0, alignment.explained)),
-                                     static_cast<double>(alignment.count));
-    if (evidence <= most) continue;
-    most = evidence;
-    best = alignment;
-    start.time_shift = shifts[k];
-  }
+  const RateAlignment best = AlignRates(trajectory, samples.gyro, shifts, false, options.Threads());
   CheckPoseReading(options, trajectory, samples.gyro, shifts, best);
   if (best.explained < kMinExplained) throw DataError(RateMismatch(best));
   CheckGyroUnit(best);
+  Start start;
+  start.time_shift = best.time_shift;
   // What is estimated starts where the data put it, which no guess can better.
   start.q_MI = options.estimate_rotation ? best.q_MI : options.initial_rotation->normalized();
   start.gyro_bias = best.gyro_bias;

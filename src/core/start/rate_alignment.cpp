@@ -79,14 +79,15 @@ class MaskedCorrelation {
   std::vector<double> n_, x_, xx_, y_, yy_, xy_;
 };
 
-}  // namespace
-
-size_t Stride(size_t size) { return std::max<size_t>(1, size / kMaxSamples); }
-
+/// log likelihood ratio of a correlation over n bins: long and close overlaps win.
 double Evidence(double correlation, double n) {
   const double r = std::clamp(correlation, 0.0, 0.9999);
   return -0.5 * n * std::log(1.0 - r * r);
 }
+
+}  // namespace
+
+size_t Stride(size_t size) { return std::max<size_t>(1, size / kMaxSamples); }
 
 std::vector<RatePair> PairRates(const PoseTrajectory& trajectory,
                                 const std::vector<TimedSample>& gyro, double time_shift,
@@ -187,8 +188,19 @@ std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
 }
 
 RateAlignment AlignRates(const PoseTrajectory& trajectory, const std::vector<TimedSample>& gyro,
-                         double time_shift) {
-  return AlignRates(PairRates(trajectory, gyro, time_shift));
+                         const std::vector<double>& time_shifts, bool inverted, int threads) {
+  std::vector<RateAlignment> all(time_shifts.size());
+  InParallel(threads, all.size(), [&](size_t k) {
+    all[k] = AlignRates(PairRates(trajectory, gyro, time_shifts[k], inverted));
+    all[k].time_shift = time_shifts[k];
+  });
+  const auto evidence = [](const RateAlignment& a) {
+    return Evidence(std::sqrt(std::max(0.0, a.explained)), static_cast<double>(a.count));
+  };
+  const auto best = std::max_element(
+      all.begin(), all.end(),
+      [&](const RateAlignment& a, const RateAlignment& b) { return evidence(a) < evidence(b); });
+  return best == all.end() ? RateAlignment() : *best;
 }
 
 }  // namespace imu_pose_calib

@@ -13,9 +13,6 @@ std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
                                    const std::vector<TimedSample>& gyro, double min_overlap_s,
                                    const std::optional<double>& guess, int count, int threads = 1);
 
-/// log likelihood ratio of a correlation over n bins: long and close overlaps win.
-double Evidence(double correlation, double n);
-
 /// Every so many of `size` samples are enough for a closed-form fit.
 size_t Stride(size_t size);
 
@@ -35,9 +32,10 @@ std::vector<RatePair> PairRates(const PoseTrajectory& trajectory,
 struct RateAlignment {
   Eigen::Quaterniond q_MI = Eigen::Quaterniond::Identity();
   Eigen::Vector3d gyro_bias = Eigen::Vector3d::Zero();  ///< [rad/s] in I
-  double scale = 0.0;      ///< rms of the gyro's rates over the marker's: 1 when both are rad/s
-  double explained = 0.0;  ///< share of the gyro's variance that the marker's rates explain
-  size_t count = 0;        ///< gyro samples that fall on the trajectory
+  double scale = 0.0;       ///< rms of the gyro's rates over the marker's: 1 when both are rad/s
+  double explained = 0.0;   ///< share of the gyro's variance that the marker's rates explain
+  size_t count = 0;         ///< gyro samples that fall on the trajectory
+  double time_shift = 0.0;  ///< [s] where it is chosen among several
 
   /// Of the gyroscope [rad/s].
   Eigen::Vector3d Residual(const RatePair& pair) const;
@@ -45,7 +43,9 @@ struct RateAlignment {
 
 /// SVD solution of Wahba's problem on mean-free rates, omega_M = R_MI (gyro - bias).
 RateAlignment AlignRates(const std::vector<RatePair>& pairs);
+/// That with the most evidence at one of the time shifts: many samples, well explained. `inverted`
+/// as for PairRates(). Nothing is explained when there is no time shift.
 RateAlignment AlignRates(const PoseTrajectory& trajectory, const std::vector<TimedSample>& gyro,
-                         double time_shift);
+                         const std::vector<double>& time_shifts, bool inverted, int threads);
 
 }  // namespace imu_pose_calib
