@@ -8,6 +8,13 @@ const char* ToString(Motion motion) {
   return kNames[static_cast<int>(motion)];
 }
 
+Motion ParseMotion(const std::string& name) {
+  for (const Motion motion : kMotions)
+    if (name == ToString(motion)) return motion;
+  throw InputError("motion '" + name +
+                   "' is unknown; must be handheld, tumble, arm, drone, planar, hinge or static");
+}
+
 std::vector<Effect> Effects(SimulatorOptions* options) {
   RealEffects& real = options->effects;
   StreamEffects &pose = real.pose_stream, &imu = real.imu_stream;

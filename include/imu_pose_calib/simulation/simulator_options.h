@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 #include <cstdint>
+#include <string>
 #include <vector>
 
 #include "imu_pose_calib/core/base/types.h"
@@ -26,6 +27,8 @@ constexpr Motion kMotions[] = {Motion::kHandheld, Motion::kTumble, Motion::kArm,
 
 /// "handheld", "tumble", ...
 const char* ToString(Motion motion);
+/// The reverse. Throws InputError when there is none of that name.
+Motion ParseMotion(const std::string& name);
 
 /// What happens to the stamps of a stream, and to its samples on the way. 0: nothing.
 struct StreamEffects {

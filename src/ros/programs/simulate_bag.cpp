@@ -72,13 +72,6 @@ po::options_description Describe(CommandLine* line) {
   return options;
 }
 
-Motion ParseMotion(const std::string& name) {
-  for (const Motion motion : kMotions)
-    if (name == ToString(motion)) return motion;
-  throw InputError("motion '" + name +
-                   "' is unknown; must be handheld, tumble, arm, drone, planar, hinge or static");
-}
-
 void Check(const std::string& option, double value, bool is_good, const std::string& condition) {
   if (!is_good) throw InputError("--" + option + " = " + YamlNumber(value) + " " + condition);
 }
