@@ -226,6 +226,7 @@ TEST_F(CompareTest, RefusesWhatCannotBeCompared) {
   ExpectRefused("a.yaml a.yaml --imu 1", {"--imu 1: 'a.yaml' has 1 imus"});
   ExpectRefused("a.yaml --chain '0 0 0 0 0 0 1'", {"--chain needs"});
   ExpectRefused("a.yaml a.yaml --chain-output rig", {"--chain-output needs --chain"});
+  ExpectRefused("a.yaml a.yaml --fleet text", {"--fleet needs --report"});
   ExpectRefused("a.yaml --reference a.yaml --reference-std '-1 0'", {"must not be negative"});
 }
 

@@ -26,7 +26,7 @@ using Quantities = std::vector<ComparedQuantity>;
 
 struct CommandLine {
   std::vector<std::string> results, chain;
-  std::string reference, camera = "cam0", reference_std = "0 0", chain_output, report;
+  std::string reference, camera = "cam0", reference_std = "0 0", chain_output, report, fleet;
   size_t imu = 0;
   bool same_clocks = false, quiet = false, help = false;
 };
@@ -286,7 +286,9 @@ void Check(const CommandLine& line) {
       {line.chain.size() == 1, "--chain needs T_marker_cam and a camera chain"},
       {!line.reference.empty() && !line.chain.empty(), "give --reference or --chain, not both"},
       {!line.chain_output.empty() && line.chain.empty(), "--chain-output needs --chain"},
-      {line.results.size() < 2 && line.reference.empty() && line.chain.empty(),
+      {!line.fleet.empty() && line.report.empty(), "--fleet needs --report"},
+      {line.results.size() < 2 && line.reference.empty() && line.chain.empty() &&
+           line.fleet.empty(),
        "one result needs something to compare it with: another one, --reference or --chain"}};
   for (const auto& [is_so, text] : refusals)
     if (is_so) throw InputError(text);
@@ -302,6 +304,9 @@ void CompareAll(const CommandLine& line) {
   const bool has_shift = line.same_clocks || AreOfOneRecording(results, line.imu);
   Quantities quantities = kTransform;
   quantities.push_back(ComparedQuantity::kAccelDelay);
+  if (!line.fleet.empty())
+    return WriteComparison({results, line.imu, quantities, std::nullopt, "compared", line.fleet},
+                           line.report);
   if (has_shift) quantities.push_back(ComparedQuantity::kTimeShift);
 
   Worst worst;
@@ -350,6 +355,8 @@ void Run(int argc, char** argv) {
   add("same-clocks", boost::program_options::bool_switch(&line.same_clocks),
       "compare the time shifts of different recordings, too");
   add("report", Value(&line.report), "page with figures: FILE.html or FILE.pdf");
+  add("fleet", Value(&line.fleet),
+      "results of different rigs: no verdict, only the page, which tells this text instead");
   add("quiet", boost::program_options::bool_switch(&line.quiet), "print errors only");
   add("help", boost::program_options::bool_switch(&line.help), "print this text");
   ParseCommandLine(argc, argv, options, "result", Value(&line.results), -1);
