@@ -1,20 +1,12 @@
-#!/usr/bin/python3
-"""Draws the figures of an evaluation from the tables that evaluate writes into a folder.
-
-evaluation_figures.py FOLDER    reads FOLDER/cells.csv and trials.csv; writes FOLDER/NAME.png and NAME.svg
-"""
+"""Draws the figures of an evaluation from the tables that evaluate writes into a folder."""
 
 import collections
 import csv
 import os
-import sys
 
-try:
-    import matplotlib
-    matplotlib.use('Agg')
-    import matplotlib.pyplot as plt
-except ImportError as error:
-    sys.exit('%s: apt install python3-matplotlib' % error)
+import matplotlib
+matplotlib.use('Agg')
+import matplotlib.pyplot as plt
 
 # Files that depend on the numbers alone.
 matplotlib.rcParams.update({'svg.hashsalt': 'imu_pose_calib', 'font.size': 8, 'axes.grid': True, 'grid.alpha': 0.3})
@@ -116,7 +108,8 @@ def consistency_figure(trials):
     figure, axes = plt.subplots(figsize=(5, 3.2))
     limit, bins = 30.0, 30
     for method, (color, _) in STYLES.items():
-        chi2 = [min(float(t['chi2']), limit) for t in trials if t['method'] == method and t['verdict'] in ('ok', 'weak')]
+        chi2 = [min(float(t['chi2']), limit) for t in trials
+                if t['method'] == method and t['verdict'] in ('ok', 'weak')]
         if chi2:
             axes.hist(chi2, bins=bins, range=(0, limit), density=True, histtype='step', color=color,
                       label='%s (last: all beyond)' % method)
@@ -127,8 +120,8 @@ def consistency_figure(trials):
     return figure
 
 
-def main():
-    folder = sys.argv[1]
+def draw(folder):
+    """Reads cells.csv and trials.csv of the folder; writes NAME.png and NAME.svg."""
     cells, trials = grouped(rows(os.path.join(folder, 'cells.csv'))), grouped(rows(os.path.join(folder, 'trials.csv')))
     for (experiment, base), table in cells.items():
         name = '%s_%s' % (experiment, base)
@@ -137,7 +130,3 @@ def main():
                  if base == 'simulation' and experiment in ('imu_noise', 'pose_noise')]
     if simulated:
         save(consistency_figure(simulated), folder, 'consistency')
-
-
-if __name__ == '__main__':
-    main()

@@ -1,22 +1,9 @@
-#!/usr/bin/python3
-"""Writes the tables of an evaluation, a batch or a dataset.
-
-evaluation_tables.py INPUT FOLDER
-
-INPUT is what evaluate hands over: input.yaml, and trials.csv with a row for each trial of an evaluation. Writes
-evaluation.md, cells.csv, trials.csv and usage.md into FOLDER; of a batch or a dataset sequences.md and sequences.csv.
-"""
+"""The tables of an evaluation, a batch or a dataset, of what the programs of the package print: numbers are texts."""
 
 import csv
 import glob
 import math
 import os
-import sys
-
-try:
-    import yaml
-except ImportError as error:
-    sys.exit('%s: apt install python3-yaml' % error)
 
 DEGREES = 180.0 / math.pi
 DOF = 8  # of chi2
@@ -24,7 +11,6 @@ METHODS = ('gp', 'joint')
 QUANTITIES = (('rotation', 'deg', DEGREES), ('position', 'mm', 1e3), ('time shift', 'ms', 1e3),
               ('accel delay', 'ms', 1e3))
 NORMS = ('error', 'sigma', 'bound', 'least')  # of trials.csv, each with the quantities in this order
-LOADER = getattr(yaml, 'CBaseLoader', yaml.BaseLoader)  # all scalars are texts, numbers as evaluate writes them
 
 REMARKS = {
     'guess': 'Figure 3 of the paper: guesses up to 180 deg and 1 m off, and none. Recordings of 20 s; in simulation '
@@ -76,15 +62,38 @@ def listed(values, form, factor=1.0):
     return ', '.join(form % (factor * float(value)) for value in values)
 
 
+def rotation_vector(result):
+    """[rad] Of its quaternion x, y, z, w."""
+    x, y, z, w = (float(text) for text in result['rotation'])
+    sine = math.sqrt(x * x + y * y + z * z)
+    factor = 2.0 * math.atan2(sine, abs(w)) / sine if sine > 0.0 else 2.0
+    return [math.copysign(factor, w) * component for component in (x, y, z)]
+
+
+def is_usable(outcome):
+    return outcome['verdict'] in ('ok', 'weak')
+
+
 # --- Experiments ---
 
 class Trial:
-    def __init__(self, row):
-        self.plan, self.cell, self.method, self.name, self.verdict, self.reason = row[:6]
-        numbers = [float(text) for text in row[6:]]
-        self.norms = {name: numbers[4 * i:4 * i + 4] for i, name in enumerate(NORMS)}
-        self.chi2, self.model_chi2, self.guess_angle, self.guess_distance = numbers[16:]
-        self.is_usable = self.verdict in ('ok', 'weak')
+    """One recording of an experiment. `cell`: place of its cell; `options`: of evaluate_trial, whose outcome is taken
+    in the end; numbers that this has not are 0."""
+
+    def __init__(self, name, cell, options):
+        self.name, self.cell, self.options = name, cell, options
+
+    def take(self, outcome):
+        def numbers(key, count):
+            return [float(text) for text in outcome.get(key, ['0'] * count)]
+        self.outcome, self.verdict, self.reason = outcome, outcome['verdict'], outcome['reason'].split('\n')[0]
+        self.is_usable = is_usable(outcome)
+        self.norms = {name: numbers(name, 4) for name in NORMS}
+        std = numbers('std', 6)
+        self.norms['sigma'] = [math.sqrt(sum(x * x for x in part)) for part in (std[3:], std[:3])] + [
+            numbers(key, 2)[1] for key in ('time_shift', 'accel_delay')]
+        self.chi2, self.model_chi2 = numbers('chi2', 2)
+        self.guess_angle, self.guess_distance = numbers('guess', 2)
 
 
 class Summary:
@@ -101,24 +110,18 @@ class Summary:
         self.model_chi2 = sum(trial.model_chi2 / DOF for trial in usable) / count
 
 
-class Plan:
-    """An experiment on one base. Cells are pairs of labels and, by method, trials and their summary."""
+def summarize(plan, within):
+    """Gives an experiment on one base, with trials and cells, by cell and method its trials and their summary, and
+    what the paper prints."""
+    plan.by_cell = [{method: [t for t in plan.trials if t.cell == c and t.options['method'] == method]
+                     for method in METHODS} for c in range(len(plan.cells))]
+    plan.sums = [{method: Summary(cell[method], within) for method in METHODS} for cell in plan.by_cell]
+    plan.printed_in, plan.printed = PAPER.get(plan.name, ('', None))
 
-    def __init__(self, node, trials, within):
-        self.name, self.title, self.base = node['name'], node['title'], node['base']
-        self.axes, self.compared = node.get('axes', []), node.get('compared')
-        self.is_simulated = self.base == 'simulation'
-        self.labels = node['cells']
-        self.trials = [{method: [t for t in trials if t.cell == str(c) and t.method == method] for method in METHODS}
-                       for c in range(len(self.labels))]
-        self.sums = [{method: Summary(cell[method], within) for method in METHODS} for cell in self.trials]
-        self.printed_in, self.printed = PAPER.get(self.name, ('', None))
-        if self.printed and len(self.printed) != len(self.labels):
-            sys.exit('%s: the paper has %d cells, not %d' % (self.name, len(self.printed), len(self.labels)))
 
-    def keys(self, c, method):
-        """The columns by which rows of CSV files tell cells and methods."""
-        return [self.name, self.base, '"%s"' % ';'.join(self.labels[c]), method]
+def keys(plan, c, method):
+    """The columns by which rows of CSV files tell cells and methods."""
+    return [plan.name, plan.base, '"%s"' % ';'.join(plan.cells[c].labels), method]
 
 
 def chi_square_band(dof):
@@ -130,8 +133,8 @@ def chi_square_band(dof):
 def cell_table(plan, columns):
     """A row for each cell, of what columns(c, summary of gp, summary of joint) gives: names and texts."""
     found = [columns(c, sums['gp'], sums['joint']) for c, sums in enumerate(plan.sums)]
-    return table(plan.axes + [name for name, _ in found[0]],
-                 [labels + [text for _, text in row] for labels, row in zip(plan.labels, found)])
+    return table([axis.name for axis in plan.axes] + [name for name, _ in found[0]],
+                 [cell.labels + [text for _, text in row] for cell, row in zip(plan.cells, found)])
 
 
 def error_table(plan, quantities):
@@ -146,7 +149,7 @@ def error_table(plan, quantities):
             own = [('gp', shown(gp, 'error')), ('joint', shown(joint, 'error'))]
             if plan.printed and q < 2:
                 own.insert(0, ('paper', '%g' % plan.printed[c][q]))
-            if plan.is_simulated:
+            if plan.base == 'simulation':
                 own += [('bound', shown(joint, 'bound')),
                         ('joint / bound', ratio(joint.norms['error'][q], joint.norms['bound'][q]))]
             else:
@@ -164,7 +167,7 @@ def count_table(plan):
                ('joint: usable', '%d/%d' % (joint.usable, joint.trials)),
                ('gp: within bounds', '%d/%d' % (gp.within, gp.trials)),
                ('joint: within bounds', '%d/%d' % (joint.within, joint.trials))]
-        if plan.is_simulated:
+        if plan.base == 'simulation':
             band = '%.2f-%.2f' % tuple(chi_square_band(DOF * joint.usable)) if joint.usable else ''
             row += [('gp: chi²/dof', number(gp.chi2)), ('joint: chi²/dof', number(joint.chi2)),
                     ('joint: of the model', number(joint.model_chi2)), ('band', band)]
@@ -175,7 +178,7 @@ def count_table(plan):
 def refusals(plan):
     """Why trials were not usable, each reason once."""
     text = ''
-    for labels, cell in zip(plan.labels, plan.trials):
+    for (labels, _, _), cell in zip(plan.cells, plan.by_cell):
         for method in METHODS:
             first = next((trial for trial in cell[method] if not trial.is_usable), None)
             if first:
@@ -187,7 +190,7 @@ def result_table(results):
     return table(['recording', 'p [mm]', 'sigma', 'R as a rotation vector [deg]', 'sigma', 'accel delay [ms]',
                   'verdict'],
                  [[r['name'], listed(r['translation'], '%.3f', 1e3), listed(r['std'][:3], '%.3f', 1e3),
-                   listed(r['rotation_vector'], '%.4f', DEGREES), listed(r['std'][3:], '%.4f', DEGREES),
+                   listed(rotation_vector(r), '%.4f', DEGREES), listed(r['std'][3:], '%.4f', DEGREES),
                    '%.4f ± %.4f' % tuple(1e3 * float(x) for x in r['accel_delay']), r['verdict']] for r in results])
 
 
@@ -206,9 +209,9 @@ def section(plan):
         text += REMARKS[plan.name] + '\n\n'
     if plan.compared:
         for method in METHODS:
-            found = plan.compared[method] or {}
-            text += '### %s\n\n' % method + result_table(found.get('results', []))
-            text += difference_table('pair', found.get('pairs', []))
+            found = plan.compared[method]
+            text += '### %s\n\n' % method + result_table(found['results'])
+            text += difference_table('pair', found['pairs'])
             if 'chain' in found:
                 text += 'Less the chained calibration, which is taken as exact:\n\n'
                 text += difference_table('recording', found['chain'])
@@ -219,14 +222,15 @@ def section(plan):
             '![%s](%s_%s.png)\n\n' % (plan.title, plan.name, plan.base))
 
 
-def introduction(head, bases):
+def introduction(wanted, version, bases):
     text = ('# Evaluation of imu_pose_calib %s\n\n'
-            'Root mean squares of the errors over the usable trials; %s trials a cell in the tables of the paper. '
-            '`gp` is the method of the paper, `joint` the default.\n\n' % (head['version'], head['trials']))
+            'Root mean squares of the errors over the usable trials; %d trials a cell in the tables of the paper. '
+            '`gp` is the method of the paper, `joint` the default.\n\n' % (version, wanted.trials))
     if 'sample' in bases:
-        text += ('**sample**: %s, %s from %s s on. Noise is added to what was recorded, and errors are those against '
+        text += ('**sample**: %s, %s from %g s on. Noise is added to what was recorded, and errors are those against '
                  'what the same method says of the recording as it is, as in the paper.\n\n'
-                 % (head['bag'], head['used'], head['start']))
+                 % (os.path.basename(wanted.bag), '%g s' % wanted.duration if wanted.duration > 0 else 'all',
+                    wanted.start))
     if 'simulation' in bases:
         text += ('**simulation**: errors are those against the truth, another motion in every trial; recordings of '
                  '40 s in the tables of the paper, of 20 s where nothing else is said. *bound* is the Cramér-Rao '
@@ -250,7 +254,7 @@ def cells_csv(plans):
         for c, sums in enumerate(plan.sums):
             for method in METHODS:
                 s = sums[method]
-                rows.append(plan.keys(c, method) + [str(count) for count in (s.trials, s.usable, s.within)] +
+                rows.append(keys(plan, c, method) + [str(count) for count in (s.trials, s.usable, s.within)] +
                             [exact(s.norms[norm][q] * QUANTITIES[q][2]) for norm in NORMS for q in range(4)] +
                             [exact(s.chi2), exact(s.model_chi2)] +
                             ([exact(value) for value in plan.printed[c]] if plan.printed else ['', '']))
@@ -261,11 +265,11 @@ def trials_csv(plans):
     rows = [['experiment', 'base', 'cell', 'method', 'trial', 'verdict', 'rotation_error_deg', 'position_error_mm',
              'time_shift_error_ms', 'accel_delay_error_ms', 'chi2', 'model_chi2', 'guess_deg', 'guess_m']]
     for plan in plans:
-        for c, cell in enumerate(plan.trials):
+        for c, cell in enumerate(plan.by_cell):
             for method in METHODS:
                 for i, t in enumerate(cell[method]):
                     errors = t.norms['error'] if t.is_usable else [math.nan] * 4
-                    rows.append(plan.keys(c, method) + [str(i + 1), t.verdict] +
+                    rows.append(keys(plan, c, method) + [str(i + 1), t.verdict] +
                                 [exact(error * quantity[2]) for error, quantity in zip(errors, QUANTITIES)] +
                                 [exact(t.chi2), exact(t.model_chi2), exact(t.guess_angle * DEGREES),
                                  exact(t.guess_distance)])
@@ -285,7 +289,7 @@ def usage(plans, folder):
                     pass  # cut off when a process was killed
     rows, processor = [], 0.0
     for plan in plans:
-        for labels, cell in zip(plan.labels, plan.trials):
+        for (labels, _, _), cell in zip(plan.cells, plan.by_cell):
             for method in METHODS:
                 found = [used[trial.name] for trial in cell[method] if trial.name in used]
                 if found:
@@ -299,14 +303,16 @@ def usage(plans, folder):
             'All trials: %.0f min of a processor.\n' % (processor / 60.0))
 
 
-def evaluation(head, trials, folder):
-    within = [float(bound) for bound in head['within']]
-    plans = [Plan(node, [t for t in trials if t.plan == str(p)], within) for p, node in enumerate(head['plans'])]
+def evaluation(wanted, about, plans):
+    """Texts of the files in the folder, of plans whose trials have their outcomes."""
+    for plan in plans:
+        summarize(plan, [float(bound) for bound in about['within']])
     measured = [plan for plan in plans if not plan.compared]
-    return {'evaluation.md': introduction(head, {plan.base for plan in plans}) + ''.join(map(section, plans)),
+    head = introduction(wanted, about['version'], {plan.base for plan in plans})
+    return {'evaluation.md': head + ''.join(map(section, plans)),
             'cells.csv': cells_csv(measured) if measured else '',
             'trials.csv': trials_csv(measured) if measured else '',
-            'usage.md': usage(plans, folder)}
+            'usage.md': usage(plans, wanted.out)}
 
 
 # --- Batches and datasets ---
@@ -316,10 +322,6 @@ def narrow_table(header, rows):
     return table(header, rows).replace('|  ', '| ')
 
 
-def is_usable(result):
-    return result['verdict'] in ('ok', 'weak')
-
-
 def sequence_table(results):
     rows = []
     for r in results:
@@ -327,7 +329,7 @@ def sequence_table(results):
         if is_usable(r):
             shift, delay = ([float(x) for x in r[key]] for key in ('time_shift', 'accel_delay'))
             row += [listed(r['translation'], '%.2f', 1e3), listed(r['std'][:3], '%.2f', 1e3),
-                    listed(r['rotation_vector'], '%.3f', DEGREES), listed(r['std'][3:], '%.3f', DEGREES),
+                    listed(rotation_vector(r), '%.3f', DEGREES), listed(r['std'][3:], '%.3f', DEGREES),
                     '%.6f' % shift[0], '%.6f' % shift[1], '%.3f' % (1e3 * delay[0]), '%.3f' % (1e3 * delay[1]),
                     r['warnings']]
         else:
@@ -339,13 +341,14 @@ def sequence_table(results):
 
 def scatter_table(count, scatter):
     rows = []
-    for s in scatter['rows']:
+    for s in scatter['scatters']:
         unit = {'rotation': 'deg', 'translation': 'mm'}.get(s['quantity'], 'ms')
         factor = DEGREES if unit == 'deg' else 1e3
         rows.append(['%s [%s]' % (s['quantity'], unit), listed(s['deviation'], '%.3f', factor),
                      listed(s['sigma'], '%.3f', factor), '%.1f / %s' % (float(s['chi2']), s['dof'])])
     return ('Scatter of %d: mean p %s mm, R %s deg.\n\n'
-            % (count, listed(scatter['mean'], '%.2f', 1e3), listed(scatter['rotation_vector'], '%.3f', DEGREES)) +
+            % (count, listed(scatter['mean']['translation'], '%.2f', 1e3),
+               listed(rotation_vector(scatter['mean']), '%.3f', DEGREES)) +
             narrow_table(['', 'standard deviation', 'sigma, rms', 'chi² / dof'], rows))
 
 
@@ -376,32 +379,15 @@ def sequences_csv(results):
     return text
 
 
-def sequences(head):
-    text = '# ' + head['title'] + '\n\n'
-    for group in head['groups']:
+def sequences(title, groups, bound):
+    """Texts of the files in the folder. `bound`: [sigma] within which calibrations agree."""
+    text = '# ' + title + '\n\n'
+    for group in groups:
         if group['name']:
             text += '## ' + group['name'] + '\n\n'
         text += sequence_table(group['results'])
         if 'scatter' in group:
             text += scatter_table(sum(map(is_usable, group['results'])), group['scatter'])
         if 'audit' in group:
-            text += audit_table(group['audit'], float(head['bound']))
-    return {'sequences.md': text, 'sequences.csv': sequences_csv([r for g in head['groups'] for r in g['results']])}
-
-
-def main():
-    given, folder = sys.argv[1:]
-    with open(os.path.join(given, 'input.yaml'), encoding='utf-8') as file:
-        head = yaml.load(file, Loader=LOADER)
-    with open(os.path.join(given, 'trials.csv'), newline='', encoding='utf-8') as file:
-        trials = [Trial(row) for row in csv.reader(file)]
-    files = evaluation(head, trials, folder) if 'plans' in head else sequences(head)
-    for name, text in files.items():
-        path = os.path.join(folder, name)
-        with open(path + '.new', 'w', encoding='utf-8') as file:
-            file.write(text)
-        os.replace(path + '.new', path)
-
-
-if __name__ == '__main__':
-    main()
+            text += audit_table(group['audit'], bound)
+    return {'sequences.md': text, 'sequences.csv': sequences_csv([r for g in groups for r in g['results']])}

@@ -1,188 +1,24 @@
-// The experiments of the paper: trials, their runner, tables; and evaluate as a user runs it.
+// evaluate as a user runs it, and its scripts.
 
 #include <yaml-cpp/yaml.h>
 
 #include <chrono>
 #include <csignal>
-#include <set>
 #include <thread>
 
 #include "imu_pose_calib/core/base/types.h"
-#include "imu_pose_calib/ros/evaluation/experiments.h"
-#include "imu_pose_calib/ros/evaluation/sequences.h"
-#include "imu_pose_calib/ros/evaluation/task_runner.h"
-#include "imu_pose_calib/ros/evaluation/trial.h"
 #include "imu_pose_calib/ros/io/text.h"
+#include "imu_pose_calib/simulation/simulator_options.h"
 #include "run_executable.h"
 
 namespace imu_pose_calib {
 namespace {
 
-// --- Runner ---
-
-class TaskRunnerTest : public TempDirTest {
- protected:
-  RunnerOptions Options() const {
-    RunnerOptions options;
-    options.folder = dir_;
-    options.jobs = 2;
-    options.quiet = true;
-    return options;
-  }
-  /// Leaves a mark each time it runs.
-  Task Marked(const std::string& name, const std::string& description = "as is") const {
-    return {name, description, [this, name] {
-              std::ofstream(Path(name + ".mark"), std::ios::app) << "x";
-              return "result of " + name + "\n";
-            }};
-  }
-  size_t Marks(const std::string& name) const { return ReadText(Path(name + ".mark")).size(); }
-  /// Tasks of a part of which time and memory are known.
-  std::ptrdiff_t Used(const std::string& part) const {
-    const std::string text = ReadText(Path("usage_" + part + ".csv"));
-    return std::count(text.begin(), text.end(), '\n');
-  }
-};
-
-TEST_F(TaskRunnerTest, KeepsWhatIsDone) {
-  const std::vector<Task> tasks = {Marked("a"), Marked("b")};
-  RunTasks({tasks[0]}, Options());
-  RunTasks(tasks, Options());
-  EXPECT_EQ(Marks("a"), 1u);
-  EXPECT_EQ(Marks("b"), 1u);
-  EXPECT_EQ(FinishedTask(dir_, tasks[0]), "result of a\n");
-  EXPECT_EQ(Used("1_1"), 2);
-}
-
-TEST_F(TaskRunnerTest, RunsAgainWhatFollowsFromSomethingElse) {
-  RunTasks({Marked("a")}, Options());
-  const Task changed = Marked("a", "otherwise");
-  EXPECT_FALSE(FinishedTask(dir_, changed));
-  RunTasks({changed}, Options());
-  EXPECT_EQ(Marks("a"), 2u);
-}
-
-TEST_F(TaskRunnerTest, AFileThatWasReplacedIsAnother) {
-  const std::string path = Path("x.bag");
-  Write("x.bag", "some");
-  const std::string before = DescribeFile(path);
-  EXPECT_EQ(DescribeFile(path), before);
-  Write("x.bag", "other");
-  EXPECT_NE(DescribeFile(path), before);
-}
-
-TEST_F(TaskRunnerTest, EveryTaskIsInOnePart) {
-  std::vector<Task> tasks;
-  for (const char* name : {"a", "b", "c", "d", "e"}) tasks.push_back(Marked(name));
-  RunnerOptions options = Options();
-  options.parts = 3;
-  for (options.part = 0; options.part < 3; ++options.part) RunTasks(tasks, options);
-  for (const Task& task : tasks) EXPECT_EQ(Marks(task.name), 1u) << task.name;
-  EXPECT_EQ(Used("1_3") + Used("2_3") + Used("3_3"), 5);
-}
-
-TEST_F(TaskRunnerTest, ATaskThatDiesOrThrowsFailsAlone) {
-  const Task dies{"dies", "", []() -> std::string {
-                    std::raise(SIGKILL);
-                    return "";
-                  }};
-  const Task throws{"throws", "", []() -> std::string { throw std::logic_error("no luck"); }};
-  const Task works = Marked("works");
-  RunTasks({dies, throws, works}, Options());
-  EXPECT_EQ(FinishedTask(dir_, dies), "failed: it died or took too long\n");
-  EXPECT_EQ(FinishedTask(dir_, throws), "failed: no luck\n");
-  EXPECT_TRUE(FinishedTask(dir_, works));
-  EXPECT_EQ(ParseOutcome(*FinishedTask(dir_, throws)).verdict, "failed");
-}
-
-TEST_F(TaskRunnerTest, AnInputErrorEndsIt) {
-  const Task wrong{"wrong", "", []() -> std::string { throw InputError("no such bag"); }};
-  ExpectError<InputError>([&] { RunTasks({wrong}, Options()); }, {"no such bag"});
-  EXPECT_FALSE(FinishedTask(dir_, wrong));
-}
-
-// --- Trials ---
-
-TEST(TrialTest, EveryTrialHasANameOfItsOwn) {
-  std::set<std::string> names;
-  for (const Experiment& experiment : Experiments())
-    for (const Base base : experiment.bases)
-      for (const Trial& trial : Trials(experiment, base, 6)) {
-        EXPECT_TRUE(names.insert(trial.name).second) << trial.name;
-        EXPECT_EQ(Describe(trial.what).find('\n'), std::string::npos);
-      }
-  EXPECT_EQ(names.count("guess/simulation/guess_wrong/joint/040"), 1u);   // 20 / 3 as many
-  EXPECT_EQ(names.count("duration/simulation/duration_5.1/gp/003"), 0u);  // a third
-  EXPECT_EQ(names.count("repeatability/simulation/all/gp/004"), 1u);
-  EXPECT_EQ(names.count("guess/sample/guess_none/gp/002"), 0u);  // would be the same again
-}
-
-TEST(TrialTest, NoiseOfACellIsWhatItsLabelsSay) {
-  for (const Experiment& experiment : Experiments()) {
-    if (experiment.name != "pose_noise") continue;
-    EXPECT_EQ(Cells(experiment).size(), 9u);  // of the paper
-    EXPECT_EQ(Cells(experiment)[5].labels, (std::vector<std::string>{"0.005", "0.01"}));
-    const Trial trial = Trials(experiment, Base::kSimulation, 1)[5];
-    EXPECT_EQ(trial.cell, 5u);
-    EXPECT_EQ(trial.what.pose_noise.position, 0.005);
-    EXPECT_EQ(trial.what.pose_noise.rotation, 0.01);
-    EXPECT_EQ(trial.what.imu_noise.gyro, 0.0);
-  }
-}
-
-Case Short() {
-  Case what;
-  what.method = Method::kGp;
-  what.simulator.duration_s = 12.0;
-  what.index = 3;
-  return what;
-}
-
-TEST(TrialTest, IsTheSameAgainAndIsReadBackExactly) {
-  Case what = Short();
-  what.pose_noise = {1e-3, 1e-3};
-  what.outliers = 0.5;
-  what.lost = 10.0;
-  const TrialOutcome outcome = RunTrial(what, {}, {});
-  ASSERT_TRUE(outcome.IsUsable()) << outcome.reason;
-  EXPECT_EQ(ToYaml(outcome), ToYaml(RunTrial(what, {}, {})));
-  EXPECT_EQ(ToYaml(outcome), ToYaml(ParseOutcome(ToYaml(outcome))));
-  const ErrorNorms error = NormsOf(ErrorsOf(outcome, outcome.truth));
-  EXPECT_LT(error.translation, 0.01);
-  EXPECT_GT(error.translation, 0.0);
-  what.index = 4;
-  EXPECT_NE(ToYaml(outcome), ToYaml(RunTrial(what, {}, {})));
-}
-
-/// Noise is added to a recording as it is, which the errors are measured against.
-TEST(TrialTest, NoiseIsAddedToABag) {
-  SimulatorOptions recorded = Short().simulator;
-  recorded.position_std = recorded.rotation_std = 1e-4;
-  const SessionData bag = Simulate(recorded);
-  Case what = Short();
-  what.base = Base::kBag;
-  const TrialOutcome reference = RunTrial(what, bag, {});
-  EXPECT_EQ(reference.bounds.least.translation, 0.0);  // no truth, no bound
-  const auto error = [&](double noise) {
-    Case noisy = what;
-    noisy.pose_noise = {noise, noise};
-    const TrialOutcome outcome = RunTrial(noisy, bag, reference);
-    EXPECT_TRUE(outcome.IsUsable()) << outcome.reason;
-    return NormsOf(ErrorsOf(outcome, reference));
-  };
-  EXPECT_EQ(error(0.0).translation, 0.0);
-  EXPECT_GT(error(5e-3).rotation, 3.0 * error(2e-4).rotation);
-}
-
-// --- Tables ---
-
-TEST(TablesTest, OfTheScriptHold) {
+TEST(EvaluationScriptsTest, Hold) {
   EXPECT_EQ(std::system("/usr/bin/python3 '" IMU_POSE_CALIB_SOURCE_DIR
-                        "/test/ros/test_evaluation_tables.py'"),
+                        "/test/ros/test_evaluation.py' '" IMU_POSE_CALIB_BIN_DIR "'"),
             0);
 }
-
-// --- evaluate ---
 
 class EvaluateTest : public ExecutableTest {
  protected:
@@ -286,13 +122,14 @@ TEST_F(EvaluateTest, GuessesOnABagEndInTheResultWithoutOne) {
         << cells;
   }
   // The errors are 0; then come the sigmas.
-  const TrialOutcome none =
-      ParseOutcome(ReadText(Path("guess/trials/guess/sample/guess_none/joint/001.yaml")));
-  const Vector6d variance = none.covariance.diagonal();
+  const YAML::Node none =
+      YAML::LoadFile(Path("guess/trials/guess/sample/guess_none/joint/001.yaml"));
+  const auto std = none["std"].as<std::vector<double>>();
   EXPECT_TRUE(Contains(cells, Format("\"none\",joint,1,1,1,0,0,0,0,%.9g,%.9g,%.9g,%.9g,0,",
-                                     180.0 / M_PI * std::sqrt(variance.tail<3>().sum()),
-                                     1e3 * std::sqrt(variance.head<3>().sum()),
-                                     1e3 * none.time_shift_std, 1e3 * none.accel_delay_std)))
+                                     180.0 / M_PI * Eigen::Vector3d(std[3], std[4], std[5]).norm(),
+                                     1e3 * Eigen::Vector3d(std[0], std[1], std[2]).norm(),
+                                     1e3 * none["time_shift"][1].as<double>(),
+                                     1e3 * none["accel_delay"][1].as<double>())))
       << cells;
 }
 
@@ -379,28 +216,6 @@ TEST_F(EvaluateTest, AuditsWhatADatasetPublishes) {
   EXPECT_TRUE(Contains(row("V1/mocap0"), "| yes | yes |")) << outcome.out;
   EXPECT_TRUE(Contains(row("V2/mocap0"), "| no | yes |")) << outcome.out;
   EXPECT_TRUE(Contains(outcome.out, "Scatter of 2")) << outcome.out;
-
-  // Without one, TUM-VI's poses are said to be those of the IMU.
-  std::filesystem::remove(dir_ / "data/V1/mocap0/sensor.yaml");
-  const std::vector<Sequence> found = FindSequences("tum-vi", Path("data"), {});
-  ASSERT_EQ(found.size(), 2u);
-  EXPECT_EQ(found[0].name, "V1/mocap0");
-  ASSERT_TRUE(found[0].published_T_MI);
-  EXPECT_EQ(found[0].published_T_MI->p.norm(), 0.0);
-  EXPECT_FALSE(FindSequences("broad", Path("data"), {})[0].published_T_MI);
-}
-
-TEST_F(EvaluateTest, ADatasetMayBeBags) {
-  std::filesystem::create_directories(dir_ / "data/rooms");
-  Write("data/rooms/room1.bag", "");
-  const std::vector<Sequence> bags = FindSequences("tum-vi", Path("data"), {});
-  ASSERT_EQ(bags.size(), 1u);
-  EXPECT_EQ(bags[0].name, "rooms/room1");
-  EXPECT_EQ(bags[0].group, "rooms/bags");
-  EXPECT_EQ(bags[0].request.bag.imu_topic, "/imu0");
-  OfflineRequest chosen;
-  chosen.bag.imu_topic = "/imu1";
-  EXPECT_EQ(FindSequences("euroc", Path("data"), chosen)[0].request.bag.imu_topic, "/imu1");
 }
 
 }  // namespace

@@ -1,6 +1,6 @@
 #pragma once
 
-/// Room simulation: recordings with exact truth, for tests, simulate_bag and evaluate.
+/// Room simulation: recordings with exact truth, for tests, simulate_bag and evaluate_trial.
 /// In: options and effects that real recordings have. Out: SessionData, the truth, the Cramér-Rao
 /// bound of what can be known; and how information grows within a recording, for the report.
 /// Calibrate() needs none of it.

@@ -31,6 +31,20 @@ void Limit(decltype(RLIMIT_CPU) resource, uint64_t value) {
   setrlimit(resource, &limit);
 }
 
+/// In the child of the process `parent`: lets it end with that, and limits what it uses up.
+void ConfineChild(pid_t parent, const ChildLimits& limits) {
+  // A parent that is killed takes the child along; it may have been killed before this call.
+  prctl(PR_SET_PDEATHSIG, SIGKILL);
+  if (getppid() != parent) _exit(EXIT_FAILURE);
+  Limit(RLIMIT_CORE, 0);
+  Limit(RLIMIT_CPU, limits.cpu_s);
+#ifndef __SANITIZE_ADDRESS__  // its shadow memory is larger than any limit
+  Limit(RLIMIT_AS, limits.memory);
+#endif
+  std::signal(SIGALRM, SIG_DFL);
+  alarm(static_cast<unsigned>(limits.wall_s));
+}
+
 [[noreturn]] void Fail(const char* what) {
   throw std::system_error(errno, std::generic_category(), what);
 }
@@ -119,19 +133,6 @@ std::optional<std::string> RunApart(const std::function<std::string()>& run,
   if (status != kResult && status != kInputError) return std::nullopt;
   if (status == kInputError) throw InputError(answer);
   return answer;
-}
-
-void ConfineChild(pid_t parent, const ChildLimits& limits) {
-  // A parent that is killed takes the child along; it may have been killed before this call.
-  prctl(PR_SET_PDEATHSIG, SIGKILL);
-  if (getppid() != parent) _exit(EXIT_FAILURE);
-  Limit(RLIMIT_CORE, 0);
-  Limit(RLIMIT_CPU, limits.cpu_s);
-#ifndef __SANITIZE_ADDRESS__  // its shadow memory is larger than any limit
-  Limit(RLIMIT_AS, limits.memory);
-#endif
-  std::signal(SIGALRM, SIG_DFL);
-  alarm(static_cast<unsigned>(limits.wall_s));
 }
 
 bool RunScript(const std::string& script, const std::vector<std::string>& arguments,

@@ -1,7 +1,5 @@
 #pragma once
 
-#include <sys/types.h>
-
 #include <cstdint>
 #include <functional>
 #include <optional>
@@ -26,10 +24,6 @@ struct ChildLimits {
 /// open it again. When that happens all the same, the limits end it.
 std::optional<std::string> RunApart(const std::function<std::string()>& run,
                                     const ChildLimits& limits);
-
-/// To be called in a fork of the process `parent`: lets it end with that, and limits what it uses
-/// up.
-void ConfineChild(pid_t parent, const ChildLimits& limits);
 
 /// Runs a script that is installed beside the executables, without input and output and with stderr
 /// in the file `errors`; whether it succeeded. Throws InputError when it cannot be started,

@@ -1,0 +1,394 @@
+// Runs one trial of evaluate: a recording, simulated or of a bag, with noise added, calibrated.
+
+#include <ros/package.h>
+#include <yaml-cpp/yaml.h>
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+#include <iostream>
+#include <random>
+#include <sstream>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/calibration/solution.h"
+#include "imu_pose_calib/core/calibrator.h"
+#include "imu_pose_calib/core/verdict/comparison.h"
+#include "imu_pose_calib/ros/io/bag_reader.h"
+#include "imu_pose_calib/ros/io/output_files.h"
+#include "imu_pose_calib/ros/io/ros_options.h"
+#include "imu_pose_calib/ros/io/text.h"
+#include "imu_pose_calib/ros/io/transform_file.h"
+#include "imu_pose_calib/ros/offline/command_line.h"
+#include "imu_pose_calib/ros/offline/comparison_report.h"
+#include "imu_pose_calib/ros/offline/report.h"
+#include "imu_pose_calib/simulation/error_bound.h"
+#include "imu_pose_calib/simulation/simulator.h"
+
+namespace imu_pose_calib {
+namespace {
+
+namespace po = boost::program_options;
+
+constexpr uint32_t kFirstSeed = 1000, kRecordingSeeds = 100000;
+constexpr double kGuessAngle = M_PI, kGuessDistance = 1.0;                   // [rad], [m], at most
+constexpr double kClocks = 3600.0;                                           // [s] at most
+constexpr double kOutlierDistance = 0.1, kOutlierAngle = 20.0 / 180 * M_PI;  // [m], [rad]
+constexpr double kGap = 1.0;                                                 // [s]
+
+/// Estimate less truth: p_MI [m] in M, rotation [rad] about the imu axes, time shift and accel
+/// delay [s].
+using Errors = Eigen::Matrix<double, 8, 1>;
+
+/// All that the outcome of a trial follows from.
+struct Trial {
+  std::string method = "joint", motion = "handheld";
+  uint32_t index = 1;          ///< random numbers follow from it
+  std::string bag;             ///< empty: simulated
+  double start_s = 0.0;        ///< of the bag
+  std::string reference;       ///< what the bag says as it is, see ParseComparable()
+  SimulatorOptions simulator;  ///< its seed follows from `index`, its duration is the bag's, too
+  double lever_arm = 0.0;      ///< [m] length of p_MI; 0: as in `simulator`
+  size_t recordings = 1;       ///< simulated ones of one rig, calibrated together
+
+  PoseStd pose_noise;     ///< that is added
+  ImuStd imu_noise;       ///< that is added
+  double outliers = 0.0;  ///< [%] of the poses, 10 cm and 20 deg astray
+  double lost = 0.0;      ///< [%] of the time, in gaps of 1 s
+
+  bool is_guessed = false;     ///< the solve starts up to 180 deg and 1 m away from the truth
+  bool is_random_rig = false;  ///< T_MI is up to 180 deg and 1 m, the clocks hours apart
+  bool is_one_rig = false;     ///< only clocks and motion differ from trial to trial
+};
+
+/// Random numbers of one use in one trial.
+enum class Use : uint32_t { kNoise, kGuess, kRig, kOutliers };
+std::mt19937 RandomOf(Use use, uint32_t index, size_t recording = 0) {
+  std::seed_seq sequence{7001u, static_cast<uint32_t>(use), index,
+                         static_cast<uint32_t>(recording)};
+  return std::mt19937(sequence);
+}
+
+/// A transform up to 180 deg and 1 m from none.
+Rigid3 RandomTransform(std::mt19937* random) {
+  const Eigen::Vector3d axis = RandomDirection(random), direction = RandomDirection(random);
+  const double angle = Uniform(random, 0.0, kGuessAngle);
+  return {Exp<double>(angle * axis), Uniform(random, 0.0, kGuessDistance) * direction};
+}
+
+std::vector<SimulatorOptions> Truths(const Trial& trial) {
+  std::vector<SimulatorOptions> truths(trial.recordings, trial.simulator);
+  std::mt19937 random = RandomOf(Use::kRig, trial.index);
+  const Rigid3 rig = RandomTransform(&random);
+  for (size_t s = 0; s < truths.size(); ++s) {
+    SimulatorOptions& truth = truths[s];
+    truth.seed = kFirstSeed + trial.index + kRecordingSeeds * static_cast<uint32_t>(s);
+    if (trial.is_random_rig) truth.T_MI = rig;
+    if (trial.lever_arm > 0.0) truth.T_MI.p = trial.lever_arm * truth.T_MI.p.normalized();
+    if (trial.is_random_rig || trial.is_one_rig || trial.recordings > 1)
+      truth.time_shift_s = Uniform(&random, -kClocks, kClocks);
+  }
+  return truths;
+}
+
+void AddNoise(const Trial& trial, std::mt19937* random, SessionData* data) {
+  for (PoseSample& pose : data->poses) {
+    pose.p_WM += Gaussian(random, trial.pose_noise.position);
+    pose.q_WM = pose.q_WM * Exp(Gaussian(random, trial.pose_noise.rotation));
+  }
+  for (ImuSample& gyro : data->imus[0].gyro) gyro.value += Gaussian(random, trial.imu_noise.gyro);
+  for (ImuSample& accel : data->imus[0].accel)
+    accel.value += Gaussian(random, trial.imu_noise.accel);
+}
+
+void AddOutliers(const Trial& trial, std::mt19937* random, SessionData* data) {
+  for (PoseSample& pose : data->poses) {
+    if (Uniform(random, 0.0, 100.0) >= trial.outliers) continue;
+    pose.p_WM += kOutlierDistance * RandomDirection(random);
+    pose.q_WM = pose.q_WM * Exp<double>(kOutlierAngle * RandomDirection(random));
+  }
+}
+
+/// Loses `lost` of the poses in gaps of 1 s at even distances.
+void Lose(double lost, SessionData* data) {
+  if (lost <= 0.0 || data->poses.empty()) return;
+  const double period = kGap * 100.0 / lost;
+  const int64_t first_ns = data->poses.front().t_ns;
+  const auto is_lost = [&](const PoseSample& pose) {
+    const double t = Seconds(pose.t_ns - first_ns);
+    return std::fmod(t, period) >= period - kGap;
+  };
+  auto& poses = data->poses;
+  poses.erase(std::remove_if(poses.begin(), poses.end(), is_lost), poses.end());
+}
+
+Errors ErrorsOf(const Comparable& estimate, const Comparable& truth) {
+  Errors errors;
+  errors << estimate.T_MI.p - truth.T_MI.p,
+      Log(Eigen::Quaterniond(truth.T_MI.q.conjugate() * estimate.T_MI.q)),
+      estimate.time_shift - truth.time_shift, estimate.accel_delay - truth.accel_delay;
+  return errors;
+}
+
+/// Errors squared by the covariance that is reported and by that of independent residuals:
+/// chi-square of 8 degrees of freedom.
+Eigen::Vector2d ChiSquares(const Calibration& result, const Errors& e) {
+  using Covariance = Eigen::Matrix<double, 8, 8>;
+  const Marginals& marginals = result.solution->marginals;
+  Eigen::MatrixXd select = Eigen::MatrixXd::Zero(8, marginals.model.cols());
+  Eigen::Index row = 0;
+  for (const auto& [kind, size] : {std::pair{ParameterKind::kTranslation, 3},
+                                   {ParameterKind::kRotation, 3},
+                                   {ParameterKind::kTimeShift, 1},
+                                   {ParameterKind::kAccelDelay, 1}})
+    for (int i = 0; i < size; ++i) select(row++, marginals.Find(kind) + i) = 1.0;
+  const Covariance model = select * marginals.model * select.transpose();
+  const Eigen::VectorXd larger = select * Enlargement(marginals.model, marginals.robust);
+  const Covariance reported = larger.asDiagonal() * model * larger.asDiagonal();
+  return {e.dot(reported.llt().solve(e)), e.dot(model.llt().solve(e))};
+}
+
+/// Bounds of a trial whose noises are those of the simulator and what is added.
+ErrorBounds Bounds(const Trial& trial, std::vector<SimulatorOptions> truths,
+                   const std::vector<SessionData>& recordings) {
+  for (SimulatorOptions& truth : truths) {
+    truth.position_std = std::hypot(truth.position_std, trial.pose_noise.position);
+    truth.rotation_std = std::hypot(truth.rotation_std, trial.pose_noise.rotation);
+    truth.gyro_std = std::hypot(truth.gyro_std, trial.imu_noise.gyro);
+    truth.accel_std = std::hypot(truth.accel_std, trial.imu_noise.accel);
+  }
+  return FindErrorBounds(truths, recordings);
+}
+
+Eigen::VectorXd Numbers(const YAML::Node& list) {
+  const auto numbers = list.as<std::vector<double>>();
+  return Eigen::Map<const Eigen::VectorXd>(numbers.data(),
+                                           static_cast<Eigen::Index>(numbers.size()));
+}
+
+/// What Describe() makes of a calibration, read back.
+Comparable ParseComparable(const YAML::Node& node) {
+  Comparable calibration;
+  calibration.T_MI = {Eigen::Quaterniond(Eigen::Vector4d(Numbers(node["rotation"]))),
+                      Numbers(node["translation"])};
+  for (int row = 0; row < 6; ++row)
+    calibration.covariance.row(row) = Numbers(node["covariance"][row]);
+  const Eigen::Vector2d delay = Numbers(node["accel_delay"]), shift = Numbers(node["time_shift"]);
+  calibration.accel_delay = delay[0];
+  calibration.accel_delay_std = delay[1];
+  calibration.time_shift = shift[0];
+  calibration.time_shift_std = shift[1];
+  return calibration;
+}
+
+/// Rotation [rad], translation [m], time shift and accel delay [s].
+YAML::Node ListOf(const ErrorNorms& n) {
+  return YamlList(Eigen::Vector4d(n.rotation, n.translation, n.time_shift, n.accel_delay));
+}
+
+/// Sets what scripts/evaluate reads: verdict, reason, and of a usable result its numbers and, where
+/// there is a truth, norms of its errors. Throws DataError when the data are refused.
+void RunTrial(const Trial& trial, SessionData bag, YAML::Node* outcome) {
+  const bool is_simulated = trial.bag.empty();
+  std::vector<SimulatorOptions> truths;
+  std::vector<SessionData> recordings;
+  Comparable truth;
+  if (is_simulated) {
+    truths = Truths(trial);
+    for (const SimulatorOptions& options : truths) recordings.push_back(Simulate(options));
+    const TrueClock clock(truths[0]);
+    truth.T_MI = truths[0].T_MI;
+    truth.time_shift = clock.time_shift_s;
+    truth.accel_delay = clock.accel_delay_s;
+  } else {
+    recordings.push_back(std::move(bag));
+    if (!trial.reference.empty()) truth = ParseComparable(YAML::Load(trial.reference));
+  }
+  for (size_t s = 0; s < recordings.size(); ++s) {
+    std::mt19937 noise = RandomOf(Use::kNoise, trial.index, s);
+    std::mt19937 outliers = RandomOf(Use::kOutliers, trial.index, s);
+    AddNoise(trial, &noise, &recordings[s]);
+    AddOutliers(trial, &outliers, &recordings[s]);
+    Lose(trial.lost, &recordings[s]);
+  }
+
+  CalibrationOptions options;
+  options.method = ParseMethod(trial.method);
+  options.num_threads = 1;  // trials run side by side, and give the same on any machine
+  if (trial.is_guessed) {
+    std::mt19937 random = RandomOf(Use::kGuess, trial.index);
+    const Rigid3 away = RandomTransform(&random);
+    options.initial_rotation = truth.T_MI.q * away.q;
+    options.initial_translation = truth.T_MI.p + away.p;
+    (*outcome)["guess"] = YamlList(
+        Eigen::Vector2d(Eigen::Quaterniond::Identity().angularDistance(away.q), away.p.norm()));
+  }
+  const Calibration result = Calibrate(options, recordings);
+  (*outcome)["verdict"] = ToString(result.status);
+  (*outcome)["reason"] = result.message;
+  if (!result.IsUsable()) return;
+  const ImuCalibration& imu = result.imus[0];
+  const ImuSession& clock = result.sessions[0].imus[0];
+  const Comparable found = {imu.T_MI,         imu.covariance,
+                            imu.accel_delay,  imu.accel_delay_std,
+                            clock.time_shift, clock.time_shift_std};
+  for (const auto& entry : Describe(found)) (*outcome)[entry.first] = entry.second;
+  (*outcome)["std"] = YamlList(found.covariance.diagonal().cwiseSqrt());
+  if (!is_simulated && trial.reference.empty()) return;
+  const Errors e = ErrorsOf(found, truth);
+  const Eigen::Vector3d translation = e.head<3>(), rotation = e.segment<3>(3);
+  (*outcome)["error"] =
+      ListOf({translation.norm(), rotation.norm(), std::abs(e[6]), std::abs(e[7])});
+  if (!is_simulated) return;
+  (*outcome)["chi2"] = YamlList(ChiSquares(result, e));
+  if (options.method != Method::kJoint) return;
+  const ErrorBounds bounds = Bounds(trial, truths, recordings);
+  (*outcome)["bound"] = ListOf(bounds.as_joint);
+  (*outcome)["least"] = ListOf(bounds.least);
+}
+
+// --- What else evaluate asks for ---
+
+/// Constants, and the transform of a chain as the rows of its matrix.
+YAML::Node About(const std::vector<std::string>& chain) {
+  const CalibrationOptions bounds;
+  SimulatorOptions simulator;
+  YAML::Node node;
+  node["version"] = kVersion;
+  node["sample"] = ros::package::getPath("imu_pose_calib") + "/data/estimator_own_clocks.bag";
+  node["within"] = YamlList(Eigen::Vector3d(bounds.weak_rotation_std, bounds.weak_translation_std,
+                                            bounds.weak_time_shift_std));
+  node["agreement"] = YamlValue(kAgreementBound);
+  for (const Effect& effect : Effects(&simulator))
+    node["effects"][effect.name] = YamlValue(effect.usual);
+  Rigid3 T;
+  for (const std::string& link : chain) T = T * ReadTransform("--chain", link);
+  for (int row = 0; row < 4; ++row) node["chain"].push_back(YamlList(T.Matrix().row(row)));
+  return node;
+}
+
+/// Every pair of the results, each less its reference, a transform, and how all scatter, in the
+/// first `quantities` of translation, rotation, accel delay and time shift.
+YAML::Node CompareAll(const YAML::Node& given) {
+  std::vector<ComparedQuantity> quantities = {
+      ComparedQuantity::kTranslation, ComparedQuantity::kRotation, ComparedQuantity::kAccelDelay,
+      ComparedQuantity::kTimeShift};
+  quantities.resize(given["quantities"].as<size_t>());
+  std::vector<Comparable> results;
+  YAML::Node node;
+  for (const YAML::Node& result : given["results"]) {
+    results.push_back(ParseComparable(result));
+    if (!result["reference"] || result["reference"].IsNull()) continue;
+    Comparable reference;
+    Eigen::Matrix4d T;
+    for (int row = 0; row < 4; ++row) T.row(row) = Numbers(result["reference"][row]);
+    const Eigen::Matrix3d R = T.topLeftCorner<3, 3>();
+    reference.T_MI = {Eigen::Quaterniond(R).normalized(), T.topRightCorner<3, 1>()};
+    node["from_reference"].push_back(Describe(Compare(reference, results.back(), quantities)));
+  }
+  for (size_t a = 0; a < results.size(); ++a)
+    for (size_t b = a + 1; b < results.size(); ++b)
+      node["pairs"].push_back(Describe(Compare(results[a], results[b], quantities)));
+  if (results.size() < 2) return node;
+  const Repeatability repeat = Repeat(results, quantities);
+  node["mean"] = Describe(repeat.mean);
+  for (const Scatter& scatter : repeat.scatters) node["scatters"].push_back(Describe(scatter));
+  return node;
+}
+
+// --- Command line ---
+
+struct CommandLine {
+  Trial trial;
+  std::vector<std::string> chain;
+  bool about = false, compare = false, help = false;
+};
+
+po::options_description Describe(CommandLine* line) {
+  Trial& trial = line->trial;
+  SimulatorOptions& simulator = trial.simulator;
+  po::options_description options("Options");
+  auto add = options.add_options();
+  add("method", ValueOrDefault(&trial.method, "TEXT"), "joint or gp");
+  add("index", ValueOrDefault(&trial.index, "N"), "random numbers follow from it");
+  add("bag", Value(&trial.bag), "recording; default: simulated");
+  add("start", ValueOrDefault(&trial.start_s, "S"), "seconds of the bag to skip");
+  add("reference", Value(&trial.reference, "YAML"), "result of the bag as it is, for errors");
+  add("duration", ValueOrDefault(&simulator.duration_s, "S"), "length; 0: all of the bag");
+  add("motion", ValueOrDefault(&trial.motion, "TEXT"), "of the simulator");
+  add("pose-rate", ValueOrDefault(&simulator.pose_rate_hz, "HZ"), "poses");
+  add("position-std", ValueOrDefault(&simulator.position_std, "M"), "noise per axis");
+  add("rotation-std", ValueOrDefault(&simulator.rotation_std, "RAD"), "noise per axis");
+  add("time-shift", ValueOrDefault(&simulator.time_shift_s, "S"), "t_pose = t_imu + time_shift");
+  add("accel-delay", ValueOrDefault(&simulator.accel_delay_s, "S"),
+      "t_pose = t_accel + time_shift - accel_delay");
+  add("lever-arm", Value(&trial.lever_arm, "M"), "distance between marker and IMU");
+  add("recordings", ValueOrDefault(&trial.recordings, "N"), "of one rig, calibrated together");
+  add("random-rig", po::bool_switch(&trial.is_random_rig), "T_MI and clocks are random");
+  add("one-rig", po::bool_switch(&trial.is_one_rig), "clocks are random");
+  for (const Effect& effect : Effects(&simulator))
+    add(effect.name, ValueOrDefault(effect.strength, effect.unit), effect.text);
+  add("add-position", Value(&trial.pose_noise.position, "M"), "noise that is added");
+  add("add-rotation", Value(&trial.pose_noise.rotation, "RAD"), "noise that is added");
+  add("add-gyro", Value(&trial.imu_noise.gyro, "RAD/S"), "noise that is added");
+  add("add-accel", Value(&trial.imu_noise.accel, "M/S^2"), "noise that is added");
+  add("outliers", Value(&trial.outliers, "%"), "poses that are 10 cm and 20 deg astray");
+  add("lost", Value(&trial.lost, "%"), "of the poses, in gaps of 1 s");
+  add("guess", po::bool_switch(&trial.is_guessed), "start up to 180 deg and 1 m from the truth");
+  add("about", po::bool_switch(&line->about), "instead: print constants that evaluate needs");
+  add("chain", Value(&line->chain), "with --about: transforms to multiply, in order");
+  add("compare", po::bool_switch(&line->compare), "instead: compare the results in YAML on stdin");
+  add("help", po::bool_switch(&line->help), "print this text");
+  return options;
+}
+
+/// The trial's outcome, also when it has no result.
+YAML::Node Outcome(Trial trial) {
+  trial.simulator.motion = ParseMotion(trial.motion);
+  if (trial.recordings < 1) throw InputError("--recordings = 0 must be at least 1");
+  if (trial.is_guessed && !trial.bag.empty() && trial.reference.empty())
+    throw InputError("--guess of a bag needs its --reference");
+  SessionData bag;
+  if (!trial.bag.empty()) {
+    BagRequest request;
+    request.paths = {trial.bag};
+    request.start_s = trial.start_s;
+    request.duration_s = trial.simulator.duration_s;
+    bag = ReadBag(request).data;
+  }
+  YAML::Node outcome;
+  try {
+    RunTrial(trial, std::move(bag), &outcome);
+  } catch (const std::exception& error) {
+    outcome["verdict"] = dynamic_cast<const DataError*>(&error) ? "refused" : "failed";
+    outcome["reason"] = error.what();
+  }
+  return outcome;
+}
+
+void Run(int argc, char** argv) {
+  CommandLine line;
+  const po::options_description options = Describe(&line);
+  ParseCommandLine(argc, argv, options);
+  if (line.help) {
+    std::cout << "Usage: evaluate_trial [options]\n\nRuns one trial of evaluate and prints what "
+                 "became of it as YAML.\n\n"
+              << options;
+  } else if (line.about) {
+    std::cout << About(line.chain) << "\n";
+  } else if (line.compare) {
+    std::cout << CompareAll(YAML::Load(std::cin)) << "\n";
+  } else {
+    std::cout << Outcome(line.trial) << "\n";
+  }
+}
+
+}  // namespace
+}  // namespace imu_pose_calib
+
+int main(int argc, char** argv) {
+  return imu_pose_calib::RunCommand("evaluate_trial", [&] { imu_pose_calib::Run(argc, argv); });
+}
