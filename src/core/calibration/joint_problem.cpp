@@ -66,26 +66,26 @@ struct Places {
     if (!place || !trajectory->Contains(t)) return std::nullopt;
     return static_cast<int>(place->first);
   }
-  /// Second derivatives of f_M at t [s]. Of a spring of this compliance they are those of the force
-  /// that the IMU feels on it, which exceeds F = R_WM f_M by -compliance F'' and so on.
+  /// Second derivatives of f_M at t [s], where IsOnTrajectory(). Of a spring of this compliance
+  /// they are those of the force that the IMU feels on it, which exceeds F = R_WM f_M by
+  /// -compliance F'' and so on.
   void SetForceDerivatives(double t, const Eigen::Vector3d& p_MI, double compliance,
                            JointAccelSample* sample) const {
     constexpr int kPoints = 5;
-    const double step = splines.spacing();  // images of the splines are about its frequency
+    constexpr double kStep = 0.01;  // [s]
     std::array<Eigen::Vector3d, kPoints> f, F;
     Eigen::Quaterniond q_MW;
     for (size_t k = 0; k < kPoints; ++k) {
-      MarkerState<double> state;
-      if (!trajectory->Evaluate(t + (static_cast<double>(k) - 2.0) * step, &state)) return;
+      const MarkerState<double> state = At(t + (static_cast<double>(k) - 2.0) * kStep);
       f[k] = SpecificForce(state, g_W, p_MI);
       F[k] = state.q_WM * f[k];
       if (k == kPoints / 2) q_MW = state.q_WM.conjugate();
     }
-    const auto second = [step](const std::array<Eigen::Vector3d, kPoints>& x) -> Eigen::Vector3d {
-      return (16.0 * (x[1] + x[3]) - x[0] - x[4] - 30.0 * x[2]) / (12.0 * step * step);
+    const auto second = [](const std::array<Eigen::Vector3d, kPoints>& x) -> Eigen::Vector3d {
+      return (16.0 * (x[1] + x[3]) - x[0] - x[4] - 30.0 * x[2]) / (12.0 * kStep * kStep);
     };
     const Eigen::Vector3d fourth =
-        (F[0] + F[4] - 4.0 * (F[1] + F[3]) + 6.0 * F[2]) / std::pow(step, 4);
+        (F[0] + F[4] - 4.0 * (F[1] + F[3]) + 6.0 * F[2]) / std::pow(kStep, 4);
     sample->f_curvature = second(f);
     sample->f_swing = q_MW * (second(F) - compliance * fourth);
   }
