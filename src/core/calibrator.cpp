@@ -376,10 +376,7 @@ Calibration Calibrate(const CalibrationOptions& options, std::vector<SessionData
   const Marginals marginals = CompareSessions(CoverHalves(solution.marginals), &result);
   GradeResult(options, marginals, &result);
   WarnOfMisfit(marginals, &result);
-  if (!solution.has_settled)
-    result.warnings.push_back(
-        "the noise of the sensors has not settled: the result may move by parts of its sigma");
-  DoubtResult(sessions, &result);
+  DoubtResult(sessions, solution.has_settled, &result);
   TestSessionAgreement(&result);
   solution.estimate = std::move(estimate);
   for (PreparedSession& session : sessions) {

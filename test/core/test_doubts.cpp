@@ -30,9 +30,15 @@ Calibration Certain() {
   return result;
 }
 
-Calibration Doubted(Calibration result) {
-  DoubtResult({Scattering(2e-3, 4e-3)}, &result);
+Calibration Doubted(Calibration result, bool has_settled = true) {
+  DoubtResult({Scattering(2e-3, 4e-3)}, has_settled, &result);
   return result;
+}
+
+TEST(Doubts, ASolveThatHasNotSettled) {
+  const Calibration result = Doubted(Certain(), false);
+  EXPECT_EQ(result.status, Status::kWeak);
+  EXPECT_NE(result.message.find("has not settled"), std::string::npos) << result.message;
 }
 
 TEST(Doubts, NoneWithoutAReason) {

@@ -17,6 +17,9 @@ namespace {
 /// Passes end when nothing would move by so much of its sigma, or with the last of so many.
 constexpr double kSettled = 0.05;
 constexpr int kMaxPasses = 40;
+/// From this pass on noise and slow errors move half of the way, in the logarithm: what goes to and
+/// fro comes to rest.
+constexpr int kHalfSteps = 8;
 
 /// S4 at given knot spacings: trajectories and calibration in passes of least squares, each with
 /// the noise and the robust weights that the residuals of the one before show.
@@ -41,14 +44,14 @@ class JointSolver {
     bool has_converged = false;
     for (int pass = 0; pass < kMaxPasses && !solution.has_settled; ++pass) {
       if (pass > 0) {
-        SetNoise();
+        SetNoise(pass < kHalfSteps ? 1.0 : 0.5);
         MoveTrajectories();
       }
       const size_t held = at_bound_.size();
       const SolveSummary summary = Pass();
       has_converged = summary.has_converged;
       solution.has_settled =
-          pass > 0 && has_converged && at_bound_.size() == held && summary.first_step < kSettled;
+          pass > 0 && has_converged && at_bound_.size() == held && summary.moved < kSettled;
     }
     if (!has_converged) ThrowNotConverged(options_);
     AddSpuriousInformation(splines_, problem_.get());
@@ -79,6 +82,9 @@ class JointSolver {
     const SolveSummary summary = problem_->Solve(kRoughTolerance);
     iterations_ += summary.iterations;
     statistics_ = problem_->FindStatistics();
+    slow_errors_.clear();
+    for (const SessionEstimate& session : estimate_->sessions)
+      slow_errors_.push_back(session.rotation_errors.std);
     FitNoise(problem_.get(), &statistics_);
     // No source averages rotations over longer than positions, and no mount gives way upwards:
     // other errors look like that.
@@ -118,11 +124,15 @@ class JointSolver {
     }
   }
 
-  /// As the last residuals show it.
-  void SetNoise() {
+  /// Towards what the last residuals show, by this share of the way.
+  void SetNoise(double share) {
     for (size_t k = 0; k < models_.size(); ++k) {
-      models_[k].noise = statistics_[k].noise;
+      models_[k].noise *= std::pow(statistics_[k].noise / models_[k].noise, share);
       models_[k].spread = statistics_[k].spread;
+    }
+    for (size_t s = 0; s < slow_errors_.size(); ++s) {
+      double& sigma = estimate_->sessions[s].rotation_errors.std;
+      sigma = slow_errors_[s] * std::pow(sigma / slow_errors_[s], share);
     }
     UpdateWeights(*problem_, splines_, &models_);
   }
@@ -134,6 +144,7 @@ class JointSolver {
   std::vector<CorrectionSplines> splines_;
   std::unique_ptr<LeastSquares> problem_;
   std::vector<SensorStatistics> statistics_;  ///< of the last pass
+  std::vector<double> slow_errors_;           ///< sigmas of the sessions' [rad] in the last pass
   std::vector<const double*> at_bound_;       ///< parameters that stay 0
   bool are_moved_ = false;                    ///< trajectories
   int iterations_ = 0;

@@ -122,14 +122,15 @@ double Norm(const std::vector<double>& x) {
   return Eigen::Map<const Eigen::VectorXd>(x.data(), static_cast<Eigen::Index>(x.size())).norm();
 }
 
-/// The largest move of T_MI, a time shift or an accel delay, in its sigma.
-double LargestMove(const Ordering& order, const GaussNewtonStep& step) {
+/// The largest move of T_MI, a time shift or an accel delay, in its sigma; `x`, `std`: of what acts
+/// everywhere.
+double LargestMove(const Ordering& order, const Eigen::VectorXd& x, const Eigen::VectorXd& std) {
   double largest = 0.0;
   Eigen::Index column = 0;
   for (const Parameter& p : order.calibrated) {
-    if (p.kind <= ParameterKind::kAccelDelay && step.std.size() > 0)
-      largest = std::max(largest, step.x.segment(column, p.size)
-                                      .cwiseQuotient(step.std.segment(column, p.size))
+    if (p.kind <= ParameterKind::kAccelDelay && std.size() > 0)
+      largest = std::max(largest, x.segment(column, p.size)
+                                      .cwiseQuotient(std.segment(column, p.size))
                                       .lpNorm<Eigen::Infinity>());
     column += p.size;
   }
@@ -405,24 +406,28 @@ SolveSummary LeastSquares::Solve(double function_tolerance) {
   const int count = (windows.count() - 1) / windows_of_step + 1;
   const NormalEquations normal(problem, order.border, order.inner, std::move(joined),
                                static_cast<size_t>(count));
-  double damping = 0.0, growth = 2.0, first = 0.0;
+  double damping = 0.0, growth = 2.0;
+  Eigen::VectorXd moved = Eigen::VectorXd::Zero(order.columns);
   for (int iteration = 1; iteration <= options.max_iterations; ++iteration) {
     const GaussNewtonStep step =
         FindStep(normal, damping, options.max_factor_mb, options.Threads());
-    if (iteration == 1) first = LargestMove(order, step);
     if (options.solver == SolverKind::kCeres) {
       const std::optional<int> iterations = SolveWithCeres(function_tolerance);
-      return {iterations.has_value(), iterations.value_or(options.max_iterations), first};
+      return {iterations.has_value(), iterations.value_or(options.max_iterations),
+              LargestMove(order, step.x, step.std)};
     }
     const std::vector<double> before = problem.Move(step.blocks, step.x);
     double found = 0.0;
     if (!problem.Evaluate(options.Threads(), &rows_, &found)) found = std::nan("");
     const double cost = step.cost, change = cost - found;
     const bool is_accepted = change > kLeastGain * step.decrease;
-    if (!is_accepted) {
+    if (is_accepted) {
+      moved += step.x;
+    } else {
       problem.Restore(step.blocks, before);
       rows_.clear();
     }
+    const double largest = LargestMove(order, moved, step.std);
     // No change to speak of; or all of what the linear model foresaw, at its minimum.
     const bool is_full = damping == 0.0;
     if (std::isfinite(step.decrease) && (is_accepted || is_full) &&
@@ -430,7 +435,7 @@ SolveSummary LeastSquares::Solve(double function_tolerance) {
          step.x.norm() <= kLeastStep * (Norm(before) + kLeastStep) ||
          (is_accepted && is_full &&
           std::abs(change - step.decrease) <= function_tolerance * found)))
-      return {true, iteration, first};
+      return {true, iteration, largest};
     if (is_accepted) {
       damping = damping / 3.0 < kLeastDamping ? 0.0 : damping / 3.0;
       growth = 2.0;
@@ -439,7 +444,7 @@ SolveSummary LeastSquares::Solve(double function_tolerance) {
       growth *= 2.0;
     }
   }
-  return {false, options.max_iterations, first};
+  return {false, options.max_iterations, std::numeric_limits<double>::infinity()};
 }
 
 NoiseSpectrum LeastSquares::FindSpectrum(const SensorBlocks& sensor, const float* rows,

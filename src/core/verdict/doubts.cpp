@@ -140,9 +140,12 @@ Marginals CoverHalves(Marginals marginals) {
   return marginals;
 }
 
-void DoubtResult(const std::vector<PreparedSession>& sessions, Calibration* result) {
+void DoubtResult(const std::vector<PreparedSession>& sessions, bool has_settled,
+                 Calibration* result) {
   if (!result->IsUsable()) return;
   std::vector<std::string> doubts;
+  if (!has_settled)
+    doubts.emplace_back("the solve has not settled: the result may move by parts of its sigma");
   DoubtHalves(*result, &doubts);
   DoubtNoise(sessions, *result, &doubts);
   DoubtPoseSource(*result, &doubts);

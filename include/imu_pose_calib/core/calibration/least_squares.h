@@ -104,9 +104,9 @@ struct GaussNewtonStep {
 struct SolveSummary {
   bool has_converged;  ///< to the minimum's cost, but for the tolerance
   int iterations;
-  /// Largest move by the first Gauss-Newton step of T_MI, a time shift or an accel delay, in its
-  /// sigma: how far from the minimum the solve began.
-  double first_step;
+  /// Largest move of T_MI, a time shift or an accel delay, in its sigma; by Ceres, that of the
+  /// Gauss-Newton step where it begins.
+  double moved;
 };
 
 /// Time blocks of the sessions, one after the other: what acts in one of them only is eliminated
