@@ -20,7 +20,7 @@ struct ErrorBounds {
   ErrorNorms least;
   /// When the rest is unknown, too, that the joint solve estimates by default, as far as its priors
   /// say: drift of the clock, scale and misalignment, scale and smoothing of the poses, smoothing
-  /// of the accelerometer.
+  /// of the accelerometer; but for the mount, which is taken to be stiff.
   ErrorNorms as_joint;
 };
 

@@ -71,7 +71,7 @@ RateAlignment StartSession(const CalibrationOptions& given, const PoseTrajectory
   const std::vector<TimedSample> rates = TurnRates(trajectory);
   const std::vector<double> shifts = FindTimeShifts(marker, rates, options.min_overlap_s,
                                                     std::nullopt, kCandidates, options.Threads());
-  const RateAlignment best = AlignRates(marker, rates, shifts, false, options.Threads());
+  RateAlignment best = AlignRates(marker, rates, shifts, false, options.Threads());
   session->time_shift = best.time_shift;
   if (best.explained >= kMinExplained) return best;
   const double inverted = AlignRates(marker, rates, shifts, true, options.Threads()).explained;
