@@ -30,7 +30,7 @@ TEST(KnotSpacing, FollowsTheMotionDownToTheNoise) {
   drone.gyro_std *= 0.1;
   drone.accel_std *= 0.1;
   EXPECT_LT(Choose(drone), ordinary);
-  EXPECT_EQ(Choose(Recording(Motion::kStatic)), 0.12);  // the coarsest
+  EXPECT_EQ(Choose(Recording(Motion::kStatic)), 0.06);  // the coarsest
 }
 
 TEST(KnotSpacing, LeavesFourSamplesToASpan) {
@@ -38,6 +38,8 @@ TEST(KnotSpacing, LeavesFourSamplesToASpan) {
   tumble.gyro_std = tumble.accel_std = 1e-6;
   tumble.gyro_rate_hz = tumble.accel_rate_hz = 100.0;
   EXPECT_EQ(Choose(tumble), 0.06);  // half of it has three
+  tumble.gyro_rate_hz = tumble.accel_rate_hz = 40.0;
+  EXPECT_NEAR(Choose(tumble), 0.1, 1e-3);
 }
 
 /// Rests take most of the time, and none of the power.

@@ -12,7 +12,7 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr double kCoarsest = 0.12;          // [s]
+constexpr double kCoarsest = 0.06;          // [s]
 constexpr double kMinSamplesPerKnot = 4.0;  // IMU samples
 /// By how much what splines leave of gyroscope times accelerometer must shrink.
 constexpr double kShrinkage = 0.01;
@@ -102,8 +102,9 @@ double ChooseKnotSpacing(const CalibrationOptions& options, const ConditionedDat
     slowest = std::min({slowest, gyro_hz, accel_hz});
     imus += 1.0;
   }
-  double spacing = kCoarsest;
-  while (0.5 * spacing >= kMinSamplesPerKnot / slowest) {
+  const double finest = kMinSamplesPerKnot / slowest;
+  double spacing = std::max(kCoarsest, finest);
+  while (0.5 * spacing >= finest) {
     double shrinkage = 0.0;
     for (const Spectrum& spectrum : spectra) shrinkage += Shrinkage(spectrum, Band(spacing)) / imus;
     if (shrinkage < kShrinkage) break;
