@@ -24,20 +24,20 @@ SimulatorOptions Recording(Motion motion) {
 TEST(KnotSpacing, IsThatWhichIsGiven) { EXPECT_EQ(Choose(Recording(Motion::kArm), 0.07), 0.07); }
 
 TEST(KnotSpacing, FollowsTheMotionDownToTheNoise) {
-  SimulatorOptions drone = Recording(Motion::kDrone);
-  drone.gyro_rate_hz = drone.accel_rate_hz = 500.0;
-  const double ordinary = Choose(drone);
-  drone.gyro_std *= 0.1;
-  drone.accel_std *= 0.1;
-  EXPECT_LT(Choose(drone), ordinary);
-  EXPECT_EQ(Choose(Recording(Motion::kStatic)), 0.06);  // the coarsest
+  SimulatorOptions tumble = Recording(Motion::kTumble);
+  tumble.gyro_rate_hz = tumble.accel_rate_hz = 500.0;
+  const double ordinary = Choose(tumble);
+  tumble.gyro_std *= 0.1;
+  tumble.accel_std *= 0.1;
+  EXPECT_LT(Choose(tumble), ordinary);
+  EXPECT_EQ(Choose(Recording(Motion::kStatic)), 0.085);  // the coarsest
 }
 
 TEST(KnotSpacing, LeavesFourSamplesToASpan) {
   SimulatorOptions tumble = Recording(Motion::kTumble);
   tumble.gyro_std = tumble.accel_std = 1e-6;
   tumble.gyro_rate_hz = tumble.accel_rate_hz = 100.0;
-  EXPECT_EQ(Choose(tumble), 0.06);  // half of it has three
+  EXPECT_EQ(Choose(tumble), 0.0425);  // half of it has two
   tumble.gyro_rate_hz = tumble.accel_rate_hz = 40.0;
   EXPECT_NEAR(Choose(tumble), 0.1, 1e-3);
 }

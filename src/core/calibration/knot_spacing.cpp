@@ -12,7 +12,7 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr double kCoarsest = 0.06;          // [s]
+constexpr double kCoarsest = 0.085;         // [s]
 constexpr double kMinSamplesPerKnot = 4.0;  // IMU samples
 /// By how much what splines leave of gyroscope times accelerometer must shrink.
 constexpr double kShrinkage = 0.01;
