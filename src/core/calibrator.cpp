@@ -51,7 +51,20 @@ CalibrationOptions WithoutStart(CalibrationOptions options, bool is_first_sessio
   return options;
 }
 
-/// Throws InputError for what cannot be known of several IMUs or sessions.
+/// Whether two IMUs are one under two names: most turn rates of both are the same to the last bit
+/// at the same stamps.
+bool AreOne(const ImuData& a, const ImuData& b) {
+  size_t equal = 0, i = 0;
+  for (const ImuSample& of_b : b.gyro) {
+    while (i < a.gyro.size() && a.gyro[i].t_ns < of_b.t_ns) ++i;
+    if (i < a.gyro.size() && a.gyro[i].t_ns == of_b.t_ns && a.gyro[i].value == of_b.value) ++equal;
+  }
+  return 2 * equal > std::min(a.gyro.size(), b.gyro.size());
+}
+
+/// Throws InputError for what cannot be known of several IMUs or sessions and for an IMU that is
+/// given twice: two that agree to the last bit seem to have no noise. Throws DataError for an IMU
+/// without samples.
 void CheckRig(const CalibrationOptions& options, const std::vector<SessionData>& sessions) {
   if (sessions.empty()) throw InputError("there is no session to calibrate from");
   const size_t imus = sessions[0].imus.size(), sensors = sessions[0].pose_sensors.size();
@@ -65,6 +78,12 @@ void CheckRig(const CalibrationOptions& options, const std::vector<SessionData>&
                     [i](const SessionData& session) { return session.imus[i].IsEmpty(); }))
       throw DataError("there are no samples" + OfImu(i, imus));
   CheckSingle(options, imus, sessions.size());
+  for (const SessionData& session : sessions)
+    for (size_t b = 0; b < imus; ++b)
+      for (size_t a = 0; a < b; ++a)
+        if (AreOne(session.imus[a], session.imus[b]))
+          throw InputError("imu" + std::to_string(b) + " has the samples of imu" +
+                           std::to_string(a) + ": give each IMU of the rig once");
 }
 
 void ReportData(const DataCheck& check, SessionCalibration* session) {

@@ -146,6 +146,7 @@ TEST(Rig, RefusesWhatIsNoRig) {
   fixed.estimate_translation = false;
   fixed.initial_translation = Eigen::Vector3d::Zero();
   EXPECT_TRUE(Contains(text(fixed, {two}), "estimate_translation = false needs a single imu"));
+  EXPECT_TRUE(Contains(text({}, {two}), "imu1 has the samples of imu0"));
   two.imus[1] = ImuData();
   EXPECT_TRUE(Contains(ErrorText<DataError>([&] { Calibrate({}, two); }), "no samples of imu1"));
   SimulatorOptions motionless = Truth(320, 8.0);

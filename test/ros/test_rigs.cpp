@@ -4,6 +4,7 @@
 
 #include "imu_pose_calib/ros/io/bag_reader.h"
 #include "imu_pose_calib/ros/io/bag_writer.h"
+#include "imu_pose_calib/ros/io/text_writer.h"
 #include "run_executable.h"
 
 namespace imu_pose_calib {
@@ -124,19 +125,25 @@ TEST_F(RigsTest, ASessionMayLackAnImu) {
 }
 
 TEST_F(RigsTest, TextFilesAndFoldersMayBeSeveral) {
-  ASSERT_EQ(Run("simulate_bag", "a --format text --duration 12 --seed 8").status, 0);
   ASSERT_EQ(Run("simulate_bag", "f1 --format asl --duration 12 --seed 8").status, 0);
   ASSERT_EQ(Run("simulate_bag", "f2 --format asl --duration 12 --seed 9").status, 0);
   const Outcome folders = Calibrate("f1 f2 --output x.yaml --quiet");
   ASSERT_EQ(folders.status, 0) << folders.err;
   EXPECT_EQ(YAML::LoadFile(Path("x.yaml"))["sessions"].size(), 2u);
-  // The same IMU under two names: no transform between the two.
-  std::filesystem::copy_file(Path("a.imu.csv"), Path("b.imu.csv"));
-  const Outcome files =
-      Calibrate("--poses a.poses.txt --imu a.imu.csv --imu b.imu.csv --output y.yaml --quiet");
+  SessionData data = Simulate(Handheld(8), 2);
+  WriteTables(Path("a"), data, false);
+  std::swap(data.imus[0], data.imus[1]);
+  WriteTables(Path("b"), data, false);
+  const std::string both = "--poses a.poses.txt --imu a.imu.csv --imu ";
+  const Outcome files = Calibrate(both + "b.imu.csv --output y.yaml --quiet");
   ASSERT_EQ(files.status, 0) << files.err;
   const YAML::Node between = YAML::LoadFile(Path("y.yaml"))["between_imus"][0]["transform"];
-  EXPECT_LT(Distance(between["translation"], Eigen::Vector3d::Zero()), 1e-5);
+  EXPECT_LT(Distance(between["translation"],
+                     (Handheld(8).T_MI.Inverse() * FurtherImu(Handheld(8), 1).T_MI).p),
+            2e-3);
+  std::filesystem::copy_file(Path("a.imu.csv"), Path("c.imu.csv"));
+  ExpectFailure(both + "c.imu.csv", 1,
+                {"imu1 has the samples of imu0: give each IMU of the rig once"});
 }
 
 }  // namespace
