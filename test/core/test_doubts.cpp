@@ -16,7 +16,13 @@ bool Contains(const std::string& text, const std::string& part) {
 }
 
 PreparedSession Scattering(double position, double rotation) {
-  PreparedSession session;
+  static const PreparedSession prepared = [] {
+    SimulatorOptions truth;
+    truth.duration_s = 8.0;
+    DataCheck check;
+    return Prepare(CalibrationOptions(), Simulate(truth), &check);
+  }();
+  PreparedSession session = prepared;
   session.pose_noise = {position, rotation};
   return session;
 }
@@ -39,6 +45,21 @@ TEST(Doubts, ASolveThatHasNotSettled) {
   const Calibration result = Doubted(Certain(), false);
   EXPECT_EQ(result.status, Status::kWeak);
   EXPECT_NE(result.message.find("has not settled"), std::string::npos) << result.message;
+}
+
+TEST(Doubts, MotionInAMomentOnly) {
+  PreparedSession session = Scattering(2e-3, 4e-3);
+  for (TimedSample& sample : session.data.imus[0].gyro)
+    if (std::abs(sample.t - 4.0) > 1.0) sample.value = session.starts[0].gyro_bias;
+  Calibration result = Certain();
+  DoubtResult({session}, true, &result);
+  EXPECT_EQ(result.status, Status::kWeak);
+  EXPECT_TRUE(Contains(result.message, "s (bound: 3 s): turn it for longer")) << result.message;
+  // Another session of the rig makes up for it.
+  result = Certain();
+  result.sessions.push_back(result.sessions[0]);
+  DoubtResult({session, Scattering(2e-3, 4e-3)}, true, &result);
+  EXPECT_EQ(result.status, Status::kOk);
 }
 
 TEST(Doubts, NoneWithoutAReason) {

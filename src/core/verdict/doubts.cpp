@@ -10,6 +10,7 @@
 namespace imu_pose_calib {
 namespace {
 
+constexpr double kLeastTurning = 3.0;  // [s]
 constexpr double kCertain = 2.0;       // sigma of what is there
 constexpr double kDisagreement = 5.0;  // sigma between the halves
 /// Noise of poses in the solve over that of S1, which is at least the second of these.
@@ -23,6 +24,45 @@ constexpr double kMostSmoothing = 4e-3;  // [s^2]
 /// From which on the second moment is not enough to describe an accelerometer's filter.
 constexpr double kMostAccelSmoothing = 1.2e-3;  // [s^2]
 constexpr double kMostCompliance = 6.33e-5;     // [s^2] of a mount: 20 Hz, 0.6 mm by its weight
+
+/// How long the imu turns while there are poses, if all of it were as fast: (int w^2)^2 / int w^4,
+/// w^2 the mean square of the turn rate in half a second [s].
+double TurningTime(const std::vector<PreparedSession>& sessions, size_t imu) {
+  constexpr double kBin = 0.5;
+  double sum = 0.0, sum2 = 0.0;
+  for (const PreparedSession& session : sessions) {
+    const std::vector<TimedSample>& gyro = session.data.imus[imu].gyro;
+    const auto is_seen = [&](const TimedSample& sample) {
+      return session.trajectory->Contains(sample.t + session.starts[imu].time_shift);
+    };
+    for (size_t i = 0; i < gyro.size();) {
+      const double end = gyro[i].t + kBin;
+      double square = 0.0, seen = 0.0, count = 0.0;
+      for (; i < gyro.size() && gyro[i].t < end; ++i, count += 1.0) {
+        if (!is_seen(gyro[i])) continue;
+        square += (gyro[i].value - session.starts[imu].gyro_bias).squaredNorm();
+        seen += 1.0;
+      }
+      if (seen == 0.0) continue;
+      sum += square / count;
+      sum2 += square * square / (seen * count);
+    }
+  }
+  return sum2 > 0.0 ? kBin * sum * sum / sum2 : 0.0;
+}
+
+/// Of so few seconds a touch of the markers or a slip of the imu is a part too large, and no other
+/// part contradicts it.
+void DoubtMotion(const std::vector<PreparedSession>& sessions, const Calibration& result,
+                 std::vector<std::string>* doubts) {
+  for (size_t i = 0; i < result.imus.size(); ++i) {
+    const double time = TurningTime(sessions, i);
+    if (time >= kLeastTurning) continue;
+    doubts->push_back("nearly all turns" + OfImu(i, result.imus.size()) + " are in " +
+                      Number(time, "%.1f") + " s (bound: " + Number(kLeastTurning) +
+                      " s): turn it for longer");
+  }
+}
 
 void DoubtHalves(const Calibration& result, std::vector<std::string>* doubts) {
   if (result.split_half.sigmas <= kDisagreement) return;
@@ -146,6 +186,7 @@ void DoubtResult(const std::vector<PreparedSession>& sessions, bool has_settled,
   std::vector<std::string> doubts;
   if (!has_settled)
     doubts.emplace_back("the solve has not settled: the result may move by parts of its sigma");
+  DoubtMotion(sessions, *result, &doubts);
   DoubtHalves(*result, &doubts);
   DoubtNoise(sessions, *result, &doubts);
   DoubtPoseSource(*result, &doubts);

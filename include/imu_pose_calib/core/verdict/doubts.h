@@ -13,8 +13,9 @@ namespace imu_pose_calib {
 Marginals CoverHalves(Marginals marginals);
 
 /// Makes a graded result `weak`, and says why, where what the solve found cannot be right though
-/// every sigma is small: halves that disagree, poses that are ignored, a source of poses as there
-/// is none, motion that method gp has lost, a solve that has not settled (doc/math.md, "Doubts").
+/// every sigma is small: motion in a moment only, halves that disagree, poses that are ignored, a
+/// source of poses as there is none, motion that method gp has lost, a solve that has not settled
+/// (doc/math.md, "Doubts").
 void DoubtResult(const std::vector<PreparedSession>& sessions, bool has_settled,
                  Calibration* result);
 
