@@ -1,5 +1,7 @@
 #include "imu_pose_calib/core/calibration/joint_problem.h"
 
+#include <ceres/normal_prior.h>
+
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -14,6 +16,8 @@
 namespace imu_pose_calib {
 namespace {
 
+/// Of the trajectory's corrections [m], [rad]: more than any tracker errs by.
+constexpr double kCorrectionStd = 0.1;
 constexpr double kSensors = 3.0;  // of one IMU and the poses, that share what may be kept
 
 /// What make(i) returns for i = 0 .. count - 1, on all threads: kept unless that is too much.
@@ -311,6 +315,20 @@ void SessionBuilder::AddAccel(size_t imu) {
       });
 }
 
+/// Control points that samples leave open stay where the trajectory is.
+void AddCorrectionPriors(CorrectionSplines* splines, size_t session, LeastSquares* joint) {
+  const auto prior = std::make_shared<const ceres::NormalPrior>(
+      Eigen::Matrix3d::Identity() / kCorrectionStd, Eigen::Vector3d::Zero());
+  for (const CorrectionSplines::Run& run : splines->Runs()) {
+    for (Vector3ds* const points : {&splines->d, &splines->phi}) {
+      int block = joint->problem.Find((*points)[run.first].data());
+      for (size_t k = 0; k + 1 < run.spans + kSplineOrder; ++k, ++block)
+        joint->Add(joint->problem.AddResiduals(prior, {block}), session,
+                   run.begin + run.spacing * (static_cast<double>(k) - 1.0));
+    }
+  }
+}
+
 }  // namespace
 
 std::unique_ptr<LeastSquares> BuildJointProblem(const CalibrationOptions& options,
@@ -327,6 +345,7 @@ std::unique_ptr<LeastSquares> BuildJointProblem(const CalibrationOptions& option
   joint->AddCalibration(true);
   for (const double* parameter : held) joint->problem.SetHeld(parameter, true);
   for (size_t s = 0; s < sessions.size(); ++s) {
+    AddCorrectionPriors(&(*splines)[s], s, joint.get());
     SessionBuilder builder(s, &(*splines)[s], joint.get());
     builder.AddPoses();
     joint->AddRotationErrors(s);

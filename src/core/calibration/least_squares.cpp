@@ -49,9 +49,7 @@ constexpr int kStepWindows = 8;
 
 /// Share of the diagonal of H that is added to it after a step that does not reduce the cost by a
 /// share kLeastGain of what it should (Levenberg-Marquardt); less than this is none.
-constexpr double kLeastDamping = 1e-12, kLeastGain = 1e-3;
-/// Relative to the parameters.
-constexpr double kLeastStep = 1e-8;
+constexpr double kLeastDamping = 1e-4, kLeastGain = 1e-3;
 
 /// Of the poses that are left, between the first and the last one of segments [Hz].
 double MeanRate(const ConditionedData& data) {
@@ -68,7 +66,6 @@ double MeanRate(const ConditionedData& data) {
 struct Prior {
   Eigen::VectorXd sigmas;  ///< of each component, independent; empty: nothing
   double expected = 0.0;
-  double below = 0.0;  ///< unless 0: the sigma of a scalar that is less than expected
 };
 
 /// Of the elements of a matrix in rows, or of its lower triangle.
@@ -80,14 +77,17 @@ Eigen::VectorXd IntrinsicsPrior(bool is_triangle) {
   return Eigen::Map<Eigen::VectorXd>(sigmas.data(), static_cast<Eigen::Index>(sigmas.size()));
 }
 
-Prior SmoothingPrior(const std::vector<PreparedSession>& sessions, size_t imu) {
+/// Of the side on which the smoothing is: within a pass the cost is smooth.
+Prior SmoothingPrior(const std::vector<PreparedSession>& sessions, size_t imu, double smoothing) {
   double delay = 0.0;
   for (const PreparedSession& session : sessions)
     if (session.data.imus[imu].IsPresent() &&
         std::abs(session.starts[imu].accel_delay) > std::abs(delay))
       delay = session.starts[imu].accel_delay;
-  return {Eigen::VectorXd::Constant(1, kSmoothingSpread * std::max(delay * delay, 1e-12)),
-          kSmoothingPerDelay2 * delay * std::abs(delay), 2.0 * kCompliancePrior};
+  const double expected = kSmoothingPerDelay2 * delay * std::abs(delay);
+  const double sigma = smoothing < expected ? 2.0 * kCompliancePrior
+                                            : kSmoothingSpread * std::max(delay * delay, 1e-12);
+  return {Eigen::VectorXd::Constant(1, sigma), expected};
 }
 
 Prior PriorOf(const Parameter& p, const LeastSquares& solve) {
@@ -105,7 +105,7 @@ Prior PriorOf(const Parameter& p, const LeastSquares& solve) {
     case ParameterKind::kPoseScale:
       return alike(kPoseScalePrior, 1.0);
     case ParameterKind::kAccelSmoothing:
-      return SmoothingPrior(solve.sessions, p.imu);
+      return SmoothingPrior(solve.sessions, p.imu, *p.data);
     case ParameterKind::kMountCompliance:
       return alike(kCompliancePrior);
     case ParameterKind::kGyroIntrinsics:
@@ -116,10 +116,6 @@ Prior PriorOf(const Parameter& p, const LeastSquares& solve) {
     default:
       return {};
   }
-}
-
-double Norm(const std::vector<double>& x) {
-  return Eigen::Map<const Eigen::VectorXd>(x.data(), static_cast<Eigen::Index>(x.size())).norm();
 }
 
 /// The largest move of T_MI, a time shift or an accel delay, in its sigma; `x`, `std`: of what acts
@@ -281,14 +277,10 @@ void LeastSquares::AddCalibration(bool is_joint) {
     const bool is_held = !IsEstimated(options, p.kind);
     problem.SetHeld(p.data, is_held);
     if (is_held || prior.sigmas.size() == 0) continue;
-    if (prior.below > 0.0)
-      AddPrior(SplitNormalPrior{prior.expected, prior.below, prior.sigmas[0]}.Create(), p.data,
-               p.session);
-    else
-      AddPrior(std::make_unique<const ceres::NormalPrior>(
-                   prior.sigmas.cwiseInverse().asDiagonal(),
-                   Eigen::VectorXd::Constant(p.size, prior.expected)),
-               p.data, p.session);
+    AddPrior(std::make_unique<const ceres::NormalPrior>(
+                 prior.sigmas.cwiseInverse().asDiagonal(),
+                 Eigen::VectorXd::Constant(p.size, prior.expected)),
+             p.data, p.session);
   }
   for (size_t s = 0; s < sessions.size(); ++s) {
     double* const g_W = estimate->sessions[s].g_W.data();
@@ -428,13 +420,10 @@ SolveSummary LeastSquares::Solve(double function_tolerance) {
       rows_.clear();
     }
     const double largest = LargestMove(order, moved, step.std);
-    // No change to speak of; or all of what the linear model foresaw, at its minimum.
-    const bool is_full = damping == 0.0;
-    if (std::isfinite(step.decrease) && (is_accepted || is_full) &&
-        (std::abs(change) <= function_tolerance * cost ||
-         step.x.norm() <= kLeastStep * (Norm(before) + kLeastStep) ||
-         (is_accepted && is_full &&
-          std::abs(change - step.decrease) <= function_tolerance * found)))
+    // The whole step: the linear model foresees no decrease to speak of, or foresaw it rightly.
+    if (damping == 0.0 &&
+        (step.decrease <= function_tolerance * cost ||
+         (is_accepted && std::abs(change - step.decrease) <= function_tolerance * found)))
       return {true, iteration, largest};
     if (is_accepted) {
       damping = damping / 3.0 < kLeastDamping ? 0.0 : damping / 3.0;

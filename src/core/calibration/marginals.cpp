@@ -11,8 +11,6 @@
 namespace imu_pose_calib {
 namespace {
 
-/// On each coordinate of the trajectory's corrections [1/m^2, 1/rad^2]: nothing beside any sample.
-constexpr double kWeakInformation = 1.0;
 /// Beyond which the change of the gradient is looked for [s].
 constexpr double kClockStep = 1e-6;
 
@@ -111,7 +109,6 @@ class ReducedProblem {
 
  private:
   /// H and scores of a window.
-  Panels Assemble(size_t window, const std::vector<ExactColumn>& exact) const;
   /// What is known beforehand of the border counts in every part, not only where it stands.
   void AddPriors(Part* part) const;
   /// The means of bias knots that are in one window, or are shared.
@@ -156,7 +153,7 @@ ReducedProblem::ReducedProblem(const Ordering& order, const Functionals& functio
   weights.head(windows_).setOnes();
   eliminated_.emplace(elimination_, weights, solved.options.max_factor_mb, solved.options.Threads(),
                       [&](size_t w) {
-                        Panels own = Assemble(w, exact);
+                        Panels own = equations_.Assemble(w, exact);
                         AddMeans(static_cast<int>(w), &own);
                         return own;
                       });
@@ -217,18 +214,6 @@ void ReducedProblem::AddPriors(Part* part) const {
     const Eigen::VectorXd share = J.transpose() * r / static_cast<double>(part->windows.size());
     for (const int w : part->windows) part->reduced.B.col(w).segment(column, size) += share;
   }
-}
-
-Panels ReducedProblem::Assemble(size_t window, const std::vector<ExactColumn>& exact) const {
-  Panels panels = equations_.Assemble(window, exact);
-  const int first_point = static_cast<int>(order_.border.size() + order_.inner.size()) -
-                          static_cast<int>(solved_.trajectory_blocks.size());
-  elimination_->VisitDiagonal(
-      [&](int block, auto diagonal) {
-        if (block >= first_point) diagonal.array() += 0.5 * kWeakInformation;
-      },
-      &panels);
-  return panels;
 }
 
 void ReducedProblem::AddMeans(int window, Panels* panels) const {

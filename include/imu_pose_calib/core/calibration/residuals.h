@@ -92,20 +92,6 @@ struct GravityPrior {
   std::unique_ptr<ceres::CostFunction> Create() const { return AutoDiff<1, 3>(*this); }
 };
 
-/// Of a scalar about which more is known on one side of what is expected: r = (x - expected) /
-/// sigma, with sigma `below` or `above`. Block: x (1).
-struct SplitNormalPrior {
-  double expected, below, above;
-
-  template <typename T>
-  bool operator()(const T* x, T* residual) const {
-    *residual = (*x - T(expected)) / T(*x > T(expected) ? above : below);
-    return true;
-  }
-
-  std::unique_ptr<ceres::CostFunction> Create() const { return AutoDiff<1, 1>(*this); }
-};
-
 /// Between two knots: r = (knot_1 - kept knot_0) / sigma. Brownian motion: all is kept, sigma =
 /// walk sqrt(time between the knots); an Ornstein-Uhlenbeck process keeps a share of knot_0.
 /// Blocks: knot_0 (kSize) | knot_1 (kSize). Residual: kSize.
