@@ -57,7 +57,7 @@ TEST(StudentT, HardlySeesOutliers) {
 
 TEST(StudentT, IsOfAsManyVectorsAsThereAre) {
   EXPECT_NEAR(FitStudentT({Eigen::Vector3d(0.1, -0.2, 0.2)}).scale, 0.3 / std::sqrt(3.0), 0.01);
-  EXPECT_EQ(FitStudentT({Eigen::Vector3d::Zero(), Eigen::Vector3d::Zero()}).scale, 1e-9);
+  EXPECT_EQ(FitStudentT({Eigen::Vector3d::Zero(), Eigen::Vector3d::Zero()}).scale, 1e-6);
 }
 
 }  // namespace

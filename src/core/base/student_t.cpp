@@ -13,7 +13,7 @@ constexpr double kLeastDof = 1.0, kMostDof = 100.0;
 constexpr int kDofs = 15;         // that are tried, evenly in the logarithm
 constexpr int kRounds = 10;       // of the scale, for each
 constexpr size_t kEnough = 5000;  // vectors that the degrees of freedom are found from
-constexpr double kLeastScale = 1e-9;
+constexpr double kLeastScale = 1e-6;
 constexpr double kNormalMedian = 2.366;  // of the squared norm of a standard normal 3-vector
 
 /// The likeliest scale^2 is a fixed point of this.

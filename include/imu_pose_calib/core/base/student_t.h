@@ -17,7 +17,7 @@ struct StudentT {
   }
 };
 
-/// The likeliest of 1 to 100 degrees of freedom. x: at least one vector; the scale is 1e-9 at
+/// The likeliest of 1 to 100 degrees of freedom. x: at least one vector; the scale is 1e-6 at
 /// least.
 StudentT FitStudentT(const std::vector<Eigen::Vector3d>& x);
 
