@@ -16,8 +16,9 @@
 namespace imu_pose_calib {
 namespace {
 
-/// Of the trajectory's corrections [m], [rad]: more than any tracker errs by.
-constexpr double kCorrectionStd = 0.1;
+/// Of the trajectory's corrections [m], [rad]: so much that all control points together say nothing
+/// beside the slow errors of rotations.
+constexpr double kCorrectionStd = 1.0;
 constexpr double kSensors = 3.0;  // of one IMU and the poses, that share what may be kept
 
 /// What make(i) returns for i = 0 .. count - 1, on all threads: kept unless that is too much.
