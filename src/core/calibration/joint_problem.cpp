@@ -12,13 +12,14 @@
 #include "imu_pose_calib/core/base/parallel.h"
 #include "imu_pose_calib/core/calibration/joint_noise.h"
 #include "imu_pose_calib/core/calibration/joint_residuals.h"
+#include "imu_pose_calib/core/calibration/residuals.h"
 
 namespace imu_pose_calib {
 namespace {
 
-/// Of the trajectory's corrections [m], [rad]: so much that all control points together say nothing
-/// beside the slow errors of rotations.
-constexpr double kCorrectionStd = 1.0;
+/// Sigma of the step from one control point of the trajectory's corrections to the next [m], [rad]:
+/// more than any tracker errs by.
+constexpr double kCorrectionStep = 0.1;
 constexpr double kSensors = 3.0;  // of one IMU and the poses, that share what may be kept
 
 /// What make(i) returns for i = 0 .. count - 1, on all threads: kept unless that is too much.
@@ -316,15 +317,17 @@ void SessionBuilder::AddAccel(size_t imu) {
       });
 }
 
-/// Control points that samples leave open stay where the trajectory is.
+/// Control points that samples leave open stay near their neighbours, the first of a run near 0.
 void AddCorrectionPriors(CorrectionSplines* splines, size_t session, LeastSquares* joint) {
-  const auto prior = std::make_shared<const ceres::NormalPrior>(
-      Eigen::Matrix3d::Identity() / kCorrectionStd, Eigen::Vector3d::Zero());
+  const auto prior = std::make_shared<const ceres::NormalPrior>(Eigen::Matrix3d::Identity(),
+                                                                Eigen::Vector3d::Zero());
+  const std::shared_ptr<const ceres::CostFunction> walk = WalkResidual<3>{kCorrectionStep}.Create();
   for (const CorrectionSplines::Run& run : splines->Runs()) {
     for (Vector3ds* const points : {&splines->d, &splines->phi}) {
       int block = joint->problem.Find((*points)[run.first].data());
-      for (size_t k = 0; k + 1 < run.spans + kSplineOrder; ++k, ++block)
-        joint->Add(joint->problem.AddResiduals(prior, {block}), session,
+      joint->Add(joint->problem.AddResiduals(prior, {block}), session, run.begin);
+      for (size_t k = 0; k + 2 < run.spans + kSplineOrder; ++k, ++block)
+        joint->Add(joint->problem.AddResiduals(walk, {block, block + 1}), session,
                    run.begin + run.spacing * (static_cast<double>(k) - 1.0));
     }
   }
