@@ -108,7 +108,6 @@ class ReducedProblem {
   const std::vector<Part>& sessions() const { return sessions_; }
 
  private:
-  /// H and scores of a window.
   /// What is known beforehand of the border counts in every part, not only where it stands.
   void AddPriors(Part* part) const;
   /// The means of bias knots that are in one window, or are shared.
