@@ -128,7 +128,8 @@ def simulated(programs, rule, options):
 
 
 def recorded(programs, rule, bags, folder):
-    """Scatter of p [mm] and chi2 per degree of freedom of p and of R between calibrations of one mount."""
+    """Scatter of p [mm] and chi2 per degree of freedom of p and of R between calibrations of one mount; not a number
+    when one of them gives no result."""
     p, sigma, turns, turn_sigma, first = [], [], [], [], None
     for k, bag in enumerate(bags):
         path, _, span = bag.partition("@")
@@ -137,6 +138,8 @@ def recorded(programs, rule, bags, folder):
         if span:
             command += ["--start", span.split("+")[0], "--duration", span.split("+")[1]]
         subprocess.run(command, env={**os.environ, SWITCH: rule}, capture_output=True, check=False)
+        if not output.exists():
+            return math.nan, math.nan, math.nan
         transform = yaml.safe_load(output.read_text())["transform"]
         output.unlink()
         p.append(1e3 * numpy.array(transform["translation"]))

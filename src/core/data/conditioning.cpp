@@ -15,8 +15,8 @@ namespace imu_pose_calib {
 namespace {
 
 /// A spike: off the median of the samples this near by so many times the median step between the
-/// samples of the log and of those not so near, and by so many times the spread of those near.
-constexpr size_t kSpikeReach = 3, kStepReach = 10;
+/// samples of the log, and by so many times the spread of those near.
+constexpr size_t kSpikeReach = 3;
 constexpr double kSpikeSteps = 10.0, kSpikeSpreads = 5.0;
 /// Stated noises are believed to differ by this factor from the median at most.
 constexpr double kMaxNoiseScale = 10.0;
@@ -206,18 +206,13 @@ std::vector<double> FromMiddle(const std::vector<ImuSample>& samples, IndexRange
 void RemoveSpikes(std::vector<ImuSample>* spiky, StreamReport* report) {
   if (spiky->size() < 2) return;
   const std::vector<ImuSample> samples = std::exchange(*spiky, {});
-  const auto around = [&](size_t i, size_t reach) {
-    return IndexRange{i - std::min(i, reach), std::min(i + reach + 1, samples.size())};
-  };
-  const auto usual_step = [&](IndexRange range) {
-    std::vector<double> steps;
-    for (size_t i = range.begin + 1; i < range.end; ++i)
-      steps.push_back((samples[i].value - samples[i - 1].value).norm());
-    return Median(std::move(steps));
-  };
-  const double least = kSpikeSteps * usual_step({0, samples.size()});
+  std::vector<double> steps;
+  for (size_t i = 1; i < samples.size(); ++i)
+    steps.push_back((samples[i].value - samples[i - 1].value).norm());
+  const double least = kSpikeSteps * Median(std::move(steps));
   for (size_t i = 0; i < samples.size(); ++i) {
-    const IndexRange near = around(i, kSpikeReach);
+    const IndexRange near{i - std::min(i, kSpikeReach),
+                          std::min(i + kSpikeReach + 1, samples.size())};
     // No further off the middle than off the furthest of them, by component.
     Eigen::Vector3d furthest = Eigen::Vector3d::Zero();
     for (size_t k = near.begin; k < near.end; ++k)
@@ -225,9 +220,7 @@ void RemoveSpikes(std::vector<ImuSample>* spiky, StreamReport* report) {
     if (furthest.norm() > least) {
       const std::vector<double> distances = FromMiddle(samples, near);
       const double off = distances[i - near.begin];
-      if (off > std::max(least, kSpikeSteps * usual_step(around(i, kStepReach))) &&
-          off > kSpikeSpreads * Median(distances))
-        continue;
+      if (off > std::max(least, kSpikeSpreads * Median(distances))) continue;
     }
     spiky->push_back(samples[i]);
   }

@@ -9,8 +9,6 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr double kSureDrift = 5.0;  // [sigma]
-
 /// S2 of one IMU; initial values are those of the first. What it throws names the IMU when there
 /// are several.
 Start StartOf(CalibrationOptions options, const PreparedSession& session, size_t imu) {
@@ -82,10 +80,6 @@ PreparedSession Prepare(const CalibrationOptions& options, const SessionData& re
     prepared.starts.push_back(is_present ? StartOf(options, prepared, i) : Start());
     if (!is_present) continue;
     CheckMatch(prepared.data, *prepared.trajectory, prepared.starts[i], i, check);
-    const ImuCheck& match = check->imus[i];
-    if (options.method == Method::kJoint && options.estimate_clock_drift &&
-        std::abs(match.drift_ppm) > kSureDrift * match.drift_ppm_std)
-      prepared.starts[i].clock_drift = 1e-6 * match.drift_ppm;
     if (options.method == Method::kJoint && options.estimate_clock_walk &&
         options.estimate_time_shift)
       FindWalk(options, prepared.data.imus[i], *prepared.trajectory, &prepared.starts[i]);

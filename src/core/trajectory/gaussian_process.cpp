@@ -269,28 +269,14 @@ WindowedGp::WindowedGp(const GpData& data, const GpHyperparameters& hyperparamet
   InParallel(threads, windows_.size(), [&](size_t k) { windows_[k] = Fit(data, k); });
 }
 
-WindowedGp::WindowedGp(const WindowedGp& before, const GpData& data,
-                       const std::vector<double>& removed, int threads)
-    : WindowedGp(before) {
-  InParallel(threads, windows_.size(), [&](size_t k) {
-    const auto [low, high] = Span(k);
-    const auto first = std::lower_bound(removed.begin(), removed.end(), low);
-    if (first != removed.end() && *first <= high) windows_[k] = Fit(data, k);
-  });
-}
-
-std::pair<double, double> WindowedGp::Span(size_t window) const {
-  const double core_begin = begin_ + static_cast<double>(window) * core_;
-  const double margin = kMargin * hyperparameters_.lengthscale_s;
-  return {std::max(begin_, core_begin - margin), std::min(end_, core_begin + core_ + margin)};
-}
-
-std::shared_ptr<const WindowedGp::Window> WindowedGp::Fit(const GpData& data, size_t window) const {
+WindowedGp::Window WindowedGp::Fit(const GpData& data, size_t window) const {
   const GpHyperparameters& h = hyperparameters_;
   const double* const t_begin = data.t.data();
   const double* const t_end = t_begin + data.t.size();
   const double core_begin = begin_ + static_cast<double>(window) * core_;
-  const auto [low, high] = Span(window);
+  const double margin = kMargin * h.lengthscale_s;
+  const double low = std::max(begin_, core_begin - margin);
+  const double high = std::min(end_, core_begin + core_ + margin);
   const BumpGrid grid(low, high, h.lengthscale_s);
   WeightPosterior posterior = FitWeights(data, std::lower_bound(t_begin, t_end, low) - t_begin,
                                          std::upper_bound(t_begin, t_end, high) - t_begin, grid, h);
@@ -298,26 +284,21 @@ std::shared_ptr<const WindowedGp::Window> WindowedGp::Fit(const GpData& data, si
   const int first = grid.FirstBump(core_begin);
   const int size = grid.FirstBump(core_begin + core_) + kSupport - first;
   const double weight_std = WeightStd(h);
-  auto fitted = std::make_shared<Window>(Window{
-      grid.first + first * grid.spacing, weight_std * posterior.mean.middleRows(first, size), {}});
+  Window fitted{
+      grid.first + first * grid.spacing, weight_std * posterior.mean.middleRows(first, size), {}};
   if (!with_variance_) return fitted;
   BandMatrix inverse = posterior.A.InverseInBand();
-  fitted->covariance = Eigen::MatrixXd::Zero(size, kSupport);
+  fitted.covariance = Eigen::MatrixXd::Zero(size, kSupport);
   for (int k = 0; k < std::min(kSupport, size); ++k)
-    fitted->covariance.col(k).head(size - k) =
+    fitted.covariance.col(k).head(size - k) =
         weight_std * weight_std * inverse.diagonal(k, first, size - k);
   return fitted;
 }
 
-bool WindowedGp::Reaches(double t, double other) const {
-  const double core_begin = begin_ + static_cast<double>(IndexAt(t)) * core_;
-  const double margin = kMargin * hyperparameters_.lengthscale_s;
-  return other >= core_begin - margin && other <= core_begin + core_ + margin;
-}
-
-size_t WindowedGp::IndexAt(double t) const {
+const WindowedGp::Window& WindowedGp::At(double t) const {
   const double k = std::floor((t - begin_) / core_);
-  return static_cast<size_t>(std::clamp(k, 0.0, static_cast<double>(windows_.size()) - 1));
+  return windows_[static_cast<size_t>(
+      std::clamp(k, 0.0, static_cast<double>(windows_.size()) - 1))];
 }
 
 WindowedGp::Derivatives WindowedGp::Evaluate(double t) const {

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <optional>
 #include <utility>
 
 #include "imu_pose_calib/core/base/median.h"
@@ -16,8 +15,7 @@ namespace {
 constexpr double kMedianOfChi3 = 1.5382;  // median norm of a standard normal 3-vector
 constexpr int kLikelihoodChunks = 16;
 constexpr size_t kChunkPoses = 250;
-constexpr int kMaxRounds = 12;
-constexpr int kMaxRefits = 3;
+constexpr int kMaxRounds = 6;
 constexpr int kSpikeRounds = 3;
 constexpr double kSpikeThreshold = 2.0;  // times the outlier threshold
 constexpr double kSpikeRadius = 10.5;    // poses on either side
@@ -95,28 +93,26 @@ GpHyperparameters FitRotation(const CalibrationOptions& o, const ConditionedData
   return {h.lengthscale_s, 2.0 * h.signal_std, h.noise_std / noise_ratio};
 }
 
-/// Finds the norm of the leave-one-out residual in sigma, per pose: (position, rotation). Only
-/// where poses at `removed` [s] were before, unless there are none.
-void LeaveOneOut(const PoseTrajectory& trajectory, const std::vector<TimedPose>& poses,
-                 const std::vector<double>& removed, int threads,
-                 std::vector<Eigen::Vector2d>* normalised) {
+/// Norm of the leave-one-out residual in sigma, per pose: (position, rotation).
+std::vector<Eigen::Vector2d> LeaveOneOut(const PoseTrajectory& trajectory,
+                                         const std::vector<TimedPose>& poses, int threads) {
   const double position_noise2 = std::pow(trajectory.position_hyperparameters().noise_std, 2);
   const double rotation_noise2 = std::pow(trajectory.rotation_hyperparameters().noise_std, 2);
   // r_loo = r / (1 - h) with variance noise^2 / (1 - h), h = posterior variance / noise^2
   const auto normalise = [](double residual, double variance, double noise2) {
     return residual / std::sqrt(std::max(noise2 - variance, 1e-3 * noise2));
   };
-  normalised->resize(poses.size());
+  std::vector<Eigen::Vector2d> normalised(poses.size());
   InPortions(threads, poses.size(), [&](size_t i) {
     const TimedPose& pose = poses[i];
-    if (!removed.empty() && !trajectory.Reaches(pose.t, removed)) return;
     Eigen::Vector2d variance;
     const Rigid3 smooth = trajectory.PoseAt(pose.t, &variance);
     const double position = (pose.p_WM - smooth.p).norm();
     const double rotation = Log(Eigen::Quaterniond(smooth.q.conjugate() * pose.q_WM)).norm();
-    (*normalised)[i] << normalise(position, variance[0], position_noise2),
+    normalised[i] << normalise(position, variance[0], position_noise2),
         normalise(rotation, variance[1], rotation_noise2);
   });
+  return normalised;
 }
 
 /// Believes in noise that differs between poses only as far as the residuals bear it out: on
@@ -140,40 +136,28 @@ void CheckNoiseScales(const std::vector<Eigen::Vector2d>& residuals,
 }
 
 /// Indices of the poses whose residual exceeds `threshold` robust sigma, of the log and of the
-/// poses within `radius_s`, and is the largest there. An outlier drags its neighbours along, so
-/// those are judged again without it; where the motion is livelier than the GP, all residuals are
-/// large and none is an outlier.
+/// poses within `radius_s`: where the motion is livelier than the GP, all residuals are large and
+/// none is an outlier.
 std::vector<size_t> FindOutliers(const std::vector<Eigen::Vector2d>& residuals,
                                  const std::vector<TimedPose>& poses, double threshold,
                                  double radius_s) {
-  const auto range = [&](size_t i) {
-    IndexRange near{i, i + 1};
-    while (near.begin > 0 && poses[i].t - poses[near.begin - 1].t < radius_s) --near.begin;
-    while (near.end < poses.size() && poses[near.end].t - poses[i].t < radius_s) ++near.end;
-    return near;
-  };
-  const auto median = [&](IndexRange part, int kind) {
+  const auto sigma = [&](size_t begin, size_t end, int kind) {
     std::vector<double> values;
-    for (size_t i = part.begin; i < part.end; ++i) values.push_back(residuals[i][kind]);
+    for (size_t i = begin; i < end; ++i) values.push_back(residuals[i][kind]);
     return std::max(Median(std::move(values)) / kMedianOfChi3, 1e-9);
   };
+  const double usual[] = {sigma(0, poses.size(), 0), sigma(0, poses.size(), 1)};
   std::vector<size_t> outliers;
-  for (int kind = 0; kind < 2; ++kind) {
-    const double scale = median({0, poses.size()}, kind);
-    for (size_t i = 0; i < poses.size(); ++i) {
-      const double residual = residuals[i][kind];
-      if (residual <= threshold * scale) continue;
-      const IndexRange near = range(i);
-      if (residual <= threshold * median(near, kind)) continue;
-      bool largest = true;
-      for (size_t j = near.begin; j < near.end; ++j)
-        largest = largest && (j < i ? residuals[j][kind] <= residual
-                                    : j == i || residuals[j][kind] < residual);
-      if (largest) outliers.push_back(i);
-    }
+  size_t begin = 0, end = 0;  // of the poses around
+  for (size_t i = 0; i < poses.size(); ++i) {
+    while (poses[i].t - poses[begin].t >= radius_s) ++begin;
+    while (end < poses.size() && poses[end].t - poses[i].t < radius_s) ++end;
+    const auto is_outlier = [&](int kind) {
+      return residuals[i][kind] > threshold * usual[kind] &&
+             residuals[i][kind] > threshold * sigma(begin, end, kind);
+    };
+    if (is_outlier(0) || is_outlier(1)) outliers.push_back(i);
   }
-  std::sort(outliers.begin(), outliers.end());
-  outliers.erase(std::unique(outliers.begin(), outliers.end()), outliers.end());
   return outliers;
 }
 
@@ -273,33 +257,6 @@ PoseTrajectory::PoseTrajectory(const std::vector<TimedPose>& poses,
          WindowedGp(QuaternionData(poses, range), Scaled(rotation_, 0.5), threads)});
 }
 
-PoseTrajectory PoseTrajectory::Without(const std::vector<double>& removed,
-                                       const std::vector<TimedPose>& poses,
-                                       const std::vector<IndexRange>& segments, int threads) const {
-  PoseTrajectory without = *this;
-  without.segments_.clear();
-  for (const IndexRange& range : segments) {
-    const GpData position = PositionData(poses, range, origin_W_);
-    const GpData quaternion = QuaternionData(poses, range);
-    const double begin = poses[range.begin].t, end = poses[range.end - 1].t;
-    const Segment* own = Find(begin);
-    if (own != nullptr && own->position.begin() == begin && own->position.end() == end)
-      without.segments_.push_back({WindowedGp(own->position, position, removed, threads),
-                                   WindowedGp(own->quaternion, quaternion, removed, threads)});
-    else
-      without.segments_.push_back({WindowedGp(position, position_, threads),
-                                   WindowedGp(quaternion, Scaled(rotation_, 0.5), threads)});
-  }
-  return without;
-}
-
-bool PoseTrajectory::Reaches(double t, const std::vector<double>& others) const {
-  const Segment* segment = Find(t);
-  return std::any_of(others.begin(), others.end(), [&](double other) {
-    return segment->position.Reaches(t, other) || segment->quaternion.Reaches(t, other);
-  });
-}
-
 const PoseTrajectory::Segment* PoseTrajectory::Find(double t) const {
   const auto after = std::upper_bound(
       segments_.begin(), segments_.end(), t,
@@ -359,40 +316,17 @@ PoseTrajectory FitTrajectory(const CalibrationOptions& options, ConditionedData*
   SplitAtJumps(options, data);
   const int threads = options.Threads();
   GpHyperparameters position, rotation;
-  std::optional<PoseTrajectory> trajectory;
-  std::vector<Eigen::Vector2d> residuals;
-  std::vector<double> removed;  // [s] since the last round
-  bool refit = true;
-  int refits = 0;
-  bool stale = false;  // poses left since the hyperparameters were fitted
   for (int round = 1;; ++round) {
-    if (refit) {
-      position = FitPosition(options, *data, position);
-      rotation = FitRotation(options, *data, rotation);
-      ++refits;
-      stale = false;
-      removed.clear();
-      trajectory.emplace(data->poses, data->segments, position, rotation, threads);
-    } else {
-      trajectory = trajectory->Without(removed, data->poses, data->segments, threads);
-    }
-    LeaveOneOut(*trajectory, data->poses, removed, threads, &residuals);
+    position = FitPosition(options, *data, position);
+    rotation = FitRotation(options, *data, rotation);
+    PoseTrajectory trajectory(data->poses, data->segments, position, rotation, threads);
+    const std::vector<Eigen::Vector2d> residuals = LeaveOneOut(trajectory, data->poses, threads);
     const std::vector<size_t> outliers =
         FindOutliers(residuals, data->poses, options.outlier_threshold,
                      std::min(position.lengthscale_s, rotation.lengthscale_s));
-    const bool may_refit = refits < kMaxRefits;
-    if (round == kMaxRounds || (outliers.empty() && !(stale && may_refit))) {
+    if (outliers.empty() || round == kMaxRounds) {
       CheckNoiseScales(residuals, &data->poses);
-      return std::move(*trajectory);
-    }
-    // Gross outliers inflate the likelihood's noise: ask again when none is left, or while they are
-    // so many that they hide each other.
-    refit = may_refit && (outliers.empty() || outliers.size() > data->poses.size() / 1000);
-    stale = stale || !outliers.empty();
-    removed.clear();
-    for (size_t k = outliers.size(); k-- > 0;) {
-      removed.insert(removed.begin(), data->poses[outliers[k]].t);
-      residuals.erase(residuals.begin() + static_cast<ptrdiff_t>(outliers[k]));
+      return trajectory;
     }
     RemovePoses(outliers, data);
   }

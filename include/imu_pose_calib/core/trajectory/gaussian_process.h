@@ -1,8 +1,6 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <memory>
-#include <utility>
 #include <vector>
 
 namespace imu_pose_calib {
@@ -39,16 +37,10 @@ class WindowedGp {
   /// Windows are fitted on up to `threads` threads; there are variances only `with_variance`.
   WindowedGp(const GpData& data, const GpHyperparameters& hyperparameters, int threads = 1,
              bool with_variance = true);
-  /// `before` without the measurements at the instants `removed` [s], neither the first nor the
-  /// last: windows that they do not reach stay as they are.
-  WindowedGp(const WindowedGp& before, const GpData& data, const std::vector<double>& removed,
-             int threads);
 
   double begin() const { return begin_; }  ///< first measurement [s]
   double end() const { return end_; }      ///< last measurement [s]
   double core() const { return core_; }    ///< length of a window's core [s]
-  /// Whether what Evaluate() and Variance() say at t depends on a measurement at `other` [s].
-  bool Reaches(double t, double other) const;
 
   /// Posterior mean at t and its first three derivatives (paper Eqs. 3 and 6). Outside of
   /// [begin, end] it tends to the prior mean, zero.
@@ -66,16 +58,13 @@ class WindowedGp {
     Eigen::MatrixXd weights;     ///< bumps x D
     Eigen::MatrixXd covariance;  ///< of the weights of one output, see VarianceOf()
   };
-  size_t IndexAt(double t) const;
-  const Window& At(double t) const { return *windows_[IndexAt(t)]; }
-  /// The measurements that a window is fitted to [s].
-  std::pair<double, double> Span(size_t window) const;
-  std::shared_ptr<const Window> Fit(const GpData& data, size_t window) const;
+  const Window& At(double t) const;
+  Window Fit(const GpData& data, size_t window) const;
 
   GpHyperparameters hyperparameters_;
   bool with_variance_;
   double begin_, end_, core_;
-  std::vector<std::shared_ptr<const Window>> windows_;
+  std::vector<Window> windows_;
 };
 
 /// log p(y | t, hyperparameters), summed over the outputs; `gradient` (if not null) receives its

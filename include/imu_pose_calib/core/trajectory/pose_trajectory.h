@@ -56,13 +56,6 @@ class PoseTrajectory {
   PoseTrajectory(const std::vector<TimedPose>& poses, const std::vector<IndexRange>& segments,
                  const GpHyperparameters& position, const GpHyperparameters& rotation,
                  int threads = 1);
-  /// The same without the poses at `removed` [s], which are not in `poses` any more: what they do
-  /// not reach stays as it is.
-  PoseTrajectory Without(const std::vector<double>& removed, const std::vector<TimedPose>& poses,
-                         const std::vector<IndexRange>& segments, int threads) const;
-  /// Whether the trajectory at t [s] depends on poses at one of the instants `others` [s]; t must
-  /// be contained.
-  bool Reaches(double t, const std::vector<double>& others) const;
 
   const GpHyperparameters& position_hyperparameters() const { return position_; }
   const GpHyperparameters& rotation_hyperparameters() const { return rotation_; }
