@@ -48,7 +48,8 @@ void AddSensor(Quantity quantity, size_t session, size_t imu, LeastSquares* gp) 
     }
     const double sigma = std::sqrt(noise * noise + shared * variance);
     gp->spurious_information[imu] += lever / (sigma * sigma);
-    sensor->samples.push_back({t_M, static_cast<uint32_t>(i), static_cast<float>(sigma)});
+    sensor->samples.push_back(
+        {t_M, static_cast<uint32_t>(i), static_cast<float>(sigma), static_cast<float>(variance)});
     const auto [k, u] = knots.Locate(s.t);
     double *const knot_0 = knots.values[k].data(), *const knot_1 = knots.values[k + 1].data();
     std::vector<double*> blocks = {q_MI, knot_0, knot_1, &clock.time_shift};

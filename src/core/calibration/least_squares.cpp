@@ -11,6 +11,7 @@
 #include <string>
 #include <utility>
 
+#include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/base/parallel.h"
 #include "imu_pose_calib/core/calibration/residuals.h"
 
@@ -490,6 +491,8 @@ std::vector<SensorStatistics> LeastSquares::FindStatistics() {
     }
     const float* const rows = &rows_[sensor.first_row];
     const float* r_sigma = rows;
+    std::vector<float> variances;
+    variances.reserve(sensor.samples.size());
     sensor.residuals.reserve(sensor.samples.size());
     double sum2 = 0.0;
     for (const ProblemSample& sample : sensor.samples) {
@@ -499,6 +502,7 @@ std::vector<SensorStatistics> LeastSquares::FindStatistics() {
            HighPassResidual(*sensor.model, sample.index)) /
           scale;
       r_sigma += 3;
+      variances.push_back(sample.trajectory_variance);
       sensor.residuals.push_back(r);
       sum2 += scale * scale * r.squaredNorm();
     }
@@ -506,7 +510,10 @@ std::vector<SensorStatistics> LeastSquares::FindStatistics() {
     const double redundancy = std::max(kLeastRedundancy, 1.0 - sensor.fitted);
     StudentT spread = FitStudentT(sensor.residuals);
     spread.scale /= std::sqrt(redundancy);
-    statistics[k] = {spread.scale, std::sqrt(sum2 / count), spread,
+    const double spread2 = spread.scale * spread.scale;
+    // The trajectory's share is known only roughly: it never explains the residuals alone.
+    const double own2 = std::max(spread2 - Median(std::move(variances)), 0.01 * spread2);
+    statistics[k] = {std::sqrt(own2), std::sqrt(sum2 / count), spread,
                      FindSpectrum(sensor, rows, spread)};
   });
   rows_ = {};

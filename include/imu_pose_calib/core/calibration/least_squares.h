@@ -45,7 +45,7 @@ struct NoiseSpectrum {
 
 /// What the residuals of a sensor say after a solve.
 struct SensorStatistics {
-  double noise;            ///< per axis
+  double noise;            ///< per axis, less what the trajectory's own variance explains
   double rms;              ///< per axis, of all samples used
   StudentT spread;         ///< of the samples
   NoiseSpectrum spectrum;  ///< of residuals without their rest, weighed by the spread
@@ -53,9 +53,10 @@ struct SensorStatistics {
 
 /// A sample in a problem.
 struct ProblemSample {
-  double t;        ///< [s] pose clock
-  uint32_t index;  ///< in the data
-  float sigma;     ///< residual * sigma has the sensor's unit
+  double t;                         ///< [s] pose clock
+  uint32_t index;                   ///< in the data
+  float sigma;                      ///< residual * sigma has the sensor's unit
+  float trajectory_variance = 0.0;  ///< share of sigma^2
 };
 
 /// The samples of a sensor in a problem, whose residual blocks follow each other: three rows in
