@@ -113,15 +113,19 @@ def predicted(report, s, imu, name):
     gravity, scale = report.head['sessions'][s]['gravity'], report.result['pose_scale']
     f = [specific_force(m, m.a_W / scale, gravity, p_MI) for m in (before, now, after)]
     step = 0.5 * (after.t - before.t)[:, None]
-    # The mean over the time that the accelerometer averages longer than the gyroscope.
-    more = 0.5 * imu_result(report, imu)['accel_smoothing'] / step ** 2 * (f[0] - 2 * f[1] + f[2])
+    # The mean over the time that gyroscope and accelerometer average over.
+    smoothing = imu_result(report, imu)['gyro_smoothing']
+    slower = 0.5 * smoothing / step ** 2 * (before.omega - 2 * now.omega + after.omega)
+    omega = now.omega + np.where(np.isfinite(slower), slower, 0)
+    smoothing = smoothing + imu_result(report, imu)['accel_smoothing']
+    more = 0.5 * smoothing / step ** 2 * (f[0] - 2 * f[1] + f[2])
     # What a mount that gives way adds, by the acceleration of the IMU in the world.
     f_W = [times(m.R_WM, x) for m, x in zip((before, now, after), f)]
     swing = times(np.swapaxes(now.R_WM, 1, 2), f_W[0] - 2 * f_W[1] + f_W[2]) / step ** 2
     more = more - imu_result(report, imu)['mount_compliance'] * swing
     mean = times(R_MI.T, f[1] + np.where(np.isfinite(more), more, 0))
     by_size = np.einsum('nij,ij->ni', R_MI.T @ lever(now) @ R_MI, places)
-    return np.c_[now.t, times(gyro_matrix @ R_MI.T, now.omega) + bias(report, s, imu, 'gyro', now.t),
+    return np.c_[now.t, times(gyro_matrix @ R_MI.T, omega) + bias(report, s, imu, 'gyro', now.t),
                  times(accel_matrix, mean + by_size) + bias(report, s, imu, 'accel', now.t)]
 
 

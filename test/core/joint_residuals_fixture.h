@@ -87,7 +87,7 @@ class JointResiduals : public ::testing::Test {
   }
   /// Derivatives of the GP's motion, as JointAccelSample has them.
   struct MarkerJerk {
-    Vector3d alpha_rate, jerk_W, f_curvature = Vector3d::Zero(), f_swing = Vector3d::Zero();
+    Vector3d alpha_rate, jerk_W, curvature = Vector3d::Zero(), f_swing = Vector3d::Zero();
   };
   std::vector<MarkerJerk> Jerks() {
     return {{Random(40.0), Random(30.0), Random(300.0), Random(300.0)},
@@ -102,7 +102,7 @@ class JointResiduals : public ::testing::Test {
     for (size_t i = 0; i < samples.size(); ++i) {
       samples[i].alpha_rate = jerks[i].alpha_rate;
       samples[i].jerk_W = jerks[i].jerk_W;
-      samples[i].f_curvature = jerks[i].f_curvature;
+      samples[i].curvature = jerks[i].curvature;
       samples[i].f_swing = jerks[i].f_swing;
     }
     return samples;
@@ -143,17 +143,18 @@ class JointResiduals : public ::testing::Test {
 
   std::vector<double*> GyroBlocks(const std::vector<Clock>& clocks) {
     std::vector<double*> blocks = Points({&phi_});
-    for (double* block :
-         {knot_0_.data(), knot_1_.data(), q_MI_.coeffs().data(), gyro_intrinsics_.data()})
+    for (double* block : {knot_0_.data(), knot_1_.data(), q_MI_.coeffs().data(),
+                          gyro_intrinsics_.data(), &gyro_smoothing_})
       blocks.push_back(block);
     return With(blocks, clocks);
   }
 
   std::vector<double*> AccelBlocks(const std::vector<Clock>& clocks) {
     std::vector<double*> blocks = Points({&d_, &phi_});
-    for (double* block : {knot_0_.data(), knot_1_.data(), q_MI_.coeffs().data(),
-                          accel_intrinsics_.data(), p_MI_.data(), g_W_.data(), &accel_smoothing_,
-                          &mount_compliance_, &pose_scale_, accel_positions_.data()})
+    for (double* block :
+         {knot_0_.data(), knot_1_.data(), q_MI_.coeffs().data(), accel_intrinsics_.data(),
+          p_MI_.data(), g_W_.data(), &accel_smoothing_, &mount_compliance_, &pose_scale_,
+          accel_positions_.data(), &gyro_smoothing_})
       blocks.push_back(block);
     return With(blocks, clocks);
   }
@@ -310,7 +311,8 @@ class JointResiduals : public ::testing::Test {
   Vector9d accel_intrinsics_ =
       (Vector9d() << 0.01, 0.02, -0.03, 0.01, -0.02, 0.02, 0.03, -0.01, 0.02).finished();
   double time_shift_ = 0.0213, accel_delay_ = 0.0008, clock_drift_ = 1e-6;
-  double pose_smoothing_ = 3e-4, position_smoothing_ = -1e-4, accel_smoothing_ = 4e-4;
+  double pose_smoothing_ = 3e-4, position_smoothing_ = -1e-4, accel_smoothing_ = 4e-4,
+         gyro_smoothing_ = 2e-4;
   double mount_compliance_ = 2e-4;
   double pose_scale_ = 1.03;
   /// More than any IMU has.

@@ -215,6 +215,30 @@ TEST(OrdinaryImus, AnAccelerometerThatAveragesLongerIsRecognised) {
   EXPECT_GT(Error(Calibrate(options, data), truth), 5.0);
 }
 
+TEST(OrdinaryImus, AGyroscopeThatAveragesLongerIsAccountedFor) {
+  // Turn rates that are averaged are not those of a rotation that is: what they integrate to cones.
+  SimulatorOptions truth;
+  truth.duration_s = 60.0;
+  truth.effects.gyro_filter_hz = 17.0;
+  for (const double accel_filter_hz : {0.0, 17.0}) {
+    SCOPED_TRACE(accel_filter_hz);
+    truth.effects.accel_filter_hz = accel_filter_hz;
+    const double filter = std::pow(2.0 * M_PI * 17.0, -2);  // [s^2]
+    double squares = 0.0;
+    for (truth.seed = 1; truth.seed <= 3; ++truth.seed) {
+      const Calibration result = Calibrate(CalibrationOptions(), Simulate(truth));
+      EXPECT_EQ(result.status, Status::kOk);
+      const double sigmas = Error(result, truth);
+      EXPECT_LT(sigmas, 3.0) << truth.seed;
+      squares += sigmas * sigmas;
+      EXPECT_NEAR(result.imus[0].gyro_smoothing, filter, 0.4 * filter);
+      EXPECT_NEAR(result.imus[0].accel_smoothing, accel_filter_hz > 0.0 ? 0.0 : -filter,
+                  0.4 * filter);
+    }
+    EXPECT_LT(squares, 3.0 * 2.0 * 2.0);  // 5.0, 1.9 and 2.5 sigma without it
+  }
+}
+
 TEST(OrdinaryImus, ASoftMountIsAccountedForAndNamed) {
   SimulatorOptions truth;
   truth.seed = 2;

@@ -18,7 +18,7 @@ TEST_F(JointResiduals, RotationJacobian) {
 TEST_F(JointResiduals, GyroJacobian) {
   for (const double shift : {0.0213, 0.021, 0.005}) {  // at, near and beyond the span of the sample
     time_shift_ = shift;
-    ExpectJacobiansMatch(CreateJointGyroResidual(Gyro(Imu()), Motions(GyroClocks())),
+    ExpectJacobiansMatch(CreateJointGyroResidual(Gyro(With(Imu(), Jerks())), Motions(GyroClocks())),
                          GyroBlocks(GyroClocks()));
   }
 }

@@ -125,6 +125,7 @@ std::vector<Parameter> CalibrationParameters(Estimate* estimate) {
   parameters.push_back({ParameterKind::kPoseScale, 0, 0, 1, &estimate->pose_scale});
   for (size_t i = 0; i < estimate->imus.size(); ++i) {
     ImuEstimate& imu = estimate->imus[i];
+    parameters.push_back({ParameterKind::kGyroSmoothing, i, 0, 1, &imu.gyro_smoothing});
     parameters.push_back({ParameterKind::kAccelSmoothing, i, 0, 1, &imu.accel_smoothing});
     parameters.push_back({ParameterKind::kMountCompliance, i, 0, 1, &imu.mount_compliance});
     parameters.push_back({ParameterKind::kGyroIntrinsics, i, 0, 6, imu.gyro_intrinsics.data()});
@@ -145,6 +146,7 @@ bool IsEstimated(const CalibrationOptions& options, ParameterKind kind) {
       {ParameterKind::kPoseSmoothing, &Options::estimate_pose_smoothing},
       {ParameterKind::kPositionSmoothing, &Options::estimate_pose_smoothing},
       {ParameterKind::kPoseScale, &Options::estimate_pose_scale},
+      {ParameterKind::kGyroSmoothing, &Options::estimate_accel_smoothing},
       {ParameterKind::kAccelSmoothing, &Options::estimate_accel_smoothing},
       {ParameterKind::kMountCompliance, &Options::estimate_mount_compliance},
       {ParameterKind::kAccelPositions, &Options::estimate_size_effect},

@@ -56,6 +56,7 @@ int AddKnots(std::vector<double>* values, Problem* problem) {
 
 /// Where the samples of a session are while its clocks stand as they did when the problem was made.
 struct Places {
+  static constexpr double kStep = 0.01;  // [s] of differences
   std::shared_ptr<const PoseTrajectory> trajectory;
   CorrectionSplines splines;
   Eigen::Vector3d g_W;
@@ -78,7 +79,6 @@ struct Places {
   void SetForceDerivatives(double t, const Eigen::Vector3d& p_MI, double compliance,
                            JointAccelSample* sample) const {
     constexpr int kPoints = 5;
-    constexpr double kStep = 0.01;  // [s]
     std::array<Eigen::Vector3d, kPoints> f, F;
     Eigen::Quaterniond q_MW;
     for (size_t k = 0; k < kPoints; ++k) {
@@ -92,8 +92,17 @@ struct Places {
     };
     const Eigen::Vector3d fourth =
         (F[0] + F[4] - 4.0 * (F[1] + F[3]) + 6.0 * F[2]) / std::pow(kStep, 4);
-    sample->f_curvature = second(f);
+    sample->curvature = second(f);
     sample->f_swing = q_MW * (second(F) - compliance * fourth);
+  }
+  /// Second derivative of omega_M at t [s], where IsOnTrajectory() and it is `omega`: of fourth
+  /// order, as above.
+  Eigen::Vector3d RateCurvature(double t, const Eigen::Vector3d& omega) const {
+    MarkerRotation<double> before, after;
+    trajectory->EvaluateRotation(t - kStep, &before);
+    trajectory->EvaluateRotation(t + kStep, &after);
+    return 2.0 / (kStep * kStep) * (before.omega_M - 2.0 * omega + after.omega_M) -
+           0.5 / kStep * (after.alpha_M - before.alpha_M);
   }
 };
 
@@ -121,6 +130,9 @@ class SessionBuilder {
     ClockMotions motions;
   };
   Clocks FindClocks(size_t imu, bool is_accel) const;
+  bool IsUsed(const double& parameter) const {
+    return parameter != 0.0 || joint_->problem.IsEstimated(&parameter);
+  }
   /// IMU samples of stamp t at the instant t - delay. `complete(places, t_M, &sample)` does what is
   /// of the sensor, `create(samples, motions, has_walk)` makes its cost function, whose blocks of
   /// control points and of parameters after the knots are `points` and `others`.
@@ -278,28 +290,28 @@ void SessionBuilder::AddGyro(size_t imu) {
   ImuEstimate& rig = joint_->estimate->imus[imu];
   AddImu<JointImuSample>(
       imu, Quantity::kGyro, {&splines_->phi},
-      {rig.q_MI.coeffs().data(), rig.gyro_intrinsics.data()},
-      [](const Places& places, double t_M, JointImuSample* sample) {
+      {rig.q_MI.coeffs().data(), rig.gyro_intrinsics.data(), &rig.gyro_smoothing},
+      [with_curvature = IsUsed(rig.gyro_smoothing)](const Places& places, double t_M,
+                                                    JointImuSample* sample) {
         MarkerRotation<double> gp;
         places.trajectory->EvaluateRotation(t_M, &gp);
         sample->omega_M = gp.omega_M;
         sample->alpha_M = gp.alpha_M;
+        if (with_curvature) sample->curvature = places.RateCurvature(t_M, gp.omega_M);
       },
       &CreateJointGyroResidual);
 }
 
 void SessionBuilder::AddAccel(size_t imu) {
   ImuEstimate& rig = joint_->estimate->imus[imu];
-  const auto is_used = [&](const double& parameter) {
-    return parameter != 0.0 || joint_->problem.IsEstimated(&parameter);
-  };
-  const bool with_curvature = is_used(rig.accel_smoothing) || is_used(rig.mount_compliance);
+  const bool with_derivatives =
+      IsUsed(rig.gyro_smoothing) || IsUsed(rig.accel_smoothing) || IsUsed(rig.mount_compliance);
   AddImu<JointAccelSample>(
       imu, Quantity::kAccel, {&splines_->d, &splines_->phi},
       {rig.q_MI.coeffs().data(), rig.accel_intrinsics.data(), rig.p_MI.data(), estimate_.g_W.data(),
        &rig.accel_smoothing, &rig.mount_compliance, &joint_->estimate->pose_scale,
-       rig.accel_positions.data()},
-      [with_curvature, p_MI = Eigen::Vector3d(rig.p_MI), compliance = rig.mount_compliance](
+       rig.accel_positions.data(), &rig.gyro_smoothing},
+      [with_derivatives, p_MI = Eigen::Vector3d(rig.p_MI), compliance = rig.mount_compliance](
           const Places& places, double t_M, JointAccelSample* sample) {
         MarkerState<double> rate;
         const MarkerState<double> gp = places.At(t_M, &rate);
@@ -309,7 +321,7 @@ void SessionBuilder::AddAccel(size_t imu) {
         sample->a_W = gp.a_W;
         sample->alpha_rate = rate.alpha_M;
         sample->jerk_W = rate.a_W;
-        if (with_curvature) places.SetForceDerivatives(t_M, p_MI, compliance, sample);
+        if (with_derivatives) places.SetForceDerivatives(t_M, p_MI, compliance, sample);
       },
       [&](Samples<JointAccelSample> samples, const ClockMotions& motions, bool has_walk) {
         return CreateJointAccelResidual(std::move(samples), rig.q_MI.toRotationMatrix(), motions,

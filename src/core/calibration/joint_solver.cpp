@@ -73,7 +73,7 @@ class JointSolver {
     // Second derivatives of a trajectory that is not corrected hold the noise of the poses.
     if (!are_moved_)
       for (const ImuEstimate& imu : estimate_->imus)
-        held.insert(held.end(), {&imu.accel_smoothing, &imu.mount_compliance});
+        held.insert(held.end(), {&imu.gyro_smoothing, &imu.accel_smoothing, &imu.mount_compliance});
     problem_ = BuildJointProblem(options_, *sessions_, models_, estimate_, &splines_, held);
   }
 
@@ -89,7 +89,10 @@ class JointSolver {
     // No source averages rotations over longer than positions, and no mount gives way upwards:
     // other errors look like that.
     HoldAtZero(&estimate_->position_smoothing);
-    for (ImuEstimate& imu : estimate_->imus) HoldAtZero(&imu.mount_compliance);
+    for (ImuEstimate& imu : estimate_->imus) {
+      HoldAtZero(&imu.mount_compliance);
+      HoldAtZero(&imu.gyro_smoothing);
+    }
     return summary;
   }
 

@@ -101,6 +101,7 @@ Prior PriorOf(const Parameter& p, const LeastSquares& solve) {
       return alike(kDriftPrior);
     case ParameterKind::kPoseSmoothing:
     case ParameterKind::kPositionSmoothing:
+    case ParameterKind::kGyroSmoothing:
       return alike(kSmoothingPrior);
     case ParameterKind::kPoseScale:
       return alike(kPoseScalePrior, 1.0);

@@ -111,6 +111,7 @@ void ReportParameter(const PlacedParameter& p, const Eigen::MatrixXd& C, Calibra
       {ParameterKind::kPoseSmoothing, &result->pose_smoothing_std},
       {ParameterKind::kPositionSmoothing, &result->position_smoothing_std},
       {ParameterKind::kPoseScale, &result->pose_scale_std},
+      {ParameterKind::kGyroSmoothing, &imu.gyro_smoothing_std},
       {ParameterKind::kAccelSmoothing, &imu.accel_smoothing_std},
       {ParameterKind::kMountCompliance, &imu.mount_compliance_std}};
   for (const auto& [of, scalar] : scalars)

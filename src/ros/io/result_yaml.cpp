@@ -24,8 +24,8 @@ const char kEquations[] = R"(
 #            t_pose = t_accel + time_shift - accel_delay
 #            time_shift holds at clock_reference [s, imu clock] and grows by clock_drift
 # smoothing: samples are means over time; pose_smoothing [s^2] is the variance of that time of
-#            rotations of poses, accel_smoothing that of the accelerometer, less that of the
-#            gyroscope; position_smoothing that of positions, less that of rotations
+#            rotations of poses, gyro_smoothing that of the gyroscope, accel_smoothing that of the
+#            accelerometer, less that of the gyroscope; position_smoothing that of positions, less that of rotations
 # mount:     specific force f moves the imu by mount_compliance [s^2] * f; transform is without load
 # scale:     positions of poses = pose_scale * true
 # imu:       measured = matrix * true + bias; row i of accel_positions: where the accelerometer's axis i is [m]
@@ -252,6 +252,7 @@ void Transforms(const std::string& at, ImuCalibration& imu, ResultFile* file) {
 
 void AccelDelay(const std::string& at, ImuCalibration& imu, ResultFile* file) {
   file->WithStd(at + "accel_delay", imu.accel_delay, imu.accel_delay_std);
+  file->NoteWithStd(at + "gyro_smoothing", imu.gyro_smoothing, imu.gyro_smoothing_std);
   file->NoteWithStd(at + "accel_smoothing", imu.accel_smoothing, imu.accel_smoothing_std);
   file->NoteWithStd(at + "mount_compliance", imu.mount_compliance, imu.mount_compliance_std);
 }

@@ -111,12 +111,12 @@ struct CalibrationOptions {
   bool estimate_accel_delay = true;
   /// Start or fixed value [s]: t_pose = t_accel + time_shift - accel_delay.
   double accel_delay = 0.0;
-  /// How much more than the IMU the source of the poses averages over time. Joint solve only.
+  /// Over what time the source of the poses averages. Joint solve only.
   bool estimate_pose_smoothing = true;
   /// By how much the source of the poses exaggerates positions, usually within 0.1 %. Joint solve
   /// only.
   bool estimate_pose_scale = true;
-  /// How much more than the gyroscope the accelerometer averages over time. Joint solve only.
+  /// Over what time gyroscope and accelerometer average. Joint solve only.
   bool estimate_accel_smoothing = true;
   /// How far specific force moves the IMU on its mount. Joint solve only.
   bool estimate_mount_compliance = true;

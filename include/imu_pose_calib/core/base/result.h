@@ -66,6 +66,8 @@ struct ImuCalibration {
   Matrix6d model_covariance = Matrix6d::Zero();
   double accel_delay = 0.0;      ///< [s] t_pose = t_accel + time_shift - accel_delay
   double accel_delay_std = 0.0;  ///< [s], 0 when not estimated
+  /// [s^2] variance of the time over which the gyroscope averages; 0 when not estimated.
+  double gyro_smoothing = 0.0, gyro_smoothing_std = 0.0;
   /// [s^2] by how much the variance of the time over which the accelerometer averages exceeds that
   /// of the gyroscope; 0 when not estimated.
   double accel_smoothing = 0.0, accel_smoothing_std = 0.0;

@@ -50,6 +50,7 @@ struct ImuEstimate {
   Eigen::Quaterniond q_MI = Eigen::Quaterniond::Identity();
   Eigen::Vector3d p_MI = Eigen::Vector3d::Zero();  ///< [m]
   double accel_delay = 0.0;                        ///< [s]
+  double gyro_smoothing = 0.0;                     ///< [s^2] see ImuCalibration
   double accel_smoothing = 0.0;                    ///< [s^2] see ImuCalibration
   double mount_compliance = 0.0;                   ///< [s^2] see ImuCalibration
   Vector6d gyro_intrinsics = Vector6d::Zero();     ///< of GyroMatrix()
@@ -99,6 +100,7 @@ enum class ParameterKind {
   kPoseSmoothing,      ///< [s^2]
   kPositionSmoothing,  ///< [s^2]
   kPoseScale,          ///< [1]
+  kGyroSmoothing,      ///< [s^2]
   kAccelSmoothing,     ///< [s^2]
   kMountCompliance,    ///< [s^2]
   kGyroIntrinsics,     ///< 6, of GyroMatrix()

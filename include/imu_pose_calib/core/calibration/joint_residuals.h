@@ -78,10 +78,13 @@ struct JointImuSample : JointSample {
   Eigen::Vector3d value;             ///< gyroscope [rad/s] or accelerometer [m/s^2] in I
   double bias_u;                     ///< 0..1 between the bias knots
   double sigma;                      ///< unit of value
+  /// Second derivative of omega_M [rad/s^3] or f_M [m/s^4], components in M.
+  Eigen::Vector3d curvature = Eigen::Vector3d::Zero();
 };
 
-/// r = (w - b_g - K_g R_MI^T omega_M(t)) / sigma, in I.
-/// Blocks: phi | knots of b_g | q_MI (4, xyzw) | K_g (6, see GyroMatrix()) | clocks | walk.
+/// r = (w - b_g - K_g R_MI^T (omega_M(t) + s/2 omega_M'')) / sigma, in I, s: gyro_smoothing.
+/// Blocks: phi | knots of b_g | q_MI (4, xyzw) | K_g (6, see GyroMatrix()) | gyro_smoothing (1) |
+/// clocks | walk.
 std::unique_ptr<SampledCost> CreateJointGyroResidual(Samples<JointImuSample> samples,
                                                      const ClockMotions& clocks,
                                                      bool has_walk = false);
@@ -89,20 +92,20 @@ std::unique_ptr<SampledCost> CreateJointGyroResidual(Samples<JointImuSample> sam
 /// A sample of the accelerometer, with derivatives of the GP's motion, along which it moves and
 /// over which it averages.
 struct JointAccelSample : JointImuSample {
-  Eigen::Quaterniond q_WM;                                ///< of the GP
-  Eigen::Vector3d a_W;                                    ///< [m/s^2] of the GP
-  Eigen::Vector3d alpha_rate = Eigen::Vector3d::Zero();   ///< [rad/s^3] in M
-  Eigen::Vector3d jerk_W = Eigen::Vector3d::Zero();       ///< [m/s^3]
-  Eigen::Vector3d f_curvature = Eigen::Vector3d::Zero();  ///< [m/s^4] f_M'', components in M
-  Eigen::Vector3d f_swing = Eigen::Vector3d::Zero();      ///< [m/s^4] R_WM^T (R_WM f_M)''
+  Eigen::Quaterniond q_WM;                               ///< of the GP
+  Eigen::Vector3d a_W;                                   ///< [m/s^2] of the GP
+  Eigen::Vector3d alpha_rate = Eigen::Vector3d::Zero();  ///< [rad/s^3] in M
+  Eigen::Vector3d jerk_W = Eigen::Vector3d::Zero();      ///< [m/s^3]
+  Eigen::Vector3d f_swing = Eigen::Vector3d::Zero();     ///< [m/s^4] R_WM^T (R_WM f_M)''
 };
 
 /// r = (f - b_a - K_a R_MI^T (f_M(t) + s/2 f_M'' - c R_WM^T (R_WM f_M)'')) / sigma, in I, s:
-/// accel_smoothing, c: mount_compliance, with
+/// gyro_smoothing + accel_smoothing, c: mount_compliance, with
 /// f_M = R_WM^T (a_W / k - g_W) + alpha_M x p + omega_M x (omega_M x p), k: pose_scale. For axis i
 /// p is p_MI + R_MA r_i with r_i of AccelPositions() and R_MA about R_MI: it does not move.
 /// Blocks: d | phi | knots of b_a | q_MI (4) | K_a (9, see AccelMatrix()) | p_MI (3) | g_W (3) |
-/// accel_smoothing (1) | mount_compliance (1) | pose_scale (1) | r (6) | clocks | walk.
+/// accel_smoothing (1) | mount_compliance (1) | pose_scale (1) | r (6) | gyro_smoothing (1) |
+/// clocks | walk.
 std::unique_ptr<SampledCost> CreateJointAccelResidual(Samples<JointAccelSample> samples,
                                                       const Eigen::Matrix3d& R_MA,
                                                       const ClockMotions& clocks,
