@@ -235,7 +235,7 @@ TEST(OrdinaryImus, AGyroscopeThatAveragesLongerIsAccountedFor) {
       EXPECT_NEAR(result.imus[0].accel_smoothing, accel_filter_hz > 0.0 ? 0.0 : -filter,
                   0.4 * filter);
     }
-    EXPECT_LT(squares, 3.0 * 2.0 * 2.0);  // 5.0, 1.9 and 2.5 sigma without it
+    EXPECT_LT(squares, 3.0 * 2.0 * 2.0);  // 5.0, 1.9 and 2.8 sigma without it
   }
 }
 
