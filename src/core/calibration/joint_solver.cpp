@@ -86,8 +86,8 @@ class JointSolver {
     for (const SessionEstimate& session : estimate_->sessions)
       slow_errors_.push_back(session.rotation_errors.std);
     FitNoise(problem_.get(), &statistics_);
-    // No source averages rotations over longer than positions, and no mount gives way upwards:
-    // other errors look like that.
+    // No source averages rotations over longer than positions, no mount gives way upwards, and no
+    // gyroscope averages over less time than none: other errors look like that.
     HoldAtZero(&estimate_->position_smoothing);
     for (ImuEstimate& imu : estimate_->imus) {
       HoldAtZero(&imu.mount_compliance);
