@@ -67,7 +67,7 @@ TEST(Doubts, NoneWithoutAReason) {
   result.pose_scale = 1.011;
   result.pose_smoothing = -3.9e-3;
   result.imus[0].accel_smoothing = -1.1e-3;
-  result.imus[0].accel_delay = -0.047;  // a slow gyroscope
+  result.imus[0].gyro_smoothing = 1.1e-3;  // and no mount
   result.imus[0].accel_smoothing_std = 1e-5;
   result.imus[0].mount_compliance = 6e-5;
   result.split_half.sigmas = 4.9;

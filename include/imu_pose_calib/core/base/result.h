@@ -74,10 +74,10 @@ struct ImuCalibration {
   /// [s^2] by how far specific force moves the IMU on its mount, [m] per [m/s^2]: the inverse
   /// square of the mount's resonance [rad/s]. T_MI is without load. 0 when not estimated.
   double mount_compliance = 0.0, mount_compliance_std = 0.0;
-  /// The same by all that shows it, with its sigma: an accelerometer that amplifies fast motion
-  /// along its own axes, where its delay does not explain that, rests on something soft, too.
+  /// The same by all that shows it, with its sigma: an accelerometer that averages over less time
+  /// than none amplifies fast motion along its own axes, and rests on something soft, too.
   std::pair<double, double> Compliance() const {
-    const double amplified = accel_delay * std::abs(accel_delay) / 4.0 - accel_smoothing / 2.0;
+    const double amplified = -0.5 * (gyro_smoothing + accel_smoothing);
     if (accel_smoothing_std == 0.0 || amplified <= 0.0)
       return {mount_compliance, mount_compliance_std};
     return {mount_compliance + amplified,
