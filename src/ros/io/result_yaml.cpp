@@ -25,7 +25,8 @@ const char kEquations[] = R"(
 #            time_shift holds at clock_reference [s, imu clock] and grows by clock_drift
 # smoothing: samples are means over time; pose_smoothing [s^2] is the variance of that time of
 #            rotations of poses, gyro_smoothing that of the gyroscope, accel_smoothing that of the
-#            accelerometer, less that of the gyroscope; position_smoothing that of positions, less that of rotations
+#            accelerometer, less that of the gyroscope; position_smoothing that of positions, less
+#            that of rotations
 # mount:     specific force f moves the imu by mount_compliance [s^2] * f; transform is without load
 # scale:     positions of poses = pose_scale * true
 # imu:       measured = matrix * true + bias; row i of accel_positions: where the accelerometer's axis i is [m]
