@@ -298,13 +298,12 @@ TEST(JointCalibration, FindsTheScaleOfThePositions) {
 
 TEST(JointCalibration, FindsNoSmoothingWhereThereIsNone) {
   double mean_square = 0.0;
-  for (uint32_t seed = 27; seed < 31; ++seed) {
+  for (uint32_t seed = 27; seed < 35; ++seed) {
     const Calibration result = Calibrate(CalibrationOptions(), Simulate(Recording(1e-3, seed)));
-    mean_square += std::pow(result.pose_smoothing / result.pose_smoothing_std, 2) / 4.0;
+    mean_square += std::pow(result.pose_smoothing / result.pose_smoothing_std, 2) / 8.0;
     EXPECT_LT(result.imus[0].gyro_smoothing, 3e-5) << seed;
   }
-  // Small: half of the time that poses and gyroscope share is known to be none.
-  EXPECT_GT(mean_square, 0.02);
+  EXPECT_GT(mean_square, 0.05);
   EXPECT_LT(mean_square, 4.0);
 }
 
