@@ -9,14 +9,11 @@
 
 namespace imu_pose_calib {
 
-/// H^-1 of a solve whose parameters that are held are known, which have zeros: put together from
-/// the factor of H, and inverted as a dense matrix.
+/// H^-1 of a solve: put together from the factor of H, and inverted as a dense matrix.
 inline Eigen::MatrixXd DenseInverse(const Marginals& m) {
   std::vector<int> size;  // of the blocks
-  for (const bool is_estimated : {true, false})
-    for (const PlacedParameter& p : m.parameters)
-      if (p.is_estimated == is_estimated && p.parameter.data != nullptr)
-        size.push_back(p.parameter.size);
+  for (const PlacedParameter& p : m.parameters)
+    if (p.parameter.data != nullptr) size.push_back(p.parameter.size);
   for (const PlacedParameter& p : m.parameters)
     if (p.parameter.kind == ParameterKind::kGravity) size.push_back(3);
   const size_t border = size.size();
@@ -42,22 +39,11 @@ inline Eigen::MatrixXd DenseInverse(const Marginals& m) {
                                   column[static_cast<size_t>(j)]);
   Eigen::MatrixXd ordered = L * L.transpose();
   ordered.bottomRightCorner(columns - inner, columns - inner) += m.factor.rbegin()->second.H;
-  std::vector<Eigen::Index> own;
-  for (Eigen::Index i = 0; i < columns; ++i) {
-    const int k = column[static_cast<size_t>(i)];
-    if (k < m.held_begin || k >= m.held_end) own.push_back(i);
-  }
-  const auto count = static_cast<Eigen::Index>(own.size());
-  Eigen::MatrixXd H(count, count);
-  for (Eigen::Index i = 0; i < count; ++i)
-    for (Eigen::Index j = 0; j < count; ++j)
-      H(i, j) = ordered(own[static_cast<size_t>(i)], own[static_cast<size_t>(j)]);
-  const Eigen::MatrixXd C = H.llt().solve(Eigen::MatrixXd::Identity(count, count));
-  Eigen::MatrixXd inverse = Eigen::MatrixXd::Zero(columns, columns);
-  for (Eigen::Index i = 0; i < count; ++i)
-    for (Eigen::Index j = 0; j < count; ++j)
-      inverse(column[static_cast<size_t>(own[static_cast<size_t>(i)])],
-              column[static_cast<size_t>(own[static_cast<size_t>(j)])]) = C(i, j);
+  const Eigen::MatrixXd C = ordered.llt().solve(Eigen::MatrixXd::Identity(columns, columns));
+  Eigen::MatrixXd inverse(columns, columns);
+  for (Eigen::Index i = 0; i < columns; ++i)
+    for (Eigen::Index j = 0; j < columns; ++j)
+      inverse(column[static_cast<size_t>(i)], column[static_cast<size_t>(j)]) = C(i, j);
   return inverse;
 }
 

@@ -54,7 +54,7 @@ TEST(CeresSolve, ReachesTheMinimumOfTheOwnSolver) {
   const std::vector<Parameter> all = CalibrationParameters(&own.estimate);
   int compared = 0;
   for (const PlacedParameter& placed : marginals.parameters) {
-    if (!placed.is_estimated || placed.parameter.data == nullptr) continue;
+    if (placed.parameter.data == nullptr) continue;
     size_t k = 0;
     while (all[k].data != placed.parameter.data) ++k;
     const Eigen::Index size = placed.parameter.size;

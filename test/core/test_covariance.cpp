@@ -149,21 +149,6 @@ TEST(MarginalCovariance, SelectTakesRowsAndColumns) {
   EXPECT_EQ(two.influence.row(1), all.influence.row(1));
 }
 
-TEST(MarginalCovariance, GivenOthersEqualsAProblemWithoutTheOtherColumns) {
-  std::mt19937 random(11);
-  const int rows = 60, cols = 12;
-  const MatrixXd J = RandomJacobian(rows, cols, &random);
-  const std::vector<double> residuals = RandomResiduals(rows, &random);
-  const MarginalEstimate conditioned =
-      GivenOthers(Marginal(J, residuals, Blocks(rows, 6), 5), 3);  // columns 3 and 4 known
-  MatrixXd without(rows, cols - 2);
-  without << J.leftCols(3), J.rightCols(cols - 5);
-  const MarginalEstimate expected = Marginal(without, residuals, Blocks(rows, 6), 3);
-  EXPECT_LT((conditioned.covariance - expected.covariance).norm(),
-            1e-10 * expected.covariance.norm());
-  EXPECT_LT((conditioned.influence - expected.influence).norm(), 1e-10 * expected.influence.norm());
-}
-
 TEST(MarginalCovariance, OfTheBorderLeavesOutItsOtherColumns) {
   std::mt19937 random(16);
   const int rows = 60, cols = 10;

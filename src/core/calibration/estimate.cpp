@@ -99,11 +99,6 @@ bool IsOfSession(ParameterKind kind) {
   return kind == ParameterKind::kTimeShift || kind == ParameterKind::kClockDrift;
 }
 
-bool IsHint(ParameterKind kind) {
-  return kind == ParameterKind::kClockDrift || kind == ParameterKind::kPoseSmoothing ||
-         kind == ParameterKind::kGyroIntrinsics || kind == ParameterKind::kAccelIntrinsics;
-}
-
 std::vector<Parameter> CalibrationParameters(Estimate* estimate) {
   std::vector<Parameter> parameters;
   const auto add_clocks = [&](ParameterKind kind, size_t i, double ImuSessionEstimate::*clock) {

@@ -348,7 +348,7 @@ const Eigen::Vector3d& LeastSquares::HighPassResidual(const SensorModel& model,
   return data.imus[model.imu].accel[index].rest;
 }
 
-Ordering LeastSquares::Order(bool with_hints) const {
+Ordering LeastSquares::Order() const {
   Ordering order;
   const auto add = [&](const double* data, std::vector<int>* blocks) {
     if (!problem.IsEstimated(data)) return;
@@ -357,15 +357,7 @@ Ordering LeastSquares::Order(bool with_hints) const {
   };
   for (const Parameter& p : CalibrationParameters(estimate)) {
     add(p.data, &order.border);
-    if (problem.IsEstimated(p.data))
-      order.calibrated.push_back(p);
-    else if (with_hints && problem.Find(p.data) >= 0 && IsHint(p.kind))
-      order.hints.push_back(p);
-  }
-  order.estimated = order.columns;
-  for (const Parameter& p : order.hints) {
-    order.border.push_back(problem.Find(p.data));
-    order.columns += p.size;
+    if (problem.IsEstimated(p.data)) order.calibrated.push_back(p);
   }
   order.gravity = order.columns;
   for (const SessionEstimate& session : estimate->sessions) add(session.g_W.data(), &order.border);
@@ -392,7 +384,7 @@ std::optional<int> LeastSquares::SolveWithCeres(double function_tolerance) {
 }
 
 SolveSummary LeastSquares::Solve(double function_tolerance) {
-  const Ordering order = Order(false);
+  const Ordering order = Order();
   std::vector<Equation> joined = equations;
   const int windows_of_step = std::max(1, windows.count() / kStepWindows);
   for (Equation& equation : joined) equation.window /= windows_of_step;

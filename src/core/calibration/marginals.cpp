@@ -22,7 +22,7 @@ bool ActsIn(const Estimate& estimate, const Parameter& p, size_t session) {
 }
 
 /// What is reported, as functionals L of the parameters and back: what is calibrated with gravity
-/// and mean biases, then what could have been. Turned to the units of the report by `basis`.
+/// and mean biases. Turned to the units of the report by `basis`.
 struct Functionals {
   std::vector<int> columns;  ///< of each functional in H; -1: a mean
   struct Mean {
@@ -30,34 +30,31 @@ struct Functionals {
     size_t knots;  ///< of a bias, which follow those of the mean before
   };
   std::vector<Mean> means;
-  int estimated = 0;      ///< of them, gravity and biases included
   Eigen::MatrixXd basis;  ///< rows: what is reported; columns: functionals
 
   int count() const { return static_cast<int>(columns.size()); }
 
   /// Also lists the parameters in the result.
   Functionals(const Ordering& order, const LeastSquares& solved, Marginals* result) {
-    const auto place = [&](const Parameter& p, bool is_estimated, int column) {
-      result->parameters.push_back({p, count(), is_estimated});
+    const auto place = [&](const Parameter& p, int column) {
+      result->parameters.push_back({p, count()});
       for (int k = 0; k < p.size; ++k) columns.push_back(column < 0 ? -1 : column + k);
       return column + p.size;
     };
     int column = 0, gravity = order.gravity;
-    for (const Parameter& p : order.calibrated) column = place(p, true, column);
+    for (const Parameter& p : order.calibrated) column = place(p, column);
     for (size_t s = 0; s < solved.estimate->sessions.size(); ++s) {
       if (solved.options.estimate_gravity)
-        gravity = place({ParameterKind::kGravity, 0, s, 3, nullptr}, true, gravity);
+        gravity = place({ParameterKind::kGravity, 0, s, 3, nullptr}, gravity);
       const std::vector<ImuSessionEstimate>& imus = solved.estimate->sessions[s].imus;
       for (size_t i = 0; i < imus.size(); ++i) {
         if (!imus[i].is_present) continue;
         means.push_back({count(), imus[i].gyro_bias.values.size()});
-        place({ParameterKind::kGyroBias, i, s, 3, nullptr}, true, -1);
+        place({ParameterKind::kGyroBias, i, s, 3, nullptr}, -1);
         means.push_back({count(), imus[i].accel_bias.values.size()});
-        place({ParameterKind::kAccelBias, i, s, 3, nullptr}, true, -1);
+        place({ParameterKind::kAccelBias, i, s, 3, nullptr}, -1);
       }
     }
-    estimated = count();
-    for (const Parameter& p : order.hints) column = place(p, false, column);
     // Ceres turns q_MI on the left by twice the step: to a rotation about the imu axes.
     basis = Eigen::MatrixXd::Identity(count(), count());
     for (const PlacedParameter& p : result->parameters)
@@ -66,14 +63,8 @@ struct Functionals {
             2.0 * solved.estimate->imus[p.parameter.imu].q_MI.toRotationMatrix().transpose();
   }
 
-  /// Covariance of functionals to what is reported; those beyond the ones given are 0.
-  Eigen::MatrixXd Spread(const Eigen::MatrixXd& C) const {
-    const Eigen::MatrixXd T = basis.leftCols(C.rows());
-    return T * C * T.transpose();
-  }
-  Eigen::VectorXd SpreadVector(const Eigen::VectorXd& x) const {
-    return basis.leftCols(x.size()) * x;
-  }
+  /// Covariance of functionals to what is reported.
+  Eigen::MatrixXd Spread(const Eigen::MatrixXd& C) const { return basis * C * basis.transpose(); }
 };
 
 /// H and scores of the whole problem and of parts of it, when all but the border is eliminated.
@@ -87,10 +78,6 @@ class ReducedProblem {
   MarginalEstimates Estimate() const {
     return EstimateMarginals(all_.Products(), windows_, functionals_.count(), clocks_);
   }
-  /// Of columns of the border, the others being known.
-  MarginalEstimate EstimateOf(const std::vector<int>& columns) const {
-    return EstimateBorder(all_, columns, Counted(static_cast<size_t>(windows_)));
-  }
   /// Part of the residuals: a half of every session, or a session.
   struct Part {
     Reduced reduced;
@@ -99,7 +86,6 @@ class ReducedProblem {
   /// Of columns of what is calibrated by a part, all else that is calibrated or could be being
   /// known.
   MarginalEstimate EstimateOf(const Part& part, const std::vector<int>& columns) const;
-  /// As if what is held was known to be right.
   /// Of H, as far as it is kept; then it is gone.
   Panels TakeFactor();
   const std::shared_ptr<const Elimination>& elimination() const { return elimination_; }
@@ -238,7 +224,7 @@ double FittedShare(const Ordering& order, const LeastSquares& solved) {
     dimensions += static_cast<double>(local * solved.windows.Count(s));
   }
   const int shared = order.walks - order.gravity;  // knots of clocks act in one cluster
-  return std::min(kLargestFittedShare, static_cast<double>(order.estimated + shared) / dimensions);
+  return std::min(kLargestFittedShare, static_cast<double>(order.gravity + shared) / dimensions);
 }
 
 /// A step that remains moves all clusters alike: that is no scatter.
@@ -284,7 +270,7 @@ Eigen::MatrixXd RobustCovariance(const MarginalEstimate& exact, const Ordering& 
       if (estimate.sessions[s].imus[imu].is_present)
         if (const auto own = Acting(order, estimate, s, static_cast<int>(imu)); !own.empty())
           add(own);
-  for (int place = order.estimated; place < robust.rows(); ++place) add({place});
+  for (int place = order.gravity; place < robust.rows(); ++place) add({place});
   return robust;
 }
 
@@ -294,36 +280,10 @@ void CompareHalves(const MarginalEstimate& first, const MarginalEstimate& second
   const Eigen::VectorXd difference = second.Step() - first.Step();
   const Eigen::VectorXd difference_std =
       (LargerStd(first, fitted).cwiseAbs2() + LargerStd(second, fitted).cwiseAbs2()).cwiseSqrt();
-  result->halves_difference = functionals.SpreadVector(difference);
+  result->halves_difference = functionals.basis.leftCols(difference.size()) * difference;
   const double largest =
       difference.size() > 0 ? difference.cwiseQuotient(difference_std).cwiseAbs().maxCoeff() : 0.0;
   result->halves_sigmas = std::isfinite(largest) ? largest : 0.0;
-}
-
-/// Where parameters that are held would move to.
-void FindHints(const ReducedProblem& problem, const Ordering& order, const Functionals& functionals,
-               double fitted, Marginals* result) {
-  std::vector<int> border, leading;  // all but mean biases; of these, without gravity
-  for (const int column : functionals.columns) {
-    if (column < 0) continue;
-    if (column < order.gravity) leading.push_back(static_cast<int>(border.size()));
-    border.push_back(column);
-  }
-  const MarginalEstimate all = problem.EstimateOf(border);
-  // A parameter that is missing makes blocks differ slowly, as drift does: that is no scatter.
-  MarginalEstimate neighbours = Select(all, leading);
-  const Eigen::MatrixXd influence = neighbours.influence;
-  neighbours.influence =
-      (influence.rightCols(influence.cols() - 1) - influence.leftCols(influence.cols() - 1)) /
-      std::sqrt(2.0);
-  const Eigen::VectorXd std_dev = LargerStd(neighbours, fitted);
-  const Eigen::VectorXd step = all.Step();
-  result->hint = Eigen::VectorXd::Zero(functionals.count());
-  result->hint_std = Eigen::VectorXd::Zero(functionals.count());
-  // Held parameters are reported as they are, and last.
-  const auto held = functionals.count() - functionals.estimated;
-  result->hint.tail(held) = step.tail(held);
-  result->hint_std.tail(held) = std_dev.tail(held);
 }
 
 /// What each session says alone.
@@ -361,31 +321,27 @@ void FindSessions(const ReducedProblem& problem, const Ordering& order, const Es
 
 Marginals FindMarginals(LeastSquares* solved) {
   Marginals result;
-  const Ordering order = solved->Order(true);
+  const Ordering order = solved->Order();
   const Functionals functionals(order, *solved, &result);
   ReducedProblem problem(order, functionals, *solved);
   const MarginalEstimates estimates = problem.Estimate();
   const Estimate& estimate = *solved->estimate;
 
   const double fitted = FittedShare(order, *solved);
-  const MarginalEstimate marginal = GivenOthers(estimates.gauss_newton, functionals.estimated);
+  const MarginalEstimate& marginal = estimates.gauss_newton;
   result.model = functionals.Spread(marginal.covariance);
-  result.robust =
-      functionals.Spread(result.model.allFinite()
-                             ? RobustCovariance(GivenOthers(estimates.exact, functionals.estimated),
-                                                order, estimate, fitted)
-                             : marginal.covariance);
+  result.robust = functionals.Spread(
+      result.model.allFinite() ? RobustCovariance(estimates.exact, order, estimate, fitted)
+                               : marginal.covariance);
   result.spurious_information = solved->spurious_information;
-  const std::vector<int> calibrated = Counted(static_cast<size_t>(order.estimated));
+  const std::vector<int> calibrated = Counted(static_cast<size_t>(order.gravity));
   CompareHalves(problem.EstimateOf(problem.halves()[0], calibrated),
                 problem.EstimateOf(problem.halves()[1], calibrated), functionals, fitted, &result);
-  FindHints(problem, order, functionals, fitted, &result);
-  FindSessions(problem, order, estimate, functionals, fitted,
-               functionals.SpreadVector(marginal.Step()), &result);
+  FindSessions(problem, order, estimate, functionals, fitted, functionals.basis * marginal.Step(),
+               &result);
   result.elimination = problem.elimination();
   result.factor = problem.TakeFactor();
-  result.held_begin = order.estimated;
-  result.held_end = order.gravity;
+  result.calibrated_end = order.gravity;
   result.trajectory_begin = order.trajectory;
   return result;
 }
@@ -398,16 +354,6 @@ int Marginals::Find(ParameterKind kind, size_t imu, size_t session) const {
     if (p.parameter.kind == kind && (!is_of_imu || p.parameter.imu == imu) &&
         (!is_of_session || p.parameter.session == session))
       return p.place;
-  return -1;
-}
-
-int Marginals::FindColumn(ParameterKind kind, size_t imu) const {
-  int column = 0;
-  for (const PlacedParameter& p : parameters) {
-    if (!p.is_estimated) continue;
-    if (p.parameter.kind == kind && p.parameter.imu == imu) return column;
-    column += p.parameter.size;
-  }
   return -1;
 }
 

@@ -53,7 +53,7 @@ TrajectoryCovariance::TrajectoryCovariance(const std::shared_ptr<const Solution>
   if (m.factor.empty())
     throw InputError(
         "the covariance of the trajectory was not kept: it needs a larger max_factor_mb");
-  int column = m.held_end;
+  int column = m.calibrated_end;
   for (size_t s = 0; s < solution->estimate.sessions.size(); ++s) {
     const bool has_gravity = m.Find(ParameterKind::kGravity, 0, s) >= 0;
     gravity_.push_back(has_gravity ? column : -1);
@@ -84,15 +84,10 @@ TrajectoryCovariance::TrajectoryCovariance(const std::shared_ptr<const Solution>
   }
 
   Eigen::MatrixXd border = m.factor.rbegin()->second.H;
-  const int held = m.held_end - m.held_begin;
-  border.middleRows(m.held_begin, held).setZero();
-  border.middleCols(m.held_begin, held).setZero();
-  border.diagonal().segment(m.held_begin, held).setOnes();
   const Eigen::LLT<Eigen::MatrixXd> llt(border);
   if (!border.allFinite() || llt.info() != Eigen::Success)
     throw DataError("the trajectory is not determined");
   border = llt.solve(Eigen::MatrixXd::Identity(border.rows(), border.cols()));
-  border.diagonal().segment(m.held_begin, held).setZero();
   inverse_ = m.factor;
   m.elimination->Invert(border, &inverse_);
 }
@@ -104,9 +99,8 @@ TrajectoryCovariance::Columns TrajectoryCovariance::Joined(const std::vector<Col
 }
 
 TrajectoryCovariance::Columns TrajectoryCovariance::Kept(int first, int count) const {
-  const Marginals& m = solution_->marginals;
   Columns columns(static_cast<size_t>(count), -1);
-  if (first < 0 || (first >= m.held_begin && first < m.held_end)) return columns;
+  if (first < 0) return columns;
   std::iota(columns.begin(), columns.end(), first);
   return columns;
 }
@@ -120,21 +114,14 @@ TrajectoryCovariance::Columns TrajectoryCovariance::ControlPoints(size_t session
 
 TrajectoryCovariance::Columns TrajectoryCovariance::Calibrated(ParameterKind kind, size_t imu,
                                                                int size) const {
-  return Kept(solution_->marginals.FindColumn(kind, IsOfPoses(kind) ? 0 : imu), size);
+  return Kept(solution_->marginals.Find(kind, imu), size);
 }
 
 TrajectoryCovariance::Columns TrajectoryCovariance::Clock(size_t session, size_t imu,
                                                           double t) const {
-  Columns clock(4, -1);
-  int column = 0;
-  for (const PlacedParameter& p : solution_->marginals.parameters) {
-    if (!p.is_estimated) continue;
-    if (p.parameter.imu == imu && p.parameter.session == session) {
-      if (p.parameter.kind == ParameterKind::kTimeShift) clock[0] = Kept(column, 1)[0];
-      if (p.parameter.kind == ParameterKind::kClockDrift) clock[1] = Kept(column, 1)[0];
-    }
-    column += p.parameter.size;
-  }
+  const Marginals& m = solution_->marginals;
+  Columns clock = {m.Find(ParameterKind::kTimeShift, imu, session),
+                   m.Find(ParameterKind::kClockDrift, imu, session), -1, -1};
   const ClockWalk& walk = solution_->estimate.sessions[session].imus[imu].walk;
   if (walk.IsLine()) return clock;
   const size_t knot = walk.Locate(t).first;

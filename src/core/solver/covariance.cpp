@@ -90,18 +90,6 @@ MarginalEstimates EstimateMarginals(const Eigen::MatrixXd& products, int cluster
   return result;
 }
 
-MarginalEstimate GivenOthers(const MarginalEstimate& estimate, int count) {
-  const auto others = estimate.covariance.rows() - count;
-  if (others == 0) return estimate;
-  const Eigen::MatrixXd& C = estimate.covariance;
-  const Eigen::MatrixXd gain = C.bottomRightCorner(others, others)
-                                   .ldlt()
-                                   .solve(C.bottomLeftCorner(others, count))
-                                   .transpose();
-  return {C.topLeftCorner(count, count) - gain * C.bottomLeftCorner(others, count),
-          estimate.influence.topRows(count) - gain * estimate.influence.bottomRows(others)};
-}
-
 MarginalEstimate Select(const MarginalEstimate& estimate, const std::vector<int>& places) {
   const auto count = static_cast<Eigen::Index>(places.size());
   MarginalEstimate selected{Eigen::MatrixXd(count, count),

@@ -17,12 +17,8 @@ namespace {
 constexpr double kDegenerateFactor = 10.0;  // times the weak threshold
 
 // What is worth a warning:
-constexpr double kCertain = 3.0;            // sigma of a hint
-constexpr double kCorrelated = 3.0;         // clusters' sigma over the model's
-constexpr double kNotableDrift = 1e-4;      // [s] over the recording
-constexpr double kNotableSmoothing = 1e-5;  // [s^2]
-constexpr double kNotableScale = 5e-3;      // [1]
-constexpr double kNotableDelay = 10e-3;     // [s]
+constexpr double kCorrelated = 3.0;      // clusters' sigma over the model's
+constexpr double kNotableDelay = 10e-3;  // [s]
 
 /// Covariance of p_MI once the information that comes from the trajectory's errors alone is taken
 /// away; huge where nothing remains.
@@ -53,7 +49,7 @@ std::vector<Observability> Spectrum(const Marginals& marginals, const Eigen::Mat
   for (const PlacedParameter& p : marginals.parameters) {
     const int k = p.place;
     const ParameterKind kind = p.parameter.kind;
-    if (!p.is_estimated || !(C(k, k) > 0.0)) continue;
+    if (!(C(k, k) > 0.0)) continue;
     const std::string of = Of(p.parameter, result, kind == ParameterKind::kTimeShift);
     const auto add_time = [&](const char* name) {
       spectrum.push_back({name + of, std::sqrt(C(k, k)), "s", Status::kNotRun});
@@ -77,23 +73,6 @@ double Correlation(const Marginals& m) {
     for (int i = p.place; IsKey(p.parameter.kind) && i < p.place + p.parameter.size; ++i)
       if (m.model(i, i) > 0.0) ratio = std::max(ratio, std::sqrt(m.robust(i, i) / m.model(i, i)));
   return ratio;
-}
-
-/// The hint of largest size for parameters of this kind that is certain, and whose it is; 0 when
-/// none is.
-double CertainHint(const Marginals& m, ParameterKind kind, Parameter* whose) {
-  double largest = 0.0;
-  for (const PlacedParameter& p : m.parameters) {
-    if (p.parameter.kind != kind) continue;
-    for (int i = p.place; i < p.place + p.parameter.size; ++i) {
-      if (std::abs(m.hint[i]) <= kCertain * m.hint_std[i] ||
-          std::abs(m.hint[i]) <= std::abs(largest))
-        continue;
-      largest = m.hint[i];
-      *whose = p.parameter;
-    }
-  }
-  return largest;
 }
 
 /// Sigmas of one parameter, but for p_MI and R_MI, which go together.
@@ -226,8 +205,7 @@ void GradeResult(const CalibrationOptions& options, const Marginals& marginals,
   const Eigen::VectorXd enlargement = Enlargement(marginals.model, marginals.robust);
   const auto larger = enlargement.asDiagonal();
   const Eigen::MatrixXd C = larger * marginals.model * larger;
-  for (const PlacedParameter& p : marginals.parameters)
-    if (p.is_estimated) ReportParameter(p, C, result);
+  for (const PlacedParameter& p : marginals.parameters) ReportParameter(p, C, result);
   ReportTransforms(C, marginals, result);
 
   const auto take_halves = [&](ParameterKind kind, int size, double* difference) {
@@ -241,7 +219,7 @@ void GradeResult(const CalibrationOptions& options, const Marginals& marginals,
 
   Eigen::MatrixXd honest = marginals.model;
   for (const PlacedParameter& p : marginals.parameters)
-    if (p.is_estimated && p.parameter.kind == ParameterKind::kTranslation)
+    if (p.parameter.kind == ParameterKind::kTranslation)
       honest.block<3, 3>(p.place, p.place) =
           WithoutSpuriousInformation(marginals.model.block<3, 3>(p.place, p.place),
                                      marginals.spurious_information[p.parameter.imu]);
@@ -258,29 +236,6 @@ void WarnOfMisfit(const Marginals& marginals, Calibration* result) {
   if (correlation > kCorrelated)
     warn("the residuals are not independent noise: sigmas are up to " +
          Number(correlation, "%.1f") + " times as large as with it");
-  Parameter whose{};
-  const double drift = CertainHint(marginals, ParameterKind::kClockDrift, &whose);
-  const double drifted =
-      std::abs(drift) * result->sessions[whose.session].imus[whose.imu].gyro.duration_s;
-  if (drifted > kNotableDrift)
-    warn("the clocks" + Of(whose, *result, true) + " drift by " + Number(1e6 * drift, "%+.1f") +
-         " ppm (" + InWords(drifted, "s") + " over the recording): set estimate_clock_drift: true");
-  const double smoothing = CertainHint(marginals, ParameterKind::kPoseSmoothing, &whose);
-  if (std::abs(smoothing) > kNotableSmoothing)
-    warn(std::string(smoothing > 0.0 ? "the poses are smoothed more than the imu's data"
-                                     : "the imu's data are smoothed more than the poses") +
-         ", over " + InWords(std::sqrt(std::abs(smoothing)), "s") +
-         ": set estimate_pose_smoothing: true");
-  const std::pair<const char*, ParameterKind> scales[] = {
-      {"gyroscope", ParameterKind::kGyroIntrinsics},
-      {"accelerometer", ParameterKind::kAccelIntrinsics}};
-  for (const auto& [sensor, kind] : scales) {
-    const double error = CertainHint(marginals, kind, &whose);
-    if (std::abs(error) > kNotableScale)
-      warn("the " + std::string(sensor) + "'s scale or alignment" + Of(whose, *result, false) +
-           " seems off by " + Number(100.0 * std::abs(error), "%.1f") +
-           " %: try imu_model: scale_misalignment");
-  }
   for (size_t i = 0; i < result->imus.size(); ++i) {
     const double delay = result->imus[i].accel_delay;
     if (std::abs(delay) > kNotableDelay)

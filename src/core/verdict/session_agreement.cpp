@@ -25,7 +25,6 @@ struct Component {
 std::vector<Component> Components(const Marginals& marginals, size_t imus) {
   std::vector<Component> components;
   for (const PlacedParameter& p : marginals.parameters) {
-    if (!p.is_estimated) continue;
     const std::string of = OfImu(p.parameter.imu, imus);
     const auto add_axes = [&](const char* name, const char* unit) {
       for (int k = 0; k < 3; ++k)

@@ -119,9 +119,6 @@ struct Parameter {
   double* data;  ///< in the estimate; a mean: null
 };
 
-/// Worth a remark to the user who holds it where it does not belong.
-bool IsHint(ParameterKind kind);
-
 /// Of the source of the poses, which IMUs and sessions share.
 bool IsOfPoses(ParameterKind kind);
 

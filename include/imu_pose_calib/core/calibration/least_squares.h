@@ -140,8 +140,6 @@ struct Ordering {
   std::vector<int> border, inner;  ///< blocks
   int columns = 0;
   std::vector<Parameter> calibrated;  ///< from column 0 on
-  int estimated = 0;                  ///< columns of what is calibrated
-  std::vector<Parameter> hints;       ///< held, then
   int gravity = 0, biases = 0;        ///< of each session; biases: no longer border
   int walks = 0;                      ///< of clocks, and slow errors
   int trajectory = 0;
@@ -177,8 +175,7 @@ struct LeastSquares {
   void AddClockWalk(size_t session, size_t imu);
   void AddRotationErrors(size_t session);
 
-  /// `with_hints`: with parameters that are held though they could be worth a remark.
-  Ordering Order(bool with_hints) const;
+  Ordering Order() const;
 
   /// Gauss-Newton steps, damped when they fail, or Ceres, by the options, until the cost is that of
   /// the minimum but for a share `function_tolerance`; else the estimate is where the last step

@@ -12,7 +12,6 @@ namespace imu_pose_calib {
 struct PlacedParameter {
   Parameter parameter;
   int place;
-  bool is_estimated;  ///< else it has variance 0 and perhaps a hint
 };
 
 /// What a session says alone of the parameters that act in it.
@@ -36,13 +35,9 @@ struct Marginals {
   Eigen::VectorXd halves_difference;
   double halves_sigmas = 0.0;
 
-  /// Parameters that are not estimated: where they would move if they were, and the sigma of that;
-  /// else 0.
-  Eigen::VectorXd hint, hint_std;
-
   std::vector<SessionMarginals> sessions;  ///< none when there is only one
 
-  /// Of H: what is calibrated, what could have been, gravity of each session, then of each session
+  /// Of H: what is calibrated, gravity of each session, then of each session
   /// the bias knots, gyroscope and accelerometer of each IMU, knots of the clocks, then of each
   /// session those of the slow errors, and the control points.
   std::shared_ptr<const Elimination> elimination;
@@ -50,12 +45,10 @@ struct Marginals {
   /// CalibrationOptions::max_factor_mb.
   Panels factor;
 
-  int held_begin = 0, held_end = 0;  ///< columns of H of parameters that are not estimated
-  int trajectory_begin = 0;          ///< first column of H of the control points
+  int calibrated_end = 0;    ///< column of H after what is calibrated
+  int trajectory_begin = 0;  ///< first column of H of the control points
 
-  /// First column of H of what is calibrated; -1 when it is not.
-  int FindColumn(ParameterKind kind, size_t imu) const;
-  /// Place of a parameter; -1 when there is none.
+  /// Place of a parameter, for what is calibrated the column of H, too; -1 when there is none.
   int Find(ParameterKind kind, size_t imu = 0, size_t session = 0) const;
 };
 

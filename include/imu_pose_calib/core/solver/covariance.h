@@ -34,8 +34,6 @@ MarginalEstimates EstimateMarginals(const Eigen::MatrixXd& products, int cluster
 MarginalEstimate EstimateBorder(const Reduced& reduced, const std::vector<int>& columns,
                                 const std::vector<int>& clusters);
 
-/// The first `count` functionals, as if the others were known to be right.
-MarginalEstimate GivenOthers(const MarginalEstimate& estimate, int count);
 /// The functionals at `places`, whatever the others are.
 MarginalEstimate Select(const MarginalEstimate& estimate, const std::vector<int>& places);
 
