@@ -123,7 +123,7 @@ void ReportEstimate(const Estimate& estimate, const std::vector<PreparedSession>
     result->imus[i].T_MI = {imu.q_MI.normalized(), imu.p_MI};
     if (imu.q_MI.w() < 0.0) result->imus[i].T_MI.q.coeffs() *= -1.0;
     result->imus[i].accel_delay = imu.accel_delay;
-    result->imus[i].gyro_smoothing = imu.gyro_smoothing;
+    result->imus[i].gyro_smoothing = estimate.gyro_smoothing + imu.gyro_smoothing;
     result->imus[i].accel_smoothing = imu.accel_smoothing;
     result->imus[i].mount_compliance = imu.mount_compliance;
     result->imus[i].gyro_matrix = GyroMatrix(imu.gyro_intrinsics);

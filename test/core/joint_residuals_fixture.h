@@ -87,11 +87,12 @@ class JointResiduals : public ::testing::Test {
   }
   /// Derivatives of the GP's motion, as JointAccelSample has them.
   struct MarkerJerk {
-    Vector3d alpha_rate, jerk_W, curvature = Vector3d::Zero(), f_swing = Vector3d::Zero();
+    Vector3d alpha_rate, jerk_W, curvature = Vector3d::Zero(), f_swing = Vector3d::Zero(),
+                                 cone = Vector3d::Zero();
   };
   std::vector<MarkerJerk> Jerks() {
-    return {{Random(40.0), Random(30.0), Random(300.0), Random(300.0)},
-            {Random(40.0), Random(30.0), Random(300.0), Random(300.0)}};
+    return {{Random(40.0), Random(30.0), Random(300.0), Random(300.0), Random(100.0)},
+            {Random(40.0), Random(30.0), Random(300.0), Random(300.0), Random(100.0)}};
   }
 
   static std::vector<JointImuSample> Gyro(const std::vector<JointAccelSample>& samples) {
@@ -104,6 +105,7 @@ class JointResiduals : public ::testing::Test {
       samples[i].jerk_W = jerks[i].jerk_W;
       samples[i].curvature = jerks[i].curvature;
       samples[i].f_swing = jerks[i].f_swing;
+      samples[i].cone = jerks[i].cone;
     }
     return samples;
   }
@@ -144,7 +146,7 @@ class JointResiduals : public ::testing::Test {
   std::vector<double*> GyroBlocks(const std::vector<Clock>& clocks) {
     std::vector<double*> blocks = Points({&phi_});
     for (double* block : {knot_0_.data(), knot_1_.data(), q_MI_.coeffs().data(),
-                          gyro_intrinsics_.data(), &gyro_smoothing_})
+                          gyro_intrinsics_.data(), &gyro_smoothing_, &trajectory_smoothing_})
       blocks.push_back(block);
     return With(blocks, clocks);
   }
@@ -154,7 +156,7 @@ class JointResiduals : public ::testing::Test {
     for (double* block :
          {knot_0_.data(), knot_1_.data(), q_MI_.coeffs().data(), accel_intrinsics_.data(),
           p_MI_.data(), g_W_.data(), &accel_smoothing_, &mount_compliance_, &pose_scale_,
-          accel_positions_.data(), &gyro_smoothing_})
+          accel_positions_.data(), &gyro_smoothing_, &trajectory_smoothing_})
       blocks.push_back(block);
     return With(blocks, clocks);
   }
@@ -312,7 +314,7 @@ class JointResiduals : public ::testing::Test {
       (Vector9d() << 0.01, 0.02, -0.03, 0.01, -0.02, 0.02, 0.03, -0.01, 0.02).finished();
   double time_shift_ = 0.0213, accel_delay_ = 0.0008, clock_drift_ = 1e-6;
   double pose_smoothing_ = 3e-4, position_smoothing_ = -1e-4, accel_smoothing_ = 4e-4,
-         gyro_smoothing_ = 2e-4;
+         gyro_smoothing_ = 2e-4, trajectory_smoothing_ = 3e-4;
   double mount_compliance_ = 2e-4;
   double pose_scale_ = 1.03;
   /// More than any IMU has.

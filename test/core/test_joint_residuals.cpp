@@ -184,6 +184,64 @@ TEST_F(JointResiduals, FailFarBeyondTheSpan) {
   EXPECT_FALSE(accel->Evaluate(AccelBlocks(AccelClocks()).data(), residual[0].data(), nullptr));
 }
 
+/// A motion that turns and swings, by closed forms and, of rotations, differences of fifth order.
+struct Swing {
+  static constexpr double kStep = 5e-3;  // [s]
+  double s = 0.0;                        ///< [s^2] variance of the times that it is the mean of
+
+  template <typename Function>
+  static Vector3d Slope(const Function& f, double t) {
+    return (8.0 * (f(t + kStep) - f(t - kStep)) - f(t + 2.0 * kStep) + f(t - 2.0 * kStep)) /
+           (12.0 * kStep);
+  }
+  template <typename Function>
+  static Vector3d Rate(const Function& q, double t) {
+    const Eigen::Quaterniond q_inv = q(t).conjugate();
+    return Slope([&](double x) -> Vector3d { return Log(Eigen::Quaterniond(q_inv * q(x))); }, t);
+  }
+  static Eigen::Quaterniond Turned(double t) {
+    return Exp<double>(Vector3d(0.8 * std::sin(3.0 * t), 0.5 * std::cos(4.0 * t + 1.0), 0.6 * t));
+  }
+  static Vector3d Omega(double t) { return Rate(&Turned, t); }
+  static Vector3d Alpha(double t) { return Slope(&Omega, t); }
+  Eigen::Quaterniond Rotation(double t) const {
+    return s == 0.0 ? Turned(t) : Eigen::Quaterniond(Turned(t) * Exp<double>(0.5 * s * Alpha(t)));
+  }
+  Vector3d Acceleration(double t) const {
+    const Vector3d a(3.0 * std::sin(5.0 * t), 2.0 * std::cos(4.0 * t), std::sin(6.0 * t));
+    return a - 0.5 * s * Vector3d(25.0, 16.0, 36.0).cwiseProduct(a);
+  }
+  MarkerState<double> At(double t) const {
+    const auto omega = [&](double x) { return Rate([&](double y) { return Rotation(y); }, x); };
+    MarkerState<double> m;
+    m.q_WM = Rotation(t);
+    m.omega_M = omega(t);
+    m.alpha_M = Slope(omega, t);
+    m.a_W = Acceleration(t);
+    return m;
+  }
+};
+
+TEST(Cones, AreWhatTheMeansOfASensorExceedThoseOfAMeanMotionBy) {
+  const double s = 1e-5, spread = std::sqrt(s);
+  const Vector3d g_W(0.0, 0.0, -9.81), p_MI(0.05, -0.3, 0.2);
+  const Swing motion, mean{s};
+  const auto mean_of = [&](const auto& f, double t) -> Vector3d {
+    return 0.5 * (f(t - spread) + f(t + spread));
+  };
+  const auto force = [&](double t) { return SpecificForce(motion.At(t), g_W, p_MI); };
+  for (const double t : {0.3, 1.7, 2.9}) {
+    const MarkerState<double> at = motion.At(t);
+    MarkerState<double> rate;
+    rate.alpha_M = Swing::Slope(&Swing::Alpha, t);
+    rate.a_W = Swing::Slope([&](double x) { return motion.Acceleration(x); }, t);
+    const Vector3d by_rate = 2.0 / s * (mean_of(&Swing::Omega, t) - mean.At(t).omega_M);
+    EXPECT_LT((RateCone(at) - by_rate).norm(), 1e-3 * by_rate.norm());
+    const Vector3d by_force = 2.0 / s * (mean_of(force, t) - SpecificForce(mean.At(t), g_W, p_MI));
+    EXPECT_LT((ForceCone(at, rate, g_W, p_MI) - by_force).norm(), 1e-3 * by_force.norm());
+  }
+}
+
 TEST(CubicWeights, SumToOneAndEachRowIsTheSlopeOfTheOneBefore) {
   const double spacing = 0.03, step = 1e-5;
   for (double u = 0.1; u < 1.0; u += 0.2) {

@@ -120,7 +120,8 @@ std::vector<Parameter> CalibrationParameters(Estimate* estimate) {
   parameters.push_back({ParameterKind::kPoseScale, 0, 0, 1, &estimate->pose_scale});
   for (size_t i = 0; i < estimate->imus.size(); ++i) {
     ImuEstimate& imu = estimate->imus[i];
-    parameters.push_back({ParameterKind::kGyroSmoothing, i, 0, 1, &imu.gyro_smoothing});
+    double* const smoothing = i == 0 ? &estimate->gyro_smoothing : &imu.gyro_smoothing;
+    parameters.push_back({ParameterKind::kGyroSmoothing, i, 0, 1, smoothing});
     parameters.push_back({ParameterKind::kAccelSmoothing, i, 0, 1, &imu.accel_smoothing});
     parameters.push_back({ParameterKind::kMountCompliance, i, 0, 1, &imu.mount_compliance});
     parameters.push_back({ParameterKind::kGyroIntrinsics, i, 0, 6, imu.gyro_intrinsics.data()});

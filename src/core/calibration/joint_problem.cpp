@@ -290,13 +290,15 @@ void SessionBuilder::AddGyro(size_t imu) {
   ImuEstimate& rig = joint_->estimate->imus[imu];
   AddImu<JointImuSample>(
       imu, Quantity::kGyro, {&splines_->phi},
-      {rig.q_MI.coeffs().data(), rig.gyro_intrinsics.data(), &rig.gyro_smoothing},
+      {rig.q_MI.coeffs().data(), rig.gyro_intrinsics.data(), &rig.gyro_smoothing,
+       &joint_->estimate->gyro_smoothing},
       [with_curvature = IsUsed(rig.gyro_smoothing)](const Places& places, double t_M,
                                                     JointImuSample* sample) {
         MarkerRotation<double> gp;
         places.trajectory->EvaluateRotation(t_M, &gp);
         sample->omega_M = gp.omega_M;
         sample->alpha_M = gp.alpha_M;
+        sample->cone = RateCone(gp);
         if (with_curvature) sample->curvature = places.RateCurvature(t_M, gp.omega_M);
       },
       &CreateJointGyroResidual);
@@ -310,7 +312,7 @@ void SessionBuilder::AddAccel(size_t imu) {
       imu, Quantity::kAccel, {&splines_->d, &splines_->phi},
       {rig.q_MI.coeffs().data(), rig.accel_intrinsics.data(), rig.p_MI.data(), estimate_.g_W.data(),
        &rig.accel_smoothing, &rig.mount_compliance, &joint_->estimate->pose_scale,
-       rig.accel_positions.data(), &rig.gyro_smoothing},
+       rig.accel_positions.data(), &rig.gyro_smoothing, &joint_->estimate->gyro_smoothing},
       [with_derivatives, p_MI = Eigen::Vector3d(rig.p_MI), compliance = rig.mount_compliance](
           const Places& places, double t_M, JointAccelSample* sample) {
         MarkerState<double> rate;
@@ -321,6 +323,7 @@ void SessionBuilder::AddAccel(size_t imu) {
         sample->a_W = gp.a_W;
         sample->alpha_rate = rate.alpha_M;
         sample->jerk_W = rate.a_W;
+        sample->cone = ForceCone(gp, rate, places.g_W, p_MI);
         if (with_derivatives) places.SetForceDerivatives(t_M, p_MI, compliance, sample);
       },
       [&](Samples<JointAccelSample> samples, const ClockMotions& motions, bool has_walk) {
@@ -359,6 +362,9 @@ std::unique_ptr<LeastSquares> BuildJointProblem(const CalibrationOptions& option
       for (Eigen::Vector3d& point : *points)
         joint->trajectory_blocks.push_back(joint->problem.AddParameters(point.data(), 3));
   joint->AddCalibration(true);
+  double* const own = &estimate->imus[0].gyro_smoothing;  // less its own: none
+  joint->problem.AddParameters(own, 1);
+  joint->problem.SetHeld(own, true);
   for (const double* parameter : held) joint->problem.SetHeld(parameter, true);
   for (size_t s = 0; s < sessions.size(); ++s) {
     AddCorrectionPriors(&(*splines)[s], s, joint.get());

@@ -246,7 +246,7 @@ class JointRotationResidual : public BatchResidual<JointPoseSample> {
 class JointGyroResidual : public BatchResidual<JointImuSample> {
  public:
   JointGyroResidual(Samples<JointImuSample> samples, const ClockMotions& clocks, bool has_walk)
-      : BatchResidual(std::move(samples), 1, {3, 3, 4, 6, 1}, clocks, has_walk) {}
+      : BatchResidual(std::move(samples), 1, {3, 3, 4, 6, 1, 1}, clocks, has_walk) {}
 
  protected:
   void EvaluateSample(const JointImuSample& s, double t, const SplineWeights& weights,
@@ -259,7 +259,8 @@ class JointGyroResidual : public BatchResidual<JointImuSample> {
     const CorrectedRotation x(
         omega_gp, s.alpha_M, EvaluateSpline(blocks, weights),
         jacobians.blocks != nullptr ? CorrectedRotation::kOfOmega : CorrectedRotation::kNone);
-    const Vector3d omega_I = q_MI.conjugate() * (x.omega + 0.5 * *blocks[n + 4] * s.curvature);
+    const Vector3d omega_I = q_MI.conjugate() * (x.omega + 0.5 * *blocks[n + 4] * s.curvature +
+                                                 0.5 * *blocks[n + 5] * s.cone);
     AsVector(residual) = (LessKnots(s.value, s.bias_u, blocks + n) - K_g * omega_I) / s.sigma;
     if (jacobians.blocks == nullptr) return;
 
@@ -279,6 +280,7 @@ class JointGyroResidual : public BatchResidual<JointImuSample> {
       SetRows<6>(jacobians, n + 3, -r_M / s.sigma);
     }
     SetRows<1>(jacobians, n + 4, 0.5 * A * s.curvature);
+    SetRows<1>(jacobians, n + 5, 0.5 * A * s.cone);
     SetClockRows(s, A * x.omega_rate, jacobians);
   }
 };
@@ -287,7 +289,8 @@ class JointAccelResidual : public BatchResidual<JointAccelSample> {
  public:
   JointAccelResidual(Samples<JointAccelSample> samples, const Matrix3d& R_MA,
                      const ClockMotions& clocks, bool has_walk)
-      : BatchResidual(std::move(samples), 2, {3, 3, 4, 9, 3, 3, 1, 1, 1, 6, 1}, clocks, has_walk),
+      : BatchResidual(std::move(samples), 2, {3, 3, 4, 9, 3, 3, 1, 1, 1, 6, 1, 1}, clocks,
+                      has_walk),
         R_MA_(R_MA) {}
 
  protected:
@@ -311,8 +314,8 @@ class JointAccelResidual : public BatchResidual<JointAccelSample> {
     const Vector3d a_W = (s.a_W + t * s.jerk_W + d.col(2)) / scale;
     const Vector3d f_body = q_WM.conjugate() * (a_W - g);  // R_WM^T (a_W - g_W)
     const Vector3d f_M = f_body + x.alpha.cross(p) + x.omega.cross(x.omega.cross(p)) +
-                         0.5 * (*blocks[n + 6] + *blocks[n + 10]) * s.curvature -
-                         *blocks[n + 7] * s.f_swing;
+                         0.5 * (*blocks[n + 6] + *blocks[n + 10]) * s.curvature +
+                         0.5 * *blocks[n + 11] * s.cone - *blocks[n + 7] * s.f_swing;
     const Matrix3d R_IM = q_MI.conjugate().toRotationMatrix();
     const Matrix3d W = Hat(x.omega);
     const Matrix3d K = Hat(x.alpha) + W * W;  // acceleration by the lever arm
@@ -360,6 +363,7 @@ class JointAccelResidual : public BatchResidual<JointAccelSample> {
     SetRows<3>(jacobians, n + 4, A * K);
     SetRows<3>(jacobians, n + 5, -r_a);
     for (const int smoothing : {6, 10}) SetRows<1>(jacobians, n + smoothing, 0.5 * A * s.curvature);
+    SetRows<1>(jacobians, n + 11, 0.5 * A * s.cone);
     SetRows<1>(jacobians, n + 7, -A * s.f_swing);
     SetRows<1>(jacobians, n + 8, -1.0 / scale * r_a * a_W);
     const Matrix3d E_inv = Exp<double>(-phi.col(0)).toRotationMatrix();
@@ -383,6 +387,18 @@ class JointAccelResidual : public BatchResidual<JointAccelSample> {
 };
 
 }  // namespace
+
+Vector3d RateCone(const MarkerRotation<double>& m) { return m.alpha_M.cross(m.omega_M); }
+
+Vector3d ForceCone(const MarkerState<double>& m, const MarkerState<double>& rate,
+                   const Vector3d& g_W, const Vector3d& p_M) {
+  const Vector3d &w = m.omega_M, &alpha = m.alpha_M, turned = w.cross(alpha);
+  const Eigen::Quaterniond q_MW = m.q_WM.conjugate();
+  const Vector3d f = q_MW * (m.a_W - g_W), jerk = q_MW * rate.a_W;
+  return w.cross(w.cross(f) - 2.0 * jerk) - w.cross(rate.alpha_M).cross(p_M) +
+         2.0 * alpha.cross(alpha.cross(p_M)) - turned.cross(w.cross(p_M)) -
+         w.cross(turned.cross(p_M));
+}
 
 std::unique_ptr<SampledCost> CreateJointPositionResidual(Samples<JointPoseSample> samples) {
   return std::make_unique<JointPositionResidual>(std::move(samples));

@@ -71,9 +71,11 @@ class JointSolver {
     problem_.reset();  // never two of them at a time
     std::vector<const double*> held = at_bound_;
     // Second derivatives of a trajectory that is not corrected hold the noise of the poses.
-    if (!are_moved_)
+    if (!are_moved_) {
+      held.push_back(&estimate_->gyro_smoothing);
       for (const ImuEstimate& imu : estimate_->imus)
         held.insert(held.end(), {&imu.gyro_smoothing, &imu.accel_smoothing, &imu.mount_compliance});
+    }
     problem_ = BuildJointProblem(options_, *sessions_, models_, estimate_, &splines_, held);
   }
 
@@ -89,10 +91,8 @@ class JointSolver {
     // No source averages rotations over longer than positions, no mount gives way upwards, and no
     // gyroscope averages over less time than none: other errors look like that.
     HoldAtZero(&estimate_->position_smoothing);
-    for (ImuEstimate& imu : estimate_->imus) {
-      HoldAtZero(&imu.mount_compliance);
-      HoldAtZero(&imu.gyro_smoothing);
-    }
+    HoldAtZero(&estimate_->gyro_smoothing);
+    for (ImuEstimate& imu : estimate_->imus) HoldAtZero(&imu.mount_compliance);
     return summary;
   }
 

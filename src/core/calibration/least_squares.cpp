@@ -20,7 +20,8 @@ namespace {
 
 // Sigmas of ordinary clocks, trackers and IMUs.
 constexpr double kDelayPrior = 0.02;              // [s]
-constexpr double kSmoothingPrior = 1e-3;          // [s^2]
+constexpr double kSmoothingPrior = 1e-3;          // [s^2] of poses
+constexpr double kGyroFilterPrior = 1e-4;         // [s^2] of a filter of 16 Hz
 constexpr double kCompliancePrior = 2e-4;         // [s^2] of mounts that resonate at 11 Hz
 constexpr double kPoseScalePrior = 1e-3;          // [1]
 constexpr double kScalePrior = 0.01;              // [1] diagonal of K_g and K_a
@@ -101,8 +102,9 @@ Prior PriorOf(const Parameter& p, const LeastSquares& solve) {
       return alike(kDriftPrior);
     case ParameterKind::kPoseSmoothing:
     case ParameterKind::kPositionSmoothing:
-    case ParameterKind::kGyroSmoothing:
       return alike(kSmoothingPrior);
+    case ParameterKind::kGyroSmoothing:
+      return alike(kGyroFilterPrior);
     case ParameterKind::kPoseScale:
       return alike(kPoseScalePrior, 1.0);
     case ParameterKind::kAccelSmoothing:

@@ -206,6 +206,12 @@ void GradeResult(const CalibrationOptions& options, const Marginals& marginals,
   const auto larger = enlargement.asDiagonal();
   const Eigen::MatrixXd C = larger * marginals.model * larger;
   for (const PlacedParameter& p : marginals.parameters) ReportParameter(p, C, result);
+  // Of further IMUs the gyroscope's is known as less that of the first.
+  if (const int first = marginals.Find(ParameterKind::kGyroSmoothing, 0); first >= 0)
+    for (size_t i = 1; i < result->imus.size(); ++i)
+      if (const int own = marginals.Find(ParameterKind::kGyroSmoothing, i); own >= 0)
+        result->imus[i].gyro_smoothing_std =
+            std::sqrt(C(own, own) + C(first, first) + 2.0 * C(own, first));
   ReportTransforms(C, marginals, result);
 
   const auto take_halves = [&](ParameterKind kind, int size, double* difference) {

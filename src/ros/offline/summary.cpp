@@ -400,8 +400,7 @@ std::string Clocks(const Calibration& result) {
         "The mount of the imu gives way by %.2f mm (sigma %.2f mm) to its weight: accounted for\n",
         1e3 * gravity * compliance, 1e3 * gravity * sigma);
   }
-  text += Averages(result.pose_smoothing - imu.gyro_smoothing,
-                   std::hypot(result.pose_smoothing_std, imu.gyro_smoothing_std), "poses", "imu",
+  text += Averages(result.pose_smoothing, result.pose_smoothing_std, "poses", "imu",
                    " smoothed over %.1f ms (sigma %.1f ms) more than the ");
   text += Averages(result.position_smoothing, result.position_smoothing_std, "position", "rotation",
                    " of the poses averages over %.1f ms more than their ");

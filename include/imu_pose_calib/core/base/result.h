@@ -254,7 +254,7 @@ struct Calibration {
   std::vector<PoseSensorCalibration> pose_sensors;
   std::vector<SessionCalibration> sessions = std::vector<SessionCalibration>(1);
   /// [s^2] by how much the variance of the time over which a pose's rotation is averaged exceeds
-  /// that of an IMU sample; 0 when not estimated.
+  /// that of the first IMU's gyroscope; 0 when not estimated.
   double pose_smoothing = 0.0, pose_smoothing_std = 0.0;
   /// [s^2] by how much that of its position exceeds that of its rotation; 0 when not estimated.
   double position_smoothing = 0.0, position_smoothing_std = 0.0;

@@ -50,7 +50,7 @@ struct ImuEstimate {
   Eigen::Quaterniond q_MI = Eigen::Quaterniond::Identity();
   Eigen::Vector3d p_MI = Eigen::Vector3d::Zero();  ///< [m]
   double accel_delay = 0.0;                        ///< [s]
-  double gyro_smoothing = 0.0;                     ///< [s^2] see ImuCalibration
+  double gyro_smoothing = 0.0;                     ///< [s^2] less that of the first IMU's gyroscope
   double accel_smoothing = 0.0;                    ///< [s^2] see ImuCalibration
   double mount_compliance = 0.0;                   ///< [s^2] see ImuCalibration
   Vector6d gyro_intrinsics = Vector6d::Zero();     ///< of GyroMatrix()
@@ -82,6 +82,8 @@ struct Estimate {
   // Of the source of the poses, see Calibration:
   double pose_smoothing = 0.0, position_smoothing = 0.0;  ///< [s^2]
   double pose_scale = 1.0;
+  /// Of the first IMU's gyroscope [s^2], and of the trajectory: it is averaged as that is.
+  double gyro_smoothing = 0.0;
   std::vector<ImuEstimate> imus;
   std::vector<SessionEstimate> sessions;
 
@@ -100,7 +102,7 @@ enum class ParameterKind {
   kPoseSmoothing,      ///< [s^2]
   kPositionSmoothing,  ///< [s^2]
   kPoseScale,          ///< [1]
-  kGyroSmoothing,      ///< [s^2]
+  kGyroSmoothing,      ///< [s^2] of the first IMU's; of others, less that
   kAccelSmoothing,     ///< [s^2]
   kMountCompliance,    ///< [s^2]
   kGyroIntrinsics,     ///< 6, of GyroMatrix()

@@ -80,11 +80,21 @@ struct JointImuSample : JointSample {
   double sigma;                      ///< unit of value
   /// Second derivative of omega_M [rad/s^3] or f_M [m/s^4], components in M.
   Eigen::Vector3d curvature = Eigen::Vector3d::Zero();
+  /// By how much the mean of omega_M or f_M over an instant's surroundings of the variance s
+  /// exceeds that of a trajectory that is averaged alike, over s/2: doc/math.md, "Filter of the
+  /// gyroscope".
+  Eigen::Vector3d cone = Eigen::Vector3d::Zero();
 };
 
-/// r = (w - b_g - K_g R_MI^T (omega_M(t) + s/2 omega_M'')) / sigma, in I, s: gyro_smoothing.
-/// Blocks: phi | knots of b_g | q_MI (4, xyzw) | K_g (6, see GyroMatrix()) | gyro_smoothing (1) |
-/// clocks | walk.
+/// JointImuSample::cone of the gyroscope.
+Eigen::Vector3d RateCone(const MarkerRotation<double>& m);
+/// That of the accelerometer at p_M [m]; `rate`: derivatives of alpha_M and a_W.
+Eigen::Vector3d ForceCone(const MarkerState<double>& m, const MarkerState<double>& rate,
+                          const Eigen::Vector3d& g_W, const Eigen::Vector3d& p_M);
+
+/// r = (w - b_g - K_g R_MI^T (omega_M(t) + s/2 omega_M'' + c/2 cone)) / sigma, in I, s:
+/// gyro_smoothing less that of the trajectory, c. Blocks: phi | knots of b_g | q_MI (4, xyzw) | K_g
+/// (6, see GyroMatrix()) | s (1) | c (1) | clocks | walk.
 std::unique_ptr<SampledCost> CreateJointGyroResidual(Samples<JointImuSample> samples,
                                                      const ClockMotions& clocks,
                                                      bool has_walk = false);
@@ -99,13 +109,13 @@ struct JointAccelSample : JointImuSample {
   Eigen::Vector3d f_swing = Eigen::Vector3d::Zero();     ///< [m/s^4] R_WM^T (R_WM f_M)''
 };
 
-/// r = (f - b_a - K_a R_MI^T (f_M(t) + s/2 f_M'' - c R_WM^T (R_WM f_M)'')) / sigma, in I, s:
-/// gyro_smoothing + accel_smoothing, c: mount_compliance, with
+/// r = (f - b_a - K_a R_MI^T (f_M(t) + s/2 f_M'' + c/2 cone - m R_WM^T (R_WM f_M)'')) / sigma, in
+/// I, s: gyro_smoothing + accel_smoothing less that of the trajectory, c, m: mount_compliance, with
 /// f_M = R_WM^T (a_W / k - g_W) + alpha_M x p + omega_M x (omega_M x p), k: pose_scale. For axis i
 /// p is p_MI + R_MA r_i with r_i of AccelPositions() and R_MA about R_MI: it does not move.
 /// Blocks: d | phi | knots of b_a | q_MI (4) | K_a (9, see AccelMatrix()) | p_MI (3) | g_W (3) |
-/// accel_smoothing (1) | mount_compliance (1) | pose_scale (1) | r (6) | gyro_smoothing (1) |
-/// clocks | walk.
+/// accel_smoothing (1) | mount_compliance (1) | pose_scale (1) | r (6) | gyro_smoothing less c (1)
+/// | c (1) | clocks | walk.
 std::unique_ptr<SampledCost> CreateJointAccelResidual(Samples<JointAccelSample> samples,
                                                       const Eigen::Matrix3d& R_MA,
                                                       const ClockMotions& clocks,
