@@ -25,10 +25,39 @@ constexpr double kLongestScatters = 4.0;
 /// What missing frames cost, in periods of latency: more where the stamps scatter more.
 constexpr double kMinJumpCost = 2.0, kJumpScatters = 6.0;
 
+/// [s] between the knots of a clock; after a pause as long, another one begins.
+constexpr double kKnotSpacing = 10.0;
+constexpr size_t kMinRun = 2 * kWindow;  // samples that make a clock, and
+constexpr double kMinRunTime = 0.5 * kKnotSpacing;
+constexpr double kMinRecovered = 0.9;
+constexpr double kRateStep = 1e-5;  // sigma of the change of the rate at a knot
+constexpr double kHuber = 1.5;      // sigma
+constexpr int kRounds = 15, kCounts = 2;
+/// A quantile is used when its sigma is below so much of that of the mean; a density is bounded by
+/// that of so much of the sigma.
+constexpr double kMaxQuantileStd = 0.7, kSharpest = 0.02;
+
+/// Frames that miss: at most before this share of the samples, and so rarely that a period is so
+/// many sigma of the mean latency between. Where they are said to miss, the latency of so many
+/// samples on either side is the same, within a part of a period and so many sigma.
+constexpr double kMaxJumps = 0.3, kJumpSigmas = 4.0;
+constexpr size_t kNear = 5;
+constexpr double kMaxDrop = 0.05, kMaxDropSigmas = 2.0;
+
+/// A search for the period: factors of the one assumed, and the memory of the level.
+struct Search {
+  double low, high, step;
+  size_t memory;
+};
+constexpr Search kCoarse{0.75, 1.02, 3e-3, 50}, kMiddle{0.98, 1.02, 1e-3, 200},
+    kFine{0.997, 1.003, 3e-4, kMemory};
+constexpr size_t kShortExcerpt = 4000, kExcerpt = 20000;
+
 /// Numbers of the frames of samples that arrived in this order; the first is 0, each at least one
 /// more than the one before. The latency of sample i, at t_i [s], is t_i - period frames_i.
 struct FrameCount {
   std::vector<int64_t> frames;
+  double cost = 0.0;
 
   /// Samples before which frames are missing.
   size_t Jumps() const {
@@ -44,43 +73,6 @@ struct Period {
   double seconds = 0.0;
   double scatter = 0.0;
 };
-
-/// A search for the period: factors of the one assumed, and the memory of the level.
-struct Search {
-  double low, high, step;
-  size_t memory;
-};
-constexpr Search kCoarse{0.75, 1.02, 3e-3, 50}, kMiddle{0.98, 1.02, 1e-3, 200},
-    kFine{0.997, 1.003, 3e-4, kMemory};
-constexpr size_t kShortExcerpt = 4000, kExcerpt = 20000;
-
-/// Cost of a latency while its distribution is unknown.
-struct LatencyCost {
-  double factor, reach;
-
-  double operator()(double r) const { return factor * std::min(std::abs(r), reach); }
-};
-
-/// Cost by the distribution that latencies [periods] were found to have.
-struct FoundCost {
-  static constexpr double kBin = 0.1;
-  static constexpr size_t kBins = 600, kZero = 200;  // -20 to 40
-  static size_t Bin(double r) {
-    return static_cast<size_t>(std::clamp(kZero + std::floor(r / kBin), 1.0, kBins - 2.0));
-  }
-  double reach = kBin * (kBins - kZero);
-  std::array<double, kBins> table{};
-
-  double operator()(double r) const { return table[Bin(r)]; }
-};
-
-LatencyCost CostOf(const Period& period, double factor) {
-  return {factor, std::max(kLongest, kLongestScatters * period.scatter) / factor};
-}
-
-double JumpCost(const Period& period) {
-  return std::max(kMinJumpCost, kJumpScatters * period.scatter);
-}
 
 /// Median latency of the first samples [periods].
 double FirstLatency(const std::vector<double>& t, double period) {
@@ -107,12 +99,12 @@ std::vector<int64_t> TraceBack(const std::vector<std::pair<int, int>>& path,
 
 /// The frames n_i of stamps t_i that minimise
 ///   sum_i cost(t_i / period - n_i - level_i) + jump_cost (number of n_i > n_(i-1) + 1)
-/// by a Viterbi search over the number of missing frames; returns the sum. The level follows the
-/// latency with a memory of so many samples, or stays at 0 when that is 0. Latencies beyond the
-/// reach of the cost [periods] cost the same.
+/// by a Viterbi search over the number of missing frames. The level follows the latency with a
+/// memory of so many samples, or stays at 0 when that is 0. Latencies beyond the reach of the cost
+/// [periods] cost the same.
 template <typename Cost>
-double FindFrames(const std::vector<double>& t, double period, size_t memory, double jump_cost,
-                  const Cost& cost, FrameCount* count) {
+FrameCount FindFrames(const std::vector<double>& t, double period, size_t memory, double jump_cost,
+                      double reach, const Cost& cost) {
   struct State {
     int missing;
     double cost, level;
@@ -131,7 +123,7 @@ double FindFrames(const std::vector<double>& t, double period, size_t memory, do
     // A jump is due when it brings the sample nearer to the level, else it may as well come later.
     const double due = x - states[best].level;
     int fresh = std::max(states.front().missing + 1,
-                         static_cast<int>(std::floor(std::max(due - cost.reach, -1e9))));
+                         static_cast<int>(std::floor(std::max(due - reach, -1e9))));
     const int high = i > 0 ? static_cast<int>(std::ceil(due)) + 1 : fresh;
     next.clear();
     size_t source = 0;  // the best state with fewer missing frames
@@ -166,8 +158,18 @@ double FindFrames(const std::vector<double>& t, double period, size_t memory, do
       path.emplace_back(state.missing, state.from);
     }
   }
-  count->frames = TraceBack(path, begins, best);
-  return states[best].cost;
+  return {TraceBack(path, begins, best), states[best].cost};
+}
+
+/// Counts frames while the distribution of latencies is unknown, at `factor` times the period that
+/// is assumed: the same latency [s] costs the same with all of them. A frame is taken for missing
+/// where the stamps stay later for good.
+FrameCount CountFrames(const std::vector<double>& t, const Period& period, double factor = 1.0,
+                       size_t memory = kMemory) {
+  const double reach = std::max(kLongest, kLongestScatters * period.scatter) / factor;
+  const double jump_cost = std::max(kMinJumpCost, kJumpScatters * period.scatter);
+  return FindFrames(t, factor * period.seconds, memory, jump_cost, reach,
+                    [=](double r) { return factor * std::min(std::abs(r), reach); });
 }
 
 /// The middle of `t`, at most `count` of them.
@@ -183,10 +185,7 @@ Period FindPeriod(const std::vector<double>& t, const Period& start, const Searc
   Period best = start;
   double least = std::numeric_limits<double>::infinity();
   for (double f = search.low; f <= search.high; f += search.step) {
-    // The same latency [s] costs the same with every period.
-    FrameCount count;
-    const double cost =
-        FindFrames(t, f * start.seconds, search.memory, JumpCost(start), CostOf(start, f), &count);
+    const double cost = CountFrames(t, start, f, search.memory).cost;
     if (cost >= least) continue;
     least = cost;
     best.seconds = f * start.seconds;
@@ -196,19 +195,12 @@ Period FindPeriod(const std::vector<double>& t, const Period& start, const Searc
 
 /// Median over windows of the mean distance from a line [s].
 double Scatter(const std::vector<double>& t) {
-  const double middle = 0.5 * static_cast<double>(kWindow - 1);
+  using Window = Eigen::Array<double, kWindow, 1>;
+  const Window u = Window::LinSpaced(-0.5 * (kWindow - 1.0), 0.5 * (kWindow - 1.0));
   std::vector<double> sizes;
   for (size_t begin = 0; begin + kWindow <= t.size(); begin += kWindow) {
-    double mean = 0.0, slope = 0.0, scale = 0.0, size = 0.0;
-    for (size_t i = 0; i < kWindow; ++i) {
-      const double u = static_cast<double>(i) - middle;
-      mean += t[begin + i] / static_cast<double>(kWindow);
-      slope += u * t[begin + i];
-      scale += u * u;
-    }
-    for (size_t i = 0; i < kWindow; ++i)
-      size += std::abs(t[begin + i] - mean - slope / scale * (static_cast<double>(i) - middle));
-    sizes.push_back(size / static_cast<double>(kWindow));
+    const Window y = Eigen::Map<const Window>(t.data() + begin);
+    sizes.push_back((y - y.mean() - (u * y).sum() / u.square().sum() * u).abs().mean());
   }
   return Median(std::move(sizes));
 }
@@ -226,114 +218,74 @@ Period FindPeriod(const std::vector<double>& t) {
   return FindPeriod(excerpt, FindPeriod(excerpt, period, kCoarse), kMiddle);
 }
 
-/// Counts frames. A frame is taken for missing where the stamps stay later for good.
-FrameCount CountFrames(const std::vector<double>& t, const Period& period) {
-  FrameCount count;
-  FindFrames(t, period.seconds, kMemory, JumpCost(period), CostOf(period, 1.0), &count);
-  return count;
-}
-
 /// Counts them again by the distribution of the latencies [s] that the first count left about a
 /// clock: stamps that were cut, or by time of arrival, have a sharp edge.
 FrameCount CountAgain(const FrameCount& count, const std::vector<double>& latency,
                       const Period& period) {
-  FoundCost cost;
-  for (const double r : latency) cost.table[FoundCost::Bin(r / period.seconds)] += 1.0;
-  const std::array<double, FoundCost::kBins> histogram = cost.table;
+  constexpr double kBin = 0.1;                // [periods]
+  constexpr size_t kBins = 600, kZero = 200;  // -20 to 40
+  const auto bin = [](double r) {
+    return static_cast<size_t>(std::clamp(kZero + std::floor(r / kBin), 1.0, kBins - 2.0));
+  };
+  std::array<double, kBins> histogram{}, cost{};
+  for (const double r : latency) histogram[bin(r / period.seconds)] += 1.0;
   const auto n = static_cast<double>(latency.size());
-  for (size_t k = 1; k + 1 < histogram.size(); ++k) {
+  for (size_t k = 1; k + 1 < kBins; ++k) {
     const double share = (histogram[k - 1] + 2.0 * histogram[k] + histogram[k + 1]) / (4.0 * n);
-    cost.table[k] = -std::log(share + 1e-5);
+    cost[k] = -std::log(share + 1e-5);
   }
   std::vector<double> t(latency.size());  // but for what the clock is off the period
   for (size_t i = 0; i < t.size(); ++i)
     t[i] = period.seconds * static_cast<double>(count.frames[i]) + latency[i];
-  const double jump_cost = std::log(n / static_cast<double>(1 + count.Jumps()));
-  FrameCount again;
-  FindFrames(t, period.seconds, 0, jump_cost, cost, &again);
-  return again;
+  return FindFrames(t, period.seconds, 0, std::log(n / static_cast<double>(1 + count.Jumps())),
+                    kBin * (kBins - kZero), [&](double r) { return cost[bin(r)]; });
 }
-
-constexpr double kMaxPause = 10.0;   // [s] across which frames are counted
-constexpr size_t kMinRun = 100;      // samples that make a clock, and
-constexpr double kMinRunTime = 5.0;  // [s]
-constexpr double kMinRecovered = 0.9;
-
-constexpr double kKnotSpacing = 10.0;  // [s]
-constexpr double kRateStep = 1e-5;     // sigma of the change of the rate at a knot
-constexpr double kHuber = 1.5;         // sigma
-constexpr int kRounds = 15, kCounts = 2;
-/// A quantile is used when its sigma is below so much of that of the mean; a density is bounded by
-/// that of so much of the sigma.
-constexpr double kMaxQuantileStd = 0.7, kSharpest = 0.02;
-
-/// Frames that miss: at most before this share of the samples, and so rarely that a period is so
-/// many sigma of the mean latency between. Where they are said to miss, the latency of so many
-/// samples on either side is the same, within a part of a period and so many sigma.
-constexpr double kMaxJumps = 0.3, kJumpSigmas = 4.0;
-constexpr size_t kNear = 5;
-constexpr double kMaxDrop = 0.05, kMaxDropSigmas = 2.0;
 
 /// Latency [s] of the stamps t [s] about a clock whose offset from period * frame is linear between
 /// knots: their mean, robust, or a quantile of them if it is not 0. Changes of the rate are few.
 std::vector<double> FitClock(const std::vector<double>& t, const FrameCount& count, double period,
                              double quantile = 0.0) {
+  const auto samples = static_cast<Eigen::Index>(t.size());
   const auto n = static_cast<double>(count.frames.back());
   const auto intervals = static_cast<int>(std::max(1.0, std::round(n * period / kKnotSpacing)));
   const double spacing = n / intervals;  // in frames
-  const auto place = [&](size_t i) {
-    const double u = static_cast<double>(count.frames[i]) / spacing;
-    const int knot = std::min(static_cast<int>(u), intervals - 1);
-    return std::make_pair(knot, u - knot);
-  };
-  std::vector<double> y(t.size());
-  for (size_t i = 0; i < t.size(); ++i) y[i] = t[i] - period * static_cast<double>(count.frames[i]);
   const double bend_sigma = kRateStep * spacing * period;
-  const auto weight = [](double r, double sigma) {
-    return std::min(1.0, kHuber * sigma / (std::abs(r) + 1e-12));
-  };
-  constexpr std::array<double, 3> kBend = {1.0, -2.0, 1.0};
-  const int size = intervals + 1;
-  Eigen::VectorXd c = Eigen::VectorXd::Constant(size, Median(y));
-  std::vector<double> r(t.size());
-  const auto update = [&] {
-    for (size_t i = 0; i < t.size(); ++i) {
-      const auto [knot, part] = place(i);
-      r[i] = y[i] - (1.0 - part) * c[knot] - part * c[knot + 1];
-    }
-  };
-  update();
-  for (int round = 0; round < kRounds; ++round) {
-    const double sigma = std::max(RobustSigma(r), 1e-4 * period);
-    std::vector<Eigen::Triplet<double>> H;
-    Eigen::VectorXd b = Eigen::VectorXd::Zero(size);
-    for (size_t i = 0; i < t.size(); ++i) {
-      const auto [knot, part] = place(i);
-      const std::array<double, 2> row = {1.0 - part, part};
-      const double w = quantile == 0.0 ? weight(r[i], sigma)
-                                       : (r[i] > 0.0 ? quantile : 1.0 - quantile) * sigma /
-                                             std::max(std::abs(r[i]), kSharpest * sigma);
-      for (int k = 0; k < 2; ++k) {
-        b[knot + k] += w * row[static_cast<size_t>(k)] * y[i];
-        for (int l = 0; l < 2; ++l)
-          H.emplace_back(knot + k, knot + l,
-                         w * row[static_cast<size_t>(k)] * row[static_cast<size_t>(l)]);
-      }
-    }
-    for (int knot = 0; knot + 2 < size; ++knot) {
-      const double bend = c[knot] - 2.0 * c[knot + 1] + c[knot + 2];
-      const double w = weight(bend, bend_sigma) * std::pow(sigma / bend_sigma, 2);
-      for (int k = 0; k < 3; ++k)
-        for (int l = 0; l < 3; ++l)
-          H.emplace_back(knot + k, knot + l,
-                         w * kBend[static_cast<size_t>(k)] * kBend[static_cast<size_t>(l)]);
-    }
-    Eigen::SparseMatrix<double> matrix(size, size);
-    matrix.setFromTriplets(H.begin(), H.end());
-    c = Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>>(matrix).solve(b);
-    update();
+  // A c = y: the stamps, then bends of 0.
+  Eigen::VectorXd y = Eigen::VectorXd::Zero(samples + intervals - 1);
+  std::vector<Eigen::Triplet<double>> elements;
+  for (Eigen::Index i = 0; i < samples; ++i) {
+    const auto frame = static_cast<double>(count.frames[static_cast<size_t>(i)]);
+    const int knot = std::min(static_cast<int>(frame / spacing), intervals - 1);
+    const double part = frame / spacing - knot;
+    elements.emplace_back(i, knot, 1.0 - part);
+    elements.emplace_back(i, knot + 1, part);
+    y[i] = t[static_cast<size_t>(i)] - period * frame;
   }
-  return r;
+  for (int knot = 0; knot + 1 < intervals; ++knot) {
+    elements.emplace_back(samples + knot, knot, 1.0);
+    elements.emplace_back(samples + knot, knot + 1, -2.0);
+    elements.emplace_back(samples + knot, knot + 2, 1.0);
+  }
+  Eigen::SparseMatrix<double> A(y.size(), intervals + 1);
+  A.setFromTriplets(elements.begin(), elements.end());
+  std::vector<double> latency(y.data(), y.data() + samples);
+  Eigen::VectorXd r = y.array() - Median(latency);
+  r.tail(intervals - 1).setZero();
+  for (int round = 0; round < kRounds; ++round) {
+    const double sigma = std::max(RobustSigma(latency), 1e-4 * period);
+    const auto weight = [&](Eigen::Index i) {
+      const double size = std::abs(r[i]), own = i < samples ? sigma : bend_sigma;
+      if (i < samples && quantile != 0.0)
+        return (r[i] > 0.0 ? quantile : 1.0 - quantile) * sigma / std::max(size, kSharpest * sigma);
+      return std::min(1.0, kHuber * own / (size + 1e-12)) * std::pow(sigma / own, 2);
+    };
+    const Eigen::VectorXd w = Eigen::VectorXd::NullaryExpr(y.size(), weight);
+    const Eigen::SparseMatrix<double> weighted = w.asDiagonal() * A, H = A.transpose() * weighted;
+    const Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>> ldlt(H);
+    r = y - A * ldlt.solve(weighted.transpose() * y);
+    std::copy_n(r.data(), samples, latency.begin());
+  }
+  return latency;
 }
 
 /// The quantile of the latencies that is known best, from the density there; 0 for the mean. Of
@@ -402,7 +354,7 @@ bool RecoverRun(Period period, std::vector<double>* t) {
 std::vector<std::vector<double>> SplitAtPauses(const std::vector<int64_t>& t_ns) {
   std::vector<std::vector<double>> runs;
   for (size_t i = 0; i < t_ns.size(); ++i) {
-    if (i == 0 || 1e-9 * static_cast<double>(t_ns[i] - t_ns[i - 1]) > kMaxPause)
+    if (i == 0 || 1e-9 * static_cast<double>(t_ns[i] - t_ns[i - 1]) > kKnotSpacing)
       runs.emplace_back();
     runs.back().push_back(1e-9 * static_cast<double>(t_ns[i] - t_ns.front()));
   }
