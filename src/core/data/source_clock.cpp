@@ -19,8 +19,7 @@ constexpr double kMinMedian = 0.25;  // of the mean one
 constexpr int kStart = 10;           // frames by which the first sample may be off the level
 constexpr double kBeam = 500.0;      // counts that cost so much more than the best are given up
 constexpr size_t kMemory = 500;      // [samples] of the level while frames are counted
-constexpr double kLongest = 8.0;     // latency [periods] beyond which it costs no more; or
-constexpr double kLongestScatters = 4.0;
+constexpr double kLongest = 8.0;     // latency [periods] beyond which it costs no more
 
 /// What missing frames cost, in periods of latency: more where the stamps scatter more.
 constexpr double kMinJumpCost = 2.0, kJumpScatters = 6.0;
@@ -166,7 +165,7 @@ FrameCount FindFrames(const std::vector<double>& t, double period, size_t memory
 /// where the stamps stay later for good.
 FrameCount CountFrames(const std::vector<double>& t, const Period& period, double factor = 1.0,
                        size_t memory = kMemory) {
-  const double reach = std::max(kLongest, kLongestScatters * period.scatter) / factor;
+  const double reach = kLongest / factor;
   const double jump_cost = std::max(kMinJumpCost, kJumpScatters * period.scatter);
   return FindFrames(t, factor * period.seconds, memory, jump_cost, reach,
                     [=](double r) { return factor * std::min(std::abs(r), reach); });
