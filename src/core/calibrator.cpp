@@ -13,7 +13,7 @@
 #include "imu_pose_calib/core/calibration/knot_spacing.h"
 #include "imu_pose_calib/core/pose_sensor/pose_sensor.h"
 #include "imu_pose_calib/core/pose_sensor/sensor_track.h"
-#include "imu_pose_calib/core/start/excitation.h"
+#include "imu_pose_calib/core/start/data_check.h"
 #include "imu_pose_calib/core/start/preparation.h"
 #include "imu_pose_calib/core/verdict/doubts.h"
 #include "imu_pose_calib/core/verdict/observability.h"
@@ -326,7 +326,7 @@ Calibration CalibrateSensorsAlone(const CalibrationOptions& options,
     const auto trajectory =
         std::make_shared<const PoseTrajectory>(FitTrajectory(options, &conditioned));
     try {
-      CheckTurns(MeasureTurns(*trajectory, conditioned));
+      CheckTurns(*trajectory, conditioned);
     } catch (const DegenerateMotion& error) {
       result.status = Status::kDegenerate;
       result.message = InSession(s, data.size()) + error.what();

@@ -10,7 +10,6 @@
 #include "faults.h"
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/data/conditioning.h"
-#include "imu_pose_calib/core/data/source_clock.h"
 #include "imu_pose_calib/core/data/stamp_recovery.h"
 #include "imu_pose_calib/core/data/stamps.h"
 #include "imu_pose_calib/core/start/preparation.h"

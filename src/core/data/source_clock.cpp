@@ -1,5 +1,3 @@
-#include "imu_pose_calib/core/data/source_clock.h"
-
 #include <Eigen/Core>
 #include <Eigen/SparseCholesky>
 #include <Eigen/SparseCore>
@@ -10,6 +8,7 @@
 #include <utility>
 
 #include "imu_pose_calib/core/base/median.h"
+#include "imu_pose_calib/core/data/stamp_recovery.h"
 
 namespace imu_pose_calib {
 namespace {

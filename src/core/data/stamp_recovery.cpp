@@ -7,7 +7,6 @@
 #include <limits>
 
 #include "imu_pose_calib/core/base/median.h"
-#include "imu_pose_calib/core/data/source_clock.h"
 #include "imu_pose_calib/core/data/stamps.h"
 
 namespace imu_pose_calib {

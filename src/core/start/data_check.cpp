@@ -1,6 +1,7 @@
 #include "imu_pose_calib/core/start/data_check.h"
 
 #include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <cstdlib>
@@ -11,7 +12,6 @@
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/base/text.h"
 #include "imu_pose_calib/core/data/stamps.h"
-#include "imu_pose_calib/core/start/excitation.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -19,8 +19,9 @@ namespace {
 // Bounds of the warnings, as shares of a stream unless a unit is given.
 constexpr double kMaxJitter = 0.3;  // of a period
 constexpr double kMaxBunched = 0.1, kMostBunched = 0.8;
-constexpr double kMaxMissingImu = 0.05, kMaxMissingPoses = 0.3;
-constexpr double kMaxRepeatedImu = 0.3, kMaxRepeatedPoses = 0.1;
+constexpr struct StreamBounds {
+  double missing, repeated;
+} kImuBounds{0.05, 0.3}, kPoseBounds{0.3, 0.1};
 constexpr double kMaxDropped = 0.01;  // not finite, zero, reversed
 constexpr double kMaxOutliers = 0.03;
 constexpr double kMinOverlap = 10.0;   // [s]
@@ -34,10 +35,11 @@ constexpr double kMinCut = 5e-4;      // [s]
 constexpr double kRestWindow = 0.25;  // [s]
 constexpr double kRestRate = 0.05;    // [rad/s] rms
 constexpr double kRestForce = 0.15;   // [m/s^2] rms about the mean
-constexpr double kMinRest = 0.9;      // [s]
-constexpr double kMotionStep = 0.02;  // [s]
-constexpr double kPause = 1.0;        // [s] longer than between bunches
-constexpr double kDriftBlock = 2.0;   // [s] of samples whose errors may be correlated
+constexpr double kMinRest = 4.0 * kRestWindow;
+constexpr double kMotionStep = 0.02;   // [s] between the instants at which the motion is judged
+constexpr double kMinTurnRate = 0.01;  // [rad/s] about the second axis
+constexpr double kPause = 1.0;         // [s] longer than between bunches
+constexpr double kDriftBlock = 2.0;    // [s] of samples whose errors may be correlated
 constexpr size_t kDriftSamples = 8000;
 
 std::string Percent(double share) { return Number(100.0 * share, "%.4g %%"); }
@@ -81,13 +83,12 @@ StreamCheck CheckStream(const std::vector<Sample>& samples) {
   if (period <= 0.0) return check;
   check.rate_hz = 1.0 / period;
   check.longest_freeze_s = period * static_cast<double>(longest_run);
-  double bunched = 0.0, duplicates = 0.0;
-  for (const double p : periods) {
-    if (p == 0.0)
-      duplicates += 1.0;
-    else if (p < kBunch * period)
-      bunched += 1.0;
-  }
+  const auto count_below = [&](double bound) {
+    const auto is_below = [bound](double p) { return p < bound; };
+    return static_cast<double>(std::count_if(periods.begin(), periods.end(), is_below));
+  };
+  const auto duplicates = static_cast<double>(std::count(periods.begin(), periods.end(), 0.0));
+  const double bunched = count_below(kBunch * period) - duplicates;
   for (double& p : periods) p -= period;
   check.jitter_s = RobustSigma(std::move(periods));
   check.bunched = bunched / n;
@@ -120,8 +121,8 @@ StreamCheck CheckStream(const std::vector<Sample>& recorded, const std::vector<S
   return check;
 }
 
-void WarnOfStamps(const std::string& stream, const StreamCheck& check, double max_missing,
-                  double max_repeated, std::vector<std::string>* warnings) {
+void WarnOfStamps(const std::string& stream, const StreamCheck& check, const StreamBounds& most,
+                  std::vector<std::string>* warnings) {
   const auto warn = [&](const std::string& text) { warnings->push_back(stream + ": " + text); };
   if (check.stamps.recovered) {
     // The stamps in use are even.
@@ -137,13 +138,13 @@ void WarnOfStamps(const std::string& stream, const StreamCheck& check, double ma
          " ms (bound: " + Number(kMaxJitter) + " of the period of " + Number(1e3 / check.rate_hz) +
          " ms) and are used as recorded; use stamps of the sensor's own clock");
   }
-  if (check.missing > max_missing)
-    warn(Percent(check.missing) + " of the samples are missing (bound: " + Percent(max_missing) +
+  if (check.missing > most.missing)
+    warn(Percent(check.missing) + " of the samples are missing (bound: " + Percent(most.missing) +
          "), the longest gap is " + Number(check.longest_gap_s) +
          " s; look for lost packets or a hidden marker");
-  if (check.repeated > max_repeated)
+  if (check.repeated > most.repeated)
     warn(Percent(check.repeated) +
-         " of the samples repeat the value before (bound: " + Percent(max_repeated) +
+         " of the samples repeat the value before (bound: " + Percent(most.repeated) +
          "), for up to " + Number(check.longest_freeze_s) + " s; they are not used");
 }
 
@@ -272,13 +273,64 @@ void ForEachStream(const DataCheck& check, const Act& act) {
   }
 }
 
-double Overlap(const ConditionedData& data, const ConditionedImu& imu, double time_shift) {
-  const double begin = std::max(0.0, imu.gyro.front().t + time_shift);
-  const double end = std::min(data.poses.back().t, imu.gyro.back().t + time_shift);
-  return std::max(0.0, end - begin);
+/// Covariance over the recording of what evaluate(t, &x) gives where there is a trajectory.
+template <int kSize, typename Evaluate>
+Eigen::Matrix<double, kSize, kSize> CovarianceOfMotion(const ConditionedData& data,
+                                                       const Evaluate& evaluate) {
+  Eigen::Matrix<double, kSize, 1> x, sum = Eigen::Matrix<double, kSize, 1>::Zero();
+  Eigen::Matrix<double, kSize, kSize> sum2 = Eigen::Matrix<double, kSize, kSize>::Zero();
+  double count = 0.0;
+  for (double t = 0.0; t <= data.poses.back().t; t += kMotionStep) {
+    if (!evaluate(t, &x)) continue;
+    sum += x;
+    sum2 += x * x.transpose();
+    count += 1.0;
+  }
+  const Eigen::Matrix<double, kSize, 1> mean = sum / count;
+  return sum2 / count - mean * mean.transpose();
 }
 
 }  // namespace
+
+std::string DescribeAxis(const Eigen::Vector3d& direction, const std::string& frame) {
+  const Eigen::Vector3d axis = direction.normalized();
+  int largest = 0;
+  if (axis.cwiseAbs().maxCoeff(&largest) > std::cos(20.0 * M_PI / 180.0))
+    return frame + " " + "xyz"[largest];
+  const double sign = axis[largest] < 0.0 ? -1.0 : 1.0;
+  return "(" + Number(sign * axis.x(), "%.2f") + ", " + Number(sign * axis.y(), "%.2f") + ", " +
+         Number(sign * axis.z(), "%.2f") + ") in the " + frame + " frame";
+}
+
+void CheckTurns(const PoseTrajectory& trajectory, const ConditionedData& data) {
+  double variance = 0.0, count = 0.0;
+  const auto evaluate = [&](double t, Eigen::Vector3d* omega_M) {
+    MarkerRotation<double> marker;
+    if (!trajectory.EvaluateRotation(t, &marker)) return false;
+    *omega_M = marker.omega_M;
+    variance += trajectory.Variance(t).omega;
+    count += 1.0;
+    return true;
+  };
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(CovarianceOfMotion<3>(data, evaluate));
+  const double noise = variance / count;
+  const auto rate_std = [&](int k) {  // the largest first; 0 when within the noise
+    const double excess = eigen.eigenvalues()[2 - k] - noise;
+    return excess > 0.5 * noise ? std::sqrt(excess) : 0.0;
+  };
+  if (rate_std(1) >= kMinTurnRate) return;
+  const auto rate = [](double value) { return Number(value, "%.2g rad/s"); };
+  const std::string largest = rate(rate_std(0)) + " rms", bound = rate(kMinTurnRate);
+  if (rate_std(0) < kMinTurnRate)
+    throw DegenerateMotion("the marker does not turn (" + largest + ", bound: " + bound +
+                               "): R_MI, p_MI and time_shift are undetermined; " + kTurnAdvice,
+                           std::string("R_MI, p_MI and time_shift: ") + kTurnAdvice);
+  const std::string axis = DescribeAxis(eigen.eigenvectors().col(2), "marker");
+  throw DegenerateMotion("the marker turns about one axis only, " + axis + " (" + largest +
+                             "; about any other " + rate(rate_std(1)) + ", bound: " + bound +
+                             "): p_MI along it is undetermined; " + kTurnAdvice,
+                         "p_MI along " + axis + ": turn about a second axis");
+}
 
 DataCheck CheckStreams(const SessionData& recorded, const SessionData& session,
                        const SessionStamps& stamps) {
@@ -291,9 +343,7 @@ DataCheck CheckStreams(const SessionData& recorded, const SessionData& session,
     check.imus[i].accel = CheckStream(before.accel, after.accel, stamps.imus[i].second);
   }
   ForEachStream(check, [&](const std::string& name, const StreamCheck& of, const StreamReport&) {
-    const bool is_pose = &of == &check.poses;
-    WarnOfStamps(name, of, is_pose ? kMaxMissingPoses : kMaxMissingImu,
-                 is_pose ? kMaxRepeatedPoses : kMaxRepeatedImu, &check.warnings);
+    WarnOfStamps(name, of, &of == &check.poses ? kPoseBounds : kImuBounds, &check.warnings);
   });
   return check;
 }
@@ -328,18 +378,13 @@ void CheckMotion(const CalibrationOptions& options, const ConditionedData& data,
         " jumps; the poses are cut there, but they must all be in one frame W up to a turn about "
         "gravity and a move");
 
-  Vector6d sum = Vector6d::Zero(), sum2 = sum;
-  double count = 1e-9;
-  for (double t = 0.0; t <= data.poses.back().t; t += kMotionStep) {
+  const auto evaluate = [&](double t, Vector6d* x) {
     MarkerState<double> state;
-    if (!trajectory.Evaluate(t, &state)) continue;
-    Vector6d x;
-    x << state.omega_M, state.a_W;
-    sum += x;
-    sum2 += x.cwiseAbs2();
-    count += 1.0;
-  }
-  const Vector6d rms = (sum2 / count - (sum / count).cwiseAbs2()).cwiseMax(0.0).cwiseSqrt();
+    if (!trajectory.Evaluate(t, &state)) return false;
+    *x << state.omega_M, state.a_W;
+    return true;
+  };
+  const Vector6d rms = CovarianceOfMotion<6>(data, evaluate).diagonal().cwiseMax(0.0).cwiseSqrt();
   check->turns_M = rms.head<3>();
   check->moves_W = rms.tail<3>();
 
@@ -363,7 +408,9 @@ void CheckMatch(const ConditionedData& data, const PoseTrajectory& trajectory, c
   match.is_matched = true;
   match.time_shift =
       start.time_shift + 1e-9 * static_cast<double>(data.pose_epoch_ns - samples.epoch_ns);
-  match.overlap_s = Overlap(data, samples, start.time_shift);
+  const double begin = std::max(0.0, samples.gyro.front().t + start.time_shift);
+  const double end = std::min(data.poses.back().t, samples.gyro.back().t + start.time_shift);
+  match.overlap_s = std::max(0.0, end - begin);
   MeasureDrift(samples, trajectory, start, &match);
   const std::string of = OfImu(imu, data.imus.size());
   if (match.overlap_s < kMinOverlap)

@@ -4,7 +4,6 @@
 #include <string>
 
 #include "imu_pose_calib/core/base/text.h"
-#include "imu_pose_calib/core/start/excitation.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -74,7 +73,7 @@ PreparedSession Prepare(const CalibrationOptions& options, const SessionData& re
   CheckMotion(options, prepared.data, *prepared.trajectory, check);
   // With a known lever arm or rotation a turn about one axis may do: the covariance will tell.
   if (options.estimate_translation && options.estimate_rotation)
-    CheckTurns(MeasureTurns(*prepared.trajectory, prepared.data));
+    CheckTurns(*prepared.trajectory, prepared.data);
   for (size_t i = 0; i < prepared.data.imus.size(); ++i) {
     const bool is_present = prepared.data.imus[i].IsPresent();
     prepared.starts.push_back(is_present ? StartOf(options, prepared, i) : Start());

@@ -9,7 +9,7 @@
 #include "imu_pose_calib/core/base/intrinsics.h"
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/base/text.h"
-#include "imu_pose_calib/core/start/excitation.h"
+#include "imu_pose_calib/core/start/data_check.h"
 
 namespace imu_pose_calib {
 namespace {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <string>
 #include <utility>
@@ -60,13 +61,20 @@ struct ConditionedData {
   size_t jumps = 0;
 
   /// Place of the first IMU that the session has.
-  size_t FirstImu() const;
+  size_t FirstImu() const {
+    const auto is_present = [](const ConditionedImu& imu) { return imu.IsPresent(); };
+    return static_cast<size_t>(std::find_if(imus.begin(), imus.end(), is_present) - imus.begin());
+  }
 };
 
 /// " of imu1", or nothing for the only one of the rig: what messages add to the name of a sensor.
-std::string OfImu(size_t imu, size_t count);
+inline std::string OfImu(size_t imu, size_t count) {
+  return count == 1 ? "" : " of imu" + std::to_string(imu);
+}
 /// " in session 2" (the first is 1), or nothing for the only one.
-std::string OfSession(size_t session, size_t count);
+inline std::string OfSession(size_t session, size_t count) {
+  return count == 1 ? "" : " in session " + std::to_string(session + 1);
+}
 
 /// Fills `used`, rate and duration of the samples used, by their stamps.
 template <typename Timed>

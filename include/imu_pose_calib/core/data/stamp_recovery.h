@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -24,6 +25,12 @@ struct SessionStamps {
 
 /// Whether stamps [ns] are even within what matters little, but for some that are missing.
 bool AreEven(std::vector<int64_t> stamps_ns);
+
+/// Stamps of the clock of a source that samples evenly, but for missing frames, from those recorded
+/// in order of arrival, with which they agree on average (doc/math.md, "Clock of the stamps").
+/// Where the clock breaks another one begins; stretches too short for one stay as recorded. Nothing
+/// when counting periods does not explain the stamps.
+std::optional<std::vector<int64_t>> RecoverClock(const std::vector<int64_t>& recorded_ns);
 
 /// Gives the samples of `session`, in order of arrival, the stamps of their sources' own clocks
 /// (RecoverClock()) where the mode says so; kAuto: where the recorded ones are uneven and the

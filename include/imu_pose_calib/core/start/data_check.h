@@ -11,6 +11,24 @@
 
 namespace imu_pose_calib {
 
+/// "marker z", or "(0.71, 0.00, 0.71) in the marker frame" when no axis is within 20 degrees.
+std::string DescribeAxis(const Eigen::Vector3d& direction, const std::string& frame);
+
+/// What to do about motion that does not suffice.
+constexpr const char* kTurnAdvice = "turn the marker about at least two axes";
+
+/// Without turns about two axes no solve can tell the lever arm or the rotation.
+class DegenerateMotion : public DataError {
+ public:
+  DegenerateMotion(const std::string& message, const std::string& unobservable)
+      : DataError(message), unobservable(unobservable) {}
+  std::string unobservable;  ///< the direction in words
+};
+
+/// Throws DegenerateMotion unless the marker turns about two axes, by the principal axes of its
+/// mean-free rate, the trajectory's own variance subtracted.
+void CheckTurns(const PoseTrajectory& trajectory, const ConditionedData& data);
+
 /// The stamps and values of one sensor. Shares are 0..1; jitter, bunches and cut are of the stamps
 /// as recorded.
 struct StreamCheck {
