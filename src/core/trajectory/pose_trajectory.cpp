@@ -20,29 +20,18 @@ constexpr int kSpikeRounds = 3;
 constexpr double kSpikeThreshold = 2.0;  // times the outlier threshold
 constexpr double kSpikeRadius = 10.5;    // poses on either side
 
-GpHyperparameters Scaled(const GpHyperparameters& h, double factor) {
-  return {h.lengthscale_s, factor * h.signal_std, factor * h.noise_std};
-}
-
-GpData PositionData(const std::vector<TimedPose>& poses, IndexRange range,
-                    const Eigen::Vector3d& origin_W) {
+/// Positions less `origin_W` [m] or, when that is null, quaternions.
+GpData Measurements(const std::vector<TimedPose>& poses, IndexRange range,
+                    const Eigen::Vector3d* origin_W) {
   const auto n = static_cast<Eigen::Index>(range.size());
-  GpData data{Eigen::VectorXd(n), Eigen::MatrixXd(n, 3)};
+  GpData data{Eigen::VectorXd(n), Eigen::MatrixXd(n, origin_W != nullptr ? 3 : 4)};
   for (Eigen::Index i = 0; i < n; ++i) {
     const TimedPose& pose = poses[range.begin + static_cast<size_t>(i)];
     data.t[i] = pose.t;
-    data.y.row(i) = pose.p_WM - origin_W;
-  }
-  return data;
-}
-
-GpData QuaternionData(const std::vector<TimedPose>& poses, IndexRange range) {
-  const auto n = static_cast<Eigen::Index>(range.size());
-  GpData data{Eigen::VectorXd(n), Eigen::MatrixXd(n, 4)};
-  for (Eigen::Index i = 0; i < n; ++i) {
-    const TimedPose& pose = poses[range.begin + static_cast<size_t>(i)];
-    data.t[i] = pose.t;
-    data.y.row(i) = pose.q_WM.coeffs();
+    if (origin_W != nullptr)
+      data.y.row(i) = pose.p_WM - *origin_W;
+    else
+      data.y.row(i) = pose.q_WM.coeffs();
   }
   return data;
 }
@@ -53,27 +42,26 @@ Eigen::Vector3d MeanPosition(const std::vector<TimedPose>& poses) {
   return sum / static_cast<double>(poses.size());
 }
 
-/// Up to kLikelihoodChunks pieces of up to kChunkPoses poses, spread over the log.
-std::vector<IndexRange> Chunks(const std::vector<IndexRange>& segments) {
+/// Measurements() of up to kLikelihoodChunks pieces of up to kChunkPoses poses, spread over the
+/// log.
+std::vector<GpData> Chunks(const ConditionedData& data, const Eigen::Vector3d* origin_W) {
   std::vector<IndexRange> chunks;
-  for (const IndexRange& s : segments) {
+  for (const IndexRange& s : data.segments) {
     const size_t count = (s.size() + kChunkPoses - 1) / kChunkPoses;
     for (size_t k = 0; k < count; ++k)
       chunks.push_back({s.begin + k * s.size() / count, s.begin + (k + 1) * s.size() / count});
   }
-  std::vector<IndexRange> spread;
+  std::vector<GpData> spread;
   const size_t wanted = std::min<size_t>(chunks.size(), kLikelihoodChunks);
-  for (size_t k = 0; k < wanted; ++k) spread.push_back(chunks[k * chunks.size() / wanted]);
+  for (size_t k = 0; k < wanted; ++k)
+    spread.push_back(Measurements(data.poses, chunks[k * chunks.size() / wanted], origin_W));
   return spread;
 }
 
 GpHyperparameters FitPosition(const CalibrationOptions& o, const ConditionedData& data,
                               const GpHyperparameters& before) {
   const Eigen::Vector3d origin_W = MeanPosition(data.poses);
-  std::vector<GpData> chunks;
-  for (const IndexRange& range : Chunks(data.segments))
-    chunks.push_back(PositionData(data.poses, range, origin_W));
-  return FitHyperparameters(chunks,
+  return FitHyperparameters(Chunks(data, &origin_W),
                             {o.position_lengthscale_s, o.position_signal_std, o.position_noise_std},
                             before, o.Threads());
 }
@@ -82,12 +70,9 @@ GpHyperparameters FitPosition(const CalibrationOptions& o, const ConditionedData
 /// dimensions only, so the noise per component that the likelihood sees is sigma/2 sqrt(3/4).
 GpHyperparameters FitRotation(const CalibrationOptions& o, const ConditionedData& data,
                               const GpHyperparameters& before) {
-  std::vector<GpData> chunks;
-  for (const IndexRange& range : Chunks(data.segments))
-    chunks.push_back(QuaternionData(data.poses, range));
   const double noise_ratio = 0.5 * std::sqrt(0.75);
   const GpHyperparameters h = FitHyperparameters(
-      chunks,
+      Chunks(data, nullptr),
       {o.rotation_lengthscale_s, 0.5 * o.rotation_signal_std, noise_ratio * o.rotation_noise_std},
       {before.lengthscale_s, 0.5 * before.signal_std, noise_ratio * before.noise_std}, o.Threads());
   return {h.lengthscale_s, 2.0 * h.signal_std, h.noise_std / noise_ratio};
@@ -161,29 +146,17 @@ std::vector<size_t> FindOutliers(const std::vector<Eigen::Vector2d>& residuals,
   return outliers;
 }
 
-/// Removes the poses at `indices` (increasing).
+/// Removes the poses at `indices` (increasing), and segments of which less than two are left.
 void RemovePoses(const std::vector<size_t>& indices, ConditionedData* data) {
-  std::vector<size_t> removed_before(data->poses.size() + 1, 0);
-  std::vector<TimedPose> kept;
-  size_t next = 0;
-  for (size_t i = 0; i < data->poses.size(); ++i) {
-    removed_before[i] = next;
-    if (next < indices.size() && indices[next] == i) {
-      ++next;
-    } else {
-      kept.push_back(data->poses[i]);
-    }
+  const std::vector<TimedPose> poses = std::exchange(data->poses, {});
+  const std::vector<IndexRange> segments = std::exchange(data->segments, {});
+  for (const IndexRange& segment : segments) {
+    std::vector<TimedPose> kept;
+    for (size_t i = segment.begin; i < segment.end; ++i)
+      if (!std::binary_search(indices.begin(), indices.end(), i)) kept.push_back(poses[i]);
+    if (kept.size() >= 2) AppendRun(kept, {0, kept.size()}, false, data);
   }
-  removed_before.back() = next;
-  for (IndexRange& s : data->segments) {
-    s.begin -= removed_before[s.begin];
-    s.end -= removed_before[s.end];
-  }
-  const auto is_short = [](const IndexRange& s) { return s.size() < 2; };
-  data->segments.erase(std::remove_if(data->segments.begin(), data->segments.end(), is_short),
-                       data->segments.end());
-  data->poses = std::move(kept);
-  data->pose_report.outlier += indices.size();
+  data->pose_report.outlier += poses.size() - data->poses.size();
   data->pose_report.used = data->poses.size();
 }
 
@@ -251,10 +224,11 @@ PoseTrajectory::PoseTrajectory(const std::vector<TimedPose>& poses,
                                const GpHyperparameters& position, const GpHyperparameters& rotation,
                                int threads)
     : position_(position), rotation_(rotation), origin_W_(MeanPosition(poses)) {
+  const GpHyperparameters quaternion{rotation.lengthscale_s, 0.5 * rotation.signal_std,
+                                     0.5 * rotation.noise_std};
   for (const IndexRange& range : segments)
-    segments_.push_back(
-        {WindowedGp(PositionData(poses, range, origin_W_), position_, threads),
-         WindowedGp(QuaternionData(poses, range), Scaled(rotation_, 0.5), threads)});
+    segments_.push_back({WindowedGp(Measurements(poses, range, &origin_W_), position_, threads),
+                         WindowedGp(Measurements(poses, range, nullptr), quaternion, threads)});
 }
 
 const PoseTrajectory::Segment* PoseTrajectory::Find(double t) const {
