@@ -213,16 +213,9 @@ void RemoveSpikes(std::vector<ImuSample>* spiky, StreamReport* report) {
   for (size_t i = 0; i < samples.size(); ++i) {
     const IndexRange near{i - std::min(i, kSpikeReach),
                           std::min(i + kSpikeReach + 1, samples.size())};
-    // No further off the middle than off the furthest of them, by component.
-    Eigen::Vector3d furthest = Eigen::Vector3d::Zero();
-    for (size_t k = near.begin; k < near.end; ++k)
-      furthest = furthest.cwiseMax((samples[k].value - samples[i].value).cwiseAbs());
-    if (furthest.norm() > least) {
-      const std::vector<double> distances = FromMiddle(samples, near);
-      const double off = distances[i - near.begin];
-      if (off > std::max(least, kSpikeSpreads * Median(distances))) continue;
-    }
-    spiky->push_back(samples[i]);
+    const std::vector<double> distances = FromMiddle(samples, near);
+    const double off = distances[i - near.begin];
+    if (off <= std::max(least, kSpikeSpreads * Median(distances))) spiky->push_back(samples[i]);
   }
   report->outlier = samples.size() - spiky->size();
 }

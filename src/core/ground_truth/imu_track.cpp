@@ -298,19 +298,14 @@ CarriedState Interpolate(const CarriedState& a, const CarriedState& b, double t)
   return x;
 }
 
-/// The part of a run in which samples of the IMU tell of the motion: at its very ends, poses alone
-/// leave the velocity undetermined. Of a run without such a part, nothing.
-void Trim(const PoseTrajectory& trajectory, CorrectionSplines::Run* run) {
-  while (!IsOnTrajectory(trajectory, run->begin) && run->begin < run->end) run->begin += kTrimStep;
-  while (!IsOnTrajectory(trajectory, run->end) && run->begin < run->end) run->end -= kTrimStep;
-}
-
-/// The runs that are left when they are trimmed.
+/// The parts of runs in which samples of the IMU tell of the motion: at their very ends, poses
+/// alone leave the velocity undetermined.
 std::vector<CorrectionSplines::Run> TrimmedRuns(const PoseTrajectory& trajectory,
                                                 const CorrectionSplines& splines) {
   std::vector<CorrectionSplines::Run> runs;
   for (CorrectionSplines::Run run : splines.Runs()) {
-    Trim(trajectory, &run);
+    while (!IsOnTrajectory(trajectory, run.begin) && run.begin < run.end) run.begin += kTrimStep;
+    while (!IsOnTrajectory(trajectory, run.end) && run.begin < run.end) run.end -= kTrimStep;
     if (run.begin < run.end) runs.push_back(run);
   }
   return runs;

@@ -18,7 +18,6 @@ namespace {
 constexpr int kCandidates = 6;                 // correlation peaks tried on all three axes
 constexpr double kMinExplained = 0.5;          // of the gyro's variance
 constexpr double kSurelyExplained = 0.95;      // nobody asks for another reading of the poses
-constexpr double kMaxUnexplainedOther = 0.2;   // of the gyro's variance, by another reading
 constexpr double kMaxUnexplainedRatio = 0.25;  // of another reading over the one as given
 constexpr double kFlipped = 0.2;           // unexplained share of the motion of a flipped segment
 constexpr double kFlipFactor = 25.0;       // its mean square residual over that of the others
@@ -43,9 +42,7 @@ void CheckPoseReading(const CalibrationOptions& options, const PoseTrajectory& t
   if (as_given.explained > kSurelyExplained) return;
   const double explained =
       AlignRates(trajectory, gyro, time_shifts, true, options.Threads()).explained;
-  if (1.0 - explained > kMaxUnexplainedOther ||
-      1.0 - explained > kMaxUnexplainedRatio * (1.0 - as_given.explained))
-    return;
+  if (1.0 - explained > kMaxUnexplainedRatio * (1.0 - as_given.explained)) return;
   std::ostringstream text;
   text.precision(3);
   text << "the turn rates of poses and gyroscope agree only when the poses are inverted (explains "
