@@ -254,6 +254,19 @@ TEST(JointCalibration, TellsHowMuchPosesAreSmoothed) {
   EXPECT_GT(sigma(without), 2.0 * sigma(result));
 }
 
+TEST(JointCalibration, ClocksStayWhereNothingTellsTheFilterOfTheGyroscope) {
+  SimulatorOptions truth = Recording(1e-2, 5);
+  truth.motion = Motion::kArm;
+  truth.duration_s = 40.0;
+  const Calibration result = Calibrate(CalibrationOptions(), Simulate(truth));
+  const ImuSession& clock = result.sessions[0].imus[0];
+  EXPECT_NEAR(clock.time_shift, truth.time_shift_s, 4.5 * clock.time_shift_std);
+  EXPECT_LT(clock.time_shift_std, 1e-3);
+  EXPECT_NEAR(clock.clock_drift, 0.0, 4.5 * clock.clock_drift_std);
+  EXPECT_LT(result.imus[0].gyro_smoothing, 2e-4);
+  EXPECT_LT(Normalised(result, truth).cwiseAbs().maxCoeff(), 4.5);
+}
+
 TEST(JointCalibration, TellsThePositionsFiltersFromTheRotations) {
   // Poses that are fused with the IMU: rotations follow the gyroscope, positions are means.
   SimulatorOptions truth = Recording(1e-4, 26);

@@ -23,9 +23,9 @@ const char kEquations[] = R"(
 # clocks:    t_pose = t_imu + time_shift     inverse: t_imu = t_pose - time_shift
 #            t_pose = t_accel + time_shift - accel_delay
 #            time_shift holds at clock_reference [s, imu clock] and grows by clock_drift
-# smoothing: samples are means over time; pose_smoothing [s^2] is the variance of that time of
-#            rotations of poses, gyro_smoothing that of the gyroscope, accel_smoothing that of the
-#            accelerometer, less that of the gyroscope; position_smoothing that of positions, less
+# smoothing: samples are means over time; gyro_smoothing [s^2] is the variance of that time of the
+#            gyroscope; accel_smoothing that of the accelerometer and pose_smoothing that of
+#            rotations of poses, less the gyroscope's; position_smoothing that of positions, less
 #            that of rotations
 # mount:     specific force f moves the imu by mount_compliance [s^2] * f; transform is without load
 # scale:     positions of poses = pose_scale * true
