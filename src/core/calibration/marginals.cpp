@@ -11,6 +11,9 @@
 namespace imu_pose_calib {
 namespace {
 
+/// Beyond which the change of the gradient is looked for [s].
+constexpr double kClockStep = 1e-6;
+
 /// Whether the session has the IMU that the parameter is of, or any session's.
 bool ActsIn(const Estimate& estimate, const Parameter& p, size_t session) {
   if (IsOfPoses(p.kind)) return true;
@@ -65,14 +68,15 @@ struct Functionals {
 };
 
 /// H and scores of the whole problem and of parts of it, when all but the border is eliminated.
-/// Right-hand sides: scores of the clusters, which are the windows, functionals.
+/// Right-hand sides: scores of the clusters, which are the windows, functionals, exact columns of
+/// the clocks.
 class ReducedProblem {
  public:
   ReducedProblem(const Ordering& order, const Functionals& functionals, const LeastSquares& solved);
 
   /// Of the functionals.
-  MarginalEstimate Estimate() const {
-    return EstimateMarginals(all_.Products(), windows_, functionals_.count());
+  MarginalEstimates Estimate() const {
+    return EstimateMarginals(all_.Products(), windows_, functionals_.count(), clocks_);
   }
   /// Part of the residuals: a half of every session, or a session.
   struct Part {
@@ -101,6 +105,7 @@ class ReducedProblem {
   const int windows_;
   const NormalEquations equations_;
   const std::shared_ptr<const Elimination> elimination_;
+  std::vector<int> clocks_;  ///< columns of clocks, of which H gets the exact ones
   std::vector<Part> halves_, sessions_;
   Reduced all_;
   std::optional<EliminatedWindows> eliminated_;
@@ -117,12 +122,23 @@ ReducedProblem::ReducedProblem(const Ordering& order, const Functionals& functio
       elimination_(equations_.elimination()),
       halves_(2),
       sessions_(solved.sessions.size()) {
+  int column = 0;
+  std::vector<ExactColumn> exact;
+  for (const Parameter& p : order.calibrated) {
+    if (p.kind == ParameterKind::kTimeShift || p.kind == ParameterKind::kAccelDelay) {
+      clocks_.push_back(column);
+      exact.push_back({solved.problem.Find(p.data), kClockStep,
+                       windows_ + functionals.count() + static_cast<int>(exact.size())});
+    }
+    column += p.size;
+  }
   // The gradient is the sum of the scores.
-  Eigen::VectorXd weights = Eigen::VectorXd::Zero(windows_ + functionals.count());
+  Eigen::VectorXd weights = Eigen::VectorXd::Zero(windows_ + functionals.count() +
+                                                  static_cast<Eigen::Index>(exact.size()));
   weights.head(windows_).setOnes();
   eliminated_.emplace(elimination_, weights, solved.options.max_factor_mb, solved.options.Threads(),
                       [&](size_t w) {
-                        Panels own = equations_.Assemble(w);
+                        Panels own = equations_.Assemble(w, exact);
                         AddMeans(static_cast<int>(w), &own);
                         return own;
                       });
@@ -237,12 +253,11 @@ std::vector<int> Acting(const Ordering& order, const Estimate& estimate, size_t 
 
 /// The sandwich needs more clusters than parameters, so it is formed of each IMU with one session's
 /// clock at a time; gravity and biases stand for themselves.
-Eigen::MatrixXd RobustCovariance(const MarginalEstimate& marginal, const Ordering& order,
+Eigen::MatrixXd RobustCovariance(const MarginalEstimate& exact, const Ordering& order,
                                  const Estimate& estimate, double fitted) {
-  Eigen::MatrixXd robust =
-      Eigen::MatrixXd::Zero(marginal.covariance.rows(), marginal.covariance.cols());
+  Eigen::MatrixXd robust = Eigen::MatrixXd::Zero(exact.covariance.rows(), exact.covariance.cols());
   const auto add = [&](const std::vector<int>& places) {
-    const Eigen::MatrixXd C = Sandwich(Select(marginal, places), fitted);
+    const Eigen::MatrixXd C = Sandwich(Select(exact, places), fitted);
     for (size_t i = 0; i < places.size(); ++i)
       for (size_t j = 0; j < places.size(); ++j) {
         double& value = robust(places[i], places[j]);
@@ -309,14 +324,15 @@ Marginals FindMarginals(LeastSquares* solved) {
   const Ordering order = solved->Order();
   const Functionals functionals(order, *solved, &result);
   ReducedProblem problem(order, functionals, *solved);
-  const MarginalEstimate marginal = problem.Estimate();
+  const MarginalEstimates estimates = problem.Estimate();
   const Estimate& estimate = *solved->estimate;
 
   const double fitted = FittedShare(order, *solved);
+  const MarginalEstimate& marginal = estimates.gauss_newton;
   result.model = functionals.Spread(marginal.covariance);
-  result.robust = functionals.Spread(result.model.allFinite()
-                                         ? RobustCovariance(marginal, order, estimate, fitted)
-                                         : marginal.covariance);
+  result.robust = functionals.Spread(
+      result.model.allFinite() ? RobustCovariance(estimates.exact, order, estimate, fitted)
+                               : marginal.covariance);
   result.spurious_information = solved->spurious_information;
   const std::vector<int> calibrated = Counted(static_cast<size_t>(order.gravity));
   CompareHalves(problem.EstimateOf(problem.halves()[0], calibrated),

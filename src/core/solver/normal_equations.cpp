@@ -14,6 +14,15 @@ namespace {
 
 using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
+/// Whether two columns of J are each other's negative, by the lower triangle of J^T J: parameters
+/// that move the same samples along the trajectory, one on and one back.
+bool AreOpposite(const Eigen::MatrixXd& product, Eigen::Index a, Eigen::Index b) {
+  constexpr double kRounding = 1e-13;
+  const double norm2 = product(a, a), inner = product(std::max(a, b), std::min(a, b));
+  return std::abs(product(b, b) - norm2) < kRounding * norm2 &&
+         std::abs(inner + norm2) < kRounding * norm2;
+}
+
 }  // namespace
 
 /// One residual block at a time, weighted by its loss; its columns in the order of elimination.
@@ -75,11 +84,33 @@ class NormalEquations::Linearisation {
     return r.allFinite() && J.allFinite();
   }
 
+  /// The same with a parameter of the residuals moved by `step`.
+  bool EvaluateMoved(int block, double step) {
+    double*& at = parameters_[static_cast<size_t>(
+        std::find(blocks_, blocks_ + parameters_.size(), block) - blocks_)];
+    double* const here = at;
+    double moved = *here + step;
+    at = &moved;
+    const bool is_defined = Evaluate();
+    at = here;
+    return is_defined;
+  }
+
   /// J^T r, by the rows of J as they are stored.
   Eigen::VectorXd Score() const {
     Eigen::VectorXd score = Eigen::VectorXd::Zero(J.cols());
     for (Eigen::Index i = 0; i < J.rows(); ++i) score += r[i] * J.row(i).transpose();
     return score;
+  }
+
+  /// Column of a parameter in J; -1 when the residuals do not have it.
+  Eigen::Index Column(int block) const {
+    Eigen::Index column = 0;
+    for (const Term& term : terms_) {
+      if (blocks_[term.parameter] == block) return column;
+      column += term.columns;
+    }
+    return -1;
   }
 
   std::vector<int> places;
@@ -138,10 +169,12 @@ NormalEquations::NormalEquations(const Problem& problem, const std::vector<int>&
   for (const int block : number) place_.push_back(block < 0 ? -1 : elimination_->place(block));
 }
 
-Panels NormalEquations::Assemble(size_t window, double* cost) const {
+Panels NormalEquations::Assemble(size_t window, const std::vector<ExactColumn>& exact,
+                                 double* cost) const {
   Panels panels;
   Linearisation at(*this);
   Eigen::MatrixXd product;
+  Eigen::VectorXd score;
   const size_t end =
       window + 1 < first_of_window_.size() ? first_of_window_[window + 1] : equations_.size();
   for (size_t k = first_of_window_[window]; k < end; ++k) {
@@ -152,8 +185,29 @@ Panels NormalEquations::Assemble(size_t window, double* cost) const {
     const Eigen::Index columns = at.J.cols();
     product.setZero(columns, columns);
     AddProduct(1.0, at.J.transpose(), at.J.transpose(), true, product);
+    score = at.Score();
     elimination_->Add(at.places, product, &panels);
-    elimination_->AddRhs(at.places, static_cast<int>(window), at.Score(), &panels);
+    elimination_->AddRhs(at.places, static_cast<int>(window), score, &panels);
+    Eigen::VectorXd excess;  // of the exact column over that of J^T J
+    Eigen::Index of = -1;
+    for (const ExactColumn& parameter : exact) {
+      const Eigen::Index column = at.Column(parameter.block);
+      if (column < 0 || product(column, column) == 0.0) continue;
+      if (of >= 0 && AreOpposite(product, of, column)) {
+        excess = -excess;
+      } else {
+        Eigen::VectorXd linear(columns);  // that of J^T J
+        linear << product.row(column).head(column).transpose(),
+            product.col(column).tail(columns - column);
+        of = -1;
+        if (!at.EvaluateMoved(parameter.block, parameter.step)) continue;
+        excess = (at.Score() - score) / parameter.step - linear;
+        for (const ExactColumn& other : exact)
+          if (const Eigen::Index k = at.Column(other.block); k >= 0) excess[k] *= 0.5;
+      }
+      of = column;
+      elimination_->AddRhs(at.places, parameter.rhs, excess, &panels);
+    }
   }
   return panels;
 }
