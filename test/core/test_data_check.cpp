@@ -242,7 +242,7 @@ TEST(CheckData, HandsItsWarningsToTheCalibration) {
   EXPECT_EQ(warnings, Check(data).warnings);
 }
 
-TEST(CheckData, LeavesTheDriftToTheCalibration) {
+TEST(CheckData, WarnsOfAHeldDriftInACalibrationToo) {
   CalibrationOptions options;
   options.num_threads = 1;
   options.estimate_clock_drift = false;

@@ -401,8 +401,9 @@ void CheckMotion(const CalibrationOptions& options, const ConditionedData& data,
   }
 }
 
-void CheckMatch(const ConditionedData& data, const PoseTrajectory& trajectory, const Start& start,
-                size_t imu, DataCheck* check) {
+void CheckMatch(const CalibrationOptions& options, const ConditionedData& data,
+                const PoseTrajectory& trajectory, const Start& start, size_t imu,
+                DataCheck* check) {
   const ConditionedImu& samples = data.imus[imu];
   ImuCheck& match = check->imus[imu];
   match.is_matched = true;
@@ -422,22 +423,14 @@ void CheckMatch(const ConditionedData& data, const PoseTrajectory& trajectory, c
                               " of the variance of the gyroscope" + of +
                               " (bound: " + Percent(kMinExplained) +
                               "): a loose mount, or poses that are slow, filtered or rare");
-}
-
-void WarnOfDrift(const CalibrationOptions& options, DataCheck* check) {
-  for (size_t i = 0; i < check->imus.size(); ++i) {
-    const ImuCheck& imu = check->imus[i];
-    const double effect = 1e-6 * std::abs(imu.drift_ppm) * imu.overlap_s;
-    const std::string of = OfImu(i, check->imus.size());
-    if (options.estimate_clock_drift || effect <= kMaxDriftEffect ||
-        std::abs(imu.drift_ppm) <= kDriftSigmas * imu.drift_ppm_std)
-      continue;
+  const double drifted = 1e-6 * std::abs(match.drift_ppm) * match.overlap_s;
+  if (!options.estimate_clock_drift && drifted > kMaxDriftEffect &&
+      std::abs(match.drift_ppm) > kDriftSigmas * match.drift_ppm_std)
     check->warnings.push_back("the clocks" + (of.empty() ? "" : of + " and the poses") +
-                              " drift against each other by " + Number(imu.drift_ppm) + " +- " +
-                              Number(imu.drift_ppm_std) + " ppm, " + Number(1e3 * effect) +
+                              " drift against each other by " + Number(match.drift_ppm) + " +- " +
+                              Number(match.drift_ppm_std) + " ppm, " + Number(1e3 * drifted) +
                               " ms over the recording (bound: " + Number(1e3 * kMaxDriftEffect) +
                               " ms): set estimate_clock_drift: true");
-  }
 }
 
 const char* ToString(DataVerdict verdict) {

@@ -78,7 +78,7 @@ PreparedSession Prepare(const CalibrationOptions& options, const SessionData& re
     const bool is_present = prepared.data.imus[i].IsPresent();
     prepared.starts.push_back(is_present ? StartOf(options, prepared, i) : Start());
     if (!is_present) continue;
-    CheckMatch(prepared.data, *prepared.trajectory, prepared.starts[i], i, check);
+    CheckMatch(options, prepared.data, *prepared.trajectory, prepared.starts[i], i, check);
     if (options.method == Method::kJoint && options.estimate_clock_walk &&
         options.estimate_time_shift)
       FindWalk(options, prepared.data.imus[i], *prepared.trajectory, &prepared.starts[i]);
@@ -92,7 +92,6 @@ DataCheck CheckData(const CalibrationOptions& options, const SessionData& sessio
   DataCheck check;
   try {
     Prepare(options, session, &check);
-    WarnOfDrift(options, &check);
   } catch (const DataError& error) {
     const bool needs_option = dynamic_cast<const OptionNeeded*>(&error) != nullptr;
     check.verdict = needs_option ? DataVerdict::kUsable : DataVerdict::kRecordAgain;

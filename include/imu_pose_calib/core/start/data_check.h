@@ -93,12 +93,10 @@ void RefuseBunches(const DataCheck& check);
 void CheckMotion(const CalibrationOptions& options, const ConditionedData& data,
                  const PoseTrajectory& trajectory, DataCheck* check);
 
-/// Checks that poses and an IMU fit each other at the start found in S2: overlap, clock drift.
-void CheckMatch(const ConditionedData& data, const PoseTrajectory& trajectory, const Start& start,
-                size_t imu, DataCheck* check);
-
-/// Warns of clocks that drift. A calibration does so by its own, more exact estimate.
-void WarnOfDrift(const CalibrationOptions& options, DataCheck* check);
+/// Checks that poses and an IMU fit each other at the start found in S2: overlap, and clocks that
+/// drift where no drift is estimated.
+void CheckMatch(const CalibrationOptions& options, const ConditionedData& data,
+                const PoseTrajectory& trajectory, const Start& start, size_t imu, DataCheck* check);
 
 /// "good", "usable", "record again".
 const char* ToString(DataVerdict verdict);
