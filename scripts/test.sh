@@ -6,13 +6,13 @@
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
 
-# ctest over what `catkin_make run_tests` would run: it sees the exit status of every test, too. One at a time, since
-# some tests look at the clock. Its verdict is read from the results.
+# ctest over what `catkin_make run_tests` would run: it sees the exit status of every test, too. Those that look at the
+# clock run alone. Its verdict is read from the results.
 run_ctest() {
   cd "$WORKSPACE/build"
   rm -rf test_results Testing
   ctest --show-only=json-v1 "$@" >ctest.json
-  ctest --output-on-failure --timeout 1200 "$@" || true
+  ctest --output-on-failure --timeout 1200 -j"$(parallel_jobs)" "$@" || true
 }
 
 main() {
