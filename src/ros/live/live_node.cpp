@@ -19,7 +19,6 @@
 #include "imu_pose_calib/ros/io/ros_options.h"
 #include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/live/live_input.h"
-#include "imu_pose_calib/ros/live/live_solver.h"
 #include "imu_pose_calib/ros/live/markers.h"
 #include "imu_pose_calib/ros/live/parameter.h"
 #include "imu_pose_calib/ros/offline/summary.h"
@@ -238,9 +237,11 @@ class LiveNode {
       const std::string of = last > 0.0 ? Format("of about %.0f s", last) : "so far";
       message = Format("%.0f s %s: ", status_.solve_time, of.c_str()) + message;
     }
-    if (const auto* link = input_.OtherParent(); live_.result() && link)
-      message += "; tf has another parent of " + link->child_frame_id + ", " +
-                 link->header.frame_id + ": set imu_frame";
+    if (live_.result())
+      for (const ImuInfo& imu : input_.Info().imus)
+        if (const auto* link = input_.OtherParent(imu.imu_frame))
+          message += "; tf has another parent of " + imu.imu_frame + ", " + link->header.frame_id +
+                     ": set imu_frame";
     if (!save_error_.empty()) message += "; " + save_error_;
     if (const std::string dropped = input_.Dropped(); !dropped.empty()) message += "; " + dropped;
     const bool is_waiting = status_.phase == CalibrationStatus::WAITING;
@@ -292,31 +293,33 @@ class LiveNode {
     const RecordingInfo info = input_.Info();
     const ros::Time now = ros::Time::now();
     result_publisher_.publish(ToMsg(*live_.result(), info, now));
-    std::vector<geometry_msgs::TransformStamped> transforms;
     const auto all = ToTransforms(*live_.result(), info, now);
-    for (size_t k = 0; k < all.size(); ++k) {
-      const geometry_msgs::TransformStamped& transform = all[k];
-      const bool is_sensor =
-          k >= info.imus.size();  // may be in the tf of a robot, as one from tf is
-      if (const auto* link = input_.OtherParent({transform.child_frame_id}); is_sensor && link) {
-        ROS_WARN("No transform of '%s' is published: its parent in tf is '%s' already",
-                 link->child_frame_id.c_str(), link->header.frame_id.c_str());
-        continue;
-      }
-      if (transform.child_frame_id != info.marker_frame) {
-        transforms.push_back(transform);
-        continue;
-      }
+    std::vector<geometry_msgs::TransformStamped> transforms;
+    for (size_t k = 0; k < all.size(); ++k)
+      if (HasPlaceInTf(all[k], /*is_imu=*/k < info.imus.size())) transforms.push_back(all[k]);
+    broadcaster_.sendTransform(transforms);
+  }
+
+  /// Says why a transform is not published, or should not be.
+  bool HasPlaceInTf(const geometry_msgs::TransformStamped& transform, bool is_imu) const {
+    const std::string &marker = transform.header.frame_id, &frame = transform.child_frame_id;
+    if (frame == marker) {
       ROS_ERROR(
           "No transform is published: the marker and the imu frame are both called '%s'; set "
           "marker_frame or imu_frame",
-          info.marker_frame.c_str());
+          marker.c_str());
+      return false;
     }
-    broadcaster_.sendTransform(transforms);
-    if (const auto* link = input_.OtherParent())
+    const auto* link = input_.OtherParent(frame);
+    if (!link) return true;
+    const char* parent = link->header.frame_id.c_str();
+    if (is_imu)
       ROS_WARN("tf has two parents of '%s': '%s' from elsewhere and '%s' from here; set imu_frame",
-               link->child_frame_id.c_str(), link->header.frame_id.c_str(),
-               info.marker_frame.c_str());
+               frame.c_str(), parent, marker.c_str());
+    else  // may be in the tf of a robot, as one from tf is
+      ROS_WARN("No transform of '%s' is published: its parent in tf is '%s' already", frame.c_str(),
+               parent);
+    return is_imu;
   }
 
   ros::NodeHandle node_;
