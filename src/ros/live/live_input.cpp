@@ -40,45 +40,18 @@ LiveInput::LiveInput(const ros::NodeHandle& node, const OfflineRequest& request,
     : node_(node), request_(request), mutex_(mutex), live_(live), on_pose_(on_pose) {
   const BagRequest& names = request_.bag;
   const bool is_split = !names.gyro_topic.empty();
-  const auto listen_imu = [&](const char* parameter, const std::string& name, bool is_gyro,
-                              bool is_accel) {
-    std::vector<std::string> types = {kImuType};
-    if (is_split) types.emplace_back(kVectorType);
-    return Listen(parameter, name, types, [=, imu = imus_.size()](const Message& message) {
-      return OnImu(message, imu, is_gyro, is_accel);
-    });
-  };
-  if (is_split) {
-    const std::vector<std::string> gyros = SplitNames(names.gyro_topic),
-                                   accels = SplitNames(names.accel_topic);
-    for (size_t i = 0; i < gyros.size(); ++i)
-      imus_.push_back({listen_imu("gyro_topic", gyros[i], true, false),
-                       listen_imu("accel_topic", accels[i], false, true)});
-  } else {
-    for (const std::string& name : SplitNames(names.imu_topic)) {
-      const Topic* topic = listen_imu("imu_topic", name, true, true);
-      imus_.push_back({topic, topic});
-    }
+  const std::vector<std::string> gyros = SplitNames(is_split ? names.gyro_topic : names.imu_topic),
+                                 accels = SplitNames(names.accel_topic);
+  imus_.resize(gyros.size());
+  for (size_t i = 0; i < gyros.size(); ++i) {
+    ListenToImu(is_split ? "gyro_topic" : "imu_topic", gyros[i], i, true, !is_split);
+    if (is_split) ListenToImu("accel_topic", accels[i], i, false, true);
   }
-  const auto listen_poses = [this](const char* parameter, const std::string& name,
-                                   const std::optional<TfFrames>& tf) {
-    const size_t source = poses_.size();
-    Poses& poses = poses_.emplace_back();
-    poses.name = name;
-    poses.tf = tf;
-    if (!tf)
-      poses.topic =
-          Listen(parameter, name, PoseTypeNames(), [this, source](const Message& message) {
-            OnPose(message, source);
-            return "";
-          });
-    poses.Forget({});
-  };
   const TfFrames marker(FrameName(names.tf_parent, ""), FrameName(names.tf_child, ""));
-  listen_poses("pose_topic", names.pose_topic,
-               names.tf_parent.empty() ? std::nullopt : std::optional(marker));
+  ListenToPoses("pose_topic", names.pose_topic,
+                names.tf_parent.empty() ? std::nullopt : std::optional(marker));
   for (const std::string& name : names.pose_sensors)
-    listen_poses("pose_sensor", name, SplitTf(name));
+    ListenToPoses("pose_sensor", name, SplitTf(name));
   for (const bool fixed : {false, true})
     tf_.push_back(node_.subscribe<tf2_msgs::TFMessage>(
         fixed ? "/tf_static" : "/tf", 0,
@@ -88,16 +61,42 @@ LiveInput::LiveInput(const ros::NodeHandle& node, const OfflineRequest& request,
 
 // --- Topics ---
 
-const LiveInput::Topic* LiveInput::Listen(const std::string& parameter, const std::string& name,
-                                          const std::vector<std::string>& types, const Read& read) {
-  topics_.push_back({parameter, name.empty() ? "" : ros::names::resolve(name), types, read});
-  if (!name.empty()) Subscribe(&topics_.back());
-  return &topics_.back();
+void LiveInput::ListenToImu(const std::string& parameter, const std::string& name, size_t imu,
+                            bool is_gyro, bool is_accel) {
+  ImuInfo& info = imus_[imu];
+  const bool is_split = is_gyro != is_accel;
+  std::string& topic = !is_split ? info.imu_topic : is_gyro ? info.gyro_topic : info.accel_topic;
+  topic = name;
+  std::vector<std::string> types = {kImuType};
+  if (is_split) types.emplace_back(kVectorType);
+  Listen(parameter, &topic, types,
+         [=](const Message& message) { return OnImu(message, imu, is_gyro, is_accel); });
+}
+
+void LiveInput::ListenToPoses(const std::string& parameter, const std::string& name,
+                              const std::optional<TfFrames>& tf) {
+  const size_t source = poses_.size();
+  Poses& poses = poses_.emplace_back();
+  poses.info.topic = tf && name.empty() ? "/tf" : name;
+  poses.tf = tf;
+  poses.Forget({});
+  if (tf) return;
+  Listen(parameter, &poses.info.topic, PoseTypeNames(), [this, source](const Message& message) {
+    OnPose(message, source);
+    return "";
+  });
+}
+
+void LiveInput::Listen(const std::string& parameter, std::string* name,
+                       const std::vector<std::string>& types, const Read& read) {
+  if (!name->empty()) *name = ros::names::resolve(*name);
+  topics_.push_back({parameter, name, types, read});
+  if (!name->empty()) Subscribe(&topics_.back());
 }
 
 void LiveInput::Subscribe(Topic* topic) {
   topic->subscriber = node_.subscribe<topic_tools::ShapeShifter>(
-      topic->name,
+      *topic->name,
       0,  // a queue without bound
       boost::function<void(const Message&)>(
           [this, topic](const Message& message) { OnMessage(message, topic); }),
@@ -142,14 +141,14 @@ std::string LiveInput::Topic::Find(const ros::master::V_TopicInfo& published,
 
 std::string LiveInput::Topic::Inspect(const ros::master::V_TopicInfo& published) const {
   const auto info = std::find_if(published.begin(), published.end(),
-                                 [&](const auto& candidate) { return candidate.name == name; });
+                                 [&](const auto& candidate) { return candidate.name == *name; });
   const int seconds = static_cast<int>((ros::SteadyTime::now() - start).toSec());
   const std::string waited = " for " + std::to_string(seconds) + " s";
   if (info == published.end())
-    return name + " (" + ShortNames(types) + "): nobody has published it" + waited;
+    return *name + " (" + ShortNames(types) + "): nobody has published it" + waited;
   if (!Accepts(info->datatype))
-    return name + " is " + info->datatype + ", must be " + boost::join(types, " or ");
-  return name + " (" + info->datatype +
+    return *name + " is " + info->datatype + ", must be " + boost::join(types, " or ");
+  return *name + " (" + info->datatype +
          ", publishers connected: " + std::to_string(subscriber.getNumPublishers()) +
          "): no message" + waited;
 }
@@ -162,9 +161,9 @@ bool LiveInput::AskMaster() {
     if (topic.has_data) continue;
     topic.state.clear();
     const std::string found =
-        topic.is_named ? topic.name : topic.Find(published, request_.bag.pose_sensors);
-    const bool is_new = !found.empty() && found != topic.name;
-    if (is_new) topic.name = found;
+        topic.is_named ? *topic.name : topic.Find(published, request_.bag.pose_sensors);
+    const bool is_new = !found.empty() && found != *topic.name;
+    if (is_new) *topic.name = found;
     if (topic.state.empty()) topic.state = topic.Inspect(published);
     lock.unlock();
     if (is_new) Subscribe(&topic);
@@ -189,12 +188,12 @@ std::string LiveInput::Look() {
   if (is_away) problems.emplace_back("the ROS master does not answer");
   for (const Topic& topic : topics_)
     if (!topic.problem.empty())
-      problems.push_back(topic.name + " " + topic.problem);
+      problems.push_back(*topic.name + " " + topic.problem);
     else if (!topic.has_data && !topic.state.empty() && !is_away)
       problems.push_back(topic.state);
   for (size_t k = 0; k < poses_.size(); ++k)
     if (poses_[k].chain && !live_->HasPoses(k))
-      problems.push_back((k > 0 ? poses_[k].name + ": " : "") + LookAt(*poses_[k].chain));
+      problems.push_back((k > 0 ? poses_[k].info.topic + ": " : "") + LookAt(*poses_[k].chain));
   return boost::join(problems, "; ");
 }
 
@@ -204,7 +203,7 @@ std::string LiveInput::OnImu(const Message& message, size_t imu, bool is_gyro, b
   const auto& [gyro, accel, frame] =
       ReadImuContent(message.getMessage()->getDataType(), *message.getMessage());
   const double now = message.getReceiptTime().toSec();
-  if (is_gyro) imus_[imu].frame = frame;
+  if (is_gyro) imus_[imu].imu_frame = frame;
   if (is_gyro && gyro) live_->AddGyro(*gyro, now, imu);
   if (is_accel && accel) live_->AddAccel(*accel, now, imu);
   std::vector<std::string> lacks;
@@ -217,15 +216,9 @@ std::string LiveInput::OnImu(const Message& message, size_t imu, bool is_gyro, b
 void LiveInput::OnPose(const Message& message, size_t source) {
   const FramedPose framed = ReadPose(message.getMessage()->getDataType(), *message.getMessage());
   Poses& poses = poses_[source];
-  const PoseSensorInfo names =
-      source == 0 ? PoseSensorInfo{"", FrameName(framed.marker_frame, "marker"),
-                                   FrameName(framed.world_frame, "world")}
-                  : NamePoseSensor(poses.name, framed.world_frame, framed.marker_frame);
-  if (poses.world_frame.empty()) {
-    poses.world_frame = names.world_frame;
-    poses.frame = names.frame;
-  }
-  if (names.world_frame == poses.world_frame && names.frame == poses.frame)
+  const PoseSensorInfo named = Named(source, framed.world_frame, framed.marker_frame);
+  if (poses.info.world_frame.empty()) poses.info = named;
+  if (named.world_frame == poses.info.world_frame && named.frame == poses.info.frame)
     AddPose(framed.pose, message.getReceiptTime(), source);
   else
     ++poses.foreign;
@@ -254,15 +247,15 @@ void LiveInput::AddPose(const PoseSample& recorded, const ros::Time& now, size_t
 void LiveInput::ForgetAfterReset() {
   if (resets_ == live_->resets()) return;
   resets_ = live_->resets();
-  for (Imu& imu : imus_) imu.frame.clear();
+  for (ImuInfo& imu : imus_) imu.imu_frame.clear();
   for (Poses& poses : poses_) poses.Forget(fixed_links_);
   links_.clear();
 }
 
 void LiveInput::Poses::Forget(const Links& fixed_links) {
   foreign = 0;
-  world_frame = tf ? tf->first : "";
-  frame = tf ? tf->second : "";
+  info.world_frame = tf ? tf->first : "";
+  info.frame = tf ? tf->second : "";
   if (!tf) return;
   chain.emplace(tf->first, tf->second, kTfCache);
   tf2_msgs::TFMessage fixed;
@@ -272,23 +265,24 @@ void LiveInput::Poses::Forget(const Links& fixed_links) {
 
 // --- What the messages say ---
 
+PoseSensorInfo LiveInput::Named(size_t source, const std::string& world_frame,
+                                const std::string& frame) const {
+  const std::string& topic = poses_[source].info.topic;
+  if (source > 0) return NamePoseSensor(topic, world_frame, frame);
+  return {topic, FrameName(frame, "marker"), FrameName(world_frame, "world")};
+}
+
 RecordingInfo LiveInput::Info() const {
   RecordingInfo info;
-  const Poses& marker = poses_.front();
-  info.world_frame = FrameName(marker.world_frame, "world");
-  info.marker_frame = FrameName(marker.frame, "marker");
-  info.pose_topic = marker.tf ? "/tf" : marker.topic->name;
-  for (size_t k = 1; k < poses_.size(); ++k)
-    info.pose_sensors.push_back(
-        NamePoseSensor(poses_[k].name, poses_[k].world_frame, poses_[k].frame));
-  info.imus.resize(imus_.size());
-  for (size_t i = 0; i < imus_.size(); ++i) {
-    const Imu& imu = imus_[i];
-    info.imus[i].imu_frame = FrameName(imu.frame, "imu");
-    const bool is_split = imu.gyro != imu.accel;
-    (is_split ? info.imus[i].gyro_topic : info.imus[i].imu_topic) = imu.gyro->name;
-    if (is_split) info.imus[i].accel_topic = imu.accel->name;
-  }
+  info.imus = imus_;
+  for (ImuInfo& imu : info.imus) imu.imu_frame = FrameName(imu.imu_frame, "imu");
+  for (size_t k = 0; k < poses_.size(); ++k)
+    info.pose_sensors.push_back(Named(k, poses_[k].info.world_frame, poses_[k].info.frame));
+  const PoseSensorInfo& marker = info.pose_sensors.front();
+  info.pose_topic = marker.topic;
+  info.world_frame = marker.world_frame;
+  info.marker_frame = marker.frame;
+  info.pose_sensors.erase(info.pose_sensors.begin());
   info.imu_yaml = request_.imu_yaml;
   NameFrames(request_.marker_frame, request_.imu_frame, &info);
   return info;
@@ -308,7 +302,7 @@ std::string LiveInput::Dropped() const {
   for (const Poses& poses : poses_)
     if (poses.foreign > 0)
       notes.push_back(std::to_string(poses.foreign) + " poses of other frames than " +
-                      poses.world_frame + " -> " + poses.frame + " were dropped");
+                      poses.info.world_frame + " -> " + poses.info.frame + " were dropped");
   return boost::join(notes, "; ");
 }
 

@@ -71,21 +71,14 @@ class ReplayBridge {
     if (is_lost && !(style_.repeats && seen_)) return;
     if (is_lost) pose = *seen_;
     seen_ = pose;
-    Publish(pose, ArrivalTime(captured));
-  }
 
-  /// Bridges stamp what they get when they get it.
-  ros::Time ArrivalTime(int64_t captured_ns) {
-    return FromNanoseconds(
-        captured_ns + static_cast<int64_t>(1e9 * (latency_ + jitter_ * exponential_(random_))));
-  }
-
-  void Publish(const PoseSample& pose, const ros::Time& stamp) {
+    // Bridges stamp what they get when they get it.
+    const double delay = latency_ + jitter_ * exponential_(random_);
+    const ros::Time stamp = FromNanoseconds(captured + static_cast<int64_t>(1e9 * delay));
     const Rigid3 T_WM{pose.q_WM, pose.p_WM};
     const auto transform = ToTransformStamped(MakeHeader(stamp, "world"), frame_, T_WM);
     broadcaster_.sendTransform(transform);
     if (style_.transform) return publisher_.publish(transform);
-
     geometry_msgs::PoseStamped msg;
     msg.header = transform.header;
     msg.pose = ToPoseMsg(T_WM);

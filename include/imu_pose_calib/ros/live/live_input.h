@@ -60,10 +60,10 @@ class LiveInput {
 
   struct Topic {
     std::string parameter;  ///< that names it
-    std::string name;       ///< empty until it is named or found
+    std::string* name;      ///< empty until it is named or found
     std::vector<std::string> types;
     Read read;
-    bool is_named = !name.empty();
+    bool is_named = !name->empty();
     bool has_data = false;
     std::string problem = {};         ///< of the last message
     std::string state = {};           ///< why nothing has come in, as the last look found
@@ -78,23 +78,22 @@ class LiveInput {
   };
   /// Of the marker, or of a pose sensor.
   struct Poses {
-    std::string name;  ///< of a pose sensor
+    PoseSensorInfo info;  ///< frames of the messages
     std::optional<TfFrames> tf;
-    const Topic* topic = nullptr;  ///< unless they come from tf
     std::optional<TfChain> chain;
-    std::string world_frame, frame;  ///< of the messages
-    size_t foreign = 0;              ///< of other frames, dropped
+    size_t foreign = 0;  ///< of other frames, dropped
 
     /// All but the static transforms: they are not sent again.
     void Forget(const Links& fixed_links);
   };
-  struct Imu {
-    const Topic *gyro, *accel;  ///< the same of an IMU on one topic
-    std::string frame = {};     ///< of the messages
-  };
 
-  const Topic* Listen(const std::string& parameter, const std::string& name,
-                      const std::vector<std::string>& types, const Read& read);
+  void ListenToImu(const std::string& parameter, const std::string& name, size_t imu, bool is_gyro,
+                   bool is_accel);
+  void ListenToPoses(const std::string& parameter, const std::string& name,
+                     const std::optional<TfFrames>& tf);
+  /// To `*name`, or to what is found for it.
+  void Listen(const std::string& parameter, std::string* name,
+              const std::vector<std::string>& types, const Read& read);
   void Subscribe(Topic* topic);
   void OnMessage(const Message& message, Topic* topic);
   /// A message of the gyroscope or the accelerometer of an IMU, or of both.
@@ -102,6 +101,9 @@ class LiveInput {
   void OnPose(const Message& message, size_t source);
   void OnTransforms(const TfEvent& event, bool fixed);
   void AddPose(const PoseSample& recorded, const ros::Time& now, size_t source);
+  /// Source of poses, with names for frames that messages leave without.
+  PoseSensorInfo Named(size_t source, const std::string& world_frame,
+                       const std::string& frame) const;
   /// Looks for the topics that have brought nothing; false when the master does not answer.
   bool AskMaster();
 
@@ -112,7 +114,7 @@ class LiveInput {
   const std::function<void(const PoseSample&)> on_pose_;
 
   std::deque<Poses> poses_;  ///< the marker, then the pose sensors
-  std::vector<Imu> imus_;
+  std::vector<ImuInfo> imus_;
   Links fixed_links_, links_;  ///< of /tf_static and of /tf, as others than this node say
   size_t resets_ = 0;          ///< of live_, to which all of this belongs
 
