@@ -30,15 +30,6 @@ using std_srvs::Trigger;
 
 constexpr double kTickPeriod = 0.1;  // [s]
 constexpr int kTicksPerStatus = 5;
-constexpr int kTicksPerDiagnostics = 10;
-
-struct LiveSettings {
-  OfflineRequest request;
-  size_t imus = 0;
-  bool auto_save = false;
-  CalibrationOptions calibration;
-  LiveOptions live;
-};
 
 /// The full names of the pose sensors.
 std::vector<std::string> PoseSensors(const OfflineRequest& request) {
@@ -61,32 +52,34 @@ std::vector<std::string> PoseSensors(const OfflineRequest& request) {
   return names;
 }
 
-LiveSettings ReadSettings(const OfflineRequest& given) {
-  LiveSettings settings;
-  settings.request = given;
-  OfflineRequest& request = settings.request;
+size_t CountImus(const BagRequest& topics) {
+  return SplitNames(topics.gyro_topic.empty() ? topics.imu_topic : topics.gyro_topic).size();
+}
+
+/// The request with its defaults.
+OfflineRequest Checked(OfflineRequest request) {
   BagRequest& topics = request.bag;
   const bool is_split = IsPair({"imu_topic", topics.imu_topic}, {"gyro_topic", topics.gyro_topic},
                                {"accel_topic", topics.accel_topic});
   IsPair({"pose_topic", topics.pose_topic}, {"tf_parent", topics.tf_parent},
          {"tf_child", topics.tf_child});
   topics.pose_sensors = PoseSensors(request);
-  settings.imus = SplitNames(is_split ? topics.gyro_topic : topics.imu_topic).size();
-  for (const auto& [name, value] :
-       {Given{"imu_frame", request.imu_frame}, Given{"accel_topic", topics.accel_topic}})
-    if (const size_t count = SplitNames(value).size(); !value.empty() && count != settings.imus)
-      throw InputError(Format("%s has %zu names for %zu imus", name, count, settings.imus));
-
-  request.output = std::filesystem::absolute(
-      request.output.empty() ? "imu_pose_calib.calibration.yaml" : request.output);
-  settings.auto_save = Parameter("auto_save", false);
-
-  settings.calibration = Options(request);
   if (!request.imu_yaml.empty() && topics.imu_topic.empty() && !is_split)
     topics.imu_topic = LoadImuYaml(request.imu_yaml).rostopic;
-  for (const auto& [name, field] : kLiveOptions)
-    settings.live.*field = Parameter(name, settings.live.*field);
-  return settings;
+  for (const auto& [name, value] :
+       {Given{"imu_frame", request.imu_frame}, Given{"accel_topic", topics.accel_topic}})
+    if (const size_t count = SplitNames(value).size(), imus = CountImus(topics);
+        !value.empty() && count != imus)
+      throw InputError(Format("%s has %zu names for %zu imus", name, count, imus));
+  request.output = std::filesystem::absolute(
+      request.output.empty() ? "imu_pose_calib.calibration.yaml" : request.output);
+  return request;
+}
+
+LiveOptions ReadLiveOptions() {
+  LiveOptions options;
+  for (const auto& [name, field] : kLiveOptions) options.*field = Parameter(name, options.*field);
+  return options;
 }
 
 /// T_WI at the pose T_WM.
@@ -107,16 +100,14 @@ class LiveNode {
  public:
   LiveNode(const ros::NodeHandle& node, const OfflineRequest& request)
       : node_(node),
-        settings_(ReadSettings(request)),
-        live_(settings_.live, settings_.calibration, settings_.imus,
-              settings_.request.bag.pose_sensors),
-        input_(node, settings_.request, &mutex_, &live_,
+        request_(Checked(request)),
+        options_(Options(request_)),
+        live_(ReadLiveOptions(), options_, CountImus(request_.bag), request_.bag.pose_sensors),
+        input_(node, request_, &mutex_, &live_,
                [this](const PoseSample& pose) { PublishPose(pose); }),
         solver_(
             &mutex_, &live_,
-            [this](const SessionData& data) {
-              return imu_pose_calib::Calibrate(settings_.calibration, data);
-            },
+            [this](const SessionData& data) { return imu_pose_calib::Calibrate(options_, data); },
             [this] { PublishResult(); }) {
     diagnostics_.setHardwareID("none");
     diagnostics_.add("calibration", this, &LiveNode::Diagnose);
@@ -182,11 +173,10 @@ class LiveNode {
 
   /// Writes the best result and freezes it. Says what was done, or why it could not be.
   Verdict WriteResult() {
-    const std::string& path = settings_.request.output;
+    const std::string& path = request_.output;
     try {
       OutputFiles outputs;
-      outputs.Write(path, ToYaml(*live_.result(), {input_.Info()}, settings_.calibration,
-                                 {outputs.run_id()}));
+      outputs.Write(path, ToYaml(*live_.result(), {input_.Info()}, options_, {outputs.run_id()}));
       outputs.Commit();
     } catch (const InputError& error) {
       return {false, OneLine(error)};
@@ -205,8 +195,7 @@ class LiveNode {
     if (live_.WantsSolve()) solver_.Start();
     const uint8_t last_phase = status_.phase;
     UpdateStatus();
-    if (status_.phase == CalibrationStatus::CONVERGED && settings_.auto_save &&
-        save_error_.empty()) {
+    if (status_.phase == CalibrationStatus::CONVERGED && auto_save_ && save_error_.empty()) {
       if (const Verdict saved = WriteResult(); !saved.success) {
         save_error_ = saved.message;
         ROS_ERROR("%s", save_error_.c_str());
@@ -216,11 +205,13 @@ class LiveNode {
     // The first time when there has been a look at the topics.
     if (status_.phase != last_phase || ticks_ == kTicksPerStatus)
       ROS_INFO("%s: %s", status_.phase_text.c_str(), status_.message.c_str());
-    if (ticks_ % kTicksPerStatus == 0) status_publisher_.publish(status_);
-    if (ticks_ % kTicksPerDiagnostics == 0) diagnostics_.force_update();
+    if (ticks_ % kTicksPerStatus == 0) {
+      status_publisher_.publish(status_);
+      diagnostics_.force_update();
+      PublishPath();
+    }
     if (marker_publisher_.getNumSubscribers() > 0)
       marker_publisher_.publish(Draw(live_, status_, input_.Info().world_frame));
-    if (ticks_ % kTicksPerStatus == 0) PublishPath();
     ++ticks_;
   }
 
@@ -323,7 +314,9 @@ class LiveNode {
   }
 
   ros::NodeHandle node_;
-  const LiveSettings settings_;
+  const OfflineRequest request_;
+  const CalibrationOptions options_;
+  const bool auto_save_ = Parameter("auto_save", false);
   ros::Publisher status_publisher_ = node_.advertise<CalibrationStatus>("status", 10),
                  result_publisher_ = node_.advertise<CalibrationResult>("result", 1, true),
                  pose_publisher_ = node_.advertise<geometry_msgs::PoseStamped>("imu_pose", 100),
