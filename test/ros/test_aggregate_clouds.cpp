@@ -145,7 +145,7 @@ TEST_F(AggregateTest, TheMapIsAsSharpAsThroughTheTruePoses) {
   request.bag.paths = {Path("sim.bag")};
   request.keep_data = true;
   const OfflineResult offline = CalibrateOffline(request);
-  std::vector<SensorPoses> all = PosesWithAndWithout({true, SimulatedLidar::T_IL()}, offline);
+  std::vector<SensorPoses> all = PosesWithAndWithout({SimulatedLidar::T_IL(), {}, {}}, offline);
   ASSERT_EQ(all.size(), 5u);
   const SimulatedLidar lidar(options);
   all.push_back({"truth", [&](int64_t stamp_ns) { return lidar.PoseAt(stamp_ns); }});
@@ -156,8 +156,7 @@ TEST_F(AggregateTest, TheMapIsAsSharpAsThroughTheTruePoses) {
     const std::vector<CloudPoint> points = ReadCloud(cloud, FindPointTime({cloud}, "auto"));
     const int64_t begin = lidar.Stamp(k);
     std::vector<CloudMotion> motions;
-    for (const SensorPoses& poses : all)
-      motions.emplace_back(poses.pose, begin, begin + 100'000'000);
+    for (const SensorPoses& poses : all) motions.emplace_back(poses.pose);
     for (size_t i = 0; i < points.size(); i += 5) {
       for (size_t v = 0; v < all.size(); ++v)
         maps[v].push_back(

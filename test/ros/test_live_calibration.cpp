@@ -33,7 +33,7 @@ void Feed(const SessionData& data, LiveCalibration* live, double rate = 1.0) {
     while (accel < due(data.imus[0].accel.size())) live->AddAccel(data.imus[0].accel[accel++], now);
     if (data.pose_sensors.empty()) continue;
     const std::vector<PoseSample>& poses = data.pose_sensors[0];
-    while (sensor < due(poses.size())) live->AddSensorPose(poses[sensor++], now);
+    while (sensor < due(poses.size())) live->AddPose(poses[sensor++], now, 1);
   }
 }
 
@@ -214,7 +214,7 @@ TEST(LiveCalibration, ForgetsOldPosesOfASensorThatIsSilent) {
   Feed(Cut(data, 0.0, 30.0), &live);
   for (const PoseSample& pose : data.pose_sensors[0])
     if (pose.t_ns < data.pose_sensors[0].front().t_ns + 30'000'000'000)
-      live.AddSensorPose(pose, Arrival(data.poses.front().t_ns) + 30.0);
+      live.AddPose(pose, Arrival(data.poses.front().t_ns) + 30.0, 1);
   EXPECT_NEAR(static_cast<double>(live.BeginSolve().pose_sensors.at(0).size()), 20.0 * 30.0, 2.0);
   Feed(Cut(data, 30.0, 40.0), &live);
   EXPECT_NEAR(static_cast<double>(live.BeginSolve().pose_sensors.at(0).size()), 10.0 * 30.0, 5.0);
@@ -228,11 +228,11 @@ TEST(LiveCalibration, ForgetsOnlyThePosesOfASensorWhoseClockJumps) {
   Feed(data, &live);
   PoseSample pose = data.pose_sensors[0].back();
   pose.t_ns += 100'000'000'000;
-  live.AddSensorPose(pose, End(data));
+  live.AddPose(pose, End(data), 1);
   EXPECT_EQ(live.BeginSolve().pose_sensors.at(0).size(), 1u);
   EXPECT_NEAR(live.Streams()[0].buffered_s, 15.0, 0.1);
   live.Reset("", End(data));
-  EXPECT_FALSE(live.HasSensorPoses(0));
+  EXPECT_FALSE(live.HasPoses(1));
 }
 
 TEST(LiveCalibration, UnderstandsThePosesAsTheSolverDoes) {

@@ -12,7 +12,7 @@
 #include <thread>
 #include <vector>
 
-#include "imu_pose_calib/ros/live/live_solver.h"
+#include "imu_pose_calib/ros/live/live_calibration.h"
 #include "imu_pose_calib/simulation/simulator.h"
 #include "test_util.h"
 

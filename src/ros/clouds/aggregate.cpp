@@ -11,12 +11,10 @@
 #include <utility>
 
 #include "imu_pose_calib/core/data/stamps.h"
-#include "imu_pose_calib/ros/clouds/cloud_map.h"
 #include "imu_pose_calib/ros/io/bags.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/text.h"
-#include "imu_pose_calib/ros/io/transform_file.h"
 
 namespace imu_pose_calib {
 
@@ -49,18 +47,19 @@ void CheckPcd(const char* name, const std::string& path) {
 AggregateRequest Checked(AggregateRequest request) {
   OfflineRequest& recording = request.recording;
   if (recording.bag.paths.empty()) throw InputError("no bag is given");
-  if (request.imu_sensor.empty() == request.marker_sensor.empty())
+  if (request.sensor.T_IS.has_value() == request.sensor.T_MS.has_value())
     throw InputError(
         "say where the sensor of the clouds sits: give either imu_sensor, "
         "x_imu = T x_sensor, or marker_sensor, x_marker = T x_sensor");
-  if (!request.cloud_clock.empty() && request.cloud_clock != "imu" &&
-      request.cloud_clock != "poses")
+  request.sensor.is_on_imu_clock = request.cloud_clock != "poses";
+  if (request.sensor.is_on_imu_clock && !request.cloud_clock.empty() &&
+      request.cloud_clock != "imu")
     throw InputError("cloud_clock '" + request.cloud_clock + "' is unknown; must be imu or poses");
   CheckRange("voxel", request.voxel_m, 1e-3, 100.0);
   CheckRange("radius", request.radius_m, 1e-2, 100.0);
   CheckRange("min_range", request.min_range_m, 0.0, 1e4);
   CheckRange("max_range", request.max_range_m, request.min_range_m, 1e4);
-  if (!request.guess.empty() && request.imu_sensor.empty())
+  if (request.sensor.guessed_T_MI && !request.sensor.T_IS)
     throw InputError("guess needs imu_sensor: T_marker_imu does not matter for marker_sensor");
   if (request.output.empty())
     request.output =
@@ -71,16 +70,6 @@ AggregateRequest Checked(AggregateRequest request) {
   recording.one_recording = recording.keep_data = true;
   recording.output = std::filesystem::path(request.output).replace_extension(".calibration.yaml");
   return request;
-}
-
-SensorMount Mount(const AggregateRequest& request) {
-  SensorMount sensor;
-  sensor.is_on_imu = !request.imu_sensor.empty();
-  sensor.T = sensor.is_on_imu ? ReadTransform("imu_sensor", request.imu_sensor)
-                              : ReadTransform("marker_sensor", request.marker_sensor);
-  if (!request.guess.empty()) sensor.guessed_T_MI = ReadTransform("guess", request.guess);
-  sensor.is_on_imu_clock = request.cloud_clock != "poses";
-  return sensor;
 }
 
 // --- Clouds, read in a child process ---
@@ -175,49 +164,43 @@ class Aggregator {
 
  private:
   void Add(int64_t stamp_ns, const std::vector<CloudPoint>& points) {
-    int64_t first = 0, last = 0;  // after the stamp
-    for (const CloudPoint& point : points) {
-      first = std::min(first, point.time_after_ns);
-      last = std::max(last, point.time_after_ns);
-    }
     std::vector<CloudMotion> motions;
-    for (const Variant& variant : variants_)
-      motions.emplace_back(variant.poses.pose, stamp_ns + first, stamp_ns + last);
+    for (const Variant& variant : variants_) motions.emplace_back(variant.poses.pose);
 
     const size_t placed_before = placed_, points_before = points_;
     for (const CloudPoint& point : points) {
+      least_ns_ = std::min(least_ns_, point.time_after_ns);
+      most_ns_ = std::max(most_ns_, point.time_after_ns);
       if (!point.p_S.allFinite()) continue;
       const auto range = static_cast<double>(point.p_S.norm());
       if (range == 0.0) continue;  // how many drivers write that nothing was seen
       if (range < request_.min_range_m || range > request_.max_range_m)
         ++out_of_range_;
       else
-        Place(motions, stamp_ns + point.time_after_ns, point);
+        Place(stamp_ns + point.time_after_ns, point, &motions);
     }
     if (points_ > points_before && placed_ == placed_before) ++left_out_;
     if (clouds_seen_++ == 0) begin_ns_ = stamp_ns;
     end_ns_ = stamp_ns;
-    least_ns_ = std::min(least_ns_, first);
-    most_ns_ = std::max(most_ns_, last);
   }
 
-  void Place(const std::vector<CloudMotion>& motions, int64_t t_ns, const CloudPoint& point) {
+  void Place(int64_t t_ns, const CloudPoint& point, std::vector<CloudMotion>* motions) {
     const bool is_sample = points_++ % stride_ == 0;
-    for (size_t v = 0; v < motions.size(); ++v) {
+    for (size_t v = 0; v < variants_.size(); ++v) {
       Variant& variant = variants_[v];
       if (!variant.map && !is_sample) continue;
-      const auto p_W = motions[v].Place(t_ns, point.p_S);
+      const auto p_W = (*motions)[v].Place(t_ns, point.p_S);
       if (is_sample)
         variant.samples.push_back(
             p_W ? Eigen::Vector3f(p_W->cast<float>())
                 : Eigen::Vector3f::Constant(std::numeric_limits<float>::quiet_NaN()));
       if (p_W && variant.map) variant.map->Add(*p_W, point.intensity);
-      if (p_W && v + 1 == motions.size()) ++placed_;
+      if (p_W && v + 1 == variants_.size()) ++placed_;
     }
   }
 
   std::string Refusal(const SessionData& data) const {
-    const bool on_imu_clock = request_.cloud_clock != "poses";
+    const bool on_imu_clock = request_.sensor.is_on_imu_clock;
     const std::vector<int64_t> stamps =
         on_imu_clock ? Stamps(data.imus[0].gyro) : Stamps(data.poses);
     const auto [first, last] = std::minmax_element(stamps.begin(), stamps.end());
@@ -233,7 +216,7 @@ class Aggregator {
     const size_t not_placed = points_ - placed_;
     return Wrap("clouds     ", Format("%zu of %s, %zu points, on the clock of the %s", clouds_seen_,
                                       clouds_.topic.name.c_str(), points_,
-                                      request_.cloud_clock == "poses" ? "poses" : "imu")) +
+                                      request_.sensor.is_on_imu_clock ? "imu" : "poses")) +
            Wrap("times      ",
                 time.field.empty()
                     ? "all points of a cloud at its stamp: they tell no times of their own"
@@ -317,7 +300,6 @@ AggregateOutcome Aggregate(const AggregateRequest& request,
 
 AggregateOutcome AggregateClouds(const AggregateRequest& given, const Progress& progress) {
   const AggregateRequest request = Checked(given);
-  const SensorMount sensor = Mount(request);
   // Before it takes long:
   ReadApart(request.recording.bag, [&] { return Clouds(request).topic.name; });
   {
@@ -326,7 +308,7 @@ AggregateOutcome AggregateClouds(const AggregateRequest& given, const Progress& 
     if (!request.uncalibrated.empty()) tried.Plan("uncalibrated", request.uncalibrated);
   }
   OfflineResult offline = CalibrateOffline(request.recording, progress);
-  const std::vector<SensorPoses> variants = PosesWithAndWithout(sensor, offline);
+  const std::vector<SensorPoses> variants = PosesWithAndWithout(request.sensor, offline);
   if (progress) progress("clouds", std::nullopt);
   AggregateOutcome outcome = Aggregate(request, variants, offline.sessions[0]);
   if (progress) progress("clouds", 0);

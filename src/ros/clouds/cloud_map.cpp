@@ -3,8 +3,6 @@
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
-#include <limits>
-#include <map>
 #include <memory>
 #include <string>
 
@@ -24,35 +22,28 @@ constexpr double kFarthest = 1e6;       // [m] in W
 constexpr size_t kPlaces = 5000, kLeastPoints = 10;
 constexpr double kLeastVariance = 1e-12;  // [m^2] of points in a plane
 
-/// The poses as they were recorded, linear between them but for gaps.
-class RecordedPoses {
- public:
-  RecordedPoses(const CalibrationOptions& options, double rate_hz,
-                const std::vector<PoseSample>& recorded)
-      : max_gap_ns_(std::llround(
-            1e9 * (options.max_gap_s > 0.0 ? options.max_gap_s : std::max(0.1, 5.0 / rate_hz)))) {
-    for (const PoseSample& sample : recorded) {
-      const PoseSample pose = ToMarkerPose(options, sample);
-      if (pose.p_WM.allFinite() && pose.q_WM.coeffs().allFinite() && pose.q_WM.norm() > 0.0 &&
-          pose.t_ns > 0)
-        poses_[pose.t_ns] = {pose.q_WM.normalized(), pose.p_WM};
-    }
+/// The poses T_WM as they were recorded, by their stamps.
+std::map<int64_t, Rigid3> Recorded(const CalibrationOptions& options,
+                                   const std::vector<PoseSample>& samples) {
+  std::map<int64_t, Rigid3> poses;
+  for (const PoseSample& sample : samples) {
+    const PoseSample pose = ToMarkerPose(options, sample);
+    if (pose.p_WM.allFinite() && pose.q_WM.coeffs().allFinite() && pose.q_WM.norm() > 0.0 &&
+        pose.t_ns > 0)
+      poses[pose.t_ns] = {pose.q_WM.normalized(), pose.p_WM};
   }
+  return poses;
+}
 
-  std::optional<Rigid3> At(int64_t t_ns) const {
-    const auto after = poses_.upper_bound(t_ns);
-    if (after == poses_.begin() || after == poses_.end()) return std::nullopt;
-    const auto& [begin_ns, before] = *std::prev(after);
-    const int64_t period = after->first - begin_ns;
-    if (period > max_gap_ns_) return std::nullopt;
-    const double u = static_cast<double>(t_ns - begin_ns) / static_cast<double>(period);
-    return Interpolate(before, after->second, u);
-  }
-
- private:
-  int64_t max_gap_ns_;
-  std::map<int64_t, Rigid3> poses_;
-};
+/// Linear between the poses before and after.
+std::optional<Rigid3> Between(const std::map<int64_t, Rigid3>& poses, int64_t t_ns) {
+  const auto after = poses.upper_bound(t_ns);
+  if (after == poses.begin() || after == poses.end()) return std::nullopt;
+  const auto& [begin_ns, before] = *std::prev(after);
+  const double u =
+      static_cast<double>(t_ns - begin_ns) / static_cast<double>(after->first - begin_ns);
+  return Interpolate(before, after->second, u);
+}
 
 /// What one takes for the time shift [ns] without a calibration: 0 where the stamps could be of one
 /// clock, else what lets samples of both arrive together.
@@ -129,22 +120,17 @@ std::vector<size_t> Spread(const std::vector<Eigen::Vector3f>& points,
 }  // namespace
 
 Eigen::Quaterniond ToRightAngles(const Eigen::Quaterniond& q) {
-  // The most alike, by the sum of cosines between axes, of all 24.
-  const Eigen::Matrix3d R = q.toRotationMatrix();
-  Eigen::Matrix3d best = Eigen::Matrix3d::Identity();
-  const int orders[6][3] = {{0, 1, 2}, {1, 2, 0}, {2, 0, 1}, {0, 2, 1}, {2, 1, 0}, {1, 0, 2}};
-  double most = -std::numeric_limits<double>::infinity();
-  for (const auto& order : orders)
-    for (unsigned signs = 0; signs < 8; ++signs) {
-      Eigen::Matrix3d candidate = Eigen::Matrix3d::Zero();
-      for (int i = 0; i < 3; ++i)
-        candidate(order[i], i) = (signs >> static_cast<unsigned>(i) & 1u) != 0u ? -1.0 : 1.0;
-      const double likeness = (R.transpose() * candidate).trace();
-      if (candidate.determinant() < 0.0 || likeness <= most) continue;
-      most = likeness;
-      best = candidate;
-    }
-  return Eigen::Quaterniond(best);
+  const auto quarters = [](int count, const Eigen::Vector3d& axis) {
+    return Eigen::AngleAxisd(0.5 * M_PI * count, axis);
+  };
+  Eigen::Quaterniond best = Eigen::Quaterniond::Identity();
+  for (int k = 0; k < 64; ++k) {  // all 24, some of them several times
+    const Eigen::Quaterniond candidate = quarters(k / 16, Eigen::Vector3d::UnitX()) *
+                                         quarters(k / 4 % 4, Eigen::Vector3d::UnitY()) *
+                                         quarters(k % 4, Eigen::Vector3d::UnitZ());
+    if (candidate.angularDistance(q) < best.angularDistance(q)) best = candidate;
+  }
+  return best;
 }
 
 std::vector<SensorPoses> PosesWithAndWithout(const SensorMount& sensor,
@@ -152,13 +138,13 @@ std::vector<SensorPoses> PosesWithAndWithout(const SensorMount& sensor,
   const Rigid3 T_MI = offline.result.imus[0].T_MI;
   const Rigid3 guess =
       sensor.guessed_T_MI.value_or(Rigid3{ToRightAngles(T_MI.q), Eigen::Vector3d::Zero()});
-  const Rigid3 T_MS = sensor.is_on_imu ? T_MI * sensor.T : sensor.T;
-  const Rigid3 guessed_T_MS = sensor.is_on_imu ? guess * sensor.T : sensor.T;
+  const Rigid3 T_MS = sensor.T_IS ? T_MI * *sensor.T_IS : *sensor.T_MS;
+  const Rigid3 guessed_T_MS = sensor.T_IS ? guess * *sensor.T_IS : *sensor.T_MS;
 
   const std::shared_ptr<const Solution> solution = offline.result.solution;
   const auto track = std::make_shared<const SessionTrajectory>(solution, 0);
-  const auto recorded = std::make_shared<const RecordedPoses>(
-      offline.options, offline.result.sessions[0].poses.rate_hz, offline.sessions[0].poses);
+  const auto recorded = std::make_shared<const std::map<int64_t, Rigid3>>(
+      Recorded(offline.options, offline.sessions[0].poses));
   const int64_t epoch_ns = track->epoch_ns(), imu_epoch_ns = solution->imus[0][0].epoch_ns;
   const ImuSessionEstimate clock = solution->estimate.sessions[0].imus[0];
   const bool on_imu_clock = sensor.is_on_imu_clock;
@@ -170,54 +156,37 @@ std::vector<SensorPoses> PosesWithAndWithout(const SensorMount& sensor,
       // On the pose clock, after its epoch [s].
       const double t = is_clocked && on_imu_clock ? clock.PoseTime(Seconds(stamp_ns - imu_epoch_ns))
                                                   : Seconds(stamp_ns + shift_ns - epoch_ns);
-      if (!is_solved) {
-        const auto T_WM = recorded->At(epoch_ns + std::llround(1e9 * t));
-        return T_WM ? std::optional(*T_WM * T_MS_used) : std::nullopt;
-      }
       const auto body = track->Marker(t);
-      return body ? std::optional(Rigid3{body->q_WB, body->p_WB} * T_MS_used) : std::nullopt;
+      if (!body) return std::nullopt;
+      const auto T_WM = is_solved ? Rigid3{body->q_WB, body->p_WB}
+                                  : Between(*recorded, epoch_ns + std::llround(1e9 * t));
+      return T_WM ? std::optional(*T_WM * T_MS_used) : std::nullopt;
     };
     return SensorPoses{name, pose};
   };
   std::vector<SensorPoses> all = {make("without calibration", false, guessed_T_MS, false)};
-  if (sensor.is_on_imu) all.push_back(make("all but T_marker_imu", true, guessed_T_MS, true));
+  if (sensor.T_IS) all.push_back(make("all but T_marker_imu", true, guessed_T_MS, true));
   if (on_imu_clock) all.push_back(make("all but the time shift", true, T_MS, false));
   all.push_back(make("all but the trajectory", false, T_MS, true));
   all.push_back(make("calibrated", true, T_MS, true));
   return all;
 }
 
-CloudMotion::CloudMotion(const SensorPoseAt& pose, int64_t begin_ns, int64_t end_ns)
-    : begin_ns_(begin_ns), end_ns_(end_ns) {
-  for (int64_t t = begin_ns; t < end_ns; t += kStepNs) poses_.push_back(pose(t));
-  poses_.push_back(pose(end_ns));
+const std::optional<Rigid3>& CloudMotion::At(int64_t stamp_ns) {
+  const auto [pose, is_new] = poses_.try_emplace(stamp_ns);
+  if (is_new) pose->second = pose_(stamp_ns);
+  return pose->second;
 }
 
-std::optional<Eigen::Vector3d> CloudMotion::Place(int64_t stamp_ns,
-                                                  const Eigen::Vector3f& p_S) const {
-  if (stamp_ns < begin_ns_ || stamp_ns > end_ns_) return std::nullopt;
+std::optional<Eigen::Vector3d> CloudMotion::Place(int64_t stamp_ns, const Eigen::Vector3f& p_S) {
+  const int64_t after_ns = stamp_ns % kStepNs, begin_ns = stamp_ns - after_ns;
+  const std::optional<Rigid3>&begin = At(begin_ns),
+        &end = At(after_ns > 0 ? begin_ns + kStepNs : begin_ns);
+  if (!begin || !end) return std::nullopt;
   const Eigen::Vector3d p = p_S.cast<double>();
-  const auto in_W = [&](const Rigid3& T_WS) -> Eigen::Vector3d { return T_WS.q * p + T_WS.p; };
-  const auto k = static_cast<size_t>((stamp_ns - begin_ns_) / kStepNs);
-  if (!poses_[k]) return std::nullopt;
-  const int64_t before_ns = begin_ns_ + static_cast<int64_t>(k) * kStepNs;
-  if (stamp_ns == before_ns || k + 1 == poses_.size()) return in_W(*poses_[k]);
-  if (!poses_[k + 1]) return std::nullopt;
-  const int64_t after_ns = std::min(before_ns + kStepNs, end_ns_);
-  const double u =
-      static_cast<double>(stamp_ns - before_ns) / static_cast<double>(after_ns - before_ns);
+  const double u = static_cast<double>(after_ns) / static_cast<double>(kStepNs);
   // On the chord instead of the arc: of a turn by an angle a it misses a^2 / 8 of the range.
-  return Eigen::Vector3d((1.0 - u) * in_W(*poses_[k]) + u * in_W(*poses_[k + 1]));
-}
-
-size_t VoxelMap::Hash::operator()(const Cube& cube) const {
-  uint64_t hash = 0;
-  for (const int64_t place : cube) {
-    hash ^= static_cast<uint64_t>(place);
-    hash *= 0x9e3779b97f4a7c15u;  // 2^64 over the golden ratio: spreads neighbours
-    hash ^= hash >> 32u;
-  }
-  return hash;
+  return Eigen::Vector3d((1.0 - u) * (begin->q * p + begin->p) + u * (end->q * p + end->p));
 }
 
 void VoxelMap::Add(const Eigen::Vector3d& p_W, float intensity) {

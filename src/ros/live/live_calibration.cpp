@@ -4,12 +4,14 @@
 #include <boost/algorithm/string/join.hpp>
 #include <cmath>
 #include <tuple>
+#include <utility>
 
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/data/conditioning.h"
 #include "imu_pose_calib/core/data/stamps.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/text.h"
+#include "imu_pose_calib/ros/offline/offline.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -153,7 +155,8 @@ LiveCalibration::LiveCalibration(const LiveOptions& options, const CalibrationOp
     sensors_.push_back({"gyroscope" + OfImu(i, imus), {}});
     sensors_.push_back({"accelerometer" + OfImu(i, imus), {}});
   }
-  for (const std::string& name : pose_sensors) pose_sensors_.push_back({"poses of " + name, {}});
+  poses_.push_back({"poses", {}});
+  for (const std::string& name : pose_sensors) poses_.push_back({"poses of " + name, {}});
 }
 
 // --- Samples ---
@@ -175,9 +178,10 @@ bool LiveCalibration::Add(const Sample& sample, double now, Stream<Sample>* stre
   return true;
 }
 
-bool LiveCalibration::AddPose(const PoseSample& recorded, double now) {
-  if (!Add(recorded, now, &poses_)) return false;
-  for (auto& stream : pose_sensors_) stream.Trim(options_.window, now);  // of one that is silent
+bool LiveCalibration::AddPose(const PoseSample& recorded, double now, size_t source) {
+  const bool is_marker = source == 0;
+  if (!Add(recorded, now, &poses_[source], /*resets=*/is_marker) || !is_marker) return false;
+  for (auto& stream : poses_) stream.Trim(options_.window, now);  // also of a sensor that is silent
   const PoseSample pose = ToMarkerPose(calibration_, recorded);
   if (!IsValid(pose) || (known_.pose && SameValue(pose, *known_.pose))) return false;
   known_.pose = pose;
@@ -198,12 +202,8 @@ void LiveCalibration::AddAccel(const ImuSample& sample, double now, size_t imu) 
   Add(sample, now, &sensors_[2 * imu + 1]);
 }
 
-void LiveCalibration::AddSensorPose(const PoseSample& recorded, double now, size_t sensor) {
-  Add(recorded, now, &pose_sensors_[sensor], /*resets=*/false);
-}
-
 bool LiveCalibration::LacksSensor() const {
-  return std::any_of(pose_sensors_.begin(), pose_sensors_.end(),
+  return std::any_of(poses_.begin() + 1, poses_.end(),
                      [](const auto& stream) { return stream.samples.empty(); });
 }
 
@@ -231,25 +231,28 @@ Vector6d LiveCalibration::Excitation() const {
 
 bool LiveCalibration::WantsSolve() const {
   if (IsSolving() || IsFrozen()) return false;
-  double shortest = poses_.Duration();
+  const Stream<PoseSample>& marker = poses_.front();
+  double shortest = marker.Duration();
   for (const auto& stream : sensors_) shortest = std::min(shortest, stream.Duration());
   if (shortest < options_.min_duration) return false;
   // Two axes determine everything; the solve itself tells how well.
   Eigen::Vector3d rotation = Excitation().head<3>();
   std::sort(rotation.data(), rotation.data() + 3);
   if (rotation[1] < 1.0) return false;
-  const double fresh = Seconds(poses_.samples.back().t_ns - known_.solved_until_ns);
+  const double fresh = Seconds(marker.samples.back().t_ns - known_.solved_until_ns);
   return fresh >= (IsConverged() ? 0.5 * options_.window : options_.solve_interval);
 }
 
 SessionData LiveCalibration::BeginSolve() {
   solving_ = resets_;
-  known_.solved_until_ns = poses_.samples.empty() ? 0 : poses_.samples.back().t_ns;
-  const auto copy = [](const auto& samples) { return std::vector(samples.begin(), samples.end()); };
-  SessionData data{copy(poses_.samples), {}, {}};
+  const auto copy = [](const auto& stream) {
+    return std::vector(stream.samples.begin(), stream.samples.end());
+  };
+  SessionData data{copy(poses_[0]), {}, {}};
+  known_.solved_until_ns = data.poses.empty() ? 0 : data.poses.back().t_ns;
   for (size_t k = 0; k < sensors_.size(); k += 2)
-    data.imus.push_back({copy(sensors_[k].samples), copy(sensors_[k + 1].samples)});
-  for (const auto& stream : pose_sensors_) data.pose_sensors.push_back(copy(stream.samples));
+    data.imus.push_back({copy(sensors_[k]), copy(sensors_[k + 1])});
+  for (size_t k = 1; k < poses_.size(); ++k) data.pose_sensors.push_back(copy(poses_[k]));
   return data;
 }
 
@@ -282,9 +285,8 @@ void LiveCalibration::FailSolve(const std::string& reason) {
 }
 
 void LiveCalibration::Reset(const std::string& reason, double now) {
-  poses_.samples.clear();
+  for (auto& stream : poses_) stream.samples.clear();
   for (auto& stream : sensors_) stream.samples.clear();
-  for (auto& stream : pose_sensors_) stream.samples.clear();
   known_ = Knowledge();
   ++resets_;
   notice_ = reason.empty() ? "" : reason + "; started anew";
@@ -305,7 +307,7 @@ std::string LiveCalibration::MissingStreams() const {
   const auto check = [&](const auto& stream) {
     if (stream.samples.empty()) missing.push_back(stream.Missing());
   };
-  check(poses_);
+  check(poses_[0]);
   for (const auto& stream : sensors_) check(stream);
   return boost::join(missing, ", ");
 }
@@ -317,7 +319,7 @@ std::string LiveCalibration::LostStreams(double now) const {
     if (silent > options_.lost_timeout)
       lost.push_back(Format("%s for %.3g s", what.c_str(), std::round(10.0 * silent) / 10.0));
   };
-  check(poses_.arrival, "no poses");
+  check(poses_[0].arrival, "no poses");
   if (lost.empty()) check(pose_changed_, "the marker is lost: the poses repeat or are invalid");
   for (const auto& stream : sensors_) check(stream.arrival, "no " + stream.name);
   return boost::join(lost, ", ");
@@ -326,17 +328,17 @@ std::string LiveCalibration::LostStreams(double now) const {
 /// What is the matter with pose sensors, each note after "; ".
 std::string LiveCalibration::SensorNotes(double now) const {
   std::string notes;
-  for (size_t k = 0; k < pose_sensors_.size(); ++k) {
-    const Stream<PoseSample>& stream = pose_sensors_[k];
+  for (size_t k = 1; k < poses_.size(); ++k) {
+    const Stream<PoseSample>& stream = poses_[k];
     const double silent = now - stream.arrival;
     if (stream.samples.empty())
       notes += "; no " + stream.Missing();
     else if (silent > options_.lost_timeout)
       notes += Format("; no %s for %.1f s", stream.name.c_str(), silent);
     if (!known_.result) continue;
-    const PoseSensorCalibration& sensor = known_.result->pose_sensors[k];
+    const PoseSensorCalibration& sensor = known_.result->pose_sensors[k - 1];
     if (sensor.status != imu_pose_calib::Status::kOk)
-      notes += Format("; sensor%zu is %s", k, ToString(sensor.status));
+      notes += Format("; sensor%zu is %s", k - 1, ToString(sensor.status));
   }
   return notes;
 }
@@ -360,7 +362,8 @@ std::string LiveCalibration::Advice() const {
 }
 
 std::array<StreamStatus, 3> LiveCalibration::Streams() const {
-  std::array<StreamStatus, 3> streams{poses_.Status(), sensors_[0].Status(), sensors_[1].Status()};
+  std::array<StreamStatus, 3> streams{poses_[0].Status(), sensors_[0].Status(),
+                                      sensors_[1].Status()};
   for (size_t k = 2; k < sensors_.size(); ++k) {
     const StreamStatus other = sensors_[k].Status();
     StreamStatus& slowest = streams[1 + k % 2];
@@ -408,6 +411,57 @@ CalibrationStatus LiveCalibration::Status(double now) const {
   status.time_shift_std = std_dev[2];
   status.warnings = known_.result->warnings;
   return status;
+}
+
+// --- Solves on a thread of their own ---
+
+void LiveSolver::Start() {
+  if (live_->IsSolving()) return;
+  start_ = std::chrono::steady_clock::now();
+  verdict_ = std::async(std::launch::async, [this, data = live_->BeginSolve()]() mutable {
+               return Run(std::exchange(data, {}));  // the samples go with the solve
+             }).share();
+}
+
+double LiveSolver::SecondsSinceStart() const {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
+}
+
+double LiveSolver::SolveTime() const { return live_->IsSolving() ? SecondsSinceStart() : 0.0; }
+
+LiveSolver::Verdict LiveSolver::Calibrate() {
+  std::unique_lock<std::mutex> lock(*mutex_);
+  // A solve cannot be interrupted, and one of forgotten data is no answer.
+  while (live_->IsStale()) {
+    const auto stale = verdict_;
+    lock.unlock();
+    stale.wait();
+    lock.lock();
+  }
+  Start();
+  const auto verdict = verdict_;
+  lock.unlock();
+  return verdict.get();
+}
+
+LiveSolver::Verdict LiveSolver::Run(const SessionData& data) {
+  std::optional<Calibration> result;
+  std::string error;
+  try {
+    result = solve_(data);
+  } catch (const std::exception& exception) {
+    error = OneLine(exception);
+  }
+  const std::lock_guard<std::mutex> lock(*mutex_);
+  last_solve_time_ = SecondsSinceStart();
+  const bool is_stale = live_->IsStale();
+  if (!result)
+    live_->FailSolve(error);
+  else if (live_->EndSolve(*result))
+    on_result_();
+  if (is_stale) return {false, "the data were forgotten during the solve: call again"};
+  if (!result) return {false, error};
+  return {result->IsUsable(), std::string(ToString(result->status)) + ": " + result->message};
 }
 
 }  // namespace imu_pose_calib

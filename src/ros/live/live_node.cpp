@@ -19,7 +19,6 @@
 #include "imu_pose_calib/ros/io/ros_options.h"
 #include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/live/live_input.h"
-#include "imu_pose_calib/ros/live/live_solver.h"
 #include "imu_pose_calib/ros/live/markers.h"
 #include "imu_pose_calib/ros/live/parameter.h"
 #include "imu_pose_calib/ros/offline/summary.h"
@@ -31,15 +30,6 @@ using std_srvs::Trigger;
 
 constexpr double kTickPeriod = 0.1;  // [s]
 constexpr int kTicksPerStatus = 5;
-constexpr int kTicksPerDiagnostics = 10;
-
-struct LiveSettings {
-  OfflineRequest request;
-  size_t imus = 0;
-  bool auto_save = false;
-  CalibrationOptions calibration;
-  LiveOptions live;
-};
 
 /// The full names of the pose sensors.
 std::vector<std::string> PoseSensors(const OfflineRequest& request) {
@@ -62,32 +52,34 @@ std::vector<std::string> PoseSensors(const OfflineRequest& request) {
   return names;
 }
 
-LiveSettings ReadSettings(const OfflineRequest& given) {
-  LiveSettings settings;
-  settings.request = given;
-  OfflineRequest& request = settings.request;
+size_t CountImus(const BagRequest& topics) {
+  return SplitNames(topics.gyro_topic.empty() ? topics.imu_topic : topics.gyro_topic).size();
+}
+
+/// The request with its defaults.
+OfflineRequest Checked(OfflineRequest request) {
   BagRequest& topics = request.bag;
   const bool is_split = IsPair({"imu_topic", topics.imu_topic}, {"gyro_topic", topics.gyro_topic},
                                {"accel_topic", topics.accel_topic});
   IsPair({"pose_topic", topics.pose_topic}, {"tf_parent", topics.tf_parent},
          {"tf_child", topics.tf_child});
   topics.pose_sensors = PoseSensors(request);
-  settings.imus = SplitNames(is_split ? topics.gyro_topic : topics.imu_topic).size();
-  for (const auto& [name, value] :
-       {Given{"imu_frame", request.imu_frame}, Given{"accel_topic", topics.accel_topic}})
-    if (const size_t count = SplitNames(value).size(); !value.empty() && count != settings.imus)
-      throw InputError(Format("%s has %zu names for %zu imus", name, count, settings.imus));
-
-  request.output = std::filesystem::absolute(
-      request.output.empty() ? "imu_pose_calib.calibration.yaml" : request.output);
-  settings.auto_save = Parameter("auto_save", false);
-
-  settings.calibration = Options(request);
   if (!request.imu_yaml.empty() && topics.imu_topic.empty() && !is_split)
     topics.imu_topic = LoadImuYaml(request.imu_yaml).rostopic;
-  for (const auto& [name, field] : kLiveOptions)
-    settings.live.*field = Parameter(name, settings.live.*field);
-  return settings;
+  for (const auto& [name, value] :
+       {Given{"imu_frame", request.imu_frame}, Given{"accel_topic", topics.accel_topic}})
+    if (const size_t count = SplitNames(value).size(), imus = CountImus(topics);
+        !value.empty() && count != imus)
+      throw InputError(Format("%s has %zu names for %zu imus", name, count, imus));
+  request.output = std::filesystem::absolute(
+      request.output.empty() ? "imu_pose_calib.calibration.yaml" : request.output);
+  return request;
+}
+
+LiveOptions ReadLiveOptions() {
+  LiveOptions options;
+  for (const auto& [name, field] : kLiveOptions) options.*field = Parameter(name, options.*field);
+  return options;
 }
 
 /// T_WI at the pose T_WM.
@@ -108,16 +100,14 @@ class LiveNode {
  public:
   LiveNode(const ros::NodeHandle& node, const OfflineRequest& request)
       : node_(node),
-        settings_(ReadSettings(request)),
-        live_(settings_.live, settings_.calibration, settings_.imus,
-              settings_.request.bag.pose_sensors),
-        input_(node, settings_.request, &mutex_, &live_,
+        request_(Checked(request)),
+        options_(Options(request_)),
+        live_(ReadLiveOptions(), options_, CountImus(request_.bag), request_.bag.pose_sensors),
+        input_(node, request_, &mutex_, &live_,
                [this](const PoseSample& pose) { PublishPose(pose); }),
         solver_(
             &mutex_, &live_,
-            [this](const SessionData& data) {
-              return imu_pose_calib::Calibrate(settings_.calibration, data);
-            },
+            [this](const SessionData& data) { return imu_pose_calib::Calibrate(options_, data); },
             [this] { PublishResult(); }) {
     diagnostics_.setHardwareID("none");
     diagnostics_.add("calibration", this, &LiveNode::Diagnose);
@@ -183,11 +173,10 @@ class LiveNode {
 
   /// Writes the best result and freezes it. Says what was done, or why it could not be.
   Verdict WriteResult() {
-    const std::string& path = settings_.request.output;
+    const std::string& path = request_.output;
     try {
       OutputFiles outputs;
-      outputs.Write(path, ToYaml(*live_.result(), {input_.Info()}, settings_.calibration,
-                                 {outputs.run_id()}));
+      outputs.Write(path, ToYaml(*live_.result(), {input_.Info()}, options_, {outputs.run_id()}));
       outputs.Commit();
     } catch (const InputError& error) {
       return {false, OneLine(error)};
@@ -206,8 +195,7 @@ class LiveNode {
     if (live_.WantsSolve()) solver_.Start();
     const uint8_t last_phase = status_.phase;
     UpdateStatus();
-    if (status_.phase == CalibrationStatus::CONVERGED && settings_.auto_save &&
-        save_error_.empty()) {
+    if (status_.phase == CalibrationStatus::CONVERGED && auto_save_ && save_error_.empty()) {
       if (const Verdict saved = WriteResult(); !saved.success) {
         save_error_ = saved.message;
         ROS_ERROR("%s", save_error_.c_str());
@@ -217,11 +205,13 @@ class LiveNode {
     // The first time when there has been a look at the topics.
     if (status_.phase != last_phase || ticks_ == kTicksPerStatus)
       ROS_INFO("%s: %s", status_.phase_text.c_str(), status_.message.c_str());
-    if (ticks_ % kTicksPerStatus == 0) status_publisher_.publish(status_);
-    if (ticks_ % kTicksPerDiagnostics == 0) diagnostics_.force_update();
+    if (ticks_ % kTicksPerStatus == 0) {
+      status_publisher_.publish(status_);
+      diagnostics_.force_update();
+      PublishPath();
+    }
     if (marker_publisher_.getNumSubscribers() > 0)
       marker_publisher_.publish(Draw(live_, status_, input_.Info().world_frame));
-    if (ticks_ % kTicksPerStatus == 0) PublishPath();
     ++ticks_;
   }
 
@@ -238,9 +228,11 @@ class LiveNode {
       const std::string of = last > 0.0 ? Format("of about %.0f s", last) : "so far";
       message = Format("%.0f s %s: ", status_.solve_time, of.c_str()) + message;
     }
-    if (const auto* link = input_.OtherParent(); live_.result() && link)
-      message += "; tf has another parent of " + link->child_frame_id + ", " +
-                 link->header.frame_id + ": set imu_frame";
+    if (live_.result())
+      for (const ImuInfo& imu : input_.Info().imus)
+        if (const auto* link = input_.OtherParent(imu.imu_frame))
+          message += "; tf has another parent of " + imu.imu_frame + ", " + link->header.frame_id +
+                     ": set imu_frame";
     if (!save_error_.empty()) message += "; " + save_error_;
     if (const std::string dropped = input_.Dropped(); !dropped.empty()) message += "; " + dropped;
     const bool is_waiting = status_.phase == CalibrationStatus::WAITING;
@@ -292,35 +284,39 @@ class LiveNode {
     const RecordingInfo info = input_.Info();
     const ros::Time now = ros::Time::now();
     result_publisher_.publish(ToMsg(*live_.result(), info, now));
-    std::vector<geometry_msgs::TransformStamped> transforms;
     const auto all = ToTransforms(*live_.result(), info, now);
-    for (size_t k = 0; k < all.size(); ++k) {
-      const geometry_msgs::TransformStamped& transform = all[k];
-      const bool is_sensor =
-          k >= info.imus.size();  // may be in the tf of a robot, as one from tf is
-      if (const auto* link = input_.OtherParent({transform.child_frame_id}); is_sensor && link) {
-        ROS_WARN("No transform of '%s' is published: its parent in tf is '%s' already",
-                 link->child_frame_id.c_str(), link->header.frame_id.c_str());
-        continue;
-      }
-      if (transform.child_frame_id != info.marker_frame) {
-        transforms.push_back(transform);
-        continue;
-      }
+    std::vector<geometry_msgs::TransformStamped> transforms;
+    for (size_t k = 0; k < all.size(); ++k)
+      if (HasPlaceInTf(all[k], /*is_imu=*/k < info.imus.size())) transforms.push_back(all[k]);
+    broadcaster_.sendTransform(transforms);
+  }
+
+  /// Says why a transform is not published, or should not be.
+  bool HasPlaceInTf(const geometry_msgs::TransformStamped& transform, bool is_imu) const {
+    const std::string &marker = transform.header.frame_id, &frame = transform.child_frame_id;
+    if (frame == marker) {
       ROS_ERROR(
           "No transform is published: the marker and the imu frame are both called '%s'; set "
           "marker_frame or imu_frame",
-          info.marker_frame.c_str());
+          marker.c_str());
+      return false;
     }
-    broadcaster_.sendTransform(transforms);
-    if (const auto* link = input_.OtherParent())
+    const auto* link = input_.OtherParent(frame);
+    if (!link) return true;
+    const char* parent = link->header.frame_id.c_str();
+    if (is_imu)
       ROS_WARN("tf has two parents of '%s': '%s' from elsewhere and '%s' from here; set imu_frame",
-               link->child_frame_id.c_str(), link->header.frame_id.c_str(),
-               info.marker_frame.c_str());
+               frame.c_str(), parent, marker.c_str());
+    else  // may be in the tf of a robot, as one from tf is
+      ROS_WARN("No transform of '%s' is published: its parent in tf is '%s' already", frame.c_str(),
+               parent);
+    return is_imu;
   }
 
   ros::NodeHandle node_;
-  const LiveSettings settings_;
+  const OfflineRequest request_;
+  const CalibrationOptions options_;
+  const bool auto_save_ = Parameter("auto_save", false);
   ros::Publisher status_publisher_ = node_.advertise<CalibrationStatus>("status", 10),
                  result_publisher_ = node_.advertise<CalibrationResult>("result", 1, true),
                  pose_publisher_ = node_.advertise<geometry_msgs::PoseStamped>("imu_pose", 100),

@@ -6,6 +6,7 @@
 #include <string>
 
 #include "imu_pose_calib/ros/clouds/aggregate.h"
+#include "imu_pose_calib/ros/io/transform_file.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
 #include "imu_pose_calib/ros/offline/summary.h"
 
@@ -19,14 +20,22 @@ struct CommandLine {
   bool publish = false, quiet = false, help = false;
 };
 
+/// An option that is a transform, see ReadTransform(); launch files leave it empty.
+auto* Transform(const char* name, std::optional<Rigid3>* T) {
+  return po::value<std::string>()->value_name("T")->notifier([=](const std::string& text) {
+    if (!text.empty()) *T = ReadTransform(name, text);
+  });
+}
+
 po::options_description Describe(CommandLine* line) {
   AggregateRequest& request = line->request;
   OfflineRequest& recording = request.recording;
   po::options_description options("Options");
   auto add = options.add_options();
-  add("imu-sensor", Value(&request.imu_sensor, "T"),
+  add("imu-sensor", Transform("imu_sensor", &request.sensor.T_IS),
       "T_imu_sensor (x_imu = T x_sensor): \"x y z qx qy qz qw\" [m], or a YAML or JSON file");
-  add("marker-sensor", Value(&request.marker_sensor, "T"), "T_marker_sensor, instead of it");
+  add("marker-sensor", Transform("marker_sensor", &request.sensor.T_MS),
+      "T_marker_sensor, instead of it");
   add("cloud-topic", Value(&request.cloud_topic), "PointCloud2; default: the one in the bag");
   add("cloud-clock", Value(&request.cloud_clock), "clock of its stamps: imu (default) or poses");
   add("point-time", ValueOrDefault(&request.point_time, "UNIT"),
@@ -38,7 +47,7 @@ po::options_description Describe(CommandLine* line) {
   add("radius", ValueOrDefault(&request.radius_m, "M"), "around a point, to judge sharpness");
   add("uncalibrated", Value(&request.uncalibrated, "FILE"),
       "also write the map of the poses as recorded, without any calibration");
-  add("guess", Value(&request.guess, "T"),
+  add("guess", Transform("guess", &request.sensor.guessed_T_MI),
       "its T_marker_imu; default: nearest right angles, no lever arm");
   add("publish", po::bool_switch(&line->publish), "stay as a ROS node: ~map, ~uncalibrated");
   add("quiet", po::bool_switch(&line->quiet), "print errors only");

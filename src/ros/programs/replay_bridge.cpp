@@ -4,6 +4,7 @@
 #include <geometry_msgs/TransformStamped.h>
 #include <ros/ros.h>
 #include <tf2_ros/transform_broadcaster.h>
+#include <topic_tools/shape_shifter.h>
 
 #include <algorithm>
 #include <boost/algorithm/string/replace.hpp>
@@ -13,7 +14,6 @@
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/live/parameter.h"
-#include "imu_pose_calib/ros/live/topic_source.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
 
 namespace imu_pose_calib {
@@ -44,21 +44,23 @@ const Style& FindStyle(const std::string& name) {
 
 class ReplayBridge {
  public:
-  explicit ReplayBridge(const ros::NodeHandle& node)
-      : input_(
-            node, "input", Parameter<std::string>("input", "/mocap/pose"), PoseTypeNames(),
-            [this](const TopicSource::Message& message) {
-              Republish(ReadPose(message.getMessage()->getDataType(), *message.getMessage()).pose);
-            }) {
+  ReplayBridge() {
     ros::NodeHandle root;
     const std::string topic = ForBody(style_.topic);
     publisher_ = style_.transform ? root.advertise<geometry_msgs::TransformStamped>(topic, 1000)
                                   : root.advertise<geometry_msgs::PoseStamped>(topic, 1000);
+    input_ = root.subscribe(Parameter<std::string>("input", "/mocap/pose"), 0,
+                            &ReplayBridge::OnMessage, this, ros::TransportHints().tcpNoDelay());
   }
 
  private:
   std::string ForBody(const char* text) const {
     return boost::replace_all_copy<std::string>(text, "BODY", body_);
+  }
+
+  void OnMessage(const topic_tools::ShapeShifter::ConstPtr& message) {
+    if (IsPoseType(message->getDataType()))
+      Republish(ReadPose(message->getDataType(), *message).pose);
   }
 
   void Republish(PoseSample pose) {
@@ -69,21 +71,14 @@ class ReplayBridge {
     if (is_lost && !(style_.repeats && seen_)) return;
     if (is_lost) pose = *seen_;
     seen_ = pose;
-    Publish(pose, ArrivalTime(captured));
-  }
 
-  /// Bridges stamp what they get when they get it.
-  ros::Time ArrivalTime(int64_t captured_ns) {
-    return FromNanoseconds(
-        captured_ns + static_cast<int64_t>(1e9 * (latency_ + jitter_ * exponential_(random_))));
-  }
-
-  void Publish(const PoseSample& pose, const ros::Time& stamp) {
+    // Bridges stamp what they get when they get it.
+    const double delay = latency_ + jitter_ * exponential_(random_);
+    const ros::Time stamp = FromNanoseconds(captured + static_cast<int64_t>(1e9 * delay));
     const Rigid3 T_WM{pose.q_WM, pose.p_WM};
     const auto transform = ToTransformStamped(MakeHeader(stamp, "world"), frame_, T_WM);
     broadcaster_.sendTransform(transform);
     if (style_.transform) return publisher_.publish(transform);
-
     geometry_msgs::PoseStamped msg;
     msg.header = transform.header;
     msg.pose = ToPoseMsg(T_WM);
@@ -105,7 +100,7 @@ class ReplayBridge {
   std::exponential_distribution<double> exponential_;
   ros::Publisher publisher_;
   tf2_ros::TransformBroadcaster broadcaster_;
-  TopicSource input_;
+  ros::Subscriber input_;
 };
 
 }  // namespace
@@ -113,10 +108,10 @@ class ReplayBridge {
 
 int main(int argc, char** argv) {
   ros::init(argc, argv, "replay_bridge");
-  ros::NodeHandle node("~");
+  const ros::NodeHandle node;  // outlives the error message
   return imu_pose_calib::RunToExitStatus(
       [&] {
-        const imu_pose_calib::ReplayBridge bridge(node);
+        imu_pose_calib::ReplayBridge bridge;
         ros::spin();
       },
       [](const std::string& error) { ROS_FATAL("%s", error.c_str()); });

@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/ros/clouds/point_cloud.h"
+#include "imu_pose_calib/ros/clouds/cloud_map.h"
 #include "imu_pose_calib/ros/offline/offline.h"
 
 namespace imu_pose_calib {
@@ -14,14 +14,12 @@ struct AggregateRequest {
   /// What to calibrate from; only bags, and all are one recording. The result goes beside the map.
   OfflineRequest recording;
   std::string cloud_topic;
-  /// Where the sensor S of the clouds sits, see ReadTransform(): exactly one of them.
-  std::string imu_sensor, marker_sensor;
+  SensorMount sensor;               ///< that the clouds are of, but for the clock:
   std::string cloud_clock;          ///< of the clouds' stamps: "imu" (default) or "poses"
   std::string point_time = "auto";  ///< see FindPointTime()
   std::string output;               ///< PCD file; default: x.map.pcd for x.bag
   std::string uncalibrated;         ///< PCD file of the map without any calibration
   bool keep_uncalibrated = false;   ///< make that map also without a file
-  std::string guess;                ///< T_MI to use without a calibration, as ReadTransform()
   double voxel_m = 0.05;            ///< cubes of the map
   double min_range_m = 0.3;         ///< nearer points are of the sensor's own body
   double max_range_m = 200.0;

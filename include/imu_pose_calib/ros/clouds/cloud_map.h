@@ -2,11 +2,14 @@
 
 #include <Eigen/Core>
 #include <array>
+#include <boost/functional/hash.hpp>
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <optional>
 #include <string>
 #include <unordered_map>
+#include <utility>
 #include <vector>
 
 #include "imu_pose_calib/core/base/types.h"
@@ -20,10 +23,9 @@ using SensorPoseAt = std::function<std::optional<Rigid3>(int64_t stamp_ns)>;
 
 /// Where a sensor S sits on the body, and whose clock stamps it.
 struct SensorMount {
-  bool is_on_imu = true;
-  Rigid3 T;  ///< T_IS, or T_MS
+  std::optional<Rigid3> T_IS, T_MS;  ///< exactly one of them
   /// T_MI of who has no calibration; default: the nearest right angles, and no lever arm.
-  std::optional<Rigid3> guessed_T_MI = {};
+  std::optional<Rigid3> guessed_T_MI;
   bool is_on_imu_clock = true;  ///< else that of the poses
 };
 
@@ -45,16 +47,17 @@ Eigen::Quaterniond ToRightAngles(const Eigen::Quaterniond& q);
 /// How a sensor moved during a cloud: its pose every millisecond, linear between.
 class CloudMotion {
  public:
-  /// From stamp to stamp, both included.
-  CloudMotion(const SensorPoseAt& pose, int64_t begin_ns, int64_t end_ns);
+  explicit CloudMotion(SensorPoseAt pose) : pose_(std::move(pose)) {}
 
   /// What S sees at p_S at a stamp of the cloud, in W; nothing where its pose is not known on both
   /// sides.
-  std::optional<Eigen::Vector3d> Place(int64_t stamp_ns, const Eigen::Vector3f& p_S) const;
+  std::optional<Eigen::Vector3d> Place(int64_t stamp_ns, const Eigen::Vector3f& p_S);
 
  private:
-  int64_t begin_ns_, end_ns_;
-  std::vector<std::optional<Rigid3>> poses_;
+  const std::optional<Rigid3>& At(int64_t stamp_ns);
+
+  SensorPoseAt pose_;
+  std::map<int64_t, std::optional<Rigid3>> poses_;
 };
 
 /// A cube of space, by its place on each axis.
@@ -73,9 +76,6 @@ class VoxelMap {
   std::vector<MapPoint> Points() const;
 
  private:
-  struct Hash {
-    size_t operator()(const Cube& cube) const;
-  };
   struct Sum {
     Eigen::Vector4d values = Eigen::Vector4d::Zero();  ///< as in MapPoint
     size_t count = 0;
@@ -83,7 +83,7 @@ class VoxelMap {
 
   double size_;
   size_t most_;
-  std::unordered_map<Cube, Sum, Hash> cubes_;
+  std::unordered_map<Cube, Sum, boost::hash<Cube>> cubes_;
 };
 
 /// How sharp a map is, by the points around some of its points.

@@ -1,7 +1,11 @@
 #pragma once
 
 #include <array>
+#include <chrono>
 #include <deque>
+#include <functional>
+#include <future>
+#include <mutex>
 #include <optional>
 #include <string>
 #include <utility>
@@ -61,14 +65,14 @@ class LiveCalibration {
 
   /// Samples in the order of arrival. A stamp that jumps, or `now` that goes back, starts anew:
   /// the old data and result belong to another clock.
-  /// True when the pose is valid and differs from the one before.
-  bool AddPose(const PoseSample& recorded, double now);
+  /// `source` of poses: 0 is the marker, then come the pose sensors. Nothing waits for these; when
+  /// the stamps of one jump, only its own poses are forgotten.
+  /// True when the pose is one of the marker, valid, and differs from the one before.
+  bool AddPose(const PoseSample& recorded, double now, size_t source = 0);
   void AddGyro(const ImuSample& sample, double now, size_t imu = 0);
   void AddAccel(const ImuSample& sample, double now, size_t imu = 0);
-  /// Nothing waits for a pose sensor; when its stamps jump, only its own poses are forgotten.
-  void AddSensorPose(const PoseSample& recorded, double now, size_t sensor = 0);
-  bool HasSensorPoses(size_t sensor) const { return !pose_sensors_[sensor].samples.empty(); }
-  bool LacksSensor() const;  ///< some have no poses
+  bool HasPoses(size_t source) const { return !poses_[source].samples.empty(); }
+  bool LacksSensor() const;  ///< some pose sensor has no poses
 
   /// There is enough motion, enough of it is new, and no solve is running.
   bool WantsSolve() const;
@@ -149,16 +153,59 @@ class LiveCalibration {
 
   const LiveOptions options_;
   const CalibrationOptions calibration_;
-  Stream<PoseSample> poses_{"poses", {}};
+  std::vector<Stream<PoseSample>> poses_;   ///< of the marker, then of the pose sensors
   std::vector<Stream<ImuSample>> sensors_;  ///< gyroscope and accelerometer of each IMU in turn
-  std::vector<Stream<PoseSample>> pose_sensors_;
-  double pose_changed_ = 0.0;  ///< `now` of the last pose that was valid and new [s]
+  double pose_changed_ = 0.0;               ///< `now` of the last pose that was valid and new [s]
   Knowledge known_;
 
   size_t resets_ = 0;
   std::optional<size_t> solving_;  ///< resets_ as the running solve began
   std::string notice_;             ///< reason of the last reset
   double notice_time_ = 0.0;
+};
+
+/// Runs the solves of a LiveCalibration, one at a time, on a thread of its own. Knows no ROS.
+///
+/// `mutex` guards the LiveCalibration and this. Nobody holds it during a solve; all but Calibrate()
+/// are called with it held.
+class LiveSolver {
+ public:
+  using Solve = std::function<Calibration(const SessionData&)>;
+  struct Verdict {
+    bool success = false;
+    std::string message;
+  };
+
+  /// `on_result` is called, with the mutex held, when there is another result to use. The end of
+  /// the object waits for the solve that is running, without the mutex.
+  LiveSolver(std::mutex* mutex, LiveCalibration* live, const Solve& solve,
+             const std::function<void()>& on_result)
+      : mutex_(mutex), live_(live), solve_(solve), on_result_(on_result) {}
+  LiveSolver(const LiveSolver&) = delete;
+  LiveSolver& operator=(const LiveSolver&) = delete;
+
+  /// Begins to solve what is there now, unless a solve is running.
+  void Start();
+  double SolveTime() const;                                    ///< of the one running; 0: none [s]
+  double last_solve_time() const { return last_solve_time_; }  ///< 0: none has ended yet [s]
+
+  /// Solves what is there now, or waits for the solve that is running if that is of data since the
+  /// last reset. No success when a reset comes meanwhile. Locks the mutex itself.
+  Verdict Calibrate();
+
+ private:
+  Verdict Run(const SessionData& data);
+  double SecondsSinceStart() const;
+
+  std::mutex* const mutex_;
+  LiveCalibration* const live_;
+  const Solve solve_;
+  const std::function<void()> on_result_;
+
+  std::chrono::steady_clock::time_point start_;  ///< of the last solve
+  double last_solve_time_ = 0.0;                 ///< [s]
+  /// Of the last solve. The last member: its thread uses all of the others.
+  std::shared_future<Verdict> verdict_;
 };
 
 }  // namespace imu_pose_calib
