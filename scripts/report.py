@@ -336,8 +336,11 @@ def write_report(report, page):
 def main():
     folder, path = sys.argv[1:]
     report = Report(folder)
-    page = (Pdf if path.endswith('.pdf') else Html)('%s: %s' % (report.head['status'].upper(), ', '.join(
-        os.path.basename(str(x['source'])) for x in report.head.get('sessions') or report.head['results'])))
+    title = '%s: %s' % (report.head['status'].upper(), ', '.join(
+        os.path.basename(str(x['source'])) for x in report.head.get('sessions') or report.head['results']))
+    run_id = report.head.get('run_id')
+    page = (Pdf if path.endswith('.pdf') else Html)(title, 'imu_pose_calib %s%s' % (
+        report.head['version'], ', run_id: %s' % run_id if run_id else ''))
     if 'results' in report.head:
         write_comparison(report, page, making_rows)
     else:

@@ -393,8 +393,7 @@ void WriteReportData(const CalibrationRun& run, const ReportText& text, const st
 }
 
 std::string DrawReport(const CalibrationRun& run, const ReportText& text, const std::string& path) {
-  return DrawPage(path, text.run_id,
-                  [&](const std::string& folder) { WriteReportData(run, text, folder); });
+  return DrawPage(path, [&](const std::string& folder) { WriteReportData(run, text, folder); });
 }
 
 }  // namespace imu_pose_calib
