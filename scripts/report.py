@@ -115,9 +115,9 @@ def sections(report):
             wanted = wanted + own if head['solved'] else own + wanted
         for name, title, sentence, function, arguments, of in wanted:
             yield name + ('-%d' % (count + 1) if count else ''), title + of, sentence, function, arguments
-    pairs = [(s, x['sensor']) for s, session in enumerate(head['sessions']) for x in session.get('pose_sensors') or []]
+    pairs = sorted((x['session'] - 1, k) for k, sensor in enumerate(report.pose_sensors) for x in sensor['sessions'])
     for count, (s, k) in enumerate(pairs[:MOST_PAIRS]):
-        title = 'Pose sensor %d, %s' % (k, head['pose_sensors'][k]['frame']) + of_session(report, s)
+        title = 'Pose sensor %d, %s' % (k, report.pose_sensors[k]['frame']) + of_session(report, s)
         yield 'pose_sensor' + ('-%d' % (count + 1) if count else ''), title, PER_SENSOR, figures.pose_sensor, (s, k)
 
 
@@ -130,22 +130,19 @@ def rpy(q):
 
 
 def sensor_rows(report):
-    for k, sensor in enumerate(report.head.get('pose_sensors') or []):
+    for k, sensor in enumerate(report.pose_sensors):
         if sensor['status'] not in ('ok', 'weak'):
             continue
-        yield ('translation of sensor%d [mm]' % k, numbers(sensor['translation'], 1e3, '%.3f'),
-               numbers(sensor['std'][:3], 1e3, '%.3f'), 'x, y, z in the marker frame')
-        yield ('quaternion of sensor%d' % k, numbers(sensor['rotation'], 1, '%.6f'),
-               numbers(sensor['std'][3:], DEGREES, '%.4f deg'), 'x, y, z, w; sigma about the sensor axes')
-        for s, session in enumerate(report.head['sessions']):
-            for x in session.get('pose_sensors') or []:
-                if x['sensor'] != k:
-                    continue
-                of = ' of sensor%d' % k + of_session(report, s)
-                yield ('time shift%s [s]' % of, '%.7f' % x['clock'][0], '%.7f' % x['clock'][1],
-                       't_pose = t_sensor + time_shift')
-                yield ('scale' + of, '%.5f' % x['scale'][0], '%.5f' % x['scale'][1],
-                       'positions of its poses = scale true')
+        transform = sensor['transform']
+        yield ('translation of sensor%d [mm]' % k, numbers(transform['translation'], 1e3, '%.3f'),
+               numbers(transform['translation_std'], 1e3, '%.3f'), 'x, y, z in the marker frame')
+        yield ('quaternion of sensor%d' % k, numbers(transform['rotation'], 1, '%.6f'),
+               numbers(transform['rotation_std'], DEGREES, '%.4f deg'), 'x, y, z, w; sigma about the sensor axes')
+        for x in sensor['sessions']:
+            of = ' of sensor%d' % k + of_session(report, x['session'] - 1)
+            yield ('time shift%s [s]' % of, '%.7f' % x['time_shift'], '%.7f' % x['time_shift_std'],
+                   't_pose = t_sensor + time_shift')
+            yield ('scale' + of, '%.5f' % x['scale'], '%.5f' % x['scale_std'], 'positions of its poses = scale true')
 
 
 def result_rows(report):
@@ -339,8 +336,11 @@ def write_report(report, page):
 def main():
     folder, path = sys.argv[1:]
     report = Report(folder)
-    page = (Pdf if path.endswith('.pdf') else Html)('%s: %s' % (report.head['status'].upper(), ', '.join(
-        os.path.basename(str(x['source'])) for x in report.head.get('sessions') or report.head['results'])))
+    title = '%s: %s' % (report.head['status'].upper(), ', '.join(
+        os.path.basename(str(x['source'])) for x in report.head.get('sessions') or report.head['results']))
+    run_id = report.head.get('run_id')
+    page = (Pdf if path.endswith('.pdf') else Html)(title, 'imu_pose_calib %s%s' % (
+        report.head['version'], ', run_id: %s' % run_id if run_id else ''))
     if 'results' in report.head:
         write_comparison(report, page, making_rows)
     else:

@@ -434,12 +434,12 @@ def pose_sensor(report, s, k):
     figure, axes = axes_of(4, 1, 1.2, share=True)
     begins = np.flatnonzero(world[:, 7])
     for row, (quantity, unit, column) in enumerate((('position', 'mm', 0), ('rotation', 'mrad', 3))):
-        ax, weight, noise = axes[row, 0], rows[:, 6 + row], 1e3 * found['noise'][row]
+        ax, weight, noise = axes[row, 0], rows[:, 6 + row], 1e3 * found['noise'][quantity]
         limit = 6 * noise
         draw_residuals(ax, t, 1e3 * rows[:, column:column + 3], weight, noise, limit)
         ax.set(ylabel='[%s]' % unit, ylim=(-1.1 * limit, 1.1 * limit))
         ax.set_title('%s: rms %.3g, noise %.3g %s; %.2g %% weighed down' % (
-            quantity, 1e3 * found['rms'][row], noise, unit, 100 * np.mean(weight < 0.5)))
+            quantity, 1e3 * found['rms'][quantity], noise, unit, 100 * np.mean(weight < 0.5)))
         ax = axes[2 + row, 0]
         moved = np.insert(1e3 * world[:, 1 + column:4 + column], begins, np.nan, axis=0)  # no line from piece to piece
         times = np.insert(world[:, 0], begins, np.nan)
@@ -448,13 +448,13 @@ def pose_sensor(report, s, k):
         for begin in begins[1:]:
             ax.axvline(world[begin, 0], color=RED, linestyle=':', label='jump' if begin == begins[1] else None)
         ax.set_ylabel('[%s]' % unit)
-        ax.set_title('drift of the world in %s: %.2g %s/√s' % (quantity, 1e3 * found['drift'][row], unit))
+        ax.set_title('drift of the world in %s: %.2g %s/√s' % (quantity, 1e3 * found['drift'][quantity], unit))
     for ax in axes[:, 0]:
         ax.margins(x=0.01)
     axes[-1, 0].set_xlabel('time [s]')
     legend(axes[0, 0])
     legend(axes[2, 0])
-    return figure, verdicts.pose_sensor(report, found, len(begins) - 1)
+    return figure, verdicts.pose_sensor(report.pose_sensors[k], found, len(begins) - 1)
 
 
 def fill_box(ax, points):

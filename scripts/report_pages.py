@@ -160,11 +160,13 @@ def escape(text):
 
 
 class Html:
-    """Writes a page; all text is given plain."""
+    """Writes a page of a run; all text is given plain."""
 
-    def __init__(self, title):
-        self.parts = ['<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-                      '<title>%s</title><style>%s</style></head><body>' % (escape(title), STYLE)]
+    def __init__(self, title, run):
+        self.parts = ['<!DOCTYPE html><!-- imu_pose_calib: report of a calibration -->',
+                      '<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
+                      '<meta name="generator" content="%s"><title>%s</title><style>%s</style></head><body>'
+                      % (escape(run), escape(title), STYLE)]
 
     def draw(self, report, wanted):
         tasks = [(report, x[1], x[3], x[4]) for x in wanted]
@@ -248,7 +250,8 @@ class Pdf:
 
     SIZE, MARGIN = (8.27, 11.69), 0.5
 
-    def __init__(self, title):
+    def __init__(self, title, run):
+        self.run = run
         self.sheets, self.y, self.caption = [], 0, None
         self.shown, self.references = {}, []  # sheet of each figure, after the text; where it is to be named
         self.width, self.name = self.SIZE[0] - 2 * self.MARGIN, title
@@ -374,3 +377,5 @@ class Pdf:
             for k, sheet in enumerate(self.sheets):
                 sheet.text(0.5, 0.3 / self.SIZE[1], '%d / %d' % (k + 1, len(self.sheets)), fontsize=7, ha='center')
                 pages.savefig(sheet)
+        with open(path, 'a', encoding='utf-8') as file:  # a comment may follow the end
+            file.write('%% %s\n' % self.run)

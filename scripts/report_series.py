@@ -146,7 +146,7 @@ def grid(report, s, imu):
 def pose_sensor(report, s, k):
     """What is said of a pose sensor in a session; times of its poses, rows of their residuals, and of how its world has
     moved, see calibration_report.cpp."""
-    found = [x for x in report.head['sessions'][s]['pose_sensors'] if x['sensor'] == k][0]
+    found = [x for x in report.pose_sensors[k]['sessions'] if x['session'] == s + 1][0]
     name = 's%d_p%d_' % (s, k)
     return (found, report.times(name + 'residual_t'), report.rows(name + 'residual').astype(float),
             report.rows(name + 'world'))

@@ -324,12 +324,12 @@ def trajectory(report, s):
         'poses are cut at jumps and used on both sides' if session['jumps'] else 'the others are enough')
 
 
-def pose_sensor(report, found, jumps):
-    sensor = report.head['pose_sensors'][found['sensor']]
-    pair = lambda name: '%.3g mm, %.3g mrad' % tuple(1e3 * x for x in found[name])
+def pose_sensor(sensor, found, jumps):
+    """Of a pose sensor, by what is found in a session."""
+    pair = lambda name: '%.3g mm, %.3g mrad' % tuple(1e3 * found[name][x] for x in ('position', 'rotation'))
     return Verdict({'ok': GOOD, 'weak': LOOK}.get(sensor['status'], BAD),
                    '%s; noise %s; absolute error (ape) %s; relative error over 1 s (rpe) %s; jumps: %d' % (
-                       sensor['status'], pair('noise'), pair('absolute'), pair('relative'), jumps),
+                       sensor['status'], pair('noise'), pair('absolute_error'), pair('relative_error'), jumps),
                    'good: ok, bad: degenerate', sensor['message'], False)
 
 

@@ -1,7 +1,8 @@
 #include "imu_pose_calib/simulation/simulator.h"
 
+#include <algorithm>
 #include <cmath>
-#include <optional>
+#include <functional>
 #include <random>
 
 #include "imu_pose_calib/core/base/so3.h"
@@ -12,9 +13,27 @@ namespace {
 constexpr double kWarmUp = 120.0;      // [s]
 constexpr double kAccelWarmUp = 10.0;  // [m/s^2] of the accelerometer's bias per rad/s of the other
 
+using Eigen::Quaterniond;
+using Eigen::Vector3d;
+using Signal = std::function<Vector3d(double)>;  // of time [s]
+
+constexpr double kSlowErrorTime = 3.0;   // [s]
+constexpr double kDampingRatio = 0.2;    // of a mount
+constexpr double kResonanceStep = 5e-4;  // [s]
+// Of a filter that carries poses on: updates a second [Hz], scale error of its accelerometer, gains
+// of an update [1, 1/s].
+constexpr double kUpdateRate = 20.0, kCarriedScale = 0.005, kPositionGain = 0.2,
+                 kVelocityGain = 0.4;
+constexpr double kFusedReach = 3.0;  // of the sigma of its weights
+
 /// Seed of the IMU's noise.
 uint32_t ImuSeed(const SimulatorOptions& options) {
   return options.noise_seed == 0 ? options.seed : options.noise_seed;
+}
+
+/// Pose clock [s] at `s` after the first sample of the IMU.
+double PoseTime(const SimulatorOptions& options, double s) {
+  return s + options.clock_drift * (s - 0.5 * options.duration_s);
 }
 
 Stream PoseStream(const SimulatorOptions& options) {
@@ -36,10 +55,136 @@ Stream ImuStream(const SimulatorOptions& options, double rate_hz) {
           RandomOf(RandomEffect::kImuDrops, ImuSeed(options))};
 }
 
+/// RealEffects::mount_hz: `signal` behind a damped resonance, from 1 s before `begin` to `end` [s];
+/// it starts there with the force that the spring has at rest.
+Signal Resonating(const Signal& signal, double resonance_hz, double begin, double end) {
+  // u'' = -x - omega^2 u - 2 zeta omega u' is how the IMU moves beside its place, for an x that is
+  // linear from one step to the next; it feels x + u''. Fourth-order Runge-Kutta.
+  const double omega = 2.0 * M_PI * resonance_hz, h = kResonanceStep;
+  const auto felt = [&](const Vector3d& u, const Vector3d& v) -> Vector3d {
+    return -omega * omega * u - 2.0 * kDampingRatio * omega * v;
+  };
+  begin -= 1.0;
+  std::vector<Vector3d> values;
+  Vector3d x = signal(begin), u = -x / (omega * omega), v = Vector3d::Zero();
+  for (size_t k = 0; begin + static_cast<double>(k) * h <= end + h; ++k) {
+    values.push_back(felt(u, v));
+    const Vector3d next = signal(begin + static_cast<double>(k + 1) * h), mean = 0.5 * (x + next);
+    const Vector3d v1 = v, a1 = felt(u, v) - x;
+    const Vector3d v2 = v + 0.5 * h * a1, a2 = felt(u + 0.5 * h * v1, v2) - mean;
+    const Vector3d v3 = v + 0.5 * h * a2, a3 = felt(u + 0.5 * h * v2, v3) - mean;
+    const Vector3d v4 = v + h * a3, a4 = felt(u + h * v3, v4) - next;
+    u += h / 6.0 * (v1 + 2.0 * v2 + 2.0 * v3 + v4);
+    v += h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4);
+    x = next;
+  }
+  return [=](double t) -> Vector3d {
+    const double place =
+        std::clamp((t - begin) / h, 0.0, static_cast<double>(values.size()) - 1.001);
+    const auto k = static_cast<size_t>(place);
+    return values[k] + (place - static_cast<double>(k)) * (values[k + 1] - values[k]);
+  };
+}
+
+/// Ornstein-Uhlenbeck process of 3 s.
+std::vector<Vector3d> SlowError(double sigma, double rate_hz, size_t count, std::mt19937 random) {
+  const double kept = std::exp(-1.0 / (rate_hz * kSlowErrorTime));
+  std::vector<Vector3d> errors(count);
+  for (size_t k = 0; k < count; ++k)
+    errors[k] = k == 0 ? Gaussian(&random, sigma)
+                       : Vector3d(kept * errors[k - 1] +
+                                  Gaussian(&random, sigma * std::sqrt(1.0 - kept * kept)));
+  return errors;
+}
+
+/// RealEffects::pose_updates. Errors [m] of positions p_WM at rate_hz.
+std::vector<Vector3d> CarriedOn(double sigma, double rate_hz, const std::vector<Vector3d>& p_WM,
+                                std::mt19937 random) {
+  const double h = 1.0 / rate_hz;
+  const auto period = std::max<size_t>(1, static_cast<size_t>(std::lround(rate_hz / kUpdateRate)));
+  Vector3d error = Vector3d::Zero(), velocity = error;
+  std::vector<Vector3d> errors;
+  for (size_t k = 0; k < p_WM.size(); ++k) {
+    if (k >= 2) {
+      const Vector3d acceleration = (p_WM[k] - 2.0 * p_WM[k - 1] + p_WM[k - 2]) / (h * h);
+      velocity += kCarriedScale * h * acceleration;
+      error += h * velocity;
+    }
+    if (k % period == 0) {
+      const Vector3d innovation = Gaussian(&random, sigma) - error;
+      error += kPositionGain * innovation;
+      velocity += kVelocityGain * innovation;
+    }
+    errors.push_back(error);
+  }
+  return errors;
+}
+
+/// Rotation since the first rate, which changes linearly from one to the next.
+class TurnSinceStart {
+ public:
+  TurnSinceStart(const std::vector<Vector3d>& omega, const std::vector<double>& t)
+      : omega_(omega), t_(t), q_(1, Quaterniond::Identity()) {
+    for (size_t k = 0; k + 1 < t.size(); ++k) q_.push_back(From(k, t[k + 1]));
+  }
+  Quaterniond At(double t) const {
+    const auto after = std::upper_bound(t_.begin() + 1, t_.end() - 1, t);
+    return From(static_cast<size_t>(after - t_.begin()) - 1, t);
+  }
+
+ private:
+  Quaterniond From(size_t k, double t) const {
+    const double h = t - t_[k], share = h / (t_[k + 1] - t_[k]);
+    return q_[k] * Exp<double>(h * (omega_[k] + 0.5 * share * (omega_[k + 1] - omega_[k])));
+  }
+
+  const std::vector<Vector3d>& omega_;
+  const std::vector<double>& t_;
+  std::vector<Quaterniond> q_;
+};
+
+/// RealEffects::fused_poses_s: poses fused with the IMU by one who knows T_MI, the clocks and the
+/// gyroscope's first bias. `data`: before samples are lost.
+std::vector<PoseSample> FusedPoses(const SimulatorOptions& options, const SessionData& data) {
+  std::vector<double> t_pose, t_omega;
+  std::vector<Vector3d> omega_M;
+  const double delay = FilterDelay(options.effects.gyro_filter_hz);
+  for (size_t k = 0; k < data.imus[0].gyro.size(); ++k) {
+    t_omega.push_back(PoseTime(options, static_cast<double>(k) / options.gyro_rate_hz - delay));
+    omega_M.push_back(options.T_MI.q * (data.imus[0].gyro[k].value - options.gyro_bias));
+  }
+  const TurnSinceStart turn(omega_M, t_omega);
+  std::vector<Quaterniond> turns, start;  // each rotation, carried to the start
+  for (size_t k = 0; k < data.poses.size(); ++k) {
+    t_pose.push_back(static_cast<double>(k) / options.pose_rate_hz);
+    turns.push_back(turn.At(t_pose[k]));
+    start.push_back(data.poses[k].q_WM * turns[k].conjugate());
+  }
+
+  const double sigma = options.effects.fused_poses_s / std::sqrt(12.0);  // that of a mean
+  std::vector<PoseSample> fused = data.poses;
+  size_t begin = 0;
+  for (size_t k = 0; k < fused.size(); ++k) {
+    while (t_pose[begin] < t_pose[k] - kFusedReach * sigma) ++begin;
+    double sum = 0.0;
+    Vector3d p = Vector3d::Zero(), r = Vector3d::Zero();
+    for (size_t j = begin; j < fused.size() && t_pose[j] <= t_pose[k] + kFusedReach * sigma; ++j) {
+      const double distance = (t_pose[j] - t_pose[k]) / sigma;
+      const double weight = std::exp(-0.5 * distance * distance);
+      sum += weight;
+      p += weight * data.poses[j].p_WM;
+      r += weight * Log(Quaterniond(start[k].conjugate() * start[j]));
+    }
+    fused[k].p_WM = p / sum;
+    fused[k].q_WM = start[k] * Exp<double>(r / sum) * turns[k];
+  }
+  return fused;
+}
+
 /// Brownian bias: steps of `walk` sqrt(period). `warm_up`: its change as the sensor gets warm.
-std::vector<ImuSample> SampleSensor(const std::vector<Eigen::Vector3d>& exact, double rate_hz,
-                                    double noise, double walk, Eigen::Vector3d bias,
-                                    const Eigen::Vector3d& warm_up, std::mt19937* random) {
+std::vector<ImuSample> SampleSensor(const std::vector<Vector3d>& exact, double rate_hz,
+                                    double noise, double walk, Vector3d bias,
+                                    const Vector3d& warm_up, std::mt19937* random) {
   std::vector<ImuSample> samples(exact.size());
   for (size_t k = 0; k < exact.size(); ++k) {
     const double warmth = -std::expm1(-static_cast<double>(k) / (rate_hz * kWarmUp));
@@ -52,14 +197,14 @@ std::vector<ImuSample> SampleSensor(const std::vector<Eigen::Vector3d>& exact, d
 /// Mean of the pose from t - exposure_s / 2 to t + exposure_s / 2: Gauss-Legendre, three points.
 Rigid3 MeanPose(const TrueTrajectory& trajectory, double t, double exposure_s) {
   const TrueState middle = trajectory.At(t);
-  if (exposure_s == 0.0) return {Eigen::Quaterniond(middle.R_WM), middle.p_WM};
-  Eigen::Vector3d p = 8.0 / 18.0 * middle.p_WM, turn = Eigen::Vector3d::Zero();
+  if (exposure_s == 0.0) return {Quaterniond(middle.R_WM), middle.p_WM};
+  Vector3d p = 8.0 / 18.0 * middle.p_WM, turn = Vector3d::Zero();
   for (const double side : {-0.5, 0.5}) {
     const TrueState state = trajectory.At(t + side * std::sqrt(0.6) * exposure_s);
     p += 5.0 / 18.0 * state.p_WM;
-    turn += 5.0 / 18.0 * Log(Eigen::Quaterniond(middle.R_WM.transpose() * state.R_WM));
+    turn += 5.0 / 18.0 * Log(Quaterniond(middle.R_WM.transpose() * state.R_WM));
   }
-  return {Eigen::Quaterniond(middle.R_WM) * Exp(turn), p};
+  return {Quaterniond(middle.R_WM) * Exp(turn), p};
 }
 
 std::vector<PoseSample> Poses(const SimulatorOptions& options, const TrueTrajectory& trajectory,
@@ -70,9 +215,9 @@ std::vector<PoseSample> Poses(const SimulatorOptions& options, const TrueTraject
   const auto slow_error = [&] {
     return SlowError(effects.slow_errors, options.pose_rate_hz, count, std::mt19937(slow()));
   };
-  const std::vector<Eigen::Vector3d> slow_p = slow_error(), slow_r = slow_error();
+  const std::vector<Vector3d> slow_p = slow_error(), slow_r = slow_error();
   std::mt19937 direction = RandomOf(RandomEffect::kMarkerOffset, options.seed);
-  const Eigen::Vector3d origin_M = effects.marker_offset * RandomDirection(&direction);
+  const Vector3d origin_M = effects.marker_offset * RandomDirection(&direction);
 
   const bool is_carried_on = effects.pose_updates > 0.0;
   const double noise = is_carried_on ? 0.0 : 1.0;
@@ -81,7 +226,7 @@ std::vector<PoseSample> Poses(const SimulatorOptions& options, const TrueTraject
   for (size_t k = 0; k < count; ++k) {
     const double t = static_cast<double>(k) / options.pose_rate_hz;
     const Rigid3 mean = MeanPose(trajectory, t, options.pose_exposure_s);
-    const Eigen::Quaterniond error =
+    const Quaterniond error =
         Exp<double>(noise * Gaussian(random, options.rotation_std) + slow_r[k]);
     poses[k].q_WM = mean.q * error;
     poses[k].p_WM = (1.0 + effects.pose_scale) * mean.p +
@@ -89,9 +234,9 @@ std::vector<PoseSample> Poses(const SimulatorOptions& options, const TrueTraject
                     mean.q * (error * origin_M - origin_M);
   }
   if (!is_carried_on) return poses;
-  std::vector<Eigen::Vector3d> positions;
+  std::vector<Vector3d> positions;
   for (const PoseSample& pose : poses) positions.push_back(pose.p_WM);
-  const std::vector<Eigen::Vector3d> errors =
+  const std::vector<Vector3d> errors =
       CarriedOn(effects.pose_updates, options.pose_rate_hz, positions,
                 RandomOf(RandomEffect::kPoseUpdates, options.seed));
   for (size_t k = 0; k < count; ++k) poses[k].p_WM += errors[k];
@@ -102,7 +247,7 @@ std::vector<PoseSample> Poses(const SimulatorOptions& options, const TrueTraject
 struct Flaws {
   Eigen::Matrix3d gyro_matrix, accel_matrix, g_sensitivity;
   Eigen::Matrix3d axes_I;  ///< [m] column i: where the accelerometer's axis i is
-  Eigen::Vector3d gyro_warm_up, accel_warm_up;
+  Vector3d gyro_warm_up, accel_warm_up;
 
   explicit Flaws(const SimulatorOptions& options) {
     const RealEffects& effects = options.effects;
@@ -134,32 +279,32 @@ ImuData Imu(const SimulatorOptions& options, const TrueTrajectory& trajectory,
   const Eigen::Matrix3d R_IM = options.T_MI.q.toRotationMatrix().transpose();
   const Eigen::Matrix3d gyro_R_IM = flaws.gyro_matrix * R_IM;
   const Eigen::Matrix3d accel_R_IM = flaws.accel_matrix * R_IM;
-  const Eigen::Vector3d g_W = options.g_W + options.effects.gravity * options.g_W.normalized();
-  const auto force_M = [&](const TrueState& s, const Eigen::Vector3d& p) -> Eigen::Vector3d {
+  const Vector3d g_W = options.g_W + options.effects.gravity * options.g_W.normalized();
+  const auto force_M = [&](const TrueState& s, const Vector3d& p) -> Vector3d {
     return s.R_WM.transpose() * (s.a_W - g_W) + s.alpha_M.cross(p) +
            s.omega_M.cross(s.omega_M.cross(p));
   };
-  const auto gyro = [&](double t) -> Eigen::Vector3d {
+  const auto gyro = [&](double t) -> Vector3d {
     const TrueState s = trajectory.At(PoseTime(options, t));
     return gyro_R_IM * s.omega_M + flaws.g_sensitivity * (R_IM * force_M(s, options.T_MI.p));
   };
-  std::optional<Resonance> felt_W;
+  Signal felt_W;
   if (options.effects.mount_hz > 0.0) {
-    const auto force_W = [&](double t_M) -> Eigen::Vector3d {
+    const auto force_W = [&](double t_M) -> Vector3d {
       const TrueState s = trajectory.At(t_M);
       return s.R_WM * force_M(s, options.T_MI.p);
     };
-    felt_W.emplace(force_W, options.effects.mount_hz, PoseTime(options, -1.0),
-                   PoseTime(options, options.duration_s + 1.0));
+    felt_W = Resonating(force_W, options.effects.mount_hz, PoseTime(options, -1.0),
+                        PoseTime(options, options.duration_s + 1.0));
   }
-  const auto accel = [&](double t) -> Eigen::Vector3d {
+  const auto accel = [&](double t) -> Vector3d {
     const double t_M = PoseTime(options, t - options.accel_delay_s);
     const TrueState s = trajectory.At(t_M);
-    const Eigen::Vector3d at_origin = force_M(s, options.T_MI.p);
-    const Eigen::Vector3d force = felt_W ? s.R_WM.transpose() * felt_W->At(t_M) : at_origin;
-    Eigen::Vector3d by_size;
+    const Vector3d at_origin = force_M(s, options.T_MI.p);
+    const Vector3d force = felt_W ? s.R_WM.transpose() * felt_W(t_M) : at_origin;
+    Vector3d by_size;
     for (int i = 0; i < 3; ++i) {
-      const Eigen::Vector3d axis_M = options.T_MI.p + options.T_MI.q * flaws.axes_I.col(i);
+      const Vector3d axis_M = options.T_MI.p + options.T_MI.q * flaws.axes_I.col(i);
       by_size[i] = R_IM.row(i).dot(force_M(s, axis_M) - at_origin);
     }
     return accel_R_IM * force + flaws.accel_matrix * by_size;
@@ -202,24 +347,24 @@ std::vector<PoseSample> SensorPoses(const SimulatorOptions& options, size_t sens
   std::bernoulli_distribution is_off(own.outliers);
   std::vector<PoseSample> poses;
   Rigid3 T_VW = own.T_VW;
-  Eigen::Vector3d last = Eigen::Vector3d::Zero();
+  Vector3d last = Vector3d::Zero();
   for (size_t k = 0; k < count; ++k) {
     const double s = static_cast<double>(k) / own.rate_hz;
     const double t = s + own.clock_drift * (s - 0.5 * options.duration_s);  // pose clock
     const TrueState state = trajectory.At(t);
-    const Eigen::Quaterniond q_WS = Eigen::Quaterniond(state.R_WM) * own.T_MS.q;
-    const Eigen::Vector3d p_WS = state.p_WM + state.R_WM * own.T_MS.p;
+    const Quaterniond q_WS = Quaterniond(state.R_WM) * own.T_MS.q;
+    const Vector3d p_WS = state.p_WM + state.R_WM * own.T_MS.p;
     const double way = k == 0 ? 0.0 : (p_WS - last).norm();
     last = p_WS;
-    Eigen::Vector3d shift = Gaussian(&random, own.drift * std::sqrt(way));
-    Eigen::Vector3d turn = Gaussian(&random, 0.1 * own.drift * std::sqrt(way));
+    Vector3d shift = Gaussian(&random, own.drift * std::sqrt(way));
+    Vector3d turn = Gaussian(&random, 0.1 * own.drift * std::sqrt(way));
     const auto jumps = static_cast<size_t>(own.jumps) + 1;
     if (k > 0 && k * jumps / count != (k - 1) * jumps / count) {
       shift += 0.2 * RandomDirection(&random);
       turn += 0.1 * RandomDirection(&random);
     }
     // V moves about where the sensor is.
-    const Eigen::Vector3d p_VS = T_VW.q * p_WS + T_VW.p;
+    const Vector3d p_VS = T_VW.q * p_WS + T_VW.p;
     T_VW.q = Exp<double>(turn) * T_VW.q;
     T_VW.p = p_VS + shift - T_VW.q * p_WS;
     const bool off = is_off(random);

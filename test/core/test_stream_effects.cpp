@@ -47,8 +47,13 @@ TEST(PoseScale, MultipliesPositions) {
 }
 
 TEST(SlowErrors, HaveTheirSigmaAndForgetWithinSeconds) {
-  const double rate = 10.0;
-  const std::vector<Vector3d> errors = SlowError(2e-3, rate, 60000, std::mt19937(5));
+  SimulatorOptions options = Clean(6000.0);
+  options.motion = Motion::kStatic;
+  options.pose_rate_hz = options.gyro_rate_hz = options.accel_rate_hz = 10.0;
+  options.effects.slow_errors = 2e-3;
+  std::vector<Vector3d> errors;  // of a body that rests at 0
+  for (const PoseSample& pose : Simulate(options).poses) errors.push_back(pose.p_WM);
+  ASSERT_EQ(errors.size(), 60000u);
   double variance = 0.0, covariance = 0.0;
   for (size_t k = 30; k < errors.size(); ++k) {
     variance += errors[k].squaredNorm() / 3.0 / static_cast<double>(errors.size() - 30);

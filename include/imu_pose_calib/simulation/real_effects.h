@@ -39,40 +39,12 @@ Eigen::Vector3d RandomDirection(std::mt19937* random);
 
 /// Samples of a recording at a rate.
 size_t Count(double duration_s, double rate_hz);
-/// Pose clock [s] at `s` after the first sample of the IMU.
-double PoseTime(const SimulatorOptions& options, double s);
 
 /// Values of `signal` at k / rate_hz [s] behind a first-order low-pass; cutoff_hz = 0: none.
 std::vector<Eigen::Vector3d> Sampled(const std::function<Eigen::Vector3d(double)>& signal,
                                      double rate_hz, size_t count, double cutoff_hz);
 /// Delay [s] of that low-pass at low frequencies.
 double FilterDelay(double cutoff_hz);
-
-/// RealEffects::mount_hz: `signal` behind a damped resonance, from 1 s before `begin` [s]; it
-/// starts there with the force that the spring has at rest.
-class Resonance {
- public:
-  Resonance(const std::function<Eigen::Vector3d(double)>& signal, double resonance_hz, double begin,
-            double end);
-  Eigen::Vector3d At(double t) const;
-
- private:
-  double begin_;
-  std::vector<Eigen::Vector3d> values_;
-};
-
-/// Ornstein-Uhlenbeck process of 3 s.
-std::vector<Eigen::Vector3d> SlowError(double sigma, double rate_hz, size_t count,
-                                       std::mt19937 random);
-
-/// RealEffects::pose_updates. Errors [m] of positions p_WM at rate_hz.
-std::vector<Eigen::Vector3d> CarriedOn(double sigma, double rate_hz,
-                                       const std::vector<Eigen::Vector3d>& p_WM,
-                                       std::mt19937 random);
-
-/// RealEffects::fused_poses_s: poses fused with the IMU by one who knows T_MI, the clocks and the
-/// gyroscope's first bias. `data`: before samples are lost.
-std::vector<PoseSample> FusedPoses(const SimulatorOptions& options, const SessionData& data);
 
 /// [s] by which the clock of a stream is ahead, `t` [s] after the first sample.
 double Ahead(const StreamEffects& effects, double t, double duration_s);

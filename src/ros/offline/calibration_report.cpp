@@ -144,8 +144,8 @@ class SolvedSession {
   }
 
   /// Residuals of a pose sensor and their weights; by how much V has moved where the sensor is
-  /// since its piece began [m, rad], in V, and whether one begins; what is said of it.
-  YAML::Node WriteSensor(size_t place, const PoseSensorCalibration& sensor) const {
+  /// since its piece began [m, rad], in V, and whether one begins.
+  void WriteSensor(size_t place, const PoseSensorCalibration& sensor) const {
     const PoseSensorSession& own = sensor.sessions[s_];
     const std::string file = prefix_ + "_p" + std::to_string(place);
     const double epoch = Seconds(trajectory_.epoch_ns());
@@ -172,20 +172,6 @@ class SolvedSession {
     t.Write(file + "_residual_t.npy");
     rows.Write(file + "_residual.npy");
     world.Write(file + "_world.npy");
-    const SensorErrors& errors = sensor.sessions[s_].errors;
-    YAML::Node node;
-    node["sensor"] = place;
-    node["rate_hz"] = YamlValue(own.poses.rate_hz);
-    node["clock"] = YamlList(
-        Eigen::Vector4d(own.time_shift, own.time_shift_std, own.clock_drift, own.clock_drift_std));
-    node["scale"] = YamlList(Eigen::Vector2d(own.scale, own.scale_std));
-    for (const auto& [name, value] : {std::pair("noise", own.noise),
-                                      {"rms", own.rms},
-                                      {"drift", own.drift},
-                                      {"absolute", errors.absolute},
-                                      {"relative", errors.relative}})
-      node[name] = YamlList(Eigen::Vector2d(value.position, value.rotation));
-    return node;
   }
 
  private:
@@ -379,22 +365,8 @@ YAML::Node WriteSession(const CalibrationRun& run, size_t s,
     if (session.imus[i].is_present) solved->WriteImu(i);
   for (size_t k = 0; k < run.result.pose_sensors.size(); ++k) {
     const PoseSensorCalibration& sensor = run.result.pose_sensors[k];
-    if (sensor.sessions[s].is_present)
-      node["pose_sensors"].push_back(solved->WriteSensor(k, sensor));
+    if (sensor.sessions[s].is_present) solved->WriteSensor(k, sensor);
   }
-  return node;
-}
-
-/// Where a pose sensor is, and its verdict.
-YAML::Node ToYaml(const PoseSensorCalibration& sensor, const PoseSensorInfo& info) {
-  YAML::Node node;
-  node["frame"] = Printable(info.frame);
-  node["topic"] = Printable(info.topic);
-  node["status"] = ToString(sensor.status);
-  node["message"] = Printable(sensor.message);
-  node["translation"] = YamlList(sensor.T_MS.p);
-  node["rotation"] = YamlList(sensor.T_MS.q.coeffs());
-  node["std"] = YamlList(sensor.Std());
   return node;
 }
 
@@ -412,8 +384,6 @@ void WriteReportData(const CalibrationRun& run, const ReportText& text, const st
   report["message"] = Printable(is_refused ? text.refusal : result.message);
   report["solved"] = result.solution != nullptr;
   report["options"] = YAML::Load(ToYaml(run.options));
-  for (size_t k = 0; k < result.pose_sensors.size(); ++k)
-    report["pose_sensors"].push_back(ToYaml(result.pose_sensors[k], run.infos[0].pose_sensors[k]));
   for (size_t s = 0; s < run.sessions.size(); ++s)
     report["sessions"].push_back(
         WriteSession(run, s, covariance, folder + "/s" + std::to_string(s)));
@@ -423,8 +393,7 @@ void WriteReportData(const CalibrationRun& run, const ReportText& text, const st
 }
 
 std::string DrawReport(const CalibrationRun& run, const ReportText& text, const std::string& path) {
-  return DrawPage(path, text.run_id,
-                  [&](const std::string& folder) { WriteReportData(run, text, folder); });
+  return DrawPage(path, [&](const std::string& folder) { WriteReportData(run, text, folder); });
 }
 
 }  // namespace imu_pose_calib

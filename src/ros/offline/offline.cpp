@@ -362,6 +362,57 @@ CalibrationOptions Options(const OfflineRequest& request) {
   return options;
 }
 
+RequestOptions OptionsOf(OfflineRequest* request) {
+  using List = RequestOption::List;
+  BagRequest& bag = request->bag;
+  TextRequest& text = request->text;
+  TrajectoryRequest& trajectory = request->trajectory;
+  RequestOptions options;
+  options.common = {
+      {"imu_topic", List{&bag.imu_topic}, "sensor_msgs/Imu; again for each further IMU"},
+      {"pose_topic", &bag.pose_topic, "poses of the marker"},
+      {"pose_sensor", List{&request->pose_sensors},
+       "poses of a camera, SLAM, ...: TOPIC, FILE, or tf:PARENT:CHILD; again for each further one"},
+      {"body", &bag.body, "rigid body, where poses are of several"},
+      {"imu_yaml", &request->imu_yaml, "Kalibr's imu.yaml: noise and topic"},
+      {"config", &request->config, "YAML of options, see config/default.yaml"},
+      {"start", &bag.start_s, "seconds of the recording to skip", "S"},
+      {"duration", &bag.duration_s, "seconds to use; 0: all", "S"},
+      {"output", &request->output, "result; default: next to the recording"},
+      {"report", &request->report, "figures: FILE.html or FILE.pdf"},
+      {"export", &request->exports, "kalibr,ros2,...: files for other programs"},
+      {"trajectory", &request->trajectory.path, "ground truth: .tum, .csv, .bag, folder"}};
+  options.others = {
+      {"gyro_topic", List{&bag.gyro_topic},
+       "gyroscope of a split IMU: sensor_msgs/Imu or geometry_msgs/Vector3Stamped"},
+      {"accel_topic", List{&bag.accel_topic}, "accelerometer of a split IMU"},
+      {"tf_parent", &bag.tf_parent, "poses from tf: the fixed frame"},
+      {"tf_child", &bag.tf_child, "poses from tf: the marker"},
+      {"poses", &text.poses,
+       "text file of the poses, instead of those of a bag: CSV, TUM, export of Motive or Vicon"},
+      {"imu", List{&text.imu}, "text file of the IMU; again for each further one"},
+      {"gyro", List{&text.gyro}, "text file of the gyroscope of a split IMU"},
+      {"accel", List{&text.accel}, "text file of the accelerometer of a split IMU"},
+      {"method", &request->method, "joint (default) or gp"},
+      {"solver", &request->solver, "of method joint: windows (default) or ceres"},
+      {"trajectory_format", &trajectory.format,
+       "tum, ov_eval, euroc, asl or bag; default: by the suffix"},
+      {"trajectory_frame", &trajectory.frame,
+       "pose sensor whose trajectory it is, sensor0 or its frame; default: the IMUs", "NAME"},
+      {"trajectory_rate", &trajectory.rate_hz,
+       "states per second; default: at the samples of the IMU", "HZ"},
+      {"trajectory_clock", &trajectory.clock, "clock of its stamps: imu (default) or poses"},
+      {"trajectory_gaps", &trajectory.max_gap_s,
+       "longest gap of the poses that the IMU bridges (default 2); others are left out", "S"},
+      {"record_time", &bag.record_time, "times of recording instead of the header stamps"},
+      {"marker_frame", &request->marker_frame, "name of the marker frame in the result"},
+      {"imu_frame", List{&request->imu_frame},
+       "name of the imu frame in the result; again for each further IMU"},
+      {"one_recording", &request->one_recording,
+       "all bags are one recording, also those that do not continue each other"}};
+  return options;
+}
+
 std::string OutputPath(const OfflineRequest& request) {
   if (!request.output.empty()) return request.output;
   if (request.bag.paths.empty())

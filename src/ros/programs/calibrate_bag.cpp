@@ -1,8 +1,10 @@
 // Calibrates from a recording, without a ROS master.
 
 #include <boost/algorithm/string/join.hpp>
+#include <boost/algorithm/string/replace.hpp>
 #include <iostream>
 #include <string>
+#include <variant>
 #include <vector>
 
 #include "imu_pose_calib/ros/io/output_files.h"
@@ -21,72 +23,31 @@ struct CommandLine {
        version = false;
 };
 
-/// An option that can be given again and again: `field` gets all values, with blanks between them.
-auto* Repeated(std::string* field) {
-  return po::value<std::vector<std::string>>()->composing()->value_name("TEXT")->notifier(
-      [field](const std::vector<std::string>& values) { *field = boost::join(values, " "); });
+void Add(const std::vector<RequestOption>& added, po::options_description* options) {
+  for (const auto& [name, field, text, unit] : added) {
+    const std::string dashed = boost::replace_all_copy<std::string>(name, "_", "-");
+    const auto add = [&, text = text](const po::value_semantic* value) {
+      options->add_options()(dashed.c_str(), value, text);
+    };
+    if (const auto* flag = std::get_if<bool*>(&field)) add(po::bool_switch(*flag));
+    if (const auto* number = std::get_if<double*>(&field)) add(Value(*number, unit));
+    if (const auto* one = std::get_if<std::string*>(&field)) add(Value(*one, unit));
+    if (const auto* list = std::get_if<RequestOption::List>(&field))  // given again and again
+      add(po::value<std::vector<std::string>>()->composing()->value_name(unit)->notifier(
+          [list = *list](const auto& values) { *list = boost::join(values, " "); }));
+  }
 }
 
-/// Those that --help shows; with the others they fit a screen no more.
-po::options_description DescribeCommon(CommandLine* line) {
-  OfflineRequest& request = line->request;
+po::options_description Describe(const std::vector<RequestOption>& common, CommandLine* line) {
   po::options_description options("Options");
+  Add(common, &options);
   auto add = options.add_options();
-  add("imu-topic", Repeated(&request.bag.imu_topic), "sensor_msgs/Imu; again for each further IMU");
-  add("pose-topic", Value(&request.bag.pose_topic), "poses of the marker");
-  add("pose-sensor", Repeated(&request.pose_sensors),
-      "poses of a camera, SLAM, ...: TOPIC, FILE, or tf:PARENT:CHILD; again for each further one");
-  add("body", Value(&request.bag.body), "rigid body, where poses are of several");
-  add("imu-yaml", Value(&request.imu_yaml), "Kalibr's imu.yaml: noise and topic");
-  add("config", Value(&request.config), "YAML of options, see config/default.yaml");
-  add("start", Value(&request.bag.start_s, "S"), "seconds of the recording to skip");
-  add("duration", Value(&request.bag.duration_s, "S"), "seconds to use; 0: all");
-  add("output", Value(&request.output), "result; default: next to the recording");
-  add("report", Value(&request.report), "figures: FILE.html or FILE.pdf");
-  add("export", Value(&request.exports), "kalibr,ros2,...: files for other programs");
-  add("trajectory", Value(&request.trajectory.path), "ground truth: .tum, .csv, .bag, folder");
   add("check", po::bool_switch(&line->check), "judge the recording without calibrating");
   add("verbose", po::bool_switch(&line->verbose), "print all of the result");
   add("quiet", po::bool_switch(&line->quiet), "print errors only");
   add("help", po::bool_switch(&line->help), "print this text");
   add("help-all", po::bool_switch(&line->help_all), "print every option");
   add("version", po::bool_switch(&line->version), "print the version");
-  return options;
-}
-
-po::options_description DescribeOthers(OfflineRequest* given) {
-  OfflineRequest& request = *given;
-  po::options_description options("Other options");
-  auto add = options.add_options();
-  add("gyro-topic", Repeated(&request.bag.gyro_topic),
-      "gyroscope of a split IMU: sensor_msgs/Imu or geometry_msgs/Vector3Stamped");
-  add("accel-topic", Repeated(&request.bag.accel_topic), "accelerometer of a split IMU");
-  add("tf-parent", Value(&request.bag.tf_parent), "poses from tf: the fixed frame");
-  add("tf-child", Value(&request.bag.tf_child), "poses from tf: the marker");
-  add("poses", Value(&request.text.poses),
-      "text file of the poses, instead of those of a bag: CSV, TUM, export of Motive or Vicon");
-  add("imu", Repeated(&request.text.imu), "text file of the IMU; again for each further one");
-  add("gyro", Repeated(&request.text.gyro), "text file of the gyroscope of a split IMU");
-  add("accel", Repeated(&request.text.accel), "text file of the accelerometer of a split IMU");
-  add("method", Value(&request.method), "joint (default) or gp");
-  add("solver", Value(&request.solver), "of method joint: windows (default) or ceres");
-  add("trajectory-format", Value(&request.trajectory.format),
-      "tum, ov_eval, euroc, asl or bag; default: by the suffix");
-  add("trajectory-frame", Value(&request.trajectory.frame, "NAME"),
-      "pose sensor whose trajectory it is, sensor0 or its frame; default: the IMUs");
-  add("trajectory-rate", Value(&request.trajectory.rate_hz, "HZ"),
-      "states per second; default: at the samples of the IMU");
-  add("trajectory-clock", Value(&request.trajectory.clock),
-      "clock of its stamps: imu (default) or poses");
-  add("trajectory-gaps", Value(&request.trajectory.max_gap_s, "S"),
-      "longest gap of the poses that the IMU bridges (default 2); others are left out");
-  add("record-time", po::bool_switch(&request.bag.record_time),
-      "times of recording instead of the header stamps");
-  add("marker-frame", Value(&request.marker_frame), "name of the marker frame in the result");
-  add("imu-frame", Repeated(&request.imu_frame),
-      "name of the imu frame in the result; again for each further IMU");
-  add("one-recording", po::bool_switch(&request.one_recording),
-      "all bags are one recording, also those that do not continue each other");
   return options;
 }
 
@@ -121,9 +82,10 @@ void Check(const CommandLine& line) {
 
 void Run(int argc, char** argv) {
   CommandLine line;
-  const po::options_description common = DescribeCommon(&line);
-  const po::options_description others = DescribeOthers(&line.request);
-  po::options_description all;
+  const RequestOptions known = OptionsOf(&line.request);
+  // With the others they fit a screen no more.
+  po::options_description all, common = Describe(known.common, &line), others("Other options");
+  Add(known.others, &others);
   all.add(common).add(others);
   ParseCommandLine(argc, argv, all, "bag", Value(&line.request.bag.paths), -1);
   if (line.help_all) return PrintHelp({common, others});

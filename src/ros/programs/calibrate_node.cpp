@@ -10,7 +10,7 @@
 #include <memory>
 #include <optional>
 #include <string>
-#include <utility>
+#include <variant>
 #include <vector>
 
 #include "imu_pose_calib/ros/io/conversions.h"
@@ -43,42 +43,14 @@ struct Job {
 Job ReadJob() {
   Job job;
   OfflineRequest& request = job.request;
-  std::string bags;
-  const std::pair<const char*, std::string*> texts[] = {
-      {"bag", &bags},
-      {"body", &request.bag.body},
-      {"imu_topic", &request.bag.imu_topic},
-      {"pose_topic", &request.bag.pose_topic},
-      {"pose_sensor", &request.pose_sensors},
-      {"gyro_topic", &request.bag.gyro_topic},
-      {"accel_topic", &request.bag.accel_topic},
-      {"tf_parent", &request.bag.tf_parent},
-      {"tf_child", &request.bag.tf_child},
-      {"poses", &request.text.poses},
-      {"imu", &request.text.imu},
-      {"gyro", &request.text.gyro},
-      {"accel", &request.text.accel},
-      {"imu_yaml", &request.imu_yaml},
-      {"config", &request.config},
-      {"method", &request.method},
-      {"output", &request.output},
-      {"export", &request.exports},
-      {"marker_frame", &request.marker_frame},
-      {"imu_frame", &request.imu_frame},
-      {"trajectory", &request.trajectory.path},
-      {"trajectory_format", &request.trajectory.format},
-      {"trajectory_clock", &request.trajectory.clock},
-      {"trajectory_frame", &request.trajectory.frame}};
-  for (const auto& [name, field] : texts) *field = Parameter(name, *field);
-  request.bag.start_s = Parameter("start", request.bag.start_s);
-  request.bag.duration_s = Parameter("duration", request.bag.duration_s);
-  request.trajectory.rate_hz = Parameter("trajectory_rate", request.trajectory.rate_hz);
-  request.trajectory.max_gap_s = Parameter("trajectory_gaps", request.trajectory.max_gap_s);
-  request.one_recording = Parameter("one_recording", request.one_recording);
-  request.bag.record_time = Parameter("record_time", request.bag.record_time);
+  const RequestOptions known = OptionsOf(&request);
+  for (const auto& options : {known.common, known.others})
+    for (const auto& [name, field, text, unit] : options)
+      if (std::string(name) != "report")  // here it is whether there is one
+        std::visit([name = name](auto value) { *value = Parameter(name, *value); }, field);
   job.exit = Parameter("exit", job.exit);
   job.verbose = Parameter("verbose", job.verbose);
-  request.bag.paths = SplitPaths(bags);
+  request.bag.paths = SplitPaths(Parameter<std::string>("bag", ""));
   if (Parameter("report", false)) request.report = ReportPath(request);
   return job;
 }

@@ -23,7 +23,6 @@
 #include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/transform_file.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
-#include "imu_pose_calib/ros/offline/comparison_report.h"
 #include "imu_pose_calib/ros/offline/report.h"
 #include "imu_pose_calib/simulation/error_bound.h"
 #include "imu_pose_calib/simulation/simulator.h"

@@ -3,6 +3,7 @@
 #include <exception>
 #include <memory>
 #include <string>
+#include <variant>
 #include <vector>
 
 #include "imu_pose_calib/core/calibrator.h"
@@ -43,6 +44,23 @@ struct OfflineRequest {
   std::string calibration;
   bool keep_data = false;  ///< leaves OfflineResult::sessions also without a report
 };
+
+/// An option of calibrate_bag and parameter of the node, and the field that it fills.
+struct RequestOption {
+  struct List {  ///< several with white space between them
+    std::string* texts;
+    std::string& operator*() const { return *texts; }
+  };
+  const char* name;
+  std::variant<std::string*, List, double*, bool*> field;
+  const char* text;
+  const char* unit = "TEXT";
+};
+/// All of them: those that many need, and those that few do.
+struct RequestOptions {
+  std::vector<RequestOption> common, others;
+};
+RequestOptions OptionsOf(OfflineRequest* request);
 
 /// A usable calibration and what to do with it. No sessions when no report is wanted, nor
 /// keep_data.
