@@ -6,6 +6,7 @@
 #include <cstring>
 #include <ctime>
 #include <map>
+#include <set>
 
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/ros/io/text_table.h"
@@ -114,17 +115,15 @@ void AddPose(const BodyColumns& columns, double t_s, const Cells& cells, const C
 }
 
 /// The body that is wanted of those that there are.
-std::string ChooseBody(std::vector<std::string> names, const std::string& wanted,
+std::string ChooseBody(const std::set<std::string>& names, const std::string& wanted,
                        const CellLines& lines) {
-  std::sort(names.begin(), names.end());
-  names.erase(std::unique(names.begin(), names.end()), names.end());
   const std::string list = boost::join(names, ", ");
   if (names.empty()) lines.Fail("holds no rigid body");
   if (wanted.empty() && names.size() > 1)
     lines.Fail("holds several bodies: " + list + "; choose with body");
-  if (!wanted.empty() && std::count(names.begin(), names.end(), wanted) == 0)
+  if (!wanted.empty() && names.count(wanted) == 0)
     lines.Fail("has no body '" + wanted + "'; it has: " + list);
-  return wanted.empty() ? names[0] : wanted;
+  return wanted.empty() ? *names.begin() : wanted;
 }
 
 // --- Motive ---
@@ -203,9 +202,9 @@ MocapPoses ReadMotive(CellLines lines, const std::string& body) {
   for (const char* row : {"Type", "Name", "Rotation"})
     if (header.count(row) == 0)
       lines.Fail("has no row of " + std::string(row) + " above the row that begins with Frame");
-  std::vector<std::string> names;
+  std::set<std::string> names;
   for (size_t k = 2; k < cells.size(); ++k)
-    if (Cell(header["Type"], k) == "Rigid Body") names.push_back(Cell(header["Name"], k));
+    if (Cell(header["Type"], k) == "Rigid Body") names.insert(Cell(header["Name"], k));
   MocapPoses mocap;
   mocap.body = ChooseBody(names, body, lines);
   BodyColumns columns = MotiveColumns(header, cells, mocap.body, settings["Rotation Type"], lines);
@@ -279,10 +278,10 @@ MocapPoses ReadVicon(CellLines lines, const std::string& body) {
   if (axes[0] != "Frame") lines.FailCell(0, axes[0], "Frame");
   next(&units, "the units");
 
-  std::vector<std::string> bodies;
+  std::set<std::string> bodies;
   for (std::string& name : names) {
     name = ViconName(name);
-    if (!name.empty()) bodies.push_back(name);
+    if (!name.empty()) bodies.insert(name);
   }
   MocapPoses mocap;
   mocap.body = ChooseBody(bodies, ViconName(body), lines);

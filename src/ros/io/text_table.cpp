@@ -85,7 +85,7 @@ struct Header {
     std::string name, unit;
   };
   std::string text;
-  size_t number = 0;  ///< of the line
+  size_t number = 0;  ///< of the line; 0: the file has no header
   std::vector<Field> fields;
 
   Header() = default;
@@ -153,7 +153,7 @@ Layout ReadHeader(const Columns& columns, const Header& header, const TextLines&
   layout.time_unit = header.fields[layout.index[0]].unit;
   if (!layout.time_unit.empty() && kNanoseconds.count(layout.time_unit) == 0)
     fail("has the stamps in " + Quote(layout.time_unit) + ", must be s, ms, us or ns");
-  layout.is_from_header = true;
+  layout.is_from_header = header.number > 0;
   return layout;
 }
 
@@ -162,14 +162,9 @@ Layout ReadHeader(const Columns& columns, const Header& header, const TextLines&
 /// overlooked.
 Layout FindLayout(const Columns& columns, const Header& comment, size_t fields,
                   const TextLines& lines) {
-  if (comment.IsOf(columns) || (!comment.text.empty() && comment.fields.size() == fields))
-    return ReadHeader(columns, comment, lines);
-  Layout layout;
-  for (const Column& column : columns) {
-    layout.index.push_back(layout.width++);
-    layout.names.push_back(column.name);
-  }
-  return layout;
+  const bool is_header =
+      comment.IsOf(columns) || (!comment.text.empty() && comment.fields.size() == fields);
+  return ReadHeader(columns, is_header ? comment : Header(Names(columns), 0), lines);
 }
 
 // --- Values ---
@@ -285,14 +280,6 @@ Eigen::Vector3d Vector(const std::vector<double>& values, size_t begin) {
   return {values[begin], values[begin + 1], values[begin + 2]};
 }
 
-bool StartsWithHeader(const Columns& columns, std::istream& in, const std::string& name) {
-  std::string line;
-  if (!TextLines(in, name).Next(&line)) return false;
-  const Header header(line, 1);
-  return std::all_of(columns.begin(), columns.end(),
-                     [&](const Column& column) { return header.Has(column); });
-}
-
 }  // namespace
 
 TextLines::TextLines(std::istream& in, std::string name, size_t too_long)
@@ -327,12 +314,13 @@ std::optional<double> ParseNumber(const std::string& text) {
   return value;
 }
 
-bool HasPoseHeader(std::istream& in, const std::string& name) {
-  return StartsWithHeader(PoseColumns(), in, name);
-}
-
-bool HasImuHeader(std::istream& in, const std::string& name) {
-  return StartsWithHeader(ImuColumns(), in, name);
+bool HasHeader(std::istream& in, const std::string& name, bool is_imu) {
+  std::string line;
+  if (!TextLines(in, name).Next(&line)) return false;
+  const Header header(line, 1);
+  const Columns columns = is_imu ? ImuColumns() : PoseColumns();
+  return std::all_of(columns.begin(), columns.end(),
+                     [&](const Column& column) { return header.Has(column); });
 }
 
 std::vector<PoseSample> ReadPoseTable(std::istream& in, const std::string& name) {

@@ -84,7 +84,7 @@ LiveSettings ReadSettings(const OfflineRequest& given) {
 
   settings.calibration = Options(request);
   if (!request.imu_yaml.empty() && topics.imu_topic.empty() && !is_split)
-    topics.imu_topic = LoadImuYaml(request.imu_yaml).rostopic;
+    topics.imu_topic = LoadImuYaml(request.imu_yaml);
   for (const auto& [name, field] : kLiveOptions)
     settings.live.*field = Parameter(name, settings.live.*field);
   return settings;

@@ -50,7 +50,6 @@ void ReadImuTable(std::istream& in, const std::string& name, ImuData* data);
 std::vector<ImuSample> ReadSensorTable(std::istream& in, const std::string& name, bool is_accel);
 
 /// Whether the first line is a header with all columns of poses, or of an IMU.
-bool HasPoseHeader(std::istream& in, const std::string& name);
-bool HasImuHeader(std::istream& in, const std::string& name);
+bool HasHeader(std::istream& in, const std::string& name, bool is_imu);
 
 }  // namespace imu_pose_calib
