@@ -22,8 +22,6 @@ constexpr double kMaxTime = 4e9;  // [s]
 const Cells kViconParts{"Segments", "Objects",       "Trajectories",
                         "Devices",  "Model Outputs", "Joints"};
 
-constexpr size_t kTooLong = size_t{1} << 20;  // bytes of a line
-
 /// The cells of a line, without blanks and quotes around them.
 Cells Split(const std::string& line) {
   Cells cells;
@@ -52,8 +50,7 @@ class CellLines : public TextLines {
 
   [[noreturn]] void FailCell(size_t column, const std::string& text,
                              const std::string& expected) const {
-    FailHere("column " + std::to_string(column + 1) + " is " +
-             (text.empty() ? "empty" : "'" + text.substr(0, 60) + "'") + ", must be " + expected);
+    TextLines::FailCell(std::to_string(column + 1), text, expected);
   }
 
   double Number(const Cells& cells, size_t column) const {
@@ -309,7 +306,7 @@ std::optional<MocapPoses> ReadMocapCsv(std::istream& in, const std::string& name
   const bool is_vicon = std::count(kViconParts.begin(), kViconParts.end(), first[0]) > 0 &&
                         IsBlank({first.begin() + 1, first.end()});
   if (!is_vicon && first[0] != "Format Version") return std::nullopt;
-  CellLines lines(in, name, kTooLong);
+  CellLines lines(in, name);
   MocapPoses mocap = is_vicon ? ReadVicon(lines, body) : ReadMotive(lines, body);
   if (mocap.poses.empty()) lines.Fail("holds no pose of '" + mocap.body + "'");
   return mocap;

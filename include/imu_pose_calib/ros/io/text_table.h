@@ -12,16 +12,19 @@ namespace imu_pose_calib {
 /// The lines of a text with their numbers, without blanks at both ends.
 class TextLines {
  public:
-  /// `name` begins all errors; a line must be shorter than `too_long` bytes.
-  TextLines(std::istream& in, std::string name, size_t too_long = 16384);
+  /// `name` begins all errors.
+  TextLines(std::istream& in, std::string name);
 
-  /// The next line. False at the end; throws InputError when it is no text or too long.
+  /// The next line. False at the end; throws InputError when it is no text or has a MB.
   bool Next(std::string* line);
   size_t number() const { return number_; }
 
   [[noreturn]] void Fail(const std::string& text) const;
   [[noreturn]] void FailAt(size_t number, const std::string& text) const;
   [[noreturn]] void FailHere(const std::string& text) const { FailAt(number_, text); }
+  /// Refuses the text of a cell of the current line.
+  [[noreturn]] void FailCell(const std::string& column, const std::string& text,
+                             const std::string& expected) const;
 
  private:
   std::istream& in_;
