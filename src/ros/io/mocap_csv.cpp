@@ -16,8 +16,7 @@ namespace {
 
 using Cells = std::vector<std::string>;
 
-constexpr double kDegree = 3.14159265358979323846 / 180.0;
-constexpr double kMaxTime = 4e9;  // [s]
+constexpr double kMaxTime = 1e-9 * kMaxStampNs;  // [s]
 /// First lines of an export of Vicon.
 const Cells kViconParts{"Segments", "Objects",       "Trajectories",
                         "Devices",  "Model Outputs", "Joints"};
@@ -134,8 +133,8 @@ double ParseStart(const std::string& text, const CellLines& lines) {
   const size_t size = rest == nullptr ? 0 : std::strlen(rest) - (is_half ? 3 : 0);
   const std::optional<double> seconds = ParseNumber(std::string(rest ? rest : "", size));
   if (!(seconds && *seconds >= 0.0 && *seconds < 61.0) || time.tm_year < 70 || time.tm_year >= 200)
-    lines.Fail("Capture Start Time is '" + text.substr(0, 60) +
-               "', must be like '2024-05-31 01.02.03.456 PM'");
+    lines.Fail("Capture Start Time is " + Quote(text) +
+               ", must be like '2024-05-31 01.02.03.456 PM'");
   if (is_pm) time.tm_hour += 12;
   return static_cast<double>(timegm(&time)) + *seconds;
 }
@@ -152,10 +151,10 @@ BodyColumns MotiveColumns(MotiveHeader& header, const Cells& axes, const std::st
     std::string sorted = rotation_type;
     std::sort(sorted.begin(), sorted.end());
     if (sorted != "XYZ")
-      lines.Fail("Rotation Type is '" + rotation_type.substr(0, 60) +
-                 "', must be Quaternion or an order of Euler angles as XYZ");
+      lines.Fail("Rotation Type is " + Quote(rotation_type) +
+                 ", must be Quaternion or an order of Euler angles as XYZ");
     columns.order = rotation_type;
-    columns.rotation_unit = kDegree;
+    columns.rotation_unit = M_PI / 180.0;
   }
   const auto find = [&](const std::string& kind, const std::string& names) {
     std::vector<size_t> found;
@@ -181,11 +180,11 @@ MocapPoses ReadMotive(CellLines lines, const std::string& body) {
   for (size_t k = 0; k + 1 < cells.size(); k += 2) settings[cells[k]] = cells[k + 1];
   const double metres = Metres(settings["Length Units"]);
   if (metres == 0.0)
-    lines.FailHere("has the Length Units '" + settings["Length Units"].substr(0, 60) +
-                   "', must be Meters, Centimeters or Millimeters");
+    lines.FailHere("has the Length Units " + Quote(settings["Length Units"]) +
+                   ", must be Meters, Centimeters or Millimeters");
   const std::string &space = settings["Coordinate Space"], &start = settings["Capture Start Time"];
   if (!space.empty() && space != "Global")
-    lines.FailHere("has the Coordinate Space '" + space.substr(0, 60) + "', must be Global");
+    lines.FailHere("has the Coordinate Space " + Quote(space) + ", must be Global");
   const double start_s = start.empty() ? 0.0 : ParseStart(start, lines);
 
   MotiveHeader header;  // by the first cell that is not empty
@@ -255,7 +254,7 @@ BodyColumns ViconColumns(const Cells& axes, const Cells& units, size_t begin,
   }
   const std::string angle = Cell(units, columns.rotation[0]);
   if (angle != "deg" && angle != "rad") lines.FailCell(columns.rotation[0], angle, "deg or rad");
-  if (angle == "deg") columns.rotation_unit = kDegree;
+  if (angle == "deg") columns.rotation_unit = M_PI / 180.0;
   return columns;
 }
 

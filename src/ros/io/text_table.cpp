@@ -18,15 +18,6 @@ using Strings = std::vector<std::string>;
 
 constexpr size_t kTooLong = size_t{1} << 20;  // bytes of a line
 
-/// Text from a file for a message: short and printable.
-std::string Quote(const std::string& text) {
-  constexpr size_t kMaxSize = 60;
-  std::string quoted = text.substr(0, kMaxSize);
-  for (char& c : quoted)
-    if (c < ' ' || c > '~') c = '.';
-  return "'" + quoted + (text.size() > kMaxSize ? "...'" : "'");
-}
-
 // --- Columns ---
 
 /// A column that is needed: all that headers may call it, in lower case, the first its name here.
@@ -169,9 +160,6 @@ Layout FindLayout(const Columns& columns, const Header& comment, size_t fields,
 
 bool IsWhole(const std::string& number) { return number.find_first_of(".eE") == std::string::npos; }
 
-/// Stamps beyond would not leave room for differences: year 2115.
-constexpr double kMaxStampNs = 4.6e18;
-
 /// The samples of one table.
 class TableReader {
  public:
@@ -269,6 +257,14 @@ class TableReader {
 };
 
 }  // namespace
+
+std::string Quote(const std::string& text) {
+  constexpr size_t kMaxSize = 60;
+  std::string quoted = text.substr(0, kMaxSize);
+  for (char& c : quoted)
+    if (c < ' ' || c > '~') c = '.';
+  return "'" + quoted + (text.size() > kMaxSize ? "...'" : "'");
+}
 
 TextLines::TextLines(std::istream& in, std::string name)
     : in_(in), name_(std::move(name)), buffer_(kTooLong, '\0') {}

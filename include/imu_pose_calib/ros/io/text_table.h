@@ -9,6 +9,12 @@
 
 namespace imu_pose_calib {
 
+/// Stamps beyond would not leave room for differences: year 2115.
+constexpr double kMaxStampNs = 4.6e18;
+
+/// Text from a file for a message: short and printable.
+std::string Quote(const std::string& text);
+
 /// The lines of a text with their numbers, without blanks at both ends.
 class TextLines {
  public:
