@@ -142,10 +142,9 @@ void ReadAllPoses(const TextRequest& files, Recording* recording) {
 TextRequest FindFiles(TextRequest request) {
   const bool is_split =
       IsPair({"imu", request.imu}, {"gyro", request.gyro}, {"accel", request.accel});
-  const bool has_imu = !request.imu.empty();
   if (!request.folder.empty()) {
     if (request.poses.empty()) request.poses = FindTable(request, false);
-    if (!has_imu && !is_split) request.imu = FindTable(request, true);
+    if (request.imu.empty() && !is_split) request.imu = FindTable(request, true);
   }
   if (request.poses.empty()) throw InputError("poses is missing: the file of the poses");
   if (request.imu.empty() && !is_split && request.pose_sensors.empty())
