@@ -21,6 +21,6 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   read([&](std::istream& in) { ReadSensorTable(in, "gyro", false); });
   read([&](std::istream& in) { ReadSensorTable(in, "accel", true); });
   read([&](std::istream& in) { ReadMocapCsv(in, "mocap", ""); });
-  read([&](std::istream& in) { HasPoseHeader(in, "poses"); });
+  read([&](std::istream& in) { HasHeader(in, "poses", false); });
   return 0;
 }

@@ -1,7 +1,11 @@
 // What is exported maps points and stamps as the result does; names and files of exports.
 // Visual-inertial programs and JSON: test_visual_exports.cpp.
 
+#include <boost/algorithm/string/replace.hpp>
 #include <cmath>
+#include <fstream>
+#include <map>
+#include <regex>
 
 #include "export_checks.h"
 #include "imu_pose_calib/ros/exports/exports.h"
@@ -44,6 +48,39 @@ TEST(Exports, HaveEveryTemplate) {
     files += static_cast<std::ptrdiff_t>(Export(Example(), name).size());
   const std::filesystem::directory_iterator templates(IMU_POSE_CALIB_SOURCE_DIR "/exports"), end;
   EXPECT_EQ(files, std::distance(templates, end));
+}
+
+/// Whether a line of `text` is one of a template, with anything for the names in braces.
+bool HasLine(const std::string& text, std::string line) {
+  line = std::regex_replace(line, std::regex(R"([.*+?()\[\]^$|\\])"), R"(\$&)");
+  line = std::regex_replace(line, std::regex(R"(\{[^"{}]+\})"), "[^\n]*");
+  line = std::regex_replace(line, std::regex("[{}]"), R"(\$&)");
+  return std::regex_search(text, std::regex(line));
+}
+
+/// A line whose name nothing has a value for would be missing in every file.
+TEST(Exports, HaveEveryLineOfTheirTemplates) {
+  StoredResult near = SensorExample(2, ImuModel::kScaleMisalignment), far = near;
+  far.result.sessions[0].imus[0].time_shift = -1000.0;
+  far.result.sessions.push_back(far.result.sessions[0]);
+  for (PoseSensorCalibration& sensor : far.result.pose_sensors)
+    sensor.sessions.push_back(sensor.sessions[0]);
+  std::map<std::string, std::string> texts;  // by the name of the template
+  for (const StoredResult& stored : {near, far})
+    for (const std::string& name : ExportNames())
+      for (const ExportFile& file : Export(stored, name)) {
+        texts[boost::replace_first_copy(file.ending, "imu0", "imuN")] += file.text;
+        texts["head"] += file.text;
+        texts["axes"] += file.text;
+      }
+  for (const auto& entry :
+       std::filesystem::directory_iterator(IMU_POSE_CALIB_SOURCE_DIR "/exports")) {
+    std::ifstream file(entry.path());
+    for (std::string line; std::getline(file, line);)
+      EXPECT_TRUE(line == "{each imu}" || line == "{end}" ||
+                  HasLine(texts.at(entry.path().filename()), line.substr(line[0] == '#' ? 2 : 0)))
+          << entry.path() << ": " << line;
+  }
 }
 
 TEST(Exports, SayNothingOfWhatThereIsNot) {

@@ -21,43 +21,44 @@ class ImuYamlTest : public TempDirTest {
 };
 
 TEST_F(ImuYamlTest, ReadsNoiseAndTopic) {
-  const ImuYaml yaml = LoadImuYaml(
-      Write("imu.yaml", "# data sheet\n" + kNoise + "rostopic: /imu0\nupdate_rate: 200.0\n"));
-  EXPECT_EQ(yaml.noise.accel_noise_density, 0.02);
-  EXPECT_EQ(yaml.noise.accel_bias_walk, 0.003);
-  EXPECT_EQ(yaml.noise.gyro_noise_density, 0.0004);
-  EXPECT_EQ(yaml.noise.gyro_bias_walk, 5e-5);
-  EXPECT_EQ(yaml.rostopic, "/imu0");
+  CalibrationOptions options;
+  const std::string path =
+      Write("imu.yaml", "# data sheet\n" + kNoise + "rostopic: /imu0\nupdate_rate: 200.0\n");
+  EXPECT_EQ(LoadImuYaml(path, &options), "/imu0");
+  EXPECT_EQ(options.accel_noise_density, 0.02);
+  EXPECT_EQ(options.accel_bias_walk, 0.003);
+  EXPECT_EQ(options.gyro_noise_density, 0.0004);
+  EXPECT_EQ(options.gyro_bias_walk, 5e-5);
 }
 
 TEST_F(ImuYamlTest, TopicAndRateMayBeMissing) {
-  const ImuYaml yaml = LoadImuYaml(Write("imu.yaml", kNoise));
-  EXPECT_EQ(yaml.rostopic, "");
+  EXPECT_EQ(LoadImuYaml(Write("imu.yaml", kNoise)), "");
 }
 
 TEST_F(ImuYamlTest, ReadsTheResultOfKalibr) {
-  const ImuYaml yaml = LoadImuYaml(Write("imu.yaml",
-                                         "imu0:\n"
-                                         "  T_i_b:\n"
-                                         "  - [1.0, 0.0, 0.0, 0.0]\n"
-                                         "  - [0.0, 1.0, 0.0, 0.0]\n"
-                                         "  - [0.0, 0.0, 1.0, 0.0]\n"
-                                         "  - [0.0, 0.0, 0.0, 1.0]\n"
-                                         "  accelerometer_noise_density: 0.02\n"
-                                         "  accelerometer_random_walk: 0.003\n"
-                                         "  gyroscope_noise_density: 0.0004\n"
-                                         "  gyroscope_random_walk: 5.0e-05\n"
-                                         "  model: calibrated\n"
-                                         "  rostopic: /imu0\n"
-                                         "  time_offset: 0.0\n"
-                                         "  update_rate: 200.0\n"));
-  EXPECT_EQ(yaml.noise.gyro_noise_density, 0.0004);
-  EXPECT_EQ(yaml.rostopic, "/imu0");
+  CalibrationOptions options;
+  const std::string path = Write("imu.yaml",
+                                 "imu0:\n"
+                                 "  T_i_b:\n"
+                                 "  - [1.0, 0.0, 0.0, 0.0]\n"
+                                 "  - [0.0, 1.0, 0.0, 0.0]\n"
+                                 "  - [0.0, 0.0, 1.0, 0.0]\n"
+                                 "  - [0.0, 0.0, 0.0, 1.0]\n"
+                                 "  accelerometer_noise_density: 0.02\n"
+                                 "  accelerometer_random_walk: 0.003\n"
+                                 "  gyroscope_noise_density: 0.0004\n"
+                                 "  gyroscope_random_walk: 5.0e-05\n"
+                                 "  model: calibrated\n"
+                                 "  rostopic: /imu0\n"
+                                 "  time_offset: 0.0\n"
+                                 "  update_rate: 200.0\n");
+  EXPECT_EQ(LoadImuYaml(path, &options), "/imu0");
+  EXPECT_EQ(options.gyro_noise_density, 0.0004);
 }
 
 TEST_F(ImuYamlTest, NoiseBecomesOptions) {
   CalibrationOptions options;
-  LoadImuYaml(Write("imu.yaml", kNoise)).CopyNoise(&options);
+  LoadImuYaml(Write("imu.yaml", kNoise), &options);
   EXPECT_EQ(options.gyro_noise_density, 0.0004);
   EXPECT_EQ(options.gyro_bias_walk, 5e-5);
   EXPECT_EQ(options.accel_noise_density, 0.02);

@@ -130,7 +130,7 @@ TEST_F(OptionsFile, RefusesFilesThatAParserCouldChokeOn) {
   std::string nested = "- ";
   for (int k = 0; k < 100; ++k) nested += "- ";
   ExpectRefusal(nested + "1\n", {"line 1: nested deeper than 20 levels"});
-  ExpectRefusal("#" + std::string(100'000, ' '), {"larger than 100 kB"});
+  ExpectRefusal("#" + std::string(10'000'000, ' '), {"larger than 10 MB"});
   ExpectRefusal(std::string("\0\1\2 : \xFF", 7), {"options.yaml"});
 }
 

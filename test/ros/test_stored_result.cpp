@@ -193,5 +193,14 @@ TEST_F(StoredResultFile, ErrorsNameTheFile) {
   ExpectError<InputError>([&] { LoadResult(path); }, {"'" + path + "'", "line 2"});
 }
 
+TEST_F(StoredResultFile, OfManySessionsIsRead) {
+  Calibration written = ExampleResult(ImuModel::kCalibrated, 2);
+  written.sessions.resize(60, written.sessions[0]);
+  const std::vector<RecordingInfo> infos(60, ExampleInfo(2));
+  const std::string path = Write("r.yaml", ToYaml(written, infos, ExampleOptions()));
+  EXPECT_GT(std::filesystem::file_size(path), 100'000u);
+  EXPECT_EQ(LoadResult(path).result.sessions.size(), 60u);
+}
+
 }  // namespace
 }  // namespace imu_pose_calib

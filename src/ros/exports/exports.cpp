@@ -37,11 +37,11 @@ constexpr Template kParts[] = {
 
 constexpr char kEach[] = "{each imu}\n", kEnd[] = "{end}\n";
 
-/// What stands for a name in braces. Without a text, the line that has the name is left out.
-using Values = std::map<std::string, std::optional<std::string>>;
+/// What stands for a name in braces.
+using Values = std::map<std::string, std::string>;
 
-/// `text` with its values. Braces of JSON are no names: a quote or nothing follows. The further
-/// lines of a value are indented like the first.
+/// `text` with its values, without the lines that name one that there is not. Braces of JSON are no
+/// names: a quote or nothing follows. The further lines of a value are indented like the first.
 std::string Fill(const std::string& text, const Values& values) {
   std::string filled;
   std::istringstream lines(text);
@@ -51,11 +51,12 @@ std::string Fill(const std::string& text, const Values& values) {
     for (size_t begin = 0; (begin = line.find('{', begin)) != std::string::npos;) {
       const size_t end = line.find_first_of("\"}", ++begin);
       if (end == std::string::npos || line[end] == '"') continue;
-      const std::optional<std::string>& value = values.at(line.substr(begin, end - begin));
-      const std::string put = boost::replace_all_copy(value.value_or(""), "\n", next_line);
+      const auto value = values.find(line.substr(begin, end - begin));
+      is_there = is_there && value != values.end();
+      if (!is_there) break;
+      const std::string put = boost::replace_all_copy(value->second, "\n", next_line);
       line.replace(begin - 1, end + 2 - begin, put);
       begin += put.size() - 1;
-      is_there = is_there && value;
     }
     if (is_there) filled += line + "\n";
   }
@@ -112,9 +113,8 @@ std::string Render(const Template& file, const Values& head, const std::vector<V
 
 // --- Values ---
 
-/// A value that may be missing.
-std::optional<std::string> If(bool is_there, const std::string& text = "") {
-  return is_there ? std::optional<std::string>(text) : std::nullopt;
+void PutIf(bool is_there, const std::string& name, const std::string& text, Values* values) {
+  if (is_there) values->emplace(name, text);
 }
 
 /// A matrix as {name}: a list, row by row; {name rows}: a list for each row; {name block}: one list
@@ -180,45 +180,45 @@ Shared FindShared(const StoredResult& stored, size_t imu, size_t sensor) {
 Values HeadValues(const StoredResult& stored, bool has_all_imus, bool has_all_sensors,
                   std::optional<size_t> player) {
   const Calibration& result = stored.result;
-  const size_t imus = result.imus.size(), sessions = result.sessions.size();
+  const size_t imus = result.imus.size();
   const std::vector<PoseSensorCalibration>& sensors = result.pose_sensors;
-  const bool has_imu = imus > 0;
-  const ImuSession imu = has_imu ? stored.Clock(0) : ImuSession();
   const auto usable = std::count_if(sensors.begin(), sensors.end(), IsUsable);
-  const PoseSensorCalibration sensor = player ? sensors[*player] : PoseSensorCalibration();
-  const PoseSensorSession* clock = player ? FindShared(stored, 0, *player).sensor : nullptr;
-  const PoseSensorSession its = clock ? *clock : PoseSensorSession();
   const RecordingInfo& info = stored.infos.front();
-  const std::string run_id = stored.run_id.empty() ? "" : ", run_id: " + Printable(stored.run_id);
-  return {
-      {"file", Printable(std::filesystem::path(stored.path).filename().string())},
-      {"version", Printable(stored.version)},
-      {"run_id", run_id},
-      {"status", ToString(result.status)},
-      {"message", Printable(result.message)},
-      {"marker", Printable(info.marker_frame)},
-      {"if imu", If(has_imu)},
-      {"imu", If(has_imu, has_imu ? Printable(info.imus[0].imu_frame) : "")},
-      {"time_shift", If(has_imu, YamlNumber(imu.time_shift))},
-      {"time_shift_std", If(has_imu, Number(imu.time_shift_std))},
-      {"clock_reference", If(has_imu, YamlNumber(imu.clock_reference))},
-      {"clock_drift", If(imu.clock_drift != 0.0, Number(imu.clock_drift))},
-      {"sessions", If(has_imu && sessions > 1, std::to_string(sessions))},
-      {"if far", If(std::abs(imu.time_shift) > 1.0)},
-      {"accel_delay", If(has_imu, has_imu ? Number(result.imus[0].accel_delay) : "")},
-      {"all_imus", If(imus > 1 && has_all_imus, std::to_string(imus))},
-      {"one_of_imus", If(imus > 1 && !has_all_imus, std::to_string(imus))},
-      {"all_sensors", If(has_all_sensors && usable > 0, std::to_string(usable))},
-      {"sensor", If(player.has_value(), player ? Printable(info.pose_sensors[*player].frame) : "")},
-      {"sensor_status", ToString(sensor.status)},
-      {"sensor_message", Printable(sensor.message)},
-      {"one_of_sensors",
-       If(player.has_value() && sensors.size() > 1,
-          std::to_string(player.value_or(0)) + " of " + std::to_string(sensors.size()))},
-      {"sensor_shift", If(clock != nullptr, YamlNumber(its.time_shift))},
-      {"sensor_shift_std", Number(its.time_shift_std)},
-      {"sensor_reference", YamlNumber(its.clock_reference)},
-      {"sensor_drift", If(its.clock_drift != 0.0, Number(its.clock_drift))}};
+  Values values = {{"file", Printable(std::filesystem::path(stored.path).filename().string())},
+                   {"version", Printable(stored.version)},
+                   {"run_id", stored.run_id.empty() ? "" : ", run_id: " + Printable(stored.run_id)},
+                   {"status", ToString(result.status)},
+                   {"message", Printable(result.message)},
+                   {"marker", Printable(info.marker_frame)}};
+  PutIf(has_all_sensors && usable > 0, "all_sensors", std::to_string(usable), &values);
+  if (imus > 0) {
+    const ImuSession& imu = stored.Clock(0);
+    values.insert({{"if imu", ""},
+                   {"imu", Printable(info.imus[0].imu_frame)},
+                   {"time_shift", YamlNumber(imu.time_shift)},
+                   {"time_shift_std", Number(imu.time_shift_std)},
+                   {"clock_reference", YamlNumber(imu.clock_reference)},
+                   {"accel_delay", Number(result.imus[0].accel_delay)}});
+    const size_t sessions = result.sessions.size();
+    PutIf(imu.clock_drift != 0.0, "clock_drift", Number(imu.clock_drift), &values);
+    PutIf(sessions > 1, "sessions", std::to_string(sessions), &values);
+    PutIf(std::abs(imu.time_shift) > 1.0, "if far", "", &values);
+    PutIf(imus > 1, has_all_imus ? "all_imus" : "one_of_imus", std::to_string(imus), &values);
+  }
+  if (player) {
+    values.insert({{"sensor", Printable(info.pose_sensors[*player].frame)},
+                   {"sensor_status", ToString(sensors[*player].status)},
+                   {"sensor_message", Printable(sensors[*player].message)}});
+    PutIf(sensors.size() > 1, "one_of_sensors",
+          std::to_string(*player) + " of " + std::to_string(sensors.size()), &values);
+    if (const PoseSensorSession* clock = FindShared(stored, 0, *player).sensor) {
+      values.insert({{"sensor_shift", YamlNumber(clock->time_shift)},
+                     {"sensor_shift_std", Number(clock->time_shift_std)},
+                     {"sensor_reference", YamlNumber(clock->clock_reference)}});
+      PutIf(clock->clock_drift != 0.0, "sensor_drift", Number(clock->clock_drift), &values);
+    }
+  }
+  return values;
 }
 
 /// The pose sensor that plays a camera or lidar: the one that is asked for, else the first that is
@@ -275,10 +275,11 @@ void PutModels(const StoredResult& stored, size_t imu, Values* values) {
   const ImuSession& session = stored.Clock(imu);
   const auto& [T_MA, accel, gyro, angle_deg] = ToAccelAxes(calibration);
   const bool is_scaled = stored.result.imu_model == ImuModel::kScaleMisalignment;
-  values->insert({{"if turned", If(angle_deg != 0.0)},
-                  {"turned_deg", If(angle_deg != 0.0, Number(angle_deg))},
-                  {"but_axes", angle_deg == 0.0 ? "" : " but for the axes below"},
-                  {"if scaled", If(is_scaled)},
+  const bool is_turned = angle_deg != 0.0;
+  PutIf(is_turned, "if turned", "", values);
+  PutIf(is_turned, "turned_deg", Number(angle_deg), values);
+  PutIf(is_scaled, "if scaled", "", values);
+  values->insert({{"but_axes", is_turned ? " but for the axes below" : ""},
                   {"kalibr_model", is_scaled ? "scale-misalignment" : "calibrated"}});
   Put("AM", T_MA.Inverse(), values);
   Put("AA0", T_MA.Inverse() * ToAccelAxes(stored.result.imus[0]).T_MA, values);
@@ -328,19 +329,9 @@ double OffsetToFirst(const StoredResult& stored, size_t imu) {
 
 /// The whole number of nanoseconds nearest to `seconds`.
 int64_t Nanoseconds(double seconds) {
-  const double whole = std::floor(seconds);
-  if (!(std::abs(whole) < 9e9))
+  if (!(std::abs(seconds) < 9e9))
     throw InputError("time_shift = " + YamlNumber(seconds) + " s does not fit nanoseconds");
-  return std::llround(whole) * 1'000'000'000 + std::llround((seconds - whole) * 1e9);
-}
-
-/// The shortest rotation that turns z to `up`, (0, 0, -1) by half a turn about x. Eigen's
-/// FromTwoVectors() takes as long to compile as the rest of this file.
-Eigen::Quaterniond RotationFromVertical(const Eigen::Vector3d& up) {
-  const Eigen::Vector3d z = up.normalized();
-  const double s = std::sqrt(2.0 * (1.0 + z.z()));
-  if (s < 1e-8) return Eigen::Quaterniond(0.0, 1.0, 0.0, 0.0);
-  return Eigen::Quaterniond(0.5 * s, -z.y() * (1.0 / s), z.x() * (1.0 / s), 0.0);
+  return std::llround(1e9L * seconds);
 }
 
 /// Of px4: body axes B with the origin of the imu.
@@ -351,9 +342,9 @@ void PutBody(const Eigen::Quaterniond& q_BI, const Rigid3& T_IM, double time_shi
   const bool is_imu = q_BI.isApprox(Eigen::Quaterniond::Identity());
   Put("BM", Rigid3{q_BI * T_IM.q, q_BI * T_IM.p}, values);
   Put("q_BI", q_BI.coeffs(), values);
-  values->insert({{"axes_are_taken", is_imu ? ": the imu's axes are taken for the body's;" : ""},
-                  {"delay_ms", If(fits, YamlNumber(delay_ms))},
-                  {"unfit_delay_ms", If(!fits, Number(delay_ms))}});
+  PutIf(true, "axes_are_taken", is_imu ? ": the imu's axes are taken for the body's;" : "", values);
+  PutIf(fits, "delay_ms", YamlNumber(delay_ms), values);
+  PutIf(!fits, "unfit_delay_ms", Number(delay_ms), values);
 }
 
 /// Of the pose sensor S that plays a camera or lidar; without one the marker does.
@@ -364,21 +355,16 @@ void PutPlayer(const StoredResult& stored, size_t imu, std::optional<size_t> pla
   const Rigid3 T_SM = player ? stored.result.pose_sensors[*player].T_MS.Inverse() : Rigid3();
   const Rigid3 T_SI = player ? T_SM * T_MI : T_MI;
   const RecordingInfo& info = stored.infos.front();
-  double shift = -stored.Clock(imu).time_shift;
-  bool has_shift = true;
-  if (player) {
-    const Shared shared = FindShared(stored, imu, *player);
-    has_shift = shared.sensor != nullptr;
-    if (has_shift) shift = shared.ImuLessSensor();
-  }
+  const Shared shared = player ? FindShared(stored, imu, *player) : Shared();
+  const double shift = shared.sensor ? shared.ImuLessSensor() : -stored.Clock(imu).time_shift;
   Put("SI", T_SI, values);
   Put("IS", T_SI.Inverse(), values);
   Put("SA", player ? T_SM * T_MA : T_MA, values);
   const std::string text = YamlNumber(shift);
+  PutIf(!player || shared.sensor != nullptr, "player_shift", text, values);
   values->insert(
       {{"player", player ? "sensor" : "marker"},
        {"player_topic", Quoted(player ? info.pose_sensors[*player].topic : info.pose_topic)},
-       {"player_shift", If(has_shift, text)},
        {"player_shift_has_no_key",
         player ? "the clocks: subtract " + text + " s from the stamps of the imu beforehand."
                : "time_shift: add it to the stamps of the imu beforehand."},
@@ -407,7 +393,8 @@ Values ImuValues(const StoredResult& stored, size_t imu, const Template& file,
   Put("MI", T_MI, &values);
   Put("IM", T_MI.Inverse(), &values);
   Put("I0I", imu == 0 ? Rigid3() : stored.result.imus[0].T_MI.Inverse() * T_MI, &values);
-  Put("q_WG", RotationFromVertical(-session.g_W).coeffs(), &values);
+  const Eigen::Vector3d vertical = Eigen::Vector3d::UnitZ();
+  Put("q_WG", Eigen::Quaterniond::FromTwoVectors(vertical, -session.g_W).coeffs(), &values);
   PutBody(choice.q_body_imu, T_MI.Inverse(), clock.time_shift, &values);
   PutPlayer(stored, imu, choice.pose_sensor, &values);
   PutModels(stored, imu, &values);
@@ -420,17 +407,16 @@ Values ImuValues(const StoredResult& stored, size_t imu, const Template& file,
   return values;
 }
 
-std::string ProgramOf(const Template& file) {
-  const std::string name = file.name;
-  return name.substr(0, name.find('.'));
-}
-
 /// Whether a file is of the frames on the body, of sensors of any kind.
 bool IsOfFrames(const Template& file) { return boost::contains(file.text, "{child}"); }
 
-bool NeedsImu(const std::string& name) {
+bool IsOf(const std::string& program, const Template& file) {
+  return boost::starts_with(std::string(file.name) + ".", program + ".");
+}
+
+bool NeedsImu(const std::string& program) {
   return std::any_of(std::begin(kTemplates), std::end(kTemplates), [&](const Template& file) {
-    return ProgramOf(file) == name && !IsOfFrames(file);
+    return IsOf(program, file) && !IsOfFrames(file);
   });
 }
 
@@ -439,7 +425,8 @@ bool NeedsImu(const std::string& name) {
 std::vector<std::string> ExportNames() {
   std::vector<std::string> names;
   for (const Template& file : kTemplates)
-    if (names.empty() || names.back() != ProgramOf(file)) names.push_back(ProgramOf(file));
+    if (names.empty() || !IsOf(names.back(), file))
+      names.emplace_back(file.name, std::strcspn(file.name, "."));
   return names;
 }
 
@@ -464,7 +451,7 @@ std::vector<ExportFile> Export(const StoredResult& stored, const std::string& na
   const ExportChoice choice = {given.q_body_imu, FindPlayer(stored, given.pose_sensor)};
   std::vector<ExportFile> files;
   for (const Template& file : kTemplates) {
-    if (ProgramOf(file) != name) continue;
+    if (!IsOf(name, file)) continue;
     const bool is_of_one = boost::contains(file.name, "imuN");
     const bool has_all = is_of_one || boost::contains(file.text, kEach);
     const bool has_player = boost::contains(file.text, "{player");
@@ -498,7 +485,7 @@ cameras: x_cam = T_cam_imu x_imu of {source}; published is its inverse)";
     links.push_back(LinkValues(links.size(), frame, name, T_cam_imu.Inverse()));
   std::vector<ExportFile> files;
   for (const Template& file : kTemplates)
-    if (ProgramOf(file) == "urdf" || ProgramOf(file) == "tf")
+    if (IsOf("urdf", file) || IsOf("tf", file))
       files.push_back({file.name, Render(file, head, links, kComment)});
   return files;
 }
@@ -530,7 +517,7 @@ std::string ExportNote(const StoredResult& stored, const std::vector<std::string
   std::vector<std::string> turned;
   std::copy_if(names.begin(), names.end(), std::back_inserter(turned), [](const std::string& name) {
     return std::any_of(std::begin(kTemplates), std::end(kTemplates), [&](const Template& file) {
-      return ProgramOf(file) == name && boost::contains(file.text, "{axes}");
+      return IsOf(name, file) && boost::contains(file.text, "{axes}");
     });
   });
   if (turned.empty() || angle_deg == 0.0) return "";

@@ -18,7 +18,6 @@ namespace fs = std::filesystem;
 constexpr const char* kEndings[] = {".mcap.zstd", ".db3.zstd", ".mcap",
                                     ".db3",       ".bag",      ".bag.active"};
 constexpr size_t kRos2Endings = 4;
-constexpr size_t kMaxMetadata = 10'000'000;  // [bytes] grows with the topics and their QoS
 
 /// The ending that a name has, of the first `count`; empty: none.
 std::string Ending(const std::string& name, size_t count) {
@@ -42,7 +41,7 @@ std::vector<std::string> FindBagFiles(const std::string& folder) {
 std::vector<std::string> ReadMetadata(const fs::path& metadata) {
   std::vector<std::string> files;
   try {
-    const YAML::Node root = ParseYaml(ReadYamlFile(metadata, kMaxMetadata));
+    const YAML::Node root = ParseYaml(ReadYamlFile(metadata));
     const YAML::Node names = root["rosbag2_bagfile_information"]["relative_file_paths"];
     if (!names || !names.IsSequence() || names.size() == 0)
       throw InputError("relative_file_paths names no files");

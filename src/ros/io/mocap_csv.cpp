@@ -6,6 +6,7 @@
 #include <cstring>
 #include <ctime>
 #include <map>
+#include <set>
 
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/ros/io/text_table.h"
@@ -15,13 +16,10 @@ namespace {
 
 using Cells = std::vector<std::string>;
 
-constexpr double kDegree = 3.14159265358979323846 / 180.0;
-constexpr double kMaxTime = 4e9;  // [s]
+constexpr double kMaxTime = 1e-9 * kMaxStampNs;  // [s]
 /// First lines of an export of Vicon.
 const Cells kViconParts{"Segments", "Objects",       "Trajectories",
                         "Devices",  "Model Outputs", "Joints"};
-
-constexpr size_t kTooLong = size_t{1} << 20;  // bytes of a line
 
 /// The cells of a line, without blanks and quotes around them.
 Cells Split(const std::string& line) {
@@ -51,8 +49,7 @@ class CellLines : public TextLines {
 
   [[noreturn]] void FailCell(size_t column, const std::string& text,
                              const std::string& expected) const {
-    FailHere("column " + std::to_string(column + 1) + " is " +
-             (text.empty() ? "empty" : "'" + text.substr(0, 60) + "'") + ", must be " + expected);
+    TextLines::FailCell(std::to_string(column + 1), text, expected);
   }
 
   double Number(const Cells& cells, size_t column) const {
@@ -114,17 +111,15 @@ void AddPose(const BodyColumns& columns, double t_s, const Cells& cells, const C
 }
 
 /// The body that is wanted of those that there are.
-std::string ChooseBody(std::vector<std::string> names, const std::string& wanted,
+std::string ChooseBody(const std::set<std::string>& names, const std::string& wanted,
                        const CellLines& lines) {
-  std::sort(names.begin(), names.end());
-  names.erase(std::unique(names.begin(), names.end()), names.end());
   const std::string list = boost::join(names, ", ");
   if (names.empty()) lines.Fail("holds no rigid body");
   if (wanted.empty() && names.size() > 1)
     lines.Fail("holds several bodies: " + list + "; choose with body");
-  if (!wanted.empty() && std::count(names.begin(), names.end(), wanted) == 0)
+  if (!wanted.empty() && names.count(wanted) == 0)
     lines.Fail("has no body '" + wanted + "'; it has: " + list);
-  return wanted.empty() ? names[0] : wanted;
+  return wanted.empty() ? *names.begin() : wanted;
 }
 
 // --- Motive ---
@@ -138,8 +133,8 @@ double ParseStart(const std::string& text, const CellLines& lines) {
   const size_t size = rest == nullptr ? 0 : std::strlen(rest) - (is_half ? 3 : 0);
   const std::optional<double> seconds = ParseNumber(std::string(rest ? rest : "", size));
   if (!(seconds && *seconds >= 0.0 && *seconds < 61.0) || time.tm_year < 70 || time.tm_year >= 200)
-    lines.Fail("Capture Start Time is '" + text.substr(0, 60) +
-               "', must be like '2024-05-31 01.02.03.456 PM'");
+    lines.Fail("Capture Start Time is " + Quote(text) +
+               ", must be like '2024-05-31 01.02.03.456 PM'");
   if (is_pm) time.tm_hour += 12;
   return static_cast<double>(timegm(&time)) + *seconds;
 }
@@ -156,10 +151,10 @@ BodyColumns MotiveColumns(MotiveHeader& header, const Cells& axes, const std::st
     std::string sorted = rotation_type;
     std::sort(sorted.begin(), sorted.end());
     if (sorted != "XYZ")
-      lines.Fail("Rotation Type is '" + rotation_type.substr(0, 60) +
-                 "', must be Quaternion or an order of Euler angles as XYZ");
+      lines.Fail("Rotation Type is " + Quote(rotation_type) +
+                 ", must be Quaternion or an order of Euler angles as XYZ");
     columns.order = rotation_type;
-    columns.rotation_unit = kDegree;
+    columns.rotation_unit = M_PI / 180.0;
   }
   const auto find = [&](const std::string& kind, const std::string& names) {
     std::vector<size_t> found;
@@ -185,11 +180,11 @@ MocapPoses ReadMotive(CellLines lines, const std::string& body) {
   for (size_t k = 0; k + 1 < cells.size(); k += 2) settings[cells[k]] = cells[k + 1];
   const double metres = Metres(settings["Length Units"]);
   if (metres == 0.0)
-    lines.FailHere("has the Length Units '" + settings["Length Units"].substr(0, 60) +
-                   "', must be Meters, Centimeters or Millimeters");
+    lines.FailHere("has the Length Units " + Quote(settings["Length Units"]) +
+                   ", must be Meters, Centimeters or Millimeters");
   const std::string &space = settings["Coordinate Space"], &start = settings["Capture Start Time"];
   if (!space.empty() && space != "Global")
-    lines.FailHere("has the Coordinate Space '" + space.substr(0, 60) + "', must be Global");
+    lines.FailHere("has the Coordinate Space " + Quote(space) + ", must be Global");
   const double start_s = start.empty() ? 0.0 : ParseStart(start, lines);
 
   MotiveHeader header;  // by the first cell that is not empty
@@ -203,9 +198,9 @@ MocapPoses ReadMotive(CellLines lines, const std::string& body) {
   for (const char* row : {"Type", "Name", "Rotation"})
     if (header.count(row) == 0)
       lines.Fail("has no row of " + std::string(row) + " above the row that begins with Frame");
-  std::vector<std::string> names;
+  std::set<std::string> names;
   for (size_t k = 2; k < cells.size(); ++k)
-    if (Cell(header["Type"], k) == "Rigid Body") names.push_back(Cell(header["Name"], k));
+    if (Cell(header["Type"], k) == "Rigid Body") names.insert(Cell(header["Name"], k));
   MocapPoses mocap;
   mocap.body = ChooseBody(names, body, lines);
   BodyColumns columns = MotiveColumns(header, cells, mocap.body, settings["Rotation Type"], lines);
@@ -259,7 +254,7 @@ BodyColumns ViconColumns(const Cells& axes, const Cells& units, size_t begin,
   }
   const std::string angle = Cell(units, columns.rotation[0]);
   if (angle != "deg" && angle != "rad") lines.FailCell(columns.rotation[0], angle, "deg or rad");
-  if (angle == "deg") columns.rotation_unit = kDegree;
+  if (angle == "deg") columns.rotation_unit = M_PI / 180.0;
   return columns;
 }
 
@@ -279,10 +274,10 @@ MocapPoses ReadVicon(CellLines lines, const std::string& body) {
   if (axes[0] != "Frame") lines.FailCell(0, axes[0], "Frame");
   next(&units, "the units");
 
-  std::vector<std::string> bodies;
+  std::set<std::string> bodies;
   for (std::string& name : names) {
     name = ViconName(name);
-    if (!name.empty()) bodies.push_back(name);
+    if (!name.empty()) bodies.insert(name);
   }
   MocapPoses mocap;
   mocap.body = ChooseBody(bodies, ViconName(body), lines);
@@ -310,7 +305,7 @@ std::optional<MocapPoses> ReadMocapCsv(std::istream& in, const std::string& name
   const bool is_vicon = std::count(kViconParts.begin(), kViconParts.end(), first[0]) > 0 &&
                         IsBlank({first.begin() + 1, first.end()});
   if (!is_vicon && first[0] != "Format Version") return std::nullopt;
-  CellLines lines(in, name, kTooLong);
+  CellLines lines(in, name);
   MocapPoses mocap = is_vicon ? ReadVicon(lines, body) : ReadMotive(lines, body);
   if (mocap.poses.empty()) lines.Fail("holds no pose of '" + mocap.body + "'");
   return mocap;

@@ -48,15 +48,14 @@ std::string Beside(const std::string& target, const char* what) {
 
 /// Where a link leads to, whether or not there is something; else the path itself.
 std::string Target(const std::string& field, const std::string& path) {
-  constexpr int kMostLinks = 40;
   fs::path target = path;
   std::error_code error;
-  for (int links = 0; fs::is_symlink(fs::symlink_status(target, error)); ++links) {
-    if (links == kMostLinks) Fail(field, path, ELOOP);
+  const fs::file_status status = fs::status(target, error);
+  if (error == std::errc::too_many_symbolic_link_levels) Fail(field, path, ELOOP);
+  while (fs::is_symlink(fs::symlink_status(target, error))) {
     target = target.parent_path() / fs::read_symlink(target, error);
     if (error) Fail(field, path, error.value());
   }
-  const fs::file_status status = fs::status(target, error);
   if (fs::is_directory(status)) Fail(field, path, EISDIR);
   if (fs::exists(status) && !fs::is_regular_file(status))
     throw InputError(field + " '" + path + "' is no regular file, which it must be");
@@ -126,9 +125,8 @@ bool IsOurs(const fs::path& path) {
 
 /// What a result says that its run wrote elsewhere, see RunInfo; nothing when it is none of ours.
 std::vector<std::string> ListedIn(const std::string& result) {
-  constexpr size_t kMaxSize = 10'000'000;
   try {
-    const YAML::Node root = ParseYaml(ReadYamlFile(result, kMaxSize));
+    const YAML::Node root = ParseYaml(ReadYamlFile(result));
     auto files = root["imu_pose_calib"]["files"].as<std::vector<std::string>>();
     for (std::string& file : files) file = fs::path(result).parent_path() / file;
     return files;

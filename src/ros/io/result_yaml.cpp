@@ -230,25 +230,22 @@ class ResultFile {
 
 std::string ImuName(size_t imu) { return "imu" + std::to_string(imu); }
 
-void Transform(const std::string& at, Rigid3& T, ResultFile* file) {
+/// With its covariance and sigmas, if it has any.
+void Transform(const std::string& at, Rigid3& T, Matrix6d* covariance, ResultFile* file) {
   file->Value(at + "translation", T.p);
   file->Value(at + "rotation", T.q);
   file->Note(at + "matrix", T.Matrix());
-}
-
-/// A transform of `estimate`, which states its covariance and sigmas.
-template <typename Estimate>
-void UncertainTransform(const std::string& at, Rigid3& T, Estimate& estimate, ResultFile* file) {
-  Transform(at + "transform.", T, file);
-  file->Note(at + "transform.translation_std", estimate.Std().template head<3>());
-  file->Note(at + "transform.rotation_std", estimate.Std().template tail<3>());
-  file->Value(at + "transform.covariance", estimate.covariance);
+  if (covariance == nullptr) return;
+  const Vector6d std_dev = covariance->diagonal().cwiseSqrt();
+  file->Note(at + "translation_std", std_dev.head<3>());
+  file->Note(at + "rotation_std", std_dev.tail<3>());
+  file->Value(at + "covariance", *covariance);
 }
 
 void Transforms(const std::string& at, ImuCalibration& imu, ResultFile* file) {
-  UncertainTransform(at, imu.T_MI, imu, file);
+  Transform(at + "transform.", imu.T_MI, &imu.covariance, file);
   Rigid3 T_IM = imu.T_MI.Inverse();
-  if (!file->reads()) Transform(at + "inverse_transform.", T_IM, file);
+  if (!file->reads()) Transform(at + "inverse_transform.", T_IM, nullptr, file);
 }
 
 void AccelDelay(const std::string& at, ImuCalibration& imu, ResultFile* file) {
@@ -305,11 +302,10 @@ void Noise(const std::string& at, ImuSession& imu, ResultFile* file) {
   file->Value(at + "noise.accel_std", imu.noise.accel);
 }
 
-Status ToUsable(const std::string& name) {
-  for (const Status status : {Status::kOk, Status::kWeak})
+Status ToStatus(const std::string& name) {
+  for (const Status status : {Status::kOk, Status::kWeak, Status::kDegenerate})
     if (name == ToString(status)) return status;
-  ResultFile::Fail("imu_pose_calib.status",
-                   "is '" + name + "'; only a result that is ok or weak can be used");
+  return Status::kNotRun;
 }
 
 /// The estimate of the first IMU in the first session.
@@ -338,7 +334,10 @@ void First(const RunInfo& run, StoredResult* stored, ResultFile* file) {
   file->Value("imu_pose_calib.version", stored->version);
   file->Note("imu_pose_calib.method", ToString(result.method));
   file->Value("imu_pose_calib.status", status);
-  if (file->reads()) result.status = ToUsable(status);
+  result.status = ToStatus(status);
+  if (file->reads() && !result.IsUsable())
+    ResultFile::Fail("imu_pose_calib.status",
+                     "is '" + status + "'; only a result that is ok or weak can be used");
   file->Value("imu_pose_calib.message", result.message);
   file->Note("imu_pose_calib.date", UtcText(std::time(nullptr), "%Y-%m-%dT%H:%M:%SZ"));
   file->Optional("imu_pose_calib.run_id", !stored->run_id.empty(), &stored->run_id);
@@ -376,7 +375,7 @@ std::vector<std::string> Imus(StoredResult* stored, ResultFile* file) {
     BetweenImus& between = result.between_imus[k];
     file->Note(at + "first", ImuName(between.first));
     file->Note(at + "second", ImuName(between.second));
-    UncertainTransform(at, between.T, between, file);
+    Transform(at + "transform.", between.T, &between.covariance, file);
   }
   return names;
 }
@@ -529,16 +528,15 @@ void PoseSensors(StoredResult* stored, ResultFile* file) {
     file->Value(at + "world_frame", info.world_frame);
     std::string status = ToString(sensor.status);
     file->Value(at + "status", status);
-    for (const Status known : {Status::kOk, Status::kWeak, Status::kDegenerate})
-      if (status == ToString(known)) sensor.status = known;
+    sensor.status = ToStatus(status);
     file->Value(at + "message", sensor.message);
-    UncertainTransform(at, sensor.T_MS, sensor, file);
+    Transform(at + "transform.", sensor.T_MS, &sensor.covariance, file);
     for (size_t i = 0; i < result.imus.size() && !file->reads(); ++i) {
       const std::string to_imu = at + "to_imus." + std::to_string(i) + ".";
       BetweenImus between = BetweenSensors(result.imus[i].T_MI, result.imus[i].covariance,
                                            sensor.T_MS, sensor.covariance);
       file->Note(to_imu + "imu", ImuName(i));
-      UncertainTransform(to_imu, between.T, between, file);
+      Transform(to_imu + "transform.", between.T, &between.covariance, file);
     }
     SensorSessions(at, result.sessions.size(), sensor, file);
     Spectrum(at + "observability", sensor.observability, file);
@@ -573,16 +571,6 @@ void Quality(Calibration& result, ResultFile* file) {
   file->Note("trajectory.segments", session.segments);
 }
 
-/// One member of the reports.
-template <typename T>
-void NotePerStream(const std::string& at, const SessionCalibration& session,
-                   T StreamReport::*member, bool has_imu, ResultFile* file) {
-  file->Note(at + "/poses", session.poses.*member);
-  if (!has_imu) return;
-  file->Note(at + "/gyro", session.imus[0].gyro.*member);
-  file->Note(at + "/accel", session.imus[0].accel.*member);
-}
-
 /// The recording of the first session.
 void Data(Calibration& result, RecordingInfo& info, ResultFile* file) {
   SessionCalibration& session = result.sessions[0];
@@ -597,19 +585,17 @@ void Data(Calibration& result, RecordingInfo& info, ResultFile* file) {
   if (has_imu) file->Note("data.imu_yaml", info.imu_yaml);
   if (info.stated_pose_std) Poses("data.stated_pose_std", *info.stated_pose_std, file);
   file->Value("data.duration", session.poses.duration_s);
-  NotePerStream("data.counts", session, &StreamReport::used, has_imu, file);
-  file->Value("data.rates/poses", session.poses.rate_hz);
-  if (has_imu) {
-    file->Value("data.rates/gyro", session.imus[0].gyro.rate_hz);
-    file->Value("data.rates/accel", session.imus[0].accel.rate_hz);
-  }
-  NotePerStream("data.stamps_recovered", session, &StreamReport::stamps_recovered, has_imu, file);
-  NotePerStream("data.stamp_jitter", session, &StreamReport::stamp_jitter_s, has_imu, file);
-  Rejected("data.rejected.poses", session.poses, file);
-  if (has_imu) {
-    Rejected("data.rejected.gyro", session.imus[0].gyro, file);
-    Rejected("data.rejected.accel", session.imus[0].accel, file);
-  }
+  std::vector<std::pair<std::string, StreamReport*>> streams = {{"poses", &session.poses}};
+  if (has_imu) streams.emplace_back("gyro", &session.imus[0].gyro);
+  if (has_imu) streams.emplace_back("accel", &session.imus[0].accel);
+  const auto note = [&](const std::string& key, auto StreamReport::*member) {
+    for (const auto& [name, report] : streams) file->Note(key + "/" + name, report->*member);
+  };
+  note("data.counts", &StreamReport::used);
+  for (const auto& [name, report] : streams) file->Value("data.rates/" + name, report->rate_hz);
+  note("data.stamps_recovered", &StreamReport::stamps_recovered);
+  note("data.stamp_jitter", &StreamReport::stamp_jitter_s);
+  for (const auto& [name, report] : streams) Rejected("data.rejected." + name, *report, file);
   file->Note("data.gaps", session.gaps);
   file->Note("data.jumps", session.jumps);
 }

@@ -167,19 +167,6 @@ constexpr NoiseKey kNoiseKeys[] = {
     {"accelerometer_noise_density", &CalibrationOptions::accel_noise_density, 1e-9},
     {"accelerometer_random_walk", &CalibrationOptions::accel_bias_walk, 1e-12}};
 
-ImuYaml ReadImu(const YAML::Node& imu) {
-  CheckKeys(imu);
-  ImuYaml yaml;
-  for (const NoiseKey& key : kNoiseKeys)
-    yaml.noise.*key.field = ReadNumber(imu, key.name, key.low, 1e3);
-  if (imu["update_rate"]) ReadNumber(imu, "update_rate", 1e-3, 1e6);
-  if (imu["rostopic"]) {
-    if (!imu["rostopic"].IsScalar()) throw InputError("rostopic must be a string");
-    yaml.rostopic = imu["rostopic"].Scalar();
-  }
-  return yaml;
-}
-
 template <typename Enum>
 Enum ParseName(const std::string& what, const std::string& name,
                std::initializer_list<Enum> values) {
@@ -224,12 +211,22 @@ std::string ToYaml(const CalibrationOptions& options) {
   return text.str();
 }
 
-void ImuYaml::CopyNoise(CalibrationOptions* options) const {
-  for (const NoiseKey& key : kNoiseKeys) options->*key.field = noise.*key.field;
+std::string ParseImuYaml(const std::string& yaml, CalibrationOptions* options) {
+  const YAML::Node imu = FindImu(ParseYaml(yaml));
+  CheckKeys(imu);
+  for (const NoiseKey& key : kNoiseKeys)
+    options->*key.field = ReadNumber(imu, key.name, key.low, 1e3);
+  if (imu["update_rate"]) ReadNumber(imu, "update_rate", 1e-3, 1e6);
+  if (!imu["rostopic"]) return "";
+  if (!imu["rostopic"].IsScalar()) throw InputError("rostopic must be a string");
+  return imu["rostopic"].Scalar();
 }
 
-ImuYaml ParseImuYaml(const std::string& yaml) { return ReadImu(FindImu(ParseYaml(yaml))); }
-
-ImuYaml LoadImuYaml(const std::string& path) { return LoadYaml("imu_yaml", path, ParseImuYaml); }
+std::string LoadImuYaml(const std::string& path, CalibrationOptions* options) {
+  CalibrationOptions ignored;
+  CalibrationOptions* const noise = options ? options : &ignored;
+  return LoadYaml("imu_yaml", path,
+                  [&](const std::string& yaml) { return ParseImuYaml(yaml, noise); });
+}
 
 }  // namespace imu_pose_calib

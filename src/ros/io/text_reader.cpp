@@ -37,13 +37,12 @@ bool IsPoseSensor(const TextRequest& request, const std::string& path) {
                      });
 }
 
-using HasHeader = bool (*)(std::istream&, const std::string& name);
-
-/// SENSOR/data.csv of the request's folder that has the header, and is no pose sensor. With pose
-/// sensors an IMU may be missing.
-std::string FindTable(const TextRequest& request, HasHeader has_header, const std::string& what,
-                      const std::string& fields) {
+/// SENSOR/data.csv of the request's folder that is of an IMU, or of poses, and is no pose sensor.
+/// With pose sensors an IMU may be missing.
+std::string FindTable(const TextRequest& request, bool is_imu) {
   const std::string& folder = request.folder;
+  const std::string what = is_imu ? "an IMU" : "poses";
+  const std::string fields = is_imu ? "imu, or gyro and accel" : "poses";
   namespace fs = std::filesystem;
   std::vector<std::string> tables;
   try {
@@ -53,13 +52,13 @@ std::string FindTable(const TextRequest& request, HasHeader has_header, const st
       const std::string path = (sensor.path() / "data.csv").string();
       if (!fs::is_regular_file(path) || IsPoseSensor(request, path)) continue;
       std::ifstream file = Open(path);
-      if (has_header(file, path)) tables.push_back(path);
+      if (HasHeader(file, path, is_imu)) tables.push_back(path);
     }
   } catch (const fs::filesystem_error& error) {
     throw InputError("folder '" + folder + "' cannot be read: " + error.code().message());
   }
   std::sort(tables.begin(), tables.end());
-  if (tables.empty() && has_header == HasImuHeader && !request.pose_sensors.empty()) return "";
+  if (tables.empty() && is_imu && !request.pose_sensors.empty()) return "";
   if (tables.empty())
     throw InputError("folder '" + folder +
                      "' has no SENSOR/data.csv whose header names the columns of " + what +
@@ -143,11 +142,9 @@ void ReadAllPoses(const TextRequest& files, Recording* recording) {
 TextRequest FindFiles(TextRequest request) {
   const bool is_split =
       IsPair({"imu", request.imu}, {"gyro", request.gyro}, {"accel", request.accel});
-  const bool has_imu = !request.imu.empty();
   if (!request.folder.empty()) {
-    if (request.poses.empty()) request.poses = FindTable(request, HasPoseHeader, "poses", "poses");
-    if (!has_imu && !is_split)
-      request.imu = FindTable(request, HasImuHeader, "an IMU", "imu, or gyro and accel");
+    if (request.poses.empty()) request.poses = FindTable(request, false);
+    if (request.imu.empty() && !is_split) request.imu = FindTable(request, true);
   }
   if (request.poses.empty()) throw InputError("poses is missing: the file of the poses");
   if (request.imu.empty() && !is_split && request.pose_sensors.empty())

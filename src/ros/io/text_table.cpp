@@ -16,23 +16,22 @@ namespace {
 
 using Strings = std::vector<std::string>;
 
+constexpr size_t kTooLong = size_t{1} << 20;  // bytes of a line
+
 // --- Columns ---
 
-/// A column that is needed: its name, and all that headers may call it, in lower case.
-struct Column {
-  std::string name;
-  Strings aliases;
-};
+/// A column that is needed: all that headers may call it, in lower case, the first its name here.
+using Column = Strings;
 /// The first one holds the stamps.
 using Columns = std::vector<Column>;
 
 /// The stamps, and for each axis of each group a column that any of the prefixes may begin.
 Columns MakeColumns(const std::vector<std::pair<std::string, Strings>>& groups) {
-  Columns columns{{"timestamp", {"timestamp", "time", "stamp", "t"}}};
+  Columns columns{{"timestamp", "time", "stamp", "t"}};
   for (const auto& [axes, prefixes] : groups)
     for (const char axis : axes) {
-      columns.push_back({prefixes[0] + axis, prefixes});
-      for (std::string& alias : columns.back().aliases) alias += axis;
+      columns.push_back(prefixes);
+      for (std::string& alias : columns.back()) alias += axis;
     }
   return columns;
 }
@@ -49,20 +48,11 @@ Columns ImuColumns() { return MakeColumns({{"xyz", kGyroPrefixes}, {"xyz", kAcce
 
 std::string Names(const Columns& columns) {
   Strings names;
-  for (const Column& column : columns) names.push_back(column.name);
+  for (const Column& column : columns) names.push_back(column[0]);
   return boost::join(names, " ");
 }
 
 // --- Header ---
-
-/// Text from a file for a message: short and printable.
-std::string Quote(const std::string& text) {
-  constexpr size_t kMaxSize = 60;
-  std::string quoted = text.substr(0, kMaxSize);
-  for (char& c : quoted)
-    if (c < ' ' || c > '~') c = '.';
-  return "'" + quoted + (text.size() > kMaxSize ? "...'" : "'");
-}
 
 Strings Split(const std::string& line) {
   Strings fields;
@@ -85,7 +75,7 @@ struct Header {
     std::string name, unit;
   };
   std::string text;
-  size_t number = 0;  ///< of the line
+  size_t number = 0;  ///< of the line; 0: the file has no header
   std::vector<Field> fields;
 
   Header() = default;
@@ -110,8 +100,7 @@ struct Header {
   std::vector<size_t> Find(const Column& column) const {
     std::vector<size_t> found;
     for (size_t i = 0; i < fields.size(); ++i)
-      if (std::count(column.aliases.begin(), column.aliases.end(),
-                     boost::to_lower_copy(fields[i].name)) > 0)
+      if (std::count(column.begin(), column.end(), boost::to_lower_copy(fields[i].name)) > 0)
         found.push_back(i);
     return found;
   }
@@ -141,10 +130,10 @@ Layout ReadHeader(const Columns& columns, const Header& header, const TextLines&
   for (const Column& column : columns) {
     const std::vector<size_t> found = header.Find(column);
     if (found.empty())
-      fail("has no column " + column.name + " (" + boost::join(column.aliases, ", ") +
+      fail("has no column " + column[0] + " (" + boost::join(column, ", ") +
            "); columns needed: " + Names(columns));
     if (found.size() > 1)
-      fail("has the column " + column.name + " twice, as " + Quote(header.fields[found[0]].name) +
+      fail("has the column " + column[0] + " twice, as " + Quote(header.fields[found[0]].name) +
            " and " + Quote(header.fields[found[1]].name));
     layout.index.push_back(found[0]);
     layout.names.push_back(header.fields[found[0]].name);
@@ -153,7 +142,7 @@ Layout ReadHeader(const Columns& columns, const Header& header, const TextLines&
   layout.time_unit = header.fields[layout.index[0]].unit;
   if (!layout.time_unit.empty() && kNanoseconds.count(layout.time_unit) == 0)
     fail("has the stamps in " + Quote(layout.time_unit) + ", must be s, ms, us or ns");
-  layout.is_from_header = true;
+  layout.is_from_header = header.number > 0;
   return layout;
 }
 
@@ -162,22 +151,14 @@ Layout ReadHeader(const Columns& columns, const Header& header, const TextLines&
 /// overlooked.
 Layout FindLayout(const Columns& columns, const Header& comment, size_t fields,
                   const TextLines& lines) {
-  if (comment.IsOf(columns) || (!comment.text.empty() && comment.fields.size() == fields))
-    return ReadHeader(columns, comment, lines);
-  Layout layout;
-  for (const Column& column : columns) {
-    layout.index.push_back(layout.width++);
-    layout.names.push_back(column.name);
-  }
-  return layout;
+  const bool is_header =
+      comment.IsOf(columns) || (!comment.text.empty() && comment.fields.size() == fields);
+  return ReadHeader(columns, is_header ? comment : Header(Names(columns), 0), lines);
 }
 
 // --- Values ---
 
 bool IsWhole(const std::string& number) { return number.find_first_of(".eE") == std::string::npos; }
-
-/// Stamps beyond would not leave room for differences: year 2115.
-constexpr double kMaxStampNs = 4.6e18;
 
 /// The samples of one table.
 class TableReader {
@@ -228,16 +209,9 @@ class TableReader {
     return false;
   }
 
-  /// Refuses the value of a column of the current line.
-  [[noreturn]] void FailValue(size_t column, const std::string& text,
-                              const std::string& expected) const {
-    lines_.FailHere("column " + layout_->names[column] + " is " +
-                    (text.empty() ? "empty" : Quote(text)) + ", must be " + expected);
-  }
-
   int64_t ParseStamp(const std::string& text) {
     const std::optional<double> rough = ParseNumber(text);
-    if (!rough || !std::isfinite(*rough)) FailValue(0, text, "a number");
+    if (!rough || !std::isfinite(*rough)) lines_.FailCell(layout_->names[0], text, "a number");
     std::string unit = layout_->time_unit;
     if (unit.empty()) {
       const bool is_ns = IsWhole(text) && std::abs(*rough) > 1e15;
@@ -246,20 +220,21 @@ class TableReader {
     }
     const auto scale = static_cast<double>(kNanoseconds.at(unit));
     if (!(std::abs(*rough) <= kMaxStampNs / scale))
-      FailValue(0, text,
-                "within " + YamlNumber(kMaxStampNs / scale) + " " + unit +
-                    " of 0; a header may name its unit: 'timestamp [ns]'");
+      lines_.FailCell(layout_->names[0], text,
+                      "within " + YamlNumber(kMaxStampNs / scale) + " " + unit +
+                          " of 0; a header may name its unit: 'timestamp [ns]'");
     using Decimal = boost::multiprecision::cpp_dec_float_50;
     try {
       return round(Decimal(text) * scale).convert_to<int64_t>();
     } catch (const std::runtime_error&) {  // an exponent out of its range, as in 0e99999999999
-      FailValue(0, text, "a number");
+      lines_.FailCell(layout_->names[0], text, "a number");
     }
   }
 
   double ParseValue(size_t column, const std::string& text) const {
     const std::optional<double> value = ParseNumber(text);
-    if (!value) FailValue(column, text, "a number within +-1.8e308 (nan: lost sample)");
+    if (!value)
+      lines_.FailCell(layout_->names[column], text, "a number within +-1.8e308 (nan: lost sample)");
     return *value;
   }
 
@@ -281,22 +256,18 @@ class TableReader {
   int64_t first_ns_ = 0, last_ns_ = 0;
 };
 
-Eigen::Vector3d Vector(const std::vector<double>& values, size_t begin) {
-  return {values[begin], values[begin + 1], values[begin + 2]};
-}
-
-bool StartsWithHeader(const Columns& columns, std::istream& in, const std::string& name) {
-  std::string line;
-  if (!TextLines(in, name).Next(&line)) return false;
-  const Header header(line, 1);
-  return std::all_of(columns.begin(), columns.end(),
-                     [&](const Column& column) { return header.Has(column); });
-}
-
 }  // namespace
 
-TextLines::TextLines(std::istream& in, std::string name, size_t too_long)
-    : in_(in), name_(std::move(name)), buffer_(too_long, '\0') {}
+std::string Quote(const std::string& text) {
+  constexpr size_t kMaxSize = 60;
+  std::string quoted = text.substr(0, kMaxSize);
+  for (char& c : quoted)
+    if (c < ' ' || c > '~') c = '.';
+  return "'" + quoted + (text.size() > kMaxSize ? "...'" : "'");
+}
+
+TextLines::TextLines(std::istream& in, std::string name)
+    : in_(in), name_(std::move(name)), buffer_(kTooLong, '\0') {}
 
 bool TextLines::Next(std::string* line) {
   in_.getline(buffer_.data(), static_cast<std::streamsize>(buffer_.size()));
@@ -321,32 +292,39 @@ void TextLines::FailAt(size_t number, const std::string& text) const {
   Fail("line " + std::to_string(number) + " " + text);
 }
 
+void TextLines::FailCell(const std::string& column, const std::string& text,
+                         const std::string& expected) const {
+  FailHere("column " + column + " is " + (text.empty() ? "empty" : Quote(text)) + ", must be " +
+           expected);
+}
+
 std::optional<double> ParseNumber(const std::string& text) {
   double value = 0.0;
   if (!boost::conversion::try_lexical_convert(text, value)) return std::nullopt;
   return value;
 }
 
-bool HasPoseHeader(std::istream& in, const std::string& name) {
-  return StartsWithHeader(PoseColumns(), in, name);
-}
-
-bool HasImuHeader(std::istream& in, const std::string& name) {
-  return StartsWithHeader(ImuColumns(), in, name);
+bool HasHeader(std::istream& in, const std::string& name, bool is_imu) {
+  std::string line;
+  if (!TextLines(in, name).Next(&line)) return false;
+  const Header header(line, 1);
+  const Columns columns = is_imu ? ImuColumns() : PoseColumns();
+  return std::all_of(columns.begin(), columns.end(),
+                     [&](const Column& column) { return header.Has(column); });
 }
 
 std::vector<PoseSample> ReadPoseTable(std::istream& in, const std::string& name) {
   std::vector<PoseSample> poses;
   TableReader(PoseColumns(), in, name).ForEach([&](int64_t t_ns, const std::vector<double>& v) {
-    poses.push_back({t_ns, {v[6], v[3], v[4], v[5]}, Vector(v, 0), {}});
+    poses.push_back({t_ns, {v[6], v[3], v[4], v[5]}, Eigen::Vector3d::Map(v.data()), {}});
   });
   return poses;
 }
 
 void ReadImuTable(std::istream& in, const std::string& name, ImuData* data) {
   TableReader(ImuColumns(), in, name).ForEach([&](int64_t t_ns, const std::vector<double>& v) {
-    data->gyro.push_back({t_ns, Vector(v, 0)});
-    data->accel.push_back({t_ns, Vector(v, 3)});
+    data->gyro.push_back({t_ns, Eigen::Vector3d::Map(v.data())});
+    data->accel.push_back({t_ns, Eigen::Vector3d::Map(v.data() + 3)});
   });
 }
 
@@ -356,7 +334,7 @@ std::vector<ImuSample> ReadSensorTable(std::istream& in, const std::string& name
   std::vector<ImuSample> samples;
   TableReader(MakeColumns({{"xyz", prefixes}}), in, name)
       .ForEach([&](int64_t t_ns, const std::vector<double>& values) {
-        samples.push_back({t_ns, Vector(values, 0)});
+        samples.push_back({t_ns, Eigen::Vector3d::Map(values.data())});
       });
   return samples;
 }

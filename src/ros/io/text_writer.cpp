@@ -9,15 +9,14 @@
 namespace imu_pose_calib {
 namespace {
 
-using StampText = std::string (*)(int64_t t_ns);
-
-std::string NanosecondsText(int64_t t_ns) { return std::to_string(t_ns); }
-
-std::string ImuTable(const std::string& header, StampText stamp, const ImuData& imu) {
+std::string ImuTable(bool is_asl, const ImuData& imu) {
   CheckSameStamps(imu);
-  TextTable table(header, ',');
-  for (size_t k = 0; k < imu.gyro.size(); ++k)
-    table.AddRow(stamp(imu.gyro[k].t_ns), imu.gyro[k].value, imu.accel[k].value);
+  TextTable table(is_asl ? kAslImuHeader : "timestamp,gx,gy,gz,ax,ay,az\n", ',');
+  for (size_t k = 0; k < imu.gyro.size(); ++k) {
+    const int64_t t_ns = imu.gyro[k].t_ns;
+    table.AddRow(is_asl ? std::to_string(t_ns) : SecondsText(t_ns), imu.gyro[k].value,
+                 imu.accel[k].value);
+  }
   return table.text();
 }
 
@@ -33,7 +32,7 @@ std::string AslPoses(const std::vector<PoseSample>& poses) {
       "q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []\n",
       ',');
   for (const PoseSample& pose : poses)
-    table.AddRow(NanosecondsText(pose.t_ns), pose.p_WM, pose.q_WM.w(), pose.q_WM.vec());
+    table.AddRow(std::to_string(pose.t_ns), pose.p_WM, pose.q_WM.w(), pose.q_WM.vec());
   return table.text();
 }
 
@@ -58,7 +57,7 @@ void TextTable::Append(double value) {
 
 void WriteAslFolder(const std::string& folder, const SessionData& data) {
   OutputFiles files;
-  const std::string imu = ImuTable(kAslImuHeader, NanosecondsText, data.imus[0]);
+  const std::string imu = ImuTable(true, data.imus[0]);
   for (const char* sensor : {"", "/mocap0", "/imu0"}) files.MakeFolder(folder + sensor);
   files.Write(folder + "/mocap0/data.csv", AslPoses(data.poses));
   files.Write(folder + "/imu0/data.csv", imu);
@@ -81,7 +80,7 @@ void WriteTables(const std::string& prefix, const SessionData& data, bool split_
     files.Write(prefix + ".gyro.csv", SensorTable("timestamp,gx,gy,gz\n", imu.gyro));
     files.Write(prefix + ".accel.csv", SensorTable("timestamp,ax,ay,az\n", imu.accel));
   } else {
-    files.Write(prefix + ".imu.csv", ImuTable("timestamp,gx,gy,gz,ax,ay,az\n", SecondsText, imu));
+    files.Write(prefix + ".imu.csv", ImuTable(false, imu));
   }
   files.Commit();
 }

@@ -14,6 +14,7 @@ namespace imu_pose_calib {
 namespace {
 
 constexpr int kMaxDepth = 20;
+constexpr size_t kMaxSize = 10'000'000;  // bytes
 
 [[noreturn]] void FailAt(const YAML::Mark& mark, const std::string& text) {
   throw InputError(mark.is_null() ? text : "line " + std::to_string(mark.line + 1) + ": " + text);
@@ -65,17 +66,16 @@ size_t EditDistance(const std::string& a, const std::string& b) {
 
 }  // namespace
 
-std::string ReadYamlFile(const std::string& path, size_t max_size) {
+std::string ReadYamlFile(const std::string& path) {
   std::error_code ignored;
   if (std::filesystem::is_directory(path, ignored))
     throw InputError("is a directory, must be a file");
   std::ifstream file(path, std::ios::binary);
   if (!file) throw InputError(std::string("cannot be read: ") + std::strerror(errno));
-  std::string text(max_size + 1, '\0');
+  std::string text(kMaxSize + 1, '\0');
   file.read(text.data(), static_cast<std::streamsize>(text.size()));
   text.resize(static_cast<size_t>(file.gcount()));
-  if (text.size() > max_size)
-    throw InputError("is larger than " + std::to_string(max_size / 1000) + " kB");
+  if (text.size() > kMaxSize) throw InputError("is larger than 10 MB");
   return text;
 }
 

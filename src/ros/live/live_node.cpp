@@ -65,7 +65,7 @@ OfflineRequest Checked(OfflineRequest request) {
          {"tf_child", topics.tf_child});
   topics.pose_sensors = PoseSensors(request);
   if (!request.imu_yaml.empty() && topics.imu_topic.empty() && !is_split)
-    topics.imu_topic = LoadImuYaml(request.imu_yaml).rostopic;
+    topics.imu_topic = LoadImuYaml(request.imu_yaml);
   for (const auto& [name, value] :
        {Given{"imu_frame", request.imu_frame}, Given{"accel_topic", topics.accel_topic}})
     if (const size_t count = SplitNames(value).size(), imus = CountImus(topics);

@@ -132,7 +132,7 @@ Recording ReadRecording(const OfflineRequest& request) {
   const TextRequest& text = request.text;
   if (request.bag.paths.empty()) return ReadText(text);
   BagRequest bag = request.bag;
-  if (!request.imu_yaml.empty()) bag.usual_imu_topic = LoadImuYaml(request.imu_yaml).rostopic;
+  if (!request.imu_yaml.empty()) bag.usual_imu_topic = LoadImuYaml(request.imu_yaml);
   Recording recording = ReadBag(bag);
   Recording files = ReadFiles(text);
   if (!bag.imus) {
@@ -345,7 +345,7 @@ std::vector<std::string> OtherFiles(const OfflineResult& offline) {
 CalibrationOptions Options(const OfflineRequest& request) {
   CalibrationOptions options;
   if (!request.config.empty()) options = LoadOptions(request.config);
-  if (!request.imu_yaml.empty()) LoadImuYaml(request.imu_yaml).CopyNoise(&options);
+  if (!request.imu_yaml.empty()) LoadImuYaml(request.imu_yaml, &options);
   if (!request.method.empty()) options.method = ParseMethod(request.method);
   if (!request.solver.empty()) options.solver = ParseSolver(request.solver);
   if (request.calibration.empty()) return options;

@@ -23,23 +23,16 @@ CalibrationOptions LoadOptions(const std::string& yaml_path);
 /// The same map for every field, one `key: value` a line; ParseOptions() reads it back exactly.
 std::string ToYaml(const CalibrationOptions& options);
 
-/// What Kalibr's imu.yaml states of an IMU.
-struct ImuYaml {
-  CalibrationOptions noise;  ///< densities and walks, which have the same units there
-  std::string rostopic;      ///< empty: not given
-
-  void CopyNoise(CalibrationOptions* options) const;
-};
-
-/// Reads the text of an imu.yaml, with its keys at the top or, as in Kalibr's results, below
-/// `imu0`, or of a sensor.yaml of EuRoC. The noise keys are required. Keys of these files that say
-/// nothing about noise are passed over.
+/// Reads the text of Kalibr's imu.yaml, with its keys at the top or, as in Kalibr's results, below
+/// `imu0`, or of a sensor.yaml of EuRoC. Sets the noise densities and walks, which are required;
+/// keys of these files that say nothing about noise are passed over. Returns the rostopic, empty
+/// when it is not given.
 ///
 /// Throws InputError naming key and bound for a key that is missing, unknown, of the wrong type or
 /// out of range.
-ImuYaml ParseImuYaml(const std::string& yaml);
+std::string ParseImuYaml(const std::string& yaml, CalibrationOptions* options);
 
-/// The same of a file, which the error names too.
-ImuYaml LoadImuYaml(const std::string& path);
+/// The same of a file, which the error names too; for the topic alone without options.
+std::string LoadImuYaml(const std::string& path, CalibrationOptions* options = nullptr);
 
 }  // namespace imu_pose_calib

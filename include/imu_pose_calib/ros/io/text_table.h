@@ -9,19 +9,28 @@
 
 namespace imu_pose_calib {
 
+/// Stamps beyond would not leave room for differences: year 2115.
+constexpr double kMaxStampNs = 4.6e18;
+
+/// Text from a file for a message: short and printable.
+std::string Quote(const std::string& text);
+
 /// The lines of a text with their numbers, without blanks at both ends.
 class TextLines {
  public:
-  /// `name` begins all errors; a line must be shorter than `too_long` bytes.
-  TextLines(std::istream& in, std::string name, size_t too_long = 16384);
+  /// `name` begins all errors.
+  TextLines(std::istream& in, std::string name);
 
-  /// The next line. False at the end; throws InputError when it is no text or too long.
+  /// The next line. False at the end; throws InputError when it is no text or has a MB.
   bool Next(std::string* line);
   size_t number() const { return number_; }
 
   [[noreturn]] void Fail(const std::string& text) const;
   [[noreturn]] void FailAt(size_t number, const std::string& text) const;
   [[noreturn]] void FailHere(const std::string& text) const { FailAt(number_, text); }
+  /// Refuses the text of a cell of the current line.
+  [[noreturn]] void FailCell(const std::string& column, const std::string& text,
+                             const std::string& expected) const;
 
  private:
   std::istream& in_;
@@ -50,7 +59,6 @@ void ReadImuTable(std::istream& in, const std::string& name, ImuData* data);
 std::vector<ImuSample> ReadSensorTable(std::istream& in, const std::string& name, bool is_accel);
 
 /// Whether the first line is a header with all columns of poses, or of an IMU.
-bool HasPoseHeader(std::istream& in, const std::string& name);
-bool HasImuHeader(std::istream& in, const std::string& name);
+bool HasHeader(std::istream& in, const std::string& name, bool is_imu);
 
 }  // namespace imu_pose_calib
