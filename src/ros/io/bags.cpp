@@ -178,9 +178,9 @@ std::pair<const Bags::Place*, const Bags::Place*> Bags::Range(const ros::Time& s
 void Bags::SetSpan(double start_s, double duration_s) {
   CheckSpan(start_s, duration_s);
   if (index_.empty()) {
-    for (const auto& file : files_)
-      if (!file->problem().empty()) throw InputError(file->problem());
-    throw InputError("bag '" + FileNames(paths_) + "' holds no messages");
+    std::vector<std::string> lines = Notes();
+    lines.insert(lines.begin(), "bag '" + FileNames(paths_) + "' holds no messages");
+    throw InputError(boost::join(lines, "; "));
   }
   begin_ = FromNanoseconds(index_.front().entry.t_ns);
   bag_end_ = FromNanoseconds(index_.back().entry.t_ns);
