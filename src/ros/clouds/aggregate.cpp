@@ -89,7 +89,7 @@ SensorMount Mount(const AggregateRequest& request) {
 BagTopic ChooseClouds(const Bags& bags, const std::string& name) {
   if (!name.empty()) return bags.Find("cloud_topic", name, {kCloudType});
   const std::vector<BagTopic> candidates =
-      bags.Select([](const BagTopic& t) { return t.count > 0 && t.type == kCloudType; });
+      bags.Select([](const BagTopic& t) { return t.type == kCloudType; });
   if (candidates.empty())
     throw InputError(std::string("no topic of type ") + kCloudType + " in " + bags.Contents());
   if (candidates.size() > 1)

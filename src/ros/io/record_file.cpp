@@ -65,21 +65,24 @@ void RecordFile::AddMessage(uint32_t channel, int64_t t_ns, uint32_t chunk, std:
   entries_.push_back({t_ns, topic->second, chunk, at, data.size()});
 }
 
-std::string_view RecordFile::Records(uint32_t chunk) {
-  if (chunk == 0) return bytes();
-  const auto& [compression, stored, size] = chunks_[chunk - 1];
+std::string_view RecordFile::Records(uint32_t number) {
+  if (number == 0) return bytes();
+  Chunk& chunk = chunks_[number - 1];
+  const auto& [compression, stored, size, records] = chunk;
   if (compression.empty()) return stored;
-  for (const auto& [kept, records] : kept_)
-    if (kept == chunk) return records;
-  std::string records = compression == "lz4"    ? DecompressLz4(stored, size)
-                        : compression == "zstd" ? DecompressZstd(stored, size)
-                                                : DecompressBz2(stored, size);
+  if (!records.empty()) return records;
+  chunk.records = compression == "lz4"    ? DecompressLz4(stored, size)
+                  : compression == "zstd" ? DecompressZstd(stored, size)
+                                          : DecompressBz2(stored, size);
   if (records.size() != size)
     throw InputError("chunk unfolds to " + std::to_string(records.size()) + " bytes, must be " +
                      std::to_string(size));
-  auto& slot = kept_[next_slot_++ % kKept];
-  slot = {chunk, std::move(records)};
-  return slot.second;
+  kept_.push_back(&chunk);
+  for (kept_size_ += size; kept_size_ > kMaxKept && kept_.size() > 1; kept_.pop_front()) {
+    kept_size_ -= kept_.front()->size;
+    std::string().swap(kept_.front()->records);  // gives its memory back
+  }
+  return records;
 }
 
 }  // namespace imu_pose_calib

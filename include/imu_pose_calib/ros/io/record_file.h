@@ -1,12 +1,11 @@
 #pragma once
 
-#include <array>
+#include <deque>
 #include <map>
 #include <memory>
 #include <string>
 #include <string_view>
 #include <utility>
-#include <vector>
 
 #include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/bag_file.h"
@@ -85,19 +84,21 @@ class RecordFile : public BagFile {
     std::string compression;
     std::string_view stored;
     uint64_t size;
+    std::string records = {};  ///< what it unfolds to, while that is kept
   };
-  /// Chunks that overlap in time are read in turns; this many are kept.
-  static constexpr size_t kKept = 4;
+  /// Most that is kept of what chunks unfold to [bytes]: what is read again soon, as chunks that
+  /// overlap in time are, and bags that are not large.
+  static constexpr uint64_t kMaxKept = 1 << 28;
 
-  /// What a chunk unfolds to, while no three others are asked for; of number 0 the file.
+  /// What a chunk unfolds to, until another is asked for; of number 0 the file.
   std::string_view Records(uint32_t chunk);
 
   std::unique_ptr<InputFile> input_;
   std::string name_, remedy_;
   std::map<uint32_t, uint32_t> channels_;  ///< index of the topic
-  std::vector<Chunk> chunks_;              ///< numbered from 1 on
-  std::array<std::pair<uint32_t, std::string>, kKept> kept_;
-  size_t next_slot_ = 0;
+  std::deque<Chunk> chunks_;               ///< numbered from 1 on
+  std::deque<Chunk*> kept_;
+  uint64_t kept_size_ = 0;  ///< [bytes]
 };
 
 }  // namespace imu_pose_calib
