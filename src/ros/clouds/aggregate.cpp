@@ -302,7 +302,7 @@ class Aggregator {
 /// In a child process.
 AggregateOutcome Aggregate(const AggregateRequest& request,
                            const std::vector<SensorPoses>& variants, const SessionData& data) {
-  std::stringstream stream(ReadApart(request.recording.bag, [&] {
+  std::stringstream stream(ReadApart(request.recording.bag.paths, [&] {
     std::ostringstream bytes;
     const Clouds clouds(request);
     cereal::BinaryOutputArchive{bytes}(Aggregator(request, variants, clouds).Finish(data));
@@ -319,7 +319,7 @@ AggregateOutcome AggregateClouds(const AggregateRequest& given, const Progress& 
   const AggregateRequest request = Checked(given);
   const SensorMount sensor = Mount(request);
   // Before it takes long:
-  ReadApart(request.recording.bag, [&] { return Clouds(request).topic.name; });
+  ReadApart(request.recording.bag.paths, [&] { return Clouds(request).topic.name; });
   {
     OutputFiles tried;
     tried.Plan("output", request.output);

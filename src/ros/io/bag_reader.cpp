@@ -5,7 +5,6 @@
 #include <cmath>
 #include <filesystem>
 #include <functional>
-#include <map>
 #include <memory>
 #include <optional>
 #include <set>
@@ -451,16 +450,17 @@ struct BagSpan {
 // --- Apart ---
 
 /// For damage that the reader does not pin down.
-[[noreturn]] void FailDamaged(const BagRequest& request, const std::string& reason) {
-  throw InputError(Printable("bag '" + FileNames(request.paths) + "' is damaged (" + reason + ")"));
+[[noreturn]] void FailDamaged(const std::vector<std::string>& paths, const std::string& reason) {
+  throw InputError(Printable("bag '" + FileNames(paths) + "' is damaged (" + reason + ")"));
 }
 
 }  // namespace
 
-std::string ReadApart(const BagRequest& request, const std::function<std::string()>& read) {
+std::string ReadApart(const std::vector<std::string>& paths,
+                      const std::function<std::string()>& read) {
   uint64_t bytes = 0;
   std::error_code ignored;
-  for (const std::string& path : request.paths)
+  for (const std::string& path : paths)
     for (const std::string& file : FilesOfBag(path))
       if (std::filesystem::is_regular_file(file, ignored))
         bytes += std::filesystem::file_size(file);
@@ -469,28 +469,26 @@ std::string ReadApart(const BagRequest& request, const std::function<std::string
       return read();
     } catch (const InputError& error) {  // with names of topics, types and frames as in the bag
       throw InputError(Printable(error.what()));
-    } catch (const std::runtime_error& error) {  // rosbag, deserialisation, times out of range
-      FailDamaged(request, error.what());
+    } catch (const std::runtime_error& error) {  // deserialisation, times out of range
+      FailDamaged(paths, error.what());
     }
   };
   // Far above what any bag of this size needs, the time also when it comes over a slow network.
   auto answer =
       RunApart(run, {10 + bytes / 250'000, 120 + bytes / 100'000, 4'000'000'000 + 8 * bytes});
-  if (!answer) FailDamaged(request, "it cannot be read within bounds of time and memory");
+  if (!answer) FailDamaged(paths, "it cannot be read within bounds of time and memory");
   return *std::move(answer);
 }
 
 Recording ReadBag(const BagRequest& request) {
-  return FromBytes(ReadApart(request, [&] { return ToBytes(Read(request)); }));
+  return FromBytes(ReadApart(request.paths, [&] { return ToBytes(Read(request)); }));
 }
 
 std::vector<std::vector<std::string>> GroupBags(const std::vector<std::string>& paths) {
   if (paths.size() < 2) return {paths};
   CheckBagsExist(paths);
-  BagRequest request;
-  request.paths = paths;
   // Of each bag the number of its recording.
-  std::istringstream numbers(ReadApart(request, [&paths] {
+  std::istringstream numbers(ReadApart(paths, [&paths] {
     std::vector<BagSpan> spans;
     std::vector<size_t> group;
     std::ostringstream text;
@@ -505,12 +503,13 @@ std::vector<std::vector<std::string>> GroupBags(const std::vector<std::string>& 
     }
     return text.str();
   }));
-  std::map<size_t, std::vector<std::string>> groups;
+  std::vector<std::vector<std::string>> recordings(paths.size());
   size_t number = 0;
   for (const std::string& path : paths)
-    if (numbers >> number) groups[number].push_back(path);
-  std::vector<std::vector<std::string>> recordings;
-  for (const auto& [first, bags] : groups) recordings.push_back(bags);
+    if (numbers >> number) recordings[number].push_back(path);
+  const auto is_empty = [](const std::vector<std::string>& bags) { return bags.empty(); };
+  recordings.erase(std::remove_if(recordings.begin(), recordings.end(), is_empty),
+                   recordings.end());
   return recordings;
 }
 

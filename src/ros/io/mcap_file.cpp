@@ -65,7 +65,7 @@ class McapFile final : public RecordFile {
     const auto crc = fields.Number<uint32_t>();
     const std::string compression(fields.Text());
     const auto stored = fields.Number<uint64_t>();
-    RecordFile::ReadChunk(compression, fields.Bytes(stored), size, crc);
+    AddChunk(compression, fields.Bytes(stored), size, crc);
   }
 
   void ReadChannel(FieldReader fields) {

@@ -22,8 +22,8 @@ void RecordFile::ReadFile(size_t begin) {
           std::to_string(entries_.size()) + " messages" + (entries_.empty() ? remedy_ : "");
 }
 
-void RecordFile::ReadChunk(const std::string& compression, std::string_view stored, uint64_t size,
-                           uint32_t crc) {
+void RecordFile::AddChunk(const std::string& compression, std::string_view stored, uint64_t size,
+                          uint32_t crc) {
   if (!compression.empty() && compression != "bz2" && compression != "lz4" && compression != "zstd")
     throw InputError("chunk is compressed by '" + compression.substr(0, 20) +
                      "', must be bz2, lz4 or zstd");

@@ -73,8 +73,8 @@ class Ros1File final : public RecordFile {
     if (kind == kBag) is_complete_ = IsIndexed(Number<uint64_t>(fields, "index_pos"));
     if (kind == kChunk && chunk == 0) {
       const std::string compression = Value(fields, "compression");
-      ReadChunk(compression == "none" ? "" : compression, *data, Number<uint32_t>(fields, "size"),
-                0);
+      AddChunk(compression == "none" ? "" : compression, *data, Number<uint32_t>(fields, "size"),
+               0);
     }
     if (kind == kConnection) {
       const Fields about = ReadFields(*data);

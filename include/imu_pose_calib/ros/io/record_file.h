@@ -67,8 +67,8 @@ class RecordFile : public BagFile {
   virtual bool ReadRecord(uint32_t chunk, std::string_view* left) = 0;
 
   /// Reads the records of a chunk, which unfolds to `size` bytes. `compression`: empty for none.
-  void ReadChunk(const std::string& compression, std::string_view stored, uint64_t size,
-                 uint32_t crc);
+  void AddChunk(const std::string& compression, std::string_view stored, uint64_t size,
+                uint32_t crc);
 
   /// `expected`: 0 for none. `what` names the bytes.
   static void CheckCrc(std::string_view checked, uint32_t expected, const char* what);
