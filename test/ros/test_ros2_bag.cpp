@@ -4,6 +4,7 @@
 
 #include "imu_pose_calib/ros/io/bag_reader.h"
 #include "imu_pose_calib/ros/io/bag_writer.h"
+#include "imu_pose_calib/ros/io/compression.h"
 #include "imu_pose_calib/ros/offline/offline.h"
 #include "run_executable.h"
 #include "to_ros2.h"
@@ -149,6 +150,14 @@ TEST_F(Ros2BagTest, AFolderMayBeCompressedByFile) {
   EXPECT_TRUE(Bits(Read(Path("bag"))) == Bits(Read(Path("x.bag"))));
 }
 
+/// The file may end where a part that is unfolded at a time does.
+TEST_F(Ros2BagTest, AFileOfAnySizeMayBeCompressed) {
+  for (const size_t size : {1u, 1u << 17, 1u << 18, (1u << 17) + 1}) {
+    WriteBytes("whole.zstd", CompressZstd(std::string(size, 'x')));
+    EXPECT_EQ(InputFile(Path("whole.zstd")).bytes().size(), size);
+  }
+}
+
 TEST_F(Ros2BagTest, RefusesMetadataThatDoNotFit) {
   WriteFolder(Ros2Ways().front(), "[bag_0.mcap, bag_7.mcap]");
   ExpectRefusal(Path("bag"), {"bag/metadata.yaml'", "'bag_7.mcap' that it names is missing"});
@@ -226,7 +235,7 @@ TEST_F(Ros2BagTest, RefusesADatabaseInSqlitesWords) {
   ExpectRefusal(Path("made.db3"), {"made.db3'", "no table messages"});
   const std::string messages =
       "CREATE TABLE messages(topic_id INTEGER, timestamp INTEGER, data);"
-      "INSERT INTO messages VALUES(3, 1, x'00');";
+      "INSERT INTO messages VALUES(3, 9, x'00');";
   make((topics + messages + "INSERT INTO messages VALUES(2, 1, x'00')").c_str());
   ExpectRefusal(Path("made.db3"), {"made.db3'", "topic 2, which is unknown"});
   make((topics + messages + "INSERT INTO messages VALUES(1, 'soon', x'00')").c_str());
@@ -344,7 +353,6 @@ TEST_F(Ros2BagTest, OneBodyOfSeveralIsChosenByName) {
 
 TEST_F(Ros2BagTest, TopicsInAnotherEncodingFitNoRole) {
   std::string bytes = ReadText(Convert({"none.mcap", "none"}));
-  // The channels are written twice: among the messages and in the summary.
   for (size_t at = 0; (at = bytes.find(std::string("\3\0\0\0cdr", 7), at)) != std::string::npos;)
     bytes.replace(at + 4, 3, "xml");
   WriteBytes("xml.mcap", bytes);

@@ -78,7 +78,7 @@ AggregateRequest Checked(AggregateRequest request) {
 BagTopic ChooseClouds(const Bags& bags, const std::string& name) {
   if (!name.empty()) return bags.Find("cloud_topic", name, {kCloudType});
   const std::vector<BagTopic> candidates =
-      bags.Select([](const BagTopic& t) { return t.count > 0 && t.type == kCloudType; });
+      bags.Select([](const BagTopic& t) { return t.type == kCloudType; });
   if (candidates.empty())
     throw InputError(std::string("no topic of type ") + kCloudType + " in " + bags.Contents());
   if (candidates.size() > 1)
@@ -285,7 +285,7 @@ class Aggregator {
 /// In a child process.
 AggregateOutcome Aggregate(const AggregateRequest& request,
                            const std::vector<SensorPoses>& variants, const SessionData& data) {
-  std::stringstream stream(ReadApart(request.recording.bag, [&] {
+  std::stringstream stream(ReadApart(request.recording.bag.paths, [&] {
     std::ostringstream bytes;
     const Clouds clouds(request);
     cereal::BinaryOutputArchive{bytes}(Aggregator(request, variants, clouds).Finish(data));
@@ -301,7 +301,7 @@ AggregateOutcome Aggregate(const AggregateRequest& request,
 AggregateOutcome AggregateClouds(const AggregateRequest& given, const Progress& progress) {
   const AggregateRequest request = Checked(given);
   // Before it takes long:
-  ReadApart(request.recording.bag, [&] { return Clouds(request).topic.name; });
+  ReadApart(request.recording.bag.paths, [&] { return Clouds(request).topic.name; });
   {
     OutputFiles tried;
     tried.Plan("output", request.output);

@@ -5,7 +5,6 @@
 #include <cmath>
 #include <filesystem>
 #include <functional>
-#include <map>
 #include <memory>
 #include <optional>
 #include <set>
@@ -27,70 +26,59 @@ namespace {
 // --- Which topics ---
 
 /// Whether `is_it` of any topic.
-template <typename IsIt>
-bool Has(const Bags& bags, IsIt is_it) {
+bool Has(const Bags& bags, const std::function<bool(const BagTopic&)>& is_it) {
   return !bags.Select(is_it).empty();
 }
 
-/// Whether the messages of a topic carry gyroscope and accelerometer samples that are not always
-/// exactly zero.
-struct ImuSensors {
-  bool gyro = false, accel = false;
-};
+/// What carries no data of a sensor has it zero throughout.
+bool IsData(const ImuSample& sample) { return !sample.value.isZero(0.0); }
 
-ImuSensors FindSensors(const Bags& bags, const BagTopic& topic) {
-  ImuSensors sensors;
-  bags.ForEach({topic.name}, [&](const BagMessage& message) {
-    const ImuContent content = ReadImuContent(message.type, message);
-    if (content.gyro && !content.gyro->value.isZero(0.0)) sensors.gyro = true;
-    if (content.accel && !content.accel->value.isZero(0.0)) sensors.accel = true;
-    return !(sensors.gyro && sensors.accel);
-  });
-  return sensors;
+/// An IMU by the topics of its gyroscope and accelerometer, which may be one.
+ImuInfo NamedImu(const std::string& gyro, const std::string& accel) {
+  ImuInfo imu;
+  (gyro == accel ? imu.imu_topic : imu.gyro_topic) = gyro;
+  if (gyro != accel) imu.accel_topic = accel;
+  return imu;
 }
 
-/// The topics of gyroscope and accelerometer; the same for an IMU on one topic.
-struct ImuTopics {
-  BagTopic gyro, accel;
-};
-
-ImuTopics FindImu(const Bags& bags) {
-  const std::vector<BagTopic> candidates =
-      bags.Select([](const BagTopic& t) { return t.count > 0 && t.IsImu(); });
-  if (candidates.empty()) {
-    const bool has_vectors =
-        Has(bags, [](const BagTopic& t) { return t.count > 0 && t.IsVector(); });
+ImuInfo FindImu(const Bags& bags) {
+  const std::vector<BagTopic> candidates = bags.Select(&BagTopic::IsImu);
+  if (candidates.empty())
     throw InputError(std::string("no topic of type ") + kImuType + " in " + bags.Contents() +
-                     (has_vectors ? std::string("; say which ") + kVectorType +
-                                        " is which with gyro_topic and accel_topic"
-                                  : ""));
-  }
-  if (candidates.size() == 1) return {candidates[0], candidates[0]};
+                     (Has(bags, &BagTopic::IsVector)
+                          ? std::string("; say which ") + kVectorType +
+                                " is which with gyro_topic and accel_topic"
+                          : ""));
+  if (candidates.size() == 1) return NamedImu(candidates[0].name, candidates[0].name);
 
-  std::vector<BagTopic> gyros, accels;
+  std::vector<std::string> gyros, accels;
   for (const BagTopic& topic : candidates) {
-    const ImuSensors sensors = FindSensors(bags, topic);
-    if (sensors.gyro) gyros.push_back(topic);
-    if (sensors.accel) accels.push_back(topic);
+    bool has_gyro = false, has_accel = false;
+    bags.ForEach({topic.name}, [&](const BagMessage& message) {
+      const ImuContent content = ReadImuContent(message.type, message);
+      has_gyro = has_gyro || (content.gyro && IsData(*content.gyro));
+      has_accel = has_accel || (content.accel && IsData(*content.accel));
+      return !(has_gyro && has_accel);
+    });
+    if (has_gyro) gyros.push_back(topic.name);
+    if (has_accel) accels.push_back(topic.name);
   }
   if (gyros.size() != 1 || accels.size() != 1)
     throw InputError("several IMU topics: " + Describe(candidates) +
                      "; choose with imu_topic, or with gyro_topic and accel_topic; several IMUs of "
                      "one body have white space between their topics");
-  return {gyros[0], accels[0]};
+  return NamedImu(gyros[0], accels[0]);
 }
 
 /// The topics of each IMU; nameless for one that is missing.
-std::vector<ImuTopics> ChooseImus(const Bags& bags, const BagRequest& request) {
+std::vector<ImuInfo> ChooseImus(const Bags& bags, const BagRequest& request) {
   const bool is_split = IsPair({"imu_topic", request.imu_topic}, {"gyro_topic", request.gyro_topic},
                                {"accel_topic", request.accel_topic});
   if (!is_split && request.imu_topic.empty()) {
-    for (const BagTopic& topic : bags.topics())
-      if (topic.IsImu() && topic.count > 0 && topic.name == request.usual_imu_topic)
-        return {{topic, topic}};
-    if (!request.pose_sensors.empty() &&
-        !Has(bags, [](const BagTopic& t) { return t.count > 0 && t.IsImu(); }))
-      return {};
+    const std::string& usual = request.usual_imu_topic;
+    if (Has(bags, [&](const BagTopic& t) { return t.IsImu() && t.name == usual; }))
+      return {NamedImu(usual, usual)};
+    if (!request.pose_sensors.empty() && !Has(bags, &BagTopic::IsImu)) return {};
     return {FindImu(bags)};
   }
   const auto gyros = SplitNames(is_split ? request.gyro_topic : request.imu_topic);
@@ -106,29 +94,16 @@ std::vector<ImuTopics> ChooseImus(const Bags& bags, const BagRequest& request) {
   };
   std::vector<std::string> types = {kImuType};
   if (is_split) types.emplace_back(kVectorType);
-  std::vector<ImuTopics> imus(gyros.size());
+  std::vector<ImuInfo> imus(gyros.size());
   for (size_t i = 0; i < gyros.size(); ++i) {
     if (!is_split &&
         std::count(gyros.begin(), gyros.begin() + static_cast<int64_t>(i), gyros[i]) > 0)
       throw InputError("imu_topic '" + gyros[i] + "' is given twice");
     if (may_be_missing(gyros[i]) && may_be_missing(accels[i])) continue;
-    imus[i] = {bags.Find(is_split ? "gyro_topic" : "imu_topic", gyros[i], types),
-               bags.Find(is_split ? "accel_topic" : "imu_topic", accels[i], types)};
+    imus[i] = NamedImu(bags.Find(is_split ? "gyro_topic" : "imu_topic", gyros[i], types).name,
+                       bags.Find(is_split ? "accel_topic" : "imu_topic", accels[i], types).name);
   }
   return imus;
-}
-
-/// A topic without the data that are to come from it is a mistake in the topics, not bad data.
-void CheckContent(const Bags& bags, const ImuTopics& imu) {
-  const auto fail = [](const BagTopic& topic, const char* what) {
-    throw InputError(
-        "'" + topic.name + "' carries no " + what +
-        " (all zero, or covariance -1); choose with imu_topic, or with gyro_topic and " +
-        "accel_topic");
-  };
-  if (imu.gyro.count > 0 && !FindSensors(bags, imu.gyro).gyro) fail(imu.gyro, "angular velocity");
-  if (imu.accel.count > 0 && !FindSensors(bags, imu.accel).accel)
-    fail(imu.accel, "linear acceleration");
 }
 
 /// All links of tf, for no chain.
@@ -142,7 +117,7 @@ std::unique_ptr<const TfChain> ReadLinks(const Bags& bags) {
 
 /// What poses could come from when there is no pose topic.
 std::string TfHint(const Bags& bags) {
-  if (!Has(bags, [](const BagTopic& t) { return t.IsTf(); })) return "";
+  if (!Has(bags, &BagTopic::IsTf)) return "";
   return "; for poses from tf give tf_parent and tf_child, its frames are: " +
          ReadLinks(bags)->Links();
 }
@@ -151,9 +126,8 @@ std::string TfHint(const Bags& bags) {
 /// those of several bodies.
 bool MayBeMarker(const BagRequest& request, const BagTopic& topic) {
   const auto is_it = [&](const std::string& name) { return SplitBody(name).first == topic.name; };
-  return topic.count > 0 && topic.IsPose() &&
-         (topic.IsBodies() ||
-          std::none_of(request.pose_sensors.begin(), request.pose_sensors.end(), is_it));
+  return topic.IsPose() && (topic.IsBodies() || std::none_of(request.pose_sensors.begin(),
+                                                             request.pose_sensors.end(), is_it));
 }
 
 /// A single pair of frames that tf has poses between is taken by itself when there are no others.
@@ -229,27 +203,35 @@ struct Stream {
 
 /// Takes the samples of one IMU out of messages.
 struct ImuReader {
-  ImuTopics topics;
-  std::string frame;
+  ImuInfo* info;  ///< which topics; the rest of it becomes known
   Stream<ImuSample> gyros, accels;
 
   void Add(const BagMessage& message, bool record_time) {
-    const bool gyro = message.topic == topics.gyro.name;
-    const bool accel = message.topic == topics.accel.name;
+    const bool gyro = message.topic == info->GyroSource();
+    const bool accel = message.topic == info->AccelSource();
     if (!gyro && !accel) return;
     const ImuContent content = ReadImuContent(message.type, message);
-    if (gyro) frame = content.frame;
+    if (gyro) info->imu_frame = FrameName(content.frame, "imu");
     if (gyro && content.gyro) gyros.Add(message, *content.gyro, record_time);
     if (accel && content.accel) accels.Add(message, *content.accel, record_time);
   }
 
-  void Finish(ImuInfo* info, ImuData* data) {
-    gyros.Finish(topics.gyro.name, &info->gyro_latency, &data->gyro);
-    accels.Finish(topics.accel.name, &info->accel_latency, &data->accel);
-    const bool is_split = topics.gyro.name != topics.accel.name;
-    (is_split ? info->gyro_topic : info->imu_topic) = topics.gyro.name;
-    if (is_split) info->accel_topic = topics.accel.name;
-    info->imu_frame = FrameName(frame, "imu");
+  void Finish(ImuData* data) {
+    if (info->GyroSource().empty()) return;
+    Check(info->GyroSource(), gyros.samples, "angular velocity");
+    Check(info->AccelSource(), accels.samples, "linear acceleration");
+    gyros.Finish(info->GyroSource(), &info->gyro_latency, &data->gyro);
+    accels.Finish(info->AccelSource(), &info->accel_latency, &data->accel);
+  }
+
+ private:
+  /// A topic without the data that are to come from it is a mistake in the topics, not bad data.
+  static void Check(const std::string& topic, const std::vector<ImuSample>& samples,
+                    const char* what) {
+    if (std::none_of(samples.begin(), samples.end(), IsData))
+      throw InputError("'" + topic + "' carries no " + what +
+                       " (all zero, or covariance -1); choose with imu_topic, or with gyro_topic " +
+                       "and accel_topic");
   }
 };
 
@@ -316,6 +298,7 @@ struct PoseReader {
 
   /// As the marker.
   void Finish(bool record_time, RecordingInfo* info, std::vector<PoseSample>* finished) {
+    if (Name().empty()) return;
     info->pose_topic = tf ? "/tf" : topic.name;
     poses.Finish(info->pose_topic, &info->pose_latency, finished);
     if (tf && record_time) info->pose_latency.reset();  // of no meaning
@@ -326,6 +309,7 @@ struct PoseReader {
 
   /// As a pose sensor.
   void Finish(PoseSensorInfo* info, std::vector<PoseSample>* finished) {
+    if (Name().empty()) return;
     std::optional<Latency> unused;
     poses.Finish(Name(), &unused, finished);
     *info = NamePoseSensor(Name(), first.world_frame, first.marker_frame);
@@ -378,10 +362,9 @@ PoseReader ChoosePoseSensor(const Bags& bags, const BagRequest& request, const s
   sensor.tf = SplitTf(name);
   if (sensor.tf || name.empty()) return sensor;
   const auto [topic, body] = SplitBody(name);
-  const auto is_it = [&, &named = topic](const BagTopic& t) {
-    return t.count > 0 && t.name == named;
-  };
-  if (request.may_lack_sensors && !Has(bags, is_it)) return sensor;
+  if (request.may_lack_sensors &&
+      !Has(bags, [&, &named = topic](const BagTopic& t) { return t.name == named; }))
+    return sensor;
   sensor.topic = NamedPose(bags, sensor.field, topic);
   sensor.body = ChooseBody(bags, sensor.field, sensor.topic, body, "'" + topic + ":BODY'");
   return sensor;
@@ -394,52 +377,43 @@ Recording Read(const BagRequest& given) {
                          {"tf_child", request.tf_child});
   if (tf && !request.body.empty())
     throw InputError("body '" + request.body + "' does not go with poses from tf");
+  Recording recording;
+  RecordingInfo& info = recording.info;
+  SessionData& data = recording.data;
+  info.bag = boost::join(request.paths, " ");
+  info.notes = bags.Notes();
   // Nameless topics are not read: of an IMU that is missing, of poses from elsewhere.
+  info.imus = request.imus ? ChooseImus(bags, request) : std::vector<ImuInfo>();
+  data.imus.resize(info.imus.size());
   std::vector<ImuReader> imus;
-  if (request.imus)
-    for (ImuTopics& topics : ChooseImus(bags, request)) imus.emplace_back().topics = topics;
-  std::vector<PoseReader> sensors;
+  for (ImuInfo& imu : info.imus) imus.push_back({&imu, {}, {}});
+  std::vector<PoseReader> poses;  // the marker first, chosen among what is no pose sensor
   for (const std::string& name : request.pose_sensors)
-    sensors.push_back(ChoosePoseSensor(bags, request, name));
-  PoseReader marker = ChooseMarker(bags, request);
-  std::set<std::string> topics = {marker.topic.name};
+    poses.push_back(ChoosePoseSensor(bags, request, name));
+  poses.insert(poses.begin(), ChooseMarker(bags, request));
+  std::set<std::string> topics;
   std::vector<std::string> names;
-  for (const PoseReader& sensor : sensors) {
-    topics.insert(sensor.topic.name);
-    names.push_back(sensor.Name());
+  for (const PoseReader& reader : poses) {
+    topics.insert(reader.topic.name);
+    names.push_back(reader.Name());
   }
-  CheckPoseSensors(marker.Name(), names);
-  for (const ImuReader& imu : imus) {
-    CheckContent(bags, imu.topics);
-    topics.insert({imu.topics.gyro.name, imu.topics.accel.name});
-  }
+  CheckPoseSensors(names.front(), {names.begin() + 1, names.end()});
+  for (const ImuInfo& imu : info.imus) topics.insert({imu.GyroSource(), imu.AccelSource()});
   topics.erase("");
   // All in one pass: what is compressed is unfolded once.
   bags.ForEach(topics, [&](const BagMessage& message) {
     for (ImuReader& imu : imus) imu.Add(message, request.record_time);
-    marker.Add(message, request.record_time);
-    for (PoseReader& sensor : sensors) sensor.Add(message, request.record_time);
+    for (PoseReader& reader : poses) reader.Add(message, request.record_time);
     return true;
   });
 
-  Recording recording;
-  recording.info.bag = boost::join(request.paths, " ");
-  recording.info.notes = bags.Notes();
-  recording.info.imus.resize(imus.size());
-  recording.data.imus.resize(imus.size());
-  for (size_t i = 0; i < imus.size(); ++i)
-    if (!imus[i].topics.gyro.name.empty())
-      imus[i].Finish(&recording.info.imus[i], &recording.data.imus[i]);
-  if (marker.tf) ReadTf(bags, request.record_time, false, &marker);
-  if (!marker.Name().empty())
-    marker.Finish(request.record_time, &recording.info, &recording.data.poses);
-  recording.info.pose_sensors.resize(sensors.size());
-  recording.data.pose_sensors.resize(sensors.size());
-  for (size_t k = 0; k < sensors.size(); ++k) {
-    if (sensors[k].tf) ReadTf(bags, request.record_time, request.may_lack_sensors, &sensors[k]);
-    if (!sensors[k].Name().empty())
-      sensors[k].Finish(&recording.info.pose_sensors[k], &recording.data.pose_sensors[k]);
-  }
+  for (size_t i = 0; i < imus.size(); ++i) imus[i].Finish(&data.imus[i]);
+  for (PoseReader& reader : poses)
+    if (reader.tf)
+      ReadTf(bags, request.record_time, request.may_lack_sensors && &reader != &poses[0], &reader);
+  poses[0].Finish(request.record_time, &info, &data.poses);
+  for (size_t k = 1; k < poses.size(); ++k)
+    poses[k].Finish(&info.pose_sensors.emplace_back(), &data.pose_sensors.emplace_back());
   return recording;
 }
 
@@ -475,52 +449,46 @@ struct BagSpan {
 
 // --- Apart ---
 
-/// "'A.bag', 'B.bag' ..." and what to run, for damage that the reader does not pin down.
-[[noreturn]] void FailDamaged(const BagRequest& request, const std::string& reason) {
-  std::string reindex;
-  for (const std::string& path : request.paths)
-    if (!IsRos2Bag(path)) reindex += " " + path;
-  throw InputError(Printable("bag '" + FileNames(request.paths) + "' is damaged (" + reason + ")" +
-                             (reindex.empty() ? "" : "; run: rosbag reindex" + reindex)));
+/// For damage that the reader does not pin down.
+[[noreturn]] void FailDamaged(const std::vector<std::string>& paths, const std::string& reason) {
+  throw InputError(Printable("bag '" + FileNames(paths) + "' is damaged (" + reason + ")"));
 }
 
 }  // namespace
 
-std::string ReadApart(const BagRequest& request, const std::function<std::string()>& read) {
+std::string ReadApart(const std::vector<std::string>& paths,
+                      const std::function<std::string()>& read) {
   uint64_t bytes = 0;
   std::error_code ignored;
-  for (const std::string& path : request.paths)
+  for (const std::string& path : paths)
     for (const std::string& file : FilesOfBag(path))
       if (std::filesystem::is_regular_file(file, ignored))
         bytes += std::filesystem::file_size(file);
   const auto run = [&] {
-    setenv("ROS_CACHE_TIMEOUT", "-1", 0);  // no search of all packages for plugins of rosbag
     try {
       return read();
     } catch (const InputError& error) {  // with names of topics, types and frames as in the bag
       throw InputError(Printable(error.what()));
-    } catch (const std::runtime_error& error) {  // rosbag, deserialisation, times out of range
-      FailDamaged(request, error.what());
+    } catch (const std::runtime_error& error) {  // deserialisation, times out of range
+      FailDamaged(paths, error.what());
     }
   };
   // Far above what any bag of this size needs, the time also when it comes over a slow network.
   auto answer =
-      RunApart(run, {10 + bytes / 1'000'000, 120 + bytes / 100'000, 4'000'000'000 + 8 * bytes});
-  if (!answer) FailDamaged(request, "it cannot be read within bounds of time and memory");
+      RunApart(run, {10 + bytes / 250'000, 120 + bytes / 100'000, 4'000'000'000 + 8 * bytes});
+  if (!answer) FailDamaged(paths, "it cannot be read within bounds of time and memory");
   return *std::move(answer);
 }
 
 Recording ReadBag(const BagRequest& request) {
-  return FromBytes(ReadApart(request, [&] { return ToBytes(Read(request)); }));
+  return FromBytes(ReadApart(request.paths, [&] { return ToBytes(Read(request)); }));
 }
 
 std::vector<std::vector<std::string>> GroupBags(const std::vector<std::string>& paths) {
   if (paths.size() < 2) return {paths};
   CheckBagsExist(paths);
-  BagRequest request;
-  request.paths = paths;
   // Of each bag the number of its recording.
-  std::istringstream numbers(ReadApart(request, [&paths] {
+  std::istringstream numbers(ReadApart(paths, [&paths] {
     std::vector<BagSpan> spans;
     std::vector<size_t> group;
     std::ostringstream text;
@@ -535,12 +503,13 @@ std::vector<std::vector<std::string>> GroupBags(const std::vector<std::string>& 
     }
     return text.str();
   }));
-  std::map<size_t, std::vector<std::string>> groups;
+  std::vector<std::vector<std::string>> recordings(paths.size());
   size_t number = 0;
   for (const std::string& path : paths)
-    if (numbers >> number) groups[number].push_back(path);
-  std::vector<std::vector<std::string>> recordings;
-  for (const auto& [first, bags] : groups) recordings.push_back(bags);
+    if (numbers >> number) recordings[number].push_back(path);
+  const auto is_empty = [](const std::vector<std::string>& bags) { return bags.empty(); };
+  recordings.erase(std::remove_if(recordings.begin(), recordings.end(), is_empty),
+                   recordings.end());
   return recordings;
 }
 

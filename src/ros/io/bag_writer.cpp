@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <boost/algorithm/string.hpp>
-#include <cmath>
 #include <cstdlib>
 #include <functional>
 #include <limits>
@@ -45,15 +44,14 @@ void SetPose(const Rigid3& T, nav_msgs::Odometry* msg) {
   msg->pose.pose = ToPoseMsg(T);
 }
 
-geometry_msgs::Vector3Stamped ToVector(const ImuSample& sample) {
-  auto msg = Stamped<geometry_msgs::Vector3Stamped>(sample.t_ns, "imu");
+geometry_msgs::Vector3Stamped ToVector(const ImuSample& sample, const std::string& frame) {
+  auto msg = Stamped<geometry_msgs::Vector3Stamped>(sample.t_ns, frame);
   msg.vector = ToVector3Msg(sample.value);
   return msg;
 }
 
 /// An Imu message of one or both samples; what is missing is marked as the message defines it.
-sensor_msgs::Imu ToImu(const ImuSample* gyro, const ImuSample* accel,
-                       const std::string& frame = "imu") {
+sensor_msgs::Imu ToImu(const ImuSample* gyro, const ImuSample* accel, const std::string& frame) {
   auto msg = Stamped<sensor_msgs::Imu>((gyro ? gyro : accel)->t_ns, frame);
   msg.orientation_covariance[0] = -1.0;
   msg.angular_velocity_covariance[0] = gyro ? 0.0 : -1.0;
@@ -77,38 +75,23 @@ geometry_msgs::TransformStamped ToLink(int64_t t_ns, size_t joint, const Rigid3&
       MakeHeader(FromNanoseconds(t_ns), joint == 0 ? "world" : name(joint - 1)), name(joint), T);
 }
 
-/// Whether joint 1..6 is in the message of pose k of n.
-bool IsSent(size_t joint, size_t k, size_t n) {
-  return joint == kJoints || k % (kJoints - 1) == joint - 1 || k == 0 || k == n - 1;
-}
-
-/// Angle of joint 1..5 at pose k. It changes evenly between the messages that hold it, so that
-/// interpolation gives the poses exactly.
-double JointAngle(size_t joint, size_t k, const std::vector<PoseSample>& poses) {
-  size_t before = k, after = k;
-  while (!IsSent(joint, before, poses.size())) --before;
-  while (!IsSent(joint, after, poses.size())) ++after;
-  const auto angle = [&](size_t i) {
-    return 0.4 * std::sin(0.01 * static_cast<double>(i) + static_cast<double>(joint));
-  };
-  const auto seconds = [&](size_t i) { return Seconds(poses[i].t_ns - poses[before].t_ns); };
-  if (after == before) return angle(k);
-  return angle(before) + (angle(after) - angle(before)) * seconds(k) / seconds(after);
-}
-
-/// Pose k on /tf, with the last joint and those whose turn it is.
+/// Pose k on /tf: the last joint, which is free, and one of the others; all at the start and the
+/// end. Those turn evenly, so that interpolation gives the poses exactly.
 tf2_msgs::TFMessage ToTf(size_t k, const std::vector<PoseSample>& poses) {
   const PoseSample& pose = poses[k];
+  const bool is_end = k == 0 || k + 1 == poses.size();
   tf2_msgs::TFMessage msg;
   Rigid3 arm = BaseInWorld();
   for (size_t joint = 1; joint < kJoints; ++joint) {
-    const Eigen::AngleAxisd turn(JointAngle(joint, k, poses),
+    const double angle = static_cast<double>(joint) + 0.1 * Seconds(pose.t_ns - poses[0].t_ns);
+    const Eigen::AngleAxisd turn(angle,
                                  Eigen::Vector3d::Unit(static_cast<Eigen::Index>(joint % 3)));
     const Rigid3 T = {Eigen::Quaterniond(turn), {0.1, 0.0, 0.2}};
     arm = arm * T;
-    if (IsSent(joint, k, poses.size())) msg.transforms.push_back(ToLink(pose.t_ns, joint, T));
+    if (is_end || k % (kJoints - 1) == joint - 1)
+      msg.transforms.push_back(ToLink(pose.t_ns, joint, T));
   }
-  msg.transforms.push_back(  // the last joint is free
+  msg.transforms.push_back(
       ToLink(pose.t_ns, kJoints, arm.Inverse() * Rigid3{pose.q_WM, pose.p_WM}));
   return msg;
 }
@@ -210,26 +193,25 @@ void AddPoses(const std::string& type, const std::vector<PoseSample>& poses,
       "/tf", poses, 0, [&poses](size_t k) { return ToTf(k, poses); }, records);
 }
 
-/// The first IMU.
-void AddImu(const BagFormat& format, const ImuData& imu, int64_t offset,
+void AddImu(const BagFormat& format, const std::string& name, const ImuData& imu, int64_t offset,
             std::vector<Record>* records) {
   const std::vector<ImuSample>&gyro = imu.gyro, &accel = imu.accel;
   const auto add_split = [&](auto gyro_msg, auto accel_msg) {
-    Add("/imu/gyro", gyro, offset, gyro_msg, records);
-    Add("/imu/accel", accel, offset, accel_msg, records);
+    Add("/" + name + "/gyro", gyro, offset, gyro_msg, records);
+    Add("/" + name + "/accel", accel, offset, accel_msg, records);
   };
   if (format.imu_type == "Vector3Stamped")
-    return add_split([&gyro](size_t k) { return ToVector(gyro[k]); },
-                     [&accel](size_t k) { return ToVector(accel[k]); });
+    return add_split([&gyro, name](size_t k) { return ToVector(gyro[k], name); },
+                     [&accel, name](size_t k) { return ToVector(accel[k], name); });
   if (format.imu_type != "Imu")
     throw InputError("imu type '" + format.imu_type + "' is unknown; must be Imu or " +
                      "Vector3Stamped");
   if (format.split_imu)
-    return add_split([&gyro](size_t k) { return ToImu(&gyro[k], nullptr); },
-                     [&accel](size_t k) { return ToImu(nullptr, &accel[k]); });
+    return add_split([&gyro, name](size_t k) { return ToImu(&gyro[k], nullptr, name); },
+                     [&accel, name](size_t k) { return ToImu(nullptr, &accel[k], name); });
   CheckSameStamps(imu);
-  Add(
-      "/imu", gyro, offset, [&](size_t k) { return ToImu(&gyro[k], &accel[k]); }, records);
+  const auto to_msg = [&imu, name](size_t k) { return ToImu(&imu.gyro[k], &imu.accel[k], name); };
+  Add("/" + name, gyro, offset, to_msg, records);
 }
 
 /// The first stamp of the gyroscope of the first IMU that has samples of it.
@@ -276,15 +258,11 @@ void WriteBag(const std::string& path, const SessionData& data, const BagFormat&
   AddPoses(format.pose_type, data.poses, &records);
   AddPoseSensors(data, &records);
   const int64_t offset = RecordOffset(data, FirstGyro(data));
-  if (!data.imus.empty()) AddImu(format, data.imus[0], offset, &records);
-  for (size_t i = 1; i < data.imus.size(); ++i) {
+  for (size_t i = 0; i < data.imus.size(); ++i) {
     const ImuData& imu = data.imus[i];
-    CheckSameStamps(imu);
-    if (imu.IsEmpty()) continue;
-    const std::string name = "imu" + std::to_string(i);
-    const int64_t own_offset = offset + *FirstGyro(data) - imu.gyro.front().t_ns;
-    const auto to_msg = [&imu, name](size_t k) { return ToImu(&imu.gyro[k], &imu.accel[k], name); };
-    Add("/" + name, imu.gyro, own_offset, to_msg, &records);
+    const std::string name = "imu" + (i == 0 ? "" : std::to_string(i));
+    const int64_t later = imu.gyro.empty() ? 0 : imu.gyro.front().t_ns - *FirstGyro(data);
+    AddImu(i == 0 ? format : BagFormat(), name, imu, offset - later, &records);
   }
   std::stable_sort(records.begin(), records.end(),
                    [](const Record& a, const Record& b) { return a.t_ns < b.t_ns; });

@@ -3,11 +3,11 @@
 #include <algorithm>
 #include <boost/algorithm/string/join.hpp>
 #include <boost/algorithm/string/predicate.hpp>
+#include <cmath>
 #include <map>
 
 #include "imu_pose_calib/ros/io/compression.h"
 #include "imu_pose_calib/ros/io/recording.h"
-#include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -104,8 +104,8 @@ const BagTopic& Bags::Find(const std::string& field, const std::string& name) co
     if (topic.name != name) continue;
     if (topic.count == 0)
       throw InputError(field + " '" + name + "' has no messages within the span used (" +
-                       InSeconds((start_ - begin_).toSec()) + " to " + InSeconds(duration_s()) +
-                       " after the start)");
+                       InSeconds(Seconds(start_ns_ - begin_ns_)) + " to " +
+                       InSeconds(duration_s()) + " after the start)");
     return topic;
   }
   throw InputError(field + " '" + name + "' is not in " + Contents());
@@ -120,6 +120,13 @@ const BagTopic& Bags::Find(const std::string& field, const std::string& name,
   return topic;
 }
 
+std::vector<BagTopic> Bags::Select(const std::function<bool(const BagTopic&)>& is_wanted) const {
+  std::vector<BagTopic> selected;
+  for (const BagTopic& topic : topics_)
+    if (topic.count > 0 && is_wanted(topic)) selected.push_back(topic);
+  return selected;
+}
+
 std::string Bags::Contents() const { return FileNames(paths_) + "; it has: " + Describe(topics_); }
 
 std::vector<std::string> Bags::Notes() const {
@@ -129,30 +136,26 @@ std::vector<std::string> Bags::Notes() const {
   return notes;
 }
 
-void Bags::ForEach(const std::set<std::string>& topics,
-                   const std::function<bool(const BagMessage&)>& use) const {
-  ForEach(topics, start_, end_, use);
-}
-
 void Bags::ForEachTf(const std::function<void(const BagMessage&, bool)>& use) const {
   for (const bool fixed : {true, false}) {
     std::set<std::string> names;
     for (const BagTopic& topic : topics_)
       if (topic.IsTf() && boost::ends_with(topic.name, "tf_static") == fixed)
         names.insert(topic.name);
-    ForEach(names, fixed ? begin_ : start_, fixed ? bag_end_ : end_,
-            [&](const BagMessage& message) {
-              use(message, fixed);
-              return true;
-            });
+    const auto use_all = [&](const BagMessage& message) {
+      use(message, fixed);
+      return true;
+    };
+    ForEach(names, use_all, fixed);
   }
 }
 
-void Bags::ForEach(const std::set<std::string>& topics, const ros::Time& start,
-                   const ros::Time& end, const std::function<bool(const BagMessage&)>& use) const {
+void Bags::ForEach(const std::set<std::string>& topics,
+                   const std::function<bool(const BagMessage&)>& use, bool all) const {
   std::string unfolded;
-  const auto [first, last] = Range(start, end);
-  for (const Place* place = first; place != last; ++place) {
+  const auto first = all ? index_.begin() : index_.begin() + span_.first;
+  const auto end = all ? index_.end() : index_.begin() + span_.second;
+  for (auto place = first; place != end; ++place) {
     const BagFile::Topic& topic = place->file->topics()[place->entry.topic];
     if (topics.count(topic.name) == 0) continue;
     BagMessage message{topic.name, topic.type, FromNanoseconds(place->entry.t_ns),
@@ -166,32 +169,30 @@ void Bags::ForEach(const std::set<std::string>& topics, const ros::Time& start,
   }
 }
 
-std::pair<const Bags::Place*, const Bags::Place*> Bags::Range(const ros::Time& start,
-                                                              const ros::Time& end) const {
-  const auto upto = [&](auto is_before) {
-    return std::partition_point(index_.data(), index_.data() + index_.size(), is_before);
-  };
-  return {upto([&](const Place& place) { return place.entry.t_ns < ToNanoseconds(start); }),
-          upto([&](const Place& place) { return place.entry.t_ns <= ToNanoseconds(end); })};
-}
-
 void Bags::SetSpan(double start_s, double duration_s) {
   CheckSpan(start_s, duration_s);
   if (index_.empty()) {
-    for (const auto& file : files_)
-      if (!file->problem().empty()) throw InputError(file->problem());
-    throw InputError("bag '" + FileNames(paths_) + "' holds no messages");
+    std::vector<std::string> lines = Notes();
+    lines.insert(lines.begin(), "bag '" + FileNames(paths_) + "' holds no messages");
+    throw InputError(boost::join(lines, "; "));
   }
-  begin_ = FromNanoseconds(index_.front().entry.t_ns);
-  bag_end_ = FromNanoseconds(index_.back().entry.t_ns);
-  const double length_s = (bag_end_ - begin_).toSec();
+  begin_ns_ = index_.front().entry.t_ns;
+  const int64_t last_ns = index_.back().entry.t_ns;
+  for (const int64_t t_ns : {begin_ns_, last_ns}) FromNanoseconds(t_ns);  // throws
+  const double length_s = Seconds(last_ns - begin_ns_);
   if (start_s > length_s)
     throw InputError("start = " + InSeconds(start_s) +
                      " is beyond the end of the bag, which lasts " + InSeconds(length_s));
-  start_ = begin_ + ros::Duration(start_s);
-  end_ = bag_end_;
+  start_ns_ = begin_ns_ + std::llround(1e9 * start_s);
+  end_ns_ = last_ns;
   if (duration_s > 0.0 && start_s + duration_s < length_s)
-    end_ = start_ + ros::Duration(duration_s);
+    end_ns_ = start_ns_ + std::llround(1e9 * duration_s);
+  const auto first = std::partition_point(index_.begin(), index_.end(), [&](const Place& place) {
+    return place.entry.t_ns < start_ns_;
+  });
+  const auto end = std::partition_point(
+      first, index_.end(), [&](const Place& place) { return place.entry.t_ns <= end_ns_; });
+  span_ = {first - index_.begin(), end - index_.begin()};
 }
 
 void Bags::ListTopics() {
@@ -199,8 +200,7 @@ void Bags::ListTopics() {
   for (const auto& file : files_)
     for (const BagFile::Topic& topic : file->topics()) types[topic.name].insert(topic.type);
   std::map<std::string, uint32_t> counts;
-  const auto [first, last] = Range(start_, end_);
-  for (const Place* place = first; place != last; ++place)
+  for (auto place = index_.begin() + span_.first; place != index_.begin() + span_.second; ++place)
     ++counts[place->file->topics()[place->entry.topic].name];
   for (const auto& [name, its] : types)  // more than one type fits no role
     topics_.push_back(

@@ -8,7 +8,6 @@ namespace imu_pose_calib {
 namespace {
 
 constexpr size_t kHeaderSize = 4;
-constexpr bool kHostIsLittleEndian = __BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__;
 
 }  // namespace
 
@@ -22,7 +21,7 @@ CdrInput::CdrInput(std::string_view message) {
                             static_cast<unsigned char>(message[0]), kind,
                             is_xcdr2 ? " (XCDR2)" : ""));
   }
-  is_swapped_ = (kind == 1) != kHostIsLittleEndian;
+  is_swapped_ = kind == 0;  // big endian
   fields_ = message.substr(kHeaderSize);
 }
 

@@ -14,6 +14,7 @@
 #include "imu_pose_calib/ros/io/bag_file.h"
 #include "imu_pose_calib/ros/io/cdr.h"
 #include "imu_pose_calib/ros/io/conversions.h"
+#include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
 
@@ -74,13 +75,13 @@ class Bags {
   Bags(const std::vector<std::string>& paths, double start_s, double duration_s);
 
   const std::vector<BagTopic>& topics() const { return topics_; }
-  double begin_s() const { return begin_.toSec(); }  ///< first record time
-  double duration_s() const { return (end_ - begin_).toSec(); }
+  double begin_s() const { return Seconds(begin_ns_); }  ///< first record time
+  double duration_s() const { return Seconds(end_ns_ - begin_ns_); }
 
   /// Calls `use(message)` for the messages of these topics in the order of recording while it is
-  /// true.
+  /// true; `all`: also for those outside of the span.
   void ForEach(const std::set<std::string>& topics,
-               const std::function<bool(const BagMessage&)>& use) const;
+               const std::function<bool(const BagMessage&)>& use, bool all = false) const;
 
   /// Calls `use(message, fixed)` for the tf messages: first all fixed ones of the whole bags, which
   /// are sent once, then the others in the order of recording.
@@ -92,13 +93,8 @@ class Bags {
   const BagTopic& Find(const std::string& field, const std::string& name,
                        const std::vector<std::string>& types) const;
 
-  template <typename Wanted>
-  std::vector<BagTopic> Select(Wanted wanted) const {
-    std::vector<BagTopic> selected;
-    for (const BagTopic& topic : topics_)
-      if (wanted(topic)) selected.push_back(topic);
-    return selected;
-  }
+  /// Those that have messages within the span and are wanted.
+  std::vector<BagTopic> Select(const std::function<bool(const BagTopic&)>& is_wanted) const;
 
   /// "NAMES; it has: TOPICS" for error messages.
   std::string Contents() const;
@@ -114,16 +110,13 @@ class Bags {
 
   void SetSpan(double start_s, double duration_s);
   void ListTopics();
-  /// The messages of all topics from `start` to `end`.
-  std::pair<const Place*, const Place*> Range(const ros::Time& start, const ros::Time& end) const;
-  void ForEach(const std::set<std::string>& topics, const ros::Time& start, const ros::Time& end,
-               const std::function<bool(const BagMessage&)>& use) const;
 
   std::vector<std::string> paths_;
   std::vector<std::unique_ptr<BagFile>> files_;
-  std::vector<Place> index_;   ///< in the order of recording
-  ros::Time begin_, bag_end_;  ///< record time of the first and last message
-  ros::Time start_, end_;      ///< record time, the span to use
+  std::vector<Place> index_;  ///< in the order of recording
+  /// Record time of the first message, and of the span to use.
+  int64_t begin_ns_ = 0, start_ns_ = 0, end_ns_ = 0;
+  std::pair<std::ptrdiff_t, std::ptrdiff_t> span_;  ///< of the index
   std::vector<BagTopic> topics_;
 };
 

@@ -78,7 +78,7 @@ class CdrInput {
   bool is_swapped_ = false;
 };
 
-/// Writes the fields of one message, in the order of bytes of this computer.
+/// Writes the fields of one message.
 class CdrOutput {
  public:
   void next(const std::string& text) {
