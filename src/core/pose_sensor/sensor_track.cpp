@@ -2,10 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
-#include <iterator>
 
 #include "imu_pose_calib/core/base/so3.h"
-#include "imu_pose_calib/core/pose_sensor/sensor_problem.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -17,12 +15,6 @@ using Eigen::Vector3d;
 constexpr double kApart = 1.0;  // [s] of relative poses
 
 double Seconds(int64_t ns) { return 1e-9 * static_cast<double>(ns); }
-
-/// T_VW at t [s, pose clock].
-Rigid3 WorldAt(const PoseSensorSession& session, double t) {
-  const auto after = KnotAfter(session.world, t), before = std::prev(after);
-  return Interpolate(before->T_VW, after->T_VW, (t - before->t) / (after->t - before->t));
-}
 
 /// A pose of the sensor, aligned, and the true one.
 struct PosePair {
@@ -112,10 +104,11 @@ SensorErrors FindErrors(const PoseSensorSession& session,
                         const std::function<std::optional<Rigid3>(double t)>& T_WS) {
   std::vector<PosePair> pairs;
   std::vector<Rigid3> absolute, relative;
-  for (const PoseSensorSession::Residual& residual : session.residuals) {
+  for (size_t i = 0; i < session.residuals.size(); ++i) {
+    const PoseSensorSession::Residual& residual = session.residuals[i];
     const auto truth = T_WS(residual.t);
     if (!truth) continue;
-    const Rigid3 T_VW = WorldAt(session, residual.t), &first = session.world.front().T_VW;
+    const Rigid3 &T_VW = session.world[i].T_VW, &first = session.world.front().T_VW;
     const Vector3d p_VS = T_VW.p + session.scale * (T_VW.q * truth->p) + residual.position;
     const Quaterniond q_VS = T_VW.q * truth->q * Exp<double>(residual.rotation);
     const Rigid3 measured{first.q.conjugate() * q_VS,
