@@ -4,7 +4,7 @@
 #include <cmath>
 
 #include "imu_pose_calib/core/base/median.h"
-#include "imu_pose_calib/core/data/stamps.h"
+#include "imu_pose_calib/core/data/stamp_recovery.h"
 
 namespace imu_pose_calib {
 namespace {

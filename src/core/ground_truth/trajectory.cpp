@@ -79,34 +79,24 @@ TrajectoryCovariance::TrajectoryCovariance(const std::shared_ptr<const Solution>
     throw InputError(
         "the covariance of the trajectory was not kept: it needs a larger max_factor_mb");
   int column = m.calibrated_end;
-  for (size_t s = 0; s < solution->estimate.sessions.size(); ++s) {
-    const bool has_gravity = m.Find(ParameterKind::kGravity, 0, s) >= 0;
-    gravity_.push_back(has_gravity ? column : -1);
-    if (has_gravity) column += 3;
-  }
-  for (const SessionEstimate& session : solution->estimate.sessions) {
-    gyro_knots_.emplace_back();
-    accel_knots_.emplace_back();
-    for (const ImuSessionEstimate& imu : session.imus) {
-      gyro_knots_.back().push_back(column);
-      column += 3 * static_cast<int>(imu.gyro_bias.values.size());
-      accel_knots_.back().push_back(column);
-      column += 3 * static_cast<int>(imu.accel_bias.values.size());
-    }
-  }
-  for (const SessionEstimate& session : solution->estimate.sessions) {
-    clock_knots_.emplace_back();
-    for (const ImuSessionEstimate& imu : session.imus) {
-      clock_knots_.back().push_back(column);
-      if (!imu.walk.IsLine()) column += static_cast<int>(imu.walk.t.size()) - 1;
-    }
-  }
-  for (const SessionEstimate& session : solution->estimate.sessions)
-    column += 3 * static_cast<int>(session.rotation_errors.knots.values.size());
-  for (const CorrectionSplines& splines : solution->splines) {
-    d_.push_back(column);
-    column += 6 * static_cast<int>(splines.d.size());
-  }
+  const auto add = [&](const auto& values, size_t size) {
+    first_[values.data()] = column;
+    column += static_cast<int>(size);
+  };
+  const std::vector<SessionEstimate>& sessions = solution->estimate.sessions;
+  for (size_t s = 0; s < sessions.size(); ++s)
+    if (m.Find(ParameterKind::kGravity, 0, s) >= 0) add(sessions[s].g_W, 3);
+  for (const SessionEstimate& session : sessions)
+    for (const ImuSessionEstimate& imu : session.imus)
+      for (const BiasKnots* knots : {&imu.gyro_bias, &imu.accel_bias})
+        add(knots->values, 3 * knots->values.size());
+  for (const SessionEstimate& session : sessions)
+    for (const ImuSessionEstimate& imu : session.imus)
+      if (!imu.walk.IsLine()) add(imu.walk.offset, imu.walk.offset.size() - 1);
+  for (const SessionEstimate& session : sessions)
+    add(session.rotation_errors.knots.values, 3 * session.rotation_errors.knots.values.size());
+  for (const CorrectionSplines& splines : solution->splines)
+    for (const auto* points : {&splines.d, &splines.phi}) add(*points, 3 * points->size());
 
   Eigen::MatrixXd border = m.factor.rbegin()->second.H;
   const Eigen::LLT<Eigen::MatrixXd> llt(border);
@@ -132,9 +122,10 @@ TrajectoryCovariance::Columns TrajectoryCovariance::Kept(int first, int count) c
 
 TrajectoryCovariance::Columns TrajectoryCovariance::ControlPoints(size_t session,
                                                                   size_t first) const {
-  const int d = d_[session] + 3 * static_cast<int>(first);
-  const int phi = d + 3 * static_cast<int>(solution_->splines[session].d.size());
-  return Joined({Kept(d, 3 * kSplineOrder), Kept(phi, 3 * kSplineOrder)});
+  const CorrectionSplines& splines = solution_->splines[session];
+  const int place = 3 * static_cast<int>(first);
+  return Joined({Kept(first_.at(splines.d.data()) + place, kPoints),
+                 Kept(first_.at(splines.phi.data()) + place, kPoints)});
 }
 
 TrajectoryCovariance::Columns TrajectoryCovariance::Calibrated(ParameterKind kind, size_t imu,
@@ -153,18 +144,20 @@ TrajectoryCovariance::Columns TrajectoryCovariance::Clock(size_t session, size_t
   for (size_t k = knot; k < knot + 2; ++k)  // that at the reference is not estimated
     if (k != walk.reference)
       clock[2 + k - knot] =
-          clock_knots_[session][imu] + static_cast<int>(k) - (k > walk.reference ? 1 : 0);
+          first_.at(walk.offset.data()) + static_cast<int>(k) - (k > walk.reference ? 1 : 0);
   return clock;
 }
 
 TrajectoryCovariance::Columns TrajectoryCovariance::Gravity(size_t session) const {
-  return Kept(gravity_[session], 3);
+  const auto found = first_.find(solution_->estimate.sessions[session].g_W.data());
+  return Kept(found == first_.end() ? -1 : found->second, 3);
 }
 
 TrajectoryCovariance::Columns TrajectoryCovariance::BiasKnotPair(size_t session, size_t imu,
                                                                  bool is_accel, size_t knot) const {
-  const auto& knots = is_accel ? accel_knots_ : gyro_knots_;
-  return Kept(knots[session][imu] + 3 * static_cast<int>(knot), 6);
+  const ImuSessionEstimate& own = solution_->estimate.sessions[session].imus[imu];
+  const BiasKnots& knots = is_accel ? own.accel_bias : own.gyro_bias;
+  return Kept(first_.at(knots.values.data()) + 3 * static_cast<int>(knot), 6);
 }
 
 Eigen::MatrixXd TrajectoryCovariance::At(const Columns& columns) const {

@@ -18,8 +18,6 @@ namespace {
 using Eigen::Quaterniond;
 using Eigen::Vector3d;
 
-constexpr int kCandidates = 6;         // correlation peaks tried on all three axes
-constexpr double kMinExplained = 0.5;  // of the sensor's turn rates by the marker's
 constexpr double kRatePeriod = 0.01;   // [s] of the turn rates that are compared
 constexpr double kStiff = 0.1;         // [1/sqrt(s)] drift over noise at first
 constexpr double kForeignScale = 0.1;  // [1] that is no error of a metric sensor,
@@ -27,7 +25,6 @@ constexpr double kSurely = 3.0;        // sigmas off
 /// A jump: medians of so many poses before and after it differ by so many times the usual.
 constexpr size_t kAround = 10;
 constexpr double kJump = 10.0;
-constexpr double kSettledClock = 1e-6;  // [s] that poses still move by, to first order, at the end
 constexpr int kMaxRounds = 15;
 
 /// Rates of turn of the sensor [rad/s], in S, as often as a gyroscope has them.
@@ -243,15 +240,8 @@ PoseSensorCalibration CalibratePoseSensor(const CalibrationOptions& options,
   SensorEstimate estimate = StartSensor(options, solution, poses);
   bool has_settled = false;
   for (int round = 0; round < kMaxRounds && !has_settled; ++round) {
-    std::vector<double> time_shifts;
-    for (const SensorSession& session : estimate.sessions)
-      time_shifts.push_back(session.time_shift);
     const bool has_converged = SolveSensor(options, &estimate);
     has_settled = FindNoise(&estimate) && has_converged;
-    for (size_t s = 0; s < estimate.sessions.size(); ++s) {
-      const double moved = estimate.sessions[s].time_shift - time_shifts[s];
-      has_settled = has_settled && std::abs(moved) <= kSettledClock;
-    }
   }
   const bool has_converged = SolveSensor(options, &estimate);
   PoseSensorCalibration result;

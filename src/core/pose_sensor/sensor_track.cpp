@@ -56,12 +56,10 @@ std::vector<ImuTrack::Instant> SensorTrack::Instants(double rate_hz) const {
     return instants;
   }
   const double pace = clock_ == TrackClock::kImu ? 1.0 + Own().clock_drift : 1.0;
-  const int64_t first = stamp(poses.front()), last = stamp(poses.back());
-  for (int64_t k = 0;; ++k) {
-    const int64_t since = std::llround(1e9 * static_cast<double>(k) / rate_hz);
-    if (first + since > last) return instants;
-    instants.push_back({first + since, time(poses.front()) + pace * Seconds(since)});
-  }
+  const int64_t first = stamp(poses.front());
+  for (const int64_t even : EvenStamps(first, stamp(poses.back()), rate_hz))
+    instants.push_back({even, time(poses.front()) + pace * Seconds(even - first)});
+  return instants;
 }
 
 std::optional<ImuState> SensorTrack::At(double t) const {
@@ -72,9 +70,6 @@ std::optional<ImuState> SensorTrack::At(double t) const {
   state.p_WI = sensor->p_WB;
   state.omega_I = sensor->omega_B;
   state.v_W = sensor->v_W;
-  state.biases = {Vector3d::Zero(), Vector3d::Zero()};
-  state.bias_covariance.setZero();
-  state.covariance.setZero();
   if (const auto C = trajectory_.MarkerCovariance(t, sensor_.T_MS))
     state.covariance = C->topLeftCorner<12, 12>() + OfMountAndClock(t, *sensor);
   return state;

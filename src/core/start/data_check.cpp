@@ -11,7 +11,6 @@
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/base/text.h"
-#include "imu_pose_calib/core/data/stamps.h"
 
 namespace imu_pose_calib {
 namespace {

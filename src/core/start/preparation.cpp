@@ -29,7 +29,7 @@ Start StartOf(CalibrationOptions options, const PreparedSession& session, size_t
 /// What the clock does beyond its line, and the lever arm's start with it.
 void FindWalk(const CalibrationOptions& options, const ConditionedImu& imu,
               const PoseTrajectory& trajectory, Start* start) {
-  ClockLine line{start->time_shift, start->clock_drift, imu.MiddleOfGyro()};
+  ClockLine line{start->time_shift, 0.0, imu.MiddleOfGyro()};
   start->walk = FitClockWalk(trajectory, imu.gyro, &line);
   if (start->walk.IsLine()) return;
   start->time_shift = line.time_shift;

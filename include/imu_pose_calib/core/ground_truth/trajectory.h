@@ -4,6 +4,7 @@
 /// In: a Solution. Out: pose, velocity, rates and biases of an IMU at any time with sigmas; gaps of
 /// the poses are bridged by the IMU. Changes no estimate.
 
+#include <map>
 #include <memory>
 #include <optional>
 #include <vector>
@@ -41,10 +42,8 @@ class TrajectoryCovariance {
   Columns Kept(int first, int count) const;
 
   std::shared_ptr<const Solution> solution_;
-  // First columns, of each session:
-  std::vector<int> d_, gravity_;
-  std::vector<std::vector<int>> gyro_knots_, accel_knots_, clock_knots_;  ///< of each IMU
-  Panels inverse_;  ///< elements of H^-1, what is held being known
+  std::map<const void*, int> first_;  ///< columns, by where the first value is in the solution
+  Panels inverse_;                    ///< elements of H^-1, what is held being known
 };
 
 /// Motion of a body B at one instant: of the marker or of an IMU.
@@ -63,8 +62,8 @@ using BodyCovariance = Eigen::Matrix<double, 18, 18>;
 
 /// Biases of an IMU at one instant, in I: measured = M true + bias.
 struct ImuBiases {
-  Eigen::Vector3d gyro;   ///< [rad/s]
-  Eigen::Vector3d accel;  ///< [m/s^2]
+  Eigen::Vector3d gyro = Eigen::Vector3d::Zero();   ///< [rad/s]
+  Eigen::Vector3d accel = Eigen::Vector3d::Zero();  ///< [m/s^2]
 };
 
 /// The trajectory of one session as solved: with method `joint` by all sensors together, with `gp`
