@@ -23,9 +23,9 @@ constexpr double kMaxNoiseScale = 10.0;
 /// Median specific force of a moving body, in units of gravity.
 constexpr double kMinForce = 0.4, kMaxForce = 10.0;
 
-/// A clipped axis: at least so many samples at the limit, so many of them in a row, and more than
-/// within so much below it.
-constexpr size_t kMinClipped = 5, kMinClippedRun = 3;
+/// A clipped axis: at least so many samples in a row at the limit, and more than within so much
+/// below it.
+constexpr size_t kMinClippedRun = 3;
 constexpr double kBelowClip = 0.02;
 /// Both limits of a sensor and those of its axes agree within this.
 constexpr double kSameLimit = 0.05;
@@ -157,7 +157,7 @@ void MarkClipped(const std::vector<ImuSample>& samples, int axis, double side, d
     else if (side * samples[i].value[axis] > limit * (1.0 - kBelowClip))
       ++below;
   }
-  if (at < kMinClipped || longest_run < kMinClippedRun || at <= below) return;
+  if (longest_run < kMinClippedRun || at <= below) return;
   for (size_t i = 0; i < samples.size(); ++i)
     if (is_at(i)) (*clipped)[i] = true;
 }

@@ -20,20 +20,19 @@ using Vector3 = Eigen::Matrix<T, 3, 1>;
 
 /// State of B on M where the splines of the control points correct the GP's motion.
 template <typename T>
-void CorrectedState(const MarkerState<double>& gp, const SplineWeights& weights,
-                    T const* const* d_points, T const* const* phi_points,
-                    const Eigen::Quaternion<T>& q_MB, const Vector3<T>& p_MB,
-                    Eigen::Quaternion<T>* q_WB, Vector3<T>* rest) {
+BodyStateOf<T> CorrectedState(const MarkerState<double>& gp, const SplineWeights& weights,
+                              T const* const* d_points, T const* const* phi_points,
+                              const Eigen::Quaternion<T>& q_MB, const Vector3<T>& p_MB) {
   const Eigen::Matrix<T, 3, 4> d = EvaluateSpline<T>(d_points, weights);
   const Eigen::Matrix<T, 3, 4> phi = EvaluateSpline<T>(phi_points, weights);
   const MarkerState<T> M = Corrected<T>(gp, d, phi);
-  *q_WB = M.q_WM * q_MB;
-  rest[0] = M.p_WM + M.q_WM * p_MB;
-  rest[1] = q_MB.conjugate() * M.omega_M;
-  rest[2] = M.v_W + M.q_WM * Vector3<T>(M.omega_M.cross(p_MB));
-  rest[3] = q_MB.conjugate() * M.alpha_M;
-  rest[4] =
-      M.a_W + M.q_WM * Vector3<T>(M.alpha_M.cross(p_MB) + M.omega_M.cross(M.omega_M.cross(p_MB)));
+  return {
+      M.q_WM * q_MB,
+      M.p_WM + M.q_WM * p_MB,
+      q_MB.conjugate() * M.omega_M,
+      M.v_W + M.q_WM * Vector3<T>(M.omega_M.cross(p_MB)),
+      q_MB.conjugate() * M.alpha_M,
+      M.a_W + M.q_WM * Vector3<T>(M.alpha_M.cross(p_MB) + M.omega_M.cross(M.omega_M.cross(p_MB)))};
 }
 
 /// Derivative of the pose clock's time at t [s, IMU clock] by TrajectoryCovariance::Clock().
@@ -200,17 +199,10 @@ std::optional<BodyState> SessionTrajectory::Evaluate(const Rigid3& T_MB, double 
     }
   }
   const SplineWeights weights = CubicWeights(place.u, place.spacing);
-  BodyState state;
-  Eigen::Vector3d rest[5];
-  CorrectedState<double>(gp, weights, d, phi, T_MB.q, T_MB.p, &state.q_WB, rest);
-  state.p_WB = rest[0];
-  state.omega_B = rest[1];
-  state.v_W = rest[2];
-  state.alpha_B = rest[3];
-  state.a_W = rest[4];
+  const BodyState state = CorrectedState<double>(gp, weights, d, phi, T_MB.q, T_MB.p);
   if (J == nullptr) return state;
 
-  Vector3<Jet> jets[2 * kSplineOrder], p_MB, turn, rest_jets[5];
+  Vector3<Jet> jets[2 * kSplineOrder], p_MB, turn;
   const Jet* jet_points[2 * kSplineOrder];
   for (int j = 0; j < 2 * kSplineOrder; ++j) {
     for (int i = 0; i < 3; ++i)
@@ -223,14 +215,12 @@ std::optional<BodyState> SessionTrajectory::Evaluate(const Rigid3& T_MB, double 
   }
   // As Ceres turns it: on the left and by twice the step.
   const Eigen::Quaternion<Jet> q_MB = Exp<Jet>(Vector3<Jet>(turn * Jet(2.0))) * T_MB.q.cast<Jet>();
-  Eigen::Quaternion<Jet> q_WB;
-  CorrectedState<Jet>(gp, weights, jet_points, jet_points + kSplineOrder, q_MB, p_MB, &q_WB,
-                      rest_jets);
-  const Vector3<Jet> theta = Log(Eigen::Quaternion<Jet>(state.q_WB.conjugate().cast<Jet>() * q_WB));
-  for (int i = 0; i < 3; ++i) {
-    J->row(i) = theta[i].v;
-    for (int k = 0; k < 5; ++k) J->row(3 * (k + 1) + i) = rest_jets[k][i].v;
-  }
+  const BodyStateOf<Jet> jet =
+      CorrectedState<Jet>(gp, weights, jet_points, jet_points + kSplineOrder, q_MB, p_MB);
+  const Eigen::Quaternion<Jet> turned = state.q_WB.conjugate().cast<Jet>() * jet.q_WB;
+  const Vector3<Jet> rows[] = {Log(turned), jet.p_WB, jet.omega_B, jet.v_W, jet.alpha_B, jet.a_W};
+  for (int k = 0; k < 6; ++k)
+    for (int i = 0; i < 3; ++i) J->row(3 * k + i) = rows[k][i].v;
   return state;
 }
 

@@ -100,8 +100,8 @@ Vector6d NoiseVariance(const SensorSession& session, const SensorPose& sample) {
       session.noise.rotation * sample.scale.rotation / std::sqrt(sample.weight.rotation));
 }
 
-/// What innovations tell of the calibration: H, and scores of time blocks, whose sum is the
-/// gradient of the cost.
+/// What innovations tell of the calibration of a session: H, and scores of time blocks, whose sum
+/// is the gradient of the cost.
 struct Told {
   Information H = Information::Zero();
   std::map<int, Gradient> scores;
@@ -126,9 +126,9 @@ Told Filter(const Rigid3& T_MS, double block_s, SensorSession* session) {
       const ByCalibrated J = Jacobian(T_MS, *session, sample, T_VW) - by_calibrated;
       const Matrix6d inverse = (P + Matrix6d(noise.asDiagonal())).inverse();
       told.H += J.transpose() * inverse * J;
-      auto& score = told.scores.try_emplace(static_cast<int>(sample.t / block_s), Gradient::Zero())
-                        .first->second;
-      score += J.transpose() * (inverse * innovation);
+      const auto block = static_cast<int>(sample.t / block_s);
+      told.scores.try_emplace(block, Gradient::Zero()).first->second +=
+          J.transpose() * (inverse * innovation);
       const Matrix6d gain = P * inverse;
       T_VW = Moved(*session, sample, T_VW, gain * innovation);
       by_calibrated += gain * J;

@@ -47,14 +47,16 @@ class TrajectoryCovariance {
 };
 
 /// Motion of a body B at one instant: of the marker or of an IMU.
-struct BodyState {
-  Eigen::Quaterniond q_WB;
-  Eigen::Vector3d p_WB;     ///< [m]
-  Eigen::Vector3d omega_B;  ///< [rad/s]
-  Eigen::Vector3d v_W;      ///< [m/s]
-  Eigen::Vector3d alpha_B;  ///< [rad/s^2]
-  Eigen::Vector3d a_W;      ///< [m/s^2]
+template <typename T>
+struct BodyStateOf {
+  Eigen::Quaternion<T> q_WB;
+  Eigen::Matrix<T, 3, 1> p_WB;     ///< [m]
+  Eigen::Matrix<T, 3, 1> omega_B;  ///< [rad/s]
+  Eigen::Matrix<T, 3, 1> v_W;      ///< [m/s]
+  Eigen::Matrix<T, 3, 1> alpha_B;  ///< [rad/s^2]
+  Eigen::Matrix<T, 3, 1> a_W;      ///< [m/s^2]
 };
+using BodyState = BodyStateOf<double>;
 
 /// Covariance of the rotation [rad, about the axes of B: R_WB Exp(dtheta)] and of the other members
 /// of BodyState, in their order, 3 each.
