@@ -326,7 +326,7 @@ Calibration CalibrateSensorsAlone(const CalibrationOptions& options,
     const auto trajectory =
         std::make_shared<const PoseTrajectory>(FitTrajectory(options, &conditioned));
     try {
-      CheckTurns(*trajectory, conditioned);
+      CheckTurns(*trajectory);
     } catch (const DegenerateMotion& error) {
       result.status = Status::kDegenerate;
       result.message = InSession(s, data.size()) + error.what();

@@ -11,7 +11,6 @@
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/data/conditioning.h"
 #include "imu_pose_calib/core/data/stamp_recovery.h"
-#include "imu_pose_calib/core/data/stamps.h"
 #include "imu_pose_calib/core/start/preparation.h"
 #include "imu_pose_calib/simulation/simulator.h"
 #include "test_util.h"

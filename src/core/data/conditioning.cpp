@@ -7,9 +7,9 @@
 #include <utility>
 
 #include "imu_pose_calib/core/base/median.h"
+#include "imu_pose_calib/core/base/text.h"
 #include "imu_pose_calib/core/data/pose_updates.h"
 #include "imu_pose_calib/core/data/segments.h"
-#include "imu_pose_calib/core/data/stamps.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -23,9 +23,9 @@ constexpr double kMaxNoiseScale = 10.0;
 /// Median specific force of a moving body, in units of gravity.
 constexpr double kMinForce = 0.4, kMaxForce = 10.0;
 
-/// A clipped axis: at least so many samples at the limit, so many of them in a row, and more than
-/// within so much below it.
-constexpr size_t kMinClipped = 5, kMinClippedRun = 3;
+/// A clipped axis: at least so many samples in a row at the limit, and more than within so much
+/// below it.
+constexpr size_t kMinClippedRun = 3;
 constexpr double kBelowClip = 0.02;
 /// Both limits of a sensor and those of its axes agree within this.
 constexpr double kSameLimit = 0.05;
@@ -36,19 +36,12 @@ bool IsFinite(const ImuSample& s) { return s.value.allFinite(); }
 bool HasRotation(const PoseSample& s) { return s.q_WM.norm() > 1e-3; }
 bool HasRotation(const ImuSample&) { return true; }
 
-template <typename... Args>
-[[noreturn]] void Refuse(const Args&... args) {
-  std::ostringstream text;
-  (text << ... << args);
-  throw DataError(text.str());
-}
-
 /// Throws when `bad` of `total` samples exceed the allowed share.
 void CheckShare(const std::string& stream, const std::string& defect, size_t bad, size_t total,
                 double max_fraction) {
   if (static_cast<double>(bad) <= max_fraction * static_cast<double>(total)) return;
-  Refuse(stream, ": ", bad, " of ", total, " samples ", defect, " (bound: ", 100.0 * max_fraction,
-         " %)");
+  Throw<DataError>(stream, ": ", bad, " of ", total, " samples ", defect,
+                   " (bound: ", 100.0 * max_fraction, " %)");
 }
 
 /// Usable samples in strictly increasing time, each with a value of its own.
@@ -56,7 +49,7 @@ template <typename Sample>
 std::vector<Sample> Clean(const std::string& stream, double max_bad_fraction,
                           const std::vector<Sample>& samples, StreamReport* report) {
   report->received = samples.size();
-  if (samples.empty()) Refuse("no ", stream, " samples");
+  if (samples.empty()) Throw<DataError>("no ", stream, " samples");
 
   std::vector<Sample> kept;
   kept.reserve(samples.size());
@@ -88,7 +81,8 @@ std::vector<Sample> Clean(const std::string& stream, double max_bad_fraction,
         "cut the recording at the jump");
   report->reversed_stamp += astray + ahead;
 
-  if (kept.empty()) Refuse("none of the ", samples.size(), " ", stream, " samples is usable");
+  if (kept.empty())
+    Throw<DataError>("none of the ", samples.size(), " ", stream, " samples is usable");
 
   std::stable_sort(kept.begin(), kept.end(),
                    [](const Sample& a, const Sample& b) { return a.t_ns < b.t_ns; });
@@ -120,13 +114,14 @@ SessionData Convert(const CalibrationOptions& options, SessionData session) {
 void CheckAlive(const std::string& stream, const std::vector<ImuSample>& samples, size_t received) {
   const Eigen::Vector3d& first = samples.front().value;
   if (samples.size() == 1 && received > 1)
-    Refuse(stream, ": all ", received, " samples are ", first.isZero(0.0) ? "zero" : "the same",
-           ": the sensor is not read; look at its driver and record again");
+    Throw<DataError>(stream, ": all ", received, " samples are ",
+                     first.isZero(0.0) ? "zero" : "the same",
+                     ": the sensor is not read; look at its driver and record again");
   for (int axis = 0; axis < 3 && samples.size() > 1; ++axis) {
     const auto is_same = [&](const ImuSample& s) { return s.value[axis] == first[axis]; };
     if (!std::all_of(samples.begin(), samples.end(), is_same)) continue;
-    Refuse(stream, ": its ", "xyz"[axis], " axis is always ", first[axis],
-           "; look at its driver and record again with all three axes");
+    Throw<DataError>(stream, ": its ", "xyz"[axis], " axis is always ", first[axis],
+                     "; look at its driver and record again with all three axes");
   }
 }
 
@@ -138,9 +133,10 @@ void CheckAlive(const std::vector<PoseSample>& poses) {
     return s.q_WM.coeffs() == poses.front().q_WM.coeffs();
   };
   if (std::all_of(poses.begin(), poses.end(), is_there))
-    Refuse("pose: the position never changes; use a source that gives positions too");
+    Throw<DataError>("pose: the position never changes; use a source that gives positions too");
   if (std::all_of(poses.begin(), poses.end(), is_so))
-    Refuse("pose: the orientation never changes; use a source that gives orientations too");
+    Throw<DataError>(
+        "pose: the orientation never changes; use a source that gives orientations too");
 }
 
 /// Marks the samples at the end of the sensor's range on one side (+1, -1) of one axis. The end
@@ -161,7 +157,7 @@ void MarkClipped(const std::vector<ImuSample>& samples, int axis, double side, d
     else if (side * samples[i].value[axis] > limit * (1.0 - kBelowClip))
       ++below;
   }
-  if (at < kMinClipped || longest_run < kMinClippedRun || at <= below) return;
+  if (longest_run < kMinClippedRun || at <= below) return;
   for (size_t i = 0; i < samples.size(); ++i)
     if (is_at(i)) (*clipped)[i] = true;
 }
@@ -182,7 +178,7 @@ void RemoveSaturated(const std::string& stream, double max_bad_fraction,
   defect << "are at the end of the sensor's range (" << peak
          << "): choose a larger range or move more gently";
   CheckShare(stream, defect.str(), report->saturated, samples->size(), max_bad_fraction);
-  if (kept.empty()) Refuse(stream, ": all ", samples->size(), " samples ", defect.str());
+  if (kept.empty()) Throw<DataError>(stream, ": all ", samples->size(), " samples ", defect.str());
   *samples = std::move(kept);
 }
 
@@ -230,10 +226,11 @@ void CheckDuration(const std::string& stream, const StreamReport& report, double
   add(report.repeated_value, "repeated");
   add(report.reversed_stamp, "stamped backwards");
   add(report.duplicate_stamp, "of a duplicate stamp");
-  Refuse(stream, ": ", report.used, " of ", report.received, " samples are usable and span ",
-         report.duration_s, " s (bound: at least ", min_s, " s", dropped.str(), "); ",
-         2 * report.used < report.received ? "look at the driver and record again"
-                                           : "record 30 s or more");
+  Throw<DataError>(stream, ": ", report.used, " of ", report.received,
+                   " samples are usable and span ", report.duration_s, " s (bound: at least ",
+                   min_s, " s", dropped.str(), "); ",
+                   2 * report.used < report.received ? "look at the driver and record again"
+                                                     : "record 30 s or more");
 }
 
 double Seconds(int64_t t_ns, int64_t epoch_ns) {
@@ -368,8 +365,9 @@ ConditionedData ConditionData(const CalibrationOptions& options, const SessionDa
   SplitAtGaps(options, &out);
   Summarise(out.poses, &out.pose_report);
   if (out.segments.empty())
-    Refuse("pose: no run without a gap is as long as min_segment_s = ", options.min_segment_s,
-           " s (", out.gaps, " gaps in ", out.pose_report.received, " poses)");
+    Throw<DataError>(
+        "pose: no run without a gap is as long as min_segment_s = ", options.min_segment_s, " s (",
+        out.gaps, " gaps in ", out.pose_report.received, " poses)");
   return out;
 }
 

@@ -4,7 +4,7 @@
 #include <cmath>
 
 #include "imu_pose_calib/core/base/median.h"
-#include "imu_pose_calib/core/data/stamps.h"
+#include "imu_pose_calib/core/data/stamp_recovery.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -14,9 +14,8 @@ namespace {
 constexpr double kJump = 10.0, kQuantile = 0.2;
 constexpr size_t kLeastJumps = 50;
 constexpr size_t kShortest = 5, kLongest = 25;  // poses from one measurement to the next
-/// Of the distances between jumps: share that is a multiple of the period, give or take one pose;
-/// share that is the period itself.
-constexpr double kLeastRegular = 0.85, kLeastSingle = 0.1;
+/// Of the distances between jumps: share that is a multiple of the period, give or take one pose.
+constexpr double kLeastRegular = 0.85;
 
 /// Norms of third differences of the position [m]: 0 for motion without a jump.
 std::vector<double> ThirdDifferences(const std::vector<PoseSample>& poses) {
@@ -55,7 +54,7 @@ size_t FindUpdatePeriod(const std::vector<PoseSample>& poses) {
            static_cast<double>(distances.size());
   };
   size_t period = 1;
-  double single = kLeastSingle;
+  double single = 0.0;
   for (size_t k = kShortest; k <= kLongest; ++k) {
     const double is_this = share([k](size_t d) { return d == k; });
     if (is_this <= single) continue;

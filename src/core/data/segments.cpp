@@ -2,11 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <sstream>
 #include <utility>
 
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/base/text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -161,10 +161,9 @@ void SplitAtJumps(const CalibrationOptions& options, ConditionedData* data) {
     if (jumps.empty()) break;
     CutSegments(jumps, max_gap, options.min_segment_s, data);
     if (!data->segments.empty()) continue;
-    std::ostringstream text;
-    text << "pose: it jumps so often that no run is as long as min_segment_s = "
-         << options.min_segment_s << " s; look at the tracker's rigid body and record again";
-    throw DataError(text.str());
+    Throw<DataError>(
+        "pose: it jumps so often that no run is as long as min_segment_s = ", options.min_segment_s,
+        " s; look at the tracker's rigid body and record again");
   }
   Summarise(data->poses, &data->pose_report);
 }

@@ -313,6 +313,14 @@ std::vector<CorrectionSplines::Run> TrimmedRuns(const PoseTrajectory& trajectory
 
 }  // namespace
 
+std::vector<int64_t> EvenStamps(int64_t first, int64_t last, double rate_hz) {
+  std::vector<int64_t> stamps;
+  for (int64_t stamp = first; stamp <= last;
+       stamp = first + std::llround(1e9 * static_cast<double>(stamps.size()) / rate_hz))
+    stamps.push_back(stamp);
+  return stamps;
+}
+
 ImuTrack::ImuTrack(const std::shared_ptr<const Solution>& solution, size_t session, size_t imu,
                    const std::shared_ptr<const TrajectoryCovariance>& covariance, TrackClock clock,
                    double max_gap_s)
@@ -347,10 +355,7 @@ std::vector<ImuTrack::Instant> ImuTrack::Instants(double rate_hz) const {
     for (const TimedSample& s : gyro) instants.push_back({Stamp(s.t), Clock().PoseTime(s.t)});
     return instants;
   }
-  const int64_t first = Stamp(gyro.front().t), last = Stamp(gyro.back().t);
-  for (int64_t k = 0;; ++k) {
-    const int64_t stamp = first + std::llround(1e9 * static_cast<double>(k) / rate_hz);
-    if (stamp > last) return instants;
+  for (const int64_t stamp : EvenStamps(Stamp(gyro.front().t), Stamp(gyro.back().t), rate_hz)) {
     const auto seconds = [stamp](int64_t epoch) {
       return 1e-9 * static_cast<double>(stamp - epoch);
     };
@@ -358,12 +363,11 @@ std::vector<ImuTrack::Instant> ImuTrack::Instants(double rate_hz) const {
                                    ? seconds(trajectory_.epoch_ns())
                                    : Clock().PoseTime(seconds(Recorded().epoch_ns))});
   }
+  return instants;
 }
 
 std::optional<ImuState> ImuTrack::At(double t) const {
   ImuState state;
-  state.covariance.setZero();
-  state.bias_covariance.setZero();
   Vector3d acceleration = Vector3d::Zero();  // while carried
   const auto next_gap =
       std::upper_bound(gaps_.begin(), gaps_.end(), t,

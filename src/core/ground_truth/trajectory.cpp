@@ -20,20 +20,19 @@ using Vector3 = Eigen::Matrix<T, 3, 1>;
 
 /// State of B on M where the splines of the control points correct the GP's motion.
 template <typename T>
-void CorrectedState(const MarkerState<double>& gp, const SplineWeights& weights,
-                    T const* const* d_points, T const* const* phi_points,
-                    const Eigen::Quaternion<T>& q_MB, const Vector3<T>& p_MB,
-                    Eigen::Quaternion<T>* q_WB, Vector3<T>* rest) {
+BodyStateOf<T> CorrectedState(const MarkerState<double>& gp, const SplineWeights& weights,
+                              T const* const* d_points, T const* const* phi_points,
+                              const Eigen::Quaternion<T>& q_MB, const Vector3<T>& p_MB) {
   const Eigen::Matrix<T, 3, 4> d = EvaluateSpline<T>(d_points, weights);
   const Eigen::Matrix<T, 3, 4> phi = EvaluateSpline<T>(phi_points, weights);
   const MarkerState<T> M = Corrected<T>(gp, d, phi);
-  *q_WB = M.q_WM * q_MB;
-  rest[0] = M.p_WM + M.q_WM * p_MB;
-  rest[1] = q_MB.conjugate() * M.omega_M;
-  rest[2] = M.v_W + M.q_WM * Vector3<T>(M.omega_M.cross(p_MB));
-  rest[3] = q_MB.conjugate() * M.alpha_M;
-  rest[4] =
-      M.a_W + M.q_WM * Vector3<T>(M.alpha_M.cross(p_MB) + M.omega_M.cross(M.omega_M.cross(p_MB)));
+  return {
+      M.q_WM * q_MB,
+      M.p_WM + M.q_WM * p_MB,
+      q_MB.conjugate() * M.omega_M,
+      M.v_W + M.q_WM * Vector3<T>(M.omega_M.cross(p_MB)),
+      q_MB.conjugate() * M.alpha_M,
+      M.a_W + M.q_WM * Vector3<T>(M.alpha_M.cross(p_MB) + M.omega_M.cross(M.omega_M.cross(p_MB)))};
 }
 
 /// Derivative of the pose clock's time at t [s, IMU clock] by TrajectoryCovariance::Clock().
@@ -79,34 +78,24 @@ TrajectoryCovariance::TrajectoryCovariance(const std::shared_ptr<const Solution>
     throw InputError(
         "the covariance of the trajectory was not kept: it needs a larger max_factor_mb");
   int column = m.calibrated_end;
-  for (size_t s = 0; s < solution->estimate.sessions.size(); ++s) {
-    const bool has_gravity = m.Find(ParameterKind::kGravity, 0, s) >= 0;
-    gravity_.push_back(has_gravity ? column : -1);
-    if (has_gravity) column += 3;
-  }
-  for (const SessionEstimate& session : solution->estimate.sessions) {
-    gyro_knots_.emplace_back();
-    accel_knots_.emplace_back();
-    for (const ImuSessionEstimate& imu : session.imus) {
-      gyro_knots_.back().push_back(column);
-      column += 3 * static_cast<int>(imu.gyro_bias.values.size());
-      accel_knots_.back().push_back(column);
-      column += 3 * static_cast<int>(imu.accel_bias.values.size());
-    }
-  }
-  for (const SessionEstimate& session : solution->estimate.sessions) {
-    clock_knots_.emplace_back();
-    for (const ImuSessionEstimate& imu : session.imus) {
-      clock_knots_.back().push_back(column);
-      if (!imu.walk.IsLine()) column += static_cast<int>(imu.walk.t.size()) - 1;
-    }
-  }
-  for (const SessionEstimate& session : solution->estimate.sessions)
-    column += 3 * static_cast<int>(session.rotation_errors.knots.values.size());
-  for (const CorrectionSplines& splines : solution->splines) {
-    d_.push_back(column);
-    column += 6 * static_cast<int>(splines.d.size());
-  }
+  const auto add = [&](const auto& values, size_t size) {
+    first_[values.data()] = column;
+    column += static_cast<int>(size);
+  };
+  const std::vector<SessionEstimate>& sessions = solution->estimate.sessions;
+  for (size_t s = 0; s < sessions.size(); ++s)
+    if (m.Find(ParameterKind::kGravity, 0, s) >= 0) add(sessions[s].g_W, 3);
+  for (const SessionEstimate& session : sessions)
+    for (const ImuSessionEstimate& imu : session.imus)
+      for (const BiasKnots* knots : {&imu.gyro_bias, &imu.accel_bias})
+        add(knots->values, 3 * knots->values.size());
+  for (const SessionEstimate& session : sessions)
+    for (const ImuSessionEstimate& imu : session.imus)
+      if (!imu.walk.IsLine()) add(imu.walk.offset, imu.walk.offset.size() - 1);
+  for (const SessionEstimate& session : sessions)
+    add(session.rotation_errors.knots.values, 3 * session.rotation_errors.knots.values.size());
+  for (const CorrectionSplines& splines : solution->splines)
+    for (const auto* points : {&splines.d, &splines.phi}) add(*points, 3 * points->size());
 
   Eigen::MatrixXd border = m.factor.rbegin()->second.H;
   const Eigen::LLT<Eigen::MatrixXd> llt(border);
@@ -132,9 +121,10 @@ TrajectoryCovariance::Columns TrajectoryCovariance::Kept(int first, int count) c
 
 TrajectoryCovariance::Columns TrajectoryCovariance::ControlPoints(size_t session,
                                                                   size_t first) const {
-  const int d = d_[session] + 3 * static_cast<int>(first);
-  const int phi = d + 3 * static_cast<int>(solution_->splines[session].d.size());
-  return Joined({Kept(d, 3 * kSplineOrder), Kept(phi, 3 * kSplineOrder)});
+  const CorrectionSplines& splines = solution_->splines[session];
+  const int place = 3 * static_cast<int>(first);
+  return Joined({Kept(first_.at(splines.d.data()) + place, kPoints),
+                 Kept(first_.at(splines.phi.data()) + place, kPoints)});
 }
 
 TrajectoryCovariance::Columns TrajectoryCovariance::Calibrated(ParameterKind kind, size_t imu,
@@ -153,18 +143,20 @@ TrajectoryCovariance::Columns TrajectoryCovariance::Clock(size_t session, size_t
   for (size_t k = knot; k < knot + 2; ++k)  // that at the reference is not estimated
     if (k != walk.reference)
       clock[2 + k - knot] =
-          clock_knots_[session][imu] + static_cast<int>(k) - (k > walk.reference ? 1 : 0);
+          first_.at(walk.offset.data()) + static_cast<int>(k) - (k > walk.reference ? 1 : 0);
   return clock;
 }
 
 TrajectoryCovariance::Columns TrajectoryCovariance::Gravity(size_t session) const {
-  return Kept(gravity_[session], 3);
+  const auto found = first_.find(solution_->estimate.sessions[session].g_W.data());
+  return Kept(found == first_.end() ? -1 : found->second, 3);
 }
 
 TrajectoryCovariance::Columns TrajectoryCovariance::BiasKnotPair(size_t session, size_t imu,
                                                                  bool is_accel, size_t knot) const {
-  const auto& knots = is_accel ? accel_knots_ : gyro_knots_;
-  return Kept(knots[session][imu] + 3 * static_cast<int>(knot), 6);
+  const ImuSessionEstimate& own = solution_->estimate.sessions[session].imus[imu];
+  const BiasKnots& knots = is_accel ? own.accel_bias : own.gyro_bias;
+  return Kept(first_.at(knots.values.data()) + 3 * static_cast<int>(knot), 6);
 }
 
 Eigen::MatrixXd TrajectoryCovariance::At(const Columns& columns) const {
@@ -207,17 +199,10 @@ std::optional<BodyState> SessionTrajectory::Evaluate(const Rigid3& T_MB, double 
     }
   }
   const SplineWeights weights = CubicWeights(place.u, place.spacing);
-  BodyState state;
-  Eigen::Vector3d rest[5];
-  CorrectedState<double>(gp, weights, d, phi, T_MB.q, T_MB.p, &state.q_WB, rest);
-  state.p_WB = rest[0];
-  state.omega_B = rest[1];
-  state.v_W = rest[2];
-  state.alpha_B = rest[3];
-  state.a_W = rest[4];
+  const BodyState state = CorrectedState<double>(gp, weights, d, phi, T_MB.q, T_MB.p);
   if (J == nullptr) return state;
 
-  Vector3<Jet> jets[2 * kSplineOrder], p_MB, turn, rest_jets[5];
+  Vector3<Jet> jets[2 * kSplineOrder], p_MB, turn;
   const Jet* jet_points[2 * kSplineOrder];
   for (int j = 0; j < 2 * kSplineOrder; ++j) {
     for (int i = 0; i < 3; ++i)
@@ -230,14 +215,12 @@ std::optional<BodyState> SessionTrajectory::Evaluate(const Rigid3& T_MB, double 
   }
   // As Ceres turns it: on the left and by twice the step.
   const Eigen::Quaternion<Jet> q_MB = Exp<Jet>(Vector3<Jet>(turn * Jet(2.0))) * T_MB.q.cast<Jet>();
-  Eigen::Quaternion<Jet> q_WB;
-  CorrectedState<Jet>(gp, weights, jet_points, jet_points + kSplineOrder, q_MB, p_MB, &q_WB,
-                      rest_jets);
-  const Vector3<Jet> theta = Log(Eigen::Quaternion<Jet>(state.q_WB.conjugate().cast<Jet>() * q_WB));
-  for (int i = 0; i < 3; ++i) {
-    J->row(i) = theta[i].v;
-    for (int k = 0; k < 5; ++k) J->row(3 * (k + 1) + i) = rest_jets[k][i].v;
-  }
+  const BodyStateOf<Jet> jet =
+      CorrectedState<Jet>(gp, weights, jet_points, jet_points + kSplineOrder, q_MB, p_MB);
+  const Eigen::Quaternion<Jet> turned = state.q_WB.conjugate().cast<Jet>() * jet.q_WB;
+  const Vector3<Jet> rows[] = {Log(turned), jet.p_WB, jet.omega_B, jet.v_W, jet.alpha_B, jet.a_W};
+  for (int k = 0; k < 6; ++k)
+    for (int i = 0; i < 3; ++i) J->row(3 * k + i) = rows[k][i].v;
   return state;
 }
 

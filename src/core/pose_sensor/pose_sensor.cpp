@@ -18,16 +18,13 @@ namespace {
 using Eigen::Quaterniond;
 using Eigen::Vector3d;
 
-constexpr int kCandidates = 6;         // correlation peaks tried on all three axes
-constexpr double kMinExplained = 0.5;  // of the sensor's turn rates by the marker's
 constexpr double kRatePeriod = 0.01;   // [s] of the turn rates that are compared
 constexpr double kStiff = 0.1;         // [1/sqrt(s)] drift over noise at first
 constexpr double kForeignScale = 0.1;  // [1] that is no error of a metric sensor,
 constexpr double kSurely = 3.0;        // sigmas off
 /// A jump: medians of so many poses before and after it differ by so many times the usual.
-constexpr ptrdiff_t kAround = 10;
+constexpr size_t kAround = 10;
 constexpr double kJump = 10.0;
-constexpr double kSettledClock = 1e-6;  // [s] that poses still move by, to first order, at the end
 constexpr int kMaxRounds = 15;
 
 /// Rates of turn of the sensor [rad/s], in S, as often as a gyroscope has them.
@@ -54,9 +51,11 @@ RateAlignment StartSession(const CalibrationOptions& given, const PoseTrajectory
   SessionData data;
   data.poses = poses;
   data.imus.clear();
-  session->data = ConditionData(options, data);
-  const PoseTrajectory trajectory = FitTrajectory(options, &session->data);
-  const std::vector<TimedPose>& own = session->data.poses;
+  ConditionedData conditioned = ConditionData(options, data);
+  const PoseTrajectory trajectory = FitTrajectory(options, &conditioned);
+  session->epoch_ns = conditioned.pose_epoch_ns;
+  session->report = conditioned.pose_report;
+  const std::vector<TimedPose>& own = conditioned.poses;
   session->samples.resize(own.size());
   for (size_t i = 0; i < own.size(); ++i) {
     SensorPose& sample = session->samples[i];
@@ -87,30 +86,33 @@ RateAlignment StartSession(const CalibrationOptions& given, const PoseTrajectory
                   " %): do both recordings overlap, and are both of the same rigid body?");
 }
 
-/// Where V jumps: relocalisation. Compares where the poses before and after see the sensor.
-void FindJumps(const Rigid3& T_MS, SensorSession* session) {
-  const std::vector<SensorPose>& samples = session->samples;
-  const auto count = static_cast<ptrdiff_t>(samples.size());
+/// Begins a piece where V jumps (relocalisation): as the medians of the poses before and after see
+/// it, in the V that the pose between implies.
+void CutAtJumps(SensorSession* session) {
+  std::vector<SensorPose>& samples = session->samples;
   std::vector<double> sizes[2];
-  for (ptrdiff_t i = kAround; i + kAround <= count; ++i) {
-    const SensorPose* const sample = &samples[0] + i;
-    const Vector6d step = WorldStep(MedianWorld(T_MS, session->scale, sample - kAround, sample),
-                                    MedianWorld(T_MS, session->scale, sample, sample + kAround),
-                                    session->scale * sample->p_WS(T_MS));
+  for (size_t i = kAround; i + kAround <= samples.size(); ++i) {
+    const Rigid3 T_VW = ImpliedWorld(*session, samples[i]);
+    std::vector<double> before[6], after[6];
+    for (size_t k = i - kAround; k < i + kAround; ++k) {
+      const Vector6d residual = FindResidual(*session, samples[k], T_VW);
+      for (int axis = 0; axis < 6; ++axis) (k < i ? before : after)[axis].push_back(residual[axis]);
+    }
+    Vector6d step;
+    for (int axis = 0; axis < 6; ++axis) step[axis] = Median(after[axis]) - Median(before[axis]);
     sizes[0].push_back(step.head<3>().norm());
     sizes[1].push_back(step.tail<3>().norm());
   }
-  session->jumps.clear();
   if (sizes[0].empty()) return;
   const double usual[2] = {Median(sizes[0]), Median(sizes[1])};
   std::vector<double> size;
   for (size_t i = 0; i < sizes[0].size(); ++i)
     size.push_back(std::max(sizes[0][i] / usual[0], sizes[1][i] / usual[1]));
-  for (ptrdiff_t i = 0; i < static_cast<ptrdiff_t>(size.size()); ++i) {
-    const auto begin = size.begin() + std::max<ptrdiff_t>(0, i - kAround);
-    const auto end = size.begin() + std::min<ptrdiff_t>(i + kAround, size.end() - size.begin());
-    if (size[i] > kJump && std::max_element(begin, end) == size.begin() + i)
-      session->jumps.push_back(0.5 * (samples[i + kAround - 1].t + samples[i + kAround].t));
+  for (size_t i = 0; i < size.size(); ++i) {
+    const auto begin = size.begin() + static_cast<ptrdiff_t>(i - std::min(i, kAround));
+    const auto end = size.begin() + static_cast<ptrdiff_t>(std::min(i + kAround, size.size()));
+    if (size[i] > kJump && *std::max_element(begin, end) == size[i])
+      samples[i + kAround].begins_piece = true;
   }
 }
 
@@ -144,22 +146,20 @@ SensorEstimate StartSensor(const CalibrationOptions& options,
     if (poses[s].empty()) continue;
     const RateAlignment alignment =
         StartSession(options, *solution->trajectories[s], poses[s], &session);
-    PlaceSamples(&session);
     const double explained = alignment.explained * static_cast<double>(alignment.count);
     if (explained <= best) continue;
     best = explained;
     estimate.T_MS.q = alignment.q_MI;
   }
-  for (SensorSession& session : estimate.sessions) PlaceKnots(estimate.T_MS, &session);
+  for (SensorSession& session : estimate.sessions) PlaceSamples(estimate.T_MS, &session);
   CalibrationOptions free = options;
   free.estimate_sensor_scale = true;
   SolveSensor(free, &estimate);
   if (!options.estimate_sensor_scale) CheckScale(free, &estimate);
   for (SensorSession& session : estimate.sessions) {
-    FindJumps(estimate.T_MS, &session);
+    CutAtJumps(&session);
     // A world that is too stiff shows its drift, one that is too loose takes up the motion.
     session.drift = {kStiff * session.noise.position, kStiff * session.noise.rotation};
-    PlaceKnots(estimate.T_MS, &session);
   }
   return estimate;
 }
@@ -168,35 +168,32 @@ SensorEstimate StartSensor(const CalibrationOptions& options,
 /// (VIO).
 bool IsAllDrift(const SensorSession& session) {
   if (session.samples.empty()) return false;
-  const double root = std::sqrt(1.0 / session.data.pose_report.rate_hz);
+  const double root = std::sqrt(1.0 / session.report.rate_hz);
   return session.drift.position * root > session.noise.position ||
          session.drift.rotation * root > session.noise.rotation;
 }
 
-void ReportSession(const SensorEstimate& estimate, const SensorSession& session,
-                   PoseSensorSession* result) {
-  const int64_t marker_ns = session.marker->epoch_ns(), sensor_ns = session.data.pose_epoch_ns;
+void ReportSession(const SensorSession& session, PoseSensorSession* result) {
+  const int64_t marker_ns = session.marker->epoch_ns();
   result->is_present = true;
-  result->poses = session.data.pose_report;
-  result->time_shift = 1e-9 * static_cast<double>(marker_ns - sensor_ns) + session.time_shift;
+  result->poses = session.report;
+  result->time_shift =
+      1e-9 * static_cast<double>(marker_ns - session.epoch_ns) + session.time_shift;
   result->clock_drift = session.clock_drift;
-  result->clock_reference = 1e-9 * static_cast<double>(sensor_ns) + session.reference;
+  result->clock_reference = 1e-9 * static_cast<double>(session.epoch_ns) + session.reference;
   result->scale = session.scale;
   result->noise = session.noise;
   result->drift = session.drift;
-  const auto pose_time = [&](double t) {
-    return 1e-9 * static_cast<double>(marker_ns) + t + session.time_shift +
-           session.clock_drift * (t - session.reference);
-  };
-  for (const WorldKnot& knot : session.knots)
-    result->world.push_back({pose_time(knot.t), knot.T_VW, knot.begins_piece});
   Vector6d squares = Vector6d::Zero();
   for (const SensorPose& sample : session.samples) {
-    const Vector6d residual = FindResidual(estimate, session, sample);
-    result->residuals.push_back({pose_time(sample.t), residual.head<3>(), residual.tail<3>(),
-                                 std::min(1.0, sample.weight.position),
-                                 std::min(1.0, sample.weight.rotation),
-                                 sensor_ns + std::llround(1e9 * sample.t)});
+    const double t = 1e-9 * static_cast<double>(marker_ns) + sample.t + session.time_shift +
+                     session.clock_drift * (sample.t - session.reference);
+    const Vector6d residual = FindResidual(session, sample, sample.T_VW);
+    const Vector3d rotation_S = sample.T_VS.q.conjugate() * Vector3d(residual.tail<3>());
+    result->world.push_back({t, sample.T_VW, sample.begins_piece});
+    result->residuals.push_back(
+        {t, residual.head<3>(), rotation_S, std::min(1.0, sample.weight.position),
+         std::min(1.0, sample.weight.rotation), session.epoch_ns + std::llround(1e9 * sample.t)});
     squares += residual.cwiseAbs2() / static_cast<double>(session.samples.size());
   }
   result->rms = {std::sqrt(squares.head<3>().mean()), std::sqrt(squares.tail<3>().mean())};
@@ -223,7 +220,7 @@ void Report(const CalibrationOptions& options, SensorEstimate* solved,
   for (size_t s = 0; s < estimate.sessions.size(); ++s) {
     if (estimate.sessions[s].samples.empty()) continue;
     PoseSensorSession& session = result->sessions[s];
-    ReportSession(estimate, estimate.sessions[s], &session);
+    ReportSession(estimate.sessions[s], &session);
     session.time_shift_std = std::sqrt(C(column, column));
     session.clock_drift_std =
         options.estimate_clock_drift ? std::sqrt(C(column + 1, column + 1)) : 0.0;
@@ -243,16 +240,8 @@ PoseSensorCalibration CalibratePoseSensor(const CalibrationOptions& options,
   SensorEstimate estimate = StartSensor(options, solution, poses);
   bool has_settled = false;
   for (int round = 0; round < kMaxRounds && !has_settled; ++round) {
-    std::vector<double> time_shifts;
-    for (const SensorSession& session : estimate.sessions)
-      time_shifts.push_back(session.time_shift);
     const bool has_converged = SolveSensor(options, &estimate);
     has_settled = FindNoise(&estimate) && has_converged;
-    for (size_t s = 0; s < estimate.sessions.size(); ++s) {
-      SensorSession& session = estimate.sessions[s];
-      has_settled = has_settled && std::abs(session.time_shift - time_shifts[s]) <= kSettledClock;
-      PlaceKnots(estimate.T_MS, &session);
-    }
   }
   const bool has_converged = SolveSensor(options, &estimate);
   PoseSensorCalibration result;

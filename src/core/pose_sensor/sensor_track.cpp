@@ -2,10 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
-#include <iterator>
 
 #include "imu_pose_calib/core/base/so3.h"
-#include "imu_pose_calib/core/pose_sensor/sensor_problem.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -17,12 +15,6 @@ using Eigen::Vector3d;
 constexpr double kApart = 1.0;  // [s] of relative poses
 
 double Seconds(int64_t ns) { return 1e-9 * static_cast<double>(ns); }
-
-/// T_VW at t [s, pose clock].
-Rigid3 WorldAt(const PoseSensorSession& session, double t) {
-  const auto after = KnotAfter(session.world, t), before = std::prev(after);
-  return Interpolate(before->T_VW, after->T_VW, (t - before->t) / (after->t - before->t));
-}
 
 /// A pose of the sensor, aligned, and the true one.
 struct PosePair {
@@ -64,12 +56,10 @@ std::vector<ImuTrack::Instant> SensorTrack::Instants(double rate_hz) const {
     return instants;
   }
   const double pace = clock_ == TrackClock::kImu ? 1.0 + Own().clock_drift : 1.0;
-  const int64_t first = stamp(poses.front()), last = stamp(poses.back());
-  for (int64_t k = 0;; ++k) {
-    const int64_t since = std::llround(1e9 * static_cast<double>(k) / rate_hz);
-    if (first + since > last) return instants;
-    instants.push_back({first + since, time(poses.front()) + pace * Seconds(since)});
-  }
+  const int64_t first = stamp(poses.front());
+  for (const int64_t even : EvenStamps(first, stamp(poses.back()), rate_hz))
+    instants.push_back({even, time(poses.front()) + pace * Seconds(even - first)});
+  return instants;
 }
 
 std::optional<ImuState> SensorTrack::At(double t) const {
@@ -80,9 +70,6 @@ std::optional<ImuState> SensorTrack::At(double t) const {
   state.p_WI = sensor->p_WB;
   state.omega_I = sensor->omega_B;
   state.v_W = sensor->v_W;
-  state.biases = {Vector3d::Zero(), Vector3d::Zero()};
-  state.bias_covariance.setZero();
-  state.covariance.setZero();
   if (const auto C = trajectory_.MarkerCovariance(t, sensor_.T_MS))
     state.covariance = C->topLeftCorner<12, 12>() + OfMountAndClock(t, *sensor);
   return state;
@@ -112,10 +99,11 @@ SensorErrors FindErrors(const PoseSensorSession& session,
                         const std::function<std::optional<Rigid3>(double t)>& T_WS) {
   std::vector<PosePair> pairs;
   std::vector<Rigid3> absolute, relative;
-  for (const PoseSensorSession::Residual& residual : session.residuals) {
+  for (size_t i = 0; i < session.residuals.size(); ++i) {
+    const PoseSensorSession::Residual& residual = session.residuals[i];
     const auto truth = T_WS(residual.t);
     if (!truth) continue;
-    const Rigid3 T_VW = WorldAt(session, residual.t), &first = session.world.front().T_VW;
+    const Rigid3 &T_VW = session.world[i].T_VW, &first = session.world.front().T_VW;
     const Vector3d p_VS = T_VW.p + session.scale * (T_VW.q * truth->p) + residual.position;
     const Quaterniond q_VS = T_VW.q * truth->q * Exp<double>(residual.rotation);
     const Rigid3 measured{first.q.conjugate() * q_VS,

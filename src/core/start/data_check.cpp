@@ -11,7 +11,6 @@
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/base/text.h"
-#include "imu_pose_calib/core/data/stamps.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -273,22 +272,29 @@ void ForEachStream(const DataCheck& check, const Act& act) {
   }
 }
 
-/// Covariance over the recording of what evaluate(t, &x) gives where there is a trajectory.
-template <int kSize, typename Evaluate>
-Eigen::Matrix<double, kSize, kSize> CovarianceOfMotion(const ConditionedData& data,
-                                                       const Evaluate& evaluate) {
-  Eigen::Matrix<double, kSize, 1> x, sum = Eigen::Matrix<double, kSize, 1>::Zero();
-  Eigen::Matrix<double, kSize, kSize> sum2 = Eigen::Matrix<double, kSize, kSize>::Zero();
-  double count = 0.0;
-  for (double t = 0.0; t <= data.poses.back().t; t += kMotionStep) {
-    if (!evaluate(t, &x)) continue;
-    sum += x;
-    sum2 += x * x.transpose();
-    count += 1.0;
+/// How the marker moves over the recording.
+struct Motion {
+  Matrix6d covariance;  ///< of the rate about its axes, and of the acceleration along those of W
+  double rate_noise = 0.0;  ///< [(rad/s)^2] mean variance of the rate that is the trajectory's own
+
+  explicit Motion(const PoseTrajectory& trajectory) {
+    Vector6d x, sum = Vector6d::Zero();
+    Matrix6d sum2 = Matrix6d::Zero();
+    double count = 0.0;
+    for (double t = 0.0; t <= trajectory.End(); t += kMotionStep) {
+      MarkerState<double> state;
+      if (!trajectory.Evaluate(t, &state)) continue;
+      x << state.omega_M, state.a_W;
+      sum += x;
+      sum2 += x * x.transpose();
+      rate_noise += trajectory.Variance(t).omega;
+      count += 1.0;
+    }
+    const Vector6d mean = sum / count;
+    covariance = sum2 / count - mean * mean.transpose();
+    rate_noise /= count;
   }
-  const Eigen::Matrix<double, kSize, 1> mean = sum / count;
-  return sum2 / count - mean * mean.transpose();
-}
+};
 
 }  // namespace
 
@@ -302,18 +308,11 @@ std::string DescribeAxis(const Eigen::Vector3d& direction, const std::string& fr
          Number(sign * axis.z(), "%.2f") + ") in the " + frame + " frame";
 }
 
-void CheckTurns(const PoseTrajectory& trajectory, const ConditionedData& data) {
-  double variance = 0.0, count = 0.0;
-  const auto evaluate = [&](double t, Eigen::Vector3d* omega_M) {
-    MarkerRotation<double> marker;
-    if (!trajectory.EvaluateRotation(t, &marker)) return false;
-    *omega_M = marker.omega_M;
-    variance += trajectory.Variance(t).omega;
-    count += 1.0;
-    return true;
-  };
-  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(CovarianceOfMotion<3>(data, evaluate));
-  const double noise = variance / count;
+void CheckTurns(const PoseTrajectory& trajectory) {
+  const Motion motion(trajectory);
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(
+      motion.covariance.topLeftCorner<3, 3>());
+  const double noise = motion.rate_noise;
   const auto rate_std = [&](int k) {  // the largest first; 0 when within the noise
     const double excess = eigen.eigenvalues()[2 - k] - noise;
     return excess > 0.5 * noise ? std::sqrt(excess) : 0.0;
@@ -378,13 +377,7 @@ void CheckMotion(const CalibrationOptions& options, const ConditionedData& data,
         " jumps; the poses are cut there, but they must all be in one frame W up to a turn about "
         "gravity and a move");
 
-  const auto evaluate = [&](double t, Vector6d* x) {
-    MarkerState<double> state;
-    if (!trajectory.Evaluate(t, &state)) return false;
-    *x << state.omega_M, state.a_W;
-    return true;
-  };
-  const Vector6d rms = CovarianceOfMotion<6>(data, evaluate).diagonal().cwiseMax(0.0).cwiseSqrt();
+  const Vector6d rms = Motion(trajectory).covariance.diagonal().cwiseMax(0.0).cwiseSqrt();
   check->turns_M = rms.head<3>();
   check->moves_W = rms.tail<3>();
 

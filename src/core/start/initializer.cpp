@@ -3,28 +3,24 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <iomanip>
 #include <limits>
-#include <sstream>
 #include <utility>
 
 #include "imu_pose_calib/core/base/parallel.h"
 #include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/base/text.h"
 #include "imu_pose_calib/core/data/segments.h"
 #include "imu_pose_calib/core/start/rate_alignment.h"
 
 namespace imu_pose_calib {
 namespace {
 
-constexpr int kCandidates = 6;                 // correlation peaks tried on all three axes
-constexpr double kMinExplained = 0.5;          // of the gyro's variance
-constexpr double kSurelyExplained = 0.95;      // nobody asks for another reading of the poses
 constexpr double kMaxUnexplainedRatio = 0.25;  // of another reading over the one as given
 constexpr double kFlipped = 0.2;           // unexplained share of the motion of a flipped segment
 constexpr double kFlipFactor = 25.0;       // its mean square residual over that of the others
-constexpr size_t kMinPairs = 50;           // gyro samples of a segment that proposes a rotation
 constexpr double kMinAgreement = 0.6;      // of the log, on one rotation
 constexpr double kMinProposal = 0.3;       // of the log, for a rotation to be taken seriously
-constexpr double kMinSignalToNoise = 3.0;  // power of the marker's acceleration
 constexpr double kUnitBound = 5.0;         // scale of the positions, either way
 constexpr double kLeastExplained = 0.3;    // by positions in another unit
 constexpr double kDelaySearch = 0.1;       // [s]
@@ -39,39 +35,31 @@ constexpr double kAccelBiasPrior = 1.0;    // [m/s^2] keeps bias and gravity apa
 void CheckPoseReading(const CalibrationOptions& options, const PoseTrajectory& trajectory,
                       const std::vector<TimedSample>& gyro, const std::vector<double>& time_shifts,
                       const RateAlignment& as_given) {
-  if (as_given.explained > kSurelyExplained) return;
   const double explained =
       AlignRates(trajectory, gyro, time_shifts, true, options.Threads()).explained;
   if (1.0 - explained > kMaxUnexplainedRatio * (1.0 - as_given.explained)) return;
-  std::ostringstream text;
-  text.precision(3);
-  text << "the turn rates of poses and gyroscope agree only when the poses are inverted (explains "
-       << 100.0 * explained << " % of the gyroscope's variance, as given "
-       << 100.0 * std::max(0.0, as_given.explained)
-       << " %): if they are the world seen from the marker, set invert_poses: "
-       << (options.invert_poses ? "false" : "true")
-       << "; if the source writes quaternions as w, x, y, z, let it write x, y, z, w";
-  throw OptionNeeded(text.str());
+  Throw<OptionNeeded>(
+      std::setprecision(3),
+      "the turn rates of poses and gyroscope agree only when the poses are inverted (explains ",
+      100.0 * explained, " % of the gyroscope's variance, as given ",
+      100.0 * std::max(0.0, as_given.explained),
+      " %): if they are the world seen from the marker, set invert_poses: ",
+      options.invert_poses ? "false" : "true",
+      "; if the source writes quaternions as w, x, y, z, let it write x, y, z, w");
 }
 
-std::string RateMismatch(const RateAlignment& best) {
-  std::ostringstream text;
-  text << "the turn rates of poses and gyroscope agree at no time shift (best explains "
-       << 100.0 * std::max(0.0, best.explained)
-       << " % of the gyroscope's variance, bound: " << 100.0 * kMinExplained
-       << " %): do both recordings overlap, and are both of the same rigid body?";
-  return text.str();
-}
-
-void CheckGyroUnit(const RateAlignment& alignment) {
-  if (alignment.scale > 0.5 && alignment.scale < 2.0) return;
-  std::ostringstream text;
-  text << "gyroscope: its rates are " << alignment.scale << " times the marker's (bound: 0.5 to 2)";
-  if (alignment.scale > 40.0 && alignment.scale < 80.0)
-    text << "; it looks like deg/s: set gyro_unit: 0.0174532925";
-  else
-    text << "; set gyro_unit, the unit of the gyroscope in rad/s";
-  throw OptionNeeded(text.str());
+void CheckRates(const RateAlignment& best) {
+  if (best.explained < kMinExplained)
+    Throw<DataError>("the turn rates of poses and gyroscope agree at no time shift (best explains ",
+                     100.0 * std::max(0.0, best.explained),
+                     " % of the gyroscope's variance, bound: ", 100.0 * kMinExplained,
+                     " %): do both recordings overlap, and are both of the same rigid body?");
+  if (best.scale > 0.5 && best.scale < 2.0) return;
+  const bool is_degrees = best.scale > 40.0 && best.scale < 80.0;
+  Throw<OptionNeeded>("gyroscope: its rates are ", best.scale,
+                      " times the marker's (bound: 0.5 to 2); ",
+                      is_degrees ? "it looks like deg/s: set gyro_unit: 0.0174532925"
+                                 : "set gyro_unit, the unit of the gyroscope in rad/s");
 }
 
 /// Time shifts of an IMU that the correlation of the turn rates proposes; a guess is of the first.
@@ -136,16 +124,10 @@ RotationAgreement FindAgreement(const std::vector<SegmentRates>& segments) {
   SegmentRates all;
   for (const SegmentRates& pairs : segments) all.insert(all.end(), pairs.begin(), pairs.end());
   RotationAgreement best = Judge(segments, AlignRates(all));
-  const auto improve = [&](const SegmentRates& pairs) {
-    if (pairs.size() < kMinPairs) return;
+  for (const SegmentRates& pairs : segments) {
     const RotationAgreement candidate = Judge(segments, AlignRates(pairs));
     if (candidate.cost < best.cost) best = candidate;
-  };
-  for (const SegmentRates& pairs : segments) improve(pairs);
-  SegmentRates agreeing;
-  for (size_t k = 0; k < segments.size(); ++k)
-    if (!best.flipped[k]) agreeing.insert(agreeing.end(), segments[k].begin(), segments[k].end());
-  improve(agreeing);
+  }
   return best;
 }
 
@@ -165,12 +147,10 @@ std::vector<SegmentRates> PairRatesBySegment(const PoseTrajectory& trajectory,
 /// Gravity is estimated without knowing its magnitude: another one means another unit or none.
 void CheckGravity(double estimated, double expected) {
   if (estimated > 0.5 * expected && estimated < 2.0 * expected) return;
-  std::ostringstream text;
-  text << "accelerometer: it shows a gravity of " << estimated
-       << " m/s^2 (bound: " << 0.5 * expected << " to " << 2.0 * expected << " m/s^2); ";
-  if (estimated < 0.5 * expected) text << "is gravity removed? Record the raw accelerometer";
-  if (estimated > 2.0 * expected) text << "is its unit m/s^2?";
-  throw DataError(text.str());
+  Throw<DataError>("accelerometer: it shows a gravity of ", estimated,
+                   " m/s^2 (bound: ", 0.5 * expected, " to ", 2.0 * expected, " m/s^2); ",
+                   estimated < expected ? "is gravity removed? Record the raw accelerometer"
+                                        : "is its unit m/s^2?");
 }
 
 /// Normal equations of the accelerometer for x = (p_MI, g_W, R_MI b_a, s) at a given delay:
@@ -221,41 +201,21 @@ struct LeverArmEquations {
   }
 };
 
-/// Variance per axis of the marker's acceleration [(m/s^2)^2].
-double MeanAccelVariance(const PoseTrajectory& trajectory, const std::vector<TimedSample>& accel,
-                         double time_shift) {
-  double sum = 0.0, count = 1e-9;
-  for (size_t i = 0; i < accel.size(); i += 10 * Stride(accel.size())) {
-    const double t = accel[i].t + time_shift;
-    if (!trajectory.Contains(t)) continue;
-    sum += trajectory.Variance(t).accel;
-    count += 1.0;
-  }
-  return sum / count;
-}
-
-/// Positions in another unit than metres do not fit the accelerometer. Nothing is said when they
-/// hardly move: `mean_variance` [(m/s^2)^2] of the marker's acceleration per axis.
-void CheckPositionUnit(const LeverArmEquations& equations, double mean_variance) {
-  const double mean_square = equations.A(9, 9) / std::max(1.0, equations.count);
-  if (mean_square < 3.0 * kMinSignalToNoise * mean_variance) return;
+/// Positions in another unit than metres do not fit the accelerometer.
+void CheckPositionUnit(const LeverArmEquations& equations) {
   double explained = 0.0;
   const double scale = equations.PositionScale(&explained);
   if (scale > 1.0 / kUnitBound && scale < kUnitBound) return;
   // Accelerations that are mostly errors of the poses match nothing, in no unit.
-  if (explained < kLeastExplained) return;
-  std::ostringstream text;
-  text.precision(3);
-  text << "pose: the marker's acceleration has to be multiplied by " << scale
-       << " to match the accelerometer (bound: " << 1.0 / kUnitBound << " to " << kUnitBound
-       << "); ";
-  if (scale > 2e-4 && scale < 4e-3)
-    text << "positions look like millimetres: set position_unit: 1.0e-3";
-  else if (scale > 6e-3 && scale < 2e-2)
-    text << "positions look like centimetres: set position_unit: 1.0e-2";
-  else
-    text << "are positions in metres and of the body that carries the IMU? Else set position_unit";
-  throw OptionNeeded(text.str());
+  if (!(explained >= kLeastExplained)) return;
+  const char* const advice =
+      scale > 2e-4 && scale < 4e-3   ? "positions look like millimetres: set position_unit: 1.0e-3"
+      : scale > 6e-3 && scale < 2e-2 ? "positions look like centimetres: set position_unit: 1.0e-2"
+                                     : "are positions in metres and of the body that carries the "
+                                       "IMU? Else set position_unit";
+  Throw<OptionNeeded>(
+      std::setprecision(3), "pose: the marker's acceleration has to be multiplied by ", scale,
+      " to match the accelerometer (bound: ", 1.0 / kUnitBound, " to ", kUnitBound, "); ", advice);
 }
 
 }  // namespace
@@ -275,14 +235,11 @@ void RemoveFlippedSegments(const CalibrationOptions& options, PoseTrajectory* tr
     if (agreement.explained * agreement.agreeing > best.explained * best.agreeing) best = agreement;
   }
   if (best.agreeing < kMinProposal || best.explained < kMinExplained) return;  // S2 says why
-  if (best.agreeing < kMinAgreement) {
-    std::ostringstream text;
-    text.precision(2);
-    text << "pose: the marker's frame flips: only " << 100.0 * best.agreeing
-         << " % of the recording turn as the gyroscope does with one rotation R_MI (bound: "
-         << 100.0 * kMinAgreement << " %); place the markers less symmetrically and record again";
-    throw DataError(text.str());
-  }
+  if (best.agreeing < kMinAgreement)
+    Throw<DataError>(
+        std::setprecision(2), "pose: the marker's frame flips: only ", 100.0 * best.agreeing,
+        " % of the recording turn as the gyroscope does with one rotation R_MI (bound: ",
+        100.0 * kMinAgreement, " %); place the markers less symmetrically and record again");
   if (std::find(best.flipped.begin(), best.flipped.end(), true) == best.flipped.end()) return;
   const std::vector<TimedPose> poses = std::exchange(data->poses, {});
   const std::vector<IndexRange> segments = std::exchange(data->segments, {});
@@ -325,7 +282,7 @@ void FitLeverArm(const PoseTrajectory& trajectory, const std::vector<TimedSample
   }
   const LeverArmEquations equations(trajectory, accel, *start, best_delay, stride);
   const Eigen::Matrix<double, 9, 1> best = equations.Solve(&lowest);
-  CheckPositionUnit(equations, MeanAccelVariance(trajectory, accel, start->time_shift));
+  CheckPositionUnit(equations);
   start->accel_delay = best_delay;
   start->p_MI = best.head<3>();
   CheckGravity(best.segment<3>(3).norm(), gravity_magnitude);
@@ -339,8 +296,7 @@ Start Initialise(const CalibrationOptions& options, const PoseTrajectory& trajec
   const std::vector<double> shifts = CandidateShifts(options, trajectory, data, imu);
   const RateAlignment best = AlignRates(trajectory, samples.gyro, shifts, false, options.Threads());
   CheckPoseReading(options, trajectory, samples.gyro, shifts, best);
-  if (best.explained < kMinExplained) throw DataError(RateMismatch(best));
-  CheckGyroUnit(best);
+  CheckRates(best);
   Start start;
   start.time_shift = best.time_shift;
   // What is estimated starts where the data put it, which no guess can better.

@@ -29,7 +29,7 @@ Start StartOf(CalibrationOptions options, const PreparedSession& session, size_t
 /// What the clock does beyond its line, and the lever arm's start with it.
 void FindWalk(const CalibrationOptions& options, const ConditionedImu& imu,
               const PoseTrajectory& trajectory, Start* start) {
-  ClockLine line{start->time_shift, start->clock_drift, imu.MiddleOfGyro()};
+  ClockLine line{start->time_shift, 0.0, imu.MiddleOfGyro()};
   start->walk = FitClockWalk(trajectory, imu.gyro, &line);
   if (start->walk.IsLine()) return;
   start->time_shift = line.time_shift;
@@ -72,8 +72,7 @@ PreparedSession Prepare(const CalibrationOptions& options, const SessionData& re
   prepared.trajectory = std::make_shared<const PoseTrajectory>(std::move(trajectory));
   CheckMotion(options, prepared.data, *prepared.trajectory, check);
   // With a known lever arm or rotation a turn about one axis may do: the covariance will tell.
-  if (options.estimate_translation && options.estimate_rotation)
-    CheckTurns(*prepared.trajectory, prepared.data);
+  if (options.estimate_translation && options.estimate_rotation) CheckTurns(*prepared.trajectory);
   for (size_t i = 0; i < prepared.data.imus.size(); ++i) {
     const bool is_present = prepared.data.imus[i].IsPresent();
     prepared.starts.push_back(is_present ? StartOf(options, prepared, i) : Start());

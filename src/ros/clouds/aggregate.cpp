@@ -10,7 +10,7 @@
 #include <sstream>
 #include <utility>
 
-#include "imu_pose_calib/core/data/stamps.h"
+#include "imu_pose_calib/core/data/stamp_recovery.h"
 #include "imu_pose_calib/ros/io/bags.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/output_files.h"

@@ -8,7 +8,7 @@
 
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/data/conditioning.h"
-#include "imu_pose_calib/core/data/stamps.h"
+#include "imu_pose_calib/core/data/stamp_recovery.h"
 #include "imu_pose_calib/core/ground_truth/trajectory.h"
 #include "imu_pose_calib/ros/io/text.h"
 

@@ -161,7 +161,7 @@ struct PoseSensorSession {
   PoseStd rms;    ///< of the residuals of the poses used
   PoseStd drift;  ///< walk of V where the body is [m/sqrt(s)], [rad/sqrt(s)]
 
-  /// T_VW, linear between knots of one piece; a jump begins the next piece.
+  /// T_VW at each pose, read from a file where pieces begin; a jump begins the next piece.
   struct WorldKnot {
     double t;  ///< [s] pose clock
     Rigid3 T_VW;

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <sstream>
 #include <string>
 
 namespace imu_pose_calib {
@@ -8,5 +9,13 @@ namespace imu_pose_calib {
 std::string InWords(double value, const std::string& unit);
 /// By a format of printf for one double, such as "%.1f sigma"; 31 characters at most.
 std::string Number(double value, const char* format = "%.4g");
+
+/// Throws an Error whose text is all of these, as a stream writes them.
+template <typename Error, typename... Args>
+[[noreturn]] void Throw(const Args&... args) {
+  std::ostringstream text;
+  (text << ... << args);
+  throw Error(text.str());
+}
 
 }  // namespace imu_pose_calib

@@ -28,12 +28,15 @@ struct ImuState {
   ImuBiases biases;
   bool is_carried = false;  ///< by the IMU alone, across a gap of the poses
   /// Of the rotation [rad, about the axes of I: R_WI Exp(dtheta)], p_WI, omega_I and v_W.
-  Eigen::Matrix<double, 12, 12> covariance;
-  Matrix6d bias_covariance;  ///< gyroscope, accelerometer
+  Eigen::Matrix<double, 12, 12> covariance = Eigen::Matrix<double, 12, 12>::Zero();
+  Matrix6d bias_covariance = Matrix6d::Zero();  ///< gyroscope, accelerometer
 };
 
 /// Whose stamps go with the states.
 enum class TrackClock { kImu, kPoses };
+
+/// Stamps [ns] evenly from the first one until the last.
+std::vector<int64_t> EvenStamps(int64_t first, int64_t last, double rate_hz);
 
 /// What happens between two runs of poses.
 struct TrackGap {

@@ -4,6 +4,7 @@
 /// In: a Solution. Out: pose, velocity, rates and biases of an IMU at any time with sigmas; gaps of
 /// the poses are bridged by the IMU. Changes no estimate.
 
+#include <map>
 #include <memory>
 #include <optional>
 #include <vector>
@@ -41,21 +42,21 @@ class TrajectoryCovariance {
   Columns Kept(int first, int count) const;
 
   std::shared_ptr<const Solution> solution_;
-  // First columns, of each session:
-  std::vector<int> d_, gravity_;
-  std::vector<std::vector<int>> gyro_knots_, accel_knots_, clock_knots_;  ///< of each IMU
-  Panels inverse_;  ///< elements of H^-1, what is held being known
+  std::map<const void*, int> first_;  ///< columns, by where the first value is in the solution
+  Panels inverse_;                    ///< elements of H^-1, what is held being known
 };
 
 /// Motion of a body B at one instant: of the marker or of an IMU.
-struct BodyState {
-  Eigen::Quaterniond q_WB;
-  Eigen::Vector3d p_WB;     ///< [m]
-  Eigen::Vector3d omega_B;  ///< [rad/s]
-  Eigen::Vector3d v_W;      ///< [m/s]
-  Eigen::Vector3d alpha_B;  ///< [rad/s^2]
-  Eigen::Vector3d a_W;      ///< [m/s^2]
+template <typename T>
+struct BodyStateOf {
+  Eigen::Quaternion<T> q_WB;
+  Eigen::Matrix<T, 3, 1> p_WB;     ///< [m]
+  Eigen::Matrix<T, 3, 1> omega_B;  ///< [rad/s]
+  Eigen::Matrix<T, 3, 1> v_W;      ///< [m/s]
+  Eigen::Matrix<T, 3, 1> alpha_B;  ///< [rad/s^2]
+  Eigen::Matrix<T, 3, 1> a_W;      ///< [m/s^2]
 };
+using BodyState = BodyStateOf<double>;
 
 /// Covariance of the rotation [rad, about the axes of B: R_WB Exp(dtheta)] and of the other members
 /// of BodyState, in their order, 3 each.
@@ -63,8 +64,8 @@ using BodyCovariance = Eigen::Matrix<double, 18, 18>;
 
 /// Biases of an IMU at one instant, in I: measured = M true + bias.
 struct ImuBiases {
-  Eigen::Vector3d gyro;   ///< [rad/s]
-  Eigen::Vector3d accel;  ///< [m/s^2]
+  Eigen::Vector3d gyro = Eigen::Vector3d::Zero();   ///< [rad/s]
+  Eigen::Vector3d accel = Eigen::Vector3d::Zero();  ///< [m/s^2]
 };
 
 /// The trajectory of one session as solved: with method `joint` by all sensors together, with `gp`

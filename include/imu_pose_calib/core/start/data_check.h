@@ -27,7 +27,7 @@ class DegenerateMotion : public DataError {
 
 /// Throws DegenerateMotion unless the marker turns about two axes, by the principal axes of its
 /// mean-free rate, the trajectory's own variance subtracted.
-void CheckTurns(const PoseTrajectory& trajectory, const ConditionedData& data);
+void CheckTurns(const PoseTrajectory& trajectory);
 
 /// The stamps and values of one sensor. Shares are 0..1; jitter, bunches and cut are of the stamps
 /// as recorded.

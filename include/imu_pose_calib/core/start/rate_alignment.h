@@ -7,6 +7,9 @@
 
 namespace imu_pose_calib {
 
+constexpr int kCandidates = 6;         ///< time shifts that are tried on all three axes
+constexpr double kMinExplained = 0.5;  ///< least share of the variance of rates that match
+
 /// Time shifts at which |omega_M| and |gyro| correlate best, the best first, at most `count`.
 /// Every overlap of at least `min_overlap_s` is searched, or those within 1 s of `guess`.
 std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
