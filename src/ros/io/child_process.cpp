@@ -1,15 +1,13 @@
 #include "imu_pose_calib/ros/io/child_process.h"
 
 #include <fcntl.h>
-#include <sys/mman.h>
+#include <spawn.h>
 #include <sys/prctl.h>
 #include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include <algorithm>
-#include <boost/process.hpp>
-#include <boost/process/extend.hpp>
 #include <cerrno>
 #include <csignal>
 #include <cstdio>
@@ -76,51 +74,75 @@ int Wait(pid_t pid) {
   _exit(EXIT_FAILURE);
 }
 
+/// Runs a program, a path and its arguments; returns its exit status, -1 when it did not end by
+/// itself.
+int RunProgram(const std::vector<std::string>& command, const std::string& errors) {
+  std::vector<char*> arguments;
+  for (const std::string& word : command) arguments.push_back(const_cast<char*>(word.c_str()));
+  arguments.push_back(nullptr);
+  posix_spawn_file_actions_t files;
+  posix_spawn_file_actions_init(&files);
+  posix_spawn_file_actions_addopen(&files, STDIN_FILENO, "/dev/null", O_RDONLY, 0);
+  posix_spawn_file_actions_addopen(&files, STDOUT_FILENO, "/dev/null", O_WRONLY, 0);
+  posix_spawn_file_actions_addopen(&files, STDERR_FILENO, errors.c_str(),
+                                   O_WRONLY | O_CREAT | O_TRUNC, 0600);
+  posix_spawnattr_t attributes;
+  posix_spawnattr_init(&attributes);
+  sigset_t none;
+  sigemptyset(&none);
+  posix_spawnattr_setsigmask(&attributes, &none);  // not what InterruptGuard blocks here
+  posix_spawnattr_setflags(&attributes, POSIX_SPAWN_SETSIGMASK);
+  pid_t pid = 0;
+  const int failure =
+      posix_spawn(&pid, arguments[0], &files, &attributes, arguments.data(), environ);
+  posix_spawnattr_destroy(&attributes);
+  posix_spawn_file_actions_destroy(&files);
+  if (failure != 0)
+    throw InputError("'" + command[0] +
+                     "' cannot be run: " + std::generic_category().message(failure));
+  return Wait(pid);
+}
+
 }  // namespace
 
 std::optional<std::string> RunApart(const std::function<std::string()>& run,
                                     const ChildLimits& limits) {
-  // In memory, and shared with the child.
-  const std::unique_ptr<std::FILE, int (*)(std::FILE*)> output(
-      fdopen(memfd_create("answer", MFD_CLOEXEC), "w+"), std::fclose);
-  if (!output) Fail("cannot hold the answer of a process");
+  int ends[2];  // to read from and to write to
+  if (pipe2(ends, O_CLOEXEC) != 0) Fail("cannot hold the answer of a process");
   const pid_t parent = getpid();
   const pid_t pid = fork();
-  if (pid < 0) Fail("cannot start a process");
+  if (pid < 0) {
+    close(ends[0]);
+    close(ends[1]);
+    Fail("cannot start a process");
+  }
   if (pid == 0) {
+    close(ends[0]);
     ConfineChild(parent, limits);
-    RunChild(run, output.get());
+    RunChild(run, fdopen(ends[1], "w"));
+  }
+  close(ends[1]);
+  const std::unique_ptr<std::FILE, int (*)(std::FILE*)> input(fdopen(ends[0], "r"), std::fclose);
+  std::string answer;
+  char part[1 << 16];
+  while (const ssize_t size = read(ends[0], part, sizeof(part))) {
+    if (size > 0) answer.append(part, static_cast<size_t>(size));
+    if (size < 0 && errno != EINTR) Fail("cannot read from a process");
   }
   const int status = Wait(pid);
   if (status != kResult && status != kInputError) return std::nullopt;
-  std::fseek(output.get(), 0, SEEK_END);
-  std::string answer(static_cast<size_t>(std::ftell(output.get())), '\0');
-  std::rewind(output.get());
-  if (std::fread(answer.data(), 1, answer.size(), output.get()) != answer.size())
-    Fail("cannot read from a process");
   if (status == kInputError) throw InputError(answer);
   return answer;
 }
 
 bool RunScript(const std::string& script, const std::vector<std::string>& arguments,
                const std::string& errors, const std::string& failure) {
-  namespace process = boost::process;
   const std::filesystem::path path =
       std::filesystem::read_symlink("/proc/self/exe").parent_path() / script;
   if (!std::filesystem::exists(path)) throw InputError(failure + ": there is no " + path.string());
-  const auto unblock = [](auto&) {  // what InterruptGuard blocks here
-    sigset_t none;
-    sigemptyset(&none);
-    sigprocmask(SIG_SETMASK, &none, nullptr);
-  };
-  try {
-    return process::system(path.string(), process::args = arguments,
-                           process::std_in<process::null, process::std_out> process::null,
-                           process::std_err > errors,
-                           process::extend::on_exec_setup = unblock) == EXIT_SUCCESS;
-  } catch (const process::process_error& error) {
-    throw InputError("'" + path.string() + "' cannot be run: " + error.code().message());
-  }
+  std::vector<std::string> command = {path};
+  command.insert(command.end(), arguments.begin(), arguments.end());
+  return RunProgram(command, errors) == EXIT_SUCCESS;
 }
 
 }  // namespace imu_pose_calib
