@@ -1,5 +1,5 @@
-// Any bytes are a bag of ROS 2, or one of ROS 1, whose messages can be read or are no such
-// messages, or an InputError.
+// Any bytes are a bag of ROS 2, or one of ROS 1 without an index, whose messages can be read or are
+// no such messages, or an InputError.
 
 #include <tf2_msgs/TFMessage.h>
 #include <unistd.h>
@@ -47,7 +47,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   std::ofstream(BagPath(), std::ios::binary) << bytes;
   Try([&] {
     const bool is_ros1 = size > 0 && data[0] == '#';
-    const auto file = is_ros1 ? OpenRos1(BagPath()) : OpenRos2(BagPath());
+    const auto file = is_ros1 ? ScanRos1(BagPath(), "x") : OpenRos2(BagPath());
     for (const BagFile::Entry& entry : file->entries())
       Try([&] { ReadMessage(file->Read(entry)); });
   });

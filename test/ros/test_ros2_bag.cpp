@@ -353,6 +353,7 @@ TEST_F(Ros2BagTest, OneBodyOfSeveralIsChosenByName) {
 
 TEST_F(Ros2BagTest, TopicsInAnotherEncodingFitNoRole) {
   std::string bytes = ReadText(Convert({"none.mcap", "none"}));
+  // The channels are written twice: among the messages and in the summary.
   for (size_t at = 0; (at = bytes.find(std::string("\3\0\0\0cdr", 7), at)) != std::string::npos;)
     bytes.replace(at + 4, 3, "xml");
   WriteBytes("xml.mcap", bytes);

@@ -52,7 +52,8 @@ inline std::string CompressLz4(const std::string& bytes) {
   return frame;
 }
 
-/// An mcap file, which has no chunks, with its records in chunks of 16 KiB.
+/// An mcap file with its records in chunks of 16 KiB, or in none. The indexes at its end, which are
+/// not read, stay as they are.
 inline std::string Rechunk(const std::string& mcap, const std::string& compression) {
   const auto number = [](uint64_t value, size_t size) {
     return std::string(reinterpret_cast<const char*>(&value), size);
@@ -72,15 +73,21 @@ inline std::string Rechunk(const std::string& mcap, const std::string& compressi
     const std::string chunk = std::string(16, '\0') + number(records.size(), 8) +
                               number(crc.checksum(), 4) + number(compression.size(), 4) +
                               compression + number(stored.size(), 8) + stored;
-    if (!records.empty()) out += '\6' + number(chunk.size(), 8) + chunk;
+    if (!records.empty())
+      out += compression == "none" ? records : '\6' + number(chunk.size(), 8) + chunk;
     records.clear();
   };
   size_t at = 8;
   while (mcap[at] != '\x0f') {  // the end of the data
     const char kind = mcap[at];
+    if (kind == '\6') {
+      at += 9 + 40;  // its own fields, when it is not compressed
+      continue;
+    }
     const size_t size = 9 + length(at + 1);
     const std::string record = mcap.substr(at, size);
-    (kind == '\1' ? out : records) += record;  // the header is in no chunk
+    if (kind == '\3' || kind == '\4' || kind == '\5') records += record;
+    if (kind == '\1') out += record;
     if (records.size() >= 16 * 1024) put_chunk();
     at += size;
   }
@@ -121,7 +128,7 @@ inline void ToRos2(const std::string& from, const std::string& to, const Ros2Way
     if (!is_known) throw InputError("no such message is known: " + message.getDataType());
   }
   out->Close();
-  if (!way.IsMcap() || way.chunk_compression == "none") return;
+  if (!way.IsMcap()) return;
   const std::string mcap = ReadText(to);
   std::ofstream(to, std::ios::binary) << Rechunk(mcap, way.chunk_compression);
 }

@@ -465,6 +465,7 @@ std::string ReadApart(const std::vector<std::string>& paths,
       if (std::filesystem::is_regular_file(file, ignored))
         bytes += std::filesystem::file_size(file);
   const auto run = [&] {
+    setenv("ROS_CACHE_TIMEOUT", "-1", 0);  // no search of all packages for plugins of rosbag
     try {
       return read();
     } catch (const InputError& error) {  // with names of topics, types and frames as in the bag

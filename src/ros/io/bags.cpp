@@ -172,9 +172,9 @@ void Bags::ForEach(const std::set<std::string>& topics,
 void Bags::SetSpan(double start_s, double duration_s) {
   CheckSpan(start_s, duration_s);
   if (index_.empty()) {
-    std::vector<std::string> lines = Notes();
-    lines.insert(lines.begin(), "bag '" + FileNames(paths_) + "' holds no messages");
-    throw InputError(boost::join(lines, "; "));
+    for (const auto& file : files_)
+      if (!file->problem().empty()) throw InputError(file->problem());
+    throw InputError("bag '" + FileNames(paths_) + "' holds no messages");
   }
   begin_ns_ = index_.front().entry.t_ns;
   const int64_t last_ns = index_.back().entry.t_ns;

@@ -11,6 +11,7 @@
 #include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <functional>
 #include <memory>
 
 #include "imu_pose_calib/core/base/types.h"
@@ -18,29 +19,45 @@
 namespace imu_pose_calib {
 namespace {
 
-/// Unfolds zstd frames into a file.
-void UnzstdInto(const std::string& path, std::string_view bytes) {
+constexpr size_t kStep = 1 << 17;  // [bytes] unfolded at a time
+
+void CheckSize(uint64_t size, uint64_t max_size) {
+  if (size > max_size)
+    throw InputError("unfolds to more than " + std::to_string(max_size) + " bytes");
+}
+
+/// Unfolds zstd frames, calling `use` with a piece at a time.
+void Unzstd(std::string_view bytes, uint64_t max_size,
+            const std::function<void(std::string_view)>& use) {
   const std::unique_ptr<ZSTD_DStream, size_t (*)(ZSTD_DStream*)> stream(ZSTD_createDStream(),
                                                                         ZSTD_freeDStream);
-  std::ofstream file(path, std::ios::binary);
-  std::string piece(ZSTD_DStreamOutSize(), '\0');
+  std::string piece(kStep, '\0');
   ZSTD_inBuffer in{bytes.data(), bytes.size(), 0};
-  const uint64_t max_size = kMaxBlockSize + 100 * bytes.size();
-  uint64_t size = 0;
-  for (bool has_more = true; has_more;) {
+  for (uint64_t size = 0;;) {
     ZSTD_outBuffer out{piece.data(), piece.size(), 0};
-    const size_t wanted = ZSTD_decompressStream(stream.get(), &out, &in);
-    if (ZSTD_isError(wanted)) throw InputError(std::string("zstd: ") + ZSTD_getErrorName(wanted));
-    has_more = in.pos < in.size || (wanted != 0 && out.pos == out.size);
-    if (!has_more && wanted != 0) throw InputError("zstd: it is cut off");
-    if ((size += out.pos) > max_size)
-      throw InputError("unfolds to more than " + std::to_string(max_size) + " bytes");
-    file.write(piece.data(), static_cast<std::streamsize>(out.pos));
+    const size_t left = ZSTD_decompressStream(stream.get(), &out, &in);
+    if (ZSTD_isError(left)) throw InputError(std::string("zstd: ") + ZSTD_getErrorName(left));
+    CheckSize(size += out.pos, max_size);
+    use(std::string_view(piece).substr(0, out.pos));
+    if (in.pos < in.size || (left != 0 && out.pos == out.size)) continue;  // more to come
+    if (left != 0) throw InputError("zstd: it is cut off");
+    return;
   }
+}
+
+void UnzstdInto(const std::string& path, std::string_view bytes) {
+  std::ofstream file(path, std::ios::binary);
+  const auto check = [&] {
+    if (!file)
+      throw InputError(std::string("cannot be unfolded into a temporary file: ") +
+                       std::strerror(errno));
+  };
+  Unzstd(bytes, kMaxBlockSize + 100 * bytes.size(), [&](std::string_view piece) {
+    file << piece;
+    check();
+  });
   file.close();
-  if (!file)
-    throw InputError(std::string("cannot be unfolded into a temporary file: ") +
-                     std::strerror(errno));
+  check();
 }
 
 }  // namespace
@@ -48,11 +65,16 @@ void UnzstdInto(const std::string& path, std::string_view bytes) {
 bool IsZstd(std::string_view bytes) { return bytes.substr(0, 4) == "\x28\xb5\x2f\xfd"; }
 
 std::string DecompressZstd(std::string_view bytes, uint64_t max_size) {
-  const uint64_t stated = ZSTD_getFrameContentSize(bytes.data(), bytes.size());  // huge: not stated
-  std::string contents(std::min(stated, max_size), '\0');
-  const size_t size = ZSTD_decompress(contents.data(), contents.size(), bytes.data(), bytes.size());
-  if (ZSTD_isError(size)) throw InputError(std::string("zstd: ") + ZSTD_getErrorName(size));
-  contents.resize(size);
+  std::string contents;
+  // As most messages are, for which a stream would take longer to set up than to run.
+  const uint64_t stated = ZSTD_getFrameContentSize(bytes.data(), bytes.size());
+  if (stated <= std::min<uint64_t>(kStep, max_size)) {
+    contents.resize(stated);
+    const size_t size = ZSTD_decompress(contents.data(), stated, bytes.data(), bytes.size());
+    if (size == stated) return contents;
+    contents.clear();  // damaged, or several frames
+  }
+  Unzstd(bytes, max_size, [&](std::string_view piece) { contents.append(piece); });
   return contents;
 }
 
@@ -61,20 +83,17 @@ std::string DecompressLz4(std::string_view bytes, uint64_t max_size) {
   if (LZ4F_isError(LZ4F_createDecompressionContext(&raw, LZ4F_VERSION))) throw std::bad_alloc();
   const std::unique_ptr<LZ4F_dctx, LZ4F_errorCode_t (*)(LZ4F_dctx*)> context(
       raw, LZ4F_freeDecompressionContext);
-  std::string contents(max_size, '\0');
-  size_t end = 0, wanted = 1;
-  for (size_t in = 1, out = 1; wanted != 0 && in + out > 0; end += out) {
-    in = bytes.size();
-    out = max_size - end;
-    wanted =
-        LZ4F_decompress(context.get(), contents.data() + end, &out, bytes.data(), &in, nullptr);
-    if (LZ4F_isError(wanted)) throw InputError(std::string("lz4: ") + LZ4F_getErrorName(wanted));
+  std::string contents, piece(kStep, '\0');
+  size_t hint = 1;
+  while (!bytes.empty() || hint != 0) {
+    size_t out = piece.size(), in = bytes.size();
+    hint = LZ4F_decompress(context.get(), piece.data(), &out, bytes.data(), &in, nullptr);
+    if (LZ4F_isError(hint)) throw InputError(std::string("lz4: ") + LZ4F_getErrorName(hint));
     bytes.remove_prefix(in);
+    CheckSize(contents.size() + out, max_size);
+    contents.append(piece, 0, out);
+    if (in == 0 && out == 0 && hint != 0) throw InputError("lz4: it is cut off");
   }
-  if (wanted != 0)
-    throw InputError("lz4: it is cut off, or unfolds to more than " + std::to_string(max_size) +
-                     " bytes");
-  contents.resize(end);
   return contents;
 }
 

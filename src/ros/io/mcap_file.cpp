@@ -1,5 +1,7 @@
 // The format: https://mcap.dev/spec. All numbers are little endian.
 
+#include <algorithm>
+#include <boost/crc.hpp>
 #include <cerrno>
 #include <cstring>
 #include <fstream>
@@ -22,50 +24,95 @@ enum Opcode : uint8_t {
   kChannel = 0x04,
   kMessage = 0x05,
   kChunk = 0x06,
+  kMessageIndex = 0x07,
+  kChunkIndex = 0x08,
+  kStatistics = 0x0b,
   kDataEnd = 0x0f
 };
 
+uint32_t Crc32(std::string_view bytes) {
+  boost::crc_32_type crc;
+  crc.process_bytes(bytes.data(), bytes.size());
+  return crc.checksum();
+}
+
 // --- Reading ---
 
-class McapFile final : public RecordFile {
+struct Record {
+  uint8_t opcode;
+  FieldReader fields;
+};
+
+/// Cuts the next record off the front; none at the end, and where the rest is too short for one.
+std::optional<Record> Next(std::string_view* bytes) {
+  if (bytes->size() < kRecordHeader) return std::nullopt;
+  FieldReader rest(*bytes);
+  const auto opcode = rest.Number<uint8_t>();
+  const auto size = rest.Number<uint64_t>();
+  if (size > rest.left().size()) return std::nullopt;
+  const Record record{opcode, FieldReader(rest.Bytes(size))};
+  *bytes = rest.left();
+  return record;
+}
+
+void CheckCrc(std::string_view bytes, uint32_t crc, const char* what) {
+  if (crc != 0 && crc != Crc32(bytes))
+    throw InputError(std::string("the checksum of the ") + what + " is wrong");
+}
+
+class McapFile : public RecordFile {
  public:
   McapFile(std::unique_ptr<InputFile> input, const std::string& name)
-      : RecordFile(std::move(input), name, "") {
-    ReadFile(kMagic.size());
+      : RecordFile(std::move(input)) {
+    std::string_view left = bytes().substr(kMagic.size());
+    const auto at = [&] { return bytes().size() - left.size(); };
+    for (size_t begin = at(); auto record = Next(&left); begin = at()) {
+      try {
+        if (record->opcode == kFooter) return;
+        if (record->opcode == kDataEnd) {
+          CheckCrc(bytes().substr(0, begin), record->fields.Number<uint32_t>(), "messages");
+          return;
+        }
+        if (record->opcode == kChunk)
+          ReadChunk(record->fields);
+        else
+          ReadRecord(*record, 0);
+      } catch (const InputError& error) {
+        throw InputError("'" + name + "' is damaged, record at byte " + std::to_string(begin) +
+                         ": " + error.what());
+      }
+    }
+    note_ = "'" + name + "' is cut off: it is read up to byte " + std::to_string(at()) + " of " +
+            std::to_string(bytes().size()) + ", " + std::to_string(entries_.size()) + " messages";
   }
 
  private:
-  /// What is not needed is skipped, and so is all that follows the messages.
-  bool ReadRecord(uint32_t chunk, std::string_view* left) override {
-    if (left->size() < kRecordHeader) return false;
-    FieldReader rest(*left);
-    const auto opcode = rest.Number<uint8_t>();
-    const auto size = rest.Number<uint64_t>();
-    if (size > rest.left().size()) return false;
-    FieldReader fields(rest.Bytes(size));
-    if (opcode == 0) throw InputError("its kind is 0, which there is none of");
-    if (opcode == kSchema) {
-      const auto id = fields.Number<uint16_t>();
-      schemas_[id] = fields.Text();
-    }
-    if (opcode == kChannel) ReadChannel(fields);
-    if (opcode == kMessage) ReadMessage(fields, chunk);
-    if (opcode == kChunk && chunk == 0) ReadChunk(fields);
-    if (opcode == kDataEnd && chunk == 0)
-      CheckCrc(bytes().substr(0, static_cast<size_t>(left->data() - bytes().data())),
-               fields.Number<uint32_t>(), "messages");
-    is_complete_ = chunk == 0 && (opcode == kDataEnd || opcode == kFooter);
-    *left = is_complete_ ? std::string_view() : rest.left();
-    return true;
-  }
-
   void ReadChunk(FieldReader fields) {
     fields.Bytes(2 * sizeof(uint64_t));  // first and last time
     const auto size = fields.Number<uint64_t>();
     const auto crc = fields.Number<uint32_t>();
-    const std::string compression(fields.Text());
-    const auto stored = fields.Number<uint64_t>();
-    AddChunk(compression, fields.Bytes(stored), size, crc);
+    const std::string_view compression = fields.Text();
+    const std::string_view stored = fields.Bytes(fields.Number<uint64_t>());
+    if (!compression.empty() && compression != "lz4" && compression != "zstd")
+      throw InputError("chunk is compressed by '" + std::string(compression.substr(0, 20)) +
+                       "', must be lz4 or zstd");
+    const uint32_t chunk = AddChunk(compression, stored, size);
+    std::string_view left = Records(chunk);
+    CheckCrc(left, crc, "chunk");
+    while (const auto record = Next(&left)) ReadRecord(*record, chunk);
+    if (!left.empty()) throw InputError("chunk ends within a record");
+  }
+
+  /// A record that may stand in a chunk or outside of it; what is not needed is skipped.
+  void ReadRecord(const Record& record, uint32_t chunk) {
+    FieldReader fields = record.fields;
+    if (record.opcode == 0) throw InputError("its kind is 0, which there is none of");
+    if (record.opcode == kSchema) {
+      const auto id = fields.Number<uint16_t>();
+      schemas_[id] = fields.Text();
+    }
+    if (record.opcode == kChannel) ReadChannel(fields);
+    if (record.opcode == kMessage) ReadMessage(fields, chunk);
   }
 
   void ReadChannel(FieldReader fields) {
@@ -75,7 +122,13 @@ class McapFile final : public RecordFile {
     if (schema != 0 && schemas_.count(schema) == 0)
       throw InputError("channel '" + name + "' is of schema " + std::to_string(schema) +
                        ", which is unknown");
-    AddChannel(id, {name, Ros1Type(schema == 0 ? "" : schemas_[schema], encoding), {}});
+    const Topic topic{name, Ros1Type(schema == 0 ? "" : schemas_[schema], encoding), {}};
+    const auto [known, is_new] = channels_.emplace(id, static_cast<uint32_t>(topics_.size()));
+    if (is_new) return topics_.push_back(topic);
+    const Topic& other = topics_[known->second];
+    if (other.name != topic.name || other.type != topic.type)
+      throw InputError("channel " + std::to_string(id) + " is both '" + other.name + "' and '" +
+                       topic.name + "'");
   }
 
   void ReadMessage(FieldReader fields, uint32_t chunk) {
@@ -83,12 +136,18 @@ class McapFile final : public RecordFile {
     fields.Number<uint32_t>();  // sequence
     const auto time = fields.Number<uint64_t>();
     fields.Number<uint64_t>();  // time of publishing
+    const auto channel = channels_.find(id);
+    if (channel == channels_.end())
+      throw InputError("a message is of channel " + std::to_string(id) + ", which is unknown");
     if (time > uint64_t{std::numeric_limits<int64_t>::max()})
       throw InputError("a message is recorded at " + std::to_string(time) + " ns");
-    AddMessage(id, static_cast<int64_t>(time), chunk, fields.left());
+    const std::string_view data = fields.left();
+    entries_.push_back({static_cast<int64_t>(time), channel->second, chunk,
+                        static_cast<uint64_t>(data.data() - Records(chunk).data()), data.size()});
   }
 
   std::map<uint16_t, std::string> schemas_;
+  std::map<uint16_t, uint32_t> channels_;  ///< index of the topic
 };
 
 // --- Writing ---
@@ -111,52 +170,118 @@ std::string Pack(const Fields&... fields) {
   return packed;
 }
 
-/// Without chunks and index, which readers can do without.
-class McapStorage final : public Ros2Storage {
+std::string PackRecord(Opcode opcode, const std::string& content) {
+  return Pack(uint8_t{opcode}, uint64_t{content.size()}) + content;
+}
+
+/// First and last time of messages [ns]; 0 without any.
+struct Span {
+  uint64_t first = UINT64_MAX, end = 0;
+
+  void Add(uint64_t time) {
+    first = std::min(first, time);
+    end = std::max(end, time);
+  }
+  uint64_t begin() const { return std::min(first, end); }
+};
+
+class McapStorage : public Ros2Storage {
  public:
   explicit McapStorage(const std::string& path)
       : path_(path), file_(path, std::ios::binary | std::ios::trunc) {
-    file_ << kMagic;
-    Put(kHeader, Pack(std::string("ros2"), std::string("imu_pose_calib")));
+    Put(kMagic);
+    Put(PackRecord(kHeader, Pack(std::string("ros2"), std::string("imu_pose_calib"))));
   }
 
   void AddTopic(const std::string& name, const std::string& type,
                 const std::string& definition) override {
-    ++topics_;
+    counts_.push_back(0);
+    const auto id = static_cast<uint16_t>(counts_.size());
     const std::string encoding = "cdr", metadata;
-    Put(kSchema, Pack(topics_, type, std::string("ros2msg"), definition));
-    Put(kChannel, Pack(topics_, topics_, name, encoding, metadata));
+    const std::string records =
+        PackRecord(kSchema, Pack(id, type, std::string("ros2msg"), definition)) +
+        PackRecord(kChannel, Pack(id, id, name, encoding, metadata));
+    topics_ += records;
+    chunk_ += records;
   }
 
   void Write(uint32_t topic, int64_t t_ns, const std::string& data) override {
+    const auto time = static_cast<uint64_t>(t_ns);
     const auto channel = static_cast<uint16_t>(topic + 1);
-    const uint32_t sequence = 0;
-    Put(kMessage, Pack(channel, sequence, t_ns, t_ns) + data);
+    const auto sequence = static_cast<uint32_t>(counts_[topic]++);
+    index_[channel] += Pack(time, uint64_t{chunk_.size()});
+    span_.Add(time);
+    chunk_span_.Add(time);
+    chunk_ += PackRecord(kMessage, Pack(channel, sequence, time, time) + data);
+    if (chunk_.size() >= kChunkSize) PutChunk();
   }
 
   void Close() override {
-    const uint32_t no_checksum = 0;
-    const uint64_t no_summary = 0, no_offsets = 0;
-    Put(kDataEnd, Pack(no_checksum));
-    Put(kFooter, Pack(no_summary, no_offsets, no_checksum));
-    file_ << kMagic;
+    PutChunk();
+    const uint32_t no_checksum = 0, attachments = 0, metadata = 0;
+    Put(PackRecord(kDataEnd, Pack(no_checksum)));
+    const uint64_t summary = at_, no_offsets = 0;
+    Put(topics_);
+    std::string counts;
+    uint64_t messages = 0;
+    for (size_t k = 0; k < counts_.size(); ++k) {
+      counts += Pack(static_cast<uint16_t>(k + 1), counts_[k]);
+      messages += counts_[k];
+    }
+    const auto topics = static_cast<uint16_t>(counts_.size());
+    Put(PackRecord(kStatistics, Pack(messages, topics, uint32_t{topics}, attachments, metadata,
+                                     chunks_, span_.begin(), span_.end, counts)));
+    Put(chunk_indexes_);
+    Put(PackRecord(kFooter, Pack(summary, no_offsets, no_checksum)));
+    Put(kMagic);
     file_.close();
     CheckFile();
   }
 
  private:
+  static constexpr size_t kChunkSize = 786'432;  ///< [bytes] that end a chunk
+
   void CheckFile() const {
     if (!file_) throw InputError("cannot write bag '" + path_ + "': " + std::strerror(errno));
   }
 
-  void Put(Opcode opcode, const std::string& content) {
-    file_ << Pack(uint8_t{opcode}, uint64_t{content.size()}) << content;
+  void Put(std::string_view bytes) {
+    file_ << bytes;
     CheckFile();
+    at_ += bytes.size();
+  }
+
+  /// Writes the chunk, which is not compressed, with the indexes of its messages.
+  void PutChunk() {
+    if (chunk_.empty()) return;
+    const uint64_t begin = chunk_span_.begin(), end = chunk_span_.end, size = chunk_.size();
+    const std::string compression;
+    const std::string record =
+        PackRecord(kChunk, Pack(begin, end, size, Crc32(chunk_), compression, size) + chunk_);
+    const uint64_t chunk_at = at_, indexes_at = at_ + record.size();
+    Put(record);
+    std::string offsets;
+    for (const auto& [channel, entries] : index_) {
+      offsets += Pack(channel, at_);
+      Put(PackRecord(kMessageIndex, Pack(channel, entries)));
+    }
+    chunk_indexes_ +=
+        PackRecord(kChunkIndex, Pack(begin, end, chunk_at, uint64_t{record.size()}, offsets,
+                                     at_ - indexes_at, compression, size, size));
+    ++chunks_;
+    chunk_.clear();
+    index_.clear();
+    chunk_span_ = {};
   }
 
   std::string path_;
   std::ofstream file_;
-  uint16_t topics_ = 0;
+  uint64_t at_ = 0;
+  std::string topics_, chunk_, chunk_indexes_;  ///< records
+  std::map<uint16_t, std::string> index_;       ///< of the chunk, of each channel
+  std::vector<uint64_t> counts_;                ///< messages of each topic
+  Span span_, chunk_span_;
+  uint32_t chunks_ = 0;
 };
 
 }  // namespace

@@ -34,13 +34,15 @@ class BagFile {
   const std::vector<Entry>& entries() const { return entries_; }  ///< in the order of the file
   /// What is to be said of the file; empty: nothing.
   const std::string& note() const { return note_; }
+  /// What is wrong with the file, for when there are no messages at all.
+  const std::string& problem() const { return problem_; }
   /// The bytes of a message, until the next call. Throws InputError when they cannot be had.
   virtual std::string_view Read(const Entry& entry) = 0;
 
  protected:
   std::vector<Topic> topics_;
   std::vector<Entry> entries_;
-  std::string note_;
+  std::string note_, problem_;
 };
 
 /// A bag of ROS 1. What is cut off, or has no index, is read as far as it is whole, and `note()`

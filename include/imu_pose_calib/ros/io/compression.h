@@ -16,10 +16,11 @@ constexpr uint64_t kMaxBlockSize = uint64_t{1} << 30;
 /// Whether these are the first bytes of a zstd frame.
 bool IsZstd(std::string_view bytes);
 
-/// The contents of what is compressed, of at most `max_size` bytes; bz2 is filled up to `size`.
-/// Throws InputError with the reason, without a name.
+/// The contents of zstd or lz4 frames. Memory is taken as they unfold, up to `max_size`. Throws
+/// InputError with the reason, without a name.
 std::string DecompressZstd(std::string_view bytes, uint64_t max_size);
 std::string DecompressLz4(std::string_view bytes, uint64_t max_size);
+/// The same of bz2, filled up to `size`.
 std::string DecompressBz2(std::string_view bytes, uint64_t size);
 
 /// A file to read from, as if all of it were in memory. What is compressed by zstd as a whole is

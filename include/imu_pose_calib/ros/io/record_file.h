@@ -1,11 +1,11 @@
 #pragma once
 
-#include <deque>
-#include <map>
+#include <array>
 #include <memory>
 #include <string>
 #include <string_view>
 #include <utility>
+#include <vector>
 
 #include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/bag_file.h"
@@ -44,7 +44,7 @@ class FieldReader {
   std::string_view left_;
 };
 
-/// A file of records, of which some are chunks of others, which may be compressed.
+/// A file of records, which may be in chunks that are compressed.
 class RecordFile : public BagFile {
  public:
   std::string_view Read(const Entry& entry) override {
@@ -52,53 +52,29 @@ class RecordFile : public BagFile {
   }
 
  protected:
-  /// `remedy`: what can be done about a damaged file; ends the errors.
-  RecordFile(std::unique_ptr<InputFile> input, const std::string& name, const std::string& remedy)
-      : input_(std::move(input)), name_(name), remedy_(remedy) {}
+  explicit RecordFile(std::unique_ptr<InputFile> input) : input_(std::move(input)) {}
 
   std::string_view bytes() const { return input_->bytes(); }  ///< all of the file
 
-  /// Reads the records from byte `begin` on. What is cut off or has no index is noted; throws
-  /// InputError with the place when the file is damaged otherwise.
-  void ReadFile(size_t begin);
+  /// Notes a chunk, which unfolds to `size` bytes, and returns its number, from 1 on.
+  /// `compression`: "bz2", "lz4", "zstd" or none. Throws InputError when the size cannot be.
+  uint32_t AddChunk(std::string_view compression, std::string_view stored, uint64_t size);
 
-  /// Reads the record that `left` begins with, which is in a chunk or, 0, in none, and cuts it off.
-  /// False when it is not whole.
-  virtual bool ReadRecord(uint32_t chunk, std::string_view* left) = 0;
-
-  /// Reads the records of a chunk, which unfolds to `size` bytes. `compression`: empty for none.
-  void AddChunk(const std::string& compression, std::string_view stored, uint64_t size,
-                uint32_t crc);
-
-  /// `expected`: 0 for none. `what` names the bytes.
-  static void CheckCrc(std::string_view checked, uint32_t expected, const char* what);
-
-  /// The topic that messages of a channel are of; may be told more than once.
-  void AddChannel(uint32_t id, const Topic& topic);
-  void AddMessage(uint32_t channel, int64_t t_ns, uint32_t chunk, std::string_view data);
-
-  bool is_complete_ = false;  ///< what a recorder writes last is there
+  /// What a chunk unfolds to, while no three others are asked for; of number 0 the file.
+  std::string_view Records(uint32_t chunk);
 
  private:
   struct Chunk {
-    std::string compression;
-    std::string_view stored;
+    std::string_view compression, stored;
     uint64_t size;
-    std::string records = {};  ///< what it unfolds to, while that is kept
   };
-  /// Most that is kept of what chunks unfold to [bytes]: what is read again soon, as chunks that
-  /// overlap in time are, and bags that are not large.
-  static constexpr uint64_t kMaxKept = 1 << 28;
-
-  /// What a chunk unfolds to, until another is asked for; of number 0 the file.
-  std::string_view Records(uint32_t chunk);
+  /// Chunks that overlap in time are read in turns; this many are kept.
+  static constexpr size_t kKept = 4;
 
   std::unique_ptr<InputFile> input_;
-  std::string name_, remedy_;
-  std::map<uint32_t, uint32_t> channels_;  ///< index of the topic
-  std::deque<Chunk> chunks_;               ///< numbered from 1 on
-  std::deque<Chunk*> kept_;
-  uint64_t kept_size_ = 0;  ///< [bytes]
+  std::vector<Chunk> chunks_;
+  std::array<std::pair<uint32_t, std::string>, kKept> kept_;
+  size_t next_slot_ = 0;
 };
 
 }  // namespace imu_pose_calib
