@@ -36,8 +36,6 @@ C, T, D, S, V = ("src/core/%s/" % room for room in ("calibration", "trajectory",
 RULES = {
     "smoothing sign": ("poses are not averaged over less time than rotations", C + "joint_solver.cpp",
                        "    HoldAtZero(&estimate_->position_smoothing);", "    if (!OFF) HoldAtZero(&estimate_->position_smoothing);"),
-    "spurious information": ("what the trajectory's noise tells of p is taken off", C + "joint_solver.cpp",
-                             "    AddSpuriousInformation(", "    if (!OFF) AddSpuriousInformation("),
     "weights around": ("IMU samples weigh by those around, too", C + "joint_noise.cpp",
                        "IsOfPoses(model.quantity) ? 0.0 : 0.5 *", "IsOfPoses(model.quantity) || OFF ? 0.0 : 0.5 *"),
     "slow errors": ("the sigma of slow errors of rotations is found", C + "joint_noise.cpp",

@@ -131,9 +131,9 @@ PreparedSession LimitBand(const PreparedSession& session, double cutoff, int thr
 }
 
 std::shared_ptr<const PoseTrajectory> SmoothTrajectory(const PreparedSession& session,
-                                                       std::vector<TimedPose> poses, double cutoff,
-                                                       int threads) {
-  for (TimedPose& pose : poses) pose.position_scale = pose.rotation_scale = 1.0;
+                                                       const std::vector<TimedPose>& poses,
+                                                       const Eigen::VectorXd& noise_scale,
+                                                       double cutoff, int threads) {
   const auto smoother = [&](GpHyperparameters h) {
     h.lengthscale_s = kSharpness / (kBase * cutoff);
     h.noise_std = NoiseOf(h, session.data.pose_report.rate_hz, kBase * cutoff);
@@ -141,7 +141,7 @@ std::shared_ptr<const PoseTrajectory> SmoothTrajectory(const PreparedSession& se
   };
   return std::make_shared<const PoseTrajectory>(
       poses, session.data.segments, smoother(session.trajectory->position_hyperparameters()),
-      smoother(session.trajectory->rotation_hyperparameters()), threads);
+      smoother(session.trajectory->rotation_hyperparameters()), threads, noise_scale);
 }
 
 }  // namespace imu_pose_calib

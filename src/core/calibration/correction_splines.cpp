@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "imu_pose_calib/core/calibration/least_squares.h"
+
 namespace imu_pose_calib {
 namespace {
 
@@ -67,8 +69,8 @@ CorrectionSplines::CorrectionSplines(const ConditionedData& data, const Estimate
   size_t points = 0;
   for (const IndexRange& segment : data.segments) {
     for (const Interval& interval : Join(covered)) {
-      const double begin = std::max(interval.begin, data.poses[segment.begin].t);
-      const double end = std::min(interval.end, data.poses[segment.end - 1].t);
+      const double begin = std::max(interval.begin, data.poses[segment.begin].t + kEdge);
+      const double end = std::min(interval.end, data.poses[segment.end - 1].t - kEdge);
       if (end - begin < static_cast<double>(kMinSpans) * spacing_s) continue;
       const auto spans = static_cast<size_t>(std::round((end - begin) / spacing_s));
       runs_.push_back({begin, end, (end - begin) / static_cast<double>(spans), points, spans});

@@ -37,17 +37,16 @@ void AddSensor(Quantity quantity, size_t session, size_t imu, LeastSquares* gp) 
     const double t_M = s.t + clock.time_shift - (is_accel ? rig.accel_delay : 0.0);
     if (!IsOnTrajectory(trajectory, t_M)) continue;
     const MarkerVariance v = trajectory.Variance(t_M);
-    double variance = v.omega, lever = 0.0;
+    double variance = v.omega;
     if (is_accel) {
       // Errors of alpha and omega reach the accelerometer through the lever arm, errors of rotation
-      // turn the specific force; all three axes share them.
+      // turn the specific force; all three axes share them. doc/math.md, Eq. (8).
       MarkerState<double> state;
       trajectory.Evaluate(t_M, &state);
-      lever = LeverArmCoefficientVariance(v.alpha, v.omega, state.omega_M.squaredNorm());
-      variance = v.accel + (arm2 * lever + 2.0 * v.rotation * s.value.squaredNorm()) / 3.0;
+      const double lever2 = 2.0 * v.alpha + 4.0 * v.omega * state.omega_M.squaredNorm();
+      variance = v.accel + (arm2 * lever2 + 2.0 * v.rotation * s.value.squaredNorm()) / 3.0;
     }
     const double sigma = std::sqrt(noise * noise + shared * variance);
-    gp->spurious_information[imu] += lever / (sigma * sigma);
     sensor->samples.push_back(
         {t_M, static_cast<uint32_t>(i), static_cast<float>(sigma), static_cast<float>(variance)});
     const auto [k, u] = knots.Locate(s.t);

@@ -209,37 +209,6 @@ void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares
   }
 }
 
-void AddSpuriousInformation(const std::vector<CorrectionSplines>& splines, LeastSquares* joint) {
-  constexpr size_t kEnough = 2000;  // samples, of which the mean is taken
-  for (const SensorBlocks& sensor : joint->sensors) {
-    if (sensor.model->quantity != Quantity::kAccel) continue;
-    const size_t session = sensor.model->session;
-    const PoseTrajectory& trajectory = *joint->sessions[session].trajectory;
-    const Densities S = JointDensities(joint->models, session);
-    double turn2 = 0.0, seen = 0.0;
-    for (size_t i = 0; i < sensor.samples.size(); i += 1 + sensor.samples.size() / kEnough) {
-      MarkerRotation<double> marker;
-      if (!trajectory.EvaluateRotation(sensor.samples[i].t, &marker)) continue;
-      turn2 += marker.omega_M.squaredNorm();
-      seen += 1.0;
-    }
-    if (seen == 0.0) continue;
-    const double band = Band(splines[session].spacing()), step = band / kSteps;  // [Hz]
-    double density = 0.0;  // information per second
-    for (int k = 0; k < kSteps; ++k) {
-      const double w2 = Omega2((k + 0.5) * step);
-      const double omega =
-          1.0 / (1.0 / S.at(Quantity::kGyro) +
-                 1.0 / (w2 * S.at(Quantity::kRotation)));  // poses and gyroscope add up
-      const double lever = LeverArmCoefficientVariance(w2 * omega, omega, turn2 / seen);
-      density +=
-          2.0 * step * lever / (sensor.model->Density() + w2 * w2 * S.at(Quantity::kPosition));
-    }
-    joint->spurious_information[sensor.model->imu] +=
-        static_cast<double>(sensor.samples.size()) / sensor.model->rate_hz * density;
-  }
-}
-
 void UpdateWeights(const LeastSquares& joint, const std::vector<CorrectionSplines>& splines,
                    std::vector<SensorModel>* models) {
   for (size_t k = 0; k < models->size(); ++k) {

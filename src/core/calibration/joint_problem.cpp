@@ -70,7 +70,7 @@ struct Places {
   /// The first control point's index at t [s], if GP and spline go on there.
   std::optional<int> FindSpan(double t) const {
     const auto place = splines.Locate(t);
-    if (!place || !trajectory->Contains(t)) return std::nullopt;
+    if (!place || !IsOnTrajectory(*trajectory, t)) return std::nullopt;
     return static_cast<int>(place->first);
   }
   /// Second derivatives of f_M at t [s], where IsOnTrajectory(). Of a spring of this compliance
@@ -254,7 +254,7 @@ void SessionBuilder::AddImu(size_t imu, Quantity quantity, const std::vector<Vec
   for (size_t i = 0; i < data.size(); ++i) {
     const double t_M = own.PoseTime(data[i].t - delay);
     const auto span = places_->FindSpan(t_M);
-    if (!span || !IsOnTrajectory(*prepared_.trajectory, t_M)) continue;
+    if (!span) continue;
     runs.push_back({*span, static_cast<int>(knots->Locate(data[i].t).first)});
     if (!walk.IsLine()) runs.back().walk = static_cast<int>(walk.Locate(data[i].t - delay).first);
     sensor->samples.push_back({t_M, static_cast<uint32_t>(i),

@@ -21,6 +21,10 @@ constexpr int kMaxPasses = 40;
 /// fro comes to rest.
 constexpr int kHalfSteps = 8;
 
+/// Noise, over that of other poses, of one beyond the ends of splines, which no IMU holds: the
+/// trajectory goes on as the corrected motion does.
+constexpr double kUncorrected = 100.0;
+
 /// S4 at given knot spacings: trajectories and calibration in passes of least squares, each with
 /// the noise and the robust weights that the residuals of the one before show.
 class JointSolver {
@@ -54,7 +58,6 @@ class JointSolver {
           pass > 0 && has_converged && at_bound_.size() == held && summary.moved < kSettled;
     }
     if (!has_converged) ThrowNotConverged(options_);
-    AddSpuriousInformation(splines_, problem_.get());
     solution.marginals = FindMarginals(problem_.get());
     solution.statistics = std::move(statistics_);
     solution.residuals = problem_->TakeResiduals();
@@ -110,18 +113,20 @@ class JointSolver {
       PreparedSession& session = (*sessions_)[s];
       CorrectionSplines& splines = splines_[s];
       std::vector<TimedPose> poses = session.data.poses;
-      for (TimedPose& pose : poses) {
-        if (const auto corrected = splines.Correct(*session.trajectory, pose.t)) {
-          pose.q_WM = corrected->q_WM;
-          pose.p_WM = corrected->p_WM;
+      Eigen::VectorXd noise_scale = Eigen::VectorXd::Ones(static_cast<Eigen::Index>(poses.size()));
+      for (size_t i = 0; i < poses.size(); ++i) {
+        if (const auto corrected = splines.Correct(*session.trajectory, poses[i].t)) {
+          poses[i].q_WM = corrected->q_WM;
+          poses[i].p_WM = corrected->p_WM;
         } else {
-          const Rigid3 T_WM = session.trajectory->PoseAt(pose.t);
-          pose.q_WM = T_WM.q;
-          pose.p_WM = T_WM.p;
+          const Rigid3 T_WM = session.trajectory->PoseAt(poses[i].t);
+          poses[i].q_WM = T_WM.q;
+          poses[i].p_WM = T_WM.p;
+          noise_scale[static_cast<Eigen::Index>(i)] = kUncorrected;
         }
       }
-      session.trajectory =
-          SmoothTrajectory(session, std::move(poses), Band(splines.spacing()), options_.Threads());
+      session.trajectory = SmoothTrajectory(session, poses, noise_scale, Band(splines.spacing()),
+                                            options_.Threads());
       std::fill(splines.d.begin(), splines.d.end(), Eigen::Vector3d::Zero());
       std::fill(splines.phi.begin(), splines.phi.end(), Eigen::Vector3d::Zero());
     }

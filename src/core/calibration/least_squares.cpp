@@ -32,8 +32,6 @@ constexpr double kSizePrior = 2e-3;               // [m] places of the accelerom
 // For a filter of first order, the squared delay; for a plain delay, nothing.
 constexpr double kSmoothingPerDelay2 = 0.5, kSmoothingSpread = 1.0;
 
-/// Samples closer than this to the end of a segment are left out, so that the time shift can move.
-constexpr double kEdge = 0.02;  // [s]
 /// Residuals of a sensor that the trajectory follows more closely say little about its noise.
 constexpr double kLeastRedundancy = 0.1;
 /// Spans that a spectrum is the mean of, evenly over the session, at most; and share of the usual
@@ -244,8 +242,7 @@ LeastSquares::LeastSquares(const CalibrationOptions& options,
       sessions(sessions),
       models(models),
       estimate(estimate),
-      windows(options, sessions, *estimate),
-      spurious_information(estimate->imus.size(), 0.0) {
+      windows(options, sessions, *estimate) {
   for (const SensorModel& model : models) {
     sensors.emplace_back();
     sensors.back().model = &model;

@@ -333,7 +333,6 @@ Marginals FindMarginals(LeastSquares* solved) {
   result.robust = functionals.Spread(
       result.model.allFinite() ? RobustCovariance(estimates.exact, order, estimate, fitted)
                                : marginal.covariance);
-  result.spurious_information = solved->spurious_information;
   const std::vector<int> calibrated = Counted(static_cast<size_t>(order.gravity));
   CompareHalves(problem.EstimateOf(problem.halves()[0], calibrated),
                 problem.EstimateOf(problem.halves()[1], calibrated), functionals, fitted, &result);

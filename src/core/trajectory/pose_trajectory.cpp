@@ -222,13 +222,20 @@ void FindRotation(const WindowedGp::Derivatives& q, MarkerRotation<double>* rota
 PoseTrajectory::PoseTrajectory(const std::vector<TimedPose>& poses,
                                const std::vector<IndexRange>& segments,
                                const GpHyperparameters& position, const GpHyperparameters& rotation,
-                               int threads)
+                               int threads, const Eigen::VectorXd& noise_scale)
     : position_(position), rotation_(rotation), origin_W_(MeanPosition(poses)) {
   const GpHyperparameters quaternion{rotation.lengthscale_s, 0.5 * rotation.signal_std,
                                      0.5 * rotation.noise_std};
-  for (const IndexRange& range : segments)
-    segments_.push_back({WindowedGp(Measurements(poses, range, &origin_W_), position_, threads),
-                         WindowedGp(Measurements(poses, range, nullptr), quaternion, threads)});
+  for (const IndexRange& range : segments) {
+    const auto gp = [&](const Eigen::Vector3d* origin_W, const GpHyperparameters& h) {
+      GpData data = Measurements(poses, range, origin_W);
+      if (noise_scale.size() > 0)
+        data.noise_scale = noise_scale.segment(static_cast<Eigen::Index>(range.begin),
+                                               static_cast<Eigen::Index>(range.size()));
+      return WindowedGp(data, h, threads);
+    };
+    segments_.push_back({gp(&origin_W_, position_), gp(nullptr, quaternion)});
+  }
 }
 
 const PoseTrajectory::Segment* PoseTrajectory::Find(double t) const {

@@ -20,16 +20,6 @@ constexpr double kDegenerateFactor = 10.0;  // times the weak threshold
 constexpr double kCorrelated = 3.0;      // clusters' sigma over the model's
 constexpr double kNotableDelay = 10e-3;  // [s]
 
-/// Covariance of p_MI once the information that comes from the trajectory's errors alone is taken
-/// away; huge where nothing remains.
-Eigen::Matrix3d WithoutSpuriousInformation(const Eigen::Matrix3d& covariance,
-                                           double spurious_information) {
-  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(
-      Eigen::Matrix3d(covariance.inverse() - spurious_information * Eigen::Matrix3d::Identity()));
-  const Eigen::Matrix3d& V = eigen.eigenvectors();
-  return V * eigen.eigenvalues().cwiseMax(1e-12).cwiseInverse().asDiagonal() * V.transpose();
-}
-
 /// " of imu1", " of imu1 in session 2" (the first is 1), or less when there is only one.
 std::string Of(const Parameter& p, const Calibration& result, bool in_session) {
   return OfImu(p.imu, result.imus.size()) +
@@ -223,13 +213,7 @@ void GradeResult(const CalibrationOptions& options, const Marginals& marginals,
   take_halves(ParameterKind::kTimeShift, 1, &result->split_half.time_shift);
   result->split_half.sigmas = marginals.halves_sigmas;
 
-  Eigen::MatrixXd honest = marginals.model;
-  for (const PlacedParameter& p : marginals.parameters)
-    if (p.parameter.kind == ParameterKind::kTranslation)
-      honest.block<3, 3>(p.place, p.place) =
-          WithoutSpuriousInformation(marginals.model.block<3, 3>(p.place, p.place),
-                                     marginals.spurious_information[p.parameter.imu]);
-  result->observability = Spectrum(marginals, larger * honest * larger, *result);
+  result->observability = Spectrum(marginals, C, *result);
   result->status = GradeSpectrum(options, &result->observability, &result->message);
   for (const Observability& o : result->observability)
     if (o.status == Status::kDegenerate)

@@ -13,10 +13,11 @@ inline double Band(double spacing_s) { return 0.75 * 0.5 / spacing_s; }
 /// band".
 PreparedSession LimitBand(const PreparedSession& session, double cutoff, int threads);
 
-/// Trajectory through instants of the session's poses that are as good as exact, with what
-/// LimitBand() leaves a trajectory of `cutoff` [Hz].
+/// Trajectory through `poses` at the instants of the session's that are as good as exact, but for
+/// those of a larger `noise_scale`, with what LimitBand() leaves a trajectory of `cutoff` [Hz].
 std::shared_ptr<const PoseTrajectory> SmoothTrajectory(const PreparedSession& session,
-                                                       std::vector<TimedPose> poses, double cutoff,
-                                                       int threads);
+                                                       const std::vector<TimedPose>& poses,
+                                                       const Eigen::VectorXd& noise_scale,
+                                                       double cutoff, int threads);
 
 }  // namespace imu_pose_calib

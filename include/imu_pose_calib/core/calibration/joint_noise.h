@@ -11,9 +11,6 @@ namespace imu_pose_calib {
 /// noise within the band is seen, doc/math.md, S4, "Degrees of freedom" and "Noise".
 void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares* joint);
 
-/// Adds the information that is the noise of the trajectories, doc/math.md Eq. (18).
-void AddSpuriousInformation(const std::vector<CorrectionSplines>& splines, LeastSquares* joint);
-
 /// Robust weights of the samples by the last residuals and the spread of `models`, doc/math.md, S4,
 /// "Noise".
 void UpdateWeights(const LeastSquares& joint, const std::vector<CorrectionSplines>& splines,

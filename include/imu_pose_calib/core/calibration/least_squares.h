@@ -85,13 +85,6 @@ struct SensorResiduals {
 /// Tolerance of the passes of a solve after which noise or weights still change.
 constexpr double kRoughTolerance = 1e-3;
 
-/// Expected squared norm of the error of ([alpha]x + [omega]x [omega]x) e for a unit vector e, when
-/// alpha and omega have the given variances per axis: what a lever arm makes of their errors.
-inline double LeverArmCoefficientVariance(double alpha_variance, double omega_variance,
-                                          double omega2) {
-  return 2.0 * alpha_variance + 4.0 * omega_variance * omega2;
-}
-
 /// Of parameter blocks of a problem, one after the other.
 struct GaussNewtonStep {
   std::vector<int> blocks;
@@ -158,9 +151,6 @@ struct LeastSquares {
   std::vector<Equation> equations;     ///< all residual blocks
   std::vector<SensorBlocks> sensors;   ///< in the order of the models
   std::vector<int> trajectory_blocks;  ///< parameters of the trajectories, when estimated
-  /// Information on the p_MI of each IMU [1/m^2] that is the trajectory's own errors: they move
-  /// the lever arm's coefficients as a motion would.
-  std::vector<double> spurious_information;
 
   LeastSquares(const CalibrationOptions& options, const std::vector<PreparedSession>& sessions,
                const std::vector<SensorModel>& models, Estimate* estimate);
@@ -204,6 +194,9 @@ struct LeastSquares {
 /// The DataError of a solve that did not converge.
 [[noreturn]] void ThrowNotConverged(const CalibrationOptions& options);
 
+/// Samples closer than this to the end of a segment are left out: the time shift can move, and
+/// differences can be taken.
+constexpr double kEdge = 0.02;  // [s]
 /// The sample can be compared: t_M [s, pose clock] is inside of a segment and not at its very end.
 bool IsOnTrajectory(const PoseTrajectory& trajectory, double t_M);
 

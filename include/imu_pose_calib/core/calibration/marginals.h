@@ -27,8 +27,6 @@ struct Marginals {
   std::vector<PlacedParameter> parameters;
   Eigen::MatrixXd model;   ///< H^-1: right when residuals are independent
   Eigen::MatrixXd robust;  ///< sandwich over time blocks: right when they are not
-  /// See LeastSquares.
-  std::vector<double> spurious_information;
 
   /// What the second halves of the sessions say less what the first halves say, and the largest of
   /// these differences in sigma.

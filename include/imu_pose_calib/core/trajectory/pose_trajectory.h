@@ -52,10 +52,10 @@ struct MarkerVariance {
 /// The quaternion needs no chart, so any number of turns is fine.
 class PoseTrajectory {
  public:
-  /// Hyperparameters in [m] and, for rotation, in [rad].
+  /// Hyperparameters in [m] and, for rotation, in [rad]; `noise_scale` of each pose, empty: 1.
   PoseTrajectory(const std::vector<TimedPose>& poses, const std::vector<IndexRange>& segments,
                  const GpHyperparameters& position, const GpHyperparameters& rotation,
-                 int threads = 1);
+                 int threads = 1, const Eigen::VectorXd& noise_scale = Eigen::VectorXd());
 
   const GpHyperparameters& position_hyperparameters() const { return position_; }
   const GpHyperparameters& rotation_hyperparameters() const { return rotation_; }
