@@ -33,6 +33,15 @@ TEST(KnotSpacing, FollowsTheMotionDownToTheNoise) {
   EXPECT_EQ(Choose(Recording(Motion::kStatic)), 0.085);  // the coarsest
 }
 
+TEST(KnotSpacing, DoesNotFollowNoise) {
+  for (const uint32_t seed : {1u, 2u, 5u}) {
+    SimulatorOptions arm = Recording(Motion::kArm);
+    arm.seed = seed;
+    arm.gyro_std = 0.05;
+    EXPECT_EQ(Choose(arm), 0.0425) << seed;  // as its accelerations ask for
+  }
+}
+
 TEST(KnotSpacing, LeavesFourSamplesToASpan) {
   SimulatorOptions tumble = Recording(Motion::kTumble);
   tumble.gyro_std = tumble.accel_std = 1e-6;

@@ -15,7 +15,7 @@ namespace {
 constexpr double kCoarsest = 0.085;         // [s]
 constexpr double kMinSamplesPerKnot = 4.0;  // IMU samples
 /// By how much what splines leave of gyroscope times accelerometer must shrink.
-constexpr double kShrinkage = 0.01;
+constexpr double kShrinkage = 0.02;
 constexpr double kSpan = 2.0;      // [s] of a periodogram
 constexpr size_t kFewBins = 8;     // of which a mean is not taken for the noise
 constexpr double kFullSpan = 1.1;  // times the span, beyond which samples are missing
