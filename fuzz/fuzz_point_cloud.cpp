@@ -3,7 +3,7 @@
 #include <cstring>
 
 #include "imu_pose_calib/core/base/types.h"
-#include "imu_pose_calib/ros/clouds/point_cloud.h"
+#include "imu_pose_calib/ros/io/point_cloud.h"
 
 extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   using namespace imu_pose_calib;

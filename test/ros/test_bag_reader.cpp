@@ -7,7 +7,6 @@
 #include <memory>
 
 #include "imu_pose_calib/ros/io/bag_writer.h"
-#include "imu_pose_calib/ros/offline/offline.h"
 #include "recompress.h"
 #include "record_bag.h"
 

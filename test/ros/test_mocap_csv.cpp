@@ -3,10 +3,10 @@
 #include <boost/algorithm/string/replace.hpp>
 #include <cmath>
 
+#include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/ros/io/mocap_csv.h"
 #include "imu_pose_calib/ros/io/text_reader.h"
 #include "imu_pose_calib/ros/io/text_writer.h"
-#include "imu_pose_calib/ros/offline/offline.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -210,28 +210,28 @@ TEST_F(MocapFileTest, CalibratesFromAWorldWithYUp) {
          << "," << p.z() << ",,,,,,,,9,9,9\n";
   }
   file.close();
-  OfflineRequest request;
-  request.text.poses = Path("x.poses.txt");
-  request.text.imu = Path("x.imu.csv");
-  request.output = Path("x.yaml");
-  const Calibration expected = CalibrateOffline(request).result;
-  request.text.poses = Path("take.csv");
-  ExpectError<InputError>([&] { CalibrateOffline(request); }, {"rig, wand; choose with body"});
-  request.bag.body = "rig";
-  const OfflineResult turned = CalibrateOffline(request);
-  EXPECT_EQ(turned.infos[0].marker_frame, "rig");
-  const Rigid3 &a = expected.imus[0].T_MI, &b = turned.result.imus[0].T_MI;
+  TextRequest request;
+  request.poses = Path("x.poses.txt");
+  request.imu = Path("x.imu.csv");
+  const Calibration expected = Calibrate(CalibrationOptions(), ReadText(request).data);
+  request.poses = Path("take.csv");
+  ExpectError<InputError>([&] { ReadText(request); }, {"rig, wand; choose with body"});
+  request.body = "rig";
+  const Recording recording = ReadText(request);
+  EXPECT_EQ(recording.info.marker_frame, "rig");
+  const Calibration turned = Calibrate(CalibrationOptions(), recording.data);
+  const Rigid3 &a = expected.imus[0].T_MI, &b = turned.imus[0].T_MI;
   EXPECT_LT((a.p - b.p).norm(), 1e-5);
   EXPECT_LT(a.q.angularDistance(b.q), 1e-6);
-  const Eigen::Vector3d g_Y = turned.result.sessions[0].g_W;
+  const Eigen::Vector3d g_Y = turned.sessions[0].g_W;
   EXPECT_LT((q_YZ * expected.sessions[0].g_W - g_Y).norm(), 1e-4);
   EXPECT_LT(g_Y.y(), -9.7);
   const double start = 1717160523.456 - 1e-9 * static_cast<double>(data.poses[0].t_ns);
-  EXPECT_NEAR(turned.result.sessions[0].imus[0].time_shift,
+  EXPECT_NEAR(turned.sessions[0].imus[0].time_shift,
               expected.sessions[0].imus[0].time_shift + start, 1e-5);
 
-  request.text.poses = Path("x.poses.txt");
-  ExpectError<InputError>([&] { CalibrateOffline(request); },
+  request.poses = Path("x.poses.txt");
+  ExpectError<InputError>([&] { ReadText(request); },
                           {"body 'rig' is given", "no CSV of Motive or Vicon"});
 }
 

@@ -4,7 +4,7 @@
 #include <functional>
 
 #include "cloud_util.h"
-#include "imu_pose_calib/ros/clouds/point_cloud.h"
+#include "imu_pose_calib/ros/io/point_cloud.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {

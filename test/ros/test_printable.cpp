@@ -1,5 +1,4 @@
 #include "imu_pose_calib/ros/io/text.h"
-#include "imu_pose_calib/ros/offline/offline.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -30,10 +29,6 @@ TEST(Printable, WritesWhatIsNoUtf8AsBytes) {
 TEST(Printable, TwiceIsOnce) {
   const std::string once = Printable("\x1b\xff\\x1b");
   EXPECT_EQ(Printable(once), once);
-}
-
-TEST(OneLine, IsPrintable) {
-  EXPECT_EQ(OneLine(InputError("there is no\noption '\x1b[2J'")), "there is no option '\\x1b[2J'");
 }
 
 }  // namespace

@@ -1,5 +1,6 @@
 #include <sstream>
 
+#include "imu_pose_calib/ros/offline/offline.h"
 #include "imu_pose_calib/ros/offline/summary.h"
 #include "stored_example.h"
 #include "test_util.h"
@@ -52,6 +53,10 @@ RecordingInfo MakeInfo() {
   info.marker_frame = "rig";
   info.imus[0].imu_frame = "imu_link";
   return info;
+}
+
+TEST(OneLine, IsPrintable) {
+  EXPECT_EQ(OneLine(InputError("there is no\noption '\x1b[2J'")), "there is no option '\\x1b[2J'");
 }
 
 TEST(Summary, SaysWhatAPersonNeeds) {

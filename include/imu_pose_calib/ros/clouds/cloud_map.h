@@ -13,7 +13,7 @@
 #include <vector>
 
 #include "imu_pose_calib/core/base/types.h"
-#include "imu_pose_calib/ros/clouds/point_cloud.h"
+#include "imu_pose_calib/ros/io/point_cloud.h"
 #include "imu_pose_calib/ros/offline/offline.h"
 
 namespace imu_pose_calib {

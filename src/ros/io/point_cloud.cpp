@@ -1,4 +1,4 @@
-#include "imu_pose_calib/ros/clouds/point_cloud.h"
+#include "imu_pose_calib/ros/io/point_cloud.h"
 
 #include <sensor_msgs/point_cloud2_iterator.h>
 #include <sensor_msgs/point_field_conversion.h>
