@@ -53,6 +53,7 @@ class JointSolver {
       }
       const size_t held = at_bound_.size();
       const SolveSummary summary = Pass();
+      if (pass > 0) HoldBounds();
       has_converged = summary.has_converged;
       solution.has_settled =
           pass > 0 && has_converged && at_bound_.size() == held && summary.moved < kSettled;
@@ -69,21 +70,10 @@ class JointSolver {
   }
 
  private:
-  /// A problem with the noise and the weights that are set; at first, all weights are 1.
-  void Build() {
-    problem_.reset();  // never two of them at a time
-    std::vector<const double*> held = at_bound_;
-    // Second derivatives of a trajectory that is not corrected hold the noise of the poses.
-    if (!are_moved_) {
-      held.push_back(&estimate_->gyro_smoothing);
-      for (const ImuEstimate& imu : estimate_->imus)
-        held.insert(held.end(), {&imu.gyro_smoothing, &imu.accel_smoothing, &imu.mount_compliance});
-    }
-    problem_ = BuildJointProblem(options_, *sessions_, models_, estimate_, &splines_, held);
-  }
-
+  /// With the noise and the weights that are set; at first, all weights are 1.
   SolveSummary Pass() {
-    Build();
+    problem_.reset();  // never two of them at a time
+    problem_ = BuildJointProblem(options_, *sessions_, models_, estimate_, &splines_, at_bound_);
     const SolveSummary summary = problem_->Solve(kRoughTolerance);
     iterations_ += summary.iterations;
     statistics_ = problem_->FindStatistics();
@@ -91,14 +81,17 @@ class JointSolver {
     for (const SessionEstimate& session : estimate_->sessions)
       slow_errors_.push_back(session.rotation_errors.std);
     FitNoise(problem_.get(), &statistics_);
-    // No source averages rotations over longer than positions, no mount gives way upwards, and no
-    // gyroscope averages over less time than none: other errors look like that.
-    HoldAtZero(&estimate_->position_smoothing);
-    HoldAtZero(&estimate_->gyro_smoothing);
-    for (ImuEstimate& imu : estimate_->imus) HoldAtZero(&imu.mount_compliance);
     return summary;
   }
 
+  /// No source averages rotations over longer than positions, no mount gives way upwards, and no
+  /// gyroscope averages over less time than none: other errors look like that, at first those of
+  /// the trajectory.
+  void HoldBounds() {
+    HoldAtZero(&estimate_->position_smoothing);
+    HoldAtZero(&estimate_->gyro_smoothing);
+    for (ImuEstimate& imu : estimate_->imus) HoldAtZero(&imu.mount_compliance);
+  }
   /// Unless it is positive.
   void HoldAtZero(double* parameter) {
     if (*parameter >= 0.0) return;
@@ -108,7 +101,6 @@ class JointSolver {
 
   /// To the solution, as far as they can hold it; the splines begin anew.
   void MoveTrajectories() {
-    are_moved_ = true;
     for (size_t s = 0; s < sessions_->size(); ++s) {
       PreparedSession& session = (*sessions_)[s];
       CorrectionSplines& splines = splines_[s];
@@ -154,7 +146,6 @@ class JointSolver {
   std::vector<SensorStatistics> statistics_;  ///< of the last pass
   std::vector<double> slow_errors_;           ///< sigmas of the sessions' [rad] in the last pass
   std::vector<const double*> at_bound_;       ///< parameters that stay 0
-  bool are_moved_ = false;                    ///< trajectories
   int iterations_ = 0;
 };
 
