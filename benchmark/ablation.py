@@ -82,7 +82,7 @@ RULES = {
     "moved": ("trajectories move to the solution", C + "joint_solver.cpp", "        MoveTrajectories();",
               "        if (!OFF || pass == 1) MoveTrajectories();"),
     "mount at zero": ("no mount gives way upwards", C + "joint_solver.cpp",
-                      "      HoldAtZero(&imu.mount_compliance);", "      if (!OFF) HoldAtZero(&imu.mount_compliance);"),
+                      " HoldAtZero(&imu.mount_compliance);", " if (!OFF) HoldAtZero(&imu.mount_compliance);"),
     "halves": ("halves that disagree enlarge sigmas", V + "doubts.cpp", "  if (marginals.halves_sigmas <= kDisagreement) return marginals;",
                "  if (OFF || marginals.halves_sigmas <= kDisagreement) return marginals;"),
 }

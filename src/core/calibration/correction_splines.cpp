@@ -69,8 +69,8 @@ CorrectionSplines::CorrectionSplines(const ConditionedData& data, const Estimate
   size_t points = 0;
   for (const IndexRange& segment : data.segments) {
     for (const Interval& interval : Join(covered)) {
-      const double begin = std::max(interval.begin, data.poses[segment.begin].t + kEdge);
-      const double end = std::min(interval.end, data.poses[segment.end - 1].t - kEdge);
+      const double begin = std::max(interval.begin, data.poses[segment.begin].t + kSegmentEdge);
+      const double end = std::min(interval.end, data.poses[segment.end - 1].t - kSegmentEdge);
       if (end - begin < static_cast<double>(kMinSpans) * spacing_s) continue;
       const auto spans = static_cast<size_t>(std::round((end - begin) / spacing_s));
       runs_.push_back({begin, end, (end - begin) / static_cast<double>(spans), points, spans});

@@ -67,7 +67,7 @@ struct Places {
     trajectory->Evaluate(t, &state, rate);
     return state;
   }
-  /// The first control point's index at t [s], if GP and spline go on there.
+  /// The first control point's index at t [s], if a spline covers it and IsOnTrajectory().
   std::optional<int> FindSpan(double t) const {
     const auto place = splines.Locate(t);
     if (!place || !IsOnTrajectory(*trajectory, t)) return std::nullopt;

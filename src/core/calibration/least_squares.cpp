@@ -533,7 +533,7 @@ std::vector<SensorResiduals> LeastSquares::TakeResiduals() {
 }
 
 bool IsOnTrajectory(const PoseTrajectory& trajectory, double t_M) {
-  return trajectory.Covers(t_M - kEdge, t_M + kEdge);
+  return trajectory.Covers(t_M - kSegmentEdge, t_M + kSegmentEdge);
 }
 
 }  // namespace imu_pose_calib

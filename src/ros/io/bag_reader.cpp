@@ -449,9 +449,13 @@ struct BagSpan {
 
 // --- Apart ---
 
-/// For damage that the reader does not pin down.
+/// Names the bags and what to run, for damage that the reader does not pin down.
 [[noreturn]] void FailDamaged(const std::vector<std::string>& paths, const std::string& reason) {
-  throw InputError(Printable("bag '" + FileNames(paths) + "' is damaged (" + reason + ")"));
+  std::string reindex;
+  for (const std::string& path : paths)
+    if (!IsRos2Bag(path)) reindex += " " + path;
+  throw InputError(Printable("bag '" + FileNames(paths) + "' is damaged (" + reason + ")" +
+                             (reindex.empty() ? "" : "; run: rosbag reindex" + reindex)));
 }
 
 }  // namespace
@@ -470,13 +474,13 @@ std::string ReadApart(const std::vector<std::string>& paths,
       return read();
     } catch (const InputError& error) {  // with names of topics, types and frames as in the bag
       throw InputError(Printable(error.what()));
-    } catch (const std::runtime_error& error) {  // deserialisation, times out of range
+    } catch (const std::runtime_error& error) {  // rosbag, deserialisation, times out of range
       FailDamaged(paths, error.what());
     }
   };
   // Far above what any bag of this size needs, the time also when it comes over a slow network.
   auto answer =
-      RunApart(run, {10 + bytes / 250'000, 120 + bytes / 100'000, 4'000'000'000 + 8 * bytes});
+      RunApart(run, {10 + bytes / 1'000'000, 120 + bytes / 100'000, 4'000'000'000 + 8 * bytes});
   if (!answer) FailDamaged(paths, "it cannot be read within bounds of time and memory");
   return *std::move(answer);
 }

@@ -36,8 +36,8 @@ MarkerState<T> Corrected(const MarkerState<double>& gp, const Eigen::Matrix<T, 3
 class CorrectionSplines {
  public:
   /// Zero corrections with knots about `spacing_s` apart on the parts of the trajectory that the
-  /// IMUs cover where the clocks of `estimate` stand, as far as their samples are used: kEdge from
-  /// the ends of segments.
+  /// IMUs cover where the clocks of `estimate` stand, as far as their samples are used:
+  /// kSegmentEdge from the ends of segments.
   CorrectionSplines(const ConditionedData& data, const Estimate& estimate, size_t session,
                     double spacing_s);
 

@@ -196,7 +196,7 @@ struct LeastSquares {
 
 /// Samples closer than this to the end of a segment are left out: the time shift can move, and
 /// differences can be taken.
-constexpr double kEdge = 0.02;  // [s]
+constexpr double kSegmentEdge = 0.02;  // [s]
 /// The sample can be compared: t_M [s, pose clock] is inside of a segment and not at its very end.
 bool IsOnTrajectory(const PoseTrajectory& trajectory, double t_M);
 

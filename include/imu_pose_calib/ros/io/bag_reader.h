@@ -45,9 +45,8 @@ struct BagRequest {
 ///
 /// With a pose sensor there need not be an IMU.
 ///
-/// Bags are read in a child process: damage that crashes a library or lets it hang ends there. It
-/// is a fork, so call this before ros::start() (that is, before the first NodeHandle): see
-/// RunApart().
+/// Bags are read in a child process: damage that crashes rosbag or lets it hang ends there. It is a
+/// fork, so call this before ros::start() (that is, before the first NodeHandle): see RunApart().
 ///
 /// Throws InputError when a bag cannot be read or when the bags do not hold exactly one choice of
 /// topics: the text, printable, names what they have and which field to give.
