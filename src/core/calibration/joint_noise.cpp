@@ -210,7 +210,7 @@ void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares
 }
 
 void UpdateWeights(const LeastSquares& joint, const std::vector<CorrectionSplines>& splines,
-                   std::vector<SensorModel>* models) {
+                   double share, std::vector<SensorModel>* models) {
   for (size_t k = 0; k < models->size(); ++k) {
     SensorModel& model = (*models)[k];
     const SensorBlocks& sensor = joint.sensors[k];
@@ -219,9 +219,12 @@ void UpdateWeights(const LeastSquares& joint, const std::vector<CorrectionSpline
     const double reach =
         IsOfPoses(model.quantity) ? 0.0 : 0.5 * kSplineOrder * splines[model.session].spacing();
     const std::vector<double> around = MeanSquareAround(sensor, reach);
-    for (size_t i = 0; i < sensor.samples.size(); ++i)
-      model.weights[sensor.samples[i].index] =
+    for (size_t i = 0; i < sensor.samples.size(); ++i) {
+      double& weight = model.weights[sensor.samples[i].index];
+      const double shown =
           model.spread.Weight(std::max(around[i], sensor.residuals[i].squaredNorm()));
+      weight *= std::pow(shown / weight, share);
+    }
   }
 }
 

@@ -17,8 +17,8 @@ namespace {
 /// Passes end when nothing would move by so much of its sigma, or with the last of so many.
 constexpr double kSettled = 0.05;
 constexpr int kMaxPasses = 40;
-/// From this pass on noise and slow errors move half of the way, in the logarithm: what goes to and
-/// fro comes to rest.
+/// From this pass on noise, slow errors and weights move half of the way, in the logarithm: what
+/// goes to and fro comes to rest.
 constexpr int kHalfSteps = 8;
 
 /// Noise, over that of other poses, of one beyond the ends of splines, which no IMU holds: the
@@ -134,7 +134,7 @@ class JointSolver {
       double& sigma = estimate_->sessions[s].rotation_errors.std;
       sigma = slow_errors_[s] * std::pow(sigma / slow_errors_[s], share);
     }
-    UpdateWeights(*problem_, splines_, &models_);
+    UpdateWeights(*problem_, splines_, share, &models_);
   }
 
   const CalibrationOptions& options_;

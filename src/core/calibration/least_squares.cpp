@@ -220,12 +220,23 @@ Windows::Windows(const CalibrationOptions& options, const std::vector<PreparedSe
   for (size_t s = 0; s < spans_.size(); ++s) {
     Span& span = spans_[s];
     span.first = count();
-    // Not by rounding: a last window of nothing, a middle on either side, as for what is of the
-    // middle.
+    // Not by rounding: a last window of nothing.
     const double windows = (span.end - span.begin) / length_s_;
     span.count = std::max(1, static_cast<int>(std::ceil(windows - kRounding)));
-    const int middle = static_cast<int>(0.5 * windows + kRounding);
-    for (int k = 0; k < span.count; ++k) places_.push_back({s, k < middle ? 0u : 1u});
+    std::vector<double> turned(static_cast<size_t>(span.count), 0.0);
+    const size_t imu = estimate.sessions[s].FirstImu();
+    for (const TimedSample& sample : sessions[s].data.imus[imu].gyro) {
+      const double t = estimate.sessions[s].imus[imu].PoseTime(sample.t);
+      if (sessions[s].trajectory->Contains(t))
+        turned[static_cast<size_t>(Of(s, t) - span.first)] +=
+            (sample.value - sessions[s].starts[imu].gyro_bias).squaredNorm();
+    }
+    const double all = std::accumulate(turned.begin(), turned.end(), 0.0);
+    double before = 0.0;
+    for (const double own : turned) {
+      places_.push_back({s, before + 0.5 * own < 0.5 * all ? 0u : 1u});
+      before += own;
+    }
   }
 }
 

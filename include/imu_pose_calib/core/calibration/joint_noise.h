@@ -11,10 +11,10 @@ namespace imu_pose_calib {
 /// noise within the band is seen, doc/math.md, S4, "Degrees of freedom" and "Noise".
 void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares* joint);
 
-/// Robust weights of the samples by the last residuals and the spread of `models`, doc/math.md, S4,
-/// "Noise".
+/// Robust weights of the samples, moved by that share of the way, in the logarithm, to those of the
+/// last residuals and the spread of `models`, doc/math.md, S4, "Noise".
 void UpdateWeights(const LeastSquares& joint, const std::vector<CorrectionSplines>& splines,
-                   std::vector<SensorModel>* models);
+                   double share, std::vector<SensorModel>* models);
 
 /// Sets the noise of the sensors and the sigma of the rotations' slow errors of each session to
 /// what the spectra of the residuals show, doc/math.md, S4, "Noise" and "Slow errors".

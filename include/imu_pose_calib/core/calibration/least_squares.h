@@ -113,7 +113,7 @@ class Windows {
   /// Window of an instant t [s, pose clock].
   int Of(size_t session, double t) const;
   struct Place {
-    size_t session, half;  ///< half: of the session, 0 or 1
+    size_t session, half;  ///< half: of the turns of the session (its squared rates), 0 or 1
   };
   const Place& PlaceOf(int window) const { return places_[static_cast<size_t>(window)]; }
   int Count(size_t session) const { return spans_[session].count; }
