@@ -176,6 +176,8 @@ catkin_build() {
   PYTHONUNBUFFERED=1 catkin_make --no-color -C "$WORKSPACE" -j"$(parallel_jobs)" "$@" \
     -DCMAKE_BUILD_TYPE=Release -DCMAKE_EXPORT_COMPILE_COMMANDS=ON -DIMU_POSE_CALIB_WERROR=OFF \
     -DPYTHON_EXECUTABLE=/usr/bin/python3 -DPython3_EXECUTABLE=/usr/bin/python3 "${arguments[@]}"
+  # For clangd and clang-tidy, which can read no headers that gcc has compiled.
+  sed -i -E 's/ (-Winvalid-pch|-include [^ ]*cmake_pch[.]hxx|--param=[^ ]*)//g' "$WORKSPACE/build/compile_commands.json"
 }
 
 # setup [TARGET...]: everything up to a built workspace.

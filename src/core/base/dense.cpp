@@ -1,5 +1,8 @@
 #include "imu_pose_calib/core/base/dense.h"
 
+#include <Eigen/Cholesky>
+#include <Eigen/LU>
+
 #if defined(__x86_64__) && defined(__GNUC__)
 #define IMU_POSE_CALIB_AVX2
 #define IMU_POSE_CALIB_INLINE inline __attribute__((always_inline))
@@ -78,6 +81,18 @@ void AddProduct(double scale, const ConstDenseRef& A, const ConstDenseRef& B, bo
     C.triangularView<Eigen::Lower>() += scale * A * B.transpose();
   else
     C.noalias() += scale * A * B.transpose();
+}
+
+Eigen::MatrixXd Propagate(const Eigen::MatrixXd& A, const Eigen::MatrixXd& C) {
+  return A * C * A.transpose();
+}
+
+Eigen::MatrixXd Inverse(const Eigen::MatrixXd& A) { return A.inverse(); }
+
+bool IsPositiveDefinite(const Eigen::MatrixXd& C) { return C.llt().info() == Eigen::Success; }
+
+double SquaredDistance(const Eigen::VectorXd& d, const Eigen::MatrixXd& C) {
+  return d.dot(C.llt().solve(d));
 }
 
 }  // namespace imu_pose_calib

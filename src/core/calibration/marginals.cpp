@@ -6,6 +6,7 @@
 #include <optional>
 #include <utility>
 
+#include "imu_pose_calib/core/base/dense.h"
 #include "imu_pose_calib/core/solver/covariance.h"
 
 namespace imu_pose_calib {
@@ -64,7 +65,7 @@ struct Functionals {
   }
 
   /// Covariance of functionals to what is reported.
-  Eigen::MatrixXd Spread(const Eigen::MatrixXd& C) const { return basis * C * basis.transpose(); }
+  Eigen::MatrixXd Spread(const Eigen::MatrixXd& C) const { return Propagate(basis, C); }
 };
 
 /// H and scores of the whole problem and of parts of it, when all but the border is eliminated.
@@ -309,8 +310,8 @@ void FindSessions(const ReducedProblem& problem, const Ordering& order, const Es
     session.difference = kept * own.Step() - common;
     const Eigen::MatrixXd robust =
         own.covariance.allFinite() ? Sandwich(own, fitted) : own.covariance;
-    const Eigen::MatrixXd model = kept * own.covariance * kept.transpose();
-    const Eigen::VectorXd larger = Enlargement(model, kept * robust * kept.transpose());
+    const Eigen::MatrixXd model = Propagate(kept, own.covariance);
+    const Eigen::VectorXd larger = Enlargement(model, Propagate(kept, robust));
     session.model_variance = model.diagonal();
     session.covariance = larger.asDiagonal() * model * larger.asDiagonal();
     result->sessions.push_back(session);

@@ -6,6 +6,8 @@
 #include <cmath>
 #include <limits>
 
+#include "imu_pose_calib/core/base/dense.h"
+
 namespace imu_pose_calib {
 namespace {
 
@@ -86,7 +88,7 @@ MarginalEstimates EstimateMarginals(const Eigen::MatrixXd& products, int cluster
   const MarginalEstimate better = of(products.middleRows(clusters, functionals) -
                                      rows_U.middleCols(clusters, functionals).transpose() *
                                          (W + block_UU).partialPivLu().solve(rows_U));
-  if (better.covariance.llt().info() == Eigen::Success) result.exact = better;
+  if (IsPositiveDefinite(better.covariance)) result.exact = better;
   return result;
 }
 

@@ -1,9 +1,9 @@
 #include "imu_pose_calib/core/verdict/comparison.h"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 
+#include "imu_pose_calib/core/base/dense.h"
 #include "imu_pose_calib/core/base/so3.h"
 
 namespace imu_pose_calib {
@@ -16,8 +16,7 @@ struct Value {
   Eigen::MatrixXd covariance;
 
   bool IsEstimated() const {
-    return covariance.allFinite() &&
-           Eigen::LLT<Eigen::MatrixXd>(covariance).info() == Eigen::Success &&
+    return covariance.allFinite() && IsPositiveDefinite(covariance) &&
            covariance.diagonal().minCoeff() > 0.0;
   }
 };
@@ -58,12 +57,12 @@ Value MeanOf(const std::vector<Value>& values) {
   Eigen::MatrixXd information = Eigen::MatrixXd::Zero(size, size);
   const bool is_weighted = AreEstimated(values);
   for (const Value& value : values) {
-    const Eigen::MatrixXd weight = is_weighted ? Eigen::MatrixXd(value.covariance.inverse())
-                                               : Eigen::MatrixXd::Identity(size, size);
+    const Eigen::MatrixXd weight =
+        is_weighted ? Inverse(value.covariance) : Eigen::MatrixXd::Identity(size, size);
     information += weight;
     sum += weight * value.x;
   }
-  const Eigen::MatrixXd covariance = information.inverse();
+  const Eigen::MatrixXd covariance = Inverse(information);
   return {covariance * sum,
           is_weighted ? covariance : Eigen::MatrixXd(Eigen::MatrixXd::Zero(size, size))};
 }
@@ -82,7 +81,7 @@ Scatter ScatterOf(const std::vector<Value>& values, ComparedQuantity quantity) {
     squares += (value.x - plain).cwiseAbs2();
     variances += value.covariance.diagonal();
     const Eigen::VectorXd d = value.x - mean.x;
-    if (is_judged) scatter.chi2 += d.dot(value.covariance.llt().solve(d));
+    if (is_judged) scatter.chi2 += SquaredDistance(d, value.covariance);
   }
   scatter.deviation = (squares / (count - 1.0)).cwiseSqrt();
   scatter.sigma = (variances / count).cwiseSqrt();
@@ -119,7 +118,7 @@ Comparison Compare(const Comparable& first, const Comparable& second,
           {quantity, axis, value, sigma, sigma > 0.0 ? std::abs(value) / sigma : 0.0});
     }
     if (!difference.IsEstimated()) continue;
-    comparison.chi2 += difference.x.dot(difference.covariance.llt().solve(difference.x));
+    comparison.chi2 += SquaredDistance(difference.x, difference.covariance);
     comparison.dof += static_cast<int>(difference.x.size());
   }
   return comparison;

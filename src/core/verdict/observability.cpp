@@ -6,6 +6,7 @@
 #include <cmath>
 #include <utility>
 
+#include "imu_pose_calib/core/base/dense.h"
 #include "imu_pose_calib/core/base/intrinsics.h"
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/base/text.h"
@@ -116,8 +117,8 @@ Eigen::MatrixXd PoseRows(const Marginals& marginals, size_t imus) {
 /// Covariance of each T_MI, and the transforms between the IMUs with theirs.
 void ReportTransforms(const Eigen::MatrixXd& C, const Marginals& marginals, Calibration* result) {
   const Eigen::MatrixXd S = PoseRows(marginals, result->imus.size());
-  const Eigen::MatrixXd poses = S * C * S.transpose();
-  const Eigen::MatrixXd model = S * marginals.model * S.transpose();
+  const Eigen::MatrixXd poses = Propagate(S, C);
+  const Eigen::MatrixXd model = Propagate(S, marginals.model);
   const Rigid3& first = result->imus[0].T_MI;
   result->between_imus.clear();
   for (size_t i = 0; i < result->imus.size(); ++i) {

@@ -1,7 +1,6 @@
 #include "imu_pose_calib/ros/exports/exports.h"
 
 #include <Eigen/LU>
-#include <Eigen/QR>
 #include <algorithm>
 #include <boost/algorithm/string/join.hpp>
 #include <boost/algorithm/string/predicate.hpp>
@@ -243,13 +242,26 @@ struct LowerTimesRotation {
   Eigen::Matrix3d L, Q;
 };
 LowerTimesRotation SplitLower(const Eigen::Matrix3d& M) {
-  // M^T = Q^T L^T
-  const Eigen::HouseholderQR<Eigen::Matrix3d> qr(M.transpose());
-  const Eigen::Matrix3d upper = qr.matrixQR().triangularView<Eigen::Upper>();
-  const Eigen::Vector3d signs =
-      upper.diagonal().unaryExpr([](double d) { return d < 0.0 ? -1.0 : 1.0; });
-  const Eigen::Matrix3d Q_transposed = qr.householderQ();
-  return {(signs.asDiagonal() * upper).transpose(), signs.asDiagonal() * Q_transposed.transpose()};
+  // Gram-Schmidt suffices: M is close to a rotation. Eigen's QR takes seconds to compile.
+  LowerTimesRotation split{Eigen::Matrix3d::Zero(), M};
+  auto& [L, Q] = split;
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < i; ++j) {
+      L(i, j) = Q.row(i).dot(Q.row(j));
+      Q.row(i) -= L(i, j) * Q.row(j);
+    }
+    L(i, i) = Q.row(i).norm();
+    Q.row(i) /= L(i, i);
+  }
+  return split;
+}
+
+/// The shortest turn to x_W from x_G, whose z is up.
+Eigen::Quaterniond FromUpright(const Eigen::Vector3d& g_W) {
+  const Eigen::Vector3d up_W = -g_W.normalized();
+  const double twice_cos = std::sqrt(2.0 * (1.0 + up_W.z()));  // of half the angle
+  if (twice_cos < 1e-6) return {0.0, 1.0, 0.0, 0.0};
+  return {0.5 * twice_cos, -up_W.y() / twice_cos, up_W.x() / twice_cos, 0.0};
 }
 
 /// The IMU as models see it whose accelerometer matrix is triangular: in axes A along the
@@ -393,8 +405,7 @@ Values ImuValues(const StoredResult& stored, size_t imu, const Template& file,
   Put("MI", T_MI, &values);
   Put("IM", T_MI.Inverse(), &values);
   Put("I0I", imu == 0 ? Rigid3() : stored.result.imus[0].T_MI.Inverse() * T_MI, &values);
-  const Eigen::Vector3d vertical = Eigen::Vector3d::UnitZ();
-  Put("q_WG", Eigen::Quaterniond::FromTwoVectors(vertical, -session.g_W).coeffs(), &values);
+  Put("q_WG", FromUpright(session.g_W).coeffs(), &values);
   PutBody(choice.q_body_imu, T_MI.Inverse(), clock.time_shift, &values);
   PutPlayer(stored, imu, choice.pose_sensor, &values);
   PutModels(stored, imu, &values);

@@ -3,7 +3,6 @@
 #include <ros/package.h>
 #include <yaml-cpp/yaml.h>
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <iostream>
@@ -13,6 +12,7 @@
 #include <utility>
 #include <vector>
 
+#include "imu_pose_calib/core/base/dense.h"
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/calibration/solution.h"
 #include "imu_pose_calib/core/calibrator.h"
@@ -144,10 +144,10 @@ Eigen::Vector2d ChiSquares(const Calibration& result, const Errors& e) {
                                    {ParameterKind::kTimeShift, 1},
                                    {ParameterKind::kAccelDelay, 1}})
     for (int i = 0; i < size; ++i) select(row++, marginals.Find(kind) + i) = 1.0;
-  const Covariance model = select * marginals.model * select.transpose();
+  const Covariance model = Propagate(select, marginals.model);
   const Eigen::VectorXd larger = select * Enlargement(marginals.model, marginals.robust);
   const Covariance reported = larger.asDiagonal() * model * larger.asDiagonal();
-  return {e.dot(reported.llt().solve(e)), e.dot(model.llt().solve(e))};
+  return {SquaredDistance(e, reported), SquaredDistance(e, model)};
 }
 
 /// Bounds of a trial whose noises are those of the simulator and what is added.

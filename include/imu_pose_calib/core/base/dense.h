@@ -14,4 +14,13 @@ using ConstDenseRef = Eigen::Ref<const Eigen::MatrixXd, 0, Eigen::OuterStride<>>
 void AddProduct(double scale, const ConstDenseRef& A, const ConstDenseRef& B, bool is_lower,
                 DenseRef C);
 
+// Whatever source names these in Eigen's terms takes seconds more to compile.
+
+/// A C A^T: the covariance C propagated by A.
+Eigen::MatrixXd Propagate(const Eigen::MatrixXd& A, const Eigen::MatrixXd& C);
+Eigen::MatrixXd Inverse(const Eigen::MatrixXd& A);
+bool IsPositiveDefinite(const Eigen::MatrixXd& C);
+/// d^T C^-1 d, of positive definite C.
+double SquaredDistance(const Eigen::VectorXd& d, const Eigen::MatrixXd& C);
+
 }  // namespace imu_pose_calib

@@ -1,18 +1,12 @@
 #pragma once
 
-#include <ceres/autodiff_cost_function.h>
+#include <ceres/cost_function.h>
 
 #include <memory>
 
 #include "imu_pose_calib/core/trajectory/pose_trajectory.h"
 
 namespace imu_pose_calib {
-
-/// A cost function that copies `residual`; sizes: of the residual, and of its blocks.
-template <int... sizes, typename Residual>
-std::unique_ptr<ceres::CostFunction> AutoDiff(const Residual& residual) {
-  return std::make_unique<ceres::AutoDiffCostFunction<Residual, sizes...>>(new Residual(residual));
-}
 
 /// One gyroscope sample against the trajectory, doc/math.md Eq. (1).
 ///   r = (w - b_g - R_MI^T omega_M(t + time_shift)) / sigma,  b_g = (1 - u) knot_0 + u knot_1
@@ -39,7 +33,7 @@ struct GyroResidual {
     return true;
   }
 
-  std::unique_ptr<ceres::CostFunction> Create() const { return AutoDiff<3, 4, 3, 3, 1>(*this); }
+  std::unique_ptr<ceres::CostFunction> Create() const;
 };
 
 /// One accelerometer sample against the trajectory, doc/math.md Eq. (2), at
@@ -73,9 +67,7 @@ struct AccelResidual {
     return true;
   }
 
-  std::unique_ptr<ceres::CostFunction> Create() const {
-    return AutoDiff<3, 4, 3, 3, 3, 3, 1, 1>(*this);
-  }
+  std::unique_ptr<ceres::CostFunction> Create() const;
 };
 
 /// Magnitude of gravity that is known beforehand: r = (|g_W| - magnitude) / sigma, both [m/s^2].
@@ -89,7 +81,7 @@ struct GravityPrior {
     return true;
   }
 
-  std::unique_ptr<ceres::CostFunction> Create() const { return AutoDiff<1, 3>(*this); }
+  std::unique_ptr<ceres::CostFunction> Create() const;
 };
 
 /// Between two knots: r = (knot_1 - kept knot_0) / sigma. Brownian motion: all is kept, sigma =
@@ -106,9 +98,7 @@ struct WalkResidual {
     return true;
   }
 
-  std::unique_ptr<ceres::CostFunction> Create() const {
-    return AutoDiff<kSize, kSize, kSize>(*this);
-  }
+  std::unique_ptr<ceres::CostFunction> Create() const;
 };
 
 }  // namespace imu_pose_calib
