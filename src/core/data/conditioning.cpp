@@ -26,9 +26,7 @@ constexpr double kMinForce = 0.4, kMaxForce = 10.0;
 /// A clipped axis: at least so many samples in a row at the limit, and more than within so much
 /// below it.
 constexpr size_t kMinClippedRun = 3;
-constexpr double kBelowClip = 0.02;
-/// Both limits of a sensor and those of its axes agree within this.
-constexpr double kSameLimit = 0.05;
+constexpr double kBelowClip = 0.05;  // both limits of a sensor, and those of its axes, are as near
 
 bool IsFinite(const PoseSample& s) { return s.p_WM.allFinite() && s.q_WM.coeffs().allFinite(); }
 bool IsFinite(const ImuSample& s) { return s.value.allFinite(); }
@@ -146,7 +144,7 @@ void MarkClipped(const std::vector<ImuSample>& samples, int axis, double side, d
                  std::vector<bool>* clipped) {
   double limit = 0.0;
   for (const ImuSample& s : samples) limit = std::max(limit, side * s.value[axis]);
-  if (limit < (1.0 - kSameLimit) * peak) return;
+  if (limit < (1.0 - kBelowClip) * peak) return;
   const auto is_at = [&](size_t i) { return side * samples[i].value[axis] > limit * (1.0 - 1e-6); };
   size_t at = 0, below = 0, run = 0, longest_run = 0;
   for (size_t i = 0; i < samples.size(); ++i) {

@@ -16,8 +16,7 @@ constexpr size_t kMinSegmentPoses = 8;
 /// times what the IMU's largest samples make possible.
 constexpr double kJumpThreshold = 20.0;
 constexpr size_t kJumpRadius = 10;
-constexpr double kForceFactor = 3.0, kRateFactor = 2.0;
-constexpr int kJumpRounds = 5;
+constexpr double kMotionFactor = 3.0;
 
 /// Longest time between two poses of a segment [s].
 double MaxGap(const CalibrationOptions& options, const ConditionedData& data) {
@@ -80,8 +79,8 @@ std::vector<size_t> FindJumps(const ConditionedData& data, const MotionBound& bo
   for (const IndexRange& s : data.segments) {
     for (size_t i = s.begin + 2; i + 1 < s.end; ++i) {
       const double dt = poses[i].t - poses[i - 1].t;
-      const Eigen::Vector2d possible(kForceFactor * bound.force * dt * dt,
-                                     kRateFactor * bound.rate * dt);
+      const Eigen::Vector2d possible(kMotionFactor * bound.force * dt * dt,
+                                     kMotionFactor * bound.rate * dt);
       const double periods = std::max(1.0, dt * data.pose_report.rate_hz);
       const Eigen::Vector2d least = possible.cwiseMax(kJumpThreshold * periods * usual_in_log);
       if ((jumps[i].array() <= least.array()).all()) continue;
@@ -156,9 +155,7 @@ void SplitAtGaps(const CalibrationOptions& options, ConditionedData* data) {
 void SplitAtJumps(const CalibrationOptions& options, ConditionedData* data) {
   const MotionBound bound(*data);
   const double max_gap = MaxGap(options, *data);
-  for (int round = 0; round < kJumpRounds; ++round) {
-    const std::vector<size_t> jumps = FindJumps(*data, bound);
-    if (jumps.empty()) break;
+  for (auto jumps = FindJumps(*data, bound); !jumps.empty(); jumps = FindJumps(*data, bound)) {
     CutSegments(jumps, max_gap, options.min_segment_s, data);
     if (!data->segments.empty()) continue;
     Throw<DataError>(

@@ -13,20 +13,18 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr size_t kWindow = 50;       // samples, whose median step is at least
-constexpr double kMinMedian = 0.25;  // of the mean one
-constexpr int kStart = 10;           // frames by which the first sample may be off the level
-constexpr double kBeam = 500.0;      // counts that cost so much more than the best are given up
-constexpr size_t kMemory = 500;      // [samples] of the level while frames are counted
-constexpr double kLongest = 8.0;     // latency [periods] beyond which it costs no more
+constexpr size_t kWindow = 50;    // samples whose mean step is looked at
+constexpr int kStart = 10;        // frames by which the first sample may be off the level
+constexpr double kBeam = 500.0;   // counts that cost so much more than the best are given up
+constexpr size_t kMemory = 500;   // [samples] of the level while frames are counted
+constexpr double kLongest = 8.0;  // latency [periods] beyond which it costs no more
 
 /// What missing frames cost, in periods of latency: more where the stamps scatter more.
 constexpr double kMinJumpCost = 2.0, kJumpScatters = 6.0;
 
 /// [s] between the knots of a clock; after a pause as long, another one begins.
 constexpr double kKnotSpacing = 10.0;
-constexpr size_t kMinRun = 2 * kWindow;  // samples that make a clock, and
-constexpr double kMinRunTime = 0.5 * kKnotSpacing;
+constexpr size_t kMinRun = 2 * kWindow;  // samples that make a clock
 constexpr double kMinRecovered = 0.9;
 constexpr double kRateStep = 1e-5;  // sigma of the change of the rate at a knot
 constexpr double kHuber = 1.5;      // sigma
@@ -35,12 +33,12 @@ constexpr int kRounds = 15, kCounts = 2;
 /// that of so much of the sigma.
 constexpr double kMaxQuantileStd = 0.7, kSharpest = 0.02;
 
-/// Frames that miss: at most before this share of the samples, and so rarely that a period is so
-/// many sigma of the mean latency between. Where they are said to miss, the latency of so many
-/// samples on either side is the same, within a part of a period and so many sigma.
-constexpr double kMaxJumps = 0.3, kJumpSigmas = 4.0;
+/// Frames that miss: so rarely that a period is so many sigma of the mean latency between. Where
+/// they are said to miss, the latency of so many samples on either side is the same, within a part
+/// of a period and so many sigma.
+constexpr double kJumpSigmas = 4.0;
 constexpr size_t kNear = 5;
-constexpr double kMaxDrop = 0.05, kMaxDropSigmas = 2.0;
+constexpr double kMaxDropSigmas = 2.0;
 
 /// A search for the period: factors of the one assumed, and the memory of the level.
 struct Search {
@@ -210,7 +208,7 @@ Period FindPeriod(const std::vector<double>& t) {
     means.push_back((t[i] - t[i - kWindow]) / static_cast<double>(kWindow));
   Period period{Median(std::move(means)), 0.0};
   const double mean = (t.back() - t.front()) / static_cast<double>(t.size());
-  if (!(period.seconds > kMinMedian * mean)) return {};
+  if (!(period.seconds > kBunch * mean)) return {};
   period.scatter = Scatter(t) / period.seconds;
   const std::vector<double> excerpt = Excerpt(t, kShortExcerpt);
   return FindPeriod(excerpt, FindPeriod(excerpt, period, kCoarse), kMiddle);
@@ -322,17 +320,17 @@ double Location(const std::vector<double>& values) {
 bool AreJumpsCredible(const FrameCount& count, const std::vector<double>& latency, double period) {
   const auto jumps = static_cast<double>(count.Jumps()), n = static_cast<double>(latency.size());
   const double sigma = RobustSigma(latency) / period;
-  if (jumps > kMaxJumps * n || jumps * std::pow(kJumpSigmas * sigma, 2) > n) return false;
+  if (jumps * std::pow(kJumpSigmas * sigma, 2) > n) return false;
   double rise = 0.0;
   for (size_t i = kNear; i + kNear <= latency.size(); ++i)
     for (size_t k = 0; k < kNear && count.frames[i] - count.frames[i - 1] > 1; ++k)
       rise += (latency[i + k] - latency[i - 1 - k]) / (period * static_cast<double>(kNear));
-  return rise >= -kMaxDrop * jumps - kMaxDropSigmas * sigma * std::sqrt(jumps);
+  return rise >= -kMaxDropSigmas * sigma * std::sqrt(jumps);
 }
 
 /// Replaces the stamps t [s] by those of an even clock; false when there is none.
 bool RecoverRun(Period period, std::vector<double>* t) {
-  if (t->size() < kMinRun || t->back() - t->front() < kMinRunTime) return false;
+  if (t->size() < kMinRun) return false;
   period = FindPeriod(Excerpt(*t, kExcerpt), period, kFine);
   FrameCount count = CountFrames(*t, period);
   std::vector<double> latency = FitClock(*t, count, period.seconds);

@@ -37,7 +37,6 @@ constexpr double kEven = 0.02;
 constexpr double kMaxMissing = 0.1, kMaxPauses = 0.02;
 constexpr double kLongStep = 20.0;
 
-constexpr double kBunch = 0.2;           // of a period, within which no source samples again
 constexpr double kSmootherSigmas = 4.0;  // by which the recovered stamps win the vote
 
 /// Values of one kind, one vector a sample: positions, rotations, rates, ...

@@ -94,7 +94,7 @@ struct Measured {
 
 /// A state on the way, and where its error comes from.
 struct Carried {
-  CarriedState state;
+  ImuState state;
   MatrixXd by_both = MatrixXd::Identity(9, 9 + kConstants);  ///< derivative by the first state's
                                                              ///< error and that of the constants
   MatrixXd noise = MatrixXd::Zero(9, 9);  ///< covariance that the samples since add
@@ -124,7 +124,7 @@ class Integrator {
 
   /// Moves the state on by `dt`.
   void Step(const Measured& a, const Measured& b, double dt, Carried* carried) const {
-    CarriedState* x = &carried->state;
+    ImuState* x = &carried->state;
     // To third order for rates that change linearly.
     const Vector3d turn = 0.5 * dt * (a.omega + b.omega) + dt * dt / 12.0 * a.omega.cross(b.omega);
     const Eigen::Quaterniond after = (x->q_WI * Exp<double>(turn)).normalized();
@@ -222,9 +222,8 @@ std::vector<Measured> MeasuredAt(const Solution& solution, const SessionTrajecto
 /// in which the second begins, each by its covariance (doc/trajectory.md). States at both ends and
 /// at the samples of the gyroscope in between; none when the IMU has a gap, too, or when the two
 /// runs are further apart than their sigmas and the IMU's noise explain.
-std::vector<CarriedState> CarryAcrossGap(const Solution& solution,
-                                         const SessionTrajectory& trajectory, size_t session,
-                                         size_t imu, double begin, double end) {
+std::vector<ImuState> CarryAcrossGap(const Solution& solution, const SessionTrajectory& trajectory,
+                                     size_t session, size_t imu, double begin, double end) {
   const ConditionedImu& samples = solution.imus[session][imu];
   const ImuSessionEstimate& clock = solution.estimate.sessions[session].imus[imu];
   std::vector<double> instants = {begin};
@@ -241,9 +240,9 @@ std::vector<CarriedState> CarryAcrossGap(const Solution& solution,
 
   const RunEnd first = FindRunEnd(solution, trajectory, session, imu, begin);
   const RunEnd last = FindRunEnd(solution, trajectory, session, imu, end);
-  const BodyState& start = first.state;
   std::vector<Carried> way(instants.size());
-  way[0].state = {begin, start.q_WB, start.p_WB, start.v_W, start.omega_B, MatrixXd::Zero(9, 9)};
+  way[0].state = ImuState::Of(first.state, begin);
+  way[0].state.is_carried = true;
   for (size_t j = 1; j < way.size(); ++j) {
     way[j] = way[j - 1];
     integrator.Step(measured[j - 1], measured[j], instants[j] - instants[j - 1], &way[j]);
@@ -265,7 +264,7 @@ std::vector<CarriedState> CarryAcrossGap(const Solution& solution,
   const Eigen::LDLT<MatrixXd> S_inverse(S);
   if (!(distance.dot(S_inverse.solve(distance)) < kMaxDistance2)) return {};
 
-  std::vector<CarriedState> states;
+  std::vector<ImuState> states;
   for (const Carried& here : way) {
     const MatrixXd& A = here.by_both;
     // What errs until here turns up at the end as much as the steps from here on carry it.
@@ -273,21 +272,26 @@ std::vector<CarriedState> CarryAcrossGap(const Solution& solution,
     const MatrixXd with_distance = A * P * h.transpose() + here.noise * rest_of_way.transpose();
     const MatrixXd K = S_inverse.solve(with_distance.transpose()).transpose();
     states.push_back(here.state);
-    CarriedState& x = states.back();
+    ImuState& x = states.back();
     const Eigen::VectorXd error = K * distance;
     x.q_WI = (x.q_WI * Exp<double>(error.head<3>())).normalized();
     x.p_WI += error.segment<3>(3);
     x.v_W += error.tail<3>();
-    x.covariance = A * P * A.transpose() + here.noise - K * S * K.transpose();
+    const MatrixXd C = A * P * A.transpose() + here.noise - K * S * K.transpose();
+    const int place[] = {0, 3, 9};  // of rotation, position and velocity
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j < 3; ++j)
+        x.covariance.block<3, 3>(place[i], place[j]) = C.block<3, 3>(3 * i, 3 * j);
   }
   return states;
 }
 
 /// Between two states that follow each other.
-CarriedState Interpolate(const CarriedState& a, const CarriedState& b, double t) {
+ImuState Interpolate(const ImuState& a, const ImuState& b, double t) {
   const double dt = b.t - a.t, u = (t - a.t) / dt, v = 1.0 - u;
-  CarriedState x;
+  ImuState x;
   x.t = t;
+  x.is_carried = true;
   x.q_WI = a.q_WI.slerp(u, b.q_WI);
   // The cubic that has both positions and velocities.
   x.p_WI = v * v * (1.0 + 2.0 * u) * a.p_WI + u * u * (1.0 + 2.0 * v) * b.p_WI +
@@ -312,6 +316,16 @@ std::vector<CorrectionSplines::Run> TrimmedRuns(const PoseTrajectory& trajectory
 }
 
 }  // namespace
+
+ImuState ImuState::Of(const BodyState& body, double t) {
+  ImuState state;
+  state.t = t;
+  state.q_WI = body.q_WB;
+  state.p_WI = body.p_WB;
+  state.omega_I = body.omega_B;
+  state.v_W = body.v_W;
+  return state;
+}
 
 std::vector<int64_t> EvenStamps(int64_t first, int64_t last, double rate_hz) {
   std::vector<int64_t> stamps;
@@ -373,29 +387,17 @@ std::optional<ImuState> ImuTrack::At(double t) const {
       std::upper_bound(gaps_.begin(), gaps_.end(), t,
                        [](double value, const TrackGap& gap) { return value <= gap.begin; });
   if (next_gap != gaps_.begin() && t < std::prev(next_gap)->end) {
-    const std::vector<CarriedState>& carried = std::prev(next_gap)->carried;
+    const std::vector<ImuState>& carried = std::prev(next_gap)->carried;
     if (carried.empty()) return std::nullopt;
     const auto after =
         std::upper_bound(carried.begin() + 1, carried.end() - 1, t,
-                         [](double value, const CarriedState& x) { return value < x.t; });
-    const CarriedState x = Interpolate(*std::prev(after), *after, t);
+                         [](double value, const ImuState& x) { return value < x.t; });
+    state = Interpolate(*std::prev(after), *after, t);
     acceleration = (after->v_W - std::prev(after)->v_W) / (after->t - std::prev(after)->t);
-    state.q_WI = x.q_WI;
-    state.p_WI = x.p_WI;
-    state.omega_I = x.omega_I;
-    state.v_W = x.v_W;
-    state.is_carried = true;
-    const int place[] = {0, 3, 9};
-    for (int i = 0; i < 3; ++i)
-      for (int j = 0; j < 3; ++j)
-        state.covariance.block<3, 3>(place[i], place[j]) = x.covariance.block<3, 3>(3 * i, 3 * j);
   } else if (const auto body = IsOnTrajectory(*solution_->trajectories[session_], t)
                                    ? trajectory_.Imu(imu_, t)
                                    : std::nullopt) {
-    state.q_WI = body->q_WB;
-    state.p_WI = body->p_WB;
-    state.omega_I = body->omega_B;
-    state.v_W = body->v_W;
+    state = ImuState::Of(*body, t);
     const auto C = clock_ == TrackClock::kImu ? trajectory_.ImuCovarianceOnItsClock(imu_, t)
                                               : trajectory_.ImuCovariance(imu_, t);
     if (C) state.covariance = C->topLeftCorner<12, 12>();

@@ -18,7 +18,6 @@ namespace {
 using Eigen::Quaterniond;
 using Eigen::Vector3d;
 
-constexpr double kRatePeriod = 0.01;   // [s] of the turn rates that are compared
 constexpr double kStiff = 0.1;         // [1/sqrt(s)] drift over noise at first
 constexpr double kForeignScale = 0.1;  // [1] that is no error of a metric sensor,
 constexpr double kSurely = 3.0;        // sigmas off
@@ -31,7 +30,7 @@ constexpr int kMaxRounds = 15;
 std::vector<TimedSample> TurnRates(const PoseTrajectory& trajectory) {
   std::vector<TimedSample> rates;
   MarkerRotation<double> rotation;
-  for (double t = 0.0; t <= trajectory.End(); t += kRatePeriod)
+  for (double t = 0.0; t <= trajectory.End(); t += kRateBin)
     if (trajectory.EvaluateRotation(t, &rotation)) rates.push_back({t, rotation.omega_M});
   return rates;
 }

@@ -161,7 +161,7 @@ struct Equations {
   std::vector<Eigen::VectorXd> scores;
 };
 
-/// Finds V, too.
+/// Finds V, too, by the poses so far.
 Equations FindEquations(const CalibrationOptions& options, SensorEstimate* estimate) {
   Eigen::Index size = 6;
   double duration = 0.0;
@@ -175,7 +175,6 @@ Equations FindEquations(const CalibrationOptions& options, SensorEstimate* estim
   for (SensorSession& session : estimate->sessions) {
     if (session.samples.empty()) continue;
     Told told = Filter(estimate->T_MS, std::max(duration / kTimeBlocks, 2.0), &session);
-    Smooth(&session);
     const double drift_std = options.estimate_clock_drift ? kDriftPrior : kHeldDrift;
     Gradient known = Gradient::Zero(), off = Gradient::Zero();  // beforehand
     known[7] = 1.0 / (drift_std * drift_std);
@@ -309,7 +308,8 @@ void PlaceSamples(const Rigid3& T_MS, SensorSession* session) {
 }
 
 bool SolveSensor(const CalibrationOptions& options, SensorEstimate* estimate) {
-  for (int iteration = 0; iteration < options.max_iterations; ++iteration) {
+  bool has_converged = false;
+  for (int iteration = 0; iteration < options.max_iterations && !has_converged; ++iteration) {
     const Equations equations = FindEquations(options, estimate);
     Eigen::VectorXd gradient = Eigen::VectorXd::Zero(equations.H.rows());
     for (const Eigen::VectorXd& score : equations.scores) gradient += score;
@@ -326,9 +326,10 @@ bool SolveSensor(const CalibrationOptions& options, SensorEstimate* estimate) {
       column += 3;
       PlaceSamples(estimate->T_MS, &session);
     }
-    if (std::abs(step.dot(gradient)) < kConverged * kConverged) return true;
+    has_converged = std::abs(step.dot(gradient)) < kConverged * kConverged;
   }
-  return false;
+  for (SensorSession& session : estimate->sessions) Smooth(&session);
+  return has_converged;
 }
 
 bool FindNoise(SensorEstimate* estimate) {
@@ -349,6 +350,7 @@ bool FindNoise(SensorEstimate* estimate) {
 
 SensorCovariance FindSensorCovariance(const CalibrationOptions& options, SensorEstimate* estimate) {
   const Equations equations = FindEquations(options, estimate);
+  for (SensorSession& session : estimate->sessions) Smooth(&session);
   const Eigen::Index size = equations.H.rows();
   const Eigen::MatrixXd model = equations.H.ldlt().solve(Eigen::MatrixXd::Identity(size, size));
   Eigen::MatrixXd robust = Eigen::MatrixXd::Zero(size, size);

@@ -65,11 +65,7 @@ std::vector<ImuTrack::Instant> SensorTrack::Instants(double rate_hz) const {
 std::optional<ImuState> SensorTrack::At(double t) const {
   const auto sensor = trajectory_.Body(sensor_.T_MS, t);
   if (!sensor) return std::nullopt;
-  ImuState state;
-  state.q_WI = sensor->q_WB;
-  state.p_WI = sensor->p_WB;
-  state.omega_I = sensor->omega_B;
-  state.v_W = sensor->v_W;
+  ImuState state = ImuState::Of(*sensor, t);
   if (const auto C = trajectory_.MarkerCovariance(t, sensor_.T_MS))
     state.covariance = C->topLeftCorner<12, 12>() + OfMountAndClock(t, *sensor);
   return state;

@@ -29,7 +29,6 @@ constexpr double kMaxGravityError = 0.05;
 constexpr double kMaxDriftEffect = 5e-4;  // [s] over the recording
 constexpr double kDriftSigmas = 5.0;
 
-constexpr double kBunch = 0.25;       // of a period
 constexpr double kMinCut = 5e-4;      // [s]
 constexpr double kRestWindow = 0.25;  // [s]
 constexpr double kRestRate = 0.05;    // [rad/s] rms

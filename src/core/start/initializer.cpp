@@ -16,17 +16,15 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr double kMaxUnexplainedRatio = 0.25;  // of another reading over the one as given
-constexpr double kFlipped = 0.2;           // unexplained share of the motion of a flipped segment
+/// Unexplained share of the motion of a flipped segment; of another reading over the one as given.
+constexpr double kFlipped = 0.25;
 constexpr double kFlipFactor = 25.0;       // its mean square residual over that of the others
 constexpr double kMinAgreement = 0.6;      // of the log, on one rotation
 constexpr double kMinProposal = 0.3;       // of the log, for a rotation to be taken seriously
 constexpr double kUnitBound = 5.0;         // scale of the positions, either way
-constexpr double kLeastExplained = 0.3;    // by positions in another unit
 constexpr double kDelaySearch = 0.1;       // [s]
-constexpr double kDelayStep = 0.01;        // [s] of a first search
+constexpr double kDelayStep = 0.01;        // [s] at first
 constexpr double kDelayResolution = 1e-4;  // [s]
-constexpr size_t kCoarse = 4;              // of the samples, one in so many for the first search
 constexpr double kAccelBiasPrior = 1.0;    // [m/s^2] keeps bias and gravity apart at small turns
 
 /// Throws when inverted poses explain the gyroscope far better. Quaternions whose w comes first,
@@ -37,7 +35,7 @@ void CheckPoseReading(const CalibrationOptions& options, const PoseTrajectory& t
                       const RateAlignment& as_given) {
   const double explained =
       AlignRates(trajectory, gyro, time_shifts, true, options.Threads()).explained;
-  if (1.0 - explained > kMaxUnexplainedRatio * (1.0 - as_given.explained)) return;
+  if (1.0 - explained > kFlipped * (1.0 - as_given.explained)) return;
   Throw<OptionNeeded>(
       std::setprecision(3),
       "the turn rates of poses and gyroscope agree only when the poses are inverted (explains ",
@@ -207,7 +205,7 @@ void CheckPositionUnit(const LeverArmEquations& equations) {
   const double scale = equations.PositionScale(&explained);
   if (scale > 1.0 / kUnitBound && scale < kUnitBound) return;
   // Accelerations that are mostly errors of the poses match nothing, in no unit.
-  if (!(explained >= kLeastExplained)) return;
+  if (!(explained >= kMinExplained)) return;
   const char* const advice =
       scale > 2e-4 && scale < 4e-3   ? "positions look like millimetres: set position_unit: 1.0e-3"
       : scale > 6e-3 && scale < 2e-2 ? "positions look like centimetres: set position_unit: 1.0e-2"
@@ -258,10 +256,10 @@ void FitLeverArm(const PoseTrajectory& trajectory, const std::vector<TimedSample
                  double gravity_magnitude, bool estimate_delay, int threads, Start* start) {
   const size_t stride = Stride(accel.size());
   double lowest = std::numeric_limits<double>::infinity(), best_delay = start->accel_delay;
-  const auto attempt = [&](const std::vector<double>& delays, size_t of_samples) {
+  const auto attempt = [&](const std::vector<double>& delays) {
     std::vector<double> residuals(delays.size());
     InParallel(threads, delays.size(), [&](size_t k) {
-      LeverArmEquations(trajectory, accel, *start, delays[k], of_samples).Solve(&residuals[k]);
+      LeverArmEquations(trajectory, accel, *start, delays[k], stride).Solve(&residuals[k]);
     });
     for (size_t k = 0; k < delays.size(); ++k) {
       if (residuals[k] >= lowest) continue;
@@ -274,11 +272,9 @@ void FitLeverArm(const PoseTrajectory& trajectory, const std::vector<TimedSample
     std::vector<double> delays = {best_delay};
     for (int k = -steps; k <= steps; ++k)
       if (k != 0) delays.push_back(start->accel_delay + k * kDelayStep);
-    attempt(delays, kCoarse * stride);
-    lowest = std::numeric_limits<double>::infinity();  // of fewer samples
-    attempt({best_delay}, stride);
+    attempt(delays);
     for (double step = 0.5 * kDelayStep; step > kDelayResolution; step *= 0.5)
-      attempt({best_delay - step, best_delay + step}, stride);
+      attempt({best_delay - step, best_delay + step});
   }
   const LeverArmEquations equations(trajectory, accel, *start, best_delay, stride);
   const Eigen::Matrix<double, 9, 1> best = equations.Solve(&lowest);

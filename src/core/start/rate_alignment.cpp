@@ -13,12 +13,11 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr double kBin = 0.01;              // [s] of the correlated signals
 constexpr double kGuessWindow = 1.0;       // [s] searched around a given time shift
 constexpr double kMinPeakDistance = 0.15;  // [s] between correlation peaks
 constexpr size_t kMaxSamples = 4000;       // per closed-form fit: more does not change a start
 
-/// A signal in bins of kBin; bins without a sample have weight 0.
+/// A signal in bins of kRateBin; bins without a sample have weight 0.
 struct Signal {
   Eigen::ArrayXd value, weight;
 
@@ -139,23 +138,23 @@ Eigen::Vector3d RateAlignment::Residual(const RatePair& pair) const {
 std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
                                    const std::vector<TimedSample>& gyro, double min_overlap_s,
                                    const std::optional<double>& guess, int count, int threads) {
-  const auto bins = [](double duration) { return static_cast<size_t>(duration / kBin) + 1; };
+  const auto bins = [](double duration) { return static_cast<size_t>(duration / kRateBin) + 1; };
   Signal marker(bins(trajectory.End()));
   InPortions(threads, marker.size(), [&](size_t i) {
     MarkerRotation<double> rotation;
-    if (trajectory.EvaluateRotation((static_cast<double>(i) + 0.5) * kBin, &rotation))
+    if (trajectory.EvaluateRotation((static_cast<double>(i) + 0.5) * kRateBin, &rotation))
       marker.Add(i, rotation.omega_M.norm());
   });
   const double gyro_begin = gyro.front().t;
   Signal imu(bins(gyro.back().t - gyro_begin));
   for (const TimedSample& s : gyro)
-    imu.Add(static_cast<size_t>((s.t - gyro_begin) / kBin), s.value.norm());
+    imu.Add(static_cast<size_t>((s.t - gyro_begin) / kRateBin), s.value.norm());
   imu.Average();
 
   const MaskedCorrelation correlation(marker, imu, threads);
-  const auto shift = [&](double lag) { return lag * kBin - gyro_begin; };
+  const auto shift = [&](double lag) { return lag * kRateBin - gyro_begin; };
   const auto score = [&](ptrdiff_t lag) {
-    if (correlation.Count(lag) * kBin < min_overlap_s) return 0.0;
+    if (correlation.Count(lag) * kRateBin < min_overlap_s) return 0.0;
     if (guess && std::abs(shift(static_cast<double>(lag)) - *guess) > kGuessWindow) return 0.0;
     return Evidence(correlation.At(lag), correlation.Count(lag));
   };

@@ -53,33 +53,21 @@ struct BumpValues {
   BumpArray distance, value;
 
   BumpValues(const BumpGrid& grid, int first_bump, double t) {
-    // exp(-(z - j d)^2) = exp(-z^2) exp(2 z d)^j exp(-(j d)^2), j counted from the middle: three
+    // exp(-(z - j d)^2) = exp(-z^2) exp(2 z d)^j exp(-(j d)^2), j counted from the middle: two
     // calls of exp instead of thirty, in the innermost loop of every solve.
-    static const BumpArray kSteps = BumpArray::LinSpaced(-kMiddle, kSupport - 1.0 - kMiddle);
+    static const BumpArray kSteps =
+        BumpArray::LinSpaced(-kHalfSupport, kSupport - 1.0 - kHalfSupport);
     static const BumpArray kGaussian = (-(kSpacing * kSteps).square()).exp();
-    const double z = (t - grid.first) / grid.lengthscale - kSpacing * (first_bump + kMiddle);
+    const double z = (t - grid.first) / grid.lengthscale - kSpacing * (first_bump + kHalfSupport);
     const double ratio = std::exp(2.0 * z * kSpacing);
-    // Up and down from the middle, in kLanes products that do not wait for each other.
     const double inverse = 1.0 / ratio;
-    double factor = 1.0;
-    for (int lane = 0; lane < kLanes; ++lane) factor *= ratio;
-    const double inverse_factor = 1.0 / factor;
     double up = std::exp(-z * z), down = up * inverse;
-    for (int lane = 0; lane < kLanes; ++lane, up *= ratio, down *= inverse) {
-      double value_up = up, value_down = down;
-      for (int j = lane; j < kMiddle; j += kLanes) {
-        value[kMiddle + j] = value_up * kGaussian[kMiddle + j];
-        value[kMiddle - 1 - j] = value_down * kGaussian[kMiddle - 1 - j];
-        value_up *= factor;
-        value_down *= inverse_factor;
-      }
+    for (int j = 0; j < kHalfSupport; ++j, up *= ratio, down *= inverse) {
+      value[kHalfSupport + j] = up * kGaussian[kHalfSupport + j];
+      value[kHalfSupport - 1 - j] = down * kGaussian[kHalfSupport - 1 - j];
     }
     distance = z - kSpacing * kSteps;
   }
-
- private:
-  static constexpr int kMiddle = kHalfSupport, kLanes = 5;
-  static_assert(kSupport == 2 * kMiddle, "as many below as above");
 };
 
 /// Values of the bumps around t and their first three time derivatives.

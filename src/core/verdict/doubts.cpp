@@ -6,18 +6,18 @@
 
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/base/text.h"
+#include "imu_pose_calib/core/verdict/comparison.h"
 
 namespace imu_pose_calib {
 namespace {
 
 constexpr double kLeastTurning = 3.0;  // [s]
 constexpr double kCertain = 2.0;       // sigma of what is there
-constexpr double kDisagreement = 5.0;  // sigma between the halves
 /// Noise of poses in the solve over that of S1, which is at least the second of these.
 constexpr double kIgnored = 10.0;
 constexpr PoseStd kOrdinaryNoise{1e-3, 3e-3};  // [m], [rad]
 /// Noise of the IMU's sensors in a solve against a given trajectory, over their own.
-constexpr double kLostForce = 1.5, kLostRate = 2.0;
+constexpr double kLost = 1.5;
 // Beyond what sources of poses do:
 constexpr double kMostScale = 0.012;     // [1]
 constexpr double kMostSmoothing = 4e-3;  // [s^2]
@@ -65,7 +65,7 @@ void DoubtMotion(const std::vector<PreparedSession>& sessions, const Calibration
 }
 
 void DoubtHalves(const Calibration& result, std::vector<std::string>* doubts) {
-  if (result.split_half.sigmas <= kDisagreement) return;
+  if (result.split_half.sigmas <= kAgreementBound) return;
   const char* const halves = result.sessions.size() == 1
                                  ? "the two halves of the recording"
                                  : "the first and the second halves of the sessions";
@@ -155,17 +155,17 @@ void DoubtSmoothing(const std::vector<PreparedSession>& sessions, const Calibrat
       const ConditionedImu& imu = sessions[s].data.imus[i];
       if (!imu.IsPresent()) continue;
       const auto check = [&](const char* name, const std::vector<TimedSample>& samples,
-                             double found, double bound, const char* unit) {
+                             double found, const char* unit) {
         const double own = OwnNoise(samples);
-        if (found <= bound * own) return;
+        if (found <= kLost * own) return;
         doubts->push_back("method gp does not follow the motion" + OfSession(s, sessions.size()) +
                           ": it leaves the " + name + OfImu(i, result.imus.size()) +
                           " a noise of " + Number(found, "%.3g") + " " + unit + ", its own is " +
                           Number(own, "%.3g") + ", and p_MI is too short or too long: use joint");
       };
       const auto& noise = result.sessions[s].imus[i].noise;
-      check("accelerometer", imu.accel, noise.accel, kLostForce, "m/s^2");
-      check("gyroscope", imu.gyro, noise.gyro, kLostRate, "rad/s");
+      check("accelerometer", imu.accel, noise.accel, "m/s^2");
+      check("gyroscope", imu.gyro, noise.gyro, "rad/s");
     }
   }
 }
@@ -173,7 +173,7 @@ void DoubtSmoothing(const std::vector<PreparedSession>& sessions, const Calibrat
 }  // namespace
 
 Marginals CoverHalves(Marginals marginals) {
-  if (marginals.halves_sigmas <= kDisagreement) return marginals;
+  if (marginals.halves_sigmas <= kAgreementBound) return marginals;
   for (Eigen::Index k = 0; k < marginals.halves_difference.size(); ++k)
     marginals.robust(k, k) =
         std::max(marginals.robust(k, k), std::pow(0.5 * marginals.halves_difference[k], 2));

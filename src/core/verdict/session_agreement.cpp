@@ -1,5 +1,3 @@
-#include "imu_pose_calib/core/verdict/session_agreement.h"
-
 #include <algorithm>
 #include <cmath>
 #include <optional>
@@ -7,11 +5,12 @@
 
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/base/text.h"
+#include "imu_pose_calib/core/verdict/comparison.h"
+#include "imu_pose_calib/core/verdict/doubts.h"
 
 namespace imu_pose_calib {
 namespace {
 
-constexpr double kStandsOut = 5.0;  // sigma
 /// Least share of a session's variance that its difference from the common estimate has: a session
 /// that determines a component alone cannot disagree about it.
 constexpr double kLeastDifference = 0.05;
@@ -40,13 +39,13 @@ std::vector<Component> Components(const Marginals& marginals, size_t imus) {
 
 /// What a session says of one component: its own estimate less the common one, and the variances of
 /// its own estimate, by the model too, and of the difference.
-struct Difference {
+struct Deviation {
   double value, own_variance, own_model_variance, variance;
 };
 
 /// Nothing when the session does not tell of it. `common`: variance of the common estimate by the
 /// model.
-std::optional<Difference> Compare(const SessionMarginals& session, int place, double common) {
+std::optional<Deviation> Deviate(const SessionMarginals& session, int place, double common) {
   const auto found = std::find(session.places.begin(), session.places.end(), place);
   if (found == session.places.end()) return std::nullopt;
   const auto k = found - session.places.begin();
@@ -54,7 +53,7 @@ std::optional<Difference> Compare(const SessionMarginals& session, int place, do
   if (!std::isfinite(own) || !std::isfinite(session.difference[k])) return std::nullopt;
   // The common estimate holds a share common / model of this one.
   const double apart = std::max(kLeastDifference, 1.0 - common / model);
-  return Difference{session.difference[k], own, model, apart * own};
+  return Deviation{session.difference[k], own, model, apart * own};
 }
 
 /// Variance of a component of the common estimate as the scatter of the sessions shows it: its own
@@ -63,7 +62,7 @@ std::optional<Difference> Compare(const SessionMarginals& session, int place, do
 double ScatterVariance(const std::vector<SessionMarginals>& sessions, int place, double common) {
   double chi2 = 0.0, dof = 0.0, enlargement = 0.0, count = 0.0;
   for (const SessionMarginals& session : sessions) {
-    const auto difference = Compare(session, place, common);
+    const auto difference = Deviate(session, place, common);
     if (!difference) continue;
     chi2 += difference->value * difference->value / difference->own_variance;
     dof += difference->variance / difference->own_variance;
@@ -80,7 +79,7 @@ Agreement Judge(const SessionMarginals& session, const std::vector<Component>& c
   Agreement agreement;
   for (const Component& component : components) {
     const int k = component.place;
-    const auto difference = Compare(session, k, model(k, k));
+    const auto difference = Deviate(session, k, model(k, k));
     if (!difference) continue;
     const double sigmas = std::abs(difference->value) / std::sqrt(difference->variance);
     agreement.chi2 += sigmas * sigmas;
@@ -111,7 +110,7 @@ OwnEstimate Own(const Marginals& marginals, const SessionMarginals& alone,
     const int place = marginals.Find(kind, imu, session);
     if (place < 0) return;
     for (int k = 0; k < size; ++k) {
-      const auto compared = Compare(alone, place + k, 0.0);
+      const auto compared = Deviate(alone, place + k, 0.0);
       if (!compared) return;
       difference[k] = compared->value;
       std_dev[k] = std::sqrt(compared->own_variance);
@@ -154,7 +153,7 @@ void TestSessionAgreement(Calibration* result) {
   for (size_t s = 1; s < result->sessions.size(); ++s)
     if (result->sessions[s].agreement.sigmas > result->sessions[worst].agreement.sigmas) worst = s;
   const Agreement& agreement = result->sessions[worst].agreement;
-  if (agreement.sigmas < kStandsOut) return;
+  if (agreement.sigmas < kAgreementBound) return;
   const std::string who = result->sessions.size() == 2
                               ? "sessions 1 and 2 disagree"
                               : "session " + std::to_string(worst + 1) + " stands out";

@@ -10,6 +10,9 @@
 
 namespace imu_pose_calib {
 
+/// Share of a period within which no source samples again: stamps of such samples are of a bunch.
+constexpr double kBunch = 0.25;
+
 /// Why a stamp is not believed: hours from the others (stamp 0, clock set meanwhile); more than a
 /// second after most of what arrived around it; more than a second before one that arrived earlier.
 enum class StampFault { kNone, kAstray, kAhead, kReversed };

@@ -8,19 +8,9 @@
 
 namespace imu_pose_calib {
 
-/// State of an IMU that was integrated from its own samples.
-struct CarriedState {
-  double t;  ///< [s] pose clock
-  Eigen::Quaterniond q_WI;
-  Eigen::Vector3d p_WI;     ///< [m]
-  Eigen::Vector3d v_W;      ///< [m/s]
-  Eigen::Vector3d omega_I;  ///< [rad/s]
-  /// Of the rotation [rad, about the axes of I: R_WI Exp(dtheta)], p_WI and v_W.
-  Eigen::Matrix<double, 9, 9> covariance;
-};
-
-/// State of an IMU at one instant: ground truth.
+/// State of an IMU, or of a pose sensor, at one instant: ground truth.
 struct ImuState {
+  double t = 0.0;  ///< [s] pose clock
   Eigen::Quaterniond q_WI;
   Eigen::Vector3d p_WI;     ///< [m]
   Eigen::Vector3d omega_I;  ///< [rad/s]
@@ -30,6 +20,8 @@ struct ImuState {
   /// Of the rotation [rad, about the axes of I: R_WI Exp(dtheta)], p_WI, omega_I and v_W.
   Eigen::Matrix<double, 12, 12> covariance = Eigen::Matrix<double, 12, 12>::Zero();
   Matrix6d bias_covariance = Matrix6d::Zero();  ///< gyroscope, accelerometer
+
+  static ImuState Of(const BodyState& body, double t);
 };
 
 /// Whose stamps go with the states.
@@ -40,8 +32,8 @@ std::vector<int64_t> EvenStamps(int64_t first, int64_t last, double rate_hz);
 
 /// What happens between two runs of poses.
 struct TrackGap {
-  double begin, end;                  ///< [s] pose clock
-  std::vector<CarriedState> carried;  ///< empty: left out
+  double begin, end;              ///< [s] pose clock
+  std::vector<ImuState> carried;  ///< by the IMU's own samples; empty: left out
 };
 
 /// The motion of one IMU in one session, from its first to its last sample. Stamps are of one of

@@ -7,6 +7,7 @@
 
 namespace imu_pose_calib {
 
+constexpr double kRateBin = 0.01;      ///< [s] of the rates that are correlated
 constexpr int kCandidates = 6;         ///< time shifts that are tried on all three axes
 constexpr double kMinExplained = 0.5;  ///< least share of the variance of rates that match
 

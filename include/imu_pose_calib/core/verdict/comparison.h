@@ -6,7 +6,8 @@
 
 namespace imu_pose_calib {
 
-/// Calibrations agree when no component differs by more than this many sigma.
+/// Calibrations, halves of a recording and sessions agree when no component differs by more than
+/// this many sigma.
 constexpr double kAgreementBound = 5.0;
 
 /// A calibration of one IMU as it is compared with others. A sigma of 0: given, not estimated.
