@@ -1,12 +1,12 @@
 #!/usr/bin/python3
 """Whether recordings of one mount agree, and pieces of them: scatter of p and R against their sigmas.
 
-repeatability.py [--binary calibrate_bag] [--piece S] [--config FILE] GROUP ...
+repeatability.py [--binary calibrate_bag] [--piece S] [--weak] [--config FILE] GROUP ...
 
 GROUP: recordings of one mount with commas between. One row each: standard deviation between the recordings and mean sigma of p
 [mm] along the marker axes and of R [mrad] about the imu axes, and chi-square over degrees of freedom about the weighted mean,
-which is 1 where the sigmas are right. --piece 20: pieces of 20 s of every recording instead, one row a recording; pieces that
-are refused, in which the body hardly turns, are counted.
+which is 1 where the sigmas are right. --piece 20: pieces of 20 s of every recording instead, one row a recording. Results that are
+not `ok`, as of pieces in which the body hardly turns, are counted, not compared, as their sigmas are in doubt; --weak: compared, too.
 """
 import argparse
 import concurrent.futures
@@ -56,8 +56,8 @@ def compared(values, sigmas):
     return values.std(0, ddof=1), np.sqrt((sigmas**2).mean(0)), (((values - mean) / sigmas)**2).sum(0) / (len(values) - 1)
 
 
-def report(name, results):
-    usable = [result for result in results if result]
+def report(name, results, takes_weak):
+    usable = [result for result in results if result and (takes_weak or result['imu_pose_calib']['status'] == 'ok')]
     if len(usable) < 2:
         print('%-28s %d of %d usable' % (name, len(usable), len(results)))
         return
@@ -77,6 +77,7 @@ def main():
                                                          'devel', 'lib', 'imu_pose_calib', 'calibrate_bag'))
     parser.add_argument('--piece', type=float, default=0.0)
     parser.add_argument('--config')
+    parser.add_argument('--weak', action='store_true')
     line = parser.parse_args()
     config = ['--config', line.config] if line.config else []
     with concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -84,13 +85,13 @@ def main():
             recordings = group.split(',')
             if line.piece <= 0.0:
                 report(os.path.basename(recordings[0])[:28],
-                       list(pool.map(lambda r: calibrate(line.binary, r, config), recordings)))
+                       list(pool.map(lambda r: calibrate(line.binary, r, config), recordings)), line.weak)
                 continue
             for recording in recordings:
                 count = int(duration(line.binary, recording) / line.piece)
                 spans = [['--start', str(k * line.piece), '--duration', str(line.piece)] for k in range(count)]
                 report(os.path.basename(recording)[:28],
-                       list(pool.map(lambda span: calibrate(line.binary, recording, span + config), spans)))
+                       list(pool.map(lambda span: calibrate(line.binary, recording, span + config), spans)), line.weak)
 
 
 if __name__ == '__main__':

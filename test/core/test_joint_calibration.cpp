@@ -563,6 +563,36 @@ TEST(JointCalibration, HalvesAgreeUnlessTheImuIsMoved) {
   EXPECT_GT(result.imus[0].Std()[0], 0.4 * result.split_half.translation.x());
 }
 
+/// Both in the same order of sensors, the second one `later_s` after the beginning of the first.
+SessionData Joined(SessionData first, SessionData second, double later_s) {
+  const auto append = [later_s](auto samples, auto* all) {
+    for (auto& sample : samples) sample.t_ns += std::llround(1e9 * later_s);
+    all->insert(all->end(), samples.begin(), samples.end());
+  };
+  append(second.poses, &first.poses);
+  append(second.imus[0].gyro, &first.imus[0].gyro);
+  append(second.imus[0].accel, &first.imus[0].accel);
+  return first;
+}
+
+TEST(JointCalibration, HalvesAreOfTurnsNotOfTheRestBefore) {
+  SimulatorOptions truth = Recording(1e-3, 25);
+  truth.duration_s = 24.0;
+  SessionData data = Simulate(truth);
+  SimulatorOptions resting = truth;
+  resting.motion = Motion::kStatic;
+  truth.T_MI.p.x() += 0.006;
+  const SessionData moved = Simulate(truth);
+  for (size_t i = data.imus[0].accel.size() / 2; i < data.imus[0].accel.size(); ++i)
+    data.imus[0].accel[i] = moved.imus[0].accel[i];
+  CalibrationOptions options;
+  options.knot_spacing_s = 0.06;
+  const Calibration result = Calibrate(options, Joined(Simulate(resting), data, 26.0));
+  EXPECT_GT(result.split_half.sigmas, 5.0);
+  EXPECT_NEAR(result.split_half.translation.x(), 0.006, 0.002);
+  EXPECT_EQ(result.status, Status::kWeak);
+}
+
 /// Every second pose has ten times the noise of the others; `claim` states what it pleases.
 template <typename Claim>
 SessionData SimulateUneven(const SimulatorOptions& truth, Claim claim) {
