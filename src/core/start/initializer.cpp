@@ -22,6 +22,7 @@ constexpr double kFlipFactor = 25.0;       // its mean square residual over that
 constexpr double kMinAgreement = 0.6;      // of the log, on one rotation
 constexpr double kMinProposal = 0.3;       // of the log, for a rotation to be taken seriously
 constexpr double kUnitBound = 5.0;         // scale of the positions, either way
+constexpr double kLeastExplained = 0.3;    // by positions in another unit
 constexpr double kDelaySearch = 0.1;       // [s]
 constexpr double kDelayStep = 0.01;        // [s] at first
 constexpr double kDelayResolution = 1e-4;  // [s]
@@ -205,7 +206,7 @@ void CheckPositionUnit(const LeverArmEquations& equations) {
   const double scale = equations.PositionScale(&explained);
   if (scale > 1.0 / kUnitBound && scale < kUnitBound) return;
   // Accelerations that are mostly errors of the poses match nothing, in no unit.
-  if (!(explained >= kMinExplained)) return;
+  if (!(explained >= kLeastExplained)) return;
   const char* const advice =
       scale > 2e-4 && scale < 4e-3   ? "positions look like millimetres: set position_unit: 1.0e-3"
       : scale > 6e-3 && scale < 2e-2 ? "positions look like centimetres: set position_unit: 1.0e-2"
