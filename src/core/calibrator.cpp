@@ -17,6 +17,7 @@
 #include "imu_pose_calib/core/start/preparation.h"
 #include "imu_pose_calib/core/verdict/doubts.h"
 #include "imu_pose_calib/core/verdict/observability.h"
+#include "imu_pose_calib/core/verdict/session_agreement.h"
 
 namespace imu_pose_calib {
 namespace {

@@ -223,21 +223,7 @@ Windows::Windows(const CalibrationOptions& options, const std::vector<PreparedSe
     // Not by rounding: a last window of nothing.
     const double windows = (span.end - span.begin) / length_s_;
     span.count = std::max(1, static_cast<int>(std::ceil(windows - kRounding)));
-    std::vector<double> turned(static_cast<size_t>(span.count), 0.0);
-    for (size_t i = 0; i < estimate.sessions[s].imus.size(); ++i) {
-      const ImuSessionEstimate& imu = estimate.sessions[s].imus[i];
-      if (!imu.is_present) continue;
-      for (const TimedSample& sample : sessions[s].data.imus[i].gyro)
-        if (const double t = imu.PoseTime(sample.t); sessions[s].trajectory->Contains(t))
-          turned[static_cast<size_t>(Of(s, t) - span.first)] +=
-              (sample.value - sessions[s].starts[i].gyro_bias).squaredNorm();
-    }
-    const double all = std::accumulate(turned.begin(), turned.end(), 0.0);
-    double before = 0.0;
-    for (const double own : turned) {
-      places_.push_back({s, before + 0.5 * own < 0.5 * all ? 0u : 1u});
-      before += own;
-    }
+    sessions_.insert(sessions_.end(), static_cast<size_t>(span.count), s);
   }
 }
 

@@ -68,6 +68,34 @@ struct Functionals {
   Eigen::MatrixXd Spread(const Eigen::MatrixXd& C) const { return Propagate(basis, C); }
 };
 
+/// The half of its session that each window is in, 0 or 1: halves in which the IMUs turn as much
+/// (their squared rates), since a rest tells nothing that could contradict.
+std::vector<size_t> HalvesOfTurns(const LeastSquares& solved) {
+  const Windows& windows = solved.windows;
+  std::vector<double> turned(static_cast<size_t>(windows.count()), 0.0);
+  std::vector<double> all(solved.sessions.size(), 0.0), before = all;
+  for (size_t s = 0; s < solved.sessions.size(); ++s) {
+    const PreparedSession& session = solved.sessions[s];
+    for (size_t i = 0; i < session.data.imus.size(); ++i) {
+      for (const TimedSample& sample : session.data.imus[i].gyro) {
+        const double t = solved.estimate->sessions[s].imus[i].PoseTime(sample.t);
+        if (!session.trajectory->Contains(t)) continue;
+        const double own = (sample.value - session.starts[i].gyro_bias).squaredNorm();
+        turned[static_cast<size_t>(windows.Of(s, t))] += own;
+        all[s] += own;
+      }
+    }
+  }
+  std::vector<size_t> halves;
+  for (int w = 0; w < windows.count(); ++w) {
+    const size_t s = windows.SessionOf(w);
+    const double own = turned[static_cast<size_t>(w)];
+    halves.push_back(before[s] + 0.5 * own < 0.5 * all[s] ? 0 : 1);
+    before[s] += own;
+  }
+  return halves;
+}
+
 /// H and scores of the whole problem and of parts of it, when all but the border is eliminated.
 /// Right-hand sides: scores of the clusters, which are the windows, functionals, exact columns of
 /// the clocks.
@@ -143,10 +171,10 @@ ReducedProblem::ReducedProblem(const Ordering& order, const Functionals& functio
                         AddMeans(static_cast<int>(w), &own);
                         return own;
                       });
+  const std::vector<size_t> halves = HalvesOfTurns(solved);
   for (int w = 0; w < windows_; ++w) {
-    const Windows::Place at = solved.windows.PlaceOf(w);
-    halves_[at.half].windows.push_back(w);
-    sessions_[at.session].windows.push_back(w);
+    halves_[halves[static_cast<size_t>(w)]].windows.push_back(w);
+    sessions_[solved.windows.SessionOf(w)].windows.push_back(w);
   }
   for (std::vector<Part>* parts : {&halves_, &sessions_}) {
     for (Part& part : *parts) {

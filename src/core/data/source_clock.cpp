@@ -34,8 +34,8 @@ constexpr int kRounds = 15, kCounts = 2;
 constexpr double kMaxQuantileStd = 0.7, kSharpest = 0.02;
 
 /// Frames that miss: so rarely that a period is so many sigma of the mean latency between. Where
-/// they are said to miss, the latency of so many samples on either side is the same, within a part
-/// of a period and so many sigma.
+/// they are said to miss, the latency of so many samples on either side is the same, within so many
+/// sigma.
 constexpr double kJumpSigmas = 4.0;
 constexpr size_t kNear = 5;
 constexpr double kMaxDropSigmas = 2.0;

@@ -1,3 +1,5 @@
+#include "imu_pose_calib/core/verdict/session_agreement.h"
+
 #include <algorithm>
 #include <cmath>
 #include <optional>
@@ -6,7 +8,6 @@
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/base/text.h"
 #include "imu_pose_calib/core/verdict/comparison.h"
-#include "imu_pose_calib/core/verdict/doubts.h"
 
 namespace imu_pose_calib {
 namespace {

@@ -256,7 +256,8 @@ LowerTimesRotation SplitLower(const Eigen::Matrix3d& M) {
   return split;
 }
 
-/// The shortest turn to x_W from x_G, whose z is up.
+/// The shortest turn to x_W from x_G, whose z is up. Eigen's FromTwoVectors() takes seconds to
+/// compile.
 Eigen::Quaterniond FromUpright(const Eigen::Vector3d& g_W) {
   const Eigen::Vector3d up_W = -g_W.normalized();
   const double twice_cos = std::sqrt(2.0 * (1.0 + up_W.z()));  // of half the angle

@@ -109,13 +109,10 @@ class Windows {
   Windows(const CalibrationOptions& options, const std::vector<PreparedSession>& sessions,
           const Estimate& estimate);
 
-  int count() const { return static_cast<int>(places_.size()); }
+  int count() const { return static_cast<int>(sessions_.size()); }
   /// Window of an instant t [s, pose clock].
   int Of(size_t session, double t) const;
-  struct Place {
-    size_t session, half;  ///< half: of the turns of the session (its squared rates), 0 or 1
-  };
-  const Place& PlaceOf(int window) const { return places_[static_cast<size_t>(window)]; }
+  size_t SessionOf(int window) const { return sessions_[static_cast<size_t>(window)]; }
   int Count(size_t session) const { return spans_[session].count; }
 
  private:
@@ -124,7 +121,7 @@ class Windows {
     int first = 0, count = 0;
   };
   std::vector<Span> spans_;
-  std::vector<Place> places_;
+  std::vector<size_t> sessions_;  ///< of each window
   double length_s_;
 };
 

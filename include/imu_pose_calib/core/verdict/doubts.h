@@ -12,20 +12,11 @@ namespace imu_pose_calib {
 /// the recording shows more scatter than its residuals do.
 Marginals CoverHalves(Marginals marginals);
 
-/// Compares what each session says alone with the common estimate, which `result` holds: fills
-/// `own` and `agreement` of the sessions (doc/math.md, S5, "Sessions"). Where they scatter more
-/// than their sigmas say, the robust covariance of what is returned is larger by as much.
-Marginals CompareSessions(Marginals marginals, Calibration* result);
-
 /// Makes a graded result `weak`, and says why, where what the solve found cannot be right though
 /// every sigma is small: motion in a moment only, halves that disagree, poses that are ignored, a
 /// source of poses as there is none, motion that method gp has lost, a solve that has not settled
 /// (doc/math.md, "Doubts").
 void DoubtResult(const std::vector<PreparedSession>& sessions, bool has_settled,
                  Calibration* result);
-
-/// After that: sessions that disagree make an `ok` result `weak`, and the message names the one
-/// that stands out.
-void TestSessionAgreement(Calibration* result);
 
 }  // namespace imu_pose_calib
