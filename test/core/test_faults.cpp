@@ -317,7 +317,7 @@ const Refused kRefused[] = {
      {"agree only when the poses are inverted", "w, x, y, z, let it write x, y, z, w"}},
     {"AFlippingMarker",
      [](SessionData* d) {
-       for (const double t : {3.0, 8.0, 14.0}) SwapLabels(t, t + 3.0, Turn(90.0, {0, 0, 1}), d);
+       for (const double t : {3.0, 8.0, 14.0}) SwapLabels(t, t + 3.5, Turn(90.0, {0, 0, 1}), d);
      },
      {"the marker's frame flips", "bound: 60 %", "less symmetrically"}},
     {"ASaturatedGyroscope",

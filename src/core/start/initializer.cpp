@@ -19,8 +19,8 @@ namespace {
 /// Unexplained share of the motion of a flipped segment; of another reading over the one as given.
 constexpr double kFlipped = 0.25;
 constexpr double kFlipFactor = 25.0;       // its mean square residual over that of the others
-constexpr double kMinAgreement = 0.6;      // of the log, on one rotation
-constexpr double kMinProposal = 0.3;       // of the log, for a rotation to be taken seriously
+constexpr double kMinAgreement = 0.6;      // of the motion, on one rotation
+constexpr double kMinProposal = 0.3;       // of the motion, for a rotation to be taken seriously
 constexpr double kUnitBound = 5.0;         // scale of the positions, either way
 constexpr double kLeastExplained = 0.3;    // by positions in another unit
 constexpr double kDelaySearch = 0.1;       // [s]
@@ -82,15 +82,15 @@ using SegmentRates = std::vector<RatePair>;
 /// Which segments turn as the gyroscope does under one alignment.
 struct RotationAgreement {
   std::vector<bool> flipped;  ///< per segment
-  double agreeing = 0.0;      ///< share of the gyro samples on the others
-  double explained = 0.0;     ///< share of the gyro's variance on them
+  double agreeing = 0.0;      ///< share of the gyroscope's squared rate on the others
+  double explained = 0.0;     ///< share of that on them
   double cost = std::numeric_limits<double>::infinity();
 };
 
 RotationAgreement Judge(const std::vector<SegmentRates>& segments, const RateAlignment& alignment) {
   RotationAgreement result;
   result.cost = 0.0;
-  double unexplained = 0.0, total = 1e-12, agreeing = 0.0, count = 1e-12;
+  double unexplained = 0.0, total = 1e-12, agreeing = 1e-12, count = 0.0;
   std::vector<double> residuals;
   for (const SegmentRates& pairs : segments) {
     double residual = 0.0, motion = 0.0;
@@ -98,20 +98,19 @@ RotationAgreement Judge(const std::vector<SegmentRates>& segments, const RateAli
       residual += alignment.Residual(pair).squaredNorm();
       motion += (pair.gyro_I - alignment.gyro_bias).squaredNorm();
     }
-    const auto n = static_cast<double>(pairs.size());
-    count += n;
+    total += motion;
     result.cost += std::min(residual, kFlipped * motion);
     result.flipped.push_back(residual > kFlipped * motion);
     residuals.push_back(residual);
     if (result.flipped.back()) continue;
-    agreeing += n;
+    agreeing += motion;
     unexplained += residual;
-    total += motion;
+    count += static_cast<double>(pairs.size());
   }
-  result.agreeing = agreeing / count;
-  result.explained = 1.0 - unexplained / total;
+  result.agreeing = agreeing / total;
+  result.explained = 1.0 - unexplained / agreeing;
   // Where the marker hardly turns, noise is all there is: nothing can be said.
-  const double usual = unexplained / std::max(agreeing, 1.0);
+  const double usual = unexplained / std::max(count, 1.0);
   for (size_t k = 0; k < segments.size(); ++k)
     if (residuals[k] < kFlipFactor * usual * static_cast<double>(segments[k].size()))
       result.flipped[k] = false;
@@ -237,7 +236,7 @@ void RemoveFlippedSegments(const CalibrationOptions& options, PoseTrajectory* tr
   if (best.agreeing < kMinAgreement)
     Throw<DataError>(
         std::setprecision(2), "pose: the marker's frame flips: only ", 100.0 * best.agreeing,
-        " % of the recording turn as the gyroscope does with one rotation R_MI (bound: ",
+        " % of the motion turns as the gyroscope does with one rotation R_MI (bound: ",
         100.0 * kMinAgreement, " %); place the markers less symmetrically and record again");
   if (std::find(best.flipped.begin(), best.flipped.end(), true) == best.flipped.end()) return;
   const std::vector<TimedPose> poses = std::exchange(data->poses, {});
