@@ -1,5 +1,5 @@
-// Any bytes are a bag of ROS 2, or one of ROS 1 without an index, whose messages can be read or are
-// no such messages, or an InputError.
+// Any bytes are a bag of ROS 2 or of ROS 1, whose messages can be read or are no such messages, or
+// an InputError.
 
 #include <tf2_msgs/TFMessage.h>
 #include <unistd.h>
@@ -22,11 +22,20 @@ void Try(Read read) {
   }
 }
 
+template <typename Msg>
+void ReadAs(std::string_view data) {
+  for (const bool is_cdr : {false, true})
+    Try([&] {
+      Msg msg;
+      MessageInput(data, is_cdr).next(msg);
+    });
+}
+
 void ReadMessage(std::string_view data) {
   const std::string topic = "/x";
-  Try([&] { FromCdr<sensor_msgs::Imu>(data); });
-  Try([&] { FromCdr<nav_msgs::Odometry>(data); });
-  Try([&] { FromCdr<tf2_msgs::TFMessage>(data); });
+  ReadAs<sensor_msgs::Imu>(data);
+  ReadAs<nav_msgs::Odometry>(data);
+  ReadAs<tf2_msgs::TFMessage>(data);
   for (const std::string type :
        {"mocap4r2_msgs/RigidBodies", "motion_capture_tracking_interfaces/NamedPoseArray"})
     Try([&] { ReadBodies(BagMessage{topic, type, ros::Time(1), data}); });
@@ -47,7 +56,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   std::ofstream(BagPath(), std::ios::binary) << bytes;
   Try([&] {
     const bool is_ros1 = size > 0 && data[0] == '#';
-    const auto file = is_ros1 ? ScanRos1(BagPath(), "x") : OpenRos2(BagPath());
+    const auto file = is_ros1 ? OpenRos1(BagPath()) : OpenRos2(BagPath());
     for (const BagFile::Entry& entry : file->entries())
       Try([&] { ReadMessage(file->Read(entry)); });
   });

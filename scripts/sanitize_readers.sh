@@ -10,7 +10,7 @@ set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
 
 READER_TESTS=(
-  test_bag_damage test_bag_reader test_bag_topics test_cdr test_child_process test_conversions test_imu_yaml test_mocap_csv test_point_cloud test_printable
+  test_bag_damage test_bag_reader test_bag_topics test_cdr test_conversions test_imu_yaml test_mocap_csv test_point_cloud test_printable
   test_result_yaml test_ros2_damage test_ros_options test_text_reader test_text_table test_tf_chain
 )
 READERS_BUILD=$WORKSPACE/readers_sanitized
@@ -26,14 +26,11 @@ build_readers_sanitized() {
   cmake --build "$READERS_BUILD" --parallel "$(parallel_jobs)" --target "$@"
 }
 
-# Reports go to files, since the child that reads a bag has no output; where rosbag crashes there (handle_*), that is
-# contained as without sanitizers and no report.
 run_readers_sanitized() {
   local test failed=0
   rm -rf "$REPORTS"
   mkdir -p "$REPORTS"
-  export ASAN_OPTIONS="log_path='$REPORTS/report':suppressions='$REPO/test/asan.supp'"
-  ASAN_OPTIONS+=:handle_segv=0:handle_sigbus=0:handle_sigfpe=0:handle_abort=0
+  export ASAN_OPTIONS="log_path='$REPORTS/report'"
   export UBSAN_OPTIONS="log_path='$REPORTS/report':halt_on_error=1:print_stacktrace=1"
   for test in "$@"; do
     "$READERS_BUILD/devel/lib/imu_pose_calib/$test" || failed=1

@@ -235,7 +235,7 @@ const std::vector<BadInput> kFiles = {
      Edit([](std::string* text) { text->replace(0, 13, "#ROSBAG V9.9\n"); }),
      "x.bag",
      1,
-     {"bag 'x.bag' is of version 9.9, must be 1.2 or 2.0"}},
+     {"bag 'x.bag' is of version 9.9, must be 2.0"}},
     {"BagWithoutMessages", Bag([](rosbag::Bag*) {}), "x.bag", 1, {"bag 'x.bag' holds no messages"}},
 };
 

@@ -115,7 +115,7 @@ TEST(CalibrateNode, FailsWithTheStatusOfCalibrateBag) {
   ExpectFailure(RunNode("degenerate", "_bag:='" + Directory() + "/static.bag'"), 2, "turn");
 }
 
-/// Bags are read in a fork, which the threads of ROS must not be in the way of.
+/// With nothing to offer yet, an interrupt ends it at once.
 TEST(CalibrateNode, ReadsBeforeItJoinsTheGraph) {
   const std::string pipe = Directory() + "/poses.pipe";
   std::filesystem::remove(pipe);

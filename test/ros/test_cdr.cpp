@@ -11,6 +11,15 @@
 namespace imu_pose_calib {
 namespace {
 
+template <typename Msg>
+Msg FromCdr(std::string_view message) {
+  MessageInput input(message, /*is_cdr=*/true);
+  Msg msg;
+  input.next(msg);
+  input.Finish();
+  return msg;
+}
+
 /// Fields in the order in which they are given; CDR is the same in both orders of bytes.
 class Bytes {
  public:
@@ -211,6 +220,34 @@ TEST(CdrEncodingTest, WritesTheLayout) {
   EXPECT_EQ(FromCdr<geometry_msgs::TransformStamped>(expected), msg);
   msg.header.stamp.sec = 0x80000000u;
   ExpectError<InputError>([&] { ToCdr(msg); }, {"2147483648 s", "at most 2147483647 s"});
+}
+
+/// Encoded by ROS itself.
+TEST(Ros1, MessagesAreReadWhole) {
+  tf2_msgs::TFMessage msg;
+  msg.transforms.resize(2);
+  msg.transforms[1].header.seq = 7;
+  msg.transforms[1].header.stamp = ros::Time(4'000'000'000, 5);  // beyond those of ROS 2
+  msg.transforms[1].header.frame_id = "world";
+  msg.transforms[1].child_frame_id = "marker";
+  msg.transforms[1].transform.rotation.w = 0.5;
+  std::string text(ros::serialization::serializationLength(msg), '\0');
+  ros::serialization::OStream stream(reinterpret_cast<uint8_t*>(text.data()),
+                                     static_cast<uint32_t>(text.size()));
+  ros::serialization::serialize(stream, msg);
+  const auto read = [](const std::string& bytes) {
+    MessageInput input(bytes, /*is_cdr=*/false);
+    tf2_msgs::TFMessage found;
+    input.next(found);
+    input.Finish();
+    return found;
+  };
+  EXPECT_EQ(read(text), msg);
+  for (size_t size = 0; size < text.size(); ++size)
+    EXPECT_THROW(read(text.substr(0, size)), InputError) << size;
+  EXPECT_THROW(read(text + "x"), InputError);
+  text.replace(0, 4, "\xff\xff\xff\x7f");
+  ExpectError<InputError>([&] { read(text); }, {"a length in it is 2147483647, but only"});
 }
 
 }  // namespace

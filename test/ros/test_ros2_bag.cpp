@@ -23,9 +23,32 @@ Recording Read(const std::string& path, const std::string& body = "") {
 }
 
 /// All that a recording holds but its path, to the last bit.
-std::string Bits(Recording recording) {
-  recording.info.bag.clear();
-  return ToBytes(recording);
+std::string Bits(const Recording& recording) {
+  std::ostringstream text;
+  text << std::hexfloat;
+  const auto put_latency = [&](const std::optional<Latency>& latency) {
+    if (latency) text << latency->median_s << " " << latency->spread_s << "\n";
+  };
+  const auto put_poses = [&](const std::vector<PoseSample>& poses) {
+    for (const PoseSample& pose : poses)
+      text << pose.t_ns << " " << pose.q_WM.coeffs() << pose.p_WM << pose.stated_std.position << " "
+           << pose.stated_std.rotation << "\n";
+  };
+  const RecordingInfo& info = recording.info;
+  text << info.pose_topic << "|" << info.world_frame << "|" << info.marker_frame << "|"
+       << info.notes.size() << "|" << info.imus.size() << "|" << info.pose_sensors.size() << "\n";
+  for (const ImuInfo& imu : info.imus) {
+    text << imu.GyroSource() << "|" << imu.AccelSource() << "|" << imu.imu_frame << "\n";
+    put_latency(imu.gyro_latency);
+    put_latency(imu.accel_latency);
+  }
+  put_latency(info.pose_latency);
+  put_poses(recording.data.poses);
+  for (const auto& poses : recording.data.pose_sensors) put_poses(poses);
+  for (const ImuData& imu : recording.data.imus)
+    for (const auto* samples : {&imu.gyro, &imu.accel})
+      for (const ImuSample& sample : *samples) text << sample.t_ns << " " << sample.value << "\n";
+  return text.str();
 }
 
 /// The sample of that stamp, which must be there.

@@ -1,13 +1,8 @@
 #include "imu_pose_calib/ros/clouds/aggregate.h"
 
 #include <algorithm>
-#include <cereal/archives/binary.hpp>
-#include <cereal/types/array.hpp>
-#include <cereal/types/string.hpp>
-#include <cereal/types/vector.hpp>
 #include <filesystem>
 #include <limits>
-#include <sstream>
 #include <utility>
 
 #include "imu_pose_calib/core/data/stamp_recovery.h"
@@ -17,12 +12,6 @@
 #include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
-
-/// What a child process hands over.
-template <typename Archive>
-void serialize(Archive& archive, AggregateOutcome& o) {  // NOLINT(readability-identifier-naming)
-  archive(o.text, o.map, o.uncalibrated, o.has_intensity);
-}
 
 namespace {
 
@@ -72,7 +61,7 @@ AggregateRequest Checked(AggregateRequest request) {
   return request;
 }
 
-// --- Clouds, read in a child process ---
+// --- Clouds ---
 
 /// The topic of the clouds.
 BagTopic ChooseClouds(const Bags& bags, const std::string& name) {
@@ -282,26 +271,11 @@ class Aggregator {
   std::vector<Variant> variants_;
 };
 
-/// In a child process.
-AggregateOutcome Aggregate(const AggregateRequest& request,
-                           const std::vector<SensorPoses>& variants, const SessionData& data) {
-  std::stringstream stream(ReadApart(request.recording.bag.paths, [&] {
-    std::ostringstream bytes;
-    const Clouds clouds(request);
-    cereal::BinaryOutputArchive{bytes}(Aggregator(request, variants, clouds).Finish(data));
-    return std::move(bytes).str();
-  }));
-  AggregateOutcome outcome;
-  cereal::BinaryInputArchive{stream}(outcome);
-  return outcome;
-}
-
 }  // namespace
 
 AggregateOutcome AggregateClouds(const AggregateRequest& given, const Progress& progress) {
   const AggregateRequest request = Checked(given);
-  // Before it takes long:
-  ReadApart(request.recording.bag.paths, [&] { return Clouds(request).topic.name; });
+  const Clouds clouds(request);  // before it takes long
   {
     OutputFiles tried;
     tried.Plan("output", request.output);
@@ -310,7 +284,7 @@ AggregateOutcome AggregateClouds(const AggregateRequest& given, const Progress& 
   OfflineResult offline = CalibrateOffline(request.recording, progress);
   const std::vector<SensorPoses> variants = PosesWithAndWithout(request.sensor, offline);
   if (progress) progress("clouds", std::nullopt);
-  AggregateOutcome outcome = Aggregate(request, variants, offline.sessions[0]);
+  AggregateOutcome outcome = Aggregator(request, variants, clouds).Finish(offline.sessions[0]);
   if (progress) progress("clouds", 0);
   if (outcome.map.empty()) throw DataError(outcome.text);
 

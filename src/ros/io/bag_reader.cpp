@@ -3,19 +3,16 @@
 #include <algorithm>
 #include <boost/algorithm/string/join.hpp>
 #include <cmath>
-#include <filesystem>
 #include <functional>
 #include <memory>
 #include <optional>
 #include <set>
-#include <sstream>
 #include <tuple>
 #include <utility>
 #include <vector>
 
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/ros/io/bags.h"
-#include "imu_pose_calib/ros/io/child_process.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/tf_chain.h"
@@ -447,75 +444,45 @@ struct BagSpan {
   }
 };
 
-// --- Apart ---
-
-/// Names the bags and what to run, for damage that the reader does not pin down.
-[[noreturn]] void FailDamaged(const std::vector<std::string>& paths, const std::string& reason) {
-  std::string reindex;
-  for (const std::string& path : paths)
-    if (!IsRos2Bag(path)) reindex += " " + path;
-  throw InputError(Printable("bag '" + FileNames(paths) + "' is damaged (" + reason + ")" +
-                             (reindex.empty() ? "" : "; run: rosbag reindex" + reindex)));
+/// What `read` returns, with printable errors.
+template <typename Read>
+auto Printably(const std::vector<std::string>& paths, Read read) {
+  try {
+    return read();
+  } catch (const InputError& error) {  // with names of topics, types and frames as in the bag
+    throw InputError(Printable(error.what()));
+  } catch (const std::runtime_error& error) {  // times out of range, in tf2
+    throw InputError(Printable("bag '" + FileNames(paths) + "' is damaged (" + error.what() + ")"));
+  }
 }
 
 }  // namespace
 
-std::string ReadApart(const std::vector<std::string>& paths,
-                      const std::function<std::string()>& read) {
-  uint64_t bytes = 0;
-  std::error_code ignored;
-  for (const std::string& path : paths)
-    for (const std::string& file : FilesOfBag(path))
-      if (std::filesystem::is_regular_file(file, ignored))
-        bytes += std::filesystem::file_size(file);
-  const auto run = [&] {
-    setenv("ROS_CACHE_TIMEOUT", "-1", 0);  // no search of all packages for plugins of rosbag
-    try {
-      return read();
-    } catch (const InputError& error) {  // with names of topics, types and frames as in the bag
-      throw InputError(Printable(error.what()));
-    } catch (const std::runtime_error& error) {  // rosbag, deserialisation, times out of range
-      FailDamaged(paths, error.what());
-    }
-  };
-  // Far above what any bag of this size needs, the time also when it comes over a slow network.
-  auto answer =
-      RunApart(run, {10 + bytes / 1'000'000, 120 + bytes / 100'000, 4'000'000'000 + 8 * bytes});
-  if (!answer) FailDamaged(paths, "it cannot be read within bounds of time and memory");
-  return *std::move(answer);
-}
-
 Recording ReadBag(const BagRequest& request) {
-  return FromBytes(ReadApart(request.paths, [&] { return ToBytes(Read(request)); }));
+  return Printably(request.paths, [&] { return Read(request); });
 }
 
 std::vector<std::vector<std::string>> GroupBags(const std::vector<std::string>& paths) {
   if (paths.size() < 2) return {paths};
   CheckBagsExist(paths);
-  // Of each bag the number of its recording.
-  std::istringstream numbers(ReadApart(paths, [&paths] {
-    std::vector<BagSpan> spans;
-    std::vector<size_t> group;
-    std::ostringstream text;
+  return Printably(paths, [&] {
+    std::vector<std::vector<std::string>> recordings;
+    std::vector<std::vector<BagSpan>> spans;  // of each recording
     for (const std::string& path : paths) {
       const BagSpan span(path);
-      size_t own = spans.size();
-      for (size_t k = 0; k < spans.size(); ++k)
-        if (span.Continues(spans[k])) own = std::min(own, group[k]);
-      spans.push_back(span);
-      group.push_back(own);
-      text << own << " ";
+      const auto is_its = [&span](const std::vector<BagSpan>& others) {
+        return std::any_of(others.begin(), others.end(),
+                           [&](const BagSpan& other) { return span.Continues(other); });
+      };
+      const auto place =
+          static_cast<size_t>(std::find_if(spans.begin(), spans.end(), is_its) - spans.begin());
+      spans.resize(std::max(spans.size(), place + 1));
+      recordings.resize(spans.size());
+      spans[place].push_back(span);
+      recordings[place].push_back(path);
     }
-    return text.str();
-  }));
-  std::vector<std::vector<std::string>> recordings(paths.size());
-  size_t number = 0;
-  for (const std::string& path : paths)
-    if (numbers >> number) recordings[number].push_back(path);
-  const auto is_empty = [](const std::vector<std::string>& bags) { return bags.empty(); };
-  recordings.erase(std::remove_if(recordings.begin(), recordings.end(), is_empty),
-                   recordings.end());
-  return recordings;
+    return recordings;
+  });
 }
 
 }  // namespace imu_pose_calib

@@ -16,14 +16,14 @@ constexpr char kRigidBodies[] = "mocap4r2_msgs/RigidBodies";
 constexpr char kNamedPoses[] = "motion_capture_tracking_interfaces/NamedPoseArray";
 
 template <typename T>
-T Next(CdrInput* input) {
+T Next(MessageInput* input) {
   T value;
   input->next(value);
   return value;
 }
 
 /// Reads over the markers of a body.
-void SkipMarkers(CdrInput* input) {
+void SkipMarkers(MessageInput* input) {
   const uint32_t markers = input->Count();
   for (uint32_t k = 0; k < markers; ++k) {
     Next<int8_t>(input);   // kind of the number
@@ -37,10 +37,17 @@ std::string InSeconds(double value) { return Format("%g s", value); }
 
 }  // namespace
 
-void BagMessage::Decode(const std::function<void(std::string_view)>& decode) const {
-  if (md5sum) return;
+void BagMessage::Read(const std::function<void(MessageInput*)>& read) const {
+  Named([&] {
+    MessageInput input(data, /*is_cdr=*/md5sum == nullptr);
+    read(&input);
+    input.Finish();
+  });
+}
+
+void BagMessage::Named(const std::function<void()>& run) const {
   try {
-    decode(data);
+    run();
   } catch (const InputError& error) {
     throw InputError("topic '" + topic + "', message recorded at " +
                      std::to_string(ToNanoseconds(time)) + " ns is no " + type + ": " +
@@ -55,18 +62,17 @@ bool BagTopic::IsBodies() const { return type == kRigidBodies || type == kNamedP
 std::vector<FramedPose> ReadBodies(const BagMessage& message) {
   const bool has_markers = message.type == kRigidBodies;
   std::vector<FramedPose> bodies;
-  message.Decode([&](std::string_view data) {
-    CdrInput input(data);
-    const auto header = Next<std_msgs::Header>(&input);
-    if (has_markers) Next<uint32_t>(&input);  // frame
-    const uint32_t count = input.Count();
+  if (message.md5sum) return bodies;  // there are none of ROS 1
+  message.Read([&](MessageInput* input) {
+    const auto header = Next<std_msgs::Header>(input);
+    if (has_markers) Next<uint32_t>(input);  // frame
+    const uint32_t count = input->Count();
     for (uint32_t k = 0; k < count; ++k) {
-      const auto name = Next<std::string>(&input);
-      if (has_markers) SkipMarkers(&input);
-      const auto pose = Next<geometry_msgs::Pose>(&input);
+      const auto name = Next<std::string>(input);
+      if (has_markers) SkipMarkers(input);
+      const auto pose = Next<geometry_msgs::Pose>(input);
       bodies.push_back({ToPoseSample(header.stamp, pose), header.frame_id, name});
     }
-    input.Finish();
   });
   return bodies;
 }
@@ -161,8 +167,7 @@ void Bags::ForEach(const std::set<std::string>& topics,
     BagMessage message{topic.name, topic.type, FromNanoseconds(place->entry.t_ns),
                        place->file->Read(place->entry), topic.md5sum ? &*topic.md5sum : nullptr};
     if (!message.md5sum && IsZstd(message.data)) {  // CDR begins with 0
-      message.Decode(
-          [&](std::string_view data) { unfolded = DecompressZstd(data, kMaxBlockSize); });
+      message.Named([&] { unfolded = DecompressZstd(message.data, kMaxBlockSize); });
       message.data = unfolded;
     }
     if (!use(message)) return;

@@ -11,7 +11,9 @@ constexpr size_t kHeaderSize = 4;
 
 }  // namespace
 
-CdrInput::CdrInput(std::string_view message) {
+MessageInput::MessageInput(std::string_view message, bool is_cdr)
+    : fields_(message), is_cdr_(is_cdr) {
+  if (!is_cdr) return;
   if (message.size() < kHeaderSize)
     throw InputError("it has " + std::to_string(message.size()) + " bytes, too few for CDR");
   const auto kind = static_cast<unsigned char>(message[1]);
@@ -22,26 +24,29 @@ CdrInput::CdrInput(std::string_view message) {
                             is_xcdr2 ? " (XCDR2)" : ""));
   }
   is_swapped_ = kind == 0;  // big endian
-  fields_ = message.substr(kHeaderSize);
+  fields_.remove_prefix(kHeaderSize);
 }
 
-void CdrInput::next(std::string& text) {
+void MessageInput::next(std::string& text) {
   const uint32_t size = Count();
   const char* from = Take(1, size);
+  if (!is_cdr_) {
+    text.assign(from, size);
+    return;
+  }
   if (size > 0 && from[size - 1] != '\0') throw InputError("a text in it does not end with 0");
   text.assign(from, size > 0 ? size - 1 : 0);  // an empty one is written without the 0 by some
 }
 
-void CdrInput::next(ros::Time& stamp) {
-  int32_t seconds = 0;
-  next(seconds);
+void MessageInput::next(ros::Time& stamp) {
+  next(stamp.sec);
   next(stamp.nsec);
-  if (seconds < 0)
+  const auto seconds = static_cast<int32_t>(stamp.sec);  // as ROS 2 has them
+  if (is_cdr_ && seconds < 0)
     throw InputError("a stamp in it is " + std::to_string(seconds) + " s, must not be negative");
-  stamp.sec = static_cast<uint32_t>(seconds);
 }
 
-uint32_t CdrInput::Count(size_t least) {
+uint32_t MessageInput::Count(size_t least) {
   uint32_t count = 0;
   next(count);
   const size_t left = fields_.size() - at_;
@@ -51,15 +56,17 @@ uint32_t CdrInput::Count(size_t least) {
   return count;
 }
 
-void CdrInput::Finish() const {
+void MessageInput::Finish() const {
   const size_t left = fields_.size() - at_;
-  if (left > 3) throw InputError(std::to_string(left) + " bytes of it are left over");
+  if (left > (is_cdr_ ? 3 : 0))
+    throw InputError(std::to_string(left) + " bytes of it are left over");
 }
 
-const char* CdrInput::Take(size_t alignment, size_t size) {
-  const size_t begin = (at_ + alignment - 1) / alignment * alignment;
+const char* MessageInput::Take(size_t alignment, size_t size) {
+  const size_t begin = is_cdr_ ? (at_ + alignment - 1) / alignment * alignment : at_;
   if (begin > fields_.size() || fields_.size() - begin < size)
-    throw InputError("its " + std::to_string(kHeaderSize + fields_.size()) + " bytes are too few");
+    throw InputError("its " + std::to_string((is_cdr_ ? kHeaderSize : 0) + fields_.size()) +
+                     " bytes are too few");
   at_ = begin + size;
   return fields_.data() + begin;
 }

@@ -2,10 +2,6 @@
 
 #include <boost/algorithm/string/predicate.hpp>
 #include <boost/algorithm/string/replace.hpp>
-#include <cereal/archives/binary.hpp>
-#include <cereal/types/optional.hpp>
-#include <cereal/types/string.hpp>
-#include <cereal/types/vector.hpp>
 #include <filesystem>
 #include <iterator>
 #include <map>
@@ -15,61 +11,6 @@
 #include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
-
-// Cereal prescribes the name of serialize().
-// NOLINTBEGIN(readability-identifier-naming)
-
-template <typename Archive>
-void serialize(Archive& archive, PoseStd& std_dev) {
-  archive(std_dev.position, std_dev.rotation);
-}
-
-template <typename Archive>
-void serialize(Archive& archive, PoseSample& pose) {
-  archive(pose.t_ns, cereal::binary_data(pose.q_WM.coeffs().data(), 4 * sizeof(double)),
-          cereal::binary_data(pose.p_WM.data(), 3 * sizeof(double)), pose.stated_std);
-}
-
-/// As they are in memory: both ends are of one program.
-template <typename Archive>
-void Transfer(Archive& archive, std::vector<ImuSample>& samples) {
-  static_assert(sizeof(ImuSample) == 4 * sizeof(double), "nothing between the fields");
-  size_t count = samples.size();
-  archive(count);
-  samples.resize(count);
-  archive(cereal::binary_data(samples.data(), count * sizeof(ImuSample)));
-}
-
-template <typename Archive>
-void serialize(Archive& archive, ImuData& imu) {
-  Transfer(archive, imu.gyro);
-  Transfer(archive, imu.accel);
-}
-
-template <typename Archive>
-void serialize(Archive& archive, Latency& latency) {
-  archive(latency.median_s, latency.spread_s);
-}
-
-template <typename Archive>
-void serialize(Archive& archive, ImuInfo& imu) {
-  archive(imu.imu_topic, imu.gyro_topic, imu.accel_topic, imu.imu_frame, imu.gyro_latency,
-          imu.accel_latency);
-}
-
-template <typename Archive>
-void serialize(Archive& archive, PoseSensorInfo& sensor) {
-  archive(sensor.topic, sensor.frame, sensor.world_frame);
-}
-
-template <typename Archive>
-void serialize(Archive& archive, Recording& recording) {
-  RecordingInfo& info = recording.info;
-  archive(info.bag, info.imus, info.pose_topic, info.world_frame, info.marker_frame, info.imu_yaml);
-  archive(info.notes, info.stated_pose_std, info.pose_latency, info.pose_sensors);
-  archive(recording.data.poses, recording.data.imus, recording.data.pose_sensors);
-}
-// NOLINTEND(readability-identifier-naming)
 
 bool IsPair(const Given& one, const Given& first, const Given& second) {
   if (first.value.empty() && second.value.empty()) return false;
@@ -173,21 +114,6 @@ RecordingInfo WithPrintableNames(RecordingInfo info) {
     names.insert(names.end(), {&sensor.topic, &sensor.frame, &sensor.world_frame});
   for (std::string* name : names) *name = Printable(*name);
   return info;
-}
-
-std::string ToBytes(const Recording& recording) {
-  std::ostringstream stream;
-  cereal::BinaryOutputArchive archive(stream);
-  archive(recording);
-  return std::move(stream).str();
-}
-
-Recording FromBytes(const std::string& bytes) {
-  std::istringstream stream(bytes);
-  cereal::BinaryInputArchive archive(stream);
-  Recording recording;
-  archive(recording);
-  return recording;
 }
 
 }  // namespace imu_pose_calib

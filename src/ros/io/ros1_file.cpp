@@ -1,71 +1,20 @@
-#include <rosbag/bag.h>
-#include <rosbag/view.h>
+// The format: http://wiki.ros.org/Bags/Format/2.0. All numbers are little endian.
 
-#include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
 #include <map>
-#include <vector>
 
-#include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/record_file.h"
 
 namespace imu_pose_calib {
 namespace {
 
-void CheckVersion(const std::string& path) {
-  if (!std::filesystem::is_regular_file(path)) throw InputError("bag '" + path + "' is not a file");
-  std::ifstream file(path, std::ios::binary);
-  if (!file) throw InputError("bag '" + path + "' cannot be read: " + std::strerror(errno));
-
-  const std::string magic = "#ROSBAG V";
-  std::string header(magic.size() + 3, '\0');
-  file.read(header.data(), static_cast<std::streamsize>(header.size()));
-  if (header.compare(0, magic.size(), magic) != 0)
-    throw InputError("'" + path + "' is not a ROS 1 bag, nor an .mcap or .db3 of ROS 2");
-  const std::string version = header.substr(magic.size());
-  if (version != "1.2" && version != "2.0")
-    throw InputError("bag '" + path + "' is of version " + version + ", must be 1.2 or 2.0");
-}
-
-// --- With an index ---
-
-class Ros1File : public BagFile {
- public:
-  explicit Ros1File(std::unique_ptr<rosbag::Bag> bag) : bag_(std::move(bag)) {
-    for (const rosbag::ConnectionInfo* connection : rosbag::View(*bag_).getConnections()) {
-      const auto topic = static_cast<uint32_t>(topics_.size());
-      topics_.push_back({connection->topic, connection->datatype, connection->md5sum});
-      const auto is_its = [&](const rosbag::ConnectionInfo* other) { return other == connection; };
-      rosbag::View view(*bag_, is_its);
-      for (const rosbag::MessageInstance& message : view) {
-        entries_.push_back({ToNanoseconds(message.getTime()), topic, 0, messages_.size(), 0});
-        messages_.push_back(message);
-      }
-    }
-  }
-
-  std::string_view Read(const Entry& entry) override {
-    const rosbag::MessageInstance& message = messages_[entry.at];
-    data_.resize(message.size());
-    ros::serialization::OStream stream(data_.data(), static_cast<uint32_t>(data_.size()));
-    message.write(stream);
-    return {reinterpret_cast<const char*>(data_.data()), data_.size()};
-  }
-
- private:
-  std::unique_ptr<rosbag::Bag> bag_;
-  std::vector<rosbag::MessageInstance> messages_;
-  std::vector<uint8_t> data_;
-};
-
-// --- Without a usable index: chunk after chunk, as far as they are whole ---
-
-constexpr size_t kMagicSize = 13;  // "#ROSBAG V2.0\n"
+constexpr std::string_view kMagic = "#ROSBAG V", kFormat = "2.0";
+constexpr size_t kMagicSize = kMagic.size() + kFormat.size() + 1;  // with the end of the line
 /// What the operation codes of records say that they are.
-constexpr char kMessage = 0x02, kChunk = 0x05, kConnection = 0x07;
+constexpr char kMessage = 0x02, kIndex = 0x04, kChunk = 0x05, kConnection = 0x07;
 
 using Fields = std::map<std::string_view, std::string_view>;
 
@@ -86,8 +35,14 @@ std::string_view Value(const Fields& fields, std::string_view name) {
   return field == fields.end() ? std::string_view() : field->second;
 }
 
-uint32_t Number(const Fields& fields, std::string_view name) {
-  return FieldReader(Value(fields, name)).Number<uint32_t>();
+template <typename T = uint32_t>
+T Number(const Fields& fields, std::string_view name) {
+  return FieldReader(Value(fields, name)).Number<T>();
+}
+
+int64_t ReadTime(FieldReader* reader) {
+  const auto seconds = reader->Number<uint32_t>(), nanoseconds = reader->Number<uint32_t>();
+  return 1'000'000'000 * int64_t{seconds} + nanoseconds;
 }
 
 struct Record {
@@ -125,53 +80,100 @@ bool IsCutOff(std::string_view bytes) {
   return data <= kMaxBlockSize && is_short(data);
 }
 
-class Ros1Scan : public RecordFile {
+class Ros1File : public RecordFile {
  public:
-  /// `problem` is thrown when the file is damaged otherwise.
-  Ros1Scan(const std::string& path, const std::string& problem)
-      : RecordFile(std::make_unique<InputFile>(path)) {
-    problem_ = problem;
-    FieldReader reader(bytes().substr(std::min(kMagicSize, bytes().size())));
+  Ros1File(std::unique_ptr<InputFile> input, const std::string& path)
+      : RecordFile(std::move(input)), path_(path), remedy_("; run: rosbag reindex " + path) {
+    try {
+      if (ReadIndexed()) return;
+      problem_ = "bag '" + path_ + "' has no index, its recording was cut off" + remedy_;
+    } catch (const InputError& error) {
+      problem_ = "bag '" + path_ + "' is damaged or cut off (" + error.what() + ")" + remedy_;
+    }
+    topics_.clear();
+    entries_.clear();
+    connections_.clear();
+    Scan();
+  }
+
+  std::string_view Read(const Entry& entry) override {
+    try {
+      FieldReader reader(Records(entry.chunk));
+      reader.Bytes(entry.at);
+      for (;;)
+        if (const Record record(&reader); record.kind == kMessage) return record.data;
+    } catch (const InputError& error) {
+      throw InputError("bag '" + path_ + "' is damaged (" + error.what() + ")" + remedy_);
+    }
+  }
+
+ private:
+  /// By the connections at the end and the index after each chunk, of which none is unfolded. False
+  /// when the recorder has not come to write them.
+  bool ReadIndexed() {
+    FieldReader all(bytes());
+    all.Bytes(kMagicSize);
+    FieldReader first = all;
+    const auto end = Number<uint64_t>(Record(&first).fields, "index_pos");
+    if (end == 0) return false;
+    FieldReader last(bytes());
+    for (last.Bytes(end); !last.left().empty();)
+      if (const Record record(&last); record.kind == kConnection) ReadConnection(record);
+    uint32_t chunk = 0;
+    for (FieldReader reader(all.Bytes(end - kMagicSize)); !reader.left().empty();) {
+      const Record record(&reader);
+      if (record.kind == kChunk) chunk = ReadChunk(record);
+      if (record.kind != kIndex) continue;
+      const uint32_t topic = TopicOf(record);
+      for (FieldReader index(record.data); !index.left().empty();) {
+        const int64_t t_ns = ReadTime(&index);
+        entries_.push_back({t_ns, topic, chunk, index.Number<uint32_t>(), 0});
+      }
+    }
+    return true;
+  }
+
+  /// Without a usable index: chunk after chunk, as far as they are whole.
+  void Scan() {
+    FieldReader reader(bytes());
+    reader.Bytes(std::min(kMagicSize, bytes().size()));
     std::string_view rest = reader.left();  // from the end of the last record that is whole
     try {
       while (!rest.empty()) {
         const Record record(&reader);
         if (record.kind == kChunk && record.data.empty()) break;  // still written, without size
-        if (record.kind == kChunk) ReadChunk(record);
+        if (record.kind == kChunk) ScanChunk(ReadChunk(record));
         rest = reader.left();
       }
     } catch (const InputError&) {
-      if (!IsCutOff(rest)) throw InputError(problem);
+      if (!IsCutOff(rest)) throw InputError(problem_);
     }
     const std::string messages = std::to_string(entries_.size()) + " messages";
     const size_t all = bytes().size(), read = all - rest.size();
-    note_ = "'" + path + "' " +
+    note_ = "'" + path_ + "' " +
             (rest.empty() ? "has no index: all of it is read, " + messages
                           : "is cut off: it is read up to byte " + std::to_string(read) + " of " +
                                 std::to_string(all) + ", " + messages);
   }
 
- private:
-  void ReadChunk(const Record& record) {
-    const std::string_view compression = Value(record.fields, "compression");
-    if (compression != "none" && compression != "bz2" && compression != "lz4")
-      throw InputError("a chunk is compressed otherwise");
-    const uint32_t chunk = compression == "none"
-                               ? AddChunk("", record.data, record.data.size())
-                               : AddChunk(compression, record.data, Number(record.fields, "size"));
+  void ScanChunk(uint32_t chunk) {
     const std::string_view records = Records(chunk);
     for (FieldReader reader(records); !reader.left().empty();) {
-      const Record inner(&reader);
-      if (inner.kind == kConnection) ReadConnection(inner);
-      if (inner.kind != kMessage) continue;
-      const auto topic = connections_.find(Number(inner.fields, "conn"));
-      if (topic == connections_.end()) throw InputError("a message is of no connection");
-      FieldReader time(Value(inner.fields, "time"));
-      const auto seconds = time.Number<uint32_t>(), nanoseconds = time.Number<uint32_t>();
-      entries_.push_back({1'000'000'000 * int64_t{seconds} + nanoseconds, topic->second, chunk,
-                          static_cast<uint64_t>(inner.data.data() - records.data()),
-                          inner.data.size()});
+      const size_t at = records.size() - reader.left().size();
+      const Record record(&reader);
+      if (record.kind == kConnection) ReadConnection(record);
+      if (record.kind != kMessage) continue;
+      FieldReader time(Value(record.fields, "time"));
+      entries_.push_back({ReadTime(&time), TopicOf(record), chunk, at, 0});
     }
+  }
+
+  uint32_t ReadChunk(const Record& record) {
+    const std::string_view compression = Value(record.fields, "compression");
+    if (compression == "none") return AddChunk("", record.data, record.data.size());
+    if (compression != "bz2" && compression != "lz4")
+      throw InputError("a chunk is compressed otherwise");
+    return AddChunk(compression, record.data, Number(record.fields, "size"));
   }
 
   void ReadConnection(const Record& record) {
@@ -182,25 +184,30 @@ class Ros1Scan : public RecordFile {
                        std::string(Value(about, "type")), std::string(Value(about, "md5sum"))});
   }
 
+  uint32_t TopicOf(const Record& record) const {
+    const auto topic = connections_.find(Number(record.fields, "conn"));
+    if (topic == connections_.end()) throw InputError("a message is of no connection");
+    return topic->second;
+  }
+
+  const std::string path_, remedy_;
   std::map<uint32_t, uint32_t> connections_;  ///< index of the topic
 };
 
 }  // namespace
 
 std::unique_ptr<BagFile> OpenRos1(const std::string& path) {
-  CheckVersion(path);
-  auto bag = std::make_unique<rosbag::Bag>();
-  try {
-    bag->open(path);
-  } catch (const rosbag::BagUnindexedException&) {
-    return std::make_unique<Ros1Scan>(path, "bag '" + path +
-                                                "' has no index, its recording was cut off; " +
-                                                "run: rosbag reindex " + path);
-  } catch (const rosbag::BagException& error) {
-    return std::make_unique<Ros1Scan>(path, "bag '" + path + "' is damaged or cut off (" +
-                                                error.what() + "); run: rosbag reindex " + path);
-  }
-  return std::make_unique<Ros1File>(std::move(bag));
+  if (!std::filesystem::is_regular_file(path)) throw InputError("bag '" + path + "' is not a file");
+  if (!std::ifstream(path))
+    throw InputError("bag '" + path + "' cannot be read: " + std::strerror(errno));
+  auto input = std::make_unique<InputFile>(path);
+  const std::string_view start = input->bytes().substr(0, kMagicSize - 1);
+  if (start.substr(0, kMagic.size()) != kMagic)
+    throw InputError("'" + path + "' is not a ROS 1 bag, nor an .mcap or .db3 of ROS 2");
+  const std::string version(start.substr(kMagic.size()));
+  if (version != kFormat)
+    throw InputError("bag '" + path + "' is of version " + version + ", must be 2.0");
+  return std::make_unique<Ros1File>(std::move(input), path);
 }
 
 }  // namespace imu_pose_calib

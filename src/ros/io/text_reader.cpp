@@ -112,27 +112,30 @@ MocapPoses ReadPoses(const std::string& path, const std::string& body) {
   return {ReadPoseTable(poses, path), ""};
 }
 
-/// The marker, if its file is named, and the pose sensors.
+/// The marker and the pose sensors whose files are named.
 void ReadAllPoses(const TextRequest& files, Recording* recording) {
   RecordingInfo& info = recording->info;
   std::string marker_body;
   if (!files.poses.empty()) {
     MocapPoses marker = ReadPoses(files.poses, files.body);
     recording->data.poses = std::move(marker.poses);
+    info.pose_topic = files.poses;
+    info.world_frame = "world";
     info.marker_frame = FrameName(marker.body, "marker");
     marker_body = marker.body;
   }
+  const size_t sensors = std::max(info.pose_sensors.size(), files.pose_sensors.size());
+  info.pose_sensors.resize(sensors);
+  recording->data.pose_sensors.resize(sensors);
   std::vector<std::string> names;
-  for (const std::string& name : files.pose_sensors) {
-    PoseSensorInfo& sensor = info.pose_sensors.emplace_back();
-    std::vector<PoseSample>& poses = recording->data.pose_sensors.emplace_back();
-    if (name.empty()) continue;
-    const auto [path, body] = SplitBody(name);
+  for (size_t k = 0; k < files.pose_sensors.size(); ++k) {
+    if (files.pose_sensors[k].empty()) continue;
+    const auto [path, body] = SplitBody(files.pose_sensors[k]);
     MocapPoses read = ReadPoses(path, body);
     const std::string stem = std::filesystem::path(path).stem();
-    poses = std::move(read.poses);
-    sensor = {JoinBody(path, read.body), FrameName(read.body, stem), stem + "_world"};
-    names.push_back(sensor.topic);
+    recording->data.pose_sensors[k] = std::move(read.poses);
+    info.pose_sensors[k] = {JoinBody(path, read.body), FrameName(read.body, stem), stem + "_world"};
+    names.push_back(info.pose_sensors[k].topic);
   }
   CheckPoseSensors(JoinBody(files.poses, marker_body), names);
 }
@@ -178,42 +181,38 @@ void CutToPoses(const std::vector<PoseSample>& marker, std::vector<PoseSample>* 
 
 Recording ReadText(const TextRequest& request) {
   CheckSpan(request.start_s, request.duration_s);
-  Recording recording = ReadFiles(FindFiles(request));
+  Recording recording;
+  recording.info.imus.clear();
+  recording.data.imus.clear();
+  ReadFiles(FindFiles(request), &recording);
   CutSpan(request.start_s, request.duration_s, &recording.data);
   return recording;
 }
 
-Recording ReadFiles(const TextRequest& files) {
-  Recording recording;
-  recording.info.pose_topic = files.poses;
-  recording.info.world_frame = "world";
-  recording.info.marker_frame = "marker";
-  recording.info.imus.clear();
-  recording.data.imus.clear();
-  ReadAllPoses(files, &recording);
-  if (files.imu.empty() && files.gyro.empty()) return recording;
-
+void ReadFiles(const TextRequest& files, Recording* recording) {
+  ReadAllPoses(files, recording);
   const bool is_split = files.imu.empty();
   const std::vector<std::string> gyros = SplitPaths(is_split ? files.gyro : files.imu);
   const std::vector<std::string> accels = SplitPaths(is_split ? files.accel : files.imu);
   if (gyros.size() != accels.size())
     throw InputError("gyro and accel name different numbers of files: " +
                      std::to_string(gyros.size()) + " and " + std::to_string(accels.size()));
-  recording.data.imus.resize(gyros.size());
   for (size_t i = 0; i < gyros.size(); ++i) {
-    ImuData& imu = recording.data.imus[i];
+    ImuInfo& info = recording->info.imus.emplace_back();
+    ImuData& imu = recording->data.imus.emplace_back();
+    info.imu_frame = "imu";
     std::ifstream gyro = Open(gyros[i]);
     if (is_split) {
-      recording.info.imus.push_back({"", gyros[i], accels[i], "imu", {}, {}});
+      info.gyro_topic = gyros[i];
+      info.accel_topic = accels[i];
       imu.gyro = ReadSensorTable(gyro, gyros[i], false);
       std::ifstream accel = Open(accels[i]);
       imu.accel = ReadSensorTable(accel, accels[i], true);
     } else {
-      recording.info.imus.push_back({gyros[i], "", "", "imu", {}, {}});
+      info.imu_topic = gyros[i];
       ReadImuTable(gyro, gyros[i], &imu);
     }
   }
-  return recording;
 }
 
 }  // namespace imu_pose_calib

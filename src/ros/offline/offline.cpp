@@ -134,24 +134,10 @@ Recording ReadRecording(const OfflineRequest& request) {
   BagRequest bag = request.bag;
   if (!request.imu_yaml.empty()) bag.usual_imu_topic = LoadImuYaml(request.imu_yaml);
   Recording recording = ReadBag(bag);
-  Recording files = ReadFiles(text);
-  if (!bag.imus) {
-    recording.info.imus = std::move(files.info.imus);
-    recording.data.imus = std::move(files.data.imus);
-  }
-  if (!bag.poses) {
-    recording.info.pose_topic = files.info.pose_topic;
-    recording.info.world_frame = files.info.world_frame;
-    recording.info.marker_frame = files.info.marker_frame;
-    recording.data.poses = std::move(files.data.poses);
-  }
-  for (size_t k = 0; k < text.pose_sensors.size(); ++k) {
-    if (text.pose_sensors[k].empty()) continue;
-    std::vector<PoseSample>& poses = recording.data.pose_sensors[k];
-    recording.info.pose_sensors[k] = std::move(files.info.pose_sensors[k]);
-    poses = std::move(files.data.pose_sensors[k]);
-    if (bag.start_s + bag.duration_s > 0.0) CutToPoses(recording.data.poses, &poses);
-  }
+  ReadFiles(text, &recording);
+  for (size_t k = 0; k < text.pose_sensors.size(); ++k)
+    if (!text.pose_sensors[k].empty() && bag.start_s + bag.duration_s > 0.0)
+      CutToPoses(recording.data.poses, &recording.data.pose_sensors[k]);
   // Bags and text files have no span of record time in common: the stamps of the samples count.
   if (!bag.poses || !bag.imus) CutSpan(text.start_s, text.duration_s, &recording.data);
   return recording;

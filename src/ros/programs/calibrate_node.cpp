@@ -77,8 +77,7 @@ void Offer(const OfflineResult& offline, ros::NodeHandle* node) {
 }
 
 /// The node joins the graph, with its first handle, when there is something to offer. Until then
-/// the process has no threads of ROS, which could hold a lock while ReadBag() forks, and an
-/// interrupt ends it at once.
+/// the process has no threads of ROS, and an interrupt ends it at once.
 void RunOffline(const Job& job, std::optional<ros::NodeHandle>* node) {
   std::signal(SIGINT, SIG_DFL);  // as later in the graph, also when a shell has it ignored
   auto guard = std::make_unique<InterruptGuard>();

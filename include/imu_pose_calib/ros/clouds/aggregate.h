@@ -36,7 +36,7 @@ struct AggregateOutcome {
 
 /// Calibrates, and puts the clouds together through the trajectory of the solve, each point at its
 /// own time; what has no trajectory is left out. Judges the map's sharpness, with and without the
-/// calibration. To be called before ros::start(), see ReadBag().
+/// calibration.
 ///
 /// Throws InputError when something cannot be used as given, DataError when no calibration can come
 /// from the data, or no cloud is within the trajectory.

@@ -45,8 +45,8 @@ class BagFile {
   std::string note_, problem_;
 };
 
-/// A bag of ROS 1. What is cut off, or has no index, is read as far as it is whole, and `note()`
-/// says so. Throws InputError with the reason and the remedy.
+/// A bag of ROS 1, version 2.0. What is cut off, or has no index, is read as far as it is whole,
+/// and `note()` says so. Throws InputError with the reason and the remedy.
 std::unique_ptr<BagFile> OpenRos1(const std::string& path);
 
 /// A file of a bag of ROS 2, by its first bytes: mcap or a database of SQLite (.db3), whole or

@@ -1,6 +1,5 @@
 #pragma once
 
-#include <functional>
 #include <string>
 #include <vector>
 
@@ -45,16 +44,9 @@ struct BagRequest {
 ///
 /// With a pose sensor there need not be an IMU.
 ///
-/// Bags are read in a child process: damage that crashes rosbag or lets it hang ends there. It is a
-/// fork, so call this before ros::start() (that is, before the first NodeHandle): see RunApart().
-///
 /// Throws InputError when a bag cannot be read or when the bags do not hold exactly one choice of
 /// topics: the text, printable, names what they have and which field to give.
 Recording ReadBag(const BagRequest& request);
-
-/// Runs `read`, which returns bytes, in such a child process and with its errors: for more of bags.
-std::string ReadApart(const std::vector<std::string>& paths,
-                      const std::function<std::string()>& read);
 
 /// Bags by the recording that they are of, in the order in which they are given. Those that
 /// continue each other, or hold other topics of the same time, are one recording. Reads and throws

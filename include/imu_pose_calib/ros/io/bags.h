@@ -1,7 +1,6 @@
 #pragma once
 
 #include <ros/message_traits.h>
-#include <ros/serialization.h>
 
 #include <functional>
 #include <memory>
@@ -29,22 +28,19 @@ struct BagMessage {
   /// The message. Throws InputError when its type is defined differently here.
   template <typename Msg>
   std::unique_ptr<Msg> instantiate() const {  // NOLINT(readability-identifier-naming)
-    auto msg = std::make_unique<Msg>();
-    if (md5sum && *md5sum == ros::message_traits::MD5Sum<Msg>::value()) {
-      auto* bytes = reinterpret_cast<uint8_t*>(const_cast<char*>(data.data()));
-      ros::serialization::IStream stream(bytes, static_cast<uint32_t>(data.size()));
-      ros::serialization::deserialize(stream, *msg);
-    } else if (!md5sum && type == ros::message_traits::DataType<Msg>::value()) {
-      Decode([&](std::string_view cdr) { *msg = FromCdr<Msg>(cdr); });
-    } else {
+    if (md5sum ? *md5sum != ros::message_traits::MD5Sum<Msg>::value()
+               : type != ros::message_traits::DataType<Msg>::value())
       throw InputError("topic '" + topic + "' has another definition of " + type +
                        " than this computer");
-    }
+    auto msg = std::make_unique<Msg>();
+    Read([&msg](MessageInput* input) { input->next(*msg); });
     return msg;
   }
 
-  /// Runs `decode` on the CDR of a message of ROS 2, with errors that name it; nothing for ROS 1.
-  void Decode(const std::function<void(std::string_view)>& decode) const;
+  /// Runs `read` on all of the message, with errors that name it.
+  void Read(const std::function<void(MessageInput*)>& read) const;
+  /// Runs `run` with errors that name the message.
+  void Named(const std::function<void()>& run) const;
 };
 
 /// A topic of a recording and the messages of it within the span used.

@@ -17,21 +17,24 @@
 
 namespace imu_pose_calib {
 
-/// Messages of ROS 2 in their encoding, CDR (OMG's classic one, XCDR version 1): four bytes that
+/// Messages in their encodings. ROS 2 has CDR (OMG's classic one, XCDR version 1): four bytes that
 /// say which, then the fields of the message one after the other, each number at a multiple of its
-/// size. The ROS 1 serializers of the messages list the fields, and prescribe the name next(); they
-/// are the same but for the header, which has no `seq` in ROS 2.
+/// size. Those of ROS 1 follow each other without gaps, and texts have no 0 at their end. The ROS 1
+/// serializers of the messages list the fields, and prescribe the name next(); they are the same
+/// but for the header, which has no `seq` in ROS 2.
 // NOLINTBEGIN(readability-identifier-naming)
 
 /// Reads the fields of one message. Throws InputError, without a name, when the bytes are not what
 /// is asked for; no length is believed before the bytes are known to be there.
-class CdrInput {
+class MessageInput {
  public:
-  explicit CdrInput(std::string_view message);
+  /// `is_cdr`: else of ROS 1.
+  MessageInput(std::string_view message, bool is_cdr);
 
   void next(std::string& text);
   void next(ros::Time& stamp);
   void next(std_msgs::Header& header) {
+    if (!is_cdr_) next(header.seq);
     next(header.stamp);
     next(header.frame_id);
   }
@@ -59,7 +62,7 @@ class CdrInput {
       for (size_t k = 0; k < sizeof(T); ++k) bytes[is_swapped_ ? sizeof(T) - 1 - k : k] = from[k];
       std::memcpy(&value, bytes, sizeof(T));
     } else {
-      ros::serialization::Serializer<T>::template allInOne<CdrInput, T&>(*this, value);
+      ros::serialization::Serializer<T>::template allInOne<MessageInput, T&>(*this, value);
     }
   }
 
@@ -75,7 +78,7 @@ class CdrInput {
 
   std::string_view fields_;
   size_t at_ = 0;  ///< in the fields
-  bool is_swapped_ = false;
+  bool is_cdr_, is_swapped_ = false;
 };
 
 /// Writes the fields of one message.
@@ -116,15 +119,6 @@ class CdrOutput {
   std::string fields_;
 };
 // NOLINTEND(readability-identifier-naming)
-
-template <typename Msg>
-Msg FromCdr(std::string_view message) {
-  CdrInput input(message);
-  Msg msg;
-  input.next(msg);
-  input.Finish();
-  return msg;
-}
 
 template <typename Msg>
 std::string ToCdr(const Msg& msg) {

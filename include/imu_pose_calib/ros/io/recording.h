@@ -115,8 +115,4 @@ void NameFrames(const std::string& marker_frame, const std::string& imu_frame, R
 /// The names as they can be shown.
 RecordingInfo WithPrintableNames(RecordingInfo info);
 
-/// For handing a recording from one process to another of the same program.
-std::string ToBytes(const Recording& recording);
-Recording FromBytes(const std::string& bytes);
-
 }  // namespace imu_pose_calib

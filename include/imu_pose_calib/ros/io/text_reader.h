@@ -26,9 +26,9 @@ struct TextRequest {
 /// the field to give.
 TextRequest FindFiles(TextRequest request);
 
-/// Reads the files that are named, all of them whole. Throws InputError when one cannot be read,
-/// naming file, line, column and value.
-Recording ReadFiles(const TextRequest& request);
+/// Adds the files that are named, all of them whole, to a recording that lacks their part. Throws
+/// InputError when one cannot be read, naming file, line, column and value.
+void ReadFiles(const TextRequest& request, Recording* recording);
 
 /// Keeps the samples from `start_s` on, for `duration_s` (0: to the end), as said at ReadText().
 void CutSpan(double start_s, double duration_s, SessionData* data);

@@ -83,10 +83,10 @@ std::string OutputPath(const OfflineRequest& request);
 /// Where the report goes by default: x.calibration.report.html beside x.calibration.yaml.
 std::string ReportPath(const OfflineRequest& request);
 
-/// Reads the recording (before ros::start(), see ReadBag()) and calibrates, after it has tried that
-/// all outputs can be written. A failure leaves everything of an earlier run as it was, and its
-/// text names that. Data that are refused have their report written, when one is wanted: beside a
-/// report that is there, as x.refused.html.
+/// Reads the recording and calibrates, after it has tried that all outputs can be written. A
+/// failure leaves everything of an earlier run as it was, and its text names that. Data that are
+/// refused have their report written, when one is wanted: beside a report that is there, as
+/// x.refused.html.
 ///
 /// Throws InputError when something cannot be used as given, DataError when no calibration can come
 /// from the data: so the result is always usable.
