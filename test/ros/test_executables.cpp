@@ -8,8 +8,8 @@
 #include <sstream>
 
 #include "imu_pose_calib/core/base/types.h"
-#include "imu_pose_calib/ros/io/bag_writer.h"
 #include "imu_pose_calib/ros/io/output_files.h"
+#include "imu_pose_calib/ros/io/recording_writer.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "run_executable.h"
 

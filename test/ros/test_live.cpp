@@ -14,7 +14,7 @@
 #include <optional>
 #include <set>
 
-#include "imu_pose_calib/ros/io/bag_writer.h"
+#include "imu_pose_calib/ros/io/recording_writer.h"
 #include "imu_pose_calib/ros/offline/offline.h"
 #include "live_util.h"
 

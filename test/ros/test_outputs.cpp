@@ -8,8 +8,8 @@
 #include <map>
 #include <regex>
 
-#include "imu_pose_calib/ros/io/bag_writer.h"
 #include "imu_pose_calib/ros/io/output_files.h"
+#include "imu_pose_calib/ros/io/recording_writer.h"
 #include "run_executable.h"
 
 namespace imu_pose_calib {

@@ -3,8 +3,7 @@
 #include <nav_msgs/Odometry.h>
 #include <tf2_msgs/TFMessage.h>
 
-#include "imu_pose_calib/ros/io/bag_writer.h"
-#include "imu_pose_calib/ros/io/text_writer.h"
+#include "imu_pose_calib/ros/io/recording_writer.h"
 #include "imu_pose_calib/ros/offline/offline.h"
 #include "record_bag.h"
 

@@ -6,9 +6,9 @@
 #include <regex>
 
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/ros/io/bag_writer.h"
-#include "imu_pose_calib/ros/io/numpy_table.h"
 #include "imu_pose_calib/ros/io/output_files.h"
+#include "imu_pose_calib/ros/io/recording_writer.h"
+#include "imu_pose_calib/ros/io/tables.h"
 #include "imu_pose_calib/ros/offline/calibration_report.h"
 #include "imu_pose_calib/ros/offline/summary.h"
 #include "run_executable.h"

@@ -3,8 +3,7 @@
 #include <yaml-cpp/yaml.h>
 
 #include "imu_pose_calib/ros/io/bag_reader.h"
-#include "imu_pose_calib/ros/io/bag_writer.h"
-#include "imu_pose_calib/ros/io/text_writer.h"
+#include "imu_pose_calib/ros/io/recording_writer.h"
 #include "run_executable.h"
 
 namespace imu_pose_calib {

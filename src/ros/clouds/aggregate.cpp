@@ -147,7 +147,6 @@ class Aggregator {
     outcome.text = placed_ > 0 ? Counts() + SharpnessTable() : Refusal(data);
     outcome.map = variants_.back().map->Points();
     if (variants_.front().map) outcome.uncalibrated = variants_.front().map->Points();
-    outcome.has_intensity = clouds_.has_intensity;
     return outcome;
   }
 
@@ -290,11 +289,10 @@ AggregateOutcome AggregateClouds(const AggregateRequest& given, const Progress& 
 
   outcome.world_frame = offline.infos[0].world_frame;
   outcome.written = {request.output};
-  offline.outputs->Write(request.output, ToPcd(outcome.map, outcome.has_intensity));
+  offline.outputs->Write(request.output, ToPcd(outcome.map, clouds.has_intensity));
   if (!request.uncalibrated.empty()) {
     outcome.written.push_back(request.uncalibrated);
-    offline.outputs->Write(request.uncalibrated,
-                           ToPcd(outcome.uncalibrated, outcome.has_intensity));
+    offline.outputs->Write(request.uncalibrated, ToPcd(outcome.uncalibrated, clouds.has_intensity));
   }
   WriteResult(&offline);
   outcome.written.push_back(offline.request.output);

@@ -16,8 +16,8 @@
 
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/ros/io/conversions.h"
+#include "imu_pose_calib/ros/io/tables.h"
 #include "imu_pose_calib/ros/io/text.h"
-#include "imu_pose_calib/ros/io/text_writer.h"
 
 namespace imu_pose_calib {
 namespace {

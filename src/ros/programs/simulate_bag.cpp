@@ -5,10 +5,9 @@
 #include <utility>
 
 #include "imu_pose_calib/ros/clouds/simulated_lidar.h"
-#include "imu_pose_calib/ros/io/bag_writer.h"
 #include "imu_pose_calib/ros/io/output_files.h"
+#include "imu_pose_calib/ros/io/recording_writer.h"
 #include "imu_pose_calib/ros/io/text.h"
-#include "imu_pose_calib/ros/io/text_writer.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
 #include "imu_pose_calib/ros/offline/ground_truth.h"
 #include "imu_pose_calib/simulation/simulator.h"

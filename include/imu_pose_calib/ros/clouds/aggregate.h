@@ -29,8 +29,7 @@ struct AggregateRequest {
 struct AggregateOutcome {
   std::string text;                         ///< what a person wants to know of the map
   std::vector<MapPoint> map, uncalibrated;  ///< the latter only when it is wanted
-  bool has_intensity = false;
-  std::vector<std::string> written;  ///< files
+  std::vector<std::string> written;         ///< files
   std::string world_frame;
 };
 

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <cstdio>
 #include <string>
 #include <vector>
 
@@ -46,5 +47,43 @@ class NumpyTable {
   size_t columns_;
   std::vector<Number> values_;
 };
+
+/// Lines of a stamp and numbers with one separator between them.
+class TextTable {
+ public:
+  /// `header`: with the end of its line; `digits`: significant ones of a number, of which 17 tell
+  /// every double from its neighbours.
+  TextTable(const std::string& header, char separator, int digits = 17)
+      : text_(header), separator_(separator), digits_(digits) {}
+
+  /// A line of a stamp and of numbers and vectors.
+  template <typename... Parts>
+  void AddRow(const std::string& stamp, const Parts&... parts) {
+    text_ += stamp;
+    (Append(parts), ...);
+    text_ += '\n';
+  }
+  const std::string& text() const { return text_; }
+
+ private:
+  void Append(double value) {
+    char number[32];
+    std::snprintf(number, sizeof(number), "%c%.*g", separator_, digits_, value);
+    text_ += number;
+  }
+  template <typename Derived>
+  void Append(const Eigen::MatrixBase<Derived>& vector) {
+    for (Eigen::Index i = 0; i < vector.size(); ++i) Append(vector[i]);
+  }
+
+  std::string text_;
+  char separator_;
+  int digits_;
+};
+
+/// Of the samples of an IMU in an ASL dataset.
+constexpr char kAslImuHeader[] =
+    "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
+    "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]\n";
 
 }  // namespace imu_pose_calib
