@@ -1,7 +1,10 @@
 // Bags with random damage are read or refused with one line; nothing crashes or hangs.
 
+#include <filesystem>
+
 #include "damage.h"
 #include "imu_pose_calib/ros/io/bag_reader.h"
+#include "imu_pose_calib/ros/io/bags.h"
 #include "imu_pose_calib/ros/io/recording_writer.h"
 #include "recompress.h"
 #include "test_util.h"
@@ -64,6 +67,13 @@ TEST_F(BagDamageTest, Lz4Bags) {
 
 TEST_F(BagDamageTest, Lz4BagsOfTf) {
   EXPECT_GT(ReadDamaged("tf.bag", rosbag::compression::LZ4, Copies()), Copies() / 3);
+}
+
+TEST_F(BagDamageTest, BecomesShorterWhileItIsRead) {
+  const Bags bags({Path("poses.bag")}, 0.0, 0.0);
+  std::filesystem::resize_file(Path("poses.bag"), 10'000);
+  ExpectError<InputError>([&] { bags.ForEach({"/imu"}, [](const BagMessage&) { return true; }); },
+                          {"poses.bag", "is damaged", "it has become shorter"});
 }
 
 }  // namespace

@@ -65,13 +65,14 @@ std::vector<std::string> ReadMetadata(const fs::path& metadata) {
 
 std::unique_ptr<BagFile> OpenRos2(const std::string& path) {
   auto input = std::make_unique<InputFile>(path);
-  if (IsMcap(input->bytes())) {
+  const std::string start = input->Start();
+  if (IsMcap(start)) {
     input->RemoveTemporary();
     return OpenMcap(std::move(input), path);
   }
-  if (IsSqlite(input->bytes())) return OpenSqlite(input->path(), path);
+  if (IsSqlite(start)) return OpenSqlite(input->path(), path);
   throw InputError("'" + path + "' is neither an mcap file nor a database of SQLite" +
-                   (input->bytes().empty() ? ": it is empty" : ""));
+                   (start.empty() ? ": it is empty" : ""));
 }
 
 std::string Ros1Type(std::string type, const std::string& encoding) {

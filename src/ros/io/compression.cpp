@@ -6,13 +6,13 @@
 #include <zstd.h>
 
 #include <algorithm>
-#include <boost/interprocess/file_mapping.hpp>
 #include <cerrno>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
 #include <functional>
 #include <memory>
+#include <utility>
 
 #include "imu_pose_calib/core/base/types.h"
 
@@ -26,13 +26,14 @@ void CheckSize(uint64_t size, uint64_t max_size) {
     throw InputError("unfolds to more than " + std::to_string(max_size) + " bytes");
 }
 
-/// Unfolds zstd frames, calling `use` with a piece at a time.
-void Unzstd(std::string_view bytes, uint64_t max_size,
+/// Unfolds zstd frames, whose bytes `next` gives a piece at a time and an empty one at the end,
+/// calling `use` with a piece at a time.
+void Unzstd(const std::function<std::string_view()>& next, uint64_t max_size,
             const std::function<void(std::string_view)>& use) {
   const std::unique_ptr<ZSTD_DStream, size_t (*)(ZSTD_DStream*)> stream(ZSTD_createDStream(),
                                                                         ZSTD_freeDStream);
   std::string piece(kStep, '\0');
-  ZSTD_inBuffer in{bytes.data(), bytes.size(), 0};
+  ZSTD_inBuffer in{nullptr, 0, 0};
   for (uint64_t size = 0;;) {
     ZSTD_outBuffer out{piece.data(), piece.size(), 0};
     const size_t left = ZSTD_decompressStream(stream.get(), &out, &in);
@@ -40,19 +41,28 @@ void Unzstd(std::string_view bytes, uint64_t max_size,
     CheckSize(size += out.pos, max_size);
     use(std::string_view(piece).substr(0, out.pos));
     if (in.pos < in.size || (left != 0 && out.pos == out.size)) continue;  // more to come
+    const std::string_view bytes = next();
+    in = {bytes.data(), bytes.size(), 0};
+    if (!bytes.empty()) continue;
     if (left != 0) throw InputError("zstd: it is cut off");
     return;
   }
 }
 
-void UnzstdInto(const std::string& path, std::string_view bytes) {
+void UnzstdInto(const std::string& path, InputFile* input) {
   std::ofstream file(path, std::ios::binary);
   const auto check = [&] {
     if (!file)
       throw InputError(std::string("cannot be unfolded into a temporary file: ") +
                        std::strerror(errno));
   };
-  Unzstd(bytes, kMaxBlockSize + 100 * bytes.size(), [&](std::string_view piece) {
+  std::string bytes;
+  const auto next = [&, at = uint64_t{0}]() mutable {
+    bytes = input->Read(at, std::min<uint64_t>(kStep, input->size() - at));
+    at += bytes.size();
+    return std::string_view(bytes);
+  };
+  Unzstd(next, kMaxBlockSize + 100 * input->size(), [&](std::string_view piece) {
     file << piece;
     check();
   });
@@ -74,7 +84,8 @@ std::string DecompressZstd(std::string_view bytes, uint64_t max_size) {
     if (size == stated) return contents;
     contents.clear();  // damaged, or several frames
   }
-  Unzstd(bytes, max_size, [&](std::string_view piece) { contents.append(piece); });
+  const auto next = [&bytes] { return std::exchange(bytes, {}); };
+  Unzstd(next, max_size, [&](std::string_view piece) { contents.append(piece); });
   return contents;
 }
 
@@ -112,26 +123,41 @@ std::string DecompressBz2(std::string_view bytes, uint64_t size) {
 }
 
 InputFile::InputFile(const std::string& path) : path_(path) {
-  Map();
-  if (!IsZstd(bytes())) return;
+  Open();
+  if (!IsZstd(Start())) return;
   folder_.emplace();
-  path_ = folder_->path() / "unfolded";
+  const std::string unfolded = folder_->path() / "unfolded";
   try {
-    UnzstdInto(path_, bytes());
+    UnzstdInto(unfolded, this);
   } catch (const InputError& error) {
     throw InputError("'" + path + "': " + error.what());
   }
-  Map();
+  path_ = unfolded;
+  Open();
 }
 
-void InputFile::Map() {
-  namespace ipc = boost::interprocess;
-  try {
-    const ipc::file_mapping file(path_.c_str(), ipc::read_only);
-    if (std::filesystem::file_size(path_) > 0) region_ = ipc::mapped_region(file, ipc::read_only);
-  } catch (const std::exception& error) {
-    throw InputError("'" + path_ + "' cannot be read: " + error.what());
-  }
+void InputFile::Open() {
+  file_ = std::ifstream(path_, std::ios::binary | std::ios::ate);
+  const auto size = file_.tellg();
+  if (size < 0) throw InputError("'" + path_ + "' cannot be read: " + std::strerror(errno));
+  size_ = next_ = static_cast<uint64_t>(size);
 }
+
+std::string InputFile::Read(uint64_t at, uint64_t size) {
+  std::string bytes(size, '\0');
+  errno = 0;
+  if (at != next_) file_.seekg(static_cast<std::streamoff>(at));  // which drops what is buffered
+  file_.read(bytes.data(), static_cast<std::streamsize>(size));
+  next_ = at + size;
+  if (!file_) {
+    file_.clear();
+    next_ = UINT64_MAX;
+    throw InputError("'" + path_ + "' cannot be read: " +
+                     (errno == 0 ? "it has become shorter" : std::strerror(errno)));
+  }
+  return bytes;
+}
+
+std::string InputFile::Start() { return Read(0, std::min<uint64_t>(size_, 16)); }
 
 }  // namespace imu_pose_calib

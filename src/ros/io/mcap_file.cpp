@@ -36,26 +36,37 @@ uint32_t Crc32(std::string_view bytes) {
   return crc.checksum();
 }
 
+uint32_t Crc32(FileReader bytes) {
+  boost::crc_32_type crc;
+  for (std::string piece; !(piece = bytes.Piece()).empty();)
+    crc.process_bytes(piece.data(), piece.size());
+  return crc.checksum();
+}
+
 // --- Reading ---
 
+/// Of a chunk (FieldReader) or the file (FileReader).
+template <typename Reader>
 struct Record {
   uint8_t opcode;
-  FieldReader fields;
+  Reader fields;
 };
 
-/// Cuts the next record off the front; none at the end, and where the rest is too short for one.
-std::optional<Record> Next(std::string_view* bytes) {
-  if (bytes->size() < kRecordHeader) return std::nullopt;
-  FieldReader rest(*bytes);
-  const auto opcode = rest.Number<uint8_t>();
-  const auto size = rest.Number<uint64_t>();
-  if (size > rest.left().size()) return std::nullopt;
-  const Record record{opcode, FieldReader(rest.Bytes(size))};
-  *bytes = rest.left();
+/// Takes the next record; none at the end, and where the rest is too short for one.
+template <typename Reader>
+std::optional<Record<Reader>> Next(Reader* reader) {
+  Reader rest = *reader;
+  if (rest.size() < kRecordHeader) return std::nullopt;
+  const auto opcode = rest.template Number<uint8_t>();
+  const auto size = rest.template Number<uint64_t>();
+  if (size > rest.size()) return std::nullopt;
+  const Record<Reader> record{opcode, rest.Skip(size)};
+  *reader = rest;
   return record;
 }
 
-void CheckCrc(std::string_view bytes, uint32_t crc, const char* what) {
+template <typename Bytes>
+void CheckCrc(Bytes bytes, uint32_t crc, const char* what) {
   if (crc != 0 && crc != Crc32(bytes))
     throw InputError(std::string("the checksum of the ") + what + " is wrong");
 }
@@ -64,55 +75,57 @@ class McapFile : public RecordFile {
  public:
   McapFile(std::unique_ptr<InputFile> input, const std::string& name)
       : RecordFile(std::move(input)) {
-    std::string_view left = bytes().substr(kMagic.size());
-    const auto at = [&] { return bytes().size() - left.size(); };
-    for (size_t begin = at(); auto record = Next(&left); begin = at()) {
+    FileReader left = From(kMagic.size());
+    for (uint64_t begin = left.at(); auto record = Next(&left); begin = left.at()) {
       try {
         if (record->opcode == kFooter) return;
         if (record->opcode == kDataEnd) {
-          CheckCrc(bytes().substr(0, begin), record->fields.Number<uint32_t>(), "messages");
+          CheckCrc(From(0).Skip(begin), record->fields.Number<uint32_t>(), "messages");
           return;
         }
         if (record->opcode == kChunk)
           ReadChunk(record->fields);
-        else
-          ReadRecord(*record, 0);
+        else if (record->opcode <= kMessage)
+          ReadRecord(record->opcode, record->fields.Bytes(record->fields.size()), 0, left.at());
       } catch (const InputError& error) {
         throw InputError("'" + name + "' is damaged, record at byte " + std::to_string(begin) +
                          ": " + error.what());
       }
     }
-    note_ = "'" + name + "' is cut off: it is read up to byte " + std::to_string(at()) + " of " +
-            std::to_string(bytes().size()) + ", " + std::to_string(entries_.size()) + " messages";
+    note_ = "'" + name + "' is cut off: it is read up to byte " + std::to_string(left.at()) +
+            " of " + std::to_string(size()) + ", " + std::to_string(entries_.size()) + " messages";
   }
 
  private:
-  void ReadChunk(FieldReader fields) {
-    fields.Bytes(2 * sizeof(uint64_t));  // first and last time
+  void ReadChunk(FileReader fields) {
+    fields.Skip(2 * sizeof(uint64_t));  // first and last time
     const auto size = fields.Number<uint64_t>();
     const auto crc = fields.Number<uint32_t>();
-    const std::string_view compression = fields.Text();
-    const std::string_view stored = fields.Bytes(fields.Number<uint64_t>());
+    const std::string compression = fields.Text();
+    const FileReader stored = fields.Skip(fields.Number<uint64_t>());
     if (!compression.empty() && compression != "lz4" && compression != "zstd")
-      throw InputError("chunk is compressed by '" + std::string(compression.substr(0, 20)) +
+      throw InputError("chunk is compressed by '" + compression.substr(0, 20) +
                        "', must be lz4 or zstd");
     const uint32_t chunk = AddChunk(compression, stored, size);
-    std::string_view left = Records(chunk);
-    CheckCrc(left, crc, "chunk");
-    while (const auto record = Next(&left)) ReadRecord(*record, chunk);
-    if (!left.empty()) throw InputError("chunk ends within a record");
+    const std::string_view records = Records(chunk);
+    CheckCrc(records, crc, "chunk");
+    FieldReader left(records);
+    while (const auto record = Next(&left))
+      ReadRecord(record->opcode, record->fields.left(), chunk, records.size() - left.size());
+    if (left.size() > 0) throw InputError("chunk ends within a record");
   }
 
-  /// A record that may stand in a chunk or outside of it; what is not needed is skipped.
-  void ReadRecord(const Record& record, uint32_t chunk) {
-    FieldReader fields = record.fields;
-    if (record.opcode == 0) throw InputError("its kind is 0, which there is none of");
-    if (record.opcode == kSchema) {
+  /// A record that may stand in a chunk or outside of it and ends at `end` there; what is not
+  /// needed is skipped.
+  void ReadRecord(uint8_t opcode, std::string_view bytes, uint32_t chunk, uint64_t end) {
+    FieldReader fields(bytes);
+    if (opcode == 0) throw InputError("its kind is 0, which there is none of");
+    if (opcode == kSchema) {
       const auto id = fields.Number<uint16_t>();
       schemas_[id] = fields.Text();
     }
-    if (record.opcode == kChannel) ReadChannel(fields);
-    if (record.opcode == kMessage) ReadMessage(fields, chunk);
+    if (opcode == kChannel) ReadChannel(fields);
+    if (opcode == kMessage) ReadMessage(fields, chunk, end);
   }
 
   void ReadChannel(FieldReader fields) {
@@ -131,7 +144,7 @@ class McapFile : public RecordFile {
                        topic.name + "'");
   }
 
-  void ReadMessage(FieldReader fields, uint32_t chunk) {
+  void ReadMessage(FieldReader fields, uint32_t chunk, uint64_t end) {
     const auto id = fields.Number<uint16_t>();
     fields.Number<uint32_t>();  // sequence
     const auto time = fields.Number<uint64_t>();
@@ -141,9 +154,8 @@ class McapFile : public RecordFile {
       throw InputError("a message is of channel " + std::to_string(id) + ", which is unknown");
     if (time > uint64_t{std::numeric_limits<int64_t>::max()})
       throw InputError("a message is recorded at " + std::to_string(time) + " ns");
-    const std::string_view data = fields.left();
-    entries_.push_back({static_cast<int64_t>(time), channel->second, chunk,
-                        static_cast<uint64_t>(data.data() - Records(chunk).data()), data.size()});
+    entries_.push_back(
+        {static_cast<int64_t>(time), channel->second, chunk, end - fields.size(), fields.size()});
   }
 
   std::map<uint16_t, std::string> schemas_;

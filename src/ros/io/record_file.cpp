@@ -2,27 +2,25 @@
 
 namespace imu_pose_calib {
 
-uint32_t RecordFile::AddChunk(std::string_view compression, std::string_view stored,
-                              uint64_t size) {
+uint32_t RecordFile::AddChunk(std::string_view compression, FileReader stored, uint64_t size) {
   if (compression.empty() && stored.size() != size)
     throw InputError("chunk has " + std::to_string(stored.size()) + " bytes, must have " +
                      std::to_string(size));
   if (size > kMaxBlockSize && !compression.empty())
     throw InputError("chunk is of " + std::to_string(size) + " bytes, must be at most " +
                      std::to_string(kMaxBlockSize));
-  chunks_.push_back({compression, stored, size});
+  chunks_.push_back({std::string(compression), stored, size});
   return static_cast<uint32_t>(chunks_.size());
 }
 
 std::string_view RecordFile::Records(uint32_t chunk) {
-  if (chunk == 0) return bytes();
-  const auto& [compression, stored, size] = chunks_[chunk - 1];
-  if (compression.empty()) return stored;
   for (const auto& [kept, records] : kept_)
     if (kept == chunk) return records;
-  std::string records = compression == "lz4"    ? DecompressLz4(stored, size)
-                        : compression == "zstd" ? DecompressZstd(stored, size)
-                                                : DecompressBz2(stored, size);
+  auto [compression, stored, size] = chunks_.at(chunk - 1);
+  std::string records = stored.Bytes(stored.size());
+  if (compression == "lz4") records = DecompressLz4(records, size);
+  if (compression == "zstd") records = DecompressZstd(records, size);
+  if (compression == "bz2") records = DecompressBz2(records, size);
   if (records.size() != size)
     throw InputError("chunk unfolds to " + std::to_string(records.size()) + " bytes, must be " +
                      std::to_string(size));
