@@ -68,7 +68,7 @@ main() {
   mapfile -t arguments < <(absolute_paths "$@")
   result=$(result_file "${arguments[@]}")
   arguments+=("output:=$result")
-  setup imu_pose_calib_programs
+  setup calibrate_node
   load_workspace
 
   # A master of its own, beside any other. roslaunch ends with 0 whatever its nodes do: only a new file is a result.

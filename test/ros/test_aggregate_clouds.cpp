@@ -9,9 +9,9 @@
 
 #include "cloud_util.h"
 #include "imu_pose_calib/ros/clouds/cloud_map.h"
-#include "imu_pose_calib/ros/clouds/simulated_lidar.h"
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/io/recording_writer.h"
+#include "imu_pose_calib/ros/simulated/lidar.h"
+#include "imu_pose_calib/ros/simulated/recording_writer.h"
 #include "run_executable.h"
 #include "to_ros2.h"
 

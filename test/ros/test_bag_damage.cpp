@@ -5,7 +5,7 @@
 #include "damage.h"
 #include "imu_pose_calib/ros/io/bag_reader.h"
 #include "imu_pose_calib/ros/io/bags.h"
-#include "imu_pose_calib/ros/io/recording_writer.h"
+#include "imu_pose_calib/ros/simulated/recording_writer.h"
 #include "recompress.h"
 #include "test_util.h"
 

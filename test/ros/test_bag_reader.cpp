@@ -6,7 +6,7 @@
 #include <fstream>
 #include <memory>
 
-#include "imu_pose_calib/ros/io/recording_writer.h"
+#include "imu_pose_calib/ros/simulated/recording_writer.h"
 #include "recompress.h"
 #include "record_bag.h"
 

@@ -12,7 +12,7 @@
 #include <future>
 
 #include "imu_pose_calib/CalibrationResult.h"
-#include "imu_pose_calib/ros/io/recording_writer.h"
+#include "imu_pose_calib/ros/simulated/recording_writer.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {

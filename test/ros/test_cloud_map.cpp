@@ -3,7 +3,7 @@
 
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/ros/clouds/cloud_map.h"
-#include "imu_pose_calib/ros/clouds/simulated_lidar.h"
+#include "imu_pose_calib/ros/simulated/lidar.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {

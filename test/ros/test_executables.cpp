@@ -9,8 +9,8 @@
 
 #include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/output_files.h"
-#include "imu_pose_calib/ros/io/recording_writer.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/simulated/recording_writer.h"
 #include "run_executable.h"
 
 namespace imu_pose_calib {

@@ -14,8 +14,8 @@
 #include <optional>
 #include <set>
 
-#include "imu_pose_calib/ros/io/recording_writer.h"
 #include "imu_pose_calib/ros/offline/offline.h"
+#include "imu_pose_calib/ros/simulated/recording_writer.h"
 #include "live_util.h"
 
 namespace imu_pose_calib {

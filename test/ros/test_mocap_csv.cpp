@@ -5,8 +5,8 @@
 
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/ros/io/mocap_csv.h"
-#include "imu_pose_calib/ros/io/recording_writer.h"
 #include "imu_pose_calib/ros/io/text_reader.h"
+#include "imu_pose_calib/ros/simulated/recording_writer.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {

@@ -9,7 +9,7 @@
 #include <regex>
 
 #include "imu_pose_calib/ros/io/output_files.h"
-#include "imu_pose_calib/ros/io/recording_writer.h"
+#include "imu_pose_calib/ros/simulated/recording_writer.h"
 #include "run_executable.h"
 
 namespace imu_pose_calib {

@@ -3,8 +3,8 @@
 #include <nav_msgs/Odometry.h>
 #include <tf2_msgs/TFMessage.h>
 
-#include "imu_pose_calib/ros/io/recording_writer.h"
 #include "imu_pose_calib/ros/offline/offline.h"
+#include "imu_pose_calib/ros/simulated/recording_writer.h"
 #include "record_bag.h"
 
 namespace imu_pose_calib {

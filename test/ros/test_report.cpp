@@ -7,10 +7,10 @@
 
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/ros/io/output_files.h"
-#include "imu_pose_calib/ros/io/recording_writer.h"
 #include "imu_pose_calib/ros/io/tables.h"
 #include "imu_pose_calib/ros/offline/calibration_report.h"
 #include "imu_pose_calib/ros/offline/summary.h"
+#include "imu_pose_calib/ros/simulated/recording_writer.h"
 #include "run_executable.h"
 
 namespace imu_pose_calib {

@@ -3,7 +3,7 @@
 #include <yaml-cpp/yaml.h>
 
 #include "imu_pose_calib/ros/io/bag_reader.h"
-#include "imu_pose_calib/ros/io/recording_writer.h"
+#include "imu_pose_calib/ros/simulated/recording_writer.h"
 #include "run_executable.h"
 
 namespace imu_pose_calib {

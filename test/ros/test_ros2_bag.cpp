@@ -4,8 +4,8 @@
 
 #include "imu_pose_calib/ros/io/bag_reader.h"
 #include "imu_pose_calib/ros/io/compression.h"
-#include "imu_pose_calib/ros/io/recording_writer.h"
 #include "imu_pose_calib/ros/offline/offline.h"
+#include "imu_pose_calib/ros/simulated/recording_writer.h"
 #include "run_executable.h"
 #include "to_ros2.h"
 

@@ -6,7 +6,7 @@
 #include "damage.h"
 #include "imu_pose_calib/ros/io/bags.h"
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/io/recording_writer.h"
+#include "imu_pose_calib/ros/simulated/recording_writer.h"
 #include "test_util.h"
 #include "to_ros2.h"
 

@@ -17,9 +17,9 @@
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/io/recording_writer.h"
 #include "imu_pose_calib/ros/io/trajectory_writer.h"
 #include "imu_pose_calib/ros/offline/ground_truth.h"
+#include "imu_pose_calib/ros/simulated/recording_writer.h"
 #include "run_executable.h"
 
 namespace imu_pose_calib {

@@ -4,12 +4,12 @@
 #include <iostream>
 #include <utility>
 
-#include "imu_pose_calib/ros/clouds/simulated_lidar.h"
 #include "imu_pose_calib/ros/io/output_files.h"
-#include "imu_pose_calib/ros/io/recording_writer.h"
 #include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
 #include "imu_pose_calib/ros/offline/ground_truth.h"
+#include "imu_pose_calib/ros/simulated/lidar.h"
+#include "imu_pose_calib/ros/simulated/recording_writer.h"
 #include "imu_pose_calib/simulation/simulator.h"
 
 namespace imu_pose_calib {

@@ -1,4 +1,4 @@
-#include "imu_pose_calib/ros/clouds/simulated_lidar.h"
+#include "imu_pose_calib/ros/simulated/lidar.h"
 
 #include <rosbag/bag.h>
 #include <sensor_msgs/point_cloud2_iterator.h>

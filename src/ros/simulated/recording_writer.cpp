@@ -1,4 +1,4 @@
-#include "imu_pose_calib/ros/io/recording_writer.h"
+#include "imu_pose_calib/ros/simulated/recording_writer.h"
 
 #include <rosbag/bag.h>
 #include <tf2_msgs/TFMessage.h>
