@@ -2,6 +2,7 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/LU>
+#include <limits>
 
 #if defined(__x86_64__) && defined(__GNUC__)
 #define IMU_POSE_CALIB_AVX2
@@ -16,7 +17,7 @@ namespace {
 using Packet = double __attribute__((vector_size(32), aligned(8), may_alias));
 
 /// A (n x k), B (m x k) and C (n x m), and the distance of their columns.
-struct Product {
+struct Operands {
   double scale;
   Eigen::Index n, m, k;
   const double* A;
@@ -29,7 +30,7 @@ struct Product {
 
 /// 4 kPackets rows from i on and kColumns columns from j on; of the rows, those from `first` on.
 template <int kPackets, int kColumns>
-IMU_POSE_CALIB_INLINE void AddTile(const Product& p, Eigen::Index i, Eigen::Index j,
+IMU_POSE_CALIB_INLINE void AddTile(const Operands& p, Eigen::Index i, Eigen::Index j,
                                    Eigen::Index first) {
   Packet sums[kPackets][kColumns];
   for (auto& row : sums)
@@ -51,14 +52,14 @@ IMU_POSE_CALIB_INLINE void AddTile(const Product& p, Eigen::Index i, Eigen::Inde
 
 /// Rows from `begin` on of columns from j on.
 template <int kColumns>
-IMU_POSE_CALIB_INLINE void AddColumns(const Product& p, Eigen::Index begin, Eigen::Index j) {
+IMU_POSE_CALIB_INLINE void AddColumns(const Operands& p, Eigen::Index begin, Eigen::Index j) {
   Eigen::Index i = begin;
   for (; i + 12 <= p.n; i += 12) AddTile<3, kColumns>(p, i, j, i);
   for (; i + 4 <= p.n; i += 4) AddTile<1, kColumns>(p, i, j, i);
   if (i < p.n) AddTile<1, kColumns>(p, p.n - 4, j, i);
 }
 
-__attribute__((target("avx2,fma"))) void AddWithAvx2(const Product& p, bool is_lower) {
+__attribute__((target("avx2,fma"))) void AddWithAvx2(const Operands& p, bool is_lower) {
   Eigen::Index j = 0;
   for (; j + 4 <= p.m; j += 4) AddColumns<4>(p, is_lower ? j : 0, j);
   for (; j < p.m; ++j) AddColumns<1>(p, is_lower ? j : 0, j);
@@ -83,16 +84,39 @@ void AddProduct(double scale, const ConstDenseRef& A, const ConstDenseRef& B, bo
     C.noalias() += scale * A * B.transpose();
 }
 
+bool Factor(DenseRef C, DenseRef B) {
+  Eigen::LLT<DenseRef> llt(C);
+  llt.matrixL().transpose().solveInPlace<Eigen::OnTheRight>(B);
+  return llt.info() == Eigen::Success;
+}
+
+Eigen::MatrixXd Product(const Eigen::MatrixXd& A, const Eigen::MatrixXd& B) { return A * B; }
+
 Eigen::MatrixXd Propagate(const Eigen::MatrixXd& A, const Eigen::MatrixXd& C) {
   return A * C * A.transpose();
 }
 
 Eigen::MatrixXd Inverse(const Eigen::MatrixXd& A) { return A.inverse(); }
 
-bool IsPositiveDefinite(const Eigen::MatrixXd& C) { return C.llt().info() == Eigen::Success; }
+Eigen::MatrixXd Solve(const Eigen::MatrixXd& C, const Eigen::MatrixXd& B) {
+  return C.ldlt().solve(B);
+}
+
+bool IsPositiveDefinite(const Eigen::MatrixXd& C) {
+  Eigen::MatrixXd L = C;
+  return Eigen::LLT<DenseRef>(L).info() == Eigen::Success;
+}
+
+Eigen::MatrixXd SolvePositive(const Eigen::MatrixXd& C, const Eigen::MatrixXd& B) {
+  Eigen::MatrixXd L = C;
+  const Eigen::LLT<DenseRef> llt(L);
+  if (!C.allFinite() || llt.info() != Eigen::Success)
+    return Eigen::MatrixXd::Constant(B.rows(), B.cols(), std::numeric_limits<double>::quiet_NaN());
+  return llt.solve(B);
+}
 
 double SquaredDistance(const Eigen::VectorXd& d, const Eigen::MatrixXd& C) {
-  return d.dot(C.llt().solve(d));
+  return d.dot(SolvePositive(C, d).col(0));
 }
 
 }  // namespace imu_pose_calib

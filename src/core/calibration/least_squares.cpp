@@ -2,7 +2,6 @@
 
 #include <ceres/normal_prior.h>
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <complex>
@@ -11,6 +10,7 @@
 #include <string>
 #include <utility>
 
+#include "imu_pose_calib/core/base/dense.h"
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/base/parallel.h"
 #include "imu_pose_calib/core/calibration/residuals.h"
@@ -152,12 +152,14 @@ GaussNewtonStep FindStep(const NormalEquations& equations, double damping, doubl
     if (reduced.H(k, k) == 0.0) reduced.H(k, k) = 1.0;  // nothing acts on it: it stays
   GaussNewtonStep step{equations.blocks(), Eigen::VectorXd::Zero(elimination.columns()),
                        std::accumulate(costs.begin(), costs.end(), 0.0), std::nan("")};
-  const Eigen::LLT<Eigen::MatrixXd> llt(reduced.H);
-  if (!reduced.H.allFinite() || llt.info() != Eigen::Success) return step;
   const Eigen::VectorXd b = reduced.B * weights;
-  step.x.head(b.size()) = -llt.solve(b);
-  step.decrease = 0.5 * (reduced.inner.sum() - b.dot(step.x.head(b.size())));
-  step.std = llt.solve(Eigen::MatrixXd::Identity(b.size(), b.size())).diagonal().cwiseSqrt();
+  const Eigen::VectorXd x = -SolvePositive(reduced.H, b);
+  if (!x.allFinite()) return step;
+  step.x.head(b.size()) = x;
+  step.decrease = 0.5 * (reduced.inner.sum() - b.dot(x));
+  step.std = SolvePositive(reduced.H, Eigen::MatrixXd::Identity(b.size(), b.size()))
+                 .diagonal()
+                 .cwiseSqrt();
   windows.SubstituteBack([&](size_t w) { return assemble(w, nullptr); }, &step.x);
   return step;
 }

@@ -1,10 +1,10 @@
 #include "imu_pose_calib/core/ground_truth/imu_track.h"
 
-#include <Eigen/Cholesky>
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 
+#include "imu_pose_calib/core/base/dense.h"
 #include "imu_pose_calib/core/base/intrinsics.h"
 #include "imu_pose_calib/core/base/so3.h"
 
@@ -69,7 +69,7 @@ RunEnd FindRunEnd(const Solution& solution, const SessionTrajectory& trajectory,
   };
   knots(kGyroBias, kGyroBias, gyro_u);
   knots(kAccelBias, kGyroBias + 6, accel_u);
-  const MatrixXd C = A * covariance.At(columns) * A.transpose();
+  const MatrixXd C = Propagate(A, covariance.At(columns));
   end.own = C.topLeftCorner(9, 9);
   end.cross = C.topRightCorner(9, kConstants);
   end.constants = C.bottomRightCorner(kConstants, kConstants);
@@ -83,8 +83,8 @@ MatrixXd Regression(const RunEnd& end) {
     inverse_std[i] = end.constants(i, i) > 0.0 ? 1.0 / std::sqrt(end.constants(i, i)) : 0.0;
   MatrixXd correlation = inverse_std.asDiagonal() * end.constants * inverse_std.asDiagonal();
   for (int i = 0; i < kConstants; ++i) correlation(i, i) = 1.0;
-  const MatrixXd scaled = end.cross * inverse_std.asDiagonal();
-  return correlation.ldlt().solve(scaled.transpose()).transpose() * inverse_std.asDiagonal();
+  const MatrixXd scaled = inverse_std.asDiagonal() * end.cross.transpose();
+  return Solve(correlation, scaled).transpose() * inverse_std.asDiagonal();
 }
 
 /// What the IMU measures at one instant: rate and specific force in I.
@@ -140,17 +140,16 @@ class Integrator {
     F.block<3, 3>(6, 0) = dt * accel_by_turn;
 
     MatrixXd G = MatrixXd::Zero(9, kConstants);
-    MatrixXd by_M_g = MatrixXd::Zero(3, 6);
+    Eigen::Matrix<double, 3, 6> by_M_g = Eigen::Matrix<double, 3, 6>::Zero();
     by_M_g.block(0, 0, 1, 1) = omega.head(1).transpose();
     by_M_g.block(1, 1, 1, 2) = omega.head(2).transpose();
     by_M_g.block(2, 3, 1, 3) = omega.transpose();
-    G.block(0, kGyroMatrix, 3, 6) = -dt * inverse_M_g_ * by_M_g;
+    G.block<3, 6>(0, kGyroMatrix) = -dt * inverse_M_g_ * by_M_g;
     G.block<3, 3>(0, kGyroBias) = -dt * inverse_M_g_;
     MatrixXd accel = MatrixXd::Zero(3, kConstants);
-    MatrixXd by_M_a = MatrixXd::Zero(3, 9);
-    for (int row = 0; row < 3; ++row) by_M_a.block(row, 3 * row, 1, 3) = f.transpose();
     const Matrix3d by_accel = -scale_ * R * inverse_M_a_;
-    accel.middleCols(kAccelMatrix, 9) = by_accel * by_M_a;
+    for (int row = 0; row < 3; ++row)
+      accel.middleCols<3>(kAccelMatrix + 3 * row) = by_accel.col(row) * f.transpose();
     accel.block<3, 3>(0, kAccelBias) = by_accel;
     accel.col(kScale) = R * f + g_W_;
     accel.block<3, 3>(0, kGravity).diagonal().setConstant(scale_);
@@ -172,9 +171,9 @@ class Integrator {
     x->v_W += 0.5 * dt * (a_W + b_W);
     x->q_WI = after;
     x->omega_I = b.omega;
-    carried->by_both = F * carried->by_both;
+    carried->by_both = Product(F, carried->by_both);
     carried->by_both.rightCols(kConstants) += G;
-    carried->noise = F * carried->noise * F.transpose() + Q;
+    carried->noise = Propagate(F, carried->noise) + Q;
   }
 
  private:
@@ -251,33 +250,33 @@ std::vector<ImuState> CarryAcrossGap(const Solution& solution, const SessionTraj
   // Apart from the constants, both ends err independently: beyond the constants' part the last
   // state has errors of its own, `rest`.
   const MatrixXd gain = Regression(last);
-  const MatrixXd rest = last.own - gain * last.cross.transpose();
+  const MatrixXd rest = last.own - Product(gain, last.cross.transpose());
   MatrixXd P(9 + kConstants, 9 + kConstants);  // of the first state and the constants
   P << first.own, first.cross, first.cross.transpose(), first.constants;
   const Carried& there = way.back();
   MatrixXd h = there.by_both;
   h.rightCols(kConstants) -= gain;
-  const MatrixXd S = h * P * h.transpose() + there.noise + rest;
+  const MatrixXd S = Propagate(h, P) + there.noise + rest;
   Eigen::VectorXd distance(9);
   distance << Log(Eigen::Quaterniond(there.state.q_WI.conjugate() * last.state.q_WB)),
       last.state.p_WB - there.state.p_WI, last.state.v_W - there.state.v_W;
-  const Eigen::LDLT<MatrixXd> S_inverse(S);
-  if (!(distance.dot(S_inverse.solve(distance)) < kMaxDistance2)) return {};
+  if (!(SquaredDistance(distance, S) < kMaxDistance2)) return {};
 
   std::vector<ImuState> states;
   for (const Carried& here : way) {
     const MatrixXd& A = here.by_both;
     // What errs until here turns up at the end as much as the steps from here on carry it.
-    const MatrixXd rest_of_way = there.by_start() * here.by_start().partialPivLu().inverse();
-    const MatrixXd with_distance = A * P * h.transpose() + here.noise * rest_of_way.transpose();
-    const MatrixXd K = S_inverse.solve(with_distance.transpose()).transpose();
+    const MatrixXd rest_of_way = Product(there.by_start(), Inverse(here.by_start()));
+    const MatrixXd with_distance =
+        Product(h, Product(P, A.transpose())) + Product(rest_of_way, here.noise);
+    const MatrixXd K = Solve(S, with_distance).transpose();
     states.push_back(here.state);
     ImuState& x = states.back();
-    const Eigen::VectorXd error = K * distance;
+    const Eigen::VectorXd error = Product(K, distance);
     x.q_WI = (x.q_WI * Exp<double>(error.head<3>())).normalized();
     x.p_WI += error.segment<3>(3);
     x.v_W += error.tail<3>();
-    const MatrixXd C = A * P * A.transpose() + here.noise - K * S * K.transpose();
+    const MatrixXd C = Propagate(A, P) + here.noise - Propagate(K, S);
     const int place[] = {0, 3, 9};  // of rotation, position and velocity
     for (int i = 0; i < 3; ++i)
       for (int j = 0; j < 3; ++j)

@@ -2,10 +2,10 @@
 
 #include <ceres/jet.h>
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <numeric>
 
+#include "imu_pose_calib/core/base/dense.h"
 #include "imu_pose_calib/core/base/so3.h"
 
 namespace imu_pose_calib {
@@ -97,11 +97,9 @@ TrajectoryCovariance::TrajectoryCovariance(const std::shared_ptr<const Solution>
   for (const CorrectionSplines& splines : solution->splines)
     for (const auto* points : {&splines.d, &splines.phi}) add(*points, 3 * points->size());
 
-  Eigen::MatrixXd border = m.factor.rbegin()->second.H;
-  const Eigen::LLT<Eigen::MatrixXd> llt(border);
-  if (!border.allFinite() || llt.info() != Eigen::Success)
-    throw DataError("the trajectory is not determined");
-  border = llt.solve(Eigen::MatrixXd::Identity(border.rows(), border.cols()));
+  const Eigen::MatrixXd& H = m.factor.rbegin()->second.H;
+  const Eigen::MatrixXd border = SolvePositive(H, Eigen::MatrixXd::Identity(H.rows(), H.cols()));
+  if (!border.allFinite()) throw DataError("the trajectory is not determined");
   inverse_ = m.factor;
   m.elimination->Invert(border, &inverse_);
 }
@@ -254,7 +252,7 @@ std::optional<BodyCovariance> SessionTrajectory::CovarianceOf(int imu, bool is_o
     last_inputs_ = Inputs{first, knot, imu, own->At(columns)};
   }
   const Eigen::MatrixXd& C = last_inputs_->C;
-  if (imu < 0) return BodyCovariance(J.leftCols(C.cols()) * C * J.leftCols(C.cols()).transpose());
+  if (imu < 0) return BodyCovariance(Propagate(J.leftCols(C.cols()), C));
   Eigen::Matrix<double, 18, kInputs + 4> with_clock;
   with_clock << J, Eigen::Matrix<double, 18, 4>::Zero();
   if (is_on_its_clock) {
@@ -262,7 +260,7 @@ std::optional<BodyCovariance> SessionTrajectory::CovarianceOf(int imu, bool is_o
     rate.head<12>() << state->omega_B, state->v_W, state->alpha_B, state->a_W;
     with_clock.rightCols<4>() = rate * ByClock(*clock, t_imu);
   }
-  return BodyCovariance(with_clock * C * with_clock.transpose());
+  return BodyCovariance(Propagate(with_clock, C));
 }
 
 double SessionTrajectory::ClockVariance(size_t imu, double t) const {
@@ -271,7 +269,7 @@ double SessionTrajectory::ClockVariance(size_t imu, double t) const {
   const ImuSessionEstimate& clock = solution_->estimate.sessions[session_].imus[imu];
   const double t_imu = clock.ImuTime(t);
   const Eigen::RowVector4d J = ByClock(clock, t_imu);
-  return J * own->At(own->Clock(session_, imu, t_imu)) * J.transpose();
+  return Propagate(J, own->At(own->Clock(session_, imu, t_imu)))(0, 0);
 }
 
 std::optional<BodyState> SessionTrajectory::Imu(size_t imu, double t, StateJacobian* J) const {
@@ -301,7 +299,7 @@ std::optional<Matrix6d> SessionTrajectory::BiasCovariance(size_t imu, double t) 
     J.block<3, 3>(i, 2 * i) = (1.0 - u) * Eigen::Matrix3d::Identity();
     J.block<3, 3>(i, 2 * i + 3) = u * Eigen::Matrix3d::Identity();
   }
-  return Matrix6d(J * own->At(TrajectoryCovariance::Joined(knots)) * J.transpose());
+  return Matrix6d(Propagate(J, own->At(TrajectoryCovariance::Joined(knots))));
 }
 
 }  // namespace imu_pose_calib

@@ -1,7 +1,5 @@
 #include "imu_pose_calib/core/pose_sensor/sensor_problem.h"
 
-#include <Eigen/Cholesky>
-#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -9,6 +7,7 @@
 #include <tuple>
 #include <utility>
 
+#include "imu_pose_calib/core/base/dense.h"
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/base/student_t.h"
 #include "imu_pose_calib/core/calibration/marginals.h"
@@ -124,8 +123,8 @@ Told Filter(const Rigid3& T_MS, double block_s, SensorSession* session) {
       by_calibrated = Predict(*session, *(&sample - 1), sample, T_VW, &P) * by_calibrated;
       const Vector6d innovation = FindResidual(*session, sample, T_VW);
       const ByCalibrated J = Jacobian(T_MS, *session, sample, T_VW) - by_calibrated;
-      const Matrix6d inverse = (P + Matrix6d(noise.asDiagonal())).inverse();
-      told.H += J.transpose() * inverse * J;
+      const Matrix6d inverse = Inverse(P + Matrix6d(noise.asDiagonal()));
+      told.H += J.transpose().lazyProduct(inverse.lazyProduct(J).eval());
       const auto block = static_cast<int>(sample.t / block_s);
       told.scores.try_emplace(block, Gradient::Zero()).first->second +=
           J.transpose() * (inverse * innovation);
@@ -148,7 +147,7 @@ void Smooth(SensorSession* session) {
     if (next.begins_piece) continue;
     Matrix6d predicted = sample.covariance;
     const Matrix6d F = Predict(*session, sample, next, sample.T_VW, &predicted);
-    const Matrix6d gain = sample.covariance * F.transpose() * predicted.inverse();
+    const Matrix6d gain = sample.covariance * F.transpose() * Matrix6d(Inverse(predicted));
     sample.covariance += gain * (next.covariance - predicted) * gain.transpose();
     sample.T_VW = Moved(*session, sample, sample.T_VW,
                         gain * WorldStep(*session, next, sample.T_VW, next.T_VW));
@@ -227,7 +226,7 @@ std::pair<double, double> FitWalk(const std::vector<SensorPose>& samples,
       const double F = P + variance;
       const Eigen::Matrix<double, 3, 1 + kCalibrated> innovation =
           values[i].middleRows<3>(row) - mean;
-      products += innovation.transpose() * innovation / F;
+      products += innovation.transpose().lazyProduct(innovation) / F;
       log_det += 3.0 * std::log(F);
       count += 3.0;
       mean += P / F * innovation;
@@ -236,7 +235,7 @@ std::pair<double, double> FitWalk(const std::vector<SensorPose>& samples,
     Information H = products.bottomRightCorner<kCalibrated, kCalibrated>();
     H.diagonal().array() += 1e-12 * H.trace() + 1e-24;  // of what does not act
     const Gradient g = products.bottomLeftCorner<kCalibrated, 1>();
-    const double squares = products(0, 0) - g.dot(H.ldlt().solve(g));
+    const double squares = products(0, 0) - g.dot(Gradient(Solve(H, g)));
     const double variance = std::max(squares / count, 1e-24);
     const double log_likelihood = -0.5 * (log_det + count * std::log(variance));
     if (log_likelihood <= best) continue;
@@ -313,7 +312,7 @@ bool SolveSensor(const CalibrationOptions& options, SensorEstimate* estimate) {
     const Equations equations = FindEquations(options, estimate);
     Eigen::VectorXd gradient = Eigen::VectorXd::Zero(equations.H.rows());
     for (const Eigen::VectorXd& score : equations.scores) gradient += score;
-    const Eigen::VectorXd step = -equations.H.ldlt().solve(gradient);
+    const Eigen::VectorXd step = -Solve(equations.H, gradient);
     if (!step.allFinite()) return false;
     estimate->T_MS.p += step.head<3>();
     estimate->T_MS.q = (estimate->T_MS.q * Exp<double>(Vector3d(step.segment<3>(3)))).normalized();
@@ -352,13 +351,10 @@ SensorCovariance FindSensorCovariance(const CalibrationOptions& options, SensorE
   const Equations equations = FindEquations(options, estimate);
   for (SensorSession& session : estimate->sessions) Smooth(&session);
   const Eigen::Index size = equations.H.rows();
-  const Eigen::MatrixXd model = equations.H.ldlt().solve(Eigen::MatrixXd::Identity(size, size));
-  Eigen::MatrixXd robust = Eigen::MatrixXd::Zero(size, size);
-  for (const Eigen::VectorXd& score : equations.scores) {
-    const Eigen::VectorXd influence = model * score;
-    robust += influence * influence.transpose();
-  }
-  const Eigen::VectorXd enlargement = Enlargement(model, robust);
+  const Eigen::MatrixXd model = Solve(equations.H, Eigen::MatrixXd::Identity(size, size));
+  Eigen::MatrixXd scatter = Eigen::MatrixXd::Zero(size, size);
+  for (const Eigen::VectorXd& score : equations.scores) scatter += score * score.transpose();
+  const Eigen::VectorXd enlargement = Enlargement(model, Propagate(model, scatter));
   return {model, enlargement.asDiagonal() * model * enlargement.asDiagonal()};
 }
 

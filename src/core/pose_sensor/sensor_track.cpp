@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "imu_pose_calib/core/base/dense.h"
 #include "imu_pose_calib/core/base/so3.h"
 
 namespace imu_pose_calib {
@@ -80,7 +81,7 @@ Eigen::Matrix<double, 12, 12> SensorTrack::OfMountAndClock(double t,
   by_mount.block<3, 3>(3, 0) = R_WM;
   by_mount.block<3, 3>(6, 3) = Hat(sensor.omega_B);
   by_mount.block<3, 3>(9, 0) = R_WM * Hat<double>(sensor_.T_MS.q * sensor.omega_B);
-  Eigen::Matrix<double, 12, 12> C = by_mount * sensor_.covariance * by_mount.transpose();
+  Eigen::Matrix<double, 12, 12> C = Propagate(by_mount, sensor_.covariance);
   if (clock_ != TrackClock::kImu) return C;
   Eigen::Matrix<double, 12, 1> rate;
   rate << sensor.omega_B, sensor.v_W, sensor.alpha_B, sensor.a_W;

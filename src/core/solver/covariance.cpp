@@ -1,7 +1,5 @@
 #include "imu_pose_calib/core/solver/covariance.h"
 
-#include <Eigen/Cholesky>
-#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -86,8 +84,8 @@ MarginalEstimates EstimateMarginals(const Eigen::MatrixXd& products, int cluster
   for (Eigen::Index k = 0; k < 2 * count; ++k)
     block_UU.col(k) = rows_U.col(U[static_cast<size_t>(k)]);
   const MarginalEstimate better = of(products.middleRows(clusters, functionals) -
-                                     rows_U.middleCols(clusters, functionals).transpose() *
-                                         (W + block_UU).partialPivLu().solve(rows_U));
+                                     Product(rows_U.middleCols(clusters, functionals).transpose(),
+                                             Product(Inverse(W + block_UU), rows_U)));
   if (IsPositiveDefinite(better.covariance)) result.exact = better;
   return result;
 }
@@ -108,11 +106,11 @@ MarginalEstimate Select(const MarginalEstimate& estimate, const std::vector<int>
 Eigen::MatrixXd ClusterRobustCovariance(const MarginalEstimate& estimate, double fitted) {
   const Eigen::MatrixXd& model = estimate.covariance;
   if (!model.allFinite()) return model;
-  const Eigen::MatrixXd L = model.llt().matrixL();
+  Eigen::MatrixXd L = model, z_T = estimate.influence.transpose() / std::sqrt(1.0 - fitted);
+  Factor(L, z_T);
+  L.triangularView<Eigen::StrictlyUpper>().setZero();
   // In units of the model's covariance: S = sum_w z_w z_w^T, the model is the identity.
-  const Eigen::MatrixXd z =
-      L.triangularView<Eigen::Lower>().solve(estimate.influence) / std::sqrt(1.0 - fitted);
-  const Eigen::MatrixXd S = z * z.transpose();
+  const Eigen::MatrixXd z = z_T.transpose(), S = Product(z, z_T);
   const Eigen::MatrixXd target =
       S.trace() / static_cast<double>(S.rows()) * Eigen::MatrixXd::Identity(S.rows(), S.cols());
   // Ledoit and Wolf: how much of the distance to the target is the scatter of the clusters?
@@ -123,7 +121,7 @@ Eigen::MatrixXd ClusterRobustCovariance(const MarginalEstimate& estimate, double
   scatter /= clusters * clusters;
   const double distance = (S - target).squaredNorm();
   const double shrinkage = distance > scatter ? scatter / distance : 1.0;
-  return SlowErrors(z, fitted) * L * (shrinkage * target + (1.0 - shrinkage) * S) * L.transpose();
+  return SlowErrors(z, fitted) * Propagate(L, shrinkage * target + (1.0 - shrinkage) * S);
 }
 
 }  // namespace imu_pose_calib

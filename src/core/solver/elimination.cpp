@@ -1,6 +1,5 @@
 #include "imu_pose_calib/core/solver/elimination.h"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <limits>
 #include <numeric>
@@ -21,11 +20,10 @@ size_t Index(int k) { return static_cast<size_t>(k); }
 }  // namespace
 
 Eigen::MatrixXd Reduced::Products() const {
-  const Eigen::LLT<Eigen::MatrixXd> llt(H);
-  if (!H.allFinite() || llt.info() != Eigen::Success)
-    return Eigen::MatrixXd::Constant(B.cols(), B.cols(), kNan);
-  const Eigen::MatrixXd y = llt.matrixL().solve(B);
-  return inner + y.transpose() * y;
+  Eigen::MatrixXd L = H, y_T = B.transpose(), products = inner;
+  if (!H.allFinite() || !Factor(L, y_T)) return Eigen::MatrixXd::Constant(B.cols(), B.cols(), kNan);
+  AddProduct(1.0, y_T, y_T, false, products);
+  return products;
 }
 
 Elimination::Elimination(const std::vector<int>& sizes, size_t border,
@@ -234,13 +232,11 @@ void Elimination::EliminatePanels(int begin, int end, const Eigen::VectorXd& wei
     Eigen::Ref<Eigen::MatrixXd> own = panel.H.topRows(shape.columns);
     for (int j = 0; j < shape.columns; ++j)
       if (own(j, j) == 0.0) own(j, j) = 1.0;
-    const Eigen::LLT<Eigen::Ref<Eigen::MatrixXd>> llt(own);
-    if (llt.info() != Eigen::Success) {
+    auto L = panel.H.bottomRows(below);
+    if (!Factor(own, L)) {
       rest->is_singular = true;
       return;
     }
-    auto L = panel.H.bottomRows(below);
-    if (below > 0) llt.matrixL().transpose().solveInPlace<Eigen::OnTheRight>(L);
     Eigen::MatrixXd update = Eigen::MatrixXd::Zero(below, below);
     AddProduct(-1.0, L, L, true, update);
     Add(shape.rows, update, panels, false);
@@ -250,7 +246,7 @@ void Elimination::EliminatePanels(int begin, int end, const Eigen::VectorXd& wei
     std::vector<Eigen::Index> at;  // of the right-hand sides among those of the rest
     for (const auto& [number, rhs] : panel.rhs) {
       auto column = y.col(static_cast<Eigen::Index>(at.size()));
-      column = llt.matrixL().solve(rhs);
+      column = own.triangularView<Eigen::Lower>().solve(rhs);
       combined += weights[number] * column;
       AddRhs(shape.rows, number, -(L * column), panels, false);
       const auto found = std::find(rest->numbers.begin(), rest->numbers.end(), number);
@@ -259,7 +255,7 @@ void Elimination::EliminatePanels(int begin, int end, const Eigen::VectorXd& wei
     }
     const auto count = static_cast<Eigen::Index>(rest->numbers.size());
     rest->inner.conservativeResizeLike(Eigen::MatrixXd::Zero(count, count));
-    const Eigen::MatrixXd products = y.transpose() * y;
+    const Eigen::MatrixXd products = Product(y.transpose(), y);
     for (size_t j = 0; j < at.size(); ++j)
       for (size_t i = 0; i < at.size(); ++i)
         rest->inner(at[i], at[j]) +=

@@ -1,12 +1,13 @@
 #include "imu_pose_calib/core/start/clock_walk.h"
 
-#include <Eigen/Cholesky>
+#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 #include <iterator>
 #include <limits>
 #include <utility>
 
+#include "imu_pose_calib/core/base/dense.h"
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/start/rate_alignment.h"
 
@@ -119,8 +120,8 @@ LocalOffsets FindLocal(const std::vector<Sample>& samples, const ClockWalk& walk
     J.col(0) = s.a;
     J.block<3, 3>(0, 1).setIdentity();
     for (int axis = 0; axis < 3; ++axis) J.block<1, 3>(axis, 4 + 3 * axis) = s.omega.transpose();
-    H[knot].noalias() += weight * J.transpose() * J;
-    b[knot].noalias() += weight * J.transpose() * s.r;
+    H[knot] += (weight * J.transpose()).lazyProduct(J);
+    b[knot] += (weight * J.transpose()).lazyProduct(s.r);
     spurious[knot] += weight * growth_noise2;
   }
   LocalOffsets local;
@@ -128,10 +129,9 @@ LocalOffsets FindLocal(const std::vector<Sample>& samples, const ClockWalk& walk
     local.z.push_back(walk.offset[k]);
     local.variance.push_back(std::numeric_limits<double>::infinity());
     if (spurious[k] == 0.0) continue;
-    const Eigen::LDLT<Information> ldlt(H[k]);
-    const double information = 1.0 / ldlt.solve(Vector::Unit(0))[0] - spurious[k];
+    const double information = 1.0 / Solve(H[k], Vector::Unit(0))(0) - spurious[k];
     if (information <= 0.0) continue;
-    local.z[k] += ldlt.solve(b[k])[0];
+    local.z[k] += Solve(H[k], b[k])(0);
     local.variance[k] = sigma * sigma / information;
   }
   return local;
@@ -193,8 +193,7 @@ Walk Smooth(const LocalOffsets& local, const Tails& tails, double density2) {
     Eigen::Vector2d& x = f.x[k];
     Eigen::Matrix2d& P = f.P[k];
     if (k + 1 < n) {
-      const Eigen::Matrix2d gain =
-          P * f.F.transpose() * f.predicted_P[k + 1].ldlt().solve(Eigen::Matrix2d::Identity());
+      const Eigen::Matrix2d gain = P * f.F.transpose() * f.predicted_P[k + 1].inverse();
       const Eigen::Matrix2d& after = f.P[k + 1];
       x += gain * (f.x[k + 1] - f.predicted_x[k + 1]);
       P += gain * (after - f.predicted_P[k + 1]) * gain.transpose();

@@ -1,6 +1,5 @@
 #include "imu_pose_calib/core/start/data_check.h"
 
-#include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
@@ -8,6 +7,7 @@
 #include <numeric>
 #include <utility>
 
+#include "imu_pose_calib/core/base/dense.h"
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/base/text.h"
@@ -232,14 +232,13 @@ void MeasureDrift(const ConditionedImu& data, const PoseTrajectory& trajectory, 
     const Eigen::Vector3d omega_I = R_IM * marker.omega_M, alpha_I = R_IM * marker.alpha_M;
     Row row{s.t, {}, s.value - start.gyro_bias - omega_I};
     row.J << Hat(omega_I), Eigen::Matrix3d::Identity(), alpha_I, (s.t - middle) * alpha_I;
-    H.noalias() += row.J.transpose() * row.J;
-    b.noalias() += row.J.transpose() * row.r;
+    H += row.J.transpose().lazyProduct(row.J);
+    b += row.J.transpose().lazyProduct(row.r);
     motion += (s.value - start.gyro_bias).squaredNorm();
     rows.push_back(row);
   }
   if (rows.size() < 100) return;
-  const Eigen::LDLT<Matrix8d> ldlt(H);
-  const Vector8d x = ldlt.solve(b);
+  const Vector8d x = Solve(H, b);
   Matrix8d scatter = Matrix8d::Zero();
   double residual = 0.0;
   for (size_t i = 0; i < rows.size();) {
@@ -255,7 +254,7 @@ void MeasureDrift(const ConditionedImu& data, const PoseTrajectory& trajectory, 
   check->explained = 1.0 - residual / motion;
   check->time_shift += x[6];
   check->drift_ppm = 1e6 * x[7];
-  const Matrix8d covariance = ldlt.solve(ldlt.solve(scatter).transpose());
+  const Eigen::MatrixXd covariance = Solve(H, Solve(H, scatter).transpose());
   check->drift_ppm_std = 1e6 * std::sqrt(std::max(0.0, covariance(7, 7)));
 }
 

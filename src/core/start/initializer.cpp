@@ -1,12 +1,12 @@
 #include "imu_pose_calib/core/start/initializer.h"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <iomanip>
 #include <limits>
 #include <utility>
 
+#include "imu_pose_calib/core/base/dense.h"
 #include "imu_pose_calib/core/base/parallel.h"
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/base/text.h"
@@ -173,17 +173,17 @@ struct LeverArmEquations {
       Eigen::Matrix<double, 3, 10> J;
       J << Hat(state.alpha_M) + W * W, -R_MW, Eigen::Matrix3d::Identity(), R_MW * state.a_W;
       const Eigen::Vector3d y = R_MI * accel[i].value;
-      A.noalias() += J.transpose() * J;
-      b.noalias() += J.transpose() * y;
+      A += J.transpose().lazyProduct(J);
+      b += J.transpose().lazyProduct(y);
       sum += y.squaredNorm();
       count += 1.0;
     }
   }
 
   /// (p_MI, g_W, R_MI b_a) with s = 1, and the mean squared residual.
-  Eigen::Matrix<double, 9, 1> Solve(double* residual) const {
+  Eigen::Matrix<double, 9, 1> Fit(double* residual) const {
     const Eigen::Matrix<double, 9, 1> b9 = b.head<9>() - A.col(9).head<9>();
-    Eigen::Matrix<double, 9, 1> x = A.topLeftCorner<9, 9>().ldlt().solve(b9);
+    Eigen::Matrix<double, 9, 1> x = Solve(A.topLeftCorner<9, 9>(), b9);
     *residual = count > 0.0 ? (sum - 2.0 * b[9] + A(9, 9) - b9.dot(x)) / count
                             : std::numeric_limits<double>::infinity();
     return x;
@@ -191,9 +191,8 @@ struct LeverArmEquations {
 
   /// s when it is free, and its share of what the other unknowns leave of the accelerometer.
   double PositionScale(double* explained) const {
-    const Eigen::LDLT<Matrix10d> ldlt = A.ldlt();
-    const Vector10d x = ldlt.solve(b);
-    const double gain = x[9] * x[9] / ldlt.solve(Vector10d::Unit(9))[9];
+    const Vector10d x = Solve(A, b);
+    const double gain = x[9] * x[9] / Solve(A, Vector10d::Unit(9))(9);
     *explained = gain / (gain + sum - b.dot(x));
     return x[9];
   }
@@ -259,7 +258,7 @@ void FitLeverArm(const PoseTrajectory& trajectory, const std::vector<TimedSample
   const auto attempt = [&](const std::vector<double>& delays) {
     std::vector<double> residuals(delays.size());
     InParallel(threads, delays.size(), [&](size_t k) {
-      LeverArmEquations(trajectory, accel, *start, delays[k], stride).Solve(&residuals[k]);
+      LeverArmEquations(trajectory, accel, *start, delays[k], stride).Fit(&residuals[k]);
     });
     for (size_t k = 0; k < delays.size(); ++k) {
       if (residuals[k] >= lowest) continue;
@@ -277,7 +276,7 @@ void FitLeverArm(const PoseTrajectory& trajectory, const std::vector<TimedSample
       attempt({best_delay - step, best_delay + step});
   }
   const LeverArmEquations equations(trajectory, accel, *start, best_delay, stride);
-  const Eigen::Matrix<double, 9, 1> best = equations.Solve(&lowest);
+  const Eigen::Matrix<double, 9, 1> best = equations.Fit(&lowest);
   CheckPositionUnit(equations);
   start->accel_delay = best_delay;
   start->p_MI = best.head<3>();

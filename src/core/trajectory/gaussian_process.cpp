@@ -1,6 +1,5 @@
 #include "imu_pose_calib/core/trajectory/gaussian_process.h"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <utility>
@@ -126,12 +125,9 @@ class BandedCholesky {
   explicit BandedCholesky(BandMatrix A) : L_(std::move(A)) {
     for (Eigen::Index i = 0; i < L_.size(); i += kTile) {
       const Eigen::Index n = Size(i), next = Size(i + n);
-      auto diagonal = L_.block(i, i, n, n);
-      Eigen::LLT<Eigen::Ref<Eigen::MatrixXd>> in_place(diagonal);
-      if (next == 0) break;
-      auto below = L_.block(i + n, i, next, n);
-      diagonal.triangularView<Eigen::Lower>().transpose().solveInPlace<Eigen::OnTheRight>(below);
-      AddProduct(-1.0, below, below, true, L_.block(i + n, i + n, next, next));
+      const auto below = L_.block(i + n, i, next, n);
+      Factor(L_.block(i, i, n, n), below);
+      if (next > 0) AddProduct(-1.0, below, below, true, L_.block(i + n, i + n, next, next));
     }
   }
 
@@ -218,7 +214,7 @@ WeightPosterior FitWeights(const GpData& data, Eigen::Index begin, Eigen::Index 
     AddProduct(1.0, group, group, true, A.block(j, j, kSupport, kSupport));
     if (data.noise_scale.size() > 0)
       group *= data.noise_scale.segment(i, count).cwiseInverse().asDiagonal();
-    b.middleRows<kSupport>(j).noalias() += group * data.y.middleRows(i, count);
+    b.middleRows<kSupport>(j) += group.lazyProduct(data.y.middleRows(i, count));
   }
   const double weight_std = WeightStd(h);
   A.Scale(std::pow(weight_std / h.noise_std, 2));
@@ -343,10 +339,10 @@ double LogMarginalLikelihood(const GpData& data, const GpHyperparameters& h,
     }
     const auto mean = posterior.mean.middleRows<kSupport>(j);
     const auto f = F.leftCols(count), df = dF.leftCols(count);
-    const Eigen::MatrixXd residual = data.y.middleRows(i, count) - f.transpose() * mean;
+    const Eigen::MatrixXd residual = data.y.middleRows(i, count) - f.transpose().lazyProduct(mean);
     residual_norm2 += residual.squaredNorm();
     if (gradient == nullptr) continue;
-    length_fit += residual.cwiseProduct(df.transpose() * mean).sum() / noise2;
+    length_fit += residual.cwiseProduct(df.transpose().lazyProduct(mean)).sum() / noise2;
     Eigen::Matrix<double, kSupport, kSupport> product = decltype(product)::Zero();
     AddProduct(1.0, df, f, false, product);
     product += product.transpose().eval();

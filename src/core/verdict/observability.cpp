@@ -147,7 +147,7 @@ BetweenImus Between(const Rigid3& T_MF, const Rigid3& T_MS,
   J.block<3, 3>(0, 6) = R_FM;
   J.block<3, 3>(3, 3) = -between.T.q.conjugate().toRotationMatrix();
   J.block<3, 3>(3, 9).setIdentity();
-  between.covariance = J * covariance * J.transpose();
+  between.covariance = Propagate(J, covariance);
   return between;
 }
 

@@ -16,10 +16,21 @@ void AddProduct(double scale, const ConstDenseRef& A, const ConstDenseRef& B, bo
 
 // Whatever source names these in Eigen's terms takes seconds more to compile.
 
+/// Cholesky: of C = L L^T, L takes the lower triangle, and B becomes B L^-T. False when C is not
+/// positive definite.
+bool Factor(DenseRef C, DenseRef B);
+
+/// A B.
+Eigen::MatrixXd Product(const Eigen::MatrixXd& A, const Eigen::MatrixXd& B);
 /// A C A^T: the covariance C propagated by A.
 Eigen::MatrixXd Propagate(const Eigen::MatrixXd& A, const Eigen::MatrixXd& C);
 Eigen::MatrixXd Inverse(const Eigen::MatrixXd& A);
+/// C^-1 B, of symmetric C.
+Eigen::MatrixXd Solve(const Eigen::MatrixXd& C, const Eigen::MatrixXd& B);
+
 bool IsPositiveDefinite(const Eigen::MatrixXd& C);
+/// C^-1 B; NaN when C is not positive definite.
+Eigen::MatrixXd SolvePositive(const Eigen::MatrixXd& C, const Eigen::MatrixXd& B);
 /// d^T C^-1 d, of positive definite C.
 double SquaredDistance(const Eigen::VectorXd& d, const Eigen::MatrixXd& C);
 
