@@ -224,7 +224,7 @@ void ReducedProblem::AddPriors(Part* part) const {
     const double* parameters[] = {problem.data(block)};
     double* jacobians[] = {J.data()};
     residuals.Evaluate(parameters, r.data(), jacobians);
-    part->reduced.H.block(column, column, size, size) += J.transpose() * J;
+    part->reduced.H.block(column, column, size, size) += J.transpose().lazyProduct(J);
     const Eigen::VectorXd share = J.transpose() * r / static_cast<double>(part->windows.size());
     for (const int w : part->windows) part->reduced.B.col(w).segment(column, size) += share;
   }

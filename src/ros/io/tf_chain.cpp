@@ -1,6 +1,6 @@
 #include "imu_pose_calib/ros/io/tf_chain.h"
 
-#include <tf2/exceptions.h>
+#include <tf2/buffer_core.h>
 
 #include <algorithm>
 #include <cmath>
@@ -25,7 +25,7 @@ TfChain::TfChain(const std::string& parent, const std::string& child, double cac
     : parent_(FrameName(parent, "")),
       child_(FrameName(child, "")),
       cache_ns_(static_cast<int64_t>(1e9 * cache_s)),
-      buffer_(ros::Duration(cache_s)) {}
+      buffer_(std::make_shared<tf2::BufferCore>(ros::Duration(cache_s))) {}
 
 void TfChain::Add(const tf2_msgs::TFMessage& message, bool fixed) {
   for (geometry_msgs::TransformStamped transform : message.transforms) {
@@ -40,7 +40,7 @@ void TfChain::Add(const tf2_msgs::TFMessage& message, bool fixed) {
       Link& link = links_[transform.child_frame_id];
       link.parent = transform.header.frame_id;
       link.fixed = true;
-      buffer_.setTransform(transform, "", true);
+      buffer_->setTransform(transform, "", true);
     }
   }
 }
@@ -66,7 +66,7 @@ void TfChain::AddMoving(const geometry_msgs::TransformStamped& transform) {
   if (usable) {
     link.first = std::min(link.first, stamp);
     link.last = std::max(link.last, stamp);
-    buffer_.setTransform(transform, "");
+    buffer_->setTransform(transform, "");
   }
   // Nothing is known of updates further from the last usable one than the cache.
   auto& updates = link.updates;
@@ -106,7 +106,7 @@ std::vector<PoseSample> TfChain::TakePoses() {
     pose.p_WM.setConstant(std::numeric_limits<double>::quiet_NaN());
     try {
       if (usable)
-        pose = ToPoseSample(stamp, buffer_.lookupTransform(parent_, child_, stamp).transform);
+        pose = ToPoseSample(stamp, buffer_->lookupTransform(parent_, child_, stamp).transform);
     } catch (const tf2::TransformException&) {
       // a frame has changed its parent meanwhile
     }

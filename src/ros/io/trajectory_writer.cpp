@@ -14,6 +14,7 @@
 #include <memory>
 #include <set>
 
+#include "imu_pose_calib/core/base/dense.h"
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/tables.h"
@@ -220,8 +221,8 @@ nav_msgs::Odometry ToOdometry(const std_msgs::Header& header, const std::string&
   twist.block<3, 3>(0, 0) = Hat(v_I);
   twist.block<3, 3>(0, 9) = R.transpose();
   twist.block<3, 3>(3, 6).setIdentity();
-  Fill(pose * x.covariance * pose.transpose(), &msg.pose.covariance);
-  Fill(twist * x.covariance * twist.transpose(), &msg.twist.covariance);
+  Fill(Propagate(pose, x.covariance), &msg.pose.covariance);
+  Fill(Propagate(twist, x.covariance), &msg.twist.covariance);
   return msg;
 }
 

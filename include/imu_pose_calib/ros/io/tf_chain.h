@@ -1,14 +1,18 @@
 #pragma once
 
-#include <tf2/buffer_core.h>
 #include <tf2_msgs/TFMessage.h>
 
 #include <map>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
 #include "imu_pose_calib/core/base/types.h"
+
+namespace tf2 {
+class BufferCore;  // its header takes long to compile
+}
 
 namespace imu_pose_calib {
 
@@ -64,7 +68,7 @@ class TfChain {
 
   std::string parent_, child_;
   int64_t cache_ns_;
-  tf2::BufferCore buffer_;
+  std::shared_ptr<tf2::BufferCore> buffer_;
   std::map<std::string, Link> links_;
   ros::Time last_taken_;
 };
