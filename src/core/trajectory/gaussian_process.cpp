@@ -214,7 +214,7 @@ WeightPosterior FitWeights(const GpData& data, Eigen::Index begin, Eigen::Index 
     AddProduct(1.0, group, group, true, A.block(j, j, kSupport, kSupport));
     if (data.noise_scale.size() > 0)
       group *= data.noise_scale.segment(i, count).cwiseInverse().asDiagonal();
-    b.middleRows<kSupport>(j) += group.lazyProduct(data.y.middleRows(i, count));
+    b.middleRows<kSupport>(j).noalias() += group * data.y.middleRows(i, count);
   }
   const double weight_std = WeightStd(h);
   A.Scale(std::pow(weight_std / h.noise_std, 2));
@@ -339,10 +339,10 @@ double LogMarginalLikelihood(const GpData& data, const GpHyperparameters& h,
     }
     const auto mean = posterior.mean.middleRows<kSupport>(j);
     const auto f = F.leftCols(count), df = dF.leftCols(count);
-    const Eigen::MatrixXd residual = data.y.middleRows(i, count) - f.transpose().lazyProduct(mean);
+    const Eigen::MatrixXd residual = data.y.middleRows(i, count) - f.transpose() * mean;
     residual_norm2 += residual.squaredNorm();
     if (gradient == nullptr) continue;
-    length_fit += residual.cwiseProduct(df.transpose().lazyProduct(mean)).sum() / noise2;
+    length_fit += residual.cwiseProduct(df.transpose() * mean).sum() / noise2;
     Eigen::Matrix<double, kSupport, kSupport> product = decltype(product)::Zero();
     AddProduct(1.0, df, f, false, product);
     product += product.transpose().eval();

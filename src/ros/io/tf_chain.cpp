@@ -1,6 +1,7 @@
 #include "imu_pose_calib/ros/io/tf_chain.h"
 
 #include <tf2/buffer_core.h>
+#include <tf2/exceptions.h>
 
 #include <algorithm>
 #include <cmath>
