@@ -8,16 +8,13 @@ import subprocess
 import sys
 import tempfile
 import time
-import uuid
 from collections import namedtuple
 
-import yaml
+from command_line import write
 
-PROGRAMS = os.path.dirname(os.path.abspath(sys.argv[0]))  # where this one is installed, too
 LIMITS = ((resource.RLIMIT_CORE, 0), (resource.RLIMIT_CPU, 3600), (resource.RLIMIT_AS, 16 << 30))  # [s], [bytes]
 PR_SET_PDEATHSIG = 1
 LIBC = ctypes.CDLL(None)
-LOADER = getattr(yaml, 'CBaseLoader', yaml.BaseLoader)  # all scalars are texts: numbers as the programs write them
 
 # A piece of work that is independent of others. name: path of its result below the folder, without ending;
 # description: all that the result follows from, on one line; outcome(status, output, error): the text to keep, by exit
@@ -25,43 +22,10 @@ LOADER = getattr(yaml, 'CBaseLoader', yaml.BaseLoader)  # all scalars are texts:
 Task = namedtuple('Task', 'name description command outcome')
 
 
-class InputError(Exception):
-    """Something cannot be used as given: the text names field, value and bound."""
-
-
-class DataError(Exception):
-    """The input was read, but no calibration can come from it."""
-
-
-def program(name):
-    return os.path.join(PROGRAMS, name)
-
-
-def reason_of(error):
-    """The text of an error of a program, its last line, without its name."""
-    return error.strip().split('\n')[-1].split(': error: ', 1)[-1]
-
-
-def ask(command, given=''):
-    """What a program of the package prints, as YAML."""
-    done = subprocess.run(command, input=given, stdout=subprocess.PIPE, stderr=subprocess.PIPE, encoding='utf-8')
-    if done.returncode != 0:
-        raise InputError(reason_of(done.stderr))
-    return yaml.load(done.stdout, LOADER)
-
-
 def describe(words):
     """Words of a command on one line, files with size and time of change."""
     return ' '.join('%s (%d bytes of %d)' % (word, os.path.getsize(word), os.stat(word).st_mtime_ns)
                     if os.path.isfile(word) else word for word in words).replace('\n', ' ')
-
-
-def write(path, text):
-    """Replaces a file in one step."""
-    draft = '%s.%s' % (path, uuid.uuid4().hex)
-    with open(draft, 'w', encoding='utf-8') as file:
-        file.write(text)
-    os.replace(draft, path)
 
 
 def result_path(folder, task):

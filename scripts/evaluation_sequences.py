@@ -10,10 +10,10 @@ from collections import namedtuple
 import evaluation_tables
 import numpy as np
 import yaml
-from evaluation_runner import (LOADER, DataError, InputError, Task, ask, describe, finished, program, reason_of,
-                               run_tasks, write)
+from command_line import LOADER, DataError, InputError, output_of, program, reason_of, write
+from comparison import calibration, compare, given, repeat
+from evaluation_runner import Task, describe, finished, run_tasks
 from evaluation_tables import is_usable
-from evaluation_trials import compare
 
 # title: with place and licence; is_imu0: the IMU of its bags is /imu0; is_in_imu: poses without a sensor.yaml are said
 # to be the IMU's.
@@ -119,14 +119,10 @@ def sequence_outcome(path):
 
 def compared(group):
     """How the usable outcomes of a group, which know their sequences, scatter and differ from what is published."""
-    usable = [outcome for outcome in group if is_usable(outcome)]
-    published = [outcome for outcome in usable if outcome['reference']]
-    found = compare(usable, 4) if usable else {}
-    node = {'scatter': found} if len(usable) > 1 else {}
-    if published:
-        node['audit'] = [dict(difference, name=outcome['name'], time_shift=outcome['time_shift'][0])
-                         for outcome, difference in zip(published, found['from_reference'])]
-    return node
+    usable = [(outcome, calibration(outcome)) for outcome in group if is_usable(outcome)]
+    found = {'scatter': repeat([one for _, one in usable])} if len(usable) > 1 else {}
+    audit = [(outcome, compare(given(outcome['reference']), one)) for outcome, one in usable if outcome['reference']]
+    return dict(found, audit=audit) if audit else found
 
 
 def run_sequences(wanted, about):
@@ -152,7 +148,7 @@ def run_sequences(wanted, about):
     if len(done) < len(sequences):
         said = '%d recordings of the other jobs are missing\n' % (len(sequences) - len(done))
     else:
-        said = write_tables(done, title, wanted, about)
+        said = write_tables(done, title, wanted)
     if not wanted.quiet:
         sys.stdout.write(said)
     failed = [outcome['name'] for outcome in done if not is_usable(outcome)]
@@ -160,19 +156,19 @@ def run_sequences(wanted, about):
         raise DataError('%d of %d bags have no calibration: %s' % (len(failed), len(sequences), ', '.join(failed)))
 
 
-def write_tables(done, title, wanted, about):
+def write_tables(done, title, wanted):
     """Of outcomes. Returns the table, and where the page of all is."""
     groups = []
     for name, group in itertools.groupby(done, lambda outcome: outcome['group']):
         results = list(group)
         groups.append(dict(compared(results) if wanted.dataset else {}, name=name, results=results))
-    files = evaluation_tables.sequences(title, groups, float(about['agreement']))
+    files = evaluation_tables.sequences(title, groups)
     for name, text in files.items():
         write(os.path.join(wanted.out, name), text)
     usable = ['%s/%s.calibration.yaml' % (wanted.out, outcome['name']) for outcome in done if is_usable(outcome)]
     if wanted.dataset or not usable:
         return files['sequences.md']
     page = wanted.out + '/sequences.report.html'
-    ask([program('compare_calibrations')] + usable + ['--report', page, '--fleet', title + (
+    output_of([program('compare_calibrations')] + usable + ['--report', page, '--fleet', title + (
         ': %d of %d recordings have a result; those of one rig and IMU should agree' % (len(usable), len(done)))])
     return files['sequences.md'] + 'Written to %s\n' % page

@@ -5,7 +5,9 @@ import glob
 import math
 import os
 
-DEGREES = 180.0 / math.pi
+import comparison
+from comparison import AGREEMENT, DEGREES
+
 DOF = 8  # of chi2
 METHODS = ('gp', 'joint')
 QUANTITIES = (('rotation', 'deg', DEGREES), ('position', 'mm', 1e3), ('time shift', 'ms', 1e3),
@@ -63,11 +65,8 @@ def listed(values, form, factor=1.0):
 
 
 def rotation_vector(result):
-    """[rad] Of its quaternion x, y, z, w."""
-    x, y, z, w = (float(text) for text in result['rotation'])
-    sine = math.sqrt(x * x + y * y + z * z)
-    factor = 2.0 * math.atan2(sine, abs(w)) / sine if sine > 0.0 else 2.0
-    return [math.copysign(factor, w) * component for component in (x, y, z)]
+    """[deg] Of its quaternion x, y, z, w."""
+    return DEGREES * comparison.rotation_vector(comparison.rotation(result['rotation']))
 
 
 def is_usable(outcome):
@@ -125,9 +124,8 @@ def keys(plan, c, method):
 
 
 def chi_square_band(dof):
-    """The 2.5 and 97.5 % quantiles of chi-square over its degrees of freedom: Wilson and Hilferty."""
-    variance = 2.0 / (9.0 * dof)
-    return [(1.0 - variance + z * math.sqrt(variance)) ** 3 for z in (-1.959964, 1.959964)]
+    """The 2.5 and 97.5 % quantiles of chi-square over its degrees of freedom."""
+    return [comparison.chi_square(dof, sigmas) / dof for sigmas in (-1.959964, 1.959964)]
 
 
 def cell_table(plan, columns):
@@ -190,16 +188,17 @@ def result_table(results):
     return table(['recording', 'p [mm]', 'sigma', 'R as a rotation vector [deg]', 'sigma', 'accel delay [ms]',
                   'verdict'],
                  [[r['name'], listed(r['translation'], '%.3f', 1e3), listed(r['std'][:3], '%.3f', 1e3),
-                   listed(rotation_vector(r), '%.4f', DEGREES), listed(r['std'][3:], '%.4f', DEGREES),
+                   listed(rotation_vector(r), '%.4f'), listed(r['std'][3:], '%.4f', DEGREES),
                    '%.4f ± %.4f' % tuple(1e3 * float(x) for x in r['accel_delay']), r['verdict']] for r in results])
 
 
 def difference_table(what, differences):
     rows = []
-    for d in differences:
-        rows.append([d['name'], number(float(d['angle']) * DEGREES), number(float(d['distance']) * 1e3),
-                     '%.1f / %s' % (float(d['chi2']), d['dof']) if int(d['dof']) > 0 else '',
-                     '%s %s, %.1f' % (d['worst'], 'xyz'[int(d['axis'])], float(d['sigmas'])) if d['worst'] else ''])
+    for name, d in differences:
+        worst = d.worst()
+        rows.append([name, number(d.angle * DEGREES), number(d.distance * 1e3),
+                     '%.1f / %d' % (d.chi2, d.dof) if d.dof > 0 else '',
+                     '%s, %.1f' % (worst.name, worst.sigmas) if worst else ''])
     return table([what, 'rotation [deg]', 'position [mm]', 'chi² / dof', 'largest, in sigma'], rows)
 
 
@@ -329,7 +328,7 @@ def sequence_table(results):
         if is_usable(r):
             shift, delay = ([float(x) for x in r[key]] for key in ('time_shift', 'accel_delay'))
             row += [listed(r['translation'], '%.2f', 1e3), listed(r['std'][:3], '%.2f', 1e3),
-                    listed(rotation_vector(r), '%.3f', DEGREES), listed(r['std'][3:], '%.3f', DEGREES),
+                    listed(rotation_vector(r), '%.3f'), listed(r['std'][3:], '%.3f', DEGREES),
                     '%.6f' % shift[0], '%.6f' % shift[1], '%.3f' % (1e3 * delay[0]), '%.3f' % (1e3 * delay[1]),
                     r['warnings']]
         else:
@@ -341,29 +340,26 @@ def sequence_table(results):
 
 def scatter_table(count, scatter):
     rows = []
-    for s in scatter['scatters']:
-        unit = {'rotation': 'deg', 'translation': 'mm'}.get(s['quantity'], 'ms')
-        factor = DEGREES if unit == 'deg' else 1e3
-        rows.append(['%s [%s]' % (s['quantity'], unit), listed(s['deviation'], '%.3f', factor),
-                     listed(s['sigma'], '%.3f', factor), '%.1f / %s' % (float(s['chi2']), s['dof'])])
+    for s in scatter.scatters:
+        _, unit, factor = comparison.QUANTITIES[s.quantity]
+        rows.append(['%s [%s]' % (s.quantity, unit), listed(s.deviation, '%.3f', factor),
+                     listed(s.sigma, '%.3f', factor), '%.1f / %d' % (s.chi2, s.dof)])
     return ('Scatter of %d: mean p %s mm, R %s deg.\n\n'
-            % (count, listed(scatter['mean']['translation'], '%.2f', 1e3),
-               listed(rotation_vector(scatter['mean']), '%.3f', DEGREES)) +
+            % (count, listed(scatter.mean.T[:3, 3], '%.2f', 1e3),
+               listed(comparison.rotation_vector(scatter.mean.T[:3, :3]), '%.3f', DEGREES)) +
             narrow_table(['', 'standard deviation', 'sigma, rms', 'chi² / dof'], rows))
 
 
-def audit_table(audit, bound):
+def audit_table(audit):
     """Whether poses are in the published frame and on the clock of the IMU."""
     rows = []
-    for a in audit:
-        most = {quantity: float(sigmas) for quantity, sigmas in a['most'].items()}
-        is_frame = max(most['translation'], most['rotation']) <= bound
-        rows.append([a['name'], '%.2f (%.1f)' % (1e3 * float(a['distance']), most['translation']),
-                     '%.3f (%.1f)' % (DEGREES * float(a['angle']), most['rotation']),
-                     '%.3f (%.1f)' % (1e3 * float(a['time_shift']), most['time shift']),
-                     'yes' if is_frame else 'no', 'yes' if most['time shift'] <= bound else 'no'])
+    for outcome, d in audit:
+        p, R, shift = map(d.most, ('translation', 'rotation', 'time shift'))
+        rows.append([outcome['name'], '%.2f (%.1f)' % (1e3 * d.distance, p), '%.3f (%.1f)' % (DEGREES * d.angle, R),
+                     '%.3f (%.1f)' % (1e3 * float(outcome['time_shift'][0]), shift),
+                     'yes' if max(p, R) <= AGREEMENT else 'no', 'yes' if shift <= AGREEMENT else 'no'])
     return ('Less what is published, in brackets the largest component in its sigma; *yes* is within %g sigma. The '
-            'clocks are said to be one.\n\n' % bound +
+            'clocks are said to be one.\n\n' % AGREEMENT +
             table(['recording', 'p [mm]', 'R [deg]', 'time shift [ms]', 'frame as published?', 'clock of the IMU?'],
                   rows))
 
@@ -379,8 +375,8 @@ def sequences_csv(results):
     return text
 
 
-def sequences(title, groups, bound):
-    """Texts of the files in the folder. `bound`: [sigma] within which calibrations agree."""
+def sequences(title, groups):
+    """Texts of the files in the folder."""
     text = '# ' + title + '\n\n'
     for group in groups:
         if group['name']:
@@ -389,5 +385,5 @@ def sequences(title, groups, bound):
         if 'scatter' in group:
             text += scatter_table(sum(map(is_usable, group['results'])), group['scatter'])
         if 'audit' in group:
-            text += audit_table(group['audit'], bound)
+            text += audit_table(group['audit'])
     return {'sequences.md': text, 'sequences.csv': sequences_csv([r for g in groups for r in g['results']])}

@@ -8,8 +8,9 @@ from collections import namedtuple
 
 import evaluation_tables
 import yaml
-from evaluation_runner import (LOADER, InputError, Task, ask, describe, finished, missing, program, reason_of,
-                               run_tasks, write)
+from command_line import LOADER, InputError, program, reason_of, write
+from comparison import TRANSFORM, calibration, compare
+from evaluation_runner import Task, describe, finished, missing, run_tasks
 from evaluation_tables import METHODS, Trial, is_usable
 
 COMPARED = 4  # recordings of one rig, however many are asked for
@@ -130,13 +131,6 @@ def trial_outcome(status, output, error):
     return output if status == 0 else 'verdict: failed\nreason: it died or took too long\n'
 
 
-def compare(results, quantities, reference=None):
-    """What evaluate_trial finds in the first `quantities` of translation, rotation, accel delay and time shift: every
-    pair, mean and scatters; each less a transform, rows of its matrix, which may be its own."""
-    given = [dict(result, reference=reference) if reference else result for result in results]
-    return ask([program('evaluate_trial'), '--compare'], json.dumps({'quantities': quantities, 'results': given}))
-
-
 class Evaluation:
     """Of what the command line asks for. `about`: what evaluate_trial --about says."""
 
@@ -188,17 +182,16 @@ class Evaluation:
         return "tables and figures are in '%s': evaluation.md\n" % self.folder
 
     def compared(self, plan, method):
-        """The usable calibrations of a method, every pair of them, and each less the chained one."""
+        """The usable calibrations of a method, every pair of them, and each less the chained one, with names."""
         results = [dict(trial.outcome, name=', '.join(plan.cells[trial.cell].labels) or
                         'recording %d' % trial.options['index'])
                    for trial in plan.trials if trial.options['method'] == method and trial.is_usable]
-        found = {'results': results, 'pairs': []}
-        if len(results) > 1:
-            found['pairs'] = [dict(pair, name='%s less %s' % (b['name'], a['name'])) for (a, b), pair in
-                              zip(itertools.combinations(results, 2), compare(results, 3)['pairs'])]
-        if results and self.wanted.chain and plan.base == 'sample':
-            found['chain'] = [dict(difference, name=result['name']) for result, difference in
-                              zip(results, compare(results, 2, self.about['chain'])['from_reference'])]
+        named = [(result['name'], calibration(result)) for result in results]
+        found = {'results': results,
+                 'pairs': [('%s less %s' % (second, first), compare(a, b, (*TRANSFORM, 'accel delay')))
+                           for (first, a), (second, b) in itertools.combinations(named, 2)]}
+        if named and self.wanted.chained and plan.base == 'sample':
+            found['chain'] = [(name, compare(self.wanted.chained, one, TRANSFORM)) for name, one in named]
         return found
 
     def write_tables(self):

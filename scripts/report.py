@@ -1,12 +1,10 @@
 #!/usr/bin/python3
-"""Draws the report of a calibration, or of a comparison, from the numbers that are in a folder.
+"""Draws the report of a calibration from the numbers that are in a folder.
 
 report.py FOLDER OUT.html    one HTML file with SVG figures and a script of its own, without links to anything else
 report.py FOLDER OUT.pdf     the same on sheets of A4
 """
 
-import datetime
-import hashlib
 import os
 import sys
 
@@ -18,13 +16,11 @@ try:
     import report_figures as figures
     import report_verdicts
     from report_axes import DEGREES, QUANTITIES, Report, numbers, of_session, residuals, sensor
-    from report_comparison import write_comparison
-    from report_pages import Html, Pdf
+    from report_pages import making_rows, new_page
     from report_verdicts import BAD, GOOD, LOOK, within
 except ImportError as error:
     sys.exit('%s: apt install python3-matplotlib python3-yaml' % error)
 
-MOST_HASHED = 1 << 30  # bytes; what takes longer has no checksum
 MOST_PAIRS = 6  # of session and IMU with figures
 
 # Name, title, what a good and a bad one look like, function of (report, session, imu).
@@ -231,28 +227,6 @@ def stream_rows(report):
                 yield ('', 'dropped: ' + x['dropped'])
 
 
-def checksum(path):
-    size = os.path.getsize(path)
-    if size > MOST_HASHED:
-        return '%d bytes, last written %s' % (size, datetime.datetime.fromtimestamp(os.path.getmtime(path)))
-    digest = hashlib.sha256()
-    with open(path, 'rb') as file:
-        for part in iter(lambda: file.read(1 << 20), b''):
-            digest.update(part)
-    return '%d bytes, sha256 %s' % (size, digest.hexdigest())
-
-
-def making_rows(head, names):
-    """Date, version, command and the files that are named, which may be several with blanks between them."""
-    yield 'made', '%s by imu_pose_calib %s' % (datetime.datetime.utcnow().strftime('%Y-%m-%d %H:%M:%S UTC'),
-                                               head['version'])
-    yield 'command', '%s (in %s)' % (head['command'], head['folder'])
-    for path in sorted({path for name in names for path in ([name] if os.path.exists(name) else name.split())}):
-        files = sorted(os.path.join(path, x) for x in os.listdir(path)) if os.path.isdir(path) else [path]
-        for file in filter(os.path.isfile, files):
-            yield file, checksum(file)
-
-
 def warnings(report):
     return list(report.result['quality']['warnings']) if report.result else \
         [w for session in report.head['sessions'] for w in session.get('warnings') or []]
@@ -336,18 +310,12 @@ def write_report(report, page):
 def main():
     folder, path = sys.argv[1:]
     report = Report(folder)
-    title = '%s: %s' % (report.head['status'].upper(), ', '.join(
-        os.path.basename(str(x['source'])) for x in report.head.get('sessions') or report.head['results']))
-    run_id = report.head.get('run_id')
-    page = (Pdf if path.endswith('.pdf') else Html)(title, 'imu_pose_calib %s%s' % (
-        report.head['version'], ', run_id: %s' % run_id if run_id else ''))
-    if 'results' in report.head:
-        write_comparison(report, page, making_rows)
-    else:
-        pairs = sum(len(session['imus']) for session in report.head['sessions'])
-        report_axes.BINS = max(120, report_axes.BINS // max(1, min(pairs, MOST_PAIRS)))
-        write_report(report, page)
-    page.write(path)
+    page = new_page(path, report.head, [str(session['source']) for session in report.head['sessions']])
+    pairs = sum(len(session['imus']) for session in report.head['sessions'])
+    report_axes.BINS = max(120, report_axes.BINS // max(1, min(pairs, MOST_PAIRS)))
+    write_report(report, page)
+    with open(path, 'wb') as file:
+        page.write(file)
 
 
 if __name__ == '__main__':

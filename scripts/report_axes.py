@@ -40,7 +40,7 @@ class Report:
     def __init__(self, folder):
         self.folder = folder
         self.head = self.yaml('report.yaml')
-        self.result = self.yaml('result.yaml') if self.head.get('solved') else None
+        self.result = self.yaml('result.yaml') if self.head['solved'] else None
         self.pose_sensors = (self.result or {}).get('pose_sensors') or []
         self.has_imu = bool(self.result) and 'transform' in self.result
         self.halves = ''  # what the halves of the recording say, each taken alone

@@ -1,13 +1,17 @@
-"""Pages of report.py: the same parts as HTML and, on sheets of A4, as PDF."""
+"""Pages of reports: the same parts as HTML and, on sheets of A4, as PDF."""
 
+import datetime
 import functools
+import hashlib
 import html
 import multiprocessing
+import os
 
 import report_axes
 from matplotlib.font_manager import FontProperties
 from report_axes import Figure, FigureCanvasAgg, GREEN, ORANGE, RED, WIDTH
 
+MOST_HASHED = 1 << 30  # bytes; what takes longer has no checksum
 COLORS = {'ok': GREEN, 'weak': ORANGE, 'refused': RED, 'agree': GREEN, 'differ': RED, 'compared': '#888888',
           'good': GREEN, 'look': ORANGE, 'bad': RED}
 STYLE = '''
@@ -217,9 +221,8 @@ class Html:
         self.parts.append('<div class="settings">%s</div>' % ''.join('<div>%s: %s</div>' % (escape(k), escape(v))
                                                                       for k, v in rows))
 
-    def write(self, path):
-        with open(path, 'w', encoding='utf-8') as file:
-            file.write('\n'.join(self.parts) + '\n<script>%s</script></body></html>\n' % SCRIPT)
+    def write(self, file):
+        file.write(('\n'.join(self.parts) + '\n<script>%s</script></body></html>\n' % SCRIPT).encode())
 
 
 @functools.lru_cache(maxsize=None)
@@ -371,11 +374,42 @@ class Pdf:
         step = len(rows) // 4
         self.table('settings', None, zip(*(rows[k * step:(k + 1) * step] for k in range(4))), 6)
 
-    def write(self, path):
+    def write(self, file):
         from matplotlib.backends.backend_pdf import PdfPages
-        with PdfPages(path) as pages:
+        with PdfPages(file) as pages:
             for k, sheet in enumerate(self.sheets):
                 sheet.text(0.5, 0.3 / self.SIZE[1], '%d / %d' % (k + 1, len(self.sheets)), fontsize=7, ha='center')
                 pages.savefig(sheet)
-        with open(path, 'a', encoding='utf-8') as file:  # a comment may follow the end
-            file.write('%% %s\n' % self.run)
+        file.write(('%% %s\n' % self.run).encode())  # a comment may follow the end
+
+
+# --- Both ---
+
+def new_page(path, head, sources):
+    """Of a kind that the path ends in. `head`: status, version, perhaps run_id; sources: paths that name the page."""
+    run_id = head.get('run_id')
+    return (Pdf if path.endswith('.pdf') else Html)(
+        '%s: %s' % (head['status'].upper(), ', '.join(map(os.path.basename, sources))),
+        'imu_pose_calib %s%s' % (head['version'], ', run_id: %s' % run_id if run_id else ''))
+
+
+def checksum(path):
+    size = os.path.getsize(path)
+    if size > MOST_HASHED:
+        return '%d bytes, last written %s' % (size, datetime.datetime.fromtimestamp(os.path.getmtime(path)))
+    digest = hashlib.sha256()
+    with open(path, 'rb') as file:
+        for part in iter(lambda: file.read(1 << 20), b''):
+            digest.update(part)
+    return '%d bytes, sha256 %s' % (size, digest.hexdigest())
+
+
+def making_rows(head, names):
+    """Date, version, command and the files that are named, which may be several with blanks between them."""
+    yield 'made', '%s by imu_pose_calib %s' % (datetime.datetime.utcnow().strftime('%Y-%m-%d %H:%M:%S UTC'),
+                                               head['version'])
+    yield 'command', '%s (in %s)' % (head['command'], head['folder'])
+    for path in sorted({path for name in names for path in ([name] if os.path.exists(name) else name.split())}):
+        files = sorted(os.path.join(path, x) for x in os.listdir(path)) if os.path.isdir(path) else [path]
+        for file in filter(os.path.isfile, files):
+            yield file, checksum(file)

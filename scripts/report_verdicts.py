@@ -5,6 +5,7 @@ from collections import namedtuple
 from statistics import NormalDist
 
 import numpy as np
+from comparison import AGREEMENT, chi_square
 from report_axes import QUANTITIES, residuals, sensor, stamps
 
 GOOD, LOOK, BAD = 'good', 'look', 'bad'
@@ -14,7 +15,7 @@ Verdict = namedtuple('Verdict', 'level value bounds why harmless', defaults=(Tru
 # --- Bounds: from where on to look, and from where on it is bad ---
 
 # Ratio to the noise of the solve, 1 when the model holds. At 2, what the model lacks is sqrt(3) of the noise and
-# outweighs it; at 5, one sigma of the solve is what differences of calibrations are judged by (kAgreementBound).
+# outweighs it; at 5, one sigma of the solve is what differences of calibrations are judged by (AGREEMENT).
 NOISE = (2, 5)
 # Share of samples at less than half weight. A share e that errs to one side moves a robust mean by up to 1.25 e
 # sigma: 0.01 and 0.13.
@@ -34,8 +35,7 @@ JITTER = (0.3, 1.0)
 # times: what was recorded last decides.
 GROWTH = (0.25, 1, 2)
 # Differences in their sigmas: where chance ends, 3 sigma, see largest() and chi_square(); and as calibrations
-# disagree, kAgreementBound.
-AGREEMENT = 5
+# disagree, AGREEMENT.
 # Sigma over its bound of the verdict.
 SIGMA = (1, 5)
 # Share of poses dropped: as data_check.cpp warns of outliers, and max_bad_fraction.
@@ -65,11 +65,6 @@ def largest(count):
     """Bounds of the largest of `count` normal values in its sigma; chance exceeds the first as rarely as one value
     exceeds 3 sigma."""
     return min(AGREEMENT, NormalDist().inv_cdf(1 - (1 - NormalDist().cdf(3)) / count)), AGREEMENT
-
-
-def chi_square(dof):
-    """Which chance exceeds as rarely as a normal distribution exceeds 3 sigma, by Wilson and Hilferty."""
-    return dof * (1 - 2 / (9 * dof) + 3 * np.sqrt(2 / (9 * dof))) ** 3
 
 
 def worst_of(session, imu, number, largest=True):

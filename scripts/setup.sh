@@ -14,7 +14,7 @@ LOG_DIR=$WORKSPACE/log
 
 # On every system.
 COMMON_PACKAGES=(
-  build-essential cmake make pkg-config python3 python3-matplotlib python3-yaml
+  build-essential cmake make pkg-config python3 python3-matplotlib python3-numpy python3-yaml
   libboost-dev libboost-program-options-dev libceres-dev libconsole-bridge-dev libeigen3-dev libyaml-cpp-dev libcereal-dev
   liblz4-dev libsqlite3-dev libzstd-dev
   libgtest-dev libbenchmark-dev

@@ -14,6 +14,12 @@
 namespace imu_pose_calib {
 namespace {
 
+TEST(ComparisonScriptsTest, Hold) {
+  EXPECT_EQ(
+      std::system("/usr/bin/python3 '" IMU_POSE_CALIB_SOURCE_DIR "/test/ros/test_comparison.py'"),
+      0);
+}
+
 class CompareTest : public ExecutableTest {
  protected:
   Outcome Compare(const std::string& arguments) const {

@@ -6,7 +6,7 @@
 
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/base/text.h"
-#include "imu_pose_calib/core/verdict/comparison.h"
+#include "imu_pose_calib/core/verdict/session_agreement.h"
 
 namespace imu_pose_calib {
 namespace {

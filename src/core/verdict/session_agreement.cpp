@@ -7,7 +7,6 @@
 
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/base/text.h"
-#include "imu_pose_calib/core/verdict/comparison.h"
 
 namespace imu_pose_calib {
 namespace {

@@ -13,6 +13,7 @@
 
 #include "imu_pose_calib/core/base/text.h"
 #include "imu_pose_calib/ros/io/text.h"
+#include "imu_pose_calib/ros/io/transform_file.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -484,16 +485,18 @@ std::vector<ExportFile> Export(const StoredResult& stored, const std::string& na
 }
 
 std::vector<ExportFile> ExportChain(const StoredResult& stored, size_t imu,
-                                    const std::vector<ChainCamera>& cameras,
-                                    const std::string& source) {
+                                    const std::string& path) {
   constexpr char kComment[] = R"(marker -> imu -> cameras, {head}
 cameras: x_cam = T_cam_imu x_imu of {source}; published is its inverse)";
+  if (imu >= stored.result.imus.size())
+    throw InputError("--imu " + std::to_string(imu) + ": '" + stored.path + "' has " +
+                     std::to_string(stored.result.imus.size()) + " imus, from 0");
   Values head = HeadValues(stored, true, false, std::nullopt);
-  head["source"] = Printable(source);
+  head["source"] = Printable(path);
   const std::string& frame = stored.Info(imu).imu_frame;
   std::vector<Values> links = {
       LinkValues(0, stored.infos.front().marker_frame, frame, stored.result.imus[imu].T_MI)};
-  for (const auto& [name, T_cam_imu] : cameras)
+  for (const auto& [name, T_cam_imu] : LoadCameraChain(path))
     links.push_back(LinkValues(links.size(), frame, name, T_cam_imu.Inverse()));
   std::vector<ExportFile> files;
   for (const Template& file : kTemplates)

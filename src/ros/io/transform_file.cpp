@@ -97,8 +97,7 @@ std::vector<ChainCamera> ParseCameraChain(const std::string& yaml) {
   return cameras;
 }
 
-}  // namespace
-
+/// "a b c": exactly `count` finite numbers, separated by blanks or commas.
 Eigen::VectorXd ParseNumbers(const std::string& name, const std::string& text, Eigen::Index count) {
   std::string spaced = text;
   std::replace(spaced.begin(), spaced.end(), ',', ' ');
@@ -115,6 +114,8 @@ Eigen::VectorXd ParseNumbers(const std::string& name, const std::string& text, E
                      std::to_string(values.size()));
   return Eigen::Map<const Eigen::VectorXd>(values.data(), count);
 }
+
+}  // namespace
 
 Eigen::Quaterniond ParseQuaternion(const std::string& name, const std::string& text) {
   return ToQuaternion(ParseNumbers(name, text, 4), name + " '" + text + "'");

@@ -16,12 +16,10 @@
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/calibration/solution.h"
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/verdict/comparison.h"
 #include "imu_pose_calib/ros/io/bag_reader.h"
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
 #include "imu_pose_calib/ros/io/text.h"
-#include "imu_pose_calib/ros/io/transform_file.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
 #include "imu_pose_calib/ros/offline/report.h"
 #include "imu_pose_calib/simulation/error_bound.h"
@@ -48,7 +46,7 @@ struct Trial {
   uint32_t index = 1;          ///< random numbers follow from it
   std::string bag;             ///< empty: simulated
   double start_s = 0.0;        ///< of the bag
-  std::string reference;       ///< what the bag says as it is, see ParseComparable()
+  std::string reference;       ///< outcome of the bag as it is
   SimulatorOptions simulator;  ///< its seed follows from `index`, its duration is the bag's, too
   double lever_arm = 0.0;      ///< [m] length of p_MI; 0: as in `simulator`
   size_t recordings = 1;       ///< simulated ones of one rig, calibrated together
@@ -124,14 +122,6 @@ void Lose(double lost, SessionData* data) {
   poses.erase(std::remove_if(poses.begin(), poses.end(), is_lost), poses.end());
 }
 
-Errors ErrorsOf(const Comparable& estimate, const Comparable& truth) {
-  Errors errors;
-  errors << estimate.T_MI.p - truth.T_MI.p,
-      Log(Eigen::Quaterniond(truth.T_MI.q.conjugate() * estimate.T_MI.q)),
-      estimate.time_shift - truth.time_shift, estimate.accel_delay - truth.accel_delay;
-  return errors;
-}
-
 /// Errors squared by the covariance that is reported and by that of independent residuals:
 /// chi-square of 8 degrees of freedom.
 Eigen::Vector2d ChiSquares(const Calibration& result, const Errors& e) {
@@ -168,19 +158,37 @@ Eigen::VectorXd Numbers(const YAML::Node& list) {
                                            static_cast<Eigen::Index>(numbers.size()));
 }
 
-/// What Describe() makes of a calibration, read back.
-Comparable ParseComparable(const YAML::Node& node) {
-  Comparable calibration;
-  calibration.T_MI = {Eigen::Quaterniond(Eigen::Vector4d(Numbers(node["rotation"]))),
-                      Numbers(node["translation"])};
-  for (int row = 0; row < 6; ++row)
-    calibration.covariance.row(row) = Numbers(node["covariance"][row]);
-  const Eigen::Vector2d delay = Numbers(node["accel_delay"]), shift = Numbers(node["time_shift"]);
-  calibration.accel_delay = delay[0];
-  calibration.accel_delay_std = delay[1];
-  calibration.time_shift = shift[0];
-  calibration.time_shift_std = shift[1];
-  return calibration;
+/// What a trial is measured against.
+struct Truth {
+  Rigid3 T_MI;
+  double time_shift = 0.0, accel_delay = 0.0;  ///< [s]
+};
+
+/// Of the outcome of another trial.
+Truth ParseOutcome(const YAML::Node& outcome) {
+  return {{Eigen::Quaterniond(Eigen::Vector4d(Numbers(outcome["rotation"]))),
+           Numbers(outcome["translation"])},
+          outcome["time_shift"][0].as<double>(),
+          outcome["accel_delay"][0].as<double>()};
+}
+
+Errors ErrorsOf(const ImuCalibration& imu, const ImuSession& clock, const Truth& truth) {
+  Errors errors;
+  errors << imu.T_MI.p - truth.T_MI.p,
+      Log(Eigen::Quaterniond(truth.T_MI.q.conjugate() * imu.T_MI.q)),
+      clock.time_shift - truth.time_shift, imu.accel_delay - truth.accel_delay;
+  return errors;
+}
+
+/// What evaluate reads of a calibration.
+void Describe(const ImuCalibration& imu, const ImuSession& clock, YAML::Node* outcome) {
+  YAML::Node& node = *outcome;
+  node["translation"] = YamlList(imu.T_MI.p);
+  node["rotation"] = YamlList(imu.T_MI.q.coeffs());
+  for (int row = 0; row < 6; ++row) node["covariance"].push_back(YamlList(imu.covariance.row(row)));
+  node["accel_delay"] = YamlList(Eigen::Vector2d(imu.accel_delay, imu.accel_delay_std));
+  node["time_shift"] = YamlList(Eigen::Vector2d(clock.time_shift, clock.time_shift_std));
+  node["std"] = YamlList(imu.covariance.diagonal().cwiseSqrt());
 }
 
 /// Rotation [rad], translation [m], time shift and accel delay [s].
@@ -194,17 +202,15 @@ void RunTrial(const Trial& trial, SessionData bag, YAML::Node* outcome) {
   const bool is_simulated = trial.bag.empty();
   std::vector<SimulatorOptions> truths;
   std::vector<SessionData> recordings;
-  Comparable truth;
+  Truth truth;
   if (is_simulated) {
     truths = Truths(trial);
     for (const SimulatorOptions& options : truths) recordings.push_back(Simulate(options));
     const TrueClock clock(truths[0]);
-    truth.T_MI = truths[0].T_MI;
-    truth.time_shift = clock.time_shift_s;
-    truth.accel_delay = clock.accel_delay_s;
+    truth = {truths[0].T_MI, clock.time_shift_s, clock.accel_delay_s};
   } else {
     recordings.push_back(std::move(bag));
-    if (!trial.reference.empty()) truth = ParseComparable(YAML::Load(trial.reference));
+    if (!trial.reference.empty()) truth = ParseOutcome(YAML::Load(trial.reference));
   }
   for (size_t s = 0; s < recordings.size(); ++s) {
     std::mt19937 noise = RandomOf(Use::kNoise, trial.index, s);
@@ -231,13 +237,9 @@ void RunTrial(const Trial& trial, SessionData bag, YAML::Node* outcome) {
   if (!result.IsUsable()) return;
   const ImuCalibration& imu = result.imus[0];
   const ImuSession& clock = result.sessions[0].imus[0];
-  const Comparable found = {imu.T_MI,         imu.covariance,
-                            imu.accel_delay,  imu.accel_delay_std,
-                            clock.time_shift, clock.time_shift_std};
-  for (const auto& entry : Describe(found)) (*outcome)[entry.first] = entry.second;
-  (*outcome)["std"] = YamlList(found.covariance.diagonal().cwiseSqrt());
+  Describe(imu, clock, outcome);
   if (!is_simulated && trial.reference.empty()) return;
-  const Errors e = ErrorsOf(found, truth);
+  const Errors e = ErrorsOf(imu, clock, truth);
   const Eigen::Vector3d translation = e.head<3>(), rotation = e.segment<3>(3);
   (*outcome)["error"] =
       ListOf({translation.norm(), rotation.norm(), std::abs(e[6]), std::abs(e[7])});
@@ -251,8 +253,8 @@ void RunTrial(const Trial& trial, SessionData bag, YAML::Node* outcome) {
 
 // --- What else evaluate asks for ---
 
-/// Constants, and the transform of a chain as the rows of its matrix.
-YAML::Node About(const std::vector<std::string>& chain) {
+/// Constants.
+YAML::Node About() {
   const CalibrationOptions bounds;
   SimulatorOptions simulator;
   YAML::Node node;
@@ -260,41 +262,8 @@ YAML::Node About(const std::vector<std::string>& chain) {
   node["sample"] = ros::package::getPath("imu_pose_calib") + "/data/estimator_own_clocks.bag";
   node["within"] = YamlList(Eigen::Vector3d(bounds.weak_rotation_std, bounds.weak_translation_std,
                                             bounds.weak_time_shift_std));
-  node["agreement"] = YamlValue(kAgreementBound);
   for (const Effect& effect : Effects(&simulator))
     node["effects"][effect.name] = YamlValue(effect.usual);
-  Rigid3 T;
-  for (const std::string& link : chain) T = T * ReadTransform("--chain", link);
-  for (int row = 0; row < 4; ++row) node["chain"].push_back(YamlList(T.Matrix().row(row)));
-  return node;
-}
-
-/// Every pair of the results, each less its reference, a transform, and how all scatter, in the
-/// first `quantities` of translation, rotation, accel delay and time shift.
-YAML::Node CompareAll(const YAML::Node& given) {
-  std::vector<ComparedQuantity> quantities = {
-      ComparedQuantity::kTranslation, ComparedQuantity::kRotation, ComparedQuantity::kAccelDelay,
-      ComparedQuantity::kTimeShift};
-  quantities.resize(given["quantities"].as<size_t>());
-  std::vector<Comparable> results;
-  YAML::Node node;
-  for (const YAML::Node& result : given["results"]) {
-    results.push_back(ParseComparable(result));
-    if (!result["reference"] || result["reference"].IsNull()) continue;
-    Comparable reference;
-    Eigen::Matrix4d T;
-    for (int row = 0; row < 4; ++row) T.row(row) = Numbers(result["reference"][row]);
-    const Eigen::Matrix3d R = T.topLeftCorner<3, 3>();
-    reference.T_MI = {Eigen::Quaterniond(R).normalized(), T.topRightCorner<3, 1>()};
-    node["from_reference"].push_back(Describe(Compare(reference, results.back(), quantities)));
-  }
-  for (size_t a = 0; a < results.size(); ++a)
-    for (size_t b = a + 1; b < results.size(); ++b)
-      node["pairs"].push_back(Describe(Compare(results[a], results[b], quantities)));
-  if (results.size() < 2) return node;
-  const Repeatability repeat = Repeat(results, quantities);
-  node["mean"] = Describe(repeat.mean);
-  for (const Scatter& scatter : repeat.scatters) node["scatters"].push_back(Describe(scatter));
   return node;
 }
 
@@ -302,8 +271,7 @@ YAML::Node CompareAll(const YAML::Node& given) {
 
 struct CommandLine {
   Trial trial;
-  std::vector<std::string> chain;
-  bool about = false, compare = false, help = false;
+  bool about = false, help = false;
 };
 
 po::options_description Describe(CommandLine* line) {
@@ -338,8 +306,6 @@ po::options_description Describe(CommandLine* line) {
   add("lost", Value(&trial.lost, "%"), "of the poses, in gaps of 1 s");
   add("guess", po::bool_switch(&trial.is_guessed), "start up to 180 deg and 1 m from the truth");
   add("about", po::bool_switch(&line->about), "instead: print constants that evaluate needs");
-  add("chain", Value(&line->chain), "with --about: transforms to multiply, in order");
-  add("compare", po::bool_switch(&line->compare), "instead: compare the results in YAML on stdin");
   add("help", po::bool_switch(&line->help), "print this text");
   return options;
 }
@@ -377,9 +343,7 @@ void Run(int argc, char** argv) {
                  "became of it as YAML.\n\n"
               << options;
   } else if (line.about) {
-    std::cout << About(line.chain) << "\n";
-  } else if (line.compare) {
-    std::cout << CompareAll(YAML::Load(std::cin)) << "\n";
+    std::cout << About() << "\n";
   } else {
     std::cout << Outcome(line.trial) << "\n";
   }

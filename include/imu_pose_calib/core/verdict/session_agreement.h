@@ -5,6 +5,10 @@
 
 namespace imu_pose_calib {
 
+/// Sessions and halves of a recording agree when no component differs by more than this many sigma;
+/// AGREEMENT of scripts/comparison.py is the same for calibrations.
+constexpr double kAgreementBound = 5.0;
+
 /// Compares what each session says alone with the common estimate, which `result` holds: fills
 /// `own` and `agreement` of the sessions (doc/math.md, S5, "Sessions"). Where they scatter more
 /// than their sigmas say, the robust covariance of what is returned is larger by as much.

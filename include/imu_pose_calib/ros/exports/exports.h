@@ -15,7 +15,6 @@
 
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
-#include "imu_pose_calib/ros/io/transform_file.h"
 
 namespace imu_pose_calib {
 
@@ -45,11 +44,10 @@ struct ExportChoice {
 std::vector<ExportFile> Export(const StoredResult& stored, const std::string& name,
                                const ExportChoice& choice = {});
 
-/// marker -> imu of the result, and imu -> each camera of the chain in the file at `source`, as
-/// "urdf" and "tf.launch".
+/// marker -> imu of the result, and imu -> each camera of the chain in the file at `path`, as
+/// "urdf" and "tf.launch". Throws InputError when the result has no such IMU, and for the chain.
 std::vector<ExportFile> ExportChain(const StoredResult& stored, size_t imu,
-                                    const std::vector<ChainCamera>& cameras,
-                                    const std::string& source);
+                                    const std::string& path);
 
 /// Writes the files of all `names` to `outputs`, next to the result, or into `folder` if that is
 /// not empty: my.calibration.kalibr.imu0.yaml for my.calibration.yaml. Returns their paths. Of all

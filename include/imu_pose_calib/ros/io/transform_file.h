@@ -9,9 +9,6 @@ namespace imu_pose_calib {
 
 // All throw InputError that begins with `name`, which says what the text was given for.
 
-/// "a b c": exactly `count` finite numbers, separated by blanks or commas.
-Eigen::VectorXd ParseNumbers(const std::string& name, const std::string& text, Eigen::Index count);
-
 /// "qx qy qz qw", normalized when it is within 1 % of a unit quaternion.
 Eigen::Quaterniond ParseQuaternion(const std::string& name, const std::string& text);
 
