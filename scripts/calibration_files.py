@@ -57,7 +57,7 @@ class Keys:
         except (TypeError, ValueError):
             values = np.array(np.nan)
         if values.shape != shape or not np.all(np.isfinite(values)):
-            self.fail('must have %d rows of %d finite numbers' % shape if len(shape) > 1 else 'must hold finite numbers')
+            self.fail('must hold finite numbers' if len(shape) < 2 else 'must hold %d x %d finite numbers' % shape)
         return values
 
     def with_std(self, key):

@@ -45,7 +45,7 @@ def reason_of(error):
 def output_of(command):
     """What a program of the package prints."""
     done = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                          encoding='utf-8')
+                          encoding='utf-8', errors='surrogateescape')
     if done.returncode != 0:
         raise InputError(reason_of(done.stderr))
     return done.stdout

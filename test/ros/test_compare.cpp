@@ -270,7 +270,8 @@ TEST_F(CompareTest, UnknownExportsAreRefusedBeforeAnythingIsDone) {
       << outcome.err;
   EXPECT_TRUE(std::filesystem::exists(Path("x.calibration.yaml")));
   for (const std::string arguments :
-       {"", "x.calibration.yaml", "x.calibration.yaml --export rviz", "none.yaml --export evo"}) {
+       {"", "x.calibration.yaml", "x.calibration.yaml --export rviz", "none.yaml --export evo",
+        "x.calibration.yaml --export evo --chain camchain.yaml"}) {
     const Outcome refused = Run("export_calibration", arguments);
     EXPECT_EQ(refused.status, 1) << arguments;
     EXPECT_EQ(refused.out, "");

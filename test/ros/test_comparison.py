@@ -182,7 +182,7 @@ class Files(unittest.TestCase):
         self.refuses('{translation: [1, 2, .nan], rotation: [0, 0, 0, 1]}', 'translation must hold finite numbers$')
         self.refuses('{translation: [1, 2, 3]}', "x.yaml': rotation is missing$")
         self.refuses('{translation: [1, 2, 3], rotation: [0, 0, 0, 2]}', 'unit quaternion x, y, z, w; its norm is 2$')
-        self.refuses('matrix: [[1, 0, 0, 0], [0, 1, 0], [0, 0, 1, 0], [0, 0, 0, 1]]', 'matrix must have 4 rows of 4 '
+        self.refuses('matrix: [[1, 0, 0, 0], [0, 1, 0], [0, 0, 1, 0], [0, 0, 0, 1]]', 'matrix must hold 4 x 4 '
                      'finite numbers$')
         self.refuses('matrix: [[-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]',
                      'matrix must be a rotation and a translation$')
