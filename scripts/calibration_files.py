@@ -128,9 +128,9 @@ class Result:
             if clock is None:
                 imu['name'].fail('is in no session')
         self.marker = keys['frames']['marker'].text()
-        self.noise = {key: source['noise'][key + '_std'].numbers()
-                      for source, names in ((keys, ('position', 'rotation')), (clock, ('gyro', 'accel')))
-                      for key in names}
+        of_poses, of_imu = keys['noise'], clock['noise']
+        self.noise = {'position': of_poses['position_std'].numbers(), 'rotation': of_poses['rotation_std'].numbers(),
+                      'gyro': of_imu['gyro_std'].numbers(), 'accel': of_imu['accel_std'].numbers()}
         T = imu['transform']
         self.rotation = T['rotation'].numbers(4)
         if abs(np.linalg.norm(self.rotation) - 1) > 1e-6:
