@@ -133,7 +133,8 @@ void ReportEstimate(const Estimate& estimate, const std::vector<PreparedSession>
   for (size_t s = 0; s < sessions.size(); ++s) {
     result->sessions[s].g_W = estimate.sessions[s].g_W;
     if (result->method == Method::kJoint)
-      result->sessions[s].rotation_error_std = estimate.sessions[s].rotation_errors.std;
+      result->sessions[s].slow_errors = {estimate.sessions[s].position_errors.std,
+                                         estimate.sessions[s].rotation_errors.std};
     for (size_t i = 0; i < estimate.imus.size(); ++i) {
       const ImuSessionEstimate& clock = estimate.sessions[s].imus[i];
       if (!clock.is_present) continue;

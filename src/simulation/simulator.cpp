@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
+#include <optional>
 #include <random>
 
 #include "imu_pose_calib/core/base/so3.h"
@@ -207,6 +208,26 @@ Rigid3 MeanPose(const TrueTrajectory& trajectory, double t, double exposure_s) {
   return {Quaterniond(middle.R_WM) * Exp(turn), p};
 }
 
+/// A frame V that drifts along the way of what is seen in it, by a walk: after 1 m it is off by
+/// `drift` metres per axis (sigma) and a tenth of that in rad, after n metres by sqrt(n) times
+/// that.
+struct DriftingFrame {
+  double drift;
+  Rigid3 T_VW;
+  std::optional<Vector3d> last;  ///< [m] in W
+
+  /// On to the next place, about which V also moves by so much.
+  void MoveTo(const Vector3d& p_W, Vector3d shift, Vector3d turn, std::mt19937* random) {
+    const double way = last ? (p_W - *last).norm() : 0.0;
+    last = p_W;
+    shift += Gaussian(random, drift * std::sqrt(way));
+    turn += Gaussian(random, 0.1 * drift * std::sqrt(way));
+    const Vector3d p_V = T_VW.q * p_W + T_VW.p;
+    T_VW.q = Exp<double>(turn) * T_VW.q;
+    T_VW.p = p_V + shift - T_VW.q * p_W;
+  }
+};
+
 std::vector<PoseSample> Poses(const SimulatorOptions& options, const TrueTrajectory& trajectory,
                               std::mt19937* random) {
   const RealEffects& effects = options.effects;
@@ -218,6 +239,9 @@ std::vector<PoseSample> Poses(const SimulatorOptions& options, const TrueTraject
   const std::vector<Vector3d> slow_p = slow_error(), slow_r = slow_error();
   std::mt19937 direction = RandomOf(RandomEffect::kMarkerOffset, options.seed);
   const Vector3d origin_M = effects.marker_offset * RandomDirection(&direction);
+
+  DriftingFrame frame{effects.pose_drift, {}, {}};
+  std::mt19937 drift = RandomOf(RandomEffect::kPoseDrift, options.seed);
 
   const bool is_carried_on = effects.pose_updates > 0.0;
   const double noise = is_carried_on ? 0.0 : 1.0;
@@ -232,6 +256,10 @@ std::vector<PoseSample> Poses(const SimulatorOptions& options, const TrueTraject
     poses[k].p_WM = (1.0 + effects.pose_scale) * mean.p +
                     noise * Gaussian(random, options.position_std) + slow_p[k] +
                     mean.q * (error * origin_M - origin_M);
+    if (effects.pose_drift == 0.0) continue;
+    frame.MoveTo(mean.p, Vector3d::Zero(), Vector3d::Zero(), &drift);
+    poses[k].q_WM = frame.T_VW.q * poses[k].q_WM;
+    poses[k].p_WM = frame.T_VW.q * poses[k].p_WM + frame.T_VW.p;
   }
   if (!is_carried_on) return poses;
   std::vector<Vector3d> positions;
@@ -337,8 +365,7 @@ SessionData SimulateOne(const SimulatorOptions& options) {
   return data;
 }
 
-/// T_VS as the sensor gives them. V drifts by a walk along the way: after 1 m it is off by `drift`
-/// metres per axis (sigma), after n metres by sqrt(n) times that.
+/// T_VS as the sensor gives them.
 std::vector<PoseSample> SensorPoses(const SimulatorOptions& options, size_t sensor) {
   const SimulatedPoseSensor& own = options.pose_sensors[sensor];
   const TrueTrajectory trajectory(options);
@@ -346,27 +373,21 @@ std::vector<PoseSample> SensorPoses(const SimulatorOptions& options, size_t sens
   const size_t count = Count(options.duration_s, own.rate_hz);
   std::bernoulli_distribution is_off(own.outliers);
   std::vector<PoseSample> poses;
-  Rigid3 T_VW = own.T_VW;
-  Vector3d last = Vector3d::Zero();
+  DriftingFrame frame{own.drift, own.T_VW, {}};
   for (size_t k = 0; k < count; ++k) {
     const double s = static_cast<double>(k) / own.rate_hz;
     const double t = s + own.clock_drift * (s - 0.5 * options.duration_s);  // pose clock
     const TrueState state = trajectory.At(t);
     const Quaterniond q_WS = Quaterniond(state.R_WM) * own.T_MS.q;
     const Vector3d p_WS = state.p_WM + state.R_WM * own.T_MS.p;
-    const double way = k == 0 ? 0.0 : (p_WS - last).norm();
-    last = p_WS;
-    Vector3d shift = Gaussian(&random, own.drift * std::sqrt(way));
-    Vector3d turn = Gaussian(&random, 0.1 * own.drift * std::sqrt(way));
+    Vector3d shift = Vector3d::Zero(), turn = Vector3d::Zero();
     const auto jumps = static_cast<size_t>(own.jumps) + 1;
     if (k > 0 && k * jumps / count != (k - 1) * jumps / count) {
       shift += 0.2 * RandomDirection(&random);
       turn += 0.1 * RandomDirection(&random);
     }
-    // V moves about where the sensor is.
-    const Vector3d p_VS = T_VW.q * p_WS + T_VW.p;
-    T_VW.q = Exp<double>(turn) * T_VW.q;
-    T_VW.p = p_VS + shift - T_VW.q * p_WS;
+    frame.MoveTo(p_WS, shift, turn, &random);
+    const Rigid3& T_VW = frame.T_VW;
     const bool off = is_off(random);
     PoseSample pose;
     pose.t_ns = options.start_ns + std::llround(1e9 * (s - own.time_shift_s));

@@ -71,6 +71,8 @@ std::vector<Effect> Effects(SimulatorOptions* options) {
       {"imu-drops", &imu.drops, 2.0, 0.0, 90.0, "%", drops},
       {"soft-mount", &real.mount_hz, 25.0, 0.0, 1e5, "HZ",
        "resonance of the spring that holds the imu"},
+      {"pose-drift", &real.pose_drift, 5e-3, 0.0, 10.0, "M",
+       "of the frame of the poses, a walk: sigma after 1 m of way, and a tenth of it in rad"},
   };
 }
 

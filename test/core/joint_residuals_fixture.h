@@ -54,10 +54,15 @@ class JointResiduals : public ::testing::Test {
   };
   static JointPoseSample Pose(const TrajectoryPoint& at, const Eigen::Quaterniond& q_WM,
                               const Vector3d& p_WM, double position_sigma, double rotation_sigma) {
-    return {{at.place},        at.gp.q_WM.conjugate() * q_WM,
-            p_WM - at.gp.p_WM, at.gp.alpha_M,
-            at.gp.a_W,         position_sigma,
-            rotation_sigma,    0.35};
+    return {{at.place},
+            at.gp.q_WM.conjugate() * q_WM,
+            p_WM - at.gp.p_WM,
+            at.gp.alpha_M,
+            at.gp.a_W,
+            position_sigma,
+            rotation_sigma,
+            0.6,
+            0.35};
   }
   static JointAccelSample Imu(const TrajectoryPoint& at, const Vector3d& value, double bias_u,
                               double own_time, double sigma) {
@@ -136,10 +141,8 @@ class JointResiduals : public ::testing::Test {
 
   std::vector<double*> PoseBlocks(std::vector<Vector3d>* spline) {
     std::vector<double*> blocks = Points({spline});
-    if (spline == &d_)
-      blocks.insert(blocks.end(), {&pose_smoothing_, &position_smoothing_});
-    else
-      blocks.insert(blocks.end(), {error_0_.data(), error_1_.data(), &pose_smoothing_});
+    blocks.insert(blocks.end(), {error_0_.data(), error_1_.data(), &pose_smoothing_});
+    if (spline == &d_) blocks.push_back(&position_smoothing_);
     return blocks;
   }
 

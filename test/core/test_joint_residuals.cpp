@@ -143,7 +143,9 @@ TEST_F(JointResiduals, VanishWhereTheCorrectedTrajectoryIsMeasured) {
   const std::vector<JointPoseSample> pose{Pose(
       at,
       Eigen::Quaterniond(R_WM) * Exp<double>(lag) * Exp<double>(0.65 * error_0_ + 0.35 * error_1_),
-      at.gp.p_WM + Correction(d_, t) + c * (at.gp.a_W + Correction(d_, t, 2)), 1.0, 1.0)};
+      at.gp.p_WM + Correction(d_, t) + c * (at.gp.a_W + Correction(d_, t, 2)) + 0.4 * error_0_ +
+          0.6 * error_1_,
+      1.0, 1.0)};
   EXPECT_LT(residual(CreateJointPositionResidual(pose), PoseBlocks(&d_)), 1e-12);
   EXPECT_LT(residual(CreateJointRotationResidual(pose), PoseBlocks(&phi_)), 1e-12);
 }

@@ -92,7 +92,7 @@ TEST(RealEffects, EachChangesWhatItSaysAndNothingElse) {
       {"ga", {"scale-misalignment", "temperature-drift", "clock-drift"}},
       {"p",
        {"pose-exposure", "pose-scale", "slow-errors", "marker-offset", "fused-poses",
-        "pose-updates"}},
+        "pose-updates", "pose-drift"}},
       {"P", {"pose-jitter", "pose-latency", "pose-burst", "pose-stamp-step", "pose-clock-step"}},
       {"I",
        {"imu-jitter", "imu-latency", "imu-burst", "imu-stamp-step", "imu-wander",

@@ -28,6 +28,7 @@ enum class RandomEffect : uint32_t {
   kPoseDrops,
   kImuDrops,
   kPoseUpdates,
+  kPoseDrift,
 };
 std::mt19937 RandomOf(RandomEffect effect, uint32_t seed);
 

@@ -84,6 +84,9 @@ struct RealEffects {
   /// [m] sigma of a tracker's positions, 20 a second, by which a filter corrects the poses that it
   /// carries on with an IMU whose accelerometer's scale is off by 0.5 %; poses have no other noise.
   double pose_updates = 0.0;
+  /// [m] sigma per axis of a walk of their frame after 1 m of way, as of odometry; a tenth of it
+  /// [rad].
+  double pose_drift = 0.0;
 
   StreamEffects pose_stream, imu_stream;
 };

@@ -7,8 +7,7 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr double kErrorKnots = 0.5;   // [s] between knots of slow errors
-constexpr double kErrorStart = 1e-3;  // [rad] their sigma to start from
+constexpr double kErrorStart = 1e-3;  // [m], [rad] sigma of slow errors to start from
 
 }  // namespace
 
@@ -40,8 +39,8 @@ Eigen::Vector3d BiasKnots::Mean() const {
   return sum / static_cast<double>(values.size());
 }
 
-SlowErrors::SlowErrors(double begin, double end)
-    : knots(begin, end, kErrorKnots), std(kErrorStart) {}
+SlowErrors::SlowErrors(double begin, double end, double interval_s)
+    : knots(begin, end, interval_s), std(kErrorStart) {}
 
 double SlowErrors::Kept(size_t k) const { return std::exp((knots.t[k] - knots.t[k + 1]) / kTime); }
 
@@ -70,8 +69,6 @@ Estimate::Estimate(const PreparedSession& session, double bias_knot_interval_s)
     : imus(session.starts.size()), sessions(1) {
   sessions[0].imus.resize(imus.size());
   sessions[0].g_W = session.starts[session.data.FirstImu()].g_W;
-  sessions[0].rotation_errors =
-      SlowErrors(session.data.poses.front().t, session.data.poses.back().t);
   for (size_t i = 0; i < imus.size(); ++i) {
     const ConditionedImu& samples = session.data.imus[i];
     if (!samples.IsPresent()) continue;

@@ -19,9 +19,9 @@ constexpr double kWhole = 0.8;
 constexpr double kWhiteness = 30.0, kLeastWhiteness = 1.0;
 constexpr int kRounds = 300;            // of the likelihood's ascent
 constexpr double kLongestStride = 3.0;  // of a pass, in the sigma of slow errors that it finds
-/// Bounds of that sigma [rad]: nothing beside the noise of poses, with which H stays regular; and
-/// beyond what is an error.
-constexpr double kLeastRotationError = 1e-5, kMostRotationError = 0.1;
+/// Bounds of that sigma [m, rad]: nothing beside the noise of poses, with which H stays regular;
+/// and beyond what is an error.
+constexpr double kLeastSlowError = 1e-5, kMostSlowError = 0.1;
 
 bool IsOfPoses(Quantity quantity) {
   return quantity == Quantity::kPosition || quantity == Quantity::kRotation;
@@ -32,13 +32,19 @@ bool IsLinear(Quantity quantity) {
 }
 
 /// Densities of the noise that sensors of one kind have together in a session, as they tell of the
-/// same motion.
+/// same motion: of poses that state their noise, by the information of all.
 using Densities = std::map<Quantity, double>;
 
-Densities JointDensities(const std::vector<SensorModel>& models, size_t session) {
+Densities JointDensities(const LeastSquares& joint, size_t session) {
   Densities S;
-  for (const SensorModel& model : models)
-    if (model.session == session) S[model.quantity] += 1.0 / model.Density();
+  for (const SensorModel& model : joint.models) {
+    if (model.session != session) continue;
+    double information = 0.0;
+    for (size_t i = 0; i < model.weights.size(); ++i)
+      information += 1.0 / std::pow(joint.Scale(model, i), 2);
+    S[model.quantity] +=
+        information / (static_cast<double>(model.weights.size()) * model.Density());
+  }
   for (auto& [quantity, density] : S) density = 1.0 / density;
   return S;
 }
@@ -124,7 +130,8 @@ void FitNoiseOf(bool is_linear, size_t session, const LeastSquares& joint,
     if (joint.sensors[k].model->session == session &&
         IsLinear(joint.sensors[k].model->quantity) == is_linear)
       sensors.push_back(k);
-  const SlowErrors& errors = joint.estimate->sessions[session].rotation_errors;
+  const SessionEstimate& estimate = joint.estimate->sessions[session];
+  const SlowErrors& errors = is_linear ? estimate.position_errors : estimate.rotation_errors;
   std::vector<Noise> noises;
   std::vector<Observation> observations;
   for (const size_t k : sensors) {
@@ -140,7 +147,7 @@ void FitNoiseOf(bool is_linear, size_t session, const LeastSquares& joint,
     for (size_t f = 0; f < spectrum.density.size(); ++f) {
       const double omega2 = Omega2(NoiseSpectrum::Frequency(f));
       const double gain = is_linear ? omega2 * omega2 : omega2;  // of an IMU, squared
-      const double poses = white + (is_linear ? 0.0 : errors.Density(omega2));
+      const double poses = white + errors.Density(omega2);
       if (poses > 2.0 * white) continue;
       std::vector<double> share{1.0 / poses};  // of each sensor
       for (size_t b = 1; b < sensors.size(); ++b)
@@ -163,30 +170,27 @@ void FitNoiseOf(bool is_linear, size_t session, const LeastSquares& joint,
     (*statistics)[sensors[a]].noise = std::sqrt(x[a] * joint.sensors[sensors[a]].model->rate_hz);
 }
 
-/// Sets the sigma of the rotations' slow errors of each session to what is found of them,
-/// doc/math.md, S4, "Slow errors".
-void UpdateRotationErrors(LeastSquares* joint) {
-  for (size_t s = 0; s < joint->sessions.size(); ++s) {
-    SlowErrors& errors = joint->estimate->sessions[s].rotation_errors;
-    const Densities S = JointDensities(joint->models, s);
-    const double interval = errors.knots.t[1] - errors.knots.t[0];
-    double increments2 = 0.0, share = 0.0;
-    for (size_t k = 0; k + 1 < errors.knots.t.size(); ++k)
-      increments2 +=
-          (errors.knots.values[k + 1] - errors.Kept(k) * errors.knots.values[k]).squaredNorm() /
-          (1.0 - errors.Kept(k) * errors.Kept(k));
-    for (int k = 0; k < kSteps; ++k) {
-      const double omega2 = Omega2(0.5 * (k + 0.5) / kSteps / interval);
-      const double own = errors.Density(omega2);
-      share += own / (own + S.at(Quantity::kRotation) + S.at(Quantity::kGyro) / omega2) / kSteps;
-    }
-    const double variance =
-        increments2 / (3.0 * static_cast<double>(errors.knots.t.size() - 1) * share);
-    // A pass moves it by the share that is found, on its way to where it stays.
-    const double stride = std::min(1.0 / share, kLongestStride);
-    errors.std *= std::pow(std::sqrt(variance) / errors.std, stride);
-    errors.std = std::clamp(errors.std, kLeastRotationError, kMostRotationError);
+/// Sets the sigma of slow errors of a session to what is found of them, doc/math.md, S4, "Slow
+/// errors"; `S`: of the session.
+void UpdateSlowErrors(const Densities& S, bool is_linear, SlowErrors* errors) {
+  const BiasKnots& knots = errors->knots;
+  const double interval = knots.t[1] - knots.t[0];
+  const double of_poses = S.at(is_linear ? Quantity::kPosition : Quantity::kRotation);
+  const double of_imus = S.at(is_linear ? Quantity::kAccel : Quantity::kGyro);
+  double increments2 = 0.0, share = 0.0;
+  for (size_t k = 0; k + 1 < knots.t.size(); ++k)
+    increments2 += (knots.values[k + 1] - errors->Kept(k) * knots.values[k]).squaredNorm() /
+                   (1.0 - errors->Kept(k) * errors->Kept(k));
+  for (int k = 0; k < kSteps; ++k) {
+    const double omega2 = Omega2(0.5 * (k + 0.5) / kSteps / interval);
+    const double own = errors->Density(omega2);
+    share += own / (own + of_poses + of_imus / (is_linear ? omega2 * omega2 : omega2)) / kSteps;
   }
+  const double variance = increments2 / (3.0 * static_cast<double>(knots.t.size() - 1) * share);
+  // A pass moves it by the share that is found, on its way to where it stays.
+  const double stride = std::min(1.0 / share, kLongestStride);
+  errors->std *= std::pow(std::sqrt(variance) / errors->std, stride);
+  errors->std = std::clamp(errors->std, kLeastSlowError, kMostSlowError);
 }
 
 }  // namespace
@@ -195,7 +199,7 @@ void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares
   const double band = Band(splines.spacing());
   // As many as there is noise in that band.
   const double points = static_cast<double>(splines.d.size()) * 2.0 * band * splines.spacing();
-  const Densities S = JointDensities(joint->models, session);
+  const Densities S = JointDensities(*joint, session);
   for (SensorBlocks& sensor : joint->sensors) {
     const SensorModel& model = *sensor.model;
     if (model.session != session) continue;
@@ -229,9 +233,13 @@ void UpdateWeights(const LeastSquares& joint, const std::vector<CorrectionSpline
 }
 
 void FitNoise(LeastSquares* joint, std::vector<SensorStatistics>* statistics) {
-  for (size_t s = 0; s < joint->sessions.size(); ++s)
+  for (size_t s = 0; s < joint->sessions.size(); ++s) {
     for (const bool is_linear : {true, false}) FitNoiseOf(is_linear, s, *joint, statistics);
-  UpdateRotationErrors(joint);
+    const Densities S = JointDensities(*joint, s);
+    SessionEstimate& estimate = joint->estimate->sessions[s];
+    UpdateSlowErrors(S, true, &estimate.position_errors);
+    UpdateSlowErrors(S, false, &estimate.rotation_errors);
+  }
 }
 
 }  // namespace imu_pose_calib

@@ -198,23 +198,27 @@ void SessionBuilder::AddBlocks(const std::shared_ptr<const SampledCost>& cost,
 }
 
 void SessionBuilder::AddPoses() {
-  BiasKnots& errors = estimate_.rotation_errors.knots;
+  BiasKnots& position_errors = estimate_.position_errors.knots;
+  BiasKnots& rotation_errors = estimate_.rotation_errors.knots;
   const std::vector<TimedPose>& poses = prepared_.data.poses;
   SensorBlocks* const position = joint_->Find(Quantity::kPosition, session_);
   SensorBlocks* const rotation = joint_->Find(Quantity::kRotation, session_);
-  std::vector<Run> runs;
+  std::vector<Run> position_runs, rotation_runs;
   for (size_t i = 0; i < poses.size(); ++i) {
-    const auto span = places_->FindSpan(poses[i].t);
+    const double t = poses[i].t;
+    const auto span = places_->FindSpan(t);
     if (!span) continue;
-    runs.push_back({*span, static_cast<int>(errors.Locate(poses[i].t).first)});
+    position_runs.push_back({*span, static_cast<int>(position_errors.Locate(t).first)});
+    rotation_runs.push_back({*span, static_cast<int>(rotation_errors.Locate(t).first)});
     for (SensorBlocks* const sensor : {position, rotation}) {
       const SensorModel& model = *sensor->model;
       const double sigma = model.noise * joint_->Scale(model, i) / std::sqrt(model.weights[i]);
-      sensor->samples.push_back({poses[i].t, static_cast<uint32_t>(i), static_cast<float>(sigma)});
+      sensor->samples.push_back({t, static_cast<uint32_t>(i), static_cast<float>(sigma)});
     }
   }
   const auto samples = Collect<JointPoseSample>(
-      joint_->options, runs.size(), [=, places = places_, &poses, &errors](size_t k) {
+      joint_->options, position_runs.size(),
+      [=, places = places_, &poses, &position_errors, &rotation_errors](size_t k) {
         const ProblemSample& at = position->samples[k];
         const TimedPose& pose = poses[at.index];
         const MarkerState<double> gp = places->At(at.t);
@@ -225,15 +229,16 @@ void SessionBuilder::AddPoses() {
                                gp.a_W,
                                at.sigma,
                                rotation->samples[k].sigma,
-                               errors.Locate(at.t).second};
+                               position_errors.Locate(at.t).second,
+                               rotation_errors.Locate(at.t).second};
       });
   Estimate& all = *joint_->estimate;
   std::vector<double*> others = {&all.pose_smoothing, &all.position_smoothing};
-  AddBlocks(CreateJointPositionResidual(samples), runs, {&splines_->d}, nullptr, others, nullptr,
-            position);
+  AddBlocks(CreateJointPositionResidual(samples), position_runs, {&splines_->d},
+            &position_errors.values, others, nullptr, position);
   others.erase(others.begin() + 1);
-  AddBlocks(CreateJointRotationResidual(samples), runs, {&splines_->phi}, &errors.values, others,
-            nullptr, rotation);
+  AddBlocks(CreateJointRotationResidual(samples), rotation_runs, {&splines_->phi},
+            &rotation_errors.values, others, nullptr, rotation);
 }
 
 template <typename Sample, typename Complete, typename Create>
@@ -370,7 +375,8 @@ std::unique_ptr<LeastSquares> BuildJointProblem(const CalibrationOptions& option
     AddCorrectionPriors(&(*splines)[s], s, joint.get());
     SessionBuilder builder(s, &(*splines)[s], joint.get());
     builder.AddPoses();
-    joint->AddRotationErrors(s);
+    for (SlowErrors* const errors : joint->estimate->sessions[s].AllErrors())
+      joint->AddSlowErrors(s, errors);
     for (size_t i = 0; i < estimate->imus.size(); ++i) {
       ImuSessionEstimate& imu = estimate->sessions[s].imus[i];
       if (!imu.is_present) continue;

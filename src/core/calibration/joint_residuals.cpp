@@ -192,21 +192,25 @@ class BatchResidual : public SampledCost {
 class JointPositionResidual : public BatchResidual<JointPoseSample> {
  public:
   explicit JointPositionResidual(Samples<JointPoseSample> samples)
-      : BatchResidual(std::move(samples), 1, {1, 1}) {}
+      : BatchResidual(std::move(samples), 1, {3, 3, 1, 1}) {}
 
  protected:
   void EvaluateSample(const JointPoseSample& s, double, const SplineWeights& weights,
                       double const* const* blocks, double* residual,
                       const JacobianRows& jacobians) const override {
+    const int n = kSplineOrder;
     const Eigen::Matrix<double, 3, 4> d = EvaluateSpline(blocks, weights);
-    const double c = 0.5 * (*blocks[kSplineOrder] + *blocks[kSplineOrder + 1]);
+    const double c = 0.5 * (*blocks[n + 2] + *blocks[n + 3]);
     const Vector3d a_W = s.a_W + d.col(2);
-    AsVector(residual) = (s.p_error - d.col(0) - c * a_W) / s.position_sigma;
+    const Vector3d error = s.p_error - d.col(0) - c * a_W;
+    AsVector(residual) = LessKnots(error, s.position_error_u, blocks + n) / s.position_sigma;
     if (jacobians.blocks == nullptr) return;
-    for (int j = 0; j < kSplineOrder; ++j)
+    for (int j = 0; j < n; ++j)
       SetRows<3>(jacobians, j,
                  -(weights(0, j) + c * weights(2, j)) / s.position_sigma * Matrix3d::Identity());
-    for (const int smoothing : {kSplineOrder, kSplineOrder + 1})
+    const double by_error = -1.0 / s.position_sigma;
+    SetKnotRows(jacobians, n, (1.0 - s.position_error_u) * by_error, s.position_error_u * by_error);
+    for (const int smoothing : {n + 2, n + 3})
       SetRows<1>(jacobians, smoothing, -0.5 / s.position_sigma * a_W);
   }
 };
@@ -227,7 +231,7 @@ class JointRotationResidual : public BatchResidual<JointPoseSample> {
     const Vector3d alpha = s.alpha_M + phi.col(2);
     const Eigen::Quaterniond lag_inv = Exp<double>(-c * alpha);
     const Vector3d error = Log(Eigen::Quaterniond(lag_inv * E_inv * s.q_error));
-    AsVector(residual) = LessKnots(error, s.error_u, blocks + n) / s.rotation_sigma;
+    AsVector(residual) = LessKnots(error, s.rotation_error_u, blocks + n) / s.rotation_sigma;
     if (jacobians.blocks == nullptr) return;
     // Log(Exp(-delta) Exp(error)) = error - J_l(error)^-1 delta with J_l(x) = J_r(-x); delta is
     // J_r(c alpha) d(c alpha), and before that J_r(phi) dphi.
@@ -238,7 +242,7 @@ class JointRotationResidual : public BatchResidual<JointPoseSample> {
     for (int j = 0; j < n; ++j)
       SetRows<3>(jacobians, j, weights(0, j) * A_phi * J + weights(2, j) * c * A_lag);
     const double by_error = -1.0 / s.rotation_sigma;
-    SetKnotRows(jacobians, n, (1.0 - s.error_u) * by_error, s.error_u * by_error);
+    SetKnotRows(jacobians, n, (1.0 - s.rotation_error_u) * by_error, s.rotation_error_u * by_error);
     SetRows<1>(jacobians, n + 2, 0.5 * A_lag * alpha);
   }
 };

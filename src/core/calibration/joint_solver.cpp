@@ -21,6 +21,9 @@ constexpr int kMaxPasses = 40;
 /// goes to and fro comes to rest.
 constexpr int kHalfSteps = 8;
 
+/// Between knots of slow errors [s].
+constexpr double kPositionErrors = 0.2, kRotationErrors = 0.5;
+
 /// Noise, over that of other poses, of one beyond the ends of splines, which no IMU holds: the
 /// trajectory goes on as the corrected motion does.
 constexpr double kUncorrected = 100.0;
@@ -38,7 +41,9 @@ class JointSolver {
     for (size_t s = 0; s < sessions->size(); ++s) {
       splines_.emplace_back((*sessions)[s].data, *estimate, s, knot_spacings_s[s]);
       const std::vector<TimedPose>& poses = (*sessions)[s].data.poses;
-      estimate->sessions[s].rotation_errors = SlowErrors(poses.front().t, poses.back().t);
+      const double begin = poses.front().t, end = poses.back().t;
+      estimate->sessions[s].position_errors = SlowErrors(begin, end, kPositionErrors);
+      estimate->sessions[s].rotation_errors = SlowErrors(begin, end, kRotationErrors);
     }
   }
 
@@ -78,8 +83,9 @@ class JointSolver {
     iterations_ += summary.iterations;
     statistics_ = problem_->FindStatistics();
     slow_errors_.clear();
-    for (const SessionEstimate& session : estimate_->sessions)
-      slow_errors_.push_back(session.rotation_errors.std);
+    for (SessionEstimate& session : estimate_->sessions)
+      for (const SlowErrors* const errors : session.AllErrors())
+        slow_errors_.push_back(errors->std);
     FitNoise(problem_.get(), &statistics_);
     return summary;
   }
@@ -130,10 +136,12 @@ class JointSolver {
       models_[k].noise *= std::pow(statistics_[k].noise / models_[k].noise, share);
       models_[k].spread = statistics_[k].spread;
     }
-    for (size_t s = 0; s < slow_errors_.size(); ++s) {
-      double& sigma = estimate_->sessions[s].rotation_errors.std;
-      sigma = slow_errors_[s] * std::pow(sigma / slow_errors_[s], share);
-    }
+    auto before = slow_errors_.begin();
+    for (SessionEstimate& session : estimate_->sessions)
+      for (SlowErrors* const errors : session.AllErrors()) {
+        errors->std = *before * std::pow(errors->std / *before, share);
+        ++before;
+      }
     UpdateWeights(*problem_, splines_, share, &models_);
   }
 
@@ -144,7 +152,7 @@ class JointSolver {
   std::vector<CorrectionSplines> splines_;
   std::unique_ptr<LeastSquares> problem_;
   std::vector<SensorStatistics> statistics_;  ///< of the last pass
-  std::vector<double> slow_errors_;           ///< sigmas of the sessions' [rad] in the last pass
+  std::vector<double> slow_errors_;           ///< sigmas of those of all sessions in the last pass
   std::vector<const double*> at_bound_;       ///< parameters that stay 0
   int iterations_ = 0;
 };

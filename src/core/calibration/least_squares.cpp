@@ -309,16 +309,16 @@ void LeastSquares::AddClockWalk(size_t session, size_t imu) {
         session, clock.PoseTime(clock.walk.t[k]));
 }
 
-void LeastSquares::AddRotationErrors(size_t session) {
-  SlowErrors& errors = estimate->sessions[session].rotation_errors;
-  BiasKnots& knots = errors.knots;
-  Add(problem.AddResidualsOf({knots.values[0].data()}, std::make_unique<const ceres::NormalPrior>(
-                                                           Eigen::Matrix3d::Identity() / errors.std,
-                                                           Eigen::Vector3d::Zero())),
+void LeastSquares::AddSlowErrors(size_t session, SlowErrors* errors) {
+  BiasKnots& knots = errors->knots;
+  Add(problem.AddResidualsOf(
+          {knots.values[0].data()},
+          std::make_unique<const ceres::NormalPrior>(Eigen::Matrix3d::Identity() / errors->std,
+                                                     Eigen::Vector3d::Zero())),
       session, knots.t[0]);
   for (size_t k = 0; k + 1 < knots.t.size(); ++k) {
-    const double kept = errors.Kept(k);
-    const WalkResidual<3> decay{errors.std * std::sqrt(1.0 - kept * kept), kept};
+    const double kept = errors->Kept(k);
+    const WalkResidual<3> decay{errors->std * std::sqrt(1.0 - kept * kept), kept};
     Add(problem.AddResidualsOf({knots.values[k].data(), knots.values[k + 1].data()},
                                decay.Create()),
         session, knots.t[k]);
@@ -370,8 +370,8 @@ Ordering LeastSquares::Order() const {
     for (const ImuSessionEstimate& imu : session.imus)
       for (const double& offset : imu.walk.offset) add(&offset, &order.inner);
   for (const SessionEstimate& session : estimate->sessions)
-    for (const Eigen::Vector3d& value : session.rotation_errors.knots.values)
-      add(value.data(), &order.inner);
+    for (const SlowErrors* const errors : session.AllErrors())
+      for (const Eigen::Vector3d& value : errors->knots.values) add(value.data(), &order.inner);
   order.trajectory = order.columns;
   for (const int block : trajectory_blocks) add(problem.data(block), &order.inner);
   return order;

@@ -93,7 +93,8 @@ TrajectoryCovariance::TrajectoryCovariance(const std::shared_ptr<const Solution>
     for (const ImuSessionEstimate& imu : session.imus)
       if (!imu.walk.IsLine()) add(imu.walk.offset, imu.walk.offset.size() - 1);
   for (const SessionEstimate& session : sessions)
-    add(session.rotation_errors.knots.values, 3 * session.rotation_errors.knots.values.size());
+    for (const SlowErrors* const errors : session.AllErrors())
+      add(errors->knots.values, 3 * errors->knots.values.size());
   for (const CorrectionSplines& splines : solution->splines)
     for (const auto* points : {&splines.d, &splines.phi}) add(*points, 3 * points->size());
 

@@ -549,7 +549,8 @@ void Quality(Calibration& result, ResultFile* file) {
   const bool has_imu = !result.imus.empty();
   file->Value("noise.position_std", session.noise.position);
   file->Value("noise.rotation_std", session.noise.rotation);
-  file->Note("noise.rotation_error_std", session.rotation_error_std);
+  file->Note("noise.position_error_std", session.slow_errors.position);
+  file->Note("noise.rotation_error_std", session.slow_errors.rotation);
   if (has_imu) {
     Noise("", session.imus[0], file);
     file->Note("quality.gyro_rms", session.imus[0].rms.gyro);

@@ -456,9 +456,9 @@ Residuals per axis, and the noise estimated from them
                             imu.rms.gyro, imu.noise.gyro, imu.rms.accel, imu.noise.accel,
                             1e3 * session.rms.position, 1e3 * session.noise.position,
                             kDegrees * session.rms.rotation, kDegrees * session.noise.rotation);
-  if (session.rotation_error_std > 0.0)
-    text += Format("  rotations of the poses err for seconds by %.3g deg\n",
-                   kDegrees * session.rotation_error_std);
+  if (session.slow_errors.rotation > 0.0)
+    text += Format("  the poses err for seconds by %.3g mm, %.3g deg\n",
+                   1e3 * session.slow_errors.position, kDegrees * session.slow_errors.rotation);
   return text + Format("  the halves of the recording differ by up to %.1f sigma\n",
                        result.split_half.sigmas);
 }

@@ -222,10 +222,9 @@ struct SessionCalibration {
   Eigen::Vector3d g_W_std = Eigen::Vector3d::Zero();  ///< [m/s^2]
   std::vector<ImuSession> imus = std::vector<ImuSession>(1);
 
-  PoseStd noise;  ///< white noise per pose, as estimated
-  PoseStd rms;    ///< of the residuals of the poses used
-  /// [rad] of what the rotations of the poses err by for seconds; 0 when not estimated.
-  double rotation_error_std = 0.0;
+  PoseStd noise;        ///< white noise per pose, as estimated
+  PoseStd rms;          ///< of the residuals of the poses used
+  PoseStd slow_errors;  ///< of what the poses err by for seconds; 0 when not estimated
   /// GP length scales used [s].
   double position_lengthscale_s = 0.0;
   double rotation_lengthscale_s = 0.0;

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <memory>
 #include <utility>
 #include <vector>
@@ -28,20 +29,20 @@ struct BiasKnots {
   Eigen::Vector3d Mean() const;
 };
 
-/// What the rotations of poses err by for seconds [rad], doc/math.md, S4, "Slow errors": an
-/// Ornstein-Uhlenbeck process of each axis.
+/// What poses err by for seconds, positions [m] in W or rotations [rad] in M, doc/math.md, S4,
+/// "Slow errors": an Ornstein-Uhlenbeck process of each axis.
 struct SlowErrors {
   static constexpr double kTime = 1.0;  ///< [s] in which an error falls to 1/e
   BiasKnots knots;
   double std = 0.0;  ///< at an instant
 
   SlowErrors() = default;
-  /// None, with a sigma to start from, of poses in that time [s].
-  SlowErrors(double begin, double end);
+  /// None, with a sigma to start from, of poses in that time [s], at knots so far apart [s].
+  SlowErrors(double begin, double end, double interval_s);
 
   /// Share of an error at knot k that is left at the next one.
   double Kept(size_t k) const;
-  /// Two-sided power spectral density [rad^2/Hz] at (2 pi frequency)^2.
+  /// Two-sided power spectral density [m^2/Hz, rad^2/Hz] at (2 pi frequency)^2.
   double Density(double omega2) const;
 };
 
@@ -72,8 +73,13 @@ struct ImuSessionEstimate : ClockLine {
 struct SessionEstimate {
   Eigen::Vector3d g_W = Eigen::Vector3d::Zero();  ///< [m/s^2]
   std::vector<ImuSessionEstimate> imus;           ///< in the order of the rig
-  SlowErrors rotation_errors;
+  SlowErrors position_errors, rotation_errors;
 
+  /// Both, position first.
+  std::array<SlowErrors*, 2> AllErrors() { return {&position_errors, &rotation_errors}; }
+  std::array<const SlowErrors*, 2> AllErrors() const {
+    return {&position_errors, &rotation_errors};
+  }
   size_t FirstImu() const;
 };
 

@@ -16,8 +16,8 @@ void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares
 void UpdateWeights(const LeastSquares& joint, const std::vector<CorrectionSplines>& splines,
                    double share, std::vector<SensorModel>* models);
 
-/// Sets the noise of the sensors and the sigma of the rotations' slow errors of each session to
-/// what the spectra of the residuals show, doc/math.md, S4, "Noise" and "Slow errors".
+/// Sets the noise of the sensors and the sigmas of the slow errors of each session to what the
+/// spectra of the residuals show, doc/math.md, S4, "Noise" and "Slow errors".
 void FitNoise(LeastSquares* joint, std::vector<SensorStatistics>* statistics);
 
 }  // namespace imu_pose_calib

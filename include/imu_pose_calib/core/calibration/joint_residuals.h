@@ -57,15 +57,16 @@ struct JointSample {
 
 /// A pose of the marker, less the GP.
 struct JointPoseSample : JointSample {
-  Eigen::Quaterniond q_error;             ///< R_gp^T R_meas
-  Eigen::Vector3d p_error;                ///< [m] p_meas - p_gp in W
-  Eigen::Vector3d alpha_M, a_W;           ///< [rad/s^2], [m/s^2] of the GP
-  double position_sigma, rotation_sigma;  ///< [m], [rad]
-  double error_u;                         ///< 0..1 between the knots of the slow errors
+  Eigen::Quaterniond q_error;                 ///< R_gp^T R_meas
+  Eigen::Vector3d p_error;                    ///< [m] p_meas - p_gp in W
+  Eigen::Vector3d alpha_M, a_W;               ///< [rad/s^2], [m/s^2] of the GP
+  double position_sigma, rotation_sigma;      ///< [m], [rad]
+  double position_error_u, rotation_error_u;  ///< 0..1 between the knots of the slow errors
 };
 
-/// r = (p_meas - p_gp(t) - d(t) - s/2 (a_gp + d''(t))) / sigma, in W, s: pose_smoothing +
-/// position_smoothing. Blocks: d | pose_smoothing (1) | position_smoothing (1).
+/// r = (p_meas - p_gp(t) - d(t) - s/2 (a_gp + d''(t)) - e(t)) / sigma, in W, s: pose_smoothing +
+/// position_smoothing, e: slow error. Blocks: d | knots of e | pose_smoothing (1) |
+/// position_smoothing (1).
 std::unique_ptr<SampledCost> CreateJointPositionResidual(Samples<JointPoseSample> samples);
 
 /// r = (Log(Exp(s/2 (alpha_gp + phi''(t)))^T Exp(phi(t))^T R_gp(t)^T R_meas) - e(t)) / sigma, in M,

@@ -160,7 +160,7 @@ struct LeastSquares {
   void AddCalibration(bool is_joint);
   void AddBiasWalk(double walk, size_t session, size_t imu, BiasKnots* knots);
   void AddClockWalk(size_t session, size_t imu);
-  void AddRotationErrors(size_t session);
+  void AddSlowErrors(size_t session, SlowErrors* errors);
 
   Ordering Order() const;
 
