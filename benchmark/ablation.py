@@ -39,9 +39,13 @@ RULES = {
     "weights around": ("IMU samples weigh by those around, too", C + "joint_noise.cpp",
                        "IsOfPoses(model.quantity) ? 0.0 : 0.5 *", "IsOfPoses(model.quantity) || OFF ? 0.0 : 0.5 *"),
     "slow errors": ("the sigma of slow errors of rotations is found", C + "joint_noise.cpp",
-                    "  UpdateRotationErrors(joint);\n}",
-                    "  if (!OFF) return UpdateRotationErrors(joint);\n"
-                    "  for (auto& s : joint->estimate->sessions) s.rotation_errors.std = kLeastRotationError;\n}"),
+                    "    UpdateSlowErrors(S, false, &estimate.rotation_errors);",
+                    "    if (!OFF) UpdateSlowErrors(S, false, &estimate.rotation_errors);\n"
+                    "    if (OFF) estimate.rotation_errors.std = kLeastSlowError;"),
+    "slow position errors": ("the sigma of slow errors of positions is found", C + "joint_noise.cpp",
+                             "    UpdateSlowErrors(S, true, &estimate.position_errors);",
+                             "    if (!OFF) UpdateSlowErrors(S, true, &estimate.position_errors);\n"
+                             "    if (OFF) estimate.position_errors.std = kLeastSlowError;"),
     "spectra": ("noise from the spectra of residuals", C + "joint_noise.cpp", "FitNoiseOf(is_linear, s, *joint, statistics);",
                 "if (!OFF) FitNoiseOf(is_linear, s, *joint, statistics);"),
     "band of poses": ("poses lose what is beyond the band of the IMU", C + "band.cpp",

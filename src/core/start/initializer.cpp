@@ -83,37 +83,41 @@ using SegmentRates = std::vector<RatePair>;
 struct RotationAgreement {
   std::vector<bool> flipped;  ///< per segment
   double agreeing = 0.0;      ///< share of the gyroscope's squared rate on the others
-  double explained = 0.0;     ///< share of that on them
+  double explained = 0.0;     ///< share of that, where it turns
   double cost = std::numeric_limits<double>::infinity();
 };
 
 RotationAgreement Judge(const std::vector<SegmentRates>& segments, const RateAlignment& alignment) {
   RotationAgreement result;
   result.cost = 0.0;
-  double unexplained = 0.0, total = 1e-12, agreeing = 1e-12, count = 0.0;
-  std::vector<double> residuals;
+  double unexplained = 0.0, moved = 1e-12, count = 0.0;  // of those that it explains
+  std::vector<double> residuals, motions;
   for (const SegmentRates& pairs : segments) {
     double residual = 0.0, motion = 0.0;
     for (const RatePair& pair : pairs) {
       residual += alignment.Residual(pair).squaredNorm();
       motion += (pair.gyro_I - alignment.gyro_bias).squaredNorm();
     }
-    total += motion;
     result.cost += std::min(residual, kFlipped * motion);
-    result.flipped.push_back(residual > kFlipped * motion);
     residuals.push_back(residual);
-    if (result.flipped.back()) continue;
-    agreeing += motion;
+    motions.push_back(motion);
+    if (residual > kFlipped * motion) continue;
     unexplained += residual;
+    moved += motion;
     count += static_cast<double>(pairs.size());
   }
-  result.agreeing = agreeing / total;
-  result.explained = 1.0 - unexplained / agreeing;
-  // Where the marker hardly turns, noise is all there is: nothing can be said.
+  result.explained = 1.0 - unexplained / moved;
   const double usual = unexplained / std::max(count, 1.0);
-  for (size_t k = 0; k < segments.size(); ++k)
-    if (residuals[k] < kFlipFactor * usual * static_cast<double>(segments[k].size()))
-      result.flipped[k] = false;
+  double agreeing = 0.0, total = 1e-12;
+  for (size_t k = 0; k < segments.size(); ++k) {
+    // Where the marker hardly turns, noise is all there is: nothing can be said.
+    const bool is_noise =
+        residuals[k] < kFlipFactor * usual * static_cast<double>(segments[k].size());
+    result.flipped.push_back(residuals[k] > kFlipped * motions[k] && !is_noise);
+    if (!result.flipped.back()) agreeing += motions[k];
+    total += motions[k];
+  }
+  result.agreeing = agreeing / total;
   return result;
 }
 
