@@ -84,6 +84,8 @@ void AddProduct(double scale, const ConstDenseRef& A, const ConstDenseRef& B, bo
     C.noalias() += scale * A * B.transpose();
 }
 
+// Eigen's solveInPlace() writes what it takes as constant.
+// NOLINTNEXTLINE(performance-unnecessary-value-param)
 bool Factor(DenseRef C, DenseRef B) {
   Eigen::LLT<DenseRef> llt(C);
   llt.matrixL().transpose().solveInPlace<Eigen::OnTheRight>(B);
