@@ -7,7 +7,8 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr double kErrorStart = 1e-3;  // [m], [rad] sigma of slow errors to start from
+constexpr double kPositionErrors = 0.2, kRotationErrors = 0.5;  // [s] between knots of slow errors
+constexpr double kPositionStart = 2e-5, kRotationStart = 1e-3;  // [m], [rad] sigma to start from
 
 }  // namespace
 
@@ -39,8 +40,8 @@ Eigen::Vector3d BiasKnots::Mean() const {
   return sum / static_cast<double>(values.size());
 }
 
-SlowErrors::SlowErrors(double begin, double end, double interval_s)
-    : knots(begin, end, interval_s), std(kErrorStart) {}
+SlowErrors::SlowErrors(double begin, double end, double interval_s, double start)
+    : knots(begin, end, interval_s), std(start) {}
 
 double SlowErrors::Kept(size_t k) const { return std::exp((knots.t[k] - knots.t[k + 1]) / kTime); }
 
@@ -60,6 +61,11 @@ double ImuSessionEstimate::ImuTime(double t_M) const {
   return t;
 }
 
+void SessionEstimate::BeginSlowErrors(double begin, double end) {
+  position_errors = SlowErrors(begin, end, kPositionErrors, kPositionStart);
+  rotation_errors = SlowErrors(begin, end, kRotationErrors, kRotationStart);
+}
+
 size_t SessionEstimate::FirstImu() const {
   const auto is_present = [](const ImuSessionEstimate& imu) { return imu.is_present; };
   return static_cast<size_t>(std::find_if(imus.begin(), imus.end(), is_present) - imus.begin());
@@ -69,6 +75,7 @@ Estimate::Estimate(const PreparedSession& session, double bias_knot_interval_s)
     : imus(session.starts.size()), sessions(1) {
   sessions[0].imus.resize(imus.size());
   sessions[0].g_W = session.starts[session.data.FirstImu()].g_W;
+  sessions[0].BeginSlowErrors(session.data.poses.front().t, session.data.poses.back().t);
   for (size_t i = 0; i < imus.size(); ++i) {
     const ConditionedImu& samples = session.data.imus[i];
     if (!samples.IsPresent()) continue;

@@ -21,9 +21,6 @@ constexpr int kMaxPasses = 40;
 /// goes to and fro comes to rest.
 constexpr int kHalfSteps = 8;
 
-/// Between knots of slow errors [s].
-constexpr double kPositionErrors = 0.2, kRotationErrors = 0.5;
-
 /// Noise, over that of other poses, of one beyond the ends of splines, which no IMU holds: the
 /// trajectory goes on as the corrected motion does.
 constexpr double kUncorrected = 100.0;
@@ -41,9 +38,7 @@ class JointSolver {
     for (size_t s = 0; s < sessions->size(); ++s) {
       splines_.emplace_back((*sessions)[s].data, *estimate, s, knot_spacings_s[s]);
       const std::vector<TimedPose>& poses = (*sessions)[s].data.poses;
-      const double begin = poses.front().t, end = poses.back().t;
-      estimate->sessions[s].position_errors = SlowErrors(begin, end, kPositionErrors);
-      estimate->sessions[s].rotation_errors = SlowErrors(begin, end, kRotationErrors);
+      estimate->sessions[s].BeginSlowErrors(poses.front().t, poses.back().t);
     }
   }
 

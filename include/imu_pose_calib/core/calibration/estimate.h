@@ -37,8 +37,8 @@ struct SlowErrors {
   double std = 0.0;  ///< at an instant
 
   SlowErrors() = default;
-  /// None, with a sigma to start from, of poses in that time [s], at knots so far apart [s].
-  SlowErrors(double begin, double end, double interval_s);
+  /// None, of poses in that time [s], at knots so far apart [s], with a sigma to start from.
+  SlowErrors(double begin, double end, double interval_s, double start);
 
   /// Share of an error at knot k that is left at the next one.
   double Kept(size_t k) const;
@@ -75,6 +75,8 @@ struct SessionEstimate {
   std::vector<ImuSessionEstimate> imus;           ///< in the order of the rig
   SlowErrors position_errors, rotation_errors;
 
+  /// No slow errors yet, of poses in that time [s].
+  void BeginSlowErrors(double begin, double end);
   /// Both, position first.
   std::array<SlowErrors*, 2> AllErrors() { return {&position_errors, &rotation_errors}; }
   std::array<const SlowErrors*, 2> AllErrors() const {
