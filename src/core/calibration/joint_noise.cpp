@@ -34,20 +34,28 @@ bool IsLinear(Quantity quantity) {
   return quantity == Quantity::kPosition || quantity == Quantity::kAccel;
 }
 
+/// What poses tell, as far as they state their noise, over what they would without that.
+double StatedInformation(const LeastSquares& joint, const SensorModel& model) {
+  if (!IsOfPoses(model.quantity)) return 1.0;
+  double sum = 0.0;
+  for (size_t i = 0; i < model.weights.size(); ++i) sum += 1.0 / std::pow(joint.Scale(model, i), 2);
+  return sum / static_cast<double>(model.weights.size());
+}
+
 /// Densities of the noise that sensors of one kind have together in a session, as they tell of the
-/// same motion: of poses that state their noise, by the information of all.
-using Densities = std::map<Quantity, double>;
+/// same motion.
+struct Densities : std::map<Quantity, double> {
+  double OfPoses(bool is_linear) const {
+    return at(is_linear ? Quantity::kPosition : Quantity::kRotation);
+  }
+  double OfImus(bool is_linear) const { return at(is_linear ? Quantity::kAccel : Quantity::kGyro); }
+};
 
 Densities JointDensities(const LeastSquares& joint, size_t session) {
   Densities S;
-  for (const SensorModel& model : joint.models) {
-    if (model.session != session) continue;
-    double information = 0.0;
-    for (size_t i = 0; i < model.weights.size(); ++i)
-      information += 1.0 / std::pow(joint.Scale(model, i), 2);
-    S[model.quantity] +=
-        information / (static_cast<double>(model.weights.size()) * model.Density());
-  }
+  for (const SensorModel& model : joint.models)
+    if (model.session == session)
+      S[model.quantity] += StatedInformation(joint, model) / model.Density();
   for (auto& [quantity, density] : S) density = 1.0 / density;
   return S;
 }
@@ -70,15 +78,17 @@ std::vector<double> MeanSquareAround(const SensorBlocks& sensor, double reach) {
 
 double Omega2(double frequency) { return std::pow(2.0 * M_PI * frequency, 2); }
 
+/// Of an IMU, which measures a derivative of positions or of rotations; squared.
+double Gain(bool is_linear, double omega2) { return is_linear ? omega2 * omega2 : omega2; }
+
 /// Share of IMUs in what tells of positions or rotations, in the mean over the spline's band [Hz].
 double ImuShare(const Densities& S, Quantity quantity, double band) {
   const bool is_linear = IsLinear(quantity);
-  const double of_poses = S.at(is_linear ? Quantity::kPosition : Quantity::kRotation);
-  const double of_imus = S.at(is_linear ? Quantity::kAccel : Quantity::kGyro);
+  const double of_poses = S.OfPoses(is_linear);
   double sum = 0.0;
   for (int k = 0; k < kSteps; ++k) {
     const double omega2 = Omega2((k + 0.5) / kSteps * band);
-    sum += of_poses / (of_poses + of_imus / (is_linear ? omega2 * omega2 : omega2));
+    sum += of_poses / (of_poses + S.OfImus(is_linear) / Gain(is_linear, omega2));
   }
   return sum / kSteps;
 }
@@ -149,7 +159,7 @@ void FitNoiseOf(bool is_linear, size_t session, const LeastSquares& joint,
     const NoiseSpectrum& spectrum = (*statistics)[sensors[a]].spectrum;
     for (size_t f = 0; f < spectrum.density.size(); ++f) {
       const double omega2 = Omega2(NoiseSpectrum::Frequency(f));
-      const double gain = is_linear ? omega2 * omega2 : omega2;  // of an IMU, squared
+      const double gain = Gain(is_linear, omega2);
       const double poses = white + errors.Density(omega2);
       if (poses > 2.0 * white) continue;
       std::vector<double> share{1.0 / poses};  // of each sensor
@@ -178,8 +188,6 @@ void FitNoiseOf(bool is_linear, size_t session, const LeastSquares& joint,
 void UpdateSlowErrors(const Densities& S, bool is_linear, SlowErrors* errors) {
   const BiasKnots& knots = errors->knots;
   const double interval = knots.t[1] - knots.t[0];
-  const double of_poses = S.at(is_linear ? Quantity::kPosition : Quantity::kRotation);
-  const double of_imus = S.at(is_linear ? Quantity::kAccel : Quantity::kGyro);
   std::vector<double> squares;  // of increments
   for (size_t k = 0; k + 1 < knots.t.size(); ++k)
     squares.push_back((knots.values[k + 1] - errors->Kept(k) * knots.values[k]).squaredNorm() /
@@ -192,7 +200,8 @@ void UpdateSlowErrors(const Densities& S, bool is_linear, SlowErrors* errors) {
   for (int k = 0; k < kSteps; ++k) {
     const double omega2 = Omega2(0.5 * (k + 0.5) / kSteps / interval);
     const double own = errors->Density(omega2);
-    share += own / (own + of_poses + of_imus / (is_linear ? omega2 * omega2 : omega2)) / kSteps;
+    const double others = S.OfPoses(is_linear) + S.OfImus(is_linear) / Gain(is_linear, omega2);
+    share += own / (own + others) / kSteps;
   }
   const double mean = std::accumulate(squares.begin(), squares.end(), 0.0) /
                       (kTakenMean * static_cast<double>(squares.size()));

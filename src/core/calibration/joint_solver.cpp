@@ -35,11 +35,8 @@ class JointSolver {
         sessions_(sessions),
         estimate_(estimate),
         models_(InitialModels(options, *sessions)) {
-    for (size_t s = 0; s < sessions->size(); ++s) {
+    for (size_t s = 0; s < sessions->size(); ++s)
       splines_.emplace_back((*sessions)[s].data, *estimate, s, knot_spacings_s[s]);
-      const std::vector<TimedPose>& poses = (*sessions)[s].data.poses;
-      estimate->sessions[s].BeginSlowErrors(poses.front().t, poses.back().t);
-    }
   }
 
   Solution Solve() {

@@ -261,6 +261,7 @@ std::vector<ImuState> CarryAcrossGap(const Solution& solution, const SessionTraj
   distance << Log(Eigen::Quaterniond(there.state.q_WI.conjugate() * last.state.q_WB)),
       last.state.p_WB - there.state.p_WI, last.state.v_W - there.state.v_W;
   if (!(SquaredDistance(distance, S) < kMaxDistance2)) return {};
+  const MatrixXd S_inverse = Inverse(S);
 
   std::vector<ImuState> states;
   for (const Carried& here : way) {
@@ -269,7 +270,7 @@ std::vector<ImuState> CarryAcrossGap(const Solution& solution, const SessionTraj
     const MatrixXd rest_of_way = Product(there.by_start(), Inverse(here.by_start()));
     const MatrixXd with_distance =
         Product(h, Product(P, A.transpose())) + Product(rest_of_way, here.noise);
-    const MatrixXd K = Solve(S, with_distance).transpose();
+    const MatrixXd K = Product(S_inverse, with_distance).transpose();
     states.push_back(here.state);
     ImuState& x = states.back();
     const Eigen::VectorXd error = Product(K, distance);
