@@ -116,6 +116,7 @@ void ReportEstimate(const Estimate& estimate, const std::vector<PreparedSession>
                     Calibration* result) {
   result->pose_smoothing = estimate.pose_smoothing;
   result->position_smoothing = estimate.position_smoothing;
+  result->position_delay = estimate.position_delay;
   result->pose_scale = estimate.pose_scale;
   result->imus.resize(estimate.imus.size());
   for (size_t i = 0; i < estimate.imus.size(); ++i) {
@@ -124,7 +125,7 @@ void ReportEstimate(const Estimate& estimate, const std::vector<PreparedSession>
     if (imu.q_MI.w() < 0.0) result->imus[i].T_MI.q.coeffs() *= -1.0;
     result->imus[i].accel_delay = imu.accel_delay;
     result->imus[i].gyro_smoothing = estimate.gyro_smoothing + imu.gyro_smoothing;
-    result->imus[i].accel_smoothing = imu.accel_smoothing;
+    result->imus[i].accel_smoothing = i == 0 ? estimate.accel_smoothing : imu.accel_smoothing;
     result->imus[i].mount_compliance = imu.mount_compliance;
     result->imus[i].gyro_matrix = GyroMatrix(imu.gyro_intrinsics);
     result->imus[i].accel_matrix = AccelMatrix(imu.accel_intrinsics);

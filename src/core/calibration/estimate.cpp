@@ -94,8 +94,7 @@ Estimate::Estimate(const PreparedSession& session, double bias_knot_interval_s)
 }
 
 bool IsOfPoses(ParameterKind kind) {
-  return kind == ParameterKind::kPoseSmoothing || kind == ParameterKind::kPositionSmoothing ||
-         kind == ParameterKind::kPoseScale;
+  return kind >= ParameterKind::kPoseSmoothing && kind <= ParameterKind::kPoseScale;
 }
 
 bool IsOfSession(ParameterKind kind) {
@@ -120,12 +119,12 @@ std::vector<Parameter> CalibrationParameters(Estimate* estimate) {
   }
   parameters.push_back({ParameterKind::kPoseSmoothing, 0, 0, 1, &estimate->pose_smoothing});
   parameters.push_back({ParameterKind::kPositionSmoothing, 0, 0, 1, &estimate->position_smoothing});
+  parameters.push_back({ParameterKind::kPositionDelay, 0, 0, 1, &estimate->position_delay});
   parameters.push_back({ParameterKind::kPoseScale, 0, 0, 1, &estimate->pose_scale});
   for (size_t i = 0; i < estimate->imus.size(); ++i) {
     ImuEstimate& imu = estimate->imus[i];
-    double* const smoothing = i == 0 ? &estimate->gyro_smoothing : &imu.gyro_smoothing;
-    parameters.push_back({ParameterKind::kGyroSmoothing, i, 0, 1, smoothing});
-    parameters.push_back({ParameterKind::kAccelSmoothing, i, 0, 1, &imu.accel_smoothing});
+    parameters.push_back({ParameterKind::kGyroSmoothing, i, 0, 1, &estimate->GyroSmoothing(i)});
+    parameters.push_back({ParameterKind::kAccelSmoothing, i, 0, 1, &estimate->AccelSmoothing(i)});
     parameters.push_back({ParameterKind::kMountCompliance, i, 0, 1, &imu.mount_compliance});
     parameters.push_back({ParameterKind::kGyroIntrinsics, i, 0, 6, imu.gyro_intrinsics.data()});
     parameters.push_back({ParameterKind::kAccelIntrinsics, i, 0, 9, imu.accel_intrinsics.data()});
@@ -144,6 +143,7 @@ bool IsEstimated(const CalibrationOptions& options, ParameterKind kind) {
       {ParameterKind::kClockDrift, &Options::estimate_clock_drift},
       {ParameterKind::kPoseSmoothing, &Options::estimate_pose_smoothing},
       {ParameterKind::kPositionSmoothing, &Options::estimate_pose_smoothing},
+      {ParameterKind::kPositionDelay, &Options::estimate_pose_smoothing},
       {ParameterKind::kPoseScale, &Options::estimate_pose_scale},
       {ParameterKind::kGyroSmoothing, &Options::estimate_accel_smoothing},
       {ParameterKind::kAccelSmoothing, &Options::estimate_accel_smoothing},

@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "imu_pose_calib/core/base/parallel.h"
+#include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/calibration/joint_noise.h"
 #include "imu_pose_calib/core/calibration/joint_residuals.h"
 #include "imu_pose_calib/core/calibration/residuals.h"
@@ -73,36 +74,65 @@ struct Places {
     if (!place || !IsOnTrajectory(*trajectory, t)) return std::nullopt;
     return static_cast<int>(place->first);
   }
-  /// Second derivatives of f_M at t [s], where IsOnTrajectory(). Of a spring of this compliance
-  /// they are those of the force that the IMU feels on it, which exceeds F = R_WM f_M by
-  /// -compliance F'' and so on.
-  void SetForceDerivatives(double t, const Eigen::Vector3d& p_MI, double compliance,
-                           JointAccelSample* sample) const {
-    constexpr int kPoints = 5;
-    std::array<Eigen::Vector3d, kPoints> f, F;
-    Eigen::Quaterniond q_MW;
-    for (size_t k = 0; k < kPoints; ++k) {
-      const MarkerState<double> state = At(t + (static_cast<double>(k) - 2.0) * kStep);
-      f[k] = SpecificForce(state, g_W, p_MI);
-      F[k] = state.q_WM * f[k];
-      if (k == kPoints / 2) q_MW = state.q_WM.conjugate();
+  /// The step [s] of second differences about t, where IsOnTrajectory(), with which the mean over a
+  /// time of that variance [s^2] keeps a third of any motion at least, as Gauss-Hermite quadrature
+  /// of three points does.
+  double StepOf(double t, double variance) const {
+    const double step = std::sqrt(3.0 * std::abs(variance));
+    return step > kStep && trajectory->Covers(t - step, t + step) ? step : kStep;
+  }
+  /// Second differences of the GP's position in W and of its rotation in M, at t, where it is `gp`.
+  Eigen::Vector3d PositionCurvature(double t, const MarkerState<double>& gp,
+                                    double variance) const {
+    const double step = StepOf(t, variance);
+    if (step == kStep) return gp.a_W;
+    return (At(t - step).p_WM - 2.0 * gp.p_WM + At(t + step).p_WM) / (step * step);
+  }
+  Eigen::Vector3d RotationCurvature(double t, const MarkerRotation<double>& gp,
+                                    double variance) const {
+    const double step = StepOf(t, variance);
+    if (step == kStep) return gp.alpha_M;
+    Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+    for (const double at : {t - step, t + step}) {
+      MarkerRotation<double> other;
+      trajectory->EvaluateRotation(at, &other);
+      sum += Log(Eigen::Quaterniond(gp.q_WM.conjugate() * other.q_WM));
     }
-    const auto second = [](const std::array<Eigen::Vector3d, kPoints>& x) -> Eigen::Vector3d {
-      return (16.0 * (x[1] + x[3]) - x[0] - x[4] - 30.0 * x[2]) / (12.0 * kStep * kStep);
-    };
+    return sum / (step * step);
+  }
+  /// Of omega_M.
+  Eigen::Vector3d RateCurvature(double t, const MarkerRotation<double>& gp, double variance) const {
+    const double step = StepOf(t, variance);
+    MarkerRotation<double> before, after;
+    trajectory->EvaluateRotation(t - step, &before);
+    trajectory->EvaluateRotation(t + step, &after);
+    return (before.omega_M - 2.0 * gp.omega_M + after.omega_M) / (step * step);
+  }
+  /// What belongs to JointAccelSample at t, where it is `gp`. On a spring of this compliance
+  /// f_swing is of the force that the IMU feels there, which exceeds F = R_WM f_M by -compliance
+  /// F'' and so on.
+  void SetForceDerivatives(double t, const MarkerState<double>& gp, const Eigen::Vector3d& p_MI,
+                           double variance, double compliance, JointAccelSample* sample) const {
+    constexpr int kPoints = 5, kMiddle = kPoints / 2;
+    std::array<MarkerState<double>, kPoints> states;
+    std::array<Eigen::Vector3d, kPoints> F;
+    const auto f = [&](const MarkerState<double>& x) { return SpecificForce(x, g_W, p_MI); };
+    for (int k = 0; k < kPoints; ++k) {
+      const auto i = static_cast<size_t>(k);
+      states[i] = k == kMiddle ? gp : At(t + (k - kMiddle) * kStep);
+      F[i] = states[i].q_WM * f(states[i]);
+    }
+    const Eigen::Vector3d second =
+        (16.0 * (F[1] + F[3]) - F[0] - F[4] - 30.0 * F[2]) / (12.0 * kStep * kStep);
     const Eigen::Vector3d fourth =
         (F[0] + F[4] - 4.0 * (F[1] + F[3]) + 6.0 * F[2]) / std::pow(kStep, 4);
-    sample->curvature = second(f);
-    sample->f_swing = q_MW * (second(F) - compliance * fourth);
-  }
-  /// Second derivative of omega_M at t [s], where IsOnTrajectory() and it is `omega`: of fourth
-  /// order, as above.
-  Eigen::Vector3d RateCurvature(double t, const Eigen::Vector3d& omega) const {
-    MarkerRotation<double> before, after;
-    trajectory->EvaluateRotation(t - kStep, &before);
-    trajectory->EvaluateRotation(t + kStep, &after);
-    return 2.0 / (kStep * kStep) * (before.omega_M - 2.0 * omega + after.omega_M) -
-           0.5 / kStep * (after.alpha_M - before.alpha_M);
+    const Eigen::Quaterniond q_MW = gp.q_WM.conjugate();
+    sample->f_swing = q_MW * (second - compliance * fourth);
+    const double step = StepOf(t, variance);
+    const MarkerState<double> before = step == kStep ? states[1] : At(t - step);
+    const MarkerState<double> after = step == kStep ? states[3] : At(t + step);
+    sample->curvature = (f(before) - 2.0 * f(gp) + f(after)) / (step * step);
+    sample->averaged = q_MW * (2.0 * gp.a_W - before.a_W - after.a_W) / (step * step);
   }
 };
 
@@ -198,47 +228,69 @@ void SessionBuilder::AddBlocks(const std::shared_ptr<const SampledCost>& cost,
 }
 
 void SessionBuilder::AddPoses() {
+  Estimate& all = *joint_->estimate;
   BiasKnots& position_errors = estimate_.position_errors.knots;
   BiasKnots& rotation_errors = estimate_.rotation_errors.knots;
   const std::vector<TimedPose>& poses = prepared_.data.poses;
   SensorBlocks* const position = joint_->Find(Quantity::kPosition, session_);
   SensorBlocks* const rotation = joint_->Find(Quantity::kRotation, session_);
   std::vector<Run> position_runs, rotation_runs;
-  for (size_t i = 0; i < poses.size(); ++i) {
-    const double t = poses[i].t;
+  const auto add = [&](size_t i, double delay, const BiasKnots& errors, std::vector<Run>* runs,
+                       SensorBlocks* sensor) {
+    const double t = poses[i].t - delay;
     const auto span = places_->FindSpan(t);
-    if (!span) continue;
-    position_runs.push_back({*span, static_cast<int>(position_errors.Locate(t).first)});
-    rotation_runs.push_back({*span, static_cast<int>(rotation_errors.Locate(t).first)});
-    for (SensorBlocks* const sensor : {position, rotation}) {
-      const SensorModel& model = *sensor->model;
-      const double sigma = model.noise * joint_->Scale(model, i) / std::sqrt(model.weights[i]);
-      sensor->samples.push_back({t, static_cast<uint32_t>(i), static_cast<float>(sigma)});
-    }
+    if (!span) return;
+    runs->push_back({*span, static_cast<int>(errors.Locate(poses[i].t).first)});
+    const SensorModel& model = *sensor->model;
+    const double sigma = model.noise * joint_->Scale(model, i) / std::sqrt(model.weights[i]);
+    sensor->samples.push_back({t, static_cast<uint32_t>(i), static_cast<float>(sigma)});
+  };
+  for (size_t i = 0; i < poses.size(); ++i) {
+    add(i, all.position_delay, position_errors, &position_runs, position);
+    add(i, 0.0, rotation_errors, &rotation_runs, rotation);
   }
-  const auto samples = Collect<JointPoseSample>(
+  const double rotation_smoothing = all.pose_smoothing;
+  const double position_smoothing =
+      rotation_smoothing + all.position_smoothing - all.accel_smoothing;
+  const auto complete = [&poses, places = places_](const ProblemSample& at, const BiasKnots& errors,
+                                                   JointPoseSample* sample) {
+    sample->place = *places->splines.Locate(at.t);
+    sample->error_u = errors.Locate(poses[at.index].t).second;
+    sample->sigma = at.sigma;
+  };
+  const auto positions = Collect<JointPositionSample>(
       joint_->options, position_runs.size(),
-      [=, places = places_, &poses, &position_errors, &rotation_errors](size_t k) {
+      [=, places = places_, &poses, &position_errors](size_t k) {
         const ProblemSample& at = position->samples[k];
-        const TimedPose& pose = poses[at.index];
         const MarkerState<double> gp = places->At(at.t);
-        return JointPoseSample{{*places->splines.Locate(at.t)},
-                               gp.q_WM.conjugate() * pose.q_WM,
-                               pose.p_WM - gp.p_WM,
-                               gp.alpha_M,
-                               gp.a_W,
-                               at.sigma,
-                               rotation->samples[k].sigma,
-                               position_errors.Locate(at.t).second,
-                               rotation_errors.Locate(at.t).second};
+        JointPositionSample sample;
+        complete(at, position_errors, &sample);
+        sample.p_error = poses[at.index].p_WM - gp.p_WM;
+        sample.v_W = gp.v_W;
+        sample.curvature = places->PositionCurvature(at.t, gp, position_smoothing);
+        return sample;
       });
-  Estimate& all = *joint_->estimate;
-  std::vector<double*> others = {&all.pose_smoothing, &all.position_smoothing};
-  AddBlocks(CreateJointPositionResidual(samples), position_runs, {&splines_->d},
-            &position_errors.values, others, nullptr, position);
-  others.erase(others.begin() + 1);
-  AddBlocks(CreateJointRotationResidual(samples), rotation_runs, {&splines_->phi},
-            &rotation_errors.values, others, nullptr, rotation);
+  const auto rotations = Collect<JointRotationSample>(
+      joint_->options, rotation_runs.size(),
+      [=, places = places_, &poses, &rotation_errors](size_t k) {
+        const ProblemSample& at = rotation->samples[k];
+        MarkerRotation<double> gp;
+        places->trajectory->EvaluateRotation(at.t, &gp);
+        JointRotationSample sample;
+        complete(at, rotation_errors, &sample);
+        sample.q_error = gp.q_WM.conjugate() * poses[at.index].q_WM;
+        sample.curvature = places->RotationCurvature(at.t, gp, rotation_smoothing);
+        return sample;
+      });
+  const auto clocks = std::make_shared<const std::vector<ClockMotion>>(
+      1, ClockMotion{all.position_delay, -1.0, ClockMotion::kOne});
+  AddBlocks(
+      CreateJointPositionResidual(positions, clocks), position_runs, {&splines_->d},
+      &position_errors.values,
+      {&all.pose_smoothing, &all.position_smoothing, &all.accel_smoothing, &all.position_delay},
+      nullptr, position);
+  AddBlocks(CreateJointRotationResidual(rotations), rotation_runs, {&splines_->phi},
+            &rotation_errors.values, {&all.pose_smoothing}, nullptr, rotation);
 }
 
 template <typename Sample, typename Complete, typename Create>
@@ -297,28 +349,31 @@ void SessionBuilder::AddGyro(size_t imu) {
       imu, Quantity::kGyro, {&splines_->phi},
       {rig.q_MI.coeffs().data(), rig.gyro_intrinsics.data(), &rig.gyro_smoothing,
        &joint_->estimate->gyro_smoothing},
-      [with_curvature = IsUsed(rig.gyro_smoothing)](const Places& places, double t_M,
-                                                    JointImuSample* sample) {
+      [with_curvature = IsUsed(rig.gyro_smoothing), variance = rig.gyro_smoothing](
+          const Places& places, double t_M, JointImuSample* sample) {
         MarkerRotation<double> gp;
         places.trajectory->EvaluateRotation(t_M, &gp);
         sample->omega_M = gp.omega_M;
         sample->alpha_M = gp.alpha_M;
         sample->cone = RateCone(gp);
-        if (with_curvature) sample->curvature = places.RateCurvature(t_M, gp.omega_M);
+        if (with_curvature) sample->curvature = places.RateCurvature(t_M, gp, variance);
       },
       &CreateJointGyroResidual);
 }
 
 void SessionBuilder::AddAccel(size_t imu) {
-  ImuEstimate& rig = joint_->estimate->imus[imu];
-  const bool with_derivatives =
-      IsUsed(rig.gyro_smoothing) || IsUsed(rig.accel_smoothing) || IsUsed(rig.mount_compliance);
+  Estimate& all = *joint_->estimate;
+  ImuEstimate& rig = all.imus[imu];
+  const bool is_first = imu == 0;
+  const double variance = all.AccelSmoothing(imu) + rig.gyro_smoothing;
+  const bool with_derivatives = IsUsed(all.accel_smoothing) || IsUsed(all.AccelSmoothing(imu)) ||
+                                IsUsed(rig.gyro_smoothing) || IsUsed(rig.mount_compliance);
   AddImu<JointAccelSample>(
       imu, Quantity::kAccel, {&splines_->d, &splines_->phi},
       {rig.q_MI.coeffs().data(), rig.accel_intrinsics.data(), rig.p_MI.data(), estimate_.g_W.data(),
-       &rig.accel_smoothing, &rig.mount_compliance, &joint_->estimate->pose_scale,
-       rig.accel_positions.data(), &rig.gyro_smoothing, &joint_->estimate->gyro_smoothing},
-      [with_derivatives, p_MI = Eigen::Vector3d(rig.p_MI), compliance = rig.mount_compliance](
+       &rig.accel_smoothing, &rig.mount_compliance, &all.pose_scale, rig.accel_positions.data(),
+       &rig.gyro_smoothing, &all.gyro_smoothing, &all.accel_smoothing},
+      [=, p_MI = Eigen::Vector3d(rig.p_MI), compliance = rig.mount_compliance](
           const Places& places, double t_M, JointAccelSample* sample) {
         MarkerState<double> rate;
         const MarkerState<double> gp = places.At(t_M, &rate);
@@ -329,7 +384,9 @@ void SessionBuilder::AddAccel(size_t imu) {
         sample->alpha_rate = rate.alpha_M;
         sample->jerk_W = rate.a_W;
         sample->cone = ForceCone(gp, rate, places.g_W, p_MI);
-        if (with_derivatives) places.SetForceDerivatives(t_M, p_MI, compliance, sample);
+        if (!with_derivatives) return;
+        places.SetForceDerivatives(t_M, gp, p_MI, variance, compliance, sample);
+        if (is_first) sample->averaged += sample->curvature;
       },
       [&](Samples<JointAccelSample> samples, const ClockMotions& motions, bool has_walk) {
         return CreateJointAccelResidual(std::move(samples), rig.q_MI.toRotationMatrix(), motions,
@@ -367,9 +424,12 @@ std::unique_ptr<LeastSquares> BuildJointProblem(const CalibrationOptions& option
       for (Eigen::Vector3d& point : *points)
         joint->trajectory_blocks.push_back(joint->problem.AddParameters(point.data(), 3));
   joint->AddCalibration(true);
-  double* const own = &estimate->imus[0].gyro_smoothing;  // less its own: none
-  joint->problem.AddParameters(own, 1);
-  joint->problem.SetHeld(own, true);
+  // Of the first IMU, less what the trajectory has of it: none.
+  ImuEstimate& first = estimate->imus[0];
+  for (double* const none : {&first.gyro_smoothing, &first.accel_smoothing}) {
+    joint->problem.AddParameters(none, 1);
+    joint->problem.SetHeld(none, true);
+  }
   for (const double* parameter : held) joint->problem.SetHeld(parameter, true);
   for (size_t s = 0; s < sessions.size(); ++s) {
     AddCorrectionPriors(&(*splines)[s], s, joint.get());

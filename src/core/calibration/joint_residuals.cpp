@@ -1,6 +1,7 @@
 #include "imu_pose_calib/core/calibration/joint_residuals.h"
 
 #include <Eigen/LU>
+#include <algorithm>
 #include <initializer_list>
 #include <memory>
 #include <utility>
@@ -189,61 +190,70 @@ class BatchResidual : public SampledCost {
   const ClockMotions clocks_;
 };
 
-class JointPositionResidual : public BatchResidual<JointPoseSample> {
+/// Half of a smoothing, as it acts on a spline: at least a third of any motion is left, as of the
+/// GP's. The second derivative of what swings from knot to knot is -12 / spacing^2 of it.
+double SplineSmoothing(double c, double spacing) {
+  const double most = 2.0 / 3.0 * spacing * spacing / 12.0;
+  return std::clamp(c, -most, most);
+}
+
+class JointPositionResidual : public BatchResidual<JointPositionSample> {
  public:
-  explicit JointPositionResidual(Samples<JointPoseSample> samples)
-      : BatchResidual(std::move(samples), 1, {3, 3, 1, 1}) {}
+  JointPositionResidual(Samples<JointPositionSample> samples, const ClockMotions& clocks)
+      : BatchResidual(std::move(samples), 1, {3, 3, 1, 1, 1}, clocks) {}
 
  protected:
-  void EvaluateSample(const JointPoseSample& s, double, const SplineWeights& weights,
+  void EvaluateSample(const JointPositionSample& s, double t, const SplineWeights& weights,
                       double const* const* blocks, double* residual,
                       const JacobianRows& jacobians) const override {
     const int n = kSplineOrder;
     const Eigen::Matrix<double, 3, 4> d = EvaluateSpline(blocks, weights);
-    const double c = 0.5 * (*blocks[n + 2] + *blocks[n + 3]);
-    const Vector3d a_W = s.a_W + d.col(2);
-    const Vector3d error = s.p_error - d.col(0) - c * a_W;
-    AsVector(residual) = LessKnots(error, s.position_error_u, blocks + n) / s.position_sigma;
+    const double c = 0.5 * (*blocks[n + 2] + *blocks[n + 3] - *blocks[n + 4]);
+    const double c_d = SplineSmoothing(c, s.place.spacing);
+    const Vector3d error = s.p_error - t * s.v_W - d.col(0) - c * s.curvature - c_d * d.col(2);
+    AsVector(residual) = LessKnots(error, s.error_u, blocks + n) / s.sigma;
     if (jacobians.blocks == nullptr) return;
     for (int j = 0; j < n; ++j)
       SetRows<3>(jacobians, j,
-                 -(weights(0, j) + c * weights(2, j)) / s.position_sigma * Matrix3d::Identity());
-    const double by_error = -1.0 / s.position_sigma;
-    SetKnotRows(jacobians, n, (1.0 - s.position_error_u) * by_error, s.position_error_u * by_error);
+                 -(weights(0, j) + c_d * weights(2, j)) / s.sigma * Matrix3d::Identity());
+    SetKnotRows(jacobians, n, -(1.0 - s.error_u) / s.sigma, -s.error_u / s.sigma);
+    const Vector3d curvature = s.curvature + (c_d == c ? 1.0 : 0.0) * d.col(2);
     for (const int smoothing : {n + 2, n + 3})
-      SetRows<1>(jacobians, smoothing, -0.5 / s.position_sigma * a_W);
+      SetRows<1>(jacobians, smoothing, -0.5 / s.sigma * curvature);
+    SetRows<1>(jacobians, n + 4, 0.5 / s.sigma * curvature);
+    SetClockRows(s, -1.0 / s.sigma * (s.v_W + d.col(1) + c_d * d.col(3)), jacobians);
   }
 };
 
-class JointRotationResidual : public BatchResidual<JointPoseSample> {
+class JointRotationResidual : public BatchResidual<JointRotationSample> {
  public:
-  explicit JointRotationResidual(Samples<JointPoseSample> samples)
+  explicit JointRotationResidual(Samples<JointRotationSample> samples)
       : BatchResidual(std::move(samples), 1, {3, 3, 1}) {}
 
  protected:
-  void EvaluateSample(const JointPoseSample& s, double, const SplineWeights& weights,
+  void EvaluateSample(const JointRotationSample& s, double, const SplineWeights& weights,
                       double const* const* blocks, double* residual,
                       const JacobianRows& jacobians) const override {
     const int n = kSplineOrder;
     const Eigen::Matrix<double, 3, 4> phi = EvaluateSpline(blocks, weights);
     const Eigen::Quaterniond E_inv = Exp<double>(-phi.col(0));
-    const double c = 0.5 * *blocks[n + 2];
-    const Vector3d alpha = s.alpha_M + phi.col(2);
-    const Eigen::Quaterniond lag_inv = Exp<double>(-c * alpha);
+    const double c = 0.5 * *blocks[n + 2], c_phi = SplineSmoothing(c, s.place.spacing);
+    const Vector3d lag = c * s.curvature + c_phi * phi.col(2);
+    const Eigen::Quaterniond lag_inv = Exp<double>(-lag);
     const Vector3d error = Log(Eigen::Quaterniond(lag_inv * E_inv * s.q_error));
-    AsVector(residual) = LessKnots(error, s.rotation_error_u, blocks + n) / s.rotation_sigma;
+    AsVector(residual) = LessKnots(error, s.error_u, blocks + n) / s.sigma;
     if (jacobians.blocks == nullptr) return;
     // Log(Exp(-delta) Exp(error)) = error - J_l(error)^-1 delta with J_l(x) = J_r(-x); delta is
-    // J_r(c alpha) d(c alpha), and before that J_r(phi) dphi.
-    const Matrix3d A = -RightJacobian<double>(-error).inverse() / s.rotation_sigma;
-    const Matrix3d A_lag = A * RightJacobian<double>(c * alpha);
+    // J_r(lag) d lag, and before that J_r(phi) dphi.
+    const Matrix3d A = -RightJacobian<double>(-error).inverse() / s.sigma;
+    const Matrix3d A_lag = A * RightJacobian<double>(lag);
     const Matrix3d A_phi = A * lag_inv.toRotationMatrix();
     const Matrix3d J = RightJacobian<double>(phi.col(0));
     for (int j = 0; j < n; ++j)
-      SetRows<3>(jacobians, j, weights(0, j) * A_phi * J + weights(2, j) * c * A_lag);
-    const double by_error = -1.0 / s.rotation_sigma;
-    SetKnotRows(jacobians, n, (1.0 - s.rotation_error_u) * by_error, s.rotation_error_u * by_error);
-    SetRows<1>(jacobians, n + 2, 0.5 * A_lag * alpha);
+      SetRows<3>(jacobians, j, weights(0, j) * A_phi * J + weights(2, j) * c_phi * A_lag);
+    SetKnotRows(jacobians, n, -(1.0 - s.error_u) / s.sigma, -s.error_u / s.sigma);
+    const Vector3d curvature = s.curvature + (c_phi == c ? 1.0 : 0.0) * phi.col(2);
+    SetRows<1>(jacobians, n + 2, 0.5 * A_lag * curvature);
   }
 };
 
@@ -293,7 +303,7 @@ class JointAccelResidual : public BatchResidual<JointAccelSample> {
  public:
   JointAccelResidual(Samples<JointAccelSample> samples, const Matrix3d& R_MA,
                      const ClockMotions& clocks, bool has_walk)
-      : BatchResidual(std::move(samples), 2, {3, 3, 4, 9, 3, 3, 1, 1, 1, 6, 1, 1}, clocks,
+      : BatchResidual(std::move(samples), 2, {3, 3, 4, 9, 3, 3, 1, 1, 1, 6, 1, 1, 1}, clocks,
                       has_walk),
         R_MA_(R_MA) {}
 
@@ -319,7 +329,8 @@ class JointAccelResidual : public BatchResidual<JointAccelSample> {
     const Vector3d f_body = q_WM.conjugate() * (a_W - g);  // R_WM^T (a_W - g_W)
     const Vector3d f_M = f_body + x.alpha.cross(p) + x.omega.cross(x.omega.cross(p)) +
                          0.5 * (*blocks[n + 6] + *blocks[n + 10]) * s.curvature +
-                         0.5 * *blocks[n + 11] * s.cone - *blocks[n + 7] * s.f_swing;
+                         0.5 * *blocks[n + 11] * s.cone + 0.5 * *blocks[n + 12] * s.averaged -
+                         *blocks[n + 7] * s.f_swing;
     const Matrix3d R_IM = q_MI.conjugate().toRotationMatrix();
     const Matrix3d W = Hat(x.omega);
     const Matrix3d K = Hat(x.alpha) + W * W;  // acceleration by the lever arm
@@ -368,6 +379,7 @@ class JointAccelResidual : public BatchResidual<JointAccelSample> {
     SetRows<3>(jacobians, n + 5, -r_a);
     for (const int smoothing : {6, 10}) SetRows<1>(jacobians, n + smoothing, 0.5 * A * s.curvature);
     SetRows<1>(jacobians, n + 11, 0.5 * A * s.cone);
+    SetRows<1>(jacobians, n + 12, 0.5 * A * s.averaged);
     SetRows<1>(jacobians, n + 7, -A * s.f_swing);
     SetRows<1>(jacobians, n + 8, -1.0 / scale * r_a * a_W);
     const Matrix3d E_inv = Exp<double>(-phi.col(0)).toRotationMatrix();
@@ -404,11 +416,12 @@ Vector3d ForceCone(const MarkerState<double>& m, const MarkerState<double>& rate
          w.cross(turned.cross(p_M));
 }
 
-std::unique_ptr<SampledCost> CreateJointPositionResidual(Samples<JointPoseSample> samples) {
-  return std::make_unique<JointPositionResidual>(std::move(samples));
+std::unique_ptr<SampledCost> CreateJointPositionResidual(Samples<JointPositionSample> samples,
+                                                         const ClockMotions& clocks) {
+  return std::make_unique<JointPositionResidual>(std::move(samples), clocks);
 }
 
-std::unique_ptr<SampledCost> CreateJointRotationResidual(Samples<JointPoseSample> samples) {
+std::unique_ptr<SampledCost> CreateJointRotationResidual(Samples<JointRotationSample> samples) {
   return std::make_unique<JointRotationResidual>(std::move(samples));
 }
 

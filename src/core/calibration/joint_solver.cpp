@@ -82,11 +82,9 @@ class JointSolver {
     return summary;
   }
 
-  /// No source averages rotations over longer than positions, no mount gives way upwards, and no
-  /// gyroscope averages over less time than none: other errors look like that, at first those of
-  /// the trajectory.
+  /// No mount gives way upwards, and no gyroscope averages over less time than none: other errors
+  /// look like that, at first those of the trajectory.
   void HoldBounds() {
-    HoldAtZero(&estimate_->position_smoothing);
     HoldAtZero(&estimate_->gyro_smoothing);
     for (ImuEstimate& imu : estimate_->imus) HoldAtZero(&imu.mount_compliance);
   }

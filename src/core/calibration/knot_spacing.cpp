@@ -19,6 +19,7 @@ constexpr double kShrinkage = 0.02;
 constexpr double kSpan = 2.0;      // [s] of a periodogram
 constexpr size_t kFewBins = 8;     // of which a mean is not taken for the noise
 constexpr double kFullSpan = 1.1;  // times the span, beyond which samples are missing
+constexpr double kFilled = 5.5;    // periods between samples, up to which those missing are made up
 
 /// Power of a sensor, without a unit, at multiples of 1 / kSpan up to half of its rate.
 using Spectrum = std::vector<double>;
@@ -41,8 +42,29 @@ Spectrum Periodogram(const std::vector<TimedSample>& samples, size_t begin, size
   return power;
 }
 
+/// With samples on straight lines where single ones are missing: a jump in time looks like fast
+/// motion.
+std::vector<TimedSample> WithoutDrops(const std::vector<TimedSample>& samples, double rate_hz) {
+  std::vector<TimedSample> filled;
+  for (const TimedSample& s : samples) {
+    const double periods = filled.empty() ? 1.0 : (s.t - filled.back().t) * rate_hz;
+    if (periods > 1.5 && periods < kFilled) {
+      const TimedSample before = filled.back();
+      const double count = std::round(periods);
+      for (double k = 1.0; k < count; ++k) {
+        filled.push_back(before);
+        filled.back().t += k / count * (s.t - before.t);
+        filled.back().value += k / count * (s.value - before.value);
+      }
+    }
+    filled.push_back(s);
+  }
+  return filled;
+}
+
 /// The mean of spans, each weighted by its power, so that rests do not hide the motion.
-Spectrum FindSpectrum(const std::vector<TimedSample>& samples, double rate_hz) {
+Spectrum FindSpectrum(const std::vector<TimedSample>& recorded, double rate_hz) {
+  const std::vector<TimedSample> samples = WithoutDrops(recorded, rate_hz);
   const auto bins = static_cast<size_t>(std::round(0.5 * kSpan * rate_hz));
   Spectrum spectrum(bins, 0.0);
   for (size_t begin = 0; begin + 2 * bins <= samples.size(); begin += bins) {

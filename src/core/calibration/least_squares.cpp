@@ -20,7 +20,8 @@ namespace {
 
 // Sigmas of ordinary clocks, trackers and IMUs.
 constexpr double kDelayPrior = 0.02;              // [s]
-constexpr double kSmoothingPrior = 1e-3;          // [s^2] of poses
+constexpr double kSmoothingPrior = 1e-5;          // [s^2] of poses, which most have none of
+constexpr double kPositionDelayPrior = 1e-4;      // [s] likewise
 constexpr double kGyroFilterPrior = 1e-4;         // [s^2] of a filter of 16 Hz
 constexpr double kCompliancePrior = 2e-4;         // [s^2] of mounts that resonate at 11 Hz
 constexpr double kPoseScalePrior = 1e-3;          // [1]
@@ -89,6 +90,10 @@ Prior SmoothingPrior(const std::vector<PreparedSession>& sessions, size_t imu, d
   return {Eigen::VectorXd::Constant(1, sigma), expected};
 }
 
+/// Sigma of the Gaussian prior that pulls as Cauchy's of that scale does where the parameter is:
+/// log(1 + x^2 / scale^2) has the slope of x^2 / (2 sigma^2).
+double CauchySigma(double scale, double x) { return std::hypot(scale, x) * M_SQRT1_2; }
+
 Prior PriorOf(const Parameter& p, const LeastSquares& solve) {
   const auto alike = [&](double sigma, double expected = 0.0) {
     return Prior{Eigen::VectorXd::Constant(p.size, sigma), expected};
@@ -100,7 +105,9 @@ Prior PriorOf(const Parameter& p, const LeastSquares& solve) {
       return alike(kDriftPrior);
     case ParameterKind::kPoseSmoothing:
     case ParameterKind::kPositionSmoothing:
-      return alike(kSmoothingPrior);
+      return alike(CauchySigma(kSmoothingPrior, *p.data));
+    case ParameterKind::kPositionDelay:
+      return alike(CauchySigma(kPositionDelayPrior, *p.data));
     case ParameterKind::kGyroSmoothing:
       return alike(kGyroFilterPrior);
     case ParameterKind::kPoseScale:

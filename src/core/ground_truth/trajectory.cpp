@@ -44,28 +44,32 @@ Eigen::RowVector4d ByClock(const ImuSessionEstimate& clock, double t) {
   return J;
 }
 
-/// The motion at t that has `m` of `gp` as its mean over times of the variance s [s^2],
-/// doc/math.md, "Filter of the gyroscope": as it is where the GP ends within a step.
-MarkerState<double> Sharpened(const PoseTrajectory& gp, double t, double s, MarkerState<double> m) {
+/// The motion at t whose mean `m` of `gp` is, over times of the variances s_R of the rotation and
+/// s_p of the position [s^2], doc/math.md, "Filters of the IMU": as it is where the GP ends within
+/// a step.
+MarkerState<double> Sharpened(const PoseTrajectory& gp, double t, double s_R, double s_p,
+                              MarkerState<double> m) {
   constexpr double kStep = 0.01;  // [s] of differences
   MarkerState<double> before, after;
-  if (s == 0.0 || !gp.Evaluate(t - kStep, &before) || !gp.Evaluate(t + kStep, &after)) return m;
+  if ((s_R == 0.0 && s_p == 0.0) || !gp.Evaluate(t - kStep, &before) ||
+      !gp.Evaluate(t + kStep, &after))
+    return m;
   const auto curvature = [](const Eigen::Vector3d& x, const Eigen::Vector3d& y,
                             const Eigen::Vector3d& z) -> Eigen::Vector3d {
     return (x - 2.0 * y + z) / (kStep * kStep);
   };
   const Eigen::Vector3d alpha_rate = (after.alpha_M - before.alpha_M) / (2.0 * kStep);
   const MarkerState<double> mean = m;
-  m.q_WM = mean.q_WM * Exp<double>(-0.5 * s * mean.alpha_M);
+  m.q_WM = mean.q_WM * Exp<double>(-0.5 * s_R * mean.alpha_M);
   m.omega_M -=
-      0.5 * s *
+      0.5 * s_R *
       (curvature(before.omega_M, mean.omega_M, after.omega_M) + mean.omega_M.cross(mean.alpha_M));
   m.alpha_M -=
-      0.5 * s *
+      0.5 * s_R *
       (curvature(before.alpha_M, mean.alpha_M, after.alpha_M) + mean.omega_M.cross(alpha_rate));
-  m.p_WM -= 0.5 * s * mean.a_W;
-  m.v_W -= 0.5 * s * curvature(before.v_W, mean.v_W, after.v_W);
-  m.a_W -= 0.5 * s * curvature(before.a_W, mean.a_W, after.a_W);
+  m.p_WM -= 0.5 * s_p * mean.a_W;
+  m.v_W -= 0.5 * s_p * curvature(before.v_W, mean.v_W, after.v_W);
+  m.a_W -= 0.5 * s_p * curvature(before.a_W, mean.a_W, after.a_W);
   return m;
 }
 
@@ -180,7 +184,9 @@ std::optional<BodyState> SessionTrajectory::Evaluate(const Rigid3& T_MB, double 
   MarkerState<double> gp;
   const PoseTrajectory& trajectory = *solution_->trajectories[session_];
   if (!trajectory.Evaluate(t, &gp)) return std::nullopt;
-  gp = Sharpened(trajectory, t, solution_->estimate.gyro_smoothing, gp);
+  const Estimate& estimate = solution_->estimate;
+  gp = Sharpened(trajectory, t, estimate.gyro_smoothing,
+                 estimate.gyro_smoothing + estimate.accel_smoothing, gp);
   // Without splines, zero corrections.
   SplinePlace place{0, 0.0, 1.0};
   const Eigen::Vector3d zero = Eigen::Vector3d::Zero();

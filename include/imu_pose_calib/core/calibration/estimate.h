@@ -52,7 +52,7 @@ struct ImuEstimate {
   Eigen::Vector3d p_MI = Eigen::Vector3d::Zero();  ///< [m]
   double accel_delay = 0.0;                        ///< [s]
   double gyro_smoothing = 0.0;                     ///< [s^2] less that of the first IMU's gyroscope
-  double accel_smoothing = 0.0;                    ///< [s^2] see ImuCalibration
+  double accel_smoothing = 0.0;                    ///< [s^2] of all but the first, whose is above
   double mount_compliance = 0.0;                   ///< [s^2] see ImuCalibration
   Vector6d gyro_intrinsics = Vector6d::Zero();     ///< of GyroMatrix()
   Vector9d accel_intrinsics = Vector9d::Zero();    ///< of AccelMatrix()
@@ -89,11 +89,19 @@ struct SessionEstimate {
 struct Estimate {
   // Of the source of the poses, see Calibration:
   double pose_smoothing = 0.0, position_smoothing = 0.0;  ///< [s^2]
+  double position_delay = 0.0;                            ///< [s]
   double pose_scale = 1.0;
-  /// Of the first IMU's gyroscope [s^2], and of the trajectory: it is averaged as that is.
-  double gyro_smoothing = 0.0;
+  /// Of the first IMU's gyroscope [s^2] and, beyond that, of its accelerometer; and of the
+  /// trajectory: its rotation is averaged as the one averages, its position as the other.
+  double gyro_smoothing = 0.0, accel_smoothing = 0.0;
   std::vector<ImuEstimate> imus;
   std::vector<SessionEstimate> sessions;
+
+  /// Of an IMU's sensors, see ImuCalibration.
+  double& GyroSmoothing(size_t imu) { return imu == 0 ? gyro_smoothing : imus[imu].gyro_smoothing; }
+  double& AccelSmoothing(size_t imu) {
+    return imu == 0 ? accel_smoothing : imus[imu].accel_smoothing;
+  }
 
   Estimate() = default;
   /// One session where S2 leaves it.
@@ -109,6 +117,7 @@ enum class ParameterKind {
   kClockDrift,         ///< [s/s] of an IMU in a session
   kPoseSmoothing,      ///< [s^2]
   kPositionSmoothing,  ///< [s^2]
+  kPositionDelay,      ///< [s]
   kPoseScale,          ///< [1]
   kGyroSmoothing,      ///< [s^2] of the first IMU's; of others, less that
   kAccelSmoothing,     ///< [s^2]

@@ -55,23 +55,29 @@ struct JointSample {
   double walk_u = 0.0, walk = 0.0;  ///< 0..1 between the knots of that; [s] where it stands
 };
 
-/// A pose of the marker, less the GP.
+/// What a pose measures, less the GP.
 struct JointPoseSample : JointSample {
-  Eigen::Quaterniond q_error;                 ///< R_gp^T R_meas
-  Eigen::Vector3d p_error;                    ///< [m] p_meas - p_gp in W
-  Eigen::Vector3d alpha_M, a_W;               ///< [rad/s^2], [m/s^2] of the GP
-  double position_sigma, rotation_sigma;      ///< [m], [rad]
-  double position_error_u, rotation_error_u;  ///< 0..1 between the knots of the slow errors
+  double error_u;             ///< 0..1 between the knots of the slow errors
+  double sigma;               ///< [m] or [rad]
+  Eigen::Vector3d curvature;  ///< second derivative of the GP, [m/s^2] in W or [rad/s^2] in M
+};
+struct JointPositionSample : JointPoseSample {
+  Eigen::Vector3d p_error;  ///< [m] p_meas - p_gp in W
+  Eigen::Vector3d v_W;      ///< [m/s] of the GP
+};
+struct JointRotationSample : JointPoseSample {
+  Eigen::Quaterniond q_error;  ///< R_gp^T R_meas
 };
 
-/// r = (p_meas - p_gp(t) - d(t) - s/2 (a_gp + d''(t)) - e(t)) / sigma, in W, s: pose_smoothing +
-/// position_smoothing, e: slow error. Blocks: d | knots of e | pose_smoothing (1) |
-/// position_smoothing (1).
-std::unique_ptr<SampledCost> CreateJointPositionResidual(Samples<JointPoseSample> samples);
+/// r = (p_meas - p_gp(t) - d(t) - s/2 (a_gp + d''(t)) - e) / sigma, in W, s: pose_smoothing +
+/// position_smoothing less the accel_smoothing of the trajectory, c, e: slow error. Blocks: d |
+/// knots of e | pose_smoothing (1) | position_smoothing (1) | c (1) | clocks.
+std::unique_ptr<SampledCost> CreateJointPositionResidual(Samples<JointPositionSample> samples,
+                                                         const ClockMotions& clocks);
 
-/// r = (Log(Exp(s/2 (alpha_gp + phi''(t)))^T Exp(phi(t))^T R_gp(t)^T R_meas) - e(t)) / sigma, in M,
-/// e: slow error. Blocks: phi | knots of e | pose_smoothing (1).
-std::unique_ptr<SampledCost> CreateJointRotationResidual(Samples<JointPoseSample> samples);
+/// r = (Log(Exp(s/2 (alpha_gp + phi''(t)))^T Exp(phi(t))^T R_gp(t)^T R_meas) - e) / sigma, in M, s:
+/// pose_smoothing, e: slow error. Blocks: phi | knots of e | s (1).
+std::unique_ptr<SampledCost> CreateJointRotationResidual(Samples<JointRotationSample> samples);
 
 /// A sample of the gyroscope, and what accelerometers have, too.
 struct JointImuSample : JointSample {
@@ -108,15 +114,19 @@ struct JointAccelSample : JointImuSample {
   Eigen::Vector3d alpha_rate = Eigen::Vector3d::Zero();  ///< [rad/s^3] in M
   Eigen::Vector3d jerk_W = Eigen::Vector3d::Zero();      ///< [m/s^3]
   Eigen::Vector3d f_swing = Eigen::Vector3d::Zero();     ///< [m/s^4] R_WM^T (R_WM f_M)''
+  /// [m/s^4] -R_WM^T a_W'', which the trajectory has less of when its position is averaged; of the
+  /// first IMU, which averages as long, and f_M''.
+  Eigen::Vector3d averaged = Eigen::Vector3d::Zero();
 };
 
-/// r = (f - b_a - K_a R_MI^T (f_M(t) + s/2 f_M'' + c/2 cone - m R_WM^T (R_WM f_M)'')) / sigma, in
-/// I, s: gyro_smoothing + accel_smoothing less that of the trajectory, c, m: mount_compliance, with
+/// r = (f - b_a - K_a R_MI^T (f_M(t) + s/2 f_M'' + h/2 averaged + c/2 cone -
+/// m R_WM^T (R_WM f_M)'')) / sigma, in I, s: gyro_smoothing + accel_smoothing less what the
+/// trajectory has of either, c and h, m: mount_compliance, with
 /// f_M = R_WM^T (a_W / k - g_W) + alpha_M x p + omega_M x (omega_M x p), k: pose_scale. For axis i
 /// p is p_MI + R_MA r_i with r_i of AccelPositions() and R_MA about R_MI: it does not move.
 /// Blocks: d | phi | knots of b_a | q_MI (4) | K_a (9, see AccelMatrix()) | p_MI (3) | g_W (3) |
-/// accel_smoothing (1) | mount_compliance (1) | pose_scale (1) | r (6) | gyro_smoothing less c (1)
-/// | c (1) | clocks | walk.
+/// accel_smoothing, of the first IMU less h (1) | mount_compliance (1) | pose_scale (1) | r (6) |
+/// gyro_smoothing less c (1) | c (1) | h (1) | clocks | walk.
 std::unique_ptr<SampledCost> CreateJointAccelResidual(Samples<JointAccelSample> samples,
                                                       const Eigen::Matrix3d& R_MA,
                                                       const ClockMotions& clocks,
