@@ -34,8 +34,6 @@ inline bool Ablated(const std::string& rule) {
 C, T, D, S, V = ("src/core/%s/" % room for room in ("calibration", "trajectory", "data", "start", "verdict"))
 # Name: what it does, file, text, the same with the rule switched off where OFF stands.
 RULES = {
-    "smoothing sign": ("poses are not averaged over less time than rotations", C + "joint_solver.cpp",
-                       "    HoldAtZero(&estimate_->position_smoothing);", "    if (!OFF) HoldAtZero(&estimate_->position_smoothing);"),
     "weights around": ("IMU samples weigh by those around, too", C + "joint_noise.cpp",
                        "IsOfPoses(model.quantity) ? 0.0 : 0.5 *", "IsOfPoses(model.quantity) || OFF ? 0.0 : 0.5 *"),
     "slow errors": ("the sigma of slow errors of rotations is found", C + "joint_noise.cpp",

@@ -18,16 +18,17 @@ using Eigen::Vector3d;
 
 // Places of what the recordings share.
 constexpr int kTranslation = 0, kRotation = 3, kDelay = 6, kGyroMatrix = 7, kAccelMatrix = 13,
-              kAccelSmoothing = 22, kPoseSmoothing = 23, kPositionSmoothing = 24, kPoseScale = 25,
-              kAccelPositions = 26, kShared = 32;
+              kAccelSmoothing = 22, kPoseSmoothing = 23, kPositionSmoothing = 24,
+              kPositionDelay = 25, kPoseScale = 26, kAccelPositions = 27, kShared = 33;
 // Places of what a recording has of its own, after these; biases at knots follow.
 constexpr int kTimeShift = kShared, kDrift = kShared + 1, kGravity = kShared + 2,
               kMagnitude = kShared + 4, kBiases = kShared + 5;
 
 // Sigmas of the priors, as in joint_problem.cpp.
 constexpr double kScalePrior = 0.01, kAlignmentPrior = M_PI / 360.0, kDriftPrior = 1e-4,
-                 kSmoothingPrior = 1e-3, kAccelSmoothingPrior = 5e-5, kPoseScalePrior = 1e-3,
-                 kMagnitudePrior = 0.03, kSizePrior = 2e-3;
+                 kSmoothingPrior = 1e-5 / M_SQRT2, kPositionDelayPrior = 1e-4 / M_SQRT2,
+                 kAccelSmoothingPrior = 5e-5, kPoseScalePrior = 1e-3, kMagnitudePrior = 0.03,
+                 kSizePrior = 2e-3;
 constexpr double kKnown = 1e-12;  // sigma of what is known
 
 constexpr double kBiasKnots = 5.0;  // [s]
@@ -104,6 +105,7 @@ class RecordingInformation {
     position.d.setIdentity();
     position.Add(kPoseSmoothing, 0.5 * s.a_W);
     position.Add(kPositionSmoothing, 0.5 * s.a_W);
+    position.Add(kPositionDelay, -s.v_W);
     position.Add(kPoseScale, s.p_WM);
     rotation.phi.setIdentity();
     rotation.Add(kPoseSmoothing, 0.5 * s.alpha_M);
@@ -250,6 +252,7 @@ void AddPriors(bool is_known, const std::vector<int>& recordings, MatrixXd* info
   add(kAccelSmoothing, kAccelSmoothingPrior);
   add(kPoseSmoothing, kSmoothingPrior);
   add(kPositionSmoothing, kSmoothingPrior);
+  add(kPositionDelay, kPositionDelayPrior);
   add(kPoseScale, kPoseScalePrior);
   for (int k = 0; k < 6; ++k) add(kAccelPositions + k, kSizePrior);
 }

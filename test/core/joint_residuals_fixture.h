@@ -52,17 +52,13 @@ class JointResiduals : public ::testing::Test {
     MarkerState<double> gp;
     SplinePlace place;
   };
-  static JointPoseSample Pose(const TrajectoryPoint& at, const Eigen::Quaterniond& q_WM,
-                              const Vector3d& p_WM, double position_sigma, double rotation_sigma) {
-    return {{at.place},
-            at.gp.q_WM.conjugate() * q_WM,
-            p_WM - at.gp.p_WM,
-            at.gp.alpha_M,
-            at.gp.a_W,
-            position_sigma,
-            rotation_sigma,
-            0.6,
-            0.35};
+  static JointPositionSample Position(const TrajectoryPoint& at, const Vector3d& p_WM,
+                                      double sigma) {
+    return {{{at.place}, 0.6, sigma, at.gp.a_W, 0.8}, p_WM - at.gp.p_WM, at.gp.v_W};
+  }
+  static JointRotationSample Rotation(const TrajectoryPoint& at, const Eigen::Quaterniond& q_WM,
+                                      double sigma) {
+    return {{{at.place}, 0.35, sigma, at.gp.alpha_M, 0.8}, at.gp.q_WM.conjugate() * q_WM};
   }
   static JointAccelSample Imu(const TrajectoryPoint& at, const Vector3d& value, double bias_u,
                               double own_time, double sigma) {
@@ -70,16 +66,19 @@ class JointResiduals : public ::testing::Test {
     return {{{at.place, own_time}, gp.omega_M, gp.alpha_M, value, bias_u, sigma}, gp.q_WM, gp.a_W};
   }
 
-  /// Two poses of one span, close to the trajectory.
-  std::vector<JointPoseSample> Poses() {
-    std::vector<JointPoseSample> poses;
-    for (const double u : {0.4, 0.7}) {
-      at_.place.u = u;
-      const Eigen::Quaterniond q_WM = at_.gp.q_WM * Exp<double>(Random(0.5));
-      const Vector3d p_WM = at_.gp.p_WM + Random(0.01);
-      poses.push_back(Pose(at_, q_WM, p_WM, 0.01, 0.02));
-    }
-    return poses;
+  /// Of two poses of one span, close to the trajectory.
+  std::vector<JointPositionSample> Positions() {
+    const JointPositionSample sample = Position(at_, at_.gp.p_WM + Random(0.01), 0.01);
+    JointPositionSample next = Position(at_, at_.gp.p_WM + Random(0.01), 0.03);
+    next.place.u += 0.3;
+    return {sample, next};
+  }
+  std::vector<JointRotationSample> Rotations() {
+    const auto turned = [&] { return Eigen::Quaterniond(at_.gp.q_WM * Exp<double>(Random(0.5))); };
+    const JointRotationSample sample = Rotation(at_, turned(), 0.02);
+    JointRotationSample next = Rotation(at_, turned(), 0.01);
+    next.place.u += 0.3;
+    return {sample, next};
   }
 
   /// Two IMU samples of one span.
@@ -93,11 +92,12 @@ class JointResiduals : public ::testing::Test {
   /// Derivatives of the GP's motion, as JointAccelSample has them.
   struct MarkerJerk {
     Vector3d alpha_rate, jerk_W, curvature = Vector3d::Zero(), f_swing = Vector3d::Zero(),
-                                 cone = Vector3d::Zero();
+                                 cone = Vector3d::Zero(), averaged = Vector3d::Zero();
   };
   std::vector<MarkerJerk> Jerks() {
-    return {{Random(40.0), Random(30.0), Random(300.0), Random(300.0), Random(100.0)},
-            {Random(40.0), Random(30.0), Random(300.0), Random(300.0), Random(100.0)}};
+    return {
+        {Random(40.0), Random(30.0), Random(300.0), Random(300.0), Random(100.0), Random(300.0)},
+        {Random(40.0), Random(30.0), Random(300.0), Random(300.0), Random(100.0), Random(300.0)}};
   }
 
   static std::vector<JointImuSample> Gyro(const std::vector<JointAccelSample>& samples) {
@@ -111,6 +111,7 @@ class JointResiduals : public ::testing::Test {
       samples[i].curvature = jerks[i].curvature;
       samples[i].f_swing = jerks[i].f_swing;
       samples[i].cone = jerks[i].cone;
+      samples[i].averaged = jerks[i].averaged;
     }
     return samples;
   }
@@ -139,10 +140,20 @@ class JointResiduals : public ::testing::Test {
     return blocks;
   }
 
-  std::vector<double*> PoseBlocks(std::vector<Vector3d>* spline) {
-    std::vector<double*> blocks = Points({spline});
+  std::vector<Clock> PositionClocks() {
+    return {{&position_delay_, {0.002, -1.0, ClockMotion::kOne}}};
+  }
+
+  std::vector<double*> PositionBlocks(const std::vector<Clock>& clocks) {
+    std::vector<double*> blocks = Points({&d_});
+    for (double* block : {error_0_.data(), error_1_.data(), &pose_smoothing_, &position_smoothing_,
+                          &trajectory_accel_smoothing_})
+      blocks.push_back(block);
+    return With(blocks, clocks);
+  }
+  std::vector<double*> RotationBlocks() {
+    std::vector<double*> blocks = Points({&phi_});
     blocks.insert(blocks.end(), {error_0_.data(), error_1_.data(), &pose_smoothing_});
-    if (spline == &d_) blocks.push_back(&position_smoothing_);
     return blocks;
   }
 
@@ -156,10 +167,10 @@ class JointResiduals : public ::testing::Test {
 
   std::vector<double*> AccelBlocks(const std::vector<Clock>& clocks) {
     std::vector<double*> blocks = Points({&d_, &phi_});
-    for (double* block :
-         {knot_0_.data(), knot_1_.data(), q_MI_.coeffs().data(), accel_intrinsics_.data(),
-          p_MI_.data(), g_W_.data(), &accel_smoothing_, &mount_compliance_, &pose_scale_,
-          accel_positions_.data(), &gyro_smoothing_, &trajectory_smoothing_})
+    for (double* block : {knot_0_.data(), knot_1_.data(), q_MI_.coeffs().data(),
+                          accel_intrinsics_.data(), p_MI_.data(), g_W_.data(), &accel_smoothing_,
+                          &mount_compliance_, &pose_scale_, accel_positions_.data(),
+                          &gyro_smoothing_, &trajectory_smoothing_, &trajectory_accel_smoothing_})
       blocks.push_back(block);
     return With(blocks, clocks);
   }
@@ -317,7 +328,8 @@ class JointResiduals : public ::testing::Test {
       (Vector9d() << 0.01, 0.02, -0.03, 0.01, -0.02, 0.02, 0.03, -0.01, 0.02).finished();
   double time_shift_ = 0.0213, accel_delay_ = 0.0008, clock_drift_ = 1e-6;
   double pose_smoothing_ = 3e-4, position_smoothing_ = -1e-4, accel_smoothing_ = 4e-4,
-         gyro_smoothing_ = 2e-4, trajectory_smoothing_ = 3e-4;
+         gyro_smoothing_ = 2e-4, trajectory_smoothing_ = 3e-4, trajectory_accel_smoothing_ = -5e-5;
+  double position_delay_ = 0.003;
   double mount_compliance_ = 2e-4;
   double pose_scale_ = 1.03;
   /// More than any IMU has.

@@ -296,6 +296,52 @@ TEST(JointCalibration, TellsThePositionsFiltersFromTheRotations) {
   EXPECT_LT(Normalised(result, truth).cwiseAbs().maxCoeff(), 4.5);
 }
 
+/// A tracker that filters positions, by position and velocity, and not rotations.
+TEST(JointCalibration, TellsHowMuchLaterPositionsAre) {
+  for (const double gain : {0.0, 0.3, 0.7}) {  // 0: of first order, which delays them
+    SimulatorOptions truth = Recording(5e-4, 200);
+    truth.duration_s = 40.0;
+    SessionData data = Simulate(truth);
+    const double period = 1.0 / truth.pose_rate_hz, share = 0.3;
+    const double of_velocity = gain * gain / (2.0 - gain) / period;
+    Eigen::Vector3d p = data.poses[0].p_WM, v = Eigen::Vector3d::Zero();
+    for (PoseSample& pose : data.poses) {
+      const Eigen::Vector3d found = pose.p_WM - p - period * v;
+      p += period * v + (gain > 0.0 ? gain : share) * found;
+      v += of_velocity * found;
+      pose.p_WM = p;
+    }
+    const Calibration result = Calibrate(CalibrationOptions(), data);
+    EXPECT_EQ(result.status, Status::kOk) << result.message;
+    const double delay = gain > 0.0 ? 0.0 : (1.0 - share) / share * period;
+    if (gain != 0.3) {
+      EXPECT_NEAR(result.position_delay, delay, 5e-4) << gain;
+    }
+    EXPECT_LT((result.imus[0].T_MI.p - truth.T_MI.p).norm(), 1.5e-3) << gain;
+    EXPECT_LT(Normalised(result, truth).cwiseAbs().maxCoeff(), 4.5) << gain;
+  }
+}
+
+/// Nothing but the lever arm and gravity tells what both positions and the accelerometer average
+/// over; knots that hold more than the poses do, beside slow errors, let the two run away together.
+TEST(JointCalibration, WhatPositionsAndAccelerometerAverageAlikeStays) {
+  SimulatorOptions truth = Recording(1e-3, 4251);
+  truth.duration_s = 40.0;
+  truth.gyro_rate_hz = truth.accel_rate_hz = 447.0;
+  truth.gyro_std = 1.2e-3;
+  truth.accel_std = 1.4e-2;
+  truth.effects.pose_updates = 1.1e-3;
+  truth.effects.pose_stream.clock_step_s = -5.8e-3;
+  CalibrationOptions options;
+  options.knot_spacing_s = 0.011;
+  const Calibration result = Calibrate(options, Simulate(truth));
+  EXPECT_TRUE(result.IsUsable()) << result.message;
+  const Eigen::Vector3d error = result.imus[0].T_MI.p - truth.T_MI.p;
+  EXPECT_LT(std::abs(result.imus[0].accel_smoothing), 1.5e-4);
+  EXPECT_LT(error.norm(), 1.2e-3);
+  EXPECT_LT(error.cwiseQuotient(result.imus[0].Std().head<3>()).cwiseAbs().maxCoeff(), 4.5);
+}
+
 TEST(JointCalibration, FindsTheScaleOfThePositions) {
   // Scales of the accelerometer and of the positions, gravity and lever arm grow together, by the
   // same data: where gravity is known, the rest is.

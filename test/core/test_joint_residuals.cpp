@@ -8,11 +8,12 @@ namespace imu_pose_calib {
 namespace {
 
 TEST_F(JointResiduals, PositionJacobian) {
-  ExpectJacobiansMatch(CreateJointPositionResidual(Poses()), PoseBlocks(&d_));
+  ExpectJacobiansMatch(CreateJointPositionResidual(Positions(), Motions(PositionClocks())),
+                       PositionBlocks(PositionClocks()));
 }
 
 TEST_F(JointResiduals, RotationJacobian) {
-  ExpectJacobiansMatch(CreateJointRotationResidual(Poses()), PoseBlocks(&phi_));
+  ExpectJacobiansMatch(CreateJointRotationResidual(Rotations()), RotationBlocks());
 }
 
 TEST_F(JointResiduals, GyroJacobian) {
@@ -138,16 +139,18 @@ TEST_F(JointResiduals, VanishWhereTheCorrectedTrajectoryIsMeasured) {
                      AccelBlocks(AccelClocks())),
             1e-4);
 
-  const double c = 0.5 * (pose_smoothing_ + position_smoothing_);
-  const Vector3d lag = 0.5 * pose_smoothing_ * (at.gp.alpha_M + Correction(phi_, t, 2));
-  const std::vector<JointPoseSample> pose{Pose(
-      at,
-      Eigen::Quaterniond(R_WM) * Exp<double>(lag) * Exp<double>(0.65 * error_0_ + 0.35 * error_1_),
-      at.gp.p_WM + Correction(d_, t) + c * (at.gp.a_W + Correction(d_, t, 2)) + 0.4 * error_0_ +
-          0.6 * error_1_,
-      1.0, 1.0)};
-  EXPECT_LT(residual(CreateJointPositionResidual(pose), PoseBlocks(&d_)), 1e-12);
-  EXPECT_LT(residual(CreateJointRotationResidual(pose), PoseBlocks(&phi_)), 1e-12);
+  const double c = 0.5 * (pose_smoothing_ + position_smoothing_ - trajectory_accel_smoothing_);
+  const Vector3d lag = 0.5 * pose_smoothing_ * (at.gp.alpha_M + 0.8 * Correction(phi_, t, 2));
+  const Vector3d p_WM = at.gp.p_WM + Correction(d_, t) +
+                        c * (at.gp.a_W + 0.8 * Correction(d_, t, 2)) + 0.4 * error_0_ +
+                        0.6 * error_1_;
+  const Eigen::Quaterniond q_WM =
+      Eigen::Quaterniond(R_WM) * Exp<double>(lag) * Exp<double>(0.65 * error_0_ + 0.35 * error_1_);
+  const std::vector<JointPositionSample> position{Position(at, p_WM, 1.0)};
+  const std::vector<JointRotationSample> rotation{Rotation(at, q_WM, 1.0)};
+  EXPECT_LT(residual(CreateJointPositionResidual(position, Motions({})), PositionBlocks({})),
+            1e-12);
+  EXPECT_LT(residual(CreateJointRotationResidual(rotation), RotationBlocks()), 1e-12);
 }
 
 TEST_F(JointResiduals, FollowTheDifferentiatedCorrectedRotation) {

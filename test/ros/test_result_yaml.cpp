@@ -29,6 +29,8 @@ Calibration MakeResult() {
   result.pose_smoothing_std = 2.5e-6;
   result.position_smoothing = 1e-4;
   result.position_smoothing_std = 3e-6;
+  result.position_delay = -2e-3;
+  result.position_delay_std = 4e-5;
   result.pose_scale = 1.002;
   result.pose_scale_std = 4e-4;
   result.sessions[0].g_W = {0.0, 3.0, -4.0};
@@ -125,6 +127,8 @@ TEST(ResultYaml, HoldsClocksGravityAndBiases) {
   EXPECT_EQ(yaml["pose_smoothing_std"].as<double>(), 2.5e-6);
   EXPECT_EQ(yaml["position_smoothing"].as<double>(), 1e-4);
   EXPECT_EQ(yaml["position_smoothing_std"].as<double>(), 3e-6);
+  EXPECT_EQ(yaml["position_delay"].as<double>(), -2e-3);
+  EXPECT_EQ(yaml["position_delay_std"].as<double>(), 4e-5);
   EXPECT_EQ(yaml["pose_scale"].as<double>(), 1.002);
   EXPECT_EQ(yaml["pose_scale_std"].as<double>(), 4e-4);
   EXPECT_EQ(yaml["gravity"]["vector"].as<Doubles>(), Doubles({0.0, 3.0, -4.0}));

@@ -183,6 +183,8 @@ TEST(Summary, SaysWhatIsKnownOfThePositions) {
   EXPECT_FALSE(Contains(Summary(result, {MakeInfo()}), "too large"));
   result.position_smoothing = 4e-4;
   result.position_smoothing_std = 1e-5;
+  result.position_delay = 7.5e-3;
+  result.position_delay_std = 4e-5;
   result.pose_scale = 1.0031;
   result.pose_scale_std = 4e-4;
   const std::string text = Summary(result, {MakeInfo()});
@@ -190,6 +192,10 @@ TEST(Summary, SaysWhatIsKnownOfThePositions) {
       Contains(text, "Position of the poses averages over 20.0 ms more than their rotation"))
       << text;
   EXPECT_TRUE(Contains(text, "Positions are too large by 0.31 % (sigma 0.04 %)")) << text;
+  EXPECT_TRUE(Contains(text,
+                       "Positions of the poses are 7.50 ms (sigma 0.04 ms) later than their "
+                       "rotations"))
+      << text;
 }
 
 TEST(Summary, FitsEightyColumns) {

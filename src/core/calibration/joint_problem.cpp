@@ -81,6 +81,12 @@ struct Places {
     const double step = std::sqrt(3.0 * std::abs(variance));
     return step > kStep && trajectory->Covers(t - step, t + step) ? step : kStep;
   }
+  /// Share of a spline's second derivative that counts in such a mean: of what swings from knot to
+  /// knot, whose second derivative is -12 / spacing^2 of it, a third is left, too.
+  double SplineShare(double variance) const {
+    const double lost = 0.5 * std::abs(variance) * 12.0 / (splines.spacing() * splines.spacing());
+    return std::min(1.0, 2.0 / 3.0 / std::max(lost, 1e-12));
+  }
   /// Second differences of the GP's position in W and of its rotation in M, at t, where it is `gp`.
   Eigen::Vector3d PositionCurvature(double t, const MarkerState<double>& gp,
                                     double variance) const {
@@ -268,6 +274,7 @@ void SessionBuilder::AddPoses() {
         sample.p_error = poses[at.index].p_WM - gp.p_WM;
         sample.v_W = gp.v_W;
         sample.curvature = places->PositionCurvature(at.t, gp, position_smoothing);
+        sample.spline_share = places->SplineShare(position_smoothing);
         return sample;
       });
   const auto rotations = Collect<JointRotationSample>(
@@ -280,6 +287,7 @@ void SessionBuilder::AddPoses() {
         complete(at, rotation_errors, &sample);
         sample.q_error = gp.q_WM.conjugate() * poses[at.index].q_WM;
         sample.curvature = places->RotationCurvature(at.t, gp, rotation_smoothing);
+        sample.spline_share = places->SplineShare(rotation_smoothing);
         return sample;
       });
   const auto clocks = std::make_shared<const std::vector<ClockMotion>>(

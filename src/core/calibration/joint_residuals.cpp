@@ -1,7 +1,6 @@
 #include "imu_pose_calib/core/calibration/joint_residuals.h"
 
 #include <Eigen/LU>
-#include <algorithm>
 #include <initializer_list>
 #include <memory>
 #include <utility>
@@ -190,13 +189,6 @@ class BatchResidual : public SampledCost {
   const ClockMotions clocks_;
 };
 
-/// Half of a smoothing, as it acts on a spline: at least a third of any motion is left, as of the
-/// GP's. The second derivative of what swings from knot to knot is -12 / spacing^2 of it.
-double SplineSmoothing(double c, double spacing) {
-  const double most = 2.0 / 3.0 * spacing * spacing / 12.0;
-  return std::clamp(c, -most, most);
-}
-
 class JointPositionResidual : public BatchResidual<JointPositionSample> {
  public:
   JointPositionResidual(Samples<JointPositionSample> samples, const ClockMotions& clocks)
@@ -209,19 +201,19 @@ class JointPositionResidual : public BatchResidual<JointPositionSample> {
     const int n = kSplineOrder;
     const Eigen::Matrix<double, 3, 4> d = EvaluateSpline(blocks, weights);
     const double c = 0.5 * (*blocks[n + 2] + *blocks[n + 3] - *blocks[n + 4]);
-    const double c_d = SplineSmoothing(c, s.place.spacing);
-    const Vector3d error = s.p_error - t * s.v_W - d.col(0) - c * s.curvature - c_d * d.col(2);
+    const Vector3d curvature = s.curvature + s.spline_share * d.col(2);
+    const Vector3d error = s.p_error - t * s.v_W - d.col(0) - c * curvature;
     AsVector(residual) = LessKnots(error, s.error_u, blocks + n) / s.sigma;
     if (jacobians.blocks == nullptr) return;
     for (int j = 0; j < n; ++j)
-      SetRows<3>(jacobians, j,
-                 -(weights(0, j) + c_d * weights(2, j)) / s.sigma * Matrix3d::Identity());
+      SetRows<3>(
+          jacobians, j,
+          -(weights(0, j) + c * s.spline_share * weights(2, j)) / s.sigma * Matrix3d::Identity());
     SetKnotRows(jacobians, n, -(1.0 - s.error_u) / s.sigma, -s.error_u / s.sigma);
-    const Vector3d curvature = s.curvature + (c_d == c ? 1.0 : 0.0) * d.col(2);
     for (const int smoothing : {n + 2, n + 3})
       SetRows<1>(jacobians, smoothing, -0.5 / s.sigma * curvature);
     SetRows<1>(jacobians, n + 4, 0.5 / s.sigma * curvature);
-    SetClockRows(s, -1.0 / s.sigma * (s.v_W + d.col(1) + c_d * d.col(3)), jacobians);
+    SetClockRows(s, -1.0 / s.sigma * (s.v_W + d.col(1) + c * s.spline_share * d.col(3)), jacobians);
   }
 };
 
@@ -237,8 +229,9 @@ class JointRotationResidual : public BatchResidual<JointRotationSample> {
     const int n = kSplineOrder;
     const Eigen::Matrix<double, 3, 4> phi = EvaluateSpline(blocks, weights);
     const Eigen::Quaterniond E_inv = Exp<double>(-phi.col(0));
-    const double c = 0.5 * *blocks[n + 2], c_phi = SplineSmoothing(c, s.place.spacing);
-    const Vector3d lag = c * s.curvature + c_phi * phi.col(2);
+    const double c = 0.5 * *blocks[n + 2];
+    const Vector3d curvature = s.curvature + s.spline_share * phi.col(2);
+    const Vector3d lag = c * curvature;
     const Eigen::Quaterniond lag_inv = Exp<double>(-lag);
     const Vector3d error = Log(Eigen::Quaterniond(lag_inv * E_inv * s.q_error));
     AsVector(residual) = LessKnots(error, s.error_u, blocks + n) / s.sigma;
@@ -250,9 +243,9 @@ class JointRotationResidual : public BatchResidual<JointRotationSample> {
     const Matrix3d A_phi = A * lag_inv.toRotationMatrix();
     const Matrix3d J = RightJacobian<double>(phi.col(0));
     for (int j = 0; j < n; ++j)
-      SetRows<3>(jacobians, j, weights(0, j) * A_phi * J + weights(2, j) * c_phi * A_lag);
+      SetRows<3>(jacobians, j,
+                 weights(0, j) * A_phi * J + weights(2, j) * c * s.spline_share * A_lag);
     SetKnotRows(jacobians, n, -(1.0 - s.error_u) / s.sigma, -s.error_u / s.sigma);
-    const Vector3d curvature = s.curvature + (c_phi == c ? 1.0 : 0.0) * phi.col(2);
     SetRows<1>(jacobians, n + 2, 0.5 * A_lag * curvature);
   }
 };

@@ -404,6 +404,11 @@ std::string Clocks(const Calibration& result) {
                    " smoothed over %.1f ms (sigma %.1f ms) more than the ");
   text += Averages(result.position_smoothing, result.position_smoothing_std, "position", "rotation",
                    " of the poses averages over %.1f ms more than their ");
+  if (const double late = result.position_delay;
+      std::abs(late) > kCertain * result.position_delay_std)
+    text += Format("Positions of the poses are %.2f ms (sigma %.2f ms) %s than their rotations\n",
+                   1e3 * std::abs(late), 1e3 * result.position_delay_std,
+                   late > 0.0 ? "later" : "earlier");
   const double too_large = result.pose_scale - 1.0;
   if (std::abs(too_large) > kCertain * result.pose_scale_std)
     text += Format("Positions are too %s by %.2f %% (sigma %.2f %%): accounted for\n",
