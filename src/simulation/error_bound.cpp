@@ -26,7 +26,7 @@ constexpr int kTimeShift = kShared, kDrift = kShared + 1, kGravity = kShared + 2
 
 // Sigmas of the priors, as in joint_problem.cpp.
 constexpr double kScalePrior = 0.01, kAlignmentPrior = M_PI / 360.0, kDriftPrior = 1e-4,
-                 kSmoothingPrior = 1e-5 / M_SQRT2, kPositionDelayPrior = 1e-4 / M_SQRT2,
+                 kSmoothingPrior = 1e-5 / M_SQRT2, kPositionDelayPrior = 2e-5,
                  kAccelSmoothingPrior = 5e-5, kPoseScalePrior = 1e-3, kMagnitudePrior = 0.03,
                  kSizePrior = 2e-3;
 constexpr double kKnown = 1e-12;  // sigma of what is known

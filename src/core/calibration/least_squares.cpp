@@ -19,9 +19,12 @@ namespace imu_pose_calib {
 namespace {
 
 // Sigmas of ordinary clocks, trackers and IMUs.
-constexpr double kDelayPrior = 0.02;              // [s]
-constexpr double kSmoothingPrior = 1e-5;          // [s^2] of poses, which most have none of
-constexpr double kPositionDelayPrior = 1e-4;      // [s] likewise
+constexpr double kDelayPrior = 0.02;          // [s]
+constexpr double kSmoothingPrior = 1e-5;      // [s^2] of poses, which most have none of
+constexpr double kPositionDelayPrior = 8e-5;  // [s] likewise
+/// How much must speak for a delay of positions, whose peak has a sigma of 0.02 ms: slow errors of
+/// rotations look like one by four sigma.
+constexpr double kPositionDelayDoubt = 8.0;
 constexpr double kGyroFilterPrior = 1e-4;         // [s^2] of a filter of 16 Hz
 constexpr double kCompliancePrior = 2e-4;         // [s^2] of mounts that resonate at 11 Hz
 constexpr double kPoseScalePrior = 1e-3;          // [1]
@@ -90,9 +93,11 @@ Prior SmoothingPrior(const std::vector<PreparedSession>& sessions, size_t imu, d
   return {Eigen::VectorXd::Constant(1, sigma), expected};
 }
 
-/// Sigma of the Gaussian prior that pulls as Cauchy's of that scale does where the parameter is:
-/// log(1 + x^2 / scale^2) has the slope of x^2 / (2 sigma^2).
-double CauchySigma(double scale, double x) { return std::hypot(scale, x) * M_SQRT1_2; }
+/// Sigma of the Gaussian prior that pulls as a peak with heavy tails does, where the parameter is
+/// x: doubt log(1 + x^2 / scale^2) has the slope of x^2 / (2 sigma^2). Cauchy's: 1.
+double PeakSigma(double scale, double x, double doubt = 1.0) {
+  return std::hypot(scale, x) / std::sqrt(2.0 * doubt);
+}
 
 Prior PriorOf(const Parameter& p, const LeastSquares& solve) {
   const auto alike = [&](double sigma, double expected = 0.0) {
@@ -105,9 +110,9 @@ Prior PriorOf(const Parameter& p, const LeastSquares& solve) {
       return alike(kDriftPrior);
     case ParameterKind::kPoseSmoothing:
     case ParameterKind::kPositionSmoothing:
-      return alike(CauchySigma(kSmoothingPrior, *p.data));
+      return alike(PeakSigma(kSmoothingPrior, *p.data));
     case ParameterKind::kPositionDelay:
-      return alike(CauchySigma(kPositionDelayPrior, *p.data));
+      return alike(PeakSigma(kPositionDelayPrior, *p.data, kPositionDelayDoubt));
     case ParameterKind::kGyroSmoothing:
       return alike(kGyroFilterPrior);
     case ParameterKind::kPoseScale:
