@@ -80,6 +80,12 @@ Eigen::VectorXd IntrinsicsPrior(bool is_triangle) {
   return Eigen::Map<Eigen::VectorXd>(sigmas.data(), static_cast<Eigen::Index>(sigmas.size()));
 }
 
+/// Sigma of the Gaussian prior that pulls as a peak with heavy tails does, where the parameter is
+/// x: doubt log(1 + x^2 / scale^2) has the slope of x^2 / (2 sigma^2). Cauchy's: 1.
+double PeakSigma(double scale, double x, double doubt = 1.0) {
+  return std::hypot(scale, x) / std::sqrt(2.0 * doubt);
+}
+
 /// Of the side on which the smoothing is: within a pass the cost is smooth.
 Prior SmoothingPrior(const std::vector<PreparedSession>& sessions, size_t imu, double smoothing) {
   double delay = 0.0;
@@ -88,15 +94,9 @@ Prior SmoothingPrior(const std::vector<PreparedSession>& sessions, size_t imu, d
         std::abs(session.starts[imu].accel_delay) > std::abs(delay))
       delay = session.starts[imu].accel_delay;
   const double expected = kSmoothingPerDelay2 * delay * std::abs(delay);
-  const double sigma = smoothing < expected ? 2.0 * kCompliancePrior
+  const double sigma = smoothing < expected ? PeakSigma(kSmoothingPrior, smoothing - expected)
                                             : kSmoothingSpread * std::max(delay * delay, 1e-12);
   return {Eigen::VectorXd::Constant(1, sigma), expected};
-}
-
-/// Sigma of the Gaussian prior that pulls as a peak with heavy tails does, where the parameter is
-/// x: doubt log(1 + x^2 / scale^2) has the slope of x^2 / (2 sigma^2). Cauchy's: 1.
-double PeakSigma(double scale, double x, double doubt = 1.0) {
-  return std::hypot(scale, x) / std::sqrt(2.0 * doubt);
 }
 
 Prior PriorOf(const Parameter& p, const LeastSquares& solve) {
