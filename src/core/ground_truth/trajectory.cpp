@@ -45,8 +45,8 @@ Eigen::RowVector4d ByClock(const ImuSessionEstimate& clock, double t) {
 }
 
 /// The motion at t whose mean `m` of `gp` is, over times of the variances s_R of the rotation and
-/// s_p of the position [s^2], doc/math.md, "Filter of the gyroscope": as it is where the GP ends within
-/// a step.
+/// s_p of the position [s^2], doc/math.md, "Filter of the gyroscope": as it is where the GP ends
+/// within a step.
 MarkerState<double> Sharpened(const PoseTrajectory& gp, double t, double s_R, double s_p,
                               MarkerState<double> m) {
   constexpr double kStep = 0.01;  // [s] of differences
