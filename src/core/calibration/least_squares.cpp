@@ -19,18 +19,19 @@ namespace imu_pose_calib {
 namespace {
 
 // Sigmas of ordinary clocks, trackers and IMUs.
-constexpr double kDelayPrior = 0.02;          // [s]
-constexpr double kSmoothingPrior = 1e-5;      // [s^2] of poses, which most have none of
-constexpr double kPositionDelayPrior = 8e-5;  // [s] likewise
-/// How much must speak for a delay of positions, whose peak has a sigma of 0.02 ms: slow errors of
-/// rotations look like one by four sigma.
-constexpr double kPositionDelayDoubt = 8.0;
+constexpr double kDelayPrior = 0.02;              // [s]
 constexpr double kGyroFilterPrior = 1e-4;         // [s^2] of a filter of 16 Hz
 constexpr double kCompliancePrior = 2e-4;         // [s^2] of mounts that resonate at 11 Hz
 constexpr double kPoseScalePrior = 1e-3;          // [1]
 constexpr double kScalePrior = 0.01;              // [1] diagonal of K_g and K_a
 constexpr double kAlignmentPrior = M_PI / 360.0;  // [rad] their other elements: 0.5 deg
 constexpr double kSizePrior = 2e-3;               // [m] places of the accelerometer's axes
+// Widths of peaks, see PeakSigma(): most have none, others have much.
+constexpr double kSmoothingPrior = 1e-5;      // [s^2] of poses; of accelerometers, one side
+constexpr double kPositionDelayPrior = 8e-5;  // [s]
+/// How much must speak for a delay of positions, whose peak has a sigma of 0.02 ms: slow errors of
+/// rotations look like one by four sigma.
+constexpr double kPositionDelayDoubt = 8.0;
 // A filter that spreads samples over time delays them, too. Where the delay is small, so is the
 // smoothing, and errors of the poses would take its place.
 // For a filter of first order, the squared delay; for a plain delay, nothing.

@@ -97,7 +97,7 @@ struct Estimate {
   std::vector<ImuEstimate> imus;
   std::vector<SessionEstimate> sessions;
 
-  /// Of an IMU's sensors, see ImuCalibration.
+  /// What is estimated of an IMU's sensors: of gyroscopes but the first, less that one's.
   double& GyroSmoothing(size_t imu) { return imu == 0 ? gyro_smoothing : imus[imu].gyro_smoothing; }
   double& AccelSmoothing(size_t imu) {
     return imu == 0 ? accel_smoothing : imus[imu].accel_smoothing;

@@ -15,8 +15,9 @@ namespace imu_pose_calib {
 /// function for all samples of a sensor, three rows in sigma for each. A residual block takes
 /// consecutive ones that share all parameters: that keeps the normal equations to a few dense
 /// products. Blocks are in this order: `d` and `phi`, kSplineOrder control points (3) each; two
-/// knots (3) of what changes slowly; the others; of an IMU clocks (1) and, with a walk, two of its
-/// knots (1), by which its samples move along the trajectory while they are estimated.
+/// knots (3) of what changes slowly; the others; clocks (1), of positions their delay, and, of an
+/// IMU whose clock has a walk, two of its knots (1), by which its samples move along the trajectory
+/// while they are estimated.
 
 /// How the samples of a block move with one clock parameter, a block of 1:
 /// dt = sign factor (parameter - value) [s].
