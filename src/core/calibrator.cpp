@@ -116,6 +116,7 @@ void ReportEstimate(const Estimate& estimate, const std::vector<PreparedSession>
                     Calibration* result) {
   result->pose_smoothing = estimate.pose_smoothing;
   result->position_smoothing = estimate.position_smoothing;
+  result->pose_skew = estimate.pose_skew;
   result->position_delay = estimate.position_delay;
   result->pose_scale = estimate.pose_scale;
   result->imus.resize(estimate.imus.size());

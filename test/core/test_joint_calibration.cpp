@@ -296,21 +296,32 @@ TEST(JointCalibration, TellsThePositionsFiltersFromTheRotations) {
   EXPECT_LT(Normalised(result, truth).cwiseAbs().maxCoeff(), 4.5);
 }
 
-/// A tracker that filters positions, by position and velocity, and not rotations.
+/// A tracker that filters by position and velocity, or rotation and turn rate: these follow what is
+/// found by the shares of an alpha-beta filter; `of_rates` 0: of first order, which delays them.
+void Track(double gain, double of_rates, bool with_rotations, std::vector<PoseSample>* poses) {
+  Eigen::Vector3d p = poses->front().p_WM, v = Eigen::Vector3d::Zero(), w = v;
+  Eigen::Quaterniond q = poses->front().q_WM;
+  for (PoseSample& pose : *poses) {
+    const Eigen::Vector3d found = pose.p_WM - p - v;
+    p += v + gain * found;
+    v += of_rates * found;
+    pose.p_WM = p;
+    if (!with_rotations) continue;
+    q = q * Exp<double>(w);
+    const Eigen::Vector3d turned = Log(Eigen::Quaterniond(q.conjugate() * pose.q_WM));
+    q = (q * Exp<double>(Eigen::Vector3d(gain * turned))).normalized();
+    w += of_rates * turned;
+    pose.q_WM = q;
+  }
+}
+
 TEST(JointCalibration, TellsHowMuchLaterPositionsAre) {
-  for (const double gain : {0.0, 0.3, 0.7}) {  // 0: of first order, which delays them
+  for (const double gain : {0.0, 0.3, 0.7}) {
     SimulatorOptions truth = Recording(5e-4, 200);
     truth.duration_s = 40.0;
     SessionData data = Simulate(truth);
     const double period = 1.0 / truth.pose_rate_hz, share = 0.3;
-    const double of_velocity = gain * gain / (2.0 - gain) / period;
-    Eigen::Vector3d p = data.poses[0].p_WM, v = Eigen::Vector3d::Zero();
-    for (PoseSample& pose : data.poses) {
-      const Eigen::Vector3d found = pose.p_WM - p - period * v;
-      p += period * v + (gain > 0.0 ? gain : share) * found;
-      v += of_velocity * found;
-      pose.p_WM = p;
-    }
+    Track(gain > 0.0 ? gain : share, gain * gain / (2.0 - gain), false, &data.poses);
     const Calibration result = Calibrate(CalibrationOptions(), data);
     EXPECT_EQ(result.status, Status::kOk) << result.message;
     const double delay = gain > 0.0 ? 0.0 : (1.0 - share) / share * period;
@@ -320,6 +331,51 @@ TEST(JointCalibration, TellsHowMuchLaterPositionsAre) {
     EXPECT_LT((result.imus[0].T_MI.p - truth.T_MI.p).norm(), 1.5e-3) << gain;
     EXPECT_LT(Normalised(result, truth).cwiseAbs().maxCoeff(), 4.5) << gain;
   }
+}
+
+/// A filter that follows rates has a third moment besides the second one.
+TEST(JointCalibration, TellsTheSkewOfWhatPosesAreAveragedOver) {
+  for (const Motion motion : {Motion::kHandheld, Motion::kTumble}) {
+    SimulatorOptions truth = Recording(5e-4, 101);
+    truth.motion = motion;
+    truth.duration_s = 40.0;
+    SessionData data = Simulate(truth);
+    const double gain = 0.3;
+    Track(gain, gain * gain / (2.0 - gain), true, &data.poses);
+    const Calibration result = Calibrate(CalibrationOptions(), data);
+    EXPECT_TRUE(result.IsUsable()) << result.message;
+    EXPECT_LT(result.pose_skew, -10.0 * result.pose_skew_std);
+    EXPECT_LT((result.imus[0].T_MI.p - truth.T_MI.p).norm(), 0.6e-3) << ToString(motion);
+    EXPECT_LT(Normalised(result, truth).head<3>().cwiseAbs().maxCoeff(), 4.5) << ToString(motion);
+  }
+}
+
+/// Positions that somebody has smoothed scatter by next to nothing, and err as before.
+TEST(JointCalibration, SmoothedPositionsAreNotBelievedMore) {
+  SimulatorOptions truth = Recording(5e-4, 101);
+  truth.duration_s = 40.0;
+  SessionData data = Simulate(truth);
+  constexpr int kReach = 50;        // poses
+  constexpr double kCutoff = 0.06;  // of their rate
+  std::vector<PoseSample> smooth;
+  for (size_t i = kReach; i + kReach < data.poses.size(); ++i) {
+    Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+    double weights = 0.0;
+    for (int k = -kReach; k <= kReach; ++k) {
+      const double x = 2.0 * M_PI * kCutoff * k;
+      const double weight = (k == 0 ? 1.0 : std::sin(x) / x) * (1.0 + std::cos(M_PI * k / kReach));
+      sum += weight * data.poses[i + static_cast<size_t>(k)].p_WM;
+      weights += weight;
+    }
+    smooth.push_back(data.poses[i]);
+    smooth.back().p_WM = sum / weights;
+  }
+  data.poses = smooth;
+  const Calibration result = Calibrate(CalibrationOptions(), data);
+  EXPECT_EQ(result.status, Status::kOk) << result.message;
+  EXPECT_GT(result.sessions[0].noise.position, 0.3 * truth.position_std);
+  EXPECT_LT((result.imus[0].T_MI.p - truth.T_MI.p).norm(), 0.6e-3);
+  EXPECT_LT(Normalised(result, truth).cwiseAbs().maxCoeff(), 4.5);
 }
 
 /// Nothing but the lever arm and gravity tells what both positions and the accelerometer average

@@ -111,6 +111,8 @@ class ResultMessages : public ::testing::Test {
     result_.pose_smoothing_std = 0.04;
     result_.position_smoothing = 0.05;
     result_.position_smoothing_std = 0.06;
+    result_.pose_skew = 0.075;
+    result_.pose_skew_std = 0.085;
     result_.position_delay = 0.07;
     result_.position_delay_std = 0.08;
     result_.pose_scale = 1.07;
@@ -182,6 +184,8 @@ TEST_F(ResultMessages, ResultKeepsEveryField) {
   EXPECT_EQ(msg.pose_smoothing_std, 0.04);
   EXPECT_EQ(msg.position_smoothing, 0.05);
   EXPECT_EQ(msg.position_smoothing_std, 0.06);
+  EXPECT_EQ(msg.pose_skew, 0.075);
+  EXPECT_EQ(msg.pose_skew_std, 0.085);
   EXPECT_EQ(msg.position_delay, 0.07);
   EXPECT_EQ(msg.position_delay_std, 0.08);
   EXPECT_EQ(msg.pose_scale, 1.07);

@@ -119,6 +119,7 @@ std::vector<Parameter> CalibrationParameters(Estimate* estimate) {
   }
   parameters.push_back({ParameterKind::kPoseSmoothing, 0, 0, 1, &estimate->pose_smoothing});
   parameters.push_back({ParameterKind::kPositionSmoothing, 0, 0, 1, &estimate->position_smoothing});
+  parameters.push_back({ParameterKind::kPoseSkew, 0, 0, 1, &estimate->pose_skew});
   parameters.push_back({ParameterKind::kPositionDelay, 0, 0, 1, &estimate->position_delay});
   parameters.push_back({ParameterKind::kPoseScale, 0, 0, 1, &estimate->pose_scale});
   for (size_t i = 0; i < estimate->imus.size(); ++i) {
@@ -143,6 +144,7 @@ bool IsEstimated(const CalibrationOptions& options, ParameterKind kind) {
       {ParameterKind::kClockDrift, &Options::estimate_clock_drift},
       {ParameterKind::kPoseSmoothing, &Options::estimate_pose_smoothing},
       {ParameterKind::kPositionSmoothing, &Options::estimate_pose_smoothing},
+      {ParameterKind::kPoseSkew, &Options::estimate_pose_smoothing},
       {ParameterKind::kPositionDelay, &Options::estimate_pose_smoothing},
       {ParameterKind::kPoseScale, &Options::estimate_pose_scale},
       {ParameterKind::kGyroSmoothing, &Options::estimate_accel_smoothing},

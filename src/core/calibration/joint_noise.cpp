@@ -97,9 +97,10 @@ double ImuShare(const Densities& S, Quantity quantity, double band) {
 struct Noise {
   double white, most;  ///< as it is expected, and its bound
 };
-/// A density found in `count` periodograms, that is the sum of shares of noises.
+/// A density found in `count` periodograms, that is the sum of one that is known and of shares of
+/// noises.
 struct Observation {
-  double count, density;
+  double count, density, known;
   struct Part {
     size_t noise;
     double share;
@@ -113,10 +114,16 @@ std::vector<double> FitDensities(const std::vector<Noise>& noises,
                                  const std::vector<Observation>& observations) {
   std::vector<double> x;
   for (const Noise& noise : noises) x.push_back(noise.white);
+  // From above: each as if it were all of what is found. Next to nothing of it is a maximum, too.
+  for (const Observation& o : observations)
+    for (const Observation::Part& part : o.parts)
+      if (part.share > 0.0)
+        x[part.noise] += o.density / part.share / static_cast<double>(observations.size());
+  for (size_t k = 0; k < x.size(); ++k) x[k] = std::min(noises[k].most, x[k]);
   for (int round = 0; round < kRounds; ++round) {
     std::vector<double> found(x.size(), 0.0), expected(x.size(), 0.0);
     for (const Observation& o : observations) {
-      double sum = 0.0;
+      double sum = o.known;
       for (const Observation::Part& part : o.parts) sum += part.share * x[part.noise];
       for (const Observation::Part& part : o.parts) {
         found[part.noise] += o.count * part.share * o.density / (sum * sum);
@@ -161,21 +168,21 @@ void FitNoiseOf(bool is_linear, size_t session, const LeastSquares& joint,
       const double omega2 = Omega2(NoiseSpectrum::Frequency(f));
       const double gain = Gain(is_linear, omega2);
       const double poses = white + errors.Density(omega2);
-      if (poses > 2.0 * white) continue;
       std::vector<double> share{1.0 / poses};  // of each sensor
       for (size_t b = 1; b < sensors.size(); ++b)
         share.push_back(gain / joint.sensors[sensors[b]].model->Density());
       const double all = std::accumulate(share.begin(), share.end(), 0.0);
       for (double& own : share) own /= all;
       if (share[a] > 0.5) continue;  // the others' residuals tell more
-      observations.push_back({spectrum.count, spectrum.density[f], {}});
+      Observation observation{spectrum.count, spectrum.density[f], 0.0, {}};
       for (size_t b = 0; b < sensors.size(); ++b) {
         double part = std::pow(a == b ? 1.0 - share[b] : share[b], 2);
         if (a != b) part *= (a == 0 ? 1.0 : gain) / (b == 0 ? 1.0 : gain);
-        if (b == 0) part *= poses / white;               // slow errors beside it
-        if (a == 0) part *= std::pow(white / poses, 2);  // they take up the rest
-        observations.back().parts.push_back({b, part});
+        if (a == 0) part *= std::pow(white / poses, 2);  // slow errors take up the rest
+        if (b == 0) observation.known = part * (poses - white);
+        observation.parts.push_back({b, part});
       }
+      observations.push_back(std::move(observation));
     }
   }
   const std::vector<double> x = FitDensities(noises, observations);

@@ -80,6 +80,7 @@ void ReportParameter(const PlacedParameter& p, const Eigen::MatrixXd& C, Calibra
       {ParameterKind::kClockDrift, &own.clock_drift_std},
       {ParameterKind::kPoseSmoothing, &result->pose_smoothing_std},
       {ParameterKind::kPositionSmoothing, &result->position_smoothing_std},
+      {ParameterKind::kPoseSkew, &result->pose_skew_std},
       {ParameterKind::kPositionDelay, &result->position_delay_std},
       {ParameterKind::kPoseScale, &result->pose_scale_std},
       {ParameterKind::kGyroSmoothing, &imu.gyro_smoothing_std},

@@ -176,6 +176,8 @@ CalibrationResult ToMsg(const Calibration& result, const RecordingInfo& info,
   msg.pose_smoothing_std = result.pose_smoothing_std;
   msg.position_smoothing = result.position_smoothing;
   msg.position_smoothing_std = result.position_smoothing_std;
+  msg.pose_skew = result.pose_skew;
+  msg.pose_skew_std = result.pose_skew_std;
   msg.position_delay = result.position_delay;
   msg.position_delay_std = result.position_delay_std;
   msg.pose_scale = result.pose_scale;

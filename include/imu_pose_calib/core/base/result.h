@@ -257,6 +257,9 @@ struct Calibration {
   double pose_smoothing = 0.0, pose_smoothing_std = 0.0;
   /// [s^2] by how much that of its position exceeds that of its rotation; 0 when not estimated.
   double position_smoothing = 0.0, position_smoothing_std = 0.0;
+  /// [s^3] third moment of the time over which a pose is averaged, about its mean: positive when
+  /// little of it is long ago; 0 when not estimated.
+  double pose_skew = 0.0, pose_skew_std = 0.0;
   /// [s] by how much its position is later than its rotation; 0 when not estimated.
   double position_delay = 0.0, position_delay_std = 0.0;
   /// Positions of the poses are those of a body this many times as large; sigma 0: not estimated.

@@ -89,6 +89,7 @@ struct SessionEstimate {
 struct Estimate {
   // Of the source of the poses, see Calibration:
   double pose_smoothing = 0.0, position_smoothing = 0.0;  ///< [s^2]
+  double pose_skew = 0.0;                                 ///< [s^3]
   double position_delay = 0.0;                            ///< [s]
   double pose_scale = 1.0;
   /// Of the first IMU's gyroscope [s^2] and, beyond that, of its accelerometer; and of the
@@ -117,6 +118,7 @@ enum class ParameterKind {
   kClockDrift,         ///< [s/s] of an IMU in a session
   kPoseSmoothing,      ///< [s^2]
   kPositionSmoothing,  ///< [s^2]
+  kPoseSkew,           ///< [s^3]
   kPositionDelay,      ///< [s]
   kPoseScale,          ///< [1]
   kGyroSmoothing,      ///< [s^2] of the first IMU's; of others, less that
