@@ -180,20 +180,6 @@ void RemoveSaturated(const std::string& stream, double max_bad_fraction,
   *samples = std::move(kept);
 }
 
-/// Distances of the samples of a range from their median by component.
-std::vector<double> FromMiddle(const std::vector<ImuSample>& samples, IndexRange range) {
-  Eigen::Vector3d middle;
-  for (int axis = 0; axis < 3; ++axis) {
-    std::vector<double> values;
-    for (size_t k = range.begin; k < range.end; ++k) values.push_back(samples[k].value[axis]);
-    middle[axis] = Median(std::move(values));
-  }
-  std::vector<double> distances(range.size());
-  for (size_t k = 0; k < range.size(); ++k)
-    distances[k] = (samples[range.begin + k].value - middle).norm();
-  return distances;
-}
-
 /// Spikes leave and are counted: up to three samples in a row, off their neighbours by many times
 /// the usual step and the spread of these neighbours: that of a hard knock is wide. A closed form
 /// cannot bear them, and robust weights would not believe the motion around them either.
@@ -205,11 +191,14 @@ void RemoveSpikes(std::vector<ImuSample>* spiky, StreamReport* report) {
     steps.push_back((samples[i].value - samples[i - 1].value).norm());
   const double least = kSpikeSteps * Median(std::move(steps));
   for (size_t i = 0; i < samples.size(); ++i) {
-    const IndexRange near{i - std::min(i, kSpikeReach),
-                          std::min(i + kSpikeReach + 1, samples.size())};
-    const std::vector<double> distances = FromMiddle(samples, near);
-    const double off = distances[i - near.begin];
-    if (off <= std::max(least, kSpikeSpreads * Median(distances))) spiky->push_back(samples[i]);
+    const size_t begin = i - std::min(i, kSpikeReach);
+    const size_t end = std::min(i + kSpikeReach + 1, samples.size());
+    const Eigen::Vector3d middle =
+        MedianOfEach(begin, end, [&](size_t k) { return samples[k].value; });
+    std::vector<double> distances;
+    for (size_t k = begin; k < end; ++k) distances.push_back((samples[k].value - middle).norm());
+    const double bound = std::max(least, kSpikeSpreads * Median(distances));
+    if (distances[i - begin] <= bound) spiky->push_back(samples[i]);
   }
   report->outlier = samples.size() - spiky->size();
 }

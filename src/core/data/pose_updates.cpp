@@ -28,14 +28,10 @@ std::vector<double> ThirdDifferences(const std::vector<PoseSample>& poses) {
 
 /// Distances between the beginnings of runs of values above `bound`.
 std::vector<size_t> Distances(const std::vector<double>& values, double bound) {
-  std::vector<size_t> distances;
-  size_t begin = 0, last = 0;  // of a run, counted from 1
-  for (size_t i = 1; i <= values.size(); ++i) {
-    if (values[i - 1] <= bound) continue;
-    if (begin > 0 && i > last + 1) distances.push_back(i - begin);
-    if (begin == 0 || i > last + 1) begin = i;
-    last = i;
-  }
+  std::vector<size_t> begins, distances;
+  for (size_t i = 0; i < values.size(); ++i)
+    if (values[i] > bound && (i == 0 || values[i - 1] <= bound)) begins.push_back(i);
+  for (size_t k = 1; k < begins.size(); ++k) distances.push_back(begins[k] - begins[k - 1]);
   return distances;
 }
 
@@ -67,23 +63,19 @@ size_t FindUpdatePeriod(const std::vector<PoseSample>& poses) {
 }
 
 size_t KeepOneOf(size_t period, std::vector<PoseSample>* poses) {
-  const size_t before = poses->size();
-  if (period < 2 || before < 2) return 0;
+  if (period < 2 || poses->size() < 2) return 0;
   const double step = MedianStep(Stamps(*poses));
   const auto first = static_cast<double>(poses->front().t_ns);
-  long long last = -1;
-  const auto is_between = [&](const PoseSample& pose) {
-    const double count = std::round((static_cast<double>(pose.t_ns) - first) / step);
-    const auto interval = static_cast<long long>(count) / static_cast<long long>(period);
-    if (interval == last) return true;
-    last = interval;
-    return false;
-  };
   std::vector<PoseSample> kept;
-  for (const PoseSample& pose : *poses)
-    if (!is_between(pose)) kept.push_back(pose);
+  int64_t last = -1;
+  for (const PoseSample& pose : *poses) {
+    const int64_t count = std::llround((static_cast<double>(pose.t_ns) - first) / step);
+    const int64_t interval = count / static_cast<int64_t>(period);
+    if (interval != last) kept.push_back(pose);
+    last = interval;
+  }
   poses->swap(kept);
-  return before - poses->size();
+  return kept.size() - poses->size();
 }
 
 }  // namespace imu_pose_calib

@@ -31,7 +31,7 @@ bool IsLongEnough(const std::vector<TimedPose>& poses, IndexRange run, double mi
 
 /// How far pose i is from where pose i - 1 leads with the mean velocity of the steps before and
 /// after: (position [m], rotation [rad]).
-Eigen::Vector2d Jump(const std::vector<TimedPose>& poses, size_t i) {
+Eigen::Array2d Jump(const std::vector<TimedPose>& poses, size_t i) {
   const TimedPose &a = poses[i - 2], &b = poses[i - 1], &c = poses[i], &d = poses[i + 1];
   const double dt = c.t - b.t, dt_before = b.t - a.t, dt_after = d.t - c.t;
   const Eigen::Vector3d step =
@@ -45,56 +45,36 @@ Eigen::Vector2d Jump(const std::vector<TimedPose>& poses, size_t i) {
           (b.q_WM * half_before * half_after).angularDistance(c.q_WM)};
 }
 
-/// What the IMU says the body can do at most.
-struct MotionBound {
-  double rate = 0.0;   ///< [rad/s]
-  double force = 0.0;  ///< [m/s^2]
-
-  explicit MotionBound(const ConditionedData& data) {
-    for (const ConditionedImu& imu : data.imus) {
-      for (const TimedSample& s : imu.gyro) rate = std::max(rate, s.value.norm());
-      for (const TimedSample& s : imu.accel) force = std::max(force, s.value.norm());
-    }
-  }
-};
-
 /// Poses that cannot follow from the one before: off by many times what is usual in the log and
 /// nearby, and by more than the IMU allows.
-std::vector<size_t> FindJumps(const ConditionedData& data, const MotionBound& bound) {
+std::vector<size_t> FindJumps(const ConditionedData& data) {
+  double rate = 0.0, force = 0.0;  // the largest [rad/s], [m/s^2]
+  for (const ConditionedImu& imu : data.imus) {
+    for (const TimedSample& s : imu.gyro) rate = std::max(rate, s.value.norm());
+    for (const TimedSample& s : imu.accel) force = std::max(force, s.value.norm());
+  }
   const std::vector<TimedPose>& poses = data.poses;
-  std::vector<Eigen::Vector2d> jumps(poses.size(), Eigen::Vector2d::Zero());
+  std::vector<Eigen::Array2d> jumps(poses.size(), Eigen::Array2d::Zero());
   for (const IndexRange& s : data.segments)
     for (size_t i = s.begin + 2; i + 1 < s.end; ++i) jumps[i] = Jump(poses, i);
   const auto usual = [&](size_t begin, size_t end) {
-    Eigen::Vector2d median;
-    for (int kind = 0; kind < 2; ++kind) {
-      std::vector<double> values;
-      for (size_t i = begin; i < end; ++i) values.push_back(jumps[i][kind]);
-      median[kind] = Median(std::move(values));
-    }
-    return median;
+    return MedianOfEach(begin, end, [&](size_t i) { return jumps[i]; });
   };
-  const Eigen::Vector2d usual_in_log = usual(0, poses.size());
+  const Eigen::Array2d usual_in_log = usual(0, poses.size());
   std::vector<size_t> found;
   for (const IndexRange& s : data.segments) {
     for (size_t i = s.begin + 2; i + 1 < s.end; ++i) {
       const double dt = poses[i].t - poses[i - 1].t;
-      const Eigen::Vector2d possible(kMotionFactor * bound.force * dt * dt,
-                                     kMotionFactor * bound.rate * dt);
+      const Eigen::Array2d possible(kMotionFactor * force * dt * dt, kMotionFactor * rate * dt);
       const double periods = std::max(1.0, dt * data.pose_report.rate_hz);
-      const Eigen::Vector2d least = possible.cwiseMax(kJumpThreshold * periods * usual_in_log);
-      if ((jumps[i].array() <= least.array()).all()) continue;
-      const Eigen::Vector2d usual_nearby =
+      const Eigen::Array2d least = possible.max(kJumpThreshold * periods * usual_in_log);
+      if ((jumps[i] <= least).all()) continue;
+      const Eigen::Array2d usual_nearby =
           usual(std::max(s.begin, i - std::min(i, kJumpRadius)), std::min(s.end, i + kJumpRadius));
-      const Eigen::Vector2d limit = least.cwiseMax(kJumpThreshold * periods * usual_nearby);
-      for (int kind = 0; kind < 2; ++kind) {
-        // A jump shows in the steps on either side too, by half.
-        const bool is_largest =
-            jumps[i][kind] > 0.75 * std::max(jumps[i - 1][kind], jumps[i + 1][kind]);
-        if (jumps[i][kind] <= limit[kind] || !is_largest) continue;
-        found.push_back(i);
-        break;
-      }
+      const Eigen::Array2d limit = least.max(kJumpThreshold * periods * usual_nearby);
+      // A jump shows in the steps on either side too, by half.
+      const Eigen::Array2d beside = 0.75 * jumps[i - 1].max(jumps[i + 1]);
+      if ((jumps[i] > limit.max(beside)).any()) found.push_back(i);
     }
   }
   return found;
@@ -153,9 +133,8 @@ void SplitAtGaps(const CalibrationOptions& options, ConditionedData* data) {
 }
 
 void SplitAtJumps(const CalibrationOptions& options, ConditionedData* data) {
-  const MotionBound bound(*data);
   const double max_gap = MaxGap(options, *data);
-  for (auto jumps = FindJumps(*data, bound); !jumps.empty(); jumps = FindJumps(*data, bound)) {
+  for (auto jumps = FindJumps(*data); !jumps.empty(); jumps = FindJumps(*data)) {
     CutSegments(jumps, max_gap, options.min_segment_s, data);
     if (!data->segments.empty()) continue;
     Throw<DataError>(

@@ -78,21 +78,6 @@ double FirstLatency(const std::vector<double>& t, double period) {
   return Median(std::move(first));
 }
 
-/// Frames of the samples from 0, from the last state of the best path back: (missing frames, place
-/// among the states of the sample before) of the states of all samples, which begin at `begins`.
-std::vector<int64_t> TraceBack(const std::vector<std::pair<int, int>>& path,
-                               const std::vector<size_t>& begins, size_t best) {
-  std::vector<int64_t> frames(begins.size());
-  for (size_t i = begins.size(); i-- > 0;) {
-    const auto& [missing, from] = path[begins[i] + best];
-    frames[i] = static_cast<int64_t>(i) + missing;
-    best = static_cast<size_t>(from);
-  }
-  const int64_t first = frames.front();
-  for (int64_t& frame : frames) frame -= first;
-  return frames;
-}
-
 /// The frames n_i of stamps t_i that minimise
 ///   sum_i cost(t_i / period - n_i - level_i) + jump_cost (number of n_i > n_(i-1) + 1)
 /// by a Viterbi search over the number of missing frames. The level follows the latency with a
@@ -154,7 +139,15 @@ FrameCount FindFrames(const std::vector<double>& t, double period, size_t memory
       path.emplace_back(state.missing, state.from);
     }
   }
-  return {TraceBack(path, begins, best), states[best].cost};
+  FrameCount count{std::vector<int64_t>(t.size()), states[best].cost};
+  for (size_t i = t.size(); i-- > 0;) {
+    const auto [missing, from] = path[begins[i] + best];
+    count.frames[i] = static_cast<int64_t>(i) + missing;
+    best = static_cast<size_t>(from);
+  }
+  const int64_t first = count.frames.front();
+  for (int64_t& frame : count.frames) frame -= first;
+  return count;
 }
 
 /// Counts frames while the distribution of latencies is unknown, at `factor` times the period that

@@ -160,25 +160,15 @@ void SetStamps(const Stream& stream, std::vector<Sample>* samples) {
   for (size_t i = 0; i < samples->size(); ++i) (*samples)[i].t_ns = stream.t_ns[i];
 }
 
-template <typename Sample>
-StreamStamps Recover(StampRecovery mode, std::vector<Sample>* samples) {
-  Stream stream = ToStream(*samples);
-  const StreamStamps stamps = Recover(mode, &stream);
-  SetStamps(stream, samples);
-  return stamps;
-}
-
 }  // namespace
 
 std::vector<StampFault> JudgeStamps(const std::vector<int64_t>& stamps_ns) {
   std::vector<StampFault> faults(stamps_ns.size(), StampFault::kNone);
   if (stamps_ns.empty()) return faults;
-  std::vector<int64_t> sorted = stamps_ns;
-  const auto middle = sorted.begin() + static_cast<ptrdiff_t>(sorted.size() / 2);
-  std::nth_element(sorted.begin(), middle, sorted.end());
+  const int64_t middle = Median(stamps_ns);
   int64_t latest = std::numeric_limits<int64_t>::min() + kMaxReorderNs;
   for (size_t i = 0; i < stamps_ns.size(); ++i) {
-    if (std::abs(stamps_ns[i] - *middle) > kMaxAstrayNs)
+    if (std::abs(stamps_ns[i] - middle) > kMaxAstrayNs)
       faults[i] = StampFault::kAstray;
     else if (IsStampedAhead(stamps_ns, i))
       faults[i] = StampFault::kAhead;
@@ -228,19 +218,18 @@ bool AreEven(std::vector<int64_t> stamps_ns) {
 
 SessionStamps RecoverStamps(StampRecovery mode, SessionData* session) {
   SessionStamps stamps;
-  stamps.poses = Recover(mode, &session->poses);
+  Stream poses = ToStream(session->poses);
+  stamps.poses = Recover(mode, &poses);
+  SetStamps(poses, &session->poses);
   for (ImuData& imu : session->imus) {
-    Stream both = ToStream(imu.gyro), accel = ToStream(imu.accel);
-    if (both.t_ns != accel.t_ns) {
-      const StreamStamps gyro = Recover(mode, &imu.gyro);
-      stamps.imus.emplace_back(gyro, Recover(mode, &imu.accel));
-      continue;
-    }
-    both.channels.push_back(std::move(accel.channels[0]));
-    const StreamStamps of_both = Recover(mode, &both);
-    SetStamps(both, &imu.gyro);
-    SetStamps(both, &imu.accel);
-    stamps.imus.emplace_back(of_both, of_both);
+    Stream gyro = ToStream(imu.gyro), accel = ToStream(imu.accel);
+    const bool is_shared = gyro.t_ns == accel.t_ns;
+    if (is_shared) gyro.channels.push_back(accel.channels[0]);
+    const StreamStamps of_gyro = Recover(mode, &gyro);
+    const StreamStamps of_accel = is_shared ? of_gyro : Recover(mode, &accel);
+    SetStamps(gyro, &imu.gyro);
+    SetStamps(is_shared ? gyro : accel, &imu.accel);
+    stamps.imus.emplace_back(of_gyro, of_accel);
   }
   return stamps;
 }

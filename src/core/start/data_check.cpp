@@ -172,7 +172,9 @@ void WarnOfDrops(const std::string& stream, const StreamReport& r,
 }
 
 /// Mean norm of the accelerometer while neither sensor shows motion, and how long that was.
-void FindRest(const ConditionedImu& data, const Eigen::Vector3d& gyro_bias, ImuCheck* check) {
+void FindRest(const ConditionedImu& data, ImuCheck* check) {
+  const Eigen::Vector3d gyro_bias =
+      MedianOfEach(0, data.gyro.size(), [&](size_t i) { return data.gyro[i].value; });
   double sum = 0.0, count = 0.0;
   size_t a = 0, g = 0;
   const double end = std::min(data.gyro.back().t, data.accel.back().t);
@@ -193,17 +195,6 @@ void FindRest(const ConditionedImu& data, const Eigen::Vector3d& gyro_bias, ImuC
     count += accels;
   }
   check->rest_norm = count > 0.0 ? sum / count : 0.0;
-}
-
-/// Median per axis.
-Eigen::Vector3d MedianRate(const std::vector<TimedSample>& gyro) {
-  Eigen::Vector3d median;
-  for (int axis = 0; axis < 3; ++axis) {
-    std::vector<double> values;
-    for (const TimedSample& s : gyro) values.push_back(s.value[axis]);
-    median[axis] = Median(std::move(values));
-  }
-  return median;
 }
 
 /// Share of the gyroscope's variance that the poses explain, and growth of the time shift: linear
@@ -383,7 +374,7 @@ void CheckMotion(const CalibrationOptions& options, const ConditionedData& data,
   for (size_t i = 0; i < data.imus.size(); ++i) {
     if (!data.imus[i].IsPresent()) continue;
     ImuCheck& imu = check->imus[i];
-    FindRest(data.imus[i], MedianRate(data.imus[i].gyro), &imu);
+    FindRest(data.imus[i], &imu);
     if (imu.rest_s >= kMinRest && std::abs(imu.rest_norm - g) > kMaxGravityError * g)
       check->warnings.push_back(
           "accelerometer" + OfImu(i, data.imus.size()) + ": its norm at rest is " +

@@ -126,22 +126,19 @@ void CheckNoiseScales(const std::vector<Eigen::Vector2d>& residuals,
 std::vector<size_t> FindOutliers(const std::vector<Eigen::Vector2d>& residuals,
                                  const std::vector<TimedPose>& poses, double threshold,
                                  double radius_s) {
-  const auto sigma = [&](size_t begin, size_t end, int kind) {
-    std::vector<double> values;
-    for (size_t i = begin; i < end; ++i) values.push_back(residuals[i][kind]);
-    return std::max(Median(std::move(values)) / kMedianOfChi3, 1e-9);
+  const auto bound = [&](size_t begin, size_t end) -> Eigen::Array2d {
+    const Eigen::Array2d median = MedianOfEach(begin, end, [&](size_t i) { return residuals[i]; });
+    return threshold * (median / kMedianOfChi3).max(1e-9);
   };
-  const double usual[] = {sigma(0, poses.size(), 0), sigma(0, poses.size(), 1)};
+  const Eigen::Array2d usual = bound(0, poses.size());
   std::vector<size_t> outliers;
   size_t begin = 0, end = 0;  // of the poses around
   for (size_t i = 0; i < poses.size(); ++i) {
     while (poses[i].t - poses[begin].t >= radius_s) ++begin;
     while (end < poses.size() && poses[end].t - poses[i].t < radius_s) ++end;
-    const auto is_outlier = [&](int kind) {
-      return residuals[i][kind] > threshold * usual[kind] &&
-             residuals[i][kind] > threshold * sigma(begin, end, kind);
-    };
-    if (is_outlier(0) || is_outlier(1)) outliers.push_back(i);
+    const auto is_beyond = residuals[i].array() > usual;
+    if (is_beyond.any() && (is_beyond && residuals[i].array() > bound(begin, end)).any())
+      outliers.push_back(i);
   }
   return outliers;
 }

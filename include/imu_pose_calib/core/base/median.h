@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
@@ -14,6 +15,19 @@ T Median(std::vector<T> values) {
   const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
   std::nth_element(values.begin(), middle, values.end());
   return *middle;
+}
+
+/// Medians of the components of the vectors of(begin), ..., of(end - 1), of which there must be
+/// one.
+template <typename VectorOf>
+auto MedianOfEach(size_t begin, size_t end, const VectorOf& of) {
+  std::decay_t<decltype(of(begin))> median;
+  for (int axis = 0; axis < static_cast<int>(median.size()); ++axis) {
+    std::vector<double> values;
+    for (size_t i = begin; i < end; ++i) values.push_back(of(i)[axis]);
+    median[axis] = Median(std::move(values));
+  }
+  return median;
 }
 
 /// Median of the differences of neighbours; there must be two values.
