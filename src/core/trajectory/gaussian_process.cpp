@@ -18,31 +18,12 @@ constexpr int kGroup = 32;
 constexpr double kCore = 64.0;    // [length scales]
 constexpr double kMargin = 20.0;  // [length scales]
 
-/// Uniform grid of Gaussian bumps exp(-(t - c_j)^2 / l^2), c_j = first + j spacing.
-struct BumpGrid {
-  double lengthscale, spacing, first;
-  int size;
-
-  /// Grid that serves every t in [begin, end].
-  BumpGrid(double begin, double end, double lengthscale_s)
-      : lengthscale(lengthscale_s),
-        spacing(kSpacing * lengthscale_s),
-        first(begin - kHalfSupport * spacing),
-        size(static_cast<int>(std::floor((end - begin) / spacing)) + kSupport + 1) {}
-  /// The part of such a grid that starts at `first_center` and has a row of `weights` for each
-  /// bump.
-  BumpGrid(double first_center, const Eigen::MatrixXd& weights, double lengthscale_s)
-      : lengthscale(lengthscale_s),
-        spacing(kSpacing * lengthscale_s),
-        first(first_center),
-        size(static_cast<int>(weights.rows())) {}
-
-  /// First of the kSupport bumps around t.
-  int FirstBump(double t) const {
-    const int j = static_cast<int>(std::floor((t - first) / spacing)) - kHalfSupport + 1;
-    return std::clamp(j, 0, size - kSupport);
-  }
-};
+/// Grid that serves every t in [begin, end].
+BumpGrid GridOf(double begin, double end, double lengthscale_s) {
+  const double spacing = kSpacing * lengthscale_s;
+  return {lengthscale_s, begin - kHalfSupport * spacing,
+          static_cast<int>(std::floor((end - begin) / spacing)) + kSupport + 1};
+}
 
 using BumpArray = Eigen::Array<double, kSupport, 1>;
 using BumpDerivatives = Eigen::Matrix<double, kSupport, 4>;
@@ -240,37 +221,43 @@ double VarianceOf(const Eigen::MatrixXd& covariance, int j, const BumpArray& fac
 
 }  // namespace
 
-WindowedGp::WindowedGp(const GpData& data, const GpHyperparameters& hyperparameters, int threads,
+double BumpGrid::Spacing() const { return kSpacing * lengthscale; }
+
+int BumpGrid::FirstBump(double t) const {
+  const int j = static_cast<int>(std::floor((t - first) / Spacing())) - kHalfSupport + 1;
+  return std::clamp(j, 0, size - kSupport);
+}
+
+WindowedGp::WindowedGp(const GpData& data, const GpHyperparameters& h, int threads,
                        bool with_variance)
-    : hyperparameters_(hyperparameters),
-      with_variance_(with_variance),
-      begin_(data.t[0]),
-      end_(data.t[data.t.size() - 1]) {
-  const double windows = std::round((end_ - begin_) / (kCore * hyperparameters_.lengthscale_s));
+    : begin_(data.t[0]), end_(data.t[data.t.size() - 1]) {
+  const double windows = std::round((end_ - begin_) / (kCore * h.lengthscale_s));
   const double count = std::max(1.0, windows);
   core_ = std::max((end_ - begin_) / count, 1e-9);
   windows_.resize(static_cast<size_t>(count));
-  InParallel(threads, windows_.size(), [&](size_t k) { windows_[k] = Fit(data, k); });
+  InParallel(threads, windows_.size(),
+             [&](size_t k) { windows_[k] = Fit(data, h, with_variance, k); });
 }
 
-WindowedGp::Window WindowedGp::Fit(const GpData& data, size_t window) const {
-  const GpHyperparameters& h = hyperparameters_;
+WindowedGp::Window WindowedGp::Fit(const GpData& data, const GpHyperparameters& h,
+                                   bool with_variance, size_t window) const {
   const double* const t_begin = data.t.data();
   const double* const t_end = t_begin + data.t.size();
   const double core_begin = begin_ + static_cast<double>(window) * core_;
   const double margin = kMargin * h.lengthscale_s;
   const double low = std::max(begin_, core_begin - margin);
   const double high = std::min(end_, core_begin + core_ + margin);
-  const BumpGrid grid(low, high, h.lengthscale_s);
+  const BumpGrid grid = GridOf(low, high, h.lengthscale_s);
   WeightPosterior posterior = FitWeights(data, std::lower_bound(t_begin, t_end, low) - t_begin,
                                          std::upper_bound(t_begin, t_end, high) - t_begin, grid, h);
   // Queries come from the core only: the margins' weights have done their work.
   const int first = grid.FirstBump(core_begin);
   const int size = grid.FirstBump(core_begin + core_) + kSupport - first;
   const double weight_std = WeightStd(h);
-  Window fitted{
-      grid.first + first * grid.spacing, weight_std * posterior.mean.middleRows(first, size), {}};
-  if (!with_variance_) return fitted;
+  Window fitted{{h.lengthscale_s, grid.first + first * grid.Spacing(), size},
+                weight_std * posterior.mean.middleRows(first, size),
+                {}};
+  if (!with_variance) return fitted;
   BandMatrix inverse = posterior.A.InverseInBand();
   fitted.covariance = Eigen::MatrixXd::Zero(size, kSupport);
   for (int k = 0; k < std::min(kSupport, size); ++k)
@@ -287,25 +274,22 @@ const WindowedGp::Window& WindowedGp::At(double t) const {
 
 WindowedGp::Derivatives WindowedGp::Evaluate(double t) const {
   const Window& window = At(t);
-  const BumpGrid grid(window.first_center, window.weights, hyperparameters_.lengthscale_s);
-  const int j = grid.FirstBump(t);
-  return window.weights.middleRows<kSupport>(j).transpose().lazyProduct(Bumps(grid, j, t));
+  const int j = window.grid.FirstBump(t);
+  return window.weights.middleRows<kSupport>(j).transpose().lazyProduct(Bumps(window.grid, j, t));
 }
 
 WindowedGp::Values WindowedGp::Value(double t, double* variance) const {
   const Window& window = At(t);
-  const BumpGrid grid(window.first_center, window.weights, hyperparameters_.lengthscale_s);
-  const int j = grid.FirstBump(t);
-  const BumpArray bumps = BumpValues(grid, j, t).value;
+  const int j = window.grid.FirstBump(t);
+  const BumpArray bumps = BumpValues(window.grid, j, t).value;
   if (variance != nullptr) *variance = VarianceOf(window.covariance, j, bumps);
   return window.weights.middleRows<kSupport>(j).transpose().lazyProduct(bumps.matrix());
 }
 
 Eigen::Vector3d WindowedGp::Variance(double t) const {
   const Window& window = At(t);
-  const BumpGrid grid(window.first_center, window.weights, hyperparameters_.lengthscale_s);
-  const int j = grid.FirstBump(t);
-  const BumpDerivatives B = Bumps(grid, j, t);
+  const int j = window.grid.FirstBump(t);
+  const BumpDerivatives B = Bumps(window.grid, j, t);
   Eigen::Vector3d variance;
   for (int k = 0; k < 3; ++k) variance[k] = VarianceOf(window.covariance, j, B.col(k));
   return variance;
@@ -317,7 +301,7 @@ double LogMarginalLikelihood(const GpData& data, const GpHyperparameters& h,
   // F^T K^-1 y = mean, and for a change dF of F: tr(K^-1 dK) = 2 tr(A^-1 F^T dF) / noise^2.
   const auto n = data.t.size();
   const auto outputs = static_cast<double>(data.y.cols());
-  const BumpGrid grid(data.t[0], data.t[n - 1], h.lengthscale_s);
+  const BumpGrid grid = GridOf(data.t[0], data.t[n - 1], h.lengthscale_s);
   WeightPosterior posterior = FitWeights(data, 0, n, grid, h);
   const double noise2 = h.noise_std * h.noise_std;
   const double weight_std = WeightStd(h);

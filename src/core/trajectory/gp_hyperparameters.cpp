@@ -12,13 +12,19 @@
 namespace imu_pose_calib {
 namespace {
 
+using Bool3 = Eigen::Array<bool, 3, 1>;
+
 constexpr double kMaxSignalToNoise = 1e5;  // keeps the normal equations well conditioned
+
+GpHyperparameters FromLogs(const Eigen::Vector3d& x) {
+  return {std::exp(x[0]), std::exp(x[1]), std::exp(x[2])};
+}
 
 /// Of every `stride`-th of the data; x: logarithms of the hyperparameters, by which `gradient`
 /// (unless null) is.
 double SumOfLikelihoods(const std::vector<GpData>& data, size_t stride, const Eigen::Vector3d& x,
                         int threads, Eigen::Vector3d* gradient) {
-  const GpHyperparameters h{std::exp(x[0]), std::exp(x[1]), std::exp(x[2])};
+  const GpHyperparameters h = FromLogs(x);
   const size_t count = (data.size() + stride - 1) / stride;
   std::vector<double> likelihoods(count);
   std::vector<Eigen::Vector3d> gradients(count);
@@ -37,13 +43,9 @@ double SumOfLikelihoods(const std::vector<GpData>& data, size_t stride, const Ei
 /// that keep them where the data can tell them.
 class MarginalLikelihoodCost : public ceres::FirstOrderFunction {
  public:
-  MarginalLikelihoodCost(const std::vector<GpData>& data, const GpHyperparameters& fixed,
+  MarginalLikelihoodCost(const std::vector<GpData>& data, const Bool3& is_fixed,
                          const Eigen::Vector3d& low, const Eigen::Vector3d& high, int threads)
-      : data_(data),
-        is_free_(fixed.lengthscale_s == 0.0, fixed.signal_std == 0.0, fixed.noise_std == 0.0),
-        low_(low),
-        high_(high),
-        threads_(threads) {
+      : data_(data), is_fixed_(is_fixed), low_(low), high_(high), threads_(threads) {
     for (const GpData& d : data) count_ += static_cast<double>(d.y.size());
   }
 
@@ -61,7 +63,7 @@ class MarginalLikelihoodCost : public ceres::FirstOrderFunction {
     sum = 2.0 * wall * (above - below + Eigen::Vector3d(0.0, ratio, -ratio)) - sum;
     *cost /= count_;
     for (int k = 0; gradient != nullptr && k < 3; ++k)
-      gradient[k] = is_free_[k] ? sum[k] / count_ : 0.0;
+      gradient[k] = is_fixed_[k] ? 0.0 : sum[k] / count_;
     return std::isfinite(*cost);
   }
   int NumParameters() const override { return 3; }
@@ -69,7 +71,7 @@ class MarginalLikelihoodCost : public ceres::FirstOrderFunction {
  private:
   const Eigen::Vector3d kSlack = Eigen::Vector3d::Constant(0.3);
   const std::vector<GpData>& data_;
-  const Eigen::Array<bool, 3, 1> is_free_;
+  const Bool3 is_fixed_;
   const Eigen::Vector3d low_, high_;
   const int threads_;
   double count_ = 0.0;
@@ -111,10 +113,9 @@ struct Moments {
 Eigen::Vector3d FindBest(const std::vector<GpData>& data,
                          const std::vector<Eigen::Vector3d>& starts, int threads) {
   std::vector<double> likelihoods(starts.size());
-  if (starts.size() > 1)
-    InParallel(threads, starts.size(), [&](size_t k) {
-      likelihoods[k] = SumOfLikelihoods(data, 1 + data.size() / 4, starts[k], 1, nullptr);
-    });
+  InParallel(threads, starts.size(), [&](size_t k) {
+    likelihoods[k] = SumOfLikelihoods(data, 1 + data.size() / 4, starts[k], 1, nullptr);
+  });
   const auto most = std::max_element(likelihoods.begin(), likelihoods.end());
   return starts[static_cast<size_t>(most - likelihoods.begin())];
 }
@@ -124,7 +125,9 @@ Eigen::Vector3d FindBest(const std::vector<GpData>& data,
 GpHyperparameters FitHyperparameters(const std::vector<GpData>& data,
                                      const GpHyperparameters& fixed,
                                      const GpHyperparameters& before, int threads) {
-  if (fixed.lengthscale_s > 0.0 && fixed.signal_std > 0.0 && fixed.noise_std > 0.0) return fixed;
+  const Eigen::Array3d given(fixed.lengthscale_s, fixed.signal_std, fixed.noise_std);
+  const Bool3 is_fixed = given > 0.0;
+  if (is_fixed.all()) return fixed;
   if (fixed.lengthscale_s == 0.0 && fixed.noise_std > 0.0) {
     const GpHyperparameters fitted =
         FitHyperparameters(data, {fixed.lengthscale_s, fixed.signal_std, 0.0}, before, threads);
@@ -139,30 +142,21 @@ GpHyperparameters FitHyperparameters(const std::vector<GpData>& data,
       Eigen::Vector3d(std::max(moments.duration, 4.0 * moments.period), 1e3 * signal, 3.0 * signal)
           .array()
           .log();
-  Eigen::Vector3d x(std::log(signal / std::max(moments.rate, 1e-6)), std::log(signal),
-                    std::log(noise));
-  x = x.cwiseMax(low).cwiseMin(high);
-  const auto fix = [&fixed](Eigen::Vector3d* logs) {
-    if (fixed.lengthscale_s > 0.0) (*logs)[0] = std::log(fixed.lengthscale_s);
-    if (fixed.signal_std > 0.0) (*logs)[1] = std::log(fixed.signal_std);
-    if (fixed.noise_std > 0.0) (*logs)[2] = std::log(fixed.noise_std);
+  const auto start_at = [&](const Eigen::Array3d& values) -> Eigen::Vector3d {
+    return is_fixed.select(given.log(), values.log().max(low.array()).min(high.array()));
   };
-  fix(&x);
+  Eigen::Vector3d x = start_at({signal / std::max(moments.rate, 1e-6), signal, noise});
   std::vector<Eigen::Vector3d> starts;
   for (double step = -3.5; step <= 1.0 && fixed.lengthscale_s == 0.0; step += 0.5)
     if (x[0] + step >= low[0] && x[0] + step <= high[0])
       starts.emplace_back(x[0] + step, x[1], x[2]);
   if (starts.empty()) starts.push_back(x);
-  if (before.lengthscale_s > 0.0) {
-    Eigen::Vector3d there(before.lengthscale_s, before.signal_std, before.noise_std);
-    there = there.array().log().matrix().cwiseMax(low).cwiseMin(high).eval();
-    fix(&there);
-    starts.push_back(there);
-  }
+  if (before.lengthscale_s > 0.0)
+    starts.push_back(start_at({before.lengthscale_s, before.signal_std, before.noise_std}));
   x = FindBest(data, starts, threads);
 
   ceres::GradientProblem problem(
-      new MarginalLikelihoodCost(data, fixed, low.cwiseMin(x), high.cwiseMax(x), threads));
+      new MarginalLikelihoodCost(data, is_fixed, low.cwiseMin(x), high.cwiseMax(x), threads));
   ceres::GradientProblemSolver::Options options;
   options.logging_type = ceres::SILENT;
   options.line_search_direction_type = ceres::BFGS;
@@ -171,7 +165,7 @@ GpHyperparameters FitHyperparameters(const std::vector<GpData>& data,
   options.gradient_tolerance = 1e-5;
   ceres::GradientProblemSolver::Summary summary;
   ceres::Solve(options, problem, x.data(), &summary);
-  return {std::exp(x[0]), std::exp(x[1]), std::exp(x[2])};
+  return FromLogs(x);
 }
 
 }  // namespace imu_pose_calib

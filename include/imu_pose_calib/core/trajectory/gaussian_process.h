@@ -21,6 +21,16 @@ struct GpData {
   Eigen::VectorXd noise_scale = Eigen::VectorXd();
 };
 
+/// Uniform grid of Gaussian bumps exp(-(t - c_j)^2 / l^2), c_j = first + j Spacing().
+struct BumpGrid {
+  double lengthscale, first;  ///< [s]
+  int size;
+
+  double Spacing() const;
+  /// First of the bumps around t, of which there are always as many.
+  int FirstBump(double t) const;
+};
+
 /// Gaussian process regression with one 1-D input and D independent outputs that share their
 /// hyperparameters, at a cost linear in duration (doc/math.md, "Windowed GP").
 ///
@@ -54,15 +64,14 @@ class WindowedGp {
 
  private:
   struct Window {
-    double first_center;         ///< [s] centre of the bump of row 0
+    BumpGrid grid;               ///< of those bumps that matter in the core
     Eigen::MatrixXd weights;     ///< bumps x D
     Eigen::MatrixXd covariance;  ///< of the weights of one output, see VarianceOf()
   };
   const Window& At(double t) const;
-  Window Fit(const GpData& data, size_t window) const;
+  Window Fit(const GpData& data, const GpHyperparameters& hyperparameters, bool with_variance,
+             size_t window) const;
 
-  GpHyperparameters hyperparameters_;
-  bool with_variance_;
   double begin_, end_, core_;
   std::vector<Window> windows_;
 };
