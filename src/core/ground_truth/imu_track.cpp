@@ -398,9 +398,8 @@ std::optional<ImuState> ImuTrack::At(double t) const {
                                    ? trajectory_.Imu(imu_, t)
                                    : std::nullopt) {
     state = ImuState::Of(*body, t);
-    const auto C = clock_ == TrackClock::kImu ? trajectory_.ImuCovarianceOnItsClock(imu_, t)
-                                              : trajectory_.ImuCovariance(imu_, t);
-    if (C) state.covariance = C->topLeftCorner<12, 12>();
+    if (const auto C = trajectory_.ImuCovariance(imu_, t, clock_ == TrackClock::kImu))
+      state.covariance = C->topLeftCorner<12, 12>();
   } else {
     return std::nullopt;
   }

@@ -179,8 +179,8 @@ SessionTrajectory::SessionTrajectory(const std::shared_ptr<const Solution>& solu
                                      const std::shared_ptr<const TrajectoryCovariance>& covariance)
     : solution_(solution), session_(session), covariance_(covariance) {}
 
-std::optional<BodyState> SessionTrajectory::Evaluate(const Rigid3& T_MB, double t,
-                                                     StateJacobian* J) const {
+std::optional<BodyState> SessionTrajectory::Body(const Rigid3& T_MB, double t,
+                                                 StateJacobian* J) const {
   MarkerState<double> gp;
   const PoseTrajectory& trajectory = *solution_->trajectories[session_];
   if (!trajectory.Evaluate(t, &gp)) return std::nullopt;
@@ -235,39 +235,34 @@ std::shared_ptr<const TrajectoryCovariance> SessionTrajectory::covariance() cons
   return covariance_;
 }
 
-std::optional<BodyCovariance> SessionTrajectory::CovarianceOf(int imu, bool is_on_its_clock,
-                                                              double t, const Rigid3& T_MB) const {
-  if (solution_->splines.empty()) return std::nullopt;
+std::optional<BodyCovariance> SessionTrajectory::MarkerCovariance(double t,
+                                                                  const Rigid3& T_MB) const {
   StateJacobian J;
-  const auto state = imu < 0 ? Evaluate(T_MB, t, &J) : Imu(static_cast<size_t>(imu), t, &J);
-  if (!state) return std::nullopt;
+  if (solution_->splines.empty() || !Body(T_MB, t, &J)) return std::nullopt;
+  const auto own = covariance();
   const size_t first = solution_->splines[session_].Locate(t)->first;
-  const ImuSessionEstimate* const clock =
-      imu < 0 ? nullptr : &solution_->estimate.sessions[session_].imus[static_cast<size_t>(imu)];
-  const double t_imu = clock == nullptr ? t : clock->ImuTime(t);
-  const size_t knot =
-      clock == nullptr || clock->walk.IsLine() ? 0 : clock->walk.Locate(t_imu).first;
-  if (!last_inputs_ || last_inputs_->first != first || last_inputs_->imu != imu ||
-      last_inputs_->clock_knot != knot) {
-    const auto own = covariance();
-    TrajectoryCovariance::Columns columns = own->ControlPoints(session_, first);
-    const auto i = static_cast<size_t>(imu);
-    if (imu >= 0)
-      columns = TrajectoryCovariance::Joined(
-          {columns, own->Calibrated(ParameterKind::kTranslation, i, 3),
-           own->Calibrated(ParameterKind::kRotation, i, 3), own->Clock(session_, i, t_imu)});
-    last_inputs_ = Inputs{first, knot, imu, own->At(columns)};
-  }
-  const Eigen::MatrixXd& C = last_inputs_->C;
-  if (imu < 0) return BodyCovariance(Propagate(J.leftCols(C.cols()), C));
+  return BodyCovariance(
+      Propagate(J.leftCols<2 * kPoints>(), own->At(own->ControlPoints(session_, first))));
+}
+
+std::optional<BodyCovariance> SessionTrajectory::ImuCovariance(size_t imu, double t,
+                                                               bool is_on_its_clock) const {
+  StateJacobian J;
+  if (solution_->splines.empty()) return std::nullopt;
+  const auto state = Imu(imu, t, &J);
+  if (!state) return std::nullopt;
+  const ImuSessionEstimate& clock = solution_->estimate.sessions[session_].imus[imu];
+  const double t_imu = clock.ImuTime(t);
+  Eigen::Matrix<double, 18, 1> rate = Eigen::Matrix<double, 18, 1>::Zero();
+  if (is_on_its_clock) rate.head<12>() << state->omega_B, state->v_W, state->alpha_B, state->a_W;
   Eigen::Matrix<double, 18, kInputs + 4> with_clock;
-  with_clock << J, Eigen::Matrix<double, 18, 4>::Zero();
-  if (is_on_its_clock) {
-    Eigen::Matrix<double, 18, 1> rate = Eigen::Matrix<double, 18, 1>::Zero();
-    rate.head<12>() << state->omega_B, state->v_W, state->alpha_B, state->a_W;
-    with_clock.rightCols<4>() = rate * ByClock(*clock, t_imu);
-  }
-  return BodyCovariance(Propagate(with_clock, C));
+  with_clock << J, rate * ByClock(clock, t_imu);
+  const auto own = covariance();
+  const size_t first = solution_->splines[session_].Locate(t)->first;
+  const auto columns = TrajectoryCovariance::Joined(
+      {own->ControlPoints(session_, first), own->Calibrated(ParameterKind::kTranslation, imu, 3),
+       own->Calibrated(ParameterKind::kRotation, imu, 3), own->Clock(session_, imu, t_imu)});
+  return BodyCovariance(Propagate(with_clock, own->At(columns)));
 }
 
 double SessionTrajectory::ClockVariance(size_t imu, double t) const {
@@ -281,7 +276,7 @@ double SessionTrajectory::ClockVariance(size_t imu, double t) const {
 
 std::optional<BodyState> SessionTrajectory::Imu(size_t imu, double t, StateJacobian* J) const {
   const ImuEstimate& rig = solution_->estimate.imus[imu];
-  return Evaluate({rig.q_MI, rig.p_MI}, t, J);
+  return Body({rig.q_MI, rig.p_MI}, t, J);
 }
 
 ImuBiases SessionTrajectory::Biases(size_t imu, double t) const {

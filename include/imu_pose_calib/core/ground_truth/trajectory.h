@@ -82,13 +82,10 @@ class SessionTrajectory {
   /// Derivative of BodyState, in the order of BodyCovariance, by the coordinates of the control
   /// points of d and phi that act at t, p_MB, and the rotation of R_MB on the left by twice a step.
   using StateJacobian = Eigen::Matrix<double, 18, 6 * kSplineOrder + 6>;
-  /// Motion at t [s], and its derivative unless `J` is null; nothing where poses or IMUs have a
-  /// gap.
-  std::optional<BodyState> Marker(double t) const { return Evaluate({}, t, nullptr); }
-  /// The same of another frame on the body.
-  std::optional<BodyState> Body(const Rigid3& T_MB, double t) const {
-    return Evaluate(T_MB, t, nullptr);
-  }
+  /// Motion of a frame on the body at t [s], and its derivative unless `J` is null; nothing where
+  /// poses or IMUs have a gap.
+  std::optional<BodyState> Body(const Rigid3& T_MB, double t, StateJacobian* J = nullptr) const;
+  std::optional<BodyState> Marker(double t) const { return Body({}, t); }
   std::optional<BodyState> Imu(size_t imu, double t, StateJacobian* J = nullptr) const;
   /// Where the clock of the IMU shows the time that goes with t; the session must have that IMU.
   ImuBiases Biases(size_t imu, double t) const;
@@ -96,17 +93,11 @@ class SessionTrajectory {
   /// By the model's noise, calibration included; nothing where there is no motion, and with method
   /// `gp`. The first call takes about as long as a pass of the solve. `T_MB`: of a frame whose
   /// place is known.
-  std::optional<BodyCovariance> MarkerCovariance(double t, const Rigid3& T_MB = {}) const {
-    return CovarianceOf(-1, false, t, T_MB);
-  }
-  std::optional<BodyCovariance> ImuCovariance(size_t imu, double t) const {
-    return CovarianceOf(static_cast<int>(imu), false, t);
-  }
-  /// The same where the clock of the IMU shows the time that goes with t: errors of the clock count
-  /// too, except in accelerations.
-  std::optional<BodyCovariance> ImuCovarianceOnItsClock(size_t imu, double t) const {
-    return CovarianceOf(static_cast<int>(imu), true, t);
-  }
+  std::optional<BodyCovariance> MarkerCovariance(double t, const Rigid3& T_MB = {}) const;
+  /// `is_on_its_clock`: where the clock of the IMU shows the time that goes with t, and errors of
+  /// the clock count too, except in accelerations.
+  std::optional<BodyCovariance> ImuCovariance(size_t imu, double t,
+                                              bool is_on_its_clock = false) const;
   /// Variance of the instant t that goes with a time on the clock of the IMU [s^2]; 0 with `gp`.
   double ClockVariance(size_t imu, double t) const;
   /// Of gyroscope and accelerometer, 3 each, also where the motion has a gap.
@@ -115,21 +106,9 @@ class SessionTrajectory {
   std::shared_ptr<const TrajectoryCovariance> covariance() const;
 
  private:
-  std::optional<BodyState> Evaluate(const Rigid3& T_MB, double t, StateJacobian* J) const;
-  /// Of an IMU, or of T_MB for -1.
-  std::optional<BodyCovariance> CovarianceOf(int imu, bool is_on_its_clock, double t,
-                                             const Rigid3& T_MB = {}) const;
-
   std::shared_ptr<const Solution> solution_;
   size_t session_;
   mutable std::shared_ptr<const TrajectoryCovariance> covariance_;
-  /// Of the control points from `first` on and an IMU: samples come in order.
-  struct Inputs {
-    size_t first, clock_knot;
-    int imu;
-    Eigen::MatrixXd C;
-  };
-  mutable std::optional<Inputs> last_inputs_;
 };
 
 }  // namespace imu_pose_calib
