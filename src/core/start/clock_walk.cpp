@@ -61,11 +61,6 @@ struct Walk {
   std::vector<double> error2;      ///< the local offsets' errors, in usual variances
 };
 
-struct Comparison {
-  RateAlignment alignment;
-  std::vector<Sample> samples;
-};
-
 /// [rad/s^2] of the sample's time.
 Eigen::Vector3d Growth(const std::vector<TimedSample>& gyro, size_t sample) {
   size_t begin = sample, end = sample;
@@ -74,8 +69,10 @@ Eigen::Vector3d Growth(const std::vector<TimedSample>& gyro, size_t sample) {
   return (gyro[end].value - gyro[begin].value) / (gyro[end].t - gyro[begin].t);
 }
 
-Comparison Compare(const PoseTrajectory& trajectory, const std::vector<TimedSample>& gyro,
-                   const ClockLine& line, const ClockWalk& walk) {
+/// Every sample that the clock puts on the trajectory, about kRate, and how the rates align there.
+std::vector<Sample> Compare(const PoseTrajectory& trajectory, const std::vector<TimedSample>& gyro,
+                            const ClockLine& line, const ClockWalk& walk,
+                            RateAlignment* alignment) {
   const double duration = gyro.back().t - gyro.front().t;
   const size_t stride =
       std::max<size_t>(1, static_cast<size_t>(static_cast<double>(gyro.size()) / duration / kRate));
@@ -88,12 +85,9 @@ Comparison Compare(const PoseTrajectory& trajectory, const std::vector<TimedSamp
     pairs.push_back({t_M, marker.omega_M, gyro[i].value});
     samples.push_back({gyro[i].t, Eigen::Vector3d::Zero(), Growth(gyro, i), gyro[i].value});
   }
-  Comparison compared;
-  if (pairs.size() < 3) return compared;
-  compared.alignment = AlignRates(pairs);
-  for (size_t i = 0; i < pairs.size(); ++i) samples[i].r = compared.alignment.Residual(pairs[i]);
-  compared.samples = std::move(samples);
-  return compared;
+  *alignment = AlignRates(pairs);
+  for (size_t i = 0; i < pairs.size(); ++i) samples[i].r = alignment->Residual(pairs[i]);
+  return samples;
 }
 
 /// Around each knot least squares for the offset, beside errors of the rates that last as long: of
@@ -137,74 +131,57 @@ LocalOffsets FindLocal(const std::vector<Sample>& samples, const ClockWalk& walk
   return local;
 }
 
-/// States of the knots: offset and drift.
-struct Filtered {
-  Eigen::Matrix2d F = Eigen::Matrix2d::Identity();  ///< from one knot to the next
-  std::vector<Eigen::Vector2d> x, predicted_x;
-  std::vector<Eigen::Matrix2d> P, predicted_P;
-  double sum = 0.0, log_variance = 0.0, count = 0.0;  ///< of the innovations
-};
-
-/// Kalman filter.
-Filtered Filter(const LocalOffsets& local, const Tails& tails, double density2) {
-  Filtered f;
-  f.F(0, 1) = kInterval;
-  for (size_t k = 0; k < local.z.size(); ++k) {
-    Eigen::Vector2d x = Eigen::Vector2d::Zero();
-    Eigen::Matrix2d P = Eigen::Vector2d(kUnknown * kUnknown, kDrift * kDrift).asDiagonal();
-    if (k > 0) {
-      x = f.F * f.x.back();
-      P = f.F * f.P.back() * f.F.transpose();
-      P(0, 0) += density2 * kInterval * tails.increments[k - 1];
-    }
-    f.predicted_x.push_back(x);
-    f.predicted_P.push_back(P);
-    if (std::isfinite(local.variance[k])) {
-      const double innovation = local.z[k] - x[0];
-      const double variance = P(0, 0) + local.variance[k] * tails.offsets[k];
-      if (variance < 0.1 * kUnknown * kUnknown) {
-        f.sum += innovation * innovation / variance;
-        f.log_variance += std::log(variance);
-        f.count += 1.0;
-      }
-      const Eigen::Vector2d gain = P.col(0) / variance;
-      x += gain * innovation;
-      P -= gain * gain.transpose() * variance;
-    }
-    f.x.push_back(x);
-    f.P.push_back(P);
-  }
-  return f;
-}
-
-/// Kalman filter and Rauch-Tung-Striebel smoother.
+/// Kalman filter of (offset, drift) at the knots, and Rauch-Tung-Striebel smoother.
 Walk Smooth(const LocalOffsets& local, const Tails& tails, double density2) {
-  Filtered f = Filter(local, tails, density2);
+  const size_t n = local.z.size();
+  Eigen::Matrix2d F = Eigen::Matrix2d::Identity();  // from one knot to the next
+  F(0, 1) = kInterval;
+  std::vector<Eigen::Vector2d> x(n, Eigen::Vector2d::Zero()), predicted_x = x;
+  std::vector<Eigen::Matrix2d> P(n), predicted_P(n);
+  P[0] = Eigen::Vector2d(kUnknown * kUnknown, kDrift * kDrift).asDiagonal();
+  double sum = 0.0, log_variance = 0.0, count = 0.0;  // of the innovations
+  for (size_t k = 0; k < n; ++k) {
+    if (k > 0) {
+      x[k] = F * x[k - 1];
+      P[k] = F * P[k - 1] * F.transpose();
+      P[k](0, 0) += density2 * kInterval * tails.increments[k - 1];
+    }
+    predicted_x[k] = x[k];
+    predicted_P[k] = P[k];
+    if (!std::isfinite(local.variance[k])) continue;
+    const double innovation = local.z[k] - x[k][0];
+    const double variance = P[k](0, 0) + local.variance[k] * tails.offsets[k];
+    if (variance < 0.1 * kUnknown * kUnknown) {
+      sum += innovation * innovation / variance;
+      log_variance += std::log(variance);
+      count += 1.0;
+    }
+    const Eigen::Vector2d gain = P[k].col(0) / variance;
+    x[k] += gain * innovation;
+    P[k] -= gain * gain.transpose() * variance;
+  }
   Walk walk;
   walk.density2 = density2;
-  if (f.count < 1.0) return walk;
-  walk.scale2 = f.sum / f.count;
-  walk.log_likelihood = -0.5 * (f.count * std::log(walk.scale2) + f.log_variance);
-  const size_t n = local.z.size();
+  if (count < 1.0) return walk;
+  walk.scale2 = sum / count;
+  walk.log_likelihood = -0.5 * (count * std::log(walk.scale2) + log_variance);
   walk.offset.resize(n);
   walk.increment2.resize(n - 1);
   walk.error2.assign(n, 1.0);
   for (size_t k = n; k-- > 0;) {
-    Eigen::Vector2d& x = f.x[k];
-    Eigen::Matrix2d& P = f.P[k];
     if (k + 1 < n) {
-      const Eigen::Matrix2d gain = P * f.F.transpose() * f.predicted_P[k + 1].inverse();
-      const Eigen::Matrix2d& after = f.P[k + 1];
-      x += gain * (f.x[k + 1] - f.predicted_x[k + 1]);
-      P += gain * (after - f.predicted_P[k + 1]) * gain.transpose();
-      const double increment = f.x[k + 1][0] - x[0] - kInterval * x[1];
-      const double variance = after(0, 0) + P(0, 0) - 2.0 * (gain * after)(0, 0);
+      const Eigen::Matrix2d gain = P[k] * F.transpose() * predicted_P[k + 1].inverse();
+      x[k] += gain * (x[k + 1] - predicted_x[k + 1]);
+      P[k] += gain * (P[k + 1] - predicted_P[k + 1]) * gain.transpose();
+      const double increment = x[k + 1][0] - x[k][0] - kInterval * x[k][1];
+      const double variance = P[k + 1](0, 0) + P[k](0, 0) - 2.0 * (gain * P[k + 1])(0, 0);
       walk.increment2[k] =
           (increment * increment / walk.scale2 + std::max(0.0, variance)) / (density2 * kInterval);
     }
-    walk.offset[k] = x[0];
+    walk.offset[k] = x[k][0];
     if (!std::isfinite(local.variance[k])) continue;
-    walk.error2[k] = (std::pow(local.z[k] - x[0], 2) / walk.scale2 + P(0, 0)) / local.variance[k];
+    walk.error2[k] =
+        (std::pow(local.z[k] - x[k][0], 2) / walk.scale2 + P[k](0, 0)) / local.variance[k];
   }
   return walk;
 }
@@ -333,10 +310,9 @@ ClockWalk FitClockWalk(const PoseTrajectory& trajectory, const std::vector<Timed
   Tails tails{std::vector<double>(count - 1, 1.0), std::vector<double>(count, 1.0)};
   Tails of_line = tails;
   Walk found;
-  Comparison compared;
+  RateAlignment alignment;
   for (int round = 0; round < kRounds; ++round) {
-    compared = Compare(trajectory, gyro, *line, walk);
-    const LocalOffsets local = FindLocal(compared.samples, walk);
+    const LocalOffsets local = FindLocal(Compare(trajectory, gyro, *line, walk, &alignment), walk);
     found = FindWalk(local, densities, &tails);
     if (found.offset.empty()) return {};
     if (round == 0 &&
@@ -346,7 +322,7 @@ ClockWalk FitClockWalk(const PoseTrajectory& trajectory, const std::vector<Timed
   }
   const double usual = std::sqrt(found.scale2 * found.density2 * kInterval);
   for (size_t k = 0; k + 1 < count; ++k) walk.std.push_back(usual * std::sqrt(tails.increments[k]));
-  CutAtSteps(trajectory, gyro, *line, compared.alignment, tails.increments, usual, &walk);
+  CutAtSteps(trajectory, gyro, *line, alignment, tails.increments, usual, &walk);
   const double shift = walk.offset[walk.reference];
   for (double& offset : walk.offset) offset -= shift;
   line->time_shift += shift;
