@@ -88,36 +88,26 @@ struct RotationAgreement {
 };
 
 RotationAgreement Judge(const std::vector<SegmentRates>& segments, const RateAlignment& alignment) {
-  RotationAgreement result;
-  result.cost = 0.0;
-  double unexplained = 0.0, moved = 1e-12, count = 0.0;  // of those that it explains
-  std::vector<double> residuals, motions;
-  for (const SegmentRates& pairs : segments) {
-    double residual = 0.0, motion = 0.0;
-    for (const RatePair& pair : pairs) {
-      residual += alignment.Residual(pair).squaredNorm();
-      motion += (pair.gyro_I - alignment.gyro_bias).squaredNorm();
+  const auto size = static_cast<Eigen::Index>(segments.size());
+  Eigen::ArrayXd residual = Eigen::ArrayXd::Zero(size), motion = residual, count = residual;
+  for (Eigen::Index k = 0; k < size; ++k) {
+    for (const RatePair& pair : segments[static_cast<size_t>(k)]) {
+      residual[k] += alignment.Residual(pair).squaredNorm();
+      motion[k] += (pair.gyro_I - alignment.gyro_bias).squaredNorm();
+      count[k] += 1.0;
     }
-    result.cost += std::min(residual, kFlipped * motion);
-    residuals.push_back(residual);
-    motions.push_back(motion);
-    if (residual > kFlipped * motion) continue;
-    unexplained += residual;
-    moved += motion;
-    count += static_cast<double>(pairs.size());
   }
-  result.explained = 1.0 - unexplained / moved;
-  const double usual = unexplained / std::max(count, 1.0);
-  double agreeing = 0.0, total = 1e-12;
-  for (size_t k = 0; k < segments.size(); ++k) {
-    // Where the marker hardly turns, noise is all there is: nothing can be said.
-    const bool is_noise =
-        residuals[k] < kFlipFactor * usual * static_cast<double>(segments[k].size());
-    result.flipped.push_back(residuals[k] > kFlipped * motions[k] && !is_noise);
-    if (!result.flipped.back()) agreeing += motions[k];
-    total += motions[k];
-  }
-  result.agreeing = agreeing / total;
+  const auto is_explained = residual <= kFlipped * motion;
+  const double unexplained = is_explained.select(residual, 0.0).sum();
+  const double usual = unexplained / std::max(1.0, is_explained.select(count, 0.0).sum());
+  // Where the marker hardly turns, noise is all there is: nothing can be said.
+  const auto is_noise = residual < kFlipFactor * usual * count;
+  const auto agrees = is_explained || is_noise;
+  RotationAgreement result;
+  for (Eigen::Index k = 0; k < size; ++k) result.flipped.push_back(!agrees[k]);
+  result.agreeing = agrees.select(motion, 0.0).sum() / (motion.sum() + 1e-12);
+  result.explained = 1.0 - unexplained / (is_explained.select(motion, 0.0).sum() + 1e-12);
+  result.cost = residual.min(kFlipped * motion).sum();
   return result;
 }
 
@@ -272,9 +262,8 @@ void FitLeverArm(const PoseTrajectory& trajectory, const std::vector<TimedSample
   };
   if (estimate_delay) {
     const int steps = static_cast<int>(std::round(kDelaySearch / kDelayStep));
-    std::vector<double> delays = {best_delay};
-    for (int k = -steps; k <= steps; ++k)
-      if (k != 0) delays.push_back(start->accel_delay + k * kDelayStep);
+    std::vector<double> delays;
+    for (int k = -steps; k <= steps; ++k) delays.push_back(start->accel_delay + k * kDelayStep);
     attempt(delays);
     for (double step = 0.5 * kDelayStep; step > kDelayResolution; step *= 0.5)
       attempt({best_delay - step, best_delay + step});
@@ -302,7 +291,15 @@ Start Initialise(const CalibrationOptions& options, const PoseTrajectory& trajec
   start.q_MI = options.estimate_rotation ? best.q_MI : options.initial_rotation->normalized();
   start.gyro_bias = best.gyro_bias;
   start.accel_delay = options.accel_delay;
-  FitLeverArm(trajectory, samples.accel, options.GravityMagnitude(), options.estimate_accel_delay,
+  if (options.method == Method::kJoint && options.estimate_clock_walk &&
+      options.estimate_time_shift) {
+    ClockLine line{start.time_shift, 0.0, samples.MiddleOfGyro()};
+    start.walk = FitClockWalk(trajectory, samples.gyro, &line);
+    start.time_shift = line.time_shift;
+  }
+  std::vector<TimedSample> accel = samples.accel;
+  for (TimedSample& s : accel) s.t += start.walk.At(s.t);
+  FitLeverArm(trajectory, accel, options.GravityMagnitude(), options.estimate_accel_delay,
               options.Threads(), &start);
   if (!options.estimate_translation) start.p_MI = *options.initial_translation;
   if (options.initial_gravity) start.g_W = *options.initial_gravity;

@@ -26,22 +26,6 @@ Start StartOf(CalibrationOptions options, const PreparedSession& session, size_t
   }
 }
 
-/// What the clock does beyond its line, and the lever arm's start with it.
-void FindWalk(const CalibrationOptions& options, const ConditionedImu& imu,
-              const PoseTrajectory& trajectory, Start* start) {
-  ClockLine line{start->time_shift, 0.0, imu.MiddleOfGyro()};
-  start->walk = FitClockWalk(trajectory, imu.gyro, &line);
-  if (start->walk.IsLine()) return;
-  start->time_shift = line.time_shift;
-  std::vector<TimedSample> accel = imu.accel;
-  for (TimedSample& s : accel) s.t += start->walk.At(s.t);
-  const Eigen::Vector3d g_W = start->g_W, p_MI = start->p_MI;
-  FitLeverArm(trajectory, accel, options.GravityMagnitude(), options.estimate_accel_delay,
-              options.Threads(), start);
-  if (!options.estimate_translation) start->p_MI = p_MI;
-  if (options.initial_gravity) start->g_W = g_W;
-}
-
 }  // namespace
 
 void CheckSingle(const CalibrationOptions& options, size_t imus, size_t sessions) {
@@ -76,11 +60,8 @@ PreparedSession Prepare(const CalibrationOptions& options, const SessionData& re
   for (size_t i = 0; i < prepared.data.imus.size(); ++i) {
     const bool is_present = prepared.data.imus[i].IsPresent();
     prepared.starts.push_back(is_present ? StartOf(options, prepared, i) : Start());
-    if (!is_present) continue;
-    CheckMatch(options, prepared.data, *prepared.trajectory, prepared.starts[i], i, check);
-    if (options.method == Method::kJoint && options.estimate_clock_walk &&
-        options.estimate_time_shift)
-      FindWalk(options, prepared.data.imus[i], *prepared.trajectory, &prepared.starts[i]);
+    if (is_present)
+      CheckMatch(options, prepared.data, *prepared.trajectory, prepared.starts[i], i, check);
   }
   return prepared;
 }
