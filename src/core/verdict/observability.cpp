@@ -21,12 +21,6 @@ constexpr double kDegenerateFactor = 10.0;  // times the weak threshold
 constexpr double kCorrelated = 3.0;      // clusters' sigma over the model's
 constexpr double kNotableDelay = 10e-3;  // [s]
 
-/// " of imu1", " of imu1 in session 2" (the first is 1), or less when there is only one.
-std::string Of(const Parameter& p, const Calibration& result, bool in_session) {
-  return OfImu(p.imu, result.imus.size()) +
-         (in_session ? OfSession(p.session, result.sessions.size()) : "");
-}
-
 double WeakThreshold(const CalibrationOptions& options, const std::string& unit) {
   if (unit == "m") return options.weak_translation_std;
   if (unit == "rad") return options.weak_rotation_std;
@@ -41,7 +35,9 @@ std::vector<Observability> Spectrum(const Marginals& marginals, const Eigen::Mat
     const int k = p.place;
     const ParameterKind kind = p.parameter.kind;
     if (!(C(k, k) > 0.0)) continue;
-    const std::string of = Of(p.parameter, result, kind == ParameterKind::kTimeShift);
+    std::string of = OfImu(p.parameter.imu, result.imus.size());
+    if (kind == ParameterKind::kTimeShift)
+      of += OfSession(p.parameter.session, result.sessions.size());
     const auto add_time = [&](const char* name) {
       spectrum.push_back({name + of, std::sqrt(C(k, k)), "s", Status::kNotRun});
     };
@@ -55,14 +51,13 @@ std::vector<Observability> Spectrum(const Marginals& marginals, const Eigen::Mat
   return spectrum;
 }
 
-bool IsKey(ParameterKind kind) { return kind <= ParameterKind::kAccelDelay; }
-
-/// Largest factor by which the clusters' sigma exceeds the model's.
+/// Largest factor by which the clusters' sigma exceeds the model's, of what the verdict rests on.
 double Correlation(const Marginals& m) {
   double ratio = 0.0;
   for (const PlacedParameter& p : m.parameters)
-    for (int i = p.place; IsKey(p.parameter.kind) && i < p.place + p.parameter.size; ++i)
-      if (m.model(i, i) > 0.0) ratio = std::max(ratio, std::sqrt(m.robust(i, i) / m.model(i, i)));
+    for (int i = p.place; i < p.place + p.parameter.size; ++i)
+      if (p.parameter.kind <= ParameterKind::kAccelDelay && m.model(i, i) > 0.0)
+        ratio = std::max(ratio, std::sqrt(m.robust(i, i) / m.model(i, i)));
   return ratio;
 }
 
@@ -102,23 +97,16 @@ void ReportParameter(const PlacedParameter& p, const Eigen::MatrixXd& C, Calibra
     imu.accel_positions_std = AccelPositions(Vector6d(std_dev)).cwiseAbs();
 }
 
-/// Rows of (p_MI, R_MI) of each IMU in C; zero rows for what is not estimated.
-Eigen::MatrixXd PoseRows(const Marginals& marginals, size_t imus) {
-  Eigen::MatrixXd S =
-      Eigen::MatrixXd::Zero(6 * static_cast<Eigen::Index>(imus), marginals.model.rows());
-  for (size_t i = 0; i < imus; ++i) {
-    const auto row = 6 * static_cast<Eigen::Index>(i);
-    const int p = marginals.Find(ParameterKind::kTranslation, i);
-    const int R = marginals.Find(ParameterKind::kRotation, i);
-    if (p >= 0) S.block<3, 3>(row, p).setIdentity();
-    if (R >= 0) S.block<3, 3>(row + 3, R).setIdentity();
-  }
-  return S;
-}
-
 /// Covariance of each T_MI, and the transforms between the IMUs with theirs.
 void ReportTransforms(const Eigen::MatrixXd& C, const Marginals& marginals, Calibration* result) {
-  const Eigen::MatrixXd S = PoseRows(marginals, result->imus.size());
+  // Rows of (p_MI, R_MI) of each IMU; zero rows for what is not estimated.
+  Eigen::MatrixXd S = Eigen::MatrixXd::Zero(6 * static_cast<Eigen::Index>(result->imus.size()),
+                                            marginals.model.rows());
+  for (const PlacedParameter& p : marginals.parameters) {
+    const auto row = 6 * static_cast<Eigen::Index>(p.parameter.imu);
+    if (p.parameter.kind == ParameterKind::kTranslation) S.block<3, 3>(row, p.place).setIdentity();
+    if (p.parameter.kind == ParameterKind::kRotation) S.block<3, 3>(row + 3, p.place).setIdentity();
+  }
   const Eigen::MatrixXd poses = Propagate(S, C);
   const Eigen::MatrixXd model = Propagate(S, marginals.model);
   const Rigid3& first = result->imus[0].T_MI;
