@@ -18,14 +18,18 @@ using Jet = ceres::Jet<double, kInputs>;
 template <typename T>
 using Vector3 = Eigen::Matrix<T, 3, 1>;
 
+/// Control points that act at one instant: of d, then of phi.
+template <typename T>
+using ActingPoints = Eigen::Matrix<T, 3, 2 * kSplineOrder>;
+
 /// State of B on M where the splines of the control points correct the GP's motion.
 template <typename T>
 BodyStateOf<T> CorrectedState(const MarkerState<double>& gp, const SplineWeights& weights,
-                              T const* const* d_points, T const* const* phi_points,
-                              const Eigen::Quaternion<T>& q_MB, const Vector3<T>& p_MB) {
-  const Eigen::Matrix<T, 3, 4> d = EvaluateSpline<T>(d_points, weights);
-  const Eigen::Matrix<T, 3, 4> phi = EvaluateSpline<T>(phi_points, weights);
-  const MarkerState<T> M = Corrected<T>(gp, d, phi);
+                              const ActingPoints<T>& points, const Eigen::Quaternion<T>& q_MB,
+                              const Vector3<T>& p_MB) {
+  const Eigen::Matrix<T, kSplineOrder, 4> W = weights.transpose().cast<T>();
+  const MarkerState<T> M = Corrected<T>(gp, points.template leftCols<kSplineOrder>() * W,
+                                        points.template rightCols<kSplineOrder>() * W);
   return {
       M.q_WM * q_MB,
       M.p_WM + M.q_WM * p_MB,
@@ -187,41 +191,32 @@ std::optional<BodyState> SessionTrajectory::Body(const Rigid3& T_MB, double t,
   const Estimate& estimate = solution_->estimate;
   gp = Sharpened(trajectory, t, estimate.gyro_smoothing,
                  estimate.gyro_smoothing + estimate.accel_smoothing, gp);
-  // Without splines, zero corrections.
+  ActingPoints<double> points = ActingPoints<double>::Zero();  // as they are without splines
   SplinePlace place{0, 0.0, 1.0};
-  const Eigen::Vector3d zero = Eigen::Vector3d::Zero();
-  const double *d[kSplineOrder], *phi[kSplineOrder];
-  std::fill(d, d + kSplineOrder, zero.data());
-  std::fill(phi, phi + kSplineOrder, zero.data());
   if (!solution_->splines.empty()) {
     const CorrectionSplines& splines = solution_->splines[session_];
     const auto found = splines.Locate(t);
     if (!found) return std::nullopt;
     place = *found;
     for (size_t j = 0; j < kSplineOrder; ++j) {
-      d[j] = splines.d[place.first + j].data();
-      phi[j] = splines.phi[place.first + j].data();
+      points.col(static_cast<int>(j)) = splines.d[place.first + j];
+      points.col(static_cast<int>(j) + kSplineOrder) = splines.phi[place.first + j];
     }
   }
   const SplineWeights weights = CubicWeights(place.u, place.spacing);
-  const BodyState state = CorrectedState<double>(gp, weights, d, phi, T_MB.q, T_MB.p);
+  const BodyState state = CorrectedState<double>(gp, weights, points, T_MB.q, T_MB.p);
   if (J == nullptr) return state;
 
-  Vector3<Jet> jets[2 * kSplineOrder], p_MB, turn;
-  const Jet* jet_points[2 * kSplineOrder];
-  for (int j = 0; j < 2 * kSplineOrder; ++j) {
-    for (int i = 0; i < 3; ++i)
-      jets[j][i] = Jet(j < kSplineOrder ? d[j][i] : phi[j - kSplineOrder][i], 3 * j + i);
-    jet_points[j] = jets[j].data();
-  }
+  ActingPoints<Jet> jet_points;
+  for (int k = 0; k < 2 * kPoints; ++k) jet_points.data()[k] = Jet(points.data()[k], k);
+  Vector3<Jet> p_MB, turn;
   for (int i = 0; i < 3; ++i) {
     p_MB[i] = Jet(T_MB.p[i], 2 * kPoints + i);
     turn[i] = Jet(0.0, 2 * kPoints + 3 + i);
   }
   // As Ceres turns it: on the left and by twice the step.
   const Eigen::Quaternion<Jet> q_MB = Exp<Jet>(Vector3<Jet>(turn * Jet(2.0))) * T_MB.q.cast<Jet>();
-  const BodyStateOf<Jet> jet =
-      CorrectedState<Jet>(gp, weights, jet_points, jet_points + kSplineOrder, q_MB, p_MB);
+  const BodyStateOf<Jet> jet = CorrectedState<Jet>(gp, weights, jet_points, q_MB, p_MB);
   const Eigen::Quaternion<Jet> turned = state.q_WB.conjugate().cast<Jet>() * jet.q_WB;
   const Vector3<Jet> rows[] = {Log(turned), jet.p_WB, jet.omega_B, jet.v_W, jet.alpha_B, jet.a_W};
   for (int k = 0; k < 6; ++k)

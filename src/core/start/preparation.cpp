@@ -8,14 +8,8 @@
 namespace imu_pose_calib {
 namespace {
 
-/// S2 of one IMU; initial values are those of the first. What it throws names the IMU when there
-/// are several.
-Start StartOf(CalibrationOptions options, const PreparedSession& session, size_t imu) {
-  if (imu > 0) {
-    options.initial_time_shift.reset();
-    options.initial_rotation.reset();
-    options.initial_translation.reset();
-  }
+/// S2 of one IMU. What it throws names the IMU when there are several.
+Start StartOf(const CalibrationOptions& options, const PreparedSession& session, size_t imu) {
   const std::string of = OfImu(imu, session.data.imus.size());
   try {
     return Initialise(options, *session.trajectory, session.data, imu);
