@@ -15,7 +15,6 @@ using Eigen::Matrix3d;
 using Eigen::MatrixXd;
 using Eigen::Vector3d;
 
-constexpr double kTrimStep = 1e-4;  // [s] at the ends of runs
 /// Samples further apart are not interpolated between.
 constexpr double kMaxPeriods = 2.5;
 /// Of the squared distance of both ways in sigma, 9 degrees of freedom: by chance once in 1e7.
@@ -31,12 +30,16 @@ constexpr int kGyroBias = kGravity + 3;
 constexpr int kAccelBias = kGyroBias + 3;
 constexpr int kConstants = kAccelBias + 3;
 
-/// One end of a run: covariance of rotation, position and velocity of the IMU there (9 x 9), of
-/// both it and the constants (9 x kConstants), and of these. Matrices have no sizes at compile
-/// time: half a minute of that for what takes milliseconds.
+/// One end of a run: covariance of rotation, position and velocity of the IMU there (9), and of the
+/// constants. Matrices have no sizes at compile time: half a minute of that for what takes
+/// milliseconds.
 struct RunEnd {
   BodyState state;
-  MatrixXd own, cross, constants;
+  MatrixXd covariance;
+
+  auto own() const { return covariance.topLeftCorner(9, 9); }
+  auto cross() const { return covariance.topRightCorner(9, kConstants); }
+  auto constants() const { return covariance.bottomRightCorner(kConstants, kConstants); }
 };
 
 RunEnd FindRunEnd(const Solution& solution, const SessionTrajectory& trajectory, size_t session,
@@ -69,10 +72,7 @@ RunEnd FindRunEnd(const Solution& solution, const SessionTrajectory& trajectory,
   };
   knots(kGyroBias, kGyroBias, gyro_u);
   knots(kAccelBias, kGyroBias + 6, accel_u);
-  const MatrixXd C = Propagate(A, covariance.At(columns));
-  end.own = C.topLeftCorner(9, 9);
-  end.cross = C.topRightCorner(9, kConstants);
-  end.constants = C.bottomRightCorner(kConstants, kConstants);
+  end.covariance = Propagate(A, covariance.At(columns));
   return end;
 }
 
@@ -80,10 +80,10 @@ RunEnd FindRunEnd(const Solution& solution, const SessionTrajectory& trajectory,
 MatrixXd Regression(const RunEnd& end) {
   Eigen::VectorXd inverse_std(kConstants);
   for (int i = 0; i < kConstants; ++i)
-    inverse_std[i] = end.constants(i, i) > 0.0 ? 1.0 / std::sqrt(end.constants(i, i)) : 0.0;
-  MatrixXd correlation = inverse_std.asDiagonal() * end.constants * inverse_std.asDiagonal();
+    inverse_std[i] = end.constants()(i, i) > 0.0 ? 1.0 / std::sqrt(end.constants()(i, i)) : 0.0;
+  MatrixXd correlation = inverse_std.asDiagonal() * end.constants() * inverse_std.asDiagonal();
   for (int i = 0; i < kConstants; ++i) correlation(i, i) = 1.0;
-  const MatrixXd scaled = inverse_std.asDiagonal() * end.cross.transpose();
+  const MatrixXd scaled = inverse_std.asDiagonal() * end.cross().transpose();
   return Solve(correlation, scaled).transpose() * inverse_std.asDiagonal();
 }
 
@@ -250,9 +250,8 @@ std::vector<ImuState> CarryAcrossGap(const Solution& solution, const SessionTraj
   // Apart from the constants, both ends err independently: beyond the constants' part the last
   // state has errors of its own, `rest`.
   const MatrixXd gain = Regression(last);
-  const MatrixXd rest = last.own - Product(gain, last.cross.transpose());
-  MatrixXd P(9 + kConstants, 9 + kConstants);  // of the first state and the constants
-  P << first.own, first.cross, first.cross.transpose(), first.constants;
+  const MatrixXd rest = last.own() - Product(gain, last.cross().transpose());
+  const MatrixXd& P = first.covariance;
   const Carried& there = way.back();
   MatrixXd h = there.by_both;
   h.rightCols(kConstants) -= gain;
@@ -302,19 +301,6 @@ ImuState Interpolate(const ImuState& a, const ImuState& b, double t) {
   return x;
 }
 
-/// The parts of runs in which samples of the IMU tell of the motion: at their very ends, poses
-/// alone leave the velocity undetermined.
-std::vector<CorrectionSplines::Run> TrimmedRuns(const PoseTrajectory& trajectory,
-                                                const CorrectionSplines& splines) {
-  std::vector<CorrectionSplines::Run> runs;
-  for (CorrectionSplines::Run run : splines.Runs()) {
-    while (!IsOnTrajectory(trajectory, run.begin) && run.begin < run.end) run.begin += kTrimStep;
-    while (!IsOnTrajectory(trajectory, run.end) && run.begin < run.end) run.end -= kTrimStep;
-    if (run.begin < run.end) runs.push_back(run);
-  }
-  return runs;
-}
-
 }  // namespace
 
 ImuState ImuState::Of(const BodyState& body, double t) {
@@ -347,8 +333,10 @@ ImuTrack::ImuTrack(const std::shared_ptr<const Solution>& solution, size_t sessi
     if (model.quantity == Quantity::kGyro && model.session == session && model.imu == imu)
       gyro_noise_ = model.noise;
   if (!has_covariance()) return;
-  const std::vector<CorrectionSplines::Run> runs =
-      TrimmedRuns(*solution->trajectories[session], solution->splines[session]);
+  std::vector<CorrectionSplines::Run> runs;  // of which there is a trajectory
+  for (const CorrectionSplines::Run& run : solution->splines[session].Runs())
+    if (IsOnTrajectory(*solution->trajectories[session], 0.5 * (run.begin + run.end)))
+      runs.push_back(run);
   for (size_t k = 0; k + 1 < runs.size(); ++k) {
     gaps_.push_back({runs[k].end, runs[k + 1].begin, {}});
     TrackGap& gap = gaps_.back();
