@@ -353,11 +353,10 @@ std::vector<std::vector<double>> SplitAtPauses(const std::vector<int64_t>& t_ns)
 }  // namespace
 
 std::optional<std::vector<int64_t>> RecoverClock(const std::vector<int64_t>& recorded_ns) {
-  if (recorded_ns.size() < kMinRun) return std::nullopt;
   std::vector<std::vector<double>> runs = SplitAtPauses(recorded_ns);
   const auto longest = std::max_element(
       runs.begin(), runs.end(), [](const auto& a, const auto& b) { return a.size() < b.size(); });
-  if (longest->size() < kMinRun) return std::nullopt;
+  if (longest == runs.end() || longest->size() < kMinRun) return std::nullopt;
   const Period period = FindPeriod(*longest);
   if (period.seconds == 0.0) return std::nullopt;
   size_t recovered = 0;

@@ -160,25 +160,20 @@ std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
   };
 
   std::vector<std::pair<double, ptrdiff_t>> peaks;
-  const auto first = 1 - static_cast<ptrdiff_t>(imu.size());
-  const auto last = static_cast<ptrdiff_t>(marker.size()) - 1;
-  for (ptrdiff_t lag = first; lag <= last; ++lag) {
+  const auto end = static_cast<ptrdiff_t>(marker.size());
+  for (ptrdiff_t lag = 1 - static_cast<ptrdiff_t>(imu.size()); lag < end; ++lag) {
     const double s = score(lag);
-    if (s > 0.0 && (lag == first || s >= score(lag - 1)) && (lag == last || s > score(lag + 1)))
-      peaks.emplace_back(s, lag);
+    if (s > 0.0 && s >= score(lag - 1) && s > score(lag + 1)) peaks.emplace_back(s, lag);
   }
   std::sort(peaks.rbegin(), peaks.rend());
 
   std::vector<double> shifts;
   for (const auto& [evidence, lag] : peaks) {
     if (static_cast<int>(shifts.size()) == count) break;
-    double offset = 0.0;  // vertex of the parabola through the peak and its neighbours
-    if (lag > first && lag < last) {
-      const double a = correlation.At(lag - 1), b = correlation.At(lag),
-                   c = correlation.At(lag + 1);
-      if (2.0 * b - a - c > 1e-12)
-        offset = std::clamp(0.5 * (c - a) / (2.0 * b - a - c), -0.5, 0.5);
-    }
+    // Vertex of the parabola through the peak and its neighbours.
+    const double a = correlation.At(lag - 1), b = correlation.At(lag), c = correlation.At(lag + 1);
+    const double bend = 2.0 * b - a - c;
+    const double offset = bend > 1e-12 ? std::clamp(0.5 * (c - a) / bend, -0.5, 0.5) : 0.0;
     const double candidate = shift(static_cast<double>(lag) + offset);
     const auto is_near = [&](double s) { return std::abs(s - candidate) < kMinPeakDistance; };
     if (std::none_of(shifts.begin(), shifts.end(), is_near)) shifts.push_back(candidate);

@@ -108,7 +108,7 @@ class BandedCholesky {
       const Eigen::Index n = Size(i), next = Size(i + n);
       const auto below = L_.block(i + n, i, next, n);
       Factor(L_.block(i, i, n, n), below);
-      if (next > 0) AddProduct(-1.0, below, below, true, L_.block(i + n, i + n, next, next));
+      AddProduct(-1.0, below, below, true, L_.block(i + n, i + n, next, next));
     }
   }
 
@@ -134,21 +134,19 @@ class BandedCholesky {
   ///   S_below,i = -S_below G,  S_ii = (L_ii L_ii^T)^-1 + G^T S_below G.
   BandMatrix InverseInBand() {
     BandMatrix S(L_.size());
-    Eigen::MatrixXd later;  // S_below
+    Eigen::MatrixXd later(0, 0);  // S_below
     for (Eigen::Index i = LastTile(); i >= 0; i -= kTile) {
       const Eigen::Index n = Size(i), next = Size(i + n);
       Eigen::MatrixXd inverse = Eigen::MatrixXd::Identity(n, n);
       L_.block(i, i, n, n).triangularView<Eigen::Lower>().solveInPlace(inverse);
       const Eigen::MatrixXd inverse_T = inverse.transpose();
       Eigen::MatrixXd own = Eigen::MatrixXd::Zero(n, n);
+      Eigen::MatrixXd G_T = Eigen::MatrixXd::Zero(n, next), below_T = G_T;
       AddProduct(1.0, inverse_T, inverse_T, false, own);
-      if (next > 0) {
-        Eigen::MatrixXd G_T = Eigen::MatrixXd::Zero(n, next), below_T = G_T;
-        AddProduct(1.0, inverse_T, L_.block(i + n, i, next, n), false, G_T);
-        AddProduct(-1.0, G_T, later, false, below_T);
-        AddProduct(-1.0, G_T, below_T, false, own);
-        S.block(i + n, i, next, n) = below_T.transpose();
-      }
+      AddProduct(1.0, inverse_T, L_.block(i + n, i, next, n), false, G_T);
+      AddProduct(-1.0, G_T, later, false, below_T);
+      AddProduct(-1.0, G_T, below_T, false, own);
+      S.block(i + n, i, next, n) = below_T.transpose();
       S.block(i, i, n, n).triangularView<Eigen::Lower>() = own;
       later = std::move(own);
     }
