@@ -297,17 +297,6 @@ double BestQuantile(std::vector<double> latency) {
   return best;
 }
 
-/// Robust mean.
-double Location(const std::vector<double>& values) {
-  const double middle = Median(values);
-  std::vector<double> sizes;
-  for (const double value : values) sizes.push_back(value - middle);
-  const double bound = kHuber * RobustSigma(sizes);
-  double sum = 0.0;
-  for (const double value : sizes) sum += std::clamp(value, -bound, bound);
-  return middle + sum / static_cast<double>(values.size());
-}
-
 /// Whether the missing frames are there: few enough for the jitter, and the stamps later by their
 /// periods all at once. An irregular source is followed by frames that are not.
 bool AreJumpsCredible(const FrameCount& count, const std::vector<double>& latency, double period) {
@@ -332,10 +321,13 @@ bool RecoverRun(Period period, std::vector<double>* t) {
     latency = FitClock(*t, count, period.seconds);
   }
   if (!AreJumpsCredible(count, latency, period.seconds)) return false;
+  const std::vector<double> about_mean = latency;
   const double quantile = BestQuantile(latency);
   if (quantile != 0.0) latency = FitClock(*t, count, period.seconds, quantile);
-  const double mean = Location(latency);
-  for (size_t i = 0; i < t->size(); ++i) (*t)[i] -= latency[i] - mean;
+  double ahead = 0.0;  // of the mean, which the stamps agree with
+  for (size_t i = 0; i < t->size(); ++i)
+    ahead += (latency[i] - about_mean[i]) / static_cast<double>(t->size());
+  for (size_t i = 0; i < t->size(); ++i) (*t)[i] -= latency[i] - ahead;
   return true;
 }
 
