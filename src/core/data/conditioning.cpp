@@ -50,7 +50,6 @@ std::vector<Sample> Clean(const std::string& stream, double max_bad_fraction,
   if (samples.empty()) Throw<DataError>("no ", stream, " samples");
 
   std::vector<Sample> kept;
-  kept.reserve(samples.size());
   const std::vector<StampFault> faults = JudgeStamps(Stamps(samples));
   size_t astray = 0, ahead = 0;
   for (size_t i = 0; i < samples.size(); ++i) {
@@ -226,7 +225,6 @@ double Seconds(int64_t t_ns, int64_t epoch_ns) {
 
 std::vector<TimedSample> ToSeconds(const std::vector<ImuSample>& samples, int64_t epoch_ns) {
   std::vector<TimedSample> timed;
-  timed.reserve(samples.size());
   for (const ImuSample& s : samples)
     timed.push_back({Seconds(s.t_ns, epoch_ns), s.value, {0, 0, 0}});
   return timed;
@@ -235,7 +233,6 @@ std::vector<TimedSample> ToSeconds(const std::vector<ImuSample>& samples, int64_
 /// Unit quaternions, neighbours in the same hemisphere.
 std::vector<TimedPose> ToSeconds(const std::vector<PoseSample>& samples, int64_t epoch_ns) {
   std::vector<TimedPose> timed;
-  timed.reserve(samples.size());
   for (const PoseSample& s : samples) {
     Eigen::Quaterniond q = s.q_WM.normalized();
     if (!timed.empty() && q.dot(timed.back().q_WM) < 0.0) q.coeffs() *= -1.0;

@@ -45,21 +45,17 @@ size_t FindUpdatePeriod(const std::vector<PoseSample>& poses) {
   const double usual = sorted[static_cast<size_t>(kQuantile * static_cast<double>(sorted.size()))];
   const std::vector<size_t> distances = Distances(norms, kJump * usual);
   if (distances.size() < kLeastJumps) return 1;
-  const auto share = [&](const auto& is_counted) {
-    return static_cast<double>(std::count_if(distances.begin(), distances.end(), is_counted)) /
-           static_cast<double>(distances.size());
-  };
   size_t period = 1;
-  double single = 0.0;
+  ptrdiff_t most = 0;
   for (size_t k = kShortest; k <= kLongest; ++k) {
-    const double is_this = share([k](size_t d) { return d == k; });
-    if (is_this <= single) continue;
-    single = is_this;
-    period = k;
+    const ptrdiff_t count = std::count(distances.begin(), distances.end(), k);
+    if (count > most) period = k;
+    most = std::max(most, count);
   }
-  const double regular =
-      share([period](size_t d) { return d + 1 >= period && (d + 1) % period <= 2; });
-  return regular > kLeastRegular ? period : 1;
+  const auto is_multiple = [period](size_t d) { return d + 1 >= period && (d + 1) % period <= 2; };
+  const auto regular = std::count_if(distances.begin(), distances.end(), is_multiple);
+  const double share = static_cast<double>(regular) / static_cast<double>(distances.size());
+  return share > kLeastRegular ? period : 1;
 }
 
 size_t KeepOneOf(size_t period, std::vector<PoseSample>* poses) {

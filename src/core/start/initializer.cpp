@@ -182,23 +182,17 @@ struct LeverArmEquations {
                             : std::numeric_limits<double>::infinity();
     return x;
   }
-
-  /// s when it is free, and its share of what the other unknowns leave of the accelerometer.
-  double PositionScale(double* explained) const {
-    const Vector10d x = Solve(A, b);
-    const double gain = x[9] * x[9] / Solve(A, Vector10d::Unit(9))(9);
-    *explained = gain / (gain + sum - b.dot(x));
-    return x[9];
-  }
 };
 
 /// Positions in another unit than metres do not fit the accelerometer.
 void CheckPositionUnit(const LeverArmEquations& equations) {
-  double explained = 0.0;
-  const double scale = equations.PositionScale(&explained);
+  const Eigen::VectorXd x = Solve(equations.A, equations.b);
+  const double scale = x[9];
   if (scale > 1.0 / kUnitBound && scale < kUnitBound) return;
-  // Accelerations that are mostly errors of the poses match nothing, in no unit.
-  if (!(explained >= kLeastExplained)) return;
+  // Accelerations that are mostly errors of the poses match nothing, in no unit: s explains little
+  // of what the other unknowns leave of the accelerometer.
+  const double gain = scale * scale / Solve(equations.A, LeverArmEquations::Vector10d::Unit(9))(9);
+  if (!(gain > kLeastExplained * (gain + equations.sum - equations.b.dot(x)))) return;
   const char* const advice =
       scale > 2e-4 && scale < 4e-3   ? "positions look like millimetres: set position_unit: 1.0e-3"
       : scale > 6e-3 && scale < 2e-2 ? "positions look like centimetres: set position_unit: 1.0e-2"
