@@ -108,12 +108,10 @@ bool IsSmoother(const Stream& stream, const std::vector<int64_t>& recovered) {
     for (const Channel& channel : stream.channels) {
       bool is_new = true;
       for (size_t k = i - 1; k <= i + 2; ++k) is_new = is_new && channel[k] != channel[k - 1];
-      const double before =
-          is_bunched ? std::numeric_limits<double>::max() : Roughness(channel, i, a);
       const double after = Roughness(channel, i, b);
-      if (!is_new || !std::isfinite(before) || !std::isfinite(after)) continue;
+      if (!is_new || !std::isfinite(after)) continue;
       votes += 1.0;
-      lead += after < before ? 1.0 : -1.0;
+      lead += is_bunched || after < Roughness(channel, i, a) ? 1.0 : -1.0;
     }
   }
   return lead > kSmootherSigmas * std::sqrt(3.0 * votes);  // neighbours vote alike

@@ -81,15 +81,12 @@ StreamCheck CheckStream(const std::vector<Sample>& samples) {
   if (period <= 0.0) return check;
   check.rate_hz = 1.0 / period;
   check.longest_freeze_s = period * static_cast<double>(longest_run);
-  const auto count_below = [&](double bound) {
-    const auto is_below = [bound](double p) { return p < bound; };
-    return static_cast<double>(std::count_if(periods.begin(), periods.end(), is_below));
-  };
   const auto duplicates = static_cast<double>(std::count(periods.begin(), periods.end(), 0.0));
-  const double bunched = count_below(kBunch * period) - duplicates;
+  const auto is_bunched = [&](double p) { return p > 0.0 && p < kBunch * period; };
+  check.bunched =
+      static_cast<double>(std::count_if(periods.begin(), periods.end(), is_bunched)) / n;
   for (double& p : periods) p -= period;
   check.jitter_s = RobustSigma(std::move(periods));
-  check.bunched = bunched / n;
   check.missing = std::max(0.0, 1.0 - (n - duplicates) / (check.duration_s / period + 1.0));
   return check;
 }
