@@ -1,7 +1,6 @@
 #include "imu_pose_calib/core/data/conditioning.h"
 
 #include <algorithm>
-#include <cmath>
 #include <sstream>
 #include <string>
 #include <utility>

@@ -1,7 +1,6 @@
 #include "imu_pose_calib/core/data/segments.h"
 
 #include <algorithm>
-#include <cmath>
 #include <utility>
 
 #include "imu_pose_calib/core/base/median.h"

@@ -2,7 +2,6 @@
 
 #include <ceres/jet.h>
 
-#include <algorithm>
 #include <numeric>
 
 #include "imu_pose_calib/core/base/dense.h"

@@ -1,6 +1,5 @@
 #include "imu_pose_calib/core/start/preparation.h"
 
-#include <cmath>
 #include <string>
 
 #include "imu_pose_calib/core/base/text.h"
