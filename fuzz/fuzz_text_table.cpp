@@ -2,7 +2,6 @@
 
 #include <sstream>
 
-#include "imu_pose_calib/ros/io/mocap_csv.h"
 #include "imu_pose_calib/ros/io/text_table.h"
 
 extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {

@@ -1,5 +1,3 @@
-#include "imu_pose_calib/ros/io/mocap_csv.h"
-
 #include <algorithm>
 #include <boost/algorithm/string.hpp>
 #include <cmath>

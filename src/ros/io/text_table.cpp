@@ -5,6 +5,7 @@
 #include <boost/lexical_cast/try_lexical_convert.hpp>
 #include <boost/multiprecision/cpp_dec_float.hpp>
 #include <cmath>
+#include <limits>
 #include <map>
 #include <stdexcept>
 #include <utility>
@@ -113,52 +114,7 @@ struct Header {
   }
 };
 
-/// Where the columns are in a line, and what the file calls them.
-struct Layout {
-  std::vector<size_t> index;  ///< of each column
-  Strings names;              ///< of each column
-  size_t width = 0;           ///< fields in a line
-  std::string time_unit;      ///< empty: not given
-  bool is_from_header = false;
-};
-
-Layout ReadHeader(const Columns& columns, const Header& header, const TextLines& lines) {
-  const auto fail = [&](const std::string& text) {
-    lines.FailAt(header.number, "is no header: " + Quote(header.text) + " " + text);
-  };
-  Layout layout;
-  for (const Column& column : columns) {
-    const std::vector<size_t> found = header.Find(column);
-    if (found.empty())
-      fail("has no column " + column[0] + " (" + boost::join(column, ", ") +
-           "); columns needed: " + Names(columns));
-    if (found.size() > 1)
-      fail("has the column " + column[0] + " twice, as " + Quote(header.fields[found[0]].name) +
-           " and " + Quote(header.fields[found[1]].name));
-    layout.index.push_back(found[0]);
-    layout.names.push_back(header.fields[found[0]].name);
-  }
-  layout.width = header.fields.size();
-  layout.time_unit = header.fields[layout.index[0]].unit;
-  if (!layout.time_unit.empty() && kNanoseconds.count(layout.time_unit) == 0)
-    fail("has the stamps in " + Quote(layout.time_unit) + ", must be s, ms, us or ns");
-  layout.is_from_header = header.number > 0;
-  return layout;
-}
-
-/// Layout of a table that starts with a sample of so many fields after a comment. A comment of as
-/// many words is taken for a header too, so that one with unknown names is refused and not
-/// overlooked.
-Layout FindLayout(const Columns& columns, const Header& comment, size_t fields,
-                  const TextLines& lines) {
-  const bool is_header =
-      comment.IsOf(columns) || (!comment.text.empty() && comment.fields.size() == fields);
-  return ReadHeader(columns, is_header ? comment : Header(Names(columns), 0), lines);
-}
-
 // --- Values ---
-
-bool IsWhole(const std::string& number) { return number.find_first_of(".eE") == std::string::npos; }
 
 /// The samples of one table.
 class TableReader {
@@ -171,89 +127,111 @@ class TableReader {
   void ForEach(Use use) {
     std::vector<double> values(columns_.size() - 1);
     Strings fields;
-    while (NextSample(&fields)) {
-      if (fields.size() != layout_->width)
+    size_t count = 0;
+    int64_t first_ns = std::numeric_limits<int64_t>::max(), last_ns = -first_ns;
+    for (; NextSample(&fields); ++count) {
+      if (fields.size() != header_.fields.size())
         lines_.FailHere("has " + std::to_string(fields.size()) + " columns, must have " +
-                        std::to_string(layout_->width) +
-                        (layout_->is_from_header ? " as the header" : ": " + Names(columns_)));
-      const int64_t t_ns = ParseStamp(fields[layout_->index[0]]);
+                        std::to_string(header_.fields.size()) +
+                        (header_.number > 0 ? " as the header" : ": " + Names(columns_)));
+      const int64_t t_ns = ParseStamp(fields[index_[0]]);
       for (size_t i = 0; i < values.size(); ++i)
-        values[i] = ParseValue(i + 1, fields[layout_->index[i + 1]]);
+        values[i] = ParseValue(header_.fields[index_[i + 1]].name, fields[index_[i + 1]]);
       use(t_ns, values);
-      first_ns_ = count_ == 0 ? t_ns : std::min(first_ns_, t_ns);
-      last_ns_ = count_ == 0 ? t_ns : std::max(last_ns_, t_ns);
-      ++count_;
+      first_ns = std::min(first_ns, t_ns);
+      last_ns = std::max(last_ns, t_ns);
     }
-    if (count_ == 0) lines_.Fail("holds no samples");
-    CheckUnit();
+    if (count == 0) lines_.Fail("holds no samples");
+    if (!may_lack_unit_ || count == 1) return;
+    const double period_s = Seconds(last_ns - first_ns) / static_cast<double>(count - 1);
+    if (period_s >= 1.0)
+      lines_.Fail("as seconds, the stamps are " + YamlNumber(period_s) +
+                  " s apart; name their unit in a header: 'timestamp [us]'");
   }
 
  private:
-  /// The next line that is neither empty nor a comment nor the header.
+  /// The next line that is neither empty nor a comment nor the header. A comment of as many words
+  /// as the first sample is taken for a header too, so that one with unknown names is refused and
+  /// not overlooked.
   bool NextSample(Strings* fields) {
     for (std::string line; lines_.Next(&line);) {
       if (line.empty()) continue;
       *fields = Split(line);
-      if (line[0] != '#') {
-        if (layout_) return true;
-        if (ParseNumber(fields->front())) {
-          layout_ = FindLayout(columns_, comment_, fields->size(), lines_);
-          return true;
-        }
-        layout_ = ReadHeader(columns_, {line, lines_.number()}, lines_);
-      } else if (!layout_) {  // of the comments the header is kept, else the last one
+      const bool is_comment = line[0] == '#';
+      if (!index_.empty()) {
+        if (!is_comment) return true;
+      } else if (is_comment) {  // the header is kept, else the last one
         const Header comment(line, lines_.number());
-        if (comment.IsOf(columns_) || !comment_.IsOf(columns_)) comment_ = comment;
+        if (comment.IsOf(columns_) || !header_.IsOf(columns_)) header_ = comment;
+      } else if (!ParseNumber(fields->front())) {
+        FindColumns({line, lines_.number()});
+      } else {
+        const bool is_header = header_.IsOf(columns_) || header_.fields.size() == fields->size();
+        FindColumns(is_header ? header_ : Header(Names(columns_), 0));
+        return true;
       }
     }
     return false;
   }
 
+  /// By the header of the table.
+  void FindColumns(const Header& header) {
+    const auto fail = [&](const std::string& text) {
+      lines_.Fail("line " + std::to_string(header.number) + " is no header: " + Quote(header.text) +
+                  " " + text);
+    };
+    for (const Column& column : columns_) {
+      const std::vector<size_t> found = header.Find(column);
+      if (found.empty())
+        fail("has no column " + column[0] + " (" + boost::join(column, ", ") +
+             "); columns needed: " + Names(columns_));
+      if (found.size() > 1)
+        fail("has the column " + column[0] + " twice, as " + Quote(header.fields[found[0]].name) +
+             " and " + Quote(header.fields[found[1]].name));
+      index_.push_back(found[0]);
+    }
+    header_ = header;
+    may_lack_unit_ = Stamps().unit.empty();
+    if (!may_lack_unit_ && kNanoseconds.count(Stamps().unit) == 0)
+      fail("has the stamps in " + Quote(Stamps().unit) + ", must be s, ms, us or ns");
+  }
+
+  const Header::Field& Stamps() const { return header_.fields[index_[0]]; }
+
   int64_t ParseStamp(const std::string& text) {
     const std::optional<double> rough = ParseNumber(text);
-    if (!rough || !std::isfinite(*rough)) lines_.FailCell(layout_->names[0], text, "a number");
-    std::string unit = layout_->time_unit;
+    if (!rough || !std::isfinite(*rough)) lines_.FailCell(Stamps().name, text, "a number");
+    std::string unit = Stamps().unit;
     if (unit.empty()) {
-      const bool is_ns = IsWhole(text) && std::abs(*rough) > 1e15;
+      const bool is_whole = text.find_first_of(".eE") == std::string::npos;
+      const bool is_ns = is_whole && std::abs(*rough) > 1e15;
       unit = is_ns ? "ns" : "s";
-      may_lack_unit_ = may_lack_unit_ && IsWhole(text) && !is_ns;
+      may_lack_unit_ = may_lack_unit_ && is_whole && !is_ns;
     }
     const auto scale = static_cast<double>(kNanoseconds.at(unit));
     if (!(std::abs(*rough) <= kMaxStampNs / scale))
-      lines_.FailCell(layout_->names[0], text,
+      lines_.FailCell(Stamps().name, text,
                       "within " + YamlNumber(kMaxStampNs / scale) + " " + unit +
                           " of 0; a header may name its unit: 'timestamp [ns]'");
     using Decimal = boost::multiprecision::cpp_dec_float_50;
     try {
       return round(Decimal(text) * scale).convert_to<int64_t>();
     } catch (const std::runtime_error&) {  // an exponent out of its range, as in 0e99999999999
-      lines_.FailCell(layout_->names[0], text, "a number");
+      lines_.FailCell(Stamps().name, text, "a number");
     }
   }
 
-  double ParseValue(size_t column, const std::string& text) const {
+  double ParseValue(const std::string& column, const std::string& text) const {
     const std::optional<double> value = ParseNumber(text);
-    if (!value)
-      lines_.FailCell(layout_->names[column], text, "a number within +-1.8e308 (nan: lost sample)");
+    if (!value) lines_.FailCell(column, text, "a number within +-1.8e308 (nan: lost sample)");
     return *value;
-  }
-
-  /// Whole stamps a second or more apart are hardly seconds.
-  void CheckUnit() const {
-    if (!layout_->time_unit.empty() || !may_lack_unit_ || count_ < 2) return;
-    const double period_s = Seconds(last_ns_ - first_ns_) / static_cast<double>(count_ - 1);
-    if (period_s >= 1.0)
-      lines_.Fail("as seconds, the stamps are " + YamlNumber(period_s) +
-                  " s apart; name their unit in a header: 'timestamp [us]'");
   }
 
   const Columns columns_;
   TextLines lines_;
-  Header comment_;
-  std::optional<Layout> layout_;
-  bool may_lack_unit_ = true;
-  size_t count_ = 0;
-  int64_t first_ns_ = 0, last_ns_ = 0;
+  Header header_;               ///< of the table; before its first sample, what may be one
+  std::vector<size_t> index_;   ///< of each column in a line; empty: no header and no sample yet
+  bool may_lack_unit_ = false;  ///< whole stamps so far: hardly seconds, if far apart
 };
 
 }  // namespace
@@ -286,10 +264,6 @@ bool TextLines::Next(std::string* line) {
 
 void TextLines::Fail(const std::string& text) const {
   throw InputError("'" + name_ + "': " + Printable(text));
-}
-
-void TextLines::FailAt(size_t number, const std::string& text) const {
-  Fail("line " + std::to_string(number) + " " + text);
 }
 
 void TextLines::FailCell(const std::string& column, const std::string& text,

@@ -26,8 +26,10 @@ class TextLines {
   size_t number() const { return number_; }
 
   [[noreturn]] void Fail(const std::string& text) const;
-  [[noreturn]] void FailAt(size_t number, const std::string& text) const;
-  [[noreturn]] void FailHere(const std::string& text) const { FailAt(number_, text); }
+  /// Names the current line.
+  [[noreturn]] void FailHere(const std::string& text) const {
+    Fail("line " + std::to_string(number_) + " " + text);
+  }
   /// Refuses the text of a cell of the current line.
   [[noreturn]] void FailCell(const std::string& column, const std::string& text,
                              const std::string& expected) const;
@@ -60,5 +62,28 @@ std::vector<ImuSample> ReadSensorTable(std::istream& in, const std::string& name
 
 /// Whether the first line is a header with all columns of poses, or of an IMU.
 bool HasHeader(std::istream& in, const std::string& name, bool is_imu);
+
+/// Poses of one rigid body, T_WM, from a table that the software of a motion capture system has
+/// exported.
+struct MocapPoses {
+  std::vector<PoseSample> poses;
+  std::string body;  ///< its name
+};
+
+/// Reads a CSV export of OptiTrack's Motive (format 1.2 and later, with its header) or of Vicon's
+/// Nexus or Tracker ("Segments" or "Objects"). `body` names the rigid body; empty: the only one.
+///
+/// W has the axes of the file: y is up in Motive by default, z in Vicon. M is the body as it was
+/// defined there. Positions are turned into [m] by the unit that the file states. Rotations of
+/// Motive: quaternions, or Euler angles [deg] about axes that turn along, in the order stated;
+/// of Vicon: quaternions where there is RW, else helical (axis times angle) in the unit stated.
+/// Stamps of Motive: "Capture Start Time" as if it were UTC, if given, plus the time of the row;
+/// of Vicon: frame / rate. Rows without values of the body are left out: gaps.
+///
+/// Nothing when the first line is not that of such an export; the stream is at its start then.
+/// Throws InputError starting with `name`, with line and column, when what follows is not as it
+/// must be.
+std::optional<MocapPoses> ReadMocapCsv(std::istream& in, const std::string& name,
+                                       const std::string& body);
 
 }  // namespace imu_pose_calib
