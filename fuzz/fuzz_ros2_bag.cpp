@@ -8,7 +8,7 @@
 #include <fstream>
 
 #include "imu_pose_calib/ros/io/bags.h"
-#include "imu_pose_calib/ros/io/compression.h"
+#include "imu_pose_calib/ros/io/record_file.h"
 
 namespace {
 

@@ -6,7 +6,6 @@
 #include <fstream>
 #include <set>
 
-#include "imu_pose_calib/ros/io/compression.h"
 #include "imu_pose_calib/ros/io/yaml_file.h"
 
 namespace imu_pose_calib {
@@ -62,18 +61,6 @@ std::vector<std::string> ReadMetadata(const fs::path& metadata) {
 }
 
 }  // namespace
-
-std::unique_ptr<BagFile> OpenRos2(const std::string& path) {
-  auto input = std::make_unique<InputFile>(path);
-  const std::string start = input->Start();
-  if (IsMcap(start)) {
-    input->RemoveTemporary();
-    return OpenMcap(std::move(input), path);
-  }
-  if (IsSqlite(start)) return OpenSqlite(input->path(), path);
-  throw InputError("'" + path + "' is neither an mcap file nor a database of SQLite" +
-                   (start.empty() ? ": it is empty" : ""));
-}
 
 std::string Ros1Type(std::string type, const std::string& encoding) {
   const size_t at = type.find("/msg/");

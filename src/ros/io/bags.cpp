@@ -6,7 +6,7 @@
 #include <cmath>
 #include <map>
 
-#include "imu_pose_calib/ros/io/compression.h"
+#include "imu_pose_calib/ros/io/record_file.h"
 #include "imu_pose_calib/ros/io/recording.h"
 
 namespace imu_pose_calib {
@@ -22,32 +22,19 @@ T Next(MessageInput* input) {
   return value;
 }
 
-/// Reads over the markers of a body.
-void SkipMarkers(MessageInput* input) {
-  const uint32_t markers = input->Count();
-  for (uint32_t k = 0; k < markers; ++k) {
-    Next<int8_t>(input);   // kind of the number
-    Next<int32_t>(input);  // number
-    Next<std::string>(input);
-    Next<geometry_msgs::Point>(input);
-  }
-}
-
 std::string InSeconds(double value) { return Format("%g s", value); }
 
 }  // namespace
 
 void BagMessage::Read(const std::function<void(MessageInput*)>& read) const {
-  Named([&] {
-    MessageInput input(data, /*is_cdr=*/md5sum == nullptr);
+  try {
+    const bool is_cdr = md5sum == nullptr;
+    std::string unfolded;
+    const bool is_compressed = is_cdr && IsZstd(data);  // CDR begins with 0
+    if (is_compressed) unfolded = DecompressZstd(data, kMaxBlockSize);
+    MessageInput input(is_compressed ? unfolded : data, is_cdr);
     read(&input);
     input.Finish();
-  });
-}
-
-void BagMessage::Named(const std::function<void()>& run) const {
-  try {
-    run();
   } catch (const InputError& error) {
     throw InputError("topic '" + topic + "', message recorded at " +
                      std::to_string(ToNanoseconds(time)) + " ns is no " + type + ": " +
@@ -69,7 +56,12 @@ std::vector<FramedPose> ReadBodies(const BagMessage& message) {
     const uint32_t count = input->Count();
     for (uint32_t k = 0; k < count; ++k) {
       const auto name = Next<std::string>(input);
-      if (has_markers) SkipMarkers(input);
+      for (uint32_t markers = has_markers ? input->Count() : 0; markers > 0; --markers) {
+        Next<int8_t>(input);   // kind of its number
+        Next<int32_t>(input);  // number
+        Next<std::string>(input);
+        Next<geometry_msgs::Point>(input);
+      }
       const auto pose = Next<geometry_msgs::Pose>(input);
       bodies.push_back({ToPoseSample(header.stamp, pose), header.frame_id, name});
     }
@@ -102,28 +94,30 @@ Bags::Bags(const std::vector<std::string>& paths, double start_s, double duratio
   std::stable_sort(index_.begin(), index_.end(),
                    [](const Place& a, const Place& b) { return a.entry.t_ns < b.entry.t_ns; });
   SetSpan(start_s, duration_s);
-  ListTopics();
-}
-
-const BagTopic& Bags::Find(const std::string& field, const std::string& name) const {
-  for (const BagTopic& topic : topics_) {
-    if (topic.name != name) continue;
-    if (topic.count == 0)
-      throw InputError(field + " '" + name + "' has no messages within the span used (" +
-                       InSeconds(Seconds(start_ns_ - begin_ns_)) + " to " +
-                       InSeconds(duration_s()) + " after the start)");
-    return topic;
-  }
-  throw InputError(field + " '" + name + "' is not in " + Contents());
+  std::map<std::string, std::set<std::string>> types;
+  for (const auto& file : files_)
+    for (const BagFile::Topic& topic : file->topics()) types[topic.name].insert(topic.type);
+  std::map<std::string, uint32_t> counts;
+  for (const Place& place : index_)
+    if (IsUsed(place)) ++counts[place.file->topics()[place.entry.topic].name];
+  for (const auto& [name, its] : types)  // more than one type fits no role
+    topics_.push_back(
+        {name, *its.begin() + (its.size() > 1 ? " and " + *its.rbegin() : ""), counts[name]});
 }
 
 const BagTopic& Bags::Find(const std::string& field, const std::string& name,
                            const std::vector<std::string>& types) const {
-  const BagTopic& topic = Find(field, name);
-  if (std::count(types.begin(), types.end(), topic.type) == 0)
-    throw InputError(field + " '" + name + "' is " + topic.type + ", must be " +
+  const auto topic = std::find_if(topics_.begin(), topics_.end(),
+                                  [&](const BagTopic& t) { return t.name == name; });
+  if (topic == topics_.end()) throw InputError(field + " '" + name + "' is not in " + Contents());
+  if (topic->count == 0)
+    throw InputError(field + " '" + name + "' has no messages within the span used (" +
+                     InSeconds(Seconds(start_ns_ - begin_ns_)) + " to " + InSeconds(duration_s()) +
+                     " after the start)");
+  if (!types.empty() && std::count(types.begin(), types.end(), topic->type) == 0)
+    throw InputError(field + " '" + name + "' is " + topic->type + ", must be " +
                      boost::join(types, " or "));
-  return topic;
+  return *topic;
 }
 
 std::vector<BagTopic> Bags::Select(const std::function<bool(const BagTopic&)>& is_wanted) const {
@@ -158,19 +152,13 @@ void Bags::ForEachTf(const std::function<void(const BagMessage&, bool)>& use) co
 
 void Bags::ForEach(const std::set<std::string>& topics,
                    const std::function<bool(const BagMessage&)>& use, bool all) const {
-  std::string unfolded;
-  const auto first = all ? index_.begin() : index_.begin() + span_.first;
-  const auto end = all ? index_.end() : index_.begin() + span_.second;
-  for (auto place = first; place != end; ++place) {
-    const BagFile::Topic& topic = place->file->topics()[place->entry.topic];
-    if (topics.count(topic.name) == 0) continue;
-    BagMessage message{topic.name, topic.type, FromNanoseconds(place->entry.t_ns),
-                       place->file->Read(place->entry), topic.md5sum ? &*topic.md5sum : nullptr};
-    if (!message.md5sum && IsZstd(message.data)) {  // CDR begins with 0
-      message.Named([&] { unfolded = DecompressZstd(message.data, kMaxBlockSize); });
-      message.data = unfolded;
-    }
-    if (!use(message)) return;
+  for (const auto& place : index_) {
+    const auto& [entry, file] = place;
+    const auto& [name, type, md5sum] = file->topics()[entry.topic];
+    if (!(all || IsUsed(place)) || topics.count(name) == 0) continue;
+    if (!use({name, type, FromNanoseconds(entry.t_ns), file->Read(entry),
+              md5sum ? &*md5sum : nullptr}))
+      return;
   }
 }
 
@@ -192,24 +180,6 @@ void Bags::SetSpan(double start_s, double duration_s) {
   end_ns_ = last_ns;
   if (duration_s > 0.0 && start_s + duration_s < length_s)
     end_ns_ = start_ns_ + std::llround(1e9 * duration_s);
-  const auto first = std::partition_point(index_.begin(), index_.end(), [&](const Place& place) {
-    return place.entry.t_ns < start_ns_;
-  });
-  const auto end = std::partition_point(
-      first, index_.end(), [&](const Place& place) { return place.entry.t_ns <= end_ns_; });
-  span_ = {first - index_.begin(), end - index_.begin()};
-}
-
-void Bags::ListTopics() {
-  std::map<std::string, std::set<std::string>> types;
-  for (const auto& file : files_)
-    for (const BagFile::Topic& topic : file->topics()) types[topic.name].insert(topic.type);
-  std::map<std::string, uint32_t> counts;
-  for (auto place = index_.begin() + span_.first; place != index_.begin() + span_.second; ++place)
-    ++counts[place->file->topics()[place->entry.topic].name];
-  for (const auto& [name, its] : types)  // more than one type fits no role
-    topics_.push_back(
-        {name, *its.begin() + (its.size() > 1 ? " and " + *its.rbegin() : ""), counts[name]});
 }
 
 }  // namespace imu_pose_calib

@@ -46,11 +46,11 @@ void MessageInput::next(ros::Time& stamp) {
     throw InputError("a stamp in it is " + std::to_string(seconds) + " s, must not be negative");
 }
 
-uint32_t MessageInput::Count(size_t least) {
+uint32_t MessageInput::Count() {
   uint32_t count = 0;
   next(count);
   const size_t left = fields_.size() - at_;
-  if (count > left / least)
+  if (count > left)
     throw InputError("a length in it is " + std::to_string(count) + ", but only " +
                      std::to_string(left) + " bytes are left");
   return count;

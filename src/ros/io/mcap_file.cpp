@@ -30,13 +30,7 @@ enum Opcode : uint8_t {
   kDataEnd = 0x0f
 };
 
-uint32_t Crc32(std::string_view bytes) {
-  boost::crc_32_type crc;
-  crc.process_bytes(bytes.data(), bytes.size());
-  return crc.checksum();
-}
-
-uint32_t Crc32(FileReader bytes) {
+uint32_t Crc32(ByteReader bytes) {
   boost::crc_32_type crc;
   for (std::string piece; !(piece = bytes.Piece()).empty();)
     crc.process_bytes(piece.data(), piece.size());
@@ -45,28 +39,24 @@ uint32_t Crc32(FileReader bytes) {
 
 // --- Reading ---
 
-/// Of a chunk (FieldReader) or the file (FileReader).
-template <typename Reader>
 struct Record {
   uint8_t opcode;
-  Reader fields;
+  ByteReader fields;
 };
 
 /// Takes the next record; none at the end, and where the rest is too short for one.
-template <typename Reader>
-std::optional<Record<Reader>> Next(Reader* reader) {
-  Reader rest = *reader;
+std::optional<Record> Next(ByteReader* reader) {
+  ByteReader rest = *reader;
   if (rest.size() < kRecordHeader) return std::nullopt;
-  const auto opcode = rest.template Number<uint8_t>();
-  const auto size = rest.template Number<uint64_t>();
+  const auto opcode = rest.Number<uint8_t>();
+  const auto size = rest.Number<uint64_t>();
   if (size > rest.size()) return std::nullopt;
-  const Record<Reader> record{opcode, rest.Skip(size)};
+  const Record record{opcode, rest.Skip(size)};
   *reader = rest;
   return record;
 }
 
-template <typename Bytes>
-void CheckCrc(Bytes bytes, uint32_t crc, const char* what) {
+void CheckCrc(ByteReader bytes, uint32_t crc, const char* what) {
   if (crc != 0 && crc != Crc32(bytes))
     throw InputError(std::string("the checksum of the ") + what + " is wrong");
 }
@@ -75,7 +65,7 @@ class McapFile : public RecordFile {
  public:
   McapFile(std::unique_ptr<InputFile> input, const std::string& name)
       : RecordFile(std::move(input)) {
-    FileReader left = From(kMagic.size());
+    ByteReader left = From(kMagic.size());
     for (uint64_t begin = left.at(); auto record = Next(&left); begin = left.at()) {
       try {
         if (record->opcode == kFooter) return;
@@ -85,53 +75,49 @@ class McapFile : public RecordFile {
         }
         if (record->opcode == kChunk)
           ReadChunk(record->fields);
-        else if (record->opcode <= kMessage)
-          ReadRecord(record->opcode, record->fields.Bytes(record->fields.size()), 0, left.at());
+        else
+          ReadRecord(*record, 0);
       } catch (const InputError& error) {
         throw InputError("'" + name + "' is damaged, record at byte " + std::to_string(begin) +
                          ": " + error.what());
       }
     }
-    note_ = "'" + name + "' is cut off: it is read up to byte " + std::to_string(left.at()) +
-            " of " + std::to_string(size()) + ", " + std::to_string(entries_.size()) + " messages";
+    NoteCutOff(name, left.at());
   }
 
  private:
-  void ReadChunk(FileReader fields) {
+  void ReadChunk(ByteReader fields) {
     fields.Skip(2 * sizeof(uint64_t));  // first and last time
     const auto size = fields.Number<uint64_t>();
     const auto crc = fields.Number<uint32_t>();
-    const std::string compression = fields.Text();
-    const FileReader stored = fields.Skip(fields.Number<uint64_t>());
+    const std::string compression = fields.Part().All();
+    const ByteReader stored = fields.Skip(fields.Number<uint64_t>());
     if (!compression.empty() && compression != "lz4" && compression != "zstd")
       throw InputError("chunk is compressed by '" + compression.substr(0, 20) +
                        "', must be lz4 or zstd");
     const uint32_t chunk = AddChunk(compression, stored, size);
-    const std::string_view records = Records(chunk);
-    CheckCrc(records, crc, "chunk");
-    FieldReader left(records);
-    while (const auto record = Next(&left))
-      ReadRecord(record->opcode, record->fields.left(), chunk, records.size() - left.size());
+    ByteReader left(Records(chunk));
+    CheckCrc(left, crc, "chunk");
+    while (const auto record = Next(&left)) ReadRecord(*record, chunk);
     if (left.size() > 0) throw InputError("chunk ends within a record");
   }
 
-  /// A record that may stand in a chunk or outside of it and ends at `end` there; what is not
-  /// needed is skipped.
-  void ReadRecord(uint8_t opcode, std::string_view bytes, uint32_t chunk, uint64_t end) {
-    FieldReader fields(bytes);
+  /// A record that may stand in a chunk or outside of it; what is not needed is skipped.
+  void ReadRecord(Record record, uint32_t chunk) {
+    auto& [opcode, fields] = record;
     if (opcode == 0) throw InputError("its kind is 0, which there is none of");
     if (opcode == kSchema) {
       const auto id = fields.Number<uint16_t>();
-      schemas_[id] = fields.Text();
+      schemas_[id] = fields.Part().All();
     }
     if (opcode == kChannel) ReadChannel(fields);
-    if (opcode == kMessage) ReadMessage(fields, chunk, end);
+    if (opcode == kMessage) ReadMessage(fields, chunk);
   }
 
-  void ReadChannel(FieldReader fields) {
+  void ReadChannel(ByteReader fields) {
     const auto id = fields.Number<uint16_t>();
     const auto schema = fields.Number<uint16_t>();
-    const std::string name(fields.Text()), encoding(fields.Text());
+    const std::string name = fields.Part().All(), encoding = fields.Part().All();
     if (schema != 0 && schemas_.count(schema) == 0)
       throw InputError("channel '" + name + "' is of schema " + std::to_string(schema) +
                        ", which is unknown");
@@ -144,7 +130,7 @@ class McapFile : public RecordFile {
                        topic.name + "'");
   }
 
-  void ReadMessage(FieldReader fields, uint32_t chunk, uint64_t end) {
+  void ReadMessage(ByteReader fields, uint32_t chunk) {
     const auto id = fields.Number<uint16_t>();
     fields.Number<uint32_t>();  // sequence
     const auto time = fields.Number<uint64_t>();
@@ -155,7 +141,7 @@ class McapFile : public RecordFile {
     if (time > uint64_t{std::numeric_limits<int64_t>::max()})
       throw InputError("a message is recorded at " + std::to_string(time) + " ns");
     entries_.push_back(
-        {static_cast<int64_t>(time), channel->second, chunk, end - fields.size(), fields.size()});
+        {static_cast<int64_t>(time), channel->second, chunk, fields.at(), fields.size()});
   }
 
   std::map<uint16_t, std::string> schemas_;
@@ -268,8 +254,8 @@ class McapStorage : public Ros2Storage {
     if (chunk_.empty()) return;
     const uint64_t begin = chunk_span_.begin(), end = chunk_span_.end, size = chunk_.size();
     const std::string compression;
-    const std::string record =
-        PackRecord(kChunk, Pack(begin, end, size, Crc32(chunk_), compression, size) + chunk_);
+    const std::string record = PackRecord(
+        kChunk, Pack(begin, end, size, Crc32(ByteReader(chunk_)), compression, size) + chunk_);
     const uint64_t chunk_at = at_, indexes_at = at_ + record.size();
     Put(record);
     std::string offsets;

@@ -16,74 +16,63 @@ constexpr size_t kMagicSize = kMagic.size() + kFormat.size() + 1;  // with the e
 /// What the operation codes of records say that they are.
 constexpr char kMessage = 0x02, kIndex = 0x04, kChunk = 0x05, kConnection = 0x07;
 
-using Fields = std::map<std::string, std::string, std::less<>>;
+using Fields = std::map<std::string, std::string>;
 
-Fields ReadFields(std::string_view header) {
+Fields ReadFields(ByteReader header) {
   Fields fields;
-  for (FieldReader reader(header); reader.size() > 0;) {
-    const std::string_view field = reader.Text();
+  while (header.size() > 0) {
+    const std::string field = header.Part().All();
     const size_t equals = field.find('=');
-    if (equals == std::string_view::npos) throw InputError("a field has no name");
-    fields[std::string(field.substr(0, equals))] = field.substr(equals + 1);
+    if (equals == std::string::npos) throw InputError("a field has no name");
+    fields[field.substr(0, equals)] = field.substr(equals + 1);
   }
   return fields;
 }
 
 /// The value of a field; empty when there is none.
-std::string Value(const Fields& fields, std::string_view name) {
+const std::string& Value(const Fields& fields, const std::string& name) {
+  static const std::string kNone;
   const auto field = fields.find(name);
-  return field == fields.end() ? "" : field->second;
+  return field == fields.end() ? kNone : field->second;
 }
 
 constexpr size_t kTimeSize = 8;
 
-int64_t ReadTime(std::string_view bytes) {
-  FieldReader reader(bytes);
+int64_t ReadTime(ByteReader reader) {
   const auto seconds = reader.Number<uint32_t>(), nanoseconds = reader.Number<uint32_t>();
   return 1'000'000'000 * int64_t{seconds} + nanoseconds;
 }
 
-bool IsZero(FileReader bytes) {
+bool IsZero(ByteReader bytes) {
   while (bytes.size() > 0)
     if (bytes.Piece().find_first_not_of('\0') != std::string::npos) return false;
   return true;
 }
 
-/// What a record is.
-struct Header {
+char KindOf(const Fields& fields) {
+  const std::string& operation = Value(fields, "op");
+  if (operation.size() != 1 || operation[0] == '\0') throw InputError("a record is of no kind");
+  return operation[0];
+}
+
+/// The next record. Throws InputError when there is no whole one.
+struct Record {
   Fields fields;
   char kind;
+  ByteReader data;
 
-  explicit Header(std::string_view bytes) : fields(ReadFields(bytes)) {
-    const std::string operation = Value(fields, "op");
-    if (operation.size() != 1 || operation[0] == '\0') throw InputError("a record is of no kind");
-    kind = operation[0];
-  }
+  explicit Record(ByteReader* reader)
+      : fields(ReadFields(reader->Part())), kind(KindOf(fields)), data(reader->Part()) {}
 
   template <typename T = uint32_t>
-  T Number(std::string_view name) const {
-    return FieldReader(Value(fields, name)).Number<T>();
+  T Number(const std::string& name) const {
+    return ByteReader(Value(fields, name)).Number<T>();
   }
-};
-
-/// The next record of a chunk. Throws InputError when there is no whole one.
-struct Record : Header {
-  std::string_view data;
-
-  explicit Record(FieldReader* reader) : Header(reader->Text()), data(reader->Text()) {}
-};
-
-/// The same of a file, whose data are not read yet.
-struct StoredRecord : Header {
-  FileReader data;
-
-  explicit StoredRecord(FileReader* reader)
-      : Header(reader->Text()), data(reader->Skip(reader->Number<uint32_t>())) {}
 };
 
 /// Whether a file that ends with these bytes, which are no whole record, has been cut off there:
 /// else they are no record at all.
-bool IsCutOff(FileReader rest) {
+bool IsCutOff(ByteReader rest) {
   constexpr uint32_t kLargestHeader = 1 << 16;
   const auto is_short = [&](uint64_t size) { return rest.size() < size; };
   if (is_short(sizeof(uint32_t))) return true;
@@ -92,7 +81,7 @@ bool IsCutOff(FileReader rest) {
   if (size > kLargestHeader) return false;
   if (is_short(size)) return true;
   try {
-    if (ReadFields(rest.Bytes(size)).count("op") == 0) return false;
+    if (ReadFields(rest.Skip(size)).count("op") == 0) return false;
   } catch (const InputError&) {
     return false;
   }
@@ -119,10 +108,12 @@ class Ros1File : public RecordFile {
 
   std::string_view Read(const Entry& entry) override {
     try {
-      FieldReader reader(Records(entry.chunk));
-      reader.Bytes(entry.at);
+      const std::string_view records = Records(entry.chunk);
+      ByteReader reader(records);
+      reader.Skip(entry.at);
       for (;;)
-        if (const Record record(&reader); record.kind == kMessage) return record.data;
+        if (const Record record(&reader); record.kind == kMessage)
+          return records.substr(record.data.at(), record.data.size());
     } catch (const InputError& error) {
       throw InputError("bag '" + path_ + "' is damaged (" + error.what() + ")" + remedy_);
     }
@@ -132,23 +123,21 @@ class Ros1File : public RecordFile {
   /// By the connections at the end and the index after each chunk, of which none is unfolded. False
   /// when the recorder has not come to write them.
   bool ReadIndexed() {
-    FileReader first = From(kMagicSize);
-    const auto end = StoredRecord(&first).Number<uint64_t>("index_pos");
+    ByteReader first = From(kMagicSize);
+    const auto end = Record(&first).Number<uint64_t>("index_pos");
     if (end == 0) return false;
-    FileReader last = From(0);
+    ByteReader last = From(0);
     for (last.Skip(end); last.size() > 0;)
-      if (StoredRecord record(&last); record.kind == kConnection)
-        ReadConnection(record, record.data.Bytes(record.data.size()));
+      if (const Record record(&last); record.kind == kConnection) ReadConnection(record);
     uint32_t chunk = 0;
-    for (FileReader reader = From(kMagicSize).Skip(end - kMagicSize); reader.size() > 0;) {
-      StoredRecord record(&reader);
+    for (ByteReader reader = From(kMagicSize).Skip(end - kMagicSize); reader.size() > 0;) {
+      const Record record(&reader);
       if (record.kind == kChunk) chunk = ReadChunk(record);
       if (record.kind != kIndex) continue;
       if (chunk == 0) throw InputError("an index is of no chunk");
       const uint32_t topic = TopicOf(record);
-      const std::string places = record.data.Bytes(record.data.size());
-      for (FieldReader index(places); index.size() > 0;) {
-        const int64_t t_ns = ReadTime(index.Bytes(kTimeSize));
+      for (ByteReader index = record.data; index.size() > 0;) {
+        const int64_t t_ns = ReadTime(index.Skip(kTimeSize));
         entries_.push_back({t_ns, topic, chunk, index.Number<uint32_t>(), 0});
       }
     }
@@ -157,11 +146,11 @@ class Ros1File : public RecordFile {
 
   /// Without a usable index: chunk after chunk, as far as they are whole.
   void Scan() {
-    FileReader reader = From(kMagicSize);
-    FileReader rest = reader;  // from the end of the last record that is whole
+    ByteReader reader = From(kMagicSize);
+    ByteReader rest = reader;  // from the end of the last record that is whole
     try {
       while (rest.size() > 0) {
-        const StoredRecord record(&reader);
+        const Record record(&reader);
         if (record.kind == kChunk && record.data.size() == 0) break;  // still written, without size
         if (record.kind == kChunk) ScanChunk(ReadChunk(record));
         rest = reader;
@@ -169,25 +158,23 @@ class Ros1File : public RecordFile {
     } catch (const InputError&) {
       if (!IsCutOff(rest)) throw InputError(problem_);
     }
-    const std::string messages = std::to_string(entries_.size()) + " messages";
-    note_ = "'" + path_ + "' " +
-            (rest.size() == 0 ? "has no index: all of it is read, " + messages
-                              : "is cut off: it is read up to byte " + std::to_string(rest.at()) +
-                                    " of " + std::to_string(size()) + ", " + messages);
+    if (rest.size() > 0) return NoteCutOff(path_, rest.at());
+    note_ = "'" + path_ + "' has no index: all of it is read, " + std::to_string(entries_.size()) +
+            " messages";
   }
 
   void ScanChunk(uint32_t chunk) {
-    const std::string_view records = Records(chunk);
-    for (FieldReader reader(records); reader.size() > 0;) {
-      const size_t at = records.size() - reader.size();
+    for (ByteReader reader(Records(chunk)); reader.size() > 0;) {
+      const uint64_t at = reader.at();
       const Record record(&reader);
-      if (record.kind == kConnection) ReadConnection(record, record.data);
+      if (record.kind == kConnection) ReadConnection(record);
       if (record.kind != kMessage) continue;
-      entries_.push_back({ReadTime(Value(record.fields, "time")), TopicOf(record), chunk, at, 0});
+      const int64_t t_ns = ReadTime(ByteReader(Value(record.fields, "time")));
+      entries_.push_back({t_ns, TopicOf(record), chunk, at, 0});
     }
   }
 
-  uint32_t ReadChunk(const StoredRecord& record) {
+  uint32_t ReadChunk(const Record& record) {
     const std::string compression = Value(record.fields, "compression");
     if (compression == "none") return AddChunk("", record.data, record.data.size());
     if (compression != "bz2" && compression != "lz4")
@@ -195,16 +182,16 @@ class Ros1File : public RecordFile {
     return AddChunk(compression, record.data, record.Number("size"));
   }
 
-  void ReadConnection(const Header& header, std::string_view data) {
+  void ReadConnection(const Record& record) {
     const auto number = static_cast<uint32_t>(topics_.size());
-    if (!connections_.emplace(header.Number("conn"), number).second) return;
-    const Fields about = ReadFields(data);
+    if (!connections_.emplace(record.Number("conn"), number).second) return;
+    const Fields about = ReadFields(record.data);
     topics_.push_back(
-        {Value(header.fields, "topic"), Value(about, "type"), Value(about, "md5sum")});
+        {Value(record.fields, "topic"), Value(about, "type"), Value(about, "md5sum")});
   }
 
-  uint32_t TopicOf(const Header& header) const {
-    const auto topic = connections_.find(header.Number("conn"));
+  uint32_t TopicOf(const Record& record) const {
+    const auto topic = connections_.find(record.Number("conn"));
     if (topic == connections_.end()) throw InputError("a message is of no connection");
     return topic->second;
   }

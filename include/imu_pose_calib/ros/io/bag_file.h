@@ -53,9 +53,10 @@ std::unique_ptr<BagFile> OpenRos1(const std::string& path);
 /// compressed by zstd. Throws InputError naming the file.
 std::unique_ptr<BagFile> OpenRos2(const std::string& path);
 
-/// Whether these are the first bytes of an mcap file, or of a database of SQLite.
+/// Whether these are the first bytes of an mcap file, of a database of SQLite, or of a zstd frame.
 bool IsMcap(std::string_view bytes);
 bool IsSqlite(std::string_view bytes);
+bool IsZstd(std::string_view bytes);
 
 /// An mcap file. One that is cut off is read up to there, and `note()` says so. Throws InputError
 /// with `name` and the place in the file when it is damaged otherwise.

@@ -22,7 +22,7 @@ struct BagMessage {
   const std::string& topic;
   const std::string& type;              ///< as ROS 1 names it: "sensor_msgs/Imu"
   ros::Time time;                       ///< of recording
-  std::string_view data;                ///< of ROS 2: CDR
+  std::string_view data;                ///< of ROS 2: CDR, perhaps compressed by zstd
   const std::string* md5sum = nullptr;  ///< of the type's definition; null: of ROS 2
 
   /// The message. Throws InputError when its type is defined differently here.
@@ -39,8 +39,6 @@ struct BagMessage {
 
   /// Runs `read` on all of the message, with errors that name it.
   void Read(const std::function<void(MessageInput*)>& read) const;
-  /// Runs `run` with errors that name the message.
-  void Named(const std::function<void()>& run) const;
 };
 
 /// A topic of a recording and the messages of it within the span used.
@@ -84,10 +82,9 @@ class Bags {
   void ForEachTf(const std::function<void(const BagMessage&, bool)>& use) const;
 
   /// The topic that `field` of a request names; InputError when the bags do not have it, or when it
-  /// is of none of these types.
-  const BagTopic& Find(const std::string& field, const std::string& name) const;
+  /// is of none of these types, if any are given.
   const BagTopic& Find(const std::string& field, const std::string& name,
-                       const std::vector<std::string>& types) const;
+                       const std::vector<std::string>& types = {}) const;
 
   /// Those that have messages within the span and are wanted.
   std::vector<BagTopic> Select(const std::function<bool(const BagTopic&)>& is_wanted) const;
@@ -105,14 +102,15 @@ class Bags {
   };
 
   void SetSpan(double start_s, double duration_s);
-  void ListTopics();
+  bool IsUsed(const Place& place) const {
+    return place.entry.t_ns >= start_ns_ && place.entry.t_ns <= end_ns_;
+  }
 
   std::vector<std::string> paths_;
   std::vector<std::unique_ptr<BagFile>> files_;
   std::vector<Place> index_;  ///< in the order of recording
   /// Record time of the first message, and of the span to use.
   int64_t begin_ns_ = 0, start_ns_ = 0, end_ns_ = 0;
-  std::pair<std::ptrdiff_t, std::ptrdiff_t> span_;  ///< of the index
   std::vector<BagTopic> topics_;
 };
 

@@ -44,7 +44,7 @@ class MessageInput {
   }
   template <typename T>
   void next(std::vector<T>& values) {
-    const uint32_t count = Count(std::is_arithmetic_v<T> ? sizeof(T) : 1);
+    const uint32_t count = Count();
     if constexpr (sizeof(T) == 1) {
       const char* from = Take(1, count);
       values.assign(from, from + count);
@@ -66,8 +66,8 @@ class MessageInput {
     }
   }
 
-  /// Number of elements of a sequence, each of at least `least` bytes.
-  uint32_t Count(size_t least = 1);
+  /// Number of elements of a sequence.
+  uint32_t Count();
 
   /// Throws when more is left than the bytes that fill the last four.
   void Finish() const;

@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <array>
+#include <fstream>
 #include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -10,77 +12,89 @@
 
 #include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/bag_file.h"
-#include "imu_pose_calib/ros/io/compression.h"
+#include "imu_pose_calib/ros/io/output_files.h"
 
 namespace imu_pose_calib {
 
-/// Throws InputError when there are fewer bytes left.
-inline void CheckLength(uint64_t size, uint64_t left) {
-  if (size > left)
-    throw InputError("a length in it goes beyond its end (" + std::to_string(size) + " of " +
-                     std::to_string(left) + " bytes)");
-}
+/// Most bytes that a chunk or a message may have.
+constexpr uint64_t kMaxBlockSize = uint64_t{1} << 30;
 
-/// Fields one after the other, numbers little endian. Throws InputError where there are no more.
-class FieldReader {
+/// The contents of zstd frames. Memory is taken as they unfold, up to `max_size`. Throws InputError
+/// with the reason, without a name.
+std::string DecompressZstd(std::string_view bytes, uint64_t max_size);
+
+/// A file to read from. What is compressed by zstd as a whole is first unfolded into a temporary
+/// file.
+class InputFile {
  public:
-  explicit FieldReader(std::string_view left) : left_(left) {}
+  /// Throws InputError naming the file.
+  explicit InputFile(const std::string& path);
+
+  uint64_t size() const { return size_; }  ///< when it was opened
+  /// Bytes of it. Throws InputError naming the file when they cannot be read, as after it has
+  /// become shorter.
+  std::string Read(uint64_t at, uint64_t size);
+  /// The first bytes, which tell what it is.
+  std::string Start();
+  /// Where the bytes are: the path given, or that of the temporary file.
+  const std::string& path() const { return path_; }
+  /// So that none is left behind whatever becomes of this process; the bytes stay.
+  void RemoveTemporary() { folder_.reset(); }
+
+ private:
+  void Open();
+
+  std::string path_;
+  std::optional<TemporaryFolder> folder_;
+  std::ifstream file_;
+  uint64_t next_ = 0;  ///< where `file_` goes on
+  uint64_t size_ = 0;
+};
+
+/// Bytes of a file, or in memory, of which fields are read one after the other, numbers little
+/// endian. Throws InputError where there are no more.
+class ByteReader {
+ public:
+  explicit ByteReader(std::string_view memory) : memory_(memory), end_(memory.size()) {}
+  ByteReader(InputFile* file, uint64_t at)
+      : file_(file), at_(std::min(at, file->size())), end_(file->size()) {}
+
+  uint64_t at() const { return at_; }
+  uint64_t size() const { return end_ - at_; }  ///< what is left
+
+  /// Leaves out the next bytes, for which there is a reader of their own.
+  ByteReader Skip(uint64_t count) {
+    if (count > size())
+      throw InputError("a length in it goes beyond its end (" + std::to_string(count) + " of " +
+                       std::to_string(size()) + " bytes)");
+    ByteReader part = *this;
+    at_ += count;
+    part.end_ = at_;
+    return part;
+  }
+  /// The same of bytes after their number.
+  ByteReader Part() { return Skip(Number<uint32_t>()); }
+
+  std::string Bytes(uint64_t count) {
+    const uint64_t at = Skip(count).at_;
+    return file_ ? file_->Read(at, count) : std::string(memory_.substr(at, count));
+  }
+  std::string All() { return Bytes(size()); }
+  /// Some of the next bytes; empty: there are none left.
+  std::string Piece() { return Bytes(std::min<uint64_t>(size(), 1 << 17)); }
 
   template <typename T>
   T Number() {
-    const std::string_view bytes = Bytes(sizeof(T));
+    const std::string bytes = Bytes(sizeof(T));
     uint64_t value = 0;
     for (size_t k = sizeof(T); k-- > 0;) value = value << 8 | static_cast<unsigned char>(bytes[k]);
     return static_cast<T>(value);
   }
 
-  std::string_view Bytes(uint64_t size) {
-    CheckLength(size, left_.size());
-    const std::string_view bytes = left_.substr(0, size);
-    left_.remove_prefix(size);
-    return bytes;
-  }
-
-  /// Bytes after their number.
-  std::string_view Text() { return Bytes(Number<uint32_t>()); }
-
-  FieldReader Skip(uint64_t size) { return FieldReader(Bytes(size)); }
-
-  std::string_view left() const { return left_; }
-  uint64_t size() const { return left_.size(); }
-
  private:
-  std::string_view left_;
-};
-
-/// The same of a file, from `at` to `end`, where a part can be skipped.
-class FileReader {
- public:
-  FileReader(InputFile* file, uint64_t at, uint64_t end)
-      : file_(file), at_(std::min(at, end)), end_(end) {}
-
-  template <typename T>
-  T Number() {
-    return FieldReader(Bytes(sizeof(T))).Number<T>();
-  }
-
-  /// Leaves out the next bytes, for which there is a reader of their own.
-  FileReader Skip(uint64_t count) {
-    CheckLength(count, size());
-    at_ += count;
-    return {file_, at_ - count, at_};
-  }
-  std::string Bytes(uint64_t count) { return file_->Read(Skip(count).at_, count); }
-  std::string Text() { return Bytes(Number<uint32_t>()); }
-  /// Some of the next bytes; empty: there are none left.
-  std::string Piece() { return Bytes(std::min<uint64_t>(size(), 1 << 17)); }
-
-  uint64_t at() const { return at_; }
-  uint64_t size() const { return end_ - at_; }  ///< what is left
-
- private:
-  InputFile* file_;
-  uint64_t at_, end_;
+  InputFile* file_ = nullptr;  ///< null: in memory
+  std::string_view memory_;
+  uint64_t at_ = 0, end_;
 };
 
 /// A file of records, which may be in chunks that are compressed.
@@ -95,20 +109,23 @@ class RecordFile : public BagFile {
   explicit RecordFile(std::unique_ptr<InputFile> input) : input_(std::move(input)) {}
 
   uint64_t size() const { return input_->size(); }
-  FileReader From(uint64_t at) const { return {input_.get(), at, size()}; }
+  ByteReader From(uint64_t at) const { return {input_.get(), at}; }
 
   /// Notes a chunk of `stored` bytes of the file, which unfolds to `size` bytes, and returns its
   /// number, from 1 on. `compression`: "bz2", "lz4", "zstd" or none. Throws InputError when the
   /// size cannot be.
-  uint32_t AddChunk(std::string_view compression, FileReader stored, uint64_t size);
+  uint32_t AddChunk(std::string_view compression, ByteReader stored, uint64_t size);
 
   /// What a chunk unfolds to, while no three others are asked for.
   std::string_view Records(uint32_t chunk);
 
+  /// Notes that the file is whole up to there.
+  void NoteCutOff(const std::string& name, uint64_t end);
+
  private:
   struct Chunk {
     std::string compression;
-    FileReader stored;
+    ByteReader stored;
     uint64_t size;
   };
   /// Chunks that overlap in time are read in turns; this many are kept.
