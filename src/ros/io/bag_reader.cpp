@@ -4,7 +4,6 @@
 #include <boost/algorithm/string/join.hpp>
 #include <cmath>
 #include <functional>
-#include <memory>
 #include <optional>
 #include <set>
 #include <tuple>
@@ -25,6 +24,9 @@ namespace {
 /// Whether `is_it` of any topic.
 bool Has(const Bags& bags, const std::function<bool(const BagTopic&)>& is_it) {
   return !bags.Select(is_it).empty();
+}
+bool HasTopic(const Bags& bags, const std::string& name) {
+  return Has(bags, [&](const BagTopic& topic) { return topic.name == name; });
 }
 
 /// What carries no data of a sensor has it zero throughout.
@@ -84,19 +86,15 @@ std::vector<ImuInfo> ChooseImus(const Bags& bags, const BagRequest& request) {
     throw InputError("gyro_topic names " + std::to_string(gyros.size()) +
                      " topics and accel_topic " + std::to_string(accels.size()) +
                      "; give as many of both, in the same order");
-  // Other sessions of the rig have what is missing here.
-  const auto may_be_missing = [&](const std::string& name) {
-    return request.may_lack_sensors &&
-           !Has(bags, [&](const BagTopic& t) { return t.name == name; });
-  };
   std::vector<std::string> types = {kImuType};
   if (is_split) types.emplace_back(kVectorType);
   std::vector<ImuInfo> imus(gyros.size());
+  std::set<std::string> known;
   for (size_t i = 0; i < gyros.size(); ++i) {
-    if (!is_split &&
-        std::count(gyros.begin(), gyros.begin() + static_cast<int64_t>(i), gyros[i]) > 0)
+    if (!known.insert(gyros[i]).second && !is_split)
       throw InputError("imu_topic '" + gyros[i] + "' is given twice");
-    if (may_be_missing(gyros[i]) && may_be_missing(accels[i])) continue;
+    if (request.may_lack_sensors && !HasTopic(bags, gyros[i]) && !HasTopic(bags, accels[i]))
+      continue;  // another session of the rig has it
     imus[i] = NamedImu(bags.Find(is_split ? "gyro_topic" : "imu_topic", gyros[i], types).name,
                        bags.Find(is_split ? "accel_topic" : "imu_topic", accels[i], types).name);
   }
@@ -104,10 +102,10 @@ std::vector<ImuInfo> ChooseImus(const Bags& bags, const BagRequest& request) {
 }
 
 /// All links of tf, for no chain.
-std::unique_ptr<const TfChain> ReadLinks(const Bags& bags) {
-  auto links = std::make_unique<TfChain>("", "", 0.0);
+TfChain ReadLinks(const Bags& bags) {
+  TfChain links("", "", 0.0);
   bags.ForEachTf([&](const BagMessage& message, bool fixed) {
-    links->Add(*message.instantiate<tf2_msgs::TFMessage>(), fixed);
+    links.Add(*message.instantiate<tf2_msgs::TFMessage>(), fixed);
   });
   return links;
 }
@@ -116,7 +114,7 @@ std::unique_ptr<const TfChain> ReadLinks(const Bags& bags) {
 std::string TfHint(const Bags& bags) {
   if (!Has(bags, &BagTopic::IsTf)) return "";
   return "; for poses from tf give tf_parent and tf_child, its frames are: " +
-         ReadLinks(bags)->Links();
+         ReadLinks(bags).Links();
 }
 
 /// Whether a topic may have the poses of the marker: that of a pose sensor has, where it holds
@@ -133,7 +131,7 @@ BagRequest FindTf(const Bags& bags, BagRequest request) {
                        request.tf_child.empty() && request.body.empty();
   if (!is_open || Has(bags, [&](const BagTopic& t) { return MayBeMarker(request, t); }))
     return request;
-  const std::optional<TfFrames> pair = ReadLinks(bags)->SinglePair();
+  const std::optional<TfFrames> pair = ReadLinks(bags).SinglePair();
   const auto is_it = [&](const std::string& name) { return SplitTf(name) == pair; };
   if (pair && std::none_of(request.pose_sensors.begin(), request.pose_sensors.end(), is_it))
     std::tie(request.tf_parent, request.tf_child) = *pair;
@@ -183,18 +181,17 @@ struct Stream {
     samples.push_back(sample);
   }
 
-  /// Hands over samples that have stamps.
-  void Finish(const std::string& topic, std::optional<Latency>* latency,
-              std::vector<Sample>* finished) {
-    if (samples.empty()) return;
+  /// Hands over samples that have stamps, if there are any; returns how late they are recorded.
+  std::optional<Latency> Finish(const std::string& topic, std::vector<Sample>* finished) {
+    if (samples.empty()) return std::nullopt;
     if (std::all_of(samples.begin(), samples.end(), [](const Sample& s) { return s.t_ns == 0; }))
       throw InputError("'" + topic +
                        "' has no header stamps (all are 0); record_time takes the times of "
                        "recording instead, which are less exact");
     const double median_s = Median(delays_s);
     for (double& delay : delays_s) delay = std::abs(delay - median_s);
-    *latency = Latency{median_s, kMadToSigma * Median(std::move(delays_s))};
     *finished = std::move(samples);
+    return Latency{median_s, kMadToSigma * Median(std::move(delays_s))};
   }
 };
 
@@ -217,8 +214,8 @@ struct ImuReader {
     if (info->GyroSource().empty()) return;
     Check(info->GyroSource(), gyros.samples, "angular velocity");
     Check(info->AccelSource(), accels.samples, "linear acceleration");
-    gyros.Finish(info->GyroSource(), &info->gyro_latency, &data->gyro);
-    accels.Finish(info->AccelSource(), &info->accel_latency, &data->accel);
+    info->gyro_latency = gyros.Finish(info->GyroSource(), &data->gyro);
+    info->accel_latency = accels.Finish(info->AccelSource(), &data->accel);
   }
 
  private:
@@ -297,7 +294,7 @@ struct PoseReader {
   void Finish(bool record_time, RecordingInfo* info, std::vector<PoseSample>* finished) {
     if (Name().empty()) return;
     info->pose_topic = tf ? "/tf" : topic.name;
-    poses.Finish(info->pose_topic, &info->pose_latency, finished);
+    info->pose_latency = poses.Finish(info->pose_topic, finished);
     if (tf && record_time) info->pose_latency.reset();  // of no meaning
     info->world_frame = FrameName(first.world_frame, "world");
     info->marker_frame = FrameName(first.marker_frame, "marker");
@@ -307,8 +304,7 @@ struct PoseReader {
   /// As a pose sensor.
   void Finish(PoseSensorInfo* info, std::vector<PoseSample>* finished) {
     if (Name().empty()) return;
-    std::optional<Latency> unused;
-    poses.Finish(Name(), &unused, finished);
+    poses.Finish(Name(), finished);
     *info = NamePoseSensor(Name(), first.world_frame, first.marker_frame);
   }
 };
@@ -359,9 +355,7 @@ PoseReader ChoosePoseSensor(const Bags& bags, const BagRequest& request, const s
   sensor.tf = SplitTf(name);
   if (sensor.tf || name.empty()) return sensor;
   const auto [topic, body] = SplitBody(name);
-  if (request.may_lack_sensors &&
-      !Has(bags, [&, &named = topic](const BagTopic& t) { return t.name == named; }))
-    return sensor;
+  if (request.may_lack_sensors && !HasTopic(bags, topic)) return sensor;
   sensor.topic = NamedPose(bags, sensor.field, topic);
   sensor.body = ChooseBody(bags, sensor.field, sensor.topic, body, "'" + topic + ":BODY'");
   return sensor;
@@ -423,6 +417,7 @@ constexpr double kMaxPause = 2.0, kMaxOverlap = 0.5;
 struct BagSpan {
   double begin_s, end_s;
   std::vector<std::string> topics;
+  size_t recording = 0;  ///< which it is of
 
   explicit BagSpan(const std::string& path) {
     const Bags bag({path}, 0.0, 0.0);
@@ -467,19 +462,14 @@ std::vector<std::vector<std::string>> GroupBags(const std::vector<std::string>& 
   CheckBagsExist(paths);
   return Printably(paths, [&] {
     std::vector<std::vector<std::string>> recordings;
-    std::vector<std::vector<BagSpan>> spans;  // of each recording
+    std::vector<BagSpan> spans;
     for (const std::string& path : paths) {
-      const BagSpan span(path);
-      const auto is_its = [&span](const std::vector<BagSpan>& others) {
-        return std::any_of(others.begin(), others.end(),
-                           [&](const BagSpan& other) { return span.Continues(other); });
-      };
-      const auto place =
-          static_cast<size_t>(std::find_if(spans.begin(), spans.end(), is_its) - spans.begin());
-      spans.resize(std::max(spans.size(), place + 1));
-      recordings.resize(spans.size());
-      spans[place].push_back(span);
-      recordings[place].push_back(path);
+      BagSpan& span = spans.emplace_back(path);
+      span.recording = recordings.size();
+      for (const BagSpan& other : spans)
+        if (span.Continues(other)) span.recording = std::min(span.recording, other.recording);
+      recordings.resize(std::max(recordings.size(), span.recording + 1));
+      recordings[span.recording].push_back(path);
     }
     return recordings;
   });

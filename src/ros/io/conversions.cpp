@@ -4,14 +4,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "imu_pose_calib/ros/io/result_yaml.h"
 
 namespace imu_pose_calib {
 namespace {
-
-constexpr int64_t kNanosecondsPerSecond = 1'000'000'000;
 
 template <typename Value, typename Msg>
 Value FromMsg(const Msg& msg) {
@@ -33,18 +30,14 @@ ImuSample ToSample(const ros::Time& stamp, const geometry_msgs::Vector3& v) {
 
 }  // namespace
 
-int64_t ToNanoseconds(const ros::Time& stamp) {
-  return kNanosecondsPerSecond * int64_t{stamp.sec} + int64_t{stamp.nsec};
-}
+int64_t ToNanoseconds(const ros::Time& stamp) { return static_cast<int64_t>(stamp.toNSec()); }
 
 ros::Time FromNanoseconds(int64_t t_ns) {
-  constexpr int64_t kMaxSeconds = std::numeric_limits<uint32_t>::max();
-  if (t_ns < 0 || t_ns / kNanosecondsPerSecond > kMaxSeconds)
+  if (t_ns < 0 || t_ns / 1'000'000'000 > int64_t{ros::TIME_MAX.sec})
     throw InputError("stamp " + std::to_string(t_ns) +
-                     " ns does not fit a ROS time: must be from " + "0 to " +
-                     std::to_string(kMaxSeconds) + " s");
-  return {static_cast<uint32_t>(t_ns / kNanosecondsPerSecond),
-          static_cast<uint32_t>(t_ns % kNanosecondsPerSecond)};
+                     " ns does not fit a ROS time: must be from 0 to " +
+                     std::to_string(ros::TIME_MAX.sec) + " s");
+  return ros::Time().fromNSec(static_cast<uint64_t>(t_ns));
 }
 
 geometry_msgs::Point ToPointMsg(const Eigen::Vector3d& p) { return tf2::toMsg(p); }
@@ -96,22 +89,6 @@ PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::PoseWithCov
 
 PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::Transform& transform) {
   return ToPoseSample(stamp, transform.rotation, transform.translation);
-}
-
-FramedPose ToFramedPose(const geometry_msgs::PoseStamped& msg) {
-  return {ToPoseSample(msg.header.stamp, msg.pose), msg.header.frame_id, ""};
-}
-
-FramedPose ToFramedPose(const geometry_msgs::TransformStamped& msg) {
-  return {ToPoseSample(msg.header.stamp, msg.transform), msg.header.frame_id, msg.child_frame_id};
-}
-
-FramedPose ToFramedPose(const geometry_msgs::PoseWithCovarianceStamped& msg) {
-  return {ToPoseSample(msg.header.stamp, msg.pose), msg.header.frame_id, ""};
-}
-
-FramedPose ToFramedPose(const nav_msgs::Odometry& msg) {
-  return {ToPoseSample(msg.header.stamp, msg.pose), msg.header.frame_id, msg.child_frame_id};
 }
 
 PoseStd ToPoseStd(const geometry_msgs::PoseWithCovariance& pose) {

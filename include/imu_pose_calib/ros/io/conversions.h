@@ -48,10 +48,6 @@ struct FramedPose {
   PoseSample pose;
   std::string world_frame, marker_frame;  ///< as in the message; marker empty: not given
 };
-FramedPose ToFramedPose(const geometry_msgs::PoseStamped& msg);
-FramedPose ToFramedPose(const geometry_msgs::TransformStamped& msg);
-FramedPose ToFramedPose(const geometry_msgs::PoseWithCovarianceStamped& msg);
-FramedPose ToFramedPose(const nav_msgs::Odometry& msg);
 
 /// Root mean square of the sigmas along (position) and about (rotation) the three axes. 0 when the
 /// diagonal holds a number that is not finite or not positive, which is how "unknown" is
@@ -73,13 +69,23 @@ bool IsPoseType(const std::string& type);
 /// The pose of a message of one of these types, from a `Source` with instantiate<Msg>().
 template <typename Source>
 FramedPose ReadPose(const std::string& type, const Source& source) {
-  if (type == "geometry_msgs/PoseStamped")
-    return ToFramedPose(*source.template instantiate<geometry_msgs::PoseStamped>());
-  if (type == "geometry_msgs/TransformStamped")
-    return ToFramedPose(*source.template instantiate<geometry_msgs::TransformStamped>());
-  if (type == "geometry_msgs/PoseWithCovarianceStamped")
-    return ToFramedPose(*source.template instantiate<geometry_msgs::PoseWithCovarianceStamped>());
-  return ToFramedPose(*source.template instantiate<nav_msgs::Odometry>());
+  const auto framed = [](const auto& msg, const auto& pose, const std::string& child) {
+    return FramedPose{ToPoseSample(msg.header.stamp, pose), msg.header.frame_id, child};
+  };
+  if (type == "geometry_msgs/PoseStamped") {
+    const auto msg = source.template instantiate<geometry_msgs::PoseStamped>();
+    return framed(*msg, msg->pose, "");
+  }
+  if (type == "geometry_msgs/TransformStamped") {
+    const auto msg = source.template instantiate<geometry_msgs::TransformStamped>();
+    return framed(*msg, msg->transform, msg->child_frame_id);
+  }
+  if (type == "geometry_msgs/PoseWithCovarianceStamped") {
+    const auto msg = source.template instantiate<geometry_msgs::PoseWithCovarianceStamped>();
+    return framed(*msg, msg->pose, "");
+  }
+  const auto msg = source.template instantiate<nav_msgs::Odometry>();
+  return framed(*msg, msg->pose, msg->child_frame_id);
 }
 
 /// What a message of an IMU gives; a vector may be of either sensor.
