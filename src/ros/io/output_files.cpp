@@ -206,32 +206,31 @@ void OutputFiles::MakeFolder(const std::string& path) {
 }
 
 bool OutputFiles::Holds(const std::string& path) const {
-  return std::any_of(files_.begin(), files_.end(),
-                     [&](const File& file) { return IsSame(file.target, path); });
+  return std::any_of(committed_.begin(), committed_.end(),
+                     [&](const std::string& target) { return IsSame(target, path); });
 }
 
 void OutputFiles::Commit() {
   const std::lock_guard<std::mutex> lock(All().mutex);
-  const auto is_new = [](const File& file) { return !file.draft.empty(); };
-  const auto first = std::find_if(files_.begin(), files_.end(), is_new);
-  auto file = first;
+  auto file = files_.begin();
   try {
     for (; file != files_.end(); ++file) Exchange(file->draft, file->target);
   } catch (const fs::filesystem_error& failure) {
     const std::string path = file->path;
-    while (file != first) {
+    while (file != files_.begin()) {
       --file;
       Exchange(file->draft, file->target);
     }
     Fail("output", path, failure.code().value());
   }
-  for (file = first; file != files_.end(); ++file) {
-    std::remove(file->draft.c_str());  // what was there before
-    All().paths.erase(file->draft);
-    file->draft.clear();
+  for (const File& written : files_) {
+    std::remove(written.draft.c_str());  // what was there before
+    All().paths.erase(written.draft);
+    committed_.push_back(written.target);
   }
   for (const std::string& folder : folders_) All().paths.erase(folder);
   for (const std::string& path : obsolete_) std::remove(path.c_str());
+  files_.clear();
   folders_.clear();
   obsolete_.clear();
 }

@@ -105,7 +105,8 @@ void ReadMap(const YAML::Node& map, CalibrationOptions* options) {
   if (!map.IsMap()) throw InputError("must be a map of 'option: value' lines");
   std::set<std::string> seen;
   for (const auto& entry : map) {
-    const std::string key = ReadScalar<std::string>(entry.first, "a string");
+    if (!entry.first.IsScalar()) throw InputError("keys must be strings");
+    const std::string key = entry.first.Scalar();
     if (!seen.insert(key).second) throw InputError("option '" + key + "' is given twice");
     try {
       ReadField(key, entry.second, options);
@@ -190,11 +191,7 @@ SolverKind ParseSolver(const std::string& name) {
 
 CalibrationOptions ParseOptions(const std::string& yaml) {
   CalibrationOptions options;
-  try {
-    ReadMap(ParseYaml(yaml), &options);
-  } catch (const TypeError&) {
-    throw InputError("keys must be strings");
-  }
+  ReadMap(ParseYaml(yaml), &options);
   options.Validate();
   return options;
 }

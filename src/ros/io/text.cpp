@@ -34,17 +34,13 @@ std::string Format(const char* format, ...) {
 
 std::string Wrap(const std::string& label, const std::string& text, size_t columns) {
   std::istringstream words(text);
-  std::string wrapped, line = label, word;
-  const std::string indent(label.size(), ' ');
-  bool is_empty = true;
-  while (words >> word) {
-    if (!is_empty && line.size() + 1 + word.size() > columns) {
+  std::string wrapped, line = label;
+  for (std::string word; words >> word;) {
+    if (line.size() > label.size() && line.size() + 1 + word.size() > columns) {
       wrapped += line + "\n";
-      line = indent;
-      is_empty = true;
+      line.assign(label.size(), ' ');
     }
-    line += (is_empty ? "" : " ") + word;
-    is_empty = false;
+    line += (line.size() > label.size() ? " " : "") + word;
   }
   return wrapped + line + "\n";
 }

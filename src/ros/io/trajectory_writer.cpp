@@ -77,18 +77,6 @@ TrajectoryCount ForEachState(const TrajectoryOutput& output, Visit visit) {
 
 constexpr int kDigits = 12;  ///< of the numbers in a text
 
-void AddEuroc(int64_t stamp_ns, const ImuState& x, TextTable* table) {
-  table->AddRow(std::to_string(stamp_ns), x.p_WI, x.q_WI.w(), x.q_WI.vec(), x.v_W, x.biases.gyro,
-                x.biases.accel);
-}
-
-void AddSigmas(int64_t stamp_ns, const ImuState& x, TextTable* table) {
-  const Eigen::VectorXd sigma = x.covariance.diagonal().cwiseMax(0.0).cwiseSqrt();
-  const Eigen::VectorXd bias_sigma = x.bias_covariance.diagonal().cwiseMax(0.0).cwiseSqrt();
-  table->AddRow(std::to_string(stamp_ns), sigma.segment<3>(3), sigma.segment<3>(0),
-                sigma.segment<3>(9), bias_sigma, x.is_carried ? 1.0 : 0.0);
-}
-
 /// Row by row.
 Vector6d UpperTriangle(const Eigen::Matrix3d& C) {
   Vector6d upper;
@@ -145,6 +133,23 @@ std::filesystem::path Mav0(const std::string& folder) {
   return std::filesystem::path(folder) / "mav0";
 }
 
+/// `sigmas` gets those of the states, if it is not null.
+TrajectoryCount WriteEuroc(const std::string& path, const TrajectoryOutput& output,
+                           TextTable* sigmas, OutputFiles* outputs) {
+  TextTable states(kEurocHeader, ',', kDigits);
+  const TrajectoryCount count = ForEachState(output, [&](int64_t stamp_ns, const ImuState& x) {
+    const std::string stamp = std::to_string(stamp_ns);
+    states.AddRow(stamp, x.p_WI, x.q_WI.w(), x.q_WI.vec(), x.v_W, x.biases.gyro, x.biases.accel);
+    if (sigmas == nullptr) return;
+    const Eigen::VectorXd sigma = x.covariance.diagonal().cwiseMax(0.0).cwiseSqrt();
+    const Eigen::VectorXd bias_sigma = x.bias_covariance.diagonal().cwiseMax(0.0).cwiseSqrt();
+    sigmas->AddRow(stamp, sigma.segment<3>(3), sigma.segment<3>(0), sigma.segment<3>(9), bias_sigma,
+                   x.is_carried ? 1.0 : 0.0);
+  });
+  outputs->Write(path, states.text());
+  return count;
+}
+
 TrajectoryCount WriteAsl(const std::string& path, const TrajectoryOutput& output,
                          OutputFiles* outputs) {
   const std::filesystem::path truth = Mav0(path) / kTruth, imu = Mav0(path) / "imu0";
@@ -152,43 +157,31 @@ TrajectoryCount WriteAsl(const std::string& path, const TrajectoryOutput& output
   outputs->MakeFolder(imu);
   // First what tells that the folder is ours.
   outputs->Write(truth / "sensor.yaml", SensorYaml(*outputs, "visual-inertial", ""));
-  TextTable states(kEurocHeader, ',', kDigits);
-  TextTable sigmas(kSigmaHeader, ',', kDigits);
-  TextTable samples(kAslImuHeader, ',', kDigits);
-  TrajectoryCount count = ForEachState(output, [&](int64_t stamp_ns, const ImuState& x) {
-    AddEuroc(stamp_ns, x, &states);
-    if (output.has_covariance) AddSigmas(stamp_ns, x, &sigmas);
-  });
-  for (const ImuTrack::Sample& s : output.samples())
-    samples.AddRow(std::to_string(s.stamp_ns), s.gyro, s.accel);
-  outputs->Write(truth / "data.csv", states.text());
+  TextTable sigmas(kSigmaHeader, ',', kDigits), samples(kAslImuHeader, ',', kDigits);
+  TrajectoryCount count =
+      WriteEuroc(truth / "data.csv", output, output.has_covariance ? &sigmas : nullptr, outputs);
   if (output.has_covariance)
     outputs->Write(truth / "sigma.csv", sigmas.text());
   else
     outputs->Remove(truth / "sigma.csv");  // of an earlier run
+  for (const ImuTrack::Sample& s : output.samples())
+    samples.AddRow(std::to_string(s.stamp_ns), s.gyro, s.accel);
   outputs->Write(imu / "sensor.yaml", ImuSensorYaml(output, *outputs));
   outputs->Write(imu / "data.csv", samples.text());
   return count;
 }
 
-TrajectoryCount WriteText(const std::string& path, TrajectoryFormat format,
-                          const TrajectoryOutput& output, OutputFiles* outputs) {
-  const bool is_euroc = format == TrajectoryFormat::kEuroc;
-  const bool with_covariance = format == TrajectoryFormat::kOvEval;
-  TextTable table("", is_euroc ? ',' : ' ', kDigits);
+TrajectoryCount WriteTum(const std::string& path, bool with_covariance,
+                         const TrajectoryOutput& output, OutputFiles* outputs) {
+  TextTable table("", ' ', kDigits);
   TrajectoryCount count = ForEachState(output, [&](int64_t stamp_ns, const ImuState& x) {
-    if (is_euroc) return AddEuroc(stamp_ns, x, &table);
     const std::string stamp = SecondsText(stamp_ns);
     if (!with_covariance) return table.AddRow(stamp, x.p_WI, x.q_WI.coeffs());
     table.AddRow(stamp, x.p_WI, x.q_WI.coeffs(), UpperTriangle(x.covariance.block<3, 3>(0, 0)),
                  UpperTriangle(x.covariance.block<3, 3>(3, 3)));
   });
-  // Readers of the dataset's file take its first line for the header, and all others for states.
-  count.is_marked = !is_euroc;
-  const std::string head =
-      is_euroc ? kEurocHeader
-               : Origin(*outputs) + Carried(count) + (with_covariance ? kOvEvalHeader : "");
-  outputs->Write(path, head + table.text());
+  outputs->Write(path, Origin(*outputs) + Carried(count) + (with_covariance ? kOvEvalHeader : "") +
+                           table.text());
   return count;
 }
 
@@ -319,7 +312,12 @@ TrajectoryCount WriteTrajectory(const std::string& path, TrajectoryFormat format
                                 const TrajectoryOutput& output, OutputFiles* outputs) {
   if (format == TrajectoryFormat::kAsl) return WriteAsl(path, output, outputs);
   if (format == TrajectoryFormat::kBag) return WriteBag(path, output, outputs);
-  return WriteText(path, format, output, outputs);
+  if (format != TrajectoryFormat::kEuroc)
+    return WriteTum(path, format == TrajectoryFormat::kOvEval, output, outputs);
+  TrajectoryCount count = WriteEuroc(path, output, nullptr, outputs);
+  // Readers of the dataset's file take its first line for the header, and all others for states.
+  count.is_marked = false;
+  return count;
 }
 
 }  // namespace imu_pose_calib

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <boost/noncopyable.hpp>
 #include <csignal>
 #include <filesystem>
 #include <string>
@@ -15,11 +16,9 @@ extern const char kVersion[];
 /// changes places with what is there by Commit(). Without it they are gone in the end, and what was
 /// there is as it was. A link stays, and what it leads to is replaced. Errors are InputErrors that
 /// name path and reason.
-class OutputFiles {
+class OutputFiles : boost::noncopyable {
  public:
   OutputFiles();
-  OutputFiles(const OutputFiles&) = delete;
-  OutputFiles& operator=(const OutputFiles&) = delete;
   ~OutputFiles();
 
   /// Tells the run from others: "20261125T012345-1a2b3c4d", the time (UTC) and a random number.
@@ -40,13 +39,12 @@ class OutputFiles {
   void Remove(const std::string& path) { obsolete_.push_back(path); }
 
   void Commit();
-  /// Whether the file is written by this run.
+  /// Whether the file is of this run, and committed.
   bool Holds(const std::string& path) const;
 
  private:
   struct File {
-    std::string path, target;
-    std::string draft;  ///< empty: committed
+    std::string path, target, draft;
   };
   struct Planned {
     std::string field, target;
@@ -55,7 +53,8 @@ class OutputFiles {
   std::string run_id_;
   std::vector<Planned> planned_;
   std::vector<File> files_;
-  std::vector<std::string> folders_;  ///< new ones, the outer first
+  std::vector<std::string> committed_;  ///< targets
+  std::vector<std::string> folders_;    ///< new ones, the outer first
   std::vector<std::string> obsolete_;
 };
 
@@ -66,11 +65,9 @@ void WriteFile(const std::string& path, const std::string& text);
 void CheckFolderOf(const std::string& field, const std::string& path);
 
 /// A folder for temporary files, removed in the end.
-class TemporaryFolder {
+class TemporaryFolder : boost::noncopyable {
  public:
   TemporaryFolder();
-  TemporaryFolder(const TemporaryFolder&) = delete;
-  TemporaryFolder& operator=(const TemporaryFolder&) = delete;
   ~TemporaryFolder();
 
   const std::filesystem::path& path() const { return path_; }
@@ -81,11 +78,9 @@ class TemporaryFolder {
 
 /// While it lives, SIGINT, SIGTERM and SIGHUP end the process as they do, but not before what is
 /// not committed is removed, nor amid a commit. To be made before other threads.
-class InterruptGuard {
+class InterruptGuard : boost::noncopyable {
  public:
   InterruptGuard();
-  InterruptGuard(const InterruptGuard&) = delete;
-  InterruptGuard& operator=(const InterruptGuard&) = delete;
   ~InterruptGuard();
 
  private:

@@ -20,11 +20,11 @@ class NumpyTable {
   void AddRow(const Parts&... parts) {
     (Append(parts), ...);
   }
-  size_t rows() const { return values_.size() / columns_; }
   /// An .npy file. Throws InputError when it cannot be written.
   void Write(const std::string& path) const {
     std::string header = std::string("{'descr': '") + (sizeof(Number) == 8 ? "<f8" : "<f4") +
-                         "', 'fortran_order': False, 'shape': (" + std::to_string(rows()) + ", " +
+                         "', 'fortran_order': False, 'shape': (" +
+                         std::to_string(values_.size() / columns_) + ", " +
                          std::to_string(columns_) + "), }";
     constexpr size_t kFixed = 10, kAlignment = 64;  // bytes before the header; of the values
     header.resize((kFixed + header.size() + kAlignment) / kAlignment * kAlignment - kFixed, ' ');
