@@ -6,7 +6,6 @@
 #include <functional>
 #include <optional>
 #include <set>
-#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -125,17 +124,22 @@ bool MayBeMarker(const BagRequest& request, const BagTopic& topic) {
                                                              request.pose_sensors.end(), is_it));
 }
 
-/// A single pair of frames that tf has poses between is taken by itself when there are no others.
-BagRequest FindTf(const Bags& bags, BagRequest request) {
-  const bool is_open = request.poses && request.pose_topic.empty() && request.tf_parent.empty() &&
-                       request.tf_child.empty() && request.body.empty();
-  if (!is_open || Has(bags, [&](const BagTopic& t) { return MayBeMarker(request, t); }))
-    return request;
+/// The frames of tf that the poses of the marker are between, if they are from tf: those that are
+/// named, or the only two where nothing else has poses.
+std::optional<TfFrames> ChooseTf(const Bags& bags, const BagRequest& request) {
+  if (IsPair({"pose_topic", request.pose_topic}, {"tf_parent", request.tf_parent},
+             {"tf_child", request.tf_child})) {
+    if (!request.body.empty())
+      throw InputError("body '" + request.body + "' does not go with poses from tf");
+    return TfFrames(FrameName(request.tf_parent, ""), FrameName(request.tf_child, ""));
+  }
+  if (!request.poses || !request.pose_topic.empty() || !request.body.empty() ||
+      Has(bags, [&](const BagTopic& t) { return MayBeMarker(request, t); }))
+    return std::nullopt;
   const std::optional<TfFrames> pair = ReadLinks(bags).SinglePair();
-  const auto is_it = [&](const std::string& name) { return SplitTf(name) == pair; };
-  if (pair && std::none_of(request.pose_sensors.begin(), request.pose_sensors.end(), is_it))
-    std::tie(request.tf_parent, request.tf_child) = *pair;
-  return request;
+  for (const std::string& name : request.pose_sensors)
+    if (pair && SplitTf(name) == pair) return std::nullopt;
+  return pair;
 }
 
 BagTopic NamedPose(const Bags& bags, const std::string& field, const std::string& name) {
@@ -336,15 +340,14 @@ void ReadTf(const Bags& bags, bool record_time, bool may_lack, PoseReader* reade
   }
 }
 
-PoseReader ChooseMarker(const Bags& bags, const BagRequest& request) {
+PoseReader ChooseMarker(const Bags& bags, const BagRequest& request,
+                        const std::optional<TfFrames>& tf) {
   PoseReader marker;
   marker.field = "pose_topic";
-  if (!request.tf_parent.empty()) {
-    marker.tf = TfFrames(FrameName(request.tf_parent, ""), FrameName(request.tf_child, ""));
-  } else if (request.poses) {
-    marker.topic = ChoosePose(bags, request);
-    marker.body = ChooseBody(bags, marker.field, marker.topic, request.body, "body");
-  }
+  marker.tf = tf;
+  if (tf || !request.poses) return marker;
+  marker.topic = ChoosePose(bags, request);
+  marker.body = ChooseBody(bags, marker.field, marker.topic, request.body, "body");
   return marker;
 }
 
@@ -361,13 +364,9 @@ PoseReader ChoosePoseSensor(const Bags& bags, const BagRequest& request, const s
   return sensor;
 }
 
-Recording Read(const BagRequest& given) {
-  const Bags bags(given.paths, given.start_s, given.duration_s);
-  const BagRequest request = FindTf(bags, given);
-  const bool tf = IsPair({"pose_topic", request.pose_topic}, {"tf_parent", request.tf_parent},
-                         {"tf_child", request.tf_child});
-  if (tf && !request.body.empty())
-    throw InputError("body '" + request.body + "' does not go with poses from tf");
+Recording Read(const BagRequest& request) {
+  const Bags bags(request.paths, request.start_s, request.duration_s);
+  const std::optional<TfFrames> tf = ChooseTf(bags, request);
   Recording recording;
   RecordingInfo& info = recording.info;
   SessionData& data = recording.data;
@@ -381,7 +380,7 @@ Recording Read(const BagRequest& given) {
   std::vector<PoseReader> poses;  // the marker first, chosen among what is no pose sensor
   for (const std::string& name : request.pose_sensors)
     poses.push_back(ChoosePoseSensor(bags, request, name));
-  poses.insert(poses.begin(), ChooseMarker(bags, request));
+  poses.insert(poses.begin(), ChooseMarker(bags, request, tf));
   std::set<std::string> topics;
   std::vector<std::string> names;
   for (const PoseReader& reader : poses) {
