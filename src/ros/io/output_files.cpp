@@ -175,17 +175,7 @@ void OutputFiles::Write(const std::string& path, const std::string& text) {
   errno = 0;
   file.write(text.data(), static_cast<std::streamsize>(text.size()));
   file.close();
-  if (file) return;
-  const int reason = errno;
-  Drop(path);
-  Fail("output", path, reason);
-}
-
-void OutputFiles::Drop(const std::string& path) {
-  const auto is_it = [&](const File& file) { return file.path == path; };
-  for (const File& file : files_)
-    if (is_it(file)) RemoveTemporary(file.draft);
-  files_.erase(std::remove_if(files_.begin(), files_.end(), is_it), files_.end());
+  if (!file) Fail("output", path, errno);
 }
 
 void OutputFiles::MakeFolder(const std::string& path) {

@@ -270,7 +270,6 @@ TrajectoryCount WriteBag(const std::string& path, const TrajectoryOutput& output
     // On a full disk its destructor, which writes the rest, would end the process: it is kept.
     static auto* unfinished = new std::vector<std::unique_ptr<rosbag::Bag>>;
     unfinished->push_back(std::move(bag));
-    outputs->Drop(path);
     throw InputError("trajectory '" + path + "' cannot be written: " + error.what());
   }
 }

@@ -15,7 +15,7 @@ extern const char kVersion[];
 /// The files of one run, which appear together or not at all: each is written beside its place and
 /// changes places with what is there by Commit(). Without it they are gone in the end, and what was
 /// there is as it was. A link stays, and what it leads to is replaced. Errors are InputErrors that
-/// name path and reason.
+/// name path and reason; nothing is to be committed after one.
 class OutputFiles : boost::noncopyable {
  public:
   OutputFiles();
@@ -31,8 +31,6 @@ class OutputFiles : boost::noncopyable {
   void Write(const std::string& path, const std::string& text);
   /// Where to write what is to be at `path`, for writers that want a name.
   std::string Draft(const std::string& path);
-  /// Takes back what was written for `path`.
-  void Drop(const std::string& path);
   /// Makes a folder, and those that it is in.
   void MakeFolder(const std::string& path);
   /// Commit() removes the file, if it is there.
