@@ -109,7 +109,7 @@ TEST_F(ReportTest, MeasuredLessPredictedAreTheResiduals) {
   const CalibrationOptions options;
   const Calibration result = imu_pose_calib::Calibrate(options, sessions);
   ASSERT_TRUE(result.IsUsable()) << result.message;
-  WriteReportData({options, sessions, std::vector<RecordingInfo>(1), result}, {}, dir_.string());
+  WriteReportData({options, sessions, std::vector<RecordingInfo>(1), result}, dir_.string());
   const Outcome outcome =
       Run("/usr/bin/python3",
           Write("check.py", kCheckSeries) + " " IMU_POSE_CALIB_SOURCE_DIR "/scripts " +
@@ -142,7 +142,7 @@ TEST_F(ReportTest, DrawsPoseSensors) {
     }
     const Calibration result = imu_pose_calib::Calibrate({}, sessions);
     ASSERT_TRUE(result.IsUsable()) << result.message;
-    const std::string page = DrawReport({{}, sessions, {info}, result}, {}, Path("r.html"));
+    const std::string page = DrawReport({{}, sessions, {info}, result}, Path("r.html"));
     EXPECT_EQ(HasSection(page, "signals"), has_imu);
     EXPECT_TRUE(HasSection(page, "pose_sensor"));
     EXPECT_TRUE(Contains(page, "Pose sensor 1, lidar"));

@@ -456,7 +456,7 @@ TEST_F(TrajectoryTest, OfAPoseSensorIsOnItsClock) {
     EXPECT_TRUE(IsThere(targets[0], result));
     OutputFiles outputs;
     outputs.Plan("trajectory", targets[0].path, false);
-    const auto lines = WriteTrajectories(request, targets, result, {info}, {}, &outputs);
+    const auto lines = WriteTrajectories(request, targets, {{}, {}, {info}, result}, &outputs);
     outputs.Commit();
     EXPECT_EQ(Contains(lines[0], ", without sigmas"), !has_imu) << lines[0];
     const std::vector<std::string> states = States(request.path);

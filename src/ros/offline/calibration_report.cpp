@@ -1,11 +1,22 @@
 #include "imu_pose_calib/ros/offline/calibration_report.h"
 
-#include <yaml-cpp/yaml.h>
+#include <fcntl.h>
+#include <spawn.h>
+#include <sys/wait.h>
+#include <unistd.h>
 
 #include <algorithm>
+#include <boost/algorithm/string/trim.hpp>
+#include <cerrno>
+#include <csignal>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
 #include <functional>
 #include <limits>
 #include <memory>
+#include <sstream>
+#include <system_error>
 #include <utility>
 
 #include "imu_pose_calib/core/base/median.h"
@@ -13,11 +24,11 @@
 #include "imu_pose_calib/core/data/stamp_recovery.h"
 #include "imu_pose_calib/core/ground_truth/trajectory.h"
 #include "imu_pose_calib/core/start/preparation.h"
+#include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
 #include "imu_pose_calib/ros/io/tables.h"
 #include "imu_pose_calib/ros/io/text.h"
-#include "imu_pose_calib/ros/offline/report.h"
 #include "imu_pose_calib/ros/offline/summary.h"
 
 namespace imu_pose_calib {
@@ -104,10 +115,10 @@ class SolvedSession {
       YAML::Node node;
       node["quantity"] = quantity;
       node["imu"] = found.imu;
-      node["noise"] = YamlValue(found.noise);
-      node["noise_found"] = YamlValue(solution_.statistics[k].noise);
-      node["rms"] = YamlValue(solution_.statistics[k].rms);
-      node["rate_hz"] = YamlValue(solution_.models[k].rate_hz);
+      node["noise"] = YamlNumber(found.noise);
+      node["noise_found"] = YamlNumber(solution_.statistics[k].noise);
+      node["rms"] = YamlNumber(solution_.statistics[k].rms);
+      node["rate_hz"] = YamlNumber(solution_.models[k].rate_hz);
       sensors.push_back(node);
     }
     return sensors;
@@ -306,11 +317,11 @@ YAML::Node ToYaml(const CheckedStream& stream) {
   node["topic"] = stream.topic;
   node["count"] = stream.check.count;
   node["used"] = stream.report.used;
-  node["rate_hz"] = YamlValue(stream.check.rate_hz);
-  node["jitter_s"] = YamlValue(stream.check.jitter_s);
-  node["longest_gap_s"] = YamlValue(stream.check.longest_gap_s);
-  node["missing"] = YamlValue(stream.check.missing);
-  node["repeated"] = YamlValue(stream.check.repeated);
+  node["rate_hz"] = YamlNumber(stream.check.rate_hz);
+  node["jitter_s"] = YamlNumber(stream.check.jitter_s);
+  node["longest_gap_s"] = YamlNumber(stream.check.longest_gap_s);
+  node["missing"] = YamlNumber(stream.check.missing);
+  node["repeated"] = YamlNumber(stream.check.repeated);
   node["recovered"] = stream.check.stamps.recovered;
   node["dropped"] = Dropped(stream.report);
   if (stream.latency)
@@ -356,7 +367,7 @@ YAML::Node WriteSession(const CalibrationRun& run, size_t s,
   const SessionCalibration& session = run.result.sessions[s];
   node["gaps"] = session.gaps;
   node["jumps"] = session.jumps;
-  node["knot_spacing_s"] = YamlValue(session.knot_spacing_s);
+  node["knot_spacing_s"] = YamlNumber(session.knot_spacing_s);
   node["gravity"] = YamlList(session.g_W);
   node["sensors"] = solved->WriteResiduals();
   const TimeOf time = solved->PoseTimes();
@@ -370,30 +381,94 @@ YAML::Node WriteSession(const CalibrationRun& run, size_t s,
   return node;
 }
 
+// --- The page ---
+
+std::string ReadAll(const std::string& path) {
+  std::ostringstream text;
+  text << std::ifstream(path, std::ios::binary).rdbuf();
+  return text.str();
+}
+
+/// Runs `program` with two arguments, without input and output and with stderr in the file
+/// `errors`; whether it succeeded.
+bool Run(std::string program, std::string first, std::string second, const std::string& errors) {
+  char* const words[] = {program.data(), first.data(), second.data(), nullptr};
+  posix_spawn_file_actions_t files;
+  posix_spawn_file_actions_init(&files);
+  posix_spawn_file_actions_addopen(&files, STDIN_FILENO, "/dev/null", O_RDONLY, 0);
+  posix_spawn_file_actions_addopen(&files, STDOUT_FILENO, "/dev/null", O_WRONLY, 0);
+  posix_spawn_file_actions_addopen(&files, STDERR_FILENO, errors.c_str(),
+                                   O_WRONLY | O_CREAT | O_TRUNC, 0600);
+  posix_spawnattr_t attributes;
+  posix_spawnattr_init(&attributes);
+  sigset_t none;
+  sigemptyset(&none);
+  posix_spawnattr_setsigmask(&attributes, &none);  // not what InterruptGuard blocks here
+  posix_spawnattr_setflags(&attributes, POSIX_SPAWN_SETSIGMASK);
+  pid_t pid = 0;
+  const int reason = posix_spawn(&pid, words[0], &files, &attributes, words, environ);
+  posix_spawnattr_destroy(&attributes);
+  posix_spawn_file_actions_destroy(&files);
+  if (reason != 0)
+    throw InputError("'" + program + "' cannot be run: " + std::generic_category().message(reason));
+  int status = 0;
+  while (waitpid(pid, &status, 0) < 0 && errno == EINTR) continue;
+  return WIFEXITED(status) && WEXITSTATUS(status) == EXIT_SUCCESS;
+}
+
+/// The words of this process, with spaces between them.
+std::string OwnCommand() {
+  std::string command = ReadAll("/proc/self/cmdline");  // words end with 0
+  if (!command.empty()) command.pop_back();
+  std::replace(command.begin(), command.end(), '\0', ' ');
+  return command;
+}
+
 }  // namespace
 
-void WriteReportData(const CalibrationRun& run, const ReportText& text, const std::string& folder) {
+YAML::Node YamlList(const Eigen::VectorXd& values) {
+  YAML::Node list(YAML::NodeType::Sequence);
+  for (Eigen::Index k = 0; k < values.size(); ++k) list.push_back(YamlNumber(values[k]));
+  return list;
+}
+
+void WriteReportData(const CalibrationRun& run, const std::string& folder) {
   const Calibration& result = run.result;
-  const bool is_refused = !text.refusal.empty();
+  const bool is_refused = !run.refusal.empty();
   std::shared_ptr<const TrajectoryCovariance> covariance;
   if (result.solution && !result.solution->marginals.factor.empty())
     covariance = std::make_shared<const TrajectoryCovariance>(result.solution);
-  YAML::Node report = ReportHead();
-  report["run_id"] = text.run_id;
+  YAML::Node report;
+  report["version"] = kVersion;
+  report["command"] = Printable(OwnCommand());
+  report["folder"] = Printable(std::filesystem::current_path());
+  report["run_id"] = run.run_id;
   report["status"] = is_refused ? "refused" : ToString(result.status);
-  report["message"] = Printable(is_refused ? text.refusal : result.message);
+  report["message"] = Printable(is_refused ? run.refusal : result.message);
   report["solved"] = result.solution != nullptr;
   report["options"] = YAML::Load(ToYaml(run.options));
   for (size_t s = 0; s < run.sessions.size(); ++s)
     report["sessions"].push_back(
         WriteSession(run, s, covariance, folder + "/s" + std::to_string(s)));
-  WriteYaml(report, folder + "/report.yaml");
+  WriteFile(folder + "/report.yaml", YAML::Dump(report));
   if (result.solution)
-    WriteFile(folder + "/result.yaml", ToYaml(result, run.infos, run.options, {text.run_id}));
+    WriteFile(folder + "/result.yaml", ToYaml(result, run.infos, run.options, {run.run_id}));
 }
 
-std::string DrawReport(const CalibrationRun& run, const ReportText& text, const std::string& path) {
-  return DrawPage(path, [&](const std::string& folder) { WriteReportData(run, text, folder); });
+std::string DrawReport(const CalibrationRun& run, const std::string& path) {
+  const std::string failure = "report '" + path + "' cannot be drawn";
+  const TemporaryFolder folder;
+  WriteReportData(run, folder.path());
+  const std::filesystem::path script =
+      std::filesystem::read_symlink("/proc/self/exe").parent_path() / "report.py";
+  if (!std::filesystem::exists(script))
+    throw InputError(failure + ": there is no " + script.string());
+  const std::string drawn =
+      (folder.path() / "drawn").string() + std::filesystem::path(path).extension().string();
+  const std::string errors = folder.path() / "errors.txt";
+  if (Run(script, folder.path(), drawn, errors)) return ReadAll(drawn);
+  const std::string reasons = boost::trim_copy(ReadAll(errors));
+  throw InputError(failure + ": " + reasons.substr(reasons.rfind('\n') + 1));
 }
 
 }  // namespace imu_pose_calib

@@ -129,17 +129,16 @@ std::vector<TrajectoryTarget> PlanTrajectories(const TrajectoryRequest& request,
   if (format == TrajectoryFormat::kOvEval && method != Method::kJoint)
     throw InputError(
         "trajectory_format ov_eval has covariances, which only method joint gives; use it, or tum");
-  const std::vector<size_t> chosen = FindSensors(request, format, imus > 0, sensors);
+  std::vector<size_t> places = FindSensors(request, format, imus > 0, sensors);
+  const bool is_sensor = !places.empty();
+  for (size_t i = 0; i < imus && !is_sensor; ++i) places.push_back(i);
   std::vector<TrajectoryTarget> targets;
-  const size_t count = chosen.empty() ? imus : chosen.size();
   for (size_t s = 0; s < sessions; ++s)
-    for (size_t k = 0; k < count; ++k) {
-      const size_t place = chosen.empty() ? k : chosen[k];
-      const std::string name = (chosen.empty() ? "_imu" : "_sensor") + std::to_string(place);
-      const std::string addition =
-          (sessions > 1 ? "_session" + std::to_string(s + 1) : "") + (count > 1 ? name : "");
-      targets.push_back(
-          {Insert(request.path, addition, format), format, s, place, !chosen.empty()});
+    for (const size_t place : places) {
+      const std::string name = (is_sensor ? "_sensor" : "_imu") + std::to_string(place);
+      const std::string addition = (sessions > 1 ? "_session" + std::to_string(s + 1) : "") +
+                                   (places.size() > 1 ? name : "");
+      targets.push_back({Insert(request.path, addition, format), format, s, place, is_sensor});
     }
   for (const TrajectoryTarget& target : targets) {
     CheckFolderOf("trajectory", target.path);
@@ -164,17 +163,15 @@ bool IsThere(const TrajectoryTarget& target, const Calibration& result) {
 
 std::vector<std::string> WriteTrajectories(const TrajectoryRequest& request,
                                            const std::vector<TrajectoryTarget>& targets,
-                                           const Calibration& result,
-                                           const std::vector<RecordingInfo>& infos,
-                                           const CalibrationOptions& options,
-                                           OutputFiles* outputs) {
+                                           const CalibrationRun& run, OutputFiles* outputs) {
+  const Calibration& result = run.result;
   std::vector<std::string> lines;
   std::shared_ptr<const TrajectoryCovariance> covariance;
   if (!targets.empty() && !result.solution->splines.empty())
     covariance = std::make_shared<const TrajectoryCovariance>(result.solution);
   const TrackClock clock = ParseClock(request.clock);
   for (const TrajectoryTarget& target : targets) {
-    const RecordingInfo& info = infos[target.session];
+    const RecordingInfo& info = run.infos[target.session];
     if (target.is_sensor) {
       const SensorTrack track(result.solution, target.session, result.pose_sensors[target.place],
                               covariance, clock);
@@ -189,8 +186,8 @@ std::vector<std::string> WriteTrajectories(const TrajectoryRequest& request,
         target.path, target.format,
         {track.Instants(request.rate_hz), [&](double t) { return track.At(t); },
          track.has_covariance(), info.world_frame, info.imus[target.place].imu_frame,
-         [&] { return track.Samples(); }, imu.noise, imu.gyro.rate_hz, options.gyro_bias_walk,
-         options.accel_bias_walk},
+         [&] { return track.Samples(); }, imu.noise, imu.gyro.rate_hz, run.options.gyro_bias_walk,
+         run.options.accel_bias_walk},
         outputs);
     lines.push_back(target.path + ": " + Describe(count, track.gaps()));
   }

@@ -1,6 +1,7 @@
 #include "imu_pose_calib/ros/offline/offline.h"
 
 #include <algorithm>
+#include <boost/range/algorithm_ext/erase.hpp>
 #include <filesystem>
 #include <iostream>
 #include <system_error>
@@ -13,7 +14,6 @@
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
 #include "imu_pose_calib/ros/io/text.h"
-#include "imu_pose_calib/ros/offline/report.h"
 #include "imu_pose_calib/ros/offline/summary.h"
 
 namespace imu_pose_calib {
@@ -227,15 +227,15 @@ void PlanOutput(const Given& output, const std::vector<OfflineRequest>& sessions
 
 /// Draws why the data were refused, beside the report of an earlier run, which stays. That they
 /// were is what to report in the first place: a failure is added to it.
-[[noreturn]] void Refuse(const OfflineResult& offline, const std::string& reason) {
-  std::filesystem::path report = offline.request.report;
+[[noreturn]] void Refuse(const std::string& reason, OfflineResult* offline) {
+  std::filesystem::path report = offline->request.report;
   if (report.empty()) throw DataError(reason);
   if (std::filesystem::exists(report))
     report.replace_extension(".refused" + report.extension().string());
   try {
-    OutputFiles* outputs = offline.outputs.get();
-    outputs->Write(report, DrawReport(offline, {reason, outputs->run_id()}, report));
-    outputs->Commit();
+    offline->refusal = reason;
+    offline->outputs->Write(report, DrawReport(*offline, report));
+    offline->outputs->Commit();
   } catch (const std::exception& error) {
     throw DataError(reason + "; no report: " + error.what());
   }
@@ -255,7 +255,9 @@ void RunOffline(const Progress& progress, OfflineResult* offline) {
   TrajectoryRequest of_any = given.trajectory;
   of_any.frame.clear();
   PlanTrajectories(of_any, offline->options.method, requests.size(), 1);
-  CheckReportName(given.report);
+  const std::string extension = std::filesystem::path(given.report).extension();
+  if (!given.report.empty() && extension != ".html" && extension != ".pdf")
+    throw InputError("report '" + given.report + "' must end in .html or .pdf");
   OutputFiles* outputs = offline->outputs.get();
   PlanOutput({"output", given.output}, requests, outputs);
   if (!given.report.empty()) PlanOutput({"report", given.report}, requests, outputs);
@@ -279,17 +281,15 @@ void RunOffline(const Progress& progress, OfflineResult* offline) {
         Calibrate(offline->options,
                   is_kept ? offline->sessions : std::exchange(offline->sessions, {}), progress);
   } catch (const DataError& error) {
-    Refuse(*offline, error.what());
+    Refuse(error.what(), offline);
   }
   std::vector<std::string>& warnings = offline->result.warnings;
   for (const RecordingInfo& info : offline->infos)
     warnings.insert(warnings.begin(), info.notes.begin(), info.notes.end());
-  if (!offline->result.IsUsable()) Refuse(*offline, offline->result.message);
-  const auto is_missing = [&](const TrajectoryTarget& target) {
+  if (!offline->result.IsUsable()) Refuse(offline->result.message, offline);
+  boost::remove_erase_if(offline->trajectories, [&](const TrajectoryTarget& target) {
     return !IsThere(target, offline->result);
-  };
-  std::vector<TrajectoryTarget>& targets = offline->trajectories;
-  targets.erase(std::remove_if(targets.begin(), targets.end(), is_missing), targets.end());
+  });
 }
 
 /// Gives the outputs the report, if one is wanted, and lets go of the recorded data. Returns why
@@ -300,9 +300,9 @@ std::string WriteReport(OfflineResult* offline, const Progress& progress) {
   if (progress) progress("report", std::nullopt);
   std::string page;
   try {
-    page = DrawReport(*offline, {"", offline->outputs->run_id()}, path);
+    page = DrawReport(*offline, path);
   } catch (const std::exception& error) {
-    return "no report: " + std::string(error.what()) + "; the result is in '" +
+    return std::string("no report: ") + error.what() + "; the result is in '" +
            offline->request.output + "'";
   }
   offline->outputs->Write(path, page);
@@ -415,12 +415,13 @@ std::string ReportPath(const OfflineRequest& request) {
 OfflineResult CalibrateOffline(const OfflineRequest& given, const Progress& progress) {
   CheckGiven(given);
   OfflineResult offline;
+  offline.run_id = offline.outputs->run_id();
   offline.request = given;
   offline.request.output = OutputPath(given);
   offline.earlier = FindEarlier(offline.request.output);
-  const auto still_there = [&]() -> std::string {
-    if (offline.earlier.empty()) return "";
-    return "; still there, of an earlier run: " + WithTimes(offline.earlier);
+  const auto still_there = [&] {
+    const bool is_first = offline.earlier.empty();
+    return is_first ? "" : "; still there, of an earlier run: " + WithTimes(offline.earlier);
   };
   try {
     RunOffline(progress, &offline);
@@ -440,7 +441,7 @@ std::string WriteResult(OfflineResult* offline, const Progress& progress) {
     written.insert(written.end(), lines.begin(), lines.end());
   };
   const std::string yaml = ToYaml(offline->result, offline->infos, offline->options,
-                                  {outputs->run_id(), OtherFiles(*offline)});
+                                  {offline->run_id, OtherFiles(*offline)});
   try {
     outputs->Write(request.output, yaml);
     add({request.output});
@@ -450,8 +451,7 @@ std::string WriteResult(OfflineResult* offline, const Progress& progress) {
       add(WriteExports(stored, names, outputs));
       offline->export_note = ExportNote(stored, names);
     }
-    add(WriteTrajectories(request.trajectory, offline->trajectories, offline->result,
-                          offline->infos, offline->options, outputs));
+    add(WriteTrajectories(request.trajectory, offline->trajectories, *offline, outputs));
     std::string failure = WriteReport(offline, progress);
     outputs->Commit();
     return failure;
@@ -473,8 +473,8 @@ std::string Describe(const OfflineResult& offline, bool is_verbose) {
   std::string files = WrittenTo(written);
   if (!offline.export_note.empty()) files += Wrap("  note: ", Printable(offline.export_note));
   std::vector<std::string> older = offline.earlier;
-  const auto is_new = [&](const std::string& file) { return offline.outputs->Holds(file); };
-  older.erase(std::remove_if(older.begin(), older.end(), is_new), older.end());
+  boost::remove_erase_if(older,
+                         [&](const std::string& file) { return offline.outputs->Holds(file); });
   if (!older.empty()) files += Wrap("  older, of another run: ", Printable(WithTimes(older)));
   if (is_verbose) return Summary(offline.result, offline.infos) + files;
   const auto lines = static_cast<size_t>(std::count(files.begin(), files.end(), '\n'));

@@ -20,8 +20,8 @@
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
 #include "imu_pose_calib/ros/io/text.h"
+#include "imu_pose_calib/ros/offline/calibration_report.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
-#include "imu_pose_calib/ros/offline/report.h"
 #include "imu_pose_calib/simulation/error_bound.h"
 #include "imu_pose_calib/simulation/simulator.h"
 
@@ -263,7 +263,7 @@ YAML::Node About() {
   node["within"] = YamlList(Eigen::Vector3d(bounds.weak_rotation_std, bounds.weak_translation_std,
                                             bounds.weak_time_shift_std));
   for (const Effect& effect : Effects(&simulator))
-    node["effects"][effect.name] = YamlValue(effect.usual);
+    node["effects"][effect.name] = YamlNumber(effect.usual);
   return node;
 }
 

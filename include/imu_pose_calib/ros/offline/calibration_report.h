@@ -1,5 +1,8 @@
 #pragma once
 
+#include <yaml-cpp/yaml.h>
+
+#include <Eigen/Core>
 #include <string>
 #include <vector>
 
@@ -16,13 +19,12 @@ struct CalibrationRun {
   std::vector<RecordingInfo> infos;   ///< of each session
   /// Without a solution: the data were refused before the solve.
   Calibration result;
-};
-
-/// What a report tells beside the run.
-struct ReportText {
   std::string refusal = {};  ///< why there is no result; empty: there is one
   std::string run_id = {};   ///< see OutputFiles
 };
+
+/// Numbers that every reader of YAML takes for numbers.
+YAML::Node YamlList(const Eigen::VectorXd& values);
 
 /// Puts the numbers that scripts/report.py draws into a folder:
 ///
@@ -34,9 +36,11 @@ struct ReportText {
 ///                       else SI
 ///
 /// Throws InputError when a file cannot be written.
-void WriteReportData(const CalibrationRun& run, const ReportText& text, const std::string& folder);
+void WriteReportData(const CalibrationRun& run, const std::string& folder);
 
-/// The report, see DrawPage().
-std::string DrawReport(const CalibrationRun& run, const ReportText& text, const std::string& path);
+/// The page that scripts/report.py, which is installed beside the executables, draws of these: one
+/// HTML file, or PDF when `path` ends in ".pdf". Throws InputError with the reason when it cannot
+/// be drawn.
+std::string DrawReport(const CalibrationRun& run, const std::string& path);
 
 }  // namespace imu_pose_calib

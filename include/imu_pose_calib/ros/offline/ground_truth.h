@@ -3,10 +3,8 @@
 #include <string>
 #include <vector>
 
-#include "imu_pose_calib/core/base/options.h"
-#include "imu_pose_calib/core/base/result.h"
-#include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/io/trajectory_writer.h"
+#include "imu_pose_calib/ros/offline/calibration_report.h"
 
 namespace imu_pose_calib {
 
@@ -45,8 +43,6 @@ bool IsThere(const TrajectoryTarget& target, const Calibration& result);
 /// more where the format cannot say which states the IMU alone has carried.
 std::vector<std::string> WriteTrajectories(const TrajectoryRequest& request,
                                            const std::vector<TrajectoryTarget>& targets,
-                                           const Calibration& result,
-                                           const std::vector<RecordingInfo>& infos,
-                                           const CalibrationOptions& options, OutputFiles* outputs);
+                                           const CalibrationRun& run, OutputFiles* outputs);
 
 }  // namespace imu_pose_calib
