@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <boost/algorithm/string/case_conv.hpp>
+#include <boost/algorithm/string/join.hpp>
 #include <cctype>
 #include <cmath>
 #include <optional>
@@ -233,6 +234,30 @@ std::string SensorTable(const Calibration& result, const RecordingInfo& info, bo
          text;
 }
 
+/// A stream of a session, and what the solve used of it.
+struct UsedStream {
+  std::string role, of_imu, topic;
+  const StreamReport& report;
+};
+std::vector<UsedStream> UsedStreams(const Calibration& result, size_t s,
+                                    const RecordingInfo& info) {
+  const SessionCalibration& session = result.sessions[s];
+  std::vector<UsedStream> streams = {{"poses", "", info.pose_topic, session.poses}};
+  for (size_t i = 0; i < session.imus.size(); ++i) {
+    const ImuSession& imu = session.imus[i];
+    const std::string of = OfImu(i, session.imus.size());
+    if (!imu.is_present) continue;
+    streams.push_back({"gyro", of, info.imus[i].GyroSource(), imu.gyro});
+    streams.push_back({"accel", of, info.imus[i].AccelSource(), imu.accel});
+  }
+  for (size_t k = 0; k < result.pose_sensors.size(); ++k) {
+    const std::vector<PoseSensorSession>& sensor = result.pose_sensors[k].sessions;
+    if (s < sensor.size() && sensor[s].is_present)
+      streams.push_back({Format("sensor%zu", k), "", info.pose_sensors[k].topic, sensor[s].poses});
+  }
+  return streams;
+}
+
 /// One line instead of the table of the sessions.
 std::string MostApart(const Calibration& result) {
   const auto most = std::max_element(result.sessions.begin(), result.sessions.end(),
@@ -245,26 +270,13 @@ std::string MostApart(const Calibration& result) {
 }
 
 /// What was dropped of all streams.
-std::string AllDropped(const Calibration& result) {
-  const std::vector<SessionCalibration>& sessions = result.sessions;
-  std::string text;
-  const auto add = [&](const std::string& stream, const StreamReport& report) {
-    const std::string dropped = Dropped(report);
-    if (!dropped.empty()) text += (text.empty() ? "" : "; ") + stream + " " + dropped;
-  };
-  for (size_t s = 0; s < sessions.size(); ++s) {
-    const std::string of = OfSession(s, sessions.size());
-    add("poses" + of, sessions[s].poses);
-    for (size_t i = 0; i < sessions[s].imus.size(); ++i) {
-      const std::string imu = OfImu(i, sessions[s].imus.size()) + of;
-      add("gyro" + imu, sessions[s].imus[i].gyro);
-      add("accel" + imu, sessions[s].imus[i].accel);
-    }
-    for (size_t k = 0; k < result.pose_sensors.size(); ++k)
-      if (s < result.pose_sensors[k].sessions.size())
-        add("sensor" + std::to_string(k) + of, result.pose_sensors[k].sessions[s].poses);
-  }
-  return "\n" + Wrap("  dropped: ", text.empty() ? "no samples" : text);
+std::string AllDropped(const Calibration& result, const std::vector<RecordingInfo>& infos) {
+  std::vector<std::string> all;
+  for (size_t s = 0; s < infos.size(); ++s)
+    for (const UsedStream& stream : UsedStreams(result, s, infos[s]))
+      if (const std::string dropped = Dropped(stream.report); !dropped.empty())
+        all.push_back(stream.role + stream.of_imu + OfSession(s, infos.size()) + " " + dropped);
+  return "\n" + Wrap("  dropped: ", all.empty() ? "no samples" : boost::join(all, "; "));
 }
 
 /// So many lines at most of the warnings, with the number of those left out.
@@ -307,31 +319,19 @@ std::string Warnings(const Calibration& result) {
 
 std::string Data(const Calibration& result, const std::vector<RecordingInfo>& infos) {
   std::string text;
-  const auto add = [&text](const char* label, const std::string& topic,
-                           const StreamReport& report) {
-    text += Wrap(
-        label,
-        topic +
-            Format(": %zu at %.1f Hz over %.1f s", report.used, report.rate_hz, report.duration_s) +
-            Recovered(report.stamps_recovered, report.stamp_jitter_s) + AndDropped(report));
-  };
   for (size_t s = 0; s < result.sessions.size(); ++s) {
     const SessionCalibration& session = result.sessions[s];
     const RecordingInfo& info = infos[s];
     text += "\n";
     text +=
         infos.size() == 1 ? "Data\n" : Wrap(Format("Data of session %zu: ", s + 1), info.Source());
-    add("  poses  ", info.pose_topic, session.poses);
-    text += Stated("         ", info.stated_pose_std);
-    for (size_t i = 0; i < session.imus.size(); ++i) {
-      if (!session.imus[i].is_present) continue;
-      add("  gyro   ", info.imus[i].GyroSource(), session.imus[i].gyro);
-      add("  accel  ", info.imus[i].AccelSource(), session.imus[i].accel);
-    }
-    for (size_t k = 0; k < result.pose_sensors.size(); ++k) {
-      const std::vector<PoseSensorSession>& sensor = result.pose_sensors[k].sessions;
-      if (s < sensor.size() && sensor[s].is_present)
-        add(Format("  sensor%zu  ", k).c_str(), info.pose_sensors[k].topic, sensor[s].poses);
+    for (const auto& [role, of_imu, topic, report] : UsedStreams(result, s, info)) {
+      const std::string used =
+          Format(": %zu at %.1f Hz over %.1f s", report.used, report.rate_hz, report.duration_s);
+      text += Wrap(Format("  %-5s  ", role.c_str()),
+                   topic + used + Recovered(report.stamps_recovered, report.stamp_jitter_s) +
+                       AndDropped(report));
+      if (role == "poses") text += Stated("         ", info.stated_pose_std);
     }
     if (!info.imu_yaml.empty()) text += Wrap("  noise  ", info.imu_yaml);
     if (session.gaps + session.jumps > 0)
@@ -570,7 +570,7 @@ std::string Summary(const Calibration& result, const std::vector<RecordingInfo>&
       text += Transform(result.imus[0].T_MI) + Clocks(result) + Imu(result) + Residuals(result);
     return text + tf;
   }
-  text += AllDropped(result);
+  text += AllDropped(result, infos);
   const size_t used = CountLines(text) + CountLines(tf);
   return text + FirstWarnings(result, *lines > used ? *lines - used : 0) + tf;
 }
