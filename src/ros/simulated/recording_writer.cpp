@@ -139,28 +139,25 @@ struct Sink {
   }
 };
 
-/// A message to write and its record time [ns].
-struct Record {
-  int64_t t_ns;
-  std::function<void(Sink*, int64_t)> write;
-};
+/// Messages to write, by their record times [ns].
+using Records = std::multimap<int64_t, std::function<void(Sink*, int64_t)>>;
 
 /// Appends the messages `to_msg(k)` of the samples, recorded at their stamps plus `offset` [ns],
 /// but never before the sample ahead of them.
 template <typename Sample, typename ToMsg>
 void Add(const std::string& topic, const std::vector<Sample>& samples, int64_t offset, ToMsg to_msg,
-         std::vector<Record>* records) {
+         Records* records) {
   int64_t arrival = std::numeric_limits<int64_t>::min();
   for (size_t k = 0; k < samples.size(); ++k) {
     arrival = std::max(arrival, samples[k].t_ns + offset);
-    records->push_back({arrival, [topic, to_msg, k](Sink* sink, int64_t t_ns) {
-                          sink->Write(topic, t_ns, to_msg(k));
-                        }});
+    records->emplace(arrival, [topic, to_msg, k](Sink* sink, int64_t t_ns) {
+      sink->Write(topic, t_ns, to_msg(k));
+    });
   }
 }
 
 template <typename Msg>
-void AddPosesAs(const std::vector<PoseSample>& poses, std::vector<Record>* records,
+void AddPosesAs(const std::vector<PoseSample>& poses, Records* records,
                 const std::string& topic = "/mocap/pose", const std::string& frame = "world",
                 int64_t offset = 0) {
   const auto to_msg = [&poses, frame](size_t k) {
@@ -171,8 +168,7 @@ void AddPosesAs(const std::vector<PoseSample>& poses, std::vector<Record>* recor
   Add(topic, poses, offset, to_msg, records);
 }
 
-void AddPoses(const std::string& type, const std::vector<PoseSample>& poses,
-              std::vector<Record>* records) {
+void AddPoses(const std::string& type, const std::vector<PoseSample>& poses, Records* records) {
   using namespace geometry_msgs;  // NOLINT(google-build-using-namespace)
   if (type == "PoseStamped") return AddPosesAs<PoseStamped>(poses, records);
   if (type == "TransformStamped") return AddPosesAs<TransformStamped>(poses, records);
@@ -188,15 +184,13 @@ void AddPoses(const std::string& type, const std::vector<PoseSample>& poses,
     msg.transforms = {ToLink(poses[k].t_ns, 0, BaseInWorld())};
     return msg;
   };
-  const size_t once = std::min<size_t>(poses.size(), 1);
-  Add("/tf_static", std::vector<PoseSample>(poses.begin(), poses.begin() + once), 0, fixed,
-      records);
+  if (!poses.empty()) Add("/tf_static", std::vector{poses.front()}, 0, fixed, records);
   Add(
       "/tf", poses, 0, [&poses](size_t k) { return ToTf(k, poses); }, records);
 }
 
 void AddImu(const BagFormat& format, const std::string& name, const ImuData& imu, int64_t offset,
-            std::vector<Record>* records) {
+            Records* records) {
   const std::vector<ImuSample>&gyro = imu.gyro, &accel = imu.accel;
   const auto add_split = [&](auto gyro_msg, auto accel_msg) {
     Add("/" + name + "/gyro", gyro, offset, gyro_msg, records);
@@ -230,7 +224,7 @@ int64_t RecordOffset(const SessionData& data, std::optional<int64_t> first_ns) {
   return std::abs(offset) > kDay ? offset : 0;
 }
 
-void AddPoseSensors(const SessionData& data, std::vector<Record>* records) {
+void AddPoseSensors(const SessionData& data, Records* records) {
   for (size_t k = 0; k < data.pose_sensors.size(); ++k) {
     const std::vector<PoseSample>& poses = data.pose_sensors[k];
     if (poses.empty()) continue;
@@ -292,7 +286,7 @@ void CheckSameStamps(const ImuData& imu) {
 }
 
 void WriteBag(const std::string& path, const SessionData& data, const BagFormat& format) {
-  std::vector<Record> records;
+  Records records;
   AddPoses(format.pose_type, data.poses, &records);
   AddPoseSensors(data, &records);
   const int64_t offset = RecordOffset(data, FirstGyro(data));
@@ -302,10 +296,8 @@ void WriteBag(const std::string& path, const SessionData& data, const BagFormat&
     const int64_t later = imu.gyro.empty() ? 0 : imu.gyro.front().t_ns - *FirstGyro(data);
     AddImu(i == 0 ? format : BagFormat(), name, imu, offset - later, &records);
   }
-  std::stable_sort(records.begin(), records.end(),
-                   [](const Record& a, const Record& b) { return a.t_ns < b.t_ns; });
   const auto write_all = [&](Sink sink) {
-    for (const Record& record : records) record.write(&sink, record.t_ns);
+    for (const auto& [t_ns, write] : records) write(&sink, t_ns);
   };
   if (format.ros2) {
     const auto storage = *format.ros2 == Ros2Format::kMcap ? CreateMcap(path) : CreateSqlite(path);
@@ -322,15 +314,14 @@ void WriteBag(const std::string& path, const SessionData& data, const BagFormat&
 
 void WriteAslFolder(const std::string& folder, const SessionData& data) {
   OutputFiles files;
-  const std::string imu = ImuTable(true, data.imus[0]);
-  for (const char* sensor : {"", "/mocap0", "/imu0"}) files.MakeFolder(folder + sensor);
-  files.Write(folder + "/mocap0/data.csv", AslPoses(data.poses));
-  files.Write(folder + "/imu0/data.csv", imu);
-  for (size_t k = 0; k < data.pose_sensors.size(); ++k) {
-    const std::string sensor = folder + "/pose_sensor" + std::to_string(k);
-    files.MakeFolder(sensor);
-    files.Write(sensor + "/data.csv", AslPoses(data.pose_sensors[k]));
-  }
+  const auto write = [&](const std::string& sensor, const std::string& table) {
+    files.MakeFolder(folder + "/" + sensor);
+    files.Write(folder + "/" + sensor + "/data.csv", table);
+  };
+  write("imu0", ImuTable(true, data.imus[0]));
+  write("mocap0", AslPoses(data.poses));
+  for (size_t k = 0; k < data.pose_sensors.size(); ++k)
+    write("pose_sensor" + std::to_string(k), AslPoses(data.pose_sensors[k]));
   files.Commit();
 }
 
