@@ -98,16 +98,16 @@ std::vector<Vector3d> SlowError(double sigma, double rate_hz, size_t count, std:
   return errors;
 }
 
-/// RealEffects::pose_updates. Errors [m] of positions p_WM at rate_hz.
-std::vector<Vector3d> CarriedOn(double sigma, double rate_hz, const std::vector<Vector3d>& p_WM,
-                                std::mt19937 random) {
+/// RealEffects::pose_updates: gives its errors to exact positions at rate_hz.
+void CarryOn(double sigma, double rate_hz, std::mt19937 random, std::vector<PoseSample>* poses) {
+  const std::vector<PoseSample> exact = *poses;
   const double h = 1.0 / rate_hz;
   const auto period = std::max<size_t>(1, static_cast<size_t>(std::lround(rate_hz / kUpdateRate)));
   Vector3d error = Vector3d::Zero(), velocity = error;
-  std::vector<Vector3d> errors;
-  for (size_t k = 0; k < p_WM.size(); ++k) {
+  for (size_t k = 0; k < exact.size(); ++k) {
     if (k >= 2) {
-      const Vector3d acceleration = (p_WM[k] - 2.0 * p_WM[k - 1] + p_WM[k - 2]) / (h * h);
+      const Vector3d acceleration =
+          (exact[k].p_WM - 2.0 * exact[k - 1].p_WM + exact[k - 2].p_WM) / (h * h);
       velocity += kCarriedScale * h * acceleration;
       error += h * velocity;
     }
@@ -116,9 +116,8 @@ std::vector<Vector3d> CarriedOn(double sigma, double rate_hz, const std::vector<
       error += kPositionGain * innovation;
       velocity += kVelocityGain * innovation;
     }
-    errors.push_back(error);
+    (*poses)[k].p_WM += error;
   }
-  return errors;
 }
 
 /// Rotation since the first rate, which changes linearly from one to the next.
@@ -261,13 +260,9 @@ std::vector<PoseSample> Poses(const SimulatorOptions& options, const TrueTraject
     poses[k].q_WM = frame.T_VW.q * poses[k].q_WM;
     poses[k].p_WM = frame.T_VW.q * poses[k].p_WM + frame.T_VW.p;
   }
-  if (!is_carried_on) return poses;
-  std::vector<Vector3d> positions;
-  for (const PoseSample& pose : poses) positions.push_back(pose.p_WM);
-  const std::vector<Vector3d> errors =
-      CarriedOn(effects.pose_updates, options.pose_rate_hz, positions,
-                RandomOf(RandomEffect::kPoseUpdates, options.seed));
-  for (size_t k = 0; k < count; ++k) poses[k].p_WM += errors[k];
+  if (is_carried_on)
+    CarryOn(effects.pose_updates, options.pose_rate_hz,
+            RandomOf(RandomEffect::kPoseUpdates, options.seed), &poses);
   return poses;
 }
 
