@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <filesystem>
 #include <limits>
-#include <utility>
 
 #include "imu_pose_calib/core/data/stamp_recovery.h"
 #include "imu_pose_calib/ros/io/bags.h"
@@ -40,10 +39,8 @@ AggregateRequest Checked(AggregateRequest request) {
     throw InputError(
         "say where the sensor of the clouds sits: give either imu_sensor, "
         "x_imu = T x_sensor, or marker_sensor, x_marker = T x_sensor");
-  request.sensor.is_on_imu_clock = request.cloud_clock != "poses";
-  if (request.sensor.is_on_imu_clock && !request.cloud_clock.empty() &&
-      request.cloud_clock != "imu")
-    throw InputError("cloud_clock '" + request.cloud_clock + "' is unknown; must be imu or poses");
+  request.sensor.is_on_imu_clock =
+      ParseClock("cloud_clock", request.cloud_clock) == TrackClock::kImu;
   CheckRange("voxel", request.voxel_m, 1e-3, 100.0);
   CheckRange("radius", request.radius_m, 1e-2, 100.0);
   CheckRange("min_range", request.min_range_m, 0.0, 1e4);

@@ -1,6 +1,7 @@
 #include "imu_pose_calib/ros/offline/ground_truth.h"
 
 #include <algorithm>
+#include <boost/algorithm/string/erase.hpp>
 #include <filesystem>
 #include <memory>
 
@@ -19,12 +20,6 @@ void CheckNumber(const char* name, double value, double largest) {
   if (!(value >= 0.0 && value <= largest))
     throw InputError(std::string(name) + " = " + YamlNumber(value) + " must be 0 to " +
                      YamlNumber(largest));
-}
-
-TrackClock ParseClock(const std::string& name) {
-  if (name.empty() || name == "imu") return TrackClock::kImu;
-  if (name == "poses") return TrackClock::kPoses;
-  throw InputError("trajectory_clock '" + name + "' is unknown; must be imu or poses");
 }
 
 /// Places of the pose sensors whose trajectories are asked for. Throws InputError when there is no
@@ -61,11 +56,8 @@ std::vector<size_t> FindSensors(const TrajectoryRequest& request, TrajectoryForm
 std::string Insert(const std::string& path, const std::string& addition, TrajectoryFormat format) {
   std::filesystem::path name = path;
   if (!name.has_filename()) name = name.parent_path();  // a slash at the end
-  if (addition.empty()) return name;
-  const bool has_suffix = format != TrajectoryFormat::kAsl && name.has_extension();
-  const std::string suffix = has_suffix ? name.extension().string() : "";
-  if (has_suffix) name.replace_extension();
-  return name.string() + addition + suffix;
+  const std::string suffix = format == TrajectoryFormat::kAsl ? "" : name.extension().string();
+  return boost::erase_tail_copy(name.string(), static_cast<int>(suffix.size())) + addition + suffix;
 }
 
 std::string Gaps(size_t count) { return std::to_string(count) + (count == 1 ? " gap" : " gaps"); }
@@ -110,6 +102,12 @@ std::string WriteSensor(const TrajectoryTarget& target, const SensorTrack& track
 
 }  // namespace
 
+TrackClock ParseClock(const std::string& field, const std::string& name) {
+  if (name.empty() || name == "imu") return TrackClock::kImu;
+  if (name == "poses") return TrackClock::kPoses;
+  throw InputError(field + " '" + name + "' is unknown; must be imu or poses");
+}
+
 std::vector<TrajectoryTarget> PlanTrajectories(const TrajectoryRequest& request, Method method,
                                                size_t sessions, size_t imus,
                                                const std::vector<PoseSensorInfo>& sensors) {
@@ -118,12 +116,11 @@ std::vector<TrajectoryTarget> PlanTrajectories(const TrajectoryRequest& request,
         !request.frame.empty())
       throw InputError(
           "trajectory_format, trajectory_clock, trajectory_frame and trajectory_rate need a file: "
-          "give "
-          "trajectory");
+          "give trajectory");
     return {};
   }
   const TrajectoryFormat format = ParseTrajectoryFormat(request.format, request.path);
-  ParseClock(request.clock);
+  ParseClock("trajectory_clock", request.clock);
   CheckNumber("trajectory_rate", request.rate_hz, kLargestRate);
   CheckNumber("trajectory_gaps", request.max_gap_s, kLongestGap);
   if (format == TrajectoryFormat::kOvEval && method != Method::kJoint)
@@ -169,7 +166,7 @@ std::vector<std::string> WriteTrajectories(const TrajectoryRequest& request,
   std::shared_ptr<const TrajectoryCovariance> covariance;
   if (!targets.empty() && !result.solution->splines.empty())
     covariance = std::make_shared<const TrajectoryCovariance>(result.solution);
-  const TrackClock clock = ParseClock(request.clock);
+  const TrackClock clock = ParseClock("trajectory_clock", request.clock);
   for (const TrajectoryTarget& target : targets) {
     const RecordingInfo& info = run.infos[target.session];
     if (target.is_sensor) {

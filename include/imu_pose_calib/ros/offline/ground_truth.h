@@ -20,6 +20,9 @@ struct TrajectoryRequest {
   double max_gap_s = 2.0;  ///< longest gap of the poses that the IMU carries the trajectory across
 };
 
+/// Of "imu", which is the default, or "poses". Throws InputError naming the field otherwise.
+TrackClock ParseClock(const std::string& field, const std::string& name);
+
 /// A file or folder to write.
 struct TrajectoryTarget {
   std::string path;
