@@ -356,7 +356,7 @@ void PutBody(const Eigen::Quaterniond& q_BI, const Rigid3& T_IM, double time_shi
   const bool is_imu = q_BI.isApprox(Eigen::Quaterniond::Identity());
   Put("BM", Rigid3{q_BI * T_IM.q, q_BI * T_IM.p}, values);
   Put("q_BI", q_BI.coeffs(), values);
-  PutIf(true, "axes_are_taken", is_imu ? ": the imu's axes are taken for the body's;" : "", values);
+  (*values)["axes_are_taken"] = is_imu ? ": the imu's axes are taken for the body's;" : "";
   PutIf(fits, "delay_ms", YamlNumber(delay_ms), values);
   PutIf(!fits, "unfit_delay_ms", Number(delay_ms), values);
 }

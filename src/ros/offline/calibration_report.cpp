@@ -15,6 +15,7 @@
 #include <functional>
 #include <limits>
 #include <memory>
+#include <optional>
 #include <sstream>
 #include <system_error>
 #include <utility>
@@ -74,8 +75,7 @@ class SolvedSession {
  public:
   SolvedSession(const CalibrationRun& run, size_t session,
                 const std::shared_ptr<const TrajectoryCovariance>& covariance, std::string prefix)
-      : run_(run),
-        s_(session),
+      : s_(session),
         solution_(*run.result.solution),
         estimate_(solution_.estimate.sessions[session]),
         has_covariance_(covariance != nullptr),
@@ -256,14 +256,12 @@ class SolvedSession {
       const double t = estimate_.imus[imu].PoseTime(knots.t[k]);
       Eigen::Vector3d sigma = Nothing<3>();
       if (has_covariance_)
-        if (const auto covariance = trajectory_.BiasCovariance(imu, t))
-          sigma = covariance->diagonal().segment<3>(first).cwiseSqrt();
+        sigma = trajectory_.BiasCovariance(imu, t)->diagonal().segment<3>(first).cwiseSqrt();
       table.AddRow(t, knots.values[k], sigma);
     }
     table.Write(prefix_ + "_" + name + ".npy");
   }
 
-  const CalibrationRun& run_;
   const size_t s_;
   const Solution& solution_;
   const SessionEstimate& estimate_;
@@ -287,9 +285,9 @@ void WriteStream(const std::string& file, const std::vector<Sample>& samples, co
   values.Write(file + ".npy");
 }
 
-/// What was recorded, in SI units. `solved`: null before a solve.
+/// What was recorded, in SI units. `solved`: nothing before a solve.
 void WriteRecorded(const CalibrationOptions& options, const SessionData& session,
-                   const SolvedSession* solved, const std::string& prefix) {
+                   const std::optional<SolvedSession>& solved, const std::string& prefix) {
   WriteStream(prefix + "_poses", session.poses, solved ? solved->PoseTimes() : nullptr, 7,
               [&](const PoseSample& sample) {
                 const PoseSample pose = ToMarkerPose(options, sample);
@@ -348,10 +346,9 @@ YAML::Node WriteSession(const CalibrationRun& run, size_t s,
                         const std::string& prefix) {
   const SessionData& recorded = run.sessions[s];
   const RecordingInfo info = WithPrintableNames(run.infos[s]);
-  std::unique_ptr<const SolvedSession> solved;
-  if (run.result.solution)
-    solved = std::make_unique<const SolvedSession>(run, s, covariance, prefix);
-  WriteRecorded(run.options, recorded, solved.get(), prefix);
+  std::optional<SolvedSession> solved;
+  if (run.result.solution) solved.emplace(run, s, covariance, prefix);
+  WriteRecorded(run.options, recorded, solved, prefix);
   const DataCheck check = solved ? CheckSolved(run.options, recorded, run.result.sessions[s])
                                  : CheckData(run.options, recorded);
   YAML::Node node;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <boost/range/algorithm_ext/erase.hpp>
+#include <boost/range/algorithm_ext/push_back.hpp>
 #include <filesystem>
 #include <iostream>
 #include <system_error>
@@ -437,21 +438,19 @@ std::string WriteResult(OfflineResult* offline, const Progress& progress) {
   const OfflineRequest& request = offline->request;
   OutputFiles* outputs = offline->outputs.get();
   std::vector<std::string>& written = offline->written;
-  const auto add = [&written](const std::vector<std::string>& lines) {
-    written.insert(written.end(), lines.begin(), lines.end());
-  };
   const std::string yaml = ToYaml(offline->result, offline->infos, offline->options,
                                   {offline->run_id, OtherFiles(*offline)});
   try {
     outputs->Write(request.output, yaml);
-    add({request.output});
+    written.push_back(request.output);
     if (!request.exports.empty()) {
       const StoredResult stored = ParseResult(yaml, request.output);
       const std::vector<std::string> names = ParseExports(request.exports);
-      add(WriteExports(stored, names, outputs));
+      boost::push_back(written, WriteExports(stored, names, outputs));
       offline->export_note = ExportNote(stored, names);
     }
-    add(WriteTrajectories(request.trajectory, offline->trajectories, *offline, outputs));
+    boost::push_back(
+        written, WriteTrajectories(request.trajectory, offline->trajectories, *offline, outputs));
     std::string failure = WriteReport(offline, progress);
     outputs->Commit();
     return failure;
@@ -488,8 +487,7 @@ std::vector<OfflineCheck> CheckOffline(const OfflineRequest& given) {
   std::vector<OfflineCheck> checks;
   for (const Recording& recording : ReadRecordings(requests)) {
     checks.push_back({CheckData(options, recording.data), recording.info});
-    std::vector<std::string>& warnings = checks.back().check.warnings;
-    warnings.insert(warnings.end(), recording.info.notes.begin(), recording.info.notes.end());
+    boost::push_back(checks.back().check.warnings, recording.info.notes);
   }
   return checks;
 }

@@ -3,11 +3,11 @@
 #include <ros/package.h>
 #include <yaml-cpp/yaml.h>
 
-#include <algorithm>
+#include <array>
+#include <boost/range/algorithm_ext/erase.hpp>
 #include <cmath>
 #include <iostream>
 #include <random>
-#include <sstream>
 #include <string>
 #include <utility>
 #include <vector>
@@ -91,21 +91,21 @@ std::vector<SimulatorOptions> Truths(const Trial& trial) {
   return truths;
 }
 
-void AddNoise(const Trial& trial, std::mt19937* random, SessionData* data) {
+void AddNoise(const Trial& trial, std::mt19937 random, SessionData* data) {
   for (PoseSample& pose : data->poses) {
-    pose.p_WM += Gaussian(random, trial.pose_noise.position);
-    pose.q_WM = pose.q_WM * Exp(Gaussian(random, trial.pose_noise.rotation));
+    pose.p_WM += Gaussian(&random, trial.pose_noise.position);
+    pose.q_WM = pose.q_WM * Exp(Gaussian(&random, trial.pose_noise.rotation));
   }
-  for (ImuSample& gyro : data->imus[0].gyro) gyro.value += Gaussian(random, trial.imu_noise.gyro);
+  for (ImuSample& gyro : data->imus[0].gyro) gyro.value += Gaussian(&random, trial.imu_noise.gyro);
   for (ImuSample& accel : data->imus[0].accel)
-    accel.value += Gaussian(random, trial.imu_noise.accel);
+    accel.value += Gaussian(&random, trial.imu_noise.accel);
 }
 
-void AddOutliers(const Trial& trial, std::mt19937* random, SessionData* data) {
+void AddOutliers(double percent, std::mt19937 random, SessionData* data) {
   for (PoseSample& pose : data->poses) {
-    if (Uniform(random, 0.0, 100.0) >= trial.outliers) continue;
-    pose.p_WM += kOutlierDistance * RandomDirection(random);
-    pose.q_WM = pose.q_WM * Exp<double>(kOutlierAngle * RandomDirection(random));
+    if (Uniform(&random, 0.0, 100.0) >= percent) continue;
+    pose.p_WM += kOutlierDistance * RandomDirection(&random);
+    pose.q_WM = pose.q_WM * Exp<double>(kOutlierAngle * RandomDirection(&random));
   }
 }
 
@@ -118,8 +118,7 @@ void Lose(double lost, SessionData* data) {
     const double t = Seconds(pose.t_ns - first_ns);
     return std::fmod(t, period) >= period - kGap;
   };
-  auto& poses = data->poses;
-  poses.erase(std::remove_if(poses.begin(), poses.end(), is_lost), poses.end());
+  boost::remove_erase_if(data->poses, is_lost);
 }
 
 /// Errors squared by the covariance that is reported and by that of independent residuals:
@@ -152,12 +151,6 @@ ErrorBounds Bounds(const Trial& trial, std::vector<SimulatorOptions> truths,
   return FindErrorBounds(truths, recordings);
 }
 
-Eigen::VectorXd Numbers(const YAML::Node& list) {
-  const auto numbers = list.as<std::vector<double>>();
-  return Eigen::Map<const Eigen::VectorXd>(numbers.data(),
-                                           static_cast<Eigen::Index>(numbers.size()));
-}
-
 /// What a trial is measured against.
 struct Truth {
   Rigid3 T_MI;
@@ -166,8 +159,9 @@ struct Truth {
 
 /// Of the outcome of another trial.
 Truth ParseOutcome(const YAML::Node& outcome) {
-  return {{Eigen::Quaterniond(Eigen::Vector4d(Numbers(outcome["rotation"]))),
-           Numbers(outcome["translation"])},
+  const auto q = outcome["rotation"].as<std::array<double, 4>>();  // x, y, z, w
+  const auto p = outcome["translation"].as<std::array<double, 3>>();
+  return {{Eigen::Quaterniond(q.data()), Eigen::Vector3d(p.data())},
           outcome["time_shift"][0].as<double>(),
           outcome["accel_delay"][0].as<double>()};
 }
@@ -213,10 +207,8 @@ void RunTrial(const Trial& trial, SessionData bag, YAML::Node* outcome) {
     if (!trial.reference.empty()) truth = ParseOutcome(YAML::Load(trial.reference));
   }
   for (size_t s = 0; s < recordings.size(); ++s) {
-    std::mt19937 noise = RandomOf(Use::kNoise, trial.index, s);
-    std::mt19937 outliers = RandomOf(Use::kOutliers, trial.index, s);
-    AddNoise(trial, &noise, &recordings[s]);
-    AddOutliers(trial, &outliers, &recordings[s]);
+    AddNoise(trial, RandomOf(Use::kNoise, trial.index, s), &recordings[s]);
+    AddOutliers(trial.outliers, RandomOf(Use::kOutliers, trial.index, s), &recordings[s]);
     Lose(trial.lost, &recordings[s]);
   }
 
@@ -240,9 +232,8 @@ void RunTrial(const Trial& trial, SessionData bag, YAML::Node* outcome) {
   Describe(imu, clock, outcome);
   if (!is_simulated && trial.reference.empty()) return;
   const Errors e = ErrorsOf(imu, clock, truth);
-  const Eigen::Vector3d translation = e.head<3>(), rotation = e.segment<3>(3);
   (*outcome)["error"] =
-      ListOf({translation.norm(), rotation.norm(), std::abs(e[6]), std::abs(e[7])});
+      ListOf({e.head<3>().norm(), e.segment<3>(3).norm(), std::abs(e[6]), std::abs(e[7])});
   if (!is_simulated) return;
   (*outcome)["chi2"] = YamlList(ChiSquares(result, e));
   if (options.method != Method::kJoint) return;

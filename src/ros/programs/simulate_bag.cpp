@@ -1,5 +1,6 @@
 // Writes a simulated recording and its truth.
 
+#include <boost/algorithm/string.hpp>
 #include <cmath>
 #include <iostream>
 #include <utility>
@@ -63,10 +64,9 @@ po::options_description Describe(CommandLine* line) {
       "a spinning lidar in a room, /points, on the IMU's clock; where it sits: OUTPUT.lidar.yaml");
   add("help", po::bool_switch(&line->help), "print this text");
   po::options_description effects("Effects that real recordings have; 0: none");
-  for (const Effect& effect : Effects(&simulator)) {
+  for (const Effect& effect : Effects(&simulator))
     effects.add_options()(effect.name, ValueOrDefault(effect.strength, effect.unit),
                           (effect.text + Format("; usual: %g", effect.usual)).c_str());
-  }
   options.add(effects);
   return options;
 }
@@ -108,22 +108,20 @@ bool IsBag(const CommandLine& line) {
 
 /// The output path without .bag, to which other endings are added.
 std::string Prefix(const CommandLine& line) {
-  std::string path = line.output;
-  if (line.format_name == "asl" || line.format_name == "text") {
-    if (line.format_name == "asl" && line.format.split_imu)
+  const std::string &format = line.format_name, ending = "." + format;
+  if (format == "asl" || format == "text") {
+    if (format == "asl" && line.format.split_imu)
       throw InputError("--split does not go with the format asl, which has both in one file");
-    while (!path.empty() && path.back() == '/') path.pop_back();
+    const std::string path = boost::trim_right_copy_if(line.output, boost::is_any_of("/"));
     if (path.empty()) throw InputError("give the path to write; see simulate_bag --help");
     return path;
   }
   if (!IsBag(line))
-    throw InputError("format '" + line.format_name +
-                     "' is unknown; must be bag, mcap, db3, asl or text");
-  const std::string ending = "." + line.format_name;
-  if (path.size() <= ending.size() || path.substr(path.size() - ending.size()) != ending)
+    throw InputError("format '" + format + "' is unknown; must be bag, mcap, db3, asl or text");
+  if (line.output == ending || !boost::ends_with(line.output, ending))
     throw InputError("give the path of the bag to write, ending in " + ending +
                      "; see simulate_bag --help");
-  return path.substr(0, path.size() - ending.size());
+  return boost::erase_tail_copy(line.output, static_cast<int>(ending.size()));
 }
 
 /// State of the IMU where the marker is; biases are those at the start.
@@ -135,8 +133,6 @@ ImuState TrueImuState(const SimulatorOptions& options, const TrueState& marker) 
   state.omega_I = T_MI.q.conjugate() * marker.omega_M;
   state.v_W = marker.v_W + marker.R_WM * marker.omega_M.cross(T_MI.p);
   state.biases = {options.gyro_bias, options.accel_bias};
-  state.covariance.setZero();
-  state.bias_covariance.setZero();
   return state;
 }
 
