@@ -284,13 +284,11 @@ ErrorBounds FindErrorBounds(const std::vector<SimulatorOptions>& truths,
   for (size_t s = 0; s < truths.size(); ++s) {
     const MatrixXd one = RecordingInformation(truths[s], recordings[s], knots_s).Eliminate();
     const Eigen::Index own = one.rows() - kShared, before = information.rows();
-    MatrixXd all = MatrixXd::Zero(before + own, before + own);
-    all.topLeftCorner(before, before) = information;
-    all.topLeftCorner<kShared, kShared>() += one.topLeftCorner<kShared, kShared>();
-    all.bottomRightCorner(own, own) = one.bottomRightCorner(own, own);
-    all.topRightCorner(kShared, own) = one.topRightCorner(kShared, own);
-    all.bottomLeftCorner(own, kShared) = one.bottomLeftCorner(own, kShared);
-    information.swap(all);
+    information.conservativeResizeLike(MatrixXd::Zero(before + own, before + own));
+    information.topLeftCorner<kShared, kShared>() += one.topLeftCorner<kShared, kShared>();
+    information.bottomRightCorner(own, own) = one.bottomRightCorner(own, own);
+    information.topRightCorner(kShared, own) = one.topRightCorner(kShared, own);
+    information.bottomLeftCorner(own, kShared) = one.bottomLeftCorner(own, kShared);
     places.push_back(static_cast<int>(before));
   }
   ErrorBounds bounds;

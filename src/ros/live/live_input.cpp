@@ -44,8 +44,17 @@ LiveInput::LiveInput(const ros::NodeHandle& node, const OfflineRequest& request,
                                  accels = SplitNames(names.accel_topic);
   imus_.resize(gyros.size());
   for (size_t i = 0; i < gyros.size(); ++i) {
-    ListenToImu(is_split ? "gyro_topic" : "imu_topic", gyros[i], i, true, !is_split);
-    if (is_split) ListenToImu("accel_topic", accels[i], i, false, true);
+    ImuInfo& imu = imus_[i];
+    const auto read = [this, i](bool is_gyro, bool is_accel) {
+      return [=](const Message& message) { return OnImu(message, i, is_gyro, is_accel); };
+    };
+    if (is_split) {
+      Listen("gyro_topic", gyros[i], &imu.gyro_topic, {kImuType, kVectorType}, read(true, false));
+      Listen("accel_topic", accels[i], &imu.accel_topic, {kImuType, kVectorType},
+             read(false, true));
+    } else {
+      Listen("imu_topic", gyros[i], &imu.imu_topic, {kImuType}, read(true, true));
+    }
   }
   const TfFrames marker(FrameName(names.tf_parent, ""), FrameName(names.tf_child, ""));
   ListenToPoses("pose_topic", names.pose_topic,
@@ -61,18 +70,6 @@ LiveInput::LiveInput(const ros::NodeHandle& node, const OfflineRequest& request,
 
 // --- Topics ---
 
-void LiveInput::ListenToImu(const std::string& parameter, const std::string& name, size_t imu,
-                            bool is_gyro, bool is_accel) {
-  ImuInfo& info = imus_[imu];
-  const bool is_split = is_gyro != is_accel;
-  std::string& topic = !is_split ? info.imu_topic : is_gyro ? info.gyro_topic : info.accel_topic;
-  topic = name;
-  std::vector<std::string> types = {kImuType};
-  if (is_split) types.emplace_back(kVectorType);
-  Listen(parameter, &topic, types,
-         [=](const Message& message) { return OnImu(message, imu, is_gyro, is_accel); });
-}
-
 void LiveInput::ListenToPoses(const std::string& parameter, const std::string& name,
                               const std::optional<TfFrames>& tf) {
   const size_t source = poses_.size();
@@ -81,17 +78,18 @@ void LiveInput::ListenToPoses(const std::string& parameter, const std::string& n
   poses.tf = tf;
   poses.Forget({});
   if (tf) return;
-  Listen(parameter, &poses.info.topic, PoseTypeNames(), [this, source](const Message& message) {
+  const auto read = [this, source](const Message& message) {
     OnPose(message, source);
     return "";
-  });
+  };
+  Listen(parameter, name, &poses.info.topic, PoseTypeNames(), read);
 }
 
-void LiveInput::Listen(const std::string& parameter, std::string* name,
+void LiveInput::Listen(const std::string& parameter, const std::string& name, std::string* topic,
                        const std::vector<std::string>& types, const Read& read) {
-  if (!name->empty()) *name = ros::names::resolve(*name);
-  topics_.push_back({parameter, name, types, read});
-  if (!name->empty()) Subscribe(&topics_.back());
+  *topic = name.empty() ? "" : ros::names::resolve(name);
+  topics_.push_back({parameter, topic, types, read});
+  if (!name.empty()) Subscribe(&topics_.back());
 }
 
 void LiveInput::Subscribe(Topic* topic) {

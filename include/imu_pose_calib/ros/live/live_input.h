@@ -87,12 +87,10 @@ class LiveInput {
     void Forget(const Links& fixed_links);
   };
 
-  void ListenToImu(const std::string& parameter, const std::string& name, size_t imu, bool is_gyro,
-                   bool is_accel);
   void ListenToPoses(const std::string& parameter, const std::string& name,
                      const std::optional<TfFrames>& tf);
-  /// To `*name`, or to what is found for it.
-  void Listen(const std::string& parameter, std::string* name,
+  /// To `name` or, when it is empty, to what is found; `*topic` tells which.
+  void Listen(const std::string& parameter, const std::string& name, std::string* topic,
               const std::vector<std::string>& types, const Read& read);
   void Subscribe(Topic* topic);
   void OnMessage(const Message& message, Topic* topic);
