@@ -221,12 +221,11 @@ std::string SensorTable(const Calibration& result, const RecordingInfo& info, bo
     const std::string label = Format("  sensor%zu: ", k), indent(label.size(), ' ');
     text += Wrap(label, names.frame + ", " + names.topic) +
             Wrap(indent, Verdict(ToString(sensor.status), sensor.message));
-    bool is_first = true;
     for (size_t s = 0; s < sensor.sessions.size() && IsUsable(sensor); ++s) {
-      if (!sensor.sessions[s].is_present || (is_brief && !is_first)) continue;
+      if (!sensor.sessions[s].is_present) continue;
       text += Wrap(indent + (sensor.sessions.size() > 1 ? Format("session %zu: ", s + 1) : ""),
                    Describe(sensor.sessions[s]));
-      is_first = false;
+      if (is_brief) break;
     }
   }
   if (!is_brief) text += "  x_marker = R x_sensor + p, t_pose = t_sensor + time_shift\n";
@@ -251,9 +250,9 @@ std::vector<UsedStream> UsedStreams(const Calibration& result, size_t s,
     streams.push_back({"accel", of, info.imus[i].AccelSource(), imu.accel});
   }
   for (size_t k = 0; k < result.pose_sensors.size(); ++k) {
-    const std::vector<PoseSensorSession>& sensor = result.pose_sensors[k].sessions;
-    if (s < sensor.size() && sensor[s].is_present)
-      streams.push_back({Format("sensor%zu", k), "", info.pose_sensors[k].topic, sensor[s].poses});
+    const PoseSensorSession& sensor = result.pose_sensors[k].sessions[s];
+    if (sensor.is_present)
+      streams.push_back({Format("sensor%zu", k), "", info.pose_sensors[k].topic, sensor.poses});
   }
   return streams;
 }
