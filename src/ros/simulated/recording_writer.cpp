@@ -318,8 +318,9 @@ void WriteAslFolder(const std::string& folder, const SessionData& data) {
     files.MakeFolder(folder + "/" + sensor);
     files.Write(folder + "/" + sensor + "/data.csv", table);
   };
-  write("imu0", ImuTable(true, data.imus[0]));
+  files.MakeFolder(folder);
   write("mocap0", AslPoses(data.poses));
+  write("imu0", ImuTable(true, data.imus[0]));
   for (size_t k = 0; k < data.pose_sensors.size(); ++k)
     write("pose_sensor" + std::to_string(k), AslPoses(data.pose_sensors[k]));
   files.Commit();
