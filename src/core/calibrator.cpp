@@ -116,7 +116,8 @@ void ReportEstimate(const Estimate& estimate, const std::vector<PreparedSession>
                     Calibration* result) {
   result->pose_smoothing = estimate.pose_smoothing;
   result->position_smoothing = estimate.position_smoothing;
-  result->pose_skew = estimate.pose_skew;
+  result->pose_cumulants = estimate.pose_cumulants;
+  result->position_cumulants = estimate.position_cumulants;
   result->position_delay = estimate.position_delay;
   result->pose_scale = estimate.pose_scale;
   result->imus.resize(estimate.imus.size());

@@ -19,8 +19,8 @@ using Eigen::Vector3d;
 // Places of what the recordings share.
 constexpr int kTranslation = 0, kRotation = 3, kDelay = 6, kGyroMatrix = 7, kAccelMatrix = 13,
               kAccelSmoothing = 22, kPoseSmoothing = 23, kPositionSmoothing = 24,
-              kPositionDelay = 25, kPoseSkew = 26, kPoseScale = 27, kAccelPositions = 28,
-              kShared = 34;
+              kPositionDelay = 25, kPoseCumulants = 26, kPositionCumulants = 28, kPoseScale = 30,
+              kAccelPositions = 31, kShared = 37;
 // Places of what a recording has of its own, after these; biases at knots follow.
 constexpr int kTimeShift = kShared, kDrift = kShared + 1, kGravity = kShared + 2,
               kMagnitude = kShared + 4, kBiases = kShared + 5;
@@ -28,8 +28,9 @@ constexpr int kTimeShift = kShared, kDrift = kShared + 1, kGravity = kShared + 2
 // Sigmas of the priors, as in joint_problem.cpp.
 constexpr double kScalePrior = 0.01, kAlignmentPrior = M_PI / 360.0, kDriftPrior = 1e-4,
                  kSmoothingPrior = 1e-5 / M_SQRT2, kPositionDelayPrior = 2e-5,
-                 kSkewPrior = 1e-6 / M_SQRT2, kAccelSmoothingPrior = 5e-5, kPoseScalePrior = 1e-3,
-                 kMagnitudePrior = 0.03, kSizePrior = 2e-3;
+                 kThirdPrior = 1e-6 / M_SQRT2, kFourthPrior = 1e-7 / M_SQRT2,
+                 kAccelSmoothingPrior = 5e-5, kPoseScalePrior = 1e-3, kMagnitudePrior = 0.03,
+                 kSizePrior = 2e-3;
 constexpr double kKnown = 1e-12;  // sigma of what is known
 
 constexpr double kBiasKnots = 5.0;  // [s]
@@ -108,12 +109,21 @@ class RecordingInformation {
     position.Add(kPoseSmoothing, 0.5 * s.a_W);
     position.Add(kPositionSmoothing, 0.5 * s.a_W);
     position.Add(kPositionDelay, -s.v_W);
-    position.Add(kPoseSkew, -(after.a_W - before.a_W) / (12.0 * kStep));
+    const auto higher = [](const Vector3d& third, const Vector3d& fourth) {
+      return (Eigen::Matrix<double, 3, 2>() << third / -6.0, fourth / 24.0).finished();
+    };
+    const auto of_position = higher((after.a_W - before.a_W) / (2.0 * kStep),
+                                    (after.a_W - 2.0 * s.a_W + before.a_W) / (kStep * kStep));
+    position.Add(kPoseCumulants, of_position);
+    position.Add(kPositionCumulants, of_position);
     position.Add(kPoseScale, s.p_WM);
     rotation.phi.setIdentity();
     rotation.Add(kPoseSmoothing, 0.5 * s.alpha_M);
-    rotation.Add(kPoseSkew, -(after.alpha_M - before.alpha_M) / (12.0 * kStep) -
-                                s.omega_M.cross(s.alpha_M) / 12.0);
+    const Vector3d alpha_rate = (after.alpha_M - before.alpha_M) / (2.0 * kStep);
+    const Vector3d alpha_curvature =
+        (after.alpha_M - 2.0 * s.alpha_M + before.alpha_M) / (kStep * kStep);
+    rotation.Add(kPoseCumulants, higher(alpha_rate + 0.5 * s.omega_M.cross(s.alpha_M),
+                                        alpha_curvature + s.omega_M.cross(alpha_rate)));
     Add(t, position, truth_.position_std);
     Add(t, rotation, truth_.rotation_std);
   }
@@ -258,7 +268,10 @@ void AddPriors(bool is_known, const std::vector<int>& recordings, MatrixXd* info
   add(kPoseSmoothing, kSmoothingPrior);
   add(kPositionSmoothing, kSmoothingPrior);
   add(kPositionDelay, kPositionDelayPrior);
-  add(kPoseSkew, kSkewPrior);
+  for (const int cumulants : {kPoseCumulants, kPositionCumulants}) {
+    add(cumulants, kThirdPrior);
+    add(cumulants + 1, kFourthPrior);
+  }
   add(kPoseScale, kPoseScalePrior);
   for (int k = 0; k < 6; ++k) add(kAccelPositions + k, kSizePrior);
 }

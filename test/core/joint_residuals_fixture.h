@@ -47,7 +47,9 @@ class JointResiduals : public ::testing::Test {
     return blocks;
   }
 
-  static inline const Vector3d kJerk{30.0, -20.0, 40.0};  ///< [m/s^3], [rad/s^3] of the GP
+  /// [m/s^3, m/s^4], [rad/s^3, rad/s^4]
+  static inline const Eigen::Matrix<double, 3, 2> kHigher =
+      (Eigen::Matrix<double, 3, 2>() << 5.0, 20.0, -3.0, 30.0, 7.0, -10.0).finished();
 
   /// Where a sample lies on the trajectory.
   struct TrajectoryPoint {
@@ -56,11 +58,11 @@ class JointResiduals : public ::testing::Test {
   };
   static JointPositionSample Position(const TrajectoryPoint& at, const Vector3d& p_WM,
                                       double sigma) {
-    return {{{at.place}, 0.6, sigma, at.gp.a_W, 0.8, kJerk}, p_WM - at.gp.p_WM, at.gp.v_W};
+    return {{{at.place}, 0.6, sigma, at.gp.a_W, 0.8, kHigher}, p_WM - at.gp.p_WM, at.gp.v_W};
   }
   static JointRotationSample Rotation(const TrajectoryPoint& at, const Eigen::Quaterniond& q_WM,
                                       double sigma) {
-    return {{{at.place}, 0.35, sigma, at.gp.alpha_M, 0.8, kJerk}, at.gp.q_WM.conjugate() * q_WM};
+    return {{{at.place}, 0.35, sigma, at.gp.alpha_M, 0.8, kHigher}, at.gp.q_WM.conjugate() * q_WM};
   }
   static JointAccelSample Imu(const TrajectoryPoint& at, const Vector3d& value, double bias_u,
                               double own_time, double sigma) {
@@ -148,14 +150,16 @@ class JointResiduals : public ::testing::Test {
 
   std::vector<double*> PositionBlocks(const std::vector<Clock>& clocks) {
     std::vector<double*> blocks = Points({&d_});
-    for (double* block : {error_0_.data(), error_1_.data(), &pose_smoothing_, &position_smoothing_,
-                          &trajectory_accel_smoothing_, &pose_skew_})
+    for (double* block :
+         {error_0_.data(), error_1_.data(), &pose_smoothing_, &position_smoothing_,
+          &trajectory_accel_smoothing_, pose_cumulants_.data(), position_cumulants_.data()})
       blocks.push_back(block);
     return With(blocks, clocks);
   }
   std::vector<double*> RotationBlocks() {
     std::vector<double*> blocks = Points({&phi_});
-    blocks.insert(blocks.end(), {error_0_.data(), error_1_.data(), &pose_smoothing_, &pose_skew_});
+    blocks.insert(blocks.end(),
+                  {error_0_.data(), error_1_.data(), &pose_smoothing_, pose_cumulants_.data()});
     return blocks;
   }
 
@@ -331,7 +335,8 @@ class JointResiduals : public ::testing::Test {
   double time_shift_ = 0.0213, accel_delay_ = 0.0008, clock_drift_ = 1e-6;
   double pose_smoothing_ = 3e-4, position_smoothing_ = -1e-4, accel_smoothing_ = 4e-4,
          gyro_smoothing_ = 2e-4, trajectory_smoothing_ = 3e-4, trajectory_accel_smoothing_ = -5e-5;
-  double pose_skew_ = 2e-5, position_delay_ = 0.003;
+  Eigen::Vector2d pose_cumulants_{2e-5, -3e-6}, position_cumulants_{-1e-5, 2e-6};
+  double position_delay_ = 0.003;
   double mount_compliance_ = 2e-4;
   double pose_scale_ = 1.03;
   /// More than any IMU has.

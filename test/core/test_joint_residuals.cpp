@@ -140,12 +140,11 @@ TEST_F(JointResiduals, VanishWhereTheCorrectedTrajectoryIsMeasured) {
             1e-4);
 
   const double c = 0.5 * (pose_smoothing_ + position_smoothing_ - trajectory_accel_smoothing_);
-  const Vector3d skewed = pose_skew_ / 6.0 * kJerk;
-  const Vector3d lag =
-      0.5 * pose_smoothing_ * (at.gp.alpha_M + 0.8 * Correction(phi_, t, 2)) - skewed;
-  const Vector3d p_WM = at.gp.p_WM + Correction(d_, t) +
-                        c * (at.gp.a_W + 0.8 * Correction(d_, t, 2)) - skewed + 0.4 * error_0_ +
-                        0.6 * error_1_;
+  const Vector3d lag = 0.5 * pose_smoothing_ * (at.gp.alpha_M + 0.8 * Correction(phi_, t, 2)) +
+                       kHigher * pose_cumulants_;
+  const Vector3d p_WM =
+      at.gp.p_WM + Correction(d_, t) + c * (at.gp.a_W + 0.8 * Correction(d_, t, 2)) +
+      kHigher * (pose_cumulants_ + position_cumulants_) + 0.4 * error_0_ + 0.6 * error_1_;
   const Eigen::Quaterniond q_WM =
       Eigen::Quaterniond(R_WM) * Exp<double>(lag) * Exp<double>(0.65 * error_0_ + 0.35 * error_1_);
   const std::vector<JointPositionSample> position{Position(at, p_WM, 1.0)};

@@ -29,8 +29,10 @@ Calibration MakeResult() {
   result.pose_smoothing_std = 2.5e-6;
   result.position_smoothing = 1e-4;
   result.position_smoothing_std = 3e-6;
-  result.pose_skew = 3e-5;
-  result.pose_skew_std = 2e-6;
+  result.pose_cumulants = {3e-5, -4e-7};
+  result.pose_cumulants_std = {2e-6, 5e-8};
+  result.position_cumulants = {1e-6, 6e-8};
+  result.position_cumulants_std = {7e-7, 8e-8};
   result.position_delay = -2e-3;
   result.position_delay_std = 4e-5;
   result.pose_scale = 1.002;
@@ -129,8 +131,11 @@ TEST(ResultYaml, HoldsClocksGravityAndBiases) {
   EXPECT_EQ(yaml["pose_smoothing_std"].as<double>(), 2.5e-6);
   EXPECT_EQ(yaml["position_smoothing"].as<double>(), 1e-4);
   EXPECT_EQ(yaml["position_smoothing_std"].as<double>(), 3e-6);
-  EXPECT_EQ(yaml["pose_skew"].as<double>(), 3e-5);
-  EXPECT_EQ(yaml["pose_skew_std"].as<double>(), 2e-6);
+  using Pair = std::vector<double>;
+  EXPECT_EQ(yaml["pose_cumulants"].as<Pair>(), (Pair{3e-5, -4e-7}));
+  EXPECT_EQ(yaml["pose_cumulants_std"].as<Pair>(), (Pair{2e-6, 5e-8}));
+  EXPECT_EQ(yaml["position_cumulants"].as<Pair>(), (Pair{1e-6, 6e-8}));
+  EXPECT_EQ(yaml["position_cumulants_std"].as<Pair>(), (Pair{7e-7, 8e-8}));
   EXPECT_EQ(yaml["position_delay"].as<double>(), -2e-3);
   EXPECT_EQ(yaml["position_delay_std"].as<double>(), 4e-5);
   EXPECT_EQ(yaml["pose_scale"].as<double>(), 1.002);

@@ -119,7 +119,9 @@ std::vector<Parameter> CalibrationParameters(Estimate* estimate) {
   }
   parameters.push_back({ParameterKind::kPoseSmoothing, 0, 0, 1, &estimate->pose_smoothing});
   parameters.push_back({ParameterKind::kPositionSmoothing, 0, 0, 1, &estimate->position_smoothing});
-  parameters.push_back({ParameterKind::kPoseSkew, 0, 0, 1, &estimate->pose_skew});
+  parameters.push_back({ParameterKind::kPoseCumulants, 0, 0, 2, estimate->pose_cumulants.data()});
+  parameters.push_back(
+      {ParameterKind::kPositionCumulants, 0, 0, 2, estimate->position_cumulants.data()});
   parameters.push_back({ParameterKind::kPositionDelay, 0, 0, 1, &estimate->position_delay});
   parameters.push_back({ParameterKind::kPoseScale, 0, 0, 1, &estimate->pose_scale});
   for (size_t i = 0; i < estimate->imus.size(); ++i) {
@@ -144,7 +146,8 @@ bool IsEstimated(const CalibrationOptions& options, ParameterKind kind) {
       {ParameterKind::kClockDrift, &Options::estimate_clock_drift},
       {ParameterKind::kPoseSmoothing, &Options::estimate_pose_smoothing},
       {ParameterKind::kPositionSmoothing, &Options::estimate_pose_smoothing},
-      {ParameterKind::kPoseSkew, &Options::estimate_pose_smoothing},
+      {ParameterKind::kPoseCumulants, &Options::estimate_pose_smoothing},
+      {ParameterKind::kPositionCumulants, &Options::estimate_pose_smoothing},
       {ParameterKind::kPositionDelay, &Options::estimate_pose_smoothing},
       {ParameterKind::kPoseScale, &Options::estimate_pose_scale},
       {ParameterKind::kGyroSmoothing, &Options::estimate_accel_smoothing},

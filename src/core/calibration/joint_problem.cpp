@@ -81,18 +81,6 @@ struct Places {
     const double step = std::sqrt(3.0 * std::abs(variance));
     return step > kStep && trajectory->Covers(t - step, t + step) ? step : kStep;
   }
-  /// That of third differences, with which a time of that third moment [s^3] adds a third of any
-  /// motion at most: they are up to 2.6 / step^3 of it.
-  double StepOfThird(double t, double skew) const {
-    const double step = std::cbrt(0.5 * 2.6 * std::abs(skew));
-    return step > kStep && trajectory->Covers(t - 2.0 * step, t + 2.0 * step) ? step : kStep;
-  }
-  /// Of x(time after t), which is 0 at 0.
-  template <typename Function>
-  static Eigen::Vector3d ThirdDifference(double step, const Function& x) {
-    return (x(2.0 * step) - 2.0 * x(step) + 2.0 * x(-step) - x(-2.0 * step)) /
-           (2.0 * step * step * step);
-  }
   /// Share of a spline's second derivative that counts in such a mean: of what swings from knot to
   /// knot, whose second derivative is -12 / spacing^2 of it, a third is left, too.
   double SplineShare(double variance) const {
@@ -118,24 +106,21 @@ struct Places {
     }
     return sum / (step * step);
   }
-  /// Third differences, alike.
-  Eigen::Vector3d PositionJerk(double t, const MarkerState<double>& gp,
-                               const MarkerState<double>& rate, double skew) const {
-    const double step = StepOfThird(t, skew);
-    if (step == kStep) return rate.a_W;
-    return ThirdDifference(
-        step, [&](double after) -> Eigen::Vector3d { return At(t + after).p_WM - gp.p_WM; });
-  }
-  Eigen::Vector3d RotationJerk(double t, double skew) const {
-    MarkerState<double> rate;
-    const MarkerState<double> gp = At(t, &rate);
-    const double step = StepOfThird(t, skew);
-    if (step == kStep) return rate.alpha_M + 0.5 * gp.omega_M.cross(gp.alpha_M);
-    return ThirdDifference(step, [&](double after) {
-      MarkerRotation<double> other;
-      trajectory->EvaluateRotation(t + after, &other);
-      return Log(Eigen::Quaterniond(gp.q_WM.conjugate() * other.q_WM));
-    });
+  /// JointPoseSample::higher, by differences: x(time after t) is 0 at 0. The step is that with
+  /// which neither of the cumulants [s^3, s^4] adds more than a third of any motion, of which third
+  /// differences are up to 2.6 / step^3 and fourth ones 16 / step^4.
+  template <typename Function>
+  Eigen::Matrix<double, 3, 2> Higher(double t, const Eigen::Vector2d& cumulants,
+                                     const Function& x) const {
+    const Eigen::Vector2d least(std::cbrt(0.5 * 2.6 * std::abs(cumulants[0])),
+                                std::pow(2.0 * std::abs(cumulants[1]), 0.25));
+    double h = std::max(kStep, least.maxCoeff());
+    if (!trajectory->Covers(t - 2.0 * h, t + 2.0 * h)) h = kStep;
+    const Eigen::Vector3d a = x(-2.0 * h), b = x(-h), c = x(h), d = x(2.0 * h);
+    Eigen::Matrix<double, 3, 2> higher;
+    higher << (a - 2.0 * b + 2.0 * c - d) / (12.0 * std::pow(h, 3)),
+        (a - 4.0 * b - 4.0 * c + d) / (24.0 * std::pow(h, 4));
+    return higher;
   }
   /// Of omega_M.
   Eigen::Vector3d RateCurvature(double t, const MarkerRotation<double>& gp, double variance) const {
@@ -286,7 +271,8 @@ void SessionBuilder::AddPoses() {
     add(i, all.position_delay, position_errors, &position_runs, position);
     add(i, 0.0, rotation_errors, &rotation_runs, rotation);
   }
-  const double skew = all.pose_skew;
+  const Eigen::Vector2d rotation_cumulants = all.pose_cumulants;
+  const Eigen::Vector2d position_cumulants = all.position_cumulants;
   const double rotation_smoothing = all.pose_smoothing;
   const double position_smoothing =
       rotation_smoothing + all.position_smoothing - all.accel_smoothing;
@@ -300,15 +286,17 @@ void SessionBuilder::AddPoses() {
       joint_->options, position_runs.size(),
       [=, places = places_, &poses, &position_errors](size_t k) {
         const ProblemSample& at = position->samples[k];
-        MarkerState<double> rate;
-        const MarkerState<double> gp = places->At(at.t, &rate);
+        const MarkerState<double> gp = places->At(at.t);
         JointPositionSample sample;
         complete(at, position_errors, &sample);
         sample.p_error = poses[at.index].p_WM - gp.p_WM;
         sample.v_W = gp.v_W;
         sample.curvature = places->PositionCurvature(at.t, gp, position_smoothing);
         sample.spline_share = places->SplineShare(position_smoothing);
-        sample.jerk = places->PositionJerk(at.t, gp, rate, skew);
+        sample.higher = places->Higher(at.t, rotation_cumulants + position_cumulants,
+                                       [&](double after) -> Eigen::Vector3d {
+                                         return places->At(at.t + after).p_WM - gp.p_WM;
+                                       });
         return sample;
       });
   const auto rotations = Collect<JointRotationSample>(
@@ -322,18 +310,23 @@ void SessionBuilder::AddPoses() {
         sample.q_error = gp.q_WM.conjugate() * poses[at.index].q_WM;
         sample.curvature = places->RotationCurvature(at.t, gp, rotation_smoothing);
         sample.spline_share = places->SplineShare(rotation_smoothing);
-        sample.jerk = places->RotationJerk(at.t, skew);
+        sample.higher = places->Higher(at.t, rotation_cumulants, [&](double after) {
+          MarkerRotation<double> other;
+          places->trajectory->EvaluateRotation(at.t + after, &other);
+          return Log(Eigen::Quaterniond(gp.q_WM.conjugate() * other.q_WM));
+        });
         return sample;
       });
   const auto clocks = std::make_shared<const std::vector<ClockMotion>>(
       1, ClockMotion{all.position_delay, -1.0, ClockMotion::kOne});
   AddBlocks(CreateJointPositionResidual(positions, clocks), position_runs, {&splines_->d},
             &position_errors.values,
-            {&all.pose_smoothing, &all.position_smoothing, &all.accel_smoothing, &all.pose_skew,
-             &all.position_delay},
+            {&all.pose_smoothing, &all.position_smoothing, &all.accel_smoothing,
+             all.pose_cumulants.data(), all.position_cumulants.data(), &all.position_delay},
             nullptr, position);
   AddBlocks(CreateJointRotationResidual(rotations), rotation_runs, {&splines_->phi},
-            &rotation_errors.values, {&all.pose_smoothing, &all.pose_skew}, nullptr, rotation);
+            &rotation_errors.values, {&all.pose_smoothing, all.pose_cumulants.data()}, nullptr,
+            rotation);
 }
 
 template <typename Sample, typename Complete, typename Create>

@@ -192,7 +192,7 @@ class BatchResidual : public SampledCost {
 class JointPositionResidual : public BatchResidual<JointPositionSample> {
  public:
   JointPositionResidual(Samples<JointPositionSample> samples, const ClockMotions& clocks)
-      : BatchResidual(std::move(samples), 1, {3, 3, 1, 1, 1, 1}, clocks) {}
+      : BatchResidual(std::move(samples), 1, {3, 3, 1, 1, 1, 2, 2}, clocks) {}
 
  protected:
   void EvaluateSample(const JointPositionSample& s, double t, const SplineWeights& weights,
@@ -202,8 +202,9 @@ class JointPositionResidual : public BatchResidual<JointPositionSample> {
     const Eigen::Matrix<double, 3, 4> d = EvaluateSpline(blocks, weights);
     const double c = 0.5 * (*blocks[n + 2] + *blocks[n + 3] - *blocks[n + 4]);
     const Vector3d curvature = s.curvature + s.spline_share * d.col(2);
-    const Vector3d error =
-        s.p_error - t * s.v_W - d.col(0) - c * curvature + *blocks[n + 5] / 6.0 * s.jerk;
+    const Vector3d error = s.p_error - t * s.v_W - d.col(0) - c * curvature -
+                           s.higher * (Eigen::Map<const Eigen::Vector2d>(blocks[n + 5]) +
+                                       Eigen::Map<const Eigen::Vector2d>(blocks[n + 6]));
     AsVector(residual) = LessKnots(error, s.error_u, blocks + n) / s.sigma;
     if (jacobians.blocks == nullptr) return;
     for (int j = 0; j < n; ++j)
@@ -214,7 +215,8 @@ class JointPositionResidual : public BatchResidual<JointPositionSample> {
     for (const int smoothing : {n + 2, n + 3})
       SetRows<1>(jacobians, smoothing, -0.5 / s.sigma * curvature);
     SetRows<1>(jacobians, n + 4, 0.5 / s.sigma * curvature);
-    SetRows<1>(jacobians, n + 5, s.jerk / (6.0 * s.sigma));
+    for (const int cumulants : {n + 5, n + 6})
+      SetRows<2>(jacobians, cumulants, -s.higher / s.sigma);
     SetClockRows(s, -1.0 / s.sigma * (s.v_W + d.col(1) + c * s.spline_share * d.col(3)), jacobians);
   }
 };
@@ -222,7 +224,7 @@ class JointPositionResidual : public BatchResidual<JointPositionSample> {
 class JointRotationResidual : public BatchResidual<JointRotationSample> {
  public:
   explicit JointRotationResidual(Samples<JointRotationSample> samples)
-      : BatchResidual(std::move(samples), 1, {3, 3, 1, 1}) {}
+      : BatchResidual(std::move(samples), 1, {3, 3, 1, 2}) {}
 
  protected:
   void EvaluateSample(const JointRotationSample& s, double, const SplineWeights& weights,
@@ -233,7 +235,8 @@ class JointRotationResidual : public BatchResidual<JointRotationSample> {
     const Eigen::Quaterniond E_inv = Exp<double>(-phi.col(0));
     const double c = 0.5 * *blocks[n + 2];
     const Vector3d curvature = s.curvature + s.spline_share * phi.col(2);
-    const Vector3d lag = c * curvature - *blocks[n + 3] / 6.0 * s.jerk;
+    const Vector3d lag =
+        c * curvature + s.higher * Eigen::Map<const Eigen::Vector2d>(blocks[n + 3]);
     const Eigen::Quaterniond lag_inv = Exp<double>(-lag);
     const Vector3d error = Log(Eigen::Quaterniond(lag_inv * E_inv * s.q_error));
     AsVector(residual) = LessKnots(error, s.error_u, blocks + n) / s.sigma;
@@ -249,7 +252,7 @@ class JointRotationResidual : public BatchResidual<JointRotationSample> {
                  weights(0, j) * A_phi * J + weights(2, j) * c * s.spline_share * A_lag);
     SetKnotRows(jacobians, n, -(1.0 - s.error_u) / s.sigma, -s.error_u / s.sigma);
     SetRows<1>(jacobians, n + 2, 0.5 * A_lag * curvature);
-    SetRows<1>(jacobians, n + 3, -1.0 / 6.0 * A_lag * s.jerk);
+    SetRows<2>(jacobians, n + 3, A_lag * s.higher);
   }
 };
 

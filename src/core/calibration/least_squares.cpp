@@ -27,9 +27,9 @@ constexpr double kScalePrior = 0.01;              // [1] diagonal of K_g and K_a
 constexpr double kAlignmentPrior = M_PI / 360.0;  // [rad] their other elements: 0.5 deg
 constexpr double kSizePrior = 2e-3;               // [m] places of the accelerometer's axes
 // Widths of peaks, see PeakSigma(): most have none, others have much.
-constexpr double kSmoothingPrior = 1e-5;      // [s^2] of poses; of accelerometers, one side
-constexpr double kSkewPrior = 1e-6;           // [s^3] of poses
-constexpr double kPositionDelayPrior = 8e-5;  // [s]
+constexpr double kSmoothingPrior = 1e-5;  // [s^2] of poses; of accelerometers, one side
+constexpr double kThirdPrior = 1e-6, kFourthPrior = 1e-7;  // [s^3], [s^4] cumulants of poses
+constexpr double kPositionDelayPrior = 8e-5;               // [s]
 /// How much must speak for a delay of positions, whose peak has a sigma of 0.02 ms: slow errors of
 /// rotations look like one by four sigma.
 constexpr double kPositionDelayDoubt = 8.0;
@@ -113,8 +113,10 @@ Prior PriorOf(const Parameter& p, const LeastSquares& solve) {
     case ParameterKind::kPoseSmoothing:
     case ParameterKind::kPositionSmoothing:
       return alike(PeakSigma(kSmoothingPrior, *p.data));
-    case ParameterKind::kPoseSkew:
-      return alike(PeakSigma(kSkewPrior, *p.data));
+    case ParameterKind::kPoseCumulants:
+    case ParameterKind::kPositionCumulants:
+      return {
+          Eigen::Vector2d(PeakSigma(kThirdPrior, p.data[0]), PeakSigma(kFourthPrior, p.data[1]))};
     case ParameterKind::kPositionDelay:
       return alike(PeakSigma(kPositionDelayPrior, *p.data, kPositionDelayDoubt));
     case ParameterKind::kGyroSmoothing:

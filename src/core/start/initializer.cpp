@@ -97,12 +97,12 @@ RotationAgreement Judge(const std::vector<SegmentRates>& segments, const RateAli
       count[k] += 1.0;
     }
   }
-  const auto is_explained = residual <= kFlipped * motion;
+  using Flags = Eigen::Array<bool, Eigen::Dynamic, 1>;
+  const Flags is_explained = residual <= kFlipped * motion;
   const double unexplained = is_explained.select(residual, 0.0).sum();
   const double usual = unexplained / std::max(1.0, is_explained.select(count, 0.0).sum());
   // Where the marker hardly turns, noise is all there is: nothing can be said.
-  const auto is_noise = residual < kFlipFactor * usual * count;
-  const auto agrees = is_explained || is_noise;
+  const Flags agrees = is_explained || residual < kFlipFactor * usual * count;
   RotationAgreement result;
   for (Eigen::Index k = 0; k < size; ++k) result.flipped.push_back(!agrees[k]);
   result.agreeing = agrees.select(motion, 0.0).sum() / (motion.sum() + 1e-12);

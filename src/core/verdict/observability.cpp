@@ -75,7 +75,6 @@ void ReportParameter(const PlacedParameter& p, const Eigen::MatrixXd& C, Calibra
       {ParameterKind::kClockDrift, &own.clock_drift_std},
       {ParameterKind::kPoseSmoothing, &result->pose_smoothing_std},
       {ParameterKind::kPositionSmoothing, &result->position_smoothing_std},
-      {ParameterKind::kPoseSkew, &result->pose_skew_std},
       {ParameterKind::kPositionDelay, &result->position_delay_std},
       {ParameterKind::kPoseScale, &result->pose_scale_std},
       {ParameterKind::kGyroSmoothing, &imu.gyro_smoothing_std},
@@ -89,6 +88,8 @@ void ReportParameter(const PlacedParameter& p, const Eigen::MatrixXd& C, Calibra
       {ParameterKind::kAccelBias, &own.accel_bias_std}};
   for (const auto& [of, vector] : vectors)
     if (of == kind) *vector = std_dev;
+  if (kind == ParameterKind::kPoseCumulants) result->pose_cumulants_std = std_dev;
+  if (kind == ParameterKind::kPositionCumulants) result->position_cumulants_std = std_dev;
   if (kind == ParameterKind::kGyroIntrinsics)
     imu.gyro_matrix_std = GyroMatrix(Vector6d(std_dev)) - Eigen::Matrix3d::Identity();
   if (kind == ParameterKind::kAccelIntrinsics)

@@ -153,8 +153,11 @@ CalibrationResult ToMsg(const Calibration& result, const RecordingInfo& info,
   msg.pose_smoothing_std = result.pose_smoothing_std;
   msg.position_smoothing = result.position_smoothing;
   msg.position_smoothing_std = result.position_smoothing_std;
-  msg.pose_skew = result.pose_skew;
-  msg.pose_skew_std = result.pose_skew_std;
+  using Pair = Eigen::Map<Eigen::Vector2d>;
+  Pair(msg.pose_cumulants.data()) = result.pose_cumulants;
+  Pair(msg.pose_cumulants_std.data()) = result.pose_cumulants_std;
+  Pair(msg.position_cumulants.data()) = result.position_cumulants;
+  Pair(msg.position_cumulants_std.data()) = result.position_cumulants_std;
   msg.position_delay = result.position_delay;
   msg.position_delay_std = result.position_delay_std;
   msg.pose_scale = result.pose_scale;

@@ -26,8 +26,8 @@ const char kEquations[] = R"(
 # smoothing: samples are means over time; gyro_smoothing [s^2] is the variance of that time of the
 #            gyroscope; accel_smoothing that of the accelerometer and pose_smoothing that of
 #            rotations of poses, less the gyroscope's; position_smoothing that of positions, less
-#            that of rotations; pose_skew [s^3] is the third moment of that time of poses;
-#            positions are position_delay [s] later than rotations
+#            that of rotations; pose_cumulants are its third and fourth cumulant [s^3, s^4],
+#            position_cumulants likewise; positions are position_delay [s] later than rotations
 # mount:     specific force f moves the imu by mount_compliance [s^2] * f; transform is without load
 # scale:     positions of poses = pose_scale * true
 # imu:       measured = matrix * true + bias; row i of accel_positions: where the accelerometer's axis i is [m]
@@ -322,7 +322,8 @@ void FirstImu(StoredResult* stored, ResultFile* file) {
   Clock("", imu, file);
   file->NoteWithStd("pose_smoothing", result.pose_smoothing, result.pose_smoothing_std);
   file->NoteWithStd("position_smoothing", result.position_smoothing, result.position_smoothing_std);
-  file->NoteWithStd("pose_skew", result.pose_skew, result.pose_skew_std);
+  file->NoteWithStd("pose_cumulants", result.pose_cumulants, result.pose_cumulants_std);
+  file->NoteWithStd("position_cumulants", result.position_cumulants, result.position_cumulants_std);
   file->NoteWithStd("position_delay", result.position_delay, result.position_delay_std);
   file->NoteWithStd("pose_scale", result.pose_scale, result.pose_scale_std);
   Gravity("", session, file);

@@ -257,9 +257,13 @@ struct Calibration {
   double pose_smoothing = 0.0, pose_smoothing_std = 0.0;
   /// [s^2] by how much that of its position exceeds that of its rotation; 0 when not estimated.
   double position_smoothing = 0.0, position_smoothing_std = 0.0;
-  /// [s^3] third moment of the time over which a pose is averaged, about its mean: positive when
-  /// little of it is long ago; 0 when not estimated.
-  double pose_skew = 0.0, pose_skew_std = 0.0;
+  /// [s^3, s^4] third and fourth cumulant of the time over which a pose's rotation is averaged, the
+  /// third positive when a little of it is long ago; 0 when not estimated.
+  Eigen::Vector2d pose_cumulants = Eigen::Vector2d::Zero(),
+                  pose_cumulants_std = Eigen::Vector2d::Zero();
+  /// [s^3, s^4] by how much those of its position exceed that.
+  Eigen::Vector2d position_cumulants = Eigen::Vector2d::Zero(),
+                  position_cumulants_std = Eigen::Vector2d::Zero();
   /// [s] by how much its position is later than its rotation; 0 when not estimated.
   double position_delay = 0.0, position_delay_std = 0.0;
   /// Positions of the poses are those of a body this many times as large; sigma 0: not estimated.

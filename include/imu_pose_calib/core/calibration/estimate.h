@@ -89,8 +89,9 @@ struct SessionEstimate {
 struct Estimate {
   // Of the source of the poses, see Calibration:
   double pose_smoothing = 0.0, position_smoothing = 0.0;  ///< [s^2]
-  double pose_skew = 0.0;                                 ///< [s^3]
-  double position_delay = 0.0;                            ///< [s]
+  Eigen::Vector2d pose_cumulants = Eigen::Vector2d::Zero(),
+                  position_cumulants = Eigen::Vector2d::Zero();  ///< [s^3, s^4]
+  double position_delay = 0.0;                                   ///< [s]
   double pose_scale = 1.0;
   /// Of the first IMU's gyroscope [s^2] and, beyond that, of its accelerometer; and of the
   /// trajectory: its rotation is averaged as the one averages, its position as the other.
@@ -118,7 +119,8 @@ enum class ParameterKind {
   kClockDrift,         ///< [s/s] of an IMU in a session
   kPoseSmoothing,      ///< [s^2]
   kPositionSmoothing,  ///< [s^2]
-  kPoseSkew,           ///< [s^3]
+  kPoseCumulants,      ///< [s^3, s^4]
+  kPositionCumulants,  ///< [s^3, s^4]
   kPositionDelay,      ///< [s]
   kPoseScale,          ///< [1]
   kGyroSmoothing,      ///< [s^2] of the first IMU's; of others, less that

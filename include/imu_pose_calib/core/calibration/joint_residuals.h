@@ -62,7 +62,8 @@ struct JointPoseSample : JointSample {
   double sigma;               ///< [m] or [rad]
   Eigen::Vector3d curvature;  ///< second derivative of the GP, [m/s^2] in W or [rad/s^2] in M
   double spline_share;        ///< 0..1 of the spline's that counts, see joint_problem.cpp
-  Eigen::Vector3d jerk;       ///< third derivative of the GP, [m/s^3] in W or [rad/s^3] in M
+  /// Minus a sixth of the third derivative of the GP and a 24th of the fourth, [m] or [rad].
+  Eigen::Matrix<double, 3, 2> higher;
 };
 struct JointPositionSample : JointPoseSample {
   Eigen::Vector3d p_error;  ///< [m] p_meas - p_gp in W
@@ -72,16 +73,15 @@ struct JointRotationSample : JointPoseSample {
   Eigen::Quaterniond q_error;  ///< R_gp^T R_meas
 };
 
-/// r = (p_meas - p_gp(t) - d(t) - s/2 (a_gp + k d''(t)) + m/6 jerk_gp - e) / sigma, in W, s:
+/// r = (p_meas - p_gp(t) - d(t) - s/2 (a_gp + k d''(t)) - H (c_R + c_p) - e) / sigma, in W, s:
 /// pose_smoothing + position_smoothing less the accel_smoothing of the trajectory, c, k:
-/// spline_share, m: pose_skew, e: slow error. Blocks: d | knots of e | pose_smoothing (1) |
-/// position_smoothing (1) | c (1) | m (1) | clocks.
+/// spline_share, H: higher, e: slow error. Blocks: d | knots of e | pose_smoothing (1) |
+/// position_smoothing (1) | c (1) | pose_cumulants c_R (2) | position_cumulants c_p (2) | clocks.
 std::unique_ptr<SampledCost> CreateJointPositionResidual(Samples<JointPositionSample> samples,
                                                          const ClockMotions& clocks);
 
-/// r = (Log(Exp(s/2 (alpha_gp + k phi''(t)) - m/6 jerk_gp)^T Exp(phi(t))^T R_gp(t)^T R_meas) - e) /
-/// sigma, in M, s: pose_smoothing, m: pose_skew, e: slow error. Blocks: phi | knots of e | s (1) |
-/// m (1).
+/// r = (Log(Exp(s/2 (alpha_gp + k phi''(t)) + H c_R)^T Exp(phi(t))^T R_gp(t)^T R_meas) - e) /
+/// sigma, in M, s: pose_smoothing, e: slow error. Blocks: phi | knots of e | s (1) | c_R (2).
 std::unique_ptr<SampledCost> CreateJointRotationResidual(Samples<JointRotationSample> samples);
 
 /// A sample of the gyroscope, and what accelerometers have, too.
