@@ -332,5 +332,32 @@ TEST(ClusterRobustCovariance, GrowsWithErrorsThatLastLongerThanACluster) {
   EXPECT_LT(slow, 4.6);
 }
 
+TEST(ClusterRobustCovariance, IsNotMadeSmallerByWhatIsKnownBeforehand) {
+  const int told = 4, known = 8, clusters = 24, repeats = 20;
+  std::mt19937 random(9);
+  std::normal_distribution<double> normal;
+  double alone = 0.0, counted = 0.0, beside = 0.0;  // variances of what is told
+  const auto variance = [](const MarginalEstimate& estimate) {
+    return ClusterRobustCovariance(estimate, 0.0).diagonal().head(told).mean() / repeats;
+  };
+  for (int k = 0; k < repeats; ++k) {
+    MarginalEstimate estimate;
+    estimate.covariance = MatrixXd::Identity(told, told);
+    estimate.influence = MatrixXd::NullaryExpr(
+        told, clusters, [&] { return 2.0 * normal(random) / std::sqrt(clusters); });
+    alone += variance(estimate);
+    estimate.influence.conservativeResize(told + known, Eigen::NoChange);
+    estimate.influence.bottomRows(known).setZero();
+    estimate.covariance = MatrixXd::Identity(told + known, told + known);
+    counted += variance(estimate);
+    estimate.prior = Eigen::VectorXd::Zero(told + known);
+    estimate.prior.tail(known).setOnes();
+    beside += variance(estimate);
+  }
+  EXPECT_LT(counted, 0.95 * alone);
+  EXPECT_GT(beside, 0.95 * alone);
+  EXPECT_LT(beside, 1.05 * alone);
+}
+
 }  // namespace
 }  // namespace imu_pose_calib

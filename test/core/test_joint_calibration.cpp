@@ -335,7 +335,7 @@ TEST(JointCalibration, TellsHowMuchLaterPositionsAre) {
 
 /// A filter that follows rates has more moments than the second one.
 TEST(JointCalibration, TellsTheShapeOfWhatPosesAreAveragedOver) {
-  for (const auto [motion, with_rotations] :
+  for (const auto& [motion, with_rotations] :
        {std::pair(Motion::kHandheld, true), std::pair(Motion::kTumble, true),
         std::pair(Motion::kTumble, false)}) {
     SimulatorOptions truth = Recording(5e-4, 201);

@@ -105,7 +105,10 @@ class ReducedProblem {
 
   /// Of the functionals.
   MarginalEstimates Estimate() const {
-    return EstimateMarginals(all_.Products(), windows_, functionals_.count(), clocks_);
+    MarginalEstimates all =
+        EstimateMarginals(all_.Products(), windows_, functionals_.count(), clocks_);
+    all.exact.prior = PriorOfCalibrated();  // the functionals begin with what is calibrated
+    return all;
   }
   /// Part of the residuals: a half of every session, or a session.
   struct Part {
@@ -123,7 +126,17 @@ class ReducedProblem {
   const std::vector<Part>& sessions() const { return sessions_; }
 
  private:
-  /// What is known beforehand of the border counts in every part, not only where it stands.
+  /// What is known beforehand of the border, from a column on: its part of H and of the gradient,
+  /// and the window where it stands.
+  struct Prior {
+    int column, window;
+    Eigen::MatrixXd H;
+    Eigen::VectorXd gradient;
+  };
+  std::vector<Prior> FindPriors() const;
+  /// Their part of H's diagonal.
+  Eigen::VectorXd PriorOfCalibrated() const;
+  /// It counts in every part, not only where it stands.
   void AddPriors(Part* part) const;
   /// The means of bias knots that are in one window, or are shared.
   void AddMeans(int window, Panels* panels) const;
@@ -134,6 +147,7 @@ class ReducedProblem {
   const int windows_;
   const NormalEquations equations_;
   const std::shared_ptr<const Elimination> elimination_;
+  const std::vector<Prior> priors_;
   std::vector<int> clocks_;  ///< columns of clocks, of which H gets the exact ones
   std::vector<Part> halves_, sessions_;
   Reduced all_;
@@ -149,6 +163,7 @@ ReducedProblem::ReducedProblem(const Ordering& order, const Functionals& functio
       equations_(solved.problem, order.border, order.inner, solved.equations,
                  static_cast<size_t>(windows_)),
       elimination_(equations_.elimination()),
+      priors_(FindPriors()),
       halves_(2),
       sessions_(solved.sessions.size()) {
   int column = 0;
@@ -195,7 +210,12 @@ MarginalEstimate ReducedProblem::EstimateOf(const Part& part,
   std::vector<int> kept = columns;
   for (int column = order_.gravity; column < order_.biases; ++column)
     if (part.reduced.H(column, column) != 0.0) kept.push_back(column);
-  return Select(EstimateBorder(part.reduced, kept, part.windows), Counted(columns.size()));
+  MarginalEstimate estimate =
+      Select(EstimateBorder(part.reduced, kept, part.windows), Counted(columns.size()));
+  const Eigen::VectorXd prior = PriorOfCalibrated();
+  for (size_t k = 0; k < columns.size(); ++k)
+    estimate.prior[static_cast<Eigen::Index>(k)] = prior[columns[k]];
+  return estimate;
 }
 
 Panels ReducedProblem::TakeFactor() {
@@ -204,29 +224,47 @@ Panels ReducedProblem::TakeFactor() {
   return factor;
 }
 
-void ReducedProblem::AddPriors(Part* part) const {
+std::vector<ReducedProblem::Prior> ReducedProblem::FindPriors() const {
   const Problem& problem = solved_.problem;
+  std::vector<Prior> priors;
   for (const Equation& equation : solved_.equations) {
     const Problem::Residuals& residuals = problem.residuals(equation.block);
-    if (residuals.blocks() > 1 ||
-        std::binary_search(part->windows.begin(), part->windows.end(), equation.window))
-      continue;
+    if (residuals.blocks() > 1) continue;
     const int block = *problem.BlocksOf(residuals);
     int column = 0;
     auto place = order_.border.begin();
     for (; place != order_.border.end() && *place != block; ++place)
       column += problem.TangentSize(*place);
-    if (place == order_.border.end() || part->reduced.H(column, column) == 0.0)
-      continue;  // held, or of another session
-    const int size = problem.TangentSize(block);
+    if (place == order_.border.end()) continue;  // held, or not of the border
     Eigen::VectorXd r(residuals.rows());
-    Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> J(r.size(), size);
+    Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> J(
+        r.size(), problem.TangentSize(block));
     const double* parameters[] = {problem.data(block)};
     double* jacobians[] = {J.data()};
     residuals.Evaluate(parameters, r.data(), jacobians);
-    part->reduced.H.block(column, column, size, size) += J.transpose().lazyProduct(J);
-    const Eigen::VectorXd share = J.transpose() * r / static_cast<double>(part->windows.size());
-    for (const int w : part->windows) part->reduced.B.col(w).segment(column, size) += share;
+    priors.push_back(
+        {column, equation.window, J.transpose().lazyProduct(J), J.transpose().lazyProduct(r)});
+  }
+  return priors;
+}
+
+Eigen::VectorXd ReducedProblem::PriorOfCalibrated() const {
+  Eigen::VectorXd diagonal = Eigen::VectorXd::Zero(order_.gravity);
+  for (const Prior& prior : priors_)
+    if (prior.column < order_.gravity)
+      diagonal.segment(prior.column, prior.H.rows()) += prior.H.diagonal();
+  return diagonal;
+}
+
+void ReducedProblem::AddPriors(Part* part) const {
+  const std::vector<int>& windows = part->windows;
+  for (const auto& [column, window, H, gradient] : priors_) {
+    if (std::binary_search(windows.begin(), windows.end(), window)) continue;
+    if (part->reduced.H(column, column) == 0.0) continue;  // of another session
+    part->reduced.H.block(column, column, H.rows(), H.rows()) += H;
+    for (const int w : windows)
+      part->reduced.B.col(w).segment(column, H.rows()) +=
+          gradient / static_cast<double>(windows.size());
   }
 }
 

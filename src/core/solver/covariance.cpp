@@ -14,8 +14,8 @@ constexpr Eigen::Index kFewestClusters = 6;  // that tell a variance
 /// By how much the variance grows when clusters, columns of z in units of the model, are merged two
 /// by two, and again while enough of them remain: errors slower than a cluster do that. Less one
 /// sigma of what independent clusters scatter, and at least 1.
-double SlowErrors(Eigen::MatrixXd z, double fitted) {
-  const double parameters = static_cast<double>(z.rows()), clusters = static_cast<double>(z.cols());
+double SlowErrors(Eigen::MatrixXd z, double parameters, double fitted) {
+  const auto clusters = static_cast<double>(z.cols());
   const double variance = z.squaredNorm();
   double growth = 1.0;
   for (double share = fitted; z.cols() >= 2 * kFewestClusters;) {
@@ -34,6 +34,11 @@ double SlowErrors(Eigen::MatrixXd z, double fitted) {
 }
 
 }  // namespace
+
+double MarginalEstimate::Told() const {
+  const Eigen::VectorXd known = prior.cwiseProduct(covariance.diagonal().head(prior.size()));
+  return std::max(1.0, static_cast<double>(covariance.rows()) - known.sum());
+}
 
 MarginalEstimate EstimateBorder(const Reduced& reduced, const std::vector<int>& columns,
                                 const std::vector<int>& clusters) {
@@ -93,10 +98,12 @@ MarginalEstimates EstimateMarginals(const Eigen::MatrixXd& products, int cluster
 MarginalEstimate Select(const MarginalEstimate& estimate, const std::vector<int>& places) {
   const auto count = static_cast<Eigen::Index>(places.size());
   MarginalEstimate selected{Eigen::MatrixXd(count, count),
-                            Eigen::MatrixXd(count, estimate.influence.cols())};
+                            Eigen::MatrixXd(count, estimate.influence.cols()),
+                            Eigen::VectorXd::Zero(count)};
   for (Eigen::Index i = 0; i < count; ++i) {
     const int place = places[static_cast<size_t>(i)];
     selected.influence.row(i) = estimate.influence.row(place);
+    if (place < estimate.prior.size()) selected.prior[i] = estimate.prior[place];
     for (Eigen::Index j = 0; j < count; ++j)
       selected.covariance(i, j) = estimate.covariance(place, places[static_cast<size_t>(j)]);
   }
@@ -112,7 +119,7 @@ Eigen::MatrixXd ClusterRobustCovariance(const MarginalEstimate& estimate, double
   // In units of the model's covariance: S = sum_w z_w z_w^T, the model is the identity.
   const Eigen::MatrixXd z = z_T.transpose(), S = Product(z, z_T);
   const Eigen::MatrixXd target =
-      S.trace() / static_cast<double>(S.rows()) * Eigen::MatrixXd::Identity(S.rows(), S.cols());
+      S.trace() / estimate.Told() * Eigen::MatrixXd::Identity(S.rows(), S.cols());
   // Ledoit and Wolf: how much of the distance to the target is the scatter of the clusters?
   const auto clusters = static_cast<double>(z.cols());
   double scatter = 0.0;
@@ -121,7 +128,8 @@ Eigen::MatrixXd ClusterRobustCovariance(const MarginalEstimate& estimate, double
   scatter /= clusters * clusters;
   const double distance = (S - target).squaredNorm();
   const double shrinkage = distance > scatter ? scatter / distance : 1.0;
-  return SlowErrors(z, fitted) * Propagate(L, shrinkage * target + (1.0 - shrinkage) * S);
+  return SlowErrors(z, estimate.Told(), fitted) *
+         Propagate(L, shrinkage * target + (1.0 - shrinkage) * S);
 }
 
 }  // namespace imu_pose_calib

@@ -14,7 +14,12 @@ struct MarginalEstimate {
   /// Column k: -L^T H^-1 G_k, what the scores G_k = sum_k J^T r of cluster k add to the
   /// Gauss-Newton step. At the minimum the columns add up to 0.
   Eigen::MatrixXd influence;
+  /// Part of H's diagonal that is known beforehand, where the functionals are parameters; empty:
+  /// nothing is.
+  Eigen::VectorXd prior = Eigen::VectorXd();
 
+  /// How many of the functionals the scores tell, those that are known beforehand in part.
+  double Told() const;
   Eigen::VectorXd Step() const { return influence.rowwise().sum(); }
 };
 
@@ -42,9 +47,9 @@ constexpr double kLargestFittedShare = 0.5;
 
 /// Cluster-robust (sandwich) covariance H^-1 (sum_k G_k G_k^T) H^-1 from the influences of the
 /// clusters, doc/math.md Eq. (16): for the degrees of freedom that the fit took from the scores
-/// (share `fitted`, 0..kLargestFittedShare), drawn towards a multiple of H^-1 as far as the
-/// clusters are too few to tell it from that, and larger as a whole when errors last longer than a
-/// cluster.
+/// (share `fitted`, 0..kLargestFittedShare), drawn towards a multiple of H^-1, by how much the
+/// functionals scatter that the clusters tell, as far as these are too few to tell it from that,
+/// and larger as a whole when errors last longer than a cluster.
 Eigen::MatrixXd ClusterRobustCovariance(const MarginalEstimate& estimate, double fitted);
 
 }  // namespace imu_pose_calib
