@@ -7,6 +7,7 @@
 #include "imu_pose_calib/core/base/intrinsics.h"
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/base/spline.h"
+#include "imu_pose_calib/core/calibration/priors.h"
 #include "imu_pose_calib/simulation/true_trajectory.h"
 
 namespace imu_pose_calib {
@@ -25,12 +26,8 @@ constexpr int kTranslation = 0, kRotation = 3, kDelay = 6, kGyroMatrix = 7, kAcc
 constexpr int kTimeShift = kShared, kDrift = kShared + 1, kGravity = kShared + 2,
               kMagnitude = kShared + 4, kBiases = kShared + 5;
 
-// Sigmas of the priors, as in joint_problem.cpp.
-constexpr double kScalePrior = 0.01, kAlignmentPrior = M_PI / 360.0, kDriftPrior = 1e-4,
-                 kSmoothingPrior = 1e-5 / M_SQRT2, kPositionDelayPrior = 2e-5,
-                 kThirdPrior = 1e-6 / M_SQRT2, kFourthPrior = 1e-7 / M_SQRT2,
-                 kAccelSmoothingPrior = 5e-5, kPoseScalePrior = 1e-3, kMagnitudePrior = 0.03,
-                 kSizePrior = 2e-3;
+// [s^2], [m/s^2] sigmas that the solve has otherwise.
+constexpr double kAccelSmoothingPrior = 5e-5, kMagnitudePrior = 0.03;
 constexpr double kKnown = 1e-12;  // sigma of what is known
 
 constexpr double kBiasKnots = 5.0;  // [s]
@@ -265,18 +262,18 @@ void AddPriors(bool is_known, const std::vector<int>& recordings, MatrixXd* info
       add(k++, row == column ? kScalePrior : kAlignmentPrior);
   for (int k = 0; k < 9; ++k) add(kAccelMatrix + k, k % 4 == 0 ? kScalePrior : kAlignmentPrior);
   add(kAccelSmoothing, kAccelSmoothingPrior);
-  add(kPoseSmoothing, kSmoothingPrior);
-  add(kPositionSmoothing, kSmoothingPrior);
-  add(kPositionDelay, kPositionDelayPrior);
+  add(kPoseSmoothing, PeakSigma(kSmoothingPrior, 0.0));
+  add(kPositionSmoothing, PeakSigma(kSmoothingPrior, 0.0));
+  add(kPositionDelay, PeakSigma(kPositionDelayPrior, 0.0, kPositionDelayDoubt));
   for (const int cumulants : {kPoseCumulants, kPositionCumulants}) {
-    add(cumulants, kThirdPrior);
-    add(cumulants + 1, kFourthPrior);
+    add(cumulants, PeakSigma(kThirdPrior, 0.0));
+    add(cumulants + 1, PeakSigma(kFourthPrior, 0.0));
   }
   add(kPoseScale, kPoseScalePrior);
   for (int k = 0; k < 6; ++k) add(kAccelPositions + k, kSizePrior);
 }
 
-ErrorNorms Bound(const MatrixXd& information) {
+ErrorNorms BoundOf(const MatrixXd& information) {
   // To one scale: the units are far apart.
   const Eigen::VectorXd scale = information.diagonal().cwiseSqrt().cwiseInverse();
   const MatrixXd scaled = scale.asDiagonal() * information * scale.asDiagonal();
@@ -307,9 +304,9 @@ ErrorBounds FindErrorBounds(const std::vector<SimulatorOptions>& truths,
   ErrorBounds bounds;
   MatrixXd known = information;
   AddPriors(true, places, &known);
-  bounds.least = Bound(known);
+  bounds.least = BoundOf(known);
   AddPriors(false, places, &information);
-  bounds.as_joint = Bound(information);
+  bounds.as_joint = BoundOf(information);
   return bounds;
 }
 

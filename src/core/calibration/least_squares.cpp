@@ -13,26 +13,12 @@
 #include "imu_pose_calib/core/base/dense.h"
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/base/parallel.h"
+#include "imu_pose_calib/core/calibration/priors.h"
 #include "imu_pose_calib/core/calibration/residuals.h"
 
 namespace imu_pose_calib {
 namespace {
 
-// Sigmas of ordinary clocks, trackers and IMUs.
-constexpr double kDelayPrior = 0.02;              // [s]
-constexpr double kGyroFilterPrior = 1e-4;         // [s^2] of a filter of 16 Hz
-constexpr double kCompliancePrior = 2e-4;         // [s^2] of mounts that resonate at 11 Hz
-constexpr double kPoseScalePrior = 1e-3;          // [1]
-constexpr double kScalePrior = 0.01;              // [1] diagonal of K_g and K_a
-constexpr double kAlignmentPrior = M_PI / 360.0;  // [rad] their other elements: 0.5 deg
-constexpr double kSizePrior = 2e-3;               // [m] places of the accelerometer's axes
-// Widths of peaks, see PeakSigma(): most have none, others have much.
-constexpr double kSmoothingPrior = 1e-5;  // [s^2] of poses; of accelerometers, one side
-constexpr double kThirdPrior = 1e-6, kFourthPrior = 1e-7;  // [s^3], [s^4] cumulants of poses
-constexpr double kPositionDelayPrior = 8e-5;               // [s]
-/// How much must speak for a delay of positions, whose peak has a sigma of 0.02 ms: slow errors of
-/// rotations look like one by four sigma.
-constexpr double kPositionDelayDoubt = 8.0;
 // A filter that spreads samples over time delays them, too. Where the delay is small, so is the
 // smoothing, and errors of the poses would take its place.
 // For a filter of first order, the squared delay; for a plain delay, nothing.
@@ -80,12 +66,6 @@ Eigen::VectorXd IntrinsicsPrior(bool is_triangle) {
     for (int column = 0; column < (is_triangle ? row + 1 : 3); ++column)
       sigmas.push_back(row == column ? kScalePrior : kAlignmentPrior);
   return Eigen::Map<Eigen::VectorXd>(sigmas.data(), static_cast<Eigen::Index>(sigmas.size()));
-}
-
-/// Sigma of the Gaussian prior that pulls as a peak with heavy tails does, where the parameter is
-/// x: doubt log(1 + x^2 / scale^2) has the slope of x^2 / (2 sigma^2). Cauchy's: 1.
-double PeakSigma(double scale, double x, double doubt = 1.0) {
-  return std::hypot(scale, x) / std::sqrt(2.0 * doubt);
 }
 
 /// Of the side on which the smoothing is: within a pass the cost is smooth.
