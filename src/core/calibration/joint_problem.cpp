@@ -92,18 +92,16 @@ struct Places {
                                     double variance) const {
     const double step = StepOf(t, variance);
     if (step == kStep) return gp.a_W;
-    return (At(t - step).p_WM - 2.0 * gp.p_WM + At(t + step).p_WM) / (step * step);
+    return (trajectory->PositionAt(t - step) - 2.0 * gp.p_WM + trajectory->PositionAt(t + step)) /
+           (step * step);
   }
   Eigen::Vector3d RotationCurvature(double t, const MarkerRotation<double>& gp,
                                     double variance) const {
     const double step = StepOf(t, variance);
     if (step == kStep) return gp.alpha_M;
     Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-    for (const double at : {t - step, t + step}) {
-      MarkerRotation<double> other;
-      trajectory->EvaluateRotation(at, &other);
-      sum += Log(Eigen::Quaterniond(gp.q_WM.conjugate() * other.q_WM));
-    }
+    for (const double at : {t - step, t + step})
+      sum += Log(Eigen::Quaterniond(gp.q_WM.conjugate() * trajectory->RotationAt(at)));
     return sum / (step * step);
   }
   /// JointPoseSample::higher, by differences: x(time after t) is 0 at 0. The step is that with
@@ -293,10 +291,10 @@ void SessionBuilder::AddPoses() {
         sample.v_W = gp.v_W;
         sample.curvature = places->PositionCurvature(at.t, gp, position_smoothing);
         sample.spline_share = places->SplineShare(position_smoothing);
-        sample.higher = places->Higher(at.t, rotation_cumulants + position_cumulants,
-                                       [&](double after) -> Eigen::Vector3d {
-                                         return places->At(at.t + after).p_WM - gp.p_WM;
-                                       });
+        sample.higher = places->Higher(
+            at.t, rotation_cumulants + position_cumulants, [&](double after) -> Eigen::Vector3d {
+              return places->trajectory->PositionAt(at.t + after) - gp.p_WM;
+            });
         return sample;
       });
   const auto rotations = Collect<JointRotationSample>(
@@ -311,9 +309,8 @@ void SessionBuilder::AddPoses() {
         sample.curvature = places->RotationCurvature(at.t, gp, rotation_smoothing);
         sample.spline_share = places->SplineShare(rotation_smoothing);
         sample.higher = places->Higher(at.t, rotation_cumulants, [&](double after) {
-          MarkerRotation<double> other;
-          places->trajectory->EvaluateRotation(at.t + after, &other);
-          return Log(Eigen::Quaterniond(gp.q_WM.conjugate() * other.q_WM));
+          const Eigen::Quaterniond q_WM = places->trajectory->RotationAt(at.t + after);
+          return Log(Eigen::Quaterniond(gp.q_WM.conjugate() * q_WM));
         });
         return sample;
       });

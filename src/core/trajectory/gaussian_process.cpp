@@ -18,6 +18,14 @@ constexpr int kGroup = 32;
 constexpr double kCore = 64.0;    // [length scales]
 constexpr double kMargin = 20.0;  // [length scales]
 
+double Spacing(const BumpGrid& grid) { return kSpacing * grid.lengthscale; }
+
+/// First of the kSupport bumps around t.
+int FirstBump(const BumpGrid& grid, double t) {
+  const int j = static_cast<int>(std::floor((t - grid.first) / Spacing(grid))) - kHalfSupport + 1;
+  return std::clamp(j, 0, grid.size - kSupport);
+}
+
 /// Grid that serves every t in [begin, end].
 BumpGrid GridOf(double begin, double end, double lengthscale_s) {
   const double spacing = kSpacing * lengthscale_s;
@@ -168,7 +176,7 @@ using BumpGroup = Eigen::Matrix<double, kSupport, kGroup>;
 /// j.
 bool IsInGroup(const GpData& data, Eigen::Index end, const BumpGrid& grid, int j, Eigen::Index i,
                Eigen::Index count) {
-  return i + count < end && count < kGroup && grid.FirstBump(data.t[i + count]) == j;
+  return i + count < end && count < kGroup && FirstBump(grid, data.t[i + count]) == j;
 }
 
 /// Posterior of unit-variance bump weights given rows [begin, end) of the data:
@@ -184,7 +192,7 @@ WeightPosterior FitWeights(const GpData& data, Eigen::Index begin, Eigen::Index 
   Eigen::MatrixXd b = Eigen::MatrixXd::Zero(grid.size, data.y.cols());
   BumpGroup F;
   for (Eigen::Index i = begin, count = 0; i < end; i += count) {
-    const int j = grid.FirstBump(data.t[i]);
+    const int j = FirstBump(grid, data.t[i]);
     for (count = 0; IsInGroup(data, end, grid, j, i, count); ++count)
       F.col(count) = BumpValues(grid, j, data.t[i + count]).value;
     auto group = F.leftCols(count);
@@ -219,13 +227,6 @@ double VarianceOf(const Eigen::MatrixXd& covariance, int j, const BumpArray& fac
 
 }  // namespace
 
-double BumpGrid::Spacing() const { return kSpacing * lengthscale; }
-
-int BumpGrid::FirstBump(double t) const {
-  const int j = static_cast<int>(std::floor((t - first) / Spacing())) - kHalfSupport + 1;
-  return std::clamp(j, 0, size - kSupport);
-}
-
 WindowedGp::WindowedGp(const GpData& data, const GpHyperparameters& h, int threads,
                        bool with_variance)
     : begin_(data.t[0]), end_(data.t[data.t.size() - 1]) {
@@ -249,10 +250,10 @@ WindowedGp::Window WindowedGp::Fit(const GpData& data, const GpHyperparameters& 
   WeightPosterior posterior = FitWeights(data, std::lower_bound(t_begin, t_end, low) - t_begin,
                                          std::upper_bound(t_begin, t_end, high) - t_begin, grid, h);
   // Queries come from the core only: the margins' weights have done their work.
-  const int first = grid.FirstBump(core_begin);
-  const int size = grid.FirstBump(core_begin + core_) + kSupport - first;
+  const int first = FirstBump(grid, core_begin);
+  const int size = FirstBump(grid, core_begin + core_) + kSupport - first;
   const double weight_std = WeightStd(h);
-  Window fitted{{h.lengthscale_s, grid.first + first * grid.Spacing(), size},
+  Window fitted{{h.lengthscale_s, grid.first + first * Spacing(grid), size},
                 weight_std * posterior.mean.middleRows(first, size),
                 {}};
   if (!with_variance) return fitted;
@@ -272,13 +273,13 @@ const WindowedGp::Window& WindowedGp::At(double t) const {
 
 WindowedGp::Derivatives WindowedGp::Evaluate(double t) const {
   const Window& window = At(t);
-  const int j = window.grid.FirstBump(t);
+  const int j = FirstBump(window.grid, t);
   return window.weights.middleRows<kSupport>(j).transpose().lazyProduct(Bumps(window.grid, j, t));
 }
 
 WindowedGp::Values WindowedGp::Value(double t, double* variance) const {
   const Window& window = At(t);
-  const int j = window.grid.FirstBump(t);
+  const int j = FirstBump(window.grid, t);
   const BumpArray bumps = BumpValues(window.grid, j, t).value;
   if (variance != nullptr) *variance = VarianceOf(window.covariance, j, bumps);
   return window.weights.middleRows<kSupport>(j).transpose().lazyProduct(bumps.matrix());
@@ -286,7 +287,7 @@ WindowedGp::Values WindowedGp::Value(double t, double* variance) const {
 
 Eigen::Vector3d WindowedGp::Variance(double t) const {
   const Window& window = At(t);
-  const int j = window.grid.FirstBump(t);
+  const int j = FirstBump(window.grid, t);
   const BumpDerivatives B = Bumps(window.grid, j, t);
   Eigen::Vector3d variance;
   for (int k = 0; k < 3; ++k) variance[k] = VarianceOf(window.covariance, j, B.col(k));
@@ -312,7 +313,7 @@ double LogMarginalLikelihood(const GpData& data, const GpHyperparameters& h,
   if (gradient != nullptr) inverse = posterior.A.InverseInBand();
   BumpGroup F, dF;
   for (Eigen::Index i = 0, count = 0; i < n; i += count) {
-    const int j = grid.FirstBump(data.t[i]);
+    const int j = FirstBump(grid, data.t[i]);
     for (count = 0; IsInGroup(data, n, grid, j, i, count); ++count) {
       const BumpValues bumps(grid, j, data.t[i + count]);
       F.col(count) = weight_std * bumps.value;

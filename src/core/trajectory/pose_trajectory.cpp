@@ -289,6 +289,14 @@ Rigid3 PoseTrajectory::PoseAt(double t, Eigen::Vector2d* variance) const {
   return {Eigen::Quaterniond(q).normalized(), origin_W_ + p};
 }
 
+Eigen::Vector3d PoseTrajectory::PositionAt(double t) const {
+  return origin_W_ + Eigen::Vector3d(Find(t)->position.Value(t));
+}
+
+Eigen::Quaterniond PoseTrajectory::RotationAt(double t) const {
+  return Eigen::Quaterniond(Eigen::Vector4d(Find(t)->quaternion.Value(t))).normalized();
+}
+
 PoseTrajectory FitTrajectory(const CalibrationOptions& options, ConditionedData* data) {
   RemoveSpikes(options.outlier_threshold, data);
   SplitAtJumps(options, data);

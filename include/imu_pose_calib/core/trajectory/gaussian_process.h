@@ -21,14 +21,11 @@ struct GpData {
   Eigen::VectorXd noise_scale = Eigen::VectorXd();
 };
 
-/// Uniform grid of Gaussian bumps exp(-(t - c_j)^2 / l^2), c_j = first + j Spacing().
+/// Uniform grid of Gaussian bumps exp(-(t - c_j)^2 / l^2), c_j = first + j d, of which d is a
+/// fixed share of l.
 struct BumpGrid {
   double lengthscale, first;  ///< [s]
   int size;
-
-  double Spacing() const;
-  /// First of the bumps around t, of which there are always as many.
-  int FirstBump(double t) const;
 };
 
 /// Gaussian process regression with one 1-D input and D independent outputs that share their

@@ -84,6 +84,9 @@ class PoseTrajectory {
   /// Smoothed T_WM at t [s] and, unless null, its posterior variance per axis of position [m^2] and
   /// rotation [rad^2]; t must be contained.
   Rigid3 PoseAt(double t, Eigen::Vector2d* variance = nullptr) const;
+  /// Either part of it, at half the cost.
+  Eigen::Vector3d PositionAt(double t) const;
+  Eigen::Quaterniond RotationAt(double t) const;
 
  private:
   struct Segment {
