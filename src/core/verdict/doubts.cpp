@@ -184,9 +184,9 @@ void DoubtResult(const std::vector<PreparedSession>& sessions, bool has_settled,
                  Calibration* result) {
   if (!result->IsUsable()) return;
   std::vector<std::string> doubts;
+  DoubtMotion(sessions, *result, &doubts);
   if (!has_settled)
     doubts.emplace_back("the solve has not settled: the result may move by parts of its sigma");
-  DoubtMotion(sessions, *result, &doubts);
   DoubtHalves(*result, &doubts);
   DoubtNoise(sessions, *result, &doubts);
   DoubtPoseSource(*result, &doubts);
