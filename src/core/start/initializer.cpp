@@ -161,7 +161,8 @@ struct LeverArmEquations {
     A.diagonal().segment<3>(6).setConstant(1.0 / (kAccelBiasPrior * kAccelBiasPrior));
     for (size_t i = 0; i < accel.size(); i += stride) {
       MarkerState<double> state;
-      if (!trajectory.Evaluate(accel[i].t + start.time_shift - delay, &state)) continue;
+      const double t = accel[i].t + start.walk.At(accel[i].t);
+      if (!trajectory.Evaluate(t + start.time_shift - delay, &state)) continue;
       const Eigen::Matrix3d R_MW = state.q_WM.conjugate().toRotationMatrix();
       const Eigen::Matrix3d W = Hat(state.omega_M);
       Eigen::Matrix<double, 3, 10> J;
@@ -291,9 +292,7 @@ Start Initialise(const CalibrationOptions& options, const PoseTrajectory& trajec
     start.walk = FitClockWalk(trajectory, samples.gyro, &line);
     start.time_shift = line.time_shift;
   }
-  std::vector<TimedSample> accel = samples.accel;
-  for (TimedSample& s : accel) s.t += start.walk.At(s.t);
-  FitLeverArm(trajectory, accel, options.GravityMagnitude(), options.estimate_accel_delay,
+  FitLeverArm(trajectory, samples.accel, options.GravityMagnitude(), options.estimate_accel_delay,
               options.Threads(), &start);
   if (!options.estimate_translation) start.p_MI = *options.initial_translation;
   if (options.initial_gravity) start.g_W = *options.initial_gravity;

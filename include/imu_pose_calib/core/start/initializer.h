@@ -30,10 +30,10 @@ struct Start {
 void RemoveFlippedSegments(const CalibrationOptions& options, PoseTrajectory* trajectory,
                            ConditionedData* data);
 
-/// p_MI, g_W and accel_bias by linear least squares on the accelerometer, given start->q_MI and
-/// start->time_shift; start->accel_delay is searched on +-0.1 s when `estimate_delay`.
-/// Throws DataError when the gravity found is not between half and twice `gravity_magnitude`, or
-/// when the positions are in another unit than the accelerometer.
+/// p_MI, g_W and accel_bias by linear least squares on the accelerometer, given start->q_MI,
+/// start->time_shift and start->walk; start->accel_delay is searched on +-0.1 s when
+/// `estimate_delay`. Throws DataError when the gravity found is not between half and twice
+/// `gravity_magnitude`, or when the positions are in another unit than the accelerometer.
 void FitLeverArm(const PoseTrajectory& trajectory, const std::vector<TimedSample>& accel,
                  double gravity_magnitude, bool estimate_delay, int threads, Start* start);
 
