@@ -14,8 +14,6 @@ namespace {
 
 using Bool3 = Eigen::Array<bool, 3, 1>;
 
-constexpr double kMaxSignalToNoise = 1e5;  // keeps the normal equations well conditioned
-
 GpHyperparameters FromLogs(const Eigen::Vector3d& x) {
   return {std::exp(x[0]), std::exp(x[1]), std::exp(x[2])};
 }

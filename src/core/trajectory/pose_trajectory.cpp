@@ -81,11 +81,12 @@ GpHyperparameters FitRotation(const CalibrationOptions& o, const ConditionedData
 /// Norm of the leave-one-out residual in sigma, per pose: (position, rotation).
 std::vector<Eigen::Vector2d> LeaveOneOut(const PoseTrajectory& trajectory,
                                          const std::vector<TimedPose>& poses, int threads) {
-  const double position_noise2 = std::pow(trajectory.position_hyperparameters().noise_std, 2);
-  const double rotation_noise2 = std::pow(trajectory.rotation_hyperparameters().noise_std, 2);
-  // r_loo = r / (1 - h) with variance noise^2 / (1 - h), h = posterior variance / noise^2
-  const auto normalise = [](double residual, double variance, double noise2) {
-    return residual / std::sqrt(std::max(noise2 - variance, 1e-3 * noise2));
+  // r_loo = r / (1 - h) with variance noise^2 / (1 - h), h = posterior variance / noise^2: of which
+  // rounding leaves nothing where the noise is the least that is found.
+  const auto normalise = [](double residual, double variance, const GpHyperparameters& h) {
+    const double noise2 = std::pow(h.noise_std, 2);
+    const double least2 = std::pow(h.signal_std / kMaxSignalToNoise, 2);
+    return residual / std::sqrt(std::max({noise2 - variance, least2, 1e-3 * noise2}));
   };
   std::vector<Eigen::Vector2d> normalised(poses.size());
   InPortions(threads, poses.size(), [&](size_t i) {
@@ -94,8 +95,8 @@ std::vector<Eigen::Vector2d> LeaveOneOut(const PoseTrajectory& trajectory,
     const Rigid3 smooth = trajectory.PoseAt(pose.t, &variance);
     const double position = (pose.p_WM - smooth.p).norm();
     const double rotation = Log(Eigen::Quaterniond(smooth.q.conjugate() * pose.q_WM)).norm();
-    normalised[i] << normalise(position, variance[0], position_noise2),
-        normalise(rotation, variance[1], rotation_noise2);
+    normalised[i] << normalise(position, variance[0], trajectory.position_hyperparameters()),
+        normalise(rotation, variance[1], trajectory.rotation_hyperparameters());
   });
   return normalised;
 }

@@ -13,6 +13,9 @@ struct GpHyperparameters {
   double noise_std = 0.0;   ///< unit of the values
 };
 
+/// Least noise that is found: keeps the normal equations well conditioned.
+constexpr double kMaxSignalToNoise = 1e5;
+
 /// Measurements of up to four outputs: row i of `y` is taken at t[i]. t increases.
 struct GpData {
   Eigen::VectorXd t;  ///< [s]
