@@ -167,7 +167,7 @@ void JointMarginals(benchmark::State& state) {
   std::vector<CorrectionSplines> splines = {
       CorrectionSplines(sessions[0].data, estimate, 0, spacing)};
   const auto joint = BuildJointProblem(options, sessions, models, &estimate, &splines);
-  joint->Solve(kRoughTolerance);
+  joint->Step();
   for (auto _ : state) benchmark::DoNotOptimize(FindMarginals(joint.get()));
 }
 BENCHMARK(JointMarginals)->Apply(Cases);

@@ -46,7 +46,9 @@ TEST(CeresSolve, ReachesTheMinimumOfTheOwnSolver) {
   const SessionData data = Simulate(truth, 2);
   const CalibrationOptions options;
   Joint own(options, data), by_ceres(options, data);
-  ASSERT_TRUE(own.problem->Solve(1e-11).has_converged);
+  StepSummary step;
+  for (int k = 0; k < 20 && (!step.is_whole || step.moved > 1e-5); ++k) step = own.problem->Step();
+  ASSERT_LT(step.moved, 1e-5);
   ASSERT_TRUE(by_ceres.problem->SolveWithCeres(1e-13));
 
   const Marginals marginals = FindMarginals(own.problem.get());

@@ -227,6 +227,37 @@ TEST(ExactColumn, IsTheSecondDerivativeThatGaussNewtonLeavesOut) {
   EXPECT_EQ(w, 2.1);
 }
 
+TEST(LineariseAtZero, TakesDerivativesThereButForThoseByExactBlocks) {
+  for (const bool is_exact : {false, true}) {
+    SCOPED_TRACE(is_exact);
+    double a = 1.3, w = 2.1;
+    Problem problem;
+    std::vector<Equation> all;
+    Eigen::Matrix2d H = Eigen::Matrix2d::Zero();
+    Eigen::Vector2d b = Eigen::Vector2d::Zero();
+    for (int i = 0; i < 20; ++i) {
+      const double t = 0.1 * i, y = std::cos(t);
+      all.push_back({problem.AddResidualsOf(
+                         {&a, &w}, std::make_unique<ceres::AutoDiffCostFunction<Wave, 1, 1, 1>>(
+                                       new Wave{t, y})),
+                     0, t});
+      const Eigen::Vector2d J(-std::sin(w * t), is_exact ? -a * t * std::cos(w * t) : 0.0);
+      H += J * J.transpose();
+      b += J * (y - a * std::sin(w * t));
+    }
+    const std::vector<int> blocks{problem.Find(&a), problem.Find(&w)};
+    problem.LineariseAtZero({blocks[0]},
+                            is_exact ? std::vector<int>{blocks[1]} : std::vector<int>{});
+    const NormalEquations equations(problem, blocks, {}, all, 1);
+    EliminatedWindows windows(equations.elimination(), VectorXd::Ones(1), 0.0, 1,
+                              [&](size_t window) { return equations.Assemble(window, {}); });
+    const Reduced reduced = windows.ReduceAll({});
+    EXPECT_LT((reduced.H - H).norm(), 1e-12);
+    EXPECT_LT((reduced.B.col(0) - b).norm(), 1e-12);
+    EXPECT_GT(b.norm(), 1.0);
+  }
+}
+
 /// Rosenbrock's valley: from (-1.2, 1) the full first step climbs by a factor of a hundred.
 struct Valley {
   template <typename T>
@@ -263,9 +294,11 @@ class SolveTest : public testing::Test {
 TEST_F(SolveTest, IsDampedWhereAFullStepClimbs) {
   double x[] = {-1.2, 1.0};
   Add(std::make_unique<ceres::AutoDiffCostFunction<Valley, 2, 2>>(new Valley), x);
-  const SolveSummary summary = least_squares_->Solve(1e-12);
-  EXPECT_TRUE(summary.has_converged);
-  EXPECT_GT(summary.iterations, 2);
+  const StepSummary first = least_squares_->Step();
+  EXPECT_FALSE(first.is_whole);
+  EXPECT_GT(first.iterations, 1);
+  for (int step = 0; step < 30; ++step) least_squares_->Step();
+  EXPECT_TRUE(least_squares_->Step().is_whole);
   EXPECT_NEAR(x[0], 1.0, 1e-6);
   EXPECT_NEAR(x[1], 1.0, 1e-6);
 }
@@ -274,14 +307,17 @@ TEST_F(SolveTest, ReturnsNothingWhenItDoesNotConverge) {
   double x[] = {-1.2, 1.0};
   options_.max_iterations = 3;
   Add(std::make_unique<ceres::AutoDiffCostFunction<Valley, 2, 2>>(new Valley), x);
-  EXPECT_FALSE(least_squares_->Solve(1e-12).has_converged);
+  const StepSummary refused = least_squares_->Step();
+  EXPECT_FALSE(refused.is_whole);
+  EXPECT_TRUE(std::isinf(refused.moved));
+  EXPECT_EQ(x[0], -1.2);
   EXPECT_FALSE(least_squares_->SolveWithCeres(1e-12));
 }
 
 TEST_F(SolveTest, ThrowsWhereTheResidualsAreNotDefined) {
   double x[] = {std::numeric_limits<double>::quiet_NaN(), 1.0};
   Add(std::make_unique<ceres::AutoDiffCostFunction<Valley, 2, 2>>(new Valley), x);
-  EXPECT_THROW(least_squares_->Solve(1e-12), DataError);
+  EXPECT_THROW(least_squares_->Step(), DataError);
 }
 
 TEST_F(SolveTest, FindsTheMinimumThatCeresFinds) {
@@ -295,7 +331,7 @@ TEST_F(SolveTest, FindsTheMinimumThatCeresFinds) {
     Add(std::make_unique<ceres::NormalPrior>(A, y), x, 1.0);
     problem.AddResidualBlock(new ceres::NormalPrior(A, y), new ceres::CauchyLoss(1.0), expected);
   }
-  least_squares_->Solve(1e-14);
+  for (int step = 0; step < 50; ++step) least_squares_->Step();
   ceres::Solver::Options options;
   options.function_tolerance = options.parameter_tolerance = 1e-14;
   ceres::Solver::Summary summary;

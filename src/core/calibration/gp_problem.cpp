@@ -13,6 +13,7 @@ namespace {
 /// The trajectory's errors stay about the same for this many length scales.
 constexpr double kCorrelation = 0.5;
 constexpr double kGpTolerance = 1e-10;
+constexpr double kRoughTolerance = 1e-3;  // while the noise still changes
 
 void AddSensor(Quantity quantity, size_t session, size_t imu, LeastSquares* gp) {
   const bool is_accel = quantity == Quantity::kAccel;

@@ -42,20 +42,19 @@ class JointSolver {
   Solution Solve() {
     Solution solution;
     solution.has_settled = false;
-    bool has_converged = false;
+    StepSummary summary;
     for (int pass = 0; pass < kMaxPasses && !solution.has_settled; ++pass) {
       if (pass > 0) {
         SetNoise(pass < kHalfSteps ? 1.0 : 0.5);
         MoveTrajectories();
       }
       const size_t held = at_bound_.size();
-      const SolveSummary summary = Pass();
+      summary = Pass();
       if (pass > 0) HoldBounds();
-      has_converged = summary.has_converged;
       solution.has_settled =
-          pass > 0 && has_converged && at_bound_.size() == held && summary.moved < kSettled;
+          pass > 0 && summary.is_whole && at_bound_.size() == held && summary.moved < kSettled;
     }
-    if (!has_converged) ThrowNotConverged(options_);
+    if (!std::isfinite(summary.moved)) ThrowNotConverged(options_);
     solution.marginals = FindMarginals(problem_.get());
     solution.statistics = std::move(statistics_);
     solution.residuals = problem_->TakeResiduals();
@@ -68,10 +67,11 @@ class JointSolver {
 
  private:
   /// With the noise and the weights that are set; at first, all weights are 1.
-  SolveSummary Pass() {
+  StepSummary Pass() {
     problem_.reset();  // never two of them at a time
     problem_ = BuildJointProblem(options_, *sessions_, models_, estimate_, &splines_, at_bound_);
-    const SolveSummary summary = problem_->Solve(kRoughTolerance);
+    problem_->problem.LineariseAtZero(problem_->trajectory_blocks, Filters());
+    const StepSummary summary = problem_->Step();
     iterations_ += summary.iterations;
     statistics_ = problem_->FindStatistics();
     slow_errors_.clear();
@@ -80,6 +80,18 @@ class JointSolver {
         slow_errors_.push_back(errors->std);
     FitNoise(problem_.get(), &statistics_);
     return summary;
+  }
+
+  /// Parameters of what spreads samples over time, which shows at the frequencies that corrections
+  /// hold.
+  std::vector<int> Filters() const {
+    std::vector<int> filters;
+    for (const Parameter& p : CalibrationParameters(estimate_))
+      if ((p.kind >= ParameterKind::kPoseSmoothing &&
+           p.kind <= ParameterKind::kPositionCumulants) ||
+          (p.kind >= ParameterKind::kGyroSmoothing && p.kind <= ParameterKind::kMountCompliance))
+        filters.push_back(problem_->problem.Find(p.data));
+    return filters;
   }
 
   /// No mount gives way upwards, and no gyroscope averages over less time than none: other errors
@@ -95,7 +107,7 @@ class JointSolver {
     at_bound_.push_back(parameter);
   }
 
-  /// To the solution, as far as they can hold it; the splines begin anew.
+  /// To the solution, as far as they can hold it; the splines keep the rest.
   void MoveTrajectories() {
     for (size_t s = 0; s < sessions_->size(); ++s) {
       PreparedSession& session = (*sessions_)[s];
@@ -113,10 +125,10 @@ class JointSolver {
           noise_scale[static_cast<Eigen::Index>(i)] = kUncorrected;
         }
       }
+      const auto before = session.trajectory;
       session.trajectory = SmoothTrajectory(session, poses, noise_scale, Band(splines.spacing()),
                                             options_.Threads());
-      std::fill(splines.d.begin(), splines.d.end(), Eigen::Vector3d::Zero());
-      std::fill(splines.phi.begin(), splines.phi.end(), Eigen::Vector3d::Zero());
+      splines.Rebase(*before, *session.trajectory, options_.Threads());
     }
   }
 

@@ -39,8 +39,9 @@ constexpr double kRounding = 1e-6;
 constexpr int kStepWindows = 8;
 
 /// Share of the diagonal of H that is added to it after a step that does not reduce the cost by a
-/// share kLeastGain of what it should (Levenberg-Marquardt); less than this is none.
-constexpr double kLeastDamping = 1e-4, kLeastGain = 1e-3;
+/// share kLeastGain of what it should (Levenberg-Marquardt), at first; and share of the cost that
+/// is next to nothing, when it should fall by it and when it rises.
+constexpr double kDamping = 1e-4, kLeastGain = 1e-3, kTolerance = 1e-3;
 
 /// Of the poses that are left, between the first and the last one of segments [Hz].
 double MeanRate(const ConditionedData& data) {
@@ -380,7 +381,7 @@ std::optional<int> LeastSquares::SolveWithCeres(double function_tolerance) {
   return problem.SolveWithCeres(function_tolerance, options.max_iterations, options.Threads());
 }
 
-SolveSummary LeastSquares::Solve(double function_tolerance) {
+StepSummary LeastSquares::Step() {
   const Ordering order = Order();
   std::vector<Equation> joined = equations;
   const int windows_of_step = std::max(1, windows.count() / kStepWindows);
@@ -388,40 +389,24 @@ SolveSummary LeastSquares::Solve(double function_tolerance) {
   const int count = (windows.count() - 1) / windows_of_step + 1;
   const NormalEquations normal(problem, order.border, order.inner, std::move(joined),
                                static_cast<size_t>(count));
-  double damping = 0.0, growth = 2.0;
-  Eigen::VectorXd moved = Eigen::VectorXd::Zero(order.columns);
+  double damping = 0.0, growth = 1.0;
   for (int iteration = 1; iteration <= options.max_iterations; ++iteration) {
     const GaussNewtonStep step =
         FindStep(normal, damping, options.max_factor_mb, options.Threads());
+    const double moved = LargestMove(order, step.x, step.std);
     if (options.solver == SolverKind::kCeres) {
-      const std::optional<int> iterations = SolveWithCeres(function_tolerance);
-      return {iterations.has_value(), iterations.value_or(options.max_iterations),
-              LargestMove(order, step.x, step.std)};
+      if (const auto iterations = SolveWithCeres(kTolerance)) return {true, *iterations, moved};
+      break;
     }
     const std::vector<double> before = problem.Move(step.blocks, step.x);
     double found = 0.0;
     if (!problem.Evaluate(options.Threads(), &rows_, &found)) found = std::nan("");
-    const double cost = step.cost, change = cost - found;
-    const bool is_accepted = change > kLeastGain * step.decrease;
-    if (is_accepted) {
-      moved += step.x;
-    } else {
-      problem.Restore(step.blocks, before);
-      rows_.clear();
-    }
-    const double largest = LargestMove(order, moved, step.std);
-    // The whole step: the linear model foresees no decrease to speak of, or foresaw it rightly.
-    if (damping == 0.0 &&
-        (step.decrease <= function_tolerance * cost ||
-         (is_accepted && std::abs(change - step.decrease) <= function_tolerance * found)))
-      return {true, iteration, largest};
-    if (is_accepted) {
-      damping = damping / 3.0 < kLeastDamping ? 0.0 : damping / 3.0;
-      growth = 2.0;
-    } else {
-      damping = std::max(kLeastDamping, damping * growth);
-      growth *= 2.0;
-    }
+    const double nothing = kTolerance * step.cost;
+    if (step.cost - found >= (step.decrease > nothing ? kLeastGain * step.decrease : -nothing))
+      return {damping == 0.0, iteration, moved};
+    problem.Restore(step.blocks, before);
+    rows_.clear();
+    damping = std::max(kDamping, damping * (growth *= 2.0));
   }
   return {false, options.max_iterations, std::numeric_limits<double>::infinity()};
 }

@@ -37,11 +37,14 @@ class NormalEquations::Linearisation {
     const std::vector<int32_t>& sizes = residuals_->cost->parameter_block_sizes();
     const int rows = residuals_->rows();
     parameters_.resize(sizes.size());
+    linearised_at_.resize(sizes.size());
     jacobians_.assign(sizes.size(), nullptr);
+    exact_.assign(sizes.size(), nullptr);
     terms_.clear();
     int columns = 0, ambient = 0;
     for (size_t k = 0; k < sizes.size(); ++k) {
       parameters_[k] = problem.data(blocks_[k]);
+      linearised_at_[k] = problem.linearised_at(blocks_[k]);
       const int place = equations_.place_[static_cast<size_t>(blocks_[k])];
       if (place < 0) continue;
       terms_.push_back({place, k, sizes[k], problem.TangentSize(blocks_[k])});
@@ -58,12 +61,17 @@ class NormalEquations::Linearisation {
     for (const Term& term : terms_) {
       places.push_back(term.place);
       jacobians_[term.parameter] = std::exchange(next, next + rows * term.size);
+      if (problem.IsExact(blocks_[term.parameter]))
+        exact_[term.parameter] = jacobians_[term.parameter];
     }
   }
 
   /// Fills J and r; false where they are not defined.
   bool Evaluate() {
-    if (!residuals_->Evaluate(parameters_.data(), r.data(), jacobians_.data())) return false;
+    if (!residuals_->Evaluate(linearised_at_.data(), r.data(), jacobians_.data())) return false;
+    if (parameters_ != linearised_at_ &&
+        !residuals_->Evaluate(parameters_.data(), r.data(), exact_.data()))
+      return false;
     Eigen::Index column = 0;
     for (const Term& term : terms_) {
       const Eigen::Map<const RowMajor> own(jacobians_[term.parameter], r.size(), term.size);
@@ -86,13 +94,13 @@ class NormalEquations::Linearisation {
 
   /// The same with a parameter of the residuals moved by `step`.
   bool EvaluateMoved(int block, double step) {
-    double*& at = parameters_[static_cast<size_t>(
-        std::find(blocks_, blocks_ + parameters_.size(), block) - blocks_)];
-    double* const here = at;
-    double moved = *here + step;
-    at = &moved;
+    const auto k =
+        static_cast<size_t>(std::find(blocks_, blocks_ + parameters_.size(), block) - blocks_);
+    const double* const here = parameters_[k];
+    const double moved = *here + step;
+    parameters_[k] = linearised_at_[k] = &moved;
     const bool is_defined = Evaluate();
-    at = here;
+    parameters_[k] = linearised_at_[k] = here;
     return is_defined;
   }
 
@@ -128,7 +136,8 @@ class NormalEquations::Linearisation {
   const NormalEquations& equations_;
   const Problem::Residuals* residuals_ = nullptr;
   const int* blocks_ = nullptr;
-  std::vector<double*> parameters_, jacobians_;
+  std::vector<const double*> parameters_, linearised_at_;
+  std::vector<double*> jacobians_, exact_;
   std::vector<Term> terms_;
   std::vector<double> values_;  ///< of the Jacobians as the cost function has them
 };

@@ -48,7 +48,7 @@ Eigen::MatrixXd PlusJacobian(const double* quaternion) {
 
 int Problem::AddParameters(double* data, int size) {
   const auto [place, is_new] = number_.try_emplace(data, static_cast<int>(parameters_.size()));
-  if (is_new) parameters_.push_back({data, size, false});
+  if (is_new) parameters_.push_back({data, size});
   return place->second;
 }
 
@@ -59,6 +59,17 @@ int Problem::Find(const double* data) const {
 
 void Problem::SetHeld(const double* data, bool is_held) {
   parameters_[static_cast<size_t>(number_.at(data))].is_held = is_held;
+}
+
+void Problem::LineariseAtZero(const std::vector<int>& blocks, const std::vector<int>& exact) {
+  for (const int block : blocks)
+    parameters_[static_cast<size_t>(block)].is_linearised_at_zero = true;
+  for (const int block : exact) parameters_[static_cast<size_t>(block)].is_exact = true;
+}
+
+const double* Problem::linearised_at(int block) const {
+  static constexpr double kZero[3] = {0.0, 0.0, 0.0};
+  return At(block).is_linearised_at_zero ? kZero : At(block).data;
 }
 
 bool Problem::IsEstimated(const double* data) const {

@@ -47,6 +47,9 @@ class CorrectionSplines {
   /// The GP's motion at t as it is corrected; nothing where it is not.
   std::optional<MarkerState<double>> Correct(const PoseTrajectory& gp, double t) const;
 
+  /// Corrections of `to`, by which the motion stays at the knots what it is by those of `from`.
+  void Rebase(const PoseTrajectory& from, const PoseTrajectory& to, int threads);
+
   /// Instants t [s, pose clock] and control points, of which there are `spans` + kSplineOrder - 1.
   struct Run {
     double begin, end, spacing;  ///< [s]

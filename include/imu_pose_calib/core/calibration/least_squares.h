@@ -82,9 +82,6 @@ struct SensorResiduals {
   std::vector<double> weight;             ///< robust (0..1]
 };
 
-/// Tolerance of the passes of a solve after which noise or weights still change.
-constexpr double kRoughTolerance = 1e-3;
-
 /// Of parameter blocks of a problem, one after the other.
 struct GaussNewtonStep {
   std::vector<int> blocks;
@@ -94,12 +91,12 @@ struct GaussNewtonStep {
   Eigen::VectorXd std = Eigen::VectorXd();  ///< sigmas of what acts everywhere
 };
 
-struct SolveSummary {
-  bool has_converged;  ///< to the minimum's cost, but for the tolerance
-  int iterations;
+struct StepSummary {
+  bool is_whole = false;  ///< not damped
+  int iterations = 0;     ///< steps that were tried
   /// Largest move of T_MI, a time shift or an accel delay, in its sigma; by Ceres, that of the
-  /// Gauss-Newton step where it begins.
-  double moved;
+  /// Gauss-Newton step where it begins. Infinity when all steps were refused.
+  double moved = 0.0;
 };
 
 /// Time blocks of the sessions, one after the other: what acts in one of them only is eliminated
@@ -164,10 +161,9 @@ struct LeastSquares {
 
   Ordering Order() const;
 
-  /// Gauss-Newton steps, damped when they fail, or Ceres, by the options, until the cost is that of
-  /// the minimum but for a share `function_tolerance`; else the estimate is where the last step
-  /// left it.
-  SolveSummary Solve(double function_tolerance);
+  /// A Gauss-Newton step, damped until the cost falls, or Ceres, by the options. After
+  /// max_iterations refused ones the estimate is where it was.
+  StepSummary Step();
   std::optional<int> SolveWithCeres(double function_tolerance);
   /// Of each sensor.
   std::vector<SensorStatistics> FindStatistics();
