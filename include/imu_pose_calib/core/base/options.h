@@ -16,7 +16,9 @@ enum class Method {
 /// What takes the steps of the joint solve.
 enum class SolverKind {
   kWindows,  ///< the own one, window by window of time (core/solver)
-  kCeres,    ///< ceres::Solve on the same residuals: slower, for comparison
+  /// ceres::Solve on the same residuals, each pass to its least cost with derivatives where the
+  /// corrections stand: slower, for comparison.
+  kCeres,
 };
 
 /// What is estimated of the IMU beside its biases.
