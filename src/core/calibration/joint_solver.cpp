@@ -70,7 +70,8 @@ class JointSolver {
   StepSummary Pass() {
     problem_.reset();  // never two of them at a time
     problem_ = BuildJointProblem(options_, *sessions_, models_, estimate_, &splines_, at_bound_);
-    problem_->problem.LineariseAtZero(problem_->trajectory_blocks, Filters());
+    if (options_.solver == SolverKind::kWindows)
+      problem_->problem.LineariseAtZero(problem_->trajectory_blocks, Filters());
     const StepSummary summary = problem_->Step();
     iterations_ += summary.iterations;
     statistics_ = problem_->FindStatistics();

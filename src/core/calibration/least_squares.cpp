@@ -42,6 +42,9 @@ constexpr int kStepWindows = 8;
 /// share kLeastGain of what it should (Levenberg-Marquardt), at first; and share of the cost that
 /// is next to nothing, when it should fall by it and when it rises.
 constexpr double kDamping = 1e-4, kLeastGain = 1e-3, kTolerance = 1e-3;
+/// With a larger one, what Ceres leaves of the way is more than a pass may move when it is the
+/// last.
+constexpr double kCeresTolerance = 1e-6;
 
 /// Of the poses that are left, between the first and the last one of segments [Hz].
 double MeanRate(const ConditionedData& data) {
@@ -395,7 +398,8 @@ StepSummary LeastSquares::Step() {
         FindStep(normal, damping, options.max_factor_mb, options.Threads());
     const double moved = LargestMove(order, step.x, step.std);
     if (options.solver == SolverKind::kCeres) {
-      if (const auto iterations = SolveWithCeres(kTolerance)) return {true, *iterations, moved};
+      if (const auto iterations = SolveWithCeres(kCeresTolerance))
+        return {true, *iterations, moved};
       break;
     }
     const std::vector<double> before = problem.Move(step.blocks, step.x);
