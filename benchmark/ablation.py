@@ -55,7 +55,8 @@ RULES = {
     "spikes of poses": ("gross outliers leave before the GP", T + "pose_trajectory.cpp",
                         "  RemoveSpikes(options.outlier_threshold, data);", "  if (!OFF) RemoveSpikes(options.outlier_threshold, data);"),
     "local median": ("residuals are compared with those near", T + "pose_trajectory.cpp",
-                     "threshold * sigma(begin, end, kind);", "(OFF ? 0.0 : threshold * sigma(begin, end, kind));"),
+                     "(is_beyond && residuals[i].array() > bound(begin, end)).any()",
+                     "(OFF || (is_beyond && residuals[i].array() > bound(begin, end)).any())"),
     "several starts": ("length scales are sought from several starts", T + "gp_hyperparameters.cpp",
                        "step <= 1.0 && fixed.lengthscale_s == 0.0", "step <= 1.0 && fixed.lengthscale_s == 0.0 && !OFF"),
     "flipped": ("segments that turn against the gyroscope leave", S + "preparation.cpp",
@@ -85,8 +86,8 @@ RULES = {
               "        if (!OFF || pass == 1) MoveTrajectories();"),
     "mount at zero": ("no mount gives way upwards", C + "joint_solver.cpp",
                       " HoldAtZero(&imu.mount_compliance);", " if (!OFF) HoldAtZero(&imu.mount_compliance);"),
-    "halves": ("halves that disagree enlarge sigmas", V + "doubts.cpp", "  if (marginals.halves_sigmas <= kDisagreement) return marginals;",
-               "  if (OFF || marginals.halves_sigmas <= kDisagreement) return marginals;"),
+    "halves": ("halves that disagree enlarge sigmas", V + "doubts.cpp", "  if (marginals.halves_sigmas <= kAgreementBound) return marginals;",
+               "  if (OFF || marginals.halves_sigmas <= kAgreementBound) return marginals;"),
 }
 
 
