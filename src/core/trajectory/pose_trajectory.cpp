@@ -281,21 +281,18 @@ MarkerVariance PoseTrajectory::Variance(double t) const {
 }
 
 Rigid3 PoseTrajectory::PoseAt(double t, Eigen::Vector2d* variance) const {
-  const Segment* segment = Find(t);
-  const Eigen::Vector4d q =
-      segment->quaternion.Value(t, variance != nullptr ? &variance->y() : nullptr);
-  const Eigen::Vector3d p =
-      segment->position.Value(t, variance != nullptr ? &variance->x() : nullptr);
-  if (variance != nullptr) variance->y() *= 4.0;  // an angle is twice its half
-  return {Eigen::Quaterniond(q).normalized(), origin_W_ + p};
+  return {RotationAt(t, variance != nullptr ? &variance->y() : nullptr),
+          PositionAt(t, variance != nullptr ? &variance->x() : nullptr)};
 }
 
-Eigen::Vector3d PoseTrajectory::PositionAt(double t) const {
-  return origin_W_ + Eigen::Vector3d(Find(t)->position.Value(t));
+Eigen::Vector3d PoseTrajectory::PositionAt(double t, double* variance) const {
+  return origin_W_ + Eigen::Vector3d(Find(t)->position.Value(t, variance));
 }
 
-Eigen::Quaterniond PoseTrajectory::RotationAt(double t) const {
-  return Eigen::Quaterniond(Eigen::Vector4d(Find(t)->quaternion.Value(t))).normalized();
+Eigen::Quaterniond PoseTrajectory::RotationAt(double t, double* variance) const {
+  const Eigen::Vector4d q = Find(t)->quaternion.Value(t, variance);
+  if (variance != nullptr) *variance *= 4.0;  // an angle is twice its half
+  return Eigen::Quaterniond(q).normalized();
 }
 
 PoseTrajectory FitTrajectory(const CalibrationOptions& options, ConditionedData* data) {

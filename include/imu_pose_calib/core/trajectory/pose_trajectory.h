@@ -85,8 +85,8 @@ class PoseTrajectory {
   /// rotation [rad^2]; t must be contained.
   Rigid3 PoseAt(double t, Eigen::Vector2d* variance = nullptr) const;
   /// Either part of it, at half the cost.
-  Eigen::Vector3d PositionAt(double t) const;
-  Eigen::Quaterniond RotationAt(double t) const;
+  Eigen::Vector3d PositionAt(double t, double* variance = nullptr) const;
+  Eigen::Quaterniond RotationAt(double t, double* variance = nullptr) const;
 
  private:
   struct Segment {
