@@ -406,7 +406,8 @@ StepSummary LeastSquares::Step() {
     double found = 0.0;
     if (!problem.Evaluate(options.Threads(), &rows_, &found)) found = std::nan("");
     const double nothing = kTolerance * step.cost;
-    if (step.cost - found >= (step.decrease > nothing ? kLeastGain * step.decrease : -nothing))
+    // Never without a step, whose decrease is NaN.
+    if (step.cost - found >= (step.decrease <= nothing ? -nothing : kLeastGain * step.decrease))
       return {damping == 0.0, iteration, moved};
     problem.Restore(step.blocks, before);
     rows_.clear();
