@@ -316,7 +316,9 @@ TEST(LiveCalibration, ConvergesWhenThreeSolvesAgree) {
   EXPECT_EQ(live.Status(End(data)).solves, 5u);
 
   live.BeginSolve();
-  live.FailSolve("no overlap");
+  Calibration failed;
+  failed.message = "no overlap";
+  live.EndSolve(failed);
   EXPECT_EQ(phase(), CalibrationStatus::COLLECTING);
   EXPECT_TRUE(Contains(live.Status(End(data)).message, "no overlap"));
 }

@@ -4,13 +4,11 @@
 #include <boost/algorithm/string/join.hpp>
 #include <cmath>
 #include <tuple>
-#include <utility>
 
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/data/conditioning.h"
 #include "imu_pose_calib/core/data/stamp_recovery.h"
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/offline/offline.h"
 
 namespace imu_pose_calib {
@@ -260,28 +258,19 @@ bool LiveCalibration::EndSolve(const Calibration& result) {
   const bool counts = !IsStale() && !IsFrozen();
   solving_.reset();
   if (!counts) return false;
+  ++known_.solves;
+  known_.failure = result.IsUsable() ? "" : result.message;
   if (!result.IsUsable()) {
-    FailSolve(result.message);
+    known_.last.clear();
     return false;
   }
-  ++known_.solves;
-  known_.failure.clear();
   known_.last.push_back(result);
   if (known_.last.size() > kStableSolves) known_.last.pop_front();
   const double score = Score(options_, result);
-  if (known_.result && score > kMuchWorse * known_.best_score) return false;
-  known_.best_score = known_.result ? std::min(known_.best_score, score) : score;
+  if (score > kMuchWorse * known_.best_score) return false;
+  known_.best_score = std::min(known_.best_score, score);
   known_.result = result;
   return true;
-}
-
-void LiveCalibration::FailSolve(const std::string& reason) {
-  const bool is_stale = IsStale();
-  solving_.reset();
-  if (is_stale) return;
-  ++known_.solves;
-  known_.failure = reason;
-  known_.last.clear();
 }
 
 void LiveCalibration::Reset(const std::string& reason, double now) {
@@ -423,11 +412,10 @@ void LiveSolver::Start() {
              }).share();
 }
 
-double LiveSolver::SecondsSinceStart() const {
-  return std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
+double LiveSolver::SolveTime() const {
+  const std::chrono::duration<double> time = std::chrono::steady_clock::now() - start_;
+  return live_->IsSolving() ? time.count() : 0.0;
 }
-
-double LiveSolver::SolveTime() const { return live_->IsSolving() ? SecondsSinceStart() : 0.0; }
 
 LiveSolver::Verdict LiveSolver::Calibrate() {
   std::unique_lock<std::mutex> lock(*mutex_);
@@ -445,23 +433,19 @@ LiveSolver::Verdict LiveSolver::Calibrate() {
 }
 
 LiveSolver::Verdict LiveSolver::Run(const SessionData& data) {
-  std::optional<Calibration> result;
-  std::string error;
+  Calibration result;
   try {
     result = solve_(data);
-  } catch (const std::exception& exception) {
-    error = OneLine(exception);
+  } catch (const std::exception& error) {
+    result.message = OneLine(error);
   }
   const std::lock_guard<std::mutex> lock(*mutex_);
-  last_solve_time_ = SecondsSinceStart();
+  last_solve_time_ = SolveTime();
   const bool is_stale = live_->IsStale();
-  if (!result)
-    live_->FailSolve(error);
-  else if (live_->EndSolve(*result))
-    on_result_();
+  if (live_->EndSolve(result)) on_result_();
   if (is_stale) return {false, "the data were forgotten during the solve: call again"};
-  if (!result) return {false, error};
-  return {result->IsUsable(), std::string(ToString(result->status)) + ": " + result->message};
+  if (result.status == Status::kNotRun) return {false, result.message};
+  return {result.IsUsable(), std::string(ToString(result.status)) + ": " + result.message};
 }
 
 }  // namespace imu_pose_calib

@@ -5,6 +5,7 @@
 #include <deque>
 #include <functional>
 #include <future>
+#include <limits>
 #include <mutex>
 #include <optional>
 #include <string>
@@ -53,7 +54,7 @@ struct StreamStatus {
 ///
 ///   live.AddPose(pose, now);  // and AddGyro(), AddAccel(), as samples arrive
 ///   if (live.WantsSolve()) result = Calibrate(options, live.BeginSolve());  // on another thread
-///   live.EndSolve(result);  // or live.FailSolve(error.what())
+///   live.EndSolve(result);
 class LiveCalibration {
  public:
   /// `calibration` tells how the poses are to be understood: unit and direction. `imus`: how many
@@ -79,9 +80,8 @@ class LiveCalibration {
   /// What is in the buffers, for Calibrate().
   SessionData BeginSolve();
   /// True when `result` is the one to use from now on: no result so far was clearly more precise.
-  /// A result of data from before a reset is ignored.
+  /// One that is not usable tells why. A result of data from before a reset is ignored.
   bool EndSolve(const Calibration& result);
-  void FailSolve(const std::string& reason);
   bool IsSolving() const { return solving_.has_value(); }
   /// A solve is running whose data have been forgotten.
   bool IsStale() const { return solving_ && *solving_ != resets_; }
@@ -137,7 +137,8 @@ class LiveCalibration {
     std::string failure;           ///< of the last solve
     std::deque<Calibration> last;  ///< results of the last solves, at most three
     std::optional<Calibration> result;
-    double best_score = 0.0;  ///< of the results so far; 1: all targets just reached
+    /// Of the results so far; 1: all targets just reached.
+    double best_score = std::numeric_limits<double>::infinity();
     std::string frozen;
   };
 
@@ -195,7 +196,6 @@ class LiveSolver {
 
  private:
   Verdict Run(const SessionData& data);
-  double SecondsSinceStart() const;
 
   std::mutex* const mutex_;
   LiveCalibration* const live_;
