@@ -24,11 +24,13 @@ void CheckRange(const char* name, double value, double least, double most) {
                      YamlNumber(least) + " and " + YamlNumber(most));
 }
 
-void CheckPcd(const char* name, const std::string& path) {
+/// Throws InputError when a map cannot be written there.
+void PlanMap(const char* name, const std::string& path, OutputFiles* outputs) {
   const std::filesystem::path file = path;
   if (file.extension() != ".pcd" || file.stem().empty())
     throw InputError(std::string(name) + " '" + path + "' must end in .pcd");
   CheckFolderOf(name, path);
+  outputs->Plan(name, path);
 }
 
 /// The request with its defaults.
@@ -50,9 +52,12 @@ AggregateRequest Checked(AggregateRequest request) {
   if (request.output.empty())
     request.output =
         std::filesystem::path(recording.bag.paths.front()).replace_extension(".map.pcd");
-  CheckPcd("output", request.output);
-  if (!request.uncalibrated.empty()) CheckPcd("uncalibrated", request.uncalibrated);
-  if (!request.uncalibrated.empty()) request.keep_uncalibrated = true;
+  OutputFiles tried;
+  PlanMap("output", request.output, &tried);
+  if (!request.uncalibrated.empty()) {
+    PlanMap("uncalibrated", request.uncalibrated, &tried);
+    request.keep_uncalibrated = true;
+  }
   recording.one_recording = recording.keep_data = true;
   recording.output = std::filesystem::path(request.output).replace_extension(".calibration.yaml");
   return request;
@@ -272,11 +277,6 @@ class Aggregator {
 AggregateOutcome AggregateClouds(const AggregateRequest& given, const Progress& progress) {
   const AggregateRequest request = Checked(given);
   const Clouds clouds(request);  // before it takes long
-  {
-    OutputFiles tried;
-    tried.Plan("output", request.output);
-    if (!request.uncalibrated.empty()) tried.Plan("uncalibrated", request.uncalibrated);
-  }
   OfflineResult offline = CalibrateOffline(request.recording, progress);
   const std::vector<SensorPoses> variants = PosesWithAndWithout(request.sensor, offline);
   if (progress) progress("clouds", std::nullopt);

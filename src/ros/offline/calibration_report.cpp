@@ -12,7 +12,6 @@
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
-#include <functional>
 #include <limits>
 #include <memory>
 #include <optional>
@@ -50,8 +49,6 @@ constexpr double kEdge = 0.1;          // [s] so close to gaps, the trajectory i
 // In the order of Quantity.
 constexpr const char* kNames[] = {"position", "rotation", "gyro", "accel"};
 
-using TimeOf = std::function<double(int64_t t_ns)>;  // [s]
-
 /// An instant in each of `count` equal parts of a span [s], `place` (0..1) within it, and others
 /// around each.
 std::vector<double> Instants(double begin, double end, size_t count, double place,
@@ -82,16 +79,12 @@ class SolvedSession {
         trajectory_(run.result.solution, session, covariance),
         prefix_(std::move(prefix)) {}
 
-  TimeOf PoseTimes() const {
-    return [this](int64_t t_ns) { return Seconds(t_ns - trajectory_.epoch_ns()); };
-  }
-  /// Of the gyroscope, or of the accelerometer, whose samples are late.
-  TimeOf ImuTimes(size_t imu, bool is_accel) const {
+  /// [s] of a pose.
+  double PoseTime(int64_t t_ns) const { return Seconds(t_ns - trajectory_.epoch_ns()); }
+  /// Of a sample of the gyroscope, or of the accelerometer, whose samples are late.
+  double ImuTime(int64_t t_ns, size_t imu, bool is_accel) const {
     const double delay = is_accel ? solution_.estimate.imus[imu].accel_delay : 0.0;
-    return [this, imu, delay](int64_t t_ns) {
-      const double t = Seconds(t_ns - solution_.imus[s_][imu].epoch_ns);
-      return estimate_.imus[imu].PoseTime(t - delay);
-    };
+    return estimate_.imus[imu].PoseTime(Seconds(t_ns - solution_.imus[s_][imu].epoch_ns) - delay);
   }
 
   /// Residuals of the sensors of the session, and what is said of them.
@@ -270,16 +263,17 @@ class SolvedSession {
   const std::string prefix_;
 };
 
-/// Samples in order of arrival: their times [s], without `time` after the first, and what `value`
-/// gives of each.
-template <typename Sample, typename Value>
-void WriteStream(const std::string& file, const std::vector<Sample>& samples, const TimeOf& time,
-                 size_t columns, Value value) {
+/// Samples in order of arrival: their times [s], which `time` gives if the session was solved, else
+/// after the first, and their values, of which `add` makes a row.
+template <typename Sample, typename Time, typename Add>
+void WriteStream(const std::string& file, const std::vector<Sample>& samples, size_t columns,
+                 bool is_solved, Time time, Add add) {
   NumpyTable<double> times(1);
   NumpyTable<float> values(columns);
   for (const Sample& sample : samples) {
-    times.AddRow(time ? time(sample.t_ns) : Seconds(sample.t_ns - samples.front().t_ns));
-    values.AddRow(value(sample));
+    const int64_t t_ns = sample.t_ns;
+    times.AddRow(is_solved ? time(t_ns) : Seconds(t_ns - samples.front().t_ns));
+    add(sample, &values);
   }
   times.Write(file + "_t.npy");
   values.Write(file + ".npy");
@@ -288,19 +282,19 @@ void WriteStream(const std::string& file, const std::vector<Sample>& samples, co
 /// What was recorded, in SI units. `solved`: nothing before a solve.
 void WriteRecorded(const CalibrationOptions& options, const SessionData& session,
                    const std::optional<SolvedSession>& solved, const std::string& prefix) {
-  WriteStream(prefix + "_poses", session.poses, solved ? solved->PoseTimes() : nullptr, 7,
-              [&](const PoseSample& sample) {
-                const PoseSample pose = ToMarkerPose(options, sample);
-                Eigen::Matrix<double, 7, 1> row;
-                row << pose.p_WM, pose.q_WM.coeffs();
-                return row;
-              });
+  WriteStream(
+      prefix + "_poses", session.poses, 7, solved.has_value(),
+      [&](int64_t t_ns) { return solved->PoseTime(t_ns); },
+      [&](const PoseSample& sample, NumpyTable<float>* rows) {
+        const PoseSample pose = ToMarkerPose(options, sample);
+        rows->AddRow(pose.p_WM, pose.q_WM.coeffs());
+      });
   for (size_t i = 0; i < session.imus.size(); ++i) {
     const auto write = [&](const std::vector<ImuSample>& samples, double unit, bool is_accel) {
-      const std::string sensor = is_accel ? "_accel" : "_gyro";
-      WriteStream(prefix + "_i" + std::to_string(i) + sensor, samples,
-                  solved ? solved->ImuTimes(i, is_accel) : nullptr, 3,
-                  [unit](const ImuSample& s) { return Eigen::Vector3d(unit * s.value); });
+      WriteStream(
+          prefix + "_i" + std::to_string(i) + (is_accel ? "_accel" : "_gyro"), samples, 3,
+          solved.has_value(), [&](int64_t t_ns) { return solved->ImuTime(t_ns, i, is_accel); },
+          [&](const ImuSample& s, NumpyTable<float>* rows) { rows->AddRow(unit * s.value); });
     };
     if (session.imus[i].IsEmpty()) continue;
     write(session.imus[i].gyro, options.gyro_unit, false);
@@ -367,8 +361,8 @@ YAML::Node WriteSession(const CalibrationRun& run, size_t s,
   node["knot_spacing_s"] = YamlNumber(session.knot_spacing_s);
   node["gravity"] = YamlList(session.g_W);
   node["sensors"] = solved->WriteResiduals();
-  const TimeOf time = solved->PoseTimes();
-  solved->WriteMotion(time(recorded.poses.front().t_ns), time(recorded.poses.back().t_ns));
+  solved->WriteMotion(solved->PoseTime(recorded.poses.front().t_ns),
+                      solved->PoseTime(recorded.poses.back().t_ns));
   for (size_t i = 0; i < recorded.imus.size(); ++i)
     if (session.imus[i].is_present) solved->WriteImu(i);
   for (size_t k = 0; k < run.result.pose_sensors.size(); ++k) {

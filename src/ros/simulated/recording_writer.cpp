@@ -33,17 +33,18 @@ Msg Stamped(int64_t t_ns, const std::string& frame) {
   return msg;
 }
 
-void SetPose(const Rigid3& T, geometry_msgs::PoseStamped* msg) { msg->pose = ToPoseMsg(T); }
-void SetPose(const Rigid3& T, geometry_msgs::PoseWithCovarianceStamped* msg) {
-  msg->pose.pose = ToPoseMsg(T);
-}
-void SetPose(const Rigid3& T, geometry_msgs::TransformStamped* msg) {
-  msg->child_frame_id = "marker";
-  msg->transform = ToTransformMsg(T);
-}
-void SetPose(const Rigid3& T, nav_msgs::Odometry* msg) {
-  msg->child_frame_id = "marker";
-  msg->pose.pose = ToPoseMsg(T);
+template <typename Msg>
+Msg ToPose(const PoseSample& pose, const std::string& frame) {
+  const Rigid3 T = {pose.q_WM, pose.p_WM};
+  auto msg = Stamped<Msg>(pose.t_ns, frame);
+  if constexpr (std::is_same_v<Msg, geometry_msgs::PoseStamped>)
+    msg.pose = ToPoseMsg(T);
+  else if constexpr (std::is_same_v<Msg, geometry_msgs::TransformStamped>)
+    msg = ToTransformStamped(msg.header, "marker", T);
+  else
+    msg.pose.pose = ToPoseMsg(T);
+  if constexpr (std::is_same_v<Msg, nav_msgs::Odometry>) msg.child_frame_id = "marker";
+  return msg;
 }
 
 geometry_msgs::Vector3Stamped ToVector(const ImuSample& sample, const std::string& frame) {
@@ -160,12 +161,9 @@ template <typename Msg>
 void AddPosesAs(const std::vector<PoseSample>& poses, Records* records,
                 const std::string& topic = "/mocap/pose", const std::string& frame = "world",
                 int64_t offset = 0) {
-  const auto to_msg = [&poses, frame](size_t k) {
-    auto msg = Stamped<Msg>(poses[k].t_ns, frame);
-    SetPose({poses[k].q_WM, poses[k].p_WM}, &msg);
-    return msg;
-  };
-  Add(topic, poses, offset, to_msg, records);
+  Add(
+      topic, poses, offset, [&poses, frame](size_t k) { return ToPose<Msg>(poses[k], frame); },
+      records);
 }
 
 void AddPoses(const std::string& type, const std::vector<PoseSample>& poses, Records* records) {
