@@ -5,7 +5,6 @@
 #include <boost/algorithm/string/join.hpp>
 #include <cctype>
 #include <cmath>
-#include <optional>
 
 #include "imu_pose_calib/core/base/options.h"
 #include "imu_pose_calib/core/pose_sensor/pose_sensor.h"
@@ -34,6 +33,17 @@ std::string Stated(const char* indent, const std::optional<PoseStd>& stated) {
   if (!stated) return "";
   return Format("%stheir covariances say %.3g mm and %.3g deg per axis\n", indent,
                 1e3 * stated->position, kDegrees * stated->rotation);
+}
+
+/// "0.12 mm, 0.034 deg".
+std::string Text(const PoseStd& size) {
+  return Format("%.3g mm, %.3g deg", 1e3 * size.position, kDegrees * size.rotation);
+}
+
+/// Of the clock of an IMU or a pose sensor in one session.
+template <typename Session>
+std::string TimeShift(const Session& session) {
+  return Format("%.7f s +- %.4f ms", session.time_shift, 1e3 * session.time_shift_std);
 }
 
 std::string AndDropped(const StreamReport& report) {
@@ -167,30 +177,23 @@ std::string SessionTable(const Calibration& result, const std::vector<RecordingI
                      session.agreement.chi2, session.agreement.dof);
     for (size_t i = 0; i < session.imus.size(); ++i)
       if (session.imus[i].is_present)
-        text += Format("     time shift of imu%zu  %.7f s +- %.4f ms\n", i,
-                       session.imus[i].time_shift, 1e3 * session.imus[i].time_shift_std);
+        text += Format("     time shift of imu%zu  ", i) + TimeShift(session.imus[i]) + "\n";
   }
   return text;
 }
 
 /// Clock, scale, noise and drift of a pose sensor in one session.
 std::string Describe(const PoseSensorSession& sensor) {
-  std::string text =
-      Format("time shift %.7f s +- %.4f ms", sensor.time_shift, 1e3 * sensor.time_shift_std);
+  std::string text = "time shift " + TimeShift(sensor);
   if (sensor.clock_drift_std > 0.0)
     text += Format(", clock drift %.2f +- %.2f ppm", 1e6 * sensor.clock_drift,
                    1e6 * sensor.clock_drift_std);
   if (sensor.scale_std > 0.0)
     text += Format("; scale %.5f +- %.5f", sensor.scale, sensor.scale_std);
-  text += Format("; noise %.3g mm, %.3g deg; drift %.3g mm, %.3g deg per sqrt(s)",
-                 1e3 * sensor.noise.position, kDegrees * sensor.noise.rotation,
-                 1e3 * sensor.drift.position, kDegrees * sensor.drift.rotation);
-  const SensorErrors& errors = sensor.errors;
-  if (errors.poses > 0)
-    text += Format(
-        "; its own trajectory errs by %.3g mm, %.3g deg (ATE), in 1 s by %.3g mm, %.3g deg (RPE)",
-        1e3 * errors.absolute.position, kDegrees * errors.absolute.rotation,
-        1e3 * errors.relative.position, kDegrees * errors.relative.rotation);
+  text += "; noise " + Text(sensor.noise) + "; drift " + Text(sensor.drift) + " per sqrt(s)";
+  if (sensor.errors.poses > 0)
+    text += "; its own trajectory errs by " + Text(sensor.errors.absolute) + " (ATE), in 1 s by " +
+            Text(sensor.errors.relative) + " (RPE)";
   const auto jumps = std::count_if(sensor.world.begin(), sensor.world.end(),
                                    [](const auto& knot) { return knot.begins_piece; }) -
                      1;
@@ -201,20 +204,17 @@ std::string Describe(const PoseSensorSession& sensor) {
 /// first session that has it.
 std::string SensorTable(const Calibration& result, const RecordingInfo& info, bool is_brief) {
   std::string rows, text;
-  const auto add = [&](const std::string& frame, const auto& row) {
-    rows += TransformHead(frame);
-    for (size_t k = 0; k < result.pose_sensors.size(); ++k)
-      if (IsUsable(result.pose_sensors[k])) rows += row(k, result.pose_sensors[k]);
+  const auto add = [&](const std::string& name, const Rigid3& T_MF, const Matrix6d& covariance) {
+    rows += TransformHead("in " + name);
+    for (size_t k = 0; k < result.pose_sensors.size(); ++k) {
+      const PoseSensorCalibration& sensor = result.pose_sensors[k];
+      const BetweenImus in_frame = BetweenSensors(T_MF, covariance, sensor.T_MS, sensor.covariance);
+      if (IsUsable(sensor)) rows += TransformRow("sensor", k, in_frame.T, in_frame.Std(), "%.2f");
+    }
   };
-  add("in marker", [](size_t k, const PoseSensorCalibration& sensor) {
-    return TransformRow("sensor", k, sensor.T_MS, sensor.Std(), "%.2f");
-  });
+  add("marker", {}, Matrix6d::Zero());
   for (size_t i = 0; i < result.imus.size() && !is_brief; ++i)
-    add(Format("in imu%zu", i), [&](size_t k, const PoseSensorCalibration& sensor) {
-      const BetweenImus between = BetweenSensors(result.imus[i].T_MI, result.imus[i].covariance,
-                                                 sensor.T_MS, sensor.covariance);
-      return TransformRow("sensor", k, between.T, between.Std(), "%.2f");
-    });
+    add(Format("imu%zu", i), result.imus[i].T_MI, result.imus[i].covariance);
   for (size_t k = 0; k < result.pose_sensors.size(); ++k) {
     const PoseSensorCalibration& sensor = result.pose_sensors[k];
     const PoseSensorInfo& names = info.pose_sensors[k];
@@ -281,15 +281,12 @@ std::string AllDropped(const Calibration& result, const std::vector<RecordingInf
 /// So many lines at most of the warnings, with the number of those left out.
 std::string FirstWarnings(const Calibration& result, size_t lines) {
   std::string text;
-  size_t used = 0, shown = 0;
-  for (; shown < result.warnings.size(); ++shown) {
-    const std::string warning = Wrap("  warning: ", Printable(result.warnings[shown]));
-    const size_t more = shown + 1 == result.warnings.size() ? 0 : 1;
-    used += CountLines(warning);
-    if (used + more > lines) break;
-    text += warning;
+  size_t more = result.warnings.size(), shown = 0;
+  for (; more > 0; --more, ++shown) {
+    const std::string longer = text + Wrap("  warning: ", Printable(result.warnings[shown]));
+    if (CountLines(longer) + (more > 1 ? 1 : 0) > lines) break;
+    text = longer;
   }
-  const size_t more = result.warnings.size() - shown;
   if (more > 0) text += Format("  %zu %swarnings: --verbose\n", more, shown > 0 ? "more " : "");
   return text;
 }
@@ -461,8 +458,7 @@ Residuals per axis, and the noise estimated from them
                             1e3 * session.rms.position, 1e3 * session.noise.position,
                             kDegrees * session.rms.rotation, kDegrees * session.noise.rotation);
   if (session.slow_errors.rotation > 0.0)
-    text += Format("  the poses err for seconds by %.3g mm, %.3g deg\n",
-                   1e3 * session.slow_errors.position, kDegrees * session.slow_errors.rotation);
+    text += "  the poses err for seconds by " + Text(session.slow_errors) + "\n";
   return text + Format("  the halves of the recording differ by up to %.1f sigma\n",
                        result.split_half.sigmas);
 }
