@@ -2,10 +2,14 @@
 
 #include <ros/ros.h>
 
+#include <algorithm>
+#include <filesystem>
 #include <iostream>
-#include <string>
+#include <limits>
 
-#include "imu_pose_calib/ros/clouds/aggregate.h"
+#include "imu_pose_calib/core/data/stamp_recovery.h"
+#include "imu_pose_calib/ros/clouds/cloud_map.h"
+#include "imu_pose_calib/ros/io/bags.h"
 #include "imu_pose_calib/ros/io/transform_file.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
 #include "imu_pose_calib/ros/offline/summary.h"
@@ -15,10 +19,30 @@ namespace {
 
 namespace po = boost::program_options;
 
-struct CommandLine {
-  AggregateRequest request;
+constexpr char kCloudType[] = "sensor_msgs/PointCloud2";
+constexpr size_t kFirstClouds = 5;            // that tell how points tell their times
+constexpr size_t kSharpnessPoints = 200'000;  // about, by which sharpness is judged
+
+/// Clouds of a recording to put together. Empty: the default.
+struct Request {
+  /// What to calibrate from; only bags, and all are one recording. The result goes beside the map.
+  OfflineRequest recording;
+  std::string cloud_topic;
+  SensorMount sensor;               ///< that the clouds are of, but for the clock:
+  std::string cloud_clock;          ///< of the clouds' stamps: "imu" (default) or "poses"
+  std::string point_time = "auto";  ///< see FindPointTime()
+  std::string output;               ///< PCD file; default: x.map.pcd for x.bag
+  std::string uncalibrated;         ///< PCD file of the map without any calibration
+  double voxel_m = 0.05;            ///< cubes of the map
+  double min_range_m = 0.3;         ///< nearer points are of the sensor's own body
+  double max_range_m = 200.0;
+  double radius_m = 0.3;  ///< around a point, for the sharpness
   bool publish = false, quiet = false, help = false;
+
+  bool WantsUncalibrated() const { return publish || !uncalibrated.empty(); }
 };
+
+// --- Command line ---
 
 /// An option that is a transform, see ReadTransform(); launch files leave it empty.
 auto* Transform(const char* name, std::optional<Rigid3>* T) {
@@ -27,31 +51,30 @@ auto* Transform(const char* name, std::optional<Rigid3>* T) {
   });
 }
 
-po::options_description Describe(CommandLine* line) {
-  AggregateRequest& request = line->request;
-  OfflineRequest& recording = request.recording;
+po::options_description Describe(Request* request) {
+  OfflineRequest& recording = request->recording;
   po::options_description options("Options");
   auto add = options.add_options();
-  add("imu-sensor", Transform("imu_sensor", &request.sensor.T_IS),
+  add("imu-sensor", Transform("imu_sensor", &request->sensor.T_IS),
       "T_imu_sensor (x_imu = T x_sensor): \"x y z qx qy qz qw\" [m], or a YAML or JSON file");
-  add("marker-sensor", Transform("marker_sensor", &request.sensor.T_MS),
+  add("marker-sensor", Transform("marker_sensor", &request->sensor.T_MS),
       "T_marker_sensor, instead of it");
-  add("cloud-topic", Value(&request.cloud_topic), "PointCloud2; default: the one in the bag");
-  add("cloud-clock", Value(&request.cloud_clock), "clock of its stamps: imu (default) or poses");
-  add("point-time", ValueOrDefault(&request.point_time, "UNIT"),
+  add("cloud-topic", Value(&request->cloud_topic), "PointCloud2; default: the one in the bag");
+  add("cloud-clock", Value(&request->cloud_clock), "clock of its stamps: imu (default) or poses");
+  add("point-time", ValueOrDefault(&request->point_time, "UNIT"),
       "unit of the points' own times: s, ms, us, ns; none: they have none");
-  add("output", Value(&request.output, "FILE"), "map; default: BAG.map.pcd next to the bag");
-  add("voxel", ValueOrDefault(&request.voxel_m, "M"), "one point of the map for each such cube");
-  add("min-range", ValueOrDefault(&request.min_range_m, "M"), "nearer points are left out");
-  add("max-range", ValueOrDefault(&request.max_range_m, "M"), "farther points are left out");
-  add("radius", ValueOrDefault(&request.radius_m, "M"), "around a point, to judge sharpness");
-  add("uncalibrated", Value(&request.uncalibrated, "FILE"),
+  add("output", Value(&request->output, "FILE"), "map; default: BAG.map.pcd next to the bag");
+  add("voxel", ValueOrDefault(&request->voxel_m, "M"), "one point of the map for each such cube");
+  add("min-range", ValueOrDefault(&request->min_range_m, "M"), "nearer points are left out");
+  add("max-range", ValueOrDefault(&request->max_range_m, "M"), "farther points are left out");
+  add("radius", ValueOrDefault(&request->radius_m, "M"), "around a point, to judge sharpness");
+  add("uncalibrated", Value(&request->uncalibrated, "FILE"),
       "also write the map of the poses as recorded, without any calibration");
-  add("guess", Transform("guess", &request.sensor.guessed_T_MI),
+  add("guess", Transform("guess", &request->sensor.guessed_T_MI),
       "its T_marker_imu; default: nearest right angles, no lever arm");
-  add("publish", po::bool_switch(&line->publish), "stay as a ROS node: ~map, ~uncalibrated");
-  add("quiet", po::bool_switch(&line->quiet), "print errors only");
-  add("help", po::bool_switch(&line->help), "print this text");
+  add("publish", po::bool_switch(&request->publish), "stay as a ROS node: ~map, ~uncalibrated");
+  add("quiet", po::bool_switch(&request->quiet), "print errors only");
+  add("help", po::bool_switch(&request->help), "print this text");
 
   po::options_description calibration("Calibration, as calibrate_bag has it");
   auto more = calibration.add_options();
@@ -82,8 +105,292 @@ void PrintHelp(const po::options_description& options) {
             << "calibrated, or no cloud within the trajectory.\n";
 }
 
+void CheckRange(const char* name, double value, double least, double most) {
+  if (!(value >= least && value <= most))
+    throw InputError(std::string(name) + " = " + YamlNumber(value) + " must be within " +
+                     YamlNumber(least) + " and " + YamlNumber(most));
+}
+
+/// Throws InputError when a map cannot be written there.
+void PlanMap(const char* name, const std::string& path, OutputFiles* outputs) {
+  const std::filesystem::path file = path;
+  if (file.extension() != ".pcd" || file.stem().empty())
+    throw InputError(std::string(name) + " '" + path + "' must end in .pcd");
+  CheckFolderOf(name, path);
+  outputs->Plan(name, path);
+}
+
+/// The request with its defaults.
+Request Checked(Request request) {
+  OfflineRequest& recording = request.recording;
+  if (recording.bag.paths.empty()) throw InputError("no bag is given");
+  if (request.sensor.T_IS.has_value() == request.sensor.T_MS.has_value())
+    throw InputError(
+        "say where the sensor of the clouds sits: give either imu_sensor, "
+        "x_imu = T x_sensor, or marker_sensor, x_marker = T x_sensor");
+  request.sensor.is_on_imu_clock =
+      ParseClock("cloud_clock", request.cloud_clock) == TrackClock::kImu;
+  CheckRange("voxel", request.voxel_m, 1e-3, 100.0);
+  CheckRange("radius", request.radius_m, 1e-2, 100.0);
+  CheckRange("min_range", request.min_range_m, 0.0, 1e4);
+  CheckRange("max_range", request.max_range_m, request.min_range_m, 1e4);
+  if (request.sensor.guessed_T_MI && !request.sensor.T_IS)
+    throw InputError("guess needs imu_sensor: T_marker_imu does not matter for marker_sensor");
+  if (request.output.empty())
+    request.output =
+        std::filesystem::path(recording.bag.paths.front()).replace_extension(".map.pcd");
+  OutputFiles tried;
+  PlanMap("output", request.output, &tried);
+  if (!request.uncalibrated.empty()) PlanMap("uncalibrated", request.uncalibrated, &tried);
+  recording.one_recording = recording.keep_data = true;
+  recording.output = std::filesystem::path(request.output).replace_extension(".calibration.yaml");
+  return request;
+}
+
+// --- Clouds ---
+
+/// The topic of the clouds.
+BagTopic ChooseClouds(const Bags& bags, const std::string& name) {
+  if (!name.empty()) return bags.Find("cloud_topic", name, {kCloudType});
+  const std::vector<BagTopic> candidates =
+      bags.Select([](const BagTopic& t) { return t.type == kCloudType; });
+  if (candidates.empty())
+    throw InputError(std::string("no topic of type ") + kCloudType + " in " + bags.Contents());
+  if (candidates.size() > 1)
+    throw InputError("several topics of clouds: " + Describe(candidates) +
+                     "; choose with cloud_topic");
+  return candidates[0];
+}
+
+/// The clouds of a recording.
+struct Clouds {
+  Bags bags;
+  BagTopic topic;
+  PointTime time = {};
+  bool has_intensity = false;
+  size_t points = 0;  ///< about how many there are in all
+
+  explicit Clouds(const Request& request)
+      : bags(request.recording.bag.paths, request.recording.bag.start_s,
+             request.recording.bag.duration_s),
+        topic(ChooseClouds(bags, request.cloud_topic)) {
+    std::vector<sensor_msgs::PointCloud2> first;
+    bags.ForEach({topic.name}, [&](const BagMessage& message) {
+      const auto cloud = message.instantiate<sensor_msgs::PointCloud2>();
+      if (!cloud->data.empty()) first.push_back(*cloud);
+      return first.size() < kFirstClouds;
+    });
+    if (first.empty())
+      throw InputError("cloud_topic '" + topic.name + "' has no points in any cloud");
+    Named(first.front(), [&] {
+      time = FindPointTime(first, request.point_time);
+      points = ReadCloud(first.front(), time).size() * topic.count;
+      has_intensity = HasIntensity(first.front());
+    });
+  }
+
+  /// Calls `use(stamp_ns, points)` for each.
+  template <typename Use>
+  void ForEach(Use use) const {
+    bags.ForEach({topic.name}, [&](const BagMessage& message) {
+      const auto cloud = message.instantiate<sensor_msgs::PointCloud2>();
+      Named(*cloud, [&] {
+        if (cloud->header.stamp.isZero()) throw InputError("its stamp must be set");
+        use(ToNanoseconds(cloud->header.stamp), ReadCloud(*cloud, time));
+      });
+      return true;
+    });
+  }
+
+  /// Runs `run`; errors name topic and cloud.
+  template <typename Run>
+  void Named(const sensor_msgs::PointCloud2& cloud, Run run) const {
+    try {
+      run();
+    } catch (const InputError& error) {
+      throw InputError("cloud_topic '" + topic.name + "', cloud stamped " +
+                       Format("%.9f", cloud.header.stamp.toSec()) + ": " + error.what());
+    }
+  }
+};
+
+struct Outcome {
+  std::string text;                         ///< what a person wants to know of the map
+  std::vector<MapPoint> map, uncalibrated;  ///< the latter only when it is wanted
+  std::vector<std::string> written;         ///< files
+  std::string world_frame;
+};
+
+/// Puts clouds together, the last of the variants as the map.
+class Aggregator {
+ public:
+  Aggregator(const Request& request, const std::vector<SensorPoses>& variants, const Clouds& clouds)
+      : request_(request), clouds_(clouds), stride_(clouds.points / kSharpnessPoints + 1) {
+    for (const SensorPoses& poses : variants) variants_.push_back({poses, {}, {}});
+    variants_.back().map.emplace(request.voxel_m);
+    if (request.WantsUncalibrated()) variants_.front().map.emplace(request.voxel_m);
+    clouds.ForEach(
+        [this](int64_t stamp_ns, const std::vector<CloudPoint>& points) { Add(stamp_ns, points); });
+  }
+
+  /// Map and text, which says why if there is no map.
+  Outcome Finish(const SessionData& data) const {
+    Outcome outcome;
+    outcome.text = placed_ > 0 ? Counts() + SharpnessTable() : Refusal(data);
+    outcome.map = variants_.back().map->Points();
+    if (variants_.front().map) outcome.uncalibrated = variants_.front().map->Points();
+    return outcome;
+  }
+
+ private:
+  void Add(int64_t stamp_ns, const std::vector<CloudPoint>& points) {
+    std::vector<CloudMotion> motions;
+    for (const Variant& variant : variants_) motions.emplace_back(variant.poses.pose);
+
+    const size_t placed_before = placed_, points_before = points_;
+    for (const CloudPoint& point : points) {
+      least_ns_ = std::min(least_ns_, point.time_after_ns);
+      most_ns_ = std::max(most_ns_, point.time_after_ns);
+      if (!point.p_S.allFinite()) continue;
+      const auto range = static_cast<double>(point.p_S.norm());
+      if (range == 0.0) continue;  // how many drivers write that nothing was seen
+      if (range < request_.min_range_m || range > request_.max_range_m)
+        ++out_of_range_;
+      else
+        Place(stamp_ns + point.time_after_ns, point, &motions);
+    }
+    if (points_ > points_before && placed_ == placed_before) ++left_out_;
+    if (clouds_seen_++ == 0) begin_ns_ = stamp_ns;
+    end_ns_ = stamp_ns;
+  }
+
+  void Place(int64_t t_ns, const CloudPoint& point, std::vector<CloudMotion>* motions) {
+    const bool is_sample = points_++ % stride_ == 0;
+    for (size_t v = 0; v < variants_.size(); ++v) {
+      Variant& variant = variants_[v];
+      if (!variant.map && !is_sample) continue;
+      const auto p_W = (*motions)[v].Place(t_ns, point.p_S);
+      if (is_sample)
+        variant.samples.push_back(
+            p_W ? Eigen::Vector3f(p_W->cast<float>())
+                : Eigen::Vector3f::Constant(std::numeric_limits<float>::quiet_NaN()));
+      if (p_W && variant.map) variant.map->Add(*p_W, point.intensity);
+      if (p_W && v + 1 == variants_.size()) ++placed_;
+    }
+  }
+
+  std::string Refusal(const SessionData& data) const {
+    const bool on_imu_clock = request_.sensor.is_on_imu_clock;
+    const std::vector<int64_t> stamps =
+        on_imu_clock ? Stamps(data.imus[0].gyro) : Stamps(data.poses);
+    const auto [first, last] = std::minmax_element(stamps.begin(), stamps.end());
+    return Format(
+        "no point of the %zu clouds of '%s', stamped %.3f to %.3f s, is within the trajectory and "
+        "min_range to max_range; cloud_clock is %s stamped %.3f to %.3f s",
+        clouds_seen_, clouds_.topic.name.c_str(), Seconds(begin_ns_), Seconds(end_ns_),
+        on_imu_clock ? "imu, which is" : "poses, which are", Seconds(*first), Seconds(*last));
+  }
+
+  std::string Counts() const {
+    const PointTime& time = clouds_.time;
+    const size_t not_placed = points_ - placed_;
+    return Wrap("clouds     ", Format("%zu of %s, %zu points, on the clock of the %s", clouds_seen_,
+                                      clouds_.topic.name.c_str(), points_,
+                                      request_.sensor.is_on_imu_clock ? "imu" : "poses")) +
+           Wrap("times      ",
+                time.field.empty()
+                    ? "all points of a cloud at its stamp: they tell no times of their own"
+                    : Format("field '%s', in %s: %.1f to %.1f ms after the stamp",
+                             time.field.c_str(), time.unit.c_str(), 1e3 * Seconds(least_ns_),
+                             1e3 * Seconds(most_ns_))) +
+           Wrap("left out   ",
+                Format("%zu clouds, %zu points (%.1f %%) without trajectory; %zu nearer than %g m "
+                       "or beyond %g m",
+                       left_out_, not_placed,
+                       100.0 * (static_cast<double>(not_placed) / static_cast<double>(points_)),
+                       out_of_range_, request_.min_range_m, request_.max_range_m)) +
+           Wrap("map        ", Format("%zu points, means of cubes of %g m",
+                                      variants_.back().map->size(), request_.voxel_m));
+  }
+
+  std::string SharpnessTable() const {
+    std::vector<std::vector<Eigen::Vector3f>> maps;
+    for (const Variant& variant : variants_)
+      if (IsCompared(variant)) maps.push_back(variant.samples);
+    const std::vector<Sharpness> sharpness = CompareSharpness(maps, request_.radius_m);
+    auto row = sharpness.begin();
+    std::string text =
+        Format("\n  %-38s %12s %16s\n", "sharpness, better below", "map entropy", "planes [mm]");
+    for (const Variant& variant : variants_) {
+      text += Format("  %-38s", variant.poses.name.c_str());
+      if (IsCompared(variant)) {
+        text += Format(" %12.3f %16.1f\n", row->entropy, 1e3 * row->thickness);
+        ++row;
+      } else {
+        text += Format(" %.0f %% of points within the poses\n", 100 * variant.Share());
+      }
+    }
+    return text + Format("  (within %g m around the same %zu points in each)\n", request_.radius_m,
+                         sharpness.back().places);
+  }
+
+  struct Variant {
+    SensorPoses poses;
+    std::optional<VoxelMap> map;
+    std::vector<Eigen::Vector3f> samples;  ///< every stride-th point; not finite: not placed
+
+    /// Of the points that it places.
+    double Share() const {
+      const auto placed = std::count_if(samples.begin(), samples.end(),
+                                        [](const auto& p) { return p.allFinite(); });
+      return static_cast<double>(placed) / static_cast<double>(samples.size());
+    }
+  };
+  /// One that places less than half of the points is not worth to be compared.
+  bool IsCompared(const Variant& variant) const {
+    return variant.Share() >= 0.5 || &variant == &variants_.back();
+  }
+
+  const Request& request_;
+  const Clouds& clouds_;
+  const size_t stride_;
+
+  int64_t begin_ns_ = 0, end_ns_ = 0;      ///< stamps of the first and last cloud
+  int64_t least_ns_ = 0, most_ns_ = 0;     ///< from the stamp of a cloud to those of its points
+  size_t clouds_seen_ = 0, left_out_ = 0;  ///< the latter all without trajectory
+  size_t points_ = 0, placed_ = 0, out_of_range_ = 0;
+  std::vector<Variant> variants_;
+};
+
+/// Calibrates, and puts the clouds together through the trajectory of the solve, each point at its
+/// own time; what has no trajectory is left out. Judges the map's sharpness, with and without the
+/// calibration.
+///
+/// Throws InputError when something cannot be used as given, DataError when no calibration can come
+/// from the data, or no cloud is within the trajectory.
+Outcome Aggregate(const Request& request, const Progress& progress) {
+  const Clouds clouds(request);  // before it takes long
+  OfflineResult offline = CalibrateOffline(request.recording, progress);
+  const std::vector<SensorPoses> variants = PosesWithAndWithout(request.sensor, offline);
+  if (progress) progress("clouds", std::nullopt);
+  Outcome outcome = Aggregator(request, variants, clouds).Finish(offline.sessions[0]);
+  if (progress) progress("clouds", 0);
+  if (outcome.map.empty()) throw DataError(outcome.text);
+
+  outcome.world_frame = offline.infos[0].world_frame;
+  outcome.written = {request.output};
+  offline.outputs->Write(request.output, ToPcd(outcome.map, clouds.has_intensity));
+  if (!request.uncalibrated.empty()) {
+    outcome.written.push_back(request.uncalibrated);
+    offline.outputs->Write(request.uncalibrated, ToPcd(outcome.uncalibrated, clouds.has_intensity));
+  }
+  WriteResult(&offline);
+  outcome.written.push_back(offline.request.output);
+  return outcome;
+}
+
 /// Offers the maps until the node is shut down.
-void Publish(const AggregateOutcome& outcome) {
+void Publish(const Outcome& outcome) {
   ros::NodeHandle node("~");
   const auto offer = [&](const char* topic, const std::vector<MapPoint>& map) {
     auto publisher = node.advertise<sensor_msgs::PointCloud2>(topic, 1, true);
@@ -96,16 +403,15 @@ void Publish(const AggregateOutcome& outcome) {
 }
 
 void Run(int argc, char** argv) {
-  CommandLine line;
-  const po::options_description options = Describe(&line);
-  ParseCommandLine(argc, argv, options, "bag", Value(&line.request.recording.bag.paths), -1);
-  if (line.help) return PrintHelp(options);
-  line.request.keep_uncalibrated = line.publish;
+  Request request;
+  const po::options_description options = Describe(&request);
+  ParseCommandLine(argc, argv, options, "bag", Value(&request.recording.bag.paths), -1);
+  if (request.help) return PrintHelp(options);
   auto guard = std::make_unique<InterruptGuard>();
-  const AggregateOutcome outcome = AggregateClouds(line.request, ShowProgress(line.quiet));
+  const Outcome outcome = Aggregate(Checked(request), ShowProgress(request.quiet));
   guard.reset();
-  if (!line.quiet) std::cout << outcome.text << WrittenTo(outcome.written) << std::flush;
-  if (line.publish) Publish(outcome);
+  if (!request.quiet) std::cout << outcome.text << WrittenTo(outcome.written) << std::flush;
+  if (request.publish) Publish(outcome);
 }
 
 }  // namespace
