@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <cmath>
 #include <memory>
-#include <string>
 
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/data/conditioning.h"
@@ -63,58 +62,41 @@ Cube CubeOf(const Eigen::Vector3d& p, double size) {
           static_cast<int64_t>(place.z())};
 }
 
-/// Points by the cubes that they are in.
-class Neighbours {
- public:
-  Neighbours(const std::vector<Eigen::Vector3f>& points, const std::vector<size_t>& used, double r)
-      : points_(points), radius_(r) {
-    for (const size_t k : used) cubes_[CubeOf(points[k].cast<double>(), r)].push_back(k);
-  }
+/// Those of the points that are used, by the cubes that they are in.
+using Cubes = std::map<Cube, std::vector<size_t>>;
+Cubes ToCubes(const std::vector<Eigen::Vector3f>& points, const std::vector<size_t>& used,
+              double size) {
+  Cubes cubes;
+  for (const size_t k : used) cubes[CubeOf(points[k].cast<double>(), size)].push_back(k);
+  return cubes;
+}
 
-  /// Variances [m^2] of the points around point k along the principal axes; nothing when there are
-  /// too few.
-  std::optional<Eigen::Array3d> VariancesAround(size_t k) const {
-    const Eigen::Vector3d center = points_[k].cast<double>();
-    const Cube middle = CubeOf(center, radius_);
-    Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-    Eigen::Matrix3d squares = Eigen::Matrix3d::Zero();
-    size_t count = 0;
-    for (int64_t cube = 0; cube < 27; ++cube) {
-      const auto found = cubes_.find(
-          {middle[0] + cube / 9 - 1, middle[1] + cube / 3 % 3 - 1, middle[2] + cube % 3 - 1});
-      if (found == cubes_.end()) continue;
-      for (const size_t j : found->second) {
-        const Eigen::Vector3d d = points_[j].cast<double>() - center;
-        if (d.squaredNorm() > radius_ * radius_) continue;
-        sum += d;
-        squares += d * d.transpose();
-        ++count;
-      }
+/// Variances [m^2] of the points around point k along the principal axes; nothing when there are
+/// too few. `cubes`: of the size of the radius.
+std::optional<Eigen::Array3d> VariancesAround(size_t k, const std::vector<Eigen::Vector3f>& points,
+                                              const Cubes& cubes, double radius) {
+  const Eigen::Vector3d center = points[k].cast<double>();
+  const Cube middle = CubeOf(center, radius);
+  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+  Eigen::Matrix3d squares = Eigen::Matrix3d::Zero();
+  size_t count = 0;
+  for (int64_t cube = 0; cube < 27; ++cube) {
+    const auto found = cubes.find(
+        {middle[0] + cube / 9 - 1, middle[1] + cube / 3 % 3 - 1, middle[2] + cube % 3 - 1});
+    if (found == cubes.end()) continue;
+    for (const size_t j : found->second) {
+      const Eigen::Vector3d d = points[j].cast<double>() - center;
+      if (d.squaredNorm() > radius * radius) continue;
+      sum += d;
+      squares += d * d.transpose();
+      ++count;
     }
-    if (count < kLeastPoints) return std::nullopt;
-    const auto n = static_cast<double>(count);
-    const Eigen::Matrix3d covariance = (squares - sum * sum.transpose() / n) / (n - 1.0);
-    const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver(covariance, Eigen::EigenvaluesOnly);
-    return solver.eigenvalues().array().max(kLeastVariance);
   }
-
- private:
-  const std::vector<Eigen::Vector3f>& points_;
-  double radius_;
-  std::map<Cube, std::vector<size_t>> cubes_;
-};
-
-/// One point of each cube, spread over the map; at most kPlaces.
-std::vector<size_t> Spread(const std::vector<Eigen::Vector3f>& points,
-                           const std::vector<size_t>& used, double size) {
-  std::map<Cube, size_t> first;
-  for (const size_t k : used) first.emplace(CubeOf(points[k].cast<double>(), size), k);
-  std::vector<size_t> places;
-  const size_t stride = first.size() / kPlaces + 1;
-  size_t number = 0;
-  for (const auto& [cube, k] : first)
-    if (number++ % stride == 0) places.push_back(k);
-  return places;
+  if (count < kLeastPoints) return std::nullopt;
+  const auto n = static_cast<double>(count);
+  const Eigen::Matrix3d covariance = (squares - sum * sum.transpose() / n) / (n - 1.0);
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver(covariance, Eigen::EigenvaluesOnly);
+  return solver.eigenvalues().array().max(kLeastVariance);
 }
 
 }  // namespace
@@ -217,15 +199,19 @@ std::vector<Sharpness> CompareSharpness(const std::vector<std::vector<Eigen::Vec
   for (size_t k = 0; k < maps.front().size(); ++k)
     if (std::all_of(maps.begin(), maps.end(), [k](const auto& map) { return map[k].allFinite(); }))
       used.push_back(k);
-  const std::vector<size_t> places = Spread(maps.back(), used, 0.5 * radius);
-  std::vector<Neighbours> neighbours;
-  for (const auto& map : maps) neighbours.emplace_back(map, used, radius);
+  std::vector<Cubes> cubes;
+  for (const auto& map : maps) cubes.push_back(ToCubes(map, used, radius));
   std::vector<Sharpness> sharpness(maps.size());
   std::vector<std::vector<double>> distances(maps.size());
-  for (const size_t k : places) {
+  const Cubes places = ToCubes(maps.back(), used, 0.5 * radius);  // one point of each
+  const size_t stride = places.size() / kPlaces + 1;
+  size_t number = 0;
+  for (const auto& [cube, inside] : places) {
+    if (number++ % stride != 0) continue;
     std::vector<Eigen::Array3d> variances;
-    for (const Neighbours& own : neighbours)
-      if (const auto around = own.VariancesAround(k)) variances.push_back(*around);
+    for (size_t m = 0; m < maps.size(); ++m)
+      if (const auto around = VariancesAround(inside.front(), maps[m], cubes[m], radius))
+        variances.push_back(*around);
     if (variances.size() < maps.size()) continue;
     for (size_t m = 0; m < maps.size(); ++m) {
       sharpness[m].entropy += 0.5 * (2.0 * M_PI * M_E * variances[m]).log().sum();

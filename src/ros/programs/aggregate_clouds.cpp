@@ -217,7 +217,6 @@ struct Clouds {
 struct Outcome {
   std::string text;                         ///< what a person wants to know of the map
   std::vector<MapPoint> map, uncalibrated;  ///< the latter only when it is wanted
-  std::vector<std::string> written;         ///< files
   std::string world_frame;
 };
 
@@ -377,15 +376,15 @@ Outcome Aggregate(const Request& request, const Progress& progress) {
   if (progress) progress("clouds", 0);
   if (outcome.map.empty()) throw DataError(outcome.text);
 
-  outcome.world_frame = offline.infos[0].world_frame;
-  outcome.written = {request.output};
-  offline.outputs->Write(request.output, ToPcd(outcome.map, clouds.has_intensity));
-  if (!request.uncalibrated.empty()) {
-    outcome.written.push_back(request.uncalibrated);
-    offline.outputs->Write(request.uncalibrated, ToPcd(outcome.uncalibrated, clouds.has_intensity));
-  }
+  const auto write = [&](const std::string& path, const std::vector<MapPoint>& map) {
+    offline.outputs->Write(path, ToPcd(map, clouds.has_intensity));
+    offline.written.push_back(path);
+  };
+  write(request.output, outcome.map);
+  if (!request.uncalibrated.empty()) write(request.uncalibrated, outcome.uncalibrated);
   WriteResult(&offline);
-  outcome.written.push_back(offline.request.output);
+  outcome.text += WrittenTo(offline.written);
+  outcome.world_frame = offline.infos[0].world_frame;
   return outcome;
 }
 
@@ -410,7 +409,7 @@ void Run(int argc, char** argv) {
   auto guard = std::make_unique<InterruptGuard>();
   const Outcome outcome = Aggregate(Checked(request), ShowProgress(request.quiet));
   guard.reset();
-  if (!request.quiet) std::cout << outcome.text << WrittenTo(outcome.written) << std::flush;
+  if (!request.quiet) std::cout << outcome.text << std::flush;
   if (request.publish) Publish(outcome);
 }
 
