@@ -67,6 +67,23 @@ Eigen::Matrix<double, size, 1> Nothing() {
   return Eigen::Matrix<double, size, 1>::Constant(std::numeric_limits<double>::quiet_NaN());
 }
 
+/// Times [s], and rows of what need not be that exact.
+struct Series {
+  NumpyTable<double> t{1};
+  NumpyTable<float> rows;
+
+  explicit Series(size_t columns) : rows(columns) {}
+  template <typename... Parts>
+  void Add(double time, const Parts&... parts) {
+    t.AddRow(time);
+    rows.AddRow(parts...);
+  }
+  void Write(const std::string& file) const {
+    t.Write(file + "_t.npy");
+    rows.Write(file + ".npy");
+  }
+};
+
 /// The series of one session that was solved; names of files begin with `prefix`.
 class SolvedSession {
  public:
@@ -97,14 +114,10 @@ class SolvedSession {
       const bool is_of_poses = found.quantity <= Quantity::kRotation;
       const std::string file =
           prefix_ + (is_of_poses ? "" : "_i" + std::to_string(found.imu)) + "_" + quantity;
-      NumpyTable<double> t(1);
-      NumpyTable<float> rows(4);
-      for (size_t i = 0; i < found.t.size(); ++i) {
-        t.AddRow(found.t[i]);
-        rows.AddRow(found.residual[i], found.weight[i]);
-      }
-      t.Write(file + "_residual_t.npy");
-      rows.Write(file + "_residual.npy");
+      Series series(4);
+      for (size_t i = 0; i < found.t.size(); ++i)
+        series.Add(found.t[i], found.residual[i], found.weight[i]);
+      series.Write(file + "_residual");
       YAML::Node node;
       node["quantity"] = quantity;
       node["imu"] = found.imu;
@@ -153,12 +166,11 @@ class SolvedSession {
     const PoseSensorSession& own = sensor.sessions[s_];
     const std::string file = prefix_ + "_p" + std::to_string(place);
     const double epoch = Seconds(trajectory_.epoch_ns());
-    NumpyTable<double> t(1), world(8);
-    NumpyTable<float> rows(8);
-    for (const PoseSensorSession::Residual& r : own.residuals) {
-      t.AddRow(r.t - epoch);
-      rows.AddRow(r.position, r.rotation, r.position_weight, r.rotation_weight);
-    }
+    Series series(8);
+    for (const PoseSensorSession::Residual& r : own.residuals)
+      series.Add(r.t - epoch, r.position, r.rotation, r.position_weight, r.rotation_weight);
+    series.Write(file + "_residual");
+    NumpyTable<double> world(8);
     Rigid3 begin;
     for (const PoseSensorSession::WorldKnot& knot : own.world) {
       if (knot.begins_piece) begin = knot.T_VW;
@@ -173,8 +185,6 @@ class SolvedSession {
                    Log(Eigen::Quaterniond(knot.T_VW.q * begin.q.conjugate())),
                    knot.begins_piece ? 1.0 : 0.0);
     }
-    t.Write(file + "_residual_t.npy");
-    rows.Write(file + "_residual.npy");
     world.Write(file + "_world.npy");
   }
 
@@ -263,43 +273,30 @@ class SolvedSession {
   const std::string prefix_;
 };
 
-/// Samples in order of arrival: their times [s], which `time` gives if the session was solved, else
-/// after the first, and their values, of which `add` makes a row.
-template <typename Sample, typename Time, typename Add>
-void WriteStream(const std::string& file, const std::vector<Sample>& samples, size_t columns,
-                 bool is_solved, Time time, Add add) {
-  NumpyTable<double> times(1);
-  NumpyTable<float> values(columns);
-  for (const Sample& sample : samples) {
-    const int64_t t_ns = sample.t_ns;
-    times.AddRow(is_solved ? time(t_ns) : Seconds(t_ns - samples.front().t_ns));
-    add(sample, &values);
-  }
-  times.Write(file + "_t.npy");
-  values.Write(file + ".npy");
-}
-
-/// What was recorded, in SI units. `solved`: nothing before a solve.
+/// What was recorded, in the order of arrival and in SI units. `solved`: nothing before a solve;
+/// times are after the first sample of the stream then.
 void WriteRecorded(const CalibrationOptions& options, const SessionData& session,
                    const std::optional<SolvedSession>& solved, const std::string& prefix) {
-  WriteStream(
-      prefix + "_poses", session.poses, 7, solved.has_value(),
-      [&](int64_t t_ns) { return solved->PoseTime(t_ns); },
-      [&](const PoseSample& sample, NumpyTable<float>* rows) {
-        const PoseSample pose = ToMarkerPose(options, sample);
-        rows->AddRow(pose.p_WM, pose.q_WM.coeffs());
-      });
-  for (size_t i = 0; i < session.imus.size(); ++i) {
-    const auto write = [&](const std::vector<ImuSample>& samples, double unit, bool is_accel) {
-      WriteStream(
-          prefix + "_i" + std::to_string(i) + (is_accel ? "_accel" : "_gyro"), samples, 3,
-          solved.has_value(), [&](int64_t t_ns) { return solved->ImuTime(t_ns, i, is_accel); },
-          [&](const ImuSample& s, NumpyTable<float>* rows) { rows->AddRow(unit * s.value); });
-    };
-    if (session.imus[i].IsEmpty()) continue;
-    write(session.imus[i].gyro, options.gyro_unit, false);
-    write(session.imus[i].accel, options.accel_unit, true);
+  Series poses(7);
+  for (const PoseSample& sample : session.poses) {
+    const PoseSample pose = ToMarkerPose(options, sample);
+    poses.Add(
+        solved ? solved->PoseTime(pose.t_ns) : Seconds(pose.t_ns - session.poses.front().t_ns),
+        pose.p_WM, pose.q_WM.coeffs());
   }
+  poses.Write(prefix + "_poses");
+  for (size_t i = 0; i < session.imus.size(); ++i)
+    for (const bool is_accel : {false, true}) {
+      if (session.imus[i].IsEmpty()) continue;
+      const auto& samples = is_accel ? session.imus[i].accel : session.imus[i].gyro;
+      const double unit = is_accel ? options.accel_unit : options.gyro_unit;
+      Series series(3);
+      for (const ImuSample& sample : samples)
+        series.Add(solved ? solved->ImuTime(sample.t_ns, i, is_accel)
+                          : Seconds(sample.t_ns - samples.front().t_ns),
+                   unit * sample.value);
+      series.Write(prefix + "_i" + std::to_string(i) + (is_accel ? "_accel" : "_gyro"));
+    }
 }
 
 YAML::Node ToYaml(const CheckedStream& stream) {
