@@ -182,7 +182,7 @@ void Describe(const ImuCalibration& imu, const ImuSession& clock, YAML::Node* ou
   for (int row = 0; row < 6; ++row) node["covariance"].push_back(YamlList(imu.covariance.row(row)));
   node["accel_delay"] = YamlList(Eigen::Vector2d(imu.accel_delay, imu.accel_delay_std));
   node["time_shift"] = YamlList(Eigen::Vector2d(clock.time_shift, clock.time_shift_std));
-  node["std"] = YamlList(imu.covariance.diagonal().cwiseSqrt());
+  node["std"] = YamlList(imu.Std());
 }
 
 /// Rotation [rad], translation [m], time shift and accel delay [s].
