@@ -265,35 +265,36 @@ class LiveInput {
       return std::find(types.begin(), types.end(), type) != types.end();
     }
 
-    /// The one topic of these types, but for `others`; or else an empty name and why in `state`.
-    std::string Find(const ros::master::V_TopicInfo& published,
-                     const std::vector<std::string>& others) {
+    /// Sets the state; true when there is another name to listen to. Of one that is not named: the
+    /// one topic of these types, but for `others`.
+    bool Look(const ros::master::V_TopicInfo& published, const std::vector<std::string>& others) {
+      const std::string all = boost::join(types, " or "), before = *name;
       std::vector<std::string> found;
       for (const ros::master::TopicInfo& info : published)
         if (Accepts(info.datatype) && !IsOurs(info.name) &&
             std::find(others.begin(), others.end(), info.name) == others.end())
           found.push_back(info.name);
-      if (found.size() == 1) return found.front();
-      const std::string all = boost::join(types, " or ");
-      state = found.empty() ? "no topic of type " + all + " is published"
-                            : "several topics of type " + all + ": " + boost::join(found, ", ") +
-                                  "; choose with " + parameter;
-      return "";
-    }
-
-    std::string Inspect(const ros::master::V_TopicInfo& published) const {
+      if (!is_named && found.size() != 1) {
+        state = found.empty() ? "no topic of type " + all + " is published"
+                              : "several topics of type " + all + ": " + boost::join(found, ", ") +
+                                    "; choose with " + parameter;
+        return false;
+      }
+      if (!is_named) *name = found.front();
       const auto info =
           std::find_if(published.begin(), published.end(),
                        [&](const auto& candidate) { return candidate.name == *name; });
       const int seconds = static_cast<int>((ros::SteadyTime::now() - start).toSec());
       const std::string waited = " for " + std::to_string(seconds) + " s";
       if (info == published.end())
-        return *name + " (" + ShortNames(types) + "): nobody has published it" + waited;
-      if (!Accepts(info->datatype))
-        return *name + " is " + info->datatype + ", must be " + boost::join(types, " or ");
-      return *name + " (" + info->datatype +
-             ", publishers connected: " + std::to_string(subscriber.getNumPublishers()) +
-             "): no message" + waited;
+        state = *name + " (" + ShortNames(types) + "): nobody has published it" + waited;
+      else if (!Accepts(info->datatype))
+        state = *name + " is " + info->datatype + ", must be " + all;
+      else
+        state = *name + " (" + info->datatype +
+                ", publishers connected: " + std::to_string(subscriber.getNumPublishers()) +
+                "): no message" + waited;
+      return *name != before;
     }
   };
   /// Of the marker, or of a pose sensor.
@@ -325,11 +326,8 @@ class LiveInput {
       poses.chain.emplace(tf->first, tf->second, kTfCache);
       return;
     }
-    const auto read = [this, source](const Message& message) {
-      OnPose(message, source);
-      return "";
-    };
-    Listen(parameter, name, &poses.info.topic, PoseTypeNames(), read);
+    Listen(parameter, name, &poses.info.topic, PoseTypeNames(),
+           [this, source](const Message& message) { return OnPose(message, source); });
   }
 
   /// To `name` or, when it is empty, to what is found; `*topic` tells which.
@@ -355,15 +353,9 @@ class LiveInput {
     if (!ros::master::getTopics(published)) return false;
     for (Topic& topic : topics_) {
       std::unique_lock<std::mutex> lock(*mutex_);
-      if (topic.has_data) continue;
-      topic.state.clear();
-      const std::string found =
-          topic.is_named ? *topic.name : topic.Find(published, request_.bag.pose_sensors);
-      const bool is_new = !found.empty() && found != *topic.name;
-      if (is_new) *topic.name = found;
-      if (topic.state.empty()) topic.state = topic.Inspect(published);
-      lock.unlock();
-      if (is_new) Subscribe(&topic);
+      if (topic.has_data || !topic.Look(published, request_.bag.pose_sensors)) continue;
+      lock.unlock();  // the master may be away by now
+      Subscribe(&topic);
     }
     return true;
   }
@@ -402,7 +394,7 @@ class LiveInput {
     return "gives " + boost::join(lacks, " and ") + ": its covariance starts with -1";
   }
 
-  void OnPose(const Message& message, size_t source) {
+  std::string OnPose(const Message& message, size_t source) {
     const FramedPose framed = ReadPose(message.getMessage()->getDataType(), *message.getMessage());
     Poses& poses = poses_[source];
     const PoseSensorInfo named = Named(source, framed.world_frame, framed.marker_frame);
@@ -411,6 +403,7 @@ class LiveInput {
       AddPose(framed.pose, message.getReceiptTime(), source);
     else
       ++poses.foreign;
+    return "";
   }
 
   void OnTransforms(const TfEvent& event, bool fixed) {
