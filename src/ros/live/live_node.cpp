@@ -306,8 +306,10 @@ class LiveInput {
     /// All but the static transforms: they are not sent again.
     void Forget(const Links& fixed_links) {
       foreign = 0;
-      if (!chain) info.world_frame = info.frame = "";
-      if (!chain) return;
+      if (!chain) {
+        info.world_frame = info.frame = "";
+        return;
+      }
       chain.emplace(info.world_frame, info.frame, kTfCache);
       tf2_msgs::TFMessage fixed;
       for (const auto& [child, link] : fixed_links) fixed.transforms.push_back(link);

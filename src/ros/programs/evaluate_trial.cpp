@@ -260,44 +260,38 @@ YAML::Node About() {
 
 // --- Command line ---
 
-struct CommandLine {
-  Trial trial;
-  bool about = false, help = false;
-};
-
-po::options_description Describe(CommandLine* line) {
-  Trial& trial = line->trial;
-  SimulatorOptions& simulator = trial.simulator;
+po::options_description Describe(Trial* trial, bool* about, bool* help) {
+  SimulatorOptions& simulator = trial->simulator;
   po::options_description options("Options");
   auto add = options.add_options();
-  add("method", ValueOrDefault(&trial.method, "TEXT"), "joint or gp");
-  add("index", ValueOrDefault(&trial.index, "N"), "random numbers follow from it");
-  add("bag", Value(&trial.bag), "recording; default: simulated");
-  add("start", ValueOrDefault(&trial.start_s, "S"), "seconds of the bag to skip");
-  add("reference", Value(&trial.reference, "YAML"), "result of the bag as it is, for errors");
+  add("method", ValueOrDefault(&trial->method, "TEXT"), "joint or gp");
+  add("index", ValueOrDefault(&trial->index, "N"), "random numbers follow from it");
+  add("bag", Value(&trial->bag), "recording; default: simulated");
+  add("start", ValueOrDefault(&trial->start_s, "S"), "seconds of the bag to skip");
+  add("reference", Value(&trial->reference, "YAML"), "result of the bag as it is, for errors");
   add("duration", ValueOrDefault(&simulator.duration_s, "S"), "length; 0: all of the bag");
-  add("motion", ValueOrDefault(&trial.motion, "TEXT"), "of the simulator");
+  add("motion", ValueOrDefault(&trial->motion, "TEXT"), "of the simulator");
   add("pose-rate", ValueOrDefault(&simulator.pose_rate_hz, "HZ"), "poses");
   add("position-std", ValueOrDefault(&simulator.position_std, "M"), "noise per axis");
   add("rotation-std", ValueOrDefault(&simulator.rotation_std, "RAD"), "noise per axis");
   add("time-shift", ValueOrDefault(&simulator.time_shift_s, "S"), "t_pose = t_imu + time_shift");
   add("accel-delay", ValueOrDefault(&simulator.accel_delay_s, "S"),
       "t_pose = t_accel + time_shift - accel_delay");
-  add("lever-arm", Value(&trial.lever_arm, "M"), "distance between marker and IMU");
-  add("recordings", ValueOrDefault(&trial.recordings, "N"), "of one rig, calibrated together");
-  add("random-rig", po::bool_switch(&trial.is_random_rig), "T_MI and clocks are random");
-  add("one-rig", po::bool_switch(&trial.is_one_rig), "clocks are random");
+  add("lever-arm", Value(&trial->lever_arm, "M"), "distance between marker and IMU");
+  add("recordings", ValueOrDefault(&trial->recordings, "N"), "of one rig, calibrated together");
+  add("random-rig", po::bool_switch(&trial->is_random_rig), "T_MI and clocks are random");
+  add("one-rig", po::bool_switch(&trial->is_one_rig), "clocks are random");
   for (const Effect& effect : Effects(&simulator))
     add(effect.name, ValueOrDefault(effect.strength, effect.unit), effect.text);
-  add("add-position", Value(&trial.pose_noise.position, "M"), "noise that is added");
-  add("add-rotation", Value(&trial.pose_noise.rotation, "RAD"), "noise that is added");
-  add("add-gyro", Value(&trial.imu_noise.gyro, "RAD/S"), "noise that is added");
-  add("add-accel", Value(&trial.imu_noise.accel, "M/S^2"), "noise that is added");
-  add("outliers", Value(&trial.outliers, "%"), "poses that are 10 cm and 20 deg astray");
-  add("lost", Value(&trial.lost, "%"), "of the poses, in gaps of 1 s");
-  add("guess", po::bool_switch(&trial.is_guessed), "start up to 180 deg and 1 m from the truth");
-  add("about", po::bool_switch(&line->about), "instead: print constants that evaluate needs");
-  add("help", po::bool_switch(&line->help), "print this text");
+  add("add-position", Value(&trial->pose_noise.position, "M"), "noise that is added");
+  add("add-rotation", Value(&trial->pose_noise.rotation, "RAD"), "noise that is added");
+  add("add-gyro", Value(&trial->imu_noise.gyro, "RAD/S"), "noise that is added");
+  add("add-accel", Value(&trial->imu_noise.accel, "M/S^2"), "noise that is added");
+  add("outliers", Value(&trial->outliers, "%"), "poses that are 10 cm and 20 deg astray");
+  add("lost", Value(&trial->lost, "%"), "of the poses, in gaps of 1 s");
+  add("guess", po::bool_switch(&trial->is_guessed), "start up to 180 deg and 1 m from the truth");
+  add("about", po::bool_switch(about), "instead: print constants that evaluate needs");
+  add("help", po::bool_switch(help), "print this text");
   return options;
 }
 
@@ -326,17 +320,18 @@ YAML::Node Outcome(Trial trial) {
 }
 
 void Run(int argc, char** argv) {
-  CommandLine line;
-  const po::options_description options = Describe(&line);
+  Trial trial;
+  bool about = false, help = false;
+  const po::options_description options = Describe(&trial, &about, &help);
   ParseCommandLine(argc, argv, options);
-  if (line.help) {
+  if (help) {
     std::cout << "Usage: evaluate_trial [options]\n\nRuns one trial of evaluate and prints what "
                  "became of it as YAML.\n\n"
               << options;
-  } else if (line.about) {
+  } else if (about) {
     std::cout << About() << "\n";
   } else {
-    std::cout << Outcome(line.trial) << "\n";
+    std::cout << Outcome(trial) << "\n";
   }
 }
 
