@@ -56,13 +56,11 @@ class JointResiduals : public ::testing::Test {
     MarkerState<double> gp;
     SplinePlace place;
   };
-  static JointPositionSample Position(const TrajectoryPoint& at, const Vector3d& p_WM,
-                                      double sigma) {
-    return {{{at.place}, 0.6, sigma, at.gp.a_W, 0.8, kHigher}, p_WM - at.gp.p_WM, at.gp.v_W};
+  static JointPoseSample Position(const TrajectoryPoint& at, const Vector3d& p_WM, double sigma) {
+    return {{at.place}, 0.6, sigma, p_WM - at.gp.p_WM, at.gp.v_W, at.gp.a_W, 0.8, kHigher};
   }
-  static JointRotationSample Rotation(const TrajectoryPoint& at, const Eigen::Quaterniond& q_WM,
-                                      double sigma) {
-    return {{{at.place}, 0.35, sigma, at.gp.alpha_M, 0.8, kHigher}, at.gp.q_WM.conjugate() * q_WM};
+  static JointPoseSample Rotation(const TrajectoryPoint& at, const Vector3d& error, double sigma) {
+    return {{at.place}, 0.35, sigma, error, Vector3d::Zero(), at.gp.alpha_M, 0.8, kHigher};
   }
   static JointAccelSample Imu(const TrajectoryPoint& at, const Vector3d& value, double bias_u,
                               double own_time, double sigma) {
@@ -71,16 +69,15 @@ class JointResiduals : public ::testing::Test {
   }
 
   /// Of two poses of one span, close to the trajectory.
-  std::vector<JointPositionSample> Positions() {
-    const JointPositionSample sample = Position(at_, at_.gp.p_WM + Random(0.01), 0.01);
-    JointPositionSample next = Position(at_, at_.gp.p_WM + Random(0.01), 0.03);
+  std::vector<JointPoseSample> Positions() {
+    const JointPoseSample sample = Position(at_, at_.gp.p_WM + Random(0.01), 0.01);
+    JointPoseSample next = Position(at_, at_.gp.p_WM + Random(0.01), 0.03);
     next.place.u += 0.3;
     return {sample, next};
   }
-  std::vector<JointRotationSample> Rotations() {
-    const auto turned = [&] { return Eigen::Quaterniond(at_.gp.q_WM * Exp<double>(Random(0.5))); };
-    const JointRotationSample sample = Rotation(at_, turned(), 0.02);
-    JointRotationSample next = Rotation(at_, turned(), 0.01);
+  std::vector<JointPoseSample> Rotations() {
+    const JointPoseSample sample = Rotation(at_, Random(0.5), 0.02);
+    JointPoseSample next = Rotation(at_, Random(0.5), 0.01);
     next.place.u += 0.3;
     return {sample, next};
   }
@@ -181,6 +178,27 @@ class JointResiduals : public ::testing::Test {
     return With(blocks, clocks);
   }
 
+  /// Of samples that were made while the IMU was calibrated as it is.
+  std::unique_ptr<SampledCost> GyroCost(const std::vector<JointImuSample>& samples,
+                                        const std::vector<Clock>& clocks) {
+    return CreateJointGyroResidual(samples, &GyroBlocks(clocks)[kSplineOrder + 2], Motions(clocks));
+  }
+  std::unique_ptr<SampledCost> AccelCost(const std::vector<JointAccelSample>& samples,
+                                         const std::vector<Clock>& clocks) {
+    return CreateJointAccelResidual(samples, &AccelBlocks(clocks)[2 * kSplineOrder + 2],
+                                    Motions(clocks));
+  }
+  /// By as much as a pass may.
+  void MoveCalibration() {
+    q_MI_ = q_MI_ * Exp<double>(Random(0.02));
+    p_MI_ += Random(0.02);
+    g_W_ += Random(0.02);
+    gyro_intrinsics_ *= 1.1;
+    accel_intrinsics_ *= 0.9;
+    accel_positions_ *= 1.1;
+    pose_scale_ += 0.01;
+  }
+
   /// Moves all clocks by about `scale`: [s], drifts [s/s].
   void MoveClocks(double scale) {
     time_shift_ = 0.0213 + 0.7 * scale;
@@ -219,7 +237,7 @@ class JointResiduals : public ::testing::Test {
     Eigen::VectorXd residuals;
     std::vector<Eigen::MatrixXd> jacobians;  ///< of each block
   };
-  static Evaluated Evaluate(const std::unique_ptr<ceres::CostFunction>& cost,
+  static Evaluated Evaluate(const std::unique_ptr<SampledCost>& cost,
                             const std::vector<double*>& blocks) {
     using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
     Evaluated out;
@@ -269,12 +287,12 @@ class JointResiduals : public ::testing::Test {
     }
   }
 
-  /// Samples of the true motion from kSpan on; `clocks` move them by `move(scale, own time)`.
+  /// Samples of the true motion from kSpan on, which clocks move by `move(scale, own time)`.
   template <typename Create>
-  void ExpectImuOrder(const std::vector<Clock>& clocks, const std::vector<double*>& blocks,
-                      double (*move)(double, double), int order,
+  void ExpectImuOrder(const std::vector<double*>& blocks, double (*move)(double, double), int order,
                       const std::function<int(size_t)>& jacobian_order, const Create& create) {
-    const ClockMotions motions = Motions(clocks);
+    d_.assign(kSplineOrder, Vector3d::Zero());  // corrections stay where they are
+    phi_.assign(kSplineOrder, Vector3d::Zero());
     const Vector3d value = Random(3.0);
     const auto evaluate = [&](double scale) {
       std::vector<JointAccelSample> samples, placed;
@@ -289,16 +307,16 @@ class JointResiduals : public ::testing::Test {
       }
       MoveClocks(0.0);
       MovedAndPlaced both;
-      both.placed = Evaluate(create(placed, placed_jerks, motions), blocks);
+      both.placed = Evaluate(create(placed, placed_jerks), blocks);
       MoveClocks(scale);
-      both.moved = Evaluate(create(samples, jerks, motions), blocks);
+      both.moved = Evaluate(create(samples, jerks), blocks);
       return both;
     };
     ExpectOrder(evaluate, order, jacobian_order);
   }
 
   /// Analytic Jacobians against numeric ones, in the tangent space.
-  static void ExpectJacobiansMatch(const std::unique_ptr<ceres::CostFunction>& cost,
+  static void ExpectJacobiansMatch(const std::unique_ptr<SampledCost>& cost,
                                    const std::vector<double*>& blocks) {
     ASSERT_EQ(cost->parameter_block_sizes().size(), blocks.size());
     QuaternionManifold manifold;
@@ -342,7 +360,6 @@ class JointResiduals : public ::testing::Test {
   /// More than any IMU has.
   Vector3d error_0_{1e-3, -2e-3, 3e-3}, error_1_{2e-3, 1e-3, -1e-3};
   Vector6d accel_positions_ = (Vector6d() << 0.05, -0.03, 0.02, 0.04, -0.05, 0.03).finished();
-  Eigen::Matrix3d R_MA_ = Exp<double>(Vector3d(0.2, -1.3, 0.9)).toRotationMatrix();
 };
 
 }  // namespace imu_pose_calib

@@ -86,7 +86,7 @@ MarginalEstimate Marginal(const MatrixXd& J, const std::vector<double>& residual
                           const std::vector<int>& cluster, int leading, double prior = 0.0) {
   const Reduced reduced =
       Reduce(J, residuals, cluster, leading, MatrixXd::Identity(J.cols(), leading), prior);
-  return EstimateMarginals(reduced.Products(), Count(cluster), leading, {}).gauss_newton;
+  return EstimateMarginals(reduced.Products(), Count(cluster), leading);
 }
 
 TEST(MarginalCovariance, EqualsTheDenseFormulas) {
@@ -129,8 +129,7 @@ TEST(MarginalCovariance, OfFunctionalsEqualsTheDenseFormulas) {
   const MatrixXd gain = H.inverse() * L;
 
   const Reduced reduced = Reduce(J, residuals, cluster, 3, L);
-  const MarginalEstimate marginal =
-      EstimateMarginals(reduced.Products(), clusters, 4, {}).gauss_newton;
+  const MarginalEstimate marginal = EstimateMarginals(reduced.Products(), clusters, 4);
   EXPECT_LT((marginal.covariance - L.transpose() * gain).norm(), 1e-10 * H.inverse().norm());
   const MatrixXd influence = -gain.transpose() * scores;
   EXPECT_LT((marginal.influence - influence).norm(), 1e-10 * influence.norm());
@@ -190,51 +189,6 @@ TEST(MarginalCovariance, OfPartsAddUp) {
   const MarginalEstimate whole = Marginal(J, residuals, cluster, 6);
   EXPECT_LT((both.covariance - whole.covariance).norm(), 1e-10 * whole.covariance.norm());
   EXPECT_LT((both.influence - whole.influence).norm(), 1e-10 * whole.influence.norm());
-}
-
-TEST(MarginalCovariance, ExactColumnsEqualTheDenseFormulas) {
-  std::mt19937 random(23);
-  const int rows = 60, cols = 12, leading = 5;
-  const MatrixXd J = RandomJacobian(rows, cols, &random);
-  const std::vector<double> residuals = RandomResiduals(rows, &random);
-  const std::vector<int> cluster = Blocks(rows, 6);
-  MatrixXd S = 0.3 * MatrixXd::Random(cols, cols);  // second derivatives by columns 1 and 4
-  S = (S + S.transpose()).eval();
-  MatrixXd H = J.transpose() * J;
-  MatrixXd rhs = MatrixXd::Identity(cols, leading + 2);
-  for (const int k : {0, 1}) {
-    const int column = k == 0 ? 1 : 4;
-    rhs.col(leading + k) = S.col(column);
-    rhs(1, leading + k) *= 0.5;  // comes twice
-    rhs(4, leading + k) *= 0.5;
-    for (int i = 0; i < cols; ++i) {
-      if (i == 1 && column == 4) continue;  // is there
-      H(i, column) += S(i, column);
-      if (i != column) H(column, i) += S(i, column);
-    }
-  }
-  const MarginalEstimates estimates = EstimateMarginals(
-      Reduce(J, residuals, cluster, leading, rhs).Products(), Count(cluster), leading, {1, 4});
-  const MatrixXd expected = H.inverse().topLeftCorner(leading, leading);
-  ASSERT_TRUE(expected.llt().info() == Eigen::Success);
-  EXPECT_LT((estimates.exact.covariance - expected).norm(), 1e-10 * expected.norm());
-  const MarginalEstimate plain = Marginal(J, residuals, cluster, leading);
-  EXPECT_LT((estimates.gauss_newton.covariance - plain.covariance).norm(),
-            1e-12 * plain.covariance.norm());
-  EXPECT_GT((estimates.exact.covariance - plain.covariance).norm(), 1e-3 * expected.norm());
-  VectorXd g = VectorXd::Zero(cols);
-  for (int i = 0; i < rows; ++i) g += residuals[static_cast<size_t>(i)] * J.row(i).transpose();
-  const VectorXd step = -(H.inverse() * g).head(leading);
-  EXPECT_LT((estimates.exact.Step() - step).norm(), 1e-10 * step.norm());
-}
-
-TEST(MarginalCovariance, ExactColumnsAreLeftOutWhereTheyWouldTakeAllInformation) {
-  const MatrixXd J = MatrixXd::Identity(6, 6);
-  MatrixXd rhs = MatrixXd::Identity(6, 3);
-  rhs.col(2) = -1.0 * VectorXd::Unit(6, 0);
-  const MarginalEstimates estimates = EstimateMarginals(
-      Reduce(J, std::vector<double>(6, 1.0), Blocks(6, 1), 2, rhs).Products(), 6, 2, {0});
-  EXPECT_TRUE(estimates.exact.covariance.isApprox(estimates.gauss_newton.covariance));
 }
 
 TEST(MarginalCovariance, IsInfiniteForAParameterWithoutInformation) {

@@ -95,7 +95,7 @@ class NormalEquationsTest : public testing::Test {
 
   static EliminatedWindows Eliminate(const NormalEquations& equations, double max_factor_mb) {
     return {equations.elimination(), VectorXd::Ones(2), max_factor_mb, 2,
-            [&](size_t window) { return equations.Assemble(window, {}); }};
+            [&](size_t window) { return equations.Assemble(window); }};
   }
   static Reduced Reduce(const NormalEquations& equations) {
     return Eliminate(equations, 0.0).ReduceAll({});
@@ -178,7 +178,7 @@ TEST_F(NormalEquationsTest, AreSolvedByFactorsThatAreKeptOrFoundAgain) {
     const Reduced reduced = windows.ReduceAll({});
     VectorXd x = VectorXd::Zero(expected.size());
     x.head(reduced.H.rows()) = -reduced.H.llt().solve(reduced.B.rowwise().sum());
-    windows.SubstituteBack([&](size_t window) { return equations.Assemble(window, {}); }, &x);
+    windows.SubstituteBack([&](size_t window) { return equations.Assemble(window); }, &x);
     EXPECT_LT((x - expected).norm(), 1e-9 * expected.norm());
     EXPECT_EQ(windows.TakeFactor().empty(), max_factor_mb == 0.0);
   }
@@ -187,75 +187,7 @@ TEST_F(NormalEquationsTest, AreSolvedByFactorsThatAreKeptOrFoundAgain) {
 TEST_F(NormalEquationsTest, RefuseWhatIsNotFinite) {
   const NormalEquations equations(problem_, border_, inner_, equations_, 2);
   points_[3][1] = std::numeric_limits<double>::quiet_NaN();
-  EXPECT_THROW(equations.Assemble(0, {}), DataError);
-}
-
-/// r_i = y_i - a sin(w t_i).
-struct Wave {
-  double t, y;
-  template <typename T>
-  bool operator()(const T* a, const T* w, T* residual) const {
-    *residual = y - *a * sin(*w * t);
-    return true;
-  }
-};
-
-TEST(ExactColumn, IsTheSecondDerivativeThatGaussNewtonLeavesOut) {
-  std::mt19937 random(5);
-  std::normal_distribution<double> normal;
-  double a = 1.3, w = 2.1;
-  Problem problem;
-  std::vector<Equation> all;
-  double aw = 0.0, ww = 0.0;  // sum of r d^2 r / da dw and r d^2 r / dw^2
-  for (int i = 0; i < 20; ++i) {
-    const double t = 0.1 * i, y = normal(random);
-    all.push_back({problem.AddResidualsOf(
-                       {&a, &w}, std::make_unique<ceres::AutoDiffCostFunction<Wave, 1, 1, 1>>(
-                                     new Wave{t, y})),
-                   0, t});
-    const double r = y - a * std::sin(w * t);
-    aw -= r * t * std::cos(w * t);
-    ww += r * a * t * t * std::sin(w * t);
-  }
-  const NormalEquations equations(problem, {problem.Find(&a), problem.Find(&w)}, {}, all, 1);
-  EliminatedWindows windows(equations.elimination(), VectorXd::Ones(2), 0.0, 1, [&](size_t k) {
-    return equations.Assemble(k, {{problem.Find(&w), 1e-6, 1}});
-  });
-  const Reduced reduced = windows.ReduceAll({});
-  EXPECT_NEAR(reduced.B(0, 1), aw, 1e-4);
-  EXPECT_NEAR(2.0 * reduced.B(1, 1), ww, 1e-4);
-  EXPECT_EQ(w, 2.1);
-}
-
-TEST(LineariseAtZero, TakesDerivativesThereButForThoseByExactBlocks) {
-  for (const bool is_exact : {false, true}) {
-    SCOPED_TRACE(is_exact);
-    double a = 1.3, w = 2.1;
-    Problem problem;
-    std::vector<Equation> all;
-    Eigen::Matrix2d H = Eigen::Matrix2d::Zero();
-    Eigen::Vector2d b = Eigen::Vector2d::Zero();
-    for (int i = 0; i < 20; ++i) {
-      const double t = 0.1 * i, y = std::cos(t);
-      all.push_back({problem.AddResidualsOf(
-                         {&a, &w}, std::make_unique<ceres::AutoDiffCostFunction<Wave, 1, 1, 1>>(
-                                       new Wave{t, y})),
-                     0, t});
-      const Eigen::Vector2d J(-std::sin(w * t), is_exact ? -a * t * std::cos(w * t) : 0.0);
-      H += J * J.transpose();
-      b += J * (y - a * std::sin(w * t));
-    }
-    const std::vector<int> blocks{problem.Find(&a), problem.Find(&w)};
-    problem.LineariseAtZero({blocks[0]},
-                            is_exact ? std::vector<int>{blocks[1]} : std::vector<int>{});
-    const NormalEquations equations(problem, blocks, {}, all, 1);
-    EliminatedWindows windows(equations.elimination(), VectorXd::Ones(1), 0.0, 1,
-                              [&](size_t window) { return equations.Assemble(window, {}); });
-    const Reduced reduced = windows.ReduceAll({});
-    EXPECT_LT((reduced.H - H).norm(), 1e-12);
-    EXPECT_LT((reduced.B.col(0) - b).norm(), 1e-12);
-    EXPECT_GT(b.norm(), 1.0);
-  }
+  EXPECT_THROW(equations.Assemble(0), DataError);
 }
 
 /// Rosenbrock's valley: from (-1.2, 1) the full first step climbs by a factor of a hundred.

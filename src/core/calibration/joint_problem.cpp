@@ -184,8 +184,8 @@ class SessionBuilder {
     return parameter != 0.0 || joint_->problem.IsEstimated(&parameter);
   }
   /// IMU samples of stamp t at the instant t - delay. `complete(places, t_M, &sample)` does what is
-  /// of the sensor, `create(samples, motions, has_walk)` makes its cost function, whose blocks of
-  /// control points and of parameters after the knots are `points` and `others`.
+  /// of the sensor, `create(samples, others, motions, has_walk)` makes its cost function, whose
+  /// blocks of control points and of parameters after the knots are `points` and `others`.
   template <typename Sample, typename Complete, typename Create>
   void AddImu(size_t imu, Quantity quantity, const std::vector<Vector3ds*>& points,
               std::vector<double*> others, const Complete& complete, const Create& create);
@@ -280,15 +280,15 @@ void SessionBuilder::AddPoses() {
     sample->error_u = errors.Locate(poses[at.index].t).second;
     sample->sigma = at.sigma;
   };
-  const auto positions = Collect<JointPositionSample>(
+  const auto positions = Collect<JointPoseSample>(
       joint_->options, position_runs.size(),
       [=, places = places_, &poses, &position_errors](size_t k) {
         const ProblemSample& at = position->samples[k];
         const MarkerState<double> gp = places->At(at.t);
-        JointPositionSample sample;
+        JointPoseSample sample;
         complete(at, position_errors, &sample);
-        sample.p_error = poses[at.index].p_WM - gp.p_WM;
-        sample.v_W = gp.v_W;
+        sample.error = poses[at.index].p_WM - gp.p_WM;
+        sample.rate = gp.v_W;
         sample.curvature = places->PositionCurvature(at.t, gp, position_smoothing);
         sample.spline_share = places->SplineShare(position_smoothing);
         sample.higher = places->Higher(
@@ -297,15 +297,16 @@ void SessionBuilder::AddPoses() {
             });
         return sample;
       });
-  const auto rotations = Collect<JointRotationSample>(
+  const auto rotations = Collect<JointPoseSample>(
       joint_->options, rotation_runs.size(),
       [=, places = places_, &poses, &rotation_errors](size_t k) {
         const ProblemSample& at = rotation->samples[k];
         MarkerRotation<double> gp;
         places->trajectory->EvaluateRotation(at.t, &gp);
-        JointRotationSample sample;
+        JointPoseSample sample;
         complete(at, rotation_errors, &sample);
-        sample.q_error = gp.q_WM.conjugate() * poses[at.index].q_WM;
+        sample.error = Log(Eigen::Quaterniond(gp.q_WM.conjugate() * poses[at.index].q_WM));
+        sample.rate.setZero();
         sample.curvature = places->RotationCurvature(at.t, gp, rotation_smoothing);
         sample.spline_share = places->SplineShare(rotation_smoothing);
         sample.higher = places->Higher(at.t, rotation_cumulants, [&](double after) {
@@ -370,7 +371,8 @@ void SessionBuilder::AddImu(size_t imu, Quantity quantity, const std::vector<Vec
   };
   const Clocks clocks = FindClocks(imu, is_accel);
   others.insert(others.end(), clocks.parameters.begin(), clocks.parameters.end());
-  AddBlocks(create(Collect(joint_->options, runs.size(), make), clocks.motions, !walk.IsLine()),
+  AddBlocks(create(Collect(joint_->options, runs.size(), make), others.data(), clocks.motions,
+                   !walk.IsLine()),
             runs, points, &knots->values, others, walk.IsLine() ? nullptr : &own.walk.offset,
             sensor);
   if (!walk.IsLine()) joint_->problem.SetHeld(&own.walk.offset[walk.reference], true);
@@ -421,10 +423,7 @@ void SessionBuilder::AddAccel(size_t imu) {
         places.SetForceDerivatives(t_M, gp, p_MI, variance, compliance, sample);
         if (is_first) sample->averaged += sample->curvature;
       },
-      [&](Samples<JointAccelSample> samples, const ClockMotions& motions, bool has_walk) {
-        return CreateJointAccelResidual(std::move(samples), rig.q_MI.toRotationMatrix(), motions,
-                                        has_walk);
-      });
+      &CreateJointAccelResidual);
 }
 
 /// Control points that samples leave open stay near their neighbours, the first of a run near 0.

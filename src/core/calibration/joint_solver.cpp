@@ -70,8 +70,6 @@ class JointSolver {
   StepSummary Pass() {
     problem_.reset();  // never two of them at a time
     problem_ = BuildJointProblem(options_, *sessions_, models_, estimate_, &splines_, at_bound_);
-    if (options_.solver == SolverKind::kWindows)
-      problem_->problem.LineariseAtZero(problem_->trajectory_blocks, Filters());
     const StepSummary summary = problem_->Step();
     iterations_ += summary.iterations;
     statistics_ = problem_->FindStatistics();
@@ -81,18 +79,6 @@ class JointSolver {
         slow_errors_.push_back(errors->std);
     FitNoise(problem_.get(), &statistics_);
     return summary;
-  }
-
-  /// Parameters of what spreads samples over time, which shows at the frequencies that corrections
-  /// hold.
-  std::vector<int> Filters() const {
-    std::vector<int> filters;
-    for (const Parameter& p : CalibrationParameters(estimate_))
-      if ((p.kind >= ParameterKind::kPoseSmoothing &&
-           p.kind <= ParameterKind::kPositionCumulants) ||
-          (p.kind >= ParameterKind::kGyroSmoothing && p.kind <= ParameterKind::kMountCompliance))
-        filters.push_back(problem_->problem.Find(p.data));
-    return filters;
   }
 
   /// No mount gives way upwards, and no gyroscope averages over less time than none: other errors

@@ -141,7 +141,7 @@ GaussNewtonStep FindStep(const NormalEquations& equations, double damping, doubl
   const Elimination& elimination = *equations.elimination();
   const auto damp = [damping](int, auto diagonal) { diagonal *= 1.0 + damping; };
   const auto assemble = [&](size_t w, double* cost) {
-    Panels own = equations.Assemble(w, {}, cost);
+    Panels own = equations.Assemble(w, cost);
     elimination.VisitDiagonal(damp, &own);
     return own;
   };

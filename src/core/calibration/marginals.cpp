@@ -12,9 +12,6 @@
 namespace imu_pose_calib {
 namespace {
 
-/// Beyond which the change of the gradient is looked for [s].
-constexpr double kClockStep = 1e-6;
-
 /// Whether the session has the IMU that the parameter is of, or any session's.
 bool ActsIn(const Estimate& estimate, const Parameter& p, size_t session) {
   if (IsOfPoses(p.kind)) return true;
@@ -97,17 +94,15 @@ std::vector<size_t> HalvesOfTurns(const LeastSquares& solved) {
 }
 
 /// H and scores of the whole problem and of parts of it, when all but the border is eliminated.
-/// Right-hand sides: scores of the clusters, which are the windows, functionals, exact columns of
-/// the clocks.
+/// Right-hand sides: scores of the clusters, which are the windows, and functionals.
 class ReducedProblem {
  public:
   ReducedProblem(const Ordering& order, const Functionals& functionals, const LeastSquares& solved);
 
   /// Of the functionals.
-  MarginalEstimates Estimate() const {
-    MarginalEstimates all =
-        EstimateMarginals(all_.Products(), windows_, functionals_.count(), clocks_);
-    all.exact.prior = PriorOfCalibrated();  // the functionals begin with what is calibrated
+  MarginalEstimate Estimate() const {
+    MarginalEstimate all = EstimateMarginals(all_.Products(), windows_, functionals_.count());
+    all.prior = PriorOfCalibrated();  // the functionals begin with what is calibrated
     return all;
   }
   /// Part of the residuals: a half of every session, or a session.
@@ -148,7 +143,6 @@ class ReducedProblem {
   const NormalEquations equations_;
   const std::shared_ptr<const Elimination> elimination_;
   const std::vector<Prior> priors_;
-  std::vector<int> clocks_;  ///< columns of clocks, of which H gets the exact ones
   std::vector<Part> halves_, sessions_;
   Reduced all_;
   std::optional<EliminatedWindows> eliminated_;
@@ -166,23 +160,12 @@ ReducedProblem::ReducedProblem(const Ordering& order, const Functionals& functio
       priors_(FindPriors()),
       halves_(2),
       sessions_(solved.sessions.size()) {
-  int column = 0;
-  std::vector<ExactColumn> exact;
-  for (const Parameter& p : order.calibrated) {
-    if (p.kind == ParameterKind::kTimeShift || p.kind == ParameterKind::kAccelDelay) {
-      clocks_.push_back(column);
-      exact.push_back({solved.problem.Find(p.data), kClockStep,
-                       windows_ + functionals.count() + static_cast<int>(exact.size())});
-    }
-    column += p.size;
-  }
   // The gradient is the sum of the scores.
-  Eigen::VectorXd weights = Eigen::VectorXd::Zero(windows_ + functionals.count() +
-                                                  static_cast<Eigen::Index>(exact.size()));
+  Eigen::VectorXd weights = Eigen::VectorXd::Zero(windows_ + functionals.count());
   weights.head(windows_).setOnes();
   eliminated_.emplace(elimination_, weights, solved.options.max_factor_mb, solved.options.Threads(),
                       [&](size_t w) {
-                        Panels own = equations_.Assemble(w, exact);
+                        Panels own = equations_.Assemble(w);
                         AddMeans(static_cast<int>(w), &own);
                         return own;
                       });
@@ -320,11 +303,12 @@ std::vector<int> Acting(const Ordering& order, const Estimate& estimate, size_t 
 
 /// The sandwich needs more clusters than parameters, so it is formed of each IMU with one session's
 /// clock at a time; gravity and biases stand for themselves.
-Eigen::MatrixXd RobustCovariance(const MarginalEstimate& exact, const Ordering& order,
+Eigen::MatrixXd RobustCovariance(const MarginalEstimate& marginal, const Ordering& order,
                                  const Estimate& estimate, double fitted) {
-  Eigen::MatrixXd robust = Eigen::MatrixXd::Zero(exact.covariance.rows(), exact.covariance.cols());
+  Eigen::MatrixXd robust =
+      Eigen::MatrixXd::Zero(marginal.covariance.rows(), marginal.covariance.cols());
   const auto add = [&](const std::vector<int>& places) {
-    const Eigen::MatrixXd C = Sandwich(Select(exact, places), fitted);
+    const Eigen::MatrixXd C = Sandwich(Select(marginal, places), fitted);
     for (size_t i = 0; i < places.size(); ++i)
       for (size_t j = 0; j < places.size(); ++j) {
         double& value = robust(places[i], places[j]);
@@ -391,15 +375,14 @@ Marginals FindMarginals(LeastSquares* solved) {
   const Ordering order = solved->Order();
   const Functionals functionals(order, *solved, &result);
   ReducedProblem problem(order, functionals, *solved);
-  const MarginalEstimates estimates = problem.Estimate();
+  const MarginalEstimate marginal = problem.Estimate();
   const Estimate& estimate = *solved->estimate;
 
   const double fitted = FittedShare(order, *solved);
-  const MarginalEstimate& marginal = estimates.gauss_newton;
   result.model = functionals.Spread(marginal.covariance);
-  result.robust = functionals.Spread(
-      result.model.allFinite() ? RobustCovariance(estimates.exact, order, estimate, fitted)
-                               : marginal.covariance);
+  result.robust = functionals.Spread(result.model.allFinite()
+                                         ? RobustCovariance(marginal, order, estimate, fitted)
+                                         : marginal.covariance);
   const std::vector<int> calibrated = Counted(static_cast<size_t>(order.gravity));
   CompareHalves(problem.EstimateOf(problem.halves()[0], calibrated),
                 problem.EstimateOf(problem.halves()[1], calibrated), functionals, fitted, &result);

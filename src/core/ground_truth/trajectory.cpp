@@ -26,7 +26,7 @@ template <typename T>
 BodyStateOf<T> CorrectedState(const MarkerState<double>& gp, const SplineWeights& weights,
                               const ActingPoints<T>& points, const Eigen::Quaternion<T>& q_MB,
                               const Vector3<T>& p_MB) {
-  const Eigen::Matrix<T, kSplineOrder, 4> W = weights.transpose().cast<T>();
+  const Eigen::Matrix<T, kSplineOrder, 3> W = weights.transpose().cast<T>();
   const MarkerState<T> M = Corrected<T>(gp, points.template leftCols<kSplineOrder>() * W,
                                         points.template rightCols<kSplineOrder>() * W);
   return {

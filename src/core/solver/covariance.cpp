@@ -54,45 +54,16 @@ MarginalEstimate EstimateBorder(const Reduced& reduced, const std::vector<int>& 
   }
   kept.B.rightCols(count).setIdentity();
   kept.inner = Eigen::MatrixXd::Zero(kept.B.cols(), kept.B.cols());
-  return EstimateMarginals(kept.Products(), static_cast<int>(scores), static_cast<int>(count), {})
-      .gauss_newton;
+  return EstimateMarginals(kept.Products(), static_cast<int>(scores), static_cast<int>(count));
 }
 
-MarginalEstimates EstimateMarginals(const Eigen::MatrixXd& products, int clusters, int functionals,
-                                    const std::vector<int>& exact) {
-  if (!products.allFinite()) {
-    const MarginalEstimate unknown = {
-        Eigen::MatrixXd::Constant(functionals, functionals,
-                                  std::numeric_limits<double>::infinity()),
-        Eigen::MatrixXd::Zero(functionals, clusters)};
-    return {unknown, unknown};
-  }
-  const auto of = [&](const Eigen::MatrixXd& rows) {
-    return MarginalEstimate{rows.middleCols(clusters, functionals), -rows.leftCols(clusters)};
-  };
-  const MarginalEstimate gauss_newton = of(products.middleRows(clusters, functionals));
-  MarginalEstimates result{gauss_newton, gauss_newton};
-  if (exact.empty()) return result;
-
-  // Exact columns add sum_k e_k c_k^T + c_k e_k^T = U W U^T: Woodbury, with rows U of the products.
-  const auto count = static_cast<Eigen::Index>(exact.size());
-  Eigen::MatrixXd W = Eigen::MatrixXd::Zero(2 * count, 2 * count);  // its own inverse
-  std::vector<Eigen::Index> U;
-  for (Eigen::Index k = 0; k < count; ++k) {
-    U.push_back(clusters + exact[static_cast<size_t>(k)]);
-    U.push_back(clusters + functionals + k);
-    W(2 * k, 2 * k + 1) = W(2 * k + 1, 2 * k) = 1.0;
-  }
-  Eigen::MatrixXd rows_U(2 * count, products.cols()), block_UU(2 * count, 2 * count);
-  for (Eigen::Index k = 0; k < 2 * count; ++k)
-    rows_U.row(k) = products.row(U[static_cast<size_t>(k)]);
-  for (Eigen::Index k = 0; k < 2 * count; ++k)
-    block_UU.col(k) = rows_U.col(U[static_cast<size_t>(k)]);
-  const MarginalEstimate better = of(products.middleRows(clusters, functionals) -
-                                     Product(rows_U.middleCols(clusters, functionals).transpose(),
-                                             Product(Inverse(W + block_UU), rows_U)));
-  if (IsPositiveDefinite(better.covariance)) result.exact = better;
-  return result;
+MarginalEstimate EstimateMarginals(const Eigen::MatrixXd& products, int clusters, int functionals) {
+  if (!products.allFinite())
+    return {Eigen::MatrixXd::Constant(functionals, functionals,
+                                      std::numeric_limits<double>::infinity()),
+            Eigen::MatrixXd::Zero(functionals, clusters)};
+  const auto rows = products.middleRows(clusters, functionals);
+  return {rows.middleCols(clusters, functionals), -rows.leftCols(clusters)};
 }
 
 MarginalEstimate Select(const MarginalEstimate& estimate, const std::vector<int>& places) {

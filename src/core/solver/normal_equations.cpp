@@ -14,15 +14,6 @@ namespace {
 
 using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
-/// Whether two columns of J are each other's negative, by the lower triangle of J^T J: parameters
-/// that move the same samples along the trajectory, one on and one back.
-bool AreOpposite(const Eigen::MatrixXd& product, Eigen::Index a, Eigen::Index b) {
-  constexpr double kRounding = 1e-13;
-  const double norm2 = product(a, a), inner = product(std::max(a, b), std::min(a, b));
-  return std::abs(product(b, b) - norm2) < kRounding * norm2 &&
-         std::abs(inner + norm2) < kRounding * norm2;
-}
-
 }  // namespace
 
 /// One residual block at a time, weighted by its loss; its columns in the order of elimination.
@@ -37,14 +28,11 @@ class NormalEquations::Linearisation {
     const std::vector<int32_t>& sizes = residuals_->cost->parameter_block_sizes();
     const int rows = residuals_->rows();
     parameters_.resize(sizes.size());
-    linearised_at_.resize(sizes.size());
     jacobians_.assign(sizes.size(), nullptr);
-    exact_.assign(sizes.size(), nullptr);
     terms_.clear();
     int columns = 0, ambient = 0;
     for (size_t k = 0; k < sizes.size(); ++k) {
       parameters_[k] = problem.data(blocks_[k]);
-      linearised_at_[k] = problem.linearised_at(blocks_[k]);
       const int place = equations_.place_[static_cast<size_t>(blocks_[k])];
       if (place < 0) continue;
       terms_.push_back({place, k, sizes[k], problem.TangentSize(blocks_[k])});
@@ -61,17 +49,12 @@ class NormalEquations::Linearisation {
     for (const Term& term : terms_) {
       places.push_back(term.place);
       jacobians_[term.parameter] = std::exchange(next, next + rows * term.size);
-      if (problem.IsExact(blocks_[term.parameter]))
-        exact_[term.parameter] = jacobians_[term.parameter];
     }
   }
 
   /// Fills J and r; false where they are not defined.
   bool Evaluate() {
-    if (!residuals_->Evaluate(linearised_at_.data(), r.data(), jacobians_.data())) return false;
-    if (parameters_ != linearised_at_ &&
-        !residuals_->Evaluate(parameters_.data(), r.data(), exact_.data()))
-      return false;
+    if (!residuals_->Evaluate(parameters_.data(), r.data(), jacobians_.data())) return false;
     Eigen::Index column = 0;
     for (const Term& term : terms_) {
       const Eigen::Map<const RowMajor> own(jacobians_[term.parameter], r.size(), term.size);
@@ -92,33 +75,11 @@ class NormalEquations::Linearisation {
     return r.allFinite() && J.allFinite();
   }
 
-  /// The same with a parameter of the residuals moved by `step`.
-  bool EvaluateMoved(int block, double step) {
-    const auto k =
-        static_cast<size_t>(std::find(blocks_, blocks_ + parameters_.size(), block) - blocks_);
-    const double* const here = parameters_[k];
-    const double moved = *here + step;
-    parameters_[k] = linearised_at_[k] = &moved;
-    const bool is_defined = Evaluate();
-    parameters_[k] = linearised_at_[k] = here;
-    return is_defined;
-  }
-
   /// J^T r, by the rows of J as they are stored.
   Eigen::VectorXd Score() const {
     Eigen::VectorXd score = Eigen::VectorXd::Zero(J.cols());
     for (Eigen::Index i = 0; i < J.rows(); ++i) score += r[i] * J.row(i).transpose();
     return score;
-  }
-
-  /// Column of a parameter in J; -1 when the residuals do not have it.
-  Eigen::Index Column(int block) const {
-    Eigen::Index column = 0;
-    for (const Term& term : terms_) {
-      if (blocks_[term.parameter] == block) return column;
-      column += term.columns;
-    }
-    return -1;
   }
 
   std::vector<int> places;
@@ -136,8 +97,8 @@ class NormalEquations::Linearisation {
   const NormalEquations& equations_;
   const Problem::Residuals* residuals_ = nullptr;
   const int* blocks_ = nullptr;
-  std::vector<const double*> parameters_, linearised_at_;
-  std::vector<double*> jacobians_, exact_;
+  std::vector<const double*> parameters_;
+  std::vector<double*> jacobians_;
   std::vector<Term> terms_;
   std::vector<double> values_;  ///< of the Jacobians as the cost function has them
 };
@@ -178,12 +139,10 @@ NormalEquations::NormalEquations(const Problem& problem, const std::vector<int>&
   for (const int block : number) place_.push_back(block < 0 ? -1 : elimination_->place(block));
 }
 
-Panels NormalEquations::Assemble(size_t window, const std::vector<ExactColumn>& exact,
-                                 double* cost) const {
+Panels NormalEquations::Assemble(size_t window, double* cost) const {
   Panels panels;
   Linearisation at(*this);
   Eigen::MatrixXd product;
-  Eigen::VectorXd score;
   const size_t end =
       window + 1 < first_of_window_.size() ? first_of_window_[window + 1] : equations_.size();
   for (size_t k = first_of_window_[window]; k < end; ++k) {
@@ -194,29 +153,8 @@ Panels NormalEquations::Assemble(size_t window, const std::vector<ExactColumn>& 
     const Eigen::Index columns = at.J.cols();
     product.setZero(columns, columns);
     AddProduct(1.0, at.J.transpose(), at.J.transpose(), true, product);
-    score = at.Score();
     elimination_->Add(at.places, product, &panels);
-    elimination_->AddRhs(at.places, static_cast<int>(window), score, &panels);
-    Eigen::VectorXd excess;  // of the exact column over that of J^T J
-    Eigen::Index of = -1;
-    for (const ExactColumn& parameter : exact) {
-      const Eigen::Index column = at.Column(parameter.block);
-      if (column < 0 || product(column, column) == 0.0) continue;
-      if (of >= 0 && AreOpposite(product, of, column)) {
-        excess = -excess;
-      } else {
-        Eigen::VectorXd linear(columns);  // that of J^T J
-        linear << product.row(column).head(column).transpose(),
-            product.col(column).tail(columns - column);
-        of = -1;
-        if (!at.EvaluateMoved(parameter.block, parameter.step)) continue;
-        excess = (at.Score() - score) / parameter.step - linear;
-        for (const ExactColumn& other : exact)
-          if (const Eigen::Index k = at.Column(other.block); k >= 0) excess[k] *= 0.5;
-      }
-      of = column;
-      elimination_->AddRhs(at.places, parameter.rhs, excess, &panels);
-    }
+    elimination_->AddRhs(at.places, static_cast<int>(window), at.Score(), &panels);
   }
   return panels;
 }

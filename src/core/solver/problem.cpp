@@ -61,17 +61,6 @@ void Problem::SetHeld(const double* data, bool is_held) {
   parameters_[static_cast<size_t>(number_.at(data))].is_held = is_held;
 }
 
-void Problem::LineariseAtZero(const std::vector<int>& blocks, const std::vector<int>& exact) {
-  for (const int block : blocks)
-    parameters_[static_cast<size_t>(block)].is_linearised_at_zero = true;
-  for (const int block : exact) parameters_[static_cast<size_t>(block)].is_exact = true;
-}
-
-const double* Problem::linearised_at(int block) const {
-  static constexpr double kZero[3] = {0.0, 0.0, 0.0};
-  return At(block).is_linearised_at_zero ? kZero : At(block).data;
-}
-
 bool Problem::IsEstimated(const double* data) const {
   const int block = Find(data);
   return block >= 0 && !At(block).is_held;
@@ -134,8 +123,8 @@ int Problem::AddResidualsOf(const std::vector<double*>& parameters,
 bool Problem::Residuals::Evaluate(double const* const* parameters, double* residuals,
                                   double** jacobians) const {
   if (end == 0) return cost->Evaluate(parameters, residuals, jacobians);
-  return static_cast<const SampledCost*>(cost)->EvaluatePart(begin, end, parameters, residuals,
-                                                             jacobians);
+  static_cast<const SampledCost*>(cost)->EvaluatePart(begin, end, parameters, residuals, jacobians);
+  return true;
 }
 
 double Problem::Residuals::Weight(double squared_norm) const {

@@ -54,11 +54,11 @@ Eigen::Matrix<T, 3, 1> Log(const Eigen::Quaternion<T>& q) {
 
 namespace internal {
 
-/// b = (1 - cos x) / x^2 and c = (x - sin x) / x^3 (j_1 and j_2 of doc/math.md) with their first
-/// and second derivatives by s = x^2.
+/// b = (1 - cos x) / x^2 and c = (x - sin x) / x^3 (j_1 and j_2 of doc/math.md) with their
+/// derivatives by s = x^2.
 template <typename T>
 struct JacobianTerms {
-  T b, c, db, dc, ddb, ddc;
+  T b, c, db, dc;
 
   explicit JacobianTerms(const T& s) {
     using std::cos;
@@ -69,8 +69,6 @@ struct JacobianTerms {
       c = T(1. / 6) - s * (T(1. / 120) - s * (T(1. / 5040) - s * T(1. / 362880)));
       db = -T(1. / 24) + s * (T(2. / 720) - s * (T(3. / 40320) - s * T(4. / 3628800)));
       dc = -T(1. / 120) + s * (T(2. / 5040) - s * (T(3. / 362880) - s * T(4. / 39916800)));
-      ddb = T(2. / 720) - s * (T(6. / 40320) - s * T(12. / 3628800));
-      ddc = T(2. / 5040) - s * (T(6. / 362880) - s * T(12. / 39916800));
       return;
     }
     const T x = sqrt(s);
@@ -80,8 +78,6 @@ struct JacobianTerms {
     c = x_minus_sin / (s * x);
     db = (x * sin(x) / T(2) - one_minus_cos) / (s * s);
     dc = (x * one_minus_cos - T(3) * x_minus_sin) / (T(2) * s * s * x);
-    ddb = ((c - b) / T(2) - T(4) * db) / (T(2) * s);
-    ddc = (db - T(5) * dc) / (T(2) * s);
   }
 };
 

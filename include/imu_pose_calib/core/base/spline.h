@@ -17,8 +17,8 @@ struct SplinePlace {
 };
 
 /// Weights of the kSplineOrder control points that act on one instant of a uniform B-spline:
-/// row k holds the weights of the k-th time derivative, k = 0..3.
-using SplineWeights = Eigen::Matrix<double, 4, kSplineOrder>;
+/// row k holds the weights of the k-th time derivative, k = 0..2.
+using SplineWeights = Eigen::Matrix<double, 3, kSplineOrder>;
 
 /// Weights at the fraction u of a span of length `spacing` [s]. u in [0, 1] inside of the span;
 /// beyond, the span's polynomials go on.
@@ -29,15 +29,14 @@ inline SplineWeights CubicWeights(double u, double spacing) {
       (3.0 * v * v * v - 6.0 * v * v + 4.0) / 6.0, u * u * u / 6.0;
   w.row(1) << -0.5 * v * v, 1.5 * u * u - 2.0 * u, 2.0 * v - 1.5 * v * v, 0.5 * u * u;
   w.row(2) << v, 3.0 * u - 2.0, 3.0 * v - 2.0, u;
-  w.row(3) << -1.0, 3.0, -3.0, 1.0;
-  double scale = 1.0;
-  for (int k = 1; k < 4; ++k) w.row(k) *= (scale /= spacing);
+  w.row(1) /= spacing;
+  w.row(2) /= spacing * spacing;
   return w;
 }
 
-/// Value and derivatives 1..3 (columns) of a spline from its control points.
+/// Value, first and second derivative (columns) of a spline from its control points.
 template <typename T>
-Eigen::Matrix<T, 3, 4> EvaluateSpline(T const* const* points, const SplineWeights& weights) {
+Eigen::Matrix<T, 3, 3> EvaluateSpline(T const* const* points, const SplineWeights& weights) {
   Eigen::Matrix<T, 3, kSplineOrder> P;
   for (int j = 0; j < kSplineOrder; ++j)
     P.col(j) = Eigen::Map<const Eigen::Matrix<T, 3, 1>>(points[j]);

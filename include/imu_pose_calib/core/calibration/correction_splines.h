@@ -13,8 +13,8 @@ namespace imu_pose_calib {
 /// The GP's motion with corrections d and phi, of which there are values and time derivatives in
 /// the columns.
 template <typename T>
-MarkerState<T> Corrected(const MarkerState<double>& gp, const Eigen::Matrix<T, 3, 4>& d,
-                         const Eigen::Matrix<T, 3, 4>& phi) {
+MarkerState<T> Corrected(const MarkerState<double>& gp, const Eigen::Matrix<T, 3, 3>& d,
+                         const Eigen::Matrix<T, 3, 3>& phi) {
   using Vector3 = Eigen::Matrix<T, 3, 1>;
   Vector3 u, u_dot;
   CorrectionRate<T>(phi.col(0), phi.col(1), phi.col(2), &u, &u_dot);

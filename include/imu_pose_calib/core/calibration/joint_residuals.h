@@ -49,40 +49,37 @@ class Samples {
 
 /// Where a sample is while the clocks are where they stood when the problem was made. It moves
 /// along the GP to first or second order, and by little: the last pass starts close to the
-/// solution.
+/// solution. Corrections act to first order, where it was made and by what the IMU was calibrated
+/// by then, so that derivatives by what is calibrated are those of the GP: doc/math.md,
+/// "Corrections and derivatives".
 struct JointSample {
   SplinePlace place;
   double own_time = 0.0;            ///< [s] IMU clock, after the instant at which its shift holds
   double walk_u = 0.0, walk = 0.0;  ///< 0..1 between the knots of that; [s] where it stands
 };
 
-/// What a pose measures, less the GP.
+/// A measured position less that of the GP in W, or a rotation, R_gp^T R_meas = Exp(error).
 struct JointPoseSample : JointSample {
   double error_u;             ///< 0..1 between the knots of the slow errors
   double sigma;               ///< [m] or [rad]
+  Eigen::Vector3d error;      ///< [m] in W or [rad] in M
+  Eigen::Vector3d rate;       ///< [m/s] of the GP; of rotations, which have no clock, nothing
   Eigen::Vector3d curvature;  ///< second derivative of the GP, [m/s^2] in W or [rad/s^2] in M
   double spline_share;        ///< 0..1 of the spline's that counts, see joint_problem.cpp
   /// Minus a sixth of the third derivative of the GP and a 24th of the fourth, [m] or [rad].
   Eigen::Matrix<double, 3, 2> higher;
 };
-struct JointPositionSample : JointPoseSample {
-  Eigen::Vector3d p_error;  ///< [m] p_meas - p_gp in W
-  Eigen::Vector3d v_W;      ///< [m/s] of the GP
-};
-struct JointRotationSample : JointPoseSample {
-  Eigen::Quaterniond q_error;  ///< R_gp^T R_meas
-};
 
-/// r = (p_meas - p_gp(t) - d(t) - s/2 (a_gp + k d''(t)) - H (c_R + c_p) - e) / sigma, in W, s:
+/// r = (error - t rate - d - s/2 (curvature + k d'') - H (c_R + c_p) - e) / sigma, s:
 /// pose_smoothing + position_smoothing less the accel_smoothing of the trajectory, c, k:
 /// spline_share, H: higher, e: slow error. Blocks: d | knots of e | pose_smoothing (1) |
 /// position_smoothing (1) | c (1) | pose_cumulants c_R (2) | position_cumulants c_p (2) | clocks.
-std::unique_ptr<SampledCost> CreateJointPositionResidual(Samples<JointPositionSample> samples,
+std::unique_ptr<SampledCost> CreateJointPositionResidual(Samples<JointPoseSample> samples,
                                                          const ClockMotions& clocks);
 
-/// r = (Log(Exp(s/2 (alpha_gp + k phi''(t)) + H c_R)^T Exp(phi(t))^T R_gp(t)^T R_meas) - e) /
-/// sigma, in M, s: pose_smoothing, e: slow error. Blocks: phi | knots of e | s (1) | c_R (2).
-std::unique_ptr<SampledCost> CreateJointRotationResidual(Samples<JointRotationSample> samples);
+/// r = (error - phi - s/2 (curvature + k phi'') - H c_R - e) / sigma, s: pose_smoothing. Blocks:
+/// phi | knots of e | s (1) | c_R (2).
+std::unique_ptr<SampledCost> CreateJointRotationResidual(Samples<JointPoseSample> samples);
 
 /// A sample of the gyroscope, and what accelerometers have, too.
 struct JointImuSample : JointSample {
@@ -104,10 +101,12 @@ Eigen::Vector3d RateCone(const MarkerRotation<double>& m);
 Eigen::Vector3d ForceCone(const MarkerState<double>& m, const MarkerState<double>& rate,
                           const Eigen::Vector3d& g_W, const Eigen::Vector3d& p_M);
 
-/// r = (w - b_g - K_g R_MI^T (omega_M(t) + s/2 omega_M'' + c/2 cone)) / sigma, in I, s:
-/// gyro_smoothing less that of the trajectory, c. Blocks: phi | knots of b_g | q_MI (4, xyzw) | K_g
-/// (6, see GyroMatrix()) | s (1) | c (1) | clocks | walk.
+/// r = (w - b_g - K_g R_MI^T (omega_M + s/2 omega_M'' + c/2 cone) - K R^T (phi' + omega_M x phi)) /
+/// sigma, in I, s: gyro_smoothing less that of the trajectory, c, K and R: as K_g and R_MI are in
+/// `calibration` now. Blocks: phi | knots of b_g | calibration: q_MI (4, xyzw) | K_g (6, see
+/// GyroMatrix()) | s (1) | c (1) | clocks | walk.
 std::unique_ptr<SampledCost> CreateJointGyroResidual(Samples<JointImuSample> samples,
+                                                     double const* const* calibration,
                                                      const ClockMotions& clocks,
                                                      bool has_walk = false);
 
@@ -124,16 +123,17 @@ struct JointAccelSample : JointImuSample {
   Eigen::Vector3d averaged = Eigen::Vector3d::Zero();
 };
 
-/// r = (f - b_a - K_a R_MI^T (f_M(t) + s/2 f_M'' + h/2 averaged + c/2 cone -
-/// m R_WM^T (R_WM f_M)'')) / sigma, in I, s: gyro_smoothing + accel_smoothing less what the
+/// r = (f - b_a - K_a R_MI^T (f_M + s/2 f_M'' + h/2 averaged + c/2 cone -
+/// m R_WM^T (R_WM f_M)'') - F) / sigma, in I, s: gyro_smoothing + accel_smoothing less what the
 /// trajectory has of either, c and h, m: mount_compliance, with
 /// f_M = R_WM^T (a_W / k - g_W) + alpha_M x p + omega_M x (omega_M x p), k: pose_scale. For axis i
-/// p is p_MI + R_MA r_i with r_i of AccelPositions() and R_MA about R_MI: it does not move.
-/// Blocks: d | phi | knots of b_a | q_MI (4) | K_a (9, see AccelMatrix()) | p_MI (3) | g_W (3) |
-/// accel_smoothing, of the first IMU less h (1) | mount_compliance (1) | pose_scale (1) | r (6) |
-/// gyro_smoothing less c (1) | c (1) | h (1) | clocks | walk.
+/// p is p_MI + R_MA r_i with r_i of AccelPositions() and R_MA: R_MI as it is in `calibration` now.
+/// F: what d and phi change K_a R_MI^T f_M by to first order, by `calibration` as it is now.
+/// Blocks: d | phi | knots of b_a | calibration: q_MI (4) | K_a (9, see AccelMatrix()) | p_MI (3) |
+/// g_W (3) | accel_smoothing, of the first IMU less h (1) | mount_compliance (1) | pose_scale (1) |
+/// r (6) | gyro_smoothing less c (1) | c (1) | h (1) | clocks | walk.
 std::unique_ptr<SampledCost> CreateJointAccelResidual(Samples<JointAccelSample> samples,
-                                                      const Eigen::Matrix3d& R_MA,
+                                                      double const* const* calibration,
                                                       const ClockMotions& clocks,
                                                       bool has_walk = false);
 

@@ -23,18 +23,9 @@ struct MarginalEstimate {
   Eigen::VectorXd Step() const { return influence.rowwise().sum(); }
 };
 
-/// By the Gauss-Newton Hessian J^T J and by one whose columns of some parameters are exact.
-struct MarginalEstimates {
-  MarginalEstimate gauss_newton;
-  MarginalEstimate exact;  ///< the same as gauss_newton when it would not be positive definite
-};
-
-/// From B^T H^-1 B, where B holds the scores of the clusters, the functionals, then for each
-/// functional in `exact`, which are parameters, sum_i r_i d^2 r_i / (dp dx): what its column of the
-/// Hessian has beyond J^T J; half of it for other p in `exact`. Infinite when B^T H^-1 B is not
-/// finite.
-MarginalEstimates EstimateMarginals(const Eigen::MatrixXd& products, int clusters, int functionals,
-                                    const std::vector<int>& exact);
+/// From B^T H^-1 B, where B holds the scores of the clusters, then the functionals. Infinite when
+/// it is not finite.
+MarginalEstimate EstimateMarginals(const Eigen::MatrixXd& products, int clusters, int functionals);
 /// Of columns of the border, all others of it being known, with the influence of these clusters.
 MarginalEstimate EstimateBorder(const Reduced& reduced, const std::vector<int>& columns,
                                 const std::vector<int>& clusters);

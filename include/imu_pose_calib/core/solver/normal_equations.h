@@ -29,13 +29,6 @@ struct Equation {
   int window = 0;  ///< in which its scores are summed up; grows with sessions and time
 };
 
-/// A scalar parameter of which H gets the exact column, doc/math.md, "Covariance".
-struct ExactColumn {
-  int block;    ///< of parameters
-  double step;  ///< of differences
-  int rhs;      ///< right-hand side of what it has beyond J^T J; where it meets an exact one, half
-};
-
 /// H = J^T J and the scores J^T r of a least squares problem, linearised where its parameters stand
 /// when they are asked for. Refers to the problem.
 class NormalEquations {
@@ -47,8 +40,7 @@ class NormalEquations {
 
   /// H of a window and its score as right-hand side of that number; its share of the cost, unless
   /// that is null. Throws DataError where the residuals cannot be differentiated.
-  Panels Assemble(size_t window, const std::vector<ExactColumn>& exact,
-                  double* cost = nullptr) const;
+  Panels Assemble(size_t window, double* cost = nullptr) const;
 
   const std::vector<int>& blocks() const { return blocks_; }
   const std::shared_ptr<const Elimination>& elimination() const { return elimination_; }

@@ -38,12 +38,12 @@ Eigen::MatrixXd PlusJacobian(const double* quaternion);
 class SampledCost : public ceres::CostFunction {
  public:
   /// Residuals of the samples [begin, end); Jacobians have as many rows.
-  virtual bool EvaluatePart(size_t begin, size_t end, double const* const* parameters,
+  virtual void EvaluatePart(size_t begin, size_t end, double const* const* parameters,
                             double* residuals, double** jacobians) const = 0;
   bool Evaluate(double const* const* parameters, double* residuals,
                 double** jacobians) const override {
-    return EvaluatePart(0, static_cast<size_t>(num_residuals()) / 3, parameters, residuals,
-                        jacobians);
+    EvaluatePart(0, static_cast<size_t>(num_residuals()) / 3, parameters, residuals, jacobians);
+    return true;
   }
 };
 
@@ -59,15 +59,9 @@ class Problem {
   int Find(const double* data) const;
   void SetHeld(const double* data, bool is_held);
   bool IsEstimated(const double* data) const;
-  /// NormalEquations take derivatives as if these blocks were 0, but for those by `exact` ones;
-  /// Ceres takes all where the blocks stand.
-  void LineariseAtZero(const std::vector<int>& blocks, const std::vector<int>& exact);
 
   size_t blocks() const { return parameters_.size(); }
   double* data(int block) const { return At(block).data; }
-  /// Where derivatives by blocks that are not exact are taken.
-  const double* linearised_at(int block) const;
-  bool IsExact(int block) const { return At(block).is_exact; }
   /// Degrees of freedom.
   int TangentSize(int block) const { return At(block).size - (At(block).IsQuaternion() ? 1 : 0); }
   /// Moves blocks one after the other by a step of all; returns the values before.
@@ -116,7 +110,7 @@ class Problem {
   struct ParameterBlock {
     double* data;
     int size;
-    bool is_held = false, is_linearised_at_zero = false, is_exact = false;
+    bool is_held = false;
     bool IsQuaternion() const { return size == 4; }
   };
   const ParameterBlock& At(int block) const { return parameters_[static_cast<size_t>(block)]; }
