@@ -17,6 +17,8 @@ namespace {
 constexpr size_t kPortion = 512;
 /// Beside the tolerance of the cost, those of Ceres that shall not end a solve before it.
 constexpr double kNoTolerance = 1e-16;
+/// Of the trust region: the first step is that of Gauss and Newton.
+constexpr double kWholeStep = 1e14;
 
 /// A residual block for a ceres::Problem.
 class CeresResiduals : public ceres::CostFunction {
@@ -191,6 +193,7 @@ std::optional<int> Problem::SolveWithCeres(double function_tolerance, int max_it
   options.num_threads = threads;
   options.function_tolerance = function_tolerance;
   options.gradient_tolerance = kNoTolerance;
+  options.initial_trust_region_radius = kWholeStep;
   ceres::Solver::Summary summary;
   ceres::Solve(options, &problem, &summary);
   if (summary.termination_type != ceres::CONVERGENCE) return std::nullopt;

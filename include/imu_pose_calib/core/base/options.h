@@ -16,9 +16,7 @@ enum class Method {
 /// What takes the steps of the joint solve.
 enum class SolverKind {
   kWindows,  ///< the own one, window by window of time (core/solver)
-  /// ceres::Solve on the same residuals, each pass to its least cost with derivatives where the
-  /// corrections stand: slower, for comparison.
-  kCeres,
+  kCeres,    ///< ceres::Solve on the same residuals, each pass to its minimum: slower
 };
 
 /// What is estimated of the IMU beside its biases.
