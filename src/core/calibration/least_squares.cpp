@@ -40,8 +40,8 @@ constexpr int kStepWindows = 8;
 
 /// Share of the diagonal of H that is added to it after a step that does not reduce the cost by a
 /// share kLeastGain of what it should (Levenberg-Marquardt), at first; and share of the cost that
-/// is next to nothing, when it should fall by it and when it rises.
-constexpr double kDamping = 1e-4, kLeastGain = 1e-3, kTolerance = 1e-3;
+/// is nothing.
+constexpr double kDamping = 1e-4, kLeastGain = 1e-3, kNothing = 1e-6;
 /// With a larger one, what Ceres leaves of the way is more than a pass may move when it is the
 /// last.
 constexpr double kCeresTolerance = 1e-6;
@@ -405,9 +405,8 @@ StepSummary LeastSquares::Step() {
     const std::vector<double> before = problem.Move(step.blocks, step.x);
     double found = 0.0;
     if (!problem.Evaluate(options.Threads(), &rows_, &found)) found = std::nan("");
-    const double nothing = kTolerance * step.cost;
     // Never without a step, whose decrease is NaN.
-    if (step.cost - found >= (step.decrease <= nothing ? -nothing : kLeastGain * step.decrease))
+    if (step.cost - found >= kLeastGain * step.decrease - kNothing * step.cost)
       return {damping == 0.0, iteration, moved};
     problem.Restore(step.blocks, before);
     rows_.clear();

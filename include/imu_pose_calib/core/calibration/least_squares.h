@@ -161,9 +161,8 @@ struct LeastSquares {
 
   Ordering Order() const;
 
-  /// A Gauss-Newton step, damped until the cost falls or next to nothing is to be gained and it
-  /// hardly rises; or Ceres, by the options. After max_iterations refused ones the estimate is
-  /// where it was.
+  /// A Gauss-Newton step, damped until the cost does not rise; or Ceres, by the options. After
+  /// max_iterations refused ones the estimate is where it was.
   StepSummary Step();
   std::optional<int> SolveWithCeres(double function_tolerance);
   /// Of each sensor.
