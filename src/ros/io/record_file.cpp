@@ -5,10 +5,14 @@
 #include <rosbag/stream.h>
 #include <zstd.h>
 
-#include <algorithm>
 #include <cerrno>
 #include <cstring>
+#include <filesystem>
+#include <fstream>
 #include <functional>
+#include <optional>
+
+#include "imu_pose_calib/ros/io/output_files.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -42,19 +46,24 @@ void Unzstd(ByteReader frames, uint64_t max_size,
   }
 }
 
-void UnzstdInto(const std::string& path, InputFile* input) {
+/// Unfolds a file, called `name` in errors.
+void UnzstdInto(const std::string& path, const std::string& name, InputFile* input) {
   std::ofstream file(path, std::ios::binary);
   const auto check = [&] {
     if (!file)
       throw InputError(std::string("cannot be unfolded into a temporary file: ") +
                        std::strerror(errno));
   };
-  Unzstd({input, 0}, kMaxBlockSize + 100 * input->size(), [&](std::string_view piece) {
-    file << piece;
+  try {
+    Unzstd({input, 0}, kMaxBlockSize + 100 * input->size(), [&](std::string_view piece) {
+      file << piece;
+      check();
+    });
+    file.close();
     check();
-  });
-  file.close();
-  check();
+  } catch (const InputError& error) {
+    throw InputError("'" + name + "': " + error.what());
+  }
 }
 
 /// The contents of lz4 frames, as DecompressZstd().
@@ -110,55 +119,36 @@ std::string DecompressZstd(std::string_view bytes, uint64_t max_size) {
   return contents;
 }
 
-InputFile::InputFile(const std::string& path) : path_(path) {
-  Open();
-  if (!IsZstd(Start())) return;
-  folder_.emplace();
-  const std::string unfolded = folder_->path() / "unfolded";
-  try {
-    UnzstdInto(unfolded, this);
-  } catch (const InputError& error) {
-    throw InputError("'" + path + "': " + error.what());
-  }
-  path_ = unfolded;
-  Open();
-}
-
-void InputFile::Open() {
-  file_ = std::ifstream(path_, std::ios::binary | std::ios::ate);
-  const auto size = file_.tellg();
-  if (size < 0) throw InputError("'" + path_ + "' cannot be read: " + std::strerror(errno));
-  size_ = next_ = static_cast<uint64_t>(size);
+InputFile::InputFile(const std::string& path)
+    : path_(path), file_(std::fopen(path.c_str(), "rb"), std::fclose) {
+  if (!file_) throw InputError("'" + path_ + "' cannot be read: " + std::strerror(errno));
+  size_ = std::filesystem::file_size(path);
 }
 
 std::string InputFile::Read(uint64_t at, uint64_t size) {
   std::string bytes(size, '\0');
   errno = 0;
-  if (at < next_ || at - next_ > kStep)
-    file_.seekg(static_cast<std::streamoff>(at));  // which drops what is buffered
-  else
-    file_.ignore(static_cast<std::streamsize>(at - next_));
-  file_.read(bytes.data(), static_cast<std::streamsize>(size));
-  next_ = at + size;
-  if (!file_) {
-    file_.clear();
-    next_ = UINT64_MAX;
+  const bool is_there = at == next_ || fseeko(file_.get(), static_cast<off_t>(at), SEEK_SET) == 0;
+  next_ = UINT64_MAX;
+  if (!is_there || std::fread(bytes.data(), 1, size, file_.get()) != size)
     throw InputError("'" + path_ + "' cannot be read: " +
                      (errno == 0 ? "it has become shorter" : std::strerror(errno)));
-  }
+  next_ = at + size;
   return bytes;
 }
 
-std::string InputFile::Start() { return Read(0, std::min<uint64_t>(size_, 16)); }
-
 std::unique_ptr<BagFile> OpenRos2(const std::string& path) {
   auto input = std::make_unique<InputFile>(path);
-  const std::string start = input->Start();
-  if (IsMcap(start)) {
-    input->RemoveTemporary();
-    return OpenMcap(std::move(input), path);
+  std::optional<TemporaryFolder> folder;  // what is open in it can be read without it
+  std::string unfolded = path;
+  if (IsZstd(input->Start())) {
+    unfolded = folder.emplace().path() / "unfolded";
+    UnzstdInto(unfolded, path, input.get());
+    input = std::make_unique<InputFile>(unfolded);
   }
-  if (IsSqlite(start)) return OpenSqlite(input->path(), path);
+  const std::string start = input->Start();
+  if (IsMcap(start)) return OpenMcap(std::move(input), path);
+  if (IsSqlite(start)) return OpenSqlite(unfolded, path);
   throw InputError("'" + path + "' is neither an mcap file nor a database of SQLite" +
                    (start.empty() ? ": it is empty" : ""));
 }
