@@ -92,8 +92,8 @@ PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::Transform& 
 }
 
 PoseStd ToPoseStd(const geometry_msgs::PoseWithCovariance& pose) {
-  Vector6d variance;  // x, y, z, about x, about y, about z
-  for (Eigen::Index i = 0; i < 6; ++i) variance[i] = pose.covariance[static_cast<size_t>(7 * i)];
+  // x, y, z, about x, about y, about z
+  const Vector6d variance = Eigen::Map<const Matrix6d>(pose.covariance.data()).diagonal();
   if (!variance.allFinite() || variance.minCoeff() <= 0.0) return {};
   return {std::sqrt(variance.head<3>().mean()), std::sqrt(variance.tail<3>().mean())};
 }
