@@ -144,7 +144,7 @@ BagTopic NamedPose(const Bags& bags, const std::string& field, const std::string
   const BagTopic& topic = bags.Find(field, name);
   if (!topic.IsPose())
     throw InputError(field + " '" + name + "' is " + topic.type + ", must be " +
-                     boost::join(PoseTypeNames(), " or ") +
+                     boost::join(kPoseTypes, " or ") +
                      (topic.IsTf() ? ", or named tf:PARENT:CHILD" : ""));
   return topic;
 }
@@ -161,7 +161,7 @@ BagTopic ChoosePose(const Bags& bags, const BagRequest& request) {
   const std::vector<BagTopic> candidates =
       bags.Select([&](const BagTopic& t) { return MayBeMarker(request, t); });
   if (candidates.empty())
-    throw InputError("no topic of type " + boost::join(PoseTypeNames(), " or ") + " in " +
+    throw InputError("no topic of type " + boost::join(kPoseTypes, " or ") + " in " +
                      bags.Contents() + TfHint(bags));
   if (candidates.size() > 1)
     throw InputError("several pose topics: " + Describe(candidates) + "; choose with pose_topic");

@@ -170,15 +170,4 @@ CalibrationResult ToMsg(const Calibration& result, const RecordingInfo& info,
   return msg;
 }
 
-const std::vector<std::string>& PoseTypeNames() {
-  static const std::vector<std::string> kNames = {
-      "geometry_msgs/PoseStamped", "geometry_msgs/TransformStamped",
-      "geometry_msgs/PoseWithCovarianceStamped", "nav_msgs/Odometry"};
-  return kNames;
-}
-
-bool IsPoseType(const std::string& type) {
-  return std::count(PoseTypeNames().begin(), PoseTypeNames().end(), type) > 0;
-}
-
 }  // namespace imu_pose_calib
