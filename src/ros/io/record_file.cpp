@@ -7,8 +7,6 @@
 
 #include <cerrno>
 #include <cstring>
-#include <filesystem>
-#include <fstream>
 #include <functional>
 #include <optional>
 
@@ -118,20 +116,27 @@ std::string DecompressZstd(std::string_view bytes, uint64_t max_size) {
 }
 
 InputFile::InputFile(const std::string& path)
-    : path_(path), file_(std::fopen(path.c_str(), "rb"), std::fclose) {
-  if (!file_) throw InputError("'" + path_ + "' cannot be read: " + std::strerror(errno));
-  size_ = std::filesystem::file_size(path);
+    : path_(path), file_(path, std::ios::binary | std::ios::ate) {
+  const auto size = file_.tellg();
+  if (size < 0) Throw<InputError>("'", path_, "' cannot be read: ", std::strerror(errno));
+  size_ = next_ = static_cast<uint64_t>(size);
 }
 
 std::string InputFile::Read(uint64_t at, uint64_t size) {
   std::string bytes(size, '\0');
   errno = 0;
-  const bool is_there = at == next_ || fseeko(file_.get(), static_cast<off_t>(at), SEEK_SET) == 0;
-  next_ = UINT64_MAX;
-  if (!is_there || std::fread(bytes.data(), 1, size, file_.get()) != size)
+  if (at < next_ || at - next_ > kStep)
+    file_.seekg(static_cast<std::streamoff>(at));  // which drops what is buffered
+  else
+    file_.ignore(static_cast<std::streamsize>(at - next_));
+  file_.read(bytes.data(), static_cast<std::streamsize>(size));
+  next_ = at + size;
+  if (!file_) {
+    file_.clear();
+    next_ = UINT64_MAX;
     throw InputError("'" + path_ + "' cannot be read: " +
                      (errno == 0 ? "it has become shorter" : std::strerror(errno)));
-  next_ = at + size;
+  }
   return bytes;
 }
 

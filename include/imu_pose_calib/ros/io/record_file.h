@@ -2,7 +2,7 @@
 
 #include <algorithm>
 #include <array>
-#include <cstdio>
+#include <fstream>
 #include <memory>
 #include <string>
 #include <string_view>
@@ -37,8 +37,8 @@ class InputFile {
 
  private:
   std::string path_;
-  std::unique_ptr<std::FILE, int (*)(std::FILE*)> file_;
-  uint64_t next_ = 0;  ///< where `file_` stands
+  std::ifstream file_;
+  uint64_t next_ = 0;  ///< where `file_` goes on
   uint64_t size_ = 0;
 };
 
