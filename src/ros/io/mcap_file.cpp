@@ -9,6 +9,7 @@
 #include <map>
 #include <utility>
 
+#include "imu_pose_calib/core/base/text.h"
 #include "imu_pose_calib/ros/io/record_file.h"
 
 namespace imu_pose_calib {

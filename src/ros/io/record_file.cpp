@@ -10,6 +10,7 @@
 #include <functional>
 #include <optional>
 
+#include "imu_pose_calib/core/base/text.h"
 #include "imu_pose_calib/ros/io/output_files.h"
 
 namespace imu_pose_calib {

@@ -9,7 +9,6 @@
 #include <utility>
 #include <vector>
 
-#include "imu_pose_calib/core/base/text.h"
 #include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/bag_file.h"
 
@@ -56,7 +55,8 @@ class ByteReader {
   /// Leaves out the next bytes, for which there is a reader of their own.
   ByteReader Skip(uint64_t count) {
     if (count > size())
-      Throw<InputError>("a length in it goes beyond its end (", count, " of ", size(), " bytes)");
+      throw InputError("a length in it goes beyond its end (" + std::to_string(count) + " of " +
+                       std::to_string(size()) + " bytes)");
     ByteReader part = *this;
     at_ += count;
     part.end_ = at_;
