@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <boost/algorithm/string/join.hpp>
-#include <cmath>
 #include <functional>
 #include <optional>
 #include <set>
@@ -42,11 +41,11 @@ ImuInfo NamedImu(const std::string& gyro, const std::string& accel) {
 ImuInfo FindImu(const Bags& bags) {
   const std::vector<BagTopic> candidates = bags.Select(&BagTopic::IsImu);
   if (candidates.empty())
-    throw InputError(std::string("no topic of type ") + kImuType + " in " + bags.Contents() +
-                     (Has(bags, &BagTopic::IsVector)
-                          ? std::string("; say which ") + kVectorType +
-                                " is which with gyro_topic and accel_topic"
-                          : ""));
+    Throw<InputError>(
+        "no topic of type ", kImuType, " in ", bags.Contents(),
+        (Has(bags, &BagTopic::IsVector) ? std::string("; say which ") + kVectorType +
+                                              " is which with gyro_topic and accel_topic"
+                                        : ""));
   if (candidates.size() == 1) return NamedImu(candidates[0].name, candidates[0].name);
 
   std::vector<std::string> gyros, accels;
@@ -82,9 +81,8 @@ std::vector<ImuInfo> ChooseImus(const Bags& bags, const BagRequest& request) {
   const auto gyros = SplitNames(is_split ? request.gyro_topic : request.imu_topic);
   const auto accels = is_split ? SplitNames(request.accel_topic) : gyros;
   if (gyros.size() != accels.size())
-    throw InputError("gyro_topic names " + std::to_string(gyros.size()) +
-                     " topics and accel_topic " + std::to_string(accels.size()) +
-                     "; give as many of both, in the same order");
+    Throw<InputError>("gyro_topic names ", gyros.size(), " topics and accel_topic ", accels.size(),
+                      "; give as many of both, in the same order");
   std::vector<std::string> types = {kImuType};
   if (is_split) types.emplace_back(kVectorType);
   std::vector<ImuInfo> imus(gyros.size());
@@ -146,7 +144,7 @@ BagTopic NamedPose(const Bags& bags, const std::string& field, const std::string
   const BagTopic& topic = bags.Find(field, name);
   if (!topic.IsPose())
     throw InputError(field + " '" + name + "' is " + topic.type + ", must be " +
-                     boost::join(PoseTypeNames(), " or ") +
+                     boost::join(kPoseTypes, " or ") +
                      (topic.IsTf() ? ", or named tf:PARENT:CHILD" : ""));
   return topic;
 }
@@ -163,7 +161,7 @@ BagTopic ChoosePose(const Bags& bags, const BagRequest& request) {
   const std::vector<BagTopic> candidates =
       bags.Select([&](const BagTopic& t) { return MayBeMarker(request, t); });
   if (candidates.empty())
-    throw InputError("no topic of type " + boost::join(PoseTypeNames(), " or ") + " in " +
+    throw InputError("no topic of type " + boost::join(kPoseTypes, " or ") + " in " +
                      bags.Contents() + TfHint(bags));
   if (candidates.size() > 1)
     throw InputError("several pose topics: " + Describe(candidates) + "; choose with pose_topic");
@@ -193,9 +191,9 @@ struct Stream {
                        "' has no header stamps (all are 0); record_time takes the times of "
                        "recording instead, which are less exact");
     const double median_s = Median(delays_s);
-    for (double& delay : delays_s) delay = std::abs(delay - median_s);
+    for (double& delay : delays_s) delay -= median_s;
     *finished = std::move(samples);
-    return Latency{median_s, kMadToSigma * Median(std::move(delays_s))};
+    return Latency{median_s, RobustSigma(std::move(delays_s))};
   }
 };
 

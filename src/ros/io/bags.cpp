@@ -22,8 +22,6 @@ T Next(MessageInput* input) {
   return value;
 }
 
-std::string InSeconds(double value) { return Format("%g s", value); }
-
 }  // namespace
 
 void BagMessage::Read(const std::function<void(MessageInput*)>& read) const {
@@ -36,9 +34,8 @@ void BagMessage::Read(const std::function<void(MessageInput*)>& read) const {
     read(&input);
     input.Finish();
   } catch (const InputError& error) {
-    throw InputError("topic '" + topic + "', message recorded at " +
-                     std::to_string(ToNanoseconds(time)) + " ns is no " + type + ": " +
-                     error.what());
+    Throw<InputError>("topic '", topic, "', message recorded at ", ToNanoseconds(time),
+                      " ns is no ", type, ": ", error.what());
   }
 }
 
@@ -111,9 +108,9 @@ const BagTopic& Bags::Find(const std::string& field, const std::string& name,
                                   [&](const BagTopic& t) { return t.name == name; });
   if (topic == topics_.end()) throw InputError(field + " '" + name + "' is not in " + Contents());
   if (topic->count == 0)
-    throw InputError(field + " '" + name + "' has no messages within the span used (" +
-                     InSeconds(Seconds(start_ns_ - begin_ns_)) + " to " + InSeconds(duration_s()) +
-                     " after the start)");
+    Throw<InputError>(field, " '", name, "' has no messages within the span used (",
+                      Seconds(start_ns_ - begin_ns_), " s to ", duration_s(),
+                      " s after the start)");
   if (!types.empty() && std::count(types.begin(), types.end(), topic->type) == 0)
     throw InputError(field + " '" + name + "' is " + topic->type + ", must be " +
                      boost::join(types, " or "));
@@ -174,8 +171,8 @@ void Bags::SetSpan(double start_s, double duration_s) {
   for (const int64_t t_ns : {begin_ns_, last_ns}) FromNanoseconds(t_ns);  // throws
   const double length_s = Seconds(last_ns - begin_ns_);
   if (start_s > length_s)
-    throw InputError("start = " + InSeconds(start_s) +
-                     " is beyond the end of the bag, which lasts " + InSeconds(length_s));
+    Throw<InputError>("start = ", start_s, " s is beyond the end of the bag, which lasts ",
+                      length_s, " s");
   start_ns_ = begin_ns_ + std::llround(1e9 * start_s);
   end_ns_ = last_ns;
   if (duration_s > 0.0 && start_s + duration_s < length_s)

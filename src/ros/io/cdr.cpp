@@ -15,7 +15,7 @@ MessageInput::MessageInput(std::string_view message, bool is_cdr)
     : fields_(message), is_cdr_(is_cdr) {
   if (!is_cdr) return;
   if (message.size() < kHeaderSize)
-    throw InputError("it has " + std::to_string(message.size()) + " bytes, too few for CDR");
+    Throw<InputError>("it has ", message.size(), " bytes, too few for CDR");
   const auto kind = static_cast<unsigned char>(message[1]);
   if (message[0] != 0 || kind > 1) {
     const bool is_xcdr2 = message[0] == 0 && kind >= 6 && kind <= 11;
@@ -43,7 +43,7 @@ void MessageInput::next(ros::Time& stamp) {
   next(stamp.nsec);
   const auto seconds = static_cast<int32_t>(stamp.sec);  // as ROS 2 has them
   if (is_cdr_ && seconds < 0)
-    throw InputError("a stamp in it is " + std::to_string(seconds) + " s, must not be negative");
+    Throw<InputError>("a stamp in it is ", seconds, " s, must not be negative");
 }
 
 uint32_t MessageInput::Count() {
@@ -51,15 +51,13 @@ uint32_t MessageInput::Count() {
   next(count);
   const size_t left = fields_.size() - at_;
   if (count > left)
-    throw InputError("a length in it is " + std::to_string(count) + ", but only " +
-                     std::to_string(left) + " bytes are left");
+    Throw<InputError>("a length in it is ", count, ", but only ", left, " bytes are left");
   return count;
 }
 
 void MessageInput::Finish() const {
   const size_t left = fields_.size() - at_;
-  if (left > (is_cdr_ ? 3 : 0))
-    throw InputError(std::to_string(left) + " bytes of it are left over");
+  if (left > (is_cdr_ ? 3 : 0)) Throw<InputError>(left, " bytes of it are left over");
 }
 
 const char* MessageInput::Take(size_t alignment, size_t size) {
@@ -74,9 +72,8 @@ const char* MessageInput::Take(size_t alignment, size_t size) {
 void CdrOutput::next(const ros::Time& stamp) {
   constexpr int64_t kMaxSeconds = std::numeric_limits<int32_t>::max();
   if (stamp.sec > kMaxSeconds)
-    throw InputError("stamp " + std::to_string(stamp.sec) +
-                     " s does not fit a message of ROS 2: must be at most " +
-                     std::to_string(kMaxSeconds) + " s");
+    Throw<InputError>("stamp ", stamp.sec, " s does not fit a message of ROS 2: must be at most ",
+                      kMaxSeconds, " s");
   next(static_cast<int32_t>(stamp.sec));
   next(stamp.nsec);
 }

@@ -92,8 +92,8 @@ PoseSample ToPoseSample(const ros::Time& stamp, const geometry_msgs::Transform& 
 }
 
 PoseStd ToPoseStd(const geometry_msgs::PoseWithCovariance& pose) {
-  Vector6d variance;  // x, y, z, about x, about y, about z
-  for (Eigen::Index i = 0; i < 6; ++i) variance[i] = pose.covariance[static_cast<size_t>(7 * i)];
+  // x, y, z, about x, about y, about z
+  const Vector6d variance = Eigen::Map<const Matrix6d>(pose.covariance.data()).diagonal();
   if (!variance.allFinite() || variance.minCoeff() <= 0.0) return {};
   return {std::sqrt(variance.head<3>().mean()), std::sqrt(variance.tail<3>().mean())};
 }
@@ -168,17 +168,6 @@ CalibrationResult ToMsg(const Calibration& result, const RecordingInfo& info,
   msg.imus = ToTransforms(result, info, stamp);
   msg.imus.resize(result.imus.size());
   return msg;
-}
-
-const std::vector<std::string>& PoseTypeNames() {
-  static const std::vector<std::string> kNames = {
-      "geometry_msgs/PoseStamped", "geometry_msgs/TransformStamped",
-      "geometry_msgs/PoseWithCovarianceStamped", "nav_msgs/Odometry"};
-  return kNames;
-}
-
-bool IsPoseType(const std::string& type) {
-  return std::count(PoseTypeNames().begin(), PoseTypeNames().end(), type) > 0;
 }
 
 }  // namespace imu_pose_calib

@@ -9,6 +9,7 @@
 #include <map>
 #include <utility>
 
+#include "imu_pose_calib/core/base/text.h"
 #include "imu_pose_calib/ros/io/record_file.h"
 
 namespace imu_pose_calib {
@@ -57,8 +58,7 @@ std::optional<Record> Next(ByteReader* reader) {
 }
 
 void CheckCrc(ByteReader bytes, uint32_t crc, const char* what) {
-  if (crc != 0 && crc != Crc32(bytes))
-    throw InputError(std::string("the checksum of the ") + what + " is wrong");
+  if (crc != 0 && crc != Crc32(bytes)) Throw<InputError>("the checksum of the ", what, " is wrong");
 }
 
 class McapFile : public RecordFile {
@@ -78,8 +78,7 @@ class McapFile : public RecordFile {
         else
           ReadRecord(*record, 0);
       } catch (const InputError& error) {
-        throw InputError("'" + name + "' is damaged, record at byte " + std::to_string(begin) +
-                         ": " + error.what());
+        Throw<InputError>("'", name, "' is damaged, record at byte ", begin, ": ", error.what());
       }
     }
     NoteCutOff(name, left.at());
@@ -119,15 +118,13 @@ class McapFile : public RecordFile {
     const auto schema = fields.Number<uint16_t>();
     const std::string name = fields.Part().All(), encoding = fields.Part().All();
     if (schema != 0 && schemas_.count(schema) == 0)
-      throw InputError("channel '" + name + "' is of schema " + std::to_string(schema) +
-                       ", which is unknown");
+      Throw<InputError>("channel '", name, "' is of schema ", schema, ", which is unknown");
     const Topic topic{name, Ros1Type(schema == 0 ? "" : schemas_[schema], encoding), {}};
     const auto [known, is_new] = channels_.emplace(id, static_cast<uint32_t>(topics_.size()));
     if (is_new) return topics_.push_back(topic);
     const Topic& other = topics_[known->second];
     if (other.name != topic.name || other.type != topic.type)
-      throw InputError("channel " + std::to_string(id) + " is both '" + other.name + "' and '" +
-                       topic.name + "'");
+      Throw<InputError>("channel ", id, " is both '", other.name, "' and '", topic.name, "'");
   }
 
   void ReadMessage(ByteReader fields, uint32_t chunk) {
@@ -137,9 +134,9 @@ class McapFile : public RecordFile {
     fields.Number<uint64_t>();  // time of publishing
     const auto channel = channels_.find(id);
     if (channel == channels_.end())
-      throw InputError("a message is of channel " + std::to_string(id) + ", which is unknown");
+      Throw<InputError>("a message is of channel ", id, ", which is unknown");
     if (time > uint64_t{std::numeric_limits<int64_t>::max()})
-      throw InputError("a message is recorded at " + std::to_string(time) + " ns");
+      Throw<InputError>("a message is recorded at ", time, " ns");
     entries_.push_back(
         {static_cast<int64_t>(time), channel->second, chunk, fields.at(), fields.size()});
   }
@@ -172,17 +169,6 @@ std::string PackRecord(Opcode opcode, const std::string& content) {
   return Pack(uint8_t{opcode}, uint64_t{content.size()}) + content;
 }
 
-/// First and last time of messages [ns]; 0 without any.
-struct Span {
-  uint64_t first = UINT64_MAX, end = 0;
-
-  void Add(uint64_t time) {
-    first = std::min(first, time);
-    end = std::max(end, time);
-  }
-  uint64_t begin() const { return std::min(first, end); }
-};
-
 class McapStorage : public Ros2Storage {
  public:
   explicit McapStorage(const std::string& path)
@@ -207,9 +193,9 @@ class McapStorage : public Ros2Storage {
     const auto time = static_cast<uint64_t>(t_ns);
     const auto channel = static_cast<uint16_t>(topic + 1);
     const auto sequence = static_cast<uint32_t>(counts_[topic]++);
+    if (index_.empty()) chunk_begin_ = time;
+    end_ = time;
     index_[channel] += Pack(time, uint64_t{chunk_.size()});
-    span_.Add(time);
-    chunk_span_.Add(time);
     chunk_ += PackRecord(kMessage, Pack(channel, sequence, time, time) + data);
     if (chunk_.size() >= kChunkSize) PutChunk();
   }
@@ -228,7 +214,7 @@ class McapStorage : public Ros2Storage {
     }
     const auto topics = static_cast<uint16_t>(counts_.size());
     Put(PackRecord(kStatistics, Pack(messages, topics, uint32_t{topics}, attachments, metadata,
-                                     chunks_, span_.begin(), span_.end, counts)));
+                                     chunks_, begin_, end_, counts)));
     Put(chunk_indexes_);
     Put(PackRecord(kFooter, Pack(summary, no_offsets, no_checksum)));
     Put(kMagic);
@@ -252,10 +238,11 @@ class McapStorage : public Ros2Storage {
   /// Writes the chunk, which is not compressed, with the indexes of its messages.
   void PutChunk() {
     if (chunk_.empty()) return;
-    const uint64_t begin = chunk_span_.begin(), end = chunk_span_.end, size = chunk_.size();
+    const uint64_t size = chunk_.size();
+    const uint32_t crc = Crc32(ByteReader(chunk_));
     const std::string compression;
-    const std::string record = PackRecord(
-        kChunk, Pack(begin, end, size, Crc32(ByteReader(chunk_)), compression, size) + chunk_);
+    const std::string record =
+        PackRecord(kChunk, Pack(chunk_begin_, end_, size, crc, compression, size) + chunk_);
     const uint64_t chunk_at = at_, indexes_at = at_ + record.size();
     Put(record);
     std::string offsets;
@@ -264,21 +251,20 @@ class McapStorage : public Ros2Storage {
       Put(PackRecord(kMessageIndex, Pack(channel, entries)));
     }
     chunk_indexes_ +=
-        PackRecord(kChunkIndex, Pack(begin, end, chunk_at, uint64_t{record.size()}, offsets,
+        PackRecord(kChunkIndex, Pack(chunk_begin_, end_, chunk_at, uint64_t{record.size()}, offsets,
                                      at_ - indexes_at, compression, size, size));
-    ++chunks_;
+    if (chunks_++ == 0) begin_ = chunk_begin_;
     chunk_.clear();
     index_.clear();
-    chunk_span_ = {};
   }
 
   std::string path_;
   std::ofstream file_;
   uint64_t at_ = 0;
-  std::string topics_, chunk_, chunk_indexes_;  ///< records
-  std::map<uint16_t, std::string> index_;       ///< of the chunk, of each channel
-  std::vector<uint64_t> counts_;                ///< messages of each topic
-  Span span_, chunk_span_;
+  std::string topics_, chunk_, chunk_indexes_;      ///< records
+  std::map<uint16_t, std::string> index_;           ///< of the chunk, of each channel
+  std::vector<uint64_t> counts_;                    ///< messages of each topic
+  uint64_t begin_ = 0, chunk_begin_ = 0, end_ = 0;  ///< [ns] times of messages
   uint32_t chunks_ = 0;
 };
 

@@ -73,15 +73,14 @@ double Metres(std::string unit) {
 
 /// Where the values of a body are, and what they mean.
 struct BodyColumns {
-  std::vector<size_t> rotation;  ///< x y z, or x y z w
-  std::vector<size_t> position;
+  std::vector<size_t> values;  ///< of its rotation, x y z or x y z w, and its position
   std::string order;           ///< of Euler angles, "XYZ"; empty: helical
   double rotation_unit = 1.0;  ///< [rad]
   double position_unit = 1.0;  ///< [m]
 };
 
 Eigen::Quaterniond Rotation(const BodyColumns& columns, const std::vector<double>& v) {
-  if (v.size() == 4) return {v[3], v[0], v[1], v[2]};
+  if (v.size() == 7) return {v[3], v[0], v[1], v[2]};
   const Eigen::Vector3d angles = columns.rotation_unit * Eigen::Vector3d(v[0], v[1], v[2]);
   if (columns.order.empty()) return Exp(angles);
   Eigen::Quaterniond q = Eigen::Quaterniond::Identity();
@@ -96,16 +95,11 @@ Eigen::Quaterniond Rotation(const BodyColumns& columns, const std::vector<double
 void AddPose(const BodyColumns& columns, double t_s, const Cells& cells, const CellLines& lines,
              std::vector<PoseSample>* poses) {
   const auto is_empty = [&](size_t column) { return Cell(cells, column).empty(); };
-  if (std::all_of(columns.rotation.begin(), columns.rotation.end(), is_empty) &&
-      std::all_of(columns.position.begin(), columns.position.end(), is_empty))
-    return;
-  std::vector<double> rotation, position;
-  for (const size_t column : columns.rotation) rotation.push_back(lines.Number(cells, column));
-  for (const size_t column : columns.position) position.push_back(lines.Number(cells, column));
-  poses->push_back({std::llround(1e9 * t_s),
-                    Rotation(columns, rotation),
-                    columns.position_unit * Eigen::Vector3d::Map(position.data()),
-                    {}});
+  if (std::all_of(columns.values.begin(), columns.values.end(), is_empty)) return;
+  std::vector<double> v;
+  for (const size_t column : columns.values) v.push_back(lines.Number(cells, column));
+  const Eigen::Vector3d position = columns.position_unit * Eigen::Vector3d::Map(&v[v.size() - 3]);
+  poses->push_back({std::llround(1e9 * t_s), Rotation(columns, v), position, {}});
 }
 
 /// The body that is wanted of those that there are.
@@ -155,19 +149,18 @@ BodyColumns MotiveColumns(MotiveHeader& header, const Cells& axes, const std::st
     columns.rotation_unit = M_PI / 180.0;
   }
   const auto find = [&](const std::string& kind, const std::string& names) {
-    std::vector<size_t> found;
+    const size_t wanted = columns.values.size() + names.size();
     for (const char axis : names)
       for (size_t k = 2; k < axes.size(); ++k)
         if (Cell(header["Type"], k) == "Rigid Body" && Cell(header["Name"], k) == body &&
             Cell(header["Rotation"], k) == kind && axes[k] == std::string(1, axis))
-          found.push_back(k);
-    if (found.size() != names.size())
+          columns.values.push_back(k);
+    if (columns.values.size() != wanted)
       lines.FailHere("does not name the columns " + names + " of the " + kind + " of '" + body +
                      "'");
-    return found;
   };
-  columns.rotation = find("Rotation", is_quaternion ? "XYZW" : "XYZ");
-  columns.position = find("Position", "XYZ");
+  find("Rotation", is_quaternion ? "XYZW" : "XYZ");
+  find("Position", "XYZ");
   return columns;
 }
 
@@ -240,18 +233,16 @@ BodyColumns ViconColumns(const Cells& axes, const Cells& units, size_t begin,
     return k;
   };
   BodyColumns columns;
-  columns.rotation = {need("RX"), need("RY"), need("RZ")};
-  columns.position = {need("TX"), need("TY"), need("TZ")};
-  const size_t w = find("RW");
-  const std::string length = Cell(units, columns.position[0]);
+  columns.values = {need("RX"), need("RY"), need("RZ"), need("TX"), need("TY"), need("TZ")};
+  const size_t rx = columns.values[0], tx = columns.values[3], w = find("RW");
+  const std::string length = Cell(units, tx), angle = Cell(units, rx);
   columns.position_unit = Metres(length);
-  if (columns.position_unit == 0.0) lines.FailCell(columns.position[0], length, "mm, cm or m");
-  if (w < columns.position[0]) {
-    columns.rotation.push_back(w);
+  if (columns.position_unit == 0.0) lines.FailCell(tx, length, "mm, cm or m");
+  if (w < tx) {
+    columns.values.insert(columns.values.begin() + 3, w);
     return columns;
   }
-  const std::string angle = Cell(units, columns.rotation[0]);
-  if (angle != "deg" && angle != "rad") lines.FailCell(columns.rotation[0], angle, "deg or rad");
+  if (angle != "deg" && angle != "rad") lines.FailCell(rx, angle, "deg or rad");
   if (angle == "deg") columns.rotation_unit = M_PI / 180.0;
   return columns;
 }

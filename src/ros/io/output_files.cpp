@@ -96,9 +96,10 @@ void Exchange(const std::string& draft, const std::string& target) {
   if (error) throw fs::filesystem_error("", error);
 }
 
+/// A file, or a folder if it is empty.
 void RemoveTemporary(const std::string& path) {
   std::error_code ignored;
-  fs::remove_all(path, ignored);
+  fs::remove(path, ignored);
   const std::lock_guard<std::mutex> lock(All().mutex);
   All().paths.erase(path);
 }
@@ -145,12 +146,7 @@ OutputFiles::OutputFiles() {
 
 OutputFiles::~OutputFiles() {
   for (const File& file : files_) RemoveTemporary(file.draft);
-  std::error_code ignored;
-  for (auto folder = folders_.rbegin(); folder != folders_.rend(); ++folder) {
-    fs::remove(*folder, ignored);  // if it is empty
-    const std::lock_guard<std::mutex> lock(All().mutex);
-    All().paths.erase(*folder);
-  }
+  std::for_each(folders_.rbegin(), folders_.rend(), RemoveTemporary);
 }
 
 void OutputFiles::Plan(const std::string& field, const std::string& path, bool may_make_folders) {
@@ -253,7 +249,11 @@ TemporaryFolder::TemporaryFolder() {
   All().paths.insert(path_);
 }
 
-TemporaryFolder::~TemporaryFolder() { RemoveTemporary(path_); }
+TemporaryFolder::~TemporaryFolder() {
+  std::error_code ignored;
+  fs::remove_all(path_, ignored);
+  RemoveTemporary(path_);
+}
 
 InterruptGuard::InterruptGuard() {
   sigemptyset(&waited_for_);

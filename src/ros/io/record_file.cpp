@@ -5,10 +5,13 @@
 #include <rosbag/stream.h>
 #include <zstd.h>
 
-#include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <functional>
+#include <optional>
+
+#include "imu_pose_calib/core/base/text.h"
+#include "imu_pose_calib/ros/io/output_files.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -16,8 +19,7 @@ namespace {
 constexpr size_t kStep = 1 << 17;  // [bytes] unfolded at a time
 
 void CheckSize(uint64_t size, uint64_t max_size) {
-  if (size > max_size)
-    throw InputError("unfolds to more than " + std::to_string(max_size) + " bytes");
+  if (size > max_size) Throw<InputError>("unfolds to more than ", max_size, " bytes");
 }
 
 /// Unfolds zstd frames, calling `use` with a piece at a time.
@@ -30,7 +32,7 @@ void Unzstd(ByteReader frames, uint64_t max_size,
   for (uint64_t size = 0;;) {
     ZSTD_outBuffer out{piece.data(), piece.size(), 0};
     const size_t left = ZSTD_decompressStream(stream.get(), &out, &in);
-    if (ZSTD_isError(left)) throw InputError(std::string("zstd: ") + ZSTD_getErrorName(left));
+    if (ZSTD_isError(left)) Throw<InputError>("zstd: ", ZSTD_getErrorName(left));
     CheckSize(size += out.pos, max_size);
     use(std::string_view(piece).substr(0, out.pos));
     if (in.pos < in.size || (left != 0 && out.pos == out.size)) continue;  // more to come
@@ -42,19 +44,23 @@ void Unzstd(ByteReader frames, uint64_t max_size,
   }
 }
 
-void UnzstdInto(const std::string& path, InputFile* input) {
+/// Unfolds a file, called `name` in errors.
+void UnzstdInto(const std::string& path, const std::string& name, InputFile* input) {
   std::ofstream file(path, std::ios::binary);
   const auto check = [&] {
     if (!file)
-      throw InputError(std::string("cannot be unfolded into a temporary file: ") +
-                       std::strerror(errno));
+      Throw<InputError>("cannot be unfolded into a temporary file: ", std::strerror(errno));
   };
-  Unzstd({input, 0}, kMaxBlockSize + 100 * input->size(), [&](std::string_view piece) {
-    file << piece;
+  try {
+    Unzstd({input, 0}, kMaxBlockSize + 100 * input->size(), [&](std::string_view piece) {
+      file << piece;
+      check();
+    });
+    file.close();
     check();
-  });
-  file.close();
-  check();
+  } catch (const InputError& error) {
+    throw InputError("'" + name + "': " + error.what());
+  }
 }
 
 /// The contents of lz4 frames, as DecompressZstd().
@@ -68,7 +74,7 @@ std::string DecompressLz4(std::string_view bytes, uint64_t max_size) {
   while (!bytes.empty() || hint != 0) {
     size_t out = piece.size(), in = bytes.size();
     hint = LZ4F_decompress(context.get(), piece.data(), &out, bytes.data(), &in, nullptr);
-    if (LZ4F_isError(hint)) throw InputError(std::string("lz4: ") + LZ4F_getErrorName(hint));
+    if (LZ4F_isError(hint)) Throw<InputError>("lz4: ", LZ4F_getErrorName(hint));
     bytes.remove_prefix(in);
     CheckSize(contents.size() + out, max_size);
     contents.append(piece, 0, out);
@@ -87,7 +93,7 @@ std::string DecompressBz2(std::string_view bytes, uint64_t size) {
                                         reinterpret_cast<uint8_t*>(const_cast<char*>(bytes.data())),
                                         static_cast<unsigned>(bytes.size()));
   } catch (const rosbag::BagException& error) {
-    throw InputError(std::string("bz2: ") + error.what());
+    Throw<InputError>("bz2: ", error.what());
   }
   return contents;
 }
@@ -110,24 +116,10 @@ std::string DecompressZstd(std::string_view bytes, uint64_t max_size) {
   return contents;
 }
 
-InputFile::InputFile(const std::string& path) : path_(path) {
-  Open();
-  if (!IsZstd(Start())) return;
-  folder_.emplace();
-  const std::string unfolded = folder_->path() / "unfolded";
-  try {
-    UnzstdInto(unfolded, this);
-  } catch (const InputError& error) {
-    throw InputError("'" + path + "': " + error.what());
-  }
-  path_ = unfolded;
-  Open();
-}
-
-void InputFile::Open() {
-  file_ = std::ifstream(path_, std::ios::binary | std::ios::ate);
+InputFile::InputFile(const std::string& path)
+    : path_(path), file_(path, std::ios::binary | std::ios::ate) {
   const auto size = file_.tellg();
-  if (size < 0) throw InputError("'" + path_ + "' cannot be read: " + std::strerror(errno));
+  if (size < 0) Throw<InputError>("'", path_, "' cannot be read: ", std::strerror(errno));
   size_ = next_ = static_cast<uint64_t>(size);
 }
 
@@ -149,27 +141,27 @@ std::string InputFile::Read(uint64_t at, uint64_t size) {
   return bytes;
 }
 
-std::string InputFile::Start() { return Read(0, std::min<uint64_t>(size_, 16)); }
-
 std::unique_ptr<BagFile> OpenRos2(const std::string& path) {
   auto input = std::make_unique<InputFile>(path);
-  const std::string start = input->Start();
-  if (IsMcap(start)) {
-    input->RemoveTemporary();
-    return OpenMcap(std::move(input), path);
+  std::optional<TemporaryFolder> folder;  // what is open in it can be read without it
+  std::string unfolded = path;
+  if (IsZstd(input->Start())) {
+    unfolded = folder.emplace().path() / "unfolded";
+    UnzstdInto(unfolded, path, input.get());
+    input = std::make_unique<InputFile>(unfolded);
   }
-  if (IsSqlite(start)) return OpenSqlite(input->path(), path);
+  const std::string start = input->Start();
+  if (IsMcap(start)) return OpenMcap(std::move(input), path);
+  if (IsSqlite(start)) return OpenSqlite(unfolded, path);
   throw InputError("'" + path + "' is neither an mcap file nor a database of SQLite" +
                    (start.empty() ? ": it is empty" : ""));
 }
 
 uint32_t RecordFile::AddChunk(std::string_view compression, ByteReader stored, uint64_t size) {
   if (compression.empty() && stored.size() != size)
-    throw InputError("chunk has " + std::to_string(stored.size()) + " bytes, must have " +
-                     std::to_string(size));
+    Throw<InputError>("chunk has ", stored.size(), " bytes, must have ", size);
   if (size > kMaxBlockSize && !compression.empty())
-    throw InputError("chunk is of " + std::to_string(size) + " bytes, must be at most " +
-                     std::to_string(kMaxBlockSize));
+    Throw<InputError>("chunk is of ", size, " bytes, must be at most ", kMaxBlockSize);
   chunks_.push_back({std::string(compression), stored, size});
   return static_cast<uint32_t>(chunks_.size());
 }
@@ -183,8 +175,7 @@ std::string_view RecordFile::Records(uint32_t chunk) {
   if (compression == "zstd") records = DecompressZstd(records, size);
   if (compression == "bz2") records = DecompressBz2(records, size);
   if (records.size() != size)
-    throw InputError("chunk unfolds to " + std::to_string(records.size()) + " bytes, must be " +
-                     std::to_string(size));
+    Throw<InputError>("chunk unfolds to ", records.size(), " bytes, must be ", size);
   auto& slot = kept_[next_slot_++ % kKept];
   slot = {chunk, std::move(records)};
   return slot.second;

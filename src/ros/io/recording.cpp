@@ -18,15 +18,14 @@ bool IsPair(const Given& one, const Given& first, const Given& second) {
   if (first.value.empty() || second.value.empty())
     throw InputError(pair + " belong together: " +
                      (first.value.empty() ? first.name : second.name) + " is missing");
-  if (!one.value.empty())
-    throw InputError(std::string("give either ") + one.name + ", or " + pair + ", not all");
+  if (!one.value.empty()) Throw<InputError>("give either ", one.name, ", or ", pair, ", not all");
   return true;
 }
 
 void CheckSpan(double start_s, double duration_s) {
-  if (!(start_s >= 0.0)) throw InputError(Format("start = %g s must be at least 0 s", start_s));
+  if (!(start_s >= 0.0)) Throw<InputError>("start = ", start_s, " s must be at least 0 s");
   if (!(duration_s >= 0.0))
-    throw InputError(Format("duration = %g s must be at least 0 s (0: all)", duration_s));
+    Throw<InputError>("duration = ", duration_s, " s must be at least 0 s (0: all)");
 }
 
 std::vector<std::string> SplitNames(const std::string& text) {

@@ -647,7 +647,7 @@ std::vector<BodyFrame> BodyFrames(const Calibration& result, const RecordingInfo
 const ImuSession& StoredResult::Clock(size_t imu) const {
   for (const SessionCalibration& session : result.sessions)
     if (session.imus[imu].is_present) return session.imus[imu];
-  throw InputError("imus: " + std::to_string(imu) + " is in no session");
+  Throw<InputError>("imus: ", imu, " is in no session");
 }
 
 StoredResult ParseResult(const std::string& yaml, const std::string& path) {

@@ -29,13 +29,6 @@ Fields ReadFields(ByteReader header) {
   return fields;
 }
 
-/// The value of a field; empty when there is none.
-const std::string& Value(const Fields& fields, const std::string& name) {
-  static const std::string kNone;
-  const auto field = fields.find(name);
-  return field == fields.end() ? kNone : field->second;
-}
-
 constexpr size_t kTimeSize = 8;
 
 int64_t ReadTime(ByteReader reader) {
@@ -49,24 +42,23 @@ bool IsZero(ByteReader bytes) {
   return true;
 }
 
-char KindOf(const Fields& fields) {
-  const std::string& operation = Value(fields, "op");
+char KindOf(const std::string& operation) {
   if (operation.size() != 1 || operation[0] == '\0') throw InputError("a record is of no kind");
   return operation[0];
 }
 
 /// The next record. Throws InputError when there is no whole one.
 struct Record {
-  Fields fields;
+  Fields fields;  ///< those that there are not are empty
   char kind;
   ByteReader data;
 
   explicit Record(ByteReader* reader)
-      : fields(ReadFields(reader->Part())), kind(KindOf(fields)), data(reader->Part()) {}
+      : fields(ReadFields(reader->Part())), kind(KindOf(fields["op"])), data(reader->Part()) {}
 
   template <typename T = uint32_t>
-  T Number(const std::string& name) const {
-    return ByteReader(Value(fields, name)).Number<T>();
+  T Number(const std::string& name) {
+    return ByteReader(fields[name]).Number<T>();
   }
 };
 
@@ -112,7 +104,7 @@ class Ros1File : public RecordFile {
       ByteReader reader(records);
       reader.Skip(entry.at);
       for (;;)
-        if (const Record record(&reader); record.kind == kMessage)
+        if (Record record(&reader); record.kind == kMessage)
           return records.substr(record.data.at(), record.data.size());
     } catch (const InputError& error) {
       throw InputError("bag '" + path_ + "' is damaged (" + error.what() + ")" + remedy_);
@@ -128,10 +120,10 @@ class Ros1File : public RecordFile {
     if (end == 0) return false;
     ByteReader last = From(0);
     for (last.Skip(end); last.size() > 0;)
-      if (const Record record(&last); record.kind == kConnection) ReadConnection(record);
+      if (Record record(&last); record.kind == kConnection) ReadConnection(record);
     uint32_t chunk = 0;
     for (ByteReader reader = From(kMagicSize).Skip(end - kMagicSize); reader.size() > 0;) {
-      const Record record(&reader);
+      Record record(&reader);
       if (record.kind == kChunk) chunk = ReadChunk(record);
       if (record.kind != kIndex) continue;
       if (chunk == 0) throw InputError("an index is of no chunk");
@@ -150,7 +142,7 @@ class Ros1File : public RecordFile {
     ByteReader rest = reader;  // from the end of the last record that is whole
     try {
       while (rest.size() > 0) {
-        const Record record(&reader);
+        Record record(&reader);
         if (record.kind == kChunk && record.data.size() == 0) break;  // still written, without size
         if (record.kind == kChunk) ScanChunk(ReadChunk(record));
         rest = reader;
@@ -166,31 +158,30 @@ class Ros1File : public RecordFile {
   void ScanChunk(uint32_t chunk) {
     for (ByteReader reader(Records(chunk)); reader.size() > 0;) {
       const uint64_t at = reader.at();
-      const Record record(&reader);
+      Record record(&reader);
       if (record.kind == kConnection) ReadConnection(record);
       if (record.kind != kMessage) continue;
-      const int64_t t_ns = ReadTime(ByteReader(Value(record.fields, "time")));
+      const int64_t t_ns = ReadTime(ByteReader(record.fields["time"]));
       entries_.push_back({t_ns, TopicOf(record), chunk, at, 0});
     }
   }
 
-  uint32_t ReadChunk(const Record& record) {
-    const std::string compression = Value(record.fields, "compression");
+  uint32_t ReadChunk(Record& record) {
+    const std::string compression = record.fields["compression"];
     if (compression == "none") return AddChunk("", record.data, record.data.size());
     if (compression != "bz2" && compression != "lz4")
       throw InputError("a chunk is compressed otherwise");
     return AddChunk(compression, record.data, record.Number("size"));
   }
 
-  void ReadConnection(const Record& record) {
+  void ReadConnection(Record& record) {
     const auto number = static_cast<uint32_t>(topics_.size());
     if (!connections_.emplace(record.Number("conn"), number).second) return;
-    const Fields about = ReadFields(record.data);
-    topics_.push_back(
-        {Value(record.fields, "topic"), Value(about, "type"), Value(about, "md5sum")});
+    Fields about = ReadFields(record.data);
+    topics_.push_back({record.fields["topic"], about["type"], about["md5sum"]});
   }
 
-  uint32_t TopicOf(const Record& record) const {
+  uint32_t TopicOf(Record& record) const {
     const auto topic = connections_.find(record.Number("conn"));
     if (topic == connections_.end()) throw InputError("a message is of no connection");
     return topic->second;

@@ -85,6 +85,17 @@ std::string Text(const std::optional<T>& value) {
   return value ? Text(*value) : "~";
 }
 
+/// Reads the value of a key, which errors call `what`.
+template <typename T>
+void ReadValue(const std::string& what, const YAML::Node& node, T* field) {
+  try {
+    Read(node, field);
+  } catch (const TypeError& error) {
+    throw InputError(what + " must be " + error.expected + ", not " +
+                     (node.IsNull() ? "nothing" : YAML::Dump(node)));
+  }
+}
+
 /// Sets the field called `key`.
 void ReadField(const std::string& key, const YAML::Node& value, CalibrationOptions* options) {
   std::vector<std::string> others;
@@ -92,7 +103,7 @@ void ReadField(const std::string& key, const YAML::Node& value, CalibrationOptio
   VisitFields(*options, [&](const std::string& name, auto& field, const Bound&) {
     if (name == key) {
       found = true;
-      Read(value, &field);
+      ReadValue("option " + key, value, &field);
     } else {
       others.push_back(name);
     }
@@ -108,12 +119,7 @@ void ReadMap(const YAML::Node& map, CalibrationOptions* options) {
     if (!entry.first.IsScalar()) throw InputError("keys must be strings");
     const std::string key = entry.first.Scalar();
     if (!seen.insert(key).second) throw InputError("option '" + key + "' is given twice");
-    try {
-      ReadField(key, entry.second, options);
-    } catch (const TypeError& error) {
-      const std::string value = entry.second.IsNull() ? "nothing" : YAML::Dump(entry.second);
-      throw InputError("option " + key + " must be " + error.expected + ", not " + value);
-    }
+    ReadField(key, entry.second, options);
   }
 }
 
@@ -143,17 +149,13 @@ void CheckKeys(const YAML::Node& imu) {
   }
 }
 
-double ReadNumber(const YAML::Node& imu, const char* key, double low, double high) {
-  const YAML::Node node = imu[key];
-  if (!node) throw InputError(std::string(key) + " is missing");
+double ReadNumber(const YAML::Node& imu, const std::string& key, double low, double high) {
+  if (!imu[key]) throw InputError(key + " is missing");
   double value = 0.0;
-  if (!node.IsScalar() || !YAML::convert<double>::decode(node, value))
-    throw InputError(std::string(key) + " must be a number, not " +
-                     (node.IsNull() ? "nothing" : YAML::Dump(node)));
+  ReadValue(key, imu[key], &value);
   if (!(value >= low && value <= high))
-    throw InputError(std::string(key) + " = " + YamlNumber(value) +
-                     " is out of range: must be within [" + YamlNumber(low) + ", " +
-                     YamlNumber(high) + "]");
+    throw InputError(key + " = " + YamlNumber(value) + " is out of range: must be within [" +
+                     YamlNumber(low) + ", " + YamlNumber(high) + "]");
   return value;
 }
 

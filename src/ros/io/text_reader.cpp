@@ -2,12 +2,12 @@
 
 #include <algorithm>
 #include <boost/algorithm/string/join.hpp>
+#include <boost/range/algorithm_ext/erase.hpp>
 #include <cerrno>
 #include <cmath>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
-#include <iterator>
 #include <limits>
 #include <utility>
 #include <vector>
@@ -86,6 +86,12 @@ Span FindSpan(const std::vector<Sample>& samples) {
   return span;
 }
 
+template <typename Sample>
+void Keep(const Span& span, std::vector<Sample>* samples) {
+  boost::remove_erase_if(*samples,
+                         [&](const Sample& s) { return s.t_ns < span.begin || s.t_ns > span.end; });
+}
+
 /// Keeps the samples from `start_s` after the begin of `whole` on, for `duration_s`.
 template <typename Sample>
 void Cut(double start_s, double duration_s, const Span& whole, std::vector<Sample>* samples) {
@@ -96,9 +102,7 @@ void Cut(double start_s, double duration_s, const Span& whole, std::vector<Sampl
                      " s");
   const int64_t begin = whole.begin + std::llround(1e9 * start_s);
   const bool ends_before = duration_s > 0.0 && start_s + duration_s < length_s;
-  const int64_t end = ends_before ? begin + std::llround(1e9 * duration_s) : whole.end;
-  const auto is_out = [&](const Sample& s) { return s.t_ns < begin || s.t_ns > end; };
-  samples->erase(std::remove_if(samples->begin(), samples->end(), is_out), samples->end());
+  Keep({begin, ends_before ? begin + std::llround(1e9 * duration_s) : whole.end}, samples);
 }
 
 /// Poses of a file that holds one body, nameless then, or of one of several.
@@ -169,12 +173,8 @@ void CutSpan(double start_s, double duration_s, SessionData* data) {
 }
 
 void CutToPoses(const std::vector<PoseSample>& marker, std::vector<PoseSample>* pose_sensor) {
-  const Span span = FindSpan(marker);
-  const auto is_within = [&](const PoseSample& pose) {
-    return pose.t_ns >= span.begin && pose.t_ns <= span.end;
-  };
-  std::vector<PoseSample> within;
-  std::copy_if(pose_sensor->begin(), pose_sensor->end(), std::back_inserter(within), is_within);
+  std::vector<PoseSample> within = *pose_sensor;
+  Keep(FindSpan(marker), &within);
   if (!within.empty()) *pose_sensor = std::move(within);
 }
 
@@ -194,8 +194,8 @@ void ReadFiles(const TextRequest& files, Recording* recording) {
   const std::vector<std::string> gyros = SplitPaths(is_split ? files.gyro : files.imu);
   const std::vector<std::string> accels = SplitPaths(is_split ? files.accel : files.imu);
   if (gyros.size() != accels.size())
-    throw InputError("gyro and accel name different numbers of files: " +
-                     std::to_string(gyros.size()) + " and " + std::to_string(accels.size()));
+    Throw<InputError>("gyro and accel name different numbers of files: ", gyros.size(), " and ",
+                      accels.size());
   for (size_t i = 0; i < gyros.size(); ++i) {
     ImuInfo& info = recording->info.imus.emplace_back();
     ImuData& imu = recording->data.imus.emplace_back();

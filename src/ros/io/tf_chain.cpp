@@ -4,8 +4,8 @@
 #include <tf2/exceptions.h>
 
 #include <algorithm>
+#include <boost/range/algorithm_ext/erase.hpp>
 #include <cmath>
-#include <iterator>
 #include <limits>
 
 #include "imu_pose_calib/ros/io/conversions.h"
@@ -51,45 +51,40 @@ void TfChain::AddMoving(const geometry_msgs::TransformStamped& transform) {
   if (link.fixed) return;  // as in tf2, where the static transform stays
   link.parent = transform.header.frame_id;
 
-  const ros::Time stamp = transform.header.stamp;
-  if (stamp.isZero()) return;  // tf2 would take it for the latest
+  const int64_t stamp = ToNanoseconds(transform.header.stamp);
+  if (stamp == 0) return;  // tf2 would take it for the latest
   const bool usable = IsUsable(transform.transform);
-  if (!usable && link.last.isZero()) return;  // no pose before the first usable one
-  if (usable && link.last.isZero()) {
+  if (link.last == 0) {
+    if (!usable) return;  // no pose before the first usable one
     link.first = stamp;
     link.first_transform = transform.transform;
   }
+  auto& updates = link.updates;
   if (usable && !link.moves && transform.transform != link.first_transform) {
     link.moves = true;
-    if (link.first > last_taken_) link.updates.emplace(link.first, true);
+    if (link.first > last_taken_) updates.emplace(link.first, true);
   }
-  if (link.moves || !usable) link.updates.emplace(stamp, true).first->second &= usable;
+  if (link.moves || !usable) updates.emplace(stamp, true).first->second &= usable;
   if (usable) {
     link.first = std::min(link.first, stamp);
     link.last = std::max(link.last, stamp);
     buffer_->setTransform(transform, "");
   }
   // Nothing is known of updates further from the last usable one than the cache.
-  auto& updates = link.updates;
-  const auto after_last = [&](const auto& update) {
-    return ToNanoseconds(update.first) - ToNanoseconds(link.last);
-  };
-  while (!updates.empty() && after_last(*updates.begin()) < -cache_ns_)
-    updates.erase(updates.begin());
-  while (!updates.empty() && after_last(*updates.rbegin()) > cache_ns_)
-    updates.erase(std::prev(updates.end()));
+  updates.erase(updates.begin(), updates.lower_bound(link.last - cache_ns_));
+  updates.erase(updates.upper_bound(link.last + cache_ns_), updates.end());
 }
 
 std::vector<PoseSample> TfChain::TakePoses() {
   const auto chain = Chain();
   if (!chain || chain->empty()) return {};
-  ros::Time begin, end = ros::TIME_MAX;  // of what all links have in common
+  int64_t begin = 0, end = std::numeric_limits<int64_t>::max();  // of what all have in common
   for (const std::string& frame : *chain) {
     begin = std::max(begin, links_[frame].first);
     end = std::min(end, links_[frame].last);
   }
 
-  std::map<ros::Time, bool> due;  // stamp; whether all of its updates are usable
+  std::map<int64_t, bool> due;  // stamp; whether all of its updates are usable
   for (const std::string& frame : *chain) {
     auto& updates = links_[frame].updates;
     const auto waiting = updates.upper_bound(end);
@@ -103,11 +98,12 @@ std::vector<PoseSample> TfChain::TakePoses() {
     if (stamp < begin) continue;
     last_taken_ = std::max(last_taken_, stamp);
     PoseSample& pose = poses.emplace_back();
-    pose.t_ns = ToNanoseconds(stamp);
+    pose.t_ns = stamp;
     pose.p_WM.setConstant(std::numeric_limits<double>::quiet_NaN());
     try {
+      const ros::Time time = FromNanoseconds(stamp);
       if (usable)
-        pose = ToPoseSample(stamp, buffer_->lookupTransform(parent_, child_, stamp).transform);
+        pose = ToPoseSample(time, buffer_->lookupTransform(parent_, child_, time).transform);
     } catch (const tf2::TransformException&) {
       // a frame has changed its parent meanwhile
     }
@@ -135,14 +131,10 @@ std::optional<std::vector<std::string>> TfChain::Chain() const {
   std::vector<std::string> up = Ancestry(parent_), down = Ancestry(child_);
   if (up.back() != down.back()) return std::nullopt;
   // what both have in common does not count
-  while (!up.empty() && !down.empty() && up.back() == down.back()) {
-    up.pop_back();
-    down.pop_back();
-  }
-  up.insert(up.end(), down.begin(), down.end());
-  up.erase(std::remove_if(up.begin(), up.end(),
-                          [&](const std::string& frame) { return links_.at(frame).fixed; }),
-           up.end());
+  const auto [above, below] = std::mismatch(up.rbegin(), up.rend(), down.rbegin(), down.rend());
+  up.erase(above.base(), up.end());
+  up.insert(up.end(), down.begin(), below.base());
+  boost::remove_erase_if(up, [&](const std::string& frame) { return links_.at(frame).fixed; });
   return up;
 }
 
@@ -163,7 +155,7 @@ void TfChain::Check() const {
     throw InputError(pair + " are fixed to each other: every link between them is static; choose " +
                      "frames that move, tf has: " + Links());
   for (const std::string& frame : *chain)
-    if (links_.at(frame).last.isZero())
+    if (links_.at(frame).last == 0)
       throw InputError("'" + Printable(frame) + "', which is between " + pair +
                        ", has no usable transform: stamp 0, not finite, or a quaternion that is "
                        "not of unit length");

@@ -191,11 +191,7 @@ TrajectoryCount WriteTum(const std::string& path, bool with_covariance,
 constexpr int64_t kPathPeriodNs = 50'000'000;
 
 /// Row by row, as messages have it.
-template <typename Covariance>
-void Fill(const Eigen::Matrix<double, 6, 6>& C, Covariance* covariance) {
-  using RowMajor = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>;
-  Eigen::Map<RowMajor>(covariance->data()) = C;
-}
+using Covariance = Eigen::Map<Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>;
 
 nav_msgs::Odometry ToOdometry(const std_msgs::Header& header, const std::string& child,
                               const ImuState& x) {
@@ -214,8 +210,8 @@ nav_msgs::Odometry ToOdometry(const std_msgs::Header& header, const std::string&
   twist.block<3, 3>(0, 0) = Hat(v_I);
   twist.block<3, 3>(0, 9) = R.transpose();
   twist.block<3, 3>(3, 6).setIdentity();
-  Fill(Propagate(pose, x.covariance), &msg.pose.covariance);
-  Fill(Propagate(twist, x.covariance), &msg.twist.covariance);
+  Covariance(msg.pose.covariance.data()) = Propagate(pose, x.covariance);
+  Covariance(msg.twist.covariance.data()) = Propagate(twist, x.covariance);
   return msg;
 }
 

@@ -23,7 +23,7 @@ double Number(const YAML::Node& node, const std::string& what) {
 
 Eigen::VectorXd Numbers(const YAML::Node& list, Eigen::Index count, const std::string& what) {
   if (!list || !list.IsSequence() || static_cast<Eigen::Index>(list.size()) != count)
-    throw InputError(what + " must be a list of " + std::to_string(count) + " numbers");
+    Throw<InputError>(what, " must be a list of ", count, " numbers");
   Eigen::VectorXd values(count);
   for (Eigen::Index i = 0; i < count; ++i)
     values[i] = Number(list[static_cast<size_t>(i)], "each element of " + what);
@@ -33,8 +33,7 @@ Eigen::VectorXd Numbers(const YAML::Node& list, Eigen::Index count, const std::s
 /// From x, y, z, w.
 Eigen::Quaterniond ToQuaternion(const Eigen::Vector4d& xyzw, const std::string& what) {
   if (std::abs(xyzw.norm() - 1.0) > 0.01)
-    throw InputError(what + " must be a unit quaternion x, y, z, w; its norm is " +
-                     Format("%g", xyzw.norm()));
+    Throw<InputError>(what, " must be a unit quaternion x, y, z, w; its norm is ", xyzw.norm());
   return Eigen::Quaterniond(xyzw).normalized();
 }
 
@@ -110,8 +109,7 @@ Eigen::VectorXd ParseNumbers(const std::string& name, const std::string& text, E
     values.push_back(*value);
   }
   if (static_cast<Eigen::Index>(values.size()) != count)
-    throw InputError(name + " '" + text + "' must be " + std::to_string(count) + " numbers, not " +
-                     std::to_string(values.size()));
+    Throw<InputError>(name, " '", text, "' must be ", count, " numbers, not ", values.size());
   return Eigen::Map<const Eigen::VectorXd>(values.data(), count);
 }
 

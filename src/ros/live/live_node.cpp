@@ -328,7 +328,7 @@ class LiveInput {
       poses.chain.emplace(tf->first, tf->second, kTfCache);
       return;
     }
-    Listen(parameter, name, &poses.info.topic, PoseTypeNames(),
+    Listen(parameter, name, &poses.info.topic, kPoseTypes,
            [this, source](const Message& message) { return OnPose(message, source); });
   }
 

@@ -78,6 +78,7 @@ class Ros2Storage {
   /// Announces a topic, which gets the next number from 0 on.
   virtual void AddTopic(const std::string& name, const std::string& type,
                         const std::string& definition) = 0;
+  /// In the order of time.
   virtual void Write(uint32_t topic, int64_t t_ns, const std::string& data) = 0;
   virtual void Close() = 0;
 };

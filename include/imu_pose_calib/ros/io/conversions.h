@@ -11,6 +11,7 @@
 #include <ros/time.h>
 #include <sensor_msgs/Imu.h>
 
+#include <algorithm>
 #include <optional>
 #include <string>
 #include <vector>
@@ -63,8 +64,12 @@ CalibrationResult ToMsg(const Calibration& result, const RecordingInfo& info,
                         const ros::Time& stamp);
 
 /// Types of the messages that hold one pose.
-const std::vector<std::string>& PoseTypeNames();
-bool IsPoseType(const std::string& type);
+inline const std::vector<std::string> kPoseTypes = {
+    "geometry_msgs/PoseStamped", "geometry_msgs/TransformStamped",
+    "geometry_msgs/PoseWithCovarianceStamped", "nav_msgs/Odometry"};
+inline bool IsPoseType(const std::string& type) {
+  return std::count(kPoseTypes.begin(), kPoseTypes.end(), type) > 0;
+}
 
 /// The pose of a message of one of these types, from a `Source` with instantiate<Msg>().
 template <typename Source>

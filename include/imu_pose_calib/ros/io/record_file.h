@@ -4,7 +4,6 @@
 #include <array>
 #include <fstream>
 #include <memory>
-#include <optional>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -12,7 +11,6 @@
 
 #include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/bag_file.h"
-#include "imu_pose_calib/ros/io/output_files.h"
 
 namespace imu_pose_calib {
 
@@ -23,8 +21,7 @@ constexpr uint64_t kMaxBlockSize = uint64_t{1} << 30;
 /// with the reason, without a name.
 std::string DecompressZstd(std::string_view bytes, uint64_t max_size);
 
-/// A file to read from. What is compressed by zstd as a whole is first unfolded into a temporary
-/// file.
+/// A file to read from.
 class InputFile {
  public:
   /// Throws InputError naming the file.
@@ -35,17 +32,10 @@ class InputFile {
   /// become shorter.
   std::string Read(uint64_t at, uint64_t size);
   /// The first bytes, which tell what it is.
-  std::string Start();
-  /// Where the bytes are: the path given, or that of the temporary file.
-  const std::string& path() const { return path_; }
-  /// So that none is left behind whatever becomes of this process; the bytes stay.
-  void RemoveTemporary() { folder_.reset(); }
+  std::string Start() { return Read(0, std::min<uint64_t>(size_, 16)); }
 
  private:
-  void Open();
-
   std::string path_;
-  std::optional<TemporaryFolder> folder_;
   std::ifstream file_;
   uint64_t next_ = 0;  ///< where `file_` goes on
   uint64_t size_ = 0;

@@ -5,6 +5,8 @@
 #include <ctime>
 #include <string>
 
+#include "imu_pose_calib/core/base/text.h"
+
 namespace imu_pose_calib {
 
 /// As printf.

@@ -51,12 +51,12 @@ class TfChain {
   struct Link {
     std::string parent;
     bool fixed = false;
-    bool moves = false;     ///< has changed
-    ros::Time first, last;  ///< stamps of usable updates; 0: none
+    bool moves = false;           ///< has changed
+    int64_t first = 0, last = 0;  ///< [ns] stamps of usable updates; 0: none
     geometry_msgs::Transform first_transform;
-    /// Stamps of updates that call for a pose and have not been taken; whether all of this stamp
-    /// are usable.
-    std::map<ros::Time, bool> updates;
+    /// Stamps [ns] of updates that call for a pose and have not been taken; whether all of this
+    /// stamp are usable.
+    std::map<int64_t, bool> updates;
   };
 
   void AddMoving(const geometry_msgs::TransformStamped& transform);
@@ -70,7 +70,7 @@ class TfChain {
   int64_t cache_ns_;
   std::shared_ptr<tf2::BufferCore> buffer_;
   std::map<std::string, Link> links_;
-  ros::Time last_taken_;
+  int64_t last_taken_ = 0;  ///< [ns]
 };
 
 }  // namespace imu_pose_calib
