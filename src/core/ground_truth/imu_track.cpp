@@ -3,6 +3,7 @@
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "imu_pose_calib/core/base/dense.h"
 #include "imu_pose_calib/core/base/intrinsics.h"
@@ -313,14 +314,6 @@ ImuState ImuState::Of(const BodyState& body, double t) {
   return state;
 }
 
-std::vector<int64_t> EvenStamps(int64_t first, int64_t last, double rate_hz) {
-  std::vector<int64_t> stamps;
-  for (int64_t stamp = first; stamp <= last;
-       stamp = first + std::llround(1e9 * static_cast<double>(stamps.size()) / rate_hz))
-    stamps.push_back(stamp);
-  return stamps;
-}
-
 ImuTrack::ImuTrack(const std::shared_ptr<const Solution>& solution, size_t session, size_t imu,
                    const std::shared_ptr<const TrajectoryCovariance>& covariance, TrackClock clock,
                    double max_gap_s)
@@ -352,20 +345,15 @@ int64_t ImuTrack::Stamp(double t_imu) const {
 
 std::vector<ImuTrack::Instant> ImuTrack::Instants(double rate_hz) const {
   std::vector<Instant> instants;
-  const std::vector<TimedSample>& gyro = Recorded().gyro;
-  if (rate_hz == 0.0) {
-    for (const TimedSample& s : gyro) instants.push_back({Stamp(s.t), Clock().PoseTime(s.t)});
-    return instants;
-  }
-  for (const int64_t stamp : EvenStamps(Stamp(gyro.front().t), Stamp(gyro.back().t), rate_hz)) {
-    const auto seconds = [stamp](int64_t epoch) {
-      return 1e-9 * static_cast<double>(stamp - epoch);
+  for (const TimedSample& s : Recorded().gyro)
+    instants.push_back({Stamp(s.t), Clock().PoseTime(s.t)});
+  return EvenInstants(std::move(instants), rate_hz, [&](int64_t stamp_ns) {
+    const auto seconds = [&](int64_t epoch) {
+      return 1e-9 * static_cast<double>(stamp_ns - epoch);
     };
-    instants.push_back({stamp, clock_ == TrackClock::kPoses
-                                   ? seconds(trajectory_.epoch_ns())
-                                   : Clock().PoseTime(seconds(Recorded().epoch_ns))});
-  }
-  return instants;
+    return clock_ == TrackClock::kPoses ? seconds(trajectory_.epoch_ns())
+                                        : Clock().PoseTime(seconds(Recorded().epoch_ns));
+  });
 }
 
 std::optional<ImuState> ImuTrack::At(double t) const {
@@ -412,6 +400,17 @@ std::vector<ImuTrack::Sample> ImuTrack::Samples() const {
     if (accel) samples.push_back({Stamp(s.t), s.value + s.rest, *accel});
   }
   return samples;
+}
+
+std::vector<ImuTrack::Instant> EvenInstants(std::vector<ImuTrack::Instant> recorded, double rate_hz,
+                                            const std::function<double(int64_t stamp_ns)>& t) {
+  if (rate_hz == 0.0) return recorded;
+  const int64_t first = recorded.front().stamp_ns, last = recorded.back().stamp_ns;
+  std::vector<ImuTrack::Instant> even;
+  for (int64_t stamp = first; stamp <= last;
+       stamp = first + std::llround(1e9 * static_cast<double>(even.size()) / rate_hz))
+    even.push_back({stamp, t(stamp)});
+  return even;
 }
 
 }  // namespace imu_pose_calib

@@ -57,8 +57,8 @@ RateAlignment StartSession(const CalibrationOptions& given, const PoseTrajectory
   for (size_t i = 0; i < conditioned.poses.size(); ++i)
     session->samples[i].measured = conditioned.poses[i];
   session->clock.clock_reference = 0.5 * (conditioned.poses.front().t + conditioned.poses.back().t);
-  session->noise = {trajectory.position_hyperparameters().noise_std,
-                    trajectory.rotation_hyperparameters().noise_std};
+  session->noise << trajectory.position_hyperparameters().noise_std,
+      trajectory.rotation_hyperparameters().noise_std;
   session->drift = session->noise;
   const std::vector<TimedSample> rates = TurnRates(trajectory);
   const std::vector<double> shifts = FindTimeShifts(marker, rates, options.min_overlap_s,
@@ -154,9 +154,7 @@ SensorEstimate StartSensor(const CalibrationOptions& options,
 /// (VIO).
 bool IsAllDrift(const SensorSession& session) {
   if (session.samples.empty()) return false;
-  const double root = std::sqrt(1.0 / session.report.rate_hz);
-  return session.drift.position * root > session.noise.position ||
-         session.drift.rotation * root > session.noise.rotation;
+  return (session.drift * std::sqrt(1.0 / session.report.rate_hz) > session.noise).any();
 }
 
 /// `variances`: of time shift, drift of the clock and scale.
@@ -174,8 +172,8 @@ PoseSensorSession ReportSession(const SensorSession& session, const Vector3d& va
       1e-9 * static_cast<double>(session.epoch_ns) + session.clock.clock_reference;
   result.scale = session.scale;
   result.scale_std = std::sqrt(variances[2]);
-  result.noise = session.noise;
-  result.drift = session.drift;
+  result.noise = {session.noise[0], session.noise[1]};
+  result.drift = {session.drift[0], session.drift[1]};
   Vector6d squares = Vector6d::Zero();
   for (const SensorPose& sample : session.samples) {
     const Rigid3& world = sample.world;
@@ -184,10 +182,10 @@ PoseSensorSession ReportSession(const SensorSession& session, const Vector3d& va
     result.world.push_back({t,
                             {world.q, world.p - session.scale * (world.q * sample.sensor.p_WB)},
                             sample.begins_piece});
-    result.residuals.push_back(
-        {t, residual.head<3>(), sample.measured.q_WM.conjugate() * Vector3d(residual.tail<3>()),
-         std::min(1.0, sample.weight.position), std::min(1.0, sample.weight.rotation),
-         session.epoch_ns + std::llround(1e9 * sample.measured.t)});
+    result.residuals.push_back({t, residual.head<3>(),
+                                sample.measured.q_WM.conjugate() * Vector3d(residual.tail<3>()),
+                                std::min(1.0, sample.weight[0]), std::min(1.0, sample.weight[1]),
+                                session.epoch_ns + std::llround(1e9 * sample.measured.t)});
     squares += residual.cwiseAbs2() / static_cast<double>(session.samples.size());
   }
   result.rms = {std::sqrt(squares.head<3>().mean()), std::sqrt(squares.tail<3>().mean())};

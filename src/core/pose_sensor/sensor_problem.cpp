@@ -20,7 +20,6 @@ using Eigen::Vector3d;
 constexpr double kMetricScale = 2e-3;
 constexpr double kHeldDrift = 1e-12;  // [s/s] sigma of a clock's drift that is not estimated
 constexpr double kLeastDrift = 3e-4;  // [1/sqrt(s)] over noise
-constexpr double kShrink = 0.05;      // of the squared drift, at most, in a round
 /// Noise and drift have settled when what they are together, from one pose to the next and over the
 /// session, changes by a smaller share.
 constexpr double kSettled = 0.02;
@@ -28,9 +27,6 @@ constexpr double kConverged = 1e-3;  // [sigma] of the last step
 constexpr int kTimeBlocks = 24;
 constexpr double kLeastBlock = 2.0;  // [s]
 constexpr int kCalibrated = 9;       // p_MS, turn of R_MS, time shift, drift of the clock, scale
-
-constexpr double PoseStd::*kKinds[] = {&PoseStd::position, &PoseStd::rotation};
-constexpr double TimedPose::*kScales[] = {&TimedPose::position_scale, &TimedPose::rotation_scale};
 
 using Gradient = Eigen::Matrix<double, kCalibrated, 1>;
 using Information = Eigen::Matrix<double, kCalibrated, kCalibrated>;
@@ -62,34 +58,31 @@ ByCalibrated Jacobian(const Rigid3& T_MS, const SensorSession& session, const Se
   return J;
 }
 
-/// From an error of V at a pose to that at the next one.
-Matrix6d Transition(const Rigid3& world, const Rigid3& carried) {
-  Matrix6d F = Matrix6d::Identity();
-  F.topRightCorner<3, 3>() = -Hat<double>(carried.p - world.p);
-  return F;
+/// Of three axes each.
+Vector6d PerAxis(const Eigen::Array2d& position_rotation) {
+  Vector6d axes;
+  axes << Vector3d::Constant(position_rotation[0]), Vector3d::Constant(position_rotation[1]);
+  return axes;
 }
 
-/// Variance per axis of the pose's noise.
-double NoiseVariance(const SensorSession& session, const SensorPose& sample, int kind) {
-  return std::pow(session.noise.*kKinds[kind] * sample.measured.*kScales[kind], 2) /
-         sample.weight.*kKinds[kind];
-}
-
-/// The same of positions, then rotations.
 Vector6d NoiseVariance(const SensorSession& session, const SensorPose& sample) {
-  Vector6d variance;
-  for (int k : {0, 1}) variance.segment<3>(3 * k).setConstant(NoiseVariance(session, sample, k));
-  return variance;
+  const Eigen::Array2d scale(sample.measured.position_scale, sample.measured.rotation_scale);
+  return PerAxis((session.noise * scale).square() / sample.weight);
 }
 
-/// Of what V walks from one pose to the next.
-Vector6d StepVariance(const SensorSession& session, const SensorPose& last,
-                      const SensorPose& sample) {
-  Vector6d variance;
-  for (int k : {0, 1})
-    variance.segment<3>(3 * k).setConstant(std::pow(session.drift.*kKinds[k], 2));
-  return (sample.measured.t - last.measured.t) * variance;
-}
+/// V at the next pose by what is known of it at the last one, an error of which F carries on.
+struct Prediction {
+  Rigid3 world;
+  Matrix6d F = Matrix6d::Identity(), covariance;
+  Vector6d step;  ///< variances of the walk in between
+
+  Prediction(const SensorSession& session, const SensorPose& last, const SensorPose& sample)
+      : world(Carried(session, last, sample, last.world)),
+        step((sample.measured.t - last.measured.t) * PerAxis(session.drift.square())) {
+    F.topRightCorner<3, 3>() = -Hat<double>(world.p - last.world.p);
+    covariance = F * last.covariance * F.transpose() + Matrix6d(step.asDiagonal());
+  }
+};
 
 /// What innovations and priors tell of what is calibrated: H, and scores in columns, of time blocks
 /// and, last, of priors, whose sum is the gradient of the cost.
@@ -104,35 +97,27 @@ Equations Filter(const Rigid3& T_MS, double block_s, SensorSession* session) {
   Eigen::Matrix<double, kCalibrated, kTimeBlocks + 2> scores;
   scores.setZero();
   const double begin = session->samples.front().measured.t;
-  Rigid3 world;
-  Matrix6d P;
   ByCalibrated by_calibrated;
   for (SensorPose& sample : session->samples) {
     const Matrix6d noise = NoiseVariance(*session, sample).asDiagonal();
     if (sample.begins_piece) {
-      world = ImpliedWorld(sample);
-      P = noise;
-      by_calibrated = Jacobian(T_MS, *session, sample, world.q);
-    } else {
-      const SensorPose& last = *(&sample - 1);
-      world = Carried(*session, last, sample, world);
-      const Matrix6d F = Transition(last.world, world);
-      P = (F * P * F.transpose()).eval();
-      P.diagonal() += StepVariance(*session, last, sample);
-      by_calibrated = (F * by_calibrated).eval();
-      const ByCalibrated J = Jacobian(T_MS, *session, sample, world.q) - by_calibrated;
-      const Matrix6d inverse = Inverse(P + noise);
-      const Vector6d innovation = FindResidual(sample, world);
-      H += J.transpose().lazyProduct(inverse.lazyProduct(J).eval());
-      scores.col(static_cast<int>((sample.measured.t - begin) / block_s)) +=
-          J.transpose() * (inverse * innovation);
-      const Matrix6d gain = P * inverse;
-      world = Moved(world, gain * innovation);
-      by_calibrated += gain * J;
-      P -= (gain * P).eval();
+      sample.world = ImpliedWorld(sample);
+      sample.covariance = noise;
+      by_calibrated = Jacobian(T_MS, *session, sample, sample.world.q);
+      continue;
     }
-    sample.world = world;
-    sample.covariance = P;
+    const Prediction predicted(*session, *(&sample - 1), sample);
+    by_calibrated = (predicted.F * by_calibrated).eval();
+    const ByCalibrated J = Jacobian(T_MS, *session, sample, predicted.world.q) - by_calibrated;
+    const Matrix6d inverse = Inverse(predicted.covariance + noise);
+    const Vector6d innovation = FindResidual(sample, predicted.world);
+    H += J.transpose().lazyProduct(inverse.lazyProduct(J).eval());
+    scores.col(static_cast<int>((sample.measured.t - begin) / block_s)) +=
+        J.transpose() * (inverse * innovation);
+    const Matrix6d gain = predicted.covariance * inverse;
+    sample.world = Moved(predicted.world, gain * innovation);
+    sample.covariance = predicted.covariance - gain * predicted.covariance;
+    by_calibrated += gain * J;
   }
   return {H, scores};
 }
@@ -151,17 +136,15 @@ Walk Smooth(SensorSession* session) {
     const SensorPose& next = session->samples[i];
     SensorPose& sample = session->samples[i - 1];
     if (next.begins_piece) continue;
-    const Rigid3 carried = Carried(*session, sample, next, sample.world);
-    const Matrix6d F = Transition(sample.world, carried);
-    const Vector6d step = StepVariance(*session, sample, next);
-    const Matrix6d predicted = F * sample.covariance * F.transpose() + Matrix6d(step.asDiagonal());
-    const Matrix6d inverse = Inverse(predicted), gain = sample.covariance * F.transpose() * inverse;
-    const Vector6d moved = Difference(carried, next.world);
-    walk.found += step.cwiseProduct((inverse * moved).cwiseAbs2());
-    walk.expected +=
-        step.cwiseProduct((inverse * (predicted - next.covariance) * inverse).diagonal());
+    const Prediction predicted(*session, sample, next);
+    const Matrix6d inverse = Inverse(predicted.covariance);
+    const Matrix6d gain = sample.covariance * predicted.F.transpose() * inverse;
+    const Matrix6d told = predicted.covariance - next.covariance;
+    const Vector6d moved = Difference(predicted.world, next.world);
+    walk.found += predicted.step.cwiseProduct((inverse * moved).cwiseAbs2());
+    walk.expected += predicted.step.cwiseProduct((inverse * told * inverse).diagonal());
     walk.count += 1.0;
-    sample.covariance += gain * (next.covariance - predicted) * gain.transpose();
+    sample.covariance -= gain * told * gain.transpose();
     sample.world = Moved(sample.world, gain * moved);
   }
   return walk;
@@ -171,9 +154,7 @@ Walk Smooth(SensorSession* session) {
 /// by the poses so far.
 Equations FindEquations(const CalibrationOptions& options, SensorEstimate* estimate) {
   double duration = 0.0;
-  for (const SensorSession& session : estimate->sessions)
-    if (!session.samples.empty())
-      duration += session.samples.back().measured.t - session.samples.front().measured.t;
+  for (const SensorSession& session : estimate->sessions) duration += session.report.duration_s;
   const double drift_std = options.estimate_clock_drift ? kDriftPrior : kHeldDrift;
   Gradient known = Gradient::Zero(), off = Gradient::Zero();  // beforehand
   known[7] = 1.0 / (drift_std * drift_std);
@@ -204,27 +185,27 @@ Equations FindEquations(const CalibrationOptions& options, SensorEstimate* estim
   return all;
 }
 
-/// Sets weights and noise of one kind, positions or rotations, and its drift.
-void FindNoise(const Walk& walk, int k, SensorSession* session) {
-  double& noise = session->noise.*kKinds[k];
-  double& drift = session->drift.*kKinds[k];
+/// Sets weights and noise of positions, or of rotations, and the drift of V.
+void FindNoise(const Walk& walk, int kind, SensorSession* session) {
+  double &noise = session->noise[kind], &drift = session->drift[kind];
+  const int row = 3 * kind;
   std::vector<Vector3d> residuals;
   for (const SensorPose& sample : session->samples) {
+    const double variance = NoiseVariance(*session, sample)[row];
     // V follows the pose by that share: the rest, as if it did not.
-    const double followed = sample.covariance(3 * k, 3 * k) / NoiseVariance(*session, sample, k);
-    residuals.push_back(
-        FindResidual(sample, sample.world).segment<3>(3 * k) /
-        (noise * sample.measured.*kScales[k] * std::sqrt(1.0 - std::min(followed, 0.99))));
+    const double followed = std::min(0.99, sample.covariance(row, row) / variance);
+    residuals.push_back(FindResidual(sample, sample.world).segment<3>(row) /
+                        std::sqrt(sample.weight[kind] * variance * (1.0 - followed)));
   }
   const StudentT spread = FitStudentT(residuals);
   for (size_t i = 0; i < residuals.size(); ++i)
-    session->samples[i].weight.*kKinds[k] = spread.Weight(residuals[i].squaredNorm());
+    session->samples[i].weight[kind] = spread.Weight(residuals[i].squaredNorm());
   noise *= spread.scale * std::sqrt((spread.dof + 5.0) / (spread.dof + 3.0));
   // The less the poses tell of a step, the less the ratio moves with the variance that is sought.
-  const double expected = walk.expected.segment<3>(3 * k).sum();
-  const double ratio = walk.found.segment<3>(3 * k).sum() / expected;
+  const double expected = walk.expected.segment<3>(row).sum();
+  const double ratio = walk.found.segment<3>(row).sum() / expected;
   const double stride = 2.0 - expected / (3.0 * walk.count);
-  drift *= std::sqrt(std::max(kShrink, 1.0 + stride * (ratio - 1.0)));
+  drift *= std::sqrt(std::max(0.0, 1.0 + stride * (ratio - 1.0)));
   drift = std::max(drift, kLeastDrift * noise);
 }
 
@@ -283,17 +264,16 @@ bool FindNoise(SensorEstimate* estimate) {
   bool has_settled = true;
   for (SensorSession& session : estimate->sessions) {
     if (session.samples.empty()) continue;
+    const auto both = [&](double t) -> Eigen::Array2d {
+      return (session.noise.square() + t * session.drift.square()).sqrt();
+    };
+    const double period = 1.0 / session.report.rate_hz, duration = session.report.duration_s;
+    const Eigen::Array2d soon = both(period), late = both(duration);
     const Walk walk = Smooth(&session);
-    const PoseStd noise = session.noise, drift = session.drift;
-    for (int k : {0, 1}) {
-      FindNoise(walk, k, &session);
-      const auto kind = kKinds[k];
-      for (const double t : {1.0 / session.report.rate_hz, session.report.duration_s}) {
-        const double before = std::hypot(noise.*kind, drift.*kind * std::sqrt(t));
-        const double after = std::hypot(session.noise.*kind, session.drift.*kind * std::sqrt(t));
-        has_settled = has_settled && std::abs(std::log(after / before)) <= kSettled;
-      }
-    }
+    for (const int kind : {0, 1}) FindNoise(walk, kind, &session);
+    const Eigen::Array2d changes[] = {both(period) / soon, both(duration) / late};
+    for (const Eigen::Array2d& change : changes)
+      has_settled = has_settled && (change.log().abs() <= kSettled).all();
   }
   return has_settled;
 }

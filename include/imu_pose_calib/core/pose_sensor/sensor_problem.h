@@ -13,12 +13,12 @@ namespace imu_pose_calib {
 /// A pose of the sensor, where T_MS and its clock put it on the marker's trajectory, and what the
 /// filter makes of V then.
 struct SensorPose {
-  TimedPose measured;         ///< T_VS; sensor clock, after the session's epoch
-  PoseStd weight{1.0, 1.0};   ///< robust
-  bool begins_piece = false;  ///< of V
-  BodyState sensor;           ///< S in W
-  Rigid3 world;               ///< R_VW, and where V has the sensor: p_VW + scale R_VW p_WS
-  Matrix6d covariance;        ///< of that position [m] and the rotation [rad], both in V
+  TimedPose measured;  ///< T_VS; sensor clock, after the session's epoch
+  Eigen::Array2d weight = Eigen::Array2d::Ones();  ///< robust, of position and rotation
+  bool begins_piece = false;                       ///< of V
+  BodyState sensor;                                ///< S in W
+  Rigid3 world;         ///< R_VW, and where V has the sensor: p_VW + scale R_VW p_WS
+  Matrix6d covariance;  ///< of that position [m] and the rotation [rad], both in V
 };
 
 /// One session of a sensor, as estimated.
@@ -28,8 +28,7 @@ struct SensorSession {
   ClockLine clock;       ///< of both after their epochs
   StreamReport report;
   double scale = 1.0;
-  PoseStd noise;                    ///< per axis and pose
-  PoseStd drift;                    ///< [m/sqrt(s)], [rad/sqrt(s)]
+  Eigen::Array2d noise, drift;      ///< PoseSensorSession::noise and drift
   std::vector<SensorPose> samples;  ///< none: the session lacks the sensor
 };
 
