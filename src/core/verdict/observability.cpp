@@ -69,27 +69,24 @@ void ReportParameter(const PlacedParameter& p, const Eigen::MatrixXd& C, Calibra
   ImuCalibration& imu = result->imus[p.parameter.imu];
   SessionCalibration& session = result->sessions[p.parameter.session];
   ImuSession& own = session.imus[p.parameter.imu];
-  const std::pair<ParameterKind, double*> scalars[] = {
+  const std::pair<ParameterKind, double*> places[] = {
       {ParameterKind::kTimeShift, &own.time_shift_std},
       {ParameterKind::kAccelDelay, &imu.accel_delay_std},
       {ParameterKind::kClockDrift, &own.clock_drift_std},
       {ParameterKind::kPoseSmoothing, &result->pose_smoothing_std},
       {ParameterKind::kPositionSmoothing, &result->position_smoothing_std},
+      {ParameterKind::kPoseCumulants, result->pose_cumulants_std.data()},
+      {ParameterKind::kPositionCumulants, result->position_cumulants_std.data()},
       {ParameterKind::kPositionDelay, &result->position_delay_std},
       {ParameterKind::kPoseScale, &result->pose_scale_std},
       {ParameterKind::kGyroSmoothing, &imu.gyro_smoothing_std},
       {ParameterKind::kAccelSmoothing, &imu.accel_smoothing_std},
-      {ParameterKind::kMountCompliance, &imu.mount_compliance_std}};
-  for (const auto& [of, scalar] : scalars)
-    if (of == kind) *scalar = std_dev[0];
-  const std::pair<ParameterKind, Eigen::Vector3d*> vectors[] = {
-      {ParameterKind::kGravity, &session.g_W_std},
-      {ParameterKind::kGyroBias, &own.gyro_bias_std},
-      {ParameterKind::kAccelBias, &own.accel_bias_std}};
-  for (const auto& [of, vector] : vectors)
-    if (of == kind) *vector = std_dev;
-  if (kind == ParameterKind::kPoseCumulants) result->pose_cumulants_std = std_dev;
-  if (kind == ParameterKind::kPositionCumulants) result->position_cumulants_std = std_dev;
+      {ParameterKind::kMountCompliance, &imu.mount_compliance_std},
+      {ParameterKind::kGravity, session.g_W_std.data()},
+      {ParameterKind::kGyroBias, own.gyro_bias_std.data()},
+      {ParameterKind::kAccelBias, own.accel_bias_std.data()}};
+  for (const auto& [of, place] : places)
+    if (of == kind) std::copy_n(std_dev.data(), std_dev.size(), place);
   if (kind == ParameterKind::kGyroIntrinsics)
     imu.gyro_matrix_std = GyroMatrix(Vector6d(std_dev)) - Eigen::Matrix3d::Identity();
   if (kind == ParameterKind::kAccelIntrinsics)
