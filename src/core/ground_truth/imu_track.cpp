@@ -50,20 +50,10 @@ RunEnd FindRunEnd(const Solution& solution, const SessionTrajectory& trajectory,
   const auto [gyro_knot, gyro_u] = biases.gyro_bias.Locate(biases.ImuTime(t));
   const auto [accel_knot, accel_u] = biases.accel_bias.Locate(biases.ImuTime(t));
   constexpr int kPoints = 6 * kSplineOrder;  // coordinates of the control points
-  const auto columns = TrajectoryCovariance::Joined(
-      {covariance.ControlPoints(session, solution.splines[session].Locate(t).value().first),
-       covariance.Calibrated(ParameterKind::kTranslation, imu, 3),
-       covariance.Calibrated(ParameterKind::kRotation, imu, 3),
-       covariance.Calibrated(ParameterKind::kGyroIntrinsics, imu, 6),
-       covariance.Calibrated(ParameterKind::kAccelIntrinsics, imu, 9),
-       covariance.Calibrated(ParameterKind::kPoseScale, imu, 1), covariance.Gravity(session),
-       covariance.BiasKnotPair(session, imu, false, gyro_knot),
-       covariance.BiasKnotPair(session, imu, true, accel_knot)});
-
   RunEnd end;
   SessionTrajectory::StateJacobian J;
   end.state = trajectory.Imu(imu, t, &J).value();
-  MatrixXd A = MatrixXd::Zero(9 + kConstants, static_cast<Eigen::Index>(columns.size()));
+  MatrixXd A = MatrixXd::Zero(9 + kConstants, kPoints + kConstants + 6);  // by two knots each
   A.block(0, 0, 6, J.cols()) = J.topRows<6>();
   A.block(6, 0, 3, J.cols()) = J.middleRows<3>(9);
   A.block(9, kPoints, kGyroBias, kGyroBias).setIdentity();
@@ -73,19 +63,24 @@ RunEnd FindRunEnd(const Solution& solution, const SessionTrajectory& trajectory,
   };
   knots(kGyroBias, kGyroBias, gyro_u);
   knots(kAccelBias, kGyroBias + 6, accel_u);
-  end.covariance = Propagate(A, covariance.At(columns));
+  end.covariance = covariance.Of(
+      A, {covariance.ControlPoints(session, solution.splines[session].Locate(t).value().first),
+          covariance.Calibrated(ParameterKind::kTranslation, imu, 3),
+          covariance.Calibrated(ParameterKind::kRotation, imu, 3),
+          covariance.Calibrated(ParameterKind::kGyroIntrinsics, imu, 6),
+          covariance.Calibrated(ParameterKind::kAccelIntrinsics, imu, 9),
+          covariance.Calibrated(ParameterKind::kPoseScale, imu, 1), covariance.Gravity(session),
+          covariance.BiasKnotPair(session, imu, false, gyro_knot),
+          covariance.BiasKnotPair(session, imu, true, accel_knot)});
   return end;
 }
 
 /// cross constants^-1, where what is held has no part.
 MatrixXd Regression(const RunEnd& end) {
-  Eigen::VectorXd inverse_std(kConstants);
+  MatrixXd constants = end.constants();
   for (int i = 0; i < kConstants; ++i)
-    inverse_std[i] = end.constants()(i, i) > 0.0 ? 1.0 / std::sqrt(end.constants()(i, i)) : 0.0;
-  MatrixXd correlation = inverse_std.asDiagonal() * end.constants() * inverse_std.asDiagonal();
-  for (int i = 0; i < kConstants; ++i) correlation(i, i) = 1.0;
-  const MatrixXd scaled = inverse_std.asDiagonal() * end.cross().transpose();
-  return Solve(correlation, scaled).transpose() * inverse_std.asDiagonal();
+    if (constants(i, i) == 0.0) constants(i, i) = 1.0;
+  return Solve(constants, end.cross().transpose()).transpose();
 }
 
 /// What the IMU measures at one instant: rate and specific force in I.

@@ -246,12 +246,4 @@ PoseSensorCalibration CalibratePoseSensor(const CalibrationOptions& options,
   return result;
 }
 
-BetweenImus BetweenSensors(const Rigid3& T_MF, const Matrix6d& covariance_F, const Rigid3& T_MS,
-                           const Matrix6d& covariance_S) {
-  Eigen::Matrix<double, 12, 12> both = Eigen::Matrix<double, 12, 12>::Zero();
-  both.topLeftCorner<6, 6>() = covariance_F;
-  both.bottomRightCorner<6, 6>() = covariance_S;
-  return Between(T_MF, T_MS, both);
-}
-
 }  // namespace imu_pose_calib
