@@ -18,8 +18,9 @@ using Eigen::Vector3d;
 
 /// Of positions whose scale is not estimated as free [1]: boards and rooms are measured so well.
 constexpr double kMetricScale = 2e-3;
-constexpr double kHeldDrift = 1e-12;  // [s/s] sigma of a clock's drift that is not estimated
-constexpr double kLeastDrift = 3e-4;  // [1/sqrt(s)] over noise
+constexpr double kHeldDrift = 1e-12;   // [s/s] sigma of a clock's drift that is not estimated
+constexpr double kLeastDrift = 3e-4;   // [1/sqrt(s)] over noise
+constexpr double kLongestStep = 20.0;  // of the squared drift in a round, up or down
 /// Noise and drift have settled when what they are together, from one pose to the next and over the
 /// session, changes by a smaller share.
 constexpr double kSettled = 0.02;
@@ -205,7 +206,7 @@ void FindNoise(const Walk& walk, int kind, SensorSession* session) {
   const double expected = walk.expected.segment<3>(row).sum();
   const double ratio = walk.found.segment<3>(row).sum() / expected;
   const double stride = 2.0 - expected / (3.0 * walk.count);
-  drift *= std::sqrt(std::max(0.0, 1.0 + stride * (ratio - 1.0)));
+  drift *= std::sqrt(std::clamp(1.0 + stride * (ratio - 1.0), 1.0 / kLongestStep, kLongestStep));
   drift = std::max(drift, kLeastDrift * noise);
 }
 
