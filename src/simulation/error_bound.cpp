@@ -265,12 +265,10 @@ void AddPriors(bool is_known, const std::vector<int>& recordings, MatrixXd* info
 }
 
 ErrorNorms BoundOf(const MatrixXd& information) {
-  // To one scale: the units are far apart.
-  const Eigen::VectorXd scale = information.diagonal().cwiseSqrt().cwiseInverse();
-  const MatrixXd scaled = scale.asDiagonal() * information * scale.asDiagonal();
   const Eigen::VectorXd variance =
-      scaled.llt().solve(MatrixXd::Identity(scaled.rows(), scaled.cols())).diagonal().array() *
-      scale.array().square();
+      information.llt()
+          .solve(MatrixXd::Identity(information.rows(), information.cols()))
+          .diagonal();
   return {std::sqrt(variance.segment<3>(kTranslation).sum()),
           std::sqrt(variance.segment<3>(kRotation).sum()), std::sqrt(variance[kTimeShift]),
           std::sqrt(variance[kDelay])};

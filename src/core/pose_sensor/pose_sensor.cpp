@@ -2,11 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
-#include <string>
-#include <utility>
 
 #include "imu_pose_calib/core/base/median.h"
-#include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/base/text.h"
 #include "imu_pose_calib/core/pose_sensor/sensor_problem.h"
 #include "imu_pose_calib/core/start/rate_alignment.h"
@@ -15,7 +12,6 @@
 namespace imu_pose_calib {
 namespace {
 
-using Eigen::Quaterniond;
 using Eigen::Vector3d;
 
 constexpr double kForeignScale = 0.1;  // [1] that is no error of a metric sensor,
@@ -67,16 +63,15 @@ RateAlignment StartSession(const CalibrationOptions& given, const PoseTrajectory
   session->clock.time_shift = best.time_shift;
   if (best.explained >= kMinExplained) return best;
   const double inverted = AlignRates(marker, rates, shifts, true, options.Threads()).explained;
-  const std::string agree = "the turn rates of the marker and the sensor agree ";
+  const char* const agree = "the turn rates of the marker and the sensor agree ";
   if (inverted >= kMinExplained)
-    throw OptionNeeded(agree +
-                       "only when the sensor's poses are inverted: set "
-                       "invert_sensor_poses: " +
-                       (given.invert_sensor_poses ? "false" : "true"));
-  throw DataError(agree + "at no time shift (best explains " +
-                  Number(100.0 * std::max(0.0, best.explained), "%.0f") +
-                  " % of them, bound: " + Number(100.0 * kMinExplained, "%.0f") +
-                  " %): do both recordings overlap, and are both of the same rigid body?");
+    Throw<OptionNeeded>(agree,
+                        "only when the sensor's poses are inverted: set invert_sensor_poses: ",
+                        given.invert_sensor_poses ? "false" : "true");
+  Throw<DataError>(agree, "at no time shift (best explains ",
+                   Number(100.0 * std::max(0.0, best.explained), "%.0f"),
+                   " % of them, bound: ", 100.0 * kMinExplained,
+                   " %): do both recordings overlap, and are both of the same rigid body?");
 }
 
 /// Begins a piece where V jumps (relocalisation): as the medians of the poses before and after see
@@ -114,9 +109,9 @@ void CheckScale(const CalibrationOptions& options, SensorEstimate* estimate) {
   for (const SensorSession& session : estimate->sessions) {
     const double sigma = std::sqrt(C(place, place)), off = std::abs(session.scale - 1.0);
     if (off > kForeignScale && off > kSurely * sigma)
-      throw OptionNeeded("the sensor's positions are " + Number(session.scale, "%.3g") + " +- " +
-                         Number(sigma, "%.2g") +
-                         " times those of the marker: set estimate_sensor_scale: true");
+      Throw<OptionNeeded>("the sensor's positions are ", Number(session.scale, "%.3g"), " +- ",
+                          Number(sigma, "%.2g"),
+                          " times those of the marker: set estimate_sensor_scale: true");
     place += 3;
   }
 }
