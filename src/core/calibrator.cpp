@@ -42,15 +42,6 @@ class Stage {
   const std::string name_;
 };
 
-/// Initial values are those of the first IMU, an initial time shift and gravity of the first
-/// session.
-CalibrationOptions WithoutStart(CalibrationOptions options, bool is_first_session) {
-  if (is_first_session) return options;
-  options.initial_time_shift.reset();
-  options.initial_gravity.reset();
-  return options;
-}
-
 /// Whether two IMUs are one under two names: most turn rates of both are the same to the last bit
 /// at the same stamps.
 bool AreOne(const ImuData& a, const ImuData& b) {
@@ -159,24 +150,14 @@ void ReportSensors(const Solution& solution, Calibration* result) {
     const SensorStatistics& found = solution.statistics[k];
     SessionCalibration& session = result->sessions[model.session];
     ImuSession& imu = session.imus[model.imu];
-    const auto report = [&](auto member, auto* noise, auto* rms) {
-      noise->*member = found.noise;
-      rms->*member = found.rms;
-    };
-    switch (model.quantity) {
-      case Quantity::kPosition:
-        report(&PoseStd::position, &session.noise, &session.rms);
-        break;
-      case Quantity::kRotation:
-        report(&PoseStd::rotation, &session.noise, &session.rms);
-        break;
-      case Quantity::kGyro:
-        report(&ImuStd::gyro, &imu.noise, &imu.rms);
-        break;
-      case Quantity::kAccel:
-        report(&ImuStd::accel, &imu.noise, &imu.rms);
-        break;
-    }
+    const std::pair<double*, double*> places[] = {
+        {&session.noise.position, &session.rms.position},
+        {&session.noise.rotation, &session.rms.rotation},
+        {&imu.noise.gyro, &imu.rms.gyro},
+        {&imu.noise.accel, &imu.rms.accel}};  // in the order of Quantity
+    const auto& [noise, rms] = places[static_cast<int>(model.quantity)];
+    *noise = found.noise;
+    *rms = found.rms;
   }
 }
 
@@ -236,6 +217,14 @@ Solution SolveTogether(const CalibrationOptions& options, std::vector<PreparedSe
   return solution;
 }
 
+/// The result of a session whose motion does not suffice.
+void ReportDegenerate(const DegenerateMotion& error, const std::string& in_session,
+                      Calibration* result) {
+  result->status = Status::kDegenerate;
+  result->message = in_session + error.what();
+  result->unobservable = {in_session + error.unobservable};
+}
+
 /// Session s, ready to be calibrated, with what its data are in `result`. Nothing when its motion
 /// is degenerate, which is the result then. Its data go: those of a long recording are a lot.
 /// Throws DataError or OptionNeeded that name the session.
@@ -259,9 +248,7 @@ std::optional<PreparedSession> PrepareSession(const CalibrationOptions& options,
     return session;
   } catch (const DegenerateMotion& error) {
     report();
-    result->status = Status::kDegenerate;
-    result->message = in_session + error.what();
-    result->unobservable = {in_session + error.unobservable};
+    ReportDegenerate(error, in_session, result);
     return std::nullopt;
   } catch (const OptionNeeded& error) {
     throw OptionNeeded(in_session + error.what());
@@ -332,9 +319,7 @@ Calibration CalibrateSensorsAlone(const CalibrationOptions& options,
     try {
       CheckTurns(*trajectory);
     } catch (const DegenerateMotion& error) {
-      result.status = Status::kDegenerate;
-      result.message = InSession(s, data.size()) + error.what();
-      result.unobservable = {InSession(s, data.size()) + error.unobservable};
+      ReportDegenerate(error, InSession(s, data.size()), &result);
       return result;
     }
     SessionCalibration& session = result.sessions[s];
@@ -373,13 +358,16 @@ Calibration Calibrate(const CalibrationOptions& options, std::vector<SessionData
   for (size_t s = 0; s < data.size(); ++s) of_sensors[s].pose_sensors.swap(data[s].pose_sensors);
   std::vector<PreparedSession> sessions;
   Estimate estimate;
+  CalibrationOptions of_session = options;
   for (size_t s = 0; s < data.size(); ++s) {
     const Stage preparation(progress, InSession(s, data.size()) + "data and start");
-    std::optional<PreparedSession> session =
-        PrepareSession(WithoutStart(options, s == 0), &data[s], s, &result);
+    std::optional<PreparedSession> session = PrepareSession(of_session, &data[s], s, &result);
     if (!session) return result;
     sessions.push_back(std::move(*session));
     preparation.End();
+    // Initial values are those of the first IMU, these two of the first session.
+    of_session.initial_time_shift.reset();
+    of_session.initial_gravity.reset();
     AddStart(Estimate(sessions[s], options.bias_knot_interval_s), &estimate);
   }
 

@@ -1,6 +1,7 @@
 #include "imu_pose_calib/simulation/error_bound.h"
 
 #include <Eigen/Cholesky>
+#include <Eigen/SparseCholesky>
 #include <algorithm>
 #include <cmath>
 
@@ -64,7 +65,7 @@ class RecordingInformation {
         spans_(std::max(1, static_cast<int>(std::ceil(truth.duration_s / knots_s)))),
         spacing_(truth.duration_s / spans_),
         size_(kBiases + 6 * bias_knots_),
-        band_(static_cast<size_t>(spans_) + kSplineOrder - 1, MatrixXd::Zero(kPoint, kWindow)),
+        windows_(static_cast<size_t>(spans_), MatrixXd::Zero(kWindow, kWindow)),
         mixed_(MatrixXd::Zero(kPoint * (spans_ + kSplineOrder - 1), size_)),
         others_(MatrixXd::Zero(size_, size_)) {
     R_IM_ = truth.T_MI.q.toRotationMatrix().transpose();
@@ -74,27 +75,19 @@ class RecordingInformation {
     AddWalks();
   }
 
-  MatrixXd Eliminate() {
-    const int points = static_cast<int>(band_.size());
-    for (int k = 0; k < points; ++k) {
-      const int width = kPoint * std::min(kSplineOrder, points - k);
-      MatrixXd& row = band_[static_cast<size_t>(k)];
-      // Points that no sample sees are held by this.
-      const Eigen::LLT<MatrixXd> pivot(row.leftCols(kPoint) +
-                                       1e-6 * MatrixXd::Identity(kPoint, kPoint));
-      const MatrixXd next = row.middleCols(kPoint, width - kPoint);
-      const MatrixXd mixed = mixed_.middleRows(kPoint * k, kPoint);
-      const MatrixXd solved_next = pivot.solve(next), solved_mixed = pivot.solve(mixed);
-      for (int j = 1; j < width / kPoint; ++j) {
-        const auto left = next.middleCols(kPoint * (j - 1), kPoint).transpose();
-        const int rest = width - kPoint * j;
-        band_[static_cast<size_t>(k) + static_cast<size_t>(j)].leftCols(rest) -=
-            left * solved_next.rightCols(rest);
-        mixed_.middleRows(kPoint * (k + j), kPoint) -= left * solved_mixed;
-      }
-      others_ -= mixed.transpose() * solved_mixed;
-    }
-    return others_;
+  MatrixXd Eliminate() const {
+    std::vector<Eigen::Triplet<double>> elements;
+    for (int k = 0; k < spans_; ++k)
+      for (int i = 0; i < kWindow; ++i)
+        for (int j = 0; j < kWindow; ++j)
+          elements.emplace_back(kPoint * k + i, kPoint * k + j,
+                                windows_[static_cast<size_t>(k)](i, j));
+    // Points that no sample sees are held by this.
+    for (int i = 0; i < mixed_.rows(); ++i) elements.emplace_back(i, i, 1e-6);
+    Eigen::SparseMatrix<double> points(mixed_.rows(), mixed_.rows());
+    points.setFromTriplets(elements.begin(), elements.end());
+    const Eigen::SimplicialLLT<Eigen::SparseMatrix<double>> factor(points);
+    return others_ - mixed_.transpose() * factor.solve(mixed_);
   }
 
  private:
@@ -222,11 +215,8 @@ class RecordingInformation {
     }
     window /= sigma;
     const Eigen::Matrix3Xd others = by.others / sigma;
-    const MatrixXd own = window.transpose() * window, mixed = window.transpose() * others,
-                   rest = others.transpose() * others;
-    for (int j = 0; j < kSplineOrder; ++j)
-      band_[static_cast<size_t>(first) + static_cast<size_t>(j)].leftCols(kWindow - kPoint * j) +=
-          own.block(kPoint * j, kPoint * j, kPoint, kWindow - kPoint * j);
+    const MatrixXd mixed = window.transpose() * others, rest = others.transpose() * others;
+    windows_[static_cast<size_t>(first)] += window.transpose() * window;
     for (size_t i = 0; i < by.places.size(); ++i) {
       const auto column = static_cast<Eigen::Index>(i);
       mixed_.col(by.places[i]).segment(kPoint * first, kWindow) += mixed.col(column);
@@ -242,7 +232,8 @@ class RecordingInformation {
   const double spacing_;
   const int size_;
   Matrix3d R_IM_;
-  std::vector<MatrixXd> band_;  ///< information of each control point with itself and the next ones
+  std::vector<MatrixXd>
+      windows_;  ///< information of each span on the control points that act there
   MatrixXd mixed_, others_;
 };
 
@@ -274,12 +265,10 @@ void AddPriors(bool is_known, const std::vector<int>& recordings, MatrixXd* info
 }
 
 ErrorNorms BoundOf(const MatrixXd& information) {
-  // To one scale: the units are far apart.
-  const Eigen::VectorXd scale = information.diagonal().cwiseSqrt().cwiseInverse();
-  const MatrixXd scaled = scale.asDiagonal() * information * scale.asDiagonal();
   const Eigen::VectorXd variance =
-      scaled.llt().solve(MatrixXd::Identity(scaled.rows(), scaled.cols())).diagonal().array() *
-      scale.array().square();
+      information.llt()
+          .solve(MatrixXd::Identity(information.rows(), information.cols()))
+          .diagonal();
   return {std::sqrt(variance.segment<3>(kTranslation).sum()),
           std::sqrt(variance.segment<3>(kRotation).sum()), std::sqrt(variance[kTimeShift]),
           std::sqrt(variance[kDelay])};

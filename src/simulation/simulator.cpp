@@ -120,28 +120,22 @@ void CarryOn(double sigma, double rate_hz, std::mt19937 random, std::vector<Pose
   }
 }
 
-/// Rotation since the first rate, which changes linearly from one to the next.
-class TurnSinceStart {
- public:
-  TurnSinceStart(const std::vector<Vector3d>& omega, const std::vector<double>& t)
-      : omega_(omega), t_(t), q_(1, Quaterniond::Identity()) {
-    for (size_t k = 0; k + 1 < t.size(); ++k) q_.push_back(From(k, t[k + 1]));
+/// Rotations at the instants [s] since the first rate, which changes linearly from one to the next.
+std::vector<Quaterniond> TurnsSinceStart(const std::vector<Vector3d>& omega,
+                                         const std::vector<double>& t,
+                                         const std::vector<double>& instants) {
+  std::vector<Quaterniond> turns, q(1, Quaterniond::Identity());
+  const auto from = [&](size_t k, double until) -> Quaterniond {
+    const double h = until - t[k], share = h / (t[k + 1] - t[k]);
+    return q[k] * Exp<double>(h * (omega[k] + 0.5 * share * (omega[k + 1] - omega[k])));
+  };
+  for (size_t k = 0; k + 1 < t.size(); ++k) q.push_back(from(k, t[k + 1]));
+  for (const double instant : instants) {
+    const auto after = std::upper_bound(t.begin() + 1, t.end() - 1, instant);
+    turns.push_back(from(static_cast<size_t>(after - t.begin()) - 1, instant));
   }
-  Quaterniond At(double t) const {
-    const auto after = std::upper_bound(t_.begin() + 1, t_.end() - 1, t);
-    return From(static_cast<size_t>(after - t_.begin()) - 1, t);
-  }
-
- private:
-  Quaterniond From(size_t k, double t) const {
-    const double h = t - t_[k], share = h / (t_[k + 1] - t_[k]);
-    return q_[k] * Exp<double>(h * (omega_[k] + 0.5 * share * (omega_[k + 1] - omega_[k])));
-  }
-
-  const std::vector<Vector3d>& omega_;
-  const std::vector<double>& t_;
-  std::vector<Quaterniond> q_;
-};
+  return turns;
+}
 
 /// RealEffects::fused_poses_s: poses fused with the IMU by one who knows T_MI, the clocks and the
 /// gyroscope's first bias. `data`: before samples are lost.
@@ -153,13 +147,12 @@ std::vector<PoseSample> FusedPoses(const SimulatorOptions& options, const Sessio
     t_omega.push_back(PoseTime(options, static_cast<double>(k) / options.gyro_rate_hz - delay));
     omega_M.push_back(options.T_MI.q * (data.imus[0].gyro[k].value - options.gyro_bias));
   }
-  const TurnSinceStart turn(omega_M, t_omega);
-  std::vector<Quaterniond> turns, start;  // each rotation, carried to the start
-  for (size_t k = 0; k < data.poses.size(); ++k) {
+  for (size_t k = 0; k < data.poses.size(); ++k)
     t_pose.push_back(static_cast<double>(k) / options.pose_rate_hz);
-    turns.push_back(turn.At(t_pose[k]));
+  const std::vector<Quaterniond> turns = TurnsSinceStart(omega_M, t_omega, t_pose);
+  std::vector<Quaterniond> start;  // each rotation, carried to the start
+  for (size_t k = 0; k < data.poses.size(); ++k)
     start.push_back(data.poses[k].q_WM * turns[k].conjugate());
-  }
 
   const double sigma = options.effects.fused_poses_s / std::sqrt(12.0);  // that of a mean
   std::vector<PoseSample> fused = data.poses;

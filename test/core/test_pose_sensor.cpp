@@ -7,7 +7,7 @@
 
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/pose_sensor/pose_sensor.h"
+#include "imu_pose_calib/core/verdict/observability.h"
 #include "imu_pose_calib/simulation/simulator.h"
 
 namespace imu_pose_calib {
@@ -237,12 +237,12 @@ TEST(PoseSensor, MayLackInASession) {
   EXPECT_LT(std.norm(), 0.85 * Calibrate({}, sessions[0]).pose_sensors[0].Std().norm());
 }
 
-TEST(BetweenSensors, PropagatesBothCovariances) {
+TEST(Between, PropagatesBothCovariances) {
   const Rigid3 T_MF{Exp<double>({0.4, -0.2, 0.9}), {0.1, 0.2, -0.3}},
       T_MS{Exp<double>({-1.1, 0.3, 0.2}), {-0.2, 0.05, 0.4}};
   const Matrix6d C_F = Vector6d(1e-6 * (Vector6d() << 1, 2, 3, 4, 5, 6).finished()).asDiagonal();
   const Matrix6d C_S = Vector6d(1e-6 * (Vector6d() << 6, 5, 4, 3, 2, 1).finished()).asDiagonal();
-  const BetweenImus between = BetweenSensors(T_MF, C_F, T_MS, C_S);
+  const BetweenImus between = Between(T_MF, C_F, T_MS, C_S);
   // By differences.
   const double h = 1e-6;
   Matrix6d expected = Matrix6d::Zero();

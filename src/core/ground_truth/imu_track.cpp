@@ -3,6 +3,7 @@
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "imu_pose_calib/core/base/dense.h"
 #include "imu_pose_calib/core/base/intrinsics.h"
@@ -49,20 +50,10 @@ RunEnd FindRunEnd(const Solution& solution, const SessionTrajectory& trajectory,
   const auto [gyro_knot, gyro_u] = biases.gyro_bias.Locate(biases.ImuTime(t));
   const auto [accel_knot, accel_u] = biases.accel_bias.Locate(biases.ImuTime(t));
   constexpr int kPoints = 6 * kSplineOrder;  // coordinates of the control points
-  const auto columns = TrajectoryCovariance::Joined(
-      {covariance.ControlPoints(session, solution.splines[session].Locate(t).value().first),
-       covariance.Calibrated(ParameterKind::kTranslation, imu, 3),
-       covariance.Calibrated(ParameterKind::kRotation, imu, 3),
-       covariance.Calibrated(ParameterKind::kGyroIntrinsics, imu, 6),
-       covariance.Calibrated(ParameterKind::kAccelIntrinsics, imu, 9),
-       covariance.Calibrated(ParameterKind::kPoseScale, imu, 1), covariance.Gravity(session),
-       covariance.BiasKnotPair(session, imu, false, gyro_knot),
-       covariance.BiasKnotPair(session, imu, true, accel_knot)});
-
   RunEnd end;
   SessionTrajectory::StateJacobian J;
   end.state = trajectory.Imu(imu, t, &J).value();
-  MatrixXd A = MatrixXd::Zero(9 + kConstants, static_cast<Eigen::Index>(columns.size()));
+  MatrixXd A = MatrixXd::Zero(9 + kConstants, kPoints + kConstants + 6);  // by two knots each
   A.block(0, 0, 6, J.cols()) = J.topRows<6>();
   A.block(6, 0, 3, J.cols()) = J.middleRows<3>(9);
   A.block(9, kPoints, kGyroBias, kGyroBias).setIdentity();
@@ -72,19 +63,24 @@ RunEnd FindRunEnd(const Solution& solution, const SessionTrajectory& trajectory,
   };
   knots(kGyroBias, kGyroBias, gyro_u);
   knots(kAccelBias, kGyroBias + 6, accel_u);
-  end.covariance = Propagate(A, covariance.At(columns));
+  end.covariance = covariance.Of(
+      A, {covariance.ControlPoints(session, solution.splines[session].Locate(t).value().first),
+          covariance.Calibrated(ParameterKind::kTranslation, imu, 3),
+          covariance.Calibrated(ParameterKind::kRotation, imu, 3),
+          covariance.Calibrated(ParameterKind::kGyroIntrinsics, imu, 6),
+          covariance.Calibrated(ParameterKind::kAccelIntrinsics, imu, 9),
+          covariance.Calibrated(ParameterKind::kPoseScale, imu, 1), covariance.Gravity(session),
+          covariance.BiasKnotPair(session, imu, false, gyro_knot),
+          covariance.BiasKnotPair(session, imu, true, accel_knot)});
   return end;
 }
 
 /// cross constants^-1, where what is held has no part.
 MatrixXd Regression(const RunEnd& end) {
-  Eigen::VectorXd inverse_std(kConstants);
+  MatrixXd constants = end.constants();
   for (int i = 0; i < kConstants; ++i)
-    inverse_std[i] = end.constants()(i, i) > 0.0 ? 1.0 / std::sqrt(end.constants()(i, i)) : 0.0;
-  MatrixXd correlation = inverse_std.asDiagonal() * end.constants() * inverse_std.asDiagonal();
-  for (int i = 0; i < kConstants; ++i) correlation(i, i) = 1.0;
-  const MatrixXd scaled = inverse_std.asDiagonal() * end.cross().transpose();
-  return Solve(correlation, scaled).transpose() * inverse_std.asDiagonal();
+    if (constants(i, i) == 0.0) constants(i, i) = 1.0;
+  return Solve(constants, end.cross().transpose()).transpose();
 }
 
 /// What the IMU measures at one instant: rate and specific force in I.
@@ -313,14 +309,6 @@ ImuState ImuState::Of(const BodyState& body, double t) {
   return state;
 }
 
-std::vector<int64_t> EvenStamps(int64_t first, int64_t last, double rate_hz) {
-  std::vector<int64_t> stamps;
-  for (int64_t stamp = first; stamp <= last;
-       stamp = first + std::llround(1e9 * static_cast<double>(stamps.size()) / rate_hz))
-    stamps.push_back(stamp);
-  return stamps;
-}
-
 ImuTrack::ImuTrack(const std::shared_ptr<const Solution>& solution, size_t session, size_t imu,
                    const std::shared_ptr<const TrajectoryCovariance>& covariance, TrackClock clock,
                    double max_gap_s)
@@ -352,20 +340,15 @@ int64_t ImuTrack::Stamp(double t_imu) const {
 
 std::vector<ImuTrack::Instant> ImuTrack::Instants(double rate_hz) const {
   std::vector<Instant> instants;
-  const std::vector<TimedSample>& gyro = Recorded().gyro;
-  if (rate_hz == 0.0) {
-    for (const TimedSample& s : gyro) instants.push_back({Stamp(s.t), Clock().PoseTime(s.t)});
-    return instants;
-  }
-  for (const int64_t stamp : EvenStamps(Stamp(gyro.front().t), Stamp(gyro.back().t), rate_hz)) {
-    const auto seconds = [stamp](int64_t epoch) {
-      return 1e-9 * static_cast<double>(stamp - epoch);
+  for (const TimedSample& s : Recorded().gyro)
+    instants.push_back({Stamp(s.t), Clock().PoseTime(s.t)});
+  return EvenInstants(std::move(instants), rate_hz, [&](int64_t stamp_ns) {
+    const auto seconds = [&](int64_t epoch) {
+      return 1e-9 * static_cast<double>(stamp_ns - epoch);
     };
-    instants.push_back({stamp, clock_ == TrackClock::kPoses
-                                   ? seconds(trajectory_.epoch_ns())
-                                   : Clock().PoseTime(seconds(Recorded().epoch_ns))});
-  }
-  return instants;
+    return clock_ == TrackClock::kPoses ? seconds(trajectory_.epoch_ns())
+                                        : Clock().PoseTime(seconds(Recorded().epoch_ns));
+  });
 }
 
 std::optional<ImuState> ImuTrack::At(double t) const {
@@ -412,6 +395,17 @@ std::vector<ImuTrack::Sample> ImuTrack::Samples() const {
     if (accel) samples.push_back({Stamp(s.t), s.value + s.rest, *accel});
   }
   return samples;
+}
+
+std::vector<ImuTrack::Instant> EvenInstants(std::vector<ImuTrack::Instant> recorded, double rate_hz,
+                                            const std::function<double(int64_t stamp_ns)>& t) {
+  if (rate_hz == 0.0) return recorded;
+  const int64_t first = recorded.front().stamp_ns, last = recorded.back().stamp_ns;
+  std::vector<ImuTrack::Instant> even;
+  for (int64_t stamp = first; stamp <= last;
+       stamp = first + std::llround(1e9 * static_cast<double>(even.size()) / rate_hz))
+    even.push_back({stamp, t(stamp)});
+  return even;
 }
 
 }  // namespace imu_pose_calib

@@ -112,12 +112,6 @@ TrajectoryCovariance::TrajectoryCovariance(const std::shared_ptr<const Solution>
   m.elimination->Invert(border, &inverse_);
 }
 
-TrajectoryCovariance::Columns TrajectoryCovariance::Joined(const std::vector<Columns>& parts) {
-  Columns all;
-  for (const Columns& part : parts) all.insert(all.end(), part.begin(), part.end());
-  return all;
-}
-
 TrajectoryCovariance::Columns TrajectoryCovariance::Kept(int first, int count) const {
   Columns columns(static_cast<size_t>(count), -1);
   if (first < 0) return columns;
@@ -129,8 +123,10 @@ TrajectoryCovariance::Columns TrajectoryCovariance::ControlPoints(size_t session
                                                                   size_t first) const {
   const CorrectionSplines& splines = solution_->splines[session];
   const int place = 3 * static_cast<int>(first);
-  return Joined({Kept(first_.at(splines.d.data()) + place, kPoints),
-                 Kept(first_.at(splines.phi.data()) + place, kPoints)});
+  Columns columns = Kept(first_.at(splines.d.data()) + place, kPoints);
+  const Columns of_phi = Kept(first_.at(splines.phi.data()) + place, kPoints);
+  columns.insert(columns.end(), of_phi.begin(), of_phi.end());
+  return columns;
 }
 
 TrajectoryCovariance::Columns TrajectoryCovariance::Calibrated(ParameterKind kind, size_t imu,
@@ -175,6 +171,13 @@ Eigen::MatrixXd TrajectoryCovariance::At(const Columns& columns) const {
         C(i, j) = C(j, i) = solution_->marginals.elimination->At(inverse_, row, column);
     }
   return C;
+}
+
+Eigen::MatrixXd TrajectoryCovariance::Of(const Eigen::MatrixXd& J,
+                                         const std::vector<Columns>& parts) const {
+  Columns all;
+  for (const Columns& part : parts) all.insert(all.end(), part.begin(), part.end());
+  return Propagate(J, At(all));
 }
 
 SessionTrajectory::SessionTrajectory(const std::shared_ptr<const Solution>& solution,
@@ -235,8 +238,7 @@ std::optional<BodyCovariance> SessionTrajectory::MarkerCovariance(double t,
   if (solution_->splines.empty() || !Body(T_MB, t, &J)) return std::nullopt;
   const auto own = covariance();
   const size_t first = solution_->splines[session_].Locate(t)->first;
-  return BodyCovariance(
-      Propagate(J.leftCols<2 * kPoints>(), own->At(own->ControlPoints(session_, first))));
+  return BodyCovariance(own->Of(J.leftCols<2 * kPoints>(), {own->ControlPoints(session_, first)}));
 }
 
 std::optional<BodyCovariance> SessionTrajectory::ImuCovariance(size_t imu, double t,
@@ -253,10 +255,10 @@ std::optional<BodyCovariance> SessionTrajectory::ImuCovariance(size_t imu, doubl
   with_clock << J, rate * ByClock(clock, t_imu);
   const auto own = covariance();
   const size_t first = solution_->splines[session_].Locate(t)->first;
-  const auto columns = TrajectoryCovariance::Joined(
+  return BodyCovariance(own->Of(
+      with_clock,
       {own->ControlPoints(session_, first), own->Calibrated(ParameterKind::kTranslation, imu, 3),
-       own->Calibrated(ParameterKind::kRotation, imu, 3), own->Clock(session_, imu, t_imu)});
-  return BodyCovariance(Propagate(with_clock, own->At(columns)));
+       own->Calibrated(ParameterKind::kRotation, imu, 3), own->Clock(session_, imu, t_imu)}));
 }
 
 double SessionTrajectory::ClockVariance(size_t imu, double t) const {
@@ -264,8 +266,7 @@ double SessionTrajectory::ClockVariance(size_t imu, double t) const {
   if (!own) return 0.0;
   const ImuSessionEstimate& clock = solution_->estimate.sessions[session_].imus[imu];
   const double t_imu = clock.ImuTime(t);
-  const Eigen::RowVector4d J = ByClock(clock, t_imu);
-  return Propagate(J, own->At(own->Clock(session_, imu, t_imu)))(0, 0);
+  return own->Of(ByClock(clock, t_imu), {own->Clock(session_, imu, t_imu)})(0, 0);
 }
 
 std::optional<BodyState> SessionTrajectory::Imu(size_t imu, double t, StateJacobian* J) const {
@@ -295,7 +296,7 @@ std::optional<Matrix6d> SessionTrajectory::BiasCovariance(size_t imu, double t) 
     J.block<3, 3>(i, 2 * i) = (1.0 - u) * Eigen::Matrix3d::Identity();
     J.block<3, 3>(i, 2 * i + 3) = u * Eigen::Matrix3d::Identity();
   }
-  return Matrix6d(Propagate(J, own->At(TrajectoryCovariance::Joined(knots))));
+  return Matrix6d(own->Of(J, knots));
 }
 
 }  // namespace imu_pose_calib

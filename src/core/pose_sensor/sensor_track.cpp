@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "imu_pose_calib/core/base/dense.h"
 #include "imu_pose_calib/core/base/so3.h"
@@ -9,7 +10,6 @@
 namespace imu_pose_calib {
 namespace {
 
-using Eigen::Matrix3d;
 using Eigen::Quaterniond;
 using Eigen::Vector3d;
 
@@ -45,51 +45,39 @@ SensorTrack::SensorTrack(const std::shared_ptr<const Solution>& solution, size_t
       trajectory_(solution, session, covariance) {}
 
 std::vector<ImuTrack::Instant> SensorTrack::Instants(double rate_hz) const {
-  const auto& poses = Own().residuals;
   const int64_t epoch_ns = trajectory_.epoch_ns();
-  const auto time = [&](const auto& pose) { return pose.t - Seconds(epoch_ns); };
-  const auto stamp = [&](const auto& pose) {
-    return clock_ == TrackClock::kImu ? pose.stamp_ns : epoch_ns + std::llround(1e9 * time(pose));
-  };
+  const bool is_own_clock = clock_ == TrackClock::kImu;
   std::vector<ImuTrack::Instant> instants;
-  if (rate_hz == 0.0) {
-    for (const auto& pose : poses) instants.push_back({stamp(pose), time(pose)});
-    return instants;
+  for (const PoseSensorSession::Residual& pose : Own().residuals) {
+    const double t = pose.t - Seconds(epoch_ns);
+    instants.push_back({is_own_clock ? pose.stamp_ns : epoch_ns + std::llround(1e9 * t), t});
   }
-  const double pace = clock_ == TrackClock::kImu ? 1.0 + Own().clock_drift : 1.0;
-  const int64_t first = stamp(poses.front());
-  for (const int64_t even : EvenStamps(first, stamp(poses.back()), rate_hz))
-    instants.push_back({even, time(poses.front()) + pace * Seconds(even - first)});
-  return instants;
+  const ImuTrack::Instant first = instants.front();
+  const double pace = is_own_clock ? 1.0 + Own().clock_drift : 1.0;
+  return EvenInstants(std::move(instants), rate_hz, [&](int64_t stamp_ns) {
+    return first.t + pace * Seconds(stamp_ns - first.stamp_ns);
+  });
 }
 
 std::optional<ImuState> SensorTrack::At(double t) const {
-  const auto sensor = trajectory_.Body(sensor_.T_MS, t);
+  SessionTrajectory::StateJacobian J;
+  const auto sensor = trajectory_.Body(sensor_.T_MS, t, has_covariance() ? &J : nullptr);
   if (!sensor) return std::nullopt;
   ImuState state = ImuState::Of(*sensor, t);
-  if (const auto C = trajectory_.MarkerCovariance(t, sensor_.T_MS))
-    state.covariance = C->topLeftCorner<12, 12>() + OfMountAndClock(t, *sensor);
-  return state;
-}
-
-Eigen::Matrix<double, 12, 12> SensorTrack::OfMountAndClock(double t,
-                                                           const BodyState& sensor) const {
-  const Matrix3d R_WM = (sensor.q_WB * sensor_.T_MS.q.conjugate()).toRotationMatrix();
+  if (!has_covariance()) return state;
   // By p_MS and the rotation of R_MS about the sensor's axes.
-  Eigen::Matrix<double, 12, 6> by_mount = Eigen::Matrix<double, 12, 6>::Zero();
-  by_mount.block<3, 3>(0, 3).setIdentity();
-  by_mount.block<3, 3>(3, 0) = R_WM;
-  by_mount.block<3, 3>(6, 3) = Hat(sensor.omega_B);
-  by_mount.block<3, 3>(9, 0) = R_WM * Hat<double>(sensor_.T_MS.q * sensor.omega_B);
-  Eigen::Matrix<double, 12, 12> C = Propagate(by_mount, sensor_.covariance);
-  if (clock_ != TrackClock::kImu) return C;
+  Eigen::Matrix<double, 12, 6> by_mount = J.topRightCorner<12, 6>();
+  by_mount.rightCols<3>() *= 0.5 * sensor_.T_MS.q.toRotationMatrix();
+  state.covariance = trajectory_.MarkerCovariance(t, sensor_.T_MS)->topLeftCorner<12, 12>() +
+                     Propagate(by_mount, sensor_.covariance);
+  if (clock_ != TrackClock::kImu) return state;
   Eigen::Matrix<double, 12, 1> rate;
-  rate << sensor.omega_B, sensor.v_W, sensor.alpha_B, sensor.a_W;
+  rate << sensor->omega_B, sensor->v_W, sensor->alpha_B, sensor->a_W;
   const double since =
       Seconds(trajectory_.epoch_ns()) + t - Own().time_shift - Own().clock_reference;
   const double clock_std = std::hypot(Own().time_shift_std, since * Own().clock_drift_std);
-  C += clock_std * clock_std * rate * rate.transpose();
-  return C;
+  state.covariance += clock_std * clock_std * rate * rate.transpose();
+  return state;
 }
 
 SensorErrors FindErrors(const PoseSensorSession& session,

@@ -69,27 +69,24 @@ void ReportParameter(const PlacedParameter& p, const Eigen::MatrixXd& C, Calibra
   ImuCalibration& imu = result->imus[p.parameter.imu];
   SessionCalibration& session = result->sessions[p.parameter.session];
   ImuSession& own = session.imus[p.parameter.imu];
-  const std::pair<ParameterKind, double*> scalars[] = {
+  const std::pair<ParameterKind, double*> places[] = {
       {ParameterKind::kTimeShift, &own.time_shift_std},
       {ParameterKind::kAccelDelay, &imu.accel_delay_std},
       {ParameterKind::kClockDrift, &own.clock_drift_std},
       {ParameterKind::kPoseSmoothing, &result->pose_smoothing_std},
       {ParameterKind::kPositionSmoothing, &result->position_smoothing_std},
+      {ParameterKind::kPoseCumulants, result->pose_cumulants_std.data()},
+      {ParameterKind::kPositionCumulants, result->position_cumulants_std.data()},
       {ParameterKind::kPositionDelay, &result->position_delay_std},
       {ParameterKind::kPoseScale, &result->pose_scale_std},
       {ParameterKind::kGyroSmoothing, &imu.gyro_smoothing_std},
       {ParameterKind::kAccelSmoothing, &imu.accel_smoothing_std},
-      {ParameterKind::kMountCompliance, &imu.mount_compliance_std}};
-  for (const auto& [of, scalar] : scalars)
-    if (of == kind) *scalar = std_dev[0];
-  const std::pair<ParameterKind, Eigen::Vector3d*> vectors[] = {
-      {ParameterKind::kGravity, &session.g_W_std},
-      {ParameterKind::kGyroBias, &own.gyro_bias_std},
-      {ParameterKind::kAccelBias, &own.accel_bias_std}};
-  for (const auto& [of, vector] : vectors)
-    if (of == kind) *vector = std_dev;
-  if (kind == ParameterKind::kPoseCumulants) result->pose_cumulants_std = std_dev;
-  if (kind == ParameterKind::kPositionCumulants) result->position_cumulants_std = std_dev;
+      {ParameterKind::kMountCompliance, &imu.mount_compliance_std},
+      {ParameterKind::kGravity, session.g_W_std.data()},
+      {ParameterKind::kGyroBias, own.gyro_bias_std.data()},
+      {ParameterKind::kAccelBias, own.accel_bias_std.data()}};
+  for (const auto& [of, place] : places)
+    if (of == kind) std::copy_n(std_dev.data(), std_dev.size(), place);
   if (kind == ParameterKind::kGyroIntrinsics)
     imu.gyro_matrix_std = GyroMatrix(Vector6d(std_dev)) - Eigen::Matrix3d::Identity();
   if (kind == ParameterKind::kAccelIntrinsics)
@@ -110,25 +107,23 @@ void ReportTransforms(const Eigen::MatrixXd& C, const Marginals& marginals, Cali
   }
   const Eigen::MatrixXd poses = Propagate(S, C);
   const Eigen::MatrixXd model = Propagate(S, marginals.model);
-  const Rigid3& first = result->imus[0].T_MI;
+  const ImuCalibration& first = result->imus[0];
   result->between_imus.clear();
   for (size_t i = 0; i < result->imus.size(); ++i) {
     const auto row = 6 * static_cast<Eigen::Index>(i);
     result->imus[i].covariance = poses.block<6, 6>(row, row);
     result->imus[i].model_covariance = model.block<6, 6>(row, row);
     if (i == 0) continue;
-    Eigen::Matrix<double, 12, 12> both;
-    both << poses.topLeftCorner<6, 6>(), poses.block<6, 6>(0, row), poses.block<6, 6>(row, 0),
-        poses.block<6, 6>(row, row);
-    result->between_imus.push_back(Between(first, result->imus[i].T_MI, both));
+    result->between_imus.push_back(Between(first.T_MI, first.covariance, result->imus[i].T_MI,
+                                           result->imus[i].covariance, poses.block<6, 6>(0, row)));
     result->between_imus.back().second = i;
   }
 }
 
 }  // namespace
 
-BetweenImus Between(const Rigid3& T_MF, const Rigid3& T_MS,
-                    const Eigen::Matrix<double, 12, 12>& covariance) {
+BetweenImus Between(const Rigid3& T_MF, const Matrix6d& covariance_F, const Rigid3& T_MS,
+                    const Matrix6d& covariance_S, const Matrix6d& cross) {
   BetweenImus between{0, 0, T_MF.Inverse() * T_MS, {}};
   // p = R_MF^T (p_MS - p_MF), R = R_MF^T R_MS, with R_MF Exp(theta_F) and R_MS Exp(theta_S).
   const Eigen::Matrix3d R_FM = T_MF.q.conjugate().toRotationMatrix();
@@ -138,7 +133,9 @@ BetweenImus Between(const Rigid3& T_MF, const Rigid3& T_MS,
   J.block<3, 3>(0, 6) = R_FM;
   J.block<3, 3>(3, 3) = -between.T.q.conjugate().toRotationMatrix();
   J.block<3, 3>(3, 9).setIdentity();
-  between.covariance = Propagate(J, covariance);
+  Eigen::Matrix<double, 12, 12> both;
+  both << covariance_F, cross, cross.transpose(), covariance_S;
+  between.covariance = Propagate(J, both);
   return between;
 }
 

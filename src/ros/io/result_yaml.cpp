@@ -5,7 +5,7 @@
 #include <cmath>
 #include <ctime>
 
-#include "imu_pose_calib/core/pose_sensor/pose_sensor.h"
+#include "imu_pose_calib/core/verdict/observability.h"
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
 #include "imu_pose_calib/ros/io/text.h"
@@ -537,8 +537,8 @@ void PoseSensors(StoredResult* stored, ResultFile* file) {
     Transform(at + "transform.", sensor.T_MS, &sensor.covariance, file);
     for (size_t i = 0; i < result.imus.size() && !file->reads(); ++i) {
       const std::string to_imu = at + "to_imus." + std::to_string(i) + ".";
-      BetweenImus between = BetweenSensors(result.imus[i].T_MI, result.imus[i].covariance,
-                                           sensor.T_MS, sensor.covariance);
+      BetweenImus between =
+          Between(result.imus[i].T_MI, result.imus[i].covariance, sensor.T_MS, sensor.covariance);
       file->Note(to_imu + "imu", ImuName(i));
       Transform(to_imu + "transform.", between.T, &between.covariance, file);
     }

@@ -7,7 +7,7 @@
 #include <cmath>
 
 #include "imu_pose_calib/core/base/options.h"
-#include "imu_pose_calib/core/pose_sensor/pose_sensor.h"
+#include "imu_pose_calib/core/verdict/observability.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/transform_file.h"
@@ -208,7 +208,7 @@ std::string SensorTable(const Calibration& result, const RecordingInfo& info, bo
     rows += TransformHead("in " + name);
     for (size_t k = 0; k < result.pose_sensors.size(); ++k) {
       const PoseSensorCalibration& sensor = result.pose_sensors[k];
-      const BetweenImus in_frame = BetweenSensors(T_MF, covariance, sensor.T_MS, sensor.covariance);
+      const BetweenImus in_frame = Between(T_MF, covariance, sensor.T_MS, sensor.covariance);
       if (IsUsable(sensor)) rows += TransformRow("sensor", k, in_frame.T, in_frame.Std(), "%.2f");
     }
   };

@@ -184,9 +184,8 @@ struct PoseSensorSession {
 /// A further source of poses on the rig.
 struct PoseSensorCalibration {
   Rigid3 T_MS;  ///< x_M = T_MS x_S
-  /// Covariance of (p_MS [m] in M, small rotation [rad] about the sensor's axes), and the same if
-  /// residuals were independent.
-  Matrix6d covariance = Matrix6d::Zero(), model_covariance = Matrix6d::Zero();
+  /// Covariance of (p_MS [m] in M, small rotation [rad] about the sensor's axes).
+  Matrix6d covariance = Matrix6d::Zero();
   std::vector<PoseSensorSession> sessions;
   std::vector<Observability> observability;  ///< the least certain direction first
   Status status = Status::kNotRun;

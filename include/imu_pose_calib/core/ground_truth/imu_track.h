@@ -1,5 +1,6 @@
 #pragma once
 
+#include <functional>
 #include <memory>
 #include <optional>
 #include <vector>
@@ -26,9 +27,6 @@ struct ImuState {
 
 /// Whose stamps go with the states.
 enum class TrackClock { kImu, kPoses };
-
-/// Stamps [ns] evenly from the first one until the last.
-std::vector<int64_t> EvenStamps(int64_t first, int64_t last, double rate_hz);
 
 /// What happens between two runs of poses.
 struct TrackGap {
@@ -84,5 +82,10 @@ class ImuTrack {
   double gyro_noise_ = 0.0;  ///< [rad/s]
   std::vector<TrackGap> gaps_;
 };
+
+/// `recorded`, or evenly from the first of them until the last one for a rate > 0 [Hz]. `t`: of a
+/// stamp.
+std::vector<ImuTrack::Instant> EvenInstants(std::vector<ImuTrack::Instant> recorded, double rate_hz,
+                                            const std::function<double(int64_t stamp_ns)>& t);
 
 }  // namespace imu_pose_calib

@@ -22,8 +22,6 @@ class TrajectoryCovariance {
 
   /// Columns of the parameters, one for each degree of freedom; -1 for what is held.
   using Columns = std::vector<int>;
-  /// Those of all parts, in order.
-  static Columns Joined(const std::vector<Columns>& parts);
   /// The kSplineOrder control points of d from `first` on, then those of phi.
   Columns ControlPoints(size_t session, size_t first) const;
   /// What is calibrated, `size` degrees of freedom. q_MI turns on the left by twice the step.
@@ -37,6 +35,8 @@ class TrajectoryCovariance {
   /// Covariance of parameters that share a residual, and at the ends of runs of all that act there:
   /// control points, the bias knots around them and what is calibrated. Of others it has zeros.
   Eigen::MatrixXd At(const Columns& columns) const;
+  /// Covariance of what has that derivative by the parameters of all parts, in order.
+  Eigen::MatrixXd Of(const Eigen::MatrixXd& J, const std::vector<Columns>& parts) const;
 
  private:
   Columns Kept(int first, int count) const;

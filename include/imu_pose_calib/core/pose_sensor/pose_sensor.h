@@ -21,9 +21,4 @@ PoseSensorCalibration CalibratePoseSensor(const CalibrationOptions& options,
                                           const std::shared_ptr<const Solution>& solution,
                                           const std::vector<std::vector<PoseSample>>& poses);
 
-/// T_FS of a frame F of the body, an IMU or another sensor, with its covariance as that of
-/// BetweenImus, when the errors of both are independent.
-BetweenImus BetweenSensors(const Rigid3& T_MF, const Matrix6d& covariance_F, const Rigid3& T_MS,
-                           const Matrix6d& covariance_S);
-
 }  // namespace imu_pose_calib

@@ -32,8 +32,6 @@ class SensorTrack {
 
  private:
   const PoseSensorSession& Own() const { return sensor_.sessions[session_]; }
-  /// What errors of T_MS and the clock add to that of the sensor's motion.
-  Eigen::Matrix<double, 12, 12> OfMountAndClock(double t, const BodyState& sensor) const;
 
   const PoseSensorCalibration& sensor_;
   const size_t session_;

@@ -13,10 +13,11 @@
 
 namespace imu_pose_calib {
 
-/// Transform between two frames F and S of the body, whose places in the rig are 0, from the joint
-/// covariance of (p_MF, R_MF, p_MS, R_MS), rotations about the axes of F and S.
-BetweenImus Between(const Rigid3& T_MF, const Rigid3& T_MS,
-                    const Eigen::Matrix<double, 12, 12>& covariance);
+/// T_FS of two frames of the body, IMUs or pose sensors, whose places in the rig are 0. Covariances
+/// are those of (p_MF, R_MF) and (p_MS, R_MS), rotations about the axes of F and S; `cross` is that
+/// of the one with the other.
+BetweenImus Between(const Rigid3& T_MF, const Matrix6d& covariance_F, const Rigid3& T_MS,
+                    const Matrix6d& covariance_S, const Matrix6d& cross = Matrix6d::Zero());
 
 /// Adds the principal directions of a 3x3 covariance, each with its sigma; none for 0.
 void AddDirections(const Eigen::Matrix3d& C, const std::string& name, const std::string& frame,

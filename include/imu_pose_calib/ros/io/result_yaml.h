@@ -65,8 +65,8 @@ struct StoredResult {
   std::string run_id;   ///< of the run that wrote it; empty: of none that has one
   /// Status, message, IMU model; transform, accel_delay and matrices of each IMU; of each session
   /// gravity, and of its IMUs clock, biases, noise and rates; noise, rate and duration of the poses
-  /// of the first session; of each pose sensor all but residuals, model_covariance and
-  /// observability, its `world` at the start of each piece.
+  /// of the first session; of each pose sensor all but residuals and observability, its
+  /// `world` at the start of each piece.
   Calibration result;
   /// Frames, recording and topics of each session; of pose sensors in the first alone.
   std::vector<RecordingInfo> infos;
