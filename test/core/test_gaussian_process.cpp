@@ -84,43 +84,29 @@ GpData Measure(double duration, double rate, double noise, uint32_t seed) {
   return data;
 }
 
-/// IMU noise per sample of the simulated bags: the windows must agree to well under it.
+/// IMU noise per sample of the simulated bags: both must agree to well under it.
 constexpr double kAccelNoise = 0.02;
 
-TEST(WindowedGp, EqualsTheDenseGpOfTheWholeLogAlsoAcrossWindowBorders) {
+TEST(GaussianProcess, EqualsTheDenseGpOfTheWholeLog) {
   const GpData data = Measure(60.0, 25.0, 1e-3, 1);
   const GpHyperparameters h{0.15, 0.4, 1e-3};
-  const WindowedGp windowed(data, h);
+  const GaussianProcess gp(data, h);
   const DenseGp dense(data, h);
-  ASSERT_LT(5.0 * windowed.core(), windowed.end() - windowed.begin());  // borders to cross
   for (int i = 0; i < 1000; ++i) {
-    const double t = windowed.begin() + (windowed.end() - windowed.begin()) * i / 999.0;
-    const auto mean = windowed.Evaluate(t);
+    const double t = gp.begin() + (gp.end() - gp.begin()) * i / 999.0;
+    const auto mean = gp.Evaluate(t);
     EXPECT_LT((mean.col(0) - dense.Mean(t, 0)).norm(), 1e-7) << "t = " << t;
     EXPECT_LT((mean.col(1) - dense.Mean(t, 1)).norm(), 1e-5) << "t = " << t;
     EXPECT_LT((mean.col(2) - dense.Mean(t, 2)).norm(), 0.01 * kAccelNoise) << "t = " << t;
     EXPECT_LT((mean.col(3) - dense.Mean(t, 3)).norm(), 0.2 * kAccelNoise) << "t = " << t;
-    const Eigen::Vector3d variance = windowed.Variance(t);
+    const Eigen::Vector3d variance = gp.Variance(t);
     for (int k = 0; k < 3; ++k)
       EXPECT_NEAR(std::sqrt(variance[k] / dense.Variance(t, k)), 1.0, 1e-3) << t << " " << k;
   }
 }
 
-TEST(WindowedGp, WindowBordersAreContinuous) {
-  const GpHyperparameters h{0.15, 0.4, 1e-3};
-  const WindowedGp gp(Measure(70.0, 100.0, 1e-3, 2), h);
-  const int windows = static_cast<int>(std::round((gp.end() - gp.begin()) / gp.core()));
-  ASSERT_GT(windows, 5);
-  for (int k = 1; k < windows; ++k) {
-    const double border = gp.begin() + k * gp.core();
-    const auto jump = (gp.Evaluate(border + 1e-9) - gp.Evaluate(border - 1e-9)).eval();
-    EXPECT_LT(jump.col(0).norm(), 1e-7);
-    EXPECT_LT(jump.col(2).norm(), 0.01 * kAccelNoise);
-  }
-}
-
-TEST(WindowedGp, EachDerivativeIsTheSlopeOfTheOneBefore) {
-  const WindowedGp gp(Measure(10.0, 100.0, 1e-3, 3), {0.2, 0.4, 1e-3});
+TEST(GaussianProcess, EachDerivativeIsTheSlopeOfTheOneBefore) {
+  const GaussianProcess gp(Measure(10.0, 100.0, 1e-3, 3), {0.2, 0.4, 1e-3});
   const double step = 1e-4;
   for (double t = 0.5; t < 9.5; t += 0.317) {
     const auto slope = ((gp.Evaluate(t + step) - gp.Evaluate(t - step)) / (2.0 * step)).eval();
@@ -131,7 +117,7 @@ TEST(WindowedGp, EachDerivativeIsTheSlopeOfTheOneBefore) {
   }
 }
 
-TEST(WindowedGp, ErrorsAgreeWithTheVariance) {
+TEST(GaussianProcess, ErrorsAgreeWithTheVariance) {
   // Draws from the prior itself, so that the model holds: errors at unseen instants, normalised.
   const GpHyperparameters h{0.2, 0.4, 1e-3};
   std::mt19937 random(4);
@@ -153,7 +139,7 @@ TEST(WindowedGp, ErrorsAgreeWithTheVariance) {
       data.t[i] = t[2 * i];
       for (int k = 0; k < 3; ++k) data.y(i, k) = truth(2 * i, k) + 1e-3 * normal(random);
     }
-    const WindowedGp gp(data, h);
+    const GaussianProcess gp(data, h);
     for (Eigen::Index i = 20; i < n - 20; i += 20) {
       const double at = t[2 * i + 1];
       sum += (gp.Evaluate(at).col(0) - truth.row(2 * i + 1).transpose()).squaredNorm() /

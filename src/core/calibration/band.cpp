@@ -56,7 +56,7 @@ void Smooth(double rate_hz, double cutoff, int threads, TimedSample* begin, Time
   h.noise_std = NoiseOf(h, rate_hz, cutoff);
   const double edge = kEdge * h.lengthscale_s;
   if (data.t[n - 1] - data.t[0] < 2.0 * edge) return;
-  const WindowedGp gp(data, h, threads, false);
+  const GaussianProcess gp(data, h, false);
   InPortions(threads, static_cast<size_t>(n), [&](size_t i) {
     TimedSample& sample = begin[i];
     if (sample.t - data.t[0] < edge || data.t[n - 1] - sample.t < edge) return;

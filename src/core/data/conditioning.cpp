@@ -22,9 +22,8 @@ constexpr double kMaxNoiseScale = 10.0;
 /// Median specific force of a moving body, in units of gravity.
 constexpr double kMinForce = 0.4, kMaxForce = 10.0;
 
-/// A clipped axis: at least so many samples in a row at the limit, and more than within so much
-/// below it.
-constexpr size_t kMinClippedRun = 3;
+/// A clipped axis: at least so many samples at the limit, and more than within so much below it.
+constexpr size_t kMinClipped = 3;
 constexpr double kBelowClip = 0.05;  // both limits of a sensor, and those of its axes, are as near
 
 bool IsFinite(const PoseSample& s) { return s.p_WM.allFinite() && s.q_WM.coeffs().allFinite(); }
@@ -106,6 +105,14 @@ SessionData Convert(const CalibrationOptions& options, SessionData session) {
   return session;
 }
 
+/// Whether part(sample) never changes.
+template <typename Sample, typename PartOf>
+bool IsAlways(const std::vector<Sample>& samples, const PartOf& part) {
+  return samples.size() > 1 && std::all_of(samples.begin(), samples.end(), [&](const Sample& s) {
+           return part(s) == part(samples.front());
+         });
+}
+
 /// Throws when a sensor or one of its axes never changes: it is not read.
 void CheckAlive(const std::string& stream, const std::vector<ImuSample>& samples, size_t received) {
   const Eigen::Vector3d& first = samples.front().value;
@@ -113,24 +120,17 @@ void CheckAlive(const std::string& stream, const std::vector<ImuSample>& samples
     Throw<DataError>(stream, ": all ", received, " samples are ",
                      first.isZero(0.0) ? "zero" : "the same",
                      ": the sensor is not read; look at its driver and record again");
-  for (int axis = 0; axis < 3 && samples.size() > 1; ++axis) {
-    const auto is_same = [&](const ImuSample& s) { return s.value[axis] == first[axis]; };
-    if (!std::all_of(samples.begin(), samples.end(), is_same)) continue;
-    Throw<DataError>(stream, ": its ", "xyz"[axis], " axis is always ", first[axis],
-                     "; look at its driver and record again with all three axes");
-  }
+  for (int axis = 0; axis < 3; ++axis)
+    if (IsAlways(samples, [axis](const ImuSample& s) { return s.value[axis]; }))
+      Throw<DataError>(stream, ": its ", "xyz"[axis], " axis is always ", first[axis],
+                       "; look at its driver and record again with all three axes");
 }
 
 /// Throws when the source gives only half of the pose.
 void CheckAlive(const std::vector<PoseSample>& poses) {
-  if (poses.size() < 2) return;
-  const auto is_there = [&](const PoseSample& s) { return s.p_WM == poses.front().p_WM; };
-  const auto is_so = [&](const PoseSample& s) {
-    return s.q_WM.coeffs() == poses.front().q_WM.coeffs();
-  };
-  if (std::all_of(poses.begin(), poses.end(), is_there))
+  if (IsAlways(poses, [](const PoseSample& s) { return s.p_WM; }))
     Throw<DataError>("pose: the position never changes; use a source that gives positions too");
-  if (std::all_of(poses.begin(), poses.end(), is_so))
+  if (IsAlways(poses, [](const PoseSample& s) -> Eigen::Vector4d { return s.q_WM.coeffs(); }))
     Throw<DataError>(
         "pose: the orientation never changes; use a source that gives orientations too");
 }
@@ -144,18 +144,23 @@ void MarkClipped(const std::vector<ImuSample>& samples, int axis, double side, d
   for (const ImuSample& s : samples) limit = std::max(limit, side * s.value[axis]);
   if (limit < (1.0 - kBelowClip) * peak) return;
   const auto is_at = [&](size_t i) { return side * samples[i].value[axis] > limit * (1.0 - 1e-6); };
-  size_t at = 0, below = 0, run = 0, longest_run = 0;
-  for (size_t i = 0; i < samples.size(); ++i) {
-    run = is_at(i) ? run + 1 : 0;
-    longest_run = std::max(longest_run, run);
-    if (is_at(i))
-      ++at;
-    else if (side * samples[i].value[axis] > limit * (1.0 - kBelowClip))
-      ++below;
-  }
-  if (longest_run < kMinClippedRun || at <= below) return;
+  size_t at = 0, below = 0;
+  for (size_t i = 0; i < samples.size(); ++i)
+    if (side * samples[i].value[axis] > limit * (1.0 - kBelowClip)) ++(is_at(i) ? at : below);
+  if (at < kMinClipped || at <= below) return;
   for (size_t i = 0; i < samples.size(); ++i)
     if (is_at(i)) (*clipped)[i] = true;
+}
+
+/// Removes the samples that leave and returns how many.
+template <typename Sample>
+size_t Remove(const std::vector<bool>& leaves, std::vector<Sample>* samples) {
+  size_t kept = 0;
+  for (size_t i = 0; i < samples->size(); ++i)
+    if (!leaves[i]) (*samples)[kept++] = (*samples)[i];
+  const size_t gone = samples->size() - kept;
+  samples->resize(kept, samples->front());
+  return gone;
 }
 
 /// Samples that are at the end of the sensor's range on any axis leave and are counted.
@@ -166,16 +171,13 @@ void RemoveSaturated(const std::string& stream, double max_bad_fraction,
   std::vector<bool> clipped(samples->size(), false);
   for (int axis = 0; axis < 3; ++axis)
     for (const double side : {-1.0, 1.0}) MarkClipped(*samples, axis, side, peak, &clipped);
-  std::vector<ImuSample> kept;
-  for (size_t i = 0; i < samples->size(); ++i)
-    if (!clipped[i]) kept.push_back((*samples)[i]);
-  report->saturated = samples->size() - kept.size();
+  const size_t size = samples->size();
+  report->saturated = Remove(clipped, samples);
   std::ostringstream defect;
   defect << "are at the end of the sensor's range (" << peak
          << "): choose a larger range or move more gently";
-  CheckShare(stream, defect.str(), report->saturated, samples->size(), max_bad_fraction);
-  if (kept.empty()) Throw<DataError>(stream, ": all ", samples->size(), " samples ", defect.str());
-  *samples = std::move(kept);
+  CheckShare(stream, defect.str(), report->saturated, size, max_bad_fraction);
+  if (samples->empty()) Throw<DataError>(stream, ": all ", size, " samples ", defect.str());
 }
 
 /// Spikes leave and are counted: up to three samples in a row, off their neighbours by many times
@@ -346,11 +348,6 @@ ConditionedData ConditionData(const CalibrationOptions& options, const SessionDa
   }
 
   SplitAtGaps(options, &out);
-  Summarise(out.poses, &out.pose_report);
-  if (out.segments.empty())
-    Throw<DataError>(
-        "pose: no run without a gap is as long as min_segment_s = ", options.min_segment_s, " s (",
-        out.gaps, " gaps in ", out.pose_report.received, " poses)");
   return out;
 }
 

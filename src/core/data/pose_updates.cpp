@@ -17,41 +17,31 @@ constexpr size_t kShortest = 5, kLongest = 25;  // poses from one measurement to
 /// Of the distances between jumps: share that is a multiple of the period, give or take one pose.
 constexpr double kLeastRegular = 0.85;
 
-/// Norms of third differences of the position [m]: 0 for motion without a jump.
-std::vector<double> ThirdDifferences(const std::vector<PoseSample>& poses) {
-  std::vector<double> norms;
-  for (size_t i = 3; i < poses.size(); ++i)
-    norms.push_back(
-        (poses[i].p_WM - poses[i - 3].p_WM - 3.0 * (poses[i - 1].p_WM - poses[i - 2].p_WM)).norm());
-  return norms;
-}
-
-/// Distances between the beginnings of runs of values above `bound`.
-std::vector<size_t> Distances(const std::vector<double>& values, double bound) {
-  std::vector<size_t> begins, distances;
-  for (size_t i = 0; i < values.size(); ++i)
-    if (values[i] > bound && (i == 0 || values[i - 1] <= bound)) begins.push_back(i);
-  for (size_t k = 1; k < begins.size(); ++k) distances.push_back(begins[k] - begins[k - 1]);
-  return distances;
-}
-
 }  // namespace
 
 size_t FindUpdatePeriod(const std::vector<PoseSample>& poses) {
-  const std::vector<double> norms = ThirdDifferences(poses);
+  std::vector<double> norms;  // of third differences [m]: 0 for motion without a jump
+  for (size_t i = 3; i < poses.size(); ++i)
+    norms.push_back(
+        (poses[i].p_WM - poses[i - 3].p_WM - 3.0 * (poses[i - 1].p_WM - poses[i - 2].p_WM)).norm());
   if (norms.empty()) return 1;
   std::vector<double> sorted = norms;
   std::sort(sorted.begin(), sorted.end());
-  const double usual = sorted[static_cast<size_t>(kQuantile * static_cast<double>(sorted.size()))];
-  const std::vector<size_t> distances = Distances(norms, kJump * usual);
-  if (distances.size() < kLeastJumps) return 1;
-  size_t period = 1;
-  ptrdiff_t most = 0;
-  for (size_t k = kShortest; k <= kLongest; ++k) {
-    const ptrdiff_t count = std::count(distances.begin(), distances.end(), k);
-    if (count > most) period = k;
-    most = std::max(most, count);
+  const double bound =
+      kJump * sorted[static_cast<size_t>(kQuantile * static_cast<double>(sorted.size()))];
+  std::vector<size_t> distances;             // between the beginnings of jumps
+  std::vector<int> counts(kLongest + 1, 0);  // of these distances
+  size_t last = 0;
+  for (size_t i = 1; i < norms.size(); ++i) {
+    if (norms[i] <= bound || norms[i - 1] > bound) continue;
+    if (last > 0) distances.push_back(i - last);
+    if (last > 0 && i - last <= kLongest) ++counts[i - last];
+    last = i;
   }
+  if (distances.size() < kLeastJumps) return 1;
+  const auto most = std::max_element(counts.begin() + kShortest, counts.end());
+  if (*most == 0) return 1;
+  const auto period = static_cast<size_t>(most - counts.begin());
   const auto is_multiple = [period](size_t d) { return d + 1 >= period && (d + 1) % period <= 2; };
   const auto regular = std::count_if(distances.begin(), distances.end(), is_multiple);
   const double share = static_cast<double>(regular) / static_cast<double>(distances.size());

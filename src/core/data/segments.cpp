@@ -11,8 +11,8 @@ namespace imu_pose_calib {
 namespace {
 
 constexpr size_t kMinSegmentPoses = 8;
-/// A jump between two poses: times the median of the log and of so many poses on either side, and
-/// times what the IMU's largest samples make possible.
+/// A jump between two poses: times the median of so many poses on either side, and times what the
+/// IMU's largest samples make possible.
 constexpr double kJumpThreshold = 20.0;
 constexpr size_t kJumpRadius = 10;
 constexpr double kMotionFactor = 3.0;
@@ -44,8 +44,8 @@ Eigen::Array2d Jump(const std::vector<TimedPose>& poses, size_t i) {
           (b.q_WM * half_before * half_after).angularDistance(c.q_WM)};
 }
 
-/// Poses that cannot follow from the one before: off by many times what is usual in the log and
-/// nearby, and by more than the IMU allows.
+/// Poses that cannot follow from the one before: off by many times what is usual nearby, and by
+/// more than the IMU allows.
 std::vector<size_t> FindJumps(const ConditionedData& data) {
   double rate = 0.0, force = 0.0;  // the largest [rad/s], [m/s^2]
   for (const ConditionedImu& imu : data.imus) {
@@ -56,58 +56,26 @@ std::vector<size_t> FindJumps(const ConditionedData& data) {
   std::vector<Eigen::Array2d> jumps(poses.size(), Eigen::Array2d::Zero());
   for (const IndexRange& s : data.segments)
     for (size_t i = s.begin + 2; i + 1 < s.end; ++i) jumps[i] = Jump(poses, i);
-  const auto usual = [&](size_t begin, size_t end) {
-    return MedianOfEach(begin, end, [&](size_t i) { return jumps[i]; });
-  };
-  const Eigen::Array2d usual_in_log = usual(0, poses.size());
   std::vector<size_t> found;
   for (const IndexRange& s : data.segments) {
     for (size_t i = s.begin + 2; i + 1 < s.end; ++i) {
       const double dt = poses[i].t - poses[i - 1].t;
       const Eigen::Array2d possible(kMotionFactor * force * dt * dt, kMotionFactor * rate * dt);
-      const double periods = std::max(1.0, dt * data.pose_report.rate_hz);
-      const Eigen::Array2d least = possible.max(kJumpThreshold * periods * usual_in_log);
-      if ((jumps[i] <= least).all()) continue;
-      const Eigen::Array2d usual_nearby =
-          usual(std::max(s.begin, i - std::min(i, kJumpRadius)), std::min(s.end, i + kJumpRadius));
-      const Eigen::Array2d limit = least.max(kJumpThreshold * periods * usual_nearby);
       // A jump shows in the steps on either side too, by half.
       const Eigen::Array2d beside = 0.75 * jumps[i - 1].max(jumps[i + 1]);
-      if ((jumps[i] > limit.max(beside)).any()) found.push_back(i);
+      if ((jumps[i] <= possible.max(beside)).all()) continue;
+      const Eigen::Array2d usual =
+          MedianOfEach(std::max(s.begin, i - std::min(i, kJumpRadius)),
+                       std::min(s.end, i + kJumpRadius), [&](size_t k) { return jumps[k]; });
+      const double periods = std::max(1.0, dt * data.pose_report.rate_hz);
+      if ((jumps[i] > possible.max(beside).max(kJumpThreshold * periods * usual)).any())
+        found.push_back(i);
     }
   }
   return found;
 }
 
-/// Cuts the segments at `jumps`. What remains on both sides of a run that was too short is joined
-/// again where it is close enough.
-void CutSegments(const std::vector<size_t>& jumps, double max_gap, double min_segment_s,
-                 ConditionedData* data) {
-  const std::vector<TimedPose> poses = std::exchange(data->poses, {});
-  const std::vector<IndexRange> segments = std::exchange(data->segments, {});
-  auto jump = jumps.begin();
-  for (const IndexRange& segment : segments) {
-    size_t last_end = segment.begin;  // of the run kept last
-    for (size_t begin = segment.begin; begin < segment.end;) {
-      while (jump != jumps.end() && *jump <= begin) ++jump;
-      const size_t end = jump != jumps.end() && *jump < segment.end ? *jump : segment.end;
-      const IndexRange run{begin, end};
-      begin = end;
-      if (!IsLongEnough(poses, run, min_segment_s)) {
-        data->pose_report.outlier += run.size();
-        continue;
-      }
-      const bool joins = last_end > segment.begin && last_end < run.begin &&
-                         poses[run.begin].t - poses[last_end - 1].t <= max_gap;
-      if (last_end > segment.begin && !joins) ++(last_end == run.begin ? data->jumps : data->gaps);
-      AppendRun(poses, run, joins, data);
-      last_end = run.end;
-    }
-  }
-}
-
-}  // namespace
-
+/// Adds a run of `poses` to the data: to their last segment, or as another one.
 void AppendRun(const std::vector<TimedPose>& poses, IndexRange run, bool joins,
                ConditionedData* data) {
   if (!joins) data->segments.push_back({data->poses.size(), data->poses.size()});
@@ -116,25 +84,69 @@ void AppendRun(const std::vector<TimedPose>& poses, IndexRange run, bool joins,
   data->segments.back().end = data->poses.size();
 }
 
+/// Cuts the segments before the poses at `cuts` and counts gaps and jumps between what is kept:
+/// runs that are too short leave, and what remains on both sides of one is joined again where it is
+/// close enough.
+void Cut(const std::vector<size_t>& cuts, double max_gap, double min_segment_s,
+         ConditionedData* data, size_t* left) {
+  const std::vector<TimedPose> poses = std::exchange(data->poses, {});
+  const std::vector<IndexRange> segments = std::exchange(data->segments, {});
+  auto cut = cuts.begin();
+  for (const IndexRange& segment : segments) {
+    size_t last_end = segment.begin;  // of the run kept last
+    for (size_t begin = segment.begin; begin < segment.end;) {
+      while (cut != cuts.end() && *cut <= begin) ++cut;
+      const size_t end = cut != cuts.end() ? std::min(*cut, segment.end) : segment.end;
+      const IndexRange run{begin, end};
+      begin = end;
+      if (!IsLongEnough(poses, run, min_segment_s)) {
+        *left += run.size();
+        continue;
+      }
+      const bool is_near =
+          last_end > segment.begin && poses[run.begin].t - poses[last_end - 1].t <= max_gap;
+      const bool is_next = last_end == run.begin;
+      if (last_end > segment.begin && (is_next || !is_near)) ++(is_near ? data->jumps : data->gaps);
+      AppendRun(poses, run, is_near && !is_next, data);
+      last_end = run.end;
+    }
+  }
+}
+
+}  // namespace
+
+size_t RemovePoses(const std::vector<bool>& leaves, ConditionedData* data) {
+  const std::vector<TimedPose> poses = std::exchange(data->poses, {});
+  const std::vector<IndexRange> segments = std::exchange(data->segments, {});
+  for (const IndexRange& segment : segments) {
+    std::vector<TimedPose> kept;
+    for (size_t i = segment.begin; i < segment.end; ++i)
+      if (!leaves[i]) kept.push_back(poses[i]);
+    if (kept.size() >= 2) AppendRun(kept, {0, kept.size()}, false, data);
+  }
+  data->pose_report.used = data->poses.size();
+  return poses.size() - data->poses.size();
+}
+
 void SplitAtGaps(const CalibrationOptions& options, ConditionedData* data) {
   const double max_gap = MaxGap(options, *data);
-  const std::vector<TimedPose> poses = std::exchange(data->poses, {});
-  for (size_t begin = 0, i = 1; i <= poses.size(); ++i) {
-    const bool end = i == poses.size();
-    if (!end && poses[i].t - poses[i - 1].t <= max_gap) continue;
-    if (!end) ++data->gaps;
-    if (IsLongEnough(poses, {begin, i}, options.min_segment_s))
-      AppendRun(poses, {begin, i}, false, data);
-    else
-      data->pose_report.in_short_segment += i - begin;
-    begin = i;
-  }
+  std::vector<size_t> gaps;
+  for (size_t i = 1; i < data->poses.size(); ++i)
+    if (data->poses[i].t - data->poses[i - 1].t > max_gap) gaps.push_back(i);
+  data->segments = {{0, data->poses.size()}};
+  Cut(gaps, max_gap, options.min_segment_s, data, &data->pose_report.in_short_segment);
+  data->gaps = gaps.size();  // beside runs that have left, too
+  Summarise(data->poses, &data->pose_report);
+  if (data->segments.empty())
+    Throw<DataError>(
+        "pose: no run without a gap is as long as min_segment_s = ", options.min_segment_s, " s (",
+        data->gaps, " gaps in ", data->pose_report.received, " poses)");
 }
 
 void SplitAtJumps(const CalibrationOptions& options, ConditionedData* data) {
   const double max_gap = MaxGap(options, *data);
   for (auto jumps = FindJumps(*data); !jumps.empty(); jumps = FindJumps(*data)) {
-    CutSegments(jumps, max_gap, options.min_segment_s, data);
+    Cut(jumps, max_gap, options.min_segment_s, data, &data->pose_report.outlier);
     if (!data->segments.empty()) continue;
     Throw<DataError>(
         "pose: it jumps so often that no run is as long as min_segment_s = ", options.min_segment_s,

@@ -13,41 +13,22 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr size_t kWindow = 50;    // samples whose mean step is looked at
-constexpr int kStart = 10;        // frames by which the first sample may be off the level
-constexpr double kBeam = 500.0;   // counts that cost so much more than the best are given up
-constexpr size_t kMemory = 500;   // [samples] of the level while frames are counted
-constexpr double kLongest = 8.0;  // latency [periods] beyond which it costs no more
+constexpr size_t kWindow = 50;   // samples whose mean step is looked at
+constexpr double kBeam = 500.0;  // counts that cost so much more than the best are given up
+constexpr size_t kMemory = 500;  // [samples] of the level while frames are counted
+constexpr int kLongest = 8;      // latency [periods] beyond which it costs no more
 
 /// What missing frames cost, in periods of latency: more where the stamps scatter more.
 constexpr double kMinJumpCost = 2.0, kJumpScatters = 6.0;
 
 /// [s] between the knots of a clock; after a pause as long, another one begins.
 constexpr double kKnotSpacing = 10.0;
-constexpr size_t kMinRun = 2 * kWindow;  // samples that make a clock
-constexpr double kMinRecovered = 0.9;
 constexpr double kRateStep = 1e-5;  // sigma of the change of the rate at a knot
 constexpr double kHuber = 1.5;      // sigma
 constexpr int kRounds = 15, kCounts = 2;
-/// A quantile is used when its sigma is below so much of that of the mean; a density is bounded by
-/// that of so much of the sigma.
-constexpr double kMaxQuantileStd = 0.7, kSharpest = 0.02;
+constexpr double kSharpest = 0.02;  // a density is bounded by that of so much of the sigma
 
-/// Frames that miss: so rarely that a period is so many sigma of the mean latency between. Where
-/// they are said to miss, the latency of so many samples on either side is the same, within so many
-/// sigma.
-constexpr double kJumpSigmas = 4.0;
-constexpr size_t kNear = 5;
-constexpr double kMaxDropSigmas = 2.0;
-
-/// A search for the period: factors of the one assumed, and the memory of the level.
-struct Search {
-  double low, high, step;
-  size_t memory;
-};
-constexpr Search kCoarse{0.75, 1.02, 3e-3, 50}, kMiddle{0.98, 1.02, 1e-3, 200},
-    kFine{0.997, 1.003, 3e-4, kMemory};
-constexpr size_t kShortExcerpt = 4000, kExcerpt = 20000;
+constexpr size_t kExcerpt = 20000;  // [samples] on which the period is sought
 
 /// Numbers of the frames of samples that arrived in this order; the first is 0, each at least one
 /// more than the one before. The latency of sample i, at t_i [s], is t_i - period frames_i.
@@ -70,12 +51,24 @@ struct Period {
   double scatter = 0.0;
 };
 
-/// Median latency of the first samples [periods].
-double FirstLatency(const std::vector<double>& t, double period) {
-  std::vector<double> first;
-  for (size_t i = 0; i < std::min(kWindow, t.size()); ++i)
-    first.push_back(t[i] / period - static_cast<double>(i));
-  return Median(std::move(first));
+/// Of samples up to one: what counting `missing` frames costs at the least.
+struct State {
+  int missing;
+  int from;  ///< its place among the states of the sample before
+  double cost, level;
+};
+
+/// In increasing order, frames that may be missing by the next sample: those of the states, and
+/// others up to `due`, at which the sample has the latency of the level, but for `reach`.
+std::vector<int> Candidates(const std::vector<State>& states, double due, double reach) {
+  std::vector<int> missing;
+  for (const State& state : states) missing.push_back(state.missing);
+  for (int m = std::max(missing[0] + 1, static_cast<int>(std::floor(due - reach)));
+       m <= static_cast<int>(std::ceil(due)); ++m)
+    missing.push_back(m);
+  std::sort(missing.begin(), missing.end());
+  missing.erase(std::unique(missing.begin(), missing.end()), missing.end());
+  return missing;
 }
 
 /// The frames n_i of stamps t_i that minimise
@@ -86,67 +79,53 @@ double FirstLatency(const std::vector<double>& t, double period) {
 template <typename Cost>
 FrameCount FindFrames(const std::vector<double>& t, double period, size_t memory, double jump_cost,
                       double reach, const Cost& cost) {
-  struct State {
-    int missing;
-    double cost, level;
-    int from;  // its place among the states of the sample before
-  };
   const auto latency = [&](size_t i) { return t[i] / period - static_cast<double>(i); };
+  std::vector<double> first;
+  for (size_t i = 0; i < std::min(kWindow, t.size()); ++i) first.push_back(latency(i));
+  const double level = memory > 0 ? Median(std::move(first)) : 0.0;
   const double gain = memory > 0 ? 1.0 / static_cast<double>(memory) : 0.0;
-  const double level = memory > 0 ? FirstLatency(t, period) : 0.0;
   std::vector<State> states, next;  // by missing frames
-  for (int m = -kStart; m <= kStart; ++m) states.push_back({m, 0.0, level, 0});
-  std::vector<std::pair<int, int>> path;  // (missing, from) of the states of all samples
-  std::vector<size_t> begins;             // of each sample
-  size_t best = kStart;
+  for (int m = -kLongest; m <= kLongest; ++m) states.push_back({m, 0, 0.0, level});
+  std::vector<std::vector<std::pair<int, int>>> paths(t.size());  // (missing, from) of all states
+  size_t best = kLongest;
   for (size_t i = 0; i < t.size(); ++i) {
-    const double x = latency(i);
     // A jump is due when it brings the sample nearer to the level, else it may as well come later.
-    const double due = x - states[best].level;
-    int fresh = std::max(states.front().missing + 1,
-                         static_cast<int>(std::floor(std::max(due - reach, -1e9))));
-    const int high = i > 0 ? static_cast<int>(std::ceil(due)) + 1 : fresh;
+    const std::vector<int> candidates = Candidates(states, latency(i) - states[best].level, reach);
     next.clear();
-    size_t source = 0;  // the best state with fewer missing frames
+    size_t k = 0, source = 0;  // the next state, the best one with fewer missing frames
     double below = std::numeric_limits<double>::infinity(), least = below;
-    for (size_t k = 0; k < states.size() || fresh < high;) {
-      const bool exists = k < states.size() && (fresh >= high || states[k].missing <= fresh);
-      const int m = exists ? states[k].missing : fresh;
-      fresh = std::max(fresh, m + 1);
-      const bool stays =
-          exists && (i == 0 || k == 0 || states[k].cost <= states[source].cost + jump_cost);
-      State state = states[stays ? k : source];
-      state.missing = m;
-      state.from = static_cast<int>(stays ? k : source);
-      if (!stays) state.cost += jump_cost;
+    for (const int m : candidates) {
+      const bool exists = k < states.size() && states[k].missing == m;
+      const bool stays = exists && states[k].cost <= states[source].cost + jump_cost;
+      const size_t from = stays ? k : source;
       if (exists && states[k].cost < states[source].cost) source = k;
-      if (exists) ++k;
-      const double r = x - m - state.level;
-      state.cost += cost(r);
+      k += exists ? 1 : 0;
+      State state{m, static_cast<int>(from), states[from].cost, states[from].level};
+      const double r = latency(i) - m - state.level;
+      state.cost += cost(r) + (stays ? 0.0 : jump_cost);
       state.level += gain * std::clamp(r, -1.0, 1.0);
       // Another with fewer missing frames can still jump here.
-      if (i > 0 && state.cost >= below + jump_cost) continue;
+      if (state.cost >= below + jump_cost) continue;
       below = std::min(below, state.cost);
       next.push_back(state);
     }
     for (const State& state : next) least = std::min(least, state.cost);
     states.clear();
-    begins.push_back(path.size());
     for (const State& state : next) {
       if (state.cost > least + kBeam) continue;
       if (state.cost == least) best = states.size();
       states.push_back(state);
-      path.emplace_back(state.missing, state.from);
+      paths[i].emplace_back(state.missing, state.from);
     }
   }
   FrameCount count{std::vector<int64_t>(t.size()), states[best].cost};
   for (size_t i = t.size(); i-- > 0;) {
-    const auto [missing, from] = path[begins[i] + best];
+    const auto [missing, from] = paths[i][best];
     count.frames[i] = static_cast<int64_t>(i) + missing;
     best = static_cast<size_t>(from);
   }
-  const int64_t first = count.frames.front();
-  for (int64_t& frame : count.frames) frame -= first;
+  const int64_t start = count.frames.front();
+  for (int64_t& frame : count.frames) frame -= start;
   return count;
 }
 
@@ -161,27 +140,6 @@ FrameCount CountFrames(const std::vector<double>& t, const Period& period, doubl
                     [=](double r) { return factor * std::min(std::abs(r), reach); });
 }
 
-/// The middle of `t`, at most `count` of them.
-std::vector<double> Excerpt(const std::vector<double>& t, size_t count) {
-  if (t.size() <= count) return t;
-  const auto begin = t.begin() + static_cast<ptrdiff_t>((t.size() - count) / 2);
-  return {begin, begin + static_cast<ptrdiff_t>(count)};
-}
-
-/// The period that is counted at the least cost. A false one costs a latency that the level cannot
-/// follow, or frames that miss.
-Period FindPeriod(const std::vector<double>& t, const Period& start, const Search& search) {
-  Period best = start;
-  double least = std::numeric_limits<double>::infinity();
-  for (double f = search.low; f <= search.high; f += search.step) {
-    const double cost = CountFrames(t, start, f, search.memory).cost;
-    if (cost >= least) continue;
-    least = cost;
-    best.seconds = f * start.seconds;
-  }
-  return best;
-}
-
 /// Median over windows of the mean distance from a line [s].
 double Scatter(const std::vector<double>& t) {
   using Window = Eigen::Array<double, kWindow, 1>;
@@ -194,7 +152,9 @@ double Scatter(const std::vector<double>& t) {
   return Median(std::move(sizes));
 }
 
-/// The period of at least 100 stamps [s], to about 1e-3; 0 when they hardly advance but for pauses.
+/// The period of at least 100 stamps [s]; 0 when they hardly advance but for pauses. That which is
+/// counted at the least cost: a false one costs a latency that the level cannot follow, or frames
+/// that miss. The finer the steps of the search, the longer is the memory of the level.
 Period FindPeriod(const std::vector<double>& t) {
   std::vector<double> means;
   for (size_t i = kWindow; i < t.size(); ++i)
@@ -203,8 +163,23 @@ Period FindPeriod(const std::vector<double>& t) {
   const double mean = (t.back() - t.front()) / static_cast<double>(t.size());
   if (!(period.seconds > kBunch * mean)) return {};
   period.scatter = Scatter(t) / period.seconds;
-  const std::vector<double> excerpt = Excerpt(t, kShortExcerpt);
-  return FindPeriod(excerpt, FindPeriod(excerpt, period, kCoarse), kMiddle);
+  const size_t size = std::min(t.size(), kExcerpt);
+  const auto begin = t.begin() + static_cast<ptrdiff_t>((t.size() - size) / 2);
+  const std::vector<double> excerpt(begin, begin + static_cast<ptrdiff_t>(size));
+  double low = 0.75, high = 1.02;
+  for (size_t memory = kMemory / 9; memory <= kMemory; memory *= 3) {
+    const double step = 0.15 / static_cast<double>(memory);
+    double best = 1.0, least = std::numeric_limits<double>::infinity();
+    for (double factor = low; factor <= high; factor += step) {
+      const double cost = CountFrames(excerpt, period, factor, memory).cost;
+      if (cost < least) best = factor;
+      least = std::min(least, cost);
+    }
+    period.seconds *= best;
+    low = 1.0 - 10.0 * step;
+    high = 1.0 + 10.0 * step;
+  }
+  return period;
 }
 
 /// Counts them again by the distribution of the latencies [s] that the first count left about a
@@ -285,7 +260,7 @@ double BestQuantile(std::vector<double> latency) {
   const auto at = [&](double quantile) {
     return latency[static_cast<size_t>(quantile * static_cast<double>(latency.size() - 1))];
   };
-  double best = 0.0, least = kMaxQuantileStd * sigma;
+  double best = 0.0, least = sigma;
   for (const double quantile : {0.05, 0.1, 0.25, 0.75, 0.9, 0.95}) {
     const double reach = 0.8 * std::min(quantile, 1.0 - quantile);
     const double slope = (at(quantile + reach) - at(quantile - reach)) / (2.0 * reach);
@@ -297,23 +272,24 @@ double BestQuantile(std::vector<double> latency) {
   return best;
 }
 
-/// Whether the missing frames are there: few enough for the jitter, and the stamps later by their
-/// periods all at once. An irregular source is followed by frames that are not.
+/// Whether the missing frames are there: so few that a period is many sigma of the mean latency
+/// between, and the stamps later by their periods all at once. An irregular source is followed by
+/// frames that are not.
 bool AreJumpsCredible(const FrameCount& count, const std::vector<double>& latency, double period) {
+  constexpr size_t kNear = 5;  // samples on either side
   const auto jumps = static_cast<double>(count.Jumps()), n = static_cast<double>(latency.size());
   const double sigma = RobustSigma(latency) / period;
-  if (jumps * std::pow(kJumpSigmas * sigma, 2) > n) return false;
+  if (jumps * std::pow(kSureSigmas * sigma, 2) > n) return false;
   double rise = 0.0;
   for (size_t i = kNear; i + kNear <= latency.size(); ++i)
     for (size_t k = 0; k < kNear && count.frames[i] - count.frames[i - 1] > 1; ++k)
       rise += (latency[i + k] - latency[i - 1 - k]) / (period * static_cast<double>(kNear));
-  return rise >= -kMaxDropSigmas * sigma * std::sqrt(jumps);
+  return rise >= -0.5 * kSureSigmas * sigma * std::sqrt(jumps);
 }
 
 /// Replaces the stamps t [s] by those of an even clock; false when there is none.
-bool RecoverRun(Period period, std::vector<double>* t) {
-  if (t->size() < kMinRun) return false;
-  period = FindPeriod(Excerpt(*t, kExcerpt), period, kFine);
+bool RecoverRun(const Period& period, std::vector<double>* t) {
+  if (t->size() < 2 * kWindow) return false;
   FrameCount count = CountFrames(*t, period);
   std::vector<double> latency = FitClock(*t, count, period.seconds);
   for (int round = 0; round < kCounts; ++round) {
@@ -348,7 +324,7 @@ std::optional<std::vector<int64_t>> RecoverClock(const std::vector<int64_t>& rec
   std::vector<std::vector<double>> runs = SplitAtPauses(recorded_ns);
   const auto longest = std::max_element(
       runs.begin(), runs.end(), [](const auto& a, const auto& b) { return a.size() < b.size(); });
-  if (longest == runs.end() || longest->size() < kMinRun) return std::nullopt;
+  if (longest == runs.end() || longest->size() < 2 * kWindow) return std::nullopt;
   const Period period = FindPeriod(*longest);
   if (period.seconds == 0.0) return std::nullopt;
   size_t recovered = 0;
@@ -357,7 +333,7 @@ std::optional<std::vector<int64_t>> RecoverClock(const std::vector<int64_t>& rec
     if (RecoverRun(period, &run)) recovered += run.size();
     for (const double t : run) stamps.push_back(recorded_ns.front() + std::llround(1e9 * t));
   }
-  if (static_cast<double>(recovered) < kMinRecovered * static_cast<double>(stamps.size()))
+  if (static_cast<double>(recovered) < (1.0 - kExceptions) * static_cast<double>(stamps.size()))
     return std::nullopt;
   return stamps;
 }

@@ -31,58 +31,41 @@ bool IsStampedAhead(const std::vector<int64_t>& stamps_ns, size_t i) {
   return 2 * earlier(i + 1, i + 1 + after) > after && 2 * earlier(i - before, i) >= before;
 }
 
-/// Even stamps: rms jitter in periods, and shares of the steps over missing frames, and over more
-/// than so many periods.
-constexpr double kEven = 0.02;
-constexpr double kMaxMissing = 0.1, kMaxPauses = 0.02;
-constexpr double kLongStep = 20.0;
+constexpr double kEven = 0.02;  // rms jitter in periods
 
-constexpr double kSmootherSigmas = 4.0;  // by which the recovered stamps win the vote
+/// Two vectors of a sample, one after the other: position and rotation, a rate and a force; zeros
+/// where there is but one.
+using Values = Eigen::Matrix<double, 8, 1>;
 
-/// Values of one kind, one vector a sample: positions, rotations, rates, ...
-using Channel = std::vector<Eigen::Vector4d>;
-
-/// Samples in order of arrival. The channels share the stamps.
+/// Samples in order of arrival.
 struct Stream {
   std::vector<int64_t> t_ns;
-  std::vector<Channel> channels;
+  std::vector<Values> values;
 
-  bool IsSame(size_t i, size_t k) const {
-    return t_ns[i] == t_ns[k] &&
-           std::all_of(channels.begin(), channels.end(),
-                       [&](const Channel& channel) { return channel[i] == channel[k]; });
+  explicit Stream(const std::vector<PoseSample>& samples) : t_ns(Stamps(samples)) {
+    Eigen::Vector4d q = Eigen::Vector4d::Zero();
+    for (const PoseSample& s : samples) {
+      q = q.dot(s.q_WM.coeffs()) < 0.0 ? Eigen::Vector4d(-s.q_WM.coeffs()) : s.q_WM.coeffs();
+      values.push_back((Values() << s.p_WM, 0.0, q).finished());
+    }
   }
+  explicit Stream(const std::vector<ImuSample>& samples) : t_ns(Stamps(samples)) {
+    for (const ImuSample& s : samples)
+      values.push_back((Values() << s.value, Eigen::Matrix<double, 5, 1>::Zero()).finished());
+  }
+  Stream() = default;
 };
-
-Stream ToStream(const std::vector<PoseSample>& samples) {
-  Stream stream{Stamps(samples), std::vector<Channel>(2)};
-  Channel &positions = stream.channels[0], &rotations = stream.channels[1];
-  for (const PoseSample& s : samples) {
-    const Eigen::Vector4d q = s.q_WM.coeffs();
-    const bool is_opposite = !rotations.empty() && rotations.back().dot(q) < 0.0;
-    rotations.push_back(is_opposite ? Eigen::Vector4d(-q) : q);
-    positions.emplace_back(s.p_WM.x(), s.p_WM.y(), s.p_WM.z(), 0.0);
-  }
-  return stream;
-}
-
-Stream ToStream(const std::vector<ImuSample>& samples) {
-  Stream stream{Stamps(samples), std::vector<Channel>(1)};
-  for (const ImuSample& s : samples)
-    stream.channels[0].emplace_back(s.value.x(), s.value.y(), s.value.z(), 0.0);
-  return stream;
-}
 
 /// Error of the cubic through two samples on either side of sample i at the times t, over what it
 /// makes of their noise.
-double Roughness(const Channel& channel, size_t i, const std::array<double, 5>& t) {
-  Eigen::Vector4d error = channel[i];
+double Roughness(const std::array<Eigen::Vector4d, 5>& values, const std::array<double, 5>& t) {
+  Eigen::Vector4d error = values[2];
   double gain = 1.0;
   for (const size_t j : {0u, 1u, 3u, 4u}) {
     double w = 1.0;
     for (const size_t k : {0u, 1u, 3u, 4u})
       if (k != j) w *= (t[2] - t[k]) / (t[j] - t[k]);
-    error -= w * channel[i + j - 2];
+    error -= w * values[j];
     gain += w * w;
   }
   return error.squaredNorm() / gain;
@@ -104,17 +87,18 @@ bool IsSmoother(const Stream& stream, const std::vector<int64_t>& recovered) {
     }
     for (size_t k = 1; k < 4; ++k)  // more than a change of rate
       matters = matters || std::abs(a[k] * b[4] - b[k] * a[4]) > kEven * period * std::abs(a[4]);
-    if ((!is_bunched && !matters) || b[4] > kLongStep * period) continue;
-    for (const Channel& channel : stream.channels) {
-      bool is_new = true;
-      for (size_t k = i - 1; k <= i + 2; ++k) is_new = is_new && channel[k] != channel[k - 1];
-      const double after = Roughness(channel, i, b);
+    if (!is_bunched && !matters) continue;
+    for (const Eigen::Index part : {0, 4}) {
+      std::array<Eigen::Vector4d, 5> values;
+      for (size_t k = 0; k < 5; ++k) values[k] = stream.values[i + k - 2].segment<4>(part);
+      const bool is_new = std::adjacent_find(values.begin(), values.end()) == values.end();
+      const double after = Roughness(values, b);
       if (!is_new || !std::isfinite(after)) continue;
       votes += 1.0;
-      lead += is_bunched || after < Roughness(channel, i, a) ? 1.0 : -1.0;
+      lead += is_bunched || after < Roughness(values, a) ? 1.0 : -1.0;
     }
   }
-  return lead > kSmootherSigmas * std::sqrt(3.0 * votes);  // neighbours vote alike
+  return lead > kSureSigmas * std::sqrt(3.0 * votes);  // neighbours vote alike
 }
 
 /// What is done about the stamps of a stream, which become the new ones.
@@ -122,14 +106,15 @@ StreamStamps Recover(StampRecovery mode, Stream* stream) {
   StreamStamps result;
   const std::vector<StampFault> faults = JudgeStamps(stream->t_ns);
   // The same message twice is one frame.
-  Stream frames{{}, std::vector<Channel>(stream->channels.size())};
+  Stream frames;
   std::vector<size_t> places(stream->t_ns.size(), 0);  // in `frames`
   for (size_t i = 0, last = 0; i < places.size(); ++i) {
     if (faults[i] != StampFault::kNone) continue;
-    if (frames.t_ns.empty() || !stream->IsSame(last, i)) {
+    const bool is_twice =
+        stream->t_ns[last] == stream->t_ns[i] && stream->values[last] == stream->values[i];
+    if (frames.t_ns.empty() || !is_twice) {
       frames.t_ns.push_back(stream->t_ns[i]);
-      for (size_t c = 0; c < frames.channels.size(); ++c)
-        frames.channels[c].push_back(stream->channels[c][i]);
+      frames.values.push_back(stream->values[i]);
     }
     last = i;
     places[i] = frames.t_ns.size() - 1;
@@ -192,37 +177,33 @@ bool AreEven(std::vector<int64_t> stamps_ns) {
     if (steps.back() > 0.0) advances.push_back(steps.back());
   }
   if (advances.empty()) return false;
-  double period = Median(std::move(advances));
-  const auto frames = [&](double step) { return std::max(1.0, std::round(step / period)); };
-  const auto is_long = [&](double step) { return frames(step) > kLongStep; };
-  const auto all = static_cast<double>(steps.size());
-  steps.erase(std::remove_if(steps.begin(), steps.end(), is_long), steps.end());
-  double time = 0.0, count = 0.0;
+  const double usual = Median(std::move(advances));
+  const auto count = static_cast<double>(steps.size());
+  // Within bunches, steps are far below the mean.
+  if (count * usual < kBunch * static_cast<double>(stamps_ns.back() - stamps_ns.front()))
+    return false;
+  double n = 0.0, sum = 0.0, sum2 = 0.0;  // of the steps to the next frame, less the usual one
   for (const double step : steps) {
-    time += step;
-    count += frames(step);
+    if (step > 1.5 * usual) continue;
+    n += 1.0;
+    sum += step - usual;
+    sum2 += std::pow(step - usual, 2);
   }
-  period = time / count;
-  double off2 = 0.0, missing = 0.0;
-  for (const double step : steps) {
-    off2 += std::pow(step - period * frames(step), 2);
-    missing += frames(step) > 1.0 ? 1.0 : 0.0;
-  }
-  // Steps over two periods may be of cut stamps, long ones lie between bursts.
-  const auto n = static_cast<double>(steps.size());
-  return n > (1.0 - kMaxPauses) * all && missing < kMaxMissing * n &&
-         off2 < 2.0 * std::pow(kEven * period, 2) * n;
+  const double mean = sum / n;
+  return n > (1.0 - kExceptions) * count &&
+         sum2 / n - mean * mean < 2.0 * std::pow(kEven * (usual + mean), 2);
 }
 
 SessionStamps RecoverStamps(StampRecovery mode, SessionData* session) {
   SessionStamps stamps;
-  Stream poses = ToStream(session->poses);
+  Stream poses(session->poses);
   stamps.poses = Recover(mode, &poses);
   SetStamps(poses, &session->poses);
   for (ImuData& imu : session->imus) {
-    Stream gyro = ToStream(imu.gyro), accel = ToStream(imu.accel);
+    Stream gyro(imu.gyro), accel(imu.accel);
     const bool is_shared = gyro.t_ns == accel.t_ns;
-    if (is_shared) gyro.channels.push_back(accel.channels[0]);
+    for (size_t i = 0; is_shared && i < gyro.values.size(); ++i)
+      gyro.values[i].tail<4>() = accel.values[i].head<4>();
     const StreamStamps of_gyro = Recover(mode, &gyro);
     const StreamStamps of_accel = is_shared ? of_gyro : Recover(mode, &accel);
     SetStamps(gyro, &imu.gyro);

@@ -11,6 +11,7 @@
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/base/text.h"
+#include "imu_pose_calib/core/start/rate_alignment.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -23,22 +24,17 @@ constexpr struct StreamBounds {
 } kImuBounds{0.05, 0.3}, kPoseBounds{0.3, 0.1};
 constexpr double kMaxDropped = 0.01;  // not finite, zero, reversed
 constexpr double kMaxOutliers = 0.03;
-constexpr double kMinOverlap = 10.0;   // [s]
-constexpr double kMinExplained = 0.8;  // of the gyroscope's variance
+constexpr double kMinOverlap = 10.0;    // [s]
+constexpr double kWellExplained = 0.8;  // of the gyroscope's variance
 constexpr double kMaxGravityError = 0.05;
-constexpr double kMaxDriftEffect = 5e-4;  // [s] over the recording
-constexpr double kDriftSigmas = 5.0;
+constexpr double kLeastTime = 5e-4;  // [s] of a unit that cuts stamps; of drift over the recording
 
-constexpr double kMinCut = 5e-4;      // [s]
-constexpr double kRestWindow = 0.25;  // [s]
-constexpr double kRestRate = 0.05;    // [rad/s] rms
-constexpr double kRestForce = 0.15;   // [m/s^2] rms about the mean
-constexpr double kMinRest = 4.0 * kRestWindow;
-constexpr double kMotionStep = 0.02;   // [s] between the instants at which the motion is judged
+constexpr double kRestWindow = 0.25;   // [s]
+constexpr double kRestRate = 0.05;     // [rad/s] rms
+constexpr double kRestForce = 0.15;    // [m/s^2] rms about the mean
 constexpr double kMinTurnRate = 0.01;  // [rad/s] about the second axis
 constexpr double kPause = 1.0;         // [s] longer than between bunches
 constexpr double kDriftBlock = 2.0;    // [s] of samples whose errors may be correlated
-constexpr size_t kDriftSamples = 8000;
 
 std::string Percent(double share) { return Number(100.0 * share, "%.4g %%"); }
 
@@ -98,7 +94,7 @@ double CutOf(const std::vector<int64_t>& stamps_ns) {
   for (size_t i = 1; i < stamps_ns.size(); ++i)
     unit_us = std::gcd(unit_us, (std::abs(stamps_ns[i] - stamps_ns[i - 1]) + 500) / 1000);
   const double cut = 1e-6 * static_cast<double>(unit_us);
-  return cut >= kMinCut ? cut : 0.0;
+  return cut >= kLeastTime ? cut : 0.0;
 }
 
 /// The same of a stream whose stamps were looked at, and perhaps replaced, in `samples`.
@@ -201,48 +197,46 @@ void MeasureDrift(const ConditionedImu& data, const PoseTrajectory& trajectory, 
                   ImuCheck* check) {
   using Matrix8d = Eigen::Matrix<double, 8, 8>;
   using Vector8d = Eigen::Matrix<double, 8, 1>;
-  struct Row {
-    double t;
-    Eigen::Matrix<double, 3, 8> J;
-    Eigen::Vector3d r;
+  struct Equations {
+    Matrix8d H = Matrix8d::Zero();
+    Vector8d b = Vector8d::Zero();
   };
-  std::vector<Row> rows;
+  const double begin = data.gyro.front().t, middle = data.MiddleOfGyro();
+  std::vector<Equations> blocks(1 +
+                                static_cast<size_t>((data.gyro.back().t - begin) / kDriftBlock));
   const Eigen::Matrix3d R_IM = start.q_MI.conjugate().toRotationMatrix();
-  const double middle = 0.5 * data.gyro.back().t;
-  Matrix8d H = Matrix8d::Zero();
-  Vector8d b = Vector8d::Zero();
-  double motion = 0.0;
-  const size_t stride = std::max<size_t>(1, data.gyro.size() / kDriftSamples);
-  for (size_t i = 0; i < data.gyro.size(); i += stride) {
+  double motion = 0.0, residual = 0.0, count = 0.0;
+  for (size_t i = 0; i < data.gyro.size(); i += Stride(data.gyro.size())) {
     const TimedSample& s = data.gyro[i];
     MarkerRotation<double> marker;
     if (!trajectory.EvaluateRotation(s.t + start.time_shift, &marker)) continue;
     const Eigen::Vector3d omega_I = R_IM * marker.omega_M, alpha_I = R_IM * marker.alpha_M;
-    Row row{s.t, {}, s.value - start.gyro_bias - omega_I};
-    row.J << Hat(omega_I), Eigen::Matrix3d::Identity(), alpha_I, (s.t - middle) * alpha_I;
-    H += row.J.transpose().lazyProduct(row.J);
-    b += row.J.transpose().lazyProduct(row.r);
-    motion += (s.value - start.gyro_bias).squaredNorm();
-    rows.push_back(row);
+    const Eigen::Vector3d turn = s.value - start.gyro_bias, r = turn - omega_I;
+    Eigen::Matrix<double, 3, 8> J;
+    J << Hat(omega_I), Eigen::Matrix3d::Identity(), alpha_I, (s.t - middle) * alpha_I;
+    Equations& block = blocks[static_cast<size_t>((s.t - begin) / kDriftBlock)];
+    block.H += J.transpose().lazyProduct(J);
+    block.b += J.transpose().lazyProduct(r);
+    residual += r.squaredNorm();
+    motion += turn.squaredNorm();
+    count += 1.0;
   }
-  if (rows.size() < 100) return;
-  const Vector8d x = Solve(H, b);
+  if (count < 100.0) return;
+  Equations all;
+  for (const Equations& block : blocks) {
+    all.H += block.H;
+    all.b += block.b;
+  }
+  const Vector8d x = Solve(all.H, all.b);
   Matrix8d scatter = Matrix8d::Zero();
-  double residual = 0.0;
-  for (size_t i = 0; i < rows.size();) {
-    Vector8d score = Vector8d::Zero();
-    const double end = rows[i].t + kDriftBlock;
-    for (; i < rows.size() && rows[i].t < end; ++i) {
-      const Eigen::Vector3d r = rows[i].r - rows[i].J * x;
-      residual += r.squaredNorm();
-      score += rows[i].J.transpose() * r;
-    }
+  for (const Equations& block : blocks) {
+    const Vector8d score = block.b - block.H * x;
     scatter += score * score.transpose();
   }
-  check->explained = 1.0 - residual / motion;
+  check->explained = 1.0 - (residual - all.b.dot(x)) / motion;
   check->time_shift += x[6];
   check->drift_ppm = 1e6 * x[7];
-  const Eigen::MatrixXd covariance = Solve(H, Solve(H, scatter).transpose());
+  const Eigen::MatrixXd covariance = Solve(all.H, Solve(all.H, scatter).transpose());
   check->drift_ppm_std = 1e6 * std::sqrt(std::max(0.0, covariance(7, 7)));
 }
 
@@ -267,7 +261,7 @@ struct Motion {
     Vector6d x, sum = Vector6d::Zero();
     Matrix6d sum2 = Matrix6d::Zero();
     double count = 0.0;
-    for (double t = 0.0; t <= trajectory.End(); t += kMotionStep) {
+    for (double t = 0.0; t <= trajectory.End(); t += kRateBin) {
       MarkerState<double> state;
       if (!trajectory.Evaluate(t, &state)) continue;
       x << state.omega_M, state.a_W;
@@ -372,7 +366,7 @@ void CheckMotion(const CalibrationOptions& options, const ConditionedData& data,
     if (!data.imus[i].IsPresent()) continue;
     ImuCheck& imu = check->imus[i];
     FindRest(data.imus[i], &imu);
-    if (imu.rest_s >= kMinRest && std::abs(imu.rest_norm - g) > kMaxGravityError * g)
+    if (imu.rest_s >= 4.0 * kRestWindow && std::abs(imu.rest_norm - g) > kMaxGravityError * g)
       check->warnings.push_back(
           "accelerometer" + OfImu(i, data.imus.size()) + ": its norm at rest is " +
           Number(imu.rest_norm) + " m/s^2 (bound: within " + Percent(kMaxGravityError) +
@@ -397,18 +391,18 @@ void CheckMatch(const CalibrationOptions& options, const ConditionedData& data,
     check->warnings.push_back("poses and IMU" + of + " have only " + Number(match.overlap_s) +
                               " s in common (bound: " + Number(kMinOverlap) +
                               " s); record 30 s or more");
-  if (match.explained < kMinExplained)
+  if (match.explained < kWellExplained)
     check->warnings.push_back("the poses explain only " + Percent(match.explained) +
                               " of the variance of the gyroscope" + of +
-                              " (bound: " + Percent(kMinExplained) +
+                              " (bound: " + Percent(kWellExplained) +
                               "): a loose mount, or poses that are slow, filtered or rare");
   const double drifted = 1e-6 * std::abs(match.drift_ppm) * match.overlap_s;
-  if (!options.estimate_clock_drift && drifted > kMaxDriftEffect &&
-      std::abs(match.drift_ppm) > kDriftSigmas * match.drift_ppm_std)
+  if (!options.estimate_clock_drift && drifted > kLeastTime &&
+      std::abs(match.drift_ppm) > kSureSigmas * match.drift_ppm_std)
     check->warnings.push_back("the clocks" + (of.empty() ? "" : of + " and the poses") +
                               " drift against each other by " + Number(match.drift_ppm) + " +- " +
                               Number(match.drift_ppm_std) + " ppm, " + Number(1e3 * drifted) +
-                              " ms over the recording (bound: " + Number(1e3 * kMaxDriftEffect) +
+                              " ms over the recording (bound: " + Number(1e3 * kLeastTime) +
                               " ms): set estimate_clock_drift: true");
 }
 

@@ -20,12 +20,9 @@ namespace {
 constexpr double kFlipped = 0.25;
 constexpr double kFlipFactor = 25.0;       // its mean square residual over that of the others
 constexpr double kMinAgreement = 0.6;      // of the motion, on one rotation
-constexpr double kMinProposal = 0.3;       // of the motion, for a rotation to be taken seriously
 constexpr double kUnitBound = 5.0;         // scale of the positions, either way
-constexpr double kLeastExplained = 0.3;    // by positions in another unit
-constexpr double kDelaySearch = 0.1;       // [s]
-constexpr double kDelayStep = 0.01;        // [s] at first
-constexpr double kDelayResolution = 1e-4;  // [s]
+constexpr double kDelaySearch = 0.1;       // [s] to either side
+constexpr double kDelayResolution = 2e-4;  // [s]
 constexpr double kAccelBiasPrior = 1.0;    // [m/s^2] keeps bias and gravity apart at small turns
 
 /// Throws when inverted poses explain the gyroscope far better. Quaternions whose w comes first,
@@ -193,7 +190,7 @@ void CheckPositionUnit(const LeverArmEquations& equations) {
   // Accelerations that are mostly errors of the poses match nothing, in no unit: s explains little
   // of what the other unknowns leave of the accelerometer.
   const double gain = scale * scale / Solve(equations.A, LeverArmEquations::Vector10d::Unit(9))(9);
-  if (!(gain > kLeastExplained * (gain + equations.sum - equations.b.dot(x)))) return;
+  if (!(gain > kMinExplained * (gain + equations.sum - equations.b.dot(x)))) return;
   const char* const advice =
       scale > 2e-4 && scale < 4e-3   ? "positions look like millimetres: set position_unit: 1.0e-3"
       : scale > 6e-3 && scale < 2e-2 ? "positions look like centimetres: set position_unit: 1.0e-2"
@@ -220,22 +217,18 @@ void RemoveFlippedSegments(const CalibrationOptions& options, PoseTrajectory* tr
   for (const RotationAgreement& agreement : agreements) {
     if (agreement.explained * agreement.agreeing > best.explained * best.agreeing) best = agreement;
   }
-  if (best.agreeing < kMinProposal || best.explained < kMinExplained) return;  // S2 says why
+  if (best.agreeing < 0.5 * kMinAgreement || best.explained < kMinExplained) return;  // S2 says why
   if (best.agreeing < kMinAgreement)
     Throw<DataError>(
         std::setprecision(2), "pose: the marker's frame flips: only ", 100.0 * best.agreeing,
         " % of the motion turns as the gyroscope does with one rotation R_MI (bound: ",
         100.0 * kMinAgreement, " %); place the markers less symmetrically and record again");
   if (std::find(best.flipped.begin(), best.flipped.end(), true) == best.flipped.end()) return;
-  const std::vector<TimedPose> poses = std::exchange(data->poses, {});
-  const std::vector<IndexRange> segments = std::exchange(data->segments, {});
-  for (size_t k = 0; k < segments.size(); ++k) {
-    if (best.flipped[k])
-      data->pose_report.flipped += segments[k].size();
-    else
-      AppendRun(poses, segments[k], false, data);
-  }
-  data->pose_report.used = data->poses.size();
+  std::vector<bool> leaves(data->poses.size());
+  for (size_t k = 0; k < data->segments.size(); ++k)
+    std::fill(leaves.begin() + static_cast<ptrdiff_t>(data->segments[k].begin),
+              leaves.begin() + static_cast<ptrdiff_t>(data->segments[k].end), best.flipped[k]);
+  data->pose_report.flipped += RemovePoses(leaves, data);
   *trajectory = PoseTrajectory(data->poses, data->segments, trajectory->position_hyperparameters(),
                                trajectory->rotation_hyperparameters(), options.Threads());
 }
@@ -243,28 +236,21 @@ void RemoveFlippedSegments(const CalibrationOptions& options, PoseTrajectory* tr
 void FitLeverArm(const PoseTrajectory& trajectory, const std::vector<TimedSample>& accel,
                  double gravity_magnitude, bool estimate_delay, int threads, Start* start) {
   const size_t stride = Stride(accel.size());
-  double lowest = std::numeric_limits<double>::infinity(), best_delay = start->accel_delay;
-  const auto attempt = [&](const std::vector<double>& delays) {
-    std::vector<double> residuals(delays.size());
-    InParallel(threads, delays.size(), [&](size_t k) {
-      LeverArmEquations(trajectory, accel, *start, delays[k], stride).Fit(&residuals[k]);
+  constexpr int kSteps = 5;  // to either side
+  double residual = 0.0, best_delay = start->accel_delay;
+  for (double reach = kDelaySearch; estimate_delay && reach > kDelayResolution; reach /= kSteps) {
+    std::vector<double> residuals(2 * kSteps + 1);
+    const auto delay = [reach, middle = best_delay](size_t k) {
+      return middle + reach * (static_cast<double>(k) / kSteps - 1.0);
+    };
+    InParallel(threads, residuals.size(), [&](size_t k) {
+      LeverArmEquations(trajectory, accel, *start, delay(k), stride).Fit(&residuals[k]);
     });
-    for (size_t k = 0; k < delays.size(); ++k) {
-      if (residuals[k] >= lowest) continue;
-      lowest = residuals[k];
-      best_delay = delays[k];
-    }
-  };
-  if (estimate_delay) {
-    const int steps = static_cast<int>(std::round(kDelaySearch / kDelayStep));
-    std::vector<double> delays;
-    for (int k = -steps; k <= steps; ++k) delays.push_back(start->accel_delay + k * kDelayStep);
-    attempt(delays);
-    for (double step = 0.5 * kDelayStep; step > kDelayResolution; step *= 0.5)
-      attempt({best_delay - step, best_delay + step});
+    const auto least = std::min_element(residuals.begin(), residuals.end());
+    best_delay = delay(static_cast<size_t>(least - residuals.begin()));
   }
   const LeverArmEquations equations(trajectory, accel, *start, best_delay, stride);
-  const Eigen::Matrix<double, 9, 1> best = equations.Fit(&lowest);
+  const Eigen::Matrix<double, 9, 1> best = equations.Fit(&residual);
   CheckPositionUnit(equations);
   start->accel_delay = best_delay;
   start->p_MI = best.head<3>();

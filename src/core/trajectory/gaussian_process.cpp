@@ -5,7 +5,6 @@
 #include <utility>
 
 #include "imu_pose_calib/core/base/dense.h"
-#include "imu_pose_calib/core/base/parallel.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -14,9 +13,8 @@ constexpr double kSpacing = 0.4;  // [length scales] between bumps: kernel error
 constexpr int kHalfSupport = 15;
 constexpr int kSupport =
     2 * kHalfSupport;  // bumps that reach one instant: the others are below 3e-14
-constexpr int kGroup = 32;
-constexpr double kCore = 64.0;    // [length scales]
-constexpr double kMargin = 20.0;  // [length scales]
+constexpr int kTile = 32;
+static_assert(kTile >= kSupport, "a bump must not reach beyond the next tile");
 
 double Spacing(const BumpGrid& grid) { return kSpacing * grid.lengthscale; }
 
@@ -26,11 +24,11 @@ int FirstBump(const BumpGrid& grid, double t) {
   return std::clamp(j, 0, grid.size - kSupport);
 }
 
-/// Grid that serves every t in [begin, end].
+/// Grid of whole tiles that serves every t in [begin, end].
 BumpGrid GridOf(double begin, double end, double lengthscale_s) {
   const double spacing = kSpacing * lengthscale_s;
-  return {lengthscale_s, begin - kHalfSupport * spacing,
-          static_cast<int>(std::floor((end - begin) / spacing)) + kSupport + 1};
+  const int size = static_cast<int>(std::floor((end - begin) / spacing)) + kSupport + 1;
+  return {lengthscale_s, begin - kHalfSupport * spacing, (size + kTile - 1) / kTile * kTile};
 }
 
 using BumpArray = Eigen::Array<double, kSupport, 1>;
@@ -77,220 +75,176 @@ double WeightStd(const GpHyperparameters& h) {
   return h.signal_std * std::sqrt(kSpacing * std::sqrt(2.0 / M_PI));
 }
 
-constexpr Eigen::Index kTile = 32;
-static_assert(kTile >= kSupport, "a bump must not reach beyond the next tile");
+/// A symmetric matrix of bumps, whose elements further than kSupport from the diagonal do not
+/// matter: for each tile, its block of 2 kTile rows and columns. Bumps that reach one instant are
+/// in one of these blocks.
+using Band = std::vector<Eigen::MatrixXd>;
 
-/// Lower triangle of a symmetric matrix, as far as it is in a tile of kTile rows and columns on the
-/// diagonal or below one. Columns begin with the diagonal, so that blocks are matrices of columns
-/// one element less apart; above the diagonal, blocks have what is beyond the band.
-class BandMatrix {
- public:
-  using Block = Eigen::Map<Eigen::MatrixXd, 0, Eigen::OuterStride<>>;
-  using Diagonal = Eigen::Map<Eigen::VectorXd, 0, Eigen::InnerStride<>>;
+/// Of the bumps from `bump` on that reach one instant.
+template <typename AnyBand>
+auto BlockOf(AnyBand& band, int bump) {
+  return band[static_cast<size_t>(bump / kTile)].block(bump % kTile, bump % kTile, kSupport,
+                                                       kSupport);
+}
 
-  explicit BandMatrix(Eigen::Index size)
-      : size_(size), elements_(Eigen::VectorXd::Zero(size * kHeight)) {}
-
-  Eigen::Index size() const { return size_; }
-  Block block(Eigen::Index i, Eigen::Index j, Eigen::Index rows, Eigen::Index columns) {
-    return {elements_.data() + i + j * (kHeight - 1), rows, columns,
-            Eigen::OuterStride<>(kHeight - 1)};
-  }
-  /// `count` elements that are k rows below the diagonal, from column j on.
-  Diagonal diagonal(Eigen::Index k, Eigen::Index j, Eigen::Index count) {
-    return {elements_.data() + j * kHeight + k, count, Eigen::InnerStride<>(kHeight)};
-  }
-  void Scale(double factor) { elements_ *= factor; }
-
- private:
-  static constexpr Eigen::Index kHeight = 3 * kTile;
-  Eigen::Index size_;
-  Eigen::VectorXd elements_;
-};
-
-/// Cholesky factor of a matrix whose entries further than kSupport from the diagonal are zero.
+/// Cholesky factor of a matrix which is the sum of the blocks of a Band, of which the lower
+/// triangle is read; of the last one only the first tile.
 class BandedCholesky {
  public:
-  explicit BandedCholesky(BandMatrix A) : L_(std::move(A)) {
-    for (Eigen::Index i = 0; i < L_.size(); i += kTile) {
-      const Eigen::Index n = Size(i), next = Size(i + n);
-      const auto below = L_.block(i + n, i, next, n);
-      Factor(L_.block(i, i, n, n), below);
-      AddProduct(-1.0, below, below, true, L_.block(i + n, i + n, next, next));
+  explicit BandedCholesky(Band A) : blocks_(std::move(A)) {
+    for (size_t k = 0; k < blocks_.size(); ++k) {
+      Factor(Diagonal(k), Below(k));
+      if (k + 1 == blocks_.size()) break;
+      Diagonal(k + 1) += blocks_[k].bottomRightCorner<kTile, kTile>();
+      AddProduct(-1.0, Below(k), Below(k), true, Diagonal(k + 1));
     }
   }
 
-  double LogDeterminant() { return 2.0 * L_.diagonal(0, 0, L_.size()).array().log().sum(); }
+  double LogDeterminant() {
+    double sum = 0.0;
+    for (size_t k = 0; k < blocks_.size(); ++k) sum += Diagonal(k).diagonal().array().log().sum();
+    return 2.0 * sum;
+  }
 
   Eigen::MatrixXd Solve(Eigen::MatrixXd b) {
-    for (Eigen::Index i = 0; i < L_.size(); i += kTile) {
-      const Eigen::Index n = Size(i), next = Size(i + n);
-      auto x = b.middleRows(i, n);
-      L_.block(i, i, n, n).triangularView<Eigen::Lower>().solveInPlace(x);
-      b.middleRows(i + n, next).noalias() -= L_.block(i + n, i, next, n) * x;
+    const auto tile = [&b](size_t k) {
+      return b.middleRows<kTile>(kTile * static_cast<Eigen::Index>(k));
+    };
+    for (size_t k = 0; k < blocks_.size(); ++k) {
+      auto x = tile(k);
+      if (k > 0) x.noalias() -= Below(k - 1) * tile(k - 1);
+      Diagonal(k).triangularView<Eigen::Lower>().solveInPlace(x);
     }
-    for (Eigen::Index i = LastTile(); i >= 0; i -= kTile) {
-      const Eigen::Index n = Size(i), next = Size(i + n);
-      auto x = b.middleRows(i, n);
-      x.noalias() -= L_.block(i + n, i, next, n).transpose() * b.middleRows(i + n, next);
-      L_.block(i, i, n, n).triangularView<Eigen::Lower>().transpose().solveInPlace(x);
+    for (size_t k = blocks_.size(); k-- > 0;) {
+      auto x = tile(k);
+      if (k + 1 < blocks_.size()) x.noalias() -= Below(k).transpose() * tile(k + 1);
+      Diagonal(k).triangularView<Eigen::Lower>().transpose().solveInPlace(x);
     }
     return b;
   }
 
-  /// Of the inverse, what a BandMatrix has. From the last tile up, with G = L_below L_ii^-1:
+  /// From the last tile up, with G = L_below L_ii^-1:
   ///   S_below,i = -S_below G,  S_ii = (L_ii L_ii^T)^-1 + G^T S_below G.
-  BandMatrix InverseInBand() {
-    BandMatrix S(L_.size());
-    Eigen::MatrixXd later(0, 0);  // S_below
-    for (Eigen::Index i = LastTile(); i >= 0; i -= kTile) {
-      const Eigen::Index n = Size(i), next = Size(i + n);
-      Eigen::MatrixXd inverse = Eigen::MatrixXd::Identity(n, n);
-      L_.block(i, i, n, n).triangularView<Eigen::Lower>().solveInPlace(inverse);
+  Band Inverse() {
+    Band S(blocks_.size(), Eigen::MatrixXd::Zero(2 * kTile, 2 * kTile));
+    for (size_t k = blocks_.size(); k-- > 0;) {
+      auto own = S[k].topLeftCorner<kTile, kTile>();
+      auto right = S[k].topRightCorner<kTile, kTile>();
+      auto later = S[k].bottomRightCorner<kTile, kTile>();
+      if (k + 1 < blocks_.size()) later = S[k + 1].topLeftCorner<kTile, kTile>();
+      Eigen::MatrixXd inverse = Eigen::MatrixXd::Identity(kTile, kTile);
+      Diagonal(k).triangularView<Eigen::Lower>().solveInPlace(inverse);
       const Eigen::MatrixXd inverse_T = inverse.transpose();
-      Eigen::MatrixXd own = Eigen::MatrixXd::Zero(n, n);
-      Eigen::MatrixXd G_T = Eigen::MatrixXd::Zero(n, next), below_T = G_T;
+      Eigen::MatrixXd G_T = Eigen::MatrixXd::Zero(kTile, kTile);
       AddProduct(1.0, inverse_T, inverse_T, false, own);
-      AddProduct(1.0, inverse_T, L_.block(i + n, i, next, n), false, G_T);
-      AddProduct(-1.0, G_T, later, false, below_T);
-      AddProduct(-1.0, G_T, below_T, false, own);
-      S.block(i + n, i, next, n) = below_T.transpose();
-      S.block(i, i, n, n).triangularView<Eigen::Lower>() = own;
-      later = std::move(own);
+      AddProduct(1.0, inverse_T, Below(k), false, G_T);
+      AddProduct(-1.0, G_T, later, false, right);
+      AddProduct(-1.0, G_T, right, false, own);
+      S[k].bottomLeftCorner<kTile, kTile>() = right.transpose();
     }
     return S;
   }
 
  private:
-  /// Rows of the tile that begins at row i.
-  Eigen::Index Size(Eigen::Index i) const { return std::min(kTile, L_.size() - i); }
-  Eigen::Index LastTile() const { return (L_.size() - 1) / kTile * kTile; }
+  using Tile = Eigen::Block<Eigen::MatrixXd, kTile, kTile>;
+  Tile Diagonal(size_t k) { return blocks_[k].topLeftCorner<kTile, kTile>(); }
+  Tile Below(size_t k) { return blocks_[k].bottomLeftCorner<kTile, kTile>(); }
 
-  BandMatrix L_;
+  Band blocks_;
 };
 
-/// Values of the bumps around neighbours that share them: one product for all of them.
-using BumpGroup = Eigen::Matrix<double, kSupport, kGroup>;
+/// Bumps around neighbouring measurements, from `begin` on, that share those from `bump` on: one
+/// product for all of them.
+struct BumpGroup {
+  using Columns = Eigen::Matrix<double, kSupport, kTile>;
+  Eigen::Index begin, count;
+  int bump;
+  Columns distance, value;
+};
 
-/// Whether the measurement i + count, before `end`, is one of those from i on, whose bumps begin at
-/// j.
-bool IsInGroup(const GpData& data, Eigen::Index end, const BumpGrid& grid, int j, Eigen::Index i,
-               Eigen::Index count) {
-  return i + count < end && count < kGroup && FirstBump(grid, data.t[i + count]) == j;
+/// act(group) of all measurements.
+template <typename Act>
+void ForEachGroup(const Eigen::VectorXd& t, const BumpGrid& grid, const Act& act) {
+  BumpGroup group;
+  for (Eigen::Index i = 0; i < t.size(); i += group.count) {
+    group.begin = i;
+    group.bump = FirstBump(grid, t[i]);
+    group.count = 0;
+    for (; i + group.count < t.size() && group.count < kTile; ++group.count) {
+      if (FirstBump(grid, t[i + group.count]) != group.bump) break;
+      const BumpValues bumps(grid, group.bump, t[i + group.count]);
+      group.distance.col(group.count) = bumps.distance;
+      group.value.col(group.count) = bumps.value;
+    }
+    act(group);
+  }
 }
 
-/// Posterior of unit-variance bump weights given rows [begin, end) of the data:
+/// Posterior of unit-variance bump weights given the data:
 ///   A = I + F^T F / noise^2, mean = A^-1 F^T y / noise^2, with F = weight_std * bumps.
 struct WeightPosterior {
   BandedCholesky A;
   Eigen::MatrixXd mean;
 };
 
-WeightPosterior FitWeights(const GpData& data, Eigen::Index begin, Eigen::Index end,
-                           const BumpGrid& grid, const GpHyperparameters& h) {
-  BandMatrix A(grid.size);
+WeightPosterior FitWeights(const GpData& data, const BumpGrid& grid, const GpHyperparameters& h) {
+  Band A(static_cast<size_t>(grid.size / kTile), Eigen::MatrixXd::Zero(2 * kTile, 2 * kTile));
   Eigen::MatrixXd b = Eigen::MatrixXd::Zero(grid.size, data.y.cols());
-  BumpGroup F;
-  for (Eigen::Index i = begin, count = 0; i < end; i += count) {
-    const int j = FirstBump(grid, data.t[i]);
-    for (count = 0; IsInGroup(data, end, grid, j, i, count); ++count)
-      F.col(count) = BumpValues(grid, j, data.t[i + count]).value;
-    auto group = F.leftCols(count);
-    if (data.noise_scale.size() > 0)
-      group *= data.noise_scale.segment(i, count).cwiseInverse().asDiagonal();
-    AddProduct(1.0, group, group, true, A.block(j, j, kSupport, kSupport));
-    if (data.noise_scale.size() > 0)
-      group *= data.noise_scale.segment(i, count).cwiseInverse().asDiagonal();
-    b.middleRows<kSupport>(j).noalias() += group * data.y.middleRows(i, count);
-  }
+  ForEachGroup(data.t, grid, [&](const BumpGroup& group) {
+    BumpGroup::Columns values = group.value;
+    auto F = values.leftCols(group.count);
+    const auto divide_by_noise = [&] {
+      if (data.noise_scale.size() > 0)
+        F *= data.noise_scale.segment(group.begin, group.count).cwiseInverse().asDiagonal();
+    };
+    divide_by_noise();
+    AddProduct(1.0, F, F, true, BlockOf(A, group.bump));
+    divide_by_noise();
+    b.middleRows<kSupport>(group.bump).noalias() += F * data.y.middleRows(group.begin, group.count);
+  });
   const double weight_std = WeightStd(h);
-  A.Scale(std::pow(weight_std / h.noise_std, 2));
-  A.diagonal(0, 0, grid.size).array() += 1.0;
+  for (Eigen::MatrixXd& block : A) {
+    block *= std::pow(weight_std / h.noise_std, 2);
+    block.diagonal().head<kTile>().array() += 1.0;
+  }
   b *= weight_std / (h.noise_std * h.noise_std);
   WeightPosterior posterior{BandedCholesky(std::move(A)), {}};
   posterior.mean = posterior.A.Solve(std::move(b));
   return posterior;
 }
 
-/// Of the sum of weights, from bump j on, times `factors`; of their covariance, column k holds the
-/// elements that are k rows below the diagonal.
-double VarianceOf(const Eigen::MatrixXd& covariance, int j, const BumpArray& factors) {
-  double variance = 0.0;
-  for (int k = 0; k < kSupport; ++k) {
-    const int n = kSupport - k;
-    const auto products =
-        factors.head(n) * factors.tail(n) * covariance.col(k).segment(j, n).array();
-    variance += (k == 0 ? 1.0 : 2.0) * products.sum();
-  }
-  return variance;
-}
-
 }  // namespace
 
-WindowedGp::WindowedGp(const GpData& data, const GpHyperparameters& h, int threads,
-                       bool with_variance)
-    : begin_(data.t[0]), end_(data.t[data.t.size() - 1]) {
-  const double windows = std::round((end_ - begin_) / (kCore * h.lengthscale_s));
-  const double count = std::max(1.0, windows);
-  core_ = std::max((end_ - begin_) / count, 1e-9);
-  windows_.resize(static_cast<size_t>(count));
-  InParallel(threads, windows_.size(),
-             [&](size_t k) { windows_[k] = Fit(data, h, with_variance, k); });
-}
-
-WindowedGp::Window WindowedGp::Fit(const GpData& data, const GpHyperparameters& h,
-                                   bool with_variance, size_t window) const {
-  const double* const t_begin = data.t.data();
-  const double* const t_end = t_begin + data.t.size();
-  const double core_begin = begin_ + static_cast<double>(window) * core_;
-  const double margin = kMargin * h.lengthscale_s;
-  const double low = std::max(begin_, core_begin - margin);
-  const double high = std::min(end_, core_begin + core_ + margin);
-  const BumpGrid grid = GridOf(low, high, h.lengthscale_s);
-  WeightPosterior posterior = FitWeights(data, std::lower_bound(t_begin, t_end, low) - t_begin,
-                                         std::upper_bound(t_begin, t_end, high) - t_begin, grid, h);
-  // Queries come from the core only: the margins' weights have done their work.
-  const int first = FirstBump(grid, core_begin);
-  const int size = FirstBump(grid, core_begin + core_) + kSupport - first;
+GaussianProcess::GaussianProcess(const GpData& data, const GpHyperparameters& h, bool with_variance)
+    : begin_(data.t[0]),
+      end_(data.t[data.t.size() - 1]),
+      grid_(GridOf(begin_, end_, h.lengthscale_s)) {
+  WeightPosterior posterior = FitWeights(data, grid_, h);
   const double weight_std = WeightStd(h);
-  Window fitted{{h.lengthscale_s, grid.first + first * Spacing(grid), size},
-                weight_std * posterior.mean.middleRows(first, size),
-                {}};
-  if (!with_variance) return fitted;
-  BandMatrix inverse = posterior.A.InverseInBand();
-  fitted.covariance = Eigen::MatrixXd::Zero(size, kSupport);
-  for (int k = 0; k < std::min(kSupport, size); ++k)
-    fitted.covariance.col(k).head(size - k) =
-        weight_std * weight_std * inverse.diagonal(k, first, size - k);
-  return fitted;
+  weights_ = weight_std * posterior.mean;
+  if (!with_variance) return;
+  covariance_ = posterior.A.Inverse();
+  for (Eigen::MatrixXd& block : covariance_) block *= weight_std * weight_std;
 }
 
-const WindowedGp::Window& WindowedGp::At(double t) const {
-  const double k = std::floor((t - begin_) / core_);
-  return windows_[static_cast<size_t>(
-      std::clamp(k, 0.0, static_cast<double>(windows_.size()) - 1))];
+GaussianProcess::Derivatives GaussianProcess::Evaluate(double t) const {
+  const int j = FirstBump(grid_, t);
+  return weights_.middleRows<kSupport>(j).transpose().lazyProduct(Bumps(grid_, j, t));
 }
 
-WindowedGp::Derivatives WindowedGp::Evaluate(double t) const {
-  const Window& window = At(t);
-  const int j = FirstBump(window.grid, t);
-  return window.weights.middleRows<kSupport>(j).transpose().lazyProduct(Bumps(window.grid, j, t));
+GaussianProcess::Values GaussianProcess::Value(double t, double* variance) const {
+  const int j = FirstBump(grid_, t);
+  const Eigen::Matrix<double, kSupport, 1> bumps = BumpValues(grid_, j, t).value;
+  if (variance != nullptr) *variance = bumps.dot(BlockOf(covariance_, j).lazyProduct(bumps));
+  return weights_.middleRows<kSupport>(j).transpose().lazyProduct(bumps);
 }
 
-WindowedGp::Values WindowedGp::Value(double t, double* variance) const {
-  const Window& window = At(t);
-  const int j = FirstBump(window.grid, t);
-  const BumpArray bumps = BumpValues(window.grid, j, t).value;
-  if (variance != nullptr) *variance = VarianceOf(window.covariance, j, bumps);
-  return window.weights.middleRows<kSupport>(j).transpose().lazyProduct(bumps.matrix());
-}
-
-Eigen::Vector3d WindowedGp::Variance(double t) const {
-  const Window& window = At(t);
-  const int j = FirstBump(window.grid, t);
-  const BumpDerivatives B = Bumps(window.grid, j, t);
+Eigen::Vector3d GaussianProcess::Variance(double t) const {
+  const int j = FirstBump(grid_, t);
+  const BumpDerivatives B = Bumps(grid_, j, t);
   Eigen::Vector3d variance;
-  for (int k = 0; k < 3; ++k) variance[k] = VarianceOf(window.covariance, j, B.col(k));
+  for (int k = 0; k < 3; ++k)
+    variance[k] = B.col(k).dot(BlockOf(covariance_, j).lazyProduct(B.col(k)));
   return variance;
 }
 
@@ -301,7 +255,7 @@ double LogMarginalLikelihood(const GpData& data, const GpHyperparameters& h,
   const auto n = data.t.size();
   const auto outputs = static_cast<double>(data.y.cols());
   const BumpGrid grid = GridOf(data.t[0], data.t[n - 1], h.lengthscale_s);
-  WeightPosterior posterior = FitWeights(data, 0, n, grid, h);
+  WeightPosterior posterior = FitWeights(data, grid, h);
   const double noise2 = h.noise_std * h.noise_std;
   const double weight_std = WeightStd(h);
 
@@ -309,32 +263,24 @@ double LogMarginalLikelihood(const GpData& data, const GpHyperparameters& h,
   double length_fit = 0.0;
   double tr_length = 0.0;
   double residual_norm2 = 0.0;
-  BandMatrix inverse(0);  // of A
-  if (gradient != nullptr) inverse = posterior.A.InverseInBand();
-  BumpGroup F, dF;
-  for (Eigen::Index i = 0, count = 0; i < n; i += count) {
-    const int j = FirstBump(grid, data.t[i]);
-    for (count = 0; IsInGroup(data, n, grid, j, i, count); ++count) {
-      const BumpValues bumps(grid, j, data.t[i + count]);
-      F.col(count) = weight_std * bumps.value;
-      // d F / d log l; the 1/2 is the change of weight_std per length of a fixed grid.
-      dF.col(count) = F.col(count).array() * (2.0 * bumps.distance.square() - 0.5);
-    }
-    const auto mean = posterior.mean.middleRows<kSupport>(j);
-    const auto f = F.leftCols(count), df = dF.leftCols(count);
-    const Eigen::MatrixXd residual = data.y.middleRows(i, count) - f.transpose() * mean;
+  Band inverse;  // of A
+  if (gradient != nullptr) inverse = posterior.A.Inverse();
+  ForEachGroup(data.t, grid, [&](const BumpGroup& group) {
+    const BumpGroup::Columns F = weight_std * group.value;
+    const auto f = F.leftCols(group.count);
+    const auto mean = posterior.mean.middleRows<kSupport>(group.bump);
+    const Eigen::MatrixXd residual =
+        data.y.middleRows(group.begin, group.count) - f.transpose() * mean;
     residual_norm2 += residual.squaredNorm();
-    if (gradient == nullptr) continue;
+    if (gradient == nullptr) return;
+    // d F / d log l; the 1/2 is the change of weight_std per length of a fixed grid.
+    const BumpGroup::Columns dF = F.array() * (2.0 * group.distance.array().square() - 0.5);
+    const auto df = dF.leftCols(group.count);
     length_fit += residual.cwiseProduct(df.transpose() * mean).sum() / noise2;
-    Eigen::Matrix<double, kSupport, kSupport> product = decltype(product)::Zero();
+    Eigen::MatrixXd product = Eigen::MatrixXd::Zero(kSupport, kSupport);
     AddProduct(1.0, df, f, false, product);
-    product += product.transpose().eval();
-    const auto own = inverse.block(j, j, kSupport, kSupport);  // lower triangle
-    for (int k = 0; k < kSupport; ++k)
-      tr_length += (own.col(k).tail(kSupport - k).dot(product.col(k).tail(kSupport - k)) -
-                    0.5 * own(k, k) * product(k, k)) /
-                   noise2;
-  }
+    tr_length += BlockOf(inverse, group.bump).cwiseProduct(product).sum() / noise2;
+  });
   fit += residual_norm2 / noise2;
   const double log_likelihood =
       -0.5 * fit -
@@ -342,7 +288,9 @@ double LogMarginalLikelihood(const GpData& data, const GpHyperparameters& h,
           (posterior.A.LogDeterminant() + static_cast<double>(n) * std::log(2.0 * M_PI * noise2));
 
   if (gradient != nullptr) {
-    const double trace_A_inv = inverse.diagonal(0, 0, grid.size).sum();
+    double trace_A_inv = 0.0;
+    for (const Eigen::MatrixXd& block : inverse)
+      trace_A_inv += block.diagonal().head<kTile>().sum();
     const double m = grid.size;
     (*gradient)[0] = length_fit - outputs * tr_length;
     (*gradient)[1] = posterior.mean.squaredNorm() - outputs * (m - trace_A_inv);

@@ -77,32 +77,24 @@ class MarginalLikelihoodCost : public ceres::FirstOrderFunction {
 
 /// Moments of the data from which the search starts.
 struct Moments {
-  double period, duration, signal, rate, noise;
+  double period, duration = 0.0, signal, noise;
 
   explicit Moments(const std::vector<GpData>& data) {
     double sum2 = 0.0, count = 0.0;
-    std::vector<double> periods, rates, second_differences;
-    duration = 0.0;
+    std::vector<double> periods, second_differences;
     for (const GpData& d : data) {
       const auto n = d.t.size();
       sum2 += d.y.squaredNorm();
       count += static_cast<double>(d.y.size());
       duration = std::max(duration, d.t[n - 1] - d.t[0]);
-      Eigen::Index lag = 0;  // a rate over 50 ms is not all noise
-      for (Eigen::Index i = 1; i < n; ++i) {
-        periods.push_back(d.t[i] - d.t[i - 1]);
-        while (d.t[i] - d.t[lag] > 0.05 && lag + 1 < i) ++lag;
-        rates.push_back((d.y.row(i) - d.y.row(lag)).squaredNorm() / std::pow(d.t[i] - d.t[lag], 2) /
-                        static_cast<double>(d.y.cols()));
-        if (i < 2) continue;
+      for (Eigen::Index i = 1; i < n; ++i) periods.push_back(d.t[i] - d.t[i - 1]);
+      for (Eigen::Index i = 2; i < n; ++i)
         for (Eigen::Index k = 0; k < d.y.cols(); ++k)
-          second_differences.push_back(std::abs(d.y(i, k) - 2.0 * d.y(i - 1, k) + d.y(i - 2, k)));
-      }
+          second_differences.push_back(d.y(i, k) - 2.0 * d.y(i - 1, k) + d.y(i - 2, k));
     }
     period = Median(periods);
     signal = std::sqrt(sum2 / count);
-    rate = std::sqrt(Median(rates));
-    noise = Median(second_differences) / 0.6745 / std::sqrt(6.0);
+    noise = RobustSigma(std::move(second_differences)) / std::sqrt(6.0);
   }
 };
 
@@ -121,40 +113,30 @@ Eigen::Vector3d FindBest(const std::vector<GpData>& data,
 }  // namespace
 
 GpHyperparameters FitHyperparameters(const std::vector<GpData>& data,
-                                     const GpHyperparameters& fixed,
-                                     const GpHyperparameters& before, int threads) {
+                                     const GpHyperparameters& fixed, int threads) {
   const Eigen::Array3d given(fixed.lengthscale_s, fixed.signal_std, fixed.noise_std);
   const Bool3 is_fixed = given > 0.0;
   if (is_fixed.all()) return fixed;
-  if (fixed.lengthscale_s == 0.0 && fixed.noise_std > 0.0) {
+  if (!is_fixed[0] && is_fixed[2]) {
     const GpHyperparameters fitted =
-        FitHyperparameters(data, {fixed.lengthscale_s, fixed.signal_std, 0.0}, before, threads);
+        FitHyperparameters(data, {0.0, fixed.signal_std, 0.0}, threads);
     if (fitted.noise_std > fixed.noise_std) return fitted;
   }
   const Moments moments(data);
   const double signal = std::max(moments.signal, 1e-6);
-  const double noise = std::clamp(moments.noise, 1e-5 * signal, signal);
-  const Eigen::Vector3d low =
-      Eigen::Vector3d(2.0 * moments.period, 1e-2 * signal, 2e-6 * signal).array().log();
-  const Eigen::Vector3d high =
-      Eigen::Vector3d(std::max(moments.duration, 4.0 * moments.period), 1e3 * signal, 3.0 * signal)
-          .array()
-          .log();
-  const auto start_at = [&](const Eigen::Array3d& values) -> Eigen::Vector3d {
-    return is_fixed.select(given.log(), values.log().max(low.array()).min(high.array()));
-  };
-  Eigen::Vector3d x = start_at({signal / std::max(moments.rate, 1e-6), signal, noise});
+  const double noise = std::clamp(moments.noise, signal / kMaxSignalToNoise, signal);
+  const double shortest = 2.0 * moments.period;
+  const Eigen::Array3d low(shortest, 1e-2 * signal, 2e-6 * signal);
+  const Eigen::Array3d high(std::max(moments.duration, 2.0 * shortest), 1e3 * signal, 3.0 * signal);
   std::vector<Eigen::Vector3d> starts;
-  for (double step = -3.5; step <= 1.0 && fixed.lengthscale_s == 0.0; step += 0.5)
-    if (x[0] + step >= low[0] && x[0] + step <= high[0])
-      starts.emplace_back(x[0] + step, x[1], x[2]);
-  if (starts.empty()) starts.push_back(x);
-  if (before.lengthscale_s > 0.0)
-    starts.push_back(start_at({before.lengthscale_s, before.signal_std, before.noise_std}));
-  x = FindBest(data, starts, threads);
+  for (double lengthscale = shortest; lengthscale <= high[0]; lengthscale *= 1.6) {
+    starts.push_back(is_fixed.select(given, Eigen::Array3d(lengthscale, signal, noise)).log());
+    if (is_fixed[0]) break;
+  }
+  Eigen::Vector3d x = FindBest(data, starts, threads);
 
-  ceres::GradientProblem problem(
-      new MarginalLikelihoodCost(data, is_fixed, low.cwiseMin(x), high.cwiseMax(x), threads));
+  ceres::GradientProblem problem(new MarginalLikelihoodCost(
+      data, is_fixed, low.log().matrix().cwiseMin(x), high.log().matrix().cwiseMax(x), threads));
   ceres::GradientProblemSolver::Options options;
   options.logging_type = ceres::SILENT;
   options.line_search_direction_type = ceres::BFGS;

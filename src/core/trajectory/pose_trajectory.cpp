@@ -58,23 +58,21 @@ std::vector<GpData> Chunks(const ConditionedData& data, const Eigen::Vector3d* o
   return spread;
 }
 
-GpHyperparameters FitPosition(const CalibrationOptions& o, const ConditionedData& data,
-                              const GpHyperparameters& before) {
+GpHyperparameters FitPosition(const CalibrationOptions& o, const ConditionedData& data) {
   const Eigen::Vector3d origin_W = MeanPosition(data.poses);
   return FitHyperparameters(Chunks(data, &origin_W),
                             {o.position_lengthscale_s, o.position_signal_std, o.position_noise_std},
-                            before, o.Threads());
+                            o.Threads());
 }
 
 /// In [rad]. Rotation noise moves a unit quaternion by half the angle and in three of its four
 /// dimensions only, so the noise per component that the likelihood sees is sigma/2 sqrt(3/4).
-GpHyperparameters FitRotation(const CalibrationOptions& o, const ConditionedData& data,
-                              const GpHyperparameters& before) {
+GpHyperparameters FitRotation(const CalibrationOptions& o, const ConditionedData& data) {
   const double noise_ratio = 0.5 * std::sqrt(0.75);
   const GpHyperparameters h = FitHyperparameters(
       Chunks(data, nullptr),
       {o.rotation_lengthscale_s, 0.5 * o.rotation_signal_std, noise_ratio * o.rotation_noise_std},
-      {before.lengthscale_s, 0.5 * before.signal_std, noise_ratio * before.noise_std}, o.Threads());
+      o.Threads());
   return {h.lengthscale_s, 2.0 * h.signal_std, h.noise_std / noise_ratio};
 }
 
@@ -121,41 +119,26 @@ void CheckNoiseScales(const std::vector<Eigen::Vector2d>& residuals,
   check(1, &TimedPose::rotation_scale);
 }
 
-/// Indices of the poses whose residual exceeds `threshold` robust sigma, of the log and of the
-/// poses within `radius_s`: where the motion is livelier than the GP, all residuals are large and
-/// none is an outlier.
-std::vector<size_t> FindOutliers(const std::vector<Eigen::Vector2d>& residuals,
-                                 const std::vector<TimedPose>& poses, double threshold,
-                                 double radius_s) {
+/// Poses whose residual exceeds `threshold` robust sigma, of the log and of the poses within
+/// `radius_s`: where the motion is livelier than the GP, all residuals are large and none is an
+/// outlier.
+std::vector<bool> FindOutliers(const std::vector<Eigen::Vector2d>& residuals,
+                               const std::vector<TimedPose>& poses, double threshold,
+                               double radius_s) {
   const auto bound = [&](size_t begin, size_t end) -> Eigen::Array2d {
     const Eigen::Array2d median = MedianOfEach(begin, end, [&](size_t i) { return residuals[i]; });
     return threshold * (median / kMedianOfChi3).max(1e-9);
   };
   const Eigen::Array2d usual = bound(0, poses.size());
-  std::vector<size_t> outliers;
+  std::vector<bool> outliers(poses.size());
   size_t begin = 0, end = 0;  // of the poses around
   for (size_t i = 0; i < poses.size(); ++i) {
     while (poses[i].t - poses[begin].t >= radius_s) ++begin;
     while (end < poses.size() && poses[end].t - poses[i].t < radius_s) ++end;
     const auto is_beyond = residuals[i].array() > usual;
-    if (is_beyond.any() && (is_beyond && residuals[i].array() > bound(begin, end)).any())
-      outliers.push_back(i);
+    outliers[i] = is_beyond.any() && (is_beyond && residuals[i].array() > bound(begin, end)).any();
   }
   return outliers;
-}
-
-/// Removes the poses at `indices` (increasing), and segments of which less than two are left.
-void RemovePoses(const std::vector<size_t>& indices, ConditionedData* data) {
-  const std::vector<TimedPose> poses = std::exchange(data->poses, {});
-  const std::vector<IndexRange> segments = std::exchange(data->segments, {});
-  for (const IndexRange& segment : segments) {
-    std::vector<TimedPose> kept;
-    for (size_t i = segment.begin; i < segment.end; ++i)
-      if (!std::binary_search(indices.begin(), indices.end(), i)) kept.push_back(poses[i]);
-    if (kept.size() >= 2) AppendRun(kept, {0, kept.size()}, false, data);
-  }
-  data->pose_report.outlier += poses.size() - data->poses.size();
-  data->pose_report.used = data->poses.size();
 }
 
 /// Distance of each pose from the middle of its neighbours: (position [m], rotation [rad]).
@@ -179,22 +162,21 @@ void RemoveSpikes(double threshold, ConditionedData* data) {
   for (int round = 0; round < kSpikeRounds; ++round) {
     const std::vector<Eigen::Vector2d> distances =
         DistanceFromNeighbours(data->poses, data->segments);
-    std::vector<size_t> spikes = FindOutliers(distances, data->poses, kSpikeThreshold * threshold,
-                                              kSpikeRadius / data->pose_report.rate_hz);
+    std::vector<bool> spikes = FindOutliers(distances, data->poses, kSpikeThreshold * threshold,
+                                            kSpikeRadius / data->pose_report.rate_hz);
     // On either side of a jump the distances are alike; next to a spike they are half of its own.
-    const auto is_at_jump = [&](size_t i) {
+    for (size_t i = 1; i + 1 < spikes.size(); ++i) {
       const Eigen::Vector2d next = distances[i - 1].cwiseMax(distances[i + 1]);
-      return (distances[i].array() < 1.5 * next.array()).all();
-    };
-    spikes.erase(std::remove_if(spikes.begin(), spikes.end(), is_at_jump), spikes.end());
-    if (spikes.empty()) return;
-    RemovePoses(spikes, data);
+      spikes[i] = spikes[i] && (distances[i].array() >= 1.5 * next.array()).any();
+    }
+    if (std::find(spikes.begin(), spikes.end(), true) == spikes.end()) return;
+    data->pose_report.outlier += RemovePoses(spikes, data);
   }
 }
 
 /// How the quaternion before projection turns, given with its derivatives in columns, and, unless
 /// null, the time derivative of that (of q_WM: of its coefficients).
-void FindRotation(const WindowedGp::Derivatives& q, MarkerRotation<double>* rotation,
+void FindRotation(const GaussianProcess::Derivatives& q, MarkerRotation<double>* rotation,
                   MarkerRotation<double>* rate) {
   const auto quaternion = [&q](int derivative) {
     return Eigen::Quaterniond(Eigen::Vector4d(q.col(derivative)));
@@ -224,16 +206,18 @@ PoseTrajectory::PoseTrajectory(const std::vector<TimedPose>& poses,
     : position_(position), rotation_(rotation), origin_W_(MeanPosition(poses)) {
   const GpHyperparameters quaternion{rotation.lengthscale_s, 0.5 * rotation.signal_std,
                                      0.5 * rotation.noise_std};
-  for (const IndexRange& range : segments) {
-    const auto gp = [&](const Eigen::Vector3d* origin_W, const GpHyperparameters& h) {
-      GpData data = Measurements(poses, range, origin_W);
-      if (noise_scale.size() > 0)
-        data.noise_scale = noise_scale.segment(static_cast<Eigen::Index>(range.begin),
-                                               static_cast<Eigen::Index>(range.size()));
-      return WindowedGp(data, h, threads);
-    };
-    segments_.push_back({gp(&origin_W_, position_), gp(nullptr, quaternion)});
-  }
+  segments_.resize(segments.size());
+  InParallel(threads, 2 * segments.size(), [&](size_t k) {
+    const IndexRange range = segments[k / 2];
+    const bool is_position = k % 2 == 0;
+    GpData data = Measurements(poses, range, is_position ? &origin_W_ : nullptr);
+    if (noise_scale.size() > 0)
+      data.noise_scale = noise_scale.segment(static_cast<Eigen::Index>(range.begin),
+                                             static_cast<Eigen::Index>(range.size()));
+    GaussianProcess* const gp =
+        is_position ? &segments_[k / 2].position : &segments_[k / 2].quaternion;
+    *gp = GaussianProcess(data, is_position ? position_ : quaternion);
+  });
 }
 
 const PoseTrajectory::Segment* PoseTrajectory::Find(double t) const {
@@ -254,7 +238,7 @@ bool PoseTrajectory::Evaluate(double t, MarkerState<double>* state,
                               MarkerState<double>* rate) const {
   const Segment* segment = Find(t);
   if (segment == nullptr) return false;
-  const WindowedGp::Derivatives p = segment->position.Evaluate(t);
+  const GaussianProcess::Derivatives p = segment->position.Evaluate(t);
   FindRotation(segment->quaternion.Evaluate(t), state, rate);
   state->p_WM = origin_W_ + Eigen::Vector3d(p.col(0));
   state->v_W = p.col(1);
@@ -299,20 +283,20 @@ PoseTrajectory FitTrajectory(const CalibrationOptions& options, ConditionedData*
   RemoveSpikes(options.outlier_threshold, data);
   SplitAtJumps(options, data);
   const int threads = options.Threads();
-  GpHyperparameters position, rotation;
   for (int round = 1;; ++round) {
-    position = FitPosition(options, *data, position);
-    rotation = FitRotation(options, *data, rotation);
+    const GpHyperparameters position = FitPosition(options, *data);
+    const GpHyperparameters rotation = FitRotation(options, *data);
     PoseTrajectory trajectory(data->poses, data->segments, position, rotation, threads);
     const std::vector<Eigen::Vector2d> residuals = LeaveOneOut(trajectory, data->poses, threads);
-    const std::vector<size_t> outliers =
+    const std::vector<bool> outliers =
         FindOutliers(residuals, data->poses, options.outlier_threshold,
                      std::min(position.lengthscale_s, rotation.lengthscale_s));
-    if (outliers.empty() || round == kMaxRounds) {
+    const bool has_none = std::find(outliers.begin(), outliers.end(), true) == outliers.end();
+    if (has_none || round == kMaxRounds) {
       CheckNoiseScales(residuals, &data->poses);
       return trajectory;
     }
-    RemovePoses(outliers, data);
+    data->pose_report.outlier += RemovePoses(outliers, data);
   }
 }
 

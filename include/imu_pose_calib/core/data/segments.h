@@ -7,11 +7,12 @@
 
 namespace imu_pose_calib {
 
-/// Adds a run of `poses` to the data: to their last segment, or as another one.
-void AppendRun(const std::vector<TimedPose>& poses, IndexRange run, bool joins,
-               ConditionedData* data);
+/// Removes the poses that leave, and segments of which less than two are left, and returns how many
+/// have gone.
+size_t RemovePoses(const std::vector<bool>& leaves, ConditionedData* data);
 
 /// Cuts the poses into segments at gaps; runs that are too short are dropped and counted.
+/// Throws DataError when no run is left.
 void SplitAtGaps(const CalibrationOptions& options, ConditionedData* data);
 
 /// Cuts the segments where a pose cannot follow from the one before it (swapped marker labels, a

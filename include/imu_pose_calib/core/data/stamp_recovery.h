@@ -12,6 +12,10 @@ namespace imu_pose_calib {
 
 /// Share of a period within which no source samples again: stamps of such samples are of a bunch.
 constexpr double kBunch = 0.25;
+/// Share of the samples that may be otherwise than a clock wants them.
+constexpr double kExceptions = 0.1;
+/// Sigmas by which stamps and clocks must differ from what is assumed of them.
+constexpr double kSureSigmas = 4.0;
 
 /// Why a stamp is not believed: hours from the others (stamp 0, clock set meanwhile); more than a
 /// second after most of what arrived around it; more than a second before one that arrived earlier.

@@ -20,7 +20,7 @@ constexpr double kMaxSignalToNoise = 1e5;
 struct GpData {
   Eigen::VectorXd t;  ///< [s]
   Eigen::MatrixXd y;  ///< N x D, D <= 4
-  /// Noise of each over GpHyperparameters::noise_std; empty: 1. Of WindowedGp.
+  /// Noise of each over GpHyperparameters::noise_std; empty: 1. Of GaussianProcess.
   Eigen::VectorXd noise_scale = Eigen::VectorXd();
 };
 
@@ -32,25 +32,24 @@ struct BumpGrid {
 };
 
 /// Gaussian process regression with one 1-D input and D independent outputs that share their
-/// hyperparameters, at a cost linear in duration (doc/math.md, "Windowed GP").
+/// hyperparameters, at a cost linear in duration (doc/math.md, "Gaussian process").
 ///
 /// The kernel is written as an integral over Gaussian bumps and the integral as a sum on a grid of
 /// 0.4 length scales, which is exact to 1e-13. That turns regression into least squares on bump
-/// weights. The timeline is cut into windows; each is fitted with margins so wide that its core
-/// agrees with the GP of the whole log.
-class WindowedGp {
+/// weights, whose normal matrix is banded.
+class GaussianProcess {
  public:
   /// Column k holds the k-th time derivative, k = 0..3; one row per output.
   using Derivatives = Eigen::Matrix<double, Eigen::Dynamic, 4, Eigen::ColMajor, 4, 4>;
   using Values = Eigen::Matrix<double, Eigen::Dynamic, 1, Eigen::ColMajor, 4, 1>;
 
-  /// Windows are fitted on up to `threads` threads; there are variances only `with_variance`.
-  WindowedGp(const GpData& data, const GpHyperparameters& hyperparameters, int threads = 1,
-             bool with_variance = true);
+  GaussianProcess() = default;
+  /// There are variances only `with_variance`.
+  GaussianProcess(const GpData& data, const GpHyperparameters& hyperparameters,
+                  bool with_variance = true);
 
   double begin() const { return begin_; }  ///< first measurement [s]
   double end() const { return end_; }      ///< last measurement [s]
-  double core() const { return core_; }    ///< length of a window's core [s]
 
   /// Posterior mean at t and its first three derivatives (paper Eqs. 3 and 6). Outside of
   /// [begin, end] it tends to the prior mean, zero.
@@ -63,17 +62,11 @@ class WindowedGp {
   Eigen::Vector3d Variance(double t) const;
 
  private:
-  struct Window {
-    BumpGrid grid;               ///< of those bumps that matter in the core
-    Eigen::MatrixXd weights;     ///< bumps x D
-    Eigen::MatrixXd covariance;  ///< of the weights of one output, see VarianceOf()
-  };
-  const Window& At(double t) const;
-  Window Fit(const GpData& data, const GpHyperparameters& hyperparameters, bool with_variance,
-             size_t window) const;
-
-  double begin_, end_, core_;
-  std::vector<Window> windows_;
+  double begin_ = 0.0, end_ = 0.0;
+  BumpGrid grid_;
+  Eigen::MatrixXd weights_;  ///< bumps x D
+  /// Of the weights of one output, blocks along the diagonal, see BlockOf().
+  std::vector<Eigen::MatrixXd> covariance_;
 };
 
 /// log p(y | t, hyperparameters), summed over the outputs; `gradient` (if not null) receives its
@@ -83,10 +76,9 @@ double LogMarginalLikelihood(const GpData& data, const GpHyperparameters& hyperp
 
 /// Hyperparameters that maximise the marginal likelihood of all of `data`. Values of `fixed` that
 /// are not zero are kept; a noise without a length scale is the least: with less than the data
-/// show, the length scale would follow the noise. `before`: those of nearly the same data, if
-/// known. Each of the data is taken by one of up to `threads` threads.
+/// show, the length scale would follow the noise. Each of the data is taken by one of up to
+/// `threads` threads.
 GpHyperparameters FitHyperparameters(const std::vector<GpData>& data,
-                                     const GpHyperparameters& fixed,
-                                     const GpHyperparameters& before = {}, int threads = 1);
+                                     const GpHyperparameters& fixed, int threads = 1);
 
 }  // namespace imu_pose_calib

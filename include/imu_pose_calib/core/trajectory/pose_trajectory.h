@@ -90,7 +90,7 @@ class PoseTrajectory {
 
  private:
   struct Segment {
-    WindowedGp position, quaternion;
+    GaussianProcess position, quaternion;
   };
   const Segment* Find(double t) const;
 
