@@ -21,6 +21,7 @@ constexpr double kFlipped = 0.25;
 constexpr double kFlipFactor = 25.0;       // its mean square residual over that of the others
 constexpr double kMinAgreement = 0.6;      // of the motion, on one rotation
 constexpr double kUnitBound = 5.0;         // scale of the positions, either way
+constexpr double kLeastExplained = 0.3;    // by positions in another unit
 constexpr double kDelaySearch = 0.1;       // [s] to either side
 constexpr double kDelayResolution = 2e-4;  // [s]
 constexpr double kAccelBiasPrior = 1.0;    // [m/s^2] keeps bias and gravity apart at small turns
@@ -190,7 +191,7 @@ void CheckPositionUnit(const LeverArmEquations& equations) {
   // Accelerations that are mostly errors of the poses match nothing, in no unit: s explains little
   // of what the other unknowns leave of the accelerometer.
   const double gain = scale * scale / Solve(equations.A, LeverArmEquations::Vector10d::Unit(9))(9);
-  if (!(gain > kMinExplained * (gain + equations.sum - equations.b.dot(x)))) return;
+  if (!(gain > kLeastExplained * (gain + equations.sum - equations.b.dot(x)))) return;
   const char* const advice =
       scale > 2e-4 && scale < 4e-3   ? "positions look like millimetres: set position_unit: 1.0e-3"
       : scale > 6e-3 && scale < 2e-2 ? "positions look like centimetres: set position_unit: 1.0e-2"
