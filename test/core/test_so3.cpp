@@ -173,6 +173,18 @@ TEST(So3OfJets, ExpHasTheSlopeOfItsValues) {
   });
 }
 
+TEST(CorrectionRate, IsTheRateOfTheExponentialAndItsDerivative) {
+  std::mt19937 random(13);
+  ForEachVector(13, [&random](const Vector3d& r) {
+    const Vector3d r_dot = 2.0 * RandomAxis(&random), r_ddot = 5.0 * RandomAxis(&random);
+    Vector3d u, u_dot;
+    CorrectionRate(r, r_dot, r_ddot, &u, &u_dot);
+    EXPECT_LT((u - RightJacobian(r) * r_dot).norm(), 1e-12);
+    const Vector3d expected = RightJacobian(r) * r_ddot + RightJacobianRate(r, r_dot) * r_dot;
+    EXPECT_LT((u_dot - expected).norm(), 1e-11);
+  });
+}
+
 TEST(So3OfJets, LogTurnsStepsByTheInverseRightJacobian) {
   // Log(Exp(r) Exp(d)) = r + J_r(r)^-1 d to first order.
   ForEachVector(11, [](const Vector3d& r) {
