@@ -125,7 +125,7 @@ PreparedSession LimitBand(const PreparedSession& session, double cutoff, int thr
   const bool is_rotation_lower = LowerCutoff(rate_hz, kBase * cutoff, &rotation);
   if (is_position_lower || is_rotation_lower)
     limited.trajectory = std::make_shared<const PoseTrajectory>(
-        session.data.poses, session.data.segments, position, rotation, threads);
+        session.data.poses, session.data.segments, position, rotation, threads, false);
   for (const bool is_rotation : {false, true}) SmoothErrors(is_rotation, cutoff, threads, &limited);
   return limited;
 }
@@ -141,7 +141,7 @@ std::shared_ptr<const PoseTrajectory> SmoothTrajectory(const PreparedSession& se
   };
   return std::make_shared<const PoseTrajectory>(
       poses, session.data.segments, smoother(session.trajectory->position_hyperparameters()),
-      smoother(session.trajectory->rotation_hyperparameters()), threads, noise_scale);
+      smoother(session.trajectory->rotation_hyperparameters()), threads, false, noise_scale);
 }
 
 }  // namespace imu_pose_calib

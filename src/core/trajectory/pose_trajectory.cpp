@@ -202,7 +202,7 @@ void FindRotation(const GaussianProcess::Derivatives& q, MarkerRotation<double>*
 PoseTrajectory::PoseTrajectory(const std::vector<TimedPose>& poses,
                                const std::vector<IndexRange>& segments,
                                const GpHyperparameters& position, const GpHyperparameters& rotation,
-                               int threads, const Eigen::VectorXd& noise_scale)
+                               int threads, bool with_variance, const Eigen::VectorXd& noise_scale)
     : position_(position), rotation_(rotation), origin_W_(MeanPosition(poses)) {
   const GpHyperparameters quaternion{rotation.lengthscale_s, 0.5 * rotation.signal_std,
                                      0.5 * rotation.noise_std};
@@ -216,7 +216,7 @@ PoseTrajectory::PoseTrajectory(const std::vector<TimedPose>& poses,
                                              static_cast<Eigen::Index>(range.size()));
     GaussianProcess* const gp =
         is_position ? &segments_[k / 2].position : &segments_[k / 2].quaternion;
-    *gp = GaussianProcess(data, is_position ? position_ : quaternion);
+    *gp = GaussianProcess(data, is_position ? position_ : quaternion, with_variance);
   });
 }
 

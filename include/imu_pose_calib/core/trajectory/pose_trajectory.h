@@ -53,9 +53,11 @@ struct MarkerVariance {
 class PoseTrajectory {
  public:
   /// Hyperparameters in [m] and, for rotation, in [rad]; `noise_scale` of each pose, empty: 1.
+  /// There are variances only `with_variance`.
   PoseTrajectory(const std::vector<TimedPose>& poses, const std::vector<IndexRange>& segments,
                  const GpHyperparameters& position, const GpHyperparameters& rotation,
-                 int threads = 1, const Eigen::VectorXd& noise_scale = Eigen::VectorXd());
+                 int threads = 1, bool with_variance = true,
+                 const Eigen::VectorXd& noise_scale = Eigen::VectorXd());
 
   const GpHyperparameters& position_hyperparameters() const { return position_; }
   const GpHyperparameters& rotation_hyperparameters() const { return rotation_; }
