@@ -103,8 +103,8 @@ void Trajectory(benchmark::State& state) {
 }
 BENCHMARK(Trajectory)->Apply(Cases);
 
-/// Of S1, the windows once the hyperparameters are known.
-void TrajectoryWindows(benchmark::State& state) {
+/// Of S1, once the hyperparameters are known.
+void TrajectoryKnown(benchmark::State& state) {
   const CalibrationOptions options = Options(state);
   const PreparedSession& session = PreparedRecording(state).sessions[0];
   for (auto _ : state)
@@ -112,7 +112,7 @@ void TrajectoryWindows(benchmark::State& state) {
         session.data.poses, session.data.segments, session.trajectory->position_hyperparameters(),
         session.trajectory->rotation_hyperparameters(), options.Threads()));
 }
-BENCHMARK(TrajectoryWindows)->Apply(Cases);
+BENCHMARK(TrajectoryKnown)->Apply(Cases);
 
 /// S2.
 void Start(benchmark::State& state) {
