@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Geometry>
+#include <limits>
 
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/tf_chain.h"
@@ -114,6 +115,16 @@ TEST(TfChain, SaysWhichPosesAreUnusable) {
   EXPECT_EQ(poses[1].t_ns, 2000000000);
   EXPECT_FALSE(poses[1].p_WM.allFinite());
   EXPECT_TRUE(poses[2].p_WM.allFinite());
+}
+
+TEST(TfChain, AStampBeyondTheTimesOfRosIsNoPose) {
+  TfChain chain("world", "marker", kCache);
+  geometry_msgs::TransformStamped link = Link("world", "marker", 1.0, 1.0), late = link;
+  late.header.stamp.sec = std::numeric_limits<uint32_t>::max();
+  late.header.stamp.nsec = 2'000'000'000;  // as a message may say
+  for (int k = 0; k < 2; ++k) chain.Add(Message({late, link}), false);
+  chain.Add(Message({Link("world", "marker", 2.0, 4.0)}), false);
+  EXPECT_EQ(Summary(chain.TakePoses()), (Poses{{1.0, 1.0}, {2.0, 4.0}}));
 }
 
 TEST(TfChain, KeepsTheOrderOfReversedStamps) {

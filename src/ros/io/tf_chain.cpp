@@ -1,11 +1,11 @@
 #include "imu_pose_calib/ros/io/tf_chain.h"
 
 #include <tf2/buffer_core.h>
-#include <tf2/exceptions.h>
 
 #include <algorithm>
 #include <boost/range/algorithm_ext/erase.hpp>
 #include <cmath>
+#include <exception>
 #include <limits>
 
 #include "imu_pose_calib/ros/io/conversions.h"
@@ -53,7 +53,7 @@ void TfChain::AddMoving(const geometry_msgs::TransformStamped& transform) {
 
   const int64_t stamp = ToNanoseconds(transform.header.stamp);
   if (stamp == 0) return;  // tf2 would take it for the latest
-  const bool usable = IsUsable(transform.transform);
+  const bool usable = IsUsable(transform.transform) && stamp <= ToNanoseconds(ros::TIME_MAX);
   if (link.last == 0) {
     if (!usable) return;  // no pose before the first usable one
     link.first = stamp;
@@ -104,8 +104,8 @@ std::vector<PoseSample> TfChain::TakePoses() {
       const ros::Time time = FromNanoseconds(stamp);
       if (usable)
         pose = ToPoseSample(time, buffer_->lookupTransform(parent_, child_, time).transform);
-    } catch (const tf2::TransformException&) {
-      // a frame has changed its parent meanwhile
+    } catch (const std::exception&) {
+      // a frame has changed its parent meanwhile, or no time of ROS is so late
     }
   }
   return poses;
