@@ -126,10 +126,10 @@ class BatchResidual : public SampledCost {
 class JointPoseResidual : public BatchResidual<JointPoseSample> {
  public:
   /// `signs`: of the smoothings; `cumulants`: how many are added.
-  JointPoseResidual(Samples<JointPoseSample> samples, std::vector<double> signs, int cumulants,
-                    const std::vector<int>& others, const ClockMotions& clocks)
-      : BatchResidual(std::move(samples), 1, others, clocks),
-        signs_(std::move(signs)),
+  JointPoseResidual(Samples<JointPoseSample> samples, const std::vector<double>& signs,
+                    size_t cumulants, const ClockMotions& clocks)
+      : BatchResidual(std::move(samples), 1, Others(signs.size(), cumulants), clocks),
+        signs_(signs),
         cumulants_(cumulants) {}
 
  protected:
@@ -143,7 +143,7 @@ class JointPoseResidual : public BatchResidual<JointPoseSample> {
     for (const double sign : signs_) c += 0.5 * sign * *blocks[block++];
     const Vector3d curvature = s.curvature + s.spline_share * x.col(2);
     Vector3d error = s.error - t * s.rate - x.col(0) - c * curvature;
-    for (int k = 0; k < cumulants_; ++k)
+    for (size_t k = 0; k < cumulants_; ++k)
       error -= s.higher * Eigen::Map<const Eigen::Vector2d>(blocks[block++]);
     AsVector(residual) = LessKnots(error, s.error_u, blocks + n) / s.sigma;
     if (jacobians.blocks == nullptr) return;
@@ -155,13 +155,21 @@ class JointPoseResidual : public BatchResidual<JointPoseSample> {
     block = n + 2;
     for (const double sign : signs_)
       SetRows<1>(jacobians, block++, -0.5 * sign / s.sigma * curvature);
-    for (int k = 0; k < cumulants_; ++k) SetRows<2>(jacobians, block++, -s.higher / s.sigma);
+    for (size_t k = 0; k < cumulants_; ++k) SetRows<2>(jacobians, block++, -s.higher / s.sigma);
     SetClockRows(s, -s.rate / s.sigma, jacobians);
   }
 
  private:
+  /// Two knots, smoothings and cumulants.
+  static std::vector<int> Others(size_t smoothings, size_t cumulants) {
+    std::vector<int> sizes{3, 3};
+    sizes.insert(sizes.end(), smoothings, 1);
+    sizes.insert(sizes.end(), cumulants, 2);
+    return sizes;
+  }
+
   const std::vector<double> signs_;
-  const int cumulants_;
+  const size_t cumulants_;
 };
 
 /// What the gyroscope is calibrated by, in the order of its blocks.
@@ -276,7 +284,8 @@ class JointAccelResidual : public BatchResidual<JointAccelSample> {
                          0.5 * *blocks[n + 11] * s.cone + 0.5 * *blocks[n + 12] * s.averaged -
                          *blocks[n + 7] * s.f_swing;
     const Matrix3d W = Hat(omega), lever = Hat(alpha) + W * W;
-    Matrix3d f_axes = imu.R_IM * ((lever * imu.places).colwise() + f_M);  // in I, at each axis
+    const Matrix3d f_axes =
+        imu.R_IM * ((lever * imu.places).colwise() + f_M);  // in I, at each axis
     const Vector3d f_I = f_axes.diagonal();
     const Corrections corrections(made_with_, s);
     AsVector(residual) = (LessKnots(s.value, s.bias_u, blocks + n) - imu.K * f_I -
@@ -370,12 +379,11 @@ Vector3d ForceCone(const MarkerState<double>& m, const MarkerState<double>& rate
 std::unique_ptr<SampledCost> CreateJointPositionResidual(Samples<JointPoseSample> samples,
                                                          const ClockMotions& clocks) {
   return std::make_unique<JointPoseResidual>(std::move(samples), std::vector{1.0, 1.0, -1.0}, 2,
-                                             std::vector{3, 3, 1, 1, 1, 2, 2}, clocks);
+                                             clocks);
 }
 
 std::unique_ptr<SampledCost> CreateJointRotationResidual(Samples<JointPoseSample> samples) {
   return std::make_unique<JointPoseResidual>(std::move(samples), std::vector{1.0}, 1,
-                                             std::vector{3, 3, 1, 2},
                                              std::make_shared<const std::vector<ClockMotion>>());
 }
 

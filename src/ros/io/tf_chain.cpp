@@ -1,11 +1,11 @@
 #include "imu_pose_calib/ros/io/tf_chain.h"
 
 #include <tf2/buffer_core.h>
+#include <tf2/exceptions.h>
 
 #include <algorithm>
 #include <boost/range/algorithm_ext/erase.hpp>
 #include <cmath>
-#include <exception>
 #include <limits>
 
 #include "imu_pose_calib/ros/io/conversions.h"
@@ -100,12 +100,12 @@ std::vector<PoseSample> TfChain::TakePoses() {
     PoseSample& pose = poses.emplace_back();
     pose.t_ns = stamp;
     pose.p_WM.setConstant(std::numeric_limits<double>::quiet_NaN());
+    if (!usable) continue;
     try {
       const ros::Time time = FromNanoseconds(stamp);
-      if (usable)
-        pose = ToPoseSample(time, buffer_->lookupTransform(parent_, child_, time).transform);
-    } catch (const std::exception&) {
-      // a frame has changed its parent meanwhile, or no time of ROS is so late
+      pose = ToPoseSample(time, buffer_->lookupTransform(parent_, child_, time).transform);
+    } catch (const tf2::TransformException&) {
+      // a frame has changed its parent meanwhile
     }
   }
   return poses;
