@@ -60,7 +60,7 @@ void Smooth(double rate_hz, double cutoff, int threads, TimedSample* begin, Time
   InPortions(threads, static_cast<size_t>(n), [&](size_t i) {
     TimedSample& sample = begin[i];
     if (sample.t - data.t[0] < edge || data.t[n - 1] - sample.t < edge) return;
-    const Eigen::Vector3d smooth = mean.transpose() + gp.Value(sample.t);
+    const Eigen::Vector3d smooth = mean.transpose() + gp.Value(sample.t).head<3>();
     sample.rest += sample.value - smooth;
     sample.value = smooth;
   });

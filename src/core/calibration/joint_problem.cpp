@@ -128,31 +128,31 @@ struct Places {
     trajectory->EvaluateRotation(t + step, &after);
     return (before.omega_M - 2.0 * gp.omega_M + after.omega_M) / (step * step);
   }
-  /// What belongs to JointAccelSample at t, where it is `gp`. On a spring of this compliance
-  /// f_swing is of the force that the IMU feels there, which exceeds F = R_WM f_M by -compliance
-  /// F'' and so on.
-  void SetForceDerivatives(double t, const MarkerState<double>& gp, const Eigen::Vector3d& p_MI,
-                           double variance, double compliance, JointAccelSample* sample) const {
-    constexpr int kPoints = 5, kMiddle = kPoints / 2;
-    std::array<MarkerState<double>, kPoints> states;
-    std::array<Eigen::Vector3d, kPoints> F;
-    const auto f = [&](const MarkerState<double>& x) { return SpecificForce(x, g_W, p_MI); };
-    for (int k = 0; k < kPoints; ++k) {
-      const auto i = static_cast<size_t>(k);
-      states[i] = k == kMiddle ? gp : At(t + (k - kMiddle) * kStep);
-      F[i] = states[i].q_WM * f(states[i]);
-    }
-    const Eigen::Vector3d second =
-        (16.0 * (F[1] + F[3]) - F[0] - F[4] - 30.0 * F[2]) / (12.0 * kStep * kStep);
-    const Eigen::Vector3d fourth =
-        (F[0] + F[4] - 4.0 * (F[1] + F[3]) + 6.0 * F[2]) / std::pow(kStep, 4);
-    const Eigen::Quaterniond q_MW = gp.q_WM.conjugate();
-    sample->f_swing = q_MW * (second - compliance * fourth);
+  /// F = R_WM f_M of p_MI at t.
+  Eigen::Vector3d Force(const MarkerState<double>& state, const Eigen::Vector3d& p_MI) const {
+    return state.q_WM * SpecificForce(state, g_W, p_MI);
+  }
+  /// What belongs to JointAccelSample at t, where it is `gp`, and a filter of that variance.
+  void SetCurvatures(double t, const MarkerState<double>& gp, const Eigen::Vector3d& p_MI,
+                     double variance, JointAccelSample* sample) const {
     const double step = StepOf(t, variance);
-    const MarkerState<double> before = step == kStep ? states[1] : At(t - step);
-    const MarkerState<double> after = step == kStep ? states[3] : At(t + step);
+    const MarkerState<double> before = At(t - step), after = At(t + step);
+    const auto f = [&](const MarkerState<double>& x) { return SpecificForce(x, g_W, p_MI); };
     sample->curvature = (f(before) - 2.0 * f(gp) + f(after)) / (step * step);
-    sample->averaged = q_MW * (2.0 * gp.a_W - before.a_W - after.a_W) / (step * step);
+    sample->averaged =
+        gp.q_WM.conjugate() * (2.0 * gp.a_W - before.a_W - after.a_W) / (step * step);
+  }
+  /// f_swing of JointAccelSample at t, where it is `gp`: on a spring of this compliance, of the
+  /// force that the IMU feels there, which exceeds F by -compliance F'' and so on.
+  Eigen::Vector3d Swing(double t, const MarkerState<double>& gp, const Eigen::Vector3d& p_MI,
+                        double compliance) const {
+    const auto pair = [&](double step) -> Eigen::Vector3d {
+      return Force(At(t - step), p_MI) + Force(At(t + step), p_MI);
+    };
+    const Eigen::Vector3d F = Force(gp, p_MI), near = pair(kStep), far = pair(2.0 * kStep);
+    const Eigen::Vector3d second = (16.0 * near - far - 30.0 * F) / (12.0 * kStep * kStep);
+    const Eigen::Vector3d fourth = (far - 4.0 * near + 6.0 * F) / std::pow(kStep, 4);
+    return gp.q_WM.conjugate() * (second - compliance * fourth);
   }
 };
 
@@ -401,8 +401,9 @@ void SessionBuilder::AddAccel(size_t imu) {
   ImuEstimate& rig = all.imus[imu];
   const bool is_first = imu == 0;
   const double variance = all.AccelSmoothing(imu) + rig.gyro_smoothing;
-  const bool with_derivatives = IsUsed(all.accel_smoothing) || IsUsed(all.AccelSmoothing(imu)) ||
-                                IsUsed(rig.gyro_smoothing) || IsUsed(rig.mount_compliance);
+  const bool with_curvatures = IsUsed(all.accel_smoothing) || IsUsed(all.AccelSmoothing(imu)) ||
+                               IsUsed(rig.gyro_smoothing);
+  const bool with_swing = IsUsed(rig.mount_compliance);
   AddImu<JointAccelSample>(
       imu, Quantity::kAccel, {&splines_->d, &splines_->phi},
       {rig.q_MI.coeffs().data(), rig.accel_intrinsics.data(), rig.p_MI.data(), estimate_.g_W.data(),
@@ -419,8 +420,9 @@ void SessionBuilder::AddAccel(size_t imu) {
         sample->alpha_rate = rate.alpha_M;
         sample->jerk_W = rate.a_W;
         sample->cone = ForceCone(gp, rate, places.g_W, p_MI);
-        if (!with_derivatives) return;
-        places.SetForceDerivatives(t_M, gp, p_MI, variance, compliance, sample);
+        if (with_swing) sample->f_swing = places.Swing(t_M, gp, p_MI, compliance);
+        if (!with_curvatures) return;
+        places.SetCurvatures(t_M, gp, p_MI, variance, sample);
         if (is_first) sample->averaged += sample->curvature;
       },
       &CreateJointAccelResidual);

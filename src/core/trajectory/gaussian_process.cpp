@@ -32,7 +32,7 @@ BumpGrid GridOf(double begin, double end, double lengthscale_s) {
 }
 
 using BumpArray = Eigen::Array<double, kSupport, 1>;
-using BumpDerivatives = Eigen::Matrix<double, kSupport, 4>;
+using BumpDerivatives = Eigen::Matrix<double, 4, kSupport>;
 
 /// Distances z_j = (t - c_j) / l of the bumps around t and their values exp(-z_j^2).
 struct BumpValues {
@@ -63,10 +63,10 @@ BumpDerivatives Bumps(const BumpGrid& grid, int first_bump, double t) {
   const BumpArray& bump = bumps.value;
   const double l = grid.lengthscale;
   BumpDerivatives B;
-  B.col(0) = bump;
-  B.col(1) = -2.0 / l * z * bump;
-  B.col(2) = (4.0 * z.square() - 2.0) / (l * l) * bump;
-  B.col(3) = (12.0 - 8.0 * z.square()) * z / (l * l * l) * bump;
+  B.row(0) = bump;
+  B.row(1) = -2.0 / l * z * bump;
+  B.row(2) = (4.0 * z.square() - 2.0) / (l * l) * bump;
+  B.row(3) = (12.0 - 8.0 * z.square()) * z / (l * l * l) * bump;
   return B;
 }
 
@@ -221,30 +221,47 @@ GaussianProcess::GaussianProcess(const GpData& data, const GpHyperparameters& h,
       grid_(GridOf(begin_, end_, h.lengthscale_s)) {
   WeightPosterior posterior = FitWeights(data, grid_, h);
   const double weight_std = WeightStd(h);
-  weights_ = weight_std * posterior.mean;
+  weights_.setZero(4, grid_.size);
+  weights_.topRows(data.y.cols()) = weight_std * posterior.mean.transpose();
   if (!with_variance) return;
   covariance_ = posterior.A.Inverse();
   for (Eigen::MatrixXd& block : covariance_) block *= weight_std * weight_std;
 }
 
-GaussianProcess::Derivatives GaussianProcess::Evaluate(double t) const {
-  const int j = FirstBump(grid_, t);
-  return weights_.middleRows<kSupport>(j).transpose().lazyProduct(Bumps(grid_, j, t));
+GaussianProcess::Derivatives GaussianProcess::Mean(
+    int bump, const Eigen::Ref<const Eigen::Matrix4Xd>& bumps) const {
+  Derivatives mean = Derivatives::Zero();
+  AddProduct(1.0, weights_.middleCols<kSupport>(bump), bumps, false, mean);
+  return mean;
 }
 
-GaussianProcess::Values GaussianProcess::Value(double t, double* variance) const {
+GaussianProcess::Derivatives GaussianProcess::Evaluate(double t) const {
+  const int j = FirstBump(grid_, t);
+  return Mean(j, Bumps(grid_, j, t));
+}
+
+std::pair<GaussianProcess::Derivatives, GaussianProcess::Derivatives> GaussianProcess::Evaluate(
+    const GaussianProcess& a, const GaussianProcess& b, double t) {
+  const int j = FirstBump(a.grid_, t);
+  const BumpDerivatives bumps = Bumps(a.grid_, j, t);
+  return {a.Mean(j, bumps), a.grid_ == b.grid_ ? b.Mean(j, bumps) : b.Evaluate(t)};
+}
+
+Eigen::Vector4d GaussianProcess::Value(double t, double* variance) const {
   const int j = FirstBump(grid_, t);
   const Eigen::Matrix<double, kSupport, 1> bumps = BumpValues(grid_, j, t).value;
   if (variance != nullptr) *variance = bumps.dot(BlockOf(covariance_, j).lazyProduct(bumps));
-  return weights_.middleRows<kSupport>(j).transpose().lazyProduct(bumps);
+  return weights_.middleCols<kSupport>(j).lazyProduct(bumps);
 }
 
 Eigen::Vector3d GaussianProcess::Variance(double t) const {
   const int j = FirstBump(grid_, t);
   const BumpDerivatives B = Bumps(grid_, j, t);
   Eigen::Vector3d variance;
-  for (int k = 0; k < 3; ++k)
-    variance[k] = B.col(k).dot(BlockOf(covariance_, j).lazyProduct(B.col(k)));
+  for (int k = 0; k < 3; ++k) {
+    const Eigen::Matrix<double, kSupport, 1> b = B.row(k);
+    variance[k] = b.dot(BlockOf(covariance_, j).lazyProduct(b));
+  }
   return variance;
 }
 

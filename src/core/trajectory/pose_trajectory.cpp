@@ -238,15 +238,15 @@ bool PoseTrajectory::Evaluate(double t, MarkerState<double>* state,
                               MarkerState<double>* rate) const {
   const Segment* segment = Find(t);
   if (segment == nullptr) return false;
-  const GaussianProcess::Derivatives p = segment->position.Evaluate(t);
-  FindRotation(segment->quaternion.Evaluate(t), state, rate);
-  state->p_WM = origin_W_ + Eigen::Vector3d(p.col(0));
-  state->v_W = p.col(1);
-  state->a_W = p.col(2);
+  const auto [p, q] = GaussianProcess::Evaluate(segment->position, segment->quaternion, t);
+  FindRotation(q, state, rate);
+  state->p_WM = origin_W_ + p.col(0).head<3>();
+  state->v_W = p.col(1).head<3>();
+  state->a_W = p.col(2).head<3>();
   if (rate == nullptr) return true;
   rate->p_WM = state->v_W;
   rate->v_W = state->a_W;
-  rate->a_W = p.col(3);
+  rate->a_W = p.col(3).head<3>();
   return true;
 }
 
@@ -270,7 +270,7 @@ Rigid3 PoseTrajectory::PoseAt(double t, Eigen::Vector2d* variance) const {
 }
 
 Eigen::Vector3d PoseTrajectory::PositionAt(double t, double* variance) const {
-  return origin_W_ + Eigen::Vector3d(Find(t)->position.Value(t, variance));
+  return origin_W_ + Find(t)->position.Value(t, variance).head<3>();
 }
 
 Eigen::Quaterniond PoseTrajectory::RotationAt(double t, double* variance) const {

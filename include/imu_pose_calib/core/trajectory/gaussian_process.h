@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <utility>
 #include <vector>
 
 namespace imu_pose_calib {
@@ -29,6 +30,9 @@ struct GpData {
 struct BumpGrid {
   double lengthscale, first;  ///< [s]
   int size;
+  bool operator==(const BumpGrid& o) const {
+    return lengthscale == o.lengthscale && first == o.first && size == o.size;
+  }
 };
 
 /// Gaussian process regression with one 1-D input and D independent outputs that share their
@@ -39,9 +43,8 @@ struct BumpGrid {
 /// weights, whose normal matrix is banded.
 class GaussianProcess {
  public:
-  /// Column k holds the k-th time derivative, k = 0..3; one row per output.
-  using Derivatives = Eigen::Matrix<double, Eigen::Dynamic, 4, Eigen::ColMajor, 4, 4>;
-  using Values = Eigen::Matrix<double, Eigen::Dynamic, 1, Eigen::ColMajor, 4, 1>;
+  /// Column k holds the k-th time derivative, k = 0..3; one row per output, others are 0.
+  using Derivatives = Eigen::Matrix4d;
 
   GaussianProcess() = default;
   /// There are variances only `with_variance`.
@@ -54,17 +57,23 @@ class GaussianProcess {
   /// Posterior mean at t and its first three derivatives (paper Eqs. 3 and 6). Outside of
   /// [begin, end] it tends to the prior mean, zero.
   Derivatives Evaluate(double t) const;
+  /// Evaluate() of two, at less than twice the cost if they share length scale, begin and end.
+  static std::pair<Derivatives, Derivatives> Evaluate(const GaussianProcess& a,
+                                                      const GaussianProcess& b, double t);
   /// Evaluate(t).col(0) and Variance(t)[0] (unless null) alone, at a third of the cost.
-  Values Value(double t, double* variance = nullptr) const;
+  Eigen::Vector4d Value(double t, double* variance = nullptr) const;
 
   /// Posterior variance of the value and of the first and second derivative, the same for each
   /// output (paper Eqs. 4 and 7).
   Eigen::Vector3d Variance(double t) const;
 
  private:
+  /// Of the bumps from `bump` on, given their derivatives in rows.
+  Derivatives Mean(int bump, const Eigen::Ref<const Eigen::Matrix4Xd>& bumps) const;
+
   double begin_ = 0.0, end_ = 0.0;
   BumpGrid grid_;
-  Eigen::MatrixXd weights_;  ///< bumps x D
+  Eigen::Matrix4Xd weights_;  ///< outputs x bumps
   /// Of the weights of one output, blocks along the diagonal, see BlockOf().
   std::vector<Eigen::MatrixXd> covariance_;
 };
