@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <random>
 #include <vector>
 
@@ -46,7 +47,8 @@ TEST(LimitBand, TakesWhatIsFasterAndKeepsWhatIsSlower) {
     const PreparedSession limited = LimitBand(Swinging(hz), 10.0, 1);
     const ConditionedImu& imu = limited.data.imus[0];
     double largest = 0.0;
-    for (size_t k = 200; k + 200 < imu.gyro.size(); ++k) {
+    for (size_t k = 0; k < imu.gyro.size(); ++k) {
+      if (imu.gyro[k].t < 1.0 || imu.gyro[k].t > 9.0) continue;
       EXPECT_NEAR(imu.gyro[k].value.x(), 9.8, 1e-6);
       EXPECT_EQ(imu.gyro[k].value, imu.accel[k].value);
       EXPECT_NEAR(imu.gyro[k].value.y() + imu.gyro[k].rest.y(),
@@ -54,8 +56,8 @@ TEST(LimitBand, TakesWhatIsFasterAndKeepsWhatIsSlower) {
       largest = std::max(largest, std::abs(imu.gyro[k].value.y()));
     }
     double of_positions = 0.0, of_rotations = 0.0;
-    for (size_t k = 100; k + 100 < limited.data.poses.size(); ++k) {
-      const TimedPose& pose = limited.data.poses[k];
+    for (const TimedPose& pose : limited.data.poses) {
+      if (pose.t < 1.0 || pose.t > 9.0) continue;
       EXPECT_NEAR(pose.p_WM.y() + pose.position_rest.y(), std::sin(2.0 * M_PI * hz * pose.t),
                   1e-12);
       of_positions = std::max(of_positions, std::abs(pose.p_WM.y()));
@@ -69,6 +71,33 @@ TEST(LimitBand, TakesWhatIsFasterAndKeepsWhatIsSlower) {
   EXPECT_NEAR(remains(5.0), 1.0, 1e-3);
   EXPECT_NEAR(remains(10.0), 0.5, 0.02);
   EXPECT_LT(remains(14.0), 1e-3);
+}
+
+TEST(LimitBand, KeepsOneOfAFewWhichStandsForThem) {
+  const PreparedSession limited = LimitBand(Swinging(1.0), 10.0, 1);
+  const auto counts = [](const auto& samples, double begin, double end) {
+    std::map<int, int> found;
+    for (const auto& sample : samples)
+      if (sample.t >= begin && sample.t < end) ++found[sample.count];
+    return found;
+  };
+  const auto total = [](const auto& samples) {
+    int sum = 0;
+    for (const auto& sample : samples) sum += sample.count;
+    return sum;
+  };
+  // 53 Hz at least, of 200 and 100; at the ends, which stay as they are, all.
+  EXPECT_EQ(counts(limited.data.imus[0].gyro, 1.0, 9.0), (std::map<int, int>{{3, 533}}));
+  EXPECT_EQ(counts(limited.data.imus[0].gyro, 0.0, 0.15), (std::map<int, int>{{1, 30}}));
+  EXPECT_EQ(total(limited.data.imus[0].gyro), 2000);
+  EXPECT_EQ(total(limited.data.imus[0].accel), 2000);
+  EXPECT_EQ(total(limited.data.poses), 1000);
+  const PreparedSession slower = LimitBand(Swinging(1.0), 5.0, 1);
+  EXPECT_EQ(counts(slower.data.imus[0].gyro, 1.0, 8.98), (std::map<int, int>{{7, 228}}));
+  EXPECT_EQ(counts(slower.data.poses, 1.0, 9.0), (std::map<int, int>{{3, 267}}));
+  EXPECT_EQ(slower.data.segments[0].begin, 0u);
+  EXPECT_EQ(slower.data.segments[0].end, slower.data.poses.size());
+  EXPECT_EQ(total(slower.data.poses), 1000);
 }
 
 TEST(LimitBand, SmoothsTheTrajectoryWhereItIsFaster) {
@@ -90,11 +119,15 @@ TEST(LimitBand, SmoothsTheTrajectoryWhereItIsFaster) {
     after += (narrow.alpha_M - exact.At(t).alpha_M).squaredNorm();
   }
   EXPECT_LT(after, 0.1 * before);
-  for (size_t i = 0; i < session.data.poses.size(); i += 50) {
-    const TimedPose& pose = limited.data.poses[i];
-    const Eigen::Quaterniond recorded = pose.q_WM * Exp(pose.rotation_rest);
-    EXPECT_LT(recorded.angularDistance(session.data.poses[i].q_WM), 1e-9);
-  }
+  size_t compared = 0;
+  for (const TimedPose& pose : limited.data.poses)
+    for (const TimedPose& recorded : session.data.poses) {
+      if (recorded.t != pose.t) continue;
+      const Eigen::Quaterniond q_WM = pose.q_WM * Exp(pose.rotation_rest);
+      EXPECT_LT(q_WM.angularDistance(recorded.q_WM), 1e-9);
+      ++compared;
+    }
+  EXPECT_EQ(compared, limited.data.poses.size());
 }
 
 /// Norm of the difference of two lever arms in sigma of the first.

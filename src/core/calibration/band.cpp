@@ -24,6 +24,10 @@ constexpr double kEdge = 2.0;
 /// Periods between samples, of a gap.
 constexpr double kMaxGapPeriods = 5.5;
 
+/// Of the band, the rate at which what is smoothed is kept at least: twice what the sampling
+/// theorem asks of what a smoother lets pass, which ends at 4/3 of it.
+constexpr double kKeptRate = 16.0 / 3.0;
+
 /// Noise of the GP that lets half of `cutoff` [Hz] pass: there, the spectra of its signal and of
 /// its noise meet.
 double NoiseOf(const GpHyperparameters& h, double rate_hz, double cutoff) {
@@ -41,7 +45,8 @@ bool LowerCutoff(double rate_hz, double cutoff, GpHyperparameters* h) {
   return true;
 }
 
-/// The samples of a run without a gap; `noise_scale` of each, empty: they are alike.
+/// The samples of a run without a gap, of which those that are smoothed have count 0 but for one of
+/// each few, which stands for them; `noise_scale` of each, empty: they are alike.
 void Smooth(double rate_hz, double cutoff, int threads, TimedSample* begin, TimedSample* end,
             const Eigen::VectorXd& noise_scale = Eigen::VectorXd()) {
   const auto n = static_cast<Eigen::Index>(end - begin);
@@ -57,13 +62,29 @@ void Smooth(double rate_hz, double cutoff, int threads, TimedSample* begin, Time
   const double edge = kEdge * h.lengthscale_s;
   if (data.t[n - 1] - data.t[0] < 2.0 * edge) return;
   const GaussianProcess gp(data, h, false);
-  InPortions(threads, static_cast<size_t>(n), [&](size_t i) {
-    TimedSample& sample = begin[i];
-    if (sample.t - data.t[0] < edge || data.t[n - 1] - sample.t < edge) return;
+  TimedSample* const first =
+      std::find_if(begin, end, [&](const TimedSample& s) { return s.t - data.t[0] >= edge; });
+  TimedSample* const last =
+      std::find_if(first, end, [&](const TimedSample& s) { return data.t[n - 1] - s.t < edge; });
+  InPortions(threads, static_cast<size_t>(last - first), [&](size_t i) {
+    TimedSample& sample = first[i];
     const Eigen::Vector3d smooth = mean.transpose() + gp.Value(sample.t).head<3>();
     sample.rest += sample.value - smooth;
     sample.value = smooth;
+    sample.count = 0;
   });
+  const auto group = std::max(1, static_cast<int>(rate_hz / (kKeptRate * cutoff)));
+  for (TimedSample* s = first; s < last; s += group) {
+    const int count = std::min(group, static_cast<int>(last - s));
+    s[count / 2].count = count;
+  }
+}
+
+template <typename Timed>
+void DropThoseWithoutCount(std::vector<Timed>* samples) {
+  samples->erase(std::remove_if(samples->begin(), samples->end(),
+                                [](const Timed& sample) { return sample.count == 0; }),
+                 samples->end());
 }
 
 void Smooth(double rate_hz, double cutoff, int threads, std::vector<TimedSample>* samples) {
@@ -75,6 +96,7 @@ void Smooth(double rate_hz, double cutoff, int threads, std::vector<TimedSample>
     Smooth(rate_hz, cutoff, threads, begin, s + 1);
     begin = s + 1;
   }
+  DropThoseWithoutCount(samples);
 }
 
 /// Smooths the errors of the poses' positions [m] or rotations [rad] about the session's
@@ -97,6 +119,7 @@ void SmoothErrors(bool is_rotation, double cutoff, int threads, PreparedSession*
     Smooth(session->data.pose_report.rate_hz, cutoff, threads, errors.data(),
            errors.data() + errors.size(), scales);
     for (size_t i = 0; i < segment.size(); ++i) {
+      poses[i].count = errors[i].count;
       if (is_rotation) {
         const Eigen::Quaterniond q_WM = T_WM[i].q * Exp(errors[i].value);
         poses[i].rotation_rest = Log(Eigen::Quaterniond(q_WM.conjugate() * poses[i].q_WM));
@@ -127,6 +150,15 @@ PreparedSession LimitBand(const PreparedSession& session, double cutoff, int thr
     limited.trajectory = std::make_shared<const PoseTrajectory>(
         session.data.poses, session.data.segments, position, rotation, threads, false);
   for (const bool is_rotation : {false, true}) SmoothErrors(is_rotation, cutoff, threads, &limited);
+  for (IndexRange& segment : limited.data.segments) {
+    const auto kept = [&poses = limited.data.poses](size_t end) {
+      return static_cast<size_t>(
+          std::count_if(poses.begin(), poses.begin() + static_cast<ptrdiff_t>(end),
+                        [](const TimedPose& pose) { return pose.count > 0; }));
+    };
+    segment = {kept(segment.begin), kept(segment.end)};
+  }
+  DropThoseWithoutCount(&limited.data.poses);
   return limited;
 }
 

@@ -38,7 +38,8 @@ bool IsLinear(Quantity quantity) {
 double StatedInformation(const LeastSquares& joint, const SensorModel& model) {
   if (!IsOfPoses(model.quantity)) return 1.0;
   double sum = 0.0;
-  for (size_t i = 0; i < model.weights.size(); ++i) sum += 1.0 / std::pow(joint.Scale(model, i), 2);
+  for (size_t i = 0; i < model.weights.size(); ++i)
+    sum += 1.0 / std::pow(joint.At(model, i).scale, 2);
   return sum / static_cast<double>(model.weights.size());
 }
 
@@ -235,7 +236,7 @@ void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares
                              : imus * S.at(model.quantity) / model.Density();  // of all IMUs'
     sensor.band =
         kWhole * std::min(band, 0.5 * joint->Find(Quantity::kPosition, session)->model->rate_hz);
-    sensor.fitted = share * points / std::max(1.0, static_cast<double>(sensor.samples.size()));
+    sensor.fitted = share * points / std::max(1.0, sensor.count);
   }
 }
 

@@ -262,8 +262,10 @@ void SessionBuilder::AddPoses() {
     if (!span) return;
     runs->push_back({*span, static_cast<int>(errors.Locate(poses[i].t).first)});
     const SensorModel& model = *sensor->model;
-    const double sigma = model.noise * joint_->Scale(model, i) / std::sqrt(model.weights[i]);
+    const double sigma =
+        model.noise * joint_->At(model, i).scale / std::sqrt(poses[i].count * model.weights[i]);
     sensor->samples.push_back({t, static_cast<uint32_t>(i), static_cast<float>(sigma)});
+    sensor->count += poses[i].count;
   };
   for (size_t i = 0; i < poses.size(); ++i) {
     add(i, all.position_delay, position_errors, &position_runs, position);
@@ -348,8 +350,9 @@ void SessionBuilder::AddImu(size_t imu, Quantity quantity, const std::vector<Vec
     if (!span) continue;
     runs.push_back({*span, static_cast<int>(knots->Locate(data[i].t).first)});
     if (!walk.IsLine()) runs.back().walk = static_cast<int>(walk.Locate(data[i].t - delay).first);
-    sensor->samples.push_back({t_M, static_cast<uint32_t>(i),
-                               static_cast<float>(model.noise / std::sqrt(model.weights[i]))});
+    const double sigma = model.noise / std::sqrt(data[i].count * model.weights[i]);
+    sensor->samples.push_back({t_M, static_cast<uint32_t>(i), static_cast<float>(sigma)});
+    sensor->count += data[i].count;
   }
   const double own_reference = delay + own.clock_reference;
   const std::function<Sample(size_t)> make = [places = places_, sensor, knots, own_reference,
@@ -401,8 +404,8 @@ void SessionBuilder::AddAccel(size_t imu) {
   ImuEstimate& rig = all.imus[imu];
   const bool is_first = imu == 0;
   const double variance = all.AccelSmoothing(imu) + rig.gyro_smoothing;
-  const bool with_curvatures = IsUsed(all.accel_smoothing) || IsUsed(all.AccelSmoothing(imu)) ||
-                               IsUsed(rig.gyro_smoothing);
+  const bool with_curvatures =
+      IsUsed(all.accel_smoothing) || IsUsed(all.AccelSmoothing(imu)) || IsUsed(rig.gyro_smoothing);
   const bool with_swing = IsUsed(rig.mount_compliance);
   AddImu<JointAccelSample>(
       imu, Quantity::kAccel, {&splines_->d, &splines_->phi},

@@ -29,14 +29,14 @@ constexpr double kUncorrected = 100.0;
 /// the noise and the robust weights that the residuals of the one before show.
 class JointSolver {
  public:
-  JointSolver(const CalibrationOptions& options, std::vector<PreparedSession>* sessions,
+  JointSolver(const CalibrationOptions& options, const std::vector<PreparedSession>& recorded,
               const std::vector<double>& knot_spacings_s, Estimate* estimate)
-      : options_(options),
-        sessions_(sessions),
-        estimate_(estimate),
-        models_(InitialModels(options, *sessions)) {
-    for (size_t s = 0; s < sessions->size(); ++s)
-      splines_.emplace_back((*sessions)[s].data, *estimate, s, knot_spacings_s[s]);
+      : options_(options), estimate_(estimate) {
+    for (size_t s = 0; s < recorded.size(); ++s) {
+      splines_.emplace_back(recorded[s].data, *estimate, s, knot_spacings_s[s]);
+      sessions_.push_back(LimitBand(recorded[s], Band(knot_spacings_s[s]), options.Threads()));
+    }
+    models_ = InitialModels(options, sessions_);
   }
 
   Solution Solve() {
@@ -64,12 +64,16 @@ class JointSolver {
     solution.iterations = iterations_;
     return solution;
   }
+  /// Of a session, moved to the solution.
+  std::shared_ptr<const PoseTrajectory> trajectory(size_t session) const {
+    return sessions_[session].trajectory;
+  }
 
  private:
   /// With the noise and the weights that are set; at first, all weights are 1.
   StepSummary Pass() {
     problem_.reset();  // never two of them at a time
-    problem_ = BuildJointProblem(options_, *sessions_, models_, estimate_, &splines_, at_bound_);
+    problem_ = BuildJointProblem(options_, sessions_, models_, estimate_, &splines_, at_bound_);
     const StepSummary summary = problem_->Step();
     iterations_ += summary.iterations;
     statistics_ = problem_->FindStatistics();
@@ -96,12 +100,14 @@ class JointSolver {
 
   /// To the solution, as far as they can hold it; the splines keep the rest.
   void MoveTrajectories() {
-    for (size_t s = 0; s < sessions_->size(); ++s) {
-      PreparedSession& session = (*sessions_)[s];
+    for (size_t s = 0; s < sessions_.size(); ++s) {
+      PreparedSession& session = sessions_[s];
       CorrectionSplines& splines = splines_[s];
       std::vector<TimedPose> poses = session.data.poses;
-      Eigen::VectorXd noise_scale = Eigen::VectorXd::Ones(static_cast<Eigen::Index>(poses.size()));
+      Eigen::VectorXd noise_scale(static_cast<Eigen::Index>(poses.size()));
       for (size_t i = 0; i < poses.size(); ++i) {
+        double* const scale = &noise_scale[static_cast<Eigen::Index>(i)];
+        *scale = 1.0 / std::sqrt(poses[i].count);
         if (const auto corrected = splines.Correct(*session.trajectory, poses[i].t)) {
           poses[i].q_WM = corrected->q_WM;
           poses[i].p_WM = corrected->p_WM;
@@ -109,7 +115,7 @@ class JointSolver {
           const Rigid3 T_WM = session.trajectory->PoseAt(poses[i].t);
           poses[i].q_WM = T_WM.q;
           poses[i].p_WM = T_WM.p;
-          noise_scale[static_cast<Eigen::Index>(i)] = kUncorrected;
+          *scale *= kUncorrected;
         }
       }
       const auto before = session.trajectory;
@@ -135,7 +141,7 @@ class JointSolver {
   }
 
   const CalibrationOptions& options_;
-  std::vector<PreparedSession>* const sessions_;
+  std::vector<PreparedSession> sessions_;  ///< in one band
   Estimate* const estimate_;
   std::vector<SensorModel> models_;
   std::vector<CorrectionSplines> splines_;
@@ -150,9 +156,10 @@ class JointSolver {
 
 Solution SolveJointly(const CalibrationOptions& options, const std::vector<double>& knot_spacings_s,
                       std::vector<PreparedSession>* sessions, Estimate* estimate) {
-  for (size_t s = 0; s < sessions->size(); ++s)
-    (*sessions)[s] = LimitBand((*sessions)[s], Band(knot_spacings_s[s]), options.Threads());
-  return JointSolver(options, sessions, knot_spacings_s, estimate).Solve();
+  JointSolver solver(options, *sessions, knot_spacings_s, estimate);
+  Solution solution = solver.Solve();
+  for (size_t s = 0; s < sessions->size(); ++s) (*sessions)[s].trajectory = solver.trajectory(s);
+  return solution;
 }
 
 }  // namespace imu_pose_calib

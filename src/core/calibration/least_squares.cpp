@@ -51,7 +51,7 @@ double MeanRate(const ConditionedData& data) {
   double steps = 0.0, duration = 0.0;
   for (const IndexRange& segment : data.segments) {
     if (segment.size() < 2) continue;
-    steps += static_cast<double>(segment.size() - 1);
+    for (size_t i = segment.begin + 1; i < segment.end; ++i) steps += data.poses[i].count;
     duration += data.poses[segment.end - 1].t - data.poses[segment.begin].t;
   }
   return duration > 0.0 ? steps / duration : data.pose_report.rate_hz;
@@ -327,26 +327,24 @@ void LeastSquares::AddSlowErrors(size_t session, SlowErrors* errors) {
   }
 }
 
-double LeastSquares::Scale(const SensorModel& model, size_t index) const {
-  const std::vector<TimedPose>& poses = sessions[model.session].data.poses;
-  if (model.quantity == Quantity::kPosition) return poses[index].position_scale;
-  return model.quantity == Quantity::kRotation ? poses[index].rotation_scale : 1.0;
-}
-
-const Eigen::Vector3d& LeastSquares::HighPassResidual(const SensorModel& model,
-                                                      size_t index) const {
+RecordedSample LeastSquares::At(const SensorModel& model, size_t index) const {
   const ConditionedData& data = sessions[model.session].data;
+  const auto of_imu = [](const TimedSample& s) -> RecordedSample { return {1.0, s.count, s.rest}; };
   switch (model.quantity) {
-    case Quantity::kPosition:
-      return data.poses[index].position_rest;
-    case Quantity::kRotation:
-      return data.poses[index].rotation_rest;
+    case Quantity::kPosition: {
+      const TimedPose& pose = data.poses[index];
+      return {pose.position_scale, pose.count, pose.position_rest};
+    }
+    case Quantity::kRotation: {
+      const TimedPose& pose = data.poses[index];
+      return {pose.rotation_scale, pose.count, pose.rotation_rest};
+    }
     case Quantity::kGyro:
-      return data.imus[model.imu].gyro[index].rest;
+      return of_imu(data.imus[model.imu].gyro[index]);
     case Quantity::kAccel:
       break;
   }
-  return data.imus[model.imu].accel[index].rest;
+  return of_imu(data.imus[model.imu].accel[index]);
 }
 
 Ordering LeastSquares::Order() const {
@@ -435,14 +433,15 @@ NoiseSpectrum LeastSquares::FindSpectrum(const SensorBlocks& sensor, const float
       const double angle = 2.0 * M_PI * (samples[i].t - begin) / NoiseSpectrum::kSpan;
       const double window = 1.0 - std::cos(angle);  // Hann's
       const double weight = spread.Weight(sensor.residuals[i].squaredNorm());
-      const Eigen::Vector3d r = window * std::sqrt(weight) * samples[i].sigma /
-                                Scale(model, samples[i].index) *
+      const RecordedSample recorded = At(model, samples[i].index);
+      const Eigen::Vector3d r = recorded.count * window * std::sqrt(weight) * samples[i].sigma /
+                                recorded.scale *
                                 Eigen::Map<const Eigen::Vector3f>(rows + 3 * i).cast<double>();
       const std::complex<double> turn = std::polar(1.0, angle);
       std::complex<double> phase = std::polar(1.0, NoiseSpectrum::kFirst * angle);
       for (int k = 0; k < bins; ++k, phase *= turn) sums.col(k) += phase * r;
-      window2 += window * window;
-      count += 1.0;
+      window2 += recorded.count * window * window;
+      count += recorded.count;
     }
     if (count < kLeastFull * NoiseSpectrum::kSpan * model.rate_hz) continue;
     for (int k = 0; k < bins; ++k)
@@ -475,11 +474,9 @@ std::vector<SensorStatistics> LeastSquares::FindStatistics() {
     sensor.residuals.reserve(sensor.samples.size());
     double sum2 = 0.0;
     for (const ProblemSample& sample : sensor.samples) {
-      const double scale = Scale(*sensor.model, sample.index);
+      const auto [scale, stands_for, rest] = At(*sensor.model, sample.index);
       const Eigen::Vector3d r =
-          (sample.sigma * Eigen::Map<const Eigen::Vector3f>(r_sigma).cast<double>() +
-           HighPassResidual(*sensor.model, sample.index)) /
-          scale;
+          (sample.sigma * Eigen::Map<const Eigen::Vector3f>(r_sigma).cast<double>() + rest) / scale;
       r_sigma += 3;
       variances.push_back(sample.trajectory_variance);
       sensor.residuals.push_back(r);
@@ -511,7 +508,7 @@ std::vector<SensorResiduals> LeastSquares::TakeResiduals() {
     for (size_t i = 0; i < sensor.samples.size(); ++i) {
       own.t.push_back(sensor.samples[i].t);
       const size_t index = sensor.samples[i].index;
-      own.residual[i] *= Scale(model, index);
+      own.residual[i] *= At(model, index).scale;
       own.weight.push_back(model.weights[index]);
     }
     all.push_back(std::move(own));

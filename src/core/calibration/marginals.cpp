@@ -77,7 +77,8 @@ std::vector<size_t> HalvesOfTurns(const LeastSquares& solved) {
       for (const TimedSample& sample : session.data.imus[i].gyro) {
         const double t = solved.estimate->sessions[s].imus[i].PoseTime(sample.t);
         if (!session.trajectory->Contains(t)) continue;
-        const double own = (sample.value - session.starts[i].gyro_bias).squaredNorm();
+        const double own =
+            sample.count * (sample.value - session.starts[i].gyro_bias).squaredNorm();
         turned[static_cast<size_t>(windows.Of(s, t))] += own;
         all[s] += own;
       }

@@ -59,12 +59,20 @@ struct ProblemSample {
   float trajectory_variance = 0.0;  ///< share of sigma^2
 };
 
+/// What is known of a sample of the data.
+struct RecordedSample {
+  double scale;                 ///< noise relative to the usual one of its sensor
+  int count;                    ///< samples that it stands for
+  const Eigen::Vector3d& rest;  ///< recorded less what the residual compares, in the sensor's unit
+};
+
 /// The samples of a sensor in a problem, whose residual blocks follow each other: three rows in
 /// sigma for each sample.
 struct SensorBlocks {
   const SensorModel* model;
   size_t first_row = 0;  ///< of the problem's
   std::vector<ProblemSample> samples;
+  double count = 0.0;  ///< of recorded samples, for which they stand
   /// Share of the samples' degrees of freedom that the trajectory uses up by following them [0..1].
   double fitted = 0.0;
   double band = 0.0;  ///< [Hz] up to which residuals have a spectrum
@@ -169,10 +177,7 @@ struct LeastSquares {
   std::vector<SensorStatistics> FindStatistics();
   /// Residuals of each sensor where the estimate stands.
   std::vector<SensorResiduals> TakeResiduals();
-  /// Noise of a sample relative to the usual one of its sensor, and what was recorded less what the
-  /// residual compares, in the sensor's unit.
-  double Scale(const SensorModel& model, size_t index) const;
-  const Eigen::Vector3d& HighPassResidual(const SensorModel& model, size_t index) const;
+  RecordedSample At(const SensorModel& model, size_t index) const;
 
  private:
   /// What is known beforehand of a block of parameters that is there, in the middle of a session.

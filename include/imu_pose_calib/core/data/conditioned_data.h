@@ -21,6 +21,7 @@ struct TimedPose {
   double position_scale = 1.0, rotation_scale = 1.0;
   /// What LimitBand() took: recorded less p_WM [m], and from q_WM to recorded [rad] in M.
   Eigen::Vector3d position_rest = Eigen::Vector3d::Zero(), rotation_rest = Eigen::Vector3d::Zero();
+  int count = 1;  ///< recorded poses that it stands for
 };
 
 /// A gyroscope or accelerometer sample at `t` [s] after ConditionedImu::epoch_ns.
@@ -28,6 +29,7 @@ struct TimedSample {
   double t;
   Eigen::Vector3d value;
   Eigen::Vector3d rest = Eigen::Vector3d::Zero();  ///< what LimitBand() took: recorded less `value`
+  int count = 1;                                   ///< recorded samples that it stands for
 };
 
 /// Half-open range of indices.
