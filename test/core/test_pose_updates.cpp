@@ -44,6 +44,17 @@ TEST(PoseUpdates, TheirBeatIsFound) {
   EXPECT_EQ(FindUpdatePeriod(data.poses), 8u);
 }
 
+TEST(PoseUpdates, TheirBeatIsFoundInVibration) {
+  for (uint32_t seed = 48; seed < 52; ++seed) {
+    SimulatorOptions options = Recording(103.0, seed);
+    options.motion = Motion::kTumble;
+    options.effects.vibration = 1.6;
+    options.effects.slow_errors = 4e-4;
+    options.effects.pose_updates = 9e-4;
+    EXPECT_EQ(FindUpdatePeriod(Simulate(options).poses), 5u) << seed;
+  }
+}
+
 TEST(PoseUpdates, OrdinaryPosesHaveNone) {
   for (const Motion motion : {Motion::kHandheld, Motion::kTumble, Motion::kArm, Motion::kDrone}) {
     for (const double noise : {0.0, 1e-5, 1e-3}) {

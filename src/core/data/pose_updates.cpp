@@ -1,5 +1,6 @@
 #include "imu_pose_calib/core/data/pose_updates.h"
 
+#include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
 
@@ -9,13 +10,38 @@
 namespace imu_pose_calib {
 namespace {
 
-/// Third differences over a quantile of theirs, of jumps: white noise never does that. A jump shows
-/// in three of them.
-constexpr double kJump = 10.0, kQuantile = 0.2;
-constexpr size_t kLeastJumps = 50;
 constexpr size_t kShortest = 5, kLongest = 25;  // poses from one measurement to the next
-/// Of the distances between jumps: share that is a multiple of the period, give or take one pose.
-constexpr double kLeastRegular = 0.85;
+/// Of them, in which the beat hardly moves against the poses.
+constexpr size_t kBeats = 20;
+/// Of third differences over their mean, next to nothing.
+constexpr double kNothing = 0.1;
+/// Share of the variance of their logarithms that a beat explains.
+constexpr double kLeastExplained = 0.3;
+
+/// How well a beat of `period` explains third differences, each block of kBeats for itself.
+struct Beat {
+  size_t period;
+  double share = 0.0;  ///< of the variance of logarithms, as far as it is not by chance
+  double F = 0.0;      ///< mean square between places in the beat over that within them
+
+  Beat(size_t beat, const std::vector<double>& norms) : period(beat) {
+    const size_t length = kBeats * period, blocks = norms.size() / length;
+    double between = 0.0, all = 0.0;
+    for (size_t block = 0; block < blocks; ++block) {
+      const Eigen::Map<const Eigen::ArrayXXd> own(&norms[block * length],
+                                                  static_cast<Eigen::Index>(period), kBeats);
+      if (own.mean() == 0.0) continue;
+      const Eigen::ArrayXXd x = (own / own.mean() + kNothing).log();
+      between += kBeats * (x.rowwise().mean() - x.mean()).square().sum();
+      all += (x - x.mean()).square().sum();
+    }
+    if (all == 0.0) return;
+    const double between_dof = static_cast<double>(blocks * (period - 1));
+    const double within_dof = static_cast<double>(blocks * period * (kBeats - 1));
+    F = between / between_dof / std::max(1e-12 * all, all - between) * within_dof;
+    share = 1.0 - (1.0 - between / all) * (between_dof + within_dof) / within_dof;
+  }
+};
 
 }  // namespace
 
@@ -24,28 +50,12 @@ size_t FindUpdatePeriod(const std::vector<PoseSample>& poses) {
   for (size_t i = 3; i < poses.size(); ++i)
     norms.push_back(
         (poses[i].p_WM - poses[i - 3].p_WM - 3.0 * (poses[i - 1].p_WM - poses[i - 2].p_WM)).norm());
-  if (norms.empty()) return 1;
-  std::vector<double> sorted = norms;
-  std::sort(sorted.begin(), sorted.end());
-  const double bound =
-      kJump * sorted[static_cast<size_t>(kQuantile * static_cast<double>(sorted.size()))];
-  std::vector<size_t> distances;             // between the beginnings of jumps
-  std::vector<int> counts(kLongest + 1, 0);  // of these distances
-  size_t last = 0;
-  for (size_t i = 1; i < norms.size(); ++i) {
-    if (norms[i] <= bound || norms[i - 1] > bound) continue;
-    if (last > 0) distances.push_back(i - last);
-    if (last > 0 && i - last <= kLongest) ++counts[i - last];
-    last = i;
+  Beat best(1, {});
+  for (size_t period = kShortest; period <= kLongest; ++period) {
+    const Beat beat(period, norms);
+    if (beat.F > best.F) best = beat;
   }
-  if (distances.size() < kLeastJumps) return 1;
-  const auto most = std::max_element(counts.begin() + kShortest, counts.end());
-  if (*most == 0) return 1;
-  const auto period = static_cast<size_t>(most - counts.begin());
-  const auto is_multiple = [period](size_t d) { return d + 1 >= period && (d + 1) % period <= 2; };
-  const auto regular = std::count_if(distances.begin(), distances.end(), is_multiple);
-  const double share = static_cast<double>(regular) / static_cast<double>(distances.size());
-  return share > kLeastRegular ? period : 1;
+  return best.share > kLeastExplained ? best.period : 1;
 }
 
 size_t KeepOneOf(size_t period, std::vector<PoseSample>* poses) {
