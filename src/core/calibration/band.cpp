@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 
 #include "imu_pose_calib/core/base/parallel.h"
 #include "imu_pose_calib/core/base/so3.h"
@@ -80,11 +81,14 @@ void Smooth(double rate_hz, double cutoff, int threads, TimedSample* begin, Time
   }
 }
 
+/// Those that stand for some, in as much memory as they need.
 template <typename Timed>
-void DropThoseWithoutCount(std::vector<Timed>* samples) {
-  samples->erase(std::remove_if(samples->begin(), samples->end(),
-                                [](const Timed& sample) { return sample.count == 0; }),
-                 samples->end());
+std::vector<Timed> Kept(const std::vector<Timed>& samples) {
+  const auto is_kept = [](const Timed& sample) { return sample.count > 0; };
+  std::vector<Timed> kept;
+  kept.reserve(static_cast<size_t>(std::count_if(samples.begin(), samples.end(), is_kept)));
+  std::copy_if(samples.begin(), samples.end(), std::back_inserter(kept), is_kept);
+  return kept;
 }
 
 void Smooth(double rate_hz, double cutoff, int threads, std::vector<TimedSample>* samples) {
@@ -96,7 +100,7 @@ void Smooth(double rate_hz, double cutoff, int threads, std::vector<TimedSample>
     Smooth(rate_hz, cutoff, threads, begin, s + 1);
     begin = s + 1;
   }
-  DropThoseWithoutCount(samples);
+  *samples = Kept(*samples);
 }
 
 /// Smooths the errors of the poses' positions [m] or rotations [rad] about the session's
@@ -158,7 +162,7 @@ PreparedSession LimitBand(const PreparedSession& session, double cutoff, int thr
     };
     segment = {kept(segment.begin), kept(segment.end)};
   }
-  DropThoseWithoutCount(&limited.data.poses);
+  limited.data.poses = Kept(limited.data.poses);
   return limited;
 }
 

@@ -21,14 +21,14 @@ namespace {
 /// Sigma of the step from one control point of the trajectory's corrections to the next [m], [rad]:
 /// more than any tracker errs by.
 constexpr double kCorrectionStep = 0.1;
-constexpr double kSensors = 3.0;  // of one IMU and the poses, that share what may be kept
+constexpr double kKeptShare = 0.125;  // of what may be kept, for the samples of one sensor
 
 /// What make(i) returns for i = 0 .. count - 1, on all threads: kept unless that is too much.
 template <typename Sample>
 Samples<Sample> Collect(const CalibrationOptions& options, size_t count,
                         const std::function<Sample(size_t)>& make) {
   const double mb = 1e-6 * static_cast<double>(count * sizeof(Sample));
-  if (mb > options.max_factor_mb / kSensors) return {count, make};
+  if (mb > kKeptShare * options.max_factor_mb) return {count, make};
   std::vector<Sample> samples(count);
   InPortions(options.Threads(), count, [&](size_t i) { samples[i] = make(i); });
   return samples;

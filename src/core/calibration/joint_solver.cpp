@@ -157,6 +157,7 @@ class JointSolver {
 Solution SolveJointly(const CalibrationOptions& options, const std::vector<double>& knot_spacings_s,
                       std::vector<PreparedSession>* sessions, Estimate* estimate) {
   JointSolver solver(options, *sessions, knot_spacings_s, estimate);
+  for (PreparedSession& session : *sessions) session.data.poses = {};  // a lot of a long recording
   Solution solution = solver.Solve();
   for (size_t s = 0; s < sessions->size(); ++s) (*sessions)[s].trajectory = solver.trajectory(s);
   return solution;
