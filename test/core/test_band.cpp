@@ -73,8 +73,8 @@ TEST(LimitBand, TakesWhatIsFasterAndKeepsWhatIsSlower) {
   EXPECT_LT(remains(14.0), 1e-3);
 }
 
-TEST(LimitBand, KeepsOneOfAFewWhichStandsForThem) {
-  const PreparedSession limited = LimitBand(Swinging(1.0), 10.0, 1);
+TEST(Thinned, HasOneOfAFewWhichStandsForThem) {
+  const PreparedSession limited = Thinned(LimitBand(Swinging(1.0), 10.0, 1), 10.0);
   const auto counts = [](const auto& samples, double begin, double end) {
     std::map<int, int> found;
     for (const auto& sample : samples)
@@ -92,7 +92,7 @@ TEST(LimitBand, KeepsOneOfAFewWhichStandsForThem) {
   EXPECT_EQ(total(limited.data.imus[0].gyro), 2000);
   EXPECT_EQ(total(limited.data.imus[0].accel), 2000);
   EXPECT_EQ(total(limited.data.poses), 1000);
-  const PreparedSession slower = LimitBand(Swinging(1.0), 5.0, 1);
+  const PreparedSession slower = Thinned(LimitBand(Swinging(1.0), 5.0, 1), 5.0);
   EXPECT_EQ(counts(slower.data.imus[0].gyro, 1.0, 8.98), (std::map<int, int>{{7, 228}}));
   EXPECT_EQ(counts(slower.data.poses, 1.0, 9.0), (std::map<int, int>{{3, 267}}));
   EXPECT_EQ(slower.data.segments[0].begin, 0u);

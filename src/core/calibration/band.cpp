@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <iterator>
 
 #include "imu_pose_calib/core/base/parallel.h"
 #include "imu_pose_calib/core/base/so3.h"
@@ -46,8 +45,7 @@ bool LowerCutoff(double rate_hz, double cutoff, GpHyperparameters* h) {
   return true;
 }
 
-/// The samples of a run without a gap, of which those that are smoothed have count 0 but for one of
-/// each few, which stands for them; `noise_scale` of each, empty: they are alike.
+/// The samples of a run without a gap; `noise_scale` of each, empty: they are alike.
 void Smooth(double rate_hz, double cutoff, int threads, TimedSample* begin, TimedSample* end,
             const Eigen::VectorXd& noise_scale = Eigen::VectorXd()) {
   const auto n = static_cast<Eigen::Index>(end - begin);
@@ -63,32 +61,13 @@ void Smooth(double rate_hz, double cutoff, int threads, TimedSample* begin, Time
   const double edge = kEdge * h.lengthscale_s;
   if (data.t[n - 1] - data.t[0] < 2.0 * edge) return;
   const GaussianProcess gp(data, h, false);
-  TimedSample* const first =
-      std::find_if(begin, end, [&](const TimedSample& s) { return s.t - data.t[0] >= edge; });
-  TimedSample* const last =
-      std::find_if(first, end, [&](const TimedSample& s) { return data.t[n - 1] - s.t < edge; });
-  InPortions(threads, static_cast<size_t>(last - first), [&](size_t i) {
-    TimedSample& sample = first[i];
+  InPortions(threads, static_cast<size_t>(n), [&](size_t i) {
+    TimedSample& sample = begin[i];
+    if (sample.t - data.t[0] < edge || data.t[n - 1] - sample.t < edge) return;
     const Eigen::Vector3d smooth = mean.transpose() + gp.Value(sample.t).head<3>();
     sample.rest += sample.value - smooth;
     sample.value = smooth;
-    sample.count = 0;
   });
-  const auto group = std::max(1, static_cast<int>(rate_hz / (kKeptRate * cutoff)));
-  for (TimedSample* s = first; s < last; s += group) {
-    const int count = std::min(group, static_cast<int>(last - s));
-    s[count / 2].count = count;
-  }
-}
-
-/// Those that stand for some, in as much memory as they need.
-template <typename Timed>
-std::vector<Timed> Kept(const std::vector<Timed>& samples) {
-  const auto is_kept = [](const Timed& sample) { return sample.count > 0; };
-  std::vector<Timed> kept;
-  kept.reserve(static_cast<size_t>(std::count_if(samples.begin(), samples.end(), is_kept)));
-  std::copy_if(samples.begin(), samples.end(), std::back_inserter(kept), is_kept);
-  return kept;
 }
 
 void Smooth(double rate_hz, double cutoff, int threads, std::vector<TimedSample>* samples) {
@@ -100,7 +79,6 @@ void Smooth(double rate_hz, double cutoff, int threads, std::vector<TimedSample>
     Smooth(rate_hz, cutoff, threads, begin, s + 1);
     begin = s + 1;
   }
-  *samples = Kept(*samples);
 }
 
 /// Smooths the errors of the poses' positions [m] or rotations [rad] about the session's
@@ -123,7 +101,6 @@ void SmoothErrors(bool is_rotation, double cutoff, int threads, PreparedSession*
     Smooth(session->data.pose_report.rate_hz, cutoff, threads, errors.data(),
            errors.data() + errors.size(), scales);
     for (size_t i = 0; i < segment.size(); ++i) {
-      poses[i].count = errors[i].count;
       if (is_rotation) {
         const Eigen::Quaterniond q_WM = T_WM[i].q * Exp(errors[i].value);
         poses[i].rotation_rest = Log(Eigen::Quaterniond(q_WM.conjugate() * poses[i].q_WM));
@@ -133,6 +110,23 @@ void SmoothErrors(bool is_rotation, double cutoff, int threads, PreparedSession*
         poses[i].p_WM = T_WM[i].p + errors[i].value;
       }
     }
+  }
+}
+
+bool IsSmoothed(const TimedSample& sample) { return !sample.rest.isZero(0.0); }
+bool IsSmoothed(const TimedPose& pose) { return !pose.position_rest.isZero(0.0); }
+
+/// Appends the samples of a run, of those that are smoothed one of each few.
+template <typename Timed>
+void AppendThinned(const std::vector<Timed>& samples, IndexRange run, double rate_hz, double cutoff,
+                   std::vector<Timed>* thinned) {
+  const auto most = std::max<size_t>(1, static_cast<size_t>(rate_hz / (kKeptRate * cutoff)));
+  for (size_t begin = run.begin, end = begin; begin < run.end; begin = end) {
+    while (++end < run.end && end - begin < most && IsSmoothed(samples[begin]) &&
+           IsSmoothed(samples[end])) {
+    }
+    thinned->push_back(samples[begin + (end - begin) / 2]);
+    thinned->back().count = static_cast<int>(end - begin);
   }
 }
 
@@ -154,16 +148,29 @@ PreparedSession LimitBand(const PreparedSession& session, double cutoff, int thr
     limited.trajectory = std::make_shared<const PoseTrajectory>(
         session.data.poses, session.data.segments, position, rotation, threads, false);
   for (const bool is_rotation : {false, true}) SmoothErrors(is_rotation, cutoff, threads, &limited);
-  for (IndexRange& segment : limited.data.segments) {
-    const auto kept = [&poses = limited.data.poses](size_t end) {
-      return static_cast<size_t>(
-          std::count_if(poses.begin(), poses.begin() + static_cast<ptrdiff_t>(end),
-                        [](const TimedPose& pose) { return pose.count > 0; }));
-    };
-    segment = {kept(segment.begin), kept(segment.end)};
-  }
-  limited.data.poses = Kept(limited.data.poses);
   return limited;
+}
+
+PreparedSession Thinned(const PreparedSession& limited, double cutoff) {
+  PreparedSession session = limited;
+  ConditionedData& data = session.data;
+  for (ConditionedImu& imu : data.imus) {
+    const auto thin = [cutoff](double rate_hz, std::vector<TimedSample>* samples) {
+      std::vector<TimedSample> kept;
+      AppendThinned(*samples, {0, samples->size()}, rate_hz, cutoff, &kept);
+      *samples = std::vector<TimedSample>(kept.begin(), kept.end());  // in as much memory
+    };
+    thin(imu.gyro_report.rate_hz, &imu.gyro);
+    thin(imu.accel_report.rate_hz, &imu.accel);
+  }
+  std::vector<TimedPose> poses;
+  for (IndexRange& segment : data.segments) {
+    const size_t begin = poses.size();
+    AppendThinned(data.poses, segment, data.pose_report.rate_hz, cutoff, &poses);
+    segment = {begin, poses.size()};
+  }
+  data.poses = std::vector<TimedPose>(poses.begin(), poses.end());
+  return session;
 }
 
 std::shared_ptr<const PoseTrajectory> SmoothTrajectory(const PreparedSession& session,

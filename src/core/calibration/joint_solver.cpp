@@ -29,12 +29,12 @@ constexpr double kUncorrected = 100.0;
 /// the noise and the robust weights that the residuals of the one before show.
 class JointSolver {
  public:
-  JointSolver(const CalibrationOptions& options, const std::vector<PreparedSession>& recorded,
+  JointSolver(const CalibrationOptions& options, const std::vector<PreparedSession>& limited,
               const std::vector<double>& knot_spacings_s, Estimate* estimate)
-      : options_(options), estimate_(estimate) {
-    for (size_t s = 0; s < recorded.size(); ++s) {
-      splines_.emplace_back(recorded[s].data, *estimate, s, knot_spacings_s[s]);
-      sessions_.push_back(LimitBand(recorded[s], Band(knot_spacings_s[s]), options.Threads()));
+      : options_(options), limited_(limited), estimate_(estimate) {
+    for (size_t s = 0; s < limited.size(); ++s) {
+      splines_.emplace_back(limited[s].data, *estimate, s, knot_spacings_s[s]);
+      sessions_.push_back(Thinned(limited[s], Band(knot_spacings_s[s])));
     }
     models_ = InitialModels(options, sessions_);
   }
@@ -57,7 +57,7 @@ class JointSolver {
     if (!std::isfinite(summary.moved)) ThrowNotConverged(options_);
     solution.marginals = FindMarginals(problem_.get());
     solution.statistics = std::move(statistics_);
-    solution.residuals = problem_->TakeResiduals();
+    solution.residuals = problem_->TakeResiduals(limited_);
     problem_.reset();
     solution.models = std::move(models_);
     solution.splines = std::move(splines_);
@@ -141,7 +141,8 @@ class JointSolver {
   }
 
   const CalibrationOptions& options_;
-  std::vector<PreparedSession> sessions_;  ///< in one band
+  const std::vector<PreparedSession>& limited_;
+  std::vector<PreparedSession> sessions_;  ///< of which samples stand for others
   Estimate* const estimate_;
   std::vector<SensorModel> models_;
   std::vector<CorrectionSplines> splines_;
@@ -156,8 +157,9 @@ class JointSolver {
 
 Solution SolveJointly(const CalibrationOptions& options, const std::vector<double>& knot_spacings_s,
                       std::vector<PreparedSession>* sessions, Estimate* estimate) {
+  for (size_t s = 0; s < sessions->size(); ++s)
+    (*sessions)[s] = LimitBand((*sessions)[s], Band(knot_spacings_s[s]), options.Threads());
   JointSolver solver(options, *sessions, knot_spacings_s, estimate);
-  for (PreparedSession& session : *sessions) session.data.poses = {};  // a lot of a long recording
   Solution solution = solver.Solve();
   for (size_t s = 0; s < sessions->size(); ++s) (*sessions)[s].trajectory = solver.trajectory(s);
   return solution;

@@ -136,6 +136,27 @@ double LargestMove(const Ordering& order, const Eigen::VectorXd& x, const Eigen:
   return largest;
 }
 
+RecordedSample SampleOf(const ConditionedData& data, const SensorModel& model, size_t index) {
+  const auto of_imu = [](const TimedSample& s) -> RecordedSample {
+    return {s.t, 1.0, s.count, s.rest};
+  };
+  switch (model.quantity) {
+    case Quantity::kPosition: {
+      const TimedPose& pose = data.poses[index];
+      return {pose.t, pose.position_scale, pose.count, pose.position_rest};
+    }
+    case Quantity::kRotation: {
+      const TimedPose& pose = data.poses[index];
+      return {pose.t, pose.rotation_scale, pose.count, pose.rotation_rest};
+    }
+    case Quantity::kGyro:
+      return of_imu(data.imus[model.imu].gyro[index]);
+    case Quantity::kAccel:
+      break;
+  }
+  return of_imu(data.imus[model.imu].accel[index]);
+}
+
 GaussNewtonStep FindStep(const NormalEquations& equations, double damping, double max_factor_mb,
                          int threads) {
   const Elimination& elimination = *equations.elimination();
@@ -328,23 +349,7 @@ void LeastSquares::AddSlowErrors(size_t session, SlowErrors* errors) {
 }
 
 RecordedSample LeastSquares::At(const SensorModel& model, size_t index) const {
-  const ConditionedData& data = sessions[model.session].data;
-  const auto of_imu = [](const TimedSample& s) -> RecordedSample { return {1.0, s.count, s.rest}; };
-  switch (model.quantity) {
-    case Quantity::kPosition: {
-      const TimedPose& pose = data.poses[index];
-      return {pose.position_scale, pose.count, pose.position_rest};
-    }
-    case Quantity::kRotation: {
-      const TimedPose& pose = data.poses[index];
-      return {pose.rotation_scale, pose.count, pose.rotation_rest};
-    }
-    case Quantity::kGyro:
-      return of_imu(data.imus[model.imu].gyro[index]);
-    case Quantity::kAccel:
-      break;
-  }
-  return of_imu(data.imus[model.imu].accel[index]);
+  return SampleOf(sessions[model.session].data, model, index);
 }
 
 Ordering LeastSquares::Order() const {
@@ -474,9 +479,12 @@ std::vector<SensorStatistics> LeastSquares::FindStatistics() {
     sensor.residuals.reserve(sensor.samples.size());
     double sum2 = 0.0;
     for (const ProblemSample& sample : sensor.samples) {
-      const auto [scale, stands_for, rest] = At(*sensor.model, sample.index);
+      const RecordedSample recorded = At(*sensor.model, sample.index);
+      const double scale = recorded.scale;
       const Eigen::Vector3d r =
-          (sample.sigma * Eigen::Map<const Eigen::Vector3f>(r_sigma).cast<double>() + rest) / scale;
+          (sample.sigma * Eigen::Map<const Eigen::Vector3f>(r_sigma).cast<double>() +
+           recorded.rest) /
+          scale;
       r_sigma += 3;
       variances.push_back(sample.trajectory_variance);
       sensor.residuals.push_back(r);
@@ -496,22 +504,36 @@ std::vector<SensorStatistics> LeastSquares::FindStatistics() {
   return statistics;
 }
 
-std::vector<SensorResiduals> LeastSquares::TakeResiduals() {
+std::vector<SensorResiduals> LeastSquares::TakeResiduals(
+    const std::vector<PreparedSession>& recorded) {
   FindStatistics();
   std::vector<SensorResiduals> all;
-  for (SensorBlocks& sensor : sensors) {
+  for (const SensorBlocks& sensor : sensors) {
     const SensorModel& model = *sensor.model;
-    SensorResiduals own{
-        model.quantity, model.session, model.imu, model.noise, {}, std::move(sensor.residuals), {}};
-    own.t.reserve(sensor.samples.size());
-    own.weight.reserve(sensor.samples.size());
-    for (size_t i = 0; i < sensor.samples.size(); ++i) {
-      own.t.push_back(sensor.samples[i].t);
-      const size_t index = sensor.samples[i].index;
-      own.residual[i] *= At(model, index).scale;
-      own.weight.push_back(model.weights[index]);
+    const std::vector<ProblemSample>& samples = sensor.samples;
+    // Of a sample of the problem, without its rest.
+    const auto smooth = [&](size_t i) -> Eigen::Vector3d {
+      const RecordedSample own = At(model, samples[i].index);
+      return sensor.residuals[i] * own.scale - own.rest;
+    };
+    SensorResiduals found{model.quantity, model.session, model.imu, model.noise, {}, {}, {}};
+    size_t next = 0, place = 0;  // of the samples as recorded, and of those that stand for them
+    for (size_t i = 0; i < samples.size(); ++i, ++place) {
+      for (; place < samples[i].index; ++place) next += static_cast<size_t>(At(model, place).count);
+      const RecordedSample own = At(model, place);
+      for (const size_t end = next + static_cast<size_t>(own.count); next < end; ++next) {
+        const RecordedSample one = SampleOf(recorded[model.session].data, model, next);
+        // In between it is linear.
+        const size_t near =
+            one.t < own.t ? std::max<size_t>(i, 1) - 1 : std::min(i + 1, samples.size() - 1);
+        const RecordedSample other = At(model, samples[near].index);
+        const double share = near == i ? 0.0 : (one.t - own.t) / (other.t - own.t);
+        found.t.push_back(samples[i].t + one.t - own.t);
+        found.residual.push_back((1.0 - share) * smooth(i) + share * smooth(near) + one.rest);
+        found.weight.push_back(model.weights[place]);
+      }
     }
-    all.push_back(std::move(own));
+    all.push_back(std::move(found));
   }
   return all;
 }

@@ -190,7 +190,7 @@ std::optional<Vector3d> RecordedAt(const std::vector<TimedSample>& samples, doub
   const TimedSample &a = *std::prev(after), &b = *after;
   if (b.t - a.t > kMaxPeriods / rate_hz) return std::nullopt;
   const double u = (t - a.t) / (b.t - a.t);
-  return (1.0 - u) * a.value + u * b.value;
+  return (1.0 - u) * (a.value + a.rest) + u * (b.value + b.rest);
 }
 
 /// Turn rates and accelerations at the instants [s, pose clock]; none when the IMU has a gap there.
@@ -392,7 +392,7 @@ std::vector<ImuTrack::Sample> ImuTrack::Samples() const {
   std::vector<Sample> samples;
   for (const TimedSample& s : Recorded().gyro) {
     const auto accel = RecordedAt(Recorded().accel, Recorded().accel_report.rate_hz, s.t + delay);
-    if (accel) samples.push_back({Stamp(s.t), s.value, *accel});
+    if (accel) samples.push_back({Stamp(s.t), s.value + s.rest, *accel});
   }
   return samples;
 }

@@ -13,8 +13,8 @@ namespace imu_pose_calib {
 
 /// Stage S4 at the knot spacings [s] of the sessions: passes of least squares with the noise and
 /// the robust weights that the residuals before show, until the noise found agrees with the noise
-/// assumed (doc/math.md, S4, "Passes"). Moves `estimate`, and the trajectories of the sessions to
-/// the solution; their poses go.
+/// assumed (doc/math.md, S4, "Passes"). Moves `estimate`; the sessions lose what the splines cannot
+/// follow, and their trajectories move to the solution.
 Solution SolveJointly(const CalibrationOptions& options, const std::vector<double>& knot_spacings_s,
                       std::vector<PreparedSession>* sessions, Estimate* estimate);
 

@@ -61,6 +61,7 @@ struct ProblemSample {
 
 /// What is known of a sample of the data.
 struct RecordedSample {
+  double t;                     ///< [s] of its own clock
   double scale;                 ///< noise relative to the usual one of its sensor
   int count;                    ///< samples that it stands for
   const Eigen::Vector3d& rest;  ///< recorded less what the residual compares, in the sensor's unit
@@ -176,7 +177,7 @@ struct LeastSquares {
   /// Of each sensor.
   std::vector<SensorStatistics> FindStatistics();
   /// Residuals of each sensor where the estimate stands.
-  std::vector<SensorResiduals> TakeResiduals();
+  std::vector<SensorResiduals> TakeResiduals(const std::vector<PreparedSession>& recorded);
   RecordedSample At(const SensorModel& model, size_t index) const;
 
  private:
