@@ -98,6 +98,10 @@ TEST(Thinned, HasOneOfAFewWhichStandsForThem) {
   EXPECT_EQ(slower.data.segments[0].begin, 0u);
   EXPECT_EQ(slower.data.segments[0].end, slower.data.poses.size());
   EXPECT_EQ(total(slower.data.poses), 1000);
+  // Poses that state different noise do not stand for each other.
+  PreparedSession stated = Swinging(1.0);
+  for (size_t k = 0; k < 1000; k += 2) stated.data.poses[k].rotation_scale = 3.0;
+  EXPECT_EQ(Thinned(LimitBand(stated, 5.0, 1), 5.0).data.poses.size(), 1000u);
 }
 
 TEST(LimitBand, SmoothsTheTrajectoryWhereItIsFaster) {

@@ -113,18 +113,24 @@ void SmoothErrors(bool is_rotation, double cutoff, int threads, PreparedSession*
   }
 }
 
-bool IsSmoothed(const TimedSample& sample) { return !sample.rest.isZero(0.0); }
-bool IsSmoothed(const TimedPose& pose) { return !pose.position_rest.isZero(0.0); }
+/// Smoothed, and as noisy: one can stand for both.
+bool AreAlike(const TimedSample& a, const TimedSample& b) {
+  return !a.rest.isZero(0.0) && !b.rest.isZero(0.0);
+}
+bool AreAlike(const TimedPose& a, const TimedPose& b) {
+  return !a.position_rest.isZero(0.0) && !b.position_rest.isZero(0.0) &&
+         a.position_scale == b.position_scale && a.rotation_scale == b.rotation_scale;
+}
 
-/// Appends the samples of a run, of those that are smoothed one of each few.
+/// Appends the samples of a run, of those that are alike one of each few.
 template <typename Timed>
 void AppendThinned(const std::vector<Timed>& samples, IndexRange run, double rate_hz, double cutoff,
                    std::vector<Timed>* thinned) {
   const auto most = std::max<size_t>(1, static_cast<size_t>(rate_hz / (kKeptRate * cutoff)));
   for (size_t begin = run.begin, end = begin; begin < run.end; begin = end) {
-    while (++end < run.end && end - begin < most && IsSmoothed(samples[begin]) &&
-           IsSmoothed(samples[end])) {
-    }
+    do {
+      ++end;
+    } while (end < run.end && end - begin < most && AreAlike(samples[begin], samples[end]));
     thinned->push_back(samples[begin + (end - begin) / 2]);
     thinned->back().count = static_cast<int>(end - begin);
   }
@@ -158,7 +164,8 @@ PreparedSession Thinned(const PreparedSession& limited, double cutoff) {
     const auto thin = [cutoff](double rate_hz, std::vector<TimedSample>* samples) {
       std::vector<TimedSample> kept;
       AppendThinned(*samples, {0, samples->size()}, rate_hz, cutoff, &kept);
-      *samples = std::vector<TimedSample>(kept.begin(), kept.end());  // in as much memory
+      kept.shrink_to_fit();
+      samples->swap(kept);
     };
     thin(imu.gyro_report.rate_hz, &imu.gyro);
     thin(imu.accel_report.rate_hz, &imu.accel);
@@ -169,7 +176,8 @@ PreparedSession Thinned(const PreparedSession& limited, double cutoff) {
     AppendThinned(data.poses, segment, data.pose_report.rate_hz, cutoff, &poses);
     segment = {begin, poses.size()};
   }
-  data.poses = std::vector<TimedPose>(poses.begin(), poses.end());
+  poses.shrink_to_fit();
+  data.poses.swap(poses);
   return session;
 }
 

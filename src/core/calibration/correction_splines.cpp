@@ -10,8 +10,6 @@ namespace imu_pose_calib {
 namespace {
 
 constexpr size_t kMinSpans = 4;  // shorter runs say little and are left out
-/// Samples of an IMU further apart than this, and so many periods, are a gap [s].
-constexpr double kMaxImuGap = 0.1, kMaxImuGapPeriods = 5.0;
 
 /// Instants without a gap [s, pose clock].
 struct Interval {
@@ -22,11 +20,11 @@ struct Interval {
 std::vector<Interval> Covered(const ConditionedImu& samples, const ImuSessionEstimate& clock,
                               double accel_delay) {
   const auto runs = [&](const std::vector<TimedSample>& sensor, double rate_hz, double delay) {
-    const double max_gap = std::max(kMaxImuGap, kMaxImuGapPeriods / rate_hz);
     std::vector<Interval> intervals;
     for (size_t i = 0; i < sensor.size(); ++i) {
       const double t = clock.PoseTime(sensor[i].t - delay);
-      if (i == 0 || sensor[i].t - sensor[i - 1].t > max_gap) intervals.push_back({t, t});
+      if (i == 0 || sensor[i].t - sensor[i - 1].t > LongestStep(rate_hz))
+        intervals.push_back({t, t});
       intervals.back().end = t;
     }
     return intervals;

@@ -31,9 +31,6 @@ constexpr double kLeastRedundancy = 0.1;
 constexpr size_t kSpans = 100;
 constexpr double kLeastFull = 0.5;
 
-/// Windows of all sessions by default, and their least length [s].
-constexpr double kWindows = 24.0;
-constexpr double kShortestWindow = 2.0;
 constexpr double kRounding = 1e-6;
 /// Of them, that a step has, others being joined: enough for all cores.
 constexpr int kStepWindows = 8;

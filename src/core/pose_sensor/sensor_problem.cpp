@@ -25,8 +25,6 @@ constexpr double kLongestStep = 20.0;  // of the squared drift in a round, up or
 /// session, changes by a smaller share.
 constexpr double kSettled = 0.02;
 constexpr double kConverged = 1e-3;  // [sigma] of the last step
-constexpr int kTimeBlocks = 24;
-constexpr double kLeastBlock = 2.0;  // [s]
 constexpr int kCalibrated = 9;       // p_MS, turn of R_MS, time shift, drift of the clock, scale
 
 using Gradient = Eigen::Matrix<double, kCalibrated, 1>;
@@ -95,7 +93,7 @@ struct Equations {
 /// innovations are white, and their least squares are those of poses and walk.
 Equations Filter(const Rigid3& T_MS, double block_s, SensorSession* session) {
   Information H = Information::Zero();
-  Eigen::Matrix<double, kCalibrated, kTimeBlocks + 2> scores;
+  Eigen::Matrix<double, kCalibrated, kWindows + 2> scores;
   scores.setZero();
   const double begin = session->samples.front().measured.t;
   ByCalibrated by_calibrated;
@@ -170,7 +168,7 @@ Equations FindEquations(const CalibrationOptions& options, SensorEstimate* estim
       continue;
     }
     Equations told =
-        Filter(estimate->T_MS, std::max(duration / kTimeBlocks, kLeastBlock), &session);
+        Filter(estimate->T_MS, std::max(duration / kWindows, kShortestWindow), &session);
     off[7] = session.clock.clock_drift;
     off[8] = session.scale - 1.0;
     told.H.diagonal() += known;

@@ -25,7 +25,6 @@ constexpr double kEvidence = 10.0;  // log likelihood by which a walk must beat 
 constexpr double kLeastDensity = 1e-7, kMostDensity = 1e-2;
 constexpr int kDensities = 25;
 constexpr double kUnknown = 1.0;     // [s] sigma of the first offset
-constexpr double kDrift = 1e-4;      // [s/s] of the drift that is left
 constexpr int kRounds = 4;           // each about the clock of the one before
 constexpr int kReweightings = 20;    // of increments and offsets
 constexpr double kStep = 4.0;        // times the usual increment: a step
@@ -137,7 +136,7 @@ Walk Smooth(const LocalOffsets& local, const Tails& tails, double density2) {
   F(0, 1) = kInterval;
   std::vector<Eigen::Vector2d> x(n, Eigen::Vector2d::Zero()), predicted_x = x;
   std::vector<Eigen::Matrix2d> P(n), predicted_P(n);
-  P[0] = Eigen::Vector2d(kUnknown * kUnknown, kDrift * kDrift).asDiagonal();
+  P[0] = Eigen::Vector2d(kUnknown * kUnknown, kDriftPrior * kDriftPrior).asDiagonal();
   double sum = 0.0, log_variance = 0.0, count = 0.0;  // of the innovations
   for (size_t k = 0; k < n; ++k) {
     if (k > 0) {

@@ -193,6 +193,10 @@ struct LeastSquares {
 /// The DataError of a solve that did not converge.
 [[noreturn]] void ThrowNotConverged(const CalibrationOptions& options);
 
+/// Windows of all sessions by default, and their least length [s].
+constexpr int kWindows = 24;
+constexpr double kShortestWindow = 2.0;
+
 /// Samples closer than this to the end of a segment are left out: the time shift can move, and
 /// differences can be taken.
 constexpr double kSegmentEdge = 0.02;  // [s]
