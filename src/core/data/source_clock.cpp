@@ -28,6 +28,7 @@ constexpr double kHuber = 1.5;      // sigma
 constexpr int kRounds = 15, kCounts = 2;
 constexpr double kSharpest = 0.02;  // a density is bounded by that of so much of the sigma
 
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr size_t kExcerpt = 20000;  // [samples] on which the period is sought
 
 /// Numbers of the frames of samples that arrived in this order; the first is 0, each at least one
@@ -60,25 +61,26 @@ struct State {
 
 /// In increasing order, frames that may be missing by the next sample: those of the states, and
 /// others up to `due`, at which the sample has the latency of the level, but for `reach`.
-std::vector<int> Candidates(const std::vector<State>& states, double due, double reach) {
-  std::vector<int> missing;
-  for (const State& state : states) missing.push_back(state.missing);
-  for (int m = std::max(missing[0] + 1, static_cast<int>(std::floor(due - reach)));
-       m <= static_cast<int>(std::ceil(due)); ++m)
-    missing.push_back(m);
-  std::sort(missing.begin(), missing.end());
-  missing.erase(std::unique(missing.begin(), missing.end()), missing.end());
-  return missing;
+void FindCandidates(const std::vector<State>& states, double due, double reach,
+                    std::vector<int>* missing) {
+  missing->clear();
+  size_t k = 0;
+  for (int m = std::max(states[0].missing + 1, static_cast<int>(std::floor(due - reach)));
+       m <= static_cast<int>(std::ceil(due)); ++m) {
+    for (; k < states.size() && states[k].missing < m; ++k) missing->push_back(states[k].missing);
+    if (k == states.size() || states[k].missing > m) missing->push_back(m);
+  }
+  for (; k < states.size(); ++k) missing->push_back(states[k].missing);
 }
 
 /// The frames n_i of stamps t_i that minimise
 ///   sum_i cost(t_i / period - n_i - level_i) + jump_cost (number of n_i > n_(i-1) + 1)
 /// by a Viterbi search over the number of missing frames. The level follows the latency with a
 /// memory of so many samples, or stays at 0 when that is 0. Latencies beyond the reach of the cost
-/// [periods] cost the same.
+/// [periods] cost the same. Without frames, at infinite cost, when it is more than `most`.
 template <typename Cost>
 FrameCount FindFrames(const std::vector<double>& t, double period, size_t memory, double jump_cost,
-                      double reach, const Cost& cost) {
+                      double reach, const Cost& cost, double most = kInfinity) {
   const auto latency = [&](size_t i) { return t[i] / period - static_cast<double>(i); };
   std::vector<double> first;
   for (size_t i = 0; i < std::min(kWindow, t.size()); ++i) first.push_back(latency(i));
@@ -86,14 +88,16 @@ FrameCount FindFrames(const std::vector<double>& t, double period, size_t memory
   const double gain = memory > 0 ? 1.0 / static_cast<double>(memory) : 0.0;
   std::vector<State> states, next;  // by missing frames
   for (int m = -kLongest; m <= kLongest; ++m) states.push_back({m, 0, 0.0, level});
-  std::vector<std::vector<std::pair<int, int>>> paths(t.size());  // (missing, from) of all states
+  std::vector<std::pair<int, int>> paths;  // (missing, from) of all states
+  std::vector<size_t> first_path;          // of each sample
+  std::vector<int> candidates;
   size_t best = kLongest;
   for (size_t i = 0; i < t.size(); ++i) {
     // A jump is due when it brings the sample nearer to the level, else it may as well come later.
-    const std::vector<int> candidates = Candidates(states, latency(i) - states[best].level, reach);
+    FindCandidates(states, latency(i) - states[best].level, reach, &candidates);
     next.clear();
     size_t k = 0, source = 0;  // the next state, the best one with fewer missing frames
-    double below = std::numeric_limits<double>::infinity(), least = below;
+    double below = kInfinity, least = kInfinity;
     for (const int m : candidates) {
       const bool exists = k < states.size() && states[k].missing == m;
       const bool stays = exists && states[k].cost <= states[source].cost + jump_cost;
@@ -110,17 +114,19 @@ FrameCount FindFrames(const std::vector<double>& t, double period, size_t memory
       next.push_back(state);
     }
     for (const State& state : next) least = std::min(least, state.cost);
+    if (least > most) return {{}, kInfinity};
     states.clear();
+    first_path.push_back(paths.size());
     for (const State& state : next) {
       if (state.cost > least + kBeam) continue;
       if (state.cost == least) best = states.size();
       states.push_back(state);
-      paths[i].emplace_back(state.missing, state.from);
+      paths.emplace_back(state.missing, state.from);
     }
   }
   FrameCount count{std::vector<int64_t>(t.size()), states[best].cost};
   for (size_t i = t.size(); i-- > 0;) {
-    const auto [missing, from] = paths[i][best];
+    const auto [missing, from] = paths[first_path[i] + best];
     count.frames[i] = static_cast<int64_t>(i) + missing;
     best = static_cast<size_t>(from);
   }
@@ -133,11 +139,12 @@ FrameCount FindFrames(const std::vector<double>& t, double period, size_t memory
 /// is assumed: the same latency [s] costs the same with all of them. A frame is taken for missing
 /// where the stamps stay later for good.
 FrameCount CountFrames(const std::vector<double>& t, const Period& period, double factor = 1.0,
-                       size_t memory = kMemory) {
+                       size_t memory = kMemory, double most = kInfinity) {
   const double reach = kLongest / factor;
   const double jump_cost = std::max(kMinJumpCost, kJumpScatters * period.scatter);
-  return FindFrames(t, factor * period.seconds, memory, jump_cost, reach,
-                    [=](double r) { return factor * std::min(std::abs(r), reach); });
+  return FindFrames(
+      t, factor * period.seconds, memory, jump_cost, reach,
+      [=](double r) { return factor * std::min(std::abs(r), reach); }, most);
 }
 
 /// Median over windows of the mean distance from a line [s].
@@ -169,9 +176,9 @@ Period FindPeriod(const std::vector<double>& t) {
   double low = 0.75, high = 1.02;
   for (size_t memory = kMemory / 9; memory <= kMemory; memory *= 3) {
     const double step = 0.15 / static_cast<double>(memory);
-    double best = 1.0, least = std::numeric_limits<double>::infinity();
+    double best = 1.0, least = CountFrames(excerpt, period, best, memory).cost;
     for (double factor = low; factor <= high; factor += step) {
-      const double cost = CountFrames(excerpt, period, factor, memory).cost;
+      const double cost = CountFrames(excerpt, period, factor, memory, least).cost;
       if (cost < least) best = factor;
       least = std::min(least, cost);
     }
