@@ -34,7 +34,7 @@ void Interpolate(size_t period, std::vector<PoseSample>* poses) {
 }
 
 TEST(PoseUpdates, TheirBeatIsFound) {
-  for (const double rate_hz : {100.0, 200.0, 400.0}) {
+  for (const double rate_hz : {82.0, 100.0, 200.0, 400.0}) {
     SimulatorOptions options = Recording(rate_hz, 41);
     options.effects.pose_updates = 2e-3;
     EXPECT_EQ(FindUpdatePeriod(Simulate(options).poses), std::lround(rate_hz / 20.0)) << rate_hz;

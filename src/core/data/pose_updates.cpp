@@ -10,7 +10,7 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr size_t kShortest = 5, kLongest = 25;  // poses from one measurement to the next
+constexpr size_t kShortest = 4, kLongest = 25;  // poses from one measurement to the next
 /// Of them, in which the beat hardly moves against the poses.
 constexpr size_t kBeats = 20;
 /// Of third differences over their mean, next to nothing.
