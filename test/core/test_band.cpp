@@ -47,8 +47,7 @@ TEST(LimitBand, TakesWhatIsFasterAndKeepsWhatIsSlower) {
     const PreparedSession limited = LimitBand(Swinging(hz), 10.0, 1);
     const ConditionedImu& imu = limited.data.imus[0];
     double largest = 0.0;
-    for (size_t k = 0; k < imu.gyro.size(); ++k) {
-      if (imu.gyro[k].t < 1.0 || imu.gyro[k].t > 9.0) continue;
+    for (size_t k = 200; k + 200 < imu.gyro.size(); ++k) {
       EXPECT_NEAR(imu.gyro[k].value.x(), 9.8, 1e-6);
       EXPECT_EQ(imu.gyro[k].value, imu.accel[k].value);
       EXPECT_NEAR(imu.gyro[k].value.y() + imu.gyro[k].rest.y(),
@@ -56,8 +55,8 @@ TEST(LimitBand, TakesWhatIsFasterAndKeepsWhatIsSlower) {
       largest = std::max(largest, std::abs(imu.gyro[k].value.y()));
     }
     double of_positions = 0.0, of_rotations = 0.0;
-    for (const TimedPose& pose : limited.data.poses) {
-      if (pose.t < 1.0 || pose.t > 9.0) continue;
+    for (size_t k = 100; k + 100 < limited.data.poses.size(); ++k) {
+      const TimedPose& pose = limited.data.poses[k];
       EXPECT_NEAR(pose.p_WM.y() + pose.position_rest.y(), std::sin(2.0 * M_PI * hz * pose.t),
                   1e-12);
       of_positions = std::max(of_positions, std::abs(pose.p_WM.y()));
@@ -123,15 +122,12 @@ TEST(LimitBand, SmoothsTheTrajectoryWhereItIsFaster) {
     after += (narrow.alpha_M - exact.At(t).alpha_M).squaredNorm();
   }
   EXPECT_LT(after, 0.1 * before);
-  size_t compared = 0;
-  for (const TimedPose& pose : limited.data.poses)
-    for (const TimedPose& recorded : session.data.poses) {
-      if (recorded.t != pose.t) continue;
-      const Eigen::Quaterniond q_WM = pose.q_WM * Exp(pose.rotation_rest);
-      EXPECT_LT(q_WM.angularDistance(recorded.q_WM), 1e-9);
-      ++compared;
-    }
-  EXPECT_EQ(compared, limited.data.poses.size());
+  ASSERT_EQ(limited.data.poses.size(), session.data.poses.size());
+  for (size_t i = 0; i < session.data.poses.size(); ++i) {
+    const TimedPose& pose = limited.data.poses[i];
+    const Eigen::Quaterniond recorded = pose.q_WM * Exp(pose.rotation_rest);
+    EXPECT_LT(recorded.angularDistance(session.data.poses[i].q_WM), 1e-9);
+  }
 }
 
 /// Norm of the difference of two lever arms in sigma of the first.

@@ -107,7 +107,7 @@ Solution SolveAgainstTrajectory(const CalibrationOptions& options,
   solve(true, kRoughTolerance);
   solve(true, kGpTolerance);
   solution.marginals = FindMarginals(gp.get());
-  solution.residuals = gp->TakeResiduals(sessions);
+  solution.residuals = gp->FindResiduals(sessions);
   return solution;
 }
 

@@ -37,10 +37,13 @@ bool IsLinear(Quantity quantity) {
 /// What poses tell, as far as they state their noise, over what they would without that.
 double StatedInformation(const LeastSquares& joint, const SensorModel& model) {
   if (!IsOfPoses(model.quantity)) return 1.0;
-  double sum = 0.0;
-  for (size_t i = 0; i < model.weights.size(); ++i)
-    sum += 1.0 / std::pow(joint.At(model, i).scale, 2);
-  return sum / static_cast<double>(model.weights.size());
+  double sum = 0.0, count = 0.0;
+  for (size_t i = 0; i < model.weights.size(); ++i) {
+    const RecordedSample pose = joint.At(model, i);
+    sum += pose.count / (pose.scale * pose.scale);
+    count += pose.count;
+  }
+  return sum / count;
 }
 
 /// Densities of the noise that sensors of one kind have together in a session, as they tell of the

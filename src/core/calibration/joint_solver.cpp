@@ -57,7 +57,7 @@ class JointSolver {
     if (!std::isfinite(summary.moved)) ThrowNotConverged(options_);
     solution.marginals = FindMarginals(problem_.get());
     solution.statistics = std::move(statistics_);
-    solution.residuals = problem_->TakeResiduals(limited_);
+    solution.residuals = problem_->FindResiduals(limited_);
     problem_.reset();
     solution.models = std::move(models_);
     solution.splines = std::move(splines_);

@@ -501,7 +501,7 @@ std::vector<SensorStatistics> LeastSquares::FindStatistics() {
   return statistics;
 }
 
-std::vector<SensorResiduals> LeastSquares::TakeResiduals(
+std::vector<SensorResiduals> LeastSquares::FindResiduals(
     const std::vector<PreparedSession>& recorded) {
   FindStatistics();
   std::vector<SensorResiduals> all;

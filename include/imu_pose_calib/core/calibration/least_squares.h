@@ -176,8 +176,10 @@ struct LeastSquares {
   std::optional<int> SolveWithCeres(double function_tolerance);
   /// Of each sensor.
   std::vector<SensorStatistics> FindStatistics();
-  /// Residuals of each sensor where the estimate stands.
-  std::vector<SensorResiduals> TakeResiduals(const std::vector<PreparedSession>& recorded);
+  /// Residuals of all samples of each sensor where the estimate stands, of those for which others
+  /// stand linear in between. `recorded`: the sessions as they were before Thinned().
+  std::vector<SensorResiduals> FindResiduals(const std::vector<PreparedSession>& recorded);
+  /// Sample `index` of the sensor's data.
   RecordedSample At(const SensorModel& model, size_t index) const;
 
  private:
