@@ -134,7 +134,7 @@ std::optional<TfFrames> ChooseTf(const Bags& bags, const BagRequest& request) {
   if (!request.poses || !request.pose_topic.empty() || !request.body.empty() ||
       Has(bags, [&](const BagTopic& t) { return MayBeMarker(request, t); }))
     return std::nullopt;
-  const std::optional<TfFrames> pair = ReadLinks(bags).SinglePair();
+  std::optional<TfFrames> pair = ReadLinks(bags).SinglePair();
   for (const std::string& name : request.pose_sensors)
     if (pair && SplitTf(name) == pair) return std::nullopt;
   return pair;

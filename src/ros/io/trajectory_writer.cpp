@@ -137,7 +137,7 @@ std::filesystem::path Mav0(const std::string& folder) {
 TrajectoryCount WriteEuroc(const std::string& path, const TrajectoryOutput& output,
                            TextTable* sigmas, OutputFiles* outputs) {
   TextTable states(kEurocHeader, ',', kDigits);
-  const TrajectoryCount count = ForEachState(output, [&](int64_t stamp_ns, const ImuState& x) {
+  TrajectoryCount count = ForEachState(output, [&](int64_t stamp_ns, const ImuState& x) {
     const std::string stamp = std::to_string(stamp_ns);
     states.AddRow(stamp, x.p_WI, x.q_WI.w(), x.q_WI.vec(), x.v_W, x.biases.gyro, x.biases.accel);
     if (sigmas == nullptr) return;

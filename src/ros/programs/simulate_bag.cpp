@@ -112,7 +112,7 @@ std::string Prefix(const CommandLine& line) {
   if (format == "asl" || format == "text") {
     if (format == "asl" && line.format.split_imu)
       throw InputError("--split does not go with the format asl, which has both in one file");
-    const std::string path = boost::trim_right_copy_if(line.output, boost::is_any_of("/"));
+    std::string path = boost::trim_right_copy_if(line.output, boost::is_any_of("/"));
     if (path.empty()) throw InputError("give the path to write; see simulate_bag --help");
     return path;
   }
