@@ -381,6 +381,19 @@ TEST(JointCalibration, SmoothedPositionsAreNotBelievedMore) {
   EXPECT_LT(Normalised(result, truth).cwiseAbs().maxCoeff(), 4.5);
 }
 
+/// Poses that somebody has fused with the IMU err slowly, which leaves next to nothing of their
+/// residual below a few Hz: that is not how much they scatter.
+TEST(JointCalibration, FusedPosesOfAFirmMountAreNotTakenForASpring) {
+  for (uint32_t seed = 11; seed < 14; ++seed) {
+    SimulatorOptions truth = Recording(1e-3, seed);
+    truth.duration_s = 40.0;
+    truth.effects.fused_poses_s = 0.05;
+    const Calibration result = Calibrate(CalibrationOptions(), Simulate(truth));
+    EXPECT_EQ(result.status, Status::kOk) << seed << ": " << result.message;
+    EXPECT_LT(Normalised(result, truth).cwiseAbs().maxCoeff(), 4.0) << seed;
+  }
+}
+
 /// Nothing but the lever arm and gravity tells what both positions and the accelerometer average
 /// over; knots that hold more than the poses do, beside slow errors, let the two run away together.
 TEST(JointCalibration, WhatPositionsAndAccelerometerAverageAlikeStays) {
