@@ -57,10 +57,10 @@ class JointResiduals : public ::testing::Test {
     SplinePlace place;
   };
   static JointPoseSample Position(const TrajectoryPoint& at, const Vector3d& p_WM, double sigma) {
-    return {{at.place}, 0.6, sigma, p_WM - at.gp.p_WM, at.gp.v_W, at.gp.a_W, 0.8, kHigher};
+    return {{at.place}, 0.6, sigma, p_WM - at.gp.p_WM, at.gp.v_W, at.gp.a_W, kHigher};
   }
   static JointPoseSample Rotation(const TrajectoryPoint& at, const Vector3d& error, double sigma) {
-    return {{at.place}, 0.35, sigma, error, Vector3d::Zero(), at.gp.alpha_M, 0.8, kHigher};
+    return {{at.place}, 0.35, sigma, error, Vector3d::Zero(), at.gp.alpha_M, kHigher};
   }
   static JointAccelSample Imu(const TrajectoryPoint& at, const Vector3d& value, double bias_u,
                               double own_time, double sigma) {

@@ -7,13 +7,22 @@
 namespace imu_pose_calib {
 namespace {
 
+// Half the smoothing is once less and once more than counts of a spline.
 TEST_F(JointResiduals, PositionJacobian) {
-  ExpectJacobiansMatch(CreateJointPositionResidual(Positions(), Motions(PositionClocks())),
-                       PositionBlocks(PositionClocks()));
+  at_.place.spacing = 0.3;
+  for (const double smoothing : {3e-4, 0.03}) {
+    pose_smoothing_ = smoothing;
+    ExpectJacobiansMatch(CreateJointPositionResidual(Positions(), Motions(PositionClocks())),
+                         PositionBlocks(PositionClocks()));
+  }
 }
 
 TEST_F(JointResiduals, RotationJacobian) {
-  ExpectJacobiansMatch(CreateJointRotationResidual(Rotations()), RotationBlocks());
+  at_.place.spacing = 0.3;
+  for (const double smoothing : {3e-4, -0.03}) {
+    pose_smoothing_ = smoothing;
+    ExpectJacobiansMatch(CreateJointRotationResidual(Rotations()), RotationBlocks());
+  }
 }
 
 TEST_F(JointResiduals, GyroJacobian) {
@@ -106,6 +115,7 @@ TEST_F(JointResiduals, VanishWhereTheCorrectedTrajectoryIsMeasured) {
   const TrajectoryPoint at = PointAt(t);
   const std::vector<Vector3d> whole_d = d_, whole_phi = phi_;
   pose_scale_ = 1.0;
+  position_smoothing_ = -3e-4;
   struct Norms {
     double gyro, accel, position, rotation;
   };
@@ -137,11 +147,15 @@ TEST_F(JointResiduals, VanishWhereTheCorrectedTrajectoryIsMeasured) {
     const Vector3d f = AccelMatrix(accel_intrinsics_) * f_I + bias;
 
     const double c = 0.5 * (pose_smoothing_ + position_smoothing_ - trajectory_accel_smoothing_);
-    const Vector3d lag = 0.5 * pose_smoothing_ * (at.gp.alpha_M + 0.8 * Correction(phi_, t, 2)) +
+    // Of what swings from knot to knot a third is left: that of the rotations is bounded by it.
+    const double most = at.place.spacing * at.place.spacing / 18.0;
+    EXPECT_LT(c, most);
+    EXPECT_GT(0.5 * pose_smoothing_, most);
+    const Vector3d lag = 0.5 * pose_smoothing_ * at.gp.alpha_M + most * Correction(phi_, t, 2) +
                          kHigher * pose_cumulants_;
-    const Vector3d p_WM =
-        at.gp.p_WM + Correction(d_, t) + c * (at.gp.a_W + 0.8 * Correction(d_, t, 2)) +
-        kHigher * (pose_cumulants_ + position_cumulants_) + 0.4 * error_0_ + 0.6 * error_1_;
+    const Vector3d p_WM = at.gp.p_WM + Correction(d_, t) + c * (at.gp.a_W + Correction(d_, t, 2)) +
+                          kHigher * (pose_cumulants_ + position_cumulants_) + 0.4 * error_0_ +
+                          0.6 * error_1_;
     const Vector3d rotation = Correction(phi_, t) + lag + 0.65 * error_0_ + 0.35 * error_1_;
     const auto norm = [](const std::unique_ptr<SampledCost>& cost,
                          const std::vector<double*>& blocks) {

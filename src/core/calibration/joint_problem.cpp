@@ -81,12 +81,6 @@ struct Places {
     const double step = std::sqrt(3.0 * std::abs(variance));
     return step > kStep && trajectory->Covers(t - step, t + step) ? step : kStep;
   }
-  /// Share of a spline's second derivative that counts in such a mean: of what swings from knot to
-  /// knot, whose second derivative is -12 / spacing^2 of it, a third is left, too.
-  double SplineShare(double variance) const {
-    const double lost = 0.5 * std::abs(variance) * 12.0 / (splines.spacing() * splines.spacing());
-    return std::min(1.0, 2.0 / 3.0 / std::max(lost, 1e-12));
-  }
   /// Second differences of the GP's position in W and of its rotation in M, at t, where it is `gp`.
   Eigen::Vector3d PositionCurvature(double t, const MarkerState<double>& gp,
                                     double variance) const {
@@ -292,7 +286,6 @@ void SessionBuilder::AddPoses() {
         sample.error = poses[at.index].p_WM - gp.p_WM;
         sample.rate = gp.v_W;
         sample.curvature = places->PositionCurvature(at.t, gp, position_smoothing);
-        sample.spline_share = places->SplineShare(position_smoothing);
         sample.higher = places->Higher(
             at.t, rotation_cumulants + position_cumulants, [&](double after) -> Eigen::Vector3d {
               return places->trajectory->PositionAt(at.t + after) - gp.p_WM;
@@ -310,7 +303,6 @@ void SessionBuilder::AddPoses() {
         sample.error = Log(Eigen::Quaterniond(gp.q_WM.conjugate() * poses[at.index].q_WM));
         sample.rate.setZero();
         sample.curvature = places->RotationCurvature(at.t, gp, rotation_smoothing);
-        sample.spline_share = places->SplineShare(rotation_smoothing);
         sample.higher = places->Higher(at.t, rotation_cumulants, [&](double after) {
           const Eigen::Quaterniond q_WM = places->trajectory->RotationAt(at.t + after);
           return Log(Eigen::Quaterniond(gp.q_WM.conjugate() * q_WM));

@@ -1,5 +1,6 @@
 #include "imu_pose_calib/core/calibration/joint_residuals.h"
 
+#include <algorithm>
 #include <memory>
 #include <utility>
 
@@ -11,6 +12,11 @@ namespace {
 
 using Eigen::Matrix3d;
 using Eigen::Vector3d;
+
+/// Of half a variance that the second derivative of a spline counts with, over the squared spacing
+/// of its knots: with it, a third is left of what swings from knot to knot, whose second derivative
+/// is -12 / spacing^2 of it.
+constexpr double kMostOfSpline = 2.0 / 3.0 / 12.0;
 
 Eigen::Map<Vector3d> AsVector(double* x) { return Eigen::Map<Vector3d>(x); }
 
@@ -141,20 +147,21 @@ class JointPoseResidual : public BatchResidual<JointPoseSample> {
     int block = n + 2;
     double c = 0.0;
     for (const double sign : signs_) c += 0.5 * sign * *blocks[block++];
-    const Vector3d curvature = s.curvature + s.spline_share * x.col(2);
-    Vector3d error = s.error - t * s.rate - x.col(0) - c * curvature;
+    const double most = kMostOfSpline * s.place.spacing * s.place.spacing;
+    const double of_spline = std::clamp(c, -most, most);
+    Vector3d error = s.error - t * s.rate - x.col(0) - c * s.curvature - of_spline * x.col(2);
     for (size_t k = 0; k < cumulants_; ++k)
       error -= s.higher * Eigen::Map<const Eigen::Vector2d>(blocks[block++]);
     AsVector(residual) = LessKnots(error, s.error_u, blocks + n) / s.sigma;
     if (jacobians.blocks == nullptr) return;
     for (int j = 0; j < n; ++j)
-      SetRows<3>(
-          jacobians, j,
-          -(weights(0, j) + c * s.spline_share * weights(2, j)) / s.sigma * Matrix3d::Identity());
+      SetRows<3>(jacobians, j,
+                 -(weights(0, j) + of_spline * weights(2, j)) / s.sigma * Matrix3d::Identity());
     SetKnotRows(jacobians, n, -(1.0 - s.error_u) / s.sigma, -s.error_u / s.sigma);
     block = n + 2;
-    for (const double sign : signs_)
-      SetRows<1>(jacobians, block++, -0.5 * sign / s.sigma * curvature);
+    Vector3d by_c = s.curvature;
+    if (of_spline == c) by_c += x.col(2);
+    for (const double sign : signs_) SetRows<1>(jacobians, block++, -0.5 * sign / s.sigma * by_c);
     for (size_t k = 0; k < cumulants_; ++k) SetRows<2>(jacobians, block++, -s.higher / s.sigma);
     SetClockRows(s, -s.rate / s.sigma, jacobians);
   }

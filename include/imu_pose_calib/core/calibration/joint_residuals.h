@@ -65,19 +65,18 @@ struct JointPoseSample : JointSample {
   Eigen::Vector3d error;      ///< [m] in W or [rad] in M
   Eigen::Vector3d rate;       ///< [m/s] of the GP; of rotations, which have no clock, nothing
   Eigen::Vector3d curvature;  ///< second derivative of the GP, [m/s^2] in W or [rad/s^2] in M
-  double spline_share;        ///< 0..1 of the spline's that counts, see joint_problem.cpp
   /// Minus a sixth of the third derivative of the GP and a 24th of the fourth, [m] or [rad].
   Eigen::Matrix<double, 3, 2> higher;
 };
 
-/// r = (error - t rate - d - s/2 (curvature + k d'') - H (c_R + c_p) - e) / sigma, s:
-/// pose_smoothing + position_smoothing less the accel_smoothing of the trajectory, c, k:
-/// spline_share, H: higher, e: slow error. Blocks: d | knots of e | pose_smoothing (1) |
+/// r = (error - t rate - d - s/2 curvature - k d'' - H (c_R + c_p) - e) / sigma, s:
+/// pose_smoothing + position_smoothing less the accel_smoothing of the trajectory, c, k: s/2, but
+/// at most kMostOfSpline, H: higher, e: slow error. Blocks: d | knots of e | pose_smoothing (1) |
 /// position_smoothing (1) | c (1) | pose_cumulants c_R (2) | position_cumulants c_p (2) | clocks.
 std::unique_ptr<SampledCost> CreateJointPositionResidual(Samples<JointPoseSample> samples,
                                                          const ClockMotions& clocks);
 
-/// r = (error - phi - s/2 (curvature + k phi'') - H c_R - e) / sigma, s: pose_smoothing. Blocks:
+/// r = (error - phi - s/2 curvature - k phi'' - H c_R - e) / sigma, s: pose_smoothing. Blocks:
 /// phi | knots of e | s (1) | c_R (2).
 std::unique_ptr<SampledCost> CreateJointRotationResidual(Samples<JointPoseSample> samples);
 
