@@ -87,6 +87,19 @@ TEST(Rig, NamesTheSessionWhoseMarkerWasMoved) {
   EXPECT_TRUE(Contains(Calibrate({}, data).message, "sessions 1 and 2 disagree: translation z by"));
 }
 
+/// The sigmas that make the result degenerate are what the sessions scatter by, not the motion's.
+TEST(Rig, NamesSessionsBetweenWhichTheMarkerWasTurned) {
+  std::vector<SessionData> data;
+  for (uint32_t k = 0; k < 2; ++k) {
+    SimulatorOptions truth = Session(k, 15.0);
+    if (k == 1) truth.T_MI.q *= Exp<double>(Eigen::Vector3d(0.0, 0.6, 0.0));
+    data.push_back(Simulate(truth));
+  }
+  const Calibration result = Calibrate({}, data);
+  EXPECT_EQ(result.status, Status::kDegenerate);
+  EXPECT_TRUE(Contains(result.message, "sessions 1 and 2 disagree: rotation ")) << result.message;
+}
+
 TEST(Rig, TwoImusWithClocksOfTheirOwn) {
   const SimulatorOptions first = Truth(310, 30.0), second = FurtherImu(first, 1);
   const SessionData both = Simulate(first, 2);

@@ -148,7 +148,7 @@ Marginals CompareSessions(Marginals marginals, Calibration* result) {
 }
 
 void TestSessionAgreement(Calibration* result) {
-  if (result->sessions.size() < 2 || !result->IsUsable()) return;
+  if (result->sessions.size() < 2) return;
   size_t worst = 0;
   for (size_t s = 1; s < result->sessions.size(); ++s)
     if (result->sessions[s].agreement.sigmas > result->sessions[worst].agreement.sigmas) worst = s;
@@ -160,8 +160,9 @@ void TestSessionAgreement(Calibration* result) {
   const std::string text =
       who + ": " + agreement.worst + " by " + InWords(agreement.difference, agreement.unit) + ", " +
       Number(agreement.sigmas, "%.1f sigma") + ": did the marker or the imu move?";
-  result->message = result->status == Status::kOk ? text : text + "; " + result->message;
-  result->status = Status::kWeak;
+  // What they scatter by is in the sigmas: of those that make it degenerate it is the reason.
+  result->message = result->status == Status::kWeak ? text + "; " + result->message : text;
+  if (result->status == Status::kOk) result->status = Status::kWeak;
 }
 
 }  // namespace imu_pose_calib

@@ -15,7 +15,7 @@ constexpr double kAgreementBound = 5.0;
 Marginals CompareSessions(Marginals marginals, Calibration* result);
 
 /// After the grading: sessions that disagree make an `ok` result `weak`, and the message names the
-/// one that stands out.
+/// one that stands out, of a degenerate result, too.
 void TestSessionAgreement(Calibration* result);
 
 }  // namespace imu_pose_calib
