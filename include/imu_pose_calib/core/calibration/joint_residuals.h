@@ -70,9 +70,10 @@ struct JointPoseSample : JointSample {
 };
 
 /// r = (error - t rate - d - s/2 curvature - k d'' - H (c_R + c_p) - e) / sigma, s:
-/// pose_smoothing + position_smoothing less the accel_smoothing of the trajectory, c, k: s/2, but
-/// at most kMostOfSpline, H: higher, e: slow error. Blocks: d | knots of e | pose_smoothing (1) |
-/// position_smoothing (1) | c (1) | pose_cumulants c_R (2) | position_cumulants c_p (2) | clocks.
+/// pose_smoothing + position_smoothing less the accel_smoothing of the trajectory, c, k: s/2,
+/// within +-1/18 of the squared spacing of knots, H: higher, e: slow error. Blocks: d | knots of e
+/// | pose_smoothing (1) | position_smoothing (1) | c (1) | pose_cumulants c_R (2) |
+/// position_cumulants c_p (2) | clocks.
 std::unique_ptr<SampledCost> CreateJointPositionResidual(Samples<JointPoseSample> samples,
                                                          const ClockMotions& clocks);
 
