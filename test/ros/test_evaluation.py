@@ -185,6 +185,13 @@ class EvaluateTrial(InFolder):
         self.assertEqual(errors('0'), [0.0] * 4)
         self.assertGreater(errors('5e-3')[0], 3.0 * errors('2e-4')[0])
 
+    def test_noise_of_poses_does_not_keep_the_sample_from_settling(self):
+        # What positions and accelerometer average alike is known the less, the noisier the positions are.
+        outcome = command_line.ask([command_line.program('evaluate_trial'), '--bag', ABOUT['sample'], '--method', 'joint', '--duration',
+                                    '40', '--index', '1', '--add-position', '1e-3', '--add-rotation', '1e-3'])
+        self.assertIn(outcome['verdict'], ('ok', 'weak'), outcome)
+        self.assertNotIn('settled', outcome['reason'])
+
     def test_refuses_and_fails(self):
         with self.assertRaisesRegex(command_line.InputError, "^motion 'fly' is unknown; must be handheld, "):
             self.run_trial('--motion', 'fly')

@@ -177,9 +177,9 @@ void FitNoiseOf(bool is_linear, size_t session, const LeastSquares& joint,
         share.push_back(gain / joint.sensors[sensors[b]].model->Density());
       const double all = std::accumulate(share.begin(), share.end(), 0.0);
       for (double& own : share) own /= all;
-      // Where the others' residuals tell more, or slow errors take up what poses err by: what is left
-      // of that is a leak from other frequencies.
-      if (share[a] > 0.5 || (a == 0 && white < 0.5 * poses)) continue;
+      // Where the others' residuals tell more, or slow errors take up what poses err by: what is
+      // left of that is a leak from other frequencies.
+      if (share[a] > 0.5 || (a == 0 && white < 0.25 * poses)) continue;
       Observation observation{spectrum.count, spectrum.density[f], 0.0, {}};
       for (size_t b = 0; b < sensors.size(); ++b) {
         double part = std::pow(a == b ? 1.0 - share[b] : share[b], 2);

@@ -9,6 +9,7 @@
 #include <optional>
 #include <utility>
 
+#include "imu_pose_calib/core/base/intrinsics.h"
 #include "imu_pose_calib/core/base/parallel.h"
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/calibration/joint_noise.h"
@@ -126,15 +127,32 @@ struct Places {
   Eigen::Vector3d Force(const MarkerState<double>& state, const Eigen::Vector3d& p_MI) const {
     return state.q_WM * SpecificForce(state, g_W, p_MI);
   }
-  /// What belongs to JointAccelSample at t, where it is `gp`, and a filter of that variance.
-  void SetCurvatures(double t, const MarkerState<double>& gp, const Eigen::Vector3d& p_MI,
-                     double variance, JointAccelSample* sample) const {
-    const double step = StepOf(t, variance);
-    const MarkerState<double> before = At(t - step), after = At(t + step);
+  /// What belongs to JointAccelSample at t, where it is `gp`, and filters of the variances `own`,
+  /// which is 0 of the first IMU, and `shared`: the slopes by half of either of what these add to
+  /// f_M. Returns what they add beyond that.
+  Eigen::Vector3d SetCurvatures(double t, const MarkerState<double>& gp,
+                                const Eigen::Vector3d& p_MI, double own, double shared,
+                                bool is_first, JointAccelSample* sample) const {
+    const double variance = is_first ? shared : own, step = StepOf(t, variance);
+    MarkerState<double> rate_before, rate_after;
+    const MarkerState<double> before = At(t - step, &rate_before),
+                              after = At(t + step, &rate_after);
+    const Eigen::Quaterniond q_MW = gp.q_WM.conjugate();
     const auto f = [&](const MarkerState<double>& x) { return SpecificForce(x, g_W, p_MI); };
     sample->curvature = (f(before) - 2.0 * f(gp) + f(after)) / (step * step);
-    sample->averaged =
-        gp.q_WM.conjugate() * (2.0 * gp.a_W - before.a_W - after.a_W) / (step * step);
+    sample->averaged = q_MW * (2.0 * gp.a_W - before.a_W - after.a_W) / (step * step);
+    if (is_first) sample->averaged += sample->curvature;
+    if (step == kStep) return Eigen::Vector3d::Zero();
+    // The step h grows with the variance: (x(t + h) - 2 x(t) + x(t - h)) / 6 is what it adds to x.
+    const Eigen::Vector3d curvature = (SpecificForceRate(after, rate_after, g_W, p_MI) -
+                                       SpecificForceRate(before, rate_before, g_W, p_MI)) /
+                                      (2.0 * step);
+    Eigen::Vector3d averaged = q_MW * (rate_before.a_W - rate_after.a_W) / (2.0 * step);
+    if (is_first) averaged += curvature;
+    const Eigen::Vector3d by_step =
+        own * (curvature - sample->curvature) + shared * (averaged - sample->averaged);
+    (is_first ? sample->averaged : sample->curvature) += by_step / variance;
+    return -0.5 * by_step;
   }
   /// f_swing of JointAccelSample at t, where it is `gp`: on a spring of this compliance, of the
   /// force that the IMU feels there, which exceeds F by -compliance F'' and so on.
@@ -395,7 +413,7 @@ void SessionBuilder::AddAccel(size_t imu) {
   Estimate& all = *joint_->estimate;
   ImuEstimate& rig = all.imus[imu];
   const bool is_first = imu == 0;
-  const double variance = all.AccelSmoothing(imu) + rig.gyro_smoothing;
+  const double own = rig.accel_smoothing + rig.gyro_smoothing, shared = all.accel_smoothing;
   const bool with_curvatures =
       IsUsed(all.accel_smoothing) || IsUsed(all.AccelSmoothing(imu)) || IsUsed(rig.gyro_smoothing);
   const bool with_swing = IsUsed(rig.mount_compliance);
@@ -404,7 +422,9 @@ void SessionBuilder::AddAccel(size_t imu) {
       {rig.q_MI.coeffs().data(), rig.accel_intrinsics.data(), rig.p_MI.data(), estimate_.g_W.data(),
        &rig.accel_smoothing, &rig.mount_compliance, &all.pose_scale, rig.accel_positions.data(),
        &rig.gyro_smoothing, &all.gyro_smoothing, &all.accel_smoothing},
-      [=, p_MI = Eigen::Vector3d(rig.p_MI), compliance = rig.mount_compliance](
+      [=, p_MI = Eigen::Vector3d(rig.p_MI), compliance = rig.mount_compliance,
+       by_force = Eigen::Matrix3d(AccelMatrix(rig.accel_intrinsics) *
+                                  rig.q_MI.conjugate().toRotationMatrix())](
           const Places& places, double t_M, JointAccelSample* sample) {
         MarkerState<double> rate;
         const MarkerState<double> gp = places.At(t_M, &rate);
@@ -417,8 +437,8 @@ void SessionBuilder::AddAccel(size_t imu) {
         sample->cone = ForceCone(gp, rate, places.g_W, p_MI);
         if (with_swing) sample->f_swing = places.Swing(t_M, gp, p_MI, compliance);
         if (!with_curvatures) return;
-        places.SetCurvatures(t_M, gp, p_MI, variance, sample);
-        if (is_first) sample->averaged += sample->curvature;
+        sample->value -=
+            by_force * places.SetCurvatures(t_M, gp, p_MI, own, shared, is_first, sample);
       },
       &CreateJointAccelResidual);
 }

@@ -87,7 +87,8 @@ struct JointImuSample : JointSample {
   Eigen::Vector3d value;             ///< gyroscope [rad/s] or accelerometer [m/s^2] in I
   double bias_u;                     ///< 0..1 between the bias knots
   double sigma;                      ///< unit of value
-  /// Second derivative of omega_M [rad/s^3] or f_M [m/s^4], components in M.
+  /// Second derivative of omega_M [rad/s^3] or f_M [m/s^4], components in M; where a filter
+  /// averages over much, the slope of the mean by half its variance.
   Eigen::Vector3d curvature = Eigen::Vector3d::Zero();
   /// By how much the mean of omega_M or f_M over an instant's surroundings of the variance s
   /// exceeds that of a trajectory that is averaged alike, over s/2: doc/math.md, "Filter of the
