@@ -17,6 +17,8 @@ constexpr double kWhole = 0.8;
 /// Periodograms that the expectation is worth that noise is as white as the samples' spread, give
 /// or take a factor of e in the density; and by which it holds back what is far below.
 constexpr double kWhiteness = 30.0, kLeastWhiteness = 1.0;
+/// Share of white noise in what poses err by, with which their residuals tell of it.
+constexpr double kLeastWhite = 0.25;
 constexpr int kRounds = 300;            // of the likelihood's ascent
 constexpr double kLongestStride = 3.0;  // of a pass, in the sigma of slow errors that it finds
 /// Share of the increments of slow errors that is looked at, the smallest, and their mean square
@@ -179,7 +181,7 @@ void FitNoiseOf(bool is_linear, size_t session, const LeastSquares& joint,
       for (double& own : share) own /= all;
       // Where the others' residuals tell more, or slow errors take up what poses err by: what is
       // left of that is a leak from other frequencies.
-      if (share[a] > 0.5 || (a == 0 && white < 0.25 * poses)) continue;
+      if (share[a] > 0.5 || (a == 0 && white < kLeastWhite * poses)) continue;
       Observation observation{spectrum.count, spectrum.density[f], 0.0, {}};
       for (size_t b = 0; b < sensors.size(); ++b) {
         double part = std::pow(a == b ? 1.0 - share[b] : share[b], 2);

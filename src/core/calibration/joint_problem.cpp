@@ -134,15 +134,16 @@ struct Places {
                                 const Eigen::Vector3d& p_MI, double own, double shared,
                                 bool is_first, JointAccelSample* sample) const {
     const double variance = is_first ? shared : own, step = StepOf(t, variance);
+    const bool has_rates = step > kStep;
     MarkerState<double> rate_before, rate_after;
-    const MarkerState<double> before = At(t - step, &rate_before),
-                              after = At(t + step, &rate_after);
+    const MarkerState<double> before = At(t - step, has_rates ? &rate_before : nullptr);
+    const MarkerState<double> after = At(t + step, has_rates ? &rate_after : nullptr);
     const Eigen::Quaterniond q_MW = gp.q_WM.conjugate();
     const auto f = [&](const MarkerState<double>& x) { return SpecificForce(x, g_W, p_MI); };
     sample->curvature = (f(before) - 2.0 * f(gp) + f(after)) / (step * step);
     sample->averaged = q_MW * (2.0 * gp.a_W - before.a_W - after.a_W) / (step * step);
     if (is_first) sample->averaged += sample->curvature;
-    if (step == kStep) return Eigen::Vector3d::Zero();
+    if (!has_rates) return Eigen::Vector3d::Zero();
     // The step h grows with the variance: (x(t + h) - 2 x(t) + x(t - h)) / 6 is what it adds to x.
     const Eigen::Vector3d curvature = (SpecificForceRate(after, rate_after, g_W, p_MI) -
                                        SpecificForceRate(before, rate_before, g_W, p_MI)) /
