@@ -24,10 +24,6 @@ constexpr double kEdge = 2.0;
 /// Periods between samples, of a gap.
 constexpr double kMaxGapPeriods = 5.5;
 
-/// Of the band, the rate at which what is smoothed is kept at least: twice what the sampling
-/// theorem asks of what a smoother lets pass, which ends at 4/3 of it.
-constexpr double kKeptRate = 16.0 / 3.0;
-
 /// Noise of the GP that lets half of `cutoff` [Hz] pass: there, the spectra of its signal and of
 /// its noise meet.
 double NoiseOf(const GpHyperparameters& h, double rate_hz, double cutoff) {
@@ -122,15 +118,17 @@ bool AreAlike(const TimedPose& a, const TimedPose& b) {
          a.position_scale == b.position_scale && a.rotation_scale == b.rotation_scale;
 }
 
-/// Appends the samples of a run, of those that are alike one of each few.
+/// Appends the samples of a run, of those that are alike one in each `spacing_s`.
 template <typename Timed>
-void AppendThinned(const std::vector<Timed>& samples, IndexRange run, double rate_hz, double cutoff,
+void AppendThinned(const std::vector<Timed>& samples, IndexRange run, double spacing_s,
                    std::vector<Timed>* thinned) {
-  const auto most = std::max<size_t>(1, static_cast<size_t>(rate_hz / (kKeptRate * cutoff)));
+  const auto span = [&](size_t i) {
+    return std::floor((samples[i].t - samples[run.begin].t) / spacing_s);
+  };
   for (size_t begin = run.begin, end = begin; begin < run.end; begin = end) {
     do {
       ++end;
-    } while (end < run.end && end - begin < most && AreAlike(samples[begin], samples[end]));
+    } while (end < run.end && span(end) == span(begin) && AreAlike(samples[begin], samples[end]));
     thinned->push_back(samples[begin + (end - begin) / 2]);
     thinned->back().count = static_cast<int>(end - begin);
   }
@@ -157,23 +155,21 @@ PreparedSession LimitBand(const PreparedSession& session, double cutoff, int thr
   return limited;
 }
 
-PreparedSession Thinned(const PreparedSession& limited, double cutoff) {
+PreparedSession Thinned(const PreparedSession& limited, double spacing_s) {
   PreparedSession session = limited;
   ConditionedData& data = session.data;
   for (ConditionedImu& imu : data.imus) {
-    const auto thin = [cutoff](double rate_hz, std::vector<TimedSample>* samples) {
+    for (std::vector<TimedSample>* const samples : {&imu.gyro, &imu.accel}) {
       std::vector<TimedSample> kept;
-      AppendThinned(*samples, {0, samples->size()}, rate_hz, cutoff, &kept);
+      AppendThinned(*samples, {0, samples->size()}, spacing_s, &kept);
       kept.shrink_to_fit();
       samples->swap(kept);
-    };
-    thin(imu.gyro_report.rate_hz, &imu.gyro);
-    thin(imu.accel_report.rate_hz, &imu.accel);
+    }
   }
   std::vector<TimedPose> poses;
   for (IndexRange& segment : data.segments) {
     const size_t begin = poses.size();
-    AppendThinned(data.poses, segment, data.pose_report.rate_hz, cutoff, &poses);
+    AppendThinned(data.poses, segment, spacing_s, &poses);
     segment = {begin, poses.size()};
   }
   poses.shrink_to_fit();
@@ -181,18 +177,21 @@ PreparedSession Thinned(const PreparedSession& limited, double cutoff) {
   return session;
 }
 
-std::shared_ptr<const PoseTrajectory> SmoothTrajectory(const PreparedSession& session,
-                                                       const std::vector<TimedPose>& poses,
-                                                       const Eigen::VectorXd& noise_scale,
-                                                       double cutoff, int threads) {
+std::shared_ptr<const PoseTrajectory> SmoothTrajectory(const PoseTrajectory& gp,
+                                                       const CorrectionSplines& splines,
+                                                       int threads) {
+  const double cutoff = kBase * Band(splines.spacing());
   const auto smoother = [&](GpHyperparameters h) {
-    h.lengthscale_s = kSharpness / (kBase * cutoff);
-    h.noise_std = NoiseOf(h, session.data.pose_report.rate_hz, kBase * cutoff);
+    h.lengthscale_s = kSharpness / cutoff;
+    h.noise_std = NoiseOf(h, 1.0 / splines.spacing(), cutoff);
     return h;
   };
+  std::vector<IndexRange> runs;
+  const std::vector<TimedPose> poses =
+      splines.SampleMotion(gp, kEdge * kSharpness / cutoff, threads, &runs);
   return std::make_shared<const PoseTrajectory>(
-      poses, session.data.segments, smoother(session.trajectory->position_hyperparameters()),
-      smoother(session.trajectory->rotation_hyperparameters()), threads, false, noise_scale);
+      poses, runs, smoother(gp.position_hyperparameters()),
+      smoother(gp.rotation_hyperparameters()), threads, false);
 }
 
 }  // namespace imu_pose_calib

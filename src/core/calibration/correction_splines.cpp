@@ -109,6 +109,28 @@ std::optional<SplinePlace> CorrectionSplines::Locate(double t) const {
   return SplinePlace{run.first + span, x - static_cast<double>(span), run.spacing};
 }
 
+std::vector<TimedPose> CorrectionSplines::SampleMotion(const PoseTrajectory& gp, double reach,
+                                                       int threads,
+                                                       std::vector<IndexRange>* runs) const {
+  std::vector<TimedPose> poses;
+  for (const Run& run : runs_) {
+    const size_t begin = poses.size(), beyond = static_cast<size_t>(reach / run.spacing);
+    runs->push_back({begin, begin + run.spans + 1 + 2 * beyond});
+    poses.resize(runs->back().end);
+    InPortions(threads, runs->back().size(), [&](size_t k) {
+      const double t =
+          run.begin + run.spacing * (static_cast<double>(k) - static_cast<double>(beyond));
+      const double inside = std::clamp(t, run.begin, run.end);
+      const MarkerState<double> state = *Correct(gp, inside);
+      poses[begin + k].t = t;
+      poses[begin + k].q_WM =
+          state.q_WM * Exp(Eigen::Vector3d((t - inside) * state.omega_M));
+      poses[begin + k].p_WM = state.p_WM + (t - inside) * state.v_W;
+    });
+  }
+  return poses;
+}
+
 void CorrectionSplines::Rebase(const PoseTrajectory& from, const PoseTrajectory& to, int threads) {
   for (const Run& run : runs_) {
     const size_t knots = run.spans + 1;

@@ -21,10 +21,6 @@ constexpr int kMaxPasses = 40;
 /// goes to and fro comes to rest.
 constexpr int kHalfSteps = 8;
 
-/// Noise, over that of other poses, of one beyond the ends of splines, which no IMU holds: the
-/// trajectory goes on as the corrected motion does.
-constexpr double kUncorrected = 100.0;
-
 /// S4 at given knot spacings: trajectories and calibration in passes of least squares, each with
 /// the noise and the robust weights that the residuals of the one before show.
 class JointSolver {
@@ -34,7 +30,7 @@ class JointSolver {
       : options_(options), limited_(limited), estimate_(estimate) {
     for (size_t s = 0; s < limited.size(); ++s) {
       splines_.emplace_back(limited[s].data, *estimate, s, knot_spacings_s[s]);
-      sessions_.push_back(Thinned(limited[s], Band(knot_spacings_s[s])));
+      sessions_.push_back(Thinned(limited[s], knot_spacings_s[s]));
     }
     models_ = InitialModels(options, sessions_);
   }
@@ -101,27 +97,10 @@ class JointSolver {
   /// To the solution, as far as they can hold it; the splines keep the rest.
   void MoveTrajectories() {
     for (size_t s = 0; s < sessions_.size(); ++s) {
-      PreparedSession& session = sessions_[s];
-      CorrectionSplines& splines = splines_[s];
-      std::vector<TimedPose> poses = session.data.poses;
-      Eigen::VectorXd noise_scale(static_cast<Eigen::Index>(poses.size()));
-      for (size_t i = 0; i < poses.size(); ++i) {
-        double* const scale = &noise_scale[static_cast<Eigen::Index>(i)];
-        *scale = 1.0 / std::sqrt(poses[i].count);
-        if (const auto corrected = splines.Correct(*session.trajectory, poses[i].t)) {
-          poses[i].q_WM = corrected->q_WM;
-          poses[i].p_WM = corrected->p_WM;
-        } else {
-          const Rigid3 T_WM = session.trajectory->PoseAt(poses[i].t);
-          poses[i].q_WM = T_WM.q;
-          poses[i].p_WM = T_WM.p;
-          *scale *= kUncorrected;
-        }
-      }
-      const auto before = session.trajectory;
-      session.trajectory = SmoothTrajectory(session, poses, noise_scale, Band(splines.spacing()),
-                                            options_.Threads());
-      splines.Rebase(*before, *session.trajectory, options_.Threads());
+      std::shared_ptr<const PoseTrajectory>& trajectory = sessions_[s].trajectory;
+      const auto before = trajectory;
+      trajectory = SmoothTrajectory(*before, splines_[s], options_.Threads());
+      splines_[s].Rebase(*before, *trajectory, options_.Threads());
     }
   }
 

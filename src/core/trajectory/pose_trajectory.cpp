@@ -202,7 +202,7 @@ void FindRotation(const GaussianProcess::Derivatives& q, MarkerRotation<double>*
 PoseTrajectory::PoseTrajectory(const std::vector<TimedPose>& poses,
                                const std::vector<IndexRange>& segments,
                                const GpHyperparameters& position, const GpHyperparameters& rotation,
-                               int threads, bool with_variance, const Eigen::VectorXd& noise_scale)
+                               int threads, bool with_variance)
     : position_(position), rotation_(rotation), origin_W_(MeanPosition(poses)) {
   const GpHyperparameters quaternion{rotation.lengthscale_s, 0.5 * rotation.signal_std,
                                      0.5 * rotation.noise_std};
@@ -210,28 +210,32 @@ PoseTrajectory::PoseTrajectory(const std::vector<TimedPose>& poses,
   InParallel(threads, 2 * segments.size(), [&](size_t k) {
     const IndexRange range = segments[k / 2];
     const bool is_position = k % 2 == 0;
-    GpData data = Measurements(poses, range, is_position ? &origin_W_ : nullptr);
-    if (noise_scale.size() > 0)
-      data.noise_scale = noise_scale.segment(static_cast<Eigen::Index>(range.begin),
-                                             static_cast<Eigen::Index>(range.size()));
     GaussianProcess* const gp =
         is_position ? &segments_[k / 2].position : &segments_[k / 2].quaternion;
-    *gp = GaussianProcess(data, is_position ? position_ : quaternion, with_variance);
+    *gp = GaussianProcess(Measurements(poses, range, is_position ? &origin_W_ : nullptr),
+                          is_position ? position_ : quaternion, with_variance);
   });
+  for (size_t k = 0; k < segments.size(); ++k) {
+    Segment& segment = segments_[k];
+    segment.begin = segment.position.begin();
+    segment.end = segment.position.end();
+    if (k == 0 || segments_[k - 1].end < segment.begin) continue;
+    segments_[k - 1].end = segment.begin = 0.5 * (segments_[k - 1].end + segment.begin);
+  }
 }
 
 const PoseTrajectory::Segment* PoseTrajectory::Find(double t) const {
   const auto after = std::upper_bound(
       segments_.begin(), segments_.end(), t,
-      [](double value, const Segment& segment) { return value < segment.position.begin(); });
+      [](double value, const Segment& segment) { return value < segment.begin; });
   if (after == segments_.begin()) return nullptr;
   const Segment& segment = *std::prev(after);
-  return t <= segment.position.end() ? &segment : nullptr;
+  return t <= segment.end ? &segment : nullptr;
 }
 
 bool PoseTrajectory::Covers(double begin, double end) const {
   const Segment* segment = Find(begin);
-  return segment != nullptr && end <= segment->position.end();
+  return segment != nullptr && end <= segment->end;
 }
 
 bool PoseTrajectory::Evaluate(double t, MarkerState<double>* state,

@@ -1,5 +1,8 @@
 #pragma once
 
+#include <memory>
+
+#include "imu_pose_calib/core/calibration/correction_splines.h"
 #include "imu_pose_calib/core/calibration/estimate.h"
 
 namespace imu_pose_calib {
@@ -13,15 +16,15 @@ inline double Band(double spacing_s) { return 0.75 * 0.5 / spacing_s; }
 /// band".
 PreparedSession LimitBand(const PreparedSession& session, double cutoff, int threads);
 
-/// What LimitBand() returned for that `cutoff` [Hz] with one sample of each few that are smoothed,
-/// which stands for them.
-PreparedSession Thinned(const PreparedSession& limited, double cutoff);
+/// What LimitBand() returned for the band of splines with one sample between knots of those that are
+/// smoothed, which stands for the others: where a trajectory cannot follow samples, that passes for
+/// what the calibration is told by. doc/math.md, S4, "One band".
+PreparedSession Thinned(const PreparedSession& limited, double spacing_s);
 
-/// Trajectory through `poses` at the instants of the session's that are as good as exact, but for
-/// those of a larger `noise_scale`, with what LimitBand() leaves a trajectory of `cutoff` [Hz].
-std::shared_ptr<const PoseTrajectory> SmoothTrajectory(const PreparedSession& session,
-                                                       const std::vector<TimedPose>& poses,
-                                                       const Eigen::VectorXd& noise_scale,
-                                                       double cutoff, int threads);
+/// What `splines` make of `gp`, where they are, with what LimitBand() leaves a trajectory of their
+/// band.
+std::shared_ptr<const PoseTrajectory> SmoothTrajectory(const PoseTrajectory& gp,
+                                                       const CorrectionSplines& splines,
+                                                       int threads);
 
 }  // namespace imu_pose_calib

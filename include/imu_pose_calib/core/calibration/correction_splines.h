@@ -47,6 +47,11 @@ class CorrectionSplines {
   /// The GP's motion at t as it is corrected; nothing where it is not.
   std::optional<MarkerState<double>> Correct(const PoseTrajectory& gp, double t) const;
 
+  /// That at the knots of each run, and how it would go on for `reach` [s] beyond them with the
+  /// velocities of the ends; `runs`: of the poses that are returned.
+  std::vector<TimedPose> SampleMotion(const PoseTrajectory& gp, double reach, int threads,
+                                      std::vector<IndexRange>* runs) const;
+
   /// Corrections of `to`, by which the motion stays at the knots what it is by those of `from`.
   void Rebase(const PoseTrajectory& from, const PoseTrajectory& to, int threads);
 

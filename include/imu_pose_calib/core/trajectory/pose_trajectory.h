@@ -62,12 +62,11 @@ struct MarkerVariance {
 /// The quaternion needs no chart, so any number of turns is fine.
 class PoseTrajectory {
  public:
-  /// Hyperparameters in [m] and, for rotation, in [rad]; `noise_scale` of each pose, empty: 1.
-  /// There are variances only `with_variance`.
+  /// Hyperparameters in [m] and, for rotation, in [rad]. There are variances only `with_variance`.
+  /// Segments that overlap meet in the middle.
   PoseTrajectory(const std::vector<TimedPose>& poses, const std::vector<IndexRange>& segments,
                  const GpHyperparameters& position, const GpHyperparameters& rotation,
-                 int threads = 1, bool with_variance = true,
-                 const Eigen::VectorXd& noise_scale = Eigen::VectorXd());
+                 int threads = 1, bool with_variance = true);
 
   const GpHyperparameters& position_hyperparameters() const { return position_; }
   const GpHyperparameters& rotation_hyperparameters() const { return rotation_; }
@@ -77,7 +76,7 @@ class PoseTrajectory {
   /// The same of all instants from `begin` to `end` [s].
   bool Covers(double begin, double end) const;
 
-  double End() const { return segments_.back().position.end(); }  ///< last instant [s]
+  double End() const { return segments_.back().end; }  ///< last instant [s]
 
   /// Posterior mean of the motion at t [s] and, unless null, its time derivative (of q_WM: of its
   /// coefficients). False when t is not contained.
@@ -102,6 +101,7 @@ class PoseTrajectory {
 
  private:
   struct Segment {
+    double begin, end;  ///< [s]
     GaussianProcess position, quaternion;
   };
   const Segment* Find(double t) const;
