@@ -21,6 +21,7 @@ namespace {
 PreparedSession Swinging(double hz) {
   PreparedSession session;
   session.data.imus.resize(1);
+  session.starts.resize(1);
   ConditionedImu& imu = session.data.imus[0];
   imu.gyro_report.rate_hz = imu.accel_report.rate_hz = 200.0;
   for (int k = 0; k < 2000; ++k) {
@@ -73,7 +74,7 @@ TEST(LimitBand, TakesWhatIsFasterAndKeepsWhatIsSlower) {
 }
 
 TEST(Thinned, HasOneOfAFewWhichStandsForThem) {
-  const PreparedSession limited = Thinned(LimitBand(Swinging(1.0), 10.0, 1), 10.0);
+  const PreparedSession limited = Thinned(LimitBand(Swinging(1.0), 10.0, 1), 0.02);
   const auto counts = [](const auto& samples, double begin, double end) {
     std::map<int, int> found;
     for (const auto& sample : samples)
@@ -85,22 +86,22 @@ TEST(Thinned, HasOneOfAFewWhichStandsForThem) {
     for (const auto& sample : samples) sum += sample.count;
     return sum;
   };
-  // 53 Hz at least, of 200 and 100; at the ends, which stay as they are, all.
-  EXPECT_EQ(counts(limited.data.imus[0].gyro, 1.0, 9.0), (std::map<int, int>{{3, 533}}));
+  // One in 20 ms of 200 and 100 Hz; at the ends, which stay as they are, all.
+  EXPECT_EQ(counts(limited.data.imus[0].gyro, 1.0, 9.0), (std::map<int, int>{{4, 400}}));
   EXPECT_EQ(counts(limited.data.imus[0].gyro, 0.0, 0.15), (std::map<int, int>{{1, 30}}));
   EXPECT_EQ(total(limited.data.imus[0].gyro), 2000);
   EXPECT_EQ(total(limited.data.imus[0].accel), 2000);
   EXPECT_EQ(total(limited.data.poses), 1000);
-  const PreparedSession slower = Thinned(LimitBand(Swinging(1.0), 5.0, 1), 5.0);
-  EXPECT_EQ(counts(slower.data.imus[0].gyro, 1.0, 8.98), (std::map<int, int>{{7, 228}}));
-  EXPECT_EQ(counts(slower.data.poses, 1.0, 9.0), (std::map<int, int>{{3, 267}}));
+  const PreparedSession slower = Thinned(LimitBand(Swinging(1.0), 5.0, 1), 0.033);
+  EXPECT_EQ(counts(slower.data.imus[0].gyro, 1.0, 8.98), (std::map<int, int>{{6, 97}, {7, 145}}));
+  EXPECT_EQ(counts(slower.data.poses, 1.0, 9.0), (std::map<int, int>{{3, 170}, {4, 73}}));
   EXPECT_EQ(slower.data.segments[0].begin, 0u);
   EXPECT_EQ(slower.data.segments[0].end, slower.data.poses.size());
   EXPECT_EQ(total(slower.data.poses), 1000);
   // Poses that state different noise do not stand for each other.
   PreparedSession stated = Swinging(1.0);
   for (size_t k = 0; k < 1000; k += 2) stated.data.poses[k].rotation_scale = 3.0;
-  EXPECT_EQ(Thinned(LimitBand(stated, 5.0, 1), 5.0).data.poses.size(), 1000u);
+  EXPECT_EQ(Thinned(LimitBand(stated, 5.0, 1), 0.033).data.poses.size(), 1000u);
 }
 
 TEST(LimitBand, SmoothsTheTrajectoryWhereItIsFaster) {

