@@ -301,7 +301,8 @@ TEST_F(TrajectoryTest, BagHasOdometryPathAndTf) {
                                          truth_.time_shift_s);
       const Eigen::Vector3d omega(o->twist.twist.angular.x, o->twist.twist.angular.y,
                                   o->twist.twist.angular.z);
-      EXPECT_LT((omega - truth_.T_MI.q.conjugate() * s.omega_M).norm(), 0.05) << pose.t_ns - truth_.start_ns;
+      EXPECT_LT((omega - truth_.T_MI.q.conjugate() * s.omega_M).norm(), 0.05)
+          << pose.t_ns - truth_.start_ns;
       for (size_t i = 0; i < 36; ++i) {
         if (i % 7 == 0) {
           EXPECT_GT(o->pose.covariance[i], 0.0);

@@ -204,8 +204,8 @@ std::shared_ptr<const PoseTrajectory> SmoothTrajectory(const PoseTrajectory& gp,
   const std::vector<TimedPose> poses =
       splines.SampleMotion(gp, kEdge * kSharpness / cutoff, threads, &runs);
   return std::make_shared<const PoseTrajectory>(
-      poses, runs, smoother(gp.position_hyperparameters()),
-      smoother(gp.rotation_hyperparameters()), threads, false);
+      poses, runs, smoother(gp.position_hyperparameters()), smoother(gp.rotation_hyperparameters()),
+      threads, false);
 }
 
 }  // namespace imu_pose_calib

@@ -109,6 +109,14 @@ std::optional<SplinePlace> CorrectionSplines::Locate(double t) const {
   return SplinePlace{run.first + span, x - static_cast<double>(span), run.spacing};
 }
 
+double CorrectionSplines::FromEnd(double t) const {
+  const auto after =
+      std::upper_bound(runs_.begin(), runs_.end(), t,
+                       [](double value, const Run& run) { return value < run.begin; });
+  const Run& run = *std::prev(after);
+  return std::min(t - run.begin, run.end - t);
+}
+
 std::vector<TimedPose> CorrectionSplines::SampleMotion(const PoseTrajectory& gp, double reach,
                                                        int threads,
                                                        std::vector<IndexRange>* runs) const {
@@ -123,8 +131,7 @@ std::vector<TimedPose> CorrectionSplines::SampleMotion(const PoseTrajectory& gp,
       const double inside = std::clamp(t, run.begin, run.end);
       const MarkerState<double> state = *Correct(gp, inside);
       poses[begin + k].t = t;
-      poses[begin + k].q_WM =
-          state.q_WM * Exp(Eigen::Vector3d((t - inside) * state.omega_M));
+      poses[begin + k].q_WM = state.q_WM * Exp(Eigen::Vector3d((t - inside) * state.omega_M));
       poses[begin + k].p_WM = state.p_WM + (t - inside) * state.v_W;
     });
   }

@@ -225,9 +225,9 @@ PoseTrajectory::PoseTrajectory(const std::vector<TimedPose>& poses,
 }
 
 const PoseTrajectory::Segment* PoseTrajectory::Find(double t) const {
-  const auto after = std::upper_bound(
-      segments_.begin(), segments_.end(), t,
-      [](double value, const Segment& segment) { return value < segment.begin; });
+  const auto after =
+      std::upper_bound(segments_.begin(), segments_.end(), t,
+                       [](double value, const Segment& segment) { return value < segment.begin; });
   if (after == segments_.begin()) return nullptr;
   const Segment& segment = *std::prev(after);
   return t <= segment.end ? &segment : nullptr;

@@ -16,9 +16,9 @@ inline double Band(double spacing_s) { return 0.5625 * 0.5 / spacing_s; }
 /// band".
 PreparedSession LimitBand(const PreparedSession& session, double cutoff, int threads);
 
-/// What LimitBand() returned for the band of splines with one sample between knots of those that are
-/// smoothed, which stands for the others: where a trajectory cannot follow samples, that passes for
-/// what the calibration is told by. doc/math.md, S4, "One band".
+/// What LimitBand() returned for the band of splines with one sample between knots of those that
+/// are smoothed, which stands for the others: where a trajectory cannot follow samples, that passes
+/// for what the calibration is told by. doc/math.md, S4, "One band".
 PreparedSession Thinned(const PreparedSession& limited, double spacing_s);
 
 /// What `splines` make of `gp`, where they are, with what LimitBand() leaves a trajectory of their
