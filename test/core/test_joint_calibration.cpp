@@ -56,17 +56,37 @@ TEST(JointCalibration, IsTheDefaultAndReportsSigmasThatMatchTheErrors) {
   EXPECT_LT(mean_square, 2.0);
 }
 
+TEST(JointCalibration, WhatSplinesCannotFollowIsNoInformation) {
+  // An IMU that is much better than the poses tells how the lever arm accelerates; where splines
+  // could not follow that, p was up to 20 sigma off.
+  for (uint32_t seed = 1; seed <= 3; ++seed) {
+    SimulatorOptions truth;
+    truth.seed = seed;
+    truth.motion = Motion::kTumble;
+    truth.duration_s = 20.0;
+    truth.gyro_rate_hz = truth.accel_rate_hz = 500.0;
+    truth.position_std = 0.02;
+    truth.rotation_std = 2e-3;
+    truth.gyro_std = 1e-3;
+    truth.accel_std = 7e-3;
+    const Calibration result = Calibrate(CalibrationOptions(), Simulate(truth));
+    EXPECT_EQ(result.status, Status::kOk) << result.message;
+    EXPECT_LT(Normalised(result, truth).cwiseAbs().maxCoeff(), 4.0) << "seed " << seed;
+    EXPECT_LT(std::abs(result.imus[0].accel_smoothing), 1e-5) << "seed " << seed;
+  }
+}
+
 TEST(JointCalibration, FindsTheNoiseOfEverySensor) {
-  // With a knot every four IMU samples the trajectory takes up a quarter of what they tell.
+  // With a knot every three IMU samples the trajectory takes up a third of what they tell.
   CalibrationOptions options;
-  options.knot_spacing_s = 0.02;
+  options.knot_spacing_s = 0.015;
   for (const double pose_noise : {1e-3, 1e-2}) {
     SCOPED_TRACE(pose_noise);
     const SimulatorOptions truth = Recording(pose_noise, 7);
     const Calibration result = Calibrate(options, Simulate(truth));
     EXPECT_NEAR(result.sessions[0].noise.position, truth.position_std, 0.05 * truth.position_std);
     EXPECT_NEAR(result.sessions[0].noise.rotation, truth.rotation_std, 0.05 * truth.rotation_std);
-    EXPECT_NEAR(result.sessions[0].imus[0].noise.gyro, truth.gyro_std, 0.05 * truth.gyro_std);
+    EXPECT_NEAR(result.sessions[0].imus[0].noise.gyro, truth.gyro_std, 0.08 * truth.gyro_std);
     EXPECT_NEAR(result.sessions[0].imus[0].noise.accel, truth.accel_std, 0.08 * truth.accel_std);
   }
 }
