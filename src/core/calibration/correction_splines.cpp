@@ -98,22 +98,23 @@ CorrectionSplines::CorrectionSplines(const ConditionedData& data, const Estimate
   phi.assign(points, Eigen::Vector3d::Zero());
 }
 
-std::optional<SplinePlace> CorrectionSplines::Locate(double t) const {
+const CorrectionSplines::Run* CorrectionSplines::Find(double t) const {
   const auto after =
       std::upper_bound(runs_.begin(), runs_.end(), t,
                        [](double value, const Run& run) { return value < run.begin; });
-  if (after == runs_.begin() || t > std::prev(after)->end) return std::nullopt;
-  const Run& run = *std::prev(after);
-  const double x = (t - run.begin) / run.spacing;
-  const size_t span = std::min(run.spans - 1, static_cast<size_t>(x));
-  return SplinePlace{run.first + span, x - static_cast<double>(span), run.spacing};
+  return after == runs_.begin() || t > std::prev(after)->end ? nullptr : &*std::prev(after);
+}
+
+std::optional<SplinePlace> CorrectionSplines::Locate(double t) const {
+  const Run* const run = Find(t);
+  if (run == nullptr) return std::nullopt;
+  const double x = (t - run->begin) / run->spacing;
+  const size_t span = std::min(run->spans - 1, static_cast<size_t>(x));
+  return SplinePlace{run->first + span, x - static_cast<double>(span), run->spacing};
 }
 
 double CorrectionSplines::FromEnd(double t) const {
-  const auto after =
-      std::upper_bound(runs_.begin(), runs_.end(), t,
-                       [](double value, const Run& run) { return value < run.begin; });
-  const Run& run = *std::prev(after);
+  const Run& run = *Find(t);
   return std::min(t - run.begin, run.end - t);
 }
 

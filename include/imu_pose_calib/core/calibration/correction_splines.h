@@ -72,6 +72,8 @@ class CorrectionSplines {
   std::vector<Eigen::Vector3d> phi;  ///< control points [rad] in M
 
  private:
+  const Run* Find(double t) const;  ///< null where no spline is
+
   double spacing_;
   std::vector<Run> runs_;
 };
