@@ -195,8 +195,9 @@ class EvaluateTrial(InFolder):
             noisy = trial('--add-position', noise, '--add-rotation', '1e-3')
             self.assertEqual(noisy['verdict'], 'ok', noisy)
             for axis in range(3):
-                sigma = (exact['covariance'][axis][axis] + noisy['covariance'][axis][axis]) ** 0.5
-                self.assertLess(abs(noisy['translation'][axis] - exact['translation'][axis]), 3 * sigma)
+                move = float(noisy['translation'][axis]) - float(exact['translation'][axis])
+                variance = sum(float(outcome['covariance'][axis][axis]) for outcome in (exact, noisy))
+                self.assertLess(abs(move), 3.0 * math.sqrt(variance), (noise, axis))
 
     def test_refuses_and_fails(self):
         with self.assertRaisesRegex(command_line.InputError, "^motion 'fly' is unknown; must be handheld, "):
