@@ -2,9 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <memory>
-#include <optional>
 #include <utility>
 
 #include "imu_pose_calib/core/calibration/band.h"
