@@ -13,16 +13,9 @@ namespace {
 /// takes 6e-6, of a third more it lets 4e-6 pass.
 constexpr double kSharpness = 0.9;
 
-/// Of the band, what the trajectory that splines correct has at most: of noise that they take out
-/// of it again, they leave images about the frequency of the knots, strong ones near the band's
-/// end.
-constexpr double kBase = 0.5;
-
 /// Length scales from the end of a run within which samples stay as they are: what lies beyond is
 /// missing in their means.
 constexpr double kEdge = 2.0;
-/// Spans of splines at their ends, in which they have more freedom than there are spans.
-constexpr double kEndSpans = 3.0;
 /// Periods between samples, of a gap.
 constexpr double kMaxGapPeriods = 5.5;
 
@@ -120,25 +113,18 @@ bool AreAlike(const TimedPose& a, const TimedPose& b) {
          a.position_scale == b.position_scale && a.rotation_scale == b.rotation_scale;
 }
 
-/// Appends the samples of a run, of those that are alike and not near the ends of a trajectory one
-/// in each `spacing_s`; `delay`: from a sample to the instant of the trajectory.
+/// Appends the samples of a run, of those that are alike one in each `spacing_s`.
 template <typename Timed>
-void AppendThinned(const std::vector<Timed>& samples, IndexRange run,
-                   const PoseTrajectory& trajectory, double delay, double spacing_s,
+void AppendThinned(const std::vector<Timed>& samples, IndexRange run, double spacing_s,
                    std::vector<Timed>* thinned) {
   // Spans end between samples.
   const double first =
       run.size() > 1 ? 1.5 * samples[run.begin].t - 0.5 * samples[run.begin + 1].t : 0.0;
   const auto span = [&](size_t i) { return std::floor((samples[i].t - first) / spacing_s); };
-  const auto is_inside = [&, reach = kEndSpans * spacing_s](size_t i) {
-    const double t = samples[i].t + delay;
-    return trajectory.Covers(t - reach, t + reach);
-  };
   for (size_t begin = run.begin, end = begin; begin < run.end; begin = end) {
     do {
       ++end;
-    } while (end < run.end && span(end) == span(begin) && AreAlike(samples[begin], samples[end]) &&
-             is_inside(begin) && is_inside(end));
+    } while (end < run.end && span(end) == span(begin) && AreAlike(samples[begin], samples[end]));
     thinned->push_back(samples[begin + (end - begin) / 2]);
     thinned->back().count = static_cast<int>(end - begin);
   }
@@ -156,8 +142,8 @@ PreparedSession LimitBand(const PreparedSession& session, double cutoff, int thr
   const double rate_hz = session.data.pose_report.rate_hz;
   GpHyperparameters position = session.trajectory->position_hyperparameters();
   GpHyperparameters rotation = session.trajectory->rotation_hyperparameters();
-  const bool is_position_lower = LowerCutoff(rate_hz, kBase * cutoff, &position);
-  const bool is_rotation_lower = LowerCutoff(rate_hz, kBase * cutoff, &rotation);
+  const bool is_position_lower = LowerCutoff(rate_hz, cutoff, &position);
+  const bool is_rotation_lower = LowerCutoff(rate_hz, cutoff, &rotation);
   if (is_position_lower || is_rotation_lower)
     limited.trajectory = std::make_shared<const PoseTrajectory>(
         session.data.poses, session.data.segments, position, rotation, threads, false);
@@ -168,22 +154,18 @@ PreparedSession LimitBand(const PreparedSession& session, double cutoff, int thr
 PreparedSession Thinned(const PreparedSession& limited, double spacing_s) {
   PreparedSession session = limited;
   ConditionedData& data = session.data;
-  const PoseTrajectory& trajectory = *limited.trajectory;
-  for (size_t i = 0; i < data.imus.size(); ++i) {
-    const Start& start = limited.starts[i];
-    const auto thin = [&](double delay, std::vector<TimedSample>* samples) {
+  for (ConditionedImu& imu : data.imus) {
+    for (std::vector<TimedSample>* const samples : {&imu.gyro, &imu.accel}) {
       std::vector<TimedSample> kept;
-      AppendThinned(*samples, {0, samples->size()}, trajectory, delay, spacing_s, &kept);
+      AppendThinned(*samples, {0, samples->size()}, spacing_s, &kept);
       kept.shrink_to_fit();
       samples->swap(kept);
-    };
-    thin(start.time_shift, &data.imus[i].gyro);
-    thin(start.time_shift - start.accel_delay, &data.imus[i].accel);
+    }
   }
   std::vector<TimedPose> poses;
   for (IndexRange& segment : data.segments) {
     const size_t begin = poses.size();
-    AppendThinned(data.poses, segment, trajectory, 0.0, spacing_s, &poses);
+    AppendThinned(data.poses, segment, spacing_s, &poses);
     segment = {begin, poses.size()};
   }
   poses.shrink_to_fit();
@@ -194,7 +176,7 @@ PreparedSession Thinned(const PreparedSession& limited, double spacing_s) {
 std::shared_ptr<const PoseTrajectory> SmoothTrajectory(const PoseTrajectory& gp,
                                                        const CorrectionSplines& splines,
                                                        int threads) {
-  const double cutoff = kBase * Band(splines.spacing());
+  const double cutoff = Band(splines.spacing());
   const auto smoother = [&](GpHyperparameters h) {
     h.lengthscale_s = kSharpness / cutoff;
     h.noise_std = NoiseOf(h, 1.0 / splines.spacing(), cutoff);

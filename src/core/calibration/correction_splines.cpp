@@ -113,11 +113,6 @@ std::optional<SplinePlace> CorrectionSplines::Locate(double t) const {
   return SplinePlace{run->first + span, x - static_cast<double>(span), run->spacing};
 }
 
-double CorrectionSplines::FromEnd(double t) const {
-  const Run& run = *Find(t);
-  return std::min(t - run.begin, run.end - t);
-}
-
 std::vector<TimedPose> CorrectionSplines::SampleMotion(const PoseTrajectory& gp, double reach,
                                                        int threads,
                                                        std::vector<IndexRange>* runs) const {

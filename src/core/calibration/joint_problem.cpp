@@ -59,8 +59,6 @@ int AddKnots(std::vector<double>* values, Problem* problem) {
 /// Where the samples of a session are while its clocks stand as they did when the problem was made.
 struct Places {
   static constexpr double kStep = 0.01;  // [s] of differences
-  /// Of spans at the ends of runs, over which samples fade, and what is left of them at the end.
-  static constexpr double kFade = 1.0, kLeastShare = 1e-6;
   std::shared_ptr<const PoseTrajectory> trajectory;
   CorrectionSplines splines;
   Eigen::Vector3d g_W;
@@ -76,11 +74,6 @@ struct Places {
     const auto place = splines.Locate(t);
     if (!place || !IsOnTrajectory(*trajectory, t)) return std::nullopt;
     return static_cast<int>(place->first);
-  }
-  /// Of a sample at t, where there is a span: it falls to nothing at the ends of runs, so that none
-  /// that a clock moves across makes a difference.
-  double ShareAt(double t) const {
-    return std::clamp(splines.FromEnd(t) / (kFade * splines.spacing()), kLeastShare, 1.0);
   }
   /// The step [s] of second differences about t, where IsOnTrajectory(), with which the mean over a
   /// time of that variance [s^2] keeps a third of any motion at least, as Gauss-Hermite quadrature
@@ -282,8 +275,8 @@ void SessionBuilder::AddPoses() {
     if (!span) return;
     runs->push_back({*span, static_cast<int>(errors.Locate(poses[i].t).first)});
     const SensorModel& model = *sensor->model;
-    const double sigma = model.noise * joint_->At(model, i).scale /
-                         std::sqrt(poses[i].count * model.weights[i] * places_->ShareAt(t));
+    const double sigma =
+        model.noise * joint_->At(model, i).scale / std::sqrt(poses[i].count * model.weights[i]);
     sensor->samples.push_back({t, static_cast<uint32_t>(i), static_cast<float>(sigma)});
     sensor->count += poses[i].count;
   };
@@ -368,8 +361,7 @@ void SessionBuilder::AddImu(size_t imu, Quantity quantity, const std::vector<Vec
     if (!span) continue;
     runs.push_back({*span, static_cast<int>(knots->Locate(data[i].t).first)});
     if (!walk.IsLine()) runs.back().walk = static_cast<int>(walk.Locate(data[i].t - delay).first);
-    const double sigma =
-        model.noise / std::sqrt(data[i].count * model.weights[i] * places_->ShareAt(t_M));
+    const double sigma = model.noise / std::sqrt(data[i].count * model.weights[i]);
     sensor->samples.push_back({t_M, static_cast<uint32_t>(i), static_cast<float>(sigma)});
     sensor->count += data[i].count;
   }

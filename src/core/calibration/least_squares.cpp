@@ -19,11 +19,6 @@
 namespace imu_pose_calib {
 namespace {
 
-// A filter that spreads samples over time delays them, too. Where the delay is small, so is the
-// smoothing, and errors of the poses would take its place.
-// For a filter of first order, the squared delay; for a plain delay, nothing.
-constexpr double kSmoothingPerDelay2 = 0.5, kSmoothingSpread = 1.0;
-
 /// Residuals of a sensor that the trajectory follows more closely say little about its noise.
 constexpr double kLeastRedundancy = 0.1;
 /// Spans that a spectrum is the mean of, evenly over the session, at most; and share of the usual
@@ -69,19 +64,6 @@ Eigen::VectorXd IntrinsicsPrior(bool is_triangle) {
   return Eigen::Map<Eigen::VectorXd>(sigmas.data(), static_cast<Eigen::Index>(sigmas.size()));
 }
 
-/// Of the side on which the smoothing is: within a pass the cost is smooth.
-Prior SmoothingPrior(const std::vector<PreparedSession>& sessions, size_t imu, double smoothing) {
-  double delay = 0.0;
-  for (const PreparedSession& session : sessions)
-    if (session.data.imus[imu].IsPresent() &&
-        std::abs(session.starts[imu].accel_delay) > std::abs(delay))
-      delay = session.starts[imu].accel_delay;
-  const double expected = kSmoothingPerDelay2 * delay * std::abs(delay);
-  const double sigma = smoothing < expected ? PeakSigma(kSmoothingPrior, smoothing - expected)
-                                            : kSmoothingSpread * std::max(delay * delay, 1e-12);
-  return {Eigen::VectorXd::Constant(1, sigma), expected};
-}
-
 Prior PriorOf(const Parameter& p, const LeastSquares& solve) {
   const auto alike = [&](double sigma, double expected = 0.0) {
     return Prior{Eigen::VectorXd::Constant(p.size, sigma), expected};
@@ -93,6 +75,7 @@ Prior PriorOf(const Parameter& p, const LeastSquares& solve) {
       return alike(kDriftPrior);
     case ParameterKind::kPoseSmoothing:
     case ParameterKind::kPositionSmoothing:
+    case ParameterKind::kAccelSmoothing:
       return alike(PeakSigma(kSmoothingPrior, *p.data));
     case ParameterKind::kPoseCumulants:
     case ParameterKind::kPositionCumulants:
@@ -104,8 +87,6 @@ Prior PriorOf(const Parameter& p, const LeastSquares& solve) {
       return alike(kGyroFilterPrior);
     case ParameterKind::kPoseScale:
       return alike(kPoseScalePrior, 1.0);
-    case ParameterKind::kAccelSmoothing:
-      return SmoothingPrior(solve.sessions, p.imu, *p.data);
     case ParameterKind::kMountCompliance:
       return alike(kCompliancePrior);
     case ParameterKind::kGyroIntrinsics:

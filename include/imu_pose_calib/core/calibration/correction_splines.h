@@ -44,9 +44,6 @@ class CorrectionSplines {
   /// Place of t; nothing when no spline covers it.
   std::optional<SplinePlace> Locate(double t) const;
 
-  /// Of t, that is on a spline, from the nearer end of its run [s].
-  double FromEnd(double t) const;
-
   /// The GP's motion at t as it is corrected; nothing where it is not.
   std::optional<MarkerState<double>> Correct(const PoseTrajectory& gp, double t) const;
 
