@@ -466,8 +466,7 @@ std::unique_ptr<LeastSquares> BuildJointProblem(const CalibrationOptions& option
                                                 const std::vector<PreparedSession>& sessions,
                                                 const std::vector<SensorModel>& models,
                                                 Estimate* estimate,
-                                                std::vector<CorrectionSplines>* splines,
-                                                const std::vector<const double*>& held) {
+                                                std::vector<CorrectionSplines>* splines) {
   auto joint = std::make_unique<LeastSquares>(options, sessions, models, estimate);
   for (CorrectionSplines& own : *splines)
     for (Vector3ds* const points : {&own.d, &own.phi})
@@ -480,7 +479,6 @@ std::unique_ptr<LeastSquares> BuildJointProblem(const CalibrationOptions& option
     joint->problem.AddParameters(none, 1);
     joint->problem.SetHeld(none, true);
   }
-  for (const double* parameter : held) joint->problem.SetHeld(parameter, true);
   for (size_t s = 0; s < sessions.size(); ++s) {
     AddCorrectionPriors(&(*splines)[s], s, joint.get());
     SessionBuilder builder(s, &(*splines)[s], joint.get());

@@ -42,11 +42,8 @@ class JointSolver {
         SetNoise(pass < kHalfSteps ? 1.0 : 0.5);
         MoveTrajectories();
       }
-      const size_t held = at_bound_.size();
       summary = Pass();
-      if (pass > 0) HoldBounds();
-      solution.has_settled =
-          pass > 0 && summary.is_whole && at_bound_.size() == held && summary.moved < kSettled;
+      solution.has_settled = pass > 0 && summary.is_whole && summary.moved < kSettled;
     }
     if (!std::isfinite(summary.moved)) ThrowNotConverged(options_);
     solution.marginals = FindMarginals(problem_.get());
@@ -67,7 +64,7 @@ class JointSolver {
   /// With the noise and the weights that are set; at first, all weights are 1.
   StepSummary Pass() {
     problem_.reset();  // never two of them at a time
-    problem_ = BuildJointProblem(options_, sessions_, models_, estimate_, &splines_, at_bound_);
+    problem_ = BuildJointProblem(options_, sessions_, models_, estimate_, &splines_);
     const StepSummary summary = problem_->Step();
     iterations_ += summary.iterations;
     statistics_ = problem_->FindStatistics();
@@ -77,19 +74,6 @@ class JointSolver {
         slow_errors_.push_back(errors->std);
     FitNoise(problem_.get(), &statistics_);
     return summary;
-  }
-
-  /// No mount gives way upwards, and no gyroscope averages over less time than none: other errors
-  /// look like that, at first those of the trajectory.
-  void HoldBounds() {
-    HoldAtZero(&estimate_->gyro_smoothing);
-    for (ImuEstimate& imu : estimate_->imus) HoldAtZero(&imu.mount_compliance);
-  }
-  /// Unless it is positive.
-  void HoldAtZero(double* parameter) {
-    if (*parameter >= 0.0) return;
-    *parameter = 0.0;
-    at_bound_.push_back(parameter);
   }
 
   /// To the solution, as far as they can hold it; the splines keep the rest.
@@ -126,7 +110,6 @@ class JointSolver {
   std::unique_ptr<LeastSquares> problem_;
   std::vector<SensorStatistics> statistics_;  ///< of the last pass
   std::vector<double> slow_errors_;           ///< sigmas of those of all sessions in the last pass
-  std::vector<const double*> at_bound_;       ///< parameters that stay 0
   int iterations_ = 0;
 };
 

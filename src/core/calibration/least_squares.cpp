@@ -75,20 +75,20 @@ Prior PriorOf(const Parameter& p, const LeastSquares& solve) {
       return alike(kDriftPrior);
     case ParameterKind::kPoseSmoothing:
     case ParameterKind::kPositionSmoothing:
+    case ParameterKind::kGyroSmoothing:
     case ParameterKind::kAccelSmoothing:
       return alike(PeakSigma(kSmoothingPrior, *p.data));
+    case ParameterKind::kMountCompliance:
+      // No mount gives way upwards.
+      return alike(*p.data < 0.0 ? kRigidPrior : PeakSigma(kCompliancePrior, *p.data));
     case ParameterKind::kPoseCumulants:
     case ParameterKind::kPositionCumulants:
       return {
           Eigen::Vector2d(PeakSigma(kThirdPrior, p.data[0]), PeakSigma(kFourthPrior, p.data[1]))};
     case ParameterKind::kPositionDelay:
       return alike(PeakSigma(kPositionDelayPrior, *p.data, kPositionDelayDoubt));
-    case ParameterKind::kGyroSmoothing:
-      return alike(kGyroFilterPrior);
     case ParameterKind::kPoseScale:
       return alike(kPoseScalePrior, 1.0);
-    case ParameterKind::kMountCompliance:
-      return alike(kCompliancePrior);
     case ParameterKind::kGyroIntrinsics:
     case ParameterKind::kAccelIntrinsics:
       return {IntrinsicsPrior(p.kind == ParameterKind::kGyroIntrinsics)};

@@ -9,13 +9,11 @@
 namespace imu_pose_calib {
 
 /// Stage S4: trajectories and calibration together, doc/math.md. Every pose and every IMU sample is
-/// a residual weighted by its own noise only. `splines`: of each session. `held`: parameters of the
-/// estimate that stay as they are, beside those that the options say.
+/// a residual weighted by its own noise only. `splines`: of each session.
 std::unique_ptr<LeastSquares> BuildJointProblem(const CalibrationOptions& options,
                                                 const std::vector<PreparedSession>& sessions,
                                                 const std::vector<SensorModel>& models,
                                                 Estimate* estimate,
-                                                std::vector<CorrectionSplines>* splines,
-                                                const std::vector<const double*>& held = {});
+                                                std::vector<CorrectionSplines>* splines);
 
 }  // namespace imu_pose_calib

@@ -8,14 +8,14 @@ namespace imu_pose_calib {
 
 // Sigmas of ordinary clocks, trackers and IMUs; kDriftPrior is in options.h.
 constexpr double kDelayPrior = 0.02;              // [s] of accel_delay
-constexpr double kGyroFilterPrior = 1e-4;         // [s^2] of a filter of 16 Hz
-constexpr double kCompliancePrior = 2e-4;         // [s^2] of mounts that resonate at 11 Hz
 constexpr double kPoseScalePrior = 1e-3;          // [1]
 constexpr double kScalePrior = 0.01;              // [1] diagonal of K_g and K_a
 constexpr double kAlignmentPrior = M_PI / 360.0;  // [rad] their other elements: 0.5 deg
 constexpr double kSizePrior = 2e-3;               // [m] places of the accelerometer's axes
 // Widths of peaks, see PeakSigma(): most have none, others have much.
-constexpr double kSmoothingPrior = 1e-5;  // [s^2] of poses; of accelerometers, one side
+constexpr double kSmoothingPrior = 1e-5;   // [s^2] of poses and IMUs
+constexpr double kCompliancePrior = 1e-6;  // [s^2] of mounts
+constexpr double kRigidPrior = 1e-9;       // [s^2] of those, on the side where none is
 constexpr double kThirdPrior = 1e-6, kFourthPrior = 1e-7;  // [s^3], [s^4] cumulants of poses
 constexpr double kPositionDelayPrior = 8e-5;               // [s]
 /// How much must speak for a delay of positions, whose peak has a sigma of 0.02 ms: slow errors of
