@@ -13,9 +13,11 @@ namespace {
 /// takes 6e-6, of a third more it lets 4e-6 pass.
 constexpr double kSharpness = 0.9;
 
-/// Length scales from the end of a run within which samples stay as they are: what lies beyond is
-/// missing in their means.
-constexpr double kEdge = 2.0;
+/// Length scales for which a trajectory goes on beyond a run: its smoother looks as far.
+constexpr double kReach = 2.0;
+/// Where samples are between two knots: the turn rate of what swings from knot to knot is largest
+/// in the middle, its acceleration at the knots. Elsewhere they would not see it.
+constexpr double kGyroPlace = 0.5, kAccelPlace = 1.0;
 /// Periods between samples, of a gap.
 constexpr double kMaxGapPeriods = 5.5;
 
@@ -49,12 +51,9 @@ void Smooth(double rate_hz, double cutoff, int threads, TimedSample* begin, Time
   data.y.rowwise() -= mean;
   GpHyperparameters h{kSharpness / cutoff, 1.0, 0.0};  // only the ratio of the two matters
   h.noise_std = NoiseOf(h, rate_hz, cutoff);
-  const double edge = kEdge * h.lengthscale_s;
-  if (data.t[n - 1] - data.t[0] < 2.0 * edge) return;
   const GaussianProcess gp(data, h, false);
   InPortions(threads, static_cast<size_t>(n), [&](size_t i) {
     TimedSample& sample = begin[i];
-    if (sample.t - data.t[0] < edge || data.t[n - 1] - sample.t < edge) return;
     const Eigen::Vector3d smooth = mean.transpose() + gp.Value(sample.t).head<3>();
     sample.rest += sample.value - smooth;
     sample.value = smooth;
@@ -104,28 +103,61 @@ void SmoothErrors(bool is_rotation, double cutoff, int threads, PreparedSession*
   }
 }
 
-/// Smoothed, and as noisy: one can stand for both.
-bool AreAlike(const TimedSample& a, const TimedSample& b) {
-  return !a.rest.isZero(0.0) && !b.rest.isZero(0.0);
-}
-bool AreAlike(const TimedPose& a, const TimedPose& b) {
-  return !a.position_rest.isZero(0.0) && !b.position_rest.isZero(0.0) &&
-         a.position_scale == b.position_scale && a.rotation_scale == b.rotation_scale;
+/// The samples of a sensor at these instants [s, its clock], which are increasing, but for those in
+/// gaps: cubic between four.
+std::vector<TimedSample> Resample(const std::vector<TimedSample>& samples, double rate_hz,
+                                  const std::vector<double>& instants) {
+  const double max_gap = kMaxGapPeriods / rate_hz;
+  const auto is_gap = [&](size_t i) { return samples[i + 1].t - samples[i].t > max_gap; };
+  std::vector<TimedSample> found;
+  size_t i = 0, k = 0;
+  for (const double t : instants) {
+    while (i + 2 < samples.size() && samples[i + 1].t <= t) ++i;
+    if (t < samples[i].t || t > samples[i + 1].t || is_gap(i)) continue;
+    const size_t begin = i > 0 && !is_gap(i - 1) ? i - 1 : i;
+    const size_t end = i + 2 < samples.size() && !is_gap(i + 1) ? i + 3 : i + 2;
+    TimedSample sample{t, Eigen::Vector3d::Zero()};
+    for (size_t a = begin; a < end; ++a) {
+      double share = 1.0;  // Lagrange's
+      for (size_t b = begin; b < end; ++b)
+        if (b != a) share *= (t - samples[b].t) / (samples[a].t - samples[b].t);
+      sample.value += share * samples[a].value;
+    }
+    sample.rest = samples[t - samples[i].t < samples[i + 1].t - t ? i : i + 1].rest;
+    found.push_back(sample);
+  }
+  return found;
 }
 
-/// Appends the samples of a run, of those that are alike one in each `spacing_s`.
-template <typename Timed>
-void AppendThinned(const std::vector<Timed>& samples, IndexRange run, double spacing_s,
-                   std::vector<Timed>* thinned) {
-  // Spans end between samples.
+/// Sets how many samples each of `resampled` stands for: those within half of `spacing_s`.
+void Count(const std::vector<TimedSample>& samples, double spacing_s,
+           std::vector<TimedSample>* resampled) {
+  size_t begin = 0, end = 0;
+  for (TimedSample& sample : *resampled) {
+    for (begin = end; begin < samples.size() && samples[begin].t < sample.t - 0.5 * spacing_s;)
+      ++begin;
+    for (end = begin; end < samples.size() && samples[end].t < sample.t + 0.5 * spacing_s;) ++end;
+    sample.count = std::max(1, static_cast<int>(end - begin));
+  }
+}
+
+/// One of those that are as noisy can stand for the others.
+bool AreAlike(const TimedPose& a, const TimedPose& b) {
+  return a.position_scale == b.position_scale && a.rotation_scale == b.rotation_scale;
+}
+
+/// Appends the poses of a segment, of those that are alike one in each `spacing_s`.
+void AppendThinned(const std::vector<TimedPose>& poses, IndexRange segment, double spacing_s,
+                   std::vector<TimedPose>* thinned) {
+  // Spans end between poses.
   const double first =
-      run.size() > 1 ? 1.5 * samples[run.begin].t - 0.5 * samples[run.begin + 1].t : 0.0;
-  const auto span = [&](size_t i) { return std::floor((samples[i].t - first) / spacing_s); };
-  for (size_t begin = run.begin, end = begin; begin < run.end; begin = end) {
+      segment.size() > 1 ? 1.5 * poses[segment.begin].t - 0.5 * poses[segment.begin + 1].t : 0.0;
+  const auto span = [&](size_t i) { return std::floor((poses[i].t - first) / spacing_s); };
+  for (size_t begin = segment.begin, end = begin; begin < segment.end; begin = end) {
     do {
       ++end;
-    } while (end < run.end && span(end) == span(begin) && AreAlike(samples[begin], samples[end]));
-    thinned->push_back(samples[begin + (end - begin) / 2]);
+    } while (end < segment.end && span(end) == span(begin) && AreAlike(poses[begin], poses[end]));
+    thinned->push_back(poses[begin + (end - begin) / 2]);
     thinned->back().count = static_cast<int>(end - begin);
   }
 }
@@ -151,26 +183,35 @@ PreparedSession LimitBand(const PreparedSession& session, double cutoff, int thr
   return limited;
 }
 
-PreparedSession Thinned(const PreparedSession& limited, double spacing_s) {
-  PreparedSession session = limited;
-  ConditionedData& data = session.data;
-  for (ConditionedImu& imu : data.imus) {
-    for (std::vector<TimedSample>* const samples : {&imu.gyro, &imu.accel}) {
-      std::vector<TimedSample> kept;
-      AppendThinned(*samples, {0, samples->size()}, spacing_s, &kept);
-      kept.shrink_to_fit();
-      samples->swap(kept);
-    }
+PreparedSession Thinned(const PreparedSession& limited, const Estimate& estimate, size_t session,
+                        const CorrectionSplines& splines) {
+  PreparedSession thinned = limited;
+  ConditionedData& data = thinned.data;
+  for (size_t i = 0; i < data.imus.size(); ++i) {
+    if (!data.imus[i].IsPresent()) continue;
+    const ImuSessionEstimate& clock = estimate.sessions[session].imus[i];
+    const auto resample = [&](double place, double delay, double rate_hz,
+                              std::vector<TimedSample>* samples) {
+      std::vector<double> instants;
+      for (const CorrectionSplines::Run& run : splines.Runs())
+        for (double k = place; k < static_cast<double>(run.spans); k += 1.0)
+          instants.push_back(clock.ImuTime(run.begin + run.spacing * k) + delay);
+      std::vector<TimedSample> resampled = Resample(*samples, rate_hz, instants);
+      Count(*samples, splines.spacing(), &resampled);
+      samples->swap(resampled);
+    };
+    ConditionedImu& imu = data.imus[i];
+    resample(kGyroPlace, 0.0, imu.gyro_report.rate_hz, &imu.gyro);
+    resample(kAccelPlace, estimate.imus[i].accel_delay, imu.accel_report.rate_hz, &imu.accel);
   }
   std::vector<TimedPose> poses;
   for (IndexRange& segment : data.segments) {
     const size_t begin = poses.size();
-    AppendThinned(data.poses, segment, spacing_s, &poses);
+    AppendThinned(data.poses, segment, splines.spacing(), &poses);
     segment = {begin, poses.size()};
   }
-  poses.shrink_to_fit();
   data.poses.swap(poses);
-  return session;
+  return thinned;
 }
 
 std::shared_ptr<const PoseTrajectory> SmoothTrajectory(const PoseTrajectory& gp,
@@ -184,7 +225,7 @@ std::shared_ptr<const PoseTrajectory> SmoothTrajectory(const PoseTrajectory& gp,
   };
   std::vector<IndexRange> runs;
   const std::vector<TimedPose> poses =
-      splines.SampleMotion(gp, kEdge * kSharpness / cutoff, threads, &runs);
+      splines.SampleMotion(gp, kReach * kSharpness / cutoff, threads, &runs);
   return std::make_shared<const PoseTrajectory>(
       poses, runs, smoother(gp.position_hyperparameters()), smoother(gp.rotation_hyperparameters()),
       threads, false);

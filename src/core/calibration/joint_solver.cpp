@@ -28,7 +28,7 @@ class JointSolver {
       : options_(options), limited_(limited), estimate_(estimate) {
     for (size_t s = 0; s < limited.size(); ++s) {
       splines_.emplace_back(limited[s].data, *estimate, s, knot_spacings_s[s]);
-      sessions_.push_back(Thinned(limited[s], knot_spacings_s[s]));
+      sessions_.push_back(Thinned(limited[s], *estimate, s, splines_.back()));
     }
     models_ = InitialModels(options, sessions_);
   }

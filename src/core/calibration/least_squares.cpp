@@ -26,6 +26,9 @@ constexpr double kLeastRedundancy = 0.1;
 constexpr size_t kSpans = 100;
 constexpr double kLeastFull = 0.5;
 
+/// Share of the time between samples that one of those which stand for others reaches, so as to
+/// miss none of them.
+constexpr double kReach = 0.75;
 constexpr double kRounding = 1e-6;
 /// Of them, that a step has, others being joined: enough for all cores.
 constexpr int kStepWindows = 8;
@@ -133,6 +136,14 @@ RecordedSample SampleOf(const ConditionedData& data, const SensorModel& model, s
       break;
   }
   return of_imu(data.imus[model.imu].accel[index]);
+}
+
+/// Samples of a sensor.
+size_t CountOf(const ConditionedData& data, const SensorModel& model) {
+  if (model.quantity == Quantity::kPosition || model.quantity == Quantity::kRotation)
+    return data.poses.size();
+  const ConditionedImu& imu = data.imus[model.imu];
+  return model.quantity == Quantity::kGyro ? imu.gyro.size() : imu.accel.size();
 }
 
 GaussNewtonStep FindStep(const NormalEquations& equations, double damping, double max_factor_mb,
@@ -488,6 +499,7 @@ std::vector<SensorResiduals> LeastSquares::FindResiduals(
   std::vector<SensorResiduals> all;
   for (const SensorBlocks& sensor : sensors) {
     const SensorModel& model = *sensor.model;
+    const ConditionedData& data = recorded[model.session].data;
     const std::vector<ProblemSample>& samples = sensor.samples;
     // Of a sample of the problem, without its rest.
     const auto smooth = [&](size_t i) -> Eigen::Vector3d {
@@ -495,12 +507,19 @@ std::vector<SensorResiduals> LeastSquares::FindResiduals(
       return sensor.residuals[i] * own.scale - own.rest;
     };
     SensorResiduals found{model.quantity, model.session, model.imu, model.noise, {}, {}, {}};
-    size_t next = 0, place = 0;  // of the samples as recorded, and of those that stand for them
-    for (size_t i = 0; i < samples.size(); ++i, ++place) {
-      for (; place < samples[i].index; ++place) next += static_cast<size_t>(At(model, place).count);
-      const RecordedSample own = At(model, place);
-      for (const size_t end = next + static_cast<size_t>(own.count); next < end; ++next) {
-        const RecordedSample one = SampleOf(recorded[model.session].data, model, next);
+    const size_t count = CountOf(data, model);
+    size_t next = 0;  // of the samples as recorded
+    for (size_t i = 0; i < samples.size(); ++i) {
+      const RecordedSample own = At(model, samples[i].index);
+      const double reach = kReach * own.count / model.rate_hz;
+      const double end =
+          i + 1 < samples.size()
+              ? std::min(own.t + reach, 0.5 * (own.t + At(model, samples[i + 1].index).t))
+              : own.t + reach;
+      for (; next < count; ++next) {
+        const RecordedSample one = SampleOf(data, model, next);
+        if (one.t < own.t - reach) continue;
+        if (one.t > end) break;
         // In between it is linear.
         const size_t near =
             one.t < own.t ? std::max<size_t>(i, 1) - 1 : std::min(i + 1, samples.size() - 1);
@@ -508,7 +527,7 @@ std::vector<SensorResiduals> LeastSquares::FindResiduals(
         const double share = near == i ? 0.0 : (one.t - own.t) / (other.t - own.t);
         found.t.push_back(samples[i].t + one.t - own.t);
         found.residual.push_back((1.0 - share) * smooth(i) + share * smooth(near) + one.rest);
-        found.weight.push_back(model.weights[place]);
+        found.weight.push_back(model.weights[samples[i].index]);
       }
     }
     all.push_back(std::move(found));

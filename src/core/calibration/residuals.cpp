@@ -28,6 +28,10 @@ std::unique_ptr<ceres::CostFunction> WalkResidual<kSize>::Create() const {
   return AutoDiff<kSize, kSize, kSize>(*this);
 }
 
+std::unique_ptr<ceres::CostFunction> BendResidual::Create() const {
+  return AutoDiff<3, 3, 3, 3>(*this);
+}
+
 template struct WalkResidual<1>;
 template struct WalkResidual<3>;
 

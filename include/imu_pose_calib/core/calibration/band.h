@@ -19,7 +19,8 @@ PreparedSession LimitBand(const PreparedSession& session, double cutoff, int thr
 /// What LimitBand() returned for the band of splines with one sample between knots of those that
 /// are smoothed, which stands for the others: where a trajectory cannot follow samples, that passes
 /// for what the calibration is told by. doc/math.md, S4, "One band".
-PreparedSession Thinned(const PreparedSession& limited, double spacing_s);
+PreparedSession Thinned(const PreparedSession& limited, const Estimate& estimate, size_t session,
+                        const CorrectionSplines& splines);
 
 /// What `splines` make of `gp`, where they are, with what LimitBand() leaves a trajectory of their
 /// band.
