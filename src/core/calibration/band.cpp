@@ -15,9 +15,6 @@ constexpr double kSharpness = 0.9;
 
 /// Length scales for which a trajectory goes on beyond a run: its smoother looks as far.
 constexpr double kReach = 2.0;
-/// Where samples are between two knots: the turn rate of what swings from knot to knot is largest
-/// in the middle, its acceleration at the knots. Elsewhere they would not see it.
-constexpr double kGyroPlace = 0.5, kAccelPlace = 1.0;
 /// Periods between samples, of a gap.
 constexpr double kMaxGapPeriods = 5.5;
 
@@ -103,43 +100,56 @@ void SmoothErrors(bool is_rotation, double cutoff, int threads, PreparedSession*
   }
 }
 
-/// The samples of a sensor at these instants [s, its clock], which are increasing, but for those in
-/// gaps: cubic between four.
-std::vector<TimedSample> Resample(const std::vector<TimedSample>& samples, double rate_hz,
-                                  const std::vector<double>& instants) {
-  const double max_gap = kMaxGapPeriods / rate_hz;
-  const auto is_gap = [&](size_t i) { return samples[i + 1].t - samples[i].t > max_gap; };
-  std::vector<TimedSample> found;
-  size_t i = 0, k = 0;
-  for (const double t : instants) {
-    while (i + 2 < samples.size() && samples[i + 1].t <= t) ++i;
-    if (t < samples[i].t || t > samples[i + 1].t || is_gap(i)) continue;
-    const size_t begin = i > 0 && !is_gap(i - 1) ? i - 1 : i;
-    const size_t end = i + 2 < samples.size() && !is_gap(i + 1) ? i + 3 : i + 2;
+/// Samples of a sensor in order of time, with gaps.
+class Recorded {
+ public:
+  Recorded(const std::vector<TimedSample>& samples, double rate_hz)
+      : samples_(samples), max_gap_(kMaxGapPeriods / rate_hz) {}
+
+  /// Whether t [s, its clock] is between two of them without a gap.
+  bool Covers(double t) const {
+    const size_t i = Find(t);
+    return t >= samples_[i].t && t <= samples_[i + 1].t && !IsGap(i);
+  }
+
+  /// The sample at t, cubic between four or as many as are there without a gap; in a gap that of
+  /// its nearer side goes on. It stands for those within half of `spacing_s`.
+  TimedSample At(double t, double spacing_s) const {
+    size_t i = Find(t);
+    if (IsGap(i) && i > 0 && t - samples_[i].t < samples_[i + 1].t - t)
+      --i;
+    else if (IsGap(i) && i + 2 < samples_.size())
+      ++i;
+    const size_t begin = i > 0 && !IsGap(i - 1) ? i - 1 : i;
+    const size_t end = i + 2 < samples_.size() && !IsGap(i + 1) ? i + 3 : i + 2;
     TimedSample sample{t, Eigen::Vector3d::Zero()};
     for (size_t a = begin; a < end; ++a) {
       double share = 1.0;  // Lagrange's
       for (size_t b = begin; b < end; ++b)
-        if (b != a) share *= (t - samples[b].t) / (samples[a].t - samples[b].t);
-      sample.value += share * samples[a].value;
+        if (b != a) share *= (t - samples_[b].t) / (samples_[a].t - samples_[b].t);
+      sample.value += share * samples_[a].value;
     }
-    sample.rest = samples[t - samples[i].t < samples[i + 1].t - t ? i : i + 1].rest;
-    found.push_back(sample);
+    sample.rest = samples_[t - samples_[i].t < samples_[i + 1].t - t ? i : i + 1].rest;
+    sample.count = static_cast<int>(After(t + 0.5 * spacing_s) - After(t - 0.5 * spacing_s));
+    sample.count = std::max(1, sample.count);
+    return sample;
   }
-  return found;
-}
 
-/// Sets how many samples each of `resampled` stands for: those within half of `spacing_s`.
-void Count(const std::vector<TimedSample>& samples, double spacing_s,
-           std::vector<TimedSample>* resampled) {
-  size_t begin = 0, end = 0;
-  for (TimedSample& sample : *resampled) {
-    for (begin = end; begin < samples.size() && samples[begin].t < sample.t - 0.5 * spacing_s;)
-      ++begin;
-    for (end = begin; end < samples.size() && samples[end].t < sample.t + 0.5 * spacing_s;) ++end;
-    sample.count = std::max(1, static_cast<int>(end - begin));
+ private:
+  /// How many are not after t.
+  size_t After(double t) const {
+    return static_cast<size_t>(
+        std::upper_bound(samples_.begin(), samples_.end(), t,
+                         [](double value, const TimedSample& s) { return value < s.t; }) -
+        samples_.begin());
   }
-}
+  /// The sample before t, not the last one.
+  size_t Find(double t) const { return std::clamp<size_t>(After(t), 1, samples_.size() - 1) - 1; }
+  bool IsGap(size_t i) const { return samples_[i + 1].t - samples_[i].t > max_gap_; }
+
+  const std::vector<TimedSample>& samples_;
+  const double max_gap_;
+};
 
 /// One of those that are as noisy can stand for the others.
 bool AreAlike(const TimedPose& a, const TimedPose& b) {
@@ -183,35 +193,61 @@ PreparedSession LimitBand(const PreparedSession& session, double cutoff, int thr
   return limited;
 }
 
-PreparedSession Thinned(const PreparedSession& limited, const Estimate& estimate, size_t session,
-                        const CorrectionSplines& splines) {
-  PreparedSession thinned = limited;
-  ConditionedData& data = thinned.data;
-  for (size_t i = 0; i < data.imus.size(); ++i) {
-    if (!data.imus[i].IsPresent()) continue;
-    const ImuSessionEstimate& clock = estimate.sessions[session].imus[i];
-    const auto resample = [&](double place, double delay, double rate_hz,
-                              std::vector<TimedSample>* samples) {
-      std::vector<double> instants;
-      for (const CorrectionSplines::Run& run : splines.Runs())
-        for (double k = place; k < static_cast<double>(run.spans); k += 1.0)
-          instants.push_back(clock.ImuTime(run.begin + run.spacing * k) + delay);
-      std::vector<TimedSample> resampled = Resample(*samples, rate_hz, instants);
-      Count(*samples, splines.spacing(), &resampled);
-      samples->swap(resampled);
-    };
-    ConditionedImu& imu = data.imus[i];
-    resample(kGyroPlace, 0.0, imu.gyro_report.rate_hz, &imu.gyro);
-    resample(kAccelPlace, estimate.imus[i].accel_delay, imu.accel_report.rate_hz, &imu.accel);
+std::vector<ImuInstants> FindInstants(const PreparedSession& limited, const SessionEstimate& clocks,
+                                      const CorrectionSplines& splines) {
+  std::vector<ImuInstants> instants(limited.data.imus.size());
+  for (size_t i = 0; i < instants.size(); ++i) {
+    const ConditionedImu& imu = limited.data.imus[i];
+    if (!imu.IsPresent()) continue;
+    const Recorded gyro(imu.gyro, imu.gyro_report.rate_hz);
+    const Recorded accel(imu.accel, imu.accel_report.rate_hz);
+    for (const CorrectionSplines::Run& run : splines.Runs()) {
+      for (size_t k = 0; k < run.spans; ++k) {
+        const double knot = run.begin + run.spacing * static_cast<double>(k);
+        const double t = clocks.imus[i].ImuTime(knot);
+        if (gyro.Covers(t + 0.5 * run.spacing))
+          instants[i].gyro.push_back(knot + 0.5 * run.spacing);
+        if (k > 0 && accel.Covers(t + limited.starts[i].accel_delay))
+          instants[i].accel.push_back(knot);
+      }
+    }
   }
+  return instants;
+}
+
+PreparedSession Thinned(const PreparedSession& limited, double spacing_s) {
+  PreparedSession thinned = limited;
   std::vector<TimedPose> poses;
-  for (IndexRange& segment : data.segments) {
+  for (IndexRange& segment : thinned.data.segments) {
     const size_t begin = poses.size();
-    AppendThinned(data.poses, segment, splines.spacing(), &poses);
+    AppendThinned(limited.data.poses, segment, spacing_s, &poses);
     segment = {begin, poses.size()};
   }
-  data.poses.swap(poses);
+  thinned.data.poses.swap(poses);
   return thinned;
+}
+
+void Resample(const PreparedSession& limited, const std::vector<ImuInstants>& instants,
+              const Estimate& estimate, size_t session, double spacing_s, int threads,
+              PreparedSession* thinned) {
+  for (size_t i = 0; i < instants.size(); ++i) {
+    const ConditionedImu& imu = limited.data.imus[i];
+    if (!imu.IsPresent()) continue;
+    const ImuSessionEstimate& clock = estimate.sessions[session].imus[i];
+    const auto resample = [&](const std::vector<TimedSample>& samples, double rate_hz, double delay,
+                              const std::vector<double>& times, std::vector<TimedSample>* out) {
+      const Recorded recorded(samples, rate_hz);
+      std::vector<TimedSample> resampled(times.size());
+      InPortions(threads, times.size(), [&](size_t k) {
+        resampled[k] = recorded.At(clock.ImuTime(times[k]) + delay, spacing_s);
+      });
+      out->swap(resampled);
+    };
+    ConditionedImu* const out = &thinned->data.imus[i];
+    resample(imu.gyro, imu.gyro_report.rate_hz, 0.0, instants[i].gyro, &out->gyro);
+    resample(imu.accel, imu.accel_report.rate_hz, estimate.imus[i].accel_delay, instants[i].accel,
+             &out->accel);
+  }
 }
 
 std::shared_ptr<const PoseTrajectory> SmoothTrajectory(const PoseTrajectory& gp,

@@ -28,8 +28,10 @@ class JointSolver {
       : options_(options), limited_(limited), estimate_(estimate) {
     for (size_t s = 0; s < limited.size(); ++s) {
       splines_.emplace_back(limited[s].data, *estimate, s, knot_spacings_s[s]);
-      sessions_.push_back(Thinned(limited[s], *estimate, s, splines_.back()));
+      sessions_.push_back(Thinned(limited[s], knot_spacings_s[s]));
+      instants_.push_back(FindInstants(limited[s], estimate->sessions[s], splines_[s]));
     }
+    ResampleImus();
     models_ = InitialModels(options, sessions_);
   }
 
@@ -41,6 +43,7 @@ class JointSolver {
       if (pass > 0) {
         SetNoise(pass < kHalfSteps ? 1.0 : 0.5);
         MoveTrajectories();
+        ResampleImus();
       }
       summary = Pass();
       solution.has_settled = pass > 0 && summary.is_whole && summary.moved < kSettled;
@@ -76,6 +79,13 @@ class JointSolver {
     return summary;
   }
 
+  /// At their instants by the clocks as they stand.
+  void ResampleImus() {
+    for (size_t s = 0; s < sessions_.size(); ++s)
+      Resample(limited_[s], instants_[s], *estimate_, s, splines_[s].spacing(), options_.Threads(),
+               &sessions_[s]);
+  }
+
   /// To the solution, as far as they can hold it; the splines keep the rest.
   void MoveTrajectories() {
     for (size_t s = 0; s < sessions_.size(); ++s) {
@@ -103,7 +113,8 @@ class JointSolver {
 
   const CalibrationOptions& options_;
   const std::vector<PreparedSession>& limited_;
-  std::vector<PreparedSession> sessions_;  ///< of which samples stand for others
+  std::vector<PreparedSession> sessions_;           ///< of which samples stand for others
+  std::vector<std::vector<ImuInstants>> instants_;  ///< of each session and IMU
   Estimate* const estimate_;
   std::vector<SensorModel> models_;
   std::vector<CorrectionSplines> splines_;
