@@ -15,8 +15,6 @@ constexpr double kSharpness = 0.9;
 
 /// Length scales for which a trajectory goes on beyond a run: its smoother looks as far.
 constexpr double kReach = 2.0;
-/// Periods between samples, of a gap.
-constexpr double kMaxGapPeriods = 5.5;
 
 /// Noise of the GP that lets half of `cutoff` [Hz] pass: there, the spectra of its signal and of
 /// its noise meet.
@@ -58,7 +56,7 @@ void Smooth(double rate_hz, double cutoff, int threads, TimedSample* begin, Time
 }
 
 void Smooth(double rate_hz, double cutoff, int threads, std::vector<TimedSample>* samples) {
-  const double max_gap = kMaxGapPeriods / rate_hz;
+  const double max_gap = LongestStepOf(Band(cutoff));
   TimedSample* const end = samples->data() + samples->size();
   TimedSample* begin = samples->data();
   for (TimedSample* s = begin; s != end; ++s) {
@@ -103,8 +101,8 @@ void SmoothErrors(bool is_rotation, double cutoff, int threads, PreparedSession*
 /// Samples of a sensor in order of time, with gaps.
 class Recorded {
  public:
-  Recorded(const std::vector<TimedSample>& samples, double rate_hz)
-      : samples_(samples), max_gap_(kMaxGapPeriods / rate_hz) {}
+  Recorded(const std::vector<TimedSample>& samples, double spacing_s)
+      : samples_(samples), spacing_s_(spacing_s) {}
 
   /// Whether t [s, its clock] is between two of them without a gap.
   bool Covers(double t) const {
@@ -113,8 +111,8 @@ class Recorded {
   }
 
   /// The sample at t, cubic between four or as many as are there without a gap; in a gap that of
-  /// its nearer side goes on. It stands for those within half of `spacing_s`.
-  TimedSample At(double t, double spacing_s) const {
+  /// its nearer side goes on. It stands for those within half of the spacing.
+  TimedSample At(double t) const {
     size_t i = Find(t);
     if (IsGap(i) && i > 0 && t - samples_[i].t < samples_[i + 1].t - t)
       --i;
@@ -130,7 +128,7 @@ class Recorded {
       sample.value += share * samples_[a].value;
     }
     sample.rest = samples_[t - samples_[i].t < samples_[i + 1].t - t ? i : i + 1].rest;
-    sample.count = static_cast<int>(After(t + 0.5 * spacing_s) - After(t - 0.5 * spacing_s));
+    sample.count = static_cast<int>(After(t + 0.5 * spacing_s_) - After(t - 0.5 * spacing_s_));
     sample.count = std::max(1, sample.count);
     return sample;
   }
@@ -145,10 +143,12 @@ class Recorded {
   }
   /// The sample before t, not the last one.
   size_t Find(double t) const { return std::clamp<size_t>(After(t), 1, samples_.size() - 1) - 1; }
-  bool IsGap(size_t i) const { return samples_[i + 1].t - samples_[i].t > max_gap_; }
+  bool IsGap(size_t i) const {
+    return samples_[i + 1].t - samples_[i].t > LongestStepOf(spacing_s_);
+  }
 
   const std::vector<TimedSample>& samples_;
-  const double max_gap_;
+  const double spacing_s_;
 };
 
 /// One of those that are as noisy can stand for the others.
@@ -199,8 +199,7 @@ std::vector<ImuInstants> FindInstants(const PreparedSession& limited, const Sess
   for (size_t i = 0; i < instants.size(); ++i) {
     const ConditionedImu& imu = limited.data.imus[i];
     if (!imu.IsPresent()) continue;
-    const Recorded gyro(imu.gyro, imu.gyro_report.rate_hz);
-    const Recorded accel(imu.accel, imu.accel_report.rate_hz);
+    const Recorded gyro(imu.gyro, splines.spacing()), accel(imu.accel, splines.spacing());
     for (const CorrectionSplines::Run& run : splines.Runs()) {
       for (size_t k = 0; k < run.spans; ++k) {
         const double knot = run.begin + run.spacing * static_cast<double>(k);
@@ -234,19 +233,17 @@ void Resample(const PreparedSession& limited, const std::vector<ImuInstants>& in
     const ConditionedImu& imu = limited.data.imus[i];
     if (!imu.IsPresent()) continue;
     const ImuSessionEstimate& clock = estimate.sessions[session].imus[i];
-    const auto resample = [&](const std::vector<TimedSample>& samples, double rate_hz, double delay,
+    const auto resample = [&](const std::vector<TimedSample>& samples, double delay,
                               const std::vector<double>& times, std::vector<TimedSample>* out) {
-      const Recorded recorded(samples, rate_hz);
+      const Recorded recorded(samples, spacing_s);
       std::vector<TimedSample> resampled(times.size());
-      InPortions(threads, times.size(), [&](size_t k) {
-        resampled[k] = recorded.At(clock.ImuTime(times[k]) + delay, spacing_s);
-      });
+      InPortions(threads, times.size(),
+                 [&](size_t k) { resampled[k] = recorded.At(clock.ImuTime(times[k]) + delay); });
       out->swap(resampled);
     };
     ConditionedImu* const out = &thinned->data.imus[i];
-    resample(imu.gyro, imu.gyro_report.rate_hz, 0.0, instants[i].gyro, &out->gyro);
-    resample(imu.accel, imu.accel_report.rate_hz, estimate.imus[i].accel_delay, instants[i].accel,
-             &out->accel);
+    resample(imu.gyro, 0.0, instants[i].gyro, &out->gyro);
+    resample(imu.accel, estimate.imus[i].accel_delay, instants[i].accel, &out->accel);
   }
 }
 

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "imu_pose_calib/core/base/parallel.h"
+#include "imu_pose_calib/core/calibration/band.h"
 #include "imu_pose_calib/core/calibration/least_squares.h"
 
 namespace imu_pose_calib {
@@ -18,19 +19,19 @@ struct Interval {
 
 /// Where both sensors of an IMU have samples, by the clocks as they stand.
 std::vector<Interval> Covered(const ConditionedImu& samples, const ImuSessionEstimate& clock,
-                              double accel_delay) {
-  const auto runs = [&](const std::vector<TimedSample>& sensor, double rate_hz, double delay) {
+                              double accel_delay, double spacing_s) {
+  const auto runs = [&](const std::vector<TimedSample>& sensor, double delay) {
     std::vector<Interval> intervals;
     for (size_t i = 0; i < sensor.size(); ++i) {
       const double t = clock.PoseTime(sensor[i].t - delay);
-      if (i == 0 || sensor[i].t - sensor[i - 1].t > LongestStep(rate_hz))
+      if (i == 0 || sensor[i].t - sensor[i - 1].t > LongestStepOf(spacing_s))
         intervals.push_back({t, t});
       intervals.back().end = t;
     }
     return intervals;
   };
-  const auto gyro = runs(samples.gyro, samples.gyro_report.rate_hz, 0.0);
-  const auto accel = runs(samples.accel, samples.accel_report.rate_hz, accel_delay);
+  const auto gyro = runs(samples.gyro, 0.0);
+  const auto accel = runs(samples.accel, accel_delay);
   std::vector<Interval> both;
   for (const Interval& g : gyro)
     for (const Interval& a : accel)
@@ -76,8 +77,8 @@ CorrectionSplines::CorrectionSplines(const ConditionedData& data, const Estimate
   std::vector<Interval> covered;
   for (size_t i = 0; i < data.imus.size(); ++i) {
     if (!data.imus[i].IsPresent()) continue;
-    const auto own =
-        Covered(data.imus[i], estimate.sessions[session].imus[i], estimate.imus[i].accel_delay);
+    const auto own = Covered(data.imus[i], estimate.sessions[session].imus[i],
+                             estimate.imus[i].accel_delay, spacing_s);
     covered.insert(covered.end(), own.begin(), own.end());
   }
   size_t points = 0;
