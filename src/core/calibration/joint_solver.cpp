@@ -18,6 +18,9 @@ constexpr int kMaxPasses = 40;
 /// From this pass on noise, slow errors and weights move half of the way, in the logarithm: what
 /// goes to and fro comes to rest.
 constexpr int kHalfSteps = 8;
+/// [s^2] mounts start soft, as those that resonate at 16 Hz: from outside of the peak of a prior
+/// what data tell is seen, from its top they look rigid and positions smoothed.
+constexpr double kComplianceStart = 1e-4;
 
 /// S4 at given knot spacings: trajectories and calibration in passes of least squares, each with
 /// the noise and the robust weights that the residuals of the one before show.
@@ -33,6 +36,8 @@ class JointSolver {
     }
     ResampleImus();
     models_ = InitialModels(options, sessions_);
+    if (IsEstimated(options, ParameterKind::kMountCompliance))
+      for (ImuEstimate& imu : estimate->imus) imu.mount_compliance = kComplianceStart;
   }
 
   Solution Solve() {

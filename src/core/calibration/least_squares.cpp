@@ -83,7 +83,7 @@ Prior PriorOf(const Parameter& p, const LeastSquares& solve) {
       return alike(PeakSigma(kSmoothingPrior, *p.data));
     case ParameterKind::kMountCompliance:
       // No mount gives way upwards.
-      return alike(*p.data < 0.0 ? kRigidPrior : PeakSigma(kCompliancePrior, *p.data));
+      return alike(PeakSigma(kCompliancePrior, std::max(0.0, *p.data)));
     case ParameterKind::kPoseCumulants:
     case ParameterKind::kPositionCumulants:
       return {
@@ -102,13 +102,14 @@ Prior PriorOf(const Parameter& p, const LeastSquares& solve) {
   }
 }
 
-/// The largest move of T_MI, a time shift or an accel delay, in its sigma; `x`, `std`: of what acts
-/// everywhere.
+/// The largest move of T_MI, a time shift, an accel delay or a compliance, in its sigma; `x`, `std`:
+/// of what acts everywhere.
 double LargestMove(const Ordering& order, const Eigen::VectorXd& x, const Eigen::VectorXd& std) {
   double largest = 0.0;
   Eigen::Index column = 0;
   for (const Parameter& p : order.calibrated) {
-    if (p.kind <= ParameterKind::kAccelDelay && std.size() > 0)
+    if ((p.kind <= ParameterKind::kAccelDelay || p.kind == ParameterKind::kMountCompliance) &&
+        std.size() > 0)
       largest = std::max(largest, x.segment(column, p.size)
                                       .cwiseQuotient(std.segment(column, p.size))
                                       .lpNorm<Eigen::Infinity>());

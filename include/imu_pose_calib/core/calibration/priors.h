@@ -15,7 +15,6 @@ constexpr double kSizePrior = 2e-3;               // [m] places of the accelerom
 // Widths of peaks, see PeakSigma(): most have none, others have much.
 constexpr double kSmoothingPrior = 1e-5;   // [s^2] of poses and IMUs
 constexpr double kCompliancePrior = 1e-6;  // [s^2] of mounts
-constexpr double kRigidPrior = 1e-9;       // [s^2] of those, on the side where none is
 constexpr double kThirdPrior = 1e-6, kFourthPrior = 1e-7;  // [s^3], [s^4] cumulants of poses
 constexpr double kPositionDelayPrior = 8e-5;               // [s]
 /// How much must speak for a delay of positions, whose peak has a sigma of 0.02 ms: slow errors of
