@@ -13,11 +13,6 @@ namespace {
 using Eigen::Matrix3d;
 using Eigen::Vector3d;
 
-/// Of half a variance that the second derivative of a spline counts with, over the squared spacing
-/// of its knots: with it, a third is left of what swings from knot to knot, whose second derivative
-/// is -12 / spacing^2 of it.
-constexpr double kMostOfSpline = 2.0 / 3.0 / 12.0;
-
 Eigen::Map<Vector3d> AsVector(double* x) { return Eigen::Map<Vector3d>(x); }
 
 /// d(q^* v)/d(xyzw) for q turned on the left by twice the step, as Ceres' quaternion manifold does:
@@ -147,21 +142,17 @@ class JointPoseResidual : public BatchResidual<JointPoseSample> {
     int block = n + 2;
     double c = 0.0;
     for (const double sign : signs_) c += 0.5 * sign * *blocks[block++];
-    const double most = kMostOfSpline * s.place.spacing * s.place.spacing;
-    const double of_spline = std::clamp(c, -most, most);
-    Vector3d error = s.error - t * s.rate - x.col(0) - c * s.curvature - of_spline * x.col(2);
+    Vector3d error = s.error - t * s.rate - x.col(0) - c * s.curvature;
     for (size_t k = 0; k < cumulants_; ++k)
       error -= s.higher * Eigen::Map<const Eigen::Vector2d>(blocks[block++]);
     AsVector(residual) = LessKnots(error, s.error_u, blocks + n) / s.sigma;
     if (jacobians.blocks == nullptr) return;
     for (int j = 0; j < n; ++j)
-      SetRows<3>(jacobians, j,
-                 -(weights(0, j) + of_spline * weights(2, j)) / s.sigma * Matrix3d::Identity());
+      SetRows<3>(jacobians, j, -weights(0, j) / s.sigma * Matrix3d::Identity());
     SetKnotRows(jacobians, n, -(1.0 - s.error_u) / s.sigma, -s.error_u / s.sigma);
     block = n + 2;
-    Vector3d by_c = s.curvature;
-    if (of_spline == c) by_c += x.col(2);
-    for (const double sign : signs_) SetRows<1>(jacobians, block++, -0.5 * sign / s.sigma * by_c);
+    for (const double sign : signs_)
+      SetRows<1>(jacobians, block++, Vector3d(-0.5 * sign / s.sigma * s.curvature));
     for (size_t k = 0; k < cumulants_; ++k) SetRows<2>(jacobians, block++, -s.higher / s.sigma);
     SetClockRows(s, -s.rate / s.sigma, jacobians);
   }
