@@ -215,22 +215,6 @@ TEST(PoseTrajectory, AngularVelocityIsTheSlopeOfTheAttitude) {
   }
 }
 
-TEST(PoseTrajectory, SpecificForceRateIsTheSlopeOfTheForce) {
-  const Fitted fitted(Simulate(Recording(Motion::kTumble, 8.0, 8)));
-  const Eigen::Vector3d g_W(0.3, -0.2, -9.8), p_MI(0.2, -0.5, 0.1);
-  for (double t = 0.3; t < 7.6; t += 0.217) {
-    MarkerState<double> state, rate;
-    ASSERT_TRUE(fitted.trajectory.Evaluate(t, &state, &rate));
-    const auto force = [&](double h) {
-      MarkerState<double> moved;
-      fitted.trajectory.Evaluate(t + h, &moved);
-      return SpecificForce(moved, g_W, p_MI);
-    };
-    const Eigen::Vector3d slope = SpecificForceRate(state, rate, g_W, p_MI);
-    EXPECT_LT((slope - NumericRate(force, 0.0, 1e-3)).norm(), 1e-4 * (1.0 + slope.norm())) << t;
-  }
-}
-
 TEST(PoseTrajectory, ContainsWhatLiesBetweenPosesWithoutAGap) {
   SessionData recording = Simulate(Recording(Motion::kHandheld, 10.0, 9));
   recording.poses.erase(recording.poses.begin() + 401, recording.poses.begin() + 500);

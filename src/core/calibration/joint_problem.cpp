@@ -78,85 +78,36 @@ struct Places {
     if (!place || !IsOnTrajectory(*trajectory, t)) return std::nullopt;
     return static_cast<int>(place->first);
   }
-  /// The step [s] of second differences about t, where IsOnTrajectory(), with which the mean over a
-  /// time of that variance [s^2] keeps a third of any motion at least, as Gauss-Hermite quadrature
-  /// of three points does.
-  double StepOf(double t, double variance) const {
-    const double step = std::sqrt(3.0 * std::abs(variance));
-    return step > kStep && trajectory->Covers(t - step, t + step) ? step : kStep;
-  }
-  /// Second differences of the GP's position in W and of its rotation in M, at t, where it is `gp`.
-  Eigen::Vector3d PositionCurvature(double t, const MarkerState<double>& gp,
-                                    double variance) const {
-    const double step = StepOf(t, variance);
-    if (step == kStep) return gp.a_W;
-    return (trajectory->PositionAt(t - step) - 2.0 * gp.p_WM + trajectory->PositionAt(t + step)) /
-           (step * step);
-  }
-  Eigen::Vector3d RotationCurvature(double t, const MarkerRotation<double>& gp,
-                                    double variance) const {
-    const double step = StepOf(t, variance);
-    if (step == kStep) return gp.alpha_M;
-    Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-    for (const double at : {t - step, t + step})
-      sum += Log(Eigen::Quaterniond(gp.q_WM.conjugate() * trajectory->RotationAt(at)));
-    return sum / (step * step);
-  }
-  /// JointPoseSample::higher, by differences: x(time after t) is 0 at 0. The step is that with
-  /// which neither of the cumulants [s^3, s^4] adds more than a third of any motion, of which third
-  /// differences are up to 2.6 / step^3 and fourth ones 16 / step^4.
+  /// JointPoseSample::higher, by differences: x(time after t) is 0 at 0.
   template <typename Function>
-  Eigen::Matrix<double, 3, 2> Higher(double t, const Eigen::Vector2d& cumulants,
-                                     const Function& x) const {
-    const Eigen::Vector2d least(std::cbrt(0.5 * 2.6 * std::abs(cumulants[0])),
-                                std::pow(2.0 * std::abs(cumulants[1]), 0.25));
-    double h = std::max(kStep, least.maxCoeff());
-    if (!trajectory->Covers(t - 2.0 * h, t + 2.0 * h)) h = kStep;
-    const Eigen::Vector3d a = x(-2.0 * h), b = x(-h), c = x(h), d = x(2.0 * h);
+  static Eigen::Matrix<double, 3, 2> Higher(const Function& x) {
+    const Eigen::Vector3d a = x(-2.0 * kStep), b = x(-kStep), c = x(kStep), d = x(2.0 * kStep);
     Eigen::Matrix<double, 3, 2> higher;
-    higher << (a - 2.0 * b + 2.0 * c - d) / (12.0 * std::pow(h, 3)),
-        (a - 4.0 * b - 4.0 * c + d) / (24.0 * std::pow(h, 4));
+    higher << (a - 2.0 * b + 2.0 * c - d) / (12.0 * std::pow(kStep, 3)),
+        (a - 4.0 * b - 4.0 * c + d) / (24.0 * std::pow(kStep, 4));
     return higher;
   }
   /// Of omega_M.
-  Eigen::Vector3d RateCurvature(double t, const MarkerRotation<double>& gp, double variance) const {
-    const double step = StepOf(t, variance);
+  Eigen::Vector3d RateCurvature(double t, const MarkerRotation<double>& gp) const {
     MarkerRotation<double> before, after;
-    trajectory->EvaluateRotation(t - step, &before);
-    trajectory->EvaluateRotation(t + step, &after);
-    return (before.omega_M - 2.0 * gp.omega_M + after.omega_M) / (step * step);
+    trajectory->EvaluateRotation(t - kStep, &before);
+    trajectory->EvaluateRotation(t + kStep, &after);
+    return (before.omega_M - 2.0 * gp.omega_M + after.omega_M) / (kStep * kStep);
   }
   /// F = R_WM f_M of p_MI at t.
   Eigen::Vector3d Force(const MarkerState<double>& state, const Eigen::Vector3d& p_MI) const {
     return state.q_WM * SpecificForce(state, g_W, p_MI);
   }
-  /// What belongs to JointAccelSample at t, where it is `gp`, and filters of the variances `own`,
-  /// which is 0 of the first IMU, and `shared`: the slopes by half of either of what these add to
-  /// f_M. Returns what they add beyond that.
-  Eigen::Vector3d SetCurvatures(double t, const MarkerState<double>& gp,
-                                const Eigen::Vector3d& p_MI, double own, double shared,
-                                bool is_first, JointAccelSample* sample) const {
-    const double variance = is_first ? shared : own, step = StepOf(t, variance);
-    const bool has_rates = step > kStep;
-    MarkerState<double> rate_before, rate_after;
-    const MarkerState<double> before = At(t - step, has_rates ? &rate_before : nullptr);
-    const MarkerState<double> after = At(t + step, has_rates ? &rate_after : nullptr);
-    const Eigen::Quaterniond q_MW = gp.q_WM.conjugate();
+  /// JointImuSample::curvature and JointAccelSample::averaged at t, where the GP is `gp`; of the
+  /// first IMU, which averages as the trajectory does.
+  void SetCurvatures(double t, const MarkerState<double>& gp, const Eigen::Vector3d& p_MI,
+                     bool is_first, JointAccelSample* sample) const {
+    const MarkerState<double> before = At(t - kStep), after = At(t + kStep);
     const auto f = [&](const MarkerState<double>& x) { return SpecificForce(x, g_W, p_MI); };
-    sample->curvature = (f(before) - 2.0 * f(gp) + f(after)) / (step * step);
-    sample->averaged = q_MW * (2.0 * gp.a_W - before.a_W - after.a_W) / (step * step);
+    sample->curvature = (f(before) - 2.0 * f(gp) + f(after)) / (kStep * kStep);
+    sample->averaged =
+        gp.q_WM.conjugate() * (2.0 * gp.a_W - before.a_W - after.a_W) / (kStep * kStep);
     if (is_first) sample->averaged += sample->curvature;
-    if (!has_rates) return Eigen::Vector3d::Zero();
-    // The step h grows with the variance: (x(t + h) - 2 x(t) + x(t - h)) / 6 is what it adds to x.
-    const Eigen::Vector3d curvature = (SpecificForceRate(after, rate_after, g_W, p_MI) -
-                                       SpecificForceRate(before, rate_before, g_W, p_MI)) /
-                                      (2.0 * step);
-    Eigen::Vector3d averaged = q_MW * (rate_before.a_W - rate_after.a_W) / (2.0 * step);
-    if (is_first) averaged += curvature;
-    const Eigen::Vector3d by_step =
-        own * (curvature - sample->curvature) + shared * (averaged - sample->averaged);
-    (is_first ? sample->averaged : sample->curvature) += by_step / variance;
-    return -0.5 * by_step;
   }
   /// f_swing of JointAccelSample at t, where it is `gp`: on a spring of this compliance, of the
   /// force that the IMU feels there, which exceeds F by -compliance F'' and so on.
@@ -287,11 +238,6 @@ void SessionBuilder::AddPoses() {
     add(i, all.position_delay, position_errors, &position_runs, position);
     add(i, 0.0, rotation_errors, &rotation_runs, rotation);
   }
-  const Eigen::Vector2d rotation_cumulants = all.pose_cumulants;
-  const Eigen::Vector2d position_cumulants = all.position_cumulants;
-  const double rotation_smoothing = all.pose_smoothing;
-  const double position_smoothing =
-      rotation_smoothing + all.position_smoothing - all.accel_smoothing;
   const auto complete = [&poses, places = places_](const ProblemSample& at, const BiasKnots& errors,
                                                    JointPoseSample* sample) {
     sample->place = *places->splines.Locate(at.t);
@@ -307,11 +253,10 @@ void SessionBuilder::AddPoses() {
         complete(at, position_errors, &sample);
         sample.error = poses[at.index].p_WM - gp.p_WM;
         sample.rate = gp.v_W;
-        sample.curvature = places->PositionCurvature(at.t, gp, position_smoothing);
-        sample.higher = places->Higher(
-            at.t, rotation_cumulants + position_cumulants, [&](double after) -> Eigen::Vector3d {
-              return places->trajectory->PositionAt(at.t + after) - gp.p_WM;
-            });
+        sample.curvature = gp.a_W;
+        sample.higher = Places::Higher([&](double after) -> Eigen::Vector3d {
+          return places->trajectory->PositionAt(at.t + after) - gp.p_WM;
+        });
         return sample;
       });
   const auto rotations = Collect<JointPoseSample>(
@@ -324,8 +269,8 @@ void SessionBuilder::AddPoses() {
         complete(at, rotation_errors, &sample);
         sample.error = Log(Eigen::Quaterniond(gp.q_WM.conjugate() * poses[at.index].q_WM));
         sample.rate.setZero();
-        sample.curvature = places->RotationCurvature(at.t, gp, rotation_smoothing);
-        sample.higher = places->Higher(at.t, rotation_cumulants, [&](double after) {
+        sample.curvature = gp.alpha_M;
+        sample.higher = Places::Higher([&](double after) {
           const Eigen::Quaterniond q_WM = places->trajectory->RotationAt(at.t + after);
           return Log(Eigen::Quaterniond(gp.q_WM.conjugate() * q_WM));
         });
@@ -401,14 +346,14 @@ void SessionBuilder::AddGyro(size_t imu) {
       imu, Quantity::kGyro, {&splines_->phi},
       {rig.q_MI.coeffs().data(), rig.gyro_intrinsics.data(), &rig.gyro_smoothing,
        &joint_->estimate->gyro_smoothing},
-      [with_curvature = IsUsed(rig.gyro_smoothing), variance = rig.gyro_smoothing](
-          const Places& places, double t_M, JointImuSample* sample) {
+      [with_curvature = IsUsed(rig.gyro_smoothing)](const Places& places, double t_M,
+                                                    JointImuSample* sample) {
         MarkerRotation<double> gp;
         places.trajectory->EvaluateRotation(t_M, &gp);
         sample->omega_M = gp.omega_M;
         sample->alpha_M = gp.alpha_M;
         sample->cone = RateCone(gp);
-        if (with_curvature) sample->curvature = places.RateCurvature(t_M, gp, variance);
+        if (with_curvature) sample->curvature = places.RateCurvature(t_M, gp);
       },
       &CreateJointGyroResidual);
 }
@@ -417,7 +362,6 @@ void SessionBuilder::AddAccel(size_t imu) {
   Estimate& all = *joint_->estimate;
   ImuEstimate& rig = all.imus[imu];
   const bool is_first = imu == 0;
-  const double own = rig.accel_smoothing + rig.gyro_smoothing, shared = all.accel_smoothing;
   const bool with_curvatures =
       IsUsed(all.accel_smoothing) || IsUsed(all.AccelSmoothing(imu)) || IsUsed(rig.gyro_smoothing);
   const bool with_swing = IsUsed(rig.mount_compliance);
@@ -426,9 +370,7 @@ void SessionBuilder::AddAccel(size_t imu) {
       {rig.q_MI.coeffs().data(), rig.accel_intrinsics.data(), rig.p_MI.data(), estimate_.g_W.data(),
        &rig.accel_smoothing, &rig.mount_compliance, &all.pose_scale, rig.accel_positions.data(),
        &rig.gyro_smoothing, &all.gyro_smoothing, &all.accel_smoothing},
-      [=, p_MI = Eigen::Vector3d(rig.p_MI), compliance = rig.mount_compliance,
-       by_force = Eigen::Matrix3d(AccelMatrix(rig.accel_intrinsics) *
-                                  rig.q_MI.conjugate().toRotationMatrix())](
+      [=, p_MI = Eigen::Vector3d(rig.p_MI), compliance = rig.mount_compliance](
           const Places& places, double t_M, JointAccelSample* sample) {
         MarkerState<double> rate;
         const MarkerState<double> gp = places.At(t_M, &rate);
@@ -440,9 +382,7 @@ void SessionBuilder::AddAccel(size_t imu) {
         sample->jerk_W = rate.a_W;
         sample->cone = ForceCone(gp, rate, places.g_W, p_MI);
         if (with_swing) sample->f_swing = places.Swing(t_M, gp, p_MI, compliance);
-        if (!with_curvatures) return;
-        sample->value -=
-            by_force * places.SetCurvatures(t_M, gp, p_MI, own, shared, is_first, sample);
+        if (with_curvatures) places.SetCurvatures(t_M, gp, p_MI, is_first, sample);
       },
       &CreateJointAccelResidual);
 }

@@ -39,16 +39,6 @@ Eigen::Matrix<T, 3, 1> SpecificForce(const MarkerState<T>& state, const Eigen::M
          state.omega_M.cross(state.omega_M.cross(p_MI));
 }
 
-/// Its derivative [m/s^3]; `rate`: derivatives of alpha_M and a_W.
-inline Eigen::Vector3d SpecificForceRate(const MarkerState<double>& state,
-                                         const MarkerState<double>& rate,
-                                         const Eigen::Vector3d& g_W, const Eigen::Vector3d& p_MI) {
-  const Eigen::Vector3d &omega = state.omega_M, &alpha = state.alpha_M;
-  const Eigen::Quaterniond q_MW = state.q_WM.conjugate();
-  return q_MW * rate.a_W - omega.cross(q_MW * (state.a_W - g_W)) + rate.alpha_M.cross(p_MI) +
-         alpha.cross(omega.cross(p_MI)) + omega.cross(alpha.cross(p_MI));
-}
-
 /// Posterior variance per axis of the marker's motion at one instant.
 struct MarkerVariance {
   double rotation;  ///< [rad^2]
