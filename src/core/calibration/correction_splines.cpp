@@ -4,7 +4,6 @@
 #include <cmath>
 
 #include "imu_pose_calib/core/base/parallel.h"
-#include "imu_pose_calib/core/calibration/band.h"
 #include "imu_pose_calib/core/calibration/least_squares.h"
 
 namespace imu_pose_calib {
@@ -54,19 +53,21 @@ std::vector<Interval> Join(std::vector<Interval> intervals) {
   return joined;
 }
 
-/// Control points of the natural spline with these values at its knots.
-void Interpolate(const std::vector<Eigen::Vector3d>& values, Eigen::Vector3d* points) {
+/// Control points of the spline with these values at its knots, of which there are `spans` + 1, and
+/// these second derivatives, times the squared spacing, at its ends.
+void Interpolate(const std::vector<Eigen::Vector3d>& values, const Eigen::Vector3d& first_curvature,
+                 const Eigen::Vector3d& last_curvature, Eigen::Vector3d* points) {
   const size_t spans = values.size() - 1;
-  points[1] = values[0];
-  points[spans + 1] = values[spans];
+  points[1] = values[0] - first_curvature / 6.0;
+  points[spans + 1] = values[spans] - last_curvature / 6.0;
   std::vector<double> share(spans + 1, 0.0);  // of the next point in each
   for (size_t k = 2; k <= spans; ++k) {
     share[k] = 1.0 / (4.0 - share[k - 1]);
     points[k] = share[k] * (6.0 * values[k - 1] - points[k - 1]);
   }
   for (size_t k = spans; k >= 2; --k) points[k] -= share[k] * points[k + 1];
-  points[0] = 2.0 * points[1] - points[2];
-  points[spans + 2] = 2.0 * points[spans + 1] - points[spans];
+  points[0] = 2.0 * points[1] - points[2] + first_curvature;
+  points[spans + 2] = 2.0 * points[spans + 1] - points[spans] + last_curvature;
 }
 
 }  // namespace
@@ -136,7 +137,8 @@ std::vector<TimedPose> CorrectionSplines::SampleMotion(const PoseTrajectory& gp,
 void CorrectionSplines::Rebase(const PoseTrajectory& from, const PoseTrajectory& to, int threads) {
   for (const Run& run : runs_) {
     const size_t knots = run.spans + 1;
-    std::vector<Eigen::Vector3d> p(knots), q(knots);
+    // Values and second derivatives.
+    std::vector<Eigen::Vector3d> p(knots), q(knots), a(knots), alpha(knots);
     InPortions(threads, knots, [&](size_t k) {
       const double t = std::min(run.end, run.begin + run.spacing * static_cast<double>(k));
       const MarkerState<double> state = *Correct(from, t);
@@ -144,9 +146,12 @@ void CorrectionSplines::Rebase(const PoseTrajectory& from, const PoseTrajectory&
       to.Evaluate(t, &gp);
       p[k] = state.p_WM - gp.p_WM;
       q[k] = Log(Eigen::Quaterniond(gp.q_WM.conjugate() * state.q_WM));
+      a[k] = state.a_W - gp.a_W;
+      alpha[k] = state.alpha_M - gp.alpha_M;
     });
-    Interpolate(p, &d[run.first]);
-    Interpolate(q, &phi[run.first]);
+    const double h2 = run.spacing * run.spacing;
+    Interpolate(p, h2 * a.front(), h2 * a.back(), &d[run.first]);
+    Interpolate(q, h2 * alpha.front(), h2 * alpha.back(), &phi[run.first]);
   }
 }
 

@@ -14,8 +14,9 @@ namespace {
 constexpr int kSteps = 200;  // of integrals over frequency
 /// Share of the band and of the poses' frequencies in which residuals are whole.
 constexpr double kWhole = 0.8;
-/// Periodograms that the expectation is worth that noise is as white as the samples' spread.
-constexpr double kWhiteness = 1.0;
+/// Periodograms that the expectation is worth that noise is as white as the samples' spread, give
+/// or take a factor of e in the density; and by which it holds back what is far below.
+constexpr double kWhiteness = 30.0, kLeastWhiteness = 1.0;
 /// Share of white noise in what poses err by, with which their residuals tell of it.
 constexpr double kLeastWhite = 0.25;
 constexpr int kRounds = 300;            // of the likelihood's ascent
@@ -136,8 +137,10 @@ std::vector<double> FitDensities(const std::vector<Noise>& noises,
       }
     }
     for (size_t k = 0; k < x.size(); ++k) {
-      found[k] += kWhiteness * noises[k].white / (x[k] * x[k]);
-      expected[k] += kWhiteness / x[k];
+      const double white = noises[k].white, apart = std::log(white / x[k]);
+      const double pull = kWhiteness * apart / (1.0 + apart * apart);
+      found[k] += (kWhiteness + kLeastWhiteness * white / x[k] + std::max(0.0, pull)) / x[k];
+      expected[k] += (kWhiteness + kLeastWhiteness + std::max(0.0, -pull)) / x[k];
       x[k] = std::min(noises[k].most, x[k] * std::sqrt(found[k] / expected[k]));
     }
   }

@@ -22,9 +22,9 @@ namespace {
 /// Sigma of the step from one control point of the trajectory's corrections to the next [m], [rad]:
 /// more than any tracker errs by.
 constexpr double kCorrectionStep = 0.1;
-/// Of their second differences at the ends of runs: splines are natural. Beyond, there are no
-/// samples to hold them, and the trajectory goes on as it ends.
-constexpr double kEndBend = 1e-7;
+/// Of their third differences in the first and the last span of a run, where no sample is at the
+/// end: as good as nothing.
+constexpr double kEndJerk = 1e-7;
 constexpr double kKeptShare = 0.125;  // of what may be kept, for the samples of one sensor
 
 /// What make(i) returns for i = 0 .. count - 1, on all threads: kept unless that is too much.
@@ -392,15 +392,15 @@ void AddCorrectionPriors(CorrectionSplines* splines, size_t session, LeastSquare
   const auto prior = std::make_shared<const ceres::NormalPrior>(Eigen::Matrix3d::Identity(),
                                                                 Eigen::Vector3d::Zero());
   const std::shared_ptr<const ceres::CostFunction> walk = WalkResidual<3>{kCorrectionStep}.Create();
-  const std::shared_ptr<const ceres::CostFunction> bend = BendResidual{kEndBend}.Create();
+  const std::shared_ptr<const ceres::CostFunction> jerk = JerkResidual{kEndJerk}.Create();
   for (const CorrectionSplines::Run& run : splines->Runs()) {
     for (Vector3ds* const points : {&splines->d, &splines->phi}) {
       int block = joint->problem.Find((*points)[run.first].data());
       joint->Add(joint->problem.AddResiduals(prior, {block}), session, run.begin);
-      const int last = block + static_cast<int>(run.spans);
-      joint->Add(joint->problem.AddResiduals(bend, {block, block + 1, block + 2}), session,
-                 run.begin);
-      joint->Add(joint->problem.AddResiduals(bend, {last, last + 1, last + 2}), session, run.end);
+      const int last = block + static_cast<int>(run.spans) - 1;
+      for (const int span : {block, last})
+        joint->Add(joint->problem.AddResiduals(jerk, {span, span + 1, span + 2, span + 3}), session,
+                   span == block ? run.begin : run.end);
       for (size_t k = 0; k + 2 < run.spans + kSplineOrder; ++k, ++block)
         joint->Add(joint->problem.AddResiduals(walk, {block, block + 1}), session,
                    run.begin + run.spacing * (static_cast<double>(k) - 1.0));

@@ -28,8 +28,8 @@ std::unique_ptr<ceres::CostFunction> WalkResidual<kSize>::Create() const {
   return AutoDiff<kSize, kSize, kSize>(*this);
 }
 
-std::unique_ptr<ceres::CostFunction> BendResidual::Create() const {
-  return AutoDiff<3, 3, 3, 3>(*this);
+std::unique_ptr<ceres::CostFunction> JerkResidual::Create() const {
+  return AutoDiff<3, 3, 3, 3, 3>(*this);
 }
 
 template struct WalkResidual<1>;

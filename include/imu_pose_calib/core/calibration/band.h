@@ -8,13 +8,6 @@
 
 namespace imu_pose_calib {
 
-/// What splines with knots `spacing_s` [s] apart follow well, below the highest frequency that they
-/// can hold [Hz].
-inline double Band(double spacing_s) { return 0.5625 * 0.5 / spacing_s; }
-/// Samples of an IMU that are further apart [s] leave knots of such splines without one: a gap, at
-/// which runs end.
-inline double LongestStepOf(double spacing_s) { return 2.0 * spacing_s; }
-
 /// The session with nothing beyond `cutoff` [Hz] in its trajectory, its poses and the samples of
 /// its IMUs, all smoothed alike; what is taken from a sample is its `rest`. doc/math.md, S4, "One
 /// band".

@@ -30,6 +30,13 @@ MarkerState<T> Corrected(const MarkerState<double>& gp, const Eigen::Matrix<T, 3
   return state;
 }
 
+/// What splines with knots `spacing_s` [s] apart follow well, below the highest frequency that they
+/// can hold [Hz].
+inline double Band(double spacing_s) { return 0.5625 * 0.5 / spacing_s; }
+/// Samples of an IMU that are further apart [s] leave knots of such splines without one: a gap, at
+/// which runs end.
+inline double LongestStepOf(double spacing_s) { return 2.0 * spacing_s; }
+
 /// Corrections of a session's trajectory of S1 by uniform cubic B-splines over t [s, pose clock],
 /// one per run in which there are poses and samples of an IMU without a gap:
 ///   R_WM(t) = R_gp(t) Exp(phi(t)),   p_WM(t) = p_gp(t) + d(t).

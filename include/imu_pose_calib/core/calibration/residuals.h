@@ -101,16 +101,17 @@ struct WalkResidual {
   std::unique_ptr<ceres::CostFunction> Create() const;
 };
 
-/// Second difference of three control points of a spline, of which the acceleration at an end is
-/// that over the squared spacing: r = (point_0 - 2 point_1 + point_2) / sigma. Blocks: the points
-/// (3). Residual: 3.
-struct BendResidual {
+/// Third difference of control points of a spline: by how much its acceleration changes in a span,
+/// times the squared spacing, r = (point_3 - 3 point_2 + 3 point_1 - point_0) / sigma. Blocks: the
+/// points (3). Residual: 3.
+struct JerkResidual {
   double sigma;  ///< in the unit of the points
 
   template <typename T>
-  bool operator()(const T* point_0, const T* point_1, const T* point_2, T* residual) const {
+  bool operator()(const T* point_0, const T* point_1, const T* point_2, const T* point_3,
+                  T* residual) const {
     for (int i = 0; i < 3; ++i)
-      residual[i] = (point_0[i] - T(2.0) * point_1[i] + point_2[i]) / T(sigma);
+      residual[i] = (point_3[i] - point_0[i] - T(3.0) * (point_2[i] - point_1[i])) / T(sigma);
     return true;
   }
 
