@@ -126,9 +126,11 @@ std::vector<TimedPose> CorrectionSplines::SampleMotion(const PoseTrajectory& gp,
           run.begin + run.spacing * (static_cast<double>(k) - static_cast<double>(beyond));
       const double inside = std::clamp(t, run.begin, run.end);
       const MarkerState<double> state = *Correct(gp, inside);
+      const double dt = t - inside;
       poses[begin + k].t = t;
-      poses[begin + k].q_WM = state.q_WM * Exp(Eigen::Vector3d((t - inside) * state.omega_M));
-      poses[begin + k].p_WM = state.p_WM + (t - inside) * state.v_W;
+      poses[begin + k].q_WM =
+          state.q_WM * Exp(Eigen::Vector3d(dt * (state.omega_M + 0.5 * dt * state.alpha_M)));
+      poses[begin + k].p_WM = state.p_WM + dt * (state.v_W + 0.5 * dt * state.a_W);
     });
   }
   return poses;

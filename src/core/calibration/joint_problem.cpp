@@ -22,9 +22,9 @@ namespace {
 /// Sigma of the step from one control point of the trajectory's corrections to the next [m], [rad]:
 /// more than any tracker errs by.
 constexpr double kCorrectionStep = 0.1;
-/// Of their third differences in the first and the last span of a run, where no sample is at the
-/// end: as good as nothing.
-constexpr double kEndJerk = 1e-7;
+/// Of what their acceleration changes by [m/s^2], [rad/s^2] in the first and the last span of a run:
+/// no sample is at its end.
+constexpr double kEndChange = 1.0;
 constexpr double kKeptShare = 0.125;  // of what may be kept, for the samples of one sensor
 
 /// What make(i) returns for i = 0 .. count - 1, on all threads: kept unless that is too much.
@@ -392,7 +392,8 @@ void AddCorrectionPriors(CorrectionSplines* splines, size_t session, LeastSquare
   const auto prior = std::make_shared<const ceres::NormalPrior>(Eigen::Matrix3d::Identity(),
                                                                 Eigen::Vector3d::Zero());
   const std::shared_ptr<const ceres::CostFunction> walk = WalkResidual<3>{kCorrectionStep}.Create();
-  const std::shared_ptr<const ceres::CostFunction> jerk = JerkResidual{kEndJerk}.Create();
+  const std::shared_ptr<const ceres::CostFunction> jerk =
+      JerkResidual{kEndChange * splines->spacing() * splines->spacing()}.Create();
   for (const CorrectionSplines::Run& run : splines->Runs()) {
     for (Vector3ds* const points : {&splines->d, &splines->phi}) {
       int block = joint->problem.Find((*points)[run.first].data());

@@ -55,7 +55,7 @@ class CorrectionSplines {
   std::optional<MarkerState<double>> Correct(const PoseTrajectory& gp, double t) const;
 
   /// That at the knots of each run, and how it would go on for `reach` [s] beyond them with the
-  /// velocities of the ends; `runs`: of the poses that are returned.
+  /// accelerations of the ends; `runs`: of the poses that are returned.
   std::vector<TimedPose> SampleMotion(const PoseTrajectory& gp, double reach, int threads,
                                       std::vector<IndexRange>* runs) const;
 
