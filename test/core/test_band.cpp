@@ -73,35 +73,66 @@ TEST(LimitBand, TakesWhatIsFasterAndKeepsWhatIsSlower) {
   EXPECT_LT(remains(14.0), 1e-3);
 }
 
-TEST(Thinned, HasOneOfAFewWhichStandsForThem) {
-  const PreparedSession limited = Thinned(LimitBand(Swinging(1.0), 10.0, 1), 0.02);
-  const auto counts = [](const auto& samples, double begin, double end) {
-    std::map<int, int> found;
-    for (const auto& sample : samples)
-      if (sample.t >= begin && sample.t < end) ++found[sample.count];
-    return found;
-  };
+TEST(Thinned, HasOnePoseOfAFewWhichStandsForThem) {
   const auto total = [](const auto& samples) {
     int sum = 0;
     for (const auto& sample : samples) sum += sample.count;
     return sum;
   };
-  // One in 20 ms of 200 and 100 Hz; at the ends, which stay as they are, all.
-  EXPECT_EQ(counts(limited.data.imus[0].gyro, 1.0, 9.0), (std::map<int, int>{{4, 400}}));
-  EXPECT_EQ(counts(limited.data.imus[0].gyro, 0.0, 0.15), (std::map<int, int>{{1, 30}}));
-  EXPECT_EQ(total(limited.data.imus[0].gyro), 2000);
-  EXPECT_EQ(total(limited.data.imus[0].accel), 2000);
-  EXPECT_EQ(total(limited.data.poses), 1000);
-  const PreparedSession slower = Thinned(LimitBand(Swinging(1.0), 5.0, 1), 0.033);
-  EXPECT_EQ(counts(slower.data.imus[0].gyro, 1.0, 8.98), (std::map<int, int>{{6, 97}, {7, 145}}));
-  EXPECT_EQ(counts(slower.data.poses, 1.0, 9.0), (std::map<int, int>{{3, 170}, {4, 73}}));
-  EXPECT_EQ(slower.data.segments[0].begin, 0u);
-  EXPECT_EQ(slower.data.segments[0].end, slower.data.poses.size());
-  EXPECT_EQ(total(slower.data.poses), 1000);
+  // One in 33 ms of 100 Hz.
+  const PreparedSession thinned = Thinned(LimitBand(Swinging(1.0), 5.0, 1), 0.033);
+  std::map<int, int> counts;
+  for (const TimedPose& pose : thinned.data.poses)
+    if (pose.t >= 1.0 && pose.t < 9.0) ++counts[pose.count];
+  EXPECT_EQ(counts, (std::map<int, int>{{3, 170}, {4, 73}}));
+  EXPECT_EQ(thinned.data.segments[0].begin, 0u);
+  EXPECT_EQ(thinned.data.segments[0].end, thinned.data.poses.size());
+  EXPECT_EQ(total(thinned.data.poses), 1000);
   // Poses that state different noise do not stand for each other.
   PreparedSession stated = Swinging(1.0);
   for (size_t k = 0; k < 1000; k += 2) stated.data.poses[k].rotation_scale = 3.0;
   EXPECT_EQ(Thinned(LimitBand(stated, 5.0, 1), 0.033).data.poses.size(), 1000u);
+}
+
+TEST(Resample, TakesSamplesAtTheKnotsAndBetweenThemByTheClocks) {
+  PreparedSession recorded = Swinging(1.0);
+  // Some 100 ms without the gyroscope: beyond two knots.
+  std::vector<TimedSample>& gyro = recorded.data.imus[0].gyro;
+  gyro.erase(gyro.begin() + 1000, gyro.begin() + 1020);
+  const PreparedSession limited = LimitBand(recorded, Band(0.02), 1);
+  Estimate estimate(limited, 10.0);
+  const CorrectionSplines splines(limited.data, estimate, 0, 0.02);
+  const std::vector<ImuInstants> instants = FindInstants(limited, estimate.sessions[0], splines);
+  ASSERT_EQ(splines.Runs().size(), 2u);
+  size_t spans = 0;
+  for (const CorrectionSplines::Run& run : splines.Runs()) {
+    EXPECT_LT(run.begin, run.end);
+    EXPECT_TRUE(run.end < 5.0 || run.begin > 5.09);
+    spans += run.spans;
+  }
+  ASSERT_EQ(instants[0].gyro.size(), spans);
+  ASSERT_EQ(instants[0].accel.size(), spans - 2);  // none at the ends
+  EXPECT_NEAR(splines.Locate(instants[0].gyro[7])->u, 0.5, 1e-6);
+  EXPECT_NEAR(splines.Locate(instants[0].accel[7] + 1e-9)->u, 0.0, 1e-6);
+
+  // A clock that is found 3 ms and an accelerometer that is 1 ms later.
+  estimate.sessions[0].imus[0].time_shift += 3e-3;
+  estimate.imus[0].accel_delay += 1e-3;
+  PreparedSession thinned = limited;
+  Resample(limited, instants, estimate, 0, splines.spacing(), 1, &thinned);
+  const auto check = [&](const std::vector<TimedSample>& samples, const std::vector<double>& times,
+                         double later) {
+    ASSERT_EQ(samples.size(), times.size());
+    for (size_t k = 0; k < samples.size(); ++k) {
+      EXPECT_NEAR(samples[k].t, times[k] - 3e-3 + later, 1e-9);
+      if (k < 20 || k + 20 > samples.size()) continue;
+      if (std::abs(samples[k].t - 5.05) < 0.3) continue;
+      EXPECT_NEAR(samples[k].value.y(), std::sin(2.0 * M_PI * samples[k].t), 1e-4);
+      EXPECT_EQ(samples[k].count, 4);  // of 200 Hz
+    }
+  };
+  check(thinned.data.imus[0].gyro, instants[0].gyro, 0.0);
+  check(thinned.data.imus[0].accel, instants[0].accel, 1e-3);
 }
 
 TEST(LimitBand, SmoothsTheTrajectoryWhereItIsFaster) {

@@ -75,12 +75,15 @@ TEST(SmoothTrajectory, GoesOnBeyondTheEndsAsTheMotionDoesThere) {
                                0.05);
   const auto smooth = SmoothTrajectory(*session.trajectory, none, 1);
   const CorrectionSplines::Run run = none.Runs().front();
-  const double beyond = 0.4;  // [s]
+  const double beyond = 0.28;  // [s]
   EXPECT_FALSE(session.trajectory->Covers(run.begin, run.end + beyond));
   ASSERT_TRUE(smooth->Covers(run.begin - beyond, run.end + beyond));
   const MarkerState<double> end = *none.Correct(*session.trajectory, run.end);
-  EXPECT_LT((smooth->PositionAt(run.end + beyond) - end.p_WM - beyond * end.v_W).norm(), 2e-3);
-  const Eigen::Quaterniond turned = end.q_WM * Exp(Eigen::Vector3d(beyond * end.omega_M));
+  const double half2 = 0.5 * beyond * beyond;
+  const Eigen::Vector3d moved = end.p_WM + beyond * end.v_W + half2 * end.a_W;
+  EXPECT_LT((smooth->PositionAt(run.end + beyond) - moved).norm(), 2e-3);
+  const Eigen::Quaterniond turned =
+      end.q_WM * Exp(Eigen::Vector3d(beyond * end.omega_M + half2 * end.alpha_M));
   EXPECT_LT(smooth->RotationAt(run.end + beyond).angularDistance(turned), 2e-2);
 }
 

@@ -69,16 +69,15 @@ struct JointPoseSample : JointSample {
   Eigen::Matrix<double, 3, 2> higher;
 };
 
-/// r = (error - t rate - d - s/2 curvature - k d'' - H (c_R + c_p) - e) / sigma, s:
-/// pose_smoothing + position_smoothing less the accel_smoothing of the trajectory, c, k: s/2,
-/// within +-1/18 of the squared spacing of knots, H: higher, e: slow error. Blocks: d | knots of e
-/// | pose_smoothing (1) | position_smoothing (1) | c (1) | pose_cumulants c_R (2) |
-/// position_cumulants c_p (2) | clocks.
+/// r = (error - t rate - d - s/2 curvature - H (c_R + c_p) - e) / sigma, s: pose_smoothing +
+/// position_smoothing less the accel_smoothing of the trajectory, h, H: higher, e: slow error: what
+/// splines correct is not averaged over. Blocks: d | knots of e | pose_smoothing (1) |
+/// position_smoothing (1) | h (1) | pose_cumulants c_R (2) | position_cumulants c_p (2) | clocks.
 std::unique_ptr<SampledCost> CreateJointPositionResidual(Samples<JointPoseSample> samples,
                                                          const ClockMotions& clocks);
 
-/// r = (error - phi - s/2 curvature - k phi'' - H c_R - e) / sigma, s: pose_smoothing. Blocks:
-/// phi | knots of e | s (1) | c_R (2).
+/// r = (error - phi - s/2 curvature - H c_R - e) / sigma, s: pose_smoothing. Blocks: phi | knots of
+/// e | s (1) | c_R (2).
 std::unique_ptr<SampledCost> CreateJointRotationResidual(Samples<JointPoseSample> samples);
 
 /// A sample of the gyroscope, and what accelerometers have, too.
@@ -87,8 +86,7 @@ struct JointImuSample : JointSample {
   Eigen::Vector3d value;             ///< gyroscope [rad/s] or accelerometer [m/s^2] in I
   double bias_u;                     ///< 0..1 between the bias knots
   double sigma;                      ///< unit of value
-  /// Second derivative of omega_M [rad/s^3] or f_M [m/s^4], components in M; where a filter
-  /// averages over much, the slope of the mean by half its variance.
+  /// Second derivative of omega_M [rad/s^3] or f_M [m/s^4], components in M.
   Eigen::Vector3d curvature = Eigen::Vector3d::Zero();
   /// By how much the mean of omega_M or f_M over an instant's surroundings of the variance s
   /// exceeds that of a trajectory that is averaged alike, over s/2: doc/math.md, "Filter of the

@@ -13,8 +13,8 @@ constexpr double kScalePrior = 0.01;              // [1] diagonal of K_g and K_a
 constexpr double kAlignmentPrior = M_PI / 360.0;  // [rad] their other elements: 0.5 deg
 constexpr double kSizePrior = 2e-3;               // [m] places of the accelerometer's axes
 // Widths of peaks, see PeakSigma(): most have none, others have much.
-constexpr double kSmoothingPrior = 1e-5;   // [s^2] of poses and IMUs
-constexpr double kCompliancePrior = 1e-6;  // [s^2] of mounts
+constexpr double kSmoothingPrior = 1e-5;                   // [s^2] of poses and IMUs
+constexpr double kCompliancePrior = 1e-6;                  // [s^2] of mounts
 constexpr double kThirdPrior = 1e-6, kFourthPrior = 1e-7;  // [s^3], [s^4] cumulants of poses
 constexpr double kPositionDelayPrior = 8e-5;               // [s]
 /// How much must speak for a delay of positions, whose peak has a sigma of 0.02 ms: slow errors of
