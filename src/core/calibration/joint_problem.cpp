@@ -22,8 +22,8 @@ namespace {
 /// Sigma of the step from one control point of the trajectory's corrections to the next [m], [rad]:
 /// more than any tracker errs by.
 constexpr double kCorrectionStep = 0.1;
-/// Of what their acceleration changes by [m/s^2], [rad/s^2] in the first and the last span of a run:
-/// no sample is at its end.
+/// Of what their acceleration changes by [m/s^2], [rad/s^2] in the first and the last span of a
+/// run: no sample is at its end.
 constexpr double kEndChange = 1.0;
 constexpr double kKeptShare = 0.125;  // of what may be kept, for the samples of one sensor
 

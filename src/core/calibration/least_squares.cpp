@@ -102,8 +102,8 @@ Prior PriorOf(const Parameter& p, const LeastSquares& solve) {
   }
 }
 
-/// The largest move of T_MI, a time shift, an accel delay or a compliance, in its sigma; `x`, `std`:
-/// of what acts everywhere.
+/// The largest move of T_MI, a time shift, an accel delay or a compliance, in its sigma; `x`,
+/// `std`: of what acts everywhere.
 double LargestMove(const Ordering& order, const Eigen::VectorXd& x, const Eigen::VectorXd& std) {
   double largest = 0.0;
   Eigen::Index column = 0;
