@@ -21,6 +21,9 @@ constexpr double kWhiteness = 30.0, kLeastWhiteness = 1.0;
 constexpr double kLeastWhite = 0.25;
 constexpr int kRounds = 300;            // of the likelihood's ascent
 constexpr double kLongestStride = 3.0;  // of a pass, in the sigma of slow errors that it finds
+/// Share of the increments of slow errors that is looked at, the smallest, and their mean square
+/// over that of all.
+constexpr double kTaken = 0.95, kTakenMean = 0.877;
 /// Bounds of that sigma [m, rad]: nothing beside the noise of poses, with which H stays regular;
 /// and beyond what is an error.
 constexpr double kLeastSlowError = 1e-6, kMostSlowError = 0.1;
@@ -204,6 +207,10 @@ void UpdateSlowErrors(const Densities& S, bool is_linear, SlowErrors* errors) {
   for (size_t k = 0; k + 1 < knots.t.size(); ++k)
     squares.push_back((knots.values[k + 1] - errors->Kept(k) * knots.values[k]).squaredNorm() /
                       (1.0 - errors->Kept(k) * errors->Kept(k)));
+  // A touch or a clock that steps is no walk.
+  std::sort(squares.begin(), squares.end());
+  squares.resize(
+      std::max<size_t>(1, static_cast<size_t>(kTaken * static_cast<double>(squares.size()))));
   double share = 0.0;
   for (int k = 0; k < kSteps; ++k) {
     const double omega2 = Omega2(0.5 * (k + 0.5) / kSteps / interval);
@@ -211,8 +218,8 @@ void UpdateSlowErrors(const Densities& S, bool is_linear, SlowErrors* errors) {
     const double others = S.OfPoses(is_linear) + S.OfImus(is_linear) / Gain(is_linear, omega2);
     share += own / (own + others) / kSteps;
   }
-  const double mean =
-      std::accumulate(squares.begin(), squares.end(), 0.0) / static_cast<double>(squares.size());
+  const double mean = std::accumulate(squares.begin(), squares.end(), 0.0) /
+                      (kTakenMean * static_cast<double>(squares.size()));
   const double variance = mean / (3.0 * share);
   // A pass moves it by the share that is found, on its way to where it stays.
   const double stride = std::min(1.0 / share, kLongestStride);
