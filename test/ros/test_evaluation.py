@@ -192,8 +192,7 @@ class EvaluateTrial(InFolder):
             return command_line.ask([command_line.program('evaluate_trial'), '--bag', ABOUT['sample'], '--method', 'joint',
                                      '--duration', '40', '--index', index, *noise])
         exact = trial('1')
-        for position, rotation, index in (('1e-3', '1e-3', '1'), ('5e-3', '1e-3', '1'), ('5e-3', '5e-3', '3'),
-                                          ('1e-2', '1e-2', '1')):
+        for position, rotation, index in (('1e-3', '1e-3', '1'), ('5e-3', '1e-3', '1'), ('5e-3', '5e-3', '3')):
             noisy = trial(index, '--add-position', position, '--add-rotation', rotation)
             self.assertEqual(noisy['verdict'], 'ok', noisy)
             for axis in range(3):
