@@ -20,7 +20,7 @@ constexpr double kWhiteness = 30.0, kLeastWhiteness = 1.0;
 /// Share of white noise in what poses err by, with which their residuals tell of it.
 constexpr double kLeastWhite = 0.25;
 constexpr int kRounds = 300;            // of the likelihood's ascent
-constexpr double kLongestStride = 3.0;  // of a pass, in the sigma of slow errors that it finds
+constexpr double kLongestStride = 2.0;  // of a pass, in the sigma of slow errors that it finds
 /// Share of the increments of slow errors that is looked at, the smallest, and their mean square
 /// over that of all.
 constexpr double kTaken = 0.95, kTakenMean = 0.877;
