@@ -90,7 +90,7 @@ TEST(JointCalibration, FindsTheNoiseOfEverySensor) {
     const Calibration result = Calibrate(options, Simulate(truth));
     EXPECT_NEAR(result.sessions[0].noise.position, truth.position_std, 0.05 * truth.position_std);
     EXPECT_NEAR(result.sessions[0].noise.rotation, truth.rotation_std, 0.05 * truth.rotation_std);
-    EXPECT_NEAR(result.sessions[0].imus[0].noise.gyro, truth.gyro_std, 0.08 * truth.gyro_std);
+    EXPECT_NEAR(result.sessions[0].imus[0].noise.gyro, truth.gyro_std, 0.05 * truth.gyro_std);
     EXPECT_NEAR(result.sessions[0].imus[0].noise.accel, truth.accel_std, 0.08 * truth.accel_std);
   }
 }

@@ -254,6 +254,18 @@ TEST(WalkResidual, OfADecayIsWhatIsNewInSigmaWithExactDerivatives) {
   EXPECT_NEAR((by_1 - 5.0 * Eigen::Matrix3d::Identity()).norm(), 0.0, 1e-12);
 }
 
+TEST(JerkResidual, IsTheThirdDifferenceInSigmaWithExactDerivatives) {
+  const std::unique_ptr<ceres::CostFunction> cost(JerkResidual{0.1}.Create());
+  // Of a parabola, a cubic and what swings from one point to the next.
+  Vector3d points[] = {{0.0, 0.0, 1.0}, {1.0, 1.0, -1.0}, {4.0, 8.0, 1.0}, {9.0, 27.0, -1.0}}, r;
+  const std::vector<double*> blocks = {points[0].data(), points[1].data(), points[2].data(),
+                                       points[3].data()};
+  ASSERT_TRUE(cost->Evaluate(blocks.data(), r.data(), nullptr));
+  EXPECT_LT((r - Vector3d(0.0, 60.0, -80.0)).norm(), 1e-12);
+  const std::vector<const Manifold*> manifolds(4, nullptr);
+  ExpectGradientsAgree(*cost, &manifolds, blocks);
+}
+
 TEST(WalkResidual, OfAClockHasOneRow) {
   const std::unique_ptr<ceres::CostFunction> cost(WalkResidual<1>{1e-3}.Create());
   double knot_0 = 2e-3, knot_1 = 5e-3, r;

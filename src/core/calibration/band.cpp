@@ -56,7 +56,7 @@ void Smooth(double rate_hz, double cutoff, int threads, TimedSample* begin, Time
 }
 
 void Smooth(double rate_hz, double cutoff, int threads, std::vector<TimedSample>* samples) {
-  const double max_gap = LongestStepOf(Band(cutoff));
+  const double max_gap = LongestStepOf(Band(cutoff));  // the spacing: Band() is its own inverse
   TimedSample* const end = samples->data() + samples->size();
   TimedSample* begin = samples->data();
   for (TimedSample* s = begin; s != end; ++s) {
@@ -128,8 +128,8 @@ class Recorded {
       sample.value += share * samples_[a].value;
     }
     sample.rest = samples_[t - samples_[i].t < samples_[i + 1].t - t ? i : i + 1].rest;
-    sample.count = static_cast<int>(After(t + 0.5 * spacing_s_) - After(t - 0.5 * spacing_s_));
-    sample.count = std::max(1, sample.count);
+    const size_t count = After(t + 0.5 * spacing_s_) - After(t - 0.5 * spacing_s_);
+    sample.count = std::max(1, static_cast<int>(count));
     return sample;
   }
 

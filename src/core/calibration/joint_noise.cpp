@@ -28,10 +28,6 @@ constexpr double kTaken = 0.95, kTakenMean = 0.877;
 /// and beyond what is an error.
 constexpr double kLeastSlowError = 1e-6, kMostSlowError = 0.1;
 
-bool IsOfPoses(Quantity quantity) {
-  return quantity == Quantity::kPosition || quantity == Quantity::kRotation;
-}
-
 bool IsLinear(Quantity quantity) {
   return quantity == Quantity::kPosition || quantity == Quantity::kAccel;
 }

@@ -2,14 +2,11 @@
 
 #include <ceres/normal_prior.h>
 
-#include <algorithm>
-#include <array>
 #include <cmath>
 #include <functional>
 #include <optional>
 #include <utility>
 
-#include "imu_pose_calib/core/base/intrinsics.h"
 #include "imu_pose_calib/core/base/parallel.h"
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/calibration/joint_noise.h"
@@ -398,10 +395,12 @@ void AddCorrectionPriors(CorrectionSplines* splines, size_t session, LeastSquare
     for (Vector3ds* const points : {&splines->d, &splines->phi}) {
       int block = joint->problem.Find((*points)[run.first].data());
       joint->Add(joint->problem.AddResiduals(prior, {block}), session, run.begin);
-      const int last = block + static_cast<int>(run.spans) - 1;
-      for (const int span : {block, last})
+      const auto add_end = [&](int span, double t) {
         joint->Add(joint->problem.AddResiduals(jerk, {span, span + 1, span + 2, span + 3}), session,
-                   span == block ? run.begin : run.end);
+                   t);
+      };
+      add_end(block, run.begin);
+      add_end(block + static_cast<int>(run.spans) - 1, run.end);
       for (size_t k = 0; k + 2 < run.spans + kSplineOrder; ++k, ++block)
         joint->Add(joint->problem.AddResiduals(walk, {block, block + 1}), session,
                    run.begin + run.spacing * (static_cast<double>(k) - 1.0));

@@ -1,6 +1,5 @@
 #include "imu_pose_calib/core/calibration/joint_residuals.h"
 
-#include <algorithm>
 #include <memory>
 #include <utility>
 

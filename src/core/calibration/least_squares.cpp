@@ -141,8 +141,7 @@ RecordedSample SampleOf(const ConditionedData& data, const SensorModel& model, s
 
 /// Samples of a sensor.
 size_t CountOf(const ConditionedData& data, const SensorModel& model) {
-  if (model.quantity == Quantity::kPosition || model.quantity == Quantity::kRotation)
-    return data.poses.size();
+  if (IsOfPoses(model.quantity)) return data.poses.size();
   const ConditionedImu& imu = data.imus[model.imu];
   return model.quantity == Quantity::kGyro ? imu.gyro.size() : imu.accel.size();
 }

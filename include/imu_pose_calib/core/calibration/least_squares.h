@@ -12,6 +12,10 @@ namespace imu_pose_calib {
 
 enum class Quantity { kPosition, kRotation, kGyro, kAccel };
 
+inline bool IsOfPoses(Quantity quantity) {
+  return quantity == Quantity::kPosition || quantity == Quantity::kRotation;
+}
+
 /// What a solve assumes of one sensor in one session.
 struct SensorModel {
   Quantity quantity;
