@@ -244,6 +244,24 @@ TEST(ConditionData, CountsRepeatedValuesAsFrozen) {
   EXPECT_EQ(out.gaps, 0u);
 }
 
+TEST(ConditionData, KeepsEqualReadingsOfASensorAtRest) {
+  SessionData data = Recording();
+  const double step = 1e-3;  // [rad/s]
+  auto& gyro = data.imus[0].gyro;
+  for (ImuSample& s : gyro) s.value = (s.value / step).array().round() * step;
+  for (size_t i = 101; i < 110; ++i) gyro[i].value = gyro[100].value;
+  gyro[110].value = gyro[100].value + Eigen::Vector3d(-2.0 * step, 0.0, step);  // at rest
+  for (size_t i = 301; i < 310; ++i) gyro[i].value = gyro[300].value;
+  gyro[310].value = gyro[300].value + Eigen::Vector3d(0.0, 4.0 * step, 0.0);  // not read meanwhile
+  const std::vector<bool> repeats = FindRepeats(gyro);
+  EXPECT_FALSE(repeats[101] || repeats[109] || repeats[300]);
+  EXPECT_TRUE(repeats[301] && repeats[309]);
+  const ConditionedData out = ConditionData(data);
+  ExpectPromisesKept(out, data);
+
+  EXPECT_EQ(out.imus[0].gyro_report.repeated_value, 9u);
+}
+
 TEST(ConditionData, ALongFreezeIsAGap) {
   SessionData data = Recording();
   for (size_t i = 401; i < 450; ++i) {

@@ -1,6 +1,7 @@
 #include "imu_pose_calib/core/data/conditioning.h"
 
 #include <algorithm>
+#include <limits>
 #include <sstream>
 #include <string>
 #include <utility>
@@ -13,6 +14,8 @@
 namespace imu_pose_calib {
 namespace {
 
+/// Steps of its resolution that a sensor at rest does not exceed: two, as steps differ by rounding.
+constexpr double kNextSteps = 2.5;
 /// A spike: off the median of the samples this near by so many times the median step between the
 /// samples of the log, and by so many times the spread of those near.
 constexpr size_t kSpikeReach = 3;
@@ -32,12 +35,35 @@ bool IsFinite(const ImuSample& s) { return s.value.allFinite(); }
 bool HasRotation(const PoseSample& s) { return s.q_WM.norm() > 1e-3; }
 bool HasRotation(const ImuSample&) { return true; }
 
+/// Of the runs of equal values all but the first sample; but where the value after a run is near.
+template <typename Sample, typename Near>
+std::vector<bool> FindRepeats(const std::vector<Sample>& samples, const Near& is_near) {
+  std::vector<bool> repeats(samples.size(), false);
+  for (size_t begin = 0, end = 1; begin < samples.size(); begin = end++) {
+    while (end < samples.size() && SameValue(samples[begin], samples[end])) ++end;
+    if (end < samples.size() && is_near(samples[begin], samples[end])) continue;
+    for (size_t i = begin + 1; i < end; ++i) repeats[i] = true;
+  }
+  return repeats;
+}
+
 /// Throws when `bad` of `total` samples exceed the allowed share.
 void CheckShare(const std::string& stream, const std::string& defect, size_t bad, size_t total,
                 double max_fraction) {
   if (static_cast<double>(bad) <= max_fraction * static_cast<double>(total)) return;
   Throw<DataError>(stream, ": ", bad, " of ", total, " samples ", defect,
                    " (bound: ", 100.0 * max_fraction, " %)");
+}
+
+/// Removes the samples that leave and returns how many.
+template <typename Sample>
+size_t Remove(const std::vector<bool>& leaves, std::vector<Sample>* samples) {
+  size_t kept = 0;
+  for (size_t i = 0; i < samples->size(); ++i)
+    if (!leaves[i]) (*samples)[kept++] = (*samples)[i];
+  const size_t gone = samples->size() - kept;
+  samples->resize(kept, samples->front());
+  return gone;
 }
 
 /// Usable samples in strictly increasing time, each with a value of its own.
@@ -82,16 +108,11 @@ std::vector<Sample> Clean(const std::string& stream, double max_bad_fraction,
   std::stable_sort(kept.begin(), kept.end(),
                    [](const Sample& a, const Sample& b) { return a.t_ns < b.t_ns; });
   size_t last = 0;
-  for (size_t i = 1; i < kept.size(); ++i) {
-    if (kept[i].t_ns == kept[last].t_ns) {
-      ++report->duplicate_stamp;
-    } else if (SameValue(kept[i], kept[last])) {
-      ++report->repeated_value;
-    } else {
-      kept[++last] = kept[i];
-    }
-  }
+  for (size_t i = 1; i < kept.size(); ++i)
+    if (kept[i].t_ns > kept[last].t_ns) kept[++last] = kept[i];
+  report->duplicate_stamp = kept.size() - last - 1;
   kept.resize(last + 1);
+  report->repeated_value = Remove(FindRepeats(kept), &kept);
   return kept;
 }
 
@@ -150,17 +171,6 @@ void MarkClipped(const std::vector<ImuSample>& samples, int axis, double side, d
   if (at < kMinClipped || at <= below) return;
   for (size_t i = 0; i < samples.size(); ++i)
     if (is_at(i)) (*clipped)[i] = true;
-}
-
-/// Removes the samples that leave and returns how many.
-template <typename Sample>
-size_t Remove(const std::vector<bool>& leaves, std::vector<Sample>* samples) {
-  size_t kept = 0;
-  for (size_t i = 0; i < samples->size(); ++i)
-    if (!leaves[i]) (*samples)[kept++] = (*samples)[i];
-  const size_t gone = samples->size() - kept;
-  samples->resize(kept, samples->front());
-  return gone;
 }
 
 /// Samples that are at the end of the sensor's range on any axis leave and are counted.
@@ -303,6 +313,26 @@ ConditionedImu ConditionImu(const CalibrationOptions& options, const std::string
 }
 
 }  // namespace
+
+bool SameValue(const PoseSample& a, const PoseSample& b) {
+  return a.p_WM == b.p_WM && a.q_WM.coeffs() == b.q_WM.coeffs();
+}
+bool SameValue(const ImuSample& a, const ImuSample& b) { return a.value == b.value; }
+
+std::vector<bool> FindRepeats(const std::vector<PoseSample>& samples) {
+  return FindRepeats(samples, [](const PoseSample&, const PoseSample&) { return false; });
+}
+
+std::vector<bool> FindRepeats(const std::vector<ImuSample>& samples) {
+  Eigen::Array3d resolution = Eigen::Array3d::Constant(std::numeric_limits<double>::infinity());
+  for (size_t i = 1; i < samples.size(); ++i) {
+    const Eigen::Array3d step = (samples[i].value - samples[i - 1].value).array().abs();
+    resolution = (step > 0.0).select(resolution.min(step), resolution);
+  }
+  return FindRepeats(samples, [&](const ImuSample& a, const ImuSample& b) {
+    return ((b.value - a.value).array().abs() < kNextSteps * resolution).all();
+  });
+}
 
 PoseSample ToMarkerPose(const CalibrationOptions& options, PoseSample recorded) {
   recorded.p_WM *= options.position_unit;

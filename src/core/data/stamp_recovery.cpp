@@ -163,11 +163,6 @@ std::vector<StampFault> JudgeStamps(const std::vector<int64_t>& stamps_ns) {
   return faults;
 }
 
-bool SameValue(const PoseSample& a, const PoseSample& b) {
-  return a.p_WM == b.p_WM && a.q_WM.coeffs() == b.q_WM.coeffs();
-}
-bool SameValue(const ImuSample& a, const ImuSample& b) { return a.value == b.value; }
-
 bool AreEven(std::vector<int64_t> stamps_ns) {
   if (stamps_ns.size() < 3) return true;
   std::sort(stamps_ns.begin(), stamps_ns.end());

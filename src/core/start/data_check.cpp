@@ -11,6 +11,7 @@
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/base/text.h"
+#include "imu_pose_calib/core/data/conditioning.h"
 #include "imu_pose_calib/core/start/rate_alignment.h"
 
 namespace imu_pose_calib {
@@ -46,12 +47,13 @@ StreamCheck CheckStream(const std::vector<Sample>& samples) {
   size_t repeated = 0, run = 0, longest_run = 0;
   const std::vector<int64_t> recorded = Stamps(samples);
   const std::vector<StampFault> faults = JudgeStamps(recorded);
+  const std::vector<bool> repeats = FindRepeats(samples);
   std::vector<int64_t> stamps;
   for (size_t i = 0; i < samples.size(); ++i) {
     if (faults[i] != StampFault::kAstray && faults[i] != StampFault::kAhead)
       stamps.push_back(recorded[i]);
     if (i == 0) continue;
-    run = SameValue(samples[i], samples[i - 1]) ? run + 1 : 0;
+    run = repeats[i] ? run + 1 : 0;
     repeated += run > 0 ? 1 : 0;
     longest_run = std::max(longest_run, run);
   }

@@ -5,11 +5,24 @@
 /// Out: ConditionedData in SI units, strictly increasing time, cut at gaps and jumps; every dropped
 /// sample is counted. Throws DataError for what cannot be used. Knows nothing of trajectories.
 
+#include <vector>
+
 #include "imu_pose_calib/core/base/options.h"
+#include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/core/data/conditioned_data.h"
 #include "imu_pose_calib/core/data/stamp_recovery.h"
 
 namespace imu_pose_calib {
+
+/// Whether two samples are the same but for their stamps.
+bool SameValue(const PoseSample& a, const PoseSample& b);
+bool SameValue(const ImuSample& a, const ImuSample& b);
+
+/// Samples that hold the value before: the source has no new one. A sensor at rest measures the
+/// same again by chance; that value is as good as new, and shows by the next one, which is then
+/// within two steps of its resolution (the smallest step of each axis).
+std::vector<bool> FindRepeats(const std::vector<PoseSample>& samples);
+std::vector<bool> FindRepeats(const std::vector<ImuSample>& samples);
 
 /// The pose T_WM [m] of what was recorded as the options say.
 PoseSample ToMarkerPose(const CalibrationOptions& options, PoseSample recorded);

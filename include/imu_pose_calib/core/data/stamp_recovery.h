@@ -31,10 +31,6 @@ std::vector<int64_t> Stamps(const std::vector<Sample>& samples) {
   return stamps_ns;
 }
 
-/// Whether two samples are the same but for their stamps.
-bool SameValue(const PoseSample& a, const PoseSample& b);
-bool SameValue(const ImuSample& a, const ImuSample& b);
-
 /// What is known and was done about the stamps of a stream.
 struct StreamStamps {
   bool even = true;        ///< as recorded
