@@ -418,6 +418,21 @@ TEST(JointCalibration, FusedPosesOfAFirmMountAreNotTakenForASpring) {
   }
 }
 
+/// What vibrates beyond the band of the splines says nothing of an accelerometer's noise within it.
+TEST(JointCalibration, VibrationBeyondTheBandIsNotTheAccelerometersNoise) {
+  SimulatorOptions truth;
+  truth.motion = Motion::kDrone;
+  truth.duration_s = 60.0;
+  truth.seed = 1;
+  truth.pose_rate_hz = 88.0;
+  truth.gyro_rate_hz = truth.accel_rate_hz = 296.0;
+  truth.effects.rocking = 0.09;
+  truth.effects.pose_updates = 1.4e-3;  // too few a beat to be found in this motion
+  const Calibration result = Calibrate({}, Simulate(truth));
+  EXPECT_EQ(result.status, Status::kOk) << result.message;
+  EXPECT_LT(Normalised(result, truth).head<3>().cwiseAbs().maxCoeff(), 3.0);
+}
+
 /// Nothing but the lever arm and gravity tells what both positions and the accelerometer average
 /// over; knots that hold more than the poses do, beside slow errors, let the two run away together.
 TEST(JointCalibration, WhatPositionsAndAccelerometerAverageAlikeStays) {

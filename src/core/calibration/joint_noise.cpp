@@ -16,7 +16,7 @@ constexpr int kSteps = 200;  // of integrals over frequency
 constexpr double kWhole = 0.8;
 /// Periodograms that the expectation is worth that noise is as white as the samples' spread, give
 /// or take a factor of e in the density; and by which it holds back what is far below.
-constexpr double kWhiteness = 30.0, kLeastWhiteness = 1.0;
+constexpr double kWhiteness = 30.0, kLeastWhiteness = 0.01;
 /// Share of white noise in what poses err by, with which their residuals tell of it.
 constexpr double kLeastWhite = 0.25;
 constexpr int kRounds = 300;            // of the likelihood's ascent
