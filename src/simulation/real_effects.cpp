@@ -28,9 +28,9 @@ double Uniform(std::mt19937* random, double low, double high) {
 }
 
 Vector3d Gaussian(std::mt19937* random, double sigma) {
-  std::normal_distribution<double> normal(0.0, sigma);
+  std::normal_distribution<double> normal;
   Vector3d v;
-  for (int i = 0; i < 3; ++i) v[i] = sigma > 0.0 ? normal(*random) : 0.0;
+  for (int i = 0; i < 3; ++i) v[i] = sigma > 0.0 ? sigma * normal(*random) : 0.0;
   return v;
 }
 
