@@ -34,6 +34,11 @@ std::pair<size_t, double> BiasKnots::Locate(double time) const {
   return {k, std::clamp((time - t[k]) / (t[k + 1] - t[k]), 0.0, 1.0)};
 }
 
+Eigen::Vector3d BiasKnots::At(double time) const {
+  const auto [k, u] = Locate(time);
+  return (1.0 - u) * values[k] + u * values[k + 1];
+}
+
 Eigen::Vector3d BiasKnots::Mean() const {
   Eigen::Vector3d sum = Eigen::Vector3d::Zero();
   for (const Eigen::Vector3d& v : values) sum += v;
@@ -48,8 +53,9 @@ double SlowErrors::Kept(size_t k) const { return std::exp((knots.t[k] - knots.t[
 double SlowErrors::Density(double omega2) const {
   const double interval = knots.t[1] - knots.t[0], kept = Kept(0);
   const double angle = std::sqrt(omega2) * interval;
+  if (angle > M_PI) return 0.0;  // what is made up between knots
   const double passed = angle > 0.0 ? std::pow(std::sin(0.5 * angle) / (0.5 * angle), 4) : 1.0;
-  return std * std * interval * passed * (1.0 - kept * kept) /
+  return interval * passed * (1.0 - kept * kept) /
          (1.0 - 2.0 * kept * std::cos(angle) + kept * kept);
 }
 

@@ -16,17 +16,12 @@ constexpr int kSteps = 200;  // of integrals over frequency
 constexpr double kWhole = 0.8;
 /// Periodograms that the expectation is worth that noise is as white as the samples' spread, give
 /// or take a factor of e in the density; and by which it holds back what is far below.
-constexpr double kWhiteness = 30.0, kLeastWhiteness = 0.01;
-/// Share of white noise in what poses err by, with which their residuals tell of it.
-constexpr double kLeastWhite = 0.25;
-constexpr int kRounds = 300;            // of the likelihood's ascent
-constexpr double kLongestStride = 2.0;  // of a pass, in the sigma of slow errors that it finds
-/// Share of the increments of slow errors that is looked at, the smallest, and their mean square
-/// over that of all.
-constexpr double kTaken = 0.95, kTakenMean = 0.877;
-/// Bounds of that sigma [m, rad]: nothing beside the noise of poses, with which H stays regular;
-/// and beyond what is an error.
+constexpr double kWhiteness = 30.0, kLeastWhiteness = 3e-4;
+constexpr int kRounds = 300;  // of the likelihood's ascent
+/// Bounds of the sigma of slow errors [m, rad]: nothing beside the noise of poses, with which H
+/// stays regular; and beyond what is an error.
 constexpr double kLeastSlowError = 1e-6, kMostSlowError = 0.1;
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
 bool IsLinear(Quantity quantity) {
   return quantity == Quantity::kPosition || quantity == Quantity::kAccel;
@@ -98,11 +93,11 @@ double ImuShare(const Densities& S, Quantity quantity, double band) {
 /// A noise that is found.
 struct Noise {
   double white, most;  ///< as it is expected, and its bound
+  double trust;        ///< periodograms that this expectation is worth
 };
-/// A density found in `count` periodograms, that is the sum of one that is known and of shares of
-/// noises.
+/// A density found in `count` periodograms, the sum of shares of noises.
 struct Observation {
-  double count, density, known;
+  double count, density;
   struct Part {
     size_t noise;
     double share;
@@ -125,7 +120,7 @@ std::vector<double> FitDensities(const std::vector<Noise>& noises,
   for (int round = 0; round < kRounds; ++round) {
     std::vector<double> found(x.size(), 0.0), expected(x.size(), 0.0);
     for (const Observation& o : observations) {
-      double sum = o.known;
+      double sum = 0.0;
       for (const Observation::Part& part : o.parts) sum += part.share * x[part.noise];
       for (const Observation::Part& part : o.parts) {
         found[part.noise] += o.count * part.share * o.density / (sum * sum);
@@ -134,9 +129,10 @@ std::vector<double> FitDensities(const std::vector<Noise>& noises,
     }
     for (size_t k = 0; k < x.size(); ++k) {
       const double white = noises[k].white, apart = std::log(white / x[k]);
-      const double pull = kWhiteness * apart / (1.0 + apart * apart);
-      found[k] += (kWhiteness + kLeastWhiteness * white / x[k] + std::max(0.0, pull)) / x[k];
-      expected[k] += (kWhiteness + kLeastWhiteness + std::max(0.0, -pull)) / x[k];
+      const double trust = noises[k].trust, pull = trust * apart / (1.0 + apart * apart);
+      found[k] +=
+          trust * (1.0 + kLeastWhiteness * white / x[k]) / x[k] + std::max(0.0, pull) / x[k];
+      expected[k] += trust * (1.0 + kLeastWhiteness) / x[k] + std::max(0.0, -pull) / x[k];
       x[k] = std::min(noises[k].most, x[k] * std::sqrt(found[k] / expected[k]));
     }
   }
@@ -144,7 +140,7 @@ std::vector<double> FitDensities(const std::vector<Noise>& noises,
 }
 
 /// Sets the noise of the sensors of positions and accelerations, or of rotations and turn rates, of
-/// a session.
+/// a session, and the sigma of the slow errors of its poses.
 void FitNoiseOf(bool is_linear, size_t session, const LeastSquares& joint,
                 std::vector<SensorStatistics>* statistics) {
   std::vector<size_t> sensors;  // the poses first
@@ -153,74 +149,45 @@ void FitNoiseOf(bool is_linear, size_t session, const LeastSquares& joint,
         IsLinear(joint.sensors[k].model->quantity) == is_linear)
       sensors.push_back(k);
   const SessionEstimate& estimate = joint.estimate->sessions[session];
-  const SlowErrors& errors = is_linear ? estimate.position_errors : estimate.rotation_errors;
+  const SlowErrors& slow = is_linear ? estimate.position_errors : estimate.rotation_errors;
   std::vector<Noise> noises;
-  std::vector<Observation> observations;
   for (const size_t k : sensors) {
     const SensorModel& model = *joint.sensors[k].model;
     const double expected = std::pow((*statistics)[k].spread.scale, 2) / model.rate_hz;
     // What errs slowly in an IMU is its bias.
-    noises.push_back(
-        {expected, IsOfPoses(model.quantity) ? std::numeric_limits<double>::infinity() : expected});
+    const bool is_pose = IsOfPoses(model.quantity);
+    noises.push_back({expected, is_pose ? kInfinity : expected, kWhiteness});
   }
-  const double white = joint.sensors[sensors[0]].model->Density();  // of the poses
-  for (size_t a = 0; a < sensors.size(); ++a) {
-    const NoiseSpectrum& spectrum = (*statistics)[sensors[a]].spectrum;
-    for (size_t f = 0; f < spectrum.density.size(); ++f) {
-      const double omega2 = Omega2(NoiseSpectrum::Frequency(f));
-      const double gain = Gain(is_linear, omega2);
-      const double poses = white + errors.Density(omega2);
-      std::vector<double> share{1.0 / poses};  // of each sensor
-      for (size_t b = 1; b < sensors.size(); ++b)
-        share.push_back(gain / joint.sensors[sensors[b]].model->Density());
-      const double all = std::accumulate(share.begin(), share.end(), 0.0);
-      for (double& own : share) own /= all;
-      // Where the others' residuals tell more, or slow errors take up what poses err by: what is
-      // left of that is a leak from other frequencies.
-      if (share[a] > 0.5 || (a == 0 && white < kLeastWhite * poses)) continue;
-      Observation observation{spectrum.count, spectrum.density[f], 0.0, {}};
-      for (size_t b = 0; b < sensors.size(); ++b) {
-        double part = std::pow(a == b ? 1.0 - share[b] : share[b], 2);
-        if (a != b) part *= (a == 0 ? 1.0 : gain) / (b == 0 ? 1.0 : gain);
-        if (a == 0) part *= std::pow(white / poses, 2);  // slow errors take up the rest
-        if (b == 0) observation.known = part * (poses - white);
-        observation.parts.push_back({b, part});
-      }
-      observations.push_back(std::move(observation));
+  noises.push_back({slow.std * slow.std, kMostSlowError * kMostSlowError, 0.0});
+
+  std::vector<Observation> observations;  // how poses and an IMU differ
+  const NoiseSpectrum& of_poses = (*statistics)[sensors[0]].spectrum;
+  for (size_t f = 0; f < of_poses.density.size(); ++f) {
+    const double omega2 = Omega2(NoiseSpectrum::Frequency(f)), gain = Gain(is_linear, omega2);
+    std::vector<double> densities;  // of the noise of each, as positions or rotations
+    for (const size_t k : sensors)
+      densities.push_back(joint.sensors[k].model->Density() / (k == sensors[0] ? 1.0 : gain));
+    densities[0] += slow.std * slow.std * slow.Density(omega2);
+    double information = 0.0;
+    for (const double density : densities) information += 1.0 / density;
+    // Of residuals, the trajectory being between the sensors.
+    const auto left = [&](size_t k) {
+      return std::sqrt(densities[k] * (1.0 - 1.0 / (densities[k] * information)));
+    };
+    for (size_t k = 1; k < sensors.size(); ++k) {
+      const NoiseSpectrum& of_imu = (*statistics)[sensors[k]].spectrum;
+      if (f >= of_imu.density.size()) continue;
+      const double found = std::sqrt(of_poses.density[f]) + std::sqrt(of_imu.density[f] / gain);
+      const double apart = std::pow(found / (left(0) + left(k)), 2) * (densities[0] + densities[k]);
+      observations.push_back({std::min(of_poses.count, of_imu.count),
+                              apart,
+                              {{0, 1.0}, {k, 1.0 / gain}, {sensors.size(), slow.Density(omega2)}}});
     }
   }
   const std::vector<double> x = FitDensities(noises, observations);
-  for (size_t a = 0; a < sensors.size(); ++a)
-    (*statistics)[sensors[a]].noise = std::sqrt(x[a] * joint.sensors[sensors[a]].model->rate_hz);
-}
-
-/// Sets the sigma of slow errors of a session to what is found of them, doc/math.md, S4, "Slow
-/// errors"; `S`: of the session.
-void UpdateSlowErrors(const Densities& S, bool is_linear, SlowErrors* errors) {
-  const BiasKnots& knots = errors->knots;
-  const double interval = knots.t[1] - knots.t[0];
-  std::vector<double> squares;  // of increments
-  for (size_t k = 0; k + 1 < knots.t.size(); ++k)
-    squares.push_back((knots.values[k + 1] - errors->Kept(k) * knots.values[k]).squaredNorm() /
-                      (1.0 - errors->Kept(k) * errors->Kept(k)));
-  // A touch or a clock that steps is no walk.
-  std::sort(squares.begin(), squares.end());
-  squares.resize(
-      std::max<size_t>(1, static_cast<size_t>(kTaken * static_cast<double>(squares.size()))));
-  double share = 0.0;
-  for (int k = 0; k < kSteps; ++k) {
-    const double omega2 = Omega2(0.5 * (k + 0.5) / kSteps / interval);
-    const double own = errors->Density(omega2);
-    const double others = S.OfPoses(is_linear) + S.OfImus(is_linear) / Gain(is_linear, omega2);
-    share += own / (own + others) / kSteps;
-  }
-  const double mean = std::accumulate(squares.begin(), squares.end(), 0.0) /
-                      (kTakenMean * static_cast<double>(squares.size()));
-  const double variance = mean / (3.0 * share);
-  // A pass moves it by the share that is found, on its way to where it stays.
-  const double stride = std::min(1.0 / share, kLongestStride);
-  errors->std *= std::pow(std::sqrt(variance) / errors->std, stride);
-  errors->std = std::clamp(errors->std, kLeastSlowError, kMostSlowError);
+  for (size_t k = 0; k < sensors.size(); ++k)
+    (*statistics)[sensors[k]].noise = std::sqrt(x[k] * joint.sensors[sensors[k]].model->rate_hz);
+  (*statistics)[sensors[0]].slow_std = std::max(kLeastSlowError, std::sqrt(x.back()));
 }
 
 }  // namespace
@@ -244,7 +211,7 @@ void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares
 }
 
 void UpdateWeights(const LeastSquares& joint, const std::vector<CorrectionSplines>& splines,
-                   double share, std::vector<SensorModel>* models) {
+                   std::vector<SensorModel>* models) {
   for (size_t k = 0; k < models->size(); ++k) {
     SensorModel& model = (*models)[k];
     const SensorBlocks& sensor = joint.sensors[k];
@@ -254,22 +221,15 @@ void UpdateWeights(const LeastSquares& joint, const std::vector<CorrectionSpline
         IsOfPoses(model.quantity) ? 0.0 : 0.5 * kSplineOrder * splines[model.session].spacing();
     const std::vector<double> around = MeanSquareAround(sensor, reach);
     for (size_t i = 0; i < sensor.samples.size(); ++i) {
-      double& weight = model.weights[sensor.samples[i].index];
-      const double shown =
+      model.weights[sensor.samples[i].index] =
           model.spread.Weight(std::max(around[i], sensor.residuals[i].squaredNorm()));
-      weight *= std::pow(shown / weight, share);
     }
   }
 }
 
-void FitNoise(LeastSquares* joint, std::vector<SensorStatistics>* statistics) {
-  for (size_t s = 0; s < joint->sessions.size(); ++s) {
-    for (const bool is_linear : {true, false}) FitNoiseOf(is_linear, s, *joint, statistics);
-    const Densities S = JointDensities(*joint, s);
-    SessionEstimate& estimate = joint->estimate->sessions[s];
-    UpdateSlowErrors(S, true, &estimate.position_errors);
-    UpdateSlowErrors(S, false, &estimate.rotation_errors);
-  }
+void FitNoise(const LeastSquares& joint, std::vector<SensorStatistics>* statistics) {
+  for (size_t s = 0; s < joint.sessions.size(); ++s)
+    for (const bool is_linear : {true, false}) FitNoiseOf(is_linear, s, joint, statistics);
 }
 
 }  // namespace imu_pose_calib

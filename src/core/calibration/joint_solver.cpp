@@ -15,9 +15,6 @@ namespace {
 /// Passes end when nothing would move by so much of its sigma, or with the last of so many.
 constexpr double kSettled = 0.05;
 constexpr int kMaxPasses = 40;
-/// From this pass on noise, slow errors and weights move half of the way, in the logarithm: what
-/// goes to and fro comes to rest.
-constexpr int kHalfSteps = 8;
 /// [s^2] mounts start soft, as those that resonate at 16 Hz: from outside of the peak of a prior
 /// what data tell is seen, from its top they look rigid and positions smoothed.
 constexpr double kComplianceStart = 1e-4;
@@ -46,7 +43,7 @@ class JointSolver {
     StepSummary summary;
     for (int pass = 0; pass < kMaxPasses && !solution.has_settled; ++pass) {
       if (pass > 0) {
-        SetNoise(pass < kHalfSteps ? 1.0 : 0.5);
+        SetNoise();
         MoveTrajectories();
         ResampleImus();
       }
@@ -76,11 +73,7 @@ class JointSolver {
     const StepSummary summary = problem_->Step();
     iterations_ += summary.iterations;
     statistics_ = problem_->FindStatistics();
-    slow_errors_.clear();
-    for (SessionEstimate& session : estimate_->sessions)
-      for (const SlowErrors* const errors : session.AllErrors())
-        slow_errors_.push_back(errors->std);
-    FitNoise(problem_.get(), &statistics_);
+    FitNoise(*problem_, &statistics_);
     return summary;
   }
 
@@ -101,19 +94,29 @@ class JointSolver {
     }
   }
 
-  /// Towards what the last residuals show, by this share of the way.
-  void SetNoise(double share) {
+  /// To what the last residuals show, by half as much of the way where it would turn back and by
+  /// twice as much where not: what goes to and fro comes to rest.
+  void SetNoise() {
+    size_t next = 0;
+    const auto move = [&](double found, double* noise) {
+      if (next == moves_.size()) moves_.push_back({1.0, 0.0});
+      Move& last = moves_[next++];
+      const double wanted = std::log(found / *noise);
+      last.share = wanted * last.wanted < 0.0 ? 0.5 * last.share : std::min(1.0, 2.0 * last.share);
+      last.wanted = wanted;
+      *noise *= std::exp(last.share * wanted);
+    };
     for (size_t k = 0; k < models_.size(); ++k) {
-      models_[k].noise *= std::pow(statistics_[k].noise / models_[k].noise, share);
-      models_[k].spread = statistics_[k].spread;
+      SensorModel& model = models_[k];
+      move(statistics_[k].noise, &model.noise);
+      model.spread = statistics_[k].spread;
+      SessionEstimate& session = estimate_->sessions[model.session];
+      if (model.quantity == Quantity::kPosition)
+        move(statistics_[k].slow_std, &session.position_errors.std);
+      if (model.quantity == Quantity::kRotation)
+        move(statistics_[k].slow_std, &session.rotation_errors.std);
     }
-    auto before = slow_errors_.begin();
-    for (SessionEstimate& session : estimate_->sessions)
-      for (SlowErrors* const errors : session.AllErrors()) {
-        errors->std = *before * std::pow(errors->std / *before, share);
-        ++before;
-      }
-    UpdateWeights(*problem_, splines_, share, &models_);
+    UpdateWeights(*problem_, splines_, &models_);
   }
 
   const CalibrationOptions& options_;
@@ -125,7 +128,10 @@ class JointSolver {
   std::vector<CorrectionSplines> splines_;
   std::unique_ptr<LeastSquares> problem_;
   std::vector<SensorStatistics> statistics_;  ///< of the last pass
-  std::vector<double> slow_errors_;           ///< sigmas of those of all sessions in the last pass
+  struct Move {
+    double share, wanted;
+  };
+  std::vector<Move> moves_;  ///< of logarithms of noise, in the last pass
   int iterations_ = 0;
 };
 

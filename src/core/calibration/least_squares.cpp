@@ -411,6 +411,10 @@ NoiseSpectrum LeastSquares::FindSpectrum(const SensorBlocks& sensor, const float
                                          const StudentT& spread) const {
   const SensorModel& model = *sensor.model;
   const std::vector<ProblemSample>& samples = sensor.samples;
+  const SlowErrors* const slow =
+      model.quantity == Quantity::kPosition   ? &estimate->sessions[model.session].position_errors
+      : model.quantity == Quantity::kRotation ? &estimate->sessions[model.session].rotation_errors
+                                              : nullptr;
   const int bins = static_cast<int>(sensor.band * NoiseSpectrum::kSpan) - NoiseSpectrum::kFirst + 1;
   if (bins < 1) return {};
   const double first_t = samples.front().t;
@@ -426,11 +430,14 @@ NoiseSpectrum LeastSquares::FindSpectrum(const SensorBlocks& sensor, const float
     for (; i < samples.size() && samples[i].t < begin + NoiseSpectrum::kSpan; ++i) {
       const double angle = 2.0 * M_PI * (samples[i].t - begin) / NoiseSpectrum::kSpan;
       const double window = 1.0 - std::cos(angle);  // Hann's
-      const double weight = spread.Weight(sensor.residuals[i].squaredNorm());
       const RecordedSample recorded = At(model, samples[i].index);
-      const Eigen::Vector3d r = recorded.count * window * std::sqrt(weight) * samples[i].sigma /
-                                recorded.scale *
-                                Eigen::Map<const Eigen::Vector3f>(rows + 3 * i).cast<double>();
+      Eigen::Vector3d error =
+          samples[i].sigma * Eigen::Map<const Eigen::Vector3f>(rows + 3 * i).cast<double>();
+      if (slow)
+        error += slow->knots.At(recorded.t);
+      else  // a shock is no noise
+        error *= std::sqrt(spread.Weight(sensor.residuals[i].squaredNorm()));
+      const Eigen::Vector3d r = recorded.count * window / recorded.scale * error;
       const std::complex<double> turn = std::polar(1.0, angle);
       std::complex<double> phase = std::polar(1.0, NoiseSpectrum::kFirst * angle);
       for (int k = 0; k < bins; ++k, phase *= turn) sums.col(k) += phase * r;

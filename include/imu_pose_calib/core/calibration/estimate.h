@@ -26,6 +26,7 @@ struct BiasKnots {
 
   /// Index of the knot before t (not the last one) and the fraction of the way to the next.
   std::pair<size_t, double> Locate(double t) const;
+  Eigen::Vector3d At(double t) const;
   Eigen::Vector3d Mean() const;
 };
 
@@ -42,7 +43,7 @@ struct SlowErrors {
 
   /// Share of an error at knot k that is left at the next one.
   double Kept(size_t k) const;
-  /// Two-sided power spectral density [m^2/Hz, rad^2/Hz] at (2 pi frequency)^2.
+  /// Two-sided power spectral density over the variance [1/Hz] at (2 pi frequency)^2.
   double Density(double omega2) const;
 };
 

@@ -11,13 +11,13 @@ namespace imu_pose_calib {
 /// noise within the band is seen, doc/math.md, S4, "Degrees of freedom" and "Noise".
 void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares* joint);
 
-/// Robust weights of the samples, moved by that share of the way, in the logarithm, to those of the
-/// last residuals and the spread of `models`, doc/math.md, S4, "Noise".
+/// Sets the robust weights of the samples to those of the last residuals and the spread of
+/// `models`, doc/math.md, S4, "Noise".
 void UpdateWeights(const LeastSquares& joint, const std::vector<CorrectionSplines>& splines,
-                   double share, std::vector<SensorModel>* models);
+                   std::vector<SensorModel>* models);
 
-/// Sets the noise of the sensors and the sigmas of the slow errors of each session to what the
-/// spectra of the residuals show, doc/math.md, S4, "Noise" and "Slow errors".
-void FitNoise(LeastSquares* joint, std::vector<SensorStatistics>* statistics);
+/// Sets the noise of the sensors and the sigmas of the slow errors to what the spectra of the
+/// residuals show, doc/math.md, S4, "Noise" and "Slow errors".
+void FitNoise(const LeastSquares& joint, std::vector<SensorStatistics>* statistics);
 
 }  // namespace imu_pose_calib

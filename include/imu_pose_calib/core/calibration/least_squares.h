@@ -52,7 +52,8 @@ struct SensorStatistics {
   double noise;            ///< per axis, less what the trajectory's own variance explains
   double rms;              ///< per axis, of all samples used
   StudentT spread;         ///< of the samples
-  NoiseSpectrum spectrum;  ///< of residuals without their rest, weighed by the spread
+  NoiseSpectrum spectrum;  ///< of residuals without their rest, of poses with their slow errors
+  double slow_std = 0.0;   ///< of poses: sigma of slow errors
 };
 
 /// A sample in a problem.
@@ -189,7 +190,8 @@ struct LeastSquares {
  private:
   /// What is known beforehand of a block of parameters that is there, in the middle of a session.
   void AddPrior(std::unique_ptr<const ceres::CostFunction> prior, double* data, size_t session);
-  /// Of residuals that start at `rows`, where the samples have that spread.
+  /// Of residuals that start at `rows`; of poses with the slow errors that they are less, of IMUs
+  /// weighed by the spread of their samples.
   NoiseSpectrum FindSpectrum(const SensorBlocks& sensor, const float* rows,
                              const StudentT& spread) const;
 
