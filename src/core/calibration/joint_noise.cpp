@@ -221,8 +221,9 @@ void UpdateWeights(const LeastSquares& joint, const std::vector<CorrectionSpline
         IsOfPoses(model.quantity) ? 0.0 : 0.5 * kSplineOrder * splines[model.session].spacing();
     const std::vector<double> around = MeanSquareAround(sensor, reach);
     for (size_t i = 0; i < sensor.samples.size(); ++i) {
-      model.weights[sensor.samples[i].index] =
-          model.spread.Weight(std::max(around[i], sensor.residuals[i].squaredNorm()));
+      double& weight = model.weights[sensor.samples[i].index];
+      weight = std::sqrt(
+          weight * model.spread.Weight(std::max(around[i], sensor.residuals[i].squaredNorm())));
     }
   }
 }

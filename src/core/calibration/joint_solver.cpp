@@ -14,7 +14,7 @@ namespace {
 
 /// Passes end when nothing would move by so much of its sigma, or with the last of so many.
 constexpr double kSettled = 0.05;
-constexpr int kMaxPasses = 40;
+constexpr int kMaxPasses = 60;
 /// [s^2] mounts start soft, as those that resonate at 16 Hz: from outside of the peak of a prior
 /// what data tell is seen, from its top they look rigid and positions smoothed.
 constexpr double kComplianceStart = 1e-4;

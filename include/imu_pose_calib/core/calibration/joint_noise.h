@@ -11,8 +11,8 @@ namespace imu_pose_calib {
 /// noise within the band is seen, doc/math.md, S4, "Degrees of freedom" and "Noise".
 void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares* joint);
 
-/// Sets the robust weights of the samples to those of the last residuals and the spread of
-/// `models`, doc/math.md, S4, "Noise".
+/// Moves the robust weights of the samples half of the way, in the logarithm, to those of the last
+/// residuals and the spread of `models`, doc/math.md, S4, "Noise".
 void UpdateWeights(const LeastSquares& joint, const std::vector<CorrectionSplines>& splines,
                    std::vector<SensorModel>* models);
 
