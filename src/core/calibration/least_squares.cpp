@@ -25,6 +25,7 @@ constexpr double kLeastRedundancy = 0.1;
 /// samples that each has at least.
 constexpr size_t kSpans = 100;
 constexpr double kLeastFull = 0.5;
+constexpr size_t kTouched = 20;  // one span of so many is left out, that of the largest residuals
 
 /// Share of the time between samples that one of those which stand for others reaches, so as to
 /// miss none of them.
@@ -421,6 +422,7 @@ NoiseSpectrum LeastSquares::FindSpectrum(const SensorBlocks& sensor, const float
   const auto spans = static_cast<size_t>((samples.back().t - first_t) / NoiseSpectrum::kSpan);
   const size_t stride = 1 + spans / kSpans;
   NoiseSpectrum spectrum{std::vector<double>(static_cast<size_t>(bins), 0.0)};
+  std::vector<Eigen::RowVectorXd> periodograms;
   size_t i = 0;
   for (size_t span = 0; span < spans; span += stride) {
     const double begin = first_t + static_cast<double>(span) * NoiseSpectrum::kSpan;
@@ -445,12 +447,17 @@ NoiseSpectrum LeastSquares::FindSpectrum(const SensorBlocks& sensor, const float
       count += recorded.count;
     }
     if (count < kLeastFull * NoiseSpectrum::kSpan * model.rate_hz) continue;
-    for (int k = 0; k < bins; ++k)
-      spectrum.density[static_cast<size_t>(k)] +=
-          sums.col(k).squaredNorm() / (3.0 * window2 * model.rate_hz);
-    spectrum.count += 1.0;
+    periodograms.emplace_back(sums.colwise().squaredNorm() / (3.0 * window2 * model.rate_hz));
   }
-  if (spectrum.count == 0.0) return {};
+  if (periodograms.empty()) return {};
+  // A touch or a clock that steps is no noise.
+  std::sort(periodograms.begin(), periodograms.end(),
+            [](const auto& a, const auto& b) { return a.sum() < b.sum(); });
+  const size_t largest = periodograms.size() / kTouched;
+  periodograms.resize(periodograms.size() - largest);
+  for (const Eigen::RowVectorXd& periodogram : periodograms)
+    for (int k = 0; k < bins; ++k) spectrum.density[static_cast<size_t>(k)] += periodogram[k];
+  spectrum.count = static_cast<double>(periodograms.size());
   for (double& density : spectrum.density) density /= spectrum.count;
   spectrum.count *= 3.0;
   return spectrum;
