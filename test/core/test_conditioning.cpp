@@ -258,7 +258,6 @@ TEST(ConditionData, KeepsEqualReadingsOfASensorAtRest) {
   EXPECT_TRUE(repeats[301] && repeats[309]);
   const ConditionedData out = ConditionData(data);
   ExpectPromisesKept(out, data);
-
   EXPECT_EQ(out.imus[0].gyro_report.repeated_value, 9u);
 }
 

@@ -4,7 +4,6 @@
 #include <cmath>
 #include <limits>
 #include <map>
-#include <numeric>
 
 #include "imu_pose_calib/core/calibration/band.h"
 
@@ -15,7 +14,7 @@ constexpr int kSteps = 200;  // of integrals over frequency
 /// Share of the band and of the poses' frequencies in which residuals are whole.
 constexpr double kWhole = 0.8;
 /// Periodograms that the expectation is worth that noise is as white as the samples' spread, give
-/// or take a factor of e in the density; and by which it holds back what is far below.
+/// or take a factor of e in the density; and the share of them that holds back what is far below.
 constexpr double kWhiteness = 30.0, kLeastWhiteness = 3e-4;
 constexpr int kRounds = 300;  // of the likelihood's ascent
 /// Bounds of the sigma of slow errors [m, rad]: nothing beside the noise of poses, with which H
@@ -172,7 +171,7 @@ void FitNoiseOf(bool is_linear, size_t session, const LeastSquares& joint,
     for (const double density : densities) information += 1.0 / density;
     // Of residuals, the trajectory being between the sensors.
     const auto left = [&](size_t k) {
-      return std::sqrt(densities[k] * (1.0 - 1.0 / (densities[k] * information)));
+      return std::sqrt(std::max(0.0, densities[k] - 1.0 / information));
     };
     for (size_t k = 1; k < sensors.size(); ++k) {
       const NoiseSpectrum& of_imu = (*statistics)[sensors[k]].spectrum;

@@ -110,11 +110,10 @@ class JointSolver {
       SensorModel& model = models_[k];
       move(statistics_[k].noise, &model.noise);
       model.spread = statistics_[k].spread;
-      SessionEstimate& session = estimate_->sessions[model.session];
-      if (model.quantity == Quantity::kPosition)
-        move(statistics_[k].slow_std, &session.position_errors.std);
-      if (model.quantity == Quantity::kRotation)
-        move(statistics_[k].slow_std, &session.rotation_errors.std);
+      if (!IsOfPoses(model.quantity)) continue;
+      const bool is_rotation = model.quantity == Quantity::kRotation;
+      move(statistics_[k].slow_std,
+           &estimate_->sessions[model.session].AllErrors()[is_rotation]->std);
     }
     UpdateWeights(*problem_, splines_, &models_);
   }

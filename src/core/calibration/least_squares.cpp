@@ -412,10 +412,10 @@ NoiseSpectrum LeastSquares::FindSpectrum(const SensorBlocks& sensor, const float
                                          const StudentT& spread) const {
   const SensorModel& model = *sensor.model;
   const std::vector<ProblemSample>& samples = sensor.samples;
-  const SlowErrors* const slow =
-      model.quantity == Quantity::kPosition   ? &estimate->sessions[model.session].position_errors
-      : model.quantity == Quantity::kRotation ? &estimate->sessions[model.session].rotation_errors
-                                              : nullptr;
+  const bool is_rotation = model.quantity == Quantity::kRotation;
+  const SlowErrors* const slow = IsOfPoses(model.quantity)
+                                     ? estimate->sessions[model.session].AllErrors()[is_rotation]
+                                     : nullptr;
   const int bins = static_cast<int>(sensor.band * NoiseSpectrum::kSpan) - NoiseSpectrum::kFirst + 1;
   if (bins < 1) return {};
   const double first_t = samples.front().t;

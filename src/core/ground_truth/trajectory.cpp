@@ -276,11 +276,8 @@ std::optional<BodyState> SessionTrajectory::Imu(size_t imu, double t, StateJacob
 
 ImuBiases SessionTrajectory::Biases(size_t imu, double t) const {
   const ImuSessionEstimate& own = solution_->estimate.sessions[session_].imus[imu];
-  const auto at = [&](const BiasKnots& knots) -> Eigen::Vector3d {
-    const auto [k, u] = knots.Locate(own.ImuTime(t));
-    return (1.0 - u) * knots.values[k] + u * knots.values[k + 1];
-  };
-  return {at(own.gyro_bias), at(own.accel_bias)};
+  const double t_I = own.ImuTime(t);
+  return {own.gyro_bias.At(t_I), own.accel_bias.At(t_I)};
 }
 
 std::optional<Matrix6d> SessionTrajectory::BiasCovariance(size_t imu, double t) const {

@@ -7,7 +7,6 @@
 
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/data/conditioning.h"
-#include "imu_pose_calib/core/data/stamp_recovery.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/offline/offline.h"
 
