@@ -253,12 +253,12 @@ void AddPriors(bool is_known, const std::vector<int>& recordings, MatrixXd* info
       add(k++, row == column ? kScalePrior : kAlignmentPrior);
   for (int k = 0; k < 9; ++k) add(kAccelMatrix + k, k % 4 == 0 ? kScalePrior : kAlignmentPrior);
   add(kAccelSmoothing, kAccelSmoothingPrior);
-  add(kPoseSmoothing, PeakSigma(kSmoothingPrior, 0.0));
-  add(kPositionSmoothing, PeakSigma(kSmoothingPrior, 0.0));
-  add(kPositionDelay, PeakSigma(kPositionDelayPrior, 0.0, kPositionDelayDoubt));
+  add(kPoseSmoothing, kSmoothingPeak);
+  add(kPositionSmoothing, kSmoothingPeak);
+  add(kPositionDelay, kPositionDelayPeak);
   for (const int cumulants : {kPoseCumulants, kPositionCumulants}) {
-    add(cumulants, PeakSigma(kThirdPrior, 0.0));
-    add(cumulants + 1, PeakSigma(kFourthPrior, 0.0));
+    add(cumulants, kThirdPeak);
+    add(cumulants + 1, kFourthPeak);
   }
   add(kPoseScale, kPoseScalePrior);
   for (int k = 0; k < 6; ++k) add(kAccelPositions + k, kSizePrior);

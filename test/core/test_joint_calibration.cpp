@@ -320,6 +320,23 @@ TEST(JointCalibration, TellsThePositionsFiltersFromTheRotations) {
   EXPECT_LT(Normalised(result, truth).cwiseAbs().maxCoeff(), 4.5);
 }
 
+/// A drone's thrust points where it accelerates, so positions that are means, an accelerometer that
+/// is filtered and a lever arm along gravity are alike: sigmas hold what all of them may be.
+TEST(JointCalibration, SigmasHoldWhatPositionsOrAccelerometerMayAverageOver) {
+  for (const unsigned seed : {1, 2, 3}) {
+    SCOPED_TRACE(seed);
+    SimulatorOptions truth;
+    truth.seed = seed;
+    truth.motion = Motion::kDrone;
+    truth.effects.fused_poses_s = 0.06;
+    truth.effects.accel_filter_hz = 12.0;
+    const Calibration result = Calibrate({}, Simulate(truth));
+    EXPECT_TRUE(result.IsUsable()) << result.message;
+    EXPECT_LT(Normalised(result, truth).head<3>().cwiseAbs().maxCoeff(), 3.0);
+    EXPECT_LT(result.imus[0].Std()[2], 1.5e-3);
+  }
+}
+
 /// A tracker that filters by position and velocity, or rotation and turn rate: these follow what is
 /// found by the shares of an alpha-beta filter; `of_rates` 0: of first order, which delays them.
 void Track(double gain, double of_rates, bool with_rotations, std::vector<PoseSample>* poses) {

@@ -15,9 +15,6 @@ namespace {
 /// Passes end when nothing would move by so much of its sigma, or with the last of so many.
 constexpr double kSettled = 0.05;
 constexpr int kMaxPasses = 60;
-/// [s^2] mounts start soft, as those that resonate at 16 Hz: from outside of the peak of a prior
-/// what data tell is seen, from its top they look rigid and positions smoothed.
-constexpr double kComplianceStart = 1e-4;
 
 /// S4 at given knot spacings: trajectories and calibration in passes of least squares, each with
 /// the noise and the robust weights that the residuals of the one before show.
@@ -33,8 +30,7 @@ class JointSolver {
     }
     ResampleImus();
     models_ = InitialModels(options, sessions_);
-    if (IsEstimated(options, ParameterKind::kMountCompliance))
-      for (ImuEstimate& imu : estimate->imus) imu.mount_compliance = kComplianceStart;
+    estimate->peaks = {};
   }
 
   Solution Solve() {

@@ -53,64 +53,13 @@ double MeanRate(const ConditionedData& data) {
   return duration > 0.0 ? steps / duration : data.pose_report.rate_hz;
 }
 
-/// What is known of a parameter beforehand.
-struct Prior {
-  Eigen::VectorXd sigmas;  ///< of each component, independent; empty: nothing
-  double expected = 0.0;
-};
-
-/// Of the elements of a matrix in rows, or of its lower triangle.
-Eigen::VectorXd IntrinsicsPrior(bool is_triangle) {
-  std::vector<double> sigmas;
-  for (int row = 0; row < 3; ++row)
-    for (int column = 0; column < (is_triangle ? row + 1 : 3); ++column)
-      sigmas.push_back(row == column ? kScalePrior : kAlignmentPrior);
-  return Eigen::Map<Eigen::VectorXd>(sigmas.data(), static_cast<Eigen::Index>(sigmas.size()));
-}
-
-Prior PriorOf(const Parameter& p, const LeastSquares& solve) {
-  const auto alike = [&](double sigma, double expected = 0.0) {
-    return Prior{Eigen::VectorXd::Constant(p.size, sigma), expected};
-  };
-  switch (p.kind) {
-    case ParameterKind::kAccelDelay:
-      return alike(kDelayPrior, solve.options.accel_delay);
-    case ParameterKind::kClockDrift:
-      return alike(kDriftPrior);
-    case ParameterKind::kPoseSmoothing:
-    case ParameterKind::kPositionSmoothing:
-    case ParameterKind::kGyroSmoothing:
-    case ParameterKind::kAccelSmoothing:
-      return alike(PeakSigma(kSmoothingPrior, *p.data));
-    case ParameterKind::kMountCompliance:
-      // No mount gives way upwards.
-      return alike(PeakSigma(kCompliancePrior, std::max(0.0, *p.data)));
-    case ParameterKind::kPoseCumulants:
-    case ParameterKind::kPositionCumulants:
-      return {
-          Eigen::Vector2d(PeakSigma(kThirdPrior, p.data[0]), PeakSigma(kFourthPrior, p.data[1]))};
-    case ParameterKind::kPositionDelay:
-      return alike(PeakSigma(kPositionDelayPrior, *p.data, kPositionDelayDoubt));
-    case ParameterKind::kPoseScale:
-      return alike(kPoseScalePrior, 1.0);
-    case ParameterKind::kGyroIntrinsics:
-    case ParameterKind::kAccelIntrinsics:
-      return {IntrinsicsPrior(p.kind == ParameterKind::kGyroIntrinsics)};
-    case ParameterKind::kAccelPositions:
-      return alike(kSizePrior);
-    default:
-      return {};
-  }
-}
-
-/// The largest move of T_MI, a time shift, an accel delay or a compliance, in its sigma; `x`,
-/// `std`: of what acts everywhere.
+/// The largest move of T_MI, a time shift or an accel delay in its sigma; `x`, `std`: of what acts
+/// everywhere.
 double LargestMove(const Ordering& order, const Eigen::VectorXd& x, const Eigen::VectorXd& std) {
   double largest = 0.0;
   Eigen::Index column = 0;
   for (const Parameter& p : order.calibrated) {
-    if ((p.kind <= ParameterKind::kAccelDelay || p.kind == ParameterKind::kMountCompliance) &&
-        std.size() > 0)
+    if (p.kind <= ParameterKind::kAccelDelay && std.size() > 0)
       largest = std::max(largest, x.segment(column, p.size)
                                       .cwiseQuotient(std.segment(column, p.size))
                                       .lpNorm<Eigen::Infinity>());
@@ -170,9 +119,7 @@ GaussNewtonStep FindStep(const NormalEquations& equations, double damping, doubl
   if (!x.allFinite()) return step;
   step.x.head(b.size()) = x;
   step.decrease = 0.5 * (reduced.inner.sum() - b.dot(x));
-  step.std = SolvePositive(reduced.H, Eigen::MatrixXd::Identity(b.size(), b.size()))
-                 .diagonal()
-                 .cwiseSqrt();
+  step.covariance = SolvePositive(reduced.H, Eigen::MatrixXd::Identity(b.size(), b.size()));
   windows.SubstituteBack([&](size_t w) { return assemble(w, nullptr); }, &step.x);
   return step;
 }
@@ -274,33 +221,48 @@ void LeastSquares::Add(int block, size_t session, double t) {
   equations.push_back({block, session, t, windows.Of(session, t)});
 }
 
-void LeastSquares::AddPrior(std::unique_ptr<const ceres::CostFunction> prior, double* data,
-                            size_t session) {
+void LeastSquares::AddPrior(std::unique_ptr<const ceres::CostFunction> prior,
+                            const std::vector<double*>& data, size_t session) {
   const ImuSessionEstimate& clock =
       estimate->sessions[session].imus[estimate->sessions[session].FirstImu()];
-  Add(problem.AddResidualsOf({data}, std::move(prior)), session,
+  Add(problem.AddResidualsOf(data, std::move(prior)), session,
       clock.PoseTime(clock.clock_reference));
 }
 
 void LeastSquares::AddCalibration(bool is_joint) {
+  std::vector<Parameter> with_peaks;
   for (const Parameter& p : CalibrationParameters(estimate)) {
     if (!is_joint && p.kind > ParameterKind::kAccelDelay) continue;
     problem.AddParameters(p.data, p.kind == ParameterKind::kRotation ? 4 : p.size);
-    const Prior prior = PriorOf(p, *this);
     const bool is_held = !IsEstimated(options, p.kind);
     problem.SetHeld(p.data, is_held);
-    if (is_held || prior.sigmas.size() == 0) continue;
-    AddPrior(std::make_unique<const ceres::NormalPrior>(
-                 prior.sigmas.cwiseInverse().asDiagonal(),
-                 Eigen::VectorXd::Constant(p.size, prior.expected)),
-             p.data, p.session);
+    if (is_held) continue;
+    if (HasPeak(p.kind)) {
+      with_peaks.push_back(p);
+      continue;
+    }
+    Eigen::VectorXd mean(p.size), information(p.size);
+    for (int k = 0; k < p.size; ++k) {
+      const GaussianPrior prior = PriorOf(p, k, options);
+      mean[k] = prior.mean;
+      information[k] = prior.std > 0.0 ? 1.0 / prior.std : 0.0;
+    }
+    if (!information.isZero(0.0))
+      AddPrior(std::make_unique<const ceres::NormalPrior>(information.asDiagonal(), mean), {p.data},
+               p.session);
+  }
+  if (!with_peaks.empty()) {
+    if (estimate->peaks.b.size() == 0) estimate->peaks = WidePeaks(*estimate, with_peaks);
+    std::vector<double*> data;
+    for (const Parameter& p : with_peaks) data.push_back(p.data);
+    AddPrior(PeakPriors(with_peaks, estimate->peaks), data, 0);
   }
   for (size_t s = 0; s < sessions.size(); ++s) {
     double* const g_W = estimate->sessions[s].g_W.data();
     problem.AddParameters(g_W, 3);
     problem.SetHeld(g_W, !options.estimate_gravity);
     if (options.estimate_gravity)
-      AddPrior(GravityPrior{options.GravityMagnitude(), options.GravityStd()}.Create(), g_W, s);
+      AddPrior(GravityPrior{options.GravityMagnitude(), options.GravityStd()}.Create(), {g_W}, s);
   }
 }
 
@@ -389,18 +351,21 @@ StepSummary LeastSquares::Step() {
   for (int iteration = 1; iteration <= options.max_iterations; ++iteration) {
     const GaussNewtonStep step =
         FindStep(normal, damping, options.max_factor_mb, options.Threads());
-    const double moved = LargestMove(order, step.x, step.std);
+    const double moved = LargestMove(order, step.x, step.covariance.diagonal().cwiseSqrt());
     if (options.solver == SolverKind::kCeres) {
-      if (const auto iterations = SolveWithCeres(kCeresTolerance))
-        return {true, *iterations, moved};
-      break;
+      const auto iterations = SolveWithCeres(kCeresTolerance);
+      if (!iterations) break;
+      estimate->peaks = MatchPeaks(*estimate, order.calibrated, step.covariance);
+      return {true, *iterations, moved};
     }
     const std::vector<double> before = problem.Move(step.blocks, step.x);
     double found = 0.0;
     if (!problem.Evaluate(options.Threads(), &rows_, &found)) found = std::nan("");
     // Never without a step, whose decrease is NaN.
-    if (step.cost - found >= kLeastGain * step.decrease - kNothing * step.cost)
+    if (step.cost - found >= kLeastGain * step.decrease - kNothing * step.cost) {
+      estimate->peaks = MatchPeaks(*estimate, order.calibrated, step.covariance);
       return {damping == 0.0, iteration, moved};
+    }
     problem.Restore(step.blocks, before);
     rows_.clear();
     damping = std::max(kDamping, damping * (growth *= 2.0));

@@ -86,6 +86,12 @@ struct SessionEstimate {
   size_t FirstImu() const;
 };
 
+/// exp(-|A x - b|^2 / 2) of some x.
+struct GaussianFactor {
+  Eigen::MatrixXd A;
+  Eigen::VectorXd b;
+};
+
 /// State of the solve but for the trajectories: the rig, and its sessions.
 struct Estimate {
   // Of the source of the poses, see Calibration:
@@ -99,6 +105,7 @@ struct Estimate {
   double gyro_smoothing = 0.0, accel_smoothing = 0.0;
   std::vector<ImuEstimate> imus;
   std::vector<SessionEstimate> sessions;
+  GaussianFactor peaks;  ///< stands for priors with peaks, see MatchPeaks()
 
   /// What is estimated of an IMU's sensors: of gyroscopes but the first, less that one's.
   double& GyroSmoothing(size_t imu) { return imu == 0 ? gyro_smoothing : imus[imu].gyro_smoothing; }

@@ -102,7 +102,7 @@ struct GaussNewtonStep {
   Eigen::VectorXd x;
   double cost = 0.0;      ///< where it begins
   double decrease = 0.0;  ///< of the cost, if the residuals were linear; NaN when there is no step
-  Eigen::VectorXd std = Eigen::VectorXd();  ///< sigmas of what acts everywhere
+  Eigen::MatrixXd covariance = Eigen::MatrixXd();  ///< of what acts everywhere
 };
 
 struct StepSummary {
@@ -189,7 +189,8 @@ struct LeastSquares {
 
  private:
   /// What is known beforehand of a block of parameters that is there, in the middle of a session.
-  void AddPrior(std::unique_ptr<const ceres::CostFunction> prior, double* data, size_t session);
+  void AddPrior(std::unique_ptr<const ceres::CostFunction> prior, const std::vector<double*>& data,
+                size_t session);
   /// Of residuals that start at `rows`; of poses with the slow errors that they are less, of IMUs
   /// weighed by the spread of their samples.
   NoiseSpectrum FindSpectrum(const SensorBlocks& sensor, const float* rows,
