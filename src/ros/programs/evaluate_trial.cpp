@@ -260,7 +260,7 @@ YAML::Node About() {
 
 // --- Command line ---
 
-po::options_description Describe(Trial* trial, bool* about, bool* help) {
+po::options_description Describe(Trial* trial, bool* about) {
   SimulatorOptions& simulator = trial->simulator;
   po::options_description options("Options");
   auto add = options.add_options();
@@ -291,7 +291,6 @@ po::options_description Describe(Trial* trial, bool* about, bool* help) {
   add("lost", Value(&trial->lost, "%"), "of the poses, in gaps of 1 s");
   add("guess", po::bool_switch(&trial->is_guessed), "start up to 180 deg and 1 m from the truth");
   add("about", po::bool_switch(about), "instead: print constants that evaluate needs");
-  add("help", po::bool_switch(help), "print this text");
   return options;
 }
 
@@ -321,18 +320,12 @@ YAML::Node Outcome(Trial trial) {
 
 void Run(int argc, char** argv) {
   Trial trial;
-  bool about = false, help = false;
-  const po::options_description options = Describe(&trial, &about, &help);
-  ParseCommandLine(argc, argv, options);
-  if (help) {
-    std::cout << "Usage: evaluate_trial [options]\n\nRuns one trial of evaluate and prints what "
-                 "became of it as YAML.\n\n"
-              << options;
-  } else if (about) {
-    std::cout << About() << "\n";
-  } else {
-    std::cout << Outcome(trial) << "\n";
-  }
+  bool about = false;
+  if (ParseOrHelp(argc, argv,
+                  "Usage: evaluate_trial [options]\n\nRuns one trial of evaluate and prints what "
+                  "became of it as YAML.\n\n",
+                  Describe(&trial, &about), ""))
+    std::cout << (about ? About() : Outcome(trial)) << "\n";
 }
 
 }  // namespace

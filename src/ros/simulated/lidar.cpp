@@ -55,15 +55,11 @@ size_t SimulatedLidar::Count() const {
 }
 
 int64_t SimulatedLidar::Stamp(size_t k) const {
-  return options_.start_ns - std::llround(1e9 * options_.time_shift_s) +
-         static_cast<int64_t>(k) * kTurnNs;
+  return options_.ImuStart() + static_cast<int64_t>(k) * kTurnNs;
 }
 
 Rigid3 SimulatedLidar::PoseAt(int64_t stamp_ns) const {
-  const double s = Seconds(stamp_ns - Stamp(0));
-  // Like the IMU's samples: the time shift holds at mid-recording.
-  const double t = s + options_.clock_drift * (s - 0.5 * options_.duration_s);
-  const TrueState body = trajectory_.At(t);
+  const TrueState body = trajectory_.At(options_.PoseTime(Seconds(stamp_ns - Stamp(0))));
   return Rigid3{Eigen::Quaterniond(body.R_WM), body.p_WM} * options_.T_MI * T_IL();
 }
 

@@ -125,6 +125,8 @@ class LiveCalibration {
     std::string Missing() const {
       return name + (unstamped > 0 ? " with header stamps (all are 0)" : "");
     }
+    /// Empty, or how the clock has jumped when `sample` comes.
+    std::string FindJump(const Sample& sample, double now) const;
     /// Lets go of what is older than `window` [s], and of too many.
     void Trim(double window, double now);
   };
