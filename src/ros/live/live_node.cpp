@@ -109,17 +109,9 @@ OfflineRequest Checked(OfflineRequest request) {
 
 LiveOptions ReadLiveOptions() {
   LiveOptions options;
-  for (const auto& [name, field] : kLiveOptions) options.*field = Parameter(name, options.*field);
+  for (const auto& [name, field] : kLiveOptions)
+    options.*field = RosParameter(name, options.*field);
   return options;
-}
-
-/// T_WI at the pose T_WM.
-geometry_msgs::PoseStamped ToImuPose(const PoseSample& pose, const Rigid3& T_MI,
-                                     const std::string& world_frame) {
-  geometry_msgs::PoseStamped msg;
-  msg.header = MakeHeader(FromNanoseconds(pose.t_ns), world_frame);
-  msg.pose = ToPoseMsg(Rigid3{pose.q_WM.normalized(), pose.p_WM} * T_MI);
-  return msg;
 }
 
 /// Listens to the topics of the live node: hands samples to a LiveCalibration and keeps what the
@@ -629,10 +621,17 @@ class LiveNode {
     for (const std::string& warning : status_.warnings) wrapper.add("warning", warning);
   }
 
+  /// T_WI of the first IMU at the pose T_WM, by the result.
+  geometry_msgs::PoseStamped ImuPose(const PoseSample& pose, const std::string& world_frame) const {
+    geometry_msgs::PoseStamped msg;
+    msg.header = MakeHeader(FromNanoseconds(pose.t_ns), world_frame);
+    msg.pose = ToPoseMsg(Rigid3{pose.q_WM.normalized(), pose.p_WM} * live_.result()->imus[0].T_MI);
+    return msg;
+  }
+
   void PublishPose(const PoseSample& pose) {
-    if (!live_.result() || pose_publisher_.getNumSubscribers() == 0) return;
-    pose_publisher_.publish(
-        ToImuPose(pose, live_.result()->imus[0].T_MI, input_.Info().world_frame));
+    if (live_.result() && pose_publisher_.getNumSubscribers() > 0)
+      pose_publisher_.publish(ImuPose(pose, input_.Info().world_frame));
   }
 
   void PublishPath() {
@@ -640,7 +639,7 @@ class LiveNode {
     nav_msgs::Path path;
     path.header = MakeHeader(status_.header.stamp, input_.Info().world_frame);
     for (const PoseSample& pose : live_.path())
-      path.poses.push_back(ToImuPose(pose, live_.result()->imus[0].T_MI, path.header.frame_id));
+      path.poses.push_back(ImuPose(pose, path.header.frame_id));
     path_publisher_.publish(path);
   }
 
@@ -681,7 +680,7 @@ class LiveNode {
   ros::NodeHandle node_;
   const OfflineRequest request_;
   const CalibrationOptions options_;
-  const bool auto_save_ = Parameter("auto_save", false);
+  const bool auto_save_ = RosParameter("auto_save", false);
   ros::Publisher status_publisher_ = node_.advertise<CalibrationStatus>("status", 10),
                  result_publisher_ = node_.advertise<CalibrationResult>("result", 1, true),
                  pose_publisher_ = node_.advertise<geometry_msgs::PoseStamped>("imu_pose", 100),

@@ -147,8 +147,7 @@ void WriteTruth(const TrajectoryTarget& target, const SimulatorOptions& options,
     instants.push_back({options.ImuStart() + std::llround(1e9 * s),
                         options.PoseTime(s) + delay + Wander(exact, s)});
   }
-  const auto samples = [&imu] {
-    CheckSameStamps(imu);
+  const auto samples = [&imu] {  // both sensors have the same stamps
     std::vector<ImuTrack::Sample> both;
     for (size_t k = 0; k < imu.gyro.size(); ++k)
       both.push_back({imu.gyro[k].t_ns, imu.gyro[k].value, imu.accel[k].value});
