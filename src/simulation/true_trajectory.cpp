@@ -26,9 +26,7 @@ constexpr double kShockPeriod = 2.0;  // [s] from one to the next, on average
 constexpr double kMargin = 1.0;       // [s] that filters and clocks may need beyond the poses
 
 Vector3d UniformVector(std::mt19937* random, double size) {
-  Vector3d v;
-  for (int i = 0; i < 3; ++i) v[i] = Uniform(random, -size, size);
-  return v;
+  return Vector3d::NullaryExpr([&](Eigen::Index) { return Uniform(random, -size, size); });
 }
 
 /// x(t) = sum_k amplitude_k sin(frequency_k t + phase_k), per axis.

@@ -17,8 +17,7 @@ namespace {
 
 constexpr size_t kRings = 16, kColumns = 360;
 constexpr double kLowest = -M_PI / 8, kHighest = M_PI / 8;  // [rad] elevation of the rings
-constexpr int64_t kTurnNs = 100'000'000;
-constexpr double kRangeStd = 0.01;  // [m]
+constexpr double kRangeStd = 0.01;                          // [m]
 
 /// The room, whose walls are seen from inside, and what stands in it: corners [m] in W.
 using Box = std::pair<Eigen::Array3d, Eigen::Array3d>;
@@ -48,14 +47,6 @@ RayHit CastRay(const Eigen::Vector3d& origin_W, const Eigen::Vector3d& direction
 Rigid3 SimulatedLidar::T_IL() {
   return {Eigen::Quaterniond(0.5, 0.5, -0.5, -0.5) * Exp(Eigen::Vector3d(0.05, -0.08, 0.6)),
           {0.04, -0.11, 0.07}};
-}
-
-size_t SimulatedLidar::Count() const {
-  return static_cast<size_t>(options_.duration_s / Seconds(kTurnNs));
-}
-
-int64_t SimulatedLidar::Stamp(size_t k) const {
-  return options_.ImuStart() + static_cast<int64_t>(k) * kTurnNs;
 }
 
 Rigid3 SimulatedLidar::PoseAt(int64_t stamp_ns) const {
