@@ -237,7 +237,8 @@ bool LiveCalibration::WantsSolve() const {
 }
 
 SessionData LiveCalibration::BeginSolve() {
-  solving_ = resets_;
+  is_solving_ = true;
+  is_stale_ = false;
   const auto copy = [](const auto& stream) {
     return std::vector(stream.samples.begin(), stream.samples.end());
   };
@@ -251,7 +252,7 @@ SessionData LiveCalibration::BeginSolve() {
 
 bool LiveCalibration::EndSolve(const Calibration& result) {
   const bool counts = !IsStale() && !IsFrozen();
-  solving_.reset();
+  is_solving_ = is_stale_ = false;
   if (!counts) return false;
   ++known_.solves;
   known_.failure = result.IsUsable() ? "" : result.message;
@@ -272,9 +273,10 @@ void LiveCalibration::Reset(const std::string& reason, double now) {
   for (auto& stream : poses_) stream.samples.clear();
   for (auto& stream : sensors_) stream.samples.clear();
   known_ = Knowledge();
-  ++resets_;
+  is_stale_ = is_solving_;
   notice_ = reason.empty() ? "" : reason + "; started anew";
   notice_time_ = now;
+  on_reset_();
 }
 
 // --- Status ---

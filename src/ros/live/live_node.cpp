@@ -128,6 +128,7 @@ class LiveInput {
   LiveInput(const ros::NodeHandle& node, const OfflineRequest& request, std::mutex* mutex,
             LiveCalibration* live, const std::function<void(const PoseSample&)>& on_pose)
       : node_(node), request_(request), mutex_(mutex), live_(live), on_pose_(on_pose) {
+    live_->OnReset([this] { Forget(); });
     const BagRequest& names = request_.bag;
     const bool is_split = !names.gyro_topic.empty();
     const std::vector<std::string> gyros =
@@ -157,16 +158,6 @@ class LiveInput {
           fixed ? "/tf_static" : "/tf", 0,
           boost::function<void(const TfEvent&)>(
               [this, fixed](const TfEvent& event) { OnTransforms(event, fixed); })));
-  }
-
-  /// Forgets frames and what was dropped when the LiveCalibration has forgotten its data. Each
-  /// message does so, too.
-  void ForgetAfterReset() {
-    if (resets_ == live_->resets()) return;
-    resets_ = live_->resets();
-    for (ImuInfo& imu : imus_) imu.imu_frame.clear();
-    for (Poses& poses : poses_) poses.Forget(fixed_links_);
-    links_.clear();
   }
 
   /// Topics, and frames as they are published.
@@ -356,6 +347,13 @@ class LiveInput {
 
   // --- Messages ---
 
+  /// Frames and what was dropped belong to the data of the LiveCalibration.
+  void Forget() {
+    for (ImuInfo& imu : imus_) imu.imu_frame.clear();
+    for (Poses& poses : poses_) poses.Forget(fixed_links_);
+    links_.clear();
+  }
+
   void OnMessage(const Message& message, Topic* topic) {
     const std::lock_guard<std::mutex> lock(*mutex_);
     const std::string& type = message.getMessage()->getDataType();
@@ -363,7 +361,6 @@ class LiveInput {
       topic->problem = "is " + type + ", must be " + boost::join(topic->types, " or ");
       return;
     }
-    ForgetAfterReset();
     try {
       topic->problem = topic->read(message);
       topic->has_data = true;
@@ -378,9 +375,9 @@ class LiveInput {
     const auto& [gyro, accel, frame] =
         ReadImuContent(message.getMessage()->getDataType(), *message.getMessage());
     const double now = message.getReceiptTime().toSec();
-    if (is_gyro) imus_[imu].imu_frame = frame;
     if (is_gyro && gyro) live_->AddGyro(*gyro, now, imu);
     if (is_accel && accel) live_->AddAccel(*accel, now, imu);
+    if (is_gyro) imus_[imu].imu_frame = frame;
     std::vector<std::string> lacks;
     if (is_gyro && !gyro) lacks.emplace_back("no gyroscope");
     if (is_accel && !accel) lacks.emplace_back("no accelerometer");
@@ -403,7 +400,6 @@ class LiveInput {
   void OnTransforms(const TfEvent& event, bool fixed) {
     if (event.getPublisherName() == ros::this_node::getName()) return;
     const std::lock_guard<std::mutex> lock(*mutex_);
-    ForgetAfterReset();
     for (geometry_msgs::TransformStamped link : event.getMessage()->transforms) {
       link.header.frame_id = FrameName(link.header.frame_id, "");
       link.child_frame_id = FrameName(link.child_frame_id, "");
@@ -438,7 +434,6 @@ class LiveInput {
   std::deque<Poses> poses_;  ///< the marker, then the pose sensors
   std::vector<ImuInfo> imus_;
   Links fixed_links_, links_;  ///< of /tf_static and of /tf, as others than this node say
-  size_t resets_ = 0;          ///< of live_, to which all of this belongs
 
   std::deque<Topic> topics_;
   std::vector<ros::Subscriber> tf_;
@@ -522,7 +517,6 @@ class LiveNode {
     const std::lock_guard<std::mutex> lock(mutex_);
     const bool has_result = live_.result().has_value();
     live_.Reset("", ros::Time::now().toSec());
-    input_.ForgetAfterReset();
     save_error_.clear();
     return {true, has_result ? "started anew; tf keeps the last result until there is another"
                              : "started anew"};
