@@ -16,9 +16,8 @@ import subprocess
 import sys
 
 import numpy
-import yaml
+from calibrating import arguments_of, build_changed, calibrate, chi2_per_dof, program, turn
 
-ROOT = pathlib.Path(__file__).resolve().parent.parent
 SWITCH = "IMU_POSE_CALIB_ABLATED"
 HEADER = """#pragma once
 #include <cstdlib>
@@ -37,15 +36,13 @@ RULES = {
     "weights around": ("IMU samples weigh by those around, too", C + "joint_noise.cpp",
                        "IsOfPoses(model.quantity) ? 0.0 : 0.5 *", "IsOfPoses(model.quantity) || OFF ? 0.0 : 0.5 *"),
     "slow errors": ("the sigma of slow errors of rotations is found", C + "joint_noise.cpp",
-                    "    UpdateSlowErrors(S, false, &estimate.rotation_errors);",
-                    "    if (!OFF) UpdateSlowErrors(S, false, &estimate.rotation_errors);\n"
-                    "    if (OFF) estimate.rotation_errors.std = kLeastSlowError;"),
+                    "std::max(kLeastSlowError, std::sqrt(x.back()))",
+                    "!is_linear && OFF ? kLeastSlowError : std::max(kLeastSlowError, std::sqrt(x.back()))"),
     "slow position errors": ("the sigma of slow errors of positions is found", C + "joint_noise.cpp",
-                             "    UpdateSlowErrors(S, true, &estimate.position_errors);",
-                             "    if (!OFF) UpdateSlowErrors(S, true, &estimate.position_errors);\n"
-                             "    if (OFF) estimate.position_errors.std = kLeastSlowError;"),
-    "spectra": ("noise from the spectra of residuals", C + "joint_noise.cpp", "FitNoiseOf(is_linear, s, *joint, statistics);",
-                "if (!OFF) FitNoiseOf(is_linear, s, *joint, statistics);"),
+                             "std::max(kLeastSlowError, std::sqrt(x.back()))",
+                             "is_linear && OFF ? kLeastSlowError : std::max(kLeastSlowError, std::sqrt(x.back()))"),
+    "spectra": ("noise from the spectra of residuals", C + "joint_noise.cpp",
+                "    (*statistics)[sensors[k]].noise = std::sqrt(", "    if (!OFF) (*statistics)[sensors[k]].noise = std::sqrt("),
     "band of poses": ("poses lose what is beyond the band of the IMU", C + "band.cpp",
                       "const bool is_position_lower = LowerCutoff(", "const bool is_position_lower = !OFF && LowerCutoff("),
     "trajectory's variance": ("outliers are measured by the noise alone", C + "least_squares.cpp",
@@ -95,62 +92,39 @@ RULES = {
 }
 
 
-def build(folder):
-    """The copy with switches."""
-    if not folder.exists():
-        subprocess.run(["git", "clone", "-q", str(ROOT), str(folder)], check=True)
-        (folder / "include/imu_pose_calib/core/base/ablated.h").write_text(HEADER)
-        for name, (_, path, text, switched) in RULES.items():
-            source = (folder / path).read_text()
-            if source.count(text) != 1:
-                sys.exit("error: rule '%s': its text is %d times in %s, must be once" % (name, source.count(text), path))
-            source = source.replace(text, switched.replace("OFF", 'Ablated("%s")' % name))
-            include = '#include "imu_pose_calib/core/base/ablated.h"\n'
-            if include not in source:
-                source = source.replace("#include", include + "#include", 1)
-            (folder / path).write_text(source)
-    subprocess.run([str(folder / "scripts/setup.sh")], check=True)
-    return folder / ".catkin_ws/devel/lib/imu_pose_calib"
+def switch(folder):
+    for name, (_, path, text, switched) in RULES.items():
+        source = (folder / path).read_text()
+        if source.count(text) != 1:
+            sys.exit("error: rule '%s': its text is %d times in %s, must be once" % (name, source.count(text), path))
+        source = source.replace(text, switched.replace("OFF", 'Ablated("%s")' % name))
+        include = '#include "imu_pose_calib/core/base/ablated.h"\n'
+        if include not in source:
+            source = source.replace("#include", include + "#include", 1)
+        (folder / path).write_text(source)
 
 
-def simulated(programs, rule, options):
+def simulated(devel, rule, options):
     """{seed: (verdict, error of p [mm], largest error [sigma], sigma of p [mm])}"""
-    text = subprocess.run([str(programs / "reality"), "--dump", str(options.mixtures), str(options.first)],
+    text = subprocess.run([program("reality", devel), "--dump", str(options.mixtures), str(options.first)],
                           env={**os.environ, SWITCH: rule}, check=True, capture_output=True, text=True).stdout
     (options.folder / ("dump of " + (rule or "all"))).write_text(text)
     rows = [line.split() for line in text.splitlines()]
     return {int(r[0]): (r[1], float(r[2]), float(r[4]), float(r[5])) for r in rows}
 
 
-def recorded(programs, rule, bags, folder):
+def recorded(devel, rule, bags):
     """Scatter of p [mm] and chi2 per degree of freedom of p and of R between calibrations of one mount; not a number
     when one of them gives no result."""
-    p, sigma, turns, turn_sigma, first = [], [], [], [], None
-    for k, bag in enumerate(bags):
-        path, _, span = bag.partition("@")
-        output = folder / ("%d.yaml" % k)
-        command = [str(programs / "calibrate_bag"), path, "--output", str(output), "--quiet"]
-        if span:
-            command += ["--start", span.split("+")[0], "--duration", span.split("+")[1]]
-        subprocess.run(command, env={**os.environ, SWITCH: rule}, capture_output=True, check=False)
-        if not output.exists():
-            return math.nan, math.nan, math.nan
-        transform = yaml.safe_load(output.read_text())["transform"]
-        output.unlink()
-        p.append(1e3 * numpy.array(transform["translation"]))
-        sigma.append(1e3 * numpy.array(transform["translation_std"]))
-        q, w = numpy.array(transform["rotation"][:3]), transform["rotation"][3]
-        first = first or (q, w)  # turns from there on: small
-        turn = first[1] * q - w * first[0] - numpy.cross(first[0], q)
-        turns.append(2.0 * turn / (first[1] * w + first[0] @ q))
-        turn_sigma.append(numpy.array(transform["rotation_std"]))
-
-    def chi2(x, s):
-        x, weight = numpy.array(x), 1.0 / numpy.array(s) ** 2
-        mean = (weight * x).sum(0) / weight.sum(0)
-        return (weight * (x - mean) ** 2).sum() / (3.0 * (len(x) - 1))
-
-    return numpy.linalg.norm(numpy.std(p, axis=0, ddof=1)), chi2(p, sigma), chi2(turns, turn_sigma)
+    results = [calibrate(arguments_of(bag), devel, **{SWITCH: rule}) for bag in bags]
+    if None in results:
+        return math.nan, math.nan, math.nan
+    transforms = [result["transform"] for result in results]
+    p = 1e3 * numpy.array([t["translation"] for t in transforms])
+    turns = [turn(transforms[0]["rotation"], t["rotation"]) for t in transforms]
+    return (numpy.linalg.norm(numpy.std(p, axis=0, ddof=1)),
+            chi2_per_dof(p, [1e3 * numpy.array(t["translation_std"]) for t in transforms]).mean(),
+            chi2_per_dof(turns, [t["rotation_std"] for t in transforms]).mean())
 
 
 def rms(values):
@@ -179,7 +153,7 @@ def main():
     parser.add_argument("--rules", default=",".join(RULES))
     parser.add_argument("--group", action="append", default=[])
     options = parser.parse_args()
-    programs = build(options.folder.absolute())
+    devel = build_changed(options.folder.absolute(), "ablated.h", HEADER, switch)
     groups = [g.partition("=") for g in options.group]
     print("| without | | ok | wrong and ok |" +
           "".join(" %s: rms p | rms sigma |" % kind for kind in ("mixtures", "plain", "effects")) +
@@ -187,8 +161,7 @@ def main():
     print("|---|---|" + "---|" * (8 + 3 * len(groups)))
 
     def run(rule):
-        return (simulated(programs, rule, options),
-                [recorded(programs, rule, g[2].split(","), options.folder) for g in groups])
+        return simulated(devel, rule, options), [recorded(devel, rule, g[2].split(",")) for g in groups]
 
     base, base_groups = run("")
     row("none", "as it is", base, base, base_groups, base_groups)

@@ -11,16 +11,14 @@ constants that the compiler needs stay as they are. --file: constants whose file
 """
 import argparse
 import math
-import os
 import pathlib
 import re
 import subprocess
 import tempfile
 
 import numpy
-import yaml
+from calibrating import ROOT, arguments_of, build_changed, calibrate, run, turn
 
-ROOT = pathlib.Path(__file__).resolve().parent.parent
 SCALED = "IMU_POSE_CALIB_SCALED"  # NAME=FACTOR
 HEADER = """#pragma once
 #include <cmath>
@@ -56,60 +54,45 @@ SIMULATED = [
 ]
 
 
-def build(folder):
-    """Names of the constants that the copy can scale."""
-    if not folder.exists():
-        subprocess.run(["git", "clone", "-q", str(ROOT), str(folder)], check=True)
-        (folder / "include/imu_pose_calib/core/base/scaled.h").write_text(HEADER)
-        for path in sorted((folder / "src/core").rglob("*.cpp")):
-            text = path.read_text()
-
-            def scale(match):
-                named = r"\b(?:%s)\b" % "|".join(n for n, _ in ONE.findall(match[3]))
-                others = text.replace(match[0], "")
-                # Sizes of arrays, arguments of templates, parts of other constants.
-                if re.search(r"\[[^\];\n]*%s|<[\w:,*+ ]*%s[\w,*+ ]*>|constexpr [^;]*%s" % (3 * (named,)), others):
-                    return match[0]
-                values = ", ".join('%s = Scaled<%s>("%s:%s", %s)' % (name, match[2], path.stem, name, value.strip())
-                                   for name, value in ONE.findall(match[3]))
-                return "%sstatic const %s %s;" % (match[1], match[2], values)
-
-            changed = DECLARATION.sub(scale, text)
-            if changed != text:
-                path.write_text('#include "imu_pose_calib/core/base/scaled.h"\n' + changed)
-    subprocess.run([str(folder / "scripts/setup.sh")], check=True)
-    names = []
-    for path in sorted((folder / "src/core").rglob("*.cpp")):
-        names += re.findall(r'Scaled<\w+(?:::\w+)?>\("([^"]*)"', path.read_text())
-    return names
+def sources(folder):
+    return sorted((folder / "src/core").rglob("*.cpp"))
 
 
-def calibrate(programs, bag, scaled, folder):
-    """Verdict, (p, R about the imu's axes, time shift) and their sigmas; None where nothing is written."""
-    output = folder / "result.yaml"
-    output.unlink(missing_ok=True)
-    path, _, span = bag.partition("@")
-    command = [str(programs / "calibrate_bag"), path, "--output", str(output), "--quiet"]
-    if span:
-        command += ["--start", span.split("+")[0], "--duration", span.split("+")[1]]
+def scale_all(folder):
+    for path in sources(folder):
+        text = path.read_text()
+
+        def scale(match):
+            named = r"\b(?:%s)\b" % "|".join(n for n, _ in ONE.findall(match[3]))
+            others = text.replace(match[0], "")
+            # Sizes of arrays, arguments of templates, parts of other constants.
+            if re.search(r"\[[^\];\n]*%s|<[\w:,*+ ]*%s[\w,*+ ]*>|constexpr [^;]*%s" % (3 * (named,)), others):
+                return match[0]
+            values = ", ".join('%s = Scaled<%s>("%s:%s", %s)' % (name, match[2], path.stem, name, value.strip())
+                               for name, value in ONE.findall(match[3]))
+            return "%sstatic const %s %s;" % (match[1], match[2], values)
+
+        changed = DECLARATION.sub(scale, text)
+        if changed != text:
+            path.write_text('#include "imu_pose_calib/core/base/scaled.h"\n' + changed)
+
+
+def outcome(devel, bag, scaled):
+    """Verdict, transform and its sigmas; None where nothing is written."""
     try:
-        subprocess.run(command, env={**os.environ, SCALED: scaled}, capture_output=True, check=False, timeout=60)
+        result = calibrate(arguments_of(bag), devel, timeout=60, **{SCALED: scaled})
     except subprocess.TimeoutExpired:
         return "timeout", None, None
-    if not output.exists():
+    if result is None:
         return "refused", None, None
-    result = yaml.safe_load(output.read_text())
-    transform, head = result["transform"], result["imu_pose_calib"]
-    return (head["status"], (transform["translation"], transform["rotation"], head.get("time_shift", 0.0)),
-            transform["translation_std"] + transform["rotation_std"])
+    transform = result["transform"]
+    return (result["imu_pose_calib"]["status"], transform,
+            numpy.array(transform["translation_std"] + transform["rotation_std"]))
 
 
 def difference(a, b):
-    """From one result's p and R to another's, R as a small turn."""
-    q, w = numpy.array(a[1][:3]), a[1][3]
-    other, v = numpy.array(b[1][:3]), b[1][3]
-    turn = 2.0 * (w * other - v * q - numpy.cross(q, other)) / (w * v + q @ other)
-    return numpy.concatenate([numpy.array(b[0]) - numpy.array(a[0]), turn])
+    """From one transform's p and R to another's, R as a turn about the imu's axes."""
+    return numpy.concatenate([numpy.subtract(b["translation"], a["translation"]), turn(a["rotation"], b["rotation"])])
 
 
 def compare(base, runs):
@@ -120,7 +103,7 @@ def compare(base, runs):
             verdicts.append("%s -> %s" % (before[0], after[0]))
         if before[1] is None or after[1] is None or "degenerate" in (before[0], after[0]):
             continue
-        sigma, other = numpy.array(before[2]), numpy.array(after[2])
+        sigma, other = before[2], after[2]
         if (sigma <= 0.0).any() or (other <= 0.0).any():
             continue
         move = max(move, numpy.abs(difference(before[1], after[1]) / sigma).max())
@@ -135,21 +118,24 @@ def main():
     parser.add_argument("--file", default="")
     options = parser.parse_args()
     folder = options.folder.absolute()
-    names = [n for n in build(folder) if options.file in n]
-    programs = folder / ".catkin_ws/devel/lib/imu_pose_calib"
+    devel = build_changed(folder, "scaled.h", HEADER, scale_all)
+    names = [name for path in sources(folder)
+             for name in re.findall(r'Scaled<\w+(?:::\w+)?>\("([^"]*)"', path.read_text()) if options.file in name]
     with tempfile.TemporaryDirectory() as temporary:
         bags = [str(ROOT / "data/estimator_own_clocks.bag")] + options.bags
         for k, motion in enumerate(SIMULATED):
             bags.append("%s/%d.bag" % (temporary, k))
-            subprocess.run([str(programs / "simulate_bag"), bags[-1], "--seed", str(700 + k), "--duration", "30"] +
-                           motion.split(), check=True, capture_output=True)
-        run = lambda scaled: [calibrate(programs, bag, scaled, pathlib.Path(temporary)) for bag in bags]
-        base = run("")
+            run("simulate_bag", bags[-1], "--seed", str(700 + k), "--duration", "30", *motion.split(), devel=devel)
+
+        def outcomes(scaled):
+            return [outcome(devel, bag, scaled) for bag in bags]
+
+        base = outcomes("")
         print("| constant | doubled: move, sigma, verdicts | halved |\n|---|---|---|")
         for name in names:
             cells = []
             for value in (2.0, 0.5):
-                move, factor, verdicts = compare(base, run("%s=%g" % (name, value)))
+                move, factor, verdicts = compare(base, outcomes("%s=%g" % (name, value)))
                 cells.append("%.2f, %.2f%s" % (move, factor, "; " + ", ".join(verdicts) if verdicts else ""))
             print("| `%s` | %s |" % (name, " | ".join(cells)), flush=True)
 

@@ -15,43 +15,21 @@ that of calibrate_bag. Needs python3-opencv.
 
 import argparse
 import os
-import subprocess
 import sys
 import tempfile
 
 import cv2
 import numpy
-import yaml
+from calibrating import DEVEL, ROOT, calibrate, read, run
 
-DEVEL = os.path.join(os.path.dirname(os.path.dirname(os.path.abspath(__file__))), ".catkin_ws", "devel")
+sys.path.insert(0, str(ROOT / "scripts"))
+from comparison import rotation, transform  # noqa: E402
+
 HAND_EYE = ("TSAI", "PARK", "HORAUD", "ANDREFF", "DANIILIDIS")
 ROBOT_WORLD = ("SHAH", "LI")
 ALL = ", all poses"
 OUTLIERS = 0.2  # of the sensor's poses
 AGREE = (0.03, 0.03)  # [m], [rad] from the median world: RANSAC
-
-
-def run(devel, program, *arguments):
-    path = os.path.join(devel, "lib", "imu_pose_calib", program)
-    env = dict(os.environ, LD_LIBRARY_PATH=os.path.join(devel, "lib") + ":" + os.environ.get("LD_LIBRARY_PATH", ""))
-    done = subprocess.run([path, *arguments], env=env, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    if done.returncode:
-        sys.exit(f"hand_eye.py: error: {' '.join([program, *arguments])}: {done.stderr.strip()}")
-
-
-def calibrate(devel, folder, *arguments):
-    output = os.path.join(folder, "result.yaml")
-    run(devel, "calibrate_bag", "--quiet", "--output", output, *arguments)
-    with open(output) as file:
-        return yaml.safe_load(file)
-
-
-def matrix(q):
-    """Rotation of a quaternion x, y, z, w."""
-    x, y, z, w = numpy.asarray(q) / numpy.linalg.norm(q)
-    return numpy.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]])
 
 
 def exp(v):
@@ -62,18 +40,12 @@ def log(R):
     return cv2.Rodrigues(R)[0].ravel()
 
 
-def pose(t, q):
-    T = numpy.eye(4)
-    T[:3, :3], T[:3, 3] = matrix(q), t
-    return T
-
-
 def read_poses(path):
     """Times [s] after 1.6e9, when simulate_bag begins, and poses 4 x 4 of a TUM file."""
     with open(path) as file:
         rows = [line.split() for line in file if not line.startswith("#")]
     times = numpy.array([int(row[0].replace(".", "")) * 1e-9 - 1.6e9 for row in rows])  # nine decimals
-    return times, numpy.array([pose(values[:3], values[3:]) for values in numpy.array(rows, float)[:, 1:]])
+    return times, numpy.array([transform(rotation(values[3:]), values[:3]) for values in numpy.array(rows, float)[:, 1:]])
 
 
 def spoil(path, seed):
@@ -86,7 +58,7 @@ def spoil(path, seed):
             continue
         row = lines[k].split()
         p = numpy.array(row[1:4], float) + 0.1 * random.standard_normal(3)
-        R = matrix(numpy.array(row[4:], float)) @ exp(0.3 * random.standard_normal(3))
+        R = rotation(row[4:]) @ exp(0.3 * random.standard_normal(3))
         v = log(R)
         angle = numpy.linalg.norm(v)
         q = [*(numpy.sin(0.5 * angle) * v / angle), numpy.cos(0.5 * angle)]
@@ -181,7 +153,7 @@ def rms(values):
 
 
 def of_yaml(entry):
-    return pose(entry["translation"], entry["rotation"])
+    return transform(rotation(entry["rotation"]), entry["translation"])
 
 
 class Recording:
@@ -189,13 +161,12 @@ class Recording:
 
     def __init__(self, line, folder, seed, has_outliers):
         name = os.path.join(folder, "sim")
-        run(line.devel, "simulate_bag", name, "--format", "text", "--pose-sensor", "--seed", str(seed), "--duration",
-            str(line.duration))
+        run("simulate_bag", name, "--format", "text", "--pose-sensor", "--seed", str(seed), "--duration",
+            str(line.duration), devel=line.devel)
         self.marker, self.sensor, self.imu = name + ".poses.txt", name + ".pose_sensor.txt", name + ".imu.csv"
         if has_outliers:
             spoil(self.sensor, seed)
-        with open(name + ".truth.yaml") as file:
-            truth = yaml.safe_load(file)
+        truth = read(name + ".truth.yaml")
         self.T_MI, self.T_MS = of_yaml(truth), of_yaml(truth["pose_sensors"][0])
         self.poses = read_poses(self.marker), read_poses(self.sensor)
         self.shifts = {"true shift": truth["pose_sensors"][0]["time_shift"],
@@ -228,7 +199,7 @@ def print_hand_eye(line, has_outliers):
     for seed in range(1, line.seeds + 1):
         with tempfile.TemporaryDirectory() as folder:
             recording = Recording(line, folder, seed, has_outliers)
-            result = calibrate(line.devel, folder, "--poses", recording.marker, "--pose-sensor", recording.sensor)
+            result = calibrate(["--poses", recording.marker, "--pose-sensor", recording.sensor], line.devel)
             for key, T_MS in recording.opencv(has_outliers).items():
                 table.setdefault(key, []).append(errors(T_MS, recording.T_MS))
         sensor = result["pose_sensors"][0]
@@ -255,9 +226,9 @@ def print_chain(line):
     for seed in range(1, line.seeds + 1):
         with tempfile.TemporaryDirectory() as folder:
             recording = Recording(line, folder, seed, False)
-            direct = calibrate(line.devel, folder, "--poses", recording.marker, "--imu", recording.imu, "--pose-sensor",
-                               recording.sensor)
-            camera = calibrate(line.devel, folder, "--poses", recording.sensor, "--imu", recording.imu)
+            direct = calibrate(["--poses", recording.marker, "--imu", recording.imu, "--pose-sensor", recording.sensor],
+                               line.devel)
+            camera = calibrate(["--poses", recording.sensor, "--imu", recording.imu], line.devel)
             opencv = recording.opencv(False)
         T_SI, T_MS = of_yaml(camera["transform"]), of_yaml(direct["pose_sensors"][0]["transform"])
         true_T_SI = numpy.linalg.inv(recording.T_MS) @ recording.T_MI

@@ -22,9 +22,8 @@ import tempfile
 import time
 
 import numpy
-import yaml
+from calibrating import DEVEL, environment, program, read, turn
 
-DEVEL = os.path.join(os.path.dirname(os.path.dirname(os.path.abspath(__file__))), ".catkin_ws", "devel")
 DURATIONS = (10, 30, 100, 300, 1000, 3600, 7200)  # [s]
 
 
@@ -33,21 +32,16 @@ class Build:
 
     def __init__(self, space):
         self.space = os.path.abspath(space)
-        libraries = (os.path.join(self.space, "lib"), os.environ.get("LD_LIBRARY_PATH"))
-        self.env = dict(os.environ, LD_LIBRARY_PATH=":".join(filter(None, libraries)))
-        for program in ("calibrate_bag", "simulate_bag"):
-            if not os.access(self.path(program), os.X_OK):
-                fail(f"{self.path(program)} cannot be run: build it, or name another devel space")
+        for name in ("calibrate_bag", "simulate_bag"):
+            if not os.access(program(name, self.space), os.X_OK):
+                fail(f"{program(name, self.space)} cannot be run: build it, or name another devel space")
 
-    def path(self, program):
-        return os.path.join(self.space, "lib", "imu_pose_calib", program)
-
-    def run(self, program, *arguments):
+    def run(self, name, *arguments):
         """Real time [s], user time [s] and peak memory [MB]."""
-        command = [self.path(program), *arguments]
+        command = [program(name, self.space), *arguments]
         with tempfile.TemporaryFile() as errors:
             begin = time.monotonic()
-            process = subprocess.Popen(command, env=self.env, stdout=subprocess.DEVNULL, stderr=errors)
+            process = subprocess.Popen(command, env=environment(self.space), stdout=subprocess.DEVNULL, stderr=errors)
             _, status, usage = os.wait4(process.pid, 0)
             real = time.monotonic() - begin
             process.returncode = status  # it is not there any more to be waited for
@@ -59,11 +53,6 @@ class Build:
 
 def fail(text):
     sys.exit(f"scale.py: error: {text}")
-
-
-def read(path):
-    with open(path) as file:
-        return yaml.load(file, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
 
 
 def in_sigmas(difference, sigma):
@@ -80,10 +69,9 @@ def translation_error(result, truth):
 
 def apart(result, other):
     transform = result["transform"]
-    a, b = numpy.array(transform["rotation"]), numpy.array(other["transform"]["rotation"])
-    turn = 2.0 * (a[3] * b[:3] - b[3] * a[:3] - numpy.cross(a[:3], b[:3])) * numpy.sign(a @ b)
+    turned = turn(transform["rotation"], other["transform"]["rotation"])
     scalars = ("time_shift", "accel_delay")
-    return max(translation_error(result, other["transform"]), in_sigmas(turn, transform["rotation_std"]),
+    return max(translation_error(result, other["transform"]), in_sigmas(turned, transform["rotation_std"]),
                *(in_sigmas(result[key] - other[key], result[key + "_std"]) for key in scalars))
 
 

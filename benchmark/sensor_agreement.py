@@ -10,30 +10,20 @@ import os
 import sys
 
 import numpy as np
-import yaml
-
-
-def rotation_vector(q):
-    """[rad] of a quaternion x, y, z, w."""
-    v, w = np.array(q[:3]) * np.sign(q[3]), abs(q[3])
-    norm = np.linalg.norm(v)
-    return v * (2.0 * np.arctan2(norm, w) / norm if norm > 0.0 else 2.0)
+from calibrating import chi2_per_dof, read, turn
 
 
 def row(path):
     """Verdict, T_MS and its sigmas [mm], [deg], and the session."""
-    with open(path) as file:
-        sensor = yaml.safe_load(file)['pose_sensors'][0]
+    sensor = read(path)['pose_sensors'][0]
     transform = sensor['transform']
     return (sensor['status'], 1e3 * np.array(transform['translation']), 1e3 * np.array(transform['translation_std']),
-            np.degrees(rotation_vector(transform['rotation'])), np.degrees(transform['rotation_std']), sensor['sessions'][0])
+            np.degrees(turn((0, 0, 0, 1), transform['rotation'])), np.degrees(transform['rotation_std']), sensor['sessions'][0])
 
 
 def chi2(values, sigmas):
     """Over degrees of freedom, about zero and about the weighted mean."""
-    mean = (values / sigmas**2).sum(0) / (1.0 / sigmas**2).sum(0)
-    about_mean = (((values - mean) / sigmas)**2).sum() / max(values.size - values.shape[1], 1)
-    return ((values / sigmas)**2).mean(), about_mean
+    return ((values / sigmas)**2).mean(), chi2_per_dof(values, sigmas).mean()
 
 
 def cell(values, digits):

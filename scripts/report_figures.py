@@ -477,26 +477,22 @@ def fill_box(ax, points):
 def recorded(report, s, imu):
     """What the streams hold, as recorded: each on its own clock."""
     figure, axes = axes_of(4, 1, 1.15)
-    t, poses = report.times('s%d_poses_t' % s), report.rows('s%d_poses' % s).astype(float)
-    order = np.argsort(t, kind='stable')
-    t, poses = t[order], poses[order]
+    t, poses = series.in_order(report, 's%d_poses' % s)
     draw_axes(axes[0, 0], t, poses[:, :3] - np.nanmean(poses[:, :3], axis=0) if len(poses) else poses[:, :3],
               'poses: position about its mean', 'm')
     times, rates = turn_rates(t, poses[:, 3:7])
     draw_axes(axes[1, 0], times, rates, 'poses: turn rate about the marker axes', 'rad/s')
     for ax, name in ((axes[2, 0], 'gyro'), (axes[3, 0], 'accel')):
-        file = 's%d_i%d_%s' % (s, imu, name)
         title, unit, _ = QUANTITIES[name]
-        draw_axes(ax, report.times(file + '_t'), report.rows(file).astype(float), title, unit)
+        draw_axes(ax, *series.recorded(report, s, imu, name), title, unit)
     axes[3, 0].set_xlabel("time since the stream's first stamp [s]")
     return figure, verdicts.recorded(rates, report.rows('s%d_i%d_gyro' % (s, imu)).astype(float))
 
 
 def missing(report, s):
     """How fast and how far the marker turned about the axes of most, second and least turning, and what is asked."""
-    t, poses = report.times('s%d_poses_t' % s), report.rows('s%d_poses' % s).astype(float)
-    order = np.argsort(t, kind='stable')
-    t, rates = turn_rates(t[order], poses[order, 3:7])
+    t, poses = series.in_order(report, 's%d_poses' % s)
+    t, rates = turn_rates(t, poses[:, 3:7])
     if len(rates) < 10:
         return None
     axes_M = np.linalg.eigh(rates.T @ rates)[1][:, ::-1].T
@@ -524,9 +520,8 @@ def draw_axes(ax, t, values, title, unit):
     if t.size < 2:
         note(ax, 'no samples')
         return
-    order = np.argsort(t, kind='stable')
     for k, (axis, color) in enumerate(AXES):
-        draw_series(ax, t[order], values[order, k], color, axis, alpha=0.65)
+        draw_series(ax, t, values[:, k], color, axis, alpha=0.65)
     ax.margins(x=0.01)
     legend(ax)
 

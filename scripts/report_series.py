@@ -85,11 +85,15 @@ def bias(report, s, imu, name, t):
     return each_axis(np.clip(t, knots[0, 0], knots[-1, 0]), knots[:, 0], knots[:, 1:4])
 
 
-def recorded(report, s, imu, name):
-    """Times and values of a sensor, in order of time."""
-    t, values = report.times('s%d_i%d_%s_t' % (s, imu, name)), report.rows('s%d_i%d_%s' % (s, imu, name))
+def in_order(report, name):
+    """Times and rows of a recorded stream, in order of time."""
+    t, values = report.times(name + '_t'), report.rows(name)
     order = np.argsort(t, kind='stable')
     return t[order], values[order].astype(float)
+
+
+def recorded(report, s, imu, name):
+    return in_order(report, 's%d_i%d_%s' % (s, imu, name))
 
 
 def session_motion(report, s):

@@ -60,7 +60,6 @@ class RecordingInformation {
   RecordingInformation(const SimulatorOptions& truth, const SessionData& data, double knots_s)
       : truth_(truth),
         trajectory_(truth),
-        first_imu_ns_(truth.start_ns - std::llround(1e9 * truth.time_shift_s)),
         bias_knots_(2 + static_cast<int>(truth.duration_s / kBiasKnots)),
         spans_(std::max(1, static_cast<int>(std::ceil(truth.duration_s / knots_s)))),
         spacing_(truth.duration_s / spans_),
@@ -70,8 +69,9 @@ class RecordingInformation {
         others_(MatrixXd::Zero(size_, size_)) {
     R_IM_ = truth.T_MI.q.toRotationMatrix().transpose();
     for (const PoseSample& pose : data.poses) AddPose(Seconds(pose.t_ns - truth.start_ns));
-    for (const ImuSample& gyro : data.imus[0].gyro) AddGyro(Seconds(gyro.t_ns - first_imu_ns_));
-    for (const ImuSample& accel : data.imus[0].accel) AddAccel(Seconds(accel.t_ns - first_imu_ns_));
+    const int64_t imu_ns = truth.ImuStart();
+    for (const ImuSample& gyro : data.imus[0].gyro) AddGyro(Seconds(gyro.t_ns - imu_ns));
+    for (const ImuSample& accel : data.imus[0].accel) AddAccel(Seconds(accel.t_ns - imu_ns));
     AddWalks();
   }
 
@@ -227,7 +227,6 @@ class RecordingInformation {
 
   const SimulatorOptions& truth_;
   const TrueTrajectory trajectory_;
-  const int64_t first_imu_ns_;
   const int bias_knots_, spans_;
   const double spacing_;
   const int size_;

@@ -28,10 +28,9 @@ double Uniform(std::mt19937* random, double low, double high) {
 }
 
 Vector3d Gaussian(std::mt19937* random, double sigma) {
+  if (!(sigma > 0.0)) return Vector3d::Zero();
   std::normal_distribution<double> normal;
-  Vector3d v;
-  for (int i = 0; i < 3; ++i) v[i] = sigma > 0.0 ? sigma * normal(*random) : 0.0;
-  return v;
+  return Vector3d::NullaryExpr([&](Eigen::Index) { return sigma * normal(*random); });
 }
 
 Vector3d RandomDirection(std::mt19937* random) { return Gaussian(random, 1.0).normalized(); }

@@ -32,11 +32,6 @@ uint32_t ImuSeed(const SimulatorOptions& options) {
   return options.noise_seed == 0 ? options.seed : options.noise_seed;
 }
 
-/// Pose clock [s] at `s` after the first sample of the IMU.
-double PoseTime(const SimulatorOptions& options, double s) {
-  return s + options.clock_drift * (s - 0.5 * options.duration_s);
-}
-
 Stream PoseStream(const SimulatorOptions& options) {
   return {options.effects.pose_stream,
           options.start_ns,
@@ -49,7 +44,7 @@ Stream PoseStream(const SimulatorOptions& options) {
 /// The same for gyroscope and accelerometer at the same rate: they come in one message.
 Stream ImuStream(const SimulatorOptions& options, double rate_hz) {
   return {options.effects.imu_stream,
-          options.start_ns - std::llround(1e9 * options.time_shift_s),
+          options.ImuStart(),
           rate_hz,
           options.duration_s,
           RandomOf(RandomEffect::kImuStamps, ImuSeed(options)),
@@ -144,7 +139,7 @@ std::vector<PoseSample> FusedPoses(const SimulatorOptions& options, const Sessio
   std::vector<Vector3d> omega_M;
   const double delay = FilterDelay(options.effects.gyro_filter_hz);
   for (size_t k = 0; k < data.imus[0].gyro.size(); ++k) {
-    t_omega.push_back(PoseTime(options, static_cast<double>(k) / options.gyro_rate_hz - delay));
+    t_omega.push_back(options.PoseTime(static_cast<double>(k) / options.gyro_rate_hz - delay));
     omega_M.push_back(options.T_MI.q * (data.imus[0].gyro[k].value - options.gyro_bias));
   }
   for (size_t k = 0; k < data.poses.size(); ++k)
@@ -301,7 +296,7 @@ ImuData Imu(const SimulatorOptions& options, const TrueTrajectory& trajectory,
            s.omega_M.cross(s.omega_M.cross(p));
   };
   const auto gyro = [&](double t) -> Vector3d {
-    const TrueState s = trajectory.At(PoseTime(options, t));
+    const TrueState s = trajectory.At(options.PoseTime(t));
     return gyro_R_IM * s.omega_M + flaws.g_sensitivity * (R_IM * force_M(s, options.T_MI.p));
   };
   Signal felt_W;
@@ -310,11 +305,11 @@ ImuData Imu(const SimulatorOptions& options, const TrueTrajectory& trajectory,
       const TrueState s = trajectory.At(t_M);
       return s.R_WM * force_M(s, options.T_MI.p);
     };
-    felt_W = Resonating(force_W, options.effects.mount_hz, PoseTime(options, -1.0),
-                        PoseTime(options, options.duration_s + 1.0));
+    felt_W = Resonating(force_W, options.effects.mount_hz, options.PoseTime(-1.0),
+                        options.PoseTime(options.duration_s + 1.0));
   }
   const auto accel = [&](double t) -> Vector3d {
-    const double t_M = PoseTime(options, t - options.accel_delay_s);
+    const double t_M = options.PoseTime(t - options.accel_delay_s);
     const TrueState s = trajectory.At(t_M);
     const Vector3d at_origin = force_M(s, options.T_MI.p);
     const Vector3d force = felt_W ? s.R_WM.transpose() * felt_W(t_M) : at_origin;

@@ -2,15 +2,9 @@
 
 namespace imu_pose_calib {
 
-const char* ToString(Motion motion) {
-  constexpr const char* kNames[] = {"handheld", "tumble", "arm",   "drone",
-                                    "planar",   "hinge",  "static"};
-  return kNames[static_cast<int>(motion)];
-}
-
 Motion ParseMotion(const std::string& name) {
-  for (const Motion motion : kMotions)
-    if (name == ToString(motion)) return motion;
+  for (const auto& [motion, known] : kMotions)
+    if (name == known) return motion;
   throw InputError("motion '" + name +
                    "' is unknown; must be handheld, tumble, arm, drone, planar, hinge or static");
 }

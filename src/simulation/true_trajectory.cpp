@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 #include <random>
+#include <tuple>
+#include <utility>
 
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/simulation/real_effects.h"
@@ -24,9 +26,7 @@ constexpr double kShockPeriod = 2.0;  // [s] from one to the next, on average
 constexpr double kMargin = 1.0;       // [s] that filters and clocks may need beyond the poses
 
 Vector3d UniformVector(std::mt19937* random, double size) {
-  Vector3d v;
-  for (int i = 0; i < 3; ++i) v[i] = Uniform(random, -size, size);
-  return v;
+  return Vector3d::NullaryExpr([&](Eigen::Index) { return Uniform(random, -size, size); });
 }
 
 /// x(t) = sum_k amplitude_k sin(frequency_k t + phase_k), per axis.
@@ -44,34 +44,35 @@ struct Sines {
   }
 };
 
-/// Lines within 0.25 Hz from `first_hz`, from `step_hz` above that, and so on; the higher the
-/// smaller.
-Sines Swings(double amplitude, double first_hz, double step_hz, std::mt19937* random) {
-  Sines sines(kSinesPerAxis);
+/// Sines of random phases; `draw(k)` gives amplitude and frequency [rad/s] of line k of an axis.
+template <typename Draw>
+Sines DrawSines(int lines, std::mt19937* random, Draw draw) {
+  Sines sines(lines);
   for (int axis = 0; axis < 3; ++axis) {
-    for (int k = 0; k < kSinesPerAxis; ++k) {
-      const double hz = Uniform(random, first_hz + step_hz * k, first_hz + 0.25 + step_hz * k);
-      sines.frequency(axis, k) = kTwoPi * hz;
-      sines.amplitude(axis, k) = amplitude * Uniform(random, 0.6, 1.2) / (1.0 + 2.0 * hz * hz);
+    for (int k = 0; k < lines; ++k) {
+      std::tie(sines.amplitude(axis, k), sines.frequency(axis, k)) = draw(k);
       sines.phase(axis, k) = Uniform(random, 0.0, kTwoPi);
     }
   }
   return sines;
 }
 
+/// Lines within 0.25 Hz from `first_hz`, from `step_hz` above that, and so on; the higher the
+/// smaller.
+Sines Swings(double amplitude, double first_hz, double step_hz, std::mt19937* random) {
+  return DrawSines(kSinesPerAxis, random, [=](int k) {
+    const double hz = Uniform(random, first_hz + step_hz * k, first_hz + 0.25 + step_hz * k);
+    return std::pair(amplitude * Uniform(random, 0.6, 1.2) / (1.0 + 2.0 * hz * hz), kTwoPi * hz);
+  });
+}
+
 /// Lines all over the band of shakes; `rms` per axis is that of the derivative.
 Sines Shaking(double rms, int derivative, std::mt19937* random) {
-  Sines sines(kShakeLines);
-  for (int axis = 0; axis < 3; ++axis) {
-    for (int k = 0; k < kShakeLines; ++k) {
-      const double place = (k + Uniform(random, 0.0, 1.0)) / kShakeLines;
-      const double w = kTwoPi * (kLowestShake + place * (kHighestShake - kLowestShake));
-      sines.frequency(axis, k) = w;
-      sines.amplitude(axis, k) = rms * std::sqrt(2.0 / kShakeLines) / std::pow(w, derivative);
-      sines.phase(axis, k) = Uniform(random, 0.0, kTwoPi);
-    }
-  }
-  return sines;
+  return DrawSines(kShakeLines, random, [=](int k) {
+    const double place = (k + Uniform(random, 0.0, 1.0)) / kShakeLines;
+    const double w = kTwoPi * (kLowestShake + place * (kHighestShake - kLowestShake));
+    return std::pair(rms * std::sqrt(2.0 / kShakeLines) / std::pow(w, derivative), w);
+  });
 }
 
 /// From place to place, each move in its time, with rests between: x = from + (to - from) s(u).

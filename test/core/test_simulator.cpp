@@ -52,8 +52,8 @@ std::vector<Vector3d> Steps(const std::vector<Vector3d>& x) {
 
 TEST(TrueTrajectory, EachDerivativeIsTheSlopeOfTheOneBefore) {
   const double step = 1e-3;
-  for (const Motion motion : kMotions) {
-    SCOPED_TRACE(ToString(motion));
+  for (const auto& [motion, name] : kMotions) {
+    SCOPED_TRACE(name);
     const TrueTrajectory trajectory(Recording(motion, 40.0, 3));
     for (double t = 0.1; t < 40.0; t += 0.737) {
       const auto rate = [&](Vector3d TrueState::*member) {

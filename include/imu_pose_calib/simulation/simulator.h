@@ -1,9 +1,8 @@
 #pragma once
 
 /// Room simulation: recordings with exact truth, for tests, simulate_bag and evaluate_trial.
-/// In: options and effects that real recordings have. Out: SessionData, the truth, the Cramér-Rao
-/// bound of what can be known; and how information grows within a recording, for the report.
-/// Calibrate() needs none of it.
+/// In: options and effects that real recordings have. Out: SessionData, the truth, and the
+/// Cramér-Rao bound of what can be known. Calibrate() needs none of it.
 
 #include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/simulation/real_effects.h"

@@ -2,8 +2,10 @@
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
+#include <cmath>
 #include <cstdint>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "imu_pose_calib/core/base/types.h"
@@ -21,13 +23,13 @@ enum class Motion {
   kStatic,  ///< rests
 };
 
-/// All motions, in order.
-constexpr Motion kMotions[] = {Motion::kHandheld, Motion::kTumble, Motion::kArm,   Motion::kDrone,
-                               Motion::kPlanar,   Motion::kHinge,  Motion::kStatic};
-
-/// "handheld", "tumble", ...
-const char* ToString(Motion motion);
-/// The reverse. Throws InputError when there is none of that name.
+/// All of them with their names, in order.
+constexpr std::pair<Motion, const char*> kMotions[] = {
+    {Motion::kHandheld, "handheld"}, {Motion::kTumble, "tumble"}, {Motion::kArm, "arm"},
+    {Motion::kDrone, "drone"},       {Motion::kPlanar, "planar"}, {Motion::kHinge, "hinge"},
+    {Motion::kStatic, "static"}};
+inline const char* ToString(Motion motion) { return kMotions[static_cast<int>(motion)].second; }
+/// Throws InputError when there is none of that name.
 Motion ParseMotion(const std::string& name);
 
 /// What happens to the stamps of a stream, and to its samples on the way. 0: nothing.
@@ -140,6 +142,11 @@ struct SimulatorOptions {
   int64_t start_ns = 1'600'000'000'000'000'000;  ///< first pose stamp
 
   RealEffects effects;  ///< those of motion and poses follow from `seed`
+
+  /// First stamp of the IMU [ns].
+  int64_t ImuStart() const { return start_ns - std::llround(1e9 * time_shift_s); }
+  /// Pose clock [s] at `s` after the first sample of the IMU.
+  double PoseTime(double s) const { return s + clock_drift * (s - 0.5 * duration_s); }
 };
 
 /// An effect of real recordings that one number switches on.

@@ -43,21 +43,6 @@ bool IsValid(const PoseSample& pose) {
   return pose.p_WM.allFinite() && pose.q_WM.coeffs().allFinite() && pose.q_WM.norm() > 1e-3;
 }
 
-/// Empty, or how the clock of the stream has jumped.
-template <typename Sample, typename Stream>
-std::string FindJump(const Sample& sample, double now, const Stream& stream) {
-  if (stream.samples.empty()) return "";
-  const double waited = now - stream.arrival;
-  if (waited < -kMaxReorder)
-    return Format("time went back by %.3g s (a recording that starts again?)", -waited);
-  const double step = Seconds(sample.t_ns - stream.samples.back().t_ns);
-  if (step < -kMaxReorder)
-    return Format("the stamps of the %s went back by %.3g s", stream.name.c_str(), -step);
-  if (step > kMaxReorder + kMaxPlayRate * std::max(waited, 0.0))
-    return Format("the stamps of the %s jumped ahead by %.3g s", stream.name.c_str(), step);
-  return "";
-}
-
 /// Of translation [m], rotation [rad] and time shift [s].
 using Sizes = Eigen::Array3d;
 
@@ -99,8 +84,6 @@ std::string Text(const Sizes& std_dev) {
                 1e3 * std_dev[2]);
 }
 
-std::string Sigmas(const Calibration& result) { return "sigma " + Text(LargestStd(result)); }
-
 /// Six lines as "rotation    x [######----]  60 %".
 std::vector<std::string> Bars(const Vector6d& excitation) {
   std::vector<std::string> bars;
@@ -130,6 +113,19 @@ StreamStatus LiveCalibration::Stream<Sample>::Status() const {
   const double span = Seconds(newest - std::prev(recent)->t_ns);
   if (span > 0.0) status.rate_hz = static_cast<double>(count - 1) / span;
   return status;
+}
+
+template <typename Sample>
+std::string LiveCalibration::Stream<Sample>::FindJump(const Sample& sample, double now) const {
+  if (samples.empty()) return "";
+  const double waited = now - arrival, step = Seconds(sample.t_ns - samples.back().t_ns);
+  if (waited < -kMaxReorder)
+    return Format("time went back by %.3g s (a recording that starts again?)", -waited);
+  if (step < -kMaxReorder)
+    return Format("the stamps of the %s went back by %.3g s", name.c_str(), -step);
+  if (step > kMaxReorder + kMaxPlayRate * std::max(waited, 0.0))
+    return Format("the stamps of the %s jumped ahead by %.3g s", name.c_str(), step);
+  return "";
 }
 
 template <typename Sample>
@@ -165,7 +161,7 @@ bool LiveCalibration::Add(const Sample& sample, double now, Stream<Sample>* stre
     ++stream->unstamped;
     return false;
   }
-  const std::string jump = FindJump(sample, now, *stream);
+  const std::string jump = stream->FindJump(sample, now);
   if (!jump.empty() && resets && !IsFrozen()) Reset(jump, now);
   if (!jump.empty()) stream->samples.clear();
   ++stream->received;
@@ -241,7 +237,8 @@ bool LiveCalibration::WantsSolve() const {
 }
 
 SessionData LiveCalibration::BeginSolve() {
-  solving_ = resets_;
+  is_solving_ = true;
+  is_stale_ = false;
   const auto copy = [](const auto& stream) {
     return std::vector(stream.samples.begin(), stream.samples.end());
   };
@@ -255,7 +252,7 @@ SessionData LiveCalibration::BeginSolve() {
 
 bool LiveCalibration::EndSolve(const Calibration& result) {
   const bool counts = !IsStale() && !IsFrozen();
-  solving_.reset();
+  is_solving_ = is_stale_ = false;
   if (!counts) return false;
   ++known_.solves;
   known_.failure = result.IsUsable() ? "" : result.message;
@@ -276,9 +273,10 @@ void LiveCalibration::Reset(const std::string& reason, double now) {
   for (auto& stream : poses_) stream.samples.clear();
   for (auto& stream : sensors_) stream.samples.clear();
   known_ = Knowledge();
-  ++resets_;
+  is_stale_ = is_solving_;
   notice_ = reason.empty() ? "" : reason + "; started anew";
   notice_time_ = now;
+  on_reset_();
 }
 
 // --- Status ---
@@ -340,7 +338,7 @@ std::string LiveCalibration::Advice() const {
   if (excitation.tail<3>().minCoeff(&axis) < 1.0)
     return Format("move along the marker's %c axis", kAxes[axis]);
   if (!known_.result) return "keep moving";
-  const std::string sigmas = Sigmas(*known_.result);
+  const std::string sigmas = "sigma " + Text(LargestStd(*known_.result));
   if (Score(options_, *known_.result) > 1.0)
     return "keep moving: " + sigmas + "; target " + Text(Targets(options_));
   if (known_.last.size() < kStableSolves)
@@ -370,7 +368,8 @@ std::pair<uint8_t, std::string> LiveCalibration::PhaseAndMessage(double now) con
   if (const std::string lost = LostStreams(now); !lost.empty())
     return {CalibrationStatus::DEGRADED, lost};
   if (IsConverged())
-    return {CalibrationStatus::CONVERGED, Sigmas(*known_.result) + "; call save to keep it"};
+    return {CalibrationStatus::CONVERGED,
+            "sigma " + Text(LargestStd(*known_.result)) + "; call save to keep it"};
   return {IsSolving() ? CalibrationStatus::SOLVING : CalibrationStatus::COLLECTING, Advice()};
 }
 

@@ -109,17 +109,9 @@ OfflineRequest Checked(OfflineRequest request) {
 
 LiveOptions ReadLiveOptions() {
   LiveOptions options;
-  for (const auto& [name, field] : kLiveOptions) options.*field = Parameter(name, options.*field);
+  for (const auto& [name, field] : kLiveOptions)
+    options.*field = RosParameter(name, options.*field);
   return options;
-}
-
-/// T_WI at the pose T_WM.
-geometry_msgs::PoseStamped ToImuPose(const PoseSample& pose, const Rigid3& T_MI,
-                                     const std::string& world_frame) {
-  geometry_msgs::PoseStamped msg;
-  msg.header = MakeHeader(FromNanoseconds(pose.t_ns), world_frame);
-  msg.pose = ToPoseMsg(Rigid3{pose.q_WM.normalized(), pose.p_WM} * T_MI);
-  return msg;
 }
 
 /// Listens to the topics of the live node: hands samples to a LiveCalibration and keeps what the
@@ -136,6 +128,7 @@ class LiveInput {
   LiveInput(const ros::NodeHandle& node, const OfflineRequest& request, std::mutex* mutex,
             LiveCalibration* live, const std::function<void(const PoseSample&)>& on_pose)
       : node_(node), request_(request), mutex_(mutex), live_(live), on_pose_(on_pose) {
+    live_->OnReset([this] { Forget(); });
     const BagRequest& names = request_.bag;
     const bool is_split = !names.gyro_topic.empty();
     const std::vector<std::string> gyros =
@@ -165,16 +158,6 @@ class LiveInput {
           fixed ? "/tf_static" : "/tf", 0,
           boost::function<void(const TfEvent&)>(
               [this, fixed](const TfEvent& event) { OnTransforms(event, fixed); })));
-  }
-
-  /// Forgets frames and what was dropped when the LiveCalibration has forgotten its data. Each
-  /// message does so, too.
-  void ForgetAfterReset() {
-    if (resets_ == live_->resets()) return;
-    resets_ = live_->resets();
-    for (ImuInfo& imu : imus_) imu.imu_frame.clear();
-    for (Poses& poses : poses_) poses.Forget(fixed_links_);
-    links_.clear();
   }
 
   /// Topics, and frames as they are published.
@@ -364,6 +347,13 @@ class LiveInput {
 
   // --- Messages ---
 
+  /// Frames and what was dropped belong to the data of the LiveCalibration.
+  void Forget() {
+    for (ImuInfo& imu : imus_) imu.imu_frame.clear();
+    for (Poses& poses : poses_) poses.Forget(fixed_links_);
+    links_.clear();
+  }
+
   void OnMessage(const Message& message, Topic* topic) {
     const std::lock_guard<std::mutex> lock(*mutex_);
     const std::string& type = message.getMessage()->getDataType();
@@ -371,7 +361,6 @@ class LiveInput {
       topic->problem = "is " + type + ", must be " + boost::join(topic->types, " or ");
       return;
     }
-    ForgetAfterReset();
     try {
       topic->problem = topic->read(message);
       topic->has_data = true;
@@ -386,9 +375,9 @@ class LiveInput {
     const auto& [gyro, accel, frame] =
         ReadImuContent(message.getMessage()->getDataType(), *message.getMessage());
     const double now = message.getReceiptTime().toSec();
-    if (is_gyro) imus_[imu].imu_frame = frame;
     if (is_gyro && gyro) live_->AddGyro(*gyro, now, imu);
     if (is_accel && accel) live_->AddAccel(*accel, now, imu);
+    if (is_gyro) imus_[imu].imu_frame = frame;
     std::vector<std::string> lacks;
     if (is_gyro && !gyro) lacks.emplace_back("no gyroscope");
     if (is_accel && !accel) lacks.emplace_back("no accelerometer");
@@ -411,7 +400,6 @@ class LiveInput {
   void OnTransforms(const TfEvent& event, bool fixed) {
     if (event.getPublisherName() == ros::this_node::getName()) return;
     const std::lock_guard<std::mutex> lock(*mutex_);
-    ForgetAfterReset();
     for (geometry_msgs::TransformStamped link : event.getMessage()->transforms) {
       link.header.frame_id = FrameName(link.header.frame_id, "");
       link.child_frame_id = FrameName(link.child_frame_id, "");
@@ -446,7 +434,6 @@ class LiveInput {
   std::deque<Poses> poses_;  ///< the marker, then the pose sensors
   std::vector<ImuInfo> imus_;
   Links fixed_links_, links_;  ///< of /tf_static and of /tf, as others than this node say
-  size_t resets_ = 0;          ///< of live_, to which all of this belongs
 
   std::deque<Topic> topics_;
   std::vector<ros::Subscriber> tf_;
@@ -530,7 +517,6 @@ class LiveNode {
     const std::lock_guard<std::mutex> lock(mutex_);
     const bool has_result = live_.result().has_value();
     live_.Reset("", ros::Time::now().toSec());
-    input_.ForgetAfterReset();
     save_error_.clear();
     return {true, has_result ? "started anew; tf keeps the last result until there is another"
                              : "started anew"};
@@ -629,10 +615,17 @@ class LiveNode {
     for (const std::string& warning : status_.warnings) wrapper.add("warning", warning);
   }
 
+  /// T_WI of the first IMU at the pose T_WM, by the result.
+  geometry_msgs::PoseStamped ImuPose(const PoseSample& pose, const std::string& world_frame) const {
+    geometry_msgs::PoseStamped msg;
+    msg.header = MakeHeader(FromNanoseconds(pose.t_ns), world_frame);
+    msg.pose = ToPoseMsg(Rigid3{pose.q_WM.normalized(), pose.p_WM} * live_.result()->imus[0].T_MI);
+    return msg;
+  }
+
   void PublishPose(const PoseSample& pose) {
-    if (!live_.result() || pose_publisher_.getNumSubscribers() == 0) return;
-    pose_publisher_.publish(
-        ToImuPose(pose, live_.result()->imus[0].T_MI, input_.Info().world_frame));
+    if (live_.result() && pose_publisher_.getNumSubscribers() > 0)
+      pose_publisher_.publish(ImuPose(pose, input_.Info().world_frame));
   }
 
   void PublishPath() {
@@ -640,7 +633,7 @@ class LiveNode {
     nav_msgs::Path path;
     path.header = MakeHeader(status_.header.stamp, input_.Info().world_frame);
     for (const PoseSample& pose : live_.path())
-      path.poses.push_back(ToImuPose(pose, live_.result()->imus[0].T_MI, path.header.frame_id));
+      path.poses.push_back(ImuPose(pose, path.header.frame_id));
     path_publisher_.publish(path);
   }
 
@@ -681,7 +674,7 @@ class LiveNode {
   ros::NodeHandle node_;
   const OfflineRequest request_;
   const CalibrationOptions options_;
-  const bool auto_save_ = Parameter("auto_save", false);
+  const bool auto_save_ = RosParameter("auto_save", false);
   ros::Publisher status_publisher_ = node_.advertise<CalibrationStatus>("status", 10),
                  result_publisher_ = node_.advertise<CalibrationResult>("result", 1, true),
                  pose_publisher_ = node_.advertise<geometry_msgs::PoseStamped>("imu_pose", 100),

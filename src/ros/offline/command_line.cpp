@@ -2,24 +2,42 @@
 
 #include <unistd.h>
 
+#include <algorithm>
+#include <boost/algorithm/string/join.hpp>
+#include <boost/algorithm/string/replace.hpp>
 #include <chrono>
 #include <cstdio>
 #include <iostream>
 #include <memory>
-
-#include "imu_pose_calib/core/base/types.h"
-#include "imu_pose_calib/ros/offline/offline.h"
+#include <variant>
 
 namespace imu_pose_calib {
 
-void ParseCommandLine(int argc, char** argv, boost::program_options::options_description options,
-                      const char* name, const boost::program_options::value_semantic* unnamed,
-                      int count) {
-  namespace po = boost::program_options;
+namespace po = boost::program_options;
+
+void AddRequestOptions(const std::vector<RequestOption>& added, po::options_description* options,
+                       const std::vector<std::string>& names) {
+  for (const auto& [name, field, text, unit] : added) {
+    if (!names.empty() && std::count(names.begin(), names.end(), name) == 0) continue;
+    const std::string dashed = boost::replace_all_copy<std::string>(name, "_", "-");
+    const auto add = [&, text = text](const po::value_semantic* value) {
+      options->add_options()(dashed.c_str(), value, text);
+    };
+    if (const auto* flag = std::get_if<bool*>(&field)) add(po::bool_switch(*flag));
+    if (const auto* number = std::get_if<double*>(&field)) add(Value(*number, unit));
+    if (const auto* one = std::get_if<std::string*>(&field)) add(Value(*one, unit));
+    if (const auto* list = std::get_if<RequestOption::List>(&field))  // given again and again
+      add(po::value<std::vector<std::string>>()->composing()->value_name(unit)->notifier(
+          [list = *list](const auto& values) { *list = boost::join(values, " "); }));
+  }
+}
+
+void ParseCommandLine(int argc, char** argv, po::options_description options,
+                      const std::optional<Unnamed>& unnamed) {
   po::positional_options_description positional;
   if (unnamed) {
-    options.add_options()(name, unnamed);
-    positional.add(name, count);
+    options.add_options()(unnamed->name, unnamed->value);
+    positional.add(unnamed->name, unnamed->count);
   }
   const int style = po::command_line_style::unix_style & ~po::command_line_style::allow_guessing;
   po::variables_map values;
@@ -30,6 +48,15 @@ void ParseCommandLine(int argc, char** argv, boost::program_options::options_des
                 .run(),
             values);
   po::notify(values);
+}
+
+bool ParseOrHelp(int argc, char** argv, const std::string& usage, po::options_description options,
+                 const std::string& end, const std::optional<Unnamed>& unnamed) {
+  bool wants_help = false;
+  options.add_options()("help", po::bool_switch(&wants_help), "print this text");
+  ParseCommandLine(argc, argv, options, unnamed);
+  if (wants_help) std::cout << usage << options << end;
+  return !wants_help;
 }
 
 int RunToExitStatus(const std::function<void()>& run,

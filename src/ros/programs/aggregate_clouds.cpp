@@ -23,6 +23,14 @@ constexpr char kCloudType[] = "sensor_msgs/PointCloud2";
 constexpr size_t kFirstClouds = 5;            // that tell how points tell their times
 constexpr size_t kSharpnessPoints = 200'000;  // about, by which sharpness is judged
 
+constexpr char kUsage[] =
+    "Usage: aggregate_clouds BAG [BAG...] --imu-sensor T [options]\n\n"
+    "Calibrates as calibrate_bag does, and writes one map of all point clouds, each\n"
+    "point placed by the trajectory at its own time.\n\n";
+constexpr char kExitStatus[] =
+    "\nExit status: 0 written, 1 bad usage or unreadable input, 2 data that cannot be\n"
+    "calibrated, or no cloud within the trajectory.\n";
+
 /// Clouds of a recording to put together. Empty: the default.
 struct Request {
   /// What to calibrate from; only bags, and all are one recording. The result goes beside the map.
@@ -37,7 +45,7 @@ struct Request {
   double min_range_m = 0.3;         ///< nearer points are of the sensor's own body
   double max_range_m = 200.0;
   double radius_m = 0.3;  ///< around a point, for the sharpness
-  bool publish = false, quiet = false, help = false;
+  bool publish = false, quiet = false;
 
   bool WantsUncalibrated() const { return publish || !uncalibrated.empty(); }
 };
@@ -74,35 +82,17 @@ po::options_description Describe(Request* request) {
       "its T_marker_imu; default: nearest right angles, no lever arm");
   add("publish", po::bool_switch(&request->publish), "stay as a ROS node: ~map, ~uncalibrated");
   add("quiet", po::bool_switch(&request->quiet), "print errors only");
-  add("help", po::bool_switch(&request->help), "print this text");
 
   po::options_description calibration("Calibration, as calibrate_bag has it");
-  auto more = calibration.add_options();
-  more("calibration", Value(&recording.calibration, "FILE"),
-       "result of another recording: its T_marker_imu is kept");
-  more("imu-topic", Value(&recording.bag.imu_topic), "sensor_msgs/Imu");
-  more("pose-topic", Value(&recording.bag.pose_topic), "poses of the marker");
-  more("body", Value(&recording.bag.body), "name of the rigid body, where a topic holds several");
-  more("gyro-topic", Value(&recording.bag.gyro_topic), "gyroscope of a split IMU");
-  more("accel-topic", Value(&recording.bag.accel_topic), "its accelerometer");
-  more("tf-parent", Value(&recording.bag.tf_parent), "poses from tf: the fixed frame");
-  more("tf-child", Value(&recording.bag.tf_child), "poses from tf: the marker");
-  more("imu-frame", Value(&recording.imu_frame), "name of the imu frame");
-  more("imu-yaml", Value(&recording.imu_yaml), "Kalibr's imu.yaml");
-  more("config", Value(&recording.config), "YAML of options");
-  more("start", Value(&recording.bag.start_s, "S"), "seconds to skip");
-  more("duration", Value(&recording.bag.duration_s, "S"), "to use; 0: all");
+  calibration.add_options()("calibration", Value(&recording.calibration, "FILE"),
+                            "result of another recording: its T_marker_imu is kept");
+  const RequestOptions known = OptionsOf(&recording);
+  for (const auto& group : {known.common, known.others})
+    AddRequestOptions(group, &calibration,
+                      {"imu_topic", "pose_topic", "body", "gyro_topic", "accel_topic", "tf_parent",
+                       "tf_child", "imu_frame", "imu_yaml", "config", "start", "duration"});
   options.add(calibration);
   return options;
-}
-
-void PrintHelp(const po::options_description& options) {
-  std::cout << "Usage: aggregate_clouds BAG [BAG...] --imu-sensor T [options]\n\n"
-            << "Calibrates as calibrate_bag does, and writes one map of all point clouds, each\n"
-            << "point placed by the trajectory at its own time.\n\n"
-            << options
-            << "\nExit status: 0 written, 1 bad usage or unreadable input, 2 data that cannot be\n"
-            << "calibrated, or no cloud within the trajectory.\n";
 }
 
 void CheckRange(const char* name, double value, double least, double most) {
@@ -120,31 +110,30 @@ void PlanMap(const char* name, const std::string& path, OutputFiles* outputs) {
   outputs->Plan(name, path);
 }
 
-/// The request with its defaults.
-Request Checked(Request request) {
-  OfflineRequest& recording = request.recording;
+/// Checks the request, and sets its defaults.
+void Complete(Request* request) {
+  OfflineRequest& recording = request->recording;
+  SensorMount& sensor = request->sensor;
   if (recording.bag.paths.empty()) throw InputError("no bag is given");
-  if (request.sensor.T_IS.has_value() == request.sensor.T_MS.has_value())
+  if (sensor.T_IS.has_value() == sensor.T_MS.has_value())
     throw InputError(
         "say where the sensor of the clouds sits: give either imu_sensor, "
         "x_imu = T x_sensor, or marker_sensor, x_marker = T x_sensor");
-  request.sensor.is_on_imu_clock =
-      ParseClock("cloud_clock", request.cloud_clock) == TrackClock::kImu;
-  CheckRange("voxel", request.voxel_m, 1e-3, 100.0);
-  CheckRange("radius", request.radius_m, 1e-2, 100.0);
-  CheckRange("min_range", request.min_range_m, 0.0, 1e4);
-  CheckRange("max_range", request.max_range_m, request.min_range_m, 1e4);
-  if (request.sensor.guessed_T_MI && !request.sensor.T_IS)
+  sensor.is_on_imu_clock = ParseClock("cloud_clock", request->cloud_clock) == TrackClock::kImu;
+  CheckRange("voxel", request->voxel_m, 1e-3, 100.0);
+  CheckRange("radius", request->radius_m, 1e-2, 100.0);
+  CheckRange("min_range", request->min_range_m, 0.0, 1e4);
+  CheckRange("max_range", request->max_range_m, request->min_range_m, 1e4);
+  if (sensor.guessed_T_MI && !sensor.T_IS)
     throw InputError("guess needs imu_sensor: T_marker_imu does not matter for marker_sensor");
-  if (request.output.empty())
-    request.output =
-        std::filesystem::path(recording.bag.paths.front()).replace_extension(".map.pcd");
+  std::string& output = request->output;
+  if (output.empty())
+    output = std::filesystem::path(recording.bag.paths.front()).replace_extension(".map.pcd");
   OutputFiles tried;
-  PlanMap("output", request.output, &tried);
-  if (!request.uncalibrated.empty()) PlanMap("uncalibrated", request.uncalibrated, &tried);
+  PlanMap("output", output, &tried);
+  if (!request->uncalibrated.empty()) PlanMap("uncalibrated", request->uncalibrated, &tried);
   recording.one_recording = recording.keep_data = true;
-  recording.output = std::filesystem::path(request.output).replace_extension(".calibration.yaml");
-  return request;
+  recording.output = std::filesystem::path(output).replace_extension(".calibration.yaml");
 }
 
 // --- Clouds ---
@@ -152,8 +141,7 @@ Request Checked(Request request) {
 /// The topic of the clouds.
 BagTopic ChooseClouds(const Bags& bags, const std::string& name) {
   if (!name.empty()) return bags.Find("cloud_topic", name, {kCloudType});
-  const std::vector<BagTopic> candidates =
-      bags.Select([](const BagTopic& t) { return t.type == kCloudType; });
+  const auto candidates = bags.Select([](const BagTopic& t) { return t.type == kCloudType; });
   if (candidates.empty())
     throw InputError(std::string("no topic of type ") + kCloudType + " in " + bags.Contents());
   if (candidates.size() > 1)
@@ -214,12 +202,6 @@ struct Clouds {
   }
 };
 
-struct Outcome {
-  std::string text;                         ///< what a person wants to know of the map
-  std::vector<MapPoint> map, uncalibrated;  ///< the latter only when it is wanted
-  std::string world_frame;
-};
-
 /// Puts clouds together, the last of the variants as the map.
 class Aggregator {
  public:
@@ -232,13 +214,14 @@ class Aggregator {
         [this](int64_t stamp_ns, const std::vector<CloudPoint>& points) { Add(stamp_ns, points); });
   }
 
-  /// Map and text, which says why if there is no map.
-  Outcome Finish(const SessionData& data) const {
-    Outcome outcome;
-    outcome.text = placed_ > 0 ? Counts() + SharpnessTable() : Refusal(data);
-    outcome.map = variants_.back().map->Points();
-    if (variants_.front().map) outcome.uncalibrated = variants_.front().map->Points();
-    return outcome;
+  std::vector<MapPoint> Map() const { return variants_.back().map->Points(); }
+  /// When it is wanted.
+  std::vector<MapPoint> Uncalibrated() const { return variants_.front().map->Points(); }
+
+  /// What a person wants to know of the map. Throws DataError saying why if there is none.
+  std::string Describe(const SessionData& data) const {
+    if (placed_ == 0) throw DataError(Refusal(data));
+    return Counts() + SharpnessTable();
   }
 
  private:
@@ -361,56 +344,52 @@ class Aggregator {
   std::vector<Variant> variants_;
 };
 
+/// Offers a map until the publisher is gone.
+ros::Publisher Offer(ros::NodeHandle* node, const char* topic, const std::vector<MapPoint>& map,
+                     const std::string& world_frame) {
+  ros::Publisher publisher = node->advertise<sensor_msgs::PointCloud2>(topic, 1, true);
+  publisher.publish(ToMessage(map, world_frame));
+  return publisher;
+}
+
 /// Calibrates, and puts the clouds together through the trajectory of the solve, each point at its
 /// own time; what has no trajectory is left out. Judges the map's sharpness, with and without the
 /// calibration.
 ///
 /// Throws InputError when something cannot be used as given, DataError when no calibration can come
 /// from the data, or no cloud is within the trajectory.
-Outcome Aggregate(const Request& request, const Progress& progress) {
-  const Clouds clouds(request);  // before it takes long
-  OfflineResult offline = CalibrateOffline(request.recording, progress);
-  const std::vector<SensorPoses> variants = PosesWithAndWithout(request.sensor, offline);
-  if (progress) progress("clouds", std::nullopt);
-  Outcome outcome = Aggregator(request, variants, clouds).Finish(offline.sessions[0]);
-  if (progress) progress("clouds", 0);
-  if (outcome.map.empty()) throw DataError(outcome.text);
-
-  const auto write = [&](const std::string& path, const std::vector<MapPoint>& map) {
-    offline.outputs->Write(path, ToPcd(map, clouds.has_intensity));
-    offline.written.push_back(path);
-  };
-  write(request.output, outcome.map);
-  if (!request.uncalibrated.empty()) write(request.uncalibrated, outcome.uncalibrated);
-  WriteResult(&offline);
-  outcome.text += WrittenTo(offline.written);
-  outcome.world_frame = offline.infos[0].world_frame;
-  return outcome;
-}
-
-/// Offers the maps until the node is shut down.
-void Publish(const Outcome& outcome) {
-  ros::NodeHandle node("~");
-  const auto offer = [&](const char* topic, const std::vector<MapPoint>& map) {
-    auto publisher = node.advertise<sensor_msgs::PointCloud2>(topic, 1, true);
-    publisher.publish(ToMessage(map, outcome.world_frame));
-    return publisher;
-  };
-  const ros::Publisher map = offer("map", outcome.map);
-  const ros::Publisher uncalibrated = offer("uncalibrated", outcome.uncalibrated);
-  ros::spin();
-}
-
 void Run(int argc, char** argv) {
   Request request;
-  const po::options_description options = Describe(&request);
-  ParseCommandLine(argc, argv, options, "bag", Value(&request.recording.bag.paths), -1);
-  if (request.help) return PrintHelp(options);
+  if (!ParseOrHelp(argc, argv, kUsage, Describe(&request), kExitStatus,
+                   Unnamed{"bag", Value(&request.recording.bag.paths), -1}))
+    return;
+  Complete(&request);
   auto guard = std::make_unique<InterruptGuard>();
-  const Outcome outcome = Aggregate(Checked(request), ShowProgress(request.quiet));
+  const Progress progress = ShowProgress(request.quiet);
+  const Clouds clouds(request);  // before it takes long
+  OfflineResult offline = CalibrateOffline(request.recording, progress);
+  if (progress) progress("clouds", std::nullopt);
+  const Aggregator aggregator(request, PosesWithAndWithout(request.sensor, offline), clouds);
+  const std::string text = aggregator.Describe(offline.sessions[0]);
+  if (progress) progress("clouds", 0);
+
+  std::vector<MapPoint> map = aggregator.Map(), uncalibrated;
+  if (request.WantsUncalibrated()) uncalibrated = aggregator.Uncalibrated();
+  for (const auto& [path, points] :
+       {std::pair(request.output, &map), {request.uncalibrated, &uncalibrated}}) {
+    if (path.empty()) continue;
+    offline.outputs->Write(path, ToPcd(*points, clouds.has_intensity));
+    offline.written.push_back(path);
+  }
+  WriteResult(&offline);
   guard.reset();
-  if (!request.quiet) std::cout << outcome.text << std::flush;
-  if (request.publish) Publish(outcome);
+  if (!request.quiet) std::cout << text << WrittenTo(offline.written) << std::flush;
+  if (!request.publish) return;
+  ros::NodeHandle node("~");
+  const std::string& frame = offline.infos[0].world_frame;
+  const ros::Publisher publishers[] = {Offer(&node, "map", map, frame),
+                                       Offer(&node, "uncalibrated", uncalibrated, frame)};
+  ros::spin();
 }
 
 }  // namespace

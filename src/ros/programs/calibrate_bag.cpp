@@ -1,15 +1,11 @@
 // Calibrates from a recording, without a ROS master.
 
-#include <boost/algorithm/string/join.hpp>
-#include <boost/algorithm/string/replace.hpp>
 #include <iostream>
 #include <string>
-#include <variant>
 #include <vector>
 
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/offline/command_line.h"
-#include "imu_pose_calib/ros/offline/offline.h"
 #include "imu_pose_calib/ros/offline/summary.h"
 
 namespace imu_pose_calib {
@@ -23,24 +19,9 @@ struct CommandLine {
        version = false;
 };
 
-void Add(const std::vector<RequestOption>& added, po::options_description* options) {
-  for (const auto& [name, field, text, unit] : added) {
-    const std::string dashed = boost::replace_all_copy<std::string>(name, "_", "-");
-    const auto add = [&, text = text](const po::value_semantic* value) {
-      options->add_options()(dashed.c_str(), value, text);
-    };
-    if (const auto* flag = std::get_if<bool*>(&field)) add(po::bool_switch(*flag));
-    if (const auto* number = std::get_if<double*>(&field)) add(Value(*number, unit));
-    if (const auto* one = std::get_if<std::string*>(&field)) add(Value(*one, unit));
-    if (const auto* list = std::get_if<RequestOption::List>(&field))  // given again and again
-      add(po::value<std::vector<std::string>>()->composing()->value_name(unit)->notifier(
-          [list = *list](const auto& values) { *list = boost::join(values, " "); }));
-  }
-}
-
 po::options_description Describe(const std::vector<RequestOption>& common, CommandLine* line) {
   po::options_description options("Options");
-  Add(common, &options);
+  AddRequestOptions(common, &options);
   auto add = options.add_options();
   add("check", po::bool_switch(&line->check), "judge the recording without calibrating");
   add("verbose", po::bool_switch(&line->verbose), "print all of the result");
@@ -85,9 +66,9 @@ void Run(int argc, char** argv) {
   const RequestOptions known = OptionsOf(&line.request);
   // With the others they fit a screen no more.
   po::options_description all, common = Describe(known.common, &line), others("Other options");
-  Add(known.others, &others);
+  AddRequestOptions(known.others, &others);
   all.add(common).add(others);
-  ParseCommandLine(argc, argv, all, "bag", Value(&line.request.bag.paths), -1);
+  ParseCommandLine(argc, argv, all, Unnamed{"bag", Value(&line.request.bag.paths), -1});
   if (line.help_all) return PrintHelp({common, others});
   if (line.help) return PrintHelp({common});
   if (line.version) {

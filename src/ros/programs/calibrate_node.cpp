@@ -47,11 +47,11 @@ Job ReadJob() {
   for (const auto& options : {known.common, known.others})
     for (const auto& [name, field, text, unit] : options)
       if (std::string(name) != "report")  // here it is whether there is one
-        std::visit([name = name](auto value) { *value = Parameter(name, *value); }, field);
-  job.exit = Parameter("exit", job.exit);
-  job.verbose = Parameter("verbose", job.verbose);
-  request.bag.paths = SplitPaths(Parameter<std::string>("bag", ""));
-  if (Parameter("report", false)) request.report = ReportPath(request);
+        std::visit([name = name](auto value) { *value = RosParameter(name, *value); }, field);
+  job.exit = RosParameter("exit", job.exit);
+  job.verbose = RosParameter("verbose", job.verbose);
+  request.bag.paths = SplitPaths(RosParameter<std::string>("bag", ""));
+  if (RosParameter("report", false)) request.report = ReportPath(request);
   return job;
 }
 

@@ -91,32 +91,26 @@ std::vector<SimulatorOptions> Truths(const Trial& trial) {
   return truths;
 }
 
-void AddNoise(const Trial& trial, std::mt19937 random, SessionData* data) {
+/// Adds noise and outliers to recording number `s` of a trial, and loses poses in gaps of 1 s at
+/// even distances.
+void Disturb(const Trial& trial, size_t s, SessionData* data) {
+  std::mt19937 noise = RandomOf(Use::kNoise, trial.index, s);
+  std::mt19937 outliers = RandomOf(Use::kOutliers, trial.index, s);
   for (PoseSample& pose : data->poses) {
-    pose.p_WM += Gaussian(&random, trial.pose_noise.position);
-    pose.q_WM = pose.q_WM * Exp(Gaussian(&random, trial.pose_noise.rotation));
+    pose.p_WM += Gaussian(&noise, trial.pose_noise.position);
+    pose.q_WM = pose.q_WM * Exp(Gaussian(&noise, trial.pose_noise.rotation));
+    if (Uniform(&outliers, 0.0, 100.0) >= trial.outliers) continue;
+    pose.p_WM += kOutlierDistance * RandomDirection(&outliers);
+    pose.q_WM = pose.q_WM * Exp<double>(kOutlierAngle * RandomDirection(&outliers));
   }
-  for (ImuSample& gyro : data->imus[0].gyro) gyro.value += Gaussian(&random, trial.imu_noise.gyro);
+  for (ImuSample& gyro : data->imus[0].gyro) gyro.value += Gaussian(&noise, trial.imu_noise.gyro);
   for (ImuSample& accel : data->imus[0].accel)
-    accel.value += Gaussian(&random, trial.imu_noise.accel);
-}
+    accel.value += Gaussian(&noise, trial.imu_noise.accel);
 
-void AddOutliers(double percent, std::mt19937 random, SessionData* data) {
-  for (PoseSample& pose : data->poses) {
-    if (Uniform(&random, 0.0, 100.0) >= percent) continue;
-    pose.p_WM += kOutlierDistance * RandomDirection(&random);
-    pose.q_WM = pose.q_WM * Exp<double>(kOutlierAngle * RandomDirection(&random));
-  }
-}
-
-/// Loses `lost` of the poses in gaps of 1 s at even distances.
-void Lose(double lost, SessionData* data) {
-  if (lost <= 0.0 || data->poses.empty()) return;
-  const double period = kGap * 100.0 / lost;
-  const int64_t first_ns = data->poses.front().t_ns;
-  const auto is_lost = [&](const PoseSample& pose) {
-    const double t = Seconds(pose.t_ns - first_ns);
-    return std::fmod(t, period) >= period - kGap;
+  if (trial.lost <= 0.0 || data->poses.empty()) return;
+  const double period = kGap * 100.0 / trial.lost;
+  const auto is_lost = [&, first_ns = data->poses.front().t_ns](const PoseSample& pose) {
+    return std::fmod(Seconds(pose.t_ns - first_ns), period) >= period - kGap;
   };
   boost::remove_erase_if(data->poses, is_lost);
 }
@@ -166,14 +160,6 @@ Truth ParseOutcome(const YAML::Node& outcome) {
           outcome["accel_delay"][0].as<double>()};
 }
 
-Errors ErrorsOf(const ImuCalibration& imu, const ImuSession& clock, const Truth& truth) {
-  Errors errors;
-  errors << imu.T_MI.p - truth.T_MI.p,
-      Log(Eigen::Quaterniond(truth.T_MI.q.conjugate() * imu.T_MI.q)),
-      clock.time_shift - truth.time_shift, imu.accel_delay - truth.accel_delay;
-  return errors;
-}
-
 /// What evaluate reads of a calibration.
 void Describe(const ImuCalibration& imu, const ImuSession& clock, YAML::Node* outcome) {
   YAML::Node& node = *outcome;
@@ -206,11 +192,7 @@ void RunTrial(const Trial& trial, SessionData bag, YAML::Node* outcome) {
     recordings.push_back(std::move(bag));
     if (!trial.reference.empty()) truth = ParseOutcome(YAML::Load(trial.reference));
   }
-  for (size_t s = 0; s < recordings.size(); ++s) {
-    AddNoise(trial, RandomOf(Use::kNoise, trial.index, s), &recordings[s]);
-    AddOutliers(trial.outliers, RandomOf(Use::kOutliers, trial.index, s), &recordings[s]);
-    Lose(trial.lost, &recordings[s]);
-  }
+  for (size_t s = 0; s < recordings.size(); ++s) Disturb(trial, s, &recordings[s]);
 
   CalibrationOptions options;
   options.method = ParseMethod(trial.method);
@@ -231,7 +213,9 @@ void RunTrial(const Trial& trial, SessionData bag, YAML::Node* outcome) {
   const ImuSession& clock = result.sessions[0].imus[0];
   Describe(imu, clock, outcome);
   if (!is_simulated && trial.reference.empty()) return;
-  const Errors e = ErrorsOf(imu, clock, truth);
+  Errors e;
+  e << imu.T_MI.p - truth.T_MI.p, Log(Eigen::Quaterniond(truth.T_MI.q.conjugate() * imu.T_MI.q)),
+      clock.time_shift - truth.time_shift, imu.accel_delay - truth.accel_delay;
   (*outcome)["error"] =
       ListOf({e.head<3>().norm(), e.segment<3>(3).norm(), std::abs(e[6]), std::abs(e[7])});
   if (!is_simulated) return;
@@ -260,7 +244,7 @@ YAML::Node About() {
 
 // --- Command line ---
 
-po::options_description Describe(Trial* trial, bool* about, bool* help) {
+po::options_description Describe(Trial* trial, bool* about) {
   SimulatorOptions& simulator = trial->simulator;
   po::options_description options("Options");
   auto add = options.add_options();
@@ -291,7 +275,6 @@ po::options_description Describe(Trial* trial, bool* about, bool* help) {
   add("lost", Value(&trial->lost, "%"), "of the poses, in gaps of 1 s");
   add("guess", po::bool_switch(&trial->is_guessed), "start up to 180 deg and 1 m from the truth");
   add("about", po::bool_switch(about), "instead: print constants that evaluate needs");
-  add("help", po::bool_switch(help), "print this text");
   return options;
 }
 
@@ -321,18 +304,12 @@ YAML::Node Outcome(Trial trial) {
 
 void Run(int argc, char** argv) {
   Trial trial;
-  bool about = false, help = false;
-  const po::options_description options = Describe(&trial, &about, &help);
-  ParseCommandLine(argc, argv, options);
-  if (help) {
-    std::cout << "Usage: evaluate_trial [options]\n\nRuns one trial of evaluate and prints what "
-                 "became of it as YAML.\n\n"
-              << options;
-  } else if (about) {
-    std::cout << About() << "\n";
-  } else {
-    std::cout << Outcome(trial) << "\n";
-  }
+  bool about = false;
+  if (ParseOrHelp(argc, argv,
+                  "Usage: evaluate_trial [options]\n\nRuns one trial of evaluate and prints what "
+                  "became of it as YAML.\n\n",
+                  Describe(&trial, &about), ""))
+    std::cout << (about ? About() : Outcome(trial)) << "\n";
 }
 
 }  // namespace

@@ -15,7 +15,7 @@ void Run(int argc, char** argv) {
   std::string result, exports, output_dir, body_imu, chain, chain_output;
   size_t imu = 0;
   ExportChoice choice;
-  bool is_quiet = false, wants_help = false;
+  bool is_quiet = false;
   boost::program_options::options_description options("Options");
   auto add = options.add_options();
   add("export", Value(&exports, "LIST"), "programs, separated by commas; all: every one");
@@ -32,17 +32,16 @@ void Run(int argc, char** argv) {
       "write marker -> imu (result) -> cameras (chain): PREFIX.urdf, PREFIX.tf.launch");
   add("imu", ValueOrDefault(&imu, "N"), "which of several imus the chain is of, from 0");
   add("quiet", boost::program_options::bool_switch(&is_quiet), "print errors only");
-  add("help", boost::program_options::bool_switch(&wants_help), "print this text");
-  ParseCommandLine(argc, argv, options, "result", Value(&result), 1);
   const std::string known = boost::join(ExportNames(), ", ");
-  if (wants_help) {
-    std::cout
-        << "Usage: export_calibration RESULT.yaml --export LIST [options]\n"
-        << "       export_calibration RESULT.yaml --chain CAMCHAIN.yaml --chain-output PREFIX\n\n"
-        << "Writes a result of calibrate_bag as files of " << known << ".\n\n"
-        << options << "\nExit status: 0 written, 1 bad usage or unreadable input.\n";
+  const std::string usage =
+      "Usage: export_calibration RESULT.yaml --export LIST [options]\n"
+      "       export_calibration RESULT.yaml --chain CAMCHAIN.yaml --chain-output PREFIX\n\n"
+      "Writes a result of calibrate_bag as files of " +
+      known + ".\n\n";
+  if (!ParseOrHelp(argc, argv, usage, options,
+                   "\nExit status: 0 written, 1 bad usage or unreadable input.\n",
+                   Unnamed{"result", Value(&result)}))
     return;
-  }
   if (result.empty()) throw InputError("give the result to export; see export_calibration --help");
   const std::vector<std::string> names = ParseExports(exports);
   if (chain.empty() != chain_output.empty())

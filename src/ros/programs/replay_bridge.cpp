@@ -49,7 +49,7 @@ class ReplayBridge {
     const std::string topic = ForBody(style_.topic);
     publisher_ = style_.transform ? root.advertise<geometry_msgs::TransformStamped>(topic, 1000)
                                   : root.advertise<geometry_msgs::PoseStamped>(topic, 1000);
-    input_ = root.subscribe(Parameter<std::string>("input", "/mocap/pose"), 0,
+    input_ = root.subscribe(RosParameter<std::string>("input", "/mocap/pose"), 0,
                             &ReplayBridge::OnMessage, this, ros::TransportHints().tcpNoDelay());
   }
 
@@ -85,15 +85,15 @@ class ReplayBridge {
     publisher_.publish(msg);
   }
 
-  const std::string body_ = Parameter<std::string>("body", "rig");
-  const Style& style_ = FindStyle(Parameter<std::string>("style", "vicon_bridge"));
+  const std::string body_ = RosParameter<std::string>("body", "rig");
+  const Style& style_ = FindStyle(RosParameter<std::string>("style", "vicon_bridge"));
   const std::string frame_ = ForBody(style_.frame);
-  const double latency_ = Parameter("latency", 0.004);  ///< [s]
+  const double latency_ = RosParameter("latency", 0.004);  ///< [s]
   /// [s] mean of what comes on top
-  const double jitter_ = std::max(0.0, Parameter("jitter", 0.0001));
+  const double jitter_ = std::max(0.0, RosParameter("jitter", 0.0001));
   /// [s] of the body, after the first pose
-  const double loss_start_ = Parameter("loss_start", 0.0);
-  const double loss_duration_ = Parameter("loss_duration", 0.0);
+  const double loss_start_ = RosParameter("loss_start", 0.0);
+  const double loss_duration_ = RosParameter("loss_duration", 0.0);
   std::optional<int64_t> first_;  ///< stamp of the first pose
   std::optional<PoseSample> seen_;
   std::mt19937 random_{1};

@@ -2,7 +2,8 @@
 
 #include <boost/algorithm/string.hpp>
 #include <cmath>
-#include <iostream>
+#include <map>
+#include <optional>
 #include <utility>
 
 #include "imu_pose_calib/ros/io/output_files.h"
@@ -18,13 +19,17 @@ namespace {
 
 namespace po = boost::program_options;
 
+/// Those of --format that are bags: of ROS 1, or which of ROS 2.
+const std::map<std::string, std::optional<Ros2Format>> kBagFormats = {
+    {"bag", std::nullopt}, {"mcap", Ros2Format::kMcap}, {"db3", Ros2Format::kSqlite}};
+
 struct CommandLine {
-  std::string output, motion = "handheld", format_name = "bag", truth;
+  std::string output, motion = "handheld", format = "bag", truth;
   SimulatorOptions simulator;
   double imu_rate_hz = 200.0;
   size_t imus = 1;
-  BagFormat format;
-  bool pose_sensor = false, lidar = false, help = false;
+  BagFormat bag;
+  bool pose_sensor = false, lidar = false;
 };
 
 po::options_description Describe(CommandLine* line) {
@@ -46,15 +51,15 @@ po::options_description Describe(CommandLine* line) {
   add("time-shift", ValueOrDefault(&simulator.time_shift_s, "S"), "t_pose = t_imu + time_shift");
   add("accel-delay", ValueOrDefault(&simulator.accel_delay_s, "S"),
       "t_pose = t_accel + time_shift - accel_delay");
-  add("format", ValueOrDefault(&line->format_name, "TEXT"),
+  add("format", ValueOrDefault(&line->format, "TEXT"),
       "bag; mcap, db3: of ROS 2; asl: folder OUTPUT/ like EuRoC; text: OUTPUT.poses.txt and "
       "OUTPUT.imu.csv");
-  add("split", po::bool_switch(&line->format.split_imu),
+  add("split", po::bool_switch(&line->bag.split_imu),
       "gyroscope and accelerometer on two topics, or in two files");
-  add("pose-type", ValueOrDefault(&line->format.pose_type, "TEXT"),
+  add("pose-type", ValueOrDefault(&line->bag.pose_type, "TEXT"),
       "PoseStamped, TransformStamped, PoseWithCovarianceStamped, Odometry or tf (world to marker "
       "through six joints)");
-  add("imu-type", ValueOrDefault(&line->format.imu_type, "TEXT"),
+  add("imu-type", ValueOrDefault(&line->bag.imu_type, "TEXT"),
       "Imu or Vector3Stamped (/imu/gyro and /imu/accel)");
   add("truth", Value(&line->truth, "FILE"),
       "where the IMU truly was, on its clock: .tum, .csv (EuRoC), .bag, or a folder (ASL)");
@@ -62,7 +67,6 @@ po::options_description Describe(CommandLine* line) {
       "poses of a camera on the body in a world of its own, /pose_sensor");
   add("lidar", po::bool_switch(&line->lidar),
       "a spinning lidar in a room, /points, on the IMU's clock; where it sits: OUTPUT.lidar.yaml");
-  add("help", po::bool_switch(&line->help), "print this text");
   po::options_description effects("Effects that real recordings have; 0: none");
   for (const Effect& effect : Effects(&simulator))
     effects.add_options()(effect.name, ValueOrDefault(effect.strength, effect.unit),
@@ -99,24 +103,17 @@ SimulatorOptions Simulator(const CommandLine& line) {
   }
   return simulator;
 }
-
-/// Whether topics are written.
-bool IsBag(const CommandLine& line) {
-  const std::string& format = line.format_name;
-  return format == "bag" || format == "mcap" || format == "db3";
-}
-
-/// The output path without .bag, to which other endings are added.
-std::string Prefix(const CommandLine& line) {
-  const std::string &format = line.format_name, ending = "." + format;
+/// The output path without the ending of a bag, to which other endings are added.
+std::string Prefix(const CommandLine& line, bool is_bag) {
+  const std::string &format = line.format, ending = "." + format;
+  if (format == "asl" && line.bag.split_imu)
+    throw InputError("--split does not go with the format asl, which has both in one file");
   if (format == "asl" || format == "text") {
-    if (format == "asl" && line.format.split_imu)
-      throw InputError("--split does not go with the format asl, which has both in one file");
     std::string path = boost::trim_right_copy_if(line.output, boost::is_any_of("/"));
     if (path.empty()) throw InputError("give the path to write; see simulate_bag --help");
     return path;
   }
-  if (!IsBag(line))
+  if (!is_bag)
     throw InputError("format '" + format + "' is unknown; must be bag, mcap, db3, asl or text");
   if (line.output == ending || !boost::ends_with(line.output, ending))
     throw InputError("give the path of the bag to write, ending in " + ending +
@@ -124,35 +121,33 @@ std::string Prefix(const CommandLine& line) {
   return boost::erase_tail_copy(line.output, static_cast<int>(ending.size()));
 }
 
-/// State of the IMU where the marker is; biases are those at the start.
-ImuState TrueImuState(const SimulatorOptions& options, const TrueState& marker) {
-  const Rigid3& T_MI = options.T_MI;
-  ImuState state;
-  state.q_WI = Eigen::Quaterniond(marker.R_WM) * T_MI.q;
-  state.p_WI = marker.p_WM + marker.R_WM * T_MI.p;
-  state.omega_I = T_MI.q.conjugate() * marker.omega_M;
-  state.v_W = marker.v_W + marker.R_WM * marker.omega_M.cross(T_MI.p);
-  state.biases = {options.gyro_bias, options.accel_bias};
-  return state;
-}
-
-/// The true trajectory of one IMU at the rate of its gyroscope, without its delay.
+/// The true trajectory of one IMU at the rate of its gyroscope, without its delay; biases are those
+/// at the start.
 void WriteTruth(const TrajectoryTarget& target, const SimulatorOptions& options, const ImuData& imu,
                 OutputFiles* outputs) {
   const TrueTrajectory trajectory(options);
-  const int64_t first_ns = options.start_ns - std::llround(1e9 * options.time_shift_s);
+  const auto state = [&](double t) {
+    const TrueState marker = trajectory.At(t);
+    const Rigid3& T_MI = options.T_MI;
+    ImuState state;
+    state.q_WI = Eigen::Quaterniond(marker.R_WM) * T_MI.q;
+    state.p_WI = marker.p_WM + marker.R_WM * T_MI.p;
+    state.omega_I = T_MI.q.conjugate() * marker.omega_M;
+    state.v_W = marker.v_W + marker.R_WM * marker.omega_M.cross(T_MI.p);
+    state.biases = {options.gyro_bias, options.accel_bias};
+    return state;
+  };
   SimulatorOptions exact = options;  // but for the clock and the filters of the IMU
   exact.effects.pose_stream = {};
-  const double middle = 0.5 * options.duration_s;
-  const double delay = TrueClock(exact).time_shift_s - options.time_shift_s - Wander(exact, middle);
+  const double delay = TrueClock(exact).time_shift_s - options.time_shift_s -
+                       Wander(exact, 0.5 * options.duration_s);
   std::vector<ImuTrack::Instant> instants;
   for (int k = 0; k < options.duration_s * options.gyro_rate_hz; ++k) {
     const double s = k / options.gyro_rate_hz;  // since the first
-    instants.push_back({first_ns + std::llround(1e9 * s),
-                        s + options.clock_drift * (s - middle) + delay + Wander(exact, s)});
+    instants.push_back({options.ImuStart() + std::llround(1e9 * s),
+                        options.PoseTime(s) + delay + Wander(exact, s)});
   }
-  const auto samples = [&imu] {
-    CheckSameStamps(imu);
+  const auto samples = [&imu] {  // both sensors have the same stamps
     std::vector<ImuTrack::Sample> both;
     for (size_t k = 0; k < imu.gyro.size(); ++k)
       both.push_back({imu.gyro[k].t_ns, imu.gyro[k].value, imu.accel[k].value});
@@ -160,7 +155,7 @@ void WriteTruth(const TrajectoryTarget& target, const SimulatorOptions& options,
   };
   WriteTrajectory(target.path, target.format,
                   {instants,
-                   [&](double t) { return TrueImuState(options, trajectory.At(t)); },
+                   state,
                    false,
                    "world",
                    "imu",
@@ -172,41 +167,40 @@ void WriteTruth(const TrajectoryTarget& target, const SimulatorOptions& options,
                   outputs);
 }
 
-void PrintHelp(const po::options_description& options) {
-  std::cout << "Usage: simulate_bag OUTPUT.bag [options]\n"
-            << "       simulate_bag OUTPUT.mcap --format mcap [options]      bag of ROS 2, or db3\n"
-            << "       simulate_bag OUTPUT --format asl|text [options]\n\n"
-            << "Writes a simulated recording and, beside it, its truth: OUTPUT.truth.yaml.\n\n"
-            << options;
-}
+constexpr char kUsage[] =
+    "Usage: simulate_bag OUTPUT.bag [options]\n"
+    "       simulate_bag OUTPUT.mcap --format mcap [options]      bag of ROS 2, or db3\n"
+    "       simulate_bag OUTPUT --format asl|text [options]\n\n"
+    "Writes a simulated recording and, beside it, its truth: OUTPUT.truth.yaml.\n\n";
 
 void Run(int argc, char** argv) {
   CommandLine line;
-  const po::options_description options = Describe(&line);
-  ParseCommandLine(argc, argv, options, "output", Value(&line.output), 1);
-  if (line.help) return PrintHelp(options);
-  const std::string prefix = Prefix(line);
+  if (!ParseOrHelp(argc, argv, kUsage, Describe(&line), "", Unnamed{"output", Value(&line.output)}))
+    return;
+  const auto bag_format = kBagFormats.find(line.format);
+  const bool is_bag = bag_format != kBagFormats.end();
+  const std::string prefix = Prefix(line, is_bag);
   const SimulatorOptions simulator = Simulator(line);
-  if (line.imus < 1 || line.imus > 9 || (line.imus > 1 && !IsBag(line)))
+  if (line.imus < 1 || line.imus > 9 || (line.imus > 1 && !is_bag))
     throw InputError("--imus = " + std::to_string(line.imus) +
                      " must be 1 to 9, and 1 but for a bag");
-  if (line.lidar && line.format_name != "bag")
-    throw InputError("--lidar does not go with the format " + line.format_name + ", must be bag");
+  if (line.lidar && line.format != "bag")
+    throw InputError("--lidar does not go with the format " + line.format + ", must be bag");
   TrajectoryRequest truth;
   truth.path = line.truth;
   const std::vector<TrajectoryTarget> targets =
       PlanTrajectories(truth, Method::kJoint, 1, line.imus);
   const SessionData data = Simulate(simulator, line.imus);
-  if (line.format_name == "mcap") line.format.ros2 = Ros2Format::kMcap;
-  if (line.format_name == "db3") line.format.ros2 = Ros2Format::kSqlite;
-  if (IsBag(line)) WriteBag(line.output, data, line.format);
-  if (line.format_name == "asl") WriteAslFolder(prefix, data);
-  if (line.format_name == "text") WriteTables(prefix, data, line.format.split_imu);
+  if (is_bag) {
+    line.bag.ros2 = bag_format->second;
+    WriteBag(line.output, data, line.bag);
+  }
+  if (line.format == "asl") WriteAslFolder(prefix, data);
+  if (line.format == "text") WriteTables(prefix, data, line.bag.split_imu);
   OutputFiles outputs;
   outputs.Write(prefix + ".truth.yaml", TruthYaml(simulator));
   for (const TrajectoryTarget& target : targets)
-    WriteTruth(target, target.place == 0 ? simulator : FurtherImu(simulator, target.place),
-               data.imus[target.place], &outputs);
+    WriteTruth(target, FurtherImu(simulator, target.place), data.imus[target.place], &outputs);
   outputs.Commit();
   if (line.lidar) {
     AppendLidar(line.output, simulator);

@@ -17,8 +17,7 @@ namespace {
 
 constexpr size_t kRings = 16, kColumns = 360;
 constexpr double kLowest = -M_PI / 8, kHighest = M_PI / 8;  // [rad] elevation of the rings
-constexpr int64_t kTurnNs = 100'000'000;
-constexpr double kRangeStd = 0.01;  // [m]
+constexpr double kRangeStd = 0.01;                          // [m]
 
 /// The room, whose walls are seen from inside, and what stands in it: corners [m] in W.
 using Box = std::pair<Eigen::Array3d, Eigen::Array3d>;
@@ -50,20 +49,8 @@ Rigid3 SimulatedLidar::T_IL() {
           {0.04, -0.11, 0.07}};
 }
 
-size_t SimulatedLidar::Count() const {
-  return static_cast<size_t>(options_.duration_s / Seconds(kTurnNs));
-}
-
-int64_t SimulatedLidar::Stamp(size_t k) const {
-  return options_.start_ns - std::llround(1e9 * options_.time_shift_s) +
-         static_cast<int64_t>(k) * kTurnNs;
-}
-
 Rigid3 SimulatedLidar::PoseAt(int64_t stamp_ns) const {
-  const double s = Seconds(stamp_ns - Stamp(0));
-  // Like the IMU's samples: the time shift holds at mid-recording.
-  const double t = s + options_.clock_drift * (s - 0.5 * options_.duration_s);
-  const TrueState body = trajectory_.At(t);
+  const TrueState body = trajectory_.At(options_.PoseTime(Seconds(stamp_ns - Stamp(0))));
   return Rigid3{Eigen::Quaterniond(body.R_WM), body.p_WM} * options_.T_MI * T_IL();
 }
 

@@ -187,6 +187,20 @@ void AddPoses(const std::string& type, const std::vector<PoseSample>& poses, Rec
       "/tf", poses, 0, [&poses](size_t k) { return ToTf(k, poses); }, records);
 }
 
+/// Throws InputError unless gyroscope and accelerometer samples have the same stamps, as one topic
+/// or file for both needs.
+void CheckSameStamps(const ImuData& imu) {
+  const std::vector<ImuSample>&gyro = imu.gyro, &accel = imu.accel;
+  if (gyro.size() != accel.size())
+    Throw<InputError>(
+        "an IMU on one topic or in one file needs as many gyroscope as accelerometer samples, not ",
+        gyro.size(), " and ", accel.size());
+  const auto is_same = [](const ImuSample& a, const ImuSample& b) { return a.t_ns == b.t_ns; };
+  if (!std::equal(gyro.begin(), gyro.end(), accel.begin(), is_same))
+    throw InputError(
+        "an IMU on one topic or in one file needs the same stamps for gyroscope and accelerometer");
+}
+
 void AddImu(const BagFormat& format, const std::string& name, const ImuData& imu, int64_t offset,
             Records* records) {
   const std::vector<ImuSample>&gyro = imu.gyro, &accel = imu.accel;
@@ -269,19 +283,6 @@ std::string TumPoses(const std::vector<PoseSample>& poses) {
 }
 
 }  // namespace
-
-void CheckSameStamps(const ImuData& imu) {
-  const std::vector<ImuSample>&gyro = imu.gyro, &accel = imu.accel;
-  if (gyro.size() != accel.size())
-    throw InputError(
-        "an IMU on one topic or in one file needs as many gyroscope as accelerometer samples, "
-        "not " +
-        std::to_string(gyro.size()) + " and " + std::to_string(accel.size()));
-  const auto is_same = [](const ImuSample& a, const ImuSample& b) { return a.t_ns == b.t_ns; };
-  if (!std::equal(gyro.begin(), gyro.end(), accel.begin(), is_same))
-    throw InputError(
-        "an IMU on one topic or in one file needs the same stamps for gyroscope and accelerometer");
-}
 
 void WriteBag(const std::string& path, const SessionData& data, const BagFormat& format) {
   Records records;

@@ -82,14 +82,14 @@ class LiveCalibration {
   /// True when `result` is the one to use from now on: no result so far was clearly more precise.
   /// One that is not usable tells why. A result of data from before a reset is ignored.
   bool EndSolve(const Calibration& result);
-  bool IsSolving() const { return solving_.has_value(); }
+  bool IsSolving() const { return is_solving_; }
   /// A solve is running whose data have been forgotten.
-  bool IsStale() const { return solving_ && *solving_ != resets_; }
+  bool IsStale() const { return is_stale_; }
 
   /// Forgets data and results; a reason that is not empty is shown for a while.
   void Reset(const std::string& reason, double now);
-  /// Counts the resets, asked for or not.
-  size_t resets() const { return resets_; }
+  /// Has each reset, asked for or not, call `forget` when the data are gone.
+  void OnReset(const std::function<void()>& forget) { on_reset_ = forget; }
   /// No more solves and no more resets but Reset(); `message` tells where the result was saved.
   void Freeze(const std::string& message) { known_.frozen = message; }
   bool IsFrozen() const { return !known_.frozen.empty(); }
@@ -125,6 +125,8 @@ class LiveCalibration {
     std::string Missing() const {
       return name + (unstamped > 0 ? " with header stamps (all are 0)" : "");
     }
+    /// Empty, or how the clock has jumped when `sample` comes.
+    std::string FindJump(const Sample& sample, double now) const;
     /// Lets go of what is older than `window` [s], and of too many.
     void Trim(double window, double now);
   };
@@ -159,9 +161,9 @@ class LiveCalibration {
   double pose_changed_ = 0.0;               ///< `now` of the last pose that was valid and new [s]
   Knowledge known_;
 
-  size_t resets_ = 0;
-  std::optional<size_t> solving_;  ///< resets_ as the running solve began
-  std::string notice_;             ///< reason of the last reset
+  std::function<void()> on_reset_ = [] {};
+  bool is_solving_ = false, is_stale_ = false;  ///< see IsStale()
+  std::string notice_;                          ///< reason of the last reset
   double notice_time_ = 0.0;
 };
 

@@ -13,7 +13,7 @@ namespace imu_pose_calib {
 /// The private parameter `name` of this node, or `value` when it is not set. InputError when its
 /// type is wrong. Needs no NodeHandle, which would start the threads of ROS.
 template <typename T>
-T Parameter(const std::string& name, T value) {
+T RosParameter(const std::string& name, T value) {
   const std::string key = ros::names::resolve("~" + name);
   const char* type = std::is_same_v<T, bool>     ? "true or false"
                      : std::is_same_v<T, double> ? "a number"

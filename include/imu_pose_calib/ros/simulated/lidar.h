@@ -25,14 +25,18 @@ class SimulatedLidar {
 
   static Rigid3 T_IL();
 
-  size_t Count() const;           ///< clouds
-  int64_t Stamp(size_t k) const;  ///< IMU clock; of the first points of cloud k
+  /// Clouds.
+  size_t Count() const { return static_cast<size_t>(options_.duration_s / (1e-9 * kTurnNs)); }
+  /// Of the first points of cloud k, IMU clock.
+  int64_t Stamp(size_t k) const { return options_.ImuStart() + static_cast<int64_t>(k) * kTurnNs; }
   /// T_WL at a stamp of the IMU's clock.
   Rigid3 PoseAt(int64_t stamp_ns) const;
   /// Cloud k: x, y, z, intensity, and t [ns] after the stamp, each point of its own instant.
   sensor_msgs::PointCloud2 Cloud(size_t k) const;
 
  private:
+  static constexpr int64_t kTurnNs = 100'000'000;
+
   SimulatorOptions options_;
   TrueTrajectory trajectory_;
 };

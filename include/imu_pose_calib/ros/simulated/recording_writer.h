@@ -22,10 +22,6 @@ struct BagFormat {
   std::optional<Ros2Format> ros2 = std::nullopt;  ///< none: a bag of ROS 1
 };
 
-/// Throws InputError unless gyroscope and accelerometer samples have the same stamps, as one topic
-/// or file for both needs.
-void CheckSameStamps(const ImuData& imu);
-
 /// Writes poses on /mocap/pose or /tf (frame world, child marker) and IMU samples (frame imu);
 /// further IMUs that have samples on /imu1 (frame imu1) and so on, as Imu, recorded as if they had
 /// all started together; pose sensors on /pose_sensor (frame pose_sensor_world), /pose_sensor1 and
