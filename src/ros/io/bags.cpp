@@ -6,7 +6,6 @@
 #include <cmath>
 #include <map>
 
-#include "imu_pose_calib/ros/io/record_file.h"
 #include "imu_pose_calib/ros/io/recording.h"
 
 namespace imu_pose_calib {

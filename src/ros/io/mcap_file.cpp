@@ -10,7 +10,7 @@
 #include <utility>
 
 #include "imu_pose_calib/core/base/text.h"
-#include "imu_pose_calib/ros/io/record_file.h"
+#include "imu_pose_calib/ros/io/bag_file.h"
 
 namespace imu_pose_calib {
 namespace {

@@ -6,7 +6,7 @@
 #include <fstream>
 #include <map>
 
-#include "imu_pose_calib/ros/io/record_file.h"
+#include "imu_pose_calib/ros/io/bag_file.h"
 
 namespace imu_pose_calib {
 namespace {
