@@ -27,7 +27,7 @@ class BagDamageTest : public TempDirTest {
     Recompress(Path(name), Path("whole.bag"), compression);
     const std::string whole = ReadText(Path("whole.bag"));
     std::mt19937 random(7);
-    BagRequest request;
+    RecordingRequest request;
     request.paths = {Path("damaged.bag")};
     if (name == "tf.bag") {
       request.tf_parent = "world";

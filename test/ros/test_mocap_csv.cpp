@@ -210,7 +210,7 @@ TEST_F(MocapFileTest, CalibratesFromAWorldWithYUp) {
          << "," << p.z() << ",,,,,,,,9,9,9\n";
   }
   file.close();
-  TextRequest request;
+  RecordingRequest request;
   request.poses = Path("x.poses.txt");
   request.imu = Path("x.imu.csv");
   const Calibration expected = Calibrate(CalibrationOptions(), ReadText(request).data);

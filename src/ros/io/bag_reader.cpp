@@ -68,7 +68,7 @@ ImuInfo FindImu(const Bags& bags) {
 }
 
 /// The topics of each IMU; nameless for one that is missing.
-std::vector<ImuInfo> ChooseImus(const Bags& bags, const BagRequest& request) {
+std::vector<ImuInfo> ChooseImus(const Bags& bags, const RecordingRequest& request) {
   const bool is_split = IsPair({"imu_topic", request.imu_topic}, {"gyro_topic", request.gyro_topic},
                                {"accel_topic", request.accel_topic});
   if (!is_split && request.imu_topic.empty()) {
@@ -116,26 +116,27 @@ std::string TfHint(const Bags& bags) {
 
 /// Whether a topic may have the poses of the marker: that of a pose sensor has, where it holds
 /// those of several bodies.
-bool MayBeMarker(const BagRequest& request, const BagTopic& topic) {
+bool MayBeMarker(const RecordingRequest& request, const BagTopic& topic) {
+  const std::vector<std::string> sensors = SplitPaths(request.pose_sensors);
   const auto is_it = [&](const std::string& name) { return SplitBody(name).first == topic.name; };
-  return topic.IsPose() && (topic.IsBodies() || std::none_of(request.pose_sensors.begin(),
-                                                             request.pose_sensors.end(), is_it));
+  return topic.IsPose() &&
+         (topic.IsBodies() || std::none_of(sensors.begin(), sensors.end(), is_it));
 }
 
 /// The frames of tf that the poses of the marker are between, if they are from tf: those that are
 /// named, or the only two where nothing else has poses.
-std::optional<TfFrames> ChooseTf(const Bags& bags, const BagRequest& request) {
+std::optional<TfFrames> ChooseTf(const Bags& bags, const RecordingRequest& request) {
   if (IsPair({"pose_topic", request.pose_topic}, {"tf_parent", request.tf_parent},
              {"tf_child", request.tf_child})) {
     if (!request.body.empty())
       throw InputError("body '" + request.body + "' does not go with poses from tf");
     return TfFrames(FrameName(request.tf_parent, ""), FrameName(request.tf_child, ""));
   }
-  if (!request.poses || !request.pose_topic.empty() || !request.body.empty() ||
+  if (request.NamesPoseFile() || !request.pose_topic.empty() || !request.body.empty() ||
       Has(bags, [&](const BagTopic& t) { return MayBeMarker(request, t); }))
     return std::nullopt;
   std::optional<TfFrames> pair = ReadLinks(bags).SinglePair();
-  for (const std::string& name : request.pose_sensors)
+  for (const std::string& name : SplitPaths(request.pose_sensors))
     if (pair && SplitTf(name) == pair) return std::nullopt;
   return pair;
 }
@@ -149,7 +150,7 @@ BagTopic NamedPose(const Bags& bags, const std::string& field, const std::string
   return topic;
 }
 
-BagTopic ChoosePose(const Bags& bags, const BagRequest& request) {
+BagTopic ChoosePose(const Bags& bags, const RecordingRequest& request) {
   const std::string& name = request.pose_topic;
   if (!name.empty()) {
     const BagTopic& topic = bags.Find("pose_topic", name);
@@ -338,23 +339,25 @@ void ReadTf(const Bags& bags, bool record_time, bool may_lack, PoseReader* reade
   }
 }
 
-PoseReader ChooseMarker(const Bags& bags, const BagRequest& request,
+PoseReader ChooseMarker(const Bags& bags, const RecordingRequest& request,
                         const std::optional<TfFrames>& tf) {
   PoseReader marker;
   marker.field = "pose_topic";
   marker.tf = tf;
-  if (tf || !request.poses) return marker;
+  if (tf || request.NamesPoseFile()) return marker;
   marker.topic = ChoosePose(bags, request);
   marker.body = ChooseBody(bags, marker.field, marker.topic, request.body, "body");
   return marker;
 }
 
-/// A pose sensor that may be missing is nameless then.
-PoseReader ChoosePoseSensor(const Bags& bags, const BagRequest& request, const std::string& name) {
+/// A pose sensor that is in a file is nameless, and so is one that may be missing and is.
+PoseReader ChoosePoseSensor(const Bags& bags, const RecordingRequest& request,
+                            const std::string& name) {
   PoseReader sensor;
   sensor.field = "pose_sensor";
+  if (IsPoseFile(name)) return sensor;
   sensor.tf = SplitTf(name);
-  if (sensor.tf || name.empty()) return sensor;
+  if (sensor.tf) return sensor;
   const auto [topic, body] = SplitBody(name);
   if (request.may_lack_sensors && !HasTopic(bags, topic)) return sensor;
   sensor.topic = NamedPose(bags, sensor.field, topic);
@@ -362,8 +365,11 @@ PoseReader ChoosePoseSensor(const Bags& bags, const BagRequest& request, const s
   return sensor;
 }
 
-Recording Read(const BagRequest& request) {
-  const Bags bags(request.paths, request.start_s, request.duration_s);
+Recording Read(const RecordingRequest& request) {
+  // Bags and text files have no span of record time in common.
+  const bool is_whole = request.NamesPoseFile() || request.NamesImuFile();
+  const Bags bags(request.paths, is_whole ? 0.0 : request.start_s,
+                  is_whole ? 0.0 : request.duration_s);
   const std::optional<TfFrames> tf = ChooseTf(bags, request);
   Recording recording;
   RecordingInfo& info = recording.info;
@@ -371,12 +377,12 @@ Recording Read(const BagRequest& request) {
   info.bag = boost::join(request.paths, " ");
   info.notes = bags.Notes();
   // Nameless topics are not read: of an IMU that is missing, of poses from elsewhere.
-  info.imus = request.imus ? ChooseImus(bags, request) : std::vector<ImuInfo>();
+  info.imus = request.NamesImuFile() ? std::vector<ImuInfo>() : ChooseImus(bags, request);
   data.imus.resize(info.imus.size());
   std::vector<ImuReader> imus;
   for (ImuInfo& imu : info.imus) imus.push_back({&imu, {}, {}});
   std::vector<PoseReader> poses;  // the marker first, chosen among what is no pose sensor
-  for (const std::string& name : request.pose_sensors)
+  for (const std::string& name : SplitPaths(request.pose_sensors))
     poses.push_back(ChoosePoseSensor(bags, request, name));
   poses.insert(poses.begin(), ChooseMarker(bags, request, tf));
   std::set<std::string> topics;
@@ -450,7 +456,7 @@ auto Printably(const std::vector<std::string>& paths, Read read) {
 
 }  // namespace
 
-Recording ReadBag(const BagRequest& request) {
+Recording ReadBag(const RecordingRequest& request) {
   return Printably(request.paths, [&] { return Read(request); });
 }
 

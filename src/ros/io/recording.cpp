@@ -47,6 +47,11 @@ std::pair<std::string, std::string> SplitBody(const std::string& name) {
   return {name.substr(0, colon), name.substr(colon + 1)};
 }
 
+bool IsPoseFile(const std::string& name) {
+  std::error_code ignored;
+  return std::filesystem::is_regular_file(SplitBody(name).first, ignored);
+}
+
 std::string JoinBody(const std::string& source, const std::string& body) {
   return body.empty() ? source : source + ":" + body;
 }

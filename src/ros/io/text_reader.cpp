@@ -28,18 +28,18 @@ std::ifstream Open(const std::string& path) {
   return file;
 }
 
-bool IsPoseSensor(const TextRequest& request, const std::string& path) {
-  std::error_code ignored;
-  return std::any_of(request.pose_sensors.begin(), request.pose_sensors.end(),
-                     [&](const std::string& name) {
-                       return std::filesystem::equivalent(SplitBody(name).first, path, ignored);
-                     });
+bool IsPoseSensor(const RecordingRequest& request, const std::string& path) {
+  const std::vector<std::string> names = SplitPaths(request.pose_sensors);
+  return std::any_of(names.begin(), names.end(), [&](const std::string& name) {
+    std::error_code ignored;
+    return std::filesystem::equivalent(SplitBody(name).first, path, ignored);
+  });
 }
 
 /// SENSOR/data.csv of the request's folder that is of an IMU, or of poses, and is no pose sensor.
 /// With pose sensors an IMU may be missing.
-std::string FindTable(const TextRequest& request, bool is_imu) {
-  const std::string& folder = request.folder;
+std::string FindTable(const RecordingRequest& request, bool is_imu) {
+  const std::string& folder = request.paths[0];
   const std::string what = is_imu ? "an IMU" : "poses";
   const std::string fields = is_imu ? "imu, or gyro and accel" : "poses";
   namespace fs = std::filesystem;
@@ -105,6 +105,25 @@ void Cut(double start_s, double duration_s, const Span& whole, std::vector<Sampl
   Keep({begin, ends_before ? begin + std::llround(1e9 * duration_s) : whole.end}, samples);
 }
 
+/// Keeps the poses within the time of the marker's, if there are any.
+void CutToPoses(const std::vector<PoseSample>& marker, std::vector<PoseSample>* pose_sensor) {
+  std::vector<PoseSample> within = *pose_sensor;
+  Keep(FindSpan(marker), &within);
+  if (!within.empty()) *pose_sensor = std::move(within);
+}
+
+/// See ReadText().
+void CutSpan(double start_s, double duration_s, SessionData* data) {
+  Span poses = FindSpan(data->poses);
+  for (ImuData& samples : data->imus) {
+    Span imu = Union(FindSpan(samples.gyro), FindSpan(samples.accel));
+    if (poses.begin <= imu.end && imu.begin <= poses.end) imu = poses = Union(poses, imu);
+    Cut(start_s, duration_s, imu, &samples.gyro);
+    Cut(start_s, duration_s, imu, &samples.accel);
+  }
+  Cut(start_s, duration_s, poses, &data->poses);
+}
+
 /// Poses of a file that holds one body, nameless then, or of one of several.
 MocapPoses ReadPoses(const std::string& path, const std::string& body) {
   std::ifstream poses = Open(path);
@@ -116,7 +135,7 @@ MocapPoses ReadPoses(const std::string& path, const std::string& body) {
 }
 
 /// The marker and the pose sensors whose files are named.
-void ReadAllPoses(const TextRequest& files, Recording* recording) {
+void ReadAllPoses(const RecordingRequest& files, Recording* recording) {
   RecordingInfo& info = recording->info;
   std::string marker_body;
   if (!files.poses.empty()) {
@@ -127,13 +146,13 @@ void ReadAllPoses(const TextRequest& files, Recording* recording) {
     info.marker_frame = FrameName(marker.body, "marker");
     marker_body = marker.body;
   }
-  const size_t sensors = std::max(info.pose_sensors.size(), files.pose_sensors.size());
-  info.pose_sensors.resize(sensors);
-  recording->data.pose_sensors.resize(sensors);
+  const std::vector<std::string> sensors = SplitPaths(files.pose_sensors);
+  info.pose_sensors.resize(sensors.size());
+  recording->data.pose_sensors.resize(sensors.size());
   std::vector<std::string> names;
-  for (size_t k = 0; k < files.pose_sensors.size(); ++k) {
-    if (files.pose_sensors[k].empty()) continue;
-    const auto [path, body] = SplitBody(files.pose_sensors[k]);
+  for (size_t k = 0; k < sensors.size(); ++k) {
+    if (!IsPoseFile(sensors[k])) continue;
+    const auto [path, body] = SplitBody(sensors[k]);
     MocapPoses read = ReadPoses(path, body);
     const std::string stem = std::filesystem::path(path).stem();
     recording->data.pose_sensors[k] = std::move(read.poses);
@@ -145,12 +164,13 @@ void ReadAllPoses(const TextRequest& files, Recording* recording) {
 
 }  // namespace
 
-TextRequest FindFiles(TextRequest request) {
+RecordingRequest FindFiles(RecordingRequest request) {
   const bool is_split =
       IsPair({"imu", request.imu}, {"gyro", request.gyro}, {"accel", request.accel});
-  if (!request.folder.empty()) {
+  if (!request.paths.empty()) {
     if (request.poses.empty()) request.poses = FindTable(request, false);
     if (request.imu.empty() && !is_split) request.imu = FindTable(request, true);
+    request.paths.clear();
   }
   if (request.poses.empty()) throw InputError("poses is missing: the file of the poses");
   if (request.imu.empty() && !is_split && request.pose_sensors.empty())
@@ -158,37 +178,16 @@ TextRequest FindFiles(TextRequest request) {
   return request;
 }
 
-void CutSpan(double start_s, double duration_s, SessionData* data) {
-  CheckSpan(start_s, duration_s);
-  Span poses = FindSpan(data->poses);
-  for (ImuData& samples : data->imus) {
-    Span imu = Union(FindSpan(samples.gyro), FindSpan(samples.accel));
-    if (poses.begin <= imu.end && imu.begin <= poses.end) imu = poses = Union(poses, imu);
-    Cut(start_s, duration_s, imu, &samples.gyro);
-    Cut(start_s, duration_s, imu, &samples.accel);
-  }
-  Cut(start_s, duration_s, poses, &data->poses);
-  if (start_s == 0.0 && duration_s == 0.0) return;
-  for (std::vector<PoseSample>& sensor : data->pose_sensors) CutToPoses(data->poses, &sensor);
-}
-
-void CutToPoses(const std::vector<PoseSample>& marker, std::vector<PoseSample>* pose_sensor) {
-  std::vector<PoseSample> within = *pose_sensor;
-  Keep(FindSpan(marker), &within);
-  if (!within.empty()) *pose_sensor = std::move(within);
-}
-
-Recording ReadText(const TextRequest& request) {
-  CheckSpan(request.start_s, request.duration_s);
+Recording ReadText(const RecordingRequest& request) {
   Recording recording;
   recording.info.imus.clear();
   recording.data.imus.clear();
   ReadFiles(FindFiles(request), &recording);
-  CutSpan(request.start_s, request.duration_s, &recording.data);
   return recording;
 }
 
-void ReadFiles(const TextRequest& files, Recording* recording) {
+void ReadFiles(const RecordingRequest& files, Recording* recording) {
+  CheckSpan(files.start_s, files.duration_s);
   ReadAllPoses(files, recording);
   const bool is_split = files.imu.empty();
   const std::vector<std::string> gyros = SplitPaths(is_split ? files.gyro : files.imu);
@@ -212,6 +211,12 @@ void ReadFiles(const TextRequest& files, Recording* recording) {
       ReadImuTable(gyro, gyros[i], &imu);
     }
   }
+  SessionData& data = recording->data;
+  // Else it is the span of the bags.
+  if (files.NamesPoseFile() || files.NamesImuFile())
+    CutSpan(files.start_s, files.duration_s, &data);
+  if (files.start_s == 0.0 && files.duration_s == 0.0) return;
+  for (std::vector<PoseSample>& sensor : data.pose_sensors) CutToPoses(data.poses, &sensor);
 }
 
 }  // namespace imu_pose_calib

@@ -80,18 +80,18 @@ po::options_description Describe(Request* request) {
   auto more = calibration.add_options();
   more("calibration", Value(&recording.calibration, "FILE"),
        "result of another recording: its T_marker_imu is kept");
-  more("imu-topic", Value(&recording.bag.imu_topic), "sensor_msgs/Imu");
-  more("pose-topic", Value(&recording.bag.pose_topic), "poses of the marker");
-  more("body", Value(&recording.bag.body), "name of the rigid body, where a topic holds several");
-  more("gyro-topic", Value(&recording.bag.gyro_topic), "gyroscope of a split IMU");
-  more("accel-topic", Value(&recording.bag.accel_topic), "its accelerometer");
-  more("tf-parent", Value(&recording.bag.tf_parent), "poses from tf: the fixed frame");
-  more("tf-child", Value(&recording.bag.tf_child), "poses from tf: the marker");
+  more("imu-topic", Value(&recording.imu_topic), "sensor_msgs/Imu");
+  more("pose-topic", Value(&recording.pose_topic), "poses of the marker");
+  more("body", Value(&recording.body), "name of the rigid body, where a topic holds several");
+  more("gyro-topic", Value(&recording.gyro_topic), "gyroscope of a split IMU");
+  more("accel-topic", Value(&recording.accel_topic), "its accelerometer");
+  more("tf-parent", Value(&recording.tf_parent), "poses from tf: the fixed frame");
+  more("tf-child", Value(&recording.tf_child), "poses from tf: the marker");
   more("imu-frame", Value(&recording.imu_frame), "name of the imu frame");
   more("imu-yaml", Value(&recording.imu_yaml), "Kalibr's imu.yaml");
   more("config", Value(&recording.config), "YAML of options");
-  more("start", Value(&recording.bag.start_s, "S"), "seconds to skip");
-  more("duration", Value(&recording.bag.duration_s, "S"), "to use; 0: all");
+  more("start", Value(&recording.start_s, "S"), "seconds to skip");
+  more("duration", Value(&recording.duration_s, "S"), "to use; 0: all");
   options.add(calibration);
   return options;
 }
@@ -123,7 +123,7 @@ void PlanMap(const char* name, const std::string& path, OutputFiles* outputs) {
 /// The request with its defaults.
 Request Checked(Request request) {
   OfflineRequest& recording = request.recording;
-  if (recording.bag.paths.empty()) throw InputError("no bag is given");
+  if (recording.paths.empty()) throw InputError("no bag is given");
   if (request.sensor.T_IS.has_value() == request.sensor.T_MS.has_value())
     throw InputError(
         "say where the sensor of the clouds sits: give either imu_sensor, "
@@ -137,8 +137,7 @@ Request Checked(Request request) {
   if (request.sensor.guessed_T_MI && !request.sensor.T_IS)
     throw InputError("guess needs imu_sensor: T_marker_imu does not matter for marker_sensor");
   if (request.output.empty())
-    request.output =
-        std::filesystem::path(recording.bag.paths.front()).replace_extension(".map.pcd");
+    request.output = std::filesystem::path(recording.paths.front()).replace_extension(".map.pcd");
   OutputFiles tried;
   PlanMap("output", request.output, &tried);
   if (!request.uncalibrated.empty()) PlanMap("uncalibrated", request.uncalibrated, &tried);
@@ -171,8 +170,7 @@ struct Clouds {
   size_t points = 0;  ///< about how many there are in all
 
   explicit Clouds(const Request& request)
-      : bags(request.recording.bag.paths, request.recording.bag.start_s,
-             request.recording.bag.duration_s),
+      : bags(request.recording.paths, request.recording.start_s, request.recording.duration_s),
         topic(ChooseClouds(bags, request.cloud_topic)) {
     std::vector<sensor_msgs::PointCloud2> first;
     bags.ForEach({topic.name}, [&](const BagMessage& message) {
@@ -404,7 +402,7 @@ void Publish(const Outcome& outcome) {
 void Run(int argc, char** argv) {
   Request request;
   const po::options_description options = Describe(&request);
-  ParseCommandLine(argc, argv, options, "bag", Value(&request.recording.bag.paths), -1);
+  ParseCommandLine(argc, argv, options, "bag", Value(&request.recording.paths), -1);
   if (request.help) return PrintHelp(options);
   auto guard = std::make_unique<InterruptGuard>();
   const Outcome outcome = Aggregate(Checked(request), ShowProgress(request.quiet));

@@ -50,7 +50,7 @@ Job ReadJob() {
         std::visit([name = name](auto value) { *value = Parameter(name, *value); }, field);
   job.exit = Parameter("exit", job.exit);
   job.verbose = Parameter("verbose", job.verbose);
-  request.bag.paths = SplitPaths(Parameter<std::string>("bag", ""));
+  request.paths = SplitPaths(Parameter<std::string>("bag", ""));
   if (Parameter("report", false)) request.report = ReportPath(request);
   return job;
 }

@@ -303,7 +303,7 @@ YAML::Node Outcome(Trial trial) {
     throw InputError("--guess of a bag needs its --reference");
   SessionData bag;
   if (!trial.bag.empty()) {
-    BagRequest request;
+    RecordingRequest request;
     request.paths = {trial.bag};
     request.start_s = trial.start_s;
     request.duration_s = trial.simulator.duration_s;

@@ -61,6 +61,40 @@ struct Recording {
   SessionData data;
 };
 
+/// A recording to read: from bags, from text files, or the poses from the one and the IMUs from the
+/// other. What is left empty is found by the types of topics, or by the columns of files.
+struct RecordingRequest {
+  /// Bags of one recording, each with all topics or only some; or the folder of an ASL dataset
+  /// (EuRoC), with sensors in it or in its mav0: SENSOR/data.csv.
+  std::vector<std::string> paths;
+
+  // Topics of bags.
+  std::string imu_topic;                ///< several IMUs: white space between them, as below
+  std::string gyro_topic, accel_topic;  ///< split IMU, both or none; not together with `imu_topic`
+  std::string pose_topic;
+  /// Poses of `tf_child` in `tf_parent` from tf, both or none; not together with `pose_topic`.
+  std::string tf_parent, tf_child;
+  std::string usual_imu_topic;  ///< taken when no IMU topic is given and the bags have it
+
+  // Text files: tables of samples or, of poses, a CSV of Motive or Vicon.
+  std::string poses;
+  std::string imu;          ///< several: white space between them, unless a file is called so
+  std::string gyro, accel;  ///< split IMU, both or none; not together with `imu`
+
+  std::string body;  ///< of a pose topic, or file of poses, that holds several
+  /// With white space between them: TOPIC or FILE, with :BODY where it holds several, or
+  /// tf:PARENT:CHILD.
+  std::string pose_sensors;
+  double start_s = 0.0;      ///< [s] after the first record time of bags; of files see ReadText()
+  double duration_s = 0.0;   ///< [s] 0: to the end
+  bool record_time = false;  ///< Stamp with the record times instead of the header stamps.
+  /// An IMU or pose sensor that is named may be missing: another session of the rig has it.
+  bool may_lack_sensors = false;
+
+  bool NamesPoseFile() const { return !poses.empty(); }
+  bool NamesImuFile() const { return !(imu.empty() && gyro.empty() && accel.empty()); }
+};
+
 /// A field of a request: its name and what was given for it, empty for nothing.
 struct Given {
   const char* name;
@@ -82,6 +116,9 @@ std::vector<std::string> SplitPaths(const std::string& text);
 
 /// Source and body of a name SOURCE:BODY; of a name without, or that a file has, no body.
 std::pair<std::string, std::string> SplitBody(const std::string& name);
+
+/// Whether a pose sensor of that name is in a file.
+bool IsPoseFile(const std::string& name);
 
 /// SOURCE:BODY, or SOURCE when there is no body.
 std::string JoinBody(const std::string& source, const std::string& body);
