@@ -5,7 +5,7 @@
 #include <rosbag/bag.h>
 #include <sensor_msgs/Imu.h>
 
-#include "imu_pose_calib/ros/io/bag_reader.h"
+#include "imu_pose_calib/ros/io/recording.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {

@@ -3,8 +3,8 @@
 #include <filesystem>
 
 #include "damage.h"
-#include "imu_pose_calib/ros/io/bag_reader.h"
 #include "imu_pose_calib/ros/io/bags.h"
+#include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/simulated/recording_writer.h"
 #include "recompress.h"
 #include "test_util.h"

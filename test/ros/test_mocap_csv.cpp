@@ -4,7 +4,7 @@
 #include <cmath>
 
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/ros/io/text_reader.h"
+#include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/io/text_table.h"
 #include "imu_pose_calib/ros/simulated/recording_writer.h"
 #include "test_util.h"

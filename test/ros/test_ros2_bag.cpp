@@ -3,7 +3,7 @@
 #include <sqlite3.h>
 
 #include "imu_pose_calib/ros/io/bag_file.h"
-#include "imu_pose_calib/ros/io/bag_reader.h"
+#include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/offline/offline.h"
 #include "imu_pose_calib/ros/simulated/recording_writer.h"
 #include "run_executable.h"

@@ -1,7 +1,6 @@
 #include <cmath>
 
-#include "imu_pose_calib/ros/io/bag_reader.h"
-#include "imu_pose_calib/ros/io/text_reader.h"
+#include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/simulated/recording_writer.h"
 #include "test_util.h"
 

@@ -8,10 +8,8 @@
 #include <cmath>
 #include <filesystem>
 #include <map>
-#include <optional>
 #include <sstream>
 
-#include "imu_pose_calib/core/base/text.h"
 #include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/transform_file.h"
 
@@ -230,11 +228,10 @@ std::optional<size_t> FindPlayer(const StoredResult& stored, std::optional<size_
   if (!asked) return static_cast<size_t>(first - sensors.begin());
   const std::string name = "pose sensor " + std::to_string(*asked);
   if (*asked >= sensors.size())
-    throw InputError(name + " is not in the result, which has " + std::to_string(sensors.size()) +
-                     ", from 0");
+    Reject(name, " is not in the result, which has ", sensors.size(), ", from 0");
   if (!IsUsable(sensors[*asked]))
-    throw InputError(name + " is " + ToString(sensors[*asked].status) +
-                     ", must be ok or weak: " + sensors[*asked].message);
+    Reject(name, " is ", ToString(sensors[*asked].status),
+           ", must be ok or weak: ", sensors[*asked].message);
   return asked;
 }
 
@@ -321,9 +318,8 @@ void PutModels(const StoredResult& stored, size_t imu, Values* values) {
 void PutNoise(const std::string& sensor, const std::string& name, double sigma, double rate_hz,
               double walk, Values* values) {
   if (!(sigma > 0.0 && rate_hz > 0.0))
-    throw InputError("the result has no noise and rate of the " + name +
-                     ", which must be positive: " + YamlNumber(sigma) + " at " +
-                     YamlNumber(rate_hz) + " Hz");
+    Reject("the result has no noise and rate of the ", name,
+           ", which must be positive: ", YamlNumber(sigma), " at ", YamlNumber(rate_hz), " Hz");
   const double sample_walk = walk * std::sqrt(rate_hz);
   values->insert({{sensor + "_std", YamlNumber(sigma)},
                   {sensor + "_variance", YamlNumber(sigma * sigma)},
@@ -344,7 +340,7 @@ double OffsetToFirst(const StoredResult& stored, size_t imu) {
 /// The whole number of nanoseconds nearest to `seconds`.
 int64_t Nanoseconds(double seconds) {
   if (!(std::abs(seconds) < 9e9))
-    throw InputError("time_shift = " + YamlNumber(seconds) + " s does not fit nanoseconds");
+    Reject("time_shift = ", YamlNumber(seconds), " s does not fit nanoseconds");
   return std::llround(1e9L * seconds);
 }
 
@@ -450,8 +446,8 @@ std::vector<std::string> ParseExports(const std::string& list) {
   for (std::string word; words >> word;) {
     if (word == "all") return known;
     if (std::find(known.begin(), known.end(), word) == known.end())
-      throw InputError("export '" + word + "' is unknown; must be among " +
-                       boost::join(known, ", ") + ", or all");
+      Reject("export '", word, "' is unknown; must be among ", boost::join(known, ", "),
+             ", or all");
     if (std::find(names.begin(), names.end(), word) == names.end()) names.push_back(word);
   }
   return names;
@@ -460,7 +456,7 @@ std::vector<std::string> ParseExports(const std::string& list) {
 std::vector<ExportFile> Export(const StoredResult& stored, const std::string& name,
                                const ExportChoice& given) {
   if (stored.result.imus.empty() && NeedsImu(name))
-    throw InputError("export '" + name + "' needs an IMU, and the result has none");
+    Reject("export '", name, "' needs an IMU, and the result has none");
   const ExportChoice choice = {given.q_body_imu, FindPlayer(stored, given.pose_sensor)};
   std::vector<ExportFile> files;
   for (const Template& file : kTemplates) {
@@ -489,8 +485,7 @@ std::vector<ExportFile> ExportChain(const StoredResult& stored, size_t imu,
   constexpr char kComment[] = R"(marker -> imu -> cameras, {head}
 cameras: x_cam = T_cam_imu x_imu of {source}; published is its inverse)";
   if (imu >= stored.result.imus.size())
-    throw InputError("--imu " + std::to_string(imu) + ": '" + stored.path + "' has " +
-                     std::to_string(stored.result.imus.size()) + " imus, from 0");
+    Reject("--imu ", imu, ": '", stored.path, "' has ", stored.result.imus.size(), " imus, from 0");
   Values head = HeadValues(stored, true, false, std::nullopt);
   head["source"] = Printable(path);
   const std::string& frame = stored.Info(imu).imu_frame;

@@ -5,6 +5,7 @@
 #include <rosbag/stream.h>
 #include <zstd.h>
 
+#include <boost/algorithm/string/join.hpp>
 #include <boost/algorithm/string/predicate.hpp>
 #include <cerrno>
 #include <cstring>
@@ -12,8 +13,8 @@
 #include <functional>
 #include <set>
 
-#include "imu_pose_calib/core/base/text.h"
 #include "imu_pose_calib/ros/io/output_files.h"
+#include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/yaml_file.h"
 
 namespace imu_pose_calib {
@@ -51,19 +52,19 @@ std::vector<std::string> ReadMetadata(const fs::path& metadata) {
     const YAML::Node root = ParseYaml(ReadYamlFile(metadata));
     const YAML::Node names = root["rosbag2_bagfile_information"]["relative_file_paths"];
     if (!names || !names.IsSequence() || names.size() == 0)
-      throw InputError("relative_file_paths names no files");
+      Reject("relative_file_paths names no files");
     for (const YAML::Node& name : names) {
       const fs::path given = name.as<std::string>();
       fs::path file = metadata.parent_path() / given.filename();
       if (!fs::exists(file) && fs::exists(file.string() + ".zstd")) file += ".zstd";
       if (!given.has_filename() || !fs::is_regular_file(file))
-        throw InputError("the file '" + given.string() + "' that it names is missing");
+        Reject("the file '", given.string(), "' that it names is missing");
       files.push_back(file);
     }
   } catch (const YAML::Exception& error) {
-    throw InputError("'" + metadata.string() + "': rosbag2_bagfile_information: " + error.msg);
+    Reject("'", metadata.string(), "': rosbag2_bagfile_information: ", error.msg);
   } catch (const InputError& error) {
-    throw InputError("'" + metadata.string() + "': " + error.what());
+    Reject("'", metadata.string(), "': ", error.what());
   }
   return files;
 }
@@ -73,7 +74,7 @@ std::vector<std::string> ReadMetadata(const fs::path& metadata) {
 constexpr size_t kStep = 1 << 17;  // [bytes] unfolded at a time
 
 void CheckSize(uint64_t size, uint64_t max_size) {
-  if (size > max_size) Throw<InputError>("unfolds to more than ", max_size, " bytes");
+  if (size > max_size) Reject("unfolds to more than ", max_size, " bytes");
 }
 
 /// Unfolds zstd frames, calling `use` with a piece at a time.
@@ -86,14 +87,14 @@ void Unzstd(ByteReader frames, uint64_t max_size,
   for (uint64_t size = 0;;) {
     ZSTD_outBuffer out{piece.data(), piece.size(), 0};
     const size_t left = ZSTD_decompressStream(stream.get(), &out, &in);
-    if (ZSTD_isError(left)) Throw<InputError>("zstd: ", ZSTD_getErrorName(left));
+    if (ZSTD_isError(left)) Reject("zstd: ", ZSTD_getErrorName(left));
     CheckSize(size += out.pos, max_size);
     use(std::string_view(piece).substr(0, out.pos));
     if (in.pos < in.size || (left != 0 && out.pos == out.size)) continue;  // more to come
     stored = frames.Piece();
     in = {stored.data(), stored.size(), 0};
     if (!stored.empty()) continue;
-    if (left != 0) throw InputError("zstd: it is cut off");
+    if (left != 0) Reject("zstd: it is cut off");
     return;
   }
 }
@@ -102,8 +103,7 @@ void Unzstd(ByteReader frames, uint64_t max_size,
 void UnzstdInto(const std::string& path, const std::string& name, InputFile* input) {
   std::ofstream file(path, std::ios::binary);
   const auto check = [&] {
-    if (!file)
-      Throw<InputError>("cannot be unfolded into a temporary file: ", std::strerror(errno));
+    if (!file) Reject("cannot be unfolded into a temporary file: ", std::strerror(errno));
   };
   try {
     Unzstd({input, 0}, kMaxBlockSize + 100 * input->size(), [&](std::string_view piece) {
@@ -113,7 +113,7 @@ void UnzstdInto(const std::string& path, const std::string& name, InputFile* inp
     file.close();
     check();
   } catch (const InputError& error) {
-    throw InputError("'" + name + "': " + error.what());
+    Reject("'", name, "': ", error.what());
   }
 }
 
@@ -128,11 +128,11 @@ std::string DecompressLz4(std::string_view bytes, uint64_t max_size) {
   while (!bytes.empty() || hint != 0) {
     size_t out = piece.size(), in = bytes.size();
     hint = LZ4F_decompress(context.get(), piece.data(), &out, bytes.data(), &in, nullptr);
-    if (LZ4F_isError(hint)) Throw<InputError>("lz4: ", LZ4F_getErrorName(hint));
+    if (LZ4F_isError(hint)) Reject("lz4: ", LZ4F_getErrorName(hint));
     bytes.remove_prefix(in);
     CheckSize(contents.size() + out, max_size);
     contents.append(piece, 0, out);
-    if (in == 0 && out == 0 && hint != 0) throw InputError("lz4: it is cut off");
+    if (in == 0 && out == 0 && hint != 0) Reject("lz4: it is cut off");
   }
   return contents;
 }
@@ -147,7 +147,7 @@ std::string DecompressBz2(std::string_view bytes, uint64_t size) {
                                         reinterpret_cast<uint8_t*>(const_cast<char*>(bytes.data())),
                                         static_cast<unsigned>(bytes.size()));
   } catch (const rosbag::BagException& error) {
-    Throw<InputError>("bz2: ", error.what());
+    Reject("bz2: ", error.what());
   }
   return contents;
 }
@@ -173,7 +173,7 @@ std::string DecompressZstd(std::string_view bytes, uint64_t max_size) {
 InputFile::InputFile(const std::string& path)
     : path_(path), file_(path, std::ios::binary | std::ios::ate) {
   const auto size = file_.tellg();
-  if (size < 0) Throw<InputError>("'", path_, "' cannot be read: ", std::strerror(errno));
+  if (size < 0) Reject("'", path_, "' cannot be read: ", std::strerror(errno));
   size_ = next_ = static_cast<uint64_t>(size);
 }
 
@@ -189,8 +189,8 @@ std::string InputFile::Read(uint64_t at, uint64_t size) {
   if (!file_) {
     file_.clear();
     next_ = UINT64_MAX;
-    throw InputError("'" + path_ + "' cannot be read: " +
-                     (errno == 0 ? "it has become shorter" : std::strerror(errno)));
+    Reject("'", path_,
+           "' cannot be read: ", (errno == 0 ? "it has become shorter" : std::strerror(errno)));
   }
   return bytes;
 }
@@ -207,15 +207,15 @@ std::unique_ptr<BagFile> OpenRos2(const std::string& path) {
   const std::string start = input->Start();
   if (IsMcap(start)) return OpenMcap(std::move(input), path);
   if (IsSqlite(start)) return OpenSqlite(unfolded, path);
-  throw InputError("'" + path + "' is neither an mcap file nor a database of SQLite" +
-                   (start.empty() ? ": it is empty" : ""));
+  Reject("'", path, "' is neither an mcap file nor a database of SQLite",
+         (start.empty() ? ": it is empty" : ""));
 }
 
 uint32_t RecordFile::AddChunk(std::string_view compression, ByteReader stored, uint64_t size) {
   if (compression.empty() && stored.size() != size)
-    Throw<InputError>("chunk has ", stored.size(), " bytes, must have ", size);
+    Reject("chunk has ", stored.size(), " bytes, must have ", size);
   if (size > kMaxBlockSize && !compression.empty())
-    Throw<InputError>("chunk is of ", size, " bytes, must be at most ", kMaxBlockSize);
+    Reject("chunk is of ", size, " bytes, must be at most ", kMaxBlockSize);
   chunks_.push_back({std::string(compression), stored, size});
   return static_cast<uint32_t>(chunks_.size());
 }
@@ -228,8 +228,7 @@ std::string_view RecordFile::Records(uint32_t chunk) {
   if (compression == "lz4") records = DecompressLz4(records, size);
   if (compression == "zstd") records = DecompressZstd(records, size);
   if (compression == "bz2") records = DecompressBz2(records, size);
-  if (records.size() != size)
-    Throw<InputError>("chunk unfolds to ", records.size(), " bytes, must be ", size);
+  if (records.size() != size) Reject("chunk unfolds to ", records.size(), " bytes, must be ", size);
   auto& slot = kept_[next_slot_++ % kKept];
   slot = {chunk, std::move(records)};
   return slot.second;
@@ -247,10 +246,8 @@ std::string Ros1Type(std::string type, const std::string& encoding) {
 }
 
 bool IsRos2Bag(const std::string& path) {
-  std::error_code ignored;
-  if (fs::is_directory(path, ignored))
-    return fs::exists(fs::path(path) / "metadata.yaml", ignored) || !FindBagFiles(path).empty();
-  if (!fs::is_regular_file(path, ignored)) return false;
+  if (IsFolder(path)) return IsFile(path + "/metadata.yaml") || !FindBagFiles(path).empty();
+  if (!IsFile(path)) return false;
   std::string start(16, '\0');
   std::ifstream(path, std::ios::binary)
       .read(start.data(), static_cast<std::streamsize>(start.size()));
@@ -275,19 +272,17 @@ std::string WithoutBagEnding(const std::string& path) {
 }
 
 std::string FileNames(const std::vector<std::string>& paths) {
-  std::string names;
+  std::vector<std::string> names;
   for (const fs::path path : paths)  // a folder may end with a slash
-    names += (names.empty() ? "" : ", ") +
-             (path.has_filename() ? path : path.parent_path()).filename().string();
-  return names;
+    names.push_back((path.has_filename() ? path : path.parent_path()).filename());
+  return boost::join(names, ", ");
 }
 
 void CheckBagsExist(const std::vector<std::string>& paths) {
   std::set<fs::path> known;
   for (const std::string& path : paths) {
-    if (!fs::exists(path)) throw InputError("bag '" + path + "' does not exist");
-    if (!known.insert(fs::canonical(path)).second)
-      throw InputError("bag '" + path + "' is given twice");
+    if (!fs::exists(path)) Reject("bag '", path, "' does not exist");
+    if (!known.insert(fs::canonical(path)).second) Reject("bag '", path, "' is given twice");
   }
 }
 

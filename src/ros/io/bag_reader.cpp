@@ -1,16 +1,15 @@
-#include "imu_pose_calib/ros/io/bag_reader.h"
-
 #include <algorithm>
 #include <boost/algorithm/string/join.hpp>
 #include <functional>
 #include <optional>
 #include <set>
+#include <string>
 #include <utility>
-#include <vector>
 
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/ros/io/bags.h"
 #include "imu_pose_calib/ros/io/conversions.h"
+#include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/tf_chain.h"
 
@@ -41,11 +40,10 @@ ImuInfo NamedImu(const std::string& gyro, const std::string& accel) {
 ImuInfo FindImu(const Bags& bags) {
   const std::vector<BagTopic> candidates = bags.Select(&BagTopic::IsImu);
   if (candidates.empty())
-    Throw<InputError>(
-        "no topic of type ", kImuType, " in ", bags.Contents(),
-        (Has(bags, &BagTopic::IsVector) ? std::string("; say which ") + kVectorType +
-                                              " is which with gyro_topic and accel_topic"
-                                        : ""));
+    Reject("no topic of type ", kImuType, " in ", bags.Contents(),
+           (Has(bags, &BagTopic::IsVector) ? std::string("; say which ") + kVectorType +
+                                                 " is which with gyro_topic and accel_topic"
+                                           : ""));
   if (candidates.size() == 1) return NamedImu(candidates[0].name, candidates[0].name);
 
   std::vector<std::string> gyros, accels;
@@ -61,9 +59,9 @@ ImuInfo FindImu(const Bags& bags) {
     if (has_accel) accels.push_back(topic.name);
   }
   if (gyros.size() != 1 || accels.size() != 1)
-    throw InputError("several IMU topics: " + Describe(candidates) +
-                     "; choose with imu_topic, or with gyro_topic and accel_topic; several IMUs of "
-                     "one body have white space between their topics");
+    Reject("several IMU topics: ", Describe(candidates),
+           "; choose with imu_topic, or with gyro_topic and accel_topic; several IMUs of one body "
+           "have white space between their topics");
   return NamedImu(gyros[0], accels[0]);
 }
 
@@ -81,15 +79,15 @@ std::vector<ImuInfo> ChooseImus(const Bags& bags, const RecordingRequest& reques
   const auto gyros = SplitNames(is_split ? request.gyro_topic : request.imu_topic);
   const auto accels = is_split ? SplitNames(request.accel_topic) : gyros;
   if (gyros.size() != accels.size())
-    Throw<InputError>("gyro_topic names ", gyros.size(), " topics and accel_topic ", accels.size(),
-                      "; give as many of both, in the same order");
+    Reject("gyro_topic names ", gyros.size(), " topics and accel_topic ", accels.size(),
+           "; give as many of both, in the same order");
   std::vector<std::string> types = {kImuType};
   if (is_split) types.emplace_back(kVectorType);
   std::vector<ImuInfo> imus(gyros.size());
   std::set<std::string> known;
   for (size_t i = 0; i < gyros.size(); ++i) {
     if (!known.insert(gyros[i]).second && !is_split)
-      throw InputError("imu_topic '" + gyros[i] + "' is given twice");
+      Reject("imu_topic '", gyros[i], "' is given twice");
     if (request.may_lack_sensors && !HasTopic(bags, gyros[i]) && !HasTopic(bags, accels[i]))
       continue;  // another session of the rig has it
     imus[i] = NamedImu(bags.Find(is_split ? "gyro_topic" : "imu_topic", gyros[i], types).name,
@@ -128,8 +126,7 @@ bool MayBeMarker(const RecordingRequest& request, const BagTopic& topic) {
 std::optional<TfFrames> ChooseTf(const Bags& bags, const RecordingRequest& request) {
   if (IsPair({"pose_topic", request.pose_topic}, {"tf_parent", request.tf_parent},
              {"tf_child", request.tf_child})) {
-    if (!request.body.empty())
-      throw InputError("body '" + request.body + "' does not go with poses from tf");
+    if (!request.body.empty()) Reject("body '", request.body, "' does not go with poses from tf");
     return TfFrames(FrameName(request.tf_parent, ""), FrameName(request.tf_child, ""));
   }
   if (request.NamesPoseFile() || !request.pose_topic.empty() || !request.body.empty() ||
@@ -144,9 +141,8 @@ std::optional<TfFrames> ChooseTf(const Bags& bags, const RecordingRequest& reque
 BagTopic NamedPose(const Bags& bags, const std::string& field, const std::string& name) {
   const BagTopic& topic = bags.Find(field, name);
   if (!topic.IsPose())
-    throw InputError(field + " '" + name + "' is " + topic.type + ", must be " +
-                     boost::join(kPoseTypes, " or ") +
-                     (topic.IsTf() ? ", or named tf:PARENT:CHILD" : ""));
+    Reject(field, " '", name, "' is ", topic.type, ", must be ", boost::join(kPoseTypes, " or "),
+           (topic.IsTf() ? ", or named tf:PARENT:CHILD" : ""));
   return topic;
 }
 
@@ -155,17 +151,16 @@ BagTopic ChoosePose(const Bags& bags, const RecordingRequest& request) {
   if (!name.empty()) {
     const BagTopic& topic = bags.Find("pose_topic", name);
     if (topic.IsTf())
-      throw InputError("pose_topic '" + name + "' is " + topic.type + "; leave it empty" +
-                       TfHint(bags));
+      Reject("pose_topic '", name, "' is ", topic.type, "; leave it empty", TfHint(bags));
     return NamedPose(bags, "pose_topic", name);
   }
   const std::vector<BagTopic> candidates =
       bags.Select([&](const BagTopic& t) { return MayBeMarker(request, t); });
   if (candidates.empty())
-    throw InputError("no topic of type " + boost::join(kPoseTypes, " or ") + " in " +
-                     bags.Contents() + TfHint(bags));
+    Reject("no topic of type ", boost::join(kPoseTypes, " or "), " in ", bags.Contents(),
+           TfHint(bags));
   if (candidates.size() > 1)
-    throw InputError("several pose topics: " + Describe(candidates) + "; choose with pose_topic");
+    Reject("several pose topics: ", Describe(candidates), "; choose with pose_topic");
   return candidates[0];
 }
 
@@ -188,9 +183,9 @@ struct Stream {
   std::optional<Latency> Finish(const std::string& topic, std::vector<Sample>* finished) {
     if (samples.empty()) return std::nullopt;
     if (std::all_of(samples.begin(), samples.end(), [](const Sample& s) { return s.t_ns == 0; }))
-      throw InputError("'" + topic +
-                       "' has no header stamps (all are 0); record_time takes the times of "
-                       "recording instead, which are less exact");
+      Reject("'", topic,
+             "' has no header stamps (all are 0); record_time takes the times of recording "
+             "instead, which are less exact");
     const double median_s = Median(delays_s);
     for (double& delay : delays_s) delay -= median_s;
     *finished = std::move(samples);
@@ -226,9 +221,9 @@ struct ImuReader {
   static void Check(const std::string& topic, const std::vector<ImuSample>& samples,
                     const char* what) {
     if (std::none_of(samples.begin(), samples.end(), IsData))
-      throw InputError("'" + topic + "' carries no " + what +
-                       " (all zero, or covariance -1); choose with imu_topic, or with gyro_topic " +
-                       "and accel_topic");
+      Reject("'", topic, "' carries no ", what,
+             " (all zero, or covariance -1); choose with imu_topic, or with gyro_topic ",
+             "and accel_topic");
   }
 };
 
@@ -250,8 +245,7 @@ std::string ChooseBody(const Bags& bags, const std::string& role, const BagTopic
                        const std::string& name, const std::string& how) {
   const std::string field = role + " '" + topic.name + "'";
   if (!topic.IsBodies() && !name.empty())
-    throw InputError("body '" + name + "' is given, but " + field + " is " + topic.type +
-                     ", which holds one body");
+    Reject("body '", name, "' is given, but ", field, " is ", topic.type, ", which holds one body");
   if (!topic.IsBodies()) return "";
   std::set<std::string> names;
   bags.ForEach({topic.name}, [&](const BagMessage& message) {
@@ -259,10 +253,9 @@ std::string ChooseBody(const Bags& bags, const std::string& role, const BagTopic
     return true;
   });
   const std::string list = field + " has the bodies: " + boost::join(names, ", ");
-  if (names.empty()) throw InputError(field + " has no bodies");
-  if (name.empty() && names.size() > 1) throw InputError(list + "; choose with " + how);
-  if (!name.empty() && names.count(name) == 0)
-    throw InputError("body '" + name + "' is missing: " + list);
+  if (names.empty()) Reject(field, " has no bodies");
+  if (name.empty() && names.size() > 1) Reject(list, "; choose with ", how);
+  if (!name.empty() && names.count(name) == 0) Reject("body '", name, "' is missing: ", list);
   return name.empty() ? *names.begin() : name;
 }
 
@@ -287,9 +280,9 @@ struct PoseReader {
   void Add(const BagMessage& message, const FramedPose& framed, bool record_time) {
     if (poses.samples.empty()) first = framed;
     if (framed.world_frame != first.world_frame || framed.marker_frame != first.marker_frame)
-      throw InputError(field + " '" + topic.name + "' mixes poses of several frames: '" +
-                       first.world_frame + "' -> '" + first.marker_frame + "' and '" +
-                       framed.world_frame + "' -> '" + framed.marker_frame + "'");
+      Reject(field, " '", topic.name, "' mixes poses of several frames: '", first.world_frame,
+             "' -> '", first.marker_frame, "' and '", framed.world_frame, "' -> '",
+             framed.marker_frame, "'");
     poses.Add(message, framed.pose, record_time);
   }
 
@@ -331,11 +324,11 @@ void ReadTf(const Bags& bags, bool record_time, bool may_lack, PoseReader* reade
   if (may_lack) return reader->tf.reset();
   try {
     chain.Check();
-    throw InputError("at no stamp are all links between tf_parent '" + parent + "' and tf_child '" +
-                     child + "' known");
+    Reject("at no stamp are all links between tf_parent '", parent, "' and tf_child '", child,
+           "' known");
   } catch (const InputError& error) {
     if (reader->field == "pose_topic") throw;
-    throw InputError(reader->field + " '" + reader->Name() + "': " + error.what());
+    Reject(reader->field, " '", reader->Name(), "': ", error.what());
   }
 }
 
@@ -448,9 +441,9 @@ auto Printably(const std::vector<std::string>& paths, Read read) {
   try {
     return read();
   } catch (const InputError& error) {  // with names of topics, types and frames as in the bag
-    throw InputError(Printable(error.what()));
+    Reject(Printable(error.what()));
   } catch (const std::runtime_error& error) {  // times out of range, in tf2
-    throw InputError(Printable("bag '" + FileNames(paths) + "' is damaged (" + error.what() + ")"));
+    Reject(Printable("bag '" + FileNames(paths) + "' is damaged (" + error.what() + ")"));
   }
 }
 

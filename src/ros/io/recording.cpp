@@ -8,6 +8,7 @@
 #include <set>
 #include <sstream>
 
+#include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
@@ -16,16 +17,15 @@ bool IsPair(const Given& one, const Given& first, const Given& second) {
   if (first.value.empty() && second.value.empty()) return false;
   const std::string pair = std::string(first.name) + " and " + second.name;
   if (first.value.empty() || second.value.empty())
-    throw InputError(pair + " belong together: " +
-                     (first.value.empty() ? first.name : second.name) + " is missing");
-  if (!one.value.empty()) Throw<InputError>("give either ", one.name, ", or ", pair, ", not all");
+    Reject(pair, " belong together: ", (first.value.empty() ? first.name : second.name),
+           " is missing");
+  if (!one.value.empty()) Reject("give either ", one.name, ", or ", pair, ", not all");
   return true;
 }
 
 void CheckSpan(double start_s, double duration_s) {
-  if (!(start_s >= 0.0)) Throw<InputError>("start = ", start_s, " s must be at least 0 s");
-  if (!(duration_s >= 0.0))
-    Throw<InputError>("duration = ", duration_s, " s must be at least 0 s (0: all)");
+  if (!(start_s >= 0.0)) Reject("start = ", start_s, " s must be at least 0 s");
+  if (!(duration_s >= 0.0)) Reject("duration = ", duration_s, " s must be at least 0 s (0: all)");
 }
 
 std::vector<std::string> SplitNames(const std::string& text) {
@@ -47,10 +47,7 @@ std::pair<std::string, std::string> SplitBody(const std::string& name) {
   return {name.substr(0, colon), name.substr(colon + 1)};
 }
 
-bool IsPoseFile(const std::string& name) {
-  std::error_code ignored;
-  return std::filesystem::is_regular_file(SplitBody(name).first, ignored);
-}
+bool IsPoseFile(const std::string& name) { return IsFile(SplitBody(name).first); }
 
 std::string JoinBody(const std::string& source, const std::string& body) {
   return body.empty() ? source : source + ":" + body;
@@ -61,8 +58,7 @@ std::string JoinTf(const TfFrames& frames) { return "tf:" + frames.first + ":" +
 std::optional<TfFrames> SplitTf(const std::string& name) {
   if (!boost::starts_with(name, "tf:")) return std::nullopt;
   const size_t colon = name.find(':', 3);
-  if (colon == std::string::npos)
-    throw InputError("pose_sensor '" + name + "' must be tf:PARENT:CHILD");
+  if (colon == std::string::npos) Reject("pose_sensor '", name, "' must be tf:PARENT:CHILD");
   return TfFrames(FrameName(name.substr(3, colon - 3), ""), FrameName(name.substr(colon + 1), ""));
 }
 
@@ -80,8 +76,8 @@ void CheckPoseSensors(const std::string& marker, const std::vector<std::string>&
   std::set<std::string> known;
   for (const std::string& name : pose_sensors) {
     if (name.empty()) continue;
-    if (name == marker) throw InputError("pose_sensor '" + name + "' is the marker; choose others");
-    if (!known.insert(name).second) throw InputError("pose_sensor '" + name + "' is given twice");
+    if (name == marker) Reject("pose_sensor '", name, "' is the marker; choose others");
+    if (!known.insert(name).second) Reject("pose_sensor '", name, "' is given twice");
   }
 }
 

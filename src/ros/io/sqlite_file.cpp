@@ -6,6 +6,7 @@
 
 #include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/bag_file.h"
+#include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -32,7 +33,7 @@ class Database {
 
   sqlite3* get() const { return database_.get(); }
 
-  [[noreturn]] void Fail(const std::string& text) const { throw InputError(failure_ + text); }
+  [[noreturn]] void Fail(const std::string& text) const { Reject(failure_, text); }
 
   void Check(int status) const {
     if (status != SQLITE_OK)

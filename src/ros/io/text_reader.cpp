@@ -1,5 +1,3 @@
-#include "imu_pose_calib/ros/io/text_reader.h"
-
 #include <algorithm>
 #include <boost/algorithm/string/join.hpp>
 #include <boost/range/algorithm_ext/erase.hpp>
@@ -9,10 +7,12 @@
 #include <filesystem>
 #include <fstream>
 #include <limits>
+#include <string>
 #include <utility>
-#include <vector>
 
 #include "imu_pose_calib/ros/io/conversions.h"
+#include "imu_pose_calib/ros/io/output_files.h"
+#include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/text_table.h"
 
@@ -20,11 +20,9 @@ namespace imu_pose_calib {
 namespace {
 
 std::ifstream Open(const std::string& path) {
-  std::error_code ignored;
-  if (std::filesystem::is_directory(path, ignored))
-    throw InputError("'" + path + "' is a directory, must be a file");
+  if (IsFolder(path)) Reject("'", path, "' is a directory, must be a file");
   std::ifstream file(path);
-  if (!file) throw InputError("'" + path + "' cannot be read: " + std::strerror(errno));
+  if (!file) Reject("'", path, "' cannot be read: ", std::strerror(errno));
   return file;
 }
 
@@ -54,17 +52,16 @@ std::string FindTable(const RecordingRequest& request, bool is_imu) {
       if (HasHeader(file, path, is_imu)) tables.push_back(path);
     }
   } catch (const fs::filesystem_error& error) {
-    throw InputError("folder '" + folder + "' cannot be read: " + error.code().message());
+    Reject("folder '", folder, "' cannot be read: ", error.code().message());
   }
   std::sort(tables.begin(), tables.end());
   if (tables.empty() && is_imu && !request.pose_sensors.empty()) return "";
   if (tables.empty())
-    throw InputError("folder '" + folder +
-                     "' has no SENSOR/data.csv whose header names the columns of " + what +
-                     "; name the file with " + fields);
+    Reject("folder '", folder, "' has no SENSOR/data.csv whose header names the columns of ", what,
+           "; name the file with ", fields);
   if (tables.size() > 1)
-    throw InputError("folder '" + folder + "' has several files of " + what + ": " +
-                     boost::join(tables, ", ") + "; choose with " + fields);
+    Reject("folder '", folder, "' has several files of ", what, ": ", boost::join(tables, ", "),
+           "; choose with ", fields);
   return tables[0];
 }
 
@@ -97,9 +94,8 @@ template <typename Sample>
 void Cut(double start_s, double duration_s, const Span& whole, std::vector<Sample>* samples) {
   const double length_s = Seconds(whole.end - whole.begin);
   if (start_s > length_s)
-    throw InputError("start = " + YamlNumber(start_s) +
-                     " s is beyond the end of the recording, which lasts " + YamlNumber(length_s) +
-                     " s");
+    Reject("start = ", YamlNumber(start_s), " s is beyond the end of the recording, which lasts ",
+           YamlNumber(length_s), " s");
   const int64_t begin = whole.begin + std::llround(1e9 * start_s);
   const bool ends_before = duration_s > 0.0 && start_s + duration_s < length_s;
   Keep({begin, ends_before ? begin + std::llround(1e9 * duration_s) : whole.end}, samples);
@@ -129,8 +125,8 @@ MocapPoses ReadPoses(const std::string& path, const std::string& body) {
   std::ifstream poses = Open(path);
   if (std::optional<MocapPoses> mocap = ReadMocapCsv(poses, path, body)) return *std::move(mocap);
   if (!body.empty())
-    throw InputError("body '" + body + "' is given, but '" + path +
-                     "' is no CSV of Motive or Vicon and holds one body");
+    Reject("body '", body, "' is given, but '", path,
+           "' is no CSV of Motive or Vicon and holds one body");
   return {ReadPoseTable(poses, path), ""};
 }
 
@@ -172,9 +168,9 @@ RecordingRequest FindFiles(RecordingRequest request) {
     if (request.imu.empty() && !is_split) request.imu = FindTable(request, true);
     request.paths.clear();
   }
-  if (request.poses.empty()) throw InputError("poses is missing: the file of the poses");
+  if (request.poses.empty()) Reject("poses is missing: the file of the poses");
   if (request.imu.empty() && !is_split && request.pose_sensors.empty())
-    throw InputError("imu is missing: the file of the IMU (or gyro and accel)");
+    Reject("imu is missing: the file of the IMU (or gyro and accel)");
   return request;
 }
 
@@ -193,8 +189,8 @@ void ReadFiles(const RecordingRequest& files, Recording* recording) {
   const std::vector<std::string> gyros = SplitPaths(is_split ? files.gyro : files.imu);
   const std::vector<std::string> accels = SplitPaths(is_split ? files.accel : files.imu);
   if (gyros.size() != accels.size())
-    Throw<InputError>("gyro and accel name different numbers of files: ", gyros.size(), " and ",
-                      accels.size());
+    Reject("gyro and accel name different numbers of files: ", gyros.size(), " and ",
+           accels.size());
   for (size_t i = 0; i < gyros.size(); ++i) {
     ImuInfo& info = recording->info.imus.emplace_back();
     ImuData& imu = recording->data.imus.emplace_back();

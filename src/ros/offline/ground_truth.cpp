@@ -262,7 +262,7 @@ TrajectoryCount WriteBag(const std::string& path, const TrajectoryOutput& output
     // On a full disk its destructor, which writes the rest, would end the process: it is kept.
     static auto* unfinished = new std::vector<std::unique_ptr<rosbag::Bag>>;
     unfinished->push_back(std::move(bag));
-    throw InputError("trajectory '" + path + "' cannot be written: " + error.what());
+    Reject("trajectory '", path, "' cannot be written: ", error.what());
   }
 }
 
@@ -279,11 +279,6 @@ const NamedFormat kFormats[] = {{TrajectoryFormat::kAsl, "asl", {""}},
                                 {TrajectoryFormat::kBag, "bag", {".bag"}},
                                 {TrajectoryFormat::kOvEval, "ov_eval", {}}};
 
-bool IsFolder(const std::string& path) {
-  std::error_code ignored;
-  return fs::is_directory(path, ignored);
-}
-
 TrajectoryFormat FormatOf(const TrajectoryRequest& request) {
   const std::string &path = request.path, &name = request.format;
   if (name.empty() && IsFolder(path)) return TrajectoryFormat::kAsl;
@@ -291,11 +286,10 @@ TrajectoryFormat FormatOf(const TrajectoryRequest& request) {
   for (const NamedFormat& format : kFormats)
     if (name.empty() ? format.suffixes.count(suffix) > 0 : name == format.name) return format.value;
   if (name.empty())
-    throw InputError("the suffix of trajectory '" + path +
-                     "' tells no format: must be .tum, .txt, .csv, .bag or none for a folder; or "
-                     "give trajectory_format");
-  throw InputError("trajectory_format '" + name +
-                   "' is unknown; must be tum, ov_eval, euroc, asl or bag");
+    Reject("the suffix of trajectory '", path,
+           "' tells no format: must be .tum, .txt, .csv, .bag or none for a folder; or give "
+           "trajectory_format");
+  Reject("trajectory_format '", name, "' is unknown; must be tum, ov_eval, euroc, asl or bag");
 }
 
 constexpr double kLargestRate = 1e4;    // [Hz]
@@ -303,8 +297,7 @@ constexpr double kLongestGap = 3600.0;  // [s]
 
 void CheckNumber(const char* name, double value, double largest) {
   if (!(value >= 0.0 && value <= largest))
-    throw InputError(std::string(name) + " = " + YamlNumber(value) + " must be 0 to " +
-                     YamlNumber(largest));
+    Reject(name, " = ", YamlNumber(value), " must be 0 to ", YamlNumber(largest));
 }
 
 /// Places of the pose sensors whose trajectories are asked for. Throws InputError when there is no
@@ -322,18 +315,15 @@ std::vector<size_t> FindSensors(const TrajectoryRequest& request, TrajectoryForm
       found.push_back(k);
   }
   if (found.empty())
-    throw InputError("trajectory_frame '" + request.frame + "' is no pose sensor of the recording" +
-                     known);
+    Reject("trajectory_frame '", request.frame, "' is no pose sensor of the recording", known);
   if (format == TrajectoryFormat::kEuroc || format == TrajectoryFormat::kAsl)
-    throw InputError(
+    Reject(
         "trajectory_format euroc and asl have biases, and a pose sensor has none; must be tum, "
         "ov_eval or bag");
   if (format == TrajectoryFormat::kOvEval && !has_imu)
-    throw InputError(
-        "trajectory_format ov_eval has covariances, and there are none without an imu; use tum");
+    Reject("trajectory_format ov_eval has covariances, and there are none without an imu; use tum");
   if (request.clock == "imu")
-    throw InputError(
-        "trajectory_clock imu is none of a pose sensor; must be poses, or left out for its own");
+    Reject("trajectory_clock imu is none of a pose sensor; must be poses, or left out for its own");
   return found;
 }
 
@@ -391,18 +381,16 @@ void CheckPlace(const std::string& path, TrajectoryFormat format) {
   CheckFolderOf("trajectory", path);
   const std::string name = "trajectory '" + path + "' ";
   if (format != TrajectoryFormat::kAsl) {
-    if (IsFolder(path)) throw InputError(name + "is a folder; only asl writes to one");
+    if (IsFolder(path)) Reject(name, "is a folder; only asl writes to one");
     return;
   }
   std::error_code ignored;
-  if (!IsFolder(path) && fs::exists(path, ignored))
-    throw InputError(name + "is a file; asl needs a folder");
+  if (!IsFolder(path) && fs::exists(path, ignored)) Reject(name, "is a file; asl needs a folder");
   if (!fs::exists(Mav0(path), ignored)) return;
   std::ifstream file(Mav0(path) / kTruth / "sensor.yaml");
   const std::string text{std::istreambuf_iterator<char>(file), {}};
   if (text.find(kAuthor) == std::string::npos)
-    throw InputError(name +
-                     "holds another dataset (mav0), which would be replaced; choose another");
+    Reject(name, "holds another dataset (mav0), which would be replaced; choose another");
 }
 
 }  // namespace
@@ -410,7 +398,7 @@ void CheckPlace(const std::string& path, TrajectoryFormat format) {
 TrackClock ParseClock(const std::string& field, const std::string& name) {
   if (name.empty() || name == "imu") return TrackClock::kImu;
   if (name == "poses") return TrackClock::kPoses;
-  throw InputError(field + " '" + name + "' is unknown; must be imu or poses");
+  Reject(field, " '", name, "' is unknown; must be imu or poses");
 }
 
 std::vector<TrajectoryTarget> PlanTrajectories(const TrajectoryRequest& request, Method method,
@@ -419,7 +407,7 @@ std::vector<TrajectoryTarget> PlanTrajectories(const TrajectoryRequest& request,
   if (request.path.empty()) {
     if (!request.format.empty() || !request.clock.empty() || request.rate_hz != 0.0 ||
         !request.frame.empty())
-      throw InputError(
+      Reject(
           "trajectory_format, trajectory_clock, trajectory_frame and trajectory_rate need a file: "
           "give trajectory");
     return {};
@@ -429,7 +417,7 @@ std::vector<TrajectoryTarget> PlanTrajectories(const TrajectoryRequest& request,
   CheckNumber("trajectory_rate", request.rate_hz, kLargestRate);
   CheckNumber("trajectory_gaps", request.max_gap_s, kLongestGap);
   if (format == TrajectoryFormat::kOvEval && method != Method::kJoint)
-    throw InputError(
+    Reject(
         "trajectory_format ov_eval has covariances, which only method joint gives; use it, or tum");
   std::vector<size_t> places = FindSensors(request, format, imus > 0, sensors);
   const bool is_sensor = !places.empty();

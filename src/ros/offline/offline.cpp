@@ -23,11 +23,6 @@ namespace {
 /// Ground truth needs the whole factor, see CalibrationOptions::max_factor_mb.
 constexpr double kUnbounded = 1e6;  // [MB]
 
-bool IsFolder(const std::string& path) {
-  std::error_code ignored;
-  return std::filesystem::is_directory(path, ignored);
-}
-
 bool NamesFiles(const RecordingRequest& request) {
   return request.NamesPoseFile() || request.NamesImuFile();
 }
@@ -42,7 +37,7 @@ bool NamesPoseTopic(const RecordingRequest& request) {
 
 void CheckGiven(const OfflineRequest& request) {
   if (request.paths.empty() && !NamesFiles(request))
-    throw InputError("no recording is given: a bag, a folder, or the files poses and imu");
+    Reject("no recording is given: a bag, a folder, or the files poses and imu");
 }
 
 /// For a session of which one part is in text files, and the other in bags.
@@ -50,23 +45,20 @@ void CheckParts(const RecordingRequest& request) {
   const std::string bags = "the bag '" + request.paths.front() + "'";
   IsPair({"imu", request.imu}, {"gyro", request.gyro}, {"accel", request.accel});
   if (request.NamesPoseFile() && request.NamesImuFile())
-    throw InputError("poses and imu name text files for all that there is to read; leave out " +
-                     bags);
+    Reject("poses and imu name text files for all that there is to read; leave out ", bags);
   if (request.NamesPoseFile() && NamesPoseTopic(request))
-    throw InputError("poses names a text file; it does not go with pose_topic or tf of " + bags);
+    Reject("poses names a text file; it does not go with pose_topic or tf of ", bags);
   if (request.NamesImuFile() && NamesImuTopic(request))
-    throw InputError("imu, gyro and accel name text files; they do not go with topics of " + bags);
+    Reject("imu, gyro and accel name text files; they do not go with topics of ", bags);
 }
 
 /// For a session in text files alone, of a folder or named: names every file.
 void NameFiles(OfflineRequest* request) {
   if (NamesImuTopic(*request) || NamesPoseTopic(*request))
-    throw InputError("text files have no topics and no tf; choose with poses, imu, gyro and accel");
-  if (request->record_time)
-    throw InputError("text files have no times of recording; leave out record_time");
+    Reject("text files have no topics and no tf; choose with poses, imu, gyro and accel");
+  if (request->record_time) Reject("text files have no times of recording; leave out record_time");
   for (const std::string& name : SplitPaths(request->pose_sensors))
-    if (!IsPoseFile(name))
-      throw InputError("pose_sensor '" + name + "' is no file, nor is there a bag");
+    if (!IsPoseFile(name)) Reject("pose_sensor '", name, "' is no file, nor is there a bag");
   static_cast<RecordingRequest&>(*request) = FindFiles(*request);
   const std::filesystem::path imu = request->imu.empty() ? request->gyro : request->imu;
   const std::string noise = imu.parent_path() / "sensor.yaml";
@@ -91,8 +83,8 @@ std::vector<OfflineRequest> SplitSessions(const OfflineRequest& given) {
   }
   for (const std::string& name : SplitPaths(given.pose_sensors))
     if (groups.size() > 1 && IsPoseFile(name))
-      throw InputError("pose_sensor '" + name + "' is a file, which goes with one recording, not " +
-                       std::to_string(groups.size()));
+      Reject("pose_sensor '", name, "' is a file, which goes with one recording, not ",
+             groups.size());
   std::vector<OfflineRequest> sessions(groups.size(), given);
   for (size_t s = 0; s < groups.size(); ++s) {
     OfflineRequest& session = sessions[s];
@@ -116,13 +108,12 @@ Recording ReadRecording(OfflineRequest request) {
 void NameFrames(const OfflineRequest& request, RecordingInfo* info) {
   const size_t names = SplitNames(request.imu_frame).size();
   if (!request.imu_frame.empty() && names != info->imus.size())
-    throw InputError("imu_frame names " + std::to_string(names) + " frames for " +
-                     std::to_string(info->imus.size()) + " imus");
+    Reject("imu_frame names ", names, " frames for ", info->imus.size(), " imus");
   NameFrames(request.marker_frame, request.imu_frame, info);
   for (const ImuInfo& imu : info->imus)
     if (info->marker_frame == imu.imu_frame)
-      throw InputError("marker_frame and imu_frame are both '" + imu.imu_frame +
-                       "', which leaves no transform between them; give one of them another name");
+      Reject("marker_frame and imu_frame are both '", imu.imu_frame,
+             "', which leaves no transform between them; give one of them another name");
 }
 
 /// Where a recording has no IMU at all, and others have, gives it a place for each. Gives a pose
@@ -141,7 +132,7 @@ void CompleteRig(const OfflineRequest& request, std::vector<Recording>* recordin
         recordings->begin(), recordings->end(),
         [k](const Recording& recording) { return !recording.data.pose_sensors[k].empty(); });
     if (first == recordings->end())
-      throw InputError("pose_sensor '" + sensors[k] + "' has no poses in any recording");
+      Reject("pose_sensor '", sensors[k], "' has no poses in any recording");
     const std::string frame = first->info.pose_sensors[k].frame;
     for (Recording& recording : *recordings) recording.info.pose_sensors[k].frame = frame;
   }
@@ -187,8 +178,8 @@ void PlanOutput(const Given& output, const std::vector<OfflineRequest>& sessions
     std::error_code ignored;
     for (const auto& [name, path] : inputs)
       if (std::filesystem::equivalent(output.value, path, ignored))
-        throw InputError(std::string(output.name) + " '" + output.value + "' would replace the " +
-                         name + " '" + path + "'; choose another");
+        Reject(std::string(output.name), " '", output.value, "' would replace the ", name, " '",
+               path, "'; choose another");
   }
   outputs->Plan(output.name, output.value, may_make_folders);
 }
@@ -214,8 +205,6 @@ void PlanOutput(const Given& output, const std::vector<OfflineRequest>& sessions
 void RunOffline(const Progress& progress, OfflineResult* offline) {
   const OfflineRequest& given = offline->request;
   ParseExports(given.exports);
-  for (const std::string& path : given.paths)
-    if (!std::filesystem::exists(path)) throw InputError("bag '" + path + "' does not exist");
   const std::vector<OfflineRequest> requests = SplitSessions(given);
   offline->options = Options(requests.front());
   if (!given.trajectory.path.empty()) offline->options.max_factor_mb = kUnbounded;
@@ -225,7 +214,7 @@ void RunOffline(const Progress& progress, OfflineResult* offline) {
   PlanTrajectories(of_any, offline->options.method, requests.size(), 1);
   const std::string extension = std::filesystem::path(given.report).extension();
   if (!given.report.empty() && extension != ".html" && extension != ".pdf")
-    throw InputError("report '" + given.report + "' must end in .html or .pdf");
+    Reject("report '", given.report, "' must end in .html or .pdf");
   OutputFiles* outputs = offline->outputs.get();
   PlanOutput({"output", given.output}, requests, outputs);
   if (!given.report.empty()) PlanOutput({"report", given.report}, requests, outputs);
@@ -306,7 +295,7 @@ CalibrationOptions Options(const OfflineRequest& request) {
   // Clocks, gravity and biases are each recording's own.
   const Calibration stored = LoadResult(request.calibration).result;
   if (stored.imus.empty())
-    throw InputError("'" + request.calibration + "' holds no IMU, which calibration needs");
+    Reject("'", request.calibration, "' holds no IMU, which calibration needs");
   const ImuCalibration& known = stored.imus[0];
   options.initial_rotation = known.T_MI.q;
   options.initial_translation = known.T_MI.p;
@@ -394,7 +383,7 @@ OfflineResult CalibrateOffline(const OfflineRequest& given, const Progress& prog
   } catch (const DataError& error) {
     throw DataError(error.what() + still_there());
   } catch (const InputError& error) {
-    throw InputError(error.what() + still_there());
+    Reject(error.what(), still_there());
   }
   return offline;
 }

@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "imu_pose_calib/core/base/types.h"
+#include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
 
@@ -86,8 +87,7 @@ class ByteReader {
   /// Leaves out the next bytes, for which there is a reader of their own.
   ByteReader Skip(uint64_t count) {
     if (count > size())
-      throw InputError("a length in it goes beyond its end (" + std::to_string(count) + " of " +
-                       std::to_string(size()) + " bytes)");
+      Reject("a length in it goes beyond its end (", count, " of ", size(), " bytes)");
     ByteReader part = *this;
     at_ += count;
     part.end_ = at_;

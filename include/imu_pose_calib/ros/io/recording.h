@@ -95,6 +95,53 @@ struct RecordingRequest {
   bool NamesImuFile() const { return !(imu.empty() && gyro.empty() && accel.empty()); }
 };
 
+// --- Reading ---
+
+/// Reads what a request has in bags: of ROS 1, or of ROS 2 (folder, .mcap, .db3): IMU samples
+/// (sensor_msgs/Imu on one topic; gyroscope and accelerometer on two as sensor_msgs/Imu or
+/// geometry_msgs/Vector3Stamped) and poses (geometry_msgs/PoseStamped, TransformStamped or
+/// PoseWithCovarianceStamped, nav_msgs/Odometry, or tf; of ROS 2 also messages that hold poses of
+/// several bodies by name).
+///
+/// Time is the header stamp, at full precision. World frame: header.frame_id of the poses; marker
+/// frame: child_frame_id, else "marker"; imu frame: header.frame_id of the IMU, else "imu". Of a
+/// pose sensor the same as of the marker, else "camera_pose" and "camera_pose_world" for
+/// /camera/pose.
+///
+/// With a pose sensor there need not be an IMU.
+///
+/// Throws InputError when a bag cannot be read or when the bags do not hold exactly one choice of
+/// topics: the text, printable, names what they have and which field to give.
+Recording ReadBag(const RecordingRequest& request);
+
+/// Bags by the recording that they are of, in the order in which they are given. Those that
+/// continue each other, or hold other topics of the same time, are one recording. Reads and throws
+/// as ReadBag() does.
+std::vector<std::vector<std::string>> GroupBags(const std::vector<std::string>& paths);
+
+/// The request with every file named, and without the folder. Throws InputError when it is
+/// incomplete or ambiguous, naming the field to give.
+RecordingRequest FindFiles(RecordingRequest request);
+
+/// Adds the files that are named to a recording that lacks their part, and keeps the span, see
+/// ReadText(). Throws InputError when one cannot be read, naming file, line, column and value.
+void ReadFiles(const RecordingRequest& request, Recording* recording);
+
+/// Reads a recording from text files. The frames are called world, marker and imu; the topics of
+/// the info are the paths of the files.
+///
+/// `start_s` counts from the first stamp of all files when poses and IMU share a time span, else
+/// (clocks of different epochs) from the first stamp of each. Of pose sensors those poses are kept
+/// that are within the time of the marker's; all when none are, since its clock is another one
+/// then.
+///
+/// With a pose sensor there need not be an IMU.
+///
+/// Throws InputError as FindFiles() and ReadFiles() do.
+Recording ReadText(const RecordingRequest& request);
+
+// --- Names and fields ---
+
 /// A field of a request: its name and what was given for it, empty for nothing.
 struct Given {
   const char* name;

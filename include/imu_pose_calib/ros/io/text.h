@@ -6,8 +6,15 @@
 #include <string>
 
 #include "imu_pose_calib/core/base/text.h"
+#include "imu_pose_calib/core/base/types.h"
 
 namespace imu_pose_calib {
+
+/// Throws an InputError whose text is all of these, as a stream writes them.
+template <typename... Args>
+[[noreturn]] void Reject(const Args&... args) {
+  Throw<InputError>(args...);
+}
 
 /// As printf.
 [[gnu::format(printf, 1, 2)]] std::string Format(const char* format, ...);

@@ -8,9 +8,8 @@
 
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/start/data_check.h"
-#include "imu_pose_calib/ros/io/bag_reader.h"
 #include "imu_pose_calib/ros/io/output_files.h"
-#include "imu_pose_calib/ros/io/text_reader.h"
+#include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/offline/calibration_report.h"
 #include "imu_pose_calib/ros/offline/ground_truth.h"
 
