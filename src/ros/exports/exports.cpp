@@ -337,13 +337,6 @@ double OffsetToFirst(const StoredResult& stored, size_t imu) {
   return 0.0;
 }
 
-/// The whole number of nanoseconds nearest to `seconds`.
-int64_t Nanoseconds(double seconds) {
-  if (!(std::abs(seconds) < 9e9))
-    Reject("time_shift = ", YamlNumber(seconds), " s does not fit nanoseconds");
-  return std::llround(1e9L * seconds);
-}
-
 /// Of px4: body axes B with the origin of the imu.
 void PutBody(const Eigen::Quaterniond& q_BI, const Rigid3& T_IM, double time_shift,
              Values* values) {
@@ -389,13 +382,15 @@ Values ImuValues(const StoredResult& stored, size_t imu, const Template& file,
   const SessionCalibration& session = stored.result.sessions[0];
   const ImuSession& clock = stored.Clock(imu);
   const Rigid3& T_MI = stored.result.imus[imu].T_MI;
+  if (!(std::abs(clock.time_shift) < 9e9))
+    Reject("time_shift = ", YamlNumber(-clock.time_shift), " s does not fit nanoseconds");
   Values values =
       LinkValues(imu, stored.infos.front().marker_frame, stored.Info(imu).imu_frame, T_MI);
   values.insert({{"gyro_topic", Quoted(stored.Info(imu).GyroSource())},
                  {"rate", YamlNumber(clock.gyro.rate_hz)},
                  {"whole_rate", std::to_string(std::lround(clock.gyro.rate_hz))},
                  {"-time_shift", YamlNumber(-clock.time_shift)},
-                 {"-time_shift_ns", std::to_string(Nanoseconds(-clock.time_shift))},
+                 {"-time_shift_ns", std::to_string(std::llround(-1e9L * clock.time_shift))},
                  {"time_offset", YamlNumber(OffsetToFirst(stored, imu))},
                  {"gravity", YamlNumber(session.g_W.norm())},
                  {"position_std", YamlNumber(session.noise.position)},

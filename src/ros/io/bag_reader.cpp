@@ -450,7 +450,9 @@ auto Printably(const std::vector<std::string>& paths, Read read) {
 }  // namespace
 
 Recording ReadBag(const RecordingRequest& request) {
-  return Printably(request.paths, [&] { return Read(request); });
+  Recording recording = Printably(request.paths, [&] { return Read(request); });
+  ReadFiles(request, &recording);
+  return recording;
 }
 
 std::vector<std::vector<std::string>> GroupBags(const std::vector<std::string>& paths) {

@@ -43,19 +43,16 @@ bool IsZero(ByteReader bytes) {
   return true;
 }
 
-char KindOf(const std::string& operation) {
-  if (operation.size() != 1 || operation[0] == '\0') Reject("a record is of no kind");
-  return operation[0];
-}
-
 /// The next record. Throws InputError when there is no whole one.
 struct Record {
   Fields fields;  ///< those that there are not are empty
-  char kind;
   ByteReader data;
+  char kind = '\0';
 
-  explicit Record(ByteReader* reader)
-      : fields(ReadFields(reader->Part())), kind(KindOf(fields["op"])), data(reader->Part()) {}
+  explicit Record(ByteReader* reader) : fields(ReadFields(reader->Part())), data(reader->Part()) {
+    if (fields["op"].size() == 1) kind = fields["op"][0];
+    if (kind == '\0') Reject("a record is of no kind");
+  }
 
   template <typename T = uint32_t>
   T Number(const std::string& name) {

@@ -64,24 +64,18 @@ class Database {
 
 // --- Reading ---
 
-/// "file:PATH?...", as SQLite wants it.
-std::string Uri(const std::string& path, const char* query) {
-  std::string uri = std::filesystem::absolute(path);
-  boost::replace_all(uri, "%", "%25");
-  boost::replace_all(uri, "?", "%3f");
-  boost::replace_all(uri, "#", "%23");
-  return "file:" + uri + query;
-}
-
-/// How a database is opened for reading. Nothing is written beside one that cannot change; else
-/// there may be changes beside it that it does not hold yet.
+/// "file:PATH?...", as SQLite opens it for reading. Nothing is written beside a database that
+/// cannot change; else there may be changes beside it that it does not hold yet.
 std::string ReadingUri(const std::string& path) {
+  std::string uri = std::filesystem::absolute(path);
+  for (const auto& [mark, escape] : {std::pair("%", "%25"), {"?", "%3f"}, {"#", "%23"}})
+    boost::replace_all(uri, mark, escape);
+  bool has_changes = false;
   for (const char* ending : {"-wal", "-journal"}) {
     std::error_code error;
-    if (std::filesystem::file_size(path + ending, error) > 0 && !error)
-      return Uri(path, "?mode=ro");
+    has_changes = has_changes || (std::filesystem::file_size(path + ending, error) > 0 && !error);
   }
-  return Uri(path, "?mode=ro&immutable=1");
+  return "file:" + uri + (has_changes ? "?mode=ro" : "?mode=ro&immutable=1");
 }
 
 class SqliteFile final : public BagFile {

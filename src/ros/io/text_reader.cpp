@@ -26,14 +26,6 @@ std::ifstream Open(const std::string& path) {
   return file;
 }
 
-bool IsPoseSensor(const RecordingRequest& request, const std::string& path) {
-  const std::vector<std::string> names = SplitPaths(request.pose_sensors);
-  return std::any_of(names.begin(), names.end(), [&](const std::string& name) {
-    std::error_code ignored;
-    return std::filesystem::equivalent(SplitBody(name).first, path, ignored);
-  });
-}
-
 /// SENSOR/data.csv of the request's folder that is of an IMU, or of poses, and is no pose sensor.
 /// With pose sensors an IMU may be missing.
 std::string FindTable(const RecordingRequest& request, bool is_imu) {
@@ -42,12 +34,19 @@ std::string FindTable(const RecordingRequest& request, bool is_imu) {
   const std::string fields = is_imu ? "imu, or gyro and accel" : "poses";
   namespace fs = std::filesystem;
   std::vector<std::string> tables;
+  const std::vector<std::string> sensors = SplitPaths(request.pose_sensors);
+  const auto is_sensor = [&](const std::string& path) {
+    std::error_code ignored;
+    return std::any_of(sensors.begin(), sensors.end(), [&](const std::string& name) {
+      return fs::equivalent(SplitBody(name).first, path, ignored);
+    });
+  };
   try {
     const fs::path mav0 = fs::path(folder) / "mav0";
     const fs::path base = fs::is_directory(mav0) ? mav0 : fs::path(folder);
     for (const fs::directory_entry& sensor : fs::directory_iterator(base)) {
       const std::string path = (sensor.path() / "data.csv").string();
-      if (!fs::is_regular_file(path) || IsPoseSensor(request, path)) continue;
+      if (!fs::is_regular_file(path) || is_sensor(path)) continue;
       std::ifstream file = Open(path);
       if (HasHeader(file, path, is_imu)) tables.push_back(path);
     }

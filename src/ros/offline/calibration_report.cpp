@@ -404,14 +404,6 @@ bool Run(std::string program, std::string first, std::string second, const std::
   return WIFEXITED(status) && WEXITSTATUS(status) == EXIT_SUCCESS;
 }
 
-/// The words of this process, with spaces between them.
-std::string OwnCommand() {
-  std::string command = ReadAll("/proc/self/cmdline");  // words end with 0
-  if (!command.empty()) command.pop_back();
-  std::replace(command.begin(), command.end(), '\0', ' ');
-  return command;
-}
-
 }  // namespace
 
 YAML::Node YamlList(const Eigen::VectorXd& values) {
@@ -426,9 +418,11 @@ void WriteReportData(const CalibrationRun& run, const std::string& folder) {
   std::shared_ptr<const TrajectoryCovariance> covariance;
   if (result.solution && !result.solution->marginals.factor.empty())
     covariance = std::make_shared<const TrajectoryCovariance>(result.solution);
+  std::string command = ReadAll("/proc/self/cmdline");  // words end with 0
+  std::replace(command.begin(), command.end(), '\0', ' ');
   YAML::Node report;
   report["version"] = kVersion;
-  report["command"] = Printable(OwnCommand());
+  report["command"] = Printable(boost::trim_right_copy(command));
   report["folder"] = Printable(std::filesystem::current_path());
   report["run_id"] = run.run_id;
   report["status"] = is_refused ? "refused" : ToString(result.status);

@@ -84,15 +84,6 @@ std::string Origin(const OutputFiles& outputs) {
   return std::string("# imu_pose_calib ") + kVersion + ", run_id: " + outputs.run_id() + "\n";
 }
 
-/// The states that the IMU alone has carried, as comments.
-std::string Carried(const TrajectoryCount& count) {
-  std::string text;
-  for (const TrajectoryCount::Run& run : count.runs)
-    text += "# by the imu alone, no poses: " + SecondsText(run.first_ns) + " to " +
-            SecondsText(run.last_ns) + "\n";
-  return text;
-}
-
 /// `rest`: what is of a kind of sensor alone.
 std::string SensorYaml(const OutputFiles& outputs, const std::string& type,
                        const std::string& rest = "") {
@@ -176,8 +167,11 @@ TrajectoryCount WriteTum(const std::string& path, bool with_covariance,
     table.AddRow(stamp, x.p_WI, x.q_WI.coeffs(), UpperTriangle(x.covariance.block<3, 3>(0, 0)),
                  UpperTriangle(x.covariance.block<3, 3>(3, 3)));
   });
-  outputs->Write(path, Origin(*outputs) + Carried(count) + (with_covariance ? kOvEvalHeader : "") +
-                           table.text());
+  std::string head = Origin(*outputs);
+  for (const TrajectoryCount::Run& run : count.runs)
+    head += "# by the imu alone, no poses: " + SecondsText(run.first_ns) + " to " +
+            SecondsText(run.last_ns) + "\n";
+  outputs->Write(path, head + (with_covariance ? kOvEvalHeader : "") + table.text());
   return count;
 }
 

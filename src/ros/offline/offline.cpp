@@ -96,14 +96,6 @@ std::vector<OfflineRequest> SplitSessions(const OfflineRequest& given) {
   return sessions;
 }
 
-Recording ReadRecording(OfflineRequest request) {
-  if (request.paths.empty()) return ReadText(request);
-  if (!request.imu_yaml.empty()) request.usual_imu_topic = LoadImuYaml(request.imu_yaml);
-  Recording recording = ReadBag(request);
-  ReadFiles(request, &recording);
-  return recording;
-}
-
 /// Names the frames as the request says.
 void NameFrames(const OfflineRequest& request, RecordingInfo* info) {
   const size_t names = SplitNames(request.imu_frame).size();
@@ -116,45 +108,41 @@ void NameFrames(const OfflineRequest& request, RecordingInfo* info) {
              "', which leaves no transform between them; give one of them another name");
 }
 
-/// Where a recording has no IMU at all, and others have, gives it a place for each. Gives a pose
-/// sensor the frame that it has where it is first. Throws InputError when no recording has it.
-void CompleteRig(const OfflineRequest& request, std::vector<Recording>* recordings) {
+/// Makes the recordings those of one rig: each has a place for every sensor, whose frame is that
+/// of the first recording that has it. Throws InputError when none has a pose sensor.
+void CompleteRig(const std::vector<std::string>& pose_sensors, std::vector<Recording>* recordings) {
+  const auto name_alike = [recordings](auto frame_of) {
+    std::string name;
+    for (Recording& recording : *recordings)
+      if (name.empty()) name = frame_of(&recording.info);
+    for (Recording& recording : *recordings) frame_of(&recording.info) = name;
+    return name;
+  };
   size_t imus = 0;
   for (const Recording& recording : *recordings) imus = std::max(imus, recording.data.imus.size());
   for (Recording& recording : *recordings) {
-    if (!recording.data.imus.empty()) continue;
     recording.info.imus.resize(imus);
     recording.data.imus.resize(imus);
   }
-  const std::vector<std::string> sensors = SplitPaths(request.pose_sensors);
-  for (size_t k = 0; k < sensors.size(); ++k) {
-    const auto first = std::find_if(
-        recordings->begin(), recordings->end(),
-        [k](const Recording& recording) { return !recording.data.pose_sensors[k].empty(); });
-    if (first == recordings->end())
-      Reject("pose_sensor '", sensors[k], "' has no poses in any recording");
-    const std::string frame = first->info.pose_sensors[k].frame;
-    for (Recording& recording : *recordings) recording.info.pose_sensors[k].frame = frame;
-  }
+  name_alike([](RecordingInfo * info) -> auto& { return info->marker_frame; });
+  for (size_t i = 0; i < imus; ++i)
+    name_alike([i](RecordingInfo * info) -> auto& { return info->imus[i].imu_frame; });
+  for (size_t k = 0; k < pose_sensors.size(); ++k)
+    if (name_alike([k](RecordingInfo * info) -> auto& { return info->pose_sensors[k].frame; }) ==
+        "")
+      Reject("pose_sensor '", pose_sensors[k], "' has no poses in any recording");
 }
 
 /// The recordings of one rig, and the frames of its sensors the same in all of them.
 std::vector<Recording> ReadRecordings(const std::vector<OfflineRequest>& sessions) {
   std::vector<Recording> recordings;
-  for (const OfflineRequest& session : sessions) {
-    recordings.push_back(ReadRecording(session));
+  for (OfflineRequest session : sessions) {
+    if (!session.imu_yaml.empty() && !session.paths.empty())
+      session.usual_imu_topic = LoadImuYaml(session.imu_yaml);
+    recordings.push_back(session.paths.empty() ? ReadText(session) : ReadBag(session));
     recordings.back().info.imu_yaml = session.imu_yaml;
   }
-  CompleteRig(sessions.front(), &recordings);
-  RecordingInfo& first = recordings.front().info;
-  for (Recording& recording : recordings) {
-    for (size_t i = 0; i < recording.info.imus.size() && i < first.imus.size(); ++i) {
-      if (first.imus[i].imu_frame.empty())
-        first.imus[i].imu_frame = recording.info.imus[i].imu_frame;
-      recording.info.imus[i].imu_frame = first.imus[i].imu_frame;
-    }
-    recording.info.marker_frame = first.marker_frame;
-  }
+  CompleteRig(SplitPaths(sessions.front().pose_sensors), &recordings);
   for (Recording& recording : recordings) NameFrames(sessions.front(), &recording.info);
   return recordings;
 }

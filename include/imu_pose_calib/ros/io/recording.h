@@ -97,18 +97,16 @@ struct RecordingRequest {
 
 // --- Reading ---
 
-/// Reads what a request has in bags: of ROS 1, or of ROS 2 (folder, .mcap, .db3): IMU samples
-/// (sensor_msgs/Imu on one topic; gyroscope and accelerometer on two as sensor_msgs/Imu or
+/// Reads bags of ROS 1, or of ROS 2 (folder, .mcap, .db3), and the text files beside them: IMU
+/// samples (sensor_msgs/Imu on one topic; gyroscope and accelerometer on two as sensor_msgs/Imu or
 /// geometry_msgs/Vector3Stamped) and poses (geometry_msgs/PoseStamped, TransformStamped or
 /// PoseWithCovarianceStamped, nav_msgs/Odometry, or tf; of ROS 2 also messages that hold poses of
-/// several bodies by name).
+/// several bodies by name). With a pose sensor there need not be an IMU.
 ///
 /// Time is the header stamp, at full precision. World frame: header.frame_id of the poses; marker
 /// frame: child_frame_id, else "marker"; imu frame: header.frame_id of the IMU, else "imu". Of a
 /// pose sensor the same as of the marker, else "camera_pose" and "camera_pose_world" for
 /// /camera/pose.
-///
-/// With a pose sensor there need not be an IMU.
 ///
 /// Throws InputError when a bag cannot be read or when the bags do not hold exactly one choice of
 /// topics: the text, printable, names what they have and which field to give.
@@ -128,16 +126,12 @@ RecordingRequest FindFiles(RecordingRequest request);
 void ReadFiles(const RecordingRequest& request, Recording* recording);
 
 /// Reads a recording from text files. The frames are called world, marker and imu; the topics of
-/// the info are the paths of the files.
+/// the info are the paths of the files. With a pose sensor there need not be an IMU.
 ///
 /// `start_s` counts from the first stamp of all files when poses and IMU share a time span, else
 /// (clocks of different epochs) from the first stamp of each. Of pose sensors those poses are kept
 /// that are within the time of the marker's; all when none are, since its clock is another one
-/// then.
-///
-/// With a pose sensor there need not be an IMU.
-///
-/// Throws InputError as FindFiles() and ReadFiles() do.
+/// then. Throws InputError as FindFiles() and ReadFiles() do.
 Recording ReadText(const RecordingRequest& request);
 
 // --- Names and fields ---
