@@ -261,12 +261,6 @@ std::vector<std::string> MessageFiles(const std::string& path) {
   return fs::exists(metadata) ? ReadMetadata(metadata) : FindBagFiles(path);
 }
 
-std::vector<std::string> FilesOfBag(const std::string& path) {
-  std::vector<std::string> files = MessageFiles(path);
-  if (fs::is_directory(path)) files.push_back(fs::path(path) / "metadata.yaml");
-  return files;
-}
-
 std::string WithoutBagEnding(const std::string& path) {
   return path.substr(0, path.size() - Ending(path, std::size(kEndings)).size());
 }

@@ -137,16 +137,6 @@ std::vector<std::string> ListedIn(const std::string& result) {
 
 }  // namespace
 
-bool IsFolder(const std::string& path) {
-  std::error_code ignored;
-  return fs::is_directory(path, ignored);
-}
-
-bool IsFile(const std::string& path) {
-  std::error_code ignored;
-  return fs::is_regular_file(path, ignored);
-}
-
 // --- OutputFiles ---
 
 OutputFiles::OutputFiles() {

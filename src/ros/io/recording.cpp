@@ -8,7 +8,6 @@
 #include <set>
 #include <sstream>
 
-#include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
@@ -64,12 +63,9 @@ std::optional<TfFrames> SplitTf(const std::string& name) {
 
 PoseSensorInfo NamePoseSensor(const std::string& name, const std::string& world_frame,
                               const std::string& frame) {
-  PoseSensorInfo info;
-  info.topic = name;
   const std::string topic = FrameName(SplitBody(name).first, "");
-  info.frame = FrameName(frame, boost::replace_all_copy(topic, "/", "_"));
-  info.world_frame = FrameName(world_frame, info.frame + "_world");
-  return info;
+  const std::string own = FrameName(frame, boost::replace_all_copy(topic, "/", "_"));
+  return {name, own, FrameName(world_frame, own + "_world")};
 }
 
 void CheckPoseSensors(const std::string& marker, const std::vector<std::string>& pose_sensors) {

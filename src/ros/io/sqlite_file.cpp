@@ -54,7 +54,7 @@ class Database {
     return status == SQLITE_ROW;
   }
 
-  int Run(const char* sql) const { return sqlite3_exec(get(), sql, nullptr, nullptr, nullptr); }
+  void Run(const char* sql) const { Check(sqlite3_exec(get(), sql, nullptr, nullptr, nullptr)); }
 
  private:
   std::string failure_;
@@ -160,7 +160,7 @@ class SqliteStorage final : public Ros2Storage {
   explicit SqliteStorage(const std::string& path)
       : database_(path, SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE,
                   "cannot write bag '" + path + "': ") {
-    database_.Check(database_.Run(kTables));
+    database_.Run(kTables);
     topic_ = database_.Prepare("INSERT INTO topics VALUES(?, ?, ?, 'cdr', '')");
     message_ = database_.Prepare("INSERT INTO messages(topic_id, timestamp, data) VALUES(?, ?, ?)");
   }
@@ -179,7 +179,7 @@ class SqliteStorage final : public Ros2Storage {
     Insert(message_);
   }
 
-  void Close() override { database_.Check(database_.Run("COMMIT")); }
+  void Close() override { database_.Run("COMMIT"); }
 
  private:
   void Insert(const Statement& statement) const {

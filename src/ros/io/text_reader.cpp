@@ -11,7 +11,6 @@
 #include <utility>
 
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/text_table.h"

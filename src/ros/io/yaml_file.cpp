@@ -9,7 +9,6 @@
 #include <numeric>
 #include <sstream>
 
-#include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {

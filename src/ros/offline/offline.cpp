@@ -159,8 +159,10 @@ void PlanOutput(const Given& output, const std::vector<OfflineRequest>& sessions
         {"config", request.config},
         {"imu_yaml", request.imu_yaml},
         {"calibration", request.calibration}};
-    for (const std::string& path : request.paths)
-      for (const std::string& file : FilesOfBag(path)) inputs.emplace_back("bag", file);
+    for (const std::string& path : request.paths) {
+      for (const std::string& file : MessageFiles(path)) inputs.emplace_back("bag", file);
+      inputs.emplace_back("bag", path + "/metadata.yaml");  // of a folder
+    }
     for (const std::string& name : SplitPaths(request.pose_sensors))
       inputs.emplace_back("pose_sensor", SplitBody(name).first);
     std::error_code ignored;

@@ -213,9 +213,6 @@ bool IsRos2Bag(const std::string& path);
 /// or, without one, all that there are. Throws InputError when that names what is not there.
 std::vector<std::string> MessageFiles(const std::string& path);
 
-/// These and, of a folder, the metadata.yaml: all that is read.
-std::vector<std::string> FilesOfBag(const std::string& path);
-
 /// The bag's path without the ending that files of its kind have.
 std::string WithoutBagEnding(const std::string& path);
 

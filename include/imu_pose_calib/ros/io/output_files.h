@@ -12,10 +12,6 @@ namespace imu_pose_calib {
 /// Version of the package, "1.2.3".
 extern const char kVersion[];
 
-/// Whether there is a folder, or a regular file, at `path`; false where that cannot be told.
-bool IsFolder(const std::string& path);
-bool IsFile(const std::string& path);
-
 /// The files of one run, which appear together or not at all: each is written beside its place and
 /// changes places with what is there by Commit(). Without it they are gone in the end, and what was
 /// there is as it was. A link stays, and what it leads to is replaced. Errors are InputErrors that

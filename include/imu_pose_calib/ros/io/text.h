@@ -47,6 +47,10 @@ std::string YamlNumbers(const Vector& values) {
 /// Decimal seconds, exact: "-12.000000345".
 std::string SecondsText(int64_t t_ns);
 
+/// Whether there is a folder, or a regular file, at `path`; false where that cannot be told.
+bool IsFolder(const std::string& path);
+bool IsFile(const std::string& path);
+
 /// A time as UTC, in a format of strftime().
 std::string UtcText(std::time_t time, const char* format);
 
