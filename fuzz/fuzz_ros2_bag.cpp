@@ -7,8 +7,8 @@
 #include <cstdlib>
 #include <fstream>
 
+#include "imu_pose_calib/ros/io/bag_file.h"
 #include "imu_pose_calib/ros/io/bags.h"
-#include "imu_pose_calib/ros/io/record_file.h"
 
 namespace {
 

@@ -5,7 +5,7 @@
 #include <rosbag/bag.h>
 #include <sensor_msgs/Imu.h>
 
-#include "imu_pose_calib/ros/io/bag_reader.h"
+#include "imu_pose_calib/ros/io/recording.h"
 #include "test_util.h"
 
 namespace imu_pose_calib {
@@ -52,16 +52,17 @@ inline geometry_msgs::TransformStamped Transform(const std::string& child) {
   return msg;
 }
 
-/// Tests of ReadBag() on recording.bag.
+/// Tests of ReadBag() on recording.
 class BagReaderTest : public TempDirTest {
  protected:
-  BagRequest Request() const {
-    BagRequest request;
+  RecordingRequest Request() const {
+    RecordingRequest request;
     request.paths = {Path("recording.bag")};
     return request;
   }
   Recorder Record() const { return Recorder(Path("recording.bag")); }
-  static void ExpectRefusal(const BagRequest& request, const std::vector<std::string>& parts) {
+  static void ExpectRefusal(const RecordingRequest& request,
+                            const std::vector<std::string>& parts) {
     ExpectError<InputError>([&] { ReadBag(request); }, parts);
   }
 };

@@ -142,7 +142,7 @@ TEST_F(AggregateTest, TheMapIsAsSharpAsThroughTheTruePoses) {
   const SimulatorOptions options = Options();
   Simulate(options);
   OfflineRequest request;
-  request.bag.paths = {Path("sim.bag")};
+  request.paths = {Path("sim.bag")};
   request.keep_data = true;
   const OfflineResult offline = CalibrateOffline(request);
   std::vector<SensorPoses> all = PosesWithAndWithout({SimulatedLidar::T_IL(), {}, {}}, offline);

@@ -3,8 +3,8 @@
 #include <filesystem>
 
 #include "damage.h"
-#include "imu_pose_calib/ros/io/bag_reader.h"
 #include "imu_pose_calib/ros/io/bags.h"
+#include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/simulated/recording_writer.h"
 #include "recompress.h"
 #include "test_util.h"
@@ -27,7 +27,7 @@ class BagDamageTest : public TempDirTest {
     Recompress(Path(name), Path("whole.bag"), compression);
     const std::string whole = ReadText(Path("whole.bag"));
     std::mt19937 random(7);
-    BagRequest request;
+    RecordingRequest request;
     request.paths = {Path("damaged.bag")};
     if (name == "tf.bag") {
       request.tf_parent = "world";

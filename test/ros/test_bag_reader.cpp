@@ -75,7 +75,7 @@ TEST_F(BagReaderTest, ReadsEveryTypeOfPose) {
 TEST_F(BagReaderTest, ReadsVectors) {
   const SessionData data = Simulate(ShortSimulation());
   WriteBag(Path("recording.bag"), data, {false, "PoseStamped", "Vector3Stamped"});
-  BagRequest request = Request();
+  RecordingRequest request = Request();
   request.gyro_topic = "/imu/gyro";
   request.accel_topic = "/imu/accel";
   const Recording recording = ReadBag(request);
@@ -86,7 +86,7 @@ TEST_F(BagReaderTest, ReadsVectors) {
 TEST_F(BagReaderTest, ReadsTf) {
   const SessionData data = Simulate(ShortSimulation());
   WriteBag(Path("recording.bag"), data, {false, "tf"});
-  BagRequest request = Request();
+  RecordingRequest request = Request();
   request.tf_parent = "world";
   request.tf_child = "/marker";
   const Recording recording = ReadBag(request);
@@ -123,7 +123,7 @@ TEST_F(BagReaderTest, ReadsLongBagsUpToDamage) {
   WriteBag(Path("plain.bag"), data, {});
   Recompress(Path("plain.bag"), Path("recording.bag"), rosbag::compression::BZ2);
   ExpectSameSamples(ReadBag(Request()).data, data);
-  BagRequest request = Request();
+  RecordingRequest request = Request();
   request.start_s = 1.5;
   request.duration_s = 40.0;
   const Recording part = ReadBag(request);
@@ -148,7 +148,7 @@ TEST_F(BagReaderTest, ReadsImuAndPosesFromABagEach) {
   imu.poses.clear();
   WriteBag(Path("poses.bag"), poses, {});
   WriteBag(Path("imu.bag"), imu, {});
-  BagRequest request;
+  RecordingRequest request;
   request.paths = {Path("poses.bag"), Path("imu.bag")};
   ExpectSameSamples(ReadBag(request).data, data);
 }
@@ -170,7 +170,7 @@ TEST_F(BagReaderTest, ReportsWhatTheCovariancesSay) {
 
 TEST_F(BagReaderTest, StampsWithRecordTimes) {
   Record().Add("/imu", Imu(0.1, 9.8)).Add("/pose", Pose());
-  BagRequest request = Request();
+  RecordingRequest request = Request();
   request.record_time = true;
   const SessionData data = ReadBag(request).data;
   EXPECT_EQ(data.imus[0].gyro.at(0).t_ns, 100000000000);
@@ -184,7 +184,7 @@ TEST_F(BagReaderTest, StampsTfWithRecordTimes) {
   second.transforms = {Transform("rig")};
   second.transforms[0].transform.translation.x = 1.0;
   Record().Add("/imu", Imu(0.1, 9.8)).Add("/tf", first).Add("/tf", second);
-  BagRequest request = Request();
+  RecordingRequest request = Request();
   request.tf_parent = "map";
   request.tf_child = "rig";
   request.record_time = true;
@@ -223,7 +223,7 @@ TEST_F(BagReaderTest, StartAndDurationAreRecordTimeAfterTheFirstMessage) {
     Recorder recorder = Record();
     for (int k = 0; k < 10; ++k) recorder.Add("/imu", Imu(k + 1, 9.8)).Add("/pose", Pose());
   }
-  BagRequest request = Request();
+  RecordingRequest request = Request();
   request.start_s = 0.035;     // messages 4..19, the IMU's are the even ones
   request.duration_s = 0.100;  // to message 13
   const Recording recording = ReadBag(request);
@@ -237,7 +237,7 @@ TEST_F(BagReaderTest, RecordTimesOfForeignClocksAreThePoses) {
   SimulatorOptions simulator = ShortSimulation();
   simulator.time_shift_s = 1034771.5;
   WriteBag(Path("recording.bag"), Simulate(simulator), {});
-  BagRequest request = Request();
+  RecordingRequest request = Request();
   request.duration_s = 1.0;
   const Recording recording = ReadBag(request);
   EXPECT_EQ(recording.data.poses.size(), 101u);
@@ -323,7 +323,7 @@ TEST_F(BagReaderTest, RefusesAnEmptyBag) {
 
 TEST_F(BagReaderTest, RefusesASpanOutsideOfTheBag) {
   Record().Add("/imu", Imu(0.1, 9.8)).Add("/pose", Pose());
-  BagRequest request = Request();
+  RecordingRequest request = Request();
   request.start_s = 5.0;
   ExpectRefusal(request, {"start = 5 s", "lasts 0.01 s"});
   request.start_s = -1.0;
@@ -350,7 +350,7 @@ TEST_F(BagReaderTest, WriterLeavesOutAnImuWithoutSamples) {
     WriteBag(Path("recording.bag"), incomplete, {});
     for (size_t i = 0; i < 3; ++i) {
       if (i == missing) continue;
-      BagRequest request = Request();
+      RecordingRequest request = Request();
       request.imu_topic = i == 0 ? "/imu" : "/imu" + std::to_string(i);
       const SessionData read = ReadBag(request).data;
       ExpectSameSamples(read, {data.poses, {data.imus[i]}, {}});
@@ -401,7 +401,7 @@ TEST_F(BagReaderTest, TakesTheOnlyPairOfTfFrames) {
       to.write("/tf", message.getTime(), tf);
     }
   };
-  BagRequest request;
+  RecordingRequest request;
   request.paths = {Path("tf.bag")};
   record(false);
   const Recording recording = ReadBag(request);

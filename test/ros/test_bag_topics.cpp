@@ -14,7 +14,7 @@ using BagTopicsTest = BagReaderTest;
 
 TEST_F(BagTopicsTest, TheUsualImuIsTakenWhenItIsThere) {
   Record().Add("/imu1", Imu(1, 9.8)).Add("/imu2", Imu(2, 9.8)).Add("/pose", Pose());
-  BagRequest request = Request();
+  RecordingRequest request = Request();
   request.usual_imu_topic = "/imu2";
   EXPECT_EQ(ReadBag(request).info.imus[0].imu_topic, "/imu2");
   request.imu_topic = "/imu1";
@@ -50,7 +50,7 @@ TEST_F(BagTopicsTest, NamedTopicsWinOverOthers) {
       .Add("/imu2", Imu(2, 9.8))
       .Add("/pose1", Pose())
       .Add("/pose2", Transform("rig"));
-  BagRequest request = Request();
+  RecordingRequest request = Request();
   request.imu_topic = "/imu2";
   request.pose_topic = "/pose2";
   const Recording recording = ReadBag(request);
@@ -68,7 +68,7 @@ TEST_F(BagTopicsTest, NamedTopicsWinOverOthers) {
 
 TEST_F(BagTopicsTest, RefusesATopicThatIsNotThere) {
   Record().Add("/imu", Imu(0.1, 9.8)).Add("/mocap/pose", Pose()).Add("/mocap/pose", Pose());
-  BagRequest request = Request();
+  RecordingRequest request = Request();
   request.imu_topic = "/foo";
   ExpectRefusal(request,
                 {"imu_topic '/foo' is not in recording.bag; it has: /imu (sensor_msgs/Imu, 1), "
@@ -80,7 +80,7 @@ TEST_F(BagTopicsTest, RefusesATopicThatIsNotThere) {
 
 TEST_F(BagTopicsTest, RefusesATopicOfTheWrongType) {
   Record().Add("/imu", Imu(0.1, 9.8)).Add("/pose", Pose());
-  BagRequest request = Request();
+  RecordingRequest request = Request();
   request.imu_topic = "/pose";
   ExpectRefusal(request, {"imu_topic '/pose'", "geometry_msgs/PoseStamped", "sensor_msgs/Imu"});
   request = Request();
@@ -127,7 +127,7 @@ TEST_F(BagTopicsTest, ShowsNamesWithoutControlCharacters) {
   odd.morph("*", "odd/\x07Type", "", "");
   Record().Add("/\x1b[2J\xff", Imu(0.1, 9.8)).Add("/imu", Imu(0.1, 9.8)).Add("/odd", odd);
   ExpectRefusal(Request(), {"several IMU topics: /\\x1b[2J\\xff (sensor_msgs/Imu, 1), /imu"});
-  BagRequest request = Request();
+  RecordingRequest request = Request();
   request.imu_topic = "/imu";
   ExpectRefusal(request, {"/\\x1b[2J\\xff (sensor_msgs/Imu, 1)", "/odd (odd/\\x07Type, 1)"});
 
@@ -147,7 +147,7 @@ TEST_F(BagTopicsTest, RefusesHalfAnImu) {
 
 TEST_F(BagTopicsTest, RefusesContradictingImuTopics) {
   Record().Add("/imu", Imu(0.1, 9.8)).Add("/pose", Pose());
-  BagRequest request = Request();
+  RecordingRequest request = Request();
   request.gyro_topic = "/imu";
   ExpectRefusal(request, {"accel_topic is missing"});
   request.accel_topic = request.imu_topic = "/imu";

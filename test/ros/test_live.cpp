@@ -133,7 +133,7 @@ TEST_F(Live, CalibratesTwoImusTogether) {
 TEST_F(Live, AgreesWithOfflineOnTheSample) {
   const std::string sample = IMU_POSE_CALIB_SOURCE_DIR "/data/estimator_own_clocks.bag";
   OfflineRequest request;
-  request.bag.paths = {sample};
+  request.paths = {sample};
   request.output = Path("offline.yaml");
   const Calibration offline = CalibrateOffline(request).result;
 

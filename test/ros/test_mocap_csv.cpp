@@ -4,7 +4,7 @@
 #include <cmath>
 
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/ros/io/text_reader.h"
+#include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/io/text_table.h"
 #include "imu_pose_calib/ros/simulated/recording_writer.h"
 #include "test_util.h"
@@ -210,7 +210,7 @@ TEST_F(MocapFileTest, CalibratesFromAWorldWithYUp) {
          << "," << p.z() << ",,,,,,,,9,9,9\n";
   }
   file.close();
-  TextRequest request;
+  RecordingRequest request;
   request.poses = Path("x.poses.txt");
   request.imu = Path("x.imu.csv");
   const Calibration expected = Calibrate(CalibrationOptions(), ReadText(request).data);

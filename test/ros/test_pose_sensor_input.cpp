@@ -3,6 +3,8 @@
 #include <nav_msgs/Odometry.h>
 #include <tf2_msgs/TFMessage.h>
 
+#include <boost/algorithm/string/join.hpp>
+
 #include "imu_pose_calib/ros/offline/offline.h"
 #include "imu_pose_calib/ros/simulated/recording_writer.h"
 #include "record_bag.h"
@@ -44,14 +46,14 @@ nav_msgs::Odometry Odometry(const std::string& child) {
 
 class PoseSensorInputTest : public BagReaderTest {
  protected:
-  BagRequest Sensors(const std::vector<std::string>& names) const {
-    BagRequest request = Request();
-    request.pose_sensors = names;
+  RecordingRequest Sensors(const std::vector<std::string>& names) const {
+    RecordingRequest request = Request();
+    request.pose_sensors = boost::join(names, " ");
     return request;
   }
   OfflineRequest Offline(const std::vector<std::string>& bags, const std::string& names) const {
     OfflineRequest request;
-    for (const std::string& bag : bags) request.bag.paths.push_back(Path(bag));
+    for (const std::string& bag : bags) request.paths.push_back(Path(bag));
     request.pose_sensors = names;
     return request;
   }
@@ -94,7 +96,7 @@ TEST_F(PoseSensorInputTest, FramesAreThoseOfTheMessagesOrOfTheTopic) {
 
 TEST_F(PoseSensorInputTest, StartAndDurationAreThoseOfTheBag) {
   WriteBag(Path("recording.bag"), WithSensors(), {});
-  BagRequest request = Sensors({"/pose_sensor", "/pose_sensor1"});
+  RecordingRequest request = Sensors({"/pose_sensor", "/pose_sensor1"});
   request.start_s = 0.5;
   request.duration_s = 1.0;
   const Recording recording = ReadBag(request);
@@ -110,7 +112,7 @@ TEST_F(PoseSensorInputTest, TfIsReadByTheNamesOfItsFrames) {
   SessionData poses = WithoutImu(data);
   poses.pose_sensors.clear();
   WriteBag(Path("poses.bag"), poses, {});
-  BagRequest request = Sensors({"tf:world:/marker"});
+  RecordingRequest request = Sensors({"tf:world:/marker"});
   request.paths = {Path("tf.bag"), Path("poses.bag")};
   const Recording recording = ReadBag(request);
   EXPECT_EQ(recording.info.pose_topic, "/mocap/pose");
@@ -120,15 +122,15 @@ TEST_F(PoseSensorInputTest, TfIsReadByTheNamesOfItsFrames) {
   ASSERT_EQ(recording.data.pose_sensors[0].size(), data.poses.size());
   EXPECT_LT((recording.data.pose_sensors[0][7].p_WM - data.poses[7].p_WM).norm(), 1e-6);
 
-  request.pose_sensors = {"tf:world:marker", "tf:world:marker"};
+  request.pose_sensors = "tf:world:marker tf:world:marker";
   ExpectRefusal(request, {"'tf:world:marker' is given twice"});
-  request.pose_sensors = {"tf:world"};
+  request.pose_sensors = "tf:world";
   ExpectRefusal(request, {"'tf:world' must be tf:PARENT:CHILD"});
-  request.pose_sensors = {"tf:world:camera"};
+  request.pose_sensors = "tf:world:camera";
   ExpectRefusal(request, {"pose_sensor 'tf:world:camera'", "'camera' is not in tf"});
   request.may_lack_sensors = true;
   EXPECT_TRUE(ReadBag(request).data.pose_sensors.at(0).empty());
-  request.pose_sensors = {"tf:world:marker"};
+  request.pose_sensors = "tf:world:marker";
   request.tf_parent = "world";
   request.tf_child = "marker";
   ExpectRefusal(request, {"'tf:world:marker' is the marker"});
@@ -155,7 +157,7 @@ TEST_F(PoseSensorInputTest, RefusesNamesThatAreNoSensor) {
   ExpectRefusal(Sensors({"/imu"}), {"pose_sensor '/imu' is sensor_msgs/Imu", "must be"});
   ExpectRefusal(Sensors({"/cam", "/cam"}), {"pose_sensor '/cam' is given twice"});
   ExpectRefusal(Sensors({"/cam:tag"}), {"body 'tag' is given", "'/cam'", "holds one body"});
-  BagRequest request = Sensors({"/cam"});
+  RecordingRequest request = Sensors({"/cam"});
   request.pose_topic = "/cam";
   ExpectRefusal(request, {"pose_sensor '/cam' is the marker"});
   Record().Add("/imu", Imu(0.1, 9.8)).Add("/pose", Pose()).Add("/tf", tf2_msgs::TFMessage());
@@ -175,7 +177,7 @@ TEST_F(PoseSensorInputTest, ARecordingWithThemNeedsNoImu) {
   EXPECT_TRUE(recording.data.imus.empty());
   EXPECT_TRUE(recording.info.imus.empty());
   ExpectSamePoses(recording.data.pose_sensors.at(1), data.pose_sensors[1]);
-  BagRequest request = Request();
+  RecordingRequest request = Request();
   request.pose_topic = "/mocap/pose";
   ExpectRefusal(request, {"no topic of type sensor_msgs/Imu"});
   request = Sensors({"/pose_sensor", "/pose_sensor1"});
@@ -189,9 +191,9 @@ TEST_F(PoseSensorInputTest, FilesGiveBackWhatWasWritten) {
   const SessionData data = WithSensors();
   WriteTables(Path("x"), data, false);
   WriteAslFolder(Path("asl"), data);
-  TextRequest request;
+  RecordingRequest request;
   request.poses = Path("x.poses.txt");
-  request.pose_sensors = {Path("asl/pose_sensor1/data.csv"), Path("x.pose_sensor.txt")};
+  request.pose_sensors = Path("asl/pose_sensor1/data.csv") + " " + Path("x.pose_sensor.txt");
   const Recording alone = ReadText(request);
   EXPECT_TRUE(alone.data.imus.empty());
   EXPECT_TRUE(alone.info.imus.empty());
@@ -203,13 +205,14 @@ TEST_F(PoseSensorInputTest, FilesGiveBackWhatWasWritten) {
 
   // In a folder they are not what is found by its columns.
   request = {};
-  request.folder = Path("asl");
+  request.paths = {Path("asl")};
   ExpectError<InputError>([&] { FindFiles(request); }, {"several files of poses"});
-  request.pose_sensors = {Path("asl/pose_sensor0/data.csv"), Path("asl/pose_sensor1/data.csv")};
+  request.pose_sensors =
+      Path("asl/pose_sensor0/data.csv") + " " + Path("asl/pose_sensor1/data.csv");
   EXPECT_EQ(FindFiles(request).poses, Path("asl/mocap0/data.csv"));
   std::filesystem::remove_all(Path("asl/imu0"));
   EXPECT_EQ(FindFiles(request).imu, "");
-  request.pose_sensors = {Path("asl/mocap0/data.csv")};
+  request.pose_sensors = Path("asl/mocap0/data.csv");
   request.poses = Path("asl/mocap0/data.csv");
   ExpectError<InputError>([&] { ReadText(request); }, {"data.csv' is the marker"});
 }
@@ -218,10 +221,10 @@ TEST_F(PoseSensorInputTest, FilesAreCutToTheMarkerUnlessTheirClockIsAnother) {
   for (const double time_shift_s : {0.03, 1e6}) {
     const SessionData data = WithSensors(time_shift_s);
     WriteTables(Path("x"), data, false);
-    TextRequest request;
+    RecordingRequest request;
     request.poses = Path("x.poses.txt");
     request.imu = Path("x.imu.csv");
-    request.pose_sensors = {Path("x.pose_sensor.txt")};
+    request.pose_sensors = Path("x.pose_sensor.txt");
     request.start_s = 1.0;
     request.duration_s = 1.0;
     const Recording recording = ReadText(request);
@@ -253,8 +256,8 @@ TEST_F(PoseSensorInputTest, AFileGoesWithOneBag) {
   OfflineRequest request = Offline({"a.bag"}, Path("x.pose_sensor.txt"));
   const auto checks = CheckOffline(request);
   EXPECT_EQ(checks.at(0).info.pose_sensors.at(0).frame, "x.pose_sensor");
-  request.bag.paths.clear();
-  request.text.poses = Path("x.poses.txt");
+  request.paths.clear();
+  request.poses = Path("x.poses.txt");
   EXPECT_EQ(CheckOffline(request).at(0).info.imus.size(), 0u);
   request.pose_sensors += " /pose_sensor1";
   ExpectError<InputError>([&] { CheckOffline(request); },

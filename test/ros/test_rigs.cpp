@@ -2,7 +2,7 @@
 
 #include <yaml-cpp/yaml.h>
 
-#include "imu_pose_calib/ros/io/bag_reader.h"
+#include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/simulated/recording_writer.h"
 #include "run_executable.h"
 

@@ -3,7 +3,7 @@
 #include <sqlite3.h>
 
 #include "imu_pose_calib/ros/io/bag_file.h"
-#include "imu_pose_calib/ros/io/bag_reader.h"
+#include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/offline/offline.h"
 #include "imu_pose_calib/ros/simulated/recording_writer.h"
 #include "run_executable.h"
@@ -16,7 +16,7 @@ constexpr char kSample[] = IMU_POSE_CALIB_SOURCE_DIR "/data/estimator_own_clocks
 constexpr char kForeign[] = IMU_POSE_CALIB_SOURCE_DIR "/test/ros/bags/";
 
 Recording Read(const std::string& path, const std::string& body = "") {
-  BagRequest request;
+  RecordingRequest request;
   request.paths = {path};
   request.body = body;
   return ReadBag(request);
@@ -136,7 +136,7 @@ TEST_F(Ros2BagTest, EveryTypeOfMessageIsTheSame) {
   }
   WriteBag(Path("x.bag"), Simulate(ShortSimulation()), {false, "tf", "Vector3Stamped"});
   Convert(Ros2Ways().front());
-  BagRequest request;
+  RecordingRequest request;
   request.gyro_topic = "/imu/gyro";
   request.accel_topic = "/imu/accel";
   request.tf_parent = "world";
@@ -311,7 +311,7 @@ TEST_F(Ros2BagTest, WhatIsNoBagIsNamed) {
 }
 
 TEST_F(Ros2BagTest, BagsOfBothKindsAreNoOneRecording) {
-  BagRequest request;
+  RecordingRequest request;
   request.paths = {Path("x.bag"), Convert(Ros2Ways().front())};
   ExpectError<InputError>([&] { ReadBag(request); }, {"ROS 1 and of ROS 2", "x.bag, x.mcap"});
 }
@@ -358,18 +358,18 @@ TEST_F(Ros2BagTest, OneBodyOfSeveralIsChosenByName) {
   EXPECT_EQ(rig.info.marker_frame, "rig");
   EXPECT_EQ(rig.info.world_frame, "mocap");
   // Another body of the same topic is a pose sensor.
-  BagRequest request;
+  RecordingRequest request;
   request.paths = {Path("bodies.mcap")};
   request.body = "rig";
-  request.pose_sensors = {"/poses:wand"};
+  request.pose_sensors = "/poses:wand";
   const Recording both = ReadBag(request);
   EXPECT_EQ(both.data.poses[9].p_WM, rig.data.poses[9].p_WM);
   EXPECT_EQ(both.data.pose_sensors.at(0)[9].p_WM, wand.data.poses[9].p_WM);
   EXPECT_EQ(both.info.pose_sensors.at(0).topic, "/poses:wand");
   EXPECT_EQ(both.info.pose_sensors[0].frame, "wand");
-  request.pose_sensors = {"/poses:rig"};
+  request.pose_sensors = "/poses:rig";
   ExpectError<InputError>([&] { ReadBag(request); }, {"pose_sensor '/poses:rig' is the marker"});
-  request.pose_sensors = {"/poses"};
+  request.pose_sensors = "/poses";
   ExpectError<InputError>([&] { ReadBag(request); }, {"choose with '/poses:BODY'"});
   write(false);
   EXPECT_EQ(Read(Path("bodies.mcap")).info.marker_frame, "rig");
@@ -406,7 +406,7 @@ TEST_F(Ros2BagTest, ResultsGoBesideTheBag) {
   for (const auto& [path, output] : {std::pair<std::string, std::string>{"a/x.mcap", "a/x"},
                                      {"a/x.db3.zstd", "a/x"},
                                      {"x.mcap.zstd", "x"}}) {
-    request.bag.paths = {path};
+    request.paths = {path};
     EXPECT_EQ(OutputPath(request), output + ".calibration.yaml");
   }
   WriteFolder(Ros2Ways().front(), "[bag_0.mcap, bag_1.mcap]");

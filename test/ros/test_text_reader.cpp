@@ -1,7 +1,6 @@
 #include <cmath>
 
-#include "imu_pose_calib/ros/io/bag_reader.h"
-#include "imu_pose_calib/ros/io/text_reader.h"
+#include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/simulated/recording_writer.h"
 #include "test_util.h"
 
@@ -15,18 +14,19 @@ class TextFiles : public TempDirTest {
     data_ = Simulate(ShortSimulation());
   }
 
-  TextRequest Tables() const {
-    TextRequest request;
+  RecordingRequest Tables() const {
+    RecordingRequest request;
     request.poses = Path("x.poses.txt");
     request.imu = Path("x.imu.csv");
     return request;
   }
-  TextRequest Folder(const std::string& name) const {
-    TextRequest request;
-    request.folder = Path(name);
+  RecordingRequest Folder(const std::string& name) const {
+    RecordingRequest request;
+    request.paths = {Path(name)};
     return request;
   }
-  static void ExpectRefusal(const TextRequest& request, const std::vector<std::string>& parts) {
+  static void ExpectRefusal(const RecordingRequest& request,
+                            const std::vector<std::string>& parts) {
     ExpectError<InputError>([&] { ReadText(request); }, parts);
   }
   void ExpectData(const SessionData& data) const {
@@ -81,7 +81,7 @@ TEST_F(TextFiles, TablesGiveBackTheData) {
 TEST_F(TextFiles, SplitTablesGiveBackTheData) {
   data_.imus[0].accel.pop_back();
   WriteTables(Path("x"), data_, true);
-  TextRequest request = Tables();
+  RecordingRequest request = Tables();
   request.imu.clear();
   request.gyro = Path("x.gyro.csv");
   request.accel = Path("x.accel.csv");
@@ -103,9 +103,9 @@ TEST_F(TextFiles, SpanIsThatOfABag) {
   for (ImuSample& s : data_.imus[0].accel) s.t_ns += 500'000'000;
   WriteBag(Path("x.bag"), data_, {});
   WriteTables(Path("x"), data_, false);
-  BagRequest bag;
+  RecordingRequest bag;
   bag.paths = {Path("x.bag")};
-  TextRequest request = Tables();
+  RecordingRequest request = Tables();
   bag.start_s = request.start_s = 0.75;
   bag.duration_s = request.duration_s = 1.5;
   data_ = ReadBag(bag).data;
@@ -116,7 +116,7 @@ TEST_F(TextFiles, SpanIsThatOfABag) {
 TEST_F(TextFiles, SpanOfForeignClocksCountsFromEachStart) {
   for (PoseSample& pose : data_.poses) pose.t_ns += 1'000'000'000'000'000;
   WriteTables(Path("x"), data_, false);
-  TextRequest request = Tables();
+  RecordingRequest request = Tables();
   request.start_s = 1.0;
   request.duration_s = 1.0;
   const SessionData data = ReadText(request).data;
@@ -128,7 +128,7 @@ TEST_F(TextFiles, SpanOfForeignClocksCountsFromEachStart) {
 
 TEST_F(TextFiles, RefusesASpanThatIsNone) {
   WriteTables(Path("x"), data_, false);
-  TextRequest request = Tables();
+  RecordingRequest request = Tables();
   request.start_s = 1e30;
   ExpectRefusal(request, {"start = ", "beyond the end"});
   request.start_s = -1.0;
@@ -140,7 +140,7 @@ TEST_F(TextFiles, RefusesASpanThatIsNone) {
 
 TEST_F(TextFiles, RefusesFilesThatCannotBeRead) {
   WriteTables(Path("x"), data_, false);
-  TextRequest request = Tables();
+  RecordingRequest request = Tables();
   request.imu = Path("missing.csv");
   ExpectRefusal(request, {"missing.csv", "No such file"});
   request.imu = dir_.string();
@@ -150,7 +150,7 @@ TEST_F(TextFiles, RefusesFilesThatCannotBeRead) {
 }
 
 TEST_F(TextFiles, RefusesIncompleteRequests) {
-  TextRequest request;
+  RecordingRequest request;
   ExpectRefusal(request, {"poses is missing"});
   request.poses = "p";
   ExpectRefusal(request, {"imu is missing"});
@@ -177,7 +177,7 @@ TEST_F(TextFiles, RefusesSeveralCandidatesUntilOneIsNamed) {
   ExpectRefusal(Folder("a"), {"several files of poses", "a/mocap0/data.csv, ",
                               "a/vicon0/data.csv; choose with "
                               "poses"});
-  TextRequest request = Folder("a");
+  RecordingRequest request = Folder("a");
   request.poses = Path("a/vicon0/data.csv");
   ExpectData(ReadText(request).data);
 

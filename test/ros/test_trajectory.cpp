@@ -17,7 +17,6 @@
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/ros/io/conversions.h"
-#include "imu_pose_calib/ros/io/trajectory_writer.h"
 #include "imu_pose_calib/ros/offline/ground_truth.h"
 #include "imu_pose_calib/ros/simulated/recording_writer.h"
 #include "run_executable.h"
@@ -454,7 +453,7 @@ TEST_F(TrajectoryTest, OfAPoseSensorIsOnItsClock) {
     const auto targets =
         PlanTrajectories(request, Method::kJoint, 1, recorded.imus.size(), info.pose_sensors);
     ASSERT_EQ(targets.size(), 1u);
-    EXPECT_TRUE(IsThere(targets[0], result));
+    EXPECT_TRUE(targets[0].IsIn(result));
     OutputFiles outputs;
     outputs.Plan("trajectory", targets[0].path, false);
     const auto lines = WriteTrajectories(request, targets, {{}, {}, {info}, result}, &outputs);

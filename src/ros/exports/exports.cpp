@@ -8,10 +8,8 @@
 #include <cmath>
 #include <filesystem>
 #include <map>
-#include <optional>
 #include <sstream>
 
-#include "imu_pose_calib/core/base/text.h"
 #include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/transform_file.h"
 
@@ -230,11 +228,10 @@ std::optional<size_t> FindPlayer(const StoredResult& stored, std::optional<size_
   if (!asked) return static_cast<size_t>(first - sensors.begin());
   const std::string name = "pose sensor " + std::to_string(*asked);
   if (*asked >= sensors.size())
-    throw InputError(name + " is not in the result, which has " + std::to_string(sensors.size()) +
-                     ", from 0");
+    Reject(name, " is not in the result, which has ", sensors.size(), ", from 0");
   if (!IsUsable(sensors[*asked]))
-    throw InputError(name + " is " + ToString(sensors[*asked].status) +
-                     ", must be ok or weak: " + sensors[*asked].message);
+    Reject(name, " is ", ToString(sensors[*asked].status),
+           ", must be ok or weak: ", sensors[*asked].message);
   return asked;
 }
 
@@ -321,9 +318,8 @@ void PutModels(const StoredResult& stored, size_t imu, Values* values) {
 void PutNoise(const std::string& sensor, const std::string& name, double sigma, double rate_hz,
               double walk, Values* values) {
   if (!(sigma > 0.0 && rate_hz > 0.0))
-    throw InputError("the result has no noise and rate of the " + name +
-                     ", which must be positive: " + YamlNumber(sigma) + " at " +
-                     YamlNumber(rate_hz) + " Hz");
+    Reject("the result has no noise and rate of the ", name,
+           ", which must be positive: ", YamlNumber(sigma), " at ", YamlNumber(rate_hz), " Hz");
   const double sample_walk = walk * std::sqrt(rate_hz);
   values->insert({{sensor + "_std", YamlNumber(sigma)},
                   {sensor + "_variance", YamlNumber(sigma * sigma)},
@@ -339,13 +335,6 @@ double OffsetToFirst(const StoredResult& stored, size_t imu) {
     if (session.imus[0].is_present && session.imus[imu].is_present)
       return session.imus[imu].time_shift - session.imus[0].time_shift;
   return 0.0;
-}
-
-/// The whole number of nanoseconds nearest to `seconds`.
-int64_t Nanoseconds(double seconds) {
-  if (!(std::abs(seconds) < 9e9))
-    throw InputError("time_shift = " + YamlNumber(seconds) + " s does not fit nanoseconds");
-  return std::llround(1e9L * seconds);
 }
 
 /// Of px4: body axes B with the origin of the imu.
@@ -393,13 +382,15 @@ Values ImuValues(const StoredResult& stored, size_t imu, const Template& file,
   const SessionCalibration& session = stored.result.sessions[0];
   const ImuSession& clock = stored.Clock(imu);
   const Rigid3& T_MI = stored.result.imus[imu].T_MI;
+  if (!(std::abs(clock.time_shift) < 9e9))
+    Reject("time_shift = ", YamlNumber(-clock.time_shift), " s does not fit nanoseconds");
   Values values =
       LinkValues(imu, stored.infos.front().marker_frame, stored.Info(imu).imu_frame, T_MI);
   values.insert({{"gyro_topic", Quoted(stored.Info(imu).GyroSource())},
                  {"rate", YamlNumber(clock.gyro.rate_hz)},
                  {"whole_rate", std::to_string(std::lround(clock.gyro.rate_hz))},
                  {"-time_shift", YamlNumber(-clock.time_shift)},
-                 {"-time_shift_ns", std::to_string(Nanoseconds(-clock.time_shift))},
+                 {"-time_shift_ns", std::to_string(std::llround(-1e9L * clock.time_shift))},
                  {"time_offset", YamlNumber(OffsetToFirst(stored, imu))},
                  {"gravity", YamlNumber(session.g_W.norm())},
                  {"position_std", YamlNumber(session.noise.position)},
@@ -450,8 +441,8 @@ std::vector<std::string> ParseExports(const std::string& list) {
   for (std::string word; words >> word;) {
     if (word == "all") return known;
     if (std::find(known.begin(), known.end(), word) == known.end())
-      throw InputError("export '" + word + "' is unknown; must be among " +
-                       boost::join(known, ", ") + ", or all");
+      Reject("export '", word, "' is unknown; must be among ", boost::join(known, ", "),
+             ", or all");
     if (std::find(names.begin(), names.end(), word) == names.end()) names.push_back(word);
   }
   return names;
@@ -460,7 +451,7 @@ std::vector<std::string> ParseExports(const std::string& list) {
 std::vector<ExportFile> Export(const StoredResult& stored, const std::string& name,
                                const ExportChoice& given) {
   if (stored.result.imus.empty() && NeedsImu(name))
-    throw InputError("export '" + name + "' needs an IMU, and the result has none");
+    Reject("export '", name, "' needs an IMU, and the result has none");
   const ExportChoice choice = {given.q_body_imu, FindPlayer(stored, given.pose_sensor)};
   std::vector<ExportFile> files;
   for (const Template& file : kTemplates) {
@@ -489,8 +480,7 @@ std::vector<ExportFile> ExportChain(const StoredResult& stored, size_t imu,
   constexpr char kComment[] = R"(marker -> imu -> cameras, {head}
 cameras: x_cam = T_cam_imu x_imu of {source}; published is its inverse)";
   if (imu >= stored.result.imus.size())
-    throw InputError("--imu " + std::to_string(imu) + ": '" + stored.path + "' has " +
-                     std::to_string(stored.result.imus.size()) + " imus, from 0");
+    Reject("--imu ", imu, ": '", stored.path, "' has ", stored.result.imus.size(), " imus, from 0");
   Values head = HeadValues(stored, true, false, std::nullopt);
   head["source"] = Printable(path);
   const std::string& frame = stored.Info(imu).imu_frame;

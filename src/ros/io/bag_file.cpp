@@ -1,11 +1,20 @@
 #include "imu_pose_calib/ros/io/bag_file.h"
 
-#include <algorithm>
+#include <lz4frame.h>
+#include <rosbag/chunked_file.h>
+#include <rosbag/stream.h>
+#include <zstd.h>
+
+#include <boost/algorithm/string/join.hpp>
 #include <boost/algorithm/string/predicate.hpp>
+#include <cerrno>
+#include <cstring>
 #include <filesystem>
-#include <fstream>
+#include <functional>
 #include <set>
 
+#include "imu_pose_calib/ros/io/output_files.h"
+#include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/yaml_file.h"
 
 namespace imu_pose_calib {
@@ -43,24 +52,192 @@ std::vector<std::string> ReadMetadata(const fs::path& metadata) {
     const YAML::Node root = ParseYaml(ReadYamlFile(metadata));
     const YAML::Node names = root["rosbag2_bagfile_information"]["relative_file_paths"];
     if (!names || !names.IsSequence() || names.size() == 0)
-      throw InputError("relative_file_paths names no files");
+      Reject("relative_file_paths names no files");
     for (const YAML::Node& name : names) {
       const fs::path given = name.as<std::string>();
       fs::path file = metadata.parent_path() / given.filename();
       if (!fs::exists(file) && fs::exists(file.string() + ".zstd")) file += ".zstd";
       if (!given.has_filename() || !fs::is_regular_file(file))
-        throw InputError("the file '" + given.string() + "' that it names is missing");
+        Reject("the file '", given.string(), "' that it names is missing");
       files.push_back(file);
     }
   } catch (const YAML::Exception& error) {
-    throw InputError("'" + metadata.string() + "': rosbag2_bagfile_information: " + error.msg);
+    Reject("'", metadata.string(), "': rosbag2_bagfile_information: ", error.msg);
   } catch (const InputError& error) {
-    throw InputError("'" + metadata.string() + "': " + error.what());
+    Reject("'", metadata.string(), "': ", error.what());
   }
   return files;
 }
 
+// --- Compression ---
+
+constexpr size_t kStep = 1 << 17;  // [bytes] unfolded at a time
+
+void CheckSize(uint64_t size, uint64_t max_size) {
+  if (size > max_size) Reject("unfolds to more than ", max_size, " bytes");
+}
+
+/// Unfolds zstd frames, calling `use` with a piece at a time.
+void Unzstd(ByteReader frames, uint64_t max_size,
+            const std::function<void(std::string_view)>& use) {
+  const std::unique_ptr<ZSTD_DStream, size_t (*)(ZSTD_DStream*)> stream(ZSTD_createDStream(),
+                                                                        ZSTD_freeDStream);
+  std::string stored, piece(kStep, '\0');
+  ZSTD_inBuffer in{nullptr, 0, 0};
+  for (uint64_t size = 0;;) {
+    ZSTD_outBuffer out{piece.data(), piece.size(), 0};
+    const size_t left = ZSTD_decompressStream(stream.get(), &out, &in);
+    if (ZSTD_isError(left)) Reject("zstd: ", ZSTD_getErrorName(left));
+    CheckSize(size += out.pos, max_size);
+    use(std::string_view(piece).substr(0, out.pos));
+    if (in.pos < in.size || (left != 0 && out.pos == out.size)) continue;  // more to come
+    stored = frames.Piece();
+    in = {stored.data(), stored.size(), 0};
+    if (!stored.empty()) continue;
+    if (left != 0) Reject("zstd: it is cut off");
+    return;
+  }
+}
+
+/// Unfolds a file, called `name` in errors.
+void UnzstdInto(const std::string& path, const std::string& name, InputFile* input) {
+  std::ofstream file(path, std::ios::binary);
+  const auto check = [&] {
+    if (!file) Reject("cannot be unfolded into a temporary file: ", std::strerror(errno));
+  };
+  try {
+    Unzstd({input, 0}, kMaxBlockSize + 100 * input->size(), [&](std::string_view piece) {
+      file << piece;
+      check();
+    });
+    file.close();
+    check();
+  } catch (const InputError& error) {
+    Reject("'", name, "': ", error.what());
+  }
+}
+
+/// The contents of lz4 frames, as DecompressZstd().
+std::string DecompressLz4(std::string_view bytes, uint64_t max_size) {
+  LZ4F_dctx* raw = nullptr;
+  if (LZ4F_isError(LZ4F_createDecompressionContext(&raw, LZ4F_VERSION))) throw std::bad_alloc();
+  const std::unique_ptr<LZ4F_dctx, LZ4F_errorCode_t (*)(LZ4F_dctx*)> context(
+      raw, LZ4F_freeDecompressionContext);
+  std::string contents, piece(kStep, '\0');
+  size_t hint = 1;
+  while (!bytes.empty() || hint != 0) {
+    size_t out = piece.size(), in = bytes.size();
+    hint = LZ4F_decompress(context.get(), piece.data(), &out, bytes.data(), &in, nullptr);
+    if (LZ4F_isError(hint)) Reject("lz4: ", LZ4F_getErrorName(hint));
+    bytes.remove_prefix(in);
+    CheckSize(contents.size() + out, max_size);
+    contents.append(piece, 0, out);
+    if (in == 0 && out == 0 && hint != 0) Reject("lz4: it is cut off");
+  }
+  return contents;
+}
+
+/// The same of bz2, filled up to `size`.
+std::string DecompressBz2(std::string_view bytes, uint64_t size) {
+  std::string contents(size, '\0');
+  rosbag::ChunkedFile none;
+  try {
+    rosbag::BZ2Stream(&none).decompress(reinterpret_cast<uint8_t*>(contents.data()),
+                                        static_cast<unsigned>(size),
+                                        reinterpret_cast<uint8_t*>(const_cast<char*>(bytes.data())),
+                                        static_cast<unsigned>(bytes.size()));
+  } catch (const rosbag::BagException& error) {
+    Reject("bz2: ", error.what());
+  }
+  return contents;
+}
+
 }  // namespace
+
+bool IsZstd(std::string_view bytes) { return bytes.substr(0, 4) == "\x28\xb5\x2f\xfd"; }
+
+std::string DecompressZstd(std::string_view bytes, uint64_t max_size) {
+  std::string contents;
+  // As most messages are, for which a stream would take longer to set up than to run.
+  const uint64_t stated = ZSTD_getFrameContentSize(bytes.data(), bytes.size());
+  if (stated <= std::min<uint64_t>(kStep, max_size)) {
+    contents.resize(stated);
+    const size_t size = ZSTD_decompress(contents.data(), stated, bytes.data(), bytes.size());
+    if (size == stated) return contents;
+    contents.clear();  // damaged, or several frames
+  }
+  Unzstd(ByteReader(bytes), max_size, [&](std::string_view piece) { contents.append(piece); });
+  return contents;
+}
+
+InputFile::InputFile(const std::string& path)
+    : path_(path), file_(path, std::ios::binary | std::ios::ate) {
+  const auto size = file_.tellg();
+  if (size < 0) Reject("'", path_, "' cannot be read: ", std::strerror(errno));
+  size_ = next_ = static_cast<uint64_t>(size);
+}
+
+std::string InputFile::Read(uint64_t at, uint64_t size) {
+  std::string bytes(size, '\0');
+  errno = 0;
+  if (at < next_ || at - next_ > kStep)
+    file_.seekg(static_cast<std::streamoff>(at));  // which drops what is buffered
+  else
+    file_.ignore(static_cast<std::streamsize>(at - next_));
+  file_.read(bytes.data(), static_cast<std::streamsize>(size));
+  next_ = at + size;
+  if (!file_) {
+    file_.clear();
+    next_ = UINT64_MAX;
+    Reject("'", path_,
+           "' cannot be read: ", (errno == 0 ? "it has become shorter" : std::strerror(errno)));
+  }
+  return bytes;
+}
+
+std::unique_ptr<BagFile> OpenRos2(const std::string& path) {
+  auto input = std::make_unique<InputFile>(path);
+  std::optional<TemporaryFolder> folder;  // what is open in it can be read without it
+  std::string unfolded = path;
+  if (IsZstd(input->Start())) {
+    unfolded = folder.emplace().path() / "unfolded";
+    UnzstdInto(unfolded, path, input.get());
+    input = std::make_unique<InputFile>(unfolded);
+  }
+  const std::string start = input->Start();
+  if (IsMcap(start)) return OpenMcap(std::move(input), path);
+  if (IsSqlite(start)) return OpenSqlite(unfolded, path);
+  Reject("'", path, "' is neither an mcap file nor a database of SQLite",
+         (start.empty() ? ": it is empty" : ""));
+}
+
+uint32_t RecordFile::AddChunk(std::string_view compression, ByteReader stored, uint64_t size) {
+  if (compression.empty() && stored.size() != size)
+    Reject("chunk has ", stored.size(), " bytes, must have ", size);
+  if (size > kMaxBlockSize && !compression.empty())
+    Reject("chunk is of ", size, " bytes, must be at most ", kMaxBlockSize);
+  chunks_.push_back({std::string(compression), stored, size});
+  return static_cast<uint32_t>(chunks_.size());
+}
+
+std::string_view RecordFile::Records(uint32_t chunk) {
+  for (const auto& [kept, records] : kept_)
+    if (kept == chunk) return records;
+  auto [compression, stored, size] = chunks_.at(chunk - 1);
+  std::string records = stored.All();
+  if (compression == "lz4") records = DecompressLz4(records, size);
+  if (compression == "zstd") records = DecompressZstd(records, size);
+  if (compression == "bz2") records = DecompressBz2(records, size);
+  if (records.size() != size) Reject("chunk unfolds to ", records.size(), " bytes, must be ", size);
+  auto& slot = kept_[next_slot_++ % kKept];
+  slot = {chunk, std::move(records)};
+  return slot.second;
+}
+
+void RecordFile::NoteCutOff(const std::string& name, uint64_t end) {
+  note_ = "'" + name + "' is cut off: it is read up to byte " + std::to_string(end) + " of " +
+          std::to_string(size()) + ", " + std::to_string(entries_.size()) + " messages";
+}
 
 std::string Ros1Type(std::string type, const std::string& encoding) {
   const size_t at = type.find("/msg/");
@@ -69,10 +246,8 @@ std::string Ros1Type(std::string type, const std::string& encoding) {
 }
 
 bool IsRos2Bag(const std::string& path) {
-  std::error_code ignored;
-  if (fs::is_directory(path, ignored))
-    return fs::exists(fs::path(path) / "metadata.yaml", ignored) || !FindBagFiles(path).empty();
-  if (!fs::is_regular_file(path, ignored)) return false;
+  if (IsFolder(path)) return IsFile(path + "/metadata.yaml") || !FindBagFiles(path).empty();
+  if (!IsFile(path)) return false;
   std::string start(16, '\0');
   std::ifstream(path, std::ios::binary)
       .read(start.data(), static_cast<std::streamsize>(start.size()));
@@ -86,30 +261,22 @@ std::vector<std::string> MessageFiles(const std::string& path) {
   return fs::exists(metadata) ? ReadMetadata(metadata) : FindBagFiles(path);
 }
 
-std::vector<std::string> FilesOfBag(const std::string& path) {
-  std::vector<std::string> files = MessageFiles(path);
-  if (fs::is_directory(path)) files.push_back(fs::path(path) / "metadata.yaml");
-  return files;
-}
-
 std::string WithoutBagEnding(const std::string& path) {
   return path.substr(0, path.size() - Ending(path, std::size(kEndings)).size());
 }
 
 std::string FileNames(const std::vector<std::string>& paths) {
-  std::string names;
+  std::vector<std::string> names;
   for (const fs::path path : paths)  // a folder may end with a slash
-    names += (names.empty() ? "" : ", ") +
-             (path.has_filename() ? path : path.parent_path()).filename().string();
-  return names;
+    names.push_back((path.has_filename() ? path : path.parent_path()).filename());
+  return boost::join(names, ", ");
 }
 
 void CheckBagsExist(const std::vector<std::string>& paths) {
   std::set<fs::path> known;
   for (const std::string& path : paths) {
-    if (!fs::exists(path)) throw InputError("bag '" + path + "' does not exist");
-    if (!known.insert(fs::canonical(path)).second)
-      throw InputError("bag '" + path + "' is given twice");
+    if (!fs::exists(path)) Reject("bag '", path, "' does not exist");
+    if (!known.insert(fs::canonical(path)).second) Reject("bag '", path, "' is given twice");
   }
 }
 

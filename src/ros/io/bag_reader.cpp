@@ -1,16 +1,15 @@
-#include "imu_pose_calib/ros/io/bag_reader.h"
-
 #include <algorithm>
 #include <boost/algorithm/string/join.hpp>
 #include <functional>
 #include <optional>
 #include <set>
+#include <string>
 #include <utility>
-#include <vector>
 
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/ros/io/bags.h"
 #include "imu_pose_calib/ros/io/conversions.h"
+#include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/tf_chain.h"
 
@@ -41,11 +40,10 @@ ImuInfo NamedImu(const std::string& gyro, const std::string& accel) {
 ImuInfo FindImu(const Bags& bags) {
   const std::vector<BagTopic> candidates = bags.Select(&BagTopic::IsImu);
   if (candidates.empty())
-    Throw<InputError>(
-        "no topic of type ", kImuType, " in ", bags.Contents(),
-        (Has(bags, &BagTopic::IsVector) ? std::string("; say which ") + kVectorType +
-                                              " is which with gyro_topic and accel_topic"
-                                        : ""));
+    Reject("no topic of type ", kImuType, " in ", bags.Contents(),
+           (Has(bags, &BagTopic::IsVector) ? std::string("; say which ") + kVectorType +
+                                                 " is which with gyro_topic and accel_topic"
+                                           : ""));
   if (candidates.size() == 1) return NamedImu(candidates[0].name, candidates[0].name);
 
   std::vector<std::string> gyros, accels;
@@ -61,14 +59,14 @@ ImuInfo FindImu(const Bags& bags) {
     if (has_accel) accels.push_back(topic.name);
   }
   if (gyros.size() != 1 || accels.size() != 1)
-    throw InputError("several IMU topics: " + Describe(candidates) +
-                     "; choose with imu_topic, or with gyro_topic and accel_topic; several IMUs of "
-                     "one body have white space between their topics");
+    Reject("several IMU topics: ", Describe(candidates),
+           "; choose with imu_topic, or with gyro_topic and accel_topic; several IMUs of one body "
+           "have white space between their topics");
   return NamedImu(gyros[0], accels[0]);
 }
 
 /// The topics of each IMU; nameless for one that is missing.
-std::vector<ImuInfo> ChooseImus(const Bags& bags, const BagRequest& request) {
+std::vector<ImuInfo> ChooseImus(const Bags& bags, const RecordingRequest& request) {
   const bool is_split = IsPair({"imu_topic", request.imu_topic}, {"gyro_topic", request.gyro_topic},
                                {"accel_topic", request.accel_topic});
   if (!is_split && request.imu_topic.empty()) {
@@ -81,15 +79,15 @@ std::vector<ImuInfo> ChooseImus(const Bags& bags, const BagRequest& request) {
   const auto gyros = SplitNames(is_split ? request.gyro_topic : request.imu_topic);
   const auto accels = is_split ? SplitNames(request.accel_topic) : gyros;
   if (gyros.size() != accels.size())
-    Throw<InputError>("gyro_topic names ", gyros.size(), " topics and accel_topic ", accels.size(),
-                      "; give as many of both, in the same order");
+    Reject("gyro_topic names ", gyros.size(), " topics and accel_topic ", accels.size(),
+           "; give as many of both, in the same order");
   std::vector<std::string> types = {kImuType};
   if (is_split) types.emplace_back(kVectorType);
   std::vector<ImuInfo> imus(gyros.size());
   std::set<std::string> known;
   for (size_t i = 0; i < gyros.size(); ++i) {
     if (!known.insert(gyros[i]).second && !is_split)
-      throw InputError("imu_topic '" + gyros[i] + "' is given twice");
+      Reject("imu_topic '", gyros[i], "' is given twice");
     if (request.may_lack_sensors && !HasTopic(bags, gyros[i]) && !HasTopic(bags, accels[i]))
       continue;  // another session of the rig has it
     imus[i] = NamedImu(bags.Find(is_split ? "gyro_topic" : "imu_topic", gyros[i], types).name,
@@ -116,26 +114,26 @@ std::string TfHint(const Bags& bags) {
 
 /// Whether a topic may have the poses of the marker: that of a pose sensor has, where it holds
 /// those of several bodies.
-bool MayBeMarker(const BagRequest& request, const BagTopic& topic) {
+bool MayBeMarker(const RecordingRequest& request, const BagTopic& topic) {
+  const std::vector<std::string> sensors = SplitPaths(request.pose_sensors);
   const auto is_it = [&](const std::string& name) { return SplitBody(name).first == topic.name; };
-  return topic.IsPose() && (topic.IsBodies() || std::none_of(request.pose_sensors.begin(),
-                                                             request.pose_sensors.end(), is_it));
+  return topic.IsPose() &&
+         (topic.IsBodies() || std::none_of(sensors.begin(), sensors.end(), is_it));
 }
 
 /// The frames of tf that the poses of the marker are between, if they are from tf: those that are
 /// named, or the only two where nothing else has poses.
-std::optional<TfFrames> ChooseTf(const Bags& bags, const BagRequest& request) {
+std::optional<TfFrames> ChooseTf(const Bags& bags, const RecordingRequest& request) {
   if (IsPair({"pose_topic", request.pose_topic}, {"tf_parent", request.tf_parent},
              {"tf_child", request.tf_child})) {
-    if (!request.body.empty())
-      throw InputError("body '" + request.body + "' does not go with poses from tf");
+    if (!request.body.empty()) Reject("body '", request.body, "' does not go with poses from tf");
     return TfFrames(FrameName(request.tf_parent, ""), FrameName(request.tf_child, ""));
   }
-  if (!request.poses || !request.pose_topic.empty() || !request.body.empty() ||
+  if (request.NamesPoseFile() || !request.pose_topic.empty() || !request.body.empty() ||
       Has(bags, [&](const BagTopic& t) { return MayBeMarker(request, t); }))
     return std::nullopt;
   std::optional<TfFrames> pair = ReadLinks(bags).SinglePair();
-  for (const std::string& name : request.pose_sensors)
+  for (const std::string& name : SplitPaths(request.pose_sensors))
     if (pair && SplitTf(name) == pair) return std::nullopt;
   return pair;
 }
@@ -143,28 +141,26 @@ std::optional<TfFrames> ChooseTf(const Bags& bags, const BagRequest& request) {
 BagTopic NamedPose(const Bags& bags, const std::string& field, const std::string& name) {
   const BagTopic& topic = bags.Find(field, name);
   if (!topic.IsPose())
-    throw InputError(field + " '" + name + "' is " + topic.type + ", must be " +
-                     boost::join(kPoseTypes, " or ") +
-                     (topic.IsTf() ? ", or named tf:PARENT:CHILD" : ""));
+    Reject(field, " '", name, "' is ", topic.type, ", must be ", boost::join(kPoseTypes, " or "),
+           (topic.IsTf() ? ", or named tf:PARENT:CHILD" : ""));
   return topic;
 }
 
-BagTopic ChoosePose(const Bags& bags, const BagRequest& request) {
+BagTopic ChoosePose(const Bags& bags, const RecordingRequest& request) {
   const std::string& name = request.pose_topic;
   if (!name.empty()) {
     const BagTopic& topic = bags.Find("pose_topic", name);
     if (topic.IsTf())
-      throw InputError("pose_topic '" + name + "' is " + topic.type + "; leave it empty" +
-                       TfHint(bags));
+      Reject("pose_topic '", name, "' is ", topic.type, "; leave it empty", TfHint(bags));
     return NamedPose(bags, "pose_topic", name);
   }
   const std::vector<BagTopic> candidates =
       bags.Select([&](const BagTopic& t) { return MayBeMarker(request, t); });
   if (candidates.empty())
-    throw InputError("no topic of type " + boost::join(kPoseTypes, " or ") + " in " +
-                     bags.Contents() + TfHint(bags));
+    Reject("no topic of type ", boost::join(kPoseTypes, " or "), " in ", bags.Contents(),
+           TfHint(bags));
   if (candidates.size() > 1)
-    throw InputError("several pose topics: " + Describe(candidates) + "; choose with pose_topic");
+    Reject("several pose topics: ", Describe(candidates), "; choose with pose_topic");
   return candidates[0];
 }
 
@@ -187,9 +183,9 @@ struct Stream {
   std::optional<Latency> Finish(const std::string& topic, std::vector<Sample>* finished) {
     if (samples.empty()) return std::nullopt;
     if (std::all_of(samples.begin(), samples.end(), [](const Sample& s) { return s.t_ns == 0; }))
-      throw InputError("'" + topic +
-                       "' has no header stamps (all are 0); record_time takes the times of "
-                       "recording instead, which are less exact");
+      Reject("'", topic,
+             "' has no header stamps (all are 0); record_time takes the times of recording "
+             "instead, which are less exact");
     const double median_s = Median(delays_s);
     for (double& delay : delays_s) delay -= median_s;
     *finished = std::move(samples);
@@ -225,9 +221,9 @@ struct ImuReader {
   static void Check(const std::string& topic, const std::vector<ImuSample>& samples,
                     const char* what) {
     if (std::none_of(samples.begin(), samples.end(), IsData))
-      throw InputError("'" + topic + "' carries no " + what +
-                       " (all zero, or covariance -1); choose with imu_topic, or with gyro_topic " +
-                       "and accel_topic");
+      Reject("'", topic, "' carries no ", what,
+             " (all zero, or covariance -1); choose with imu_topic, or with gyro_topic ",
+             "and accel_topic");
   }
 };
 
@@ -249,8 +245,7 @@ std::string ChooseBody(const Bags& bags, const std::string& role, const BagTopic
                        const std::string& name, const std::string& how) {
   const std::string field = role + " '" + topic.name + "'";
   if (!topic.IsBodies() && !name.empty())
-    throw InputError("body '" + name + "' is given, but " + field + " is " + topic.type +
-                     ", which holds one body");
+    Reject("body '", name, "' is given, but ", field, " is ", topic.type, ", which holds one body");
   if (!topic.IsBodies()) return "";
   std::set<std::string> names;
   bags.ForEach({topic.name}, [&](const BagMessage& message) {
@@ -258,10 +253,9 @@ std::string ChooseBody(const Bags& bags, const std::string& role, const BagTopic
     return true;
   });
   const std::string list = field + " has the bodies: " + boost::join(names, ", ");
-  if (names.empty()) throw InputError(field + " has no bodies");
-  if (name.empty() && names.size() > 1) throw InputError(list + "; choose with " + how);
-  if (!name.empty() && names.count(name) == 0)
-    throw InputError("body '" + name + "' is missing: " + list);
+  if (names.empty()) Reject(field, " has no bodies");
+  if (name.empty() && names.size() > 1) Reject(list, "; choose with ", how);
+  if (!name.empty() && names.count(name) == 0) Reject("body '", name, "' is missing: ", list);
   return name.empty() ? *names.begin() : name;
 }
 
@@ -286,9 +280,9 @@ struct PoseReader {
   void Add(const BagMessage& message, const FramedPose& framed, bool record_time) {
     if (poses.samples.empty()) first = framed;
     if (framed.world_frame != first.world_frame || framed.marker_frame != first.marker_frame)
-      throw InputError(field + " '" + topic.name + "' mixes poses of several frames: '" +
-                       first.world_frame + "' -> '" + first.marker_frame + "' and '" +
-                       framed.world_frame + "' -> '" + framed.marker_frame + "'");
+      Reject(field, " '", topic.name, "' mixes poses of several frames: '", first.world_frame,
+             "' -> '", first.marker_frame, "' and '", framed.world_frame, "' -> '",
+             framed.marker_frame, "'");
     poses.Add(message, framed.pose, record_time);
   }
 
@@ -330,31 +324,33 @@ void ReadTf(const Bags& bags, bool record_time, bool may_lack, PoseReader* reade
   if (may_lack) return reader->tf.reset();
   try {
     chain.Check();
-    throw InputError("at no stamp are all links between tf_parent '" + parent + "' and tf_child '" +
-                     child + "' known");
+    Reject("at no stamp are all links between tf_parent '", parent, "' and tf_child '", child,
+           "' known");
   } catch (const InputError& error) {
     if (reader->field == "pose_topic") throw;
-    throw InputError(reader->field + " '" + reader->Name() + "': " + error.what());
+    Reject(reader->field, " '", reader->Name(), "': ", error.what());
   }
 }
 
-PoseReader ChooseMarker(const Bags& bags, const BagRequest& request,
+PoseReader ChooseMarker(const Bags& bags, const RecordingRequest& request,
                         const std::optional<TfFrames>& tf) {
   PoseReader marker;
   marker.field = "pose_topic";
   marker.tf = tf;
-  if (tf || !request.poses) return marker;
+  if (tf || request.NamesPoseFile()) return marker;
   marker.topic = ChoosePose(bags, request);
   marker.body = ChooseBody(bags, marker.field, marker.topic, request.body, "body");
   return marker;
 }
 
-/// A pose sensor that may be missing is nameless then.
-PoseReader ChoosePoseSensor(const Bags& bags, const BagRequest& request, const std::string& name) {
+/// A pose sensor that is in a file is nameless, and so is one that may be missing and is.
+PoseReader ChoosePoseSensor(const Bags& bags, const RecordingRequest& request,
+                            const std::string& name) {
   PoseReader sensor;
   sensor.field = "pose_sensor";
+  if (IsPoseFile(name)) return sensor;
   sensor.tf = SplitTf(name);
-  if (sensor.tf || name.empty()) return sensor;
+  if (sensor.tf) return sensor;
   const auto [topic, body] = SplitBody(name);
   if (request.may_lack_sensors && !HasTopic(bags, topic)) return sensor;
   sensor.topic = NamedPose(bags, sensor.field, topic);
@@ -362,8 +358,11 @@ PoseReader ChoosePoseSensor(const Bags& bags, const BagRequest& request, const s
   return sensor;
 }
 
-Recording Read(const BagRequest& request) {
-  const Bags bags(request.paths, request.start_s, request.duration_s);
+Recording Read(const RecordingRequest& request) {
+  // Bags and text files have no span of record time in common.
+  const bool is_whole = request.NamesPoseFile() || request.NamesImuFile();
+  const Bags bags(request.paths, is_whole ? 0.0 : request.start_s,
+                  is_whole ? 0.0 : request.duration_s);
   const std::optional<TfFrames> tf = ChooseTf(bags, request);
   Recording recording;
   RecordingInfo& info = recording.info;
@@ -371,12 +370,12 @@ Recording Read(const BagRequest& request) {
   info.bag = boost::join(request.paths, " ");
   info.notes = bags.Notes();
   // Nameless topics are not read: of an IMU that is missing, of poses from elsewhere.
-  info.imus = request.imus ? ChooseImus(bags, request) : std::vector<ImuInfo>();
+  info.imus = request.NamesImuFile() ? std::vector<ImuInfo>() : ChooseImus(bags, request);
   data.imus.resize(info.imus.size());
   std::vector<ImuReader> imus;
   for (ImuInfo& imu : info.imus) imus.push_back({&imu, {}, {}});
   std::vector<PoseReader> poses;  // the marker first, chosen among what is no pose sensor
-  for (const std::string& name : request.pose_sensors)
+  for (const std::string& name : SplitPaths(request.pose_sensors))
     poses.push_back(ChoosePoseSensor(bags, request, name));
   poses.insert(poses.begin(), ChooseMarker(bags, request, tf));
   std::set<std::string> topics;
@@ -442,16 +441,18 @@ auto Printably(const std::vector<std::string>& paths, Read read) {
   try {
     return read();
   } catch (const InputError& error) {  // with names of topics, types and frames as in the bag
-    throw InputError(Printable(error.what()));
+    Reject(Printable(error.what()));
   } catch (const std::runtime_error& error) {  // times out of range, in tf2
-    throw InputError(Printable("bag '" + FileNames(paths) + "' is damaged (" + error.what() + ")"));
+    Reject(Printable("bag '" + FileNames(paths) + "' is damaged (" + error.what() + ")"));
   }
 }
 
 }  // namespace
 
-Recording ReadBag(const BagRequest& request) {
-  return Printably(request.paths, [&] { return Read(request); });
+Recording ReadBag(const RecordingRequest& request) {
+  Recording recording = Printably(request.paths, [&] { return Read(request); });
+  ReadFiles(request, &recording);
+  return recording;
 }
 
 std::vector<std::vector<std::string>> GroupBags(const std::vector<std::string>& paths) {

@@ -6,7 +6,6 @@
 #include <cmath>
 #include <map>
 
-#include "imu_pose_calib/ros/io/record_file.h"
 #include "imu_pose_calib/ros/io/recording.h"
 
 namespace imu_pose_calib {
@@ -34,8 +33,8 @@ void BagMessage::Read(const std::function<void(MessageInput*)>& read) const {
     read(&input);
     input.Finish();
   } catch (const InputError& error) {
-    Throw<InputError>("topic '", topic, "', message recorded at ", ToNanoseconds(time),
-                      " ns is no ", type, ": ", error.what());
+    Reject("topic '", topic, "', message recorded at ", ToNanoseconds(time), " ns is no ", type,
+           ": ", error.what());
   }
 }
 
@@ -67,11 +66,10 @@ std::vector<FramedPose> ReadBodies(const BagMessage& message) {
 }
 
 std::string Describe(const std::vector<BagTopic>& topics) {
-  std::string text;
-  for (const BagTopic& topic : topics)
-    text += (text.empty() ? "" : ", ") + topic.name + " (" + topic.type + ", " +
-            std::to_string(topic.count) + ")";
-  return text;
+  std::vector<std::string> texts;
+  for (const BagTopic& t : topics)
+    texts.push_back(t.name + " (" + t.type + ", " + std::to_string(t.count) + ")");
+  return boost::join(texts, ", ");
 }
 
 Bags::Bags(const std::vector<std::string>& paths, double start_s, double duration_s)
@@ -79,7 +77,7 @@ Bags::Bags(const std::vector<std::string>& paths, double start_s, double duratio
   CheckBagsExist(paths_);
   const auto ros2 = std::count_if(paths_.begin(), paths_.end(), IsRos2Bag);
   if (ros2 != 0 && ros2 != static_cast<int64_t>(paths_.size()))
-    throw InputError("bags of ROS 1 and of ROS 2 cannot be one recording: " + FileNames(paths_));
+    Reject("bags of ROS 1 and of ROS 2 cannot be one recording: ", FileNames(paths_));
   for (const std::string& path : paths_) {
     if (ros2 == 0)
       files_.push_back(OpenRos1(path));
@@ -106,14 +104,12 @@ const BagTopic& Bags::Find(const std::string& field, const std::string& name,
                            const std::vector<std::string>& types) const {
   const auto topic = std::find_if(topics_.begin(), topics_.end(),
                                   [&](const BagTopic& t) { return t.name == name; });
-  if (topic == topics_.end()) throw InputError(field + " '" + name + "' is not in " + Contents());
+  if (topic == topics_.end()) Reject(field, " '", name, "' is not in ", Contents());
   if (topic->count == 0)
-    Throw<InputError>(field, " '", name, "' has no messages within the span used (",
-                      Seconds(start_ns_ - begin_ns_), " s to ", duration_s(),
-                      " s after the start)");
+    Reject(field, " '", name, "' has no messages within the span used (",
+           Seconds(start_ns_ - begin_ns_), " s to ", duration_s(), " s after the start)");
   if (!types.empty() && std::count(types.begin(), types.end(), topic->type) == 0)
-    throw InputError(field + " '" + name + "' is " + topic->type + ", must be " +
-                     boost::join(types, " or "));
+    Reject(field, " '", name, "' is ", topic->type, ", must be ", boost::join(types, " or "));
   return *topic;
 }
 
@@ -163,16 +159,15 @@ void Bags::SetSpan(double start_s, double duration_s) {
   CheckSpan(start_s, duration_s);
   if (index_.empty()) {
     for (const auto& file : files_)
-      if (!file->problem().empty()) throw InputError(file->problem());
-    throw InputError("bag '" + FileNames(paths_) + "' holds no messages");
+      if (!file->problem().empty()) Reject(file->problem());
+    Reject("bag '", FileNames(paths_), "' holds no messages");
   }
   begin_ns_ = index_.front().entry.t_ns;
   const int64_t last_ns = index_.back().entry.t_ns;
   for (const int64_t t_ns : {begin_ns_, last_ns}) FromNanoseconds(t_ns);  // throws
   const double length_s = Seconds(last_ns - begin_ns_);
   if (start_s > length_s)
-    Throw<InputError>("start = ", start_s, " s is beyond the end of the bag, which lasts ",
-                      length_s, " s");
+    Reject("start = ", start_s, " s is beyond the end of the bag, which lasts ", length_s, " s");
   start_ns_ = begin_ns_ + std::llround(1e9 * start_s);
   end_ns_ = last_ns;
   if (duration_s > 0.0 && start_s + duration_s < length_s)

@@ -2,10 +2,10 @@
 
 #include <tf2_eigen/tf2_eigen.h>
 
-#include <algorithm>
 #include <cmath>
 
 #include "imu_pose_calib/ros/io/result_yaml.h"
+#include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -34,9 +34,8 @@ int64_t ToNanoseconds(const ros::Time& stamp) { return static_cast<int64_t>(stam
 
 ros::Time FromNanoseconds(int64_t t_ns) {
   if (t_ns < 0 || t_ns / 1'000'000'000 > int64_t{ros::TIME_MAX.sec})
-    throw InputError("stamp " + std::to_string(t_ns) +
-                     " ns does not fit a ROS time: must be from 0 to " +
-                     std::to_string(ros::TIME_MAX.sec) + " s");
+    Reject("stamp ", t_ns, " ns does not fit a ROS time: must be from 0 to ", ros::TIME_MAX.sec,
+           " s");
   return ros::Time().fromNSec(static_cast<uint64_t>(t_ns));
 }
 

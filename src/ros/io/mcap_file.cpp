@@ -9,8 +9,8 @@
 #include <map>
 #include <utility>
 
-#include "imu_pose_calib/core/base/text.h"
-#include "imu_pose_calib/ros/io/record_file.h"
+#include "imu_pose_calib/ros/io/bag_file.h"
+#include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -58,7 +58,7 @@ std::optional<Record> Next(ByteReader* reader) {
 }
 
 void CheckCrc(ByteReader bytes, uint32_t crc, const char* what) {
-  if (crc != 0 && crc != Crc32(bytes)) Throw<InputError>("the checksum of the ", what, " is wrong");
+  if (crc != 0 && crc != Crc32(bytes)) Reject("the checksum of the ", what, " is wrong");
 }
 
 class McapFile : public RecordFile {
@@ -78,7 +78,7 @@ class McapFile : public RecordFile {
         else
           ReadRecord(*record, 0);
       } catch (const InputError& error) {
-        Throw<InputError>("'", name, "' is damaged, record at byte ", begin, ": ", error.what());
+        Reject("'", name, "' is damaged, record at byte ", begin, ": ", error.what());
       }
     }
     NoteCutOff(name, left.at());
@@ -92,19 +92,18 @@ class McapFile : public RecordFile {
     const std::string compression = fields.Part().All();
     const ByteReader stored = fields.Skip(fields.Number<uint64_t>());
     if (!compression.empty() && compression != "lz4" && compression != "zstd")
-      throw InputError("chunk is compressed by '" + compression.substr(0, 20) +
-                       "', must be lz4 or zstd");
+      Reject("chunk is compressed by '", compression.substr(0, 20), "', must be lz4 or zstd");
     const uint32_t chunk = AddChunk(compression, stored, size);
     ByteReader left(Records(chunk));
     CheckCrc(left, crc, "chunk");
     while (const auto record = Next(&left)) ReadRecord(*record, chunk);
-    if (left.size() > 0) throw InputError("chunk ends within a record");
+    if (left.size() > 0) Reject("chunk ends within a record");
   }
 
   /// A record that may stand in a chunk or outside of it; what is not needed is skipped.
   void ReadRecord(Record record, uint32_t chunk) {
     auto& [opcode, fields] = record;
-    if (opcode == 0) throw InputError("its kind is 0, which there is none of");
+    if (opcode == 0) Reject("its kind is 0, which there is none of");
     if (opcode == kSchema) {
       const auto id = fields.Number<uint16_t>();
       schemas_[id] = fields.Part().All();
@@ -118,13 +117,13 @@ class McapFile : public RecordFile {
     const auto schema = fields.Number<uint16_t>();
     const std::string name = fields.Part().All(), encoding = fields.Part().All();
     if (schema != 0 && schemas_.count(schema) == 0)
-      Throw<InputError>("channel '", name, "' is of schema ", schema, ", which is unknown");
+      Reject("channel '", name, "' is of schema ", schema, ", which is unknown");
     const Topic topic{name, Ros1Type(schema == 0 ? "" : schemas_[schema], encoding), {}};
     const auto [known, is_new] = channels_.emplace(id, static_cast<uint32_t>(topics_.size()));
     if (is_new) return topics_.push_back(topic);
     const Topic& other = topics_[known->second];
     if (other.name != topic.name || other.type != topic.type)
-      Throw<InputError>("channel ", id, " is both '", other.name, "' and '", topic.name, "'");
+      Reject("channel ", id, " is both '", other.name, "' and '", topic.name, "'");
   }
 
   void ReadMessage(ByteReader fields, uint32_t chunk) {
@@ -133,10 +132,9 @@ class McapFile : public RecordFile {
     const auto time = fields.Number<uint64_t>();
     fields.Number<uint64_t>();  // time of publishing
     const auto channel = channels_.find(id);
-    if (channel == channels_.end())
-      Throw<InputError>("a message is of channel ", id, ", which is unknown");
+    if (channel == channels_.end()) Reject("a message is of channel ", id, ", which is unknown");
     if (time > uint64_t{std::numeric_limits<int64_t>::max()})
-      Throw<InputError>("a message is recorded at ", time, " ns");
+      Reject("a message is recorded at ", time, " ns");
     entries_.push_back(
         {static_cast<int64_t>(time), channel->second, chunk, fields.at(), fields.size()});
   }
@@ -226,7 +224,7 @@ class McapStorage : public Ros2Storage {
   static constexpr size_t kChunkSize = 786'432;  ///< [bytes] that end a chunk
 
   void CheckFile() const {
-    if (!file_) throw InputError("cannot write bag '" + path_ + "': " + std::strerror(errno));
+    if (!file_) Reject("cannot write bag '", path_, "': ", std::strerror(errno));
   }
 
   void Put(std::string_view bytes) {

@@ -77,6 +77,8 @@ struct BodyColumns {
   std::string order;           ///< of Euler angles, "XYZ"; empty: helical
   double rotation_unit = 1.0;  ///< [rad]
   double position_unit = 1.0;  ///< [m]
+  size_t time = 0;
+  double rate_hz = 1.0;  ///< of what is counted there: frames, or seconds
 };
 
 Eigen::Quaterniond Rotation(const BodyColumns& columns, const std::vector<double>& v) {
@@ -92,8 +94,12 @@ Eigen::Quaterniond Rotation(const BodyColumns& columns, const std::vector<double
 }
 
 /// Adds the pose in a line, unless the body was not seen there.
-void AddPose(const BodyColumns& columns, double t_s, const Cells& cells, const CellLines& lines,
+void AddPose(const BodyColumns& columns, const Cells& cells, const CellLines& lines,
              std::vector<PoseSample>* poses) {
+  const double t_s = lines.Number(cells, columns.time) / columns.rate_hz;
+  if (!(std::abs(t_s) < kMaxTime))
+    lines.FailCell(columns.time, cells[columns.time],
+                   columns.time == 0 ? "a frame" : "a time in seconds");
   const auto is_empty = [&](size_t column) { return Cell(cells, column).empty(); };
   if (std::all_of(columns.values.begin(), columns.values.end(), is_empty)) return;
   std::vector<double> v;
@@ -196,12 +202,9 @@ MocapPoses ReadMotive(CellLines lines, const std::string& body) {
   mocap.body = ChooseBody(names, body, lines);
   BodyColumns columns = MotiveColumns(header, cells, mocap.body, settings["Rotation Type"], lines);
   columns.position_unit = metres;
-  while (lines.Next(&cells)) {
-    if (IsBlank(cells)) continue;
-    const double t_s = lines.Number(cells, 1);
-    if (!(std::abs(t_s) < kMaxTime)) lines.FailCell(1, cells[1], "a time in seconds");
-    AddPose(columns, t_s, cells, lines, &mocap.poses);
-  }
+  columns.time = 1;
+  while (lines.Next(&cells))
+    if (!IsBlank(cells)) AddPose(columns, cells, lines, &mocap.poses);
   // Apart, as a sum in seconds would not be exact.
   for (PoseSample& pose : mocap.poses) pose.t_ns += std::llround(1e3 * start_s) * 1'000'000;
   return mocap;
@@ -271,13 +274,12 @@ MocapPoses ReadVicon(CellLines lines, const std::string& body) {
   MocapPoses mocap;
   mocap.body = ChooseBody(bodies, ViconName(body), lines);
   const auto begin = std::find(names.begin(), names.end(), mocap.body) - names.begin();
-  const BodyColumns columns = ViconColumns(axes, units, static_cast<size_t>(begin), lines);
+  BodyColumns columns = ViconColumns(axes, units, static_cast<size_t>(begin), lines);
+  columns.rate_hz = rate_hz;
   while (lines.Next(&cells) && !IsBlank(cells)) {  // another part may follow
-    const double frame = lines.Number(cells, 0);
-    if (!(std::abs(frame / rate_hz) < kMaxTime)) lines.FailCell(0, cells[0], "a frame");
     if (const std::string sub = Cell(cells, 1); sub != "0" && !sub.empty())
       lines.FailCell(1, sub, "0: poses have no sub frames");
-    AddPose(columns, frame / rate_hz, cells, lines, &mocap.poses);
+    AddPose(columns, cells, lines, &mocap.poses);
   }
   return mocap;
 }

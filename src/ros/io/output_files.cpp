@@ -4,6 +4,7 @@
 #include <sys/stat.h>
 
 #include <algorithm>
+#include <boost/algorithm/string/predicate.hpp>
 #include <cerrno>
 #include <cstdio>
 #include <cstdlib>
@@ -38,7 +39,7 @@ Temporaries& All() {
 }
 
 [[noreturn]] void Fail(const std::string& field, const std::string& path, int reason) {
-  throw InputError(field + " '" + path + "' cannot be written: " + std::strerror(reason));
+  Reject(field, " '", path, "' cannot be written: ", std::strerror(reason));
 }
 
 /// A name that nobody can foresee.
@@ -58,7 +59,7 @@ std::string Target(const std::string& field, const std::string& path) {
   }
   if (fs::is_directory(status)) Fail(field, path, EISDIR);
   if (fs::exists(status) && !fs::is_regular_file(status))
-    throw InputError(field + " '" + path + "' is no regular file, which it must be");
+    Reject(field, " '", path, "' is no regular file, which it must be");
   return target;
 }
 
@@ -87,12 +88,10 @@ void Exchange(const std::string& draft, const std::string& target) {
   if (!fs::exists(draft)) return fs::rename(target, draft);
   if (renameat2(AT_FDCWD, draft.c_str(), AT_FDCWD, target.c_str(), RENAME_EXCHANGE) == 0) return;
   const std::string aside = Beside(target, ".old");
+  fs::rename(target, aside);
   std::error_code error;
-  fs::create_hard_link(target, aside, error);
-  if (error) fs::rename(target, aside);  // without second names
   fs::rename(draft, target, error);
   fs::rename(aside, error ? target : draft);
-  fs::remove(aside);  // it is still there when both were names of one file
   if (error) throw fs::filesystem_error("", error);
 }
 
@@ -153,7 +152,7 @@ void OutputFiles::Plan(const std::string& field, const std::string& path, bool m
   const std::string target = Target(field, path);
   for (const Planned& other : planned_)
     if (IsSame(other.target, target))
-      throw InputError(field + " and " + other.field + " are both '" + path + "'; choose another");
+      Reject(field, " and ", other.field, " are both '", path, "'; choose another");
   planned_.push_back({field, target});
   fs::path folder = fs::absolute(target).parent_path();
   while (may_make_folders && !fs::exists(folder)) folder = folder.parent_path();
@@ -187,8 +186,8 @@ void OutputFiles::MakeFolder(const std::string& path) {
     All().paths.insert(*folder);
   }
   if (error || !fs::is_directory(path, error))
-    throw InputError("folder '" + path +
-                     "' cannot be made: " + (error ? error.message() : std::strerror(ENOTDIR)));
+    Reject("folder '", path,
+           "' cannot be made: ", (error ? error.message() : std::strerror(ENOTDIR)));
 }
 
 bool OutputFiles::Holds(const std::string& path) const {
@@ -229,10 +228,8 @@ void WriteFile(const std::string& path, const std::string& text) {
 
 void CheckFolderOf(const std::string& field, const std::string& path) {
   const fs::path folder = fs::path(path).parent_path();
-  std::error_code ignored;
-  if (!folder.empty() && !fs::is_directory(folder, ignored))
-    throw InputError(field + " '" + path + "' cannot be written: there is no folder '" +
-                     folder.string() + "'");
+  if (!folder.empty() && !IsFolder(folder))
+    Reject(field, " '", path, "' cannot be written: there is no folder '", folder.string(), "'");
 }
 
 // --- Temporary files and interrupts ---
@@ -243,8 +240,7 @@ const int kEnd = SIGRTMIN;
 TemporaryFolder::TemporaryFolder() {
   std::string name = (fs::temp_directory_path() / "imu_pose_calib_XXXXXX").string();
   const std::lock_guard<std::mutex> lock(All().mutex);
-  if (mkdtemp(name.data()) == nullptr)
-    throw InputError("no temporary folder '" + name + "' can be made");
+  if (mkdtemp(name.data()) == nullptr) Reject("no temporary folder '", name, "' can be made");
   path_ = name;
   All().paths.insert(path_);
 }
@@ -297,8 +293,8 @@ std::vector<std::string> FindEarlier(const std::string& output) {
   const fs::path folder = stem.parent_path();
   for (const auto& entry : fs::directory_iterator(folder.empty() ? "." : folder, ignored)) {
     const std::string name = entry.path().filename().string();
-    const bool is_named = name.compare(0, start.size(), start) == 0 &&
-                          name.find(".tmp", start.size()) == std::string::npos;
+    const bool is_named =
+        boost::starts_with(name, start) && name.find(".tmp", start.size()) == std::string::npos;
     if (is_named && entry.is_regular_file(ignored) && IsOurs(entry.path()))
       files.push_back(folder / name);
   }

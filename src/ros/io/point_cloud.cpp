@@ -38,16 +38,16 @@ constexpr double kLongestOffset = 1.0;  // [s] from the stamp of a cloud to that
 class CheckedCloud {
  public:
   explicit CheckedCloud(const PointCloud2& cloud) : cloud_(cloud) {
-    if (cloud.is_bigendian) throw InputError("is_bigendian = 1 must be 0");
+    if (cloud.is_bigendian) Reject("is_bigendian = 1 must be 0");
     const uint64_t row = uint64_t{cloud.width} * cloud.point_step;
     if (cloud.height > 1 && cloud.row_step < row)
-      throw InputError(Format("row_step = %u must be at least %lu, width times point_step",
-                              cloud.row_step, row));
+      Reject(Format("row_step = %u must be at least %lu, width times point_step", cloud.row_step,
+                    row));
     row_step_ = cloud.height > 1 ? cloud.row_step : row;
     if (const uint64_t size = row_step_ * cloud.height; cloud.data.size() != size)
-      throw InputError(Format("size of data = %zu must be %lu by width, height and point_step",
-                              cloud.data.size(), size));
-    if (cloud.point_step == 0) throw InputError("point_step = 0 must be positive");
+      Reject(Format("size of data = %zu must be %lu by width, height and point_step",
+                    cloud.data.size(), size));
+    if (cloud.point_step == 0) Reject("point_step = 0 must be positive");
   }
 
   /// The field of that name; null when there is none.
@@ -56,12 +56,12 @@ class CheckedCloud {
                                     [&](const PointField& f) { return f.name == name; });
     if (field == cloud_.fields.end()) return nullptr;
     if (field->datatype < PointField::INT8 || field->datatype > PointField::FLOAT64)
-      throw InputError(Format("datatype of field '%s' = %u must be 1 to 8", name.c_str(),
-                              unsigned{field->datatype}));
+      Reject(Format("datatype of field '%s' = %u must be 1 to 8", name.c_str(),
+                    unsigned{field->datatype}));
     const int size = sizeOfPointField(field->datatype);
     if (uint64_t{field->offset} + static_cast<uint64_t>(size) > cloud_.point_step)
-      throw InputError(Format("offset of field '%s' = %u leaves no %d bytes within point_step = %u",
-                              name.c_str(), field->offset, size, cloud_.point_step));
+      Reject(Format("offset of field '%s' = %u leaves no %d bytes within point_step = %u",
+                    name.c_str(), field->offset, size, cloud_.point_step));
     return &*field;
   }
 
@@ -129,16 +129,15 @@ PointTime FindPointTime(const std::vector<PointCloud2>& clouds, const std::strin
   const auto is_chosen = [&](const Unit& unit) { return choice == unit.name; };
   if (choice != "auto" && choice != "none" &&
       std::none_of(std::begin(kUnits), std::end(kUnits), is_chosen))
-    throw InputError("point_time '" + choice + "' is unknown; must be auto, none, s, ms, us or ns");
+    Reject("point_time '", choice, "' is unknown; must be auto, none, s, ms, us or ns");
   if (choice == "none" || clouds.empty()) return {};
   const CheckedCloud first(clouds.front());
   const auto name = std::find_if(std::begin(kTimeNames), std::end(kTimeNames),
                                  [&](const char* n) { return first.Find(n) != nullptr; });
   if (name == std::end(kTimeNames)) {
     if (choice == "auto") return {};
-    throw InputError("point_time = " + choice +
-                     ", but no field of the clouds is called t, time or timestamp; they are " +
-                     first.Names());
+    Reject("point_time = ", choice,
+           ", but no field of the clouds is called t, time or timestamp; they are ", first.Names());
   }
   std::vector<TimeRange> ranges;
   double span = 0.0;
@@ -154,7 +153,7 @@ PointTime FindPointTime(const std::vector<PointCloud2>& clouds, const std::strin
     return is_chosen(u) || (choice == "auto" && fill > kLeastFill && fill < kMostFill);
   });
   if (unit == std::end(kUnits))
-    throw InputError(
+    Reject(
         Format("times in field '%s' of the points span %.10g within a cloud while clouds follow "
                "each other by %.10g s, which neither s, ms, us nor ns explain; give point_time",
                *name, span, period_s));
@@ -164,11 +163,10 @@ PointTime FindPointTime(const std::vector<PointCloud2>& clouds, const std::strin
     if (std::all_of(ranges.begin(), ranges.end(), [&](const auto& r) { return r.IsWithin(time); }))
       return time;
   }
-  throw InputError(
-      Format("times in field '%s' of the points, from %.10g s on, are neither within %.10g s of "
-             "the stamp of their cloud (%.10g s) nor after it by that; point_time none leaves them "
-             "out",
-             *name, unit->seconds * ranges[0].least, kLongestOffset, ranges[0].stamp_s));
+  Reject(Format(
+      "times in field '%s' of the points, from %.10g s on, are neither within %.10g s of the stamp "
+      "of their cloud (%.10g s) nor after it by that; point_time none leaves them out",
+      *name, unit->seconds * ranges[0].least, kLongestOffset, ranges[0].stamp_s));
 }
 
 std::vector<CloudPoint> ReadCloud(const PointCloud2& message, const PointTime& time) {
@@ -178,13 +176,13 @@ std::vector<CloudPoint> ReadCloud(const PointCloud2& message, const PointTime& t
     const std::string name(1, "xyz"[i]);
     xyz[i] = cloud.Find(name);
     if (!xyz[i] || xyz[i]->datatype < PointField::FLOAT32)  // the last two of them
-      throw InputError("field '" + name + "' must be there as float32 or float64; the fields are " +
-                       cloud.Names());
+      Reject("field '", name, "' must be there as float32 or float64; the fields are ",
+             cloud.Names());
   }
   const PointField* intensity = cloud.Find("intensity");
   const PointField* own_time = time.field.empty() ? nullptr : cloud.Find(time.field);
   if (!time.field.empty() && !own_time)
-    throw InputError("field '" + time.field + "' must be there, as in the first cloud");
+    Reject("field '", time.field, "' must be there, as in the first cloud");
   const double epoch_s = time.is_since ? 0.0 : message.header.stamp.toSec();
 
   std::vector<CloudPoint> points;
@@ -197,10 +195,9 @@ std::vector<CloudPoint> ReadCloud(const PointCloud2& message, const PointTime& t
     if (own_time && point.p_S.allFinite()) {
       const double after_s = time.unit_s * ValueOf(*own_time, data) - epoch_s;
       if (!(std::abs(after_s) <= kLongestOffset))
-        throw InputError(
-            Format("field '%s' puts a point %.10g s after the stamp of its cloud; "
-                   "must be within %.10g s",
-                   time.field.c_str(), after_s, kLongestOffset));
+        Reject(Format(
+            "field '%s' puts a point %.10g s after the stamp of its cloud; must be within %.10g s",
+            time.field.c_str(), after_s, kLongestOffset));
       point.time_after_ns = std::llround(1e9 * after_s);
     }
     points.push_back(point);

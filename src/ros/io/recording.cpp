@@ -16,16 +16,15 @@ bool IsPair(const Given& one, const Given& first, const Given& second) {
   if (first.value.empty() && second.value.empty()) return false;
   const std::string pair = std::string(first.name) + " and " + second.name;
   if (first.value.empty() || second.value.empty())
-    throw InputError(pair + " belong together: " +
-                     (first.value.empty() ? first.name : second.name) + " is missing");
-  if (!one.value.empty()) Throw<InputError>("give either ", one.name, ", or ", pair, ", not all");
+    Reject(pair, " belong together: ", (first.value.empty() ? first.name : second.name),
+           " is missing");
+  if (!one.value.empty()) Reject("give either ", one.name, ", or ", pair, ", not all");
   return true;
 }
 
 void CheckSpan(double start_s, double duration_s) {
-  if (!(start_s >= 0.0)) Throw<InputError>("start = ", start_s, " s must be at least 0 s");
-  if (!(duration_s >= 0.0))
-    Throw<InputError>("duration = ", duration_s, " s must be at least 0 s (0: all)");
+  if (!(start_s >= 0.0)) Reject("start = ", start_s, " s must be at least 0 s");
+  if (!(duration_s >= 0.0)) Reject("duration = ", duration_s, " s must be at least 0 s (0: all)");
 }
 
 std::vector<std::string> SplitNames(const std::string& text) {
@@ -47,6 +46,8 @@ std::pair<std::string, std::string> SplitBody(const std::string& name) {
   return {name.substr(0, colon), name.substr(colon + 1)};
 }
 
+bool IsPoseFile(const std::string& name) { return IsFile(SplitBody(name).first); }
+
 std::string JoinBody(const std::string& source, const std::string& body) {
   return body.empty() ? source : source + ":" + body;
 }
@@ -56,27 +57,23 @@ std::string JoinTf(const TfFrames& frames) { return "tf:" + frames.first + ":" +
 std::optional<TfFrames> SplitTf(const std::string& name) {
   if (!boost::starts_with(name, "tf:")) return std::nullopt;
   const size_t colon = name.find(':', 3);
-  if (colon == std::string::npos)
-    throw InputError("pose_sensor '" + name + "' must be tf:PARENT:CHILD");
+  if (colon == std::string::npos) Reject("pose_sensor '", name, "' must be tf:PARENT:CHILD");
   return TfFrames(FrameName(name.substr(3, colon - 3), ""), FrameName(name.substr(colon + 1), ""));
 }
 
 PoseSensorInfo NamePoseSensor(const std::string& name, const std::string& world_frame,
                               const std::string& frame) {
-  PoseSensorInfo info;
-  info.topic = name;
   const std::string topic = FrameName(SplitBody(name).first, "");
-  info.frame = FrameName(frame, boost::replace_all_copy(topic, "/", "_"));
-  info.world_frame = FrameName(world_frame, info.frame + "_world");
-  return info;
+  const std::string own = FrameName(frame, boost::replace_all_copy(topic, "/", "_"));
+  return {name, own, FrameName(world_frame, own + "_world")};
 }
 
 void CheckPoseSensors(const std::string& marker, const std::vector<std::string>& pose_sensors) {
   std::set<std::string> known;
   for (const std::string& name : pose_sensors) {
     if (name.empty()) continue;
-    if (name == marker) throw InputError("pose_sensor '" + name + "' is the marker; choose others");
-    if (!known.insert(name).second) throw InputError("pose_sensor '" + name + "' is given twice");
+    if (name == marker) Reject("pose_sensor '", name, "' is the marker; choose others");
+    if (!known.insert(name).second) Reject("pose_sensor '", name, "' is given twice");
   }
 }
 

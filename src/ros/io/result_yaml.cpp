@@ -107,7 +107,7 @@ class ResultFile {
   }
 
   [[noreturn]] static void Fail(const std::string& path, const std::string& what) {
-    throw InputError(boost::join(Split(path), ": ") + " " + what);
+    Reject(boost::join(Split(path), ": "), " ", what);
   }
 
  private:
@@ -647,13 +647,13 @@ std::vector<BodyFrame> BodyFrames(const Calibration& result, const RecordingInfo
 const ImuSession& StoredResult::Clock(size_t imu) const {
   for (const SessionCalibration& session : result.sessions)
     if (session.imus[imu].is_present) return session.imus[imu];
-  Throw<InputError>("imus: ", imu, " is in no session");
+  Reject("imus: ", imu, " is in no session");
 }
 
 StoredResult ParseResult(const std::string& yaml, const std::string& path) {
   const YAML::Node root = ParseYaml(yaml);
   if (!root.IsMap() || !root["imu_pose_calib"])
-    throw InputError("is not a result of calibrate_bag: it has no key imu_pose_calib");
+    Reject("is not a result of calibrate_bag: it has no key imu_pose_calib");
   StoredResult stored;
   stored.path = path;
   stored.infos.resize(1);

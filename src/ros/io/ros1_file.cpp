@@ -6,7 +6,8 @@
 #include <fstream>
 #include <map>
 
-#include "imu_pose_calib/ros/io/record_file.h"
+#include "imu_pose_calib/ros/io/bag_file.h"
+#include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -23,7 +24,7 @@ Fields ReadFields(ByteReader header) {
   while (header.size() > 0) {
     const std::string field = header.Part().All();
     const size_t equals = field.find('=');
-    if (equals == std::string::npos) throw InputError("a field has no name");
+    if (equals == std::string::npos) Reject("a field has no name");
     fields[field.substr(0, equals)] = field.substr(equals + 1);
   }
   return fields;
@@ -42,19 +43,16 @@ bool IsZero(ByteReader bytes) {
   return true;
 }
 
-char KindOf(const std::string& operation) {
-  if (operation.size() != 1 || operation[0] == '\0') throw InputError("a record is of no kind");
-  return operation[0];
-}
-
 /// The next record. Throws InputError when there is no whole one.
 struct Record {
   Fields fields;  ///< those that there are not are empty
-  char kind;
   ByteReader data;
+  char kind = '\0';
 
-  explicit Record(ByteReader* reader)
-      : fields(ReadFields(reader->Part())), kind(KindOf(fields["op"])), data(reader->Part()) {}
+  explicit Record(ByteReader* reader) : fields(ReadFields(reader->Part())), data(reader->Part()) {
+    if (fields["op"].size() == 1) kind = fields["op"][0];
+    if (kind == '\0') Reject("a record is of no kind");
+  }
 
   template <typename T = uint32_t>
   T Number(const std::string& name) {
@@ -107,7 +105,7 @@ class Ros1File : public RecordFile {
         if (Record record(&reader); record.kind == kMessage)
           return records.substr(record.data.at(), record.data.size());
     } catch (const InputError& error) {
-      throw InputError("bag '" + path_ + "' is damaged (" + error.what() + ")" + remedy_);
+      Reject("bag '", path_, "' is damaged (", error.what(), ")", remedy_);
     }
   }
 
@@ -126,7 +124,7 @@ class Ros1File : public RecordFile {
       Record record(&reader);
       if (record.kind == kChunk) chunk = ReadChunk(record);
       if (record.kind != kIndex) continue;
-      if (chunk == 0) throw InputError("an index is of no chunk");
+      if (chunk == 0) Reject("an index is of no chunk");
       const uint32_t topic = TopicOf(record);
       for (ByteReader index = record.data; index.size() > 0;) {
         const int64_t t_ns = ReadTime(index.Skip(kTimeSize));
@@ -148,7 +146,7 @@ class Ros1File : public RecordFile {
         rest = reader;
       }
     } catch (const InputError&) {
-      if (!IsCutOff(rest)) throw InputError(problem_);
+      if (!IsCutOff(rest)) Reject(problem_);
     }
     if (rest.size() > 0) return NoteCutOff(path_, rest.at());
     note_ = "'" + path_ + "' has no index: all of it is read, " + std::to_string(entries_.size()) +
@@ -169,8 +167,7 @@ class Ros1File : public RecordFile {
   uint32_t ReadChunk(Record& record) {
     const std::string compression = record.fields["compression"];
     if (compression == "none") return AddChunk("", record.data, record.data.size());
-    if (compression != "bz2" && compression != "lz4")
-      throw InputError("a chunk is compressed otherwise");
+    if (compression != "bz2" && compression != "lz4") Reject("a chunk is compressed otherwise");
     return AddChunk(compression, record.data, record.Number("size"));
   }
 
@@ -183,7 +180,7 @@ class Ros1File : public RecordFile {
 
   uint32_t TopicOf(Record& record) const {
     const auto topic = connections_.find(record.Number("conn"));
-    if (topic == connections_.end()) throw InputError("a message is of no connection");
+    if (topic == connections_.end()) Reject("a message is of no connection");
     return topic->second;
   }
 
@@ -194,16 +191,14 @@ class Ros1File : public RecordFile {
 }  // namespace
 
 std::unique_ptr<BagFile> OpenRos1(const std::string& path) {
-  if (!std::filesystem::is_regular_file(path)) throw InputError("bag '" + path + "' is not a file");
-  if (!std::ifstream(path))
-    throw InputError("bag '" + path + "' cannot be read: " + std::strerror(errno));
+  if (!std::filesystem::is_regular_file(path)) Reject("bag '", path, "' is not a file");
+  if (!std::ifstream(path)) Reject("bag '", path, "' cannot be read: ", std::strerror(errno));
   auto input = std::make_unique<InputFile>(path);
   const std::string start = input->Start().substr(0, kMagicSize - 1);
   if (start.compare(0, kMagic.size(), kMagic) != 0)
-    throw InputError("'" + path + "' is not a ROS 1 bag, nor an .mcap or .db3 of ROS 2");
+    Reject("'", path, "' is not a ROS 1 bag, nor an .mcap or .db3 of ROS 2");
   const std::string version = start.substr(kMagic.size());
-  if (version != kFormat)
-    throw InputError("bag '" + path + "' is of version " + version + ", must be 2.0");
+  if (version != kFormat) Reject("bag '", path, "' is of version ", version, ", must be 2.0");
   return std::make_unique<Ros1File>(std::move(input), path);
 }
 

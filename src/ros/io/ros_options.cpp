@@ -91,8 +91,8 @@ void ReadValue(const std::string& what, const YAML::Node& node, T* field) {
   try {
     Read(node, field);
   } catch (const TypeError& error) {
-    throw InputError(what + " must be " + error.expected + ", not " +
-                     (node.IsNull() ? "nothing" : YAML::Dump(node)));
+    Reject(what, " must be ", error.expected, ", not ",
+           (node.IsNull() ? "nothing" : YAML::Dump(node)));
   }
 }
 
@@ -108,17 +108,17 @@ void ReadField(const std::string& key, const YAML::Node& value, CalibrationOptio
       others.push_back(name);
     }
   });
-  if (!found) throw InputError("there is no option '" + key + "'" + DidYouMean(key, others));
+  if (!found) Reject("there is no option '", key, "'", DidYouMean(key, others));
 }
 
 void ReadMap(const YAML::Node& map, CalibrationOptions* options) {
   if (map.IsNull()) return;  // empty file
-  if (!map.IsMap()) throw InputError("must be a map of 'option: value' lines");
+  if (!map.IsMap()) Reject("must be a map of 'option: value' lines");
   std::set<std::string> seen;
   for (const auto& entry : map) {
-    if (!entry.first.IsScalar()) throw InputError("keys must be strings");
+    if (!entry.first.IsScalar()) Reject("keys must be strings");
     const std::string key = entry.first.Scalar();
-    if (!seen.insert(key).second) throw InputError("option '" + key + "' is given twice");
+    if (!seen.insert(key).second) Reject("option '", key, "' is given twice");
     ReadField(key, entry.second, options);
   }
 }
@@ -131,31 +131,28 @@ const std::vector<std::string> kKeys = SplitNames(R"(
   accelerometer_random_walk update_rate rostopic model time_offset T_i_b accelerometers gyroscopes
   sensor_type comment T_BS rate_hz)");
 
-/// The map that holds the keys.
+/// The map that holds the keys, each of which is one of these.
 YAML::Node FindImu(const YAML::Node& root) {
-  if (!root.IsMap()) throw InputError("must be a map of 'key: value' lines");
-  if (!root["imu0"]) return root;
-  if (root.size() > 1)
-    throw InputError("holds more than imu0; keep the block of the one IMU to calibrate");
-  if (!root["imu0"].IsMap()) throw InputError("imu0 must be a map of 'key: value' lines");
-  return root["imu0"];
-}
-
-void CheckKeys(const YAML::Node& imu) {
+  if (!root.IsMap()) Reject("must be a map of 'key: value' lines");
+  const YAML::Node imu = root["imu0"] ? root["imu0"] : root;
+  if (root["imu0"] && root.size() > 1)
+    Reject("holds more than imu0; keep the block of the one IMU to calibrate");
+  if (!imu.IsMap()) Reject("imu0 must be a map of 'key: value' lines");
   for (const auto& entry : imu) {
     const std::string key = entry.first.IsScalar() ? entry.first.Scalar() : YAML::Dump(entry.first);
     if (std::find(kKeys.begin(), kKeys.end(), key) == kKeys.end())
-      throw InputError("there is no key '" + key + "'" + DidYouMean(key, kKeys));
+      Reject("there is no key '", key, "'", DidYouMean(key, kKeys));
   }
+  return imu;
 }
 
 double ReadNumber(const YAML::Node& imu, const std::string& key, double low, double high) {
-  if (!imu[key]) throw InputError(key + " is missing");
+  if (!imu[key]) Reject(key, " is missing");
   double value = 0.0;
   ReadValue(key, imu[key], &value);
   if (!(value >= low && value <= high))
-    throw InputError(key + " = " + YamlNumber(value) + " is out of range: must be within [" +
-                     YamlNumber(low) + ", " + YamlNumber(high) + "]");
+    Reject(key, " = ", YamlNumber(value), " is out of range: must be within [", YamlNumber(low),
+           ", ", YamlNumber(high), "]");
   return value;
 }
 
@@ -178,7 +175,7 @@ Enum ParseName(const std::string& what, const std::string& name,
     if (name == ToString(value)) return value;
     known += (known.empty() ? "" : ", ") + std::string(ToString(value));
   }
-  throw InputError(what + " '" + name + "' does not exist; available: " + known);
+  Reject(what, " '", name, "' does not exist; available: ", known);
 }
 
 }  // namespace
@@ -212,12 +209,11 @@ std::string ToYaml(const CalibrationOptions& options) {
 
 std::string ParseImuYaml(const std::string& yaml, CalibrationOptions* options) {
   const YAML::Node imu = FindImu(ParseYaml(yaml));
-  CheckKeys(imu);
   for (const NoiseKey& key : kNoiseKeys)
     options->*key.field = ReadNumber(imu, key.name, key.low, 1e3);
   if (imu["update_rate"]) ReadNumber(imu, "update_rate", 1e-3, 1e6);
   if (!imu["rostopic"]) return "";
-  if (!imu["rostopic"].IsScalar()) throw InputError("rostopic must be a string");
+  if (!imu["rostopic"].IsScalar()) Reject("rostopic must be a string");
   return imu["rostopic"].Scalar();
 }
 

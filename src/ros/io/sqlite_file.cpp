@@ -6,6 +6,7 @@
 
 #include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/bag_file.h"
+#include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -32,7 +33,7 @@ class Database {
 
   sqlite3* get() const { return database_.get(); }
 
-  [[noreturn]] void Fail(const std::string& text) const { throw InputError(failure_ + text); }
+  [[noreturn]] void Fail(const std::string& text) const { Reject(failure_, text); }
 
   void Check(int status) const {
     if (status != SQLITE_OK)
@@ -53,7 +54,7 @@ class Database {
     return status == SQLITE_ROW;
   }
 
-  int Run(const char* sql) const { return sqlite3_exec(get(), sql, nullptr, nullptr, nullptr); }
+  void Run(const char* sql) const { Check(sqlite3_exec(get(), sql, nullptr, nullptr, nullptr)); }
 
  private:
   std::string failure_;
@@ -63,24 +64,18 @@ class Database {
 
 // --- Reading ---
 
-/// "file:PATH?...", as SQLite wants it.
-std::string Uri(const std::string& path, const char* query) {
-  std::string uri = std::filesystem::absolute(path);
-  boost::replace_all(uri, "%", "%25");
-  boost::replace_all(uri, "?", "%3f");
-  boost::replace_all(uri, "#", "%23");
-  return "file:" + uri + query;
-}
-
-/// How a database is opened for reading. Nothing is written beside one that cannot change; else
-/// there may be changes beside it that it does not hold yet.
+/// "file:PATH?...", as SQLite opens it for reading. Nothing is written beside a database that
+/// cannot change; else there may be changes beside it that it does not hold yet.
 std::string ReadingUri(const std::string& path) {
+  std::string uri = std::filesystem::absolute(path);
+  for (const auto& [mark, escape] : {std::pair("%", "%25"), {"?", "%3f"}, {"#", "%23"}})
+    boost::replace_all(uri, mark, escape);
+  bool has_changes = false;
   for (const char* ending : {"-wal", "-journal"}) {
     std::error_code error;
-    if (std::filesystem::file_size(path + ending, error) > 0 && !error)
-      return Uri(path, "?mode=ro");
+    has_changes = has_changes || (std::filesystem::file_size(path + ending, error) > 0 && !error);
   }
-  return Uri(path, "?mode=ro&immutable=1");
+  return "file:" + uri + (has_changes ? "?mode=ro" : "?mode=ro&immutable=1");
 }
 
 class SqliteFile final : public BagFile {
@@ -165,7 +160,7 @@ class SqliteStorage final : public Ros2Storage {
   explicit SqliteStorage(const std::string& path)
       : database_(path, SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE,
                   "cannot write bag '" + path + "': ") {
-    database_.Check(database_.Run(kTables));
+    database_.Run(kTables);
     topic_ = database_.Prepare("INSERT INTO topics VALUES(?, ?, ?, 'cdr', '')");
     message_ = database_.Prepare("INSERT INTO messages(topic_id, timestamp, data) VALUES(?, ?, ?)");
   }
@@ -184,7 +179,7 @@ class SqliteStorage final : public Ros2Storage {
     Insert(message_);
   }
 
-  void Close() override { database_.Check(database_.Run("COMMIT")); }
+  void Close() override { database_.Run("COMMIT"); }
 
  private:
   void Insert(const Statement& statement) const {

@@ -6,6 +6,7 @@
 #include <cstdarg>
 #include <cstdio>
 #include <cstdlib>
+#include <filesystem>
 #include <sstream>
 
 namespace imu_pose_calib {
@@ -90,6 +91,16 @@ std::string SecondsText(int64_t t_ns) {
   const std::lldiv_t parts = std::lldiv(t_ns, 1'000'000'000);
   return Format("%s%lld.%09lld", t_ns < 0 ? "-" : "", std::llabs(parts.quot),
                 std::llabs(parts.rem));
+}
+
+bool IsFolder(const std::string& path) {
+  std::error_code ignored;
+  return std::filesystem::is_directory(path, ignored);
+}
+
+bool IsFile(const std::string& path) {
+  std::error_code ignored;
+  return std::filesystem::is_regular_file(path, ignored);
 }
 
 std::string UtcText(std::time_t time, const char* format) {

@@ -1,5 +1,3 @@
-#include "imu_pose_calib/ros/io/text_reader.h"
-
 #include <algorithm>
 #include <boost/algorithm/string/join.hpp>
 #include <boost/range/algorithm_ext/erase.hpp>
@@ -9,10 +7,11 @@
 #include <filesystem>
 #include <fstream>
 #include <limits>
+#include <string>
 #include <utility>
-#include <vector>
 
 #include "imu_pose_calib/ros/io/conversions.h"
+#include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/text_table.h"
 
@@ -20,51 +19,47 @@ namespace imu_pose_calib {
 namespace {
 
 std::ifstream Open(const std::string& path) {
-  std::error_code ignored;
-  if (std::filesystem::is_directory(path, ignored))
-    throw InputError("'" + path + "' is a directory, must be a file");
+  if (IsFolder(path)) Reject("'", path, "' is a directory, must be a file");
   std::ifstream file(path);
-  if (!file) throw InputError("'" + path + "' cannot be read: " + std::strerror(errno));
+  if (!file) Reject("'", path, "' cannot be read: ", std::strerror(errno));
   return file;
-}
-
-bool IsPoseSensor(const TextRequest& request, const std::string& path) {
-  std::error_code ignored;
-  return std::any_of(request.pose_sensors.begin(), request.pose_sensors.end(),
-                     [&](const std::string& name) {
-                       return std::filesystem::equivalent(SplitBody(name).first, path, ignored);
-                     });
 }
 
 /// SENSOR/data.csv of the request's folder that is of an IMU, or of poses, and is no pose sensor.
 /// With pose sensors an IMU may be missing.
-std::string FindTable(const TextRequest& request, bool is_imu) {
-  const std::string& folder = request.folder;
+std::string FindTable(const RecordingRequest& request, bool is_imu) {
+  const std::string& folder = request.paths[0];
   const std::string what = is_imu ? "an IMU" : "poses";
   const std::string fields = is_imu ? "imu, or gyro and accel" : "poses";
   namespace fs = std::filesystem;
   std::vector<std::string> tables;
+  const std::vector<std::string> sensors = SplitPaths(request.pose_sensors);
+  const auto is_sensor = [&](const std::string& path) {
+    std::error_code ignored;
+    return std::any_of(sensors.begin(), sensors.end(), [&](const std::string& name) {
+      return fs::equivalent(SplitBody(name).first, path, ignored);
+    });
+  };
   try {
     const fs::path mav0 = fs::path(folder) / "mav0";
     const fs::path base = fs::is_directory(mav0) ? mav0 : fs::path(folder);
     for (const fs::directory_entry& sensor : fs::directory_iterator(base)) {
       const std::string path = (sensor.path() / "data.csv").string();
-      if (!fs::is_regular_file(path) || IsPoseSensor(request, path)) continue;
+      if (!fs::is_regular_file(path) || is_sensor(path)) continue;
       std::ifstream file = Open(path);
       if (HasHeader(file, path, is_imu)) tables.push_back(path);
     }
   } catch (const fs::filesystem_error& error) {
-    throw InputError("folder '" + folder + "' cannot be read: " + error.code().message());
+    Reject("folder '", folder, "' cannot be read: ", error.code().message());
   }
   std::sort(tables.begin(), tables.end());
   if (tables.empty() && is_imu && !request.pose_sensors.empty()) return "";
   if (tables.empty())
-    throw InputError("folder '" + folder +
-                     "' has no SENSOR/data.csv whose header names the columns of " + what +
-                     "; name the file with " + fields);
+    Reject("folder '", folder, "' has no SENSOR/data.csv whose header names the columns of ", what,
+           "; name the file with ", fields);
   if (tables.size() > 1)
-    throw InputError("folder '" + folder + "' has several files of " + what + ": " +
-                     boost::join(tables, ", ") + "; choose with " + fields);
+    Reject("folder '", folder, "' has several files of ", what, ": ", boost::join(tables, ", "),
+           "; choose with ", fields);
   return tables[0];
 }
 
@@ -97,12 +92,30 @@ template <typename Sample>
 void Cut(double start_s, double duration_s, const Span& whole, std::vector<Sample>* samples) {
   const double length_s = Seconds(whole.end - whole.begin);
   if (start_s > length_s)
-    throw InputError("start = " + YamlNumber(start_s) +
-                     " s is beyond the end of the recording, which lasts " + YamlNumber(length_s) +
-                     " s");
+    Reject("start = ", YamlNumber(start_s), " s is beyond the end of the recording, which lasts ",
+           YamlNumber(length_s), " s");
   const int64_t begin = whole.begin + std::llround(1e9 * start_s);
   const bool ends_before = duration_s > 0.0 && start_s + duration_s < length_s;
   Keep({begin, ends_before ? begin + std::llround(1e9 * duration_s) : whole.end}, samples);
+}
+
+/// Keeps the poses within the time of the marker's, if there are any.
+void CutToPoses(const std::vector<PoseSample>& marker, std::vector<PoseSample>* pose_sensor) {
+  std::vector<PoseSample> within = *pose_sensor;
+  Keep(FindSpan(marker), &within);
+  if (!within.empty()) *pose_sensor = std::move(within);
+}
+
+/// See ReadText().
+void CutSpan(double start_s, double duration_s, SessionData* data) {
+  Span poses = FindSpan(data->poses);
+  for (ImuData& samples : data->imus) {
+    Span imu = Union(FindSpan(samples.gyro), FindSpan(samples.accel));
+    if (poses.begin <= imu.end && imu.begin <= poses.end) imu = poses = Union(poses, imu);
+    Cut(start_s, duration_s, imu, &samples.gyro);
+    Cut(start_s, duration_s, imu, &samples.accel);
+  }
+  Cut(start_s, duration_s, poses, &data->poses);
 }
 
 /// Poses of a file that holds one body, nameless then, or of one of several.
@@ -110,13 +123,13 @@ MocapPoses ReadPoses(const std::string& path, const std::string& body) {
   std::ifstream poses = Open(path);
   if (std::optional<MocapPoses> mocap = ReadMocapCsv(poses, path, body)) return *std::move(mocap);
   if (!body.empty())
-    throw InputError("body '" + body + "' is given, but '" + path +
-                     "' is no CSV of Motive or Vicon and holds one body");
+    Reject("body '", body, "' is given, but '", path,
+           "' is no CSV of Motive or Vicon and holds one body");
   return {ReadPoseTable(poses, path), ""};
 }
 
 /// The marker and the pose sensors whose files are named.
-void ReadAllPoses(const TextRequest& files, Recording* recording) {
+void ReadAllPoses(const RecordingRequest& files, Recording* recording) {
   RecordingInfo& info = recording->info;
   std::string marker_body;
   if (!files.poses.empty()) {
@@ -127,13 +140,13 @@ void ReadAllPoses(const TextRequest& files, Recording* recording) {
     info.marker_frame = FrameName(marker.body, "marker");
     marker_body = marker.body;
   }
-  const size_t sensors = std::max(info.pose_sensors.size(), files.pose_sensors.size());
-  info.pose_sensors.resize(sensors);
-  recording->data.pose_sensors.resize(sensors);
+  const std::vector<std::string> sensors = SplitPaths(files.pose_sensors);
+  info.pose_sensors.resize(sensors.size());
+  recording->data.pose_sensors.resize(sensors.size());
   std::vector<std::string> names;
-  for (size_t k = 0; k < files.pose_sensors.size(); ++k) {
-    if (files.pose_sensors[k].empty()) continue;
-    const auto [path, body] = SplitBody(files.pose_sensors[k]);
+  for (size_t k = 0; k < sensors.size(); ++k) {
+    if (!IsPoseFile(sensors[k])) continue;
+    const auto [path, body] = SplitBody(sensors[k]);
     MocapPoses read = ReadPoses(path, body);
     const std::string stem = std::filesystem::path(path).stem();
     recording->data.pose_sensors[k] = std::move(read.poses);
@@ -145,57 +158,37 @@ void ReadAllPoses(const TextRequest& files, Recording* recording) {
 
 }  // namespace
 
-TextRequest FindFiles(TextRequest request) {
+RecordingRequest FindFiles(RecordingRequest request) {
   const bool is_split =
       IsPair({"imu", request.imu}, {"gyro", request.gyro}, {"accel", request.accel});
-  if (!request.folder.empty()) {
+  if (!request.paths.empty()) {
     if (request.poses.empty()) request.poses = FindTable(request, false);
     if (request.imu.empty() && !is_split) request.imu = FindTable(request, true);
+    request.paths.clear();
   }
-  if (request.poses.empty()) throw InputError("poses is missing: the file of the poses");
+  if (request.poses.empty()) Reject("poses is missing: the file of the poses");
   if (request.imu.empty() && !is_split && request.pose_sensors.empty())
-    throw InputError("imu is missing: the file of the IMU (or gyro and accel)");
+    Reject("imu is missing: the file of the IMU (or gyro and accel)");
   return request;
 }
 
-void CutSpan(double start_s, double duration_s, SessionData* data) {
-  CheckSpan(start_s, duration_s);
-  Span poses = FindSpan(data->poses);
-  for (ImuData& samples : data->imus) {
-    Span imu = Union(FindSpan(samples.gyro), FindSpan(samples.accel));
-    if (poses.begin <= imu.end && imu.begin <= poses.end) imu = poses = Union(poses, imu);
-    Cut(start_s, duration_s, imu, &samples.gyro);
-    Cut(start_s, duration_s, imu, &samples.accel);
-  }
-  Cut(start_s, duration_s, poses, &data->poses);
-  if (start_s == 0.0 && duration_s == 0.0) return;
-  for (std::vector<PoseSample>& sensor : data->pose_sensors) CutToPoses(data->poses, &sensor);
-}
-
-void CutToPoses(const std::vector<PoseSample>& marker, std::vector<PoseSample>* pose_sensor) {
-  std::vector<PoseSample> within = *pose_sensor;
-  Keep(FindSpan(marker), &within);
-  if (!within.empty()) *pose_sensor = std::move(within);
-}
-
-Recording ReadText(const TextRequest& request) {
-  CheckSpan(request.start_s, request.duration_s);
+Recording ReadText(const RecordingRequest& request) {
   Recording recording;
   recording.info.imus.clear();
   recording.data.imus.clear();
   ReadFiles(FindFiles(request), &recording);
-  CutSpan(request.start_s, request.duration_s, &recording.data);
   return recording;
 }
 
-void ReadFiles(const TextRequest& files, Recording* recording) {
+void ReadFiles(const RecordingRequest& files, Recording* recording) {
+  CheckSpan(files.start_s, files.duration_s);
   ReadAllPoses(files, recording);
   const bool is_split = files.imu.empty();
   const std::vector<std::string> gyros = SplitPaths(is_split ? files.gyro : files.imu);
   const std::vector<std::string> accels = SplitPaths(is_split ? files.accel : files.imu);
   if (gyros.size() != accels.size())
-    Throw<InputError>("gyro and accel name different numbers of files: ", gyros.size(), " and ",
-                      accels.size());
+    Reject("gyro and accel name different numbers of files: ", gyros.size(), " and ",
+           accels.size());
   for (size_t i = 0; i < gyros.size(); ++i) {
     ImuInfo& info = recording->info.imus.emplace_back();
     ImuData& imu = recording->data.imus.emplace_back();
@@ -212,6 +205,12 @@ void ReadFiles(const TextRequest& files, Recording* recording) {
       ReadImuTable(gyro, gyros[i], &imu);
     }
   }
+  SessionData& data = recording->data;
+  // Else it is the span of the bags.
+  if (files.NamesPoseFile() || files.NamesImuFile())
+    CutSpan(files.start_s, files.duration_s, &data);
+  if (files.start_s == 0.0 && files.duration_s == 0.0) return;
+  for (std::vector<PoseSample>& sensor : data.pose_sensors) CutToPoses(data.poses, &sensor);
 }
 
 }  // namespace imu_pose_calib

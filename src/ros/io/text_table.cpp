@@ -262,9 +262,7 @@ bool TextLines::Next(std::string* line) {
   return true;
 }
 
-void TextLines::Fail(const std::string& text) const {
-  throw InputError("'" + name_ + "': " + Printable(text));
-}
+void TextLines::Fail(const std::string& text) const { Reject("'", name_, "': ", Printable(text)); }
 
 void TextLines::FailCell(const std::string& column, const std::string& text,
                          const std::string& expected) const {

@@ -146,22 +146,21 @@ void TfChain::Check() const {
   };
   for (const auto& [field, frame] :
        {std::pair<std::string, std::string>("tf_parent", parent_), {"tf_child", child_}})
-    if (!is_known(frame))
-      throw InputError(field + " '" + frame + "' is not in tf, which has: " + Links());
+    if (!is_known(frame)) Reject(field, " '", frame, "' is not in tf, which has: ", Links());
   const std::string pair = "tf_parent '" + parent_ + "' and tf_child '" + child_ + "'";
   const auto chain = Chain();
-  if (!chain) throw InputError(pair + " are not connected in tf, which has: " + Links());
+  if (!chain) Reject(pair, " are not connected in tf, which has: ", Links());
   if (chain->empty())
-    throw InputError(pair + " are fixed to each other: every link between them is static; choose " +
-                     "frames that move, tf has: " + Links());
+    Reject(pair, " are fixed to each other: every link between them is static; choose ",
+           "frames that move, tf has: ", Links());
   for (const std::string& frame : *chain)
     if (links_.at(frame).last == 0)
-      throw InputError("'" + Printable(frame) + "', which is between " + pair +
-                       ", has no usable transform: stamp 0, not finite, or a quaternion that is "
-                       "not of unit length");
+      Reject("'", Printable(frame), "', which is between ", pair,
+             ", has no usable transform: stamp 0, not finite, or a quaternion that is not of unit "
+             "length");
   if (std::none_of(chain->begin(), chain->end(),
                    [&](const std::string& frame) { return links_.at(frame).moves; }))
-    throw InputError(pair + " do not move against each other");
+    Reject(pair, " do not move against each other");
 }
 
 std::optional<std::pair<std::string, std::string>> TfChain::SinglePair() const {

@@ -17,13 +17,13 @@ double Number(const YAML::Node& node, const std::string& what) {
   double value = 0.0;
   if (!node || !node.IsScalar() || !YAML::convert<double>::decode(node, value) ||
       !std::isfinite(value))
-    throw InputError(what + " must be a finite number");
+    Reject(what, " must be a finite number");
   return value;
 }
 
 Eigen::VectorXd Numbers(const YAML::Node& list, Eigen::Index count, const std::string& what) {
   if (!list || !list.IsSequence() || static_cast<Eigen::Index>(list.size()) != count)
-    Throw<InputError>(what, " must be a list of ", count, " numbers");
+    Reject(what, " must be a list of ", count, " numbers");
   Eigen::VectorXd values(count);
   for (Eigen::Index i = 0; i < count; ++i)
     values[i] = Number(list[static_cast<size_t>(i)], "each element of " + what);
@@ -33,19 +33,19 @@ Eigen::VectorXd Numbers(const YAML::Node& list, Eigen::Index count, const std::s
 /// From x, y, z, w.
 Eigen::Quaterniond ToQuaternion(const Eigen::Vector4d& xyzw, const std::string& what) {
   if (std::abs(xyzw.norm() - 1.0) > 0.01)
-    Throw<InputError>(what, " must be a unit quaternion x, y, z, w; its norm is ", xyzw.norm());
+    Reject(what, " must be a unit quaternion x, y, z, w; its norm is ", xyzw.norm());
   return Eigen::Quaterniond(xyzw).normalized();
 }
 
 Rigid3 FromRows(const YAML::Node& rows, const std::string& what) {
-  if (!rows.IsSequence() || rows.size() != 4) throw InputError(what + " must have four rows");
+  if (!rows.IsSequence() || rows.size() != 4) Reject(what, " must have four rows");
   Eigen::Matrix4d T;
   for (Eigen::Index i = 0; i < 4; ++i)
     T.row(i) = Numbers(rows[static_cast<size_t>(i)], 4, "each row of " + what);
   const Eigen::Matrix3d R = T.topLeftCorner<3, 3>();
   const bool is_rigid = (R * R.transpose()).isIdentity(1e-3) && R.determinant() > 0.0 &&
                         T.row(3).isApprox(Eigen::RowVector4d(0.0, 0.0, 0.0, 1.0));
-  if (!is_rigid) throw InputError(what + " must be a rotation and a translation");
+  if (!is_rigid) Reject(what, " must be a rotation and a translation");
   return {Eigen::Quaterniond(R).normalized(), T.topRightCorner<3, 1>()};
 }
 
@@ -63,14 +63,14 @@ Rigid3 FromKeys(const YAML::Node& node) {
 
 Rigid3 ParseTransform(const std::string& yaml) {
   const YAML::Node root = ParseYaml(yaml);
-  if (!root.IsMap()) throw InputError("must be a map");
+  if (!root.IsMap()) Reject("must be a map");
   if (root["transform"] && root["transform"].IsMap()) return FromLists(root["transform"]);
   if (root["transformation"] && root["transformation"].IsMap())
     return FromKeys(root["transformation"]);
   if (root["matrix"]) return FromRows(root["matrix"], "matrix");
   if (root["translation"]) return FromLists(root);
   if (root["qw"]) return FromKeys(root);
-  throw InputError(
+  Reject(
       "must hold x y z qx qy qz qw, translation and rotation, or matrix, at the top or below "
       "transform or transformation");
 }
@@ -78,7 +78,7 @@ Rigid3 ParseTransform(const std::string& yaml) {
 std::vector<ChainCamera> ParseCameraChain(const std::string& yaml) {
   const YAML::Node root = ParseYaml(yaml);
   std::vector<ChainCamera> cameras;
-  if (!root.IsMap()) throw InputError("must be a map");
+  if (!root.IsMap()) Reject("must be a map");
   for (const auto& entry : root) {
     const std::string name = entry.first.IsScalar() ? entry.first.Scalar() : "";
     if (name.compare(0, 3, "cam") != 0 || !entry.second.IsMap()) continue;
@@ -88,11 +88,10 @@ std::vector<ChainCamera> ParseCameraChain(const std::string& yaml) {
     else if (camera["T_imu_cam"])
       cameras.push_back({name, FromRows(camera["T_imu_cam"], name + ": T_imu_cam").Inverse()});
     else
-      throw InputError(name +
-                       " has no T_cam_imu; give the camchain-imucam.yaml of the "
-                       "calibration with the imu");
+      Reject(name,
+             " has no T_cam_imu; give the camchain-imucam.yaml of the calibration with the imu");
   }
-  if (cameras.empty()) throw InputError("holds no cam0");
+  if (cameras.empty()) Reject("holds no cam0");
   return cameras;
 }
 
@@ -105,11 +104,11 @@ Eigen::VectorXd ParseNumbers(const std::string& name, const std::string& text, E
   for (std::string word; words >> word;) {
     const std::optional<double> value = ParseNumber(word);
     if (!value || !std::isfinite(*value))
-      throw InputError(name + " '" + text + "': '" + word + "' is not a finite number");
+      Reject(name, " '", text, "': '", word, "' is not a finite number");
     values.push_back(*value);
   }
   if (static_cast<Eigen::Index>(values.size()) != count)
-    Throw<InputError>(name, " '", text, "' must be ", count, " numbers, not ", values.size());
+    Reject(name, " '", text, "' must be ", count, " numbers, not ", values.size());
   return Eigen::Map<const Eigen::VectorXd>(values.data(), count);
 }
 

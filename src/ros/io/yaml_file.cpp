@@ -5,10 +5,11 @@
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
-#include <filesystem>
 #include <fstream>
 #include <numeric>
 #include <sstream>
+
+#include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -17,7 +18,7 @@ constexpr int kMaxDepth = 20;
 constexpr size_t kMaxSize = 10'000'000;  // bytes
 
 [[noreturn]] void FailAt(const YAML::Mark& mark, const std::string& text) {
-  throw InputError(mark.is_null() ? text : "line " + std::to_string(mark.line + 1) + ": " + text);
+  Reject(mark.is_null() ? text : "line ", mark.line + 1, ": ", text);
 }
 
 /// Follows the parser and stops it when collections nest too deep.
@@ -67,15 +68,13 @@ size_t EditDistance(const std::string& a, const std::string& b) {
 }  // namespace
 
 std::string ReadYamlFile(const std::string& path) {
-  std::error_code ignored;
-  if (std::filesystem::is_directory(path, ignored))
-    throw InputError("is a directory, must be a file");
+  if (IsFolder(path)) Reject("is a directory, must be a file");
   std::ifstream file(path, std::ios::binary);
-  if (!file) throw InputError(std::string("cannot be read: ") + std::strerror(errno));
+  if (!file) Reject("cannot be read: ", std::strerror(errno));
   std::string text(kMaxSize + 1, '\0');
   file.read(text.data(), static_cast<std::streamsize>(text.size()));
   text.resize(static_cast<size_t>(file.gcount()));
-  if (text.size() > kMaxSize) throw InputError("is larger than 10 MB");
+  if (text.size() > kMaxSize) Reject("is larger than 10 MB");
   return text;
 }
 

@@ -64,7 +64,7 @@ std::string LookAt(const TfChain& chain) {
 
 /// The full names of the pose sensors.
 std::vector<std::string> PoseSensors(const OfflineRequest& request) {
-  const BagRequest& topics = request.bag;
+  const RecordingRequest& topics = request;
   std::vector<std::string> names;
   for (const std::string& name : SplitNames(request.pose_sensors)) {
     if (name.empty()) continue;
@@ -83,18 +83,18 @@ std::vector<std::string> PoseSensors(const OfflineRequest& request) {
   return names;
 }
 
-size_t CountImus(const BagRequest& topics) {
+size_t CountImus(const RecordingRequest& topics) {
   return SplitNames(topics.gyro_topic.empty() ? topics.imu_topic : topics.gyro_topic).size();
 }
 
 /// The request with its defaults.
 OfflineRequest Checked(OfflineRequest request) {
-  BagRequest& topics = request.bag;
+  RecordingRequest& topics = request;
   const bool is_split = IsPair({"imu_topic", topics.imu_topic}, {"gyro_topic", topics.gyro_topic},
                                {"accel_topic", topics.accel_topic});
   IsPair({"pose_topic", topics.pose_topic}, {"tf_parent", topics.tf_parent},
          {"tf_child", topics.tf_child});
-  topics.pose_sensors = PoseSensors(request);
+  topics.pose_sensors = boost::join(PoseSensors(request), " ");
   if (!request.imu_yaml.empty() && topics.imu_topic.empty() && !is_split)
     topics.imu_topic = LoadImuYaml(request.imu_yaml);
   for (const auto& [name, value] :
@@ -129,7 +129,7 @@ class LiveInput {
             LiveCalibration* live, const std::function<void(const PoseSample&)>& on_pose)
       : node_(node), request_(request), mutex_(mutex), live_(live), on_pose_(on_pose) {
     live_->OnReset([this] { Forget(); });
-    const BagRequest& names = request_.bag;
+    const RecordingRequest& names = request_;
     const bool is_split = !names.gyro_topic.empty();
     const std::vector<std::string> gyros =
                                        SplitNames(is_split ? names.gyro_topic : names.imu_topic),
@@ -151,7 +151,7 @@ class LiveInput {
     const TfFrames marker(FrameName(names.tf_parent, ""), FrameName(names.tf_child, ""));
     ListenToPoses("pose_topic", names.pose_topic,
                   names.tf_parent.empty() ? std::nullopt : std::optional(marker));
-    for (const std::string& name : names.pose_sensors)
+    for (const std::string& name : SplitPaths(names.pose_sensors))
       ListenToPoses("pose_sensor", name, SplitTf(name));
     for (const bool fixed : {false, true})
       tf_.push_back(node_.subscribe<tf2_msgs::TFMessage>(
@@ -338,7 +338,7 @@ class LiveInput {
     if (!ros::master::getTopics(published)) return false;
     for (Topic& topic : topics_) {
       std::unique_lock<std::mutex> lock(*mutex_);
-      if (topic.has_data || !topic.Look(published, request_.bag.pose_sensors)) continue;
+      if (topic.has_data || !topic.Look(published, SplitPaths(request_.pose_sensors))) continue;
       lock.unlock();  // the master may be away by now
       Subscribe(&topic);
     }
@@ -454,7 +454,7 @@ class LiveNode {
       : node_(node),
         request_(Checked(request)),
         options_(Options(request_)),
-        live_(ReadLiveOptions(), options_, CountImus(request_.bag), request_.bag.pose_sensors),
+        live_(ReadLiveOptions(), options_, CountImus(request_), SplitPaths(request_.pose_sensors)),
         input_(node, request_, &mutex_, &live_,
                [this](const PoseSample& pose) { PublishPose(pose); }),
         solver_(

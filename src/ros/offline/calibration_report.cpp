@@ -398,18 +398,10 @@ bool Run(std::string program, std::string first, std::string second, const std::
   posix_spawnattr_destroy(&attributes);
   posix_spawn_file_actions_destroy(&files);
   if (reason != 0)
-    throw InputError("'" + program + "' cannot be run: " + std::generic_category().message(reason));
+    Reject("'", program, "' cannot be run: ", std::generic_category().message(reason));
   int status = 0;
   while (waitpid(pid, &status, 0) < 0 && errno == EINTR) continue;
   return WIFEXITED(status) && WEXITSTATUS(status) == EXIT_SUCCESS;
-}
-
-/// The words of this process, with spaces between them.
-std::string OwnCommand() {
-  std::string command = ReadAll("/proc/self/cmdline");  // words end with 0
-  if (!command.empty()) command.pop_back();
-  std::replace(command.begin(), command.end(), '\0', ' ');
-  return command;
 }
 
 }  // namespace
@@ -426,9 +418,11 @@ void WriteReportData(const CalibrationRun& run, const std::string& folder) {
   std::shared_ptr<const TrajectoryCovariance> covariance;
   if (result.solution && !result.solution->marginals.factor.empty())
     covariance = std::make_shared<const TrajectoryCovariance>(result.solution);
+  std::string command = ReadAll("/proc/self/cmdline");  // words end with 0
+  std::replace(command.begin(), command.end(), '\0', ' ');
   YAML::Node report;
   report["version"] = kVersion;
-  report["command"] = Printable(OwnCommand());
+  report["command"] = Printable(boost::trim_right_copy(command));
   report["folder"] = Printable(std::filesystem::current_path());
   report["run_id"] = run.run_id;
   report["status"] = is_refused ? "refused" : ToString(result.status);
@@ -449,14 +443,13 @@ std::string DrawReport(const CalibrationRun& run, const std::string& path) {
   WriteReportData(run, folder.path());
   const std::filesystem::path script =
       std::filesystem::read_symlink("/proc/self/exe").parent_path() / "report.py";
-  if (!std::filesystem::exists(script))
-    throw InputError(failure + ": there is no " + script.string());
+  if (!std::filesystem::exists(script)) Reject(failure, ": there is no ", script.string());
   const std::string drawn =
       (folder.path() / "drawn").string() + std::filesystem::path(path).extension().string();
   const std::string errors = folder.path() / "errors.txt";
   if (Run(script, folder.path(), drawn, errors)) return ReadAll(drawn);
   const std::string reasons = boost::trim_copy(ReadAll(errors));
-  throw InputError(failure + ": " + reasons.substr(reasons.rfind('\n') + 1));
+  Reject(failure, ": ", reasons.substr(reasons.rfind('\n') + 1));
 }
 
 }  // namespace imu_pose_calib

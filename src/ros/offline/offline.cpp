@@ -23,94 +23,57 @@ namespace {
 /// Ground truth needs the whole factor, see CalibrationOptions::max_factor_mb.
 constexpr double kUnbounded = 1e6;  // [MB]
 
-bool IsFolder(const std::string& path) {
-  std::error_code ignored;
-  return std::filesystem::is_directory(path, ignored);
+bool NamesFiles(const RecordingRequest& request) {
+  return request.NamesPoseFile() || request.NamesImuFile();
 }
 
-bool NamesFiles(const TextRequest& text) {
-  return !(text.poses.empty() && text.imu.empty() && text.gyro.empty() && text.accel.empty());
+bool NamesImuTopic(const RecordingRequest& request) {
+  return !(request.imu_topic.empty() && request.gyro_topic.empty() && request.accel_topic.empty());
 }
 
-bool NamesImu(const BagRequest& bag) {
-  return !(bag.imu_topic.empty() && bag.gyro_topic.empty() && bag.accel_topic.empty());
-}
-
-bool NamesPoses(const BagRequest& bag) {
-  return !(bag.pose_topic.empty() && bag.tf_parent.empty() && bag.tf_child.empty());
+bool NamesPoseTopic(const RecordingRequest& request) {
+  return !(request.pose_topic.empty() && request.tf_parent.empty() && request.tf_child.empty());
 }
 
 void CheckGiven(const OfflineRequest& request) {
-  if (request.bag.paths.empty() && !NamesFiles(request.text))
-    throw InputError("no recording is given: a bag, a folder, or the files poses and imu");
+  if (request.paths.empty() && !NamesFiles(request))
+    Reject("no recording is given: a bag, a folder, or the files poses and imu");
 }
 
 /// For a session of which one part is in text files, and the other in bags.
-void SplitParts(OfflineRequest* request) {
-  BagRequest& bag = request->bag;
-  TextRequest& text = request->text;
-  const std::string bags = "the bag '" + bag.paths.front() + "'";
-  const bool is_split = IsPair({"imu", text.imu}, {"gyro", text.gyro}, {"accel", text.accel});
-  bag.poses = text.poses.empty();
-  bag.imus = text.imu.empty() && !is_split;
-  if (!bag.poses && !bag.imus)
-    throw InputError("poses and imu name text files for all that there is to read; leave out " +
-                     bags);
-  if (!bag.poses && NamesPoses(bag))
-    throw InputError("poses names a text file; it does not go with pose_topic or tf of " + bags);
-  if (!bag.imus && NamesImu(bag))
-    throw InputError("imu, gyro and accel name text files; they do not go with topics of " + bags);
-  if (!bag.poses) std::swap(text.body, bag.body);
-  text.start_s = std::exchange(bag.start_s, 0.0);
-  text.duration_s = std::exchange(bag.duration_s, 0.0);
+void CheckParts(const RecordingRequest& request) {
+  const std::string bags = "the bag '" + request.paths.front() + "'";
+  IsPair({"imu", request.imu}, {"gyro", request.gyro}, {"accel", request.accel});
+  if (request.NamesPoseFile() && request.NamesImuFile())
+    Reject("poses and imu name text files for all that there is to read; leave out ", bags);
+  if (request.NamesPoseFile() && NamesPoseTopic(request))
+    Reject("poses names a text file; it does not go with pose_topic or tf of ", bags);
+  if (request.NamesImuFile() && NamesImuTopic(request))
+    Reject("imu, gyro and accel name text files; they do not go with topics of ", bags);
 }
 
-/// For a session in text files alone, of a folder or named: names every file, and no bag.
+/// For a session in text files alone, of a folder or named: names every file.
 void NameFiles(OfflineRequest* request) {
-  BagRequest& bag = request->bag;
-  TextRequest& text = request->text;
-  if (NamesImu(bag) || NamesPoses(bag))
-    throw InputError("text files have no topics and no tf; choose with poses, imu, gyro and accel");
-  if (bag.record_time)
-    throw InputError("text files have no times of recording; leave out record_time");
-  for (const std::string& name : bag.pose_sensors)
-    if (!name.empty())
-      throw InputError("pose_sensor '" + name + "' is no file, nor is there a bag");
-  if (!bag.paths.empty()) text.folder = bag.paths[0];
-  bag.paths.clear();
-  text.body = bag.body;
-  text.start_s = bag.start_s;
-  text.duration_s = bag.duration_s;
-  text = FindFiles(text);
-  const std::filesystem::path imu = text.imu.empty() ? text.gyro : text.imu;
+  if (NamesImuTopic(*request) || NamesPoseTopic(*request))
+    Reject("text files have no topics and no tf; choose with poses, imu, gyro and accel");
+  if (request->record_time) Reject("text files have no times of recording; leave out record_time");
+  for (const std::string& name : SplitPaths(request->pose_sensors))
+    if (!IsPoseFile(name)) Reject("pose_sensor '", name, "' is no file, nor is there a bag");
+  static_cast<RecordingRequest&>(*request) = FindFiles(*request);
+  const std::filesystem::path imu = request->imu.empty() ? request->gyro : request->imu;
   const std::string noise = imu.parent_path() / "sensor.yaml";
   if (request->imu_yaml.empty() && request->config.empty() && !imu.empty() &&
       std::filesystem::exists(noise))
     request->imu_yaml = noise;
 }
 
-/// Shares the pose sensors out to text files and bags; a place that one has is nameless in the
-/// other.
-void SplitPoseSensors(size_t sessions, OfflineRequest* request) {
-  if (request->pose_sensors.empty()) return;
-  std::error_code ignored;
-  for (const std::string& name : SplitPaths(request->pose_sensors)) {
-    const bool is_file = std::filesystem::is_regular_file(SplitBody(name).first, ignored);
-    if (is_file && sessions > 1)
-      throw InputError("pose_sensor '" + name + "' is a file, which goes with one recording, not " +
-                       std::to_string(sessions));
-    request->text.pose_sensors.push_back(is_file ? name : "");
-    request->bag.pose_sensors.push_back(is_file ? "" : name);
-  }
-}
-
 /// One request for each session.
 std::vector<OfflineRequest> SplitSessions(const OfflineRequest& given) {
-  const std::vector<std::string>& paths = given.bag.paths;
+  const std::vector<std::string>& paths = given.paths;
   const bool is_text = std::all_of(paths.begin(), paths.end(), [](const std::string& path) {
     return IsFolder(path) && !IsRos2Bag(path);
   });
-  const bool is_mixed = !is_text && NamesFiles(given.text);
+  const bool is_mixed = !is_text && NamesFiles(given);
   std::vector<std::vector<std::string>> groups = {paths};
   if (is_text && paths.size() > 1) {
     groups.clear();
@@ -118,84 +81,68 @@ std::vector<OfflineRequest> SplitSessions(const OfflineRequest& given) {
   } else if (!is_text && !is_mixed && !given.one_recording) {
     groups = GroupBags(paths);
   }
+  for (const std::string& name : SplitPaths(given.pose_sensors))
+    if (groups.size() > 1 && IsPoseFile(name))
+      Reject("pose_sensor '", name, "' is a file, which goes with one recording, not ",
+             groups.size());
   std::vector<OfflineRequest> sessions(groups.size(), given);
   for (size_t s = 0; s < groups.size(); ++s) {
-    sessions[s].bag.paths = groups[s];
-    sessions[s].bag.may_lack_sensors = groups.size() > 1;
-    SplitPoseSensors(groups.size(), &sessions[s]);
-    if (is_mixed) SplitParts(&sessions[s]);
-    if (is_text) NameFiles(&sessions[s]);
+    OfflineRequest& session = sessions[s];
+    session.paths = groups[s];
+    session.may_lack_sensors = groups.size() > 1;
+    if (is_mixed) CheckParts(session);
+    if (is_text) NameFiles(&session);
   }
   return sessions;
-}
-
-Recording ReadRecording(const OfflineRequest& request) {
-  const TextRequest& text = request.text;
-  if (request.bag.paths.empty()) return ReadText(text);
-  BagRequest bag = request.bag;
-  if (!request.imu_yaml.empty()) bag.usual_imu_topic = LoadImuYaml(request.imu_yaml);
-  Recording recording = ReadBag(bag);
-  ReadFiles(text, &recording);
-  for (size_t k = 0; k < text.pose_sensors.size(); ++k)
-    if (!text.pose_sensors[k].empty() && bag.start_s + bag.duration_s > 0.0)
-      CutToPoses(recording.data.poses, &recording.data.pose_sensors[k]);
-  // Bags and text files have no span of record time in common: the stamps of the samples count.
-  if (!bag.poses || !bag.imus) CutSpan(text.start_s, text.duration_s, &recording.data);
-  return recording;
 }
 
 /// Names the frames as the request says.
 void NameFrames(const OfflineRequest& request, RecordingInfo* info) {
   const size_t names = SplitNames(request.imu_frame).size();
   if (!request.imu_frame.empty() && names != info->imus.size())
-    throw InputError("imu_frame names " + std::to_string(names) + " frames for " +
-                     std::to_string(info->imus.size()) + " imus");
+    Reject("imu_frame names ", names, " frames for ", info->imus.size(), " imus");
   NameFrames(request.marker_frame, request.imu_frame, info);
   for (const ImuInfo& imu : info->imus)
     if (info->marker_frame == imu.imu_frame)
-      throw InputError("marker_frame and imu_frame are both '" + imu.imu_frame +
-                       "', which leaves no transform between them; give one of them another name");
+      Reject("marker_frame and imu_frame are both '", imu.imu_frame,
+             "', which leaves no transform between them; give one of them another name");
 }
 
-/// Where a recording has no IMU at all, and others have, gives it a place for each. Gives a pose
-/// sensor the frame that it has where it is first. Throws InputError when no recording has it.
-void CompleteRig(const OfflineRequest& request, std::vector<Recording>* recordings) {
+/// Makes the recordings those of one rig: each has a place for every sensor, whose frame is that
+/// of the first recording that has it. Throws InputError when none has a pose sensor.
+void CompleteRig(const std::vector<std::string>& pose_sensors, std::vector<Recording>* recordings) {
+  const auto name_alike = [recordings](auto frame_of) {
+    std::string name;
+    for (Recording& recording : *recordings)
+      if (name.empty()) name = frame_of(&recording.info);
+    for (Recording& recording : *recordings) frame_of(&recording.info) = name;
+    return name;
+  };
   size_t imus = 0;
   for (const Recording& recording : *recordings) imus = std::max(imus, recording.data.imus.size());
   for (Recording& recording : *recordings) {
-    if (!recording.data.imus.empty()) continue;
     recording.info.imus.resize(imus);
     recording.data.imus.resize(imus);
   }
-  for (size_t k = 0; k < request.bag.pose_sensors.size(); ++k) {
-    const auto first = std::find_if(
-        recordings->begin(), recordings->end(),
-        [k](const Recording& recording) { return !recording.data.pose_sensors[k].empty(); });
-    if (first == recordings->end())
-      throw InputError("pose_sensor '" + request.bag.pose_sensors[k] +
-                       request.text.pose_sensors[k] + "' has no poses in any recording");
-    const std::string frame = first->info.pose_sensors[k].frame;
-    for (Recording& recording : *recordings) recording.info.pose_sensors[k].frame = frame;
-  }
+  name_alike([](RecordingInfo * info) -> auto& { return info->marker_frame; });
+  for (size_t i = 0; i < imus; ++i)
+    name_alike([i](RecordingInfo * info) -> auto& { return info->imus[i].imu_frame; });
+  for (size_t k = 0; k < pose_sensors.size(); ++k)
+    if (name_alike([k](RecordingInfo * info) -> auto& { return info->pose_sensors[k].frame; }) ==
+        "")
+      Reject("pose_sensor '", pose_sensors[k], "' has no poses in any recording");
 }
 
 /// The recordings of one rig, and the frames of its sensors the same in all of them.
 std::vector<Recording> ReadRecordings(const std::vector<OfflineRequest>& sessions) {
   std::vector<Recording> recordings;
-  for (const OfflineRequest& session : sessions) {
-    recordings.push_back(ReadRecording(session));
+  for (OfflineRequest session : sessions) {
+    if (!session.imu_yaml.empty() && !session.paths.empty())
+      session.usual_imu_topic = LoadImuYaml(session.imu_yaml);
+    recordings.push_back(session.paths.empty() ? ReadText(session) : ReadBag(session));
     recordings.back().info.imu_yaml = session.imu_yaml;
   }
-  CompleteRig(sessions.front(), &recordings);
-  RecordingInfo& first = recordings.front().info;
-  for (Recording& recording : recordings) {
-    for (size_t i = 0; i < recording.info.imus.size() && i < first.imus.size(); ++i) {
-      if (first.imus[i].imu_frame.empty())
-        first.imus[i].imu_frame = recording.info.imus[i].imu_frame;
-      recording.info.imus[i].imu_frame = first.imus[i].imu_frame;
-    }
-    recording.info.marker_frame = first.marker_frame;
-  }
+  CompleteRig(SplitPaths(sessions.front().pose_sensors), &recordings);
   for (Recording& recording : recordings) NameFrames(sessions.front(), &recording.info);
   return recordings;
 }
@@ -204,24 +151,25 @@ std::vector<Recording> ReadRecordings(const std::vector<OfflineRequest>& session
 void PlanOutput(const Given& output, const std::vector<OfflineRequest>& sessions,
                 OutputFiles* outputs, bool may_make_folders = false) {
   for (const OfflineRequest& request : sessions) {
-    const TextRequest& text = request.text;
     std::vector<std::pair<const char*, std::string>> inputs = {
-        {"poses", text.poses},
-        {"imu", text.imu},
-        {"gyro", text.gyro},
-        {"accel", text.accel},
+        {"poses", request.poses},
+        {"imu", request.imu},
+        {"gyro", request.gyro},
+        {"accel", request.accel},
         {"config", request.config},
         {"imu_yaml", request.imu_yaml},
         {"calibration", request.calibration}};
-    for (const std::string& path : request.bag.paths)
-      for (const std::string& file : FilesOfBag(path)) inputs.emplace_back("bag", file);
-    for (const std::string& name : text.pose_sensors)
+    for (const std::string& path : request.paths) {
+      for (const std::string& file : MessageFiles(path)) inputs.emplace_back("bag", file);
+      inputs.emplace_back("bag", path + "/metadata.yaml");  // of a folder
+    }
+    for (const std::string& name : SplitPaths(request.pose_sensors))
       inputs.emplace_back("pose_sensor", SplitBody(name).first);
     std::error_code ignored;
     for (const auto& [name, path] : inputs)
       if (std::filesystem::equivalent(output.value, path, ignored))
-        throw InputError(std::string(output.name) + " '" + output.value + "' would replace the " +
-                         name + " '" + path + "'; choose another");
+        Reject(std::string(output.name), " '", output.value, "' would replace the ", name, " '",
+               path, "'; choose another");
   }
   outputs->Plan(output.name, output.value, may_make_folders);
 }
@@ -247,8 +195,6 @@ void PlanOutput(const Given& output, const std::vector<OfflineRequest>& sessions
 void RunOffline(const Progress& progress, OfflineResult* offline) {
   const OfflineRequest& given = offline->request;
   ParseExports(given.exports);
-  for (const std::string& path : given.bag.paths)
-    if (!std::filesystem::exists(path)) throw InputError("bag '" + path + "' does not exist");
   const std::vector<OfflineRequest> requests = SplitSessions(given);
   offline->options = Options(requests.front());
   if (!given.trajectory.path.empty()) offline->options.max_factor_mb = kUnbounded;
@@ -258,7 +204,7 @@ void RunOffline(const Progress& progress, OfflineResult* offline) {
   PlanTrajectories(of_any, offline->options.method, requests.size(), 1);
   const std::string extension = std::filesystem::path(given.report).extension();
   if (!given.report.empty() && extension != ".html" && extension != ".pdf")
-    throw InputError("report '" + given.report + "' must end in .html or .pdf");
+    Reject("report '", given.report, "' must end in .html or .pdf");
   OutputFiles* outputs = offline->outputs.get();
   PlanOutput({"output", given.output}, requests, outputs);
   if (!given.report.empty()) PlanOutput({"report", given.report}, requests, outputs);
@@ -272,7 +218,7 @@ void RunOffline(const Progress& progress, OfflineResult* offline) {
       PlanTrajectories(given.trajectory, offline->options.method, requests.size(),
                        offline->sessions[0].imus.size(), offline->infos[0].pose_sensors);
   for (const TrajectoryTarget& target : offline->trajectories)
-    for (const std::string& file : TrajectoryFiles(target.path, target.format))
+    for (const std::string& file : target.Files())
       PlanOutput({"trajectory", file}, requests, outputs, target.format == TrajectoryFormat::kAsl);
   if (progress) progress("recording", 0);
 
@@ -289,7 +235,7 @@ void RunOffline(const Progress& progress, OfflineResult* offline) {
     warnings.insert(warnings.begin(), info.notes.begin(), info.notes.end());
   if (!offline->result.IsUsable()) Refuse(offline->result.message, offline);
   boost::remove_erase_if(offline->trajectories, [&](const TrajectoryTarget& target) {
-    return !IsThere(target, offline->result);
+    return !target.IsIn(offline->result);
   });
 }
 
@@ -339,7 +285,7 @@ CalibrationOptions Options(const OfflineRequest& request) {
   // Clocks, gravity and biases are each recording's own.
   const Calibration stored = LoadResult(request.calibration).result;
   if (stored.imus.empty())
-    throw InputError("'" + request.calibration + "' holds no IMU, which calibration needs");
+    Reject("'", request.calibration, "' holds no IMU, which calibration needs");
   const ImuCalibration& known = stored.imus[0];
   options.initial_rotation = known.T_MI.q;
   options.initial_translation = known.T_MI.p;
@@ -351,35 +297,33 @@ CalibrationOptions Options(const OfflineRequest& request) {
 
 RequestOptions OptionsOf(OfflineRequest* request) {
   using List = RequestOption::List;
-  BagRequest& bag = request->bag;
-  TextRequest& text = request->text;
   TrajectoryRequest& trajectory = request->trajectory;
   RequestOptions options;
   options.common = {
-      {"imu_topic", List{&bag.imu_topic}, "sensor_msgs/Imu; again for each further IMU"},
-      {"pose_topic", &bag.pose_topic, "poses of the marker"},
+      {"imu_topic", List{&request->imu_topic}, "sensor_msgs/Imu; again for each further IMU"},
+      {"pose_topic", &request->pose_topic, "poses of the marker"},
       {"pose_sensor", List{&request->pose_sensors},
        "poses of a camera, SLAM, ...: TOPIC, FILE, or tf:PARENT:CHILD; again for each further one"},
-      {"body", &bag.body, "rigid body, where poses are of several"},
+      {"body", &request->body, "rigid body, where poses are of several"},
       {"imu_yaml", &request->imu_yaml, "Kalibr's imu.yaml: noise and topic"},
       {"config", &request->config, "YAML of options, see config/default.yaml"},
-      {"start", &bag.start_s, "seconds of the recording to skip", "S"},
-      {"duration", &bag.duration_s, "seconds to use; 0: all", "S"},
+      {"start", &request->start_s, "seconds of the recording to skip", "S"},
+      {"duration", &request->duration_s, "seconds to use; 0: all", "S"},
       {"output", &request->output, "result; default: next to the recording"},
       {"report", &request->report, "figures: FILE.html or FILE.pdf"},
       {"export", &request->exports, "kalibr,ros2,...: files for other programs"},
       {"trajectory", &request->trajectory.path, "ground truth: .tum, .csv, .bag, folder"}};
   options.others = {
-      {"gyro_topic", List{&bag.gyro_topic},
+      {"gyro_topic", List{&request->gyro_topic},
        "gyroscope of a split IMU: sensor_msgs/Imu or geometry_msgs/Vector3Stamped"},
-      {"accel_topic", List{&bag.accel_topic}, "accelerometer of a split IMU"},
-      {"tf_parent", &bag.tf_parent, "poses from tf: the fixed frame"},
-      {"tf_child", &bag.tf_child, "poses from tf: the marker"},
-      {"poses", &text.poses,
+      {"accel_topic", List{&request->accel_topic}, "accelerometer of a split IMU"},
+      {"tf_parent", &request->tf_parent, "poses from tf: the fixed frame"},
+      {"tf_child", &request->tf_child, "poses from tf: the marker"},
+      {"poses", &request->poses,
        "text file of the poses, instead of those of a bag: CSV, TUM, export of Motive or Vicon"},
-      {"imu", List{&text.imu}, "text file of the IMU; again for each further one"},
-      {"gyro", List{&text.gyro}, "text file of the gyroscope of a split IMU"},
-      {"accel", List{&text.accel}, "text file of the accelerometer of a split IMU"},
+      {"imu", List{&request->imu}, "text file of the IMU; again for each further one"},
+      {"gyro", List{&request->gyro}, "text file of the gyroscope of a split IMU"},
+      {"accel", List{&request->accel}, "text file of the accelerometer of a split IMU"},
       {"method", &request->method, "joint (default) or gp"},
       {"solver", &request->solver, "of method joint: windows (default) or ceres"},
       {"trajectory_format", &trajectory.format,
@@ -391,7 +335,7 @@ RequestOptions OptionsOf(OfflineRequest* request) {
       {"trajectory_clock", &trajectory.clock, "clock of its stamps: imu (default) or poses"},
       {"trajectory_gaps", &trajectory.max_gap_s,
        "longest gap of the poses that the IMU bridges (default 2); others are left out", "S"},
-      {"record_time", &bag.record_time, "times of recording instead of the header stamps"},
+      {"record_time", &request->record_time, "times of recording instead of the header stamps"},
       {"marker_frame", &request->marker_frame, "name of the marker frame in the result"},
       {"imu_frame", List{&request->imu_frame},
        "name of the imu frame in the result; again for each further IMU"},
@@ -402,9 +346,9 @@ RequestOptions OptionsOf(OfflineRequest* request) {
 
 std::string OutputPath(const OfflineRequest& request) {
   if (!request.output.empty()) return request.output;
-  if (request.bag.paths.empty())
-    return std::filesystem::path(request.text.poses).replace_extension(".calibration.yaml");
-  const std::string& path = request.bag.paths.front();
+  if (request.paths.empty())
+    return std::filesystem::path(request.poses).replace_extension(".calibration.yaml");
+  const std::string& path = request.paths.front();
   if (IsFolder(path)) return std::filesystem::path(path) / "calibration.yaml";
   return WithoutBagEnding(path) + ".calibration.yaml";
 }
@@ -429,7 +373,7 @@ OfflineResult CalibrateOffline(const OfflineRequest& given, const Progress& prog
   } catch (const DataError& error) {
     throw DataError(error.what() + still_there());
   } catch (const InputError& error) {
-    throw InputError(error.what() + still_there());
+    Reject(error.what(), still_there());
   }
   return offline;
 }

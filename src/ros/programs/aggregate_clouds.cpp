@@ -114,7 +114,7 @@ void PlanMap(const char* name, const std::string& path, OutputFiles* outputs) {
 void Complete(Request* request) {
   OfflineRequest& recording = request->recording;
   SensorMount& sensor = request->sensor;
-  if (recording.bag.paths.empty()) throw InputError("no bag is given");
+  if (recording.paths.empty()) throw InputError("no bag is given");
   if (sensor.T_IS.has_value() == sensor.T_MS.has_value())
     throw InputError(
         "say where the sensor of the clouds sits: give either imu_sensor, "
@@ -128,7 +128,7 @@ void Complete(Request* request) {
     throw InputError("guess needs imu_sensor: T_marker_imu does not matter for marker_sensor");
   std::string& output = request->output;
   if (output.empty())
-    output = std::filesystem::path(recording.bag.paths.front()).replace_extension(".map.pcd");
+    output = std::filesystem::path(recording.paths.front()).replace_extension(".map.pcd");
   OutputFiles tried;
   PlanMap("output", output, &tried);
   if (!request->uncalibrated.empty()) PlanMap("uncalibrated", request->uncalibrated, &tried);
@@ -159,8 +159,7 @@ struct Clouds {
   size_t points = 0;  ///< about how many there are in all
 
   explicit Clouds(const Request& request)
-      : bags(request.recording.bag.paths, request.recording.bag.start_s,
-             request.recording.bag.duration_s),
+      : bags(request.recording.paths, request.recording.start_s, request.recording.duration_s),
         topic(ChooseClouds(bags, request.cloud_topic)) {
     std::vector<sensor_msgs::PointCloud2> first;
     bags.ForEach({topic.name}, [&](const BagMessage& message) {
@@ -361,7 +360,7 @@ ros::Publisher Offer(ros::NodeHandle* node, const char* topic, const std::vector
 void Run(int argc, char** argv) {
   Request request;
   if (!ParseOrHelp(argc, argv, kUsage, Describe(&request), kExitStatus,
-                   Unnamed{"bag", Value(&request.recording.bag.paths), -1}))
+                   Unnamed{"bag", Value(&request.recording.paths), -1}))
     return;
   Complete(&request);
   auto guard = std::make_unique<InterruptGuard>();

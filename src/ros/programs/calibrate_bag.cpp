@@ -68,7 +68,7 @@ void Run(int argc, char** argv) {
   po::options_description all, common = Describe(known.common, &line), others("Other options");
   AddRequestOptions(known.others, &others);
   all.add(common).add(others);
-  ParseCommandLine(argc, argv, all, Unnamed{"bag", Value(&line.request.bag.paths), -1});
+  ParseCommandLine(argc, argv, all, Unnamed{"bag", Value(&line.request.paths), -1});
   if (line.help_all) return PrintHelp({common, others});
   if (line.help) return PrintHelp({common});
   if (line.version) {

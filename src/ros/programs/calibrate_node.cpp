@@ -50,7 +50,7 @@ Job ReadJob() {
         std::visit([name = name](auto value) { *value = RosParameter(name, *value); }, field);
   job.exit = RosParameter("exit", job.exit);
   job.verbose = RosParameter("verbose", job.verbose);
-  request.bag.paths = SplitPaths(RosParameter<std::string>("bag", ""));
+  request.paths = SplitPaths(RosParameter<std::string>("bag", ""));
   if (RosParameter("report", false)) request.report = ReportPath(request);
   return job;
 }

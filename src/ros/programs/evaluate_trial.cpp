@@ -16,8 +16,8 @@
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/calibration/solution.h"
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/ros/io/bag_reader.h"
 #include "imu_pose_calib/ros/io/output_files.h"
+#include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
 #include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/offline/calibration_report.h"
@@ -286,7 +286,7 @@ YAML::Node Outcome(Trial trial) {
     throw InputError("--guess of a bag needs its --reference");
   SessionData bag;
   if (!trial.bag.empty()) {
-    BagRequest request;
+    RecordingRequest request;
     request.paths = {trial.bag};
     request.start_s = trial.start_s;
     request.duration_s = trial.simulator.duration_s;

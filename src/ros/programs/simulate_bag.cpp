@@ -153,7 +153,7 @@ void WriteTruth(const TrajectoryTarget& target, const SimulatorOptions& options,
       both.push_back({imu.gyro[k].t_ns, imu.gyro[k].value, imu.accel[k].value});
     return both;
   };
-  WriteTrajectory(target.path, target.format,
+  WriteTrajectory(target,
                   {instants,
                    state,
                    false,

@@ -30,8 +30,7 @@ struct BagMessage {
   std::unique_ptr<Msg> instantiate() const {  // NOLINT(readability-identifier-naming)
     if (md5sum ? *md5sum != ros::message_traits::MD5Sum<Msg>::value()
                : type != ros::message_traits::DataType<Msg>::value())
-      throw InputError("topic '" + topic + "' has another definition of " + type +
-                       " than this computer");
+      Reject("topic '", topic, "' has another definition of ", type, " than this computer");
     auto msg = std::make_unique<Msg>();
     Read([&msg](MessageInput* input) { input->next(*msg); });
     return msg;

@@ -9,6 +9,16 @@
 
 namespace imu_pose_calib {
 
+/// Calls `use(number)` for numbers and the elements of vectors.
+template <typename Use>
+void ForEachNumber(Use use, double number) {
+  use(number);
+}
+template <typename Use, typename Derived>
+void ForEachNumber(Use use, const Eigen::MatrixBase<Derived>& vector) {
+  for (Eigen::Index i = 0; i < vector.size(); ++i) use(vector[i]);
+}
+
 /// A table of doubles as NumPy reads it, or of floats where these are exact enough.
 template <typename Number>
 class NumpyTable {
@@ -18,7 +28,7 @@ class NumpyTable {
   /// A row of numbers and vectors, `columns` in all.
   template <typename... Parts>
   void AddRow(const Parts&... parts) {
-    (Append(parts), ...);
+    (ForEachNumber([this](double v) { values_.push_back(static_cast<Number>(v)); }, parts), ...);
   }
   /// An .npy file. Throws InputError when it cannot be written.
   void Write(const std::string& path) const {
@@ -38,12 +48,6 @@ class NumpyTable {
   }
 
  private:
-  void Append(double value) { values_.push_back(static_cast<Number>(value)); }
-  template <typename Derived>
-  void Append(const Eigen::MatrixBase<Derived>& vector) {
-    for (Eigen::Index i = 0; i < vector.size(); ++i) Append(vector[i]);
-  }
-
   size_t columns_;
   std::vector<Number> values_;
 };
@@ -60,7 +64,7 @@ class TextTable {
   template <typename... Parts>
   void AddRow(const std::string& stamp, const Parts&... parts) {
     text_ += stamp;
-    (Append(parts), ...);
+    (ForEachNumber([this](double v) { Append(v); }, parts), ...);
     text_ += '\n';
   }
   const std::string& text() const { return text_; }
@@ -71,11 +75,6 @@ class TextTable {
     std::snprintf(number, sizeof(number), "%c%.*g", separator_, digits_, value);
     text_ += number;
   }
-  template <typename Derived>
-  void Append(const Eigen::MatrixBase<Derived>& vector) {
-    for (Eigen::Index i = 0; i < vector.size(); ++i) Append(vector[i]);
-  }
-
   std::string text_;
   char separator_;
   int digits_;

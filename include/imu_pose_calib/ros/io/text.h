@@ -6,8 +6,15 @@
 #include <string>
 
 #include "imu_pose_calib/core/base/text.h"
+#include "imu_pose_calib/core/base/types.h"
 
 namespace imu_pose_calib {
+
+/// Throws an InputError whose text is all of these, as a stream writes them.
+template <typename... Args>
+[[noreturn]] void Reject(const Args&... args) {
+  Throw<InputError>(args...);
+}
 
 /// As printf.
 [[gnu::format(printf, 1, 2)]] std::string Format(const char* format, ...);
@@ -39,6 +46,10 @@ std::string YamlNumbers(const Vector& values) {
 
 /// Decimal seconds, exact: "-12.000000345".
 std::string SecondsText(int64_t t_ns);
+
+/// Whether there is a folder, or a regular file, at `path`; false where that cannot be told.
+bool IsFolder(const std::string& path);
+bool IsFile(const std::string& path);
 
 /// A time as UTC, in a format of strftime().
 std::string UtcText(std::time_t time, const char* format);

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "imu_pose_calib/core/base/types.h"
+#include "imu_pose_calib/ros/io/text.h"
 
 namespace imu_pose_calib {
 
@@ -23,7 +24,7 @@ auto LoadYaml(const std::string& what, const std::string& path, Parse parse) {
   try {
     return parse(ReadYamlFile(path));
   } catch (const InputError& error) {
-    throw InputError(what + " '" + path + "': " + error.what());
+    Reject(what, " '", path, "': ", error.what());
   }
 }
 

@@ -8,9 +8,8 @@
 
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/start/data_check.h"
-#include "imu_pose_calib/ros/io/bag_reader.h"
 #include "imu_pose_calib/ros/io/output_files.h"
-#include "imu_pose_calib/ros/io/text_reader.h"
+#include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/offline/calibration_report.h"
 #include "imu_pose_calib/ros/offline/ground_truth.h"
 
@@ -18,17 +17,13 @@ namespace imu_pose_calib {
 
 /// Calibration of recordings of one rig as calibrate_bag and calibrate_node offer it. Empty: the
 /// default.
-struct OfflineRequest {
-  /// The paths may also be folders of ASL datasets, each a session. Bags that continue each other
-  /// are one session, see GroupBags().
-  BagRequest bag;
+struct OfflineRequest : RecordingRequest {
+  // The paths may also be several folders of ASL datasets, each a session, and bags of several
+  // sessions: those that continue each other are one, see GroupBags(). With text files named beside
+  // bags there is one session.
+
   bool one_recording = false;  ///< all bags are one session, whatever they hold
-  /// Text files without any bag; those to choose of the folder; or either the poses or the IMUs,
-  /// the others being in the bags, which are one session then. Only the names of files are used.
-  TextRequest text;
-  /// With white space between them: files as poses, one session only, or see BagRequest.
-  std::string pose_sensors;
-  std::string config;  ///< YAML of CalibrationOptions
+  std::string config;          ///< YAML of CalibrationOptions
   /// Kalibr's imu.yaml; its noise wins over `config`. Empty: without a `config`, the sensor.yaml
   /// beside a text file of the IMU, if there is one.
   std::string imu_yaml;
