@@ -27,9 +27,8 @@ constexpr int kTranslation = 0, kRotation = 3, kDelay = 6, kGyroMatrix = 7, kAcc
 constexpr int kTimeShift = kShared, kDrift = kShared + 1, kGravity = kShared + 2,
               kMagnitude = kShared + 4, kBiases = kShared + 5;
 
-// [s^2], [m/s^2] sigmas that the solve has otherwise.
-constexpr double kAccelSmoothingPrior = 5e-5, kMagnitudePrior = 0.03;
-constexpr double kKnown = 1e-12;  // sigma of what is known
+constexpr double kMagnitudePrior = 0.03;  // [m/s^2] sigma that the solve has by its options
+constexpr double kKnown = 1e-12;          // sigma of what is known
 
 constexpr double kBiasKnots = 5.0;  // [s]
 constexpr double kStep = 1e-3;      // [s] of differences in time
@@ -238,7 +237,8 @@ class RecordingInformation {
 
 /// Adds what is known beforehand: all of it, or as much as the priors of the joint solve say.
 /// `recordings`: place of the own parameters of each.
-void AddPriors(bool is_known, const std::vector<int>& recordings, MatrixXd* information) {
+void AddPriors(bool is_known, double accel_delay, const std::vector<int>& recordings,
+               MatrixXd* information) {
   const auto add = [&](int place, double sigma) {
     const double used = is_known ? kKnown : sigma;
     (*information)(place, place) += 1.0 / (used * used);
@@ -251,7 +251,7 @@ void AddPriors(bool is_known, const std::vector<int>& recordings, MatrixXd* info
     for (int column = 0; column <= row; ++column)
       add(k++, row == column ? kScalePrior : kAlignmentPrior);
   for (int k = 0; k < 9; ++k) add(kAccelMatrix + k, k % 4 == 0 ? kScalePrior : kAlignmentPrior);
-  add(kAccelSmoothing, kAccelSmoothingPrior);
+  add(kAccelSmoothing, AccelSmoothingPeak(accel_delay));
   add(kPoseSmoothing, kSmoothingPeak);
   add(kPositionSmoothing, kSmoothingPeak);
   add(kPositionDelay, kPositionDelayPeak);
@@ -291,9 +291,9 @@ ErrorBounds FindErrorBounds(const std::vector<SimulatorOptions>& truths,
   }
   ErrorBounds bounds;
   MatrixXd known = information;
-  AddPriors(true, places, &known);
+  AddPriors(true, truths[0].accel_delay_s, places, &known);
   bounds.least = BoundOf(known);
-  AddPriors(false, places, &information);
+  AddPriors(false, truths[0].accel_delay_s, places, &information);
   bounds.as_joint = BoundOf(information);
   return bounds;
 }

@@ -32,14 +32,10 @@ struct Component {
   Index column;
 };
 
-/// A filter averages over no more than about the time by which it delays: accelerometers that are
-/// late may be smooth.
 double PeakOf(const Parameter& p, int component, const Estimate& estimate) {
   switch (p.kind) {
-    case ParameterKind::kAccelSmoothing: {
-      const double delay = estimate.imus[p.imu].accel_delay;
-      return std::hypot(kSmoothingPeak, delay * delay);
-    }
+    case ParameterKind::kAccelSmoothing:
+      return AccelSmoothingPeak(estimate.imus[p.imu].accel_delay);
     case ParameterKind::kMountCompliance:
       return kCompliancePeak;
     case ParameterKind::kPoseCumulants:

@@ -24,6 +24,10 @@ constexpr double kCompliancePeak = 7e-7;                 // [s^2] of mounts
 constexpr double kThirdPeak = 7e-7, kFourthPeak = 7e-8;  // [s^3], [s^4] cumulants of poses
 constexpr double kPositionDelayPeak = 1.5e-5;            // [s]
 
+/// [s^2] of an accelerometer that is so late [s]: a filter averages over no more than about the
+/// time by which it delays.
+inline double AccelSmoothingPeak(double delay) { return std::hypot(kSmoothingPeak, delay * delay); }
+
 /// Gaussian prior of one component of a parameter.
 struct GaussianPrior {
   double mean = 0.0, std = 0.0;  ///< std 0: nothing is known
