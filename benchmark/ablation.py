@@ -66,8 +66,6 @@ RULES = {
     "spikes of imus": ("lone wild samples leave", D + "conditioning.cpp", "    RemoveSpikes(&kept, report);", "    if (!OFF) RemoveSpikes(&kept, report);"),
     "updates": ("poses that tell nothing new leave", D + "conditioning.cpp", "  out.pose_report.between_updates = KeepOneOf(",
                 "  if (!OFF) out.pose_report.between_updates = KeepOneOf("),
-    "quantile": ("of latencies the quantile known best", D + "source_clock.cpp", "const double quantile = BestQuantile(latency);",
-                 "const double quantile = OFF ? 0.0 : BestQuantile(latency);"),
     "second count": ("frames are counted again by the latencies found", D + "source_clock.cpp", "round < kCounts; ++round",
                      "round < (OFF ? 0 : kCounts); ++round"),
     "credible": ("missing frames must be credible", D + "source_clock.cpp", "  if (!AreJumpsCredible(", "  if (!OFF && !AreJumpsCredible("),
