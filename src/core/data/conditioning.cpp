@@ -8,8 +8,7 @@
 
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/base/text.h"
-#include "imu_pose_calib/core/data/pose_updates.h"
-#include "imu_pose_calib/core/data/segments.h"
+#include "imu_pose_calib/core/data/conditioned_data.h"
 
 namespace imu_pose_calib {
 namespace {

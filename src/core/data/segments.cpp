@@ -1,11 +1,10 @@
-#include "imu_pose_calib/core/data/segments.h"
-
 #include <algorithm>
 #include <utility>
 
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/base/text.h"
+#include "imu_pose_calib/core/data/conditioned_data.h"
 
 namespace imu_pose_calib {
 namespace {

@@ -7,7 +7,7 @@
 #include "imu_pose_calib/core/base/text.h"
 #include "imu_pose_calib/core/pose_sensor/sensor_problem.h"
 #include "imu_pose_calib/core/start/rate_alignment.h"
-#include "imu_pose_calib/core/verdict/observability.h"
+#include "imu_pose_calib/core/verdict/verdict.h"
 
 namespace imu_pose_calib {
 namespace {

@@ -10,7 +10,7 @@
 #include "imu_pose_calib/core/base/parallel.h"
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/base/text.h"
-#include "imu_pose_calib/core/data/segments.h"
+#include "imu_pose_calib/core/data/conditioned_data.h"
 #include "imu_pose_calib/core/start/rate_alignment.h"
 
 namespace imu_pose_calib {
@@ -206,7 +206,7 @@ void CheckPositionUnit(const LeverArmEquations& equations) {
 
 void RemoveFlippedSegments(const CalibrationOptions& options, PoseTrajectory* trajectory,
                            ConditionedData* data) {
-  if (data->segments.size() < 2) return;
+  if (data->segments.size() < 2 || data->imus.empty()) return;
   const size_t first = data->FirstImu();
   const ConditionedImu& imu = data->imus[first];
   const std::vector<double> shifts = CandidateShifts(options, *trajectory, *data, first);

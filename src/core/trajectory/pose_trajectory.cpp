@@ -7,7 +7,7 @@
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/base/parallel.h"
 #include "imu_pose_calib/core/base/so3.h"
-#include "imu_pose_calib/core/data/segments.h"
+#include "imu_pose_calib/core/data/conditioned_data.h"
 
 namespace imu_pose_calib {
 namespace {
