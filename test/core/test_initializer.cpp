@@ -41,7 +41,7 @@ double TrueShift(const ConditionedData& data, const SimulatorOptions& options) {
 
 void ExpectCloseToTruth(const Start& start, const ConditionedData& data,
                         const SimulatorOptions& options) {
-  EXPECT_NEAR(start.clock.time_shift, TrueShift(data, options), 5e-3);
+  EXPECT_NEAR(start.time_shift, TrueShift(data, options), 5e-3);
   EXPECT_LT(start.q_MI.angularDistance(options.T_MI.q), 2.0 * kDegree);
   EXPECT_LT((start.p_MI - options.T_MI.p).norm(), 0.01) << start.p_MI.transpose();
   EXPECT_NEAR(start.accel_delay, options.accel_delay_s, 0.01);
@@ -249,7 +249,7 @@ TEST(FitLeverArm, RecoversLeverArmGravityAndBiasAtTheTrueRotationAndShift) {
   const Fitted fitted(Simulate(options), CalibrationOptions());
   Start start;
   start.q_MI = options.T_MI.q;
-  start.clock.time_shift = TrueShift(fitted.data, options);
+  start.time_shift = TrueShift(fitted.data, options);
   FitLeverArm(fitted.trajectory, fitted.data.imus[0].accel, 9.79, false, 2, &start);
   EXPECT_LT((start.p_MI - options.T_MI.p).norm(), 2e-3);
   EXPECT_LT((start.g_W - options.g_W).norm(), 0.03);

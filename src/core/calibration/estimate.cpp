@@ -91,7 +91,7 @@ Estimate::Estimate(const PreparedSession& session, double bias_knot_interval_s)
     imus[i].accel_delay = start.accel_delay;
     ImuSessionEstimate& imu = sessions[0].imus[i];
     imu.is_present = true;
-    imu.time_shift = start.clock.time_shift;
+    imu.time_shift = start.time_shift;
     imu.walk = start.clock.walk;
     imu.clock_reference = samples.MiddleOfGyro();
     imu.gyro_bias = BiasKnots(samples.gyro, bias_knot_interval_s, start.gyro_bias);

@@ -16,7 +16,6 @@ constexpr double kMedianOfChi3 = 1.5382;  // median norm of a standard normal 3-
 constexpr int kLikelihoodChunks = 16;
 constexpr size_t kChunkPoses = 250;
 constexpr int kMaxRounds = 6;
-constexpr int kSpikeRounds = 3;
 constexpr double kSpikeThreshold = 2.0;  // times the outlier threshold
 constexpr double kSpikeRadius = 10.5;    // poses on either side
 
@@ -159,7 +158,7 @@ std::vector<Eigen::Vector2d> DistanceFromNeighbours(const std::vector<TimedPose>
 /// Removes single poses far off their neighbours before a likelihood sees them: they would make it
 /// believe in noise, or in motion at the rate of the samples, and cost it a long search.
 void RemoveSpikes(double threshold, ConditionedData* data) {
-  for (int round = 0; round < kSpikeRounds; ++round) {
+  for (;;) {
     const std::vector<Eigen::Vector2d> distances =
         DistanceFromNeighbours(data->poses, data->segments);
     std::vector<bool> spikes = FindOutliers(distances, data->poses, kSpikeThreshold * threshold,
@@ -242,8 +241,8 @@ bool PoseTrajectory::Evaluate(double t, MarkerState<double>* state,
                               MarkerState<double>* rate) const {
   const Segment* segment = Find(t);
   if (segment == nullptr) return false;
-  const auto [p, q] = GaussianProcess::Evaluate(segment->position, segment->quaternion, t);
-  FindRotation(q, state, rate);
+  const GaussianProcess::Derivatives p = segment->position.Evaluate(t);
+  FindRotation(segment->quaternion.Evaluate(t), state, rate);
   state->p_WM = origin_W_ + p.col(0).head<3>();
   state->v_W = p.col(1).head<3>();
   state->a_W = p.col(2).head<3>();

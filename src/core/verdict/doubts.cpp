@@ -31,7 +31,7 @@ double TurningTime(const std::vector<PreparedSession>& sessions, size_t imu) {
   for (const PreparedSession& session : sessions) {
     const std::vector<TimedSample>& gyro = session.data.imus[imu].gyro;
     const auto is_seen = [&](const TimedSample& sample) {
-      return session.trajectory->Contains(sample.t + session.starts[imu].clock.time_shift);
+      return session.trajectory->Contains(sample.t + session.starts[imu].time_shift);
     };
     for (size_t i = 0; i < gyro.size();) {
       const double end = gyro[i].t + kBin;

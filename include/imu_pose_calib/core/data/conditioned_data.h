@@ -33,9 +33,6 @@ struct TimedSample {
   int count = 1;                                   ///< recorded samples that it stands for
 };
 
-/// Samples further apart are a gap [s], unless the options say otherwise.
-inline double LongestStep(double rate_hz) { return std::max(0.1, 5.0 / rate_hz); }
-
 /// Half-open range of indices.
 struct IndexRange {
   size_t begin = 0, end = 0;
