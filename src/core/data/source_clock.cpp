@@ -25,7 +25,7 @@ constexpr double kMinJumpCost = 2.0, kJumpScatters = 6.0;
 constexpr double kKnotSpacing = 10.0;
 constexpr double kRateStep = 1e-5;  // sigma of the change of the rate at a knot
 constexpr double kHuber = 1.5;      // sigma
-constexpr int kRounds = 15, kCounts = 2;
+constexpr int kRounds = 15;
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr size_t kExcerpt = 20000;  // [samples] on which the period is sought
@@ -268,10 +268,8 @@ bool RecoverRun(const Period& period, std::vector<double>* t) {
   if (t->size() < 2 * kWindow) return false;
   FrameCount count = CountFrames(*t, period);
   std::vector<double> latency = FitClock(*t, count, period.seconds);
-  for (int round = 0; round < kCounts; ++round) {
-    count = CountAgain(count, latency, period);
-    latency = FitClock(*t, count, period.seconds);
-  }
+  count = CountAgain(count, latency, period);
+  latency = FitClock(*t, count, period.seconds);
   if (!AreJumpsCredible(count, latency, period.seconds)) return false;
   for (size_t i = 0; i < t->size(); ++i) (*t)[i] -= latency[i];
   return true;

@@ -147,9 +147,9 @@ std::vector<Eigen::Vector2d> DistanceFromNeighbours(const std::vector<TimedPose>
   for (const IndexRange& segment : segments) {
     for (size_t i = segment.begin + 1; i + 1 < segment.end; ++i) {
       const double u = (poses[i].t - poses[i - 1].t) / (poses[i + 1].t - poses[i - 1].t);
-      const Eigen::Vector3d p = (1.0 - u) * poses[i - 1].p_WM + u * poses[i + 1].p_WM;
-      const Eigen::Quaterniond q = poses[i - 1].q_WM.slerp(u, poses[i + 1].q_WM);
-      distances[i] << (poses[i].p_WM - p).norm(), poses[i].q_WM.angularDistance(q);
+      const Rigid3 middle = Interpolate({poses[i - 1].q_WM, poses[i - 1].p_WM},
+                                        {poses[i + 1].q_WM, poses[i + 1].p_WM}, u);
+      distances[i] << (poses[i].p_WM - middle.p).norm(), poses[i].q_WM.angularDistance(middle.q);
     }
   }
   return distances;
